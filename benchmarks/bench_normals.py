@@ -46,7 +46,6 @@ def main() -> None:
     colours = np.stack([stack] * 3)
     weights = np.ones_like(stack)
     near = {
-        "near_light, all lights": lambda: near_light(stack, rig, 3.0, mask, robust=False),
         "near_light, robust": lambda: near_light(stack, rig, 3.0, mask),
         "pseudo_normals, three channels, weights": lambda: pseudo_normals(colours, rig, 3.0, mask, weights),
     }

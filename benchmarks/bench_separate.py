@@ -41,7 +41,6 @@ def main() -> None:
     contenders = {
         "direct_light, colours, two threads": lambda: direct_light(colours, network),
         "the same, one thread": lambda: direct_light(colours, alone),
-        "the same, two threads, tiles of 256 pixels": lambda: direct_light(colours, network, tile=256),
         "direct_light, grey, two threads": lambda: direct_light(grey, network),
         "run_network alone, two threads": lambda: run_network(network, colours),
     }

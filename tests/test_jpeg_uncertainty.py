@@ -19,4 +19,4 @@ def test_coarse_jpeg_photographs_tell_little_of_the_relief() -> None:
     result = splitknit.reconstruct(replace(capture, bands={**capture.bands, "white": named}))
     inside = result.mask & np.isfinite(result.uncertainty_um)
     assert (result.uncertainty_um[inside] >= 899 * np.abs(result.ridge_mm[inside])).all()
-    assert any("saved as JPEG" in note for note in result.warnings)
+    assert any(finding.code == "jpeg" for finding in result.findings)

@@ -36,9 +36,9 @@ ARRAYS = (
 """Functions on arrays that are public as well."""
 RESULTS = (
     "splitknit_match.prints.make.Print",
-    "splitknit_match.matching.methods.Match",
-    "splitknit_match.matching.methods.ComparedSide",
-    "splitknit_match.matching.methods.MatchDecision",
+    "splitknit_match.matching.results.Match",
+    "splitknit_match.matching.results.ComparedSide",
+    "splitknit_match.matching.results.MatchDecision",
     "splitknit_match.gallery.identify.Identification",
     "splitknit_match.gallery.identify.RankedCandidate",
     "splitknit_match.gallery.identify.Searched",

@@ -17,10 +17,14 @@ from typing import Any, Literal, Union
 from splitknit.io.provenance import json_text
 from splitknit_match.gallery.gallery import Enrolment
 from splitknit_match.gallery.identify import Identification, RankedCandidate
-from splitknit_match.matching.methods import Match
+from splitknit_match.matching.results import Match, MatchOfImages, MatchOfPrints, MatchOfRidges
 
 FOLDER = Path(__file__).resolve().parents[1] / "docs" / "reference" / "schemas"
-VERBS = {"match": Match, "identify": Identification, "enroll": Enrolment}
+VERBS = {
+    "match": MatchOfRidges | MatchOfPrints | MatchOfImages | Match,
+    "identify": Identification,
+    "enroll": Enrolment,
+}
 PLAIN = {str: "string", bool: "boolean", int: "integer", float: "number", type(None): "null"}
 
 

@@ -8,8 +8,8 @@ import cv2
 import numpy as np
 import pytest
 
+from splitknit.diagnosis.frames import FRAMES, fit_lights
 from splitknit.io.light_list import read_light_list
-from splitknit.photometric.frames import FRAMES, fit_lights
 
 pytestmark = pytest.mark.external
 

@@ -58,10 +58,8 @@ MORE_SEED = 1_000_000
 READERS = ("read_", "decode_", "unpack_", "open_", "load_", "import_", "parse_")
 NO_READERS = {
     "imaging.band.decode_table": "makes a table, reads nothing",
-    "prints.export.import_records": "writes what prints.from_file.read_print_file reads",
-    "prints.rolled.read_rolled": "reconstructs what io.capture.read_capture reads",
     "light.skin.load_walks": "reads a table of the package",
-    "cli.export.import_prints": "reads what prints.from_file.read_print_file reads",
+    "prints.verbs.import_prints": "reads what prints.from_file.read_print_file reads",
 }
 """Functions named as readers that need no target, and why."""
 Task = tuple[Target, int, int]

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from script_folder import VALIDATION, scripts_of
-from splitknit.photometric.checks import faulty_photographs
+from splitknit.diagnosis.photographs import faulty_photographs
 from splitknit.photometric.robust import robust
 
 

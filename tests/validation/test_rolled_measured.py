@@ -10,8 +10,8 @@ import pytest
 
 from script_folder import scripts_of
 from splitknit.errors import BadInput
+from splitknit.skin.images import MetricSettings
 from splitknit_match.rolled.finger import rolled_finger
-from splitknit_match.rolled.views import ReliefSettings
 
 TESTS = Path(__file__).resolve().parents[1]
 FOLDER = TESTS.parent / "validation" / "mirror"
@@ -27,9 +27,10 @@ def scene():
 
 
 @pytest.mark.slow
-def test_every_point_is_held_against_the_pixel_it_came_from(scene) -> None:
+def test_every_point_is_held_against_the_pixel_it_came_from(scene, monkeypatch) -> None:
+    monkeypatch.setattr("splitknit_match.rolled.finger.PITCH_MM", 0.07)  # quicker
     capture, masks = scene.capture(("right",))
-    rolled = rolled_finger(capture, scene.views_of(capture, masks), ReliefSettings(), 0.07)
+    rolled = rolled_finger(capture, scene.views_of(capture, masks), MetricSettings())
     x = (np.arange(scene.SIZE[1]) - (scene.SIZE[1] - 1) / 2) / scene.PX
     y = ((scene.SIZE[0] - 1) / 2 - np.arange(scene.SIZE[0])) / scene.PX
     x, y = np.meshgrid(x, y - 2.0)

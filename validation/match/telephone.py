@@ -34,7 +34,7 @@ from splitknit_match.matching.inputs import print_template
 from splitknit_match.matching.ridge import Prepared
 from splitknit_match.matching.score import FmrTable, calibrate_scores
 from splitknit_match.matching.template import Template
-from splitknit_match.prints.fingerphoto import LEAST_QUALITY, source_of_photo
+from splitknit_match.prints.fingerphoto import LEAST_QUALITY, finger_of_photo
 from splitknit_simulator.finger.finger import draw_finger
 
 TABLES = Path(__file__).resolve().parent / "tables"
@@ -331,7 +331,7 @@ def side_of(number: int, take: int, work: Path) -> tuple[Template | None, float]
     if not file.is_file():
         one = drawn(number, take, work)
         try:
-            source = source_of_photo(one.pixels, mask=one.masks[0])
+            source = finger_of_photo(one.pixels, mask=one.masks[0])
             kept = print_template(source.flat, pressed=source.pressed), source.quality or 0.0
         except BadInput as error:
             print(number, take, error, flush=True)

@@ -12,17 +12,17 @@ from scipy.spatial import cKDTree
 
 from splitknit.io.capture import read_capture
 from splitknit.presets import preset_settings
+from splitknit.skin.images import MetricSettings
 from splitknit_match.prints.rolled import rolled_facts
 from splitknit_match.rolled.chart import read
 from splitknit_match.rolled.finger import (
-    PITCH_MM,
     STEEPEST_DEG,
     Blended,
     Rolled,
     rolled_finger,
 )
 from splitknit_match.rolled.register import ridges_of
-from splitknit_match.rolled.views import ReliefSettings, find_mirror_views
+from splitknit_match.rolled.views import find_mirror_views
 
 BANDS_DEG = ((0, 30), (30, 60), (60, 90), (90, 110))
 """Of the angle between the skin and the camera's axis."""
@@ -33,12 +33,12 @@ STEP = 2
 """Every so many of the chart's pixels."""
 
 
-def measure(folder: Path, pitch_mm: float = PITCH_MM) -> dict[str, Any]:
+def measure(folder: Path) -> dict[str, Any]:
     """Roll a capture and compare it with its truth."""
     capture = read_capture(folder)
     chosen = preset_settings("metric")
     views = find_mirror_views(capture, chosen, chosen.shape.mirror)
-    rolled = rolled_finger(capture, views, ReliefSettings(), pitch_mm)
+    rolled = rolled_finger(capture, views, MetricSettings())
     front = front_alone(rolled)
     with np.load(folder / "truth.npz") as arrays:
         truth = {

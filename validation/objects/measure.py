@@ -68,9 +68,9 @@ def faults() -> dict[str, object]:
             except BadInput as error:
                 named, refused = named + (f"image {k}" in str(error)), refused + 1
                 continue
-            said = [text for text in result.warnings if text.startswith("image ")]
-            named += any(text.startswith(f"image {k} ") for text in said)
-            others += any(not text.startswith(f"image {k} ") for text in said)
+            files = {file for finding in result.findings for file in finding.files}
+            named += f"image {k}" in files
+            others += bool(files - {f"image {k}"})
             ratios.append(height / good[seed])
         rows[kind] = {
             "sets": 10,

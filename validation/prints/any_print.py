@@ -1,13 +1,11 @@
-"""What is found out about real prints: whether their ridges are dark, their resolution, and a print on a page.
+"""What is found out about real prints: whether their ridges are dark, their resolution.
 
     python validation/prints/any_print.py [--data ../shared/data]
 
 writes ``tables/any_print.csv``, a row for each set of 40 prints. *white*: of the prints as they are, and inverted, how
 many are turned, and of how many it is said to be in doubt. *doubted*: prints whose resolution is in doubt as it is, and
 if half or twice of it is stated. *period*: distance of the ridges over 0.46 mm, 2.5 % and
-97.5 %, by :func:`splitknit_match.prints.from_file._ridge_period_px`, and of how many prints none is found. *page*: the
-first impressions on a white page of 2000 x 2000: in how many exactly one print is found, and mean minutiae alone and
-on the page.
+97.5 %, by :func:`splitknit_match.prints.from_file._ridge_period_px`, and of how many prints none is found.
 
 ``--stated`` writes ``tables/stated_resolution.csv`` instead: answers of `match` where one of two prints states 0.8 or
 1.2 times its resolution (the first two impressions of each finger, both ways, and each with the next finger's), as they
@@ -26,7 +24,7 @@ from splitknit.io.prints import PrintFile, read_print_png
 from splitknit_match.matching.fusion import fused_match
 from splitknit_match.matching.inputs import print_template
 from splitknit_match.matching.methods import rate, scale_doubt, scores_of
-from splitknit_match.prints.from_file import USUAL_PERIOD_MM, _prints_on, _ridge_period_px, print_minutiae
+from splitknit_match.prints.from_file import USUAL_PERIOD_MM, _ridge_period_px, prepared
 
 PPI = {"fvc2002_db2b": 569.0, "fvc2004_db3b": 512.0}
 STATED = Path(__file__).parent / "tables" / "stated_resolution.csv"
@@ -38,21 +36,14 @@ def row(folder: Path) -> dict[str, object]:
     ppi = PPI.get(folder.name, 500.0)
     said = {"dark": [], "inverted": []}
     doubted = {"as it is": 0, "half": 0, "twice": 0}
-    periods, alone, on_page, single = [], [], [], 0
+    periods = []
     for file in sorted(folder.glob("*.png")):
         image = read_print_png(file).image
         for name, picture in (("dark", image), ("inverted", 255 - image)):
-            said[name].append(_prints_on(PrintFile(picture, ppi, {}))[0].note)
+            said[name].append(prepared(PrintFile(picture, ppi, {})).note)
         for name, factor in zip(doubted, (1, 0.5, 2), strict=True):
-            doubted[name] += bool(_prints_on(PrintFile(image, factor * ppi, {}))[0].doubt)
+            doubted[name] += bool(prepared(PrintFile(image, factor * ppi, {})).doubt)
         periods.append(_ridge_period_px(image))
-        if file.stem.endswith("_1"):
-            page = np.full((2000, 2000), 255, np.uint8)
-            page[700 : 700 + image.shape[0], 900 : 900 + image.shape[1]] = image
-            found = _prints_on(PrintFile(page, 500.0, {}))
-            single += len(found) == 1
-            alone.append(print_minutiae(image).count)
-            on_page.append(print_minutiae(found[0].image).count)
     known = np.array([one for one in periods if one is not None]) * 25.4 / ppi / USUAL_PERIOD_MM
     return {
         "set": folder.name,
@@ -63,10 +54,6 @@ def row(folder: Path) -> dict[str, object]:
         "no_period": periods.count(None),
         "period_2.5": round(float(np.percentile(known, 2.5)), 3),
         "period_97.5": round(float(np.percentile(known, 97.5)), 3),
-        "pages": len(alone),
-        "one_print_on_page": single,
-        "minutiae_alone": round(float(np.mean(alone)), 1),
-        "minutiae_on_page": round(float(np.mean(on_page)), 1),
     }
 
 
@@ -77,7 +64,7 @@ def stated(folder: Path, factor: float) -> list[tuple[bool, str, bool]]:
     right = [print_template(image, ppi) for image in images]
     found = []
     for k, image in enumerate(images):
-        item = _prints_on(PrintFile(image, factor * ppi, {}))[0]
+        item = prepared(PrintFile(image, factor * ppi, {}))
         wrong = print_template(item.image, factor * ppi)
         for n in (k ^ 1, (k + 2) % len(files)):
             one = fused_match(wrong, right[n])

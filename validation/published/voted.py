@@ -27,7 +27,7 @@ from splitknit.imaging.coloured import balanced
 from splitknit.imaging.polarised import aligned, without_films
 from splitknit.io.capture import read_capture
 from splitknit.model import Capture, FloatArray
-from splitknit.photometric.lambertian import left_out
+from splitknit.photometric.lambertian import lambertian
 from splitknit.presets import preset_settings
 from splitknit_match.prints.minutiae import extract, minutiae_match
 from splitknit_match.prints.minutiae_record import PPI, Minutiae
@@ -146,7 +146,9 @@ def pictures_of(capture: Capture, preset: str = "zheng") -> Iterator[tuple[str, 
     pitch, matrix = capture.rig.camera.pitch_mm, finger.upright.input_from_upright.copy()
     matrix[:2, 2] -= window[1].start, window[0].start
     print_map = plane_map(pitch, matrix, finger.upright.size, PPI)
-    for normals, albedo in left_out(stack, capture.rig.select(white.lights).light_vectors(), mask):
+    lights = capture.rig.select(white.lights).light_vectors()
+    for k in range(len(stack)):
+        normals, albedo = lambertian(np.delete(stack, k, axis=0), np.delete(lights, k, axis=0), mask)
         for name in PICTURES:
             values, weight = resample(_component(normals, albedo, name, finger), mask, pitch, print_map)
             try:

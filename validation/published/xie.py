@@ -34,7 +34,7 @@ from splitknit.imaging.band import linear_stack
 from splitknit.imaging.geometry import gradients_from_normals
 from splitknit.integration.frankot_chellappa import frankot_chellappa
 from splitknit.io.capture import read_capture
-from splitknit.methods.photographs import FingerSurface, finger_photographs, placed
+from splitknit.methods.photographs import FingerSurface, diagnosed, placed, prepared
 from splitknit.methods.photometry import fast_part
 from splitknit.model import BoolArray, Capture, FloatArray, Reconstruction
 from splitknit.photometric.lambertian import lambertian
@@ -221,7 +221,7 @@ def layered_normals(images: FloatArray, lights: Array, inside: BoolArray) -> tup
 def heights(capture: Capture) -> Reconstruction:
     """The surface of a capture, not split, as the preset `ea` reconstructs it by another reflectance."""
     settings = PRESETS["ea"]
-    photographs = finger_photographs(capture, settings)
+    photographs = diagnosed(prepared(capture, settings), settings)
     white, _ = photographs.white_and_nir(plane_mm=0.0)
     images = np.maximum(linear_stack(white.band, white.capture.encoding, "grey", white.finger.window), np.float32(0))
     normals, albedo = layered_normals(images, white.rig.light_vectors(), white.inside)

@@ -189,5 +189,8 @@ class Bench:
 
 def reconstruct(capture: Capture, finger: Finger, settings: PipelineSettings) -> Reconstruction:
     """As :func:`splitknit.reconstruct`, of a finger that has been found."""
-    with mock.patch.object(photographs, "locate_finger", lambda capture, _: (capture, finger)):
+    with (
+        mock.patch.object(photographs, "locate_finger", lambda capture, _: (capture, finger)),
+        mock.patch.object(photographs, "diagnose", lambda capture, finger: (capture, finger, ())),
+    ):
         return pipeline.reconstruct(capture, settings=settings)

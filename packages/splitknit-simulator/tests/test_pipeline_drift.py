@@ -5,25 +5,25 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import Any
 
+from splitknit.findings import Finding
 from splitknit.model import Capture
 from splitknit.pipeline import reconstruct
 
 
-def warnings_of(capture: Capture, changes: dict[int, float], provenance: dict[str, Any]) -> list[str]:
-    """Warnings of a capture whose rig file has other intensities than the LEDs had."""
+def drifts(capture: Capture, changes: dict[int, float], provenance: dict[str, Any]) -> list[Finding]:
+    """Drifts in a capture whose rig file has other intensities than the LEDs had."""
     leds = tuple(replace(led, intensity=led.intensity * changes.get(k, 1.0)) for k, led in enumerate(capture.rig.leds))
     rig = replace(capture.rig, leds=leds, provenance=provenance)
     result = reconstruct(replace(capture, rig=rig), "ea")
-    return [text for text in result.warnings if "calibration" in text]
+    return [finding for finding in result.findings if finding.code == "drifted-led"]
 
 
 def test_an_led_that_got_darker_is_named(twin_capture: Capture) -> None:
-    words = warnings_of(twin_capture, {9: 1 / 0.9}, {"radiometry": {"calibrated": True}})
-    assert len(words) == 1
-    assert twin_capture.bands["nir"].image_names[2] in words[0]
-    assert "darker than at the calibration" in words[0]
+    found = drifts(twin_capture, {9: 1 / 0.9}, {"radiometry": {"calibrated": True}})
+    assert [finding.files for finding in found] == [(twin_capture.bands["nir"].image_names[2],)]
+    assert "darker than at the calibration" in str(found[0])
 
 
 def test_nothing_is_said_of_a_rig_that_holds_or_was_never_calibrated(twin_capture: Capture) -> None:
-    assert warnings_of(twin_capture, {}, {"radiometry": {"calibrated": True}}) == []
-    assert warnings_of(twin_capture, {9: 1 / 0.9}, {}) == []
+    assert drifts(twin_capture, {}, {"radiometry": {"calibrated": True}}) == []
+    assert drifts(twin_capture, {9: 1 / 0.9}, {}) == []

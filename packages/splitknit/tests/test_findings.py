@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import re
 from pathlib import Path
+from typing import get_args
 
 import pytest
 
 import splitknit
 from splitknit.diagnosis.codes import CODES
+from splitknit.diagnosis.photographs import Fault
 from splitknit.errors import BadInput
 from splitknit.findings import Finding, Severity, refuse, worst_first
 
@@ -41,6 +43,7 @@ def test_every_code_has_a_row_and_every_row_is_used() -> None:
     sources = [path.read_text(encoding="utf-8") for path in Path(splitknit.__file__).parent.rglob("*.py")]
     table = next(text for text in sources if "CODES: dict" in text)
     used = set(re.findall(r'"([a-z]+(?:-[a-z]+)*)"', "\n".join(text for text in sources if text is not table)))
+    used |= {f"{kind}-photograph" for kind in get_args(Fault)}
     made = set(re.findall(r'Finding\(\s*"([a-z-]+)"', "\n".join(sources)))
     assert made <= set(CODES)
     assert set(CODES) <= used

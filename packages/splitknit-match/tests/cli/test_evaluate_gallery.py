@@ -89,6 +89,7 @@ def test_no_name_leaves_an_encrypted_gallery(gallery: Path, tmp_path: Path, caps
     pytest.importorskip("sqlcipher3")
     file = tmp_path / "g.skg"
     (tmp_path / "key").write_text("0a" * 32)
+    (tmp_path / "key").chmod(0o600)
     facts_of(capsys, "gallery", "export", gallery, "--out", tmp_path / "all")
     facts_of(capsys, "gallery", "import", file, tmp_path / "all", "--key-file", tmp_path / "key")
     arguments = ("evaluate", "--gallery", file, "--out", tmp_path / "out", *QUICK)

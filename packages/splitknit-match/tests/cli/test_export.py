@@ -18,7 +18,6 @@ from spiral_prints import PLACES, spiral_print
 from splitknit.io.prints import PrintFile, read_print_png, write_print_png
 from splitknit.io.provenance import provenance
 from splitknit.io.results import read_result, write_mesh
-from splitknit_match.prints.export import SURFACES
 from splitknit_match.prints.verbs import PrintFormat
 from splitknit_match.records.minutiae_files import read_minutiae_record
 from splitknit_match.records.print_formats import FORMATS, read_prints
@@ -239,7 +238,7 @@ def test_bad_input_is_one_sentence_and_writes_nothing(  # noqa: PLR0917
 def test_every_format_that_is_written_is_tested() -> None:
     written = {name for name, form in FORMATS.items() if form.encode is not None}
     assert written == set(PICTURES) | set(MINUTIAE)
-    assert set(get_args(PrintFormat)) == {*written, *SURFACES}
+    assert set(get_args(PrintFormat)) == {*written, "stl", "obj", "glb", "lp"}
 
 
 def test_a_result_becomes_a_mesh(tmp_path: Path, capsys) -> None:
@@ -280,7 +279,7 @@ def test_records_state_quality_and_owner(prints: Path, tmp_path: Path, capsys) -
     assert (tmp_path / "ansi" / "a.fmr").read_bytes()[10:12] == b"\x01\x23"
     out = tmp_path / "none"
     words = refusal_of(capsys, "export", prints / "a.png", "--to", "ansi-378", "--out", out, "--owner", "0")
-    assert "must lie between 1 and 65535" in words
+    assert "must be from 1 to 65535" in words
 
 
 def test_what_a_file_is(prints: Path, tmp_path: Path, capsys) -> None:

@@ -13,8 +13,7 @@ from perfect_results import write_impressions
 from splitknit.cli.main import main
 from splitknit.io.npz import write_npz
 from splitknit.io.prints import write_print_png
-from splitknit_match.matching.methods import FmrBasis
-from splitknit_match.matching.words import one_in
+from splitknit_match.matching.results import FmrBasis, one_in
 from splitknit_simulator.finger.finger import FingerPose
 
 

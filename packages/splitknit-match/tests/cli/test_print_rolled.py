@@ -37,7 +37,7 @@ def test_a_rolled_print_its_mesh_and_its_facts(drawn, tmp_path: Path, capsys, mo
     write_capture(capture, tmp_path / "capture")
     views = replace(scene.views_of(capture, masks), notes=("the left view is cut off.",))
     monkeypatch.setattr("splitknit_match.prints.rolled.find_mirror_views", lambda *_: views)
-    monkeypatch.setattr("splitknit_match.prints.rolled.PITCH_MM", 0.07)  # quicker
+    monkeypatch.setattr("splitknit_match.rolled.finger.PITCH_MM", 0.07)  # quicker
     out = tmp_path / "out"
     arguments = [str(tmp_path / "capture"), "--method", "rolled", "--out", str(out), "--json"]
     assert main(["print", *arguments]) == 0

@@ -74,7 +74,7 @@ def test_cuts_are_refused() -> None:
         (19, b"\0", "no resolution"),
         (24, b"\1\0", "square pixels"),
         (41, b"\xff\xff\xff\xff", "more than the 64000000"),
-        (41, b"\0\0", "no pixels"),
+        (41, b"\0\0", "its record states 12 x 0"),
         (43, b"\0\x0d", "holds 120 pixels, but its record states 13 x 10"),
         (36, b"\x0d", "finger position"),  # four fingers at once
         (32, b"\0\0\0\5", "a length of 5 bytes"),

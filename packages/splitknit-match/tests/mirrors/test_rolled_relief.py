@@ -7,9 +7,10 @@ import pytest
 
 from splitknit.finger.locate import FingerSettings
 from splitknit.mirrors.settings import MirrorShapeSettings
+from splitknit.skin.images import MetricSettings
 from splitknit_match.rolled.finger import Work
 from splitknit_match.rolled.register import ridges_of
-from splitknit_match.rolled.views import ReliefSettings, find_mirror_views
+from splitknit_match.rolled.views import find_mirror_views
 from splitknit_simulator.rigs import MirrorSettings
 from splitknit_simulator.scene import TwinSettings
 from splitknit_simulator.twin import simulate_capture
@@ -23,7 +24,7 @@ def test_a_camera_of_15_px_per_mm_shows_the_ridges_in_front_and_in_the_mirror() 
     px_per_mm = capture.rig.camera.px_per_mm
     assert px_per_mm < 17  # the network has learned 25 and more
     views = find_mirror_views(capture, FingerSettings(), MirrorShapeSettings())
-    work = Work(capture, views, ReliefSettings())
+    work = Work(capture, views, MetricSettings())
     for name, prefix, least in (("front", "", 0.75), ("left", "view_left_", 0.6)):
         view = work.reliefs[name]
         assert view.how == "network"

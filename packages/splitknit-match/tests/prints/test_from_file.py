@@ -23,12 +23,10 @@ from splitknit_match.prints.from_file import (
     minutiae_of,
     pressed_print,
     print_at_500_ppi,
-    print_minutiae,
     read_one_finger,
     read_print_file,
 )
 from splitknit_match.prints.make import enhance, minutiae_by_phase
-from splitknit_match.records.minutiae_record import pixels_per_cm
 
 
 def saved(image: NDArray[np.uint8], kind: str, ppi: float | None, **more) -> bytes:
@@ -109,30 +107,6 @@ def test_pixels_that_are_not_square_are_made_so(tmp_path: Path) -> None:
         assert one.resolution_ppi == pytest.approx(500, rel=1e-3) and "375 by 500 ppi were made square" in one.note
         known, others = found_in(one.image)
         assert known >= len(PLACES) - 1 and others <= 3
-
-
-def paper(*places: tuple[int, int], size: tuple[int, int] = (1400, 1500)) -> NDArray[np.uint8]:
-    """A white page with a print of 380 x 500 pixels at each place."""
-    page = np.full(size, 255, dtype=np.uint8)
-    for row, column in places:
-        page[row : row + 500, column : column + 380] = spiral_print()
-    return page
-
-
-def test_a_page_is_cut_to_its_prints(tmp_path: Path) -> None:
-    file = tmp_path / "page.png"
-    file.write_bytes(saved(paper((600, 900)), "PNG", 500))
-    one = read_one_finger(file)
-    assert isinstance(one, PrintFile) and one.image.size < 2.2 * spiral_print().size
-    assert "cut out of a picture of 1500 x 1400 pixels" in one.note
-    alone = print_minutiae(spiral_print())
-    assert abs(print_minutiae(one.image).count - alone.count) <= 2 and alone.count >= len(PLACES) - 1
-    file.write_bytes(saved(paper((100, 100), (800, 1000)), "PNG", 500))
-    assert len(read_print_file(file)) == 2
-    with pytest.raises(BadInput, match="holds 2 prints"):
-        read_one_finger(file)
-    file.write_bytes(saved(np.pad(spiral_print(), 60, constant_values=255), "PNG", 500))  # no page
-    assert read_one_finger(file).note == ""
 
 
 def test_white_ridges_are_turned_dark_and_reported(tmp_path: Path) -> None:
@@ -235,7 +209,7 @@ def test_other_files_are_refused_in_one_sentence(tmp_path: Path, data: Data, wor
 def test_minutiae_of_records_lie_on_the_grid_of_500_ppi() -> None:
     same = minutiae_of(three_minutiae())
     np.testing.assert_array_equal(same.x_px, three_minutiae().x_px)
-    fine = three_minutiae(resolution_ppcm=pixels_per_cm(1000), quality=np.array([80, 0, 0]))
+    fine = three_minutiae(resolution_ppcm=(394, 394), quality=np.array([80, 0, 0]))
     half = minutiae_of(fine)
     assert np.abs(half.x_px - fine.x_px / 2).max() <= 0.51
     assert half.size == (round(fine.size[0] / 2), round(fine.size[1] / 2))

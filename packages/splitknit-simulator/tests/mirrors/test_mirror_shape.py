@@ -50,7 +50,7 @@ def test_the_thesis_is_misled_by_what_ours_finds(finger: Scene) -> None:
     thesis = MirrorShapeSettings(method="thesis")
     first = mirror_shape(only(finger.views, "left"), finger.rig, thesis)
     assert finger.rms_mm(first) < 0.35
-    assert first.facts["section"] == "ellipse"
+    assert first.facts["method"] == "thesis"
     assert np.isfinite(first.points(slice(None), slice(None))[2]).sum() > 0.85 * finger.mask.sum()
 
 

@@ -106,6 +106,6 @@ def test_motion_before_the_side_images_is_what_all_share(
     shifts[[0, 4]] = 0.0  # went astray
     facts = {"motion_white_crossed": {"shift_mm": shifts.tolist()}}
     monkeypatch.setattr(steady, "register", lambda *_, **__: SimpleNamespace(facts=facts))
-    kept, warnings = steady.without_moved_side(parted, cast("Finger", None))
-    assert warnings == (steady.SIDE_MOVED,) * moved
+    kept, findings = steady.without_moved_side(parted, cast("Finger", None))
+    assert [finding.code for finding in findings] == ["side-moved"] * moved
     assert (kept is parted) is not moved

@@ -50,11 +50,14 @@ class ExposureRange:
 
     def check(self, exposure_s: float, gain: float) -> None:
         """Refuse an exposure outside the range. Raises BadInput, naming the quantity and the range."""
-        less, more = 1 - 1e-9, 1 + 1e-9
-        low, high = 1e3 * self.shortest_s, 1e3 * self.longest_s
+        less = 1 - 1e-9
+        more = 1 + 1e-9
+        low = 1e3 * self.shortest_s
+        high = 1e3 * self.longest_s
         fits = bool(np.isfinite(exposure_s)) and low * less <= 1e3 * exposure_s <= high * more
         require(fits, f"the camera exposes for {low:g} to {high:g} ms, but {1e3 * exposure_s:g} ms were asked for.")
-        low, high = self.lowest_gain, self.highest_gain
+        low = self.lowest_gain
+        high = self.highest_gain
         fits = bool(np.isfinite(gain)) and low * less <= gain <= high * more
         require(fits, f"the camera's gain is {low:g} to {high:g}, but {gain:g} was asked for.")
 
@@ -201,8 +204,7 @@ class GuardedLights(Closing):
         require(not self._closed, "the bank of LEDs is closed; open it again.")
         wanted = sorted(set(leds))
         for led in wanted:
-            missing = f"there is no LED {led}; the bank has {self.count}, 0 to {self.count - 1}."
-            require(0 <= led < self.count, missing)
+            require(0 <= led < self.count, f"there is no LED {led}; the bank has {self.count}, 0 to {self.count - 1}.")
         require(len(wanted) > 0, "name at least one LED, or switch all off.")
         self._dark(keep=frozenset(wanted))  # before the next is lit: never two at once
         for led in wanted:

@@ -139,8 +139,10 @@ def open_file(path: str | os.PathLike[str], max_bytes: int) -> Iterator[tuple[io
         with io.BufferedReader(io.FileIO(path, "rb", opener=open_at_once)) as stream:  # closes a folder, unlike fdopen
             status = os.fstat(stream.fileno())
             require(stat.S_ISREG(status.st_mode), f"{name} is not a file.")
-            small = status.st_size <= max_bytes
-            require(small, f"{name} is too large: {status.st_size} bytes, at most {max_bytes} are read.")
+            require(
+                status.st_size <= max_bytes,
+                f"{name} is too large: {status.st_size} bytes, at most {max_bytes} are read.",
+            )
             yield stream, status.st_size
     except FileNotFoundError as error:
         raise BadInput(f"{name} does not exist; add the file or correct the name.") from error
@@ -198,8 +200,11 @@ def refuse_links(path: str | os.PathLike[str]) -> None:
     for parent in whole.parents:
         if str(parent) in _GIVEN:
             link = next((part for part in reversed(inside) if part.is_symlink()), None)
-            name, remedy = path if link == whole else link, "put the file or folder itself there."
-            require(link is None, f"'{name}' is a link inside a folder, which is not followed; {remedy}")
+            name = path if link == whole else link
+            require(
+                link is None,
+                f"'{name}' is a link inside a folder, which is not followed; put the file or folder itself there.",
+            )
             return
         inside.append(parent)
 
@@ -273,19 +278,25 @@ def check_lights(lights: Any, count: int | None = None, *, name: str = "lights")
     require(array.ndim == 2 and array.shape[1] == 3, f"{name} must have the shape (L, 3), but it has {array.shape}.")
     finite = np.isfinite(array) & (np.abs(array) < 1e100)  # the squares of more overflow
     require(bool(finite.all()), f"{name} contains NaN or infinite values.")
-    differ = f"{name} and images differ in number: {array.shape[0]} lights for {count} images."
-    require(count in (None, array.shape[0]), differ)
+    require(
+        count in (None, array.shape[0]),
+        f"{name} and images differ in number: {array.shape[0]} lights for {count} images.",
+    )
     require(array.shape[0] >= 3, f"photometric stereo needs at least 3 lights, but {name} holds {array.shape[0]}.")
     norms = np.linalg.norm(array, axis=1)
     require(bool((norms > 0).all()), f"{name} contains a zero vector (light {int(np.argmin(norms))}).")
     unit = array / norms[:, None]
     cosines = unit @ unit.T - 2.0 * np.eye(len(unit))
     i, j = np.unravel_index(int(np.argmax(cosines)), cosines.shape)
-    twice = f"{name} {min(i, j)} and {max(i, j)} have the same direction; remove one or correct the rig."
-    require(bool(cosines[i, j] < np.cos(np.deg2rad(0.5))), twice)
+    require(
+        bool(cosines[i, j] < np.cos(np.deg2rad(0.5))),
+        f"{name} {min(i, j)} and {max(i, j)} have the same direction; remove one or correct the rig.",
+    )
     singular = np.linalg.svd(unit, compute_uv=False)
-    flat = f"{name} are coplanar; normals need light directions that span three dimensions."
-    require(bool(singular[-1] > 0.01 * singular[0]), flat)
+    require(
+        bool(singular[-1] > 0.01 * singular[0]),
+        f"{name} are coplanar; normals need light directions that span three dimensions.",
+    )
     return array
 
 

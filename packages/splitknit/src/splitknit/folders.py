@@ -80,14 +80,14 @@ crossed, mosaic, film_deg, flat, nir : optional
 
 def capture_of(photographs: GivenPhotographs) -> tuple[Capture, list[Finding]]:
     """Photographs as a capture, and what was assumed of them. Raises BadInput as :func:`read_photographs`."""
+    from splitknit.diagnosis.frames import rig_of_frame
     from splitknit.io.plain import capture_from_photographs
-    from splitknit.photometric.frames import rig_of_frame
     from splitknit.photometric.uncalibrated import with_estimated_lights
     from splitknit.pipeline import with_scale
 
     images, period_mm = photographs.images, photographs.ridge_period_mm
     assert images is not None
-    read = capture_from_photographs(images, photographs.lights, photographs.px_per_mm, photographs, _LOG.warning)
+    read = capture_from_photographs(images, photographs.lights, photographs.px_per_mm, photographs)
     capture = naming(images, lambda: with_estimated_lights(read.capture))
     if photographs.light_frame is not None:
         capture = replace(capture, rig=rig_of_frame(capture.rig, photographs.light_frame))
@@ -234,8 +234,8 @@ def _read(
     capture_folder: AnyPath | None, rig_file: AnyPath | None, photographs: GivenPhotographs
 ) -> tuple[Capture, list[Finding]]:
     """The capture, with what was given in place of its own, and notes on it."""
+    from splitknit.diagnosis.frames import rig_of_frame
     from splitknit.io.capture import read_capture, with_rig
-    from splitknit.photometric.frames import rig_of_frame
     from splitknit.pipeline import with_scale
 
     rig = None if rig_file is None else Path(rig_file)

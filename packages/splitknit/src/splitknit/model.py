@@ -79,11 +79,15 @@ class Led:
     """``red``, ``green`` or ``blue``; empty: white, or of the whole band."""
 
     def __post_init__(self) -> None:
-        other = f"an LED's colour is red, green or blue (or none), not '{self.colour}'."
-        require(self.colour == "" or self.colour in COLOURS, other)
+        require(
+            self.colour == "" or self.colour in COLOURS,
+            f"an LED's colour is red, green or blue (or none), not '{self.colour}'.",
+        )
         require(self.colour == "" or self.band == "white", "only LEDs of the band 'white' may have a colour.")
-        one = (self.position_mm is None) != (self.direction is None)
-        require(one, "an LED has either position_mm (near) or direction (distant), not both and not neither.")
+        require(
+            (self.position_mm is None) != (self.direction is None),
+            "an LED has either position_mm (near) or direction (distant), not both and not neither.",
+        )
         vector = self.position_mm if self.position_mm is not None else self.direction
         known = vector is not None and bool(np.isfinite(vector).all()) and bool(np.linalg.norm(vector) > 0)
         require(known, "an LED's position_mm or direction must be three finite numbers that are not all zero.")
@@ -97,8 +101,10 @@ class Led:
             sound = bool(np.isfinite(self.aim).all()) and float(np.linalg.norm(self.aim)) > 0
             require(sound, "an LED's aim must be three finite numbers that are not all zero.")
             towards = -float(np.dot(self.aim, vector)) / float(np.linalg.norm(self.aim) * np.linalg.norm(vector))
-            inwards = self.reflected or towards > 0.2
-            require(inwards, "an LED's aim must point towards the finger plane's middle, within 78 deg.")
+            require(
+                self.reflected or towards > 0.2,
+                "an LED's aim must point towards the finger plane's middle, within 78 deg.",
+            )
 
     @property
     def axis(self) -> NDArray[np.float64]:
@@ -124,15 +130,19 @@ class Mirror:
         require(self.name in ("left", "right", "tip"), f"a mirror is left, right or tip, not '{self.name}'.")
         corners = np.asarray(self.corners_mm, dtype=np.float64)
         points = corners.ndim == 2 and corners.shape[0] >= 3 and corners.shape[1] == 3
-        sound = points and bool(np.isfinite(corners).all())
-        require(sound, f"the {self.name} mirror's corners_mm must be at least three points of three finite numbers.")
+        require(
+            points and bool(np.isfinite(corners).all()),
+            f"the {self.name} mirror's corners_mm must be at least three points of three finite numbers.",
+        )
         centred = corners - corners.mean(axis=0)
         size = np.linalg.svd(centred, compute_uv=False)
         require(bool(size[1] > 1e-3), f"the {self.name} mirror's corners_mm lie on one line.")
         require(bool(size[2] <= 1e-3 * size[1]), f"the {self.name} mirror's corners_mm do not lie in one plane.")
         require(0.0 < self.reflectance <= 1.0, f"the {self.name} mirror's reflectance must lie in (0, 1].")
-        upright = f"the {self.name} mirror stands upright: the camera cannot see anything in it"
-        require(abs(float(self.normal[2])) > 0.1, f"{upright}; lean it by about 45 deg.")
+        require(
+            abs(float(self.normal[2])) > 0.1,
+            f"the {self.name} mirror stands upright: the camera cannot see anything in it; lean it by about 45 deg.",
+        )
 
     @property
     def point_mm(self) -> NDArray[np.float64]:
@@ -190,8 +200,10 @@ class Camera:
     (:func:`camera_without_scale`)."""
 
     def __post_init__(self) -> None:
-        unknown = "a perspective camera needs its scale: camera.px_per_mm is missing."
-        require(self.scale_known or self.model == "orthographic", unknown)
+        require(
+            self.scale_known or self.model == "orthographic",
+            "a perspective camera needs its scale: camera.px_per_mm is missing.",
+        )
         if self.crosstalk is not None:
             mixing = np.asarray(self.crosstalk, dtype=np.float64)
             apart = mixing.shape == (3, 3) and bool(np.isfinite(mixing).all()) and bool(np.linalg.cond(mixing) < 50.0)
@@ -204,8 +216,10 @@ class Camera:
             require(self.matrix is not None, "a perspective camera needs its matrix.")
         r2 = np.linspace(0.0, 1.0, 101)
         brightness = 1.0 + sum(a * r2 ** (k + 1) for k, a in enumerate(self.shading))
-        dark = "camera.shading leaves no light somewhere in the picture; it must stay above 0.02 of the middle's."
-        require(bool(np.all(np.isfinite(brightness)) and np.all(brightness > 0.02)), dark)
+        require(
+            bool(np.all(np.isfinite(brightness)) and np.all(brightness > 0.02)),
+            "camera.shading leaves no light somewhere in the picture; it must stay above 0.02 of the middle's.",
+        )
 
     @property
     def pitch_mm(self) -> float:
@@ -275,8 +289,7 @@ class Rig:
         leds = ", ".join(f"{count} {name}" for name, count in Counter(led.band for led in self.leds).items())
         mirrors = f", mirrors {', '.join(mirror.name for mirror in self.mirrors)}" if self.mirrors else ""
         rows, columns = self.camera.image_size
-        camera = f"{self.camera.model} camera of {rows} x {columns} px, {self.camera.scale}"
-        return f"Rig({camera}, LEDs: {leds}{mirrors})"
+        return f"Rig({self.camera.model} camera of {rows} x {columns} px, {self.camera.scale}, LEDs: {leds}{mirrors})"
 
     def colours_of(self, groups: Sequence[Sequence[int]]) -> tuple[tuple[str, ...], ...]:
         """Colours of the LEDs of every exposure, for :class:`Band`; nothing where all LEDs are white."""
@@ -294,8 +307,9 @@ class Rig:
             require(len(group) > 0, "every image needs at least one LED.")
             for index in group:
                 count = len(self.leds)
-                missing = f"LED {index} is not in the rig, which has {count} LEDs (0 to {count - 1})."
-                require(0 <= index < count, missing)
+                require(
+                    0 <= index < count, f"LED {index} is not in the rig, which has {count} LEDs (0 to {count - 1})."
+                )
             first = self.leds[group[0]]
             chosen.append(replace(first, also=tuple(self.leds[index] for index in group[1:])))
         return replace(self, leds=tuple(chosen), films=None)  # which number the rig's LEDs
@@ -539,12 +553,12 @@ class Reconstruction:
         return MILLIMETRES if self.scale_known else pixels(self.pitch_mm)
 
     def _summary(self) -> dict[str, str]:
-        known, unit = self.mask & np.isfinite(self.height_mm), self.unit
-        size = f"{self.mask.shape[0]} x {self.mask.shape[1]} px"
+        known = self.mask & np.isfinite(self.height_mm)
+        unit = self.unit
         pitch = f" at {1000 * self.pitch_mm:.1f} um" if unit.known else ", scale unknown"
         found = {
             "preset": f"'{self.preset}'",
-            "size": f"{size}{pitch}",
+            "size": f"{self.mask.shape[0]} x {self.mask.shape[1]} px{pitch}",
             "area": f"{float(known.sum()) * (self.pitch_mm * unit.per_mm) ** 2:.0f} {unit.name}2",
         }
         if bool(known.any()):
@@ -635,8 +649,9 @@ def default_rig(scale: float = 1.0, seed: int | None = None, intensity_spread: f
     them one; `intensity_spread`: standard deviation of the intensities about one; they stay within 2.5 deviations.
     """
     require(0.0 < scale <= 1.0, f"scale must lie in (0, 1], but it is {scale}.")
-    wide = f"intensity_spread must lie between 0 and 0.3, but it is {intensity_spread}."
-    require(0.0 <= intensity_spread <= 0.3, wide)
+    require(
+        0.0 <= intensity_spread <= 0.3, f"intensity_spread must lie between 0 and 0.3, but it is {intensity_spread}."
+    )
     camera = Camera(px_per_mm=75.7 * scale, image_size=(round(2200 * scale), round(3200 * scale)), height_mm=140.0)
     intensities = np.ones(2 * _LEDS_PER_BAND)
     if seed is not None:

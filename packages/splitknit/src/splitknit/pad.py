@@ -16,6 +16,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from splitknit.accuracy import eroded
 from splitknit.errors import require
 from splitknit.imaging.band import linear_channels
 from splitknit.imaging.geometry import smoothed
@@ -89,8 +90,7 @@ def _facing(shape: FloatArray, mask: BoolArray, pitch: float) -> BoolArray:
     """Where the surface faces the camera, 1 mm from its outline."""
     slow = smoothed(shape, mask, 0.5 / pitch)
     down, right = np.gradient(slow, pitch)
-    outline = np.pad(mask, 1).astype(np.uint8)
-    far = cv2.distanceTransform(outline, cv2.DIST_L2, cv2.DIST_MASK_PRECISE)[1:-1, 1:-1] * pitch > 1.0
+    far = eroded(mask, 1.0 / pitch)
     facing = far & (1 / np.sqrt(1 + down**2 + right**2) > _FACING)
     return facing if facing.sum() * pitch**2 > 20.0 else far
 

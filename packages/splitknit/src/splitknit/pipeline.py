@@ -12,11 +12,12 @@ from dataclasses import asdict, replace
 from typing import Any
 
 from splitknit import steps
+from splitknit.diagnosis.size import doubt_of_size
 from splitknit.errors import require
-from splitknit.findings import Finding, worst_first
+from splitknit.findings import Finding, refuse, worst_first
 from splitknit.methods import METHODS, method_for
-from splitknit.methods.photographs import finger_photographs, mirror_views, on_mirror_shape, placed
-from splitknit.methods.scale import doubt_of_size, with_scale, with_working_scale
+from splitknit.methods.photographs import diagnosed, mirror_views, on_mirror_shape, placed, prepared
+from splitknit.methods.scale import with_scale, with_working_scale
 from splitknit.model import UNKNOWN_SCALE, Capture, Reconstruction
 from splitknit.photometric.uncalibrated import with_estimated_lights
 from splitknit.plausible import TOP
@@ -76,9 +77,11 @@ def reconstruct(
     notes = TOP.notes(chosen.top_mm, "it is the setting top_mm")
     capture, of_scale = with_working_scale(capture)
     with steps.timed_run(progress, memory) as seconds:
-        photographs = finger_photographs(capture, chosen)
-        seen = mirror_views(photographs.capture, chosen) if chosen.shape.source == "mirror" else None
+        photographs = prepared(capture, chosen)
         del capture  # `photographs` alone holds the images now, and can release them
+        photographs = diagnosed(photographs, chosen)
+        refuse(photographs.findings, keep=chosen.keep)
+        seen = mirror_views(photographs.capture, chosen) if chosen.shape.source == "mirror" else None
         surface = METHODS[method_for(photographs, chosen)](photographs, chosen)
         if seen is not None:
             surface = on_mirror_shape(photographs, surface, seen, chosen)

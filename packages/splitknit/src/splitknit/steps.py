@@ -43,8 +43,9 @@ class Memory:
 
     def check(self, capture: Capture) -> None:
         """Refuse, by BadInput, another capture than the one whose results are remembered."""
-        same = capture is self._capture or self._capture is None
-        require(same, "a memory serves one capture; make another for this one.")
+        require(
+            capture is self._capture or self._capture is None, "a memory serves one capture; make another for this one."
+        )
 
     @property
     def capture(self) -> Capture:
@@ -119,9 +120,10 @@ def large_array(shape: tuple[int, ...], dtype: np.dtype[Any]) -> NDArray[Any]:
             os.posix_fallocate(file.fileno(), 0, size)  # a full disk shows here, not as a signal later
             return np.frombuffer(mmap.mmap(file.fileno(), size), dtype).reshape(shape)
     except OSError as error:
-        full = f"the photographs take {size / 1e9:.1f} GB of disk while they are worked on ({error.strerror})"
-        remedy = "name a folder with room in the environment variable TMPDIR, or fewer or smaller photographs."
-        raise BadInput(f"{full}; {remedy}") from error
+        raise BadInput(
+            f"the photographs take {size / 1e9:.1f} GB of disk while they are worked on ({error.strerror}); "
+            "name a folder with room in the environment variable TMPDIR, or fewer or smaller photographs."
+        ) from error
 
 
 def let_go(images: NDArray[Any]) -> None:

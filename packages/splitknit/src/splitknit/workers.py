@@ -36,7 +36,8 @@ def run_jobs(work: Callable[[Job], Done], jobs: Sequence[Job], workers: int, kep
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # a second thread of each worker wins no time
     context = multiprocessing.get_context("spawn")
     pool = ProcessPoolExecutor(min(workers, len(jobs)), mp_context=context, initializer=_begin)
-    rest, work = iter(jobs), with_given_folders(work)
+    rest = iter(jobs)
+    work = with_given_folders(work)
     running: dict[Future[Done], Job] = {}
     earlier = set(multiprocessing.active_children())
     try:

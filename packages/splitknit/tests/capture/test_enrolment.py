@@ -7,7 +7,7 @@ import json
 import pytest
 
 from splitknit.errors import BadInput
-from splitknit.io.enrolment import FINGERS, PlannedCapture, _EnrolmentPlan, check_subject_id, open_enrolment
+from splitknit.io.enrolment import FINGERS, EnrolmentPlan, PlannedCapture, check_subject_id, open_enrolment
 
 
 def finish(enrolment, place):
@@ -50,8 +50,8 @@ def test_what_is_finished_is_skipped_and_the_rest_is_in_order(tmp_path):
 def test_a_plan_may_grow_but_not_shrink(tmp_path):
     folder = tmp_path / "e"
     open_enrolment(folder, subjects=2, sessions=2, fingers=FINGERS[:2])
-    assert open_enrolment(folder, subjects=3).plan == _EnrolmentPlan(3, 2, FINGERS[:2])
-    assert open_enrolment(folder, fingers=FINGERS).plan == _EnrolmentPlan(3, 2, FINGERS)
+    assert open_enrolment(folder, subjects=3).plan == EnrolmentPlan(3, 2, FINGERS[:2])
+    assert open_enrolment(folder, fingers=FINGERS).plan == EnrolmentPlan(3, 2, FINGERS)
     for less in ({"subjects": 2}, {"sessions": 1}, {"fingers": FINGERS[:3]}):
         with pytest.raises(BadInput, match=r"3 subjects, 2 sessions and 10 fingers.*not shrink"):
             open_enrolment(folder, **less)

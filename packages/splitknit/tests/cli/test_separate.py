@@ -142,8 +142,6 @@ def test_bad_stacks_name_the_file(boards: Path, tmp_path: Path, capsys: pytest.C
     (tmp_path / "empty").mkdir()
     assert "holds no PNG, TIFF or JPEG" in refusal(capsys, out, tmp_path / "empty")
     assert "holds the input itself" in refusal(capsys, boards, boards)
-    (boards / "separation.json").write_text("{}")
-    assert "is not read any more" in refusal(capsys, out, boards)
 
 
 def test_light_tiff(tmp_path: Path) -> None:

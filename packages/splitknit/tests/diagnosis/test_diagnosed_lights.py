@@ -36,7 +36,7 @@ def _doubt(stated: Rig) -> str:
     depth_mm = np.where(mask, 2.0, 0.0).astype(np.float32)
     places = fitted_places(stack, stated, mask, depth_mm, View(AXIS, AXIS[::-1]), PITCH_MM)
     assert places is not None
-    return doubt_of_places(places, stated)
+    return str(doubt_of_places(places, stated) or "")
 
 
 def test_stated_places_are_not_doubted():

@@ -49,7 +49,7 @@ def test_spheres_and_the_lights_that_their_shading_shows(data_dir: Path, tmp_pat
     assert lights.shape == (12, 3)
     options = PhotographOptions(mask=folder / "gray" / "gray.mask.png", encoding="linear")
     capture = capture_from_photographs(folder / "gray" / "gray.{light}.png", lights, 5.0, options).capture
-    write_capture(capture, tmp_path / "capture", image_format="tiff")
+    write_capture(capture, tmp_path / "capture")
     again = read_capture(tmp_path / "capture")
     assert again.mask is not None
     rows, columns = np.nonzero(again.mask)

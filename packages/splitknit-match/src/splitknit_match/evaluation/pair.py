@@ -20,9 +20,10 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Literal
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
-from scipy import ndimage, sparse
+from scipy import ndimage
 from scipy.spatial.transform import Rotation
 
 from splitknit import Reconstruction, read_result
@@ -54,8 +55,7 @@ ELASTIC_MM = 2.5  # longest wavelength that is compared on skin that may shift
 _BLOCK_MM, _FEW, _REPLICATES = 2.0, 6, 1000
 _LEAST_SIMILARITY = 0.4  # least similarity of the ridges of one finger; ridges of two fingers have about 0.2
 _EDGE_MM = 0.4
-_NODES_MM, _STIFFNESS = 1.5, 0.02
-"""Spacing of the control points of elastic shifts, and their weight against differences of neighbours."""
+_SWEEPS, _SKIN_MM = 6, 1.0  # steps of the elastic fit, and sigma over which skin's shifts are averaged
 _STEPS, _ORDER = 25, 9  # steps of the rigid fit; order of the polynomial for the slow shape
 
 PROTOCOLS = json.loads(Path(__file__).with_name("protocols.json").read_text(encoding="ascii"))
@@ -106,8 +106,9 @@ def compare_results(
 
     References
     ----------
-    ISO 16610-61:2015 (areal Gaussian filter); Besl and McKay 1992, A method for registration of 3-D shapes; Politis and
-    Romano 1994 (resampling of blocks).
+    ISO 16610-61:2015 (areal Gaussian filter); Besl and McKay 1992, A method for registration of 3-D shapes; Kroeger et
+    al. 2016, Fast optical flow using dense inverse search (shifts of skin); Politis and Romano 1994 (resampling of
+    blocks).
 
     Examples
     --------
@@ -126,8 +127,7 @@ def compare_results(
     if fit == "rigid":
         fields = _rigid_fields(one, two, rotation, shift)
         cut = [_band(part, fields.valid, BANDS_MM["relief"], one.step) for part in fields.heights]
-        strain = _shifts((cut[0], cut[1]), fields.valid, one.step)
-        left = float(np.sqrt(np.mean([np.square(part[fields.valid]) for part in strain]))) * one.step
+        left = _rms(_shifts(cut[0], cut[1], fields.valid, one.step)[fields.valid]) * one.step
     else:
         fields, left = _elastic_fields(one, two, affine)
     form = _form((fields.heights[0] + fields.heights[1]) * 0.5, fields.valid)
@@ -250,21 +250,20 @@ def _ridges_on_each_other(a: _Side, b: _Side) -> tuple[float, Affine]:
     one, two = (side.ridges.template.valid.shape for side in (a, b))
     affine = rigid(one, two, np.deg2rad(found.rotation_deg), (found.right_mm / a.step, -found.up_mm / a.step))
     for _ in range(3):
-        affine = better_affine(b.ridges.first, _agreement(a, b, affine, "first")[0], affine)
+        affine = better_affine(b.ridges.first, _agreement(a, b.ridges.first, affine), affine)
     return found.similarity, affine
 
 
-def _agreement(a: _Side, b: _Side, affine: Affine, patches: Literal["first", "patches"]) -> tuple[Agreement, Array]:
-    """How patches of B's ridges fit A's, and (N, 2) their middles, columns and rows."""
-    grid: PatchGrid = getattr(b.ridges, patches)
-    found = compare_patches(grid, a.ridges.value, a.ridges.template.valid, affine)
-    places = np.stack([grid.columns, grid.rows], axis=1)[found.used].astype(float)
-    return found, places + (grid.side - 1) / 2
+def _agreement(a: _Side, patches: PatchGrid, affine: Affine) -> Agreement:
+    """How patches of B's ridges fit A's."""
+    return compare_patches(patches, a.ridges.value, a.ridges.template.valid, affine)
 
 
 def _matched_points(a: _Side, b: _Side, affine: Affine) -> tuple[Array, Array, Array]:
     """(N, 3) points of A and of B in mm where patches of their ridges agree, and (N,) how well they do."""
-    found, places = _agreement(a, b, affine, "patches")
+    grid = b.ridges.patches
+    found = _agreement(a, grid, affine)
+    places = np.stack([grid.columns, grid.rows], axis=1, dtype=float)[found.used] + (grid.side - 1) / 2
     one = a.points((places - found.shift) @ affine[:, :2].T + affine[:, 2])
     two = b.points(places)
     good = np.isfinite(one).all(axis=1) & np.isfinite(two).all(axis=1) & (found.correlation > 0.2)
@@ -342,82 +341,35 @@ def _elastic_fields(a: _Side, b: _Side, affine: Affine) -> tuple[_Fields, float]
     (first, first_on, slant), (second, second_on, _) = a.flat(), b.flat()
     down, right = np.indices(second.shape, dtype=float)
 
-    def placed(shift: Sequence[Array]) -> list[Array]:
-        x, y = right + shift[1], down + shift[0]
-        return [affine[1, 0] * x + affine[1, 1] * y + affine[1, 2], affine[0, 0] * x + affine[0, 1] * y + affine[0, 2]]
+    def place(shift: FloatArray) -> list[Array]:
+        column, row = affine[:, :2] @ [(right + shift[..., 0]).ravel(), (down + shift[..., 1]).ravel()] + affine[:, 2:]
+        return [row.reshape(second.shape), column.reshape(second.shape)]
 
-    shift: list[Array] = [np.zeros(second.shape), np.zeros(second.shape)]
-    for sweep in range(2):
-        place = placed(shift)
-        if sweep == 0:  # by patches of ridges, then by heights
-            on = _inside(a.ridges.template.valid, place)
-            value = np.where(on, ndimage.map_coordinates(a.ridges.value, place, order=1), 0.0)
-            more = _patch_shifts(b.ridges.patches, value, on)
-        else:
-            on = _inside(first_on, place) & second_on
-            more = _shifts((_sampled(first, first_on, place), second), on, b.step)
-        moved = [down + more[0], right + more[1]]
-        there = (ndimage.map_coordinates(old, moved, order=1, mode="nearest") for old in shift)
-        shift = [one + old for old, one in zip(there, more, strict=True)]
-    place = placed(shift)
-    valid = _inside(first_on, place) & second_on
-    angle = ndimage.map_coordinates(slant, place, order=1, mode="nearest")
-    fields = _Fields((_sampled(first, first_on, place), second), valid, np.ones_like(second), angle)
-    return fields, float(np.sqrt(np.mean([np.square(part[valid]) for part in shift]))) * b.step
+    shift = np.zeros((*second.shape, 2), dtype=np.float32)
+    for _ in range(_SWEEPS):
+        on = _inside(first_on, place(shift)) & second_on
+        shift = shift + _shifts(_sampled(first, first_on, place(shift)), second, on, b.step)
+    valid = _inside(first_on, place(shift)) & second_on
+    angle = ndimage.map_coordinates(slant, place(shift), order=1, mode="nearest")
+    fields = _Fields((_sampled(first, first_on, place(shift)), second), valid, np.ones_like(second), angle)
+    return fields, _rms(shift[valid]) * b.step
 
 
-def _patch_shifts(patches: PatchGrid, value: FloatArray, valid: BoolArray) -> list[Array]:
-    """Shifts, rows and columns (H, W) in pixels, of patches of ridges, smoothed over 2 mm."""
-    found = compare_patches(patches, value, valid, np.eye(2, 3))
-    middle = patches.side // 2
-    row, column = patches.rows[found.used] + middle, patches.columns[found.used] + middle
-    firm, *both = (np.zeros(valid.shape) for _ in range(3))
-    for picture, amount in zip((firm, *both), (1.0, -found.shift[:, 1], -found.shift[:, 0]), strict=True):
-        picture[row, column] = np.maximum(found.correlation, 0.0) ** 2 * amount
-    spread = 2.0 / patches.pitch_mm
-    total = np.maximum(ndimage.gaussian_filter(firm, spread), 1e-12)
-    return [ndimage.gaussian_filter(part, spread) / total for part in both]
+def _shifts(first: FloatArray, second: FloatArray, valid: BoolArray, step: float) -> FloatArray:
+    """(H, W, 2) smooth shifts, columns and rows in pixels, of places in B's relief to those in A's."""
+    limit = 3.0 * max(_rms(part[valid]) for part in (first, second))
+    grey = [
+        np.where(valid, 127.5 + 127.5 * np.clip(part / limit, -1.0, 1.0), 127).astype(np.uint8)
+        for part in (first, second)
+    ]
+    still = np.zeros((*valid.shape, 2), dtype=np.float32)
+    estimator = cv2.DISOpticalFlow.create(cv2.DISOPTICAL_FLOW_PRESET_MEDIUM)
+    flow = np.asarray(estimator.calc(grey[1], grey[0], still), dtype=np.float32)
+    return np.stack([smoothed(flow[..., axis], valid, _SKIN_MM / step) for axis in range(2)], axis=-1)
 
 
-def _shifts(reliefs: tuple[FloatArray, FloatArray], valid: BoolArray, step: float) -> list[Array]:
-    """Smooth shifts, rows and columns (H, W) in px, fitting A's relief to B's: Lucas and Kanade on control points."""
-    first, second = reliefs
-    spacing = _NODES_MM / step
-    hats = [_hats(length, spacing) for length in valid.shape]
-    inside = np.flatnonzero(valid)
-    basis: Any = sparse.kron(sparse.csr_array(hats[0]), sparse.csr_array(hats[1]), format="csr")[inside]
-    grid = [part.shape[1] for part in hats]
-    chains: list[Any] = [sparse.diags([-np.ones(n - 1), np.ones(n - 1)], [0, 1], shape=(n - 1, n)) for n in grid]
-    flat = [sparse.kron(chains[0], sparse.eye(grid[1])), sparse.kron(sparse.eye(grid[0]), chains[1])]
-    stiff = sum(part.T @ part for part in flat)
-    stiff = sparse.block_diag([stiff, stiff]).toarray()
-    nodes = np.zeros(2 * basis.shape[1])
-    down, right = (part.ravel()[inside] for part in np.indices(valid.shape, dtype=float))
-    slopes: Any = np.gradient(first.astype(float))
-    smooth: Any = ndimage.spline_filter(first.astype(float), order=3)
-    there = second.ravel()[inside].astype(float)
-    for _ in range(8):
-        place = [down + basis @ nodes[: basis.shape[1]], right + basis @ nodes[basis.shape[1] :]]
-        here = ndimage.map_coordinates(smooth, place, order=3, prefilter=False)
-        error = here - there * float(here @ there) / max(float(there @ there), 1e-30)
-        robust = 1.0 / (1.0 + (error / max(2.0 * float(np.std(error)), 1e-9)) ** 2)
-        there_slopes = (ndimage.map_coordinates(part, place, order=1)[:, None] for part in slopes)
-        jacobian = sparse.hstack([basis.multiply(part) for part in there_slopes])
-        weighted = jacobian.multiply(robust[:, None]).tocsr()
-        matrix = (weighted.T @ jacobian).toarray()
-        hold = _STIFFNESS * float(np.mean(np.diag(matrix)[np.diag(matrix) > 0])) * stiff
-        force = weighted.T @ error + hold @ nodes
-        change = np.linalg.solve(matrix + hold + 1e-9 * np.trace(matrix) / len(matrix) * np.eye(len(matrix)), force)
-        nodes -= np.clip(change, -2.0, 2.0)
-        if float(np.abs(change).max()) < 0.01:
-            break
-    return [hats[0] @ part.reshape(grid) @ hats[1].T for part in np.split(nodes, 2)]
-
-
-def _hats(length: int, spacing: float) -> Array:
-    """(length, n) values of n linear interpolation's hats, `spacing` apart."""
-    place = np.arange(length) / spacing
-    return np.asarray(np.maximum(1.0 - np.abs(place[:, None] - np.arange(int(place[-1]) + 2)), 0.0))
+def _rms(values: NDArray[Any]) -> float:
+    return float(np.sqrt(np.mean(np.square(values))))
 
 
 def _band(values: FloatArray, valid: BoolArray, limits: tuple[float, float], step: float) -> FloatArray:

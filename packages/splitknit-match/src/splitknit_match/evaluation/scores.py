@@ -146,31 +146,32 @@ def read_scores(path: str | os.PathLike[str], *, dissimilarity: bool = False) ->
     name, data = os.fspath(path), read_bytes(path, _MAX_BYTES)
     rows = _rows(data, name)
     first, header = next(rows, (1, []))
+    header = [column.strip() for column in header]
     known = _check_columns(header, f"{name}, line {first}")
     place = {column: header.index(column) for column in known}
     label, score, lines = array("b"), array("d"), array("q")
+    codes: dict[str, dict[str, int]] = {column[:-2]: {} for column in known[2:]}
     ids = {column: array("q") for column in known[2:]}
-    places: dict[str, dict[str, int]] = {column.removesuffix("_b").removesuffix("_a"): {} for column in ids}
-    codings = [
-        (column, place[column], places[column.removesuffix("_b").removesuffix("_a")], ids[column]) for column in ids
-    ]
     for line, row in rows:
         where = f"{name}, line {line}"
         require(len(row) == len(header), f"{where}: {len(header)} fields are expected, but there are {len(row)}.")
         lines.append(line)
         label.append(_label(row[place["label"]].strip(), where))
         score.append(_score(row[place["score"]].strip(), where))
-        for column, at, codes, coded in codings:
-            text = row[at].strip()
+        for column, coded in ids.items():
+            text, of_kind = row[place[column]].strip(), codes[column[:-2]]
             require(text, f"{where}: {column} is blank; name it in every line or nowhere.")
-            coded.append(codes.setdefault(text, len(codes)))
+            coded.append(of_kind.setdefault(text, len(of_kind)))
     require(lines, f"{name} holds no comparison: a line of column names and a line for each are expected.")
-    kinds = {
-        kind: _coded(codes, [ids[column] for column in ids if column.startswith(kind)])
-        for kind, codes in places.items()
-    }
-    values = np.array(score) * (-1.0 if dissimilarity else 1.0)
-    scores = _scores_of(np.array(label, dtype=bool), values, kinds, np.array(lines), name)
+    kinds = {kind: _coded(places, [ids[f"{kind}_{side}"] for side in "ab"]) for kind, places in codes.items()}
+    finger, subject, session = map(kinds.get, KINDS)
+    if finger is not None and subject is not None:
+        finger = fingers_of_subjects(finger, subject)
+    genuine, values = np.array(label, dtype=bool), np.array(score) * (-1.0 if dissimilarity else 1.0)
+    wrong = contradictions(genuine, finger, subject)
+    fault = f"{name}, line {lines[int(np.argmax(wrong))]}: label and ids of the comparison contradict each other"
+    require(not wrong.any(), f"{fault}; correct one of them.")
+    scores = naming(name, lambda: Scores(genuine, values, finger, subject, session, Path(name).stem))
     return ScoreFile(scores, [column for column in header if column not in known], hashlib.sha256(data).hexdigest())
 
 
@@ -190,8 +191,7 @@ def _rows(data: bytes, name: str) -> Iterator[tuple[int, list[str]]]:
 
 
 def _check_columns(header: list[str], where: str) -> list[str]:
-    """Strip the names of columns, and return those that are read."""
-    header[:] = [column.strip() for column in header]
+    """The columns that are read."""
     for column in ("label", "score"):
         cure = "columns apart by commas, 'label' (1 genuine, 0 impostor) and 'score' among them, are needed"
         fault = f"{where}: there is no column '{column}' in '{_short(','.join(header))}'"
@@ -232,18 +232,6 @@ def _coded(places: Mapping[str, int], columns: Sequence[array[int]]) -> Ids:
     order = np.empty(len(names), dtype=np.int64)
     order[[places[name] for name in names]] = np.arange(len(names))
     return Ids(order[np.array(columns, dtype=np.int64)].T, tuple(names))
-
-
-def _scores_of(
-    label: NDArray[np.bool_], score: NDArray[np.float64], kinds: Mapping[str, Ids], line: NDArray[np.int64], path: str
-) -> Scores:
-    finger, subject, session = map(kinds.get, KINDS)
-    if finger is not None and subject is not None:
-        finger = fingers_of_subjects(finger, subject)
-    wrong = contradictions(label, finger, subject)
-    where = f"{path}, line {line[np.argmax(wrong)]}"
-    require(not wrong.any(), f"{where}: label and ids of the comparison contradict each other; correct one of them.")
-    return naming(path, lambda: Scores(label, score, finger, subject, session, Path(path).stem))
 
 
 def fingers_of_subjects(finger: Ids, subject: Ids) -> Ids:

@@ -16,7 +16,7 @@ import sqlite3
 import threading
 import unicodedata
 from collections.abc import Callable, Iterable, Iterator
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Self
 
@@ -156,8 +156,6 @@ class Key:
     """64 hexadecimal digits, or a passphrase. Is never shown."""
 
     text: str
-    file: Path | None = field(default=None, compare=False)
-    """Where it was read from."""
 
     @property
     def pragma(self) -> str:
@@ -193,13 +191,20 @@ def key_of(file: Key | AnyPath | None) -> Key | None:
     sound = len(content) <= _MAX_KEY_BYTES and text.isprintable() and "\ufffd" not in text and len(text) >= 8
     expected = "a passphrase of 8 characters or more, or 64 hexadecimal digits, are expected."
     require(sound, f"{where} holds no key: {expected}")
-    return Key(text, None if file is None else Path(file))
+    return Key(text)
 
 
 def warn_of_readers(file: Path, what: str, others: int = 0o077) -> None:
     """Log a warning of a secret file that others can read."""
     if os.name == "posix" and file.is_file() and file.stat().st_mode & others:
         _LOG.warning("the %s '%s' can be read by others on this computer (chmod 600 ends that).", what, file)
+
+
+def warn_of_gallery(gallery: AnyPath, key_file: AnyPath | None) -> None:
+    """Log a warning of a gallery, or the file of its key, that others can read."""
+    warn_of_readers(Path(gallery), "gallery", 0o007 if os.environ.get(GROUP_READABLE) == "1" else 0o077)
+    if key_file is not None:
+        warn_of_readers(Path(key_file), "key file")
 
 
 class People:
@@ -258,11 +263,7 @@ class GalleryFile:
     def __enter__(self) -> Self:
         return self
 
-    def __exit__(self, kind: object, *unused: object) -> None:
-        if kind is None:
-            warn_of_readers(self.path, "gallery", 0o007 if os.environ.get(GROUP_READABLE) == "1" else 0o077)
-            if self.key is not None and self.key.file is not None:
-                warn_of_readers(self.key.file, "key file")
+    def __exit__(self, *unused: object) -> None:
         self.close()
 
     def close(self) -> None:

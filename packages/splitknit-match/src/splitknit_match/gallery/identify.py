@@ -18,10 +18,6 @@ from splitknit_match.gallery.words import identification_lines
 from splitknit_match.matching.fusion import fused_match, with_fusion
 from splitknit_match.matching.inputs import Side
 from splitknit_match.matching.methods import (
-    ComparedSide,
-    FmrBasis,
-    MatchDecision,
-    Rated,
     doubt_of,
     fmr_basis,
     rate,
@@ -30,6 +26,7 @@ from splitknit_match.matching.methods import (
     side_minutiae,
     similarity_at,
 )
+from splitknit_match.matching.results import ComparedSide, FmrBasis, MatchDecision, Rated
 from splitknit_match.matching.ridge import Prepared, ridge_match
 from splitknit_match.matching.template import Template
 from splitknit_match.prints.minutiae import minutiae_match
@@ -204,7 +201,7 @@ def identify_finger(
     answer = "undecided" if decision is None else "match" if decision.match else "no match"
     if not acquired and not doubt:
         answer, undecided = "not acquired", "failure to acquire"
-    basis = rated[0].basis if rated else fmr_basis(table)
+    basis = rated[0].fmr_basis if rated else fmr_basis(table)
     progress("done", 1.0)
     return Identification(
         gallery=str(gallery.path),

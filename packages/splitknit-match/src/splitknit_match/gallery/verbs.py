@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import socket
 import sys
+from collections.abc import Iterator
 from dataclasses import asdict, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
@@ -25,6 +26,7 @@ from splitknit_match.matching.match import Finger
 
 if TYPE_CHECKING:
     from splitknit_match.gallery.file import Key
+    from splitknit_match.gallery.gallery import Gallery
     from splitknit_match.gallery.identify import Identification
 
     GivenKey = Key | AnyPath
@@ -153,6 +155,7 @@ def identify_in_gallery(
     >>> identify_in_gallery("people.skg", "captures/unknown", top=3).facts["answer"]  # doctest: +SKIP
     'match'
     """
+    from splitknit_match.gallery.file import warn_of_gallery
     from splitknit_match.gallery.words import identification_lines
     from splitknit_match.pad import refuse_attacks
 
@@ -162,12 +165,24 @@ def identify_in_gallery(
         preset=preset, progress=progress,
     )  # fmt: skip
     identification = replace(identification, presentation=presentation)
+    warn_of_gallery(gallery, key_file)
     if not raw:
         return identification
     return Report(identification.facts, tuple(identification_lines(identification, scores=True)))
 
 
-def list_gallery(gallery: AnyPath, *, key_file: AnyPath | None = None, person: str | None = None) -> Report:
+@contextlib.contextmanager
+def _opened(gallery: AnyPath, key_file: AnyPath | None) -> Iterator[Gallery]:
+    """The gallery, open; a note where others can read it, once all is done."""
+    from splitknit_match.gallery.file import warn_of_gallery
+    from splitknit_match.gallery.gallery import Gallery
+
+    with Gallery(gallery, key_file) as opened:
+        yield opened
+    warn_of_gallery(gallery, key_file)
+
+
+def gallery_list(gallery: AnyPath, *, key_file: AnyPath | None = None, person: str | None = None) -> Report:
     """List whose fingers are in it.
 
     Parameters
@@ -190,13 +205,12 @@ def list_gallery(gallery: AnyPath, *, key_file: AnyPath | None = None, person: s
 
     Examples
     --------
-    >>> list_gallery("people.skg").facts["captures"]  # doctest: +SKIP
+    >>> gallery_list("people.skg").facts["captures"]  # doctest: +SKIP
     """
     from splitknit_match.gallery.file import check_person, session_order
-    from splitknit_match.gallery.gallery import Gallery
 
     name = None if person is None else check_person(person)
-    with Gallery(gallery, key_file) as opened:
+    with _opened(gallery, key_file) as opened:
         entries = opened.entries(name)
     require(name is None or entries, f"'{gallery}' holds nothing of person '{name}'.")
     entries.sort(key=lambda entry: (entry.person, entry.finger, session_order(entry.session)))
@@ -235,10 +249,10 @@ def gallery_info(gallery: AnyPath, *, key_file: AnyPath | None = None) -> Report
     17
     """
     from splitknit_match.gallery.file import VERSION
-    from splitknit_match.gallery.gallery import Gallery, content_of
+    from splitknit_match.gallery.gallery import content_of
     from splitknit_match.matching.template import VERSION as TEMPLATE_VERSION
 
-    with Gallery(gallery, key_file) as opened:
+    with _opened(gallery, key_file) as opened:
         facts: dict[str, Any] = asdict(content_of(opened, created=False))
         template_bytes = sum(entry.template_bytes for entry in opened)
     del facts["created"]
@@ -259,7 +273,7 @@ def gallery_info(gallery: AnyPath, *, key_file: AnyPath | None = None) -> Report
     )
 
 
-def remove_from_gallery(
+def gallery_remove(
     gallery: AnyPath,
     *,
     key_file: AnyPath | None = None,
@@ -293,19 +307,18 @@ def remove_from_gallery(
 
     Examples
     --------
-    >>> remove_from_gallery("people.skg", person="Ann").facts["removed"]  # doctest: +SKIP
+    >>> gallery_remove("people.skg", person="Ann").facts["removed"]  # doctest: +SKIP
     4
     """
-    from splitknit_match.gallery.gallery import Gallery
 
-    with Gallery(gallery, key_file) as opened:
+    with _opened(gallery, key_file) as opened:
         removed = opened.remove(person, finger, session)
         left = len(opened)
     facts = {"gallery": str(gallery), "removed": removed, "captures": left}
     return Report(facts, (f"Removed {count(removed, 'capture')} from {gallery}; {left} are left.",))
 
 
-def export_from_gallery(
+def gallery_export(
     gallery: AnyPath, *, key_file: AnyPath | None = None, out: AnyPath, person: str | None = None
 ) -> Report:
     """Write all of it, not encrypted, into a folder of templates and a table.
@@ -332,13 +345,12 @@ def export_from_gallery(
 
     Examples
     --------
-    >>> export_from_gallery("people.skg", out="exported").facts["captures"]  # doctest: +SKIP
+    >>> gallery_export("people.skg", out="exported").facts["captures"]  # doctest: +SKIP
     68
     """
     from splitknit_match.gallery.folder import export_gallery
-    from splitknit_match.gallery.gallery import Gallery
 
-    with Gallery(gallery, key_file) as opened:
+    with _opened(gallery, key_file) as opened:
         facts = export_gallery(opened, Path(out), person=person)
     return Report(
         facts,
@@ -349,7 +361,7 @@ def export_from_gallery(
     )
 
 
-def import_into_gallery(
+def gallery_import(
     gallery: AnyPath, folder: AnyPath, *, key_file: AnyPath | None = None, replace: bool = False
 ) -> Report:
     """Put an exported folder into a gallery, which is made where there is none.
@@ -376,13 +388,12 @@ def import_into_gallery(
 
     Examples
     --------
-    >>> import_into_gallery("people.skg", "exported").facts["new"]  # doctest: +SKIP
+    >>> gallery_import("people.skg", "exported").facts["new"]  # doctest: +SKIP
     68
     """
     from splitknit_match.gallery.folder import import_gallery
-    from splitknit_match.gallery.gallery import Gallery
 
-    with Gallery(gallery, key_file) as opened:
+    with _opened(gallery, key_file) as opened:
         facts = import_gallery(opened, Path(folder), replaces=replace)
     known = facts["found"] - facts["new"]
     came = f"{facts['new']} captures came in, {known} were there already"

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from splitknit.arguments import count
-from splitknit_match.matching.words import basis_words, decided_at, one_in
+from splitknit_match.matching.results import basis_words, decided_at, one_in
 
 if TYPE_CHECKING:
     from splitknit_match.gallery.identify import Identification

@@ -148,8 +148,7 @@ def compare_patches(
         nearest = cv2.INTER_NEAREST | cv2.WARP_INVERSE_MAP
         valid = cv2.warpAffine(a_valid.view(np.uint8), moved, (right, bottom), flags=nearest)
     else:
-        bent_places = _places(bottom, right) - _upsampled(patches, bend, (bottom, right), reach)
-        there = cv2.transform(bent_places, moved)
+        there = bent_places(patches, (bottom, right), moved, bend, reach)
         value = cv2.remap(a_value, there, _ONE_MAP, cv2.INTER_LINEAR)
         valid = cv2.remap(a_valid.view(np.uint8), there, _ONE_MAP, cv2.INTER_NEAREST)
     fraction = _sums(valid, side) / (side * side)
@@ -232,16 +231,20 @@ def _smoothed(
     return board[..., :2] / (board[..., 2:] + (_STILL * 0.16))
 
 
-def _upsampled(patches: PatchGrid, bend: FloatArray, size: tuple[int, int], border: int) -> FloatArray:
-    """(*size, 2) shifts of the pixels of B, which begins `border` pixels inside."""
-    middle = [first + (patches.side - 1) / 2 + border for first in patches.first]
-    scale = 1 / patches.step
-    places = np.array([[scale, 0, -middle[1] * scale], [0, scale, -middle[0] * scale]])
-    return np.asarray(
-        cv2.warpAffine(
-            bend, places, size[::-1], flags=cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP, borderMode=cv2.BORDER_REPLICATE
-        )
-    )
+def bent_places(
+    patches: PatchGrid, size: tuple[int, int], b_from: Affine, bend: FloatArray | None, border: int = 0
+) -> FloatArray:
+    """(*size, 2) column and row in A of each pixel of B, which begins `border` pixels inside."""
+    places = np.empty((*size, 2), dtype=np.float32)
+    places[..., 0] = np.arange(size[1])
+    places[..., 1] = np.arange(size[0])[:, None]
+    if bend is not None:
+        middle = [first + (patches.side - 1) / 2 + border for first in patches.first]
+        scale = 1 / patches.step
+        to_grid = np.array([[scale, 0, -middle[1] * scale], [0, scale, -middle[0] * scale]])
+        flags = cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
+        places -= cv2.warpAffine(bend, to_grid, size[::-1], flags=flags, borderMode=cv2.BORDER_REPLICATE)
+    return np.asarray(cv2.transform(places, b_from))
 
 
 def shown_in_a(patches: PatchGrid, b_from: Affine, bend: FloatArray, place: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -259,23 +262,11 @@ def overlap_correlation(
 
     `a`, `b`: band (H, W) and where it is valid.
     """
-    shape = b[1].shape
-    places = _places(*shape)
-    if bend is not None:
-        places -= _upsampled(patches, bend, (shape[0], shape[1]), 0)
-    there = cv2.transform(places, b_from)
+    there = bent_places(patches, (b[1].shape[0], b[1].shape[1]), b_from, bend)
     both = (cv2.remap(a[1].view(np.uint8), there, _ONE_MAP, cv2.INTER_NEAREST) > 0) & b[1]
     one, other = cv2.remap(a[0], there, _ONE_MAP, cv2.INTER_LINEAR)[both], b[0][both]
     power = float(one @ one) * float(other @ other)
     return float(one @ other) / max(power, 1e-12) ** 0.5, float(both.sum()) * patches.pitch_mm**2
-
-
-def _places(rows: int, columns: int) -> FloatArray:
-    """(rows, columns, 2) column and row of each pixel."""
-    places = np.empty((rows, columns, 2), dtype=np.float32)
-    places[..., 0] = np.arange(columns)
-    places[..., 1] = np.arange(rows)[:, None]
-    return places
 
 
 def rigid(

@@ -175,8 +175,7 @@ def read_side(  # noqa: PLR0911 - one for each kind
 
     photo = fingerphoto(path)
     if photo is not None:
-        source = read_fingerphoto(path, None if input_ppi is None else input_ppi / 25.4, where, photo, shaped=False)
-        assert source.flat is not None
+        source = read_fingerphoto(path, None if input_ppi is None else input_ppi / 25.4, where, photo)
         template = print_template(source.flat, pressed=source.pressed)
         return Side(path, "photo", None, template, source.flat, note=source.scale, quality=source.quality)
     finger = read_one_finger(path, input_ppi)
@@ -191,9 +190,10 @@ def _held_side(given: Held, preset: str, progress: Progress) -> Side:
         result = given if isinstance(given, Reconstruction) else _reconstructed(given, preset, progress)
         return _surface_side(Path("reconstruction"), "result", surface_of(result))
     if isinstance(given, Pixels):
-        from splitknit_match.prints.from_file import pixels_as_print  # a template needs none of it
+        from splitknit.io.prints import PrintFile
+        from splitknit_match.prints.from_file import prepared  # a template needs none of it
 
-        item = pixels_as_print(given.image, given.resolution_ppi)
+        item = prepared(PrintFile(given.image, given.resolution_ppi, {}))
         return _print_side(Path("array"), item, item.doubt)
     return _template_side(Path("template"), given)
 

@@ -2,18 +2,19 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
 from splitknit.arguments import AnyPath, Preset, Progress, Report, Settings, checked, refuse_given, silent
-from splitknit.errors import BadInput
+from splitknit.errors import BadInput, require
 
 if TYPE_CHECKING:  # a comparison of templates loads neither
     import numpy as np
     from numpy.typing import NDArray
 
     from splitknit import Capture, Reconstruction
-    from splitknit_match.matching.methods import Match, TemplateMade
+    from splitknit_match.matching.results import Match, TemplateMade
 
     Finger = Reconstruction | Capture | NDArray[np.uint8] | bytes | AnyPath
 else:
@@ -84,22 +85,44 @@ def match(
     >>> splitknit_match.match("capture", "print.png").answer  # doctest: +SKIP
     'match'
     """
-    from splitknit_match.matching.inputs import held
-    from splitknit_match.matching.methods import match_fingers
+    from concurrent.futures import ThreadPoolExecutor
+
+    from splitknit.settings import override
+    from splitknit_match.matching.inputs import Side, held, is_photo, read_side
+    from splitknit_match.matching.methods import auto_method, check_template_file, compare_sides, write_template_file
+    from splitknit_match.matching.score import read_own_rates
+    from splitknit_match.matching.surface import MatchingSettings
     from splitknit_match.prints.photo_finger import PhotoFinger
 
-    return match_fingers(
-        (held(a, resolution_ppi), held(b, resolution_ppi)),
-        method=method,
-        preset=preset,
-        settings=settings,
-        fmr=fmr,
-        decision=None if decision is None else Path(decision),
-        template=None if template is None else Path(template),
-        input_ppi=input_ppi,
-        where=PhotoFinger(mask, box),
-        progress=progress,
-    )
+    require(fmr is None or 0 < fmr < 1, f"`fmr` must lie between 0 and 1, but it is {fmr}.")
+    fingers = held(a, resolution_ppi), held(b, resolution_ppi)
+    thesis = override(MatchingSettings(), settings or {}).thesis
+    own = None if decision is None else read_own_rates(Path(decision))
+    target = None if template is None else Path(template)
+    check_template_file(target, *fingers)
+    where = PhotoFinger(mask, box)
+    photos = [(input_ppi is not None or where.given) and is_photo(finger) for finger in fingers]
+    chosen = int(photos[1] and not photos[0])  # whose finger `mask` and `box` choose
+
+    def read(number: int) -> Side:
+        return read_side(
+            fingers[number], preset, silent if number else progress,
+            input_ppi if photos[number] or not any(photos) else None,  # beside a print it is the photograph's
+            where=where if number == chosen else None,
+        )  # fmt: skip
+
+    files = all(isinstance(finger, Path) and finger.is_file() and finger.suffix != ".skt" for finger in fingers)
+    with ThreadPoolExecutor(2 if files else 1) as pool:
+        left, right = pool.map(read, range(2))
+    by = auto_method(left, right) if method == "auto" else method
+    if own is not None and own.method != by:
+        raise BadInput(f"'{decision}' is for the method {own.method}, but {by} compares these.")
+    progress("comparing", 0.9)
+    known_scale = input_ppi is not None
+    result = compare_sides(by, left, right, fmr=fmr, own=own, thesis=thesis, known_scale=known_scale)
+    result = replace(result, template=write_template_file(target, left))
+    progress("done", 1.0)
+    return result
 
 
 @checked
@@ -140,19 +163,20 @@ def make_template(
     >>> import splitknit_match
     >>> template = splitknit_match.make_template("print.png").payload  # doctest: +SKIP
     """
-    from splitknit_match.matching.inputs import held
-    from splitknit_match.matching.methods import make_template_file
+    from splitknit.settings import override
+    from splitknit_match.matching.inputs import held, read_side, undoubted
+    from splitknit_match.matching.methods import check_template_file, compared_side, write_template_file
+    from splitknit_match.matching.results import TemplateMade
+    from splitknit_match.matching.surface import MatchingSettings
     from splitknit_match.prints.photo_finger import PhotoFinger
 
-    return make_template_file(
-        held(finger, resolution_ppi),
-        None if template is None else Path(template),
-        preset=preset,
-        settings=settings,
-        input_ppi=input_ppi,
-        where=PhotoFinger(mask, box),
-        progress=progress,
-    )
+    override(MatchingSettings(), settings or {})  # refuses unknown ones
+    source, target = held(finger, resolution_ppi), None if template is None else Path(template)
+    check_template_file(target, source)
+    side = read_side(source, preset, progress, input_ppi, where=PhotoFinger(mask, box))
+    written = write_template_file(target, side)
+    progress("done", 1.0)
+    return TemplateMade(compared_side(side), written, undoubted(side).payload)
 
 
 @checked
@@ -226,7 +250,7 @@ def match_or_make_template(
         )  # fmt: skip
         if not raw:
             return comparison
-        from splitknit_match.matching.words import match_lines
+        from splitknit_match.matching.results import match_lines
 
         return Report(comparison.facts, tuple(match_lines(comparison, scores=True)))
     if template is None:

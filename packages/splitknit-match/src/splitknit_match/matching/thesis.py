@@ -38,8 +38,8 @@ def align_masks(database: BoolArray, query: BoolArray) -> tuple[int, float]:
     small_database, small_query = (mask[factor // 2 :: factor, factor // 2 :: factor] for mask in (database, query))
     reach = max(database.shape[1], query.shape[1]) // (4 * factor) + 1
     middle = round(start / factor)
-    coarse, _ = _largest(small_database, small_query, range(middle - reach, middle + reach + 1))
-    best, both = _largest(database, query, range((coarse - 1) * factor, (coarse + 1) * factor + 1))
+    coarse, _ = best_shift(small_database, small_query, range(middle - reach, middle + reach + 1))
+    best, both = best_shift(database, query, range((coarse - 1) * factor, (coarse + 1) * factor + 1))
     union = np.count_nonzero(database) + np.count_nonzero(query) - both
     return best, float(both / union)
 
@@ -50,11 +50,12 @@ def tip_column(mask: BoolArray) -> int:
     return int(np.flatnonzero(mask[row]).mean())
 
 
-def _largest(a: BoolArray, b: BoolArray, shifts: range) -> tuple[int, int]:
-    """The one of `shifts` of `b` to the right with the largest overlap, of equal ones the smallest; and the overlap."""
-    counts = overlaps(a, b, shifts)
-    best = max(range(len(shifts)), key=lambda k: (counts[k], -abs(shifts[k])))
-    return shifts[best], counts[best]
+def best_shift(a: BoolArray, b: BoolArray, shifts: range, middle: int = 0) -> tuple[int, int]:
+    """The one of `shifts` of `b` to the right with the largest overlap, of equal ones that nearest to the middle; and
+    the overlap.
+    """
+    common = zip(overlaps(a, b, shifts), shifts, strict=True)
+    return max(((shift, both) for both, shift in common), key=lambda best: (best[1], -abs(best[0] - middle)))
 
 
 def overlaps(a: BoolArray, b: BoolArray, shifts: range) -> list[int]:
@@ -96,6 +97,9 @@ class ThesisSettings(Checked):
         check_fields(self)
         unknown = [name for name in self.attributes if name not in ATTRIBUTES]
         require(not unknown and len(self.attributes) > 0, f"thesis.attributes must be of {', '.join(ATTRIBUTES)}.")
+
+
+DEFAULTS = ThesisSettings()
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -170,20 +174,19 @@ def finger_images(
     return FingerImages(cut, inside, 1.0 / pitch_mm)
 
 
-def finger_features(images: FingerImages, settings: ThesisSettings | None = None) -> dict[str, NDArray[np.float32]]:
+def finger_features(images: FingerImages, settings: ThesisSettings = DEFAULTS) -> dict[str, NDArray[np.float32]]:
     """Feature vector of each channel that `settings` name, for a finger of the database that is compared often.
 
     Raises BadInput if a channel is missing, or smaller than a cell. Returns (n,) float32 by
     channel, for :func:`thesis_match`.
     """
-    settings = settings or ThesisSettings()
     return {name: lbp_features(images.channels[name], images.px_per_mm) for name in _needed(images, settings)}
 
 
 def thesis_match(
     database: FingerImages,
     query: FingerImages,
-    settings: ThesisSettings | None = None,
+    settings: ThesisSettings = DEFAULTS,
     features: Mapping[str, NDArray[np.float32]] | None = None,
 ) -> _ThesisMatch:
     """Compare a query with a finger of the database, as the thesis does.
@@ -196,7 +199,6 @@ def thesis_match(
     channels of one attribute; relief has one. `features`: what :func:`finger_features` made of the database's finger
     with the same settings, whose channels are not needed then.
     """
-    settings = settings or ThesisSettings()
     require(
         abs(database.px_per_mm / query.px_per_mm - 1.0) < 0.02,
         f"the fingers have {database.px_per_mm:.1f} and {query.px_per_mm:.1f} px/mm; the thesis's matcher needs one "

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from splitknit.errors import require
 from splitknit.model import BoolArray, FloatArray
 from splitknit_match.matching.features import REFERENCE_PX_PER_MM, uniform_bins
-from splitknit_match.matching.thesis import ATTRIBUTES, FingerImages, overlaps, tip_column
+from splitknit_match.matching.thesis import ATTRIBUTES, FingerImages, best_shift, tip_column
 
 NEIGHBOURS = {"normals": 15, "relief": 15, "shape_normals": 4}
 """Pixels around the circle of a local binary pattern, of radius one pixel."""
@@ -107,9 +107,7 @@ def code_match(database: CodeSide, query: CodeSide) -> CodeMatch:
     tip = tip_column(database.mask) - tip_column(query.mask)
     reach, step = round(REACH_PX * scale), max(1, round(STEP_PX * scale))
     shifts = range(tip - reach, tip + reach + 1, step)
-    common = overlaps(database.mask, query.mask, shifts)
-    best = max(range(len(shifts)), key=lambda k: (common[k], -abs(shifts[k] - tip)))
-    both = common[best]
+    shift, both = best_shift(database.mask, query.mask, shifts, tip)
     union = np.count_nonzero(database.mask) + np.count_nonzero(query.mask) - both
     scores = {}
     for attribute, names in ATTRIBUTES.items():
@@ -118,14 +116,14 @@ def code_match(database: CodeSide, query: CodeSide) -> CodeMatch:
         distances = [
             np.abs(
                 _counts(database.labels[name], 0, cell, (rows, columns), bins)
-                - _counts(query.labels[name], shifts[best], cell, (rows, columns), bins)
+                - _counts(query.labels[name], shift, cell, (rows, columns), bins)
             ).mean()
             for name in names
             if name in database.labels
         ]
         if distances:
             scores[attribute] = float(1.0 - area * np.mean(distances))
-    return CodeMatch(float(np.mean(list(scores.values()))), scores, both / union, shifts[best])
+    return CodeMatch(float(np.mean(list(scores.values()))), scores, both / union, shift)
 
 
 def _counts(labels: Labels, right: int, cell: int, cells: tuple[int, int], bins: int) -> NDArray[np.int64]:

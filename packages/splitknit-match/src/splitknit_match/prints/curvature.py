@@ -7,13 +7,14 @@ pixels that are there, from the same convolutions of masked monomials.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Literal
+from typing import Any, Literal
 
 import cv2
 import numpy as np
 
-from splitknit.errors import check_mask, require
+from splitknit.errors import check_mask
 from splitknit.imaging.geometry import bounding_box
 from splitknit.model import BoolArray, FloatArray
 
@@ -22,6 +23,8 @@ REFERENCE_PX_PER_MM, WINDOW_PX = 75.7, 15.0
 LEAST_SHARE = 0.75
 """Fraction of the window that must lie on the finger; elsewhere nothing is known."""
 _CHUNK = 20_000
+_ALONG_X, _ALONG_Y = (1.0, 0.0, 0.0, 0.0, 0.0), (0.0, 1.0, 0.0, 0.0, 0.0)
+"""Derivatives of x and y where pixels lie at their pitch."""
 _POWERS = {2: [(1, 0), (0, 1), (2, 0), (1, 1), (0, 2), (0, 0)]}
 _POWERS[3] = [*_POWERS[2], (0, 3), (1, 2), (2, 1), (3, 0)]
 """Exponents (column, row) of the terms of a quadratic and a cubic; those of the derivatives come first."""
@@ -56,11 +59,10 @@ def curvature(
     """Principal curvatures and shape index of a surface.
 
     `height_mm`: (H, W) float32, ridges and shape together, ignored outside `mask`; `xy_mm`: x and y (H, W) of the
-    surface points, for perspective cameras; `degree`: of the fitted polynomial. Raises BadInput if shapes disagree, the
-    mask is empty, or the pitch is not positive. Source: the thesis, section 5.5, eq. 5.3; the Weingarten matrix is the
+    surface points, for perspective cameras; `degree`: of the fitted polynomial. Raises BadInput if shapes disagree, or
+    the mask is empty. Source: the thesis, section 5.5, eq. 5.3; the Weingarten matrix is the
     first fundamental form's inverse times the second (do Carmo 1976, section 3.3).
     """
-    require(np.isfinite(pitch_mm) and pitch_mm > 0, f"pitch_mm must be a positive number, not {pitch_mm}.")
     mask = check_mask(mask, (height_mm.shape[0], height_mm.shape[1]))
     side = window_side(1.0 / pitch_mm, window_px)
     box = bounding_box(mask, side // 2 + 1)
@@ -112,9 +114,9 @@ def curvature(
                 results[term].ravel()[edge[part]] = solved[:, term]
         return [result * np.float32(factor) for result, factor in zip(results, factors, strict=True)]
 
-    forms = _forms_of_height(*fit(height_mm)) if xy_mm is None else _forms_of_points(*map(fit, (*xy_mm, height_mm)))
+    x, y = (_ALONG_X, _ALONG_Y) if xy_mm is None else map(fit, xy_mm)
     results = []
-    for field in _principal(forms[:3], forms[3:]):
+    for field in _principal(x, y, fit(height_mm)):
         whole = np.full(mask.shape, np.nan, dtype=np.float32)
         whole[box] = np.where(known, field, np.nan)
         results.append(whole)
@@ -127,30 +129,14 @@ def _blurred(image: FloatArray, across: list[float], down: list[float]) -> Float
     return np.asarray(cv2.sepFilter2D(image, cv2.CV_32F, x, y, borderType=cv2.BORDER_CONSTANT), dtype=np.float32)
 
 
-def _forms_of_height(
-    zx: FloatArray, zy: FloatArray, zxx: FloatArray, zxy: FloatArray, zyy: FloatArray
-) -> tuple[FloatArray, ...]:
-    """First (E, F, G) and second (L, M, N) fundamental form of a height field."""
-    inverse = 1.0 / np.sqrt(1.0 + zx * zx + zy * zy)
-    return 1.0 + zx * zx, zx * zy, 1.0 + zy * zy, zxx * inverse, zxy * inverse, zyy * inverse
-
-
-def _forms_of_points(x: list[FloatArray], y: list[FloatArray], z: list[FloatArray]) -> tuple[FloatArray, ...]:
-    """First and second fundamental form of a surface given by its points."""
+def _principal(x: Sequence[Any], y: Sequence[Any], z: Sequence[Any]) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Principal curvatures (larger, smaller) and the shape index of (5.3), of the derivatives that a fit gives."""
     e, f, g = (x[a] * x[b] + y[a] * y[b] + z[a] * z[b] for a, b in ((0, 0), (0, 1), (1, 1)))
-    nx = y[0] * z[1] - z[0] * y[1]
-    ny = z[0] * x[1] - x[0] * z[1]
-    nz = x[0] * y[1] - y[0] * x[1]
-    length = np.maximum(np.sqrt(nx * nx + ny * ny + nz * nz), 1e-12)
-    second = ((nx * x[k] + ny * y[k] + nz * z[k]) / length for k in (2, 3, 4))
-    return (e, f, g, *second)
-
-
-def _principal(
-    first: tuple[FloatArray, ...], second: tuple[FloatArray, ...]
-) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Principal curvatures (larger, smaller) and the shape index of (5.3), of the two fundamental forms."""
-    (e, f, g), (second_e, second_f, second_g) = first, second
+    normal = y[0] * z[1] - z[0] * y[1], z[0] * x[1] - x[0] * z[1], x[0] * y[1] - y[0] * x[1]
+    length = np.maximum(np.sqrt(sum(part * part for part in normal)), 1e-12)
+    second_e, second_f, second_g = (
+        (normal[0] * x[k] + normal[1] * y[k] + normal[2] * z[k]) / length for k in (2, 3, 4)
+    )
     inverse = 1.0 / np.maximum(e * g - f * f, 1e-12)
     # half the trace and the determinant of the Weingarten matrix
     mean = 0.5 * (e * second_g - 2.0 * f * second_f + g * second_e) * inverse

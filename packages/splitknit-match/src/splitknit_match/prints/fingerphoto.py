@@ -1,14 +1,15 @@
-"""Fingerphotos: one photograph of a finger, by a telephone or any camera, as a source of prints.
+"""Fingerphotos: one photograph of a finger, by a telephone or any camera, as a print.
 
-The finger is segmented, turned tip up and given a scale and a mean shape: an elliptic cross-section as
-wide as the outline. Its print is made by unrolling each cross-section, or as that of a capture's photograph is. The
-camera is taken to look straight at the pad from afar; nothing is known of the relief.
+The finger is segmented, turned tip up and given a scale and a mean shape: an elliptic cross-section as wide as the
+outline. Its print is made by unrolling each cross-section. The camera is taken to look straight at the pad from afar;
+nothing is known of the relief.
 """
 
 from __future__ import annotations
 
 import os
-from dataclasses import replace
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -38,7 +39,6 @@ from splitknit_match.prints.photo_mask import finger_in_photo
 from splitknit_match.prints.pressed import PressedRidges, pressed_ridges, without_shading
 from splitknit_match.prints.print_map import NOWHERE, PrintMap, resample
 from splitknit_match.prints.ridge_field import RidgeField, ridge_field
-from splitknit_match.prints.sources import Source
 
 PRINTS = frozenset({".png", ".jpg", ".jpeg", ".tif", ".tiff", ".bmp"})
 """Suffixes of pictures that may be prints."""
@@ -83,34 +83,48 @@ def fingerphoto(path: str | os.PathLike[str]) -> Photo | None:
     return photo if suffix not in PRINTS or is_coloured(photo.pixels) else None
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class FingerPhoto:
+    """A photograph of a finger, its skin laid flat row by row."""
+
+    flat: NDArray[np.uint8]
+    """(h, w) print at 500 ppi, ridges dark."""
+    pressed: PressedRidges
+    """Its ridges."""
+    map: PrintMap
+    """Where its pixels lie in the photograph, reduced where the finger is wide."""
+    pitch_mm: float
+    """Of that photograph."""
+    scale: str
+    """What was taken for what, and how well the scale is known; sentences."""
+    quality: float
+    """0 to 100."""
+    hashes: Mapping[str, str] = field(default_factory=dict)
+
+
 def read_fingerphoto(
     path: str | os.PathLike[str],
     px_per_mm: float | None = None,
     where: PhotoFinger | None = None,
     photo: Photo | None = None,
-    shaped: bool = True,
-) -> Source:
+) -> FingerPhoto:
     """Read a photograph of a finger, any picture of :func:`splitknit.io.photos.read_photo` in colour.
 
     `px_per_mm`: its scale on the finger; None: by the finger's width and its ridges, known to some 8 %; `where`: which
-    finger; `photo`: the file, if it was read; `shaped`: with the finger's mean shape, which prints of its surface need.
-    Raises BadInput as :func:`source_of_photo`, naming the file. Returns what
-    :func:`splitknit_match.prints.make.make_print` prints with the method ``photo``; its `scale` says what was taken for
-    what.
+    finger; `photo`: the file, if it was read. Raises BadInput as :func:`finger_of_photo`, naming the file.
     """
     read, where = photo or read_photo(path), where or PhotoFinger()
-    found = naming(path, lambda: source_of_photo(read.pixels, px_per_mm, where.pixels(), where.corners(), shaped))
-    return replace(found, hashes={Path(path).name: read.sha256})
+    flat = naming(path, lambda: finger_of_photo(read.pixels, px_per_mm, where.pixels(), where.corners()))
+    return replace(flat, hashes={Path(path).name: read.sha256})
 
 
-def source_of_photo(
+def finger_of_photo(
     pixels: NDArray[np.uint8] | NDArray[np.uint16],
     px_per_mm: float | None = None,
     mask: BoolArray | None = None,
     box: tuple[int, int, int, int] | None = None,
-    shaped: bool = True,
-) -> Source:
-    """Find the finger in a photograph (H, W, 3); parameters as of :func:`read_fingerphoto`.
+) -> FingerPhoto:
+    """Find the finger in a photograph (H, W, 3) and unroll it; `px_per_mm` as of :func:`read_fingerphoto`.
 
     `mask`: (H, W) of the finger; `box`: left, top, width and height in pixels of where it lies. Raises BadInput if the
     photograph is not in colour, no part of it looks like a finger, the finger is too small or has an impossible width
@@ -120,16 +134,7 @@ def source_of_photo(
     require(is_coloured(pixels), "a photograph of a finger has to be in colour, of 8 or 16 bits.")
     require(px_per_mm is None or px_per_mm > 0, f"`px_per_mm` must be positive, but it is {px_per_mm}.")
     require(min(pixels.shape[:2]) >= _NARROWEST, "the photograph is too small to show the ridges of a finger.")
-    taken, direction_deg = "taken for a photograph of a finger;", None
-    if mask is None:
-        chosen = finger_in_photo(pixels, box)
-        mask, direction_deg, width = chosen.mask, chosen.direction_deg, chosen.width_px
-        if chosen.others:
-            taken += f" it is the clearest of {chosen.others + 1}, choose another by `box`;"
-    else:
-        mask = largest_component(check_mask(mask, (pixels.shape[0], pixels.shape[1])))
-        check_borders(mask)
-        width = find_upright(mask).width_px
+    mask, direction_deg, width, taken = _segmented(pixels, mask, box)
     require(
         width >= _NARROWEST, f"the finger is {width:.0f} pixels wide, too few for ridges; photograph it from nearer."
     )
@@ -142,7 +147,7 @@ def source_of_photo(
     to = upright.upright_from_input[1]
     inside &= to[0] * column + (to[1] * row + to[2])[:, None] < upright.tip_row + _LENGTH * upright.width_px
     sections = _cross_sections(inside, upright)
-    scale = by_width = _NEARER * upright.width_px / USUAL_WIDTH_MM
+    by_width = _NEARER * upright.width_px / USUAL_WIDTH_MM
     unrolled = _unrolled(*sections, upright, by_width * 25.4 / PPI)
     values, weight = resample(light, inside, 1.0 / by_width, unrolled)
     image, finger_px = _even(values, weight)
@@ -163,12 +168,9 @@ def source_of_photo(
         scale, note = _usual_scale(field, clear, by_width, upright.width_px)
     else:
         scale = px_per_mm * reduction
-        note = " ".join(
-            [
-                f"by the given scale it is {upright.width_px / scale:.1f} mm wide.",
-                *map(str, FINGER_WIDTH.notes(upright.width_px / scale, "check the scale")),
-            ]
-        )
+        width_mm = upright.width_px / scale
+        odd = map(str, FINGER_WIDTH.notes(width_mm, "check the scale"))
+        note = " ".join([f"by the given scale it is {width_mm:.1f} mm wide.", *odd])
     note += "" if upright.clear else " Which way its tip points is not clear; turn the photograph upright."
     note += f" Quality {quality:.0f} of 100{f': {change}' if quality < _GOOD else ''}."
     phalange = phalange_mask(inside, find_crease(light, inside, upright, scale), upright)
@@ -177,11 +179,28 @@ def source_of_photo(
     pressed = PressedRidges(
         scaled(ridges.image, 255), scaled(ridges.inside.view(np.uint8), 0) > 0, scaled(ridges.confidence, 0)
     )
-    shape_mm = _mean_shape(*sections[1:], inside, upright) / np.float32(scale) if shaped else None
-    return Source(
-        "photo", phalange, 1.0 / scale, upright.input_from_upright, upright.size, shape_mm=shape_mm, photo=light,
-        scale=f"{taken} {note}", quality=round(quality, 1), flat=scaled(image, 255), pressed=pressed,
-    )  # fmt: skip
+    size = pressed.image.shape[::-1]
+    columns, rows = (
+        np.asarray(cv2.resize(part, size, interpolation=cv2.INTER_NEAREST), dtype=np.float32)
+        for part in (unrolled.columns, unrolled.rows)
+    )
+    there = replace(unrolled, columns=columns, rows=rows)
+    return FingerPhoto(scaled(image, 255), pressed, there, 1.0 / scale, f"{taken} {note}", round(quality, 1))
+
+
+def _segmented(
+    pixels: NDArray[Any], mask: BoolArray | None, box: tuple[int, int, int, int] | None
+) -> tuple[BoolArray, float | None, float, str]:
+    """Mask (H, W) of the finger, direction of its tip in degrees where it is known, width in pixels, and a note."""
+    taken = "taken for a photograph of a finger;"
+    if mask is None:
+        chosen = finger_in_photo(pixels, box)
+        if chosen.others:
+            taken += f" it is the clearest of {chosen.others + 1}, choose another by `box`;"
+        return chosen.mask, chosen.direction_deg, chosen.width_px, taken
+    mask = largest_component(check_mask(mask, (pixels.shape[0], pixels.shape[1])))
+    check_borders(mask)
+    return mask, None, find_upright(mask).width_px, taken
 
 
 def _scaled(shown: BoolArray, factor: float, values: NDArray[Any], beyond: int) -> NDArray[Any]:
@@ -240,14 +259,6 @@ def _cross_sections(inside: BoolArray, upright: Upright) -> tuple[slice, FloatAr
     size, sigma = (2 * round(0.12 * upright.width_px) + 1, 1), 0.03 * upright.width_px
     left, right = cv2.GaussianBlur(lines, size, sigma, borderType=cv2.BORDER_REPLICATE)
     return slice(known[0], known[-1] + 1), 0.5 * (left + right), np.maximum(0.5 * (right - left), 1.0)
-
-
-def _mean_shape(middle: FloatArray, half: FloatArray, inside: BoolArray, upright: Upright) -> FloatArray:
-    """(H, W) height in pixels of half an elliptic cylinder whose cross-sections are as wide as the outline."""
-    middle, half = (part.astype(np.float32)[:, None] for part in (middle, half))
-    aside = (np.arange(upright.size[1], dtype=np.float32) - middle) / half
-    height = _THICKNESS * half * np.sqrt(np.clip(1.0 - aside**2, 0.0, 1.0))
-    return np.where(inside, cv2.warpAffine(height, upright.input_from_upright[:2], inside.shape[::-1]), 0.0)
 
 
 def _unrolled(held: slice, middle: FloatArray, half: FloatArray, upright: Upright, step: float) -> PrintMap:

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import contextlib
 from collections.abc import Mapping
-from dataclasses import asdict, replace
-from functools import partial
+from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -13,29 +12,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from splitknit import BadInput
-from splitknit.errors import naming, require
+from splitknit.errors import naming
 from splitknit.io.atomic import atomic_folder, write_file
 from splitknit.io.npz import write_npz
 from splitknit.io.prints import PrintFile, write_print_png
 from splitknit.io.provenance import canonical_json, file_hash, json_text, provenance
-from splitknit.io.targets import check_target
 from splitknit.model import Progress, no_progress
-from splitknit_match.prints.fingerphoto import USUAL_RIDGES, fingerphoto, read_fingerphoto
+from splitknit_match.prints.fingerphoto import FingerPhoto
 from splitknit_match.prints.from_file import finger_view, pressed_print, read_one_finger
-from splitknit_match.prints.make import (
-    Print,
-    checked_surface,
-    enhance,
-    make_print,
-    make_rolled_print,
-    measured,
-    minutiae_by_phase,
-)
+from splitknit_match.prints.make import Print, enhance, measured, minutiae_by_phase
 from splitknit_match.prints.minutiae_record import PPI
-from splitknit_match.prints.photo_finger import PhotoFinger
-from splitknit_match.prints.pressed import pressed_ridges
 from splitknit_match.prints.print_quality import PrintQuality
-from splitknit_match.prints.sources import Source, read_source
+from splitknit_match.prints.sources import Source
 from splitknit_match.records.minutiae_files import encode_minutiae_record
 from splitknit_match.records.minutiae_record import FingerView
 
@@ -43,133 +31,94 @@ if TYPE_CHECKING:
     from splitknit_match.rolled.finger import Rolled
 
 
-def print_to_folder(
-    path: Path,
+def write_print(
     out: Path,
-    *,
-    method: str | None = None,
-    surface: str | None = None,
-    ppi: float = PPI,
-    px_per_mm: float | None = None,
-    ridge_period_mm: float | None = None,
-    input_ppi: float | None = None,
-    where: PhotoFinger | None = None,
-    preset: str = "metric",
-    progress: Progress = no_progress,
-) -> dict[str, Any]:
-    """Make a print of a capture or a result and write all its files; return the facts of ``report.json``.
-
-    A print that is a file already is brought to 500 ppi and enhanced; a photograph of a finger is unrolled by a mean
-    shape. Raises BadInput, naming the input at fault.
-    """
-    where = where or PhotoFinger()
-    known_scale = px_per_mm is not None or ridge_period_mm is not None
-    kind = _kind_of(path, where)
-    if kind == "photo":
-        fits = method in (None, "photo") and ridge_period_mm is None and input_ppi is None
-        only = "its `method` is photo, its scale, if it is known, `px_per_mm`."
-        require(fits, f"'{path}' is a photograph of a finger: {only}")
-        method, place = "photo", checked_surface("photo", surface or "free")
-    elif kind == "file":
-        plain = (method, surface) == (None, None) and not known_scale and ppi == PPI
-        left_out = "leave out `method`, `surface`, `ppi` and scales."
-        require(plain, f"'{path}' is a print already, to be made one of 500 ppi; {left_out}")
-        method, place = "file", "paper"
-    else:
-        method = method or "unroll"
-        place = checked_surface(method, surface)
-    check_target(out, "map.npz", "an earlier print", keep=path)
-    with atomic_folder(out) as target:
-        around = None
-        if method == "file":
-            source, made = _of_file(path, input_ppi)
-        elif method == "rolled":
-            require(not known_scale, "a rig with mirrors has a scale; leave out `px_per_mm` and `ridge_period_mm`.")
-            from splitknit_match.prints.rolled import read_rolled  # slow to import
-
-            source, around = read_rolled(path, preset, progress)
-            progress("printing", 0.75)
-            made = naming(path, partial(make_rolled_print, around, source, place, ppi))
-        else:
-            photo = method == "photo"
-            if kind == "photo":
-                source = read_fingerphoto(path, px_per_mm, where)
-            else:
-                source = read_source(
-                    path, photo=photo, surface=not photo or place != "plane", preset=preset, progress=progress,
-                    px_per_mm=px_per_mm, ridge_period_mm=ridge_period_mm,
-                )  # fmt: skip
-            progress("printing", 0.75)
-            made = naming(path, partial(make_print, source, method, place, ppi))
-            if source.quality is not None and ppi == PPI:
-                sure = pressed_ridges(made.image, USUAL_RIDGES)  # noise is as strong as a photograph's ridges
-                weight = np.where(sure.inside, made.weight, 0)
-                made = replace(made, weight=weight, even=sure.image, confidence=sure.confidence)
-        facts = _write(target, path, source, made, around, method=method, place=place, ppi=ppi, progress=progress)
-    progress("done", 1.0)
-    return {**facts, "out": str(out)}
-
-
-def _write(
-    target: Path,
     path: Path,
     source: Source,
     made: Print,
-    around: Rolled | None,
     *,
     method: str,
-    place: str,
     ppi: float,
-    progress: Progress,
+    around: Rolled | None = None,
+    progress: Progress = no_progress,
 ) -> dict[str, Any]:
-    """Write all files of a print into an existing folder, and return the facts of its report."""
-    chart = {} if around is None else {"rolled": {"pitch_mm": round(around.chart.pitch_mm, 6)}}
-    origin = provenance({"method": method, **chart, "surface": place, "ppi": ppi}, source.hashes)
-    progress("enhancing", 0.85)
-    enhanced = naming(path, lambda: enhance(made, ppi))
-    progress("writing", 0.92)
-    texts = {"Software": f"splitknit {origin['version']}", "Comment": canonical_json(origin)}
-    pictures = {"print": made.image, "enhanced": enhanced.image}
-    for name, picture in pictures.items():
-        write_print_png(target / f"{name}.png", picture, ppi, texts)
-    arrays = {name: getattr(made.map, name) for name in ("columns", "rows", "input_from_grid", "print_of_grid")}
-    write_npz(target / "map.npz", {**arrays, "ppi": np.float64(ppi), "surface": np.array(made.map.surface)})
-    periods = np.percentile(enhanced.field.period_mm(ppi)[enhanced.field.mask], [5, 50, 95]).tolist()
-    facts: dict[str, Any] = {
-        "method": method,
-        "surface": place,
-        "source": {"path": str(path), "kind": source.kind, "preset": source.preset, "pitch_mm": source.pitch_mm},
-        "ppi": ppi,
-        **({"scale": source.scale} if source.scale else {}),
-        "size": list(made.image.shape),
-        "mirrored": True,
-        "ridges": "dark",
-        "ridge_period_mm": {k: round(one, 4) for k, one in zip(("p5", "median", "p95"), periods, strict=True)},
-        "area_mm2": round(float(made.weight.sum()) * (25.4 / ppi) ** 2, 1),
-        "ridge_area_mm2": round(float(enhanced.mask.sum()) * (25.4 / ppi) ** 2, 1),
-    }
-    if made.unrolled is not None:
-        facts["distortion"] = made.unrolled.distortion
-    if around is not None:
-        from splitknit_match.prints.rolled import write_rolled  # slow to import
+    """Enhance a print and write all its files; return the facts of ``report.json``.
 
-        facts["rolled"] = write_rolled(target, around)
-    quality = measured(made, enhanced, ppi)
-    facts["quality"] = _quality_facts(quality, method, source.quality, pictures, ppi)
-    score = quality.score if source.quality is None else source.quality
-    view = finger_view(
-        minutiae_by_phase(made, enhanced, ppi), round(score), source.subject.get("finger"),
-        "live_plain" if method == "file" else "contactless",
-    )  # fmt: skip
-    facts["minutiae"] = {"count": len(view.x_px), "finger": view.finger}
-    write_file(target / "minutiae.iso", encode_minutiae_record(view))
-    if source.height_mm is not None and method != "rolled":
-        page = _page(source, made, view, pictures, facts, score)
-        write_file(target / "report.html", page.encode("utf-8"))
-    facts["provenance"] = origin
-    facts["files"] = sorted([path.name for path in target.iterdir()] + ["report.json"])
-    write_file(target / "report.json", json_text(facts).encode("ascii"))
+    `path`: of the finger; `around`: the finger of a rolled print. Raises BadInput, naming `path`, without ridges.
+    """
+    place = made.map.surface
+    with atomic_folder(out) as target:
+        chart = {} if around is None else {"rolled": {"pitch_mm": round(around.chart.pitch_mm, 6)}}
+        origin = provenance({"method": method, **chart, "surface": place, "ppi": ppi}, source.hashes)
+        progress("enhancing", 0.85)
+        enhanced = naming(path, lambda: enhance(made, ppi))
+        progress("writing", 0.92)
+        texts = {"Software": f"splitknit {origin['version']}", "Comment": canonical_json(origin)}
+        pictures = {"print": made.image, "enhanced": enhanced.image}
+        for name, picture in pictures.items():
+            write_print_png(target / f"{name}.png", picture, ppi, texts)
+        arrays = {name: getattr(made.map, name) for name in ("columns", "rows", "input_from_grid", "print_of_grid")}
+        write_npz(target / "map.npz", {**arrays, "ppi": np.float64(ppi), "surface": np.array(place)})
+        periods = np.percentile(enhanced.field.period_mm(ppi)[enhanced.field.mask], [5, 50, 95]).tolist()
+        facts: dict[str, Any] = {
+            "method": method,
+            "surface": place,
+            "source": {"path": str(path), "kind": source.kind, "preset": source.preset, "pitch_mm": source.pitch_mm},
+            "ppi": ppi,
+            **({"scale": source.scale} if source.scale else {}),
+            "size": list(made.image.shape),
+            "mirrored": True,
+            "ridges": "dark",
+            "ridge_period_mm": {k: round(one, 4) for k, one in zip(("p5", "median", "p95"), periods, strict=True)},
+            "area_mm2": round(float(made.weight.sum()) * (25.4 / ppi) ** 2, 1),
+            "ridge_area_mm2": round(float(enhanced.mask.sum()) * (25.4 / ppi) ** 2, 1),
+        }
+        if made.distortion is not None:
+            facts["distortion"] = made.distortion
+        if around is not None:
+            from splitknit_match.prints.rolled import write_rolled  # slow to import
+
+            facts["rolled"] = write_rolled(target, around)
+        quality = measured(made, enhanced, ppi)
+        facts["quality"] = _quality_facts(quality, method, source.quality, pictures, ppi)
+        score = quality.score if source.quality is None else source.quality
+        impression = "live_plain" if method == "file" else "contactless"
+        minutiae = minutiae_by_phase(made, enhanced, ppi)
+        view = finger_view(minutiae, round(score), source.subject.get("finger"), impression)
+        facts["minutiae"] = {"count": view.count, "finger": view.finger}
+        write_file(target / "minutiae.iso", encode_minutiae_record(view))
+        if source.height_mm is not None and around is None:
+            page = _page(source, made, view, pictures, facts, score)
+            write_file(target / "report.html", page.encode("utf-8"))
+        facts["provenance"] = origin
+        facts["files"] = sorted([file.name for file in target.iterdir()] + ["report.json"])
+        write_file(target / "report.json", json_text(facts).encode("ascii"))
+    progress("done", 1.0)
     return facts
+
+
+def print_of_file(path: Path, input_ppi: float | None) -> tuple[Source, Print]:
+    """The only print of a file. Raises BadInput, naming it, if it holds minutiae or has no ridges."""
+    item = read_one_finger(path, input_ppi)
+    if not isinstance(item, PrintFile):
+        raise BadInput(f"'{path}' holds minutiae and no picture to print; name a print, a result or a capture.")
+    source = Source(
+        "print", np.ones(item.image.shape, dtype=bool), 25.4 / (item.resolution_ppi or PPI), np.eye(3),
+        item.image.shape, hashes={path.name: file_hash(path)}, subject={"finger": item.finger},
+        scale=" ".join(filter(None, (item.doubt, item.note))),
+    )  # fmt: skip
+    return source, naming(path, lambda: pressed_print(item))
+
+
+def print_of_photo(photo: FingerPhoto) -> tuple[Source, Print]:
+    """The print of a photograph of a finger."""
+    ridges = photo.pressed
+    source = Source(
+        "photo", ridges.inside, photo.pitch_mm, np.eye(3), photo.flat.shape, hashes=photo.hashes, scale=photo.scale,
+        quality=photo.quality,
+    )  # fmt: skip
+    weight, light = ridges.inside.astype(np.float32), (255.0 - photo.flat).astype(np.float32)
+    return source, Print(photo.flat, weight, photo.map, light, False, None, ridges.image, ridges.confidence)
 
 
 def _page(  # noqa: PLR0917
@@ -203,29 +152,6 @@ def _page(  # noqa: PLR0917
             quality=quality,
         )
     )
-
-
-def _kind_of(path: Path, where: PhotoFinger) -> str:
-    """``photo`` of a finger, ``file`` of a print that is there already, or ``surface``."""
-    photo = None if path.suffix.lower() == ".npz" else fingerphoto(path)
-    unused = photo is not None or not where.given
-    require(unused, f"`mask` and `box` choose the finger of a photograph in colour, and '{path}' is none.")
-    if not path.is_file() or path.suffix.lower() == ".npz":
-        return "surface"
-    return "file" if photo is None else "photo"
-
-
-def _of_file(path: Path, input_ppi: float | None) -> tuple[Source, Print]:
-    item = read_one_finger(path, input_ppi)
-    if not isinstance(item, PrintFile):
-        raise BadInput(f"'{path}' holds minutiae and no picture to print; name a print, a result or a capture.")
-    made = naming(path, lambda: pressed_print(item))
-    source = Source(
-        "print", np.ones(item.image.shape, dtype=bool), 25.4 / (item.resolution_ppi or PPI), np.eye(3),
-        item.image.shape, hashes={path.name: file_hash(path)}, subject={"finger": item.finger},
-        scale=" ".join(filter(None, (item.doubt, item.note))),
-    )  # fmt: skip
-    return source, made
 
 
 # Quality of a print in the report: NFIQ 2, the figures and score of `prints.print_quality`, and advice.
@@ -268,49 +194,38 @@ def advice(found: PrintQuality) -> tuple[str, ...]:
 
     Every figure rated below 0.7 is mentioned; of figures with one remedy only the worst.
     """
+    figures = {name: value or 0.0 for name, value in asdict(found.figures).items()}
+    percent = {"lost": 100.0 * (1.0 - found.figures.ridge_share), "gaps": 100.0 * found.figures.gap_share}
     sentences: dict[str, None] = {}
-    causes: set[str] = set()
     for name, rating in sorted(found.worth.items(), key=lambda item: item[1]):
-        cause = _CAUSES[name]
-        if cause == "soft" and found.worth.get("ridge_height_um", 0.0) >= FULL_WORTH:
+        if name == "sharpness" and found.worth.get("ridge_height_um", 0.0) >= FULL_WORTH:
             continue  # defocus lowers ridges as well; soft but high ones grew that way
-        if rating < MIN_WORTH and cause not in causes and len(sentences) < MAX_SENTENCES:
-            causes.add(cause)
-            sentences[_sentence(cause, name, found)] = None
-    return tuple(sentences)
+        if rating < MIN_WORTH:
+            sentences[_ADVICE[name].format(**figures, **percent)] = None
+    return tuple(sentences)[:MAX_SENTENCES]
 
 
-_CAUSES = {
-    "ridge_height_um": "weak",
-    "ridge_share": "lost",
-    "gap_share": "gaps",
-    "coherence": "noise",
-    "plausible_share": "noise",
-    "sharpness": "soft",
-    "ridge_area_mm2": "partial",
-    "ridge_length_mm": "partial",
-    "centre_offset_mm": "beside",
+_NOISE = (
+    "The picture is noisy or the finger dusty (directions or distances of ridges disagree); wipe it, lengthen the "
+    "exposure, keep the finger still, and capture again."
+)
+_PARTIAL = (
+    "Only {ridge_length_mm:.0f} mm of ridges ({ridge_area_mm2:.0f} mm2) are in view; push the finger further in, its "
+    "pad to the camera, and capture again."
+)
+_ADVICE = {
+    "ridge_height_um": "Ridges are weak ({ridge_height_um:.0f} um), missing over {lost:.0f} % of the area: dry, worn, "
+    "wet or out of focus; moisten the finger if it is dry, dry it if it is wet, check the focus, and capture again.",
+    "ridge_share": "Ridges are missing over {lost:.0f} % of the finger's area; check focus and exposure, clean finger "
+    "and lens, and capture again.",
+    "gap_share": "{gaps:.0f} % of the skin between ridges shows none: glare, a crease, a scar, water, dirt or blur; "
+    "wipe the finger and the lens, check the focus, and capture again.",
+    "coherence": _NOISE,
+    "plausible_share": _NOISE,
+    "sharpness": "The ridges' edges are soft; focus the camera on the finger, keep it still, and capture again.",
+    "ridge_area_mm2": _PARTIAL,
+    "ridge_length_mm": _PARTIAL,
+    "centre_offset_mm": "The ridges lie {centre_offset_mm:.0f} mm beside the finger's middle; turn its pad to the "
+    "camera and capture again.",
 }
-
-
-def _sentence(cause: str, name: str, found: PrintQuality) -> str:
-    figures = found.figures
-    lost = 100 * (1 - figures.ridge_share)
-    noise = "directions of ridges disagree" if name == "coherence" else "distances of ridges are not plausible"
-    sentences = {
-        "weak": f"Ridges are weak ({figures.ridge_height_um or 0:.0f} um), missing over {lost:.0f} % of the area: dry, "
-        "worn, wet or out of focus; moisten the finger if it is dry, dry it if it is wet, check the focus, and capture "
-        "again.",
-        "lost": f"Ridges are missing over {lost:.0f} % of the finger's area; check focus and exposure, clean finger "
-        "and lens, and capture again.",
-        "gaps": f"{100 * figures.gap_share:.0f} % of the skin between ridges shows none: glare, a crease, a scar, "
-        "water, dirt or blur; wipe the finger and the lens, check the focus, and capture again.",
-        "noise": f"The picture is noisy or the finger dusty ({noise}); wipe it, lengthen the exposure, keep the finger "
-        "still, and capture again.",
-        "soft": "The ridges' edges are soft; focus the camera on the finger, keep it still, and capture again.",
-        "partial": f"Only {figures.ridge_length_mm:.0f} mm of ridges ({figures.ridge_area_mm2:.0f} mm2) are in view; "
-        "push the finger further in, its pad to the camera, and capture again.",
-        "beside": f"The ridges lie {figures.centre_offset_mm:.0f} mm beside the finger's middle; turn its pad to the "
-        "camera and capture again.",
-    }
-    return sentences[cause]
+"""Sentences by the figure that is rated low."""

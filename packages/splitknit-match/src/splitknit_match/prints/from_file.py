@@ -5,7 +5,7 @@ from __future__ import annotations
 import dataclasses
 import os
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any
 
 import cv2
 import numpy as np
@@ -23,9 +23,8 @@ from splitknit_match.prints.minutiae import at_500_ppi, is_a_fingers
 from splitknit_match.prints.minutiae_record import PPI, Minutiae, no_minutiae
 from splitknit_match.prints.pressed import PressedRidges, frame, pressed_ridges
 from splitknit_match.prints.print_map import plane_map
-from splitknit_match.records.fmr_bytes import ISO_2005
 from splitknit_match.records.minutiae_files import read_minutiae_record
-from splitknit_match.records.minutiae_record import FINGER_CODES, FingerView, pixels_per_cm
+from splitknit_match.records.minutiae_record import FINGER_CODES, RESOLUTION_500_PPI, FingerView
 from splitknit_match.records.print_formats import read_prints
 
 USUAL_PERIOD_MM = 0.46
@@ -47,24 +46,18 @@ _CLEAR = 0.2
 """Score of a picture's ridges from which their distance is measured; 280 real prints have 0.25 or more."""
 _FAINT = 4.0
 """Standard deviation in grey levels below which a picture is blank."""
-_PAGE_MM = 45.0
-"""A larger picture is a page: it may hold several prints. A rolled print is 40 mm wide and high at most."""
 _PART_MM2 = 25.0
-"""Area of ridges on a page that is taken for a print."""
+"""Area of ridges from which on their distance is taken at the stated resolution."""
 _DARK, _WHITE = 0.15, -0.2
 """Mean level beside a print, at its rim and at the picture's edge over that of its middle, in contrasts of its ridges,
 from which on ridges are dark, or white: of 280 real prints -0.1 to 0.9 (validation/prints/any_print.py)."""
 _DOUBT = "nothing beside it shows whether its ridges are dark: if they are white, invert the picture."
 
 
-_Read = TypeVar("_Read", bound=PrintFile | FingerView)
-
-
 def read_print_file(path: str | os.PathLike[str], input_ppi: float | None = None) -> tuple[PrintFile | FingerView, ...]:
     """Read the prints of a file, of known resolution, or its minutiae.
 
-    Of a page (more than 45 mm wide or high, or mostly blank) each print is cut out; white ridges are turned dark, which
-    the print's `note` says.
+    White ridges are turned dark, which the print's `note` says.
 
     `path`: of any format of :data:`splitknit_match.records.print_formats.FORMATS`; `input_ppi`: resolution of pictures,
     whatever they state. Raises BadInput as :func:`splitknit_match.records.print_formats.read_prints`; if a picture does
@@ -75,9 +68,8 @@ def read_print_file(path: str | os.PathLike[str], input_ppi: float | None = None
         f"`input_ppi` must be a number from {MIN_PPI:g} to {MAX_PPI:g}, but it is {input_ppi}.",
     )
     return tuple(
-        part
-        for one in read_prints(path)
-        for part in (_prints_on(_resolved(one, os.fspath(path), input_ppi)) if isinstance(one, PrintFile) else (one,))
+        prepared(_resolved(item, os.fspath(path), input_ppi)) if isinstance(item, PrintFile) else item
+        for item in read_prints(path)
     )
 
 
@@ -86,18 +78,9 @@ def read_one_finger(path: Path, input_ppi: float | None = None) -> PrintFile | F
 
     Raises BadInput as :func:`read_print_file`, or if the file holds several.
     """
-    return _only(read_print_file(path, input_ppi), str(path))
-
-
-def pixels_as_print(image: NDArray[np.uint8], ppi: float) -> PrintFile:
-    """An array (H, W) as the only print of a file is read. Raises BadInput if it shows several."""
-    return _only(_prints_on(PrintFile(image, ppi, {})), "the array")
-
-
-def _only(found: tuple[_Read, ...], name: str) -> _Read:
-    several = f"{name} holds {len(found)} prints; take them apart with 'splitknit import' or crop the picture."
-    require(len(found) == 1, several)
-    return found[0]
+    prints = read_print_file(path, input_ppi)
+    require(len(prints) == 1, f"{path} holds {len(prints)} prints; take them apart with 'splitknit import'.")
+    return prints[0]
 
 
 def read_print_folder(folder: Path) -> tuple[PrintFile, FingerView | None]:
@@ -107,7 +90,7 @@ def read_print_folder(folder: Path) -> tuple[PrintFile, FingerView | None]:
     """
     picture, record = read_print_png(folder / "print.png"), folder / "minutiae.iso"
     require(picture.resolution_ppi is not None, f"'{folder}' states no resolution; make the print again.")
-    return picture, read_minutiae_record(record, ISO_2005)[0] if record.is_file() else None
+    return picture, read_minutiae_record(record)[0] if record.is_file() else None
 
 
 def print_at_500_ppi(item: PrintFile) -> PrintFile:
@@ -186,44 +169,11 @@ def _waves(image: NDArray[Any], step: int) -> tuple[FloatArray, FloatArray, Bool
     return np.where(strong, found[0] * agree, 0.0), found[1], strong
 
 
-def _prints_on(item: PrintFile) -> tuple[PrintFile, ...]:
-    """The prints of a picture of known resolution, ridges dark: itself, unless it is a page."""
-    ppi = item.resolution_ppi or PPI
-    rows, columns = item.image.shape
-    scale = 380.0 / ppi  # usual ridges lie 7 pixels apart
-    if min(rows, columns) * scale < 3 * _TILE_PX:
-        return (_dark_ridges(dataclasses.replace(item, doubt=resolution_doubt(item))),)
-    page = max(rows, columns) * 25.4 / ppi > _PAGE_MM
-    small = cv2.resize(item.image, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA)
-    step = _TILE_PX if small.size > 8_000_000 else _TILE_PX // 2
-    part, apart, strong = _waves(small, step)
-    ridges, pitch_px = part > _WAVE, step / scale
-    del small
-    wide = 2 * round(2.1 / (pitch_px * 25.4 / ppi)) + 1  # gaps of 4 mm belong to a print
-    joined = cv2.morphologyEx(np.pad(strong.astype(np.uint8), 3), cv2.MORPH_CLOSE, np.ones((wide, wide), np.uint8))[
-        3:-3, 3:-3
-    ]
-    count, labels, stats, _ = cv2.connectedComponentsWithStats(np.ascontiguousarray(joined))
-    if count == 1:  # blank
-        return (dataclasses.replace(item, image=item.image[: 16 * _TILE_PX, : 16 * _TILE_PX]),) if page else (item,)
-    least = _PART_MM2 / (pitch_px * 25.4 / ppi) ** 2
-    clear = [k for k in range(1, count) if int(ridges[labels == k].sum()) >= least]
-    kept = clear or [max(range(1, count), key=lambda k: float(part[labels == k].sum()))]
-    margin, parts = _TILE_PX / scale, []
-    for left, top, wide, high in stats[kept, :4].tolist():
-        starts = [max(0, round(at * pitch_px - margin)) for at in (top, left)]
-        ends = [round((at + n - 1) * pitch_px + 2 * margin) for at, n in ((top, high), (left, wide))]
-        parts.append((slice(starts[0], min(ends[0], rows)), slice(starts[1], min(ends[1], columns))))
-    if clear and ridges.sum() >= _RIDGES * strong.sum():
-        doubt = resolution_doubt(item, float(np.median(apart[ridges])) / scale)
-    else:
-        doubt = resolution_doubt(dataclasses.replace(item, image=item.image[parts[0]]))
-    item = dataclasses.replace(item, doubt=doubt)
-    covered = sum((box[0].stop - box[0].start) * (box[1].stop - box[1].start) for box in parts)
-    if not page and covered > 0.2 * item.image.size:
-        return (_dark_ridges(item),)
-    whole = f"cut out of a picture of {columns} x {rows} pixels."
-    return tuple(_dark_ridges(_noted(item, whole, item.image[box].copy())) for box in parts)
+def prepared(item: PrintFile) -> PrintFile:
+    """A print of known resolution with its ridges dark, and what is in doubt of it."""
+    if not is_a_fingers(item.image, item.resolution_ppi or PPI):  # is refused where it is used
+        return item
+    return _dark_ridges(dataclasses.replace(item, doubt=resolution_doubt(item)))
 
 
 def _noted(item: PrintFile, words: str, image: NDArray[np.uint8] | None = None) -> PrintFile:
@@ -232,13 +182,22 @@ def _noted(item: PrintFile, words: str, image: NDArray[np.uint8] | None = None) 
     return dataclasses.replace(item, image=item.image if image is None else image, note=note)
 
 
-def resolution_doubt(item: PrintFile, apart_px: float | None = None) -> str:
+def resolution_doubt(item: PrintFile) -> str:
     """Why a print's resolution cannot be right: its ridges would lie farther apart, or closer, than in people; or "".
 
-    `apart_px`: distance of its ridges, if it is known. None of 280 real prints is doubted, at half or twice their
-    resolution 259 and 261 are (validation/prints/any_print.py).
+    None of 280 real prints is doubted, at half or twice their resolution 259 and 261 are
+    (validation/prints/any_print.py).
     """
-    period, ppi = apart_px or _ridge_period_px(item.image), item.resolution_ppi or PPI
+    ppi = item.resolution_ppi or PPI
+    scale, period = 380.0 / ppi, None  # usual ridges lie 7 pixels apart
+    if min(item.image.shape) * scale >= 3 * _TILE_PX:
+        small = cv2.resize(item.image, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA)
+        part, apart, strong = _waves(small, _TILE_PX // 2)
+        ridges = part > _WAVE
+        least = _PART_MM2 / (_TILE_PX // 2 * 25.4 / 380.0) ** 2
+        if ridges.sum() >= max(_RIDGES * strong.sum(), least):
+            period = float(np.median(apart[ridges])) / scale
+    period = period or _ridge_period_px(item.image)
     apart_mm = USUAL_PERIOD_MM if period is None else period * 25.4 / ppi
     if 0.9 * _PERIODS[0] < apart_mm / USUAL_PERIOD_MM < 1.1 * _PERIODS[1]:
         return ""
@@ -272,8 +231,6 @@ def _dark_ridges(item: PrintFile) -> PrintFile:
     Where a finger does not touch, a picture looks as its valleys do; its rim fades out towards that.
     """
     ppi, image = item.resolution_ppi or PPI, item.image
-    if not is_a_fingers(image, ppi):  # is refused where it is used
-        return item
     if ppi > _FINE_PPI:  # work grows with the pixels
         image, ppi = at_500_ppi(image, ppi), PPI
     side = max(2, round(8 * ppi / PPI))
@@ -340,7 +297,7 @@ def finger_view(found: Minutiae, quality: int, finger: object = "unknown", impre
     """Minutiae of 500 ppi as a record has them; a finger that records have no code for is ``unknown``."""
     return FingerView(
         found.x_px, found.y_px, found.direction_rad, found.type, found.quality, found.size, finger_quality=quality,
-        finger=coded_finger(finger), impression=impression, resolution_ppcm=pixels_per_cm(PPI),
+        finger=coded_finger(finger), impression=impression,
     )  # fmt: skip
 
 
@@ -363,7 +320,7 @@ def minutiae_of(view: FingerView) -> Minutiae:
 
     Raises BadInput if its image is larger than any print.
     """
-    usual = pixels_per_cm(PPI)[0]
+    usual = RESOLUTION_500_PPI[0]
     scales = [1.0 if ppcm == usual else PPI / (ppcm * 2.54) for ppcm in view.resolution_ppcm]
     size = max(1, round(view.size[0] * scales[1])), max(1, round(view.size[1] * scales[0]))
     x, y = (

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,13 +18,7 @@ from splitknit_match.prints.phase_minutiae import by_phase
 from splitknit_match.prints.print_map import PrintMap, plane_map, resample, unrolled_map
 from splitknit_match.prints.print_quality import PrintQuality, print_quality
 from splitknit_match.prints.sources import Source
-from splitknit_match.prints.unroll import KINDS, Unrolled, surface_grid, unroll
-
-if TYPE_CHECKING:
-    from splitknit_match.rolled.finger import Rolled
-
-METHODS = ("relief", "unroll", "curvature", "photo", "specular", "rolled")
-SURFACES = ("plane", *KINDS)
+from splitknit_match.prints.unroll import KINDS, surface_grid, unroll
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -41,7 +34,8 @@ class Print:
     """(h, w) what its quality is measured on: the relief in mm, or the light of the photograph."""
     in_mm: bool
     """Whether it is the relief."""
-    unrolled: Unrolled | None = None
+    distortion: dict[str, float] | None = None
+    """By how much lengths are off, of skin laid flat, see :func:`splitknit_match.prints.unroll.distortion`."""
     even: NDArray[np.uint8] | None = None
     """(h, w) the same of even contrast, where a print was pressed on glass or paper; its minutiae are sought there."""
     confidence: FloatArray | None = None
@@ -54,14 +48,14 @@ class Print:
 
 
 def make_print(source: Source, method: str, surface: str | None = None, ppi: float = 500.0) -> Print:
-    """Make a print of a finger by a method of :data:`METHODS` other than ``rolled``.
+    """Make a print of a finger by a method other than ``rolled``.
 
-    `surface`: of :data:`SURFACES`; by default the finger plane, but of ``unroll`` the skin laid flat (``free``). Raises
+    `surface`: ``plane``, or one of :data:`splitknit_match.prints.unroll.KINDS`; by default the finger plane, but of
+    ``unroll`` the skin laid flat (``free``). Raises
     BadInput if the source lacks what is needed, or there are no ridges.
     """
-    require(method != "rolled", "a rolled print is made from a capture with mirrors: make_rolled_print.")
     place = checked_surface(method, surface)
-    unrolled: Unrolled | None = None
+    distortion = None
     if place == "plane":
         print_map = plane_map(source.pitch_mm, source.input_from_upright, source.upright_size, ppi)
     else:
@@ -71,6 +65,7 @@ def make_print(source: Source, method: str, surface: str | None = None, ppi: flo
         )  # fmt: skip
         unrolled = unroll(grid, place)
         print_map = unrolled_map(unrolled, place, ppi)
+        distortion = unrolled.distortion
 
     def read(values: FloatArray) -> tuple[FloatArray, FloatArray]:
         return resample(values, source.mask & np.isfinite(values), source.pitch_mm, print_map)
@@ -90,26 +85,14 @@ def make_print(source: Source, method: str, surface: str | None = None, ppi: flo
         )
         inked, weight = read(_needed({"photo": source.photo, "specular": source.specular}.get(method, source.ridge_mm)))
         image = ink(inked, weight, ppi)
-    return Print(image, weight, print_map, inked, method not in ("photo", "specular"), unrolled)
-
-
-def make_rolled_print(rolled: Rolled, source: Source, kind: str, ppi: float) -> Print:
-    """Make a print of a finger around its front. Raises BadInput if there are no ridges or too little skin."""
-    from splitknit_match.prints.rolled import laid_flat  # slow to import
-
-    unrolled, print_map = laid_flat(rolled, kind, ppi)
-    inked, weight = resample(_needed(source.ridge_mm), source.mask, source.pitch_mm, print_map)
-    image = ink(inked, weight, ppi)
-    return Print(image, weight, print_map, inked, True, unrolled)
+    return Print(image, weight, print_map, inked, method not in ("photo", "specular"), distortion)
 
 
 def checked_surface(method: str, surface: str | None) -> str:
     """Where a print is made; refuses what does not go together.
 
-    Raises BadInput if method or surface are not known, or ``unroll`` is asked for on the plane.
+    Raises BadInput if ``unroll`` is asked for on the plane.
     """
-    require(method in METHODS, f"method must be one of {', '.join(METHODS)}, but it is '{method}'.")
-    require(surface is None or surface in SURFACES, f"surface must be one of {', '.join(SURFACES)}, not '{surface}'.")
     if method == "rolled":
         kind = surface or "free"
         require(kind in KINDS, f"a rolled finger is laid flat {' or '.join(KINDS)}, not on the {kind}.")

@@ -14,6 +14,7 @@ from typing import Any
 import cv2
 import numpy as np
 from numpy.typing import NDArray
+from scipy.ndimage import gaussian_filter
 
 from splitknit.errors import require
 from splitknit.model import BoolArray, FloatArray
@@ -26,9 +27,6 @@ _TURNS, _BINS = 32, 16
 """Directions of the tip, and of edges."""
 _WEIGHTS = np.array([0.6, 1.5, 1.5], np.float32)
 """Of L*, a* and b*: a finger's flanks and shadows differ in lightness alone."""
-_XYZ = np.array([[0.43395, 0.37622, 0.18983], [0.21267, 0.71516, 0.07217], [0.01776, 0.10948, 0.87277]], np.float32)
-"""CIE 1931 of linear sRGB, each over that of its white, D65."""
-_LAB = np.array([[0, 116, 0, -16], [500, -500, 0, 0], [0, 200, -200, 0]], np.float32)
 _TIP = 0.6
 """Length of the tip's half ellipse, in widths of the finger."""
 _TRIED = 7
@@ -162,16 +160,11 @@ def finger_in_photo(pixels: Pixels, box: tuple[int, int, int, int] | None = None
 
 def _colours(pixels: Pixels, side: int) -> FloatArray:
     """The picture in weighted CIELAB, (H, W, 3), reduced to a longer side."""
-    value = np.linspace(0, 1, np.iinfo(pixels.dtype).max + 1, dtype=np.float32)
-    light = np.where(value > 0.04045, ((value + 0.055) / 1.055) ** 2.4, value / 12.92)[_reduced(pixels, side)]
-    parts = cv2.transform(light.astype(np.float32), _XYZ)  # OpenCV's own way fills tables for 0.1 s
-    parts = np.where(parts > 0.008856, np.cbrt(parts), 7.787 * parts + 16 / 116).astype(np.float32)
-    return cv2.transform(parts, _LAB) * _WEIGHTS
+    coded = (_reduced(pixels, side) / np.iinfo(pixels.dtype).max).astype(np.float32)
+    return cv2.cvtColor(coded, cv2.COLOR_RGB2Lab) * _WEIGHTS
 
 
 def _reduced(picture: NDArray[Any], side: int) -> NDArray[Any]:
-    while max(picture.shape[:2]) > 4 * side:  # halves are quick
-        picture = cv2.resize(picture, (picture.shape[1] // 2, picture.shape[0] // 2), interpolation=cv2.INTER_AREA)
     factor = min(1.0, side / max(picture.shape[:2]))
     return cv2.resize(picture, None, fx=factor, fy=factor, interpolation=cv2.INTER_AREA)
 
@@ -217,16 +210,12 @@ def _sought(lab: FloatArray) -> list[Outline]:
     pairs = ((right, right), (right, down), (down, down))
     xx, xy, yy = (cv2.GaussianBlur((one * two).sum(-1), (0, 0), 1.0) for one, two in pairs)
     tensor = [part / (xx + yy + 1.0) for part in (xx, xy, yy)]
-    found: list[tuple[float, Outline, Array, float]] = []
-    for width in _WIDTHS:
-        found += _of_width(width, tensor, _skin(smooth))
+    skin = _skin(smooth)
+    rated = [item for width in _WIDTHS for item in _of_width(width, tensor, skin)]
     kept: list[Outline] = []
-    for _, turned, tip, width in sorted(found, key=lambda item: -item[0]):
-        one = replace(turned, tip=tip, width=width)
-        if not any(_alike(one, two) for two in kept):
-            kept.append(one)
-        if len(kept) == _TRIED:
-            break
+    for _, outline in sorted(rated, key=lambda item: -item[0]):
+        if len(kept) < _TRIED and not any(_alike(outline, earlier) for earlier in kept):
+            kept.append(outline)
     return kept
 
 
@@ -235,10 +224,8 @@ def _alike(one: Outline, two: Outline) -> bool:
     return near and bool(one.ahead @ two.ahead > 0.5) and 0.66 < one.width / two.width < 1.5
 
 
-def _of_width(
-    width: float, tensor: list[FloatArray], skin: FloatArray
-) -> Iterator[tuple[float, Outline, Array, float]]:
-    """The best places of each turn of a width: rating, an outline of that turn, its tip and width."""
+def _of_width(width: float, tensor: list[FloatArray], skin: FloatArray) -> Iterator[tuple[float, Outline]]:
+    """The best places of each turn of a width, rated."""
     shape, side = skin.shape, max(skin.shape)
     px = width * side
     pad, step, blur = int(2 * px) + 2, max(1, int(0.08 * px)), max(0.06 * px, 0.3)
@@ -254,11 +241,12 @@ def _of_width(
             maps[b][y : y + shape[0] : step, x : x + shape[1] : step]
             for b, (x, y) in zip(looked, (np.rint(places * px).astype(int) + pad).tolist(), strict=True)
         ]
-        tip, left, right, inner = (sum(seen[k : k + n]) / n for k, n in ((0, 7), (7, 6), (13, 6), (19, 8)))
-        value = (tip + left + right) / 3 + np.minimum(np.minimum(tip, left), right) + inner
+        front, left, right, inner = (sum(seen[k : k + n]) / n for k, n in ((0, 7), (7, 6), (13, 6), (19, 8)))
+        value = (front + left + right) / 3 + np.minimum(np.minimum(front, left), right) + inner
         for best in np.argpartition(-value, 2, axis=None)[:3] if value.size > 3 else range(value.size):
             i, j = np.unravel_index(best, value.shape)
-            yield float(value[i, j]), one, np.array([j * step + 0.5, i * step + 0.5]) / side, width
+            tip = np.array([j * step + 0.5, i * step + 0.5]) / side
+            yield float(value[i, j]), replace(one, tip=tip, width=width)
 
 
 @lru_cache(maxsize=1)
@@ -352,18 +340,11 @@ def _resemblance(one: Outline, bins: NDArray[np.intp], length: float, reach: flo
         return _filled((one.tip + one.width * one.places(vectors)) * max(bins.shape), bins.shape)
 
     inside, around = (
-        _smoothed(np.bincount(bins[part], minlength=32**3) / (max(int(part.sum()), 1)))
+        gaussian_filter((np.bincount(bins[part], minlength=32**3) / max(int(part.sum()), 1)).reshape(32, 32, 32), 1.0)
         for part in (within(1 - reach, 0.0), within(2.4, 0.0) & ~within(1 + reach, 0.2 * reach))
     )
     ratio = np.log((inside + 2e-4) / (around + 2e-4))
-    return np.clip(ratio, -2, 2).ravel()[bins]
-
-
-def _smoothed(histogram: NDArray[Any]) -> FloatArray:
-    """(32, 32, 32) a histogram (32^3,), blurred by one bin."""
-    flat = cv2.GaussianBlur(histogram.astype(np.float32).reshape(1024, 32), (9, 1), 1.0, borderType=cv2.BORDER_REFLECT)
-    cube = cv2.GaussianBlur(flat.reshape(32, 32, 32), (9, 9), 1.0, borderType=cv2.BORDER_REFLECT)
-    return np.asarray(cube)
+    return np.clip(ratio, -2, 2).astype(np.float32).ravel()[bins]
 
 
 def _likeness(one: Outline, lab: FloatArray) -> float:

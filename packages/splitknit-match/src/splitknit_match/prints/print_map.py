@@ -13,12 +13,13 @@ from typing import Any
 import cv2
 import numpy as np
 import scipy
+from numpy.polynomial.polynomial import polyder, polyval
 from numpy.typing import NDArray
 
 from splitknit.errors import check_mask, require
 from splitknit.finger.ridges import MM_PER_INCH, upright_from_print
 from splitknit.imaging.band import bin_mean
-from splitknit.imaging.geometry import bounding_box, gaussian_mean
+from splitknit.imaging.geometry import bounding_box, gaussian_mean, sampled_at
 from splitknit.model import BoolArray, FloatArray
 from splitknit_match.prints.unroll import SurfaceGrid, Unrolled, extrapolated, slant_cos
 
@@ -27,19 +28,19 @@ from splitknit_match.prints.unroll import SurfaceGrid, Unrolled, extrapolated, s
 # Source: E. Catmull and R. Rom 1974, A class of local interpolating splines: straight lines are read exactly.
 
 
-def _linear(values: FloatArray, size: tuple[int, int], step: float) -> FloatArray:
-    """Read a coarse grid, its first pixel two steps before the fine one's, linearly at every pixel of a fine grid."""
+def _dense(values: FloatArray, size: tuple[int, int], step: float, *, linear: bool = False) -> FloatArray:
+    """Read a coarse grid, its first pixel two steps before the fine one's, at every pixel of a fine grid."""
     down, across = (
-        _weights(np.arange(n) / step + 2.0, m, linear=True) for n, m in zip(size, values.shape, strict=True)
+        _weights(np.arange(n) / step + 2.0, m, linear=linear) for n, m in zip(size, values.shape, strict=True)
     )
     return down @ values @ across.T
 
 
-def _weights(places: Array, count: int, linear: bool = False) -> FloatArray:
+def _weights(places: Array, count: int, *, linear: bool) -> FloatArray:
     """(N, count) matrix that interpolates a line of `count` values at `places`: Catmull-Rom, or linear."""
     first = np.floor(places).astype(np.intp)
     rest = places - first
-    parts = [1.0 - rest, rest] if linear else _catmull_rom(rest)
+    parts = [1.0 - rest, rest] if linear else polyval(rest, _CATMULL_ROM.T)
     shift = 0 if linear else -1
     matrix = np.zeros((len(places), count), dtype=np.float32)
     line = np.arange(len(places))
@@ -48,69 +49,44 @@ def _weights(places: Array, count: int, linear: bool = False) -> FloatArray:
     return matrix
 
 
-def _catmull_rom(t: Array) -> list[Array]:
-    return [
-        0.5 * (-t + 2 * t**2 - t**3), 0.5 * (2 - 5 * t**2 + 3 * t**3), 0.5 * (t + 4 * t**2 - 3 * t**3),
-        0.5 * (-(t**2) + t**3),
-    ]  # fmt: skip
+_CATMULL_ROM = np.array([[0, -1, 2, -1], [2, 0, -5, 3], [0, 1, 4, -3], [0, 0, -1, 1]]) / 2
+"""Weights of the four values around, as polynomials of the place between the middle two, constant term first."""
 
 
-def _catmull_rom_slope(t: Array) -> list[Array]:
-    return [
-        0.5 * (-1 + 4 * t - 3 * t**2), 0.5 * (-10 * t + 9 * t**2), 0.5 * (1 + 8 * t - 9 * t**2),
-        0.5 * (-2 * t + 3 * t**2),
-    ]  # fmt: skip
-
-
-def _cubic(values: Array, places: Array, slopes: bool = False) -> tuple[Array, Array]:
+def _cubic(values: Array, places: Array) -> tuple[Array, Array]:
     """Values (N, 2) of a grid (n, m, 2) at `places` (N, 2; column, row), and their slopes (N, 2, 2); NaN outside."""
     n, m = values.shape[:2]
     result = np.full((len(places), 2), np.nan)
     slope = np.full((len(places), 2, 2), np.nan)
-    with np.errstate(invalid="ignore"):
-        good = (places[:, 0] >= 1) & (places[:, 0] <= m - 2) & (places[:, 1] >= 1) & (places[:, 1] <= n - 2)
+    good = ((places >= 1) & (places <= [m - 2, n - 2])).all(axis=1)
     where = places[good]
     first = np.minimum(np.floor(where).astype(np.intp), [m - 3, n - 3])
-    rest = where - first
+    rest = (where - first).T
     around = np.arange(-1, 3)
     patch = values[(first[:, 1, None] + around)[:, :, None], (first[:, 0, None] + around)[:, None, :]]  # (N, 4, 4, 2)
-    across, down = (np.stack(_catmull_rom(rest[:, d]), axis=1) for d in range(2))
-    along = np.einsum("nijk,nj->nik", patch, across)
-    result[good] = np.einsum("nik,ni->nk", along, down)
-    if slopes:
-        across_slope, down_slope = (np.stack(_catmull_rom_slope(rest[:, d]), axis=1) for d in range(2))
-        slope[good] = np.stack(
-            [
-                np.einsum("nik,ni->nk", np.einsum("nijk,nj->nik", patch, across_slope), down),
-                np.einsum("nik,ni->nk", along, down_slope),
-            ],
-            axis=2,
-        )
+    across, down = polyval(rest, _CATMULL_ROM.T).swapaxes(0, 1)  # (4, N) each
+    across_slope, down_slope = polyval(rest, polyder(_CATMULL_ROM.T)).swapaxes(0, 1)
+    result[good] = np.einsum("nijk,jn,in->nk", patch, across, down)
+    slope[good, :, 0] = np.einsum("nijk,jn,in->nk", patch, across_slope, down)
+    slope[good, :, 1] = np.einsum("nijk,jn,in->nk", patch, across, down_slope)
     return result, slope
 
 
-def _inverted(values: Array, targets: Array, start: Array, rounds: int = 8) -> Array:
+def _inverted(values: Array, targets: Array, start: Array) -> Array:
     """Places (N, 2) at which the grid has the values `targets`, by Newton steps from `start`; NaN where none is."""
     places = start.copy()
-    error = np.full(len(targets), np.inf)
-    live = np.flatnonzero(np.isfinite(places).all(axis=1))
-    for _ in range(rounds):
-        here, slope = _cubic(values, places[live], slopes=True)
-        miss = targets[live] - here
-        error[live] = np.abs(miss).max(axis=1)
-        keep = error[live] > 1e-5  # NaN is dropped too
-        live, miss, slope = live[keep], miss[keep], slope[keep]
-        if live.size == 0:
-            break
+    for _ in range(_ROUNDS):
+        here, slope = _cubic(values, places)
+        miss = targets - here
         determinant = slope[:, 0, 0] * slope[:, 1, 1] - slope[:, 0, 1] * slope[:, 1, 0]
         determinant = np.where(np.abs(determinant) > 1e-12, determinant, 1e-12)
         right = (miss[:, 0] * slope[:, 1, 1] - miss[:, 1] * slope[:, 0, 1]) / determinant
         down = (slope[:, 0, 0] * miss[:, 1] - slope[:, 1, 0] * miss[:, 0]) / determinant
-        places[live] += np.clip(np.stack([right, down], axis=1), -1.5, 1.5)
+        move = np.clip(np.stack([right, down], axis=1), -1.5, 1.5)
+        done = np.abs(miss).max(axis=1, keepdims=True) <= 1e-5
+        places = np.where(done, places, places + move)
     here, _ = _cubic(values, places)
-    with np.errstate(invalid="ignore"):
-        good = np.abs(here - targets).max(axis=1) < 1e-3
-    places[~good] = np.nan
+    places[~(np.abs(here - targets).max(axis=1) < 1e-3)] = np.nan
     return places
 
 
@@ -119,10 +95,14 @@ NOWHERE = -1e6
 """Where a print's pixel lies in the input if it shows nothing."""
 _STEP_MM = 0.25
 """Spacing of the coarse grid on the print on which the inverse is computed."""
+_ROUNDS = 8
+"""Newton steps."""
 _MARGIN_MM = 0.5
 """Of a print, around all that it holds."""
 SLANT_DEG = 70.0
 """Skin steeper than this is left out of a print: the camera hardly sees it."""
+_SIGMA_PX = 0.5
+"""Of the Gaussian before a print that is coarser than the input, pixels of the print."""
 _LARGEST_PX = 25_000_000
 """Largest print: 250 x 250 mm at 500 ppi."""
 
@@ -155,15 +135,10 @@ class PrintMap:
 
     def input_from_print(self, points: Array) -> Array:
         """Places (N, 2) in the input of places (N, 2) on the print; NaN where the print shows nothing."""
-        points = np.asarray(points, dtype=float).reshape(-1, 2)
-        nodes = np.full(points.shape, np.nan)
-        there = np.isfinite(points).all(axis=1)
-        there &= ((points > -0.5) & (points < [self.size[1] - 0.5, self.size[0] - 0.5])).all(axis=1)
-        at = np.rint(points[there]).astype(np.intp)
-        start = np.stack([self.columns[at[:, 1], at[:, 0]], self.rows[at[:, 1], at[:, 0]]], axis=1).astype(float)
-        start[start[:, 0] <= 0.5 * NOWHERE] = np.nan
-        nodes[there] = _moved(np.linalg.inv(self.input_from_grid), start)
-        return _moved(self.input_from_grid, _inverted(self.print_of_grid, points, nodes))
+        columns, rows = np.nan_to_num(points, nan=-1.0).reshape(-1, 2).T.astype(np.float32)
+        known = self.columns > 0.5 * NOWHERE
+        fields = (np.where(known, field, np.float32(np.nan)) for field in (self.columns, self.rows))
+        return np.stack([sampled_at(field, columns, rows, outside=np.nan) for field in fields], axis=1).astype(float)
 
 
 def plane_map(
@@ -171,9 +146,9 @@ def plane_map(
 ) -> PrintMap:
     """Return the map of the finger plane, seen straight from above: the frame of :func:`relief_print`.
 
-    Raises BadInput if pitch or resolution are not positive.
+    Raises BadInput if the resolution is not positive.
     """
-    _check_scale(pitch_mm, ppi)
+    _check_ppi(ppi)
     step = MM_PER_INCH / ppi / pitch_mm
     size = _checked_size(max(1, round(upright_size[0] / step)), max(1, round(upright_size[1] / step)))
     input_from_print = input_from_upright @ upright_from_print(size, upright_size, step)
@@ -184,10 +159,9 @@ def plane_map(
     reach = 4.0 * max(size)
     print_from_grid = np.array([[reach, 0.0, -2.0 * reach], [0.0, reach, -2.0 * reach], [0.0, 0.0, 1.0]])
     node = np.stack(np.meshgrid(np.arange(6.0), np.arange(6.0)), axis=2)
-    print_of_grid = _moved(print_from_grid, node.reshape(-1, 2)).reshape(node.shape)
     return PrintMap(
         "plane", ppi, columns.astype(np.float32), rows.astype(np.float32), input_from_print @ print_from_grid,
-        print_of_grid,
+        _moved(print_from_grid, node),
     )  # fmt: skip
 
 
@@ -197,7 +171,7 @@ def unrolled_map(unrolled: Unrolled, kind: str, ppi: float = 500.0, slant_deg: f
     Without a `slant_deg` it holds all of the skin, however it is turned: a sheet around a finger. Raises BadInput if
     the resolution is not positive.
     """
-    _check_scale(unrolled.grid.pitch_mm, ppi)
+    _check_ppi(ppi)
     px_per_mm = ppi / MM_PER_INCH
     flat, grid = unrolled.flat_mm, unrolled.grid
     facing = grid.inside if slant_deg is None else grid.inside & (_facing(grid) > np.cos(np.deg2rad(slant_deg)))
@@ -225,11 +199,7 @@ def _checked_size(rows: int, columns: int) -> tuple[int, int]:
     return rows, columns
 
 
-def _check_scale(pitch_mm: float, ppi: float) -> None:
-    require(
-        np.isfinite(pitch_mm) and pitch_mm > 0,
-        f"a print needs the scale of its input, but pitch_mm is {pitch_mm}; calibrate the camera.",
-    )
+def _check_ppi(ppi: float) -> None:
     require(np.isfinite(ppi) and 10 <= ppi <= 10_000, f"ppi must lie between 10 and 10000, but it is {ppi}.")
 
 
@@ -241,35 +211,26 @@ def _dense_inverse(
     coarse = np.stack(np.meshgrid(lines[1], lines[0]), axis=2)
     near = np.isfinite(print_of_grid).all(axis=2)
     near &= cv2.dilate(grid.inside.astype(np.uint8), np.ones((5, 5), np.uint8)) > 0
-    places = np.argwhere(near)[:, ::-1].astype(float)
-    distance, nearest = scipy.spatial.cKDTree(print_of_grid[near]).query(coarse.reshape(-1, 2))
-    gaps = _gaps(print_of_grid)[near]
-    start = np.where((distance < gaps[nearest])[:, None], places[nearest], np.nan)
+    _, nearest = scipy.spatial.cKDTree(print_of_grid[near]).query(coarse.reshape(-1, 2))
+    start = np.argwhere(near)[nearest, ::-1].astype(float)
     nodes = _inverted(print_of_grid, coarse.reshape(-1, 2), start).reshape(coarse.shape)
     found = np.isfinite(nodes).all(axis=2)
     filled = extrapolated(nodes, 3)
     holes = ~np.isfinite(filled).all(axis=2)
     filled[holes] = 0.0
-    input_of_coarse = _moved(grid.input_from_grid, filled.reshape(-1, 2)).reshape(filled.shape)
+    input_of_coarse = _moved(grid.input_from_grid, filled)
     input_of_coarse[holes] = 0.0
-    down, across = (_weights(np.arange(n) / step + 2.0, len(line)) for n, line in zip(size, lines, strict=True))
-    columns, rows = (down @ input_of_coarse[..., d].astype(np.float32) @ across.T for d in range(2))
-    trusted = _linear(np.asarray(found, dtype=np.float32), size, step) > 0.999
+    columns, rows = (
+        _dense(np.asarray(part, dtype=np.float32), size, step) for part in np.moveaxis(input_of_coarse, 2, 0)
+    )
+    trusted = _dense(np.asarray(found, dtype=np.float32), size, step, linear=True) > 0.999
     if slant_deg is not None:
         column, row = (np.nan_to_num(nodes[..., d], nan=-1.0).astype(np.float32) for d in range(2))
         cosine = cv2.remap(_facing(grid), column, row, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
-        trusted &= _linear(np.asarray(cosine, dtype=np.float32), size, step) > np.float32(np.cos(np.deg2rad(slant_deg)))
+        facing = _dense(np.asarray(cosine, dtype=np.float32), size, step, linear=True)
+        trusted &= facing > np.float32(np.cos(np.deg2rad(slant_deg)))
     at_column, at_row = (np.where(trusted, part, NOWHERE).astype(np.float32) for part in (columns, rows))
     return at_column, at_row
-
-
-def _gaps(print_of_grid: Array) -> Array:
-    """(n, m) largest distance of a node from its four neighbours, on the print."""
-    across = np.linalg.norm(np.diff(print_of_grid, axis=1), axis=2)
-    down = np.linalg.norm(np.diff(print_of_grid, axis=0), axis=2)
-    left, right = np.pad(across, ((0, 0), (0, 1))), np.pad(across, ((0, 0), (1, 0)))
-    above, below = np.pad(down, ((0, 1), (0, 0))), np.pad(down, ((1, 0), (0, 0)))
-    return np.asarray(np.fmax(np.fmax(left, right), np.fmax(above, below)))
 
 
 def _facing(grid: SurfaceGrid) -> FloatArray:
@@ -286,13 +247,10 @@ def _moved(matrix: NDArray[Any], points: Array) -> Array:
 # A field of the input, read at a print's pixels.
 
 
-def resample(
-    field: FloatArray, mask: BoolArray, pitch_mm: float, print_map: PrintMap, sigma_px: float = 0.5
-) -> tuple[FloatArray, FloatArray]:
+def resample(field: FloatArray, mask: BoolArray, pitch_mm: float, print_map: PrintMap) -> tuple[FloatArray, FloatArray]:
     """Read `field` (H, W), ignored outside `mask`, on a print: values (h, w), and how much of a pixel is on the finger.
 
-    `pitch_mm`: of the input; `sigma_px`: of the Gaussian, in pixels of the print, that takes out what the print is too
-    coarse for; used only where it is coarser than the input.
+    `pitch_mm`: of the input. Where the print is coarser than the input, a Gaussian takes out what it cannot show.
     """
     mask = check_mask(mask, (field.shape[0], field.shape[1]))
     step = MM_PER_INCH / print_map.ppi / pitch_mm
@@ -304,7 +262,7 @@ def resample(
     if factor > 1:  # averaging whole blocks first costs a fraction and takes out next to nothing
         weight, values = (bin_mean(image, factor) for image in (weight, values))
     if step > 1.0:
-        sigma = float(np.sqrt(max((sigma_px * step) ** 2 - (factor**2 - 1) / 12, 0.01))) / factor
+        sigma = float(np.sqrt(max((_SIGMA_PX * step) ** 2 - (factor**2 - 1) / 12, 0.01))) / factor
         fraction = gaussian_mean(weight, sigma)
         values = np.asarray(gaussian_mean(values, sigma) / np.maximum(fraction, 1e-3), dtype=np.float32)
         values[fraction <= 1e-3] = 0.0

@@ -11,38 +11,41 @@ from numpy.typing import NDArray
 
 from splitknit import preset_settings, read_capture
 from splitknit.errors import naming, require
+from splitknit.finger.ridges import ink
 from splitknit.imaging.polarised import without_films
 from splitknit.io.mesh import surface_mesh, write_ply
 from splitknit.model import BoolArray, FloatArray, Progress
-from splitknit_match.prints.print_map import PrintMap, unrolled_map
+from splitknit_match.prints.make import Print
+from splitknit_match.prints.print_map import PrintMap, resample, unrolled_map
 from splitknit_match.prints.sources import Source
-from splitknit_match.prints.unroll import KINDS, NODES_MM, RINGS, SurfaceGrid, Unrolled, extrapolated, unroll
+from splitknit_match.prints.unroll import NODES_MM, RINGS, SurfaceGrid, extrapolated, unroll
 from splitknit_match.rolled.chart import Chart
-from splitknit_match.rolled.finger import PITCH_MM, Rolled, rolled_finger
-from splitknit_match.rolled.views import ReliefSettings, find_mirror_views
+from splitknit_match.rolled.finger import Rolled, rolled_finger
+from splitknit_match.rolled.views import find_mirror_views
 
 Array = NDArray[np.float64]
 SIDE_MM, TIP_MM = 14.0, 0.0
 """Coverage is reported for the rows from the tip's cap downwards, as far as this."""
 
 
-def read_rolled(path: Path, preset: str, progress: Progress) -> tuple[Source, Rolled]:
-    """A capture folder as one finger around its front.
+def print_around(path: Path, preset: str, place: str, ppi: float, progress: Progress) -> tuple[Source, Print, Rolled]:
+    """A capture folder as one finger around its front, laid flat as `place`: what is printed, the print, the finger.
 
-    Raises BadInput if it is not a capture, has no mirrors beside the finger, or fewer than two views can be used.
+    Raises BadInput if it is not a capture, has no mirrors beside the finger, fewer than two views can be used, or there
+    are no ridges or too little skin.
     """
     require(
         (path / "capture.json").is_file(),
         f"'{path}' is not a capture folder (capture.json); a rolled finger is made from a capture with mirrors.",
     )
 
-    def make() -> tuple[Source, Rolled]:
+    def make() -> tuple[Source, Print, Rolled]:
         capture = without_films(read_capture(path))
         chosen = preset_settings(preset)
         progress("views", 0.08)
         views = find_mirror_views(capture, chosen, chosen.shape.mirror)
         rolled = rolled_finger(
-            capture, views, ReliefSettings(chosen.metric, chosen.shapelets), PITCH_MM,
+            capture, views, chosen.metric,
             lambda stage, fraction: progress(stage, 0.15 + 0.55 * fraction),
         )  # fmt: skip
         # the chart takes the part of the input's pixels
@@ -50,7 +53,10 @@ def read_rolled(path: Path, preset: str, progress: Progress) -> tuple[Source, Ro
             "capture", rolled.blended.known, rolled.chart.pitch_mm, np.eye(3), rolled.chart.shape,
             ridge_mm=rolled.blended.relief_mm, preset=preset, hashes=capture.hashes, subject=capture.subject,
         )  # fmt: skip
-        return source, rolled
+        progress("printing", 0.75)
+        print_map, distortion = _laid_flat(rolled, place, ppi)
+        inked, weight = resample(rolled.blended.relief_mm, source.mask, source.pitch_mm, print_map)
+        return source, Print(ink(inked, weight, ppi), weight, print_map, inked, True, distortion), rolled
 
     return naming(path, make)
 
@@ -61,12 +67,8 @@ def _skin_points(rolled: Rolled, points: Array) -> FloatArray:
     return np.where(rolled.blended.known[..., None], local, np.nan).astype(np.float32)
 
 
-def laid_flat(rolled: Rolled, kind: str, ppi: float) -> tuple[Unrolled, PrintMap]:
-    """The chart laid flat: all of the skin weighs the same, however it is turned.
-
-    Raises BadInput if `kind` is unknown, or there is too little skin.
-    """
-    require(kind in KINDS, f"a rolled finger is laid flat {' or '.join(KINDS)}, not on the {kind}.")
+def _laid_flat(rolled: Rolled, kind: str, ppi: float) -> tuple[PrintMap, dict[str, float]]:
+    """The chart laid flat, and how far that stretches it: all of the skin weighs the same, however it is turned."""
     step = max(1, round(NODES_MM / rolled.chart.pitch_mm))
     room = RINGS + 1  # nodes beyond the chart's ends
     around = ((room, room), (room, room))
@@ -76,7 +78,7 @@ def laid_flat(rolled: Rolled, kind: str, ppi: float) -> tuple[Unrolled, PrintMap
     chart_from_node = np.array([[step, 0.0, -room * step], [0.0, step, -room * step], [0.0, 0.0, 1.0]])
     grid = SurfaceGrid(extrapolated(points, RINGS), inside, chart_from_node, NODES_MM)
     unrolled = unroll(grid, kind, centre_weight=0.0)
-    return unrolled, unrolled_map(unrolled, kind, ppi, None)
+    return unrolled_map(unrolled, kind, ppi, None), unrolled.distortion
 
 
 def rolled_facts(rolled: Rolled) -> dict[str, Any]:

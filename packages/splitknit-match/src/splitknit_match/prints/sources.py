@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -13,7 +14,6 @@ from numpy.typing import NDArray
 from splitknit import BadInput, Capture, Reconstruction
 from splitknit.errors import naming, require
 from splitknit.model import BoolArray, FloatArray, Progress, no_progress
-from splitknit_match.prints.pressed import PressedRidges
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -43,10 +43,6 @@ class Source:
     """How the scale was found in the ridges, where it was."""
     quality: float | None = None
     """Of a photograph of a finger, 0 to 100."""
-    flat: NDArray[np.uint8] | None = None
-    """(h, w) print of a photograph of a finger at 500 ppi, on the skin laid flat."""
-    pressed: PressedRidges | None = None
-    """Its ridges."""
 
     @property
     def xy_mm(self) -> tuple[FloatArray, FloatArray] | None:
@@ -76,11 +72,8 @@ def read_source(
     from splitknit.pipeline import with_scale  # photographs of fingers need none of them
 
     progress("reading", 0.05)
-    try:
-        found, folder = path.exists(), path.is_dir()
-    except (OSError, ValueError):
-        found, folder = False, False
-    require(found, f"there is no '{path}'; name a capture folder or a result folder.")
+    require(os.path.exists(path), f"there is no '{path}'; name a capture folder or a result folder.")  # noqa: PTH110
+    folder = path.is_dir()
     if folder and (path / "capture.json").is_file():
         capture, note = naming(path, lambda: with_scale(read_capture(path), px_per_mm, ridge_period_mm))
         source = naming(path, lambda: source_of_capture(capture, photo, surface, preset, progress))

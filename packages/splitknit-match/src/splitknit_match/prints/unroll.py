@@ -223,36 +223,30 @@ def distortion(points_mm: Array, flat_mm: Array, inside: BoolArray) -> dict[str,
     95th percentile, weighted by the skin's area; empty without a cell.
 
     `points_mm`: (n, m, 3) surface points of the nodes; `flat_mm`: (n, m, 2) where the map lays them; `inside`: (n, m)
-    bool, cells with four corners inside count. Source: the stretches are the roots of the eigenvalues of J G^-1 J^T, J
-    the map's and G the surface's first derivatives over the grid (Floater and Hormann 2005, Surface parameterization,
-    section 2).
+    bool, cells with four corners inside count. Source: the stretches are the singular values of the map's derivatives
+    over the surface's (Floater and Hormann 2005, Surface parameterization, section 2).
     """
-    right, down = _differences(points_mm)
-    flat_right, flat_down = _differences(flat_mm)
-    e, f, g = (right * right).sum(2), (right * down).sum(2), (down * down).sum(2)
-    a, b, c = (flat_right**2).sum(2), (flat_right * flat_down).sum(2), (flat_down**2).sum(2)
-    determinant = np.maximum(e * g - f * f, 1e-18)
-    # eigenvalues of G^-1 A, A the map's own metric
-    trace = (g * a - 2.0 * f * b + e * c) / determinant
-    product = np.maximum(a * c - b * b, 0.0) / determinant
-    root = np.sqrt(np.maximum(0.25 * trace * trace - product, 0.0))
-    cell = inside[:-1, :-1] & inside[:-1, 1:] & inside[1:, :-1] & inside[1:, 1:] & np.isfinite(trace)
-    stretches = np.sqrt(np.maximum(0.5 * trace + root * np.array([[[1.0]], [[-1.0]]]), 1e-18))
-    worst = np.abs(stretches - 1.0).max(axis=0)[cell]
-    if not worst.size:
+    jacobian, skin = _derivatives(flat_mm), _derivatives(points_mm)
+    cell = inside[:-1, :-1] & inside[:-1, 1:] & inside[1:, :-1] & inside[1:, 1:]
+    cell &= np.isfinite(jacobian).all(axis=(2, 3)) & np.isfinite(skin).all(axis=(2, 3))
+    if not cell.any():
         return {}
+    skin = skin[cell]
+    stretches = np.linalg.svd(jacobian[cell] @ np.linalg.pinv(skin), compute_uv=False)
+    worst = np.abs(stretches[:, :2] - 1.0).max(axis=1)
+    area = np.linalg.norm(np.cross(skin[..., 0], skin[..., 1]), axis=1)
     order = np.argsort(worst)
-    total = np.cumsum(np.sqrt(determinant)[cell][order])
+    total = np.cumsum(area[order])
     at = np.minimum(np.searchsorted(total, np.array([0.5, 0.95]) * total[-1]), worst.size - 1)
     median, most = (100.0 * worst[order][at]).round(3).tolist()
     return {"length_median_percent": median, "length_p95_percent": most}
 
 
-def _differences(values: Array) -> tuple[Array, Array]:
-    """Differences to the right and down at the middles of the cells."""
+def _derivatives(values: Array) -> Array:
+    """(n - 1, m - 1, C, 2) differences of (n, m, C) to the right and down, at the middles of the cells."""
     right = 0.5 * (values[:-1, 1:] - values[:-1, :-1] + values[1:, 1:] - values[1:, :-1])
     down = 0.5 * (values[1:, :-1] - values[:-1, :-1] + values[1:, 1:] - values[:-1, 1:])
-    return right, down
+    return np.stack([right, down], axis=-1)
 
 
 # Nonparametric unrolling: distances along the skin, laid flat.

@@ -8,8 +8,9 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from cyclopts import Parameter
 
-from splitknit.arguments import AnyPath, Preset, Progress, Report, checked, count, silent
-from splitknit.errors import BadInput, require
+from splitknit.arguments import AnyPath, Preset, Progress, Report, checked, count, refuse_given, silent
+from splitknit.errors import BadInput, naming, require
+from splitknit.settings import Limits
 
 if TYPE_CHECKING:
     from splitknit import Capture, Reconstruction
@@ -57,25 +58,23 @@ def make_print(finger: Finger, method: Method = "unroll", ppi: float = 500.0) ->
     dtype('uint8')
     """
     from splitknit import Capture, Reconstruction
-    from splitknit_match.prints.make import make_print as print_of
-    from splitknit_match.prints.make import make_rolled_print
+    from splitknit_match.prints import make
     from splitknit_match.prints.sources import read_source, source_of, source_of_capture
 
     photo = method == "photo"
     if method == "rolled":
-        from splitknit_match.prints.rolled import read_rolled
+        from splitknit_match.prints.rolled import print_around
 
         if isinstance(finger, Capture | Reconstruction):
             raise BadInput("a rolled print needs the path of a capture folder.")
-        source, rolled = read_rolled(Path(finger), "metric", silent)
-        return make_rolled_print(rolled, source, "free", ppi)
+        return print_around(Path(finger), "metric", "free", ppi, silent)[1]
     if isinstance(finger, Reconstruction):
         source = source_of(finger)
     elif isinstance(finger, Capture):
         source = source_of_capture(finger, photo=photo, surface=not photo)
     else:
         source = read_source(Path(finger), photo=photo, surface=not photo)
-    return print_of(source, method, ppi=ppi)
+    return make.make_print(source, method, ppi=ppi)
 
 
 @checked
@@ -86,7 +85,7 @@ def print_finger(
     method: Method | None = None,
     surface: Literal["plane", "free", "arc"] | None = None,
     ppi: Literal[500, 1000] = 500,
-    px_per_mm: float | None = None,
+    px_per_mm: Annotated[float, Limits(1e-3, 1e5)] | None = None,
     ridge_period_mm: Annotated[float | None, Parameter("--ridge-period")] = None,
     input_ppi: float | None = None,
     mask: AnyPath | None = None,
@@ -110,7 +109,7 @@ def print_finger(
         polarising films); rolled: around the finger, by front and its mirrors (needs a capture with mirrors).
     surface
         Where it is printed: the finger plane (default, except for unroll), or the skin laid flat: free (least
-        distortion, default for unroll) or arc (row by row).
+        distortion, default for unroll) or arc (row by row, as photographs of fingers are).
     ppi
         Pixels per inch.
     px_per_mm
@@ -141,16 +140,57 @@ def print_finger(
     >>> print_finger("result", out="print").facts["minutiae"]["count"]  # doctest: +SKIP
     53
     """
-    from splitknit.io.photographs import check_scale
-    from splitknit_match.prints.folder import print_to_folder
+    from splitknit.io.targets import check_target
+    from splitknit_match.prints import folder, make
+    from splitknit_match.prints.fingerphoto import fingerphoto, read_fingerphoto
     from splitknit_match.prints.photo_finger import PhotoFinger
+    from splitknit_match.prints.sources import read_source
 
-    check_scale(px_per_mm, ridge_period_mm)
-    facts = print_to_folder(
-        Path(finger), Path(out), method=method, surface=surface, ppi=float(ppi), px_per_mm=px_per_mm,
-        ridge_period_mm=ridge_period_mm, input_ppi=input_ppi, where=PhotoFinger(mask, box), preset=preset,
-        progress=progress,
-    )  # fmt: skip
+    require(px_per_mm is None or ridge_period_mm is None, "`px_per_mm` and `ridge_period_mm` both give the scale.")
+    path, target, fine = Path(finger), Path(out), None if ppi == 500 else ppi
+    is_file = path.is_file() and path.suffix.lower() != ".npz"
+    photo = fingerphoto(path) if is_file else None
+    scales = {"px_per_mm": px_per_mm, "ridge_period_mm": ridge_period_mm}
+    if photo is None:
+        refuse_given(f"chooses the finger of a photograph in colour, and '{path}' is none.", mask=mask, box=box)
+    if is_file and photo is None:
+        refuse_given(
+            f"is for a finger in space: '{path}' is a print already, to be made one of 500 ppi; leave out `method`, "
+            "`surface`, `ppi` and scales.",
+            method=method, surface=surface, ppi=fine, **scales,
+        )  # fmt: skip
+    if photo is not None:
+        refuse_given(
+            f"is not for '{path}', a photograph of a finger: its `method` is photo, its `surface` arc, its `ppi` 500, "
+            "its scale `px_per_mm`.",
+            method=None if method == "photo" else method, surface=None if surface == "arc" else surface, ppi=fine,
+            ridge_period_mm=ridge_period_mm, input_ppi=input_ppi,
+        )  # fmt: skip
+        method, surface = "photo", "arc"
+    method = method or "unroll"
+    place = "paper" if is_file and photo is None else make.checked_surface(method, surface)
+    check_target(target, "map.npz", "an earlier print", keep=path)
+    around = None
+    if place == "paper":
+        source, made = folder.print_of_file(path, input_ppi)
+    elif method == "rolled":
+        from splitknit_match.prints.rolled import print_around  # slow to import
+
+        refuse_given("is measured in a rig with mirrors; leave it out.", **scales)
+        source, made, around = print_around(path, preset, place, ppi, progress)
+    elif photo is not None:
+        source, made = folder.print_of_photo(read_fingerphoto(path, px_per_mm, PhotoFinger(mask, box), photo))
+    else:
+        of_photo = method == "photo"
+        source = read_source(
+            path, photo=of_photo, surface=not of_photo or place != "plane", preset=preset, progress=progress,
+            px_per_mm=px_per_mm, ridge_period_mm=ridge_period_mm,
+        )  # fmt: skip
+        progress("printing", 0.75)
+        made = naming(path, lambda: make.make_print(source, method, place, ppi))
+    named = "file" if place == "paper" else method
+    facts = folder.write_print(target, path, source, made, method=named, ppi=ppi, around=around, progress=progress)
+    facts["out"] = str(target)
     return Report(facts, tuple(_print_lines(facts)))
 
 
@@ -170,7 +210,7 @@ def export(
     finger: str | None = None,
     impression: str | None = None,
     compression: Literal["none", "png", "wsq", "jp2"] = "none",
-    owner: Annotated[int, Parameter(converter=_owner)] = 0x0103,
+    owner: Annotated[int, Limits(1, 65535), Parameter(converter=_owner, n_tokens=1)] = 0x0103,
     minutiae: Literal["phase", "mindtct"] = "phase",
     input_ppi: float | None = None,
     preset: Preset = "metric",
@@ -219,19 +259,31 @@ def export(
     --------
     >>> export(["result"], to="stl", out="meshes").facts["files"]  # doctest: +SKIP
     """
-    from splitknit_match.prints.export import ExportOptions, export_records
+    from splitknit_match.prints.export import export_meshes, export_records
 
-    require(0 < owner <= 65535, f"`owner` must lie between 1 and 65535, but it is {owner}.")
-    options = ExportOptions(to, finger, impression, compression, owner, minutiae, input_ppi, preset)
-    facts = export_records([Path(source) for source in sources], Path(out), options, progress)
+    places = [Path(source) for source in sources]
+    if to in ("stl", "obj", "glb", "lp"):
+        facts = export_meshes(places, Path(out), to, preset, progress)
+    else:
+        facts = export_records(
+            places, Path(out), to=to, finger=finger, impression=impression, compression=compression, owner=owner,
+            minutiae=minutiae, input_ppi=input_ppi, preset=preset, progress=progress,
+        )  # fmt: skip
     return Report(facts, tuple(_export_lines(facts)))
 
 
 def import_prints(files: Sequence[AnyPath], out: AnyPath, input_ppi: float | None, progress: Progress) -> Report:
-    """Write the prints of other systems: a part of ``splitknit import``."""
-    from splitknit_match.prints.export import import_records
+    """Write prints of other systems as PNG, their minutiae as ISO/IEC 19794-2: a part of ``splitknit import``.
 
-    facts = import_records(files, out, input_ppi, progress)
+    Raises BadInput, naming the file at fault.
+    """
+    from splitknit_match.prints.export import export_records
+
+    places = [Path(file) for file in files]
+    for file in places:
+        cure = f"photographs of a folder are imported by `images` {file} `lights` FILE"
+        require(not file.is_dir(), f"'{file}' is a folder; {cure}.")
+    facts = export_records(places, Path(out), input_ppi=input_ppi, progress=progress)
     return Report(facts, tuple(_export_lines(facts)))
 
 
@@ -282,10 +334,6 @@ def _export_lines(facts: Mapping[str, Any]) -> list[str]:
     lines = [f"Wrote {count(len(files), 'file')} and export.json to {facts['out']}{first}{mean}."]
     if "vertices" in files[0]:
         lines.append(f"{files[0]['vertices']:,} vertices, {files[0]['faces']:,} triangles, in mm.")
-    if "relief_roughness" in files[0]:
-        rough = files[0]["relief_roughness"]
-        heights = f"Sa {rough['Sa_um']:.1f} um, Sq {rough['Sq_um']:.1f} um, Sz {rough['Sz_um']:.0f} um"
-        lines.append(f"Relief: {heights}, Sdr {rough['Sdr_percent']:.1f} %.")
     lines += [f"Please note: {file['file']}: {file['note']}" for file in files if "note" in file]
     failed = facts["failures_to_acquire"]
     if failed:

@@ -85,68 +85,56 @@ def decode_finger_images(data: bytes, name: str = "the record") -> tuple[PrintFi
     length = int.from_bytes(cursor.take(6, "its header"), "big")
     check_length(data, length, name)
     _, _, _, unit, _, _, x, y, bits, code, _ = cursor.unpack(_PARAMETERS, "its header")
-    ppi = _resolution(unit, x, y, name)
-    compression = _compression(code, bits, name)
+    require(unit in (1, 2) and x > 0, f"{name} gives no resolution (scale units {unit}; 1 or 2 is expected).")
+    require(x == y, f"{name} has {x} pixels along and {y} across; square pixels are expected.")
+    ppi = float(x) if unit == 1 else x * _CM_PER_INCH
+    usual = (float(level) for level in _LEVELS if round(level / _CM_PER_INCH) == round(ppi / _CM_PER_INCH))
+    ppi = next(usual, ppi)
+    require(bits == 8, f"{name} has {bits} bits a pixel; 8-bit grey is read.")
+    compression = {number: words for words, number in _CODES.items()}.get(code)
+    if compression is None:
+        raise BadInput(f"{name} is compressed by code {code}; none, WSQ, JPEG, JPEG 2000 and PNG are read.")
     prints: list[PrintFile] = []
-    pixels = 0
+    left = MAX_PIXELS
     while cursor.place < len(data) and len(prints) < _MAX_VIEWS:
         what = f"image {len(prints) + 1}"
         length, finger, _, _, _, impression, columns, rows, _ = cursor.unpack(_VIEW, f"the header of {what}")
         require(length >= _VIEW.size, f"{name} is damaged: {what} states a length of {length} bytes; copy it again.")
-        pixels = _more(pixels, rows, columns, name)
+        size, where = (rows, columns), f"{what} of {name}"
+        require(rows * columns <= left, f"{name} claims more than the {MAX_PIXELS} pixels that are read.")
+        left -= rows * columns
         stored = cursor.take(length - _VIEW.size, f"the pixels of {what}")
-        image = decode_print(stored, compression, (rows, columns), f"{what} of {name}")
-        prints.append(_print(image, ppi, finger, impression_of(impression, _IMPRESSIONS), f"{what} of {name}"))
+        image = decode_print(stored, compression, where, size=size, limit=rows * columns)
+        position = name_of(finger, FINGER_CODES, f"finger position of {where}")
+        prints.append(PrintFile(image, ppi, {}, position, impression_of(impression, _IMPRESSIONS)))
     more = f"{name} is damaged: it holds no image, or more than {_MAX_VIEWS}."
     require(prints and cursor.place == len(data), more)
     return tuple(prints)
 
 
-def _resolution(unit: int, x: int, y: int, name: str) -> float:
-    require(unit in (1, 2) and x > 0, f"{name} gives no resolution (scale units {unit}; 1 or 2 is expected).")
-    require(x == y, f"{name} has {x} pixels along and {y} across; square pixels are expected.")
-    ppi = float(x) if unit == 1 else x * _CM_PER_INCH
-    return next((float(usual) for usual in _LEVELS if round(usual / _CM_PER_INCH) == round(ppi / _CM_PER_INCH)), ppi)
+def decode_print(
+    stored: bytes, compression: str, name: str, *, size: tuple[int, int] | None = None, limit: int = MAX_PIXELS
+) -> NDArray[np.uint8]:
+    """Decode a print as records hold it: ``none``, ``wsq``, ``jp2`` or a picture file, of at most `limit` pixels.
 
-
-def _compression(code: int, bits: int, name: str) -> str:
-    require(bits == 8, f"{name} has {bits} bits a pixel; 8-bit grey is read.")
-    words = next((words for words, known in _CODES.items() if known == code), None)
-    if words is None:
-        raise BadInput(f"{name} is compressed by code {code}; none, WSQ, JPEG, JPEG 2000 and PNG are read.")
-    return words
-
-
-def _more(pixels: int, rows: int, columns: int, name: str) -> int:
-    total = pixels + rows * columns
-    require(rows > 0 and columns > 0, f"{name} is damaged: an image has no pixels; copy it again.")
-    require(total <= MAX_PIXELS, f"{name} claims {total} pixels, more than the {MAX_PIXELS} that are read.")
-    return total
-
-
-def decode_print(stored: bytes, compression: str, size: tuple[int, int], name: str) -> NDArray[np.uint8]:
-    """Decode a print as records hold it: ``none``, ``wsq``, ``jp2`` or a picture file, of (rows, columns). Raises
-    BadInput if it has another size, is not 8-bit grey, or is damaged.
+    `size`: rows and columns as its record states them, needed for ``none``. Raises BadInput if it has another size, is
+    not 8-bit grey, or is damaged.
     """
-    rows, columns = size
-    expected = f"but its record states {rows} x {columns}"
-    if compression == "none":
-        require(len(stored) == rows * columns, f"{name} holds {len(stored)} pixels, {expected}.")
+    expected = "" if size is None else f", but its record states {size[0]} x {size[1]}"
+    if compression == "none" and size is not None:
+        require(len(stored) == size[0] * size[1] > 0, f"{name} holds {len(stored)} pixels{expected}.")
         return np.frombuffer(stored, dtype=np.uint8).reshape(size).copy()
     if compression == "wsq":
         image = decode_wsq(stored, name).image
     elif compression == "jp2":
-        image = decode_jpeg2000(stored, name, rows * columns)
+        image = decode_jpeg2000(stored, name, limit)
     else:
-        pixels = decode_image(stored, name, max_pixels=rows * columns)
+        pixels = decode_image(stored, name, max_pixels=limit)
         require(pixels.shape[2] == 1 and pixels.dtype == np.uint8, f"{name} is not 8-bit grey; convert it.")
         image = np.asarray(pixels[..., 0], dtype=np.uint8)
-    require(image.shape == size, f"{name} holds {image.shape[0]} x {image.shape[1]} pixels, {expected}.")
+    require(size in (None, image.shape), f"{name} holds {image.shape[0]} x {image.shape[1]} pixels{expected}.")
+    require(image.size <= limit, f"{name} makes more than the {MAX_PIXELS} pixels that are read; split the record.")
     return image
-
-
-def _print(image: NDArray[np.uint8], ppi: float, finger: int, impression: str, name: str) -> PrintFile:
-    return PrintFile(image, ppi, {}, name_of(finger, FINGER_CODES, f"finger position of {name}"), impression)
 
 
 def impression_of(code: int, codes: Mapping[str, int]) -> str:

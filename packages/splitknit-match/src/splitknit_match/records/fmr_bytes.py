@@ -78,8 +78,6 @@ _OTHERS = (
     (b"{", "a JSON file"),
 )
 _ENVELOPE_BYTES = 4096
-_TOLD_APART_BYTES = 14
-"""Fewer do not distinguish the standards."""
 
 
 def standard_of(data: bytes) -> str | None:
@@ -95,22 +93,6 @@ def standard_of(data: bytes) -> str | None:
     if data[:8] == MAGIC_20:
         return _of_20(data)
     return ANSI_2009 if data[:8] in (MAGIC_030, MAGIC_035) else None
-
-
-def require_standard(data: bytes, wanted: str, name: str) -> None:
-    """Raise :class:`BadInput`, with what the bytes are instead, unless they are a record of the `wanted` standard."""
-    found = standard_of(data)
-    if not data:
-        raise BadInput(f"{name} is empty; a record of {wanted} is expected.")
-    if len(data) < _TOLD_APART_BYTES and any(data[:8] == magic[: len(data)] for magic in (MAGIC_20, MAGIC_030)):
-        raise BadInput(f"{name} is truncated: it ends after {len(data)} bytes of the header; copy it again.")
-    if found == wanted:
-        return
-    if found is not None:
-        raise BadInput(
-            f"{name} is a record of {found}, but one of {wanted} is expected; convert it or read it as such."
-        )
-    raise BadInput(f"{name} is {what_bytes_are(data)}, but a record of {wanted} is expected.")
 
 
 def _of_20(data: bytes) -> str:

@@ -11,16 +11,11 @@ import re
 from functools import cache
 from typing import Any
 
-import numpy as np
-from numpy.typing import NDArray
-
 from splitknit import BadInput
 from splitknit.errors import importing, refusing, require
-from splitknit.io.images import decode_image
-from splitknit.io.prints import PrintFile, decode_jpeg2000
-from splitknit_match.records.finger_image import MAX_PIXELS, encode_print, impression_of
+from splitknit.io.prints import PrintFile
+from splitknit_match.records.finger_image import MAX_PIXELS, decode_print, encode_print, impression_of
 from splitknit_match.records.minutiae_record import FINGER_CODES, VENDOR_UNKNOWN, name_of, standard_code
-from splitknit_match.records.wsq_image import decode_wsq
 
 TAG = b"\x64"
 """First byte: application tag 4, constructed."""
@@ -46,6 +41,7 @@ _IMPRESSIONS = {
 }  # fmt: skip
 """Moving fingers have the codes 42 and 41 in ANSI/NIST-ITL."""
 _FORMATS = {"none": 0, "wsq": 1, "jp2": 3, "png": 4}
+_READ = {0: "none", 1: "wsq", 2: "jp2", 3: "jp2", 4: "png"}
 _PGM = re.compile(rb"P5\s+([0-9]{1,6})\s+([0-9]{1,6})\s+255\s")
 _GENERATION, _YEAR, _INCH, _CM = 3, 2019, 0, 1
 
@@ -106,7 +102,14 @@ def decode_finger_image_block(data: bytes, name: str = "the record") -> tuple[Pr
         known = rate is not None and rate["samplesPerUnit"] > 0 and rate["unitDimension"] in (_INCH, _CM)
         require(known, f"{what} states no resolution; convert it.")
         ppi = rate["samplesPerUnit"] * (1.0 if rate["unitDimension"] == _INCH else 2.54)
-        image = _image(bytes(block["imageData"]), _code(block["imageDataFormat"]), left, what)
+        data, size, code = bytes(block["imageData"]), None, _code(block["imageDataFormat"])
+        require(code in _READ, f"{what} has the image format {code}; PGM, WSQ, JPEG 2000 and PNG are read.")
+        if _READ[code] == "none":
+            head = _PGM.match(data)
+            if head is None:
+                raise BadInput(f"{what} is not an 8-bit PGM image; convert it.")
+            data, size = data[head.end() :], (int(head[2]), int(head[1]))
+        image = decode_print(data, _READ[code], what, size=size, limit=left)
         left -= image.size
         finger = name_of(_code(block["position"]), FINGER_CODES, f"finger position of {what}")
         impression = impression_of(_code(block["impression"]), _IMPRESSIONS)
@@ -116,27 +119,3 @@ def decode_finger_image_block(data: bytes, name: str = "the record") -> tuple[Pr
 
 def _code(choice: tuple[str, Any]) -> int:
     return int(choice[1] if choice[0] == "code" else choice[1]["fallback"])
-
-
-def _image(data: bytes, code: int, left: int, name: str) -> NDArray[np.uint8]:
-    """Decode one image of at most `left` pixels."""
-    too_large = f"{name} makes more than the {MAX_PIXELS} pixels that are read; split the record."
-    if code == _FORMATS["none"]:
-        head = _PGM.match(data)
-        if head is None:
-            raise BadInput(f"{name} is not an 8-bit PGM image; convert it.")
-        columns, rows = int(head[1]), int(head[2])
-        require(rows * columns <= left, too_large)
-        body = data[head.end() :]
-        require(len(body) == rows * columns > 0, f"{name} is damaged: its PGM image has another size.")
-        return np.frombuffer(body, np.uint8).reshape(rows, columns).copy()
-    if code == _FORMATS["wsq"]:
-        image = decode_wsq(data, name).image
-        require(image.size <= left, too_large)
-        return image
-    if code in (2, 3):
-        return decode_jpeg2000(data, name, left)
-    require(code == _FORMATS["png"], f"{name} has the image format {code}; PGM, WSQ, JPEG 2000 and PNG are read.")
-    pixels = decode_image(data, name, max_pixels=left)
-    require(pixels.shape[2] == 1 and pixels.dtype == np.uint8, f"{name} is not 8-bit grey; convert it.")
-    return np.asarray(pixels[..., 0], dtype=np.uint8)

@@ -125,7 +125,7 @@ def _type14(fields: _Fields, left: int, name: str, note: str) -> PrintFile:
     require(unit in (1, 2), f"{name} gives no resolution (scale units {unit}; 1 or 2 is expected).")
     require(x == y, f"{name} has {x} pixels along and {y} across; square pixels are expected.")
     ppi = float(x) if unit == 1 else x * _INCH_MM / _CM_MM
-    image = decode_print(fields[_IMAGE], _COMPRESSIONS[compression], (rows, columns), name)
+    image = decode_print(fields[_IMAGE], _COMPRESSIONS[compression], name, size=(rows, columns), limit=rows * columns)
     finger = naming(name, lambda: name_of(_number(fields, _FINGER, name), FINGER_CODES, "finger position"))
     code = _number(fields, _IMPRESSION, name)
     impression = naming(name, lambda: name_of(code, ITL_IMPRESSIONS, "impression type"))
@@ -145,7 +145,9 @@ def _type4(record: bytes, first: _Fields, left: int, name: str) -> PrintFile | N
         text = first.get(_NATIVE_RESOLUTION, b"").decode("ascii", "replace")
         require(re.fullmatch(r"[0-9]{1,3}\.[0-9]{1,2}", text) is not None, f"{name} states no resolution (1.011).")
         ppi = float(text) * _INCH_MM
-    image = decode_print(record[_TYPE4.size :], _TYPE4_COMPRESSIONS[compression], (rows, columns), name)
+    image = decode_print(
+        record[_TYPE4.size :], _TYPE4_COMPRESSIONS[compression], name, size=(rows, columns), limit=rows * columns
+    )
     impression = impression_of(code, ITL_IMPRESSIONS)
     finger = name_of(positions[0], FINGER_CODES, "finger position")
     return _checked(PrintFile(image, ppi, {}, finger, impression), name)

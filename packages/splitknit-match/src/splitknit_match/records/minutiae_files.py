@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from splitknit.errors import naming, read_bytes, require
+from splitknit.errors import BadInput, read_bytes, require
 from splitknit_match.records.fmr_bytes import (
     ANSI_2004,
     ANSI_2009,
@@ -25,15 +25,14 @@ from splitknit_match.records.fmr_bytes import (
     MAX_RECORD_BYTES,
     Cursor,
     check_length,
-    require_standard,
     standard_of,
+    what_bytes_are,
 )
 from splitknit_match.records.minutiae_record import (
     ANSI_2004_IMPRESSIONS,
     ANSI_2009_IMPRESSIONS,
     FINGER_CODES,
     ISO_2005_IMPRESSIONS,
-    MAX_MINUTIAE,
     VENDOR_UNKNOWN,
     FingerView,
     name_of,
@@ -63,9 +62,12 @@ _IMITATED = {
 def encode_minutiae_record(view: FingerView, standard: str = ISO_2005, owner: int = VENDOR_UNKNOWN) -> bytes:
     """Bytes of a record, directions rounded to the standard's steps (1.40625 deg, or 2 deg in ANSI/INCITS 378).
 
+    It holds the 255 minutiae of the highest quality.
+
     ISO/IEC 19794-2:2005 has no code for contactless prints: they are written as live-scan ones. `owner`: IBIA's number
     of who makes the record, which ANSI/INCITS 378 states. Raises BadInput if the standard cannot represent the view.
     """
+    view = view.best()
     (rows, columns), resolution = view.size, view.resolution_ppcm
     impression = _IMITATED.get(standard, {}).get(view.impression, view.impression)
     code = standard_code(impression, _IMPRESSIONS.get(standard, ANSI_2009_IMPRESSIONS), "impression type")
@@ -88,16 +90,15 @@ def encode_minutiae_record(view: FingerView, standard: str = ISO_2005, owner: in
     return magic + _LONG.pack(len(magic) + _LONG.size + len(body)) + body
 
 
-def decode_minutiae_record(
-    data: bytes, name: str = "the record", standard: str | None = None
-) -> tuple[FingerView, ...]:
+def decode_minutiae_record(data: bytes, name: str = "the record") -> tuple[FingerView, ...]:
     """Read the views of a record, the whole file `data`. `name` is for messages.
 
-    Raises BadInput if it is of no standard that is read (the message names what it is), not of `standard` where one is
-    wanted, truncated, or does not conform to its standard.
+    Raises BadInput if it is of no standard that is read (the message names what it is), truncated, or does not conform
+    to its standard.
     """
-    standard = standard or standard_of(data) or ISO_2005
-    require_standard(data, standard, name)
+    standard = standard_of(data)
+    if standard is None:
+        raise BadInput(f"{name} is {what_bytes_are(data)}, but a record of minutiae is expected.")
     cursor, what = Cursor(data, name, len(MAGIC_20)), "its header"
     (length,) = cursor.unpack(_SHORT if standard == ANSI_2004 else _LONG, what)
     if standard == ANSI_2004 and length == 0:
@@ -125,9 +126,9 @@ def decode_minutiae_record(
     return views
 
 
-def read_minutiae_record(path: str | os.PathLike[str], standard: str | None = None) -> tuple[FingerView, ...]:
+def read_minutiae_record(path: str | os.PathLike[str]) -> tuple[FingerView, ...]:
     """Read a file of minutiae; see :func:`decode_minutiae_record`."""
-    return decode_minutiae_record(read_bytes(path, MAX_RECORD_BYTES), os.fspath(path), standard)
+    return decode_minutiae_record(read_bytes(path, MAX_RECORD_BYTES), os.fspath(path))
 
 
 def _decode_view(cursor: Cursor, what: str, standard: str, image: list[int] | None) -> FingerView:
@@ -146,16 +147,20 @@ def _decode_view(cursor: Cursor, what: str, standard: str, image: list[int] | No
     if standard == ANSI_2009:  # 254: nobody computed it, 255: that failed
         quality = 0 if quality >= 254 else quality
         table["quality"][table["quality"] >= 254] = 0
+    require(min(image) > 0, f"{name}: the image of {what} has no size or no resolution; correct the record.")
+    inside = int(table["x_px"].max(initial=0)) < columns and int(table["y_px"].max(initial=0)) < rows
+    require(inside, f"{name}: a minutia of {what} lies outside the image of {rows} x {columns} pixels.")
+    sound = max(quality, int(table["quality"].max(initial=0))) <= 100
+    require(sound, f"{name}: a quality of {what} does not lie between 0 and 100; correct the record.")
     impressions = _IMPRESSIONS.get(standard, ANSI_2009_IMPRESSIONS)
-    fields: dict[str, Any] = {
+    return FingerView(
         **table,
-        "size": (rows, columns),
-        "resolution_ppcm": tuple(resolution),
-        "finger_quality": quality,
-        "finger": name_of(finger, FINGER_CODES, f"finger position of {what} of {name}"),
-        "impression": name_of(code, impressions, f"impression type of {what} of {name}"),
-    }
-    return naming(f"{name}, {what}", lambda: FingerView(**fields))
+        size=(rows, columns),
+        finger_quality=quality,
+        finger=name_of(finger, FINGER_CODES, f"finger position of {what} of {name}"),
+        impression=name_of(code, impressions, f"impression type of {what} of {name}"),
+        resolution_ppcm=(resolution[0], resolution[1]),
+    )
 
 
 def _decode_minutiae(cursor: Cursor, count: int, steps: int, what: str) -> dict[str, NDArray[Any]]:
@@ -179,8 +184,6 @@ def _decode_minutiae(cursor: Cursor, count: int, steps: int, what: str) -> dict[
 
 def _encode_minutiae(view: FingerView, steps: int) -> bytes:
     """Bytes of a view's minutiae, six for each, directions rounded to the nearest of `steps` in a turn."""
-    fault = f"a view holds at most {MAX_MINUTIAE} minutiae, but there are {view.count}; take FingerView.best()."
-    require(view.count <= MAX_MINUTIAE, fault)
     x = np.asarray(view.x_px) | (np.asarray(view.type).astype(np.int64) << 14)
     direction = np.round(np.asarray(view.direction_rad) * (steps / (2 * np.pi))).astype(np.int64) % steps
     return np.rec.fromarrays([x, np.asarray(view.y_px), direction, view.quality], _MINUTIA).tobytes()

@@ -84,26 +84,11 @@ def standard_code(name: str, codes: Mapping[str, int], what: str) -> int:
 OTHER, ENDING, BIFURCATION = 0, 1, 2
 """Types of minutiae, with the codes that all the standards share."""
 MAX_MINUTIAE = 255
-"""A view of a record cannot count more; see :meth:`FingerView.best`."""
-LARGEST_COORDINATE = 16383
-"""Coordinates have 14 bits."""
+"""A view of a record cannot count more; those of the highest quality are written."""
 VENDOR_UNKNOWN = 0x0103
 """IBIA's number for a producer that has not registered."""
 RESOLUTION_500_PPI = (197, 197)
 """500 pixels per inch in pixels per centimetre, rounded as the standards' whole numbers require."""
-
-
-def pixels_per_cm(ppi: float) -> tuple[int, int]:
-    """Resolution along columns and rows as the standards give it, in whole pixels per centimetre.
-
-    >>> pixels_per_cm(500), pixels_per_cm(1000)
-    ((197, 197), (394, 394))
-    """
-    require(
-        np.isfinite(ppi) and 250 <= ppi <= 25_400,
-        f"a print's resolution must lie between 250 and 25400 ppi, but it is {ppi}; resample the print.",
-    )
-    return (round(ppi / 2.54), round(ppi / 2.54))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -134,39 +119,6 @@ class FingerView:
     resolution_ppcm: tuple[int, int] = RESOLUTION_500_PPI
     """Pixels per centimetre along columns and rows."""
 
-    def __post_init__(self) -> None:
-        columns = (self.x_px, self.y_px, self.direction_rad, self.type, self.quality)
-        shapes = [np.shape(column) for column in columns]
-        sound = shapes[0] == (len(self.x_px),) and len(set(shapes)) == 1
-        require(sound, f"minutiae must be lists of one length, but they have the shapes {shapes}.")
-        for name in ("x_px", "y_px", "type", "quality"):
-            kind = np.asarray(getattr(self, name)).dtype.kind
-            require(kind in "iu", f"{name} of minutiae must be whole numbers; round them first.")
-        rows, width = self.size
-        sound = 0 < rows <= 65535 and 0 < width <= 65535
-        require(sound, f"an image of {rows} x {width} pixels does not fit a record (1 to 65535 each way).")
-        sound = all(0 < pixels <= 65535 for pixels in self.resolution_ppcm)
-        fault = f"the resolution must lie between 1 and 65535 pixels per cm, but it is {self.resolution_ppcm}."
-        require(sound, fault)
-        require(self.finger in FINGER_CODES, f"'{self.finger}' is not a finger; choose {', '.join(FINGER_CODES)}.")
-        known = self.impression in IMPRESSIONS
-        require(known, f"'{self.impression}' is not an impression type; choose one of {', '.join(IMPRESSIONS)}.")
-        _check_quality(np.array([self.finger_quality]), "the finger's quality")
-        if self.count:
-            self._check_minutiae()
-
-    def _check_minutiae(self) -> None:
-        rows, width = self.size
-        x, y = int(np.max(self.x_px)), int(np.max(self.y_px))
-        inside = int(np.min(self.x_px)) >= 0 and int(np.min(self.y_px)) >= 0 and x < width and y < rows
-        require(inside, f"a minutia lies outside the image of {rows} x {width} pixels; correct the record.")
-        fault = f"a minutia's coordinate is {max(x, y)}, but {LARGEST_COORDINATE} is the largest; crop the print."
-        require(max(x, y) <= LARGEST_COORDINATE, fault)
-        require(np.isfinite(self.direction_rad).all(), "directions of minutiae must be finite.")
-        known = int(np.min(self.type)) >= OTHER and int(np.max(self.type)) <= BIFURCATION
-        require(known, "types of minutiae are 0 (other), 1 (ending) and 2 (bifurcation), but there is another.")
-        _check_quality(np.asarray(self.quality), "a minutia's quality")
-
     @property
     def count(self) -> int:
         """How many there are."""
@@ -178,8 +130,3 @@ class FingerView:
         index = np.sort(order)
         names = ("x_px", "y_px", "direction_rad", "type", "quality")
         return dataclasses.replace(self, **{name: getattr(self, name)[index] for name in names})
-
-
-def _check_quality(quality: NDArray[np.integer], what: str) -> None:
-    wrong = np.asarray(quality)[(quality < 0) | (quality > 100)]
-    require(wrong.size == 0, f"{what} must lie between 0 and 100, but it is {wrong[:1].tolist()}.")

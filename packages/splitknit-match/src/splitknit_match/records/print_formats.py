@@ -6,16 +6,18 @@ import dataclasses
 import os
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
-from typing import Literal
+from typing import Any, Literal
 
 from splitknit import BadInput
 from splitknit.errors import open_file, require
 from splitknit.io.images import BMP, JPEG, PNG, TIFFS
 from splitknit.io.prints import PrintFile, decode_print_image, encode_print_png, encode_print_tiff
-from splitknit_match.records import finger_image, iso39794, itl, wsq_image
+from splitknit_match.records import finger_image, iso39794
 from splitknit_match.records.fmr_bytes import ANSI_2004, ANSI_2009, ISO_2005, MAX_RECORD_BYTES, what_bytes_are
+from splitknit_match.records.itl import decode_transaction
 from splitknit_match.records.minutiae_files import decode_minutiae_record, encode_minutiae_record
 from splitknit_match.records.minutiae_record import VENDOR_UNKNOWN, FingerView
+from splitknit_match.records.wsq_image import SIGNATURE, decode_wsq, encode_wsq
 
 WSQ_PPI = 500.0
 """WSQ is defined for no other; files without a comment have it, too."""
@@ -48,7 +50,7 @@ class PrintFormat:
     starts: tuple[bytes, ...]
     """First bytes."""
     decode: Callable[[bytes, str], tuple[PrintFile | FingerView, ...]]
-    encode: Callable[[PrintFile, Writing], bytes] | Callable[[FingerView, Writing], bytes] | None = None
+    encode: Callable[[Any, Writing], bytes] | None = None
     """Bytes of one print, or of the minutiae of one; None where it is only read."""
     max_bytes: int = 600_000_000
     """A longer file is refused before it is read."""
@@ -84,86 +86,64 @@ def _format_of(first: bytes, size: int, name: str) -> PrintFormat:
     return form
 
 
-def _wsq(data: bytes, name: str) -> tuple[PrintFile, ...]:
-    item = wsq_image.decode_wsq(data, name)
-    return (dataclasses.replace(item, resolution_ppi=item.resolution_ppi or WSQ_PPI),)
-
-
 def _ppi(item: PrintFile) -> float:
     require(item.resolution_ppi is not None, "a print to be written must have a resolution.")
     return float(item.resolution_ppi or 0.0)
 
 
+def _from_picture(data: bytes, name: str) -> tuple[PrintFile, ...]:
+    return (decode_print_image(data, name),)
+
+
+def _from_wsq(data: bytes, name: str) -> tuple[PrintFile, ...]:
+    item = decode_wsq(data, name)
+    return (dataclasses.replace(item, resolution_ppi=item.resolution_ppi or WSQ_PPI),)
+
+
 def _minutiae(name: str, suffix: str, words: str, standard: str) -> PrintFormat:
     """A format of minutiae; which standard's a record is, shows when it is read."""
-
-    def encode(view: FingerView, how: Writing) -> bytes:
-        return encode_minutiae_record(view.best(), standard, how.owner)
-
-    return PrintFormat(name, suffix, "minutiae", words, (b"FMR\0",), decode_minutiae_record, encode, MAX_RECORD_BYTES)
-
-
-def _picture(
-    name: str, suffix: str, starts: tuple[bytes, ...], encode: Callable[[PrintFile, Writing], bytes] | None = None
-) -> PrintFormat:
-    def decode(data: bytes, file: str) -> tuple[PrintFile, ...]:
-        return (decode_print_image(data, file),)
-
-    return PrintFormat(name, suffix, "image", name.upper(), starts, decode, encode)
-
-
-def _as_png(item: PrintFile, how: Writing) -> bytes:
-    return encode_print_png(item.image, _ppi(item), how.text)
-
-
-def _as_tiff(item: PrintFile, how: Writing) -> bytes:
-    return encode_print_tiff(item.image, _ppi(item), how.text)
-
-
-def _as_wsq(item: PrintFile, how: Writing) -> bytes:
-    return wsq_image.encode_wsq(item.image, _ppi(item))
-
-
-def _as_19794(item: PrintFile, how: Writing) -> bytes:
-    return finger_image.encode_finger_image(item, how.compression)
-
-
-def _as_39794(item: PrintFile, how: Writing) -> bytes:
-    return iso39794.encode_finger_image_block(item, how.compression, quality=how.quality, owner=how.owner)
+    return PrintFormat(
+        name, suffix, "minutiae", words, (b"FMR\0",), decode_minutiae_record,
+        lambda view, how: encode_minutiae_record(view, standard, how.owner), MAX_RECORD_BYTES,
+    )  # fmt: skip
 
 
 _MAX_WSQ, _MAX_RECORD = 100_000_000, 200_000_000
-_ITL_STARTS = (b"1.001:", b"1.01:", b"1.1:")
-_from_19794, _from_39794 = finger_image.decode_finger_images, iso39794.decode_finger_image_block
-FORMATS: dict[str, PrintFormat] = {
-    form.name: form
-    for form in (
-        _picture("png", ".png", (PNG[:4],), _as_png),
-        _picture("tiff", ".tiff", TIFFS, _as_tiff),
-        _picture("jpeg", ".jpg", (JPEG,)),
-        _picture("bmp", ".bmp", (BMP,)),
-        PrintFormat("wsq", ".wsq", "image", "WSQ", (wsq_image.SIGNATURE,), _wsq, _as_wsq, _MAX_WSQ),
-        PrintFormat(
-            "iso-19794-4",
-            ".fir",
-            "image",
-            "ISO/IEC 19794-4",
-            (finger_image.MAGIC,),
-            _from_19794,
-            _as_19794,
-            _MAX_RECORD,
+_ALL = (
+    PrintFormat(
+        "png", ".png", "image", "PNG", (PNG[:4],), _from_picture,
+        lambda item, how: encode_print_png(item.image, _ppi(item), how.text),
+    ),
+    PrintFormat(
+        "tiff", ".tiff", "image", "TIFF", TIFFS, _from_picture,
+        lambda item, how: encode_print_tiff(item.image, _ppi(item), how.text),
+    ),
+    PrintFormat("jpeg", ".jpg", "image", "JPEG", (JPEG,), _from_picture),
+    PrintFormat("bmp", ".bmp", "image", "BMP", (BMP,), _from_picture),
+    PrintFormat(
+        "wsq", ".wsq", "image", "WSQ", (SIGNATURE,), _from_wsq, lambda item, how: encode_wsq(item.image, _ppi(item)),
+        _MAX_WSQ,
+    ),
+    PrintFormat(
+        "iso-19794-4", ".fir", "image", "ISO/IEC 19794-4", (finger_image.MAGIC,), finger_image.decode_finger_images,
+        lambda item, how: finger_image.encode_finger_image(item, how.compression), _MAX_RECORD,
+    ),
+    PrintFormat(
+        "iso-39794-4", ".fim", "image", "ISO/IEC 39794-4", (iso39794.TAG,), iso39794.decode_finger_image_block,
+        lambda item, how: iso39794.encode_finger_image_block(
+            item, how.compression, quality=how.quality, owner=how.owner
         ),
-        PrintFormat(
-            "iso-39794-4", ".fim", "image", "ISO/IEC 39794-4", (iso39794.TAG,), _from_39794, _as_39794, _MAX_RECORD
-        ),
-        PrintFormat(
-            "ansi-nist-itl", ".an2", "image", "ANSI/NIST-ITL", _ITL_STARTS, itl.decode_transaction, None, _MAX_RECORD
-        ),
-        _minutiae("iso-19794-2", ".iso", "ISO/IEC 19794-2", ISO_2005),
-        _minutiae("ansi-378", ".fmr", "ANSI/INCITS 378", ANSI_2004),
-        _minutiae("ansi-378-2009", ".fmr", "ANSI/INCITS 378", ANSI_2009),
-    )
-}
+        _MAX_RECORD,
+    ),
+    PrintFormat(
+        "ansi-nist-itl", ".an2", "image", "ANSI/NIST-ITL", (b"1.001:", b"1.01:", b"1.1:"), decode_transaction, None,
+        _MAX_RECORD,
+    ),
+    _minutiae("iso-19794-2", ".iso", "ISO/IEC 19794-2", ISO_2005),
+    _minutiae("ansi-378", ".fmr", "ANSI/INCITS 378", ANSI_2004),
+    _minutiae("ansi-378-2009", ".fmr", "ANSI/INCITS 378", ANSI_2009),
+)  # fmt: skip
+FORMATS = {form.name: form for form in _ALL}
 """All formats, in the order in which help lists them."""
-READ = ", ".join(dict.fromkeys(form.words for form in FORMATS.values()))
+READ = ", ".join(dict.fromkeys(form.words for form in _ALL))
 """For people: what is read."""

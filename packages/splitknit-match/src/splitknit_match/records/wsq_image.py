@@ -14,6 +14,7 @@ from __future__ import annotations
 import importlib.util
 import os
 import re
+import struct
 import subprocess
 import sys
 from pathlib import Path
@@ -111,76 +112,30 @@ def _run(task: str, pixels: int, data: bytes) -> bytes | None:
     return done.stdout if done.returncode == 0 else None
 
 
-# The structure of a WSQ file, checked before its decoder sees it.
-#
-# WSQ has no checksums: a changed byte inside the image data cannot be distinguished from a picture. What can be found
-# is a file that ends early, has a damaged header, or claims more pixels than any print has.
+# What is checked before the decoder sees a file. WSQ has no checksums: a changed byte inside the image data cannot be
+# distinguished from a picture. Inside them 0xFF is followed by 0, so that markers are found by searching.
 #
 # Source: FBI IAFIS-IC-0110 (V3.1), WSQ Gray-Scale Fingerprint Image Compression Specification, 2010: markers and
 # segments.
 
 SIGNATURE = b"\xff\xa0"
-_END, _FRAME, _BLOCK = 0xA1, 0xA2, 0xA3
-_TABLES = frozenset({0xA4, 0xA5, 0xA6, 0xA7, 0xA8})
-"""Filters, quantisers, Huffman codes, restart interval, comment."""
-_COMMENT = 0xA8
-_MARKER_IN_BLOCK = re.compile(rb"\xff[^\x00\xa9-\xff]", re.DOTALL)
-_PPI_LINE = re.compile(rb"^PPI ([0-9]{1,5})$", re.MULTILINE)
+_FRAME, _BLOCK, _END = b"\xff\xa2\x00\x11", b"\xff\xa3", b"\xff\xa1"
+"""Markers: of the frame, with its length, of the image data, and of the end."""
+_SIZE = struct.Struct(">6xHH")
+_PPI_LINE = re.compile(rb"\nPPI ([0-9]{1,5})(?=\n)")
 _MAX_PIXELS = 25_000_000
 
 
 def _wsq_header(data: bytes, name: str) -> tuple[int, int, int | None]:
-    """Walk all segments of a WSQ file to its end marker; rows, columns, and the resolution in ppi if the comment
-    (NIST_COM) states it. Raises BadInput if it is not a WSQ file, is damaged, or claims more than 25 million pixels.
+    """Rows and columns of a WSQ file, and the resolution in ppi if its comment states it. Raises BadInput if it is not
+    a WSQ file, ends early, or claims no or more than 25 million pixels.
     """
     require(data[:2] == SIGNATURE, f"{name} is not a WSQ file (they begin with FF A0); name another file.")
-    truncated = f"{name} is truncated: the WSQ file ends within the image; copy it again."
-    damaged = f"{name} is damaged: a marker of the WSQ file is missing; copy it again."
-    size: tuple[int, int] | None = None
-    place, blocks, ppi = 2, 0, None
-    while True:
-        require(place + 2 <= len(data), truncated)
-        require(data[place] == 0xFF, damaged)
-        marker = data[place + 1]
-        if marker == _END:
-            break
-        require(marker in _TABLES or marker in (_FRAME, _BLOCK), damaged)
-        require(place + 4 <= len(data), truncated)
-        length = int.from_bytes(data[place + 2 : place + 4], "big")
-        body = data[place + 4 : place + 2 + length]
-        require(length >= 2 and len(body) == length - 2, truncated)
-        place += 2 + length
-        if marker == _FRAME:
-            require(size is None, f"{name} is damaged: it has two WSQ frames; copy it again.")
-            size = _frame(body, name)
-        elif marker == _COMMENT:
-            ppi = _ppi(body) or ppi
-        elif marker == _BLOCK:
-            require(size is not None, f"{name} is damaged: its image data come before their size; copy it again.")
-            found = _MARKER_IN_BLOCK.search(data, place)
-            if found is None:
-                raise BadInput(truncated)
-            place, blocks = found.start(), blocks + 1
-    if size is None or blocks == 0:
-        raise BadInput(f"{name} is damaged: the WSQ file holds no image; copy it again.")
-    return *size, ppi
-
-
-def _frame(body: bytes, name: str) -> tuple[int, int]:
-    require(
-        len(body) == 15, f"{name} is damaged: its WSQ frame header has {len(body) + 2} bytes, not 17; copy it again."
-    )
-    rows, columns = int.from_bytes(body[2:4], "big"), int.from_bytes(body[4:6], "big")
-    require(rows > 0 and columns > 0, f"{name} is damaged: its WSQ frame header gives no size; copy it again.")
-    require(
-        rows * columns <= _MAX_PIXELS,
-        f"{name} claims {rows} x {columns} pixels, more than {_MAX_PIXELS}; no print is that large.",
-    )
-    return rows, columns
-
-
-def _ppi(comment: bytes) -> int | None:
-    """Last line ``PPI n`` after the one that begins with ``NIST_COM``, in time linear in the bytes."""
-    head = re.search(rb"^NIST_COM ", comment, re.MULTILINE)
-    stated = _PPI_LINE.findall(comment, head.end()) if head else []
-    return int(stated[-1]) if stated else None
+    frame, block = data.find(_FRAME), data.find(_BLOCK)
+    whole = 0 < frame < block < data.rfind(_END)
+    require(whole, f"{name} is truncated or damaged: its WSQ image is not whole; copy it again.")
+    rows, columns = _SIZE.unpack_from(data, frame)
+    fault = f"{name} claims {rows} x {columns} pixels; prints have up to {_MAX_PIXELS}."
+    require(0 < rows * columns <= _MAX_PIXELS, fault)
+    stated = _PPI_LINE.findall(data[:block])
+    return rows, columns, int(stated[-1]) if stated else None

@@ -11,14 +11,14 @@ import scipy
 from numpy.typing import NDArray
 
 from splitknit import Capture
-from splitknit.errors import require
 from splitknit.mirrors.body import Body
 from splitknit.mirrors.reflection import Glass, Sight
 from splitknit.mirrors.settings import MirrorShapeSettings
 from splitknit.model import BoolArray, FloatArray
+from splitknit.skin.images import MetricSettings
 from splitknit_match.rolled.chart import Chart, surface_normals
 from splitknit_match.rolled.register import MIN_CORRELATION, ViewRidges, align, gaussian_over, ridges_of, search
-from splitknit_match.rolled.views import MirrorViews, ReliefSettings, ViewRelief, view_relief
+from splitknit_match.rolled.views import MirrorViews, ViewRelief, view_relief
 
 Array = NDArray[np.float64]
 ROLL_OF_SHEAR, MAX_ROLL_RAD = -3.1, 0.3
@@ -74,7 +74,7 @@ _DEVIATION_FLOOR_UM = 4.0  # added to the relief's standard deviation, so that n
 class Work:
     """A finger between its mirrors while it is put together."""
 
-    def __init__(self, capture: Capture, views: MirrorViews, settings: ReliefSettings) -> None:  # noqa: D107
+    def __init__(self, capture: Capture, views: MirrorViews, settings: MetricSettings) -> None:  # noqa: D107
         self.capture, self.notes = capture, views.notes
         masks = {view.name: view.mask for view in views if view.mask is not None}
         glasses = {view.name: view.glass for view in views if view.glass is not None}
@@ -190,24 +190,19 @@ class Rolled:
 def rolled_finger(
     capture: Capture,
     views: MirrorViews,
-    settings: ReliefSettings,
-    pitch_mm: float = PITCH_MM,
+    settings: MetricSettings,
     progress: Callable[[str, float], None] = lambda stage, fraction: None,
 ) -> Rolled:
-    """One finger from its front and its mirrors. `capture`: with the white band; `pitch_mm`: of the chart. Raises
-    BadInput if the front or every mirror beside the finger is missing, or they do not show the same part of it.
+    """One finger from its front and its mirrors. `capture`: with the white band; `views`: its front
+    and a mirror beside the finger at least.
     """
-    require("front" in [view.name for view in views], "the front view of the finger is missing.")
-    shown = any(view.glass is not None and view.mask is not None for view in views)
-    require(shown, "no mirror beside the finger shows it.")
-    require("white" in capture.bands, "the capture has no band 'white', in which ridges are seen.")
     progress("views", 0.0)
     work = Work(capture, views, settings)
     progress("registration", 0.35)
     for coarse in (True, False, False, False):
         work.register(coarse)
     progress("fusion", 0.5)
-    chart, _, points, normals = work.surface(pitch_mm)
+    chart, _, points, normals = work.surface(PITCH_MM)
     sights = work.sights()
     reliefs, deviations, weights, places = [], [], [], []
     for name, sight in sights.items():

@@ -8,7 +8,7 @@ are found by photometric stereo on a surface that is known but for them.
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from functools import partial
 
 import cv2
@@ -245,12 +245,8 @@ class ViewRelief:
         return relief, read(self.deviation_mm, column, row), read(self.trust, column, row)
 
 
-@dataclass(frozen=True, slots=True)
-class ReliefSettings:
-    """How the relief of a view is found: grids and networks of the `metric` method, and shapelets where it has none."""
-
-    metric: MetricSettings = field(default_factory=MetricSettings)
-    shapelets: ShapeletSettings = field(default_factory=lambda: ShapeletSettings(scales=4))
+_SHAPELETS = ShapeletSettings(scales=4)
+"""Where no network estimates the relief."""
 
 
 def view_relief(  # noqa: PLR0915, PLR0917
@@ -260,7 +256,7 @@ def view_relief(  # noqa: PLR0915, PLR0917
     glasses: Sequence[Glass],
     chart: Chart,
     radius_mm: Array,
-    settings: ReliefSettings,
+    settings: MetricSettings,
 ) -> ViewRelief:
     """Ridges of the finger as one view shows them, where `mask` (H, W) holds it, in the white band. `glasses`: all
     mirrors of the rig; `chart`, `radius_mm`: the finger without its ridges.
@@ -301,7 +297,7 @@ def view_relief(  # noqa: PLR0915, PLR0917
         facing *= np.exp(-smooth / np.float32(apex))
     inside = grid.mask
     skin = capture.material == "skin"
-    finer = settings.metric.relief == "network" and skin
+    finer = settings.relief == "network" and skin
     finer = finer and not can_learn(images, grid.pitch_mm) and can_learn(images, grid.pitch_mm / FACTOR)
     if finer:
         grid, images, factor = finer_grid(grid), finer_images(images), factor * FACTOR
@@ -312,14 +308,14 @@ def view_relief(  # noqa: PLR0915, PLR0917
     lit = np.clip(2.0 * cv2.GaussianBlur(enough, (0, 0), FADE_MM / grid.pitch_mm) - 1.0, 0.0, 1.0)
     within = np.stack([enlarged(each, factor, grid.shape) for each in inner])
     light = replace(light, trust=np.maximum(light.trust * within, 1e-3))
-    networks = shipped_networks(settings.metric) if can_learn(images, grid.pitch_mm) else None
+    networks = shipped_networks(settings) if can_learn(images, grid.pitch_mm) else None
     if skin and networks is not None:
         g = _held_normals(images.stack / light.entering, light, smooth, grid, SLOPE_PRIOR)
         found = relief_by_network(features(images, grid, smooth, light, g), grid, smooth, networks.relief)
         fields, how = (found.relief_mm, found.deviation_mm, found.trust * lit), "network"
     else:
         trust = trust_of(slant_of(smooth, grid.pitch_mm), grid) * lit
-        relief = _by_shapelets(images, grid, smooth, light, trust, settings.shapelets, skin=skin)
+        relief = _by_shapelets(images, grid, smooth, light, trust, skin=skin)
         fields, how = (relief, np.full(grid.shape, UNKNOWN_MM, dtype=np.float32), trust), "shapelets"
     relief, deviation, trust = map(coarser, fields) if finer else fields
     relief, deviation, trust = (
@@ -328,9 +324,9 @@ def view_relief(  # noqa: PLR0915, PLR0917
     return ViewRelief(window, binning, relief, deviation, trust, how)
 
 
-def _by_shapelets(  # noqa: PLR0917
-    images: BandImages, grid: Grid, smooth: FloatArray, light: Lighting, trust: FloatArray, settings: ShapeletSettings,
-    *, skin: bool,
+def _by_shapelets(
+    images: BandImages, grid: Grid, smooth: FloatArray, light: Lighting, trust: FloatArray, *,
+    skin: bool,
 ) -> FloatArray:  # fmt: skip
     """Relief along the line of sight without a network."""
     entering = light.entering if skin else None
@@ -341,7 +337,7 @@ def _by_shapelets(  # noqa: PLR0917
     shape = height_gradients(smooth, grid.pitch_mm)
     beyond = [(slope - base) * trust for slope, base in zip(slopes, shape, strict=True)]
     evened = [(b - grid.smooth(b, grid.mask, 0.3)).astype(np.float32) for b in beyond]
-    bank = replace(settings, sigma_px=settings.sigma_px / (REFERENCE_PX_PER_MM * grid.pitch_mm))
+    bank = replace(_SHAPELETS, sigma_px=_SHAPELETS.sigma_px / (REFERENCE_PX_PER_MM * grid.pitch_mm))
     relief = np.nan_to_num(shapelets(evened[0], evened[1], grid.mask, bank), nan=0.0)
     return relief * np.float32(grid.pitch_mm) * trust
 

@@ -5,14 +5,20 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import NamedTuple
 
+import cv2
 import numpy as np
 
+from splitknit.findings import Finding, Severity
+from splitknit.finger.locate import Finger
+from splitknit.imaging.band import bin_mean, has_colour, linear_channels
 from splitknit.imaging.light_field import light_vectors_at
-from splitknit.imaging.view import View
+from splitknit.imaging.view import View, view_of
 from splitknit.integration.poisson import poisson
-from splitknit.model import Array, BoolArray, FloatArray, Led, Rig
+from splitknit.model import Array, BoolArray, Capture, FloatArray, Led, Rig
 from splitknit.skin.light import fresnel_transmission
 
+_SAMPLED_MM, PLACES_MM = 0.1, 0.8
+"""Distance of the pixels, and side of their blocks, in which the lights' places are looked for: ridges are smaller."""
 _FEWEST = 6
 """Lights from which three of each pixel's values are spare."""
 _PLANE_MM = 1.0
@@ -160,15 +166,35 @@ def _moved(led: Led, raised: float, x_mm: float, y_mm: float) -> Led:
     return replace(led, position_mm=(x + x_mm, y + y_mm, z * raised), also=also)
 
 
-def sure_of_places(places: LightPlaces) -> bool:
-    """Whether places differ from the stated ones by more than any sound finger's."""
-    return abs(np.log(places.height)) > _SURE_HEIGHT or float(np.hypot(*places.shift_mm)) > _SURE_SHIFT_MM
+def findings_on_places(capture: Capture, finger: Finger) -> list[Finding]:
+    """A doubt, or a note, where the white LEDs seem to stand elsewhere than the rig states."""
+    band, camera = capture.bands["white"], capture.rig.camera
+    if band.colours or any(led.position_mm is None for led in capture.rig.leds):
+        return []
+    every = max(1, round(_SAMPLED_MM * camera.px_per_mm))
+    binning = max(1, round(PLACES_MM * camera.px_per_mm / every))
+    names = ("red", "green", "blue") if has_colour(band) else ("grey",)
+    images = bin_mean(linear_channels(band.sampled(every), capture.encoding, names), binning)
+    inside = bin_mean(finger.mask[::every, ::every].astype(np.float32), binning) > 0.99
+    rows, columns = (n // (every * binning) for n in capture.shape)
+    images, inside = images[..., :rows, :columns], inside[:rows, :columns]
+    if not inside.any():
+        return []
+    levelled = (image / max(float(image[:, inside].mean()), 1e-9) for image in images)
+    stack = sum(levelled, np.zeros_like(images[0]))
+    pitch_mm = every * binning * camera.pitch_mm
+    depth_mm = cv2.distanceTransform(np.pad(inside, 1).astype(np.uint8), cv2.DIST_L2, 5)[1:-1, 1:-1] * pitch_mm
+    view = view_of(camera, binning=every * binning, along_rays=True)
+    rig = capture.rig.select(band.lights)
+    places = fitted_places(stack, rig, inside, depth_mm, view, pitch_mm)
+    doubt = None if places is None else doubt_of_places(places, rig)
+    return [] if doubt is None else [doubt]
 
 
-def doubt_of_places(places: LightPlaces, rig: Rig) -> str:
-    """A sentence where the fitted places clearly differ from the stated ones, else nothing."""
+def doubt_of_places(places: LightPlaces, rig: Rig) -> Finding | None:
+    """A note where the fitted places clearly differ from the stated ones, a doubt where no sound finger's do so."""
     if places.residual > _UNFIT:
-        return ""
+        return None
     (x, y), stated = places.shift_mm, np.array([led.position_mm for led in rig.leds], dtype=np.float64)
     height_mm, away_mm = float(stated[:, 2].mean()), float(np.hypot(x, y))
     radius_mm = float(np.linalg.norm(stated[:, :2] - stated[:, :2].mean(axis=0), axis=1).mean())
@@ -186,4 +212,8 @@ def doubt_of_places(places: LightPlaces, rig: Rig) -> str:
             f"the middle of the LEDs' ring seems to lie {away_mm:.0f} mm from where the rig states (x {x:+.0f}, "
             f"y {y:+.0f} mm), which tilts the surface by {np.rad2deg(np.arctan(away_mm / height_mm)):.0f} deg"
         )
-    return f"{'; '.join(wrong)}: measure position_mm, or calibrate the lights." if wrong else ""
+    if not wrong:
+        return None
+    sure = abs(np.log(places.height)) > _SURE_HEIGHT or away_mm > _SURE_SHIFT_MM
+    sentence = f"{'; '.join(wrong)}: measure position_mm, or calibrate the lights."
+    return Finding("led-places", sentence, Severity.DOUBT if sure else Severity.NOTE)

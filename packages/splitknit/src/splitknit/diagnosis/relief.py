@@ -4,10 +4,24 @@ from __future__ import annotations
 
 import numpy as np
 
+from splitknit.findings import Finding, Severity
+from splitknit.finger.locate import Finger
 from splitknit.finger.regions import depth_inside, dilate, largest_component, quantile
+from splitknit.imaging.band import bin_mean, linear_stack
 from splitknit.imaging.geometry import smoothed
-from splitknit.model import Array, BoolArray, FloatArray
+from splitknit.model import Array, BoolArray, Capture, FloatArray
 
+BARE = (
+    "{:.0f} % of the finger (about {:.0f} mm2 in one place) shows no ridges although it is lit: heights there are not "
+    "the skin's; take off what covers it, such as a plaster or dirt."
+)
+OTHER_RIDGES = (
+    "{} does not show the ridges that all other photographs show (moved, double, or another finger's): the relief "
+    "mixes both; capture it again."
+)
+_MUCH_BARE = 0.15
+"""Part of the finger without ridges that is doubted and not merely noted: one of some 40 sound fingers in all
+conditions had 0.11."""
 LEAST_PX_PER_MM = 6.0
 """Scale below which ridges are not seen: three pixels from one to the next."""
 _FINE_MM, _LEVEL_MM = 0.06, 0.35
@@ -74,14 +88,26 @@ def bare_patch(stack: FloatArray, mask: BoolArray, px_per_mm: float) -> tuple[fl
     return pixels / px_per_mm**2, pixels / int(judged.sum())
 
 
-def doubt_of_patch(area_mm2: float, part: float) -> str:
-    """A sentence on a patch of :func:`bare_patch`; nothing where there is none."""
-    if not area_mm2:
-        return ""
-    where = (
-        f"{100 * part:.0f} % of the finger (about {area_mm2:.0f} mm2 in one place) shows no ridges although it is lit"
-    )
-    return f"{where}: heights there are not the skin's; take off what covers it, such as a plaster or dirt."
+def findings_on_relief(capture: Capture, finger: Finger, *, fits: bool) -> list[Finding]:
+    """A doubt where a large part of the finger shows no ridges, a note on a smaller one, which gloss may hide; a doubt
+    where a white photograph shows other ridges than the rest, if it is not known that they do not fit their lights.
+    """
+    band, px_per_mm = capture.bands["white"], capture.rig.camera.px_per_mm
+    binning = max(1, int(px_per_mm / (2 * LEAST_PX_PER_MM)))
+    inside = bin_mean(finger.mask[finger.window].astype(np.float32), binning) > 0.99
+    stack = linear_stack(band, capture.encoding, "grey", finger.window, binning)
+    area_mm2, part = bare_patch(stack, inside, px_per_mm / binning)
+    findings = []
+    if area_mm2:
+        words = BARE.format(100 * part, area_mm2)
+        findings.append(Finding("bare-patch", words, Severity.DOUBT if part > _MUCH_BARE else Severity.NOTE))
+    if fits and len(band.lights) == len(stack):
+        lights = capture.rig.select(band.lights).light_vectors()
+        unlike = unlike_image(stack, lights, inside, px_per_mm / binning)
+        if unlike is not None:
+            name = band.image_names[unlike]
+            findings.append(Finding("other-ridges", OTHER_RIDGES.format(name), Severity.DOUBT, (name,)))
+    return findings
 
 
 def unlike_image(stack: FloatArray, lights: Array, mask: BoolArray, px_per_mm: float) -> int | None:

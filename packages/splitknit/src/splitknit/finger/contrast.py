@@ -8,10 +8,10 @@ the histograms; so the equalisation is done here, with mappings that are continu
 from __future__ import annotations
 
 from dataclasses import dataclass
-from itertools import pairwise
 from typing import Annotated, Literal
 
 import numpy as np
+from scipy.ndimage import map_coordinates
 
 from splitknit.errors import check_image, check_mask
 from splitknit.imaging.band import srgb_code
@@ -71,7 +71,9 @@ def clahe(
     counts = _histograms(level, inside, cell)
     mappings = _mappings(_borrow(counts, 0.25 * cell[0] * cell[1]), settings.clip_limit)
     result = np.zeros(image.shape, dtype=np.float32)
-    result[box] = np.where(inside, _apply(level, mappings, cell), 0.0)
+    rows, columns = np.nonzero(inside)
+    places = [(rows + 0.5) / cell[0] - 0.5, (columns + 0.5) / cell[1] - 0.5, level[inside]]
+    result[box][inside] = map_coordinates(mappings, places, order=1, mode="nearest")
     return result
 
 
@@ -108,33 +110,3 @@ def _mappings(counts: Array, clip_limit: float) -> FloatArray:
     clipped += (total - clipped.sum(axis=2, keepdims=True)) / _BINS
     summed = np.cumsum(clipped, axis=2)
     return np.asarray(summed / summed[..., -1:], dtype=np.float32)
-
-
-def _apply(level: FloatArray, mappings: FloatArray, cell: _Cell) -> FloatArray:
-    """Map every pixel by the bilinear mean of the four nearest cells, block by block between cell centres."""
-    low = np.minimum(level.astype(np.intp), mappings.shape[2] - 2)
-    part, steps = level - low.astype(np.float32), np.diff(mappings, axis=2)
-    result = np.empty_like(level)
-    starts_y, starts_x = (  # stretches of pixels that lie between the same two cell centres
-        list(pairwise([0, *range(side // 2, length, side), length]))
-        for length, side in zip(level.shape, cell, strict=True)
-    )
-    for i, (top, bottom) in enumerate(starts_y):
-        upper, lower, weight_y = _between(i, top, bottom, cell[0], mappings.shape[0])
-        for j, (start, end) in enumerate(starts_x):
-            left, right, weight_x = _between(j, start, end, cell[1], mappings.shape[1])
-            block = np.s_[top:bottom, start:end]
-            index, fraction = low[block], part[block]
-            around = [[(row, column) for column in (left, right)] for row in (upper, lower)]
-            corners = [[mappings[k][index] + steps[k][index] * fraction for k in pair] for pair in around]
-            above, below = (first + (second - first) * weight_x[None, :] for first, second in corners)
-            result[block] = above + (below - above) * weight_y[:, None]
-    return result
-
-
-def _between(block: int, first: int, last: int, cell: int, cells: int) -> tuple[int, int, FloatArray]:
-    """The two cells around a stretch and the weight of the second for each of its pixels."""
-    before = block - 1
-    position = (np.arange(first, last, dtype=np.float32) + 0.5) / cell - 0.5
-    weight = np.clip(position - before, 0.0, 1.0).astype(np.float32)
-    return max(before, 0), min(max(before + 1, 0), cells - 1), weight

@@ -63,17 +63,24 @@ def fingers_apart(capture: Capture, names: str | Sequence[str] = "auto", *, keep
 def _named(names: str | Sequence[str], tips_mm: Sequence[float], keep: bool) -> Sequence[str]:
     """Names of the fingers, whose tips lie so far up, from left to right."""
     wanted = len(_DIGITS) if isinstance(names, str) else len({*names})
-    counts = f"fingers that stand apart in the view: {len(tips_mm)}; named by `fingers`: {wanted}."
-    remedy = "Name all in view, from left to right, and spread them so that the background shows between them."
-    require(len(tips_mm) == wanted, f"{counts} {remedy}")
+    require(
+        len(tips_mm) == wanted,
+        f"fingers that stand apart in the view: {len(tips_mm)}; named by `fingers`: {wanted}. "
+        "Name all in view, from left to right, and spread them so that the background shows between them.",
+    )
     if isinstance(names, str):
-        lower, hand = tips_mm[0] - tips_mm[-1], names
-        clear, seen = abs(lower) >= _SHORTER_MM, "right" if lower < 0 else "left"
+        lower = tips_mm[0] - tips_mm[-1]
+        hand = names
+        clear = abs(lower) >= _SHORTER_MM
+        seen = "right" if lower < 0 else "left"
         if hand == "auto":
             require(clear, "the outer tips lie equally far up: give `fingers` left or right.")
             hand = seen
-        other = f"the tips are those of a {seen} hand (the outer ones differ by {abs(lower):.0f} mm), not of a {hand}"
-        require(keep or not clear or hand == seen, f"{other} one; correct `fingers`, or give `keep`.")
+        require(
+            keep or not clear or hand == seen,
+            f"the tips are those of a {seen} hand (the outer ones differ by {abs(lower):.0f} mm), not of a {hand}"
+            " one; correct `fingers`, or give `keep`.",
+        )
         # pads to the camera: a right hand's thumb lies to the right
         return [f"{hand}_{digit}" for digit in (_DIGITS[::-1] if hand == "right" else _DIGITS)]
     require(all(one.isidentifier() for one in names), "`fingers` must be names of letters, digits and _, or a hand.")

@@ -123,8 +123,7 @@ def find_finger(capture: Capture, settings: FingerSettings) -> Finger:
     skin = capture.material == "skin"
     if capture.mask is not None:
         outline = reduced(capture.mask, grey.shape)
-        tiny = "the given mask is too small: not one block of pixels lies inside it; mark all of it."
-        require(outline.any(), tiny)
+        require(outline.any(), "the given mask is too small: not one block of pixels lies inside it; mark all of it.")
     else:
         outline = _found_outline(capture, mean if has_colour(white) else grey, binning, settings.mask.method)
     stated = capture.tip_direction_deg is not None
@@ -176,9 +175,13 @@ def _other_fingers(image: FloatArray, px_per_mm: float) -> tuple[Finding, ...]:
         count = len(finger_masks(reduce_image(image, scale), px_per_mm * scale))
     except BadInput:
         return ()
-    cut = "cut them apart with 'splitknit import CAPTURE --fingers auto --out HAND'"
-    words = f"the view shows {count} fingers, of which one is reconstructed: {cut}."
-    return (Finding("several-fingers", words, Severity.DOUBT),) if count > 1 else ()
+    if count < 2:
+        return ()
+    several = (
+        f"the view shows {count} fingers, of which one is reconstructed: "
+        "cut them apart with 'splitknit import CAPTURE --fingers auto --out HAND'."
+    )
+    return (Finding("several-fingers", several, Severity.DOUBT),)
 
 
 def _found_outline(capture: Capture, image: FloatArray, binning: int, method: Literal["grown", "kmeans"]) -> BoolArray:
@@ -198,8 +201,13 @@ def _found_outline(capture: Capture, image: FloatArray, binning: int, method: Li
         if not camera.scale_known or not isinstance(error, NoFinger):
             raise type(error)(words) from error
         rows_mm, columns_mm = (side / camera.px_per_mm for side in capture.shape)
-        shown = f"{camera.px_per_mm:g} px/mm the images show {columns_mm:.3g} x {rows_mm:.3g} mm"
-        raise BadInput(words.replace(" or give", f" and the scale, by whose {shown}, or give")) from error
+        raise BadInput(
+            words.replace(
+                " or give",
+                f" and the scale, by whose {camera.px_per_mm:g} px/mm the images show "
+                f"{columns_mm:.3g} x {rows_mm:.3g} mm, or give",
+            )
+        ) from error
     if capture.material == "skin":
         check_borders(outline)
     return outline
@@ -231,7 +239,8 @@ def _quality(
     skin = capture.material == "skin"
 
     def of_band(name: str) -> tuple[dict[str, Any], list[Finding]]:
-        band, stack = capture.bands[name], white[:, rows, columns]
+        band = capture.bands[name]
+        stack = white[:, rows, columns]
         saturation = saturation_levels(band, capture.encoding)
         if name != "white":
             stack = linear_stack(band, capture.encoding, "grey", window, binning)

@@ -130,7 +130,8 @@ def _rise_at_edge(image: FloatArray, around: _Around, reach: float) -> float:
         return 0.0
     steps = []
     for signal in _signals(image):
-        within, without = float(np.median(signal[inside])), float(np.median(signal[outside]))
+        within = float(np.median(signal[inside]))
+        without = float(np.median(signal[outside]))
         steps.append((within - without) / within if within > 0.0 else 0.0)
     return max(steps)
 
@@ -142,9 +143,11 @@ def _fit_background(signal: FloatArray, outside: BoolArray, samples: int) -> tup
     y = np.linspace(-1.0, 1.0, height)
     rows, columns = np.nonzero(outside)
     step = max(1, len(rows) // samples)
-    rows, columns = rows[::step], columns[::step]
+    rows = rows[::step]
+    columns = columns[::step]
     values = signal[rows, columns].astype(np.float64)
-    u, v = x[columns], y[rows]
+    u = x[columns]
+    v = y[rows]
     design = np.stack([np.ones_like(u), u, v, u * u, v * v, u * v])  # (6, n)
     residual = values - float(np.percentile(values, 40.0))
     keep, noise = _below(residual)
@@ -220,7 +223,7 @@ def finger_mask(mean_image: FloatArray, px_per_mm: float, method: Literal["grown
     Raises BadInput if there is no finger, or it touches three borders of the image. Source: the thesis, section
     3.3.1.1, eqs. 3.58-3.63 (3.61 corrected).
     """
-    image = _check_image(mean_image, px_per_mm)
+    image = _checked(mean_image)
     height, width = image.shape[:2]
     fine_scale = reduction((height, width), px_per_mm, _FINE_PX_PER_MM, 1200)
     fine = reduce_image(image, fine_scale)
@@ -237,7 +240,8 @@ def finger_mask(mean_image: FloatArray, px_per_mm: float, method: Literal["grown
     bright = coarse
     weights = _colour_filter(coarse)
     if weights is not None:
-        coarse, fine = _filtered(coarse, weights), _filtered(fine, weights)
+        coarse = _filtered(coarse, weights)
+        fine = _filtered(fine, weights)
     try:
         mask = _coarse_mask(coarse, coarse_px)
     except BadInput:
@@ -310,9 +314,11 @@ def touched_borders(mask: BoolArray) -> tuple[str, ...]:
 def check_borders(mask: BoolArray) -> tuple[str, ...]:
     """The borders that `mask` touches: one where the finger enters, or two across a corner. BadInput for more."""
     touched = touched_borders(mask)
-    close = f"the finger touches {len(touched)} borders of the image ({', '.join(touched)})"
-    remedy = "move it back so that its tip and both sides are in view, or give a mask."
-    require(len(touched) < 3, f"{close}: {remedy}")
+    require(
+        len(touched) < 3,
+        f"the finger touches {len(touched)} borders of the image ({', '.join(touched)}): "
+        "move it back so that its tip and both sides are in view, or give a mask.",
+    )
     return touched
 
 
@@ -326,19 +332,15 @@ class NoFinger(BadInput):
     """Nothing in the images stands out as a finger does."""
 
 
-def _check_image(mean_image: FloatArray, px_per_mm: float) -> FloatArray:
-    """The image (H, W) or (H, W, 3) as float32, if it may show a finger."""
-    require(np.isfinite(px_per_mm) and px_per_mm > 0, "px_per_mm must be a positive number.")
-    image = mean_image
-    flat = image.ndim == 2 or (image.ndim == 3 and image.shape[2] in (1, 3))
-    require(flat, f"the mean image must have the shape (H, W) or (H, W, 3), but it has {image.shape}.")
+def _checked(image: FloatArray) -> FloatArray:
+    """The image (H, W) or (H, W, 3) as float32; BadInput if it is too small to show a finger."""
     rows, columns = image.shape[:2]
-    small = f"the picture is too small for a finger: {rows} x {columns} pixels where it is looked for"
-    remedy = "check the rig's px_per_mm, or take larger images."
-    require(min(rows, columns) >= 16, f"{small}, and 16 each way are needed; {remedy}")
-    image = np.ascontiguousarray(image[..., 0] if image.ndim == 3 and image.shape[2] == 1 else image, dtype=np.float32)
-    require(np.isfinite(image).all(), "the mean image contains NaN or infinite values.")
-    return image
+    require(
+        min(rows, columns) >= 16,
+        f"the picture is too small for a finger: {rows} x {columns} pixels where it is looked for"
+        ", and 16 each way are needed; check the rig's px_per_mm, or take larger images.",
+    )
+    return np.ascontiguousarray(image[..., 0] if image.ndim == 3 and image.shape[2] == 1 else image, dtype=np.float32)
 
 
 def _tidy(part: BoolArray) -> BoolArray:
@@ -356,14 +358,16 @@ def _seed(image: FloatArray, sigma: float, tidy: Callable[[BoolArray], BoolArray
     candidates = [blur(root, sigma)[..., None]]
     if image.ndim == 3:
         candidates.append(blur(_chromaticity(image), sigma))
-    best, clearest = np.zeros(brightness.shape, dtype=np.bool_), 0.0
+    best = np.zeros(brightness.shape, dtype=np.bool_)
+    clearest = 0.0
     for features in candidates[seen:]:
         second, separation = _two_means(features.reshape(-1, features.shape[2]))
         cluster = _finger_cluster(second.reshape(brightness.shape), brightness)
         region = tidy(cluster)
         purity = float(region.sum()) / max(float(cluster.sum()), 1.0)
         if separation * purity > clearest:
-            best, clearest = region, separation * purity
+            best = region
+            clearest = separation * purity
     require(best.any(), _NO_FINGER, NoFinger)
     return best
 
@@ -443,7 +447,7 @@ FEW_SAMPLES = 2000
 
 def finger_region(mean_image: FloatArray, px_per_mm: float) -> BoolArray:
     """Roughly where the finger is, to a pixel of the coarse copy: the first step of :func:`finger_mask`, which see."""
-    image = _check_image(mean_image, px_per_mm)
+    image = _checked(mean_image)
     height, width = image.shape[:2]
     scale = reduction((height, width), px_per_mm, _ROUGH_PX_PER_MM, 600)
     coarse = blur(reduce_image(image, scale), 0.5 * BLUR_MM * px_per_mm * scale)
@@ -457,7 +461,7 @@ def finger_outline(mean_image: FloatArray, rough: BoolArray, px_per_mm: float) -
     :func:`finger_mask`. `mean_image`: three times ``edge_margin_mm`` of background around it. BadInput if nothing
     stands out.
     """
-    image = _check_image(mean_image, px_per_mm)
+    image = _checked(mean_image)
     height, width = image.shape[:2]
     require(rough.any(), _NO_FINGER, NoFinger)
     scale = reduction((height, width), px_per_mm, _OUTLINE_PX_PER_MM, 1200)
@@ -473,8 +477,9 @@ def finger_masks(mean_image: FloatArray, px_per_mm: float) -> list[BoolArray]:
     """Roughly where several fingers are between which the background shows: a mask (H, W) each, by the clusters of
     :func:`finger_mask`, of 4 mm and a fifth of the largest one's area at least. Raises BadInput if there is none.
     """
-    image = blur(_check_image(mean_image, px_per_mm), 0.5 * BLUR_MM * px_per_mm)
-    weights, radius = _colour_filter(image), 0.5 * _MIN_WIDTH_MM * px_per_mm
+    image = blur(_checked(mean_image), 0.5 * BLUR_MM * px_per_mm)
+    weights = _colour_filter(image)
+    radius = 0.5 * _MIN_WIDTH_MM * px_per_mm
 
     def wide(region: BoolArray) -> BoolArray:
         region = fill_holes(region)

@@ -69,7 +69,8 @@ def shot_motion(stack: FloatArray, mask: BoolArray, px_per_mm: float) -> _ShotMo
         return _ShotMotion(np.zeros((count, 2)), np.zeros(count))
     scale = reduction(mask[box].shape, px_per_mm, WORKING_PX_PER_MM, 600)
     stack = np.stack([reduce_image(image[box], scale) for image in stack])
-    mask, px_per_mm = _reduced(mask[box], scale), px_per_mm * scale
+    mask = _reduced(mask[box], scale)
+    px_per_mm = px_per_mm * scale
     shifts = np.zeros((count, 2))  # columns, rows; mm
     agreement = np.zeros(count)
     for band in _BANDS_MM:
@@ -92,9 +93,15 @@ def motion_findings(motion: _ShotMotion, names: Sequence[str] = ()) -> tuple[Fin
         return ()
     files = tuple(names[int(k)] if names else f"image {k}" for k in moved)
     which = ", ".join(f"{escaped(file)} by {{:.2f mm}}" for file in files)
-    remedy = "the relief is blurred there; rest the finger on its support and capture again."
-    words = f"the finger moved between the shots ({which}): {remedy}"
-    return (Finding("moved-finger", words, files=files, lengths_mm=tuple(length[moved].tolist())),)
+    return (
+        Finding(
+            "moved-finger",
+            f"the finger moved between the shots ({which}): "
+            "the relief is blurred there; rest the finger on its support and capture again.",
+            files=files,
+            lengths_mm=tuple(length[moved].tolist()),
+        ),
+    )
 
 
 def _reduced(mask: BoolArray, scale: float) -> BoolArray:
@@ -118,7 +125,8 @@ def _details(
     region = (framed if framed.any() else inside)[box]
     inside = inside[box]
     rows, columns = (axis.astype(np.float64) for axis in np.nonzero(inside))
-    details, light = [], []
+    details = []
+    light = []
     for image in stack:
         small = reduce_image(image, scale)[box]
         on_finger = np.maximum(small[inside], 0.0)
@@ -141,7 +149,8 @@ def _cubic(shift: float) -> Array:
     """Weights of the pixels around one for the value at a distance of `shift`; Keys' kernel with a = -0.75."""
     reach = int(np.ceil(abs(shift))) + 1
     away = np.abs(np.arange(-reach, reach + 1) - shift)
-    near, far = (1.25 * away - 2.25) * away * away + 1.0, ((-0.75 * away + 3.75) * away - 6.0) * away + 3.0
+    near = (1.25 * away - 2.25) * away * away + 1.0
+    far = ((-0.75 * away + 3.75) * away - 6.0) * away + 3.0
     return np.where(away < 1.0, near, np.where(away < 2.0, far, 0.0))
 
 
@@ -195,7 +204,8 @@ def _products(rows: FloatArray) -> Array:
 
 def _least_squares(products: Array) -> Array:
     """(K,) weights of K rows that come nearest to a last one, by the inner products (K + 1, K + 1) of all."""
-    normal, target = products[:-1, :-1], products[:-1, -1]
+    normal = products[:-1, :-1]
+    target = products[:-1, -1]
     scale = np.sqrt(np.maximum(np.diag(normal), 1e-30))
     normal = normal / np.outer(scale, scale) + 1e-9 * np.eye(len(normal))
     return np.linalg.solve(normal, target / scale) / scale

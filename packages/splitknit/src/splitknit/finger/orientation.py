@@ -101,17 +101,21 @@ def find_upright(mask: BoolArray, tip_direction_deg: float | None = None, *, all
     if not reliable:
         note = "the outline shows no axis (too little of the finger is in view); it was taken as upright."
     elif abs(turn) > np.deg2rad(_LIMIT_DEG):
-        odd = f"the outline's axis is turned by {np.rad2deg(turn):.0f} deg from where the tip was expected"
-        note = f"{odd}; it was not believed (set tip_direction_deg)."
+        note = (
+            f"the outline's axis is turned by {np.rad2deg(turn):.0f} deg from where the tip was expected"
+            "; it was not believed (set tip_direction_deg)."
+        )
         reliable = False
     if tip_direction_deg is None:
         yaw = _between(angle if reliable else expected, 0.0)
     else:
         yaw = float(expected + turn if reliable else expected)
     if not clear and not note:
-        taken = f"it was taken to point {round(float(np.rad2deg(yaw)))} deg from up, counter-clockwise"
-        remedy = "If it does not, give `tip_direction_deg` (tip_direction_deg in capture.json)."
-        note = f"the outline does not show which way the finger's tip points; {taken}. {remedy}"
+        note = (
+            "the outline does not show which way the finger's tip points; "
+            f"it was taken to point {round(float(np.rad2deg(yaw)))} deg from up, counter-clockwise. "
+            "If it does not, give `tip_direction_deg` (tip_direction_deg in capture.json)."
+        )
     return replace(_frame(mask, yaw), reliable=reliable, clear=clear, note=note)
 
 
@@ -152,7 +156,8 @@ def _tip_directions(mask: BoolArray) -> list[tuple[float, float]]:
 
 def _difference(across: Array, down: Array, inside: BoolArray) -> tuple[int, float]:
     """In how many pixels the mask `inside` (N,) differs from an upright finger at best, and the finger's width."""
-    first, last = float(down[inside].min()), float(down[inside].max())
+    first = float(down[inside].min())
+    last = float(down[inside].max())
     strip = np.floor(down[inside] - first).astype(np.intp)
     widths = np.bincount(strip)
     width = float(np.percentile(widths, 90))
@@ -163,7 +168,9 @@ def _difference(across: Array, down: Array, inside: BoolArray) -> tuple[int, flo
     strip_only = (down <= last) & (aside < 1.0)  # what is drawn lies in it, whatever the tip is
     tip = strip_only & (down < first + max(_CAPS) * width)  # below, all of it is drawn
     outside = int(np.count_nonzero(inside & ~strip_only) + np.count_nonzero(strip_only & ~tip & ~inside))
-    aside, down, inside = aside[tip], down[tip] - first, inside[tip]
+    aside = aside[tip]
+    down = down[tip] - first
+    inside = inside[tip]
     best = inside.size
     for hidden in _HIDDEN:
         below = down + hidden * width
@@ -244,7 +251,8 @@ def _robust_slope(rows: Array, columns: Array) -> float:
     slope = intercept = 0.0
     for _ in range(20):
         total = weights.sum()
-        mean_x, mean_y = (weights * x).sum() / total, (weights * columns).sum() / total
+        mean_x = (weights * x).sum() / total
+        mean_y = (weights * columns).sum() / total
         slope = float((weights * (x - mean_x) * (columns - mean_y)).sum() / (weights * (x - mean_x) ** 2).sum())
         intercept = float(mean_y - slope * mean_x)
         residual = columns - intercept - slope * x
@@ -261,7 +269,8 @@ def _frame(mask: BoolArray, yaw: float) -> Upright:
     rows, columns = _outline(mask)
     turn = rotation_about((0.0, 0.0), -yaw)  # input to turned, both about the first pixel
     turned = turn[:2, :2] @ np.stack([columns, rows]).astype(np.float64)
-    low, high = turned.min(axis=1), turned.max(axis=1)
+    low = turned.min(axis=1)
+    high = turned.max(axis=1)
     margin = max(2.0, _MARGIN_FRACTION * float((high - low).max()))
     origin = np.floor(low - margin)
     size = np.ceil(high + margin) - origin + 1.0

@@ -6,7 +6,7 @@ cut itself is a straight line on the full grid.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
@@ -61,8 +61,6 @@ class Crease:
     """Row in the upright frame (full resolution) at the finger's middle; NaN if not found."""
     line: tuple[tuple[float, float], tuple[float, float]] | None
     """Two ends of the crease, (column, row) in the input."""
-    candidates: tuple[_Valley, ...] = field(default=())
-    """All transverse valleys that were seen, from the tip down."""
     verdict: Finding = NOT_SOUGHT
     """What was decided, and why."""
 
@@ -91,8 +89,8 @@ def find_crease(
     length_mm = (upright.size[0] - tip_row) / px_per_mm
     chosen, verdict = _judge(at_full_scale, width_mm, length_mm)
     if chosen is None:
-        return Crease(False, float("nan"), float("nan"), None, at_full_scale, verdict)
-    return Crease(True, chosen.distance_mm, chosen.row, _ends(chosen, upright), at_full_scale, verdict)
+        return Crease(False, float("nan"), float("nan"), None, verdict)
+    return Crease(True, chosen.distance_mm, chosen.row, _ends(chosen, upright), verdict)
 
 
 def phalange_mask(mask: BoolArray, crease: Crease, upright: Upright) -> BoolArray:
@@ -107,7 +105,8 @@ def phalange_mask(mask: BoolArray, crease: Crease, upright: Upright) -> BoolArra
 
 
 def _upright_copy(grey: FloatArray, mask: BoolArray, upright: Upright, scale: float) -> tuple[FloatArray, BoolArray]:
-    small, fraction = reduce_image(grey, scale), reduce_mask(mask, scale)
+    small = reduce_image(grey, scale)
+    fraction = reduce_mask(mask, scale)
     size = (max(8, round(upright.size[0] * scale)), max(8, round(upright.size[1] * scale)))
     half = np.array([[1.0, 0.0, 0.5], [0.0, 1.0, 0.5], [0.0, 0.0, 1.0]])  # pixel centres to pixel corners
     ratios = small.shape[1] / grey.shape[1], small.shape[0] / grey.shape[0]
@@ -125,13 +124,18 @@ def _judge(candidates: tuple[_Valley, ...], width_mm: float, length_mm: float) -
         return None, Finding("no-crease", words, lengths_mm=(length_mm,))
     low, high = _RATIO_RANGE
     near, far = _DISTANCE_RANGE_MM
-    near, far = max(near, low * width_mm), min(far, high * width_mm)
+    near = max(near, low * width_mm)
+    far = min(far, high * width_mm)
     plausible = [valley for valley in candidates if near <= valley.distance_mm <= far]
     if not plausible:
         places = "{:.1f mm-}, " * (len(candidates) - 1) + "{:.1f mm}"
-        none = f"none where the first flexion crease of a finger {{:.1f mm}} wide can be; {keep}"
         lengths_mm = (*(valley.distance_mm for valley in candidates), width_mm)
-        return None, Finding("no-crease", f"dark lines lie {places} below the tip, {none}", lengths_mm=lengths_mm)
+        return None, Finding(
+            "no-crease",
+            f"dark lines lie {places} below the tip, "
+            f"none where the first flexion crease of a finger {{:.1f mm}} wide can be; {keep}",
+            lengths_mm=lengths_mm,
+        )
 
     def weight(valley: _Valley) -> float:
         offset = (valley.distance_mm / width_mm - _EXPECTED_RATIO) / _RATIO_SPREAD
@@ -214,8 +218,11 @@ def _transverse_valleys(image: FloatArray, inside: BoolArray, px_per_mm: float) 
     tilts = np.deg2rad(np.arange(-_MAX_TILT_DEG, _MAX_TILT_DEG + 0.1, 3.0))
     lines = [_along_lines(response, core, inside, float(tilt)) for tilt in tilts]
     depths, coverages = (np.stack(part) for part in zip(*lines, strict=True))
-    best, rows = np.argmax(depths * coverages, axis=0), np.arange(depths.shape[1])
-    depth, coverage, tilt = depths[best, rows], coverages[best, rows], tilts[best].astype(np.float32)
+    best = np.argmax(depths * coverages, axis=0)
+    rows = np.arange(depths.shape[1])
+    depth = depths[best, rows]
+    coverage = coverages[best, rows]
+    tilt = tilts[best].astype(np.float32)
     known = depth[depth != 0.0]
     usual = max(float(np.percentile(known, 80.0)), 0.0) if known.size else 0.0  # depth of other lines
     reach = max(1, round(_SIDE_MM * px_per_mm))
@@ -248,7 +255,8 @@ def _response(image: FloatArray, inside: BoolArray, px_per_mm: float) -> tuple[F
     below, has_below = _moved_down(level, inside, -step)
     farther_above, has_slope_above = _moved_down(level, inside, 2 * step)
     farther_below, has_slope_below = _moved_down(level, inside, -2 * step)
-    slope_above, slope_below = above - farther_above, farther_below - below
+    slope_above = above - farther_above
+    slope_below = farther_below - below
     agree = has_slope_above & has_slope_below & (slope_above * slope_below > 0.0)
     lesser = np.sign(slope_above) * np.minimum(np.abs(slope_above), np.abs(slope_below))
     slope = np.where(agree, lesser, 0.0)
@@ -261,7 +269,8 @@ def _response(image: FloatArray, inside: BoolArray, px_per_mm: float) -> tuple[F
 
 def _moved_down(level: FloatArray, inside: BoolArray, step: int) -> tuple[FloatArray, BoolArray]:
     """What lies `step` rows above every pixel, and whether that is finger."""
-    moved, known = np.zeros_like(level), np.zeros_like(inside)
+    moved = np.zeros_like(level)
+    known = np.zeros_like(inside)
     if abs(step) < level.shape[0]:
         target, source = (np.s_[step:], np.s_[:-step]) if step > 0 else (np.s_[:step], np.s_[-step:])
         moved[target], known[target] = level[source], inside[source]

@@ -6,7 +6,7 @@ given (a reduced one will do; saturation is best counted at full resolution).
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
 import cv2
@@ -212,54 +212,52 @@ def quality_findings(
     finger: bool = True,
     names: Sequence[str] = (),
     promised: bool = True,
-) -> tuple[Finding, ...]:
+) -> Iterator[Finding]:
     """What is wrong with a capture, by its :func:`capture_quality`, and what to do. Without `finger`
     ridges, skin and tip are left out, without `promised` the lights' brightness. `names`: of the photographs' files.
     """
     names = names or [f"image {k}" for k in range(len(quality["saturated_per_image"]))]
-    findings: list[Finding] = []
     if quality["brightness"] < _MIN_BRIGHTNESS:
         words = f"the images are dark (median {quality['brightness']:.3f} of full scale): lengthen the exposure."
-        findings.append(Finding("dark-photographs", words))
+        yield Finding("dark-photographs", words)
     worst = int(np.argmax(quality["saturated_per_image"]))
     fraction = quality["saturated_per_image"][worst]
     if fraction > _MAX_SATURATED:
         what, cure = ("finger", " or dry the finger") if finger else ("surface", "")
         words = f"{100 * fraction:.0f} % of the {what} is saturated in {names[worst]}: shorten the exposure{cure}."
-        findings.append(Finding("saturated-photograph", words, files=(names[worst],)))
+        yield Finding("saturated-photograph", words, files=(names[worst],))
     if finger and quality["ridge_contrast"] < _MIN_RIDGE_CONTRAST:
         remedy = "focus the camera on the finger, clean the lens, dry a wet finger, or moisten a worn one."
         words = f"ridges hardly show (contrast {100 * quality['ridge_contrast']:.2f} %): {remedy}"
-        findings.append(Finding("faint-ridges", words))
+        yield Finding("faint-ridges", words)
     dark, bright = quality.get("dark_specks") or 0.0, quality.get("bright_specks") or 0.0
     if finger and dark > _MAX_DARK:  # at most one sentence: dust has bright grains too
         words = f"dark specks cover {100 * dark:.1f} % of the finger: wipe the finger, and the lens or its cover."
-        findings.append(Finding("dark-specks", words))
+        yield Finding("dark-specks", words)
     elif finger and bright > _MAX_BRIGHT:
         remedy = "wipe it if it is dusty, moisten it if its skin is dry."
-        findings.append(Finding("bright-specks", f"bright specks cover {100 * bright:.1f} % of the finger: {remedy}"))
+        yield Finding("bright-specks", f"bright specks cover {100 * bright:.1f} % of the finger: {remedy}")
     ambient = 100 * (quality["ambient_share"] or 0.0)
     if ambient > 100 * _MAX_AMBIENT:
         words = f"ambient light is {ambient:.0f} % of the LEDs' light: close the box, dim the room."
-        findings.append(Finding("ambient-light", words))
+        yield Finding("ambient-light", words)
     for k, relative in enumerate((quality["led_relative"] or []) if promised else []):
         if relative < _DEAD_LED:
             words = f"{names[k]} is almost black: its LED seems dead; check its wiring."
-            findings.append(Finding("dead-led", words, files=(names[k],)))
+            yield Finding("dead-led", words, files=(names[k],))
         elif not _LED_RANGE[0] <= relative <= _LED_RANGE[1]:
             odd = f"{names[k]} is {relative:.2f} times as bright as the rig file promises"
             words = f"{odd}: check the LED, or calibrate the rig again."
-            findings.append(Finding("led-brightness", words, files=(names[k],)))
+            yield Finding("led-brightness", words, files=(names[k],))
     if not finger:
-        return tuple(findings)
+        return
     if quality["length_mm"] < _MIN_LENGTH_MM:
         short = "only {:.0f mm} of the finger are in view: push it further in, or check px_per_mm."
-        findings.append(Finding("short-finger", short, lengths_mm=(quality["length_mm"],)))
+        yield Finding("short-finger", short, lengths_mm=(quality["length_mm"],))
     opposite = {"top", "bottom"} <= set(quality["borders"]) or {"left", "right"} <= set(quality["borders"])
     if opposite:
         words = "the finger crosses the whole image, so its tip is not in view: move it back."
-        findings.append(Finding("finger-crosses-view", words))
-    return tuple(findings)
+        yield Finding("finger-crosses-view", words)
 
 
 def _ridge_contrast(

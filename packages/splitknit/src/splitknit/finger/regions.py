@@ -117,8 +117,10 @@ def fill_holes(mask: BoolArray, largest_area: float = np.inf) -> BoolArray:
     part = mask[box]
     count, labels, stats, _ = cv2.connectedComponentsWithStats(np.logical_not(part).view(np.uint8), connectivity=4)
     rows, columns = part.shape
-    left, top = stats[:, cv2.CC_STAT_LEFT], stats[:, cv2.CC_STAT_TOP]
-    right, bottom = left + stats[:, cv2.CC_STAT_WIDTH], top + stats[:, cv2.CC_STAT_HEIGHT]
+    left = stats[:, cv2.CC_STAT_LEFT]
+    top = stats[:, cv2.CC_STAT_TOP]
+    right = left + stats[:, cv2.CC_STAT_WIDTH]
+    bottom = top + stats[:, cv2.CC_STAT_HEIGHT]
     closed = (left > 0) & (top > 0) & (right < columns) & (bottom < rows)
     hole = closed & (stats[:, cv2.CC_STAT_AREA] <= largest_area)
     hole[0] = False

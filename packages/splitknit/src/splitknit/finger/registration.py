@@ -9,21 +9,16 @@ at once until the rest is minimal: the surface itself is never needed, it is eli
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from splitknit.finger.regions import blur, dilate, erode
-from splitknit.imaging.geometry import sampled_at
+from splitknit.imaging.geometry import bounding_box, sampled_at
 from splitknit.model import Array, BoolArray, FloatArray
 
-Basis = Callable[[Array, Array], Array]
-"""From places x and y (N,) in mm to the shift (N, 2, M) of every parameter there."""
-NODE_MM = 0.5
-"""Pitch of the nodes between which shifts are interpolated."""
 TURN_MM = 8.0
 """A turn's parameter is the shift that it causes at this distance."""
 SETTLED_MM, SETTLED_PX = 5e-4, 0.02
@@ -51,60 +46,37 @@ BLOCK_MM = 0.6
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Flow:
-    """Shifts (L, 2, h, w) in mm, right and down the rows, on nodes 0.5 mm apart, from the reference to each shot."""
+    """Shift and turn of every shot against the reference."""
 
-    nodes_mm: Array
-    origin_mm: tuple[float, float] = (0.0, 0.0)
-    """Place of the first node, right of and below the first pixel."""
+    moves_mm: Array
+    """(L, 3): right, down the rows, and the shift that a turn causes at a distance of `TURN_MM`."""
+    centre_mm: tuple[float, float]
+    """Place about which the shots turn, right of and below the first pixel."""
+
+    def basis(self, x_mm: Array, y_mm: Array) -> Array:
+        """(N, 2, 3) shift at places (N,), right of and below the first pixel, for a unit of every move."""
+        one = np.ones_like(x_mm)
+        none = np.zeros_like(x_mm)
+        right = [one, none, -(y_mm - self.centre_mm[1]) / TURN_MM]
+        down = [none, one, (x_mm - self.centre_mm[0]) / TURN_MM]
+        return np.stack([np.stack(right, axis=-1), np.stack(down, axis=-1)], axis=1)
 
     def at(self, x_mm: Array, y_mm: Array) -> Array:
-        """(L, 2, N) shifts at places (N,), right and down from the first pixel."""
-        height, width = self.nodes_mm.shape[2:]
-        column = np.clip((x_mm - self.origin_mm[0]) / NODE_MM, 0, width - 1.001)
-        row = np.clip((y_mm - self.origin_mm[1]) / NODE_MM, 0, height - 1.001)
-        j, i = column.astype(int), row.astype(int)
-        a, b = column - j, row - i
-        above = (1 - a) * self.nodes_mm[..., i, j] + a * self.nodes_mm[..., i, j + 1]
-        below = (1 - a) * self.nodes_mm[..., i + 1, j] + a * self.nodes_mm[..., i + 1, j + 1]
-        return np.asarray((1 - b) * above + b * below)
+        """(L, 2, N) shifts at places (N,)."""
+        return np.asarray(np.einsum("km,ncm->kcn", self.moves_mm, self.basis(x_mm, y_mm)))
 
     def affine(self, shot: int, px_per_mm: float) -> Array:
-        """(2, 3) matrix from columns and rows of the reference to those of a shot, which only shifted and turned."""
-        nodes = self.nodes_mm[shot]
-        right, down = nodes[:, 0, 1] - nodes[:, 0, 0], nodes[:, 1, 0] - nodes[:, 0, 0]
-        slopes = np.stack([right, down], axis=1) / NODE_MM
-        start = nodes[:, 0, 0] - slopes @ np.asarray(self.origin_mm)
-        return np.column_stack([np.eye(2) + slopes, start * px_per_mm])
+        """(2, 3) matrix from columns and rows of the reference to those of a shot."""
+        corner = self.at(np.zeros(1), np.zeros(1))[shot, :, 0]
+        turn = self.moves_mm[shot, 2] / TURN_MM
+        return np.column_stack([[1.0, turn], [-turn, 1.0], corner * px_per_mm])
 
 
-def still(count: int, shape: tuple[int, int], px_per_mm: float) -> Flow:
-    """No shift of any of `count` images of `shape`."""
-    height, width = (int(np.ceil(n / px_per_mm / NODE_MM)) + 2 for n in shape)
-    return Flow(np.zeros((count, 2, height, width)))
-
-
-def places_of(flow: Flow) -> tuple[Array, Array]:
-    """x and y (N,) of the nodes in mm."""
-    height, width = flow.nodes_mm.shape[2:]
-    y, x = np.mgrid[0:height, 0:width] * NODE_MM
-    return x.ravel(), y.ravel()
-
-
-def rigid_shifts(mask: BoolArray, px_per_mm: float, *, turns: bool) -> Basis:
-    """What shifts a shot of the finger under `mask` may have: right, down and, with `turns`, about its middle."""
-    rows, columns = np.flatnonzero(mask.any(axis=1)), np.flatnonzero(mask.any(axis=0))
-    left, right = columns[0] / px_per_mm, columns[-1] / px_per_mm
-    top, bottom = rows[0] / px_per_mm, rows[-1] / px_per_mm
-    centre = (0.5 * (left + right), 0.5 * (top + bottom))
-
-    def basis(x: Array, y: Array) -> Array:
-        one, none = np.ones_like(x), np.zeros_like(x)
-        parts = [(one, none), (none, one)]
-        if turns:
-            parts.append((-(y - centre[1]) / TURN_MM, (x - centre[0]) / TURN_MM))
-        return np.stack([np.stack(part, axis=-1) for part in parts], axis=-1)
-
-    return basis
+def still(count: int, mask: BoolArray, px_per_mm: float) -> Flow:
+    """No move of any of `count` shots of the finger under `mask` (H, W), about whose middle they turn."""
+    rows, columns = bounding_box(mask)
+    middle = (columns.start + columns.stop - 1, rows.start + rows.stop - 1)
+    return Flow(np.zeros((count, 3)), (0.5 * middle[0] / px_per_mm, 0.5 * middle[1] / px_per_mm))
 
 
 # Details of one size in all shots, at the pixels that matter, and the shifts they imply.
@@ -143,7 +115,8 @@ class Level:
         values = np.empty((len(self.images), 3, count), dtype=np.float32)
         size = self.px_per_mm
         for k, (image, shift) in enumerate(zip(self.images, shifts_mm, strict=True)):
-            columns, rows = self.columns + shift[0] * size, self.rows + shift[1] * size
+            columns = self.columns + shift[0] * size
+            rows = self.rows + shift[1] * size
             near = [np.rint(places * STEPS) / STEPS for places in (columns, rows)]
             values[k] = sampled_at(image, near[0], near[1], cv2.INTER_CUBIC).T
             # details vary with the shift without steps: what lies between follows from the slopes
@@ -167,7 +140,8 @@ def details_of(
     floor = 0.15 * float(np.median(level[inside])) if inside.any() else 0.0
     rows, columns = np.nonzero(inside)
     every = max(1, rows.size // SAMPLES)
-    rows, columns = rows[every // 2 :: every], columns[every // 2 :: every]
+    rows = rows[every // 2 :: every]
+    columns = columns[every // 2 :: every]
     weight = 1.0 / np.maximum(level[rows, columns], max(floor, 1e-9)) ** 2
     images = tuple(_with_slopes(blur(image, band_mm[0] * px) - blur(image, band_mm[1] * px), px) for image in small)
     return Level(images, columns.astype(np.float32), rows.astype(np.float32), weight.astype(np.float32), px)
@@ -181,6 +155,11 @@ def _with_slopes(image: FloatArray, px_per_mm: float) -> FloatArray:
         for right in (1, 0)
     ]
     return np.asarray(cv2.merge([image, *slopes]))
+
+
+def step_limits(level: Level) -> tuple[float, float]:
+    """Largest step of a shot, and the step below which it is settled, in mm."""
+    return 1.0 / level.px_per_mm, max(SETTLED_MM, SETTLED_PX / level.px_per_mm)
 
 
 def robust_weight(level: Level, error: FloatArray) -> FloatArray:
@@ -262,8 +241,9 @@ def register_shots(
     """
     shots = np.arange(len(stack)) if shots is None else shots
     number = int(shots.max()) + 1
-    around, skin = dilate(mask, SURROUND_MM * px_per_mm), erode(mask, RIM_MM * px_per_mm)
-    flow = unmoved = still(number, (mask.shape[0], mask.shape[1]), px_per_mm)
+    around = dilate(mask, SURROUND_MM * px_per_mm)
+    skin = erode(mask, RIM_MM * px_per_mm)
+    flow = unmoved = still(number, mask, px_per_mm)
     for step, sigma in enumerate((*COARSE_MM, *FINE_MM)):
         fine = step >= len(COARSE_MM)
         region = skin if fine and skin.any() else around
@@ -271,7 +251,7 @@ def register_shots(
         level = details_of(stack, region, px_per_mm, band, WORKING_PX_PER_MM)
         here = lights_on(lights, level, mask.shape, px_per_mm)
         problem = _Problem(level, shown_by_surfaces(here), shots, reference)
-        flow = problem.settled(flow, rigid_shifts(mask, px_per_mm, turns=step > 0))
+        flow = problem.settled(flow, turns=step > 0)
     return Registration(flow, problem.unexplained(unmoved), problem.unexplained(flow))
 
 
@@ -291,26 +271,21 @@ class _Problem:
     """(L,)"""
     reference: int
 
-    def settled(self, flow: Flow, basis_at: Basis) -> Flow:
-        """Move the shots by Gauss-Newton steps within a basis of shifts until they hardly move."""
-        x, y = self.level.places()
-        first = flow.at(x, y)
-        free = [k for k in range(len(first)) if k != self.reference]
-        basis = basis_at(x, y)
-        parameters = np.zeros((len(free), basis.shape[2]))
-        most, least = 1.0 / self.level.px_per_mm, max(SETTLED_MM, SETTLED_PX / self.level.px_per_mm)
+    def settled(self, flow: Flow, *, turns: bool) -> Flow:
+        """Move the shots by Gauss-Newton steps, with turns or without, until they hardly move."""
+        places = self.level.places()
+        moves = flow.moves_mm.copy()
+        free = [k for k in range(len(moves)) if k != self.reference]
+        basis = flow.basis(*places)[..., : 3 if turns else 2]
+        most, least = step_limits(self.level)
         for _ in range(ITERATIONS):
-            shifts = first.copy()
-            shifts[free] += np.einsum("km,ncm->kcn", parameters, basis)
+            shifts = replace(flow, moves_mm=moves).at(*places)
             sampled = self.level.sampled(shifts[self.shots].astype(np.float32))
             step = np.clip(self._step(sampled, basis, free), -most, most)
-            parameters += step
+            moves[free, : basis.shape[2]] += step
             if float(np.abs(step).max()) < least:
                 break
-        nodes = flow.nodes_mm.copy()
-        moved = np.einsum("km,ncm->kcn", parameters, basis_at(*places_of(flow)))
-        nodes[free] += moved.reshape(len(free), *nodes.shape[1:])
-        return Flow(nodes)
+        return replace(flow, moves_mm=moves)
 
     def unexplained(self, flow: Flow) -> Array:
         """(L,) rms of what no surface explains over the rms of each image's details."""
@@ -323,9 +298,12 @@ class _Problem:
         """(F, M) change of the parameters of the free shots: the normal equations."""
         residual = beyond_surface(sampled[:, 0], self.axes)
         root = np.sqrt(robust_weight(self.level, np.sqrt((residual * residual).sum(axis=0) * self.level.weight)))
-        width, number, total = basis.shape[2], len(free), root.size
+        width = basis.shape[2]
+        number = len(free)
+        total = root.size
         right, down = (np.ascontiguousarray(basis[:, c].T, dtype=np.float32) for c in range(2))
-        matrix, force = np.zeros((number, width, number, width)), np.zeros((number, width))
+        matrix = np.zeros((number, width, number, width))
+        force = np.zeros((number, width))
         shown = np.zeros((3, number, width, total), dtype=np.float32)
         for image, shot in enumerate(self.shots):
             if shot == self.reference:

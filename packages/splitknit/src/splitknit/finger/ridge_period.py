@@ -71,8 +71,11 @@ def ridge_period(normals: FloatArray, mask: BoolArray, step: int = _STEP) -> _Ri
         if len(periods) >= max(_MIN_BLOCKS * (_STEP / step) ** 2, _MIN_FRACTION * blocks) and area > best[0]:
             best = area, periods * factor, len(periods) / blocks
     periods = best[1]
-    none = "no ridges were found to take the scale from: they need 4 pixels from one to the next and good focus"
-    require(len(periods) > 0, f"{none}; give `px_per_mm`.")
+    require(
+        len(periods) > 0,
+        "no ridges were found to take the scale from: they need 4 pixels from one to the next and good focus"
+        "; give `px_per_mm`.",
+    )
     middle = float(np.median(periods))
     spread = 1.4826 * float(np.median(np.abs(periods - middle)))
     apart = max(1.0, len(periods) * (step / _BLOCK) ** 2)
@@ -88,18 +91,23 @@ def scale_of_ridges(
     require(px_per_mm is None, "`px_per_mm` and `ridge_period_mm` both give the scale; choose one.")
     odd = RIDGE_PERIOD.notes(period_mm, "check `ridge_period_mm`")
     found = ridge_period(normals, mask)
-    known, px_per_mm = float(np.hypot(found.error_px / found.period_px, PEOPLE)), found.period_px / period_mm
-    measured = f"{found.period_px:.1f} px from one to the next (standard deviation {found.error_px:.2f}, {found.blocks}"
-    scale = f"places) are {period_mm:g} mm, so {px_per_mm:.2f} px/mm; people differ, so that it is known to"
+    known = float(np.hypot(found.error_px / found.period_px, PEOPLE))
+    px_per_mm = found.period_px / period_mm
     also = "".join(f" Also, {note}" for note in odd)
-    return px_per_mm, f"scale from the ridges: {measured} {scale} {100 * known:.0f} %.{also}"
+    return px_per_mm, (
+        "scale from the ridges: "
+        f"{found.period_px:.1f} px from one to the next (standard deviation {found.error_px:.2f}, {found.blocks} "
+        f"places) are {period_mm:g} mm, so {px_per_mm:.2f} px/mm; people differ, so that it is known to"
+        f" {100 * known:.0f} %.{also}"
+    )
 
 
 def _periods(fields: FloatArray, step: int) -> tuple[Array, int]:
     """Periods (px, on the surface) of blocks of slopes and mask (h, w, 3) with one wave, and the number of blocks."""
     window = np.outer(np.hanning(_BLOCK), np.hanning(_BLOCK)).astype(np.float32)
     v, u = np.meshgrid(np.fft.fftfreq(_BLOCK), np.fft.rfftfreq(_BLOCK), indexing="ij")
-    u, v = u.astype(np.float32).ravel(), v.astype(np.float32).ravel()
+    u = u.astype(np.float32).ravel()
+    v = v.astype(np.float32).ravel()
     frequency = np.hypot(u, v)
     around = (frequency > 0.5 / _LONGEST) & (frequency < 0.45)
     sought = (frequency >= 1.0 / _LONGEST) & (frequency <= 1.0 / _SHORTEST)
@@ -107,7 +115,8 @@ def _periods(fields: FloatArray, step: int) -> tuple[Array, int]:
     back = -np.arange(_BLOCK) % _BLOCK
     mirrored = np.ix_(back, back[: _BLOCK // 2 + 1])
     lattice = tuple(slice(0, length - _BLOCK + 1, step) for length in fields.shape[:2])
-    side, corner = (_BLOCK, _BLOCK), (0, 0)
+    side = (_BLOCK, _BLOCK)
+    corner = (0, 0)
     tilts = cv2.blur(fields[..., :2], side, anchor=corner)[lattice]
     whole = cv2.erode(fields[..., 2], np.ones(side, np.uint8), anchor=corner)[lattice] >= 0.99
     usable = whole & (1.0 / np.sqrt(1.0 + (tilts * tilts).sum(axis=-1)) >= _FACING)

@@ -74,8 +74,10 @@ def relief_print(
 
 def upright_from_print(size: tuple[int, int], upright_size: tuple[int, int], step: float) -> Array:
     """(3, 3) from (column, row, 1) of the print to the upright frame: centre on centre, left and right exchanged."""
-    across, down = (upright_size[1] - 1) / 2, (upright_size[0] - 1) / 2
-    right, bottom = step * (size[1] - 1) / 2, step * (size[0] - 1) / 2
+    across = (upright_size[1] - 1) / 2
+    down = (upright_size[0] - 1) / 2
+    right = step * (size[1] - 1) / 2
+    bottom = step * (size[0] - 1) / 2
     return np.array([[-step, 0.0, across + right], [0.0, step, down - bottom], [0.0, 0.0, 1.0]])
 
 
@@ -131,8 +133,9 @@ def ink(values: FloatArray, weight: FloatArray, ppi: float = 500.0) -> NDArray[n
     centred, deviation = _centred(values, weight, sigma)
     typical = float(np.median(deviation[inside]))
     scale = float(np.abs(values[inside]).max())
-    flat = "the print has no ridges: its relief is flat; check focus and light of the capture."
-    require(typical > 1e-6 * scale, flat)
+    require(
+        typical > 1e-6 * scale, "the print has no ridges: its relief is flat; check focus and light of the capture."
+    )
     around = np.maximum(gaussian_mean(weight, _NARROW * sigma), 1e-3)
     near = np.sqrt(gaussian_mean(centred * centred * weight, _NARROW * sigma) / around)
     shown = np.clip((near / typical - _EMPTY) / (_FULL - _EMPTY), 0.0, 1.0) * weight

@@ -31,20 +31,17 @@ from splitknit.finger.registration import (
     FINE_MM,
     ITERATIONS,
     RIM_MM,
-    SETTLED_MM,
-    SETTLED_PX,
     SURROUND_MM,
+    TURN_MM,
     WORKING_PX_PER_MM,
-    Basis,
     Flow,
     Level,
     details_of,
     gram,
     lights_on,
-    places_of,
     register_shots,
-    rigid_shifts,
     robust_weight,
+    step_limits,
     still,
     without_glare,
 )
@@ -78,19 +75,20 @@ def _register_band(
     correlation (L,) of details with the expected ones with the motion undone, and as they are. `lights`: as those of
     `first`.
     """
-    around, skin = dilate(mask, SURROUND_MM * px_per_mm), erode(mask, RIM_MM * px_per_mm)
-    flow = unmoved = still(len(stack), (mask.shape[0], mask.shape[1]), px_per_mm)
+    around = dilate(mask, SURROUND_MM * px_per_mm)
+    skin = erode(mask, RIM_MM * px_per_mm)
+    flow = unmoved = still(len(stack), mask, px_per_mm)
     for step, sigma in enumerate((*COARSE_MM, *FINE_MM)):
         region = skin if step >= len(COARSE_MM) and skin.any() else around
         band = (sigma, BAND_RATIO * sigma)
         both = (details_of(images, region, px_per_mm, band, WORKING_PX_PER_MM) for images in (stack, first.stack))
         level, known = both
         expected = _expected(first, level, known, lights, mask.shape, px_per_mm)
-        flow = _followed(level, expected, flow, rigid_shifts(mask, px_per_mm, turns=step > 0))
+        flow = _followed(level, expected, flow, turns=step > 0)
     aligned = (level.sampled(f.at(*level.places()).astype(np.float32))[:, 0] for f in (flow, unmoved))
     likeness, before = (_likeness(level.weight, expected, images) for images in aligned)
     better = likeness > before  # a shot that went astray stays as it was
-    return Flow(flow.nodes_mm * better[:, None, None, None]), np.maximum(likeness, before), before
+    return replace(flow, moves_mm=flow.moves_mm * better[:, None]), np.maximum(likeness, before), before
 
 
 def _expected(  # noqa: PLR0917
@@ -111,23 +109,21 @@ def _expected(  # noqa: PLR0917
     return np.asarray((now * surface).sum(axis=1), dtype=np.float32)
 
 
-def _followed(level: Level, expected: FloatArray, flow: Flow, basis_at: Basis) -> Flow:
+def _followed(level: Level, expected: FloatArray, flow: Flow, *, turns: bool) -> Flow:
     """Move every shot, by itself, towards the details that are expected of it, whatever their strength."""
-    x, y = level.places()
-    first, basis = flow.at(x, y), basis_at(x, y)
-    parameters = np.zeros((len(first), basis.shape[2]))
-    most, least = 1.0 / level.px_per_mm, max(SETTLED_MM, SETTLED_PX / level.px_per_mm)
-    for k in range(len(first)):
+    places = level.places()
+    moves = flow.moves_mm.copy()
+    basis = flow.basis(*places)[..., : 3 if turns else 2]
+    most, least = step_limits(level)
+    for k in range(len(moves)):
         alone = replace(level, images=level.images[k : k + 1])
         for _ in range(ITERATIONS):
-            shifts = first[k] + np.einsum("m,ncm->cn", parameters[k], basis)
-            sampled = alone.sampled(shifts[None].astype(np.float32))[0]
-            step = np.clip(_step(level, expected[k], sampled, basis), -most, most)
-            parameters[k] += step
+            shifts = replace(flow, moves_mm=moves[k : k + 1]).at(*places)
+            step = np.clip(_step(level, expected[k], alone.sampled(shifts.astype(np.float32))[0], basis), -most, most)
+            moves[k, : basis.shape[2]] += step
             if float(np.abs(step).max()) < least:
                 break
-    moved = np.einsum("km,ncm->kcn", parameters, basis_at(*places_of(flow)))
-    return Flow(flow.nodes_mm + moved.reshape(flow.nodes_mm.shape))
+    return replace(flow, moves_mm=moves)
 
 
 def _step(level: Level, expected: FloatArray, sampled: FloatArray, basis: Array) -> Array:
@@ -138,7 +134,8 @@ def _step(level: Level, expected: FloatArray, sampled: FloatArray, basis: Array)
     root = np.sqrt(robust_weight(level, np.sqrt(residual * residual * level.weight)))
     shifts = sampled[1] * basis[:, 0].T + sampled[2] * basis[:, 1].T
     normal = gram(np.asarray(np.concatenate([shifts, -expected[None], residual[None]]) * root, dtype=np.float32))
-    force, normal = normal[:-1, -1], normal[:-1, :-1]
+    force = normal[:-1, -1]
+    normal = normal[:-1, :-1]
     normal = normal + np.diag(1e-6 * np.diag(normal) + 1e-30)
     return np.asarray(-np.linalg.solve(normal, force)[:-1])
 
@@ -173,12 +170,16 @@ def find_steady_finger(capture: Capture, settings: FingerSettings) -> tuple[Capt
         registered = None
     where = "shots"
     if registered is None and capture.material == "skin" and "white_crossed" in capture.bands:
-        registered, where = register(capture, finger, still_white=True), "parallel and the crossed series"
+        registered = register(capture, finger, still_white=True)
+        where = "parallel and the crossed series"
         least = _SERIES_MM if has_colour(capture.bands["white"]) else CORRECT_MM
         helps = _helps(registered.facts["motion_white_crossed"])
         if motion.correct == "off" or registered.most_mm < least or not helps:
-            words = f"the finger moved by {{:.2f mm}} between the {where}."
-            moved = Finding("moved-finger", words, lengths_mm=(registered.most_mm,))
+            moved = Finding(
+                "moved-finger",
+                f"the finger moved by {{:.2f mm}} between the {where}.",
+                lengths_mm=(registered.most_mm,),
+            )
             doubt = (moved,) if helps and registered.most_mm >= WARN_MM else ()
             facts = {**finger.facts, **registered.facts}
             return capture, replace(finger, facts=facts, findings=(*finger.findings, *doubt))
@@ -188,8 +189,11 @@ def find_steady_finger(capture: Capture, settings: FingerSettings) -> tuple[Capt
     steadied = resampled(capture, finger, registered)
     again = find_finger(steadied, settings)
     facts = {**again.facts, **registered.facts}
-    undone = f"the finger moved by {{:.2f mm}} between the {where}; that was undone, and the images resampled."
-    note = Finding("undone-motion", undone, lengths_mm=(registered.most_mm,))
+    note = Finding(
+        "undone-motion",
+        f"the finger moved by {{:.2f mm}} between the {where}; that was undone, and the images resampled.",
+        lengths_mm=(registered.most_mm,),
+    )
     return steadied, replace(again, facts=facts, findings=(note, *again.findings))
 
 
@@ -197,7 +201,8 @@ def without_moved_side(capture: Capture, finger: Finger) -> tuple[Capture, tuple
     """The capture, without images lit from the side (as of :func:`without_side_lights`, the white band not yet a mean)
     where the finger lay elsewhere than a matt surface like the others shows, all or some of them, and a warning then.
     """
-    measured, numbers = [], []
+    measured = []
+    numbers = []
     for band in capture.bands.values():
         if band.side is not None:
             pair = {"white": replace(band, name="white"), "white_crossed": replace(band.side, name="white_crossed")}
@@ -292,16 +297,22 @@ def register(capture: Capture, finger: Finger, *, still_white: bool = False) -> 
     colours = [len(set(names)) for names in white.colours] or 1  # coloured LEDs share a photograph
     shots = np.repeat(np.arange(len(white.pixels)), colours)
     reference = len(white.pixels) // 2
-    first = (window[1].start / px_per_mm, window[0].start / px_per_mm)
     flows: dict[str, Flow] = {}
     facts: dict[str, Any] = {"motion": {"reference": f"white {reference}"}}
-    before, after, left = np.zeros(1), np.zeros(1), 1.0
-    flow = still(len(white.pixels), (mask.shape[0], mask.shape[1]), px)
+    before = after = np.zeros(1)
+    left = 1.0
+    flow = still(len(white.pixels), mask, px)
+    corner_mm = window[1].start / px_per_mm, window[0].start / px_per_mm
+    centre = flow.centre_mm[0] + corner_mm[0], flow.centre_mm[1] + corner_mm[1]
+    rows, columns = np.nonzero(mask)
+    middle = float(columns.mean()) / px + corner_mm[0], float(rows.mean()) / px + corner_mm[1]
     if not still_white:
         found = register_shots(skin, lights, mask, px, reference=reference, shots=shots)
-        flow, before, after = found.flow, found.before, found.after
-        flows["white"] = replace(flow, origin_mm=first)
-        reported = _motion_facts(flows["white"], mask, px)
+        flow = found.flow
+        before = found.before
+        after = found.after
+        flows["white"] = replace(flow, centre_mm=centre)
+        reported = _motion_facts(flows["white"], middle)
         facts["motion_white"] = reported | {"unexplained_before": _plain(before), "unexplained_after": _plain(after)}
         shifts = np.array(reported["shift_mm"])
         if not white.colours:  # one light a shot
@@ -316,11 +327,11 @@ def register(capture: Capture, finger: Finger, *, still_white: bool = False) -> 
         vectors = _lights_over(capture, band, window)
         known = _RegisteredBand(alike, lights, flow, shots)
         other, likeness, likeness_before = _register_band(known, stack, vectors, mask, px)
-        nodes = other.nodes_mm
+        moves = other.moves_mm
         if crossed and not coloured:  # gloss shifts each image by itself: their mean is what moved
-            nodes = np.broadcast_to(nodes.mean(axis=0), nodes.shape).copy()
-        flows[name] = replace(other, nodes_mm=nodes, origin_mm=first)
-        reported = _motion_facts(flows[name], mask, px)
+            moves = np.broadcast_to(moves.mean(axis=0), moves.shape)
+        flows[name] = Flow(moves, centre)
+        reported = _motion_facts(flows[name], middle)
         reported |= {"likeness_before": _plain(likeness_before), "likeness_after": _plain(likeness)}
         facts[f"motion_{name}"] = reported
     most = max(max(facts[f"motion_{name}"]["moved_mm"]) for name in flows)
@@ -365,34 +376,33 @@ def _helps(figures: dict[str, Any]) -> bool:
 
 
 def _check(registered: _Registered, settings: FingerSettings) -> None:
-    moved, most = registered.most_mm, settings.motion.most_mm
+    moved = registered.most_mm
+    most = settings.motion.most_mm
     remedy = f"rest the finger on its support and capture again{_SWITCH}."
-    far = f"the finger moved by {moved:.2f} mm between the shots, and at most {most:g} mm can be undone; {remedy}"
-    require(moved <= most, far)
-    left, may = f"{100 * registered.after:.0f} % of their details are left over", f"{100 * MOST_LEFT:.0f} % may be"
-    apart = f"the shots do not fit together: {left} when the motion between them is undone, and at most {may}; {remedy}"
-    require(registered.after <= MOST_LEFT, apart)
+    require(
+        moved <= most,
+        f"the finger moved by {moved:.2f} mm between the shots, and at most {most:g} mm can be undone; {remedy}",
+    )
+    require(
+        registered.after <= MOST_LEFT,
+        "the shots do not fit together: "
+        f"{100 * registered.after:.0f} % of their details are left over"
+        f" when the motion between them is undone, and at most {100 * MOST_LEFT:.0f} % may be; {remedy}",
+    )
 
 
 def _rms(values: Array) -> float:
     return float(np.sqrt(np.mean(values**2)))
 
 
-def _motion_facts(flow: Flow, mask: BoolArray, px_per_mm: float) -> dict[str, Any]:
-    """Mean shift (x right, y up) and turn of every shot, for a report."""
-    rows, columns = np.nonzero(mask)
-    stride = max(1, len(rows) // 4000)
-    x = columns[::stride] / px_per_mm + flow.origin_mm[0]
-    y = rows[::stride] / px_per_mm + flow.origin_mm[1]
-    shifts = flow.at(x, y)
-    mean = shifts.mean(axis=2)
-    across, down = x - x.mean(), y - y.mean()
-    turn = (shifts[:, 0] * down - shifts[:, 1] * across).sum(axis=1) / (across**2 + down**2).sum()
+def _motion_facts(flow: Flow, middle_mm: tuple[float, float]) -> dict[str, Any]:
+    """Shift of the finger's middle (x right, y up) and turn of every shot, for a report."""
+    shifts = flow.at(*np.reshape(middle_mm, (2, 1)))[..., 0]
     return {
-        "moved_mm": _plain(np.hypot(mean[:, 0], mean[:, 1])),
-        "shift_mm": [[float(a), float(-b)] for a, b in mean],
-        "turn_deg": _plain(np.rad2deg(turn)),
-        "centre_mm": [float(x.mean()), float(y.mean())],
+        "moved_mm": _plain(np.hypot(shifts[:, 0], shifts[:, 1])),
+        "shift_mm": (shifts * [1.0, -1.0]).tolist(),
+        "turn_deg": _plain(-np.rad2deg(flow.moves_mm[:, 2] / TURN_MM)),
+        "centre_mm": list(middle_mm),
     }
 
 
@@ -410,7 +420,7 @@ def resampled(capture: Capture, finger: Finger, registered: _Registered) -> Capt
         pixels = band.pixels.copy()
 
         def one(k: int, pixels: Any = pixels, band: Band = band, flow: Flow = flow) -> None:
-            if flow.nodes_mm[k].any():
+            if flow.moves_mm[k].any():
                 take(band.pixels[k], flow, k, px_per_mm, window, pixels[k])
 
         with ThreadPoolExecutor(2) as pool:

@@ -32,7 +32,8 @@ def box_around(mask: BoolArray, margin: float) -> tuple[slice, slice]:
     found = []
     for axis in (1, 0):
         places = np.flatnonzero(mask.any(axis=axis))
-        low, high = int(places[0] - margin), int(places[-1] + margin) + 2
+        low = int(places[0] - margin)
+        high = int(places[-1] + margin) + 2
         found.append(slice(max(0, low), min(high, mask.shape[1 - axis])))
     return found[0], found[1]
 

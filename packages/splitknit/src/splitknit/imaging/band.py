@@ -129,15 +129,18 @@ def linear_channels(
     """
     for channel in channels:
         require(channel == "grey" or channel in CHANNELS, f"channel '{channel}' is not known.")
-        coloured = f"the band '{band.name}' was lit by coloured LEDs, one colour an image"
-        require(channel == "grey" or not band.colours, f"{coloured}; it has no channel '{channel}'.")
+        require(
+            channel == "grey" or not band.colours,
+            f"the band '{band.name}' was lit by coloured LEDs, one colour an image; it has no channel '{channel}'.",
+        )
     where = window if window is not None else (slice(None), slice(None))
     ambient = ambient_light(band, encoding, where, binning)
     shape = band.pixels[0][where].shape[:2]
     count = band.pixels.shape[0]
     size = (int(n // binning) for n in shape)
     stack = np.empty((len(channels), len(band.lights), *size), dtype=np.float32)
-    first, levels = _first_lights(band), _clip_levels(band, encoding)
+    first = _first_lights(band)
+    levels = _clip_levels(band, encoding)
 
     def work(k: int) -> None:
         light = _lit_light(band, k, encoding, where, binning, ambient)
@@ -204,8 +207,10 @@ def _lit_light(  # noqa: PLR0917
     clips in two channels, all have the light at which the parallel one does, so that it counts as clipped.
     """
     if band.crossed is not None:
-        own, dark = replace(band, crossed=None), ambient_light(band.crossed, encoding, window, binning)
-        lights, clipped = [], np.False_
+        own = replace(band, crossed=None)
+        dark = ambient_light(band.crossed, encoding, window, binning)
+        lights = []
+        clipped = np.False_
         for one, room in ((own, ambient), (band.crossed, dark)):
             light = _lit_light(one, k, encoding, window, binning, room)
             stored = light if one.transmission is None else light * one.transmission[k].astype(np.float32)
@@ -216,7 +221,8 @@ def _lit_light(  # noqa: PLR0917
         let_go(band.crossed.pixels)
         level = np.float32(_clip_levels(band, encoding)[k])
         return np.where(clipped, np.maximum(lights[0], level), 0.5 * (lights[0] + lights[1]))
-    exposure, black = float(band.exposure[k]), float(band.black_level[k])
+    exposure = float(band.exposure[k])
+    black = float(band.black_level[k])
     light = linear_image(band.pixels[k][window], encoding, exposure, black, binning)
     if ambient is not None:
         light -= ambient
@@ -246,8 +252,10 @@ def flat_light(band: Band, encoding: str) -> FloatArray:
 
 
 def _lit(flat: FloatArray) -> FloatArray:
-    dark = "the flat photographs are black in places; light the whole field, and check their black level."
-    require(float(flat.min()) > 1e-4 * float(flat.max()) > 0.0, dark)
+    require(
+        float(flat.min()) > 1e-4 * float(flat.max()) > 0.0,
+        "the flat photographs are black in places; light the whole field, and check their black level.",
+    )
     return flat
 
 

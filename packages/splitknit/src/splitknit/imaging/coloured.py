@@ -35,8 +35,11 @@ def as_lit(capture: Capture, settings: LightsSettings) -> tuple[Capture, tuple[F
     white = capture.bands["white"]
     if settings.compose == 0 or white.colours:
         return capture, ()
-    polarised = "coloured exposures are put together from images without polarising films; this capture is polarised"
-    require(not white.polarisation, f"{polarised}; choose another preset, or `settings` lights.compose=0.")
+    require(
+        not white.polarisation,
+        "coloured exposures are put together from images without polarising films; this capture is polarised"
+        "; choose another preset, or `settings` lights.compose=0.",
+    )
     exposures = max(1, min(settings.compose, len(white.leds) // len(COLOURS)))
     words = "one coloured exposure was" if exposures == 1 else f"{exposures} coloured exposures were"
     return composed(capture, exposures), (Finding("composed-colours", f"{words} {COMPOSED}"),)
@@ -68,7 +71,8 @@ def _colour_factors(seen: Array, lights: Array, colour: NDArray[np.str_]) -> Arr
         factors[own] = seen[own].mean() / max(float(lights[own, 2].mean()), 1e-6)
     for _ in range(_ROUNDS):
         factors /= np.exp(np.mean(np.log(np.maximum(factors, 1e-6))))
-        model, before = factors[:, None] * lights, factors.copy()
+        model = factors[:, None] * lights
+        before = factors.copy()
         shading = lights @ (np.linalg.pinv(model) @ seen)
         for name in names:
             own = colour == name
@@ -102,17 +106,23 @@ def composed(capture: Capture, exposures: int = 2) -> Capture:
     from splitknit.model import CROSSTALK, shared_exposures  # the twin's sensor
 
     white = capture.bands["white"]
-    grey = "coloured exposures are put together from colour images only, but the white band is grey; capture in colour."
-    require(white.pixels.shape[3] == 3, grey)
+    require(
+        white.pixels.shape[3] == 3,
+        "coloured exposures are put together from colour images only, but the white band is grey; capture in colour.",
+    )
     count = 3 * exposures
     vectors = capture.rig.select(white.leds).light_vectors()
     azimuth = np.arctan2(vectors[:, 1], vectors[:, 0]) % (2 * np.pi)
     around = np.argsort(azimuth, kind="stable").tolist()
-    few = f"{exposures} exposures of three colours need {count} white images, but there are {len(around)}."
-    require(len(around) >= count, few)
+    require(
+        len(around) >= count,
+        f"{exposures} exposures of three colours need {count} white images, but there are {len(around)}.",
+    )
     chosen = [around[round(k * len(around) / count)] for k in range(count)]
     mixing = np.asarray(CROSSTALK)
-    leds, images, groups = list(capture.rig.leds), [], []
+    leds = list(capture.rig.leds)
+    images = []
+    groups = []
     for places in shared_exposures(exposures):
         shots = [chosen[place] for place in places]
         images.append(_exposure(white, capture.encoding, shots, mixing))

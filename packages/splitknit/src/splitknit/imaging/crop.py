@@ -32,7 +32,9 @@ def cropped(capture: Capture, window: Window) -> Capture:
 
 
 def _rig(rig: Rig, window: Window) -> Rig:
-    camera, films, matrix = rig.camera, rig.films, rig.camera.matrix
+    camera = rig.camera
+    films = rig.films
+    matrix = rig.camera.matrix
     (top, bottom), (left, right) = ends = [(part.start, part.stop) for part in window]
     away = (np.array([left + right, top + bottom]) - camera.image_size[::-1]) / 2  # middle from middle: columns, rows
     x_mm, y_mm = away * camera.pitch_mm * (1, -1) if camera.model == "orthographic" else (0.0, 0.0)
@@ -51,18 +53,21 @@ def _rig(rig: Rig, window: Window) -> Rig:
 
     small = replace(camera, image_size=(bottom - top, right - left), matrix=matrix, shading=())
     cut = {"rows": list(ends[0]), "columns": list(ends[1]), "image_size": list(camera.image_size)}
-    leds, provenance = tuple(moved(led) for led in rig.leds), {**rig.provenance, "cut_from": cut}
+    leds = tuple(moved(led) for led in rig.leds)
+    provenance = {**rig.provenance, "cut_from": cut}
     return replace(rig, camera=small, leds=leds, films=films, provenance=provenance)
 
 
 def _flat(band: Band, encoding: str, window: Window) -> PixelArray:
     """(L, h, w) flat images of the window, the lens's fall-off in them, as stored."""
-    size, corner = band.pixels.shape[1:3], (window[0].start, window[1].start)
+    size = band.pixels.shape[1:3]
+    corner = (window[0].start, window[1].start)
     shape = (window[0].stop - corner[0], window[1].stop - corner[1])
     lens = lens_shading(band.shading, size, *corner, shape=shape)
     light = np.ones((len(band.pixels), 2, 2), np.float32) if band.flat is None else flat_light(band, encoding)
     exposed = np.stack([coarse_grid(flat_at(one, size, corner, 1, shape) * lens) for one in light])
     exposed *= band.exposure[:, None, None].astype(np.float32)
-    table, full = decode_table(np.dtype(np.uint16), encoding), np.iinfo(band.pixels.dtype).max
+    table = decode_table(np.dtype(np.uint16), encoding)
+    full = np.iinfo(band.pixels.dtype).max
     black = np.interp(65535 / full * band.black_level, np.arange(table.size), table)[:, None, None]
     return np.asarray(np.searchsorted(table, black + (_BRIGHTEST - black) * exposed / exposed.max()), dtype=np.uint16)

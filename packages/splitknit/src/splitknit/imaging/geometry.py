@@ -76,13 +76,15 @@ def warp(image: FloatArray, source_from_target: Array, size: tuple[int, int]) ->
     """
     if abs(float(np.linalg.det(source_from_target[:2, :2]))) < 1e-12:
         raise BadInput("the transform between two frames is singular.")
-    pixels, flags = np.ascontiguousarray(image, dtype=np.float32), cv2.INTER_CUBIC | cv2.WARP_INVERSE_MAP
+    pixels = np.ascontiguousarray(image, dtype=np.float32)
+    flags = cv2.INTER_CUBIC | cv2.WARP_INVERSE_MAP
     return np.asarray(cv2.warpAffine(pixels, source_from_target[:2], (size[1], size[0]), flags=flags))
 
 
 def rotation_about(centre: tuple[float, float], angle_rad: float) -> Array:
     """3 x 3 matrix on (column, row, 1) that turns by `angle_rad` counter-clockwise, as seen, about `centre`."""
-    cos, sin = np.cos(angle_rad), np.sin(angle_rad)
+    cos = np.cos(angle_rad)
+    sin = np.sin(angle_rad)
     turn = np.array([[cos, sin, 0.0], [-sin, cos, 0.0], [0.0, 0.0, 1.0]])
     to_origin = np.array([[1.0, 0.0, -centre[0]], [0.0, 1.0, -centre[1]], [0.0, 0.0, 1.0]])
     back = np.array([[1.0, 0.0, centre[0]], [0.0, 1.0, centre[1]], [0.0, 0.0, 1.0]])
@@ -135,7 +137,8 @@ def sampled_at(
     """Values (...) or (..., C) of a field (H, W) or (H, W, C) at places (...) between its pixels, by OpenCV's
     interpolation `how`; `outside`: value beside the field, by default the nearest pixel's.
     """
-    missing, shape = -columns.size % _LINE, (*columns.shape, *field.shape[2:])
+    missing = -columns.size % _LINE
+    shape = (*columns.shape, *field.shape[2:])
     padded = (np.append(part, np.zeros(missing)).astype(np.float32) for part in (columns, rows))
     x, y = (part.reshape(-1, _LINE) for part in padded)
     border = cv2.BORDER_REPLICATE if outside is None else cv2.BORDER_CONSTANT

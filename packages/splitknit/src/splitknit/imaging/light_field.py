@@ -62,7 +62,8 @@ def flat_promised(rig: Rig, shape: tuple[int, ...]) -> FloatArray:
     _, rows, columns = shape
     step = rig.camera.image_size[1] / columns / rig.camera.px_per_mm
     x, y = np.meshgrid(np.arange(columns) - 0.5 * (columns - 1), 0.5 * (rows - 1) - np.arange(rows))
-    x, y = (step * x).astype(np.float32), (step * y).astype(np.float32)
+    x = (step * x).astype(np.float32)
+    y = (step * y).astype(np.float32)
     return np.maximum(light_vectors_at(rig, x, y, np.zeros_like(x))[:, 2], 1e-3)
 
 
@@ -105,7 +106,8 @@ def _fraction(shade: Shade, x: FloatArray, y: FloatArray, z: FloatArray) -> Floa
     """Fraction of the light that reaches the places (x, y, z), of any shape."""
     if shade.apex_mm is not None:
         nearer = 1.0 - z / shade.apex_mm
-        x, y = x / nearer, y / nearer
+        x = x / nearer
+        y = y / nearer
     rows, columns = shade.fraction.shape
     places = []
     for values, (first, last), count in ((x, shade.x_mm, columns), (y, shade.y_mm, rows)):
@@ -117,8 +119,10 @@ def _fraction(shade: Shade, x: FloatArray, y: FloatArray, z: FloatArray) -> Floa
 def surface_array(surface_mm: Any, shape: tuple[int, int]) -> FloatArray:
     """`surface_mm` as (H, W) float32, a number spread over the image."""
     array = np.asarray(surface_mm, dtype=np.float32)
-    fits = array.ndim == 0 or array.shape == shape
-    require(fits, f"surface_mm must be a number or have the shape {shape}, but it has the shape {array.shape}.")
+    require(
+        array.ndim == 0 or array.shape == shape,
+        f"surface_mm must be a number or have the shape {shape}, but it has the shape {array.shape}.",
+    )
     return np.broadcast_to(array, shape)
 
 
@@ -135,6 +139,11 @@ def few_lights(vectors: Array) -> list[Finding]:
     lack = "one is spare, so that one shadow or highlight at a pixel shows, but not which light it is of"
     if len(vectors) == 3:
         lack = "none is spare, so that shadows and highlights bend the surface unnoticed"
-    tilt = f"noise of 1 % in the images tilts normals by {tilt_deg:.1f} deg (rms, least squares)"
-    words = f"{len(vectors)} lights, of which {lack}; {tilt}. Seven lights are a good number."
-    return [Finding("few-lights", words)]
+    return [
+        Finding(
+            "few-lights",
+            f"{len(vectors)} lights, of which {lack}; "
+            f"noise of 1 % in the images tilts normals by {tilt_deg:.1f} deg (rms, least squares)"
+            ". Seven lights are a good number.",
+        )
+    ]

@@ -58,7 +58,8 @@ def without_side_lights(capture: Capture) -> Capture:
     if front.all() or front.sum() < IN_FRONT:
         return capture
     both = {name: band for name, band in capture.bands.items() if name in {"white", "white_crossed"}}
-    rows, others = np.flatnonzero(front).tolist(), np.flatnonzero(~front).tolist()
+    rows = np.flatnonzero(front).tolist()
+    others = np.flatnonzero(~front).tolist()
     parts = {name: replace(band.of_images(rows), side=band.of_images(others)) for name, band in both.items()}
     return replace(capture, bands={**capture.bands, **parts})
 
@@ -81,11 +82,15 @@ def split_mosaic(mosaic: NDArray[Any], film_deg: float, *, colour: bool = False)
     [200, 0]
     """
     rows, columns, block = *mosaic.shape[:2], 4 if colour else 2
-    wanted = f"a mosaic of films has one channel of integers and sides that are multiples of {block}"
     fits = mosaic.size == rows * columns and mosaic.dtype.kind == "u" and rows % block == columns % block == 0
-    require(fits, f"{wanted}, but it is {mosaic.shape} {mosaic.dtype}.")
+    require(
+        fits,
+        f"a mosaic of films has one channel of integers and sides that are multiples of {block}"
+        f", but it is {mosaic.shape} {mosaic.dtype}.",
+    )
     full = np.iinfo(mosaic.dtype).max
-    light, clips = {}, np.zeros((rows // 2, columns // 2), dtype=np.bool_)
+    light = {}
+    clips = np.zeros((rows // 2, columns // 2), dtype=np.bool_)
     for row, column in np.ndindex(2, 2):
         part = np.ascontiguousarray(mosaic.reshape(rows, columns)[row::2, column::2])
         clips |= part >= 0.985 * full
@@ -131,9 +136,15 @@ def findings_on_series(parallel: FloatArray, crossed: FloatArray, mask: BoolArra
     wrong = np.flatnonzero(np.diag(alike) < alike.max(axis=0) - _AS_ALIKE)
     if wrong.size == 0:
         return ()
-    k, like = wrong[0], alike[:, wrong[0]].argmax()
-    lit = f"crossed image {k} is lit as parallel image {like} is, not as image {k}"
-    return (Finding("series-order", f"{lit}: list both series in the same order of lights."),)
+    k = wrong[0]
+    like = alike[:, wrong[0]].argmax()
+    return (
+        Finding(
+            "series-order",
+            f"crossed image {k} is lit as parallel image {like} is, not as image {k}"
+            ": list both series in the same order of lights.",
+        ),
+    )
 
 
 def specular_picture(specular: FloatArray, mask: BoolArray, sigma_px: float) -> FloatArray:
@@ -196,7 +207,9 @@ def aligned(capture: Capture) -> tuple[Capture, dict[str, Any]]:
     green, even under the light that the surface reflects least. Raises BadInput if the rig's films were measured under
     other LEDs.
     """
-    parallel, crossed, films = capture.bands["white"], capture.bands.get("white_crossed"), capture.rig.films
+    parallel = capture.bands["white"]
+    crossed = capture.bands.get("white_crossed")
+    films = capture.rig.films
     if crossed is None or films is None:
         return capture, {} if crossed is None else {"films": "taken as ideal"}
     brightness = np.array(films.brightness)[_lights(films, parallel)]
@@ -221,14 +234,16 @@ def contrast(capture: Capture, band: Band) -> Array:
 
 def crossed_place(films: Films, shape: tuple[int, ...]) -> Array:
     """(2, 3) from columns and rows of the parallel image to where the crossed one shows the same."""
-    x, y = (shape[1] - 1) / 2, (shape[0] - 1) / 2
+    x = (shape[1] - 1) / 2
+    y = (shape[0] - 1) / 2
     s, (dx, dy) = films.scale, films.shift_px
     return np.array([[s, 0.0, (1.0 - s) * x + dx], [0.0, s, (1.0 - s) * y + dy]])
 
 
 def undone(image: FloatArray, films: Films) -> FloatArray:
     """A crossed image (h, w) or (h, w, C), of floats or as stored, resampled onto the parallel one's pixels."""
-    matrix, size = crossed_place(films, image.shape), (image.shape[1], image.shape[0])
+    matrix = crossed_place(films, image.shape)
+    size = (image.shape[1], image.shape[0])
     flags = cv2.INTER_CUBIC | cv2.WARP_INVERSE_MAP
     return np.asarray(cv2.warpAffine(image, matrix, size, flags=flags, borderMode=cv2.BORDER_REPLICATE))
 
@@ -237,8 +252,11 @@ def _lights(films: Films, parallel: Band) -> list[int]:
     """Entry of the films for every image."""
     entries = []
     for group in parallel.leds:
-        measured = f"the rig's films were measured under LEDs {', '.join(map(str, films.leds))} only"
-        other = f"LED {group[0]} lights a polarised image, but {measured}; calibrate the polarisers again."
-        require(group[0] in films.leds, other)
+        require(
+            group[0] in films.leds,
+            f"LED {group[0]} lights a polarised image, but "
+            f"the rig's films were measured under LEDs {', '.join(map(str, films.leds))} only"
+            "; calibrate the polarisers again.",
+        )
         entries.append(films.leds.index(group[0]))
     return entries

@@ -50,7 +50,8 @@ def shading_is_srgb(codes: FloatArray, vectors: Array, *, known: bool) -> bool |
     good = lit.sum(axis=0) >= (4 if known else 5)
     good &= good.cumsum() % max(1, int(good.sum()) // _MOST_PIXELS) == 0
     shown = lit[:, good].any(axis=1)
-    values, weights = codes[shown][:, good].astype(np.float64), lit[shown][:, good].astype(np.float64)
+    values = codes[shown][:, good].astype(np.float64)
+    weights = lit[shown][:, good].astype(np.float64)
     vectors = vectors[shown]
     if int(weights.sum()) < _FEWEST_VALUES or len(vectors) < (FEWEST if known else FEWEST + 1):
         return None
@@ -59,7 +60,8 @@ def shading_is_srgb(codes: FloatArray, vectors: Array, *, known: bool) -> bool |
         free = np.array([_cost(values, weights, vectors, exponent, known=False) for exponent in _EXPONENTS])
         known = bool(free.sum(axis=(1, 2)).min() > _UNEQUAL * costs.sum(axis=(1, 2)).min())
         costs = costs if known else free
-    apart, total = (costs[_SRGB] - costs[_LINEAR])[weights > 0], costs.sum(axis=(1, 2))
+    apart = (costs[_SRGB] - costs[_LINEAR])[weights > 0]
+    total = costs.sum(axis=(1, 2))
     if abs(float(apart.mean())) < _SURE * float(apart.std()) / np.sqrt(apart.size):
         return None
     if _EXPONENTS[np.argmin(total)] <= _CURVED_UP_TO:
@@ -85,7 +87,9 @@ def _ratio_where_best(values: Array, lit: Array, vectors: Array) -> float:
 
 def _cost(values: Array, lit: Array, vectors: Array, exponent: float, *, known: bool) -> Array:
     """(L, n) Cauchy's loss of what light = values^(1 / exponent) leaves of the values, zero where no light falls."""
-    light, weights, scaled = values ** (1.0 / exponent), lit, vectors
+    light = values ** (1.0 / exponent)
+    weights = lit
+    scaled = vectors
     for _ in range(3):
         if not known:
             scaled = vectors * _brightness(light, weights, vectors)[:, None]
@@ -98,9 +102,10 @@ def _cost(values: Array, lit: Array, vectors: Array, exponent: float, *, known: 
 
 
 def _brightness(light: Array, weights: Array, vectors: Array) -> Array:
-    """(L,) brightness of the lights, as :func:`splitknit.photometric.checks.light_gains` finds it, in one step."""
+    """(L,) brightness of the lights, as :func:`splitknit.diagnosis.gains.light_gains` finds it, in one step."""
     inverse = np.linalg.inv(np.einsum("ln,li,lj->nij", weights, vectors, vectors) + 1e-9 * np.eye(3))
-    own, each = weights * light, 1.0 / np.maximum((weights * light**2).sum(axis=0), 1e-12)
+    own = weights * light
+    each = 1.0 / np.maximum((weights * light**2).sum(axis=0), 1e-12)
     power = (own * light * each).sum(axis=1)
     pulls = np.einsum("ki,nij,ln,lj->nkl", vectors, inverse, own, vectors, optimize=True)
     left = np.diag(power) - np.einsum("kn,nkl->kl", own * each, pulls)

@@ -1,4 +1,4 @@
-"""Surface texture: height parameters of areas (ISO 25178-2) and of profiles (ISO 4287)."""
+"""Surface texture: height parameters of profiles (ISO 4287)."""
 
 from __future__ import annotations
 
@@ -6,36 +6,7 @@ import cv2
 import numpy as np
 
 from splitknit.errors import require
-from splitknit.model import Array, FloatArray
-
-
-def areal_roughness(height_mm: FloatArray, pitch_mm: float) -> dict[str, float]:
-    """Height and hybrid parameters of a surface: its form is to be removed before, as in a result's relief.
-
-    Returns ``Sa_um`` (mean absolute height), ``Sq_um`` (root mean square), ``Sz_um`` (highest peak to lowest pit) and
-    ``Sdr_percent`` (developed over projected area less one, of the squares whose four corners are known, two triangles
-    each). `height_mm`: (H, W), NaN where nothing was measured; its mean is subtracted; `pitch_mm`: distance of the
-    pixels. Raises BadInput if no square of four pixels is known. Source: ISO 25178-2:2021, sections 4.2 (Sq, Sz, Sa)
-    and 4.4 (Sdr).
-
-    >>> wave = 0.01 * np.sin(2 * np.pi * np.arange(200) / 50)
-    >>> {name: round(value, 2) for name, value in areal_roughness(np.tile(wave, (9, 1)), 0.01).items()}
-    {'Sa_um': 6.36, 'Sq_um': 7.07, 'Sz_um': 19.96, 'Sdr_percent': 0.39}
-    """
-    known = height_mm[np.isfinite(height_mm)].astype(np.float64)
-    a, b, c, d = (height_mm[i : i - 1 or None, j : j - 1 or None] / pitch_mm for i in (0, 1) for j in (0, 1))
-    upper = np.sqrt(1.0 + (b - a) ** 2 + (c - a) ** 2)  # twice the areas of the triangles a b c and b c d
-    lower = np.sqrt(1.0 + (d - c) ** 2 + (d - b) ** 2)
-    area = (0.5 * (upper + lower)).astype(np.float64)
-    require(np.isfinite(area).any(), "the surface has no square of four known pixels.")
-    known -= known.mean()
-    return {
-        "Sa_um": float(np.abs(known).mean() * 1e3),
-        "Sq_um": float(np.sqrt((known**2).mean()) * 1e3),
-        "Sz_um": float(np.ptp(known) * 1e3),
-        "Sdr_percent": float(np.nanmean(area) * 100.0 - 100.0),
-    }
-
+from splitknit.model import Array
 
 _SIGMA = float(np.sqrt(np.log(2.0) / 2.0) / np.pi)
 """Standard deviation over the cut-off of the Gaussian that passes half of a wave as long as the cut-off."""
@@ -55,14 +26,16 @@ def profile_roughness(height_mm: Array, step_mm: float, cutoff_mm: float) -> tup
     (6.4, 20.0, 3)
     """
     length_mm = step_mm * (len(height_mm) - 1)
-    gap = "the profile has a gap; choose points between which the surface is whole."
-    require(np.isfinite(height_mm).all(), gap)
-    short = f"the profile is {length_mm:.3g} mm long, and roughness needs two cut-offs of {cutoff_mm:g} mm"
-    require(length_mm >= 2.0 * cutoff_mm - 1e-9, f"{short}; choose points farther apart, or a smaller `cutoff`.")
-    coarse = (
-        f"heights lie {1000 * step_mm:.3g} um apart, too far for a `cutoff` of {cutoff_mm:g} mm; give a larger one."
+    require(np.isfinite(height_mm).all(), "the profile has a gap; choose points between which the surface is whole.")
+    require(
+        length_mm >= 2.0 * cutoff_mm - 1e-9,
+        f"the profile is {length_mm:.3g} mm long, and roughness needs two cut-offs of {cutoff_mm:g} mm"
+        "; choose points farther apart, or a smaller `cutoff`.",
     )
-    require(step_mm <= cutoff_mm / 8.0, coarse)
+    require(
+        step_mm <= cutoff_mm / 8.0,
+        f"heights lie {1000 * step_mm:.3g} um apart, too far for a `cutoff` of {cutoff_mm:g} mm; give a larger one.",
+    )
     along = np.arange(len(height_mm)) * step_mm
     level = height_mm - np.polyval(np.polyfit(along, height_mm, 1), along)
     sigma = _SIGMA * cutoff_mm / step_mm

@@ -77,7 +77,9 @@ class View:
         if not self._spread:
             return vectors
         a, b, c = self._towards(chunk, vectors.shape[2:] if where is None else where.shape, where)
-        vx, vy, vz = vectors[:, 0], vectors[:, 1], vectors[:, 2]
+        vx = vectors[:, 0]
+        vy = vectors[:, 1]
+        vz = vectors[:, 2]
         sideways = a * vx + b * vy
         common = sideways / (1.0 + c) + vz
         return np.stack([vx - a * common, vy - b * common, sideways + c * vz], axis=1)
@@ -87,7 +89,9 @@ class View:
         if not self._spread:
             return vectors
         a, b, c = self._towards(slice(None), vectors.shape[:2], None)
-        rx, ry, rz = vectors[..., 0], vectors[..., 1], vectors[..., 2]
+        rx = vectors[..., 0]
+        ry = vectors[..., 1]
+        rz = vectors[..., 2]
         sideways = a * rx + b * ry
         common = rz - sideways / (1.0 + c)
         return np.stack([rx + a * common, ry + b * common, c * rz - sideways], axis=-1)
@@ -99,15 +103,21 @@ class View:
         parallel rays on a regular grid: 1, 0, 0, 1.
         """
         x, y = (np.broadcast_to(v, shape) for v in self.on_plane())
-        x_right, x_up = np.gradient(x, axis=1) / pitch_mm, -np.gradient(x, axis=0) / pitch_mm
-        y_right, y_up = np.gradient(y, axis=1) / pitch_mm, -np.gradient(y, axis=0) / pitch_mm
+        x_right = np.gradient(x, axis=1) / pitch_mm
+        x_up = -np.gradient(x, axis=0) / pitch_mm
+        y_right = np.gradient(y, axis=1) / pitch_mm
+        y_up = -np.gradient(y, axis=0) / pitch_mm
         if not self._spread:
             return _f32(x_right), _f32(x_up), _f32(y_right), _f32(y_up)
         a, b, c = self._towards(slice(None), shape, None)
         k = 1.0 / (1.0 + c)
-        xx, xy, yy = c * (1 - a * a * k), -c * a * b * k, c * (1 - b * b * k)
-        x_x, x_y = xx * x_right + xy * y_right, xx * x_up + xy * y_up
-        y_x, y_y = xy * x_right + yy * y_right, xy * x_up + yy * y_up
+        xx = c * (1 - a * a * k)
+        xy = -c * a * b * k
+        yy = c * (1 - b * b * k)
+        x_x = xx * x_right + xy * y_right
+        x_y = xx * x_up + xy * y_up
+        y_x = xy * x_right + yy * y_right
+        y_y = xy * x_up + yy * y_up
         return _f32(x_x), _f32(x_y), _f32(y_x), _f32(y_y)
 
     @property
@@ -119,7 +129,8 @@ class View:
         assert self.apex_mm is not None
         x, y = (np.broadcast_to(v, shape) for v in self.on_plane(chunk))
         if where is not None:
-            x, y = x[where], y[where]
+            x = x[where]
+            y = y[where]
         apex = np.float32(self.apex_mm)
         far = np.sqrt(x * x + y * y + apex * apex)
         return _f32(-x / far), _f32(-y / far), _f32(apex / far)
@@ -151,7 +162,8 @@ def view_of(
 
 
 def _lattice(axis: Array) -> Array:
-    first, last = float(axis[0]), float(axis[-1])
+    first = float(axis[0])
+    last = float(axis[-1])
     count = max(int(np.ceil((last - first) / LATTICE_PX)) + 1, 4)
     return np.linspace(first, max(last, first + 3.0), count)
 
@@ -219,7 +231,8 @@ def lens_shading(  # noqa: PLR0917
     diagonal is r = 1; `first_row`, `first_column`: where the window starts; `binning`: pixels a side of its blocks;
     `shape`: of the window in blocks, by default that of the whole image.
     """
-    rows, columns = int(image_size[0]), int(image_size[1])
+    rows = int(image_size[0])
+    columns = int(image_size[1])
     height, width = (int(rows // binning), int(columns // binning)) if shape is None else (int(shape[0]), int(shape[1]))
     middle = 0.5 * (binning - 1)
     y = first_row + np.arange(height) * binning + middle - 0.5 * (rows - 1)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import logging
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any, TypeVar
 
 import cv2
@@ -439,20 +439,10 @@ def _solve_masked(slope_x: FloatArray, slope_y: FloatArray, mask: BoolArray, wei
         excess = _dot(residual, grid.cycle(residual.astype(np.float32))) / eigenvalue
         if excess <= edges.tolerated(energy):
             return exact[:rows, :columns].astype(np.float32)
-    other = _other_solution(grid, edges)
-    best = min(exact, other, key=lambda one: edges.residual(one)[1])
-    return best[:rows, :columns].astype(np.float32)
-
-
-def _other_solution(grid: _Grid, edges: _Edges) -> NDArray[Any]:
-    """Solve without conjugate gradients, which have not converged: by factorisation; many pixels without weights."""
-    if np.count_nonzero(grid.inside) <= _DIRECT:
-        return _factorised(grid, edges)
+    if np.count_nonzero(mask) <= _DIRECT:
+        return _factorised(grid, edges)[:rows, :columns]
     _LOG.warning("the weighted integration has not converged; heights may be off where the surface is steep.")
-    unit = _build_grids(*_edge_weights(grid.inside > 0, None), unit=True)
-    even = replace(edges, weight_right=unit.right, weight_down=unit.down)
-    height = unit.solve_nested(even.residual(np.zeros_like(unit.right))[0].astype(np.float32))
-    return height + _conjugate_gradients(unit, even, height)[0]
+    return exact[:rows, :columns].astype(np.float32)
 
 
 def _factorised(grid: _Grid, edges: _Edges) -> FloatArray:

@@ -164,7 +164,8 @@ def _in_place(target: Path) -> Iterator[Path]:
 
 def _discard(folder: Path) -> None:
     """Remove a temporary folder, its mark last, unless what an exchange, cut short, was to replace lies in it."""
-    new, old = folder / "new", folder / "old"
+    new = folder / "new"
+    old = folder / "old"
     if os.path.lexists(new) and os.path.lexists(old):
         return
     for part in (new, old):
@@ -238,7 +239,8 @@ def _sweep_one(left: Path) -> None:
         if not _lock(lock, wait=False):
             return  # its program is still at work
         name = _marked_target(left)
-        new, old = left / "new", left / "old"
+        new = left / "new"
+        old = left / "old"
         if name and os.path.lexists(new) and os.path.lexists(old) and not os.path.lexists(left.with_name(name)):
             old.rename(left.with_name(name))
         if name is not None:
@@ -262,7 +264,8 @@ def _marked_target(folder: Path) -> str | None:
         return ""
     try:
         document = json.loads(read_bytes(mark, 1 << 16))
-        known, name = document["format"] == _MARK_FORMAT, document["target"]
+        known = document["format"] == _MARK_FORMAT
+        name = document["target"]
         plain = isinstance(name, str) and name not in ("", ".", "..") and Path(name).name == name
     except (ValueError, TypeError, KeyError, RecursionError):
         return None
@@ -355,7 +358,8 @@ def append_line(path: Path, line: Mapping[str, Any]) -> None:
     """
     flags = os.O_CREAT | os.O_WRONLY | os.O_APPEND | getattr(os, "O_NOFOLLOW", 0) | getattr(os, "O_NONBLOCK", 0)
     with os.fdopen(os.open(path, flags, 0o600), "ab", buffering=0) as stream:
-        mode, data = os.fstat(stream.fileno()).st_mode, json.dumps(line).encode("ascii") + b"\n"
+        mode = os.fstat(stream.fileno()).st_mode
+        data = json.dumps(line).encode("ascii") + b"\n"
         if not stat.S_ISREG(mode):  # a pipe that nobody empties would hold the program
             raise OSError(errno.EINVAL, "it is not a file")
         if (written := stream.write(data)) < len(data):

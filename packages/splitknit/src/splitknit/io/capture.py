@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 import json
 import os
 import shlex
@@ -15,15 +14,16 @@ from typing import Annotated, Any
 
 import numpy as np
 from msgspec import Meta, Struct
+from numpy.typing import NDArray
 
 from splitknit.errors import BadInput, check_lights, check_mask, naming, require
 from splitknit.io.atomic import atomic_folder
 from splitknit.io.content import check_contents, mask_from_image
-from splitknit.io.fields import Version1, inside, read_document, read_json
+from splitknit.io.fields import Version1, inside, read_document
 from splitknit.io.images import StackReader, cores, encode_image, read_image
 from splitknit.io.npz import write_npz
 from splitknit.io.provenance import JsonValue, file_hash, plain_json
-from splitknit.io.rig import read_rig, rig_from_json, rig_to_json
+from splitknit.io.rig import read_rig, rig_to_json
 from splitknit.model import Band, Capture, PixelArray, Rig, coarse_grid, spectral_band
 from splitknit.steps import let_go
 
@@ -79,8 +79,8 @@ class _CaptureFields(Struct):
 
 
 @dataclass(frozen=True, slots=True)
-class BandPlan:
-    """One band as the document describes it."""
+class _BandPlan:
+    """One band as the document describes it; all paths lie inside the folder."""
 
     band: Band  # without pixels; its files are relative to the folder
     files: tuple[Path, ...]
@@ -89,50 +89,15 @@ class BandPlan:
     exposed: bool  # whether the document states the exposures
 
 
-@dataclass(frozen=True, slots=True)
-class CapturePlan:
-    """A whole capture as the document describes it; all paths lie inside the folder."""
-
-    capture: Capture  # without images
-    rig_file: Path
-    bands: dict[str, BandPlan]
-    mask: Path | None
-    documents: dict[Path, bytes]  # the JSON files and what was read from them
-
-
-def read_plan(document_file: Path) -> CapturePlan:
-    """Read ``capture.json`` and its rig file. Raises BadInput naming the file and the field."""
-    folder, name = document_file.parent, str(document_file)
-    fields, data = read_document(document_file, _CaptureFields)
-    require(fields.shading is None, f"{name} names a calibrated shading, by which this version reads no heights.")
-    rig_file = inside(folder, fields.rig, name, "rig")
-    rig_document, rig_data = read_json(rig_file)
-    rig = rig_from_json(rig_document, str(rig_file))
-    truth = None if fields.truth is None else inside(folder, fields.truth, name, "truth")
-    there = truth is None or truth.is_file()
-    require(there, f"{truth}, the truth that {name} names, does not exist; add it or remove the field.")
-    mask = None if fields.mask is None else inside(folder, fields.mask, name, "mask")
-    bands = _bands(fields.bands, folder, rig, name)
-    capture = Capture(
-        rig,
-        bands={},
-        encoding=fields.encoding,
-        material=fields.material,
-        tip_direction_deg=fields.tip_direction_deg,
-        subject=fields.subject or {},
-        captured_at=fields.captured_at,
-        truth=truth,
-    )
-    return CapturePlan(capture, rig_file, bands, mask, {document_file: data, rig_file: rig_data})
-
-
-def _bands(bands: _BandsFields, folder: Path, rig: Rig, name: str) -> dict[str, BandPlan]:
+def _bands(bands: _BandsFields, folder: Path, rig: Rig, name: str) -> dict[str, _BandPlan]:
     plans = {key: _band(band, folder, rig, key, name) for key in BANDS if (band := getattr(bands, key)) is not None}
     if "white_crossed" in plans:
         check_pair(plans["white"].band, plans["white_crossed"].band, name, rig)
-        same = plans["white"].exposed == plans["white_crossed"].exposed
-        stated = "must state exposure_s for every image, both or neither (then it is the same)."
-        require(same, f"{name}: bands.white and bands.white_crossed {stated}")
+        require(
+            plans["white"].exposed == plans["white_crossed"].exposed,
+            f"{name}: bands.white and bands.white_crossed "
+            "must state exposure_s for every image, both or neither (then it is the same).",
+        )
     seen: set[Path] = set()
     for key, plan in plans.items():  # a file takes memory each time that it is named, by whatever spelling
         for image, file in zip(plan.band.files, plan.files, strict=True):
@@ -145,37 +110,47 @@ def _bands(bands: _BandsFields, folder: Path, rig: Rig, name: str) -> dict[str, 
 def check_pair(parallel: Band, crossed: Band, name: str, rig: Rig) -> None:
     """Refuse two polarised series that are not the same photographs through another film."""
     stated = (parallel.polarisation, crossed.polarisation) == ("parallel", "crossed")
-    wanted = 'bands.white must say "polarisation": "parallel" and bands.white_crossed "crossed".'
-    require(stated, f"{name}: beside bands.white_crossed, {wanted}")
-    differ = f"bands.white has {len(parallel.leds)} images but bands.white_crossed {len(crossed.leds)}"
-    alike = len(parallel.leds) == len(crossed.leds)
-    require(alike, f"{name}: {differ}; both series need one image a light, in the same order.")
+    require(
+        stated,
+        f"{name}: beside bands.white_crossed, "
+        'bands.white must say "polarisation": "parallel" and bands.white_crossed "crossed".',
+    )
+    require(
+        len(parallel.leds) == len(crossed.leds),
+        f"{name}: bands.white has {len(parallel.leds)} images but bands.white_crossed {len(crossed.leds)}"
+        "; both series need one image a light, in the same order.",
+    )
     white = not any(any(names) for plan in (parallel, crossed) for names in rig.colours_of(plan.leds))
     require(white, f"{name}: polarised series are lit by white LEDs, but the rig's are coloured.")
     own, others = (rig.select(plan.leds).light_vectors() for plan in (parallel, crossed))
     near = others @ (own / np.linalg.norm(own, axis=1, keepdims=True)).T
     near /= np.linalg.norm(others, axis=1, keepdims=True)
     for k in np.flatnonzero(np.diag(near) < near.max(axis=1) - _AS_NEAR):
-        away = f"image {k} of bands.white_crossed is lit from another side than that of bands.white"
-        raise BadInput(f"{name}: {away}; list both series in the same order of lights.")
+        raise BadInput(
+            f"{name}: image {k} of bands.white_crossed is lit from another side than that of bands.white"
+            "; list both series in the same order of lights."
+        )
 
 
-def _band(fields: _BandFields, folder: Path, rig: Rig, key: str, name: str) -> BandPlan:
-    where, band = f"{name}: bands.{key}", spectral_band(key)
+def _band(fields: _BandFields, folder: Path, rig: Rig, key: str, name: str) -> _BandPlan:
+    where = f"{name}: bands.{key}"
+    band = spectral_band(key)
     images = [_Image(image) if isinstance(image, str) else image for image in fields.images]
     count = len(images)
     enough = count >= 3 or any(led.colour for led in rig.leds if led.band == band)
     require(enough, f"{where}.images names {count} images, but at least three are needed.")
     leds = tuple((group,) if isinstance(group, int) else group for group in fields.leds)
-    differ = f"{where} has {count} images but {len(leds)} entries in leds; name the LEDs of every image."
-    require(len(leds) == count, differ)
+    require(
+        len(leds) == count, f"{where} has {count} images but {len(leds)} entries in leds; name the LEDs of every image."
+    )
     _check_light_list(rig, band, leds, f"{where}.leds")
     ambient = _Image(fields.ambient) if isinstance(fields.ambient, str) else fields.ambient
     flat = fields.flat or []
-    each = f"{where}.flat names {len(flat)} images; it needs one for each of the {count}."
-    require(len(flat) in (0, count), each)
-    exposures, levels = [image.exposure for image in images], [image.black_level for image in images]
-    dark_exposure, dark_level = 1.0, 0.0
+    require(len(flat) in (0, count), f"{where}.flat names {len(flat)} images; it needs one for each of the {count}.")
+    exposures = [image.exposure for image in images]
+    levels = [image.black_level for image in images]
+    dark_exposure = 1.0
+    dark_level = 0.0
     if ambient is not None:
         dark_exposure = _ambient_value(ambient.exposure, exposures, 1.0, f"{where}.ambient", "exposure_s")
         dark_level = _ambient_value(ambient.black_level, levels, 0.0, f"{where}.ambient", "black_level")
@@ -193,15 +168,17 @@ def _band(fields: _BandFields, folder: Path, rig: Rig, key: str, name: str) -> B
     files = tuple(inside(folder, image.file, name, f"bands.{key}.images[{k}]") for k, image in enumerate(images))
     dark = None if ambient is None else inside(folder, ambient.file, name, f"bands.{key}.ambient")
     flats = tuple(inside(folder, file, name, f"bands.{key}.flat[{k}]") for k, file in enumerate(flat))
-    return BandPlan(described, files, dark, flats, exposed=None not in exposures)
+    return _BandPlan(described, files, dark, flats, exposed=None not in exposures)
 
 
 def _ambient_value(own: float | None, images: list[float | None], default: float, where: str, key: str) -> float:
     """The ambient image's `own`, else what all images of the band have, else the default."""
     if own is not None or None in images:
         return default if own is None else own
-    fault = f'{where} needs its own {key}, as the images of the band differ in theirs: {{"file": ..., "{key}": ...}}.'
-    require(len(set(images)) == 1, fault)
+    require(
+        len(set(images)) == 1,
+        f'{where} needs its own {key}, as the images of the band differ in theirs: {{"file": ..., "{key}": ...}}.',
+    )
     return images[0] or 0.0
 
 
@@ -210,14 +187,18 @@ def _check_light_list(rig: Rig, band: str, leds: tuple[tuple[int, ...], ...], wh
     for k, group in enumerate(leds):
         require(len(set(group)) == len(group), f"{where}[{k}] names an LED twice.")
         for index in group:
-            known, named = len(rig.leds), f"{where}[{k}] names LED {index}"
+            known = len(rig.leds)
+            named = f"{where}[{k}] names LED {index}"
             require(index < known, f"{named}, but the rig has {known} LEDs (0 to {known - 1}).")
             own = rig.leds[index].band
-            wrong = f"{named}, which is a '{own}' LED in the rig, not '{band}'; correct the list or the rig."
-            require(own == band, wrong)
+            require(
+                own == band, f"{named}, which is a '{own}' LED in the rig, not '{band}'; correct the list or the rig."
+            )
     for k, names in enumerate(rig.colours_of(leds)):
-        mixed = f"{where}[{k}] names coloured and white LEDs for one exposure, which cannot be separated; use one kind."
-        require(all(names) or not any(names), mixed)
+        require(
+            all(names) or not any(names),
+            f"{where}[{k}] names coloured and white LEDs for one exposure, which cannot be separated; use one kind.",
+        )
     lights = rig.lights_of(leds)
     naming(where, lambda: check_lights(rig.select(lights).light_vectors(), len(lights)))
 
@@ -249,35 +230,61 @@ def read_capture(path: str | os.PathLike[str], *, may_be_dark: bool = False, thr
     >>> import splitknit
     >>> splitknit.read_capture("demo/capture").rig.camera.px_per_mm  # doctest: +SKIP
     """
-    plan = read_plan(_document(path))
-    folder = _document(path).parent
-    rig = plan.capture.rig
-    size, rig_name = rig.camera.image_size, f"{plan.rig_file} (is the rig for another camera?)"
+    document = _document(path)
+    folder = document.parent
+    name = str(document)
+    fields, _ = read_document(document, _CaptureFields)
+    require(fields.shading is None, f"{name} names a calibrated shading, by which this version reads no heights.")
+    rig_file = inside(folder, fields.rig, name, "rig")
+    rig = read_rig(rig_file)
+    truth = None if fields.truth is None else inside(folder, fields.truth, name, "truth")
+    require(
+        truth is None or truth.is_file(),
+        f"{truth}, the truth that {name} names, does not exist; add it or remove the field.",
+    )
+    mask_file = None if fields.mask is None else inside(folder, fields.mask, name, "mask")
+    plans = _bands(fields.bands, folder, rig, name)
+    size = rig.camera.image_size
+    rig_name = f"{rig_file} (is the rig for another camera?)"
     with StackReader(threads) as reader:
-        stacks = {key: reader.start(band.files, size, rig_name) for key, band in plan.bands.items()}
-        dark = {key: band.ambient for key, band in plan.bands.items() if band.ambient is not None}
+        stacks = {key: reader.start(plan.files, size, rig_name) for key, plan in plans.items()}
+        dark = {key: plan.ambient for key, plan in plans.items() if plan.ambient is not None}
         ambients = {key: reader.start([file], size, rig_name)[0] for key, file in dark.items()}
-        mask_pixels = None if plan.mask is None else reader.start([plan.mask], size, rig_name)[0]
+        mask_pixels = None if mask_file is None else reader.start([mask_file], size, rig_name)[0]
         hashes = reader.finish()
     bands: dict[str, Band] = {}
-    for key, band in plan.bands.items():
+    for key, plan in plans.items():
         full = int(np.iinfo(stacks[key].dtype).max)
-        for name, black in zip(band.band.files, band.band.black_level, strict=True):
-            require(black < full, f"{name} has the black level {black:g}, but its full scale is {full}.")
-        bands[key] = _seen_by(rig, replace(band.band, pixels=stacks[key], ambient=ambients.get(key)))
+        for image, black in zip(plan.band.files, plan.band.black_level, strict=True):
+            require(black < full, f"{image} has the black level {black:g}, but its full scale is {full}.")
+        bands[key] = _seen_by(rig, replace(plan.band, pixels=stacks[key], ambient=ambients.get(key)))
     if not may_be_dark:
         check_contents(bands.values())
-    for key, band in plan.bands.items():
-        if band.flat:
-            flat = [coarse_grid(read_image(file).mean(axis=2, dtype=np.float32)) for file in band.flat]
-            kind = read_image(band.flat[0]).dtype
-            scale = 65535.0 / float(np.iinfo(kind).max)
-            bands[key] = replace(bands[key], flat=np.rint(scale * np.stack(flat)).astype(np.uint16))
-            hashes |= {str(file): file_hash(file) for file in band.flat}
-    hashes |= {str(file): hashlib.sha256(data).hexdigest() for file, data in plan.documents.items()}
-    mask = None if mask_pixels is None else mask_from_image(mask_pixels, str(plan.mask))
-    hashes = {Path(name).relative_to(folder).as_posix(): hashes[name] for name in sorted(hashes)}
-    return replace(plan.capture, bands=bands, mask=mask, hashes=hashes)
+    others = [document, rig_file]
+    for key, plan in plans.items():
+        if plan.flat:
+            bands[key] = replace(bands[key], flat=np.stack([_flat_image(file) for file in plan.flat]))
+            others += plan.flat
+    hashes |= {str(file): file_hash(file) for file in others}
+    return Capture(
+        rig,
+        bands,
+        encoding=fields.encoding,
+        material=fields.material,
+        tip_direction_deg=fields.tip_direction_deg,
+        mask=None if mask_pixels is None else mask_from_image(mask_pixels, str(mask_file)),
+        subject=fields.subject or {},
+        captured_at=fields.captured_at,
+        truth=truth,
+        hashes={Path(file).relative_to(folder).as_posix(): hashes[file] for file in sorted(hashes)},
+    )
+
+
+def _flat_image(file: Path) -> NDArray[np.uint16]:
+    """A photograph of a flat surface on the coarse grid, as stored."""
+    pixels = read_image(file)
+    scale = 65535.0 / float(np.iinfo(pixels.dtype).max)
+    return np.asarray(np.rint(scale * coarse_grid(pixels.mean(axis=2, dtype=np.float32))), dtype=np.uint16)
 
 
 def with_rig(capture: Capture, path: str | os.PathLike[str]) -> Capture:
@@ -286,14 +293,19 @@ def with_rig(capture: Capture, path: str | os.PathLike[str]) -> Capture:
     """
     rig = read_rig(path)
     name, (rows, columns), own = os.fspath(path), capture.shape, rig.camera.image_size
-    other = f"{name} is the rig of another camera: its images have {own[0]} x {own[1]} pixels (rows x columns)"
-    require(own == capture.shape, f"{other}, the capture's have {rows} x {columns}.")
+    require(
+        own == capture.shape,
+        f"{name} is the rig of another camera: its images have {own[0]} x {own[1]} pixels (rows x columns)"
+        f", the capture's have {rows} x {columns}.",
+    )
     for band in capture.bands.values():
         for index in sorted({k for group in band.leds for k in group}):
             there = f"of the band '{rig.leds[index].band}' there" if index < len(rig.leds) else "not in it"
-            lit = f"LED {index}, which lit images of the band '{band.name}', is {there}."
-            fits = index < len(rig.leds) and rig.leds[index].band == band.spectral
-            require(fits, f"{name} does not fit the capture: {lit}")
+            require(
+                index < len(rig.leds) and rig.leds[index].band == band.spectral,
+                f"{name} does not fit the capture: "
+                f"LED {index}, which lit images of the band '{band.name}', is {there}.",
+            )
     bands = {key: _seen_by(rig, band) for key, band in capture.bands.items()}
     if "white_crossed" in bands:
         check_pair(bands["white"], bands["white_crossed"], name, rig)
@@ -305,7 +317,6 @@ def write_capture(
     capture: Capture,
     folder: str | os.PathLike[str],
     truth: Mapping[str, Any] | None = None,
-    image_format: str = "png",
     overwrite: bool = False,
 ) -> None:
     """Write `capture` as a folder that :func:`read_capture` reads back, pixel for pixel.
@@ -316,7 +327,6 @@ def write_capture(
     Parameters
     ----------
     truth : arrays for ``truth.npz``; where None, a truth file that the capture names is copied
-    image_format : ``png`` or ``tiff``
     overwrite : replace an earlier capture that splitknit wrote; any other folder that is not empty is refused
 
     Raises
@@ -331,9 +341,7 @@ def write_capture(
     >>> capture, truth = splitknit_simulator.simulate_capture(1)
     >>> splitknit.write_capture(capture, "finger", truth)  # doctest: +SKIP
     """
-    require(image_format in ("png", "tiff"), f"image_format must be 'png' or 'tiff', but it is '{image_format}'.")
     _check_parts(capture)
-    suffix = "." + image_format
     plain = {key: _is_plain(band) for key, band in capture.bands.items()}
     if "white_crossed" in plain:  # two series state their exposures both or neither
         plain["white"] = plain["white_crossed"] = plain["white"] and plain["white_crossed"]
@@ -344,7 +352,7 @@ def write_capture(
             "format": CAPTURE_FORMAT,
             "version": CAPTURE_VERSION,
             "rig": "rig.json",
-            "bands": {key: _band_json(capture.bands[key], suffix, images, plain=plain[key]) for key in listed},
+            "bands": {key: _band_json(capture.bands[key], images, plain=plain[key]) for key in listed},
             "encoding": capture.encoding,
             "material": capture.material,
         }
@@ -366,7 +374,7 @@ def write_capture(
             document["truth"] = "truth.npz"
 
         def write(image: tuple[str, PixelArray]) -> None:
-            (target / image[0]).write_bytes(encode_image(image[1], Path(image[0]).suffix))
+            (target / image[0]).write_bytes(encode_image(image[1], ".png"))
             let_go(image[1])
 
         with ThreadPoolExecutor(cores()) as pool:
@@ -378,15 +386,18 @@ def write_capture(
 
 def photographs_hint(folder: Path) -> str:
     """What to do with a folder of photographs where a capture is wanted, in brackets."""
-    command = f"splitknit reconstruct --images {shlex.quote(str(folder))} --lights FILE --out RESULT"
-    return f"(photographs: {command}, or splitknit import)"
+    return (
+        f"(photographs: splitknit reconstruct --images {shlex.quote(str(folder))} --lights FILE --out RESULT"
+        ", or splitknit import)"
+    )
 
 
 def _document(path: str | os.PathLike[str]) -> Path:
     try:
         given = Path(path)
         if given.is_dir():
-            file, hint = given / "capture.json", photographs_hint(given)
+            file = given / "capture.json"
+            hint = photographs_hint(given)
             require(file.is_file(), f"{given} is not a capture folder: it holds no capture.json {hint}.")
             return file
         require(given.is_file(), f"{given} does not exist; name a capture folder.")
@@ -402,9 +413,12 @@ def _seen_by(rig: Rig, band: Band) -> Band:
     """The band with lens and LEDs' colours by the rig; BadInput if LEDs of several colours light a grey image."""
     colours = rig.colours_of(band.leds)
     for k, names in enumerate(colours):
-        name, count = band.files[k] if band.files else f"image {k}", len(set(names))
-        mixed = f"but LEDs of {count} colours lit it; their light can be separated in colour images only."
-        require(band.pixels.shape[3] == 3 or count == 1, f"{name} is grey, {mixed}")
+        name = band.files[k] if band.files else f"image {k}"
+        count = len(set(names))
+        require(
+            band.pixels.shape[3] == 3 or count == 1,
+            f"{name} is grey, but LEDs of {count} colours lit it; their light can be separated in colour images only.",
+        )
     crosstalk = rig.camera.crosstalk if colours else None
     return replace(band, shading=rig.camera.shading, colours=colours, crosstalk=crosstalk)
 
@@ -414,15 +428,21 @@ def _check_parts(capture: Capture) -> None:
     require("white" in capture.bands, "a capture needs a band 'white'.")
     for key, band in capture.bands.items():
         require(key in BANDS, f"a capture's bands are 'white', 'white_crossed' and 'nir', not '{key}'.")
-        shape, least = band.pixels.shape, 1 if band.colours else 3
+        shape = band.pixels.shape
+        least = 1 if band.colours else 3
         fits = len(shape) == 4 and shape[1:3] == size and shape[3] in (1, 3) and shape[0] >= least
-        expected = f"(L, {size[0]}, {size[1]}, 1 or 3) with three images at least is expected."
-        require(fits, f"the pixels of the band '{key}' have the shape {shape}; {expected}")
+        require(
+            fits,
+            f"the pixels of the band '{key}' have the shape {shape}; "
+            f"(L, {size[0]}, {size[1]}, 1 or 3) with three images at least is expected.",
+        )
         fits = band.ambient is None or band.ambient.shape[:2] == size
         require(fits, f"the ambient image of the band '{key}' has another size than the rig's camera.")
         leds, exposures, levels = map(len, (band.leds, band.exposure, band.black_level))
-        differ = f"{shape[0]} images but {leds} LEDs, {exposures} exposures and {levels} black levels."
-        require(leds == exposures == levels == shape[0], f"the band '{key}' has {differ}")
+        require(
+            leds == exposures == levels == shape[0],
+            f"the band '{key}' has {shape[0]} images but {leds} LEDs, {exposures} exposures and {levels} black levels.",
+        )
     if "white_crossed" in capture.bands:
         check_pair(capture.bands["white"], capture.bands["white_crossed"], "the capture", capture.rig)
     if capture.mask is not None:
@@ -435,7 +455,7 @@ def _is_plain(band: Band) -> bool:
     return plain and band.ambient_exposure == 1.0 and band.ambient_black_level == 0.0
 
 
-def _band_json(band: Band, suffix: str, images: list[tuple[str, PixelArray]], *, plain: bool) -> JsonValue:
+def _band_json(band: Band, images: list[tuple[str, PixelArray]], *, plain: bool) -> JsonValue:
     """Return the band's entry in the document, and add its files to `images`."""
     entries: list[JsonValue] = []
 
@@ -444,17 +464,17 @@ def _band_json(band: Band, suffix: str, images: list[tuple[str, PixelArray]], *,
         return name if plain else {"file": name, "exposure_s": exposure, "black_level": black_level}
 
     for k, pixels in enumerate(band.pixels):
-        name = f"{band.name}_{k}{suffix}"
+        name = f"{band.name}_{k}.png"
         entries.append(entry(name, pixels, float(band.exposure[k]), float(band.black_level[k])))
     leds: list[JsonValue] = [group[0] if len(group) == 1 else list(group) for group in band.leds]
     result: dict[str, JsonValue] = {"images": entries, "leds": leds}
     if band.polarisation:
         result["polarisation"] = band.polarisation
     if band.ambient is not None:
-        name = f"ambient_{band.name}{suffix}"
+        name = f"ambient_{band.name}.png"
         result["ambient"] = entry(name, band.ambient, band.ambient_exposure, band.ambient_black_level)
     if band.flat is not None:
-        names = [f"flat_{band.name}_{k}{suffix}" for k in range(len(band.flat))]
+        names = [f"flat_{band.name}_{k}.png" for k in range(len(band.flat))]
         images += [(name, image[..., None]) for name, image in zip(names, band.flat, strict=True)]
         result["flat"] = list(names)
     return result

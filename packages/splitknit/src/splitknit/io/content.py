@@ -38,13 +38,16 @@ def check_contents(bands: Collection[Band]) -> None:
     with ThreadPoolExecutor(2) as pool:
         list(pool.map(check_content, bands))
     seen: dict[bytes, tuple[Band, int]] = {}
-    cure = "one is a copy; correct the names, or capture it again."
     for band in bands:
         for k, image in enumerate(band.pixels):
             one, j = seen.setdefault(_sample(image).tobytes(), (band, k))
             same = (one is not band or j != k) and np.array_equal(one.pixels[j], image)
             let_go(band.pixels)
-            require(not same, f"{_name(one, j)} and {_name(band, k)} hold the same pixels: {cure}")
+            require(
+                not same,
+                f"{_name(one, j)} and {_name(band, k)} hold the same pixels: "
+                "one is a copy; correct the names, or capture it again.",
+            )
 
 
 def check_content(band: Band) -> None:
@@ -58,9 +61,13 @@ def check_content(band: Band) -> None:
     scaled = peaks / band.exposure
     fraction = np.maximum(peaks / np.median(peaks), scaled / np.median(scaled))  # a short exposure is dark, but lit
     for k, part in enumerate(100 * fraction):
-        unlit = f"(its bright pixels reach {part:.1f} % of theirs): {_leds(band, k)} did not light; capture it again."
         dark = bool(part < 100 * _RELATIVE_DARK)
-        require(not dark, f"{_name(band, k)} is almost black beside the other images {unlit}", BadExposure)
+        require(
+            not dark,
+            f"{_name(band, k)} is almost black beside the other images "
+            f"(its bright pixels reach {part:.1f} % of theirs): {_leds(band, k)} did not light; capture it again.",
+            BadExposure,
+        )
 
 
 def _check_image(band: Band, k: int, ambient: NDArray[np.float32] | None) -> float:
@@ -68,27 +75,37 @@ def _check_image(band: Band, k: int, ambient: NDArray[np.float32] | None) -> flo
     scale = float(np.iinfo(band.pixels.dtype).max)
     sample = _sample(band.pixels[k])
     let_go(band.pixels)
-    black, most, name = np.float32(band.black_level[k]), int(sample.max()), _name(band, k)
-    cure = f"{_leds(band, k)} and capture it again (or, if data of fewer bits were stored unscaled, scale them)."
-    dark = f"{name} is black: its largest value is {most} of {int(scale)}; check {cure}"
-    require(most - float(black) > _DARK_FRACTION * scale, dark, BadExposure)
-    varies = most > int(sample.min()) or sample.size == 1
-    require(varies, f"{name} shows nothing: every pixel is {most}; capture it again.", BadExposure)
+    black = np.float32(band.black_level[k])
+    most = int(sample.max())
+    name = _name(band, k)
     clips_at = ceil(_FULL_SCALE * scale)
     if most >= clips_at:
         clipped = (sample >= clips_at).sum(axis=0) >= min(2, len(sample))
         lit = sample.max(axis=0) > black + np.float32(_LIT_FRACTION * scale)
         fraction = float(clipped.sum()) / max(1.0, float(lit.sum()))
-        over = f"{name} is overexposed: {100 * fraction:.0f} % of its lit pixels are at the full scale; capture it"
         few = fraction <= _SATURATED_FRACTION or float(clipped.mean()) <= _SATURATED_AREA
-        require(few, f"{over} again with a shorter exposure or a lower gain.", BadExposure)
+        require(
+            few,
+            f"{name} is overexposed: {100 * fraction:.0f} % of its lit pixels are at the full scale; capture it"
+            " again with a shorter exposure or a lower gain.",
+            BadExposure,
+        )
     light = sample.max(axis=0) - black
     if ambient is not None:
         light = np.maximum.reduce(sample - (black + ambient * np.float32(scale * float(band.exposure[k]))))
     peak = float(np.quantile(light, _BRIGHT_QUANTILE)) / scale
-    dark = f"{name} is black: its bright pixels reach {100 * max(peak, 0.0):.1f} % of the full scale"
     above = " above the ambient image" if band.ambient is not None else ""
-    require(peak > _DARK_FRACTION, f"{dark}{above}; check {cure}", BadExposure)
+    require(
+        peak > _DARK_FRACTION,
+        f"{name} is black: its bright pixels reach {100 * max(peak, 0.0):.1f} % of the full scale{above}; check "
+        f"{_leds(band, k)} and capture it again (or, if data of fewer bits were stored unscaled, scale them).",
+        BadExposure,
+    )
+    require(
+        most > int(sample.min()) or sample.size == 1,
+        f"{name} shows nothing: every pixel is {most}; capture it again.",
+        BadExposure,
+    )
     return peak
 
 
@@ -109,11 +126,14 @@ def mask_from_image(pixels: PixelArray, name: str) -> BoolArray:
     half = 0 if top == 1 else int(np.iinfo(pixels.dtype).max) // 2
     mask: BoolArray = np.asarray(bright > half)
     require(bool(mask.any()), f"{name} is an empty mask: not one pixel is white; white marks the finger.")
-    shown, between = bright > 0.1 * top, (bright > 0.1 * top) & (bright < 0.9 * top)
+    shown = bright > 0.1 * top
+    between = (bright > 0.1 * top) & (bright < 0.9 * top)
     part = float(between.sum()) / float(shown.sum())
-    grey = f"{name} is a picture and no mask: {100 * part:.0f} % of what is not black in it is not white either"
-    remedy = "paint the object white and all else black."
-    require(part < _GREY, f"{grey}; {remedy}")
+    require(
+        part < _GREY,
+        f"{name} is a picture and no mask: {100 * part:.0f} % of what is not black in it is not white either; "
+        "paint the object white and all else black.",
+    )
     return mask
 
 

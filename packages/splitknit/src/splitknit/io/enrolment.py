@@ -10,36 +10,33 @@ from __future__ import annotations
 import itertools
 import re
 from collections.abc import Iterator, Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Annotated
 
 import numpy as np
+from msgspec import Meta, Struct
+from msgspec.structs import asdict
 
 from splitknit.errors import BadInput, require
 from splitknit.io.atomic import write_file
-from splitknit.io.fields import read_json
+from splitknit.io.fields import Version1, converted, read_document
 from splitknit.io.provenance import json_text
 
 HAND = ("thumb", "index", "middle", "ring", "little")
 FINGERS = tuple(f"{side}_{finger}" for side in ("right", "left") for finger in HAND)
 PLAN_FILE = "enrolment.json"
-_FORMAT, _VERSION = "splitknit-enrolment", 1
+_Finger = Annotated[str, Meta(pattern=f"^({'|'.join(FINGERS)})$")]
 
 
-@dataclass(frozen=True, slots=True)
-class _EnrolmentPlan:
-    subjects: int = 17  # the thesis has 17, with all ten fingers, in four sessions
-    sessions: int = 4
-    fingers: tuple[str, ...] = FINGERS
+class EnrolmentPlan(Struct, frozen=True):
+    """What is to be captured."""
 
-    def __post_init__(self) -> None:
-        require(1 <= self.subjects <= 9999, f"an enrolment has 1 to 9999 subjects, not {self.subjects}.")
-        require(1 <= self.sessions <= 999, f"an enrolment has 1 to 999 sessions, not {self.sessions}.")
-        require(len(self.fingers) > 0, "an enrolment needs at least one finger.")
-        for finger in self.fingers:
-            require(finger in FINGERS, f"{finger[:60]!a} is not a finger; fingers are {', '.join(FINGERS)}.")
-        require(len(set(self.fingers)) == len(self.fingers), "an enrolment names a finger twice.")
+    subjects: Annotated[int, Meta(ge=1, le=9999)]
+    sessions: Annotated[int, Meta(ge=1, le=999)]
+    fingers: Annotated[tuple[_Finger, ...], Meta(min_length=1)]
+    format: Annotated[str, Meta(pattern="^(splitknit-enrolment)$")] = "splitknit-enrolment"
+    version: Version1 = 1
 
     @property
     def total(self) -> int:
@@ -49,6 +46,10 @@ class _EnrolmentPlan:
     def subject_ids(self) -> tuple[str, ...]:
         """S01, S02, ..."""
         return tuple(f"S{number:02d}" for number in range(1, self.subjects + 1))
+
+
+THESIS = EnrolmentPlan(17, 4, FINGERS)
+"""17 people, all ten fingers, four sessions."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -75,7 +76,7 @@ class Enrolment:
     """An enrolment on disk."""
 
     folder: Path
-    plan: _EnrolmentPlan
+    plan: EnrolmentPlan
 
     def places(self) -> Iterator[PlannedCapture]:
         """Yield all captures in their order: session by session, subject by subject, finger by finger."""
@@ -96,7 +97,8 @@ class Enrolment:
     ) -> list[PlannedCapture]:
         """What is not captured yet, in its order; of one subject, session or finger of the plan where named."""
         plan = self.plan
-        people, lacking = plan.subject_ids(), f"is not in the plan of '{self.folder}'; it has"
+        people = plan.subject_ids()
+        lacking = f"is not in the plan of '{self.folder}'; it has"
         planned = subject is None or subject in people
         require(planned, f"subject '{subject}' {lacking} {people[0]} to {people[-1]}.")
         planned = session is None or 1 <= session <= plan.sessions
@@ -126,8 +128,8 @@ def open_enrolment(
     planned = plan_enrolment(folder, subjects=subjects, sessions=sessions, fingers=fingers)
     file = folder / PLAN_FILE
     if not file.is_file() or _read(file) != planned.plan:
-        document = {"format": _FORMAT, "version": _VERSION, **asdict(planned.plan)}
-        write_file(file, json_text(document).encode("ascii"))
+        names = ("format", "version", "subjects", "sessions", "fingers")
+        write_file(file, json_text({name: getattr(planned.plan, name) for name in names}).encode("ascii"))
     return planned
 
 
@@ -139,36 +141,39 @@ def plan_enrolment(
     earlier = _read(file) if file.is_file() else None
     if earlier is None and folder.exists():
         require(folder.is_dir(), f"'{folder}' is a file; name a folder for the enrolment.")
-        empty = not any(folder.iterdir())
-        require(empty, f"'{folder}' is not an enrolment: it holds other files and no {PLAN_FILE}; name another folder.")
-    given = {"subjects": subjects, "sessions": sessions, "fingers": None if fingers is None else tuple(fingers)}
-    changes: dict[str, Any] = {name: value for name, value in given.items() if value is not None}
-    wanted = replace(earlier or _EnrolmentPlan(), **changes)
+        require(
+            not any(folder.iterdir()),
+            f"'{folder}' is not an enrolment: it holds other files and no {PLAN_FILE}; name another folder.",
+        )
+    wishes = {"subjects": subjects, "sessions": sessions, "fingers": fingers}
+    changes = {name: value for name, value in wishes.items() if value is not None}
+    plan = converted({**asdict(earlier or THESIS), **changes}, EnrolmentPlan, "the enrolment")
+    require(len(set(plan.fingers)) == len(plan.fingers), "an enrolment names a finger twice.")
     if earlier is not None:
-        plan = f"{earlier.subjects} subjects, {earlier.sessions} sessions and {len(earlier.fingers)} fingers"
-        remedy = "leave out `subjects`, `sessions` and `fingers`, or name another folder."
-        shrinks = f"the enrolment in '{folder}' is planned for {plan}; a plan may grow but not shrink: {remedy}"
-        grown = wanted.subjects >= earlier.subjects and wanted.sessions >= earlier.sessions
-        require(grown and set(wanted.fingers) >= set(earlier.fingers), shrinks)
-    return Enrolment(folder, wanted)
+        grown = plan.subjects >= earlier.subjects and plan.sessions >= earlier.sessions
+        require(
+            grown and set(plan.fingers) >= set(earlier.fingers),
+            f"the enrolment in '{folder}' is planned for {earlier.subjects} subjects, {earlier.sessions} sessions and "
+            f"{len(earlier.fingers)} fingers; a plan may grow but not shrink: leave out `subjects`, `sessions` and "
+            "`fingers`, or name another folder.",
+        )
+    return Enrolment(folder, plan)
 
 
 def check_subject_id(text: str) -> str:
     """Return `text` if it can be a subject's id: letters, digits, - and _ only; it is safe in paths and files."""
-    named = f"'{text}' cannot be a subject's id: use up to 32 letters, digits, - and _ (such as S01), never a name."
-    require(re.fullmatch(r"[A-Za-z0-9_-]{1,32}", text) is not None, named)
+    require(
+        re.fullmatch(r"[A-Za-z0-9_-]{1,32}", text) is not None,
+        f"'{text}' cannot be a subject's id: use up to 32 letters, digits, - and _ (such as S01), never a name.",
+    )
     return text
 
 
-def _read(file: Path) -> _EnrolmentPlan:
+def _read(file: Path) -> EnrolmentPlan:
     try:
-        document, _ = read_json(file)
-        require(document["format"] == _FORMAT and document["version"] == _VERSION, f"'{file}' is of another version.")
-        subjects, sessions, fingers = document["subjects"], document["sessions"], document["fingers"]
-        sound = type(subjects) is int and type(sessions) is int and isinstance(fingers, list)
-        require(sound and all(isinstance(finger, str) for finger in fingers), f"'{file}' is damaged.")
-        return _EnrolmentPlan(subjects, sessions, tuple(fingers))
-    except (ValueError, KeyError, TypeError) as error:
-        reason = str(error) if isinstance(error, BadInput) else "it is damaged"
-        remedy = "put it right, or remove it and give `subjects`, `sessions` and `fingers` again: no capture is lost"
-        raise BadInput(f"the plan '{file}' cannot be read ({reason.rstrip('.')}); {remedy} by that.") from error
+        return read_document(file, EnrolmentPlan)[0]
+    except BadInput as error:
+        raise BadInput(
+            f"the plan '{file}' cannot be read ({str(error).rstrip('.')}); put it right, or remove it and "
+            "give `subjects`, `sessions` and `fingers` again: no capture is lost by that."
+        ) from error

@@ -122,8 +122,11 @@ def read_header(data: bytes, name: str, max_pixels: int = MAX_PIXELS) -> Header:
     """
     header = _tiff_header(data, name) if data.startswith(TIFFS) else _pillow_header(data, name)
     decoded = check_size(header.rows, header.columns, header.channels * header.dtype.itemsize, name, max_pixels)
-    claim = f"{name} is damaged: it claims {header.rows} x {header.columns} pixels"
-    require(decoded <= _LARGEST_RATIO * len(data), f"{claim}, which cannot be in {len(data)} bytes; copy it again.")
+    require(
+        decoded <= _LARGEST_RATIO * len(data),
+        f"{name} is damaged: it claims {header.rows} x {header.columns} pixels"
+        f", which cannot be in {len(data)} bytes; copy it again.",
+    )
     return header
 
 
@@ -132,8 +135,10 @@ def check_size(rows: int, columns: int, bytes_each: int, name: str, max_pixels: 
     size = f"{name} claims {rows} x {columns} pixels"
     require(0 < rows * columns <= max_pixels, f"{size}, more than the {max_pixels} that are read.")
     decoded = rows * columns * bytes_each
-    large = f"{size}, {decoded} bytes once decoded, more than the {_DECODED_BYTES} that are read; reduce the image."
-    require(decoded <= _DECODED_BYTES, large)
+    require(
+        decoded <= _DECODED_BYTES,
+        f"{size}, {decoded} bytes once decoded, more than the {_DECODED_BYTES} that are read; reduce the image.",
+    )
     return decoded
 
 
@@ -141,20 +146,26 @@ def _pillow_header(data: bytes, name: str) -> Header:
     opener: Any = next((opener for start, opener in _OPENERS.items() if data.startswith(start)), None)
     what = "is not a PNG, TIFF or JPEG image" if data else "is empty"
     require(opener is not None, f"{name} {what}; export it again as 8- or 16-bit PNG.")
-    damaged = f"{name} is damaged, or of a kind that is not read: its header makes no sense; copy it again."
-    with refusing(damaged), _QUIET:
+    with (
+        refusing(f"{name} is damaged, or of a kind that is not read: its header makes no sense; copy it again."),
+        _QUIET,
+    ):
         picture = opener(io.BytesIO(data))
         columns, rows = picture.size
         info = picture.info
         exif = Image.Exif()
         exif.load(info.get("exif"))
         orientation = exif.get(_ORIENTATION, 1)
-    grey, dtype, encoding = picture.mode in _GREY, np.dtype("u1"), ""
+    grey = picture.mode in _GREY
+    dtype = np.dtype("u1")
+    encoding = ""
     require(
         grey or picture.mode in _COLOUR, f"{name} is neither grey nor RGB ({picture.mode}); save it as one of both."
     )
     if data.startswith(PNG):  # Pillow has no modes of 16 bits but grey
-        grey, dtype, encoding = data[25] in (0, 4), np.dtype("u2" if data[24] == 16 else "u1"), _encoding(info)
+        grey = data[25] in (0, 4)
+        dtype = np.dtype("u2" if data[24] == 16 else "u1")
+        encoding = _encoding(info)
     ppi = info.get("dpi")
     return Header(
         rows,
@@ -184,21 +195,30 @@ def _tiff_header(data: bytes, name: str) -> Header:
     with refusing(damaged), _QUIET:
         page: Any = tifffile.TiffFile(io.BytesIO(data)).pages.first
         orientation = page.tags.valueof(_ORIENTATION, 1)
-        rows, columns, samples = int(page.imagelength), int(page.imagewidth), int(page.samplesperpixel)
+        rows = int(page.imagelength)
+        columns = int(page.imagewidth)
+        samples = int(page.samplesperpixel)
         stored = list(zip(page.dataoffsets, page.databytecounts, strict=True))
         counted = len(stored) == np.prod(page.chunked)
         dtype = page.dtype
         ends = max((offset + length for offset, length in stored), default=0)
         ppi = _tiff_ppi(page)
-        photometric, planes = int(page.photometric), int(page.planarconfig or 1)
+        photometric = int(page.photometric)
+        planes = int(page.planarconfig or 1)
         text = page.description[:_TEXT_BYTES]
     require(page.imagedepth == 1 and min(rows, columns) > 0, f"{name} is not a single flat image; save it as PNG.")
     known = dtype is not None and dtype.name in ("uint8", "uint16", "float32", "float64")
-    kinds = f"{name} has samples of the type {dtype} ({page.bitspersample} bits)"
-    require(known, f"{kinds}; save it as 8- or 16-bit unsigned integers.")
-    grey, colour = photometric in (0, 1) and samples == 1, photometric == 2 and samples in (3, 4)
-    flat = f"{name} is neither grey nor RGB (CMYK, palette, grey with alpha?); save it as grey or RGB."
-    require((grey or colour) and (samples == 1 or planes == 1), flat)
+    require(
+        known,
+        f"{name} has samples of the type {dtype} ({page.bitspersample} bits)"
+        "; save it as 8- or 16-bit unsigned integers.",
+    )
+    grey = photometric in (0, 1) and samples == 1
+    colour = photometric == 2 and samples in (3, 4)
+    require(
+        (grey or colour) and (samples == 1 or planes == 1),
+        f"{name} is neither grey nor RGB (CMYK, palette, grey with alpha?); save it as grey or RGB.",
+    )
     require(counted and sum(length for _, length in stored) <= len(data), damaged)
     require(ends <= len(data), f"{name} is truncated: the TIFF file ends within the image; copy it again.")
     orientation = orientation if orientation in range(1, 9) else 1
@@ -226,8 +246,7 @@ def decode_pixels(data: bytes, header: Header, name: str) -> NDArray[Any]:
         pixels = decoded(data, name)
         return pixels[..., ::3] if header.channels == 1 and pixels.shape[2] == 4 else pixels
     if page.compression == 1:
-        damaged = f"{name} is damaged: a part of its image is missing; copy it again."
-        with refusing(damaged), _QUIET:
+        with refusing(f"{name} is damaged: a part of its image is missing; copy it again."), _QUIET:
             pixels = page.asarray(maxworkers=1).reshape(header.rows, header.columns, -1)
     else:
         pixels = decoded(data, name)
@@ -241,15 +260,21 @@ def decode_pixels(data: bytes, header: Header, name: str) -> NDArray[Any]:
 def _check_whole(data: bytes, name: str) -> None:
     """Refuse PNG and JPEG files of which a part is missing, or damaged where there are checksums."""
     if data.startswith(PNG):
-        damaged = f"{name} is truncated or damaged: the checksums of the PNG file do not match; copy it again."
-        with refusing(damaged), _QUIET:
+        with (
+            refusing(f"{name} is truncated or damaged: the checksums of the PNG file do not match; copy it again."),
+            _QUIET,
+        ):
             PngImageFile(io.BytesIO(data)).verify()
     elif data.startswith(JPEG):
         scan = data.rfind(b"\xff\xda")
-        whole = 0 <= scan < data.rfind(b"\xff\xd9")
-        require(whole, f"{name} is truncated: the JPEG file ends within the image; copy it again.")
-        many = f"{name} is damaged: it has more than {_MAX_SCANS} JPEG scans; copy it again."
-        require(data.count(b"\xff\xda") <= _MAX_SCANS, many)
+        require(
+            0 <= scan < data.rfind(b"\xff\xd9"),
+            f"{name} is truncated: the JPEG file ends within the image; copy it again.",
+        )
+        require(
+            data.count(b"\xff\xda") <= _MAX_SCANS,
+            f"{name} is damaged: it has more than {_MAX_SCANS} JPEG scans; copy it again.",
+        )
 
 
 def decoded(data: bytes, name: str) -> NDArray[Any]:
@@ -297,8 +322,7 @@ def decode_image(data: bytes, name: str, max_pixels: int = MAX_PIXELS) -> PixelA
 
 def _plain_pixels(data: bytes, header: Header, name: str) -> PixelArray:
     """(H, W, C) without alpha, as the header states."""
-    kind = f"{name} holds {header.dtype}; save it as 8- or 16-bit unsigned integers."
-    require(header.dtype.kind == "u", kind)
+    require(header.dtype.kind == "u", f"{name} holds {header.dtype}; save it as 8- or 16-bit unsigned integers.")
     image = decode_pixels(data, header, name)[..., : header.channels]
     same = image.shape == (header.rows, header.columns, header.channels) and image.dtype == header.dtype
     require(same, f"{name} is stored in a way that is not read; save it as 8- or 16-bit PNG, grey or RGB.")
@@ -332,17 +356,23 @@ class StackReader:
         like = read_header(read_bytes(files[0], MAX_BYTES), str(files[0]))
         _check_size(like, size, str(files[0]), expected_by)
         self._bytes += len(files) * size[0] * size[1] * like.channels * like.dtype.itemsize
-        large = f"{files[0]} and the images with it take {self._bytes} bytes once decoded, more than the {STACK_BYTES}"
-        require(self._bytes <= STACK_BYTES, f"{large} that are read at once; reduce them, or name fewer.")
+        require(
+            self._bytes <= STACK_BYTES,
+            f"{files[0]} and the images with it take {self._bytes} bytes once decoded, more than the {STACK_BYTES}"
+            " that are read at once; reduce them, or name fewer.",
+        )
         shape = (len(files), *size, like.channels)
         stack = large_array(shape, like.dtype) if self._bytes > _MAPPED_BYTES else np.empty(shape, dtype=like.dtype)
 
         def read(k: int) -> str:
-            name, data = str(files[k]), read_bytes(files[k], MAX_BYTES)
+            name = str(files[k])
+            data = read_bytes(files[k], MAX_BYTES)
             header = read_header(data, name)
             _check_size(header, size, name, expected_by)
-            differ = f"{name} is {header.words}, but {files[0]} is {like.words}"
-            require(header == like, f"{differ}; all images of a band must agree.")
+            require(
+                header == like,
+                f"{name} is {header.words}, but {files[0]} is {like.words}; all images of a band must agree.",
+            )
             stack[k] = _plain_pixels(data, header, name)
             let_go(stack)
             return hashlib.sha256(data).hexdigest()
@@ -356,9 +386,11 @@ class StackReader:
 
 
 def _check_size(header: Header, size: tuple[int, int], name: str, expected_by: str) -> None:
-    expected = f"{size[0]} x {size[1]} are expected by {expected_by}."
-    differs = f"{name} has {header.rows} x {header.columns} pixels (rows x columns), but {expected}"
-    require((header.rows, header.columns) == size, differs)
+    require(
+        (header.rows, header.columns) == size,
+        f"{name} has {header.rows} x {header.columns} pixels (rows x columns), but "
+        f"{size[0]} x {size[1]} are expected by {expected_by}.",
+    )
 
 
 def write_image(path: str | os.PathLike[str], pixels: PixelArray) -> None:
@@ -372,8 +404,11 @@ def encode_image(pixels: PixelArray, suffix: str) -> bytes:
     """Return the bytes of a ``.png`` or ``.tif``/``.tiff`` file; see :func:`write_image`."""
     array: NDArray[Any] = np.asarray(pixels)
     good = array.dtype in (np.uint8, np.uint16) and (array.ndim == 2 or (array.ndim == 3 and array.shape[2] in (1, 3)))
-    wanted = "an image to write must be (H, W), (H, W, 1) or (H, W, 3) of uint8 or uint16"
-    require(good and array.size > 0, f"{wanted}, but it is {array.shape} of {array.dtype}.")
+    require(
+        good and array.size > 0,
+        "an image to write must be (H, W), (H, W, 1) or (H, W, 3) of uint8 or uint16"
+        f", but it is {array.shape} of {array.dtype}.",
+    )
     if array.ndim == 3 and array.shape[2] == 1:
         array = array[..., 0]
     if suffix == ".png":

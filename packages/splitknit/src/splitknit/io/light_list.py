@@ -63,7 +63,9 @@ def read_light_list(path: str | os.PathLike[str]) -> LightList:
     starts a comment; lights are places in mm where the first line is :data:`PLACES`. Decimal commas are understood
     where spaces or semicolons stand between the numbers. Raises BadInput naming the file and the line.
     """
-    name, count, places = os.fspath(path), None, False
+    name = os.fspath(path)
+    count = None
+    places = False
     rows: list[list[float]] = []
     names: list[str] = []
     for number, line in enumerate(_text_of(path).splitlines(), start=1):
@@ -83,13 +85,14 @@ def read_light_list(path: str | os.PathLike[str]) -> LightList:
             rows.append(values)
             names += [photograph] if photograph else []
     require(len(rows) > 0, f"{name} holds no lights: a line x y z for each image is expected.")
-    differ = f"{name} states {count} lights in its first line, but {len(rows)} follow."
-    require(count in (None, len(rows)), differ)
+    require(count in (None, len(rows)), f"{name} states {count} lights in its first line, but {len(rows)} follow.")
     require(len(names) in (0, len(rows)), f"{name} names a file in some of its lines only; name one in all or in none.")
     twice = [photograph for k, photograph in enumerate(names) if photograph in names[:k]]
     require(not twice, f"{name} names {twice[0] if twice else ''!a} twice.")
-    some = f"{name}: brightness stands in some lines only, or in one column here and three there; give it in all."
-    require(len({len(row) for row in rows}) == 1, some)
+    require(
+        len({len(row) for row in rows}) == 1,
+        f"{name}: brightness stands in some lines only, or in one column here and three there; give it in all.",
+    )
     table = np.array(rows, dtype=np.float64)
     wanted = f"{name}: the brightness of a light must be positive"
     bright = _positive(table[:, 3:], wanted) if table.shape[1] > 3 else None
@@ -101,13 +104,15 @@ def _numbers_of(words: Sequence[str]) -> tuple[list[float], str]:
     known = [_as_numbers([word]) is not None for word in words]
     first = known.index(False) if False in known else len(words)
     if first >= 3:
-        numbers, rest = words[:first], words[first:]
+        numbers = words[:first]
+        rest = words[first:]
     else:
         last = known[::-1].index(False) if False in known else first
         before = words[: len(words) - last]
         if last > 3 and not before[-1].lower().endswith(tuple(SUFFIXES)):  # a number ends the name
             last = 3
-        numbers, rest = words[len(words) - last :], words[: len(words) - last]
+        numbers = words[len(words) - last :]
+        rest = words[: len(words) - last]
     return _as_numbers(numbers) or [], re.split(r"[/\\]", " ".join(rest))[-1]
 
 

@@ -38,7 +38,8 @@ def triangulate(valid: BoolArray) -> tuple[NDArray[np.int32], int, Iterator[NDAr
     index[valid] = np.arange(np.count_nonzero(valid), dtype=np.int32)
     ones = valid.view(np.uint8)
     known = ones[:-1, :-1] + ones[:-1, 1:] + ones[1:, :-1] + ones[1:, 1:]
-    whole, three = known == 4, known == 3
+    whole = known == 4
+    three = known == 3
     return index, int(2 * np.count_nonzero(whole) + np.count_nonzero(three)), _pieces(index, whole, three)
 
 

@@ -71,15 +71,20 @@ class PhotographOptions:
     def __post_init__(self) -> None:
         for name, rule in rules_of(type(self)):
             check_value(f"`{name}`", rule, getattr(self, name))
-        tip, size = self.tip_direction_deg, self.max_megapixels
-        turned = tip is None or abs(tip) <= 360.0
-        require(turned, "`tip_direction_deg` must be an angle from -360 to 360 degrees, 0 = up, counter-clockwise.")
+        tip = self.tip_direction_deg
+        size = self.max_megapixels
+        require(
+            tip is None or abs(tip) <= 360.0,
+            "`tip_direction_deg` must be an angle from -360 to 360 degrees, 0 = up, counter-clockwise.",
+        )
         require(size is None or 0.0 < size <= 1000, f"`max_megapixels` must be megapixels up to 1000, not {size}.")
         require(abs(self.film_deg) <= 360, "`film_deg` must be an angle from -360 to 360 degrees, 0 along the rows.")
         others = self.encoding == "srgb", self.max_megapixels, self.background_image, self.crossed
-        frames = "a mosaic of films is linear and holds both series in each frame"
-        left_out = "leave out `encoding` srgb, `max_megapixels`, `crossed` and a `background` that is a photograph."
-        require(self.mosaic is None or not any(others), f"{frames}: {left_out}")
+        require(
+            self.mosaic is None or not any(others),
+            "a mosaic of films is linear and holds both series in each frame: "
+            "leave out `encoding` srgb, `max_megapixels`, `crossed` and a `background` that is a photograph.",
+        )
         require(self.nir is None or self.mosaic is None, "`nir` does not go with `mosaic`.")
 
     @property
@@ -136,8 +141,10 @@ def check_scale(px_per_mm: float | None, ridge_period_mm: float | None) -> None:
     """Refuse two scales, and numbers that are none. Raises BadInput."""
     both = px_per_mm is not None and ridge_period_mm is not None
     require(not both, "`px_per_mm` and `ridge_period_mm` both give the scale; choose one.")
-    usual = px_per_mm is None or 1e-3 <= px_per_mm <= 1e5
-    require(usual, f"`px_per_mm` must be a number from 0.001 to 100000, not {px_per_mm}.")
+    require(
+        px_per_mm is None or 1e-3 <= px_per_mm <= 1e5,
+        f"`px_per_mm` must be a number from 0.001 to 100000, not {px_per_mm}.",
+    )
 
 
 AllPhotographs = Annotated[GivenPhotographs, Parameter("*", group="Photographs")]

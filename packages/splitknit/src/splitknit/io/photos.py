@@ -68,12 +68,16 @@ def decode_photo(data: bytes, name: str, *, room: int | None = None) -> Photo:
     else:
         header = read_header(data, name)
         _check_room(header.rows * header.columns * header.channels * header.dtype.itemsize, name, room)
-        pixels, orientation = decode_pixels(data, header, name), header.orientation
+        pixels = decode_pixels(data, header, name)
+        orientation = header.orientation
     if pixels.dtype.kind == "f":
-        finite = bool(np.isfinite(pixels).all() and np.abs(pixels).max() < 1e30)
-        require(finite, f"{name} holds values that are not finite; export it again without them.")
+        require(
+            bool(np.isfinite(pixels).all() and np.abs(pixels).max() < 1e30),
+            f"{name} holds values that are not finite; export it again without them.",
+        )
         pixels = pixels.astype(np.float32)
-    pixels, opaque = _upright(pixels, orientation), None
+    pixels = _upright(pixels, orientation)
+    opaque = None
     if pixels.shape[2] in (2, 4):  # with alpha
         clear = pixels[..., -1] > (0.5 if pixels.dtype.kind == "f" else np.iinfo(pixels.dtype).max // 2)
         opaque = None if clear.all() else np.asarray(clear)
@@ -90,9 +94,13 @@ def encoding_of(files: Sequence[Path], by_shading: Callable[[], bool | None]) ->
     curve and some have none.
     """
     found = {_stated_encoding(file) for file in files}
-    curves = "some with a tone curve (JPEG, WEBP, HEIC, PNG that states sRGB) and some without"
-    require(len(found) == 1, f"the photographs are of several kinds, {curves}; give `encoding`.")
-    suffix, stated = files[0].suffix.lower(), found.pop()
+    require(
+        len(found) == 1,
+        "the photographs are of several kinds, "
+        "some with a tone curve (JPEG, WEBP, HEIC, PNG that states sRGB) and some without; give `encoding`.",
+    )
+    suffix = files[0].suffix.lower()
+    stated = found.pop()
     if stated:
         why = "stated in" if suffix == ".png" else "assumed of"
         return stated, f"encoding {stated} is {why} the {suffix} files (`encoding` changes it)."
@@ -121,8 +129,10 @@ def _stated_encoding(file: Path) -> str:
 
 
 def _check_room(needed: int, name: str, room: int | None) -> None:
-    large = f"{name} and the photographs with it take more memory than is read at once; reduce them, or name fewer."
-    require(room is None or needed <= room, large)
+    require(
+        room is None or needed <= room,
+        f"{name} and the photographs with it take more memory than is read at once; reduce them, or name fewer.",
+    )
 
 
 def _checked(rows: int, columns: int, bytes_each: int, name: str, room: int | None) -> None:

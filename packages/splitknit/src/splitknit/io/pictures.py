@@ -52,7 +52,8 @@ def upright_limits(result: Reconstruction) -> NDArray[np.float64]:
     fours = np.pad(result.mask, ((0, -height % 4), (0, -width % 4))).view(np.uint32)  # four booleans in one number
     mask = np.bitwise_or.reduce(fours.reshape(-1, 4, fours.shape[1]), axis=1) != 0
     rows = np.flatnonzero(mask.any(axis=1))
-    first, last = mask[rows].argmax(axis=1), mask.shape[1] - 1 - mask[rows, ::-1].argmax(axis=1)
+    first = mask[rows].argmax(axis=1)
+    last = mask.shape[1] - 1 - mask[rows, ::-1].argmax(axis=1)
     points = np.stack([np.concatenate([first, last]), np.concatenate([rows, rows])]) * 4.0 + 1.5
     from_input = np.linalg.inv(result.input_from_upright)
     upright = from_input[:2, :2] @ points + from_input[:2, 2:]
@@ -150,7 +151,9 @@ def normal_colours(normals: FloatArray) -> ColourArray:
 def data_uri(picture: ColourArray | NDArray[np.uint8], *, photo: bool = False) -> str:
     """Encode a picture as a ``data:`` address: PNG, or JPEG for photographs and shaded views."""
     if photo:
-        kind, data = "jpeg", cv2.imencode(".jpg", picture[..., ::-1], [cv2.IMWRITE_JPEG_QUALITY, 88])[1].tobytes()
+        kind = "jpeg"
+        data = cv2.imencode(".jpg", picture[..., ::-1], [cv2.IMWRITE_JPEG_QUALITY, 88])[1].tobytes()
     else:  # maps repeat few colours: without row filters they are smaller than at level 6, in a fifth of the time
-        kind, data = "png", png_bytes(picture, cv2.IMWRITE_PNG_STRATEGY_DEFAULT, cv2.IMWRITE_PNG_FILTER_NONE)
+        kind = "png"
+        data = png_bytes(picture, cv2.IMWRITE_PNG_STRATEGY_DEFAULT, cv2.IMWRITE_PNG_FILTER_NONE)
     return f"data:image/{kind};base64,{base64.b64encode(data).decode('ascii')}"

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import os
 import re
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -24,8 +24,7 @@ from splitknit.imaging.band import (
     pick_channel,
     srgb_code,
 )
-from splitknit.imaging.light_field import few_lights
-from splitknit.imaging.polarised import NOT_SPECULAR, split_mosaic
+from splitknit.imaging.polarised import split_mosaic
 from splitknit.imaging.response import FEWEST, shading_is_srgb
 from splitknit.io.content import check_contents, mask_from_image
 from splitknit.io.images import STACK_BYTES
@@ -51,9 +50,6 @@ from splitknit.steps import large_array, let_go
 _MAX_PHOTOS = 1000
 _NO_CAMERA = Camera(1.0, (1, 1))
 _ASKED, _ASKED_PIXELS = 24, 20_000  # photographs and pixels of each that show the encoding
-_LARGE_MEGAPIXELS, _MANY_MEGAPIXELS = 16.0, 300.0  # size of one photograph, and of all, above which a note is given
-_FIXED_GB, _GB_PER_MEGAPIXEL = 0.3, 0.115
-"""Memory of a run, and of each megapixel, as docs/experiments/performance.md measures them."""
 _NEGATIVE = 0.02
 """Values below minus this part of the brightest are more than noise, if they are more than this part of all."""
 _BRIGHTEST = 0.9  # what the brightest value of photographs of floats becomes, of the full scale of 16 bits
@@ -86,7 +82,6 @@ def capture_from_photographs(
     lights: str | os.PathLike[str] | NDArray[np.float64] | Rig | None = None,
     px_per_mm: float | None = None,
     options: PhotographOptions = _NO_OPTIONS,
-    announce: Callable[[str], None] | None = None,
 ) -> Photographs:
     """Make a capture of a folder of photographs, one for each light.
 
@@ -99,8 +94,7 @@ def capture_from_photographs(
     ``photos/white_{light}.png``, in the order of the lights' numbers; or one file; `lights`: list
     (:mod:`splitknit.io.light_list`), rig file (its white LEDs in order, and its camera), directions (L, 3) or rig; by
     default ``lights.txt`` in the folder, or the only ``.lp`` file there; `px_per_mm`: pixels a mm on the object,
-    None where it is unknown (heights in pixels); `options`: mask, material, encoding and others; `announce`:
-    called with a sentence on memory before many or large photographs are read.
+    None where it is unknown (heights in pixels); `options`: mask, material, encoding and others.
 
     >>> found = capture_from_photographs("photos", px_per_mm=20.0)  # doctest: +SKIP
     >>> found.skipped  # doctest: +SKIP
@@ -110,10 +104,14 @@ def capture_from_photographs(
     require(_home(root).is_dir(), f"{_home(root)} is not a folder; name the folder of the photographs.")
     table, rig, names, colours = _lights_of(root, lights)
     if options.brightness is not None:
-        few = f"brightness is estimated of five lights or more, but there are {len(rig.leds)}: state it in the list."
-        require(options.brightness == "equal" or len(rig.leds) >= 5 or table == Path(UNKNOWN), few)
-        leds, origin = tuple(replace(led, intensity=1.0) for led in rig.leds), {"intensities": options.brightness}
-        rig, colours = replace(rig, leds=leds, provenance={**rig.provenance, **origin}), None
+        require(
+            options.brightness == "equal" or len(rig.leds) >= 5 or table == Path(UNKNOWN),
+            f"brightness is estimated of five lights or more, but there are {len(rig.leds)}: state it in the list.",
+        )
+        leds = tuple(replace(led, intensity=1.0) for led in rig.leds)
+        origin = {"intensities": options.brightness}
+        rig = replace(rig, leds=leds, provenance={**rig.provenance, **origin})
+        colours = None
     named = (options.mask, options.background_image, table)
     own = [Path(os.path.realpath(value)) for value in named if value is not None]
     found, masks, skipped = photographs_in(root, table, names, own, find_mask=options.mask is None)
@@ -124,10 +122,12 @@ def capture_from_photographs(
         rig = _unknown_rig(len(found))
     if len(found) == 1 and len(rig.leds) == 3:  # three coloured lights at once: its channels are the photographs
         found = found * 3
-    holds, ends = f"{root} holds {len(found)} photographs", f"({found[0].name} to {found[-1].name})"
+    holds = f"{root} holds {len(found)} photographs"
     remedy = "let each of its lines begin with the name of a photograph."
-    lights_differ = f"{holds} {ends}, but {table} has {len(rig.leds)} lights{left_out}; {remedy}"
-    require(len(found) == len(rig.leds), lights_differ)
+    require(
+        len(found) == len(rig.leds),
+        f"{holds} ({found[0].name} to {found[-1].name}), but {table} has {len(rig.leds)} lights{left_out}; {remedy}",
+    )
     crossed: list[Path] = []
     if options.crossed is not None:
         second = Path(options.crossed)
@@ -136,7 +136,7 @@ def capture_from_photographs(
         crossed, _, _ = photographs_in(second, table, names, own)
         remedy = "both series need one photograph a light, in the same order."
         require(len(crossed) == len(found), f"{holds}, but {second} {len(crossed)}; {remedy}")
-    capture, notes = _assembled(found, rig, px_per_mm, options, announce, crossed, colours)
+    capture, notes = _assembled(found, rig, px_per_mm, options, crossed=crossed, colours=colours)
     if table.is_file():
         capture = replace(capture, hashes={**capture.hashes, table.name: file_hash(table)})
     if masks:
@@ -147,23 +147,29 @@ def capture_from_photographs(
     if options.nir is None:
         return white
     own_rig = isinstance(lights, Rig) or table.suffix.lower() == ".json"
-    one_folder = f"white and near-infrared photographs lie in one folder, {_home(root)}, but have lights of their own"
     remedy = "give them by a rig file, or put each series into a folder with its list."
-    require(own_rig or _home(Path(options.nir)) != _home(root), f"{one_folder}: {remedy}")
+    require(
+        own_rig or _home(Path(options.nir)) != _home(root),
+        f"white and near-infrared photographs lie in one folder, {_home(root)}, but have lights of their own: {remedy}",
+    )
     encoding: Any = options.encoding or (capture.encoding if options.max_megapixels is None else None)
     near = replace(options, nir=None, crossed=None, flat=None, mask=None, encoding=encoding)
     rig_nir = _of_band(lights if isinstance(lights, Rig) else read_rig(table), str(table), "nir") if own_rig else None
-    infrared = capture_from_photographs(options.nir, rig_nir, px_per_mm, near, announce)
+    infrared = capture_from_photographs(options.nir, rig_nir, px_per_mm, near)
     return _with_nir(white, infrared, Path(options.nir))
 
 
 def _with_nir(white: Photographs, nir: Photographs, folder: Path) -> Photographs:
     """One capture of both bands; the mask is that of the white photographs."""
-    one, other = white.capture, nir.capture
+    one = white.capture
+    other = nir.capture
     ours, theirs = (f"{each.shape[0]} x {each.shape[1]} pixels, {each.encoding}" for each in (one, other))
-    differ = f"the photographs of {folder} are of {theirs}, and the white ones of {ours}"
-    require(ours == theirs, f"{differ}; both must agree (`encoding`).")
-    count, band = len(one.rig.leds), other.bands["white"]
+    require(
+        ours == theirs,
+        f"the photographs of {folder} are of {theirs}, and the white ones of {ours}; both must agree (`encoding`).",
+    )
+    count = len(one.rig.leds)
+    band = other.bands["white"]
     leds = (*one.rig.leds, *(replace(led, band="nir") for led in other.rig.leds))
     band = replace(band, name="nir", leds=tuple((count + k,) for k in range(len(band.leds))))
     hashes = {**one.hashes, **{f"nir/{name}": value for name, value in other.hashes.items()}}
@@ -191,12 +197,15 @@ def _lights_of(root: Path, lights: Any) -> tuple[Path, Rig, tuple[str, ...], NDA
     listed = sorted(root.glob("*.lp")) if lights is None and not (root / "lights.txt").is_file() else []
     usual = next((root / one for one in _LISTS if (root / one).is_file()), root / "lights.txt")
     table = listed[0] if len(listed) == 1 else usual if lights is None else Path(lights)
-    missing = f"{root} holds no lights.txt; name the file of the light directions by `lights`."
-    require(lights is not None or table.is_file(), missing)
+    require(
+        lights is not None or table.is_file(),
+        f"{root} holds no lights.txt; name the file of the light directions by `lights`.",
+    )
     if table.suffix.lower() == ".json":
         return table, _of_band(read_rig(table), os.fspath(table)), (), None
     found = read_light_list(table)
-    rig, bright = _distant_rig(check_lights(found.lights), table if found.places else None), found.intensities
+    rig = _distant_rig(check_lights(found.lights), table if found.places else None)
+    bright = found.intensities
     beside = next((one / _INTENSITIES for one in (table.parent, root) if (one / _INTENSITIES).is_file()), None)
     if bright is None and beside is not None:
         bright = read_intensities(beside, len(rig.leds))
@@ -221,10 +230,14 @@ def _of_band(rig: Rig, name: str, band: str = "white") -> Rig:
 def _distant_rig(vectors: NDArray[np.float64], places: Path | None = None) -> Rig:
     """A rig of lights in directions (L, 3), or at places in mm of the file that is named; its camera is a dummy."""
     lowest = int(np.argmin(vectors[:, 2]))
-    behind = f"light {lowest} points away from the camera (z <= 0); lights point towards the light."
-    require(bool(vectors[lowest, 2] > 0), behind)
-    above = places is None or bool((vectors[:, 2] >= 1.0).all())
-    require(above, f"{places}: places of lights are in mm above the object (the third number at least 1).")
+    require(
+        bool(vectors[lowest, 2] > 0),
+        f"light {lowest} points away from the camera (z <= 0); lights point towards the light.",
+    )
+    require(
+        places is None or bool((vectors[:, 2] >= 1.0).all()),
+        f"{places}: places of lights are in mm above the object (the third number at least 1).",
+    )
     kind = "distant" if places is None else "near"
     if places is None:
         leds = [
@@ -239,7 +252,8 @@ def _distant_rig(vectors: NDArray[np.float64], places: Path | None = None) -> Ri
 def spread_lights(count: int) -> NDArray[np.float64]:
     """(L, 3) directions that all differ, in place of unknown ones."""
     k = np.arange(count)
-    slant, azimuth = np.deg2rad(15.0 + 35.0 * (k + 0.5) / count), np.pi * (3.0 - np.sqrt(5.0)) * k
+    slant = np.deg2rad(15.0 + 35.0 * (k + 0.5) / count)
+    azimuth = np.pi * (3.0 - np.sqrt(5.0)) * k
     return np.column_stack([np.sin(slant) * np.cos(azimuth), np.sin(slant) * np.sin(azimuth), np.cos(slant)])
 
 
@@ -248,9 +262,9 @@ def _unknown_rig(count: int) -> Rig:
     return replace(rig, provenance={**rig.provenance, "lights": UNKNOWN})
 
 
-def some_of(names: Sequence[str], most: int = 8) -> str:
+def some_of(names: Sequence[str]) -> str:
     """The first of many names, and how many more there are."""
-    return ", ".join(names[:most]) + (f" and {len(names) - most} more" if len(names) > most else "")
+    return ", ".join(names[:8]) + (f" and {len(names) - 8} more" if len(names) > 8 else "")
 
 
 def photographs_in(
@@ -275,7 +289,8 @@ def photographs_in(
 
 def _photos_in(folder: Path, own: Sequence[Path]) -> tuple[list[Path], list[str]]:
     """Photographs of a folder, photo_2 before photo_10, and what else is there; `own` are named otherwise."""
-    found, skipped = [], []
+    found = []
+    skipped = []
     if folder != _home(folder):
         return [folder] if folder.is_file() else _of_pattern(folder), []
     try:
@@ -331,13 +346,15 @@ def capture_of_arrays(
     """Make a capture of arrays, and notes on it; as :func:`splitknit.pipeline.reconstruct_images` takes them."""
     with refusing("`images` must be one array, or arrays of one shape."):
         stack = np.asarray(images)
-    shape, kind = stack.shape, stack.dtype
-    wanted = f"`images` must have the shape (L, H, W) or (L, H, W, 3), but it has {shape}."
-    require(stack.ndim in {3, 4} and (stack.ndim == 3 or shape[3] == 3) and stack.size > 0, wanted)
+    shape = stack.shape
+    kind = stack.dtype
+    require(
+        stack.ndim in {3, 4} and (stack.ndim == 3 or shape[3] == 3) and stack.size > 0,
+        f"`images` must have the shape (L, H, W) or (L, H, W, 3), but it has {shape}.",
+    )
     known = kind in (np.dtype(np.uint8), np.dtype(np.uint16)) or kind.kind == "f"
     require(known, f"`images` must be of uint8, uint16 or floats, but they are of {kind}.")
-    finite = kind.kind != "f" or bool(np.isfinite(stack).all())
-    require(finite, "`images` contains NaN or infinite values.")
+    require(kind.kind != "f" or bool(np.isfinite(stack).all()), "`images` contains NaN or infinite values.")
     with refusing("`lights` must be numbers of the shape (L, 3), `intensities` of (L,) or (L, 3), `px_per_mm` one."):
         scale = None if px_per_mm is None else float(px_per_mm)
         vectors = spread_lights(len(stack)) if lights is None else np.asarray(lights, dtype=np.float64)
@@ -350,7 +367,8 @@ def capture_of_arrays(
         require(good, "`intensities` must be positive, one for each light, or three (red, green, blue).")
         rig = _as_bright(rig, bright)
     camera = camera_without_scale(shape[1:3]) if scale is None else Camera(scale, shape[1:3])
-    encoding, why = "linear", "was assumed"
+    encoding = "linear"
+    why = "was assumed"
     if kind == np.uint8:
         step = max(1, math.isqrt(stack[0, ..., 0].size // _ASKED_PIXELS))
         codes = stack[:, ::step, ::step, shape[-1] // 2 if stack.ndim == 4 and stack.shape[3] == 3 else 0]
@@ -358,7 +376,8 @@ def capture_of_arrays(
         if lights is not None:
             codes = codes.reshape(len(stack), -1) / np.float32(255.0)
             curved = shading_is_srgb(codes, rig.light_vectors(), known=not rig.intensities_assumed)
-        encoding, why = "linear" if curved is False else "srgb", "was assumed" if curved is None else "fits the shading"
+        encoding = "linear" if curved is False else "srgb"
+        why = "was assumed" if curved is None else "fits the shading"
     pixels, _, _ = _as_integers(stack, None, 0.0)
     count = len(pixels)
     coloured = bright is not None and bright.shape[1] == 3 and pixels.shape[3] == 3
@@ -379,14 +398,14 @@ def capture_of_arrays(
     return Capture(rig, {"white": band}, encoding, "opaque", mask=inside), notes
 
 
-def _assembled(  # noqa: PLR0917
+def _assembled(
     files: Sequence[Path],
     rig: Rig,
     px_per_mm: float | None,
     options: PhotographOptions,
-    announce: Callable[[str], None] | None = None,
-    crossed: Sequence[Path] = (),
-    colours: NDArray[np.float64] | None = None,
+    *,
+    crossed: Sequence[Path],
+    colours: NDArray[np.float64] | None,
 ) -> tuple[Capture, list[Finding]]:
     """The capture, and notes on it; `colours`: (L, 3) light of each photograph's red, green and blue, relative."""
     require(len(files) >= 3, f"at least three images are needed, but there are {len(files)}.")
@@ -395,16 +414,18 @@ def _assembled(  # noqa: PLR0917
     background = options.background
     raw = next((file.name for file in every if file.suffix.lower() in RAW_SUFFIXES), None)
     require(raw is None or options.encoding != "srgb", f"{raw} is camera RAW, whose light is linear.")
-    counts = f"{len(rig.leds)} lights for {len(files)} images"
-    require(len(rig.leds) == len(files), f"lights and images differ in number: {counts}.")
+    require(
+        len(rig.leds) == len(files),
+        f"lights and images differ in number: {len(rig.leds)} lights for {len(files)} images.",
+    )
     check_lights(rig.light_vectors())
     encoding, notes = _encoding(files, rig, options)
     reading = _Reading(different, encoding, options)
     camera = _camera_of(rig.camera, reading, px_per_mm)
-    unknown = "lights at places in mm need the scale of the photographs; give `px_per_mm`, or directions of the lights."
-    require(camera.scale_known or all(led.position_mm is None for led in rig.leds), unknown)
-    if announce is not None and (cost := reading.cost()):
-        announce(cost)
+    require(
+        camera.scale_known or all(led.position_mm is None for led in rig.leds),
+        "lights at places in mm need the scale of the photographs; give `px_per_mm`, or directions of the lights.",
+    )
     stack, turn, hashes = reading.stack()
     stack = _of_white_light(stack, colours, reading, options)
     ambient = None
@@ -415,7 +436,8 @@ def _assembled(  # noqa: PLR0917
     inside, how = _inside(options.mask, reading, hashes)
     notes += [Finding("assumed-mask", how)] if how else []
     black = reading.level(float(background)) if isinstance(background, float | int) else 0.0
-    count, series = len(files), len(stack) // len(files)
+    count = len(files)
+    series = len(stack) // len(files)
     flat, hashes = _flat_of(options, count, encoding, hashes)
     pixels, ambient, black = _as_integers(stack, ambient, black)
     notes += reading.notes()
@@ -436,8 +458,6 @@ def _assembled(  # noqa: PLR0917
         names = tuple(map(str, crossed or files))
         other = replace(band, name="white_crossed", pixels=pixels[count:], files=names, polarisation="crossed")
         bands["white_crossed"] = other
-        parallel, crossed_mean = (float(one.pixels[:, ::8, ::8].mean(dtype=np.float64)) for one in bands.values())
-        notes += [Finding("not-specular", NOT_SPECULAR)] if crossed_mean >= parallel else []
     check_contents(bands.values())
     capture = Capture(
         rig=replace(rig, camera=camera),
@@ -448,7 +468,16 @@ def _assembled(  # noqa: PLR0917
         mask=inside,
         hashes=hashes,
     )
-    return capture, [*notes, *_notes(capture, turn)]
+    if not camera.scale_known:
+        notes.append(Finding("scale-unknown", UNKNOWN_SCALE))
+    if turn != 1:
+        notes.append(
+            Finding(
+                "turned-photographs",
+                f"photographs are turned as their EXIF data say (orientation {turn}); lights are for them upright.",
+            )
+        )
+    return capture, notes
 
 
 def _inside(
@@ -479,8 +508,7 @@ def _each_once(files: Sequence[Path], options: PhotographOptions) -> Sequence[Pa
     """The files; the one file of three coloured lights once. Raises BadInput if others are named twice."""
     places = [os.path.realpath(file) for file in files]  # unlike resolve(), which raises where links form a circle
     if len(set(files)) == 1:
-        one = f"{files[0]}, one photograph under three lights, goes without `mosaic`."
-        require(options.mosaic is None, one)
+        require(options.mosaic is None, f"{files[0]}, one photograph under three lights, goes without `mosaic`.")
         return files[:1]
     twice = [file for k, file in enumerate(files) if places[k] in places[:k]]
     require(not twice, f"{twice[0] if twice else ''} is named twice; name each photograph once.")
@@ -505,7 +533,8 @@ def read_flat(folder: Path, count: int, encoding: str) -> tuple[FloatArray, dict
     """
     require(folder.is_dir(), f"{folder} is not a folder; name the folder of the flat photographs with `flat`.")
     files, _, _ = photographs_in(folder, folder / "lights.txt")
-    light, hashes = [], {}
+    light = []
+    hashes = {}
     for file in files:
         photo = read_photo(file)
         require(photo.pixels.dtype.kind == "u", f"{file} holds floats; save it as 16-bit PNG or TIFF.")
@@ -514,22 +543,34 @@ def read_flat(folder: Path, count: int, encoding: str) -> tuple[FloatArray, dict
         channels = [image[..., k] for k in range(3)] if coloured else [pick_channel(image, "grey")]
         light += [naming(file, partial(coarse_flat, np.ascontiguousarray(one))) for one in channels]
         hashes[f"{folder.name}/{file.name}"] = photo.sha256
-    differ = f"{folder} holds {len(files)} flat photographs, but there are {count} lights"
-    require(len(light) == count, f"{differ}; give one for each, in the order of their names.")
-    alike = all(one.shape == light[0].shape for one in light)
-    require(alike, f"the flat photographs in {folder} differ in size; take all with the camera as it stands.")
+    require(
+        len(light) == count,
+        f"{folder} holds {len(files)} flat photographs, but there are {count} lights"
+        "; give one for each, in the order of their names.",
+    )
+    require(
+        all(one.shape == light[0].shape for one in light),
+        f"the flat photographs in {folder} differ in size; take all with the camera as it stands.",
+    )
     return np.stack(light), hashes
 
 
 def _camera_of(camera: Camera, reading: _Reading, px_per_mm: float | None) -> Camera:
     """The rig's camera, or one of the scale that was given, for the photographs as they were read."""
-    size, factor, small = reading.shape[:2], reading.factor, reading.small
+    size = reading.shape[:2]
+    factor = reading.factor
+    small = reading.small
     if camera is not _NO_CAMERA:
         rows, columns = camera.image_size
-        found = f"(rows x columns), but the photographs have {size[0]} x {size[1]}; give `lights` a list of lights"
-        require((rows, columns) == size, f"the rig's camera takes images of {rows} x {columns} pixels {found} instead.")
-        both = f"`px_per_mm` and the rig file ({camera.px_per_mm:g} px/mm) both give the scale; leave out the first."
-        require(px_per_mm is None or not camera.scale_known, both)
+        require(
+            (rows, columns) == size,
+            f"the rig's camera takes images of {rows} x {columns} pixels (rows x columns), but the photographs have "
+            f"{size[0]} x {size[1]}; give `lights` a list of lights instead.",
+        )
+        require(
+            px_per_mm is None or not camera.scale_known,
+            f"`px_per_mm` and the rig file ({camera.px_per_mm:g} px/mm) both give the scale; leave out the first.",
+        )
         if px_per_mm is None and not camera.scale_known:
             return camera_without_scale(small)
         matrix = camera.matrix
@@ -538,13 +579,6 @@ def _camera_of(camera: Camera, reading: _Reading, px_per_mm: float | None) -> Ca
         scale = (camera.px_per_mm if px_per_mm is None else float(px_per_mm)) / factor
         return replace(camera, image_size=small, px_per_mm=scale, scale_known=True, matrix=matrix)
     return camera_without_scale(small) if px_per_mm is None else Camera(float(px_per_mm) / factor, small)
-
-
-def _notes(capture: Capture, turn: int) -> list[Finding]:
-    notes = [Finding("scale-unknown", UNKNOWN_SCALE)] if not capture.rig.camera.scale_known else []
-    turned = f"photographs are turned as their EXIF data say (orientation {turn}); lights are for them upright."
-    notes += [Finding("turned-photographs", turned)] if turn != 1 else []
-    return notes + few_lights(capture.rig.light_vectors())
 
 
 def _encoding(files: Sequence[Path], rig: Rig, options: PhotographOptions) -> tuple[str, list[Finding]]:
@@ -601,8 +635,9 @@ class _Reading:
         self.factor = max(1.0, math.ceil(8.0 * math.sqrt(over)) / 8.0)
         """Pixels a side that become one, in eighths as :func:`splitknit.imaging.band.linear_image` takes them."""
         self.small = int(rows // self.factor), int(columns // self.factor)
-        large = self.factor == 1 or min(self.small) >= 16
-        require(large, "`max_megapixels` leaves less than 16 pixels a side; give more.")
+        require(
+            self.factor == 1 or min(self.small) >= 16, "`max_megapixels` leaves less than 16 pixels a side; give more."
+        )
         floats = self.first.pixels.dtype.kind == "f"
         self.encoding_after = encoding if self.factor == 1 or floats else "linear"
         self.dtype = self.first.pixels.dtype if self.factor == 1 or floats else np.dtype(np.uint16)
@@ -614,24 +649,23 @@ class _Reading:
         photo = read_photo(file, room=room)
         if self.options.mosaic is None:
             return [photo]
-        colour, film_deg = self.options.mosaic == "colour", self.options.film_deg
+        colour = self.options.mosaic == "colour"
+        film_deg = self.options.film_deg
         halves = naming(file, lambda: split_mosaic(photo.pixels, film_deg, colour=colour))
         return [replace(photo, pixels=half) for half in halves]
 
-    def cost(self) -> str:
-        """A sentence on memory, where it is much."""
-        count, used = self.series * len(self.files), self.megapixels / self.factor**2
-        if max(used / _LARGE_MEGAPIXELS, count * used / _MANY_MEGAPIXELS) < 1:
-            return ""
-        memory = f"about {_FIXED_GB + used * _GB_PER_MEGAPIXEL:.1f} GB of memory"
-        return f"{count} photographs of {used:.1f} megapixels need {memory}; `max_megapixels` 10 reduces them."
-
     def notes(self) -> list[Finding]:
         """That photographs were reduced, where they were."""
-        side, left = f"{self.factor:g}", f"{math.prod(self.small) / 1e6:.3g} (`max_megapixels`)"
-        reduced = f"the photographs of {self.megapixels:.3g} megapixels were reduced to {left}"
-        words = f"{reduced}, by means over {side} x {side} pixels."
-        return [Finding("reduced-photographs", words)] if self.factor > 1 else []
+        if self.factor == 1:
+            return []
+        return [
+            Finding(
+                "reduced-photographs",
+                f"the photographs of {self.megapixels:.3g} megapixels were reduced to "
+                f"{math.prod(self.small) / 1e6:.3g} (`max_megapixels`), by means over "
+                f"{self.factor:g} x {self.factor:g} pixels.",
+            )
+        ]
 
     def level(self, stored: float) -> float:
         """A stored value, on the scale of :meth:`stack`."""
@@ -644,9 +678,11 @@ class _Reading:
     def reduced(self, photo: Photo, file: Path) -> NDArray[Any]:
         """Pixels of a photograph (H, W, C), linear where they are reduced."""
         rows, columns = photo.pixels.shape[:2]
-        expected = f"{self.shape[0]} x {self.shape[1]} are expected by {self.files[0]}."
-        other = f"{file} has {rows} x {columns} pixels (rows x columns), but {expected}"
-        require((rows, columns) == self.shape[:2], other)
+        require(
+            (rows, columns) == self.shape[:2],
+            f"{file} has {rows} x {columns} pixels (rows x columns), but "
+            f"{self.shape[0]} x {self.shape[1]} are expected by {self.files[0]}.",
+        )
         if self.factor == 1:
             return photo.pixels
         if photo.pixels.dtype.kind == "f":
@@ -656,25 +692,32 @@ class _Reading:
 
     def stack(self) -> tuple[NDArray[Any], int, dict[str, str]]:
         """Photographs (L, h, w, C), EXIF's orientation of them, and the SHA-256 of each file by its name."""
-        first, hashes = self.first, {}
+        first = self.first
+        hashes = {}
         shape = (self.series * len(self.files), *self.small, self.shape[2])
-        large = f"{self.files[0]} and the photographs with it take more than {STACK_BYTES / 1e9:g} GB"
-        fits = math.prod(shape) * self.dtype.itemsize <= STACK_BYTES
-        require(fits, f"{large}; name fewer, or reduce them by `max_megapixels`.")
+        require(
+            math.prod(shape) * self.dtype.itemsize <= STACK_BYTES,
+            f"{self.files[0]} and the photographs with it take more than {STACK_BYTES / 1e9:g} GB"
+            "; name fewer, or reduce them by `max_megapixels`.",
+        )
         stack = large_array(shape, self.dtype)
         for k, file in enumerate(self.files):
             room = first.pixels.nbytes * (3 if self.series == 1 else 12)
             for part, photo in enumerate(self.photos(file, room) if k else self.first_read):
-                turned = f"{file} is turned differently by its EXIF data (orientation {photo.orientation}) than"
-                guess = "as a telephone that looks straight down guesses it; give all one orientation."
-                other = f"{turned} {self.files[0].name} ({first.orientation}), {guess}"
-                require(photo.orientation == first.orientation, other)
+                require(
+                    photo.orientation == first.orientation,
+                    f"{file} is turned differently by its EXIF data (orientation {photo.orientation}) than"
+                    f" {self.files[0].name} ({first.orientation}), "
+                    "as a telephone that looks straight down guesses it; give all one orientation.",
+                )
                 pixels = self.reduced(photo, file)
                 if photo.opaque is not None and self.series == 1:
                     self.opaque = photo.opaque if self.opaque is None else self.opaque & photo.opaque
-                kinds = f"{file} is {_kind(photo.pixels)}, but {self.files[0]} is {_kind(first.pixels)}"
                 alike = photo.pixels.shape == self.shape and photo.pixels.dtype == first.pixels.dtype
-                require(alike, f"{kinds}; all must agree.")
+                require(
+                    alike,
+                    f"{file} is {_kind(photo.pixels)}, but {self.files[0]} is {_kind(first.pixels)}; all must agree.",
+                )
                 stack[k + part * len(self.files)] = pixels
                 let_go(stack)
                 name = file.name if file.name not in hashes else f"{file.parent.name}/{file.name}"
@@ -687,8 +730,10 @@ def _of_white_light(
 ) -> NDArray[Any]:
     """Photographs (L, H, W, 3) as even white light gives them, linear, clipping kept; or one, as its three channels."""
     if len(reading.files) == 1:
-        grey = f"{reading.files[0]} is grey; one photograph under three lights at once must be in colour."
-        require(stack.shape[3] == 3, grey)
+        require(
+            stack.shape[3] == 3,
+            f"{reading.files[0]} is grey; one photograph under three lights at once must be in colour.",
+        )
         return np.ascontiguousarray(np.moveaxis(stack[0], -1, 0)[..., None])
     if colours is None or stack.shape[3] == 1:
         return stack
@@ -698,7 +743,8 @@ def _of_white_light(
     factors = (colours.min() / colours).astype(np.float32)
     if stack.dtype.kind == "f":
         return np.asarray(stack * factors[:, None, None])
-    balanced, full = large_array(stack.shape, np.dtype(np.uint16)), np.iinfo(stack.dtype).max
+    balanced = large_array(stack.shape, np.dtype(np.uint16))
+    full = np.iinfo(stack.dtype).max
     for k, image in enumerate(stack):
         light = linear_image(image, encoding) * factors[k]
         balanced[k] = np.where(image == full, 65535, np.rint(65535.0 * light)).astype(np.uint16)
@@ -715,8 +761,10 @@ def _as_integers(
 ) -> tuple[PixelArray, PixelArray | None, float]:
     """Integers with their ambient image and black level."""
     floats = stack.dtype.kind == "f"
-    mixed = "the background image is of floats and the photographs are not, or the reverse; save both in one format."
-    require(ambient is None or (ambient.dtype.kind == "f") == floats, mixed)
+    require(
+        ambient is None or (ambient.dtype.kind == "f") == floats,
+        "the background image is of floats and the photographs are not, or the reverse; save both in one format.",
+    )
     top = float(stack.max()) if floats else float(np.iinfo(stack.dtype).max)
     require(top > 0, "the photographs are black: not one value is above zero.")
     below = float(np.mean(stack < -_NEGATIVE * top)) if floats else 0.0

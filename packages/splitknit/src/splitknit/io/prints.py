@@ -73,8 +73,7 @@ def encode_png(image: NDArray[np.uint8], text: Mapping[str, str], ppi: float | N
     chunks = PngInfo()
     for keyword, value in sorted(text.items()):
         plain = keyword.strip() == keyword and 1 <= len(keyword) <= 79 and keyword.isascii() and keyword.isprintable()
-        wanted = f"a text in a PNG file cannot be called {keyword!r}: 1 to 79 printable ASCII characters."
-        require(plain, wanted)
+        require(plain, f"a text in a PNG file cannot be called {keyword!r}: 1 to 79 printable ASCII characters.")
         require("\0" not in value, f"the text '{keyword}' holds a NUL character, which PNG cannot store.")
         chunks.add_text(keyword, value)
     stream = io.BytesIO()
@@ -85,8 +84,10 @@ def encode_png(image: NDArray[np.uint8], text: Mapping[str, str], ppi: float | N
 
 def read_print_png(path: str | os.PathLike[str]) -> PrintFile:
     """Read a grey PNG with its resolution and texts; BadInput if the file is missing, damaged, or not 8-bit grey."""
-    data, name = read_bytes(path, MAX_BYTES), os.fspath(path)
-    pixels, header = decode_image(data, name), read_header(data, name)
+    data = read_bytes(path, MAX_BYTES)
+    name = os.fspath(path)
+    pixels = decode_image(data, name)
+    header = read_header(data, name)
     require(pixels.shape[2] == 1 and pixels.dtype == np.uint8, f"{name} is not an 8-bit grey image.")
     ppi = None if header.ppi is None else header.ppi[0]
     return PrintFile(np.asarray(pixels[..., 0], dtype=np.uint8), ppi, dict(header.text))
@@ -94,8 +95,10 @@ def read_print_png(path: str | os.PathLike[str]) -> PrintFile:
 
 def encode_jpeg2000(image: NDArray[np.uint8]) -> bytes:
     """Compress a print (H, W) uint8 as JPEG 2000 (a JP2 file) without loss; BadInput below 32 pixels a side."""
-    small = f"a print of {image.shape[0]} x {image.shape[1]} pixels is too small for JPEG 2000; choose PNG."
-    require(min(image.shape) >= _SMALLEST_JPEG2000, small)
+    require(
+        min(image.shape) >= _SMALLEST_JPEG2000,
+        f"a print of {image.shape[0]} x {image.shape[1]} pixels is too small for JPEG 2000; choose PNG.",
+    )
     return cv2.imencode(".jp2", image, [cv2.IMWRITE_JPEG2000_COMPRESSION_X1000, 1000])[1].tobytes()
 
 
@@ -105,7 +108,8 @@ def decode_jpeg2000(data: bytes, name: str, max_pixels: int) -> NDArray[np.uint8
     head = data[start + 8 : start + 43]
     require(start >= 0 and len(head) == 35, f"{name} is not a JPEG 2000 image, or truncated; copy it again.")
     right, down, left, up, *_, components = struct.unpack_from(">IIIIIIIIH", head)
-    rows, columns = down - up, right - left
+    rows = down - up
+    columns = right - left
     require(rows > 0 and columns > 0 and rows * columns <= max_pixels, f"{name} claims {rows} x {columns} pixels.")
     require(components == 1 and head[34] == 7, f"{name} is not 8-bit grey; convert it.")
     image = decoded(data, name)
@@ -124,7 +128,8 @@ def decode_print_image(data: bytes, name: str) -> PrintFile:
     large = f"{name} has {rows} x {columns} pixels, more than the {_MAX_PIXELS} that are read of prints; reduce it."
     require(rows * columns <= _MAX_PIXELS, large)
     header = read_header(data, name)
-    stated, text = header.ppi, _texts(header.text[""]) if "" in header.text else dict(header.text)
+    stated = header.ppi
+    text = _texts(header.text[""]) if "" in header.text else dict(header.text)
     grey = _grey(photo.pixels, name)
     if stated is None or abs(stated[0] - stated[1]) <= 0.01 * stated[0]:
         return PrintFile(grey, None if stated is None else stated[0], text)
@@ -173,8 +178,10 @@ def encode_print_tiff(image: NDArray[np.uint8], ppi: float = 500.0, text: Mappin
 def _checked(image: NDArray[np.uint8], ppi: float) -> NDArray[np.uint8]:
     """A print that can be written, in one piece."""
     array = np.ascontiguousarray(image)
-    flat = array.ndim == 2 and array.size > 0 and array.dtype == np.uint8
-    require(flat, f"a print must be (H, W) uint8, not {array.shape} {array.dtype}.")
+    require(
+        array.ndim == 2 and array.size > 0 and array.dtype == np.uint8,
+        f"a print must be (H, W) uint8, not {array.shape} {array.dtype}.",
+    )
     require(10 <= ppi <= 100_000, f"ppi must lie between 10 and 100000, but it is {ppi}.")
     return array
 

@@ -17,7 +17,6 @@ from numpy.typing import NDArray
 from splitknit.errors import importing, require
 from splitknit.findings import Finding
 from splitknit.imaging.geometry import bounding_box
-from splitknit.imaging.roughness import areal_roughness
 from splitknit.io.atomic import write_file
 from splitknit.io.fields import converted, parse_json, read_document
 from splitknit.io.images import read_image
@@ -129,8 +128,10 @@ def read_fields(
     usable = usable and 0 < rows <= 20_000 and 0 < columns <= 20_000 and rows * columns <= 100_000_000
     require(usable, f"{path}: 'input_from_upright' or 'upright_size' cannot be used; {_AGAIN}.")
     pitch = float(arrays["pitch_mm"])
-    usual = not known or 0 < pitch * max(rows, columns) <= LARGEST_MM
-    require(usual, f"{path} has no scale (pitch_mm is {pitch}): calibrate the camera and {_AGAIN}.")
+    require(
+        not known or 0 < pitch * max(rows, columns) <= LARGEST_MM,
+        f"{path} has no scale (pitch_mm is {pitch}): calibrate the camera and {_AGAIN}.",
+    )
     for name in (*names, *optional):
         if name in arrays and name not in {"provenance", "whole"}:
             arrays[name] = arrays[name].astype(np.float32, copy=False)
@@ -177,9 +178,11 @@ def _vertices(result: Reconstruction, valid: BoolArray) -> Iterator[tuple[FloatA
     x = ((np.arange(width) - (width - 1) / 2) * result.pitch_mm)[None, columns]
     y = (((height - 1) / 2 - np.arange(height)) * result.pitch_mm)[:, None]
     for band in bands(valid.shape):
-        here, part = valid[band], (slice(rows.start + band.start, rows.start + band.stop), columns)
+        here = valid[band]
+        part = (slice(rows.start + band.start, rows.start + band.stop), columns)
         if result.x_mm is not None and result.y_mm is not None:
-            x, places_y = result.x_mm[part], result.y_mm[part]
+            x = result.x_mm[part]
+            places_y = result.y_mm[part]
         else:
             places_y = y[part[0]]
         places = np.empty((np.count_nonzero(here), 3), dtype=np.float32)
@@ -214,7 +217,7 @@ SURFACES = ("stl", "obj", "glb")
 
 
 def surface_bytes(result: Reconstruction, kind: str, title: str) -> tuple[dict[str, Any], bytes]:
-    """Return facts of a file of the surface, its areal roughness among them, and the bytes of the file.
+    """Return facts of a file of the surface, and the bytes of the file.
 
     `title`: one line, stated in the file; `kind`: ``stl``, ``obj`` (in mm) or ``glb`` (in metres, as glTF wants it),
     meshes as ``phalange.ply``. Raises BadInput if the result has no scale or no surface, or trimesh is missing.
@@ -226,8 +229,7 @@ def surface_bytes(result: Reconstruction, kind: str, title: str) -> tuple[dict[s
     require(count > 0, "the result holds no surface; reconstruct the capture again.")
     vertices, normals, intensity = (np.concatenate(one) for one in zip(*_vertices(result, valid), strict=True))
     faces = np.concatenate(list(pieces))
-    rough = areal_roughness(result.ridge_mm[box], result.pitch_mm)
-    facts = {"vertices": len(vertices), "faces": count, "unit": "mm", "relief_roughness": rough}
+    facts = {"vertices": len(vertices), "faces": count, "unit": "mm"}
     with importing(_NEEDS_TRIMESH):
         import trimesh
     grey = np.full((len(vertices), 4), 255, dtype=np.uint8)
@@ -249,7 +251,9 @@ def write_normals(path: Path, result: Reconstruction, origin: Origin, normals: F
     """Write the normals (by default those of the surface) as a colour picture on the input's pixel grid."""
     picture = np.zeros((*result.mask.shape, 3), dtype=np.uint8)
     box = bounding_box(result.mask)
-    shown, inside, into = (result.normals if normals is None else normals)[box], result.mask[box], picture[box]
+    shown = (result.normals if normals is None else normals)[box]
+    inside = result.mask[box]
+    into = picture[box]
     for band in bands(inside.shape):
         cv2.copyTo(normal_colours(shown[band]), inside[band].view(np.uint8), into[band])
     write_picture(path, picture, origin)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import math
 import os
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from functools import partial
 from pathlib import Path
 from typing import Annotated, Any
@@ -51,13 +51,24 @@ class _LedFields(Struct):
     colour: str = ""
 
 
+_Brightness = Annotated[float, Meta(ge=0.01, le=100)]
+
+
+class _FilmsFields(Struct):
+    leds: tuple[int, ...]
+    leak: tuple[Annotated[float, Meta(ge=0, le=0.499)], ...]
+    brightness: tuple[tuple[_Brightness, _Brightness, _Brightness], ...]
+    shift_px: tuple[_Number, _Number] = (0.0, 0.0)
+    scale: Annotated[float, Meta(ge=0.9, le=1.1)] = 1.0
+
+
 class _RigFields(Struct):
     format: Annotated[str, Meta(pattern="^(splitknit-rig)$")]
     version: Version1
     camera: _CameraFields
     leds: Annotated[list[_LedFields], Meta(min_length=1, max_length=10_000)]
     mirrors: tuple[Mirror, ...] = ()
-    films: Films | None = None
+    films: _FilmsFields | None = None
     provenance: dict[str, Any] | None = None
 
 
@@ -104,7 +115,9 @@ def write_rig(rig: Rig, path: str | os.PathLike[str]) -> None:
 
 def rig_to_json(rig: Rig) -> dict[str, JsonValue]:
     """The document of :func:`rig_from_json`. Raises BadInput if LEDs are grouped (`also`), as by :meth:`Rig.select`."""
-    camera, distortion, leds = rig.camera, rig.camera.distortion, list[JsonValue]()
+    camera = rig.camera
+    distortion = rig.camera.distortion
+    leds = list[JsonValue]()
     if camera.model == "perspective" and distortion is None:
         distortion = (0.0,) * 5  # the file must say so
     for index, led in enumerate(rig.leds):
@@ -153,43 +166,48 @@ def rig_from_json(document: Any, name: str = "rig.json") -> Rig:
     fields = converted(document, _RigFields, name)
     camera = naming(name, partial(_camera, fields.camera))
     leds = tuple(naming(f"{name}: leds[{k}]", partial(_led, led)) for k, led in enumerate(fields.leds))
-    if fields.films is not None:
-        _check_films(fields.films, len(leds), f"{name}: films")
-    return naming(name, lambda: Rig(camera, leds, fields.provenance or {}, fields.mirrors, fields.films))
+    films = None if fields.films is None else _films(fields.films, len(leds), f"{name}: films")
+    return naming(name, lambda: Rig(camera, leds, fields.provenance or {}, fields.mirrors, films))
 
 
-def _check_films(films: Films, count: int, where: str) -> None:
+def _films(films: _FilmsFields, count: int, where: str) -> Films:
     leds = len(films.leds)
     different = 0 < len(set(films.leds)) == leds and all(0 <= k < count for k in films.leds)
     require(different, f"{where}.leds must be different LEDs of the rig (0 to {count - 1}).")
-    each = len(films.leak) == len(films.brightness) == leds
-    require(each, f"{where} must have a leak and a brightness for each of the {leds} LEDs.")
-    require(all(0.0 <= leak <= 0.499 for leak in films.leak), f"{where}.leak must be numbers from 0 to 0.499.")
-    bright = all(len(row) == 3 and min(row) >= 0.01 and max(row) <= 100 for row in films.brightness)
-    require(bright, f"{where}.brightness must be three numbers from 0.01 to 100 for each LED.")
-    require(0.9 <= films.scale <= 1.1, f"{where}.scale must be a number from 0.9 to 1.1.")
+    require(
+        len(films.leak) == len(films.brightness) == leds,
+        f"{where} must have a leak and a brightness for each of the {leds} LEDs.",
+    )
+    return Films(**fields_of(films))
 
 
 def _camera(fields: _CameraFields) -> Camera:
     rows, columns = fields.image_size
-    large = f"camera.image_size is {rows} x {columns}, more than the {_MAX_PIXELS} pixels that are read."
-    require(rows * columns <= _MAX_PIXELS, large)
-    counts = "camera.distortion must be a list of 4, 5, 8, 12 or 14 numbers."
-    require(fields.distortion is None or len(fields.distortion) in _DISTORTION_COUNTS, counts)
+    require(
+        rows * columns <= _MAX_PIXELS,
+        f"camera.image_size is {rows} x {columns}, more than the {_MAX_PIXELS} pixels that are read.",
+    )
+    require(
+        fields.distortion is None or len(fields.distortion) in _DISTORTION_COUNTS,
+        "camera.distortion must be a list of 4, 5, 8, 12 or 14 numbers.",
+    )
     matrix = None if fields.matrix is None else np.array(fields.matrix, dtype=np.float64)
     if matrix is not None:
         sound = matrix[0, 0] > 0 and matrix[1, 1] > 0 and np.array_equal(matrix[2], [0.0, 0.0, 1.0])
         require(bool(sound), "camera.matrix must be a camera matrix: positive focal lengths, last row 0 0 1.")
     if fields.model == "perspective":
         whole = None not in (fields.distortion, fields.height_mm, fields.matrix, fields.px_per_mm)
-        lacks = "a perspective camera needs px_per_mm, height_mm, matrix and distortion (zeros if there is none)."
-        require(whole, f"camera: {lacks}")
+        require(
+            whole,
+            "camera: a perspective camera needs px_per_mm, height_mm, matrix and distortion (zeros if there is none).",
+        )
     if fields.model == "perspective" and matrix is not None and fields.height_mm and fields.px_per_mm:
         by_matrix = math.sqrt(matrix[0, 0] * matrix[1, 1]) / fields.height_mm  # on the finger plane
-        differs = f"camera.px_per_mm is {fields.px_per_mm:g}, but camera.matrix and camera.height_mm make it"
-        remedy = "correct one of them, or calibrate the camera."
-        near = 0.5 <= by_matrix / fields.px_per_mm <= 2.0
-        require(near, f"{differs} {by_matrix:.4g} on the finger plane; {remedy}")
+        require(
+            0.5 <= by_matrix / fields.px_per_mm <= 2.0,
+            f"camera.px_per_mm is {fields.px_per_mm:g}, but camera.matrix and camera.height_mm make it"
+            f" {by_matrix:.4g} on the finger plane; correct one of them, or calibrate the camera.",
+        )
     return Camera(
         fields.px_per_mm or camera_without_scale(fields.image_size).px_per_mm,
         fields.image_size,
@@ -210,9 +228,10 @@ def _led(fields: _LedFields) -> Led:
         return led
     x, y, z = led.direction
     length = math.sqrt(x * x + y * y + z * z)
-    long = f"direction must be a unit vector towards the light, but its length is {length:.4g}; divide it by its length"
-    require(0.98 <= length <= 1.02, f"{long}, or use position_mm for a place in mm.")
-    away = f"direction points away from the camera's side (z = {z:g}); it must point towards the light."
-    require(z > 0, away)
-    fields.direction = (x, y, z) if abs(length - 1.0) <= 1e-9 else (x / length, y / length, z / length)
-    return Led(**fields_of(fields))
+    require(
+        0.98 <= length <= 1.02,
+        f"direction must be a unit vector towards the light, but its length is {length:.4g}; divide it by its length"
+        ", or use position_mm for a place in mm.",
+    )
+    require(z > 0, f"direction points away from the camera's side (z = {z:g}); it must point towards the light.")
+    return led if abs(length - 1.0) <= 1e-9 else replace(led, direction=(x / length, y / length, z / length))

@@ -50,8 +50,10 @@ def check_capture(
     """
     check_target(out, marker, words, keep=keep, form=CAPTURE_FORMAT if marker == "capture.json" else None)
     taken = (out.expanduser() / marker).exists()
-    earlier = f"'{out}' exists and is not empty: it is {words}; name another folder, or give `overwrite`."
-    require(overwrite or not taken, earlier)
+    require(
+        overwrite or not taken,
+        f"'{out}' exists and is not empty: it is {words}; name another folder, or give `overwrite`.",
+    )
 
 
 def check_file(out: Path | None, words: str, is_own: Callable[[bytes], bool] | None = None, *, form: str = "") -> None:
@@ -79,8 +81,10 @@ def check_rig_file(out: Path | None) -> None:
 
 def check_picture(out: Path | None, photographs: Path | None = None) -> None:
     """Refuse to replace a file that is not a PNG or TIFF picture, or is one of the photographs that are read."""
-    picture = out is None or out.suffix.lower() in (".png", ".tif", ".tiff")
-    require(picture, f"'{out}' must end in .png or .tif: it is a picture.")
+    require(
+        out is None or out.suffix.lower() in (".png", ".tif", ".tiff"),
+        f"'{out}' must end in .png or .tif: it is a picture.",
+    )
     check_file(out, "a picture", lambda data: data.startswith((PNG, *TIFFS)))
     if out is not None and photographs is not None:
         inside = photographs.expanduser().resolve() in out.expanduser().resolve().parents and out.expanduser().exists()

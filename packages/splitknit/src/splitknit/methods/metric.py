@@ -19,7 +19,6 @@ from splitknit.methods.photographs import FingerBand, FingerPhotographs, FingerS
 from splitknit.methods.photometry import (
     MAX_SLOPE,
     OPAQUE,
-    Slopes,
     by_rows,
     distant_normals,
     integrated,
@@ -33,7 +32,7 @@ from splitknit.photometric.uncalibrated import bas_relief_of, bas_relief_um
 from splitknit.plausible import RELIEF
 from splitknit.presets import HeightSettings, NormalsSettings, Parameters, PipelineSettings
 from splitknit.skin.diffusion import SCATTERING_SD, Diffusion, SkinSettings
-from splitknit.skin.grid import BandImages, Grid, smooth_step
+from splitknit.skin.grid import BandImages, Grid, Slopes, smooth_step
 from splitknit.skin.images import SEPARATED_BY, MetricSettings, SkinImages, working_images
 from splitknit.skin.learned import (
     LITTLE_GLOSS,
@@ -169,11 +168,20 @@ def metric_skin(
     optics = skin.optics(images.channels, colour)
     if networks is None:
         other = skin.optics(images.channels, colour, 1 + SCATTERING_SD)
-        smooth, estimate = relief_of_colours(images, shape, optics, other, p.rounds)
+        smooth = on_fine_grid(shape.height_mm, images)
+        light = white_light_on(shape.height_mm, images)
+        measured = measure(images.white, grid, smooth, light, optics, shape.brightness)
+        estimate = relief_by_colour(measured, grid, smooth, other, p.rounds)
     else:
         smooth, estimate = relief_and_shape(images, shape, optics, networks, p.rounds)
     detail = detail_of(smooth, estimate.trust, grid)  # of the shape, beyond the crossover: creases
-    facts = {**optics_facts(optics, colour, shape), **estimate.facts}
+    facts = {
+        "scattering_per_mm": {name: optics[name].scattering_per_mm for name in sorted(optics)},
+        "absorption_per_mm": {name: optics[name].absorption_per_mm for name in sorted(optics)},
+        "colour": colour,
+        "glare": {name: {"roughness": r, "strength": s} for name, (r, s) in shape.glare.items()},
+        **estimate.facts,
+    }
     return SkinSurface(smooth - detail, estimate.relief_mm + detail, estimate.deviation_mm, estimate.albedo, facts)
 
 
@@ -200,10 +208,7 @@ def metric_polarised(
     if found["specular_over_noise"] < FAINT:
         modelled = metric_skin(images.bands, grid, skin, p, networks)
         return replace(modelled, facts={**modelled.facts, "specular": found})
-    rest = height_mm - first.shape_mm
-    slow = grid.smooth(rest, grid.mask, KNIT_MM)
-    facts = {**first.facts, "relief_by": "polarised", "specular": found}
-    return SkinSurface(first.shape_mm + slow, rest - slow, error_mm, first.albedo, facts)
+    return _with_heights(first, height_mm - first.shape_mm, error_mm, grid, relief_by="polarised", specular=found)
 
 
 def metric_side(
@@ -228,9 +233,13 @@ def metric_side(
         return replace(first, facts={**first.facts, "specular": found})
     rest = height_mm - first.shape_mm
     rest -= grid.smooth(rest, grid.mask, SHAPE_MM)
+    return _with_heights(first, rest, error_mm, grid, relief_by="side", specular=found)
+
+
+def _with_heights(first: SkinSurface, rest: FloatArray, error_mm: FloatArray, grid: Grid, **facts: Any) -> SkinSurface:
+    """The first surface with what heights measured by the specular image have beyond its shape."""
     slow = grid.smooth(rest, grid.mask, KNIT_MM)
-    facts = {**first.facts, "relief_by": "side", "specular": found}
-    return SkinSurface(first.shape_mm + slow, rest - slow, error_mm, first.albedo, facts)
+    return SkinSurface(first.shape_mm + slow, rest - slow, error_mm, first.albedo, {**first.facts, **facts})
 
 
 def _specular_heights(
@@ -253,23 +262,6 @@ def without_white(band: BandImages, part: FloatArray) -> BandImages:
     """Images (red, green, blue) less what is white in them, blue less `part` (h, w) of the red: about as behind
     crossed films."""
     return replace(band, stack=band.stack - (band.stack[2] - part * band.stack[0]) / 2)
-
-
-def relief_of_colours(
-    images: CoarseImages,
-    shape: Shape,
-    optics: Mapping[str, Diffusion],
-    other: Mapping[str, Diffusion],
-    rounds: int,
-) -> tuple[FloatArray, ReliefEstimate]:
-    """Smooth shape (h, w) on the fine grid, and the relief on it: specular reflection is separated by its colour.
-
-    `other`: optics of skin that scatters one standard deviation more, for the relief's uncertainty.
-    """
-    smooth = on_fine_grid(shape.height_mm, images)
-    light = white_light_on(shape.height_mm, images)
-    measured = measure(images.white, images.fine, smooth, light, optics, shape.brightness)
-    return smooth, relief_by_colour(measured, images.fine, smooth, other, rounds)
 
 
 def relief_and_shape(
@@ -304,17 +296,6 @@ def relief_and_shape(
     low, high = BOTH_DEG
     part = smooth_step((slant_of(smooth, grid.pitch_mm) - low) / (high - low)) / 2
     return smooth, replace(found, relief_mm=found.relief_mm + part * of_crossed)
-
-
-def optics_facts(optics: Mapping[str, Diffusion], colour: Mapping[str, float], shape: Shape) -> dict[str, Any]:
-    """What was assumed and found of the skin's optics, for the result."""
-    return {
-        "scattering_per_mm": {name: optics[name].scattering_per_mm for name in sorted(optics)},
-        "absorption_per_mm": {name: optics[name].absorption_per_mm for name in sorted(optics)},
-        "scattering_assumed": True,
-        "colour": colour,
-        "glare": {name: {"roughness": r, "strength": s} for name, (r, s) in shape.glare.items()},
-    }
 
 
 def opaque_surface(photographs: FingerPhotographs, settings: PipelineSettings) -> FingerSurface:
@@ -374,7 +355,7 @@ def _on_pixels(images: SkinImages, settings: PipelineSettings, lost: float) -> F
         "shape_source": "nir" if len(images.bands) > 1 else "white",
         "separation": SEPARATED_BY[relief_by],
         "heights": "measured" if relief_by == "polarised" else "modelled",
-        "optics": {**found.facts, "working_pitch_mm": images.grid.pitch_mm},
+        "optics": found.facts,
     }
     return FingerSurface(
         shape_mm + ridge_mm, ridge_mm, shape_mm, albedo,

@@ -20,10 +20,9 @@ from splitknit.model import Array, BoolArray, FloatArray
 from splitknit.photometric.lambertian import lambertian
 from splitknit.photometric.robust import robust
 from splitknit.presets import HeightSettings, NormalsSettings
+from splitknit.skin.grid import Slopes
 from splitknit.steps import IN_MEMORY, step
 
-Slopes = tuple[FloatArray, FloatArray]
-"""dz/dx and dz/dy (h, w), y up."""
 MAX_SLOPE = 6.0
 """Steeper slopes are shortened to this."""
 SLOW_MM = 0.32
@@ -68,8 +67,6 @@ def by_rows(
                 image[(stored[window] >= clips).any(axis=-1)] = 0.0
         return images
 
-    if strip >= height:
-        return solve(light((rows, columns)), slice(None))
     normals = np.zeros((height, width, 3), dtype=np.float32)
     albedo = np.full((height, width), np.nan, dtype=np.float32)
     for top in range(0, height, strip):

@@ -6,22 +6,15 @@ from dataclasses import replace
 
 import numpy as np
 
-from splitknit.errors import BadInput, require
-from splitknit.findings import Finding, Severity
+from splitknit.diagnosis.size import USUAL_PERIOD_MM
+from splitknit.errors import require
+from splitknit.findings import Finding
 from splitknit.finger.ridge_period import ridge_period, scale_of_ridges
-from splitknit.methods.photographs import FingerPhotographs, locate_finger, placed
+from splitknit.methods.photographs import diagnosed, placed, prepared
 from splitknit.methods.thesis import thesis_surface
-from splitknit.model import BoolArray, Capture, FloatArray, Reconstruction
-from splitknit.plausible import DEPTH, LED_DISTANCE, OBJECT_VIEW, RIDGE_PERIOD, VIEW
+from splitknit.model import BoolArray, Capture, FloatArray
+from splitknit.plausible import LED_DISTANCE, OBJECT_VIEW, VIEW
 from splitknit.presets import PRESETS
-
-USUAL_PERIOD_MM = 0.45
-"""Distance of the ridges from which a scale is assumed."""
-_PERIOD_PX_PER_MM = 20.0
-"""Scale that is enough to measure it."""
-_SEEN_PX, _COVERED = 5.0, 0.5
-"""Where usual ridges are closer than this, they may not be seen, and films' gloss or dry skin looks like wider ones: a
-doubt needs a wave in so many of the places, as fingers have in 0.6 to 0.8."""
 
 
 def with_scale(
@@ -48,44 +41,10 @@ def with_scale(
     return replace(capture, rig=replace(capture.rig, camera=camera, provenance=origin)), note
 
 
-def doubt_of_size(capture: Capture, result: Reconstruction, metric: bool) -> tuple[Finding, ...]:
-    """Notes where the skin is oddly deep, or its ridges lie oddly far apart. Raises BadInput if no finger is so deep.
-
-    `metric`: whether it is the method `metric`, whose normals show the ridges' distance also at a rig's scale.
-    """
-    if capture.material != "skin":
-        return ()
-    depth_mm = float(np.ptp(result.height_mm[result.mask]))
-    deep = DEPTH.notes(depth_mm, "check the images, the order and directions of the lights, and the scale")
-    odd = deep + _doubt_of_scale(capture, result, metric)
-    return tuple(replace(finding, severity=Severity.DOUBT) for finding in odd)
-
-
-def _doubt_of_scale(capture: Capture, result: Reconstruction, metric: bool) -> tuple[Finding, ...]:
-    camera = capture.rig.camera
-    stated = all(led.position_mm is None for led in capture.rig.leds)
-    if not camera.scale_known or "scale" in capture.rig.provenance or not (stated or metric):
-        return ()
-    every = max(1, int(camera.px_per_mm / _PERIOD_PX_PER_MM))
-    try:
-        found = ridge_period(
-            result.normals[::every, ::every], result.mask[::every, ::every], step=32
-        )  # a doubt needs few blocks
-    except BadInput:  # too coarse to show any
-        return ()
-    if found.part < _COVERED and USUAL_PERIOD_MM * camera.px_per_mm < _SEEN_PX:
-        return ()
-    period_mm, (low, high) = found.period_px * every * result.pitch_mm, RIDGE_PERIOD.possible
-    factor = f"{period_mm / USUAL_PERIOD_MM:.2g} of the true ones if the ridges lie {USUAL_PERIOD_MM:g} mm apart"
-    remedy = f"check the scale of {camera.px_per_mm:g} px/mm (`px_per_mm`), as all lengths are {factor}"
-    return RIDGE_PERIOD.notes(float(np.clip(period_mm, low, high)), remedy)
-
-
 def _plain_normals(capture: Capture) -> tuple[FloatArray, BoolArray]:
     """Normals of the white band by plain photometric stereo, where nothing of a finger is looked for."""
     plain = PRESETS["ea"]
-    capture, thing = locate_finger(replace(capture, material="opaque"), plain.finding())
-    photographs = FingerPhotographs(capture, thing, (capture.bands["white"],))
+    photographs = diagnosed(prepared(replace(capture, material="opaque"), plain), plain)
     result = placed(photographs, thesis_surface(photographs, plain), plain.top_mm)
     return result.normals, result.mask
 

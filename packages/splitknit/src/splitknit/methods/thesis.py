@@ -18,7 +18,6 @@ from splitknit.imaging.geometry import smoothed
 from splitknit.integration.knit import add, crossover
 from splitknit.methods.photographs import FingerBand, FingerPhotographs, FingerSurface
 from splitknit.methods.photometry import (
-    Slopes,
     by_rows,
     distant_normals,
     fast_part,
@@ -30,6 +29,7 @@ from splitknit.methods.photometry import (
 from splitknit.model import Array, FloatArray
 from splitknit.presets import DirectSettings, EnhanceSettings, Parameters, Photometry, PipelineSettings
 from splitknit.separation.direct import direct_light, direct_of_enhanced
+from splitknit.skin.grid import Slopes
 from splitknit.steps import shared, step
 
 

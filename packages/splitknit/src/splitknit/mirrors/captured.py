@@ -99,12 +99,11 @@ def require_mirrors(rig: Rig) -> None:
 
 def seen_in_mirrors(capture: Capture, settings: MirrorShapeSettings) -> SeenInMirrors:
     """Views and shape of a capture; BadInput if the rig has no mirrors, or they do not show one finger."""
-    rig = capture.rig
-    require_mirrors(rig)
     views, grey = found_views(capture)
     tip = capture.tip_direction_deg or 0.0
     slopes_on = partial(skin_slopes, capture, grey, views)
-    return SeenInMirrors(views, mirror_shape(views, rig, settings, tip_direction_deg=tip, slopes_on=slopes_on), capture)
+    shape = mirror_shape(views, capture.rig, settings, tip_direction_deg=tip, slopes_on=slopes_on)
+    return SeenInMirrors(views, shape, capture)
 
 
 def found_views(capture: Capture) -> tuple[Views, FloatArray]:

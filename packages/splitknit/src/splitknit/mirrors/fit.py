@@ -339,7 +339,8 @@ def fit_body(
             expected[f"turn_rad {name}"] = mirror.turn_rad, mirror.turn_sd_rad
     for turn in range(rounds):
         residual, spline = _linearised(estimate, outlines)
-        by_global = np.column_stack([_change(estimate, name, size, outlines, residual) for name, size in parameters])
+        moved = [(estimate.moved(name, size), size) for name, size in parameters]
+        by_global = np.column_stack([(other.residual(outlines) - residual) / size for other, size in moved])
         weight = _robust_weights(residual, ends, sure=turn >= sure_from)
         weight *= min(1.0, 2.0 * ROW_MM / COMMON_MM) / OUTLINE_MM**2
         jacobian = np.column_stack([spline, by_global, common])
@@ -424,19 +425,6 @@ def _with_ends(
     return Fit(estimate.body, estimate.poses, misfit, weights)
 
 
-def _change(estimate: Estimate, name: str, size: float, outlines: Outlines, residual: Array) -> Array:
-    """Derivative (n,) of the residuals by one of the parameters that all sections share."""
-    moved = estimate.moved(name, size)
-    mirror = name.partition(" ")[2]
-    if not mirror:
-        return (moved.residual(outlines) - residual) / size
-    parts = np.split(residual, outlines.ends)
-    changes = [np.zeros_like(part) for part in parts]
-    k = 1 + outlines.names.index(mirror)  # a mirror's pose changes the residuals of its own view alone
-    changes[k] = (moved.residual_in(mirror, outlines) - parts[k]) / size
-    return np.concatenate(changes)
-
-
 def _common_errors(estimate: Estimate, outlines: Outlines) -> Array:
     """What one error of each edge does to the residuals (n, 4 a view): even, and linear along the finger."""
     body, ends = estimate.body, [0, *outlines.ends, None]
@@ -499,14 +487,12 @@ def refuse_misfit(fit: Fit, mirrors: Mapping[str, MirrorOutline]) -> None:
         require(worst < MAX_DEG, f"{fault}: {off}; check that one finger alone is in view, or correct the rig file.")
 
 
-def facts_of(fit: Fit, slopes: Slopes | None) -> dict[str, Any]:
+def facts_of(fit: Fit) -> dict[str, Any]:
     """For the report: poses, misfits, the sections' form."""
     body = fit.body
     return {
         "method": "outlines",
         "mirrors": sorted(fit.poses),
-        "section": "oval",
-        "section_seen_by": "slopes" if slopes is not None else "expectation",
         "squareness": body.squareness,
         "shear": body.shear,
         "poses": {
@@ -518,5 +504,4 @@ def facts_of(fit: Fit, slopes: Slopes | None) -> dict[str, Any]:
             for name, pose in fit.poses.items()
         },
         "outline_rms_mm": fit.rms_mm,
-        "outline_used": {name: float(np.mean(weight > 0)) for name, weight in fit.weights.items()},
     }

@@ -269,7 +269,7 @@ def mirror_shape(
         fit = fit_views(start, outlines, squareness, slopes, rounds)
         refuse_misfit(fit, seen.mirrors)
     beside = {"front": outlines.front, **{name: seen.mirrors[name].touching for name in seen.lateral}}
-    facts = {**facts_of(fit, slopes), "views_cut_off": seen.cut, "views_useless": seen.useless}
+    facts = {**facts_of(fit), "views_cut_off": seen.cut, "views_useless": seen.useless}
     return MirrorShape(rig.camera, fit.body, facts, {"front": front, **seen.rows}, fit, beside)
 
 
@@ -298,7 +298,7 @@ def _by_thesis(views: Views, rig: Rig, axis: Array, front: OutlineRows) -> Mirro
     require(not is_cut(lateral, side), f"{fault} so that the mirror shows all of its pad.")
     outward = 1.0 if side == "right" else -1.0
     model = _ellipses(front, lateral, outward)
-    facts = {"method": "thesis", "mirrors": [name], "section": "ellipse"}
+    facts = {"method": "thesis", "mirrors": [name]}
     return MirrorShape(camera, model, facts, {"front": front, name: lateral})
 
 

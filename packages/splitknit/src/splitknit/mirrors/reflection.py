@@ -131,12 +131,16 @@ GRAZING = 0.04  # cosine of incidence up to which a light fades in: the ridges o
 EDGE_MM = 0.4  # width over which light by way of a mirror fades out at the mirror's edge
 
 
+def _towards(points_mm: Array, led: Led) -> Array:
+    """Vectors (..., 3) from points to a near LED, or the direction of a distant one."""
+    if led.position_mm is None:
+        return np.broadcast_to(np.asarray(led.direction, dtype=np.float64), points_mm.shape)
+    return np.asarray(led.position_mm, dtype=np.float64) - points_mm
+
+
 def facing_fraction(points_mm: Array, normals: Array, led: Led) -> FloatArray:
     """Fraction (...) of a light that skin (..., 3) faces: a finger, being convex, is the only obstacle."""
-    if led.position_mm is None:
-        towards = np.broadcast_to(np.asarray(led.direction, dtype=np.float64), points_mm.shape)
-    else:
-        towards = np.asarray(led.position_mm, dtype=np.float64) - points_mm
+    towards = _towards(points_mm, led)
     length = np.maximum(np.linalg.norm(towards, axis=-1), 1e-12)
     cosine = np.einsum("...i,...i->...", towards, normals) / length
     return np.asarray(np.clip(cosine / GRAZING, 0.0, 1.0), dtype=np.float32)
@@ -144,10 +148,7 @@ def facing_fraction(points_mm: Array, normals: Array, led: Led) -> FloatArray:
 
 def mirrored_fraction(points_mm: Array, image: Led, plane: Plane, corners_mm: Array) -> FloatArray:
     """Fraction (...) of an LED's `image` that points (..., 3) see within a mirror's convex outline (K, 3)."""
-    if image.position_mm is None:
-        towards = np.broadcast_to(np.asarray(image.direction, dtype=np.float64), points_mm.shape)
-    else:
-        towards = np.asarray(image.position_mm, dtype=np.float64) - points_mm
+    towards = _towards(points_mm, image)
     above = points_mm @ plane.normal - plane.offset_mm
     falling = towards @ plane.normal
     there = (above > 0) & (falling < -1e-9)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 
 import cv2
@@ -18,6 +17,7 @@ from splitknit.model import Array, BoolArray, FloatArray, Rig
 _PX_PER_MM = 22.0  # scale of the copy on which the outlines are found
 _REACH_MM = 3.0  # a mirror's picture is looked for this far beyond its nominal outline
 
+_NO_FINGER = "no finger was found beside the mirrors: check the exposure, the LEDs and the finger's place."
 SEARCH_PX_PER_MM = 4.0  # views are looked for on a copy of about this scale where their outlines are found apart
 
 
@@ -66,14 +66,12 @@ def _rough_views(image: FloatArray, rig: Rig, binning: int) -> Views:
     in_any = _in_any(outlines, (image.shape[0], image.shape[1]))
     front = _largest_in(image, ~in_any, px_per_mm)
     if front is None:
-        raise BadInput("no finger was found beside the mirrors: check the exposure, the LEDs and the finger's place.")
+        raise BadInput(_NO_FINGER)
     _refuse_second(image, front, in_any, px_per_mm)
 
-    def look(name: str) -> BoolArray | None:
-        return _largest_in(image, _allowed(name, outlines, front, px_per_mm), px_per_mm)
-
-    with ThreadPoolExecutor(2) as pool:
-        seen = dict(zip(sorted(outlines), pool.map(look, sorted(outlines)), strict=True))
+    seen = {
+        name: _largest_in(image, _allowed(name, outlines, front, px_per_mm), px_per_mm) for name in sorted(outlines)
+    }
     return _with_views(front, seen, binning)
 
 
@@ -100,7 +98,7 @@ def _outlined(image: FloatArray, rig: Rig, rough: Views, factor: int) -> Views:
 
     front = found(rough.front, "", None)
     if front is None:
-        raise BadInput("no finger was found beside the mirrors: check the exposure, the LEDs and the finger's place.")
+        raise BadInput(_NO_FINGER)
     seen = {name: found(mask, name, front) for name, mask in rough.mirrors.items()}
     return _with_views(front, seen, binning)
 

@@ -10,8 +10,8 @@ import numpy as np
 
 from splitknit.model import FloatArray
 
-UPRIGHT = 0
 QUARTER_TURNS = (0, 5, 3, 6)  # orientations turned by 0, 90, 180 and 270 degrees
+_INVERSE = (0, 1, 2, 3, 4, 6, 5, 7)  # the orientation that undoes each
 
 _Pairs = tuple[tuple[int, int], ...]
 
@@ -78,7 +78,7 @@ class Symmetry:
 
     def restored(self, fields: FloatArray, orientation: int) -> FloatArray:
         """Undo :meth:`oriented`."""
-        return self.oriented(fields, {5: 6, 6: 5}.get(orientation, orientation)) if orientation else fields
+        return self.oriented(fields, _INVERSE[orientation]) if orientation else fields
 
 
 def mean_over_orientations(
@@ -90,25 +90,15 @@ def mean_over_orientations(
 ) -> FloatArray:
     """Mean of a network's output (m, h, w) over `orientations` (of the eight, 0 to 7) of its input `fields` (n, h, w).
 
-    `fields`, contiguous float32, is overwritten: beside the network, which needs most memory, there is no copy of it.
+    `fields`, contiguous float32, is turned in place: beside the network, which needs most memory, there is no copy.
     `symmetries`: of the network's input and of its output; `earlier`: output in one more orientation.
     """
     outputs = [] if earlier is None else [earlier]
-    current = UPRIGHT
     for orientation in orientations:
-        if orientation != current:
-            fields = symmetries[0].oriented_in_place(fields, _between(current, orientation))
-            current = orientation
+        fields = symmetries[0].oriented_in_place(fields, orientation)
         outputs.append(symmetries[1].restored(network(fields), orientation))
+        fields = symmetries[0].oriented_in_place(fields, _INVERSE[orientation])
     return np.asarray(sum(outputs) / len(outputs))
-
-
-def _between(first: int, second: int) -> int:
-    """The orientation that leads from fields in the `first` orientation to the same in the `second`."""
-    plain = Symmetry(vectors=(), second_harmonics=(), third_harmonics=())
-    square = np.arange(4, dtype=np.float32).reshape(1, 2, 2)
-    start, wanted = (plain.oriented(square, orientation) for orientation in (first, second))
-    return next(k for k in range(8) if np.array_equal(plain.oriented(start, k), wanted))
 
 
 MAX_MISSING = 0.25  # most power that is restored, over the estimate's own

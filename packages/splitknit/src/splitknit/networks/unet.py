@@ -53,10 +53,8 @@ class Card:
 
 
 def _shipped_names() -> list[str]:
-    folder = _shipped()
-    if not folder.is_dir():
-        return []
-    return sorted(entry.name.removesuffix(".onnx") for entry in folder.iterdir() if entry.name.endswith(".onnx"))
+    names = (entry.name for entry in _shipped().iterdir())
+    return sorted(name.removesuffix(".onnx") for name in names if name.endswith(".onnx"))
 
 
 def read_network(name: str | os.PathLike[str]) -> tuple[Card, bytes]:
@@ -93,7 +91,7 @@ def _files(name: str | os.PathLike[str]) -> tuple[Traversable, Traversable, str]
         path = Path(text).expanduser()
         return path, path.with_suffix(".json"), "copy the network again or train it again (training/README.md)"
     known = _shipped_names()
-    cure = f"name one of {', '.join(known) or '(none)'}, or the path of an .onnx file."
+    cure = f"name one of {', '.join(known)}, or the path of an .onnx file."
     require(text in known, f"there is no network '{text}' in this installation; {cure}")
     return _shipped() / f"{text}.onnx", _shipped() / f"{text}.json", REINSTALL
 
@@ -172,9 +170,7 @@ class Network:
     """A network that is ready to run; threads may share it."""
 
     card: Card
-    session: Any  # onnxruntime.InferenceSession
-    input_name: str
-    output_name: str
+    session: Any  # onnxruntime.InferenceSession of one input and one output
 
 
 def load_network(name: str | os.PathLike[str]) -> Network:
@@ -215,7 +211,7 @@ def network_of(card: Card, weights: bytes) -> Network:
         # without enable_fallback=0 it prints what it could not load, and tries the same once more
         providers = _PROVIDERS[_running.device]
         session = onnxruntime.InferenceSession(weights, options, providers=providers, enable_fallback=0)
-        (source,), (result,) = session.get_inputs(), session.get_outputs()
+        (_,), (_,) = session.get_inputs(), session.get_outputs()
     except Exception as error:  # onnxruntime has a dozen exceptions of its own, without a common base
         fault = f"the weights of network '{card.name}' are not a network from one image to one image"
         raise BadInput(f"{fault} that onnxruntime can run ({_first_line(error)}); train it again.") from error
@@ -224,7 +220,7 @@ def network_of(card: Card, weights: bytes) -> Network:
         "onnxruntime cannot start cuda on this computer (driver, CUDA or cuDNN are missing or of another version); put "
         "that right, or take `device` cpu.",
     )
-    return Network(card, session, source.name, result.name)
+    return Network(card, session)
 
 
 def _onnxruntime() -> Any:
@@ -272,9 +268,9 @@ def run_network(network: Network, images: FloatArray, *, tile: int = TILE) -> Fl
 
 def _infer(network: Network, image: FloatArray) -> FloatArray:
     card = network.card
-    feed: Mapping[str, FloatArray] = {network.input_name: image}
     try:
-        made = network.session.run([network.output_name], feed)[0]
+        (source,) = network.session.get_inputs()
+        (made,) = network.session.run(None, {source.name: image})
     except Exception as error:  # as above
         raise BadInput(f"network '{card.name}' cannot be run ({_first_line(error)}); see its card.") from error
     expected = (1, card.channels_out, *image.shape[2:])

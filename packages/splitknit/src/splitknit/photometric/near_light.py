@@ -36,15 +36,12 @@ class _NearScene:
         return here, lights, np.stack([gather(channel, chunk, here) for channel in self.images])
 
 
-def near_light(  # noqa: PLR0917
+def near_light(
     stack: Any,
     rig: Rig,
     surface_mm: Any,
     mask: Any = None,
-    weights: Any = None,
     view: View | None = None,
-    *,
-    robust: bool = True,
 ) -> tuple[FloatArray, FloatArray]:
     """Normals and albedo with a light vector of its own for every pixel, from LED positions and the current surface.
 
@@ -59,14 +56,10 @@ def near_light(  # noqa: PLR0917
         140 mm turns a light by less than 0.2 deg.
     mask : (H, W) bool, optional
         The surface; by default where `surface_mm` is finite.
-    weights : (L, H, W), optional
-        Trust in each light at each pixel, not negative; replaces the robust weights.
     view : View, optional
         Where the pixels look, for a window or binned images; the camera's own by default. If it is one along the rays,
         `surface_mm` is the height along them and the normals are those of the pixels' own frames
         (:mod:`splitknit.imaging.view`).
-    robust : bool
-        Weight shadowed and glossy lights less, where no `weights` are given.
 
     Returns
     -------
@@ -86,25 +79,22 @@ def near_light(  # noqa: PLR0917
     Y. Queau, B. Durix, T. Wu, D. Cremers, F. Lauze and J.-D. Durou, "LED-based photometric stereo: modeling,
     calibration and numerical solution", JMIV 60 (2018), eq. 2.5 and 3.1.
     """
-    scene = near_scene(check_stack(stack, least=3)[None], rig, surface_mm, mask, view)
-    _, count, rows, columns = scene.images.shape
-    given = None if weights is None else _check_weights(weights, (count, rows, columns))
+    scene = _near_scene(check_stack(stack, least=3)[None], rig, surface_mm, mask, view)
 
-    def solved(chunk: slice, here: BoolArray) -> FloatArray:
+    def solved(chunk: slice, _: BoolArray) -> FloatArray:
         _, lights, images = scene.cut(chunk)
-        if given is None and robust:
-            return robust_fit(images[0], lights)[0]
-        return _solve(images, lights, None if given is None else gather(given, chunk, here))[0]
+        return robust_fit(images[0], lights)
 
-    return surface_by_chunks(scene.mask, count, solved)
+    return surface_by_chunks(scene.mask, scene.images.shape[1], solved)
 
 
-def pseudo_normals(  # noqa: PLR0917
+def pseudo_normals(
     stack: Any,
     rig: Rig,
     surface_mm: Any,
     mask: Any = None,
     weights: Any = None,
+    *,
     view: View | None = None,
     entering: Any = None,
 ) -> FloatArray:
@@ -137,7 +127,7 @@ def pseudo_normals(  # noqa: PLR0917
     colours = array.shape[0] if channels else 1
     count, (rows, columns) = images.shape[0] // colours, images.shape[1:]
     grouped = images.reshape(colours, count, rows, columns)
-    scene = near_scene(grouped, rig, surface_mm, mask, view)
+    scene = _near_scene(grouped, rig, surface_mm, mask, view)
     given, let_in = (
         None if one is None else _check_weights(one, (count, rows, columns), name)
         for one, name in ((weights, "weights"), (entering, "entering"))
@@ -150,16 +140,19 @@ def pseudo_normals(  # noqa: PLR0917
         here, lights, part = scene.cut(chunk)
         if let_in is not None:
             lights = lights * gather(let_in, chunk, here)[:, None]
-        g = _solve(part, lights, None if given is None else gather(given, chunk, here))
-        for room, values in zip(planes.reshape(-1, rows, columns)[:, chunk], np.concatenate(g), strict=True):
-            room[here] = values
+        trust = None if given is None else gather(given, chunk, here)
+        factors = factorise(moment_matrix(lights, trust))  # one serves all channels
+        for channel, image in zip(planes, part, strict=True):
+            g = back_substitute(factors, moment_vector(image, lights, trust))
+            for room, values in zip(channel[:, chunk], g, strict=True):
+                room[here] = values
 
     for_each_chunk(work, rows, columns, count)
     result = np.moveaxis(planes, 1, -1)
     return result if channels else result[0]
 
 
-def near_scene(images: FloatArray, rig: Rig, surface_mm: Any, mask: Any, given: View | None) -> _NearScene:
+def _near_scene(images: FloatArray, rig: Rig, surface_mm: Any, mask: Any, given: View | None) -> _NearScene:
     """Check what near lights shine on; parameters and errors as for :func:`near_light`."""
     count, shape = images.shape[1], (images.shape[2], images.shape[3])
     check_lights(rig.light_vectors(), count, name="the rig's lights")
@@ -190,9 +183,3 @@ def _check_weights(weights: Any, shape: tuple[int, int, int], name: str = "weigh
     require(array.shape == shape, f"{name} must have the shape {shape}, but it has the shape {array.shape}.")
     require(np.isfinite(array).all() and float(array.min()) >= 0, f"{name} must be finite and not negative.")
     return array
-
-
-def _solve(images: FloatArray, lights: FloatArray, weights: FloatArray | None) -> list[FloatArray]:
-    """Albedo-scaled normals (3, n) of every channel of `images` (C, L, n), with one factorisation."""
-    factors = factorise(moment_matrix(lights, weights))
-    return [back_substitute(factors, moment_vector(channel, lights, weights)) for channel in images]

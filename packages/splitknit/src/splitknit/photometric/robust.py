@@ -42,12 +42,6 @@ _FORGIVENESS = 2.0
 error on DiLiGenT's bear hardly changes."""
 
 
-def strengths(lights: FloatArray) -> FloatArray:
-    """Length of every light vector: (L, 1) of (L, 3), (L, n) of (L, 3, n)."""
-    length = np.sqrt(lights[:, 0] ** 2 + lights[:, 1] ** 2 + lights[:, 2] ** 2)
-    return length[:, None] if lights.ndim == 2 else length
-
-
 def _lit_weights(images: FloatArray, lights: FloatArray) -> tuple[FloatArray, NDArray[np.intp], NDArray[np.intp]]:
     """One where a light reaches the pixel and zero in shadow, (L, n); the pixels with any shadow; the weak of these.
 
@@ -67,15 +61,15 @@ def _lit_weights(images: FloatArray, lights: FloatArray) -> tuple[FloatArray, ND
     return weights, shadowed, weak
 
 
-def robust_fit(images: FloatArray, lights: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Albedo-scaled normals (3, n) and the weights (L, n) behind them, from images (L, n).
+def robust_fit(images: FloatArray, lights: FloatArray) -> FloatArray:
+    """Albedo-scaled normals (3, n) from images (L, n).
 
     `lights` is (L, 3), or (L, 3, n) where they differ from pixel to pixel. Images are divided by the strengths of their
     lights first: what a matt surface leaves unexplained grows with a light, and no light counts more for being bright.
     """
-    strength = strengths(lights)
-    images = images / strength
-    lights = lights / (strength if lights.ndim == 2 else strength[:, None])
+    strength = np.sqrt(lights[:, 0] ** 2 + lights[:, 1] ** 2 + lights[:, 2] ** 2)
+    images = images / (strength[:, None] if lights.ndim == 2 else strength)
+    lights = lights / strength[:, None]
     weights, shadowed, weak = _lit_weights(images, lights)
     if lights.ndim == 2:  # one matrix serves all pixels that every light reaches
         g = linear_map(np.linalg.pinv(lights.astype(np.float64)), images)
@@ -88,7 +82,7 @@ def robust_fit(images: FloatArray, lights: FloatArray) -> tuple[FloatArray, Floa
     doubtful = np.flatnonzero(worst > _CLEAN)
     if doubtful.size:
         _reweight(images, lights, weights, g, doubtful)
-    return g, weights
+    return g
 
 
 def _reweight(
@@ -106,7 +100,6 @@ def _reweight(
         current = usable / (1 + misfit * misfit)
         fresh = solve(part, nearby, current)
         g[:, active] = fresh
-        weights[:, active] = current
         step = fresh - here
         moving = np.flatnonzero(_square(step) > (_SETTLED**2) * _square(fresh))
         if not moving.size:
@@ -161,6 +154,6 @@ def robust(stack: Any, lights: Any, mask: Any = None) -> tuple[FloatArray, Float
     vectors = (checked / scale).astype(np.float32)
     inside = check_mask(mask, (rows, columns))
     normals, albedo = surface_by_chunks(
-        inside, count, lambda chunk, here: robust_fit(gather(images, chunk, here), vectors)[0]
+        inside, count, lambda chunk, here: robust_fit(gather(images, chunk, here), vectors)
     )
     return normals, albedo / scale

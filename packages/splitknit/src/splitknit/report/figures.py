@@ -97,7 +97,8 @@ def _relief_picture(result: Reconstruction, small: _SmallFields) -> Picture:
     if not is_finger(result):
         inner = _without_rim(weight > 0, small.frame.pitch_mm) * weight
         weight = inner if inner.any() else weight
-    field, limits = (unit.small_per_mm * small.ridge_mm, weight), relief_limits(result)
+    field = (unit.small_per_mm * small.ridge_mm, weight)
+    limits = relief_limits(result)
     return _field_picture("Relief", field, limits, unit.small, caption, small.frame.pitch_mm)
 
 
@@ -121,7 +122,8 @@ def facing_relief_mm(result: Reconstruction) -> FloatArray:
     """The relief (N,) where it is known and the surface faces the camera, in the order of the rows; of an opaque thing
     without its rim."""
     box = bounding_box(result.mask)
-    relief, inside = result.ridge_mm[box], result.mask[box]
+    relief = result.ridge_mm[box]
+    inside = result.mask[box]
     if not is_finger(result):
         inner = _without_rim(np.pad(inside, 1), result.pitch_mm)[1:-1, 1:-1]
         inside = inner if inner.any() else inside
@@ -131,7 +133,9 @@ def facing_relief_mm(result: Reconstruction) -> FloatArray:
 
 def _shape_picture(result: Reconstruction, small: _SmallFields) -> Picture:
     """Show the finger without ridges, with contour lines."""
-    unit, values, weight = result.unit, result.unit.heights(small.shape_mm), small.weight
+    unit = result.unit
+    values = result.unit.heights(small.shape_mm)
+    weight = small.weight
     top = float(np.percentile(values[weight > 0.5], 99.9))
     depth = values - top
     low = float(np.percentile(depth[weight > 0.5], 0.5))
@@ -181,7 +185,8 @@ def _uncertainty_picture(result: Reconstruction, small: _SmallFields) -> Picture
             "Ridges are measured by what the skin's surface reflects, which shows least where the finger turns away. "
             "This is the standard deviation (one sigma) of their height. Good: small against the relief."
         )
-    title, bar = "Uncertainty of the heights", colour_bar(0.0, float(f"{high:.2g}"), "µm")
+    title = "Uncertainty of the heights"
+    bar = colour_bar(0.0, float(f"{high:.2g}"), "µm")
     picture = on_paper(colour(values, 0.0, high), weight)
     return captioned("Uncertainty of the relief" if finger else title, picture, words, small.frame.pitch_mm, bar)
 
@@ -240,7 +245,8 @@ def error_pictures(
     results: Sequence[Reconstruction], comparisons: Sequence[Comparison], frame: PictureFrame
 ) -> list[Picture]:
     """Maps of the errors."""
-    signed, errors = partial(_field_picture, pitch_mm=frame.pitch_mm, diverging=True), []
+    signed = partial(_field_picture, pitch_mm=frame.pitch_mm, diverging=True)
+    errors = []
     for result, comparison in zip(results, comparisons, strict=True):
         surface = to_frame(comparison.height_error_mm, np.isfinite(comparison.height_error_mm), frame)
         ridge = to_frame(comparison.ridge_error_um, comparison.band, frame)

@@ -62,10 +62,14 @@ def colour_bar(low: float, high: float, unit: str, *, diverging: bool = False) -
     """A bar that explains :func:`splitknit.io.pictures.colour`."""
     shades = colour(np.linspace(0.0, 1.0, 17, dtype=np.float32)[None], 0.0, 1.0, diverging=diverging)[0]
     stops = ",".join(f"rgb({r},{g},{b})" for r, g, b in shades)
-    ends = f"<span>{low:.3g}</span><span>{(low + high) / 2:.3g} {unit}</span><span>{high:.3g}</span>"
-    style = "display:flex;justify-content:space-between;font-size:11px"
-    bar = f'<div style="height:10px;background:linear-gradient(90deg,{stops})"></div>'
-    return Markup(f'<div style="max-width:220px">{bar}<div style="{style}">{ends}</div></div>')
+    return Markup(
+        f'<div style="max-width:220px"><div style="height:10px;background:linear-gradient(90deg,{stops})"></div>'
+        '<div style="'
+        "display:flex;justify-content:space-between;font-size:11px"
+        '">'
+        f"<span>{low:.3g}</span><span>{(low + high) / 2:.3g} {unit}</span><span>{high:.3g}</span>"
+        "</div></div>"
+    )
 
 
 LONGEST_PX = 700  # longer side of a picture
@@ -119,11 +123,13 @@ def _contact_sheet(capture: Capture) -> Picture:
     sheet = np.full((-(-len(images) // across) * size[1], across * width, 3), 255, dtype=np.uint8)
     for number, image in enumerate(images):
         level = cv2.resize(image, size, interpolation=cv2.INTER_AREA) / float(np.iinfo(image.dtype).max)
-        top, left = number // across * size[1], number % across * width
+        top = number // across * size[1]
+        left = number % across * width
         sheet[top : top + size[1], left : left + width] = np.round(255 * level.reshape(*size[::-1], -1) ** gamma)
     named = "; ".join(f"{len(band.pixels)} {name}" for name, band in capture.bands.items())
-    caption = f"In the order of the capture, row by row: {named}. Good: sharp, none black, none white."
-    return captioned("Photographs", sheet, caption)
+    return captioned(
+        "Photographs", sheet, f"In the order of the capture, row by row: {named}. Good: sharp, none black, none white."
+    )
 
 
 def _mask_on_image(result: Reconstruction, capture: Capture) -> Picture:
@@ -169,12 +175,14 @@ def _mirror_picture(result: Reconstruction, capture: Capture, drawing: Mapping[s
     for outline in drawing["fitted"].values():
         for place in np.round(scale * np.array(outline, dtype=np.float64)).astype(int).tolist():
             cv2.circle(picture, place, 2, BLUE, -1, cv2.LINE_AA)
-    caption = (
+    return captioned(
+        "Views in the mirrors",
+        picture,
         "The finger itself and its mirror images. Orange: the outline found in each view. Pale blue: medial lines. "
         "Dark blue dots: the outline of the fitted finger, seen in the mirrors where they were found. Grey: where the "
-        "rig file has the mirrors. Good: the dots lie on the orange lines."
+        "rig file has the mirrors. Good: the dots lie on the orange lines.",
+        result.pitch_mm / scale,
     )
-    return captioned("Views in the mirrors", picture, caption, result.pitch_mm / scale)
 
 
 def _line(

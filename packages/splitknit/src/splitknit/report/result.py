@@ -84,7 +84,8 @@ def make_report(
     whose previews enter the page; `truth`: a simulator's arrays, with which `result` and `others`, of the same capture
     by other presets, are compared; `title`: by default "3D fingerprint", or "Surface" of what is not a finger.
     """
-    finger, results = is_finger(result), (result, *others)
+    finger = is_finger(result)
+    results = (result, *others)
     with ThreadPoolExecutor(min(4, os.cpu_count() or 1)) as pool:
         printing = pool.submit(surface_print, result, PRINT_PPI) if is_printed(result) else None
         page = pool.submit(template, "report.html")
@@ -103,7 +104,8 @@ def make_report(
         facts = _facts(result, capture, comparisons)
         maps = [] if photographs is None else photographs.result()
         maps += [picture for job in fields if (picture := job.result()) is not None]
-        prints, above = None if printing is None else printing.result(), drawn.result()
+        prints = None if printing is None else printing.result()
+        above = drawn.result()
     unshown = ("mirror_drawing",) if finger else _OF_FINGERS
 
     def of_size(pictures: list[Picture]) -> list[Picture]:
@@ -134,7 +136,8 @@ def make_report(
 
 
 def _facts(result: Reconstruction, capture: Capture | None, comparisons: Sequence[Comparison]) -> dict[str, Any]:
-    unit, area_px = result.unit, int(np.count_nonzero(result.mask))
+    unit = result.unit
+    area_px = int(np.count_nonzero(result.mask))
     return {
         "format": "splitknit-report",
         "version": 1,
@@ -184,7 +187,8 @@ def _plain(value: Any) -> Any:
 
 def _summary(result: Reconstruction) -> list[tuple[str, str]]:
     """The most important facts."""
-    unit, area_px = result.unit, int(np.count_nonzero(result.mask))
+    unit = result.unit
+    area_px = int(np.count_nonzero(result.mask))
     width, length = np.ptp(upright_limits(result), axis=0) * result.pitch_mm
     height = result.height_mm[bounding_box(result.mask)]
     depth = float(np.nanmax(height) - np.nanmin(height))
@@ -200,12 +204,14 @@ def _summary(result: Reconstruction) -> list[tuple[str, str]]:
         ]
     finger = is_finger(result)
     per_inch = f" ({25.4 / result.pitch_mm:.0f} per inch)" if finger else ""
-    where = f"5th to 95th percentile where {'the skin' if finger else 'it'} faces the camera"
     return [
         ("Size seen from above", f"{width:.1f} mm wide, {length:.1f} mm long, {depth:.1f} mm deep"),
         ("Skin measured" if finger else "Area measured", f"{area_px * result.pitch_mm**2:.0f} mm² in projection"),
         ("Sampling", f"one value every {1000 * result.pitch_mm:.1f} µm{per_inch}"),
-        ("Relief, valley to ridge" if finger else "Relief of fine details", f"{swing:.0f} µm ({where})"),
+        (
+            "Relief, valley to ridge" if finger else "Relief of fine details",
+            f"{swing:.0f} µm (5th to 95th percentile where {'the skin' if finger else 'it'} faces the camera)",
+        ),
     ]
 
 

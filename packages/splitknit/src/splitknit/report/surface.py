@@ -131,7 +131,8 @@ def section(surface: ResultSurface, start_mm: tuple[float, float], end_mm: tuple
     fraction = np.linspace(0.0, 1.0, count)
     x, y = (ends[0, axis] + fraction * (ends[1, axis] - ends[0, axis]) for axis in (0, 1))
     place = surface.locate(x, y)
-    height, relief = sample(surface.height_mm, place), sample(surface.ridge_mm, place)
+    height = sample(surface.height_mm, place)
+    relief = sample(surface.ridge_mm, place)
     require(bool(np.isfinite(height).any()), "no surface lies between the two points; choose points on the surface.")
     along = fraction * flat_mm
     steps = np.hypot(np.diff(along), np.diff(height))  # NaN beside a gap
@@ -148,7 +149,8 @@ def section(surface: ResultSurface, start_mm: tuple[float, float], end_mm: tuple
 
 def _ridge_period_mm(along: _Values, relief: _Values) -> float:
     """Mean distance of ridges, counted where they cross the mean of their surroundings; NaN of fewer than two."""
-    known, step = np.isfinite(relief), along[1] - along[0]
+    known = np.isfinite(relief)
+    step = along[1] - along[0]
     weight = _blur(known.astype(np.float64), _RIDGE_SIGMA_MM / step)
     band = np.where(known, relief, 0.0)
     band = np.where(known, band - _blur(band, _RIDGE_SIGMA_MM / step) / np.maximum(weight, 1e-3), 0.0)
@@ -232,11 +234,14 @@ def _scripts() -> list[Markup]:
 def _encoded(page: PageSurface) -> dict[str, Any]:
     """Shape, relief and brightness on a regular grid of x and y."""
     surface = page.surface
-    unit, known = surface.unit, np.isfinite(surface.height_mm)
+    unit = surface.unit
+    known = np.isfinite(surface.height_mm)
     thinning = max(1.0, float(np.sqrt(known.sum() / _MOST_POINTS)))
     pitch_mm = thinning * surface.pitch_mm
-    left, right = float(np.nanmin(surface.x_mm)), float(np.nanmax(surface.x_mm))
-    bottom, top = float(np.nanmin(surface.y_mm)), float(np.nanmax(surface.y_mm))
+    left = float(np.nanmin(surface.x_mm))
+    right = float(np.nanmax(surface.x_mm))
+    bottom = float(np.nanmin(surface.y_mm))
+    top = float(np.nanmax(surface.y_mm))
     columns = int((right - left) / pitch_mm) + 1
     rows = int((top - bottom) / pitch_mm) + 1
     x, y = np.meshgrid(left + pitch_mm * np.arange(columns), top - pitch_mm * np.arange(rows))

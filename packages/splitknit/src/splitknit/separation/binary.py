@@ -17,12 +17,12 @@ import cv2
 import numpy as np
 
 from splitknit.errors import require
+from splitknit.imaging.chunks import for_each_chunk
 from splitknit.model import BoolArray, FloatArray
 from splitknit.separation.stacks import (
     CLIP_LEVEL,
     EDGE,
     Separation,
-    by_rows,
     check_change,
     check_contrast,
     check_patterns,
@@ -108,7 +108,7 @@ def _by_states(light: FloatArray, states: FloatArray, alpha: float, dark: float)
         direct[rows] = slope
         global_[rows] = (mean - slope * mean_s) / k
 
-    by_rows(light[:, 0].size, light.shape[1], work)
+    for_each_chunk(work, light.shape[1], light.shape[2], 2 * light[:, 0, 0].size)
     return direct, global_
 
 
@@ -134,7 +134,7 @@ def _in_the_middle(light: FloatArray, states: FloatArray, check_px: float) -> tu
             term = np.take_along_axis(terms, image[None, ..., None], axis=0)[0]
             part[rows] = np.einsum("hwk,hwkc->hwc", term, fitted)
 
-    by_rows(3 * light[:, 0].size, light.shape[1], work)
+    for_each_chunk(work, light.shape[1], light.shape[2], 6 * light[:, 0, 0].size)
     return low, high
 
 

@@ -11,7 +11,7 @@ import numpy as np
 from splitknit.errors import require
 from splitknit.imaging.band import GREY_WEIGHTS
 from splitknit.model import FloatArray
-from splitknit.networks.unet import TILE, Network, load_network, run_network
+from splitknit.networks.unet import Network, load_network, run_network
 
 DEFAULT_NETWORK = "direct"
 LEVEL_BLOCK_PX = 8
@@ -44,9 +44,7 @@ def local_level(image: FloatArray) -> FloatArray:
     return np.asarray(cv2.resize(np.maximum(level, least), (width, height), interpolation=cv2.INTER_LINEAR))
 
 
-def direct_light(
-    images: Any, network: Network | str | os.PathLike[str] = DEFAULT_NETWORK, *, tile: int = TILE
-) -> FloatArray:
+def direct_light(images: Any, network: Network | str | os.PathLike[str] = DEFAULT_NETWORK) -> FloatArray:
     """Direct light of every image; what is left, image minus direct, is global light.
 
     Every image is divided by its :func:`local_level` and the result multiplied by it, so that neither exposure nor
@@ -59,7 +57,6 @@ def direct_light(
     images : (N, H, W) grey (given to the network three times, as in the thesis) or (N, 3, H, W) red, green, blue;
         linear light, or enhanced by CLAHE; any scale, zero outside the skin
     network : Network, name of a shipped network, or path of an ``.onnx`` file
-    tile : as of :func:`splitknit.networks.unet.run_network`
     """
     ready = network if isinstance(network, Network) else load_network(network)
     stack = np.asarray(images, dtype=np.float32)
@@ -69,7 +66,7 @@ def direct_light(
     levels = np.stack([local_level(image) for image in stack])
     if stack.ndim == 4:
         levels = levels[:, None]
-    made = run_network(ready, stack / levels, tile=tile)
+    made = run_network(ready, stack / levels)
     if stack.ndim == 3:
         made = made.mean(axis=1, dtype=np.float32)
     made *= levels

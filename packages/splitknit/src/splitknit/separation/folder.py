@@ -10,7 +10,6 @@ light K, ``specular.png`` of all lights, and ``report.json``.
 from __future__ import annotations
 
 import re
-import time
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -58,7 +57,6 @@ def separate_to_folder(
     `alpha`, `dark`, `check_px`: of :func:`checkerboard`; `patterns`: a folder of state images, or ``estimate``.
     Raises BadInput naming the file or the folder at fault; nothing is left half-written.
     """
-    started = time.perf_counter()
     patterns = ESTIMATE if patterns is None and check_px is not None else patterns  # of use only with states
     small = f"states can be found in the images where checks have 5 pixels or more, but check_px is {check_px}"
     require(patterns != ESTIMATE or (check_px or 5) >= 5, f"{folder}: {small}; give the states as patterns.")
@@ -85,7 +83,6 @@ def separate_to_folder(
         if patterns is not None and check_px is None:
             low = "on skin it is not, and direct light comes out a quarter too low: give check_px for skin."
             facts["warnings"].append(f"global light was taken to be the same under all shifts; {low}")
-        facts["total_s"] = time.perf_counter() - started
         (target / "report.json").write_text(json_text(facts), encoding="utf-8")
     progress("done", 1.0)
     return {**facts, "out": str(out)}
@@ -157,17 +154,13 @@ def _figures(parts: Separation, light: PatternLight) -> dict[str, Any]:
     known = np.isfinite(grey)
     lit = known & (np.where(known, grey, 0.0) > _LIT * float(np.quantile(grey[known], 0.999)))
     require(lit.any(), "nothing is lit; the images are black.")
-    direct, global_ = parts.direct[lit], parts.global_[lit]
-    negative = float((global_ < 0).mean())
+    negative = float((parts.global_[lit] < 0).mean())
     dark = f"global light is negative in {100 * negative:.0f} % of the lit pixels"
     return {
         "method": "checkerboard",
         "images": list(light.names),
         "image_size": list(light.stack.shape[1:3]),
-        "result_size": list(parts.direct.shape[:2]),
-        "direct": {"median": float(np.median(direct)), "p99": float(np.quantile(direct, 0.99))},
-        "global": {"median": float(np.median(global_)), "p99": float(np.quantile(global_, 0.99))},
-        "direct_share": float(np.median(direct / np.maximum(total[lit], 1e-9))),
+        "direct_share": float(np.median(parts.direct[lit] / np.maximum(total[lit], 1e-9))),
         "negative_global_share": negative,
         "warnings": [f"{dark}: check alpha, dark and the black image."] if negative > 0.05 else [],
     }
@@ -206,8 +199,6 @@ def read_light(folder: Path, states: Path | None = None, encoding: str = "linear
     for place in (folder, *([] if states is None else [states])):
         what = "of images" if place == folder else f"of patterns (nor the word '{ESTIMATE}')"
         require(place.is_dir(), f"'{place}' is not a folder {what}.")
-    document = folder / "separation.json"
-    require(not document.exists(), f"'{document}' is not read any more; give its fields as options, and remove it.")
     files = _images_in(folder)
     roles = {file.stem.lower(): file for file in files if file.stem.lower() in ("black", "mask")}
     images = [file for file in files if file.stem.lower() not in ("black", "white", "mask")]

@@ -11,7 +11,6 @@ scene using high frequency illumination", ACM Transactions on Graphics 25(3), 20
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
@@ -114,24 +113,11 @@ def _check_exposure(light: FloatArray, mask: BoolArray, clip_level: float | None
     require(fraction <= _MAX_CLIPPED, f"{fault} in their brightest image; capture again with a shorter exposure.")
 
 
-def check_fraction(value: float, name: str) -> float:
-    """Return `value` as a float in (0, 1], or [0, 1) where it is the dark level."""
-    number = float(value)
-    good, limits = (0 <= number < 1, "[0, 1)") if name == "dark" else (0 < number <= 1, "(0, 1]")
-    require(good, f"{name} must lie in {limits}, but it is {number:g}.")
-    return number
-
-
 def mean_brightness(alpha: float, dark: float) -> float:
     """Mean brightness k of a pattern of which a fraction `alpha` is lit and the rest has the brightness `dark`."""
-    return check_fraction(alpha, "alpha") + check_fraction(dark, "dark") * (1.0 - float(alpha))
-
-
-def by_rows(count: int, height: int, work: Callable[[slice], None]) -> None:
-    """Call `work` for slices of rows, so that arrays of `count` values a row in float64 stay small."""
-    step = max(1, 2_000_000 // max(1, count))
-    for top in range(0, height, step):
-        work(slice(top, min(top + step, height)))
+    require(0 < alpha <= 1, f"alpha must lie in (0, 1], but it is {alpha:g}.")
+    require(0 <= dark < 1, f"dark must lie in [0, 1), but it is {dark:g}.")
+    return alpha + dark * (1.0 - alpha)
 
 
 def _thinned(values: NDArray[Any], mask: BoolArray) -> NDArray[Any]:

@@ -91,8 +91,12 @@ def fit_glare(stack: FloatArray, lights: FloatArray, model: Callable[[float], Fl
     """
     if stack.shape[0] < 4 or stack.shape[1] == 0:
         return GlareFit(ROUGHNESSES[0], 0.0, 0.0)
-    basis = _orthonormal(lights)
-    return best_lobe(_project_out(stack, basis), lambda roughness: _project_out(model(roughness), basis))
+    matt = np.linalg.qr(np.moveaxis(lights, -1, 0))[0]  # (n, L, 3), orthonormal
+
+    def beyond(images: FloatArray) -> FloatArray:
+        return np.asarray(images - np.einsum("nlk,nk->ln", matt, np.einsum("nlk,ln->nk", matt, images)))
+
+    return best_lobe(beyond(stack), lambda roughness: beyond(model(roughness)))
 
 
 def best_lobe(left: FloatArray, lobe_of: Callable[[float], FloatArray]) -> GlareFit:
@@ -106,22 +110,6 @@ def best_lobe(left: FloatArray, lobe_of: Callable[[float], FloatArray]) -> Glare
         if power > 0 and product * product / power > best.explained * total:
             best = GlareFit(roughness, product / power, product * product / power / max(total, 1e-30))
     return best
-
-
-def _orthonormal(lights: FloatArray) -> list[FloatArray]:
-    """Orthonormal basis (three arrays (L, n)) of the columns of `lights` (L, 3, n), pixel by pixel (Gram-Schmidt)."""
-    basis: list[FloatArray] = []
-    for axis in (2, 0, 1):
-        vector = _project_out(lights[:, axis], basis)
-        norm = np.sqrt((vector * vector).sum(axis=0))
-        basis.append(vector / np.maximum(norm, 1e-9))
-    return basis
-
-
-def _project_out(values: FloatArray, basis: list[FloatArray]) -> FloatArray:
-    for vector in basis:
-        values = values - vector * (values * vector).sum(axis=0)
-    return values
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -22,10 +22,10 @@ from __future__ import annotations
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
-from typing import NamedTuple
 
 import cv2
 import numpy as np
+import scipy
 from numpy.typing import NDArray
 
 from splitknit.imaging.chunks import for_each_chunk
@@ -162,11 +162,9 @@ def polarised_heights(
     spread = PRIOR_FACTOR[bool(side.size)] * RIDGES_PER_MM * np.maximum(deviation_mm, 1e-3)
     prior = (1 / np.minimum(spread, 1.0) ** 2).astype(np.float32)
     first = FIRST_ERROR if side.size else MODEL_ERROR
-    weight, reached = _weight(images, mask, slice(None), first), np.ones(1, dtype=np.float32)
-    if side.size:  # their brightness is fitted first
-        reached = np.ones((len(difference), *grid.shape), dtype=np.float32)
-        reached[side] = 0
-        weight *= reached
+    reached = np.ones(difference.shape, dtype=np.float32)
+    reached[side] = 0  # the brightness of lights to the side is fitted first
+    weight = _weight(images, mask, slice(None), first) * reached
     fit = np.zeros(side.size, dtype=np.bool_)  # a light that does not fit waits: glints of oily skin do later
     for count in range(TURNS):
         higher = None
@@ -182,11 +180,13 @@ def polarised_heights(
         strength, rho, rho_mean = _strengths((difference, weight), (sharp, soft), grid, mask, specular.strength)
         specular = replace(specular, strength=strength)
         off = slopes[0] - before[0], slopes[1] - before[1]
-        beside = _Prior(prior, off, rho_mean, (rho - rho_mean) * mask, known)
         error = max(MODEL_ERROR, first * LESS**count)
-        turn = _Turn(images, grid, mask, lights, higher, slopes, specular, sharp, soft, rho, error, reached, side[fit])
-        change = _change(turn, beside)
-        tensor, force = _system(turn, beside, change, weight)
+        turn = _Turn(
+            images, grid, mask, lights, higher, slopes, specular, sharp, soft, rho, error, reached, side[fit],
+            bool(side.size), prior, off, rho_mean,
+        )  # fmt: skip
+        change = _change(turn, known)
+        tensor, force = _system(turn, change, weight)
         step, added = solver.solve(tensor, force, nodes)
         nodes = nodes + added
         numbers, brightness = np.split(step * change, [change.size - 2 * turn.aside.size])
@@ -201,16 +201,14 @@ def polarised_heights(
     left = (difference - shown - rho * soft)[:, mask]
     ratio = float((rho * soft)[:, mask].mean() / shown[:, mask].mean())
     gain, blur_mm = min(ERROR_GAIN[0] * ratio**2, ERROR_GAIN[1]), specular.blur_px * grid.pitch_mm
-    model = _Error(blur_mm**2, gain, specular.roughness, roughest is None, _misfit(turn) if fit.any() else None)
     tensor = grid.smooth(tensor, mask, NEAR_MM)
-    height_mm, stated_mm = _joined(height_mm, start_mm, deviation_mm, tensor, grid, error=model)
+    height_mm, stated_mm = _joined(
+        height_mm, start_mm, deviation_mm, tensor, grid, blur=blur_mm**2, gain=gain, roughness=specular.roughness,
+        films=roughest is None, misfit=_misfit(turn) if fit.any() else None,
+    )  # fmt: skip
     facts = {
-        "side_lights": float(reached[side].any(axis=(1, 2)).sum()) if side.size else 0.0,
+        "side_lights": float(reached[side].any(axis=(1, 2)).sum()),
         "roughness": specular.roughness,
-        "strength": specular.strength,
-        "path_mm": specular.path_px * grid.pitch_mm,
-        "blur_mm": blur_mm,
-        "lift_mm": specular.lift_mm,
         "scattered_over_specular": ratio,
         "specular_over_noise": float(np.median(shown.max(axis=0)[mask]) / noise),
         "residual_over_noise": float(np.sqrt(np.median(left**2) / 0.455) / noise),
@@ -231,24 +229,14 @@ NEAR_MM, RIDGE_MM = 0.1, 0.3
 """Standard deviations of the Gaussians over which what the images say is averaged, and that parts ridges from shape."""
 
 
-class _Error(NamedTuple):
-    """What the model's error follows from: variance of the lens's blur in mm^2, error of the gain, roughness, whether
-    there are films, and, with lights to the side, (h, w) mean square over the lights of what is left over its expected
-    error."""
-
-    blur: float
-    gain: float
-    roughness: float
-    films: bool
-    misfit: FloatArray | None
-
-
 def _joined(
     height_mm: FloatArray, start_mm: FloatArray, deviation_mm: FloatArray, known: FloatArray, grid: Grid,
-    *, error: _Error,
+    *, blur: float, gain: float, roughness: float, films: bool, misfit: FloatArray | None,
 ) -> tuple[FloatArray, FloatArray]:  # fmt: skip
     """Heights and their standard deviation, from those that films show and those of the start, by their variances.
-    `known`: (3, h, w) inverse covariance of a slope (xx, xy, yy)."""
+    `known`: (3, h, w) inverse covariance of a slope (xx, xy, yy); `blur`: variance of the lens's blur in mm^2; `gain`:
+    error of the gain; `misfit`: with lights to the side, (h, w) mean square over the lights of what is left over its
+    expected error."""
     shape = grid.smooth(start_mm, grid.mask, RIDGE_MM)
     slant = slant_of(shape, grid.pitch_mm)
     rest = start_mm - height_mm
@@ -266,16 +254,16 @@ def _joined(
     of_start = np.maximum(START_ERROR * deviation_mm, 1e-4) ** 2
     common = np.float32(ALIKE) * np.sqrt(of_films * of_start)
     part = np.clip((of_films - common) / (of_films + of_start - 2 * common), 0, 1)
-    if error.misfit is None:
-        glints = np.sqrt((x * x + y * y)[flat].mean(dtype=np.float64)) / (GLINTS * error.roughness)
+    if misfit is None:
+        glints = np.sqrt((x * x + y * y)[flat].mean(dtype=np.float64)) / (GLINTS * roughness)
         lost = np.interp(slant, STATED_DEG, ERROR_BEND).astype(np.float32) * bend
-        lost *= np.float32(error.blur * max(glints, 1))
-        stated = noise + grid.smooth(lost * lost + (error.gain * ridges) ** 2, grid.mask, RIDGE_MM)
+        lost *= np.float32(blur * max(glints, 1))
+        stated = noise + grid.smooth(lost * lost + (gain * ridges) ** 2, grid.mask, RIDGE_MM)
     else:
         steep, power = (grid.smooth(one, grid.mask, RIDGE_MM) for one in (x * x + y * y, ridges * ridges))
-        lost = np.interp(slant, STATED_DEG, ERROR_STEEP[error.films]).astype(np.float32) ** 2 * steep
-        lost += ERROR_SIDE[error.films] ** 2
-        stated = noise + power * lost * (error.misfit / MISFIT_MEAN) ** np.float32(0.75)
+        lost = np.interp(slant, STATED_DEG, ERROR_STEEP[films]).astype(np.float32) ** 2 * steep
+        lost += ERROR_SIDE[films] ** 2
+        stated = noise + power * lost * (misfit / MISFIT_MEAN) ** np.float32(0.75)
     common = np.float32(ALIKE) * np.sqrt(stated * of_start)
     left = part**2 * of_start + (1 - part) ** 2 * stated + 2 * part * (1 - part) * common
     return (height_mm + part * rest).astype(np.float32), np.sqrt(left).astype(np.float32)
@@ -297,7 +285,7 @@ class _Lights:
     """`GRAZING` with lights to the side, else 0."""
 
     @classmethod
-    def of(cls, rig: Rig, grid: Grid, surface_mm: FloatArray, gains: FloatArray | None = None) -> _Lights:
+    def of(cls, rig: Rig, grid: Grid, surface_mm: FloatArray, gains: FloatArray) -> _Lights:
         some = slice(None, None, EVERY)
         vectors = np.moveaxis(
             grid.view.turned(light_vectors_at(rig, *grid.view.points(surface_mm[some], some)), some), 1, 0
@@ -307,8 +295,7 @@ class _Lights:
         half = towards + np.array([0, 0, 1], dtype=np.float32)[:, None, None, None]
         length = np.maximum(np.sqrt((half * half).sum(axis=0)), 1e-6)
         fields = np.stack([*towards, irradiance, *(half / length), irradiance * fresnel_reflectance(length / 2)])
-        if gains is not None:
-            fields[3::4] *= gains[..., None, None]
+        fields[3::4] *= gains[..., None, None]
         rows, count = np.arange(grid.shape[0]), fields.shape[2]
         between = np.zeros((len(rows), count), dtype=np.float32)
         low = np.minimum(rows // EVERY, max(count - 2, 0))
@@ -509,9 +496,17 @@ class _Turn:
     error: float
     """Of the prediction, over the image."""
     reached: FloatArray
-    """(L, h, w) in [0, 1]: the surface that no cast shadow hides from a light; (1,) where all reach it."""
+    """(L, h, w) in [0, 1]: the surface that no cast shadow hides from a light."""
     aside: NDArray[np.intp]
     """Lights to the side whose brightness is fitted."""
+    with_side: bool
+    """Whether there are lights to the side."""
+    prior: FloatArray
+    """(h, w) inverse variance of the start's slopes."""
+    slopes_off: Slopes
+    """From the start's."""
+    rho_mean: FloatArray
+    """(h, w) local mean of the scattered part's strength."""
 
     def columns(self, rows: slice, lift: bool = False) -> tuple[list[FloatArray], FloatArray]:
         """Derivatives of some rows by both slopes and rho, their residual, derivatives by the logarithms of strength,
@@ -525,11 +520,10 @@ class _Turn:
         shown, scattered = strength * self.sharp[:, rows], self.rho[rows] * soft
         residual = self.images.stack[:, rows] - shown - scattered
         weight = _weight(self.images, self.mask, rows, self.error)
-        aside = self.reached.ndim == 3
-        trust = _from(facets[7], LIT[aside])
-        trust *= _from(1 / np.sqrt(1 + p * p + q * q), SEEN[aside])
+        trust = _from(facets[7], LIT[self.with_side])
+        trust *= _from(1 / np.sqrt(1 + p * p + q * q), SEEN[self.with_side])
         error = SCATTERED_ERROR * scattered
-        trust *= self.reached[:, rows] if aside else 1
+        trust *= self.reached[:, rows]
         gate = trust / ((1 + weight * error * error) * (1 + weight * residual * residual / 9))
         damped = rho * np.float32(np.exp(-0.5 * (RIDGES_PER_MM * self.grid.pitch_mm * self.specular.path_px) ** 2))
         x, y = (strength * facets[2 + n] + damped * facets[4 + n] for n in range(2))
@@ -560,21 +554,6 @@ def _laplacian(stack: FloatArray, rows: slice) -> FloatArray:
     return np.stack([cv2.Laplacian(one, cv2.CV_32F)[inner] for one in stack[:, first : rows.stop + 1]])
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class _Prior:
-    """What is known beside the images."""
-
-    slopes: FloatArray
-    """(h, w) inverse variance of the start's slopes."""
-    slopes_off: Slopes
-    """From the start's."""
-    rho: FloatArray
-    """(h, w) local mean of the scattered part's strength."""
-    rho_off: FloatArray
-    known: BoolArray
-    """(h, w) pixels that give the four numbers."""
-
-
 PRIOR_WEIGHTS, MOST = (1e-6, 1e-6, 1.0, 1.0, 0.1), (0.25, 0.25, 0.25, 0.25, 1.5)
 """Weights of the priors on the change of the finger's numbers, relative to the images, and its most in one step."""
 RAISED_MM = 1.0
@@ -583,9 +562,10 @@ STRIPES = 12
 """Chunks of rows that give them, about."""
 
 
-def _change(turn: _Turn, prior: _Prior) -> Array:
+def _change(turn: _Turn, known: BoolArray) -> Array:
     """Of the logarithms of strength, roughness, path and blur, and, where lights to the side show them, of the lift in
-    mm and of these lights' brightness (scattered, then reflected), with whatever slopes suit them best."""
+    mm and of these lights' brightness (scattered, then reflected), with whatever slopes suit the `known` pixels best.
+    """
     sums: dict[int, Array] = {}
 
     def work(rows: slice) -> None:
@@ -593,10 +573,10 @@ def _change(turn: _Turn, prior: _Prior) -> Array:
         if (rows.start // height) % max(1, turn.grid.shape[0] // (STRIPES * height)):
             return
         columns, weight = turn.columns(rows, lift=True)
-        gram = _gram(columns, weight, prior, rows, turn.brightness(rows))
+        gram = _gram(turn, columns, weight, rows, turn.brightness(rows))
         for slope in range(2):
             gram = _without(gram, slope)
-        sums[rows.start] = gram[3:, 3:, prior.known[rows]].sum(axis=2, dtype=np.float64)
+        sums[rows.start] = gram[3:, 3:, known[rows]].sum(axis=2, dtype=np.float64)
 
     for_each_chunk(work, *turn.grid.shape, PER_CHUNK * len(turn.soft))
     total = np.sum([sums[start] for start in sorted(sums)], axis=0)
@@ -606,7 +586,7 @@ def _change(turn: _Turn, prior: _Prior) -> Array:
     return np.clip(np.linalg.solve(total[1:, 1:] + np.diag(damping), total[1:, 0]), -most, most)
 
 
-def _system(turn: _Turn, prior: _Prior, change: Array, used: FloatArray) -> tuple[FloatArray, FloatArray]:
+def _system(turn: _Turn, change: Array, used: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Tensor (3, h, w) of the slopes (xx, xy, yy) and force (2, h, w) on them, the four numbers changed and the
     scattered part eliminated at each pixel; `used` (L, h, w) becomes the weights."""
     tensor, force = (np.empty((n, *turn.mask.shape), dtype=np.float32) for n in (3, 2))
@@ -618,7 +598,7 @@ def _system(turn: _Turn, prior: _Prior, change: Array, used: FloatArray) -> tupl
             columns[3] -= by * column
         for by, (k, column) in zip(change[change.size - len(brightness) :], brightness, strict=True):
             columns[3][k] -= np.float32(by) * column
-        gram = _gram(columns[:4], weight, prior, rows)
+        gram = _gram(turn, columns[:4], weight, rows)
         tensor[:, rows], force[:, rows] = (gram[0, 0], gram[0, 1], gram[1, 1]), (gram[0, 3], gram[1, 3])
         used[:, rows] = weight
 
@@ -627,7 +607,7 @@ def _system(turn: _Turn, prior: _Prior, change: Array, used: FloatArray) -> tupl
 
 
 def _gram(
-    columns: list[FloatArray], weight: FloatArray, prior: _Prior, rows: slice,
+    turn: _Turn, columns: list[FloatArray], weight: FloatArray, rows: slice,
     single: Sequence[tuple[int, FloatArray]] = (),
 ) -> FloatArray:  # fmt: skip
     """Normal equations (n, n, rows, w) of columns, of those of a `single` light each, and of the prior, the scattered
@@ -643,13 +623,14 @@ def _gram(
         for m, (light, beside) in enumerate(single, count):
             if light == k:
                 gram[n, m] = weight[k] * column * beside
-    for axis, off in enumerate(prior.slopes_off):
-        gram[axis, axis] += prior.slopes[rows]
-        gram[axis, 3] -= prior.slopes[rows] * off[rows]
+    for axis, off in enumerate(turn.slopes_off):
+        gram[axis, axis] += turn.prior[rows]
+        gram[axis, 3] -= turn.prior[rows] * off[rows]
         gram[3, axis] = gram[axis, 3]
-    stiff = 1 / (LOCAL_RHO * prior.rho[rows]) ** 2
+    mean = turn.rho_mean[rows]
+    stiff = 1 / (LOCAL_RHO * mean) ** 2
     gram[2, 2] += stiff
-    gram[2, 3] -= stiff * prior.rho_off[rows]
+    gram[2, 3] -= stiff * ((turn.rho[rows] - mean) * turn.mask[rows])
     gram[3, 2] = gram[2, 3]
     return _without(gram, 2)
 
@@ -668,11 +649,9 @@ class _Solver:
     """
 
     def __init__(self, start_mm: FloatArray, grid: Grid) -> None:
-        import scipy.fft
-
         self.start = _shifted(start_mm, 0.5, 1)
         """Start at the corners."""
-        self._fft, self._pitch, self._mask = scipy.fft, grid.pitch_mm, grid.mask
+        self._pitch, self._mask = grid.pitch_mm, grid.mask
         self._size = tuple(scipy.fft.next_fast_len(n, True) for n in self.start.shape)
         rows, columns = ((2 - 2 * np.cos(np.pi * np.arange(n) / n)) / grid.pitch_mm**2 for n in self._size)
         self._square = (rows[:, None] + columns[None]).astype(np.float32)
@@ -712,12 +691,11 @@ class _Solver:
         return step, added * step
 
     def _forward(self, nodes: FloatArray) -> FloatArray:
-        missing = [(0, n - m) for n, m in zip(self._size, nodes.shape, strict=True)]
-        return np.asarray(self._fft.dctn(np.pad(nodes, missing), norm="ortho", workers=2), dtype=np.float32)
+        return np.asarray(scipy.fft.dctn(nodes, s=self._size, norm="ortho", workers=2), dtype=np.float32)
 
     def _inverse(self, spectrum: FloatArray) -> FloatArray:
         rows, columns = self.start.shape
-        return np.asarray(self._fft.idctn(spectrum, norm="ortho", workers=2)[:rows, :columns], dtype=np.float32)
+        return np.asarray(scipy.fft.idctn(spectrum, norm="ortho", workers=2)[:rows, :columns], dtype=np.float32)
 
 
 MAX_SLOPE_STEP = 0.6

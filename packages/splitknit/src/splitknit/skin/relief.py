@@ -137,7 +137,6 @@ _CAUTION = 1.5
 
 def _window_power(image: FloatArray, side: int) -> FloatArray:
     """Mean power spectrum (side, side // 2 + 1) of windows of `image` (H, W): what pure noise gives."""
-    require(min(image.shape) >= side, f"the image must be at least {side} pixels wide and high.")
     parts = sliding_window_view(image, (side, side))[:: side // 2, :: side // 2] * _window(side)
     power = np.mean(np.abs(scipy.fft.rfft2(parts)) ** 2, axis=(0, 1), dtype=np.float64)
     return np.asarray(power, dtype=np.float32)
@@ -152,7 +151,7 @@ def _local_wiener(relief: FloatArray, noise_power: FloatArray) -> tuple[FloatArr
     rows, columns = relief.shape
     extra = [(-(n + 2 * side)) % hop for n in (rows, columns)]
     margins = ((side, side + extra[0]), (side, side + extra[1]))
-    padded = np.pad(relief, margins, mode="reflect" if min(rows, columns) > side else "edge").astype(np.float32)
+    padded = np.pad(relief, margins, mode="reflect").astype(np.float32)
     window = _window(side)
     total = np.zeros_like(padded)
     variance = np.zeros_like(padded)
@@ -371,7 +370,7 @@ def denoise(relief_mm: FloatArray, grid: Grid, mix: Unmixing, seed: int) -> tupl
     noise = [(white(power), white(power)) for power in mix.noise]
     pure = grid.inverse(_integrated(grid, noise, mix.weights) * high_pass(grid))
     side = max(16, _OVERLAP * round(_WINDOW_MM / grid.pitch_mm / _OVERLAP))  # a multiple of the overlap
-    if min(grid.shape) < side:
+    if min(grid.shape) <= side:
         return relief_mm, np.full(grid.shape, float(pure.std()), dtype=np.float32)
     clean, deviation = _local_wiener(relief_mm, _window_power(pure, side))
     return clean * grid.mask, deviation

@@ -1,4 +1,4 @@
-"""Photographs against each other: how bright each light is, and which photograph does not fit the others.
+"""Photographs against each other: which of them does not fit the others.
 
 Each photograph is predicted from the others, by least squares of the lights that reach a pixel. A sound one differs
 from that by gloss and noise; a shift, a blur and a double image differ by derivatives of the prediction, which gives
@@ -8,16 +8,21 @@ them a size in pixels. The photograph that such a fault explains best is left ou
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, Literal
 
 import cv2
 import numpy as np
 
-from splitknit.errors import BadInput, check_lights, check_mask, check_stack
-from splitknit.model import Array, BoolArray, FloatArray
+from splitknit.diagnosis.frames import SPOILT_DEG
+from splitknit.diagnosis.gains import LEAST, PIXELS, checked, light_gains, lit_values
+from splitknit.diagnosis.samples import sampled_light
+from splitknit.errors import BadInput, check_lights
+from splitknit.findings import Finding, Severity
+from splitknit.finger.locate import Finger
+from splitknit.imaging.band import bin_mean, linear_stack, saturation_levels
+from splitknit.model import Array, Band, BoolArray, Capture, FloatArray
 from splitknit.photometric.equations import (
-    PAIRS,
     back_substitute,
     factorise,
     moment_matrix,
@@ -26,15 +31,13 @@ from splitknit.photometric.equations import (
     unit_normals,
 )
 
+OVEREXPOSED = (
+    "{:.1f} % of the surface is overexposed in all photographs but two or fewer: its slopes there are unknown; "
+    "photograph it again with a shorter exposure."
+)
 Fault = Literal["moved", "blurred", "double", "overexposed", "underexposed", "unlike"]
-LEAST = 4
-"""Photographs that are left at least: with one less, nothing shows which does not fit."""
-_SHADOW = 0.1
-"""A light is in shadow where its image is below this part of the brightest one's."""
 _MOST_LEVERAGE = 0.9
 """Above it the other lights hardly predict a light."""
-_PIXELS = 8_000
-"""Pixels of the object that gains and derivatives are fitted to."""
 _FEWEST = 400
 """Pixels that a comparison needs."""
 _SMOOTH_PX = 1.0
@@ -56,12 +59,11 @@ _EXPLAINS = 0.85
 _CLIPPED = 0.01
 _FAINT = 0.12
 """Brightness over the median photograph's below which noise and the steps of the numbers count."""
-
-_BORDER, _LEFT_OUT, _LIT = 0.7, 0.02, 0.1
-"""A mask may be inverted that holds the picture's corners and this part of its border, and leaves out this part of it,
-lit: brighter than this part of the brightest pixels."""
-_TURNS, _TURNS_DEG = 2.5, 5.0
-"""Spread of directions (70 % of pixels) of what an inverted mask leaves out: over that of what it holds, and itself."""
+_COMPARED_VALUES = 4_000_000
+"""Values of all photographs that are compared with each other, at most; larger ones are binned."""
+_FEW_CLIPPED = 0.002
+NOTED_DEG = 0.5
+"""A fault of one photograph of skin is noted if it turns the surface by more."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -73,33 +75,12 @@ class PhotographFault:
     size: float
     """Pixels of the given stack (of a blur its sigma); of exposures and ``unlike`` a fraction."""
     effect_deg: float
-    """By how much the photograph turns the normals, median."""
-
-
-def light_gains(stack: Any, lights: Any, mask: Any = None, ceilings: Any = None) -> Array:
-    """Brightness (L,) of each photograph's light over what `lights` promise, one in the geometric mean.
-
-    Minimises sum |I_k / a_k - l_k . g|^2 over the surface's g at every pixel and the gains a: with the surface
-    eliminated, 1 / a is the eigenvector of the smallest eigenvalue of an L x L matrix. Lights in shadow and clipped
-    values are left out, gloss loses weight. Ones where four lights or more do not reach enough pixels.
-
-    Source: G. Golub and V. Pereyra, "Separable nonlinear least squares: the variable projection method", Inverse
-    Problems 19 (2003). Parameters as of :func:`faulty_photographs`.
-
-    >>> lights = np.array([[0.0, 0.6, 0.8], [0.6, 0.0, 0.8], [-0.6, 0.0, 0.8], [0.0, -0.6, 0.8], [0.0, 0.0, 1.0]])
-    >>> y, x = np.mgrid[-9:10, -9:10] / 24.0
-    >>> stack = np.einsum("ki,yxi->kyx", lights, np.dstack([x, y, np.sqrt(1 - x**2 - y**2)]))
-    >>> np.round(light_gains(stack * np.array([1, 2, 1, 1, 0.5])[:, None, None], lights), 2).tolist()
-    [1.0, 2.0, 1.0, 1.0, 0.5]
-    """
-    images, vectors, inside, levels = _checked(stack, lights, mask, ceilings)
-    light = images[:, inside]
-    return _gains(light[:, :: max(1, light.shape[1] // _PIXELS)], vectors, levels)
+    """By how much the photograph turns the normals, median; 0 of clipped values, which are not used."""
 
 
 def light_left(stack: Any, lights: Any, mask: Any = None, ceilings: Any = None) -> float:
     """Part of the light that a matt surface under these lights leaves unexplained at 80 % of the values, at most."""
-    images, vectors, inside, levels = _checked(stack, lights, mask, ceilings)
+    images, vectors, inside, levels = checked(stack, lights, mask, ceilings)
     fit = _Compared(images, vectors, inside, levels).looked_at(list(range(len(images))))
     light = images[:, inside][fit.good]
     if not light.size:
@@ -107,65 +88,7 @@ def light_left(stack: Any, lights: Any, mask: Any = None, ceilings: Any = None) 
     return float(np.quantile(np.abs(fit.residual[fit.good]), 0.8) / max(float(light.mean()), 1e-12))
 
 
-def leaves_out_object(stack: Any, lights: Any, mask: Any) -> bool:
-    """Whether a mask (H, W) looks inverted: it runs around the picture, and what it leaves out, lit, changes more in
-    direction than what it holds. Directions are those of pinv(lights) @ stack, one vector a pixel.
-    """
-    images, vectors, inside, _ = _checked(stack, lights, mask, None)
-    border = np.concatenate([inside[0], inside[-1], inside[:, 0], inside[:, -1]])
-    mean = images.mean(axis=0)
-    lit = mean > _LIT * np.quantile(mean, 0.995)
-    beside, held = lit & ~inside, lit & inside
-    corners = inside[:: max(1, len(inside) - 1), :: max(1, inside.shape[1] - 1)]
-    if not corners.all() or border.mean() < _BORDER or beside.mean() < _LEFT_OUT:
-        return False
-    if held.sum() < _LIT * inside.sum():
-        return True
-    rows, columns = np.nonzero(held)
-    light = np.tensordot(np.linalg.pinv(vectors), images, 1)
-    unit = light / np.maximum(np.linalg.norm(light, axis=0), 1e-12)
-    place = np.stack([rows, columns, np.ones(len(rows))], axis=1)
-    trend = place @ np.linalg.lstsq(place, unit[:, held].T, rcond=None)[0]
-    level = np.median(unit[:, beside], axis=1, keepdims=True)
-    spreads = [
-        float(np.degrees(np.quantile(np.linalg.norm(rest, axis=0), 0.7)))
-        for rest in (unit[:, held] - trend.T, unit[:, beside] - level)
-    ]
-    return spreads[1] > max(_TURNS * spreads[0], _TURNS_DEG)
-
-
-def _gains(light: FloatArray, lights: Array, ceilings: FloatArray) -> Array:
-    own = light.astype(np.float64)
-    gains = np.maximum(np.quantile(own, 0.9, axis=1) / np.linalg.norm(lights, axis=1), 1e-9)
-    gains /= np.exp(np.log(gains).mean())
-    products, unit = np.stack([lights[:, i] * lights[:, j] for i, j in PAIRS]), np.ones(light.shape[1])
-    for _ in range(12):
-        lit = _lit(light, lights * gains[:, None], ceilings)
-        lit &= lit.sum(axis=0) >= LEAST
-        if lit.any(axis=0).sum() < 100 or not lit.any(axis=1).all():
-            return np.ones(len(light))
-        over = own / gains[:, None]
-        over /= np.maximum(over.mean(axis=0), 1e-12)
-        weights = lit.astype(np.float64)
-        rest = over - lights @ back_substitute(factorise(products @ weights), lights.T @ (weights * over))
-        weights = lit / (1.0 + (rest / max(3.0 * float(np.median(np.abs(rest[lit]))), 1e-6)) ** 2)
-        factors, weighted = factorise(products @ weights), weights * over
-        power = np.diag((weighted * over).sum(axis=1))
-        pulls = (back_substitute(factors, vector[:, None] * unit) for vector in lights)
-        left = power - np.stack([(weighted * (lights @ pull)) @ one for pull, one in zip(pulls, weighted, strict=True)])
-        root = 1.0 / np.sqrt(np.diag(power))
-        vector = np.linalg.eigh(root[:, None] * left * root)[1][:, 0] * root
-        step = np.clip(np.abs(vector) / np.abs(vector).max(), 1e-3, None)
-        gains /= step
-        gains /= np.exp(np.log(gains).mean())
-        if float(np.ptp(np.log(step))) < 1e-4:
-            break
-    return np.asarray(gains)
-
-
-def faulty_photographs(
-    stack: Any, lights: Any, mask: Any = None, ceilings: Any = None, least: int = LEAST
-) -> tuple[PhotographFault, ...]:
+def faulty_photographs(stack: Any, lights: Any, mask: Any = None, ceilings: Any = None) -> tuple[PhotographFault, ...]:
     """Photographs that do not fit the others, the worst first; an overexposed one may come twice.
 
     Parameters
@@ -178,8 +101,6 @@ def faulty_photographs(
         The object; everything by default.
     ceilings : float or (L,), optional
         Value from which each image is clipped.
-    least : int
-        Photographs that must be left when the faulty ones are.
 
     Raises
     ------
@@ -191,7 +112,7 @@ def faulty_photographs(
     R. D. Cook, "Detection of influential observation in linear regression", Technometrics 19 (1977), for the residual
     of what is left out; B. D. Lucas and T. Kanade, "An iterative image registration technique", IJCAI 1981, for shifts.
     """
-    images, vectors, inside, levels = _checked(stack, lights, mask, ceilings)
+    images, vectors, inside, levels = checked(stack, lights, mask, ceilings)
     if len(images) <= LEAST or inside.sum() < _FEWEST:
         return ()
     clipped = ((images >= levels[:, None, None]) & inside).reshape(len(images), -1).sum(axis=1) / inside.sum()
@@ -199,13 +120,13 @@ def faulty_photographs(
     scaled = _Compared(images, vectors * gains[:, None], inside, levels)
     kept, faults = list(range(len(images))), []
     for k in np.flatnonzero(clipped > _CLIPPED).tolist():
-        faults.append(PhotographFault(k, "overexposed", float(clipped[k]), scaled.turned_by_clipping(k)))
+        faults.append(PhotographFault(k, "overexposed", float(clipped[k]), 0.0))
     dim = gains / np.median(gains)
     for k in np.flatnonzero(dim < _FAINT).tolist():
-        if len(kept) > least:
+        if len(kept) > LEAST:
             faults.append(PhotographFault(k, "underexposed", float(dim[k]), scaled.looked_at(kept).turned(k)))
             kept.remove(k)
-    while len(kept) > max(least, LEAST):
+    while len(kept) > LEAST:
         fault = scaled.looked_at(kept).worst()
         if fault is None:
             break
@@ -220,21 +141,6 @@ def faulty_photographs(
     return tuple(faults)
 
 
-def _checked(stack: Any, lights: Any, mask: Any, ceilings: Any) -> tuple[FloatArray, Array, BoolArray, FloatArray]:
-    images = check_stack(stack, least=3)
-    inside = check_mask(mask, (images.shape[1], images.shape[2]))
-    levels = np.broadcast_to(np.float32(np.inf if ceilings is None else ceilings), (len(images),)).astype(np.float32)
-    return images, check_lights(lights, len(images)), inside, levels
-
-
-def _lit(light: FloatArray, lights: FloatArray, ceilings: FloatArray) -> BoolArray:
-    """(L, n) where a light reaches a pixel, and its value is not clipped."""
-    relative = light / np.linalg.norm(lights, axis=1).astype(np.float32)[:, None]
-    usable = light < ceilings[:, None]
-    peak = np.max(relative, axis=0, where=usable, initial=1e-20)
-    return np.asarray((relative > _SHADOW * peak) & usable)
-
-
 class _Compared:
     """Photographs, and what the others predict of each."""
 
@@ -247,7 +153,7 @@ class _Compared:
         self.kept = list(kept)
         light = self.images[kept][:, self.inside]
         vectors = self.lights[kept].astype(np.float32)
-        lit = _lit(light, vectors, self.ceilings[kept])
+        lit = lit_values(light, vectors, self.ceilings[kept])
         light = np.where(lit, light, 0.0)
         weights = lit.astype(np.float32)
         self.factors = factorise(moment_matrix(vectors, weights))
@@ -274,22 +180,6 @@ class _Compared:
             return 0.0
         without = self.g[:, good] - self.pull[at][:, good] * self.apart[at, good]
         return _angle(self.g[:, good], without)
-
-    def turned_by_clipping(self, k: int) -> float:
-        """Median angle by which the clipped values of photograph k turn the normals where they are."""
-        images, clipped = self.images, (self.images[k] >= self.ceilings[k]) & self.inside
-        light = np.minimum(images[:, clipped], self.ceilings[:, None])
-        vectors = self.lights.astype(np.float32)
-        weights = [_lit(images[:, clipped], vectors, self.ceilings).astype(np.float32), np.ones_like(light)]
-        determined = weights[0].sum(axis=0) >= LEAST - 1
-        if not determined.any():
-            return float("nan")
-        light, weights = light[:, determined], [one[:, determined] for one in weights]
-        both = [
-            back_substitute(factorise(moment_matrix(vectors, one)), moment_vector(light, vectors, one))
-            for one in weights
-        ]
-        return _angle(*both)
 
     def worst(self) -> PhotographFault | None:
         """The photograph that fits least, if any does not fit."""
@@ -336,7 +226,7 @@ class _Compared:
         target, model = (cv2.GaussianBlur(one, (0, 0), _SMOOTH_PX) for one in (image, predicted))
         dy, dx = np.gradient(model)
         spread = np.gradient(dy, axis=0) + np.gradient(dx, axis=1)
-        some = np.flatnonzero(known)[:: max(1, int(known.sum()) // _PIXELS)]
+        some = np.flatnonzero(known)[:: max(1, int(known.sum()) // PIXELS)]
         terms = np.stack([part.ravel()[some] for part in (model, dx, dy, spread)]).astype(np.float64)
         rest = (target - model).ravel()[some].astype(np.float64)
         weights = np.ones(rest.size)
@@ -393,3 +283,63 @@ class _Compared:
 def _angle(one: FloatArray, other: FloatArray) -> float:
     cosine = (unit_normals(one)[0] * unit_normals(other)[0]).sum(axis=0)
     return float(np.rad2deg(np.arccos(np.clip(np.median(cosine), -1.0, 1.0))))
+
+
+def compared_pixels(band: Band, finger: Finger) -> tuple[int, BoolArray] | None:
+    """By how much photographs are reduced to be compared, and the object there; None where they are not comparable."""
+    rows, columns = finger.window
+    values = len(band.pixels) * (rows.stop - rows.start) * (columns.stop - columns.start)
+    binning = max(1, int(np.ceil(np.sqrt(values / _COMPARED_VALUES))))
+    inside = bin_mean(finger.inside.astype(np.float32), binning) > 0.99
+    comparable = len(band.lights) == len(band.pixels) and band.crossed is None and not band.polarisation
+    return (binning, inside) if comparable and inside.any() else None
+
+
+def left_out(
+    capture: Capture, band: Band, finger: Finger, binning: int, inside: BoolArray
+) -> tuple[Band, list[Finding], list[Any]]:
+    """A band of an opaque thing without the photographs that do not fit the others; notes on them; and their names,
+    faults and turns of the normals.
+    """
+    stack = linear_stack(band, capture.encoding, "grey", finger.window, binning)
+    levels = saturation_levels(band, capture.encoding)
+    lights = capture.rig.select(band.lights).light_vectors()
+    faults = faulty_photographs(stack, lights, inside, levels)
+    turned = "it was left out, and would have turned the normals by {:.2g} deg (median)"
+    notes = [_fault_finding(band, fault, binning, turned) for fault in faults]
+    clipped = (stack >= levels[:, None, None]).sum(axis=0)[inside] > len(stack) - 3
+    if clipped.mean() > _FEW_CLIPPED:
+        notes.append(Finding("overexposed-surface", OVEREXPOSED.format(100 * clipped.mean())))
+    facts = [[band.image_names[fault.photograph], fault.kind, round(fault.effect_deg, 2)] for fault in faults]
+    out = {fault.photograph for fault in faults if fault.kind != "overexposed"}
+    kept = [k for k in range(len(stack)) if k not in out]
+    return band.of_images(kept) if out else band, notes, facts
+
+
+def faulty_photograph(capture: Capture, band: Band, finger: Finger) -> Finding | None:
+    """The photograph of skin that fits the others least, if it turns the surface."""
+    stack, vectors, some = sampled_light(capture, band)
+    faults = faulty_photographs(stack, vectors, finger.wider[some], saturation_levels(band, capture.encoding))
+    # highlights are overexposed, and no method takes them for skin
+    bad = [fault for fault in faults if fault.kind != "overexposed" and fault.effect_deg > NOTED_DEG]
+    if not bad:
+        return None
+    fault = max(bad, key=lambda each: each.effect_deg)
+    finding = _fault_finding(band, fault, some[0].step, "it turns the surface by {:.1f} deg (median); capture it again")
+    return replace(finding, severity=Severity.SPOILS if fault.effect_deg > SPOILT_DEG else Severity.DOUBT)
+
+
+def _fault_finding(band: Band, fault: PhotographFault, binning: int, effect: str) -> Finding:
+    """What is wrong with a photograph, and its `effect`."""
+    name = band.image_names[fault.photograph]
+    px, percent = f"{binning * fault.size:.2g} px", f"{100 * fault.size:.2g} %"
+    what = {
+        "overexposed": f"is overexposed: {percent} of the surface is clipped, which is not used",
+        "moved": f"is shifted by {px} against the others",
+        "blurred": f"is blurred by {px} (sigma) against the others",
+        "double": f"shows everything twice, {px} apart",
+        "underexposed": f"has {percent} of the others' light",
+        "unlike": f"does not fit the others: it is {percent} off what they predict",
+    }[fault.kind]
+    words = f"{name} {what}" if fault.kind == "overexposed" else f"{name} {what}; {effect.format(fault.effect_deg)}"
+    return Finding(f"{fault.kind}-photograph", f"{words}.", files=(name,), effect_deg=fault.effect_deg or None)

@@ -8,16 +8,15 @@ import cv2
 import numpy as np
 import pytest
 
-from splitknit.errors import BadInput
-from splitknit.model import Band, Camera, Capture, Led, Rig
-from splitknit.photometric.frames import (
+from splitknit.diagnosis.frames import (
     FRAMES,
     SPOILT_DEG,
     doubt_of_lights,
     fit_lights,
     rig_of_frame,
-    spoils_skin,
 )
+from splitknit.errors import BadInput
+from splitknit.model import Band, Camera, Capture, Led, Rig
 from splitknit.pipeline import reconstruct
 
 SHAPE = (120, 100)
@@ -84,11 +83,10 @@ def test_a_reconstruction_warns_and_names_the_frame(egg):
     band = Band("white", pixels, tuple((k,) for k in range(6)), np.ones(6), np.zeros(6))
     rig = Rig(Camera(10.0, SHAPE), tuple(Led("white", direction=tuple(v)) for v in in_frame(lights, "right-down")))
     capture = Capture(rig, {"white": band}, material="opaque", mask=inside)
-    warned = [text for text in reconstruct(capture, "ea").warnings if "`light_frame`" in text]
-    assert len(warned) == 1
-    assert "`light_frame` right-down" in warned[0]
+    (order,) = (finding for finding in reconstruct(capture, "ea").findings if finding.code == "light-order")
+    assert "`light_frame` right-down" in str(order)
     mended = replace(capture, rig=rig_of_frame(rig, "right-down"))
-    assert not [text for text in reconstruct(mended, "ea").warnings if "`light_frame`" in text]
+    assert not [finding for finding in reconstruct(mended, "ea").findings if finding.code.startswith("light-")]
 
 
 def around(count: int, *, uneven: bool) -> np.ndarray:
@@ -144,7 +142,7 @@ def test_unequal_brightness_is_no_other_order(egg):
         assert fit.order == tuple(range(9))
         assert np.allclose(fit.brightness, gains / gains.mean(), rtol=0.02)
         words = str(doubt_of_lights(fit))
-        assert "not as bright as is stated" in words and spoils_skin(fit) == (fit.turned_deg > SPOILT_DEG)
+        assert "not as bright as is stated" in words and fit.spoils_skin == (fit.turned_deg > SPOILT_DEG)
 
 
 @pytest.mark.parametrize(("count", "seed"), [(4, 3), (5, 0), (5, 1)])

@@ -134,6 +134,18 @@ class LightFit:
     curl: float = 0.0
     """Part of the slopes' change that belongs to no surface, of a relief: 0 to 1."""
 
+    @property
+    def in_order(self) -> bool:
+        """Whether every photograph seems to be under its own light."""
+        return self.order == tuple(range(len(self.order)))
+
+    @property
+    def spoils_skin(self) -> bool:
+        """Whether what is wrong of skin makes its surface worthless."""
+        bad = self.residual > SPOILT_RESIDUAL or self.variety < _ONE_LIGHT
+        turned = (self.strange is not None or bool(self.brightness)) and self.turned_deg > SPOILT_DEG
+        return not self.in_order or self.frame != "right-up" or bad or turned
+
 
 def fit_lights(stack: Any, lights: Any, mask: Any = None, *, relief: bool = False) -> LightFit:
     """Compare photographs with the lights that they are given, in this and in every other order and frame.
@@ -221,13 +233,6 @@ def _strange(gram: Array, lights: Array) -> int | None:
     return one if left[one] < _STRANGE * expected else None
 
 
-def spoils_skin(fit: LightFit) -> bool:
-    """Whether what is wrong of skin makes its surface worthless."""
-    other = fit.order != tuple(range(len(fit.order))) or fit.frame != "right-up"
-    bad = fit.residual > SPOILT_RESIDUAL or fit.variety < _ONE_LIGHT
-    return other or bad or ((fit.strange is not None or bool(fit.brightness)) and fit.turned_deg > SPOILT_DEG)
-
-
 def doubt_of_lights(fit: LightFit, names: Sequence[str] = (), material: str = "skin") -> Finding | None:
     """What is wrong with photographs that do not fit their lights or each other, or fit in another order or frame.
 
@@ -235,25 +240,18 @@ def doubt_of_lights(fit: LightFit, names: Sequence[str] = (), material: str = "s
     it is a doubt, and that it may be a hollow a note.
     """
     names = names or [f"image {k}" for k in range(len(fit.order))]
-    code_and_words = _fault_of_lights(fit, names, material)
-    if code_and_words is None:
+    code, words = _fault_of_lights(fit, names, material)
+    if not code:
         return None
-    code, words = code_and_words
-    severity = Severity.SPOILS if material == "skin" and spoils_skin(fit) else Severity.DOUBT
+    severity = Severity.SPOILS if material == "skin" and fit.spoils_skin else Severity.DOUBT
+    if code == "hollow":
+        severity = Severity.NOTE
     files = (names[fit.strange],) if code == "strange-photograph" and fit.strange is not None else ()
-    return Finding(
-        code,
-        words,
-        Severity.NOTE if code == "hollow" else severity,
-        files=files,
-        effect_deg=fit.turned_deg or None,
-    )
+    return Finding(code, words, severity, files, fit.turned_deg or None)
 
 
-def _fault_of_lights(  # noqa: PLR0911 - one for each kind
-    fit: LightFit, names: Sequence[str], material: str
-) -> tuple[str, str] | None:
-    """Code and sentence of :func:`doubt_of_lights`."""
+def _fault_of_lights(fit: LightFit, names: Sequence[str], material: str) -> tuple[str, str]:  # noqa: PLR0911
+    """Code and sentence of :func:`doubt_of_lights`, empty where nothing is wrong."""
     if material == "skin" and fit.variety < _ONE_LIGHT:
         return "one-light", f"the photographs {names[0]} to {names[-1]} are all under one light: light each LED alone."
     turned = f"that turns the surface by {fit.turned_deg:.1f} deg (median)"
@@ -289,7 +287,7 @@ def _fault_of_lights(  # noqa: PLR0911 - one for each kind
     if fit.curl > _CURL:
         return "no-surface", _NO_SURFACE.format(100 * fit.curl)
     if fit.residual < HIGH_RESIDUAL:
-        return None
+        return "", ""
     usual = float(np.median(fit.residual_per_image))
     odd = [names[k] for k in np.argsort(fit.residual_per_image)[::-1] if fit.residual_per_image[k] > 1.4 * usual][:4]
     return "light-residual", (

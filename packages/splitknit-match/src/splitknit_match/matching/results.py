@@ -1,0 +1,289 @@
+"""Results of comparisons: what each method measured, the answer, and how both are printed."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from typing import Any
+
+from splitknit.arguments import text_of
+from splitknit.io.provenance import known_json
+from splitknit_match.matching.template import VERSION
+
+_DIGITS = {"minutiae": 0, "fusion": 2}
+_SCALES = {
+    "ridge": "1 = the same picture",
+    "fusion": "log-likelihood ratio of ridges and minutiae, natural logarithm",
+    "thesis": "1 = equal, 0 = as dissimilar as possible",
+    "thesis-code": "1 = equal, negative for most others",
+    "minutiae": "bozorth3: about how many pairs of minutiae fit together",
+}
+"""What the method's own score means."""
+
+
+@dataclass(frozen=True, slots=True)
+class ComparedSide:
+    """One of two fingers that were compared."""
+
+    path: str
+    kind: str
+    """``capture``, ``result``, ``template``, ``print``, ``photo`` (of a finger) or ``minutiae``."""
+    area_mm2: float
+    """Area of its ridges."""
+    acquired: bool
+    """False: a failure to acquire, which matches nobody."""
+    minutiae: int | None = None
+    """How many were compared, by methods of minutiae."""
+    nfiq2: int | None = None
+    """Quality of its print, 0 to 100, of the method ``minutiae``; None where NFIQ 2 sees no print."""
+    enhanced: bool | None = None
+    """Whether its print was enhanced first."""
+    note: str | None = None
+    """What a photograph was taken for, and how its scale is known."""
+    quality: float | None = None
+    """Of a photograph, 0 to 100: percent of the finger with clear ridges."""
+    doubt: str | None = None
+    """Why the resolution of a print cannot be right; the answer is then undecided."""
+
+
+@dataclass(frozen=True, slots=True)
+class PlaneAlignment:
+    """How side A is laid on side B, in the plane; None where the method does not move it so."""
+
+    rotation_deg: float | None = None
+    right_mm: float | None = None
+    up_mm: float | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class FmrBasis:
+    """What false match rates were measured on."""
+
+    impostors: int
+    """Comparisons of different fingers."""
+    population: str
+    smallest: float
+    """The smallest rate that they can state."""
+
+
+@dataclass(frozen=True, slots=True)
+class MatchDecision:
+    """Whether it is one finger."""
+
+    match: bool
+    fmr: float
+    """False match rate at which was decided."""
+    threshold: float
+    """Similarity from which on it is a match."""
+    expected_fmr: float | None = None
+    """Where so small a rate was not measured: what is to be expected; `fmr` is then its upper limit of 95 %."""
+
+
+@dataclass(frozen=True, slots=True)
+class TemplateFile:
+    """A template that was written."""
+
+    file: str
+    bytes: int
+    version: int = VERSION
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Rated:
+    """What a similarity says, given what was compared."""
+
+    fmr: float | None = None
+    """False match rate at this similarity, None where it is not known."""
+    fmr_missing: str | None = None
+    """Why it is not."""
+    fmr_basis: FmrBasis | None = None
+    decision: MatchDecision | None = None
+    answer: str = "undecided"
+    """``match``, ``no match``, ``undecided``, or ``not acquired``."""
+    undecided: str | None = None
+    """Why the answer is neither ``match`` nor ``no match``, and what it takes."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Match(Rated):
+    """What a comparison by any method says."""
+
+    method: str
+    """That was used, never ``auto``."""
+    a: ComparedSide
+    b: ComparedSide
+    similarity: float
+    """The method's score; higher is more similar."""
+    compared: bool
+    """False: a failure to acquire, or too little overlap."""
+    template: TemplateFile | None = None
+    """Template of side A, where one was written."""
+
+    @property
+    def facts(self) -> dict[str, Any]:
+        """The same as plain JSON."""
+        kept = ("fmr", "fmr_missing", "fmr_basis", "decision", "undecided", "similarity_of_minutiae")
+        return dict(known_json(self, (*kept, "nfiq2") if self.method == "minutiae" else kept))
+
+    def __str__(self) -> str:
+        return text_of(match_lines(self))
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class MatchOfRidges(Match):
+    """Of the method ``ridge``."""
+
+    overlap_mm2: float
+    correlation: float
+    alignment: PlaneAlignment
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class MatchOfPrints(MatchOfRidges):
+    """Of the method ``fusion``."""
+
+    similarity_of_ridges: float
+    similarity_of_minutiae: float | None
+    """0 to 1; None where there are too few."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class MatchOfImages(Match):
+    """Of the methods ``thesis`` and ``thesis-code``."""
+
+    overlap: float
+    """Intersection over union of both outlines."""
+    distances: Mapping[str, float]
+    """By kind of image; so `dissimilarity`."""
+    dissimilarity: Mapping[str, float] | None = None
+    """The thesis's score (5.2), of the method ``thesis``."""
+    alignment: PlaneAlignment
+
+
+@dataclass(frozen=True, slots=True)
+class TemplateMade:
+    """A finger whose template was made."""
+
+    a: ComparedSide
+    template: TemplateFile | None
+    """The file, where one was written."""
+    payload: bytes | None = None
+    """The template itself, which `match`, `identify` and `enroll` take; no bytes for a failure to acquire."""
+
+    @property
+    def facts(self) -> dict[str, Any]:
+        """The same as plain JSON, without the template itself."""
+        return dict(known_json(replace(self, payload=None)))
+
+    def __str__(self) -> str:
+        lines = failure_notes("ridge", self.a)
+        return text_of(lines if self.template is None else [*lines, template_line(self.template)])
+
+
+def one_in(rate: float, basis: FmrBasis | None = None) -> str:
+    """Write a false match rate for people, rounded up; "below" where no impostor of its `basis` is as similar.
+
+    >>> one_in(1e-4), one_in(0.0359), one_in(0.7), one_in(0.5)
+    ('1 in 10,000', '1 in 27', 'more than 1 in 2', '1 in 2')
+    """
+    if rate > 0.5:
+        return "more than 1 in 2"
+    people = int(1 / rate + 1e-9)
+    step = 10 ** max(0, len(str(people)) - 2)
+    return f"{'below ' if basis is not None and rate <= basis.smallest else ''}1 in {people // step * step:,}"
+
+
+def decided_at(decision: MatchDecision) -> str:
+    """At which false match rate was decided, and whether it is extrapolated."""
+    rate, expected = one_in(decision.fmr), decision.expected_fmr
+    beyond = "" if expected is None else f" (beyond what was measured: extrapolated; expected is {one_in(expected)})"
+    return f"decided at a false match rate of {rate}{beyond}"
+
+
+def basis_words(basis: FmrBasis) -> str:
+    """What false match rates were measured on."""
+    return f"{basis.impostors:,} impostor comparisons, {basis.population}"
+
+
+def match_lines(match: Match, *, scores: bool = False) -> list[str]:
+    """Of a comparison; `scores`: also the method's own, whose scale few know."""
+    lines = [_verdict(match)]
+    if match.fmr is not None and match.fmr_basis is not None:
+        rate, basis = one_in(match.fmr, match.fmr_basis), basis_words(match.fmr_basis)
+        lines.append(f"Estimated false match rate: {rate} (measured on {basis}).")
+    if scores:
+        lines += _score_lines(match)
+    lines += [f"{side.path}: {side.note}" for side in (match.a, match.b) if side.note]
+    lines += _how(match) + failure_notes(match.method, match.a, match.b)
+    return lines if match.template is None else [*lines, template_line(match.template)]
+
+
+def template_line(template: TemplateFile) -> str:
+    """Of a template that was written."""
+    return f"Template of {template.bytes} bytes (version {template.version}) written to {template.file}."
+
+
+def _verdict(match: Match) -> str:
+    if not match.compared and not (match.a.doubt or match.b.doubt):
+        both = match.a.acquired and match.b.acquired
+        apart = match.method in ("thesis", "fusion")
+        word = "Undecided" if both else "Not acquired"
+        return f"{word}, not compared: {'too little overlap' if both and apart else 'failure to acquire'}."
+    if match.answer == "undecided":
+        score = f"; its score is {_score(match)}" if match.fmr is None else ""
+        return f"Undecided: {match.undecided}{score}."
+    assert match.decision is not None
+    answer = "Match" if match.decision.match else "No match"
+    return f"{answer}, {decided_at(match.decision)} (method {match.method})."
+
+
+def _score(match: Match) -> str:
+    return f"{match.similarity:.{_DIGITS.get(match.method, 4)}f} ({_SCALES[match.method]})"
+
+
+def _score_lines(match: Match) -> list[str]:
+    digits = _DIGITS.get(match.method, 4)
+    needed = "" if match.decision is None else f", a match from {match.decision.threshold:.{digits}f} on"
+    lines = [f"Score {_score(match)}{needed}."]
+    if isinstance(match, MatchOfPrints) and match.compared:
+        score = match.similarity_of_minutiae
+        minutiae = "too few" if score is None else f"{score:.1f}"
+        lines.append(f"Its parts: ridges {match.similarity_of_ridges:.4f}, minutiae {minutiae}.")
+    return lines
+
+
+def _how(match: Match) -> list[str]:
+    """What was compared: places and counts."""
+    if isinstance(match, MatchOfImages):
+        right_mm = match.alignment.right_mm or 0.0
+        overlap = f"overlap {match.overlap:.3f} of both outlines (intersection over union)"
+        return [f"{overlap}, B shifted {abs(right_mm):.2f} mm to the {'right' if right_mm >= 0 else 'left'}"]
+    if not isinstance(match, MatchOfRidges):
+        return [_print_words(side) for side in (match.a, match.b)]
+    laid = match.alignment
+    if not match.compared:
+        return []
+    turned = f"overlap {match.overlap_mm2:.0f} mm² of skin; A turned by {laid.rotation_deg:.1f} deg"
+    return [f"{turned}, its middle {laid.right_mm:+.2f} mm right and {laid.up_mm:+.2f} mm up of B's"]
+
+
+def failure_notes(method: str, *sides: ComparedSide) -> list[str]:
+    """Of sides from which nothing was acquired."""
+    notes = []
+    for side in sides:
+        if side.acquired:
+            continue
+        lacks = "fewer than ten minutiae" if method == "minutiae" else "no ridges"
+        if method != "minutiae" and side.kind == "print":
+            lacks = "less than 10 mm² of ridges, which a print must show"
+        if side.note is not None and side.note.startswith("no print of a finger"):
+            lacks = side.note
+        notes.append(f"Please note: {side.path} holds {lacks} (failure to acquire).")
+    return notes
+
+
+def _print_words(side: ComparedSide) -> str:
+    if side.kind == "minutiae":
+        return f"{side.path}: {side.minutiae} minutiae"
+    quality = "unknown" if side.nfiq2 is None else f"{side.nfiq2} of 100"
+    return f"{side.path}: {side.minutiae} minutiae, quality (NFIQ 2) {quality}"

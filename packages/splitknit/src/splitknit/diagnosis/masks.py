@@ -1,0 +1,83 @@
+"""Whether the mask holds the object, and whether both bands show one finger in one place."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from splitknit.diagnosis.gains import checked
+from splitknit.diagnosis.samples import sampled_light
+from splitknit.findings import Finding, Severity
+from splitknit.finger.locate import Finger
+from splitknit.finger.regions import erode
+from splitknit.model import Capture
+
+INVERTED = (
+    "the mask looks inverted: it runs around the picture, and what it leaves out turns more with the light than "
+    "what it holds, so that the table is measured; paint the object white and all else black."
+)
+OTHER_OUTLINE = 0.03, 0.15
+"""Part of the rim that is darker in near infrared than in white from which the outlines differ, and from which the
+surface is spoilt: below 0 on simulated and path-traced fingers, 0.04 and 0.24 where the NIR images were of another."""
+_BORDER, _LEFT_OUT, _LIT = 0.7, 0.02, 0.1
+"""A mask may be inverted that holds the picture's corners and this part of its border, and leaves out this part of it,
+lit: brighter than this part of the brightest pixels."""
+_TURNS, _TURNS_DEG = 2.5, 5.0
+"""Spread of directions (70 % of pixels) of what an inverted mask leaves out: over that of what it holds, and itself."""
+
+
+def leaves_out_object(stack: Any, lights: Any, mask: Any) -> bool:
+    """Whether a mask (H, W) looks inverted: it runs around the picture, and what it leaves out, lit, changes more in
+    direction than what it holds. Directions are those of pinv(lights) @ stack, one vector a pixel.
+    """
+    images, vectors, inside, _ = checked(stack, lights, mask, None)
+    border = np.concatenate([inside[0], inside[-1], inside[:, 0], inside[:, -1]])
+    mean = images.mean(axis=0)
+    lit = mean > _LIT * np.quantile(mean, 0.995)
+    beside, held = lit & ~inside, lit & inside
+    corners = inside[:: max(1, len(inside) - 1), :: max(1, inside.shape[1] - 1)]
+    if not corners.all() or border.mean() < _BORDER or beside.mean() < _LEFT_OUT:
+        return False
+    if held.sum() < _LIT * inside.sum():
+        return True
+    rows, columns = np.nonzero(held)
+    light = np.tensordot(np.linalg.pinv(vectors), images, 1)
+    unit = light / np.maximum(np.linalg.norm(light, axis=0), 1e-12)
+    place = np.stack([rows, columns, np.ones(len(rows))], axis=1)
+    trend = place @ np.linalg.lstsq(place, unit[:, held].T, rcond=None)[0]
+    level = np.median(unit[:, beside], axis=1, keepdims=True)
+    spreads = [
+        float(np.degrees(np.quantile(np.linalg.norm(rest, axis=0), 0.7)))
+        for rest in (unit[:, held] - trend.T, unit[:, beside] - level)
+    ]
+    return spreads[1] > max(_TURNS * spreads[0], _TURNS_DEG)
+
+
+def findings_on_mask(capture: Capture, finger: Finger) -> list[Finding]:
+    """A doubt where the given mask holds what lies around the object."""
+    white = capture.bands["white"]
+    if capture.mask is None or white.colours:
+        return []
+    stack, lights, some = sampled_light(capture, white)
+    inverted = leaves_out_object(stack, lights, finger.mask[some])
+    return [Finding("inverted-mask", INVERTED, Severity.DOUBT)] if inverted else []
+
+
+def findings_on_outline(capture: Capture, finger: Finger) -> list[Finding]:
+    """A doubt where the finger of the near-infrared photographs has another outline than that of the white ones."""
+    (white, _, some), (nir, *_) = (sampled_light(capture, capture.bands[name]) for name in ("white", "nir"))
+    inside, px = finger.mask[some], capture.rig.camera.px_per_mm / some[0].step
+    rim = inside & ~erode(inside, 1.5 * px)
+    core = inside & ~rim
+    if not core.any():
+        return []
+    means = white.mean(axis=0), nir.mean(axis=0)
+    own, dark = (float((mean[rim] < 0.15 * np.median(mean[core])).mean()) for mean in means)
+    noted, spoils = OTHER_OUTLINE
+    if dark - own <= noted:
+        return []
+    other = f"{100 * dark:.0f} % of the finger's rim (1.5 mm) is dark in it, and {100 * own:.0f} % in white"
+    words = f"{other}: check that both bands are of one finger in one place."
+    severity = Severity.SPOILS if dark - own > spoils else Severity.DOUBT
+    return [Finding("other-outline", words, severity).of_band("nir")]
