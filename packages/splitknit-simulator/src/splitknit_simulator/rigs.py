@@ -11,6 +11,7 @@ from typing import Annotated, Literal
 
 import cv2
 import numpy as np
+from numpy.typing import NDArray
 
 from splitknit import Camera, Led, Mirror, Rig
 from splitknit.errors import require
@@ -24,7 +25,8 @@ from splitknit.model import (
     shared_exposures,
 )
 from splitknit.settings import Checked, Limits, check_fields
-from splitknit_simulator.surface import Array
+
+Array = NDArray[np.float64]
 
 SIDE_ARC_DEG, SIDE_MM = (-25.0, 205.0), (90.0, 30.0)
 """Azimuths of the first and the last light to the side; distance from the axis, and height above the finger plane."""

@@ -13,7 +13,9 @@ from numpy.typing import NDArray
 from splitknit import Camera
 from splitknit.errors import require
 from splitknit.model import FloatArray
-from splitknit_simulator.surface import Array
+
+Array = NDArray[np.float64]
+
 
 Numbers = NDArray[np.float64] | NDArray[np.intp]
 
