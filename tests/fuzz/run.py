@@ -58,6 +58,7 @@ MORE_SEED = 1_000_000
 READERS = ("read_", "decode_", "unpack_", "open_", "load_", "import_", "parse_")
 NO_READERS = {
     "imaging.band.decode_table": "makes a table, reads nothing",
+    "importing.import_files": "reads what io.plain.capture_from_photographs and prints.from_file.read_print_file read",
     "light.skin.load_walks": "reads a table of the package",
     "prints.verbs.import_prints": "reads what prints.from_file.read_print_file reads",
 }

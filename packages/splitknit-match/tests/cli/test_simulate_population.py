@@ -203,7 +203,7 @@ def test_what_cannot_be_a_population_is_refused(tmp_path: Path, capsys: Captured
     (other / "S01" / "session_1" / "right_index").mkdir(parents=True)
     assert "something else than a simulated population" in refused(capsys, *words(other))
     new = tmp_path / "new"
-    assert "'toe' is not a finger" in refused(capsys, *words(new, small=("--fingers", "toe")))
+    assert "Expected right_thumb or right_index" in refused(capsys, *words(new, small=("--fingers", "toe")))
     assert "workers must be 1 to 256" in refused(capsys, *words(new, "--workers", "0"))
     assert "--pattern does not go with a population" in refused(capsys, *words(new, "--pattern", "loop"))
     assert "--bench does not go with a population" in refused(capsys, *words(new, "--bench"))

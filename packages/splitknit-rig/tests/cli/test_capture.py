@@ -188,7 +188,7 @@ def test_foreign_files_and_earlier_captures_are_not_replaced(done: Path, tmp_pat
         (("--out", "a", "--session", "0"), "numbered from 1"),
         (("--out", "a", "--subjects", "3"), "--subjects belongs to --enrolment"),
         (("--enrolment", "e", "--next", "0"), "--next"),
-        (("--enrolment", "e", "--fingers", "right_index,toe"), "'toe' is not a finger"),
+        (("--enrolment", "e", "--fingers", "right_index,toe"), "Expected right_thumb or right_index"),
         (("--enrolment", "e", "--overwrite"), "replaces nothing"),
         (("--out", "a", "--set", "capture.exposure.target=3"), "exposure.target"),
         (("--out", "a", "--set", "skin.nonsense=3"), "nonsense"),

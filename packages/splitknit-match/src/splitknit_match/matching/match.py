@@ -85,8 +85,6 @@ def match(
     >>> splitknit_match.match("capture", "print.png").answer  # doctest: +SKIP
     'match'
     """
-    from concurrent.futures import ThreadPoolExecutor
-
     from splitknit.settings import override
     from splitknit_match.matching.inputs import Side, held, is_photo, read_side
     from splitknit_match.matching.methods import auto_method, check_template_file, compare_sides, write_template_file
@@ -112,8 +110,13 @@ def match(
         )  # fmt: skip
 
     files = all(isinstance(finger, Path) and finger.is_file() and finger.suffix != ".skt" for finger in fingers)
-    with ThreadPoolExecutor(2 if files else 1) as pool:
-        left, right = pool.map(read, range(2))
+    if files:
+        from concurrent.futures import ThreadPoolExecutor  # 20 ms, more than templates take
+
+        with ThreadPoolExecutor(2) as pool:
+            left, right = pool.map(read, range(2))
+    else:
+        left, right = read(0), read(1)
     by = auto_method(left, right) if method == "auto" else method
     if own is not None and own.method != by:
         raise BadInput(f"'{decision}' is for the method {own.method}, but {by} compares these.")

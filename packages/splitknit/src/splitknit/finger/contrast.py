@@ -11,7 +11,6 @@ from dataclasses import dataclass
 from typing import Annotated, Literal
 
 import numpy as np
-from scipy.ndimage import map_coordinates
 
 from splitknit.errors import check_image, check_mask
 from splitknit.imaging.band import srgb_code
@@ -53,6 +52,8 @@ def clahe(
     it. Cells with little finger in them borrow from their neighbours. Outside the mask the result is zero. Source:
     Zuiderveld, K., "Contrast limited adaptive histogram equalization", Graphics Gems IV, 1994; the thesis, 3.3.1.3.
     """
+    from scipy.ndimage import map_coordinates  # half a second, for those who need it
+
     settings = settings or ClaheSettings()
     image = check_image(image)
     mask = check_mask(mask, (image.shape[0], image.shape[1]))

@@ -56,7 +56,7 @@ def converted(document: Any, kind: type[T], name: str) -> T:
         what, _, place = str(error).replace("`", "").partition(" - at ")
         what = re.sub(r"str matching regex '\^\((.*)\)\$'", r"\1", what).replace("|", " or ")
         key = re.sub(r"^key in ", "", place).removeprefix("$").removeprefix(".")
-        raise BadInput(f"{name}: {f'{key}: ' if key else ''}{what.rstrip('.')}; correct the file.") from error
+        raise BadInput(f"{name}: {f'{key}: ' if key else ''}{what.rstrip('.')}; correct it.") from error
 
 
 def text_of(document: dict[str, Any], key: str, name: str) -> str:

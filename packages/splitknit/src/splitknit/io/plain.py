@@ -24,7 +24,7 @@ from splitknit.imaging.band import (
     pick_channel,
     srgb_code,
 )
-from splitknit.imaging.polarised import split_mosaic
+from splitknit.imaging.polarised import NOT_SPECULAR, split_mosaic
 from splitknit.imaging.response import FEWEST, shading_is_srgb
 from splitknit.io.content import check_contents, mask_from_image
 from splitknit.io.images import STACK_BYTES
@@ -458,6 +458,8 @@ def _assembled(
         names = tuple(map(str, crossed or files))
         other = replace(band, name="white_crossed", pixels=pixels[count:], files=names, polarisation="crossed")
         bands["white_crossed"] = other
+        parallel, crossed_mean = (float(one.pixels[:, ::8, ::8].mean(dtype=np.float64)) for one in bands.values())
+        notes += [Finding("not-specular", NOT_SPECULAR)] if crossed_mean >= parallel else []
     check_contents(bands.values())
     capture = Capture(
         rig=replace(rig, camera=camera),
