@@ -1,0 +1,32 @@
+"""What a user writes against the matching, for mypy alone: an ignored error is one that mypy must find."""
+
+from pathlib import Path
+
+import cv2
+
+import splitknit_match
+
+
+def same(a: Path, b: str) -> bool:
+    comparison = splitknit_match.match(a, b, method="ridge", settings={"thesis": False}, fmr=1e-3)
+    print(comparison.similarity, comparison.a, comparison.compared, comparison.method)
+    return comparison.answer == "match"
+
+
+def known(gallery: str, probe: Path) -> list[str]:
+    splitknit_match.enroll(gallery, probe, "A", "right_index", duplicates="warn")
+    found = splitknit_match.identify(gallery, probe, top=3, merge="person")
+    return [f"{candidate.rank} {candidate.person} {candidate.similarity}" for candidate in found.candidates]
+
+
+def printed(result: str) -> None:
+    made = splitknit_match.make_print(result, method="unroll", ppi=500.0)
+    cv2.imwrite("print.png", made.image)
+    print(splitknit_match.evaluate(["scores.csv"], cluster="subject"))
+
+
+def wrong() -> None:
+    splitknit_match.match("a", "b", methods="ridges")  # type: ignore[call-arg]
+    splitknit_match.match("a", "b", method="voted")  # type: ignore[arg-type]
+    splitknit_match.identify("g.skg", "probe", tops=3)  # type: ignore[call-arg]
+    splitknit_match.make_print("result").picture  # type: ignore[attr-defined]
