@@ -35,7 +35,7 @@ from collections import Counter, deque
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 
-VERB = ("splitknit.cli.reconstruct",)
+VERB = ("splitknit.folders",)
 EQUATIONS = ("splitknit.photometric.lambertian",)
 MESH = ("splitknit.io.mesh",)
 ENTRIES = ("reconstruct",)

@@ -156,7 +156,7 @@ def identify_in_gallery(
     'match'
     """
     from splitknit_match.gallery.file import warn_of_gallery
-    from splitknit_match.gallery.words import identification_lines
+    from splitknit_match.gallery.identify import identification_lines
     from splitknit_match.pad import refuse_attacks
 
     presentation = refuse_attacks(pad, [probe], preset, progress)
