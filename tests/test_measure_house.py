@@ -15,7 +15,7 @@ def test_a_small_house_is_measured(tmp_path: Path) -> None:
     files = {
         "__init__.py": "",
         "cli/__init__.py": "",
-        "cli/reconstruct.py": "def run():\n    from splitknit.pipeline import lambertian\n",
+        "folders.py": "def run():\n    from splitknit.pipeline import lambertian\n",
         "photometric/__init__.py": "",
         "photometric/lambertian.py": "import numpy.linalg\n\n\ndef lambertian(): ...\n\n\n"
         "def _solve(a, b, c, d, e, *, p: PipelineSettings): ...  # noqa: X\n",
