@@ -97,8 +97,6 @@ def capture(
         loop, whorl, arch ... (default: drawn).
     scale
         Size of the images, 1 = 3200 x 2200 (default: 0.5).
-    settings
-        Changed settings, each as STAGE.FIELD=VALUE; --settings names a JSON or TOML file of them.
 
     Returns
     -------
@@ -161,13 +159,11 @@ def capture(
         facts = _one(Path(out), how, opener, who, seed=seed or 0, impression=(session or 1) - 1, progress=progress)
         return Report(facts, tuple(_lines(facts, Path(out), of_finger=target is None)))
 
-    from splitknit.io.enrolment import open_enrolment
+    from splitknit.io.enrolment import fingers_named, open_enrolment
     from splitknit_rig.capture.folder import capture_enrolment
 
     assert enrolment is not None
-    names = None
-    if fingers is not None:
-        names = FINGERS if fingers == "all" else tuple(fingers.split(","))
+    names = fingers_named(fingers)
     opened = open_enrolment(Path(enrolment), subjects=subjects, sessions=sessions, fingers=names)
     waiting = opened.waiting(subject=subject, session=session, finger=finger)[:next]
     with ExitStack() as stack:

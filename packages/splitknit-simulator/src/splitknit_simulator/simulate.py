@@ -94,8 +94,6 @@ def simulate(
         --no-nir: a rig with mirrors does without NIR LEDs.
     impression
         Which capture of the finger: pose and noise change.
-    settings
-        Changed settings, each as STAGE.FIELD=VALUE; --settings names a JSON or TOML file of them.
     subjects
         People (default: 17).
     fingers
@@ -236,7 +234,7 @@ def _population(
     workers: int,
     progress: Progress,
 ) -> Report:
-    from splitknit.io.enrolment import FINGERS
+    from splitknit.io.enrolment import fingers_named
     from splitknit.settings import override
     from splitknit_simulator.population.folder import simulate_population
     from splitknit_simulator.population.sessions import PopulationSettings
@@ -244,15 +242,12 @@ def _population(
     population = override(PopulationSettings(seed=seed), changes)
     if scale is not None:
         population = replace(population, scale=scale)
-    names = None
-    if fingers is not None:
-        names = FINGERS if fingers == "all" else tuple(fingers.split(","))
     facts = simulate_population(
         out,
         population,
         subjects=subjects,
         sessions=sessions,
-        fingers=names,
+        fingers=fingers_named(fingers),
         prints=None if prints is None else Path(prints),
         workers=workers,
         progress=progress,

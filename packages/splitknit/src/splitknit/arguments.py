@@ -32,7 +32,12 @@ else:
     AnyPath = Path
     Settings = Annotated[
         tuple[str, ...] | None,
-        Parameter(("--set", "--settings"), converter=lambda _, tokens: given_settings(tokens), n_tokens=1),
+        Parameter(
+            ("--set", "--settings"),
+            help="Changed settings, each as STAGE.FIELD=VALUE; --settings names a JSON or TOML file of them.",
+            converter=lambda _, tokens: given_settings(tokens),
+            n_tokens=1,
+        ),
     ]
 
 Progress = Annotated[Callable[[str, float], None], Parameter(parse=False)]
@@ -48,6 +53,12 @@ Positive = Annotated[float, Limits(0.0, above=True)]
 Preset = Literal["metric", "snk", "pr", "ea", "pr-split", "ea-split", "kumar", "zheng", "lin"]
 Encoding = Literal["linear", "srgb"]
 Device = Literal["cpu", "cuda", "auto"]
+InputPpi = Annotated[
+    float | None,
+    Parameter(
+        help="Pixels per inch of prints whose files do not state it; where they do, it is taken all the same.",
+    ),
+]
 
 
 def silent(stage: str, fraction: float) -> None:

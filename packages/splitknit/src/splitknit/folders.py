@@ -161,8 +161,6 @@ def reconstruct_to_folder(
         Go on where photographs that contradict each other spoil the surface of skin.
     strict
         Write nothing where a note says that something spoils the surface.
-    settings
-        Changed settings, each as STAGE.FIELD=VALUE; --settings names a JSON or TOML file of them.
     photographs
         What is known of photographs in place of a capture folder.
 

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 from cyclopts import Parameter
 
-from splitknit.arguments import AnyPath, Progress, Report, silent
+from splitknit.arguments import AnyPath, InputPpi, Progress, Report, silent
 from splitknit.errors import require
 from splitknit.findings import Finding
 from splitknit.folders import capture_of
@@ -32,7 +32,7 @@ def import_files(
     fingers: str | None = None,
     keep: Annotated[bool, Parameter(alias="--force")] = False,
     overwrite: bool = False,
-    input_ppi: float | None = None,
+    input_ppi: InputPpi = None,
     photographs: AllPhotographs = NO_PHOTOGRAPHS,
     progress: Progress = silent,
 ) -> Report:
@@ -57,8 +57,6 @@ def import_files(
         Keep a hand of `fingers` that the tips contradict.
     overwrite
         Replace an earlier capture in `out`.
-    input_ppi
-        Pixels per inch of prints whose files do not state it; where they do, it is taken all the same.
     photographs
         What is known of photographs.
 

@@ -13,6 +13,7 @@ from splitknit.arguments import (
     AnyPath,
     Device,
     Fraction,
+    InputPpi,
     Natural,
     Preset,
     Progress,
@@ -23,6 +24,7 @@ from splitknit.arguments import (
     silent,
 )
 from splitknit.errors import BadInput, require
+from splitknit_match.gallery.verbs import KeyFile
 
 if TYPE_CHECKING:
     from splitknit_match.batch.cases import Case
@@ -147,7 +149,7 @@ def enroll(
     gallery: AnyPath,
     sources: Sequence[AnyPath] = (),
     *,
-    key_file: AnyPath | None = None,
+    key_file: KeyFile = None,
     person: str | None = None,
     finger: str | None = None,
     session: str | None = None,
@@ -157,7 +159,7 @@ def enroll(
     with_time: bool = False,
     duplicates: Literal["refuse", "warn", "allow"] | None = None,
     pad: bool = False,
-    input_ppi: float | None = None,
+    input_ppi: InputPpi = None,
     mask: AnyPath | None = None,
     box: str | None = None,
     preset: Preset = "metric",
@@ -173,8 +175,6 @@ def enroll(
         Capture folder, result folder, template (.skt), print (PNG, TIFF, JPEG, BMP, WSQ, ISO 19794-4, ANSI/NIST-ITL)
         or record of minutiae (ISO 19794-2, ANSI 378), or photograph of a finger in colour; several are sessions of one
         finger.
-    key_file
-        Key of an encrypted gallery: a passphrase, or 64 hexadecimal digits (or the variable SPLITKNIT_GALLERY_KEY).
     person
         Whose finger it is.
     finger
@@ -195,8 +195,6 @@ def enroll(
         (allow).
     pad
         Refuse presentation attacks; where it is unknown whether it is one, a note says so.
-    input_ppi
-        Pixels per inch of prints whose files do not state it; where they do, it is taken all the same.
     mask
         The finger of a photograph: an image of its size, white on the finger.
     box

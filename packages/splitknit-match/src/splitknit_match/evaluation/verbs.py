@@ -11,6 +11,7 @@ from cyclopts import Parameter
 
 from splitknit.arguments import SEVERAL, AnyPath, Natural, Progress, Report, checked, silent
 from splitknit.errors import require
+from splitknit_match.gallery.verbs import KeyFile
 
 _FUSIONS = ("linear", "minmax", "trained")
 
@@ -20,7 +21,7 @@ def evaluate_files(
     *,
     scores: Annotated[Sequence[AnyPath], SEVERAL] = (),
     gallery: AnyPath | None = None,
-    key_file: AnyPath | None = None,
+    key_file: KeyFile = None,
     out: AnyPath,
     dissimilarity: bool = False,
     cluster: Literal["auto", "plain", "finger", "subject"] = "auto",
@@ -42,8 +43,6 @@ def evaluate_files(
         finger_a, finger_b, subject_a, subject_b, session_a, session_b; several files are compared.
     gallery
         Instead: compare all sessions of a gallery with each other; scores.csv is written as well.
-    key_file
-        Key of an encrypted gallery: a passphrase, or 64 hexadecimal digits (or the variable SPLITKNIT_GALLERY_KEY).
     out
         Folder to write the report into.
     dissimilarity

@@ -10,8 +10,11 @@ from dataclasses import asdict, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
+from cyclopts import Parameter
+
 from splitknit.arguments import (
     AnyPath,
+    InputPpi,
     Natural,
     Preset,
     Progress,
@@ -34,6 +37,13 @@ else:
     GivenKey = AnyPath
     Identification = Any
 
+KeyFile = Annotated[
+    AnyPath | None,
+    Parameter(
+        help="Key of an encrypted gallery: a passphrase, or 64 hexadecimal digits (or the variable "
+        "SPLITKNIT_GALLERY_KEY).",
+    ),
+]
 LOCAL = ("127.0.0.1", "::1", "localhost")
 
 
@@ -100,7 +110,7 @@ def identify_in_gallery(
     gallery: AnyPath,
     probe: AnyPath,
     *,
-    key_file: AnyPath | None = None,
+    key_file: KeyFile = None,
     top: Natural = 10,
     person: str | None = None,
     finger: str | None = None,
@@ -108,7 +118,7 @@ def identify_in_gallery(
     merge: Literal["person", "finger", "none"] = "person",
     pad: bool = False,
     raw: bool = False,
-    input_ppi: float | None = None,
+    input_ppi: InputPpi = None,
     preset: Preset = "metric",
     progress: Progress = silent,
 ) -> Identification | Report:
@@ -120,8 +130,6 @@ def identify_in_gallery(
         File of the gallery.
     probe
         Capture folder, result folder, template (.skt), print, record of minutiae, or photograph of a finger in colour.
-    key_file
-        Key of an encrypted gallery: a passphrase, or 64 hexadecimal digits (or the variable SPLITKNIT_GALLERY_KEY).
     top
         Candidates that are reported.
     person
@@ -136,8 +144,6 @@ def identify_in_gallery(
         Refuse presentation attacks; where it is unknown whether it is one, a note says so.
     raw
         Print the method's own scores too (--json always has them).
-    input_ppi
-        Pixels per inch of prints whose files do not state it; where they do, it is taken all the same.
     preset
         How captures are reconstructed.
 
@@ -182,15 +188,13 @@ def _opened(gallery: AnyPath, key_file: AnyPath | None) -> Iterator[Gallery]:
     warn_of_gallery(gallery, key_file)
 
 
-def gallery_list(gallery: AnyPath, *, key_file: AnyPath | None = None, person: str | None = None) -> Report:
+def gallery_list(gallery: AnyPath, *, key_file: KeyFile = None, person: str | None = None) -> Report:
     """List whose fingers are in it.
 
     Parameters
     ----------
     gallery
         File of the gallery.
-    key_file
-        Key of an encrypted gallery: a passphrase, or 64 hexadecimal digits (or the variable SPLITKNIT_GALLERY_KEY).
     person
         Of this person only.
 
@@ -224,15 +228,13 @@ def gallery_list(gallery: AnyPath, *, key_file: AnyPath | None = None, person: s
     return Report({"gallery": str(gallery), "captures": captures}, tuple(lines))
 
 
-def gallery_info(gallery: AnyPath, *, key_file: AnyPath | None = None) -> Report:
+def gallery_info(gallery: AnyPath, *, key_file: KeyFile = None) -> Report:
     """Show numbers and sizes.
 
     Parameters
     ----------
     gallery
         File of the gallery.
-    key_file
-        Key of an encrypted gallery: a passphrase, or 64 hexadecimal digits (or the variable SPLITKNIT_GALLERY_KEY).
 
     Returns
     -------
@@ -276,7 +278,7 @@ def gallery_info(gallery: AnyPath, *, key_file: AnyPath | None = None) -> Report
 def gallery_remove(
     gallery: AnyPath,
     *,
-    key_file: AnyPath | None = None,
+    key_file: KeyFile = None,
     person: str,
     finger: str | None = None,
     session: str | None = None,
@@ -287,8 +289,6 @@ def gallery_remove(
     ----------
     gallery
         File of the gallery.
-    key_file
-        Key of an encrypted gallery: a passphrase, or 64 hexadecimal digits (or the variable SPLITKNIT_GALLERY_KEY).
     person
         Whose fingers.
     finger
@@ -310,7 +310,6 @@ def gallery_remove(
     >>> gallery_remove("people.skg", person="Ann").facts["removed"]  # doctest: +SKIP
     4
     """
-
     with _opened(gallery, key_file) as opened:
         removed = opened.remove(person, finger, session)
         left = len(opened)
@@ -318,17 +317,13 @@ def gallery_remove(
     return Report(facts, (f"Removed {count(removed, 'capture')} from {gallery}; {left} are left.",))
 
 
-def gallery_export(
-    gallery: AnyPath, *, key_file: AnyPath | None = None, out: AnyPath, person: str | None = None
-) -> Report:
+def gallery_export(gallery: AnyPath, *, key_file: KeyFile = None, out: AnyPath, person: str | None = None) -> Report:
     """Write all of it, not encrypted, into a folder of templates and a table.
 
     Parameters
     ----------
     gallery
         File of the gallery.
-    key_file
-        Key of an encrypted gallery: a passphrase, or 64 hexadecimal digits (or the variable SPLITKNIT_GALLERY_KEY).
     out
         Folder to write.
     person
@@ -361,9 +356,7 @@ def gallery_export(
     )
 
 
-def gallery_import(
-    gallery: AnyPath, folder: AnyPath, *, key_file: AnyPath | None = None, replace: bool = False
-) -> Report:
+def gallery_import(gallery: AnyPath, folder: AnyPath, *, key_file: KeyFile = None, replace: bool = False) -> Report:
     """Put an exported folder into a gallery, which is made where there is none.
 
     Parameters
@@ -372,8 +365,6 @@ def gallery_import(
         File of the gallery.
     folder
         What 'splitknit gallery export' wrote.
-    key_file
-        Key of an encrypted gallery: a passphrase, or 64 hexadecimal digits (or the variable SPLITKNIT_GALLERY_KEY).
     replace
         Let captures take the place of others.
 
@@ -404,7 +395,7 @@ def gallery_import(
 def serve(
     *,
     gallery: AnyPath,
-    key_file: AnyPath | None = None,
+    key_file: KeyFile = None,
     token_file: AnyPath | None = None,
     host: str = LOCAL[0],
     port: Annotated[int, Limits(1, 65535)] = 8321,
@@ -418,8 +409,6 @@ def serve(
     ----------
     gallery
         File of the gallery, made with the first finger.
-    key_file
-        Key of an encrypted gallery: a passphrase, or 64 hexadecimal digits (or the variable SPLITKNIT_GALLERY_KEY).
     token_file
         Token that clients must send (or the variable SPLITKNIT_SERVE_TOKEN).
     host

@@ -6,7 +6,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
-from splitknit.arguments import AnyPath, Preset, Progress, Report, Settings, checked, refuse_given, silent
+from splitknit.arguments import AnyPath, InputPpi, Preset, Progress, Report, Settings, checked, refuse_given, silent
 from splitknit.errors import BadInput, require
 
 if TYPE_CHECKING:  # a comparison of templates loads neither
@@ -192,7 +192,7 @@ def match_or_make_template(
     fmr: float | None = None,
     decision: AnyPath | None = None,
     template: AnyPath | None = None,
-    input_ppi: float | None = None,
+    input_ppi: InputPpi = None,
     mask: AnyPath | None = None,
     box: str | None = None,
     raw: bool = False,
@@ -221,16 +221,12 @@ def match_or_make_template(
         False match rates of your own prints, as 'splitknit evaluate --calibrate' writes them.
     template
         Write the template of A (.skt).
-    input_ppi
-        Pixels per inch of prints whose files do not state it; where they do, it is taken all the same.
     mask
         The finger of a photograph: an image of its size, white on the finger; of two, A's.
     box
         The part X,Y,W,H of a photograph in which the finger lies, pixels from its upper left; of two, A's.
     raw
         Print the method's own scores too (--json always has them).
-    settings
-        Changed settings, each as STAGE.FIELD=VALUE; --settings names a JSON or TOML file of them.
 
     Returns
     -------

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from cyclopts import Parameter
 
-from splitknit.arguments import AnyPath, Preset, Progress, Report, checked, count, refuse_given, silent
+from splitknit.arguments import AnyPath, InputPpi, Preset, Progress, Report, checked, count, refuse_given, silent
 from splitknit.errors import BadInput, naming, require
 from splitknit.settings import Limits
 
@@ -87,7 +87,7 @@ def print_finger(
     ppi: Literal[500, 1000] = 500,
     px_per_mm: Annotated[float, Limits(1e-3, 1e5)] | None = None,
     ridge_period_mm: Annotated[float | None, Parameter("--ridge-period")] = None,
-    input_ppi: float | None = None,
+    input_ppi: InputPpi = None,
     mask: AnyPath | None = None,
     box: str | None = None,
     preset: Preset = "metric",
@@ -116,8 +116,6 @@ def print_finger(
         Scale on the object, where the input has none.
     ridge_period_mm
         Take the scale from a finger's ridges, which lie so many mm apart: 0.45 is usual, people differ by 8 %.
-    input_ppi
-        Pixels per inch of prints whose files do not state it; where they do, it is taken all the same.
     mask
         The finger of a photograph: an image of its size, white on the finger.
     box
@@ -212,7 +210,7 @@ def export(
     compression: Literal["none", "png", "wsq", "jp2"] = "none",
     owner: Annotated[int, Limits(1, 65535), Parameter(converter=_owner, n_tokens=1)] = 0x0103,
     minutiae: Literal["phase", "mindtct"] = "phase",
-    input_ppi: float | None = None,
+    input_ppi: InputPpi = None,
     preset: Preset = "metric",
     progress: Progress = silent,
 ) -> Report:
@@ -240,8 +238,6 @@ def export(
         IBIA's number of who makes the records (default: 0x0103, not registered).
     minutiae
         How they are found: by the phase of the ridges, or by NIST's mindtct (extra minutiae).
-    input_ppi
-        Pixels per inch of prints whose files do not state it; where they do, it is taken all the same.
     preset
         How captures are reconstructed.
 

@@ -255,7 +255,7 @@ def _report(result: Any, how: How, options: Mapping[str, str]) -> int:
     """Print a result for people, or for programs, and return the exit code."""
     if result is None:
         return DONE
-    facts = _facts_of(result)
+    facts = _facts_of(result) if how.json or how.exit_code else {}
     code = ANSWERS.get(facts.get("answer", ""), DONE) if how.exit_code else DONE
     if how.json:
         text = json.dumps(facts_with_options(facts, options), indent=1, allow_nan=False)

@@ -133,6 +133,17 @@ def open_enrolment(
     return planned
 
 
+def fingers_named(words: str | None) -> tuple[str, ...] | None:
+    """The fingers of an option: all of them, or those with commas between; None where it was not given.
+
+    >>> fingers_named("right_index,left_thumb"), len(fingers_named("all") or ())
+    (('right_index', 'left_thumb'), 10)
+    """
+    if words is None:
+        return None
+    return FINGERS if words == "all" else tuple(words.split(","))
+
+
 def plan_enrolment(
     folder: Path, *, subjects: int | None = None, sessions: int | None = None, fingers: Sequence[str] | None = None
 ) -> Enrolment:
