@@ -178,8 +178,8 @@ class MirrorScene:
         values = [brightest(front.diffuse, None if fallen is None else fallen[front.window])]
         for view, mask, light in zip(self.views, self.masks, sides, strict=True):
             if mask[light.window][::4, ::4].any():
-                shown = light.diffuse * mask[light.window] * np.float32(view.mirror.reflectance)
-                values.append(brightest(shown, None if fallen is None else fallen[light.window]))
+                reflected = light.diffuse * mask[light.window] * np.float32(view.mirror.reflectance)
+                values.append(brightest(reflected, None if fallen is None else fallen[light.window]))
         return max(values)
 
     def _ambient(self, name: str, leds: list[Led]) -> FloatArray:
@@ -252,19 +252,19 @@ def _mirror_frame(view: ReflectedView, mirrors: Sequence[Mirror], camera: Camera
         return _Plate(outline_coverage(camera, corners), corners.mean(axis=0), _face_normal(corners, inwards), albedo)
 
     lip = (plate("lip_front"), plate("lip"))
-    shown = tuple(
-        replace(one, coverage=outline_coverage(camera, view.reflection.points(quad(line))))
-        for one, line in ((plate("shade", 0.0), "shade"), (lip[1], "lip"))
+    reflected = tuple(
+        replace(part, coverage=outline_coverage(camera, view.reflection.points(quad(line))))
+        for part, line in ((plate("shade", 0.0), "shade"), (lip[1], "lip"))
     )
     opposite = tuple(
-        outline_coverage(camera, view.reflection.points(np.asarray(other.corners_mm)))
-        for other in mirrors
-        if other.name != name
+        outline_coverage(camera, view.reflection.points(np.asarray(mirror.corners_mm)))
+        for mirror in mirrors
+        if mirror.name != name
     )
     middle = np.append(_TUBE_MM * inwards[:2], -5.0)
     wall = _Plate(view.coverage, middle, -inwards, _PLASTIC_ALBEDO)
     holder = plate("glass", _GLASS_ALBEDO), plate("back")
-    return _Frame(holder, lip, shown, opposite, wall)
+    return _Frame(holder, lip, reflected, opposite, wall)
 
 
 def _face_normal(corners: Array, inwards: Array) -> Array:
@@ -284,4 +284,4 @@ def _blend(frame: FloatArray, cover: Coverage, over: FloatArray | np.float32, fr
 
 def _received(led: Led, point: Array, normal: Array) -> float:
     """Light of an LED, and of those lit with it, on a facet at `point` (3,) that faces `normal` (3,)."""
-    return sum(float(irradiance(one, point, normal)) for one in (led, *led.also))
+    return sum(float(irradiance(lamp, point, normal)) for lamp in (led, *led.also))

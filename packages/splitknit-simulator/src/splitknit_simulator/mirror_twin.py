@@ -152,7 +152,7 @@ def _view_truth(views: Sequence[ReflectedView], masks: Sequence[BoolArray]) -> d
     truth: dict[str, NDArray[Any]] = {"mirror_names": np.array([view.mirror.name for view in views])}
     for view, mask in zip(views, masks, strict=True):
         mirror, surface = view.mirror, view.surface
-        shown = {
+        arrays = {
             "height_mm": (surface.height_mm, np.nan),
             "shape_mm": (surface.shape_mm, np.nan),
             "normals": (surface.normals, 0.0),
@@ -162,7 +162,7 @@ def _view_truth(views: Sequence[ReflectedView], masks: Sequence[BoolArray]) -> d
             "y_mm": (surface.y_mm, np.nan),
         }
         truth[f"view_{mirror.name}_mask"] = mask
-        for key, (array, empty) in shown.items():
+        for key, (array, empty) in arrays.items():
             if array is not None:
                 truth[f"view_{mirror.name}_{key}"] = np.where(
                     mask if array.ndim == mask.ndim else mask[..., None], array, np.float32(empty)

@@ -56,7 +56,7 @@ class _Reflection:
 
     def led(self, led: Led, reflectance: float) -> Led:
         """The image of an LED: as bright as the mirror lets it."""
-        others = tuple(self.led(other, reflectance) for other in led.also)
+        others = tuple(self.led(lamp, reflectance) for lamp in led.also)
         image = replace(led, intensity=led.intensity * reflectance, also=others, reflected=True)
         if led.position_mm is None:
             return replace(image, direction=_triple(self.vectors(np.asarray(led.direction))))

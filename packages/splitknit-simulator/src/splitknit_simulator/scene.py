@@ -188,7 +188,7 @@ def _flat(prefix: str, values: Mapping[str, Any]) -> dict[str, NDArray[Any]]:
         if isinstance(value, Mapping):
             result |= _flat(name, value)
         elif isinstance(value, list):
-            result |= _flat(name, {str(k): one for k, one in enumerate(value)})
+            result |= _flat(name, {str(k): entry for k, entry in enumerate(value)})
         elif value is not None:
             result[name] = np.asarray(value)
     return result
@@ -290,7 +290,7 @@ class Scene:
         if not any(led.colour for led in leds):
             return brightest(light.diffuse, fallen)
         seen = 1.0 if fallen is None else fallen[::4, ::4]
-        found = []
+        levels = []
         for group in groups:
             total = np.zeros((3, *light.diffuse[0, 0, ::4, ::4].shape))
             for k in group:
@@ -300,8 +300,8 @@ class Scene:
                     total += self._mixing[:, c, None, None] * sample[c]
                 else:
                     total += sample
-            found += [float(np.percentile(channel[channel > 0], 99.9)) for channel in total]
-        return max(found)
+            levels += [float(np.percentile(channel[channel > 0], 99.9)) for channel in total]
+        return max(levels)
 
     @property
     def _mixing(self) -> NDArray[np.float64]:

@@ -91,7 +91,7 @@ def simulate(
     mirrors
         Mirrors beside the finger, seen in the same picture: left, right, tip, or several with commas between.
     nir
-        --no-nir: a rig with mirrors does without NIR LEDs.
+        --no-nir: leave out the NIR LEDs; mirrors give the shape.
     impression
         Which capture of the finger: pose and noise change.
     subjects

@@ -234,9 +234,9 @@ def _photograph_moving(
     drawn = drawn_finger(seed, pattern, settings, impression, finger)
     rig = drawn.rig
     members = {name: members_of(name, rig, settings) for name in bands_of(rig, settings)}
-    groups = {name: exposures_of([rig.leds[k] for k in found]) for name, found in members.items()}
+    groups = {name: exposures_of([rig.leds[k] for k in numbers]) for name, numbers in members.items()}
     # band and LEDs of every shot, in the order in which they are taken: the white band first
-    shots = [(name, tuple(members[name][k] for k in group)) for name, found in groups.items() for group in found]
+    shots = [(name, tuple(members[name][k] for k in group)) for name, exposed in groups.items() for group in exposed]
     path_seed, slip_seed = np.random.SeedSequence([seed, impression, 0x53]).spawn(2)
     reference = sum(name == shots[0][0] for name, _ in shots) // 2
     path = draw_path(np.random.default_rng(path_seed), len(shots), settings.motion, reference)

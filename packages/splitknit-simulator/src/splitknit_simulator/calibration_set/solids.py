@@ -187,21 +187,21 @@ class NailScene(_SolidScene):
         return self.plane.points(x, y, w), normal @ self.plane.axes.T
 
 
-def _hull_distance(u: Array, v: Array, radius: float, other: Array, other_radius: float) -> Array:
+def _hull_distance(u: Array, v: Array, radius: float, second: Array, second_radius: float) -> Array:
     """Distance (negative inside) to the hull of a circle about the origin and a circle about `other`."""
-    length = float(np.hypot(*other))
-    slope = (radius - other_radius) / length if length > 0.0 else 2.0 * np.sign(radius - other_radius)
+    length = float(np.hypot(*second))
+    slope = (radius - second_radius) / length if length > 0.0 else 2.0 * np.sign(radius - second_radius)
     if abs(slope) >= 1.0:  # one circle contains the other
         inner = slope > 0 or length == 0.0
         first = np.hypot(u, v) - radius
-        return first if inner else np.hypot(u - other[0], v - other[1]) - other_radius
-    along = (u * other[0] + v * other[1]) / length
-    beside = np.abs(u * other[1] - v * other[0]) / length
+        return first if inner else np.hypot(u - second[0], v - second[1]) - second_radius
+    along = (u * second[0] + v * second[1]) / length
+    beside = np.abs(u * second[1] - v * second[0]) / length
     across = float(np.sqrt(1.0 - slope * slope))
     place = along * across - beside * slope
     straight = beside * across + along * slope - radius
     near = np.hypot(u, v) - radius
-    far = np.hypot(u - other[0], v - other[1]) - other_radius
+    far = np.hypot(u - second[0], v - second[1]) - second_radius
     return np.where(place < 0.0, near, np.where(place > across * length, far, straight))
 
 

@@ -100,9 +100,9 @@ def _matrix(camera: Camera) -> tuple[float, float, float, float, float]:
 
 
 def _distorted(camera: Camera, x: Array, y: Array) -> tuple[Array, Array]:
-    given = tuple(camera.distortion or ())
-    require(len(given) <= 5, "the twin's lens knows the five coefficients k1, k2, p1, p2, k3.")
-    k1, k2, p1, p2, k3 = (*given, *(0.0,) * (5 - len(given)))
+    coefficients = tuple(camera.distortion or ())
+    require(len(coefficients) <= 5, "the twin's lens knows the five coefficients k1, k2, p1, p2, k3.")
+    k1, k2, p1, p2, k3 = (*coefficients, *(0.0,) * (5 - len(coefficients)))
     r2 = x * x + y * y
     radial = 1.0 + r2 * (k1 + r2 * (k2 + r2 * k3))
     return (

@@ -42,8 +42,8 @@ def _scale_reflectance(plates: Array) -> Array:
     """Reflectance of a pile of transparent plates with air between them, light falling straight on. Source: Stokes
     1862, On the intensity of the light reflected from or transmitted through a pile of plates.
     """
-    one = ((KERATIN - 1.0) / (KERATIN + 1.0)) ** 2
-    return 2.0 * plates * one / (1.0 + (2.0 * plates - 1.0) * one)
+    single = ((KERATIN - 1.0) / (KERATIN + 1.0)) ** 2
+    return 2.0 * plates * single / (1.0 + (2.0 * plates - 1.0) * single)
 
 
 def _ridge_angle(ridge: NDArray[np.float32], sigma_px: float) -> Array:
@@ -190,8 +190,8 @@ def _on_chart(values: Array, surface: SimulatedSurface, laid: SkinMap) -> Array:
     assert surface.chart is not None
     chart = np.nan_to_num(surface.chart).astype(np.float64)
     rows, columns = (laid.v0_mm - chart[..., 1]) / laid.pitch_mm, (chart[..., 0] - laid.u0_mm) / laid.pitch_mm
-    found = ndimage.map_coordinates(values, [rows, columns], order=1, mode="mirror")
-    return np.where(surface.mask, found, 0.0)
+    sampled = ndimage.map_coordinates(values, [rows, columns], order=1, mode="mirror")
+    return np.where(surface.mask, sampled, 0.0)
 
 
 def _ridges_in_space(angle_rad: Array, surface: SimulatedSurface, laid: SkinMap) -> FloatArray:
@@ -343,11 +343,11 @@ def _weathered(
     return Coat("scarred", condition.severity, fraction, smooth.astype(np.float32), tint=tint)
 
 
-def _tint(skin: SkinOptics, other: SkinOptics) -> dict[str, float]:
+def _tint(skin: SkinOptics, affected: SkinOptics) -> dict[str, float]:
     """Diffuse reflectance of another medium over that of the skin, for every channel."""
 
     def albedo(settings: SkinOptics, name: str) -> float:
         optics = settings.channel(name)  # type: ignore[arg-type]
         return float(diffusion_profile(optics.scattering_per_mm, optics.absorption_per_mm).albedo)
 
-    return {name: albedo(other, name) / albedo(skin, name) for name in CHANNELS}
+    return {name: albedo(affected, name) / albedo(skin, name) for name in CHANNELS}

@@ -270,8 +270,8 @@ def _find_landmarks(
         return lattice.find(np.asarray(points, dtype=np.float64).reshape(-1, 2))
 
     def visible(points: Any) -> Array:
-        found = pixels(points)
-        return found[np.isfinite(found).all(axis=1)]
+        places = pixels(points)
+        return places[np.isfinite(places).all(axis=1)]
 
     creases = [visible(line[::8]) for line in skin.crease_lines]
     minutiae = pixels(master.minutiae[:, :2]) if len(master.minutiae) else np.zeros((0, 2))

@@ -178,7 +178,7 @@ def moving_finger(
     rng = np.random.default_rng(seed)
     unit_mm = 0.1 * _SLIP_SMOOTH_MM
     fields = [draw_deformation(rng, master, unit_mm, _SLIP_SMOOTH_MM) for _ in "12"]
-    first, second = (Deformation(one.u_mm, one.v_mm, one.shift_mm * (1 / unit_mm)) for one in fields)
+    first, second = (Deformation(drawn.u_mm, drawn.v_mm, drawn.shift_mm * (1 / unit_mm)) for drawn in fields)
     return _MovingFinger(finger, pose, camera, master, path, (first, second))
 
 

@@ -350,10 +350,10 @@ def meet_body(body: FingerBody, placement: Placement, rays: _Rays, start: Array)
 
 
 def _meet_along(
-    body: FingerBody, placement: Placement, rays: _Rays, heights: tuple[Array, float], found: tuple[Array, BoolArray]
+    body: FingerBody, placement: Placement, rays: _Rays, heights: tuple[Array, float], hits: tuple[Array, BoolArray]
 ) -> None:
     """Follow the rays that Newton's steps lost, in small steps; heights and hits of `found` are changed in place."""
-    (start, bottom), (z, settled) = heights, found
+    (start, bottom), (z, settled) = heights, hits
     which = np.nonzero(~settled)[0]
     here = start[which].copy()
     while which.size:

@@ -115,8 +115,8 @@ class CoatedPatch:
         self.grains = grains and replace(grains, column=grains.column - columns.start, row=grains.row - rows.start)
         self.body = _apart(body)
         self.normal = (patch.nx, patch.ny, patch.nz)
-        zero, one = np.zeros_like(patch.nz), np.ones_like(patch.nz)
-        self.view: Vectors = (zero, zero, one) if patch.view is None else patch.view
+        zeros, ones = np.zeros_like(patch.nz), np.ones_like(patch.nz)
+        self.view: Vectors = (zeros, zeros, ones) if patch.view is None else patch.view
         shape = patch.mask.shape
         self.hidden = np.zeros(shape, dtype=np.float32)
         if self.grains is not None:
@@ -147,9 +147,9 @@ class CoatedPatch:
         """Light that enters the skin, that the surface reflects, and that scales and grains scatter; (h, w) each."""
         patch = self.patch
         sums = np.zeros((3, *patch.mask.shape), dtype=np.float32)
-        for one in (led, *led.also):
-            lx, ly, lz, strength = towards(one, patch.x, patch.y, patch.z)
-            parts = self._lit((lx, ly, lz), np.asarray(strength), angular_size(one, led_radius_mm), glare)
+        for lamp in (led, *led.also):
+            lx, ly, lz, strength = towards(lamp, patch.x, patch.y, patch.z)
+            parts = self._lit((lx, ly, lz), np.asarray(strength), angular_size(lamp, led_radius_mm), glare)
             for k, part in enumerate(parts):
                 sums[k] += part
         return sums[0], sums[1], sums[2]
@@ -254,8 +254,9 @@ def _reflected(
         """Sum of the squared tangential parts of a direction, times (or over) the squared roughnesses."""
         sine = np.maximum(1.0 - cosine * cosine, 0.0)
         part = np.zeros_like(sine) if along is None else np.minimum(_dot(along, direction) ** 2, sine)
-        one, other = np.square(first), np.square(across)
-        return np.asarray(part * one + (sine - part) * other if power > 0 else part / one + (sine - part) / other)
+        first2, across2 = np.square(first), np.square(across)
+        rest = sine - part
+        return np.asarray(part * first2 + rest * across2 if power > 0 else part / first2 + rest / across2)
 
     below = squashed(half, nh, -1) + nh * nh
     distribution = 1.0 / (np.pi * first * across * below * below)

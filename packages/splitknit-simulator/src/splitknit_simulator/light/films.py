@@ -73,7 +73,7 @@ class Films:
     analyser_rad: Array  # (2,) axes of the camera's film
     shift_px: Array  # (2,) columns and rows by which the crossed series is shifted
     # by series and LED: axes (x, y, z) of the films before side lights, which face the finger, not the camera
-    aside: Mapping[tuple[int, int], Vectors]
+    side_axes: Mapping[tuple[int, int], Vectors]
 
     def specular(self, series: int, k: int, light: Vectors, view: Vectors) -> Array:
         """What passes of the light that the surface reflects, over what it reflects of unpolarised light.
@@ -82,14 +82,14 @@ class Films:
         `light`, `view`: unit vectors from the surface to the LED and to the camera.
         """
         leak = 1.0 / self.settings.extinction
-        polariser = self.aside.get((series, k), float(self.polariser_rad[series, k]))
+        polariser = self.side_axes.get((series, k), float(self.polariser_rad[series, k]))
         passed = reflected_through(light, view, polariser, float(self.analyser_rad[series]), leak)
         return 0.5 * passed / fresnel(np.sqrt(0.5 + 0.5 * _dot(light, view)))
 
     def once_scattered(self, series: int, k: int, light: Vectors, view: Vectors) -> Array:
         """What light scattered once adds, over itself, to what would pass had it lost its polarisation."""
         leak, kept = 1.0 / self.settings.extinction, self.settings.kept
-        polariser = self.aside.get((series, k), float(self.polariser_rad[series, k]))
+        polariser = self.side_axes.get((series, k), float(self.polariser_rad[series, k]))
         analyser = float(self.analyser_rad[series])
         fields = [_unit(_across(field, view)) for field in _fields(polariser, light)]
         weights = (1.0, leak)
@@ -135,15 +135,15 @@ def mounted_films(settings: FilmSettings, leds: Sequence[Led], rng: np.random.Ge
     else:
         polariser[1] = polariser[0]
         analyser[1] += np.pi / 2
-    aside = {}
+    side_axes = {}
     for k in side_lights(leds):
         place = leds[k].position_mm or ()
         for series, along in enumerate((axis, axis + np.pi / 2 * (settings.kind == "leds"))):
             polariser[series, k] += turned_film_rad(place, along) - along
-            aside[series, k] = _fields(float(polariser[series, k]), _unit(place))[0]
+            side_axes[series, k] = _fields(float(polariser[series, k]), _unit(place))[0]
     direction = rng.uniform(0.0, 2.0 * np.pi)
     shift = settings.shift_px * np.array([np.cos(direction), np.sin(direction)]) * (settings.kind == "analyser")
-    return Films(settings, polariser, analyser, shift, aside)
+    return Films(settings, polariser, analyser, shift, side_axes)
 
 
 def with_crossed_leds(rig: Rig) -> Rig:
@@ -183,8 +183,8 @@ def moved(frame: FloatArray, shift_px: Array) -> FloatArray:
     if not shift_px.any():
         return frame
     matrix, how = np.column_stack([np.eye(2), shift_px]), cv2.INTER_LANCZOS4
-    found = cv2.warpAffine(frame, matrix, frame.shape[1::-1], flags=how, borderMode=cv2.BORDER_REPLICATE)
-    return np.asarray(np.maximum(found, 0.0), dtype=np.float32)
+    moved = cv2.warpAffine(frame, matrix, frame.shape[1::-1], flags=how, borderMode=cv2.BORDER_REPLICATE)
+    return np.asarray(np.maximum(moved, 0.0), dtype=np.float32)
 
 
 def reflected_through(
@@ -203,9 +203,9 @@ def reflected_through(
     size = np.sqrt(_dot(s, s))
     # light along the line of sight has no plane of incidence; any will do
     level = size < 1e-9
-    aside = np.where(np.abs(light[0]) < 0.9, 1.0, 0.0)
-    other = _cross(light, (aside, 1.0 - aside, 0.0))
-    s = _unit(tuple(np.where(level, b, a) for a, b in zip(s, other, strict=True)))
+    off_axis = np.where(np.abs(light[0]) < 0.9, 1.0, 0.0)
+    any_across = _cross(light, (off_axis, 1.0 - off_axis, 0.0))
+    s = _unit(tuple(np.where(level, b, a) for a, b in zip(s, any_across, strict=True)))
     before, behind = _cross(light, s), _cross(s, view)  # s x d with d = -light; s x v
     passed: Any = 0.0
     for field, a in zip(_fields(polariser, light), (1.0, leak), strict=True):

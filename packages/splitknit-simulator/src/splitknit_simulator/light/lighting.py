@@ -106,7 +106,7 @@ def white_card(camera: Camera, led: Led, z_mm: float = 0.0, step: int = 16) -> F
         x = ((columns - (width - 1) / 2) / camera.px_per_mm)[None, :]
         y = (((height - 1) / 2 - rows) / camera.px_per_mm)[:, None]
     points, up = (x, y, np.full((rows.size, columns.size), z_mm)), (0.0, 0.0, 1.0)
-    total = np.sum([irradiance(one, points, up) for one in (led, *led.also)], axis=0)
+    total = np.sum([irradiance(lamp, points, up) for lamp in (led, *led.also)], axis=0)
     # bilinear between the centres of the coarse grid, which include the frame's corners
     at = np.linspace(0, rows.size - 1, height)[:, None], np.linspace(0, columns.size - 1, width)
     low_row, low_column = (np.minimum(a.astype(np.intp), n - 2) for a, n in zip(at, total.shape, strict=True))
@@ -118,11 +118,11 @@ def white_card(camera: Camera, led: Led, z_mm: float = 0.0, step: int = 16) -> F
 def light_on(patch: Patch, led: Led, roughness: float, led_radius_mm: float) -> tuple[FloatArray, FloatArray]:
     """Return the irradiance that enters the skin, and the radiance that its surface reflects to the camera, (h, w)."""
     entering, gloss = np.zeros((2, *patch.mask.shape), dtype=np.float32)
-    for one in (led, *led.also):
-        lx, ly, lz, strength = arriving(patch, one, led_radius_mm)
+    for lamp in (led, *led.also):
+        lx, ly, lz, strength = arriving(patch, lamp, led_radius_mm)
         cosine = np.maximum(lx * patch.nx + ly * patch.ny + lz * patch.nz, 0.0)
         entering += strength * cosine * (1.0 - fresnel(cosine))
-        alpha = roughness if one.position_mm is None else min(roughness + angular_size(one, led_radius_mm), 1.0)
+        alpha = roughness if lamp.position_mm is None else min(roughness + angular_size(lamp, led_radius_mm), 1.0)
         gloss += strength * _ggx(patch, (lx, ly, lz), cosine, alpha)
     return entering, gloss
 
@@ -242,5 +242,5 @@ def render_opaque(
     require(0.0 < albedo <= 1.0, f"the albedo must lie in (0, 1], but it is {albedo}.")
     patch = cut_out(surface)
     points, normals = (patch.x, patch.y, patch.z), (patch.nx, patch.ny, patch.nz)
-    light = np.stack([sum(irradiance(one, points, normals) for one in (led, *led.also)) for led in leds])
+    light = np.stack([sum(irradiance(lamp, points, normals) for lamp in (led, *led.also)) for led in leds])
     return patch.window, np.where(patch.mask, light * np.float32(albedo / np.pi), 0.0).astype(np.float32)

@@ -116,7 +116,7 @@ def render_lights(
     diffuse = np.empty((count, len(blur.out), *patch.mask.shape), dtype=np.float32)
     gloss = np.empty((count, *patch.mask.shape), dtype=np.float32)
 
-    def one(k: int) -> None:
+    def render(k: int) -> None:
         entering, gloss[k], extra = shine(k)
         for c, (light, gain) in enumerate(zip(blur(entering, k), gains(k), strict=True)):
             np.multiply(light, gain, out=diffuse[k, c])
@@ -124,7 +124,7 @@ def render_lights(
                 diffuse[k, c] += extra
 
     with ThreadPoolExecutor(blur.settings.workers) as pool:
-        list(pool.map(one, range(count)))
+        list(pool.map(render, range(count)))
     return BandLight(window=patch.window, diffuse=diffuse, glare=gloss)
 
 
@@ -305,23 +305,24 @@ class Relief:
 
     def colour(self, change: Callable[[FloatArray, Channel], FloatArray]) -> None:
         """Change the pigment (h, w) of each channel."""
-        self._pigments = [change(one, name) for one, name in zip(self._pigments, self._skin.channels, strict=True)]
+        named = zip(self._pigments, self._skin.channels, strict=True)
+        self._pigments = [change(pigment, name) for pigment, name in named]
 
     def gains(self, led: Led | None = None) -> Iterator[FloatArray]:
         """(h, w) for each channel, under one LED or (None) under light from everywhere."""
         slanted = None if led is None else _obliquity(self._patch, self._normals, led)
-        for one, pigment in zip(self._skin.optics, self._pigments, strict=True):
-            gain: Any = np.float32(one.relief_gain_per_um)
-            if slanted is not None and one.oblique_gain_per_um > 0.0:
-                gain = gain + np.float32(one.oblique_gain_per_um) * slanted
+        for medium, pigment in zip(self._skin.optics, self._pigments, strict=True):
+            gain: Any = np.float32(medium.relief_gain_per_um)
+            if slanted is not None and medium.oblique_gain_per_um > 0.0:
+                gain = gain + np.float32(medium.oblique_gain_per_um) * slanted
             yield pigment * np.clip(1.0 + gain * self._band, 0.2, 1.8)
 
 
 def _light_below(patch: Patch, normals: FloatArray, led: Led, entry_power: float) -> FloatArray:
     """(h, w) light that enters skin with these `normals` (h, w, 3), with Fresnel's transmittance to a power."""
     total = np.zeros(patch.mask.shape, dtype=np.float32)
-    for one in (led, *led.also):
-        lx, ly, lz, strength = arriving(patch, one)
+    for lamp in (led, *led.also):
+        lx, ly, lz, strength = arriving(patch, lamp)
         cosine = np.maximum(lx * normals[..., 0] + ly * normals[..., 1] + lz * normals[..., 2], 0.0)
         total += strength * cosine * np.maximum(1.0 - fresnel(cosine), 0.02) ** entry_power
     return np.where(patch.mask, total, 0.0).astype(np.float32)

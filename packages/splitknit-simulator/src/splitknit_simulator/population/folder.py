@@ -68,8 +68,8 @@ def simulate_population(
         dealt: dict[str, RealPrint] | None = None  # prints of the population's fingers, as it was begun
         if earlier is not None:
             with refusing(_DAMAGED.format(out / POPULATION_FILE)):
-                dealt = {finger: RealPrint(**one) for finger, one in earlier.get("prints", {}).items()}
-                require(all(one.sound() for one in dealt.values()), "")
+                dealt = {finger: RealPrint(**values) for finger, values in earlier.get("prints", {}).items()}
+                require(all(real_print.sound() for real_print in dealt.values()), "")
         real = choose_prints(prints, settings.seed, plan.subject_ids(), plan.fingers, dealt)
     document = {
         "format": _FORMAT,
@@ -104,7 +104,7 @@ def simulate_population(
         "sessions": enrolment.plan.sessions,
         "fingers": list(enrolment.plan.fingers),
         "prints": len(real.of_finger),
-        "prints_mirrored": sum(one.mirrored for one in real.of_finger.values()),
+        "prints_mirrored": sum(real_print.mirrored for real_print in real.of_finger.values()),
         "workers": workers,
         "simulated": len(waiting),
         "found": before,
@@ -131,11 +131,11 @@ def _simulate_job(job: _Job, settings: PopulationSettings, real: RealPrints, fol
     master, printed = real.master(f"{place.subject}/{place.finger}", finger)
     for place in job:
         target = folder / place.folder
-        shown = population_capture(settings, person, place.finger, place.session, master=master)
-        with atomic_folder(target, overwrite=False) as made:
-            write_capture(shown.capture, made, shown.truth, overwrite=True)
-            text = json_text(shown.facts | {"print": printed})
-            (made / IMPRESSION_FILE).write_text(text, encoding="ascii")
+        simulated = population_capture(settings, person, place.finger, place.session, master=master)
+        with atomic_folder(target, overwrite=False) as written:
+            write_capture(simulated.capture, written, simulated.truth, overwrite=True)
+            text = json_text(simulated.facts | {"print": printed})
+            (written / IMPRESSION_FILE).write_text(text, encoding="ascii")
     return len(job)
 
 
@@ -233,17 +233,17 @@ class RealPrints:
         """A finger's master print, and the real print that it is from, '' where it is drawn; BadInput if it changed."""
         if name not in self.of_finger:
             return finger.master(), ""
-        one = self.of_finger[name]
-        self.check(one)
-        path = self.folder / one.file
-        laid = partial(master_of_print_file, path, finger.seed, finger.print_settings, mirrored=one.mirrored)
-        return naming(path, laid), one.words
+        real_print = self.of_finger[name]
+        self.check(real_print)
+        path = self.folder / real_print.file
+        laid = partial(master_of_print_file, path, finger.seed, finger.print_settings, mirrored=real_print.mirrored)
+        return naming(path, laid), real_print.words
 
-    def check(self, one: RealPrint) -> None:
+    def check(self, real_print: RealPrint) -> None:
         """Refuse a file that is not what it was when the population was begun."""
-        path = self.folder / one.file
+        path = self.folder / real_print.file
         require(
-            path.is_file() and file_hash(path) == one.sha256,
+            path.is_file() and file_hash(path) == real_print.sha256,
             f"'{path}' is not the print that the population was begun with; name the folder that holds it.",
         )
 
@@ -269,8 +269,8 @@ def choose_prints(
     if dealt is not None:
         require(len(dealt) > 0, "the population was begun without real prints; leave them out, or name another folder.")
         kept = RealPrints(folder, dealt)
-        for one in dealt.values():
-            kept.check(one)
+        for real_print in dealt.values():
+            kept.check(real_print)
         return kept
     firsts = _first_impressions(folder)
     wanted = max(1, round(FRACTION * len(subjects) * len(fingers)))
