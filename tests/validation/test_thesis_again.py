@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 import subprocess
+import sys
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -22,21 +23,39 @@ def thesis() -> Iterator[Script]:
         yield named
 
 
-def test_the_dry_run_lists_the_steps_and_makes_nothing(tmp_path: Path) -> None:
+def reproduce(*arguments: object) -> str:
+    command = [sys.executable, THESIS / "reproduce.py", *map(str, arguments)]
+    return subprocess.run(command, capture_output=True, text=True, check=True).stdout
+
+
+def test_time_and_disk_are_stated_and_a_dry_run_makes_nothing(tmp_path: Path) -> None:
     out = tmp_path / "again"
-    listed = subprocess.run(
-        [THESIS / "reproduce.sh", "--dry-run", out], capture_output=True, text=True, check=True, timeout=20
-    ).stdout
-    steps = [
-        "simulate population",
-        " batch ",
-        "run.py cases",
-        "run.py fusion",
-        "run.py figures",
-        "claims",
-    ]
-    assert [word for word in steps if word in listed] == steps
+    stated = reproduce("--out", out, "--people", 2, "--dry-run")
+    assert re.search(r"40 captures, 600 comparisons in 5 cases: about 1\d minutes on 2 cores, 0\.7 GB on disk", stated)
     assert not out.exists()
+
+
+def test_figures_with_commands_of_their_own_and_every_claim_stand_on_the_page(tmp_path: Path, thesis: Script) -> None:
+    reproduce("--out", tmp_path, "--figures", "3.17,4.1")
+    page = (tmp_path / "index.html").read_text(encoding="utf-8")
+    assert "python validation/separation/checkerboard.py" in page
+    assert "14 cm and 5.25 cm are optimal" in page and "Figure 5.4" not in page
+    figures, known = thesis("reproduce").chosen_figures(None), thesis("report").read(THESIS / "tables" / "claims.csv")
+    numbers = {row["number"].rstrip("abcd") for row in known}
+    assert {claim for figure in figures for claim in figure.claims} <= numbers
+    with pytest.raises(SystemExit, match=r"no figure 9\.9"):
+        thesis("reproduce").chosen_figures("9.9")
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(1200)
+def test_a_figure_is_made_beside_the_thesis_and_a_second_run_has_nothing_to_do(tmp_path: Path) -> None:
+    small = ("--people", 2, "--sessions", 2, "--fingers", "right_index,right_thumb", "--scale", 0.2, "--figures", "5.4")
+    reproduce("--out", tmp_path, *small)
+    page = (tmp_path / "index.html").read_text(encoding="utf-8")
+    assert "92, 90, 86 % at FAR 1 %" in page and 'src="figure-5-4.svg"' in page
+    assert (tmp_path / "figure-5-4.svg").read_text(encoding="utf-8").startswith("<")
+    assert "is finished" in reproduce("--out", tmp_path, *small)
 
 
 def test_the_claims_of_the_committed_tables_are_those_of_the_page(thesis: Script) -> None:

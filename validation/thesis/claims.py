@@ -1,6 +1,6 @@
 """The claims of ``docs/experiments/claims.md`` that the tables of a folder can answer, beside what that page has.
 
-python validation/thesis/claims.py FOLDER      # of run.py's tables; reproduce.sh makes them at a tenth of the size
+python validation/thesis/claims.py FOLDER      # of run.py's tables; reproduce.py makes them
 """
 
 from __future__ import annotations
@@ -73,7 +73,7 @@ def table(tables: Mapping[str, Sequence[Row]], known: Sequence[Row]) -> str:
         rows = [row for row in known if row["number"].rstrip("abcd") == str(number)]
         claim, measured = rows[0]["claim"], "; ".join(dict.fromkeys(row["measured"] for row in rows))
         columns = [
-            "; ".join(f"{words} {_cell(tables[name], wanted | (judged if name != 'figures' else {}), figure)}"
+            "; ".join(f"{words} {cell(tables[name], wanted | (judged if name != 'figures' else {}), figure)}"
                       for words, name, wanted, figure in parts if name != "figures" or judged is AVERAGED)
             for judged in (AVERAGED, SINGLE)
         ]  # fmt: skip
@@ -81,7 +81,7 @@ def table(tables: Mapping[str, Sequence[Row]], known: Sequence[Row]) -> str:
     return "\n".join(lines)
 
 
-def _cell(rows: Sequence[Row], wanted: Mapping[str, str], figure: str) -> str:
+def cell(rows: Sequence[Row], wanted: Mapping[str, str], figure: str) -> str:
     """The value, drawn by finger in square brackets and by subject in round ones; or why there is none."""
     row = next((row for row in rows if all(row[key] == value for key, value in wanted.items())), None)
     if row is None:

@@ -38,12 +38,12 @@ CASES = ("snk", "pr", "ea", "pr-split", "ea-split", "metric")
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    options = _parser().parse_args(arguments)
+    options = parse(arguments)
     parts = PARTS if options.part == "all" else (options.part,)
     options.out.mkdir(parents=True, exist_ok=True)
     truth = read_truth(options.population)
     for part in parts:
-        inputs = _inputs(options, part)
+        inputs = inputs_of(options, part)
         if len(parts) > 1 and finished(options.out, part, inputs):
             print(part, "is finished", flush=True)
             continue
@@ -55,6 +55,11 @@ def main(arguments: Sequence[str] | None = None) -> int:
     return 0
 
 
+def parse(arguments: Sequence[str] | None = None) -> argparse.Namespace:
+    """Options of a call."""
+    return _parser().parse_args(arguments)
+
+
 def finished(out: Path, part: str, inputs: str) -> bool:
     """Whether a part has its table, made of the same."""
     runs = out / "runs.json"
@@ -62,7 +67,7 @@ def finished(out: Path, part: str, inputs: str) -> bool:
     return known.get(part, {}).get("inputs_sha256") == inputs and (out / f"{part}.csv").is_file()
 
 
-def _inputs(options: argparse.Namespace, part: str) -> str:
+def inputs_of(options: argparse.Namespace, part: str) -> str:
     """Hash of what a part's figures follow from: options, version, population and the files of the store."""
     names = ("cases", "people", "fraction")
     given = {name: str(getattr(options, name)) for name in names}
