@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 
 from script_folder import Script, scripts_of
+from splitknit_simulator.twin import lay_down, twin_settings
 
 THESIS = Path(__file__).resolve().parents[2] / "validation" / "thesis"
 
@@ -94,3 +95,12 @@ def test_closed_set_scores_are_of_a_query_over_one_session(thesis: Script) -> No
     np.testing.assert_array_equal(scaled[those.genuine], 1.0)
     ends = {"normals": np.array([0.0, 1.0, 0.5]), "shape_normals": np.array([1.0, 3.0, 2.0])}
     np.testing.assert_allclose(authors.fused(ends), [0.0, 0.5, 0.25])
+
+
+def test_frankot_chellappa_with_mirrored_borders_is_poisson_on_the_rectangle(thesis: Script) -> None:
+    paired = thesis("paired")
+    errors = paired.integrated(lay_down(2001, settings=twin_settings(0.1, None))[0])
+    assert abs(errors[paired.MIRRORED] - errors[paired.RECTANGLE]) < 1e-3
+    assert errors[paired.ZEROS] > errors[paired.MASK]
+    summed = paired.row(f"{paired.NIR} - {paired.WHITE}", [-20.0, -30.0, -25.0], "+")
+    assert summed["mean"] == "-25.0 [-37.4, -12.6]" and summed["negative"] == 3

@@ -94,18 +94,18 @@ def measure(capture: Capture) -> Row:
     for count in SCALES:
         result = reconstruct(capture, "pr-split", {"shapelets.scales": count}, memory=memory)
         seen = compare(result, truth)
-        slow = _bands(result.ridge_mm, seen.surface, result)
+        slow = bands(result.ridge_mm, seen.surface, result)
         row[f"3.20 n = {count} ridge correlation"] = seen.figures["ridge_correlation"]
         row[f"3.20 n = {count} power beside the ridges, %"] = _percent_beside(slow)
     nir, white, enhanced = results["snk"].shape_mm, results["ea"].height_mm, results["pr"].height_mm
     for words, surface, case in (("NIR", nir, "snk"), ("white", white, "ea"), ("white, enhanced", enhanced, "pr")):
-        error = _bands(surface - truth["shape_mm"], against[case].surface, results[case])
+        error = bands(surface - truth["shape_mm"], against[case].surface, results[case])
         row[f"3.22 {words}: shape error, um"] = error["shape"]
     for case, result in results.items():
-        error = _bands(result.height_mm - truth["height_mm"], against[case].surface, result)
+        error = bands(result.height_mm - truth["height_mm"], against[case].surface, result)
         row |= {f"5.9 {case}: error {band}, um": error[band] for band in BANDS}
         row[f"5.9 {case}: ridge correlation"] = _ridge(against[case])
-    true = _bands(np.asarray(truth["height_mm"]), against["snk"].surface, results["snk"])
+    true = bands(np.asarray(truth["height_mm"]), against["snk"].surface, results["snk"])
     row |= {f"5.9 truth: {band}, um": true[band] for band in BANDS}
     row["profiles"] = _profiles(results, truth)
     return row
@@ -115,7 +115,7 @@ def _ridge(seen: Comparison) -> float:
     return float(seen.figures["height_band_correlation"])
 
 
-def _bands(values: NDArray[Any], where: NDArray[np.bool_], result: Reconstruction) -> dict[str, float]:
+def bands(values: NDArray[Any], where: NDArray[np.bool_], result: Reconstruction) -> dict[str, float]:
     """Rms by band in um, on a surface and freed from its mean plane: a camera does not know it."""
     inside = result.mask & np.isfinite(values)
     filled = np.where(inside, values, 0.0).astype(np.float64)
