@@ -42,7 +42,7 @@ def test_figures_with_commands_of_their_own_and_every_claim_stand_on_the_page(tm
     assert "python validation/separation/checkerboard.py" in page
     assert "14 cm and 5.25 cm are optimal" in page and "Figure 5.4" not in page
     figures, known = thesis("reproduce").chosen_figures(None), thesis("report").read(THESIS / "tables" / "claims.csv")
-    numbers = {row["number"].rstrip("abcd") for row in known}
+    numbers = {row["number"].rstrip("abcde") for row in known}
     assert {claim for figure in figures for claim in figure.claims} <= numbers
     with pytest.raises(SystemExit, match=r"no figure 9\.9"):
         thesis("reproduce").chosen_figures("9.9")
@@ -100,7 +100,7 @@ def test_closed_set_scores_are_of_a_query_over_one_session(thesis: Script) -> No
 def test_frankot_chellappa_with_mirrored_borders_is_poisson_on_the_rectangle(thesis: Script) -> None:
     paired = thesis("paired")
     errors = paired.integrated(lay_down(2001, settings=twin_settings(0.1, None))[0])
-    assert abs(errors[paired.MIRRORED] - errors[paired.RECTANGLE]) < 1e-3
+    assert abs(errors[paired.MIRRORED] - errors[paired.RECTANGLE]) < 0.01 * errors[paired.MASK]
     assert errors[paired.ZEROS] > errors[paired.MASK]
     summed = paired.row(f"{paired.NIR} - {paired.WHITE}", [-20.0, -30.0, -25.0], "+")
     assert summed["mean"] == "-25.0 [-37.4, -12.6]" and summed["negative"] == 3

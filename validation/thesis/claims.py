@@ -70,7 +70,7 @@ def table(tables: Mapping[str, Sequence[Row]], known: Sequence[Row]) -> str:
     """Markdown: each claim, what the page has, and what these tables have in both ways of judging."""
     lines = ["| # | claim | the page | here, gate and averages | here, single comparisons |", "| --- " * 5 + "|"]
     for number, parts in CLAIMS.items():
-        rows = [row for row in known if row["number"].rstrip("abcd") == str(number)]
+        rows = [row for row in known if row["number"].rstrip("abcde") == str(number)]
         claim, measured = rows[0]["claim"], "; ".join(dict.fromkeys(row["measured"] for row in rows))
         columns = [
             "; ".join(f"{words} {cell(tables[name], wanted | (judged if name != 'figures' else {}), figure)}"

@@ -208,7 +208,7 @@ def _section(
             here[words] = "; ".join(values)
         if here["single"] == here["averaged"]:
             here["single"] = ""
-        for k, row in enumerate(row for row in known if row["number"].rstrip("abcd") == number):
+        for k, row in enumerate(row for row in known if row["number"].rstrip("abcde") == number):
             published = row["number"], row["claim"], row["criterion"] or "-", row["measured"].removesuffix(" exactly")
             this_run = (here["averaged"], here["single"]) if k == 0 else ("", "")
             cells = (*published, verdict(row["rule"], row["measured"]), *this_run)
