@@ -5,11 +5,10 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-import cv2
 import numpy as np
 from msgspec import Struct
 from numpy.typing import NDArray
@@ -20,12 +19,12 @@ from splitknit.imaging.geometry import bounding_box
 from splitknit.io.atomic import write_file
 from splitknit.io.fields import converted, parse_json, read_document
 from splitknit.io.images import read_image
-from splitknit.io.mesh import bands, triangulate, write_ply_pieces
+from splitknit.io.mesh import triangulate, write_ply
 from splitknit.io.npz import read_npz, write_npz
 from splitknit.io.pictures import normal_colours, upright_turn
 from splitknit.io.prints import encode_png, provenance_texts
 from splitknit.io.provenance import JsonValue, canonical_json, settings_hash
-from splitknit.model import NO_SCALE, BoolArray, FloatArray, Reconstruction, require_scale
+from splitknit.model import NO_SCALE, FloatArray, Reconstruction, require_scale
 
 Origin = dict[str, JsonValue]
 LARGEST_MM = 1000.0  # longest side of a result's frame
@@ -169,47 +168,43 @@ def axes_of(material: Any) -> str:
     return f"x right, y {'up' if material == 'opaque' else 'to the fingertip'}, z to the camera"
 
 
-def _vertices(result: Reconstruction, valid: BoolArray) -> Iterator[tuple[FloatArray, FloatArray, FloatArray]]:
-    """Vertices (n, 3) in the shown unit, normals (n, 3) and intensity (n,) of pixels `valid`, by rows, tip along +y."""
-    rows, columns = bounding_box(result.mask)
-    height, width = result.mask.shape
-    turn = upright_turn(result.input_from_upright)
-    albedo = _albedo_bytes(result)
-    x = ((np.arange(width) - (width - 1) / 2) * result.pitch_mm)[None, columns]
-    y = (((height - 1) / 2 - np.arange(height)) * result.pitch_mm)[:, None]
-    for band in bands(valid.shape):
-        here = valid[band]
-        part = (slice(rows.start + band.start, rows.start + band.stop), columns)
-        if result.x_mm is not None and result.y_mm is not None:
-            x = result.x_mm[part]
-            places_y = result.y_mm[part]
-        else:
-            places_y = y[part[0]]
-        places = np.empty((np.count_nonzero(here), 3), dtype=np.float32)
-        normals = np.empty_like(places)
-        nx, ny, normals[:, 2] = (result.normals[part][..., axis][here] for axis in range(3))
-        places[:, 2] = result.height_mm[part][here]
-        for axis, (across, along) in enumerate(turn):
-            places[:, axis] = (across * x + along * places_y)[here]
-            normals[:, axis] = np.float32(across) * nx + np.float32(along) * ny
-        if not result.unit.known:
-            places *= np.float32(result.unit.per_mm)
-        yield places, normals, albedo[part][here] * np.float32(1.0 / 255.0)
+def _mesh_of(
+    result: Reconstruction,
+) -> tuple[tuple[FloatArray, FloatArray, FloatArray], NDArray[np.int32]]:
+    """One vertex for each pixel of the mask, row by row, tip along +y: places (N, 3) in the shown unit, normals (N, 3)
+    and intensity (N,); and faces (M, 3).
+    """
+    box = bounding_box(result.mask)
+    valid = result.mask[box] & np.isfinite(result.height_mm[box])
+    faces, _ = triangulate(valid)
+    if result.x_mm is not None and result.y_mm is not None:
+        x = result.x_mm[box][valid]
+        y = result.y_mm[box][valid]
+    else:
+        height, width = result.mask.shape
+        row, column = np.nonzero(valid)
+        x = (column + box[1].start - (width - 1) / 2) * result.pitch_mm
+        y = ((height - 1) / 2 - (row + box[0].start)) * result.pitch_mm
+    places = np.empty((len(x), 3), dtype=np.float32)
+    places[:, 2] = result.height_mm[box][valid]
+    normals = result.normals[box][valid]
+    nx, ny = normals[:, 0].copy(), normals[:, 1].copy()
+    for axis, (across, along) in enumerate(upright_turn(result.input_from_upright)):
+        places[:, axis] = across * x + along * y
+        normals[:, axis] = np.float32(across) * nx + np.float32(along) * ny
+    intensity = _albedo_bytes(result)[box][valid] * np.float32(1.0 / 255.0)
+    return (result.unit.heights(places), normals, intensity), faces
 
 
 def write_mesh(path: Path, result: Reconstruction, origin: Origin) -> None:
     """Write the mesh: the surface, tip up; one vertex for each pixel of the mask, row by row."""
-    box = bounding_box(result.mask)
-    valid = result.mask[box] & np.isfinite(result.height_mm[box])
-    _, triangles, faces = triangulate(valid)
     comments = [
         f"splitknit {origin['version']}, preset {result.preset}",
         f"unit {result.unit.title}; {axes_of(result.facts.get('material'))}",
         f"settings_sha256 {origin['settings_sha256']}",
         f"inputs_sha256 {settings_hash(origin['inputs'])}",
     ]
-    vertices = int(np.count_nonzero(valid)), _vertices(result, valid)
-    write_ply_pieces(path, vertices, (triangles, faces), comments)
+    write_ply(path, *_mesh_of(result), comments)
 
 
 SURFACES = ("stl", "obj", "glb")
@@ -223,13 +218,9 @@ def surface_bytes(result: Reconstruction, kind: str, title: str) -> tuple[dict[s
     meshes as ``phalange.ply``. Raises BadInput if the result has no scale or no surface, or trimesh is missing.
     """
     require_scale(result)
-    box = bounding_box(result.mask)
-    valid = result.mask[box] & np.isfinite(result.height_mm[box])
-    _, count, pieces = triangulate(valid)
-    require(count > 0, "the result holds no surface; reconstruct the capture again.")
-    vertices, normals, intensity = (np.concatenate(one) for one in zip(*_vertices(result, valid), strict=True))
-    faces = np.concatenate(list(pieces))
-    facts = {"vertices": len(vertices), "faces": count, "unit": "mm"}
+    (vertices, normals, intensity), faces = _mesh_of(result)
+    require(len(faces) > 0, "the result holds no surface; reconstruct the capture again.")
+    facts = {"vertices": len(vertices), "faces": len(faces), "unit": "mm"}
     with importing(_NEEDS_TRIMESH):
         import trimesh
     grey = np.full((len(vertices), 4), 255, dtype=np.uint8)
@@ -251,11 +242,8 @@ def write_normals(path: Path, result: Reconstruction, origin: Origin, normals: F
     """Write the normals (by default those of the surface) as a colour picture on the input's pixel grid."""
     picture = np.zeros((*result.mask.shape, 3), dtype=np.uint8)
     box = bounding_box(result.mask)
-    shown = (result.normals if normals is None else normals)[box]
-    inside = result.mask[box]
-    into = picture[box]
-    for band in bands(inside.shape):
-        cv2.copyTo(normal_colours(shown[band]), inside[band].view(np.uint8), into[band])
+    colours = normal_colours((result.normals if normals is None else normals)[box])
+    picture[box] = np.where(result.mask[box][..., None], colours, np.uint8(0))
     write_picture(path, picture, origin)
 
 
