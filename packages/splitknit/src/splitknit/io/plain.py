@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import os
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -430,14 +430,6 @@ def _assembled(
         code = srgb_code(light) if encoding == "srgb" else light
         flat = np.rint(65535.0 * np.clip(code, 0.0, 1.0)).astype(np.uint16)
     pixels, ambient, black = _as_integers(stack, ambient, black)
-    if form.factor > 1:
-        rows, columns = form.small
-        words = (
-            f"the photographs of {form.megapixels:.3g} megapixels were reduced to "
-            f"{rows * columns / 1e6:.3g} (`max_megapixels`), by means over "
-            f"{form.factor:g} x {form.factor:g} pixels."
-        )
-        notes.append(Finding("reduced-photographs", words))
     band = replace(
         _white_band(pixels[:count], black),
         ambient=ambient,
@@ -452,12 +444,7 @@ def _assembled(
         means = [each.pixels[:, ::8, ::8].mean(dtype=np.float64) for each in bands.values()]
         notes += [Finding("not-specular", NOT_SPECULAR)] if means[1] >= means[0] else []
     check_contents(bands.values())
-    if not camera.scale_known:
-        notes.append(Finding("scale-unknown", UNKNOWN_SCALE))
-    turn = first[0].orientation
-    if turn != 1:
-        words = f"photographs are turned as their EXIF data say (orientation {turn}); lights are for them upright."
-        notes.append(Finding("turned-photographs", words))
+    notes += _notes_on(form, camera, first[0].orientation)
     material = "opaque" if options.nir is None else "skin"  # by near-infrared light a finger
     capture = Capture(
         rig=replace(rig, camera=camera),
@@ -469,6 +456,24 @@ def _assembled(
         hashes=hashes,
     )
     return capture, notes
+
+
+def _notes_on(form: _Form, camera: Camera, orientation: int) -> Iterator[Finding]:
+    """What was done to the photographs."""
+    if form.factor > 1:
+        rows, columns = form.small
+        yield Finding(
+            "reduced-photographs",
+            f"the photographs of {form.megapixels:.3g} megapixels were reduced to {rows * columns / 1e6:.3g} "
+            f"(`max_megapixels`), by means over {form.factor:g} x {form.factor:g} pixels.",
+        )
+    if not camera.scale_known:
+        yield Finding("scale-unknown", UNKNOWN_SCALE)
+    if orientation != 1:
+        yield Finding(
+            "turned-photographs",
+            f"photographs are turned as their EXIF data say (orientation {orientation}); lights are for them upright.",
+        )
 
 
 def _polarised(parallel: Band, crossed: Band) -> dict[str, Band]:
