@@ -157,7 +157,7 @@ def open_file(path: str | os.PathLike[str], max_bytes: int) -> Iterator[tuple[io
 def open_at_once(path: str | os.PathLike[str], flags: int, mode: int = 0o600) -> int:
     """Opener for files: through no link (:func:`given_folders`), and at once where a pipe has no writer."""
     refuse_links(path)
-    return os.open(path, flags | getattr(os, "O_NONBLOCK", 0), mode)
+    return os.open(path, flags | os.O_NONBLOCK, mode)
 
 
 _GIVEN: set[str] = set()
