@@ -12,9 +12,10 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
 from pkgutil import resolve_name
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
+from msgspec import Meta
 from numpy.typing import NDArray
 
 from splitknit.errors import require
@@ -27,6 +28,10 @@ BoolArray = NDArray[np.bool_]
 PixelArray = NDArray[np.uint8] | NDArray[np.uint16]
 Progress = Callable[[str, float], None]
 """Called with the name of a step and the fraction done, 0 to 1."""
+Coordinate = Annotated[float, Meta(ge=-1e7, le=1e7)]
+Point = tuple[Coordinate, Coordinate, Coordinate]
+"""Ranges hold for what is read from files."""
+_Brightness = Annotated[float, Meta(ge=0.01, le=100)]
 COLOURS = ("red", "green", "blue")
 """Colours of LEDs and of a camera's pixels, in the order of an image's channels."""
 
@@ -57,15 +62,15 @@ class Shade:
 class Led:
     """One light: near (`position_mm`) or distant (`direction`, towards the light), never both."""
 
-    band: str
+    band: Annotated[str, Meta(min_length=1)]
     """``white`` or ``nir``."""
-    position_mm: tuple[float, float, float] | None = None
-    direction: tuple[float, float, float] | None = None
-    intensity: float = 1.0
+    position_mm: Point | None = None
+    direction: Point | None = None
+    intensity: Annotated[float, Meta(ge=1e-9, le=1e9)] = 1.0
     """Relative, one scale for the whole rig."""
-    lobe_exponent: float = 0.0
+    lobe_exponent: Annotated[float, Meta(ge=0, le=1000)] = 0.0
     """Exponent of the cosine about the LED's axis; 0 is isotropic."""
-    aim: tuple[float, float, float] | None = None
+    aim: Point | None = None
     """Direction of a near LED's axis, from the LED outwards; None = towards the origin."""
     also: tuple[Led, ...] = ()
     """Further LEDs lit in the same exposure."""
@@ -257,13 +262,13 @@ class Films:
 
     leds: tuple[int, ...]
     """LEDs that light the parallel images."""
-    leak: tuple[float, ...]
+    leak: tuple[Annotated[float, Meta(ge=0, le=0.499)], ...]
     """Specular light in the crossed image, of both: about 1 / extinction ratio + sin^2(angle error)."""
-    brightness: tuple[tuple[float, ...], ...]
+    brightness: tuple[tuple[_Brightness, _Brightness, _Brightness], ...]
     """Red, green, blue: depolarised light of the crossed image over that of the parallel one."""
-    shift_px: tuple[float, float] = (0.0, 0.0)
+    shift_px: tuple[Coordinate, Coordinate] = (0.0, 0.0)
     """Columns and rows by which the middle of the crossed image lies right of and below that of the parallel one."""
-    scale: float = 1.0
+    scale: Annotated[float, Meta(ge=0.9, le=1.1)] = 1.0
     """Size of the crossed image over that of the parallel one."""
 
 
