@@ -193,7 +193,7 @@ Change = Callable[[Any], Any]
             r"bands\.white\.images: .*1000",
         ),
         (lambda d: d["bands"]["white"].update(leds=[0, 1, 2]), "4 images but 3 entries"),
-        (lambda d: d["bands"]["white"].update(leds=[0, 1, 2, 99]), r"leds\[3\] names LED 99, but the rig has 8"),
+        (lambda d: d["bands"]["white"].update(leds=[0, 1, 2, 99]), "LED 99 is not in the rig, which has 8"),
         (lambda d: d["bands"]["white"].update(leds=[0, 1, 2, -1]), r"leds\[3\]: "),
         (lambda d: d["bands"]["white"].update(leds=[0, 1, 2, [3, 3]]), r"leds\[3\] names an LED twice"),
         (lambda d: d["bands"]["white"].update(leds=[0, 1, 2, 4]), "is a 'nir' LED in the rig, not 'white'"),

@@ -45,7 +45,7 @@ def check_contents(bands: Collection[Band]) -> None:
             let_go(band.pixels)
             require(
                 not same,
-                f"{_name(one, j)} and {_name(band, k)} hold the same pixels: "
+                f"{image_name(one, j)} and {image_name(band, k)} hold the same pixels: "
                 "one is a copy; correct the names, or capture it again.",
             )
 
@@ -64,7 +64,7 @@ def check_content(band: Band) -> None:
         dark = bool(part < 100 * _RELATIVE_DARK)
         require(
             not dark,
-            f"{_name(band, k)} is almost black beside the other images "
+            f"{image_name(band, k)} is almost black beside the other images "
             f"(its bright pixels reach {part:.1f} % of theirs): {_leds(band, k)} did not light; capture it again.",
             BadExposure,
         )
@@ -77,7 +77,7 @@ def _check_image(band: Band, k: int, ambient: NDArray[np.float32] | None) -> flo
     let_go(band.pixels)
     black = np.float32(band.black_level[k])
     most = int(sample.max())
-    name = _name(band, k)
+    name = image_name(band, k)
     clips_at = ceil(_FULL_SCALE * scale)
     if most >= clips_at:
         clipped = (sample >= clips_at).sum(axis=0) >= min(2, len(sample))
@@ -143,7 +143,8 @@ def _sample(image: PixelArray) -> NDArray[Any]:
     return np.ascontiguousarray(np.moveaxis(image[::step, ::step], 2, 0)).reshape(image.shape[2], -1)
 
 
-def _name(band: Band, k: int) -> str:
+def image_name(band: Band, k: int) -> str:
+    """What messages call image k."""
     return band.files[k] if band.files else f"image {k} of the band '{band.name}'"
 
 
