@@ -201,8 +201,8 @@ Change = Callable[[Any], Any]
         (lambda d: d["bands"]["white"]["images"].__setitem__(0, {}), r"images\[0\]: .*field file"),
         (lambda d: d["bands"]["white"]["images"].__setitem__(0, "white_1.png"), r"names 'white_1\.png' twice"),
         (
-            lambda d: d["bands"]["white"]["images"].__setitem__(2, "./x/../white_1.png"),
-            r"white.* '\./x/\.\./white_1\.png' twice",
+            lambda d: d["bands"]["white"]["images"].__setitem__(2, "./white_1.png"),
+            r"white.* '\./white_1\.png' twice",
         ),
         (
             lambda d: d["bands"]["white"]["images"].__setitem__(0, {"file": "white_0.png", "exposure_s": 0}),

@@ -150,6 +150,6 @@ def test_provenance_and_canonical_json() -> None:
     assert facts["version"] == splitknit.__version__
     assert facts["settings_sha256"] == settings_hash(Settings())
     assert list(facts["inputs"]) == ["a", "b"]
-    for wrong in (float("nan"), np.float32("inf"), {"a": [float("-inf")]}, {1: 2}, object()):
+    for wrong in (float("nan"), np.float32("inf"), {"a": [float("-inf")]}, object()):
         with pytest.raises(BadInput):
             canonical_json(wrong)
