@@ -12,7 +12,6 @@ import json
 import os
 import shutil
 import sys
-import textwrap
 import traceback
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
@@ -21,7 +20,8 @@ from pathlib import Path
 from typing import Annotated, Any
 
 from cyclopts import App, CycloptsError, Parameter
-from cyclopts.help import HelpEntry
+from cyclopts.help import DefaultFormatter, PanelSpec
+from rich.box import HORIZONTALS
 from rich.console import Console
 
 from splitknit.cli.console import ProgressBar, facts_with_options, one_line, warnings_shown, with_options
@@ -53,41 +53,6 @@ class How:
     exit_code: Annotated[bool, _FLAG] = False
 
 
-class _Help:
-    """Help in plain text: an option a line, and what it does below it."""
-
-    def __call__(self, console: Any, options: Any, panel: Any) -> None:
-        """Print one panel."""
-        if not panel.entries:
-            return
-        lines = [f"{panel.title}:"]
-        below = 8 if panel.format == "parameter" else 15
-        for entry in panel.entries:
-            words = Console(file=io.StringIO(), width=10_000, color_system=None)
-            words.print(entry.description or "")
-            text = " ".join([*words.file.getvalue().split(), *_range_of(entry)])  # type: ignore[attr-defined]
-            label = "  " + ", ".join(entry.display_labels_with_metavar)
-            text_lines = textwrap.wrap(
-                text, options.max_width, initial_indent=" " * below, subsequent_indent=" " * below
-            )
-            if panel.format == "command":
-                label = f"{label:{below}}{text_lines.pop(0).strip() if text_lines else ''}"
-            lines += [label, *text_lines]
-        print(*lines, "", sep="\n", file=console.file)
-
-
-def _range_of(entry: HelpEntry) -> list[str]:
-    """What else is said of an option: its choices, and its default."""
-    words = []
-    if entry.choices:
-        words.append(f"[{', '.join(entry.choices)}]")
-    if entry.required:
-        words.append("(required)")
-    elif entry.default not in (None, "", "False", "()"):
-        words.append(f"(default: {entry.default})")
-    return words
-
-
 def build_app(verb: str | None = None) -> App:
     """Return the app with all verbs, or with the functions of `verb` alone, for which less is loaded."""
     app = App(
@@ -95,7 +60,7 @@ def build_app(verb: str | None = None) -> App:
         help=_ABOUT,
         help_epilogue=_ENDING,
         help_format="plaintext",
-        help_formatter=_Help(),
+        help_formatter=DefaultFormatter(panel_spec=PanelSpec(box=HORIZONTALS)),
         version=_version,
         default_parameter=Parameter(negative="", allow_repeating=True),  # the last one counts
         result_action="return_value",
