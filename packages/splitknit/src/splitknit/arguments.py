@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import functools
 import inspect
+import math
 import os
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
@@ -17,7 +18,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal, ParamSpec, TypeVar
 
 from cyclopts import Parameter
 
-from splitknit.errors import printable, require
+from splitknit.errors import printable, refusing, require
 from splitknit.settings import Limits, check_value, rules_of
 
 P = ParamSpec("P")
@@ -74,6 +75,26 @@ def whole_number(word: str) -> int:
     """The number that a word of the command line is; cyclopts would round 1.5. Raises BadInput."""
     require(word.isascii() and word.removeprefix("-").isdigit(), f"'{word}' must be a whole number")
     return int(word)
+
+
+def point_of(word: str) -> tuple[float, float]:
+    """The two numbers of a word X,Y. Raises BadInput.
+
+    >>> point_of("-3,0.5")
+    (-3.0, 0.5)
+    """
+    wanted = f"'{word}' must be X,Y, two numbers such as -3,0.5"
+    with refusing(wanted):
+        x, y = map(float, word.split(","))
+    require(math.isfinite(x) and math.isfinite(y), wanted)
+    return x, y
+
+
+PlanePoint = Annotated[
+    tuple[float, float],
+    Parameter(converter=lambda _, tokens: point_of(tokens[0].value), n_tokens=1, allow_leading_hyphen=True),
+]
+"""Two numbers that the command line takes as X,Y."""
 
 
 def checked(function: Callable[P, R]) -> Callable[P, R]:
