@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any, Literal
 from splitknit.arguments import AnyPath, Device, Encoding, Preset, Progress, Settings, checked, silent, text_of
 from splitknit.errors import BadInput, naming, require
 from splitknit.findings import Finding, Severity, worst_first
-from splitknit.io.photographs import NO_PHOTOGRAPHS, AllPhotographs, GivenPhotographs, Lights
+from splitknit.io.photographs import NO_PHOTOGRAPHS, OF_CAPTURES, AllPhotographs, GivenPhotographs, Lights
 
 if TYPE_CHECKING:
     from splitknit.model import Capture
@@ -191,7 +191,7 @@ def reconstruct_to_folder(
     both = "; both were given." if capture is not None else "."
     one = (capture is None) != (photographs.images is None)
     require(one, f"name a capture folder, or photographs with `images` DIR `lights` FILE{both}")
-    photographs.refuse_without_images()
+    photographs.refuse_without_images(*OF_CAPTURES)
     changes = dict(settings or {}) | ({"keep": True} if keep else {})
     if shape is not None:
         changes["shape.source"] = shape

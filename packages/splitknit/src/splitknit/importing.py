@@ -15,7 +15,7 @@ from splitknit.arguments import AnyPath, InputPpi, Progress, Report, silent
 from splitknit.errors import require
 from splitknit.findings import Finding
 from splitknit.folders import capture_of
-from splitknit.io.photographs import NO_PHOTOGRAPHS, AllPhotographs, GivenPhotographs
+from splitknit.io.photographs import NO_PHOTOGRAPHS, OF_CAPTURES, AllPhotographs, GivenPhotographs
 from splitknit.registry import IMPORTS, MATCH, extension
 
 _SURFACES = (".ply", ".xyz", ".obj", ".stl")
@@ -82,7 +82,7 @@ def import_files(
     known = replace(photographs, nir=nir, material=material)
     if fingers is not None:
         require(len(files) < 2, "`fingers` takes one capture, or `images` of one.")
-        photographs.refuse_without_images()
+        photographs.refuse_without_images(*OF_CAPTURES)
         folder = Path(files[0] if images is None else images)
         return _import_fingers(folder, known, Path(out), fingers, keep=keep, overwrite=overwrite, progress=progress)
     cloud = next((file for file in files if Path(file).suffix.lower() in _SURFACES), None)
@@ -91,7 +91,7 @@ def import_files(
     if images is None:
         require(nir is None, "`nir` goes with `images`.")
         require(not overwrite, "`overwrite` goes with `images`.")
-        photographs.refuse("goes with `images`.")
+        photographs.refuse_without_images()
         import_prints = extension(IMPORTS, "prints", "the import of prints", MATCH)
         return import_prints(files, out, input_ppi, progress)  # type: ignore[no-any-return]
     return _import_photographs(known, Path(out), overwrite=overwrite, progress=progress)

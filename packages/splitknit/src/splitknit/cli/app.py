@@ -24,7 +24,7 @@ from cyclopts.help import DefaultFormatter, PanelSpec
 from rich.box import HORIZONTALS
 from rich.console import Console
 
-from splitknit.cli.console import ProgressBar, facts_with_options, one_line, warnings_shown, with_options
+from splitknit.cli.console import ProgressBar, one_line, warnings_shown, with_options
 from splitknit.cli.exits import ANSWERS, BAD_INPUT, DONE, INTERNAL_ERROR, fail, say
 from splitknit.cli.options import read_changes
 from splitknit.errors import BadInput, Refused, given_folders
@@ -154,31 +154,32 @@ def options_of(app: App, words: Sequence[str]) -> dict[str, str]:
 def _guarded(app: App, words: Sequence[str], how: How) -> int:
     """Run the verb; turn what goes wrong into one line and an exit code."""
     options: Mapping[str, str] = {}
-    code = BAD_INPUT
     try:
         options = options_of(app, words)
         command, bound, ignored = app.parse_args(list(words))
         if command.__name__ == "help_print":  # a group of verbs, without one
             return _help(app, words)
         return _report(_called(command, bound, "progress" in ignored, how, options), how, options)
-    except (CycloptsError, BadInput) as error:
+    except Exception as error:
         if how.json and isinstance(error, Refused):
             say(json.dumps(error.facts, indent=1, allow_nan=False) + "\n", BAD_INPUT)
-        cause: Exception = error
-        message = f"error: {one_line(error, options)}"
-    except PermissionError as error:
-        cause = error
-        message = f"error: '{one_line(error.filename, {})}' cannot be reached: {error.strerror}."
-    except MemoryError as error:
-        cause = error
-        message, code = "error: not enough memory for this capture; use smaller images or more memory.", INTERNAL_ERROR
-    except Exception as error:
-        cause = error
-        advice = "internal error, please report it; --traceback shows where"
-        message, code = f"{type(error).__name__}: {one_line(error, options)} ({advice})", INTERNAL_ERROR
-    if how.traceback:
-        traceback.print_exception(cause)
-    return fail(f"splitknit: {message}", code)
+        if how.traceback:
+            traceback.print_exception(error)
+        message, code = _reported(error, options)
+        return fail(f"splitknit: {message}", code)
+
+
+def _reported(error: Exception, options: Mapping[str, str]) -> tuple[str, int]:
+    """An error as one line, and its exit code."""
+    line = one_line(error, options)
+    if isinstance(error, CycloptsError | BadInput):
+        return f"error: {line}", BAD_INPUT
+    if isinstance(error, PermissionError):
+        return f"error: '{one_line(error.filename, {})}' cannot be reached: {error.strerror}.", BAD_INPUT
+    if isinstance(error, MemoryError):
+        return "error: not enough memory for this capture; use smaller images or more memory.", INTERNAL_ERROR
+    advice = "internal error, please report it; --traceback shows where"
+    return f"{type(error).__name__}: {line} ({advice})", INTERNAL_ERROR
 
 
 def _called(command: Any, bound: BoundArguments, reports: bool, how: How, options: Mapping[str, str]) -> Any:
@@ -218,19 +219,11 @@ def _permissions(group_readable: bool) -> Iterator[None]:
 
 def _report(result: Any, how: How, options: Mapping[str, str]) -> int:
     """Print a result for people, or for programs, and return the exit code."""
+    from splitknit.io.provenance import known_json  # not for help
+
     if result is None:
         return DONE
-    facts = _facts_of(result) if how.json or how.exit_code else {}
+    facts: Any = known_json(getattr(result, "facts", result)) if how.json or how.exit_code else {}
     code = ANSWERS.get(facts.get("answer", ""), DONE) if how.exit_code else DONE
-    if how.json:
-        text = json.dumps(facts_with_options(facts, options), indent=1, allow_nan=False)
-    else:
-        text = with_options(str(result), options)
-    return say(f"{text}\n", code)
-
-
-def _facts_of(result: Any) -> Any:
-    from splitknit.io.provenance import known_json
-
-    facts = getattr(result, "facts", result)
-    return known_json(facts)
+    text = json.dumps(facts, indent=1, allow_nan=False) if how.json else str(result)
+    return say(f"{with_options(text, options)}\n", code)

@@ -9,7 +9,6 @@ import sys
 import time
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
-from typing import Any
 
 from splitknit.errors import printable
 from splitknit.registry import MEMBERS
@@ -29,15 +28,6 @@ def one_line(error: object, options: Mapping[str, str]) -> str:
 def with_options(text: str, options: Mapping[str, str]) -> str:
     """Return `text` with the options of the arguments that stand between backticks; other names stay as words."""
     return re.sub("`([a-z_0-9]+)`", lambda name: options.get(name[1], name[1]), text)
-
-
-def facts_with_options(facts: Any, options: Mapping[str, str]) -> Any:
-    """Facts with the options that their sentences name."""
-    if isinstance(facts, Mapping):
-        return {key: facts_with_options(value, options) for key, value in facts.items()}
-    if isinstance(facts, list | tuple):
-        return [facts_with_options(item, options) for item in facts]
-    return with_options(facts, options) if isinstance(facts, str) else facts
 
 
 @contextmanager

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import KW_ONLY, dataclass
+from dataclasses import KW_ONLY, dataclass, fields
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
@@ -118,23 +118,16 @@ class GivenPhotographs(PhotographOptions):
         PhotographOptions.__post_init__(self)
         check_scale(self.px_per_mm, self.ridge_period_mm)
 
-    def refuse_without_images(self) -> None:
-        """Refuse what only photographs have where there are none. Raises BadInput."""
+    def refuse_without_images(self, *others: str) -> None:
+        """Refuse what only photographs have where there are none, but for `others`. Raises BadInput."""
         if self.images is None:
-            refuse_given(
-                "goes with `images`.",
-                lights=self.lights, mask=self.mask, material=self.material, encoding=self.encoding,
-                brightness=self.brightness, background=self.background, max_megapixels=self.max_megapixels,
-                crossed=self.crossed, mosaic=self.mosaic, flat=self.flat,
-            )  # fmt: skip
+            kept = (*others, "film_deg", "nir")
+            stated = {field.name: getattr(self, field.name) for field in fields(self) if field.name not in kept}
+            refuse_given("goes with `images`.", **stated)
 
-    def refuse(self, why: str) -> None:
-        """Refuse whatever is known of photographs; `why` follows its name. Raises BadInput."""
-        self.refuse_without_images()
-        refuse_given(
-            why, tip_direction_deg=self.tip_direction_deg, light_frame=self.light_frame, px_per_mm=self.px_per_mm,
-            ridge_period_mm=self.ridge_period_mm,
-        )  # fmt: skip
+
+OF_CAPTURES = ("tip_direction_deg", "light_frame", "px_per_mm", "ridge_period_mm")
+"""What is known of photographs, and can be stated of a capture folder too."""
 
 
 def check_scale(px_per_mm: float | None, ridge_period_mm: float | None) -> None:
