@@ -102,44 +102,47 @@ def read_fields(
     false ``scale_known``. Raises BadInput if the file is damaged, an array is missing, of another shape, or impossible,
     or the scale is unknown.
     """
-    in_pixels = [name.removesuffix("_mm") + "_px" for name in names if name.endswith("_mm")]
-    arrays: dict[str, Any] = dict(read_npz(path, (*_FRAME, *names, *optional, *in_pixels)))
-    known = "pitch_mm" in arrays or not any(name in arrays for name in in_pixels)
+    pixel_names = {f"{name.removesuffix('_mm')}_px": name for name in names if name.endswith("_mm")}
+    arrays: dict[str, Any] = dict(read_npz(path, (*_FRAME, *names, *optional, *pixel_names)))
+    lengths_px = {name: arrays.pop(pixel) for pixel, name in pixel_names.items() if pixel in arrays}
+    known = "pitch_mm" in arrays or not lengths_px
     require(known or unscaled, f"{path}: {NO_SCALE}")
     if not known:
-        arrays = {name.removesuffix("_px") + "_mm" if name in in_pixels else name: arrays[name] for name in arrays}
-        arrays["pitch_mm"] = np.array(1.0)
-    arrays = {name: array for name, array in arrays.items() if name not in in_pixels}
+        arrays |= {**lengths_px, "pitch_mm": np.array(1.0)}
     for name in (*names, *_FRAME):
         remedy = f"it has no scale, so calibrate the camera and {_AGAIN}" if name == "pitch_mm" else _AGAIN
         require(name in arrays, f"{path} holds no '{name}'; {remedy}.")
     shape = arrays["mask"].shape
     sizes = {"pitch_mm": (), "provenance": (), "whole": (), "input_from_upright": (3, 3), "upright_size": (2,)}
     sizes["normals"] = sizes["normals_measured"] = (*shape, 3)
+    kinds = {"provenance": "U", "upright_size": "iu"}
     for name, array in arrays.items():
-        kinds = "U" if name == "provenance" else "iu" if name == "upright_size" else "fiub"
-        fits = array.shape == sizes.get(name, shape) and array.dtype.kind in kinds and len(shape) == 2
+        fits = array.shape == sizes.get(name, shape) and array.dtype.kind in kinds.get(name, "fiub") and len(shape) == 2
         require(fits, f"{path}: '{name}' has another shape than a result's; {_AGAIN}.")
-    matrix = arrays["input_from_upright"].astype(np.float64)
-    usable = bool(np.isfinite(matrix).all()) and float(np.abs(matrix).max()) < 1e7
-    usable = usable and abs(float(np.linalg.det(matrix[:2, :2]))) > 1e-9
-    rows, columns = arrays["upright_size"].tolist()
-    usable = usable and 0 < rows <= 20_000 and 0 < columns <= 20_000 and rows * columns <= 100_000_000
-    require(usable, f"{path}: 'input_from_upright' or 'upright_size' cannot be used; {_AGAIN}.")
-    pitch = float(arrays["pitch_mm"])
+    matrix = arrays.pop("input_from_upright").astype(np.float64)
+    rows, columns = arrays.pop("upright_size").tolist()
+    require(
+        float(np.abs(matrix).max()) < 1e7  # not with NaN
+        and abs(float(np.linalg.det(matrix[:2, :2]))) > 1e-9
+        and 0 < rows <= 20_000
+        and 0 < columns <= 20_000
+        and rows * columns <= 100_000_000,
+        f"{path}: 'input_from_upright' or 'upright_size' cannot be used; {_AGAIN}.",
+    )
+    pitch = float(arrays.pop("pitch_mm"))
     require(
         not known or 0 < pitch * max(rows, columns) <= LARGEST_MM,
         f"{path} has no scale (pitch_mm is {pitch}): calibrate the camera and {_AGAIN}.",
     )
-    for name in (*names, *optional):
-        if name in arrays and name not in {"provenance", "whole"}:
-            arrays[name] = arrays[name].astype(np.float32, copy=False)
-    if "whole" in arrays:
-        arrays["whole"] = bool(arrays["whole"])
-    frame = {"pitch_mm": pitch, "input_from_upright": matrix, "upright_size": (rows, columns)}
+    fields: dict[str, Any] = {"pitch_mm": pitch, "input_from_upright": matrix, "upright_size": (rows, columns)}
     if unscaled:
-        frame["scale_known"] = known
-    return {**arrays, "mask": arrays["mask"].astype(np.bool_), **frame}
+        fields["scale_known"] = known
+    if "whole" in arrays:
+        fields["whole"] = bool(arrays.pop("whole"))
+    for name, array in arrays.items():
+        kind = np.bool_ if name == "mask" else np.float32
+        fields[name] = array if name == "provenance" else array.astype(kind, copy=False)
+    return fields
 
 
 def write_arrays(path: Path, result: Reconstruction, origin: Origin) -> None:
