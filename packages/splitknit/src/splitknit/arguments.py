@@ -111,18 +111,18 @@ def checked(function: Callable[P, R]) -> Callable[P, R]:
 
     @functools.wraps(function)
     def checking(*args: P.args, **kwargs: P.kwargs) -> R:
-        given = signature.bind(*args, **kwargs).arguments
+        arguments = signature.bind(*args, **kwargs).arguments
         for name, rule in rules_of(function):
-            if given.get(name) is not None:
-                check_value(f"`{name}`", rule, given[name])
+            if arguments.get(name) is not None:
+                check_value(f"`{name}`", rule, arguments[name])
         return function(*args, **kwargs)
 
     return checking
 
 
-def refuse_given(why: str, **given: Any) -> None:
+def refuse_given(why: str, **arguments: Any) -> None:
     """Refuse the first of these arguments that was given: is not None, False or empty; `why` follows its name."""
-    for name, value in given.items():
+    for name, value in arguments.items():
         require(value is None or value is False or value == (), f"`{name}` {why}")
 
 

@@ -173,7 +173,7 @@ def given_folders(paths: Iterable[str | os.PathLike[str]]) -> Iterator[None]:
     for path in map(Path, paths):
         with contextlib.suppress(OSError, ValueError, RuntimeError):  # refused where it is used
             own = path.expanduser()
-            _GIVEN.update(str(one) for one in (path.absolute(), own.absolute(), own.resolve()))
+            _GIVEN.update(map(str, (path.absolute(), own.absolute(), own.resolve())))
     try:
         yield
     finally:
@@ -186,8 +186,8 @@ def with_given_folders(work: Callable[[J], T]) -> Callable[[J], T]:
     return functools.partial(_in_given_folders, tuple(_GIVEN), work)
 
 
-def _in_given_folders(given: tuple[str, ...], work: Callable[[J], T], job: J) -> T:
-    with given_folders(given):
+def _in_given_folders(folders: tuple[str, ...], work: Callable[[J], T], job: J) -> T:
+    with given_folders(folders):
         return work(job)
 
 
