@@ -35,7 +35,7 @@ from splitknit.io.photograph_files import (
     photographs_in,
     some_of,
 )
-from splitknit.io.photographs import PhotographOptions, check_scale
+from splitknit.io.photographs import SCALES, GivenPhotographs
 from splitknit.io.photos import FORMATS, RAW_SUFFIXES, Photo, encoding_of, read_photo
 from splitknit.io.provenance import file_hash
 from splitknit.io.rig import read_rig
@@ -51,6 +51,7 @@ from splitknit.model import (
     Rig,
     camera_without_scale,
 )
+from splitknit.settings import check_value
 from splitknit.steps import large_array, let_go
 
 _NO_CAMERA = Camera(1.0, (1, 1))
@@ -67,7 +68,7 @@ _OTHER_CURVE = (
     "a factor of about two; give `encoding` {0}, or leave it out. Gloss on a shallow relief looks "
     "so too."
 )
-_NO_OPTIONS = PhotographOptions()
+_NO_OPTIONS = GivenPhotographs()
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -95,7 +96,7 @@ def capture_from_photographs(
     folder: str | os.PathLike[str],
     lights: str | os.PathLike[str] | NDArray[np.float64] | Rig | None = None,
     px_per_mm: float | None = None,
-    options: PhotographOptions = _NO_OPTIONS,
+    options: GivenPhotographs = _NO_OPTIONS,
 ) -> Photographs:
     """Make a capture of a folder of photographs, one for each light.
 
@@ -164,7 +165,7 @@ def _with_nir(
     white: Photographs,
     lights: Any,
     px_per_mm: float | None,
-    options: PhotographOptions,
+    options: GivenPhotographs,
     white_folder: Path,
 ) -> Photographs:
     """One capture of both bands; the mask is that of the white photographs."""
@@ -343,7 +344,7 @@ def capture_of_arrays(
         if intensities is not None:
             brightness = np.asarray(intensities, dtype=np.float64).reshape(count, -1)
         vectors = spread_lights(count) if lights is None else np.asarray(lights, dtype=np.float64)
-    check_scale(scale, None)
+    check_value("`px_per_mm`", SCALES, scale)
     check_lights(vectors, count)
     rig = _unknown_rig(count) if lights is None else _distant_rig(vectors)
     colours = None
@@ -391,7 +392,7 @@ def _assembled(
     crossed: Sequence[Path],
     lights: _Lights,
     px_per_mm: float | None,
-    options: PhotographOptions,
+    options: GivenPhotographs,
 ) -> tuple[Capture, list[Finding]]:
     """The capture, and notes on it."""
     rig = lights.rig
@@ -483,7 +484,7 @@ def _polarised(parallel: Band, crossed: Band) -> dict[str, Band]:
     }
 
 
-def _each_once(files: Sequence[Path], options: PhotographOptions) -> Sequence[Path]:
+def _each_once(files: Sequence[Path], options: GivenPhotographs) -> Sequence[Path]:
     """The files; the one file of three coloured lights once. BadInput if others are named twice."""
     if len(set(files)) == 1:
         words = f"{files[0]}, one photograph under three lights, goes without `mosaic`."
@@ -497,7 +498,7 @@ def _each_once(files: Sequence[Path], options: PhotographOptions) -> Sequence[Pa
     return files
 
 
-def _encoding(files: Sequence[Path], rig: Rig, options: PhotographOptions) -> tuple[str, list[Finding]]:
+def _encoding(files: Sequence[Path], rig: Rig, options: GivenPhotographs) -> tuple[str, list[Finding]]:
     """The encoding that is stated, or by :func:`splitknit.io.photos.encoding_of`; and notes."""
     if options.mosaic is not None:
         return "linear", []
@@ -514,7 +515,7 @@ def _encoding(files: Sequence[Path], rig: Rig, options: PhotographOptions) -> tu
 
 
 def _shading_is_srgb(
-    files: Sequence[Path], rig: Rig, options: PhotographOptions, *kinds: type[np.unsignedinteger]
+    files: Sequence[Path], rig: Rig, options: GivenPhotographs, *kinds: type[np.unsignedinteger]
 ) -> bool | None:
     """Whether the shading in photographs of `kinds` is that of sRGB values, None where it decides
     nothing. What is calibrated by `flat` is an industrial camera's, and linear.
@@ -616,7 +617,7 @@ def _form_of(file: Path, photo: Photo, encoding: str, max_megapixels: float | No
     return form
 
 
-def _series_of(file: Path, options: PhotographOptions) -> list[Photo]:
+def _series_of(file: Path, options: GivenPhotographs) -> list[Photo]:
     """The photograph of a file; of a mosaic the parallel and the crossed one."""
     photo = read_photo(file)
     if options.mosaic is None:
@@ -636,7 +637,7 @@ class _Stack:
     hashes: dict[str, str]
 
 
-def _read_stack(files: Sequence[Path], form: _Form, first: list[Photo], options: PhotographOptions) -> _Stack:
+def _read_stack(files: Sequence[Path], form: _Form, first: list[Photo], options: GivenPhotographs) -> _Stack:
     """Read all photographs; `first`: those of the first file."""
     shape = (len(first) * len(files), *form.small, form.shape[2])
     dtype = np.dtype(np.uint16) if form.becomes_linear else form.dtype
@@ -770,7 +771,7 @@ def _camera_of(camera: Camera, form: _Form, px_per_mm: float | None) -> Camera:
 
 
 def _under_even_light(
-    stack: NDArray[Any], form: _Form, colours: NDArray[np.float64] | None, options: PhotographOptions
+    stack: NDArray[Any], form: _Form, colours: NDArray[np.float64] | None, options: GivenPhotographs
 ) -> tuple[NDArray[Any], str]:
     """Photographs (L, H, W, 3) as even white light gives them, linear, clipping kept; of one photograph its channels;
     others as they are. And their encoding.

@@ -210,10 +210,6 @@ def write_mesh(path: Path, result: Reconstruction, origin: Origin) -> None:
     write_ply(path, *_mesh_of(result), comments)
 
 
-SURFACES = ("stl", "obj", "glb")
-"""Kinds of :func:`surface_bytes`."""
-
-
 def surface_bytes(result: Reconstruction, kind: str, title: str) -> tuple[dict[str, Any], bytes]:
     """Return facts of a file of the surface, and the bytes of the file.
 
