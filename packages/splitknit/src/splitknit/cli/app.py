@@ -24,7 +24,7 @@ from cyclopts.help import DefaultFormatter, PanelSpec
 from rich.box import HORIZONTALS
 from rich.console import Console
 
-from splitknit.cli.console import ProgressBar, one_line, warnings_shown, with_options
+from splitknit.cli.console import one_line, progress_bar, warnings_shown, with_options
 from splitknit.cli.exits import ANSWERS, BAD_INPUT, DONE, INTERNAL_ERROR, fail, say
 from splitknit.cli.options import read_changes
 from splitknit.errors import BadInput, Refused, given_folders
@@ -156,10 +156,10 @@ def _guarded(app: App, words: Sequence[str], how: How) -> int:
     options: Mapping[str, str] = {}
     try:
         options = options_of(app, words)
-        command, bound, ignored = app.parse_args(list(words))
+        command, bound, _ = app.parse_args(list(words))
         if command.__name__ == "help_print":  # a group of verbs, without one
             return _help(app, words)
-        return _report(_called(command, bound, "progress" in ignored, how, options), how, options)
+        return _report(_called(command, bound, how, options), how, options)
     except Exception as error:
         if how.json and isinstance(error, Refused):
             say(json.dumps(error.facts, indent=1, allow_nan=False) + "\n", BAD_INPUT)
@@ -182,7 +182,7 @@ def _reported(error: Exception, options: Mapping[str, str]) -> tuple[str, int]:
     return f"{type(error).__name__}: {line} ({advice})", INTERNAL_ERROR
 
 
-def _called(command: Any, bound: BoundArguments, reports: bool, how: How, options: Mapping[str, str]) -> Any:
+def _called(command: Any, bound: BoundArguments, how: How, options: Mapping[str, str]) -> Any:
     """What the verb's function returns."""
     settings = bound.arguments.get("settings")
     if settings is not None:
@@ -191,9 +191,9 @@ def _called(command: Any, bound: BoundArguments, reports: bool, how: How, option
         stack.enter_context(given_folders(_paths_in(bound.arguments.values())))
         stack.enter_context(_permissions(how.group_readable))
         stack.enter_context(warnings_shown(options))
-        bar = stack.enter_context(ProgressBar(wanted=not how.json))
-        progress = {"progress": bar.update} if reports else {}
-        return command(*bound.args, **bound.kwargs, **progress)
+        if "progress" in bound.signature.parameters and not how.json and sys.stderr.isatty():
+            bound.arguments["progress"] = stack.enter_context(progress_bar())
+        return command(*bound.args, **bound.kwargs)
 
 
 def _paths_in(values: Iterable[Any]) -> Iterator[Path]:
