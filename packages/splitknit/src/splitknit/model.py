@@ -650,15 +650,12 @@ its own: the IMX219's quantum efficiency under Gaussian lines at 625, 525 and 46
 def default_rig(scale: float = 1.0, seed: int | None = None, intensity_spread: float = 0.1) -> Rig:
     """Return the thesis's rig: seven white and seven NIR LEDs on a circle of 52.5 mm at the camera's height.
 
-    Raises BadInput if `scale` or `intensity_spread` is out of range. Returns a rig whose LEDs 0 to 6 are white, at
+    Raises BadInput if `scale` is out of range. Returns a rig whose LEDs 0 to 6 are white, at
     azimuths 2 pi k / 7, and 7 to 13 NIR, half a step further. `scale`: size of the image relative to the full frame of
     2200 x 3200 pixels at 75.7 px/mm, in (0, 1]; `seed`: seed of the LEDs' individual intensities; None makes all of
     them one; `intensity_spread`: standard deviation of the intensities about one; they stay within 2.5 deviations.
     """
     require(0.0 < scale <= 1.0, f"scale must lie in (0, 1], but it is {scale}.")
-    require(
-        0.0 <= intensity_spread <= 0.3, f"intensity_spread must lie between 0 and 0.3, but it is {intensity_spread}."
-    )
     camera = Camera(px_per_mm=75.7 * scale, image_size=(round(2200 * scale), round(3200 * scale)), height_mm=140.0)
     intensities = np.ones(2 * _LEDS_PER_BAND)
     if seed is not None:

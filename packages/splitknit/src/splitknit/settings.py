@@ -30,8 +30,6 @@ class Limits:
     max: float = math.inf
     above: bool = False
     """Whether `min` itself is excluded."""
-    below: bool = False
-    """Whether `max` itself is excluded."""
 
     def hold(self, value: Any) -> bool:
         """Whether a value, or every part of a tuple, lies in the range."""
@@ -39,10 +37,9 @@ class Limits:
             return all(self.hold(part) for part in value)
         if value is None:
             return True
-        low = value > self.min if self.above else value >= self.min
-        high = value < self.max if self.below else value <= self.max
         finite = abs(value) <= sys.float_info.max if isinstance(value, int) else math.isfinite(value)
-        return bool(low and high and finite)  # whole numbers may have any length
+        within = self.min < value <= self.max if self.above else self.min <= value <= self.max
+        return bool(within and finite)  # whole numbers may have any length
 
     def __str__(self) -> str:
         if math.isinf(self.max):
@@ -50,9 +47,9 @@ class Limits:
                 return "positive" if self.above else "zero or more"
             return f"{'above' if self.above else 'at least'} {self.min:g}"
         if math.isinf(self.min):
-            return f"{'below' if self.below else 'at most'} {self.max:g}"
+            return f"at most {self.max:g}"
         largest = "2^63 - 1" if self.max == 2**63 - 1 else f"{self.max:g}"
-        return f"{'above' if self.above else 'from'} {self.min:g} to {'below ' if self.below else ''}{largest}"
+        return f"{'above' if self.above else 'from'} {self.min:g} to {largest}"
 
 
 class Checked:
