@@ -118,7 +118,7 @@ def test_one_command_makes_a_surface_in_pixels(result: Path) -> None:
         (["--images", "PHOTOS", "--rig", "rig.json"], "rig.json does not exist"),
         (["--images", "PHOTOS", "--rig", "rig.json", "--lights", "x.txt"], "choose one"),
         (["--images", "PHOTOS", "--rig", "PHOTOS/lights.txt"], "a list of lights with --lights"),
-        (["--images", "PHOTOS", "--max-size", "0"], "--max-size must be megapixels"),
+        (["--images", "PHOTOS", "--max-size", "0"], "--max-size must be above 0"),
     ],
 )
 def test_refusals(options: list[str], words: str, photos: Path, tmp_path: Path, capsys) -> None:
@@ -215,7 +215,7 @@ def test_frames_of_a_camera_with_films_on_its_pixels(photos: Path, tmp_path: Pat
     for more, words in (
         (("--encoding", "srgb"), "a mosaic of films is linear"),
         (("--crossed", crossed), "leave out"),
-        (("--film-angle", "nan"), "--film-angle must be an angle"),
+        (("--film-angle", "nan"), "--film-angle must be from"),
     ):
         assert imported("--images", frames, *lights, "--mosaic", "mono", *more, "--out", tmp_path / "d") == 2
         assert words in capsys.readouterr().err

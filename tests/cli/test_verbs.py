@@ -122,8 +122,8 @@ def test_help_comes_from_signature_and_docstring(capsys: pytest.CaptureFixture[s
     assert main(["shine", "--help"]) == 0
     text = " ".join(capsys.readouterr().out.split())
     for words in (
-        "Light a finger.", "FOLDERS", "--no-shadows", "Which. (default: 3)", "[red, blue] (default: red)",
-        "see --power (100 %)", "--out PATH File to write. (required)", "Lamp: --power FLOAT Of each LED.", "--json",
+        "Light a finger.", "FOLDERS", "--no-shadows", "Which. [default: 3]", "[choices: red, blue] [default: red]",
+        "see --power (100 %)", "--out PATH File to write. [required]", "--power FLOAT Of each LED.", "--json",
     ):  # fmt: skip
         assert words in text, words
     assert "memory" not in text and "progress" not in text

@@ -40,8 +40,9 @@ from splitknit.io.enrolment import open_enrolment
 from splitknit.io.images import decode_image, encode_image, image_size, read_image, write_float_tiff
 from splitknit.io.light_list import read_intensities, read_light_list
 from splitknit.io.npz import read_npz, write_npz
+from splitknit.io.photographs import GivenPhotographs
 from splitknit.io.photos import read_photo
-from splitknit.io.plain import PhotographOptions, capture_from_photographs, read_flat
+from splitknit.io.plain import capture_from_photographs, read_flat
 from splitknit.io.prints import PrintFile, encode_print_png, encode_print_tiff, read_print_png, write_print_png
 from splitknit.io.results import read_result
 from splitknit.io.rig import read_rig
@@ -341,7 +342,7 @@ def _plain_capture(folder: Path, files: Files) -> None:
     assert lights.ndim == 2
     assert lights.shape[1] == 3
     assert np.isfinite(lights).all()
-    capture_from_photographs(folder / "{light}.png", lights, 10.0, PhotographOptions(encoding="linear"))
+    capture_from_photographs(folder / "{light}.png", lights, 10.0, GivenPhotographs(encoding="linear"))
     read_photographs(folder)
 
 

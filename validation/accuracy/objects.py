@@ -26,7 +26,8 @@ from splitknit import reconstruct
 from splitknit.errors import BadInput, require
 from splitknit.io.light_list import read_light_list
 from splitknit.io.npz import read_npz
-from splitknit.io.plain import PhotographOptions, capture_from_photographs
+from splitknit.io.photographs import GivenPhotographs
+from splitknit.io.plain import capture_from_photographs
 from splitknit.model import Band, BoolArray, Camera, Capture, FloatArray, Led, Rig
 
 PRESETS = {
@@ -107,7 +108,7 @@ def sphere(folder: Path) -> Object:
     lights_file = folder / "lights.txt"
     lights = read_light_list(lights_file if lights_file.is_file() else folder.parent / "lights.txt").lights
     stem = masks[0].name.removesuffix(".mask.png")
-    options = PhotographOptions(mask=masks[0], encoding="linear")
+    options = GivenPhotographs(mask=masks[0], encoding="linear")
     capture = capture_from_photographs(folder / f"{stem}.{{light}}.png", lights, PX_PER_MM, options).capture
     assert capture.mask is not None
     rows, columns = np.nonzero(capture.mask)

@@ -23,9 +23,9 @@ from splitknit.errors import BadInput, require
 from splitknit.folders import capture_of
 from splitknit.io.capture import write_capture
 from splitknit.io.enrolment import FINGERS, PLAN_FILE, PlannedCapture, open_enrolment, plan_enrolment
+from splitknit.io.photograph_files import some_of
 from splitknit.io.photographs import GivenPhotographs
 from splitknit.io.photos import SUFFIXES
-from splitknit.io.plain import some_of
 
 _SIDE, _DIGIT = "right|left|r|l", "thumb|index|fore|middle|ring|little|pinky|small|10|[1-9]"
 _FIELDS = {

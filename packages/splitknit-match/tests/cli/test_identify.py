@@ -142,7 +142,7 @@ def test_failures_to_acquire_match_nobody(gallery: Path, tmp_path: Path, capsys)
         (["GALLERY", "PROBE", "--fmr", "nan"], "--fmr must lie"),
         (["GALLERY", "PROBE", "--fmr", "1e-9"], "none below"),
         (["GALLERY", "PROBE", "--top", "0"], "--top must be at least 1"),
-        (["GALLERY", "PROBE", "--set", "search.candidates=0"], "left the program"),
+        (["GALLERY", "PROBE", "--set", "search.candidates=0"], "--set"),
     ],
 )
 def test_bad_input_is_one_sentence(gallery: Path, probe: Path, tmp_path: Path, capsys, *, arguments, words) -> None:

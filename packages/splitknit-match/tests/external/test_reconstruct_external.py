@@ -14,7 +14,8 @@ from splitknit.cli.main import main
 from splitknit.imaging.band import linear_stack
 from splitknit.io.capture import write_capture
 from splitknit.io.light_list import read_light_list
-from splitknit.io.plain import PhotographOptions, capture_from_photographs
+from splitknit.io.photographs import GivenPhotographs
+from splitknit.io.plain import capture_from_photographs
 from splitknit.model import Band, BoolArray, Camera, Capture, Led, Reconstruction, Rig
 from splitknit.photometric.lambertian import lambertian
 from splitknit.photometric.robust import robust
@@ -51,7 +52,7 @@ def ball(data_dir: Path) -> tuple[Capture, np.ndarray]:
     """The grey ball, and the heights in mm of the sphere that its outline gives."""
     folder = needed(data_dir / "psm_spheres")
     lights = read_light_list(folder / "lights.txt").lights
-    options = PhotographOptions(mask=folder / "gray" / "gray.mask.png", encoding="linear")
+    options = GivenPhotographs(mask=folder / "gray" / "gray.mask.png", encoding="linear")
     capture = capture_from_photographs(folder / "gray" / "gray.{light}.png", lights, 5.0, options).capture
     assert capture.mask is not None
     rows, columns = np.nonzero(capture.mask)
@@ -67,7 +68,7 @@ def phalange(data_dir: Path) -> Capture:
     """The sculpted phalange, at a scale that makes it 16 mm wide."""
     folder = needed(data_dir / "blender_finger" / "phalange")
     lights = read_light_list(folder / "lights.txt").lights
-    options = PhotographOptions(mask=folder / "mask.png", background=71, encoding="linear")
+    options = GivenPhotographs(mask=folder / "mask.png", background=71, encoding="linear")
     return capture_from_photographs(folder / "light_{light}.png", lights, 40.0, options).capture
 
 

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import functools
 import inspect
+import math
 import os
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
@@ -17,7 +18,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal, ParamSpec, TypeVar
 
 from cyclopts import Parameter
 
-from splitknit.errors import printable, require
+from splitknit.errors import printable, refusing, require
 from splitknit.settings import Limits, check_value, rules_of
 
 P = ParamSpec("P")
@@ -76,6 +77,26 @@ def whole_number(word: str) -> int:
     return int(word)
 
 
+def point_of(word: str) -> tuple[float, float]:
+    """The two numbers of a word X,Y. Raises BadInput.
+
+    >>> point_of("-3,0.5")
+    (-3.0, 0.5)
+    """
+    wanted = f"'{word}' must be X,Y, two numbers such as -3,0.5"
+    with refusing(wanted):
+        x, y = map(float, word.split(","))
+    require(math.isfinite(x) and math.isfinite(y), wanted)
+    return x, y
+
+
+PlanePoint = Annotated[
+    tuple[float, float],
+    Parameter(converter=lambda _, tokens: point_of(tokens[0].value), n_tokens=1, allow_leading_hyphen=True),
+]
+"""Two numbers that the command line takes as X,Y."""
+
+
 def checked(function: Callable[P, R]) -> Callable[P, R]:
     """Make a function refuse arguments that are out of the range or the choices which its signature declares.
 
@@ -90,18 +111,18 @@ def checked(function: Callable[P, R]) -> Callable[P, R]:
 
     @functools.wraps(function)
     def checking(*args: P.args, **kwargs: P.kwargs) -> R:
-        given = signature.bind(*args, **kwargs).arguments
+        arguments = signature.bind(*args, **kwargs).arguments
         for name, rule in rules_of(function):
-            if given.get(name) is not None:
-                check_value(f"`{name}`", rule, given[name])
+            if arguments.get(name) is not None:
+                check_value(f"`{name}`", rule, arguments[name])
         return function(*args, **kwargs)
 
     return checking
 
 
-def refuse_given(why: str, **given: Any) -> None:
+def refuse_given(why: str, **arguments: Any) -> None:
     """Refuse the first of these arguments that was given: is not None, False or empty; `why` follows its name."""
-    for name, value in given.items():
+    for name, value in arguments.items():
         require(value is None or value is False or value == (), f"`{name}` {why}")
 
 

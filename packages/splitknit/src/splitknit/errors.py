@@ -157,7 +157,7 @@ def open_file(path: str | os.PathLike[str], max_bytes: int) -> Iterator[tuple[io
 def open_at_once(path: str | os.PathLike[str], flags: int, mode: int = 0o600) -> int:
     """Opener for files: through no link (:func:`given_folders`), and at once where a pipe has no writer."""
     refuse_links(path)
-    return os.open(path, flags | getattr(os, "O_NONBLOCK", 0), mode)
+    return os.open(path, flags | os.O_NONBLOCK, mode)
 
 
 _GIVEN: set[str] = set()
@@ -173,7 +173,7 @@ def given_folders(paths: Iterable[str | os.PathLike[str]]) -> Iterator[None]:
     for path in map(Path, paths):
         with contextlib.suppress(OSError, ValueError, RuntimeError):  # refused where it is used
             own = path.expanduser()
-            _GIVEN.update(str(one) for one in (path.absolute(), own.absolute(), own.resolve()))
+            _GIVEN.update(map(str, (path.absolute(), own.absolute(), own.resolve())))
     try:
         yield
     finally:
@@ -186,8 +186,8 @@ def with_given_folders(work: Callable[[J], T]) -> Callable[[J], T]:
     return functools.partial(_in_given_folders, tuple(_GIVEN), work)
 
 
-def _in_given_folders(given: tuple[str, ...], work: Callable[[J], T], job: J) -> T:
-    with given_folders(given):
+def _in_given_folders(folders: tuple[str, ...], work: Callable[[J], T], job: J) -> T:
+    with given_folders(folders):
         return work(job)
 
 

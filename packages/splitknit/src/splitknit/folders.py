@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any, Literal
 from splitknit.arguments import AnyPath, Device, Encoding, Preset, Progress, Settings, checked, silent, text_of
 from splitknit.errors import BadInput, naming, require
 from splitknit.findings import Finding, Severity, worst_first
-from splitknit.io.photographs import NO_PHOTOGRAPHS, AllPhotographs, GivenPhotographs, Lights
+from splitknit.io.photographs import NO_PHOTOGRAPHS, OF_CAPTURES, AllPhotographs, GivenPhotographs, Lights
 
 if TYPE_CHECKING:
     from splitknit.model import Capture
@@ -80,21 +80,30 @@ crossed, mosaic, film_deg, flat, nir : optional
 
 def capture_of(photographs: GivenPhotographs) -> tuple[Capture, list[Finding]]:
     """Photographs as a capture, and what was assumed of them. Raises BadInput as :func:`read_photographs`."""
-    from splitknit.diagnosis.frames import rig_of_frame
     from splitknit.io.plain import capture_from_photographs
     from splitknit.photometric.uncalibrated import with_estimated_lights
-    from splitknit.pipeline import with_scale
 
-    images, period_mm = photographs.images, photographs.ridge_period_mm
+    images = photographs.images
     assert images is not None
     read = capture_from_photographs(images, photographs.lights, photographs.px_per_mm, photographs)
     capture = naming(images, lambda: with_estimated_lights(read.capture))
+    capture, notes = _with_frame_and_scale(capture, images, photographs, None)
+    known = capture.rig.camera.scale_known
+    kept = [finding for finding in read.notes if finding.code != "scale-unknown" or not known]
+    return capture, [*kept, *notes]
+
+
+def _with_frame_and_scale(
+    capture: Capture, source: AnyPath, photographs: GivenPhotographs, px_per_mm: float | None
+) -> tuple[Capture, list[Finding]]:
+    """The capture with lights in the stated frame and the stated scale, and notes on it."""
+    from splitknit.diagnosis.frames import rig_of_frame
+    from splitknit.pipeline import with_scale
+
     if photographs.light_frame is not None:
         capture = replace(capture, rig=rig_of_frame(capture.rig, photographs.light_frame))
-    scaled, note = naming(images, lambda: with_scale(capture, None, period_mm))
-    known = scaled.rig.camera.scale_known
-    kept = [finding for finding in read.notes if finding.code != "scale-unknown" or not known]
-    return scaled, [*kept, *([Finding("scale-of-ridges", note)] if note else [])]
+    capture, note = naming(source, partial(with_scale, capture, px_per_mm, photographs.ridge_period_mm))
+    return capture, [Finding("scale-of-ridges", note)] if note else []
 
 
 @dataclass(frozen=True, slots=True)
@@ -189,9 +198,11 @@ def reconstruct_to_folder(
     from splitknit.steps import one_heap
 
     both = "; both were given." if capture is not None else "."
-    one = (capture is None) != (photographs.images is None)
-    require(one, f"name a capture folder, or photographs with `images` DIR `lights` FILE{both}")
-    photographs.refuse_without_images()
+    require(
+        (capture is None) != (photographs.images is None),
+        f"name a capture folder, or photographs with `images` DIR `lights` FILE{both}",
+    )
+    photographs.refuse_without_images(*OF_CAPTURES)
     changes = dict(settings or {}) | ({"keep": True} if keep else {})
     if shape is not None:
         changes["shape.source"] = shape
@@ -203,13 +214,15 @@ def reconstruct_to_folder(
     device_used = use_device(device)
     with atomic_folder(Path(out)) as target:
         progress("reading", 0.0)
-        taken, notes = _read(capture, rig, photographs)
+        captures, notes = _read(capture, rig, photographs)
         read_s = time.perf_counter() - started
-        shown, held = _with_small_images(taken), [taken]
-        del taken  # so that its images go once they are read: 0.3 GB less at a full frame's peak
+        small = _with_small_images(captures[0])
         try:
             result = reconstruct(
-                held.pop(), preset, changes, lambda stage, fraction: progress(stage, 0.15 + 0.65 * fraction)
+                captures.pop(),  # so that its images go once they are read: 0.3 GB less at a full frame's peak
+                preset,
+                changes,
+                lambda stage, fraction: progress(stage, 0.15 + 0.65 * fraction),
             )
             if device_used != "cpu":  # its last digits are others'
                 result = replace(result, facts={**result.facts, "device": device_used})
@@ -219,8 +232,9 @@ def reconstruct_to_folder(
             timings = {"reading": read_s, **result.timings_s}
             result = replace(result, timings_s=timings, findings=findings)
             progress("writing", 0.8)
-            truth = read_truth(shown) if shown.truth is not None and shown.rig.camera.scale_known else None
-            facts = write_files(result, shown, target, truth)
+            scaled = small.rig.camera.scale_known
+            truth = read_truth(small) if small.truth is not None and scaled else None
+            facts = write_files(result, small, target, truth)
         except BadInput as error:  # stages know arrays only
             raise BadInput(f"{source}: {error}") from error
     progress("done", 1.0)
@@ -230,28 +244,24 @@ def reconstruct_to_folder(
 
 def _read(
     capture_folder: AnyPath | None, rig_file: AnyPath | None, photographs: GivenPhotographs
-) -> tuple[Capture, list[Finding]]:
-    """The capture, with what was given in place of its own, and notes on it."""
-    from splitknit.diagnosis.frames import rig_of_frame
+) -> tuple[list[Capture], list[Finding]]:
+    """The capture, alone in a list, with what was stated in place of its own; and notes on it."""
     from splitknit.io.capture import read_capture, with_rig
-    from splitknit.pipeline import with_scale
 
     rig = None if rig_file is None else Path(rig_file)
     if capture_folder is None:
         require(rig is None or photographs.lights is None, "`rig` and `lights` both give the lights; choose one.")
         named = rig is None or rig.suffix.lower() == ".json"
         require(named, f"`rig` must name a rig file (.json), not '{rig}'; name a list of lights with `lights`.")
-        return capture_of(photographs if rig is None else replace(photographs, lights=rig))
+        capture, notes = capture_of(photographs if rig is None else replace(photographs, lights=rig))
+        return [capture], notes
     capture = read_capture(capture_folder)
     if rig is not None:
         capture = with_rig(capture, rig)
     if photographs.tip_direction_deg is not None:
         capture = replace(capture, tip_direction_deg=photographs.tip_direction_deg)
-    if photographs.light_frame is not None:
-        capture = replace(capture, rig=rig_of_frame(capture.rig, photographs.light_frame))
-    scaled = partial(with_scale, capture, photographs.px_per_mm, photographs.ridge_period_mm)
-    capture, note = naming(capture_folder, scaled)
-    return capture, [Finding("scale-of-ridges", note)] if note else []
+    capture, notes = _with_frame_and_scale(capture, capture_folder, photographs, photographs.px_per_mm)
+    return [capture], notes
 
 
 def _with_small_images(capture: Capture) -> Capture:

@@ -7,7 +7,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Annotated, Any
 
 from cyclopts import Parameter
 
@@ -15,11 +15,8 @@ from splitknit.arguments import AnyPath, InputPpi, Progress, Report, silent
 from splitknit.errors import require
 from splitknit.findings import Finding
 from splitknit.folders import capture_of
-from splitknit.io.photographs import NO_PHOTOGRAPHS, AllPhotographs, GivenPhotographs
-from splitknit.registry import GONE, IMPORTS, MATCH, extension
-
-if TYPE_CHECKING:
-    from splitknit.model import Capture
+from splitknit.io.photographs import NO_PHOTOGRAPHS, OF_CAPTURES, AllPhotographs, GivenPhotographs
+from splitknit.registry import IMPORTS, MATCH, extension
 
 _SURFACES = (".ply", ".xyz", ".obj", ".stl")
 
@@ -85,24 +82,30 @@ def import_files(
     known = replace(photographs, nir=nir, material=material)
     if fingers is not None:
         require(len(files) < 2, "`fingers` takes one capture, or `images` of one.")
-        photographs.refuse_without_images()
-        source = known if images is not None else Path(files[0])
-        return _import_fingers(source, Path(out), fingers, keep=keep, overwrite=overwrite, progress=progress)
+        photographs.refuse_without_images(*OF_CAPTURES)
+        folder = Path(files[0] if images is None else images)
+        return _import_fingers(folder, known, Path(out), fingers, keep=keep, overwrite=overwrite, progress=progress)
     cloud = next((file for file in files if Path(file).suffix.lower() in _SURFACES), None)
-    require(cloud is None, f"'{cloud}' is a surface: {GONE['import --unit']}")
+    require(cloud is None, f"'{cloud}' is a surface: 'python validation/scanners/cloud.py' of a checkout reads it.")
     require(not keep, "`keep` goes with `fingers`.")
     if images is None:
         require(nir is None, "`nir` goes with `images`.")
         require(not overwrite, "`overwrite` goes with `images`.")
-        photographs.refuse("goes with `images`.")
+        photographs.refuse_without_images()
         import_prints = extension(IMPORTS, "prints", "the import of prints", MATCH)
-        prints: Report = import_prints(files, out, input_ppi, progress)
-        return prints
+        return import_prints(files, out, input_ppi, progress)  # type: ignore[no-any-return]
     return _import_photographs(known, Path(out), overwrite=overwrite, progress=progress)
 
 
 def _import_fingers(
-    source: GivenPhotographs | Path, out: Path, fingers: str, *, keep: bool, overwrite: bool, progress: Progress
+    folder: Path,
+    photographs: GivenPhotographs,
+    out: Path,
+    fingers: str,
+    *,
+    keep: bool,
+    overwrite: bool,
+    progress: Progress,
 ) -> Report:
     """Cut a view of several fingers into a capture folder of each."""
     from splitknit.finger.hand import fingers_apart
@@ -111,75 +114,58 @@ def _import_fingers(
 
     names = fingers if fingers in ("auto", "left", "right") else fingers.split(",")
     progress("reading", 0.1)
-    if isinstance(source, Path):
-        capture, notes, folder = read_capture(source), list[Finding](), source
+    notes: list[Finding] = []
+    if photographs.images is None:
+        capture = read_capture(folder)
     else:
-        assert source.images is not None
-        folder = Path(source.images)
-        capture, notes = capture_of(source)
+        capture, notes = capture_of(photographs)
     progress("fingers", 0.5)
     captures = {out / name: part for name, part in fingers_apart(capture, names, keep=keep).items()}
     for place in captures:
         check_capture(place, overwrite=overwrite, keep=folder)
     for place, part in captures.items():
         write_capture(part, place, overwrite=overwrite)
-    sizes = {place.name: list(part.shape) for place, part in captures.items()}
-    return Report(
-        {"out": str(out), "fingers": sizes, "notes": [str(note) for note in notes]},
-        (
-            *(f"{part.shape[1]} x {part.shape[0]} pixels written to {place}." for place, part in captures.items()),
-            *(f"Please note: {note}" for note in notes),
-            f"Next: splitknit reconstruct {next(iter(captures))} --out RESULT",
-        ),
-    )
+    written = [f"{part.shape[1]} x {part.shape[0]} pixels written to {place}." for place, part in captures.items()]
+    facts = {"out": str(out), "fingers": {place.name: list(part.shape) for place, part in captures.items()}}
+    return _report(facts, written, notes, next(iter(captures)))
 
 
 def _import_photographs(photographs: GivenPhotographs, out: Path, *, overwrite: bool, progress: Progress) -> Report:
     from splitknit.io.capture import write_capture
+    from splitknit.io.photograph_files import home_of
     from splitknit.io.targets import check_capture
 
     for folder in (photographs.images, photographs.crossed):
         if folder is not None:
-            keep = Path(folder).parent if "{light}" in Path(folder).name else Path(folder)
-            check_capture(out, overwrite=overwrite, keep=keep)
+            check_capture(out, overwrite=overwrite, keep=home_of(Path(folder)))
     progress("reading", 0.1)
     capture, notes = capture_of(photographs)
     progress("writing", 0.7)
     write_capture(capture, out, overwrite=overwrite)
-    return _report_on(capture, notes, out)
-
-
-def _report_on(capture: Capture, notes: Sequence[Finding], out: Path) -> Report:
-    band, camera = capture.bands["white"], capture.rig.camera
-    images, rows, columns, channels = band.pixels.shape
+    camera = capture.rig.camera
+    images, rows, columns, channels = capture.bands["white"].pixels.shape
     nir = len(capture.bands["nir"].leds) if "nir" in capture.bands else 0
-    polarised = "white_crossed" in capture.bands
     facts: dict[str, Any] = {
         "out": str(out),
         "images": images,
-        "polarised": polarised,
+        "polarised": "white_crossed" in capture.bands,
         "image_size": [rows, columns],
         "channels": channels,
         "encoding": capture.encoding,
         "material": capture.material,
-        "px_per_mm": camera.px_per_mm if camera.scale_known else None,
+        "px_per_mm": camera.measured_px_per_mm,
         "mask": capture.mask is not None,
-        "notes": [str(note) for note in notes],
         "nir": nir,
     }
-    kind = "colour" if channels == 3 else "grey"
-    if polarised:
-        kind = f"parallel and {images} crossed {kind}"
-    if nir:
-        kind += f" and {nir} near-infrared"
-    scale = f"{camera.px_per_mm:g} px/mm" if camera.scale_known else "scale unknown"
+    kind = f"parallel and {images} crossed" if facts["polarised"] else "colour" if channels == 3 else "grey"
+    kind += f" and {nir} near-infrared" if nir else ""
     covered = "no mask" if capture.mask is None else f"the mask covers {100 * capture.mask.mean():.0f} %"
-    how = f"{capture.encoding}, {capture.material}, {scale}, {covered}"
-    return Report(
-        facts,
-        (
-            f"{images} {kind} photographs of {columns} x {rows} pixels ({how}) written to {out}.",
-            *(f"Please note: {note}" for note in notes),
-            f"Next: splitknit reconstruct {out} --out RESULT",
-        ),
-    )
+    how = f"{capture.encoding}, {capture.material}, {camera.scale}, {covered}"
+    written = f"{images} {kind} photographs of {columns} x {rows} pixels ({how}) written to {out}."
+    return _report(facts, [written], notes, out)
+
+
+def _report(facts: dict[str, Any], written: Sequence[str], notes: Sequence[Finding], following: Path) -> Report:
+    sentences = [str(note) for note in notes]
+    lines = [*written, *(f"Please note: {note}" for note in sentences)]
+    return Report({**facts, "notes": sentences}, (*lines, f"Next: splitknit reconstruct {following} --out RESULT"))

@@ -12,9 +12,10 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
 from pkgutil import resolve_name
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
+from msgspec import Meta
 from numpy.typing import NDArray
 
 from splitknit.errors import require
@@ -27,6 +28,10 @@ BoolArray = NDArray[np.bool_]
 PixelArray = NDArray[np.uint8] | NDArray[np.uint16]
 Progress = Callable[[str, float], None]
 """Called with the name of a step and the fraction done, 0 to 1."""
+Coordinate = Annotated[float, Meta(ge=-1e7, le=1e7)]
+Point = tuple[Coordinate, Coordinate, Coordinate]
+"""Ranges hold for what is read from files."""
+_Brightness = Annotated[float, Meta(ge=0.01, le=100)]
 COLOURS = ("red", "green", "blue")
 """Colours of LEDs and of a camera's pixels, in the order of an image's channels."""
 
@@ -57,15 +62,15 @@ class Shade:
 class Led:
     """One light: near (`position_mm`) or distant (`direction`, towards the light), never both."""
 
-    band: str
+    band: Annotated[str, Meta(min_length=1)]
     """``white`` or ``nir``."""
-    position_mm: tuple[float, float, float] | None = None
-    direction: tuple[float, float, float] | None = None
-    intensity: float = 1.0
+    position_mm: Point | None = None
+    direction: Point | None = None
+    intensity: Annotated[float, Meta(ge=1e-9, le=1e9)] = 1.0
     """Relative, one scale for the whole rig."""
-    lobe_exponent: float = 0.0
+    lobe_exponent: Annotated[float, Meta(ge=0, le=1000)] = 0.0
     """Exponent of the cosine about the LED's axis; 0 is isotropic."""
-    aim: tuple[float, float, float] | None = None
+    aim: Point | None = None
     """Direction of a near LED's axis, from the LED outwards; None = towards the origin."""
     also: tuple[Led, ...] = ()
     """Further LEDs lit in the same exposure."""
@@ -84,35 +89,41 @@ class Led:
             f"an LED's colour is red, green or blue (or none), not '{self.colour}'.",
         )
         require(self.colour == "" or self.band == "white", "only LEDs of the band 'white' may have a colour.")
+        near = self.position_mm is not None
         require(
-            (self.position_mm is None) != (self.direction is None),
+            near == (self.direction is None),
             "an LED has either position_mm (near) or direction (distant), not both and not neither.",
         )
-        vector = self.position_mm if self.position_mm is not None else self.direction
-        known = vector is not None and bool(np.isfinite(vector).all()) and bool(np.linalg.norm(vector) > 0)
-        require(known, "an LED's position_mm or direction must be three finite numbers that are not all zero.")
+        wanted = "must be three finite numbers that are not all zero."
+        require(_is_vector(self.towards), f"an LED's position_mm or direction {wanted}")
         require(np.isfinite(self.intensity) and self.intensity > 0, "an LED's intensity must be a positive number.")
         sound = np.isfinite(self.lobe_exponent) and self.lobe_exponent >= 0
         require(sound, "an LED's lobe_exponent must be zero or a positive number.")
-        if self.position_mm is not None and not self.reflected:
-            require(self.position_mm[2] > 0, "an LED's position_mm must lie above the finger plane (z > 0).")
-        if self.aim is not None and vector is not None:
-            require(self.position_mm is not None, "an LED's aim needs its position_mm: distant light has no axis.")
-            sound = bool(np.isfinite(self.aim).all()) and float(np.linalg.norm(self.aim)) > 0
-            require(sound, "an LED's aim must be three finite numbers that are not all zero.")
-            towards = -float(np.dot(self.aim, vector)) / float(np.linalg.norm(self.aim) * np.linalg.norm(vector))
+        above = not near or self.reflected or self.towards[2] > 0
+        require(above, "an LED's position_mm must lie above the finger plane (z > 0).")
+        if self.aim is not None:
+            require(near, "an LED's aim needs its position_mm: distant light has no axis.")
+            require(_is_vector(np.asarray(self.aim)), f"an LED's aim {wanted}")
+            cosine = -float(self.axis @ self.towards) / float(np.linalg.norm(self.towards))
             require(
-                self.reflected or towards > 0.2,
+                self.reflected or cosine > 0.2,
                 "an LED's aim must point towards the finger plane's middle, within 78 deg.",
             )
 
     @property
+    def towards(self) -> NDArray[np.float64]:
+        """(3,) from the origin: the place in mm of a near LED, or the direction of a distant one."""
+        return np.asarray(self.position_mm if self.position_mm is not None else self.direction, dtype=np.float64)
+
+    @property
     def axis(self) -> NDArray[np.float64]:
         """(3,) unit vector of the beam, from the LED outwards."""
-        if self.aim is not None:
-            return np.asarray(self.aim, dtype=np.float64) / float(np.linalg.norm(self.aim))
-        vector = np.asarray(self.position_mm if self.position_mm is not None else self.direction, dtype=np.float64)
-        return -vector / np.linalg.norm(vector)
+        vector = -self.towards if self.aim is None else np.asarray(self.aim, dtype=np.float64)
+        return vector / float(np.linalg.norm(vector))
+
+
+def _is_vector(vector: NDArray[np.float64]) -> bool:
+    return vector.shape == (3,) and bool(np.isfinite(vector).all() and vector.any())
 
 
 @dataclass(frozen=True, slots=True)
@@ -129,13 +140,11 @@ class Mirror:
     def __post_init__(self) -> None:
         require(self.name in ("left", "right", "tip"), f"a mirror is left, right or tip, not '{self.name}'.")
         corners = np.asarray(self.corners_mm, dtype=np.float64)
-        points = corners.ndim == 2 and corners.shape[0] >= 3 and corners.shape[1] == 3
         require(
-            points and bool(np.isfinite(corners).all()),
+            len(corners) >= 3 and corners.shape[1:] == (3,) and bool(np.isfinite(corners).all()),
             f"the {self.name} mirror's corners_mm must be at least three points of three finite numbers.",
         )
-        centred = corners - corners.mean(axis=0)
-        size = np.linalg.svd(centred, compute_uv=False)
+        size = np.linalg.svd(corners - corners.mean(axis=0), compute_uv=False)
         require(bool(size[1] > 1e-3), f"the {self.name} mirror's corners_mm lie on one line.")
         require(bool(size[2] <= 1e-3 * size[1]), f"the {self.name} mirror's corners_mm do not lie in one plane.")
         require(0.0 < self.reflectance <= 1.0, f"the {self.name} mirror's reflectance must lie in (0, 1].")
@@ -159,18 +168,17 @@ class Mirror:
 
 def vector_at_origin(led: Led) -> NDArray[np.float64]:
     """(3,) direction from the origin to a light, its images in mirrors left out, times its irradiance there."""
+    vector = led.towards
+    distance = float(np.linalg.norm(vector))
     if led.position_mm is not None:
-        position = np.asarray(led.position_mm, dtype=np.float64)
-        distance = float(np.linalg.norm(position))
-        lobe = float(np.dot(led.axis, -position) / distance) ** led.lobe_exponent if led.lobe_exponent > 0 else 1.0
-        vector = led.intensity * lobe * position / distance**3 * 1e4
+        lobe = float(np.dot(led.axis, -vector) / distance) ** led.lobe_exponent if led.lobe_exponent > 0 else 1.0
+        vector = led.intensity * lobe * vector / distance**3 * 1e4
     else:
-        direction = np.asarray(led.direction, dtype=np.float64)
-        vector = led.intensity * direction / np.linalg.norm(direction)
-    for other in led.also:
-        if not other.reflected:
-            vector = vector + vector_at_origin(other)
-    return np.asarray(vector, dtype=np.float64)
+        vector = led.intensity * vector / distance
+    for second in led.also:
+        if not second.reflected:
+            vector = vector + vector_at_origin(second)
+    return vector
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -206,14 +214,14 @@ class Camera:
         )
         if self.crosstalk is not None:
             mixing = np.asarray(self.crosstalk, dtype=np.float64)
-            apart = mixing.shape == (3, 3) and bool(np.isfinite(mixing).all()) and bool(np.linalg.cond(mixing) < 50.0)
+            apart = mixing.shape == (3, 3) and bool(np.isfinite(mixing).all()) and np.linalg.cond(mixing) < 50.0
             require(apart, "camera.crosstalk must be 3 x 3 finite numbers that separate the three colours.")
         require(np.isfinite(self.px_per_mm) and self.px_per_mm > 0, "camera.px_per_mm must be a positive number.")
         require(np.isfinite(self.height_mm) and self.height_mm > 0, "camera.height_mm must be a positive number.")
         require(min(self.image_size) > 0, f"camera.image_size must be positive, but it is {list(self.image_size)}.")
         require(self.model in ("orthographic", "perspective"), f"camera.model '{self.model}' is not known.")
-        if self.model == "perspective":
-            require(self.matrix is not None, "a perspective camera needs its matrix.")
+        needless = self.model != "perspective" or self.matrix is not None
+        require(needless, "a perspective camera needs its matrix.")
         r2 = np.linspace(0.0, 1.0, 101)
         brightness = 1.0 + sum(a * r2 ** (k + 1) for k, a in enumerate(self.shading))
         require(
@@ -257,13 +265,13 @@ class Films:
 
     leds: tuple[int, ...]
     """LEDs that light the parallel images."""
-    leak: tuple[float, ...]
+    leak: tuple[Annotated[float, Meta(ge=0, le=0.499)], ...]
     """Specular light in the crossed image, of both: about 1 / extinction ratio + sin^2(angle error)."""
-    brightness: tuple[tuple[float, ...], ...]
+    brightness: tuple[tuple[_Brightness, _Brightness, _Brightness], ...]
     """Red, green, blue: depolarised light of the crossed image over that of the parallel one."""
-    shift_px: tuple[float, float] = (0.0, 0.0)
+    shift_px: tuple[Coordinate, Coordinate] = (0.0, 0.0)
     """Columns and rows by which the middle of the crossed image lies right of and below that of the parallel one."""
-    scale: float = 1.0
+    scale: Annotated[float, Meta(ge=0.9, le=1.1)] = 1.0
     """Size of the crossed image over that of the parallel one."""
 
 
@@ -303,15 +311,16 @@ class Rig:
     def select(self, groups: Sequence[Sequence[int]]) -> Rig:
         """Return the rig whose `leds[k]` is what lights image k: the LEDs `groups[k]` together."""
         chosen = []
+        count = len(self.leds)
         for group in groups:
             require(len(group) > 0, "every image needs at least one LED.")
-            for index in group:
-                count = len(self.leds)
-                require(
-                    0 <= index < count, f"LED {index} is not in the rig, which has {count} LEDs (0 to {count - 1})."
-                )
-            first = self.leds[group[0]]
-            chosen.append(replace(first, also=tuple(self.leds[index] for index in group[1:])))
+            wrong = [index for index in group if not 0 <= index < count]
+            require(
+                not wrong,
+                f"LED {wrong[0] if wrong else 0} is not in the rig, which has {count} LEDs (0 to {count - 1}).",
+            )
+            first, *others = (self.leds[index] for index in group)
+            chosen.append(replace(first, also=tuple(others)))
         return replace(self, leds=tuple(chosen), films=None)  # which number the rig's LEDs
 
     @property
@@ -332,13 +341,13 @@ class Rig:
 def _lights(groups: Sequence[Sequence[int]], colours: Sequence[Sequence[str]]) -> tuple[tuple[int, ...], ...]:
     """The groups of LEDs, those of coloured exposures divided by colour, in the order red, green, blue."""
     result: list[tuple[int, ...]] = []
-    for k, group in enumerate(groups):
-        if not colours or not any(colours[k]):
+    for group, names in zip(groups, colours or [()] * len(groups), strict=True):
+        if not any(names):
             result.append(tuple(group))
             continue
-        named = list(zip(group, colours[k], strict=True))
-        parts = [tuple(i for i, name in named if name == colour) for colour in COLOURS]
-        result.extend(part for part in parts if part)
+        for colour in COLOURS:
+            part = tuple(led for led, name in zip(group, names, strict=True) if name == colour)
+            result += [part] if part else []
     return tuple(result)
 
 
@@ -410,15 +419,13 @@ class Band:
     def of_images(self, kept: Sequence[int]) -> Band:
         """The band of some of its images."""
         rows = list(kept)
-        some = ("pixels", "exposure", "black_level", "flat", "promised", "transmission")
-        arrays: dict[str, Any] = {name: getattr(self, name) for name in some}
-        arrays = {name: None if array is None else array[rows] for name, array in arrays.items()}
-        lists: dict[str, Any] = {
-            name: tuple(getattr(self, name)[k] for k in rows)
-            for name in ("leds", "files", "colours")
-            if getattr(self, name)
-        }
-        return replace(self, **arrays, **lists)
+        parts: dict[str, Any] = {}
+        for name in ("pixels", "exposure", "black_level", "flat", "promised", "transmission"):
+            array = getattr(self, name)
+            parts[name] = None if array is None else array[rows]
+        for name in ("leds", "files", "colours"):
+            parts[name] = tuple(getattr(self, name)[k] for k in rows) if getattr(self, name) else ()
+        return replace(self, **parts)
 
     def sampled(self, every: int) -> Band:
         """The band in every so many pixels of its rows and columns."""
@@ -556,17 +563,17 @@ class Reconstruction:
         known = self.mask & np.isfinite(self.height_mm)
         unit = self.unit
         pitch = f" at {1000 * self.pitch_mm:.1f} um" if unit.known else ", scale unknown"
-        found = {
+        summary = {
             "preset": f"'{self.preset}'",
             "size": f"{self.mask.shape[0]} x {self.mask.shape[1]} px{pitch}",
             "area": f"{float(known.sum()) * (self.pitch_mm * unit.per_mm) ** 2:.0f} {unit.name}2",
         }
         if bool(known.any()):
             low, high = np.percentile(self.height_mm[known], (1, 99))
-            found["height range"] = f"{(high - low) * unit.per_mm:.2f} {unit.name}"
+            summary["height range"] = f"{(high - low) * unit.per_mm:.2f} {unit.name}"
             relief = float(np.std(self.ridge_mm[known])) * unit.small_per_mm
-            found["relief"] = f"{relief:.1f} um rms" if unit.known else f"{relief:.2f} px rms"
-        return found | {"warnings": str(len(self.warnings))}
+            summary["relief"] = f"{relief:.1f} um rms" if unit.known else f"{relief:.2f} px rms"
+        return summary | {"warnings": str(len(self.findings))}
 
     def save(self, folder: str | os.PathLike[str], capture: Capture | None = None) -> None:
         """Write all files of a result: surface, mesh, print, pictures and report.
@@ -643,15 +650,12 @@ its own: the IMX219's quantum efficiency under Gaussian lines at 625, 525 and 46
 def default_rig(scale: float = 1.0, seed: int | None = None, intensity_spread: float = 0.1) -> Rig:
     """Return the thesis's rig: seven white and seven NIR LEDs on a circle of 52.5 mm at the camera's height.
 
-    Raises BadInput if `scale` or `intensity_spread` is out of range. Returns a rig whose LEDs 0 to 6 are white, at
+    Raises BadInput if `scale` is out of range. Returns a rig whose LEDs 0 to 6 are white, at
     azimuths 2 pi k / 7, and 7 to 13 NIR, half a step further. `scale`: size of the image relative to the full frame of
     2200 x 3200 pixels at 75.7 px/mm, in (0, 1]; `seed`: seed of the LEDs' individual intensities; None makes all of
     them one; `intensity_spread`: standard deviation of the intensities about one; they stay within 2.5 deviations.
     """
     require(0.0 < scale <= 1.0, f"scale must lie in (0, 1], but it is {scale}.")
-    require(
-        0.0 <= intensity_spread <= 0.3, f"intensity_spread must lie between 0 and 0.3, but it is {intensity_spread}."
-    )
     camera = Camera(px_per_mm=75.7 * scale, image_size=(round(2200 * scale), round(3200 * scale)), height_mm=140.0)
     intensities = np.ones(2 * _LEDS_PER_BAND)
     if seed is not None:
@@ -697,7 +701,6 @@ def shared_exposures(exposures: int) -> tuple[tuple[int, int, int], ...]:
     lie around the finger, and so do those of a colour. BadInput if it is not one to three exposures.
     """
     require(1 <= exposures <= 3, f"coloured LEDs take one to three exposures here, not {exposures}.")
-    step = (0, 4, 8) if exposures == 3 else (0, exposures, 2 * exposures)
     count = 3 * exposures
-    red, green, blue = ([(3 * k + away) % count for k in range(exposures)] for away in step)
-    return tuple(zip(red, green, blue, strict=True))
+    step = 4 if exposures == 3 else exposures
+    return tuple((3 * k, (3 * k + step) % count, (3 * k + 2 * step) % count) for k in range(exposures))

@@ -2,29 +2,12 @@
 
 from __future__ import annotations
 
-import re
-from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Any
 
-from cyclopts import Parameter
-
-from splitknit.arguments import AnyPath, Positive, checked, text_of
+from splitknit.arguments import AnyPath, PlanePoint, Positive, checked, text_of
 from splitknit.errors import require
-
-_NUMBER = r"[-+]?(?:\d{1,5}\.?\d{0,9}|\.\d{1,9})"
-
-
-def _place(kind: Any, tokens: Sequence[Any]) -> tuple[float, float]:
-    word = tokens[0].value
-    match = re.fullmatch(rf"({_NUMBER}),({_NUMBER})", word)
-    require(match is not None, f"'{word}' must be X,Y in mm, such as -3,0.5")
-    assert match is not None
-    return float(match[1]), float(match[2])
-
-
-Place = Annotated[tuple[float, float], Parameter(converter=_place, n_tokens=1, allow_leading_hyphen=True)]
 
 
 @dataclass(frozen=True, slots=True)
@@ -45,7 +28,7 @@ class Profile:
 
 @checked
 def profile(
-    result: AnyPath, start: Place, end: Place, *, cutoff: Positive = 0.8, out: AnyPath = Path("profile")
+    result: AnyPath, start: PlanePoint, end: PlanePoint, *, cutoff: Positive = 0.8, out: AnyPath = Path("profile")
 ) -> Profile:
     """Cut a surface between two points, and measure its roughness there.
 

@@ -47,10 +47,7 @@ VERBS = {
     "pad": (MATCH, "detect presentation attacks: was live skin photographed, or a copy, or is that unknown"),
 }
 """The verbs of all members in the order of ``--help``, each with its distribution and its line of help."""
-_SCANNED = "lay another scanner's points on a grid from a checkout, with 'python validation/scanners/cloud.py'."
 GONE: dict[str, str] = {
-    "enroll --set": "templates are made in one way; leave it out.",
-    "identify --set": "templates are made in one way; leave it out.",
     "completion": "the options of a verb are in its '--help', and a typo is answered by what was meant.",
     "forget": "'gallery remove' erases a person from a gallery; docs/guide/data-protection.md lists the other files.",
     "gallery index": "up to some 100,000 captures are searched by an index in memory; leave the command out.",
@@ -58,53 +55,15 @@ GONE: dict[str, str] = {
     "gallery rekey": "use 'gallery export', and 'gallery import' into a new file under the other key.",
     "gallery repair": "what is damaged is named when it is read: 'gallery remove' takes it out.",
     "gallery check": "a gallery is checked whenever it is opened.",
-    "gallery export --images": "a gallery keeps no pictures any more; keep the captures themselves.",
-    "gallery remove --row": "use '--person', '--finger' and '--session'.",
-    "enroll --keep-images": "keep the captures themselves, in a folder of your own.",
-    "identify --search": "leave it out: up to 200 captures all are compared, of more those whose minutiae agree best.",
-    "export --date": "it was for ANSI/NIST-ITL, which is only read.",
-    "export --device": "it was for ANSI/NIST-ITL, which is only read.",
-    "export --key-file": "galleries are not exported as records; export the prints that were enrolled.",
-    "export --to ansi-nist-itl": "write iso-39794-4 or iso-19794-4; transactions are only read.",
-    "export --to iso-19794-2-2011": "write iso-19794-2 (of 2005).",
-    "export --to iso-19794-4-2011": "write iso-39794-4, which states the print's quality as well.",
-    "print --set": "prints are made in one way; leave it out.",
-    "records what --out": "read its minutiae with 'read_prints' (docs/reference/records.md) and draw them yourself.",
-    "identify --shards": "leave it out: an index in memory serves up to some 100,000 captures.",
-    "calibrate lights --nail-seen": "mark the nail's tip in the table.",
     "calibrate shading": "gel sensors are not calibrated any more; lights of opaque things are, with a ball or a nail.",
-    "reconstruct --frames": "reconstruct each colour photograph by itself.",
-    "reconstruct --level": "it was for gel sensors.",
-    "reconstruct --shading": "give the lights of an opaque thing by '--lights' and '--flat'.",
-    "separate --block": "shifted checkerboards are separated; one image is in validation/separation.",
-    "separate --method": "shifted checkerboards are separated; other patterns are in validation/separation.",
     "view": "open report.html in the result's folder: it shows the surface in three dimensions.",
-    "import --unit": _SCANNED,
-    "import --up": _SCANNED,
-    "import --pitch": _SCANNED,
-    "import --people": "import a tree of people from a checkout, with 'python validation/thesis/people.py'.",
-    "import --table": "make a rig file with 'splitknit calibrate lights --table', and give it to --lights.",
     "rig cad": "draw the parts from a checkout, with 'python -m hardware.draw' (docs/guide/rig-build.md).",
     "rig circuit": "design the board from a checkout, with 'python -m hardware.circuit' (docs/guide/rig-circuit.md).",
     "rig phantom": "draw it from a checkout, with 'python -m hardware.phantom'.",
     "rig optimise": "sweep rigs from a checkout, with 'python validation/thesis/rigs.py'.",
-    "match --method voted": "use 'python validation/published/voted.py A B' from a checkout.",
-    "match --method minutiae3d": "use 'python validation/published/minutiae3d.py A B' from a checkout.",
-    "match --method tetrahedra": "use 'python validation/published/tetrahedra.py A B' from a checkout.",
-    "match --method surface-code": "use 'python validation/published/surface_code.py A B' from a checkout.",
-    "print --pores": "use 'python validation/published/pores.py A B' from a checkout.",
-    "simulate --scanner": "use 'python validation/scanners/run.py --system NAME' from a checkout.",
-    "evaluate --fuse llr": "use 'trained', 'linear' or 'minmax'; validation/published/knuckles.py has these ratios.",
-    "evaluate --exclude": "leave the lines of those fingers out of the score file.",
-    "batch --cluster": "use '--scheduler' (docs/guide/batch.md).",
-    "batch --cluster-ca": "name certificates in Dask's configuration (docs/guide/batch.md).",
-    "batch --cluster-cert": "name certificates in Dask's configuration (docs/guide/batch.md).",
-    "batch --cluster-key": "name certificates in Dask's configuration (docs/guide/batch.md).",
-    "batch --csv": "score files are in STORE/csv.",
-    "batch --insecure-cluster": "use tls://, or a tunnel to tcp://127.0.0.1 (docs/guide/batch.md).",
     "train": "use the scripts of training/ from a checkout: 'python training/shape.py --out DIR'.",
 }
-"""Verbs and options that left (``forget``, ``print --pores``), each with what to use instead, as one sentence."""
+"""Verbs that left, each with what to use instead, as one sentence."""
 
 
 def registered(group: str, distribution: str | None = None) -> dict[str, str]:
@@ -112,25 +71,13 @@ def registered(group: str, distribution: str | None = None) -> dict[str, str]:
     from importlib import metadata  # slow where many distributions are installed
 
     if distribution is None:
-        found = {one.name: one.value for one in metadata.entry_points(group=group)}
+        points = metadata.entry_points(group=group)
     else:
         try:
-            points = metadata.distribution(distribution).entry_points
+            points = metadata.distribution(distribution).entry_points.select(group=group)
         except metadata.PackageNotFoundError:
-            points = metadata.EntryPoints()
-        found = {one.name: one.value for one in points if one.group == group}
-    return found
-
-
-def load(value: str) -> Any:
-    """Import the object of an entry point."""
-    from importlib import import_module
-
-    module, _, names = value.partition(":")
-    found = import_module(module)
-    for name in names.split(".") if names else ():
-        found = getattr(found, name)
-    return found
+            return {}
+    return {point.name: point.value for point in points}
 
 
 def verbs_known() -> list[str]:
@@ -145,11 +92,10 @@ def objects_of(verb: str) -> dict[str, str]:
 
 
 def refusal(words: Sequence[str]) -> str:
-    """Why the first word is no verb that can run, or why an option is none any more; nothing if all is well."""
-    typed = " ".join(words).replace("=", " ") + " "
+    """Why the first word is no verb that can run; nothing if it is one."""
+    typed = " ".join(words) + " "
     for name, instead in GONE.items():
-        verb, _, option = name.partition(" --")
-        if typed.startswith(f"{verb} ") and (not option or f" --{option} " in typed):
+        if typed.startswith(f"{name} "):
             return f"'{name}' left the program: {instead}"
     verb = next((word for word in words if not word.startswith("-")), "")
     if verb and verb not in VERBS and verb not in verbs_known():
@@ -170,7 +116,9 @@ def extension(group: str, name: str, what: str, distribution: str) -> Any:
         from splitknit.errors import BadInput
 
         raise BadInput(not_installed(what, distribution))
-    return load(value)
+    from pkgutil import resolve_name
+
+    return resolve_name(value)
 
 
 def not_installed(what: str, distribution: str) -> str:

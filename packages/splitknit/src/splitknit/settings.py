@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import math
+import re
 import sys
 import types
 import typing
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, fields, is_dataclass, replace
 from functools import cache
 from typing import Annotated, Any, ClassVar, TypeVar
@@ -14,7 +15,8 @@ from typing import Annotated, Any, ClassVar, TypeVar
 from splitknit.errors import BadInput, require
 
 Settings = TypeVar("Settings")
-_LONGEST_NAME, _LONGEST_TEXT = 100, 1000
+_LONGEST_NAME = 100
+_KINDS = {"float": "a number", "int": "a whole number", "bool": "true or false", "str": "a text"}
 
 
 @dataclass(frozen=True, slots=True)
@@ -28,8 +30,6 @@ class Limits:
     max: float = math.inf
     above: bool = False
     """Whether `min` itself is excluded."""
-    below: bool = False
-    """Whether `max` itself is excluded."""
 
     def hold(self, value: Any) -> bool:
         """Whether a value, or every part of a tuple, lies in the range."""
@@ -37,10 +37,9 @@ class Limits:
             return all(self.hold(part) for part in value)
         if value is None:
             return True
-        low = value > self.min if self.above else value >= self.min
-        high = value < self.max if self.below else value <= self.max
         finite = abs(value) <= sys.float_info.max if isinstance(value, int) else math.isfinite(value)
-        return bool(low and high and finite)  # whole numbers may have any length
+        within = self.min < value <= self.max if self.above else self.min <= value <= self.max
+        return bool(within and finite)  # whole numbers may have any length
 
     def __str__(self) -> str:
         if math.isinf(self.max):
@@ -48,9 +47,9 @@ class Limits:
                 return "positive" if self.above else "zero or more"
             return f"{'above' if self.above else 'at least'} {self.min:g}"
         if math.isinf(self.min):
-            return f"{'below' if self.below else 'at most'} {self.max:g}"
+            return f"at most {self.max:g}"
         largest = "2^63 - 1" if self.max == 2**63 - 1 else f"{self.max:g}"
-        return f"{'above' if self.above else 'from'} {self.min:g} to {'below ' if self.below else ''}{largest}"
+        return f"{'above' if self.above else 'from'} {self.min:g} to {largest}"
 
 
 class Checked:
@@ -91,7 +90,7 @@ def check_value(name: str, rule: Limits | tuple[Any, ...], value: Any) -> None:
         wanted = "one of " + ", ".join(str(choice) for choice in rule)
         sound = value is None or value in rule
     if not sound:
-        raise BadInput(f"{name} must be {wanted}, but it is {shown(value)}.")
+        raise BadInput(f"{name} must be {wanted}, but it is {quoted(value)}.")
 
 
 def _group(kind: type[Checked]) -> str:
@@ -100,14 +99,11 @@ def _group(kind: type[Checked]) -> str:
     return "".join(f"_{c.lower()}" if c.isupper() else c for c in kind.__name__)[1:].removesuffix("_settings") + "."
 
 
-def _all_rules(kind: Any) -> tuple[tuple[str, Limits | tuple[Any, ...]], ...]:
+@cache
+def rules_of(kind: Any) -> tuple[tuple[str, Limits | tuple[Any, ...]], ...]:
     """Fields of a class, or arguments of a function, whose types declare a range or choices."""
     hints = typing.get_type_hints(kind, include_extras=True)
     return tuple((name, rule) for name, hint in hints.items() for rule in _rules_in(hint))
-
-
-rules_of: Callable[[Any], tuple[tuple[str, Limits | tuple[Any, ...]], ...]] = cache(_all_rules)
-"""The same, kept."""
 
 
 def _rules_in(hint: Any) -> list[Limits | tuple[Any, ...]]:
@@ -122,7 +118,7 @@ def _rules_in(hint: Any) -> list[Limits | tuple[Any, ...]]:
     return []
 
 
-def shown(value: Any) -> str:
+def quoted(value: Any) -> str:
     """Return a value as messages quote it, cut where it is long."""
     try:
         text = ascii(value)
@@ -147,16 +143,18 @@ def flatten(tree: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
     return flat
 
 
-def differing(one: Any, other: Any, name: str = "") -> list[str]:
+def differing(first: Any, second: Any, name: str = "") -> list[str]:
     """Dotted names of what differs between two documents of settings.
 
     >>> differing({"knit": {"mode": "none"}, "seed": 1}, {"knit": {"mode": "whole"}, "seed": 1})
     ['knit.mode']
     """
-    if isinstance(one, Mapping) and isinstance(other, Mapping):
-        keys = sorted(one.keys() | other.keys())
-        return [found for key in keys for found in differing(one.get(key), other.get(key), f"{name}.{key}".strip("."))]
-    return [] if one == other else [name]
+    if not isinstance(first, Mapping) or not isinstance(second, Mapping):
+        return [] if first == second else [name]
+    names: list[str] = []
+    for key in sorted(first.keys() | second.keys()):
+        names += differing(first.get(key), second.get(key), f"{name}.{key}".strip("."))
+    return names
 
 
 def override(settings: Settings, changes: Mapping[str, Any]) -> Settings:
@@ -191,50 +189,14 @@ def _replaced(settings: Any, path: list[str], value: Any, name: str) -> Any:
     return replace(settings, **{path[0]: _converted(value, hint_type, name)})
 
 
-def _converted(value: Any, expected: Any, name: str) -> Any:
-    """Return `value` as the type of the field, without guessing: an int may become a float, a list a tuple."""
-    union = typing.get_origin(expected) in (typing.Union, types.UnionType)
-    options = typing.get_args(expected) if union else (expected,)
-    for option in options:
-        done, result = _as_type(value, option)
-        if done:
-            return result
-    wanted = " or ".join(_type_name(option) for option in options)
-    raise BadInput(f"setting '{name}' must be {wanted}, but it is {shown(value)}.")
+def _converted(value: Any, hint: Any, name: str) -> Any:
+    """`value` as the type of the field, without guessing: an int may become a float, a list a tuple."""
+    import msgspec  # only changes need it
 
-
-def _as_type(value: Any, option: Any) -> tuple[bool, Any]:  # noqa: PLR0911 - one line for each kind of field
-    if option is Any:
-        return True, value
-    if option is types.NoneType:
-        return value is None, None
-    whole = isinstance(value, int) and not isinstance(value, bool)
-    if option is float:
-        try:
-            return whole or isinstance(value, float), float(value) if whole else value
-        except OverflowError:
-            return True, math.inf if value > 0 else -math.inf  # left to the settings to refuse
-    if option is int:
-        return whole, value
-    if option is bool:
-        return isinstance(value, bool), value
-    if option is str:
-        return isinstance(value, str) and value.isprintable() and len(value) <= _LONGEST_TEXT, value
-    origin, arguments = typing.get_origin(option), typing.get_args(option)
-    if origin is typing.Literal:
-        return value in arguments, value
-    if origin is tuple and isinstance(value, (list, tuple)):
-        inner = [arguments[0]] * len(value) if arguments[-1:] == (Ellipsis,) else list(arguments)
-        if len(inner) != len(value):
-            return False, None
-        pairs = [_as_type(item, kind) for item, kind in zip(value, inner, strict=True)]
-        return all(done for done, _ in pairs), tuple(item for _, item in pairs)
-    return isinstance(option, type) and isinstance(value, option), value
-
-
-def _type_name(option: Any) -> str:
-    if typing.get_origin(option) is typing.Literal:
-        return "one of " + ", ".join(repr(item) for item in typing.get_args(option))
-    names = {float: "a number", int: "a whole number", bool: "true or false", types.NoneType: "null"}
-    names[str] = "a text of printable characters"
-    return names.get(option, str(option).removeprefix("<class '").removesuffix("'>"))
+    try:
+        return msgspec.convert(value, hint)
+    except (msgspec.ValidationError, UnicodeError) as error:
+        choices = ["one of " + ", ".join(map(repr, rule)) for rule in _rules_in(hint) if not isinstance(rule, Limits)]
+        kinds = re.findall(r"\w+", str(error).partition("`")[2].partition("`")[0])
+        wanted = choices or [_KINDS.get(kind, kind) for kind in kinds] or ["in range"]
+        raise BadInput(f"setting '{name}' must be {' or '.join(wanted)}, but it is {quoted(value)}.") from error

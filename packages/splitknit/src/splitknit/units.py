@@ -43,23 +43,25 @@ class LengthUnit:
         >>> pixels(0.1).converted({"shift_mm": [0.5, 1.0], "area_mm2": 2.0, "gain": 1.5})
         {'shift_px': [5.0, 10.0], 'area_px2': 200.0, 'gain': 1.5}
         """
-        return value if self.known else self._converted(value, 1.0)
+        return value if self.known else _in_pixels(value, self.per_mm)
 
-    def _converted(self, value: Any, factor: float) -> Any:
-        if isinstance(value, Mapping):
-            return dict(self._entry(str(name), item, factor) for name, item in value.items())
-        if isinstance(value, list | tuple):
-            return [self._converted(item, factor) for item in value]
+
+def _in_pixels(value: Any, px: float, factor: float = 1.0) -> Any:
+    """`value` with a factor for its numbers; names without a unit (colours, bands) have that of the mapping around."""
+    if isinstance(value, list | tuple):
+        return [_in_pixels(item, px, factor) for item in value]
+    if not isinstance(value, Mapping):
         return value * factor if isinstance(value, float) else value
-
-    def _entry(self, name: str, value: Any, outer: float) -> tuple[str, Any]:
-        """A name and its value in this unit; names without a unit (colours, bands) have that of the mapping around."""
-        px = self.per_mm
-        ends = {"_per_mm": ("_per_px", 1 / px), "_mm2": ("_px2", px * px), "_mm": ("_px", px), "_um": ("_px", px / 1e3)}
-        for end, (own, factor) in ends.items():
-            if name.endswith(end) and not name.endswith("px_per_mm"):  # the assumed scale itself
-                return name.removesuffix(end) + own, self._converted(value, factor)
-        return name, self._converted(value, outer)
+    ends = {"_per_mm": ("_per_px", 1 / px), "_mm2": ("_px2", px * px), "_mm": ("_px", px), "_um": ("_px", px / 1e3)}
+    converted = {}
+    for name, item in value.items():
+        end = next((end for end in ends if name.endswith(end)), "")
+        if not end or name.endswith("px_per_mm"):  # the assumed scale itself
+            converted[name] = _in_pixels(item, px, factor)
+        else:
+            unit, own = ends[end]
+            converted[name.removesuffix(end) + unit] = _in_pixels(item, px, own)
+    return converted
 
 
 MILLIMETRES = LengthUnit("mm", "\N{MICRO SIGN}m", 1.0, 1000.0)

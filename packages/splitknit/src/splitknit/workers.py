@@ -76,9 +76,6 @@ def _whole(work: Callable[[Job], Done], job: Job) -> Done:
 @contextlib.contextmanager
 def _interrupts_for_us_alone() -> Iterator[None]:
     """Start processes that Ctrl-C, delivered here at the end, does not reach: each would show a traceback."""
-    if not hasattr(signal, "pthread_sigmask"):  # Windows
-        yield
-        return
     before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
     try:
         yield

@@ -99,9 +99,9 @@ def test_impossible_plans_are_refused_and_nothing_is_written(tmp_path, wrong):
 @pytest.mark.parametrize("name", ["S18", "s01", "Anna"])
 def test_unknown_subjects_sessions_and_fingers_are_refused(tmp_path, name):
     enrolment = open_enrolment(tmp_path / "e")
-    with pytest.raises(BadInput, match="S01 to S17"):
+    with pytest.raises(BadInput, match="S01, S02"):
         enrolment.waiting(subject=name)
-    with pytest.raises(BadInput, match="sessions 1 to 4"):
+    with pytest.raises(BadInput, match="1, 2, 3, 4"):
         enrolment.waiting(session=5)
     with pytest.raises(BadInput, match="right_thumb"):
         enrolment.waiting(finger="thumb")

@@ -12,7 +12,8 @@ from splitknit.imaging.band import linear_stack, srgb_code
 from splitknit.io.capture import read_capture, write_capture
 from splitknit.io.images import read_image, write_image
 from splitknit.io.light_list import read_light_list
-from splitknit.io.plain import PhotographOptions, capture_from_photographs
+from splitknit.io.photographs import GivenPhotographs
+from splitknit.io.plain import capture_from_photographs
 from splitknit.model import Band, Camera, Capture, Led, Rig
 
 pytestmark = pytest.mark.external
@@ -31,7 +32,7 @@ def capture_from_arrays(images: np.ndarray, lights: np.ndarray, mask: np.ndarray
 def test_blender_phalange(data_dir: Path, tmp_path: Path) -> None:
     folder = data_dir / "blender_finger" / "phalange"
     lights = read_light_list(folder / "lights.txt").lights
-    options = PhotographOptions(mask=folder / "mask.png", background=71, encoding="linear")
+    options = GivenPhotographs(mask=folder / "mask.png", background=71, encoding="linear")
     capture = capture_from_photographs(folder / "light_{light}.png", lights, 40.0, options).capture
     write_capture(capture, tmp_path / "capture")
     again = read_capture(tmp_path / "capture")
@@ -47,7 +48,7 @@ def test_spheres_and_the_lights_that_their_shading_shows(data_dir: Path, tmp_pat
     folder = data_dir / "psm_spheres"
     lights = read_light_list(folder / "lights.txt").lights
     assert lights.shape == (12, 3)
-    options = PhotographOptions(mask=folder / "gray" / "gray.mask.png", encoding="linear")
+    options = GivenPhotographs(mask=folder / "gray" / "gray.mask.png", encoding="linear")
     capture = capture_from_photographs(folder / "gray" / "gray.{light}.png", lights, 5.0, options).capture
     write_capture(capture, tmp_path / "capture")
     again = read_capture(tmp_path / "capture")
@@ -111,5 +112,5 @@ def test_renders_without_a_tone_curve_stay_linear(data_dir):
     folder = data_dir / "blender_finger" / "phalange"
     if not folder.is_dir():
         pytest.skip(f"{folder} is absent")
-    assert capture_from_photographs(folder, options=PhotographOptions(background=71)).capture.encoding == "linear"
+    assert capture_from_photographs(folder, options=GivenPhotographs(background=71)).capture.encoding == "linear"
     assert capture_from_photographs(folder).capture.encoding == "linear"

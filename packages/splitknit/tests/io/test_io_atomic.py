@@ -374,7 +374,7 @@ def test_the_next_program_removes_what_a_killed_one_left(tmp_path: Path, where: 
 
 def test_a_folder_that_another_program_sweeps_is_made_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Between its making and its locking it looks as if its program had been killed."""
-    hold, made = atomic._hold_folder, []
+    hold, made = atomic._open_folder, []
 
     def swept(folder: Path) -> int | None:
         made.append(folder)
@@ -382,7 +382,7 @@ def test_a_folder_that_another_program_sweeps_is_made_again(tmp_path: Path, monk
             folder.rmdir()
         return hold(folder)
 
-    monkeypatch.setattr(atomic, "_hold_folder", swept)
+    monkeypatch.setattr(atomic, "_open_folder", swept)
     with atomic_file(tmp_path / "file") as stream:
         stream.write(b"1")
     assert len(made) == 2

@@ -14,8 +14,9 @@ from splitknit.imaging.band import linear_stack, srgb_code
 from splitknit.io.capture import read_capture, write_capture
 from splitknit.io.images import write_image
 from splitknit.io.light_list import read_light_list, write_light_list
+from splitknit.io.photographs import GivenPhotographs
 from splitknit.io.photos import encoding_of
-from splitknit.io.plain import PhotographOptions, capture_from_photographs
+from splitknit.io.plain import capture_from_photographs
 from splitknit.io.rig import write_rig
 from splitknit.model import Camera, Led, Rig
 from splitknit.steps import IN_MEMORY, large_array
@@ -41,7 +42,7 @@ def convert(plain: Path, lights: Any = LIGHTS, count: int = 4, intensities: Any 
     if intensities is not None:
         np.savetxt(plain / "list.txt", np.column_stack([lights, intensities]))
         lights = plain / "list.txt"
-    known = PhotographOptions(**{"encoding": "linear", **options})
+    known = GivenPhotographs(**{"encoding": "linear", **options})
     return capture_from_photographs(plain / "{light}.png", lights, 12.5, known).capture
 
 
@@ -230,7 +231,7 @@ def test_the_encoding_is_judged_with_the_brightness_of_the_lights(
 def test_a_stated_encoding_that_is_wrong_is_noted(tmp_path: Path, code: Any, right: str, wrong: str) -> None:
     ball_photographs(tmp_path, code)
     said = {
-        way: capture_from_photographs(tmp_path, options=PhotographOptions(encoding=way)).notes  # type: ignore[arg-type]
+        way: capture_from_photographs(tmp_path, options=GivenPhotographs(encoding=way)).notes  # type: ignore[arg-type]
         for way in (right, wrong)
     }
     assert not any(note.code == "other-encoding" for note in said[right])
@@ -242,14 +243,14 @@ def test_brightness_can_be_chosen(tmp_path: Path) -> None:
     lights = ball_photographs(tmp_path, np.asarray, bright=bright)
     np.savetxt(tmp_path / "lights.txt", np.column_stack([lights, bright[::-1]]))  # a wrong list
     for way in ("estimate", "equal"):
-        rig = capture_from_photographs(tmp_path, options=PhotographOptions(brightness=way)).capture.rig
+        rig = capture_from_photographs(tmp_path, options=GivenPhotographs(brightness=way)).capture.rig
         assert {led.intensity for led in rig.leds} == {1.0} and rig.intensities_assumed == (way == "estimate")
     capture = splitknit.read_photographs(tmp_path, px_per_mm=10.0, brightness="estimate")
     found = splitknit.reconstruct(capture).facts["light_brightness"]
     assert found == pytest.approx((bright / bright.mean()).tolist(), rel=0.03)
     (tmp_path / "lights.txt").write_text("".join(f"{k}.png {x} {y} {z}\n" for k, (x, y, z) in enumerate(lights[:4])))
     with pytest.raises(BadInput, match="five lights or more"):
-        capture_from_photographs(tmp_path, options=PhotographOptions(brightness="estimate"))
+        capture_from_photographs(tmp_path, options=GivenPhotographs(brightness="estimate"))
 
 
 def test_reduced_photographs_are_means_of_linear_light(tmp_path: Path) -> None:
@@ -257,7 +258,7 @@ def test_reduced_photographs_are_means_of_linear_light(tmp_path: Path) -> None:
     write_image(tmp_path / "mask.png", np.pad(np.full((60, 120), 255, np.uint8), ((0, 60), (0, 0))))
     whole, small = (
         capture_from_photographs(
-            tmp_path, None, 10.0, PhotographOptions(encoding="srgb", background=13, max_megapixels=limit)
+            tmp_path, None, 10.0, GivenPhotographs(encoding="srgb", background=13, max_megapixels=limit)
         )
         for limit in (None, 120 * 120 / 4e6)
     )
@@ -313,7 +314,7 @@ def test_a_link_to_itself_is_no_traceback(plain: Path) -> None:
     with pytest.raises(BadInput, match=r"3\.png"):
         capture_from_photographs(plain, px_per_mm=12.5)
     with pytest.raises(BadInput, match=r"3\.png"):
-        capture_from_photographs(plain, None, 12.5, PhotographOptions(mask=plain / "3.png"))
+        capture_from_photographs(plain, None, 12.5, GivenPhotographs(mask=plain / "3.png"))
 
 
 @pytest.mark.parametrize(
@@ -397,12 +398,12 @@ def test_a_mask_is_transparency_or_all(tmp_path: Path) -> None:
     np.testing.assert_array_equal(found.capture.mask, inside)
     assert any("not transparent" in str(note) for note in found.notes)
     Image.fromarray(alpha).save(tmp_path / "mask.tif")
-    options = PhotographOptions(mask=tmp_path / "mask.tif", encoding="linear")
+    options = GivenPhotographs(mask=tmp_path / "mask.tif", encoding="linear")
     np.testing.assert_array_equal(capture_from_photographs(tmp_path, None, 5.0, options).capture.mask, inside)
     Image.fromarray(picture).save(tmp_path / "mask.png")
     with pytest.raises(BadInput, match="is a picture and no mask"):
         capture_from_photographs(tmp_path, px_per_mm=5.0)
-    options = PhotographOptions(mask="all", encoding="linear")
+    options = GivenPhotographs(mask="all", encoding="linear")
     assert capture_from_photographs(tmp_path, None, 5.0, options).capture.mask.all()
 
 
@@ -412,7 +413,7 @@ def test_cut_out_photographs_have_their_mask(tmp_path: Path) -> None:
         grey = np.asarray(Image.open(tmp_path / f"{k}.png")).astype(np.uint16) >> 8
         alpha = np.where(inside, 255, 0)
         Image.fromarray(np.dstack([grey, alpha]).astype(np.uint8), "LA").save(tmp_path / f"{k}.png")
-    found = capture_from_photographs(tmp_path, None, 0.002, PhotographOptions(encoding="linear"))
+    found = capture_from_photographs(tmp_path, None, 0.002, GivenPhotographs(encoding="linear"))
     np.testing.assert_array_equal(found.capture.mask, inside)
     result = splitknit.reconstruct(found.capture)
     assert any("longer side of the pictures is 45000 mm" in warning for warning in result.warnings)

@@ -16,8 +16,9 @@ from splitknit.imaging.band import linear_stack
 from splitknit.imaging.light_field import few_lights
 from splitknit.io.capture import read_capture, write_capture
 from splitknit.io.light_list import read_light_list
+from splitknit.io.photographs import GivenPhotographs
 from splitknit.io.photos import read_photo
-from splitknit.io.plain import PhotographOptions, Photographs, capture_from_photographs
+from splitknit.io.plain import Photographs, capture_from_photographs
 from splitknit.photometric.lambertian import lambertian
 
 DIRECTIONS = np.array([[0.5, 0, 0.9], [-0.5, 0, 0.9], [0, 0.5, 0.9], [0, -0.5, 0.9], [0.1, 0.1, 1.0]])
@@ -220,7 +221,7 @@ def test_floats_are_brought_to_one_scale(folder: Path) -> None:
     for k, file in enumerate(sorted(folder.glob("p*.png"), key=lambda file: int(file.stem[1:]))):
         tifffile.imwrite(file.with_suffix(".tiff"), ball(DIRECTIONS[k]).astype(np.float32) * 40.0 + 3.0)
         file.unlink()
-    found = capture_from_photographs(folder, options=PhotographOptions(background=3.0))
+    found = capture_from_photographs(folder, options=GivenPhotographs(background=3.0))
     light = linear_stack(found.capture.bands["white"], "linear")
     expected = np.stack([ball(one) for one in DIRECTIONS]).astype(float)
     factor = light.max() / expected.max()

@@ -13,7 +13,7 @@ from splitknit import preset_settings, read_capture
 from splitknit.errors import naming, require
 from splitknit.finger.ridges import ink
 from splitknit.imaging.polarised import without_films
-from splitknit.io.mesh import surface_mesh, write_ply
+from splitknit.io.mesh import triangulate, write_ply
 from splitknit.model import BoolArray, FloatArray, Progress
 from splitknit_match.prints.make import Print
 from splitknit_match.prints.print_map import PrintMap, resample, unrolled_map
@@ -98,8 +98,9 @@ def write_rolled(target: Path, rolled: Rolled) -> dict[str, Any]:
     """
     relief = rolled.blended.relief_mm
     points = _skin_points(rolled, rolled.points_mm.astype(float) + relief[..., None] * rolled.normals)
-    vertices, faces, index = surface_mesh(points[..., 0], points[..., 1], points[..., 2], rolled.blended.known)
-    used = index >= 0
+    used = rolled.blended.known & np.isfinite(points[..., 2])
+    faces, _ = triangulate(used)
+    vertices = points[used].astype(np.float32)
     normals = (rolled.normals.astype(float) @ rolled.chart.axes.T)[used].astype(np.float32)
     relief = relief[used]
     shade = np.clip(0.5 + relief / (6.0 * max(float(relief.std()), 1e-6)), 0.0, 1.0).astype(np.float32)

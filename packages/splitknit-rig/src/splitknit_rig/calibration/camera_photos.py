@@ -18,7 +18,7 @@ from splitknit import BadInput, Camera, Rig, read_rig, write_rig
 from splitknit.arguments import text_of
 from splitknit.errors import naming, read_bytes, require
 from splitknit.io.images import MAX_BYTES, decode_image
-from splitknit.io.plain import natural_order
+from splitknit.io.photograph_files import natural_order
 from splitknit.io.provenance import provenance
 from splitknit.io.targets import check_rig_file
 from splitknit.model import Array, PixelArray, Progress, default_rig, no_progress

@@ -17,8 +17,8 @@ from splitknit.errors import Refused, read_bytes, refusing, require
 from splitknit.imaging.response import shading_is_srgb
 from splitknit.imaging.view import plane_points
 from splitknit.io.light_list import LIST_TITLE, write_light_list
+from splitknit.io.photograph_files import natural_order
 from splitknit.io.photos import FORMATS, SUFFIXES, encoding_of, read_photo
-from splitknit.io.plain import natural_order
 from splitknit.io.provenance import file_hash, plain_json, provenance
 from splitknit.io.targets import check_file, check_rig_file
 from splitknit.model import Array, FloatArray, Progress, camera_without_scale, no_progress, side_lights

@@ -15,9 +15,9 @@ from splitknit.errors import read_bytes, require
 from splitknit.imaging.band import linear_image
 from splitknit.io.atomic import write_file
 from splitknit.io.images import MAX_BYTES, decode_image, write_image
+from splitknit.io.photograph_files import natural_order
 from splitknit.io.photos import decode_photo, encoding_of
 from splitknit.io.pictures import ORANGE, PAPER, SKY, ColourArray
-from splitknit.io.plain import natural_order
 from splitknit.io.targets import check_file, check_picture
 from splitknit.model import Array, FloatArray, Progress, no_progress
 from splitknit_rig.calibration.lights import BANDS, LEDS_PER_BAND, Tip, write_tips

@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from splitknit import BadInput, Rig
-from splitknit.devices import Closing, ExposureRange, Frame, GuardedLights, Opened
+from splitknit.devices import CameraDevice, Closing, ExposureRange, Frame, LightBank, Opened
 from splitknit.errors import importing, require
 from splitknit.model import PixelArray, nominal_rig
 from splitknit.settings import Checked, check_fields
@@ -84,7 +84,7 @@ SETTLE_S = 0.02
 """Far above what an LED (microseconds), its phosphor (under a millisecond) and its supply (milliseconds) need."""
 
 
-class PiLightBank(GuardedLights):
+class PiLightBank(LightBank):
     """LEDs on GPIO lines, active high, off from the moment on which the lines become outputs."""
 
     def __init__(
@@ -186,7 +186,7 @@ class PiCameraSettings(Checked):
         return SENSORS[self.camera]
 
 
-class PiCamera(Closing):
+class PiCamera(CameraDevice):
     """A :class:`splitknit.devices.CameraDevice` on picamera2."""
 
     def __init__(

@@ -15,7 +15,7 @@ import cv2
 import numpy as np
 
 from splitknit import Camera, Led
-from splitknit.devices import Closing, ExposureRange, Frame, GuardedLights
+from splitknit.devices import CameraDevice, ExposureRange, Frame, LightBank
 from splitknit.errors import require
 from splitknit.model import FloatArray
 from splitknit_simulator.camera.sensor import RESPONSE, SensorSettings, binning_scale, record
@@ -63,7 +63,7 @@ SENSITIVITY_PER_S = 500.0
 SETTLE_S = 0.02  # time until an LED reaches full brightness
 
 
-class TwinLightBank(GuardedLights):
+class TwinLightBank(LightBank):
     """LEDs of a scene."""
 
     def __init__(self, scene: LitScene, clock: Clock) -> None:
@@ -91,7 +91,7 @@ class TwinLightBank(GuardedLights):
         pass
 
 
-class TwinCamera(Closing):
+class TwinCamera(CameraDevice):
     """A :class:`splitknit.devices.CameraDevice` that looks at a scene."""
 
     def __init__(

@@ -12,7 +12,6 @@ import json
 import os
 import shutil
 import sys
-import textwrap
 import traceback
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
@@ -21,10 +20,11 @@ from pathlib import Path
 from typing import Annotated, Any
 
 from cyclopts import App, CycloptsError, Parameter
-from cyclopts.help import HelpEntry
+from cyclopts.help import DefaultFormatter, PanelSpec
+from rich.box import HORIZONTALS
 from rich.console import Console
 
-from splitknit.cli.console import ProgressBar, facts_with_options, one_line, warnings_shown, with_options
+from splitknit.cli.console import one_line, progress_bar, warnings_shown, with_options
 from splitknit.cli.exits import ANSWERS, BAD_INPUT, DONE, INTERNAL_ERROR, fail, say
 from splitknit.cli.options import read_changes
 from splitknit.errors import BadInput, Refused, given_folders
@@ -53,41 +53,6 @@ class How:
     exit_code: Annotated[bool, _FLAG] = False
 
 
-class _Help:
-    """Help in plain text: an option a line, and what it does below it."""
-
-    def __call__(self, console: Any, options: Any, panel: Any) -> None:
-        """Print one panel."""
-        if not panel.entries:
-            return
-        lines = [f"{panel.title}:"]
-        below = 8 if panel.format == "parameter" else 15
-        for entry in panel.entries:
-            words = Console(file=io.StringIO(), width=10_000, color_system=None)
-            words.print(entry.description or "")
-            text = " ".join([*words.file.getvalue().split(), *_range_of(entry)])  # type: ignore[attr-defined]
-            label = "  " + ", ".join(entry.display_labels_with_metavar)
-            text_lines = textwrap.wrap(
-                text, options.max_width, initial_indent=" " * below, subsequent_indent=" " * below
-            )
-            if panel.format == "command":
-                label = f"{label:{below}}{text_lines.pop(0).strip() if text_lines else ''}"
-            lines += [label, *text_lines]
-        print(*lines, "", sep="\n", file=console.file)
-
-
-def _range_of(entry: HelpEntry) -> list[str]:
-    """What else is said of an option: its choices, and its default."""
-    words = []
-    if entry.choices:
-        words.append(f"[{', '.join(entry.choices)}]")
-    if entry.required:
-        words.append("(required)")
-    elif entry.default not in (None, "", "False", "()"):
-        words.append(f"(default: {entry.default})")
-    return words
-
-
 def build_app(verb: str | None = None) -> App:
     """Return the app with all verbs, or with the functions of `verb` alone, for which less is loaded."""
     app = App(
@@ -95,7 +60,7 @@ def build_app(verb: str | None = None) -> App:
         help=_ABOUT,
         help_epilogue=_ENDING,
         help_format="plaintext",
-        help_formatter=_Help(),
+        help_formatter=DefaultFormatter(panel_spec=PanelSpec(box=HORIZONTALS)),
         version=_version,
         default_parameter=Parameter(negative="", allow_repeating=True),  # the last one counts
         result_action="return_value",
@@ -189,34 +154,35 @@ def options_of(app: App, words: Sequence[str]) -> dict[str, str]:
 def _guarded(app: App, words: Sequence[str], how: How) -> int:
     """Run the verb; turn what goes wrong into one line and an exit code."""
     options: Mapping[str, str] = {}
-    code = BAD_INPUT
     try:
         options = options_of(app, words)
-        command, bound, ignored = app.parse_args(list(words))
+        command, bound, _ = app.parse_args(list(words))
         if command.__name__ == "help_print":  # a group of verbs, without one
             return _help(app, words)
-        return _report(_called(command, bound, "progress" in ignored, how, options), how, options)
-    except (CycloptsError, BadInput) as error:
+        return _report(_called(command, bound, how, options), how, options)
+    except Exception as error:
         if how.json and isinstance(error, Refused):
             say(json.dumps(error.facts, indent=1, allow_nan=False) + "\n", BAD_INPUT)
-        cause: Exception = error
-        message = f"error: {one_line(error, options)}"
-    except PermissionError as error:
-        cause = error
-        message = f"error: '{one_line(error.filename, {})}' cannot be reached: {error.strerror}."
-    except MemoryError as error:
-        cause = error
-        message, code = "error: not enough memory for this capture; use smaller images or more memory.", INTERNAL_ERROR
-    except Exception as error:
-        cause = error
-        advice = "internal error, please report it; --traceback shows where"
-        message, code = f"{type(error).__name__}: {one_line(error, options)} ({advice})", INTERNAL_ERROR
-    if how.traceback:
-        traceback.print_exception(cause)
-    return fail(f"splitknit: {message}", code)
+        if how.traceback:
+            traceback.print_exception(error)
+        message, code = _reported(error, options)
+        return fail(f"splitknit: {message}", code)
 
 
-def _called(command: Any, bound: BoundArguments, reports: bool, how: How, options: Mapping[str, str]) -> Any:
+def _reported(error: Exception, options: Mapping[str, str]) -> tuple[str, int]:
+    """An error as one line, and its exit code."""
+    line = one_line(error, options)
+    if isinstance(error, CycloptsError | BadInput):
+        return f"error: {line}", BAD_INPUT
+    if isinstance(error, PermissionError):
+        return f"error: '{one_line(error.filename, {})}' cannot be reached: {error.strerror}.", BAD_INPUT
+    if isinstance(error, MemoryError):
+        return "error: not enough memory for this capture; use smaller images or more memory.", INTERNAL_ERROR
+    advice = "internal error, please report it; --traceback shows where"
+    return f"{type(error).__name__}: {line} ({advice})", INTERNAL_ERROR
+
+
+def _called(command: Any, bound: BoundArguments, how: How, options: Mapping[str, str]) -> Any:
     """What the verb's function returns."""
     settings = bound.arguments.get("settings")
     if settings is not None:
@@ -225,9 +191,9 @@ def _called(command: Any, bound: BoundArguments, reports: bool, how: How, option
         stack.enter_context(given_folders(_paths_in(bound.arguments.values())))
         stack.enter_context(_permissions(how.group_readable))
         stack.enter_context(warnings_shown(options))
-        bar = stack.enter_context(ProgressBar(wanted=not how.json))
-        progress = {"progress": bar.update} if reports else {}
-        return command(*bound.args, **bound.kwargs, **progress)
+        if "progress" in bound.signature.parameters and not how.json and sys.stderr.isatty():
+            bound.arguments["progress"] = stack.enter_context(progress_bar())
+        return command(*bound.args, **bound.kwargs)
 
 
 def _paths_in(values: Iterable[Any]) -> Iterator[Path]:
@@ -253,19 +219,11 @@ def _permissions(group_readable: bool) -> Iterator[None]:
 
 def _report(result: Any, how: How, options: Mapping[str, str]) -> int:
     """Print a result for people, or for programs, and return the exit code."""
+    from splitknit.io.provenance import known_json  # not for help
+
     if result is None:
         return DONE
-    facts = _facts_of(result) if how.json or how.exit_code else {}
+    facts: Any = known_json(getattr(result, "facts", result)) if how.json or how.exit_code else {}
     code = ANSWERS.get(facts.get("answer", ""), DONE) if how.exit_code else DONE
-    if how.json:
-        text = json.dumps(facts_with_options(facts, options), indent=1, allow_nan=False)
-    else:
-        text = with_options(str(result), options)
-    return say(f"{text}\n", code)
-
-
-def _facts_of(result: Any) -> Any:
-    from splitknit.io.provenance import known_json
-
-    facts = getattr(result, "facts", result)
-    return known_json(facts)
+    text = json.dumps(facts, indent=1, allow_nan=False) if how.json else str(result)
+    return say(f"{with_options(text, options)}\n", code)

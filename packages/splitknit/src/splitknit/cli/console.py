@@ -7,9 +7,8 @@ import re
 import shutil
 import sys
 import time
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
-from typing import Any
 
 from splitknit.errors import printable
 from splitknit.registry import MEMBERS
@@ -31,15 +30,6 @@ def with_options(text: str, options: Mapping[str, str]) -> str:
     return re.sub("`([a-z_0-9]+)`", lambda name: options.get(name[1], name[1]), text)
 
 
-def facts_with_options(facts: Any, options: Mapping[str, str]) -> Any:
-    """Facts with the options that their sentences name."""
-    if isinstance(facts, Mapping):
-        return {key: facts_with_options(value, options) for key, value in facts.items()}
-    if isinstance(facts, list | tuple):
-        return [facts_with_options(item, options) for item in facts]
-    return with_options(facts, options) if isinstance(facts, str) else facts
-
-
 @contextmanager
 def warnings_shown(options: Mapping[str, str]) -> Iterator[None]:
     """In the block, what the library logs as a warning is printed to stderr as a note."""
@@ -59,30 +49,27 @@ def warnings_shown(options: Mapping[str, str]) -> Iterator[None]:
             logger.removeHandler(handler)
 
 
-class ProgressBar:
-    """A bar on a terminal, from the first report on; silence in a pipe and where it is not `wanted`."""
+@contextmanager
+def progress_bar() -> Iterator[Callable[[str, float], None]]:
+    """Yield what reports a stage and the fraction (0 to 1) of everything that is done, as a bar on stderr; the bar goes
+    with the block.
+    """
+    began = time.monotonic()
+    drawn = ""
 
-    def __init__(self, wanted: bool) -> None:  # noqa: D107 - the class says it
-        self._wanted = wanted and sys.stderr.isatty()
-        self._began, self._drawn = time.monotonic(), ""
-
-    def __enter__(self) -> ProgressBar:
-        return self
-
-    def update(self, stage: str, fraction: float) -> None:
-        """Report that `stage` is at work and `fraction` (0 to 1) of everything is done."""
-        if self._wanted:
-            done = min(1.0, fraction)
-            width = max(4, min(80, shutil.get_terminal_size().columns - 45))
-            minutes, seconds = divmod(int(time.monotonic() - self._began), 60)
-            bar = "#" * round(width * done)
-            self._draw(f"{printable(stage):24.24s} |{bar:{width}s}| {100.0 * done:3.0f} % {minutes:02d}:{seconds:02d}")
-
-    def _draw(self, line: str) -> None:
-        if line != self._drawn:
-            self._drawn = line
+    def draw(stage: str, fraction: float) -> None:
+        nonlocal drawn
+        done = min(1.0, fraction)
+        width = max(4, min(80, shutil.get_terminal_size().columns - 45))
+        minutes, seconds = divmod(int(time.monotonic() - began), 60)
+        bar = "#" * round(width * done)
+        line = f"{printable(stage):24.24s} |{bar:{width}s}| {100.0 * done:3.0f} % {minutes:02d}:{seconds:02d}"
+        if line != drawn:
+            drawn = line
             print(f"\r{line}\x1b[K", end="", file=sys.stderr, flush=True)
 
-    def __exit__(self, *unused: object) -> None:
-        if self._drawn:
-            self._draw("")
+    try:
+        yield draw
+    finally:
+        if drawn:
+            print("\r\x1b[K", end="", file=sys.stderr, flush=True)

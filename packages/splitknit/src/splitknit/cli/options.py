@@ -14,20 +14,16 @@ from splitknit.settings import flatten
 _MAX_BYTES = 64_000  # settings documents here have 2 kB; the parser's time grows with the square of a name's length
 
 
-def read_changes(given: Sequence[tuple[str, str]]) -> dict[str, Any]:
+def read_changes(changed: Sequence[tuple[str, str]]) -> dict[str, Any]:
     """Return all changed settings as ``stage.field`` and value, of pairs of option (``--set``, ``--settings``) and
     word; assignments win over files. Raises BadInput if a file cannot be read or an assignment is not
     ``stage.field=value``.
     """
     changes: dict[str, Any] = {}
-    for option, file in given:
+    for option, file in changed:
         if option == "--settings":
             changes |= _read_settings_file(Path(file))
-    for option, assignment in given:
-        if option == "--set":
-            name, value = parse_assignment(assignment)
-            changes[name] = value
-    return changes
+    return changes | dict(parse_assignment(word) for option, word in changed if option == "--set")
 
 
 def parse_assignment(text: str) -> tuple[str, Any]:

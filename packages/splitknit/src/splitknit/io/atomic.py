@@ -13,6 +13,7 @@ from __future__ import annotations
 
 import contextlib
 import errno
+import fcntl
 import functools
 import json
 import os
@@ -33,7 +34,6 @@ _STRAY = frozenset({MANIFEST, ".DS_Store", "Thumbs.db", "desktop.ini"})
 _TEMPORARY = re.compile(r"\.splitknit-[0-9a-f]{12}\.tmp")
 _MARK, _MARK_FORMAT = "mark.json", "splitknit-temporary"
 """File in a temporary folder that names the target: what has none is not ours, whatever it is called."""
-_WINDOWS = os.name == "nt"  # has no locks of this kind, opens no folders, and renames no open files
 _AT_WORK: set[Path] = set()  # folders that this process is filling
 
 
@@ -58,9 +58,9 @@ def atomic_folder(out: str | os.PathLike[str], *, overwrite: bool = True) -> Ite
             yield new
             _write_manifest(new)
             for_file, for_folder = private_modes()
-            for one in (new, *new.rglob("*")):
-                if not one.is_symlink():
-                    one.chmod(for_folder if one.is_dir() else for_file)
+            for path in (new, *new.rglob("*")):
+                if not path.is_symlink():
+                    path.chmod(for_folder if path.is_dir() else for_file)
             _swap(new, target, overwrite)
         finally:
             _AT_WORK.discard(new)
@@ -83,8 +83,6 @@ def atomic_file(path: str | os.PathLike[str]) -> Iterator[BinaryIO]:
         yield stream
         stream.flush()
         new.chmod(private_modes()[0])
-        if _WINDOWS:  # where no open file is renamed
-            stream.close()
         new.replace(target)
 
 
@@ -131,8 +129,8 @@ def _temporary(target: Path) -> Iterator[Path]:
             for last in (False, False, True):  # another program may sweep it before it is locked
                 try:
                     folder.mkdir(0o700)
-                    lock = _hold_folder(folder)
-                    _lock(lock, wait=True)
+                    lock = _open_folder(folder)
+                    _lock(lock)
                     (folder / _MARK).write_text(mark, encoding="ascii")
                     break
                 except FileNotFoundError:
@@ -177,8 +175,8 @@ def _discard(folder: Path) -> None:
     folder.rmdir()
 
 
-def _hold_folder(path: Path) -> int | None:
-    return None if _WINDOWS else os.open(path, os.O_RDONLY | os.O_NOFOLLOW | os.O_DIRECTORY)
+def _open_folder(path: Path) -> int:
+    return os.open(path, os.O_RDONLY | os.O_NOFOLLOW | os.O_DIRECTORY)
 
 
 def _release(descriptor: int | None) -> None:
@@ -187,26 +185,18 @@ def _release(descriptor: int | None) -> None:
 
 
 def hold(stream: IO[Any], busy: str) -> None:
-    """Keep other programs out until `stream` is closed (given locks). Raises BadInput, `busy`, if one holds it."""
-    try:
-        import fcntl  # not on every system
-    except ImportError:
-        return
+    """Keep other programs out until `stream` is closed. Raises BadInput, `busy`, if one holds it."""
     try:
         fcntl.flock(stream, fcntl.LOCK_EX | fcntl.LOCK_NB)
     except OSError as error:
         raise BadInput(busy) from error
 
 
-def _lock(descriptor: int | None, *, wait: bool) -> bool:
-    """Lock; False if another program holds it and `wait` is false, or if this system or disk has no locks."""
-    if descriptor is None:
-        return False
+def _lock(descriptor: int, flags: int = 0) -> bool:
+    """Lock; False where the disk has no locks, or with the flag LOCK_NB if another program holds it."""
     try:
-        import fcntl  # not on every system
-
-        fcntl.flock(descriptor, fcntl.LOCK_EX if wait else fcntl.LOCK_EX | fcntl.LOCK_NB)
-    except (ImportError, OSError):
+        fcntl.flock(descriptor, fcntl.LOCK_EX | flags)
+    except OSError:
         return False
     return True
 
@@ -219,9 +209,8 @@ def sweep(folder: Path) -> None:
 
 def _sweep_folder(parent: Path) -> None:
     with contextlib.suppress(OSError):
-        names = [name for name in os.listdir(parent) if _TEMPORARY.fullmatch(name)]  # noqa: PTH208 - names are enough
-        if names and _is_own(parent.stat()):
-            for name in names:
+        for name in os.listdir(parent) if _is_own(parent.stat()) else ():  # noqa: PTH208 - names are enough
+            if _TEMPORARY.fullmatch(name):
                 with contextlib.suppress(OSError):
                     _sweep_one(parent / name)
 
@@ -234,42 +223,41 @@ def _sweep_one(left: Path) -> None:
     """Remove this user's left-over temporary folder; put an earlier result whose replacement was cut short back."""
     if not _is_own(left.lstat()):
         return
-    lock = _hold_folder(left)
+    lock = _open_folder(left)
     try:
-        if not _lock(lock, wait=False):
+        if not _lock(lock, fcntl.LOCK_NB):
             return  # its program is still at work
         name = _marked_target(left)
-        new = left / "new"
-        old = left / "old"
-        if name and os.path.lexists(new) and os.path.lexists(old) and not os.path.lexists(left.with_name(name)):
-            old.rename(left.with_name(name))
-        if name is not None:
-            _discard(left)
+        if name is None:
+            return
+        target = left.with_name(name or left.name)
+        if os.path.lexists(left / "new") and os.path.lexists(left / "old") and not os.path.lexists(target):
+            (left / "old").rename(target)
+        _discard(left)
     finally:
-        _release(lock)
+        os.close(lock)
 
 
 def _is_own(status: os.stat_result) -> bool:
-    return stat.S_ISDIR(status.st_mode) and (not hasattr(os, "getuid") or status.st_uid == os.getuid())
+    return stat.S_ISDIR(status.st_mode) and status.st_uid == os.getuid()
 
 
 def _marked_target(folder: Path) -> str | None:
     """Name of the target that a temporary folder's mark states: "" where its program was killed before or after there
     was one, so that it holds nothing; None where it is not one of ours.
     """
-    mark, names = folder / _MARK, set(os.listdir(folder))  # noqa: PTH208
+    mark = folder / _MARK
+    names = set(os.listdir(folder))  # noqa: PTH208
     if mark.is_symlink() or not names <= {_MARK, "new", "old"}:
         return None
     if not names or (names == {_MARK} and mark.lstat().st_size == 0):
         return ""
-    try:
+    with contextlib.suppress(ValueError, TypeError, KeyError, RecursionError):
         document = json.loads(read_bytes(mark, 1 << 16))
-        known = document["format"] == _MARK_FORMAT
         name = document["target"]
-        plain = isinstance(name, str) and name not in ("", ".", "..") and Path(name).name == name
-    except (ValueError, TypeError, KeyError, RecursionError):
-        return None
-    return name if known and plain else None
+        if document["format"] == _MARK_FORMAT and Path(name).name == name not in ("", ".."):
+            return str(name)
+    return None
 
 
 @contextlib.contextmanager
@@ -315,8 +303,8 @@ def _check_replaceable(target: Path, overwrite: bool) -> None:
 
 def _files(folder: Path) -> list[str]:
     """Names of everything in `folder` that is not a folder itself; a link to a folder counts."""
-    found = (path for path in folder.rglob("*") if path.is_symlink() or not path.is_dir())
-    return sorted(path.relative_to(folder).as_posix() for path in found)
+    paths = (path for path in folder.rglob("*") if path.is_symlink() or not path.is_dir())
+    return sorted(path.relative_to(folder).as_posix() for path in paths)
 
 
 def _write_manifest(folder: Path) -> None:
@@ -326,13 +314,12 @@ def _write_manifest(folder: Path) -> None:
 
 def manifest_of(folder: Path) -> frozenset[str]:
     """The files that we wrote into a folder; none where it was not written whole, or its list is not a plain file."""
-    try:
-        document = json.loads(b"" if (folder / MANIFEST).is_symlink() else read_bytes(folder / MANIFEST, _MAX_MANIFEST))
-        if document["format"] != "splitknit-folder":
-            return frozenset()
-        return frozenset(str(name) for name in document["files"])
-    except (OSError, ValueError, TypeError, KeyError, RecursionError):
-        return frozenset()
+    manifest = folder / MANIFEST
+    with contextlib.suppress(OSError, ValueError, TypeError, KeyError, RecursionError):
+        document = {} if manifest.is_symlink() else json.loads(read_bytes(manifest, _MAX_MANIFEST))
+        if document["format"] == "splitknit-folder":
+            return frozenset(map(str, document["files"]))
+    return frozenset()
 
 
 def _swap(new: Path, target: Path, overwrite: bool) -> None:
@@ -356,7 +343,7 @@ def append_line(path: Path, line: Mapping[str, Any]) -> None:
     """Add a line of JSON to a log, made where there is none, whole or not at all: a regular file, no link. Raises
     OSError.
     """
-    flags = os.O_CREAT | os.O_WRONLY | os.O_APPEND | getattr(os, "O_NOFOLLOW", 0) | getattr(os, "O_NONBLOCK", 0)
+    flags = os.O_CREAT | os.O_WRONLY | os.O_APPEND | os.O_NOFOLLOW | os.O_NONBLOCK
     with os.fdopen(os.open(path, flags, 0o600), "ab", buffering=0) as stream:
         mode = os.fstat(stream.fileno()).st_mode
         data = json.dumps(line).encode("ascii") + b"\n"

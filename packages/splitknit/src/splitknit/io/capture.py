@@ -6,7 +6,7 @@ import json
 import os
 import shlex
 import shutil
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -16,9 +16,9 @@ import numpy as np
 from msgspec import Meta, Struct
 from numpy.typing import NDArray
 
-from splitknit.errors import BadInput, check_lights, check_mask, naming, require
+from splitknit.errors import check_lights, check_mask, naming, refusing, require
 from splitknit.io.atomic import atomic_folder
-from splitknit.io.content import check_contents, mask_from_image
+from splitknit.io.content import check_contents, image_name, mask_from_image
 from splitknit.io.fields import Version1, inside, read_document
 from splitknit.io.images import StackReader, cores, encode_image, read_image
 from splitknit.io.npz import write_npz
@@ -79,39 +79,46 @@ class _CaptureFields(Struct):
 
 
 @dataclass(frozen=True, slots=True)
-class _BandPlan:
+class _StatedBand:
     """One band as the document describes it; all paths lie inside the folder."""
 
     band: Band  # without pixels; its files are relative to the folder
     files: tuple[Path, ...]
     ambient: Path | None
     flat: tuple[Path, ...]
-    exposed: bool  # whether the document states the exposures
 
 
-def _bands(bands: _BandsFields, folder: Path, rig: Rig, name: str) -> dict[str, _BandPlan]:
-    plans = {key: _band(band, folder, rig, key, name) for key in BANDS if (band := getattr(bands, key)) is not None}
-    if "white_crossed" in plans:
-        check_pair(plans["white"].band, plans["white_crossed"].band, name, rig)
+def _stated_bands(bands: _BandsFields, folder: Path, rig: Rig, name: str) -> dict[str, _StatedBand]:
+    stated: dict[str, _StatedBand] = {}
+    places: set[Path] = set()
+    for key in BANDS:
+        fields = getattr(bands, key)
+        if fields is None:
+            continue
+        stated[key] = _stated_band(fields, folder, rig, key, name)
+        for image, file in zip(stated[key].band.files, stated[key].files, strict=True):
+            place = file.resolve()  # a file takes memory each time that it is named, by whatever spelling
+            require(place not in places, f"{name}: bands.{key}.images names {image!a} twice.")
+            places.add(place)
+    if bands.white_crossed is not None:
+        _check_pair(stated["white"].band, stated["white_crossed"].band, name, rig)
         require(
-            plans["white"].exposed == plans["white_crossed"].exposed,
-            f"{name}: bands.white and bands.white_crossed "
-            "must state exposure_s for every image, both or neither (then it is the same).",
+            _exposed(bands.white) == _exposed(bands.white_crossed),
+            f"{name}: bands.white and bands.white_crossed must state exposure_s for every image, both or neither"
+            " (then it is the same).",
         )
-    seen: set[Path] = set()
-    for key, plan in plans.items():  # a file takes memory each time that it is named, by whatever spelling
-        for image, file in zip(plan.band.files, plan.files, strict=True):
-            place = file.resolve()
-            require(place not in seen, f"{name}: bands.{key}.images names {image!a} twice.")
-            seen.add(place)
-    return plans
+    return stated
 
 
-def check_pair(parallel: Band, crossed: Band, name: str, rig: Rig) -> None:
+def _exposed(band: _BandFields) -> bool:
+    """Whether the document states all exposures."""
+    return all(isinstance(image, _Image) and image.exposure is not None for image in band.images)
+
+
+def _check_pair(parallel: Band, crossed: Band, name: str, rig: Rig) -> None:
     """Refuse two polarised series that are not the same photographs through another film."""
-    stated = (parallel.polarisation, crossed.polarisation) == ("parallel", "crossed")
     require(
-        stated,
+        (parallel.polarisation, crossed.polarisation) == ("parallel", "crossed"),
         f"{name}: beside bands.white_crossed, "
         'bands.white must say "polarisation": "parallel" and bands.white_crossed "crossed".',
     )
@@ -120,79 +127,80 @@ def check_pair(parallel: Band, crossed: Band, name: str, rig: Rig) -> None:
         f"{name}: bands.white has {len(parallel.leds)} images but bands.white_crossed {len(crossed.leds)}"
         "; both series need one image a light, in the same order.",
     )
-    white = not any(any(names) for plan in (parallel, crossed) for names in rig.colours_of(plan.leds))
+    white = not any(rig.colours_of(band.leds) for band in (parallel, crossed))
     require(white, f"{name}: polarised series are lit by white LEDs, but the rig's are coloured.")
-    own, others = (rig.select(plan.leds).light_vectors() for plan in (parallel, crossed))
+    own, others = (rig.select(band.leds).light_vectors() for band in (parallel, crossed))
     near = others @ (own / np.linalg.norm(own, axis=1, keepdims=True)).T
     near /= np.linalg.norm(others, axis=1, keepdims=True)
-    for k in np.flatnonzero(np.diag(near) < near.max(axis=1) - _AS_NEAR):
-        raise BadInput(
-            f"{name}: image {k} of bands.white_crossed is lit from another side than that of bands.white"
-            "; list both series in the same order of lights."
-        )
+    same = np.diag(near) >= near.max(axis=1) - _AS_NEAR
+    require(
+        same.all(),
+        f"{name}: image {np.argmin(same)} of bands.white_crossed is lit from another side than that of bands.white"
+        "; list both series in the same order of lights.",
+    )
 
 
-def _band(fields: _BandFields, folder: Path, rig: Rig, key: str, name: str) -> _BandPlan:
+def _stated_band(fields: _BandFields, folder: Path, rig: Rig, key: str, name: str) -> _StatedBand:
     where = f"{name}: bands.{key}"
-    band = spectral_band(key)
     images = [_Image(image) if isinstance(image, str) else image for image in fields.images]
     count = len(images)
-    enough = count >= 3 or any(led.colour for led in rig.leds if led.band == band)
+    own = [led for led in rig.leds if led.band == spectral_band(key)]
+    enough = count >= 3 or any(led.colour for led in own)
     require(enough, f"{where}.images names {count} images, but at least three are needed.")
     leds = tuple((group,) if isinstance(group, int) else group for group in fields.leds)
     require(
         len(leds) == count, f"{where} has {count} images but {len(leds)} entries in leds; name the LEDs of every image."
     )
-    _check_light_list(rig, band, leds, f"{where}.leds")
-    ambient = _Image(fields.ambient) if isinstance(fields.ambient, str) else fields.ambient
+    _check_leds(rig, spectral_band(key), leds, f"{where}.leds")
     flat = fields.flat or []
     require(len(flat) in (0, count), f"{where}.flat names {len(flat)} images; it needs one for each of the {count}.")
     exposures = [image.exposure for image in images]
     levels = [image.black_level for image in images]
-    dark_exposure = 1.0
-    dark_level = 0.0
+    ambient = _Image(fields.ambient) if isinstance(fields.ambient, str) else fields.ambient
+    dark = None
+    dark_exposure = dark_level = None
     if ambient is not None:
-        dark_exposure = _ambient_value(ambient.exposure, exposures, 1.0, f"{where}.ambient", "exposure_s")
-        dark_level = _ambient_value(ambient.black_level, levels, 0.0, f"{where}.ambient", "black_level")
-    described = Band(
+        dark = inside(folder, ambient.file, name, f"bands.{key}.ambient")
+        dark_exposure = _of_ambient(ambient.exposure, exposures, f"{where}.ambient", "exposure_s")
+        dark_level = _of_ambient(ambient.black_level, levels, f"{where}.ambient", "black_level")
+    band = Band(
         key,
         np.empty((0, 0, 0, 0), np.uint8),
         leds,
         exposure=np.array([1.0 if value is None else value for value in exposures]),
         black_level=np.array([0.0 if value is None else value for value in levels]),
-        ambient_exposure=dark_exposure,
-        ambient_black_level=dark_level,
+        ambient_exposure=1.0 if dark_exposure is None else dark_exposure,
+        ambient_black_level=dark_level or 0.0,
         files=tuple(image.file for image in images),
         polarisation=fields.polarisation,
     )
     files = tuple(inside(folder, image.file, name, f"bands.{key}.images[{k}]") for k, image in enumerate(images))
-    dark = None if ambient is None else inside(folder, ambient.file, name, f"bands.{key}.ambient")
     flats = tuple(inside(folder, file, name, f"bands.{key}.flat[{k}]") for k, file in enumerate(flat))
-    return _BandPlan(described, files, dark, flats, exposed=None not in exposures)
+    return _StatedBand(band, files, dark, flats)
 
 
-def _ambient_value(own: float | None, images: list[float | None], default: float, where: str, key: str) -> float:
-    """The ambient image's `own`, else what all images of the band have, else the default."""
+def _of_ambient(own: float | None, images: Sequence[float | None], where: str, key: str) -> float | None:
+    """The ambient image's `own`, else what all images of the band have."""
     if own is not None or None in images:
-        return default if own is None else own
+        return own
     require(
         len(set(images)) == 1,
         f'{where} needs its own {key}, as the images of the band differ in theirs: {{"file": ..., "{key}": ...}}.',
     )
-    return images[0] or 0.0
+    return images[0]
 
 
-def _check_light_list(rig: Rig, band: str, leds: tuple[tuple[int, ...], ...], where: str) -> None:
+def _check_leds(rig: Rig, band: str, leds: tuple[tuple[int, ...], ...], where: str) -> None:
     """Refuse LEDs (of every image) that are not in the rig, are of another band, or do not determine a normal."""
+    naming(where, lambda: rig.select(leds))
     for k, group in enumerate(leds):
         require(len(set(group)) == len(group), f"{where}[{k}] names an LED twice.")
         for index in group:
-            known = len(rig.leds)
-            named = f"{where}[{k}] names LED {index}"
-            require(index < known, f"{named}, but the rig has {known} LEDs (0 to {known - 1}).")
             own = rig.leds[index].band
             require(
-                own == band, f"{named}, which is a '{own}' LED in the rig, not '{band}'; correct the list or the rig."
+                own == band,
+                f"{where}[{k}] names LED {index}, which is a '{own}' LED in the rig, not '{band}'"
+                "; correct the list or the rig.",
             )
     for k, names in enumerate(rig.colours_of(leds)):
         require(
@@ -243,28 +251,28 @@ def read_capture(path: str | os.PathLike[str], *, may_be_dark: bool = False, thr
         f"{truth}, the truth that {name} names, does not exist; add it or remove the field.",
     )
     mask_file = None if fields.mask is None else inside(folder, fields.mask, name, "mask")
-    plans = _bands(fields.bands, folder, rig, name)
+    stated = _stated_bands(fields.bands, folder, rig, name)
     size = rig.camera.image_size
     rig_name = f"{rig_file} (is the rig for another camera?)"
     with StackReader(threads) as reader:
-        stacks = {key: reader.start(plan.files, size, rig_name) for key, plan in plans.items()}
-        dark = {key: plan.ambient for key, plan in plans.items() if plan.ambient is not None}
+        stacks = {key: reader.start(each.files, size, rig_name) for key, each in stated.items()}
+        dark = {key: each.ambient for key, each in stated.items() if each.ambient is not None}
         ambients = {key: reader.start([file], size, rig_name)[0] for key, file in dark.items()}
         mask_pixels = None if mask_file is None else reader.start([mask_file], size, rig_name)[0]
         hashes = reader.finish()
     bands: dict[str, Band] = {}
-    for key, plan in plans.items():
+    others = [document, rig_file]
+    for key, each in stated.items():
         full = int(np.iinfo(stacks[key].dtype).max)
-        for image, black in zip(plan.band.files, plan.band.black_level, strict=True):
+        for image, black in zip(each.band.files, each.band.black_level, strict=True):
             require(black < full, f"{image} has the black level {black:g}, but its full scale is {full}.")
-        bands[key] = _seen_by(rig, replace(plan.band, pixels=stacks[key], ambient=ambients.get(key)))
+        band = replace(each.band, pixels=stacks[key], ambient=ambients.get(key))
+        if each.flat:
+            band = replace(band, flat=np.stack([_flat_image(file) for file in each.flat]))
+            others += each.flat
+        bands[key] = _seen_by(rig, band)
     if not may_be_dark:
         check_contents(bands.values())
-    others = [document, rig_file]
-    for key, plan in plans.items():
-        if plan.flat:
-            bands[key] = replace(bands[key], flat=np.stack([_flat_image(file) for file in plan.flat]))
-            others += plan.flat
     hashes |= {str(file): file_hash(file) for file in others}
     return Capture(
         rig,
@@ -292,7 +300,9 @@ def with_rig(capture: Capture, path: str | os.PathLike[str]) -> Capture:
     a rig's, its camera has another image size, or it lacks LEDs or has other bands.
     """
     rig = read_rig(path)
-    name, (rows, columns), own = os.fspath(path), capture.shape, rig.camera.image_size
+    name = os.fspath(path)
+    rows, columns = capture.shape
+    own = rig.camera.image_size
     require(
         own == capture.shape,
         f"{name} is the rig of another camera: its images have {own[0]} x {own[1]} pixels (rows x columns)"
@@ -302,13 +312,13 @@ def with_rig(capture: Capture, path: str | os.PathLike[str]) -> Capture:
         for index in sorted({k for group in band.leds for k in group}):
             there = f"of the band '{rig.leds[index].band}' there" if index < len(rig.leds) else "not in it"
             require(
-                index < len(rig.leds) and rig.leds[index].band == band.spectral,
-                f"{name} does not fit the capture: "
-                f"LED {index}, which lit images of the band '{band.name}', is {there}.",
+                there == f"of the band '{band.spectral}' there",
+                f"{name} does not fit the capture: LED {index}, which lit images of the band '{band.name}', "
+                f"is {there}.",
             )
     bands = {key: _seen_by(rig, band) for key, band in capture.bands.items()}
     if "white_crossed" in bands:
-        check_pair(bands["white"], bands["white_crossed"], name, rig)
+        _check_pair(bands["white"], bands["white_crossed"], name, rig)
     hashes = {**capture.hashes, f"replaced rig: {Path(path).name}": file_hash(path)}
     return replace(capture, rig=rig, bands=bands, hashes=hashes)
 
@@ -345,6 +355,7 @@ def write_capture(
     plain = {key: _is_plain(band) for key, band in capture.bands.items()}
     if "white_crossed" in plain:  # two series state their exposures both or neither
         plain["white"] = plain["white_crossed"] = plain["white"] and plain["white_crossed"]
+    written = capture.truth is not None or truth is not None
     with atomic_folder(folder, overwrite=overwrite) as target:
         images: list[tuple[str, PixelArray]] = []
         listed = [key for key in BANDS if key in capture.bands]
@@ -370,7 +381,7 @@ def write_capture(
         elif capture.truth is not None:
             require(capture.truth.is_file(), f"{capture.truth}, the truth of the capture, does not exist.")
             shutil.copyfile(capture.truth, target / "truth.npz")
-        if truth is not None or capture.truth is not None:
+        if written:
             document["truth"] = "truth.npz"
 
         def write(image: tuple[str, PixelArray]) -> None:
@@ -393,31 +404,27 @@ def photographs_hint(folder: Path) -> str:
 
 
 def _document(path: str | os.PathLike[str]) -> Path:
-    try:
-        given = Path(path)
-        if given.is_dir():
-            file = given / "capture.json"
-            hint = photographs_hint(given)
-            require(file.is_file(), f"{given} is not a capture folder: it holds no capture.json {hint}.")
-            return file
-        require(given.is_file(), f"{given} does not exist; name a capture folder.")
-        require(given.suffix == ".json", f"{given} is not a capture; name its folder or the capture.json in it.")
-        return given
-    except BadInput:
-        raise
-    except (OSError, ValueError) as error:
-        raise BadInput(f"{os.fspath(path)!r} is not a usable path: {error}.") from error
+    with refusing(f"{os.fspath(path)!r} is not a usable path."):
+        file = Path(path)
+        if file.is_dir():
+            document = file / "capture.json"
+            hint = photographs_hint(file)
+            require(document.is_file(), f"{file} is not a capture folder: it holds no capture.json {hint}.")
+            return document
+        require(file.is_file(), f"{file} does not exist; name a capture folder.")
+        require(file.suffix == ".json", f"{file} is not a capture; name its folder or the capture.json in it.")
+        return file
 
 
 def _seen_by(rig: Rig, band: Band) -> Band:
     """The band with lens and LEDs' colours by the rig; BadInput if LEDs of several colours light a grey image."""
     colours = rig.colours_of(band.leds)
     for k, names in enumerate(colours):
-        name = band.files[k] if band.files else f"image {k}"
         count = len(set(names))
         require(
             band.pixels.shape[3] == 3 or count == 1,
-            f"{name} is grey, but LEDs of {count} colours lit it; their light can be separated in colour images only.",
+            f"{image_name(band, k)} is grey, but LEDs of {count} colours lit it; their light can be separated in "
+            "colour images only.",
         )
     crosstalk = rig.camera.crosstalk if colours else None
     return replace(band, shading=rig.camera.shading, colours=colours, crosstalk=crosstalk)
@@ -428,23 +435,19 @@ def _check_parts(capture: Capture) -> None:
     require("white" in capture.bands, "a capture needs a band 'white'.")
     for key, band in capture.bands.items():
         require(key in BANDS, f"a capture's bands are 'white', 'white_crossed' and 'nir', not '{key}'.")
-        shape = band.pixels.shape
-        least = 1 if band.colours else 3
-        fits = len(shape) == 4 and shape[1:3] == size and shape[3] in (1, 3) and shape[0] >= least
+        count, *image_size, channels = shape = band.pixels.shape
         require(
-            fits,
+            tuple(image_size) == size and channels in (1, 3) and count >= (1 if band.colours else 3),
             f"the pixels of the band '{key}' have the shape {shape}; "
             f"(L, {size[0]}, {size[1]}, 1 or 3) with three images at least is expected.",
         )
         fits = band.ambient is None or band.ambient.shape[:2] == size
         require(fits, f"the ambient image of the band '{key}' has another size than the rig's camera.")
-        leds, exposures, levels = map(len, (band.leds, band.exposure, band.black_level))
-        require(
-            leds == exposures == levels == shape[0],
-            f"the band '{key}' has {shape[0]} images but {leds} LEDs, {exposures} exposures and {levels} black levels.",
-        )
+        counts = [len(band.leds), len(band.exposure), len(band.black_level)]
+        words = "{} LEDs, {} exposures and {} black levels".format(*counts)
+        require(counts == [count] * 3, f"the band '{key}' has {count} images but {words}.")
     if "white_crossed" in capture.bands:
-        check_pair(capture.bands["white"], capture.bands["white_crossed"], "the capture", capture.rig)
+        _check_pair(capture.bands["white"], capture.bands["white_crossed"], "the capture", capture.rig)
     if capture.mask is not None:
         check_mask(capture.mask, size)
 
@@ -457,24 +460,23 @@ def _is_plain(band: Band) -> bool:
 
 def _band_json(band: Band, images: list[tuple[str, PixelArray]], *, plain: bool) -> JsonValue:
     """Return the band's entry in the document, and add its files to `images`."""
-    entries: list[JsonValue] = []
 
     def entry(name: str, pixels: PixelArray, exposure: float, black_level: float) -> JsonValue:
         images.append((name, pixels))
         return name if plain else {"file": name, "exposure_s": exposure, "black_level": black_level}
 
-    for k, pixels in enumerate(band.pixels):
-        name = f"{band.name}_{k}.png"
-        entries.append(entry(name, pixels, float(band.exposure[k]), float(band.black_level[k])))
-    leds: list[JsonValue] = [group[0] if len(group) == 1 else list(group) for group in band.leds]
-    result: dict[str, JsonValue] = {"images": entries, "leds": leds}
+    names = [f"{band.name}_{k}.png" for k in range(len(band.leds))]
+    rows = zip(names, band.pixels, band.exposure.tolist(), band.black_level.tolist(), strict=True)
+    result: dict[str, Any] = {
+        "images": [entry(*row) for row in rows],
+        "leds": [group[0] if len(group) == 1 else list(group) for group in band.leds],
+    }
     if band.polarisation:
         result["polarisation"] = band.polarisation
     if band.ambient is not None:
         name = f"ambient_{band.name}.png"
         result["ambient"] = entry(name, band.ambient, band.ambient_exposure, band.ambient_black_level)
     if band.flat is not None:
-        names = [f"flat_{band.name}_{k}.png" for k in range(len(band.flat))]
-        images += [(name, image[..., None]) for name, image in zip(names, band.flat, strict=True)]
-        result["flat"] = list(names)
+        result["flat"] = [f"flat_{name}" for name in names]
+        images += zip(result["flat"], band.flat[..., None], strict=True)
     return result

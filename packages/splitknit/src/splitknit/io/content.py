@@ -40,12 +40,12 @@ def check_contents(bands: Collection[Band]) -> None:
     seen: dict[bytes, tuple[Band, int]] = {}
     for band in bands:
         for k, image in enumerate(band.pixels):
-            one, j = seen.setdefault(_sample(image).tobytes(), (band, k))
-            same = (one is not band or j != k) and np.array_equal(one.pixels[j], image)
+            first, j = seen.setdefault(_sample(image).tobytes(), (band, k))
+            same = (first is not band or j != k) and np.array_equal(first.pixels[j], image)
             let_go(band.pixels)
             require(
                 not same,
-                f"{_name(one, j)} and {_name(band, k)} hold the same pixels: "
+                f"{image_name(first, j)} and {image_name(band, k)} hold the same pixels: "
                 "one is a copy; correct the names, or capture it again.",
             )
 
@@ -60,12 +60,12 @@ def check_content(band: Band) -> None:
     peaks = np.array([_check_image(band, k, ambient) for k in range(len(band.pixels))])
     scaled = peaks / band.exposure
     fraction = np.maximum(peaks / np.median(peaks), scaled / np.median(scaled))  # a short exposure is dark, but lit
-    for k, part in enumerate(100 * fraction):
-        dark = bool(part < 100 * _RELATIVE_DARK)
+    for k, part in enumerate(fraction):
         require(
-            not dark,
-            f"{_name(band, k)} is almost black beside the other images "
-            f"(its bright pixels reach {part:.1f} % of theirs): {_leds(band, k)} did not light; capture it again.",
+            part >= _RELATIVE_DARK,
+            f"{image_name(band, k)} is almost black beside the other images "
+            f"(its bright pixels reach {100 * part:.1f} % of theirs): {_leds(band, k)} did not light; "
+            "capture it again.",
             BadExposure,
         )
 
@@ -77,7 +77,7 @@ def _check_image(band: Band, k: int, ambient: NDArray[np.float32] | None) -> flo
     let_go(band.pixels)
     black = np.float32(band.black_level[k])
     most = int(sample.max())
-    name = _name(band, k)
+    name = image_name(band, k)
     clips_at = ceil(_FULL_SCALE * scale)
     if most >= clips_at:
         clipped = (sample >= clips_at).sum(axis=0) >= min(2, len(sample))
@@ -126,9 +126,8 @@ def mask_from_image(pixels: PixelArray, name: str) -> BoolArray:
     half = 0 if top == 1 else int(np.iinfo(pixels.dtype).max) // 2
     mask: BoolArray = np.asarray(bright > half)
     require(bool(mask.any()), f"{name} is an empty mask: not one pixel is white; white marks the finger.")
-    shown = bright > 0.1 * top
-    between = (bright > 0.1 * top) & (bright < 0.9 * top)
-    part = float(between.sum()) / float(shown.sum())
+    drawn = bright > 0.1 * top
+    part = float((drawn & (bright < 0.9 * top)).sum()) / float(drawn.sum())
     require(
         part < _GREY,
         f"{name} is a picture and no mask: {100 * part:.0f} % of what is not black in it is not white either; "
@@ -143,7 +142,8 @@ def _sample(image: PixelArray) -> NDArray[Any]:
     return np.ascontiguousarray(np.moveaxis(image[::step, ::step], 2, 0)).reshape(image.shape[2], -1)
 
 
-def _name(band: Band, k: int) -> str:
+def image_name(band: Band, k: int) -> str:
+    """What messages call image k."""
     return band.files[k] if band.files else f"image {k} of the band '{band.name}'"
 
 

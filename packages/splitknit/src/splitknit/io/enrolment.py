@@ -21,6 +21,7 @@ from msgspec.structs import asdict
 from splitknit.errors import BadInput, require
 from splitknit.io.atomic import write_file
 from splitknit.io.fields import Version1, converted, read_document
+from splitknit.io.photograph_files import some_of
 from splitknit.io.provenance import json_text
 
 HAND = ("thumb", "index", "middle", "ring", "little")
@@ -97,20 +98,18 @@ class Enrolment:
     ) -> list[PlannedCapture]:
         """What is not captured yet, in its order; of one subject, session or finger of the plan where named."""
         plan = self.plan
-        people = plan.subject_ids()
-        lacking = f"is not in the plan of '{self.folder}'; it has"
-        planned = subject is None or subject in people
-        require(planned, f"subject '{subject}' {lacking} {people[0]} to {people[-1]}.")
-        planned = session is None or 1 <= session <= plan.sessions
-        require(planned, f"session {session} {lacking} sessions 1 to {plan.sessions}.")
-        planned = finger is None or finger in plan.fingers
-        require(planned, f"finger '{finger}' {lacking} {', '.join(plan.fingers)}.")
-
-        def wanted(place: PlannedCapture) -> bool:
-            of_one = subject in (None, place.subject) and session in (None, place.session)
-            return of_one and finger in (None, place.finger) and not self.finished(place)
-
-        return list(filter(wanted, self.places()))
+        days = range(1, plan.sessions + 1)
+        planned = {"subject": plan.subject_ids(), "session": tuple(days), "finger": plan.fingers}
+        wanted = {"subject": subject, "session": session, "finger": finger}
+        chosen = {name: value for name, value in wanted.items() if value is not None}
+        for name, value in chosen.items():
+            known = some_of([str(each) for each in planned[name]])
+            require(value in planned[name], f"{name} '{value}' is not in the plan of '{self.folder}'; it has {known}.")
+        return [
+            place
+            for place in self.places()
+            if all(getattr(place, name) == value for name, value in chosen.items()) and not self.finished(place)
+        ]
 
     def seeds(self, place: PlannedCapture, seed: int) -> tuple[int, int]:
         """Seed and impression of a simulated finger: every finger has its own, every session is another impression."""

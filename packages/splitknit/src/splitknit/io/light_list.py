@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import itertools
 import os
 import re
+from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -34,18 +36,17 @@ class LightList:
 
 def read_intensities(path: Path, count: int) -> NDArray[np.float64]:
     """Brightness (L, 1) or (L, 3) of `count` lights, a line each. Raises BadInput naming the file and the line."""
-    lines = [line.split("#")[0].replace(",", " ").replace(";", " ").split() for line in _text_of(path).splitlines()]
-    rows = [_as_numbers(words) for words in lines if words]
     wanted = f"{path}: one positive number for each light, or three (red, green, blue), on a line each are expected"
-    sizes = {0 if row is None else len(row) for row in rows}
-    require(len(sizes) == 1 and sizes <= {1, 3}, f"{wanted}.")
-    require(len(rows) == count, f"{wanted}; there are {len(rows)} for {count} lights.")
-    return _positive(np.array(rows, dtype=np.float64), wanted)
+    with refusing(f"{wanted}."):
+        lines = [line.split("#")[0].split() for line in re.sub("[,;]", " ", _text_of(path)).splitlines()]
+        table = np.array([words for words in lines if words], dtype=np.float64)
+        require(table.shape[1:] in ((1,), (3,)), f"{wanted}.")
+    require(len(table) == count, f"{wanted}; there are {len(table)} for {count} lights.")
+    return _positive(table, wanted)
 
 
 def _positive(values: NDArray[np.float64], wanted: str) -> NDArray[np.float64]:
-    good = bool(np.isfinite(values).all()) and float(values.min()) > 0.0 and float(values.max()) < 1e12
-    require(good, f"{wanted}; not {float(values.min()):g}.")
+    require(bool(((values > 0) & (values < 1e12)).all()), f"{wanted}; not {float(values.min()):g}.")
     return values
 
 
@@ -77,43 +78,53 @@ def read_light_list(path: str | os.PathLike[str]) -> LightList:
             count = int(words[0][:9])
         elif words:
             values, photograph = _numbers_of(words)
-            sound = len(values) in {3, 4, 6} and all(abs(value) <= 1e6 for value in values)
-            wanted = f"{name}, line {number}: three finite numbers x y z are expected, perhaps a brightness and the"
+            sound = len(values) in ({3} if doubtful else {3, 4, 6}) and all(abs(value) <= 1e6 for value in values)
             cure = "; write decimals with a point, or put spaces or semicolons between numbers" if doubtful else ""
-            sound = sound and not (doubtful and len(values) > 3)
-            require(sound, f"{wanted} name of a file, but it is {line.strip()[:60]!a}{cure}.")
+            require(
+                sound,
+                f"{name}, line {number}: three finite numbers x y z are expected, perhaps a brightness and the name of "
+                f"a file, but it is {line.strip()[:60]!a}{cure}.",
+            )
             rows.append(values)
             names += [photograph] if photograph else []
     require(len(rows) > 0, f"{name} holds no lights: a line x y z for each image is expected.")
     require(count in (None, len(rows)), f"{name} states {count} lights in its first line, but {len(rows)} follow.")
     require(len(names) in (0, len(rows)), f"{name} names a file in some of its lines only; name one in all or in none.")
-    twice = [photograph for k, photograph in enumerate(names) if photograph in names[:k]]
-    require(not twice, f"{name} names {twice[0] if twice else ''!a} twice.")
+    photograph, times = Counter(names).most_common(1)[0] if names else ("", 1)
+    require(times == 1, f"{name} names {photograph!a} twice.")
     require(
         len({len(row) for row in rows}) == 1,
         f"{name}: brightness stands in some lines only, or in one column here and three there; give it in all.",
     )
     table = np.array(rows, dtype=np.float64)
-    wanted = f"{name}: the brightness of a light must be positive"
-    bright = _positive(table[:, 3:], wanted) if table.shape[1] > 3 else None
+    bright = (
+        _positive(table[:, 3:], f"{name}: the brightness of a light must be positive") if table.shape[1] > 3 else None
+    )
     return LightList(table[:, :3], tuple(names), places, bright)
 
 
 def _numbers_of(words: Sequence[str]) -> tuple[list[float], str]:
     """The numbers at the beginning of a line, or at its end, and the name beside them, without folders."""
-    known = [_as_numbers([word]) is not None for word in words]
-    first = known.index(False) if False in known else len(words)
-    if first >= 3:
-        numbers = words[:first]
-        rest = words[first:]
+    numeric = [_is_number(word) for word in words]
+    count = len(list(itertools.takewhile(bool, numeric)))
+    if count >= 3:
+        numbers = words[:count]
+        rest = words[count:]
     else:
-        last = known[::-1].index(False) if False in known else first
-        before = words[: len(words) - last]
-        if last > 3 and not before[-1].lower().endswith(tuple(SUFFIXES)):  # a number ends the name
-            last = 3
-        numbers = words[len(words) - last :]
-        rest = words[: len(words) - last]
-    return _as_numbers(numbers) or [], re.split(r"[/\\]", " ".join(rest))[-1]
+        first = len(words) - len(list(itertools.takewhile(bool, reversed(numeric))))
+        if 0 < first < len(words) - 3 and not words[first - 1].lower().endswith(tuple(SUFFIXES)):
+            first = len(words) - 3  # a number ends the name
+        numbers = words[first:]
+        rest = words[:first]
+    return list(map(float, numbers)), re.split(r"[/\\]", " ".join(rest))[-1]
+
+
+def _is_number(word: str) -> bool:
+    try:
+        float(word)
+    except ValueError:
+        return False
+    return True
 
 
 def _words_of(line: str) -> tuple[list[str], bool]:
@@ -131,21 +142,18 @@ def write_light_list(leds: Sequence[Led], path: Path, photographs: Sequence[str]
     near = leds[0].position_mm is not None
     if path.suffix.lower() == ".lp":
         require(not near, "an .lp file holds directions, and these lights have places; write a .txt or a rig file.")
-        rows = [np.asarray(led.direction) / np.linalg.norm(led.direction or ()) for led in leds]
-        lines = [f"{name} {x:.6f} {y:.6f} {z:.6f}" for name, (x, y, z) in zip(photographs, rows, strict=True)]
-        write_file(path, "\n".join([str(len(lines)), *lines, ""]).encode("utf-8"))
-        return
-    lines = [LIST_TITLE, f"# {PLACES if near else 'x y z'}"]
-    for led, photograph in zip(leds, photographs, strict=True):
-        vector = led.position_mm if near else led.direction
-        require(vector is not None, "a list of lights holds directions or places in mm, not both; write a rig file.")
-        shown = "".join(c if c.isprintable() else "?" for c in photograph)
-        lines.append(" ".join(f"{value:.6f}" for value in vector or ()) + f"  # {shown}")
-    write_file(path, ("\n".join(lines) + "\n").encode("utf-8"))
+        lines = [str(len(leds))]
+        for led, photograph in zip(leds, photographs, strict=True):
+            lines.append(f"{photograph} {_written(led.towards / np.linalg.norm(led.towards))}")
+    else:
+        lines = [LIST_TITLE, f"# {PLACES if near else 'x y z'}"]
+        for led, photograph in zip(leds, photographs, strict=True):
+            alike = (led.position_mm is not None) == near
+            require(alike, "a list of lights holds directions or places in mm, not both; write a rig file.")
+            comment = "".join(c if c.isprintable() else "?" for c in photograph)
+            lines.append(f"{_written(led.towards)}  # {comment}")
+    write_file(path, "\n".join([*lines, ""]).encode("utf-8"))
 
 
-def _as_numbers(words: Sequence[str]) -> list[float] | None:
-    try:
-        return [float(word) for word in words]
-    except ValueError:
-        return None
+def _written(vector: NDArray[np.float64]) -> str:
+    return " ".join(f"{value:.6f}" for value in vector)

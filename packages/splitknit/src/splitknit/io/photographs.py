@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import KW_ONLY, dataclass
+from dataclasses import KW_ONLY, dataclass, fields
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
@@ -11,7 +11,7 @@ from cyclopts import Parameter
 
 from splitknit.arguments import PYTHON_ONLY, AnyPath, Encoding, refuse_given
 from splitknit.errors import require
-from splitknit.settings import check_value, rules_of
+from splitknit.settings import Limits, check_value, rules_of
 
 if TYPE_CHECKING:
     import numpy as np
@@ -24,6 +24,11 @@ else:
     Lights = AnyPath
 
 
+SCALES = Limits(1e-3, 1e5)
+"""Of pixels a mm."""
+_ANGLE = Limits(-360, 360)  # degrees
+
+
 def _value_or_file(kind: Any, tokens: Sequence[Any]) -> float | Path:
     word = tokens[0].value
     try:
@@ -32,16 +37,29 @@ def _value_or_file(kind: Any, tokens: Sequence[Any]) -> float | Path:
         return Path(word)
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class PhotographOptions:
-    """What is known of photographs beside their lights and their scale. Raises BadInput where two do not agree."""
+@dataclass(frozen=True, slots=True)
+class GivenPhotographs:
+    """Photographs of one object under one light after the other, and all that is known of them. Raises BadInput where
+    two facts do not agree.
+    """
 
+    images: AnyPath | None = None
+    """Folder of photographs, one for each light, in the order of their names (or a pattern of names, such as
+    'photos/white_{light}.jpg'): JPEG, PNG, TIFF, WEBP, BMP; with the extra 'photos' HEIC and camera RAW."""
+    lights: Lights | None = None
+    """Directions towards the lights, a line 'x y z' or 'NAME x y z' for each photograph: x right, y up, z to the
+    camera; a fourth number is its brightness (a fourth to sixth: red, green, blue), else light_intensities.txt beside
+    the list has it; places in mm where the first line is 'x_mm y_mm z_mm'; also .lp files of RTI and rig files;
+    unknown: they are estimated (default: lights.txt beside the images)."""
+    px_per_mm: Annotated[float | None, SCALES] = None
+    """Scale on the object, where the input has none; without it heights are in pixels."""
+    _: KW_ONLY
     mask: AnyPath | None = None
     """Image, white = object, or transparent elsewhere; all: it fills the photographs (default: mask.png beside the
     images, or their transparency, if any)."""
     material: Literal["skin", "opaque"] | None = None
     """skin: a finger, whose blur of light is undone; opaque (default): any other thing, left as it lies."""
-    tip_direction_deg: Annotated[float | None, Parameter("--tip-direction")] = None
+    tip_direction_deg: Annotated[float | None, _ANGLE, Parameter("--tip-direction")] = None
     """Where a finger's tip points, within 75 degrees: 0 = up, counter-clockwise; left out, it is found."""
     encoding: Encoding | None = None
     """Of the photographs (default: srgb for JPEG, WEBP, HEIC and PNG that states it; linear for RAW and 16 bits; else
@@ -49,7 +67,7 @@ class PhotographOptions:
     brightness: Literal["estimate", "equal"] | None = None
     """Of the lights of an opaque thing: estimated with its surface, or equal, whatever the list states (default: as
     the list states it, else estimated where that explains the photographs clearly better)."""
-    max_megapixels: Annotated[float | None, Parameter("--max-size")] = None
+    max_megapixels: Annotated[float | None, Limits(0, 1000, above=True), Parameter("--max-size")] = None
     """Reduce larger photographs to so many megapixels, by means over areas (default: they stay as they are)."""
     background: Annotated[float | AnyPath | None, Parameter(converter=_value_or_file, n_tokens=1)] = None
     """Stored value that every pixel has without light, or a photograph with all lights off."""
@@ -59,7 +77,7 @@ class PhotographOptions:
     mosaic: Literal["mono", "colour"] | None = None
     """The photographs are raw frames of a camera with films on its pixels (90, 45 / 135, 0 degrees; mono: Sony
     IMX250MZR, colour: IMX250MYR); each holds the parallel and the crossed image."""
-    film_deg: Annotated[float, Parameter("--film-angle")] = 90.0
+    film_deg: Annotated[float, _ANGLE, Parameter("--film-angle")] = 90.0
     """Of `mosaic`: direction of the film before the LEDs, 0 along the rows."""
     flat: AnyPath | None = None
     """Photographs of a flat matt surface, one for each light in the same order and exposure: those of the object are
@@ -67,18 +85,17 @@ class PhotographOptions:
     nir: Annotated[AnyPath | None, PYTHON_ONLY] = None
     """Near-infrared photographs, a folder or a pattern: the band ``nir``; their lights are the NIR LEDs of the rig, or
     those of a list in their own folder."""
+    light_frame: str | None = None
+    """Where x and y of the lights' directions point in the image, where not right-up: right-down (y down), left-up
+    (mirrored), left-down, up-left, up-right, down-left, down-right."""
+    ridge_period_mm: Annotated[float | None, Parameter("--ridge-period")] = None
+    """Take the scale from a finger's ridges, which lie so many mm apart: 0.45 is usual, people differ by 8 %."""
 
     def __post_init__(self) -> None:
         for name, rule in rules_of(type(self)):
             check_value(f"`{name}`", rule, getattr(self, name))
-        tip = self.tip_direction_deg
-        size = self.max_megapixels
-        require(
-            tip is None or abs(tip) <= 360.0,
-            "`tip_direction_deg` must be an angle from -360 to 360 degrees, 0 = up, counter-clockwise.",
-        )
-        require(size is None or 0.0 < size <= 1000, f"`max_megapixels` must be megapixels up to 1000, not {size}.")
-        require(abs(self.film_deg) <= 360, "`film_deg` must be an angle from -360 to 360 degrees, 0 along the rows.")
+        both = self.px_per_mm is not None and self.ridge_period_mm is not None
+        require(not both, "`px_per_mm` and `ridge_period_mm` both give the scale; choose one.")
         others = self.encoding == "srgb", self.max_megapixels, self.background_image, self.crossed
         require(
             self.mosaic is None or not any(others),
@@ -92,59 +109,16 @@ class PhotographOptions:
         """The image with all lights off, if there is one."""
         return None if isinstance(self.background, float | int) else self.background
 
-
-@dataclass(frozen=True, slots=True)
-class GivenPhotographs(PhotographOptions):
-    """Photographs of one object under one light after the other, and all that is known of them."""
-
-    images: AnyPath | None = None
-    """Folder of photographs, one for each light, in the order of their names (or a pattern of names, such as
-    'photos/white_{light}.jpg'): JPEG, PNG, TIFF, WEBP, BMP; with the extra 'photos' HEIC and camera RAW."""
-    lights: Lights | None = None
-    """Directions towards the lights, a line 'x y z' or 'NAME x y z' for each photograph: x right, y up, z to the
-    camera; a fourth number is its brightness (a fourth to sixth: red, green, blue), else light_intensities.txt beside
-    the list has it; places in mm where the first line is 'x_mm y_mm z_mm'; also .lp files of RTI and rig files;
-    unknown: they are estimated (default: lights.txt beside the images)."""
-    px_per_mm: float | None = None
-    """Scale on the object, where the input has none; without it heights are in pixels."""
-    _: KW_ONLY
-    light_frame: str | None = None
-    """Where x and y of the lights' directions point in the image, where not right-up: right-down (y down), left-up
-    (mirrored), left-down, up-left, up-right, down-left, down-right."""
-    ridge_period_mm: Annotated[float | None, Parameter("--ridge-period")] = None
-    """Take the scale from a finger's ridges, which lie so many mm apart: 0.45 is usual, people differ by 8 %."""
-
-    def __post_init__(self) -> None:
-        PhotographOptions.__post_init__(self)
-        check_scale(self.px_per_mm, self.ridge_period_mm)
-
-    def refuse_without_images(self) -> None:
-        """Refuse what only photographs have where there are none. Raises BadInput."""
+    def refuse_without_images(self, *others: str) -> None:
+        """Refuse what only photographs have where there are none, but for `others`. Raises BadInput."""
         if self.images is None:
-            refuse_given(
-                "goes with `images`.",
-                lights=self.lights, mask=self.mask, material=self.material, encoding=self.encoding,
-                brightness=self.brightness, background=self.background, max_megapixels=self.max_megapixels,
-                crossed=self.crossed, mosaic=self.mosaic, flat=self.flat,
-            )  # fmt: skip
-
-    def refuse(self, why: str) -> None:
-        """Refuse whatever is known of photographs; `why` follows its name. Raises BadInput."""
-        self.refuse_without_images()
-        refuse_given(
-            why, tip_direction_deg=self.tip_direction_deg, light_frame=self.light_frame, px_per_mm=self.px_per_mm,
-            ridge_period_mm=self.ridge_period_mm,
-        )  # fmt: skip
+            kept = (*others, "film_deg", "nir")
+            stated = {field.name: getattr(self, field.name) for field in fields(self) if field.name not in kept}
+            refuse_given("goes with `images`.", **stated)
 
 
-def check_scale(px_per_mm: float | None, ridge_period_mm: float | None) -> None:
-    """Refuse two scales, and numbers that are none. Raises BadInput."""
-    both = px_per_mm is not None and ridge_period_mm is not None
-    require(not both, "`px_per_mm` and `ridge_period_mm` both give the scale; choose one.")
-    require(
-        px_per_mm is None or 1e-3 <= px_per_mm <= 1e5,
-        f"`px_per_mm` must be a number from 0.001 to 100000, not {px_per_mm}.",
-    )
+OF_CAPTURES = ("tip_direction_deg", "light_frame", "px_per_mm", "ridge_period_mm")
+"""What is known of photographs, and can be stated of a capture folder too."""
 
 
 AllPhotographs = Annotated[GivenPhotographs, Parameter("*", group="Photographs")]

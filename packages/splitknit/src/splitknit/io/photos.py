@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from splitknit.errors import BadInput, read_bytes, refusing, require
-from splitknit.io.images import MAX_BYTES, check_size, decode_pixels, read_header
+from splitknit.io.images import MAX_BYTES, Header, check_size, decode_pixels, read_header
 from splitknit.model import BoolArray
 
 RAW_SUFFIXES = frozenset({".dng", ".nef", ".cr2", ".cr3", ".arw", ".raf", ".orf", ".rw2", ".pef", ".srw"})
@@ -45,29 +45,29 @@ class Photo:
     """(H, W) what is not transparent, by half or more; None where all is opaque."""
 
 
-def read_photo(path: str | os.PathLike[str], *, room: int | None = None) -> Photo:
+def read_photo(path: str | os.PathLike[str]) -> Photo:
     """Read a photograph, turned upright as its EXIF data say.
 
     RAW is demosaiced to linear 16-bit light in the camera's own colours, black level taken off: no white balance, no
-    tone curve, no automatic brightness. `path`: JPEG, PNG, TIFF (8- or 16-bit or float), WEBP, BMP, HEIC or RAW file;
-    `room`: bytes that the pixels may take, at most 400 MB. Raises BadInput if the file is missing, damaged, too large,
-    of another kind, or of a kind whose package is not installed.
+    tone curve, no automatic brightness. `path`: JPEG, PNG, TIFF (8- or 16-bit or float), WEBP, BMP, HEIC or RAW file.
+    Raises BadInput if the file is missing, damaged, larger than 400 MB once decoded, of another kind, or of a kind
+    whose package is not installed.
 
     >>> read_photo("photos/IMG_1.HEIC").pixels.shape  # doctest: +SKIP
     (3024, 4032, 3)
     """
-    return decode_photo(read_bytes(path, MAX_BYTES), os.fspath(path), room=room)
+    return decode_photo(read_bytes(path, MAX_BYTES), os.fspath(path))
 
 
-def decode_photo(data: bytes, name: str, *, room: int | None = None) -> Photo:
+def decode_photo(data: bytes, name: str) -> Photo:
     """Decode the bytes of a photograph, as :func:`read_photo`; `name`: for messages; its suffix shows camera RAW."""
     if Path(name).suffix.lower() in RAW_SUFFIXES:
-        pixels, orientation = _raw(data, name, room)
+        pixels, orientation = _raw(data, name)
     elif data[4:8] == b"ftyp":
-        pixels, orientation = _heic(data, name, room), 1  # its turns are part of the picture, and undone with it
+        pixels = _heic(data, name)
+        orientation = 1  # its turns are part of the picture, and undone with it
     else:
         header = read_header(data, name)
-        _check_room(header.rows * header.columns * header.channels * header.dtype.itemsize, name, room)
         pixels = decode_pixels(data, header, name)
         orientation = header.orientation
     if pixels.dtype.kind == "f":
@@ -81,7 +81,8 @@ def decode_photo(data: bytes, name: str, *, room: int | None = None) -> Photo:
     if pixels.shape[2] in (2, 4):  # with alpha
         clear = pixels[..., -1] > (0.5 if pixels.dtype.kind == "f" else np.iinfo(pixels.dtype).max // 2)
         opaque = None if clear.all() else np.asarray(clear)
-    return Photo(_plain(pixels), orientation, hashlib.sha256(data).hexdigest(), opaque)
+    colours = np.ascontiguousarray(pixels[..., : 1 if pixels.shape[2] < 3 else 3])
+    return Photo(colours, orientation, hashlib.sha256(data).hexdigest(), opaque)
 
 
 def encoding_of(files: Sequence[Path], by_shading: Callable[[], bool | None]) -> tuple[str, str]:
@@ -93,19 +94,19 @@ def encoding_of(files: Sequence[Path], by_shading: Callable[[], bool | None]) ->
     :func:`splitknit.imaging.response.shading_is_srgb`; called where it decides. Raises BadInput if some have a tone
     curve and some have none.
     """
-    found = {_stated_encoding(file) for file in files}
+    encodings = {_stated_encoding(file) for file in files}
     require(
-        len(found) == 1,
+        len(encodings) == 1,
         "the photographs are of several kinds, "
         "some with a tone curve (JPEG, WEBP, HEIC, PNG that states sRGB) and some without; give `encoding`.",
     )
     suffix = files[0].suffix.lower()
-    stated = found.pop()
+    stated = encodings.pop()
     if stated:
         why = "stated in" if suffix == ".png" else "assumed of"
         return stated, f"encoding {stated} is {why} the {suffix} files (`encoding` changes it)."
     curved = by_shading()
-    if curved is not False and _of_eight_bits(files[0]):
+    if curved is not False and _header_of(files[0]).dtype == np.uint8:
         if curved is None:
             remedy = "give `encoding` linear if an industrial camera or a renderer saved them."
             return "srgb", f"encoding srgb is assumed of the {suffix} files of 8 bits, which state none; {remedy}"
@@ -115,34 +116,20 @@ def encoding_of(files: Sequence[Path], by_shading: Callable[[], bool | None]) ->
     return "linear", f"encoding linear is assumed of the {suffix} files, which state none; {remedy}"
 
 
-def _of_eight_bits(file: Path) -> bool:
-    """Whether a file has 8 bits a value."""
-    return read_header(read_bytes(file, MAX_BYTES), str(file)).dtype == np.uint8
-
-
 def _stated_encoding(file: Path) -> str:
     """``srgb``, ``linear``, or nothing where the file's kind leaves it open."""
     suffix = file.suffix.lower()
     if suffix in SRGB_SUFFIXES or suffix in RAW_SUFFIXES:
         return "srgb" if suffix in SRGB_SUFFIXES else "linear"
-    return read_header(read_bytes(file, MAX_BYTES), str(file)).encoding if suffix == ".png" else ""
+    return _header_of(file).encoding if suffix == ".png" else ""
 
 
-def _check_room(needed: int, name: str, room: int | None) -> None:
-    require(
-        room is None or needed <= room,
-        f"{name} and the photographs with it take more memory than is read at once; reduce them, or name fewer.",
-    )
-
-
-def _checked(rows: int, columns: int, bytes_each: int, name: str, room: int | None) -> None:
-    """Refuse sizes that are impossible or too large, before anything is decoded."""
-    check_size(rows, columns, bytes_each, name)
-    _check_room(rows * columns * bytes_each, name, room)
+def _header_of(file: Path) -> Header:
+    return read_header(read_bytes(file, MAX_BYTES), str(file))
 
 
 def _upright(pixels: NDArray[Any], orientation: int) -> NDArray[Any]:
-    """`pixels` (H, W) or (H, W, C) as they are to be seen (EXIF 2.32, tag 274)."""
+    """`pixels` (H, W, C) as they are to be seen (EXIF 2.32, tag 274)."""
     if orientation in (5, 6, 7, 8):
         pixels = pixels.swapaxes(0, 1)
     if orientation in (3, 4, 7, 8):
@@ -152,7 +139,7 @@ def _upright(pixels: NDArray[Any], orientation: int) -> NDArray[Any]:
     return np.ascontiguousarray(pixels)
 
 
-def _heic(data: bytes, name: str, room: int | None) -> NDArray[Any]:
+def _heic(data: bytes, name: str) -> NDArray[Any]:
     try:
         import pillow_heif  # of the extra `photos`
     except ImportError as error:
@@ -160,13 +147,13 @@ def _heic(data: bytes, name: str, room: int | None) -> NDArray[Any]:
     with refusing(_UNREADABLE.format(name)):
         image = pillow_heif.open_heif(io.BytesIO(data), convert_hdr_to_8bit=False)
         columns, rows = image.size
-        _checked(rows, columns, 8, name, room)
+        check_size(rows, columns, 8, name)
         values = np.asarray(image)
         require(values.shape[:2] == (rows, columns), _UNREADABLE.format(name))
-        return _plain(values)
+        return values.reshape(rows, columns, -1)
 
 
-def _raw(data: bytes, name: str, room: int | None) -> tuple[NDArray[Any], int]:
+def _raw(data: bytes, name: str) -> tuple[NDArray[Any], int]:
     try:
         import rawpy  # of the extra `photos`
     except ImportError as error:
@@ -176,7 +163,7 @@ def _raw(data: bytes, name: str, room: int | None) -> tuple[NDArray[Any], int]:
         rawpy.imread(io.BytesIO(data)) as raw,
     ):
         sizes = raw.sizes
-        _checked(max(sizes.raw_height, sizes.height), max(sizes.raw_width, sizes.width), 6, name, room)
+        check_size(max(sizes.raw_height, sizes.height), max(sizes.raw_width, sizes.width), 6, name)
         pixels = raw.postprocess(
             gamma=(1, 1),
             no_auto_bright=True,
@@ -188,10 +175,4 @@ def _raw(data: bytes, name: str, room: int | None) -> tuple[NDArray[Any], int]:
             output_color=rawpy.ColorSpace.raw,
             user_flip=0,
         )
-        return _plain(pixels), _RAW_TURNS.get(int(sizes.flip), 1)
-
-
-def _plain(values: NDArray[Any]) -> NDArray[Any]:
-    """(H, W, 1 or 3) without alpha."""
-    image = values[..., None] if values.ndim == 2 else values
-    return np.ascontiguousarray(image[..., : 1 if image.shape[2] < 3 else 3])
+        return pixels, _RAW_TURNS.get(int(sizes.flip), 1)

@@ -10,7 +10,6 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from splitknit.errors import require
 from splitknit.io.images import png_bytes
 from splitknit.model import BoolArray, FloatArray, Reconstruction
 
@@ -47,14 +46,11 @@ def upright_frame(result: Reconstruction, longest: int, margin_mm: float = 0.8) 
 
 
 def upright_limits(result: Reconstruction) -> NDArray[np.float64]:
-    """Least and largest (column, row) of the upright frame in the mask, pixels, (2, 2); to about four pixels."""
-    height, width = result.mask.shape
-    fours = np.pad(result.mask, ((0, -height % 4), (0, -width % 4))).view(np.uint32)  # four booleans in one number
-    mask = np.bitwise_or.reduce(fours.reshape(-1, 4, fours.shape[1]), axis=1) != 0
-    rows = np.flatnonzero(mask.any(axis=1))
-    first = mask[rows].argmax(axis=1)
-    last = mask.shape[1] - 1 - mask[rows, ::-1].argmax(axis=1)
-    points = np.stack([np.concatenate([first, last]), np.concatenate([rows, rows])]) * 4.0 + 1.5
+    """Least and largest (column, row) of the upright frame in the mask, pixels, (2, 2)."""
+    rows = np.flatnonzero(result.mask.any(axis=1))
+    first = result.mask[rows].argmax(axis=1)
+    last = result.mask.shape[1] - 1 - result.mask[rows, ::-1].argmax(axis=1)
+    points = np.stack([np.concatenate([first, last]), np.concatenate([rows, rows])])
     from_input = np.linalg.inv(result.input_from_upright)
     upright = from_input[:2, :2] @ points + from_input[:2, 2:]
     return np.stack([upright.min(axis=1), upright.max(axis=1)])
@@ -80,51 +76,36 @@ def fields_to_frame(
     fields: Sequence[NDArray[np.generic]], mask: BoolArray, frame: PictureFrame
 ) -> tuple[list[FloatArray], FloatArray]:
     """Several fields of one mask, as :func:`to_frame` averages them, and their weight."""
-    factor, window, input_from_small = _blocks(mask, frame)
-    small_from_picture = np.linalg.inv(input_from_small) @ frame.input_from_picture
-    inside = mask[window].view(np.uint8)
-    weight = _warp_linear(_binned(inside, inside, factor), small_from_picture, frame.size)
-    divisor = np.maximum(weight, 1e-3)
-    nowhere = weight <= 1e-3
-    found = []
-    for field in fields:
-        values = _warp_linear(_binned(field[window], inside, factor), small_from_picture, frame.size)
-        values /= divisor if values.ndim == 2 else divisor[..., None]
-        values[nowhere] = 0.0
-        found.append(values)
-    return found, np.clip(weight, 0.0, 1.0).astype(np.float32)
-
-
-def _blocks(mask: BoolArray, frame: PictureFrame) -> tuple[int, tuple[slice, slice], NDArray[np.float64]]:
-    """Side of whole blocks up to the picture's pixel, its window, and (3, 3) from its blocks to the input."""
     step = float(np.sqrt(abs(np.linalg.det(frame.input_from_picture[:2, :2]))))
-    factor = max(1, int(step + 0.01))
-    height, width = frame.size
-    outline = [[-1.0, width, -1.0, width], [-1.0, -1.0, height, height], [1.0, 1.0, 1.0, 1.0]]
-    corners = frame.input_from_picture @ np.array(outline)
-    low = np.maximum(np.floor(corners[:2].min(axis=1)).astype(int) - factor, 0)
-    high = np.minimum(np.ceil(corners[:2].max(axis=1)).astype(int) + factor, (mask.shape[1], mask.shape[0]))
-    require(bool((low < high).all()), "the picture's frame lies outside the input.")
-    x, y = low + (factor - 1) / 2
-    origin = np.array([[factor, 0.0, x], [0.0, factor, y], [0.0, 0.0, 1.0]])
-    return factor, (slice(low[1], high[1]), slice(low[0], high[0])), origin
+    factor = max(1, int(step + 0.01))  # side of whole blocks up to the picture's pixel
+    middle = (factor - 1) / 2
+    input_from_block = np.array([[factor, 0.0, middle], [0.0, factor, middle], [0.0, 0.0, 1.0]])
+    block_from_picture = (np.linalg.inv(input_from_block) @ frame.input_from_picture)[:2]
+    inside = mask.view(np.uint8)
+
+    def averaged(field: NDArray[np.generic]) -> FloatArray:
+        flags = cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
+        blocks = _block_means(field, inside, factor)
+        return np.asarray(cv2.warpAffine(blocks, block_from_picture, frame.size[::-1], flags=flags))
+
+    weight = averaged(inside)
+    divisor = np.maximum(weight, 1e-3)
+    averages = []
+    for field in fields:
+        values = averaged(field)
+        values /= divisor if values.ndim == 2 else divisor[..., None]
+        values[weight <= 1e-3] = 0.0
+        averages.append(values)
+    return averages, np.clip(weight, 0.0, 1.0)
 
 
-def _binned(part: NDArray[np.generic], inside: NDArray[np.uint8], factor: int) -> FloatArray:
+def _block_means(field: NDArray[np.generic], inside: NDArray[np.uint8], factor: int) -> FloatArray:
     """Mean of a field over blocks, zero outside the mask."""
     rows, columns = inside.shape
-    values = np.zeros((rows + -rows % factor, columns + -columns % factor, *part.shape[2:]), dtype=np.float32)
-    cv2.copyTo(part.astype(np.float32, copy=False), inside, values[:rows, :columns])
-    if factor == 1:
-        return values
+    values = np.zeros((rows + -rows % factor, columns + -columns % factor, *field.shape[2:]), dtype=np.float32)
+    cv2.copyTo(field.astype(np.float32, copy=False), inside, values[:rows, :columns])
     small = (values.shape[1] // factor, values.shape[0] // factor)
-    return np.asarray(cv2.resize(values, small, interpolation=cv2.INTER_AREA), dtype=np.float32)
-
-
-def _warp_linear(image: FloatArray, source_from_target: NDArray[np.float64], size: tuple[int, int]) -> FloatArray:
-    flags = cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
-    warped = cv2.warpAffine(image, source_from_target[:2], (size[1], size[0]), flags=flags)
-    return np.asarray(warped, dtype=np.float32)
+    return np.asarray(cv2.resize(values, small, interpolation=cv2.INTER_AREA))
 
 
 def colour(values: FloatArray, low: float, high: float, *, diverging: bool = False) -> ColourArray:

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import math
 import os
-import re
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -14,7 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from splitknit.errors import BadInput, check_lights, check_mask, naming, refusing, require
+from splitknit.errors import check_lights, check_mask, naming, refusing, require
 from splitknit.findings import Finding
 from splitknit.imaging.band import (
     block_means,
@@ -29,8 +28,15 @@ from splitknit.imaging.response import FEWEST, shading_is_srgb
 from splitknit.io.content import check_contents, mask_from_image
 from splitknit.io.images import STACK_BYTES
 from splitknit.io.light_list import read_intensities, read_light_list
-from splitknit.io.photographs import PhotographOptions
-from splitknit.io.photos import FORMATS, RAW_SUFFIXES, SUFFIXES, Photo, encoding_of, read_photo
+from splitknit.io.photograph_files import (
+    INTENSITIES,
+    LIGHT_LISTS,
+    home_of,
+    photographs_in,
+    some_of,
+)
+from splitknit.io.photographs import SCALES, GivenPhotographs
+from splitknit.io.photos import FORMATS, RAW_SUFFIXES, Photo, encoding_of, read_photo
 from splitknit.io.provenance import file_hash
 from splitknit.io.rig import read_rig
 from splitknit.model import (
@@ -45,25 +51,24 @@ from splitknit.model import (
     Rig,
     camera_without_scale,
 )
+from splitknit.settings import check_value
 from splitknit.steps import large_array, let_go
 
-_MAX_PHOTOS = 1000
 _NO_CAMERA = Camera(1.0, (1, 1))
-_ASKED, _ASKED_PIXELS = 24, 20_000  # photographs and pixels of each that show the encoding
+_JUDGED_PHOTOGRAPHS = 24  # that show the encoding
+_JUDGED_PIXELS = 20_000  # of each
 _NEGATIVE = 0.02
-"""Values below minus this part of the brightest are more than noise, if they are more than this part of all."""
-_BRIGHTEST = 0.9  # what the brightest value of photographs of floats becomes, of the full scale of 16 bits
-
-
-_LISTS, _INTENSITIES = ("lights.txt", "light_directions.txt"), "light_intensities.txt"
-"""Names of lists beside photographs, DiLiGenT's among them."""
-MASK_ALL = "all"  # in place of a mask: the object fills the photographs
+"""Values below minus this part of the brightest are more than noise, if more than this part of all
+values are."""
+_BRIGHTEST = 0.9  # what the brightest of floats becomes, of the full scale of 16 bits
+_MASK_ALL = "all"  # in place of a mask: the object fills the photographs
+UNKNOWN = "unknown"  # in place of the lights: they are estimated
 _OTHER_CURVE = (
-    "the photographs shade as {0}, not as {1}, which was stated of them: heights are then wrong by a factor of about "
-    "two; give `encoding` {0}, or leave it out. Gloss on a shallow relief looks so too."
+    "the photographs shade as {0}, not as {1}, which was stated of them: heights are then wrong by "
+    "a factor of about two; give `encoding` {0}, or leave it out. Gloss on a shallow relief looks "
+    "so too."
 )
-UNKNOWN = "unknown"  # in place of the lights: nobody knows their directions, which are estimated
-_NO_OPTIONS = PhotographOptions()
+_NO_OPTIONS = GivenPhotographs()
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -74,179 +79,224 @@ class Photographs:
     skipped: tuple[str, ...]
     """Files of the folder that were not used, each with the reason."""
     notes: tuple[Finding, ...]
-    """What was assumed or done, one sentence each."""
+    """What was assumed or done."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Lights:
+    """What is known of the lights."""
+
+    source: Path  # their file, or a word for messages
+    rig: Rig
+    names: tuple[str, ...] = ()  # of photographs, in their file
+    colours: NDArray[np.float64] | None = None  # (L, 3) relative brightness of red, green and blue
 
 
 def capture_from_photographs(
     folder: str | os.PathLike[str],
     lights: str | os.PathLike[str] | NDArray[np.float64] | Rig | None = None,
     px_per_mm: float | None = None,
-    options: PhotographOptions = _NO_OPTIONS,
+    options: GivenPhotographs = _NO_OPTIONS,
 ) -> Photographs:
     """Make a capture of a folder of photographs, one for each light.
 
-    Photographs of floats are brought to 16 bits by one factor. Raises BadInput if files are missing, damaged, of
-    different sizes or turned differently by their EXIF data, their number is not that of the lights, the lights do not
-    determine a normal or their file names a photograph that is not there, an image is black or overexposed.
+    Photographs of floats are brought to 16 bits by one factor. Raises BadInput if files are
+    missing, damaged, of different sizes or turned differently by their EXIF data, their number is
+    not that of the lights, the lights do not determine a normal or their file names a photograph
+    that is not there, an image is black or overexposed.
 
-    `folder`: of JPEG, PNG, TIFF, WEBP, BMP, HEIC
-    or RAW files, all of one size, in the order of their names; or a pattern of their names, such as
-    ``photos/white_{light}.png``, in the order of the lights' numbers; or one file; `lights`: list
-    (:mod:`splitknit.io.light_list`), rig file (its white LEDs in order, and its camera), directions (L, 3) or rig; by
-    default ``lights.txt`` in the folder, or the only ``.lp`` file there; `px_per_mm`: pixels a mm on the object,
-    None where it is unknown (heights in pixels); `options`: mask, material, encoding and others.
+    `folder`: of JPEG, PNG, TIFF, WEBP, BMP, HEIC or RAW files, all of one size, in the order of
+    their names; or a pattern of their names, such as ``photos/white_{light}.png``, in the order of
+    the lights' numbers; or one file; `lights`: list (:mod:`splitknit.io.light_list`), rig file (its
+    white LEDs in order, and its camera), directions (L, 3) or rig; by default ``lights.txt`` in the
+    folder, or the only ``.lp`` file there; `px_per_mm`: pixels a mm on the object, None where it is
+    unknown (heights in pixels); `options`: mask, material, encoding and others.
 
-    >>> found = capture_from_photographs("photos", px_per_mm=20.0)  # doctest: +SKIP
-    >>> found.skipped  # doctest: +SKIP
+    >>> capture_from_photographs("photos", px_per_mm=20.0).skipped  # doctest: +SKIP
     ('notes.docx (not a photograph)',)
     """
     root = Path(folder)
-    require(_home(root).is_dir(), f"{_home(root)} is not a folder; name the folder of the photographs.")
-    table, rig, names, colours = _lights_of(root, lights)
+    home = home_of(root)
+    require(home.is_dir(), f"{home} is not a folder; name the folder of the photographs.")
+    known = _lights_of(home, lights)
+    source = known.source
     if options.brightness is not None:
-        require(
-            options.brightness == "equal" or len(rig.leds) >= 5 or table == Path(UNKNOWN),
-            f"brightness is estimated of five lights or more, but there are {len(rig.leds)}: state it in the list.",
-        )
-        leds = tuple(replace(led, intensity=1.0) for led in rig.leds)
-        origin = {"intensities": options.brightness}
-        rig = replace(rig, leds=leds, provenance={**rig.provenance, **origin})
-        colours = None
-    named = (options.mask, options.background_image, table)
-    own = [Path(os.path.realpath(value)) for value in named if value is not None]
-    found, masks, skipped = photographs_in(root, table, names, own, find_mask=options.mask is None)
-    options = replace(options, mask=masks[0]) if masks else options
+        known = _with_brightness(known, options.brightness)
+    named = (options.mask, options.background_image, source)
+    used = [Path(os.path.realpath(file)) for file in named if file is not None]
+    find_mask = options.mask is None
+    files, masks, skipped = photographs_in(root, source, known.names, used, find_mask=find_mask)
+    notes = []
+    if masks:
+        options = replace(options, mask=masks[0])
+        words = f"the mask is {masks[0].name}, which lies beside the photographs."
+        notes.append(Finding("assumed-mask", words))
     left_out = f"; skipped: {some_of(skipped)}" if skipped else ""
-    require(len(found) > 0, f"{root} holds no photographs ({FORMATS}){left_out}.")
-    if table == Path(UNKNOWN):
-        rig = _unknown_rig(len(found))
-    if len(found) == 1 and len(rig.leds) == 3:  # three coloured lights at once: its channels are the photographs
-        found = found * 3
-    holds = f"{root} holds {len(found)} photographs"
-    remedy = "let each of its lines begin with the name of a photograph."
+    if skipped:
+        notes.append(Finding("skipped-files", f"skipped in {root}: {some_of(skipped)}."))
+    require(len(files) > 0, f"{root} holds no photographs ({FORMATS}){left_out}.")
+    if source == Path(UNKNOWN):
+        known = replace(known, rig=_unknown_rig(len(files)))
+    count = len(known.rig.leds)
+    if len(files) == 1 and count == 3:  # three coloured lights at once: one channel for each
+        files = files * 3
+    holds = f"{root} holds {len(files)} photographs"
     require(
-        len(found) == len(rig.leds),
-        f"{holds} ({found[0].name} to {found[-1].name}), but {table} has {len(rig.leds)} lights{left_out}; {remedy}",
+        len(files) == count,
+        f"{holds} ({files[0].name} to {files[-1].name}), but {source} has {count} lights{left_out}"
+        "; let each of its lines begin with the name of a photograph.",
     )
     crossed: list[Path] = []
     if options.crossed is not None:
         second = Path(options.crossed)
         remedy = "name the folder of the crossed photographs with `crossed`."
         require(second.is_dir(), f"{second} is not a folder; {remedy}")
-        crossed, _, _ = photographs_in(second, table, names, own)
+        crossed = photographs_in(second, source, known.names, used).photographs
         remedy = "both series need one photograph a light, in the same order."
-        require(len(crossed) == len(found), f"{holds}, but {second} {len(crossed)}; {remedy}")
-    capture, notes = _assembled(found, rig, px_per_mm, options, crossed=crossed, colours=colours)
-    if table.is_file():
-        capture = replace(capture, hashes={**capture.hashes, table.name: file_hash(table)})
-    if masks:
-        notes.append(Finding("assumed-mask", f"the mask is {masks[0].name}, which lies beside the photographs."))
-    if skipped:
-        notes.append(Finding("skipped-files", f"skipped in {root}: {some_of(skipped)}."))
-    white = Photographs(capture, tuple(skipped), tuple(notes))
-    if options.nir is None:
-        return white
-    own_rig = isinstance(lights, Rig) or table.suffix.lower() == ".json"
-    remedy = "give them by a rig file, or put each series into a folder with its list."
-    require(
-        own_rig or _home(Path(options.nir)) != _home(root),
-        f"white and near-infrared photographs lie in one folder, {_home(root)}, but have lights of their own: {remedy}",
-    )
-    encoding: Any = options.encoding or (capture.encoding if options.max_megapixels is None else None)
-    near = replace(options, nir=None, crossed=None, flat=None, mask=None, encoding=encoding)
-    rig_nir = _of_band(lights if isinstance(lights, Rig) else read_rig(table), str(table), "nir") if own_rig else None
-    infrared = capture_from_photographs(options.nir, rig_nir, px_per_mm, near)
-    return _with_nir(white, infrared, Path(options.nir))
+        require(len(crossed) == count, f"{holds}, but {second} {len(crossed)}; {remedy}")
+    capture, assumed = _assembled(files, crossed, known, px_per_mm, options)
+    if source.is_file():
+        capture = replace(capture, hashes={**capture.hashes, source.name: file_hash(source)})
+    white = Photographs(capture, tuple(skipped), (*assumed, *notes))
+    return white if options.nir is None else _with_nir(white, lights, px_per_mm, options, root)
 
 
-def _with_nir(white: Photographs, nir: Photographs, folder: Path) -> Photographs:
+def _with_nir(
+    white: Photographs,
+    lights: Any,
+    px_per_mm: float | None,
+    options: GivenPhotographs,
+    white_folder: Path,
+) -> Photographs:
     """One capture of both bands; the mask is that of the white photographs."""
-    one = white.capture
-    other = nir.capture
-    ours, theirs = (f"{each.shape[0]} x {each.shape[1]} pixels, {each.encoding}" for each in (one, other))
+    capture = white.capture
+    folder = Path(options.nir or "")
+    rig = lights
+    if not isinstance(lights, Rig) and str(lights).lower().endswith(".json"):
+        rig = read_rig(lights)
+    has_rig = isinstance(rig, Rig)
+    home = home_of(white_folder)
     require(
-        ours == theirs,
-        f"the photographs of {folder} are of {theirs}, and the white ones of {ours}; both must agree (`encoding`).",
+        has_rig or home_of(folder) != home,
+        f"white and near-infrared photographs lie in one folder, {home}, but have lights of their "
+        "own: give them by a rig file, or put each series into a folder with its list.",
     )
-    count = len(one.rig.leds)
-    band = other.bands["white"]
-    leds = (*one.rig.leds, *(replace(led, band="nir") for led in other.rig.leds))
-    band = replace(band, name="nir", leds=tuple((count + k,) for k in range(len(band.leds))))
-    hashes = {**one.hashes, **{f"nir/{name}": value for name, value in other.hashes.items()}}
-    capture = replace(one, rig=replace(one.rig, leds=leds), bands={**one.bands, "nir": band}, hashes=hashes)
-    notes = [note if note in white.notes else note.of_band("nir") for note in nir.notes]
-    return Photographs(capture, white.skipped + nir.skipped, tuple(dict.fromkeys([*white.notes, *notes])))
+    encoding: Any = options.encoding
+    if encoding is None and options.max_megapixels is None:
+        encoding = capture.encoding
+    near = replace(options, nir=None, crossed=None, flat=None, mask=None, encoding=encoding)
+    rig_nir = _of_band(rig, "nir", "the rig") if has_rig else None
+    infrared = capture_from_photographs(folder, rig_nir, px_per_mm, near)
+    kinds = [f"{each.shape[0]} x {each.shape[1]} pixels, {each.encoding}" for each in (infrared.capture, capture)]
+    require(
+        kinds[0] == kinds[1],
+        f"the photographs of {folder} are of {kinds[0]}, and the white ones of {kinds[1]}"
+        "; both must agree (`encoding`).",
+    )
+    count = len(capture.rig.leds)
+    leds = [replace(led, band="nir") for led in infrared.capture.rig.leds]
+    both = replace(capture.rig, leds=(*capture.rig.leds, *leds))
+    groups = tuple((count + k,) for k in range(len(leds)))
+    band = replace(infrared.capture.bands["white"], name="nir", leds=groups)
+    hashes = {f"nir/{name}": value for name, value in infrared.capture.hashes.items()}
+    capture = replace(
+        capture,
+        rig=both,
+        bands={**capture.bands, "nir": band},
+        hashes={**capture.hashes, **hashes},
+    )
+    notes = [note if note in white.notes else note.of_band("nir") for note in infrared.notes]
+    skipped = white.skipped + infrared.skipped
+    return Photographs(capture, skipped, tuple(dict.fromkeys([*white.notes, *notes])))
 
 
-def _home(folder: Path) -> Path:
-    """The folder of photographs that are named by their folder, by a pattern, or by one file."""
-    return folder.parent if "{light}" in folder.name or folder.is_file() else folder
-
-
-def _lights_of(root: Path, lights: Any) -> tuple[Path, Rig, tuple[str, ...], NDArray[np.float64] | None]:
-    """The file of the lights, or a word for them; the white LEDs and camera; names, if any; and (L, 3) their relative
-    brightness in red, green and blue, where given.
-    """
+def _lights_of(folder: Path, lights: Any) -> _Lights:
+    """The white lights of a rig, of directions (L, 3), or of a file, by default one in `folder`."""
     if isinstance(lights, Rig):
-        return Path("the rig"), _of_band(lights, "the rig"), (), None
+        return _Lights(Path("the rig"), _of_band(lights, "white", "the rig"))
     if isinstance(lights, str | os.PathLike) and os.fspath(lights) == UNKNOWN:
-        return Path(UNKNOWN), _unknown_rig(1), (), None
+        return _Lights(Path(UNKNOWN), _unknown_rig(1))
     if lights is not None and not isinstance(lights, str | os.PathLike):
-        return Path("lights"), _distant_rig(check_lights(lights)), (), None
-    root = _home(root)
-    listed = sorted(root.glob("*.lp")) if lights is None and not (root / "lights.txt").is_file() else []
-    usual = next((root / one for one in _LISTS if (root / one).is_file()), root / "lights.txt")
-    table = listed[0] if len(listed) == 1 else usual if lights is None else Path(lights)
-    require(
-        lights is not None or table.is_file(),
-        f"{root} holds no lights.txt; name the file of the light directions by `lights`.",
-    )
+        return _Lights(Path("lights"), _distant_rig(check_lights(lights)))
+    if lights is not None:
+        table = Path(lights)
+    else:
+        usual = [folder / name for name in LIGHT_LISTS if (folder / name).is_file()]
+        of_rti = list(folder.glob("*.lp"))
+        if len(of_rti) == 1 and folder / "lights.txt" not in usual:
+            usual = of_rti
+        remedy = "name the file of the light directions by `lights`."
+        require(len(usual) > 0, f"{folder} holds no lights.txt; {remedy}")
+        table = usual[0]
     if table.suffix.lower() == ".json":
-        return table, _of_band(read_rig(table), os.fspath(table)), (), None
-    found = read_light_list(table)
-    rig = _distant_rig(check_lights(found.lights), table if found.places else None)
-    bright = found.intensities
-    beside = next((one / _INTENSITIES for one in (table.parent, root) if (one / _INTENSITIES).is_file()), None)
-    if bright is None and beside is not None:
-        bright = read_intensities(beside, len(rig.leds))
-    if bright is None:
-        return table, rig, found.names, None
-    colours = bright / bright.mean(axis=1, keepdims=True) if bright.shape[1] == 3 else None
-    return table, _as_bright(rig, bright / bright.mean()), found.names, colours
+        return _Lights(table, _of_band(read_rig(table), "white", os.fspath(table)))
+    listed = read_light_list(table)
+    vectors = check_lights(listed.lights)
+    rig = _near_rig(vectors, table) if listed.places else _distant_rig(vectors)
+    brightness = listed.intensities
+    for beside in (table.parent / INTENSITIES, folder / INTENSITIES):
+        if brightness is None and beside.is_file():
+            brightness = read_intensities(beside, len(rig.leds))
+    if brightness is None:
+        return _Lights(table, rig, listed.names)
+    return _Lights(table, _as_bright(rig, brightness), listed.names, _colours_of(brightness))
 
 
-def _as_bright(rig: Rig, bright: NDArray[np.float64]) -> Rig:
-    """The rig with the brightness (L, 1 or 3) of its lights."""
-    leds = [replace(led, intensity=float(own.mean())) for led, own in zip(rig.leds, bright, strict=True)]
-    return replace(rig, leds=tuple(leds), provenance={**rig.provenance, "intensities": "stated"})
+def _with_brightness(lights: _Lights, brightness: str) -> _Lights:
+    """The lights with a brightness that is equal, or to be estimated."""
+    leds = tuple(replace(led, intensity=1.0) for led in lights.rig.leds)
+    require(
+        brightness == "equal" or len(leds) >= 5 or lights.source == Path(UNKNOWN),
+        f"brightness is estimated of five lights or more, but there are {len(leds)}: state it in the list.",
+    )
+    origin = {**lights.rig.provenance, "intensities": brightness}
+    return replace(lights, rig=replace(lights.rig, leds=leds, provenance=origin), colours=None)
 
 
-def _of_band(rig: Rig, name: str, band: str = "white") -> Rig:
+def _as_bright(rig: Rig, brightness: NDArray[np.float64]) -> Rig:
+    """The rig with the brightness (L, 1 or 3) of its lights, one on average."""
+    means = (brightness / brightness.mean()).mean(axis=1).tolist()
+    pairs = zip(rig.leds, means, strict=True)
+    leds = tuple(replace(led, intensity=mean) for led, mean in pairs)
+    return replace(rig, leds=leds, provenance={**rig.provenance, "intensities": "stated"})
+
+
+def _colours_of(brightness: NDArray[np.float64]) -> NDArray[np.float64] | None:
+    """(L, 3) brightness of red, green and blue over their mean; None where it is one number."""
+    return brightness / brightness.mean(axis=1, keepdims=True) if brightness.shape[1] == 3 else None
+
+
+def _of_band(rig: Rig, band: str, name: str) -> Rig:
+    """The rig with the LEDs of one band alone, as white ones."""
     leds = tuple(replace(led, band="white") for led in rig.leds if led.band == band)
     require(len(leds) > 0, f"{name} has no LED of the band '{band}'.")
     return replace(rig, leds=leds)
 
 
-def _distant_rig(vectors: NDArray[np.float64], places: Path | None = None) -> Rig:
-    """A rig of lights in directions (L, 3), or at places in mm of the file that is named; its camera is a dummy."""
+def _rig_of(leds: Sequence[Led], kind: str) -> Rig:
+    """A rig without a camera."""
+    source = f"plain images, {kind} lights"
+    return Rig(_NO_CAMERA, tuple(leds), {"source": source, "intensities": "assumed equal"})
+
+
+def _distant_rig(vectors: NDArray[np.float64]) -> Rig:
+    """A rig of lights in directions (L, 3)."""
     lowest = int(np.argmin(vectors[:, 2]))
     require(
         bool(vectors[lowest, 2] > 0),
         f"light {lowest} points away from the camera (z <= 0); lights point towards the light.",
     )
+    unit = vectors / np.linalg.norm(vectors, axis=1)[:, None]
+    return _rig_of([Led("white", direction=(x, y, z)) for x, y, z in unit.tolist()], "distant")
+
+
+def _near_rig(places: NDArray[np.float64], table: Path) -> Rig:
+    """A rig of lights at places (L, 3) in mm."""
     require(
-        places is None or bool((vectors[:, 2] >= 1.0).all()),
-        f"{places}: places of lights are in mm above the object (the third number at least 1).",
+        bool((places[:, 2] >= 1.0).all()),
+        f"{table}: places of lights are in mm above the object (the third number at least 1).",
     )
-    kind = "distant" if places is None else "near"
-    if places is None:
-        leds = [
-            Led("white", direction=(x, y, z))
-            for x, y, z in (vectors / np.linalg.norm(vectors, axis=1)[:, None]).tolist()
-        ]
-    else:
-        leds = [Led("white", position_mm=(x, y, z)) for x, y, z in vectors.tolist()]
-    return Rig(_NO_CAMERA, tuple(leds), {"source": f"plain images, {kind} lights", "intensities": "assumed equal"})
+    return _rig_of([Led("white", position_mm=(x, y, z)) for x, y, z in places.tolist()], "near")
 
 
 def spread_lights(count: int) -> NDArray[np.float64]:
@@ -254,7 +304,9 @@ def spread_lights(count: int) -> NDArray[np.float64]:
     k = np.arange(count)
     slant = np.deg2rad(15.0 + 35.0 * (k + 0.5) / count)
     azimuth = np.pi * (3.0 - np.sqrt(5.0)) * k
-    return np.column_stack([np.sin(slant) * np.cos(azimuth), np.sin(slant) * np.sin(azimuth), np.cos(slant)])
+    x = np.sin(slant) * np.cos(azimuth)
+    y = np.sin(slant) * np.sin(azimuth)
+    return np.column_stack([x, y, np.cos(slant)])
 
 
 def _unknown_rig(count: int) -> Rig:
@@ -262,288 +314,420 @@ def _unknown_rig(count: int) -> Rig:
     return replace(rig, provenance={**rig.provenance, "lights": UNKNOWN})
 
 
-def some_of(names: Sequence[str]) -> str:
-    """The first of many names, and how many more there are."""
-    return ", ".join(names[:8]) + (f" and {len(names) - 8} more" if len(names) > 8 else "")
-
-
-def photographs_in(
-    folder: Path, table: Path, names: Sequence[str] = (), own: Sequence[Path] = (), *, find_mask: bool = True
-) -> tuple[list[Path], list[Path], list[str]]:
-    """Photographs of a folder in the order of the lights; masks; and what else is there, each with the reason.
-
-    `table`: file of the lights, for messages; `names`: of photographs, from that file; empty: all, photo_2 before
-    photo_10; `own`: files that have another use; `find_mask`: whether a ``mask.png`` (or another format) is looked for.
-    Raises BadInput if the folder cannot be read, holds more than 1000 photographs, or lacks one that is named.
-    """
-    found, skipped = _photos_in(folder, own)
-    masks = [file for file in found if find_mask and file.stem.lower() == "mask"]
-    doubtful = [file for file in found if "mask" in file.stem.lower() and file not in masks]
-    skipped += [f"{file.name} (a mask? name it with `mask`)" for file in doubtful]
-    found = [file for file in found if file not in (*masks, *doubtful)]
-    if names:
-        found, unused = _by_name(found, names, table)
-        skipped += [f"{file.name} (not in {table.name})" for file in unused]
-    return found, masks, skipped
-
-
-def _photos_in(folder: Path, own: Sequence[Path]) -> tuple[list[Path], list[str]]:
-    """Photographs of a folder, photo_2 before photo_10, and what else is there; `own` are named otherwise."""
-    found = []
-    skipped = []
-    if folder != _home(folder):
-        return [folder] if folder.is_file() else _of_pattern(folder), []
-    try:
-        files = sorted(folder.iterdir(), key=lambda file: natural_order(file.name))
-    except OSError as error:
-        raise BadInput(f"{folder} cannot be read ({error.strerror}).") from error
-    for file in files:
-        if file.name.startswith(".") or Path(os.path.realpath(file)) in own:
-            continue
-        if file.is_file() and file.suffix.lower() in SUFFIXES:
-            found.append(file)
-        elif file.name not in {*_LISTS, _INTENSITIES}:
-            skipped.append(f"{file.name} ({'a folder' if file.is_dir() else 'not a photograph'})")
-    require(len(found) <= _MAX_PHOTOS, f"{folder} holds {len(found)} photographs; at most {_MAX_PHOTOS} are read.")
-    return found, skipped
-
-
-def _of_pattern(pattern: Path) -> list[Path]:
-    """Files whose names have a number in the place of ``{light}``, by that number; two of one number are refused."""
-    before, _, after = pattern.name.partition("{light}")
-    form = re.compile(rf"{re.escape(before)}(\d{{1,6}}){re.escape(after)}", flags=re.IGNORECASE)
-    found: dict[int, Path] = {}
-    for file in sorted(_home(pattern).iterdir()):
-        match = form.fullmatch(file.name)
-        if match and file.is_file():
-            other = found.setdefault(int(match[1]), file)
-            require(other == file, f"{other} and {file.name} are both of light {int(match[1])}; keep one of them.")
-    require(len(found) <= _MAX_PHOTOS, f"{pattern} fits {len(found)} photographs; at most {_MAX_PHOTOS} are read.")
-    return [found[number] for number in sorted(found)]
-
-
-def natural_order(name: str) -> list[tuple[int, str]]:
-    """Key by which photo_2 comes before photo_10."""
-    return [(int(part), "") if part.isdecimal() else (-1, part) for part in re.split(r"(\d+)", name[:300])]
-
-
-def _by_name(found: Sequence[Path], names: Sequence[str], table: Path) -> tuple[list[Path], list[Path]]:
-    """Photographs that the lights' file names, in its order, and the others; suffixes and capitals need not agree."""
-    chosen = []
-    for name in names:
-        ways = (str, str.lower, lambda word: Path(word.lower()).stem)
-        tries = ([file for file in found if name == file.stem or way(name) == way(file.name)] for way in ways)
-        fits = next(filter(None, tries), [])
-        require(len(fits) > 0, f"{table} names {name!a}, but there is no such photograph.")
-        require(len(fits) == 1, f"{table} names {name!a}, which fits {some_of([file.name for file in fits])}.")
-        chosen.append(fits[0])
-    return chosen, [file for file in found if file not in chosen]
-
-
 def capture_of_arrays(
-    images: Any, lights: Any, mask: Any = None, px_per_mm: float | None = None, intensities: Any = None
+    images: Any,
+    lights: Any,
+    mask: Any = None,
+    px_per_mm: float | None = None,
+    intensities: Any = None,
 ) -> tuple[Capture, list[Finding]]:
-    """Make a capture of arrays, and notes on it; as :func:`splitknit.pipeline.reconstruct_images` takes them."""
+    """Make a capture of arrays, and notes on it; as :func:`splitknit.pipeline.reconstruct_images`
+    takes them.
+    """
     with refusing("`images` must be one array, or arrays of one shape."):
         stack = np.asarray(images)
     shape = stack.shape
     kind = stack.dtype
     require(
-        stack.ndim in {3, 4} and (stack.ndim == 3 or shape[3] == 3) and stack.size > 0,
+        stack.size > 0 and (stack.ndim == 3 or (stack.ndim == 4 and shape[3] == 3)),
         f"`images` must have the shape (L, H, W) or (L, H, W, 3), but it has {shape}.",
     )
-    known = kind in (np.dtype(np.uint8), np.dtype(np.uint16)) or kind.kind == "f"
-    require(known, f"`images` must be of uint8, uint16 or floats, but they are of {kind}.")
-    require(kind.kind != "f" or bool(np.isfinite(stack).all()), "`images` contains NaN or infinite values.")
+    sound = kind in (np.uint8, np.uint16) or kind.kind == "f"
+    require(sound, f"`images` must be of uint8, uint16 or floats, but they are of {kind}.")
+    finite = kind.kind != "f" or bool(np.isfinite(stack).all())
+    require(finite, "`images` contains NaN or infinite values.")
+    count = len(stack)
+    stack = stack.reshape(*shape[:3], -1)
+    brightness = None
     with refusing("`lights` must be numbers of the shape (L, 3), `intensities` of (L,) or (L, 3), `px_per_mm` one."):
         scale = None if px_per_mm is None else float(px_per_mm)
-        vectors = spread_lights(len(stack)) if lights is None else np.asarray(lights, dtype=np.float64)
-        bright = None if intensities is None else np.asarray(intensities, dtype=np.float64).reshape(len(vectors), -1)
-    require(scale is None or 1e-3 <= scale <= 1e5, f"`px_per_mm` must be a number from 0.001 to 100000, not {scale}.")
-    rig = _unknown_rig(len(stack)) if lights is None else _distant_rig(check_lights(vectors, len(stack)))
-    stack = stack.reshape(*shape[:3], -1)
-    if bright is not None:
-        good = bright.shape[1] in {1, 3} and bool(np.isfinite(bright).all()) and float(bright.min()) > 0
-        require(good, "`intensities` must be positive, one for each light, or three (red, green, blue).")
-        rig = _as_bright(rig, bright)
-    camera = camera_without_scale(shape[1:3]) if scale is None else Camera(scale, shape[1:3])
+        if intensities is not None:
+            brightness = np.asarray(intensities, dtype=np.float64).reshape(count, -1)
+        vectors = spread_lights(count) if lights is None else np.asarray(lights, dtype=np.float64)
+    check_value("`px_per_mm`", SCALES, scale)
+    check_lights(vectors, count)
+    rig = _unknown_rig(count) if lights is None else _distant_rig(vectors)
+    colours = None
+    if brightness is not None:
+        positive = bool(np.isfinite(brightness).all()) and float(brightness.min()) > 0
+        require(
+            positive and brightness.shape[1] in (1, 3),
+            "`intensities` must be positive, one for each light, or three (red, green, blue).",
+        )
+        rig = _as_bright(rig, brightness)
+        colours = _colours_of(brightness) if stack.shape[3] == 3 else None
+    notes = []
     encoding = "linear"
-    why = "was assumed"
     if kind == np.uint8:
-        step = max(1, math.isqrt(stack[0, ..., 0].size // _ASKED_PIXELS))
-        codes = stack[:, ::step, ::step, shape[-1] // 2 if stack.ndim == 4 and stack.shape[3] == 3 else 0]
-        curved = None
-        if lights is not None:
-            codes = codes.reshape(len(stack), -1) / np.float32(255.0)
-            curved = shading_is_srgb(codes, rig.light_vectors(), known=not rig.intensities_assumed)
+        curved = None if lights is None else _values_are_srgb(list(map(_sampled, stack)), rig)
         encoding = "linear" if curved is False else "srgb"
         why = "was assumed" if curved is None else "fits the shading"
+        words = f"the encoding {encoding} {why} of images of 8 bits."
+        notes.append(Finding("assumed-encoding", words))
     pixels, _, _ = _as_integers(stack, None, 0.0)
+    band = replace(_white_band(pixels), transmission=colours)
+    check_contents([band])
+    if scale is None:
+        notes.insert(0, Finding("scale-unknown", UNKNOWN_SCALE))
+    camera = camera_without_scale(shape[1:3]) if scale is None else Camera(scale, shape[1:3])
+    inside = None if mask is None else check_mask(mask, shape[1:3])
+    rig = replace(rig, camera=camera)
+    return Capture(rig, {"white": band}, encoding, "opaque", mask=inside), notes
+
+
+def _white_band(pixels: PixelArray, black: float = 0.0) -> Band:
+    """The band of photographs (L, H, W, C) of one exposure, one for each light."""
     count = len(pixels)
-    coloured = bright is not None and bright.shape[1] == 3 and pixels.shape[3] == 3
-    band = Band(
+    return Band(
         name="white",
         pixels=pixels,
         leds=tuple((k,) for k in range(count)),
         exposure=np.ones(count),
-        black_level=np.zeros(count),
-        transmission=bright / bright.mean(axis=1, keepdims=True) if coloured and bright is not None else None,
+        black_level=np.full(count, black),
     )
-    check_contents([band])
-    inside = None if mask is None else check_mask(mask, shape[1:3])
-    rig = replace(rig, camera=camera)
-    notes = [Finding("scale-unknown", UNKNOWN_SCALE)] if scale is None else []
-    if kind == np.uint8:
-        notes.append(Finding("assumed-encoding", f"the encoding {encoding} {why} of images of 8 bits."))
-    return Capture(rig, {"white": band}, encoding, "opaque", mask=inside), notes
 
 
 def _assembled(
     files: Sequence[Path],
-    rig: Rig,
-    px_per_mm: float | None,
-    options: PhotographOptions,
-    *,
     crossed: Sequence[Path],
-    colours: NDArray[np.float64] | None,
+    lights: _Lights,
+    px_per_mm: float | None,
+    options: GivenPhotographs,
 ) -> tuple[Capture, list[Finding]]:
-    """The capture, and notes on it; `colours`: (L, 3) light of each photograph's red, green and blue, relative."""
-    require(len(files) >= 3, f"at least three images are needed, but there are {len(files)}.")
-    every = [*files, *crossed]
-    different = _each_once(every, options)
-    background = options.background
-    raw = next((file.name for file in every if file.suffix.lower() in RAW_SUFFIXES), None)
-    require(raw is None or options.encoding != "srgb", f"{raw} is camera RAW, whose light is linear.")
-    require(
-        len(rig.leds) == len(files),
-        f"lights and images differ in number: {len(rig.leds)} lights for {len(files)} images.",
-    )
+    """The capture, and notes on it."""
+    rig = lights.rig
+    count = len(files)
+    require(count >= 3, f"at least three images are needed, but there are {count}.")
+    different = _each_once([*files, *crossed], options)
+    raw = next((file.name for file in different if file.suffix.lower() in RAW_SUFFIXES), None)
+    linear = raw is None or options.encoding != "srgb"
+    require(linear, f"{raw} is camera RAW, whose light is linear.")
     check_lights(rig.light_vectors())
     encoding, notes = _encoding(files, rig, options)
-    reading = _Reading(different, encoding, options)
-    camera = _camera_of(rig.camera, reading, px_per_mm)
+    first = _series_of(different[0], options)
+    form = _form_of(different[0], first[0], encoding, options.max_megapixels)
+    camera = _camera_of(rig.camera, form, px_per_mm)
     require(
         camera.scale_known or all(led.position_mm is None for led in rig.leds),
         "lights at places in mm need the scale of the photographs; give `px_per_mm`, or directions of the lights.",
     )
-    stack, turn, hashes = reading.stack()
-    stack = _of_white_light(stack, colours, reading, options)
+    read = _read_stack(different, form, first, options)
+    hashes = read.hashes
+    stack, encoding_after = _under_even_light(read.pixels, form, lights.colours, options)
     ambient = None
+    black = 0.0
     if options.background_image is not None:
-        photo = read_photo(Path(options.background_image))
-        ambient = reading.reduced(photo, Path(options.background_image))
+        photo = read_photo(options.background_image)
+        ambient = form.reduced(photo.pixels, Path(options.background_image))
         hashes[Path(options.background_image).name] = photo.sha256
-    inside, how = _inside(options.mask, reading, hashes)
-    notes += [Finding("assumed-mask", how)] if how else []
-    black = reading.level(float(background)) if isinstance(background, float | int) else 0.0
-    count = len(files)
-    series = len(stack) // len(files)
-    flat, hashes = _flat_of(options, count, encoding, hashes)
+    elif options.background is not None:
+        black = form.level(float(options.background))  # type: ignore[arg-type]
+    inside, note = _mask_of(options.mask, form, read)
+    notes += note
+    flat = None
+    if options.flat is not None:
+        light, flat_hashes = read_flat(Path(options.flat), count, encoding)
+        hashes |= flat_hashes
+        code = srgb_code(light) if encoding == "srgb" else light
+        flat = np.rint(65535.0 * np.clip(code, 0.0, 1.0)).astype(np.uint16)
     pixels, ambient, black = _as_integers(stack, ambient, black)
-    notes += reading.notes()
-    band = Band(
-        name="white",
-        pixels=pixels[:count],
-        leds=tuple((k,) for k in range(count)),
-        exposure=np.ones(count),
-        black_level=np.full(count, black),
+    band = replace(
+        _white_band(pixels[:count], black),
         ambient=ambient,
         shading=camera.shading,
         flat=flat,
         files=tuple(map(str, files)),
-        polarisation="parallel" if series == 2 else "",
     )
     bands = {"white": band}
-    if series == 2:
+    if len(pixels) > count:
         names = tuple(map(str, crossed or files))
-        other = replace(band, name="white_crossed", pixels=pixels[count:], files=names, polarisation="crossed")
-        bands["white_crossed"] = other
-        parallel, crossed_mean = (float(one.pixels[:, ::8, ::8].mean(dtype=np.float64)) for one in bands.values())
-        notes += [Finding("not-specular", NOT_SPECULAR)] if crossed_mean >= parallel else []
+        bands = _polarised(band, replace(band, pixels=pixels[count:], files=names))
+        means = [each.pixels[:, ::8, ::8].mean(dtype=np.float64) for each in bands.values()]
+        notes += [Finding("not-specular", NOT_SPECULAR)] if means[1] >= means[0] else []
     check_contents(bands.values())
+    notes += _notes_on(form, camera, first[0].orientation)
+    material = "opaque" if options.nir is None else "skin"  # by near-infrared light a finger
     capture = Capture(
         rig=replace(rig, camera=camera),
         bands=bands,
-        encoding=reading.encoding_after,
-        material=options.material or ("opaque" if options.nir is None else "skin"),  # by near-infrared light a finger
+        encoding=encoding_after,
+        material=options.material or material,
         tip_direction_deg=options.tip_direction_deg,
         mask=inside,
         hashes=hashes,
     )
-    if not camera.scale_known:
-        notes.append(Finding("scale-unknown", UNKNOWN_SCALE))
-    if turn != 1:
-        notes.append(
-            Finding(
-                "turned-photographs",
-                f"photographs are turned as their EXIF data say (orientation {turn}); lights are for them upright.",
-            )
-        )
     return capture, notes
 
 
-def _inside(
-    mask: str | os.PathLike[str] | None, reading: _Reading, hashes: dict[str, str]
-) -> tuple[BoolArray | None, str]:
-    """Mask (h, w) of a file, of the word ``all``, or of the photographs' own transparency, None without any; and a note
-    where it was found in a picture. The file's SHA-256 joins `hashes`.
-    """
-    if mask is not None and os.fspath(mask) == MASK_ALL:
-        return np.ones(reading.small, dtype=np.bool_), ""
-    if mask is None and reading.opaque is None:
-        return None, ""
-    photo = reading.first if mask is None else read_photo(Path(mask))
-    white = reading.opaque if mask is None else photo.opaque
-    name = "the photographs" if mask is None else os.fspath(mask)
-    if mask is not None:
-        hashes[Path(mask).name] = photo.sha256
-    pixels = photo.pixels if white is None else white.astype(np.uint8)[..., None] * np.uint8(255)
-    if pixels.dtype.kind == "f":
-        pixels = np.rint(255.0 * np.clip(pixels, 0.0, 1.0)).astype(np.uint8)
-    note = "" if white is None else f"the mask is what is not transparent in {name}."
-    white = mask_from_image(pixels, name)
-    small = reading.reduced(replace(photo, pixels=white.astype(np.uint8)[..., None] * np.uint8(255)), Path(name))
-    return mask_from_image(small, name), note
+def _notes_on(form: _Form, camera: Camera, orientation: int) -> Iterator[Finding]:
+    """What was done to the photographs."""
+    if form.factor > 1:
+        rows, columns = form.small
+        yield Finding(
+            "reduced-photographs",
+            f"the photographs of {form.megapixels:.3g} megapixels were reduced to {rows * columns / 1e6:.3g} "
+            f"(`max_megapixels`), by means over {form.factor:g} x {form.factor:g} pixels.",
+        )
+    if not camera.scale_known:
+        yield Finding("scale-unknown", UNKNOWN_SCALE)
+    if orientation != 1:
+        yield Finding(
+            "turned-photographs",
+            f"photographs are turned as their EXIF data say (orientation {orientation}); lights are for them upright.",
+        )
 
 
-def _each_once(files: Sequence[Path], options: PhotographOptions) -> Sequence[Path]:
-    """The files; the one file of three coloured lights once. Raises BadInput if others are named twice."""
-    places = [os.path.realpath(file) for file in files]  # unlike resolve(), which raises where links form a circle
+def _polarised(parallel: Band, crossed: Band) -> dict[str, Band]:
+    return {
+        "white": replace(parallel, polarisation="parallel"),
+        "white_crossed": replace(crossed, name="white_crossed", polarisation="crossed"),
+    }
+
+
+def _each_once(files: Sequence[Path], options: GivenPhotographs) -> Sequence[Path]:
+    """The files; the one file of three coloured lights once. BadInput if others are named twice."""
     if len(set(files)) == 1:
-        require(options.mosaic is None, f"{files[0]}, one photograph under three lights, goes without `mosaic`.")
+        words = f"{files[0]}, one photograph under three lights, goes without `mosaic`."
+        require(options.mosaic is None, words)
         return files[:1]
-    twice = [file for k, file in enumerate(files) if places[k] in places[:k]]
-    require(not twice, f"{twice[0] if twice else ''} is named twice; name each photograph once.")
+    places: set[str] = set()
+    for file in files:
+        place = os.path.realpath(file)  # unlike resolve(), which raises where links form a circle
+        require(place not in places, f"{file} is named twice; name each photograph once.")
+        places.add(place)
     return files
 
 
-def _flat_of(
-    options: PhotographOptions, count: int, encoding: str, hashes: dict[str, str]
-) -> tuple[PixelArray | None, dict[str, str]]:
-    """Flat images on the coarse grid, as stored, None where none are given; `hashes` and the SHA-256 of their files."""
-    if options.flat is None:
-        return None, hashes
-    flat, own = read_flat(Path(options.flat), count, encoding)
-    hashes = hashes | own
-    code = srgb_code(flat) if encoding == "srgb" else flat
-    return np.rint(65535.0 * np.clip(code, 0.0, 1.0)).astype(np.uint16), hashes
+def _encoding(files: Sequence[Path], rig: Rig, options: GivenPhotographs) -> tuple[str, list[Finding]]:
+    """The encoding that is stated, or by :func:`splitknit.io.photos.encoding_of`; and notes."""
+    if options.mosaic is not None:
+        return "linear", []
+    if options.encoding is None:
+        encoding, note = encoding_of(files, lambda: _shading_is_srgb(files, rig, options, np.uint8))
+        return encoding, [Finding("assumed-encoding", note)]
+    if options.material == "skin" or options.flat is not None:
+        return options.encoding, []
+    curved = _shading_is_srgb(files, rig, options, np.uint8, np.uint16)
+    if curved is None or curved == (options.encoding == "srgb"):
+        return options.encoding, []
+    words = _OTHER_CURVE.format("srgb" if curved else "linear", options.encoding)
+    return options.encoding, [Finding("other-encoding", words)]
+
+
+def _shading_is_srgb(
+    files: Sequence[Path], rig: Rig, options: GivenPhotographs, *kinds: type[np.unsignedinteger]
+) -> bool | None:
+    """Whether the shading in photographs of `kinds` is that of sRGB values, None where it decides
+    nothing. What is calibrated by `flat` is an industrial camera's, and linear.
+    """
+    if options.flat is not None:
+        return False
+    if rig.provenance.get("lights") == UNKNOWN or len(files) < FEWEST:
+        return None
+    number = min(len(files), _JUDGED_PHOTOGRAPHS)
+    chosen = np.unique(np.linspace(0, len(files) - 1, number).astype(int))
+    values = []
+    for k in chosen:
+        pixels = read_photo(files[k]).pixels
+        if pixels.dtype not in kinds:
+            return None
+        values.append(_sampled(pixels))
+    if len({part.size for part in values}) > 1:  # refused where all are read
+        return None
+    return _values_are_srgb(values, replace(rig, leds=tuple(rig.leds[k] for k in chosen)))
+
+
+def _sampled(pixels: NDArray[Any]) -> FloatArray:
+    """Some values in [0, 1] of the green channel of an image (H, W, C)."""
+    step = max(1, round((pixels[..., 0].size / _JUDGED_PIXELS) ** 0.5))
+    sample = pixels[::step, ::step, pixels.shape[2] // 2].ravel()
+    return sample / np.float32(np.iinfo(pixels.dtype).max)
+
+
+def _values_are_srgb(values: Sequence[FloatArray], rig: Rig) -> bool | None:
+    known = not rig.intensities_assumed
+    return shading_is_srgb(np.stack(values), rig.light_vectors(), known=known)
+
+
+@dataclass(frozen=True, slots=True)
+class _Form:
+    """What photographs must agree in, and how they are reduced."""
+
+    name: Path  # of the first
+    shape: tuple[int, ...]  # (H, W, C)
+    dtype: np.dtype[Any]
+    encoding: str
+    factor: float  # pixels a side that become one
+
+    @property
+    def small(self) -> tuple[int, int]:
+        """Rows, columns once reduced."""
+        return int(self.shape[0] // self.factor), int(self.shape[1] // self.factor)
+
+    @property
+    def megapixels(self) -> float:
+        return self.shape[0] * self.shape[1] / 1e6
+
+    @property
+    def becomes_linear(self) -> bool:
+        """Whether means of linear light take the place of stored integers."""
+        return self.factor > 1 and self.dtype.kind == "u"
+
+    @property
+    def encoding_after(self) -> str:
+        return "linear" if self.becomes_linear else self.encoding
+
+    def level(self, stored: float) -> float:
+        """A stored value once reduced."""
+        if not self.becomes_linear:
+            return stored
+        table = decode_table(self.dtype, self.encoding)
+        top = len(table) - 1
+        within = 0 <= stored <= top
+        require(within, f"the background must lie between 0 and {top}, not {stored:g}.")
+        return 65535.0 * float(np.interp(stored, np.arange(len(table)), table))
+
+    def reduced(self, pixels: NDArray[Any], file: Path) -> NDArray[Any]:
+        """Pixels (H, W, C) of a photograph, or of a mask, once reduced."""
+        rows, columns = pixels.shape[:2]
+        require(
+            (rows, columns) == self.shape[:2],
+            f"{file} has {rows} x {columns} pixels (rows x columns), but "
+            f"{self.shape[0]} x {self.shape[1]} are expected by {self.name}.",
+        )
+        if self.factor == 1:
+            return pixels
+        if pixels.dtype.kind == "f":
+            return block_means(pixels, self.small, self.factor).reshape(*self.small, -1)
+        light = linear_image(pixels, self.encoding, binning=self.factor)
+        return np.asarray(np.rint(np.clip(light, 0.0, 1.0) * 65535.0).astype(np.uint16))
+
+
+def _form_of(file: Path, photo: Photo, encoding: str, max_megapixels: float | None) -> _Form:
+    """The form of the first photograph; sides become smaller by eighths, as
+    :func:`splitknit.imaging.band.linear_image` takes them.
+    """
+    form = _Form(file, photo.pixels.shape, photo.pixels.dtype, encoding, 1.0)
+    if max_megapixels is None:
+        return form
+    factor = math.ceil(8.0 * math.sqrt(form.megapixels / max_megapixels)) / 8.0
+    form = replace(form, factor=max(1.0, factor))
+    large = form.factor == 1 or min(form.small) >= 16
+    require(large, "`max_megapixels` leaves less than 16 pixels a side; give more.")
+    return form
+
+
+def _series_of(file: Path, options: GivenPhotographs) -> list[Photo]:
+    """The photograph of a file; of a mosaic the parallel and the crossed one."""
+    photo = read_photo(file)
+    if options.mosaic is None:
+        return [photo]
+    colour = options.mosaic == "colour"
+    split = partial(split_mosaic, photo.pixels, options.film_deg, colour=colour)
+    return [replace(photo, pixels=half, opaque=None) for half in naming(file, split)]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Stack:
+    """Photographs as they were read."""
+
+    pixels: NDArray[Any]  # (L, h, w, C); of mosaics the crossed ones behind the parallel ones
+    first: Photo
+    opaque: BoolArray | None  # (H, W) what is transparent in none; None where all is opaque
+    hashes: dict[str, str]
+
+
+def _read_stack(files: Sequence[Path], form: _Form, first: list[Photo], options: GivenPhotographs) -> _Stack:
+    """Read all photographs; `first`: those of the first file."""
+    shape = (len(first) * len(files), *form.small, form.shape[2])
+    dtype = np.dtype(np.uint16) if form.becomes_linear else form.dtype
+    require(
+        math.prod(shape) * dtype.itemsize <= STACK_BYTES,
+        f"{files[0]} and the photographs with it take more than {STACK_BYTES / 1e9:g} GB"
+        "; name fewer, or reduce them by `max_megapixels`.",
+    )
+    stack = large_array(shape, dtype)
+    opaque = None
+    hashes: dict[str, str] = {}
+    turn = first[0].orientation
+    for k, file in enumerate(files):
+        series = _series_of(file, options) if k else first
+        photo = series[0]
+        require(
+            photo.orientation == turn,
+            f"{file} is turned differently by its EXIF data (orientation {photo.orientation}) than "
+            f"{files[0].name} ({turn}), as a telephone that looks straight down guesses it; give "
+            "all one orientation.",
+        )
+        for part, each in enumerate(series):
+            pixels = form.reduced(each.pixels, file)
+            kinds = [_kind(each.pixels), _kind(first[0].pixels)]
+            words = f"{file} is {kinds[0]}, but {files[0]} is {kinds[1]}; all must agree."
+            require(kinds[0] == kinds[1], words)
+            stack[k + part * len(files)] = pixels
+            let_go(stack)
+        if photo.opaque is not None:
+            opaque = photo.opaque if opaque is None else opaque & photo.opaque
+        name = file.name if file.name not in hashes else f"{file.parent.name}/{file.name}"
+        hashes[name] = photo.sha256
+    return _Stack(stack, first[0], opaque, hashes)
+
+
+def _kind(pixels: NDArray[Any]) -> str:
+    return f"{'RGB' if pixels.shape[2] == 3 else 'grey'} of {pixels.dtype}"
+
+
+def _mask_of(mask: str | os.PathLike[str] | None, form: _Form, read: _Stack) -> tuple[BoolArray | None, list[Finding]]:
+    """Mask (h, w) of a file, of the word ``all``, or of the photographs' own transparency, None
+    without any; and a note where it was found in a picture. The file's SHA-256 joins the others.
+    """
+    if mask is not None and os.fspath(mask) == _MASK_ALL:
+        return np.ones(form.small, dtype=np.bool_), []
+    if mask is None:
+        if read.opaque is None:
+            return None, []
+        name = "the photographs"
+        photo = replace(read.first, opaque=read.opaque)
+    else:
+        name = os.fspath(mask)
+        photo = read_photo(mask)
+        read.hashes[Path(mask).name] = photo.sha256
+    pixels = photo.pixels
+    notes = []
+    if photo.opaque is not None:
+        pixels = _black_and_white(photo.opaque)
+        words = f"the mask is what is not transparent in {name}."
+        notes = [Finding("assumed-mask", words)]
+    elif pixels.dtype.kind == "f":
+        pixels = np.rint(255.0 * np.clip(pixels, 0.0, 1.0)).astype(np.uint8)
+    white = _black_and_white(mask_from_image(pixels, name))
+    return mask_from_image(form.reduced(white, Path(name)), name), notes
+
+
+def _black_and_white(mask: BoolArray) -> NDArray[np.uint8]:
+    """A mask as an image (H, W, 1)."""
+    return mask[..., None].astype(np.uint8) * np.uint8(255)
 
 
 def read_flat(folder: Path, count: int, encoding: str) -> tuple[FloatArray, dict[str, str]]:
-    """Photographs of a flat surface (L, h, w) on the coarse grid, linear light with its black level; and SHA-256s. One
-    colour photograph serves three lights. Raises BadInput if they are missing, not `count`, or black in places.
+    """Photographs of a flat surface (L, h, w) on the coarse grid, linear light with its black
+    level; and SHA-256s. One colour photograph serves three lights. Raises BadInput if they are
+    missing, not `count`, or black in places.
     """
-    require(folder.is_dir(), f"{folder} is not a folder; name the folder of the flat photographs with `flat`.")
-    files, _, _ = photographs_in(folder, folder / "lights.txt")
+    remedy = "name the folder of the flat photographs with `flat`."
+    require(folder.is_dir(), f"{folder} is not a folder; {remedy}")
+    files = photographs_in(folder, folder / "lights.txt").photographs
     light = []
     hashes = {}
     for file in files:
         photo = read_photo(file)
-        require(photo.pixels.dtype.kind == "u", f"{file} holds floats; save it as 16-bit PNG or TIFF.")
+        integers = photo.pixels.dtype.kind == "u"
+        require(integers, f"{file} holds floats; save it as 16-bit PNG or TIFF.")
         image = linear_image(photo.pixels, encoding)
         coloured = len(files) == 1 < count and image.shape[2] == 3
-        channels = [image[..., k] for k in range(3)] if coloured else [pick_channel(image, "grey")]
-        light += [naming(file, partial(coarse_flat, np.ascontiguousarray(one))) for one in channels]
+        channels = np.moveaxis(image, 2, 0) if coloured else [pick_channel(image, "grey")]
+        for channel in channels:
+            light.append(naming(file, partial(coarse_flat, np.ascontiguousarray(channel))))
         hashes[f"{folder.name}/{file.name}"] = photo.sha256
     require(
         len(light) == count,
@@ -551,211 +735,68 @@ def read_flat(folder: Path, count: int, encoding: str) -> tuple[FloatArray, dict
         "; give one for each, in the order of their names.",
     )
     require(
-        all(one.shape == light[0].shape for one in light),
+        len({image.shape for image in light}) == 1,
         f"the flat photographs in {folder} differ in size; take all with the camera as it stands.",
     )
     return np.stack(light), hashes
 
 
-def _camera_of(camera: Camera, reading: _Reading, px_per_mm: float | None) -> Camera:
-    """The rig's camera, or one of the scale that was given, for the photographs as they were read."""
-    size = reading.shape[:2]
-    factor = reading.factor
-    small = reading.small
-    if camera is not _NO_CAMERA:
-        rows, columns = camera.image_size
+def _camera_of(camera: Camera, form: _Form, px_per_mm: float | None) -> Camera:
+    """The rig's camera, or one of the stated scale, for the photographs once reduced."""
+    factor = form.factor
+    stated = None if px_per_mm is None else float(px_per_mm)
+    if camera is _NO_CAMERA:
+        if stated is None:
+            return camera_without_scale(form.small)
+        return Camera(stated / factor, form.small)
+    rows, columns = camera.image_size
+    require(
+        (rows, columns) == form.shape[:2],
+        f"the rig's camera takes images of {rows} x {columns} pixels (rows x columns), but the "
+        f"photographs have {form.shape[0]} x {form.shape[1]}; give `lights` a list of lights "
+        "instead.",
+    )
+    require(
+        stated is None or not camera.scale_known,
+        f"`px_per_mm` and the rig file ({camera.px_per_mm:g} px/mm) both give the scale; leave out the first.",
+    )
+    if stated is None and not camera.scale_known:
+        return camera_without_scale(form.small)
+    matrix = camera.matrix
+    if matrix is not None and factor > 1:
+        middle = 0.5 - factor / 2  # the middle of the first pixel is 0
+        matrix = np.array([[1, 0, middle], [0, 1, middle], [0, 0, factor]]) @ matrix / factor
+    scale = (camera.px_per_mm if stated is None else stated) / factor
+    return replace(camera, image_size=form.small, px_per_mm=scale, scale_known=True, matrix=matrix)
+
+
+def _under_even_light(
+    stack: NDArray[Any], form: _Form, colours: NDArray[np.float64] | None, options: GivenPhotographs
+) -> tuple[NDArray[Any], str]:
+    """Photographs (L, H, W, 3) as even white light gives them, linear, clipping kept; of one photograph its channels;
+    others as they are. And their encoding.
+    """
+    encoding = form.encoding_after
+    if len(stack) == 1:
         require(
-            (rows, columns) == size,
-            f"the rig's camera takes images of {rows} x {columns} pixels (rows x columns), but the photographs have "
-            f"{size[0]} x {size[1]}; give `lights` a list of lights instead.",
+            stack.shape[3] == 3, f"{form.name} is grey; one photograph under three lights at once must be in colour."
         )
-        require(
-            px_per_mm is None or not camera.scale_known,
-            f"`px_per_mm` and the rig file ({camera.px_per_mm:g} px/mm) both give the scale; leave out the first.",
-        )
-        if px_per_mm is None and not camera.scale_known:
-            return camera_without_scale(small)
-        matrix = camera.matrix
-        if matrix is not None and factor > 1:  # the middle of the first pixel is 0
-            matrix = np.array([[1, 0, 0.5 - factor / 2], [0, 1, 0.5 - factor / 2], [0, 0, factor]]) @ matrix / factor
-        scale = (camera.px_per_mm if px_per_mm is None else float(px_per_mm)) / factor
-        return replace(camera, image_size=small, px_per_mm=scale, scale_known=True, matrix=matrix)
-    return camera_without_scale(small) if px_per_mm is None else Camera(float(px_per_mm) / factor, small)
-
-
-def _encoding(files: Sequence[Path], rig: Rig, options: PhotographOptions) -> tuple[str, list[Finding]]:
-    """The encoding that is stated, or found by :func:`splitknit.io.photos.encoding_of`; and notes on it."""
-    if options.mosaic is not None:
-        return "linear", []
-    if options.encoding is None:
-        encoding, note = encoding_of(files, lambda: _shading_is_srgb(files, rig, options))
-        return encoding, [Finding("assumed-encoding", note)]
-    if options.material == "skin" or options.flat is not None:
-        return options.encoding, []
-    curved = _shading_is_srgb(files, rig, options, np.uint8, np.uint16)
-    right = curved is None or curved == (options.encoding == "srgb")
-    words = _OTHER_CURVE.format("srgb" if curved else "linear", options.encoding)
-    return options.encoding, [] if right else [Finding("other-encoding", words)]
-
-
-def _shading_is_srgb(
-    files: Sequence[Path], rig: Rig, options: PhotographOptions, *kinds: type[np.unsignedinteger]
-) -> bool | None:
-    """Whether the shading in photographs of 8 bits (or `kinds`) is that of sRGB values, None where it decides nothing;
-    some of many photographs decide. What is calibrated by `flat` is an industrial camera's, and linear."""
-    if options.flat is not None:
-        return False
-    if rig.provenance.get("lights") == UNKNOWN or len(files) < FEWEST:
-        return None
-    chosen = np.unique(np.linspace(0, len(files) - 1, min(len(files), _ASKED)).astype(int))
-    codes = []
-    for k in chosen:
-        photo = read_photo(files[k]).pixels
-        if photo.dtype not in (kinds or (np.uint8,)):
-            return None
-        step = max(1, round((photo.shape[0] * photo.shape[1] / _ASKED_PIXELS) ** 0.5))
-        codes.append(photo[::step, ::step, photo.shape[2] // 2].ravel() / np.float32(np.iinfo(photo.dtype).max))
-    same = len({one.size for one in codes}) == 1  # else refused where all are read
-    some = replace(rig, leds=tuple(rig.leds[k] for k in chosen))
-    known = not rig.intensities_assumed
-    return shading_is_srgb(np.stack(codes), some.light_vectors(), known=known) if same else None
-
-
-class _Reading:
-    """Photographs of one size and kind, read one after the other and reduced where a limit demands it."""
-
-    def __init__(self, files: Sequence[Path], encoding: str, options: PhotographOptions) -> None:
-        self.files, self.encoding, self.options = files, encoding, options
-        max_megapixels = options.max_megapixels
-        self.first_read = self.photos(files[0], STACK_BYTES)
-        self.first = self.first_read[0]
-        self.series = 1 if options.mosaic is None else 2
-        self.shape: tuple[int, ...] = self.first.pixels.shape
-        rows, columns, _ = self.shape
-        self.megapixels = rows * columns / 1e6
-        over = 1.0 if max_megapixels is None else self.megapixels / max_megapixels
-        self.factor = max(1.0, math.ceil(8.0 * math.sqrt(over)) / 8.0)
-        """Pixels a side that become one, in eighths as :func:`splitknit.imaging.band.linear_image` takes them."""
-        self.small = int(rows // self.factor), int(columns // self.factor)
-        require(
-            self.factor == 1 or min(self.small) >= 16, "`max_megapixels` leaves less than 16 pixels a side; give more."
-        )
-        floats = self.first.pixels.dtype.kind == "f"
-        self.encoding_after = encoding if self.factor == 1 or floats else "linear"
-        self.dtype = self.first.pixels.dtype if self.factor == 1 or floats else np.dtype(np.uint16)
-        self.opaque: BoolArray | None = None
-        """(H, W) what is transparent in none of the photographs, once they are read; None where all is opaque."""
-
-    def photos(self, file: Path, room: int) -> list[Photo]:
-        """The photograph of a file; of a mosaic the parallel and the crossed one."""
-        photo = read_photo(file, room=room)
-        if self.options.mosaic is None:
-            return [photo]
-        colour = self.options.mosaic == "colour"
-        film_deg = self.options.film_deg
-        halves = naming(file, lambda: split_mosaic(photo.pixels, film_deg, colour=colour))
-        return [replace(photo, pixels=half) for half in halves]
-
-    def notes(self) -> list[Finding]:
-        """That photographs were reduced, where they were."""
-        if self.factor == 1:
-            return []
-        return [
-            Finding(
-                "reduced-photographs",
-                f"the photographs of {self.megapixels:.3g} megapixels were reduced to "
-                f"{math.prod(self.small) / 1e6:.3g} (`max_megapixels`), by means over "
-                f"{self.factor:g} x {self.factor:g} pixels.",
-            )
-        ]
-
-    def level(self, stored: float) -> float:
-        """A stored value, on the scale of :meth:`stack`."""
-        if self.factor == 1 or self.dtype.kind == "f":
-            return stored
-        table = decode_table(self.first.pixels.dtype, self.encoding)
-        require(0 <= stored < len(table), f"the background must lie between 0 and {len(table) - 1}, not {stored:g}.")
-        return 65535.0 * float(np.interp(stored, np.arange(len(table)), table))
-
-    def reduced(self, photo: Photo, file: Path) -> NDArray[Any]:
-        """Pixels of a photograph (H, W, C), linear where they are reduced."""
-        rows, columns = photo.pixels.shape[:2]
-        require(
-            (rows, columns) == self.shape[:2],
-            f"{file} has {rows} x {columns} pixels (rows x columns), but "
-            f"{self.shape[0]} x {self.shape[1]} are expected by {self.files[0]}.",
-        )
-        if self.factor == 1:
-            return photo.pixels
-        if photo.pixels.dtype.kind == "f":
-            return block_means(photo.pixels, self.small, self.factor).reshape(*self.small, -1)
-        light = linear_image(photo.pixels, self.encoding, binning=self.factor)
-        return np.asarray(np.rint(np.clip(light, 0.0, 1.0) * 65535.0).astype(np.uint16))
-
-    def stack(self) -> tuple[NDArray[Any], int, dict[str, str]]:
-        """Photographs (L, h, w, C), EXIF's orientation of them, and the SHA-256 of each file by its name."""
-        first = self.first
-        hashes = {}
-        shape = (self.series * len(self.files), *self.small, self.shape[2])
-        require(
-            math.prod(shape) * self.dtype.itemsize <= STACK_BYTES,
-            f"{self.files[0]} and the photographs with it take more than {STACK_BYTES / 1e9:g} GB"
-            "; name fewer, or reduce them by `max_megapixels`.",
-        )
-        stack = large_array(shape, self.dtype)
-        for k, file in enumerate(self.files):
-            room = first.pixels.nbytes * (3 if self.series == 1 else 12)
-            for part, photo in enumerate(self.photos(file, room) if k else self.first_read):
-                require(
-                    photo.orientation == first.orientation,
-                    f"{file} is turned differently by its EXIF data (orientation {photo.orientation}) than"
-                    f" {self.files[0].name} ({first.orientation}), "
-                    "as a telephone that looks straight down guesses it; give all one orientation.",
-                )
-                pixels = self.reduced(photo, file)
-                if photo.opaque is not None and self.series == 1:
-                    self.opaque = photo.opaque if self.opaque is None else self.opaque & photo.opaque
-                alike = photo.pixels.shape == self.shape and photo.pixels.dtype == first.pixels.dtype
-                require(
-                    alike,
-                    f"{file} is {_kind(photo.pixels)}, but {self.files[0]} is {_kind(first.pixels)}; all must agree.",
-                )
-                stack[k + part * len(self.files)] = pixels
-                let_go(stack)
-                name = file.name if file.name not in hashes else f"{file.parent.name}/{file.name}"
-            hashes[name] = photo.sha256
-        return stack, first.orientation, hashes
-
-
-def _of_white_light(
-    stack: NDArray[Any], colours: NDArray[np.float64] | None, reading: _Reading, options: PhotographOptions
-) -> NDArray[Any]:
-    """Photographs (L, H, W, 3) as even white light gives them, linear, clipping kept; or one, as its three channels."""
-    if len(reading.files) == 1:
-        require(
-            stack.shape[3] == 3,
-            f"{reading.files[0]} is grey; one photograph under three lights at once must be in colour.",
-        )
-        return np.ascontiguousarray(np.moveaxis(stack[0], -1, 0)[..., None])
+        return np.ascontiguousarray(np.moveaxis(stack[0], -1, 0)[..., None]), encoding
     if colours is None or stack.shape[3] == 1:
-        return stack
-    alone = all(one is None for one in (options.background, options.crossed, options.mosaic, options.flat))
+        return stack, encoding
+    others = (options.background, options.crossed, options.mosaic, options.flat)
+    alone = all(value is None for value in others)
     require(alone, "lights with a brightness for each colour go without `background`, `crossed`, `mosaic`, `flat`.")
-    encoding, reading.encoding_after = reading.encoding_after, "linear"
     factors = (colours.min() / colours).astype(np.float32)
     if stack.dtype.kind == "f":
-        return np.asarray(stack * factors[:, None, None])
+        return np.asarray(stack * factors[:, None, None]), "linear"
     balanced = large_array(stack.shape, np.dtype(np.uint16))
     full = np.iinfo(stack.dtype).max
     for k, image in enumerate(stack):
-        light = linear_image(image, encoding) * factors[k]
-        balanced[k] = np.where(image == full, 65535, np.rint(65535.0 * light)).astype(np.uint16)
+        light = np.rint(65535.0 * (linear_image(image, encoding) * factors[k]))
+        balanced[k] = np.where(image == full, 65535, light).astype(np.uint16)
         let_go(balanced)
-    return balanced
-
-
-def _kind(pixels: NDArray[Any]) -> str:
-    return f"{'RGB' if pixels.shape[2] == 3 else 'grey'} of {pixels.dtype}"
+    return balanced, "linear"
 
 
 def _as_integers(
@@ -769,14 +810,19 @@ def _as_integers(
     )
     top = float(stack.max()) if floats else float(np.iinfo(stack.dtype).max)
     require(top > 0, "the photographs are black: not one value is above zero.")
-    below = float(np.mean(stack < -_NEGATIVE * top)) if floats else 0.0
-    require(below < _NEGATIVE, f"{100 * below:.0f} % of the photographs' values are negative: subtract less from them.")
-    require(0.0 <= black < top, f"the background must lie between 0 and {top:g}, but it is {black:g}.")
+    require(
+        0.0 <= black < top,
+        f"the background must lie between 0 and {top:g}, but it is {black:g}.",
+    )
     if not floats:
         return stack, ambient, black
+    below = float(np.mean(stack < -_NEGATIVE * top))
+    words = f"{100 * below:.0f} % of the photographs' values are negative: subtract less from them."
+    require(below < _NEGATIVE, words)
     factor = 65535.0 * _BRIGHTEST / top
 
     def scaled(values: NDArray[Any]) -> NDArray[np.uint16]:
         return np.clip(np.rint(values * factor), 0, 65535).astype(np.uint16)
 
-    return np.stack(list(map(scaled, stack))), None if ambient is None else scaled(ambient), black * factor
+    dark = None if ambient is None else scaled(ambient)
+    return np.stack([scaled(image) for image in stack]), dark, black * factor

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import io
 import os
 import struct
@@ -18,7 +19,7 @@ from PIL.PngImagePlugin import PngInfo
 from splitknit.errors import BadInput, read_bytes, require
 from splitknit.io.atomic import write_file
 from splitknit.io.fields import parse_json
-from splitknit.io.images import BMP, JPEG, MAX_BYTES, PNG, TIFFS, decode_image, decoded, encode_tiff, read_header
+from splitknit.io.images import BMP, JPEG, MAX_BYTES, PNG, TIFFS, decoded, encode_tiff, read_header
 from splitknit.io.photos import decode_photo
 from splitknit.io.provenance import canonical_json
 
@@ -83,14 +84,8 @@ def encode_png(image: NDArray[np.uint8], text: Mapping[str, str], ppi: float | N
 
 
 def read_print_png(path: str | os.PathLike[str]) -> PrintFile:
-    """Read a grey PNG with its resolution and texts; BadInput if the file is missing, damaged, or not 8-bit grey."""
-    data = read_bytes(path, MAX_BYTES)
-    name = os.fspath(path)
-    pixels = decode_image(data, name)
-    header = read_header(data, name)
-    require(pixels.shape[2] == 1 and pixels.dtype == np.uint8, f"{name} is not an 8-bit grey image.")
-    ppi = None if header.ppi is None else header.ppi[0]
-    return PrintFile(np.asarray(pixels[..., 0], dtype=np.uint8), ppi, dict(header.text))
+    """Read a print of :func:`write_print_png`; BadInput as :func:`decode_print_image`."""
+    return decode_print_image(read_bytes(path, MAX_BYTES), os.fspath(path))
 
 
 def encode_jpeg2000(image: NDArray[np.uint8]) -> bytes:
@@ -188,9 +183,8 @@ def _checked(image: NDArray[np.uint8], ppi: float) -> NDArray[np.uint8]:
 
 def _texts(description: str) -> dict[str, str]:
     """Texts of a TIFF file's description; none where it is no JSON object."""
-    try:
+    with contextlib.suppress(BadInput):
         document = parse_json(description.encode(), "the description")
-    except BadInput:
-        return {}
-    known = document.items() if isinstance(document, dict) else ()
-    return {key: value for key, value in known if isinstance(value, str)}
+        if isinstance(document, dict):
+            return {key: value for key, value in document.items() if isinstance(value, str)}
+    return {}

@@ -6,13 +6,13 @@ import dataclasses
 import hashlib
 import json
 import os
-from collections.abc import Container, Mapping
+from collections.abc import Container, Mapping, Set
 from pathlib import PurePath
 from typing import Any
 
 import numpy as np
 
-from splitknit.errors import BadInput, open_file, require
+from splitknit.errors import BadInput, open_file
 
 JsonValue = None | bool | int | float | str | list["JsonValue"] | dict[str, "JsonValue"]
 
@@ -61,33 +61,34 @@ def json_text(value: Any) -> str:
 def known_json(value: Any, nulls: Container[str] = ()) -> Any:
     """`value` as of :func:`plain_json`, without dataclass fields still None by default, but for those of `nulls`."""
     if dataclasses.is_dataclass(value) and not isinstance(value, type):
-        given = ((item, getattr(value, item.name)) for item in dataclasses.fields(value))
-        kept = ((to, one) for to, one in given if one is not None or to.default is not None or to.name in nulls)
-        return {item.name: known_json(one, nulls) for item, one in kept}
+        known = {}
+        for item in dataclasses.fields(value):
+            content = getattr(value, item.name)
+            if content is not None or item.default is not None or item.name in nulls:
+                known[item.name] = known_json(content, nulls)
+        return known
     return [known_json(item, nulls) for item in value] if isinstance(value, (list, tuple)) else plain_json(value)
 
 
-def plain_json(value: Any, where: str = "value") -> JsonValue:  # noqa: PLR0911 - one line for each JSON type
+def plain_json(value: Any, where: str = "value") -> JsonValue:
     """Return `value` rebuilt from dict, list, str, int, float, bool and None alone; see :func:`canonical_json`."""
-    if value is None or isinstance(value, (bool, str)):
-        return value
-    if isinstance(value, np.generic):
-        return plain_json(value.item(), where)
-    if isinstance(value, int):
-        return int(value)
-    if isinstance(value, float):
-        require(bool(np.isfinite(value)), f"{where} is {value!r}, which has no form in JSON; use null.")
-        return value
+    try:
+        plain: JsonValue = json.loads(json.dumps(value, default=_builtin, allow_nan=False))
+    except (TypeError, ValueError) as error:
+        raise BadInput(f"{where} has no form in JSON: {error}.") from error
+    return plain
+
+
+def _builtin(value: Any) -> Any:
+    """What json knows, of a type that it does not know."""
+    if isinstance(value, np.generic | np.ndarray):
+        return value.tolist()
     if isinstance(value, PurePath):
         return value.as_posix()
-    if isinstance(value, np.ndarray):
-        return plain_json(value.tolist(), where)
     if dataclasses.is_dataclass(value) and not isinstance(value, type):
-        return {item.name: plain_json(getattr(value, item.name), item.name) for item in dataclasses.fields(value)}
+        return {item.name: getattr(value, item.name) for item in dataclasses.fields(value)}
     if isinstance(value, Mapping):
-        require(all(isinstance(key, str) for key in value), f"{where} has a key that is not a string.")
-        return {str(key): plain_json(value[key], str(key)) for key in value}
-    if isinstance(value, (list, tuple, set, frozenset)):
-        items = sorted(value) if isinstance(value, (set, frozenset)) else value
-        return [plain_json(item, where) for item in items]
-    raise BadInput(f"{where} has the type {type(value).__name__}, which has no form in JSON.")
+        return dict(value)
+    if isinstance(value, Set):
+        return sorted(value)
+    raise TypeError(f"it holds a {type(value).__name__}")

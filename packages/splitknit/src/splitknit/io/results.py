@@ -5,11 +5,10 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-import cv2
 import numpy as np
 from msgspec import Struct
 from numpy.typing import NDArray
@@ -20,12 +19,12 @@ from splitknit.imaging.geometry import bounding_box
 from splitknit.io.atomic import write_file
 from splitknit.io.fields import converted, parse_json, read_document
 from splitknit.io.images import read_image
-from splitknit.io.mesh import bands, triangulate, write_ply_pieces
+from splitknit.io.mesh import triangulate, write_ply
 from splitknit.io.npz import read_npz, write_npz
 from splitknit.io.pictures import normal_colours, upright_turn
 from splitknit.io.prints import encode_png, provenance_texts
 from splitknit.io.provenance import JsonValue, canonical_json, settings_hash
-from splitknit.model import NO_SCALE, BoolArray, FloatArray, Reconstruction, require_scale
+from splitknit.model import NO_SCALE, FloatArray, Reconstruction, require_scale
 
 Origin = dict[str, JsonValue]
 LARGEST_MM = 1000.0  # longest side of a result's frame
@@ -103,44 +102,47 @@ def read_fields(
     false ``scale_known``. Raises BadInput if the file is damaged, an array is missing, of another shape, or impossible,
     or the scale is unknown.
     """
-    in_pixels = [name.removesuffix("_mm") + "_px" for name in names if name.endswith("_mm")]
-    arrays: dict[str, Any] = dict(read_npz(path, (*_FRAME, *names, *optional, *in_pixels)))
-    known = "pitch_mm" in arrays or not any(name in arrays for name in in_pixels)
+    pixel_names = {f"{name.removesuffix('_mm')}_px": name for name in names if name.endswith("_mm")}
+    arrays: dict[str, Any] = dict(read_npz(path, (*_FRAME, *names, *optional, *pixel_names)))
+    lengths_px = {name: arrays.pop(pixel) for pixel, name in pixel_names.items() if pixel in arrays}
+    known = "pitch_mm" in arrays or not lengths_px
     require(known or unscaled, f"{path}: {NO_SCALE}")
     if not known:
-        arrays = {name.removesuffix("_px") + "_mm" if name in in_pixels else name: arrays[name] for name in arrays}
-        arrays["pitch_mm"] = np.array(1.0)
-    arrays = {name: array for name, array in arrays.items() if name not in in_pixels}
+        arrays |= {**lengths_px, "pitch_mm": np.array(1.0)}
     for name in (*names, *_FRAME):
         remedy = f"it has no scale, so calibrate the camera and {_AGAIN}" if name == "pitch_mm" else _AGAIN
         require(name in arrays, f"{path} holds no '{name}'; {remedy}.")
     shape = arrays["mask"].shape
     sizes = {"pitch_mm": (), "provenance": (), "whole": (), "input_from_upright": (3, 3), "upright_size": (2,)}
     sizes["normals"] = sizes["normals_measured"] = (*shape, 3)
+    kinds = {"provenance": "U", "upright_size": "iu"}
     for name, array in arrays.items():
-        kinds = "U" if name == "provenance" else "iu" if name == "upright_size" else "fiub"
-        fits = array.shape == sizes.get(name, shape) and array.dtype.kind in kinds and len(shape) == 2
+        fits = array.shape == sizes.get(name, shape) and array.dtype.kind in kinds.get(name, "fiub") and len(shape) == 2
         require(fits, f"{path}: '{name}' has another shape than a result's; {_AGAIN}.")
-    matrix = arrays["input_from_upright"].astype(np.float64)
-    usable = bool(np.isfinite(matrix).all()) and float(np.abs(matrix).max()) < 1e7
-    usable = usable and abs(float(np.linalg.det(matrix[:2, :2]))) > 1e-9
-    rows, columns = arrays["upright_size"].tolist()
-    usable = usable and 0 < rows <= 20_000 and 0 < columns <= 20_000 and rows * columns <= 100_000_000
-    require(usable, f"{path}: 'input_from_upright' or 'upright_size' cannot be used; {_AGAIN}.")
-    pitch = float(arrays["pitch_mm"])
+    matrix = arrays.pop("input_from_upright").astype(np.float64)
+    rows, columns = arrays.pop("upright_size").tolist()
+    require(
+        float(np.abs(matrix).max()) < 1e7  # not with NaN
+        and abs(float(np.linalg.det(matrix[:2, :2]))) > 1e-9
+        and 0 < rows <= 20_000
+        and 0 < columns <= 20_000
+        and rows * columns <= 100_000_000,
+        f"{path}: 'input_from_upright' or 'upright_size' cannot be used; {_AGAIN}.",
+    )
+    pitch = float(arrays.pop("pitch_mm"))
     require(
         not known or 0 < pitch * max(rows, columns) <= LARGEST_MM,
         f"{path} has no scale (pitch_mm is {pitch}): calibrate the camera and {_AGAIN}.",
     )
-    for name in (*names, *optional):
-        if name in arrays and name not in {"provenance", "whole"}:
-            arrays[name] = arrays[name].astype(np.float32, copy=False)
-    if "whole" in arrays:
-        arrays["whole"] = bool(arrays["whole"])
-    frame = {"pitch_mm": pitch, "input_from_upright": matrix, "upright_size": (rows, columns)}
+    fields: dict[str, Any] = {"pitch_mm": pitch, "input_from_upright": matrix, "upright_size": (rows, columns)}
     if unscaled:
-        frame["scale_known"] = known
-    return {**arrays, "mask": arrays["mask"].astype(np.bool_), **frame}
+        fields["scale_known"] = known
+    if "whole" in arrays:
+        fields["whole"] = bool(arrays.pop("whole"))
+    for name, array in arrays.items():
+        kind = np.bool_ if name == "mask" else np.float32
+        fields[name] = array if name == "provenance" else array.astype(kind, copy=False)
+    return fields
 
 
 def write_arrays(path: Path, result: Reconstruction, origin: Origin) -> None:
@@ -169,51 +171,43 @@ def axes_of(material: Any) -> str:
     return f"x right, y {'up' if material == 'opaque' else 'to the fingertip'}, z to the camera"
 
 
-def _vertices(result: Reconstruction, valid: BoolArray) -> Iterator[tuple[FloatArray, FloatArray, FloatArray]]:
-    """Vertices (n, 3) in the shown unit, normals (n, 3) and intensity (n,) of pixels `valid`, by rows, tip along +y."""
-    rows, columns = bounding_box(result.mask)
-    height, width = result.mask.shape
-    turn = upright_turn(result.input_from_upright)
-    albedo = _albedo_bytes(result)
-    x = ((np.arange(width) - (width - 1) / 2) * result.pitch_mm)[None, columns]
-    y = (((height - 1) / 2 - np.arange(height)) * result.pitch_mm)[:, None]
-    for band in bands(valid.shape):
-        here = valid[band]
-        part = (slice(rows.start + band.start, rows.start + band.stop), columns)
-        if result.x_mm is not None and result.y_mm is not None:
-            x = result.x_mm[part]
-            places_y = result.y_mm[part]
-        else:
-            places_y = y[part[0]]
-        places = np.empty((np.count_nonzero(here), 3), dtype=np.float32)
-        normals = np.empty_like(places)
-        nx, ny, normals[:, 2] = (result.normals[part][..., axis][here] for axis in range(3))
-        places[:, 2] = result.height_mm[part][here]
-        for axis, (across, along) in enumerate(turn):
-            places[:, axis] = (across * x + along * places_y)[here]
-            normals[:, axis] = np.float32(across) * nx + np.float32(along) * ny
-        if not result.unit.known:
-            places *= np.float32(result.unit.per_mm)
-        yield places, normals, albedo[part][here] * np.float32(1.0 / 255.0)
+def _mesh_of(
+    result: Reconstruction,
+) -> tuple[tuple[FloatArray, FloatArray, FloatArray], NDArray[np.int32]]:
+    """One vertex for each pixel of the mask, row by row, tip along +y: places (N, 3) in the shown unit, normals (N, 3)
+    and intensity (N,); and faces (M, 3).
+    """
+    box = bounding_box(result.mask)
+    valid = result.mask[box] & np.isfinite(result.height_mm[box])
+    faces, _ = triangulate(valid)
+    if result.x_mm is not None and result.y_mm is not None:
+        x = result.x_mm[box][valid]
+        y = result.y_mm[box][valid]
+    else:
+        height, width = result.mask.shape
+        row, column = np.nonzero(valid)
+        x = (column + box[1].start - (width - 1) / 2) * result.pitch_mm
+        y = ((height - 1) / 2 - (row + box[0].start)) * result.pitch_mm
+    places = np.empty((len(x), 3), dtype=np.float32)
+    places[:, 2] = result.height_mm[box][valid]
+    normals = result.normals[box][valid]
+    nx, ny = normals[:, 0].copy(), normals[:, 1].copy()
+    for axis, (across, along) in enumerate(upright_turn(result.input_from_upright)):
+        places[:, axis] = across * x + along * y
+        normals[:, axis] = np.float32(across) * nx + np.float32(along) * ny
+    intensity = _albedo_bytes(result)[box][valid] * np.float32(1.0 / 255.0)
+    return (result.unit.heights(places), normals, intensity), faces
 
 
 def write_mesh(path: Path, result: Reconstruction, origin: Origin) -> None:
     """Write the mesh: the surface, tip up; one vertex for each pixel of the mask, row by row."""
-    box = bounding_box(result.mask)
-    valid = result.mask[box] & np.isfinite(result.height_mm[box])
-    _, triangles, faces = triangulate(valid)
     comments = [
         f"splitknit {origin['version']}, preset {result.preset}",
         f"unit {result.unit.title}; {axes_of(result.facts.get('material'))}",
         f"settings_sha256 {origin['settings_sha256']}",
         f"inputs_sha256 {settings_hash(origin['inputs'])}",
     ]
-    vertices = int(np.count_nonzero(valid)), _vertices(result, valid)
-    write_ply_pieces(path, vertices, (triangles, faces), comments)
-
-
-SURFACES = ("stl", "obj", "glb")
-"""Kinds of :func:`surface_bytes`."""
+    write_ply(path, *_mesh_of(result), comments)
 
 
 def surface_bytes(result: Reconstruction, kind: str, title: str) -> tuple[dict[str, Any], bytes]:
@@ -223,13 +217,9 @@ def surface_bytes(result: Reconstruction, kind: str, title: str) -> tuple[dict[s
     meshes as ``phalange.ply``. Raises BadInput if the result has no scale or no surface, or trimesh is missing.
     """
     require_scale(result)
-    box = bounding_box(result.mask)
-    valid = result.mask[box] & np.isfinite(result.height_mm[box])
-    _, count, pieces = triangulate(valid)
-    require(count > 0, "the result holds no surface; reconstruct the capture again.")
-    vertices, normals, intensity = (np.concatenate(one) for one in zip(*_vertices(result, valid), strict=True))
-    faces = np.concatenate(list(pieces))
-    facts = {"vertices": len(vertices), "faces": count, "unit": "mm"}
+    (vertices, normals, intensity), faces = _mesh_of(result)
+    require(len(faces) > 0, "the result holds no surface; reconstruct the capture again.")
+    facts = {"vertices": len(vertices), "faces": len(faces), "unit": "mm"}
     with importing(_NEEDS_TRIMESH):
         import trimesh
     grey = np.full((len(vertices), 4), 255, dtype=np.uint8)
@@ -251,11 +241,8 @@ def write_normals(path: Path, result: Reconstruction, origin: Origin, normals: F
     """Write the normals (by default those of the surface) as a colour picture on the input's pixel grid."""
     picture = np.zeros((*result.mask.shape, 3), dtype=np.uint8)
     box = bounding_box(result.mask)
-    shown = (result.normals if normals is None else normals)[box]
-    inside = result.mask[box]
-    into = picture[box]
-    for band in bands(inside.shape):
-        cv2.copyTo(normal_colours(shown[band]), inside[band].view(np.uint8), into[band])
+    colours = normal_colours((result.normals if normals is None else normals)[box])
+    picture[box] = np.where(result.mask[box][..., None], colours, np.uint8(0))
     write_picture(path, picture, origin)
 
 

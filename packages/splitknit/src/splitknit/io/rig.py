@@ -5,28 +5,24 @@ from __future__ import annotations
 import json
 import math
 import os
-from dataclasses import asdict, replace
-from functools import partial
+from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Any
 
 import numpy as np
 from msgspec import Meta, Struct
-from msgspec.structs import asdict as fields_of
 
 from splitknit.errors import naming, require
 from splitknit.io.atomic import write_file
 from splitknit.io.fields import Version1, converted, read_json
 from splitknit.io.provenance import JsonValue, plain_json
-from splitknit.model import Camera, Films, Led, Mirror, Rig, camera_without_scale
+from splitknit.model import Camera, Coordinate, Films, Led, Mirror, Point, Rig, camera_without_scale
 
 RIG_FORMAT, RIG_VERSION = "splitknit-rig", 1
 _MAX_PIXELS = 200_000_000
 _DISTORTION_COUNTS = (4, 5, 8, 12, 14)
 
-_Number = Annotated[float, Meta(ge=-1e7, le=1e7)]
-_Point = tuple[_Number, _Number, _Number]
-_Matrix = tuple[_Point, _Point, _Point]
+_Matrix = tuple[Point, Point, Point]
 _Side = Annotated[int, Meta(ge=1, le=1_000_000)]
 
 
@@ -36,39 +32,18 @@ class _CameraFields(Struct):
     height_mm: Annotated[float, Meta(ge=1e-3, le=1e6)] | None = None
     model: Annotated[str, Meta(pattern="^(orthographic|perspective)$")] = "orthographic"
     matrix: _Matrix | None = None
-    distortion: tuple[_Number, ...] | None = None
-    shading: Annotated[tuple[_Number, ...], Meta(max_length=4)] = ()
+    distortion: tuple[Coordinate, ...] | None = None
+    shading: Annotated[tuple[Coordinate, ...], Meta(max_length=4)] = ()
     crosstalk: _Matrix | None = None
-
-
-class _LedFields(Struct):
-    band: Annotated[str, Meta(min_length=1)]
-    position_mm: _Point | None = None
-    direction: _Point | None = None
-    intensity: Annotated[float, Meta(ge=1e-9, le=1e9)] = 1.0
-    lobe_exponent: Annotated[float, Meta(ge=0, le=1000)] = 0.0
-    aim: _Point | None = None
-    colour: str = ""
-
-
-_Brightness = Annotated[float, Meta(ge=0.01, le=100)]
-
-
-class _FilmsFields(Struct):
-    leds: tuple[int, ...]
-    leak: tuple[Annotated[float, Meta(ge=0, le=0.499)], ...]
-    brightness: tuple[tuple[_Brightness, _Brightness, _Brightness], ...]
-    shift_px: tuple[_Number, _Number] = (0.0, 0.0)
-    scale: Annotated[float, Meta(ge=0.9, le=1.1)] = 1.0
 
 
 class _RigFields(Struct):
     format: Annotated[str, Meta(pattern="^(splitknit-rig)$")]
     version: Version1
     camera: _CameraFields
-    leds: Annotated[list[_LedFields], Meta(min_length=1, max_length=10_000)]
+    leds: Annotated[tuple[Led, ...], Meta(min_length=1, max_length=10_000)]
     mirrors: tuple[Mirror, ...] = ()
-    films: _FilmsFields | None = None
+    films: Films | None = None
     provenance: dict[str, Any] | None = None
 
 
@@ -116,43 +91,34 @@ def write_rig(rig: Rig, path: str | os.PathLike[str]) -> None:
 def rig_to_json(rig: Rig) -> dict[str, JsonValue]:
     """The document of :func:`rig_from_json`. Raises BadInput if LEDs are grouped (`also`), as by :meth:`Rig.select`."""
     camera = rig.camera
-    distortion = rig.camera.distortion
-    leds = list[JsonValue]()
+    distortion = camera.distortion
     if camera.model == "perspective" and distortion is None:
         distortion = (0.0,) * 5  # the file must say so
+    lens = {
+        "model": camera.model,
+        "px_per_mm": camera.measured_px_per_mm,
+        "image_size": camera.image_size,
+        "height_mm": float(camera.height_mm),
+        "matrix": camera.matrix,
+        "distortion": distortion,
+    }
+    if camera.shading:
+        lens["shading"] = camera.shading
+    if camera.crosstalk is not None:
+        lens["crosstalk"] = camera.crosstalk
+    leds = []
     for index, led in enumerate(rig.leds):
         require(not led.also, f"LED {index} of the rig is a group of LEDs; write the rig from which it was selected.")
-        place = "position_mm" if led.position_mm is not None else "direction"
-        entry: dict[str, Any] = {place: plain_json(getattr(led, place)), "intensity": led.intensity, "band": led.band}
-        if led.lobe_exponent:
-            entry["lobe_exponent"] = led.lobe_exponent
-        if led.aim is not None:
-            entry["aim"] = plain_json(led.aim)
-        if led.colour:
-            entry["colour"] = led.colour
-        leds.append(plain_json(entry))
-    mirrors = [
-        {"name": one.name, "corners_mm": np.array(one.corners_mm, np.float64), "reflectance": float(one.reflectance)}
-        for one in rig.mirrors
-    ]
-    return {
-        "format": RIG_FORMAT,
-        "version": RIG_VERSION,
-        "camera": {
-            "model": camera.model,
-            "px_per_mm": camera.measured_px_per_mm,
-            "image_size": [int(camera.image_size[0]), int(camera.image_size[1])],
-            "height_mm": float(camera.height_mm),
-            "matrix": plain_json(camera.matrix),
-            "distortion": plain_json(distortion),
-            **({"shading": plain_json(camera.shading)} if camera.shading else {}),
-            **({} if camera.crosstalk is None else {"crosstalk": plain_json(camera.crosstalk)}),
-        },
-        "leds": leds,
-        **({"mirrors": plain_json(mirrors)} if mirrors else {}),
-        **({} if rig.films is None else {"films": plain_json(asdict(rig.films))}),
-        "provenance": plain_json(rig.provenance),
-    }
+        place = {"position_mm": led.position_mm} if led.position_mm is not None else {"direction": led.direction}
+        rare = {"lobe_exponent": led.lobe_exponent, "aim": led.aim, "colour": led.colour}
+        stated = {key: value for key, value in rare.items() if value}
+        leds.append({**place, "intensity": led.intensity, "band": led.band, **stated})
+    document = {"format": RIG_FORMAT, "version": RIG_VERSION, "camera": lens, "leds": leds}
+    if rig.mirrors:
+        document["mirrors"] = rig.mirrors
+    if rig.films is not None:
+        document["films"] = rig.films
+    return plain_json({**document, "provenance": rig.provenance})  # type: ignore[return-value]
 
 
 def rig_from_json(document: Any, name: str = "rig.json") -> Rig:
@@ -164,21 +130,19 @@ def rig_from_json(document: Any, name: str = "rig.json") -> Rig:
     and the field.
     """
     fields = converted(document, _RigFields, name)
-    camera = naming(name, partial(_camera, fields.camera))
-    leds = tuple(naming(f"{name}: leds[{k}]", partial(_led, led)) for k, led in enumerate(fields.leds))
-    films = None if fields.films is None else _films(fields.films, len(leds), f"{name}: films")
-    return naming(name, lambda: Rig(camera, leds, fields.provenance or {}, fields.mirrors, films))
+    return naming(name, lambda: _rig(fields))
 
 
-def _films(films: _FilmsFields, count: int, where: str) -> Films:
-    leds = len(films.leds)
-    different = 0 < len(set(films.leds)) == leds and all(0 <= k < count for k in films.leds)
-    require(different, f"{where}.leds must be different LEDs of the rig (0 to {count - 1}).")
-    require(
-        len(films.leak) == len(films.brightness) == leds,
-        f"{where} must have a leak and a brightness for each of the {leds} LEDs.",
-    )
-    return Films(**fields_of(films))
+def _rig(fields: _RigFields) -> Rig:
+    leds = tuple(_of_unit_direction(led, f"leds[{k}]") for k, led in enumerate(fields.leds))
+    films = fields.films
+    if films is not None:
+        count = len(films.leds)
+        different = 0 < len(set(films.leds)) == count and set(films.leds) <= set(range(len(leds)))
+        require(different, f"films.leds must be different LEDs of the rig (0 to {len(leds) - 1}).")
+        complete = len(films.leak) == len(films.brightness) == count
+        require(complete, f"films must have a leak and a brightness for each of the {count} LEDs.")
+    return Rig(_camera(fields.camera), leds, fields.provenance or {}, fields.mirrors, films)
 
 
 def _camera(fields: _CameraFields) -> Camera:
@@ -194,44 +158,45 @@ def _camera(fields: _CameraFields) -> Camera:
     matrix = None if fields.matrix is None else np.array(fields.matrix, dtype=np.float64)
     if matrix is not None:
         sound = matrix[0, 0] > 0 and matrix[1, 1] > 0 and np.array_equal(matrix[2], [0.0, 0.0, 1.0])
-        require(bool(sound), "camera.matrix must be a camera matrix: positive focal lengths, last row 0 0 1.")
+        require(sound, "camera.matrix must be a camera matrix: positive focal lengths, last row 0 0 1.")
+    height_mm = fields.height_mm
+    px_per_mm = fields.px_per_mm
     if fields.model == "perspective":
-        whole = None not in (fields.distortion, fields.height_mm, fields.matrix, fields.px_per_mm)
+        whole = None not in (px_per_mm, height_mm, fields.matrix, fields.distortion)
+        needs = "px_per_mm, height_mm, matrix and distortion (zeros if there is none)"
+        require(whole, f"camera: a perspective camera needs {needs}.")
+        assert matrix is not None and height_mm is not None and px_per_mm is not None
+        by_matrix = math.sqrt(matrix[0, 0] * matrix[1, 1]) / height_mm  # on the finger plane
         require(
-            whole,
-            "camera: a perspective camera needs px_per_mm, height_mm, matrix and distortion (zeros if there is none).",
+            0.5 <= by_matrix / px_per_mm <= 2.0,
+            f"camera.px_per_mm is {px_per_mm:g}, but camera.matrix and camera.height_mm make it {by_matrix:.4g} on the"
+            " finger plane; correct one of them, or calibrate the camera.",
         )
-    if fields.model == "perspective" and matrix is not None and fields.height_mm and fields.px_per_mm:
-        by_matrix = math.sqrt(matrix[0, 0] * matrix[1, 1]) / fields.height_mm  # on the finger plane
-        require(
-            0.5 <= by_matrix / fields.px_per_mm <= 2.0,
-            f"camera.px_per_mm is {fields.px_per_mm:g}, but camera.matrix and camera.height_mm make it"
-            f" {by_matrix:.4g} on the finger plane; correct one of them, or calibrate the camera.",
-        )
-    return Camera(
-        fields.px_per_mm or camera_without_scale(fields.image_size).px_per_mm,
-        fields.image_size,
-        fields.height_mm or 140.0,
-        fields.model,
-        matrix,
-        fields.distortion,
-        fields.shading,
-        None if fields.crosstalk is None else np.array(fields.crosstalk, dtype=np.float64),
-        fields.px_per_mm is not None,
+    camera = camera_without_scale((rows, columns)) if px_per_mm is None else Camera(px_per_mm, (rows, columns))
+    return replace(
+        camera,
+        height_mm=height_mm or camera.height_mm,
+        model=fields.model,
+        matrix=matrix,
+        distortion=fields.distortion,
+        shading=fields.shading,
+        crosstalk=None if fields.crosstalk is None else np.array(fields.crosstalk, dtype=np.float64),
     )
 
 
-def _led(fields: _LedFields) -> Led:
+def _of_unit_direction(led: Led, name: str) -> Led:
     """The LED; 2 % of rounding in a hand-written unit vector are forgiven and taken off."""
-    led = Led(**fields_of(fields))
+    alone = not led.also and not led.reflected and led.shade is None
+    require(alone, f"{name} states also, reflected or shade, which are not read from files; leave them out.")
     if led.direction is None:
         return led
     x, y, z = led.direction
     length = math.sqrt(x * x + y * y + z * z)
     require(
         0.98 <= length <= 1.02,
-        f"direction must be a unit vector towards the light, but its length is {length:.4g}; divide it by its length"
-        ", or use position_mm for a place in mm.",
+        f"{name}.direction must be a unit vector towards the light, but its length is {length:.4g}; divide it by its"
+        " length, or use position_mm for a place in mm.",
     )
-    require(z > 0, f"direction points away from the camera's side (z = {z:g}); it must point towards the light.")
+    away = f"{name}.direction points away from the camera's side (z = {z:g}); it must point towards the light."
+    require(z > 0, away)
     return led if abs(length - 1.0) <= 1e-9 else replace(led, direction=(x / length, y / length, z / length))

@@ -24,8 +24,8 @@ from splitknit.imaging.polarised import NOT_SPECULAR, picture_bytes, separate_po
 from splitknit.io.atomic import atomic_folder
 from splitknit.io.content import mask_from_image
 from splitknit.io.images import StackReader, image_size, write_float_tiff, write_image
+from splitknit.io.photograph_files import natural_order, photographs_in
 from splitknit.io.photos import encoding_of, read_photo
-from splitknit.io.plain import natural_order, photographs_in
 from splitknit.io.provenance import json_text, provenance
 from splitknit.io.targets import check_target
 from splitknit.model import BoolArray, FloatArray, Progress, no_progress
