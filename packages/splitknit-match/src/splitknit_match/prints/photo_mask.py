@@ -11,6 +11,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from operator import itemgetter
+from typing import Any
 
 import cv2
 import numpy as np
@@ -18,7 +19,7 @@ from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter
 
 from splitknit.errors import require
-from splitknit.finger.regions import reduce_image
+from splitknit.imaging.areas import filled
 from splitknit.model import BoolArray, FloatArray
 
 # lengths are in longer sides of the picture, or in widths of the finger
@@ -158,10 +159,10 @@ def finger_in_photo(pixels: Pixels, box: tuple[int, int, int, int] | None = None
     high = low + np.array([width, height])
 
     fine = _lab(part)
-    lab = reduce_image(fine, _FIT_PX / max(fine.shape))
+    lab = _reduced(fine, _FIT_PX)
     colours = _colour_bins(lab)
     rated: list[tuple[float, Outline]] = []
-    for candidate in _candidates(reduce_image(fine, _SEARCH_PX / max(fine.shape))):
+    for candidate in _candidates(_reduced(fine, _SEARCH_PX)):
         outline = _fitted(candidate, lab, colours, _RATED_LENGTH, 0.3)
         outline = _fitted(outline, lab, colours, _RATED_LENGTH, 0.2)
         likeness = _likeness(outline, lab)
@@ -194,7 +195,7 @@ def finger_in_photo(pixels: Pixels, box: tuple[int, int, int, int] | None = None
             best = _fitted(best, fine, colours, _MAX_LENGTH, reach)
     mask = np.zeros((rows, columns), np.bool_)
     # pixels that its sides cross make a finger a pixel wider
-    inside = _filled(best.corners(side, scale=1 - 1 / (best.width * side)), shape)
+    inside = filled(best.corners(side, scale=1 - 1 / (best.width * side)), shape)
     mask[first_row : first_row + shape[0], first_column : first_column + shape[1]] = inside
     direction_deg = float(np.degrees(np.arctan2(-best.ahead[0], -best.ahead[1])))
     return PhotographedFinger(mask, direction_deg, best.width * side, len(fingers) - 1)
@@ -202,17 +203,13 @@ def finger_in_photo(pixels: Pixels, box: tuple[int, int, int, int] | None = None
 
 def _lab(pixels: Pixels) -> FloatArray:
     """The picture in weighted CIELAB, (H, W, 3), reduced."""
-    scale = min(1.0, _FINE_PX / max(pixels.shape))
-    reduced = cv2.resize(pixels, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA)
-    coded = (reduced / np.iinfo(pixels.dtype).max).astype(np.float32)
+    coded = (_reduced(pixels, _FINE_PX) / np.iinfo(pixels.dtype).max).astype(np.float32)
     return cv2.cvtColor(coded, cv2.COLOR_RGB2Lab) * _LAB_WEIGHTS
 
 
-def _filled(corners: Array, shape: tuple[int, ...]) -> BoolArray:
-    """(H, W) the inside of a polygon of pixels (N, 2), and the pixels that its sides cross."""
-    mask = np.zeros(shape[:2], np.uint8)
-    cv2.fillPoly(mask, [np.rint(16 * corners).astype(np.int32)], 1, shift=4)
-    return mask > 0
+def _reduced(picture: NDArray[Any], side: int) -> NDArray[Any]:
+    scale = min(1.0, side / max(picture.shape))
+    return cv2.resize(picture, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA)
 
 
 def _tip_model(turn: Array) -> tuple[Array, Array]:
@@ -393,7 +390,7 @@ def _resemblance(outline: Outline, colours: NDArray[np.intp], length: float, rea
 
     def within(wider: float, longer: float = 0.0) -> BoolArray:
         vectors = _model(length)[0] * np.array([wider, 1.0]) + np.array([0.0, 0.5 * (1 - wider) - longer])
-        return _filled(outline.places(vectors) * max(colours.shape), colours.shape)
+        return filled(outline.places(vectors) * max(colours.shape), colours.shape)
 
     def density(region: BoolArray) -> Array:
         counts = np.bincount(colours[region], minlength=32**3) / max(int(region.sum()), 1)
@@ -408,7 +405,7 @@ def _resemblance(outline: Outline, colours: NDArray[np.intp], length: float, rea
 def _likeness(outline: Outline, lab: FloatArray) -> float:
     """How much an outline and the colours in it are like a finger's, 0 to 1."""
     side = max(lab.shape)
-    inside = _filled(outline.corners(side, 1.4, 0.85), lab.shape)
+    inside = filled(outline.corners(side, 1.4, 0.85), lab.shape[:2])
     if inside.sum() < 30:
         return 0.0
     tip, _ = _tip_model(np.linspace(-1.3, 1.3, 15))
@@ -436,7 +433,7 @@ def _ridge_likeness(pixels: Pixels, outline: Outline) -> float:
     green = pixels[low[1] : high[1], low[0] : high[0], 1].astype(np.float32)
     light = cv2.resize(green, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA)
     light = np.log(light + 8 * np.iinfo(pixels.dtype).max / 255)
-    inside = _filled((near - low) * scale, light.shape).astype(np.float32)
+    inside = filled((near - low) * scale, light.shape).astype(np.float32)
     whole = cv2.boxFilter(inside, -1, (_BLOCK, _BLOCK), anchor=(0, 0), borderType=cv2.BORDER_CONSTANT) > 0.9
     rows, columns = (max(size - _BLOCK, 0) for size in light.shape)
     places = np.argwhere(whole[:rows:_BLOCK_STEP, :columns:_BLOCK_STEP]) * _BLOCK_STEP
