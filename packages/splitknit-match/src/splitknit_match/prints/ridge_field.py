@@ -1,7 +1,8 @@
 """Where a print has ridges, which way they run and how close they lie.
 
-Directions come from the structure tensor at two widths (the narrow one where it is sure of itself: cores and deltas
-stay sharp), frequencies from the power spectra of overlapping windows. Everything lives on nodes a few pixels apart.
+Directions come from the structure tensor at two widths (the narrow one where it is sure of itself:
+cores and deltas stay sharp), frequencies from the power spectra of overlapping windows. Everything
+lives on nodes a few pixels apart.
 """
 
 from __future__ import annotations
@@ -38,7 +39,8 @@ _MIN_STRENGTH = 0.2
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RidgeField:
-    """Ridges of a print, at nodes ``step_px`` apart; node (i, j) is at pixel ``step_px * (i + 0.5) - 0.5``."""
+    """Ridges of a print, at nodes ``step_px`` apart; node (i, j) is at pixel ``step_px * (i + 0.5)
+    - 0.5``."""
 
     step_px: int
     orientation_rad: FloatArray
@@ -60,9 +62,10 @@ def ridge_field(image: NDArray[np.uint8], ppi: float = 500.0, inside: BoolArray 
 
     `inside`: (h, w) bool, where the finger is, if it is known. Raises BadInput if it has no ridges.
 
-    Source: A. Bazen and S. Gerez 2002, Systematic methods for the computation of the directional fields and singular
-    points of fingerprints, section 2 (averaged squared gradients). S. Chikkerur, A. Cartwright and V. Govindaraju 2007,
-    Fingerprint enhancement using STFT analysis, section 3 (frequencies).
+    Source: A. Bazen and S. Gerez 2002, Systematic methods for the computation of the directional
+    fields and singular points of fingerprints, section 2 (averaged squared gradients). S.
+    Chikkerur, A. Cartwright and V. Govindaraju 2007, Fingerprint enhancement using STFT analysis,
+    section 3 (frequencies).
     """
     require(min(image.shape) * MM_PER_INCH / ppi >= 2.0, "the print must be at least 2 mm wide and high.")
     px = ppi / MM_PER_INCH
@@ -92,7 +95,8 @@ def ridge_field(image: NDArray[np.uint8], ppi: float = 500.0, inside: BoolArray 
         trust * part / np.maximum(narrow[0], 1e-6) + (1 - trust) * other / np.maximum(wide[0], 1e-6)
         for part, other in zip(narrow[1:], wide[1:], strict=True)
     ]
-    # the gradient's angle (rows down), turned by a quarter: along the ridge; then counter-clockwise as seen
+    # the gradient's angle (rows down), turned by a quarter: along the ridge; then counter-clockwise
+    # as seen
     orientation = np.mod(-0.5 * np.arctan2(vector[1], vector[0]) + 0.5 * np.pi, np.pi)
     frequency, peaked = _frequencies(grey, orientation, step, px, mask)
     mask = np.logical_and(mask, peaked)
@@ -105,7 +109,8 @@ def _blur(image: FloatArray, sigma: float) -> FloatArray:
 
 
 def spectra_of(tiles: FloatArray) -> NDArray[np.complex64]:
-    """Transform (..., side, side // 2 + 1) of tiles (..., side, side): numpy, whose factor keeps single precision."""
+    """Transform (..., side, side // 2 + 1) of tiles (..., side, side): numpy, whose factor keeps
+    single precision."""
     spectra = np.fft.rfft2(tiles, norm="forward")
     spectra *= tiles.shape[-1] * tiles.shape[-2]
     return np.asarray(spectra, dtype=np.complex64)
@@ -121,24 +126,34 @@ def overlap_added(tiles: FloatArray, step: int) -> FloatArray:
     return total
 
 
+def closed_opened(
+    area: BoolArray, closing_px: int, opening_px: int, pad: int, border: int = cv2.BORDER_REPLICATE
+) -> NDArray[np.uint8]:
+    """(H, W) an area closed and opened with discs of these radii; beyond the image it goes on by
+    `pad` pixels."""
+    padded = cv2.copyMakeBorder(area.astype(np.uint8), pad, pad, pad, pad, border)
+    for kind, radius in ((cv2.MORPH_CLOSE, closing_px), (cv2.MORPH_OPEN, opening_px)):
+        padded = cv2.morphologyEx(padded, kind, disc(radius))
+    return np.ascontiguousarray(padded[pad:-pad, pad:-pad], dtype=np.uint8)
+
+
+def _larger(area: BoolArray, min_px: float, connectivity: int) -> BoolArray:
+    """The components of an area (H, W) that have more pixels."""
+    _, labels, stats, _ = cv2.connectedComponentsWithStats(area.view(np.uint8), connectivity=connectivity)
+    large = stats[:, cv2.CC_STAT_AREA] > min_px
+    large[0] = False
+    return large[labels]
+
+
 def _extent(strength: FloatArray, nodes_per_mm: float) -> BoolArray:
     """Where the contrast is that of ridges: one piece or several, holes filled, specks dropped."""
     high = float(np.percentile(strength, 90))
     if high < 1.0:  # less than a grey level
         return np.zeros(strength.shape, dtype=bool)
-    raw = (strength > _MIN_STRENGTH * high).astype(np.uint8)
-    size = max(3, 2 * round(0.8 * nodes_per_mm) + 1)
-    kernel = disc(size // 2)
-    padded = cv2.copyMakeBorder(raw, size, size, size, size, cv2.BORDER_CONSTANT, value=0)
-    closed = cv2.morphologyEx(cv2.morphologyEx(padded, cv2.MORPH_CLOSE, kernel), cv2.MORPH_OPEN, kernel)
-    closed = closed[size:-size, size:-size]
-    count, labels, stats, _ = cv2.connectedComponentsWithStats(closed)
-    keep = [k for k in range(1, count) if stats[k, cv2.CC_STAT_AREA] > 4 * nodes_per_mm**2]
-    mask = np.isin(labels, keep)
-    holes = (~mask).astype(np.uint8)
-    count, labels, stats, _ = cv2.connectedComponentsWithStats(holes, connectivity=4)
-    small = [k for k in range(1, count) if stats[k, cv2.CC_STAT_AREA] < 4 * nodes_per_mm**2]
-    return mask | np.isin(labels, small)
+    radius = max(1, round(0.8 * nodes_per_mm))
+    closed = closed_opened(strength > _MIN_STRENGTH * high, radius, radius, 2 * radius + 1, cv2.BORDER_CONSTANT)
+    mask = _larger(closed > 0, 4 * nodes_per_mm**2, 8)
+    return ~_larger(~mask, 4 * nodes_per_mm**2, 4)
 
 
 def _frequencies(
@@ -146,8 +161,9 @@ def _frequencies(
 ) -> tuple[FloatArray, BoolArray]:
     """Frequency at the nodes (n, m), ridges per pixel, and where a frequency was found nearby.
 
-    Windows around every second node. The strongest frequency across the ridges is refined to the centroid of the power
-    within two bins of it: under a Hann window that has no bias, wherever between the bins a wave lies.
+    Windows around every second node. The strongest frequency across the ridges is refined to the
+    centroid of the power within two bins of it: under a Hann window that has no bias, wherever
+    between the bins a wave lies.
     """
     nodes = mask.shape
     least = max(16, round(_WINDOW_MM * px))
