@@ -331,7 +331,7 @@ def print_minutiae(image: NDArray[np.uint8]) -> Minutiae:
     without ridges."""
     try:
         ridges = pressed_print(PrintFile(image, PPI, {}))
-        return minutiae_by_phase(ridges, enhance(ridges, PPI), PPI)
+        return minutiae_by_phase(ridges, enhance(ridges))
     except BadInput:
         return no_minutiae(image.shape)
 
