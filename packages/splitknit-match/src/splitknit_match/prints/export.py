@@ -100,7 +100,7 @@ def export_records(
             own = stated.impression
             if own == "unknown" and item.kind == "print":  # of a print of a finger's contact
                 own = "live_plain"
-            label = {"finger": finger or stated.finger, "impression": impression or own}
+            label: Any = {"finger": finger or stated.finger, "impression": impression or own}
             picture = item.picture and replace(item.picture, **label)
             view = item.view and replace(item.view, **label)
             form = FORMATS[to or ("iso-19794-2" if picture is None else "png")]

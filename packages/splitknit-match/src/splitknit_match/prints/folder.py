@@ -151,12 +151,13 @@ def _page(
     circles = circles[np.isfinite(circles).all(axis=1)]
     captions = "As ink on paper: ridges dark, mirrored against the camera image.", "Ridges made even."
     figures = zip(pictures.items(), captions, strict=True)
-    return template(Path(__file__).with_name("print.html")).render(
+    page: str = template(Path(__file__).with_name("print.html")).render(
         scene=scene([PageSurface("Minutiae: circles, with a line along the ridge", surface, None, circles)]),
         pictures=[captioned(name.capitalize(), picture, caption) for (name, picture), caption in figures],
         count=minutiae.count,
         **words,
     )
+    return page
 
 
 # Quality of a print in the report: NFIQ 2, the figures and score of `prints.print_quality`, and

@@ -89,7 +89,7 @@ def _quality(like: FloatArray, edge_mm: FloatArray, place_mm: Array, towards: Ar
 
 
 def _probability(terms: Array) -> NDArray[np.uint8]:
-    return np.round(100 / (1 + np.exp(-terms @ np.array(_AGAIN)))).astype(np.uint8)
+    return np.asarray(np.round(100 / (1 + np.exp(-terms @ np.array(_AGAIN)))), dtype=np.uint8)
 
 
 def _field(enhanced: Enhanced) -> tuple[Array, Array]:
@@ -166,4 +166,4 @@ def _likeness(image: NDArray[np.uint8], ridges: Array, sigma_px: float = 4.0) ->
     ink = cv2.GaussianBlur(smooth, (0, 0), 2.5 * sigma_px) - smooth
     wave = ridges.astype(np.float32)
     both, of_wave, of_ink = (cv2.GaussianBlur(part, (0, 0), sigma_px) for part in (ink * wave, wave * wave, ink * ink))
-    return both / np.sqrt(of_wave * of_ink + 1e-6)
+    return np.asarray(both / np.sqrt(of_wave * of_ink + 1e-6))

@@ -328,7 +328,8 @@ def _fitted(outline: Outline, lab: FloatArray, colours: NDArray[np.intp], length
     visible = ((places >= -0.5) & (places <= np.array(lab.shape[1::-1]) - 0.5)).all(-1)
     step = 2 * reach * px / (_ACROSS - 1)
     layers = cv2.merge([lab, _resemblance(outline, colours, length, reach)])
-    values = cv2.remap(layers, *cv2.split(places), cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+    x, y = cv2.split(places)
+    values = cv2.remap(layers, x, y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
     values = cv2.GaussianBlur(values, (0, 0), sigmaX=0.01, sigmaY=0.6)
     change = np.linalg.norm(np.gradient(values[..., :3], step, axis=1), axis=-1)
     edge = np.where(visible, change / (change + 1.5), 0.0)
@@ -410,8 +411,8 @@ def _likeness(outline: Outline, lab: FloatArray) -> float:
         return 0.0
     tip, _ = _tip_model(np.linspace(-1.3, 1.3, 15))
     vectors = np.vstack([tip * 0.85 + np.array([0.0, 0.09]), tip * 1.25 - np.array([0.0, 0.15])])
-    places = (outline.places(vectors) * side).astype(np.float32)
-    values = cv2.remap(lab, *cv2.split(places[None]), cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+    x, y = (outline.places(vectors) * side).astype(np.float32).T
+    values = cv2.remap(lab, x, y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
     within, beyond = values.reshape(2, len(tip), 3)
     contrast = float(np.clip(np.linalg.norm(within - beyond, axis=1) / 12.0, 0, 1).mean())
     spread = float(np.linalg.norm(lab[inside].std(axis=0)[1:]))

@@ -11,6 +11,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import lru_cache
+from typing import Any
 
 import cv2
 import numpy as np
@@ -334,7 +335,7 @@ def _filtered(
     return overlap_added(np.stack(waves), _STEP_PX)[_WINDOW_PX - _STEP_PX :, _WINDOW_PX - _STEP_PX :]
 
 
-def _clearest(confidence: FloatArray) -> float:
+def _clearest(confidence: NDArray[Any]) -> float:
     """Confidence that the clearest ridges have at least, on a twentieth of the picture, at most 20
     mm2."""
     last = confidence.size - 1 - min(confidence.size // 20, _CLEAREST_PX)

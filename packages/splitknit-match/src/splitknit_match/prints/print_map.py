@@ -8,11 +8,13 @@ densely. Points are (column, row), as everywhere.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import cv2
 import numpy as np
 import scipy
 from numpy.polynomial.polynomial import polyder, polyval
+from numpy.typing import NDArray
 
 from splitknit.errors import check_mask, require
 from splitknit.finger.ridges import MM_PER_INCH, upright_from_print
@@ -45,7 +47,7 @@ _CATMULL_ROM = np.array([[0, -1, 2, -1], [2, 0, -5, 3], [0, 1, 4, -3], [0, 0, -1
 term first."""
 
 
-def _dense(values: FloatArray, size: tuple[int, ...], step: float, *, linear: bool = False) -> FloatArray:
+def _dense(values: NDArray[Any], size: tuple[int, ...], step: float, *, linear: bool = False) -> FloatArray:
     """Read a coarse grid, its first pixel two steps before the fine one's, at every pixel of a fine
     grid."""
 
@@ -204,7 +206,7 @@ def _dense_inverse(
     nodes = _inverted(print_of_grid, targets, start).reshape(coarse.shape)
     filled = extrapolated(nodes, 3)
     input_of_coarse = np.nan_to_num(moved(grid.input_from_grid, filled))
-    trusted = _dense(np.isfinite(nodes).all(axis=2), size, step, linear=True) > 0.999
+    trusted = _dense(np.isfinite(nodes[..., 0]), size, step, linear=True) > 0.999
     if slant_deg is not None:
         column, row = np.moveaxis(np.nan_to_num(nodes, nan=-1.0).astype(np.float32), 2, 0)
         cosine = cv2.remap(_facing(grid), column, row, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)

@@ -114,7 +114,7 @@ def spectra_of(tiles: FloatArray) -> NDArray[np.complex64]:
     """Transform (..., side, side // 2 + 1) of tiles (..., side, side): numpy, whose factor keeps
     single precision."""
     spectra = np.fft.rfft2(tiles, norm="forward")
-    return (spectra * (tiles.shape[-1] * tiles.shape[-2])).astype(np.complex64)
+    return np.asarray(spectra * (tiles.shape[-1] * tiles.shape[-2]), dtype=np.complex64)
 
 
 def overlap_added(tiles: FloatArray, step: int) -> FloatArray:
@@ -143,7 +143,7 @@ def _larger(area: BoolArray, min_px: float, connectivity: int) -> BoolArray:
     _, labels, stats, _ = cv2.connectedComponentsWithStats(area.view(np.uint8), connectivity=connectivity)
     large = stats[:, cv2.CC_STAT_AREA] > min_px
     large[0] = False
-    return large[labels]
+    return np.asarray(large[labels])
 
 
 def outline_distance_mm(area: BoolArray, ppi: float) -> FloatArray:

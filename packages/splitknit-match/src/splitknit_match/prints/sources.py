@@ -157,4 +157,4 @@ def _photograph(capture: Capture) -> FloatArray:
     require("white" in capture.bands, "the capture has no band 'white', in which fingers are photographed.")
     band = without_films(capture).bands["white"]
     channel = "blue" if has_colour(band) else "grey"
-    return linear_channels(band, capture.encoding, [channel])[0].mean(axis=0).astype(np.float32)
+    return np.asarray(linear_channels(band, capture.encoding, [channel])[0].mean(axis=0), dtype=np.float32)

@@ -11,6 +11,7 @@ outside the mask are extrapolated, so that maps can be read and inverted up to t
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 import scipy
@@ -63,7 +64,7 @@ class SurfaceGrid:
     @property
     def known(self) -> BoolArray:
         """(n, m) nodes with a point, measured or extrapolated."""
-        return np.isfinite(self.points_mm).all(axis=2)
+        return np.asarray(np.isfinite(self.points_mm).all(axis=2))
 
 
 def surface_grid(
@@ -122,16 +123,17 @@ def surface_grid(
     return SurfaceGrid(extrapolated(points, RINGS), inside, input_from_grid, node_mm)
 
 
-def moved(matrix: Array, points: Array) -> Array:
+def moved(matrix: FloatArray, points: NDArray[Any]) -> Array:
     """Points (..., 2; column, row) by a matrix (3, 3) on (column, row, 1)."""
-    return points @ matrix[:2, :2].T + matrix[:2, 2]
+    return np.asarray(points @ matrix[:2, :2].T + matrix[:2, 2])
 
 
 def slant_cos(points: Array) -> Array:
     """(n, m) cosine of the slant at the nodes, by central differences; 1 where unknown."""
     down, right = np.gradient(points, axis=(0, 1))
     normal = np.cross(right, -down)
-    return np.nan_to_num(np.abs(normal[..., 2]) / np.maximum(np.linalg.norm(normal, axis=2), 1e-12), nan=1.0)
+    cosine = np.abs(normal[..., 2]) / np.maximum(np.linalg.norm(normal, axis=2), 1e-12)
+    return np.asarray(np.nan_to_num(cosine, nan=1.0))
 
 
 def extrapolated(values: Array, rings: int) -> Array:
@@ -339,9 +341,8 @@ def _relaxed(grid: SurfaceGrid, start: Array, centre_weight: float) -> Array:
         flat[free] = solution
         if step < 2e-4:
             break
-    result = np.full((grid.inside.size, 2), np.nan)
-    result[nodes] = flat
-    result = result.reshape(start.shape)
+    result = np.full(start.shape, np.nan)
+    result.reshape(-1, 2)[nodes] = flat
     # turned and shifted so that it lies on `start` as well as a rigid sheet can
     both = grid.inside & np.isfinite(result).all(axis=2) & np.isfinite(start).all(axis=2)
     middle = result[both].mean(axis=0)
@@ -350,7 +351,7 @@ def _relaxed(grid: SurfaceGrid, start: Array, centre_weight: float) -> Array:
     b = start[both] - target
     angle = np.arctan2((a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]).sum(), (a * b).sum())
     turn = np.array([[np.cos(angle), np.sin(angle)], [-np.sin(angle), np.cos(angle)]])
-    return (result - middle) @ turn + target
+    return np.asarray((result - middle) @ turn + target)
 
 
 def _triangles(grid: SurfaceGrid, start: Array, centre_weight: float) -> tuple[NDArray[np.intp], Array]:
