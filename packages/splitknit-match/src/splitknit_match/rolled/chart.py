@@ -1,7 +1,8 @@
 """The sheet on which views of a finger are fused: angle around the finger, and length along it.
 
-Rays leave the finger's axis at right angles, in a fan at the tip: each meets the skin once. A surface is the distance
-along them. So the sheet reaches around the finger and over its tip, where a height above one plane cannot.
+Rays leave the finger's axis at right angles, in a fan at the tip: each meets the skin once. A
+surface is the distance along them. So the sheet reaches around the finger and over its tip, where a
+height above one plane cannot.
 """
 
 from __future__ import annotations
@@ -71,7 +72,8 @@ class Chart:
 
 
 def surface_normals(points_mm: Array) -> Array:
-    """(n, m, 3) unit normals, outwards, of points (n, m, 3) on a chart; zero where they are not known."""
+    """(n, m, 3) unit normals, outwards, of points (n, m, 3) on a chart; zero where they are not
+    known."""
     down, right = np.gradient(points_mm, axis=(0, 1))
     normal = np.cross(right, -down)
     length = np.linalg.norm(normal, axis=-1, keepdims=True)
@@ -85,14 +87,16 @@ def read(
     return sampled_at(field, columns, rows, cv2.INTER_CUBIC if cubic else cv2.INTER_LINEAR, empty)
 
 
-# A surface on a chart as a view sees it: heights on the view's pixels, and where on the chart they lie.
+# A surface on a chart as a view sees it: heights on the view's pixels, and where on the chart they
+# lie.
 
 BEYOND_MM = 16.0  # the camera's rays are followed from this far above the finger's axis
 
 
-def heights(sight: Sight, chart: Chart, radius_mm: Any, view: View) -> FloatArray:
-    """(h, w) z, in the view's frame, of the surface `radius_mm` (n, m) on the chart at the pixels of `view`, or NaN."""
-    surface = np.asarray(radius_mm, dtype=np.float32)
+def heights(sight: Sight, chart: Chart, radius_mm: Array, view: View) -> FloatArray:
+    """(h, w) z, in the view's frame, of the surface `radius_mm` (n, m) on the chart at the pixels
+    of `view`, or NaN."""
+    surface = radius_mm.astype(np.float32)
     middle = sight.to_view(chart.centre_mm + 0.5 * min(float(chart.length_mm[-1]), 0.0) * chart.axes[1])
     x, y = view.x_mm, view.y_mm if view.y_mm.ndim == 2 else view.y_mm[:, None]
     place = np.empty((y.shape[0], x.shape[-1], 3))
@@ -123,6 +127,6 @@ def heights(sight: Sight, chart: Chart, radius_mm: Any, view: View) -> FloatArra
         middle_height = 0.5 * (low + high)
         out = outside(middle_height)[0] > 0
         high, low = np.where(out, middle_height, high), np.where(out, low, middle_height)
-    found = 0.5 * (low + high)
-    _, there = outside(found)
-    return np.where(hit & there, found, np.nan).astype(np.float32)
+    height = 0.5 * (low + high)
+    _, there = outside(height)
+    return np.where(hit & there, height, np.nan).astype(np.float32)
