@@ -297,7 +297,7 @@ def _radius_of(body: Body, chart: Chart) -> Array:
         middle = 0.5 * (low + high)
         out = _outside(body, start[:, None] + middle[..., None] * directions)
         high, low = np.where(out, middle, high), np.where(out, low, middle)
-    return 0.5 * (low + high)
+    return np.asarray(0.5 * (low + high))
 
 
 def _outside(body: Body, points_mm: Array) -> BoolArray:

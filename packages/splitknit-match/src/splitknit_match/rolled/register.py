@@ -359,4 +359,4 @@ def search(  # noqa: PLR0915
 
 def _range(reach: float) -> Array:
     count = int(np.floor(reach / STEP_MM + 1e-9))
-    return np.arange(-count, count + 1) * STEP_MM
+    return np.arange(-count, count + 1, dtype=float) * STEP_MM

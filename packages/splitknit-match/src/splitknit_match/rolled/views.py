@@ -130,7 +130,7 @@ def _above_crease(mask: BoolArray, small: BoolArray, mean: FloatArray, capture: 
     across, along, offset = upright.upright_from_input[1]
     rows, columns = ((np.arange(side, dtype=np.float32) + 0.5) / binning - 0.5 for side in mask.shape)
     beyond = np.float32(crease.row + BEYOND_CREASE_MM * px_per_mm)
-    return mask & (columns * across + rows[:, None] * along + offset < beyond)
+    return np.asarray(mask & (columns * across + rows[:, None] * along + offset < beyond))
 
 
 EDGE_BAND_MM = 0.3  # beside a light's edge it counts for nothing; as far again until it counts in full
