@@ -159,15 +159,13 @@ def _exchanged(minutiae: Minutiae) -> bytes:
     far to the right, and `nbis-py` leaves the order as it comes. Their quality plays no part beyond
     the choice of the best.
     """
-    order = np.lexsort((minutiae.y_px, minutiae.x_px))
-    if minutiae.count > MAX_MINUTIAE:
-        best = np.argsort(-minutiae.quality.astype(np.int64), kind="stable")[:MAX_MINUTIAE]
-        order = order[np.isin(order, best)]
-    x = minutiae.x_px[order] | (np.where(minutiae.type[order] == BIFURCATION, 2, 1) << 14)
-    angle = np.round(minutiae.direction_rad[order] * (128 / np.pi)).astype(np.int64) % 256
-    body = np.rec.fromarrays([x, minutiae.y_px[order], angle, np.full(len(order), 50)], ">u2, >u2, u1, u1").tobytes()
-    rows, columns = minutiae.size
-    return b"FMR\0 20\0" + struct.pack(">IxxHHxxxxxxxB", 26 + len(body), columns, rows, len(order)) + body
+    best = minutiae.best(MAX_MINUTIAE)
+    best = best.taken(np.lexsort((best.y_px, best.x_px)))
+    x = best.x_px | (np.where(best.type == BIFURCATION, 2, 1) << 14)
+    angle = np.round(best.direction_rad * (128 / np.pi)).astype(np.int64) % 256
+    body = np.rec.fromarrays([x, best.y_px, angle, np.full(best.count, 50)], ">u2, >u2, u1, u1").tobytes()
+    rows, columns = best.size
+    return b"FMR\0 20\0" + struct.pack(">IxxHHxxxxxxxB", 26 + len(body), columns, rows, best.count) + body
 
 
 def is_a_fingers(print_image: NDArray[np.uint8], ppi: float) -> bool:

@@ -5,6 +5,8 @@ from __future__ import annotations
 import re
 from dataclasses import dataclass
 
+import numpy as np
+
 from splitknit import BadInput
 from splitknit.arguments import AnyPath
 from splitknit.errors import require
@@ -30,7 +32,7 @@ class PhotoFinger:
         from splitknit.io.photos import read_photo  # a template needs none of it
 
         white = read_photo(self.mask).pixels.mean(axis=-1)
-        return white > 0.5 * max(float(white.max()), 1.0)
+        return np.asarray(white > 0.5 * max(float(white.max()), 1.0))
 
     def corners(self) -> tuple[int, int, int, int] | None:
         """The box as numbers. Raises BadInput if it is not four of them, or there is a mask too."""
