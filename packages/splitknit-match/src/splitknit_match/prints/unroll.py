@@ -285,15 +285,20 @@ def _arc_lengths(grid: SurfaceGrid) -> Array:
     return np.where(known[..., None], flat, np.nan)
 
 
+def longest_run(nodes: BoolArray) -> NDArray[np.intp]:
+    """Places (N,) of the longest run of true ones in a line."""
+    places = np.flatnonzero(nodes)
+    return max(np.split(places, np.flatnonzero(np.diff(places) > 1) + 1), key=len)
+
+
 def _lengths(points: Array, known: BoolArray) -> Array:
     """(n, m) length along each row from its first node; NaN before and after the longest run of
     known nodes."""
     step = np.linalg.norm(np.diff(points, axis=1), axis=2)
     result = np.full(known.shape, np.nan)
     for row, nodes in enumerate(known):
-        places = np.flatnonzero(nodes)
-        if places.size > 1:
-            run = max(np.split(places, np.flatnonzero(np.diff(places) > 1) + 1), key=len)
+        run = longest_run(nodes)
+        if run.size > 1:
             result[row, run] = np.r_[0.0, np.cumsum(step[row, run[:-1]])]
     return result
 

@@ -18,7 +18,7 @@ from splitknit.mirrors.settings import MirrorShapeSettings
 from splitknit.model import BoolArray, FloatArray
 from splitknit.skin.grid import smooth_step
 from splitknit.skin.images import MetricSettings
-from splitknit_match.rolled.chart import Chart, surface_normals
+from splitknit_match.rolled.chart import Chart, crossing, surface_normals
 from splitknit_match.rolled.register import MIN_CORRELATION, ViewRidges, align, gaussian_over, ridges_of, search
 from splitknit_match.rolled.views import MirrorViews, ViewRelief, view_relief
 
@@ -290,14 +290,9 @@ def _sampled(chart: Chart, radius_mm: Array, target: Chart) -> Array:
 
 def _radius_of(body: Body, chart: Chart) -> Array:
     """(n, m) distance of the body's skin along the rays of a chart."""
-    start, directions = chart.rays()
+    highest = 1.5 * float(np.abs(body.coefficients[2:]).max()) + chart.cap_mm
     low = np.zeros(chart.shape)
-    high = np.full(chart.shape, 1.5 * float(np.abs(body.coefficients[2:]).max()) + chart.cap_mm)
-    for _ in range(24):
-        middle = 0.5 * (low + high)
-        out = _outside(body, start[:, None] + middle[..., None] * directions)
-        high, low = np.where(out, middle, high), np.where(out, low, middle)
-    return np.asarray(0.5 * (low + high))
+    return crossing(lambda radius: _outside(body, chart.points(radius)), low, low + highest, 24)
 
 
 def _outside(body: Body, points_mm: Array) -> BoolArray:
@@ -308,8 +303,8 @@ def _outside(body: Body, points_mm: Array) -> BoolArray:
     rise = z - sections.z
     across = (t - sections.t - sections.shear * rise) / np.maximum(sections.a, 1e-6)
     squared = np.minimum(across * across, 1.0)
-    most = np.sqrt(1.0 - squared) * (1.0 + sections.squareness * squared)
-    out = (np.abs(rise) > sections.b * most) | (np.abs(across) >= 1.0) | (u > body.tip_mm)
+    highest = sections.b * (np.sqrt(1.0 - squared) * (1.0 + sections.squareness * squared))
+    out = (np.abs(rise) > highest) | (np.abs(across) >= 1.0) | (u > body.tip_mm)
     return np.asarray(out.reshape(points_mm.shape[:-1]))
 
 

@@ -224,15 +224,12 @@ def _priors(chart: Chart, seen: BoolArray, mirrors: int) -> Any:
     near = np.exp(-0.5 * ((np.abs(degrees) - 90.0) / OUTLINE_DEG) ** 2)
     deviation = DEPTH_PRIOR_MM * (OUTLINE_PRIOR_MM / DEPTH_PRIOR_MM) ** near
     reach = cv2.dilate(seen.astype(np.uint8), np.ones((2 * every + 1, 2 * every + 1), np.uint8))
-    sizes = zip((rows, columns), seen.shape, strict=True)
-    row, column = (np.minimum(np.arange(n) * every, size - 1) for n, size in sizes)
+    row = np.minimum(np.arange(rows) * every, seen.shape[0] - 1)
+    column = np.minimum(np.arange(columns) * every, seen.shape[1] - 1)
     deviation = np.where(reach[np.ix_(row, column)] > 0, deviation[None], UNSEEN_PRIOR_MM)
-
-    def bends(count: int) -> Any:
-        return scipy.sparse.diags_array([1.0, -2.0, 1.0], offsets=[0, 1, 2], shape=(max(count - 2, 0), count)).tocsr()
-
-    down = scipy.sparse.kron(bends(rows), scipy.sparse.eye_array(columns))
-    across = scipy.sparse.kron(scipy.sparse.eye_array(rows), bends(columns))
+    # second differences from knot to knot
+    down = scipy.sparse.kron(np.diff(np.eye(rows), 2, axis=0), scipy.sparse.eye_array(columns))
+    across = scipy.sparse.kron(scipy.sparse.eye_array(rows), np.diff(np.eye(columns), 2, axis=0))
     smooth = (down.T @ down + across.T @ across) / BEND_PRIOR_MM**2
     still = scipy.sparse.diags_array(1.0 / deviation.ravel() ** 2)
     of_poses = scipy.sparse.diags_array(np.tile(1.0 / np.array(POSE_PRIOR) ** 2, mirrors))
