@@ -69,7 +69,7 @@ def phalange(scale: float, rounds: int) -> None:
     work["relief print"] = lambda: make_print(source, "relief")
     for degree, word in ((2, "quadratic"), (3, "cubic")):
         work[f"curvature map, {word}"] = partial(curvature, seen.height_mm, seen.mask, camera.pitch_mm, degree=degree)
-    work["Gabor enhancement of the unrolled print"] = lambda: enhance(unrolled, 500.0)
+    work["Gabor enhancement of the unrolled print"] = lambda: enhance(unrolled)
     print_table(f"A phalange of {rows} x {columns} pixels ({camera.px_per_mm:.1f} px/mm)", race(work, rounds))
     print(f"\nThe print has {unrolled.image.shape[0]} x {unrolled.image.shape[1]} pixels.")
 

@@ -45,7 +45,7 @@ def main(arguments: list[str] | None = None) -> int:
     upper, lower = [], []
     for method in METHODS:
         made = make_print(source, method)
-        better = enhance(made, 500.0)
+        better = enhance(made)
         upper.append(made.image)
         lower.append(better.image)
         found = extract(made.image, 500.0)

@@ -98,7 +98,7 @@ def said(result: Reconstruction) -> dict[str, Any]:
 def print_facts(result: Reconstruction) -> dict[str, Any]:
     """Our quality of the unrolled print, NFIQ 2, and the advice."""
     made = make_print(source_of(result), "unroll")
-    found = measured(made, enhance(made, 500.0), 500.0)
+    found = measured(made, enhance(made))
     return {
         "print_quality": found.score,
         "print_figures": asdict(found.figures),

@@ -34,7 +34,7 @@ from splitknit_match.matching.inputs import print_template
 from splitknit_match.matching.ridge import Prepared
 from splitknit_match.matching.score import FmrTable, calibrate_scores
 from splitknit_match.matching.template import Template
-from splitknit_match.prints.fingerphoto import LEAST_QUALITY, finger_of_photo
+from splitknit_match.prints.fingerphoto import MIN_QUALITY, finger_of_photo
 from splitknit_simulator.finger.finger import draw_finger
 
 TABLES = Path(__file__).resolve().parent / "tables"
@@ -409,7 +409,7 @@ def rated(rows: list[dict[str, object]]) -> None:
     )
     for press_side, name, kind in ((1, "photograph and press", "_and_prints"), (0, "two photographs", "_alone")):
         threshold = float(found[kind].similarity[-1])
-        for least in (0, LEAST_QUALITY, 30, 50):
+        for least in (0, MIN_QUALITY, 30, 50):
             part = table[(table[:, 2] == press_side) & (table[:, 3] >= least)]
             fingers = np.unique(part[part[:, 1] == 1, 0])
 

@@ -67,7 +67,7 @@ def front_alone(rolled: Rolled) -> Rolled:
     known = rolled.blended.known & (rolled.view_reliefs[0] != 0) & facing
     relief = np.where(known, rolled.view_reliefs[0], np.float32(0.0)).astype(np.float32)
     fractions = np.stack([known.astype(np.float32)])
-    blended = Blended(relief, rolled.blended.deviation_mm, known, fractions)
+    blended = Blended(relief, known, fractions)
     return replace(rolled, blended=blended, names=("front",), view_reliefs=rolled.view_reliefs[:1])
 
 

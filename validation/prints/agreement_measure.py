@@ -63,7 +63,7 @@ def prints_of(source: Source, truth: Truth, methods: tuple[str, ...], quality: b
     for method in methods:
         try:
             made = make_print(source, method)
-            better = enhance(made, 500.0)
+            better = enhance(made)
         except BadInput as error:
             rows[method] = {"refused": str(error)}
             continue

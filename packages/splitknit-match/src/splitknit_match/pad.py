@@ -54,16 +54,17 @@ def pad(capture: AnyPath, *, preset: Preset = "metric", progress: Progress = sil
 
 
 def refuse_attacks(wanted: bool, paths: Sequence[Any], preset: str, progress: Progress) -> str | None:
-    """Where it is `wanted`, raise BadInput if a capture is an attack; ``live``, ``unknown`` if one is, or None."""
+    """Where it is `wanted`, raise BadInput if a capture is an attack; ``live``, ``unknown`` if one
+    is, or None."""
     require(not wanted or paths, "`pad` goes with captures that are named.")
     answer = "live" if wanted else None
-    for one in paths if wanted else ():
-        facts = _presented(Path(one), preset, progress)
+    for capture in paths if wanted else ():
+        facts = _presented(Path(capture), preset, progress)
         attack = facts["answer"] == "attack"
-        require(not attack, f"'{one}' is suspected to be a presentation attack; leave out `pad` to take it anyway.")
+        require(not attack, f"'{capture}' is suspected to be a presentation attack; leave out `pad` to take it anyway.")
         if facts["answer"] == "unknown":
             answer = "unknown"
-            _LOG.warning("whether '%s' is live skin is unknown: %s", one, facts["reason"])
+            _LOG.warning("whether '%s' is live skin is unknown: %s", capture, facts["reason"])
     return answer
 
 
@@ -81,9 +82,9 @@ def _presented(folder: Path, preset: str, progress: Progress) -> dict[str, Any]:
         kind = BadInput  # no finger, or too little of one
         features = pad_features(pad_images(capture), reconstruct(capture, preset, progress=progress))
         missing = not_covered(capture)
-        found = Presentation("unknown", f"{missing}.") if missing else judge(features)
+        presentation = Presentation("unknown", f"{missing}.") if missing else judge(features)
     except BadInput as error:
         if not isinstance(error, kind):
             raise
-        found = Presentation("unknown", f"it cannot be reconstructed ({str(error).rstrip('.')}).")
-    return {"capture": str(folder), **asdict(found), "features": features, "basis": BASIS}
+        presentation = Presentation("unknown", f"it cannot be reconstructed ({str(error).rstrip('.')}).")
+    return {"capture": str(folder), **asdict(presentation), "features": features, "basis": BASIS}

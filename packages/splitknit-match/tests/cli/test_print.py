@@ -257,7 +257,7 @@ def test_advice_is_chosen_by_the_worst_figure() -> None:
 
     def said(**changes: float) -> tuple[str, ...]:
         figures = replace(good, **changes)
-        return advice(PrintQuality(*score_of(figures)[:1], figures, score_of(figures)[1]))
+        return advice(PrintQuality(*score_of(figures), figures))
 
     assert said() == ()
     wanted = {

@@ -76,7 +76,7 @@ def test_what_is_no_capture_and_surfaces_that_do_not_fit_are_refused(tmp_path: P
     said = refusal(capsys, tmp_path, "--method", "rolled", "--out", tmp_path / "out")
     assert "not a capture folder" in said
     said = refusal(capsys, tmp_path, "--method", "rolled", "--surface", "plane", "--out", tmp_path / "out")
-    assert "free or arc, not on the plane" in said
+    assert "cannot be printed on the plane" in said
     assert not (tmp_path / "out").exists()
 
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from splitknit.finger.ridges import relief_print
-from splitknit_match.prints.minutiae import EDGE_MM, _edge_distance, extract
+from splitknit_match.prints.minutiae import EDGE_MM, edge_distance_mm, extract
 
 STEP_MM = 25.4 / 500
 
@@ -18,13 +18,13 @@ def test_distance_on_a_print_of_straight_ridges() -> None:
     printed = np.full((300, 240), 255, np.uint8)
     printed[:, 60:180] = ridges[:, 60:180]
     printed[100:103, :40] = 0
-    distance = _edge_distance(printed)
+    distance = edge_distance_mm(printed)
     assert distance[150, 120] == pytest.approx(60 * STEP_MM, abs=2.5 * STEP_MM)
     assert distance[150, 70] == pytest.approx(10.5 * STEP_MM, abs=2.5 * STEP_MM)
     assert distance[10, 120] == pytest.approx(11 * STEP_MM, abs=2.5 * STEP_MM)  # the finger goes on above
     assert distance[101, 20] == 0
-    assert not _edge_distance(np.full((100, 90), 255, np.uint8)).any()
-    assert _edge_distance(np.zeros((100, 90), np.uint8)).max() == pytest.approx(45 * STEP_MM, abs=STEP_MM)
+    assert not edge_distance_mm(np.full((100, 90), 255, np.uint8)).any()
+    assert edge_distance_mm(np.zeros((100, 90), np.uint8)).max() == pytest.approx(45 * STEP_MM, abs=STEP_MM)
 
 
 def test_straight_ridges_have_no_minutiae_wherever_their_print_ends() -> None:
@@ -39,4 +39,4 @@ def test_straight_ridges_have_no_minutiae_wherever_their_print_ends() -> None:
     every, kept = extract(printed, edge_mm=0.0), extract(printed)
     assert every.count > 15
     assert kept.count == 0
-    assert np.all(_edge_distance(printed)[every.y_px, every.x_px] < EDGE_MM)
+    assert np.all(edge_distance_mm(printed)[every.y_px, every.x_px] < EDGE_MM)

@@ -143,8 +143,8 @@ def test_files(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
 @pytest.mark.parametrize("turn_deg", [25.0, 35.0])
 def test_a_finger_whose_side_leaves_the_picture_is_found_whole(turn_deg: float) -> None:
     photo, inside = (np.ascontiguousarray(one[:420, :300]) for one in drawn(turn_deg))
-    found = finger_in_photo(photo).mask
-    assert (found & inside).sum() > 0.96 * (found | inside).sum()
+    mask = finger_in_photo(photo).mask
+    assert (mask & inside).sum() > 0.96 * (mask | inside).sum()
 
 
 def two() -> np.ndarray:

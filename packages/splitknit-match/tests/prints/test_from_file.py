@@ -39,7 +39,7 @@ def saved(image: NDArray[np.uint8], kind: str, ppi: float | None, **more) -> byt
 def found_in(image: NDArray[np.uint8]) -> tuple[int, int]:
     """How many of the drawn minutiae are found within 0.25 mm, and how many others."""
     made = pressed_print(PrintFile(image, 500.0, {}))
-    found = minutiae_by_phase(made, enhance(made, 500.0), 500.0)
+    found = minutiae_by_phase(made, enhance(made))
     apart = np.hypot(found.x_px[:, None] - PLACES[:, 0], found.y_px[:, None] - PLACES[:, 1])
     return int((apart.min(axis=0) < 5).sum()), int((apart.min(axis=1) >= 5).sum())
 

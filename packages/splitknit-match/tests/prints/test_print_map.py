@@ -117,7 +117,7 @@ def test_impossible_sizes_are_refused() -> None:
 
 
 def test_flat_skin_is_refused(laid: PrintMap) -> None:
-    flat = np.zeros(laid.size, np.float32)
+    flat = np.zeros(laid.columns.shape, np.float32)
     with pytest.raises(BadInput, match="no ridges"):
         ink(flat, np.ones_like(flat))
     with pytest.raises(BadInput, match="nothing of the finger"):

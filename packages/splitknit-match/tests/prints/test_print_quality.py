@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from splitknit.finger.ridges import ink
-from splitknit_match.prints.print_quality import QualityFigures, _quality_figures, print_quality, score_of
+from splitknit_match.prints.print_quality import QualityFigures, print_quality, score_of
 from splitknit_match.prints.ridge_field import RidgeField, ridge_field
 
 PX_PER_MM = 500 / 25.4
@@ -23,9 +23,9 @@ def waves(height_um: float = 50.0, second: float = 0.0, period_mm: float = 0.5) 
     return np.repeat(line[:, None], COLUMNS, axis=1).astype(np.float32)
 
 
-def figures(values: np.ndarray, weight: np.ndarray | None = None, least: float | None = 10.0) -> QualityFigures:
+def figures(values: np.ndarray, weight: np.ndarray | None = None, *, in_um: bool = True) -> QualityFigures:
     weight = np.ones(values.shape, np.float32) if weight is None else weight
-    return _quality_figures(values, weight, ridge_field(ink(values, weight)), 500.0, least)
+    return print_quality(values, weight, ridge_field(ink(values, weight)), in_um=in_um).figures
 
 
 def test_height_period_and_extent() -> None:
@@ -44,7 +44,7 @@ def test_height_period_and_extent() -> None:
 
 
 def test_without_micrometres_there_is_no_height() -> None:
-    dim = figures(1e-3 * waves(40.0), least=None)
+    dim = figures(1e-3 * waves(40.0), in_um=False)
     assert dim.ridge_height_um is None
     assert dim.ridge_share > 0.97
     assert figures(1e-3 * waves(40.0)).ridge_share == 0.0  # 0.04 um

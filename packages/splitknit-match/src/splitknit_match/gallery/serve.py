@@ -32,7 +32,7 @@ from splitknit_match.matching.inputs import Pixels
 from splitknit_match.matching.match import make_template
 from splitknit_match.prints.from_file import minutiae_of, pressed_print
 from splitknit_match.prints.make import enhance, measured
-from splitknit_match.prints.minutiae_record import PPI, pack_minutiae
+from splitknit_match.prints.minutiae_record import pack_minutiae
 from splitknit_match.records.print_formats import decode_prints
 
 MAX_BODY = 10_000_000
@@ -259,7 +259,7 @@ def _done(act: _Act, gallery: Gallery) -> dict[str, Any]:
         quality = None
         if isinstance(finger, Pixels) and made.a.acquired:
             printed = pressed_print(PrintFile(finger.image, finger.resolution_ppi, {}))
-            quality = round(measured(printed, enhance(printed, PPI), PPI).score)
+            quality = round(measured(printed, enhance(printed)).score)
         template = base64.b64encode(made.payload or b"").decode("ascii")
         return {"acquired": made.a.acquired, "area_mm2": made.a.area_mm2, "quality": quality, "template": template}
     return dict(known_json(gallery.identify(finger, **fields))) | {"gallery": gallery.path.name}

@@ -272,7 +272,7 @@ def print_template(image: NDArray[np.uint8], ppi: float = PPI, *, pressed: Press
         lacks = ridges.lacks
         made = pressed_print(PrintFile(image, PPI, {}), pressed=ridges)
         inside = made.weight > 0
-        minutiae = minutiae_by_phase(made, enhance(made, PPI), PPI)
+        minutiae = minutiae_by_phase(made, enhance(made))
         area_mm2 = float(inside.sum()) * (25.4 / PPI) ** 2
         if area_mm2 >= _JUDGED_MM2 and not _ENDS[0] < minutiae.count / area_mm2 < _ENDS[1]:
             lacks = f"no print of a finger: {minutiae.count} lines end or fork on {area_mm2:.0f} mm²"

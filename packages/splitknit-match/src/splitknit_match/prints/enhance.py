@@ -1,9 +1,10 @@
 """Enhancement of prints by Gabor filters that follow the ridges.
 
-At every node (a few pixels apart) one complex Gabor coefficient is computed with the node's own direction and
-frequency: no filter bank, nothing quantised. Between nodes the print is the mean of the four plane waves around,
-weighted bilinearly. That is what filtering every pixel with its own filter gives (a test compares), at a fraction of
-the work: the demodulated ridges are smooth over a filter's width.
+At every node (a few pixels apart) one complex Gabor coefficient is computed with the node's own
+direction and frequency: no filter bank, nothing quantised. Between nodes the print is the mean of
+the four plane waves around, weighted bilinearly. That is what filtering every pixel with its own
+filter gives (a test compares), at a fraction of the work: the demodulated ridges are smooth over a
+filter's width.
 """
 
 from __future__ import annotations
@@ -18,7 +19,7 @@ from numpy.typing import NDArray
 
 from splitknit.errors import require
 from splitknit.model import BoolArray, FloatArray
-from splitknit_match.prints.ridge_field import RidgeField, overlap_added, ridge_field
+from splitknit_match.prints.ridge_field import NO_RIDGES, RidgeField, overlap_added, ridge_field
 
 _SIGMA_PERIODS = 0.5
 """Standard deviation of a Gabor filter, in local ridge periods."""
@@ -26,7 +27,6 @@ _CONTRAST = 2.0
 """Steepness of the grey curve; 0.5 is soft, 3 is nearly black and white."""
 _FLOOR = 0.15
 """Ridges weaker than this fraction of the print's median are not raised further."""
-_NO_RIDGES = "the print has no ridges; check focus and light of the capture."
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -36,106 +36,106 @@ class Enhanced:
     image: NDArray[np.uint8]
     """(h, w) ridges dark, background white."""
     wave: FloatArray
-    """(h, w) the ridges as a wave about zero, negative on ridges, about one in amplitude; 0 outside the mask."""
+    """(h, w) the ridges as a wave about zero, negative on ridges, about one in amplitude; 0 outside
+    the mask."""
     mask: BoolArray
     """(h, w) where there are ridges."""
     field: RidgeField
 
 
 def gabor_enhance(image: NDArray[np.uint8], ppi: float = 500.0, inside: BoolArray | None = None) -> Enhanced:
-    """Enhance a print (h, w) uint8, ridges dark; nothing is printed beside `inside` (h, w), where that is known.
+    """Enhance a print (h, w) uint8, ridges dark; nothing is printed beside `inside` (h, w), where
+    that is known.
 
-    Raises BadInput if the image is of another kind, or has no ridges. Source: L. Hong, Y. Wan and A. Jain 1998,
-    Fingerprint image enhancement: algorithm and performance evaluation, section 2.6.
+    Raises BadInput if the image is of another kind, or has no ridges. Source: L. Hong, Y. Wan and
+    A. Jain 1998, Fingerprint image enhancement: algorithm and performance evaluation, section 2.6.
     """
-    found = ridge_field(image, ppi, inside)
-    coefficients = node_amplitudes(image, found, _SIGMA_PERIODS)
-    amplitude = np.abs(coefficients)
-    around = cv2.GaussianBlur(amplitude, (0, 0), 2.5)
-    typical = float(np.median(around[found.mask]))
-    require(typical > 0.05, _NO_RIDGES)
+    field = ridge_field(image, ppi, inside)
+    coefficients = node_amplitudes(image, field, _SIGMA_PERIODS)
+    around = cv2.GaussianBlur(np.abs(coefficients), (0, 0), 2.5)
+    typical = float(np.median(around[field.mask]))
+    require(typical > 0.05, NO_RIDGES)
     floor = _FLOOR * typical
     coefficients = (coefficients / np.maximum(around, floor)).astype(np.complex64)
-    found = replace(found, mask=found.mask & (around > floor))
-    require(found.mask.any(), _NO_RIDGES)
+    field = replace(field, mask=field.mask & (around > floor))
+    require(field.mask.any(), NO_RIDGES)
     rows, columns = image.shape
-    wave = _plane_waves(coefficients, found)[:rows, :columns]
-    size = (found.mask.shape[1] * found.step_px, found.mask.shape[0] * found.step_px)
-    smooth = cv2.GaussianBlur(found.mask.astype(np.float32), (0, 0), 1.5, borderType=cv2.BORDER_REPLICATE)
+    wave = _plane_waves(coefficients, field)[:rows, :columns]
+    size = field.mask.shape[1] * field.step_px, field.mask.shape[0] * field.step_px
+    smooth = cv2.GaussianBlur(field.mask.astype(np.float32), (0, 0), 1.5, borderType=cv2.BORDER_REPLICATE)
     soft = cv2.resize(smooth, size, interpolation=cv2.INTER_LINEAR)[:rows, :columns]
     if inside is not None:
         soft = soft * cv2.GaussianBlur(inside.astype(np.float32), (0, 0), 1.0)
     mask = soft > 0.5
     grey = 0.5 - 0.5 * np.tanh(_CONTRAST * wave)  # dark = 1 on ridges
     printed = np.round(255.0 * (1.0 - grey * np.clip(4.0 * soft - 1.5, 0.0, 1.0))).astype(np.uint8)
-    return Enhanced(printed, np.where(mask, wave, 0.0).astype(np.float32), mask, found)
+    return Enhanced(printed, np.where(mask, wave, 0.0).astype(np.float32), mask, field)
 
 
-def _wave_vectors(found: RidgeField) -> tuple[FloatArray, FloatArray]:
-    """Radians per column and per row, across the ridges."""
-    across = found.orientation_rad - (np.pi / 2)
-    turn = 2 * np.pi * found.frequency_px
+def _wave_vectors(field: RidgeField) -> tuple[FloatArray, FloatArray]:
+    """(n, m) radians per column and per row, across the ridges; zero outside the field's mask."""
+    across = field.orientation_rad - (np.pi / 2)
+    turn = np.where(field.mask, 2 * np.pi * field.frequency_px, 0.0)
     return turn * np.cos(across), -turn * np.sin(across)  # rows run downwards
 
 
 def node_amplitudes(
-    image: NDArray[np.uint8] | FloatArray, found: RidgeField, sigma_periods: float
+    image: NDArray[np.uint8] | FloatArray, field: RidgeField, sigma_periods: float
 ) -> NDArray[np.complex64]:
-    """Fit one plane wave, with a node's own direction and frequency, at every node of an image (h, w).
+    """Fit one plane wave, with a node's own direction and frequency, at every node of an image (h,
+    w).
 
-    Returns (n, m) complex64: amplitude and phase at the node, in the image's unit; zero outside the field's mask.
-    `sigma_periods`: standard deviation of the window in which a wave is fitted, in local ridge periods.
+    Returns (n, m) complex64: amplitude and phase at the node, in the image's unit; zero outside the
+    field's mask. `sigma_periods`: standard deviation of the window in which a wave is fitted, in
+    local ridge periods.
     """
-    step, (n, m) = found.step_px, found.mask.shape
-    frequency = found.frequency_px[found.mask]
-    sigma = sigma_periods / frequency
+    step = field.step_px
+    n, m = field.mask.shape
+    sigma = sigma_periods / field.frequency_px[field.mask]
     reach = int(np.ceil(2.5 * float(np.percentile(sigma, 90))))
     middle = 0.5 * (step - 1)  # of a node's cell
-    offset = np.arange(-reach, reach + 2 if step % 2 == 0 else reach + 1, dtype=np.float32)
-    offset = offset - (middle - int(middle))
+    offset = np.arange(-reach, reach + 2 - step % 2, dtype=np.float32) - (middle - int(middle))
     size = offset.size
     first = reach - int(middle)
-    padded = cv2.copyMakeBorder(
-        image, first, n * step + size - image.shape[0], first, m * step + size - image.shape[1], cv2.BORDER_REFLECT
-    ).astype(np.float32)
-    windows = sliding_window_view(padded, (size, size))[::step, ::step][:n, :m]
-    kx, ky = (part[found.mask] for part in _wave_vectors(found))
-    rows, columns = np.nonzero(found.mask)
+    below, beside = (count * step + size - side for count, side in zip((n, m), image.shape, strict=True))
+    padded = cv2.copyMakeBorder(image, first, below, first, beside, cv2.BORDER_REFLECT).astype(np.float32)
+    windows = sliding_window_view(padded, (size, size))[::step, ::step]
+    kx, ky = (part[field.mask] for part in _wave_vectors(field))
+    rows, columns = np.nonzero(field.mask)
     result = np.zeros((n, m), dtype=np.complex64)
 
     def work(part: slice) -> None:
         patch = windows[rows[part], columns[part]]
         envelope = np.exp(-0.5 * (offset / sigma[part, None]) ** 2)
-        across, down = kx[part, None] * offset, ky[part, None] * offset
-        # real arithmetic twice is faster than complex: patch (N, s, s) times (N, s, 2), then times (N, s)
+        across = kx[part, None] * offset
+        down = ky[part, None] * offset
+        # real arithmetic twice is faster than complex: patch (N, s, s) times (N, s, 2), then times
+        # (N, s)
         wave = np.stack([envelope * np.cos(across), -envelope * np.sin(across)], axis=2)
         plain = envelope / envelope.sum(axis=1, keepdims=True)
         mean = np.einsum("nis,ni->ns", np.matmul(patch, plain[..., None]), plain)  # takes out the local mean
-        along = np.matmul(patch, wave)
-        along = along - mean[:, None] * wave.sum(axis=1)[:, None]
-        cos, sin = envelope * np.cos(down), -envelope * np.sin(down)
+        along = np.matmul(patch, wave) - mean[:, None] * wave.sum(axis=1)[:, None]
+        cos = envelope * np.cos(down)
+        sin = -envelope * np.sin(down)
         real = np.einsum("ni,ni->n", along[..., 0], cos) - np.einsum("ni,ni->n", along[..., 1], sin)
         imaginary = np.einsum("ni,ni->n", along[..., 0], sin) + np.einsum("ni,ni->n", along[..., 1], cos)
         norm = 2.0 / envelope.sum(axis=1) ** 2
         result[rows[part], columns[part]] = (real + 1j * imaginary) * norm
 
-    chunks = [slice(k, k + 1024) for k in range(0, rows.size, 1024)]
     with ThreadPoolExecutor(2) as pool:
-        list(pool.map(work, chunks))
+        list(pool.map(work, (slice(k, k + 1024) for k in range(0, rows.size, 1024))))
     return result
 
 
-def _plane_waves(coefficients: NDArray[np.complex64], found: RidgeField) -> FloatArray:
+def _plane_waves(coefficients: NDArray[np.complex64], field: RidgeField) -> FloatArray:
     """Bilinear mean of the plane waves of the four nodes around every pixel."""
-    step = found.step_px
+    step = field.step_px
     # a node's wave covers the two cells beside it along each axis
     offset = np.arange(2 * step, dtype=np.float32) - (step - 0.5)
     tent = 1.0 - np.abs(offset) / step
-    kx, ky = (np.where(found.mask, part, 0.0) for part in _wave_vectors(found))
-    x = (tent * np.exp(1j * kx[..., None] * offset)).astype(np.complex64)
-    y = (tent * np.exp(1j * ky[..., None] * offset)).astype(np.complex64) * coefficients[..., None]
+    x, y = ((tent * np.exp(1j * k[..., None] * offset)).astype(np.complex64) for k in _wave_vectors(field))
+    y *= coefficients[..., None]
     # real part of the outer product, (n, 2 s, m, 2 s)
     tiles = np.einsum("nmi,nmj->nimj", y.real, x.real) - np.einsum("nmi,nmj->nimj", y.imag, x.imag)
-    wave = overlap_added(tiles.transpose(0, 2, 1, 3), step)
     start = step - step // 2
-    return wave[start:, start:]
+    return overlap_added(tiles.transpose(0, 2, 1, 3), step)[start:, start:]

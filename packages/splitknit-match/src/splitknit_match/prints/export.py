@@ -1,13 +1,15 @@
-"""Fingers for other systems, and from them: captures, results and prints as records, images and meshes.
+"""Fingers for other systems, and from them: captures, results and prints as records, images and
+meshes.
 
-One table of formats (:mod:`splitknit_match.records.print_formats`) says what can be read and written.
+One table of formats (:mod:`splitknit_match.records.print_formats`) says what can be read and
+written.
 """
 
 from __future__ import annotations
 
 import os
 import re
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -44,6 +46,8 @@ _KEPT_PPI = (500, 1000)
 """Resolutions that records have; prints of others are resampled to 500."""
 
 Facts = dict[str, Any]
+File = tuple[str, str, Callable[[Path], object], Facts]
+"""Name and suffix of a file to write, what writes it, and its facts."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -57,19 +61,8 @@ class _Finger:
     picture: PrintFile | None = None
     view: FingerView | None = None
     """Its minutiae, where the source holds them."""
-    made: Print | None = None
+    printed: Print | None = None
     """The picture as it was made of a surface."""
-
-    def labelled(self, finger: str | None, impression: str | None) -> _Finger:
-        """The same as another finger or impression, where these are given."""
-        stated = self.view or self.picture
-        assert stated is not None
-        if impression is None:
-            touched = stated.impression == "unknown" and self.kind == "print"
-            impression = "live_plain" if touched else stated.impression
-        label: Any = {"finger": finger or stated.finger, "impression": impression}
-        picture = self.picture and replace(self.picture, **label)
-        return replace(self, picture=picture, view=self.view and replace(self.view, **label))
 
 
 def export_records(
@@ -86,75 +79,90 @@ def export_records(
     preset: str = "metric",
     progress: Progress = no_progress,
 ) -> Facts:
-    """Write fingers in a format of other systems, one file each, all or none; return the facts of ``export.json``.
+    """Write fingers in a format of other systems, one file each, all or none; return the facts of
+    ``export.json``.
 
-    `to`: a name of `FORMATS`; by default PNG, and ISO/IEC 19794-2 where there are only minutiae. Raises BadInput,
-    naming the source at fault: it cannot be read, holds no picture where one is needed, or nothing at all.
+    `to`: a name of `FORMATS`; by default PNG, and ISO/IEC 19794-2 where there are only minutiae.
+    Raises BadInput, naming the source at fault: it cannot be read, holds no picture where one is
+    needed, or nothing at all.
     """
-    known = finger is None or finger in FINGER_CODES
-    require(known, f"'{finger}' is not a finger; choose one of {', '.join(FINGER_CODES)}.")
-    known = impression is None or impression in IMPRESSIONS
-    require(known, f"'{impression}' is not an impression type; choose one of {', '.join(IMPRESSIONS)}.")
+    for value, known, noun in ((finger, FINGER_CODES, "a finger"), (impression, IMPRESSIONS, "an impression type")):
+        require(value is None or value in known, f"'{value}' is not {noun}; choose one of {', '.join(known)}.")
     parameters = {
         "to": to, "finger": finger, "impression": impression, "compression": compression, "owner": owner,
         "minutiae": minutiae, "input_ppi": input_ppi, "preset": preset,
     }  # fmt: skip
-    _check_target(sources, out)
+
+    def files(source: Path, hashes: dict[str, str]) -> Iterator[File]:
+        for item in _fingers(source, hashes, input_ppi, preset):
+            stated = item.view or item.picture
+            assert stated is not None
+            own = stated.impression
+            if own == "unknown" and item.kind == "print":  # of a print of a finger's contact
+                own = "live_plain"
+            label: Any = {"finger": finger or stated.finger, "impression": impression or own}
+            picture = item.picture and replace(item.picture, **label)
+            view = item.view and replace(item.view, **label)
+            form = FORMATS[to or ("iso-19794-2" if picture is None else "png")]
+            facts: Facts = {"kind": item.kind, **label}
+            if picture is not None and (picture.doubt or picture.note):
+                facts["note"] = f"{picture.doubt} {picture.note}".strip()
+            if form.holds == "image":
+                writing = Writing(compression, provenance_texts(provenance({"to": form.name}, hashes)), owner=owner)
+                encode = partial(_picture_bytes, picture, form, writing, item.printed)
+            else:
+                encode = partial(_minutiae_bytes, picture, view, form, owner, minutiae, item.printed)
+            data, more = naming(source, encode)
+            yield item.name, form.suffix, partial(Path.write_bytes, data=data), facts | more
+
+    return _exported(sources, out, files, parameters, progress)
+
+
+def export_meshes(sources: Sequence[Path], out: Path, to: str, preset: str, progress: Progress = no_progress) -> Facts:
+    """Write the surfaces of captures and results, or the lights of captures (`to` lp); as
+    :func:`export_records`."""
+
+    def files(source: Path, hashes: dict[str, str]) -> Iterator[File]:
+        write, facts = _lights(source, hashes) if to == "lp" else _mesh(source, to, preset, hashes)
+        yield _name_of(source), f".{to}", write, facts
+
+    return _exported(sources, out, files, {"to": to, "preset": preset}, progress)
+
+
+def _exported(
+    sources: Sequence[Path],
+    out: Path,
+    files: Callable[[Path, dict[str, str]], Iterator[File]],
+    parameters: Facts,
+    progress: Progress,
+) -> Facts:
+    """Write the files of all sources and ``export.json``; `files` adds the hashes of what it reads."""
+    require(sources, "name what is to be exported: captures, results, prints or records.")
+    for source in sources:
+        check_target(out, FACTS_FILE, "an earlier export", keep=source)
     rows: list[Facts] = []
     hashes: dict[str, str] = {}
     with atomic_folder(out) as folder:
         for number, source in enumerate(sources):
             progress(source.name, number / len(sources))
             own: dict[str, str] = {}
-            for read in _fingers(source, own, input_ppi, preset):
-                item = read.labelled(finger, impression)
-                form = FORMATS[to or ("iso-19794-2" if item.picture is None else "png")]
-                writing = Writing(compression, owner=owner)
-                if form.holds == "image":
-                    work = partial(_picture_bytes, item, form, writing, own)
-                else:
-                    work = partial(_minutiae_bytes, item, form, writing, minutiae)
-                data, facts = naming(source, work)
-                file = _free(item.name, form.suffix, rows)
-                (folder / file).write_bytes(data)
-                rows.append({"file": file, "source": str(source), "kind": item.kind, **facts})
+            for stem, suffix, write, facts in files(source, own):
+                # a name that is not taken yet, on no system
+                taken = {row["file"].casefold() for row in rows}
+                ends = ["", *(f"-{k}" for k in range(2, len(rows) + 3))]
+                names = (f"{stem}{end}{suffix}" for end in ends)
+                file = next(name for name in names if name.casefold() not in taken)
+                write(folder / file)
+                rows.append({"file": file, "source": str(source), **facts})
             hashes |= own
-        return _write_facts(folder, out, rows, parameters, hashes)
-
-
-def export_meshes(sources: Sequence[Path], out: Path, to: str, preset: str, progress: Progress = no_progress) -> Facts:
-    """Write the surfaces of captures and results, or the lights of captures (`to` lp); as :func:`export_records`."""
-    _check_target(sources, out)
-    rows: list[Facts] = []
-    hashes: dict[str, str] = {}
-    with atomic_folder(out) as folder:
-        for number, source in enumerate(sources):
-            progress(source.name, number / len(sources))
-            file = _free(_safe(source.resolve().name if source.is_dir() else source.stem), f".{to}", rows)
-            kind, facts = "capture", {}
-            if to == "lp":
-                facts = _write_lights(source, folder / file, hashes)
-            else:
-                kind, facts = _write_mesh(source, folder / file, to, preset, hashes)
-            rows.append({"file": file, "source": str(source), "kind": kind, **facts})
-        return _write_facts(folder, out, rows, {"to": to, "preset": preset}, hashes)
-
-
-def _check_target(sources: Sequence[Path], out: Path) -> None:
-    require(sources, "name what is to be exported: captures, results, prints or records.")
-    for source in sources:
-        check_target(out, FACTS_FILE, "an earlier export", keep=source)
-
-
-def _write_facts(folder: Path, out: Path, rows: list[Facts], parameters: Facts, hashes: dict[str, str]) -> Facts:
-    facts = {
-        "format": "splitknit-export",
-        "to": parameters["to"],
-        "files": rows,
-        "failures_to_acquire": [row["file"] for row in rows if row.get("minutiae") == 0],
-        "provenance": provenance(parameters, hashes),
-    }
-    (folder / FACTS_FILE).write_text(json_text(facts), encoding="utf-8")
+        facts = {
+            "format": "splitknit-export",
+            "to": parameters["to"],
+            "files": rows,
+            "failures_to_acquire": [row["file"] for row in rows if row.get("minutiae") == 0],
+            "provenance": provenance(parameters, hashes),
+        }
+        (folder / FACTS_FILE).write_text(json_text(facts), encoding="utf-8")
     return {**facts, "out": str(out)}
 
 
@@ -164,7 +172,7 @@ def _write_facts(folder: Path, out: Path, rows: list[Facts], parameters: Facts, 
 def _fingers(source: Path, hashes: dict[str, str], input_ppi: float | None, preset: str) -> Iterator[_Finger]:
     require(os.path.exists(source), f"there is no '{source}'; name a capture, a result, a print or a record.")  # noqa: PTH110
     folder = source.is_dir()
-    name = _safe(source.resolve().name if folder else source.stem)
+    name = _name_of(source)
     if folder and (source / "print.png").is_file() and (source / "map.npz").is_file():
         yield _of_print_folder(source, name, hashes)
     elif folder or source.suffix.lower() == ".npz":
@@ -187,9 +195,9 @@ def _of_surface(source: Path, name: str, preset: str, hashes: dict[str, str]) ->
     require(known, f"'{source}' is not {kinds}; name one {photographs_hint(source)}.")
     surface = read_source(source, photo=False, surface=True, preset=preset)
     hashes.update(surface.hashes)
-    made = naming(source, lambda: make_print(surface, "unroll", None, PPI))
+    printed = naming(source, lambda: make_print(surface, "unroll"))
     finger = coded_finger(surface.subject.get("finger"))
-    return _Finger(name, surface.kind, PrintFile(made.image, PPI, {}, finger, "contactless"), made=made)
+    return _Finger(name, surface.kind, PrintFile(printed.image, PPI, {}, finger, "contactless"), printed=printed)
 
 
 def _of_print_folder(source: Path, name: str, hashes: dict[str, str]) -> _Finger:
@@ -204,81 +212,69 @@ def _of_print_folder(source: Path, name: str, hashes: dict[str, str]) -> _Finger
     return _Finger(name, "print", replace(picture, finger=finger, impression=impression), view)
 
 
-def _write_lights(source: Path, file: Path, hashes: dict[str, str]) -> Facts:
+def _lights(source: Path, hashes: dict[str, str]) -> tuple[Callable[[Path], object], Facts]:
     capture = read_capture(source)
     band = capture.bands.get("white")
-    names = read_json(source / "capture.json", f"{source}: capture.json is damaged.")[0]["bands"].get("white", {})
-    if band is None or len(names.get("images", ())) != len(band.lights):
+    bands = read_json(source / "capture.json", f"{source}: capture.json is damaged.")[0]["bands"]
+    photographs = bands.get("white", {}).get("images", ())
+    if band is None or len(photographs) != len(band.lights):
         raise BadInput(f"'{source}' has no band 'white' with one photograph for each light.")
     hashes.update(capture.hashes)
-    vectors = capture.rig.select(band.lights).light_vectors()
-    leds = [Led("white", direction=(float(x), float(y), float(z))) for x, y, z in vectors]
-    write_light_list(leds, file, names["images"])
-    return {"lights": len(leds)}
+    vectors = capture.rig.select(band.lights).light_vectors().tolist()
+    leds = [Led("white", direction=(x, y, z)) for x, y, z in vectors]
+    facts = {"kind": "capture", "lights": len(leds)}
+    return lambda file: write_light_list(leds, file, photographs), facts
 
 
-def _write_mesh(source: Path, file: Path, to: str, preset: str, hashes: dict[str, str]) -> tuple[str, Facts]:
+def _mesh(source: Path, to: str, preset: str, hashes: dict[str, str]) -> tuple[Callable[[Path], object], Facts]:
     arrays = source / "height.npz" if source.is_dir() else source
-    if source.is_dir() and not arrays.is_file() and (source / "capture.json").is_file():
+    if not arrays.is_file() and (source / "capture.json").is_file():
         capture = read_capture(source)
         hashes.update(capture.hashes)
-        kind, result = "capture", naming(source, lambda: reconstruct(capture, preset))
+        kind = "capture"
+        result = naming(source, lambda: reconstruct(capture, preset))
     else:
         named = arrays.suffix.lower() == ".npz" and arrays.is_file()
         require(named, f"'{source}' has no surface to export; name a result (height.npz) or a capture (capture.json).")
         hashes[f"{source.name}/{arrays.name}"] = file_hash(arrays)
-        kind, result = "result", read_result(source)
+        kind = "result"
+        result = read_result(source)
     title = f"splitknit {provenance({}, {})['version']}, preset {result.preset or preset}"
     facts, content = naming(source, lambda: surface_bytes(result, to, title))
-    file.write_bytes(content)
-    return kind, facts
+    return partial(Path.write_bytes, data=content), {"kind": kind, **facts}
 
 
-def _free(stem: str, suffix: str, rows: Sequence[Facts]) -> str:
-    """A file name that is not taken yet, on no system."""
-    taken = {row["file"].casefold() for row in rows}
-    names = (f"{stem}{end}{suffix}" for end in ("", *(f"-{number}" for number in range(2, len(taken) + 3))))
-    return next(name for name in names if name.casefold() not in taken)
-
-
-def _safe(name: str) -> str:
+def _name_of(source: Path) -> str:
+    """Name of a source as a file's, on any system."""
+    name = source.resolve().name if source.is_dir() else source.stem
     return re.sub(r"[^A-Za-z0-9_.-]", "_", name).strip(".")[:100] or "finger"
 
 
 # A finger in the format that was asked for.
 
 
-def _facts_of(item: _Finger) -> Facts:
-    stated = item.view or item.picture
-    assert stated is not None
-    facts: Facts = {"finger": stated.finger, "impression": stated.impression}
-    if item.picture is not None and (item.picture.doubt or item.picture.note):
-        facts["note"] = " ".join(filter(None, (item.picture.doubt, item.picture.note)))
-    return facts
-
-
-def _picture_bytes(item: _Finger, form: PrintFormat, writing: Writing, hashes: dict[str, str]) -> tuple[bytes, Facts]:
-    if item.picture is None:
+def _picture_bytes(
+    picture: PrintFile | None, form: PrintFormat, writing: Writing, printed: Print | None
+) -> tuple[bytes, Facts]:
+    if picture is None or form.encode is None:
         cure = "write iso-19794-2 or ansi-378"
         raise BadInput(f"it holds minutiae and no picture, but {form.words} is for pictures; {cure}.")
-    picture = _fitting(item.picture, form)
-    facts = _facts_of(item) | {"size": list(picture.image.shape), "ppi": round(picture.resolution_ppi or 0.0, 2)}
+    picture = _fitting(picture, form)
+    facts: Facts = {"size": list(picture.image.shape), "ppi": round(picture.resolution_ppi or 0.0, 2)}
     if form.name == "iso-39794-4":
-        facts["quality"] = _minutiae_in(picture, "none", item.made).finger_quality
-    text = provenance_texts(provenance({"to": form.name}, hashes))
-    writing = replace(writing, text=text, quality=facts.get("quality"))
-    assert form.encode is not None
-    return form.encode(picture, writing), facts
+        facts["quality"] = _minutiae_in(picture, "none", printed).finger_quality
+    return form.encode(picture, replace(writing, quality=facts.get("quality"))), facts
 
 
-def _minutiae_bytes(item: _Finger, form: PrintFormat, writing: Writing, how: str) -> tuple[bytes, Facts]:
-    view = item.view
+def _minutiae_bytes(  # noqa: PLR0917
+    picture: PrintFile | None, view: FingerView | None, form: PrintFormat, owner: int, how: str, printed: Print | None
+) -> tuple[bytes, Facts]:
     if view is None:
-        assert item.picture is not None
-        view = _minutiae_in(item.picture, how, item.made)
-    facts = _facts_of(item) | {"size": list(view.size), "minutiae": view.count, "quality": view.finger_quality}
+        assert picture is not None
+        view = _minutiae_in(picture, how, printed)
     assert form.encode is not None
-    return form.encode(view, writing), facts
+    facts = {"size": list(view.size), "minutiae": view.count, "quality": view.finger_quality}
+    return form.encode(view, Writing(owner=owner)), facts
 
 
 def _fitting(picture: PrintFile, form: PrintFormat) -> PrintFile:
@@ -292,18 +288,20 @@ def _fitting(picture: PrintFile, form: PrintFormat) -> PrintFile:
     return replace(picture, resolution_ppi=near)
 
 
-def _minutiae_in(picture: PrintFile, how: str, made: Print | None = None) -> FingerView:
-    """Minutiae and quality of a print, at 500 ppi; none where it has no ridges (failure to acquire)."""
-    label = picture.finger, picture.impression
+def _minutiae_in(picture: PrintFile, how: str, printed: Print | None) -> FingerView:
+    """Minutiae and quality of a print, at 500 ppi; none where it has no ridges (failure to
+    acquire)."""
+    minutiae = no_minutiae(print_at_500_ppi(picture).image.shape if printed is None else printed.image.shape)
+    quality = 0.0
     try:
-        made = made or pressed_print(picture)
-        enhanced = enhance(made, PPI)
+        printed = printed or pressed_print(picture)
+        enhanced = enhance(printed)
     except BadInput:
-        size = print_at_500_ppi(picture).image.shape
-        return finger_view(no_minutiae((size[0], size[1])), 0, *label)
-    minutiae = no_minutiae((made.image.shape[0], made.image.shape[1]))
-    if how == "mindtct":
-        minutiae = extract(made.image, PPI, enhance=made.even is not None)
-    elif how == "phase":
-        minutiae = minutiae_by_phase(made, enhanced, PPI)
-    return finger_view(minutiae, round(measured(made, enhanced, PPI).score), *label)
+        pass
+    else:
+        quality = measured(printed, enhanced).score
+        if how == "mindtct":
+            minutiae = extract(printed.image, enhance=printed.even is not None)
+        elif how == "phase":
+            minutiae = minutiae_by_phase(printed, enhanced)
+    return finger_view(minutiae, quality, picture.finger, picture.impression)

@@ -1,8 +1,8 @@
 """Fingerphotos: one photograph of a finger, by a telephone or any camera, as a print.
 
-The finger is segmented, turned tip up and given a scale and a mean shape: an elliptic cross-section as wide as the
-outline. Its print is made by unrolling each cross-section. The camera is taken to look straight at the pad from afar;
-nothing is known of the relief.
+The finger is segmented, turned tip up and given a scale and a mean shape: an elliptic cross-section
+as wide as the outline. Its print is made by unrolling each cross-section. The camera is taken to
+look straight at the pad from afar; nothing is known of the relief.
 """
 
 from __future__ import annotations
@@ -10,7 +10,6 @@ from __future__ import annotations
 import os
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
-from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -43,34 +42,47 @@ from splitknit_match.prints.ridge_field import RidgeField, ridge_field
 PRINTS = frozenset({".png", ".jpg", ".jpeg", ".tif", ".tiff", ".bmp"})
 """Suffixes of pictures that may be prints."""
 USUAL_WIDTH_MM = 17.0
-_PEOPLE_WIDTH = 0.12
-"""Relative standard deviation of the width of fingers other than thumbs; most adults' are 14 to 20 mm wide (T. M.
-Greiner, "Hand anthropometry of U.S. Army personnel", 1991)."""
-USUAL_RIDGES = (USUAL_PERIOD_MM / 25.4 * PPI, float(np.hypot(PEOPLE, _PEOPLE_WIDTH)))
-"""Distance of two ridges in pixels at 500 ppi, and its relative standard deviation where the width gives the scale."""
-_THICKNESS, _SLANT_DEG = 0.8, 70.0
-"""Depth over breadth of a fingertip; skin steeper than this is left out of its print."""
+"""Most adults' fingers other than thumbs are 14 to 20 mm wide (T. M. Greiner, "Hand anthropometry
+of U.S. Army personnel", 1991)."""
+_WIDTH_SPREAD = 0.12
+"""Their relative standard deviation."""
+SCALE_SPREAD = float(np.hypot(PEOPLE, _WIDTH_SPREAD))
+"""Relative standard deviation of the distance of ridges where the width gives the scale."""
+USUAL_RIDGES = (USUAL_PERIOD_MM / 25.4 * PPI, SCALE_SPREAD)
+"""Distance of two ridges in pixels at 500 ppi, and its relative standard deviation."""
+_THICKNESS = 0.8
+"""Depth over breadth of a fingertip."""
+_MAX_SLANT_DEG = 70.0
+"""Skin that is steeper is left out of its print."""
 _LENGTH = 1.5
 """From the tip, in widths, that is kept: about to the first crease."""
-_NARROWEST, _WIDEST = 130, 700
-"""Widths of the finger in pixels: at least, and in the picture that is kept."""
-_RIM_PX, _SHADING_PX = 8, 9.0
-"""At 500 ppi: the rim of a print that is left out; sigma over which shading is taken out of it."""
-LEAST_QUALITY, _GOOD = 10, 50
-"""Of a photograph: at least, and from which on nothing has to be changed; without ridges in view it is 0 to 22
-(validation/match/telephone.py)."""
+_MIN_WIDTH_PX = 130
+"""Of the finger."""
+_MAX_WIDTH_PX = 700
+"""Of the finger in the picture that is kept."""
+_RIM_PX = 8
+"""Rim of a print that is left out."""
+_SHADING_PX = 9.0
+"""Sigma over which shading is taken out of it."""
+MIN_QUALITY = 10
+"""Of a photograph; without ridges in view it is 0 to 22 (validation/match/telephone.py)."""
+_GOOD = 50
+"""Quality from which on nothing has to be changed."""
 _CLEAR = 0.4
 """Confidence from which on ridges are clear."""
 _FAINT = 0.003
-"""Height of a ridge's wave over the light around, at least: steps of 8 bits look like half as much."""
+"""Height of a ridge's wave over the light around, at least: steps of 8 bits look like half as much.
+"""
 _NEARER = 1.04
 """Scale of the pad over that of the outline, 7 mm behind it, for a camera about 18 cm away."""
 _PAD = (0.3, 1.1)
-"""From the tip along the skin, in widths: where ridges are as far apart as contact prints show them; wider below."""
+"""From the tip along the skin, in widths: where ridges are as far apart as contact prints show
+them; wider below."""
 
 
 def fingerphoto(path: str | os.PathLike[str]) -> Photo | None:
-    """A file that is a picture in colour, or of a kind that prints never are; damaged ones are refused elsewhere."""
+    """A file that is a picture in colour, or of a kind that prints never are; damaged ones are
+    refused elsewhere."""
     suffix = Path(path).suffix.lower()
     if suffix not in SUFFIXES or not Path(path).is_file():
         return None
@@ -108,14 +120,17 @@ def read_fingerphoto(
     where: PhotoFinger | None = None,
     photo: Photo | None = None,
 ) -> FingerPhoto:
-    """Read a photograph of a finger, any picture of :func:`splitknit.io.photos.read_photo` in colour.
+    """Read a photograph of a finger, any picture of :func:`splitknit.io.photos.read_photo` in
+    colour.
 
-    `px_per_mm`: its scale on the finger; None: by the finger's width and its ridges, known to some 8 %; `where`: which
-    finger; `photo`: the file, if it was read. Raises BadInput as :func:`finger_of_photo`, naming the file.
+    `px_per_mm`: its scale on the finger; None: by the finger's width and its ridges, known to some
+    8 %; `where`: which finger; `photo`: the file, if it was read. Raises BadInput as
+    :func:`finger_of_photo`, naming the file.
     """
-    read, where = photo or read_photo(path), where or PhotoFinger()
-    flat = naming(path, lambda: finger_of_photo(read.pixels, px_per_mm, where.pixels(), where.corners()))
-    return replace(flat, hashes={Path(path).name: read.sha256})
+    photo = photo or read_photo(path)
+    where = where or PhotoFinger()
+    finger = naming(path, lambda: finger_of_photo(photo.pixels, px_per_mm, where.pixels(), where.corners()))
+    return replace(finger, hashes={Path(path).name: photo.sha256})
 
 
 def finger_of_photo(
@@ -124,31 +139,35 @@ def finger_of_photo(
     mask: BoolArray | None = None,
     box: tuple[int, int, int, int] | None = None,
 ) -> FingerPhoto:
-    """Find the finger in a photograph (H, W, 3) and unroll it; `px_per_mm` as of :func:`read_fingerphoto`.
+    """Find the finger in a photograph (H, W, 3) and unroll it; `px_per_mm` as of
+    :func:`read_fingerphoto`.
 
-    `mask`: (H, W) of the finger; `box`: left, top, width and height in pixels of where it lies. Raises BadInput if the
-    photograph is not in colour, no part of it looks like a finger, the finger is too small or has an impossible width
-    by the given scale, or its quality is below :data:`LEAST_QUALITY`. Source of the chain of steps: C. Stein, C. Nickel
-    and C. Busch, "Fingerphoto recognition with smartphone cameras", BIOSIG 2012.
+    `mask`: (H, W) of the finger; `box`: left, top, width and height in pixels of where it lies.
+    Raises BadInput if the photograph is not in colour, no part of it looks like a finger, the
+    finger is too small or has an impossible width by the given scale, or its quality is below
+    :data:`MIN_QUALITY`. Source of the chain of steps: C. Stein, C. Nickel and C. Busch,
+    "Fingerphoto recognition with smartphone cameras", BIOSIG 2012.
     """
     require(is_coloured(pixels), "a photograph of a finger has to be in colour, of 8 or 16 bits.")
     require(px_per_mm is None or px_per_mm > 0, f"`px_per_mm` must be positive, but it is {px_per_mm}.")
-    require(min(pixels.shape[:2]) >= _NARROWEST, "the photograph is too small to show the ridges of a finger.")
-    mask, direction_deg, width, taken = _segmented(pixels, mask, box)
+    require(min(pixels.shape[:2]) >= _MIN_WIDTH_PX, "the photograph is too small to show the ridges of a finger.")
+    mask, direction_deg, width, note = _segmented(pixels, mask, box)
     require(
-        width >= _NARROWEST, f"the finger is {width:.0f} pixels wide, too few for ridges; photograph it from nearer."
+        width >= _MIN_WIDTH_PX, f"the finger is {width:.0f} pixels wide, too few for ridges; photograph it from nearer."
     )
-    reduction = min(1.0, _WIDEST / width)
-    box_of = bounding_box(mask, round(0.1 * width))
-    light = reduce_image(np.ascontiguousarray(pixels[(*box_of, 1)], dtype=np.float32), reduction)
-    inside = reduce_image(mask[box_of].astype(np.float32), reduction) > 0.5
+    # the finger alone, reduced, turned upright, and cut at the first crease
+    reduction = min(1.0, _MAX_WIDTH_PX / width)
+    part = bounding_box(mask, round(0.1 * width))
+    light = reduce_image(pixels[(*part, 1)].astype(np.float32), reduction)
+    inside = reduce_image(mask[part].astype(np.float32), reduction) > 0.5
     upright = find_upright(inside, direction_deg)
     row, column = (np.arange(side, dtype=np.float32) for side in inside.shape)
-    to = upright.upright_from_input[1]
-    inside &= to[0] * column + (to[1] * row + to[2])[:, None] < upright.tip_row + _LENGTH * upright.width_px
-    sections = _cross_sections(inside, upright)
+    across, along, offset = upright.upright_from_input[1]
+    inside &= across * column + (along * row + offset)[:, None] < upright.tip_row + _LENGTH * upright.width_px
+
+    # its print at the usual width, and how much of it shows ridges
     by_width = _NEARER * upright.width_px / USUAL_WIDTH_MM
-    unrolled = _unrolled(*sections, upright, by_width * 25.4 / PPI)
+    unrolled = _unrolled(inside, upright, by_width * 25.4 / PPI)
     values, weight = resample(light, inside, 1.0 / by_width, unrolled)
     image, finger_px = _even(values, weight)
     ridges = pressed_ridges(image, USUAL_RIDGES)
@@ -161,62 +180,70 @@ def finger_of_photo(
     brightness = light[inside] / np.iinfo(pixels.dtype).max
     change = _to_change(clear & finger, finger, field, amplitude, width_px=width, light=brightness)
     require(
-        quality >= LEAST_QUALITY,
-        f"the photograph's quality is {quality:.0f} of 100, below {LEAST_QUALITY}; {change}, and photograph it again.",
+        quality >= MIN_QUALITY,
+        f"the photograph's quality is {quality:.0f} of 100, below {MIN_QUALITY}; {change}, and photograph it again.",
     )
+
+    # its scale
     if px_per_mm is None:
-        scale, note = _usual_scale(field, clear, by_width, upright.width_px)
+        scale, known = _usual_scale(field, clear, by_width, upright.width_px)
+        note += f" {known}"
     else:
         scale = px_per_mm * reduction
         width_mm = upright.width_px / scale
-        odd = map(str, FINGER_WIDTH.notes(width_mm, "check the scale"))
-        note = " ".join([f"by the given scale it is {width_mm:.1f} mm wide.", *odd])
-    note += "" if upright.clear else " Which way its tip points is not clear; turn the photograph upright."
+        note += f" by the given scale it is {width_mm:.1f} mm wide."
+        note += "".join(f" {odd}" for odd in FINGER_WIDTH.notes(width_mm, "check the scale"))
+    if not upright.clear:
+        note += " Which way its tip points is not clear; turn the photograph upright."
     note += f" Quality {quality:.0f} of 100{f': {change}' if quality < _GOOD else ''}."
+
+    # the last phalanx at 500 ppi
     phalange = phalange_mask(inside, find_crease(light, inside, upright, scale), upright)
-    shown = cv2.remap(phalange.view(np.uint8), unrolled.columns, unrolled.rows, cv2.INTER_NEAREST) > 0
-    scaled = partial(_scaled, shown, by_width / scale)
+    visible = cv2.remap(phalange.view(np.uint8), unrolled.columns, unrolled.rows, cv2.INTER_NEAREST) > 0
+
+    def scaled(values: NDArray[Any], beyond: int = 0) -> NDArray[Any]:
+        factor = by_width / scale
+        return cv2.resize(np.where(visible, values, values.dtype.type(beyond)), None, fx=factor, fy=factor)
+
     pressed = PressedRidges(
-        scaled(ridges.image, 255), scaled(ridges.inside.view(np.uint8), 0) > 0, scaled(ridges.confidence, 0)
+        scaled(ridges.image, 255), scaled(ridges.inside.view(np.uint8)) > 0, scaled(ridges.confidence)
     )
     size = pressed.image.shape[::-1]
     columns, rows = (
-        np.asarray(cv2.resize(part, size, interpolation=cv2.INTER_NEAREST), dtype=np.float32)
+        cv2.resize(part, size, interpolation=cv2.INTER_NEAREST).astype(np.float32)
         for part in (unrolled.columns, unrolled.rows)
     )
-    there = replace(unrolled, columns=columns, rows=rows)
-    return FingerPhoto(scaled(image, 255), pressed, there, 1.0 / scale, f"{taken} {note}", round(quality, 1))
+    print_map = replace(unrolled, columns=columns, rows=rows)
+    return FingerPhoto(scaled(image, 255), pressed, print_map, 1.0 / scale, note, round(quality, 1))
 
 
 def _segmented(
     pixels: NDArray[Any], mask: BoolArray | None, box: tuple[int, int, int, int] | None
 ) -> tuple[BoolArray, float | None, float, str]:
-    """Mask (H, W) of the finger, direction of its tip in degrees where it is known, width in pixels, and a note."""
-    taken = "taken for a photograph of a finger;"
+    """Mask (H, W) of the finger, direction of its tip in degrees where it is known, width in
+    pixels, and a note."""
+    note = "taken for a photograph of a finger;"
     if mask is None:
         chosen = finger_in_photo(pixels, box)
         if chosen.others:
-            taken += f" it is the clearest of {chosen.others + 1}, choose another by `box`;"
-        return chosen.mask, chosen.direction_deg, chosen.width_px, taken
-    mask = largest_component(check_mask(mask, (pixels.shape[0], pixels.shape[1])))
+            note += f" it is the clearest of {chosen.others + 1}, choose another by `box`;"
+        return chosen.mask, chosen.direction_deg, chosen.width_px, note
+    mask = largest_component(check_mask(mask, pixels.shape[:2]))
     check_borders(mask)
-    return mask, None, find_upright(mask).width_px, taken
-
-
-def _scaled(shown: BoolArray, factor: float, values: NDArray[Any], beyond: int) -> NDArray[Any]:
-    return cv2.resize(np.where(shown, values, values.dtype.type(beyond)), None, fx=factor, fy=factor)
+    return mask, None, find_upright(mask).width_px, note
 
 
 def _even(values: FloatArray, weight: FloatArray) -> tuple[NDArray[np.uint8], BoolArray]:
-    """(h, w) a print of light without its shading, and where; contrast is raised alike everywhere, so that blocks of
-    JPEG that lost their ridges stay flat.
+    """(h, w) a print of light without its shading, and where; contrast is raised alike everywhere,
+    so that blocks of JPEG that lost their ridges stay flat.
     """
-    whole = cv2.erode((weight > 0.5).astype(np.uint8), disc(_RIM_PX), borderType=cv2.BORDER_CONSTANT, borderValue=0)
+    rim = disc(_RIM_PX)
+    whole = cv2.erode((weight > 0.5).astype(np.uint8), rim, borderType=cv2.BORDER_CONSTANT, borderValue=0) > 0
     known = whole.astype(np.float32)
     detail, _ = without_shading(np.log(np.maximum(values, 1.0)) * known, known, _SHADING_PX)
-    usual = 1.48 * np.median(np.abs(detail[whole > 0])) if whole.any() else 1.0
-    grey = 127.5 - 127.5 * np.clip(detail / max(2.5 * float(usual), 1e-6), -1.0, 1.0)
-    return np.round(grey).astype(np.uint8), whole > 0
+    usual = 1.48 * float(np.median(np.abs(detail[whole]))) if whole.any() else 1.0
+    grey = 127.5 - 127.5 * np.clip(detail / max(2.5 * usual, 1e-6), -1.0, 1.0)
+    return np.round(grey).astype(np.uint8), whole
 
 
 def _to_change(
@@ -224,8 +251,9 @@ def _to_change(
 ) -> str:
     """The one thing to change in a photograph.
 
-    `clear`, `finger`: (n, m) nodes of the field of its print with clear ridges, and on the finger; `amplitude`: (n, m)
-    of the ridges; `width_px`: of the finger in the photograph; `light`: (N,) of its pixels, 0 to 1.
+    `clear`, `finger`: (n, m) nodes of the field of its print with clear ridges, and on the finger;
+    `amplitude`: (n, m) of the ridges; `width_px`: of the finger in the photograph; `light`: (N,) of
+    its pixels, 0 to 1.
     """
     causes = {
         "focus on the finger": 0.3,
@@ -233,10 +261,11 @@ def _to_change(
         "use more light": 4.0 * (0.3 - float(np.median(light))),
         "turn finger or light so that nothing shines (glare)": 10.0 * float((light > 0.97).mean()) - 0.2,
     }
-    if 100 * clear.sum() >= LEAST_QUALITY * finger.sum() > 0:
-        aside = np.nonzero(clear)[1].mean() - np.nonzero(finger)[1].mean()
-        causes["turn its pad to the camera"] = (abs(aside) * field.step_px * 25.4 / PPI - 2.0) / 3.0
-        height, turn = amplitude[clear], np.exp(2j * field.orientation_rad[clear])
+    if 100 * clear.sum() >= MIN_QUALITY * finger.sum() > 0:
+        offset = abs(np.nonzero(clear)[1].mean() - np.nonzero(finger)[1].mean())
+        causes["turn its pad to the camera"] = (offset * field.step_px * 25.4 / PPI - 2.0) / 3.0
+        height = amplitude[clear]
+        turn = np.exp(2j * field.orientation_rad[clear])
         uneven = (height * turn).sum() / height.sum() - turn.mean()  # ridges along the motion stay
         causes["hold finger and camera still (shake)"] = 4.0 * float(abs(uneven)) - 0.4
     return max(causes, key=lambda cause: causes[cause])
@@ -249,56 +278,57 @@ def _at_nodes(image: NDArray[Any], field: RidgeField) -> NDArray[Any]:
     return padded[step // 2 :: step, step // 2 :: step]
 
 
-def _cross_sections(inside: BoolArray, upright: Upright) -> tuple[slice, FloatArray, FloatArray]:
-    """Rows of the upright frame that hold the finger; and (rows,) middle and half width of its smoothed outline, px."""
+def _unrolled(inside: BoolArray, upright: Upright, step: float) -> PrintMap:
+    """Where each pixel of the unrolled print lies: along the top line, then along the elliptic
+    cross-section.
+
+    `inside`: (H, W) of the finger; `step`: pixels of the photograph in one of the print.
+    """
+    # middle and half width of the smoothed outline in the upright frame
     rows, columns = upright.size
     turned = cv2.warpAffine(inside.view(np.uint8), upright.upright_from_input[:2], (columns, rows)) > 0
-    known, every = np.flatnonzero(turned.any(axis=1)), np.arange(rows)
+    known = np.flatnonzero(turned.any(axis=1))
     ends = turned[known].argmax(axis=1), columns - 1 - turned[known, ::-1].argmax(axis=1)
-    lines = np.stack([np.interp(every, known, side) for side in ends])
-    size, sigma = (2 * round(0.12 * upright.width_px) + 1, 1), 0.03 * upright.width_px
-    left, right = cv2.GaussianBlur(lines, size, sigma, borderType=cv2.BORDER_REPLICATE)
-    return slice(known[0], known[-1] + 1), 0.5 * (left + right), np.maximum(0.5 * (right - left), 1.0)
+    lines = np.stack([np.interp(np.arange(rows), known, side) for side in ends])
+    size = 2 * round(0.12 * upright.width_px) + 1, 1
+    smooth = cv2.GaussianBlur(lines, size, 0.03 * upright.width_px, borderType=cv2.BORDER_REPLICATE)
+    left, right = smooth[:, known[0] : known[-1] + 1]
+    middle = 0.5 * (left + right)
+    half = np.maximum(0.5 * (right - left), 1.0)
 
-
-def _unrolled(held: slice, middle: FloatArray, half: FloatArray, upright: Upright, step: float) -> PrintMap:
-    """Where each pixel of the unrolled print lies: along the top line, then along the elliptic cross-section.
-
-    `held`, `middle`, `half`: from :func:`_cross_sections`; `step`: pixels of the photograph in one of the print.
-    """
-    middle, half = middle[held], half[held]
     along = np.concatenate([[0.0], np.cumsum(np.hypot(1.0, _THICKNESS * np.diff(half)))])
-    turn = np.linspace(0.0, 0.5 * np.pi, 200)  # of an ellipse: aside = sin(turn)
+    turn = np.linspace(0.0, 0.5 * np.pi, 200)  # of an ellipse, whose point lies at sin(turn) from the middle
     slope = np.hypot(np.cos(turn), _THICKNESS * np.sin(turn))
     arc = np.concatenate([[0.0], np.cumsum(0.5 * (slope[1:] + slope[:-1]) * np.diff(turn))])
-    steepest = np.arctan(np.tan(np.radians(_SLANT_DEG)) / _THICKNESS)
+    steepest = np.arctan(np.tan(np.radians(_MAX_SLANT_DEG)) / _THICKNESS)
     size = int(along[-1] / step) + 1, 2 * int(half.max() * np.interp(steepest, turn, arc) / step) + 1
     row = np.interp(np.arange(size[0]) * step, along, np.arange(len(along)))[:, None]
     centre, radius = (np.interp(row, np.arange(len(along)), part) for part in (middle, half))
-    aside = (size[1] // 2 - np.arange(size[1])) * step / radius  # mirrored, as paper shows it
-    at = np.sign(aside) * np.interp(np.abs(aside), arc, turn)
-    places = np.stack(np.broadcast_arrays(centre + radius * np.sin(at), row + held.start), axis=-1).astype(np.float32)
-    there = cv2.transform(places, upright.input_from_upright[:2])
-    columns, rows = (np.where(np.abs(at) < steepest, there[..., k], NOWHERE) for k in (0, 1))
-    return PrintMap("arc", PPI, columns, rows, upright.input_from_upright, np.zeros((0, 0, 2)))
+    across = (size[1] // 2 - np.arange(size[1])) * step / radius  # mirrored, as paper shows it
+    at = np.sign(across) * np.interp(np.abs(across), arc, turn)
+    places = np.stack(np.broadcast_arrays(centre + radius * np.sin(at), row + known[0]), axis=-1)
+    places = cv2.transform(places.astype(np.float32), upright.input_from_upright[:2]).astype(np.float32)
+    print_columns, print_rows = np.where(np.abs(at) < steepest, np.moveaxis(places, -1, 0), np.float32(NOWHERE))
+    return PrintMap("arc", PPI, print_columns, print_rows, upright.input_from_upright, np.zeros((0, 0, 2)))
 
 
 def _usual_scale(field: RidgeField, clear: BoolArray, by_width: float, width_px: float) -> tuple[float, str]:
-    """Pixels a millimetre by which width and ridges are as usual as they can be together, and how well it is known.
+    """Pixels a millimetre by which width and ridges are as usual as they can be together, and how
+    well it is known.
 
-    Raises BadInput where both do not fit a finger. `field`: ridges of the unrolled print at the scale `by_width`,
-    by which the width alone is usual; `clear`: (n, m) where they count.
+    Raises BadInput where both do not fit a finger. `field`: ridges of the unrolled print at the
+    scale `by_width`, by which the width alone is usual; `clear`: (n, m) where they count.
     """
     back = (np.arange(len(clear)) + 0.5) * field.step_px * (25.4 / PPI / USUAL_WIDTH_MM)
     on_pad = clear & ((back > _PAD[0]) & (back < _PAD[1]))[:, None]
     periods = field.period_mm(PPI)[on_pad if on_pad.any() else clear]
     by_ridges = by_width * float(np.median(periods)) / USUAL_PERIOD_MM
     require(
-        abs(np.log(by_ridges / by_width)) < 3.0 * np.hypot(PEOPLE, _PEOPLE_WIDTH),
+        abs(np.log(by_ridges / by_width)) < 3.0 * SCALE_SPREAD,
         "what was found is not a finger, or its scale is wrong: its lines are too far apart or close for its width; "
         "mark the finger by `box` or `mask`, or give the scale of the photograph.",
     )
-    weight = PEOPLE**-2 / (PEOPLE**-2 + _PEOPLE_WIDTH**-2)
+    weight = PEOPLE**-2 / (PEOPLE**-2 + _WIDTH_SPREAD**-2)
     scale = by_ridges**weight * by_width ** (1.0 - weight)
     note = (
         f"its scale is assumed, to about {100 * PEOPLE:.0f} %: {_NEARER * width_px / scale:.1f} mm wide, ridges "

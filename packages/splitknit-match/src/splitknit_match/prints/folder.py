@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 from collections.abc import Mapping
 from dataclasses import asdict
+from operator import itemgetter
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -21,74 +22,78 @@ from splitknit.model import Progress, no_progress
 from splitknit_match.prints.fingerphoto import FingerPhoto
 from splitknit_match.prints.from_file import finger_view, pressed_print, read_one_finger
 from splitknit_match.prints.make import Print, enhance, measured, minutiae_by_phase
-from splitknit_match.prints.minutiae_record import PPI
+from splitknit_match.prints.minutiae_record import PPI, Minutiae
 from splitknit_match.prints.print_quality import PrintQuality
 from splitknit_match.prints.sources import Source
 from splitknit_match.records.minutiae_files import encode_minutiae_record
-from splitknit_match.records.minutiae_record import FingerView
 
 if TYPE_CHECKING:
     from splitknit_match.rolled.finger import Rolled
+
+Facts = dict[str, Any]
 
 
 def write_print(
     out: Path,
     path: Path,
     source: Source,
-    made: Print,
+    printed: Print,
     *,
     method: str,
-    ppi: float,
     around: Rolled | None = None,
     progress: Progress = no_progress,
-) -> dict[str, Any]:
+) -> Facts:
     """Enhance a print and write all its files; return the facts of ``report.json``.
 
-    `path`: of the finger; `around`: the finger of a rolled print. Raises BadInput, naming `path`, without ridges.
+    `path`: of the finger; `around`: the finger of a rolled print. Raises BadInput, naming `path`,
+    without ridges.
     """
-    place = made.map.surface
+    place = printed.map.surface
+    ppi = printed.map.ppi
+    mm2 = (25.4 / ppi) ** 2
     with atomic_folder(out) as target:
         chart = {} if around is None else {"rolled": {"pitch_mm": round(around.chart.pitch_mm, 6)}}
         origin = provenance({"method": method, **chart, "surface": place, "ppi": ppi}, source.hashes)
         progress("enhancing", 0.85)
-        enhanced = naming(path, lambda: enhance(made, ppi))
+        enhanced = naming(path, lambda: enhance(printed))
         progress("writing", 0.92)
         texts = {"Software": f"splitknit {origin['version']}", "Comment": canonical_json(origin)}
-        pictures = {"print": made.image, "enhanced": enhanced.image}
+        pictures = {"print": printed.image, "enhanced": enhanced.image}
         for name, picture in pictures.items():
             write_print_png(target / f"{name}.png", picture, ppi, texts)
-        arrays = {name: getattr(made.map, name) for name in ("columns", "rows", "input_from_grid", "print_of_grid")}
+        arrays = {name: getattr(printed.map, name) for name in ("columns", "rows", "input_from_grid", "print_of_grid")}
         write_npz(target / "map.npz", {**arrays, "ppi": np.float64(ppi), "surface": np.array(place)})
-        periods = np.percentile(enhanced.field.period_mm(ppi)[enhanced.field.mask], [5, 50, 95]).tolist()
-        facts: dict[str, Any] = {
+        p5, median, p95 = np.percentile(enhanced.field.period_mm(ppi)[enhanced.field.mask], [5, 50, 95]).round(4)
+        quality = measured(printed, enhanced)
+        score = quality.score if source.quality is None else source.quality
+        minutiae = minutiae_by_phase(printed, enhanced)
+        impression = "live_plain" if method == "file" else "contactless"
+        view = finger_view(minutiae, score, source.subject.get("finger"), impression)
+        write_file(target / "minutiae.iso", encode_minutiae_record(view))
+        facts: Facts = {
             "method": method,
             "surface": place,
             "source": {"path": str(path), "kind": source.kind, "preset": source.preset, "pitch_mm": source.pitch_mm},
             "ppi": ppi,
-            **({"scale": source.scale} if source.scale else {}),
-            "size": list(made.image.shape),
+            "size": list(printed.image.shape),
             "mirrored": True,
             "ridges": "dark",
-            "ridge_period_mm": {k: round(one, 4) for k, one in zip(("p5", "median", "p95"), periods, strict=True)},
-            "area_mm2": round(float(made.weight.sum()) * (25.4 / ppi) ** 2, 1),
-            "ridge_area_mm2": round(float(enhanced.mask.sum()) * (25.4 / ppi) ** 2, 1),
+            "ridge_period_mm": {"p5": float(p5), "median": float(median), "p95": float(p95)},
+            "area_mm2": round(float(printed.weight.sum()) * mm2, 1),
+            "ridge_area_mm2": round(float(enhanced.mask.sum()) * mm2, 1),
+            "quality": _quality_facts(quality, method, source.quality, pictures, ppi),
+            "minutiae": {"count": view.count, "finger": view.finger},
         }
-        if made.distortion is not None:
-            facts["distortion"] = made.distortion
+        if source.scale:
+            facts["scale"] = source.scale
+        if printed.distortion is not None:
+            facts["distortion"] = printed.distortion
         if around is not None:
             from splitknit_match.prints.rolled import write_rolled  # slow to import
 
             facts["rolled"] = write_rolled(target, around)
-        quality = measured(made, enhanced, ppi)
-        facts["quality"] = _quality_facts(quality, method, source.quality, pictures, ppi)
-        score = quality.score if source.quality is None else source.quality
-        impression = "live_plain" if method == "file" else "contactless"
-        minutiae = minutiae_by_phase(made, enhanced, ppi)
-        view = finger_view(minutiae, round(score), source.subject.get("finger"), impression)
-        facts["minutiae"] = {"count": view.count, "finger": view.finger}
-        write_file(target / "minutiae.iso", encode_minutiae_record(view))
-        if source.height_mm is not None and around is None:
-            page = _page(source, made, view, pictures, facts, score)
+        elif source.height_mm is not None:
+            page = _page(source, printed, minutiae, pictures, {"facts": facts, "quality": score})
             write_file(target / "report.html", page.encode("utf-8"))
         facts["provenance"] = origin
         facts["files"] = sorted([file.name for file in target.iterdir()] + ["report.json"])
@@ -117,90 +122,92 @@ def print_of_photo(photo: FingerPhoto) -> tuple[Source, Print]:
         "photo", ridges.inside, photo.pitch_mm, np.eye(3), photo.flat.shape, hashes=photo.hashes, scale=photo.scale,
         quality=photo.quality,
     )  # fmt: skip
-    weight, light = ridges.inside.astype(np.float32), (255.0 - photo.flat).astype(np.float32)
-    return source, Print(photo.flat, weight, photo.map, light, False, None, ridges.image, ridges.confidence)
+    weight = ridges.inside.astype(np.float32)
+    light = (255.0 - photo.flat).astype(np.float32)
+    return source, Print(
+        photo.flat, weight, photo.map, light, in_mm=False, even=ridges.image, confidence=ridges.confidence
+    )
 
 
-def _page(  # noqa: PLR0917
-    source: Source, made: Print, view: FingerView, pictures: Mapping[str, NDArray[np.uint8]], facts: Any, quality: float
+def _page(
+    source: Source, printed: Print, minutiae: Minutiae, pictures: Mapping[str, NDArray[np.uint8]], words: Facts
 ) -> str:
-    """The surface in three dimensions with the print's minutiae on it, and the print."""
+    """The surface in three dimensions with the print's minutiae on it, and the print; `words`: of
+    the template."""
     from splitknit.report import template
     from splitknit.report.photos import captioned
     from splitknit.report.surface import PageSurface, scene, upright_surface
 
     assert source.height_mm is not None and source.ridge_mm is not None
     known = source.mask & np.isfinite(source.height_mm)
-    heights = source.height_mm, source.ridge_mm
-    frame = source.pitch_mm, source.input_from_upright
-    surface = upright_surface(heights, known, *frame, xy_mm=source.xy_mm)
-    places = np.stack([view.x_px, view.y_px], axis=1).astype(np.float64)
-    ahead = np.stack([np.cos(view.direction_rad), -np.sin(view.direction_rad)], axis=1)  # rows run downwards
-    start, end = (surface.places_mm(made.map.input_from_print(each)) for each in (places, places + 4.0 * ahead))
-    minutiae = np.stack([*start, np.arctan2(*(end - start)[::-1])], axis=1)
-    minutiae = minutiae[np.isfinite(minutiae).all(axis=1)]
-    words = {
-        "print": "As ink on paper: ridges dark, mirrored against the camera image.",
-        "enhanced": "Ridges made even.",
-    }
-    return str(
-        template(Path(__file__).with_name("print.html")).render(
-            scene=scene([PageSurface("Minutiae: circles, with a line along the ridge", surface, None, minutiae)]),
-            pictures=[captioned(name.capitalize(), picture, words[name]) for name, picture in pictures.items()],
-            facts=facts,
-            count=len(view.x_px),
-            quality=quality,
-        )
+    surface = upright_surface(
+        (source.height_mm, source.ridge_mm), known, source.pitch_mm, source.input_from_upright, xy_mm=source.xy_mm
     )
+    places = np.stack([minutiae.x_px, minutiae.y_px], axis=1).astype(np.float64)
+    turn = minutiae.direction_rad
+    beyond = places + 4.0 * np.stack([np.cos(turn), -np.sin(turn)], axis=1)  # rows run downwards
+    start, end = (surface.places_mm(printed.map.input_from_print(each)) for each in (places, beyond))
+    circles = np.stack([*start, np.arctan2(*(end - start)[::-1])], axis=1)
+    circles = circles[np.isfinite(circles).all(axis=1)]
+    captions = "As ink on paper: ridges dark, mirrored against the camera image.", "Ridges made even."
+    figures = zip(pictures.items(), captions, strict=True)
+    page: str = template(Path(__file__).with_name("print.html")).render(
+        scene=scene([PageSurface("Minutiae: circles, with a line along the ridge", surface, None, circles)]),
+        pictures=[captioned(name.capitalize(), picture, caption) for (name, picture), caption in figures],
+        count=minutiae.count,
+        **words,
+    )
+    return page
 
 
-# Quality of a print in the report: NFIQ 2, the figures and score of `prints.print_quality`, and advice.
+# Quality of a print in the report: NFIQ 2, the figures and score of `prints.print_quality`, and
+# advice.
 
 MAX_SENTENCES = 3
-MIN_WORTH = 0.7
+MIN_RATING = 0.7
 """A figure of a lower rating is mentioned."""
-FULL_WORTH = 0.95
-"""Fraction of the ridges' height from which on soft edges are the finger's own."""
+FULL_RATING = 0.95
+"""Of the ridges' height, from which on soft edges are the finger's own."""
 
 
 def _quality_facts(
-    found: PrintQuality, method: str, photo: float | None, pictures: Mapping[str, NDArray[np.uint8]], ppi: float
-) -> dict[str, Any]:
-    """What ``report.json`` holds under ``quality``: plain numbers and sentences; `photo`: quality of a photograph."""
+    quality: PrintQuality, method: str, photo: float | None, pictures: Mapping[str, NDArray[np.uint8]], ppi: float
+) -> Facts:
+    """What ``report.json`` holds under ``quality``: plain numbers and sentences; `photo`: quality
+    of a photograph."""
     from splitknit_match.prints.minutiae import NFIQ2_FAILED, nfiq2  # large, and not everywhere
 
-    def rounded(values: Mapping[str, float | None]) -> dict[str, float | None]:
-        return {name: None if value is None else round(value, 3) for name, value in values.items()}
-
-    facts: dict[str, Any] = {
+    figures = asdict(quality.figures)
+    facts: Facts = {
         "nfiq2": None,
-        "ours": round(found.score, 1),
-        "figures": rounded(asdict(found.figures)),
-        "worth": rounded(found.worth),
+        "ours": round(quality.score, 1),
+        "figures": {name: None if value is None else round(value, 3) for name, value in figures.items()},
+        "worth": {name: round(rating, 3) for name, rating in quality.worth.items()},
         "advice": [],
     }
     if photo is not None:  # NFIQ 2 is not for photographs
         return {**facts, "photo": photo}
     if method not in ("file", "specular"):  # nobody captures a file again; flanks that shine are not edges
-        facts["advice"] = list(advice(found))
+        facts["advice"] = list(advice(quality))
     with contextlib.suppress(BadInput):  # the package for it is missing
         values = {name: nfiq2(picture, ppi) for name, picture in pictures.items()}
         facts["nfiq2"] = {name: None if value == NFIQ2_FAILED else value for name, value in values.items()}
     return facts
 
 
-def advice(found: PrintQuality) -> tuple[str, ...]:
-    """What is wrong with a print and what to do, at most three sentences, the worst first; empty if nothing is.
+def advice(quality: PrintQuality) -> tuple[str, ...]:
+    """What is wrong with a print and what to do, at most three sentences, the worst first; empty if
+    nothing is.
 
     Every figure rated below 0.7 is mentioned; of figures with one remedy only the worst.
     """
-    figures = {name: value or 0.0 for name, value in asdict(found.figures).items()}
-    percent = {"lost": 100.0 * (1.0 - found.figures.ridge_share), "gaps": 100.0 * found.figures.gap_share}
+    figures = {name: value or 0.0 for name, value in asdict(quality.figures).items()}
+    percent = {"lost": 100.0 * (1.0 - figures["ridge_share"]), "gaps": 100.0 * figures["gap_share"]}
+    sharp = quality.worth.get("ridge_height_um", 0.0) >= FULL_RATING
     sentences: dict[str, None] = {}
-    for name, rating in sorted(found.worth.items(), key=lambda item: item[1]):
-        if name == "sharpness" and found.worth.get("ridge_height_um", 0.0) >= FULL_WORTH:
-            continue  # defocus lowers ridges as well; soft but high ones grew that way
-        if rating < MIN_WORTH:
+    for name, rating in sorted(quality.worth.items(), key=itemgetter(1)):
+        # defocus lowers ridges as well; soft but high ones grew that way
+        if rating < MIN_RATING and not (sharp and name == "sharpness"):
             sentences[_ADVICE[name].format(**figures, **percent)] = None
     return tuple(sentences)[:MAX_SENTENCES]
 

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-import dataclasses
 import os
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -23,34 +23,44 @@ from splitknit_match.prints.minutiae import at_500_ppi, is_a_fingers
 from splitknit_match.prints.minutiae_record import PPI, Minutiae, no_minutiae
 from splitknit_match.prints.pressed import PressedRidges, frame, pressed_ridges
 from splitknit_match.prints.print_map import plane_map
+from splitknit_match.prints.ridge_field import closed_opened
 from splitknit_match.records.minutiae_files import read_minutiae_record
 from splitknit_match.records.minutiae_record import FINGER_CODES, RESOLUTION_500_PPI, FingerView
 from splitknit_match.records.print_formats import read_prints
 
 USUAL_PERIOD_MM = 0.46
 """Between ridges of adults' fingers; people differ by 8 %."""
-MIN_PPI, MAX_PPI = 200.0, 5080.0
-"""Below there are no ridges (telephones and browsers state 72 and 96, of screens); no scanner is above."""
+MIN_PPI = 200.0
+"""Below there are no ridges (telephones and browsers state 72 and 96, of screens)."""
+MAX_PPI = 5080.0
+"""No scanner is above."""
 _FINE_PPI = 1000.0
 """Above, the level of ridges is sought in a copy of 500 ppi."""
 _MIN_SIDE_PX = 40
 _TILE_PX = 32
 """Side of a tile in whose spectrum ridges are sought."""
-_WAVE = 0.5
+_MIN_PURITY = 0.5
 """Part of a tile's power that lies in one wave, where it shows ridges."""
 _PERIODS = 0.76, 1.47
-"""Of the usual period: those of 95 % of 280 real prints of seven sensors (validation/prints/any_print.py)."""
+"""Of the usual period: those of 95 % of 280 real prints of seven sensors
+(validation/prints/any_print.py)."""
 _RIDGES = 0.4
-"""Of a picture's strong tiles, from which on ridges lie as its resolution has them; else they are sought at others."""
+"""Of a picture's strong tiles, from which on ridges lie as its resolution has them; else they are
+sought at others."""
 _CLEAR = 0.2
-"""Score of a picture's ridges from which their distance is measured; 280 real prints have 0.25 or more."""
+"""Score of a picture's ridges from which their distance is measured; 280 real prints have 0.25 or
+more."""
 _FAINT = 4.0
 """Standard deviation in grey levels below which a picture is blank."""
 _PART_MM2 = 25.0
 """Area of ridges from which on their distance is taken at the stated resolution."""
-_DARK, _WHITE = 0.15, -0.2
-"""Mean level beside a print, at its rim and at the picture's edge over that of its middle, in contrasts of its ridges,
-from which on ridges are dark, or white: of 280 real prints -0.1 to 0.9 (validation/prints/any_print.py)."""
+# mean level beside a print, at its rim and at the picture's edge over that of its middle, in
+# contrasts of its ridges:
+# of 280 real prints -0.1 to 0.9 (validation/prints/any_print.py)
+_DARK = 0.15
+"""From which on ridges are dark."""
+_WHITE = -0.2
+"""Up to which they are white."""
 _DOUBT = "nothing beside it shows whether its ridges are dark: if they are white, invert the picture."
 
 
@@ -59,9 +69,10 @@ def read_print_file(path: str | os.PathLike[str], input_ppi: float | None = None
 
     White ridges are turned dark, which the print's `note` says.
 
-    `path`: of any format of :data:`splitknit_match.records.print_formats.FORMATS`; `input_ppi`: resolution of pictures,
-    whatever they state. Raises BadInput as :func:`splitknit_match.records.print_formats.read_prints`; if a picture does
-    not state its resolution, with the one that its ridges suggest; or if it is below 200 or above 5080 ppi.
+    `path`: of any format of :data:`splitknit_match.records.print_formats.FORMATS`; `input_ppi`:
+    resolution of pictures, whatever they state. Raises BadInput as
+    :func:`splitknit_match.records.print_formats.read_prints`; if a picture does not state its
+    resolution, with the one that its ridges suggest; or if it is below 200 or above 5080 ppi.
     """
     require(
         input_ppi is None or MIN_PPI <= input_ppi <= MAX_PPI,
@@ -94,25 +105,26 @@ def read_print_folder(folder: Path) -> tuple[PrintFile, FingerView | None]:
 
 
 def print_at_500_ppi(item: PrintFile) -> PrintFile:
-    """Bring a print of known resolution to 500 ppi; one that has as many pixels as at 500 ppi stays as it is.
+    """Bring a print of known resolution to 500 ppi; one that has as many pixels as at 500 ppi stays
+    as it is.
 
     Raises BadInput if it were larger than any print.
     """
     ppi = item.resolution_ppi or PPI
     image = at_500_ppi(item.image, ppi)
-    return item if image.shape == item.image.shape else dataclasses.replace(item, image=image, resolution_ppi=PPI)
+    return item if image.shape == item.image.shape else replace(item, image=image, resolution_ppi=PPI)
 
 
 def _resolved(item: PrintFile, name: str, input_ppi: float | None) -> PrintFile:
     stated = item.resolution_ppi
     if input_ppi is None and (stated is None or stated < MIN_PPI):
-        said = "does not state its resolution" if stated is None else f"states {stated:.0f} ppi, too few for ridges"
-        raise BadInput(f"{name} {said}; {_suggestion(item.image)}.")
+        fault = "does not state its resolution" if stated is None else f"states {stated:.0f} ppi, too few for ridges"
+        raise BadInput(f"{name} {fault}; {_suggestion(item.image)}.")
     ppi = input_ppi or stated or 0.0
     require(
         ppi <= MAX_PPI, f"{name} states {ppi:.0f} ppi, more than {MAX_PPI:g}; give the true value: `input_ppi` 500."
     )
-    return dataclasses.replace(item, resolution_ppi=float(ppi))
+    return replace(item, resolution_ppi=float(ppi))
 
 
 def _suggestion(image: NDArray[np.uint8]) -> str:
@@ -127,88 +139,91 @@ def _suggestion(image: NDArray[np.uint8]) -> str:
 
 
 def _waves(image: NDArray[Any], step: int) -> tuple[FloatArray, FloatArray, BoolArray]:
-    """Parallel ridges in tiles `step` pixels apart: part of the power in the strongest wave, its period in pixels, and
-    whether the tile has the contrast of the picture's strong ones; (n, m) each.
+    """Parallel ridges in tiles `step` pixels apart: part of the power in the strongest wave, its
+    period in pixels, and whether the tile has the contrast of the picture's strong ones; (n, m)
+    each.
 
     Waves of 5 to 11 pixels count; a tile whose power is largest at another period holds none.
     """
-    side = _TILE_PX
-    hann = np.hanning(side + 2)[1:-1].astype(np.float32)
+    windows = sliding_window_view(image, (_TILE_PX, _TILE_PX))[::step, ::step]
+    rows = [_tile_waves(tiles) for tiles in windows]  # a row at a time bounds the memory
+    purity, period, turn, contrast = (np.array(values) for values in zip(*rows, strict=True))
+    strong = contrast > max(_FAINT, 0.3 * float((contrast**2).sum() / max(float(contrast.sum()), 1e-6)))
+    # ridges run on into the tiles beside
+    cosine, sine, around = (cv2.blur(part, (3, 3)) for part in (turn.real, turn.imag, purity))
+    agreement = np.hypot(cosine, sine) / np.maximum(around, 1e-6)
+    return np.where(strong, purity * agreement, 0.0), period, strong
+
+
+def _tile_waves(tiles: NDArray[Any]) -> tuple[FloatArray, FloatArray, NDArray[np.complex64], FloatArray]:
+    """Of N tiles: part of the power in the strongest wave, its period, its direction doubled, times
+    that part, and the standard deviation.
+    """
+    hann = np.hanning(_TILE_PX + 2)[1:-1].astype(np.float32)
     taper = np.outer(hann, hann)
-    frequency = np.fft.fftfreq(side)
-    radius = np.hypot(frequency[:, None], frequency[None, : side // 2 + 1])
-    counted, band = radius >= 1.5 / side, ((radius >= 1 / 11.5) & (radius <= 1 / 4.9)).ravel()
-    down, right = (
-        np.broadcast_to(one, radius.shape).ravel() for one in (frequency[:, None], np.arange(side // 2 + 1) / side)
-    )
-    windows = sliding_window_view(image, (side, side))[::step, ::step]
-    found = np.zeros((3, *windows.shape[:2]), dtype=np.float32)
-    turn = np.zeros(windows.shape[:2], dtype=np.complex64)
-    for row, tiles in enumerate(windows):  # a row at a time bounds the memory
-        mean = np.tensordot(tiles, taper, 2) / taper.sum()
-        power = np.abs(np.fft.rfft2((tiles - mean[:, None, None]) * taper)).astype(np.float32) ** 2 * counted
-        power[..., 1:] *= 2.0  # each wave is there twice, but those of the first column, which are halved
-        total = power.sum(axis=(1, 2)) + 1e-6
-        near = cv2.blur(np.moveaxis(power, 0, -1), (3, 3), borderType=cv2.BORDER_REFLECT_101) * 9.0
-        near = near.reshape(power[0].size, -1)
-        best = near.argmax(axis=0)
-        around = np.moveaxis(power, 0, -1).reshape(near.shape)
-        close = (np.abs(down[:, None] - down[best]) < 1.5 / side) & (np.abs(right[:, None] - right[best]) < 1.5 / side)
-        weight = np.where(close, around, 0.0)
-        weight /= weight.sum(axis=0) + 1e-9
-        there = np.hypot((weight * down[:, None]).sum(axis=0), (weight * right[:, None]).sum(axis=0))
-        found[0, row] = np.where(
-            band[best] & (there > 1 / 11.5), np.minimum(near[best, np.arange(len(best))] / total, 1), 0
-        )
-        found[1, row] = 1.0 / np.maximum(there, 1e-3)
-        turn[row] = np.exp(2j * np.arctan2(down[best], right[best])) * found[0, row]
-        found[2, row] = np.sqrt(total) / (taper.sum() * 0.6)
-    strong = found[2] > max(_FAINT, 0.3 * float((found[2] ** 2).sum() / max(float(found[2].sum()), 1e-6)))
-    around = [cv2.blur(one, (3, 3)) for one in (turn.real, turn.imag, found[0])]  # ridges run on into the tiles beside
-    agree = np.hypot(around[0], around[1]) / np.maximum(around[2], 1e-6)
-    return np.where(strong, found[0] * agree, 0.0), found[1], strong
+    down, right = np.meshgrid(np.fft.fftfreq(_TILE_PX), np.fft.rfftfreq(_TILE_PX), indexing="ij")
+    radius = np.hypot(down, right)
+    mean = np.tensordot(tiles, taper, 2) / taper.sum()
+    power = np.abs(np.fft.rfft2((tiles - mean[:, None, None]) * taper)).astype(np.float32) ** 2
+    power *= radius >= 1.5 / _TILE_PX
+    power[..., 1:] *= 2.0  # each wave is there twice, but those of the first column, which are halved
+    total = power.sum(axis=(1, 2)) + 1e-6
+    power = np.moveaxis(power, 0, -1)
+    near = cv2.blur(power, (3, 3), borderType=cv2.BORDER_REFLECT_101) * 9.0
+    near = near.reshape(radius.size, -1)
+    down, right, radius = down.ravel(), right.ravel(), radius.ravel()
+    best = near.argmax(axis=0)
+    close = np.maximum(np.abs(down[:, None] - down[best]), np.abs(right[:, None] - right[best])) < 1.5 / _TILE_PX
+    weight = np.where(close, power.reshape(near.shape), 0.0)
+    weight /= weight.sum(axis=0) + 1e-9
+    frequency = np.hypot((weight * down[:, None]).sum(axis=0), (weight * right[:, None]).sum(axis=0))
+    in_band = (radius[best] >= 1 / 11.5) & (radius[best] <= 1 / 4.9) & (frequency > 1 / 11.5)
+    purity = np.where(in_band, np.minimum(near.max(axis=0) / total, 1), 0).astype(np.float32)
+    turn = (np.exp(2j * np.arctan2(down[best], right[best])) * purity).astype(np.complex64)
+    period = (1.0 / np.maximum(frequency, 1e-3)).astype(np.float32)
+    return purity, period, turn, (np.sqrt(total) / (taper.sum() * 0.6)).astype(np.float32)
 
 
 def prepared(item: PrintFile) -> PrintFile:
     """A print of known resolution with its ridges dark, and what is in doubt of it."""
     if not is_a_fingers(item.image, item.resolution_ppi or PPI):  # is refused where it is used
         return item
-    return _dark_ridges(dataclasses.replace(item, doubt=resolution_doubt(item)))
+    return _dark_ridges(replace(item, doubt=resolution_doubt(item)))
 
 
-def _noted(item: PrintFile, words: str, image: NDArray[np.uint8] | None = None) -> PrintFile:
-    """The print with a note more, and another picture."""
-    note = " ".join(filter(None, (item.note, words)))
-    return dataclasses.replace(item, image=item.image if image is None else image, note=note)
+def _noted(item: PrintFile, note: str) -> PrintFile:
+    return replace(item, note=f"{item.note} {note}".strip())
 
 
 def resolution_doubt(item: PrintFile) -> str:
-    """Why a print's resolution cannot be right: its ridges would lie farther apart, or closer, than in people; or "".
+    """Why a print's resolution cannot be right: its ridges would lie farther apart, or closer, than
+    in people; or "".
 
     None of 280 real prints is doubted, at half or twice their resolution 259 and 261 are
     (validation/prints/any_print.py).
     """
     ppi = item.resolution_ppi or PPI
-    scale, period = 380.0 / ppi, None  # usual ridges lie 7 pixels apart
+    scale = 380.0 / ppi  # usual ridges lie 7 pixels apart
+    period = None
     if min(item.image.shape) * scale >= 3 * _TILE_PX:
         small = cv2.resize(item.image, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA)
-        part, apart, strong = _waves(small, _TILE_PX // 2)
-        ridges = part > _WAVE
-        least = _PART_MM2 / (_TILE_PX // 2 * 25.4 / 380.0) ** 2
-        if ridges.sum() >= max(_RIDGES * strong.sum(), least):
-            period = float(np.median(apart[ridges])) / scale
+        purity, periods, strong = _waves(small, _TILE_PX // 2)
+        ridges = purity > _MIN_PURITY
+        if ridges.sum() >= max(_RIDGES * strong.sum(), _PART_MM2 / (_TILE_PX // 2 * 25.4 / 380.0) ** 2):
+            period = float(np.median(periods[ridges])) / scale
     period = period or _ridge_period_px(item.image)
-    apart_mm = USUAL_PERIOD_MM if period is None else period * 25.4 / ppi
-    if 0.9 * _PERIODS[0] < apart_mm / USUAL_PERIOD_MM < 1.1 * _PERIODS[1]:
+    period_mm = USUAL_PERIOD_MM if period is None else period * 25.4 / ppi
+    if 0.9 * _PERIODS[0] < period_mm / USUAL_PERIOD_MM < 1.1 * _PERIODS[1]:
         return ""
-    return f"at {ppi:.0f} ppi its ridges are {apart_mm:.2f} mm apart, which is unusual: check the resolution."
+    return f"at {ppi:.0f} ppi its ridges are {period_mm:.2f} mm apart, which is unusual: check the resolution."
 
 
 def pressed_print(item: PrintFile, inside: BoolArray | None = None, pressed: PressedRidges | None = None) -> Print:
     """Print of 500 ppi from a file, where its ridges are, and the same with even contrast.
 
-    `inside`: (H, W) bool at 500 ppi, where there may be ridges; by default everywhere; `pressed`: its ridges, where
-    they were found before. Raises BadInput if it has no ridges, or is smaller than 2 mm.
+    `inside`: (H, W) bool at 500 ppi, where there may be ridges; by default everywhere; `pressed`:
+    its ridges, where they were found before. Raises BadInput if it has no ridges, or is smaller
+    than 2 mm.
     """
     image = print_at_500_ppi(item).image
     require(min(image.shape) >= _MIN_SIDE_PX, "the print must be at least 2 mm wide and high.")
@@ -217,97 +232,108 @@ def pressed_print(item: PrintFile, inside: BoolArray | None = None, pressed: Pre
     require(ridges.any(), "the print has no ridges; check focus and light of the capture.")
     require(not pressed.lacks, f"the picture shows {pressed.lacks}; name a print.")
     ppi = item.resolution_ppi or PPI
-    rows, columns = item.image.shape
-    mirrored = np.array([[-1.0, 0.0, columns - 1.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]])  # prints are, camera images not
-    there = dataclasses.replace(plane_map(25.4 / ppi, mirrored, (rows, columns), PPI), surface="paper")
+    mirrored = np.diag([-1.0, 1.0, 1.0])  # prints are, camera images not
+    mirrored[0, 2] = item.image.shape[1] - 1.0
+    paper = replace(plane_map(25.4 / ppi, mirrored, item.image.shape, PPI), surface="paper")
     light = (255.0 - image).astype(np.float32)
     weight = ridges.astype(np.float32)
-    return Print(image, weight, there, light, in_mm=False, even=pressed.image, confidence=pressed.confidence)
+    return Print(image, weight, paper, light, in_mm=False, even=pressed.image, confidence=pressed.confidence)
 
 
 def _dark_ridges(item: PrintFile) -> PrintFile:
-    """The print with its ridges dark, turned where they are white, by what lies beside it and at its rim.
+    """The print with its ridges dark, turned where they are white, by what lies beside it and at
+    its rim.
 
-    Where a finger does not touch, a picture looks as its valleys do; its rim fades out towards that.
+    Where a finger does not touch, a picture looks as its valleys do; its rim fades out towards
+    that.
     """
-    ppi, image = item.resolution_ppi or PPI, item.image
+    ppi = item.resolution_ppi or PPI
+    image = item.image
     if ppi > _FINE_PPI:  # work grows with the pixels
-        image, ppi = at_500_ppi(image, ppi), PPI
+        image = at_500_ppi(image, ppi)
+        ppi = PPI
     side = max(2, round(8 * ppi / PPI))
-    n, m = (size // side for size in image.shape)
-    in_doubt = _noted(item, _DOUBT)
-    if min(n, m) < 8:
-        return in_doubt
-    framed = frame(image)
-    image = image[: n * side, : m * side].astype(np.float32)
-    mean, square = (cv2.resize(one, (m, n), interpolation=cv2.INTER_AREA) for one in (image, image * image))
-    there = ~framed[: n * side, : m * side].reshape(n, side, m, side).any(axis=(1, 3))
-    deviation = np.sqrt(np.maximum(square - mean * mean, 0)) * there
+    rows, columns = (size // side for size in image.shape)
+    if min(rows, columns) < 8:
+        return _noted(item, _DOUBT)
+    framed = frame(image)[: rows * side, : columns * side]
+    image = image[: rows * side, : columns * side].astype(np.float32)
+    mean, square = (cv2.resize(part, (columns, rows), interpolation=cv2.INTER_AREA) for part in (image, image * image))
+    usable = ~framed.reshape(rows, side, columns, side).any(axis=(1, 3))
+    deviation = np.sqrt(np.maximum(square - mean * mean, 0)) * usable
     strong = deviation > max(_FAINT, 0.35 * float((deviation**2).sum() / max(float(deviation.sum()), 1e-6)))
-    inside, pad = cv2.copyMakeBorder(strong.astype(np.uint8), 6, 6, 6, 6, cv2.BORDER_REPLICATE), slice(6, -6)
-    for kind, radius in ((cv2.MORPH_CLOSE, 5), (cv2.MORPH_OPEN, 2)):
-        inside = cv2.morphologyEx(inside, kind, disc(radius))
-    whole = np.ascontiguousarray(inside[pad, pad])
+    whole = closed_opened(strong, 5, 2, 6) > 0
     if not whole.any():
         return item
-    whole = fill_holes(largest_component(whole > 0)).astype(np.uint8)
+    whole = fill_holes(largest_component(whole))
 
-    def eroded(radius: int) -> BoolArray:
-        return cv2.erode(whole, disc(radius), borderType=cv2.BORDER_CONSTANT, borderValue=1) > 0
+    def grown(area: BoolArray, radius: int) -> BoolArray:
+        return cv2.dilate(area.view(np.uint8), disc(radius), borderType=cv2.BORDER_CONSTANT, borderValue=0) > 0
 
-    middle, rim = eroded(4), (whole > 0) & ~eroded(1) & there
-    outside = (cv2.dilate(whole, disc(1)) == 0) & there
-    beside, edge = outside & (cv2.dilate(whole, disc(4)) > 0), cv2.dilate(whole, disc(1)) == 0
+    middle = ~grown(~whole, 4)
+    rim = whole & grown(~whole, 1) & usable
+    outside = ~grown(whole, 1)
+    beside = outside & usable & grown(whole, 4)
+    edge = outside.copy()
     edge[1:-1, 1:-1] = False
-    known = [one for one in (beside, rim, edge) if int(one.sum()) > 8]
-    if not known or int(middle.sum()) <= 8:
-        return in_doubt
+    regions = [region for region in (beside, rim, edge) if int(region.sum()) > 8]
+    if not regions or int(middle.sum()) <= 8:
+        return _noted(item, _DOUBT)
     contrast = 2.6 * float(np.median(deviation[middle])) + 1e-6
     level = float(np.median(mean[middle]))
-    levels = [(float(np.median(mean[one])) - level) / contrast for one in known]
-    if len(known) == 3 and np.mean(levels) < _WHITE and max(levels) < 0:
-        return _noted(item, "its ridges were white and have been turned dark.", 255 - item.image)
-    return item if np.mean(levels) > _DARK else in_doubt
+    levels = [(float(np.median(mean[region])) - level) / contrast for region in regions]
+    if len(regions) == 3 and np.mean(levels) < _WHITE and max(levels) < 0:
+        inverted = replace(item, image=255 - item.image)
+        return _noted(inverted, "its ridges were white and have been turned dark.")
+    return item if np.mean(levels) > _DARK else _noted(item, _DOUBT)
 
 
 def _ridge_period_px(image: NDArray[np.uint8]) -> float | None:
-    """Distance of the ridges of a print (H, W) of unknown resolution, in pixels; None where none stand out.
+    """Distance of the ridges of a print (H, W) of unknown resolution, in pixels; None where none
+    stand out.
 
-    The picture is sought for waves at one size after the other, a factor of the square root of 2 apart.
+    The picture is sought for waves at one size after the other, a factor of the square root of 2
+    apart.
     """
-    best, period = 0.0, None
+    best = 0.0
+    period = None
     for k in range(-1, 9):
         scale = 2.0 ** (-k / 2)
         if min(image.shape) * min(scale, 1) < 2 * _TILE_PX or (k < 0 and image.size > 4_000_000):
             continue
         kind = cv2.INTER_AREA if scale < 1 else cv2.INTER_CUBIC
         small = cv2.resize(image, None, fx=scale, fy=scale, interpolation=kind)
-        part, apart, strong = _waves(small, _TILE_PX // 2 if small.size < 1_000_000 else 2 * _TILE_PX)
+        purity, periods, strong = _waves(small, _TILE_PX // 2 if small.size < 1_000_000 else 2 * _TILE_PX)
         count = max(int(strong.sum()) // 8, 12)
-        if part.size < count:
+        if purity.size < count:
             continue
-        score = float(np.sort(part, axis=None)[-count:].mean())
-        score *= (float((part > _WAVE).sum()) / max(int(strong.sum()), 1)) ** 0.25
+        score = float(np.sort(purity, axis=None)[-count:].mean())
+        score *= (float((purity > _MIN_PURITY).sum()) / max(int(strong.sum()), 1)) ** 0.25
         if score > max(best, _CLEAR):
-            best, period = score, float(np.median(apart[part >= 0.7 * score])) / scale
+            best = score
+            period = float(np.median(periods[purity >= 0.7 * score])) / scale
     return period
 
 
-def finger_view(found: Minutiae, quality: int, finger: object = "unknown", impression: str = "unknown") -> FingerView:
-    """Minutiae of 500 ppi as a record has them; a finger that records have no code for is ``unknown``."""
+def finger_view(
+    minutiae: Minutiae, quality: float, finger: object = "unknown", impression: str = "unknown"
+) -> FingerView:
+    """Minutiae of 500 ppi as a record has them; a finger that records have no code for is
+    ``unknown``."""
     return FingerView(
-        found.x_px, found.y_px, found.direction_rad, found.type, found.quality, found.size, finger_quality=quality,
-        finger=coded_finger(finger), impression=impression,
+        minutiae.x_px, minutiae.y_px, minutiae.direction_rad, minutiae.type, minutiae.quality, minutiae.size,
+        finger_quality=round(quality), finger=coded_finger(finger), impression=impression,
     )  # fmt: skip
 
 
 def print_minutiae(image: NDArray[np.uint8]) -> Minutiae:
-    """Minutiae of a print (H, W) of 500 ppi, as ``splitknit print`` and ``export`` find them; none without ridges."""
+    """Minutiae of a print (H, W) of 500 ppi, as ``splitknit print`` and ``export`` find them; none
+    without ridges."""
     try:
-        made = pressed_print(PrintFile(image, PPI, {}))
-        return minutiae_by_phase(made, enhance(made, PPI), PPI)
+        ridges = pressed_print(PrintFile(image, PPI, {}))
+        return minutiae_by_phase(ridges, enhance(ridges))
     except BadInput:
-        return no_minutiae((image.shape[0], image.shape[1]))
+        return no_minutiae(image.shape)
 
 
 def coded_finger(finger: object) -> str:
@@ -321,12 +347,9 @@ def minutiae_of(view: FingerView) -> Minutiae:
     Raises BadInput if its image is larger than any print.
     """
     usual = RESOLUTION_500_PPI[0]
-    scales = [1.0 if ppcm == usual else PPI / (ppcm * 2.54) for ppcm in view.resolution_ppcm]
-    size = max(1, round(view.size[0] * scales[1])), max(1, round(view.size[1] * scales[0]))
-    x, y = (
-        np.clip(np.rint(pixels * scale), 0, side - 1).astype(np.int32)
-        for pixels, scale, side in zip((view.x_px, view.y_px), scales, size[::-1], strict=True)
-    )
-    quality = np.asarray(view.quality, dtype=np.uint8)
-    kind = np.asarray(view.type, dtype=np.uint8)
-    return Minutiae(x, y, view.direction_rad, kind, quality, size)
+    right, down = (1.0 if ppcm == usual else PPI / (ppcm * 2.54) for ppcm in view.resolution_ppcm)
+    rows = max(1, round(view.size[0] * down))
+    columns = max(1, round(view.size[1] * right))
+    x = np.clip(np.rint(view.x_px * right), 0, columns - 1).astype(np.int32)
+    y = np.clip(np.rint(view.y_px * down), 0, rows - 1).astype(np.int32)
+    return Minutiae(x, y, view.direction_rad, view.type, view.quality, (rows, columns))

@@ -1,4 +1,5 @@
-"""Prints of a finger: what is inked (relief, curvature, photograph), and where (finger plane, unrolled skin)."""
+"""Prints of a finger: what is inked (relief, curvature, photograph), and where (finger plane,
+unrolled skin)."""
 
 from __future__ import annotations
 
@@ -35,9 +36,11 @@ class Print:
     in_mm: bool
     """Whether it is the relief."""
     distortion: dict[str, float] | None = None
-    """By how much lengths are off, of skin laid flat, see :func:`splitknit_match.prints.unroll.distortion`."""
+    """By how much lengths are off, of skin laid flat, see
+    :func:`splitknit_match.prints.unroll.distortion`."""
     even: NDArray[np.uint8] | None = None
-    """(h, w) the same of even contrast, where a print was pressed on glass or paper; its minutiae are sought there."""
+    """(h, w) the same of even contrast, where a print was pressed on glass or paper; its minutiae
+    are sought there."""
     confidence: FloatArray | None = None
     """(h, w) 0 to 1, of such a print: how sure its ridges are."""
 
@@ -50,20 +53,18 @@ class Print:
 def make_print(source: Source, method: str, surface: str | None = None, ppi: float = 500.0) -> Print:
     """Make a print of a finger by a method other than ``rolled``.
 
-    `surface`: ``plane``, or one of :data:`splitknit_match.prints.unroll.KINDS`; by default the finger plane, but of
-    ``unroll`` the skin laid flat (``free``). Raises
-    BadInput if the source lacks what is needed, or there are no ridges.
+    `surface`: ``plane``, or one of :data:`splitknit_match.prints.unroll.KINDS`; by default the
+    finger plane, but of ``unroll`` the skin laid flat (``free``). Raises BadInput if the source
+    lacks what is needed, or there are no ridges.
     """
     place = checked_surface(method, surface)
     distortion = None
+    frame = source.input_from_upright, source.upright_size
     if place == "plane":
-        print_map = plane_map(source.pitch_mm, source.input_from_upright, source.upright_size, ppi)
+        print_map = plane_map(source.pitch_mm, *frame, ppi)
     else:
-        grid = surface_grid(
-            _needed(source.shape_mm), source.mask, source.pitch_mm, source.input_from_upright, source.upright_size,
-            xy_mm=source.xy_mm,
-        )  # fmt: skip
-        unrolled = unroll(grid, place)
+        shape_mm = _needed(source.shape_mm)
+        unrolled = unroll(surface_grid(shape_mm, source.mask, source.pitch_mm, *frame, xy_mm=source.xy_mm), place)
         print_map = unrolled_map(unrolled, place, ppi)
         distortion = unrolled.distortion
 
@@ -83,43 +84,37 @@ def make_print(source: Source, method: str, surface: str | None = None, ppi: flo
             method != "specular" or source.specular is not None,
             "there is no specular image: it needs a capture through polarising films; print with `method` unroll.",
         )
-        inked, weight = read(_needed({"photo": source.photo, "specular": source.specular}.get(method, source.ridge_mm)))
+        fields = {"photo": source.photo, "specular": source.specular}
+        inked, weight = read(_needed(fields.get(method, source.ridge_mm)))
         image = ink(inked, weight, ppi)
     return Print(image, weight, print_map, inked, method not in ("photo", "specular"), distortion)
 
 
 def checked_surface(method: str, surface: str | None) -> str:
-    """Where a print is made; refuses what does not go together.
-
-    Raises BadInput if ``unroll`` is asked for on the plane.
-    """
-    if method == "rolled":
-        kind = surface or "free"
-        require(kind in KINDS, f"a rolled finger is laid flat {' or '.join(KINDS)}, not on the {kind}.")
-        return kind
-    if surface is None:
-        return "free" if method == "unroll" else "plane"
+    """Where a print is made. Raises BadInput if it is to be unrolled, and on the plane."""
+    unrolls = method in ("unroll", "rolled")
+    place = surface or ("free" if unrolls else "plane")
     require(
-        not (method == "unroll" and surface == "plane"),
-        "`method` unroll cannot be printed on the plane; use `method` relief for that.",
+        not unrolls or place in KINDS,
+        f"`method` {method} cannot be printed on the plane; use `method` relief for that.",
     )
-    return surface
+    return place
 
 
-def enhance(made: Print, ppi: float) -> Enhanced:
+def enhance(printed: Print) -> Enhanced:
     """Enhance a print."""
-    return gabor_enhance(made.clearest, ppi, made.weight > 0.5)
+    return gabor_enhance(printed.clearest, printed.map.ppi, printed.weight > 0.5)
 
 
-def measured(made: Print, enhanced: Enhanced, ppi: float) -> PrintQuality:
+def measured(printed: Print, enhanced: Enhanced) -> PrintQuality:
     """How good a print is; `enhanced` is what :func:`enhance` made of it."""
-    values = (1000.0 * made.values).astype(np.float32) if made.in_mm else made.values
-    return print_quality(values, made.weight, enhanced.field, ppi, in_um=made.in_mm)
+    values = (1000.0 * printed.values).astype(np.float32) if printed.in_mm else printed.values
+    return print_quality(values, printed.weight, enhanced.field, printed.map.ppi, in_um=printed.in_mm)
 
 
-def minutiae_by_phase(made: Print, enhanced: Enhanced, ppi: float) -> Minutiae:
+def minutiae_by_phase(printed: Print, enhanced: Enhanced) -> Minutiae:
     """Minutiae of a print; `enhanced` is what :func:`enhance` made of it."""
-    return by_phase(made.clearest, enhanced, ppi, made.confidence)
+    return by_phase(printed.clearest, enhanced, printed.map.ppi, printed.confidence)
 
 
 def _needed(values: FloatArray | None) -> FloatArray:

@@ -1,6 +1,8 @@
-"""Minutiae of a print by NIST's mindtct, their comparison by bozorth3, and NFIQ 2, all through `nbis-py`.
+"""Minutiae of a print by NIST's mindtct, their comparison by bozorth3, and NFIQ 2, all through
+`nbis-py`.
 
-This is the only module that imports it. It exists for x86-64 Linux alone; elsewhere :func:`extract` reports it.
+This is the only module that imports it. It exists for x86-64 Linux alone; elsewhere :func:`extract`
+reports it.
 """
 
 from __future__ import annotations
@@ -15,8 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from splitknit.errors import importing, require
-from splitknit.imaging.areas import disc
-from splitknit.model import BoolArray, FloatArray
+from splitknit.model import FloatArray
 from splitknit_match.prints.minutiae_record import (
     BIFURCATION,
     ENDING,
@@ -26,11 +27,14 @@ from splitknit_match.prints.minutiae_record import (
     Minutiae,
     no_minutiae,
 )
+from splitknit_match.prints.ridge_field import closed_opened, outline_distance_mm
 
 # How far inside a print its minutiae lie.
 #
-# Where a print is cut off, every ridge ends: those ends are the cut's, not the finger's. A contact print fades out
-# there, and mindtct leaves such places alone; the print of a reconstruction has full contrast up to its outline.
+# Where a print is cut off, every ridge ends: those ends are the cut's, not the finger's. A contact
+# print fades out
+# there, and mindtct leaves such places alone; the print of a reconstruction has full contrast up to
+# its outline.
 
 EDGE_MM = 0.6
 """Minutiae nearer to the outline are left out: about one and a third ridge periods."""
@@ -38,33 +42,28 @@ _PRESSED_EDGE_MM = 0.3
 """The same of pressed prints, which fade out."""
 _PAPER = 235
 """Brighter is paper (or the middle of a valley)."""
-_CLOSED_MM, _OPENED_MM = 1.0, 0.6
-"""Radii: valleys and small gaps belong to the print, thin lines beside it do not."""
+_CLOSED_MM = 1.0
+"""Radius: valleys and small gaps belong to the print."""
+_OPENED_MM = 0.6
+"""Radius: thin lines beside it do not."""
 
 
-def _edge_distance(print_image: NDArray[np.uint8]) -> FloatArray:
-    """Distance of every pixel to the print's outline.
+def edge_distance_mm(print_image: NDArray[np.uint8]) -> FloatArray:
+    """(H, W) distance of every pixel to the print's outline, 0 on the paper.
 
-    `print_image`: (H, W) uint8 at 500 ppi, ridges dark on white paper. Returns (H, W) float32, in mm; 0 on the paper.
-    The image's border is an outline, too: the finger goes on beyond it.
+    `print_image`: (H, W) uint8 at 500 ppi, ridges dark on white paper. The image's border is an
+    outline, too: the finger goes on beyond it.
     """
     closed, opened = (round(radius * PPI / 25.4) for radius in (_CLOSED_MM, _OPENED_MM))
-    ink = np.pad((print_image < _PAPER).astype(np.uint8), closed + 1)
-    area = cv2.morphologyEx(ink, cv2.MORPH_CLOSE, disc(closed))
-    area = np.pad(area[closed + 1 : -closed - 1, closed + 1 : -closed - 1], 1)  # beyond the image is not print
-    return _to_outline(cv2.morphologyEx(area, cv2.MORPH_OPEN, disc(opened))[1:-1, 1:-1] > 0)
-
-
-def _to_outline(area: BoolArray) -> FloatArray:
-    """(H, W) distance of every pixel of a print's area to its outline or the image's border, in mm; 0 outside."""
-    pixels = cv2.distanceTransform(np.pad(area.astype(np.uint8), 1), cv2.DIST_L2, cv2.DIST_MASK_PRECISE)[1:-1, 1:-1]
-    return pixels * (25.4 / PPI)
+    area = closed_opened(print_image < _PAPER, closed, opened, closed + 1, cv2.BORDER_CONSTANT)
+    return outline_distance_mm(area > 0, PPI)
 
 
 NFIQ2_FAILED = 255
 """What ISO/IEC 29794-1 gives for a quality that could not be computed."""
 MIN_SIDE_PX = 64
-"""A smaller image (3.3 mm at 500 ppi) holds no print; mindtct, given very small ones, ends the whole process."""
+"""A smaller image (3.3 mm at 500 ppi) holds no print; mindtct, given very small ones, ends the
+whole process."""
 _LOCK = threading.Lock()
 """mindtct and NFIQ 2 keep state of their own."""
 
@@ -73,20 +72,23 @@ def extract(
     print_image: NDArray[np.uint8], ppi: float = PPI, enhance: bool = False, *,
     edge_mm: float | None = None,
 ) -> Minutiae:  # fmt: skip
-    """Find the minutiae of a print (H, W) uint8, ridges dark, with mindtct: at most 150, by column and row.
+    """Find the minutiae of a print (H, W) uint8, ridges dark, with mindtct: at most 150, by column
+    and row.
 
-    None where there are no ridges: a failure to acquire. Other resolutions than 500 ppi are resampled first. `enhance`:
-    whether the print is enhanced first, or its enhancement, for prints pressed on glass or paper; relief prints of
-    reconstructions, whose contrast is even, are taken as they are. Minutiae nearer to the print's outline than
-    `edge_mm` are left out, for there every ridge ends: by default :data:`splitknit_match.prints.minutiae.EDGE_MM`,
-    and half of it after `enhance`, as pressed prints fade out. Raises BadInput if the image or the resolution is of
+    None where there are no ridges: a failure to acquire. Other resolutions than 500 ppi are
+    resampled first. `enhance`: whether the print is enhanced first, or its enhancement, for prints
+    pressed on glass or paper; relief prints of reconstructions, whose contrast is even, are taken
+    as they are. Minutiae nearer to the print's outline than `edge_mm` are left out, for there every
+    ridge ends: by default :data:`splitknit_match.prints.minutiae.EDGE_MM`, and half of it after
+    `enhance`, as pressed prints fade out. Raises BadInput if the image or the resolution is of
     another kind, or `nbis-py` is not installed.
 
-    Source: C. I. Watson et al., "User's Guide to NIST Biometric Image Software (NBIS)", NIST 2007: MINDTCT.
+    Source: C. I. Watson et al., "User's Guide to NIST Biometric Image Software (NBIS)", NIST 2007:
+    MINDTCT.
     """
     image = at_500_ppi(print_image, ppi)
     if min(image.shape) < MIN_SIDE_PX:
-        return no_minutiae((image.shape[0], image.shape[1]))
+        return no_minutiae(image.shape)
     pressed = None
     if enhance:
         from splitknit_match.prints.pressed import pressed_ridges  # a comparison of templates needs none of it
@@ -94,33 +96,35 @@ def extract(
         pressed = pressed_ridges(image)
         image = pressed.image
     with _LOCK:
-        found = _extractor(False).extract_minutiae(_png(image)).get()
-    rows = [(m.x(), m.y(), m.angle(), m.kind().value, m.reliability()) for m in found]
+        minutiae = _extractor(False).extract_minutiae(_png(image)).get()
+    rows = [(m.x(), m.y(), m.angle(), m.kind().value, m.reliability()) for m in minutiae]
     if not rows:
-        return no_minutiae((image.shape[0], image.shape[1]))
-    x, y, angle, kind, reliability = (np.array(column) for column in zip(*rows, strict=True))
+        return no_minutiae(image.shape)
+    x, y, angle, kind, reliability = np.array(rows, dtype=float).T
     every = Minutiae(
         x.astype(np.int32),
         y.astype(np.int32),
         np.deg2rad(angle % 360.0),
         np.where(kind == _module().MinutiaKind.BIFURCATION.value, BIFURCATION, ENDING).astype(np.uint8),
         np.clip(np.round(100 * reliability), 0, 100).astype(np.uint8),
-        (image.shape[0], image.shape[1]),
+        image.shape,
     )
-    least = edge_mm if edge_mm is not None else (EDGE_MM if pressed is None else _PRESSED_EDGE_MM)
-    if least <= 0:
-        return every
-    distance_mm = _edge_distance(image) if pressed is None else _to_outline(pressed.inside)
-    return every.taken(distance_mm[every.y_px, every.x_px] >= least)
+    if edge_mm is None:
+        edge_mm = EDGE_MM if pressed is None else _PRESSED_EDGE_MM
+    distance_mm = edge_distance_mm(image) if pressed is None else outline_distance_mm(pressed.inside, PPI)
+    return every.taken(distance_mm[every.y_px, every.x_px] >= edge_mm)
 
 
 def minutiae_match(a: Minutiae, b: Minutiae) -> float:
-    """Compare two sets of minutiae with bozorth3: about the number of pairs of minutiae that fit together.
+    """Compare two sets of minutiae with bozorth3: about the number of pairs of minutiae that fit
+    together.
 
-    Comparing A with B gives what B with A gives: the larger of both directions. Different fingers seldom reach 40. With
-    fewer than ten minutiae on one side (`acquired` is false) nothing is compared, and the score is 0.
+    Comparing A with B gives what B with A gives: the larger of both directions. Different fingers
+    seldom reach 40. With fewer than ten minutiae on one side (`acquired` is false) nothing is
+    compared, and the score is 0.
 
-    Source: C. I. Watson et al., "User's Guide to NIST Biometric Image Software (NBIS)", NIST 2007: BOZORTH3.
+    Source: C. I. Watson et al., "User's Guide to NIST Biometric Image Software (NBIS)", NIST 2007:
+    BOZORTH3.
     """
     if not (a.acquired and b.acquired):
         return 0.0
@@ -130,11 +134,13 @@ def minutiae_match(a: Minutiae, b: Minutiae) -> float:
 
 
 def nfiq2(print_image: NDArray[np.uint8], ppi: float = PPI) -> int:
-    """NIST Fingerprint Image Quality 2 of a print (H, W) uint8: 0 (useless) to 100, or 255 where it sees no print.
+    """NIST Fingerprint Image Quality 2 of a print (H, W) uint8: 0 (useless) to 100, or 255 where it
+    sees no print.
 
     Raises BadInput as :func:`extract`.
 
-    Source: ISO/IEC 29794-4:2017; E. Tabassi et al., "NIST Fingerprint Image Quality 2", NIST IR 8382, 2021.
+    Source: ISO/IEC 29794-4:2017; E. Tabassi et al., "NIST Fingerprint Image Quality 2", NIST IR
+    8382, 2021.
     """
     image = at_500_ppi(print_image, ppi)
     if min(image.shape) < MIN_SIDE_PX:
@@ -149,18 +155,17 @@ def nfiq2(print_image: NDArray[np.uint8], ppi: float = PPI) -> int:
 def _exchanged(minutiae: Minutiae) -> bytes:
     """Minutiae as `nbis-py` reads them: its own dialect of ISO/IEC 19794-2, its only input format.
 
-    bozorth3 needs them sorted by column: it stops looking for neighbours at the first that is too far to the right, and
-    `nbis-py` leaves the order as it comes. Their quality plays no part beyond the choice of the best.
+    bozorth3 needs them sorted by column: it stops looking for neighbours at the first that is too
+    far to the right, and `nbis-py` leaves the order as it comes. Their quality plays no part beyond
+    the choice of the best.
     """
-    order = np.lexsort((minutiae.y_px, minutiae.x_px))
-    if minutiae.count > MAX_MINUTIAE:
-        best = np.argsort(-minutiae.quality.astype(np.int64), kind="stable")[:MAX_MINUTIAE]
-        order = order[np.isin(order, best)]
-    x = minutiae.x_px[order] | (np.where(minutiae.type[order] == BIFURCATION, 2, 1) << 14)
-    angle = np.round(minutiae.direction_rad[order] * (128 / np.pi)).astype(np.int64) % 256
-    body = np.rec.fromarrays([x, minutiae.y_px[order], angle, np.full(len(order), 50)], ">u2, >u2, u1, u1").tobytes()
-    rows, columns = minutiae.size
-    return b"FMR\0 20\0" + struct.pack(">IxxHHxxxxxxxB", 26 + len(body), columns, rows, len(order)) + body
+    best = minutiae.best(MAX_MINUTIAE)
+    best = best.taken(np.lexsort((best.y_px, best.x_px)))
+    x = best.x_px | (np.where(best.type == BIFURCATION, 2, 1) << 14)
+    angle = np.round(best.direction_rad * (128 / np.pi)).astype(np.int64) % 256
+    body = np.rec.fromarrays([x, best.y_px, angle, np.full(best.count, 50)], ">u2, >u2, u1, u1").tobytes()
+    rows, columns = best.size
+    return b"FMR\0 20\0" + struct.pack(">IxxHHxxxxxxxB", 26 + len(body), columns, rows, best.count) + body
 
 
 def is_a_fingers(print_image: NDArray[np.uint8], ppi: float) -> bool:
@@ -171,7 +176,8 @@ def is_a_fingers(print_image: NDArray[np.uint8], ppi: float) -> bool:
 def at_500_ppi(print_image: NDArray[np.uint8], ppi: float) -> NDArray[np.uint8]:
     """Resample a print (H, W) uint8 to 500 ppi; the size is checked first.
 
-    Raises BadInput if the image or the resolution is of another kind, or the print is larger than a finger's.
+    Raises BadInput if the image or the resolution is of another kind, or the print is larger than a
+    finger's.
     """
     image = np.asarray(print_image)
     require(
@@ -180,20 +186,20 @@ def at_500_ppi(print_image: NDArray[np.uint8], ppi: float) -> NDArray[np.uint8]:
     )
     require(np.isfinite(ppi) and 100 <= ppi <= 5000, f"ppi must lie between 100 and 5000, but it is {ppi}.")
     rows, columns = (round(side * PPI / ppi) for side in image.shape)
-    high, wide = (side * 25.4 / ppi for side in image.shape)
+    height_mm, width_mm = (side * 25.4 / ppi for side in image.shape)
     require(
         is_a_fingers(image, ppi),
-        f"a print of {wide:.0f} x {high:.0f} mm is larger than a finger's ({LARGEST_MM2:.0f} mm²); crop one finger, or "
-        "correct the resolution.",
+        f"a print of {width_mm:.0f} x {height_mm:.0f} mm is larger than a finger's ({LARGEST_MM2:.0f} mm²); crop one "
+        "finger, or correct the resolution.",
     )
     if (rows, columns) == image.shape or min(rows, columns) < 1:
         return np.ascontiguousarray(image)
     kind = cv2.INTER_AREA if ppi > PPI else cv2.INTER_CUBIC
-    return np.asarray(cv2.resize(image, (columns, rows), interpolation=kind), dtype=np.uint8)
+    return cv2.resize(image, (columns, rows), interpolation=kind).astype(np.uint8)
 
 
 def _png(image: NDArray[np.uint8]) -> bytes:
-    return bytes(cv2.imencode(".png", image, [cv2.IMWRITE_PNG_COMPRESSION, 1])[1].tobytes())
+    return cv2.imencode(".png", image, [cv2.IMWRITE_PNG_COMPRESSION, 1])[1].tobytes()
 
 
 def _module() -> Any:

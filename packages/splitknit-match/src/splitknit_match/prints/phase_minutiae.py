@@ -1,7 +1,8 @@
 """Minutiae as the points about which the phase of the ridges turns.
 
-Where a ridge ends or forks, one side of the point has one ridge more than the other: going once around it, the phase of
-the ridges' wave grows or falls by 2 pi. No thinning, no tracing; needs no package beyond numpy and OpenCV.
+Where a ridge ends or forks, one side of the point has one ridge more than the other: going once
+around it, the phase of the ridges' wave grows or falls by 2 pi. No thinning, no tracing; needs no
+package beyond numpy and OpenCV.
 """
 
 from __future__ import annotations
@@ -14,6 +15,7 @@ from splitknit.imaging.geometry import sampled_at
 from splitknit.model import FloatArray
 from splitknit_match.prints.enhance import Enhanced
 from splitknit_match.prints.minutiae_record import BIFURCATION, ENDING, Minutiae
+from splitknit_match.prints.ridge_field import outline_distance_mm
 
 Array = NDArray[np.float64]
 _CORNERS = ((1, 0), (1, 1), (0, 1), (0, 0))
@@ -26,50 +28,53 @@ _SURE = 0.25
 _MIN_LIKENESS = 0.7
 """Minutiae about which the print follows the wave less are left out."""
 _AGAIN = (-1.824, -0.332, 0.531, 0.814)
-"""Offset and weights of the logistic regression behind the quality: logarithm of what is missing to full likeness,
-distance to the outline and to the nearest opposite minutia. Fitted on 30 fingers of six sensors by
-``validation/records/quality.py``."""
+"""Offset and weights of the logistic regression behind the quality: logarithm of what is missing to
+full likeness, distance to the outline and to the nearest opposite minutia. Fitted on 30 fingers of
+six sensors by ``validation/records/quality.py``."""
 _MIN_MISSING, _FAR_MM, _APART_MM, _OPPOSITE = 0.003, 4.0, 2.0, -0.5
-"""Beyond these, likeness and distances add nothing; opposite minutiae differ in direction by more than 120 deg."""
+"""Beyond these, likeness and distances add nothing; opposite minutiae differ in direction by more
+than 120 deg."""
 
 
 def by_phase(
     image: NDArray[np.uint8], enhanced: Enhanced, ppi: float = 500.0, confidence: FloatArray | None = None
 ) -> Minutiae:
-    """Find the minutiae of a print whose enhancement is at hand, on the grid of 500 ppi as mindtct's.
+    """Find the minutiae of a print whose enhancement is at hand, on the grid of 500 ppi as
+    mindtct's.
 
-    The wave `w` of the ridges has the phase `atan2(-dw/dn / k, w)`, `n` across the ridges and `k` their wave number. It
-    is known up to its sign, which is made the same around each square of four pixels; where it turns by 2 pi around
-    one, a ridge more begins there, in whose direction the minutia points. Its quality is the probability in % that
-    another print of the finger, where it shows the place, has the minutia too: it rises with how well the print follows
-    the wave about it, and with the distances to the outline and to the nearest opposite minutia.
+    The wave `w` of the ridges has the phase `atan2(-dw/dn / k, w)`, `n` across the ridges and `k`
+    their wave number. It is known up to its sign, which is made the same around each square of four
+    pixels; where it turns by 2 pi around one, a ridge more begins there, in whose direction the
+    minutia points. Its quality is the probability in % that another print of the finger, where it
+    shows the place, has the minutia too: it rises with how well the print follows the wave about
+    it, and with the distances to the outline and to the nearest opposite minutia.
 
-    `image`: (h, w) uint8, ridges dark; `enhanced`: of the same print; `confidence`: (h, w) 0 to 1, how sure the ridges
-    are: below a quarter it lowers the likeness. They come by rows, then columns. Raises BadInput if the print and its
-    enhancement have different sizes.
+    `image`: (h, w) uint8, ridges dark; `enhanced`: of the same print; `confidence`: (h, w) 0 to 1,
+    how sure the ridges are: below a quarter it lowers the likeness. They come by rows, then
+    columns. Raises BadInput if the print and its enhancement have different sizes.
 
-    Source: K. Larkin and P. Fletcher, "A coherent framework for fingerprint analysis: are fingerprints holograms?",
-    Optics Express 15, 2007.
+    Source: K. Larkin and P. Fletcher, "A coherent framework for fingerprint analysis: are
+    fingerprints holograms?", Optics Express 15, 2007.
     """
     ridges = -enhanced.wave.astype(float)  # positive on ridges
     along, wave_number = _field(enhanced)
     turns, quadratures = _turns(ridges, along, wave_number)
     rows, columns = np.nonzero(np.abs(turns) > 0.5)
-    place = np.stack([columns + 0.5, rows + 0.5], axis=1) + _zeros(ridges, quadratures, rows, columns)
-    inside = np.pad(enhanced.mask.astype(np.uint8), 1)  # beyond the picture is not print
-    distance = cv2.distanceTransform(inside, cv2.DIST_L2, cv2.DIST_MASK_PRECISE)[1:-1, 1:-1] * (25.4 / ppi)
+    distance = outline_distance_mm(enhanced.mask, ppi)[rows, columns]
     like = np.clip(_likeness(image, ridges)[rows, columns], 0, 1)
     if confidence is not None:
         like = like * np.sqrt(np.minimum(confidence[rows, columns] / _SURE, 1))
-    kept = (distance[rows, columns] >= _EDGE_MM) & (np.round(100 * like) >= 100 * _MIN_LIKENESS)
-    rows, columns, place, like = rows[kept], columns[kept], place[kept], like[kept]
+    kept = (distance >= _EDGE_MM) & (np.round(100 * like) >= 100 * _MIN_LIKENESS)
+    rows = rows[kept]
+    columns = columns[kept]
+    place = np.stack([columns + 0.5, rows + 0.5], axis=1) + _zeros(ridges, quadratures, rows, columns)
     towards = along[rows, columns] + np.where(turns[rows, columns] > 0, 0.0, np.pi)
     kind = _kinds(ridges, place, towards, wave_number[rows, columns])
-    quality = _quality(like, distance[rows, columns], place * (25.4 / ppi), towards)
+    quality = _quality(like[kept], distance[kept], place * (25.4 / ppi), towards)
     scale = 500.0 / ppi
     size = max(1, round(image.shape[0] * scale)), max(1, round(image.shape[1] * scale))
     pixel = np.rint((place + 0.5) * scale - 0.5).astype(np.int32)
-    column, row = (np.clip(pixel[:, k], 0, size[1 - k] - 1) for k in (0, 1))
+    column, row = np.clip(pixel, 0, np.array(size[::-1]) - 1).T
     return Minutiae(column, row, towards % (2 * np.pi), kind, quality, size)
 
 
@@ -78,7 +83,7 @@ def _quality(like: FloatArray, edge_mm: FloatArray, place_mm: Array, towards: Ar
     apart = np.full(len(like), _APART_MM)
     for k, (place, turn) in enumerate(zip(place_mm, towards, strict=True)):
         opposite = place_mm[np.cos(towards - turn) < _OPPOSITE]
-        apart[k] = min(_APART_MM, *np.hypot(*(opposite - place).T)) if len(opposite) else _APART_MM
+        apart[k] = min([_APART_MM, *np.hypot(*(opposite - place).T)])
     missing = np.log(np.maximum(1 - like.astype(float), _MIN_MISSING))
     return _probability(np.stack([np.ones(len(like)), missing, np.minimum(edge_mm, _FAR_MM), apart], axis=1))
 
@@ -89,21 +94,20 @@ def _probability(terms: Array) -> NDArray[np.uint8]:
 
 def _field(enhanced: Enhanced) -> tuple[Array, Array]:
     """(h, w) direction along the ridges, counter-clockwise, and wave number in radians a pixel."""
-    field, (rows, columns) = enhanced.field, enhanced.wave.shape
+    field = enhanced.field
+    rows, columns = enhanced.wave.shape
+    typical = np.median(field.frequency_px[field.mask])
+    frequency = np.where(field.mask, field.frequency_px, typical)
+    parts = np.dstack([np.cos(2 * field.orientation_rad), np.sin(2 * field.orientation_rad), frequency])
     size = field.mask.shape[1] * field.step_px, field.mask.shape[0] * field.step_px
-    parts = (
-        np.cos(2 * field.orientation_rad),
-        np.sin(2 * field.orientation_rad),
-        np.where(field.mask, field.frequency_px, np.median(field.frequency_px[field.mask])),
-    )
-    cosine, sine, frequency = (
-        cv2.resize(part.astype(np.float32), size, interpolation=cv2.INTER_LINEAR)[:rows, :columns] for part in parts
-    )
-    return np.asarray(0.5 * np.arctan2(sine, cosine), dtype=float), 2 * np.pi * frequency.astype(float)
+    fine = cv2.resize(parts.astype(np.float32), size, interpolation=cv2.INTER_LINEAR)[:rows, :columns]
+    cosine, sine, frequency = cv2.split(fine)
+    return 0.5 * np.arctan2(sine, cosine).astype(float), 2 * np.pi * frequency.astype(float)
 
 
 def _turns(ridges: Array, along: Array, wave_number: Array) -> tuple[Array, list[Array]]:
-    """(h - 1, w - 1) turns of the phase, counter-clockwise around each square of four pixels: -1, 0 or 1.
+    """(h - 1, w - 1) turns of the phase, counter-clockwise around each square of four pixels: -1, 0
+    or 1.
 
     And the wave a quarter turn on, (h - 1, w - 1) at each of the four corners.
     """
@@ -112,16 +116,16 @@ def _turns(ridges: Array, along: Array, wave_number: Array) -> tuple[Array, list
     quadrature = -(right * across[0] - down * across[1]) / wave_number
     height, width = ridges.shape
 
-    def corner(values: Array, which: tuple[int, int]) -> Array:
-        row, column = which
+    def corner(values: Array, row: int, column: int) -> Array:
         return values[..., row : height - 1 + row, column : width - 1 + column]
 
-    first = corner(across, _CORNERS[0])
-    phases, quadratures = [], []
-    for which in _CORNERS:
-        same = np.sign((corner(across, which) * first).sum(axis=0))
-        quadratures.append(np.where(same < 0, -1.0, 1.0) * corner(quadrature, which))
-        phases.append(np.arctan2(quadratures[-1], corner(ridges, which)))
+    first = corner(across, *_CORNERS[0])
+    phases = []
+    quadratures = []
+    for place in _CORNERS:
+        same = np.sign((corner(across, *place) * first).sum(axis=0))
+        quadratures.append(np.where(same < 0, -1.0, 1.0) * corner(quadrature, *place))
+        phases.append(np.arctan2(quadratures[-1], corner(ridges, *place)))
     total = np.zeros((height - 1, width - 1))
     for k in range(4):
         step = phases[(k + 1) % 4] - phases[k]
@@ -130,26 +134,30 @@ def _turns(ridges: Array, along: Array, wave_number: Array) -> tuple[Array, list
 
 
 def _zeros(ridges: Array, quadratures: list[Array], rows: NDArray[np.intp], columns: NDArray[np.intp]) -> Array:
-    """(N, 2) how far right and down of a square's middle the wave and its quadrature vanish, each fitted by a plane."""
-    wave = np.stack(
-        [ridges[rows + down, columns + right] for down, right in _CORNERS] + [one[rows, columns] for one in quadratures]
+    """(N, 2) how far right and down of a square's middle the wave and its quadrature vanish, each
+    fitted by a plane."""
+    values = np.stack(
+        [
+            ridges[rows + down, columns + right] + 1j * quadrature[rows, columns]
+            for (down, right), quadrature in zip(_CORNERS, quadratures, strict=True)
+        ]
     )
-    values = wave[:4] + 1j * wave[4:]
     down, right = (np.array(_CORNERS) - 0.5).T @ values
     middle = values.mean(axis=0)
-    turned = (right * down.conj()).imag
-    flat = np.abs(turned) < 1e-12  # no direction in which both grow
-    turned = np.where(flat, 1.0, turned)
-    across = -(middle * down.conj()).imag / turned, (middle * right.conj()).imag / turned
-    return np.where(flat[:, None], 0.0, np.clip(np.stack(across, axis=1), -0.5, 0.5))
+    determinant = (right * down.conj()).imag
+    flat = np.abs(determinant) < 1e-12  # no direction in which both grow
+    determinant = np.where(flat, 1.0, determinant)
+    offset = np.stack([-(middle * down.conj()).imag, (middle * right.conj()).imag], axis=1) / determinant[:, None]
+    return np.where(flat[:, None], 0.0, np.clip(offset, -0.5, 0.5))
 
 
 def _kinds(ridges: Array, place: Array, towards: Array, wave_number: Array) -> NDArray[np.uint8]:
-    """A ridge ends where the side with one more has a ridge ahead, it forks where that has a valley."""
+    """A ridge ends where the side with one more has a ridge ahead, it forks where that has a
+    valley."""
     ahead = 0.5 * 2 * np.pi / wave_number
     column, row = place[:, 0] + ahead * np.cos(towards), place[:, 1] - ahead * np.sin(towards)
     ending = sampled_at(ridges.astype(np.float32), column, row, outside=0.0) > 0
-    return np.asarray(np.where(ending, ENDING, BIFURCATION), dtype=np.uint8)
+    return np.where(ending, ENDING, BIFURCATION).astype(np.uint8)
 
 
 def _likeness(image: NDArray[np.uint8], ridges: Array, sigma_px: float = 4.0) -> FloatArray:
@@ -157,5 +165,5 @@ def _likeness(image: NDArray[np.uint8], ridges: Array, sigma_px: float = 4.0) ->
     smooth = cv2.GaussianBlur(image.astype(np.float32), (0, 0), 1.0)
     ink = cv2.GaussianBlur(smooth, (0, 0), 2.5 * sigma_px) - smooth
     wave = ridges.astype(np.float32)
-    both, own, other = (cv2.GaussianBlur(part, (0, 0), sigma_px) for part in (ink * wave, wave * wave, ink * ink))
-    return np.asarray(both / np.sqrt(own * other + 1e-6), dtype=np.float32)
+    both, of_wave, of_ink = (cv2.GaussianBlur(part, (0, 0), sigma_px) for part in (ink * wave, wave * wave, ink * ink))
+    return np.asarray(both / np.sqrt(of_wave * of_ink + 1e-6))

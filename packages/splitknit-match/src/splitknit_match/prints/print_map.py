@@ -1,8 +1,8 @@
 """Where the pixels of a print lie in the image, and the other way round.
 
-A map is made of a coarse grid of nodes whose places are known in the input and on the print, read by cubic
-interpolation (Catmull and Rom 1974); its inverse is found by Newton's method and stored densely. Points are (column,
-row), as everywhere.
+A map is made of a coarse grid of nodes whose places are known in the input and on the print, read
+by cubic interpolation (Catmull and Rom 1974); its inverse is found by Newton's method and stored
+densely. Points are (column, row), as everywhere.
 """
 
 from __future__ import annotations
@@ -21,40 +21,54 @@ from splitknit.finger.ridges import MM_PER_INCH, upright_from_print
 from splitknit.imaging.band import bin_mean
 from splitknit.imaging.geometry import bounding_box, gaussian_mean, sampled_at
 from splitknit.model import BoolArray, FloatArray
-from splitknit_match.prints.unroll import SurfaceGrid, Unrolled, extrapolated, slant_cos
+from splitknit_match.prints.unroll import Array, SurfaceGrid, Unrolled, extrapolated, moved, slant_cos
+
+NOWHERE = -1e6
+"""Where a print's pixel lies in the input if it shows nothing."""
+_STEP_MM = 0.25
+"""Spacing of the coarse grid on the print on which the inverse is computed."""
+_NEWTON_STEPS = 8
+_MARGIN_MM = 0.5
+"""Of a print, around all that it holds."""
+SLANT_DEG = 70.0
+"""Skin steeper than this is left out of a print: the camera hardly sees it."""
+_SIGMA_PX = 0.5
+"""Of the Gaussian before a print that is coarser than the input, pixels of the print."""
+_LARGEST_PX = 25_000_000
+"""Largest print: 250 x 250 mm at 500 ppi."""
 
 # Smooth functions on coarse grids: read anywhere, read densely, and inverted.
 #
-# Source: E. Catmull and R. Rom 1974, A class of local interpolating splines: straight lines are read exactly.
-
-
-def _dense(values: FloatArray, size: tuple[int, int], step: float, *, linear: bool = False) -> FloatArray:
-    """Read a coarse grid, its first pixel two steps before the fine one's, at every pixel of a fine grid."""
-    down, across = (
-        _weights(np.arange(n) / step + 2.0, m, linear=linear) for n, m in zip(size, values.shape, strict=True)
-    )
-    return down @ values @ across.T
-
-
-def _weights(places: Array, count: int, *, linear: bool) -> FloatArray:
-    """(N, count) matrix that interpolates a line of `count` values at `places`: Catmull-Rom, or linear."""
-    first = np.floor(places).astype(np.intp)
-    rest = places - first
-    parts = [1.0 - rest, rest] if linear else polyval(rest, _CATMULL_ROM.T)
-    shift = 0 if linear else -1
-    matrix = np.zeros((len(places), count), dtype=np.float32)
-    line = np.arange(len(places))
-    for k, part in enumerate(parts):
-        matrix[line, np.clip(first + shift + k, 0, count - 1)] += part
-    return matrix
-
+# Source: E. Catmull and R. Rom 1974, A class of local interpolating splines: straight lines are
+# read exactly.
 
 _CATMULL_ROM = np.array([[0, -1, 2, -1], [2, 0, -5, 3], [0, 1, 4, -3], [0, 0, -1, 1]]) / 2
-"""Weights of the four values around, as polynomials of the place between the middle two, constant term first."""
+"""Weights of the four values around, as polynomials of the place between the middle two, constant
+term first."""
+
+
+def _dense(values: NDArray[Any], size: tuple[int, ...], step: float, *, linear: bool = False) -> FloatArray:
+    """Read a coarse grid, its first pixel two steps before the fine one's, at every pixel of a fine
+    grid."""
+
+    def interpolation(pixels: int, nodes: int) -> FloatArray:
+        """(pixels, nodes) matrix that interpolates a line."""
+        places = np.arange(pixels) / step + 2.0
+        first = np.floor(places).astype(np.intp)
+        rest = places - first
+        weights = [0.0 * rest, 1.0 - rest, rest] if linear else polyval(rest, _CATMULL_ROM.T)
+        matrix = np.zeros((pixels, nodes), dtype=np.float32)
+        for k, weight in enumerate(weights):
+            matrix[np.arange(pixels), np.clip(first + k - 1, 0, nodes - 1)] += weight
+        return matrix
+
+    down, across = map(interpolation, size, values.shape)
+    return down @ values.astype(np.float32) @ across.T
 
 
 def _cubic(values: Array, places: Array) -> tuple[Array, Array]:
-    """Values (N, 2) of a grid (n, m, 2) at `places` (N, 2; column, row), and their slopes (N, 2, 2); NaN outside."""
+    """Values (N, 2) of a grid (n, m, 2) at `places` (N, 2; column, row), and their slopes (N, 2,
+    2); NaN outside."""
     n, m = values.shape[:2]
     result = np.full((len(places), 2), np.nan)
     slope = np.full((len(places), 2, 2), np.nan)
@@ -73,9 +87,10 @@ def _cubic(values: Array, places: Array) -> tuple[Array, Array]:
 
 
 def _inverted(values: Array, targets: Array, start: Array) -> Array:
-    """Places (N, 2) at which the grid has the values `targets`, by Newton steps from `start`; NaN where none is."""
+    """Places (N, 2) at which the grid has the values `targets`, by Newton steps from `start`; NaN
+    where none is."""
     places = start.copy()
-    for _ in range(_ROUNDS):
+    for _ in range(_NEWTON_STEPS):
         here, slope = _cubic(values, places)
         miss = targets - here
         determinant = slope[:, 0, 0] * slope[:, 1, 1] - slope[:, 0, 1] * slope[:, 1, 0]
@@ -88,23 +103,6 @@ def _inverted(values: Array, targets: Array, start: Array) -> Array:
     here, _ = _cubic(values, places)
     places[~(np.abs(here - targets).max(axis=1) < 1e-3)] = np.nan
     return places
-
-
-Array = NDArray[np.float64]
-NOWHERE = -1e6
-"""Where a print's pixel lies in the input if it shows nothing."""
-_STEP_MM = 0.25
-"""Spacing of the coarse grid on the print on which the inverse is computed."""
-_ROUNDS = 8
-"""Newton steps."""
-_MARGIN_MM = 0.5
-"""Of a print, around all that it holds."""
-SLANT_DEG = 70.0
-"""Skin steeper than this is left out of a print: the camera hardly sees it."""
-_SIGMA_PX = 0.5
-"""Of the Gaussian before a print that is coarser than the input, pixels of the print."""
-_LARGEST_PX = 25_000_000
-"""Largest print: 250 x 250 mm at 500 ppi."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -123,19 +121,14 @@ class PrintMap:
     print_of_grid: Array
     """(n, m, 2) where the nodes lie on the print, pixels; NaN where nowhere."""
 
-    @property
-    def size(self) -> tuple[int, int]:
-        """Rows and columns of the print."""
-        return self.columns.shape[0], self.columns.shape[1]
-
     def print_from_input(self, points: Array) -> Array:
         """Places (N, 2) on the print of places (N, 2) in the input; NaN beside the finger."""
-        nodes = _moved(np.linalg.inv(self.input_from_grid), np.asarray(points, dtype=float).reshape(-1, 2))
-        return _cubic(self.print_of_grid, nodes)[0]
+        return _cubic(self.print_of_grid, moved(np.linalg.inv(self.input_from_grid), points))[0]
 
     def input_from_print(self, points: Array) -> Array:
-        """Places (N, 2) in the input of places (N, 2) on the print; NaN where the print shows nothing."""
-        columns, rows = np.nan_to_num(points, nan=-1.0).reshape(-1, 2).T.astype(np.float32)
+        """Places (N, 2) in the input of places (N, 2) on the print; NaN where the print shows
+        nothing."""
+        columns, rows = np.nan_to_num(points, nan=-1.0).T.astype(np.float32)
         known = self.columns > 0.5 * NOWHERE
         fields = (np.where(known, field, np.float32(np.nan)) for field in (self.columns, self.rows))
         return np.stack([sampled_at(field, columns, rows, outside=np.nan) for field in fields], axis=1).astype(float)
@@ -144,49 +137,45 @@ class PrintMap:
 def plane_map(
     pitch_mm: float, input_from_upright: Array, upright_size: tuple[int, int], ppi: float = 500.0
 ) -> PrintMap:
-    """Return the map of the finger plane, seen straight from above: the frame of :func:`relief_print`.
+    """Return the map of the finger plane, seen straight from above: the frame of
+    :func:`relief_print`.
 
     Raises BadInput if the resolution is not positive.
     """
     _check_ppi(ppi)
     step = MM_PER_INCH / ppi / pitch_mm
-    size = _checked_size(max(1, round(upright_size[0] / step)), max(1, round(upright_size[1] / step)))
+    size = _checked_size(*(max(1, round(side / step)) for side in upright_size))
     input_from_print = input_from_upright @ upright_from_print(size, upright_size, step)
     column, row = np.meshgrid(np.arange(size[1], dtype=float), np.arange(size[0], dtype=float))
-    columns = input_from_print[0, 0] * column + input_from_print[0, 1] * row + input_from_print[0, 2]
-    rows = input_from_print[1, 0] * column + input_from_print[1, 1] * row + input_from_print[1, 2]
+    columns, rows = (line[0] * column + line[1] * row + line[2] for line in input_from_print[:2])
     # a grid of nodes wider than any input: straight lines are read exactly
     reach = 4.0 * max(size)
     print_from_grid = np.array([[reach, 0.0, -2.0 * reach], [0.0, reach, -2.0 * reach], [0.0, 0.0, 1.0]])
     node = np.stack(np.meshgrid(np.arange(6.0), np.arange(6.0)), axis=2)
     return PrintMap(
         "plane", ppi, columns.astype(np.float32), rows.astype(np.float32), input_from_print @ print_from_grid,
-        _moved(print_from_grid, node),
+        moved(print_from_grid, node),
     )  # fmt: skip
 
 
 def unrolled_map(unrolled: Unrolled, kind: str, ppi: float = 500.0, slant_deg: float | None = SLANT_DEG) -> PrintMap:
-    """Return the map of skin that was laid flat; the print holds all that is less steep than `slant_deg`, and a margin.
+    """Return the map of skin that was laid flat; the print holds all that is less steep than
+    `slant_deg`, and a margin.
 
-    Without a `slant_deg` it holds all of the skin, however it is turned: a sheet around a finger. Raises BadInput if
-    the resolution is not positive.
+    Without a `slant_deg` it holds all of the skin, however it is turned: a sheet around a finger.
+    Raises BadInput if the resolution is not positive.
     """
     _check_ppi(ppi)
     px_per_mm = ppi / MM_PER_INCH
-    flat, grid = unrolled.flat_mm, unrolled.grid
+    flat = unrolled.flat_mm
+    grid = unrolled.grid
     facing = grid.inside if slant_deg is None else grid.inside & (_facing(grid) > np.cos(np.deg2rad(slant_deg)))
     require(facing.any(), "the finger hardly faces the camera; capture it again with its pad towards it.")
-    used = flat[facing]
-    low, high = used.min(axis=0) - _MARGIN_MM, used.max(axis=0) + _MARGIN_MM
+    low = flat[facing].min(axis=0) - _MARGIN_MM
+    high = flat[facing].max(axis=0) + _MARGIN_MM
     size = _checked_size(*(int(np.ceil(length)) for length in (high - low)[::-1] * px_per_mm))
-    middle = 0.5 * (low + high)
-    print_of_grid = np.stack(
-        [
-            0.5 * (size[1] - 1) - (flat[..., 0] - middle[0]) * px_per_mm,  # mirrored, as paper shows it
-            0.5 * (size[0] - 1) - (flat[..., 1] - middle[1]) * px_per_mm,
-        ],
-        axis=2,
-    )
+    # mirrored, as paper shows it
+    print_of_grid = 0.5 * (np.array(size[::-1]) - 1) - (flat - 0.5 * (low + high)) * px_per_mm
     columns, rows = _dense_inverse(print_of_grid, grid, size, _STEP_MM * px_per_mm, slant_deg)
     return PrintMap(kind, ppi, columns, rows, grid.input_from_grid, print_of_grid)
 
@@ -209,71 +198,57 @@ def _dense_inverse(
     """Columns and rows of the input for every pixel of the print."""
     lines = [np.arange(-2, int(np.ceil((n - 1) / step)) + 3) * step for n in size]
     coarse = np.stack(np.meshgrid(lines[1], lines[0]), axis=2)
+    targets = coarse.reshape(-1, 2)
     near = np.isfinite(print_of_grid).all(axis=2)
     near &= cv2.dilate(grid.inside.astype(np.uint8), np.ones((5, 5), np.uint8)) > 0
-    _, nearest = scipy.spatial.cKDTree(print_of_grid[near]).query(coarse.reshape(-1, 2))
+    _, nearest = scipy.spatial.cKDTree(print_of_grid[near]).query(targets)
     start = np.argwhere(near)[nearest, ::-1].astype(float)
-    nodes = _inverted(print_of_grid, coarse.reshape(-1, 2), start).reshape(coarse.shape)
-    found = np.isfinite(nodes).all(axis=2)
+    nodes = _inverted(print_of_grid, targets, start).reshape(coarse.shape)
     filled = extrapolated(nodes, 3)
-    holes = ~np.isfinite(filled).all(axis=2)
-    filled[holes] = 0.0
-    input_of_coarse = _moved(grid.input_from_grid, filled)
-    input_of_coarse[holes] = 0.0
-    columns, rows = (
-        _dense(np.asarray(part, dtype=np.float32), size, step) for part in np.moveaxis(input_of_coarse, 2, 0)
-    )
-    trusted = _dense(np.asarray(found, dtype=np.float32), size, step, linear=True) > 0.999
+    input_of_coarse = np.nan_to_num(moved(grid.input_from_grid, filled))
+    trusted = _dense(np.isfinite(nodes[..., 0]), size, step, linear=True) > 0.999
     if slant_deg is not None:
-        column, row = (np.nan_to_num(nodes[..., d], nan=-1.0).astype(np.float32) for d in range(2))
+        column, row = np.moveaxis(np.nan_to_num(nodes, nan=-1.0).astype(np.float32), 2, 0)
         cosine = cv2.remap(_facing(grid), column, row, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
-        facing = _dense(np.asarray(cosine, dtype=np.float32), size, step, linear=True)
-        trusted &= facing > np.float32(np.cos(np.deg2rad(slant_deg)))
-    at_column, at_row = (np.where(trusted, part, NOWHERE).astype(np.float32) for part in (columns, rows))
-    return at_column, at_row
+        trusted &= _dense(cosine, size, step, linear=True) > np.float32(np.cos(np.deg2rad(slant_deg)))
+    columns, rows = (
+        np.where(trusted, _dense(part, size, step), NOWHERE).astype(np.float32)
+        for part in np.moveaxis(input_of_coarse, 2, 0)
+    )
+    return columns, rows
 
 
 def _facing(grid: SurfaceGrid) -> FloatArray:
-    """(n, m) cosine of the slant, evened out over neighbours so that its contours are smooth; continued outwards."""
+    """(n, m) cosine of the slant, evened out over neighbours so that its contours are smooth;
+    continued outwards."""
     cosine = np.where(grid.inside, slant_cos(grid.points_mm), np.nan)[..., None]
     cosine = np.clip(np.nan_to_num(extrapolated(cosine, 4)[..., 0]), 0.0, 1.0).astype(np.float32)
-    return np.asarray(cv2.GaussianBlur(cosine, (0, 0), 0.8), dtype=np.float32)
-
-
-def _moved(matrix: NDArray[Any], points: Array) -> Array:
-    return np.asarray(points @ matrix[:2, :2].T + matrix[:2, 2])
+    return np.asarray(cv2.GaussianBlur(cosine, (0, 0), 0.8))
 
 
 # A field of the input, read at a print's pixels.
 
 
 def resample(field: FloatArray, mask: BoolArray, pitch_mm: float, print_map: PrintMap) -> tuple[FloatArray, FloatArray]:
-    """Read `field` (H, W), ignored outside `mask`, on a print: values (h, w), and how much of a pixel is on the finger.
+    """Read `field` (H, W), ignored outside `mask`, on a print: values (h, w), and how much of a
+    pixel is on the finger.
 
-    `pitch_mm`: of the input. Where the print is coarser than the input, a Gaussian takes out what it cannot show.
+    `pitch_mm`: of the input. Where the print is coarser than the input, a Gaussian takes out what
+    it cannot show.
     """
-    mask = check_mask(mask, (field.shape[0], field.shape[1]))
+    mask = check_mask(mask, field.shape)
     step = MM_PER_INCH / print_map.ppi / pitch_mm
     rows, columns = bounding_box(mask, int(4 * step) + 2)
     inside = mask[rows, columns]
-    weight = inside.astype(np.float32)
-    values = np.where(inside, field[rows, columns], 0.0).astype(np.float32)
+    # averaging whole blocks first costs a fraction and takes out next to nothing
     factor = max(1, int(step / 1.9))
-    if factor > 1:  # averaging whole blocks first costs a fraction and takes out next to nothing
-        weight, values = (bin_mean(image, factor) for image in (weight, values))
+    weight = bin_mean(inside.astype(np.float32), factor)
+    values = bin_mean(np.where(inside, field[rows, columns], 0.0).astype(np.float32), factor)
     if step > 1.0:
         sigma = float(np.sqrt(max((_SIGMA_PX * step) ** 2 - (factor**2 - 1) / 12, 0.01))) / factor
-        fraction = gaussian_mean(weight, sigma)
-        values = np.asarray(gaussian_mean(values, sigma) / np.maximum(fraction, 1e-3), dtype=np.float32)
-        values[fraction <= 1e-3] = 0.0
-        weight = fraction
-    x, y = (
-        (places - box.start + 0.5) / factor - 0.5
-        for places, box in ((print_map.columns, columns), (print_map.rows, rows))
-    )
-    return _read(values, x, y), np.clip(_read(weight, x, y), 0.0, 1.0).astype(np.float32)
-
-
-def _read(image: FloatArray, x: FloatArray, y: FloatArray) -> FloatArray:
-    read = cv2.remap(image, x, y, cv2.INTER_CUBIC, borderMode=cv2.BORDER_CONSTANT, borderValue=0.0)
-    return np.asarray(read, dtype=np.float32)
+        weight = gaussian_mean(weight, sigma)
+        values = gaussian_mean(values, sigma) / np.maximum(weight, 1e-3) * (weight > 1e-3)
+    x = (print_map.columns - columns.start + 0.5) / factor - 0.5
+    y = (print_map.rows - rows.start + 0.5) / factor - 0.5
+    read, fraction = (sampled_at(part, x, y, cv2.INTER_CUBIC, outside=0.0) for part in (values, weight))
+    return read, np.clip(fraction, 0.0, 1.0)

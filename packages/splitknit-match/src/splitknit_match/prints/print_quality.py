@@ -18,8 +18,10 @@ from splitknit_match.prints.ridge_field import RidgeField
 
 # Figures of a print's quality: strength, direction, period, sharpness and extent of its ridges.
 #
-# Everything is measured on the values that are inked (the relief in micrometres, or light), not on the print's grey
-# values, whose contrast is made even. At nodes about 0.4 mm apart a plane wave is fitted: its height, its fraction of
+# Everything is measured on the values that are inked (the relief in micrometres, or light), not on
+# the print's grey
+# values, whose contrast is made even. At nodes about 0.4 mm apart a plane wave is fitted: its
+# height, its fraction of
 # all that varies around it, and its second harmonic, which shows how sharp the ridges' edges are.
 
 _SIGMA_PERIODS = 0.75
@@ -27,7 +29,8 @@ _SIGMA_PERIODS = 0.75
 _SMOOTH_MM = 0.6
 """Values are taken relative to their Gaussian mean of this standard deviation."""
 _CLOSE_MM = 3.0
-"""Gaps up to about twice as wide, with ridges around, are distinguished from an outline that has none."""
+"""Gaps up to about twice as wide, with ridges around, are distinguished from an outline that has
+none."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -37,15 +40,17 @@ class QualityFigures:
     ridge_share: float
     """0 to 1: fraction of the finger's area on the print that has ridges, pure and high enough."""
     ridge_height_um: float | None
-    """um, 0 or more: median height of ridges above their valleys, wherever waves were found; None where not in um."""
+    """um, 0 or more: median height of ridges above their valleys, wherever waves were found; None
+    where not in um."""
     coherence: float
-    """0 to 1: median agreement of the directions, wherever waves were found."""
+    """0 to 1: median agreement of the directions, wherever waves were field."""
     plausible_share: float
     """0 to 1: fraction of the ridges whose period is near the median."""
     period_mm: float
     """mm: median ridge period."""
     sharpness: float
-    """0 to about 0.5: second harmonic of the ridges, where it goes with the first, over the first."""
+    """0 to about 0.5: second harmonic of the ridges, where it goes with the first, over the first.
+    """
     ridge_area_mm2: float
     """mm2, 0 to the finger's area: ridges."""
     finger_area_mm2: float
@@ -58,53 +63,11 @@ class QualityFigures:
     """mm, 0 or more: sideways from the middle of the finger's area to the middle of the ridges."""
 
 
-def _quality_figures(
-    values: FloatArray, weight: FloatArray, found: RidgeField, ppi: float, min_height_um: float | None
-) -> QualityFigures:
-    """Measure the figures of a print's quality.
-
-    `values`, `weight`, `found`, `ppi`: as of :func:`print_quality`; `min_height_um`: of ridges above their valleys,
-    None where `values` are not in um. Raises BadInput if the shapes disagree or nothing lies on the finger.
-    """
-    in_um = min_height_um is not None
-    px = ppi / MM_PER_INCH
-    finger = _at_nodes(weight, found) > 0.5
-    require(finger.any(), "nothing of the finger lies on the print.")
-    finger[1::2], finger[:, 1::2] = False, False  # every second node, each way, is enough
-    looked = replace(found, mask=found.mask & finger)
-    mm = found.step_px / px
-    cell = (2.0 * mm) ** 2
-    if not looked.mask.any():
-        return QualityFigures(0, 0.0 if in_um else None, 0, 0, 0, 0, 0, float(finger.sum()) * cell, 0, 1, 0)
-    first, second, purity = _waves(values, weight, looked, px)
-    height = 2.0 * np.abs(first)
-    strong = looked.mask & (purity > _MIN_PURITY)
-    if min_height_um is not None:
-        strong &= height > min_height_um
-    period = 1.0 / (found.frequency_px * px)
-    typical = float(np.median(period[looked.mask]))
-    near = (period > typical * (1.0 - _PERIOD_TOLERANCE)) & (period < typical * (1.0 + _PERIOD_TOLERANCE))
-    return QualityFigures(
-        ridge_share=float(strong.sum() / finger.sum()),
-        ridge_height_um=float(np.median(height[looked.mask])) if in_um else None,
-        coherence=float(np.median(found.coherence[looked.mask])),
-        plausible_share=float(near[strong].mean()) if strong.any() else 0.0,
-        period_mm=typical,
-        sharpness=_sharpness(first[strong], second[strong]),
-        ridge_area_mm2=float(strong.sum()) * cell,
-        finger_area_mm2=float(finger.sum()) * cell,
-        ridge_length_mm=_length(strong, finger, 2.0 * mm),
-        gap_share=_gaps(strong[::2, ::2], finger[::2, ::2], 2.0 * mm),
-        centre_offset_mm=abs(float(np.nonzero(strong)[1].mean()) - float(np.nonzero(finger)[1].mean())) * mm
-        if strong.any()
-        else 0.0,
-    )
-
-
 def _waves(
-    values: FloatArray, weight: FloatArray, looked: RidgeField, px: float
+    values: FloatArray, weight: FloatArray, sampled: RidgeField, px: float
 ) -> tuple[NDArray[np.complex64], NDArray[np.complex64], FloatArray]:
-    """Waves at the nodes (n, m), their second harmonics, and the fraction of the variance that a wave explains."""
+    """Waves at the nodes (n, m), their second harmonics, and the fraction of the variance that a
+    wave explains."""
     inside = np.clip(weight, 0.0, 1.0).astype(np.float32)
     around = np.maximum(gaussian_mean(inside, _SMOOTH_MM * px), 1e-3)
     centred = np.where(inside > 0, values, 0.0).astype(np.float32)
@@ -112,20 +75,22 @@ def _waves(
         mean = gaussian_mean(centred * inside, _SMOOTH_MM * px) / around
         centred = np.where(inside > 0, centred - mean, 0.0).astype(np.float32)
     centred = (centred * inside).astype(np.float32)
-    twice = replace(looked, frequency_px=2.0 * looked.frequency_px)
-    first = node_amplitudes(centred, looked, _SIGMA_PERIODS)
+    twice = replace(sampled, frequency_px=2.0 * sampled.frequency_px)
+    first = node_amplitudes(centred, sampled, _SIGMA_PERIODS)
     second = node_amplitudes(centred, twice, 2.0 * _SIGMA_PERIODS)
-    width = _SIGMA_PERIODS / float(np.median(looked.frequency_px[looked.mask]))
-    there: FloatArray = np.maximum(gaussian_mean(inside, width), 0.3)
-    variance = _at_nodes((gaussian_mean(centred * centred, width) / there).astype(np.float32), looked)
-    fraction = _at_nodes(there, looked)
-    first, second = (first / fraction).astype(np.complex64), (second / fraction).astype(np.complex64)
+    width = _SIGMA_PERIODS / float(np.median(sampled.frequency_px[sampled.mask]))
+    covered = np.maximum(gaussian_mean(inside, width), 0.3)
+    variance = _at_nodes((gaussian_mean(centred * centred, width) / covered).astype(np.float32), sampled)
+    fraction = _at_nodes(covered, sampled)
+    first = (first / fraction).astype(np.complex64)
+    second = (second / fraction).astype(np.complex64)
     purity = 0.5 * np.abs(first) ** 2 / np.maximum(variance, 1e-12)
-    return first, second, np.where(looked.mask, np.clip(purity, 0.0, 1.0), 0.0).astype(np.float32)
+    return first, second, np.where(sampled.mask, np.clip(purity, 0.0, 1.0), 0.0).astype(np.float32)
 
 
 def _sharpness(first: NDArray[np.complex64], second: NDArray[np.complex64]) -> float:
-    """Second harmonic that keeps its phase against the first's, which noise does not, over the first."""
+    """Second harmonic that keeps its phase against the first's, which noise does not, over the
+    first."""
     if first.size == 0:
         return 0.0
     size = np.maximum(np.abs(first), 1e-12)
@@ -145,18 +110,16 @@ def _gaps(strong: BoolArray, finger: BoolArray, cell_mm: float) -> float:
     if not strong.any():
         return 1.0
     reach = max(1, round(_CLOSE_MM / cell_mm))
-    raw = cv2.copyMakeBorder(strong.astype(np.uint8), *(reach,) * 4, cv2.BORDER_CONSTANT, value=0)
-    closed = cv2.morphologyEx(raw, cv2.MORPH_CLOSE, disc(reach))[reach:-reach, reach:-reach] > 0
-    closed &= finger
-    return float(1.0 - strong[closed].mean())
+    closed = cv2.morphologyEx(np.pad(strong.view(np.uint8), reach), cv2.MORPH_CLOSE, disc(reach))
+    return float(1.0 - strong[finger & (closed[reach:-reach, reach:-reach] > 0)].mean())
 
 
-def _at_nodes(image: FloatArray, found: RidgeField) -> FloatArray:
+def _at_nodes(image: FloatArray, field: RidgeField) -> FloatArray:
     """(n, m) means over the nodes' cells."""
-    (n, m), step = found.mask.shape, found.step_px
-    padded = np.zeros((n * step, m * step), dtype=np.float32)
+    n, m = field.mask.shape
+    padded = np.zeros((n * field.step_px, m * field.step_px), dtype=np.float32)
     padded[: image.shape[0], : image.shape[1]] = image
-    return np.asarray(cv2.resize(padded, (m, n), interpolation=cv2.INTER_AREA), dtype=np.float32)
+    return np.asarray(cv2.resize(padded, (m, n), interpolation=cv2.INTER_AREA))
 
 
 _MIN_PART = 0.01
@@ -178,7 +141,8 @@ PARTS = {
     "gap_share": (0.4, 0.0, 0.15),
     "centre_offset_mm": (8.0, 1.0, 0.1),
 }
-"""Parts of the score, by figure: value rated lowest, value rated 1 (linear in between), and exponent."""
+"""Parts of the score, by figure: value rated lowest, value rated 1 (linear in between), and
+exponent."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -187,34 +151,69 @@ class PrintQuality:
 
     score: float
     """0 to 100, the higher the better."""
-    figures: QualityFigures
     worth: dict[str, float]
     """Rating of each figure, 0.01 to 1, by its name."""
+    figures: QualityFigures
 
 
 def print_quality(
-    values: FloatArray, weight: FloatArray, found: RidgeField, ppi: float = 500.0, *, in_um: bool = True
+    values: FloatArray, weight: FloatArray, field: RidgeField, ppi: float = 500.0, *, in_um: bool = True
 ) -> PrintQuality:
-    """Measure how good a print is. Raises BadInput if the shapes disagree or nothing lies on the finger.
+    """Measure how good a print is. Raises BadInput if the shapes disagree or nothing lies on the
+    finger.
 
-    `values`: (h, w) float32, what is inked: the relief in um, or anything else that is high on ridges (`in_um` false:
-    no heights then); `weight`: (h, w) float32, fraction of the pixel that lies on the finger, the tip at row 0;
-    `found`: ridges of the print.
+    `values`: (h, w) float32, what is inked: the relief in um, or anything else that is high on
+    ridges (`in_um` false: no heights then); `weight`: (h, w) float32, fraction of the pixel that
+    lies on the finger, the tip at row 0; `field`: ridges of the print.
 
-    Source: ISO/IEC 29794-4:2017, Biometric sample quality, part 4, sections on orientation certainty and ridge-valley
-    uniformity; M. Lim, X. Jiang and W. Yau 2002, Fingerprint quality and validity analysis, section 2 (coherence,
-    periods, ridge strength). Second harmonic against the first: the idea of the bispectrum (D. Brillinger 1965).
+    Source: ISO/IEC 29794-4:2017, Biometric sample quality, part 4, sections on orientation
+    certainty and ridge-valley uniformity; M. Lim, X. Jiang and W. Yau 2002, Fingerprint quality and
+    validity analysis, section 2 (coherence, periods, ridge strength). Second harmonic against the
+    first: the idea of the bispectrum (D. Brillinger 1965).
     """
-    figures = _quality_figures(values, weight, found, ppi, _MIN_HEIGHT_UM if in_um else None)
-    score, ratings = score_of(figures)
-    return PrintQuality(score, figures, ratings)
+    px = ppi / MM_PER_INCH
+    finger = _at_nodes(weight, field) > 0.5
+    require(finger.any(), "nothing of the finger lies on the print.")
+    finger[1::2] = False  # every second node, each way, is enough
+    finger[:, 1::2] = False
+    sampled = replace(field, mask=field.mask & finger)
+    step_mm = field.step_px / px
+    cell_mm = 2.0 * step_mm
+    area_mm2 = float(finger.sum()) * cell_mm**2
+    if not sampled.mask.any():
+        nothing = QualityFigures(0, 0.0 if in_um else None, 0, 0, 0, 0, 0, area_mm2, 0, 1, 0)
+        return PrintQuality(*score_of(nothing), nothing)
+    first, second, purity = _waves(values, weight, sampled, px)
+    height = 2.0 * np.abs(first)
+    strong = sampled.mask & (purity > _MIN_PURITY)
+    if in_um:
+        strong &= height > _MIN_HEIGHT_UM
+    period = 1.0 / (field.frequency_px * px)
+    typical = float(np.median(period[sampled.mask]))
+    near = (period > typical * (1.0 - _PERIOD_TOLERANCE)) & (period < typical * (1.0 + _PERIOD_TOLERANCE))
+    middle = float(np.nonzero(finger)[1].mean())
+    figures = QualityFigures(
+        ridge_share=float(strong.sum() / finger.sum()),
+        ridge_height_um=float(np.median(height[sampled.mask])) if in_um else None,
+        coherence=float(np.median(field.coherence[sampled.mask])),
+        plausible_share=float(near[strong].mean()) if strong.any() else 0.0,
+        period_mm=typical,
+        sharpness=_sharpness(first[strong], second[strong]),
+        ridge_area_mm2=float(strong.sum()) * cell_mm**2,
+        finger_area_mm2=area_mm2,
+        ridge_length_mm=_length(strong, finger, cell_mm),
+        gap_share=_gaps(strong[::2, ::2], finger[::2, ::2], cell_mm),
+        centre_offset_mm=abs(float(np.nonzero(strong)[1].mean()) - middle) * step_mm if strong.any() else 0.0,
+    )
+    return PrintQuality(*score_of(figures), figures)
 
 
 def score_of(figures: QualityFigures) -> tuple[float, dict[str, float]]:
     """Score of figures, 0 to 100, and the rating of each, 0.01 to 1.
 
-    100 times the product of the ratings, each to the power of its weight: it never falls when a figure gets better, and
-    many good figures do not make up for a bad one. 0 where there are no ridges. Figures that are None are left out.
+    100 times the product of the ratings, each to the power of its weight: it never falls when a
+    figure gets better, and many good figures do not make up for a bad one. 0 where there are no
+    ridges. Figures that are None are left out.
     """
     ratings = {
         name: float(np.clip((figure - useless) / (good - useless), _MIN_PART, 1.0))

@@ -1,7 +1,8 @@
 """Where a print has ridges, which way they run and how close they lie.
 
-Directions come from the structure tensor at two widths (the narrow one where it is sure of itself: cores and deltas
-stay sharp), frequencies from the power spectra of overlapping windows. Everything lives on nodes a few pixels apart.
+Directions come from the structure tensor at two widths (the narrow one where it is sure of itself:
+cores and deltas stay sharp), frequencies from the power spectra of overlapping windows. Everything
+lives on nodes a few pixels apart.
 """
 
 from __future__ import annotations
@@ -32,13 +33,15 @@ _SHORTEST_MM = 0.25
 """Shortest ridge period that is accepted."""
 _LONGEST_MM = 0.9
 """Longest ridge period that is accepted."""
+NO_RIDGES = "the print has no ridges; check focus and light of the capture."
 _MIN_STRENGTH = 0.2
 """Contrast below this fraction of the print's strong parts is background."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RidgeField:
-    """Ridges of a print, at nodes ``step_px`` apart; node (i, j) is at pixel ``step_px * (i + 0.5) - 0.5``."""
+    """Ridges of a print, at nodes ``step_px`` apart; node (i, j) is at pixel ``step_px * (i + 0.5)
+    - 0.5``."""
 
     step_px: int
     orientation_rad: FloatArray
@@ -60,55 +63,58 @@ def ridge_field(image: NDArray[np.uint8], ppi: float = 500.0, inside: BoolArray 
 
     `inside`: (h, w) bool, where the finger is, if it is known. Raises BadInput if it has no ridges.
 
-    Source: A. Bazen and S. Gerez 2002, Systematic methods for the computation of the directional fields and singular
-    points of fingerprints, section 2 (averaged squared gradients). S. Chikkerur, A. Cartwright and V. Govindaraju 2007,
-    Fingerprint enhancement using STFT analysis, section 3 (frequencies).
+    Source: A. Bazen and S. Gerez 2002, Systematic methods for the computation of the directional
+    fields and singular points of fingerprints, section 2 (averaged squared gradients). S.
+    Chikkerur, A. Cartwright and V. Govindaraju 2007, Fingerprint enhancement using STFT analysis,
+    section 3 (frequencies).
     """
     require(min(image.shape) * MM_PER_INCH / ppi >= 2.0, "the print must be at least 2 mm wide and high.")
     px = ppi / MM_PER_INCH
     step = max(2, round(_STEP_MM * px))
     n, m = (-(-size // step) for size in image.shape)
-    grey = cv2.copyMakeBorder(
-        image, 0, n * step - image.shape[0], 0, m * step - image.shape[1], cv2.BORDER_REPLICATE
-    ).astype(np.float32)
-    grey = np.asarray(cv2.GaussianBlur(grey, (0, 0), 0.05 * px), dtype=np.float32)
-    right, down = cv2.Scharr(grey, cv2.CV_32F, 1, 0), cv2.Scharr(grey, cv2.CV_32F, 0, 1)
+    below = n * step - image.shape[0]
+    beside = m * step - image.shape[1]
+    grey = cv2.copyMakeBorder(image, 0, below, 0, beside, cv2.BORDER_REPLICATE).astype(np.float32)
+    grey = cv2.GaussianBlur(grey, (0, 0), 0.05 * px).astype(np.float32)
+    right = cv2.Scharr(grey, cv2.CV_32F, 1, 0)
+    down = cv2.Scharr(grey, cv2.CV_32F, 0, 1)
     xx, xy, yy = (
         cv2.resize(product, (m, n), interpolation=cv2.INTER_AREA)
         for product in (right * right, right * down, down * down)
     )
-    energy, double_cos, double_sin = xx + yy, xx - yy, 2.0 * xy
-    sigmas = [length * px / step for length in (_NARROW_MM, _WIDE_MM)]
-    narrow, wide = ([_blur(part, sigma) for part in (energy, double_cos, double_sin)] for sigma in sigmas)
-    strength = np.sqrt(np.maximum(wide[0], 0.0))
-    mask = _extent(strength, px / step)
+    tensor = xx + yy, xx - yy, 2.0 * xy
+    narrow, wide = ([_blur(part, length * px / step) for part in tensor] for length in (_NARROW_MM, _WIDE_MM))
+    mask = _extent(np.sqrt(np.maximum(wide[0], 0.0)), px / step)
     if inside is not None:
-        padding = ((0, n * step - image.shape[0]), (0, m * step - image.shape[1]))
-        mask = mask & np.pad(inside, padding).reshape(n, step, m, step).any(axis=(1, 3))
-    require(mask.any(), "the print has no ridges; check focus and light of the capture.")
-    sure = [np.hypot(c, s) / np.maximum(e, 1e-6) for e, c, s in (narrow, wide)]
-    trust = sure[0] ** 4
-    vector = [
-        trust * part / np.maximum(narrow[0], 1e-6) + (1 - trust) * other / np.maximum(wide[0], 1e-6)
-        for part, other in zip(narrow[1:], wide[1:], strict=True)
-    ]
-    # the gradient's angle (rows down), turned by a quarter: along the ridge; then counter-clockwise as seen
-    orientation = np.mod(-0.5 * np.arctan2(vector[1], vector[0]) + 0.5 * np.pi, np.pi)
+        nodes = np.pad(inside, ((0, below), (0, beside))).reshape(n, step, m, step)
+        mask = mask & nodes.any(axis=(1, 3))
+    require(mask.any(), NO_RIDGES)
+    coherence = np.hypot(narrow[1], narrow[2]) / np.maximum(narrow[0], 1e-6)
+    trust = coherence**4
+    cosine, sine = (
+        trust * fine / np.maximum(narrow[0], 1e-6) + (1 - trust) * coarse / np.maximum(wide[0], 1e-6)
+        for fine, coarse in zip(narrow[1:], wide[1:], strict=True)
+    )
+    # the gradient's angle (rows down), turned by a quarter: along the ridge; then counter-clockwise
+    # as seen
+    orientation = np.mod(-0.5 * np.arctan2(sine, cosine) + 0.5 * np.pi, np.pi)
     frequency, peaked = _frequencies(grey, orientation, step, px, mask)
-    mask = np.logical_and(mask, peaked)
-    require(mask.any(), "the print has no ridges; check focus and light of the capture.")
-    return RidgeField(step, orientation.astype(np.float32), np.clip(sure[0], 0, 1).astype(np.float32), frequency, mask)
+    mask = mask & peaked
+    require(mask.any(), NO_RIDGES)
+    return RidgeField(
+        step, orientation.astype(np.float32), np.clip(coherence, 0, 1).astype(np.float32), frequency, mask
+    )
 
 
 def _blur(image: FloatArray, sigma: float) -> FloatArray:
-    return np.asarray(cv2.GaussianBlur(image, (0, 0), sigma, borderType=cv2.BORDER_REFLECT), dtype=np.float32)
+    return np.asarray(cv2.GaussianBlur(image, (0, 0), sigma, borderType=cv2.BORDER_REFLECT))
 
 
 def spectra_of(tiles: FloatArray) -> NDArray[np.complex64]:
-    """Transform (..., side, side // 2 + 1) of tiles (..., side, side): numpy, whose factor keeps single precision."""
+    """Transform (..., side, side // 2 + 1) of tiles (..., side, side): numpy, whose factor keeps
+    single precision."""
     spectra = np.fft.rfft2(tiles, norm="forward")
-    spectra *= tiles.shape[-1] * tiles.shape[-2]
-    return np.asarray(spectra, dtype=np.complex64)
+    return np.asarray(spectra * (tiles.shape[-1] * tiles.shape[-2]), dtype=np.complex64)
 
 
 def overlap_added(tiles: FloatArray, step: int) -> FloatArray:
@@ -121,24 +127,41 @@ def overlap_added(tiles: FloatArray, step: int) -> FloatArray:
     return total
 
 
+def closed_opened(
+    area: BoolArray, closing_px: int, opening_px: int, pad: int, border: int = cv2.BORDER_REPLICATE
+) -> NDArray[np.uint8]:
+    """(H, W) an area closed and opened with discs of these radii; beyond the image it goes on by
+    `pad` pixels."""
+    padded = cv2.copyMakeBorder(area.astype(np.uint8), pad, pad, pad, pad, border)
+    for kind, radius in ((cv2.MORPH_CLOSE, closing_px), (cv2.MORPH_OPEN, opening_px)):
+        padded = cv2.morphologyEx(padded, kind, disc(radius))
+    return np.ascontiguousarray(padded[pad:-pad, pad:-pad], dtype=np.uint8)
+
+
+def _larger(area: BoolArray, min_px: float, connectivity: int) -> BoolArray:
+    """The components of an area (H, W) that have more pixels."""
+    _, labels, stats, _ = cv2.connectedComponentsWithStats(area.view(np.uint8), connectivity=connectivity)
+    large = stats[:, cv2.CC_STAT_AREA] > min_px
+    large[0] = False
+    return np.asarray(large[labels])
+
+
+def outline_distance_mm(area: BoolArray, ppi: float) -> FloatArray:
+    """(H, W) distance of every pixel of a print's area to its outline or the image's border; 0
+    outside."""
+    padded = np.pad(area.view(np.uint8), 1)  # beyond the image is not print
+    return cv2.distanceTransform(padded, cv2.DIST_L2, cv2.DIST_MASK_PRECISE)[1:-1, 1:-1] * (25.4 / ppi)
+
+
 def _extent(strength: FloatArray, nodes_per_mm: float) -> BoolArray:
     """Where the contrast is that of ridges: one piece or several, holes filled, specks dropped."""
     high = float(np.percentile(strength, 90))
     if high < 1.0:  # less than a grey level
         return np.zeros(strength.shape, dtype=bool)
-    raw = (strength > _MIN_STRENGTH * high).astype(np.uint8)
-    size = max(3, 2 * round(0.8 * nodes_per_mm) + 1)
-    kernel = disc(size // 2)
-    padded = cv2.copyMakeBorder(raw, size, size, size, size, cv2.BORDER_CONSTANT, value=0)
-    closed = cv2.morphologyEx(cv2.morphologyEx(padded, cv2.MORPH_CLOSE, kernel), cv2.MORPH_OPEN, kernel)
-    closed = closed[size:-size, size:-size]
-    count, labels, stats, _ = cv2.connectedComponentsWithStats(closed)
-    keep = [k for k in range(1, count) if stats[k, cv2.CC_STAT_AREA] > 4 * nodes_per_mm**2]
-    mask = np.isin(labels, keep)
-    holes = (~mask).astype(np.uint8)
-    count, labels, stats, _ = cv2.connectedComponentsWithStats(holes, connectivity=4)
-    small = [k for k in range(1, count) if stats[k, cv2.CC_STAT_AREA] < 4 * nodes_per_mm**2]
-    return mask | np.isin(labels, small)
+    radius = max(1, round(0.8 * nodes_per_mm))
+    closed = closed_opened(strength > _MIN_STRENGTH * high, radius, radius, 2 * radius + 1, cv2.BORDER_CONSTANT)
+    mask = _larger(closed > 0, 4 * nodes_per_mm**2, 8)
+    return ~_larger(~mask, 4 * nodes_per_mm**2, 4)
 
 
 def _frequencies(
@@ -146,19 +169,19 @@ def _frequencies(
 ) -> tuple[FloatArray, BoolArray]:
     """Frequency at the nodes (n, m), ridges per pixel, and where a frequency was found nearby.
 
-    Windows around every second node. The strongest frequency across the ridges is refined to the centroid of the power
-    within two bins of it: under a Hann window that has no bias, wherever between the bins a wave lies.
+    Windows around every second node. The strongest frequency across the ridges is refined to the
+    centroid of the power within two bins of it: under a Hann window that has no bias, wherever
+    between the bins a wave lies.
     """
-    nodes = mask.shape
     least = max(16, round(_WINDOW_MM * px))
     side = next(n for n in range(least, 2 * least) if 30**12 % n == 0)  # of small prime factors: quick to transform
     pad = side // 2
     wide = cv2.copyMakeBorder(grey, pad, pad + 2 * step, pad, pad + 2 * step, cv2.BORDER_REFLECT)
-    windows = sliding_window_view(wide, (side, side))[step :: 2 * step, step :: 2 * step]
-    count = -(-nodes[0] // 2), -(-nodes[1] // 2)
-    padded = np.pad(mask, ((0, 2 * count[0] - nodes[0]), (0, 2 * count[1] - nodes[1])))
-    wanted = padded.reshape(count[0], 2, count[1], 2).any(axis=(1, 3))
-    patches = windows[: count[0], : count[1]][wanted]
+    rows, columns = (-(-size // 2) for size in mask.shape)
+    windows = sliding_window_view(wide, (side, side))[step :: 2 * step, step :: 2 * step][:rows, :columns]
+    padded = np.pad(mask, ((0, 2 * rows - mask.shape[0]), (0, 2 * columns - mask.shape[1])))
+    wanted = padded.reshape(rows, 2, columns, 2).any(axis=(1, 3))
+    patches = windows[wanted]
     hann = np.hanning(side + 2)[1:-1].astype(np.float32)
     spectrum = spectra_of((patches - patches.mean(axis=(1, 2), keepdims=True)) * (hann[:, None] * hann))
     power = spectrum.real**2 + spectrum.imag**2
@@ -169,29 +192,31 @@ def _frequencies(
     ky, kx = np.meshgrid(np.fft.fftfreq(side), np.arange(-3, side // 2 + 1) / side, indexing="ij")
     radius = np.hypot(kx, ky).ravel()
     reach = 2.5 / side
-    band = (radius > 1.0 / (_LONGEST_MM * px) - reach) & (radius < 1.0 / (_SHORTEST_MM * px) + reach)
+    low = 1.0 / (_LONGEST_MM * px)
+    high = 1.0 / (_SHORTEST_MM * px)
+    band = (radius > low - reach) & (radius < high + reach)
     x, y = (k.ravel()[band].astype(np.float32) for k in (kx, ky))
-    low, high = 1.0 / (_LONGEST_MM * px), 1.0 / (_SHORTEST_MM * px)
-    accepted = (radius[band] > low) & (radius[band] < high) & (x >= 0)
     power = power[:, band]
-    angle = 2.0 * (orientation[::2, ::2][wanted] + (0.5 * np.pi))
+    accepted = (radius[band] > low) & (radius[band] < high) & (x >= 0)
+    angle = 2.0 * (orientation[::2, ::2][wanted] + (0.5 * np.pi))[:, None]
     toward = 2.0 * np.arctan2(-y, x)
-    across = 0.5 + 0.5 * (np.cos(angle)[:, None] * np.cos(toward) + np.sin(angle)[:, None] * np.sin(toward))
-    best = np.argmax(power * across * accepted, axis=1)
-    near = (np.abs(x - x[best, None]) < reach) & (np.abs(y - y[best, None]) < reach)
-    near_power = np.where(near, power, 0.0)
-    weight = np.maximum(near_power.sum(axis=1), 1e-9)
-    found = np.hypot(near_power @ x / weight, near_power @ y / weight)
+    across = 0.5 + 0.5 * (np.cos(angle) * np.cos(toward) + np.sin(angle) * np.sin(toward))
+    best = np.argmax(power * across * accepted, axis=1)[:, None]
+    peak = np.where((np.abs(x - x[best]) < reach) & (np.abs(y - y[best]) < reach), power, 0.0)
+    weight = np.maximum(peak.sum(axis=1), 1e-9)
+    frequency = np.hypot(peak @ x / weight, peak @ y / weight)
     fraction = weight / np.maximum(total, 1e-9)
-    sure = (fraction > 0.1) & (found > low) & (found < high)
+    sure = (fraction > 0.1) & (frequency > low) & (frequency < high)
     if not sure.any():
-        return np.full(nodes, np.nan, dtype=np.float32), np.zeros(nodes, dtype=bool)
-    trust, value = np.zeros(count, dtype=np.float32), np.zeros(count, dtype=np.float32)
+        return np.full(mask.shape, np.nan, dtype=np.float32), np.zeros(mask.shape, dtype=bool)
+    trust = np.zeros((rows, columns), dtype=np.float32)
     trust[wanted] = np.where(sure, fraction, 0.0)
-    value[wanted] = found
+    value = np.zeros((rows, columns), dtype=np.float32)
+    value[wanted] = frequency
     around = _blur(trust, 1.5)
     smooth = _blur(trust * value, 1.5) / np.maximum(around, 1e-9)
-    smooth = np.where(around > 0.01, smooth, np.median(found[sure])).astype(np.float32)
-    large = cv2.resize(smooth, (2 * count[1], 2 * count[0]), interpolation=cv2.INTER_LINEAR)
-    known = cv2.dilate((around > 0.02).astype(np.uint8), np.ones((3, 3), np.uint8)).repeat(2, axis=0).repeat(2, axis=1)
-    return np.ascontiguousarray(large[: nodes[0], : nodes[1]]), known[: nodes[0], : nodes[1]] > 0
+    smooth = np.where(around > 0.01, smooth, np.median(frequency[sure])).astype(np.float32)
+    large = cv2.resize(smooth, (2 * columns, 2 * rows), interpolation=cv2.INTER_LINEAR).astype(np.float32)
+    near = cv2.dilate((around > 0.02).astype(np.uint8), np.ones((3, 3), np.uint8)).repeat(2, axis=0).repeat(2, axis=1)
+    inside = slice(mask.shape[0]), slice(mask.shape[1])
+    return np.ascontiguousarray(large[inside]), near[inside] > 0

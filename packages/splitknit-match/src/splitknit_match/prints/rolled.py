@@ -6,7 +6,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import scipy
 from numpy.typing import NDArray
 
 from splitknit import preset_settings, read_capture
@@ -18,21 +17,22 @@ from splitknit.model import BoolArray, FloatArray, Progress
 from splitknit_match.prints.make import Print
 from splitknit_match.prints.print_map import PrintMap, resample, unrolled_map
 from splitknit_match.prints.sources import Source
-from splitknit_match.prints.unroll import NODES_MM, RINGS, SurfaceGrid, extrapolated, unroll
+from splitknit_match.prints.unroll import NODES_MM, RINGS, SurfaceGrid, extrapolated, longest_run, unroll
 from splitknit_match.rolled.chart import Chart
 from splitknit_match.rolled.finger import Rolled, rolled_finger
 from splitknit_match.rolled.views import find_mirror_views
 
 Array = NDArray[np.float64]
-SIDE_MM, TIP_MM = 14.0, 0.0
+SIDE_MM = 14.0
 """Coverage is reported for the rows from the tip's cap downwards, as far as this."""
 
 
 def print_around(path: Path, preset: str, place: str, ppi: float, progress: Progress) -> tuple[Source, Print, Rolled]:
-    """A capture folder as one finger around its front, laid flat as `place`: what is printed, the print, the finger.
+    """A capture folder as one finger around its front, laid flat as `place`: what is printed, the
+    print, the finger.
 
-    Raises BadInput if it is not a capture, has no mirrors beside the finger, fewer than two views can be used, or there
-    are no ridges or too little skin.
+    Raises BadInput if it is not a capture, has no mirrors beside the finger, fewer than two views
+    can be used, or there are no ridges or too little skin.
     """
     require(
         (path / "capture.json").is_file(),
@@ -62,20 +62,22 @@ def print_around(path: Path, preset: str, place: str, ppi: float, progress: Prog
 
 
 def _skin_points(rolled: Rolled, points: Array) -> FloatArray:
-    """(n, m, 3) points in the finger's own frame: x right, y to the tip, z to the camera; NaN where not known."""
+    """(n, m, 3) points in the finger's own frame: x right, y to the tip, z to the camera; NaN where
+    not known."""
     local = (points - rolled.chart.centre_mm) @ rolled.chart.axes.T
     return np.where(rolled.blended.known[..., None], local, np.nan).astype(np.float32)
 
 
 def _laid_flat(rolled: Rolled, kind: str, ppi: float) -> tuple[PrintMap, dict[str, float]]:
-    """The chart laid flat, and how far that stretches it: all of the skin weighs the same, however it is turned."""
+    """The chart laid flat, and how far that stretches it: all of the skin weighs the same, however
+    it is turned."""
     step = max(1, round(NODES_MM / rolled.chart.pitch_mm))
-    room = RINGS + 1  # nodes beyond the chart's ends
-    around = ((room, room), (room, room))
+    margin = RINGS + 1  # nodes beyond the chart's ends
     points = _skin_points(rolled, rolled.points_mm.astype(float))[::step, ::step].astype(float)
-    points = np.pad(points, (*around, (0, 0)), constant_values=np.nan)
-    inside = np.pad(rolled.blended.known[::step, ::step], around)
-    chart_from_node = np.array([[step, 0.0, -room * step], [0.0, step, -room * step], [0.0, 0.0, 1.0]])
+    points = np.pad(points, ((margin, margin), (margin, margin), (0, 0)), constant_values=np.nan)
+    inside = np.pad(rolled.blended.known[::step, ::step], margin)
+    first = -step * margin
+    chart_from_node = np.array([[step, 0.0, first], [0.0, step, first], [0.0, 0.0, 1.0]])
     grid = SurfaceGrid(extrapolated(points, RINGS), inside, chart_from_node, NODES_MM)
     unrolled = unroll(grid, kind, centre_weight=0.0)
     return unrolled_map(unrolled, kind, ppi, None), unrolled.distortion
@@ -85,16 +87,14 @@ def rolled_facts(rolled: Rolled) -> dict[str, Any]:
     """Coverage and views: for ``report.json``."""
     chart = rolled.chart
     around = _coverage_deg(chart, rolled.blended.known, rolled.normals.astype(float))
-    rows = (chart.length_mm <= TIP_MM) & (chart.length_mm >= -SIDE_MM) & (around > 0)
-    return {
-        **rolled.facts,
-        "coverage_deg": {"median": round(float(np.median(around[rows])), 1) if rows.any() else 0.0},
-    }
+    rows = (chart.length_mm <= 0) & (chart.length_mm >= -SIDE_MM) & (around > 0)
+    median = round(float(np.median(around[rows])), 1) if rows.any() else 0.0
+    return {**rolled.facts, "coverage_deg": {"median": median}}
 
 
 def write_rolled(target: Path, rolled: Rolled) -> dict[str, Any]:
-    """Write the skin into a folder as a mesh, ``rolled.ply``: mm, x right, y to the tip, z to the camera; return the
-    facts.
+    """Write the skin into a folder as a mesh, ``rolled.ply``: mm, x right, y to the tip, z to the
+    camera; return the facts.
     """
     relief = rolled.blended.relief_mm
     points = _skin_points(rolled, rolled.points_mm.astype(float) + relief[..., None] * rolled.normals)
@@ -110,19 +110,18 @@ def write_rolled(target: Path, rolled: Rolled) -> dict[str, Any]:
 
 
 def _coverage_deg(chart: Chart, known: BoolArray, normals: Array) -> Array:
-    """(n,) range of directions, around the finger, of the skin's normals that each row shows without a gap; degrees.
+    """(n,) range of directions, around the finger, of the skin's normals that each row shows
+    without a gap; degrees.
 
-    A row over the straight part of the finger counts its longest run of known pixels. The direction is that of the
-    normal about the finger's axis, not that of the ray: what a flat view calls slant.
+    A row over the straight part of the finger counts its longest run of known pixels. The direction
+    is that of the normal about the finger's axis, not that of the ray: what a flat view calls
+    slant.
     """
     local = normals @ chart.axes.T
-    around = np.rad2deg(np.arctan2(local[..., 0], local[..., 2]))
+    around = np.arctan2(local[..., 0], local[..., 2])
     result = np.zeros(chart.shape[0])
-    for row in range(chart.shape[0]):
-        labels, count = scipy.ndimage.label(known[row])
-        if count == 0:
-            continue
-        longest = 1 + int(np.argmax(np.bincount(labels[labels > 0])[1:]))
-        places = np.flatnonzero(labels == longest)
-        result[row] = float(np.ptp(np.unwrap(np.deg2rad(around[row, places])))) * 180.0 / np.pi
+    for row, nodes in enumerate(known):
+        run = longest_run(nodes)
+        if run.size:
+            result[row] = np.rad2deg(np.ptp(np.unwrap(around[row, run])))
     return result

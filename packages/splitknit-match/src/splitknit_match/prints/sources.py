@@ -5,13 +5,14 @@ from __future__ import annotations
 import os
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from splitknit import BadInput, Capture, Reconstruction
+from splitknit import Capture, Reconstruction
 from splitknit.errors import naming, require
 from splitknit.model import BoolArray, FloatArray, Progress, no_progress
 
@@ -60,12 +61,14 @@ def read_source(
     px_per_mm: float | None = None,
     ridge_period_mm: float | None = None,
 ) -> Source:
-    """Read a result folder (or its ``height.npz``), or a capture folder, which is reconstructed where `surface` is set.
+    """Read a result folder (or its ``height.npz``), or a capture folder, which is reconstructed
+    where `surface` is set.
 
-    Raises BadInput if it is neither, is damaged, has no scale or two, or holds no photograph where one is needed.
+    Raises BadInput if it is neither, is damaged, has no scale or two, or holds no photograph where
+    one is needed.
 
-    `photo`, `surface`: whether these are needed; `px_per_mm`, `ridge_period_mm`: the scale, or the distance of the
-    ridges that it follows from, where it is unknown.
+    `photo`, `surface`: whether these are needed; `px_per_mm`, `ridge_period_mm`: the scale, or the
+    distance of the ridges that it follows from, where it is unknown.
     """
     from splitknit import read_capture
     from splitknit.io.capture import photographs_hint
@@ -73,12 +76,11 @@ def read_source(
 
     progress("reading", 0.05)
     require(os.path.exists(path), f"there is no '{path}'; name a capture folder or a result folder.")  # noqa: PTH110
-    folder = path.is_dir()
-    if folder and (path / "capture.json").is_file():
+    if (path / "capture.json").is_file():
         capture, note = naming(path, lambda: with_scale(read_capture(path), px_per_mm, ridge_period_mm))
         source = naming(path, lambda: source_of_capture(capture, photo, surface, preset, progress))
         return replace(source, scale=note)
-    result = path / "height.npz" if folder else path
+    result = path / "height.npz" if path.is_dir() else path
     require(
         result.is_file() and result.suffix.lower() == ".npz",
         f"'{path}' is neither a capture (capture.json) nor a result (height.npz); name one {photographs_hint(path)}.",
@@ -97,30 +99,31 @@ def source_of(result: Reconstruction) -> Source:
     require_scale(result)
     return Source(
         "result", result.mask, result.pitch_mm, result.input_from_upright, result.upright_size, result.height_mm,
-        result.ridge_mm, result.shape_mm, result.x_mm, result.y_mm, specular=result.specular, preset=result.preset,
-        hashes=result.hashes,
+        result.ridge_mm, result.shape_mm, result.x_mm, result.y_mm, specular=result.specular,
+        preset=result.preset or None, hashes=result.hashes,
     )  # fmt: skip
 
 
 def _of_result(path: Path, px_per_mm: float | None, ridge_period_mm: float | None) -> Source:
+    from splitknit import read_result
     from splitknit.finger.ridge_period import scale_of_ridges
     from splitknit.io.provenance import file_hash
-    from splitknit.io.results import read_fields
 
-    names, unscaled = ("height_mm", "ridge_mm", "shape_mm"), px_per_mm is not None or ridge_period_mm is not None
-    needed = (*names, "normals") if ridge_period_mm is not None else names
-    arrays = read_fields(path, needed, ("x_mm", "y_mm", "specular"), unscaled=unscaled)
-    require(arrays["mask"].any(), f"{path}: the mask is empty; reconstruct the capture again.")
-    note, normals = "", arrays.pop("normals", None)
-    if unscaled:
-        require(not arrays.pop("scale_known"), f"{path} has a scale already: {1 / arrays['pitch_mm']:g} px/mm.")
+    result = read_result(path)
+    note = ""
+    if px_per_mm is not None or ridge_period_mm is not None:
+        require(not result.scale_known, f"{path} has a scale already: {1 / result.pitch_mm:g} px/mm.")
         if ridge_period_mm is not None:
-            px_per_mm, note = naming(path, lambda: scale_of_ridges(normals, arrays["mask"], px_per_mm, ridge_period_mm))
+            ridges = partial(scale_of_ridges, result.normals, result.mask, px_per_mm, ridge_period_mm)
+            px_per_mm, note = naming(path, ridges)
         pitch_mm = 1.0 / float(px_per_mm or 1.0)
-        for name in names:
-            arrays[name] = arrays[name] * np.float32(pitch_mm / arrays["pitch_mm"])
-        arrays["pitch_mm"] = pitch_mm
-    return Source("result", hashes={path.name: file_hash(path)}, scale=note, **arrays)
+        factor = np.float32(pitch_mm / result.pitch_mm)
+        result = replace(
+            result, pitch_mm=pitch_mm, scale_known=True, height_mm=result.height_mm * factor,
+            ridge_mm=result.ridge_mm * factor, shape_mm=result.shape_mm * factor,
+        )  # fmt: skip
+    source = naming(path, lambda: source_of(result))
+    return replace(source, hashes={path.name: file_hash(path)}, scale=note)
 
 
 def source_of_capture(
@@ -135,10 +138,10 @@ def source_of_capture(
     light = _photograph(capture) if photo else None
     if surface:
         result = reconstruct(capture, preset, progress=lambda stage, fraction: progress(stage, 0.1 + 0.6 * fraction))
-        facts: dict[str, Any] = {"preset": preset, "hashes": capture.hashes, "subject": capture.subject}
-        return replace(source_of(result), kind="capture", photo=light, **facts)
-    if "white" not in capture.bands:
-        raise BadInput("the capture has no band 'white', in which fingers are photographed.")
+        return replace(
+            source_of(result), kind="capture", photo=light, preset=preset, hashes=capture.hashes,
+            subject=capture.subject,
+        )  # fmt: skip
     finger = find_finger(capture, preset_settings(preset))
     return Source(
         "capture", finger.mask, capture.rig.camera.pitch_mm, finger.upright.input_from_upright, finger.upright.size,

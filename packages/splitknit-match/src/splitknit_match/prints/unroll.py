@@ -1,10 +1,11 @@
 """The finger's shape on a coarse grid of nodes, and how it is laid flat.
 
-A node every few tenths of a millimetre carries the surface point there (x to the right, y to the tip, z to the camera,
-mm). Heights are local quadratic fits, weighted by a Gaussian and by the mask, so that neither ridges nor the one-sided
-windows at the outline bend them. A few rings of nodes outside the mask are extrapolated, so that maps can be read and
-inverted up to the outline. ``free``: laid flat along the skin, then relaxed until nothing is stretched more than it
-must be; ``arc``: along the skin, row by row.
+A node every few tenths of a millimetre carries the surface point there (x to the right, y to the
+tip, z to the camera, mm). Heights are local quadratic fits, weighted by a Gaussian and by the mask,
+so that neither ridges nor the one-sided windows at the outline bend them. A few rings of nodes
+outside the mask are extrapolated, so that maps can be read and inverted up to the outline.
+``free``: laid flat along the skin, then relaxed until nothing is stretched more than it must be;
+``arc``: along the skin, row by row.
 """
 
 from __future__ import annotations
@@ -12,32 +13,35 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from typing import Any
 
-import cv2
 import numpy as np
 import scipy
 from numpy.typing import NDArray
 
 from splitknit.errors import check_mask, require
+from splitknit.imaging.band import bin_mean
 from splitknit.imaging.geometry import bounding_box
 from splitknit.model import BoolArray, FloatArray
+from splitknit_match.prints.curvature import normal_matrices, windowed
 
-AnyArray = np.ndarray[Any, Any]
 Array = NDArray[np.float64]
 KINDS = ("free", "arc")
 _ITERATIONS = 10
 """Rounds of relaxation at most."""
 CENTRE_WEIGHT = 4.0
-"""Weight of the skin as a power of the cosine of its slant: 0 spreads the distortion evenly, larger values keep the
-middle undistorted at the cost of the sides."""
+"""Weight of the skin as a power of the cosine of its slant: 0 spreads the distortion evenly, larger
+values keep the middle undistorted at the cost of the sides."""
 NODES_MM = 0.5
 """Distance of the nodes on the finger plane."""
 _POWERS = [(0, 0), (1, 0), (0, 1), (2, 0), (1, 1), (0, 2)]
 """Exponents of x and y of the local quadratic."""
-
 _WINDOW_MM = 0.3
 """Standard deviation of the Gaussian window of the local fits."""
-_FINEST_MM, _LONGEST_MM, _FARTHEST_MM = 1e-3, 200.0, 1e6
-"""Pitch and length of a surface that can be a finger's, and what can be a place of it."""
+_FINEST_MM = 1e-3
+"""Pitch of a surface."""
+_LONGEST_MM = 200.0
+"""Length of a surface that can be a finger's."""
+_FARTHEST_MM = 1e6
+"""What can be a place of it."""
 _TOO_SMALL = "the mask is too small to be unrolled: it must be some millimetres wide."
 RINGS = 3
 """Nodes outside the mask that are extrapolated."""
@@ -48,7 +52,8 @@ class SurfaceGrid:
     """Surface points on nodes of the upright frame."""
 
     points_mm: Array
-    """(n, m, 3) x to the right, y to the tip, z to the camera, in the upright finger's frame; NaN where unknown."""
+    """(n, m, 3) x to the right, y to the tip, z to the camera, in the upright finger's frame; NaN
+    where unknown."""
     inside: BoolArray
     """(n, m) on the finger; elsewhere points are extrapolated or unknown."""
     input_from_grid: Array
@@ -76,49 +81,51 @@ def surface_grid(
 
     Raises BadInput if the mask is empty, too small for a surface, or the pitch is not positive.
 
-    `shape_mm`: (H, W) height without ridges, ignored outside `mask`; `xy_mm`: x and y (H, W) of the surface points, for
-    perspective cameras; without them pixels lie at their pitch; `node_mm`: distance of the nodes. The upright frame
-    has `upright_size` rows and columns.
+    `shape_mm`: (H, W) height without ridges, ignored outside `mask`; `xy_mm`: x and y (H, W) of the
+    surface points, for perspective cameras; without them pixels lie at their pitch; `node_mm`:
+    distance of the nodes. The upright frame has `upright_size` rows and columns.
     """
     require(
         _FINEST_MM <= pitch_mm < _LONGEST_MM,
         f"pitch_mm must be a number from {_FINEST_MM:g} to {_LONGEST_MM:g}, not {pitch_mm}.",
     )
-    mask = check_mask(mask, (shape_mm.shape[0], shape_mm.shape[1]))
+    mask = check_mask(mask, shape_mm.shape)
     fields = [shape_mm, *(xy_mm or ())]
     mask = mask & (np.abs(fields) < _FARTHEST_MM).all(axis=0)  # nor where it is NaN
     require(mask.any(), "the surface has no finite height inside its mask; reconstruct the capture again.")
     step = node_mm / pitch_mm
     upright_from_input = np.linalg.inv(input_from_upright)
-    # left and top, right and bottom in the upright frame, from every fourth pixel; clipped to the frame
-    rows, columns = np.nonzero(mask[::4, ::4])
-    require(rows.size > 0, _TOO_SMALL)
-    places = upright_from_input[:2] @ np.stack([columns * 4.0, rows * 4.0, np.ones(rows.size)])
+    # left and top, right and bottom in the upright frame, from every fourth pixel; clipped to the
+    # frame
+    places = moved(upright_from_input, 4.0 * np.argwhere(mask[::4, ::4])[:, ::-1])
+    require(len(places) > 0, _TOO_SMALL)
     beyond = 0.1 * max(upright_size)
-    low = np.maximum(places.min(axis=1) - 4.0, -beyond)
-    high = np.minimum(places.max(axis=1) + 4.0, np.array(upright_size[::-1]) - 1 + beyond)
+    low = np.maximum(places.min(axis=0) - 4.0, -beyond)
+    high = np.minimum(places.max(axis=0) + 4.0, np.array(upright_size[::-1]) - 1 + beyond)
     longest = float((high - low).max()) * pitch_mm
     require(longest < _LONGEST_MM, f"the surface is {longest:.0f} mm long, more than any finger; check its scale.")
     margin = (RINGS + 1) * step
-    across, down = (int(np.ceil(length)) + 1 for length in (high - low + 2 * margin) / step)
-    size = down, across
+    size = np.ceil((high - low + 2 * margin) / step) + 1
     upright_from_grid = np.array([[step, 0.0, low[0] - margin], [0.0, step, low[1] - margin], [0.0, 0.0, 1.0]])
     input_from_grid = input_from_upright @ upright_from_grid
-    values, inside = _fits(fields, mask, pitch_mm, input_from_grid, size)
+    node = np.stack(np.meshgrid(*map(np.arange, size)), axis=2)
+    place = moved(input_from_grid, node)
+    (height, *xy), inside = _fits(fields, mask, pitch_mm, place)
     require(int(inside.sum()) >= 16, _TOO_SMALL)
-    if len(values) == 1:
-        node = np.stack(np.meshgrid(np.arange(size[1]), np.arange(size[0])), axis=2)
-        place = node @ input_from_grid[:2, :2].T + input_from_grid[:2, 2]
-        rig_x = (place[..., 0] - 0.5 * (mask.shape[1] - 1)) * pitch_mm
-        rig_y = (0.5 * (mask.shape[0] - 1) - place[..., 1]) * pitch_mm
-    else:
-        rig_x, rig_y = values[1:]
+    rig_x, rig_y = xy or (
+        (place[..., 0] - 0.5 * (mask.shape[1] - 1)) * pitch_mm,
+        (0.5 * (mask.shape[0] - 1) - place[..., 1]) * pitch_mm,
+    )
     turn = upright_from_input[:2, :2] / np.sqrt(abs(np.linalg.det(upright_from_input[:2, :2])))
     x = turn[0, 0] * rig_x - turn[0, 1] * rig_y  # rows run down, y runs up
     y = -turn[1, 0] * rig_x + turn[1, 1] * rig_y
-    points = np.stack([x, y, values[0]], axis=2)
-    points[~inside] = np.nan
+    points = np.where(inside[..., None], np.stack([x, y, height], axis=2), np.nan)
     return SurfaceGrid(extrapolated(points, RINGS), inside, input_from_grid, node_mm)
+
+
+def moved(matrix: FloatArray, points: NDArray[Any]) -> Array:
+    """Points (..., 2; column, row) by a matrix (3, 3) on (column, row, 1)."""
+    return np.asarray(points @ matrix[:2, :2].T + matrix[:2, 2])
 
 
 def slant_cos(points: Array) -> Array:
@@ -130,7 +137,8 @@ def slant_cos(points: Array) -> Array:
 
 
 def extrapolated(values: Array, rings: int) -> Array:
-    """Continue (n, m, C) straight on into its NaN nodes, `rings` nodes far: the mean over the directions that can."""
+    """Continue (n, m, C) straight on into its NaN nodes, `rings` nodes far: the mean over the
+    directions that can."""
     result = values.copy()
     directions = [(dy, dx) for dy in (-1, 0, 1) for dx in (-1, 0, 1) if (dy, dx) != (0, 0)]
     for _ in range(rings):
@@ -151,84 +159,62 @@ def extrapolated(values: Array, rings: int) -> Array:
     return result
 
 
-def _fits(
-    fields: list[FloatArray], mask: BoolArray, pitch_mm: float, input_from_grid: Array, size: tuple[int, int]
-) -> tuple[list[Array], BoolArray]:
-    """Local quadratic fits of the fields at the nodes, and where they are supported by the mask."""
+def _fits(fields: list[FloatArray], mask: BoolArray, pitch_mm: float, place: Array) -> tuple[list[Array], BoolArray]:
+    """Local quadratic fits of the fields at places (n, m, 2), and where the mask supports them (n,
+    m)."""
     factor = max(1, int(0.1 / pitch_mm))
     rows, columns = (  # its sides multiples of the factor where the image allows
         slice(box.start, min(side, box.start + -(-(box.stop - box.start) // factor) * factor))
         for box, side in zip(bounding_box(mask), mask.shape, strict=True)
     )
     inside = mask[rows, columns]
-    height, width = (n // factor for n in inside.shape)
-    require(min(height, width) > 0, _TOO_SMALL)
-    weight = _binned(inside.astype(np.float32), (height, width), factor) > 0.99  # whole blocks only: no shifted means
+    require(min(inside.shape) >= factor, _TOO_SMALL)
+    weight = bin_mean(inside.astype(np.float32), factor) > 0.99  # whole blocks only: no shifted means
     sigma = _WINDOW_MM / (pitch_mm * factor)
     reach = int(np.ceil(3.0 * sigma))
     offset = np.arange(-reach, reach + 1) / sigma
     window = np.exp(-0.5 * offset**2)
-    taps = [(window * offset**k).astype(np.float32) for k in range(5)]
+    taps = [window * offset**k for k in range(5)]
     # places of the nodes in the reduced image
-    grid = np.stack(np.meshgrid(np.arange(size[1]), np.arange(size[0])), axis=2).reshape(-1, 2)
-    place = grid @ input_from_grid[:2, :2].T + input_from_grid[:2, 2]
     small = (place - [columns.start, rows.start] + 0.5) / factor - 0.5
     nearest = np.rint(small).astype(np.intp)
-    there = ((nearest >= 0) & (nearest < [width, height])).all(axis=1)
-    there[there] = weight[nearest[there, 1], nearest[there, 0]]
-    at = nearest[there, 1], nearest[there, 0]
-    rest = (small[there] - nearest[there]) / sigma
-    one = weight.astype(np.float32)
-    moments = {(i, j): _separable(one, taps[i], taps[j])[at] for i in range(5) for j in range(5 - i)}
-    normal = np.empty((len(at[0]), 6, 6))
-    for a, (i, j) in enumerate(_POWERS):
-        for b, (k, m) in enumerate(_POWERS):
-            normal[:, a, b] = moments[i + k, j + m]
+    usable = ((nearest >= 0) & (nearest < weight.shape[::-1])).all(axis=2)
+    usable[usable] = weight[nearest[usable, 1], nearest[usable, 0]]
+    at = nearest[usable, 1], nearest[usable, 0]
+    normal = normal_matrices(weight.astype(np.float32), taps, _POWERS, at)
     support = normal[:, 0, 0] / float(window.sum()) ** 2
     normal += 1e-6 * normal[:, :1, :1] * np.eye(6)
+    rest = (small[usable] - nearest[usable]) / sigma
     monomials = np.stack([rest[:, 0] ** i * rest[:, 1] ** j for i, j in _POWERS], axis=1)
-    supported = np.zeros(size[0] * size[1], dtype=bool)
-    supported[there] = support > 0.25
+    supported = usable.copy()
+    supported[usable] = support > 0.25
     results = []
     for field in fields:
-        filled = np.where(inside, field[rows, columns], 0.0).astype(np.float32)
-        values = np.where(weight, _binned(filled, (height, width), factor), 0.0)
+        values = np.where(weight, bin_mean(np.where(inside, field[rows, columns], 0.0).astype(np.float32), factor), 0.0)
         middle = float(values[weight].mean()) if weight.any() else 0.0
         values = np.where(weight, values - middle, 0.0)
-        right = np.stack([_separable(values, taps[i], taps[j])[at] for i, j in _POWERS], axis=1)
+        right = np.stack([windowed(values, taps[i], taps[j])[at] for i, j in _POWERS], axis=1)
         solved = np.linalg.solve(normal, right[..., None])[..., 0]
-        flat = np.full(supported.size, np.nan)
-        flat[there] = (solved * monomials).sum(axis=1) + middle
-        results.append(np.where(supported, flat, np.nan).reshape(size))
-    return results, supported.reshape(size)
-
-
-def _separable(image: FloatArray, across: AnyArray, down: AnyArray) -> Array:
-    filtered = cv2.sepFilter2D(image, cv2.CV_32F, across, down, borderType=cv2.BORDER_CONSTANT)
-    return np.asarray(filtered, dtype=float)
-
-
-def _binned(image: FloatArray, size: tuple[int, int], factor: int) -> FloatArray:
-    if factor == 1:
-        return image
-    cut = np.ascontiguousarray(image[: size[0] * factor, : size[1] * factor])
-    return np.asarray(cv2.resize(cut, (size[1], size[0]), interpolation=cv2.INTER_AREA), dtype=np.float32)
+        smooth = np.full(usable.shape, np.nan)
+        smooth[usable] = (solved * monomials).sum(axis=1) + middle
+        results.append(np.where(supported, smooth, np.nan))
+    return results, supported
 
 
 # How far a flat map of the skin stretches it.
 
 
 def distortion(points_mm: Array, flat_mm: Array, inside: BoolArray) -> dict[str, float]:
-    """By how much lengths are off where a map lays nodes flat, percent, the worse direction of each cell: median and
-    95th percentile, weighted by the skin's area; empty without a cell.
+    """By how much lengths are off where a map lays nodes flat, percent, the worse direction of each
+    cell: median and 95th percentile, weighted by the skin's area; empty without a cell.
 
-    `points_mm`: (n, m, 3) surface points of the nodes; `flat_mm`: (n, m, 2) where the map lays them; `inside`: (n, m)
-    bool, cells with four corners inside count. Source: the stretches are the singular values of the map's derivatives
-    over the surface's (Floater and Hormann 2005, Surface parameterization, section 2).
+    `points_mm`: (n, m, 3) surface points of the nodes; `flat_mm`: (n, m, 2) where the map lays
+    them; `inside`: (n, m) bool, cells with four corners inside count. Source: the stretches are the
+    singular values of the map's derivatives over the surface's (Floater and Hormann 2005, Surface
+    parameterization, section 2).
     """
     jacobian, skin = _derivatives(flat_mm), _derivatives(points_mm)
-    cell = inside[:-1, :-1] & inside[:-1, 1:] & inside[1:, :-1] & inside[1:, 1:]
-    cell &= np.isfinite(jacobian).all(axis=(2, 3)) & np.isfinite(skin).all(axis=(2, 3))
+    cell = _whole_cells(inside) & np.isfinite(jacobian).all(axis=(2, 3)) & np.isfinite(skin).all(axis=(2, 3))
     if not cell.any():
         return {}
     skin = skin[cell]
@@ -238,12 +224,18 @@ def distortion(points_mm: Array, flat_mm: Array, inside: BoolArray) -> dict[str,
     order = np.argsort(worst)
     total = np.cumsum(area[order])
     at = np.minimum(np.searchsorted(total, np.array([0.5, 0.95]) * total[-1]), worst.size - 1)
-    median, most = (100.0 * worst[order][at]).round(3).tolist()
-    return {"length_median_percent": median, "length_p95_percent": most}
+    median, p95 = (100.0 * worst[order][at]).round(3).tolist()
+    return {"length_median_percent": median, "length_p95_percent": p95}
+
+
+def _whole_cells(nodes: BoolArray) -> BoolArray:
+    """(n - 1, m - 1) cells of which all four corners are in `nodes` (n, m)."""
+    return nodes[:-1, :-1] & nodes[:-1, 1:] & nodes[1:, :-1] & nodes[1:, 1:]
 
 
 def _derivatives(values: Array) -> Array:
-    """(n - 1, m - 1, C, 2) differences of (n, m, C) to the right and down, at the middles of the cells."""
+    """(n - 1, m - 1, C, 2) differences of (n, m, C) to the right and down, at the middles of the
+    cells."""
     right = 0.5 * (values[:-1, 1:] - values[:-1, :-1] + values[1:, 1:] - values[1:, :-1])
     down = 0.5 * (values[1:, :-1] - values[:-1, :-1] + values[1:, 1:] - values[:-1, 1:])
     return np.stack([right, down], axis=-1)
@@ -251,11 +243,14 @@ def _derivatives(values: Array) -> Array:
 
 # Nonparametric unrolling: distances along the skin, laid flat.
 #
-# First each cross-section is measured along the skin from the finger's central line, and the central line along itself
-# (`arc`). On a doubly curved tip that stretches what lies beside the line; so the sheet is then relaxed until every
+# First each cross-section is measured along the skin from the finger's central line, and the
+# central line along itself
+# (`arc`). On a doubly curved tip that stretches what lies beside the line; so the sheet is then
+# relaxed until every
 # small triangle is as nearly its true size and shape as the others allow (`free`).
 #
-# Source: L. Liu, L. Zhang, Y. Xu, C. Gotsman and S. Gortler 2008, A local/global approach to mesh parameterization,
+# Source: L. Liu, L. Zhang, Y. Xu, C. Gotsman and S. Gortler 2008, A local/global approach to mesh
+# parameterization,
 # eqs. 5-8 (as-rigid-as-possible).
 
 _ENDS = ((1, 2), (2, 0), (0, 1))
@@ -263,119 +258,118 @@ _ENDS = ((1, 2), (2, 0), (0, 1))
 
 
 def _arc_lengths(grid: SurfaceGrid) -> Array:
-    """Return (n, m, 2) u to the right and v to the tip, mm along the skin; NaN where nothing is known.
+    """Return (n, m, 2) u to the right and v to the tip, mm along the skin; NaN where nothing is
+    known.
 
-    u is the length of a cross-section (a row of nodes) from the central line, v the length of the central line. The
-    central line is straight in the upright frame: the median of the rows' middles.
+    u is the length of a cross-section (a row of nodes) from the central line, v the length of the
+    central line. The central line is straight in the upright frame: the median of the rows'
+    middles.
     """
-    points, inside, known = grid.points_mm, grid.inside, grid.known
-    columns = np.arange(points.shape[1])
-    rows = np.flatnonzero(inside.any(axis=1))
-    middles = [0.5 * (columns[inside[row]][0] + columns[inside[row]][-1]) for row in rows]
-    middle = round(float(np.median(middles)))
-    across = _lengths(points, known, axis=1)
+    points = grid.points_mm
+    known = grid.known
+    rows = np.flatnonzero(grid.inside.any(axis=1))
+    middle = round(float(np.median([0.5 * (np.flatnonzero(grid.inside[row])[[0, -1]]).sum() for row in rows])))
+    across = _lengths(points, known)
     u = across - across[:, middle : middle + 1]
     # rows whose line lies outside the sheet are anchored at their own middle below
-    along = _lengths(points, known, axis=0)[:, middle]
-    v_line = -(along - along[round(float(rows.mean()))])
-    good = np.isfinite(v_line)
+    along = _lengths(points.swapaxes(0, 1), known.T)[middle]
+    v = -(along - along[round(float(rows.mean()))])
+    good = np.isfinite(v)
     require(int(good.sum()) >= 4, "the finger's central line is not on its mask; mark the whole finger.")
-    places = np.arange(points.shape[0])
-    slope = np.polyfit(places[good], v_line[good], 1)
-    v_line = np.where(good, v_line, np.polyval(slope, places))
+    place = np.arange(len(points))
+    v = np.where(good, v, np.polyval(np.polyfit(place[good], v[good], 1), place))
     for row in np.flatnonzero(~np.isfinite(u).any(axis=1) & known.any(axis=1)):
         first = int(np.flatnonzero(known[row])[0])
-        offset = (first - middle) * grid.pitch_mm
-        u[row] = across[row] - across[row, first] + offset
-    v = np.broadcast_to(v_line[:, None], u.shape)
-    flat = np.stack([u, v], axis=2)
-    flat[~known] = np.nan
-    return flat
+        u[row] = across[row] - across[row, first] + (first - middle) * grid.pitch_mm
+    flat = np.stack([u, np.broadcast_to(v[:, None], u.shape)], axis=2)
+    return np.where(known[..., None], flat, np.nan)
 
 
-def _lengths(points: Array, known: NDArray[np.bool_], axis: int) -> Array:
-    """Length along `axis` from the first node; NaN before and after the longest run of known nodes."""
-    step = np.linalg.norm(np.diff(points, axis=axis), axis=2)
-    step = np.moveaxis(step, axis, 1)
-    run = np.moveaxis(known, axis, 1)
-    result = np.full(run.shape, np.nan)
-    for line in range(len(run)):
-        places = np.flatnonzero(run[line])
-        if places.size < 2:
-            continue
-        cuts = np.flatnonzero(np.diff(places) > 1)
-        starts, stops = np.r_[0, cuts + 1], np.r_[cuts, places.size - 1]
-        best = int(np.argmax(stops - starts))
-        first, last = places[starts[best]], places[stops[best]]
-        result[line, first : last + 1] = np.r_[0.0, np.cumsum(step[line, first:last])]
-    return np.moveaxis(result, 1, axis)
+def longest_run(nodes: BoolArray) -> NDArray[np.intp]:
+    """Places (N,) of the longest run of true ones in a line."""
+    places = np.flatnonzero(nodes)
+    return max(np.split(places, np.flatnonzero(np.diff(places) > 1) + 1), key=len)
+
+
+def _lengths(points: Array, known: BoolArray) -> Array:
+    """(n, m) length along each row from its first node; NaN before and after the longest run of
+    known nodes."""
+    step = np.linalg.norm(np.diff(points, axis=1), axis=2)
+    result = np.full(known.shape, np.nan)
+    for row, nodes in enumerate(known):
+        run = longest_run(nodes)
+        if run.size > 1:
+            result[row, run] = np.r_[0.0, np.cumsum(step[row, run[:-1]])]
+    return result
 
 
 def _relaxed(grid: SurfaceGrid, start: Array, centre_weight: float) -> Array:
     """As-rigid-as-possible flattening of the sheet of nodes, from `start` (n, m, 2).
 
-    Triangles weigh with their area times the cosine of their slant to the power `centre_weight`; extrapolated ones
-    hardly weigh. Stops when no node moves by more than 0.2 um. The result is turned back to the mean direction of
-    `start`.
+    Triangles weigh with their area times the cosine of their slant to the power `centre_weight`;
+    extrapolated ones hardly weigh. Stops when no node moves by more than 0.2 um. The result is
+    turned back to the mean direction of `start`.
     """
     triangles, weight = _triangles(grid, start, centre_weight)
     nodes = np.unique(triangles)
-    index = np.full(start.shape[0] * start.shape[1], -1)
-    index[nodes] = np.arange(nodes.size)
+    count = nodes.size
+    index = np.full(grid.inside.size, -1)
+    index[nodes] = np.arange(count)
     corner = index[triangles]
     flat = start.reshape(-1, 2)[nodes]
     local = _laid_flat(grid.points_mm.reshape(-1, 3)[triangles])
     cotangent = _cotangents(local) * weight[:, None]
     i = np.concatenate([corner[:, a] for a, _ in _ENDS])
     j = np.concatenate([corner[:, b] for _, b in _ENDS])
-    c = np.concatenate([cotangent[:, k] for k in range(3)])
-    count = nodes.size
-    ones = scipy.sparse.coo_array(
-        (np.r_[c, c, -c, -c], (np.r_[i, j, i, j], np.r_[i, j, j, i])), shape=(count, count)
-    ).tocsc()
+    c = cotangent.T.ravel()
+    entries = np.r_[c, c, -c, -c], (np.r_[i, j, i, j], np.r_[i, j, j, i])
+    laplacian = scipy.sparse.coo_array(entries, shape=(count, count)).tocsc()
     pinned = int(np.argmin(np.linalg.norm(flat - np.median(flat, axis=0), axis=1)))
     free = np.delete(np.arange(count), pinned)
     from scipy.sparse.linalg import splu  # slow to import
 
     solver = splu(
-        ones[free][:, free].tocsc(), permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options={"SymmetricMode": True}
-    )
+        laplacian[free][:, free].tocsc(), permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0,
+        options={"SymmetricMode": True},
+    )  # fmt: skip
     across, along = _edge_sums(corner, local, cotangent, count)
-    pin = flat[pinned].copy()
-    pull = ones[free][:, [pinned]].toarray() * pin[None]
+    pull = laplacian[free][:, [pinned]].toarray() * flat[[pinned]]
     for _ in range(_ITERATIONS):
         cos = across.T @ flat[:, 0] + along.T @ flat[:, 1]
         sin = across.T @ flat[:, 1] - along.T @ flat[:, 0]
         length = np.maximum(np.hypot(cos, sin), 1e-12)
-        cos, sin = cos / length, sin / length
+        cos /= length
+        sin /= length
         right = np.stack([across @ cos - along @ sin, across @ sin + along @ cos], axis=1)
-        moved = solver.solve(right[free] - pull)
-        step = float(np.abs(moved - flat[free]).max())
-        flat[free] = moved
+        solution = solver.solve(right[free] - pull)
+        step = float(np.abs(solution - flat[free]).max())
+        flat[free] = solution
         if step < 2e-4:
             break
-    result = np.full((start.shape[0] * start.shape[1], 2), np.nan)
-    result[nodes] = flat
-    result = result.reshape(start.shape)
+    result = np.full(start.shape, np.nan)
+    result.reshape(-1, 2)[nodes] = flat
     # turned and shifted so that it lies on `start` as well as a rigid sheet can
     both = grid.inside & np.isfinite(result).all(axis=2) & np.isfinite(start).all(axis=2)
-    middle, target = result[both].mean(axis=0), start[both].mean(axis=0)
-    a, b = result[both] - middle, start[both] - target
+    middle = result[both].mean(axis=0)
+    target = start[both].mean(axis=0)
+    a = result[both] - middle
+    b = start[both] - target
     angle = np.arctan2((a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]).sum(), (a * b).sum())
     turn = np.array([[np.cos(angle), np.sin(angle)], [-np.sin(angle), np.cos(angle)]])
     return np.asarray((result - middle) @ turn + target)
 
 
 def _triangles(grid: SurfaceGrid, start: Array, centre_weight: float) -> tuple[NDArray[np.intp], Array]:
-    """Both ways to cut each cell of four known nodes into triangles (T, 3), and the weights of the triangles (T,)."""
-    n, m = grid.inside.shape
-    number = np.arange(n * m).reshape(n, m)
-    known = grid.known & np.isfinite(start).all(axis=2)
-    cell = known[:-1, :-1] & known[:-1, 1:] & known[1:, :-1] & known[1:, 1:]
-    a, b, c, d = (part[cell] for part in (number[:-1, :-1], number[:-1, 1:], number[1:, :-1], number[1:, 1:]))
-    triangles = np.concatenate(
-        [np.stack(t, axis=1) for t in ((a, c, b), (b, c, d), (a, c, d), (a, d, b))]
-    )  # counter-clockwise as seen from the camera (rows run down)
+    """Both ways to cut each cell of four known nodes into triangles (T, 3), and the weights of the
+    triangles (T,)."""
+    number = np.arange(grid.inside.size).reshape(grid.inside.shape)
+    cell = _whole_cells(grid.known & np.isfinite(start).all(axis=2))
+    a = number[:-1, :-1][cell]
+    b = number[:-1, 1:][cell]
+    c = number[1:, :-1][cell]
+    d = number[1:, 1:][cell]
+    # counter-clockwise as seen from the camera (rows run down)
+    triangles = np.concatenate([np.stack(t, axis=1) for t in ((a, c, b), (b, c, d), (a, c, d), (a, d, b))])
     corners = grid.points_mm.reshape(-1, 3)[triangles]
     normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     cosine = np.abs(normal[:, 2]) / np.maximum(np.linalg.norm(normal, axis=1), 1e-12)
@@ -406,23 +400,23 @@ def _cotangents(local: Array) -> Array:
 def _edge_sums(
     corner: NDArray[np.intp], local: Array, cotangent: Array, count: int
 ) -> tuple[scipy.sparse.csr_array, scipy.sparse.csr_array]:
-    """Sparse (count, T): at each corner the sum of the triangle's weighted edges that meet there, along x and y.
+    """Sparse (count, T): at each corner the sum of the triangle's weighted edges that meet there,
+    along x and y.
 
-    Turning all triangles and adding up their edges at the nodes, and finding the turn that fits the nodes best, are
-    products with these two.
+    Turning all triangles and adding up their edges at the nodes, and finding the turn that fits the
+    nodes best, are products with these two.
     """
     sums = np.zeros((*corner.shape, 2))
     for k, (a, b) in enumerate(_ENDS):
         edge = cotangent[:, k, None] * (local[:, a] - local[:, b])
         sums[:, a] += edge
         sums[:, b] -= edge
-    triangle = np.repeat(np.arange(len(corner)), 3)
-    shape = (count, len(corner))
-    parts = [
-        scipy.sparse.coo_array((sums[..., d].ravel(), (corner.ravel(), triangle)), shape=shape).tocsr()
-        for d in range(2)
-    ]
-    return parts[0], parts[1]
+    places = corner.ravel(), np.repeat(np.arange(len(corner)), 3)
+    shape = count, len(corner)
+    across, along = (
+        scipy.sparse.coo_array((part.ravel(), places), shape=shape).tocsr() for part in (sums[..., 0], sums[..., 1])
+    )
+    return across, along
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -444,6 +438,5 @@ def unroll(grid: SurfaceGrid, kind: str = "free", centre_weight: float = CENTRE_
     if kind == "free":
         flat = _relaxed(grid, flat, centre_weight)
     # what the map does not reach is not known
-    reached = np.isfinite(flat).all(axis=2)
-    grid = replace(grid, inside=grid.inside & reached)
+    grid = replace(grid, inside=grid.inside & np.isfinite(flat).all(axis=2))
     return Unrolled(grid, flat, distortion(grid.points_mm, flat, grid.inside))

@@ -170,14 +170,14 @@ def print_finger(
     check_target(target, "map.npz", "an earlier print", keep=path)
     around = None
     if place == "paper":
-        source, made = folder.print_of_file(path, input_ppi)
+        source, printed = folder.print_of_file(path, input_ppi)
     elif method == "rolled":
         from splitknit_match.prints.rolled import print_around  # slow to import
 
         refuse_given("is measured in a rig with mirrors; leave it out.", **scales)
-        source, made, around = print_around(path, preset, place, ppi, progress)
+        source, printed, around = print_around(path, preset, place, ppi, progress)
     elif photo is not None:
-        source, made = folder.print_of_photo(read_fingerphoto(path, px_per_mm, PhotoFinger(mask, box), photo))
+        source, printed = folder.print_of_photo(read_fingerphoto(path, px_per_mm, PhotoFinger(mask, box), photo))
     else:
         of_photo = method == "photo"
         source = read_source(
@@ -185,9 +185,9 @@ def print_finger(
             px_per_mm=px_per_mm, ridge_period_mm=ridge_period_mm,
         )  # fmt: skip
         progress("printing", 0.75)
-        made = naming(path, lambda: make.make_print(source, method, place, ppi))
+        printed = naming(path, lambda: make.make_print(source, method, place, ppi))
     named = "file" if place == "paper" else method
-    facts = folder.write_print(target, path, source, made, method=named, ppi=ppi, around=around, progress=progress)
+    facts = folder.write_print(target, path, source, printed, method=named, around=around, progress=progress)
     facts["out"] = str(target)
     return Report(facts, tuple(_print_lines(facts)))
 
@@ -269,7 +269,8 @@ def export(
 
 
 def import_prints(files: Sequence[AnyPath], out: AnyPath, input_ppi: float | None, progress: Progress) -> Report:
-    """Write prints of other systems as PNG, their minutiae as ISO/IEC 19794-2: a part of ``splitknit import``.
+    """Write prints of other systems as PNG, their minutiae as ISO/IEC 19794-2: a part of
+    ``splitknit import``.
 
     Raises BadInput, naming the file at fault.
     """

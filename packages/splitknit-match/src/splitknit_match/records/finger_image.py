@@ -36,7 +36,8 @@ WRITTEN = ("none", "png", "wsq", "jp2")
 """Compressions; ``jp2`` is JPEG 2000 without loss."""
 _CODES = {"none": 0, "wsq": 2, "jpeg": 3, "jp2": 4, "png": 5}
 _LEVELS = {500: 30, 1000: 40}
-"""Acquisition levels of 8 bits, by pixels per inch, of devices that nobody certified (31 and 41: certified)."""
+"""Acquisition levels of 8 bits, by pixels per inch, of devices that nobody certified (31 and 41:
+certified)."""
 _NO_QUALITY = 254
 """The only value that ISO/IEC 19794-4:2005 has for the quality: not defined."""
 _CM_PER_INCH = 2.54
@@ -49,8 +50,9 @@ _NEAREST = {"contactless_rolled": "contactless", "unknown": "live_plain", "other
 def encode_finger_image(item: PrintFile, compression: str = "none") -> bytes:
     """Bytes of a record of ISO/IEC 19794-4:2005 of one print, of 500 or 1000 ppi.
 
-    `compression`: ``none``, ``png``, ``jp2`` or ``wsq`` (which loses a little, and is for 500 ppi alone). No device is
-    said to be certified, no quality stated. Raises BadInput if the standard cannot state what it is.
+    `compression`: ``none``, ``png``, ``jp2`` or ``wsq`` (which loses a little, and is for 500 ppi
+    alone). No device is said to be certified, no quality stated. Raises BadInput if the standard
+    cannot state what it is.
 
     >>> import numpy as np
     >>> len(encode_finger_image(PrintFile(np.zeros((20, 10), np.uint8), 500.0, {})))
@@ -59,52 +61,47 @@ def encode_finger_image(item: PrintFile, compression: str = "none") -> bytes:
     ppi = round(item.resolution_ppi or 0)
     require(ppi in _LEVELS, "the image of a finger image record has 500 or 1000 ppi; resample the print.")
     rows, columns = item.image.shape
-    sound = item.image.dtype == np.uint8 and 0 < rows <= 65535 and 0 < columns <= 65535
-    expected = "(H, W) uint8, at most 65535 pixels each way"
-    require(sound, f"a print must be {expected}, not {item.image.shape} {item.image.dtype}.")
+    require(
+        item.image.dtype == np.uint8 and min(rows, columns) > 0 and max(rows, columns) <= 65535,
+        f"a print must be (H, W) uint8, at most 65535 pixels each way, not {item.image.shape} {item.image.dtype}.",
+    )
     finger = standard_code(item.finger, FINGER_CODES, "finger")
     impression = _NEAREST.get(item.impression, item.impression)
     kind = standard_code(impression, ANSI_2004_IMPRESSIONS, "impression type")
     data = encode_print(item.image, float(ppi), compression)
     view = _VIEW.pack(_VIEW.size + len(data), finger, 1, 1, _NO_QUALITY, kind, columns, rows, 0) + data
     parameters = _PARAMETERS.pack(0, _LEVELS[ppi], 1, 1, ppi, ppi, ppi, ppi, 8, _CODES[compression], 0)
-    length = (_HEADER_BYTES + len(view)).to_bytes(6, "big")
-    return MAGIC + _V2005 + length + parameters + view
+    return MAGIC + _V2005 + (_HEADER_BYTES + len(view)).to_bytes(6, "big") + parameters + view
 
 
 def decode_finger_images(data: bytes, name: str = "the record") -> tuple[PrintFile, ...]:
     """Read the images of a record of ISO/IEC 19794-4:2005.
 
-    Raises BadInput, with `name`, if `data` is another file, truncated or damaged, claims more than 64 million pixels,
-    or an image is not 8-bit grey, has no square pixels, or is compressed otherwise than by WSQ, JPEG, JPEG 2000 or PNG.
+    Raises BadInput, with `name`, if `data` is another file, truncated or damaged, claims more than
+    64 million pixels, or an image is not 8-bit grey, has no square pixels, or is compressed
+    otherwise than by WSQ, JPEG, JPEG 2000 or PNG.
     """
     require(data[:4] == MAGIC, f"{name} is not a finger image record (they begin with 'FIR'); name another file.")
     fault = f"{name} is a finger image record of an unknown version {data[4:8]!r}; 010 (of 2005) is read: convert it."
     require(data[4:8] == _V2005, fault)
     cursor = Cursor(data, name, 8)
-    length = int.from_bytes(cursor.take(6, "its header"), "big")
-    check_length(data, length, name)
+    check_length(data, int.from_bytes(cursor.take(6, "its header"), "big"), name)
     _, _, _, unit, _, _, x, y, bits, code, _ = cursor.unpack(_PARAMETERS, "its header")
-    require(unit in (1, 2) and x > 0, f"{name} gives no resolution (scale units {unit}; 1 or 2 is expected).")
-    require(x == y, f"{name} has {x} pixels along and {y} across; square pixels are expected.")
-    ppi = float(x) if unit == 1 else x * _CM_PER_INCH
+    ppi = ppi_of(unit, x, y, name)
     usual = (float(level) for level in _LEVELS if round(level / _CM_PER_INCH) == round(ppi / _CM_PER_INCH))
     ppi = next(usual, ppi)
     require(bits == 8, f"{name} has {bits} bits a pixel; 8-bit grey is read.")
-    compression = {number: words for words, number in _CODES.items()}.get(code)
-    if compression is None:
-        raise BadInput(f"{name} is compressed by code {code}; none, WSQ, JPEG, JPEG 2000 and PNG are read.")
+    compression = compression_of(code, {number: words for words, number in _CODES.items()}, name)
     prints: list[PrintFile] = []
     left = MAX_PIXELS
     while cursor.place < len(data) and len(prints) < _MAX_VIEWS:
         what = f"image {len(prints) + 1}"
         length, finger, _, _, _, impression, columns, rows, _ = cursor.unpack(_VIEW, f"the header of {what}")
         require(length >= _VIEW.size, f"{name} is damaged: {what} states a length of {length} bytes; copy it again.")
-        size, where = (rows, columns), f"{what} of {name}"
-        require(rows * columns <= left, f"{name} claims more than the {MAX_PIXELS} pixels that are read.")
-        left -= rows * columns
         stored = cursor.take(length - _VIEW.size, f"the pixels of {what}")
-        image = decode_print(stored, compression, where, size=size, limit=rows * columns)
+        where = f"{what} of {name}"
+        image = decode_print(stored, compression, where, size=(rows, columns), limit=left)
+        left -= image.size
         position = name_of(finger, FINGER_CODES, f"finger position of {where}")
         prints.append(PrintFile(image, ppi, {}, position, impression_of(impression, _IMPRESSIONS)))
     more = f"{name} is damaged: it holds no image, or more than {_MAX_VIEWS}."
@@ -112,18 +109,40 @@ def decode_finger_images(data: bytes, name: str = "the record") -> tuple[PrintFi
     return tuple(prints)
 
 
+def ppi_of(unit: int, x: int, y: int, name: str) -> float:
+    """Resolution as records state it, in pixels per inch (`unit` 1) or centimetre (2), along
+    columns and rows."""
+    require(unit in (1, 2) and x > 0, f"{name} gives no resolution (scale units {unit}; 1 or 2 is expected).")
+    require(x == y, f"{name} has {x} pixels along and {y} across; square pixels are expected.")
+    return float(x) if unit == 1 else x * _CM_PER_INCH
+
+
+def compression_of(code: int, codes: Mapping[int, str], name: str) -> str:
+    """Compression, as :func:`decode_print` names it, of a record's code."""
+    if code not in codes:
+        raise BadInput(f"{name} is compressed by code {code}; none, WSQ, JPEG 2000, PNG and some JPEG are read.")
+    return codes[code]
+
+
 def decode_print(
     stored: bytes, compression: str, name: str, *, size: tuple[int, int] | None = None, limit: int = MAX_PIXELS
 ) -> NDArray[np.uint8]:
-    """Decode a print as records hold it: ``none``, ``wsq``, ``jp2`` or a picture file, of at most `limit` pixels.
+    """Decode a print as records hold it: ``none``, ``wsq``, ``jp2`` or a picture file, of at most
+    `limit` pixels.
 
-    `size`: rows and columns as its record states them, needed for ``none``. Raises BadInput if it has another size, is
-    not 8-bit grey, or is damaged.
+    `size`: rows and columns as its record states them, needed for ``none``. Raises BadInput if it
+    has another size, is not 8-bit grey, or is damaged.
     """
-    expected = "" if size is None else f", but its record states {size[0]} x {size[1]}"
-    if compression == "none" and size is not None:
-        require(len(stored) == size[0] * size[1] > 0, f"{name} holds {len(stored)} pixels{expected}.")
-        return np.frombuffer(stored, dtype=np.uint8).reshape(size).copy()
+    fault = f"{name} makes more than the {MAX_PIXELS} pixels that are read; split the record."
+    expected = ""
+    if size is not None:
+        rows, columns = size
+        expected = f", but its record states {rows} x {columns}"
+        require(rows * columns <= limit, fault)
+        limit = rows * columns
+        if compression == "none":
+            require(len(stored) == limit > 0, f"{name} holds {len(stored)} pixels{expected}.")
+            return np.frombuffer(stored, dtype=np.uint8).reshape(size).copy()
     if compression == "wsq":
         image = decode_wsq(stored, name).image
     elif compression == "jp2":
@@ -131,9 +150,9 @@ def decode_print(
     else:
         pixels = decode_image(stored, name, max_pixels=limit)
         require(pixels.shape[2] == 1 and pixels.dtype == np.uint8, f"{name} is not 8-bit grey; convert it.")
-        image = np.asarray(pixels[..., 0], dtype=np.uint8)
+        image = pixels[..., 0].astype(np.uint8)
     require(size in (None, image.shape), f"{name} holds {image.shape[0]} x {image.shape[1]} pixels{expected}.")
-    require(image.size <= limit, f"{name} makes more than the {MAX_PIXELS} pixels that are read; split the record.")
+    require(image.size <= limit, fault)
     return image
 
 
@@ -143,7 +162,8 @@ def impression_of(code: int, codes: Mapping[str, int]) -> str:
 
 
 def encode_print(image: NDArray[np.uint8], ppi: float, compression: str) -> bytes:
-    """Encode a print (H, W) for a record, by one of `WRITTEN`. Raises BadInput if WSQ cannot hold it."""
+    """Encode a print (H, W) for a record, by one of `WRITTEN`. Raises BadInput if WSQ cannot hold
+    it."""
     require(compression in WRITTEN, f"'{compression}' is not a compression method; choose one of {', '.join(WRITTEN)}.")
     if compression == "wsq":
         return encode_wsq(image, ppi)

@@ -6,7 +6,6 @@ import struct
 from dataclasses import dataclass
 from typing import Any
 
-from splitknit import BadInput
 from splitknit.errors import require
 
 MAX_RECORD_BYTES = 20_000_000
@@ -25,11 +24,11 @@ class Cursor:
     def take(self, count: int, what: str) -> bytes:
         """Return the next `count` bytes, `what` they are."""
         end = self.place + count
-        if end > len(self.data):
-            raise BadInput(
-                f"{self.name} is truncated: it ends after {len(self.data)} bytes, within {what} (to byte {end}); copy "
-                "it again."
-            )
+        require(
+            end <= len(self.data),
+            f"{self.name} is truncated: it ends after {len(self.data)} bytes, within {what} (to byte {end}); copy it "
+            "again.",
+        )
         taken = self.data[self.place : end]
         self.place = end
         return taken
@@ -39,17 +38,15 @@ class Cursor:
         return layout.unpack(self.take(layout.size, what))
 
 
-def check_length(data: bytes, said: int, name: str) -> None:
+def check_length(data: bytes, stated: int, name: str) -> None:
     """Require that a record has the length that its header states."""
-    if len(data) < said:
-        raise BadInput(f"{name} is truncated: its header states {said} bytes, but it has {len(data)}; copy it again.")
-    require(
-        len(data) == said,
-        f"{name} has {len(data)} bytes, but its header states {said}; cut off what does not belong to the record.",
-    )
+    cure = "copy it again" if len(data) < stated else "cut off what does not belong to the record"
+    fault = "is truncated: it " if len(data) < stated else ""
+    require(len(data) == stated, f"{name} {fault}has {len(data)} bytes, but its header states {stated}; {cure}.")
 
 
-# Which standard's record a file is: minutiae records of several standards begin with the same eight bytes.
+# Which standard's record a file is: minutiae records of several standards begin with the same eight
+# bytes.
 
 ISO_2005 = "ISO/IEC 19794-2:2005"
 ANSI_2004 = "ANSI/INCITS 378-2004"
@@ -81,22 +78,20 @@ _ENVELOPE_BYTES = 4096
 
 
 def standard_of(data: bytes) -> str | None:
-    """Return the standard of a minutiae record, by its header alone; None if it is another file. `data`: the file, or
-    its first bytes. ISO/IEC 19794-2:2005 gives its length in four bytes, ANSI/INCITS 378-2004 in two (or, from 64 KiB,
-    in six), in the same place. The length that fits the file decides; if none does, the one that is possible.
+    """Return the standard of a minutiae record, by its header alone; None if it is another file.
+    `data`: the file, or its first bytes. ISO/IEC 19794-2:2005 gives its length in four bytes,
+    ANSI/INCITS 378-2004 in two (or, from 64 KiB, in six), in the same place. The length that fits
+    the file decides; if none does, the one that is possible.
 
     >>> standard_of(b"FMR\\0 20\\0" + bytes([0, 0, 0, 32]) + bytes(20))
     'ISO/IEC 19794-2:2005'
     >>> standard_of(b"FMR\\0 20\\0" + bytes([0, 34]) + bytes(24))
     'ANSI/INCITS 378-2004'
     """
-    if data[:8] == MAGIC_20:
-        return _of_20(data)
-    return ANSI_2009 if data[:8] in (MAGIC_030, MAGIC_035) else None
-
-
-def _of_20(data: bytes) -> str:
-    short, whole = int.from_bytes(data[8:10], "big"), int.from_bytes(data[8:12], "big")
+    if data[:8] != MAGIC_20:
+        return ANSI_2009 if data[:8] in (MAGIC_030, MAGIC_035) else None
+    short = int.from_bytes(data[8:10], "big")
+    whole = int.from_bytes(data[8:12], "big")
     if whole == len(data):
         return ISO_2005
     if len(data) in (short, int.from_bytes(data[10:14], "big")) and (short > 0 or len(data) > 65535):
@@ -110,12 +105,11 @@ def what_bytes_are(data: bytes, otherwise: str = "no minutiae record (it does no
     """Name what a file is by its bytes, for messages; `otherwise` where they are not known."""
     if not data:
         return "empty"
-    for start, words in _OTHERS:
-        if data.startswith(start):
-            return words
+    known = next((words for start, words in _OTHERS if data.startswith(start)), None)
+    if known is not None:
+        return known
     if data[:4] == b"FMR\0":
         return f"a minutiae record of an unknown version {data[4:8]!r}"
     at = data.find(b"FMR\0", 1, _ENVELOPE_BYTES)
-    if at > 0:
-        return f"an envelope (CBEFF?) with a minutiae record inside, {at} bytes from its beginning"
-    return otherwise
+    inner = f"an envelope (CBEFF?) with a minutiae record inside, {at} bytes from its beginning"
+    return inner if at > 0 else otherwise

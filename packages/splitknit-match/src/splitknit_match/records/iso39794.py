@@ -1,8 +1,10 @@
-"""Finger images of ISO/IEC 39794-4:2019 in tagged binary encoding (DER written, BER read), by `asn1tools`.
+"""Finger images of ISO/IEC 39794-4:2019 in tagged binary encoding (DER written, BER read), by
+`asn1tools`.
 
-The module below is our own, of the fields that are public: ISO/IEC 39794-1 publishes its ASN.1; part 4 is described
-field by field in the source of JMRTD. What follows the sampling rate of a representation is passed over. Of part 2
-(minutiae) no description is public: it is neither written nor read.
+The module below is our own, of the fields that are public: ISO/IEC 39794-1 publishes its ASN.1;
+part 4 is described field by field in the source of JMRTD. What follows the sampling rate of a
+representation is passed over. Of part 2 (minutiae) no description is public: it is neither written
+nor read.
 """
 
 from __future__ import annotations
@@ -14,7 +16,14 @@ from typing import Any
 from splitknit import BadInput
 from splitknit.errors import importing, refusing, require
 from splitknit.io.prints import PrintFile
-from splitknit_match.records.finger_image import MAX_PIXELS, decode_print, encode_print, impression_of
+from splitknit_match.records.finger_image import (
+    MAX_PIXELS,
+    compression_of,
+    decode_print,
+    encode_print,
+    impression_of,
+    ppi_of,
+)
 from splitknit_match.records.minutiae_record import FINGER_CODES, VENDOR_UNKNOWN, name_of, standard_code
 
 TAG = b"\x64"
@@ -43,7 +52,10 @@ _IMPRESSIONS = {
 _FORMATS = {"none": 0, "wsq": 1, "jp2": 3, "png": 4}
 _READ = {0: "none", 1: "wsq", 2: "jp2", 3: "jp2", 4: "png"}
 _PGM = re.compile(rb"P5\s+([0-9]{1,6})\s+([0-9]{1,6})\s+255\s")
-_GENERATION, _YEAR, _INCH, _CM = 3, 2019, 0, 1
+_GENERATION = 3
+_YEAR = 2019
+_INCH = 0
+"""Unit of resolution; centimetres are 1."""
 
 
 @cache
@@ -56,10 +68,11 @@ def _codec(rules: str) -> Any:
 def encode_finger_image_block(
     item: PrintFile, compression: str = "none", *, quality: int | None = None, owner: int = VENDOR_UNKNOWN
 ) -> bytes:
-    """Bytes of a FingerImageDataBlock of one print; `compression` as of 19794-4, where ``none`` is a PGM file inside.
+    """Bytes of a FingerImageDataBlock of one print; `compression` as of 19794-4, where ``none`` is
+    a PGM file inside.
 
-    `quality`: 0 to 100, by algorithm 1 of `owner`. Raises BadInput if it has no resolution, its impression type has no
-    code here, or the package `asn1tools` is not installed.
+    `quality`: 0 to 100, by algorithm 1 of `owner`. Raises BadInput if it has no resolution, its
+    impression type has no code here, or the package `asn1tools` is not installed.
     """
     ppi = item.resolution_ppi or 0.0
     require(1 <= ppi <= 65535, "a print of a finger image block must have a resolution.")
@@ -74,16 +87,15 @@ def encode_finger_image_block(
     if quality is not None:
         score = {"algorithmIdBlock": {"organization": owner, "id": 1}, "scoreOrError": ("score", quality)}
         block["qualityBlocks"] = [score]
-    version = {"generation": _GENERATION, "year": _YEAR}
-    document = {"versionBlock": version, "representationBlocks": [block]}
+    document = {"versionBlock": {"generation": _GENERATION, "year": _YEAR}, "representationBlocks": [block]}
     return bytes(_codec("der").encode("FingerImageDataBlock", document))
 
 
 def decode_finger_image_block(data: bytes, name: str = "the record") -> tuple[PrintFile, ...]:
     """Read the images of a FingerImageDataBlock.
 
-    Raises BadInput, with `name`, if it is none, truncated or damaged, claims more than 64 million pixels, or an image
-    is not 8-bit grey or states no resolution.
+    Raises BadInput, with `name`, if it is none, truncated or damaged, claims more than 64 million
+    pixels, or an image is not 8-bit grey or states no resolution.
     """
     damaged = f"{name} is not a finger image of ISO/IEC 39794-4 in tagged binary encoding, or damaged; copy it again."
     require(data[:1] == TAG, damaged)
@@ -91,29 +103,30 @@ def decode_finger_image_block(data: bytes, name: str = "the record") -> tuple[Pr
     with refusing(damaged):
         require(codec.decode_length(data) == len(data), damaged)
         document = codec.decode("FingerImageDataBlock", data)
-        blocks, version = document["representationBlocks"], document["versionBlock"]
-    require(version["generation"] == _GENERATION, f"{name} is of generation {version['generation']}; 3 is read.")
+    blocks = document["representationBlocks"]
+    generation = document["versionBlock"]["generation"]
+    require(generation == _GENERATION, f"{name} is of generation {generation}; 3 is read.")
     require(blocks, f"{name} holds no image.")
     prints: list[PrintFile] = []
     left = MAX_PIXELS
     for number, block in enumerate(blocks, start=1):
         what = f"image {number} of {name}"
-        rate = block.get("spatialSamplingRateBlock")
-        known = rate is not None and rate["samplesPerUnit"] > 0 and rate["unitDimension"] in (_INCH, _CM)
-        require(known, f"{what} states no resolution; convert it.")
-        ppi = rate["samplesPerUnit"] * (1.0 if rate["unitDimension"] == _INCH else 2.54)
-        data, size, code = bytes(block["imageData"]), None, _code(block["imageDataFormat"])
-        require(code in _READ, f"{what} has the image format {code}; PGM, WSQ, JPEG 2000 and PNG are read.")
-        if _READ[code] == "none":
-            head = _PGM.match(data)
+        rate = block.get("spatialSamplingRateBlock", {"samplesPerUnit": 0, "unitDimension": _INCH})
+        ppi = ppi_of(rate["unitDimension"] + 1, rate["samplesPerUnit"], rate["samplesPerUnit"], what)
+        stored = bytes(block["imageData"])
+        size = None
+        compression = compression_of(_code(block["imageDataFormat"]), _READ, what)
+        if compression == "none":
+            head = _PGM.match(stored)
             if head is None:
                 raise BadInput(f"{what} is not an 8-bit PGM image; convert it.")
-            data, size = data[head.end() :], (int(head[2]), int(head[1]))
-        image = decode_print(data, _READ[code], what, size=size, limit=left)
+            stored = stored[head.end() :]
+            size = int(head[2]), int(head[1])
+        image = decode_print(stored, compression, what, size=size, limit=left)
         left -= image.size
         finger = name_of(_code(block["position"]), FINGER_CODES, f"finger position of {what}")
         impression = impression_of(_code(block["impression"]), _IMPRESSIONS)
-        prints.append(PrintFile(image, float(ppi), {}, finger, impression))
+        prints.append(PrintFile(image, ppi, {}, finger, impression))
     return tuple(prints)
 
 

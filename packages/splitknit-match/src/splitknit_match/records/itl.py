@@ -1,9 +1,10 @@
 """Prints in transactions of ANSI/NIST-ITL, in the traditional encoding.
 
-Read are records of Type-14, of latent prints (Type-13), and of Type-4 with a single finger; others are passed over.
+Read are records of Type-14, of latent prints (Type-13), and of Type-4 with a single finger; others
+are passed over.
 
-Source: ANSI/NIST-ITL 1-2011, update 2015 (NIST Special Publication 500-290 edition 3): clause 8, annex B (traditional
-encoding).
+Source: ANSI/NIST-ITL 1-2011, update 2015 (NIST Special Publication 500-290 edition 3): clause 8,
+annex B (traditional encoding).
 """
 
 from __future__ import annotations
@@ -15,7 +16,7 @@ from collections.abc import Iterator, Mapping
 from splitknit import BadInput
 from splitknit.errors import naming, require
 from splitknit.io.prints import PrintFile
-from splitknit_match.records.finger_image import MAX_PIXELS, decode_print, impression_of
+from splitknit_match.records.finger_image import MAX_PIXELS, compression_of, decode_print, impression_of, ppi_of
 from splitknit_match.records.minutiae_record import FINGER_CODES, ITL_IMPRESSIONS, name_of
 
 _START = re.compile(rb"([0-9]{1,2})\.0{0,2}1:([0-9]{1,10})\x1d")
@@ -33,9 +34,10 @@ _COMPRESSIONS = {"NONE": "none", "WSQ20": "wsq", "PNG": "png", "JP2L": "jp2", "J
 _LATENT = "it is a latent print: false match rates were measured on prints of live fingers."
 _TYPE4 = struct.Struct(">5xB6sBHHB")
 _TYPE4_COMPRESSIONS = {0: "none", 1: "wsq", 4: "jp2", 5: "jp2", 6: "png"}
-_INCH_MM, _CM_MM = 25.4, 10.0
-_MIN_PPI, _MAX_PPI = 490.0, 5080.0
+_INCH_MM = 25.4
+_MIN_PPI = 490.0
 """A print below the class of 500 ppi is not an exemplar."""
+_MAX_PPI = 5080.0
 
 _Fields = Mapping[int, bytes]
 
@@ -43,22 +45,21 @@ _Fields = Mapping[int, bytes]
 def decode_transaction(data: bytes, name: str = "the transaction") -> tuple[PrintFile, ...]:
     """Read the prints of a transaction.
 
-    Raises BadInput, with `name`, if `data` is not a transaction in the traditional encoding, is damaged, holds no
-    print, or one that is not 8-bit grey or not compressed by ``NONE``, ``WSQ20``, ``PNG``, ``JP2`` or ``JP2L``.
+    Raises BadInput, with `name`, if `data` is not a transaction in the traditional encoding, is
+    damaged, holds no print, or one that is not 8-bit grey or not compressed by ``NONE``, ``WSQ20``,
+    ``PNG``, ``JP2`` or ``JP2L``.
     """
     prints: list[PrintFile] = []
     first: _Fields = {}
-    left = MAX_PIXELS
     for number, (kind, record) in enumerate(_records(data, name), start=1):
         what = f"record {number} (Type-{kind}) of {name}"
+        left = MAX_PIXELS - sum(item.image.size for item in prints)
         if kind == 1:
             first = _fields(record)
         elif kind == 4:
-            item = _type4(record, first, left, what)
-            prints += [] if item is None else [item]
+            prints += _type4(record, first, left, what)
         elif kind in (13, 14):
             prints.append(_type14(_fields(record), left, what, _LATENT if kind == 13 else ""))
-        left = MAX_PIXELS - sum(item.image.size for item in prints)
     require(prints, f"{name} holds no print of a single finger (no record of Type-14, -13 or -4).")
     return tuple(prints)
 
@@ -68,16 +69,22 @@ def _records(data: bytes, name: str) -> Iterator[tuple[int, bytes]]:
     fault = f"{name} is not an ANSI/NIST-ITL transaction (it does not begin with '1.001:'); name another file."
     require(_START.match(data) is not None, fault)
     kinds: list[int] = []
-    place, count = 0, 0
-    while place < len(data):
-        listed = kinds[count] if count < len(kinds) else 0
+    place = 0
+    for count in range(_MAX_RECORDS + 1):
+        if place >= len(data):
+            return
+        require(count < _MAX_RECORDS, f"{name} has more than {_MAX_RECORDS} records; split it.")
         start = _START.match(data, place)
-        if listed in _BINARY:
-            kind, length = listed, int.from_bytes(data[place : place + 4], "big")
+        kind = kinds[count] if count < len(kinds) else 0
+        binary = kind in _BINARY
+        if binary:
+            length = int.from_bytes(data[place : place + 4], "big")
             require(length > _TYPE4.size or kind != 4, f"a Type-4 record of {name} holds no image; it is damaged.")
             least = 5
         elif start is not None:
-            kind, length, least = int(start[1]), int(start[2]), len(start[0]) + 1
+            kind = int(start[1])
+            length = int(start[2])
+            least = len(start[0]) + 1
         else:
             raise BadInput(f"{name} is damaged: no record begins at byte {place}; copy it again.")
         require((kind == 1) == (place == 0), f"{name} must begin with its only Type-1 record; it is damaged.")
@@ -86,15 +93,13 @@ def _records(data: bytes, name: str) -> Iterator[tuple[int, bytes]]:
         require(least <= length <= rest, f"{name} is truncated: {fault}")
         record = data[place : place + length]
         fault = "does not end where its length field has it; copy it again."
-        whole = kind in _BINARY or record.endswith(_RECORD_END)
-        require(whole, f"{name} is damaged: its Type-{kind} record {fault}")
+        require(binary or record.endswith(_RECORD_END), f"{name} is damaged: its Type-{kind} record {fault}")
         if kind == 1:
             content = _fields(record).get(_CONTENT, b"").split(_ITEM_END)
             types = [item.split(_PART_END)[0] for item in content[: _MAX_RECORDS + 1]]
-            kinds = [int(one) if one.isdigit() and len(one) <= 2 else 0 for one in types]
+            kinds = [int(text) if text.isdigit() and len(text) <= 2 else 0 for text in types]
         yield kind, record
-        place, count = place + length, count + 1
-        require(count <= _MAX_RECORDS, f"{name} has more than {_MAX_RECORDS} records; split it.")
+        place += length
 
 
 def _fields(record: bytes) -> dict[int, bytes]:
@@ -114,43 +119,36 @@ def _fields(record: bytes) -> dict[int, bytes]:
 
 
 def _type14(fields: _Fields, left: int, name: str, note: str) -> PrintFile:
-    rows, columns = _number(fields, _ROWS, name), _number(fields, _COLUMNS, name)
-    require(rows * columns <= left, f"{name} makes more than the {MAX_PIXELS} pixels that are read; split it.")
     compression = _text(fields, _COMPRESSION, name)
     read = ", ".join(_COMPRESSIONS)
     require(compression in _COMPRESSIONS, f"{name} is compressed as {compression[:20]!a}; {read} are read: convert it.")
     require(_number(fields, _BITS, name) == 8, f"{name} is not 8-bit grey; convert it.")
     require(fields.get(_IMAGE), f"{name} holds no image (field {_IMAGE}).")
-    unit, x, y = (_number(fields, field, name) for field in (_UNIT, _PPI_X, _PPI_Y))
-    require(unit in (1, 2), f"{name} gives no resolution (scale units {unit}; 1 or 2 is expected).")
-    require(x == y, f"{name} has {x} pixels along and {y} across; square pixels are expected.")
-    ppi = float(x) if unit == 1 else x * _INCH_MM / _CM_MM
-    image = decode_print(fields[_IMAGE], _COMPRESSIONS[compression], name, size=(rows, columns), limit=rows * columns)
-    finger = naming(name, lambda: name_of(_number(fields, _FINGER, name), FINGER_CODES, "finger position"))
-    code = _number(fields, _IMPRESSION, name)
+    unit, x, y, rows, columns, position, code = (
+        _number(fields, field, name) for field in (_UNIT, _PPI_X, _PPI_Y, _ROWS, _COLUMNS, _FINGER, _IMPRESSION)
+    )
+    ppi = ppi_of(unit, x, y, name)
+    image = decode_print(fields[_IMAGE], _COMPRESSIONS[compression], name, size=(rows, columns), limit=left)
+    finger = naming(name, lambda: name_of(position, FINGER_CODES, "finger position"))
     impression = naming(name, lambda: name_of(code, ITL_IMPRESSIONS, "impression type"))
     return _checked(PrintFile(image, ppi, {}, finger, impression, note), name)
 
 
-def _type4(record: bytes, first: _Fields, left: int, name: str) -> PrintFile | None:
-    """Print of a binary record of 500 ppi or the transaction's own resolution; None if it shows several fingers."""
+def _type4(record: bytes, first: _Fields, left: int, name: str) -> list[PrintFile]:
+    """Print of a binary record of 500 ppi or the transaction's own resolution; none if it shows
+    several fingers."""
     code, positions, scale, columns, rows, compression = _TYPE4.unpack_from(record)
     if positions[0] not in FINGER_CODES.values():
-        return None  # plain impressions of several fingers, and of thumbs beside them
-    known = compression in _TYPE4_COMPRESSIONS
-    require(known, f"{name} is compressed by code {compression}; none, WSQ, JPEG 2000 and PNG are read.")
-    require(rows * columns <= left, f"{name} makes more than the {MAX_PIXELS} pixels that are read; split it.")
+        return []  # plain impressions of several fingers, and of thumbs beside them
     ppi = 500.0
     if scale != 0:
         text = first.get(_NATIVE_RESOLUTION, b"").decode("ascii", "replace")
         require(re.fullmatch(r"[0-9]{1,3}\.[0-9]{1,2}", text) is not None, f"{name} states no resolution (1.011).")
         ppi = float(text) * _INCH_MM
-    image = decode_print(
-        record[_TYPE4.size :], _TYPE4_COMPRESSIONS[compression], name, size=(rows, columns), limit=rows * columns
-    )
-    impression = impression_of(code, ITL_IMPRESSIONS)
+    kind = compression_of(compression, _TYPE4_COMPRESSIONS, name)
+    image = decode_print(record[_TYPE4.size :], kind, name, size=(rows, columns), limit=left)
     finger = name_of(positions[0], FINGER_CODES, "finger position")
-    return _checked(PrintFile(image, ppi, {}, finger, impression), name)
+    return [_checked(PrintFile(image, ppi, {}, finger, impression_of(code, ITL_IMPRESSIONS)), name)]
 
 
 def _checked(item: PrintFile, name: str) -> PrintFile:

@@ -1,9 +1,10 @@
-"""Records of minutiae in files: ISO/IEC 19794-2:2005, ANSI/INCITS 378-2004, -2009 and its amendment 1.
+"""Records of minutiae in files: ISO/IEC 19794-2:2005, ANSI/INCITS 378-2004, -2009 and its amendment
+1.
 
-Big-endian. A file is recognised by what it holds, not by its name. The layouts stand in ``docs/reference/records.md``.
-What identifies devices and products, and extended data, is passed over.
-Source: ISO/IEC 19794-2:2005 (with corrigendum 1:2009), clause 7; ISO/IEC 29109-2; ANSI/INCITS 378-2004, clause 6;
-ANSI/INCITS 378-2009; ANSI/INCITS 378-2009/AM 1-2010.
+Big-endian. A file is recognised by what it holds, not by its name. The layouts stand in
+``docs/reference/records.md``. What identifies devices and products, and extended data, is passed
+over. Source: ISO/IEC 19794-2:2005 (with corrigendum 1:2009), clause 7; ISO/IEC 29109-2; ANSI/INCITS
+378-2004, clause 6; ANSI/INCITS 378-2009; ANSI/INCITS 378-2009/AM 1-2010.
 """
 
 from __future__ import annotations
@@ -13,9 +14,8 @@ import struct
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from splitknit.errors import BadInput, read_bytes, require
+from splitknit.errors import BadInput, naming, read_bytes, require
 from splitknit_match.records.fmr_bytes import (
     ANSI_2004,
     ANSI_2009,
@@ -44,6 +44,8 @@ _MIN_RESOLUTION = 99
 _SHORT_LIMIT = 65535
 """A longer record of ANSI/INCITS 378-2004 gives its length in six bytes instead of two."""
 _MAX_VIEWS = 176
+_MAX_WRITTEN = 255
+"""Minutiae: a view of a record cannot count more; those of the highest quality are written."""
 _SHORT, _LONG, _COUNTS = struct.Struct(">H"), struct.Struct(">I"), struct.Struct(">BB")
 _PRODUCT, _IMAGE, _DEVICE = struct.Struct(">HH"), struct.Struct(">HHHHH"), struct.Struct(">BH")
 _VIEW, _VIEW_2009 = struct.Struct(">BBBB"), struct.Struct(">BBBBHHHHHHB")
@@ -60,15 +62,18 @@ _IMITATED = {
 
 
 def encode_minutiae_record(view: FingerView, standard: str = ISO_2005, owner: int = VENDOR_UNKNOWN) -> bytes:
-    """Bytes of a record, directions rounded to the standard's steps (1.40625 deg, or 2 deg in ANSI/INCITS 378).
+    """Bytes of a record, directions rounded to the standard's steps (1.40625 deg, or 2 deg in
+    ANSI/INCITS 378).
 
     It holds the 255 minutiae of the highest quality.
 
-    ISO/IEC 19794-2:2005 has no code for contactless prints: they are written as live-scan ones. `owner`: IBIA's number
-    of who makes the record, which ANSI/INCITS 378 states. Raises BadInput if the standard cannot represent the view.
+    ISO/IEC 19794-2:2005 has no code for contactless prints: they are written as live-scan ones.
+    `owner`: IBIA's number of who makes the record, which ANSI/INCITS 378 states. Raises BadInput if
+    the standard cannot represent the view.
     """
-    view = view.best()
-    (rows, columns), resolution = view.size, view.resolution_ppcm
+    view = view.best(_MAX_WRITTEN)
+    rows, columns = view.size
+    resolution = view.resolution_ppcm
     impression = _IMITATED.get(standard, {}).get(view.impression, view.impression)
     code = standard_code(impression, _IMPRESSIONS.get(standard, ANSI_2009_IMPRESSIONS), "impression type")
     minutiae = _encode_minutiae(view, _STEPS.get(standard, _ANSI_STEPS))
@@ -93,8 +98,8 @@ def encode_minutiae_record(view: FingerView, standard: str = ISO_2005, owner: in
 def decode_minutiae_record(data: bytes, name: str = "the record") -> tuple[FingerView, ...]:
     """Read the views of a record, the whole file `data`. `name` is for messages.
 
-    Raises BadInput if it is of no standard that is read (the message names what it is), truncated, or does not conform
-    to its standard.
+    Raises BadInput if it is of no standard that is read (the message names what it is), truncated,
+    or does not conform to its standard.
     """
     standard = standard_of(data)
     if standard is None:
@@ -132,7 +137,8 @@ def read_minutiae_record(path: str | os.PathLike[str]) -> tuple[FingerView, ...]
 
 
 def _decode_view(cursor: Cursor, what: str, standard: str, image: list[int] | None) -> FingerView:
-    """Read the next view, of the `image` (columns, rows, resolution twice) that the header describes where it does."""
+    """Read the next view, of the `image` (columns, rows, resolution twice) that the header
+    describes where it does."""
     name, head = cursor.name, f"the header of {what}"
     if image is None:
         finger, number, code, quality, _, _, *image, count = cursor.unpack(_VIEW_2009, head)
@@ -148,28 +154,24 @@ def _decode_view(cursor: Cursor, what: str, standard: str, image: list[int] | No
         quality = 0 if quality >= 254 else quality
         table["quality"][table["quality"] >= 254] = 0
     require(min(image) > 0, f"{name}: the image of {what} has no size or no resolution; correct the record.")
-    inside = int(table["x_px"].max(initial=0)) < columns and int(table["y_px"].max(initial=0)) < rows
-    require(inside, f"{name}: a minutia of {what} lies outside the image of {rows} x {columns} pixels.")
-    sound = max(quality, int(table["quality"].max(initial=0))) <= 100
-    require(sound, f"{name}: a quality of {what} does not lie between 0 and 100; correct the record.")
+    require(quality <= 100, f"{name}: the quality of {what} does not lie between 0 and 100; correct the record.")
     impressions = _IMPRESSIONS.get(standard, ANSI_2009_IMPRESSIONS)
-    return FingerView(
-        **table,
-        size=(rows, columns),
-        finger_quality=quality,
-        finger=name_of(finger, FINGER_CODES, f"finger position of {what} of {name}"),
-        impression=name_of(code, impressions, f"impression type of {what} of {name}"),
-        resolution_ppcm=(resolution[0], resolution[1]),
-    )
+    label: dict[str, Any] = {
+        "finger": name_of(finger, FINGER_CODES, f"finger position of {what} of {name}"),
+        "impression": name_of(code, impressions, f"impression type of {what} of {name}"),
+        "resolution_ppcm": tuple(resolution),
+    }
+    size = rows, columns
+    return naming(f"{what} of {name}", lambda: FingerView(**table, size=size, finger_quality=quality, **label))
 
 
-def _decode_minutiae(cursor: Cursor, count: int, steps: int, what: str) -> dict[str, NDArray[Any]]:
-    """Columns of `count` minutiae of six bytes; `steps` directions in a turn; `what` they are, for messages. Two bits
-    of type and 14 of column, two reserved and 14 of row (all big-endian), a byte of direction, one of quality.
+def _decode_minutiae(cursor: Cursor, count: int, steps: int, what: str) -> dict[str, Any]:
+    """Columns of `count` minutiae of six bytes; `steps` directions in a turn; `what` they are, for
+    messages. Two bits of type and 14 of column, two reserved and 14 of row (all big-endian), a byte
+    of direction, one of quality.
     """
     table = np.frombuffer(cursor.take(count * _MINUTIA.itemsize, f"the {count} minutiae of {what}"), _MINUTIA)
     name = cursor.name
-    require(not (table["x"] >> 14 == 3).any(), f"{name}: a minutia of {what} has the reserved type 3.")
     require(not (table["y"] >> 14).any(), f"{name}: the reserved bits of a minutia of {what} are not zero.")
     sound = int(table["direction"].max(initial=0)) < steps
     require(sound, f"{name}: the direction of a minutia of {what} is not one of {steps} steps.")
@@ -183,7 +185,8 @@ def _decode_minutiae(cursor: Cursor, count: int, steps: int, what: str) -> dict[
 
 
 def _encode_minutiae(view: FingerView, steps: int) -> bytes:
-    """Bytes of a view's minutiae, six for each, directions rounded to the nearest of `steps` in a turn."""
-    x = np.asarray(view.x_px) | (np.asarray(view.type).astype(np.int64) << 14)
-    direction = np.round(np.asarray(view.direction_rad) * (steps / (2 * np.pi))).astype(np.int64) % steps
-    return np.rec.fromarrays([x, np.asarray(view.y_px), direction, view.quality], _MINUTIA).tobytes()
+    """Bytes of a view's minutiae, six for each, directions rounded to the nearest of `steps` in a
+    turn."""
+    x = view.x_px | (view.type.astype(np.int64) << 14)
+    direction = np.round(view.direction_rad * (steps / (2 * np.pi))).astype(np.int64) % steps
+    return np.rec.fromarrays([x, view.y_px, direction, view.quality], _MINUTIA).tobytes()

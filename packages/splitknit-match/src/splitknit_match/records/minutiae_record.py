@@ -1,10 +1,12 @@
-"""What a record of minutiae holds, whatever the standard in which it is written; codes of fingers and impressions."""
+"""What a record of minutiae holds, whatever the standard in which it is written; codes of fingers
+and impressions."""
 
 from __future__ import annotations
 
 import dataclasses
 from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import ClassVar, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,7 +26,8 @@ FINGER_CODES = {
     "left_ring": 9,
     "left_little": 10,
 }
-"""Finger positions in all the standards here: ISO/IEC 19794-2 table 2, ANSI/INCITS 378, ANSI/NIST-ITL table 8."""
+"""Finger positions in all the standards here: ISO/IEC 19794-2 table 2, ANSI/INCITS 378,
+ANSI/NIST-ITL table 8."""
 
 LATENT_IMPRESSIONS = {"latent_impression": 4, "latent_tracing": 5, "latent_photo": 6, "latent_lift": 7}
 FINGER_IMPRESSIONS = {
@@ -47,8 +50,8 @@ FINGER_IMPRESSIONS = {
     "contactless_moving": 42,
 }
 ITL_IMPRESSIONS = {**FINGER_IMPRESSIONS, **LATENT_IMPRESSIONS}
-"""ANSI/NIST-ITL 1-2011 (update 2015), table 7, of single fingers: 24 is a plain print, taken contactless of
-a finger at rest; older editions call it live-scan, optical, contactless, plain."""
+"""ANSI/NIST-ITL 1-2011 (update 2015), table 7, of single fingers: 24 is a plain print, taken
+contactless of a finger at rest; older editions call it live-scan, optical, contactless, plain."""
 
 ANSI_2009_IMPRESSIONS = {name: code for name, code in FINGER_IMPRESSIONS.items() if code <= 29}
 """ANSI/INCITS 378-2009."""
@@ -81,10 +84,14 @@ def standard_code(name: str, codes: Mapping[str, int], what: str) -> int:
     return codes[name]
 
 
-OTHER, ENDING, BIFURCATION = 0, 1, 2
-"""Types of minutiae, with the codes that all the standards share."""
-MAX_MINUTIAE = 255
-"""A view of a record cannot count more; those of the highest quality are written."""
+PPI = 500.0
+"""Resolution of the grid on which minutiae of prints lie, whatever the print's resolution was."""
+ENDING = 1
+BIFURCATION = 2
+"""Types of minutiae, with the codes that all the standards share; 0 is any other."""
+MIN_MINUTIAE = 10
+"""bozorth3 compares no fewer (its MIN_COMPUTABLE_BOZORTH_MINUTIAE); what has fewer is a failure to
+acquire."""
 VENDOR_UNKNOWN = 0x0103
 """IBIA's number for a producer that has not registered."""
 RESOLUTION_500_PPI = (197, 197)
@@ -92,24 +99,87 @@ RESOLUTION_500_PPI = (197, 197)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class FingerView:
-    """N minutiae of one image of one finger, on the image's pixel grid. The frame is that of the print: column 0 at its
-    left, row 0 at its top, seen as ink on paper, as in all the standards here: nothing is turned or mirrored.
+class Minutiae:
+    """N minutiae of one print, on its pixel grid at 500 ppi.
+
+    The frame is that of the print (mirrored against the camera's picture), column 0 at its left,
+    row 0 at the tip.
     """
 
     x_px: NDArray[np.int32]
-    """(N,) column of a pixel."""
+    """(N,) column, 0 is the leftmost pixel's centre."""
     y_px: NDArray[np.int32]
     """(N,) row, downwards."""
     direction_rad: NDArray[np.float64]
-    """(N,) counter-clockwise as seen in the print, 0 to the right: from an ending back along its ridge, from a
-    bifurcation between its branches."""
+    """(N,) in [0, 2 pi), counter-clockwise from the right as seen in the print: from the minutia
+    towards the side that has one more ridge, along the ridge that ends or between the branches (as
+    ISO/IEC 19794-2 and ANSI/INCITS 378)."""
     type: NDArray[np.uint8]
     """(N,) 1 ridge ending, 2 bifurcation, 0 other."""
     quality: NDArray[np.uint8]
-    """(N,) 0 (none known) to 100."""
+    """(N,) 0 to 100."""
     size: tuple[int, int]
     """(rows, columns) of the image."""
+    largest_px: ClassVar[int] = 8192
+    """Side of the image, at 500 ppi."""
+
+    def __post_init__(self) -> None:
+        columns = (self.x_px, self.y_px, self.direction_rad, self.type, self.quality)
+        require(
+            all(column.shape == (len(self.x_px),) for column in columns),
+            f"minutiae must be lists of one length, but they have the shapes {[column.shape for column in columns]}.",
+        )
+        rows, width = self.size
+        require(
+            0 <= rows <= self.largest_px and 0 <= width <= self.largest_px,
+            f"a print of {rows} x {width} pixels at 500 ppi is larger than {self.largest_px}; check its resolution.",
+        )
+        inside = (self.x_px >= 0) & (self.y_px >= 0) & (self.x_px < width) & (self.y_px < rows)
+        require(inside.all(), f"minutiae must lie inside their print of {rows} x {width} pixels.")
+        require(np.isfinite(self.direction_rad).all(), "directions of minutiae must be finite.")
+        require((self.quality <= 100).all(), "qualities of minutiae must lie between 0 and 100.")
+        require((self.type <= BIFURCATION).all(), "types of minutiae are 0, 1 (ending) and 2 (bifurcation).")
+
+    @property
+    def count(self) -> int:
+        """How many there are."""
+        return len(self.x_px)
+
+    @property
+    def acquired(self) -> bool:
+        """Whether they are enough to be compared; false is a failure to acquire."""
+        return self.count >= MIN_MINUTIAE
+
+    @property
+    def x_mm(self) -> NDArray[np.float64]:
+        """(N,) to the right of the print's middle."""
+        return np.asarray((self.x_px - (self.size[1] - 1) / 2) * 25.4 / PPI)
+
+    @property
+    def y_mm(self) -> NDArray[np.float64]:
+        """(N,) up from the print's middle, towards the tip."""
+        return np.asarray(((self.size[0] - 1) / 2 - self.y_px) * 25.4 / PPI)
+
+    def taken(self, index: NDArray[np.integer] | NDArray[np.bool_]) -> Self:
+        """Some of them, by their places or by a mask."""
+        names = ("x_px", "y_px", "direction_rad", "type", "quality")
+        return dataclasses.replace(self, **{name: getattr(self, name)[index] for name in names})
+
+    def best(self, count: int) -> Self:
+        """The `count` minutiae of the highest quality, in the order they have here."""
+        return self.taken(np.sort(np.argsort(-self.quality.astype(np.int64), kind="stable")[:count]))
+
+
+def no_minutiae(size: tuple[int, int] = (0, 0)) -> Minutiae:
+    """Return what a print without minutiae gives: a failure to acquire."""
+    whole, small = np.zeros(0, dtype=np.int32), np.zeros(0, dtype=np.uint8)
+    return Minutiae(whole, whole, np.zeros(0), small, small, size)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class FingerView(Minutiae):
+    """Minutiae of one image of one finger, as a record has them, on the image's pixel grid."""
+
     finger_quality: int
     """0 to 100, the higher the better (such as NFIQ 2)."""
     finger: str = "unknown"
@@ -118,15 +188,4 @@ class FingerView:
     """One of :data:`splitknit_match.records.minutiae_record.IMPRESSIONS`."""
     resolution_ppcm: tuple[int, int] = RESOLUTION_500_PPI
     """Pixels per centimetre along columns and rows."""
-
-    @property
-    def count(self) -> int:
-        """How many there are."""
-        return len(self.x_px)
-
-    def best(self, count: int = MAX_MINUTIAE) -> FingerView:
-        """Return the `count` minutiae of the highest quality, in the order they have here."""
-        order = np.argsort(-np.asarray(self.quality).astype(np.int64), kind="stable")[:count]
-        index = np.sort(order)
-        names = ("x_px", "y_px", "direction_rad", "type", "quality")
-        return dataclasses.replace(self, **{name: getattr(self, name)[index] for name in names})
+    largest_px: ClassVar[int] = 65535

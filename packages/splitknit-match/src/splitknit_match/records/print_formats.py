@@ -1,4 +1,5 @@
-"""The formats of prints and minutiae, in one table: name, suffix, how each is known, read and written."""
+"""The formats of prints and minutiae, in one table: name, suffix, how each is known, read and
+written."""
 
 from __future__ import annotations
 
@@ -57,14 +58,15 @@ class PrintFormat:
 
 
 def read_prints(path: str | os.PathLike[str]) -> tuple[PrintFile | FingerView, ...]:
-    """Read what a file of any of the formats holds: prints, or minutiae. Its bytes show the format, not its name.
-    Raises BadInput if the file is missing, of no such format, truncated, damaged or too large.
+    """Read what a file of any of the formats holds: prints, or minutiae. Its bytes show the format,
+    not its name. Raises BadInput if the file is missing, of no such format, truncated, damaged or
+    too large.
 
     >>> read_prints("finger.fir")[0].image.shape  # doctest: +SKIP
     (500, 400)
     """
     name = os.fspath(path)
-    with open_file(path, max(one.max_bytes for one in FORMATS.values())) as (stream, size):
+    with open_file(path, max(form.max_bytes for form in FORMATS.values())) as (stream, size):
         first = stream.read(_FIRST_BYTES)
         form = _format_of(first, size, name)
         return decode_prints(first + stream.read(form.max_bytes + 1 - len(first)), name)
@@ -81,14 +83,16 @@ def _format_of(first: bytes, size: int, name: str) -> PrintFormat:
         raise BadInput(
             f"{name} is {what_bytes_are(first, 'of another kind')}; prints and minutiae are read from {READ}."
         )
-    limit = f"{name} is too large: {size} bytes, at most {form.max_bytes} are read of its kind."
-    require(size <= form.max_bytes, limit)
+    require(
+        size <= form.max_bytes, f"{name} is too large: {size} bytes, at most {form.max_bytes} are read of its kind."
+    )
     return form
 
 
 def _ppi(item: PrintFile) -> float:
-    require(item.resolution_ppi is not None, "a print to be written must have a resolution.")
-    return float(item.resolution_ppi or 0.0)
+    if item.resolution_ppi is None:
+        raise BadInput("a print to be written must have a resolution.")
+    return item.resolution_ppi
 
 
 def _from_picture(data: bytes, name: str) -> tuple[PrintFile, ...]:

@@ -1,8 +1,9 @@
-"""Template files (``.skt``): what a gallery keeps of a finger, with a header that distinguishes damage from age.
+"""Template files (``.skt``): what a gallery keeps of a finger, with a header that distinguishes
+damage from age.
 
-Header, little-endian: 8 bytes ``SKTMPL`` CR LF (a transfer as text destroys it and is noticed), version (uint16), two
-bytes of zero, size of the payload (uint32), SHA-256 of the payload (32 bytes). A file of zero bytes is a finger that
-could not be acquired, and is not an error.
+Header, little-endian: 8 bytes ``SKTMPL`` CR LF (a transfer as text destroys it and is noticed),
+version (uint16), two bytes of zero, size of the payload (uint32), SHA-256 of the payload (32
+bytes). A file of zero bytes is a finger that could not be acquired, and is not an error.
 """
 
 from __future__ import annotations
@@ -22,7 +23,8 @@ _LARGEST = 16_000_000
 
 
 def encode_template(payload: bytes, version: int) -> bytes:
-    """Content of a template file: header and `payload`, of `version` (0 to 65535); nothing for an empty payload."""
+    """Content of a template file: header and `payload`, of `version` (0 to 65535); nothing for an
+    empty payload."""
     require(0 <= version <= 65535, f"a template's version must lie between 0 and 65535, but it is {version}.")
     require(len(payload) <= _LARGEST, f"a template of {len(payload)} bytes is larger than any finger's.")
     if not payload:
@@ -39,22 +41,24 @@ def is_template(data: bytes) -> bool:
 
 
 def _decode_template(data: bytes, version: int, name: str = "the template") -> bytes:
-    """Payload of a template file's content `data`, empty for a failure to acquire; BadInput, with `name`, if it is no
-    template, of another version than `version`, incomplete or damaged.
+    """Payload of a template file's content `data`, empty for a failure to acquire; BadInput, with
+    `name`, if it is no template, of another version than `version`, incomplete or damaged.
     """
     if not data:
         return b""
     remedy = "make the template again"
-    if data[: len(MAGIC)] != MAGIC[: len(data)]:
-        raise BadInput(f"{name} is not a template of splitknit (it does not begin with 'SKTMPL'); name a .skt file.")
+    require(
+        data[: len(MAGIC)] == MAGIC[: len(data)],
+        f"{name} is not a template of splitknit (it does not begin with 'SKTMPL'); name a .skt file.",
+    )
     require(
         len(data) >= HEADER_BYTES,
         f"{name} ends after {len(data)} bytes, within its header of {HEADER_BYTES}; {remedy}.",
     )
-    _, found, reserved, size, digest = _HEAD.unpack_from(data)
+    _, own, reserved, size, digest = _HEAD.unpack_from(data)
     require(
-        found == version,
-        f"{name} is a template of version {found}, but this program reads version {version}; {remedy}.",
+        own == version,
+        f"{name} is a template of version {own}, but this program reads version {version}; {remedy}.",
     )
     require(reserved == 0, f"{name} has a damaged header; {remedy}.")
     payload = data[HEADER_BYTES:]
@@ -73,5 +77,6 @@ def read_template(path: str | os.PathLike[str], version: int) -> bytes:
 
 
 def write_template(path: str | os.PathLike[str], payload: bytes, version: int) -> None:
-    """Write a template file, whole or not at all, empty for an empty payload; BadInput if it cannot be written."""
+    """Write a template file, whole or not at all, empty for an empty payload; BadInput if it cannot
+    be written."""
     write_file(path, encode_template(payload, version))

@@ -53,15 +53,15 @@ def what(file: AnyPath) -> Report:
         return Report({**facts, "damage": str(error)}, (*lines, f"It cannot be read: {error}"))
     for number, item in enumerate(prints, start=1):
         about: dict[str, Any] = {"finger": item.finger, "impression": item.impression}
-        rows, columns = item.image.shape if isinstance(item, PrintFile) else item.size
-        about |= {"rows": rows, "columns": columns}
         if isinstance(item, PrintFile):
+            rows, columns = item.image.shape
             ppi = about["ppi"] = item.resolution_ppi
             words = "resolution unknown" if ppi is None else f"{ppi:.0f} ppi"
         else:
+            rows, columns = item.size
             about |= {"ppcm": list(item.resolution_ppcm), "minutiae": item.count, "quality": item.finger_quality}
             words = f"{count(item.count, 'minutia', 'minutiae')}, quality {item.finger_quality}"
-        facts["holds"].append(about)
-        who = item.finger.replace("_", " ")
-        lines.append(f"{number}. {who}, {item.impression}: {columns} x {rows} pixels, {words}.")
+        facts["holds"].append(about | {"rows": rows, "columns": columns})
+        finger = item.finger.replace("_", " ")
+        lines.append(f"{number}. {finger}, {item.impression}: {columns} x {rows} pixels, {words}.")
     return Report(facts, tuple(lines))

@@ -1,12 +1,14 @@
-"""Prints as WSQ, the FBI's lossy compression for prints of 500 ppi, through the package `wsq` (NIST's own code).
+"""Prints as WSQ, the FBI's lossy compression for prints of 500 ppi, through the package `wsq`
+(NIST's own code).
 
-That code ends the whole process on some damaged files, and keeps state in global variables. So it runs in a process of
-its own, which may end: 50 ms more, and whatever the bytes, an image or one sentence. The process may take the memory
-and the processor's time that an image of the size in the checked header needs, several times over, and no more (where
-the system has such limits). The package serves Pillow; its codec is called without it here.
+That code ends the whole process on some damaged files, and keeps state in global variables. So it
+runs in a process of its own, which may end: 50 ms more, and whatever the bytes, an image or one
+sentence. The process may take the memory and the processor's time that an image of the size in the
+checked header needs, several times over, and no more (where the system has such limits). The
+package serves Pillow; its codec is called without it here.
 
-Source: FBI IAFIS-IC-0110 (V3.1), 2010; C. I. Watson et al., "User's Guide to NIST Biometric Image Software", 2007:
-cwsq, dwsq.
+Source: FBI IAFIS-IC-0110 (V3.1), 2010; C. I. Watson et al., "User's Guide to NIST Biometric Image
+Software", 2007: cwsq, dwsq.
 """
 
 from __future__ import annotations
@@ -27,10 +29,11 @@ from splitknit.errors import require
 from splitknit.io.prints import PrintFile
 
 BIT_RATE = 0.75
-"""Bits a pixel that the encoder aims at. It is the only rate of `wsq` 0.9, which does not pass another one on; files
-come out smaller, about 1/15 of the pixels' bytes."""
+"""Bits a pixel that the encoder aims at. It is the only rate of `wsq` 0.9, which does not pass
+another one on; files come out smaller, about 1/15 of the pixels' bytes."""
 MIN_SIDE_PX = 96
-"""Five levels of wavelets need it: images below 81 pixels come back in another brightness, below 65 as garbage."""
+"""Five levels of wavelets need it: images below 81 pixels come back in another brightness, below 65
+as garbage."""
 LARGEST_SIDE_PX = 5000
 TIMEOUT_S = 60.0
 _MEMORY_BYTES, _MEMORY_PER_PIXEL = 200_000_000, 30
@@ -57,8 +60,9 @@ else:
 
 
 def encode_wsq(image: NDArray[np.uint8], ppi: float = 500.0) -> bytes:
-    """Compress a print (H, W) uint8, at least 96 pixels each way, of 500 ppi within 1 %: WSQ is defined for no other.
-    Raises BadInput if the image or the resolution is of another kind, or the package `wsq` is not installed.
+    """Compress a print (H, W) uint8, at least 96 pixels each way, of 500 ppi within 1 %: WSQ is
+    defined for no other. Raises BadInput if the image or the resolution is of another kind, or the
+    package `wsq` is not installed.
     """
     array = np.asarray(image)
     require(
@@ -78,8 +82,9 @@ def encode_wsq(image: NDArray[np.uint8], ppi: float = 500.0) -> bytes:
 
 
 def decode_wsq(data: bytes, name: str = "the image") -> PrintFile:
-    """Decompress a print, the whole file `data`, with the comment's resolution, None if there is none; `name`: for
-    messages. Raises BadInput if it is not a WSQ file, truncated or damaged, or the package `wsq` is not installed.
+    """Decompress a print, the whole file `data`, with the comment's resolution, None if there is
+    none; `name`: for messages. Raises BadInput if it is not a WSQ file, truncated or damaged, or
+    the package `wsq` is not installed.
     """
     rows, columns, ppi = _wsq_header(data, name)
     decoded = _run("decode", rows * columns, data)
@@ -91,14 +96,15 @@ def decode_wsq(data: bytes, name: str = "the image") -> PrintFile:
 
 
 def _run(task: str, pixels: int, data: bytes) -> bytes | None:
-    """Return what the package makes of the bytes in a process of its own; None if it failed or ended."""
-    found = importlib.util.find_spec("_wsq")
-    if found is None or found.origin is None:
+    """Return what the package makes of the bytes in a process of its own; None if it failed or
+    ended."""
+    package = importlib.util.find_spec("_wsq")
+    if package is None or package.origin is None:
         raise BadInput("WSQ needs the package wsq: pip install 'splitknit-match[records]'; or write PNG.")
     limits = _MEMORY_BYTES + _MEMORY_PER_PIXEL * pixels + 4 * len(data), _CPU_S + pixels // _PIXELS_PER_S
     try:
         done = subprocess.run(
-            [sys.executable, "-I", "-S", "-c", _CHILD, str(Path(found.origin).parent), task, *map(str, limits)],
+            [sys.executable, "-I", "-S", "-c", _CHILD, str(Path(package.origin).parent), task, *map(str, limits)],
             input=data,
             capture_output=True,
             timeout=TIMEOUT_S,
@@ -112,10 +118,13 @@ def _run(task: str, pixels: int, data: bytes) -> bytes | None:
     return done.stdout if done.returncode == 0 else None
 
 
-# What is checked before the decoder sees a file. WSQ has no checksums: a changed byte inside the image data cannot be
-# distinguished from a picture. Inside them 0xFF is followed by 0, so that markers are found by searching.
+# What is checked before the decoder sees a file. WSQ has no checksums: a changed byte inside the
+# image data cannot be
+# distinguished from a picture. Inside them 0xFF is followed by 0, so that markers are found by
+# searching.
 #
-# Source: FBI IAFIS-IC-0110 (V3.1), WSQ Gray-Scale Fingerprint Image Compression Specification, 2010: markers and
+# Source: FBI IAFIS-IC-0110 (V3.1), WSQ Gray-Scale Fingerprint Image Compression Specification,
+# 2010: markers and
 # segments.
 
 SIGNATURE = b"\xff\xa0"
@@ -127,8 +136,8 @@ _MAX_PIXELS = 25_000_000
 
 
 def _wsq_header(data: bytes, name: str) -> tuple[int, int, int | None]:
-    """Rows and columns of a WSQ file, and the resolution in ppi if its comment states it. Raises BadInput if it is not
-    a WSQ file, ends early, or claims no or more than 25 million pixels.
+    """Rows and columns of a WSQ file, and the resolution in ppi if its comment states it. Raises
+    BadInput if it is not a WSQ file, ends early, or claims no or more than 25 million pixels.
     """
     require(data[:2] == SIGNATURE, f"{name} is not a WSQ file (they begin with FF A0); name another file.")
     frame, block = data.find(_FRAME), data.find(_BLOCK)

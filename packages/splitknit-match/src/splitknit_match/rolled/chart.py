@@ -1,11 +1,13 @@
 """The sheet on which views of a finger are fused: angle around the finger, and length along it.
 
-Rays leave the finger's axis at right angles, in a fan at the tip: each meets the skin once. A surface is the distance
-along them. So the sheet reaches around the finger and over its tip, where a height above one plane cannot.
+Rays leave the finger's axis at right angles, in a fan at the tip: each meets the skin once. A
+surface is the distance along them. So the sheet reaches around the finger and over its tip, where a
+height above one plane cannot.
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
@@ -71,7 +73,8 @@ class Chart:
 
 
 def surface_normals(points_mm: Array) -> Array:
-    """(n, m, 3) unit normals, outwards, of points (n, m, 3) on a chart; zero where they are not known."""
+    """(n, m, 3) unit normals, outwards, of points (n, m, 3) on a chart; zero where they are not
+    known."""
     down, right = np.gradient(points_mm, axis=(0, 1))
     normal = np.cross(right, -down)
     length = np.linalg.norm(normal, axis=-1, keepdims=True)
@@ -85,44 +88,49 @@ def read(
     return sampled_at(field, columns, rows, cv2.INTER_CUBIC if cubic else cv2.INTER_LINEAR, empty)
 
 
-# A surface on a chart as a view sees it: heights on the view's pixels, and where on the chart they lie.
+# A surface on a chart as a view sees it: heights on the view's pixels, and where on the chart they
+# lie.
 
 BEYOND_MM = 16.0  # the camera's rays are followed from this far above the finger's axis
 
 
-def heights(sight: Sight, chart: Chart, radius_mm: Any, view: View) -> FloatArray:
-    """(h, w) z, in the view's frame, of the surface `radius_mm` (n, m) on the chart at the pixels of `view`, or NaN."""
-    surface = np.asarray(radius_mm, dtype=np.float32)
+def heights(sight: Sight, chart: Chart, radius_mm: Array, view: View) -> FloatArray:
+    """(h, w) z, in the view's frame, of the surface `radius_mm` (n, m) on the chart at the pixels
+    of `view`, or NaN."""
+    surface = radius_mm.astype(np.float32)
     middle = sight.to_view(chart.centre_mm + 0.5 * min(float(chart.length_mm[-1]), 0.0) * chart.axes[1])
-    x, y = view.x_mm, view.y_mm if view.y_mm.ndim == 2 else view.y_mm[:, None]
-    place = np.empty((y.shape[0], x.shape[-1], 3))
+    x = view.x_mm
+    y = view.y_mm if view.y_mm.ndim == 2 else view.y_mm[:, None]
+    shape = y.shape[0], x.shape[-1]
 
-    def lift(height: Any) -> None:
+    def lifted(height: Any) -> Array:
         nearer = 1.0 if view.apex_mm is None else 1.0 - height / view.apex_mm
-        place[..., 0], place[..., 1], place[..., 2] = x * nearer, y * nearer, height
+        return np.stack(np.broadcast_arrays(x * nearer, y * nearer, height), axis=-1)
 
-    lift(middle[2])
+    def above(height: Array) -> tuple[Array, NDArray[np.bool_]]:
+        """Distance to the surface, and whether the chart reaches there."""
+        angle, length, distance = chart.locate(sight.to_view(lifted(height)))
+        column, row = chart.places(angle, length)
+        on_chart = (column >= 0) & (column <= chart.shape[1] - 1) & (row <= chart.shape[0] - 1)
+        radius = scipy.ndimage.map_coordinates(surface, [row, column], order=1, mode="nearest")
+        return np.nan_to_num(distance - radius, nan=1e3), on_chart
+
+    # the rays are followed from the finger's axis
+    plane = lifted(np.full(shape, middle[2]))
     axis = sight.turned(chart.axes[1])
     beside = np.hypot(axis[0], axis[1])
-    along = ((place[..., 0] - middle[0]) * axis[0] + (place[..., 1] - middle[1]) * axis[1]) / max(beside, 1e-6) ** 2
-    level = middle[2] + (along * axis[2] if beside > 0.5 else 0.0)
+    along = ((plane[..., 0] - middle[0]) * axis[0] + (plane[..., 1] - middle[1]) * axis[1]) / max(beside, 1e-6) ** 2
+    low = np.broadcast_to(middle[2] + (along * axis[2] if beside > 0.5 else 0.0), shape)
+    height = crossing(lambda height: above(height)[0] > 0, low, low + BEYOND_MM, 20)
+    met = (above(low)[0] < 0) & above(height)[1]
+    return np.where(met, height, np.nan).astype(np.float32)
 
-    def outside(height: Array) -> tuple[Array, NDArray[np.bool_]]:
-        lift(height)
-        angle, length, distance = chart.locate(sight.to_view(place))
-        column, row = chart.places(angle, length)
-        last_row, last_column = chart.shape[0] - 1, chart.shape[1] - 1
-        there = (column >= 0) & (column <= last_column) & (row <= last_row)
-        met = scipy.ndimage.map_coordinates(surface, [row, column], order=1, mode="nearest")
-        return np.nan_to_num(distance - met, nan=1e3), there
 
-    low = np.broadcast_to(level, place.shape[:2])
-    high = low + BEYOND_MM
-    hit = outside(low)[0] < 0
-    for _ in range(20):
-        middle_height = 0.5 * (low + high)
-        out = outside(middle_height)[0] > 0
-        high, low = np.where(out, middle_height, high), np.where(out, low, middle_height)
-    found = 0.5 * (low + high)
-    _, there = outside(found)
-    return np.where(hit & there, found, np.nan).astype(np.float32)
+def crossing(outside: Callable[[Array], NDArray[np.bool_]], low: Array, high: Array, rounds: int) -> Array:
+    """Where rays that are inside at `low` and outside at `high` (n, m) leave a body, by bisection."""
+    for _ in range(rounds):
+        middle = 0.5 * (low + high)
+        out = outside(middle)
+        high = np.where(out, middle, high)
+        low = np.where(out, low, middle)
+    return 0.5 * (low + high)

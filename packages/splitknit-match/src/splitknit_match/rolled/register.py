@@ -1,10 +1,12 @@
-"""Two views' ridges brought onto each other: by the finger's shape between its outlines, and the mirror's pose."""
+"""Two views' ridges brought onto each other: by the finger's shape between its outlines, and the
+mirror's pose."""
 
 from __future__ import annotations
 
 import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from operator import itemgetter
 from typing import Any
 
 import cv2
@@ -43,17 +45,27 @@ def _evened(band: FloatArray, known: BoolArray, pitch_mm: float) -> FloatArray:
     return np.asarray(band / np.sqrt(power + (0.1 * typical + 1e-20)), dtype=np.float32)
 
 
-KNOT_MM = 2.5  # distance of the knots of the correction of the surface
-POSE_PRIOR = (0.004, 0.002, 0.05)  # standard deviations of a mirror's two turns (rad) and its shift (mm)
-DEPTH_PRIOR_MM = 0.15  # standard deviation of the surface against where it is taken to be
-UNSEEN_PRIOR_MM = 0.03  # the same where no two views show it
-OUTLINE_PRIOR_MM, OUTLINE_DEG = 0.05, 15.0
-"""The same where the front's outline determines the surface, this near to a right angle from the front."""
-BEND_PRIOR_MM = 0.04  # standard deviation of the correction's second difference from knot to knot
-CORRELATED_MM = 0.3  # ridges are independent at about this distance
-ROBUST = 1.0  # difference of two views' ridges, of unit contrast, from which it counts less and less
+KNOT_MM = 2.5
+"""Distance of the knots of the correction of the surface."""
+POSE_PRIOR = (0.004, 0.002, 0.05)
+"""Standard deviations of a mirror's two turns (rad) and its shift (mm)."""
+DEPTH_PRIOR_MM = 0.15
+"""Standard deviation of the surface against where it is taken to be."""
+UNSEEN_PRIOR_MM = 0.03
+"""The same where no two views show it."""
+OUTLINE_PRIOR_MM = 0.05
+"""The same where the front's outline determines the surface."""
+OUTLINE_DEG = 15.0
+"""So near to a right angle from the front that is."""
+BEND_PRIOR_MM = 0.04
+"""Standard deviation of the correction's second difference from knot to knot."""
+CORRELATED_MM = 0.3
+"""Ridges are independent at about this distance."""
+ROBUST = 1.0
+"""Difference of two views' ridges, of unit contrast, from which it counts less and less."""
 ROUNDS = 12
-FEW = 500  # pixels that both views show; with fewer a mirror is left as it is
+FEW = 500
+"""Pixels that both views show; with fewer a mirror is left as it is."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -66,9 +78,10 @@ class Correction:
 
 
 def _shifts_by(sight: Sight, points: Array, rays: Array, steps: tuple[Array, Array]) -> tuple[Array, Array]:
-    """How a view's ridges move on the chart when the surface or the mirror does: (K, 2) columns and rows for each mm of
-    the surface, and (K, 2, 3) for the mirror's turns (rad) and shift (mm), zero for the front. `points`: (K, 3) on the
-    surface; `rays`: (K, 3) along which it moves; `steps`: (K, 3) by one column and by one row of the chart.
+    """How a view's ridges move on the chart when the surface or the mirror does: (K, 2) columns and
+    rows for each mm of the surface, and (K, 2, 3) for the mirror's turns (rad) and shift (mm), zero
+    for the front. `points`: (K, 3) on the surface; `rays`: (K, 3) along which it moves; `steps`:
+    (K, 3) by one column and by one row of the chart.
     """
 
     def pixels(places: Array, view: Sight = sight) -> Array:  # in double precision
@@ -100,43 +113,47 @@ class ViewRidges:
 
 
 def align(chart: Chart, radius_mm: Array, front: ViewRidges, mirrors: Sequence[ViewRidges]) -> Correction:
-    """Bend the surface and move the mirrors until their ridges lie on the front's, all of them at once.
+    """Bend the surface and move the mirrors until their ridges lie on the front's, all of them at
+    once.
 
-    Gauss-Newton on the difference of the ridge bands, each of unit local contrast. Unknown are the knots of a smooth
-    correction of the surface, which all views share, and the mirrors' poses, with priors on both. Ridges must lie
-    within a quarter of a period to begin with: see :func:`search`. `chart`, `radius_mm`: the surface (n, m); `front`,
-    `mirrors`: the views; the mirrors' are brought onto the front's. Source: Lucas and Kanade 1981, An iterative image
-    registration technique; Baker and Matthews 2004, eq. 10.
+    Gauss-Newton on the difference of the ridge bands, each of unit local contrast. Unknown are the
+    knots of a smooth correction of the surface, which all views share, and the mirrors' poses, with
+    priors on both. Ridges must lie within a quarter of a period to begin with: see :func:`search`.
+    `chart`, `radius_mm`: the surface (n, m); `front`, `mirrors`: the views; the mirrors' are
+    brought onto the front's. Source: Lucas and Kanade 1981, An iterative image registration
+    technique; Baker and Matthews 2004, eq. 10.
     """
     every, knots = _knots(chart)
     count = knots[0] * knots[1]
-    parts = {
-        k: _Part(chart, radius_mm, front, mirror) for k, mirror in enumerate(mirrors) if int(mirror.known.sum()) >= FEW
-    }
+    usable = [k for k, mirror in enumerate(mirrors) if mirror.known.sum() >= FEW]
+    parts = {k: _Part(chart, radius_mm, front, mirrors[k]) for k in usable}
     weight = (chart.pitch_mm / CORRELATED_MM) ** 2  # neighbouring pixels are correlated
     prior = _priors(chart, np.any([mirror.known for mirror in mirrors], axis=0), len(mirrors))
     values = np.zeros(count + 3 * len(mirrors))
-    best, moved, correlations = -np.inf, values, np.zeros(len(mirrors))
+    best = -np.inf
     for _ in range(ROUNDS):
-        normal, right, scores = prior.copy(), -prior @ values, np.zeros(len(mirrors))
+        normal = prior.copy()
+        right = -prior @ values
+        scores = np.zeros(len(mirrors))
         for k, part in parts.items():
-            matrix, left, scores[k] = part.linearised(values[:count], values[count + 3 * k : count + 3 * k + 3])
-            ahead, behind = (
-                scipy.sparse.csr_array((matrix.shape[0], 3 * n)) for n in (k, len(mirrors) - k - 1)
-            )  # poses before and after its own
-            matrix = scipy.sparse.hstack([matrix[:, :count], ahead, matrix[:, count:], behind]).tocsr()
-            trust = scipy.sparse.diags_array(weight / (1.0 + (left / ROBUST) ** 2))
+            matrix, residual, scores[k] = part.linearised(values[:count], values[count + 3 * k : count + 3 * k + 3])
+            # poses before and after its own
+            before, after = (scipy.sparse.csr_array((len(residual), 3 * n)) for n in (k, len(mirrors) - k - 1))
+            matrix = scipy.sparse.hstack([matrix[:, :count], before, matrix[:, count:], after]).tocsr()
+            trust = scipy.sparse.diags_array(weight / (1.0 + (residual / ROBUST) ** 2))
             normal = normal + matrix.T @ trust @ matrix
-            right = right + matrix.T @ (trust @ left)
+            right = right + matrix.T @ (trust @ residual)
         if scores.mean() > best:
-            best, moved, correlations = scores.mean(), values, scores
+            best = scores.mean()
+            moved = values
+            correlations = scores
         values = values + scipy.sparse.linalg.spsolve(scipy.sparse.csc_array(normal), right)
     grid = moved[:count].reshape(knots).astype(np.float32)
     x, y = np.meshgrid(*(np.arange(n, dtype=np.float32) / every for n in chart.shape[::-1]))
     smooth = cv2.remap(grid, x, y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
     smooth = cv2.GaussianBlur(smooth, (0, 0), 0.35 * every)
     poses = tuple(map(tuple, moved[count:].reshape(-1, 3).tolist()))
-    return Correction(np.asarray(smooth, dtype=float), poses, tuple(correlations.tolist()))
+    return Correction(smooth.astype(float), poses, tuple(correlations.tolist()))
 
 
 class _Part:
@@ -147,12 +164,13 @@ class _Part:
         self.modes = _ridge_moves(chart, radius_mm, (front.sight, mirror.sight), (self.rows, self.columns))
         every, knots = _knots(chart)
         self.spread = _hats(self.columns / every, self.rows / every, knots)
-        one, other = (_evened(view.band, mirror.known, chart.pitch_mm) for view in (front, mirror))
-        self.fields = other, np.gradient(other, axis=1), np.gradient(other, axis=0)
-        self.target = one[self.rows, self.columns]
+        band = _evened(mirror.band, mirror.known, chart.pitch_mm)
+        self.fields = band, np.gradient(band, axis=1), np.gradient(band, axis=0)
+        self.target = _evened(front.band, mirror.known, chart.pitch_mm)[self.rows, self.columns]
 
     def linearised(self, depths: Array, pose: Array) -> tuple[Any, Array, float]:
-        """Derivatives (K, knots + 3) of the mirror's ridges, the residuals (K,), and the correlation."""
+        """Derivatives (K, knots + 3) of the mirror's ridges, the residuals (K,), and the
+        correlation."""
         moved = self.modes[..., 0] * (self.spread @ depths)[:, None] + self.modes[..., 1:] @ pose
         place = [self.rows + moved[:, 1], self.columns + moved[:, 0]]
         seen, across, down = (
@@ -168,12 +186,12 @@ class _Part:
 def _ridge_moves(
     chart: Chart, radius_mm: Array, sights: tuple[Sight, Sight], at: tuple[NDArray[np.intp], NDArray[np.intp]]
 ) -> Array:
-    """(K, 2, 4) columns and rows by which the mirror's ridges move against the front's: by mm of surface, by pose."""
-    points, rays = chart.points(radius_mm), chart.rays()[1]
-    right, down = np.gradient(points, axis=1), np.gradient(points, axis=0)
-    (of_front, _), (of_mirror, by_pose) = (
-        _shifts_by(sight, points[at], rays[at], (right[at], down[at])) for sight in sights
-    )
+    """(K, 2, 4) columns and rows by which the mirror's ridges move against the front's: by mm of
+    surface, by pose."""
+    points = chart.points(radius_mm)
+    rays = chart.rays()[1][at]
+    steps = np.gradient(points, axis=1)[at], np.gradient(points, axis=0)[at]
+    (of_front, _), (of_mirror, by_pose) = (_shifts_by(sight, points[at], rays, steps) for sight in sights)
     return np.concatenate([(of_mirror - of_front)[..., None], by_pose], axis=-1)
 
 
@@ -181,110 +199,130 @@ def _hats(columns: Array, rows: Array, knots: tuple[int, int]) -> scipy.sparse.c
     """(K, knots) bilinear weights of the knots at places given in knots."""
     row0 = np.clip(np.floor(rows).astype(int), 0, knots[0] - 2)
     column0 = np.clip(np.floor(columns).astype(int), 0, knots[1] - 2)
-    down, right = rows - row0, columns - column0
-    entries, places = [], []
-    for di, wi in ((0, 1 - down), (1, down)):
-        for dj, wj in ((0, 1 - right), (1, right)):
-            entries.append(wi * wj)
-            places.append((row0 + di) * knots[1] + column0 + dj)
-    lines = np.tile(np.arange(len(columns)), 4)
+    down = rows - row0
+    right = columns - column0
+    weights = np.r_[(1 - down) * (1 - right), (1 - down) * right, down * (1 - right), down * right]
+    first = row0 * knots[1] + column0
+    places = np.r_[first, first + 1, first + knots[1], first + knots[1] + 1]
     shape = (len(columns), knots[0] * knots[1])
-    return scipy.sparse.coo_array((np.concatenate(entries), (lines, np.concatenate(places))), shape=shape).tocsr()
+    return scipy.sparse.coo_array((weights, (np.tile(np.arange(len(columns)), 4), places)), shape=shape).tocsr()
 
 
 def _knots(chart: Chart) -> tuple[int, tuple[int, int]]:
-    """Pixels of the chart from one knot of the correction to the next, and rows and columns of knots."""
+    """Pixels of the chart from one knot of the correction to the next, and rows and columns of
+    knots."""
     every = max(2, round(KNOT_MM / chart.pitch_mm))
     return every, (-(-(chart.shape[0] - 1) // every) + 1, -(-(chart.shape[1] - 1) // every) + 1)
 
 
 def _priors(chart: Chart, seen: BoolArray, mirrors: int) -> Any:
-    """Inverse covariance of knots and poses; away from what two views show (`seen`) the surface stays as it is."""
+    """Inverse covariance of knots and poses; away from what two views show (`seen`) the surface
+    stays as it is."""
     every, (rows, columns) = _knots(chart)
     step = float(chart.angle_rad[1] - chart.angle_rad[0]) * every
     degrees = np.rad2deg(float(chart.angle_rad[0]) + step * np.arange(columns))
     near = np.exp(-0.5 * ((np.abs(degrees) - 90.0) / OUTLINE_DEG) ** 2)
     deviation = DEPTH_PRIOR_MM * (OUTLINE_PRIOR_MM / DEPTH_PRIOR_MM) ** near
     reach = cv2.dilate(seen.astype(np.uint8), np.ones((2 * every + 1, 2 * every + 1), np.uint8))
-    sizes = zip((rows, columns), seen.shape, strict=True)
-    row, column = (np.minimum(np.arange(n) * every, size - 1) for n, size in sizes)
+    row = np.minimum(np.arange(rows) * every, seen.shape[0] - 1)
+    column = np.minimum(np.arange(columns) * every, seen.shape[1] - 1)
     deviation = np.where(reach[np.ix_(row, column)] > 0, deviation[None], UNSEEN_PRIOR_MM)
-
-    def bends(count: int) -> Any:
-        return scipy.sparse.diags_array([1.0, -2.0, 1.0], offsets=[0, 1, 2], shape=(max(count - 2, 0), count)).tocsr()
-
-    down = scipy.sparse.kron(bends(rows), scipy.sparse.eye_array(columns))
-    across = scipy.sparse.kron(scipy.sparse.eye_array(rows), bends(columns))
+    # second differences from knot to knot
+    down = scipy.sparse.kron(np.diff(np.eye(rows), 2, axis=0), scipy.sparse.eye_array(columns))
+    across = scipy.sparse.kron(scipy.sparse.eye_array(rows), np.diff(np.eye(columns), 2, axis=0))
     smooth = (down.T @ down + across.T @ across) / BEND_PRIOR_MM**2
     still = scipy.sparse.diags_array(1.0 / deviation.ravel() ** 2)
     of_poses = scipy.sparse.diags_array(np.tile(1.0 / np.array(POSE_PRIOR) ** 2, mirrors))
     return scipy.sparse.block_diag([smooth + still, of_poses]).tocsr()
 
 
-# The first guess of surface and pose: a handful of numbers for which all ridges of two views meet at once. Single
+# The first guess of surface and pose: a handful of numbers for which all ridges of two views meet
+# at once. Single
 # squares of ridges look the same a period on; the whole overlap does not.
 
-_SEARCHED = 6000  # so many pixels show which of many guesses is best
-APART_MM = 0.15  # moves that differ by less than this lead to the same place
-OUTER = 0.9  # how much more the surface bulges for each 20 deg towards the side, over the bulge's standard deviation
-LIKE_PLACES, MOVE_MM = 20.0, 0.05  # a move counts as so many measured ones, each with this standard deviation
-_DOUBT = 0.01  # correlation that a number must gain to be believed one standard deviation from what the outlines show
-MIN_CORRELATION = 0.2  # correlation below which nothing is changed
-
-
-ACROSS_MM, ACROSS_CUT_MM, ALONG_MM, STEP_MM = 1.6, 3.0, 0.3, 0.05
-"""Offset of the mirror's ridges against the front's around the finger (of views that are cut), along it, and step."""
-BULGE_MM, SHIFT_MM, TURN_DEG = 0.2, 0.06, 0.2
-"""Standard deviations of what the outlines determine: the surface's bulge half-way between front and side, the mirror's
-place along its normal, and its turns."""
-SHIFT_CUT_MM, TURN_CUT_DEG = 0.6, 0.6
-"""The same for views that are cut: their mirrors' poses are known less well."""
+_SEARCHED = 6000
+"""So many pixels show which of many guesses is best."""
+APART_MM = 0.15
+"""Moves that differ by less than this lead to the same place."""
+OUTER = 0.9
+"""How much more the surface bulges for each 20 deg towards the side, over the bulge's standard
+deviation."""
+LIKE_PLACES = 20.0
+"""A move counts as so many measured ones."""
+MOVE_MM = 0.05
+"""Standard deviation of each of them."""
+_DOUBT = 0.01
+"""Correlation that a number must gain to be believed one standard deviation from what the outlines
+show."""
+MIN_CORRELATION = 0.2
+"""Below, nothing is changed."""
+ACROSS_MM = 1.6
+"""Offset of the mirror's ridges against the front's around the finger."""
+ACROSS_CUT_MM = 3.0
+"""The same of views that are cut: their mirrors' poses are known less well."""
+ALONG_MM = 0.3
+"""Offset along the finger."""
+STEP_MM = 0.05
+# standard deviations of what the outlines determine
+BULGE_MM = 0.2
+"""The surface's bulge half-way between front and side."""
+SHIFT_MM = 0.06
+"""The mirror's place along its normal."""
+TURN_DEG = 0.2
+"""Its turns."""
+SHIFT_CUT_MM = 0.6
+TURN_CUT_DEG = 0.6
 CANDIDATES = 6
 """Best guesses that are refined."""
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class ViewMatch:
-    """Surface and pose at which two views' ridges lie on each other."""
-
-    radius_mm: Array  # (n, m) to be added to the surface
-    pose: tuple[float, ...]  # turns (rad) and shift (mm) of the mirror
-    correlation: float  # correlation of the ridges in the overlap
+_SIMPLEX = np.array([0.003, 0.001, 0.03, 0.03, 0.05, 0.03])
+"""First steps of the refinement: turns (rad), shift and bulges (mm)."""
 
 
 def search(  # noqa: PLR0915
     chart: Chart, radius_mm: Array, front: ViewRidges, mirror: ViewRidges, *, cut: bool = False
-) -> ViewMatch:
-    """Find how the surface `radius_mm` (n, m) bulges and where the mirror lies; `cut`: whose view is cut."""
+) -> Correction:
+    """Find how the surface `radius_mm` (n, m) bulges and where the mirror lies; `cut`: whose view
+    is cut."""
     rows, columns = np.nonzero(mirror.known)
     if rows.size < FEW:
-        return ViewMatch(np.zeros(chart.shape), (0.0, 0.0, 0.0), 0.0)
-    moved = _ridge_moves(chart, radius_mm, (front.sight, mirror.sight), (rows, columns))
+        return Correction(np.zeros(chart.shape), ((0.0, 0.0, 0.0),), (0.0,))
+    ridge_moves = _ridge_moves(chart, radius_mm, (front.sight, mirror.sight), (rows, columns))
     angle = chart.angle_rad[columns]
     side = np.sign(float(np.median(angle)))
     middle = float(chart.length_mm[rows].mean())
     along = (chart.length_mm[rows] - middle) / 10.0
-    by_bulge = moved[..., 0] * (np.sin(2 * angle) ** 2)[:, None]
     outer = (np.abs(angle) - np.pi / 4) / np.deg2rad(20.0)
-    by_bulges = by_bulge, by_bulge * along[:, None], by_bulge * outer[:, None]
-    modes = np.stack([*np.moveaxis(moved[..., 1:], 2, 0), *by_bulges], axis=-1).astype(np.float32)  # (K, 2, 6)
+    bulge = ridge_moves[..., 0] * (np.sin(2 * angle) ** 2)[:, None]
+    bulges = bulge, bulge * along[:, None], bulge * outer[:, None]
+    modes = np.stack([*np.moveaxis(ridge_moves[..., 1:], 2, 0), *bulges], axis=-1).astype(np.float32)  # (K, 2, 6)
     target = front.band[rows, columns]
     place = np.stack([columns, rows], axis=1).astype(np.float32)
-
-    def score(moves: FloatArray, some: slice) -> float:
-        seen = read(mirror.band, *(place[some] + moves).T, empty=0.0)
-        there = target[some] - target[some].mean()
-        seen = seen - seen.mean()
-        power = float((seen**2).sum()) * float((there**2).sum())
-        return float((seen * there).sum()) / float(np.sqrt(max(power, 1e-24)))
-
     turn = float(np.deg2rad(TURN_CUT_DEG if cut else TURN_DEG))
     spread = np.array([turn, turn, SHIFT_CUT_MM if cut else SHIFT_MM, BULGE_MM, BULGE_MM, OUTER * BULGE_MM])
-
-    def merit(values: Array, some: slice) -> float:
-        return score(modes[some] @ values.astype(np.float32), some) - _DOUBT * float(((values / spread) ** 2).sum())
-
     few = slice(None, None, max(1, rows.size // _SEARCHED))
+    every = slice(None)
+
+    def score(moves: FloatArray, some: slice) -> float:
+        """Correlation of the mirror's ridges, moved on the chart, with the front's."""
+        values = read(mirror.band, *(place[some] + moves).T, empty=0.0)
+        wanted = target[some] - target[some].mean()
+        values = values - values.mean()
+        power = float((values**2).sum()) * float((wanted**2).sum())
+        return float((values * wanted).sum()) / float(np.sqrt(max(power, 1e-24)))
+
+    def refined(start: Array, some: slice) -> tuple[float, Array]:
+        """The best numbers near `start`, and their merit."""
+
+        def loss(step: Array) -> float:
+            numbers = start + step * _SIMPLEX
+            correlation = score(modes[some] @ numbers.astype(np.float32), some)
+            return _DOUBT * float(((numbers / spread) ** 2).sum()) - correlation
+
+        minimum = minimize(loss, np.zeros(6), method="Nelder-Mead", options=options)
+        return -float(minimum.fun), start + minimum.x * _SIMPLEX
+
+    options: Any = {"initial_simplex": np.eye(7, 6, -1), "maxfev": 200, "xatol": 0.02, "fatol": 1e-4}
+    minimize: Any = scipy.optimize.minimize
     # what the outlines may be wrong by, as one move of all ridges
     typical = np.sqrt(((np.median(modes, axis=0) * spread) ** 2).sum(axis=1)) + 1e-9
     guesses = []
@@ -292,45 +330,30 @@ def search(  # noqa: PLR0915
     for move in itertools.product(*(_range(reach) / chart.pitch_mm for reach in reaches)):
         far = float(((np.array(move) / typical) ** 2).sum())
         guesses.append((score(np.array([move], dtype=np.float32), few) - _DOUBT * far, np.array(move)))
-    scale = np.array([0.003, 0.001, 0.03, 0.03, 0.05, 0.03])
-    simplex = np.vstack([np.zeros(6), np.eye(6)])
-    options: Any = {"initial_simplex": simplex, "maxfev": 200, "xatol": 0.02, "fatol": 1e-4}
-    minimize: Any = scipy.optimize.minimize
-
-    def refined(start: Array, some: slice) -> tuple[float, Array]:
-        done = minimize(lambda x: -merit(start + x * scale, some), np.zeros(6), method="Nelder-Mead", options=options)
-        return -float(done.fun), start + done.x * scale
-
     # turns, shift and bulges that move all ridges by about so much, as likely as they can be
     count = len(modes[few])
     weight = LIKE_PLACES / count / (MOVE_MM / chart.pitch_mm) ** 2
     flat = modes[few].reshape(-1, modes.shape[2]).astype(float)
     matrix = weight * flat.T @ flat + np.diag(1.0 / spread**2)
     starts: list[Array] = []  # the best moves of which no two are nearly the same
-    for _, guess in sorted(guesses, key=lambda item: -item[0]):
+    for _, guess in sorted(guesses, key=itemgetter(0), reverse=True):
         apart = all(float(np.abs(guess - start).max()) * chart.pitch_mm > APART_MM for start in starts)
         if apart and len(starts) < CANDIDATES:
             starts.append(guess)
-    _, at = max(
-        (
-            refined(np.asarray(np.linalg.solve(matrix, weight * flat.T @ np.tile(start, count)), np.float64), few)
-            for start in starts
-        ),
-        key=lambda item: item[0],
-    )
-    every = slice(None)
-    _, at = refined(at, every)
-    best = score(modes @ at.astype(np.float32), every)
-    if best < MIN_CORRELATION:
-        return ViewMatch(np.zeros(chart.shape), (0.0, 0.0, 0.0), best)
+    solved = [np.linalg.solve(matrix, weight * flat.T @ np.tile(start, count)) for start in starts]
+    _, numbers = max((refined(start, few) for start in solved), key=itemgetter(0))
+    _, numbers = refined(numbers, every)
+    correlation = score(modes @ numbers.astype(np.float32), every)
+    if correlation < MIN_CORRELATION:
+        return Correction(np.zeros(chart.shape), ((0.0, 0.0, 0.0),), (correlation,))
     angle = chart.angle_rad
-    there = (np.sign(angle) == side) * np.sin(2 * angle) ** 2 * (np.abs(angle) < np.pi / 2)
+    bulged = (np.sign(angle) == side) * np.sin(2 * angle) ** 2 * (np.abs(angle) < np.pi / 2)
     rising = np.clip((chart.length_mm - middle) / 10.0, float(along.min()), float(along.max()))
     further = (np.abs(angle) - np.pi / 4) / np.deg2rad(20.0)
-    radius = there[None] * (at[3] + at[4] * rising[:, None] + at[5] * further[None])
-    return ViewMatch(radius, tuple(at[:3].tolist()), best)
+    radius = bulged[None] * (numbers[3] + numbers[4] * rising[:, None] + numbers[5] * further[None])
+    return Correction(radius, (tuple(numbers[:3].tolist()),), (correlation,))
 
 
 def _range(reach: float) -> Array:
     count = int(np.floor(reach / STEP_MM + 1e-9))
-    return np.asarray(np.arange(-count, count + 1) * STEP_MM, dtype=float)
+    return np.arange(-count, count + 1, dtype=float) * STEP_MM

@@ -1,8 +1,9 @@
 """Views of a finger between mirrors: where each shows it, its lights, and its ridges.
 
-In a mirror's view everything is reflected: the LEDs light the finger by way of their images, and the light that came by
-way of the mirror seems to come from the LEDs themselves. So a ring of lights stands around every line of sight. Ridges
-are found by photometric stereo on a surface that is known but for them.
+In a mirror's view everything is reflected: the LEDs light the finger by way of their images, and
+the light that came by way of the mirror seems to come from the LEDs themselves. So a ring of lights
+stands around every line of sight. Ridges are found by photometric stereo on a surface that is known
+but for them.
 """
 
 from __future__ import annotations
@@ -29,7 +30,7 @@ from splitknit.imaging.geometry import (
     height_gradients,
     normals_from_gradients,
 )
-from splitknit.imaging.view import view_of
+from splitknit.imaging.view import View, view_of
 from splitknit.integration.shapelets import REFERENCE_PX_PER_MM, ShapeletSettings, shapelets
 from splitknit.mirrors.body import Body
 from splitknit.mirrors.captured import skin_slopes
@@ -76,61 +77,47 @@ class MirrorViews:
 
 
 def find_mirror_views(capture: Capture, settings: FingerSettings, mirror: MirrorShapeSettings) -> MirrorViews:
-    """Views of the finger in one picture, and mirrors where the views' outlines have them. Raises BadInput if there are
-    no mirrors beside the finger, or fewer than two views can be used.
+    """Views of the finger in one picture, and mirrors where the views' outlines have them. Raises
+    BadInput if there are no mirrors beside the finger, or fewer than two views can be used.
     """
-    names = [mirror.name for mirror in capture.rig.mirrors]
-    require(any(name in SIDES for name in names), NO_MIRRORS)
-    require("white" in capture.bands, "the capture has no band 'white', in which ridges are seen.")
-    camera = capture.rig.camera
-    binning = view_binning(camera.px_per_mm)
-    mean, grey = linear_survey(capture.bands["white"], capture.encoding, binning)
     mirrors = {mirror.name: mirror for mirror in capture.rig.mirrors}
+    require(any(name in SIDES for name in mirrors), NO_MIRRORS)
+    require("white" in capture.bands, "the capture has no band 'white', in which ridges are seen.")
+    binning = view_binning(capture.rig.camera.px_per_mm)
+    mean, grey = linear_survey(capture.bands["white"], capture.encoding, binning)
     views = views_in(mean, capture.rig, binning)
-    seen = [name for name in SIDES if name in views.mirrors]
+    visible = {name: views.mirrors[name] for name in SIDES if name in views.mirrors}
     cure = "turn the mirrors towards the finger, or print with `method` unroll."
-    require(seen, f"only the front view of the finger can be used: no mirror beside it shows it; {cure}")
-    sides = replace(views, mirrors={name: views.mirrors[name] for name in seen})
+    require(visible, f"only the front view of the finger can be used: no mirror beside it shows it; {cure}")
     shape = mirror_shape(
-        sides,
+        replace(views, mirrors=visible),
         capture.rig,
         replace(mirror, method="outlines"),
         tip_direction_deg=capture.tip_direction_deg or 0.0,
         slopes_on=partial(skin_slopes, capture, grey, views),
         cut_too=True,
     )
+    assert isinstance(shape.model, Body)
     used = {} if shape.fit is None else shape.fit.poses
-    cut, useless = [name for name in shape.facts["views_cut_off"] if name in used], shape.facts["views_useless"]
+    cut = [name for name in shape.facts["views_cut_off"] if name in used]
     front = enlarged_mask(views.front, capture.shape, binning)
     if settings.cut_at_crease:
         front = _above_crease(front, views.front, mean, capture, binning)
-    found = [MirrorView("front", front)]
+    all_views = [MirrorView("front", front)]
     for name, glass in mirrors.items():
-        mask = enlarged_mask(views.mirrors[name], capture.shape, binning) if name in used else None
-        found.append(MirrorView(name, mask, glass_in(glass, shape.plane(glass)), name in cut))
-    assert isinstance(shape.model, Body)
-    notes = [
-        f"the view in the {name} mirror is cut off at the picture's border or the mirror's, so that its outline shows "
-        "less of where the mirror lies: lay the finger in the middle, so that the mirror shows all of its pad."
-        for name in cut
-    ]
-    notes += [
-        f"the view in the {name} mirror is cut off so much that it is left out, and that side of the finger is missing "
-        "from the print: lay the finger in the middle."
-        for name in useless
-    ]
-    notes += [
-        f"no finger was found in the {name} mirror, so that that side of it is missing from the print: check the "
-        "mirror's pose in rig.json, and the light on that side."
-        for name in SIDES
-        if name in mirrors and name not in seen
-    ]
-    notes += [
-        f"the {name} mirror gives light only: its view is not used for the print."
-        for name in mirrors
-        if name not in SIDES
-    ]
-    return MirrorViews(tuple(found), shape.model, (*map(str, shape.findings), *notes))
+        mask = enlarged_mask(visible[name], capture.shape, binning) if name in used else None
+        all_views.append(MirrorView(name, mask, glass_in(glass, shape.plane(glass)), name in cut))
+    remarks = {
+        "the view in the {} mirror is cut off at the picture's border or the mirror's, so that its outline shows less "
+        "of where the mirror lies: lay the finger in the middle, so that the mirror shows all of its pad.": cut,
+        "the view in the {} mirror is cut off so much that it is left out, and that side of the finger is missing from "
+        "the print: lay the finger in the middle.": shape.facts["views_useless"],
+        "no finger was found in the {} mirror, so that that side of it is missing from the print: check the mirror's "
+        "pose in rig.json, and the light on that side.": [n for n in SIDES if n in mirrors and n not in visible],
+        "the {} mirror gives light only: its view is not used for the print.": [n for n in mirrors if n not in SIDES],
+    }
+    notes = [remark.format(name) for remark, names in remarks.items() for name in names]
+    return MirrorViews(tuple(all_views), shape.model, (*map(str, shape.findings), *notes))
 
 
 def _above_crease(mask: BoolArray, small: BoolArray, mean: FloatArray, capture: Capture, binning: int) -> BoolArray:
@@ -162,12 +149,14 @@ class _Light:
 def view_light(  # noqa: PLR0917
     rig: Rig, glasses: Sequence[Glass], sight: Sight, heights_mm: FloatArray, grid: Grid, origin_mm: Array
 ) -> tuple[Rig, NDArray[np.float32]]:
-    """The lights as one view has them: in the frame of the view, its origin moved to that of the skin's grid. Light
-    that meets two mirrors one after the other is left out. `rig`: `rig.leds[k]` lights image k; `glasses`: all mirrors;
-    `heights_mm` (h, w) of the skin, in perspective along the rays, on the view's grid moved to `origin_mm` (3,).
+    """The lights as one view has them: in the frame of the view, its origin moved to that of the
+    skin's grid. Light that meets two mirrors one after the other is left out. `rig`: `rig.leds[k]`
+    lights image k; `glasses`: all mirrors; `heights_mm` (h, w) of the skin, in perspective along
+    the rays, on the view's grid moved to `origin_mm` (3,).
 
-    Returns the rig, and (L, h, w) zero where one of an exposure's lights begins or ends at a mirror's edge, one
-    elsewhere: a line of light that is not known to a tenth of a millimetre would look like a ridge.
+    Returns the rig, and (L, h, w) zero where one of an exposure's lights begins or ends at a
+    mirror's edge, one elsewhere: a line of light that is not known to a tenth of a millimetre would
+    look like a ridge.
     """
     slopes = height_gradients(heights_mm, grid.pitch_mm)
     normals = sight.turned(np.asarray(grid.view.in_rig(normals_from_gradients(*slopes)), dtype=float))
@@ -177,13 +166,14 @@ def view_light(  # noqa: PLR0917
         """A light of the rig's frame in the view's moved frame, with its shade."""
         led = light.led if sight.plane is None else led_image(light.led, sight.plane)
         if led.position_mm is not None:
-            x, y, z = (float(v) for v in np.asarray(led.position_mm) - origin_mm)
-            ax, ay, az = (float(v) for v in led.axis)
-            led = replace(led, position_mm=(x, y, z), aim=(ax, ay, az))
+            x, y, z = (np.asarray(led.position_mm) - origin_mm).tolist()
+            right, up, out = np.asarray(led.axis).tolist()
+            led = replace(led, position_mm=(x, y, z), aim=(right, up, out))
         fraction = light.facing if light.through is None else light.facing * light.through
         return replace(led, shade=shade_of(fraction, grid.view), reflected=True, also=())
 
-    leds, inner = [], []
+    leds = []
+    inner = []
     for exposure in rig.leds:
         lights = []
         for led in (replace(exposure, also=()), *exposure.also):
@@ -196,8 +186,8 @@ def view_light(  # noqa: PLR0917
         # the ring around the line of sight comes first: it stands for the exposure
         ring = "" if sight.plane is None else sight.name
         first = [replace(in_view(light), reflected=False) for light in lights if light.path == ring]
-        others = [in_view(light) for light in lights if light.path != ring]
-        leds.append(replace(first[0], also=(*first[1:], *others)))
+        rest = [in_view(light) for light in lights if light.path != ring]
+        leds.append(replace(first[0], also=(*first[1:], *rest)))
     return replace(rig, leds=tuple(leds), mirrors=()), np.stack(inner).astype(np.float32)
 
 
@@ -211,13 +201,19 @@ def _inner(light: _Light, pitch_mm: float) -> NDArray[np.float32]:
     return smooth_step((away - EDGE_BAND_MM) / EDGE_BAND_MM)
 
 
-LIT, MIN_LIT, FADE_MM = 0.5, 3, 0.2
-"""Trust from which a light counts, how many a slope needs, and the width over which skin with fewer fades out."""
-UNKNOWN_MM = 0.02  # standard deviation of a relief that no network estimated
+LIT = 0.5
+"""Trust from which a light counts."""
+MIN_LIT = 3
+"""Lights that a slope needs."""
+FADE_MM = 0.2
+"""Width over which skin with fewer fades out."""
+UNKNOWN_MM = 0.02
+"""Standard deviation of a relief that no network estimated."""
 SLOPE_PRIOR = 0.5
-"""Holds slopes which the lights hardly determine to those of the shape: variance of the images' relative error over
-that of the slopes."""
-_ROWS = 64  # rows of the grid whose normals are computed at once
+"""Holds slopes which the lights hardly determine to those of the shape: variance of the images'
+relative error over that of the slopes."""
+_ROWS = 64
+"""Rows of the grid whose normals are computed at once."""
 _MAX_SLOPE = 6.0
 """Steeper slopes are shortened to this."""
 
@@ -234,7 +230,8 @@ class ViewRelief:
     how: str
 
     def sampled(self, sight: Sight, points_mm: Array) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Relief, deviation and trust (...) at points (..., 3) of the rig's frame; NaN where `sight` lacks them."""
+        """Relief, deviation and trust (...) at points (..., 3) of the rig's frame; NaN where
+        `sight` lacks them."""
         size = self.binning
         column, row = (
             ((place - side.start + 0.5) / size - 0.5).astype(np.float32)
@@ -249,58 +246,79 @@ _SHAPELETS = ShapeletSettings(scales=4)
 """Where no network estimates the relief."""
 
 
-def view_relief(  # noqa: PLR0915, PLR0917
+def _grid_of(
+    capture: Capture, sight: Sight, mask: BoolArray, chart: Chart, radius_mm: Array, *, view: View, binning: int
+) -> tuple[Grid, Array, float]:
+    """The grid of a window's blocks, on the plane of the finger, or of its image in the mirror; its
+    origin (3,) in the frame of the view; and the scale of that plane over the pixels'.
+    """
+    blocks = _blocks(mask, binning)
+    few = (slice(None, None, 4),) * view.x_mm.ndim
+    coarse = heights(sight, chart, radius_mm, replace(view, x_mm=view.x_mm[few], y_mm=view.y_mm[few]))
+    level = float(np.nanmean(coarse)) if np.isfinite(coarse).any() else 0.0
+    origin = np.array([view.x_mm.mean(), view.y_mm.mean(), level])
+    nearer = 1.0
+    apex = None
+    if view.apex_mm is not None:
+        origin = np.array([0.0, 0.0, level])
+        nearer = 1.0 - level / view.apex_mm
+        apex = view.apex_mm - level
+    cut = bool(blocks[0].any()), bool(blocks[-1].any()), bool(blocks[:, 0].any()), bool(blocks[:, -1].any())
+    pitch_mm = capture.rig.camera.pitch_mm * binning * nearer
+    x = view.x_mm * nearer - origin[0]
+    y = view.y_mm * nearer - origin[1]
+    return Grid(blocks, x, y, pitch_mm, cut, apex), origin, nearer
+
+
+def view_relief(
     capture: Capture,
     sight: Sight,
     mask: BoolArray,
-    glasses: Sequence[Glass],
     chart: Chart,
     radius_mm: Array,
+    *,
+    glasses: Sequence[Glass],
     settings: MetricSettings,
 ) -> ViewRelief:
-    """Ridges of the finger as one view shows them, where `mask` (H, W) holds it, in the white band. `glasses`: all
-    mirrors of the rig; `chart`, `radius_mm`: the finger without its ridges.
+    """Ridges of the finger as one view shows them, where `mask` (H, W) holds it, in the white band.
+    `glasses`: all mirrors of the rig; `chart`, `radius_mm`: the finger without its ridges.
     """
     white = capture.bands["white"]
     camera = capture.rig.camera
     binning = max(1, round(WORKING_PITCH_MM / camera.pitch_mm))
     window = bounding_box(mask, round(0.5 * camera.px_per_mm))
-    rows, columns = window
-    view = view_of(camera, rows, columns, binning=binning)
-    blocks = _blocks(mask[window], binning)
-    few = (slice(None, None, 4),) * view.x_mm.ndim
-    seen = heights(sight, chart, radius_mm, replace(view, x_mm=view.x_mm[few], y_mm=view.y_mm[few]))
-    level = float(np.nanmean(seen)) if np.isfinite(seen).any() else 0.0
-    origin, nearer, apex = np.array([view.x_mm.mean(), view.y_mm.mean(), level]), 1.0, None
-    if view.apex_mm is not None:  # the plane that the pixels are on goes to the finger, or to its image in the mirror
-        origin, nearer, apex = np.array([0.0, 0.0, level]), 1.0 - level / view.apex_mm, view.apex_mm - level
-    cut = tuple(bool(side.any()) for side in (blocks[0], blocks[-1], blocks[:, 0], blocks[:, -1]))
-    x, y, pitch = view.x_mm * nearer - origin[0], view.y_mm * nearer - origin[1], camera.pitch_mm * binning * nearer
-    grid = Grid(blocks, x, y, pitch, (cut[0], cut[1], cut[2], cut[3]), apex)
+    view = view_of(camera, *window, binning=binning)
+    grid, origin, nearer = _grid_of(capture, sight, mask[window], chart, radius_mm, view=view, binning=binning)
+
+    # the smooth finger as the view sees it, and its lights
     factor = max(1, round(COARSE_PITCH_MM / grid.pitch_mm))
     low = coarsen(grid, factor)
     on_plane = replace(view, x_mm=(low.x_mm + origin[0]) / nearer, y_mm=(low.y_mm + origin[1]) / nearer)
-    height = low.view.along(heights(sight, chart, radius_mm, on_plane) - np.float32(level))
+    height = low.view.along(heights(sight, chart, radius_mm, on_plane) - np.float32(origin[2]))
     known = low.mask & np.isfinite(height)
     low = replace(low, mask=known)
     height = np.where(known, height, 0).astype(np.float32)
     filled = refine(height, known, 1, low.shape)
     rig, inner = view_light(capture.rig.select(white.lights), glasses, sight, filled, low, origin)
-    smooth = refine(height, known, factor, grid.shape)
     reach = np.kron(known, np.ones((factor, factor), dtype=bool))
     reach = np.pad(reach, [(0, n - m) for n, m in zip(grid.shape, reach.shape, strict=True)])
     grid = replace(grid, mask=grid.mask & reach)
+    smooth = refine(height, known, factor, grid.shape)
+    facing = np.cos(np.deg2rad(slant_of(smooth, grid.pitch_mm)))
+    if grid.apex_mm is not None:  # from heights along the rays to millimetres
+        facing *= np.exp(-smooth / np.float32(grid.apex_mm))
+
+    # the photographs, on a finer grid where the network needs it
     names = ("red", "green", "blue") if has_colour(white) else ("grey",)
     images = BandImages(names, linear_channels(white, capture.encoding, names, window, binning), rig)
-    facing = np.cos(np.deg2rad(slant_of(smooth, grid.pitch_mm)))
-    if apex is not None:  # from heights along the rays to millimetres
-        facing *= np.exp(-smooth / np.float32(apex))
     inside = grid.mask
     skin = capture.material == "skin"
     finer = settings.relief == "network" and skin
     finer = finer and not can_learn(images, grid.pitch_mm) and can_learn(images, grid.pitch_mm / FACTOR)
     if finer:
-        grid, images, factor = finer_grid(grid), finer_images(images), factor * FACTOR
+        grid = finer_grid(grid)
+        images = finer_images(images)
+        factor = factor * FACTOR
         smooth = refine(height, known, factor, grid.shape)
     light = fine_lighting(images.rig, low, filled, factor, grid)
     # zero where fewer than three exposures light the skin, which determine no slope
@@ -308,20 +326,21 @@ def view_relief(  # noqa: PLR0915, PLR0917
     lit = np.clip(2.0 * cv2.GaussianBlur(enough, (0, 0), FADE_MM / grid.pitch_mm) - 1.0, 0.0, 1.0)
     within = np.stack([enlarged(each, factor, grid.shape) for each in inner])
     light = replace(light, trust=np.maximum(light.trust * within, 1e-3))
-    networks = shipped_networks(settings) if can_learn(images, grid.pitch_mm) else None
-    if skin and networks is not None:
-        g = _held_normals(images.stack / light.entering, light, smooth, grid, SLOPE_PRIOR)
-        found = relief_by_network(features(images, grid, smooth, light, g), grid, smooth, networks.relief)
-        fields, how = (found.relief_mm, found.deviation_mm, found.trust * lit), "network"
-    else:
+
+    networks = shipped_networks(settings) if skin and can_learn(images, grid.pitch_mm) else None
+    if networks is None:
         trust = trust_of(slant_of(smooth, grid.pitch_mm), grid) * lit
         relief = _by_shapelets(images, grid, smooth, light, trust, skin=skin)
-        fields, how = (relief, np.full(grid.shape, UNKNOWN_MM, dtype=np.float32), trust), "shapelets"
+        fields = relief, np.full(grid.shape, UNKNOWN_MM, dtype=np.float32), trust
+    else:
+        g = _held_normals(images.stack / light.entering, light, smooth, grid, SLOPE_PRIOR)
+        estimate = relief_by_network(features(images, grid, smooth, light, g), grid, smooth, networks.relief)
+        fields = estimate.relief_mm, estimate.deviation_mm, estimate.trust * lit
     relief, deviation, trust = map(coarser, fields) if finer else fields
     relief, deviation, trust = (
         np.where(inside, values, np.nan).astype(np.float32) for values in (relief * facing, deviation * facing, trust)
     )
-    return ViewRelief(window, binning, relief, deviation, trust, how)
+    return ViewRelief(window, binning, relief, deviation, trust, "network" if networks else "shapelets")
 
 
 def _by_shapelets(
@@ -344,20 +363,23 @@ def _by_shapelets(
 
 def _blocks(mask: BoolArray, binning: int) -> BoolArray:
     height, width = (n // binning for n in mask.shape)
-    cut = mask[: height * binning, : width * binning].reshape(height, binning, width, binning)
-    return largest_component(np.asarray(cut.all(axis=(1, 3))))
+    blocks = mask[: height * binning, : width * binning].reshape(height, binning, width, binning)
+    return largest_component(np.asarray(blocks.all(axis=(1, 3))))
 
 
-# Photometric stereo where two lights of one exposure nearly cancel: slopes that the lights hardly determine stay near
+# Photometric stereo where two lights of one exposure nearly cancel: slopes that the lights hardly
+# determine stay near
 # the shape's.
 
 
 def _held_normals(stack: FloatArray, light: Lighting, smooth_mm: FloatArray, grid: Grid, prior: float) -> FloatArray:
-    """(C, h, w, 3) brightness times normal: least squares over the lights, slopes held near the shape's.
+    """(C, h, w, 3) brightness times normal: least squares over the lights, slopes held near the
+    shape's.
 
-    An LED and its image in a mirror give little of the slope towards the mirror. Minimises
-    sum_k w_k (I_k - L_k g)^2 + prior mean(w) |t|^2, t the part of g across the shape's normal. `stack`: (C, L, h, w)
-    images over the light that enters; `prior`: variance of the images' relative error over that of the slopes.
+    An LED and its image in a mirror give little of the slope towards the mirror. Minimises sum_k
+    w_k (I_k - L_k g)^2 + prior mean(w) |t|^2, t the part of g across the shape's normal. `stack`:
+    (C, L, h, w) images over the light that enters; `prior`: variance of the images' relative error
+    over that of the slopes.
     """
     channels, count = stack.shape[:2]
     slopes = (grid.smooth(s, grid.mask, 0.3) for s in height_gradients(smooth_mm, grid.pitch_mm))
