@@ -256,14 +256,14 @@ def _ridges_on_each_other(a: _Side, b: _Side) -> tuple[float, Affine]:
 
 def _agreement(a: _Side, patches: PatchGrid, affine: Affine) -> Agreement:
     """How patches of B's ridges fit A's."""
-    return compare_patches(patches, a.ridges.value, a.ridges.template.valid, affine)
+    return compare_patches(patches, a.ridges.band, affine)
 
 
 def _matched_points(a: _Side, b: _Side, affine: Affine) -> tuple[Array, Array, Array]:
     """(N, 3) points of A and of B in mm where patches of their ridges agree, and (N,) how well they do."""
     grid = b.ridges.patches
     found = _agreement(a, grid, affine)
-    places = np.stack([grid.columns, grid.rows], axis=1, dtype=float)[found.used] + (grid.side - 1) / 2
+    places = grid.centres[found.used]
     one = a.points((places - found.shift) @ affine[:, :2].T + affine[:, 2])
     two = b.points(places)
     good = np.isfinite(one).all(axis=1) & np.isfinite(two).all(axis=1) & (found.correlation > 0.2)
