@@ -26,6 +26,7 @@ MAX_SYSTEMS = 12
 """On one page."""
 Cluster = Literal["auto", "plain", "finger", "subject"]
 Fusion = Literal["linear", "minmax", "trained", "all"]
+Source = str | os.PathLike[str] | Scores
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -73,7 +74,7 @@ class Evaluation:
 
 
 def evaluate(
-    files: str | os.PathLike[str] | Sequence[str | os.PathLike[str]],
+    files: Source | Sequence[Source],
     *,
     dissimilarity: bool = False,
     cluster: Cluster = "auto",
@@ -86,8 +87,8 @@ def evaluate(
 
     Parameters
     ----------
-    files : path, or several
-        Score files, one a system: CSV with genuine and impostor comparisons, see ``docs/guide/evaluation.md``.
+    files : path or Scores, or several
+        One a system. Files are CSV with genuine and impostor comparisons, see ``docs/guide/evaluation.md``.
     dissimilarity : bool
         Whether the scores are distances: lower is more similar.
     cluster : ``auto``, ``plain``, ``finger`` or ``subject``
@@ -119,31 +120,19 @@ def evaluate(
     >>> import splitknit_match
     >>> splitknit_match.evaluate("scores.csv").results[0].eer.value  # doctest: +SKIP
     """
-    paths = [Path(file) for file in ([files] if isinstance(files, str | os.PathLike) else files)]
+    sources = [files] if isinstance(files, str | os.PathLike | Scores) else list(files)
+    paths = [Path(source) for source in sources if not isinstance(source, Scores)]
     require(len(set(paths)) == len(paths), "a score file is named twice; name each once.")
     progress("reading", 0.0)
     tables = {str(path): read_scores(path, dissimilarity=dissimilarity) for path in paths}
-    names = [table.scores.name for table in tables.values()]
+    named = [source for source in sources if isinstance(source, Scores)] + [table.scores for table in tables.values()]
+    names = [system.name for system in named]
     systems = []
-    for place, (table, name) in enumerate(zip(tables.values(), names, strict=True)):
-        number = f" ({names[: place + 1].count(name)})" if names.count(name) > 1 else ""
-        systems.append(replace(table.scores, name=name + number))
+    for place, system in enumerate(named):
+        number = f" ({names[: place + 1].count(system.name)})" if names.count(system.name) > 1 else ""
+        systems.append(replace(system, name=system.name + number))
     ignored = dict.fromkeys(column for table in tables.values() for column in table.ignored)
-    evaluation = evaluate_systems(systems, cluster, average, fuse, bootstrap, progress)
     notes = [f"Columns that were not read: {', '.join(ignored)}."] if ignored else []
-    hashes = {path: tables[path].sha256 for path in sorted(tables)}
-    return replace(evaluation, notes=(*notes, *evaluation.notes), inputs_sha256=hashes)
-
-
-def evaluate_systems(  # noqa: PLR0917
-    systems: Sequence[Scores],
-    cluster: Cluster = "auto",
-    average: bool = False,
-    fuse: Fusion | None = None,
-    bootstrap: BootstrapSettings = DEFAULTS,
-    progress: Progress = no_progress,
-) -> Evaluation:
-    """Error rates of systems; see :func:`evaluate`."""
     if fuse == "all" and cluster == "auto":
         cluster = "subject"
     methods = ("minmax", "linear") if fuse == "all" else (fuse,) if fuse else ()
@@ -156,7 +145,7 @@ def evaluate_systems(  # noqa: PLR0917
         count <= MAX_SYSTEMS,
         f"one report shows {MAX_SYSTEMS} systems and variants at most, but there are {count}; give fewer files.",
     )
-    notes = [note for method, fusion in fused.items() for note in _fusion_notes(fusion, method)]
+    notes += [note for method, fusion in fused.items() for note in _fusion_notes(fusion, method)]
     results: list[Result] = []
     differing: list[Difference] = []
     for group in groups:
@@ -182,7 +171,8 @@ def evaluate_systems(  # noqa: PLR0917
             except BadInput as error:
                 notes.append(f"Not compared: {error}")
     notes += [note for result in results for note in _notes(result)]
-    return Evaluation(tuple(results), tuple(differing), tuple(dict.fromkeys(notes)), fused, bootstrap, {})
+    hashes = {path: tables[path].sha256 for path in sorted(tables)}
+    return Evaluation(tuple(results), tuple(differing), tuple(dict.fromkeys(notes)), fused, bootstrap, hashes)
 
 
 def _units(scores: Scores) -> list[str]:

@@ -159,7 +159,10 @@ class CoarseViews:
             np.asarray(cv2.blur(part, window, borderType=cv2.BORDER_CONSTANT))
             for part in (across * across, up * up, across * up, valid.astype(np.float32))
         )
-        total = np.maximum(xx + yy, max(0.3 * float(np.median((xx + yy)[valid])), 1e-12))
+        power = (xx + yy)[valid]
+        middle = (len(power) - 1) // 2, len(power) // 2
+        typical = float(np.partition(power, middle)[list(middle)].mean())  # np.median loads numpy.ma: 20 ms
+        total = np.maximum(xx + yy, max(0.3 * typical, 1e-12))
         field = np.stack([(xx - yy) / total, 2 * xy / total, fraction], axis=-1, dtype=np.float32)
         turned = np.empty((len(angles_deg), *_BLOCKS, 3), dtype=np.float32)
         for blocks, angle in zip(turned, np.deg2rad(angles_deg), strict=True):
@@ -195,8 +198,8 @@ def likely_alignments(a: CoarseViews, b: CoarseViews) -> list[Affine]:
         ]
     )
     better_side = np.where(np.roll(scores, -1)[best] >= np.roll(scores, 1)[best], 1, -1)
-    half_steps = np.union1d(2 * best, (2 * best + better_side) % (2 * len(scores)))
-    peaks = sorted((_peak(a, b.ridges, number) for number in half_steps.tolist()), key=lambda peak: -peak.height)
+    half_steps = sorted({*(2 * best).tolist(), *((2 * best + better_side) % (2 * len(scores))).tolist()})
+    peaks = sorted((_peak(a, b.ridges, number) for number in half_steps), key=lambda peak: -peak.height)
     return [peak.affine(a.band, b.band) for peak in peaks[:_CANDIDATES] if peak.height >= _MIN_HEIGHT * peaks[0].height]
 
 
