@@ -202,9 +202,9 @@ def fitted(rows: NDArray[np.float64]) -> Constants:
 
 def scored(rows: NDArray[np.float64], by: Constants) -> NDArray[np.float64]:
     """The fusion's scores by these constants of small prints."""
-    fusion._BY_OVERLAP = tuple(by.overlap.tolist())
-    fusion._BY_OVERLAP_AND_MINUTIAE = tuple(by.both.tolist())
-    return np.array([fusion._score(*row) for row in rows[:, 6:].tolist()])
+    fusion.BY_OVERLAP = tuple(by.overlap.tolist())
+    fusion.BY_OVERLAP_AND_MINUTIAE = tuple(by.both.tolist())
+    return np.array([fusion.fused_score(*row) for row in rows[:, 6:].tolist()])
 
 
 def cllr(score: NDArray[np.float64], same: NDArray[np.bool_]) -> float:

@@ -23,7 +23,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from splitknit_match.evaluation.rates import d_prime, roc
+from splitknit_match.evaluation.rates import roc
 from splitknit_simulator.finger.finger import SimulatedFinger, finger_surface
 from splitknit_simulator.finger.master_print import MasterPrint, ink_print
 from splitknit_simulator.population.people import (
@@ -184,7 +184,7 @@ def outlines(subjects: int = 17, sessions: int = 4) -> dict[str, Any]:
         "separation": {
             name: {
                 "eer": round(roc(score[genuine], score[~genuine]).equal_error().value, 4),
-                "d_prime": round(d_prime(score[genuine], score[~genuine]), 2),
+                "d_prime": round(roc(score[genuine], score[~genuine]).d_prime(), 2),
             }
             for name, score in scores.items()
         },

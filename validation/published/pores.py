@@ -135,9 +135,10 @@ def pore_match(a: PoreTemplate, b: PoreTemplate) -> PoreMatch:
     left, right = (b, a) if swapped else (a, b)
     if left.ridges.template.empty or right.ridges.template.empty:
         return PoreMatch(0.0, 0, (0, 0), -1.0)
-    valid, pitch, grid = left.ridges.template.valid, left.ridges.template.pitch_mm, right.ridges.patches
+    band, grid = left.ridges.band, right.ridges.patches
+    valid, pitch = band.valid, band.pitch_mm
     found, affine = lay(left.ridges, right.ridges)
-    bend, back = bent(grid, compare_patches(grid, left.ridges.value, valid, affine)), np.linalg.inv(affine[:, :2]).T
+    bend, back = bent(grid, compare_patches(grid, band, affine)), np.linalg.inv(affine[:, :2]).T
     for reach in REACH_MM:
         there = shown_in_a(grid, affine, bend, right.pores)
         one, other = _nearest(there, left.pores, reach / pitch)

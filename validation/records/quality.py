@@ -21,7 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from splitknit.io.prints import read_print_png
-from splitknit_match.matching.fusion import _of, _pixels, fused_match
+from splitknit_match.matching.fusion import fused_match
 from splitknit_match.matching.inputs import print_template
 from splitknit_match.matching.minutia_pairs import on_ridges, pair_minutiae
 from splitknit_match.matching.ridge import Prepared
@@ -37,11 +37,11 @@ NEAR_MM, NEAR_RAD, SURE = 0.75, 0.5, 5.0
 def found_again(a: Prepared, b: Prepared) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
     """Which minutiae of A are shown by B, and which of them B has."""
     laid = max(pair_minutiae(a.cylinders, b.cylinders), key=lambda one: one.support)
-    (place, turn), (others, turns) = _of(a), _of(b)
+    (place, turn), (others, turns) = ((side.cylinders.place, side.cylinders.turn) for side in (a, b))
     there = laid.moved(place)
     gap = np.abs(there[:, None] - others)
     apart = np.angle(np.exp(1j * (turn[:, None] + laid.angle_rad - turns)))
-    return on_ridges(b.template.valid, _pixels(b, there)), ((gap < NEAR_MM) & (np.abs(apart) < NEAR_RAD)).any(axis=1)
+    return on_ridges(b.template.valid, b.pixels(there)), ((gap < NEAR_MM) & (np.abs(apart) < NEAR_RAD)).any(axis=1)
 
 
 def area(quality: NDArray[np.float64], again: NDArray[np.bool_]) -> float:

@@ -145,7 +145,9 @@ def test_a_gallery_of_prints_is_searched_and_evaluated_by_both(
     assert scores.genuine.min() > 3 > 0 > scores.impostor.max()  # noqa: PLR0133
     # a template in which no minutiae were found counts by its ridges, on the same scale
     with monkeypatch.context() as patched:
-        patched.setattr("splitknit_match.matching.inputs._ENDS", (-1.0, 1.0))  # too few minutiae are no print otherwise
+        patched.setattr(
+            "splitknit_match.matching.inputs._MINUTIAE_PER_MM2", (-1.0, 1.0)
+        )  # too few minutiae are no print otherwise
         patched.setattr("splitknit_match.prints.make.minutiae_by_phase", lambda made, *_: no_minutiae(made.image.shape))
         more = [gallery, impressions / "again" / "print.png", "--person", "Cy", "--finger", "left_index"]
         assert main(["enroll", *map(str, more)]) == 0

@@ -14,7 +14,7 @@ from scipy.special import betainc, ndtr
 from splitknit.errors import BadInput
 from splitknit_match.evaluation.intervals import BootstrapSettings, bootstrap, differences
 from splitknit_match.evaluation.protocol import comparisons, scores_of_comparisons
-from splitknit_match.evaluation.rates import Roc, d_prime, error_bound, rank, roc
+from splitknit_match.evaluation.rates import Roc, error_bound, rank, roc
 from splitknit_match.evaluation.scores import Scores, ids_of
 
 FEW = BootstrapSettings(replicates=100, curve_points=5)
@@ -58,7 +58,7 @@ def test_a_weight_counts_as_often_as_a_score_that_is_repeated(both: tuple[list[f
     ranked = rank(genuine, impostor)
     weights = [number[order].astype(np.float64) for number, order in zip(times, ranked.order, strict=True)]
     assert figures(ranked.roc(weights)) == pytest.approx(figures(roc(*drawn)))
-    assert ranked.d_prime(weights) == pytest.approx(d_prime(*drawn), nan_ok=True)
+    assert ranked.roc(weights).d_prime() == pytest.approx(roc(*drawn).d_prime(), nan_ok=True)
 
 
 @pytest.mark.parametrize("method", ["finger", "subject"])

@@ -126,7 +126,7 @@ def test_systems_without_ids_are_paired_by_place() -> None:
 @pytest.mark.parametrize(
     ("label", "score", "words"),
     [
-        ([True, False], [1.0], "one length"),
+        ([True, False], [1.0], "of one length"),
         ([1, 0], [1.0, 2.0], "boolean"),
         ([True, False], [1.0, np.inf], "finite"),
         ([True, True], [1.0, 2.0], r"no impostor \(label 0\)"),

@@ -11,7 +11,7 @@ from scipy.optimize import minimize
 from splitknit.errors import BadInput
 from splitknit_match.evaluation.fusion import PENALTY, fit_linear, fit_logistic, fit_minmax, fuse
 from splitknit_match.evaluation.protocol import comparisons, scores_of_comparisons
-from splitknit_match.evaluation.rates import d_prime
+from splitknit_match.evaluation.rates import roc
 from splitknit_match.evaluation.scores import Scores, ids_of
 
 
@@ -28,7 +28,7 @@ def systems(count: int = 3, subjects: int = 30, seed: int = 0, noise: float = 0.
 
 
 def separation(scores: Scores) -> float:
-    return d_prime(scores.genuine, scores.impostor)
+    return roc(scores.genuine, scores.impostor).d_prime()
 
 
 @pytest.mark.parametrize("method", ["trained", "linear", "minmax"])

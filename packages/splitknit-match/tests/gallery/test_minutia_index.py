@@ -107,7 +107,7 @@ def test_where_minutiae_are_sure_ridges_propose_nothing(monkeypatch) -> None:
         unpack(splitknit_match.make_template(press(1, *how), resolution_ppi=PPI).payload) for how in ((), (9, 12.0))
     ]
     expected = fused_match(*sides).similarity
-    monkeypatch.setattr("splitknit_match.matching.fusion.starts_by_ridges", None)
+    monkeypatch.setattr("splitknit_match.matching.fusion.likely_alignments", None)
     assert fused_match(*sides).similarity == expected
     monkeypatch.setattr("splitknit_match.matching.fusion.SURE", 1000.0)
     with pytest.raises(TypeError):

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import cv2
 import numpy as np
 import pytest
@@ -13,22 +15,22 @@ from splitknit_match.matching.elastic import (
     patch_grid,
     rigid,
 )
+from splitknit_match.matching.ridge_band import RidgeBand
 
 IDENTITY = np.array([[1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])
 
 
-def texture(seed: int, rows: int = 160, columns: int = 140) -> np.ndarray:
+def texture(seed: int, rows: int = 160, columns: int = 140) -> RidgeBand:
     noise = np.random.default_rng(seed).normal(size=(rows, columns)).astype(np.float32)
     band = cv2.GaussianBlur(noise, (0, 0), 1.2) - cv2.GaussianBlur(noise, (0, 0), 3.0)
-    return band / band.std()
+    return RidgeBand(band / band.std(), np.ones(band.shape, np.bool_), 0.1)
 
 
 @pytest.mark.parametrize("shift", [(0, 0), (3, -2), (-4, 4), (2, 1)])
 def test_shifts_of_patches_are_found(shift: tuple[int, int]) -> None:
     b = texture(1)
-    valid = np.ones(b.shape, np.bool_)
-    a = np.roll(b, shift[::-1], axis=(0, 1))  # A's content lies `shift` (columns, rows) further
-    found = compare_patches(patch_grid(b, valid, 0.1), a, valid, IDENTITY)
+    a = replace(b, value=np.roll(b.value, shift[::-1], axis=(0, 1)))  # A's content lies `shift` (columns, rows) further
+    found = compare_patches(patch_grid(b), a, IDENTITY)
     inner = slice(20, -20)
     assert np.median(found.correlation[inner]) == pytest.approx(1.0, abs=0.02)
     # it must move back
@@ -37,27 +39,25 @@ def test_shifts_of_patches_are_found(shift: tuple[int, int]) -> None:
 
 def test_too_little_valid_skin_is_not_compared() -> None:
     b = texture(3)
-    valid = np.ones(b.shape, np.bool_)
-    half = valid.copy()
+    half = b.valid.copy()
     half[:, 70:] = False
-    patches = patch_grid(b, valid, 0.1)
-    found = compare_patches(patches, np.where(half, b, 0).astype(np.float32), half, IDENTITY)
-    assert 0.3 < len(found.used) / len(patches.rows) < 0.6
-    assert patches.columns[found.used].max() + 0.6 * patches.side <= 71
-    nothing = compare_patches(patches, b, np.zeros_like(valid), IDENTITY)
+    patches = patch_grid(b)
+    found = compare_patches(patches, replace(b, value=np.where(half, b.value, np.float32(0)), valid=half), IDENTITY)
+    assert 0.3 < len(found.used) / len(patches.corner) < 0.6
+    assert patches.corner[found.used, 1].max() + 0.6 * patches.side <= 71
+    nothing = compare_patches(patches, replace(b, valid=np.zeros_like(half)), IDENTITY)
     assert nothing.mean == 0.0
     assert len(nothing.used) == 0
 
 
 def test_affine_fit_follows_a_stretched_skin() -> None:
     b = texture(4, 220, 200)
-    valid = np.ones(b.shape, np.bool_)
     true = np.array([[1.03, 0.01, -4.0], [-0.015, 0.98, 3.0]])  # place in B to place in A
-    a = cv2.warpAffine(b, true, (200, 220), flags=cv2.INTER_CUBIC)  # A at true(p) shows B at p
-    patches = patch_grid(b, valid, 0.1, search_mm=0.8)
-    found = compare_patches(patches, a, valid, IDENTITY)
+    a = replace(b, value=cv2.warpAffine(b.value, true, (200, 220), flags=cv2.INTER_CUBIC))  # A at true(p) shows B at p
+    patches = patch_grid(b, search_mm=0.8)
+    found = compare_patches(patches, a, IDENTITY)
     fitted = better_affine(patches, found, IDENTITY)
-    fitted = better_affine(patches, compare_patches(patches, a, valid, fitted), fitted)
+    fitted = better_affine(patches, compare_patches(patches, a, fitted), fitted)
     corners = np.array([[30, 30, 1], [170, 30, 1], [30, 190, 1], [170, 190, 1]], float)
     np.testing.assert_allclose(corners @ fitted.T, corners @ true.T, atol=0.5)
     few = Agreement(found.used[:3], found.correlation[:3], found.shift[:3], found.weight[:3])
@@ -75,6 +75,5 @@ def test_rigid_maps_middles_and_turns() -> None:
 def test_chance_finds_no_support() -> None:
     """Unlike textures: each patch alone finds some shift that fits; its neighbours do not share it."""
     a, b = texture(5), texture(6)
-    valid = np.ones(b.shape, np.bool_)
-    found = compare_patches(patch_grid(b, valid, 0.1), a, valid, IDENTITY)
+    found = compare_patches(patch_grid(b), a, IDENTITY)
     assert abs(found.mean) < 0.205  # 0.22 if every patch chose for itself

@@ -14,9 +14,10 @@ import pytest
 from splitknit.errors import BadInput
 from splitknit_match.matching import fusion
 from splitknit_match.matching.elastic import bent, compare_patches, patch_grid, shown_in_a
-from splitknit_match.matching.fusion import can_fuse, fused_match, fused_photo, with_fusion
+from splitknit_match.matching.fusion import can_fuse, fused_match, fused_photo, fused_score, with_fusion
 from splitknit_match.matching.minutia_pairs import Cylinders, minutia_cylinders, pair_minutiae
 from splitknit_match.matching.ridge import Prepared, ridge_match
+from splitknit_match.matching.ridge_band import RidgeBand
 from splitknit_match.matching.template import Template, pack, print_size, scaled, unpack
 from splitknit_match.prints.minutiae_record import Minutiae, no_minutiae
 
@@ -25,8 +26,8 @@ def test_constants_are_those_that_were_fitted() -> None:
     file = Path(__file__).resolve().parents[4] / "validation" / "match" / "fvc.json"
     fitted = json.loads(file.read_text())["fitted"]
     for name, used in (
-        ("both", fusion._BY_BOTH),
-        ("minutiae_alone", fusion._BY_SUPPORT),
+        ("both", fusion.BY_BOTH),
+        ("minutiae_alone", fusion.BY_MINUTIAE),
     ):
         assert list(used) == fitted[name]
 
@@ -34,23 +35,23 @@ def test_constants_are_those_that_were_fitted() -> None:
 def test_constants_of_small_prints_are_those_that_were_fitted() -> None:
     file = Path(__file__).resolve().parents[4] / "validation" / "match" / "windows.json"
     fitted = json.loads(file.read_text())["fitted"]
-    assert list(fusion._BY_OVERLAP) == fitted["overlap"]
-    assert list(fusion._BY_OVERLAP_AND_MINUTIAE) == fitted["overlap_and_minutiae"]
+    assert list(fusion.BY_OVERLAP) == fitted["overlap"]
+    assert list(fusion.BY_OVERLAP_AND_MINUTIAE) == fitted["overlap_and_minutiae"]
 
 
 def test_either_method_alone_counts_where_the_other_failed() -> None:
     none = math.nan
-    assert fusion._score(none, none, 12, none) > 0 > fusion._score(none, none, 2, none)
-    assert fusion._score(none, 0.8, none, 60) > 0 > fusion._score(none, 0.2, none, 60)
-    assert fusion._score(2, 0.6, 3, none) > max(fusion._score(2, 0.2, 3, none), fusion._score(0.4, 0.6, 3, none))
+    assert fused_score(none, none, 12, none) > 0 > fused_score(none, none, 2, none)
+    assert fused_score(none, 0.8, none, 60) > 0 > fused_score(none, 0.2, none, 60)
+    assert fused_score(2, 0.6, 3, none) > max(fused_score(2, 0.2, 3, none), fused_score(0.4, 0.6, 3, none))
 
 
 def test_what_overlaps_counts() -> None:
     """The same agreement of ridges says less where less overlaps, and nothing more beyond a small print."""
     none = math.nan
-    scores = [fusion._score(none, 0.6, none, overlap) for overlap in (10, 30, 90, fusion.SMALL_MM2, 300)]
+    scores = [fused_score(none, 0.6, none, overlap) for overlap in (10, 30, 90, fusion.SMALL_MM2, 300)]
     assert scores[0] < scores[1] < scores[2] < scores[3] == scores[4]
-    assert fusion._score(none, none, none, none) == fusion._score(none, none, 0.0, none) == fusion._LOWEST
+    assert fused_score(none, none, none, none) == fused_score(none, none, 0.0, none) == fusion.BY_BOTH[2]
 
 
 def test_a_photograph_is_compared_at_the_scale_that_fits(templates) -> None:
@@ -168,13 +169,13 @@ def test_a_bent_print_is_laid_back() -> None:
     aside = 7 * np.sin(right / 200 * 2 * np.pi).astype(np.float32)
     moved = cv2.remap(value, right + aside, down, cv2.INTER_LINEAR)
     valid = np.ones((200, 200), np.bool_)
-    grid = patch_grid(moved, valid, 0.1)
+    grid, band = patch_grid(RidgeBand(moved, valid, 0.1)), RidgeBand(value, valid, 0.1)
     still = np.eye(2, 3)
-    found, bend = compare_patches(grid, value, valid, still), None
+    found, bend = compare_patches(grid, band, still), None
     plain = found.mean
     for _ in range(3):
         bend = bent(grid, found, bend)
-        found = compare_patches(grid, value, valid, still, bend)
+        found = compare_patches(grid, band, still, bend)
     assert found.mean > 0.9 > plain + 0.05
     assert bend is not None
     middle = shown_in_a(grid, still, bend, np.array([[50.0, 100.0], [150.0, 100.0]]))

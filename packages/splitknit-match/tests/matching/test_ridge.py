@@ -5,13 +5,14 @@ from __future__ import annotations
 import itertools
 from collections import Counter
 from dataclasses import replace
+from types import ModuleType
 
 import cv2
 import numpy as np
 import pytest
 
 from splitknit.errors import BadInput
-from splitknit_match.matching import ridge
+from splitknit_match.matching import coarse, ridge
 from splitknit_match.matching.ridge import Prepared, ridge_match
 from splitknit_match.matching.ridge_band import RidgeBand
 from splitknit_match.matching.template import Template, failed_template, make_template
@@ -148,19 +149,21 @@ def made(value: np.ndarray, valid: np.ndarray, pitch_mm: float) -> Template:
 def test_the_work_of_a_comparison_is_counted(templates, monkeypatch) -> None:
     """Correlations of whole prints, local comparisons, and spectra: none is made twice for a prepared side."""
     done: Counter[str] = Counter()
-    for name in ("_ridge_view", "_peak", "compare_patches", "_block_directions"):
-        work = getattr(ridge, name)
-        monkeypatch.setattr(ridge, name, lambda *given, _n=name, _w=work: done.update([_n]) or _w(*given))
-    one, same, other = (Prepared(templates[k]) for k in (0, 1, 3))
-    ridge_match(one, same)
-    assert done["_peak"] <= 18  # nine rotations, each there and half a step on
-    assert done["_ridge_view"] <= done["_peak"] + 1
-    assert done["_block_directions"] == 2
+
+    def counted(module: ModuleType, name: str) -> None:
+        work = getattr(module, name)
+        monkeypatch.setattr(module, name, lambda *given, **how: done.update([name]) or work(*given, **how))
+
+    counted(ridge, "compare_patches")
+    counted(coarse, "spectrum_of")
+    first, same, other = (Prepared(templates[k]) for k in (0, 1, 3))
+    ridge_match(first, same)
+    assert done["spectrum_of"] <= 21  # nine rotations, each there and half a step on; B's ridges; directions of both
     assert done["compare_patches"] <= 4  # two candidates, one refinement, the score
     done.clear()
-    ridge_match(one, same)
-    assert done["_ridge_view"] == done["_block_directions"] == 0
-    ridge_match(one, other)
+    ridge_match(first, same)
+    assert done["spectrum_of"] == 0
+    ridge_match(first, other)
     assert done["compare_patches"] <= 8
     own = Prepared(templates[0])
     done.clear()

@@ -52,8 +52,8 @@ def test_a_finger_equals_itself_and_its_score_is_that_of_counting() -> None:
             cut = slice(32 * row, 32 * row + 32), slice(32 * column, 32 * column + 32)
             first, second = (np.bincount(side.labels["relief"][cut].ravel(), minlength=213) for side in (a, b))
             distance += np.abs(first - second).sum()
-    assert found.scores["relief"] == pytest.approx(1 - distance / (4 * 3 * 213))
-    assert found.similarity == pytest.approx(np.mean(list(found.scores.values())))
+    assert found.distances["relief"] == pytest.approx(distance / (4 * 3 * 213))
+    assert found.similarity == pytest.approx(1 - np.mean(list(found.distances.values())))
 
 
 def test_a_finger_that_lies_elsewhere_in_its_picture_is_found() -> None:
@@ -67,7 +67,7 @@ def test_a_finger_that_lies_elsewhere_in_its_picture_is_found() -> None:
 
 def test_what_cannot_be_compared_is_refused() -> None:
     side = code_side(finger(1))
-    with pytest.raises(BadInput, match="different scales"):
+    with pytest.raises(BadInput, match="need one scale"):
         code_match(side, code_side(finger(1, px_per_mm=30)))
     with pytest.raises(BadInput, match="smaller than a cell"):
         code_match(code_side(finger(1, columns=20)), side)

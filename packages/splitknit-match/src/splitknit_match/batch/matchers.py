@@ -86,7 +86,7 @@ def _by_code(a: CodeSide, b: CodeSide) -> Values:
         "similarity": match.similarity,
         "ratio": match.ratio,
         "shift_px": float(match.shift_px),
-        **{f"score_{name}": score for name, score in match.scores.items()},
+        **{f"score_{name}": 1.0 - distance for name, distance in match.distances.items()},
     }
 
 

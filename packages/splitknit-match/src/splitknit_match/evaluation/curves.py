@@ -92,12 +92,13 @@ def draw_det(ax: Any, curves: Sequence[tuple[str, Scores]]) -> None:
     ax.legend()
 
 
-def draw_scores(ax: Any, scores: Scores, threshold: float | None) -> None:
+def draw_scores(ax: Any, scores: Scores) -> None:
     """Histograms of both classes, and the threshold of equal errors."""
     sides = [side[~np.isnan(side)] for side in (scores.genuine, scores.impostor)]
     edges = np.histogram_bin_edges(np.concatenate(sides), 60)
     for side, name in zip(sides, ("genuine", "impostor"), strict=True):
         ax.hist(side, edges, weights=np.full(side.size, 1.0 / side.size), histtype="stepfilled", alpha=0.4, label=name)
+    threshold = roc(scores.genuine, scores.impostor).equal_error().threshold
     if threshold is not None:
         ax.axvline(threshold, color="#222222", linestyle=":", label="EER")
     ax.set(title=scores.name, xlabel="score", ylabel="fraction of its class")

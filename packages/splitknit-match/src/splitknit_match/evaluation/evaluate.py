@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import combinations
@@ -15,17 +14,19 @@ import numpy as np
 from splitknit import BadInput
 from splitknit.errors import require
 from splitknit.model import Progress, no_progress
-from splitknit_match.evaluation import rates
-from splitknit_match.evaluation.fusion import FITS, Fused
+from splitknit_match.evaluation.fusion import Fused
 from splitknit_match.evaluation.fusion import fuse as fuse_systems
 from splitknit_match.evaluation.intervals import DEFAULTS, BootstrapSettings, Interval, Intervals, differences
 from splitknit_match.evaluation.intervals import bootstrap as resample
 from splitknit_match.evaluation.protocol import average_sessions, pair_up
+from splitknit_match.evaluation.rates import error_bound, roc
 from splitknit_match.evaluation.scores import Scores, read_scores
 
 MAX_SYSTEMS = 12
+"""On one page."""
 Cluster = Literal["auto", "plain", "finger", "subject"]
 Fusion = Literal["linear", "minmax", "trained", "all"]
+Source = str | os.PathLike[str] | Scores
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -34,7 +35,6 @@ class Result:
 
     scores: Scores
     intervals: Intervals
-    by_subject: Intervals | None = None  # where fingers are drawn, and subjects are named
 
     @property
     def eer(self) -> Interval:
@@ -74,7 +74,7 @@ class Evaluation:
 
 
 def evaluate(
-    files: str | os.PathLike[str] | Sequence[str | os.PathLike[str]],
+    files: Source | Sequence[Source],
     *,
     dissimilarity: bool = False,
     cluster: Cluster = "auto",
@@ -87,8 +87,8 @@ def evaluate(
 
     Parameters
     ----------
-    files : path, or several
-        Score files, one a system: CSV with genuine and impostor comparisons, see ``docs/guide/evaluation.md``.
+    files : path or Scores, or several
+        One a system. Files are CSV with genuine and impostor comparisons, see ``docs/guide/evaluation.md``.
     dissimilarity : bool
         Whether the scores are distances: lower is more similar.
     cluster : ``auto``, ``plain``, ``finger`` or ``subject``
@@ -120,49 +120,49 @@ def evaluate(
     >>> import splitknit_match
     >>> splitknit_match.evaluate("scores.csv").results[0].eer.value  # doctest: +SKIP
     """
-    paths = [Path(file) for file in ([files] if isinstance(files, str | os.PathLike) else files)]
+    sources = [files] if isinstance(files, str | os.PathLike | Scores) else list(files)
+    paths = [Path(source) for source in sources if not isinstance(source, Scores)]
     require(len(set(paths)) == len(paths), "a score file is named twice; name each once.")
     progress("reading", 0.0)
     tables = {str(path): read_scores(path, dissimilarity=dissimilarity) for path in paths}
-    systems = [table.scores for table in tables.values()]
-    counts, numbers = Counter(system.name for system in systems), Counter[str]()
-    for place, system in enumerate(systems):
-        if counts[system.name] > 1:
-            numbers[system.name] += 1
-            systems[place] = replace(system, name=f"{system.name} ({numbers[system.name]})")
+    named = [source for source in sources if isinstance(source, Scores)] + [table.scores for table in tables.values()]
+    names = [system.name for system in named]
+    systems = []
+    for place, system in enumerate(named):
+        number = f" ({names[: place + 1].count(system.name)})" if names.count(system.name) > 1 else ""
+        systems.append(replace(system, name=system.name + number))
     ignored = dict.fromkeys(column for table in tables.values() for column in table.ignored)
-    evaluation = evaluate_systems(systems, cluster, average, fuse, bootstrap, progress)
     notes = [f"Columns that were not read: {', '.join(ignored)}."] if ignored else []
-    hashes = {path: tables[path].sha256 for path in sorted(tables)}
-    return replace(evaluation, notes=(*notes, *evaluation.notes), inputs_sha256=hashes)
-
-
-def evaluate_systems(  # noqa: PLR0917
-    systems: Sequence[Scores],
-    cluster: Cluster = "auto",
-    average: bool = False,
-    fuse: Fusion | None = None,
-    bootstrap: BootstrapSettings = DEFAULTS,
-    progress: Progress = no_progress,
-) -> Evaluation:
-    """Error rates of systems; see :func:`evaluate`."""
     if fuse == "all" and cluster == "auto":
         cluster = "subject"
-    methods = [name for name in FITS if name != "trained"] if fuse == "all" else [fuse] if fuse else []
+    methods = ("minmax", "linear") if fuse == "all" else (fuse,) if fuse else ()
     fused = {method: fuse_systems(systems, method, bootstrap.seed) for method in methods}
-    every = [*systems, *(each.scores for each in fused.values())]
-    groups = [every, [average_sessions(system) for system in every]] if average else [every]
+    groups = [[*systems, *(fusion.scores for fusion in fused.values())]]
+    if average:
+        groups.append([average_sessions(system) for system in groups[0]])
     count = sum(map(len, groups))
-    fault = f"one report shows {MAX_SYSTEMS} systems and variants at most, but there are {count}"
-    require(count <= MAX_SYSTEMS, f"{fault}; give fewer files.")
-    notes = [note for method, each in fused.items() for note in _fusion_notes(each, method)]
+    require(
+        count <= MAX_SYSTEMS,
+        f"one report shows {MAX_SYSTEMS} systems and variants at most, but there are {count}; give fewer files.",
+    )
+    notes += [note for method, fusion in fused.items() for note in _fusion_notes(fusion, method)]
     results: list[Result] = []
     differing: list[Difference] = []
     for group in groups:
         for system in group:
             progress("resampling", len(results) / count)
-            results.append(_result(system, cluster, bootstrap))
-        pairs = combinations(group, 2) if len(group) <= 4 else ((group[0], other) for other in group[1:])
+            units = _units(system)
+            method = units[0] if cluster == "auto" else cluster
+            require(
+                method in units,
+                f"`cluster` {method} needs columns {method}_a and {method}_b with three of them at least, which "
+                f"{system.name} does not have.",
+            )
+            results.append(Result(system, resample(system, method, bootstrap)))
+            if method == "finger" and "subject" in units:
+                by_subject = resample(system, "subject", replace(bootstrap, curve_points=0))
+                notes += _wider(results[-1], by_subject)
+        pairs = combinations(group, 2) if len(group) <= 4 else ((group[0], system) for system in group[1:])
         for first, second in pairs:
             method = next(result.intervals.method for result in results if result.scores is first)
             try:
@@ -170,74 +170,73 @@ def evaluate_systems(  # noqa: PLR0917
                 differing.append(Difference(first.name, second.name, method, figures))
             except BadInput as error:
                 notes.append(f"Not compared: {error}")
-    for result in results:
-        notes += _notes(result, averaged=all(result.scores is not system for system in every))
-    return Evaluation(tuple(results), tuple(differing), tuple(dict.fromkeys(notes)), fused, bootstrap, {})
+    notes += [note for result in results for note in _notes(result)]
+    hashes = {path: tables[path].sha256 for path in sorted(tables)}
+    return Evaluation(tuple(results), tuple(differing), tuple(dict.fromkeys(notes)), fused, bootstrap, hashes)
 
 
-def _result(scores: Scores, cluster: Cluster, settings: BootstrapSettings) -> Result:
-    """Intervals by what is drawn, and, where that is fingers, by subject for comparison."""
-    allowed = ["plain"]
-    for method in ("subject", "finger"):
-        ids = getattr(scores, method)
-        if ids is not None and np.unique(ids.codes).size >= 3:
-            allowed.append(method)
-    fault = f"`cluster` {cluster} needs columns {cluster}_a and {cluster}_b with three of them at least,"
-    require(cluster == "auto" or cluster in allowed, f"{fault} which {scores.name} does not have.")
-    method = allowed[-1] if cluster == "auto" else cluster
-    found = resample(scores, method, settings)
-    wider = method == "finger" and "subject" in allowed
-    return Result(scores, found, resample(scores, "subject", replace(settings, curve_points=0)) if wider else None)
+def _units(scores: Scores) -> list[str]:
+    """What the bootstrap can draw, best first: fingers and subjects where three are named, comparisons."""
+    named = {"finger": scores.finger, "subject": scores.subject}
+    units = [unit for unit, ids in named.items() if ids is not None and np.unique(ids.codes).size >= 3]
+    return [*units, "plain"]
 
 
-def _notes(result: Result, *, averaged: bool) -> list[str]:
-    """What a reader of a system's figures has to know; of averages, only what differs from single scores."""
+def _wider(result: Result, by_subject: Intervals) -> list[str]:
+    """Whether fingers of one subject hang together, so that intervals drawn by finger are too narrow."""
+    width, wide = (part.figures["eer"].high - part.figures["eer"].low for part in (result.intervals, by_subject))
+    if result.eer.value == 0 or not wide >= 1.3 * width > 0:
+        return []
+    return [
+        f"{result.scores.name}: drawn by subject the interval of the EER is {wide / width:.1f} times as wide, so that "
+        "fingers of one subject are similarly hard; trust the wider one."
+    ]
+
+
+def _notes(result: Result) -> list[str]:
+    """What a reader of a system's figures has to know."""
     scores, name, notes = result.scores, result.scores.name, []
-    roc, impostors = rates.roc(scores.genuine, scores.impostor), scores.impostor.size
+    curve, impostors = roc(scores.genuine, scores.impostor), scores.impostor.size
     targets = [float(key[4:]) for key in result.intervals.figures if key.startswith("gar@") and "_" not in key]
-    lost = [target for target in targets if not roc.at_far(target).resolved]
-    if lost:
-        fars = " or ".join(f"{100 * target:g} %" for target in lost)
-        needed = " or ".join(f"{int(np.ceil(1 / target)):,}" for target in lost)
+    unresolved = [target for target in targets if not curve.at_far(target).resolved]
+    if unresolved:
+        fars = " or ".join(f"{100 * target:g} %" for target in unresolved)
+        needed = " or ".join(f"{int(np.ceil(1 / target)):,}" for target in unresolved)
         notes.append(
             f"{name}: {impostors} impostor comparisons cannot resolve a FAR of {fars} ({needed} are needed for one "
             "false accept). The GAR is that at FAR 0, where the FAR may in truth be up to "
-            f"{100 * rates.error_bound(0.0, impostors):.2g} % (95 %, rule of three)."
+            f"{100 * error_bound(0.0, impostors):.2g} % (95 %, rule of three)."
         )
-    if averaged:
-        return notes
     missing = int(np.isnan(scores.score).sum())
     if missing:
-        none = f"{missing} of {scores.score.size} comparisons gave no score"
-        notes.append(f"{name}: {none}. FAR and GAR count them as rejections, FMR and FNMR leave them out.")
-    if roc.auc() < 0.5:
-        cure = "if they are distances, use `dissimilarity`."
-        notes.append(f"{name}: genuine scores are lower than impostor ones; {cure}")
-    drawn, method = result.intervals.drawn, result.intervals.method
-    if drawn < 20:
-        notes.append(f"{name}: only {drawn} to draw from ({method}), so that its intervals are rough.")
-    if result.by_subject is not None:
-        wide, own = (one.figures["eer"].high - one.figures["eer"].low for one in (result.by_subject, result.intervals))
-        if result.eer.value > 0 and wide >= 1.3 * own > 0:
-            wider = f"drawn by subject the interval of the EER is {wide / own:.1f} times as wide"
-            notes.append(f"{name}: {wider}, so that fingers of one subject are similarly hard; trust the wider one.")
+        notes.append(
+            f"{name}: {missing} of {scores.score.size} comparisons gave no score. FAR and GAR count them as "
+            "rejections, FMR and FNMR leave them out."
+        )
+    if curve.auc() < 0.5:
+        notes.append(
+            f"{name}: genuine scores are lower than impostor ones; if they are distances, use `dissimilarity`."
+        )
+    if result.intervals.drawn < 20:
+        notes.append(
+            f"{name}: only {result.intervals.drawn} to draw from ({result.intervals.method}), so that its intervals "
+            "are rough."
+        )
     return notes
 
 
 def _fusion_notes(fused: Fused, method: str) -> list[str]:
-    fractions = ", ".join(f"{name} {weight:.2f}" for name, weight in zip(fused.systems, fused.weights, strict=True))
+    weights = ", ".join(f"{name} {weight:.2f}" for name, weight in zip(fused.systems, fused.weights, strict=True))
     notes = [
         f"'{fused.scores.name}' joins {len(fused.systems)} systems. Each {fused.by} belongs to one of {fused.folds} "
         "folds; every comparison was scored by a model that saw nothing of the folds of its two sides. Mean weights of "
-        f"the normalised scores: {fractions}."
+        f"the normalised scores: {weights}."
     ]
     if fused.by == "finger":
         notes.append(
             "Subjects are not named, so that fusion may have learned from other fingers of who it was tested on."
         )
     if any(fused.missing):
-        counts = ", ".join(f"{name} {count}" for name, count in zip(fused.systems, fused.missing, strict=True))
-        trained = "it counts as the mean, and that it is missing as a feature of its own"
-        then = trained if method == "trained" else "its weight goes to the others"
-        notes.append(f"Missing scores in the fusion ({counts}): where one is missing, {then}.")
+        instead = "it counts as the mean" if method == "trained" else "its weight goes to the others"
+        notes.append(f"Scores are missing in the fusion ({sum(fused.missing)}): where one is, {instead}.")
     return notes

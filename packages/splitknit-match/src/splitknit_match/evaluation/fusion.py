@@ -11,8 +11,7 @@ to fused scores.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
-from itertools import combinations_with_replacement
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -20,13 +19,16 @@ from numpy.typing import NDArray
 from scipy.optimize import minimize
 from scipy.special import expit
 
+from splitknit import BadInput
 from splitknit.errors import require
 from splitknit_match.evaluation.protocol import pair_up
 from splitknit_match.evaluation.rates import Values
 from splitknit_match.evaluation.scores import Scores
 
-FOLDS = 5  # fewer where there are fewer subjects
-PENALTY = 1e-3  # of the logistic regression: on half the sum of the squared weights, where the mean loss is 1
+FOLDS = 5
+"""Fewer where there are fewer subjects."""
+PENALTY = 1e-3
+"""Of the logistic regression: on half the sum of the squared weights, where the mean loss is 1."""
 Labels = NDArray[np.bool_]
 Model = Callable[[Values], Values]
 
@@ -60,21 +62,29 @@ def fuse(systems: Sequence[Scores], method: str = "trained", seed: int = 0) -> F
     """
     require(len(systems) >= 2, "a fusion needs two systems at least; give several score files.")
     first = systems[0]
-    aligned = [first, *(pair_up(first, other) for other in systems[1:])]
+    aligned = [first, *(pair_up(first, system) for system in systems[1:])]
     by, ids = ("finger", first.finger) if first.subject is None else ("subject", first.subject)
-    fault = f"{first.name}: a fusion needs columns subject_a and subject_b (or finger_a and finger_b),"
-    require(ids is not None, f"{fault} so as never to be trained on those that it is tested on.")
-    assert ids is not None
+    if ids is None:
+        raise BadInput(
+            f"{first.name}: a fusion needs columns subject_a and subject_b (or finger_a and finger_b), so as never to "
+            "be trained on those that it is tested on."
+        )
     used = np.unique(ids.codes)
     require(used.size >= 3, f"a fusion needs three subjects (or fingers) at least, but there are {used.size}.")
     folds = min(FOLDS, used.size)
     fold_of = np.zeros(len(ids.names), dtype=np.int64)
     fold_of[np.random.default_rng([seed, 0xF05E]).permutation(used)] = np.arange(used.size) % folds
-    table = np.stack([one.score for one in aligned], axis=1)
+    table = np.stack([system.score for system in aligned], axis=1)
     models, weights, fused = _cross_fit(table, first.label, fold_of[ids.codes], FITS[method])
-    scores = Scores(first.label, fused, first.finger, first.subject, first.session, f"fused, {method}")
-    missing = tuple(int(count) for count in np.isnan(table).sum(axis=0))
-    return Fused(scores, tuple(one.name for one in aligned), by, folds, models, weights, missing)
+    return Fused(
+        scores=replace(first, score=fused, name=f"fused, {method}"),
+        systems=tuple(system.name for system in aligned),
+        by=by,
+        folds=folds,
+        models=models,
+        weights=weights,
+        missing=tuple(np.isnan(table).sum(axis=0).tolist()),
+    )
 
 
 def _cross_fit(
@@ -83,20 +93,21 @@ def _cross_fit(
     """Score every comparison by a model that saw nobody of the folds (N, 2) of its sides: models by pair of folds, mean
     weights (S,), and scores (N,).
     """
-    low, high = fold.min(axis=1), fold.max(axis=1)
-    models, weights = {}, []
+    fold = np.sort(fold, axis=1)
+    known = ~np.isnan(table).all(axis=1)
     fused = np.full(len(table), np.nan)
-    there = ~np.isnan(table).all(axis=1)
-    for i, j in combinations_with_replacement(range(int(high.max()) + 1), 2):
-        chosen = (low == i) & (high == j)
-        if not chosen.any():
-            continue
-        seen = there & ~np.isin(fold, (i, j)).any(axis=1)
-        fault = "without the subjects of two folds no genuine or no impostor scores are left to learn from"
-        require(len(np.unique(genuine[seen])) == 2, f"{fault}; give more subjects.")
-        weight, models[i, j] = fit(table[seen], genuine[seen])
+    models, weights = {}, []
+    for low, high in np.unique(fold, axis=0).tolist():
+        tested = (fold == (low, high)).all(axis=1) & known
+        seen = known & ~np.isin(fold, (low, high)).any(axis=1)
+        require(
+            len(np.unique(genuine[seen])) == 2,
+            "without the subjects of two folds no genuine or no impostor scores are left to learn from; give more "
+            "subjects.",
+        )
+        weight, models[low, high] = fit(table[seen], genuine[seen])
         weights.append(weight)
-        fused[chosen & there] = models[i, j](table[chosen & there])
+        fused[tested] = models[low, high](table[tested])
     return models, np.mean(weights, axis=0), fused
 
 
@@ -141,9 +152,9 @@ def fit_logistic(scores: Values, genuine: Labels) -> tuple[Values, Model]:
         rate = expit(x @ w)
         return np.asarray((x * (fraction * rate * (1 - rate))[:, None]).T @ x + np.diag(hold + 1e-12))
 
-    how: Any = {"jac": True, "hess": curvature, "method": "trust-exact", "options": {"gtol": 1e-12}}
-    answer = minimize(loss, np.zeros(x.shape[1]), **how).x
-    return answer[: scores.shape[1]], lambda table: design(table) @ answer
+    start: Any = np.zeros(x.shape[1])
+    weights = minimize(loss, start, jac=True, hess=curvature, method="trust-exact", options={"gtol": 1e-12}).x
+    return weights[: scores.shape[1]], lambda table: design(table) @ weights
 
 
 FITS = {"minmax": fit_minmax, "linear": fit_linear, "trained": fit_logistic}
@@ -152,8 +163,11 @@ FITS = {"minmax": fit_minmax, "linear": fit_linear, "trained": fit_logistic}
 def spread(scores: Values) -> tuple[Values, Values]:
     """Mean and standard deviation (S,) of each system."""
     known: Any = np.ma.masked_invalid(scores)
-    mean, spread = (each.filled(0.0) for each in (known.mean(axis=0), known.std(axis=0)))
-    flat = spread <= 1e-12 * np.maximum(1.0, np.abs(mean))
-    fault = f"the scores of system {int(np.argmax(flat)) + 1} of {flat.size} do not vary in the part to learn from"
-    require(not flat.any(), f"{fault}; leave it out of the fusion.")
-    return mean, spread
+    mean, deviation = known.mean(axis=0).filled(0.0), known.std(axis=0).filled(0.0)
+    flat = deviation <= 1e-12 * np.maximum(1.0, np.abs(mean))
+    require(
+        not flat.any(),
+        f"the scores of system {int(np.argmax(flat)) + 1} of {flat.size} do not vary in the part to learn from; leave "
+        "it out of the fusion.",
+    )
+    return mean, deviation

@@ -24,7 +24,8 @@ from splitknit_match.matching.template import unpack
 from splitknit_match.prints.minutiae import minutiae_match
 from splitknit_match.prints.minutiae_record import holds_minutiae, unpack_minutiae
 
-_BLOCK = 32  # fingers kept ready at a time: 2 to 9 MB each
+_BLOCK = 32
+"""Fingers kept ready at a time: 2 to 9 MB each."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -44,32 +45,34 @@ def gallery_scores(path: Path, *, key: Key | None = None, progress: Progress = n
     """
     with GalleryFile(path, key) as opened:
         people = opened.people()
-    sha256, encrypted = file_hash(path), key is not None
-    rows, templates = list(people.entries.values()), people.templates
-    names = list(dict.fromkeys(one.person for one in rows))
-    shown = {name: f"P{number:03d}" if encrypted else name for number, name in enumerate(names, start=1)}
-    persons = [shown[one.person] for one in rows]
-    sessions = sorted({one.session for one in rows}, key=session_order)
-    when = [sessions.index(one.session) for one in rows]
-    fingers = [f"{person}/{one.finger}" for person, one in zip(persons, rows, strict=True)]
+    captures = list(people.entries.values())
+    persons = [capture.person for capture in captures]
+    if key is not None:
+        numbers = {person: f"P{number:03d}" for number, person in enumerate(dict.fromkeys(persons), start=1)}
+        persons = [numbers[person] for person in persons]
+    sessions = [capture.session for capture in captures]
+    order = {session: place for place, session in enumerate(sorted(set(sessions), key=session_order))}
+    fingers = [f"{person}/{capture.finger}" for person, capture in zip(persons, captures, strict=True)]
     try:
-        pairs = comparisons(fingers, when, within=True)
-        score, note, method = _similarities([templates[one.row] for one in rows], pairs, progress)
-        session_names = [one.session for one in rows]
-        scores = scores_of_comparisons(pairs, score, fingers, session_names, persons, name=path.stem)
+        pairs = comparisons(fingers, [order[session] for session in sessions], within=True)
+        payloads = [people.templates[capture.row] for capture in captures]
+        score, note, method = _similarities(payloads, pairs, progress)
+        scores = scores_of_comparisons(pairs, score, fingers, sessions, persons, name=path.stem)
     except BadInput as error:
         raise BadInput(f"the gallery '{path}' cannot be evaluated: {error}") from error
-    failures = sum(one.template_bytes == 0 for one in rows)
-    notes = [f"{failures} of {len(rows)} captures are failures to acquire."] if failures else []
+    failures = sum(capture.template_bytes == 0 for capture in captures)
+    notes = [f"{failures} of {len(captures)} captures are failures to acquire."] if failures else []
     if note:
         notes.append(note)
-    if encrypted:
+    if key is not None:
         notes.append("The gallery is encrypted: its people are numbered in the order of enrolment.")
-    named = {"finger": [one.finger for one in rows], "subject": persons, "session": session_names}
-    sides = pairs.a.tolist(), pairs.b.tolist()
-    both = {kind: ([own[n] for n in sides[0]], [own[n] for n in sides[1]]) for kind, own in named.items()}
-    table = score_table(pairs.genuine.tolist(), both, {"score": score.tolist()})
-    return GalleryScores(scores, table, sha256, tuple(notes), method)
+    columns = {"finger": [capture.finger for capture in captures], "subject": persons, "session": sessions}
+    names = {
+        kind: ([column[place] for place in pairs.a], [column[place] for place in pairs.b])
+        for kind, column in columns.items()
+    }
+    table = score_table(pairs.genuine.tolist(), names, {"score": score.tolist()})
+    return GalleryScores(scores, table, file_hash(path), tuple(notes), method)
 
 
 def _similarities(
@@ -80,12 +83,12 @@ def _similarities(
     Pairs go in blocks of second sides, one first side after the other, so that what is kept ready is small.
     """
     if any(holds_minutiae(payload) for payload in payloads):
-        sides = [unpack_minutiae(payload) for payload in payloads]
-        both = [(sides[a], sides[b]) for a, b in zip(pairs.a.tolist(), pairs.b.tolist(), strict=True)]
-        found = [minutiae_match(a, b) if a.acquired and b.acquired else np.nan for a, b in both]
-        return np.array(found), None, "minutiae"
+        minutiae = [unpack_minutiae(payload) for payload in payloads]
+        sides = ((minutiae[a], minutiae[b]) for a, b in zip(pairs.a, pairs.b, strict=True))
+        scores = [minutiae_match(a, b) if a.acquired and b.acquired else np.nan for a, b in sides]
+        return np.array(scores), None, "minutiae"
     templates = [unpack(payload) for payload in payloads]
-    fused, note = with_fusion([one for one in templates if not one.empty])
+    fused, note = with_fusion([template for template in templates if not template.empty])
     match = fused_match if fused else ridge_match
     prepared = lru_cache(_BLOCK + 1)(lambda place: Prepared(templates[place]))
     score = np.full(pairs.a.size, np.nan)

@@ -29,13 +29,13 @@ from numpy.typing import NDArray
 
 from splitknit.errors import require
 from splitknit.settings import Checked, Limits
-from splitknit_match.evaluation import rates
-from splitknit_match.evaluation.rates import CONFIDENCE, Ranked, Values, error_bound, rank
+from splitknit_match.evaluation.rates import CONFIDENCE, Roc, Values, error_bound, rank, roc
 from splitknit_match.evaluation.scores import Scores
 
 TARGETS = (0.01, 0.001, 0.0001)
 METHODS = ("plain", "finger", "subject")
-FEW = 5  # fingers (subjects, comparisons) below which percentiles of replicates are not trusted alone
+FEW = 5
+"""Fingers (subjects, comparisons) below which percentiles of replicates are not trusted alone."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -53,6 +53,7 @@ class BootstrapSettings(Checked):
 
 
 DEFAULTS = BootstrapSettings()
+_NO_FARS: Values = np.zeros(0)
 
 
 @dataclass(frozen=True, slots=True)
@@ -80,18 +81,19 @@ class Intervals:
 def bootstrap(scores: Scores, method: str = "plain", settings: BootstrapSettings = DEFAULTS) -> Intervals:
     """All figures of `scores` with percentile intervals of 95 %. Raises BadInput if `method` lacks its ids."""
     falling = scores.taken(np.argsort(-scores.score, kind="stable"))
-    curve = _curve(scores, settings.curve_points)
-    ((values, rows),) = _resampled([falling], method, settings, curve)
-    lows, highs = _limits(rows)
+    lowest = min(0.1, 1.0 / falling.impostor.size)
+    curve_far = np.geomspace(lowest, 1.0, settings.curve_points) if settings.curve_points else np.zeros(0)
+    ((values, replicates),) = _resampled([falling], method, settings, curve_far)
+    lows, highs = _percentiles(replicates)
     bounds = _bounds(falling, method, settings.targets)
     names = figure_names(settings.targets)
     figures = {
-        name: _holding(value, low, high, *bounds.get(name, ()))
+        name: _interval(value, low, high, *bounds.get(name, ()))
         for name, value, low, high in zip(names, values, lows, highs, strict=False)
         if np.isfinite(value)
     }
-    band = slice(len(names), None)
-    return Intervals(method, _drawn(falling, method)[1], figures, np.array(curve), lows[band], highs[band])
+    _, clusters = _clusters(falling, method)
+    return Intervals(method, clusters, figures, curve_far, lows[len(names) :], highs[len(names) :])
 
 
 def differences(
@@ -103,43 +105,39 @@ def differences(
     """
     same = np.array_equal(first.label, second.label)
     require(same, f"'{first.name}' and '{second.name}' did not score the same pairs; their labels differ.")
-    (one, rows), (other, more) = _resampled([first, second], method, settings)
-    ends = zip(figure_names(settings.targets), one - other, *_limits(rows - more), strict=True)
-    return {name: _holding(value, low, high) for name, value, low, high in ends if np.isfinite(value)}
+    (values, replicates), (values_2, replicates_2) = _resampled([first, second], method, settings)
+    ends = _percentiles(replicates - replicates_2)
+    rows = zip(figure_names(settings.targets), values - values_2, *ends, strict=True)
+    return {name: _interval(value, low, high) for name, value, low, high in rows if np.isfinite(value)}
 
 
 def figure_names(targets: Sequence[float]) -> list[str]:
     """Names of the figures, in the order of :func:`_figures`."""
-    gars = [f"gar@{target:g}" for target in targets]
-    return ["eer", *gars, "eer_made", *(f"{name}_made" for name in gars), "auc", "d_prime"]
+    rates = ["eer", *(f"gar@{target:g}" for target in targets)]
+    return [*rates, *(f"{name}_made" for name in rates), "auc", "d_prime"]
 
 
-def _figures(
-    ranked: Ranked, weights: Sequence[Values], targets: Sequence[float], curve: Sequence[float]
-) -> list[float]:
-    """Figures where the comparisons of each class, falling, count `weights` times; NaN where a class is missing."""
-    roc = ranked.roc(weights)
-    made = roc.made()
+def _figures(curve: Roc, targets: Sequence[float], fars: Values) -> list[float]:
+    """Figures of a ROC, and its GAR at some FARs; NaN where a class is missing."""
+    made = curve.made()
     if min(made.tried) <= 0:
-        return [float("nan")] * (2 * len(targets) + len(curve) + 4)
-    whole = [roc.equal_error().value, *roc.gars(targets)]
-    of_made = [made.equal_error().value, *made.gars(targets)]
-    return [*whole, *of_made, roc.auc(), ranked.d_prime(weights), *roc.gars(curve)]
+        return [float("nan")] * (2 * len(targets) + len(fars) + 4)
+    rates = [rate for part in (curve, made) for rate in (part.equal_error().value, *part.gars(targets))]
+    return [*rates, curve.auc(), curve.d_prime(), *curve.gars(fars)]
 
 
 def _resampled(
-    systems: Sequence[Scores], method: str, settings: BootstrapSettings, curve: Sequence[float] = ()
+    systems: Sequence[Scores], method: str, settings: BootstrapSettings, fars: Values = _NO_FARS
 ) -> list[tuple[Values, Values]]:
     """Figures (F,) of each system, and (replicates, F) those of the same replicates for all systems."""
-    ranks = [rank(one.genuine, one.impostor) for one in systems]
-    once = [np.ones(order.size) for order in ranks[0].order]
-    values = [np.array(_figures(ranked, once, settings.targets, curve)) for ranked in ranks]
-    rows = [np.empty((settings.replicates, one.size)) for one in values]
-    for done, weights in enumerate(_weights(systems[0], method, settings)):
-        for ranked, table in zip(ranks, rows, strict=True):
+    ranks = [rank(system.genuine, system.impostor) for system in systems]
+    replicates: list[list[list[float]]] = [[] for _ in systems]
+    for weights in _weights(systems[0], method, settings):
+        for ranked, figures in zip(ranks, replicates, strict=True):
             falling = [weight[order] for weight, order in zip(weights, ranked.order, strict=True)]
-            table[done] = _figures(ranked, falling, settings.targets, curve)
-    return list(zip(values, rows, strict=True))
+            figures.append(_figures(ranked.roc(falling), settings.targets, fars))
+    values = [_figures(roc(system.genuine, system.impostor), settings.targets, fars) for system in systems]
+    return [(np.array(own), np.array(rows)) for own, rows in zip(values, replicates, strict=True)]
 
 
 def _weights(scores: Scores, method: str, settings: BootstrapSettings) -> Iterator[Sequence[Values]]:
@@ -149,57 +147,48 @@ def _weights(scores: Scores, method: str, settings: BootstrapSettings) -> Iterat
     def draw(count: int) -> Values:
         return np.bincount(generator.integers(0, count, count), minlength=count).astype(float)
 
-    if method != "plain":
-        codes, clusters = _drawn(scores, method)
-        a, b = codes.T
-        b = np.where(a == b, clusters, b)  # which counts once
-        sides = [(a[side], b[side]) for side in (scores.label, ~scores.label)]
-        for _ in range(settings.replicates):
+    codes, clusters = _clusters(scores, method)
+    a, b = codes.T
+    b = np.where(a == b, clusters, b)  # which counts once
+    for _ in range(settings.replicates):
+        if method == "plain":
+            yield draw(scores.genuine.size), draw(scores.impostor.size)
+        else:
             times = np.append(draw(clusters), 1.0)
-            yield [times[one] * times[other] for one, other in sides]
-        return
-    sizes = scores.genuine.size, scores.impostor.size
-    batch = max(1, min(32, 1_000_000 // max(sizes)))
-    for start in range(0, settings.replicates, batch):
-        count = min(batch, settings.replicates - start)
-        genuine, impostor = ([draw(size) for _ in range(count)] for size in sizes)
-        yield from zip(genuine, impostor, strict=True)
+            weight = times[a] * times[b]
+            yield weight[scores.label], weight[~scores.label]
 
 
-def _drawn(scores: Scores, method: str) -> tuple[NDArray[np.int64], int]:
+def _clusters(scores: Scores, method: str) -> tuple[NDArray[np.int64], int]:
     """(N, 2) what each comparison is drawn with, and how many of them there are; of ``plain`` those
     of the smaller class limit what is known.
     """
     require(method in METHODS, f"the bootstrap draws by {', '.join(METHODS)}, not by '{method}'.")
     if method == "plain":
-        genuine = int(scores.label.sum())
         places = np.arange(scores.label.size)
-        return np.stack([places, places], axis=1), min(genuine, scores.label.size - genuine)
+        return np.stack([places, places], axis=1), min(scores.genuine.size, scores.impostor.size)
     ids = getattr(scores, method)
     require(ids is not None, f"{scores.name}: to draw by {method}, columns {method}_a and {method}_b are needed.")
     used, codes = np.unique(ids.codes, return_inverse=True)
-    fault = f"{scores.name}: a bootstrap by {method} needs three of them at least,"
-    require(used.size >= 3, f"{fault} but there are {used.size}.")
+    require(
+        used.size >= 3,
+        f"{scores.name}: a bootstrap by {method} needs three of them at least, but there are {used.size}.",
+    )
     return codes.reshape(ids.codes.shape), int(used.size)
 
 
-def _curve(scores: Scores, points: int) -> tuple[float, ...]:
-    lowest = min(0.1, 1.0 / int(np.sum(~scores.label)))
-    return tuple(float(far) for far in np.geomspace(lowest, 1.0, points)) if points else ()
-
-
-def _limits(rows: Values) -> Values:
+def _percentiles(rows: Values) -> Values:
     """(2, F) percentiles over replicates; those in which a class was not drawn at all are left out."""
     tail = (1 - CONFIDENCE) / 2
     limits = np.full((2, rows.shape[1]), np.nan)
-    for place, column in enumerate(rows.T):
+    for limit, column in zip(limits.T, rows.T, strict=True):
         known = column[np.isfinite(column)]
         if known.size:
-            limits[:, place] = np.quantile(known, [tail, 1 - tail])
+            limit[:] = np.quantile(known, [tail, 1 - tail])
     return limits
 
 
-def _holding(value: float, *limits: float) -> Interval:
+def _interval(value: float, *limits: float) -> Interval:
     known = [float(limit) for limit in (value, *limits) if np.isfinite(limit)]
     return Interval(float(value), min(known), max(known))
 
@@ -212,24 +201,25 @@ def _bounds(scores: Scores, method: str, targets: Sequence[float]) -> dict[str, 
     independent trials as there are fingers, as if all comparisons of a finger failed together: cautious, and where
     nothing failed the rule of three.
     """
-    genuine, roc = scores.genuine, rates.roc(scores.genuine, scores.impostor)
-    drawn = _drawn(scores, method)[0][scores.label, 0]
+    genuine = scores.genuine
+    whole = roc(genuine, scores.impostor)
+    clusters = _clusters(scores, method)[0][scores.label, 0]
     limits = {}
-    for curve, known, ending in (
-        (roc, np.ones_like(genuine, dtype=bool), ""),
-        (roc.made(), ~np.isnan(genuine), "_made"),
+    for curve, tried, ending in (
+        (whole, np.ones(genuine.size, dtype=bool), ""),
+        (whole.made(), ~np.isnan(genuine), "_made"),
     ):
+        trials = np.unique(clusters[tried]).size
 
-        def upper(rate: float, hit: NDArray[np.bool_], tried: NDArray[np.int64] = drawn[known]) -> float:
-            few = np.unique(drawn[hit]).size < FEW
-            return error_bound(rate, np.unique(tried).size) if few else rate
+        def upper(rate: float, errors: NDArray[np.bool_], trials: int = trials) -> float:
+            return error_bound(rate, trials) if np.unique(clusters[errors]).size < FEW else rate
 
         equal = curve.equal_error()
-        limits[f"eer{ending}"] = equal.value, upper(equal.value, known & ~_accepted(genuine, equal.threshold))
+        limits[f"eer{ending}"] = equal.value, upper(equal.value, tried & ~_accepted(genuine, equal.threshold))
         for target in targets:
             point = curve.at_far(target)
             accepted = _accepted(genuine, point.threshold)
-            low = 1.0 - upper(1.0 - point.gar, known & ~accepted)
+            low = 1.0 - upper(1.0 - point.gar, tried & ~accepted)
             limits[f"gar@{target:g}{ending}"] = low, upper(point.gar, accepted)
     return limits
 

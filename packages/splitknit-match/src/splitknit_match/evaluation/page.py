@@ -16,10 +16,10 @@ from splitknit import BadInput
 from splitknit.io.atomic import atomic_folder
 from splitknit.io.provenance import json_text, plain_json, provenance
 from splitknit.report import template
-from splitknit_match.evaluation import curves, rates
+from splitknit_match.evaluation import curves
 from splitknit_match.evaluation.evaluate import Evaluation, Result
-from splitknit_match.evaluation.fusion import Fused
 from splitknit_match.evaluation.intervals import BootstrapSettings, Interval
+from splitknit_match.evaluation.rates import CONFIDENCE, roc
 
 FORMAT = "splitknit-evaluation"
 _DRAWN_BY = {"plain": "comparisons", "finger": "fingers", "subject": "subjects"}
@@ -37,11 +37,21 @@ def write_evaluation(
         charts, uncharted = {}, str(error)
     files = {**tables, **charts}
     facts = _facts(evaluation, settings) | {"files": ["report.html", "report.json", *files]}
-    pictures = {name: base64.b64encode(data).decode() for name, data in charts.items()}
+    page = template(Path(__file__).with_name("evaluation.html")).render(
+        facts=facts,
+        drawn_by=_DRAWN_BY,
+        charts={name: base64.b64encode(data).decode() for name, data in charts.items()},
+        uncharted=uncharted[:1].upper() + uncharted[1:],
+        rate=_percent,
+        interval=interval,
+        change=_change,
+        number=_number,
+        far=lambda key: f"{100 * float(key):g} %",
+    )
     with atomic_folder(out) as folder:
         for name, data in files.items():
             (folder / name).write_bytes(data)
-        (folder / "report.html").write_text(_page(facts, pictures, uncharted), encoding="utf-8")
+        (folder / "report.html").write_text(str(page), encoding="utf-8")
         (folder / "report.json").write_text(json_text(facts), encoding="utf-8")
     return facts
 
@@ -49,8 +59,7 @@ def write_evaluation(
 def _facts(evaluation: Evaluation, settings: Mapping[str, Any]) -> dict[str, Any]:
     bootstrap = evaluation.bootstrap
     systems = {result.scores.name: _system(result, bootstrap) for result in evaluation.results}
-    first = evaluation.results[0].scores.name
-    fusions = {method: _fusion(method, fused, bootstrap.seed) for method, fused in evaluation.fused.items()}
+    first = next(iter(systems))
     return {
         "format": FORMAT,
         "version": 1,
@@ -61,10 +70,27 @@ def _facts(evaluation: Evaluation, settings: Mapping[str, Any]) -> dict[str, Any
         "gar_at_far": systems[first]["gar_at_far"],
         "systems": systems,
         "differences": [
-            {"first": one.first, "second": one.second, "method": one.method, **_rates(one.figures, bootstrap.targets)}
-            for one in evaluation.differences
+            {
+                "first": difference.first,
+                "second": difference.second,
+                "method": difference.method,
+                **_rates(difference.figures, bootstrap.targets),
+            }
+            for difference in evaluation.differences
         ],
-        "fusions": fusions,
+        "fusions": {
+            method: {
+                "method": method,
+                "systems": list(fused.systems),
+                "dealt_by": fused.by,
+                "folds": fused.folds,
+                "seed": bootstrap.seed,
+                "models": len(fused.models),
+                "mean_weights": dict(zip(fused.systems, fused.weights.tolist(), strict=True)),
+                "missing": dict(zip(fused.systems, fused.missing, strict=True)),
+            }
+            for method, fused in evaluation.fused.items()
+        },
         "notes": list(evaluation.notes),
         "settings": {**settings, "bootstrap": plain_json(bootstrap)},
         "inputs_sha256": dict(evaluation.inputs_sha256),
@@ -83,96 +109,69 @@ def _rates(figures: Mapping[str, Interval], targets: Sequence[float]) -> dict[st
 
 def _system(result: Result, settings: BootstrapSettings) -> dict[str, Any]:
     scores, intervals = result.scores, result.intervals
-    roc = rates.roc(scores.genuine, scores.impostor)
+    curve = roc(scores.genuine, scores.impostor)
     missing = [int(np.isnan(side).sum()) for side in (scores.genuine, scores.impostor)]
-    made = {far: intervals.figures[f"gar@{far:g}_made"] for far in settings.targets}
-    gar = roc.gars(intervals.curve_far)
+    fnmr = {}
+    for far in settings.targets:
+        gar = intervals.figures[f"gar@{far:g}_made"]
+        fnmr[f"{far:g}"] = {"value": 1.0 - gar.value, "low": 1.0 - gar.high, "high": 1.0 - gar.low}
+    gars = curve.gars(intervals.curve_far)
     return {
         **_rates(intervals.figures, settings.targets),
-        "fnmr_at_fmr": {
-            f"{far:g}": {"value": 1.0 - one.value, "low": 1.0 - one.high, "high": 1.0 - one.low}
-            for far, one in made.items()
-        },
+        "fnmr_at_fmr": fnmr,
         "comparisons": {"genuine": scores.genuine.size, "impostor": scores.impostor.size},
         "failures_to_acquire": {
             "genuine": missing[0],
             "impostor": missing[1],
             "rate": sum(missing) / scores.score.size,
         },
-        "equal_error": asdict(roc.equal_error()),
-        "operating_points": {f"{far:g}": asdict(roc.at_far(far)) for far in settings.targets},
+        "equal_error": asdict(curve.equal_error()),
+        "operating_points": {f"{far:g}": asdict(curve.at_far(far)) for far in settings.targets},
         "bootstrap": {
             "method": intervals.method,
             "drawn": intervals.drawn,
             "replicates": settings.replicates,
-            "confidence": rates.CONFIDENCE,
+            "confidence": CONFIDENCE,
             "seed": settings.seed,
         },
         "roc": {
             "far": intervals.curve_far.tolist(),
-            "gar": gar,
-            "low": np.minimum(intervals.curve_low, gar).tolist(),
-            "high": np.maximum(intervals.curve_high, gar).tolist(),
+            "gar": gars,
+            "low": np.minimum(intervals.curve_low, gars).tolist(),
+            "high": np.maximum(intervals.curve_high, gars).tolist(),
         },
     }
-
-
-def _fusion(method: str, fused: Fused, seed: int) -> dict[str, Any]:
-    return {
-        "method": method,
-        "systems": list(fused.systems),
-        "dealt_by": fused.by,
-        "folds": fused.folds,
-        "seed": seed,
-        "models": len(fused.models),
-        "mean_weights": dict(zip(fused.systems, fused.weights.tolist(), strict=True)),
-        "missing": dict(zip(fused.systems, fused.missing, strict=True)),
-    }
-
-
-def _page(facts: Mapping[str, Any], charts: Mapping[str, str], uncharted: str) -> str:
-    html = template(Path(__file__).with_name("evaluation.html")).render(
-        facts=facts,
-        drawn_by=_DRAWN_BY,
-        charts=charts,
-        uncharted=uncharted[:1].upper() + uncharted[1:],
-        rate=_rate,
-        interval=interval,
-        change=_change,
-        number=_number,
-        far=lambda key: f"{100 * float(key):g} %",
-    )
-    return str(html)
 
 
 def _charts(results: Sequence[Result]) -> dict[str, bytes]:
     """Curves of all systems together, and a histogram of each."""
     systems = [result.scores for result in results]
-    bands = [(one.intervals.curve_far, one.intervals.curve_low, one.intervals.curve_high) for one in results]
-    banded = [band if band[0].size and len(results) <= 3 else None for band in bands]
-    named = [scores.name for scores in systems]
+    bands = []
+    for result in results:
+        band = result.intervals.curve_far, result.intervals.curve_low, result.intervals.curve_high
+        bands.append(band if band[0].size and len(results) <= 3 else None)
 
     def histograms(*axes: Any) -> None:
         for ax, scores in zip(axes, systems, strict=True):
-            threshold = rates.roc(scores.genuine, scores.impostor).equal_error().threshold
-            curves.draw_scores(ax, scores, threshold)
+            curves.draw_scores(ax, scores)
 
+    named = [(scores.name, scores) for scores in systems]
+    banded = [(*named_scores, band) for named_scores, band in zip(named, bands, strict=True)]
     return {
-        "roc.svg": curves.chart(lambda ax: curves.draw_roc(ax, list(zip(named, systems, banded, strict=True)))),
-        "det.svg": curves.chart(lambda ax: curves.draw_det(ax, list(zip(named, systems, strict=True))), 4.2, 4.2),
+        "roc.svg": curves.chart(lambda ax: curves.draw_roc(ax, banded)),
+        "det.svg": curves.chart(lambda ax: curves.draw_det(ax, named), 4.2, 4.2),
         "scores.svg": curves.chart(histograms, count=len(systems)),
     }
 
 
-def _rate(value: float) -> str:
-    small = 0 < abs(100 * value) < 0.1
-    return f"{100 * value:.2g} %" if small else f"{100 * value:.2f} %"
+def _percent(rate: float) -> str:
+    return f"{100 * rate:.2g} %" if 0 < abs(100 * rate) < 0.1 else f"{100 * rate:.2f} %"
 
 
 def interval(rate: Mapping[str, float]) -> str:
     """A fraction with its interval."""
-    low, high = (_rate(rate[end]).removesuffix(" %") for end in ("low", "high"))
-    return f"{_rate(rate['value'])} ({low} to {high})"
+    low, high = (_percent(rate[end]).removesuffix(" %") for end in ("low", "high"))
+    return f"{_percent(rate['value'])} ({low} to {high})"
 
 
 def _change(rate: Mapping[str, float]) -> str:

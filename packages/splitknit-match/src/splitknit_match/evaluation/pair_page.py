@@ -15,6 +15,7 @@ from splitknit.io.atomic import atomic_folder
 from splitknit.io.pictures import colour, on_paper
 from splitknit.io.provenance import json_text, provenance
 from splitknit.io.results import write_picture
+from splitknit.model import FloatArray
 from splitknit.report import template
 from splitknit.report.photos import Picture, captioned, colour_bar
 from splitknit.report.surface import PageSurface, scene, upright_surface
@@ -22,7 +23,11 @@ from splitknit_match.evaluation.pair import BANDS_MM, PROTOCOLS, SLANTS_DEG, Pai
 
 FORMAT = "splitknit-comparison"
 _MAIN = next(iter(SLANTS_DEG))
-_LONGEST_PX, _APART_UM = 700, 20.0
+_LONGEST_PX = 700
+_APART_UM = 20.0
+"""Largest difference that has a colour of its own."""
+_HIGH_UM = 60.0
+"""The same of heights."""
 
 
 def write_comparison(
@@ -46,9 +51,20 @@ def write_comparison(
         "own_error": _own_error(pair, protocol, repeat), "notes": list(pair.notes),
         "files": ["report.html", "report.json", "difference.png"],
     }  # fmt: skip
-    pictures = _pictures(pair)
+    surfaces = []  # both in A's frame, so that one section cuts them in one place
+    for title, height_mm, relief_um in zip("AB", pair.height_mm, pair.relief_um, strict=True):
+        fields = height_mm, relief_um / 1000
+        surface = upright_surface(fields, np.isfinite(height_mm), pair.pitch_mm, np.eye(3), xy_mm=None)
+        surfaces.append(PageSurface(title, surface))
+    difference_um = pair.relief_um[0] - pair.relief_um[1]
+    apart = "Blue: A is too low, orange: too high. Ridges seen here have the wrong height."
+    pictures = [
+        _picture(pair, "A", pair.relief_um[0], "What is tested, waves below 1.7 mm. Yellow is high."),
+        _picture(pair, "B", pair.relief_um[1], "The reference, laid on A."),
+        _picture(pair, "A - B", difference_um, apart, diverging=True),
+    ]
     page = template(Path(__file__).with_name("pair.html")).render(
-        scene=scene([_side(pair, k) for k in range(2)]),
+        scene=scene(surfaces),
         facts=facts,
         headline=headline(facts),
         pictures=pictures,
@@ -58,74 +74,66 @@ def write_comparison(
         cell=_cell,
     )
     with atomic_folder(out) as folder:
-        write_picture(folder / "difference.png", _coloured(pair.difference_um, _APART_UM)[0], provenance())
+        write_picture(folder / "difference.png", _coloured(difference_um, diverging=True)[0], provenance())
         (folder / "report.html").write_text(str(page), encoding="utf-8")
         (folder / "report.json").write_text(json_text(facts), encoding="utf-8")
     return facts
 
 
-def _side(pair: PairComparison, number: int) -> PageSurface:
-    """A or B in A's frame, so that one section cuts both in one place."""
-    height_mm, ridge_mm = pair.height_mm[number], pair.relief_um[number] / 1000
-    known = np.isfinite(height_mm)
-    surface = upright_surface((height_mm, ridge_mm), known, pair.pitch_mm, np.eye(3), xy_mm=None)
-    return PageSurface("AB"[number], surface)
-
-
 def _own_error(pair: PairComparison, protocol: str | None, repeat: PairComparison | None) -> dict[str, Any]:
     """By source and band: the rms in um that A's error does not explain, and what is left without it (squares add)."""
-    sources: dict[str, dict[str, tuple[float, float | None]]] = {}
+    errors: dict[str, Any] = {}
+
+    def explain(source: str, band: str, own_um: float, gain: float | None = None) -> None:
+        if _MAIN in pair.figures.get(band, {}):
+            total_um = pair.figures[band][_MAIN]["rms_um"]["value"]
+            left_um = float(np.sqrt(max(total_um**2 - own_um**2, 0.0)))
+            errors.setdefault(source, {})[band] = {"rms_um": float(own_um), "gain": gain, "left_um": left_um}
+
     if protocol is not None:
-        sources[f"{protocol}, simulated"] = dict(zip(BANDS_MM, PROTOCOLS[protocol], strict=False))
+        for band, figures in zip(BANDS_MM, PROTOCOLS[protocol], strict=False):
+            explain(f"{protocol}, simulated", band, *figures)
     if repeat is not None:  # B and its repetition err alike: each has half of the variance
-        seen = {band: rows[_MAIN] for band, rows in repeat.figures.items() if _MAIN in rows}
-        sources["B, repeated"] = {band: (one["rms_um"]["value"] / np.sqrt(2.0), None) for band, one in seen.items()}
-    found: dict[str, Any] = {}
-    for source, bands in sources.items():
-        for band, (own, gain) in bands.items():
-            if _MAIN in pair.figures.get(band, {}):
-                left = np.sqrt(max(pair.figures[band][_MAIN]["rms_um"]["value"] ** 2 - own**2, 0.0))
-                found.setdefault(source, {})[band] = {"rms_um": float(own), "gain": gain, "left_um": float(left)}
-    return found
+        for band, slants in repeat.figures.items():
+            if _MAIN in slants:
+                explain("B, repeated", band, slants[_MAIN]["rms_um"]["value"] / np.sqrt(2.0))
+    return errors
 
 
 def headline(facts: Mapping[str, Any]) -> list[str]:
     """The main figures, in lines."""
     lines = []
     for band in ("relief", "0.25 to 0.8 mm"):
-        one = facts["bands"][band].get(_MAIN)
-        if one is not None:
-            fits = f"correlation {_cell(one['correlation'], 3)}, gain {_cell(one['gain'], 2)}"
-            apart = f"rms of A - B {_cell(one['rms_um'], 1)} um; B's own waves {one['std_um']:.1f} um"
-            lines.append(f"{band}, slant {_MAIN} deg: {fits}, {apart}")
+        figures = facts["bands"][band].get(_MAIN)
+        if figures is not None:
+            lines.append(
+                f"{band}, slant {_MAIN} deg: correlation {_cell(figures['correlation'], 3)}, gain "
+                f"{_cell(figures['gain'], 2)}, rms of A - B {_cell(figures['rms_um'], 1)} um; B's own waves "
+                f"{figures['std_um']:.1f} um"
+            )
     return lines
 
 
 def _cell(figure: Mapping[str, Any], digits: int) -> str:
-    value, low, high = (figure[name] for name in ("value", "low", "high"))
-    return f"{value:.{digits}f}" + ("" if low is None else f" ({low:.{digits}f} to {high:.{digits}f})")
+    value = f"{figure['value']:.{digits}f}"
+    return value if figure["low"] is None else f"{value} ({figure['low']:.{digits}f} to {figure['high']:.{digits}f})"
 
 
-def _coloured(values: Any, limit: float) -> tuple[Any, float]:
-    """Micrometres of the surface's box as colours, at most `_LONGEST_PX` a side; and pixels of the surface in one."""
-    known = np.isfinite(values)
+def _coloured(values_um: FloatArray, *, diverging: bool = False) -> tuple[Any, float]:
+    """The surface's box in colours, at most `_LONGEST_PX` a side; and pixels of the surface in one."""
+    limit = _APART_UM if diverging else _HIGH_UM
+    known = np.isfinite(values_um)
     box = bounding_box(known, 4)
-    picture = on_paper(colour(values[box], -limit, limit, diverging=limit == _APART_UM), known[box].astype(np.float32))
+    picture = on_paper(colour(values_um[box], -limit, limit, diverging=diverging), known[box].astype(np.float32))
     factor = min(1.0, _LONGEST_PX / max(picture.shape[:2]))
     small = cv2.resize(picture, None, fx=factor, fy=factor, interpolation=cv2.INTER_AREA)
     return small, max(picture.shape[:2]) / max(small.shape[:2])
 
 
-def _pictures(pair: PairComparison) -> list[Picture]:
-    high, apart = "What is tested, waves below 1.7 mm. Yellow is high.", "Blue: A is too low, orange: too high."
-    shown = (
-        ("A", pair.relief_um[0], 60.0, high),
-        ("B", pair.relief_um[1], 60.0, "The reference, laid on A."),
-        ("A - B", pair.difference_um, _APART_UM, f"{apart} Ridges seen here have the wrong height."),
-    )
-    pictures = []
-    for name, values, limit, caption in shown:
-        picture, coarser = _coloured(values, limit)
-        legend = colour_bar(-limit, limit, "µm", diverging=limit == _APART_UM)
-        pictures.append(captioned(name, picture, caption, pair.pitch_mm * coarser, legend))
-    return pictures
+def _picture(
+    pair: PairComparison, title: str, values_um: FloatArray, caption: str, *, diverging: bool = False
+) -> Picture:
+    limit = _APART_UM if diverging else _HIGH_UM
+    picture, coarser = _coloured(values_um, diverging=diverging)
+    legend = colour_bar(-limit, limit, "µm", diverging=diverging)
+    return captioned(title, picture, caption, pair.pitch_mm * coarser, legend)

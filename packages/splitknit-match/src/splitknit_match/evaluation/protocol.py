@@ -44,22 +44,22 @@ def comparisons(
     """
     fingers, sessions = np.asarray(finger), np.asarray(session)
     require(fingers.ndim == 1 and fingers.shape == sessions.shape, "fingers and sessions must be lists of one length.")
-    captures = list(zip(fingers.tolist(), sessions.tolist(), strict=True))
-    require(len(set(captures)) == len(captures), "a finger has two captures in one session; keep one of them.")
-    pairs = list(combinations(sorted(set(sessions.tolist())), 2))  # the earlier first: six of four
-    require(pairs, "captures of two sessions at least are needed.")
+    captures = set(zip(fingers.tolist(), sessions.tolist(), strict=True))
+    require(len(captures) == len(fingers), "a finger has two captures in one session; keep one of them.")
     names, number = np.unique(fingers, return_inverse=True)
+    kinds = np.unique(sessions)
+    require(kinds.size > 1, "captures of two sessions at least are needed.")
     wanted = np.ones((names.size, names.size), dtype=bool)
     if drawn is not None:
         for row, name in enumerate(names.tolist()):
-            wanted[row, :row] = wanted[:row, row] = [drawn(name, other) for other in names[:row].tolist()]
+            wanted[row, :row] = wanted[:row, row] = [drawn(name, earlier) for earlier in names[:row].tolist()]
     a, b = [], []
-    for early, late in [*pairs, *((same, same) for same in np.unique(sessions) if within)]:
+    for early, late in [*combinations(kinds, 2), *((kind, kind) for kind in kinds if within)]:
         first, second = np.flatnonzero(sessions == early), np.flatnonzero(sessions == late)
         chosen = wanted[np.ix_(number[first], number[second])]
-        at_first, at_second = np.nonzero(np.triu(chosen, 1) if early == late else chosen)
-        a.append(first[at_first])
-        b.append(second[at_second])
+        rows, columns = np.nonzero(np.triu(chosen, 1) if early == late else chosen)
+        a.append(first[rows])
+        b.append(second[columns])
     at_a, at_b = np.concatenate(a), np.concatenate(b)
     return Comparisons(at_a, at_b, fingers[at_a] == fingers[at_b])
 
@@ -74,14 +74,10 @@ def scores_of_comparisons(
     name: str = "scores",
 ) -> Scores:
     """Scores (N,) of `pairs`, NaN where there is none, with the names of fingers, sessions and subjects."""
-
-    def ids(of_captures: Sequence[Any]) -> Ids:
-        names = np.asarray(of_captures)
-        return ids_of(names[pairs.a], names[pairs.b])
-
-    who = None if subject is None else ids(subject)
-    values = np.asarray(score, dtype=float)
-    return Scores(pairs.genuine, values, finger=ids(finger), subject=who, session=ids(session), name=name)
+    of_captures = {"finger": finger, "session": session, "subject": subject}
+    named = {kind: np.asarray(names) for kind, names in of_captures.items() if names is not None}
+    ids = {kind: ids_of(names[pairs.a], names[pairs.b]) for kind, names in named.items()}
+    return Scores(pairs.genuine, np.asarray(score, dtype=float), **ids, name=name)
 
 
 def average_sessions(scores: Scores) -> Scores:
@@ -93,28 +89,25 @@ def average_sessions(scores: Scores) -> Scores:
     averages: they take six pairs of captures. Missing scores and comparisons within a session are
     left out of a mean; where all are missing, the mean is too.
     """
-    named = scores.finger is not None and scores.session is not None
-    require(named, f"{scores.name}: to average over sessions, columns for fingers and sessions are needed.")
-    assert scores.session is not None
-    scores = scores.taken(~scores.session.same)
-    assert scores.finger is not None
-    assert scores.session is not None
-    finger, session, count = scores.finger.codes, scores.session.codes, len(scores.finger.names)
-    turned = session[:, :1] > session[:, 1:]
-    earlier, later = np.where(turned, finger[:, ::-1], finger).T
-    keys, group = np.unique(earlier * count + later, return_inverse=True)
-    known = ~np.isnan(scores.score)
-    number = np.bincount(group, weights=known, minlength=keys.size)
-    total = np.bincount(group[known], weights=scores.score[known], minlength=keys.size)
+    finger, session = scores.finger, scores.session
+    if finger is None or session is None:
+        raise BadInput(f"{scores.name}: to average over sessions, columns for fingers and sessions are needed.")
+    across = ~session.same
+    score, names = scores.score[across], finger.codes[across]
+    turned = session.codes[across, 0] > session.codes[across, 1]
+    names = np.where(turned[:, None], names[:, ::-1], names)
+    fingers, group = np.unique(names, axis=0, return_inverse=True)
+    known = ~np.isnan(score)
+    number = np.bincount(group[known], minlength=len(fingers))
+    total = np.bincount(group[known], weights=score[known], minlength=len(fingers))
     mean = np.where(number > 0, total / np.maximum(number, 1), np.nan)
-    fingers = np.stack([keys // count, keys % count], axis=1)
     subject = None
     if scores.subject is not None:
-        of_finger = np.zeros(count, dtype=np.int64)
-        of_finger[finger.ravel()] = scores.subject.codes.ravel()
-        subject = Ids(of_finger[fingers], scores.subject.names)
-    pairs, name = Ids(fingers, scores.finger.names), f"{scores.name}, averaged over sessions"
-    return Scores(fingers[:, 0] == fingers[:, 1], mean, finger=pairs, subject=subject, name=name)
+        owner = np.zeros(len(finger.names), dtype=np.int64)
+        owner[finger.codes.ravel()] = scores.subject.codes.ravel()
+        subject = Ids(owner[fingers], scores.subject.names)
+    name = f"{scores.name}, averaged over sessions"
+    return Scores(fingers[:, 0] == fingers[:, 1], mean, Ids(fingers, finger.names), subject, name=name)
 
 
 def pair_up(first: Scores, second: Scores) -> Scores:
@@ -122,24 +115,23 @@ def pair_up(first: Scores, second: Scores) -> Scores:
     have them, each pair once, in any order of sides; otherwise by their place, if labels agree. Raises BadInput if the
     pairs are not the same, naming one.
     """
-    alike = (first.finger is None) == (second.finger is None)  # else several fingers would count as one
+    same_kinds = (first.finger is None) == (second.finger is None)  # else several fingers would count as one
     for ordered in (True, False):
-        keys = _keys(first, second, ordered=ordered)
-        if alike and np.array_equal(*keys) and np.array_equal(first.label, second.label):
+        keys, keys_2 = _keys(first, second, ordered=ordered)
+        if same_kinds and np.array_equal(keys, keys_2) and np.array_equal(first.label, second.label):
             return second
-        mine, theirs = (np.argsort(side, kind="stable") for side in keys)
-        rising = keys[0][mine]
-        if np.array_equal(rising, keys[1][theirs]) and (np.diff(rising) > 0).all():
-            places = np.empty(mine.size, dtype=np.int64)
-            places[mine] = theirs
+        mine, theirs = np.argsort(keys, kind="stable"), np.argsort(keys_2, kind="stable")
+        if np.array_equal(keys[mine], keys_2[theirs]) and np.unique(keys).size == keys.size:
+            places = theirs[np.argsort(mine)]
             if np.array_equal(first.label, second.label[places]):
                 return second.taken(places)
     fault = f"'{first.name}' and '{second.name}' did not score the same pairs"
-    for own, other, one, more in ((*keys, first, second), (*keys[::-1], second, first)):
-        values, counts = np.unique(other, return_counts=True)
-        lone = np.flatnonzero(~np.isin(own, values[counts == 1]))
-        if lone.size:
-            raise BadInput(f"{fault}: '{more.name}' lacks, or has more than once, {_names(one, int(lone[0]))}.")
+    for own, theirs, scores, lacking in ((keys, keys_2, first, second), (keys_2, keys, second, first)):
+        values, counts = np.unique(theirs, return_counts=True)
+        unpaired = np.flatnonzero(~np.isin(own, values[counts == 1]))
+        if unpaired.size:
+            pair = _names(scores, int(unpaired[0]))
+            raise BadInput(f"{fault}: '{lacking.name}' lacks, or has more than once, {pair}.")
     raise BadInput(f"{fault}: their labels differ, or one holds a pair twice.")
 
 
@@ -151,15 +143,14 @@ def _names(scores: Scores, place: int) -> str:
 
 def _keys(first: Scores, second: Scores, *, ordered: bool) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
     """A number for each comparison of both, equal where all ids are that both have."""
-    side = np.zeros((first.label.size + second.label.size, 2), dtype=np.int64)
+    sides = np.zeros((first.label.size + second.label.size, 2), dtype=np.int64)
     for kind in KINDS:
-        mine, theirs = getattr(first, kind), getattr(second, kind)
-        if mine is None or theirs is None:
-            continue
-        names, codes = np.unique([*mine.names, *theirs.names], return_inverse=True)
-        own, other = np.split(codes.ravel(), [len(mine.names)])
-        side = side * names.size + np.vstack([own[mine.codes], other[theirs.codes]])
-    used, codes = np.unique(side, return_inverse=True)
-    low, high = codes.reshape(side.shape).T if ordered else np.sort(codes.reshape(side.shape), axis=1).T
-    keys = low * used.size + high
+        ids, ids_2 = getattr(first, kind), getattr(second, kind)
+        if ids is not None and ids_2 is not None:
+            names, codes = np.unique([*ids.names, *ids_2.names], return_inverse=True)
+            own, theirs = np.split(codes.ravel(), [len(ids.names)])
+            sides = sides * names.size + np.vstack([own[ids.codes], theirs[ids_2.codes]])
+    if not ordered:
+        sides = np.sort(sides, axis=1)
+    keys = np.unique(sides, axis=0, return_inverse=True)[1].ravel()
     return keys[: first.label.size], keys[first.label.size :]

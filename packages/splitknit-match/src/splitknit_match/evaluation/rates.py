@@ -24,7 +24,8 @@ from scipy.special import betaincinv
 from splitknit.errors import require
 
 Values = NDArray[np.float64]
-SLACK = 1e-12  # relative; 0.001 of 1000 impostors is one, whatever the last bit of 0.001 is
+SLACK = 1e-12
+"""Relative; 0.001 of 1000 impostors is one, whatever the last bit of 0.001 is."""
 CONFIDENCE = 0.95
 
 
@@ -56,33 +57,15 @@ class Ranked:
     """Scores of both classes in falling order, failures last, so that weights make a ROC without sorting."""
 
     order: tuple[NDArray[np.int64], NDArray[np.int64]]  # (N,) and (M,) places of genuine and impostor comparisons
-    placed: tuple[Values, Values]  # scores that there are, falling, from the lowest (0) to the highest of all (1)
+    scaled: tuple[Values, Values]  # scores that there are, falling, from the lowest (0) to the highest of all (1)
     threshold: Values  # (K,) falling; the first is infinite: nobody is accepted
     accepted: NDArray[np.int64]  # (K, 2) how many genuine and impostor comparisons each threshold accepts
     corners: NDArray[np.int64]  # thresholds that accept more genuine comparisons than the one before
 
     def roc(self, weights: Sequence[Values]) -> Roc:
         """ROC where the comparisons of each class, falling, count `weights` (N,) and (M,) times."""
-        sums = [np.zeros(weight.size + 1) for weight in weights]
-        for weight, total in zip(weights, sums, strict=True):
-            np.cumsum(weight, out=total[1:])
-        return Roc(self, (sums[0], sums[1]), (float(sums[0][-1]), float(sums[1][-1])))
-
-    def d_prime(self, weights: Sequence[Values]) -> float:
-        """Distance of the means over the root mean square of the standard deviations; NaN if no score varies.
-
-        d' = (m_g - m_i) / sqrt((s_g^2 + s_i^2) / 2), of the comparisons made. Unlike the other
-        figures it depends on the scores' scale. Source: J. Daugman, "Biometric decision
-        landscapes", technical report 482, University of Cambridge, 2000.
-        """
-        means, variances = [], []
-        for weight, placed in zip(weights, self.placed, strict=True):
-            times = weight[: placed.size]
-            total = times.sum()
-            means.append(np.einsum("n,n->", times, placed) / total)  # in one thread: the same for any number of cores
-            variances.append(np.einsum("n,n->", times, (placed - means[-1]) ** 2) / total)
-        spread = float(np.sqrt(sum(variances) / 2))
-        return float(means[0] - means[1]) / spread if spread > 1e-9 else float("nan")
+        genuine, impostor = (np.append(0.0, np.cumsum(weight)) for weight in weights)
+        return Roc(self, weights, (genuine, impostor), (float(genuine[-1]), float(impostor[-1])))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -90,6 +73,7 @@ class Roc:
     """What each threshold accepts. From each to the next FAR rises, or GAR, or both where scores tie."""
 
     ranked: Ranked
+    weights: Sequence[Values]  # (N,) and (M,)
     sums: tuple[Values, Values]  # (N + 1,) and (M + 1,) weight of the highest 0, 1, 2 ... comparisons of each class
     tried: tuple[float, float]  # genuine and impostor comparisons that a rate is relative to
 
@@ -136,9 +120,9 @@ class Roc:
         if far > frr and sum(errors(place - 1)) < far + frr:
             place -= 1
             far, frr = errors(place)
-        whole, threshold = genuine * impostor, float(self.ranked.threshold[place])
-        rates = float((far + frr) / (2 * whole)), float(far / whole), float(frr / whole)
-        return EqualError(*rates, threshold if np.isfinite(threshold) else None)
+        whole = genuine * impostor
+        value = float((far + frr) / (2 * whole))
+        return EqualError(value, float(far / whole), float(frr / whole), self._threshold(place))
 
     def places(self, targets: Sequence[float] | Values) -> NDArray[np.int64]:
         """Last threshold whose FAR is not above each target. Ties are accepted together or not at all."""
@@ -163,16 +147,19 @@ class Roc:
         """
         require(0 < target <= 1, f"a FAR target must lie above 0 and not above 1, but it is {target}.")
         place = int(self.places([target])[0])
-        accepted, threshold = int(self.accepted(1, place)), float(self.ranked.threshold[place])
+        accepted = int(self.accepted(1, place))
         return OperatingPoint(
             target=float(target),
             gar=float(self.accepted(0, place) / self.tried[0]),
             far=accepted / self.tried[1],
-            threshold=threshold if np.isfinite(threshold) else None,
+            threshold=self._threshold(place),
             false_accepts=accepted,
             resolved=target * self.tried[1] * (1 + SLACK) >= 1,
             far_upper=error_bound(0.0, int(self.tried[1])) if accepted == 0 else None,
         )
+
+    def _threshold(self, place: int) -> float | None:
+        return float(self.ranked.threshold[place]) if place else None
 
     def auc(self) -> float:
         """Area under the ROC of the comparisons made: how likely a genuine score exceeds an impostor one, ties half."""
@@ -182,19 +169,37 @@ class Roc:
         genuine, impostor = self.made().tried
         return float(np.sum(more * (2 * impostor - above)) / (2 * genuine * impostor))
 
+    def d_prime(self) -> float:
+        """Distance of the means over the root mean square of the standard deviations; NaN if no score varies.
+
+        d' = (m_g - m_i) / sqrt((s_g^2 + s_i^2) / 2), of the comparisons made. Unlike the other
+        figures it depends on the scores' scale. Source: J. Daugman, "Biometric decision
+        landscapes", technical report 482, University of Cambridge, 2000.
+        """
+        means, variances = [], []
+        for weight, scores in zip(self.weights, self.ranked.scaled, strict=True):
+            times = weight[: scores.size]
+            total = times.sum()
+            means.append(np.einsum("n,n->", times, scores) / total)  # in one thread: the same for any number of cores
+            variances.append(np.einsum("n,n->", times, (scores - means[-1]) ** 2) / total)
+        spread = float(np.sqrt(sum(variances) / 2))
+        return float(means[0] - means[1]) / spread if spread > 1e-9 else float("nan")
+
 
 def rank(genuine: Values, impostor: Values) -> Ranked:
     """Sort scores (N,) and (M,); NaN is a failure to acquire."""
-    sides = (genuine, impostor)
-    orders = [np.argsort(-side, kind="stable") for side in sides]  # NaN last
-    scores = [side[order][: np.count_nonzero(~np.isnan(side))] for side, order in zip(sides, orders, strict=True)]
-    threshold = np.union1d(*scores)[::-1]
-    counts = [np.searchsorted(-side, -threshold, side="right") for side in scores]
+    orders = np.argsort(-genuine, kind="stable"), np.argsort(-impostor, kind="stable")  # NaN last
+    falling = [
+        side[order][: np.count_nonzero(~np.isnan(side))]
+        for side, order in zip((genuine, impostor), orders, strict=True)
+    ]
+    threshold = np.union1d(*falling)[::-1]
+    counts = [np.searchsorted(-side, -threshold, side="right") for side in falling]
     accepted = np.vstack([[0, 0], np.stack(counts, axis=1)])
     corners = 1 + np.flatnonzero(np.diff(accepted[:, 0]))
     low, span = threshold[-1], float(np.ptp(threshold)) or 1.0
-    genuine, impostor = ((side - low) / span for side in scores)
-    return Ranked((orders[0], orders[1]), (genuine, impostor), np.append(np.inf, threshold), accepted, corners)
+    scaled = (falling[0] - low) / span, (falling[1] - low) / span
+    return Ranked(orders, scaled, np.append(np.inf, threshold), accepted, corners)
 
 
 def roc(genuine: Any, impostor: Any) -> Roc:
@@ -203,15 +208,9 @@ def roc(genuine: Any, impostor: Any) -> Roc:
     """
     sides = [np.asarray(side, dtype=float) for side in (genuine, impostor)]
     for side, name in zip(sides, ("genuine", "impostor"), strict=True):
-        require(side.ndim == 1, f"{name} scores must have the shape (N,), but they have {side.shape}.")
-        require(not np.isnan(side).all(), f"there is no {name} score: both genuine and impostor scores are needed.")
-        require(not np.isinf(side).any(), f"{name} scores must be finite, but one is infinite.")
+        sound = not np.isnan(side).all() and not np.isinf(side).any()
+        require(sound, f"{name} scores must be finite numbers, or NaN where there is none; one is needed at least.")
     return rank(*sides).roc([np.ones(side.size) for side in sides])
-
-
-def d_prime(genuine: Values, impostor: Values) -> float:
-    """:meth:`Ranked.d_prime` of scores (N,) and (M,)."""
-    return rank(genuine, impostor).d_prime([np.ones(side.size) for side in (genuine, impostor)])
 
 
 def error_bound(rate: float, trials: int) -> float:

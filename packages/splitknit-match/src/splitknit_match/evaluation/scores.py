@@ -14,7 +14,7 @@ import math
 import os
 from array import array
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -26,8 +26,10 @@ from splitknit.errors import naming, read_bytes, require
 from splitknit.io.csv_table import csv_text, plain_text
 
 KINDS = ("finger", "subject", "session")
-LARGEST = 1e150  # largest score whose square is still a number
-_MAX_BYTES = 500_000_000  # ten million comparisons
+LARGEST = 1e150
+"""Largest score whose square is still a number."""
+_MAX_BYTES = 500_000_000
+"""Ten million comparisons."""
 _LABELS = {"1": True, "0": False, "1.0": True, "0.0": False}
 
 
@@ -66,21 +68,25 @@ class Scores:
     name: str = "scores"
 
     def __post_init__(self) -> None:
-        good = self.label.ndim == 1 and self.label.shape == self.score.shape
-        fault = f"{self.name}: labels and scores must be of one length,"
-        require(good, f"{fault} but they are {self.label.shape} and {self.score.shape}.")
-        require(self.label.dtype == np.bool_, f"{self.name}: labels must be boolean, true where genuine.")
-        finite = not bool(np.isinf(self.score).any())
-        require(finite, f"{self.name}: scores must be finite, or NaN where there is none.")
+        require(
+            self.label.ndim == 1 and self.label.shape == self.score.shape and self.label.dtype == np.bool_,
+            f"{self.name}: labels (boolean, true where genuine) and scores must be of one length, but they are "
+            f"{self.label.shape} and {self.score.shape}.",
+        )
+        require(not np.isinf(self.score).any(), f"{self.name}: scores must be finite, or NaN where there is none.")
         for ids in (self.finger, self.subject, self.session):
             require(ids is None or len(ids.codes) == self.label.size, f"{self.name}: ids and scores differ in number.")
-        for words, chosen in (("genuine (label 1)", self.genuine), ("impostor (label 0)", self.impostor)):
-            require(chosen.size > 0, f"{self.name} holds no {words} comparison: both kinds are needed.")
-            fault = f"{self.name} holds no {words} score"
-            require(not np.isnan(chosen).all(), f"{fault}: all {chosen.size} are failures to acquire.")
+        for words, scores in (("genuine (label 1)", self.genuine), ("impostor (label 0)", self.impostor)):
+            require(scores.size > 0, f"{self.name} holds no {words} comparison: both kinds are needed.")
+            require(
+                not np.isnan(scores).all(),
+                f"{self.name} holds no {words} score: all {scores.size} are failures to acquire.",
+            )
         wrong = contradictions(self.label, self.finger, self.subject)
-        fault = f"{self.name}: comparison {int(np.argmax(wrong))} and its label contradict each other"
-        require(not wrong.any(), f"{fault}: check its ids.")
+        require(
+            not wrong.any(),
+            f"{self.name}: comparison {int(np.argmax(wrong))} and its label contradict each other: check its ids.",
+        )
 
     @property
     def genuine(self) -> NDArray[np.float64]:
@@ -92,11 +98,10 @@ class Scores:
         """Scores of two fingers, NaN included."""
         return self.score[~self.label]
 
-    def taken(self, index: Any, name: str | None = None) -> Scores:
+    def taken(self, index: Any) -> Scores:
         """Some of the comparisons, by a mask or by their places."""
-        every = (self.finger, self.subject, self.session)
-        finger, subject, session = (None if ids is None else ids.taken(index) for ids in every)
-        return Scores(self.label[index], self.score[index], finger, subject, session, name or self.name)
+        ids = {kind: getattr(self, kind).taken(index) for kind in KINDS if getattr(self, kind) is not None}
+        return replace(self, label=self.label[index], score=self.score[index], **ids)
 
 
 def contradictions(label: NDArray[np.bool_], finger: Ids | None, subject: Ids | None) -> NDArray[np.bool_]:
@@ -122,11 +127,11 @@ def score_table(
     texts = {
         key: ["" if math.isnan(value) else repr(float(value)) for value in column] for key, column in scores.items()
     }
-    columns: dict[str, Sequence[Any]] = {"label": [int(one) for one in label], "score": texts.pop("score")}
+    columns: dict[str, Sequence[Any]] = {"label": [int(genuine) for genuine in label], "score": texts.pop("score")}
     for kind, sides in names.items():
         columns |= {f"{kind}_a": sides[0], f"{kind}_b": sides[1]}
     columns |= texts
-    return csv_text([list(columns), *map(list, zip(*columns.values(), strict=True))]).encode("utf-8")
+    return csv_text([list(columns), *zip(*columns.values(), strict=True)]).encode("utf-8")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -147,43 +152,50 @@ def read_scores(path: str | os.PathLike[str], *, dissimilarity: bool = False) ->
     rows = _rows(data, name)
     first, header = next(rows, (1, []))
     header = [column.strip() for column in header]
-    known = _check_columns(header, f"{name}, line {first}")
-    place = {column: header.index(column) for column in known}
+    kinds = _check_columns(header, f"{name}, line {first}")
+    places = {kind: [header.index(f"{kind}_{side}") for side in "ab"] for kind in kinds}
+    label_place, score_place = header.index("label"), header.index("score")
     label, score, lines = array("b"), array("d"), array("q")
-    codes: dict[str, dict[str, int]] = {column[:-2]: {} for column in known[2:]}
-    ids = {column: array("q") for column in known[2:]}
+    names: dict[str, dict[str, int]] = {kind: {} for kind in kinds}
+    codes = {kind: array("q") for kind in kinds}
     for line, row in rows:
         where = f"{name}, line {line}"
         require(len(row) == len(header), f"{where}: {len(header)} fields are expected, but there are {len(row)}.")
         lines.append(line)
-        label.append(_label(row[place["label"]].strip(), where))
-        score.append(_score(row[place["score"]].strip(), where))
-        for column, coded in ids.items():
-            text, of_kind = row[place[column]].strip(), codes[column[:-2]]
-            require(text, f"{where}: {column} is blank; name it in every line or nowhere.")
-            coded.append(of_kind.setdefault(text, len(of_kind)))
+        text = row[label_place].strip()
+        require(text in _LABELS, f"{where}: a label is 1 (genuine) or 0 (impostor), but it is '{_short(text)}'.")
+        label.append(_LABELS[text])
+        score.append(_score(row[score_place].strip(), where))
+        for kind, both in places.items():
+            for place in both:
+                text = row[place].strip()
+                require(text, f"{where}: {header[place]} is blank; name it in every line or nowhere.")
+                codes[kind].append(names[kind].setdefault(text, len(names[kind])))
     require(lines, f"{name} holds no comparison: a line of column names and a line for each are expected.")
-    kinds = {kind: _coded(places, [ids[f"{kind}_{side}"] for side in "ab"]) for kind, places in codes.items()}
-    finger, subject, session = map(kinds.get, KINDS)
-    if finger is not None and subject is not None:
-        finger = fingers_of_subjects(finger, subject)
+    ids = {kind: _in_order(names[kind], np.array(codes[kind])) for kind in kinds}
+    if "finger" in ids and "subject" in ids:
+        ids["finger"] = fingers_of_subjects(ids["finger"], ids["subject"])
     genuine, values = np.array(label, dtype=bool), np.array(score) * (-1.0 if dissimilarity else 1.0)
-    wrong = contradictions(genuine, finger, subject)
-    fault = f"{name}, line {lines[int(np.argmax(wrong))]}: label and ids of the comparison contradict each other"
-    require(not wrong.any(), f"{fault}; correct one of them.")
-    scores = naming(name, lambda: Scores(genuine, values, finger, subject, session, Path(name).stem))
-    return ScoreFile(scores, [column for column in header if column not in known], hashlib.sha256(data).hexdigest())
+    wrong = contradictions(genuine, ids.get("finger"), ids.get("subject"))
+    require(
+        not wrong.any(),
+        f"{name}, line {lines[int(np.argmax(wrong))]}: label and ids of the comparison contradict each other; correct "
+        "one of them.",
+    )
+    scores = naming(name, lambda: Scores(genuine, values, **ids, name=Path(name).stem))
+    read = {"label", "score", *(f"{kind}_{side}" for kind in kinds for side in "ab")}
+    return ScoreFile(scores, [column for column in header if column not in read], hashlib.sha256(data).hexdigest())
 
 
 def _rows(data: bytes, name: str) -> Iterator[tuple[int, list[str]]]:
     """Lines of a CSV file with the number of the line where they begin; blank lines left out."""
     reader = csv.reader(io.TextIOWrapper(io.BytesIO(data), "utf-8-sig", newline=""), strict=True)
-    restored, before = b"'" in data, 0
+    before = 0
     try:
         for row in reader:
             line, before = before + 1, reader.line_num
             if row:
-                yield line, [plain_text(cell) for cell in row] if restored else row
+                yield line, [plain_text(cell) for cell in row]
     except csv.Error as error:
         raise BadInput(f"{name} is not a CSV file: line {reader.line_num}: {error}.") from error
     except UnicodeDecodeError as error:
@@ -191,47 +203,47 @@ def _rows(data: bytes, name: str) -> Iterator[tuple[int, list[str]]]:
 
 
 def _check_columns(header: list[str], where: str) -> list[str]:
-    """The columns that are read."""
+    """The kinds of names that there are."""
     for column in ("label", "score"):
-        cure = "columns apart by commas, 'label' (1 genuine, 0 impostor) and 'score' among them, are needed"
-        fault = f"{where}: there is no column '{column}' in '{_short(','.join(header))}'"
-        require(column in header, f"{fault}; {cure}.")
+        require(
+            column in header,
+            f"{where}: there is no column '{column}' in '{_short(','.join(header))}'; columns apart by commas, 'label' "
+            "(1 genuine, 0 impostor) and 'score' among them, are needed.",
+        )
     require("system" not in header, f"{where}: there is a column 'system'; put each system into a file of its own.")
-    twice = [column for column in header if header.count(column) > 1]
-    require(not twice, f"{where}: there are two columns '{_short(''.join(twice[:1]))}'; name each once.")
-    known = ["label", "score"]
+    twice = next((column for column in header if header.count(column) > 1), None)
+    require(twice is None, f"{where}: there are two columns '{_short(str(twice))}'; name each once.")
+    kinds = []
     for kind in KINDS:
-        pair = [f"{kind}_{side}" for side in "ab"]
-        there = [column for column in pair if column in header]
-        cure = f"both '{pair[0]}' and '{pair[1]}' are needed."
-        require(len(there) != 1, f"{where}: there is a column '{''.join(there)}' alone; {cure}")
-        known += there
-    return known
-
-
-def _label(text: str, where: str) -> bool:
-    require(text in _LABELS, f"{where}: a label is 1 (genuine) or 0 (impostor), but it is '{_short(text)}'.")
-    return _LABELS[text]
+        sides = [f"{kind}_{side}" for side in "ab"]
+        present = [column for column in sides if column in header]
+        require(
+            len(present) != 1,
+            f"{where}: there is a column '{''.join(present)}' alone; both '{sides[0]}' and '{sides[1]}' are needed.",
+        )
+        kinds += [kind] if present else []
+    return kinds
 
 
 def _score(text: str, where: str) -> float:
-    if not text:
-        return float("nan")
     try:
-        value = float("nan" if "_" in text else text)
+        value = float("nan" if "_" in text else text or "nan")
     except ValueError:
         value = float("nan")
-    fault = f"{where}: a score is a finite number (of at most {LARGEST:g}), or blank for a failure to acquire,"
-    require(abs(value) <= LARGEST, f"{fault} but it is '{_short(text)}'.")
+    require(
+        abs(value) <= LARGEST or not text,
+        f"{where}: a score is a finite number (of at most {LARGEST:g}), or blank for a failure to acquire, but it is "
+        f"'{_short(text)}'.",
+    )
     return value
 
 
-def _coded(places: Mapping[str, int], columns: Sequence[array[int]]) -> Ids:
+def _in_order(places: Mapping[str, int], codes: NDArray[np.int64]) -> Ids:
     """Ids whose names are in order, numbers by their size."""
     names = sorted(places, key=lambda text: (0, text.zfill(20), text) if text.isdigit() else (1, text, text))
     order = np.empty(len(names), dtype=np.int64)
     order[[places[name] for name in names]] = np.arange(len(names))
-    return Ids(order[np.array(columns, dtype=np.int64)].T, tuple(names))
+    return Ids(order[codes.reshape(-1, 2)], tuple(names))
 
 
 def fingers_of_subjects(finger: Ids, subject: Ids) -> Ids:

@@ -84,7 +84,7 @@ def evaluate_files(
     from splitknit.io.atomic import write_file
     from splitknit.io.provenance import json_text
     from splitknit.io.targets import check_file, check_target
-    from splitknit_match.evaluation.evaluate import evaluate, evaluate_systems
+    from splitknit_match.evaluation.evaluate import evaluate
     from splitknit_match.evaluation.intervals import BootstrapSettings
     from splitknit_match.evaluation.page import FORMAT, write_evaluation
     from splitknit_match.matching.score import DECISION_FORMAT, own_rates_document
@@ -113,7 +113,7 @@ def evaluate_files(
 
         require(not dissimilarity, "`dissimilarity` is for `scores`; a gallery's scores are similarities.")
         compared = gallery_scores(Path(gallery), key=key_of(key_file), progress=progress)
-        evaluation = evaluate_systems([compared.scores], bootstrap=bootstrap, progress=progress, **settings)
+        evaluation = evaluate(compared.scores, bootstrap=bootstrap, progress=progress, **settings)
         notes = (*compared.notes, *evaluation.notes)
         evaluation = replace(evaluation, inputs_sha256={str(gallery): compared.sha256}, notes=notes)
         measured_by, tables = compared.method, {"scores.csv": compared.table}

@@ -14,15 +14,36 @@ import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 
-from splitknit.model import BoolArray, FloatArray
+from splitknit.model import FloatArray
+from splitknit_match.matching.ridge_band import RidgeBand
 
 Affine = NDArray[np.float64]
-"""(2, 3): place (column, row, 1) in B to place in A."""
+"""(2, 3): position (column, row, 1) in B to position in A."""
+Positions = NDArray[np.float64]
+"""(N, 2) columns and rows."""
 
-_ONE_MAP = np.empty(0, dtype=np.float32)
-"""In place of cv2.remap's second map, where columns and rows are together in the first."""
+PATCH_MM = 2.4
+"""Side of a patch."""
+STEP_MM = 1.6
+"""Distance between the centres of two patches."""
+SEARCH_MM = 0.4
+"""Largest shift of a patch along either axis."""
 _MIN_OVERLAP = 0.6
 """Fraction of a patch that must be valid on both sides."""
+_MIN_CORRELATION = 0.2
+"""Patches that correlate less do not count in a fit."""
+_SPAN_MM = 5.0
+"""Affine fit: length over which a linear part of 1 is penalised."""
+_NEAR_MM = 0.2
+"""Affine fit: residual at which a patch counts half."""
+_SMOOTH = 1.0
+"""Sigma, in steps of the grid, over which shifts are averaged: skin stretches smoothly."""
+_FIRM = 0.16
+"""Weight of a shift that two minutiae show; that of a patch whose correlation is 0.6."""
+_STILL = 0.05
+"""Weight of no shift among those, relative to `_FIRM`."""
+_ONE_MAP = np.empty(0, dtype=np.float32)
+"""In place of cv2.remap's second map, where columns and rows are together in the first."""
 np.empty(1 << 21)
 """16 MB that are never touched, freed at once: from then on glibc keeps freed memory up to this size for the next pair
 instead of returning it. Without it a pair spends half its time on the pages of its own arrays (no effect elsewhere)."""
@@ -36,28 +57,18 @@ def spectrum_of(values: NDArray[Any], size: tuple[int, int] | None = None) -> ND
     return np.asarray(np.fft.rfft2(values, s=size, norm="ortho"), dtype=np.complex64)
 
 
-_SPAN_MM, _NEAR_MM = 5.0, 0.2
-"""Affine fit: length over which a linear part of 1 is penalised, and residual at which a patch counts half."""
-
-
-PATCH_MM, STEP_MM, SEARCH_MM = 2.4, 1.6, 0.4
-"""Side of a patch, distance between the middles of two, and largest shift of one along either axis."""
-
-
 @dataclass(frozen=True, slots=True, eq=False)
 class PatchGrid:
     """The patches of B with their spectra."""
 
-    rows: NDArray[np.int64]
-    """(P,) first row of each."""
-    columns: NDArray[np.int64]
-    """(P,) first column of each."""
-    place: NDArray[np.int64]
-    """(P, 2) place in the grid."""
+    cell: NDArray[np.int64]
+    """(P, 2) row and column of each patch in the grid."""
+    corner: NDArray[np.int64]
+    """(P, 2) its first row and column in B."""
     grid: tuple[int, int]
     """Rows and columns of the grid of patches."""
-    first: tuple[int, int]
-    """Row and column at which the grid begins."""
+    origin: Positions
+    """(2,) column and row of the centre of the grid's first patch."""
     step: int
     """Pixels from patch to patch."""
     spectrum: NDArray[np.complex64]
@@ -71,6 +82,16 @@ class PatchGrid:
     fraction: FloatArray
     """(P,) that is valid."""
 
+    @property
+    def centres(self) -> Positions:
+        """(P, 2) columns and rows in B."""
+        return self.corner[:, ::-1] + (self.side - 1) / 2
+
+    def nearest(self, positions: Positions) -> tuple[NDArray[np.int64], ...]:
+        """Rows (N,) and columns (N,) of the grid's cells nearest to positions (N, 2) in B."""
+        cells = np.rint((positions - self.origin) / self.step)[:, ::-1].astype(np.int64)
+        return tuple(np.clip(cells, 0, np.array(self.grid) - 1).T)
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Agreement:
@@ -80,7 +101,7 @@ class Agreement:
     """(N,) numbers of the patches that lie on both."""
     correlation: FloatArray
     """(N,) at the supported shift, -1 to 1."""
-    shift: NDArray[np.float64]
+    shift: Positions
     """(N, 2) columns and rows by which A's content must still move."""
     weight: FloatArray
     """(N,) valid fraction of both."""
@@ -95,114 +116,99 @@ class Agreement:
         """By which alignments are chosen."""
         return self.mean * float(np.sqrt(len(self.used)))
 
+    @property
+    def firmness(self) -> FloatArray:
+        """(N,) weight of each shift in a fit."""
+        return np.maximum(self.correlation - _MIN_CORRELATION, 0.0) ** 2 * self.weight
 
-def patch_grid(
-    value: FloatArray, valid: BoolArray, pitch_mm: float, step_mm: float = STEP_MM, search_mm: float = SEARCH_MM
-) -> PatchGrid:
+
+def patch_grid(band: RidgeBand, step_mm: float = STEP_MM, search_mm: float = SEARCH_MM) -> PatchGrid:
     """Cut the band (H, W) into patches; those with too little valid skin are left out."""
-    side = max(4, round(PATCH_MM / pitch_mm))
-    step = max(1, round(step_mm / pitch_mm))
-    reach = max(1, round(search_mm / pitch_mm))
-    shape = value.shape
-    starts = [_starts(length, side, step) for length in shape]
-    rows, columns = (part.ravel() for part in np.meshgrid(*starts, indexing="ij"))
-    places = np.stack([part.ravel() for part in np.meshgrid(*(np.arange(len(s)) for s in starts), indexing="ij")], 1)
-    padded = np.zeros((max(shape[0], side), max(shape[1], side)), dtype=np.float32)
-    padded[: shape[0], : shape[1]] = value
-    known = np.zeros(padded.shape, dtype=np.uint8)
-    known[: shape[0], : shape[1]] = valid
-    fraction = _sums(known, side)[rows, columns] / (side * side)
+    side = max(4, round(PATCH_MM / band.pitch_mm))
+    step = max(1, round(step_mm / band.pitch_mm))
+    reach = max(1, round(search_mm / band.pitch_mm))
+    spare = np.array(band.value.shape) - side
+    grid = np.maximum(1, spare // step + 1)
+    first = np.maximum(0, (spare - (grid - 1) * step) // 2)
+    cell = np.indices(grid).reshape(2, -1).T
+    corner = first + step * cell
+    border = [(0, max(0, -int(missing))) for missing in spare]
+    fraction = _sums(np.pad(band.valid.view(np.uint8), border), side)[tuple(corner.T)] / (side * side)
     kept = fraction >= _MIN_OVERLAP
-    rows, columns, places, fraction = rows[kept], columns[kept], places[kept], fraction[kept]
-    patches = sliding_window_view(padded, (side, side))[rows, columns]
+    patches = sliding_window_view(np.pad(band.value, border), (side, side))[tuple(corner[kept].T)]
     window = side + 2 * reach
     return PatchGrid(
-        rows=rows,
-        columns=columns,
-        place=places,
-        grid=(len(starts[0]), len(starts[1])),
-        first=(int(starts[0][0]), int(starts[1][0])),
+        cell=cell[kept],
+        corner=corner[kept],
+        grid=(int(grid[0]), int(grid[1])),
+        origin=first[::-1] + (side - 1) / 2,
         step=step,
         spectrum=(window * window) * spectrum_of(patches, (window, window)).conj(),
         side=side,
         reach=reach,
-        pitch_mm=pitch_mm,
+        pitch_mm=band.pitch_mm,
         energy=(patches * patches).sum(axis=(1, 2)),
-        fraction=fraction,
+        fraction=fraction[kept],
     )
 
 
-def compare_patches(
-    patches: PatchGrid, a_value: FloatArray, a_valid: BoolArray, b_from: Affine, bend: FloatArray | None = None
-) -> Agreement:
+def compare_patches(patches: PatchGrid, a: RidgeBand, b_from: Affine, bend: FloatArray | None = None) -> Agreement:
     """Lay A (H, W) on B's patches by `b_from`, bent by what :func:`bent` adds, and search around each."""
-    reach, side = patches.reach, patches.side
-    if not len(patches.rows):
-        return _nothing()
-    bottom, right = int(patches.rows.max()) + side + 2 * reach, int(patches.columns.max()) + side + 2 * reach
+    side, reach = patches.side, patches.reach
+    window = side + 2 * reach
+    height, width = (patches.corner.max(axis=0, initial=0) + window).tolist()
     moved = b_from.copy()
     moved[:, 2] -= b_from[:, :2] @ np.array([reach, reach])  # a border of the search's reach around B
     if bend is None:
-        flags = cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
-        value = cv2.warpAffine(a_value, moved, (right, bottom), flags=flags)
-        nearest = cv2.INTER_NEAREST | cv2.WARP_INVERSE_MAP
-        valid = cv2.warpAffine(a_valid.view(np.uint8), moved, (right, bottom), flags=nearest)
+        inverse = cv2.WARP_INVERSE_MAP
+        value = cv2.warpAffine(a.value, moved, (width, height), flags=cv2.INTER_LINEAR | inverse)
+        valid = cv2.warpAffine(a.valid.view(np.uint8), moved, (width, height), flags=cv2.INTER_NEAREST | inverse)
     else:
-        there = bent_places(patches, (bottom, right), moved, bend, reach)
-        value = cv2.remap(a_value, there, _ONE_MAP, cv2.INTER_LINEAR)
-        valid = cv2.remap(a_valid.view(np.uint8), there, _ONE_MAP, cv2.INTER_NEAREST)
+        source = bent_places(patches, (height, width), moved, bend, reach)
+        value = cv2.remap(a.value, source, _ONE_MAP, cv2.INTER_LINEAR)
+        valid = cv2.remap(a.valid.view(np.uint8), source, _ONE_MAP, cv2.INTER_NEAREST)
     fraction = _sums(valid, side) / (side * side)
-    seen = np.minimum(fraction[patches.rows + reach, patches.columns + reach], patches.fraction)
-    used = np.flatnonzero(seen >= _MIN_OVERLAP)
+    common = np.minimum(fraction[tuple((patches.corner + reach).T)], patches.fraction)
+    used = np.flatnonzero(common >= _MIN_OVERLAP)
     if not len(used):
-        return _nothing()
-    rows, columns = patches.rows[used], patches.columns[used]
-    window = side + 2 * reach
-    parts = sliding_window_view(value, (window, window))[rows, columns]
+        none = np.zeros(0, dtype=np.float32)
+        return Agreement(used, none, np.zeros((0, 2)), none)
+    corner = tuple(patches.corner[used].T)
     count = 2 * reach + 1
-    product = spectrum_of(parts)
-    product *= patches.spectrum if len(used) == len(patches.rows) else patches.spectrum[used]
+    product = spectrum_of(sliding_window_view(value, (window, window))[corner])
+    product *= patches.spectrum[used]
     # of the window only the first shifts are wanted: rows first, then these alone
     surface = np.fft.irfft(np.fft.ifft(product, axis=1)[:, :count], n=window, axis=2)[:, :, :count]
-    energy = _sums(value * value, side)
-    around = sliding_window_view(energy, (count, count))[rows, columns]
+    energy = sliding_window_view(_sums(value * value, side), (count, count))[corner]
     floor = 0.05 * side * side
-    surface = surface / np.sqrt(np.maximum(around, floor) * np.maximum(patches.energy[used], floor)[:, None, None])
-    support = _supported(surface, patches.place[used], patches.grid, seen[used])
+    surface = surface / np.sqrt(np.maximum(energy, floor) * np.maximum(patches.energy[used], floor)[:, None, None])
+    support = _supported(surface, patches.cell[used], patches.grid, common[used])
     shift, correlation = _peak(support, surface)
-    return Agreement(used, correlation, shift, seen[used].astype(np.float32))
+    return Agreement(used, correlation, shift, common[used].astype(np.float32))
 
 
 def better_affine(patches: PatchGrid, agreement: Agreement, b_from: Affine) -> Affine:
     """Affine map that follows the patches' shifts, robustly; patches that correlate weakly count little."""
-    weight = np.maximum(agreement.correlation - 0.2, 0.0) ** 2 * agreement.weight
+    weight = agreement.firmness
     if int((weight > 0.01).sum()) < 6:
         return b_from
-    middle = (patches.side - 1) / 2
-    place = np.stack([patches.columns[agreement.used] + middle, patches.rows[agreement.used] + middle], axis=1)
-    centre = place.mean(axis=0)
-    span, near = _SPAN_MM / patches.pitch_mm, _NEAR_MM / patches.pitch_mm
-    design = np.column_stack([(place - centre) / span, np.ones(len(place))])
+    position = patches.centres[agreement.used]
+    centre = position.mean(axis=0)
+    span = _SPAN_MM / patches.pitch_mm
+    near = _NEAR_MM / patches.pitch_mm
+    design = np.column_stack([(position - centre) / span, np.ones(len(position))])
     robust = weight.astype(float)
-    solution: NDArray[np.float64] = np.zeros((3, 2))
     # the linear part is held back: a few patches must not shear the finger
-    hold = np.diag([0.09, 0.09, 0.0])
+    ridge_penalty = np.diag([0.09, 0.09, 0.0])
     for _ in range(4):
         weighted = design.T * robust
-        solution = np.linalg.solve(weighted @ design + robust.sum() * hold, weighted @ agreement.shift)
-        miss = np.linalg.norm(design @ solution - agreement.shift, axis=1)
-        robust = weight / (1.0 + (miss / near) ** 2)
-    # A's content must move by s(p): B's place p then shows A at b_from(p - s(p))
+        solution = np.linalg.solve(weighted @ design + robust.sum() * ridge_penalty, weighted @ agreement.shift)
+        residual = np.linalg.norm(design @ solution - agreement.shift, axis=1)
+        robust = weight / (1.0 + (residual / near) ** 2)
+    # A's content must move by s(p): B's position p then shows A at b_from(p - s(p))
     linear = solution[:2].T / span
     offset = solution[2] - linear @ centre
-    back = np.eye(2) - linear
-    return np.hstack([b_from[:, :2] @ back, (b_from[:, 2] - b_from[:, :2] @ offset)[:, None]])
-
-
-_SMOOTH = 1.0
-"""Sigma, in steps of the grid, over which shifts are averaged: skin stretches smoothly."""
-_STILL = 0.05
-"""Weight of no shift among them."""
+    return np.hstack([b_from[:, :2] @ (np.eye(2) - linear), (b_from[:, 2] - b_from[:, :2] @ offset)[:, None]])
 
 
 def bent(patches: PatchGrid, agreement: Agreement, bend: FloatArray | None = None) -> FloatArray:
@@ -210,120 +216,103 @@ def bent(patches: PatchGrid, agreement: Agreement, bend: FloatArray | None = Non
 
     Patches that correlate weakly count little; where none is near, the shift fades out.
     """
-    weight = np.maximum(agreement.correlation - 0.2, 0) ** 2 * agreement.weight
-    step = _smoothed(patches.grid, patches.place[agreement.used], agreement.shift, weight)
+    step = _smoothed(patches.grid, tuple(patches.cell[agreement.used].T), agreement.shift, agreement.firmness)
     return step if bend is None else bend + step
 
 
-def bent_by(patches: PatchGrid, place: NDArray[np.float64], shift: NDArray[np.float64]) -> FloatArray:
-    """The same from shifts (N, 2) of places (N, 2): columns and rows of B."""
-    grid = (place - (np.array(patches.first[::-1]) + (patches.side - 1) / 2)) / patches.step
-    near = np.clip(np.rint(grid[:, ::-1]).astype(np.int64), 0, np.array(patches.grid) - 1)
-    return _smoothed(patches.grid, near, shift, np.full(len(place), 0.16, dtype=np.float32))
+def bent_by(patches: PatchGrid, position: Positions, shift: Positions) -> FloatArray:
+    """The same from shifts (N, 2) of positions (N, 2) in B."""
+    firm = np.full(len(position), _FIRM, dtype=np.float32)
+    return _smoothed(patches.grid, patches.nearest(position), shift, firm)
 
 
 def _smoothed(
-    grid: tuple[int, int], place: NDArray[np.int64], shift: NDArray[np.float64], weight: FloatArray
+    grid: tuple[int, int], cell: tuple[NDArray[np.int64], ...], shift: Positions, weight: FloatArray
 ) -> FloatArray:
-    board = np.zeros((*grid, 3), dtype=np.float32)
-    np.add.at(board, (place[:, 0], place[:, 1]), np.column_stack([shift * weight[:, None], weight]).astype(np.float32))
-    board = np.asarray(cv2.GaussianBlur(board, (0, 0), _SMOOTH, borderType=cv2.BORDER_CONSTANT))
-    return board[..., :2] / (board[..., 2:] + (_STILL * 0.16))
+    total = np.zeros((*grid, 3), dtype=np.float32)
+    np.add.at(total, cell, np.column_stack([shift * weight[:, None], weight]).astype(np.float32))
+    total = np.asarray(cv2.GaussianBlur(total, (0, 0), _SMOOTH, borderType=cv2.BORDER_CONSTANT))
+    return total[..., :2] / (total[..., 2:] + (_STILL * _FIRM))
 
 
 def bent_places(
-    patches: PatchGrid, size: tuple[int, int], b_from: Affine, bend: FloatArray | None, border: int = 0
+    patches: PatchGrid, size: tuple[int, int], b_from: Affine, bend: FloatArray, border: int = 0
 ) -> FloatArray:
     """(*size, 2) column and row in A of each pixel of B, which begins `border` pixels inside."""
     places = np.empty((*size, 2), dtype=np.float32)
     places[..., 0] = np.arange(size[1])
     places[..., 1] = np.arange(size[0])[:, None]
-    if bend is not None:
-        middle = [first + (patches.side - 1) / 2 + border for first in patches.first]
-        scale = 1 / patches.step
-        to_grid = np.array([[scale, 0, -middle[1] * scale], [0, scale, -middle[0] * scale]])
-        flags = cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
-        places -= cv2.warpAffine(bend, to_grid, size[::-1], flags=flags, borderMode=cv2.BORDER_REPLICATE)
+    scale = 1 / patches.step
+    to_grid = np.column_stack([scale * np.eye(2), -(patches.origin + border) * scale])
+    flags = cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
+    places -= cv2.warpAffine(bend, to_grid, size[::-1], flags=flags, borderMode=cv2.BORDER_REPLICATE)
     return np.asarray(cv2.transform(places, b_from))
 
 
-def shown_in_a(patches: PatchGrid, b_from: Affine, bend: FloatArray, place: NDArray[np.float64]) -> NDArray[np.float64]:
-    """(N, 2) column and row in A of places (N, 2) in B."""
-    grid = (place - (np.array(patches.first[::-1]) + (patches.side - 1) / 2)) / patches.step
-    near = np.clip(np.rint(grid).astype(np.int64), 0, np.array(bend.shape[1::-1]) - 1)
-    return (place - bend[near[:, 1], near[:, 0]]) @ b_from[:, :2].T + b_from[:, 2]
+def shown_in_a(patches: PatchGrid, b_from: Affine, bend: FloatArray | None, position: Positions) -> Positions:
+    """(N, 2) column and row in A of positions (N, 2) in B."""
+    if bend is not None:
+        position = position - bend[patches.nearest(position)]
+    return position @ b_from[:, :2].T + b_from[:, 2]
 
 
 def overlap_correlation(
-    patches: PatchGrid, a: tuple[FloatArray, BoolArray], b: tuple[FloatArray, BoolArray], b_from: Affine,
-    bend: FloatArray | None = None,
-) -> tuple[float, float]:  # fmt: skip
-    """Correlation of all that both show where A, bent, is laid on B, without any further search; and its area, mm2.
-
-    `a`, `b`: band (H, W) and where it is valid.
-    """
-    there = bent_places(patches, (b[1].shape[0], b[1].shape[1]), b_from, bend)
-    both = (cv2.remap(a[1].view(np.uint8), there, _ONE_MAP, cv2.INTER_NEAREST) > 0) & b[1]
-    one, other = cv2.remap(a[0], there, _ONE_MAP, cv2.INTER_LINEAR)[both], b[0][both]
-    power = float(one @ one) * float(other @ other)
-    return float(one @ other) / max(power, 1e-12) ** 0.5, float(both.sum()) * patches.pitch_mm**2
+    patches: PatchGrid, a: RidgeBand, b: RidgeBand, b_from: Affine, bend: FloatArray
+) -> tuple[float, float]:
+    """Correlation of all that both show where A, bent, is laid on B, without any further search; and its area, mm2."""
+    source = bent_places(patches, (b.valid.shape[0], b.valid.shape[1]), b_from, bend)
+    common = (cv2.remap(a.valid.view(np.uint8), source, _ONE_MAP, cv2.INTER_NEAREST) > 0) & b.valid
+    in_a = cv2.remap(a.value, source, _ONE_MAP, cv2.INTER_LINEAR)[common]
+    in_b = b.value[common]
+    power = float(in_a @ in_a) * float(in_b @ in_b)
+    return float(in_a @ in_b) / max(power, 1e-12) ** 0.5, float(common.sum()) * patches.pitch_mm**2
 
 
 def rigid(
-    a_shape: tuple[int, int], b_shape: tuple[int, int], angle_rad: float, shift_px: tuple[float, float]
+    a_shape: tuple[int, ...], b_shape: tuple[int, ...], angle_rad: float, shift_px: tuple[float, float]
 ) -> Affine:
-    """B's place to A's, when A is turned counter-clockwise about its middle and its middle put beside B's.
+    """B's position to A's, when A is turned counter-clockwise about its centre and its centre put beside B's.
 
-    `shift_px` : columns, rows from B's middle to A's.
+    `shift_px` : columns, rows from B's centre to A's.
     """
-    a = np.array([(a_shape[1] - 1) / 2, (a_shape[0] - 1) / 2])
-    b = np.array([(b_shape[1] - 1) / 2, (b_shape[0] - 1) / 2]) + np.asarray(shift_px)
+    a = (np.array(a_shape[::-1]) - 1) / 2
+    b = (np.array(b_shape[::-1]) - 1) / 2 + shift_px
     cos, sin = np.cos(angle_rad), np.sin(angle_rad)
     turn = np.array([[cos, -sin], [sin, cos]])
     return np.hstack([turn, (a - turn @ b)[:, None]])
 
 
-def _starts(length: int, side: int, step: int) -> NDArray[np.int64]:
-    """First pixels of patches, centred on the length."""
-    count = max(1, (length - side) // step + 1)
-    left = max(0, (length - side - (count - 1) * step) // 2)
-    return left + step * np.arange(count, dtype=np.int64)
-
-
-def _supported(surface: FloatArray, place: NDArray[np.int64], grid: tuple[int, int], weight: FloatArray) -> FloatArray:
+def _supported(surface: FloatArray, cell: NDArray[np.int64], grid: tuple[int, int], weight: FloatArray) -> FloatArray:
     """Correlation of each patch and, half as much, of its eight neighbours, for each shift."""
-    count = surface.shape[1]
-    board = np.zeros((grid[0] + 2, grid[1] + 2, count, count), dtype=np.float32)
-    board[place[:, 0] + 1, place[:, 1] + 1] = surface * weight[:, None, None]
+    board = np.zeros((grid[0] + 2, grid[1] + 2, *surface.shape[1:]), dtype=np.float32)
+    board[cell[:, 0] + 1, cell[:, 1] + 1] = surface * weight[:, None, None]
     lines = board[:-2] + 2 * board[1:-1] + board[2:]
     total = lines[:, :-2] + 2 * lines[:, 1:-1] + lines[:, 2:]
-    return np.asarray(total[place[:, 0], place[:, 1]])
+    return np.asarray(total[cell[:, 0], cell[:, 1]])
 
 
-def _peak(support: FloatArray, surface: FloatArray) -> tuple[NDArray[np.float64], FloatArray]:
-    """Shift (columns, rows) of the best support, to a fraction of a pixel, and the own correlation there."""
+def _peak(support: FloatArray, surface: FloatArray) -> tuple[Positions, FloatArray]:
+    """Shift (columns, rows) of the best support, by parabolas to a fraction of a pixel, and the correlation there."""
     count = surface.shape[1]
-    supports, own = (np.ascontiguousarray(part).reshape(-1) for part in (support, surface))
-    middle = support.reshape(len(surface), -1).argmax(axis=1)
-    row, column = np.divmod(middle, count)
-    middle += np.arange(0, own.size, count * count)
-    here, best = supports[middle], own[middle].astype(float)
-    middle_own = best.copy()
+    best = support.reshape(len(support), -1).argmax(axis=1)
+    row, column = np.divmod(best, count)
+    best += np.arange(0, support.size, count * count)
+    supports, correlations = support.ravel(), surface.ravel()
     shift = np.stack([column, row], axis=1) - np.float64(count // 2)
-    for axis, (at, step) in enumerate(((column, 1), (row, count))):
-        inner = (at > 0) & (at < count - 1)
-        beside = inner * step
-        low, high = supports[middle - beside], supports[middle + beside]
-        bend = low - 2 * here + high
-        peaked = inner & (bend < 0)
-        fraction = np.zeros(len(bend))
-        np.divide(0.5 * (low - high), bend, out=fraction, where=peaked)
-        np.clip(fraction, -0.5, 0.5, out=fraction)
+    top = correlations[best].astype(float)
+    peak = top.copy()
+    for axis, (place, stride) in enumerate(((column, 1), (row, count))):
+        beside = ((place > 0) & (place < count - 1)) * stride  # 0 at the border: no parabola
+        low, high = supports[best - beside], supports[best + beside]
+        curvature = low - 2 * supports[best] + high
+        fraction = np.zeros(len(best))
+        np.divide(0.5 * (low - high), curvature, out=fraction, where=curvature < 0)
+        fraction = np.clip(fraction, -0.5, 0.5)
         shift[:, axis] += fraction
-        before, after = own[middle - beside], own[middle + beside]
-        best += 0.5 * fraction * (after - before) + 0.5 * fraction**2 * (before - 2 * middle_own + after)
+        before, after = correlations[best - beside], correlations[best + beside]
+        peak += 0.5 * fraction * (after - before) + 0.5 * fraction**2 * (before - 2 * top + after)
     # the search moved B's patch over A's content: A must move the other way
-    return -shift, np.clip(best, -1.0, 1.0).astype(np.float32)
+    return -shift, np.clip(peak, -1.0, 1.0).astype(np.float32)
 
 
 def _sums(image: NDArray[Any], side: int) -> FloatArray:
@@ -332,8 +321,3 @@ def _sums(image: NDArray[Any], side: int) -> FloatArray:
         image, cv2.CV_32F, (side, side), anchor=(0, 0), normalize=False, borderType=cv2.BORDER_CONSTANT
     )
     return np.asarray(total, dtype=np.float32)
-
-
-def _nothing() -> Agreement:
-    none = np.zeros(0, dtype=np.float32)
-    return Agreement(np.zeros(0, dtype=np.int64), none, np.zeros((0, 2)), none)

@@ -44,9 +44,10 @@ if TYPE_CHECKING:
     from splitknit.io.prints import PrintFile
     from splitknit_match.prints.pressed import PressedRidges
 
-_ENDS, _JUDGED_MM2 = (0.015, 1.0), 100.0
-"""Minutiae on a mm2 of a finger, and the area from which on they are counted: 280 real prints have 0.06 to 0.41,
-squares of 9 mm of them 0.025 to 0.72."""
+_MINUTIAE_PER_MM2 = (0.015, 1.0)
+"""On a finger: 280 real prints have 0.06 to 0.41, squares of 9 mm of them 0.025 to 0.72."""
+_JUDGED_MM2 = 100.0
+"""Area from which on they are counted."""
 _LEAST_OF_PRINTS_MM2 = LEAST_MM2 / 3
 """Of a print a third of the area suffices that surfaces need: small sensors show little, and show it sharply."""
 
@@ -100,32 +101,32 @@ Held = Reconstruction | Capture | Pixels | bytes
 """A finger without a file: `bytes` are the payload of a template."""
 
 
-def held(given: Any, resolution_ppi: float | None = None) -> Path | Held:
-    """A finger as a caller gives it: a path, other objects, or the pixels (H, W) of a print, of a known resolution.
+def held(finger: Any, resolution_ppi: float | None = None) -> Path | Held:
+    """A finger as a caller has it: a path, other objects, or the pixels (H, W) of a print, of a known resolution.
 
     Raises BadInput if it is nothing of these, or pixels come without their resolution.
     """
-    if isinstance(given, str | os.PathLike):
-        return Path(given)
-    if not isinstance(given, np.ndarray):
+    if isinstance(finger, str | os.PathLike):
+        return Path(finger)
+    if not isinstance(finger, np.ndarray):
         require(
-            isinstance(given, Held),
+            isinstance(finger, Held),
             "a finger is a path, a Reconstruction, a Capture, an array (H, W) uint8 with `resolution_ppi`, or bytes of "
-            f"a template, not {type(given).__name__}.",
+            f"a template, not {type(finger).__name__}.",
         )
-        return given  # type: ignore[no-any-return]
+        return finger  # type: ignore[no-any-return]
     require(
-        given.ndim == 2 and given.dtype == np.uint8,
-        f"the array of a print must be (H, W) uint8, ridges dark, but it is {given.shape} {given.dtype}.",
+        finger.ndim == 2 and finger.dtype == np.uint8,
+        f"the array of a print must be (H, W) uint8, ridges dark, but it is {finger.shape} {finger.dtype}.",
     )
     if resolution_ppi is None:
         raise BadInput("an array of pixels does not state its resolution; give it: `resolution_ppi` 500.")
     require(200 <= resolution_ppi <= 5080, f"`resolution_ppi` must lie in 200 to 5080, but it is {resolution_ppi:g}.")
-    return Pixels(np.ascontiguousarray(given), float(resolution_ppi))
+    return Pixels(np.ascontiguousarray(finger), float(resolution_ppi))
 
 
 def read_side(  # noqa: PLR0911 - one for each kind
-    given: Path | Held,
+    finger: Path | Held,
     preset: str,
     progress: Progress = no_progress,
     input_ppi: float | None = None,
@@ -138,64 +139,72 @@ def read_side(  # noqa: PLR0911 - one for each kind
     though `where` chooses.
     """
     if where is not None and where.given:
-        name = f"'{given}'" if isinstance(given, Path) else "what is not a file"
-        require(is_photo(given), f"`mask` and `box` choose the finger of a photograph in colour; {name} is none.")
-    if not isinstance(given, Path):
-        return _held_side(given, preset, progress)
-    path = given
-    progress(f"reading {path.name}", 0.1)
+        name = f"'{finger}'" if isinstance(finger, Path) else "what is not a file"
+        require(is_photo(finger), f"`mask` and `box` choose the finger of a photograph in colour; {name} is none.")
+    if isinstance(finger, bytes):
+        return _template_side(Path("template"), finger)
+    if isinstance(finger, Pixels):
+        from splitknit.io.prints import PrintFile
+        from splitknit_match.prints.from_file import prepared  # a template needs none of it
+
+        item = prepared(PrintFile(finger.image, finger.resolution_ppi, {}))
+        return _print_side(Path("array"), item, item.doubt)
+    if isinstance(finger, Capture):
+        finger = _reconstructed(finger, preset, progress)
+    if isinstance(finger, Reconstruction):
+        return _surface_side(Path("reconstruction"), "result", surface_of(finger))
+    progress(f"reading {finger.name}", 0.1)
     require(
-        os.path.exists(path),  # noqa: PTH110 - false, no error, where no file can have such a name
-        f"there is no '{path}'; name a capture folder, a result folder, a template (.skt), a print "
+        os.path.exists(finger),  # noqa: PTH110 - false, no error, where no file can have such a name
+        f"there is no '{finger}'; name a capture folder, a result folder, a template (.skt), a print "
         "or a record of minutiae.",
     )
-    folder, suffix = path.is_dir(), path.suffix.lower()
-    if folder and (path / "map.npz").is_file() and (path / "print.png").is_file():
-        return _print_folder(path)
-    if (path / "height.npz").is_file() or (not folder and suffix == ".npz"):
-        return _surface_side(path, "result", read_surface(path / "height.npz" if folder else path))
-    if folder:
-        from splitknit import read_capture
-        from splitknit.io.capture import photographs_hint  # a template needs none of it
-
-        require(
-            (path / "capture.json").is_file(),
-            f"'{path}' is neither a result (height.npz), a capture (capture.json) nor a print (print.png); name one "
-            f"{photographs_hint(path)}.",
-        )
-        capture = read_capture(path)
-        result = naming(path, lambda: _reconstructed(capture, preset, progress))
-        return _surface_side(path, "capture", surface_of(result))
-    if suffix == ".skt":
-        payload = read_template(path, VERSION)
-        return naming(path, lambda: _template_side(path, payload))
+    if finger.is_dir():
+        return _folder_side(finger, preset, progress)
+    if finger.suffix.lower() == ".npz":
+        return _surface_side(finger, "result", read_surface(finger))
+    if finger.suffix.lower() == ".skt":
+        payload = read_template(finger, VERSION)
+        return naming(finger, lambda: _template_side(finger, payload))
     from splitknit_match.prints.fingerphoto import fingerphoto, read_fingerphoto
     from splitknit_match.prints.from_file import minutiae_of, read_one_finger
     from splitknit_match.records.minutiae_record import FingerView  # a template needs none of it
 
-    photo = fingerphoto(path)
+    photo = fingerphoto(finger)
     if photo is not None:
-        source = read_fingerphoto(path, None if input_ppi is None else input_ppi / 25.4, where, photo)
+        source = read_fingerphoto(finger, None if input_ppi is None else input_ppi / 25.4, where, photo)
         template = print_template(source.flat, pressed=source.pressed)
-        return Side(path, "photo", None, template, source.flat, note=source.scale, quality=source.quality)
-    finger = read_one_finger(path, input_ppi)
-    if isinstance(finger, FingerView):
-        return naming(path, lambda: Side(path, "minutiae", minutiae=minutiae_of(finger)))
-    return _print_side(path, finger, finger.doubt)
+        return Side(finger, "photo", None, template, source.flat, note=source.scale, quality=source.quality)
+    item = read_one_finger(finger, input_ppi)
+    if isinstance(item, FingerView):
+        return naming(finger, lambda: Side(finger, "minutiae", minutiae=minutiae_of(item)))
+    return _print_side(finger, item, item.doubt)
 
 
-def _held_side(given: Held, preset: str, progress: Progress) -> Side:
-    """A side that is not a file."""
-    if isinstance(given, Reconstruction | Capture):
-        result = given if isinstance(given, Reconstruction) else _reconstructed(given, preset, progress)
-        return _surface_side(Path("reconstruction"), "result", surface_of(result))
-    if isinstance(given, Pixels):
-        from splitknit.io.prints import PrintFile
-        from splitknit_match.prints.from_file import prepared  # a template needs none of it
+def _folder_side(folder: Path, preset: str, progress: Progress) -> Side:
+    """What ``splitknit print`` or ``reconstruct`` wrote, or a capture."""
+    if (folder / "map.npz").is_file() and (folder / "print.png").is_file():
+        from splitknit_match.prints.from_file import minutiae_of, read_print_folder, resolution_doubt
 
-        item = prepared(PrintFile(given.image, given.resolution_ppi, {}))
-        return _print_side(Path("array"), item, item.doubt)
-    return _template_side(Path("template"), given)
+        picture, view = read_print_folder(folder)
+        report = folder / "report.json"
+        about = read_json(report)[0] if report.is_file() else {}
+        measured = about.get("method", "file") != "file" and about.get("scale") is None  # by a calibrated camera
+        doubt = "" if measured else resolution_doubt(picture)
+        return _print_side(folder, picture, doubt, None if view is None else minutiae_of(view))
+    if (folder / "height.npz").is_file():
+        return _surface_side(folder, "result", read_surface(folder / "height.npz"))
+    from splitknit import read_capture
+    from splitknit.io.capture import photographs_hint  # a template needs none of it
+
+    require(
+        (folder / "capture.json").is_file(),
+        f"'{folder}' is neither a result (height.npz), a capture (capture.json) nor a print (print.png); name one "
+        f"{photographs_hint(folder)}.",
+    )
+    capture = read_capture(folder)
+    result = naming(folder, lambda: _reconstructed(capture, preset, progress))
+    return _surface_side(folder, "capture", surface_of(result))
 
 
 def _surface_side(path: Path, kind: str, surface: Surface) -> Side:
@@ -205,7 +214,7 @@ def _surface_side(path: Path, kind: str, surface: Surface) -> Side:
 def _template_side(path: Path, payload: bytes) -> Side:
     if holds_minutiae(payload):
         return Side(path, "template", minutiae=unpack_minutiae(payload))
-    return Side(path, "template", None, unpack(payload))
+    return Side(path, "template", template=unpack(payload))
 
 
 def _print_side(path: Path, item: PrintFile, doubt: str, minutiae: Minutiae | None = None) -> Side:
@@ -222,25 +231,13 @@ def undoubted(side: Side) -> Side:
     return side
 
 
-def _print_folder(folder: Path) -> Side:
-    """What ``splitknit print`` wrote: the picture, and the minutiae that were found as it was made."""
-    from splitknit_match.prints.from_file import minutiae_of, read_print_folder, resolution_doubt
-
-    picture, view = read_print_folder(folder)
-    report = folder / "report.json"
-    about = read_json(report)[0] if report.is_file() else {}
-    measured = about.get("method", "file") != "file" and about.get("scale") is None  # by a calibrated camera
-    doubt = "" if measured else resolution_doubt(picture)
-    return _print_side(folder, picture, doubt, None if view is None else minutiae_of(view))
-
-
-def is_photo(given: Path | Held) -> bool:
+def is_photo(finger: Path | Held) -> bool:
     """Whether a source is a photograph of a finger."""
-    if not isinstance(given, Path) or given.suffix.lower() in (".skt", ".npz"):
+    if not isinstance(finger, Path) or finger.suffix.lower() in (".skt", ".npz"):
         return False
     from splitknit_match.prints.fingerphoto import fingerphoto  # a template needs none of it
 
-    return fingerphoto(given) is not None
+    return fingerphoto(finger) is not None
 
 
 def is_of_minutiae(path: Path | Held) -> bool:
@@ -270,11 +267,12 @@ def print_template(image: NDArray[np.uint8], ppi: float = PPI, *, pressed: Press
     with contextlib.suppress(BadInput):  # no ridges: a failure to acquire
         ridges = pressed or pressed_ridges(image)
         lacks = ridges.lacks
-        made = pressed_print(PrintFile(image, PPI, {}), pressed=ridges)
-        inside = made.weight > 0
-        minutiae = minutiae_by_phase(made, enhance(made))
+        finger = pressed_print(PrintFile(image, PPI, {}), pressed=ridges)
+        inside = finger.weight > 0
+        minutiae = minutiae_by_phase(finger, enhance(finger))
         area_mm2 = float(inside.sum()) * (25.4 / PPI) ** 2
-        if area_mm2 >= _JUDGED_MM2 and not _ENDS[0] < minutiae.count / area_mm2 < _ENDS[1]:
+        low, high = (rate * area_mm2 for rate in _MINUTIAE_PER_MM2)
+        if area_mm2 >= _JUDGED_MM2 and not low < minutiae.count < high:
             lacks = f"no print of a finger: {minutiae.count} lines end or fork on {area_mm2:.0f} mm²"
         image = image if pressed is None else pressed.image
     if lacks:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-import math
+from collections.abc import Sequence
 from dataclasses import fields, replace
 from functools import cache, partial
 from pathlib import Path
@@ -29,7 +29,7 @@ from splitknit_match.matching.results import (
     TemplateFile,
 )
 from splitknit_match.matching.ridge import Prepared, RidgeMatch, ridge_match
-from splitknit_match.matching.score import FmrTable, OwnRates
+from splitknit_match.matching.score import FMR_ROUNDING, FmrTable, OwnRates
 from splitknit_match.matching.surface import surface_images
 from splitknit_match.matching.template import VERSION, Template, mirrored
 from splitknit_match.prints.minutiae import NFIQ2_FAILED, extract, minutiae_match, nfiq2
@@ -37,7 +37,7 @@ from splitknit_match.prints.minutiae_record import PPI, Minutiae
 from splitknit_match.records.templates import is_template, write_template
 
 if TYPE_CHECKING:
-    from splitknit_match.matching.thesis import FingerImages, ThesisSettings
+    from splitknit_match.matching.thesis import ThesisSettings
 
 TABLES = {
     "ridge": "match_fmr.json",
@@ -52,10 +52,6 @@ TABLES = {
 """Impostor scores, made by validation/match/impostors.py of simulated fingers and by windows.py of real prints."""
 REAL_PRINTS = "match_fmr_real_prints.json"
 """The fusion's impostor scores of real prints, which state the rates that are not too small for them."""
-_FMR_ROUNDING = 1e-5
-"""By this much similarities are rounded so that no rate comes out too low."""
-_WHOLE = ("minutiae", "minutiae_of_prints")
-"""bozorth3's scores are whole numbers."""
 DECIDED_AT = 1e-4
 """False match rate at which is decided whether it is one finger."""
 
@@ -68,19 +64,35 @@ def compare_sides(
     `known_scale`: photographs of fingers are not tried at several. Raises BadInput, naming the file at fault, or if
     `fmr` is below what was measured.
     """
+    photos = [side.kind == "photo" for side in (a, b)]
+    scores = method
+    if any(photos):
+        kinds = {"photo": " alone", "print": " and prints"}
+        of = kinds.get(a.kind if photos[1] else b.kind, "")
+        scores = f"fingerphotos{of}" if method == "fusion" else f"{method} on photographs"
+    elif method == "minutiae" and (a.surface is None or b.surface is None):
+        scores = "minutiae_of_prints"
     if method == "ridge":
-        match: Match = _by_ridges(a, b)
+        ridge = ridge_match(_template(a), _template(b))
+        match: Match = MatchOfRidges(
+            method="ridge", a=compared_side(a), b=compared_side(b), similarity=ridge.similarity,
+            compared=ridge.compared, **_alignment(ridge),
+        )  # fmt: skip
     elif method == "fusion":
-        match = _fused(a, b, known_scale)
+        match = _by_ridges_and_minutiae(a, b, photos if any(photos) and not known_scale else None)
     elif method == "minutiae":
         match = _by_minutiae(a, b)
     else:
         match = _by_images(method, thesis, a, b)
-    match = _rated(match, _scores_of(method, a, b), fmr, own)
-    if method == "fusion" and "photo" not in (a.kind, b.kind) and match.fmr is not None and match.answer != "match":
-        sides = _template(a), _template(b)
-        doubt = scale_doubt(*sides, fmr, own)
-        if match.answer == "no match" and doubt is None and _prints_match(mirrored(sides[0]), sides[1], fmr, own):
+    match = _rated(match, scores, fmr, own)
+    if method == "fusion" and not any(photos) and match.fmr is not None and match.answer != "match":
+        templates = _template(a), _template(b)
+        doubt = scale_doubt(*templates, fmr, own)
+        if (
+            doubt is None
+            and match.answer == "no match"
+            and _prints_match(mirrored(templates[0]), templates[1], fmr, own)
+        ):
             doubt = "one seen in a mirror, both match: one of the pictures is mirrored; turn it round"
         if doubt is not None:
             return replace(match, answer="undecided", undecided=doubt, decision=None)
@@ -114,23 +126,16 @@ def write_template_file(template: Path | None, side: Side) -> TemplateFile | Non
     return TemplateFile(str(template), template.stat().st_size)
 
 
-def _by_ridges(a: Side, b: Side) -> MatchOfRidges:
-    ridge = ridge_match(_template(a), _template(b))
-    return MatchOfRidges(
-        method="ridge", a=compared_side(a), b=compared_side(b), similarity=ridge.similarity, **_laid(ridge)
-    )
-
-
-def _laid(ridge: RidgeMatch) -> dict[str, Any]:
+def _alignment(ridge: RidgeMatch) -> dict[str, Any]:
     """What comparisons by ridges have in common."""
     return {
-        "compared": ridge.compared, "overlap_mm2": ridge.overlap_mm2, "correlation": ridge.correlation,
+        "overlap_mm2": ridge.overlap_mm2, "correlation": ridge.correlation,
         "alignment": PlaneAlignment(ridge.rotation_deg, ridge.right_mm, ridge.up_mm),
     }  # fmt: skip
 
 
-def _fused(a: Side, b: Side, known_scale: bool) -> MatchOfPrints:
-    """Compare two prints by ridges and minutiae, where one is a photograph of assumed scale at several.
+def _by_ridges_and_minutiae(a: Side, b: Side, photos: Sequence[bool] | None) -> MatchOfPrints:
+    """Compare two prints; `photos`: which sides are photographs of assumed scale, tried at several.
 
     Raises BadInput if a side holds no minutiae.
     """
@@ -144,176 +149,56 @@ def _fused(a: Side, b: Side, known_scale: bool) -> MatchOfPrints:
             )
         acquired = minutiae.acquired or not _template(side).empty
         sides.append(replace(compared_side(side), minutiae=minutiae.count, acquired=acquired))
-    left, right = (Prepared(_template(side)) for side in (a, b))
-    photos = [side.kind == "photo" for side in (a, b)]
-    if any(photos) and not known_scale:
-        found, scale, number = fused_photo(left, right, photos)
+    left, right = Prepared(_template(a)), Prepared(_template(b))
+    if photos is None:
+        fused = fused_match(left, right)
+    else:
+        fused, scale, number = fused_photo(left, right, photos)
         if abs(scale - 1) >= 0.01:
             larger = f"{100 * abs(scale - 1):.0f} % {'larger' if scale > 1 else 'smaller'}"
             sides[number] = replace(sides[number], note=f"{sides[number].note} It fits best {larger}.")
-    else:
-        found = fused_match(left, right)
-    laid = _laid(found.ridge) | {"compared": found.compared}
     return MatchOfPrints(
-        method="fusion", a=sides[0], b=sides[1], similarity=found.similarity,
-        similarity_of_ridges=found.ridge.similarity, similarity_of_minutiae=found.minutiae, **laid,
+        method="fusion", a=sides[0], b=sides[1], similarity=fused.similarity, compared=fused.compared,
+        similarity_of_ridges=fused.ridge.similarity, similarity_of_minutiae=fused.minutiae, **_alignment(fused.ridge),
     )  # fmt: skip
 
 
-def _scores_of(method: str, a: Side, b: Side) -> str:
-    """Which table holds the impostor scores of a comparison."""
-    if "photo" in (a.kind, b.kind):
-        of = {"photo": " alone", "print": " and prints"}.get(a.kind if b.kind == "photo" else b.kind, "")
-        return f"fingerphotos{of}" if method == "fusion" else f"{method} on photographs"
-    of_surfaces = a.surface is not None and b.surface is not None
-    return "minutiae_of_prints" if method == "minutiae" and not of_surfaces else method
+def _by_minutiae(a: Side, b: Side) -> Match:
+    """Compare by minutiae: surfaces by their relief prints as they are, prints from files after enhancement.
 
-
-def doubt_of(side: Side | ComparedSide) -> str | None:
-    """Why the resolution of a side's print cannot be right, with its path; None where nothing speaks against it."""
-    return None if side.doubt is None else f"{side.path}: {side.doubt}".rstrip(".")
-
-
-def _prints_match(a: Template, b: Template, fmr: float | None, own: OwnRates | None) -> bool:
-    """Whether two prints match by ridges and minutiae."""
-    found = fused_match(a, b)
-    scores = scores_of("fusion", (a.area_mm2, b.area_mm2), found.minutiae)
-    return rate(found.similarity, scores, found.ridge.overlap_mm2, fmr, own).answer == "match"
-
-
-def scale_doubt(a: Template, b: Template, fmr: float | None, own: OwnRates | None = None) -> str | None:
-    """Why two prints that do not match are not shown to be of two fingers: at one scale of their ridges they match."""
-    if (sides := at_one_scale(a, b)) is None:
-        return None
-    if not _prints_match(*sides[:2], fmr, own):
-        return None
-    apart = 100 * (sides[2] - 1)
-    return f"the ridges of one lie {apart:.0f} % farther apart, and at one scale both match: check their resolutions"
-
-
-def _rated(match: Match, scores: str, fmr: float | None, own: OwnRates | None) -> Match:
-    """With the false match rate and its basis, or why there is none, and the decision at a rate, by own rates."""
-    doubts = [doubt for doubt in map(doubt_of, (match.a, match.b)) if doubt is not None]
-    if not doubts and not (match.a.acquired and match.b.acquired):
-        return replace(match, fmr_missing="nothing was compared", answer="not acquired", undecided="failure to acquire")
-    if scores not in TABLES and own is None:
-        rated = _unknown(f"false match rates of the method {scores} were not measured")
-    elif not match.compared:
-        rated = _unknown("nothing was compared")
-    else:
-        minutiae = match.similarity_of_minutiae if isinstance(match, MatchOfPrints) else None
-        overlap_mm2 = match.overlap_mm2 if isinstance(match, MatchOfRidges) else None
-        scores = scores_of(scores, (match.a.area_mm2, match.b.area_mm2), minutiae)
-        rated = rate(match.similarity, scores, overlap_mm2, fmr, own)
-    if doubts and not (len(doubts) == 1 and rated.answer == "match"):  # one resolution confirms the other
-        rated = _unknown(doubts[0])
-    return replace(match, **{field.name: getattr(rated, field.name) for field in fields(Rated)})
-
-
-def _unknown(why: str) -> Rated:
-    return Rated(fmr_missing=why, undecided=why)
-
-
-def scores_of(method: str, areas_mm2: tuple[float, float], minutiae: float | None) -> str:
-    """Which impostors a comparison is rated by: where little or no minutiae were compared, other than of the method.
-
-    `minutiae`: the fusion's `similarity_of_minutiae`.
+    Raises BadInput if a side is a template of ridges, or nbis-py is not installed.
     """
-    small = min(areas_mm2) < SMALL_MM2
-    if method == "fusion":
-        return "windows" if small or minutiae is None else method
-    return f"{method} small" if small and (method == "ridge" or "fingerphotos" in method) else method
-
-
-def rate(
-    similarity: float, scores: str, overlap_mm2: float | None, fmr: float | None = None, own: OwnRates | None = None
-) -> Rated:
-    """Answer and false match rate of a similarity by `scores` (:func:`scores_of`) or `own` rates, decided at `fmr`.
-
-    Raises BadInput if no rate as small as `fmr` was measured (but of small prints, which are undecided).
-    """
-    if own is None and scores not in TABLES:
-        method = scores.removesuffix(" small")
-        return _unknown(
-            f"false match rates of the method {method} were measured on {SMALL_MM2:.0f} mm² of skin or more"
-        )
-    table = _fmr_table(scores) if own is None else own.table
-    rated_mm2, excluded_mm2 = _limits(scores) if own is None else (own.least_mm2, 0.0)
-    if overlap_mm2 is not None and overlap_mm2 < rated_mm2:
-        return _unknown(f"only {overlap_mm2:.0f} mm² of skin overlap; it takes {rated_mm2:.0f} mm² or more")
-    basis = FmrBasis(table.impostors, table.population, table.smallest)
-    found = table(similarity - (0.0 if scores in _WHOLE else _FMR_ROUNDING))
-    at = max(DECIDED_AT, basis.smallest) if fmr is None else fmr
-    if at < basis.smallest and scores == "windows":
-        why = f"on small prints false match rates below {basis.smallest:.2g} were not measured"
-        return Rated(fmr=found, fmr_basis=basis, undecided=why)
-    threshold = _threshold(table, at, scores)
-    expected = table.beyond(at)[1] if at < table.smallest else None
-    decision = MatchDecision(similarity >= threshold, at, threshold, expected)
-    if not decision.match and overlap_mm2 is not None and overlap_mm2 < excluded_mm2:
-        why = (
-            f"the ridges agree too little for a match, but {overlap_mm2:.0f} mm² are too few to exclude one: it takes "
-            f"{excluded_mm2:.0f} mm² or more"
-        )
-        return Rated(fmr=found, fmr_basis=basis, undecided=why)
-    answer = "match" if decision.match else "no match"
-    return Rated(fmr=found, fmr_basis=basis, decision=decision, answer=answer)
-
-
-def fmr_basis(method: str = "ridge") -> FmrBasis:
-    """Return what false match rates were measured on: impostor comparisons, and among which fingers."""
-    table = _fmr_table(method)
-    return FmrBasis(table.impostors, table.population, table.smallest)
-
-
-def similarity_at(fmr: float, method: str = "ridge") -> float:
-    """Smallest similarity (in steps of 1e-5) at which the rate of false matches is `fmr` or less.
-
-    A smaller one than was measured is extrapolated (:meth:`splitknit_match.matching.score.FmrTable.beyond`). Raises
-    BadInput if it is less than a hundredth of that.
-    """
-    return _threshold(_fmr_table(method), fmr, method)
-
-
-def _threshold(table: FmrTable, fmr: float, method: str) -> float:
-    require(
-        fmr >= 0.01 * table.smallest,
-        f"false match rates were measured on {table.impostors} comparisons, so that none below "
-        f"{0.01 * table.smallest:.2g} can be stated; give a larger one than {fmr:g}.",
-    )
-    measured = float(table.similarity[np.argmax(table.fmr <= fmr)])
-    least = measured if fmr >= table.smallest else table.beyond(fmr)[0]
-    return math.ceil(least) if method in _WHOLE else (math.ceil(least / _FMR_ROUNDING) + 1) * _FMR_ROUNDING
+    minutiae = side_minutiae(a), side_minutiae(b)
+    sides = []
+    for side, own in zip((a, b), minutiae, strict=True):
+        quality = NFIQ2_FAILED if side.template is None else nfiq2(_print_of(side), PPI)
+        sides.append(
+            replace(
+                compared_side(side), minutiae=own.count, acquired=own.acquired,
+                nfiq2=None if quality == NFIQ2_FAILED else quality, enhanced=side.picture is not None,
+            )
+        )  # fmt: skip
+    compared = all(own.acquired for own in minutiae)
+    return Match(method="minutiae", a=sides[0], b=sides[1], similarity=minutiae_match(*minutiae), compared=compared)
 
 
 def _by_images(method: str, settings: ThesisSettings, a: Side, b: Side) -> MatchOfImages:
     from splitknit_match.matching.thesis import thesis_match  # a template needs none of these
     from splitknit_match.matching.thesis_code import code_match, code_side
 
-    left, right = _images(a, method), _images(b, method)
-    dissimilarity, compared = None, True
-    if method == "thesis":
-        found = thesis_match(left, right, settings)
-        dissimilarity, distances, compared = found.dissimilarity, found.distances, found.compared
-        similarity, overlap, shift_px = found.similarity, found.ratio, found.shift_px
-    else:
-        code = code_match(code_side(left), code_side(right))
-        distances = {name: 1.0 - score for name, score in code.scores.items()}
-        similarity, overlap, shift_px = code.similarity, code.ratio, code.shift_px
+    images = []
+    for side in (a, b):
+        if side.surface is None:
+            raise BadInput(
+                f"{side.path} is a {side.kind}; the method {method} compares surfaces: name a capture or a result."
+            )
+        images.append(naming(side.path, partial(surface_images, side.surface)))
+    match = thesis_match(*images, settings) if method == "thesis" else code_match(*map(code_side, images))
     return MatchOfImages(
-        method=method, a=compared_side(a), b=compared_side(b), similarity=similarity, compared=compared,
-        overlap=overlap, distances=distances, dissimilarity=dissimilarity,
-        alignment=PlaneAlignment(right_mm=shift_px / left.px_per_mm),
+        method=method, a=compared_side(a), b=compared_side(b), similarity=match.similarity, compared=match.compared,
+        overlap=match.ratio, distances=match.distances, dissimilarity=match.dissimilarity or None,
+        alignment=PlaneAlignment(right_mm=match.shift_px / images[0].px_per_mm),
     )  # fmt: skip
-
-
-def _images(side: Side, method: str) -> FingerImages:
-    surface = side.surface
-    if surface is None:
-        raise BadInput(
-            f"{side.path} is a {side.kind}; the method {method} compares surfaces: name a capture or a result."
-        )
-    return naming(side.path, lambda: surface_images(surface))
 
 
 def _template(side: Side) -> Template:
@@ -332,26 +217,6 @@ def compared_side(side: Side) -> ComparedSide:
         str(side.path), side.kind, template.area_mm2, not template.empty, note=template.lacks or side.note,
         quality=side.quality, doubt=side.doubt,
     )  # fmt: skip
-
-
-def _by_minutiae(a: Side, b: Side) -> Match:
-    """Compare by minutiae: similarity, and what each side's print holds.
-
-    Surfaces are compared by their relief prints as they are, prints from files after enhancement. Raises BadInput if a
-    side is a template of ridges, or nbis-py is not installed.
-    """
-    found = [side_minutiae(side) for side in (a, b)]
-    sides = []
-    for side, minutiae in zip((a, b), found, strict=True):
-        quality = NFIQ2_FAILED if side.template is None else nfiq2(_print_of(side), PPI)
-        sides.append(
-            replace(
-                compared_side(side), minutiae=minutiae.count, acquired=minutiae.acquired,
-                nfiq2=None if quality == NFIQ2_FAILED else quality, enhanced=side.picture is not None,
-            )
-        )  # fmt: skip
-    compared = all(minutiae.acquired for minutiae in found)
-    return Match(method="minutiae", a=sides[0], b=sides[1], similarity=minutiae_match(*found), compared=compared)
 
 
 def side_minutiae(side: Side) -> Minutiae:
@@ -383,11 +248,102 @@ def _print_of(side: Side) -> NDArray[np.uint8]:
     return side.picture
 
 
-@cache
-def _limits(method: str) -> tuple[float, float]:
-    """Of what overlaps, mm2: below the first no rate is stated, below the second no finger excluded."""
-    document = _document(TABLES[method])
-    return document.get("rated_mm2", 0.0), document.get("excluded_mm2", 0.0)
+def doubt_of(side: Side | ComparedSide) -> str | None:
+    """Why the resolution of a side's print cannot be right, with its path; None where nothing speaks against it."""
+    return None if side.doubt is None else f"{side.path}: {side.doubt}".rstrip(".")
+
+
+def _prints_match(a: Template, b: Template, fmr: float | None, own: OwnRates | None) -> bool:
+    """Whether two prints match by ridges and minutiae."""
+    fused = fused_match(a, b)
+    scores = scores_of("fusion", (a.area_mm2, b.area_mm2), fused.minutiae)
+    return rate(fused.similarity, scores, fused.ridge.overlap_mm2, fmr, own).answer == "match"
+
+
+def scale_doubt(a: Template, b: Template, fmr: float | None, own: OwnRates | None = None) -> str | None:
+    """Why two prints that do not match are not shown to be of two fingers: at one scale of their ridges they match."""
+    sides = at_one_scale(a, b)
+    if sides is None or not _prints_match(*sides[:2], fmr, own):
+        return None
+    apart = 100 * (sides[2] - 1)
+    return f"the ridges of one lie {apart:.0f} % farther apart, and at one scale both match: check their resolutions"
+
+
+def _rated(match: Match, scores: str, fmr: float | None, own: OwnRates | None) -> Match:
+    """With the false match rate and its basis, or why there is none, and the decision at a rate, by own rates."""
+    doubts = [doubt for doubt in map(doubt_of, (match.a, match.b)) if doubt is not None]
+    if not doubts and not (match.a.acquired and match.b.acquired):
+        return replace(match, fmr_missing="nothing was compared", answer="not acquired", undecided="failure to acquire")
+    if scores not in TABLES and own is None:
+        rated = _unknown(f"false match rates of the method {scores} were not measured")
+    elif not match.compared:
+        rated = _unknown("nothing was compared")
+    else:
+        minutiae = match.similarity_of_minutiae if isinstance(match, MatchOfPrints) else None
+        overlap_mm2 = match.overlap_mm2 if isinstance(match, MatchOfRidges) else None
+        scores = scores_of(scores, (match.a.area_mm2, match.b.area_mm2), minutiae)
+        rated = rate(match.similarity, scores, overlap_mm2, fmr, own)
+    if doubts and not (len(doubts) == 1 and rated.answer == "match"):  # one resolution confirms the other
+        rated = _unknown(doubts[0])
+    return replace(match, **{field.name: getattr(rated, field.name) for field in fields(Rated)})
+
+
+def _unknown(why: str) -> Rated:
+    return Rated(fmr_missing=why, undecided=why)
+
+
+def scores_of(method: str, areas_mm2: tuple[float, float], minutiae: float | None) -> str:
+    """Which impostors a comparison is rated by: where little or no minutiae were compared, others than the method's.
+
+    `minutiae`: the fusion's `similarity_of_minutiae`.
+    """
+    small = min(areas_mm2) < SMALL_MM2
+    if method == "fusion":
+        return "windows" if small or minutiae is None else method
+    return f"{method} small" if small and (method == "ridge" or "fingerphotos" in method) else method
+
+
+def rate(
+    similarity: float, scores: str, overlap_mm2: float | None, fmr: float | None = None, own: OwnRates | None = None
+) -> Rated:
+    """Answer and false match rate of a similarity by `scores` (:func:`scores_of`) or `own` rates, decided at `fmr`.
+
+    Raises BadInput if no rate as small as `fmr` was measured (but of small prints, which are undecided).
+    """
+    if own is None and scores not in TABLES:
+        method = scores.removesuffix(" small")
+        return _unknown(
+            f"false match rates of the method {method} were measured on {SMALL_MM2:.0f} mm² of skin or more"
+        )
+    table = _fmr_table(scores) if own is None else own.table
+    if overlap_mm2 is not None and overlap_mm2 < table.rated_mm2:
+        return _unknown(f"only {overlap_mm2:.0f} mm² of skin overlap; it takes {table.rated_mm2:.0f} mm² or more")
+    rated = Rated(fmr=table(similarity - (0.0 if table.whole else FMR_ROUNDING)), fmr_basis=table.basis)
+    at = max(DECIDED_AT, table.smallest) if fmr is None else fmr
+    if at < table.smallest and scores == "windows":
+        why = f"on small prints false match rates below {table.smallest:.2g} were not measured"
+        return replace(rated, undecided=why)
+    threshold = table.threshold(at)
+    match = similarity >= threshold
+    if not match and overlap_mm2 is not None and overlap_mm2 < table.excluded_mm2:
+        why = (
+            f"the ridges agree too little for a match, but {overlap_mm2:.0f} mm² are too few to exclude one: it takes "
+            f"{table.excluded_mm2:.0f} mm² or more"
+        )
+        return replace(rated, undecided=why)
+    expected = table.beyond(at)[1] if at < table.smallest else None
+    decision = MatchDecision(match, at, threshold, expected)
+    return replace(rated, decision=decision, answer="match" if match else "no match")
+
+
+def fmr_basis(method: str = "ridge") -> FmrBasis:
+    """Return what false match rates were measured on: impostor comparisons, and among which fingers."""
+    return _fmr_table(method).basis
+
+
+def similarity_at(fmr: float, method: str = "ridge") -> float:
+    """Smallest similarity at which the rate of false matches is `fmr` or less, as :meth:`FmrTable.threshold`."""
+    return _fmr_table(method).threshold(fmr)
 
 
 def _document(file: str) -> dict[str, Any]:
@@ -398,13 +354,18 @@ def _document(file: str) -> dict[str, Any]:
 def _fmr_table(method: str) -> FmrTable:
     """Impostor scores of a method of :data:`TABLES`; of the fusion real ones, and simulated ones where those end."""
     document = _document(TABLES[method])
-    scores, rates = np.array(document["similarity"]), np.array(document["fmr"])
-    impostors, what = int(document["impostors"]), document["what"]
+    similarity, fmr = np.array(document["similarity"]), np.array(document["fmr"])
+    impostors, population = document["impostors"], document["what"]
     if method == "fusion":
         real = _document(REAL_PRINTS)
-        beyond = rates < min(real["fmr"])  # reached by no real impostor either
-        scores = np.append(real["similarity"], np.maximum(scores[beyond], max(real["similarity"])))
-        rates = np.append(real["fmr"], rates[beyond])
-        what = f"of them {real['impostors']:,} {real['what']}, which state the larger rates; the others {what}"
-        impostors += int(real["impostors"])
-    return FmrTable(scores, rates, impostors, what)
+        beyond = fmr < min(real["fmr"])  # reached by no real impostor either
+        similarity = np.append(real["similarity"], np.maximum(similarity[beyond], max(real["similarity"])))
+        fmr = np.append(real["fmr"], fmr[beyond])
+        population = (
+            f"of them {real['impostors']:,} {real['what']}, which state the larger rates; the others {population}"
+        )
+        impostors += real["impostors"]
+    return FmrTable(
+        similarity, fmr, impostors, population, document.get("rated_mm2", 0.0), document.get("excluded_mm2", 0.0),
+        whole=method.startswith("minutiae"),
+    )  # fmt: skip

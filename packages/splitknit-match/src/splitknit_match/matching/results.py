@@ -190,14 +190,16 @@ def one_in(rate: float, basis: FmrBasis | None = None) -> str:
         return "more than 1 in 2"
     people = int(1 / rate + 1e-9)
     step = 10 ** max(0, len(str(people)) - 2)
-    return f"{'below ' if basis is not None and rate <= basis.smallest else ''}1 in {people // step * step:,}"
+    below = "below " if basis is not None and rate <= basis.smallest else ""
+    return f"{below}1 in {people // step * step:,}"
 
 
 def decided_at(decision: MatchDecision) -> str:
     """At which false match rate was decided, and whether it is extrapolated."""
-    rate, expected = one_in(decision.fmr), decision.expected_fmr
-    beyond = "" if expected is None else f" (beyond what was measured: extrapolated; expected is {one_in(expected)})"
-    return f"decided at a false match rate of {rate}{beyond}"
+    words = f"decided at a false match rate of {one_in(decision.fmr)}"
+    if decision.expected_fmr is None:
+        return words
+    return f"{words} (beyond what was measured: extrapolated; expected is {one_in(decision.expected_fmr)})"
 
 
 def basis_words(basis: FmrBasis) -> str:
@@ -209,10 +211,15 @@ def match_lines(match: Match, *, scores: bool = False) -> list[str]:
     """Of a comparison; `scores`: also the method's own, whose scale few know."""
     lines = [_verdict(match)]
     if match.fmr is not None and match.fmr_basis is not None:
-        rate, basis = one_in(match.fmr, match.fmr_basis), basis_words(match.fmr_basis)
-        lines.append(f"Estimated false match rate: {rate} (measured on {basis}).")
+        rate = one_in(match.fmr, match.fmr_basis)
+        lines.append(f"Estimated false match rate: {rate} (measured on {basis_words(match.fmr_basis)}).")
     if scores:
-        lines += _score_lines(match)
+        threshold = "" if match.decision is None else f", a match from {_number(match, match.decision.threshold)} on"
+        lines.append(f"Score {_score(match)}{threshold}.")
+        if isinstance(match, MatchOfPrints) and match.compared:
+            minutiae = match.similarity_of_minutiae
+            words = "too few" if minutiae is None else f"{minutiae:.1f}"
+            lines.append(f"Its parts: ridges {match.similarity_of_ridges:.4f}, minutiae {words}.")
     lines += [f"{side.path}: {side.note}" for side in (match.a, match.b) if side.note]
     lines += _how(match) + failure_notes(match.method, match.a, match.b)
     return lines if match.template is None else [*lines, template_line(match.template)]
@@ -225,46 +232,43 @@ def template_line(template: TemplateFile) -> str:
 
 def _verdict(match: Match) -> str:
     if not match.compared and not (match.a.doubt or match.b.doubt):
-        both = match.a.acquired and match.b.acquired
-        apart = match.method in ("thesis", "fusion")
-        word = "Undecided" if both else "Not acquired"
-        return f"{word}, not compared: {'too little overlap' if both and apart else 'failure to acquire'}."
-    if match.answer == "undecided":
+        if not (match.a.acquired and match.b.acquired):
+            return "Not acquired, not compared: failure to acquire."
+        little = match.method in ("thesis", "fusion")
+        return f"Undecided, not compared: {'too little overlap' if little else 'failure to acquire'}."
+    if match.decision is None:
         score = f"; its score is {_score(match)}" if match.fmr is None else ""
         return f"Undecided: {match.undecided}{score}."
-    assert match.decision is not None
     answer = "Match" if match.decision.match else "No match"
     return f"{answer}, {decided_at(match.decision)} (method {match.method})."
 
 
+def _number(match: Match, score: float) -> str:
+    return f"{score:.{_DIGITS.get(match.method, 4)}f}"
+
+
 def _score(match: Match) -> str:
-    return f"{match.similarity:.{_DIGITS.get(match.method, 4)}f} ({_SCALES[match.method]})"
-
-
-def _score_lines(match: Match) -> list[str]:
-    digits = _DIGITS.get(match.method, 4)
-    needed = "" if match.decision is None else f", a match from {match.decision.threshold:.{digits}f} on"
-    lines = [f"Score {_score(match)}{needed}."]
-    if isinstance(match, MatchOfPrints) and match.compared:
-        score = match.similarity_of_minutiae
-        minutiae = "too few" if score is None else f"{score:.1f}"
-        lines.append(f"Its parts: ridges {match.similarity_of_ridges:.4f}, minutiae {minutiae}.")
-    return lines
+    return f"{_number(match, match.similarity)} ({_SCALES[match.method]})"
 
 
 def _how(match: Match) -> list[str]:
     """What was compared: places and counts."""
     if isinstance(match, MatchOfImages):
         right_mm = match.alignment.right_mm or 0.0
+        side = "right" if right_mm >= 0 else "left"
         overlap = f"overlap {match.overlap:.3f} of both outlines (intersection over union)"
-        return [f"{overlap}, B shifted {abs(right_mm):.2f} mm to the {'right' if right_mm >= 0 else 'left'}"]
-    if not isinstance(match, MatchOfRidges):
-        return [_print_words(side) for side in (match.a, match.b)]
-    laid = match.alignment
-    if not match.compared:
-        return []
-    turned = f"overlap {match.overlap_mm2:.0f} mm² of skin; A turned by {laid.rotation_deg:.1f} deg"
-    return [f"{turned}, its middle {laid.right_mm:+.2f} mm right and {laid.up_mm:+.2f} mm up of B's"]
+        return [f"{overlap}, B shifted {abs(right_mm):.2f} mm to the {side}"]
+    if isinstance(match, MatchOfRidges):
+        laid = match.alignment
+        turned = f"overlap {match.overlap_mm2:.0f} mm² of skin; A turned by {laid.rotation_deg:.1f} deg"
+        line = f"{turned}, its middle {laid.right_mm:+.2f} mm right and {laid.up_mm:+.2f} mm up of B's"
+        return [line] if match.compared else []
+    lines = []
+    for side in (match.a, match.b):
+        quality = "unknown" if side.nfiq2 is None else f"{side.nfiq2} of 100"
+        of_print = "" if side.kind == "minutiae" else f", quality (NFIQ 2) {quality}"
+        lines.append(f"{side.path}: {side.minutiae} minutiae{of_print}")
+    return lines
 
 
 def failure_notes(method: str, *sides: ComparedSide) -> list[str]:
@@ -273,17 +277,11 @@ def failure_notes(method: str, *sides: ComparedSide) -> list[str]:
     for side in sides:
         if side.acquired:
             continue
-        lacks = "fewer than ten minutiae" if method == "minutiae" else "no ridges"
-        if method != "minutiae" and side.kind == "print":
-            lacks = "less than 10 mm² of ridges, which a print must show"
         if side.note is not None and side.note.startswith("no print of a finger"):
             lacks = side.note
+        elif method == "minutiae":
+            lacks = "fewer than ten minutiae"
+        else:
+            lacks = "less than 10 mm² of ridges, which a print must show" if side.kind == "print" else "no ridges"
         notes.append(f"Please note: {side.path} holds {lacks} (failure to acquire).")
     return notes
-
-
-def _print_words(side: ComparedSide) -> str:
-    if side.kind == "minutiae":
-        return f"{side.path}: {side.minutiae} minutiae"
-    quality = "unknown" if side.nfiq2 is None else f"{side.nfiq2} of 100"
-    return f"{side.path}: {side.minutiae} minutiae, quality (NFIQ 2) {quality}"

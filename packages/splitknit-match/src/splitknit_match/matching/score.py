@@ -16,9 +16,12 @@ from numpy.typing import ArrayLike, NDArray
 
 from splitknit.errors import refusing, require
 from splitknit.io.fields import read_json
+from splitknit_match.matching.results import FmrBasis
 
 _TAIL = 50
 """Impostors by which rates are extrapolated."""
+FMR_ROUNDING = 1e-5
+"""By this much similarities are rounded so that no rate comes out too low."""
 _ENTRIES = 64
 """Entries of a table of false match rates, at most."""
 
@@ -44,11 +47,37 @@ class FmrTable:
     """Comparisons behind it: no rate below 1 / (impostors + 1) is ever stated."""
     population: str = ""
     """Whose fingers were compared."""
+    rated_mm2: float = 0.0
+    """Where less overlaps, no rate is stated."""
+    excluded_mm2: float = 0.0
+    """Where less overlaps, no finger is excluded."""
+    whole: bool = False
+    """Whether scores are whole numbers, as bozorth3's."""
 
     @property
     def smallest(self) -> float:
         """The smallest rate that it can state: none of its impostors is as similar."""
         return float(self.fmr.min())
+
+    @property
+    def basis(self) -> FmrBasis:
+        """What the rates were measured on."""
+        return FmrBasis(self.impostors, self.population, self.smallest)
+
+    def threshold(self, fmr: float) -> float:
+        """Smallest similarity (in steps of 1e-5) at which the rate of false matches is `fmr` or less.
+
+        A smaller one than was measured is extrapolated. Raises BadInput if it is less than a hundredth of that.
+        """
+        limit = 0.01 * self.smallest
+        require(
+            fmr >= limit,
+            f"false match rates were measured on {self.impostors} comparisons, so that none below {limit:.2g} can be "
+            f"stated; give a larger one than {fmr:g}.",
+        )
+        measured = float(self.similarity[np.argmax(self.fmr <= fmr)])
+        exact = measured if fmr >= self.smallest else self.beyond(fmr)[0]
+        return math.ceil(exact) if self.whole else (math.ceil(exact / FMR_ROUNDING) + 1) * FMR_ROUNDING
 
     def beyond(self, fmr: float) -> tuple[float, float]:
         """Similarity at which a smaller rate than was measured is reached, and the rate that is to be expected there.
@@ -58,14 +87,14 @@ class FmrTable:
         """
         from scipy.stats import chi2  # measured rates need none of it
 
-        rest = int(np.searchsorted(-self.fmr * (self.impostors + 1), -(_TAIL + 1.0)))
-        rest = min(rest, len(self.fmr) - 2)
-        count = max(float(self.fmr[rest]) * (self.impostors + 1) - 1, 1.0)
-        mean = float(self.fmr[rest:-1] @ np.diff(self.similarity[rest:])) / float(self.fmr[rest])
+        first = int(np.searchsorted(-self.fmr * (self.impostors + 1), -(_TAIL + 1.0)))
+        first = min(first, len(self.fmr) - 2)
+        count = max(float(self.fmr[first]) * (self.impostors + 1) - 1, 1.0)
+        mean = float(self.fmr[first:-1] @ np.diff(self.similarity[first:])) / float(self.fmr[first])
         high = 2 * count * mean / float(chi2.ppf(0.025, 2 * count))
         last = float(self.similarity[-1])
-        none_of = 1 - 0.025 ** (1 / self.impostors)
-        similarity = last + high * max(math.log(none_of / fmr), 0.0)
+        last_fmr = 1 - 0.025 ** (1 / self.impostors)
+        similarity = last + high * max(math.log(last_fmr / fmr), 0.0)
         return similarity, self.smallest * math.exp((last - similarity) / mean)
 
     def __call__(self, similarity: float) -> float:
@@ -104,8 +133,6 @@ class OwnRates:
     table: FmrTable
     method: str
     """Of ``match``, whose scores were measured."""
-    least_mm2: float
-    """Where less overlaps, nothing was measured."""
 
 
 def own_rates_document(impostor: ArrayLike, what: str, method: str, least_mm2: float) -> dict[str, Any]:
@@ -126,10 +153,13 @@ def read_own_rates(path: Path) -> OwnRates:
     require(document.get("version") == 1, f"'{path}' is of a version that this program does not know; make it anew.")
     with refusing(wrong):  # also integers beyond all floats
         scores, rates = (np.array(document[name], dtype=float) for name in ("similarity", "fmr"))
-        table = FmrTable(scores, rates, int(float(document["impostors"])), str(document["what"]))
-        found = OwnRates(table, str(document["method"]), float(document["least_mm2"]))
-    sound = scores.ndim == 1 and scores.shape == rates.shape and scores.size > 1 and found.least_mm2 >= 0
-    sound = sound and table.impostors < 1e12
-    require(sound and ((np.diff(scores) > 0).all() and (np.diff(rates) <= 0).all()), wrong)
+        method = str(document["method"])
+        table = FmrTable(
+            scores, rates, int(float(document["impostors"])), str(document["what"]), float(document["least_mm2"]),
+            whole=method == "minutiae",
+        )  # fmt: skip
+    require(scores.ndim == 1 and scores.shape == rates.shape and scores.size > 1, wrong)
+    require(table.rated_mm2 >= 0 and table.impostors < 1e12, wrong)
+    require((np.diff(scores) > 0).all() and (np.diff(rates) <= 0).all(), wrong)
     require(((rates > 0) & (rates <= 1)).all() and table.smallest * (table.impostors + 1) >= 1 - 1e-9, wrong)
-    return found
+    return OwnRates(table, method)

@@ -33,14 +33,21 @@ from splitknit_match.prints.minutiae_record import (
 VERSION = 1
 """Version of the payload; a reader refuses others."""
 _HEAD = struct.Struct("<HHIH")
-_THRESHOLD, _LEVELS = 0.98, (-1.51, -0.45, 0.45, 1.51)
+_THRESHOLD = 0.98
+"""Between a ridge and a high one, in standard deviations."""
+_LEVELS = (-1.51, -0.45, 0.45, 1.51)
+"""Means of a normal distribution between these."""
+_SHIFTS = np.array([0, 2, 4, 6], dtype=np.uint8)
 _LONG = 65535
+"""Announces a longer run."""
 _NO_MINUTIAE = b"SKMI"
 """In place of the minutiae of a print that has none."""
 LEAST_MM2 = 30.0
 """Smallest area of ridges; less is a failure to acquire."""
-_LARGEST_SIDE, _FINEST_UM = 2048, 50
-"""Rows or columns at most; finer pixels count as if they were so large: work grows with their number."""
+_LARGEST_SIDE = 2048
+"""Rows or columns at most."""
+_FINEST_UM = 50
+"""Finer pixels count as if they were so large: work grows with their number."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -87,12 +94,12 @@ def make_template(band: RidgeBand, least_mm2: float = LEAST_MM2) -> Template:
     if not band.valid.any() or band.area_mm2 < least_mm2:
         return failed_template(band.pitch_mm)
     box = bounding_box(band.valid)
-    value, valid = band.value[box], np.ascontiguousarray(band.valid[box])
+    valid = np.ascontiguousarray(band.valid[box])
     require(
         _is_a_fingers(valid.shape, round(1000 * band.pitch_mm)),
         f"the ridge band has {valid.shape} pixels, more than a finger's; check the pitch ({band.pitch_mm:g} mm).",
     )
-    return leveled(value, valid, band.pitch_mm)
+    return leveled(band.value[box], valid, band.pitch_mm)
 
 
 def _is_a_fingers(shape: tuple[int, ...], pitch_um: int) -> bool:
@@ -112,30 +119,31 @@ def scaled(template: Template, scale: float) -> Template:
     """The template of a finger that is so many times as large."""
     if template.empty:
         return template
-    size = [max(1, round(side * scale)) for side in template.valid.shape]
-    value, valid = (cv2.resize(one, size[::-1]) for one in (template.value(), template.valid.astype(np.float32)))
-    larger = leveled(np.asarray(value), np.asarray(valid > 0.5), template.pitch_mm)
-    found = template.minutiae
-    if found is None:
+    rows, columns = (max(1, round(side * scale)) for side in template.valid.shape)
+    value = np.asarray(cv2.resize(template.value(), (columns, rows)))
+    valid = np.asarray(cv2.resize(template.valid.astype(np.float32), (columns, rows)) > 0.5)
+    larger = leveled(value, valid, template.pitch_mm)
+    minutiae = template.minutiae
+    if minutiae is None:
         return larger
-    sizes = print_size(larger)
-    if not found.count:  # and a size of none, where it was read from a file
-        return replace(larger, minutiae=no_minutiae(sizes))
+    size = print_size(larger)
+    if not minutiae.count:  # and a size of none, where it was read from a file
+        return replace(larger, minutiae=no_minutiae(size))
     x, y = (
-        np.minimum(np.rint((one + 0.5) * (new / old) - 0.5).astype(np.int32), new - 1)
-        for one, new, old in zip((found.x_px, found.y_px), sizes[::-1], found.size[::-1], strict=True)
+        np.minimum(np.rint((place + 0.5) * (new / old) - 0.5).astype(np.int32), new - 1)
+        for place, new, old in zip((minutiae.x_px, minutiae.y_px), size[::-1], minutiae.size[::-1], strict=True)
     )
-    return replace(larger, minutiae=replace(found, x_px=x, y_px=y, size=sizes))
+    return replace(larger, minutiae=replace(minutiae, x_px=x, y_px=y, size=size))
 
 
 def mirrored(template: Template) -> Template:
     """The template of the same picture seen in a mirror."""
-    found = template.minutiae
-    if found is not None and found.count:
-        x, turned = found.size[1] - 1 - found.x_px, (np.pi - found.direction_rad) % (2 * np.pi)
-        found = replace(found, x_px=x.astype(np.int32), direction_rad=turned)
-    level, valid = np.ascontiguousarray(template.level[:, ::-1]), np.ascontiguousarray(template.valid[:, ::-1])
-    return replace(template, level=level, valid=valid, minutiae=found)
+    minutiae = template.minutiae
+    if minutiae is not None and minutiae.count:
+        x = (minutiae.size[1] - 1 - minutiae.x_px).astype(np.int32)
+        minutiae = replace(minutiae, x_px=x, direction_rad=(np.pi - minutiae.direction_rad) % (2 * np.pi))
+    level, valid = (np.ascontiguousarray(part[:, ::-1]) for part in (template.level, template.valid))
+    return replace(template, level=level, valid=valid, minutiae=minutiae)
 
 
 def with_minutiae(template: Template, valid: BoolArray, minutiae: Minutiae) -> Template:
@@ -146,19 +154,15 @@ def with_minutiae(template: Template, valid: BoolArray, minutiae: Minutiae) -> T
     minutiae = unpack_minutiae(pack_minutiae(minutiae))  # directions in steps: the same before and after
     if template.empty:
         return replace(template, minutiae=minutiae)
-    box, step = bounding_box(valid), template.pitch_mm * PPI / 25.4
-    size = print_size(template)
+    step = template.pitch_mm * PPI / 25.4
+    rows, columns = print_size(template)
     # the band is the mirrored print: its column c lies at the print's column (width - 1) - c step
-    middle = [0.5 * (one.start + one.stop - 1) * step for one in box]
-    first = (round(middle[0] - (size[0] - 1) / 2), round(minutiae.size[1] - 1 - middle[1] - (size[1] - 1) / 2))
-    x, y = minutiae.x_px - first[1], minutiae.y_px - first[0]
-    inside = (x >= 0) & (y >= 0) & (x < size[1]) & (y < size[0])
-    return replace(
-        template,
-        minutiae=Minutiae(
-            x[inside], y[inside], minutiae.direction_rad[inside], minutiae.type[inside], minutiae.quality[inside], size
-        ),
-    )
+    row, column = (0.5 * (side.start + side.stop - 1) * step for side in bounding_box(valid))
+    x = minutiae.x_px - round(minutiae.size[1] - 1 - column - (columns - 1) / 2)
+    y = minutiae.y_px - round(row - (rows - 1) / 2)
+    shown = (x >= 0) & (y >= 0) & (x < columns) & (y < rows)
+    minutiae = replace(minutiae.taken(shown), x_px=x[shown], y_px=y[shown], size=(rows, columns))
+    return replace(template, minutiae=minutiae)
 
 
 def print_size(template: Template) -> tuple[int, int]:
@@ -178,18 +182,18 @@ def pack(template: Template) -> bytes:
     if template.empty:
         return b""
     flat = template.valid.ravel()
-    edges = np.flatnonzero(np.diff(flat)) + 1
-    runs = np.diff(np.concatenate([[0] if not flat[0] else [0, 0], edges, [flat.size]]))
+    edges = np.flatnonzero(np.diff(flat, prepend=False))
+    runs = np.diff(edges, prepend=0, append=flat.size)
     head = _HEAD.pack(*template.valid.shape, len(runs), round(1000 * template.pitch_mm))
     if runs.max() < _LONG:
         lengths = runs.astype("<u2").tobytes()
     else:
         lengths = b"".join(struct.pack("<H", n) if n < _LONG else struct.pack("<HI", _LONG, n) for n in runs.tolist())
     level = template.level.ravel()[flat]
-    level = np.concatenate([level, np.zeros(-len(level) % 4, dtype=np.uint8)]).reshape(-1, 4)
-    packed = level[:, 0] | level[:, 1] << 2 | level[:, 2] << 4 | level[:, 3] << 6
+    quads = np.pad(level, (0, -len(level) % 4)).reshape(-1, 4)
+    packed = np.bitwise_or.reduce(quads << _SHIFTS, axis=1)
     minutiae = b"" if template.minutiae is None else pack_minutiae(template.minutiae) or _NO_MINUTIAE
-    return head + lengths + packed.astype(np.uint8).tobytes() + minutiae
+    return head + lengths + packed.tobytes() + minutiae
 
 
 def unpack(payload: bytes) -> Template:
@@ -228,10 +232,9 @@ def unpack(payload: bytes) -> Template:
     minutiae = no_minutiae() if rest == _NO_MINUTIAE else unpack_minutiae(rest) if rest else None
     packed = np.frombuffer(payload[:end], dtype=np.uint8, offset=position)
     level = np.zeros(height * width, dtype=np.uint8)
-    level[flat] = np.stack([packed >> shift & 3 for shift in (0, 2, 4, 6)], axis=1).ravel()[:known]
-    shape = (height, width)
-    found = Template(level.reshape(shape), flat.reshape(shape).astype(bool), pitch_um / 1000, minutiae)
-    known = (
-        not minutiae or not minutiae.count or minutiae.size == print_size(found)
-    )  # others: an earlier version's grid
-    return found if known else replace(found, minutiae=None)
+    level[flat] = (packed[:, None] >> _SHIFTS & 3).ravel()[:known]
+    shape = height, width
+    template = Template(level.reshape(shape), flat.reshape(shape), pitch_um / 1000, minutiae)
+    if minutiae and minutiae.count and minutiae.size != print_size(template):  # an earlier version's grid
+        return replace(template, minutiae=None)
+    return template

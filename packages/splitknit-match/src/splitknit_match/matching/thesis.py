@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from types import MappingProxyType
 from typing import Annotated
 
@@ -54,18 +54,14 @@ def best_shift(a: BoolArray, b: BoolArray, shifts: range, middle: int = 0) -> tu
     """The one of `shifts` of `b` to the right with the largest overlap, of equal ones that nearest to the middle; and
     the overlap.
     """
-    common = zip(overlaps(a, b, shifts), shifts, strict=True)
-    return max(((shift, both) for both, shift in common), key=lambda best: (best[1], -abs(best[0] - middle)))
-
-
-def overlaps(a: BoolArray, b: BoolArray, shifts: range) -> list[int]:
-    """Pixels in common after each of the shifts of `b` to the right."""
     rows = min(len(a), len(b))
-    counts = []
-    for right in shifts:
+    best, most = middle, -1
+    for right in sorted(shifts, key=lambda shift: abs(shift - middle)):
         first, last = max(0, right), max(0, right, min(a.shape[1], b.shape[1] + right))
-        counts.append(int(np.count_nonzero(a[:rows, first:last] & b[:rows, first - right : last - right])))
-    return counts
+        both = int(np.count_nonzero(a[:rows, first:last] & b[:rows, first - right : last - right]))
+        if both > most:
+            best, most = right, both
+    return best, most
 
 
 def to_box(image: FloatArray, size: tuple[int, int]) -> FloatArray:
@@ -114,20 +110,20 @@ class FingerImages:
 
 
 @dataclass(frozen=True, slots=True)
-class _ThesisMatch:
-    """The thesis's scores, and the library's."""
+class ImageMatch:
+    """How similar two fingers are by their images."""
 
     similarity: float
-    """1 - the mean dissimilarity of the attributes: 1 for equal fingers, below -1.7 where nothing was compared."""
-    dissimilarity: Mapping[str, float]
-    """(5.2) of each attribute; exp(2 - ratio) where the pair was not compared."""
+    """1 for equal fingers; below -1.7 where the thesis's matcher compared nothing."""
     distances: Mapping[str, float]
-    """Euclidean distance of each channel; empty where the pair was not compared."""
+    """Of each channel (``thesis``), empty where the pair was not compared, or attribute (``thesis-code``)."""
     ratio: float
     """Intersection over union of the masks."""
     shift_px: int
     """Columns by which the query's box was shifted."""
-    compared: bool
+    dissimilarity: Mapping[str, float] = field(default_factory=dict)
+    """(5.2) of each attribute; exp(2 - ratio) where the pair was not compared; of the matcher ``thesis``."""
+    compared: bool = True
 
 
 def finger_images(
@@ -152,26 +148,32 @@ def finger_images(
     for prefix, vectors in (("", normals), ("shape_", shape_normals)):
         if vectors is not None:
             channels |= {prefix + name: vectors[..., k] for k, name in enumerate(NORMALS)}
-    cleaned = {
-        name: np.where(mask & np.isfinite(channel), channel, 0.0).astype(np.float32)
-        for name, channel in channels.items()
-    }
+    for name, channel in channels.items():
+        channels[name] = np.where(mask & np.isfinite(channel), channel, 0.0).astype(np.float32)
     if input_from_upright is not None:
         size = upright_size or (mask.shape[0], mask.shape[1])
         mask = warp(mask.astype(np.float32), input_from_upright, size) > 0.5
         require(mask.any(), "the mask lies outside the upright frame.")
-        cleaned = {name: warp(channel, input_from_upright, size) for name, channel in cleaned.items()}
+        channels = {name: warp(channel, input_from_upright, size) for name, channel in channels.items()}
         back = np.linalg.inv(input_from_upright[:2, :2])
         turn = back / np.sqrt(abs(np.linalg.det(back)))
-        for prefix in ("", "shape_"):
-            if prefix + "normal_x" in cleaned:
-                x, y = cleaned[prefix + "normal_x"], cleaned[prefix + "normal_y"]
-                cleaned[prefix + "normal_x"] = (turn[0, 0] * x - turn[0, 1] * y).astype(np.float32)
-                cleaned[prefix + "normal_y"] = (-turn[1, 0] * x + turn[1, 1] * y).astype(np.float32)
+        for name_x, name_y in (("normal_x", "normal_y"), ("shape_normal_x", "shape_normal_y")):
+            if name_x in channels:
+                x, y = channels[name_x], channels[name_y]
+                channels[name_x] = (turn[0, 0] * x - turn[0, 1] * y).astype(np.float32)
+                channels[name_y] = (-turn[1, 0] * x + turn[1, 1] * y).astype(np.float32)
     box = bounding_box(mask)
     inside = mask[box]
-    cut = {name: np.where(inside, channel[box], 0.0) for name, channel in cleaned.items()}
+    cut = {name: np.where(inside, channel[box], 0.0) for name, channel in channels.items()}
     return FingerImages(cut, inside, 1.0 / pitch_mm)
+
+
+def check_scales(database: float, query: float) -> None:
+    """Raise BadInput where two fingers differ in pixels per mm."""
+    require(
+        abs(database / query - 1.0) < 0.02,
+        f"the fingers have {database:.1f} and {query:.1f} px/mm; the thesis's matchers need one scale.",
+    )
 
 
 def finger_features(images: FingerImages, settings: ThesisSettings = DEFAULTS) -> dict[str, NDArray[np.float32]]:
@@ -188,7 +190,7 @@ def thesis_match(
     query: FingerImages,
     settings: ThesisSettings = DEFAULTS,
     features: Mapping[str, NDArray[np.float32]] | None = None,
-) -> _ThesisMatch:
+) -> ImageMatch:
     """Compare a query with a finger of the database, as the thesis does.
 
     The query is resampled to the database's box, so that the order of the two matters a little. Raises BadInput if the
@@ -199,33 +201,29 @@ def thesis_match(
     channels of one attribute; relief has one. `features`: what :func:`finger_features` made of the database's finger
     with the same settings, whose channels are not needed then.
     """
-    require(
-        abs(database.px_per_mm / query.px_per_mm - 1.0) < 0.02,
-        f"the fingers have {database.px_per_mm:.1f} and {query.px_per_mm:.1f} px/mm; the thesis's matcher needs one "
-        "scale.",
-    )
+    check_scales(database.px_per_mm, query.px_per_mm)
     if features is None:
         _needed(database, settings)
     needed = _needed(query, settings)
     right, ratio = align_masks(database.mask, query.mask)
     if ratio < settings.gate or ratio <= 0.0:
         gated = float(np.exp(2.0 - ratio))  # above e: worse than any pair that is compared
-        return _ThesisMatch(1.0 - gated, dict.fromkeys(settings.attributes, gated), {}, ratio, right, False)
+        return ImageMatch(1.0 - gated, {}, ratio, right, dict.fromkeys(settings.attributes, gated), compared=False)
     box = database.mask.shape[0], database.mask.shape[1]
     scale = database.px_per_mm
-
-    def distance(name: str) -> float:
+    distances = {}
+    for name in needed:
         known = lbp_features(database.channels[name], scale) if features is None else features[name]
-        return float(np.linalg.norm(known - lbp_features(to_box(query.channels[name], box), scale)))
-
-    distances = {name: distance(name) for name in needed}
-    scores = {one: dissimilarity(ratio, [distances[name] for name in ATTRIBUTES[one]]) for one in settings.attributes}
-    mean = float(np.mean(list(scores.values())))
-    return _ThesisMatch(1.0 - mean, scores, distances, ratio, right, True)
+        distances[name] = float(np.linalg.norm(known - lbp_features(to_box(query.channels[name], box), scale)))
+    scores = {
+        attribute: dissimilarity(ratio, [distances[name] for name in ATTRIBUTES[attribute]])
+        for attribute in settings.attributes
+    }
+    return ImageMatch(1.0 - float(np.mean(list(scores.values()))), distances, ratio, right, scores)
 
 
 def _needed(images: FingerImages, settings: ThesisSettings) -> list[str]:
     needed = [name for attribute in settings.attributes for name in ATTRIBUTES[attribute]]
-    missing = [name for name in needed if name not in images.channels]
-    require(not missing, f"a finger has no channel '{missing[0] if missing else ''}'.")
+    missing = next((name for name in needed if name not in images.channels), None)
+    require(missing is None, f"a finger has no channel '{missing}'.")
     return needed

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,7 +15,7 @@ from numpy.typing import NDArray
 from splitknit.errors import require
 from splitknit.model import BoolArray, FloatArray
 from splitknit_match.matching.features import REFERENCE_PX_PER_MM, uniform_bins
-from splitknit_match.matching.thesis import ATTRIBUTES, FingerImages, best_shift, tip_column
+from splitknit_match.matching.thesis import ATTRIBUTES, FingerImages, ImageMatch, best_shift, check_scales, tip_column
 
 NEIGHBOURS = {"normals": 15, "relief": 15, "shape_normals": 4}
 """Pixels around the circle of a local binary pattern, of radius one pixel."""
@@ -33,19 +32,6 @@ class CodeSide:
     labels: Mapping[str, Labels]
     mask: BoolArray
     px_per_mm: float
-
-
-@dataclass(frozen=True, slots=True)
-class CodeMatch:
-    """Scores of the author's program; 1 for equal fingers, negative for most others."""
-
-    similarity: float
-    """Mean of `scores`."""
-    scores: Mapping[str, float]
-    """1 - the mean over channels of the L1 distance by feature."""
-    ratio: float
-    """Intersection over union of the masks; he has no gate."""
-    shift_px: int
 
 
 def code_side(images: FingerImages) -> CodeSide:
@@ -73,14 +59,14 @@ def pattern_labels(image: FloatArray, neighbours: int) -> Labels:
         down, right = -np.sin(2 * np.pi * k / neighbours), np.cos(2 * np.pi * k / neighbours)
         top, left = int(np.floor(down)), int(np.floor(right))
         lower, later = down - top, right - left
-        seen = sum(
-            np.float32(weight) * padded[2 + top + i : 2 + top + i + rows, 2 + left + j : 2 + left + j + columns]
-            for i, j, weight in (
-                (0, 0, (1 - lower) * (1 - later)), (0, 1, (1 - lower) * later),
-                (1, 0, lower * (1 - later)), (1, 1, lower * later),
-            )
-        )  # fmt: skip
-        codes |= (cast("FloatArray", seen) >= image).astype(np.uint32) << np.uint32(k)
+        value = np.zeros(image.shape, dtype=np.float32)
+        for i, j, weight in (
+            (0, 0, (1 - lower) * (1 - later)), (0, 1, (1 - lower) * later),
+            (1, 0, lower * (1 - later)), (1, 1, lower * later),
+        ):  # fmt: skip
+            corner = padded[2 + top + i :, 2 + left + j :][:rows, :columns]
+            value += np.float32(weight) * corner
+        codes |= (value >= image).astype(np.uint32) << np.uint32(k)
     return uniform_bins(neighbours)[codes]
 
 
@@ -88,17 +74,17 @@ def _bins(neighbours: int) -> int:
     return neighbours * (neighbours - 1) + 3
 
 
-def code_match(database: CodeSide, query: CodeSide) -> CodeMatch:
+def code_match(database: CodeSide, query: CodeSide) -> ImageMatch:
     """Compare a query with a finger of the database, as the author's program does.
 
     The tips are laid on each other, then the query is moved sideways to the largest overlap of the masks; it is neither
     turned nor brought to the database's size. Histograms are counts; the score of an attribute is 1 - the mean over its
-    channels of the L1 distance, divided by the number of features. Raises BadInput if the scales differ, a mask is
+    channels of the L1 distance, divided by the number of features: 1 for equal fingers, negative for most others; there
+    is no gate. Raises BadInput if the scales differ, a mask is
     smaller than a cell, or one side lacks a channel of the other.
     """
     scale = database.px_per_mm / REFERENCE_PX_PER_MM
-    same = abs(database.px_per_mm / query.px_per_mm - 1.0) < 0.02
-    require(same, "the two fingers have different scales; the matcher thesis-code needs one scale.")
+    check_scales(database.px_per_mm, query.px_per_mm)
     missing = set(database.labels) ^ set(query.labels)
     require(not missing, f"one finger has no channel '{min(missing, default='')}'.")
     cell = max(4, round(CELL_PX * scale))
@@ -109,11 +95,11 @@ def code_match(database: CodeSide, query: CodeSide) -> CodeMatch:
     shifts = range(tip - reach, tip + reach + 1, step)
     shift, both = best_shift(database.mask, query.mask, shifts, tip)
     union = np.count_nonzero(database.mask) + np.count_nonzero(query.mask) - both
-    scores = {}
+    area = (CELL_PX / cell) ** 2  # counts as at 75.7 px/mm
+    distances = {}
     for attribute, names in ATTRIBUTES.items():
         bins = _bins(NEIGHBOURS[attribute])
-        area = (CELL_PX / cell) ** 2  # counts as at 75.7 px/mm
-        distances = [
+        channels = [
             np.abs(
                 _counts(database.labels[name], 0, cell, (rows, columns), bins)
                 - _counts(query.labels[name], shift, cell, (rows, columns), bins)
@@ -121,9 +107,10 @@ def code_match(database: CodeSide, query: CodeSide) -> CodeMatch:
             for name in names
             if name in database.labels
         ]
-        if distances:
-            scores[attribute] = float(1.0 - area * np.mean(distances))
-    return CodeMatch(float(np.mean(list(scores.values()))), scores, both / union, shift)
+        if channels:
+            distances[attribute] = float(area * np.mean(channels))
+    similarity = float(np.mean([1.0 - distance for distance in distances.values()]))
+    return ImageMatch(similarity, distances, both / union, shift)
 
 
 def _counts(labels: Labels, right: int, cell: int, cells: tuple[int, int], bins: int) -> NDArray[np.int64]:
