@@ -85,7 +85,7 @@ def capture_of(photographs: GivenPhotographs) -> tuple[Capture, list[Finding]]:
 
     images = photographs.images
     assert images is not None
-    read = capture_from_photographs(images, photographs.lights, photographs.px_per_mm, photographs)
+    read = capture_from_photographs(photographs)
     capture = naming(images, lambda: with_estimated_lights(read.capture))
     capture, notes = _with_frame_and_scale(capture, images, photographs, None)
     known = capture.rig.camera.scale_known
