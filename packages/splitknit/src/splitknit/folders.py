@@ -217,8 +217,9 @@ def reconstruct_to_folder(
         progress("reading", 0.0)
         captures, notes = _read(capture, rig, photographs)
         read_s = time.perf_counter() - started
-        bands = captures[0].bands.items()
-        small_bands = {name: replace(band, pixels=small_images(band), ambient=None) for name, band in bands}
+        small_bands = {
+            name: replace(band, pixels=small_images(band), ambient=None) for name, band in captures[0].bands.items()
+        }
         small = replace(captures[0], bands=small_bands)  # for the report
         try:
             result = reconstruct(
