@@ -342,7 +342,7 @@ def _plain_capture(folder: Path, files: Files) -> None:
     assert lights.ndim == 2
     assert lights.shape[1] == 3
     assert np.isfinite(lights).all()
-    capture_from_photographs(folder / "{light}.png", lights, 10.0, GivenPhotographs(encoding="linear"))
+    capture_from_photographs(GivenPhotographs(folder / "{light}.png", lights, 10.0, encoding="linear"))
     read_photographs(folder)
 
 

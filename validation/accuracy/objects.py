@@ -108,8 +108,10 @@ def sphere(folder: Path) -> Object:
     lights_file = folder / "lights.txt"
     lights = read_light_list(lights_file if lights_file.is_file() else folder.parent / "lights.txt").lights
     stem = masks[0].name.removesuffix(".mask.png")
-    options = GivenPhotographs(mask=masks[0], encoding="linear")
-    capture = capture_from_photographs(folder / f"{stem}.{{light}}.png", lights, PX_PER_MM, options).capture
+    photographs = GivenPhotographs(
+        folder / f"{stem}.{{light}}.png", lights, PX_PER_MM, mask=masks[0], encoding="linear"
+    )
+    capture = capture_from_photographs(photographs).capture
     assert capture.mask is not None
     rows, columns = np.nonzero(capture.mask)
     radius = (np.ptp(columns) + np.ptp(rows) + 2) / 4

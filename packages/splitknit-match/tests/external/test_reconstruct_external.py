@@ -52,8 +52,10 @@ def ball(data_dir: Path) -> tuple[Capture, np.ndarray]:
     """The grey ball, and the heights in mm of the sphere that its outline gives."""
     folder = needed(data_dir / "psm_spheres")
     lights = read_light_list(folder / "lights.txt").lights
-    options = GivenPhotographs(mask=folder / "gray" / "gray.mask.png", encoding="linear")
-    capture = capture_from_photographs(folder / "gray" / "gray.{light}.png", lights, 5.0, options).capture
+    photographs = GivenPhotographs(
+        folder / "gray" / "gray.{light}.png", lights, 5.0, mask=folder / "gray" / "gray.mask.png", encoding="linear"
+    )
+    capture = capture_from_photographs(photographs).capture
     assert capture.mask is not None
     rows, columns = np.nonzero(capture.mask)
     radius = (np.ptp(columns) + np.ptp(rows) + 2) / 4
@@ -68,8 +70,10 @@ def phalange(data_dir: Path) -> Capture:
     """The sculpted phalange, at a scale that makes it 16 mm wide."""
     folder = needed(data_dir / "blender_finger" / "phalange")
     lights = read_light_list(folder / "lights.txt").lights
-    options = GivenPhotographs(mask=folder / "mask.png", background=71, encoding="linear")
-    return capture_from_photographs(folder / "light_{light}.png", lights, 40.0, options).capture
+    photographs = GivenPhotographs(
+        folder / "light_{light}.png", lights, 40.0, mask=folder / "mask.png", background=71, encoding="linear"
+    )
+    return capture_from_photographs(photographs).capture
 
 
 @pytest.fixture(scope="module")

@@ -170,7 +170,7 @@ def test_refusals(
         ({"leds": [0, 0]}, "different LEDs of the rig"),
         ({"leak": [0.7]}, "films.leak"),
         ({"leak": [-0.1]}, r"films.leak\[0\]: Expected float >= 0"),
-        ({"brightness": [[1.0, 1.0]]}, "Expected array of length 3, got 2"),
+        ({"brightness": [[1.0, 1.0]]}, "Expected array of length >= 3"),
         ({"brightness": [[1.0, 1.0, 0.0]]}, r"brightness\[0\]\[2\]: Expected float >= 0.01"),
         ({"scale": 2.0}, "films.scale"),
         ({"shift_px": [1.0]}, "films.shift_px"),

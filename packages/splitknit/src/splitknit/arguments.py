@@ -36,7 +36,7 @@ else:
         Parameter(
             ("--set", "--settings"),
             help="Changed settings, each as STAGE.FIELD=VALUE; --settings names a JSON or TOML file of them.",
-            converter=lambda _, tokens: given_settings(tokens),
+            converter=lambda _, tokens: tuple((token.keyword, token.value) for token in tokens),
             n_tokens=1,
         ),
     ]
@@ -64,11 +64,6 @@ InputPpi = Annotated[
 
 def silent(stage: str, fraction: float) -> None:
     """Report no progress."""
-
-
-def given_settings(tokens: Sequence[Any]) -> tuple[tuple[str, str], ...]:
-    """What ``--set`` and ``--settings`` were given, as pairs of option and word; the command line reads them."""
-    return tuple((token.keyword, token.value) for token in tokens)
 
 
 def whole_number(word: str) -> int:

@@ -85,7 +85,7 @@ def capture_of(photographs: GivenPhotographs) -> tuple[Capture, list[Finding]]:
 
     images = photographs.images
     assert images is not None
-    read = capture_from_photographs(images, photographs.lights, photographs.px_per_mm, photographs)
+    read = capture_from_photographs(photographs)
     capture = naming(images, lambda: with_estimated_lights(read.capture))
     capture, notes = _with_frame_and_scale(capture, images, photographs, None)
     known = capture.rig.camera.scale_known
@@ -193,6 +193,7 @@ def reconstruct_to_folder(
     from splitknit.networks.unet import use_device
     from splitknit.pipeline import reconstruct
     from splitknit.presets import preset_settings
+    from splitknit.report.photos import small_images
     from splitknit.report.result import write_files
     from splitknit.settings import override
     from splitknit.steps import one_heap
@@ -216,7 +217,10 @@ def reconstruct_to_folder(
         progress("reading", 0.0)
         captures, notes = _read(capture, rig, photographs)
         read_s = time.perf_counter() - started
-        small = _with_small_images(captures[0])
+        small_bands = {
+            name: replace(band, pixels=small_images(band), ambient=None) for name, band in captures[0].bands.items()
+        }
+        small = replace(captures[0], bands=small_bands)  # for the report
         try:
             result = reconstruct(
                 captures.pop(),  # so that its images go once they are read: 0.3 GB less at a full frame's peak
@@ -262,11 +266,3 @@ def _read(
         capture = replace(capture, tip_direction_deg=photographs.tip_direction_deg)
     capture, notes = _with_frame_and_scale(capture, capture_folder, photographs, photographs.px_per_mm)
     return [capture], notes
-
-
-def _with_small_images(capture: Capture) -> Capture:
-    """The capture with small images for a report, so that the large ones can be let go, for the sake of memory."""
-    from splitknit.report.photos import small_images
-
-    bands = {name: replace(band, pixels=small_images(band), ambient=None) for name, band in capture.bands.items()}
-    return replace(capture, bands=bands)

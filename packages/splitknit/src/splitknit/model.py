@@ -31,7 +31,7 @@ Progress = Callable[[str, float], None]
 Coordinate = Annotated[float, Meta(ge=-1e7, le=1e7)]
 Point = tuple[Coordinate, Coordinate, Coordinate]
 """Ranges hold for what is read from files."""
-_Brightness = Annotated[float, Meta(ge=0.01, le=100)]
+_Brightness = Annotated[tuple[Annotated[float, Meta(ge=0.01, le=100)], ...], Meta(min_length=3, max_length=3)]
 COLOURS = ("red", "green", "blue")
 """Colours of LEDs and of a camera's pixels, in the order of an image's channels."""
 
@@ -267,7 +267,7 @@ class Films:
     """LEDs that light the parallel images."""
     leak: tuple[Annotated[float, Meta(ge=0, le=0.499)], ...]
     """Specular light in the crossed image, of both: about 1 / extinction ratio + sin^2(angle error)."""
-    brightness: tuple[tuple[_Brightness, _Brightness, _Brightness], ...]
+    brightness: tuple[_Brightness, ...]
     """Red, green, blue: depolarised light of the crossed image over that of the parallel one."""
     shift_px: tuple[Coordinate, Coordinate] = (0.0, 0.0)
     """Columns and rows by which the middle of the crossed image lies right of and below that of the parallel one."""

@@ -78,7 +78,7 @@ class Checked:
 def check_fields(settings: Checked) -> None:
     """Check each field of settings against the range or choices of its type; BadInput names field and value."""
     kind = type(settings)
-    for name, rule in rules_of(kind):
+    for name, rule in rules_of(kind):  # type: ignore[arg-type]  # a class is hashable
         check_value(f"{_group(kind)}{name}", rule, getattr(settings, name))
 
 

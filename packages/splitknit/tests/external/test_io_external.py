@@ -32,8 +32,10 @@ def capture_from_arrays(images: np.ndarray, lights: np.ndarray, mask: np.ndarray
 def test_blender_phalange(data_dir: Path, tmp_path: Path) -> None:
     folder = data_dir / "blender_finger" / "phalange"
     lights = read_light_list(folder / "lights.txt").lights
-    options = GivenPhotographs(mask=folder / "mask.png", background=71, encoding="linear")
-    capture = capture_from_photographs(folder / "light_{light}.png", lights, 40.0, options).capture
+    photographs = GivenPhotographs(
+        folder / "light_{light}.png", lights, 40.0, mask=folder / "mask.png", background=71, encoding="linear"
+    )
+    capture = capture_from_photographs(photographs).capture
     write_capture(capture, tmp_path / "capture")
     again = read_capture(tmp_path / "capture")
     assert again.bands["white"].pixels.shape[:3] == (12, *again.shape)
@@ -48,8 +50,10 @@ def test_spheres_and_the_lights_that_their_shading_shows(data_dir: Path, tmp_pat
     folder = data_dir / "psm_spheres"
     lights = read_light_list(folder / "lights.txt").lights
     assert lights.shape == (12, 3)
-    options = GivenPhotographs(mask=folder / "gray" / "gray.mask.png", encoding="linear")
-    capture = capture_from_photographs(folder / "gray" / "gray.{light}.png", lights, 5.0, options).capture
+    photographs = GivenPhotographs(
+        folder / "gray" / "gray.{light}.png", lights, 5.0, mask=folder / "gray" / "gray.mask.png", encoding="linear"
+    )
+    capture = capture_from_photographs(photographs).capture
     write_capture(capture, tmp_path / "capture")
     again = read_capture(tmp_path / "capture")
     assert again.mask is not None
@@ -103,7 +107,7 @@ def test_the_encoding_of_eight_bits_shows_in_the_shading(data_dir, tmp_path, sto
     codes = np.rint(255.0 * (srgb_code(light) if stored == "srgb" else light)).astype(np.uint8)
     for k, code in enumerate(codes):
         write_image(tmp_path / f"{k}.png", code)
-    found = capture_from_photographs(tmp_path, bear["lights"][::3])
+    found = capture_from_photographs(GivenPhotographs(tmp_path, bear["lights"][::3]))
     assert found.capture.encoding == stored
     assert "`encoding`" in str(found.notes[0])
 
@@ -112,5 +116,5 @@ def test_renders_without_a_tone_curve_stay_linear(data_dir):
     folder = data_dir / "blender_finger" / "phalange"
     if not folder.is_dir():
         pytest.skip(f"{folder} is absent")
-    assert capture_from_photographs(folder, options=GivenPhotographs(background=71)).capture.encoding == "linear"
-    assert capture_from_photographs(folder).capture.encoding == "linear"
+    assert capture_from_photographs(GivenPhotographs(folder, background=71)).capture.encoding == "linear"
+    assert capture_from_photographs(GivenPhotographs(folder)).capture.encoding == "linear"

@@ -56,7 +56,8 @@ def atomic_folder(out: str | os.PathLike[str], *, overwrite: bool = True) -> Ite
             new.mkdir(0o700)
             _AT_WORK.add(new)
             yield new
-            _write_manifest(new)
+            document = {"format": "splitknit-folder", "version": 1, "files": _files(new)}
+            (new / MANIFEST).write_text(json.dumps(document, indent=1) + "\n", encoding="utf-8")
             for_file, for_folder = private_modes()
             for path in (new, *new.rglob("*")):
                 if not path.is_symlink():
@@ -305,11 +306,6 @@ def _files(folder: Path) -> list[str]:
     """Names of everything in `folder` that is not a folder itself; a link to a folder counts."""
     paths = (path for path in folder.rglob("*") if path.is_symlink() or not path.is_dir())
     return sorted(path.relative_to(folder).as_posix() for path in paths)
-
-
-def _write_manifest(folder: Path) -> None:
-    document = {"format": "splitknit-folder", "version": 1, "files": _files(folder)}
-    (folder / MANIFEST).write_text(json.dumps(document, indent=1) + "\n", encoding="utf-8")
 
 
 def manifest_of(folder: Path) -> frozenset[str]:

@@ -92,7 +92,7 @@ class GivenPhotographs:
     """Take the scale from a finger's ridges, which lie so many mm apart: 0.45 is usual, people differ by 8 %."""
 
     def __post_init__(self) -> None:
-        for name, rule in rules_of(type(self)):
+        for name, rule in rules_of(type(self)):  # type: ignore[arg-type]  # a class is hashable
             check_value(f"`{name}`", rule, getattr(self, name))
         both = self.px_per_mm is not None and self.ridge_period_mm is not None
         require(not both, "`px_per_mm` and `ridge_period_mm` both give the scale; choose one.")

@@ -68,7 +68,6 @@ _OTHER_CURVE = (
     "a factor of about two; give `encoding` {0}, or leave it out. Gloss on a shallow relief looks "
     "so too."
 )
-_NO_OPTIONS = GivenPhotographs()
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -76,8 +75,6 @@ class Photographs:
     """Photographs as a capture, and what is to be known about how they became one."""
 
     capture: Capture
-    skipped: tuple[str, ...]
-    """Files of the folder that were not used, each with the reason."""
     notes: tuple[Finding, ...]
     """What was assumed or done."""
 
@@ -92,43 +89,27 @@ class _Lights:
     colours: NDArray[np.float64] | None = None  # (L, 3) relative brightness of red, green and blue
 
 
-def capture_from_photographs(
-    folder: str | os.PathLike[str],
-    lights: str | os.PathLike[str] | NDArray[np.float64] | Rig | None = None,
-    px_per_mm: float | None = None,
-    options: GivenPhotographs = _NO_OPTIONS,
-) -> Photographs:
+def capture_from_photographs(photographs: GivenPhotographs) -> Photographs:
     """Make a capture of a folder of photographs, one for each light.
 
-    Photographs of floats are brought to 16 bits by one factor. Raises BadInput if files are
-    missing, damaged, of different sizes or turned differently by their EXIF data, their number is
-    not that of the lights, the lights do not determine a normal or their file names a photograph
-    that is not there, an image is black or overexposed.
-
-    `folder`: of JPEG, PNG, TIFF, WEBP, BMP, HEIC or RAW files, all of one size, in the order of
-    their names; or a pattern of their names, such as ``photos/white_{light}.png``, in the order of
-    the lights' numbers; or one file; `lights`: list (:mod:`splitknit.io.light_list`), rig file (its
-    white LEDs in order, and its camera), directions (L, 3) or rig; by default ``lights.txt`` in the
-    folder, or the only ``.lp`` file there; `px_per_mm`: pixels a mm on the object, None where it is
-    unknown (heights in pixels); `options`: mask, material, encoding and others.
-
-    >>> capture_from_photographs("photos", px_per_mm=20.0).skipped  # doctest: +SKIP
-    ('notes.docx (not a photograph)',)
+    Photographs of floats are brought to 16 bits by one factor. Raises BadInput if files are missing, damaged, of
+    different sizes or turned differently by their EXIF data, their number is not that of the lights, the lights do
+    not determine a normal or their file names a photograph that is not there, an image is black or overexposed.
     """
-    root = Path(folder)
+    root = Path(photographs.images or "")
     home = home_of(root)
     require(home.is_dir(), f"{home} is not a folder; name the folder of the photographs.")
-    known = _lights_of(home, lights)
+    known = _lights_of(home, photographs.lights)
     source = known.source
-    if options.brightness is not None:
-        known = _with_brightness(known, options.brightness)
-    named = (options.mask, options.background_image, source)
+    if photographs.brightness is not None:
+        known = _with_brightness(known, photographs.brightness)
+    named = (photographs.mask, photographs.background_image, source)
     used = [Path(os.path.realpath(file)) for file in named if file is not None]
-    find_mask = options.mask is None
+    find_mask = photographs.mask is None
     files, masks, skipped = photographs_in(root, source, known.names, used, find_mask=find_mask)
     notes = []
     if masks:
-        options = replace(options, mask=masks[0])
+        photographs = replace(photographs, mask=masks[0])
         words = f"the mask is {masks[0].name}, which lies beside the photographs."
         notes.append(Finding("assumed-mask", words))
     left_out = f"; skipped: {some_of(skipped)}" if skipped else ""
@@ -147,46 +128,40 @@ def capture_from_photographs(
         "; let each of its lines begin with the name of a photograph.",
     )
     crossed: list[Path] = []
-    if options.crossed is not None:
-        second = Path(options.crossed)
+    if photographs.crossed is not None:
+        second = Path(photographs.crossed)
         remedy = "name the folder of the crossed photographs with `crossed`."
         require(second.is_dir(), f"{second} is not a folder; {remedy}")
         crossed = photographs_in(second, source, known.names, used).photographs
         remedy = "both series need one photograph a light, in the same order."
         require(len(crossed) == count, f"{holds}, but {second} {len(crossed)}; {remedy}")
-    capture, assumed = _assembled(files, crossed, known, px_per_mm, options)
+    capture, assumed = _assembled(files, crossed, known, photographs)
     if source.is_file():
         capture = replace(capture, hashes={**capture.hashes, source.name: file_hash(source)})
-    white = Photographs(capture, tuple(skipped), (*assumed, *notes))
-    return white if options.nir is None else _with_nir(white, lights, px_per_mm, options, root)
+    white = Photographs(capture, (*assumed, *notes))
+    return white if photographs.nir is None else _with_nir(white, photographs)
 
 
-def _with_nir(
-    white: Photographs,
-    lights: Any,
-    px_per_mm: float | None,
-    options: GivenPhotographs,
-    white_folder: Path,
-) -> Photographs:
+def _with_nir(white: Photographs, photographs: GivenPhotographs) -> Photographs:
     """One capture of both bands; the mask is that of the white photographs."""
     capture = white.capture
-    folder = Path(options.nir or "")
-    rig = lights
-    if not isinstance(lights, Rig) and str(lights).lower().endswith(".json"):
-        rig = read_rig(lights)
+    folder = Path(photographs.nir or "")
+    home = home_of(Path(photographs.images or ""))
+    rig: Any = photographs.lights
+    if not isinstance(rig, Rig) and str(rig).lower().endswith(".json"):
+        rig = read_rig(rig)
     has_rig = isinstance(rig, Rig)
-    home = home_of(white_folder)
     require(
         has_rig or home_of(folder) != home,
-        f"white and near-infrared photographs lie in one folder, {home}, but have lights of their "
-        "own: give them by a rig file, or put each series into a folder with its list.",
+        f"white and near-infrared photographs lie in one folder, {home}, but have lights of their own: give them by a "
+        "rig file, or put each series into a folder with its list.",
     )
-    encoding: Any = options.encoding
-    if encoding is None and options.max_megapixels is None:
+    encoding: Any = photographs.encoding
+    if encoding is None and photographs.max_megapixels is None:
         encoding = capture.encoding
-    near = replace(options, nir=None, crossed=None, flat=None, mask=None, encoding=encoding)
-    rig_nir = _of_band(rig, "nir", "the rig") if has_rig else None
-    infrared = capture_from_photographs(folder, rig_nir, px_per_mm, near)
+    lights = _of_band(rig, "nir", "the rig") if has_rig else None
+    near = replace(photographs, images=folder, lights=lights, nir=None, crossed=None, flat=None, mask=None)
+    infrared = capture_from_photographs(replace(near, encoding=encoding))
     kinds = [f"{each.shape[0]} x {each.shape[1]} pixels, {each.encoding}" for each in (infrared.capture, capture)]
     require(
         kinds[0] == kinds[1],
@@ -206,8 +181,7 @@ def _with_nir(
         hashes={**capture.hashes, **hashes},
     )
     notes = [note if note in white.notes else note.of_band("nir") for note in infrared.notes]
-    skipped = white.skipped + infrared.skipped
-    return Photographs(capture, skipped, tuple(dict.fromkeys([*white.notes, *notes])))
+    return Photographs(capture, tuple(dict.fromkeys([*white.notes, *notes])))
 
 
 def _lights_of(folder: Path, lights: Any) -> _Lights:
@@ -388,45 +362,41 @@ def _white_band(pixels: PixelArray, black: float = 0.0) -> Band:
 
 
 def _assembled(
-    files: Sequence[Path],
-    crossed: Sequence[Path],
-    lights: _Lights,
-    px_per_mm: float | None,
-    options: GivenPhotographs,
+    files: Sequence[Path], crossed: Sequence[Path], lights: _Lights, photographs: GivenPhotographs
 ) -> tuple[Capture, list[Finding]]:
     """The capture, and notes on it."""
     rig = lights.rig
     count = len(files)
     require(count >= 3, f"at least three images are needed, but there are {count}.")
-    different = _each_once([*files, *crossed], options)
+    different = _each_once([*files, *crossed], photographs)
     raw = next((file.name for file in different if file.suffix.lower() in RAW_SUFFIXES), None)
-    linear = raw is None or options.encoding != "srgb"
+    linear = raw is None or photographs.encoding != "srgb"
     require(linear, f"{raw} is camera RAW, whose light is linear.")
     check_lights(rig.light_vectors())
-    encoding, notes = _encoding(files, rig, options)
-    first = _series_of(different[0], options)
-    form = _form_of(different[0], first[0], encoding, options.max_megapixels)
-    camera = _camera_of(rig.camera, form, px_per_mm)
+    encoding, notes = _encoding(files, rig, photographs)
+    first = _series_of(different[0], photographs)
+    form = _form_of(different[0], first[0], encoding, photographs.max_megapixels)
+    camera = _camera_of(rig.camera, form, photographs.px_per_mm)
     require(
         camera.scale_known or all(led.position_mm is None for led in rig.leds),
         "lights at places in mm need the scale of the photographs; give `px_per_mm`, or directions of the lights.",
     )
-    read = _read_stack(different, form, first, options)
+    read = _read_stack(different, form, first, photographs)
     hashes = read.hashes
-    stack, encoding_after = _under_even_light(read.pixels, form, lights.colours, options)
+    stack, encoding_after = _under_even_light(read.pixels, form, lights.colours, photographs)
     ambient = None
     black = 0.0
-    if options.background_image is not None:
-        photo = read_photo(options.background_image)
-        ambient = form.reduced(photo.pixels, Path(options.background_image))
-        hashes[Path(options.background_image).name] = photo.sha256
-    elif options.background is not None:
-        black = form.level(float(options.background))  # type: ignore[arg-type]
-    inside, note = _mask_of(options.mask, form, read)
+    if photographs.background_image is not None:
+        photo = read_photo(photographs.background_image)
+        ambient = form.reduced(photo.pixels, Path(photographs.background_image))
+        hashes[Path(photographs.background_image).name] = photo.sha256
+    elif photographs.background is not None:
+        black = form.level(float(photographs.background))  # type: ignore[arg-type]
+    inside, note = _mask_of(photographs.mask, form, read)
     notes += note
     flat = None
-    if options.flat is not None:
-        light, flat_hashes = read_flat(Path(options.flat), count, encoding)
+    if photographs.flat is not None:
+        light, flat_hashes = read_flat(Path(photographs.flat), count, encoding)
         hashes |= flat_hashes
         code = srgb_code(light) if encoding == "srgb" else light
         flat = np.rint(65535.0 * np.clip(code, 0.0, 1.0)).astype(np.uint16)
@@ -446,13 +416,13 @@ def _assembled(
         notes += [Finding("not-specular", NOT_SPECULAR)] if means[1] >= means[0] else []
     check_contents(bands.values())
     notes += _notes_on(form, camera, first[0].orientation)
-    material = "opaque" if options.nir is None else "skin"  # by near-infrared light a finger
+    material = "opaque" if photographs.nir is None else "skin"  # by near-infrared light a finger
     capture = Capture(
         rig=replace(rig, camera=camera),
         bands=bands,
         encoding=encoding_after,
-        material=options.material or material,
-        tip_direction_deg=options.tip_direction_deg,
+        material=photographs.material or material,
+        tip_direction_deg=photographs.tip_direction_deg,
         mask=inside,
         hashes=hashes,
     )
@@ -484,11 +454,11 @@ def _polarised(parallel: Band, crossed: Band) -> dict[str, Band]:
     }
 
 
-def _each_once(files: Sequence[Path], options: GivenPhotographs) -> Sequence[Path]:
+def _each_once(files: Sequence[Path], photographs: GivenPhotographs) -> Sequence[Path]:
     """The files; the one file of three coloured lights once. BadInput if others are named twice."""
     if len(set(files)) == 1:
         words = f"{files[0]}, one photograph under three lights, goes without `mosaic`."
-        require(options.mosaic is None, words)
+        require(photographs.mosaic is None, words)
         return files[:1]
     places: set[str] = set()
     for file in files:
@@ -498,29 +468,29 @@ def _each_once(files: Sequence[Path], options: GivenPhotographs) -> Sequence[Pat
     return files
 
 
-def _encoding(files: Sequence[Path], rig: Rig, options: GivenPhotographs) -> tuple[str, list[Finding]]:
+def _encoding(files: Sequence[Path], rig: Rig, photographs: GivenPhotographs) -> tuple[str, list[Finding]]:
     """The encoding that is stated, or by :func:`splitknit.io.photos.encoding_of`; and notes."""
-    if options.mosaic is not None:
+    if photographs.mosaic is not None:
         return "linear", []
-    if options.encoding is None:
-        encoding, note = encoding_of(files, lambda: _shading_is_srgb(files, rig, options, np.uint8))
+    if photographs.encoding is None:
+        encoding, note = encoding_of(files, lambda: _shading_is_srgb(files, rig, photographs, np.uint8))
         return encoding, [Finding("assumed-encoding", note)]
-    if options.material == "skin" or options.flat is not None:
-        return options.encoding, []
-    curved = _shading_is_srgb(files, rig, options, np.uint8, np.uint16)
-    if curved is None or curved == (options.encoding == "srgb"):
-        return options.encoding, []
-    words = _OTHER_CURVE.format("srgb" if curved else "linear", options.encoding)
-    return options.encoding, [Finding("other-encoding", words)]
+    if photographs.material == "skin" or photographs.flat is not None:
+        return photographs.encoding, []
+    curved = _shading_is_srgb(files, rig, photographs, np.uint8, np.uint16)
+    if curved is None or curved == (photographs.encoding == "srgb"):
+        return photographs.encoding, []
+    words = _OTHER_CURVE.format("srgb" if curved else "linear", photographs.encoding)
+    return photographs.encoding, [Finding("other-encoding", words)]
 
 
 def _shading_is_srgb(
-    files: Sequence[Path], rig: Rig, options: GivenPhotographs, *kinds: type[np.unsignedinteger]
+    files: Sequence[Path], rig: Rig, photographs: GivenPhotographs, *kinds: type[np.unsignedinteger]
 ) -> bool | None:
     """Whether the shading in photographs of `kinds` is that of sRGB values, None where it decides
     nothing. What is calibrated by `flat` is an industrial camera's, and linear.
     """
-    if options.flat is not None:
+    if photographs.flat is not None:
         return False
     if rig.provenance.get("lights") == UNKNOWN or len(files) < FEWEST:
         return None
@@ -617,13 +587,13 @@ def _form_of(file: Path, photo: Photo, encoding: str, max_megapixels: float | No
     return form
 
 
-def _series_of(file: Path, options: GivenPhotographs) -> list[Photo]:
+def _series_of(file: Path, photographs: GivenPhotographs) -> list[Photo]:
     """The photograph of a file; of a mosaic the parallel and the crossed one."""
     photo = read_photo(file)
-    if options.mosaic is None:
+    if photographs.mosaic is None:
         return [photo]
-    colour = options.mosaic == "colour"
-    split = partial(split_mosaic, photo.pixels, options.film_deg, colour=colour)
+    colour = photographs.mosaic == "colour"
+    split = partial(split_mosaic, photo.pixels, photographs.film_deg, colour=colour)
     return [replace(photo, pixels=half, opaque=None) for half in naming(file, split)]
 
 
@@ -637,7 +607,7 @@ class _Stack:
     hashes: dict[str, str]
 
 
-def _read_stack(files: Sequence[Path], form: _Form, first: list[Photo], options: GivenPhotographs) -> _Stack:
+def _read_stack(files: Sequence[Path], form: _Form, first: list[Photo], photographs: GivenPhotographs) -> _Stack:
     """Read all photographs; `first`: those of the first file."""
     shape = (len(first) * len(files), *form.small, form.shape[2])
     dtype = np.dtype(np.uint16) if form.becomes_linear else form.dtype
@@ -651,7 +621,7 @@ def _read_stack(files: Sequence[Path], form: _Form, first: list[Photo], options:
     hashes: dict[str, str] = {}
     turn = first[0].orientation
     for k, file in enumerate(files):
-        series = _series_of(file, options) if k else first
+        series = _series_of(file, photographs) if k else first
         photo = series[0]
         require(
             photo.orientation == turn,
@@ -771,7 +741,7 @@ def _camera_of(camera: Camera, form: _Form, px_per_mm: float | None) -> Camera:
 
 
 def _under_even_light(
-    stack: NDArray[Any], form: _Form, colours: NDArray[np.float64] | None, options: GivenPhotographs
+    stack: NDArray[Any], form: _Form, colours: NDArray[np.float64] | None, photographs: GivenPhotographs
 ) -> tuple[NDArray[Any], str]:
     """Photographs (L, H, W, 3) as even white light gives them, linear, clipping kept; of one photograph its channels;
     others as they are. And their encoding.
@@ -784,7 +754,7 @@ def _under_even_light(
         return np.ascontiguousarray(np.moveaxis(stack[0], -1, 0)[..., None]), encoding
     if colours is None or stack.shape[3] == 1:
         return stack, encoding
-    others = (options.background, options.crossed, options.mosaic, options.flat)
+    others = (photographs.background, photographs.crossed, photographs.mosaic, photographs.flat)
     alone = all(value is None for value in others)
     require(alone, "lights with a brightness for each colour go without `background`, `crossed`, `mosaic`, `flat`.")
     factors = (colours.min() / colours).astype(np.float32)
