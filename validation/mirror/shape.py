@@ -44,11 +44,9 @@ CASES: dict[str, tuple[str, tuple[str, ...], bool, bool]] = {
     "outlines, left": ("outlines", ("left",), False, False),
     "outlines, right": ("outlines", ("right",), False, False),
     "outlines, left right": ("outlines", ("left", "right"), False, False),
-    "outlines, left right tip": ("outlines", ("left", "right", "tip"), False, False),
     "outlines and slopes, left": ("outlines", ("left",), True, False),
     "outlines and slopes, right": ("outlines", ("right",), True, False),
     "outlines and slopes, left right": ("outlines", ("left", "right"), True, False),
-    "outlines and slopes, left right tip": ("outlines", ("left", "right", "tip"), True, False),
     "off: thesis, left": ("thesis", ("left",), False, True),
     "off: outlines, left": ("outlines", ("left",), False, True),
     "off: outlines and slopes, left": ("outlines", ("left",), True, True),
@@ -103,7 +101,7 @@ def in_cases(capture: Capture, truth: Mapping[str, Any], seed: int) -> Iterator[
 
 def measured(seed: int, scale: float) -> dict[str, float | str]:
     """One finger in all cases."""
-    mirrors = MirrorSettings(names=("left", "right", "tip"), nir=False)
+    mirrors = MirrorSettings(names=("left", "right"), nir=False)
     capture, truth = simulate_capture(seed, settings=TwinSettings(scale=scale, mirrors=mirrors))
     return dict(in_cases(capture, truth, seed))
 

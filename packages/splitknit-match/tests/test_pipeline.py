@@ -13,7 +13,7 @@ from kinds import FIGURES, turned
 from splitknit.accuracy import compare
 from splitknit.errors import BadInput
 from splitknit.imaging.geometry import height_gradients, normals_from_gradients, warp
-from splitknit.imaging.view import _pixel_axes_mm
+from splitknit.imaging.view import view_of
 from splitknit.io.npz import read_npz
 from splitknit.io.provenance import provenance
 from splitknit.io.results import read_result, write_mesh
@@ -341,8 +341,8 @@ def test_what_is_refused(capture: Capture) -> None:
 def lambertian_dome(px_per_mm: float = 12.0) -> tuple[Capture, np.ndarray]:
     """A matt dome 11 mm right of the picture's middle under four near lights; and its height in mm."""
     camera = Camera(px_per_mm, (240, 440))
-    x, y = (axis.astype(np.float64) for axis in _pixel_axes_mm(camera))
-    x, y = np.meshgrid(x - 11.0, y)
+    view = view_of(camera)
+    x, y = np.meshgrid(view.x_mm - 11.0, view.y_mm)
     inside = x**2 + y**2 < 8.0**2
     height = np.where(inside, np.sqrt(np.maximum(12.0**2 - x**2 - y**2, 0.0)) - 11.0, 0.0)
     points = np.stack([x + 11.0, y, height], axis=-1)

@@ -89,7 +89,7 @@ def test_a_cut_view_still_tells_where_its_mirror_lies(drawn) -> None:
     edge = round((scene.SIZE[1] - 1) / 2 - 27.5 * scene.PX)
     straight[:, :edge] = False
     near = replace(mirror, corners_mm=tuple((max(x, -27.5), y, z) for x, y, z in mirror.corners_mm))
-    with pytest.raises(BadInput, match="mirrors cut its sides off"):
+    with pytest.raises(BadInput, match="cut off at the mirror"):
         body_between_mirrors(views(drawn["front"], left=straight), replace(RIG, mirrors=(near,)))
 
 

@@ -93,47 +93,64 @@ def compare(result: Reconstruction, truth: Mapping[str, NDArray[Any]]) -> Compar
     """
     for name in ("height_mm", "shape_mm", "mask"):
         require(name in truth, f"the truth has no '{name}'; write it with splitknit simulate.")
-        fits = truth[name].shape == result.mask.shape
-        require(fits, f"the truth's {name} has the shape {truth[name].shape}, but the images have {result.mask.shape}.")
+        require(
+            truth[name].shape == result.mask.shape,
+            f"the truth's {name} has the shape {truth[name].shape}, but the images have {result.mask.shape}.",
+        )
     true_mask = truth["mask"]
     common = result.mask & true_mask & np.isfinite(result.height_mm) & np.isfinite(truth["height_mm"])
     require(common.any(), "the reconstruction and the truth have no pixel in common.")
     box = bounding_box(common)
-    inside, pitch = common[box], result.pitch_mm
+    inside = common[box]
+    pitch = result.pitch_mm
     surface = eroded(inside, EROSION_MM / pitch)
     require(surface.any(), "the surface common to the truth and the reconstruction is too narrow to measure.")
 
-    height, true_height = _clean(result.height_mm[box], inside), _clean(truth["height_mm"][box], inside)
-    shape, true_shape = _clean(result.shape_mm[box], inside), _clean(truth["shape_mm"][box], inside)
-    relief = _clean(result.ridge_mm[box], inside)
+    def cut(field: NDArray[Any]) -> FloatArray:
+        return np.nan_to_num(np.where(inside, field[box], 0.0)).astype(np.float32)
+
+    height = cut(result.height_mm)
+    true_height = cut(truth["height_mm"])
+    true_shape = cut(truth["shape_mm"])
     height_error = _centred(height - true_height, surface)
-    shape_error = _centred(shape - true_shape, surface)
+    shape_error = _centred(cut(result.shape_mm) - true_shape, surface)
 
     slopes = height_gradients(np.where(inside, true_shape, np.nan), pitch)
     band = surface & (np.rad2deg(np.arctan(np.hypot(*slopes))) < MAX_SLANT_DEG)
     band_of = high_passed(inside, BAND_SIGMA_MM / pitch)
-    true_band, ridge_band = map(band_of, (true_height - true_shape, relief))
+    true_band = band_of(true_height - true_shape)
+    ridge_band = band_of(cut(result.ridge_mm))
+    overlap = float(np.sum(result.mask & true_mask))
     figures = {
         "surface_rms_mm": _rms(height_error[surface]),
         "shape_rms_mm": _rms(shape_error[surface]),
-        "mask_on_finger": float(np.sum(result.mask & true_mask)) / float(np.sum(result.mask)),
-        "mask_overlap": float(np.sum(result.mask & true_mask)) / float(np.sum(result.mask | true_mask)),
+        "mask_on_finger": overlap / float(np.sum(result.mask)),
+        "mask_overlap": overlap / float(np.sum(result.mask | true_mask)),
         "ridge_area_mm2": float(np.sum(band)) * pitch**2,
     }
     if "normals" in truth:
-        own, true = (one[box][surface].astype(np.float64) for one in (result.normals, truth["normals"]))
-        angles = np.rad2deg(np.arccos(np.clip(np.sum(own * true, axis=1), -1.0, 1.0)))
-        figures["normals_mean_deg"] = float(np.mean(angles))
+        normals = result.normals[box][surface].astype(np.float64)
+        true_normals = truth["normals"][box][surface].astype(np.float64)
+        cosine = np.clip(np.sum(normals * true_normals, axis=1), -1.0, 1.0)
+        figures["normals_mean_deg"] = float(np.mean(np.rad2deg(np.arccos(cosine))))
     window = max(3, 2 * round(WINDOW_MM / pitch / 2) + 1)
     figures |= _band_figures("ridge", ridge_band, true_band, band, window)
     figures |= _band_figures("height_band", band_of(height), band_of(true_height), band, window)
-    maps = {
-        "height_error_mm": np.where(inside, height_error, np.nan),
-        "ridge_error_um": np.where(inside, 1000.0 * (ridge_band - true_band), np.nan).astype(np.float32),
-        "surface": surface,
-        "band": band,
-    }
-    return Comparison(result.preset, figures, **{name: _placed(one, box, common.shape) for name, one in maps.items()})
+    ridge_error = np.where(inside, 1000.0 * (ridge_band - true_band), np.nan).astype(np.float32)
+
+    def uncut(values: NDArray[Any], outside: Any) -> NDArray[Any]:
+        whole = np.full(common.shape, outside, dtype=values.dtype)
+        whole[box] = values
+        return whole
+
+    return Comparison(
+        result.preset,
+        figures,
+        height_error_mm=uncut(np.where(inside, height_error, np.nan), np.nan),
+        ridge_error_um=uncut(ridge_error, np.nan),
+        surface=uncut(surface, False),
+        band=uncut(band, False),
+    )
 
 
 def high_passed(mask: BoolArray, sigma_px: float) -> Callable[[FloatArray], FloatArray]:
@@ -141,7 +158,8 @@ def high_passed(mask: BoolArray, sigma_px: float) -> Callable[[FloatArray], Floa
 
     Above 24 px the mean is that of a copy reduced to 12 to 24 px: the rms of ridges changes by 1 in 10,000.
     """
-    factor, size = max(1, int(sigma_px / 12)), mask.shape[::-1]
+    factor = max(1, int(sigma_px / 12))
+    size = mask.shape[::-1]
 
     def blurred(image: NDArray[Any]) -> FloatArray:
         image = image.astype(np.float32)
@@ -152,17 +170,21 @@ def high_passed(mask: BoolArray, sigma_px: float) -> Callable[[FloatArray], Floa
         return np.asarray(cv2.resize(mean, size, interpolation=cv2.INTER_LINEAR))
 
     weight = np.maximum(blurred(mask), 1e-3)
-    none = 0.0
-    return lambda values: np.where(mask, values - blurred(np.where(mask, values, none)) / weight, none)
+    return lambda values: np.where(mask, values - blurred(np.where(mask, values, 0.0)) / weight, 0.0)
 
 
 def _local_correlation(first: FloatArray, second: FloatArray, where: BoolArray, window_px: int) -> FloatArray:
     """Correlation of two zero-mean fields over square windows of `window_px` a side, counting the pixels of `where`."""
-    fraction = np.maximum(_mean(where.astype(np.float32), window_px), 1e-6)
-    a, b = np.where(where, first, 0.0), np.where(where, second, 0.0)
-    product = _mean(a * b, window_px) / fraction
-    power = (_mean(a * a, window_px) / fraction) * (_mean(b * b, window_px) / fraction)
-    return product / np.sqrt(np.maximum(power, 1e-30))
+
+    def total(image: NDArray[Any]) -> FloatArray:
+        size = (window_px, window_px)
+        return np.asarray(cv2.blur(image.astype(np.float32), size, borderType=cv2.BORDER_CONSTANT))
+
+    fraction = np.maximum(total(where), 1e-6)
+    a = np.where(where, first, 0.0)
+    b = np.where(where, second, 0.0)
+    power = (total(a * a) / fraction) * (total(b * b) / fraction)
+    return total(a * b) / fraction / np.sqrt(np.maximum(power, 1e-30))
 
 
 def _band_figures(
@@ -170,12 +192,14 @@ def _band_figures(
 ) -> dict[str, float]:
     if not where.any():
         return {}
-    e, t = estimate[where].astype(np.float64), truth[where].astype(np.float64)
-    e_power, t_power = float(np.sum(np.square(e - e.mean()))), float(np.sum(np.square(t - t.mean())))
-    covariance = float(np.sum((e - e.mean()) * (t - t.mean())))
     local = _local_correlation(1000.0 * estimate, 1000.0 * truth, where, window)
+    e = estimate[where].astype(np.float64)
+    t = truth[where].astype(np.float64)
+    e_centred = e - e.mean()
+    t_centred = t - t.mean()
+    power = float(np.sum(np.square(e_centred))) * float(np.sum(np.square(t_centred)))
     return {
-        f"{name}_correlation": covariance / max((e_power * t_power) ** 0.5, 1e-30),
+        f"{name}_correlation": float(np.sum(e_centred * t_centred)) / max(power**0.5, 1e-30),
         f"{name}_gain": float(np.sum(e * t)) / max(float(np.sum(t * t)), 1e-30),
         f"{name}_rms_um": 1000.0 * _rms(e - t),
         f"{name}_truth_std_um": 1000.0 * float(t.std()),
@@ -190,27 +214,12 @@ def eroded(mask: BoolArray, distance_px: float) -> BoolArray:
     return distance > distance_px
 
 
-def _clean(values: NDArray[Any], mask: BoolArray) -> FloatArray:
-    return np.nan_to_num(np.where(mask, values, 0.0)).astype(np.float32)
-
-
 def _centred(error: FloatArray, where: BoolArray) -> FloatArray:
     return (error - np.float32(np.mean(error[where], dtype=np.float64))).astype(np.float32)
 
 
 def _rms(values: NDArray[Any]) -> float:
     return float(np.sqrt(np.mean(np.square(values.astype(np.float64)))))
-
-
-def _mean(image: FloatArray, window: int) -> FloatArray:
-    return np.asarray(cv2.blur(image.astype(np.float32), (window, window), borderType=cv2.BORDER_CONSTANT))
-
-
-def _placed(values: NDArray[Any], box: tuple[slice, slice], shape: tuple[int, ...]) -> NDArray[Any]:
-    """On the whole grid; outside the box NaN, or false."""
-    whole = np.full(shape, values.dtype.type(np.nan if values.dtype.kind == "f" else 0))
-    whole[box] = values
-    return whole
 
 
 def read_truth(capture: Capture) -> dict[str, Any]:
@@ -220,7 +229,9 @@ def read_truth(capture: Capture) -> dict[str, Any]:
     truth = read_npz(capture.truth, TRUTH_ARRAYS)  # only what is compared: the rest is large
     for name, array in truth.items():
         expected = (*capture.shape, 3) if name == "normals" else capture.shape
-        other = f"the truth's {name} has the shape {array.shape}, but the images have {capture.shape}"
-        fits = array.shape == expected and array.dtype.kind in "fiub"
-        require(fits, f"{capture.truth}: {other}; simulate the capture again.")
+        require(
+            array.shape == expected and array.dtype.kind in "fiub",
+            f"{capture.truth}: the truth's {name} has the shape {array.shape}, but the images have "
+            f"{capture.shape}; simulate the capture again.",
+        )
     return truth

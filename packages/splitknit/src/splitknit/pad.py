@@ -25,7 +25,8 @@ from splitknit.model import Array, BoolArray, Capture, FloatArray, Reconstructio
 BASIS = "the model was fitted to simulated fingers and attacks only; nobody has measured it on real ones."
 PX_PER_MM = 15.0  # at which photographs and results are measured
 _FACING = 0.8  # cosine between the surface without ridges and the view: flanks are left out
-_SLOW_MM, _FINE_MM = 0.35, 0.06  # standard deviations of the Gaussians around the band of ridges
+_SLOW_MM = 0.35  # standard deviations of the Gaussians around the band of ridges
+_FINE_MM = 0.06
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -39,13 +40,13 @@ class PadImages:
 def not_covered(capture: Capture) -> str:
     """Why the shipped model, which was fitted to fine captures of skin in white and near infrared, says nothing."""
     camera = capture.rig.camera
-    lacks = {
-        "its scale is not known": not camera.scale_known,
-        f"it has less than {0.95 * PX_PER_MM:.0f} pixels a millimetre": camera.px_per_mm <= 0.95 * PX_PER_MM,
-        "it is not of skin": capture.material != "skin",
-        "it has no near-infrared images": "nir" not in capture.bands,
-    }
-    return next((why for why, found in lacks.items() if found), "")
+    if not camera.scale_known:
+        return "its scale is not known"
+    if camera.px_per_mm <= 0.95 * PX_PER_MM:
+        return f"it has less than {0.95 * PX_PER_MM:.0f} pixels a millimetre"
+    if capture.material != "skin":
+        return "it is not of skin"
+    return "" if "nir" in capture.bands else "it has no near-infrared images"
 
 
 def pad_images(capture: Capture) -> PadImages:
@@ -54,36 +55,39 @@ def pad_images(capture: Capture) -> PadImages:
     light = {}
     for name in ("white", "nir"):
         if name in capture.bands:
-            one = linear_channels(capture.bands[name], capture.encoding, ("grey",), None, binning)[0]
-            light[name] = np.maximum(one, 1e-6 * float(one.max()) + 1e-12)
+            stack = linear_channels(capture.bands[name], capture.encoding, ("grey",), None, binning)[0]
+            light[name] = np.maximum(stack, 1e-6 * float(stack.max()) + 1e-12)
     return PadImages(binning, light)
 
 
-def pad_features(seen: PadImages, result: Reconstruction) -> dict[str, float]:
+def pad_features(images: PadImages, result: Reconstruction) -> dict[str, float]:
     """What differs between skin and copies, by name, as far as the capture has it: ``relief_*``, ``shape_*`` (1/mm),
     ``spread_*`` (logarithms of ratios of ridge contrast: fixed to turning with the light, near infrared to white); none
     depends on brightness, colour or file. BadInput if the result has no scale, or shows too little.
     """
-    shape, relief, mask = _coarse(result, seen.binning)
-    pitch = result.pitch_mm * seen.binning
+    shape, relief, mask = _coarse(result, images.binning)
+    pitch = result.pitch_mm * images.binning
     inside = _facing(shape, mask, pitch)
-    enough = result.scale_known and int(inside.sum()) >= 100
-    require(enough, "presentation attacks show in results with a known scale and at least some mm² of a finger.")
-    found = _of_relief(relief, inside, pitch) | _of_shape(shape, inside, pitch) | _of_spread(seen.light, inside, pitch)
-    return {name: value for name, value in found.items() if np.isfinite(value)}
+    require(
+        result.scale_known and int(inside.sum()) >= 100,
+        "presentation attacks show in results with a known scale and at least some mm² of a finger.",
+    )
+    features = _of_relief(relief, inside, pitch) | _of_shape(shape, inside, pitch)
+    features |= _of_spread(images.light, inside, pitch)
+    return {name: value for name, value in features.items() if np.isfinite(value)}
 
 
 def _coarse(result: Reconstruction, binning: float) -> tuple[NDArray[Any], NDArray[Any], BoolArray]:
     """Shape (mm), relief (um) and mask on the features' pixels."""
     size = tuple(int(n // binning) for n in result.mask.shape[::-1])
-    whole = result.mask & np.isfinite(result.height_mm)
+    known = result.mask & np.isfinite(result.height_mm)
 
     def mean(field: NDArray[Any]) -> NDArray[Any]:
-        return cv2.resize(field.astype(np.float32), size, interpolation=cv2.INTER_AREA)
+        inside = np.where(known, np.nan_to_num(field), 0).astype(np.float32)
+        return cv2.resize(inside, size, interpolation=cv2.INTER_AREA)
 
-    weight = np.maximum(mean(whole), 1e-3)
-    shape, relief = (mean(np.where(whole, np.nan_to_num(one), 0)) for one in (result.shape_mm, result.ridge_mm))
-    return shape / weight, 1000 * relief / weight, weight > 0.99
+    weight = np.maximum(mean(known), 1e-3)
+    return mean(result.shape_mm) / weight, 1000 * mean(result.ridge_mm) / weight, weight > 0.99
 
 
 def _facing(shape: FloatArray, mask: BoolArray, pitch: float) -> BoolArray:
@@ -105,19 +109,21 @@ def _band_of(image: FloatArray, inside: BoolArray, pitch: float) -> FloatArray:
 
 def _of_relief(relief: FloatArray, inside: BoolArray, pitch: float) -> dict[str, float]:
     band = _band_of(relief, inside, pitch)
-    right, down = (cv2.Sobel(band, cv2.CV_32F, *axes) for axes in ((1, 0), (0, 1)))
-    xx, yy, xy = (smoothed(one, inside, 0.5 / pitch) for one in (right * right, down * down, right * down))
+    right = cv2.Sobel(band, cv2.CV_32F, 1, 0)
+    down = cv2.Sobel(band, cv2.CV_32F, 0, 1)
+    products = (right * right, down * down, right * down)
+    xx, yy, xy = (smoothed(product, inside, 0.5 / pitch) for product in products)
     coherence = np.hypot(xx - yy, 2 * xy) / np.maximum(xx + yy, 1e-12)
-    deviation = float(band[inside].std()) + 1e-3
     return {
-        "relief_rms": float(np.log(deviation)),
+        "relief_rms": float(np.log(float(band[inside].std()) + 1e-3)),
         "relief_coherence": float(np.mean(coherence[inside])),
     }
 
 
 def _of_shape(shape: FloatArray, inside: BoolArray, pitch: float) -> dict[str, float]:
     rows, columns = np.nonzero(inside)
-    x, y = (columns - columns.mean()) * pitch, (rows - rows.mean()) * pitch
+    x = (columns - columns.mean()) * pitch
+    y = (rows - rows.mean()) * pitch
     basis = np.stack([np.ones_like(x), x, y, x * x, x * y, y * y], axis=1)
     values = shape[inside].astype(np.float64)
     fit = np.linalg.lstsq(basis, values, rcond=None)[0]
@@ -128,17 +134,18 @@ def _of_shape(shape: FloatArray, inside: BoolArray, pitch: float) -> dict[str, f
 
 def _of_spread(stacks: Mapping[str, FloatArray], inside: BoolArray, pitch: float) -> dict[str, float]:
     """Contrast of ridges that turns with the light (relief), and that does not (pigment, print)."""
-    turning, fixed = {}, {}
+    turning = {}
+    fixed = {}
     for name, stack in stacks.items():
-        bands = np.stack([_band_of(np.log(one), inside, pitch)[inside] for one in stack])
+        bands = np.stack([_band_of(np.log(image), inside, pitch)[inside] for image in stack])
         mean = bands.mean(axis=0)
         turning[name] = float(np.log(np.sqrt(np.mean((bands - mean) ** 2)) + 1e-4))
         fixed[name] = float(np.log(np.std(mean) + 1e-4))
-    found = {"spread_fixed": fixed["white"] - turning["white"]}
+    spread = {"spread_fixed": fixed["white"] - turning["white"]}
     if "nir" in stacks:
-        found["spread_nir"] = turning["nir"] - turning["white"]
-        found["spread_fixed_nir"] = fixed["nir"] - fixed["white"]
-    return found
+        spread["spread_nir"] = turning["nir"] - turning["white"]
+        spread["spread_fixed_nir"] = fixed["nir"] - fixed["white"]
+    return spread
 
 
 # The model: how far each feature lies from live skin's, towards what copies have, and what training covered.
@@ -148,7 +155,8 @@ Model = Mapping[str, Any]
 negative; ``offset`` of the log odds; ``kinds``: mean deviations of live skin and of each species, and ``precision``:
 inverse covariance about them; ``covered``: largest distance to the nearest; ``live``, ``attack``, ``far``: log odds of
 live skin from which, up to which, and far from everything up to which an answer is given."""
-_USUAL, _LARGEST = 0.5, 6.5  # deviations, in standard deviations of live skin, that count from here and up to there
+_USUAL = 0.5  # deviations, in standard deviations of live skin, that count from here on
+_LARGEST = 6.5  # and up to here
 
 
 @lru_cache(maxsize=1)
@@ -157,9 +165,9 @@ def shipped_model() -> Model:
     return dict(json.loads(resources.files("splitknit").joinpath("pad_model.json").read_bytes()))
 
 
-def deviations(model: Model, found: Mapping[str, float]) -> Array:
+def deviations(model: Model, features: Mapping[str, float]) -> Array:
     """Features' deviations from live skin in its standard deviations; 0 on a side on which nothing is suspicious."""
-    away = np.array([found[name] for name in model["names"]]) - model["mean"]
+    away = np.array([features[name] for name in model["names"]]) - model["mean"]
     above, below = np.array(model["weights"]).T
     one_sided = np.where(away > 0, above > 0, below > 0) | ((above == 0) & (below == 0))
     return np.where(one_sided, away / model["scale"], 0.0)
@@ -189,7 +197,7 @@ class Presentation:
     suspicion: Mapping[str, float] | None = None  # by group of features: what it takes from the log odds
 
 
-def judge(found: Mapping[str, float], model: Model | None = None) -> Presentation:
+def judge(features: Mapping[str, float], model: Model | None = None) -> Presentation:
     """Whether :func:`pad_features` are those of live skin, by the shipped model or by another one.
 
     Unknown is what training did not cover, unless it is very suspicious, and what lies between live skin and copies.
@@ -198,20 +206,26 @@ def judge(found: Mapping[str, float], model: Model | None = None) -> Presentatio
     'live'
     """
     model = model or shipped_model()
-    lacking = [name for name in model["names"] if name not in found]
-    if lacking:
-        return Presentation("unknown", f"it has no {', '.join(lacking)}, which the model needs.")
-    away = deviations(model, found)
+    missing = [name for name in model["names"] if name not in features]
+    if missing:
+        return Presentation("unknown", f"it has no {', '.join(missing)}, which the model needs.")
+    away = deviations(model, features)
     far = distance(model, away)
     taken = (np.array(model["weights"]) * suspicious(away)).sum(axis=1)
     odds = model["offset"] - float(taken.sum())
-    groups = [name.split("_")[0] for name in model["names"]]
-    suspicion = {one: float(taken[[one == group for group in groups]].sum()) for one in dict.fromkeys(groups)}
-    known, answer, reason = far <= model["covered"], "unknown", "it lies between live skin and copies."
-    if odds <= (model["attack"] if known else model["far"]):
-        answer, reason = "attack", ""
-    elif not known:
+    suspicion: dict[str, float] = {}
+    for name, part in zip(model["names"], taken.tolist(), strict=True):
+        group = name.split("_")[0]
+        suspicion[group] = suspicion.get(group, 0.0) + part
+    covered = model["covered"]
+    answer: Literal["live", "attack", "unknown"] = "unknown"
+    reason = ""
+    if odds <= (model["attack"] if far <= covered else model["far"]):
+        answer = "attack"
+    elif far > covered:
         reason = "it is unlike everything that the model was fitted to."
     elif odds >= model["live"]:
-        answer, reason = "live", ""
-    return Presentation(answer, reason, float(1 / (1 + np.exp(-odds))), far, model["covered"], suspicion)  # type: ignore[arg-type]
+        answer = "live"
+    else:
+        reason = "it lies between live skin and copies."
+    return Presentation(answer, reason, float(1 / (1 + np.exp(-odds))), far, covered, suspicion)

@@ -29,23 +29,24 @@ def enlarged_box(
 
 def box_around(mask: BoolArray, margin: float) -> tuple[slice, slice]:
     """Rows and columns that hold a mask and `margin` pixels around it."""
-    found = []
-    for axis in (1, 0):
-        places = np.flatnonzero(mask.any(axis=axis))
-        low = int(places[0] - margin)
-        high = int(places[-1] + margin) + 2
-        found.append(slice(max(0, low), min(high, mask.shape[1 - axis])))
-    return found[0], found[1]
+    rows, columns = (
+        slice(max(0, int(inside[0] - margin)), min(int(inside[-1] + margin) + 2, size))
+        for inside, size in (
+            (np.flatnonzero(mask.any(axis=1)), mask.shape[0]),
+            (np.flatnonzero(mask.any(axis=0)), mask.shape[1]),
+        )
+    )
+    return rows, columns
 
 
 def blanked(image: NDArray[Any], inside: BoolArray, px_per_mm: float) -> NDArray[Any]:
     """The image whose pixels outside `inside` look like the background beside them."""
     if inside.all():
         return image
-    done = image.copy()
+    blank = image.copy()
     ring = inside & ~shrunk(inside, max(2.0, 0.4 * px_per_mm))
-    done[~inside] = np.median(done[ring], axis=0) if ring.any() else 0.0
-    return done
+    blank[~inside] = np.median(blank[ring], axis=0) if ring.any() else 0.0
+    return blank
 
 
 def filled(outline: Array, shape: tuple[int, int]) -> BoolArray:

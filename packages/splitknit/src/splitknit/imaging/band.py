@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from splitknit.errors import require
 from splitknit.imaging.view import lens_shading
-from splitknit.model import Array, Band, FloatArray, PixelArray, coarse_grid
+from splitknit.model import Array, Band, BoolArray, FloatArray, PixelArray, coarse_grid
 from splitknit.steps import let_go
 
 # Linear light of one stored image.
@@ -128,16 +128,16 @@ def linear_channels(
     where there is no light, are kept: clipping would bias dark pixels upwards. `binning`: as of :func:`linear_image`.
     """
     for channel in channels:
-        require(channel == "grey" or channel in CHANNELS, f"channel '{channel}' is not known.")
+        if channel == "grey":
+            continue
+        require(channel in CHANNELS, f"channel '{channel}' is not known.")
         require(
-            channel == "grey" or not band.colours,
+            not band.colours,
             f"the band '{band.name}' was lit by coloured LEDs, one colour an image; it has no channel '{channel}'.",
         )
-    where = window if window is not None else (slice(None), slice(None))
+    where = window or (slice(None), slice(None))
     ambient = ambient_light(band, encoding, where, binning)
-    shape = band.pixels[0][where].shape[:2]
-    count = band.pixels.shape[0]
-    size = (int(n // binning) for n in shape)
+    size = (int(n // binning) for n in band.pixels[0][where].shape[:2])
     stack = np.empty((len(channels), len(band.lights), *size), dtype=np.float32)
     first = _first_lights(band)
     levels = _clip_levels(band, encoding)
@@ -153,7 +153,7 @@ def linear_channels(
             stack[c, first[k]] = pick_channel(light, channel)
 
     with ThreadPoolExecutor(2) as pool:
-        list(pool.map(work, range(count)))
+        list(pool.map(work, range(len(band.pixels))))
     return stack
 
 
@@ -206,35 +206,47 @@ def _lit_light(  # noqa: PLR0917
     """Linear light (h, w, C) of image k without the ambient light; of two polarised series their mean. Where either
     clips in two channels, all have the light at which the parallel one does, so that it counts as clipped.
     """
-    if band.crossed is not None:
-        own = replace(band, crossed=None)
-        dark = ambient_light(band.crossed, encoding, window, binning)
-        lights = []
-        clipped = np.False_
-        for one, room in ((own, ambient), (band.crossed, dark)):
-            light = _lit_light(one, k, encoding, window, binning, room)
-            stored = light if one.transmission is None else light * one.transmission[k].astype(np.float32)
-            stored = stored if room is None else stored + room
-            full = (stored >= _clip_levels(one, encoding)[k]).sum(axis=-1, keepdims=True)
-            clipped = clipped | (full >= min(2, light.shape[-1]))
-            lights.append(light)
-        let_go(band.crossed.pixels)
-        level = np.float32(_clip_levels(band, encoding)[k])
-        return np.where(clipped, np.maximum(lights[0], level), 0.5 * (lights[0] + lights[1]))
+    if band.crossed is None:
+        return _series_light(band, k, encoding, window, binning, ambient)
+    crossed_ambient = ambient_light(band.crossed, encoding, window, binning)
+    parallel = _series_light(band, k, encoding, window, binning, ambient)
+    crossed = _series_light(band.crossed, k, encoding, window, binning, crossed_ambient)
+    let_go(band.crossed.pixels)
+    clipped = _clipped(band, k, encoding, parallel, ambient)
+    clipped |= _clipped(band.crossed, k, encoding, crossed, crossed_ambient)
+    level = np.float32(_clip_levels(band, encoding)[k])
+    return np.where(clipped, np.maximum(parallel, level), 0.5 * (parallel + crossed))
+
+
+def _clipped(band: Band, k: int, encoding: str, light: FloatArray, ambient: FloatArray | None) -> BoolArray:
+    """(h, w, 1) where the light of image k clips in two channels."""
+    stored = light if band.transmission is None else light * band.transmission[k].astype(np.float32)
+    stored = stored if ambient is None else stored + ambient
+    channels = (stored >= _clip_levels(band, encoding)[k]).sum(axis=-1, keepdims=True)
+    return np.asarray(channels >= min(2, light.shape[-1]))
+
+
+def _series_light(  # noqa: PLR0917
+    band: Band, k: int, encoding: str, window: Window, binning: float, ambient: FloatArray | None
+) -> FloatArray:
+    """Linear light (h, w, C) of image k of one series without the ambient light, the lens's fall-off and the films'
+    tint."""
+    image = band.pixels[k]
     exposure = float(band.exposure[k])
     black = float(band.black_level[k])
-    light = linear_image(band.pixels[k][window], encoding, exposure, black, binning)
+    light = linear_image(image[window], encoding, exposure, black, binning)
     if ambient is not None:
         light -= ambient
+    size = image.shape[:2]
+    corner = tuple(part.indices(n)[0] for part, n in zip(window, size, strict=True))
     if band.shading:
-        rows, columns = (range(*part.indices(n)) for part, n in zip(window, band.pixels.shape[1:3], strict=True))
-        fall_off = lens_shading(band.shading, band.pixels.shape[1:3], rows.start, columns.start, binning, light.shape)
-        light /= fall_off[..., None]
+        light /= lens_shading(band.shading, size, *corner, binning, light.shape)[..., None]
     if band.flat is not None:
-        corner = tuple(part.indices(n)[0] for part, n in zip(window, band.pixels.shape[1:3], strict=True))
         flat = flat_light(band, encoding)
-        own = flat[k] / flat.mean() if band.promised is None else flat[k] / flat.mean() / band.promised[k]
-        light /= flat_at(own, band.pixels.shape[1:3], corner, binning, light.shape)[..., None]
+        field = flat[k] / flat.mean()
+        if band.promised is not None:
+            field = field / band.promised[k]
+        light /= flat_at(field, size, corner, binning, light.shape)[..., None]
     if band.transmission is not None:
         light /= band.transmission[k].astype(np.float32)
     return light
@@ -244,11 +256,12 @@ def flat_light(band: Band, encoding: str) -> FloatArray:
     """(L, h, w) linear light of a band's flat images. Raises BadInput if they are black in places."""
     assert band.flat is not None
     scale = float(np.iinfo(band.flat.dtype).max) / float(np.iinfo(band.pixels.dtype).max)
-    light = [
-        linear_image(image[..., None], encoding, float(exposure), scale * float(black))[..., 0]
-        for image, exposure, black in zip(band.flat, band.exposure, band.black_level, strict=True)
-    ]
-    return np.stack([_lit(one) for one in light])
+    return np.stack(
+        [
+            _lit(linear_image(image[..., None], encoding, float(exposure), scale * float(black))[..., 0])
+            for image, exposure, black in zip(band.flat, band.exposure, band.black_level, strict=True)
+        ]
+    )
 
 
 def _lit(flat: FloatArray) -> FloatArray:
@@ -268,12 +281,10 @@ def flat_at(
     flat: FloatArray, size: tuple[int, ...], corner: tuple[int, ...], binning: float, shape: tuple[int, ...]
 ) -> FloatArray:
     """A coarse flat image (h, w) of images of `size` on the pixels of a window that begins at `corner`."""
-    places = []
-    for axis in (1, 0):
-        step = flat.shape[axis] / size[axis]
-        places.append((binning * step, (corner[axis] + 0.5 * binning) * step - 0.5))
-    (x_step, x), (y_step, y) = places
-    matrix = np.array([[x_step, 0.0, x], [0.0, y_step, y]])
+    y_step, x_step = np.array(flat.shape) / size
+    x = (corner[1] + 0.5 * binning) * x_step - 0.5
+    y = (corner[0] + 0.5 * binning) * y_step - 0.5
+    matrix = np.array([[binning * x_step, 0.0, x], [0.0, binning * y_step, y]])
     flags = cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
     return np.asarray(cv2.warpAffine(flat, matrix, shape[1::-1], flags=flags, borderMode=cv2.BORDER_REPLICATE))
 
@@ -317,7 +328,6 @@ def _clip_levels(band: Band, encoding: str) -> Array:
 
 def grey_as_grey(band: Band) -> Band:
     """The band in one channel where its three are equal: a grey camera's images that were stored as colour."""
-    parts = [band.pixels, *([] if band.ambient is None else [band.ambient[None]])]
 
     def equal(pixels: PixelArray) -> bool:
         least = pixels.min(axis=-1)
@@ -326,10 +336,13 @@ def grey_as_grey(band: Band) -> Band:
     def grey(pixels: PixelArray) -> bool:  # a coarse look first, which nearly all coloured images end at
         return equal(pixels[:, ::16, ::16]) and all(equal(image) for image in pixels)
 
-    if not has_colour(band) or not all(grey(part) for part in parts):
+    if not has_colour(band) or not grey(band.pixels):
         return band
-    ambient = None if band.ambient is None else band.ambient[..., 1:2]
-    return replace(band, pixels=band.pixels[..., 1:2], ambient=ambient)
+    if band.ambient is None:
+        return replace(band, pixels=band.pixels[..., 1:2])
+    if not equal(band.ambient):
+        return band
+    return replace(band, pixels=band.pixels[..., 1:2], ambient=band.ambient[..., 1:2])
 
 
 def has_colour(band: Band) -> bool:

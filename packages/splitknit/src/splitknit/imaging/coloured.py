@@ -55,15 +55,11 @@ def balanced(stack: FloatArray, rig: Rig, band: Band, mask: BoolArray) -> FloatA
 
 
 def colour_factors_of(stack: FloatArray, rig: Rig, band: Band, mask: BoolArray) -> Array:
-    """(L,) brightness of the finger in the colour of each image of a `stack` (L, h, w)."""
+    """(L,) brightness of the finger in the colour of each image of a `stack` (L, h, w), by least squares."""
     lights = rig.select(band.lights).light_vectors()
     colour = np.array([rig.leds[group[0]].colour for group in band.lights])
     seen = stack.reshape(len(stack), -1)[:, mask.ravel()].astype(np.float64)
-    return _colour_factors(seen[:, :: max(1, seen.shape[1] // _SAMPLE)], lights, colour)
-
-
-def _colour_factors(seen: Array, lights: Array, colour: NDArray[np.str_]) -> Array:
-    """(L,) brightness of the skin in each light's colour, by least squares of `seen` (L, n) under `lights` (L, 3)."""
+    seen = seen[:, :: max(1, seen.shape[1] // _SAMPLE)]
     names = np.unique(colour)
     factors = np.ones(len(lights))
     for name in names:
@@ -71,9 +67,8 @@ def _colour_factors(seen: Array, lights: Array, colour: NDArray[np.str_]) -> Arr
         factors[own] = seen[own].mean() / max(float(lights[own, 2].mean()), 1e-6)
     for _ in range(_ROUNDS):
         factors /= np.exp(np.mean(np.log(np.maximum(factors, 1e-6))))
-        model = factors[:, None] * lights
         before = factors.copy()
-        shading = lights @ (np.linalg.pinv(model) @ seen)
+        shading = lights @ (np.linalg.pinv(factors[:, None] * lights) @ seen)
         for name in names:
             own = colour == name
             factors[own] = float((seen[own] * shading[own]).sum() / max((shading[own] ** 2).sum(), 1e-12))
@@ -111,9 +106,8 @@ def composed(capture: Capture, exposures: int = 2) -> Capture:
         "coloured exposures are put together from colour images only, but the white band is grey; capture in colour.",
     )
     count = 3 * exposures
-    vectors = capture.rig.select(white.leds).light_vectors()
-    azimuth = np.arctan2(vectors[:, 1], vectors[:, 0]) % (2 * np.pi)
-    around = np.argsort(azimuth, kind="stable").tolist()
+    x, y, _ = capture.rig.select(white.leds).light_vectors().T
+    around = np.argsort(np.arctan2(y, x) % (2 * np.pi), kind="stable").tolist()
     require(
         len(around) >= count,
         f"{exposures} exposures of three colours need {count} white images, but there are {len(around)}.",
@@ -161,7 +155,6 @@ def _exposure(white: Band, encoding: str, shots: list[int], mixing: Array) -> ND
 
 
 def _stored(light: FloatArray, encoding: str) -> NDArray[np.uint16]:
-    value = np.clip(light, 0.0, 1.0)
-    if encoding == "srgb":
-        value = srgb_code(value)
-    return np.asarray(np.rint(value * 65535.0), dtype=np.uint16)
+    light = np.clip(light, 0.0, 1.0)
+    code = srgb_code(light) if encoding == "srgb" else light
+    return np.asarray(np.rint(code * 65535.0), dtype=np.uint16)

@@ -34,7 +34,7 @@ def cropped(capture: Capture, window: Window) -> Capture:
 def _rig(rig: Rig, window: Window) -> Rig:
     camera = rig.camera
     films = rig.films
-    matrix = rig.camera.matrix
+    matrix = camera.matrix
     (top, bottom), (left, right) = ends = [(part.start, part.stop) for part in window]
     away = (np.array([left + right, top + bottom]) - camera.image_size[::-1]) / 2  # middle from middle: columns, rows
     x_mm, y_mm = away * camera.pitch_mm * (1, -1) if camera.model == "orthographic" else (0.0, 0.0)
@@ -65,7 +65,7 @@ def _flat(band: Band, encoding: str, window: Window) -> PixelArray:
     shape = (window[0].stop - corner[0], window[1].stop - corner[1])
     lens = lens_shading(band.shading, size, *corner, shape=shape)
     light = np.ones((len(band.pixels), 2, 2), np.float32) if band.flat is None else flat_light(band, encoding)
-    exposed = np.stack([coarse_grid(flat_at(one, size, corner, 1, shape) * lens) for one in light])
+    exposed = np.stack([coarse_grid(flat_at(image, size, corner, 1, shape) * lens) for image in light])
     exposed *= band.exposure[:, None, None].astype(np.float32)
     table = decode_table(np.dtype(np.uint16), encoding)
     full = np.iinfo(band.pixels.dtype).max

@@ -17,10 +17,12 @@ from splitknit.model import Array, BoolArray, FloatArray
 
 def bounding_box(mask: BoolArray, margin: int = 0) -> tuple[slice, slice]:
     """Rows and columns that hold `mask`, which must not be empty, and `margin` pixels around it, inside the image."""
-    places = np.flatnonzero(mask.any(axis=1)), np.flatnonzero(mask.any(axis=0))
     rows, columns = (
-        slice(max(0, int(found[0]) - margin), min(side, int(found[-1]) + 1 + margin))
-        for found, side in zip(places, mask.shape, strict=True)
+        slice(max(0, int(inside[0]) - margin), min(int(inside[-1]) + 1 + margin, size))
+        for inside, size in (
+            (np.flatnonzero(mask.any(axis=1)), mask.shape[0]),
+            (np.flatnonzero(mask.any(axis=0)), mask.shape[1]),
+        )
     )
     return rows, columns
 
@@ -58,15 +60,13 @@ def height_gradients(height: FloatArray, pitch: float) -> tuple[FloatArray, Floa
 
 def _difference(height: FloatArray, axis: int) -> FloatArray:
     values = np.moveaxis(height, axis, 0)
-    step = values[1:] - values[:-1]  # NaN where either end is missing
+    step = np.diff(values, axis=0)  # NaN where either end is missing
     known = np.isfinite(step)
-    step = np.where(known, step, 0.0)
     total = np.zeros_like(values)
     count = np.zeros(values.shape, dtype=np.float32)
-    total[1:] += step
-    total[:-1] += step
-    count[1:] += known
-    count[:-1] += known
+    for side in (slice(1, None), slice(None, -1)):
+        total[side] += np.where(known, step, 0.0)
+        count[side] += known
     return np.moveaxis((total / np.maximum(count, 1.0)).astype(np.float32), 0, axis)
 
 
@@ -100,15 +100,10 @@ def gaussian_mean(image: NDArray[Any], sigma: float) -> FloatArray:
 
 def smoothed(values: FloatArray, mask: BoolArray, sigma_px: float) -> FloatArray:
     """Gaussian mean (H, W) of `values` (H, W) float32 over what lies inside the mask (H, W); zero outside it."""
-
-    def blurred(image: FloatArray) -> FloatArray:
-        return np.asarray(cv2.GaussianBlur(image, (0, 0), sigma_px, borderType=cv2.BORDER_CONSTANT))
-
     # about the mean, so that float32 keeps what matters
     middle = values[mask].mean() if mask.any() else 0.0
-    inside = mask.astype(np.float32)
-    total = blurred(np.where(mask, values - middle, 0.0).astype(np.float32))
-    fraction = np.maximum(blurred(inside), 1e-6)
+    total = gaussian_mean(np.where(mask, values - middle, 0.0), sigma_px)
+    fraction = np.maximum(gaussian_mean(mask, sigma_px), 1e-6)
     return np.where(mask, total / fraction + middle, 0.0)
 
 

@@ -14,7 +14,9 @@ from splitknit.model import Array, BoolArray, FloatArray, Led, Rig, Shade
 
 _UNIT_MM2 = 1e4
 """Irradiance of an LED is relative to a distance of 100 mm (it cancels in the normalisation)."""
-SIDE_DEG, SIDE_RATIO, _AROUND = (30.0, 45.0), 1.5, 6
+SIDE_DEG = (30.0, 45.0)
+SIDE_RATIO = 1.5
+_AROUND = 6
 """Angle off the camera's axis beyond which a light stands to the side of a finger: `SIDE_RATIO` times that of the light
 with the sixth smallest angle, within these bounds. One more light at 38 deg beside a ring at 20 took the surface error
 of two simulated fingers from 0.06 and 0.07 to 0.10 mm."""
@@ -68,25 +70,25 @@ def flat_promised(rig: Rig, shape: tuple[int, ...]) -> FloatArray:
 
 
 def _alone(led: Led) -> Led:
-    if led.shade is None and not any(other.reflected for other in led.also):
-        return led
-    return replace(led, shade=None, also=tuple(_alone(other) for other in led.also if not other.reflected))
+    """The LED without its images in mirrors, reaching everything."""
+    companions = tuple(_alone(companion) for companion in led.also if not companion.reflected)
+    return replace(led, shade=None, also=companions)
 
 
 def _sum(led: Led, x: FloatArray, y: FloatArray, z: FloatArray) -> FloatArray:
-    total = _one(led, x, y, z)
-    for other in led.also:
-        total = total + _sum(other, x, y, z)
+    """Light vectors (3, ...) of all LEDs of an exposure."""
+    total = _vectors(led, x, y, z)
+    for companion in led.also:
+        total = total + _sum(companion, x, y, z)
     return total
 
 
-def _one(led: Led, x: FloatArray, y: FloatArray, z: FloatArray) -> FloatArray:
+def _vectors(led: Led, x: FloatArray, y: FloatArray, z: FloatArray) -> FloatArray:
     result = np.empty((3, *z.shape), dtype=np.float32)
     if led.position_mm is None:
         direction = np.asarray(led.direction, dtype=np.float64)
         unit = (led.intensity * direction / np.linalg.norm(direction)).astype(np.float32)
-        for axis in range(3):
-            result[axis] = unit[axis]
+        result[:] = unit.reshape(3, *(1,) * z.ndim)
         return result
     position = np.asarray(led.position_mm, dtype=np.float32)
     for axis, coordinate in enumerate((x, y, z)):
@@ -109,10 +111,12 @@ def _fraction(shade: Shade, x: FloatArray, y: FloatArray, z: FloatArray) -> Floa
         x = x / nearer
         y = y / nearer
     rows, columns = shade.fraction.shape
-    places = []
-    for values, (first, last), count in ((x, shade.x_mm, columns), (y, shade.y_mm, rows)):
-        places.append(((values - first) * ((count - 1) / (last - first))).astype(np.float32))
-    column, row = np.broadcast_arrays(*places)
+
+    def pixel(values: FloatArray, ends: tuple[float, float], count: int) -> FloatArray:
+        first, last = ends
+        return ((values - first) * ((count - 1) / (last - first))).astype(np.float32)
+
+    column, row = np.broadcast_arrays(pixel(x, shade.x_mm, columns), pixel(y, shade.y_mm, rows))
     return sampled_at(shade.fraction, column, row)
 
 
@@ -136,13 +140,13 @@ def few_lights(vectors: Array) -> list[Finding]:
     units = vectors / np.linalg.norm(vectors, axis=1, keepdims=True)
     spread = np.linalg.inv(units.T @ units)
     tilt_deg = float(np.rad2deg(0.01 * np.sqrt(spread[0, 0] + spread[1, 1])))
-    lack = "one is spare, so that one shadow or highlight at a pixel shows, but not which light it is of"
+    spare = "one is spare, so that one shadow or highlight at a pixel shows, but not which light it is of"
     if len(vectors) == 3:
-        lack = "none is spare, so that shadows and highlights bend the surface unnoticed"
+        spare = "none is spare, so that shadows and highlights bend the surface unnoticed"
     return [
         Finding(
             "few-lights",
-            f"{len(vectors)} lights, of which {lack}; "
+            f"{len(vectors)} lights, of which {spare}; "
             f"noise of 1 % in the images tilts normals by {tilt_deg:.1f} deg (rms, least squares)"
             ". Seven lights are a good number.",
         )

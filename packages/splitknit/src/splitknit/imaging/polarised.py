@@ -57,10 +57,13 @@ def without_side_lights(capture: Capture) -> Capture:
     front = lights_in_front(capture.rig.select(white.leds))
     if front.all() or front.sum() < IN_FRONT:
         return capture
-    both = {name: band for name, band in capture.bands.items() if name in {"white", "white_crossed"}}
-    rows = np.flatnonzero(front).tolist()
-    others = np.flatnonzero(~front).tolist()
-    parts = {name: replace(band.of_images(rows), side=band.of_images(others)) for name, band in both.items()}
+    in_front = np.flatnonzero(front).tolist()
+    at_side = np.flatnonzero(~front).tolist()
+    parts = {
+        name: replace(band.of_images(in_front), side=band.of_images(at_side))
+        for name, band in capture.bands.items()
+        if name in {"white", "white_crossed"}
+    }
     return replace(capture, bands={**capture.bands, **parts})
 
 
@@ -81,10 +84,10 @@ def split_mosaic(mosaic: NDArray[Any], film_deg: float, *, colour: bool = False)
     >>> [int(image[2, 2, 0]) for image in split_mosaic(mirrored, film_deg=90.0)]
     [200, 0]
     """
-    rows, columns, block = *mosaic.shape[:2], 4 if colour else 2
-    fits = mosaic.size == rows * columns and mosaic.dtype.kind == "u" and rows % block == columns % block == 0
+    rows, columns = mosaic.shape[:2]
+    block = 4 if colour else 2
     require(
-        fits,
+        mosaic.size == rows * columns and mosaic.dtype.kind == "u" and rows % block == columns % block == 0,
         f"a mosaic of films has one channel of integers and sides that are multiples of {block}"
         f", but it is {mosaic.shape} {mosaic.dtype}.",
     )
@@ -131,13 +134,13 @@ def findings_on_series(parallel: FloatArray, crossed: FloatArray, mask: BoolArra
     series = [np.maximum(stack[:, mask], 1e-6) for stack in (parallel, crossed)]
     if series[1].mean() >= series[0].mean():
         return (Finding("not-specular", NOT_SPECULAR),)
-    shares = [light / light.mean(axis=0) for light in series]  # what shows from where each image was lit
-    alike = np.corrcoef(*shares)[: len(parallel), len(parallel) :]
-    wrong = np.flatnonzero(np.diag(alike) < alike.max(axis=0) - _AS_ALIKE)
+    shading = [light / light.mean(axis=0) for light in series]  # shows from where each image was lit
+    likeness = np.corrcoef(*shading)[: len(parallel), len(parallel) :]
+    wrong = np.flatnonzero(np.diag(likeness) < likeness.max(axis=0) - _AS_ALIKE)
     if wrong.size == 0:
         return ()
     k = wrong[0]
-    like = alike[:, wrong[0]].argmax()
+    like = likeness[:, k].argmax()
     return (
         Finding(
             "series-order",
@@ -234,10 +237,10 @@ def contrast(capture: Capture, band: Band) -> Array:
 
 def crossed_place(films: Films, shape: tuple[int, ...]) -> Array:
     """(2, 3) from columns and rows of the parallel image to where the crossed one shows the same."""
-    x = (shape[1] - 1) / 2
-    y = (shape[0] - 1) / 2
-    s, (dx, dy) = films.scale, films.shift_px
-    return np.array([[s, 0.0, (1.0 - s) * x + dx], [0.0, s, (1.0 - s) * y + dy]])
+    scale = films.scale
+    x = (1.0 - scale) * ((shape[1] - 1) / 2) + films.shift_px[0]
+    y = (1.0 - scale) * ((shape[0] - 1) / 2) + films.shift_px[1]
+    return np.array([[scale, 0.0, x], [0.0, scale, y]])
 
 
 def undone(image: FloatArray, films: Films) -> FloatArray:

@@ -9,15 +9,18 @@ from splitknit.model import Array, FloatArray
 
 _EXPONENTS = np.array([0.30, 0.36, 0.45, 0.55, 0.67, 0.82, 1.0, 1.22])
 """Exponents that are tried: sRGB code is about the power 1 / 2.2 of light."""
-_SRGB, _LINEAR = 2, 6
+_SRGB = 2
+_LINEAR = 6
 _CURVED_UP_TO = 0.7
 """Best exponent up to which values are sRGB: 0.45 to 0.7 of sRGB photographs, 0.82 and more of linear ones."""
-_CLEARLY, _CLEARLY_FREE = 1.15, 2.5
+_CLEARLY = 1.15
+_CLEARLY_FREE = 2.5
 """Loss as sRGB over that as linear from which values may be linear, and from which they are where the brightness of the
 lights is estimated: 1.25 and more of linear photographs of DiLiGenT's bear, of Washington's grey ball and of renders by
 others. Gloss on a shallow relief hides the curve, so that the pixels that fit best must agree; it is up to 2.3 with
 estimated brightness on 26 objects stored as sRGB, but for one glossy pillow (3.6)."""
-_BEST, _BEST_RATIO = 0.25, 0.98
+_BEST = 0.25
+_BEST_RATIO = 0.98
 """Part of the pixels, those that fit best, and their residual as sRGB over that as linear from which values are linear:
 1.01 to 1.72 of those photographs, 0.56 to 0.94 of the same as sRGB."""
 _CODE_NOISE = 0.003
@@ -31,7 +34,8 @@ _WIDTH = 0.02
 """Differences to the model that count in full, of the full scale: gloss and shadow differ by more."""
 FEWEST = 5
 """Lights of known brightness from which shading shows the curve; one more where it is estimated."""
-_FEWEST_VALUES, _MOST_PIXELS = 1000, 1500
+_FEWEST_VALUES = 1000
+_MOST_PIXELS = 1500
 
 
 def shading_is_srgb(codes: FloatArray, vectors: Array, *, known: bool) -> bool | None:
@@ -49,10 +53,10 @@ def shading_is_srgb(codes: FloatArray, vectors: Array, *, known: bool) -> bool |
     lit = (codes > 0.25 * top) & (codes < 0.97) & (top > 0.15) & (top - codes.min(axis=0) > 0.03)
     good = lit.sum(axis=0) >= (4 if known else 5)
     good &= good.cumsum() % max(1, int(good.sum()) // _MOST_PIXELS) == 0
-    shown = lit[:, good].any(axis=1)
-    values = codes[shown][:, good].astype(np.float64)
-    weights = lit[shown][:, good].astype(np.float64)
-    vectors = vectors[shown]
+    used = lit[:, good].any(axis=1)
+    values = codes[used][:, good].astype(np.float64)
+    weights = lit[used][:, good].astype(np.float64)
+    vectors = vectors[used]
     if int(weights.sum()) < _FEWEST_VALUES or len(vectors) < (FEWEST if known else FEWEST + 1):
         return None
     costs = np.array([_cost(values, weights, vectors, exponent, known=True) for exponent in _EXPONENTS])

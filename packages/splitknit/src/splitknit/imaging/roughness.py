@@ -21,8 +21,8 @@ def profile_roughness(height_mm: Array, step_mm: float, cutoff_mm: float) -> tup
     heights a cut-off are known. Source: ISO 4287:1997, sections 3.1 and 4; ISO 16610-21:2011, the filter.
 
     >>> wave = 0.01 * np.sin(2 * np.pi * np.arange(4000) * 0.001 / 0.1)
-    >>> _, found = profile_roughness(wave, 0.001, 0.8)
-    >>> round(found["Ra_um"], 1), round(found["Rz_um"], 1), found["sampling_lengths"]
+    >>> _, figures = profile_roughness(wave, 0.001, 0.8)
+    >>> round(figures["Ra_um"], 1), round(figures["Rz_um"], 1), figures["sampling_lengths"]
     (6.4, 20.0, 3)
     """
     length_mm = step_mm * (len(height_mm) - 1)
@@ -45,7 +45,7 @@ def profile_roughness(height_mm: Array, step_mm: float, cutoff_mm: float) -> tup
     used = rough[kept] - rough[kept].mean()
     count = int(length_mm / cutoff_mm - 1 + 1e-6)
     parts = [np.ptp(part) for part in np.array_split(used[: round(count * cutoff_mm / step_mm) + 1], count)]
-    found = {"Ra_um": np.abs(used).mean(), "Rq_um": used.std(), "Rz_um": np.mean(parts), "Rt_um": np.ptp(used)}
+    figures = {"Ra_um": np.abs(used).mean(), "Rq_um": used.std(), "Rz_um": np.mean(parts), "Rt_um": np.ptp(used)}
     profile = np.full(len(height_mm), np.nan)
     profile[kept] = used
-    return profile, {**{name: float(value) for name, value in found.items()}, "sampling_lengths": count}
+    return profile, {**{name: float(value) for name, value in figures.items()}, "sampling_lengths": count}

@@ -65,7 +65,7 @@ class View:
         x, y = self.on_plane()
         apex = np.float32(self.apex_mm)
         far = np.sqrt(x * x + y * y + apex * apex) * (1.0 - z_mm / apex)
-        return _f32(apex * np.log(apex / far))
+        return apex * np.log(apex / far)
 
     def of_rows(self, chunk: slice) -> View:
         """The view of some rows."""
@@ -76,10 +76,8 @@ class View:
         """Vectors (L, 3, h, W), or (L, 3, n) at the pixels `where` (h, W) of some rows, in the pixels' own frames."""
         if not self._spread:
             return vectors
-        a, b, c = self._towards(chunk, vectors.shape[2:] if where is None else where.shape, where)
-        vx = vectors[:, 0]
-        vy = vectors[:, 1]
-        vz = vectors[:, 2]
+        a, b, c = self._towards(chunk, where)
+        vx, vy, vz = np.moveaxis(vectors, 1, 0)
         sideways = a * vx + b * vy
         common = sideways / (1.0 + c) + vz
         return np.stack([vx - a * common, vy - b * common, sideways + c * vz], axis=1)
@@ -88,10 +86,8 @@ class View:
         """Vectors (H, W, 3) of the pixels' own frames in the rig's frame: the inverse of :meth:`turned`."""
         if not self._spread:
             return vectors
-        a, b, c = self._towards(slice(None), vectors.shape[:2], None)
-        rx = vectors[..., 0]
-        ry = vectors[..., 1]
-        rz = vectors[..., 2]
+        a, b, c = self._towards()
+        rx, ry, rz = np.moveaxis(vectors, -1, 0)
         sideways = a * rx + b * ry
         common = rz - sideways / (1.0 + c)
         return np.stack([rx + a * common, ry + b * common, c * rz - sideways], axis=-1)
@@ -108,32 +104,33 @@ class View:
         y_right = np.gradient(y, axis=1) / pitch_mm
         y_up = -np.gradient(y, axis=0) / pitch_mm
         if not self._spread:
-            return _f32(x_right), _f32(x_up), _f32(y_right), _f32(y_up)
-        a, b, c = self._towards(slice(None), shape, None)
+            return x_right, x_up, y_right, y_up
+        a, b, c = self._towards()
         k = 1.0 / (1.0 + c)
         xx = c * (1 - a * a * k)
         xy = -c * a * b * k
         yy = c * (1 - b * b * k)
-        x_x = xx * x_right + xy * y_right
-        x_y = xx * x_up + xy * y_up
-        y_x = xy * x_right + yy * y_right
-        y_y = xy * x_up + yy * y_up
-        return _f32(x_x), _f32(x_y), _f32(y_x), _f32(y_y)
+        return (
+            xx * x_right + xy * y_right,
+            xx * x_up + xy * y_up,
+            xy * x_right + yy * y_right,
+            xy * x_up + yy * y_up,
+        )
 
     @property
     def _spread(self) -> bool:
         return self.along_rays and self.apex_mm is not None
 
-    def _towards(self, chunk: slice, shape: Any, where: Any) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Unit vectors from the plane towards the camera."""
+    def _towards(self, chunk: slice = slice(None), where: Any = None) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Unit vectors from the plane towards the camera, at the pixels `where` (h, W) of some rows."""
         assert self.apex_mm is not None
-        x, y = (np.broadcast_to(v, shape) for v in self.on_plane(chunk))
+        x, y = np.broadcast_arrays(*self.on_plane(chunk))
         if where is not None:
             x = x[where]
             y = y[where]
         apex = np.float32(self.apex_mm)
         far = np.sqrt(x * x + y * y + apex * apex)
-        return _f32(-x / far), _f32(-y / far), _f32(apex / far)
+        return -x / far, -y / far, apex / far
 
 
 def view_of(
@@ -145,14 +142,15 @@ def view_of(
     along_rays: bool = False,
 ) -> View:
     """View of a window of the camera's image, of blocks of `binning` pixels a side (what fills no block is dropped)."""
-    starts = [(part or slice(None)).indices(n) for part, n in zip((rows, columns), camera.image_size, strict=True)]
-    (top, bottom, _), (left, right, _) = starts
-    middle = 0.5 * (binning - 1)
-    row = top + np.arange(int((bottom - top) // binning), dtype=np.float64) * binning + middle
-    column = left + np.arange(int((right - left) // binning), dtype=np.float64) * binning + middle
+    places = []
+    for part, size in zip((rows, columns), camera.image_size, strict=True):
+        start, stop, _ = (part or slice(None)).indices(size)
+        blocks = np.arange(int((stop - start) // binning), dtype=np.float64)
+        places.append(start + blocks * binning + 0.5 * (binning - 1))
+    row, column = places
     if camera.model == "orthographic":
         return View(*_pixel_axes_mm(camera, row, column))
-    some_rows, some_columns = (_lattice(axis) for axis in (row, column))
+    some_rows, some_columns = (_lattice(axis) for axis in places)
     grid = np.stack(np.meshgrid(some_columns, some_rows), axis=-1).reshape(-1, 2)
     points = plane_points(camera, grid).reshape(some_rows.size, some_columns.size, 2)
     from scipy.interpolate import RectBivariateSpline  # slow to import; lenses with distortion alone
@@ -168,17 +166,15 @@ def _lattice(axis: Array) -> Array:
     return np.linspace(first, max(last, first + 3.0), count)
 
 
-def _f32(values: Any) -> FloatArray:
-    return np.asarray(values)
-
-
-def _pixel_axes_mm(camera: Camera, rows: Array | None = None, columns: Array | None = None) -> tuple[Array, Array]:
-    """Return x of `columns` and y of `rows` (all by default), in mm on the finger plane, under parallel rays."""
+def _pixel_axes_mm(camera: Camera, rows: Array, columns: Array) -> tuple[Array, Array]:
+    """x of `columns` and y of `rows`, in mm on the finger plane, under parallel rays."""
     height, width = camera.image_size
-    column = np.arange(width, dtype=np.float64) if columns is None else columns
-    row = np.arange(height, dtype=np.float64) if rows is None else rows
-    x = (column - (width - 1) / 2) * camera.pitch_mm
-    return x, ((height - 1) / 2 - row) * camera.pitch_mm
+    x = (columns - (width - 1) / 2) * camera.pitch_mm
+    return x, ((height - 1) / 2 - rows) * camera.pitch_mm
+
+
+def _distortion(camera: Camera) -> Array:
+    return np.asarray(camera.distortion or (0.0,) * 5, dtype=np.float64)
 
 
 def plane_points(camera: Camera, pixels: Any) -> Array:
@@ -189,9 +185,8 @@ def plane_points(camera: Camera, pixels: Any) -> Array:
         return np.stack(_pixel_axes_mm(camera, places[:, 1], places[:, 0]), axis=1)
     matrix = camera.matrix
     assert matrix is not None
-    distortion = np.asarray(camera.distortion if camera.distortion else (0.0,) * 5, dtype=np.float64)
     criteria = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 40, 1e-10)
-    rays = cv2.undistortPointsIter(places[:, None], matrix, distortion, np.eye(3), matrix, criteria)[:, 0]
+    rays = cv2.undistortPointsIter(places[:, None], matrix, _distortion(camera), np.eye(3), matrix, criteria)[:, 0]
     rays = (rays - matrix[:2, 2]) / np.diag(matrix)[:2]
     rays[:, 0] -= matrix[0, 1] / matrix[0, 0] * rays[:, 1]
     return rays * (camera.height_mm, -camera.height_mm)
@@ -209,8 +204,8 @@ def pixels_of(camera: Camera, points_mm: Any) -> Array:
     require((points[:, 2] < camera.height_mm).all(), "points_mm must lie below the camera.")
     assert camera.matrix is not None
     seen = np.stack([points[:, 0], -points[:, 1], camera.height_mm - points[:, 2]], axis=1)
-    distortion = np.asarray(camera.distortion if camera.distortion else (0.0,) * 5, dtype=np.float64)
-    pixels, _ = cv2.projectPoints(seen, np.zeros(3), np.zeros(3), np.asarray(camera.matrix, np.float64), distortion)
+    matrix = np.asarray(camera.matrix, np.float64)
+    pixels, _ = cv2.projectPoints(seen, np.zeros(3), np.zeros(3), matrix, _distortion(camera))
     return np.asarray(pixels[:, 0], dtype=np.float64)
 
 
@@ -229,11 +224,10 @@ def lens_shading(  # noqa: PLR0917
 
     `shading`: a, b, ... of :class:`splitknit.model.Camera`; `image_size`: rows, columns of the whole image, half whose
     diagonal is r = 1; `first_row`, `first_column`: where the window starts; `binning`: pixels a side of its blocks;
-    `shape`: of the window in blocks, by default that of the whole image.
+    `shape`: of the window in blocks, by default that of the image, for blocks of one pixel.
     """
-    rows = int(image_size[0])
-    columns = int(image_size[1])
-    height, width = (int(rows // binning), int(columns // binning)) if shape is None else (int(shape[0]), int(shape[1]))
+    rows, columns = image_size
+    height, width = (shape or image_size)[:2]
     middle = 0.5 * (binning - 1)
     y = first_row + np.arange(height) * binning + middle - 0.5 * (rows - 1)
     x = first_column + np.arange(width) * binning + middle - 0.5 * (columns - 1)

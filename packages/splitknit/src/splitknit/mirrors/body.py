@@ -11,6 +11,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from functools import cache, lru_cache
+from typing import Any
 
 import cv2
 import numpy as np
@@ -74,9 +75,12 @@ class Body:
         """Centre, half axes and shear at `u` (n,)."""
         w = self.fraction(u)
         s = np.sqrt(w)
-        along, root = _between(self._lines[0], w), _between(self._lines[1], s)
+        centre = _between(self._lines[0], w)
+        half_axes = s[..., None] * _between(self._lines[1], s)
         shear = self.shear + self.shear_slope * (w - 0.5)
-        return _Sections(along[..., 0], along[..., 1], s * root[..., 0], s * root[..., 1], shear, self.squareness)
+        t, z = np.moveaxis(centre, -1, 0)
+        a, b = np.moveaxis(half_axes, -1, 0)
+        return _Sections(t, z, a, b, shear, self.squareness)
 
     def heights(self, camera: Camera, rows: slice, columns: slice, binning: int = 1) -> SeenHeights:
         """Where the rays of a window's pixels or blocks meet the body; beside it its outline's z goes on."""
@@ -86,13 +90,13 @@ class Body:
         if view.apex_mm is None:
             return plane_x, plane_y, *_looked_up(self, table, plane_x, plane_y)
         apex = np.float32(view.apex_mm)
+        nearer: Any = np.float32(1.0)
         z = np.zeros(plane_x.shape, dtype=np.float32)
         for _ in range(4):  # less than all the way each time: at steep skin whole steps overshoot
+            z = 0.3 * z + 0.7 * _looked_up(self, table, plane_x * nearer, plane_y * nearer)[0]
             nearer = 1.0 - z / apex
-            found, _, _ = _looked_up(self, table, plane_x * nearer, plane_y * nearer)
-            z = 0.3 * z + 0.7 * found
-        nearer = 1.0 - z / apex
-        x, y = plane_x * nearer, plane_y * nearer
+        x = plane_x * nearer
+        y = plane_y * nearer
         return x, y, *_looked_up(self, table, x, y)
 
 
@@ -110,7 +114,8 @@ class _Sections:
     def support(self, normal_t: Array, normal_z: Array) -> tuple[Array, Array, Array]:
         """How far the section reaches along (normal_t, normal_z), and its derivatives by a and b."""
         x, rise, turned = self._touched(normal_t, normal_z)
-        by_a, by_b = normal_t * x, turned * rise
+        by_a = normal_t * x
+        by_b = turned * rise
         return self.t * normal_t + self.z * normal_z + self.a * by_a + self.b * by_b, by_a, by_b
 
     def contact(self, normal_t: Array, normal_z: Array) -> tuple[Array, Array]:
@@ -123,8 +128,8 @@ class _Sections:
         turned = normal_z + self.shear * normal_t
         steepness = np.arctan2(np.abs(self.a * normal_t), np.abs(self.b * turned))
         angle = np.interp(steepness, *_oval_table(self.squareness))
-        sine, cosine = np.sin(angle), np.cos(angle)
-        rise = cosine * (1.0 + self.squareness * sine * sine)
+        sine = np.sin(angle)
+        rise = np.cos(angle) * (1.0 + self.squareness * sine * sine)
         return np.copysign(sine, normal_t), np.copysign(rise, turned), turned
 
 
@@ -132,7 +137,8 @@ class _Sections:
 def _oval_table(squareness: float) -> tuple[Array, Array]:
     """Steepness, away from Z, of the normal of the oval X = sin w, Z = cos w (1 + k sin^2 w) at nodes w, and these."""
     node = np.linspace(0.0, 0.5 * np.pi, OVAL_NODES)
-    sine, cosine = np.sin(node), np.cos(node)
+    sine = np.sin(node)
+    cosine = np.cos(node)
     normal_x = sine * (1.0 + squareness * (sine * sine - 2.0 * cosine * cosine))
     return np.arctan2(normal_x, cosine), node
 
@@ -158,7 +164,9 @@ def _basis_table(count: int) -> Array:
 
 # A body as seen from above: z over every pixel, and slopes.
 
-_DENSE_STATIONS, ANGLES, NODES = 120, 181, 121
+_DENSE_STATIONS = 120
+ANGLES = 181
+NODES = 121
 STEEPEST_DEG = 24.0  # slopes of the skin are used up to here: steeper skin looks flatter than it is
 
 
@@ -168,36 +176,40 @@ def _table_of(body: Body) -> tuple[FloatArray, FloatArray]:
     """
     s = np.linspace(0.0, 1.0, _DENSE_STATIONS)
     s[0] = 1e-3
-    u = body.tip_mm - body.length_mm * s**2
-    sections = body.sections(u)
-    turn = np.linspace(-0.5 * np.pi, 0.5 * np.pi, ANGLES)
-    normal_t, normal_z = np.sin(turn)[:, None], np.cos(turn)[:, None]
-    t, z = sections.contact(normal_t, normal_z)  # (ANGLES, S), t grows with the angle
-    left, right = t[0], t[-1]
-    node = np.linspace(-0.5 * np.pi, 0.5 * np.pi, NODES)
-    middle, half = 0.5 * (left + right), np.maximum(0.5 * (right - left), 1e-9)
+    sections = body.sections(body.tip_mm - body.length_mm * s**2)
+    turn = np.linspace(-0.5 * np.pi, 0.5 * np.pi, ANGLES)[:, None]
+    t, z = sections.contact(np.sin(turn), np.cos(turn))  # (ANGLES, S), t grows with the angle
+    middle = 0.5 * (t[0] + t[-1])
+    half = np.maximum(0.5 * (t[-1] - t[0]), 1e-9)
     angle = np.arcsin(np.clip((t - middle) / half, -1.0, 1.0))
+    node = np.linspace(-0.5 * np.pi, 0.5 * np.pi, NODES)
     tabled = np.stack([np.interp(node, angle[:, k], z[:, k]) for k in range(_DENSE_STATIONS)])
-    return np.stack([left, right]).astype(np.float32), tabled.astype(np.float32)
+    return t[[0, -1]].astype(np.float32), tabled.astype(np.float32)
 
 
 def _looked_up(
     body: Body, table: tuple[FloatArray, FloatArray], x: FloatArray, y: FloatArray
 ) -> tuple[FloatArray, BoolArray, BoolArray]:
+    """z at x and y, finite; whether the body is met; and which rows of it the outlines reach."""
     ends, tabled = table
-    dx, dy = x - np.float32(body.origin_mm[0]), y - np.float32(body.origin_mm[1])
-    across, axis = body.across.astype(np.float32), body.axis.astype(np.float32)
-    t, u = across[0] * dx + across[1] * dy, axis[0] * dx + axis[1] * dy
+    dx = x - np.float32(body.origin_mm[0])
+    dy = y - np.float32(body.origin_mm[1])
+    across = body.across.astype(np.float32)
+    axis = body.axis.astype(np.float32)
+    t = across[0] * dx + across[1] * dy
+    u = axis[0] * dx + axis[1] * dy
     w = (body.tip_mm - u) / body.length_mm
     s = np.sqrt(np.clip(w, 0.0, 1.0)) * (_DENSE_STATIONS - 1)
-    row = np.zeros_like(s)
-    left, right = (cv2.remap(end, s, row, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE) for end in ends[:, None])
+    left, right = (_remapped(end[None], s, np.zeros_like(s)) for end in ends)
     half = np.maximum(0.5 * (right - left), 1e-6)
     place = (t - 0.5 * (left + right)) / half
     inside = (w > 0) & (w <= 1) & (np.abs(place) <= 1)
     node = (np.arcsin(np.clip(place, -1, 1)) / np.pi + 0.5) * (NODES - 1)
-    z = cv2.remap(tabled, node, s, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
-    return np.asarray(z), inside, w <= 1
+    return _remapped(tabled, node, s), inside, w <= 1
+
+
+def _remapped(table: FloatArray, columns: FloatArray, rows: FloatArray) -> FloatArray:
+    return np.asarray(cv2.remap(table, columns, rows, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -212,15 +224,16 @@ class Slopes:
 def slopes_across(body: Body, slopes: Slopes) -> Array:
     """Slope of the body across its axis minus the measured one (n,); NaN where it is steep or beside the body."""
     level = slopes.places_mm - body.origin_mm
-    t, u = level @ body.across, level @ body.axis
+    t = level @ body.across
+    u = level @ body.axis
     measured = slopes.x * body.across[0] + slopes.y * body.across[1]
     limit = np.deg2rad(STEEPEST_DEG)
     turn = np.linspace(-limit, limit, 33)
     reach, _ = body.sections(u).contact(np.sin(turn)[:, None], np.cos(turn)[:, None])  # (33, n)
     above = reach > t
     k = np.clip(np.argmax(above, axis=0), 1, turn.size - 1)
-    column = np.arange(t.size)
-    low, high = reach[k - 1, column], reach[k, column]
+    low, high = np.take_along_axis(reach, np.stack([k - 1, k]), axis=0)
     angle = turn[k - 1] + (turn[k] - turn[k - 1]) * (t - low) / np.maximum(high - low, 1e-9)
-    known = above.any(axis=0) & ~above[0] & (u < body.tip_mm - 3.0) & (u > body.tip_mm - body.length_mm)
+    known = above.any(axis=0) & ~above[0]
+    known &= (u < body.tip_mm - 3.0) & (u > body.tip_mm - body.length_mm)
     return np.where(known, -np.tan(angle) - measured, np.nan)

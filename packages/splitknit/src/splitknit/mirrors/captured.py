@@ -23,7 +23,7 @@ from splitknit.mirrors.outline import medial_line
 from splitknit.mirrors.reflection import Glass, facing_fraction, glass_in, led_image, mirrored_fraction, shade_of
 from splitknit.mirrors.settings import MirrorShapeSettings
 from splitknit.mirrors.views import Views, view_binning, views_in
-from splitknit.model import Array, BoolArray, Capture, FloatArray, Led, Rig
+from splitknit.model import Array, BoolArray, Capture, FloatArray, Rig
 from splitknit.photometric.near_light import pseudo_normals
 
 DETAIL_MM = 1.5  # what is finer is taken from white light: creases; light by way of the mirrors bends what is wider
@@ -50,11 +50,11 @@ def mirror_shape_of(
     is kept: creases, and what no smooth section has; None: nothing is.
     """
     camera = seen.capture.rig.camera
-    window, inside = finger.window, finger.inside
-    z, known = seen.shape.continued(*window)
-    shape = z
+    window = finger.window
+    inside = finger.inside
+    shape, known = seen.shape.continued(*window)
     if camera.model != "orthographic":  # heights along the rays that the result is made from
-        shape = view_of(camera, *window, along_rays=True).along(z)
+        shape = view_of(camera, *window, along_rays=True).along(shape)
         shape = shape - unevenness(shape, inside, camera, window)
     if detail_mm is not None:
         cut = 2.0 * np.pi * camera.pitch_mm / DETAIL_MM
@@ -69,26 +69,28 @@ def mirror_shape_of(
 
 
 def _drawing(seen: SeenInMirrors) -> dict[str, Any]:
-    """Masks' outlines, medial lines and the fitted body's outlines of all views, columns and rows of the image."""
+    """Masks' outlines, medial lines and the fitted body's outlines of all views, columns and rows of
+    the image."""
     rig = seen.capture.rig
-    mirrors = {mirror.name: mirror for mirror in rig.mirrors}
-    scale, masks = seen.views.binning, {"front": seen.views.front, **seen.views.mirrors}
-    drawn: dict[str, Any] = {"masks": {}, "medial_lines": {}, "mirrors": {}}
-    for name, mask in masks.items():
-        found, _ = cv2.findContours(mask.astype(np.uint8), cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_SIMPLE)
-        outline = cv2.approxPolyDP(max(found, key=cv2.contourArea), 0.7, True)[:, 0]
-        drawn["masks"][name] = np.round((outline + 0.5) * scale - 0.5, 1).tolist()
-    for name, rows in seen.shape.outlines.items():
-        if abs(float(rows.axis @ seen.shape.outlines["front"].axis)) < np.sqrt(0.5):
-            continue  # a mirror beyond the tip: its rows run across
+    binning = seen.views.binning
+    masks = {}
+    for name, mask in {"front": seen.views.front, **seen.views.mirrors}.items():
+        contours, _ = cv2.findContours(mask.astype(np.uint8), cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_SIMPLE)
+        outline = cv2.approxPolyDP(max(contours, key=cv2.contourArea), 0.7, True)[:, 0]
+        masks[name] = (outline + 0.5) * binning - 0.5
+    medial_lines = {}
+    for name, rows in seen.shape.rows.items():
         slope, offset = medial_line(rows)
         ends = rows.along_mm[np.isfinite(rows.width_mm)][[0, -1]]
         places = np.outer(ends, rows.axis) + np.outer(slope * ends + offset, rows.across)
-        drawn["medial_lines"][name] = np.round(pixels_of(rig.camera, np.column_stack([places, [0, 0]])), 1).tolist()
-    for mirror in rig.mirrors:
-        drawn["mirrors"][mirror.name] = np.round(mirror_outline(mirror, rig.camera), 1).tolist()
-    drawn["fitted"] = {name: np.round(line[::4], 1).tolist() for name, line in seen.shape.drawn(mirrors).items()}
-    return drawn
+        medial_lines[name] = pixels_of(rig.camera, np.column_stack([places, [0, 0]]))
+    lines = {
+        "masks": masks,
+        "medial_lines": medial_lines,
+        "mirrors": {mirror.name: mirror_outline(mirror, rig.camera) for mirror in rig.mirrors},
+        "fitted": {name: line[::4] for name, line in seen.shape.drawn().items()},
+    }
+    return {kind: {name: np.round(line, 1).tolist() for name, line in views.items()} for kind, views in lines.items()}
 
 
 def require_mirrors(rig: Rig) -> None:
@@ -127,31 +129,29 @@ def skin_slopes(capture: Capture, grey: FloatArray, views: Views, shape: MirrorS
     depth = cv2.distanceTransform(np.pad(inside, 1).astype(np.uint8), cv2.DIST_L2, 5)[1:-1, 1:-1] * pitch * factor
     if len(grey) < 3 or not (depth > RIM_MM).any():
         return None
-    stack = bin_mean(grey, factor)
-    view = view_of(camera, binning=views.binning * factor)
     block = factor * views.binning
+    block_mm = pitch * factor
+    view = view_of(camera, binning=block)
     rows, columns = (slice(0, side * block) for side in inside.shape)
     x, y, z = shape.points(rows, columns, block)
     inside &= np.isfinite(z)
     surface = np.where(inside, z, np.nanmin(z))
-    points = np.stack([x, y, surface], axis=-1).astype(np.float64)
-    turned = normals_from_gradients(*height_gradients(np.where(inside, z, np.nan), pitch * factor))
     rig = _with_images(
         capture.rig.select(capture.bands["white"].lights),
-        tuple(glass_in(mirror, shape.plane(mirror)) for mirror in capture.rig.mirrors),  # where the outlines have them
-        points,
-        turned.astype(np.float64),
+        [glass_in(mirror, shape.plane(mirror)) for mirror in capture.rig.mirrors],
+        np.stack([x, y, surface], axis=-1).astype(np.float64),
+        normals_from_gradients(*height_gradients(np.where(inside, z, np.nan), block_mm)).astype(np.float64),
         view,
     )
-    normals = pseudo_normals(stack, rig, surface, inside, view=view)
+    normals = pseudo_normals(bin_mean(grey, factor), rig, surface, inside, view=view)
     length = np.linalg.norm(normals, axis=2)
     level = 1e-3 * np.median(length[inside])
     upward = np.maximum(normals[..., 2], level)
     known = (inside & (normals[..., 2] > 0.3 * length)).astype(np.float32)
-    sigma = 0.5 / (pitch * factor)
+    sigma = 0.5 / block_mm
     fraction = np.maximum(cv2.GaussianBlur(known, (0, 0), sigma), 1e-3)
     smooth = [cv2.GaussianBlur(-normals[..., k] / upward * known, (0, 0), sigma) / fraction for k in range(2)]
-    step = max(1, round(APART_MM / (pitch * factor)))
+    step = max(1, round(APART_MM / block_mm))
     chosen = np.zeros_like(inside)
     chosen[step // 2 :: step, step // 2 :: step] = True
     chosen &= (depth > RIM_MM) & (known > 0)
@@ -164,17 +164,15 @@ def _with_images(rig: Rig, glasses: Sequence[Glass], points_mm: Array, normals: 
     skin. `points_mm`, `normals`: (h, w, 3) of the skin at the pixels of `view`.
     """
 
-    def shaded(led: Led, fraction: FloatArray) -> Led:
-        return replace(led, shade=shade_of(fraction, view))
-
-    leds = []
+    exposures = []
     for exposure in rig.leds:
         members = [replace(led, also=()) for led in (exposure, *exposure.also)]
-        lights = [shaded(led, facing_fraction(points_mm, normals, led)) for led in members]
+        lights = [(led, facing_fraction(points_mm, normals, led)) for led in members]
         for glass in glasses:
             for led in members:
                 image = led_image(led, glass.plane, glass.reflectance)
                 through = mirrored_fraction(points_mm, image, glass.plane, glass.corners_mm)
-                lights.append(shaded(image, facing_fraction(points_mm, normals, image) * through))
-        leds.append(replace(lights[0], also=tuple(lights[1:])))
-    return replace(rig, leds=tuple(leds))
+                lights.append((image, facing_fraction(points_mm, normals, image) * through))
+        first, *also = (replace(led, shade=shade_of(part, view)) for led, part in lights)
+        exposures.append(replace(first, also=tuple(also)))
+    return replace(rig, leds=tuple(exposures))

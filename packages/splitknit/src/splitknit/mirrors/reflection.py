@@ -8,6 +8,7 @@ N . X = c. Both hold for parallel and for spreading rays, and for any pose of a 
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 
@@ -16,14 +17,17 @@ from splitknit.imaging.view import View, pixels_of
 from splitknit.model import Array, Camera, FloatArray, Led, Mirror, Shade
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Touching:
+class Touching(NamedTuple):
     """Rays that touch the finger, and planes that do (n of them), in the rig's frame, mm."""
 
     point: Array  # (n, 3) on the ray
     direction: Array  # (n, 3) of the ray, unit length, away from the camera
     normal: Array  # (n, 3) out of the finger, unit length
-    offset_mm: Array  # (n,) normal . X on the plane
+
+    @property
+    def offset_mm(self) -> Array:
+        """(n,) normal . X on the plane."""
+        return (self.normal * self.point).sum(axis=1)
 
 
 def touching(camera: Camera, places_mm: Array, along: Array, outward: Array) -> Touching:
@@ -39,11 +43,19 @@ def touching(camera: Camera, places_mm: Array, along: Array, outward: Array) -> 
     normal = _unit(np.cross(direction, np.column_stack([along, np.zeros(n)])))
     inwards = (normal[:, :2] * outward).sum(axis=1) < 0
     normal[inwards] *= -1.0
-    return Touching(point, direction, normal, (normal * point).sum(axis=1))
+    return Touching(point, direction, normal)
 
 
 def _unit(vectors: Array) -> Array:
     return np.asarray(vectors / np.linalg.norm(vectors, axis=1, keepdims=True))
+
+
+class Pose(NamedTuple):
+    """How a mirror differs from its nominal pose, see :meth:`Plane.posed`."""
+
+    turn_rad: float = 0.0
+    lean_rad: float = 0.0
+    shift_mm: float = 0.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -66,31 +78,36 @@ class Plane:
         return Plane(self.point_mm + shift_mm * normal, normal)
 
     def posed(self, turn_rad: float, lean_rad: float, shift_mm: float) -> Plane:
-        """The plane turned about z, leaned towards lying flat, both about its point, and shifted along its normal."""
-        level = self.normal[:2] / np.hypot(*self.normal[:2])
-        cosine, sine = np.cos(turn_rad), np.sin(turn_rad)
-        level = np.array([cosine * level[0] - sine * level[1], sine * level[0] + cosine * level[1]])
+        """The plane turned about z, leaned towards lying flat, both about its point, and shifted
+        along its normal."""
+        x, y = self.normal[:2] / np.hypot(*self.normal[:2])
+        cosine = np.cos(turn_rad)
+        sine = np.sin(turn_rad)
+        level = np.array([cosine * x - sine * y, sine * x + cosine * y])
         elevation = np.arctan2(self.normal[2], np.hypot(*self.normal[:2])) + lean_rad
         normal = np.array([*(np.cos(elevation) * level), np.sin(elevation)])
         return Plane(self.point_mm + shift_mm * normal, normal)
 
-    def reflect(self, seen: Touching) -> Touching:
-        """Rays and planes as the mirror turns them: those of the finger itself."""
-        point, normal = reflect_points(seen.point, self), reflect_vectors(seen.normal, self)
-        return Touching(point, reflect_vectors(seen.direction, self), normal, (normal * point).sum(axis=1))
+    def reflect(self, touching: Touching) -> Touching:
+        """Rays and planes that the camera sees in the mirror, as they touch the finger itself."""
+        return Touching(
+            reflect_points(touching.point, self),
+            reflect_vectors(touching.direction, self),
+            reflect_vectors(touching.normal, self),
+        )
 
     def axes(self) -> tuple[Array, Array]:
         """Two unit vectors in the plane, at right angles: the first lies as nearly along y as it can."""
-        other = np.array([0.0, 1.0, 0.0]) if abs(self.normal[1]) < 0.9 else np.array([1.0, 0.0, 0.0])
-        first = other - np.dot(other, self.normal) * self.normal
+        start = np.eye(3)[1 if abs(self.normal[1]) < 0.9 else 0]
+        first = start - np.dot(start, self.normal) * self.normal
         first = first / np.linalg.norm(first)
         return first, np.cross(self.normal, first)
 
     def image_axis(self, axis: Array) -> Array:
         """(2,) unit direction in which a level direction (2,) of the finger runs in the mirror's picture."""
-        n = self.normal
-        shown = axis - 2.0 * float(axis @ n[:2]) * n[:2]
-        return shown / np.linalg.norm(shown)
+        level = self.normal[:2]
+        reflected = axis - 2.0 * float(axis @ level) * level
+        return reflected / np.linalg.norm(reflected)
 
     def epipole(self, camera: Camera) -> Array | None:
         """(2,) where on the finger plane the joints of all points with their mirror images meet; None: parallel."""
@@ -111,18 +128,15 @@ def reflect_points(points_mm: Array, plane: Plane) -> Array:
 
 
 def led_image(led: Led, plane: Plane, strength: float = 1.0) -> Led:
-    """Image of one LED in a mirror that reflects the fraction `strength` of its light, without those of its `also`."""
+    """Image of one LED in a mirror that reflects the fraction `strength` of its light, without
+    those of its `also`."""
+    image = replace(led, intensity=led.intensity * strength, also=(), reflected=True, shade=None)
     if led.position_mm is None:
-        moved = {"direction": _triple(reflect_vectors(np.asarray(led.direction, dtype=np.float64), plane))}
-    else:
-        position = reflect_points(np.asarray(led.position_mm, dtype=np.float64), plane)
-        moved = {"position_mm": _triple(position), "aim": _triple(reflect_vectors(led.axis, plane))}
-    return replace(led, intensity=led.intensity * strength, also=(), reflected=True, shade=None, **moved)  # type: ignore[arg-type]
-
-
-def _triple(values: Array) -> tuple[float, float, float]:
-    x, y, z = (float(value) for value in values)
-    return x, y, z
+        x, y, z = reflect_vectors(np.asarray(led.direction, dtype=np.float64), plane).tolist()
+        return replace(image, direction=(x, y, z))
+    x, y, z = reflect_points(np.asarray(led.position_mm, dtype=np.float64), plane).tolist()
+    aim_x, aim_y, aim_z = reflect_vectors(led.axis, plane).tolist()
+    return replace(image, position_mm=(x, y, z), aim=(aim_x, aim_y, aim_z))
 
 
 # Which of an LED's images reach the skin: shadows that a finger throws on itself, and the outlines of mirrors.
@@ -151,11 +165,12 @@ def mirrored_fraction(points_mm: Array, image: Led, plane: Plane, corners_mm: Ar
     towards = _towards(points_mm, image)
     above = points_mm @ plane.normal - plane.offset_mm
     falling = towards @ plane.normal
-    there = (above > 0) & (falling < -1e-9)
-    way = np.where(there, above / np.where(there, -falling, 1.0), 0.0)
-    met = points_mm + way[..., None] * towards
+    meets = (above > 0) & (falling < -1e-9)
+    way = np.where(meets, above / np.where(meets, -falling, 1.0), 0.0)
+    on_plane = points_mm + way[..., None] * towards
     axes = np.stack(plane.axes(), axis=1)
-    flat, outline = (met - plane.point_mm) @ axes, (corners_mm - plane.point_mm) @ axes
+    flat = (on_plane - plane.point_mm) @ axes
+    outline = (corners_mm - plane.point_mm) @ axes
     following = np.roll(outline, -1, axis=0)
     turning = float(np.sum(outline[:, 0] * following[:, 1] - outline[:, 1] * following[:, 0]))
     within = np.full(flat.shape[:-1], np.inf)
@@ -163,7 +178,7 @@ def mirrored_fraction(points_mm: Array, image: Led, plane: Plane, corners_mm: Ar
         edge = (stop - start) / max(float(np.linalg.norm(stop - start)), 1e-12)
         inner = np.array([-edge[1], edge[0]]) * np.sign(turning)
         within = np.minimum(within, (flat - start) @ inner)
-    return np.asarray(np.clip(0.5 + within / EDGE_MM, 0.0, 1.0) * there, dtype=np.float32)
+    return np.asarray(np.clip(0.5 + within / EDGE_MM, 0.0, 1.0) * meets, dtype=np.float32)
 
 
 def shade_of(fraction: FloatArray, view: View) -> Shade:

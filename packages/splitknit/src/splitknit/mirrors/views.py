@@ -12,12 +12,17 @@ from splitknit.errors import BadInput, require
 from splitknit.finger.mask import finger_outline, finger_region
 from splitknit.imaging.areas import blanked, box_around, enlarged_box, filled, grown, mirror_outline
 from splitknit.imaging.band import block_means
+from splitknit.imaging.geometry import bounding_box
 from splitknit.model import Array, BoolArray, FloatArray, Rig
 
 _PX_PER_MM = 22.0  # scale of the copy on which the outlines are found
 _REACH_MM = 3.0  # a mirror's picture is looked for this far beyond its nominal outline
 
 _NO_FINGER = "no finger was found beside the mirrors: check the exposure, the LEDs and the finger's place."
+_NO_MIRROR = (
+    "no mirror shows the finger: check that the rig file's mirrors are the ones in the picture, or "
+    "take the shape from light (`shape` nir or white)."
+)
 SEARCH_PX_PER_MM = 4.0  # views are looked for on a copy of about this scale where their outlines are found apart
 
 
@@ -48,106 +53,134 @@ def views_in(image: FloatArray, rig: Rig, binning: int) -> Views:
     rig : its camera, and where its mirrors nominally are
     """
     require(rig.mirrors, "the rig has no mirrors: name them in rig.json, or take the shape from light.")
-    factor = max(1, int(rig.camera.px_per_mm / binning / SEARCH_PX_PER_MM))
-    size = (image.shape[0] // factor, image.shape[1] // factor)
-    small = block_means(image[: size[0] * factor, : size[1] * factor], size, factor) if factor > 1 else image
-    views = _outlined(image, rig, _rough_views(small, rig, binning * factor), factor)
-    for name, view in views.mirrors.items():
-        px_per_mm = rig.camera.px_per_mm / views.binning
-        good = int((grown(views.front, 0.6 * px_per_mm) & view).sum()) < (1.0 * px_per_mm) ** 2
-        require(good, f"the finger touches the edge of the {name} mirror: lay it in the middle between the mirrors.")
-    return views
-
-
-def _rough_views(image: FloatArray, rig: Rig, binning: int) -> Views:
-    """Views, to a pixel of a small copy."""
     px_per_mm = rig.camera.px_per_mm / binning
-    outlines = {mirror.name: mirror_outline(mirror, rig.camera, binning) for mirror in rig.mirrors}
-    in_any = _in_any(outlines, (image.shape[0], image.shape[1]))
-    front = _largest_in(image, ~in_any, px_per_mm)
-    if front is None:
-        raise BadInput(_NO_FINGER)
-    _refuse_second(image, front, in_any, px_per_mm)
+    factor = max(1, int(px_per_mm / SEARCH_PX_PER_MM))
+    small_size = (image.shape[0] // factor, image.shape[1] // factor)
+    small = image
+    if factor > 1:
+        whole_blocks = image[: small_size[0] * factor, : small_size[1] * factor]
+        small = block_means(whole_blocks, small_size, factor)
+    rough_front, rough_views = _rough_views(small, rig, binning * factor)
+    outlines = _mirror_outlines(rig, binning)
+    front = _outlined(image, rough_front, "", None, outlines, px_per_mm)
+    require(front is not None, _NO_FINGER)
+    assert front is not None
+    views = {}
+    for name, rough in rough_views.items():
+        view = _outlined(image, rough, name, front, outlines, px_per_mm)
+        if view is not None:
+            views[name] = view
+            overlap_px = int((grown(front, 0.6 * px_per_mm) & view).sum())
+            require(
+                overlap_px < px_per_mm**2,
+                f"the finger touches the edge of the {name} mirror: lay it in the middle between the mirrors.",
+            )
+    require(views, _NO_MIRROR)
+    return Views(front, views, binning)
 
-    seen = {
-        name: _largest_in(image, _allowed(name, outlines, front, px_per_mm), px_per_mm) for name in sorted(outlines)
-    }
-    return _with_views(front, seen, binning)
+
+def _mirror_outlines(rig: Rig, binning: int) -> dict[str, Array]:
+    return {mirror.name: mirror_outline(mirror, rig.camera, binning) for mirror in rig.mirrors}
 
 
-def _outlined(image: FloatArray, rig: Rig, rough: Views, factor: int) -> Views:
-    """Views whose outlines are found in `image`, around the rough ones."""
-    binning = rough.binning // factor
+def _rough_views(image: FloatArray, rig: Rig, binning: int) -> tuple[BoolArray, dict[str, BoolArray]]:
+    """Front view and mirrors' views, to a pixel of a small copy."""
     px_per_mm = rig.camera.px_per_mm / binning
-    outlines = {mirror.name: mirror_outline(mirror, rig.camera, binning) for mirror in rig.mirrors}
-
-    def found(mask: BoolArray, name: str, front: BoolArray | None) -> BoolArray | None:
-        cells = box_around(mask, max(3.0, _REACH_MM) * px_per_mm / factor)
-        box = enlarged_box(cells, factor, mask.shape, image.shape)
-        corner = np.array([box[1].start, box[0].start])
-        inside = {other: outline - corner for other, outline in outlines.items()}
-        shape = (box[0].stop - box[0].start, box[1].stop - box[1].start)
-        allowed = ~_in_any(inside, shape) if front is None else _allowed(name, inside, front[box], px_per_mm)
-        try:
-            part = finger_outline(blanked(image[box], allowed, px_per_mm), mask[cells], px_per_mm) & allowed
-        except BadInput:
-            return None
-        whole = np.zeros(image.shape[:2], dtype=np.bool_)
-        whole[box] = part
-        return whole if part.any() else None
-
-    front = found(rough.front, "", None)
-    if front is None:
-        raise BadInput(_NO_FINGER)
-    seen = {name: found(mask, name, front) for name, mask in rough.mirrors.items()}
-    return _with_views(front, seen, binning)
+    outlines = _mirror_outlines(rig, binning)
+    shape = (image.shape[0], image.shape[1])
+    beside = _allowed("", outlines, None, shape, px_per_mm)
+    front = _largest_in(image, beside, px_per_mm)
+    require(front is not None, _NO_FINGER)
+    assert front is not None
+    _refuse_second(image, front, beside, px_per_mm)
+    views = {}
+    for name in sorted(outlines):
+        allowed = _allowed(name, outlines, front, shape, px_per_mm)
+        view = _largest_in(image, allowed, px_per_mm)
+        if view is not None:
+            views[name] = view
+    return front, views
 
 
-def _with_views(front: BoolArray, seen: Mapping[str, BoolArray | None], binning: int) -> Views:
-    """Front view and what mirrors show."""
-    found = {name: view for name, view in seen.items() if view is not None}
-    fault = "no mirror shows the finger: check that the rig file's mirrors are the ones in the picture,"
-    require(found, f"{fault} or take the shape from light (`shape` nir or white).")
-    return Views(front, found, binning)
+def _outlined(  # noqa: PLR0917
+    image: FloatArray,
+    rough: BoolArray,
+    name: str,
+    front: BoolArray | None,
+    outlines: Mapping[str, Array],
+    px_per_mm: float,
+) -> BoolArray | None:
+    """A view whose outline is measured in `image`, around the rough one of a small copy; of the
+    front where there is no `front` yet."""
+    factor = image.shape[0] // rough.shape[0]
+    cells = box_around(rough, max(3.0, _REACH_MM) * px_per_mm / factor)
+    box = enlarged_box(cells, factor, rough.shape, image.shape)
+    part = image[box]
+    corner = np.array([box[1].start, box[0].start])
+    allowed = _allowed(
+        name,
+        {mirror: outline - corner for mirror, outline in outlines.items()},
+        None if front is None else front[box],
+        (part.shape[0], part.shape[1]),
+        px_per_mm,
+    )
+    try:
+        mask = finger_outline(blanked(part, allowed, px_per_mm), rough[cells], px_per_mm)
+    except BadInput:
+        return None
+    return _on_image(mask & allowed, box, image.shape)
 
 
-def _in_any(outlines: Mapping[str, Array], shape: tuple[int, int]) -> BoolArray:
-    """Which pixels lie in one of the mirrors' nominal outlines."""
-    return np.asarray(np.logical_or.reduce([filled(outline, shape) for outline in outlines.values()]))
-
-
-def _allowed(name: str, outlines: Mapping[str, Array], front: BoolArray, px_per_mm: float) -> BoolArray:
-    """Where a mirror's picture may be: around its nominal outline, beside the front view and the other mirrors."""
-    shape = (front.shape[0], front.shape[1])
-    allowed = grown(filled(outlines[name], shape), _REACH_MM * px_per_mm) & ~grown(front, 0.4 * px_per_mm)
-    for other, outline in outlines.items():
-        if other != name:
+def _allowed(
+    name: str,
+    outlines: Mapping[str, Array],
+    front: BoolArray | None,
+    shape: tuple[int, int],
+    px_per_mm: float,
+) -> BoolArray:
+    """Where a mirror's picture may be: around its nominal outline, beside the front view and the
+    other mirrors; without a `front`, where that may be: beside all mirrors."""
+    allowed = np.ones(shape, dtype=np.bool_)
+    if front is not None:
+        allowed = grown(filled(outlines[name], shape), _REACH_MM * px_per_mm)
+        allowed &= ~grown(front, 0.4 * px_per_mm)
+    for mirror, outline in outlines.items():
+        if mirror != name:
             allowed &= ~filled(outline, shape)
     return allowed
 
 
 def _largest_in(image: FloatArray, allowed: BoolArray, px_per_mm: float) -> BoolArray | None:
     """The finger in the part of the image that is `allowed`, or None."""
-    rows, columns = np.flatnonzero(allowed.any(axis=1)), np.flatnonzero(allowed.any(axis=0))
-    if rows.size < 20 or columns.size < 20:
+    if not allowed.any():
         return None
-    window = slice(int(rows[0]), int(rows[-1]) + 1), slice(int(columns[0]), int(columns[-1]) + 1)
+    window = bounding_box(allowed)
     inside = allowed[window]
-    part = blanked(image[window], inside, px_per_mm)
+    if min(inside.shape) < 20:
+        return None
     try:
-        mask = finger_region(part, px_per_mm) & inside
+        mask = finger_region(blanked(image[window], inside, px_per_mm), px_per_mm)
     except BadInput:
         return None
-    whole = np.zeros(allowed.shape, dtype=np.bool_)
-    whole[window] = mask
-    return whole if mask.any() else None
+    return _on_image(mask & inside, window, image.shape)
 
 
-def _refuse_second(image: FloatArray, front: BoolArray, in_any: BoolArray, px_per_mm: float) -> None:
+def _on_image(part: BoolArray, box: tuple[slice, slice], shape: tuple[int, ...]) -> BoolArray | None:
+    """A mask of a part of an image on the whole image; None if it is empty."""
+    whole = np.zeros(shape[:2], dtype=np.bool_)
+    whole[box] = part
+    return whole if part.any() else None
+
+
+def _refuse_second(image: FloatArray, front: BoolArray, beside: BoolArray, px_per_mm: float) -> None:
     """Refuse another finger beside the first: about as bright, and nearly as large."""
     light = image if image.ndim == 2 else image.sum(axis=2)
-    other = (light > 0.5 * float(np.median(light[front]))) & ~in_any & ~grown(front, 1.5 * px_per_mm)
-    _, _, stats, _ = cv2.connectedComponentsWithStats(other.astype(np.uint8))
+    bright = light > 0.5 * float(np.median(light[front]))
+    second = bright & beside & ~grown(front, 1.5 * px_per_mm)
+    _, _, stats, _ = cv2.connectedComponentsWithStats(second.astype(np.uint8))
     largest = max((int(area) for area in stats[1:, cv2.CC_STAT_AREA]), default=0)
-    fault = "there are two fingers in the picture, or a mirror that the rig file does not name"
-    require(largest < 0.25 * float(front.sum()), f"{fault}: lay one finger there at a time, and name all mirrors.")
+    require(
+        largest < 0.25 * float(front.sum()),
+        "there are two fingers in the picture, or a mirror that the rig file does not name: lay one "
+        "finger there at a time, and name all mirrors.",
+    )

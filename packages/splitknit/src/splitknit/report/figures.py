@@ -55,23 +55,21 @@ def small_fields(result: Reconstruction, frame: PictureFrame) -> _SmallFields:
 
 def _normals_picture(result: Reconstruction, small: _SmallFields) -> Picture:
     """Show the normals, turned with the finger."""
-    picture = on_paper(normal_colours(upright_normals(result, small.normals)), small.weight)
+    turn = upright_turn(result.input_from_upright).astype(np.float32)
+    level = np.einsum("ij,hwj->hwi", turn, small.normals[..., :2])
+    upright = np.concatenate([level, small.normals[..., 2:]], axis=-1)
+    details = "details as fine lines on top, and no blotches."
+    up = "upwards"
+    if is_finger(result):
+        details = "the ridges as fine lines on top, and no blotches."
+        up = "to the tip"
     return captioned(
         "Surface normals",
-        picture,
-        "Direction of the surface: red grows to the right, green upwards, blue towards the camera. "
-        "Good: colours change smoothly, with details as fine lines on top, and no blotches."
-        if not is_finger(result)
-        else "Direction of the surface: red grows to the right, green to the tip, blue towards the camera. "
-        "Good: colours change smoothly over the finger, with the ridges as fine lines on top, and no blotches.",
+        on_paper(normal_colours(upright), small.weight),
+        f"Direction of the surface: red grows to the right, green {up}, blue towards the camera. "
+        f"Good: colours change smoothly, with {details}",
         small.frame.pitch_mm,
     )
-
-
-def upright_normals(result: Reconstruction, normals: FloatArray) -> FloatArray:
-    """Normals (h, w, 3) turned with the finger."""
-    turn = upright_turn(result.input_from_upright).astype(np.float32)
-    return np.concatenate([np.einsum("ij,hwj->hwi", turn, normals[..., :2]), normals[..., 2:]], axis=-1)
 
 
 def _field_picture(  # noqa: PLR0917
@@ -87,23 +85,25 @@ def _field_picture(  # noqa: PLR0917
 def _relief_picture(result: Reconstruction, small: _SmallFields) -> Picture:
     """Show the ridges and valleys in micrometres, or in pixels where the scale is unknown."""
     unit = result.unit
+    weight = small.weight
     caption = (
         "Height of the ridges above their surroundings, without the shape of the finger. Yellow is high. "
         "Good: even, unbroken ridges from edge to edge, some 40 to 100 µm from valley to top."
-        if is_finger(result)
-        else "Height of fine details above their surroundings, without the shape; the rim is left out. Yellow is high."
     )
-    weight = small.weight
     if not is_finger(result):
-        inner = _without_rim(weight > 0, small.frame.pitch_mm) * weight
-        weight = inner if inner.any() else weight
-    field = (unit.small_per_mm * small.ridge_mm, weight)
+        caption = (
+            "Height of fine details above their surroundings, without the shape; the rim is left out. Yellow is high."
+        )
+        weight = _without_rim(weight > 0, small.frame.pitch_mm) * weight
+    relief = unit.small_per_mm * small.ridge_mm, weight
     limits = relief_limits(result)
-    return _field_picture("Relief", field, limits, unit.small, caption, small.frame.pitch_mm)
+    return _field_picture("Relief", relief, limits, unit.small, caption, small.frame.pitch_mm)
 
 
 def _without_rim(inside: BoolArray, pitch_mm: float) -> BoolArray:
-    return erode(inside, RIM_MM / pitch_mm)
+    """The mask of an opaque thing without its rim; all of it where there is nothing else."""
+    inner = erode(inside, RIM_MM / pitch_mm)
+    return inner if inner.any() else inside
 
 
 def relief_limits(result: Reconstruction) -> tuple[float, float]:
@@ -125,8 +125,7 @@ def facing_relief_mm(result: Reconstruction) -> FloatArray:
     relief = result.ridge_mm[box]
     inside = result.mask[box]
     if not is_finger(result):
-        inner = _without_rim(np.pad(inside, 1), result.pitch_mm)[1:-1, 1:-1]
-        inside = inner if inner.any() else inside
+        inside = _without_rim(np.pad(inside, 1), result.pitch_mm)[1:-1, 1:-1]
     facing = inside & (result.normals[box][..., 2] > np.cos(np.pi / 4)) & np.isfinite(relief)
     return np.asarray(relief[facing])
 
@@ -134,7 +133,7 @@ def facing_relief_mm(result: Reconstruction) -> FloatArray:
 def _shape_picture(result: Reconstruction, small: _SmallFields) -> Picture:
     """Show the finger without ridges, with contour lines."""
     unit = result.unit
-    values = result.unit.heights(small.shape_mm)
+    values = unit.heights(small.shape_mm)
     weight = small.weight
     top = float(np.percentile(values[weight > 0.5], 99.9))
     depth = values - top
@@ -145,12 +144,12 @@ def _shape_picture(result: Reconstruction, small: _SmallFields) -> Picture:
         step = tens / 2 if -low > 3 * tens else tens / 5 if -low > 1.5 * tens else tens / 10
     picture = colour(depth, low, 0.0)
     level = np.floor(depth / step)
-    edge = np.zeros(level.shape, dtype=bool)
-    edge[:, 1:] |= level[:, 1:] != level[:, :-1]
-    edge[1:] |= level[1:] != level[:-1]
-    edge[:, :-1] |= edge[:, 1:]
-    edge[:-1] |= edge[1:]
-    picture[edge & (weight > 0.9)] = (20, 20, 20)
+    line = np.zeros(level.shape, dtype=bool)
+    line[:, 1:] |= level[:, 1:] != level[:, :-1]
+    line[1:] |= level[1:] != level[:-1]
+    line[:, :-1] |= line[:, 1:]
+    line[:-1] |= line[1:]
+    picture[line & (weight > 0.9)] = (20, 20, 20)
     return captioned(
         "Shape",
         on_paper(picture, weight),
@@ -168,27 +167,27 @@ def _uncertainty_picture(result: Reconstruction, small: _SmallFields) -> Picture
     if result.uncertainty_um is None:
         return None
     known = result.mask & np.isfinite(result.uncertainty_um)
-    if not bool(known.any()):
+    if not known.any():
         return None
-    values, weight = to_frame(result.uncertainty_um, known, small.frame)
-    high = float(np.percentile(values[weight > 0.5], 98))
-    finger = is_finger(result)
-    words = (
+    title = "Uncertainty of the relief"
+    caption = (
         "Skin blurs what light shows of the ridges, and specular reflection covers it; both are undone as far as "
         "simulated skin teaches it. This is the standard deviation (one sigma) of what is left. Good: small against "
         "the relief."
     )
-    if not finger:
-        words = "Standard deviation (one sigma) of the heights, as far as it is known. Good: small against them."
+    if not is_finger(result):
+        title = "Uncertainty of the heights"
+        caption = "Standard deviation (one sigma) of the heights, as far as it is known. Good: small against them."
     elif result.facts.get("heights") == "measured":
-        words = (
+        caption = (
             "Ridges are measured by what the skin's surface reflects, which shows least where the finger turns away. "
             "This is the standard deviation (one sigma) of their height. Good: small against the relief."
         )
-    title = "Uncertainty of the heights"
-    bar = colour_bar(0.0, float(f"{high:.2g}"), "µm")
+    values, weight = to_frame(result.uncertainty_um, known, small.frame)
+    high = float(np.percentile(values[weight > 0.5], 98))
     picture = on_paper(colour(values, 0.0, high), weight)
-    return captioned("Uncertainty of the relief" if finger else title, picture, words, small.frame.pitch_mm, bar)
+    legend = colour_bar(0.0, float(f"{high:.2g}"), "µm")
+    return captioned(title, picture, caption, small.frame.pitch_mm, legend)
 
 
 def _specular_picture(result: Reconstruction, small: _SmallFields) -> Picture | None:

@@ -64,9 +64,7 @@ def colour_bar(low: float, high: float, unit: str, *, diverging: bool = False) -
     stops = ",".join(f"rgb({r},{g},{b})" for r, g, b in shades)
     return Markup(
         f'<div style="max-width:220px"><div style="height:10px;background:linear-gradient(90deg,{stops})"></div>'
-        '<div style="'
-        "display:flex;justify-content:space-between;font-size:11px"
-        '">'
+        '<div style="display:flex;justify-content:space-between;font-size:11px">'
         f"<span>{low:.3g}</span><span>{(low + high) / 2:.3g} {unit}</span><span>{high:.3g}</span>"
         "</div></div>"
     )
@@ -108,9 +106,11 @@ def _mean_image(capture: Capture, size: tuple[int, int]) -> ColourArray:
 
 def capture_pictures(result: Reconstruction, capture: Capture) -> list[Picture]:
     """What was found in the images: the finger, and the mirrors' views where the shape came from them."""
+    pictures = [_mask_on_image(result, capture), _contact_sheet(capture)]
     drawing = result.facts.get("mirror_drawing")
-    mirrored = [] if drawing is None else [_mirror_picture(result, capture, drawing)]
-    return [_mask_on_image(result, capture), *mirrored, _contact_sheet(capture)]
+    if drawing is not None:
+        pictures.insert(1, _mirror_picture(result, capture, drawing))
+    return pictures
 
 
 def _contact_sheet(capture: Capture) -> Picture:
@@ -150,19 +150,24 @@ def _mask_on_image(result: Reconstruction, capture: Capture) -> Picture:
     crease = result.facts.get("crease_line")
     if crease is not None:
         _line(picture, scale * np.asarray(crease, dtype=np.float64), BLUE, 2)
-    caption = (
-        "Mean of the white-light images, as the camera saw it. Orange: the outline of the skin that was used. "
-        "Pale blue: the finger's axis, with a dot at the tip. "
-    )
-    cut = "Dark blue: the flexion crease at which the phalange was cut. "
-    caption += cut if crease is not None else "No crease was cut. "
-    caption += "Good: the outline follows the finger closely and holds neither background nor shadow."
+    pitch_mm = result.pitch_mm / scale
     if not finger:
         caption = (
             "Mean of the images, as the camera saw it. Orange: the outline of what was measured. Good: the outline "
             "follows the object closely and holds neither background nor shadow."
         )
-    return captioned("Finger found" if finger else "Outline", picture, caption, result.pitch_mm / scale)
+        return captioned("Outline", picture, caption, pitch_mm)
+    cut = "No crease was cut. "
+    if crease is not None:
+        cut = "Dark blue: the flexion crease at which the phalange was cut. "
+    return captioned(
+        "Finger found",
+        picture,
+        "Mean of the white-light images, as the camera saw it. Orange: the outline of the skin that was used. "
+        f"Pale blue: the finger's axis, with a dot at the tip. {cut}"
+        "Good: the outline follows the finger closely and holds neither background nor shadow.",
+        pitch_mm,
+    )
 
 
 def _mirror_picture(result: Reconstruction, capture: Capture, drawing: Mapping[str, Any]) -> Picture:

@@ -11,7 +11,7 @@ import os
 import platform
 from collections.abc import Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -30,7 +30,7 @@ from splitknit.io.results import write_albedo, write_arrays, write_mesh, write_n
 from splitknit.model import Capture, Reconstruction
 from splitknit.report import figures, template
 from splitknit.report.figures import Truth
-from splitknit.report.photos import LONGEST_PX, Picture, capture_pictures, is_finger
+from splitknit.report.photos import LONGEST_PX, capture_pictures, is_finger
 from splitknit.report.surface import scene_of
 
 if TYPE_CHECKING:
@@ -95,38 +95,35 @@ def make_report(
         surfaces = pool.submit(scene_of, result, f"{result.preset}: drag to turn, wheel to zoom")
         photographs = None if capture is None else pool.submit(capture_pictures, result, capture)
         fields = [pool.submit(draw, result, small) for draw in figures.FIELD_PICTURES]
-        summary = pool.submit(_summary, result)
         comparisons: list[Comparison] = []
         if truth is not None:
             from splitknit.accuracy import compare  # only what was simulated has a truth
 
             comparisons = [compare(each, truth) for each in results]
         facts = _facts(result, capture, comparisons)
+        summary = _summary(result)
         maps = [] if photographs is None else photographs.result()
         maps += [picture for job in fields if (picture := job.result()) is not None]
         prints = None if printing is None else printing.result()
         above = drawn.result()
-    unshown = ("mirror_drawing",) if finger else _OF_FINGERS
-
-    def of_size(pictures: list[Picture]) -> list[Picture]:
-        """Pictures without scale bars where the scale is unknown."""
-        return pictures if result.unit.known else [replace(picture, scale_percent=0.0) for picture in pictures]
+    hidden = ("mirror_drawing",) if finger else _OF_FINGERS
 
     html = page.result().render(
         title=title or ("3D fingerprint" if finger else "Surface"),
         finger=finger,
+        scale_known=result.unit.known,
         unit="millimetres" if result.unit.known else "pixels: its scale is unknown",
         facts=facts,
-        summary=summary.result(),
+        summary=summary,
         warnings=[warning[:1].upper() + warning[1:] for warning in result.warnings],
         scene=surfaces.result(),
-        above=of_size([figures.picture_from_above(above, frame.pitch_mm, finger)])[0],
+        above=figures.picture_from_above(above, frame.pitch_mm, finger),
         prints=None if prints is None else figures.print_picture(prints),
-        maps=of_size(maps),
+        maps=maps,
         quality=_tables(facts["quality"]),
-        found=_tables({name: fact for name, fact in facts["facts"].items() if name not in unshown}),
+        found=_tables({name: fact for name, fact in facts["facts"].items() if name not in hidden}),
         settings=_tables(facts["settings"]),
-        capture=[(_label(key), _shown(value)) for key, value in facts["capture"].items() if value],
+        capture=[(_label(key), _text(value)) for key, value in facts["capture"].items() if value],
         comparisons=comparisons,
         compared=[row for row in _COMPARED if any(each.figures.get(row[0]) is not None for each in comparisons)],
         errors=figures.error_pictures(results, comparisons, frame) if comparisons else [],
@@ -188,56 +185,58 @@ def _plain(value: Any) -> Any:
 def _summary(result: Reconstruction) -> list[tuple[str, str]]:
     """The most important facts."""
     unit = result.unit
+    finger = is_finger(result)
     area_px = int(np.count_nonzero(result.mask))
-    width, length = np.ptp(upright_limits(result), axis=0) * result.pitch_mm
+    width, length = unit.per_mm * np.ptp(upright_limits(result), axis=0) * result.pitch_mm
     height = result.height_mm[bounding_box(result.mask)]
-    depth = float(np.nanmax(height) - np.nanmin(height))
+    depth = unit.per_mm * float(np.nanmax(height) - np.nanmin(height))
     relief = figures.facing_relief_mm(result)
-    swing = unit.small_per_mm * float(np.subtract(*np.percentile(relief, (95, 5)))) if relief.size else 0.0
+    low, high = np.percentile(relief, (5, 95)) if relief.size else (0.0, 0.0)
+    swing = unit.small_per_mm * float(high - low)
+    over = f"(5th to 95th percentile where {'the skin' if finger else 'it'} faces the camera)"
     if not unit.known:
-        wide, long, deep = (length_mm * unit.per_mm for length_mm in (width, length, depth))
         return [
             ("Scale", "unknown, heights in pixels"),
-            ("Size seen from above", f"{wide:.0f} px wide, {long:.0f} px long, {deep:.1f} px deep"),
+            ("Size seen from above", f"{width:.0f} px wide, {length:.0f} px long, {depth:.1f} px deep"),
             ("Area measured", f"{area_px} px in projection"),
-            ("Relief of fine details", f"{swing:.2f} px (5th to 95th percentile where it faces the camera)"),
+            ("Relief of fine details", f"{swing:.2f} px {over}"),
         ]
-    finger = is_finger(result)
     per_inch = f" ({25.4 / result.pitch_mm:.0f} per inch)" if finger else ""
     return [
         ("Size seen from above", f"{width:.1f} mm wide, {length:.1f} mm long, {depth:.1f} mm deep"),
         ("Skin measured" if finger else "Area measured", f"{area_px * result.pitch_mm**2:.0f} mm² in projection"),
         ("Sampling", f"one value every {1000 * result.pitch_mm:.1f} µm{per_inch}"),
-        (
-            "Relief, valley to ridge" if finger else "Relief of fine details",
-            f"{swing:.0f} µm (5th to 95th percentile where {'the skin' if finger else 'it'} faces the camera)",
-        ),
+        ("Relief, valley to ridge" if finger else "Relief of fine details", f"{swing:.0f} µm {over}"),
     ]
 
 
 def _tables(facts: Mapping[str, Any]) -> list[dict[str, Any]]:
     """One table for each nested group of `facts`."""
-    plain_rows = [(name, value) for name, value in facts.items() if not isinstance(value, Mapping)]
-    groups = [("", plain_rows)] if plain_rows else []
-    groups += [(name, list(value.items())) for name, value in facts.items() if isinstance(value, Mapping)]
+    groups = {"": {key: value for key, value in facts.items() if not isinstance(value, Mapping)}}
+    groups |= {key: value for key, value in facts.items() if isinstance(value, Mapping)}
+    return [
+        {
+            "name": _label(name),
+            "rows": [(_label(key), _text(value), EXPLAINED.get(key, "")) for key, value in group.items()],
+        }
+        for name, group in groups.items()
+        if group
+    ]
 
-    def row(key: str, value: Any) -> tuple[str, str, str]:
-        return _label(key), _shown(value), EXPLAINED.get(key, "")
 
-    return [{"name": _label(name), "rows": [row(*one) for one in rows]} for name, rows in groups if rows]
-
-
-def _shown(value: Any) -> str:
+def _text(value: Any) -> str:
     """Show a number, a text or a list in one line."""
+    if value is None:
+        return "-"
     if isinstance(value, bool):
         return "yes" if value else "no"
     if isinstance(value, float):
         return f"{value:.4g}"
     if isinstance(value, Mapping):
-        return "; ".join(f"{_label(str(key))}: {_shown(item)}" for key, item in value.items())
+        return "; ".join(f"{_label(str(key))}: {_text(item)}" for key, item in value.items())
     if isinstance(value, list):
-        return ", ".join(f"({_shown(item)})" if isinstance(item, list) else _shown(item) for item in value) or "none"
-    return "-" if value is None else str(value)
+        return ", ".join(f"({_text(item)})" if isinstance(item, list) else _text(item) for item in value) or "none"
+    return str(value)
 
 
 # What the names in a report mean, for readers who do not know the code.

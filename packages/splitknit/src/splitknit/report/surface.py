@@ -20,7 +20,7 @@ from markupsafe import Markup
 from numpy.typing import NDArray
 
 from splitknit.errors import require
-from splitknit.imaging.geometry import bounding_box
+from splitknit.imaging.geometry import bounding_box, sampled_at
 from splitknit.io.pictures import upright_turn
 from splitknit.model import BoolArray, FloatArray, Reconstruction
 from splitknit.units import MILLIMETRES, LengthUnit
@@ -62,8 +62,8 @@ class ResultSurface:
         corner = self.corner_mm.reshape(2, *(1,) * x_mm.ndim)
         place = self._steps(wanted - corner)
         for _ in range(4):
-            there = np.stack([sample(self.x_mm, place), sample(self.y_mm, place)])
-            place = place + self._steps(np.nan_to_num(wanted - there))
+            reached = np.stack([sample(self.x_mm, place), sample(self.y_mm, place)])
+            place = place + self._steps(np.nan_to_num(wanted - reached))
         return place
 
     def _steps(self, vectors_mm: _Values) -> _Values:
@@ -87,9 +87,14 @@ def surface_in(result: Reconstruction) -> ResultSurface:
     """The surface of a result; BadInput if it holds no height."""
     known = result.mask & np.isfinite(result.height_mm)
     require(bool(known.any()), "the result holds no heights; reconstruct the capture again.")
-    xy_mm = None if result.x_mm is None or result.y_mm is None else (result.x_mm, result.y_mm)
-    heights = result.height_mm, result.ridge_mm
-    return upright_surface(heights, known, result.pitch_mm, result.input_from_upright, xy_mm=xy_mm, unit=result.unit)
+    return upright_surface(
+        (result.height_mm, result.ridge_mm),
+        known,
+        result.pitch_mm,
+        result.input_from_upright,
+        xy_mm=None if result.x_mm is None or result.y_mm is None else (result.x_mm, result.y_mm),
+        unit=result.unit,
+    )
 
 
 def upright_surface(
@@ -102,20 +107,29 @@ def upright_surface(
     unit: LengthUnit = MILLIMETRES,
 ) -> ResultSurface:
     """The surface of fields (H, W) on a camera's pixel grid: heights and relief; x and y of a perspective camera."""
-    box, (height, width) = bounding_box(known), known.shape
+    box = bounding_box(known)
+    height, width = known.shape
     turn = upright_turn(input_from_upright)
-    columns = np.arange(width)[None, box[1]] - (width - 1) / 2
-    rows = (height - 1) / 2 - np.arange(height)[box[0], None]
-    right: NDArray[Any] = columns * pitch_mm if xy_mm is None else xy_mm[0][box]
-    up: NDArray[Any] = rows * pitch_mm if xy_mm is None else xy_mm[1][box]
-    x, y = (across * right + along * up for across, along in turn)
-    x, y, z, ridge = (
-        np.where(known[box], field, np.nan).astype(np.float32)
-        for field in (x, y, heights_mm[0][box], np.nan_to_num(heights_mm[1][box]))
+    right: NDArray[Any] = (np.arange(width)[None, box[1]] - (width - 1) / 2) * pitch_mm
+    up: NDArray[Any] = ((height - 1) / 2 - np.arange(height)[box[0], None]) * pitch_mm
+    corner = turn @ np.array([right[0, 0], up[0, 0]])
+    if xy_mm is not None:
+        right, up = (field[box] for field in xy_mm)
+
+    def masked(field: NDArray[Any]) -> FloatArray:
+        return np.where(known[box], field, np.nan).astype(np.float32)
+
+    return ResultSurface(
+        masked(turn[0, 0] * right + turn[0, 1] * up),
+        masked(turn[1, 0] * right + turn[1, 1] * up),
+        masked(heights_mm[0][box]),
+        masked(np.nan_to_num(heights_mm[1][box])),
+        pitch_mm,
+        turn,
+        corner,
+        unit,
+        (box[1].start, box[0].start),
     )
-    corner = turn @ np.array([columns[0, 0], rows[0, 0]]) * pitch_mm
-    origin = (box[1].start, box[0].start)
-    return ResultSurface(x, y, z, ridge, pitch_mm, turn, corner, unit, origin)
 
 
 def section(surface: ResultSurface, start_mm: tuple[float, float], end_mm: tuple[float, float]) -> Section:
@@ -123,16 +137,17 @@ def section(surface: ResultSurface, start_mm: tuple[float, float], end_mm: tuple
     equal, or neither lies on the surface.
     """
     ends = np.array([start_mm, end_mm], dtype=np.float64)
-    sound = bool(np.isfinite(ends).all()) and float(np.abs(ends).max()) <= _FARTHEST
-    require(sound, "the two points must be finite and on the surface.")
+    require(
+        bool(np.isfinite(ends).all()) and float(np.abs(ends).max()) <= _FARTHEST,
+        "the two points must be finite and on the surface.",
+    )
     flat_mm = float(np.hypot(*(ends[1] - ends[0])))
     require(flat_mm >= surface.pitch_mm, "the two points are the same; choose two that are apart.")
     count = int(min(_MAX_SAMPLES, max(2.0, np.ceil(flat_mm / surface.pitch_mm)))) + 1
     fraction = np.linspace(0.0, 1.0, count)
-    x, y = (ends[0, axis] + fraction * (ends[1, axis] - ends[0, axis]) for axis in (0, 1))
+    x, y = ends[0][:, None] + fraction * (ends[1] - ends[0])[:, None]
     place = surface.locate(x, y)
     height = sample(surface.height_mm, place)
-    relief = sample(surface.ridge_mm, place)
     require(bool(np.isfinite(height).any()), "no surface lies between the two points; choose points on the surface.")
     along = fraction * flat_mm
     steps = np.hypot(np.diff(along), np.diff(height))  # NaN beside a gap
@@ -142,7 +157,7 @@ def section(surface: ResultSurface, start_mm: tuple[float, float], end_mm: tuple
         "straight_mm": float(np.hypot(flat_mm, rise)),
         "along_surface_mm": float(steps.sum()),
         "height_difference_mm": rise,
-        "ridge_period_mm": _ridge_period_mm(along, relief) if surface.unit.known else np.nan,
+        "ridge_period_mm": _ridge_period_mm(along, sample(surface.ridge_mm, place)) if surface.unit.known else np.nan,
     }
     return Section(along, x, y, height, {key: value if np.isfinite(value) else None for key, value in figures.items()})
 
@@ -150,15 +165,14 @@ def section(surface: ResultSurface, start_mm: tuple[float, float], end_mm: tuple
 def _ridge_period_mm(along: _Values, relief: _Values) -> float:
     """Mean distance of ridges, counted where they cross the mean of their surroundings; NaN of fewer than two."""
     known = np.isfinite(relief)
-    step = along[1] - along[0]
-    weight = _blur(known.astype(np.float64), _RIDGE_SIGMA_MM / step)
+    sigma = _RIDGE_SIGMA_MM / (along[1] - along[0])
+    weight = np.maximum(_blur(known.astype(np.float64), sigma), 1e-3)
     band = np.where(known, relief, 0.0)
-    band = np.where(known, band - _blur(band, _RIDGE_SIGMA_MM / step) / np.maximum(weight, 1e-3), 0.0)
+    band = np.where(known, band - _blur(band, sigma) / weight, 0.0)
     level = 0.35 * float(band[known].std())
-    state = np.where(band > level, 1, np.where(band < -level, -1, 0))
-    signs = np.flatnonzero(state)
-    rising = along[signs[1:][(state[signs[1:]] == 1) & (state[signs[:-1]] == -1)]]
-    return float((rising[-1] - rising[0]) / (len(rising) - 1)) if len(rising) > 1 else np.nan
+    clear = np.flatnonzero(np.abs(band) > level)
+    rising = along[clear[1:][(band[clear[1:]] > 0) & (band[clear[:-1]] < 0)]]
+    return float(np.diff(rising[[0, -1]])[0] / (len(rising) - 1)) if len(rising) > 1 else np.nan
 
 
 def _blur(values: _Values, sigma: float) -> _Values:
@@ -168,16 +182,7 @@ def _blur(values: _Values, sigma: float) -> _Values:
 
 def sample(field: FloatArray, place: _Values) -> _Values:
     """Bilinear values of `field` (h, w) at columns and rows (2, ...); NaN beyond its border."""
-    column, row = place.astype(np.float32).reshape(2, -1, place.shape[-1])
-    sampled = cv2.remap(
-        field,
-        np.ascontiguousarray(column),
-        np.ascontiguousarray(row),
-        cv2.INTER_LINEAR,
-        borderMode=cv2.BORDER_CONSTANT,
-        borderValue=(float("nan"),),
-    )
-    return np.asarray(sampled, dtype=np.float64).reshape(place.shape[1:])
+    return sampled_at(field, *place, outside=np.nan).astype(np.float64)
 
 
 # The surface inside a page: three fields on a regular grid, as pictures, drawn by `static/surface.js`.
@@ -208,13 +213,16 @@ class Scene:
 
 def scene(surfaces: Sequence[PageSurface]) -> Scene:
     """Describe one surface, or two to be compared in one frame, for a page that shows them in three dimensions."""
-    described = [_encoded(surface) for surface in surfaces]
     scripts = _scripts()
     hashes = (base64.b64encode(hashlib.sha256(script.encode()).digest()) for script in scripts)
-    allowed = " ".join(f"'sha256-{digest.decode()}'" for digest in hashes)
-    data = json.dumps(described, allow_nan=False).replace("<", "\\u003c")  # ends no script element
-    minutiae = any(len(surface.minutiae) for surface in surfaces)
-    return Scene([surface.title for surface in surfaces], Markup(data), scripts, allowed, minutiae)
+    data = json.dumps([_encoded(surface) for surface in surfaces], allow_nan=False)
+    return Scene(
+        titles=[surface.title for surface in surfaces],
+        data=Markup(data.replace("<", "\\u003c")),  # ends no script element
+        scripts=scripts,
+        policy=" ".join(f"'sha256-{digest.decode()}'" for digest in hashes),
+        minutiae=any(len(surface.minutiae) for surface in surfaces),
+    )
 
 
 def scene_of(result: Reconstruction, title: str) -> Scene:
@@ -239,19 +247,15 @@ def _encoded(page: PageSurface) -> dict[str, Any]:
     thinning = max(1.0, float(np.sqrt(known.sum() / _MOST_POINTS)))
     pitch_mm = thinning * surface.pitch_mm
     left = float(np.nanmin(surface.x_mm))
-    right = float(np.nanmax(surface.x_mm))
-    bottom = float(np.nanmin(surface.y_mm))
     top = float(np.nanmax(surface.y_mm))
-    columns = int((right - left) / pitch_mm) + 1
-    rows = int((top - bottom) / pitch_mm) + 1
+    columns = int((float(np.nanmax(surface.x_mm)) - left) / pitch_mm) + 1
+    rows = int((top - float(np.nanmin(surface.y_mm))) / pitch_mm) + 1
     x, y = np.meshgrid(left + pitch_mm * np.arange(columns), top - pitch_mm * np.arange(rows))
     place = surface.locate(x, y)
 
     def gridded(field: FloatArray) -> _Values:
         return sample(_averaged(field, known, thinning), place)
 
-    shape = gridded(surface.height_mm - surface.ridge_mm) * unit.per_mm
-    ridge = gridded(surface.ridge_mm) * unit.per_mm
     return {
         "title": page.title,
         "rows": rows,
@@ -261,8 +265,8 @@ def _encoded(page: PageSurface) -> dict[str, Any]:
         "pitch": pitch_mm * unit.per_mm,
         "unit": unit.name,
         "small": unit.small,
-        "shape": _in_16_bits(shape, _SHAPE_STEP),
-        "ridge": _in_16_bits(ridge, _RIDGE_STEP),
+        "shape": _in_16_bits(gridded(surface.height_mm - surface.ridge_mm) * unit.per_mm, _SHAPE_STEP),
+        "ridge": _in_16_bits(gridded(surface.ridge_mm) * unit.per_mm, _RIDGE_STEP),
         "brightness": None if page.albedo is None else _jpeg(gridded(page.albedo)),
         "minutiae": np.round(page.minutiae, 4).tolist(),
     }
@@ -290,11 +294,13 @@ def _averaged(field: FloatArray, known: NDArray[np.bool_], side: float) -> Float
 
 def _in_16_bits(values: _Values, step: float) -> dict[str, Any]:
     """A field as PNG: red and green are the high and low byte of its level, zero where it is not known."""
-    known = values[np.isfinite(values)]
-    low, high = (float(known.min()), float(known.max())) if known.size else (0.0, 0.0)
+    known = np.isfinite(values)
+    low = float(np.min(values, where=known, initial=np.inf)) if known.any() else 0.0
+    high = float(np.max(values, where=known, initial=-np.inf)) if known.any() else 0.0
     step = max(step, (high - low) / 65_000)
-    level = np.where(np.isfinite(values), np.round((np.nan_to_num(values) - low) / step) + 1, 0).astype(np.uint16)
-    zero = np.zeros(level.shape, dtype=np.uint8)
-    picture = np.dstack([zero, (level & 255).astype(np.uint8), (level >> 8).astype(np.uint8)])  # OpenCV: blue first
+    level = np.where(known, np.round((np.nan_to_num(values) - low) / step) + 1, 0)
+    level = level.astype(np.uint16)
+    # OpenCV: blue first
+    picture = np.dstack([np.zeros_like(level), level & 255, level >> 8]).astype(np.uint8)
     png = cv2.imencode(".png", picture, [cv2.IMWRITE_PNG_COMPRESSION, 6])[1].tobytes()
     return {"png": base64.b64encode(png).decode(), "low": low, "step": step}
