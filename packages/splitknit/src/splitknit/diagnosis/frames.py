@@ -17,6 +17,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from splitknit.diagnosis.gains import median_angle_deg
 from splitknit.errors import check_lights, check_mask, check_stack, require
 from splitknit.findings import Finding, Severity
 from splitknit.imaging.geometry import bounding_box, gaussian_mean
@@ -186,8 +187,7 @@ def fit_lights(stack: Any, lights: Any, mask: Any = None, *, relief: bool = Fals
         kept = own[own != strange]
         stated = lambertian(images, vectors, inside)[0]
         better = lambertian(images[kept], (vectors[order] * gains[:, None])[kept], inside)[0]
-        cosine = np.median((stated * better)[inside].sum(axis=1))
-        turned_deg = float(np.rad2deg(np.arccos(np.clip(cosine, -1.0, 1.0))))
+        turned_deg = median_angle_deg(stated[inside], better[inside])
     norms = np.sqrt(np.maximum(np.diag(gram), 1e-300))
     second, first = np.linalg.eigvalsh(gram / np.outer(norms, norms))[-2:]
     return LightFit(
