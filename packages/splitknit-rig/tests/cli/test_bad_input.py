@@ -226,7 +226,7 @@ def test_a_wrong_scale_stands_first(factor: float, preset: str, words: str, tmp_
     command = ["reconstruct", str(folder), "--out", str(out), "--preset", preset]
     assert main(command) == 0
     first = capsys.readouterr().out.splitlines()[0]
-    assert first.startswith("The surface is spoilt: ") and words in first
+    assert first.startswith("The surface may be wrong: ") and words in first
     shutil.rmtree(out)
     refused([*command, "--strict"], capsys, (words, "--strict"))
 

@@ -24,6 +24,14 @@ class Severity(StrEnum):
     """The result is worthless; it is refused unless `keep` is asked for."""
 
 
+SEVERITY_WORDS = {
+    Severity.NOTE: "Please note",
+    Severity.DOUBT: "The surface may be wrong",
+    Severity.SPOILS: "The surface is spoilt",
+}
+"""How a finding is introduced."""
+
+
 @dataclass(frozen=True, slots=True)
 class Finding:
     """One thing that is wrong with photographs, or was assumed of them.

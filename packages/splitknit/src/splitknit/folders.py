@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any, Literal
 
 from splitknit.arguments import AnyPath, Device, Encoding, Preset, Progress, Settings, checked, silent, text_of
 from splitknit.errors import BadInput, naming, require
-from splitknit.findings import Finding, Severity, worst_first
+from splitknit.findings import SEVERITY_WORDS, Finding, Severity, worst_first
 from splitknit.io.photographs import NO_PHOTOGRAPHS, OF_CAPTURES, AllPhotographs, GivenPhotographs, Lights
 
 if TYPE_CHECKING:
@@ -118,12 +118,13 @@ class Reconstructed:
         result, out = facts["result"], facts["out"]
         known = result["scale_known"]
         measured = f"{facts['area_mm2']:.0f} mm²" if known else f"{result['area_px']} px (scale unknown)"
-        findings = facts["findings"]
+        findings = [f"{SEVERITY_WORDS[each['severity']]}: {each['message']}" for each in facts["findings"]]
+        doubts = sum(each["severity"] != Severity.NOTE for each in facts["findings"])  # the worst stand first
         lines = [
-            *(f"The surface is spoilt: {each['message']}" for each in findings if each["severity"] != "note"),
+            *findings[:doubts],
             f"{measured} reconstructed with preset {facts['preset']} in {facts['total_s']:.1f} s.",
             f"Written to {out}: {', '.join(facts['files'])}.",
-            *(f"Please note: {each['message']}" for each in findings if each["severity"] == "note"),
+            *findings[doubts:],
         ]
         for preset, figure in facts["comparison"].items():
             rms = f"surface rms {figure['surface_rms_mm']:.3f} mm"

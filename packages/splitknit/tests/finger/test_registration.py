@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 import pytest
 
-from splitknit.finger import registration, steady
+from splitknit.finger import registration
 from splitknit.finger.registration import details_of, register_shots, without_glare
 from splitknit.finger.steady import take
 
@@ -19,8 +19,7 @@ PX = 14.0
 def quick():
     """Eight refinements in each band, for time."""
     with pytest.MonkeyPatch.context() as patch:
-        for module in (registration, steady):
-            patch.setattr(module, "ITERATIONS", 8)
+        patch.setattr(registration, "ITERATIONS", 8)
         yield
 
 
@@ -196,7 +195,7 @@ def test_under_near_lights_their_light_at_every_place_is_needed():
 def test_details_vary_with_the_shift_without_steps():
     x, y = np.meshgrid(np.arange(90) / PX, np.arange(80) / PX)
     wave = np.sin(2 * np.pi * (x + 0.4 * y) / 1.1).astype(np.float32)
-    level = details_of(1.0 + 0.1 * np.stack([wave] * 5), np.ones(wave.shape, bool), PX, (0.05, 5.0), PX)
+    level = details_of(1.0 + 0.1 * np.stack([wave] * 5), np.ones(wave.shape, bool), PX, 0.05)
     inner = (level.columns > 20) & (level.columns < 70) & (level.rows > 20) & (level.rows < 60)
     shifts = np.arange(25) / (24 * PX) / 8  # an eighth of a pixel
     seen = []

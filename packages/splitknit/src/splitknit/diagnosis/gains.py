@@ -37,34 +37,41 @@ def light_gains(stack: Any, lights: Any, mask: Any = None, ceilings: Any = None)
     images, vectors, inside, levels = checked(stack, lights, mask, ceilings)
     light = images[:, inside]
     light = light[:, :: max(1, light.shape[1] // PIXELS)]
-    own = light.astype(np.float64)
-    gains = np.maximum(np.quantile(own, 0.9, axis=1) / np.linalg.norm(vectors, axis=1), 1e-9)
+    values = light.astype(np.float64)
+    gains = np.maximum(np.quantile(values, 0.9, axis=1) / np.linalg.norm(vectors, axis=1), 1e-9)
     gains /= np.exp(np.log(gains).mean())
-    products, unit = np.stack([vectors[:, i] * vectors[:, j] for i, j in PAIRS]), np.ones(light.shape[1])
+    products = np.stack([vectors[:, i] * vectors[:, j] for i, j in PAIRS])
+    ones = np.ones(light.shape[1])
     for _ in range(12):
         lit = lit_values(light, vectors * gains[:, None], levels)
         lit &= lit.sum(axis=0) >= LEAST
         if lit.any(axis=0).sum() < 100 or not lit.any(axis=1).all():
             return np.ones(len(light))
-        over = own / gains[:, None]
-        over /= np.maximum(over.mean(axis=0), 1e-12)
+        equal = values / gains[:, None]
+        equal /= np.maximum(equal.mean(axis=0), 1e-12)
         weights = lit.astype(np.float64)
-        rest = over - vectors @ back_substitute(factorise(products @ weights), vectors.T @ (weights * over))
-        weights = lit / (1.0 + (rest / max(3.0 * float(np.median(np.abs(rest[lit]))), 1e-6)) ** 2)
-        factors, weighted = factorise(products @ weights), weights * over
-        power = np.diag((weighted * over).sum(axis=1))
-        pulls = (back_substitute(factors, towards[:, None] * unit) for towards in vectors)
-        left = power - np.stack(
-            [(weighted * (vectors @ pull)) @ image for pull, image in zip(pulls, weighted, strict=True)]
-        )
+        g = back_substitute(factorise(products @ weights), vectors.T @ (weights * equal))
+        residual = equal - vectors @ g
+        weights = lit / (1.0 + (residual / max(3.0 * float(np.median(np.abs(residual[lit]))), 1e-6)) ** 2)
+        factors = factorise(products @ weights)
+        weighted = weights * equal
+        power = np.diag((weighted * equal).sum(axis=1))
+        pulls = [back_substitute(factors, towards[:, None] * ones) for towards in vectors]
+        explained = [(weighted * (vectors @ pull)) @ image for pull, image in zip(pulls, weighted, strict=True)]
         root = 1.0 / np.sqrt(np.diag(power))
-        inverse = np.linalg.eigh(root[:, None] * left * root)[1][:, 0] * root
+        inverse = np.linalg.eigh(root[:, None] * (power - np.stack(explained)) * root)[1][:, 0] * root
         step = np.clip(np.abs(inverse) / np.abs(inverse).max(), 1e-3, None)
         gains /= step
         gains /= np.exp(np.log(gains).mean())
         if float(np.ptp(np.log(step))) < 1e-4:
             break
     return np.asarray(gains)
+
+
+def median_angle_deg(normals: FloatArray, changed: FloatArray) -> float:
+    """Median angle between unit normals (n, 3)."""
+    cosine = np.median((normals * changed).sum(axis=1))
+    return float(np.rad2deg(np.arccos(np.clip(cosine, -1.0, 1.0))))
 
 
 def checked(stack: Any, lights: Any, mask: Any, ceilings: Any) -> tuple[FloatArray, Array, BoolArray, FloatArray]:

@@ -10,7 +10,8 @@ p; values that are not in proportion to the light also flatten or steepen the wh
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
+from typing import Literal, NamedTuple
 
 import numpy as np
 
@@ -56,44 +57,61 @@ DRIFTED = (
     "{}: its LED is {:.0f} % {} than at the calibration, by this capture; photograph the white card again (splitknit "
     "calibrate radiometry)."
 )
-_BLUE, _CLIPPED, _COLOURS = 1.3, 0.2, 0.02
-"""Blue over red light, part of the finger that is clipped in one colour of an image, and standard deviation of the
-colours' gains, from which they are doubted: at most 0.63, 0.06 (once 0.13), 0.001 on 180 sound fingers in all
-conditions (dry, wet, scarred, glossy ...); from 1.6, 0.27 and 0.037 where they are wrong."""
-_TONE, _TONE_SPOILS, _SURE = 0.07, 0.1, 7.0
-"""Departure of the exponent from one that is doubted, and that spoils the surface: 0.03 at most on 126 sound fingers
-under unequal lights, 0.12 to 0.75 where a curve or light of 30 % was added; its least t value."""
-_SHADED = 0.85, 1.22
+# Limits beyond what 180 sound fingers in all conditions (dry, wet, scarred, glossy ...) show.
+_BLUE = 1.3
+"""Blue over red light: at most 0.63; from 1.6 where the colours are swapped."""
+_CLIPPED = 0.2
+"""Fraction of the finger that is clipped in one colour of an image: at most 0.06 (once 0.13); from 0.27 where it is."""
+_COLOURS = 0.02
+"""Standard deviation of the colours' gains: at most 0.001; from 0.037 where white was balanced."""
+_TONE = 0.07
+"""Departure of the exponent from one that is doubted: 0.03 at most on 126 sound fingers under unequal lights, 0.12 to
+0.75 where a curve or light of 30 % was added."""
+_TONE_SPOILS = 0.1
+_SURE = 7.0
+"""Least t value of that departure."""
+_SHADED = (0.85, 1.22)
 """Exponents between which shading under equal lights is sound."""
-_FLAT, _HOLLOW = 0.5, 0.1
-"""Height over half width below which a finger is too flat, and is none (lights in another order): 0.61 to 1.06 on 144
-sound fingers, 0.63 to 0.75 on path-traced ones, 0.34 to 0.45 with local contrast."""
+_FLAT = 0.5
+"""Height over half width below which a finger is too flat: 0.61 to 1.06 on 144 sound fingers, 0.63 to 0.75 on
+path-traced ones, 0.34 to 0.45 with local contrast."""
+_HOLLOW = 0.1
+"""... and below which it is none: lights in another order."""
 _SIDE = 300
 """Pixels of the coarse images' longer side, at least."""
-_DEPTH_MM, _PLANE_MM = 0.6, 1.0
-"""Beside the outline, which is not used; mean height of the skin above the finger plane, about."""
-_FEWEST_LIGHTS, _FEWEST = 5, 1000
-"""Lights, and pixels of the coarse images, from which the response shows."""
-_LIT, _WELL = 0.3, 0.5
-"""Part of a pixel's brightest light from which a light counts in its fit, and from which its gain is judged: below,
-attached shadows and light scattered in the skin matter more."""
+_DEPTH_MM = 0.6
+"""Beside the outline, which is not used."""
+_PLANE_MM = 1.0
+"""Mean height of the skin above the finger plane, about."""
+_FEWEST_LIGHTS = 5
+_FEWEST = 1000
+"""Pixels of the coarse images from which the response shows."""
+_LIT = 0.3
+"""Fraction of a pixel's brightest light from which a light counts in its fit."""
+_WELL_LIT = 0.5
+"""... and from which its gain is judged: below, attached shadows and light scattered in the skin matter more."""
 _FEWEST_LIT = 100
 """Pixels, at least, of which a gain is the median."""
-_SPREAD, _STATED = 0.01, 0.002
+_SPREAD = 0.01
 """Sum of squares of the lights' log brightness, beside a tilt's, from which it shows the tone: 0.03 to 0.2 of LEDs that
-differ by 10 %. Standard deviation of brightness as it is stated, at best, in the logarithm."""
+differ by 10 %."""
+_STATED = 0.002
+"""Standard deviation of brightness as it is stated, at best, in the logarithm."""
 _EXPONENTS = np.geomspace(0.55, 1.8, 9)
-_FLANKS, _SOME = 0.6, 700
-"""Quantile of the pixels, by how much they change with the light, from which they show the tone; how many will do."""
-_DRIFT, _ALONE, _DRIFT_ERRORS = 0.03, 0.6, 3.0
-"""Change of a light's brightness from which it has drifted; the part of all gains that it explains alone, and its own
-standard errors, at least: gloss, shadows and scattering move the gains of several images a little."""
+_FLANKS = 0.6
+"""Quantile of the pixels, by how much they change with the light, from which they show the tone."""
+_FLANK_PIXELS = 700
+_DRIFT = 0.03
+"""Change of a light's brightness from which it has drifted."""
+_ALONE = 0.6
+"""Fraction of all gains that it explains alone, at least: gloss, shadows and scattering move several a little."""
+_DRIFT_ERRORS = 3.0
+"""Its own standard errors, at least."""
 _AWAY = 0.9
-"""Part of the half width of a finger, from its axis, on which its height is fitted."""
+"""Fraction of the half width of a finger, from its axis, on which its height is fitted."""
 
 
-@dataclass(frozen=True, slots=True)
-class ResponseDoubt:
+class ResponseDoubt(NamedTuple):
     """What is wrong with a camera's response to light."""
 
     finding: Finding
@@ -101,72 +119,107 @@ class ResponseDoubt:
     """Whether it holds even where the photographs are not in the order of their lights."""
 
 
-def doubt_of_response(capture: Capture, finger: Finger, others: bool = True) -> ResponseDoubt | None:
-    """What is wrong with a camera's response to light; the surest first. `others`: whether to try other encodings."""
+class _Response(NamedTuple):
+    """How the L images of a band answer to the light."""
+
+    gains: Array
+    directions: Array
+    brightness: Array
+    """(L,) as it is stated."""
+    files: Sequence[str]
+    exponent: float
+    """By shading, in colours."""
+    height: float
+    """Over half width, in colours."""
+
+
+def doubt_of_response(capture: Capture, finger: Finger, encodings: bool = True) -> ResponseDoubt | None:
+    """What is wrong with a camera's response to light, the surest; `encodings`: whether to try another encoding."""
     every = max(1, max(capture.shape) // _SIDE)
     inside = np.zeros(capture.shape, dtype=np.bool_)
     inside[finger.window] = finger.inside
     inside = inside[::every, ::every]
     core = erode(inside, _DEPTH_MM / (every * capture.rig.camera.pitch_mm))
-    toned, names, found = [], [], list[ResponseDoubt]()
-    exponent, height = float("nan"), float("nan")
+    responses = []
     for name in ("white", "nir"):
         band = capture.bands.get(name)
         if band is None or band.colours or len(band.lights) < _FEWEST_LIGHTS or core.sum() < _FEWEST:
             continue
-        coloured, some = name == "white" and has_colour(band), band.sampled(every)
-        stack = linear_channels(some, capture.encoding, ("red", "green", "blue") if coloured else ("grey",))
-        if coloured and (blue := blue_over_red(stack[..., core])) > _BLUE:
-            found.append(ResponseDoubt(Finding("swapped-colours", SWAPPED.format(blue), Severity.SPOILS)))
-        part, image, colour = clipped_part(some.pixels[:, inside])
-        if part > _CLIPPED:
-            channel = ("red", "green", "blue")[colour] if coloured else "grey"
-            name_of = band.image_names[image]
-            words = CLIPPED.format(100 * part, name_of, channel)
-            found.append(ResponseDoubt(Finding("clipped-photograph", words, Severity.DOUBT, files=(name_of,))))
-        surface, vectors = _coarse_surface(stack.sum(axis=0), capture, band, inside, every)
-        gains, at = image_gains(stack[..., core], vectors[..., core]), vectors[..., core].mean(axis=-1)
-        if (spread := colour_spread(gains)) > _COLOURS:
-            odd = int(np.argmax(np.abs(gains - gains.mean(axis=0)).max(axis=0)))
-            light, towards = np.delete(stack, odd, axis=1), np.delete(vectors, odd, axis=0)
-            others_too = colour_spread(image_gains(light[..., core], towards[..., core])) > _COLOURS
-            words = WHITE_BALANCE.format(100 * spread)
-            found.append(ResponseDoubt(Finding("white-balance", words, Severity.SPOILS), others_too))
-        strength = np.linalg.norm(at, axis=1)
-        level = strength * (band.exposure if len(band.exposure) == len(strength) else 1.0)
-        toned.append((gains.mean(axis=0), at / strength[:, None], level))
-        names.append(band.image_names)
-        if coloured:
-            exponent = shading_exponent(stack[1:][..., core], vectors[..., core])
-            height = height_over_half_width(surface, inside, every * capture.rig.camera.pitch_mm)
-    if found or not toned or bas_relief_of(capture.rig) is not None:  # lights that were estimated fit any tone
-        return found[0] if found else None
-    doubt, (tone, sure) = None, tone_exponent(toned)
-    if abs(tone - 1) > _TONE and (abs(sure) > _SURE or not others):  # another encoding must fit well
+        response = _response(capture, band, inside, core, every)
+        if isinstance(response, ResponseDoubt):
+            return response
+        responses.append(response)
+    if not responses or bas_relief_of(capture.rig) is not None:  # lights that were estimated fit any tone
+        return None
+    doubt = _doubt_of_tone(responses, encodings)
+    if doubt is not None and encodings:
+        encoding = other_encoding(capture)
+        if doubt_of_response(replace(capture, encoding=encoding), finger, encodings=False) is None:
+            words = ENCODING.format(capture.encoding, encoding)
+            return doubt._replace(finding=replace(doubt.finding, code="other-encoding", message=words))
+    if doubt is None and "radiometry" in capture.rig.provenance:
+        for response in responses:
+            drift = drifted_light(response.gains, response.directions) if np.isfinite(response.gains).all() else None
+            if drift is not None:
+                file = response.files[drift[0]]
+                words = DRIFTED.format(file, 100 * abs(drift[1] - 1), "darker" if drift[1] < 1 else "brighter")
+                return ResponseDoubt(Finding("drifted-led", words, Severity.DOUBT, files=(file,)), False)
+    return doubt
+
+
+def _response(
+    capture: Capture, band: Band, inside: BoolArray, core: BoolArray, every: int
+) -> _Response | ResponseDoubt:
+    """How a band's images answer to the light; a doubt where their colours or clipping show that they do not."""
+    coloured = band.name == "white" and has_colour(band)
+    channels = ("red", "green", "blue") if coloured else ("grey",)
+    sampled = band.sampled(every)
+    stack = linear_channels(sampled, capture.encoding, channels)
+    light = stack[..., core]
+    if coloured and (blue := blue_over_red(light)) > _BLUE:
+        return ResponseDoubt(Finding("swapped-colours", SWAPPED.format(blue), Severity.SPOILS))
+    clipped, image, colour = clipped_part(sampled.pixels[:, inside])
+    if clipped > _CLIPPED:
+        file = band.image_names[image]
+        words = CLIPPED.format(100 * clipped, file, channels[colour] if coloured else "grey")
+        return ResponseDoubt(Finding("clipped-photograph", words, Severity.DOUBT, files=(file,)))
+    surface, vectors = _coarse_surface(stack.sum(axis=0), capture, band, inside, every)
+    towards = vectors[..., core]
+    gains = image_gains(light, towards)
+    if (spread := colour_spread(gains)) > _COLOURS:
+        odd = int(np.argmax(np.abs(gains - gains.mean(axis=0)).max(axis=0)))
+        without = image_gains(np.delete(light, odd, axis=1), np.delete(towards, odd, axis=0))
+        finding = Finding("white-balance", WHITE_BALANCE.format(100 * spread), Severity.SPOILS)
+        return ResponseDoubt(finding, colour_spread(without) > _COLOURS)
+    mean = towards.mean(axis=-1)
+    strength = np.linalg.norm(mean, axis=1)
+    return _Response(
+        gains.mean(axis=0),
+        mean / strength[:, None],
+        strength * (band.exposure if len(band.exposure) == len(strength) else 1.0),
+        band.image_names,
+        shading_exponent(light[1:], towards) if coloured else float("nan"),
+        height_over_half_width(surface, inside, every * capture.rig.camera.pitch_mm) if coloured else float("nan"),
+    )
+
+
+def _doubt_of_tone(responses: Sequence[_Response], encodings: bool) -> ResponseDoubt | None:
+    """What contradicts a linear response: the lights' stated brightness, else shading, else the finger's height."""
+    tone, sure = tone_exponent([response[:3] for response in responses])
+    if abs(tone - 1) > _TONE and (abs(sure) > _SURE or not encodings):  # another encoding must fit well
         severity = Severity.SPOILS if abs(tone - 1) > _TONE_SPOILS else Severity.DOUBT
-        doubt = ResponseDoubt(Finding("tone-curve", TONE.format(tone), severity))
-    elif np.isnan(tone) and not (np.isnan(exponent) or _SHADED[0] < exponent < _SHADED[1]):
-        doubt = ResponseDoubt(Finding("tone-curve", TONE.format(exponent), Severity.DOUBT), False)
-    elif _HOLLOW < height < _FLAT:
-        doubt = ResponseDoubt(Finding("flat-finger", FLAT.format(height), Severity.DOUBT), False)
-    if doubt is not None and others:
-        other = "linear" if capture.encoding == "srgb" else "srgb"
-        if doubt_of_response(replace(capture, encoding=other), finger, others=False) is None:
-            words = ENCODING.format(capture.encoding, other)
-            return replace(doubt, finding=replace(doubt.finding, code="other-encoding", message=words))
-    return doubt or (_doubt_of_drift(names, toned) if "radiometry" in capture.rig.provenance else None)
-
-
-def _doubt_of_drift(names: list[tuple[str, ...]], toned: list[tuple[Array, Array, Array]]) -> ResponseDoubt | None:
-    """Whether the brightness of one LED is no longer that of the rig's calibration."""
-    for files, (gains, directions, _) in zip(names, toned, strict=True):
-        drift = drifted_light(gains, directions) if np.isfinite(gains).all() else None
-        if drift is not None:
-            percent, word = 100 * abs(drift[1] - 1), "darker" if drift[1] < 1 else "brighter"
-            file = files[drift[0]]
-            words = DRIFTED.format(file, percent, word)
-            return ResponseDoubt(Finding("drifted-led", words, Severity.DOUBT, files=(file,)), False)
+        return ResponseDoubt(Finding("tone-curve", TONE.format(tone), severity))
+    exponent = responses[0].exponent
+    if np.isnan(tone) and (exponent < _SHADED[0] or exponent > _SHADED[1]):
+        return ResponseDoubt(Finding("tone-curve", TONE.format(exponent), Severity.DOUBT), False)
+    if _HOLLOW < responses[0].height < _FLAT:
+        return ResponseDoubt(Finding("flat-finger", FLAT.format(responses[0].height), Severity.DOUBT), False)
     return None
+
+
+def other_encoding(capture: Capture) -> Literal["linear", "srgb"]:
+    """The encoding that was not stated."""
+    return "linear" if capture.encoding == "srgb" else "srgb"
 
 
 def _coarse_surface(
@@ -175,8 +228,7 @@ def _coarse_surface(
     """Height (h, w) in mm by near-light photometric stereo, and light vectors (L, 3, h, w) on it."""
     camera, rig = capture.rig.camera, capture.rig.select(band.lights)
     view = view_of(camera, along_rays=True)
-    step = np.s_[::every]
-    pixels = step if view.x_mm.ndim == 1 else (step, step)
+    pixels = (np.s_[::every],) * view.x_mm.ndim
     view = View(view.x_mm[pixels], view.y_mm[pixels], view.apex_mm, view.along_rays)
     height_mm = np.zeros(inside.shape, dtype=np.float32)
     for _ in range(2):
@@ -208,11 +260,11 @@ def image_gains(stack: FloatArray, vectors: FloatArray) -> Array:
     Y. Queau et al., "LED-based photometric stereo", JMIV 60 (2018), eq. 2.5, for the pixel's equations.
     """
     gains = np.full((len(stack), len(vectors)), np.nan)
-    for own, light in zip(gains, stack, strict=True):
+    for row, light in zip(gains, stack, strict=True):
         predicted, lit = _fitted(light, vectors)
-        judged = lit & (predicted > _WELL * predicted.max(axis=0)) & (light > 0)
+        judged = lit & (predicted > _WELL_LIT * predicted.max(axis=0)) & (light > 0)
         for k in np.flatnonzero(judged.sum(axis=1) >= _FEWEST_LIT):
-            own[k] = np.median(np.log(light[k, judged[k]] / predicted[k, judged[k]]))
+            row[k] = np.median(np.log(light[k, judged[k]] / predicted[k, judged[k]]))
     return np.asarray(gains - gains.mean(axis=1, keepdims=True))
 
 
@@ -242,20 +294,29 @@ def tone_exponent(bands: Sequence[tuple[Array, Array, Array]]) -> tuple[float, f
         Its t value against p = 1, where brightness is stated to 0.2 % at best; NaN and 0 where the lights are
         too nearly equal.
     """
-    product, square, freedom = 0.0, 0.0, -1
-    pairs = []
+    levels = [np.zeros(0)]
+    rests = [np.zeros(0)]
+    freedom = -1
     for gains, directions, brightness in bands:
-        if len(gains) < 5 or not np.isfinite(gains).all():
-            continue
-        basis = np.linalg.qr(np.column_stack([np.ones(len(gains)), directions[:, :2]]))[0]
-        level, gain = (values - basis @ (basis.T @ values) for values in (np.log(brightness), gains))
-        pairs.append((level, gain))
-        product, square, freedom = product + level @ gain, square + level @ level, freedom + len(gains) - 3
+        if len(gains) >= 5 and np.isfinite(gains).all():
+            beside = _beside_tilt(directions)
+            levels.append(beside @ np.log(brightness))
+            rests.append(beside @ gains)
+            freedom += len(gains) - 3
+    level = np.concatenate(levels)
+    rest = np.concatenate(rests)
+    square = float(level @ level)
     if square < _SPREAD or freedom < 2:
         return float("nan"), 0.0
-    slope = product / square
-    rest = sum(float(((gain - slope * level) ** 2).sum()) for level, gain in pairs)
-    return 1.0 + slope, slope / float(np.sqrt((rest / freedom + _STATED**2) / square))
+    slope = float(level @ rest) / square
+    residual = rest - slope * level
+    return 1.0 + slope, slope / float(np.sqrt((residual @ residual / freedom + _STATED**2) / square))
+
+
+def _beside_tilt(directions: Array) -> Array:
+    """(L, L) projection that takes off what a tilt of the surface, or its albedo, does to gains under L lights."""
+    basis = np.linalg.qr(np.column_stack([np.ones(len(directions)), directions[:, :2]]))[0]
+    return np.asarray(np.eye(len(directions)) - basis @ basis.T)
 
 
 def drifted_light(gains: Array, directions: Array) -> tuple[int, float] | None:
@@ -263,13 +324,14 @@ def drifted_light(gains: Array, directions: Array) -> tuple[int, float] | None:
 
     Beside the patterns of `directions` (L, 3) that a tilt of the surface makes; None where no single light has changed.
     """
-    basis = np.linalg.qr(np.column_stack([np.ones(len(gains)), directions[:, :2]]))[0]
-    beside = np.eye(len(gains)) - basis @ basis.T
-    rest, own = beside @ gains, np.diag(beside)
-    explained = rest**2 / own
+    beside = _beside_tilt(directions)
+    rest = beside @ gains
+    freedom = np.diag(beside)
+    explained = rest**2 / freedom
     k = int(np.argmax(explained))
-    change, total = float(rest[k] / own[k]), float(rest @ rest)
-    error = np.sqrt((total - explained[k]) / max(len(gains) - 4, 1) / own[k])
+    change = float(rest[k] / freedom[k])
+    total = float(rest @ rest)
+    error = np.sqrt((total - explained[k]) / max(len(gains) - 4, 1) / freedom[k])
     sure = explained[k] > _ALONE * total and abs(change) > _DRIFT_ERRORS * error
     return (k, float(np.exp(change))) if sure and abs(np.expm1(change)) > _DRIFT else None
 
@@ -280,25 +342,26 @@ def shading_exponent(stack: FloatArray, vectors: FloatArray) -> float:
     Small errors of their brightness are taken out. Parameters as of :func:`image_gains`, in colours that scatter
     little in the skin. Light that is added to all images does not show: it looks like a surface that faces the camera.
     """
+    logs = np.log(_EXPONENTS)
     best = []
     for light in np.maximum(stack, 1e-4):
         varied = light.std(axis=0) / light.mean(axis=0)
-        some = np.flatnonzero(varied > np.quantile(varied, _FLANKS))
-        some = some[:: max(1, len(some) // _SOME)]
-        left = [_left(light[:, some] ** np.float32(1 / p), vectors[..., some]) * p for p in _EXPONENTS]
-        k = int(np.clip(np.argmin(left), 1, len(left) - 2))
-        a, b, _ = np.polyfit(np.log(_EXPONENTS[k - 1 : k + 2]), left[k - 1 : k + 2], 2)
-        best.append(float(np.clip(-b / (2 * a), *np.log(_EXPONENTS[[0, -1]]))) if a > 0 else 0.0)
+        flanks = np.flatnonzero(varied > np.quantile(varied, _FLANKS))
+        flanks = flanks[:: max(1, len(flanks) // _FLANK_PIXELS)]
+        residuals = [_residual(light[:, flanks] ** np.float32(1 / p), vectors[..., flanks]) * p for p in _EXPONENTS]
+        k = int(np.clip(np.argmin(residuals), 1, len(residuals) - 2))
+        bend, slope, _ = np.polyfit(logs[k - 1 : k + 2], residuals[k - 1 : k + 2], 2)
+        best.append(float(np.clip(-slope / (2 * bend), logs[0], logs[-1])) if bend > 0 else 0.0)
     return float(np.exp(np.mean(best)))
 
 
-def _left(light: FloatArray, vectors: FloatArray) -> float:
-    """Median of what each pixel leaves of its light, relative, once every image has its own gain."""
+def _residual(light: FloatArray, vectors: FloatArray) -> float:
+    """Median of each pixel's residual, relative to its light, once every image has its own gain."""
     gains = np.nan_to_num(image_gains(light[None], vectors)[0])
-    even = light / np.exp(gains).astype(np.float32)[:, None]
-    predicted, lit = _fitted(even, vectors)
-    rest = (even - predicted) * lit / np.maximum(predicted.mean(axis=0), 1e-6)
-    return float(np.median(np.sqrt((rest**2).sum(axis=0) / np.maximum(lit.sum(axis=0) - 3, 1))))
+    equal = light / np.exp(gains).astype(np.float32)[:, None]
+    predicted, lit = _fitted(equal, vectors)
+    residual = (equal - predicted) * lit / np.maximum(predicted.mean(axis=0), 1e-6)
+    return float(np.median(np.sqrt((residual**2).sum(axis=0) / np.maximum(lit.sum(axis=0) - 3, 1))))
 
 
 def height_over_half_width(height_mm: FloatArray, mask: BoolArray, pitch_mm: float) -> float:
@@ -313,9 +376,9 @@ def height_over_half_width(height_mm: FloatArray, mask: BoolArray, pitch_mm: flo
         columns = np.flatnonzero(mask[row])
         half = 0.5 * (columns[-1] - columns[0] + 1)
         across = (columns - 0.5 * (columns[0] + columns[-1])) / half
-        some = np.abs(across) < _AWAY
-        terms = np.column_stack([np.ones(some.sum()), across[some], np.sqrt(1 - across[some] ** 2)])
-        fit = np.linalg.lstsq(terms, height_mm[row, columns[some]].astype(np.float64), rcond=None)[0]
+        near = np.abs(across) < _AWAY
+        terms = np.column_stack([np.ones(near.sum()), across[near], np.sqrt(1 - across[near] ** 2)])
+        fit = np.linalg.lstsq(terms, height_mm[row, columns[near]].astype(np.float64), rcond=None)[0]
         ratios.append(fit[2] / (half * pitch_mm))
     return float(np.median(ratios)) if len(ratios) >= 10 else float("nan")
 

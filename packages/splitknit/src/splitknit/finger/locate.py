@@ -47,7 +47,6 @@ SURVEY_PX_PER_MM = 26.0
 """The finger is looked for on images reduced to about this scale."""
 SURVEY_SIDE = 64
 """... with so many pixels a side, where the image has them, whatever scale was stated."""
-NO_CREASE = Crease(False, float("nan"), float("nan"), None)
 _BESIDE_MM = 3.0
 """Background around the finger that quality is measured with: so far reaches the widest filter that finds motion."""
 BEYOND_CREASE_MM = 2.5
@@ -136,11 +135,11 @@ def find_finger(capture: Capture, settings: FingerSettings) -> Finger:
         all_rows = settings.yaw == "all_rows"
         upright = find_upright(outline, direction, all_rows=all_rows) if finger else as_it_lies(outline)
         equalised = settings.cut_at_crease == "equalised"
-        crease = find_crease(grey, outline, upright, small_px, equalised=equalised) if skin else NO_CREASE
+        crease = find_crease(grey, outline, upright, small_px, equalised=equalised) if skin else Crease()
         cut = bool(settings.cut_at_crease) and not given and skin
         kept = phalange_mask(outline, crease, upright) if cut else outline
         usable = photometric_mask(stack, kept, small_px, saturation=limits) if not given else kept
-        beyond = replace(crease, row=crease.row + BEYOND_CREASE_MM * small_px)
+        beyond = crease._replace(row=crease.row + BEYOND_CREASE_MM * small_px)
         wider = phalange_mask(outline, beyond, upright) if cut else outline
         quality, of_quality = looking.result()
     full = capture.shape

@@ -54,9 +54,9 @@ class Upright:
     """Column, row of the tip in the input: the end of the finger on its axis."""
     width_px: float
     """Median full width of the finger, pixels."""
-    reliable: bool
+    reliable: bool = True
     """Whether an axis was found; if not, the tip is taken to point where it was expected."""
-    clear: bool
+    clear: bool = True
     """Whether the outline shows which way the tip points, or it was given."""
     note: str = ""
     """Remarks on the result; empty if there are none."""
@@ -79,14 +79,14 @@ def find_upright(mask: BoolArray, tip_direction_deg: float | None = None, *, all
     counter-clockwise; None: found by the outline; `all_rows`: a plain line through the middles of all rows, as the
     thesis has it. Source: the thesis, 3.3.1.1, "Orientation Correction".
     """
-    expected, clear = (np.deg2rad(tip_direction_deg), True) if tip_direction_deg is not None else _found(mask)
+    stated = tip_direction_deg is not None
+    expected, clear = (np.deg2rad(tip_direction_deg), True) if stated else _tip_direction(mask)
     scale = min(1.0, _LONGEST_SIDE / max(mask.shape))
     small = reduce_mask(mask, scale)
-    visible = np.ones(small.shape, dtype=np.float32)
-    visible[[0, -1], :] = 0.0
-    visible[:, [0, -1]] = 0.0
+    visible = np.zeros(small.shape, dtype=np.float32)
+    visible[1:-1, 1:-1] = 1.0
     angle = _start(small, expected)
-    if tip_direction_deg is None and abs(_between(angle, expected)) > np.deg2rad(30.0):
+    if not stated and abs(_between(angle, expected)) > np.deg2rad(30.0):
         angle = expected
     reliable = False
     for _ in range(12):
@@ -102,34 +102,38 @@ def find_upright(mask: BoolArray, tip_direction_deg: float | None = None, *, all
         note = "the outline shows no axis (too little of the finger is in view); it was taken as upright."
     elif abs(turn) > np.deg2rad(_LIMIT_DEG):
         note = (
-            f"the outline's axis is turned by {np.rad2deg(turn):.0f} deg from where the tip was expected"
-            "; it was not believed (set tip_direction_deg)."
+            f"the outline's axis is turned by {np.rad2deg(turn):.0f} deg from where the tip was expected; it was not "
+            "believed (set tip_direction_deg)."
         )
         reliable = False
-    if tip_direction_deg is None:
+    yaw = float(expected + turn if reliable else expected)
+    if not stated:
         yaw = _between(angle if reliable else expected, 0.0)
-    else:
-        yaw = float(expected + turn if reliable else expected)
     if not clear and not note:
         note = (
-            "the outline does not show which way the finger's tip points; "
-            f"it was taken to point {round(float(np.rad2deg(yaw)))} deg from up, counter-clockwise. "
-            "If it does not, give `tip_direction_deg` (tip_direction_deg in capture.json)."
+            "the outline does not show which way the finger's tip points; it was taken to point "
+            f"{round(float(np.rad2deg(yaw)))} deg from up, counter-clockwise. If it does not, give `tip_direction_deg` "
+            "(tip_direction_deg in capture.json)."
         )
     return replace(_frame(mask, yaw), reliable=reliable, clear=clear, note=note)
 
 
-def _between(angle: float, other: float) -> float:
-    """Turn from `other` to `angle`, -pi to pi."""
-    return float((angle - other + np.pi) % (2 * np.pi) - np.pi)
+def as_it_lies(mask: BoolArray) -> Upright:
+    """The frame of an object that is not a finger, not turned."""
+    return _frame(mask, 0.0)
 
 
-def _found(mask: BoolArray) -> tuple[float, bool]:
+def _between(angle: float, reference: float) -> float:
+    """Turn from `reference` to `angle`, -pi to pi."""
+    return float((angle - reference + np.pi) % (2 * np.pi) - np.pi)
+
+
+def _tip_direction(mask: BoolArray) -> tuple[float, bool]:
     """Direction of the tip by the outline, and whether it is clear; of several that fit, that nearest to up."""
     directions = _tip_directions(mask)
-    best, differs = min(directions, key=itemgetter(1))
-    close = [angle for angle, more in directions if more < differs + _CLEAR]
-    if differs < _UNLIKE and all(abs(_between(angle, best)) <= np.deg2rad(60.0) for angle in close):
+    best, least = min(directions, key=itemgetter(1))
+    close = [angle for angle, difference in directions if difference < least + _CLEAR]
+    if least < _UNLIKE and all(abs(_between(angle, best)) <= np.deg2rad(60.0) for angle in close):
         return best, True
     return min(close, key=lambda angle: (abs(angle), angle)), False
 
@@ -145,13 +149,13 @@ def _tip_directions(mask: BoolArray) -> list[tuple[float, float]]:
         small = mask
     rows, columns = np.indices(small.shape, dtype=np.float64)
     inside = small.ravel()
-    found = []
+    fits = []
     for angle in np.deg2rad(np.arange(-180.0, 180.0, _STEP_DEG)):
         across = (np.cos(angle) * columns - np.sin(angle) * rows).ravel()
         down = (np.sin(angle) * columns + np.cos(angle) * rows).ravel()
-        found.append((angle, *_difference(across, down, inside)))
-    width = max(min(found, key=itemgetter(1))[2], 1.0)
-    return [(float(angle), differs / width**2) for angle, differs, _ in found]
+        fits.append((float(angle), *_difference(across, down, inside)))
+    width = max(min(fits, key=itemgetter(1))[2], 1.0)
+    return [(angle, difference / width**2) for angle, difference, _ in fits]
 
 
 def _difference(across: Array, down: Array, inside: BoolArray) -> tuple[int, float]:
@@ -163,12 +167,12 @@ def _difference(across: Array, down: Array, inside: BoolArray) -> tuple[int, flo
     width = float(np.percentile(widths, 90))
     middles = np.bincount(strip, across[inside]) / np.maximum(widths, 1)
     middle = float(np.median(middles[widths > 0.5 * width])) if width > 0 else 0.0
-    aside = np.abs(across - middle) / max(0.5 * width, 0.5)
-    aside *= aside
-    strip_only = (down <= last) & (aside < 1.0)  # what is drawn lies in it, whatever the tip is
-    tip = strip_only & (down < first + max(_CAPS) * width)  # below, all of it is drawn
-    outside = int(np.count_nonzero(inside & ~strip_only) + np.count_nonzero(strip_only & ~tip & ~inside))
-    aside = aside[tip]
+    off_axis = np.abs(across - middle) / max(0.5 * width, 0.5)
+    off_axis *= off_axis
+    drawn = (down <= last) & (off_axis < 1.0)  # what is drawn lies in it, whatever the tip is
+    tip = drawn & (down < first + max(_CAPS) * width)  # below, all of it is drawn
+    outside = int(np.count_nonzero(inside & ~drawn) + np.count_nonzero(drawn & ~tip & ~inside))
+    off_axis = off_axis[tip]
     down = down[tip] - first
     inside = inside[tip]
     best = inside.size
@@ -176,13 +180,8 @@ def _difference(across: Array, down: Array, inside: BoolArray) -> tuple[int, flo
         below = down + hidden * width
         for cap in _CAPS:
             left = np.maximum(1.0 - below / (cap * width), 0.0)
-            best = min(best, int(np.count_nonzero((aside < 1.0 - left * left) != inside)))
+            best = min(best, int(np.count_nonzero((off_axis < 1.0 - left * left) != inside)))
     return outside + best, width
-
-
-def as_it_lies(mask: BoolArray) -> Upright:
-    """The frame of a thing that is not a finger, not turned."""
-    return replace(_frame(mask, 0.0), reliable=True, clear=True)
 
 
 def _start(small: FloatArray, expected: float) -> float:
@@ -225,30 +224,25 @@ def _tilt(small: FloatArray, visible: FloatArray, angle: float, *, all_rows: boo
     row = np.arange(side)
     present = turned > 0.5
     cut = (present & ~inside).any(axis=1)
-    occupied = np.flatnonzero(widths > 2.0)
-    if len(occupied) == 0:
-        return 0.0, False
     whole = (widths > 2.0) & ~cut
     if not whole.any():
         return 0.0, False
     if all_rows and whole.sum() > 8:
         return float(np.arctan(np.polyfit(row[whole], middles[whole], 1)[0])), True
+    first = int(np.argmax(widths > 2.0))
     widest = float(np.percentile(widths[whole], 95))
-    chosen = whole & (widths >= _FULL_WIDTH * widest)
-    chosen &= row >= occupied[0] + _TIP_EXCLUSION * widest
+    chosen = whole & (widths >= _FULL_WIDTH * widest) & (row >= first + _TIP_EXCLUSION * widest)
     if chosen.sum() < max(8.0, 0.12 * widest):
-        chosen = whole & (row >= occupied[0] + 0.3 * widest)
+        chosen = whole & (row >= first + 0.3 * widest)
     if chosen.sum() < max(8.0, 0.12 * widest):
         return 0.0, False
-    slope = _robust_slope(row[chosen].astype(np.float64), middles[chosen])
-    return float(np.arctan(slope)), True
+    return float(np.arctan(_robust_slope(row[chosen].astype(np.float64), middles[chosen]))), True
 
 
 def _robust_slope(rows: Array, columns: Array) -> float:
     """Columns per row of the line through the midpoints, by iterated Tukey weights."""
     x = rows - rows.mean()
     weights = np.ones_like(x)
-    slope = intercept = 0.0
     for _ in range(20):
         total = weights.sum()
         mean_x = (weights * x).sum() / total
@@ -286,15 +280,7 @@ def _frame(mask: BoolArray, yaw: float) -> Upright:
     width = float(np.median(widths[widths >= 0.8 * widths.max()]))
     top = lines <= max(1.0, 0.03 * width)
     tip = input_from_upright @ np.array([float(turned[0][top].mean()) - origin[0], float(low[1] - origin[1]), 1.0])
-    return Upright(
-        yaw_rad=yaw,
-        input_from_upright=input_from_upright,
-        size=(int(size[1]), int(size[0])),
-        tip=(float(tip[0]), float(tip[1])),
-        width_px=width,
-        reliable=True,
-        clear=True,
-    )
+    return Upright(yaw, input_from_upright, (int(size[1]), int(size[0])), (float(tip[0]), float(tip[1])), width)
 
 
 def _outline(mask: BoolArray) -> tuple[NDArray[np.int64], NDArray[np.int64]]:

@@ -6,7 +6,8 @@ cut itself is a straight line on the full grid.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from collections.abc import Sequence
+from typing import NamedTuple
 
 import cv2
 import numpy as np
@@ -39,29 +40,29 @@ _EXPECTED_RATIO = 1.55
 """Distance of the first crease in finger widths, on average."""
 _RATIO_SPREAD = 0.35
 """Standard deviation of that ratio, with which two candidates are weighed against each other."""
-_ROUNDS, _EQUALISED_MM, _MIN_PROMINENT = 3, 0.5, 0.2
-"""The thesis's rounds of equalisation and blur; its sigma; fewer light pixels than beside a row, over the width."""
+_ROUNDS = 3
+"""Rounds of equalisation and blur: the thesis gives no number."""
+_EQUALISED_MM = 0.5
+"""Sigma of that blur."""
+_MIN_PROMINENT = 0.2
+"""Fewer light pixels than beside a row, over the width."""
 _DOUBLET_MM = 5.0
 """Two creases nearer than this are the two lines of one joint."""
 _DOUBLET_FRACTION = 0.75
 """Least depth of the upper of two such lines, over that of the lower one, for the upper to be taken."""
 
 
-NOT_SOUGHT = Finding("no-crease", "none is sought on an opaque thing")
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Crease:
+class Crease(NamedTuple):
     """The first flexion crease, or the statement that none was seen."""
 
-    found: bool
-    distance_mm: float
-    """From the tip along the finger's axis; NaN if not found."""
-    row: float
-    """Row in the upright frame (full resolution) at the finger's middle; NaN if not found."""
-    line: tuple[tuple[float, float], tuple[float, float]] | None
+    found: bool = False
+    distance_mm: float = float("nan")
+    """From the tip along the finger's axis."""
+    row: float = float("nan")
+    """Row in the upright frame (full resolution) at the finger's middle."""
+    line: tuple[tuple[float, float], tuple[float, float]] | None = None
     """Two ends of the crease, (column, row) in the input."""
-    verdict: Finding = NOT_SOUGHT
+    verdict: Finding = Finding("no-crease", "none is sought on an opaque thing")
     """What was decided, and why."""
 
 
@@ -81,16 +82,21 @@ def find_crease(
     """
     scale = min(1.0, _WORKING_PX_PER_MM / px_per_mm, 700 / max(upright.size))
     small, inside = _upright_copy(mean_grey, mask, upright, scale)
-    seek = _darkest_rows if equalised else _transverse_valleys
-    valleys = seek(small, inside, px_per_mm * scale)
-    width_mm = upright.width_px / px_per_mm
+    valleys = (_darkest_rows if equalised else _transverse_valleys)(small, inside, px_per_mm * scale)
     tip_row = upright.tip_row
-    at_full_scale = tuple(v.moved(1.0 / scale, tip_row, px_per_mm) for v in valleys)
+    at_full_scale = []
+    for valley in valleys:
+        row, left, right = ((place + 0.5) / scale - 0.5 for place in (valley.row, valley.left, valley.right))
+        distance_mm = (row - tip_row) / px_per_mm
+        at_full_scale.append(valley._replace(row=row, left=left, right=right, distance_mm=distance_mm))
     length_mm = (upright.size[0] - tip_row) / px_per_mm
-    chosen, verdict = _judge(at_full_scale, width_mm, length_mm)
+    chosen, verdict = _judge(at_full_scale, upright.width_px / px_per_mm, length_mm)
     if chosen is None:
-        return Crease(False, float("nan"), float("nan"), None, verdict)
-    return Crease(True, chosen.distance_mm, chosen.row, _ends(chosen, upright), verdict)
+        return Crease(verdict=verdict)
+    rise = 0.5 * (chosen.right - chosen.left) * float(np.tan(chosen.tilt_rad))
+    ends = np.array([[chosen.left, chosen.row + rise, 1.0], [chosen.right, chosen.row - rise, 1.0]])
+    (x0, y0), (x1, y1) = (ends @ upright.input_from_upright.T)[:, :2].tolist()
+    return Crease(True, chosen.distance_mm, chosen.row, ((x0, y0), (x1, y1)), verdict)
 
 
 def phalange_mask(mask: BoolArray, crease: Crease, upright: Upright) -> BoolArray:
@@ -104,68 +110,7 @@ def phalange_mask(mask: BoolArray, crease: Crease, upright: Upright) -> BoolArra
     return largest_component(kept) if kept.any() else mask
 
 
-def _upright_copy(grey: FloatArray, mask: BoolArray, upright: Upright, scale: float) -> tuple[FloatArray, BoolArray]:
-    small = reduce_image(grey, scale)
-    fraction = reduce_mask(mask, scale)
-    size = (max(8, round(upright.size[0] * scale)), max(8, round(upright.size[1] * scale)))
-    half = np.array([[1.0, 0.0, 0.5], [0.0, 1.0, 0.5], [0.0, 0.0, 1.0]])  # pixel centres to pixel corners
-    ratios = small.shape[1] / grey.shape[1], small.shape[0] / grey.shape[0]
-    shrink = np.linalg.inv(half) @ np.diag([*ratios, 1.0]) @ half
-    grow = np.linalg.inv(half) @ np.diag([upright.size[1] / size[1], upright.size[0] / size[0], 1.0]) @ half
-    transform = shrink @ upright.input_from_upright @ grow
-    return warp(small, transform, size), warp(fraction, transform, size) > 0.9
-
-
-def _judge(candidates: tuple[_Valley, ...], width_mm: float, length_mm: float) -> tuple[_Valley | None, Finding]:
-    """Thesis step 4: choose among the candidates by clearness and by where a first crease usually lies."""
-    keep = "the whole visible finger is kept."
-    if not candidates:
-        words = f"no flexion crease is fully in view ({{:.0f mm}} of the finger are); {keep}"
-        return None, Finding("no-crease", words, lengths_mm=(length_mm,))
-    low, high = _RATIO_RANGE
-    near, far = _DISTANCE_RANGE_MM
-    near = max(near, low * width_mm)
-    far = min(far, high * width_mm)
-    plausible = [valley for valley in candidates if near <= valley.distance_mm <= far]
-    if not plausible:
-        places = "{:.1f mm-}, " * (len(candidates) - 1) + "{:.1f mm}"
-        lengths_mm = (*(valley.distance_mm for valley in candidates), width_mm)
-        return None, Finding(
-            "no-crease",
-            f"dark lines lie {places} below the tip, "
-            f"none where the first flexion crease of a finger {{:.1f mm}} wide can be; {keep}",
-            lengths_mm=lengths_mm,
-        )
-
-    def weight(valley: _Valley) -> float:
-        offset = (valley.distance_mm / width_mm - _EXPECTED_RATIO) / _RATIO_SPREAD
-        return valley.depth * valley.coverage * float(np.exp(-0.5 * offset * offset))
-
-    best = max(plausible, key=weight)
-    for valley in plausible:
-        double = 0.0 < best.distance_mm - valley.distance_mm <= _DOUBLET_MM
-        if double and valley.depth >= _DOUBLET_FRACTION * best.depth:
-            best = valley
-            break
-    others = len(candidates) - 1
-    extra = "" if others == 0 else f" ({others} further dark line{'s' if others > 1 else ''} weighed against it)"
-    words = f"cut at the first flexion crease, {{:.1f mm}} below the tip{extra}."
-    return best, Finding("crease", words, lengths_mm=(best.distance_mm,))
-
-
-def _ends(valley: _Valley, upright: Upright) -> tuple[tuple[float, float], tuple[float, float]]:
-    half = 0.5 * (valley.right - valley.left)
-    rise = half * float(np.tan(valley.tilt_rad))
-    points = np.array([[valley.left, valley.row + rise, 1.0], [valley.right, valley.row - rise, 1.0]], dtype=np.float64)
-    first, second = (points @ upright.input_from_upright.T)[:, :2]
-    return (float(first[0]), float(first[1])), (float(second[0]), float(second[1]))
-
-
-# Dark lines across an upright finger.
-
-
-@dataclass(frozen=True, slots=True)
-class _Valley:
+class _Valley(NamedTuple):
     """A line across the finger that is darker than the skin above and below it (rows, columns: upright frame)."""
 
     row: float
@@ -183,13 +128,57 @@ class _Valley:
     distance_mm: float = float("nan")
     """From the tip."""
 
-    def moved(self, factor: float, tip_row: float, px_per_mm: float) -> _Valley:
-        """The same valley on a grid `factor` times finer, with its distance from `tip_row` there."""
-        row, left, right = ((place + 0.5) * factor - 0.5 for place in (self.row, self.left, self.right))
-        return replace(self, row=row, left=left, right=right, distance_mm=(row - tip_row) / px_per_mm)
+
+def _upright_copy(grey: FloatArray, mask: BoolArray, upright: Upright, scale: float) -> tuple[FloatArray, BoolArray]:
+    small = reduce_image(grey, scale)
+    size = (max(8, round(upright.size[0] * scale)), max(8, round(upright.size[1] * scale)))
+    half = np.array([[1.0, 0.0, 0.5], [0.0, 1.0, 0.5], [0.0, 0.0, 1.0]])  # pixel centres to pixel corners
+    ratios = small.shape[1] / grey.shape[1], small.shape[0] / grey.shape[0]
+    shrink = np.linalg.inv(half) @ np.diag([*ratios, 1.0]) @ half
+    grow = np.linalg.inv(half) @ np.diag([upright.size[1] / size[1], upright.size[0] / size[0], 1.0]) @ half
+    transform = shrink @ upright.input_from_upright @ grow
+    return warp(small, transform, size), warp(reduce_mask(mask, scale), transform, size) > 0.9
 
 
-def _darkest_rows(image: FloatArray, inside: BoolArray, px_per_mm: float) -> tuple[_Valley, ...]:
+def _judge(candidates: Sequence[_Valley], width_mm: float, length_mm: float) -> tuple[_Valley | None, Finding]:
+    """Thesis step 4: choose among the candidates by clearness and by where a first crease usually lies."""
+    keep = "the whole visible finger is kept."
+    if not candidates:
+        words = f"no flexion crease is fully in view ({{:.0f mm}} of the finger are); {keep}"
+        return None, Finding("no-crease", words, lengths_mm=(length_mm,))
+    near = max(_DISTANCE_RANGE_MM[0], _RATIO_RANGE[0] * width_mm)
+    far = min(_DISTANCE_RANGE_MM[1], _RATIO_RANGE[1] * width_mm)
+    plausible = [valley for valley in candidates if near <= valley.distance_mm <= far]
+    if not plausible:
+        places = "{:.1f mm-}, " * (len(candidates) - 1) + "{:.1f mm}"
+        words = (
+            f"dark lines lie {places} below the tip, none where the first flexion crease of a finger {{:.1f mm}} wide "
+            f"can be; {keep}"
+        )
+        lengths_mm = (*(valley.distance_mm for valley in candidates), width_mm)
+        return None, Finding("no-crease", words, lengths_mm=lengths_mm)
+
+    def weight(valley: _Valley) -> float:
+        offset = (valley.distance_mm / width_mm - _EXPECTED_RATIO) / _RATIO_SPREAD
+        return valley.depth * valley.coverage * float(np.exp(-0.5 * offset * offset))
+
+    lower = max(plausible, key=weight)
+
+    def upper_line(valley: _Valley) -> bool:
+        near = 0.0 < lower.distance_mm - valley.distance_mm <= _DOUBLET_MM
+        return near and valley.depth >= _DOUBLET_FRACTION * lower.depth
+
+    chosen = next(filter(upper_line, plausible), lower)
+    further = len(candidates) - 1
+    extra = f" ({further} further dark line{'s' if further > 1 else ''} weighed against it)" if further else ""
+    words = f"cut at the first flexion crease, {{:.1f mm}} below the tip{extra}."
+    return chosen, Finding("crease", words, lengths_mm=(chosen.distance_mm,))
+
+
+# Dark lines across an upright finger.
+
+
+def _darkest_rows(image: FloatArray, inside: BoolArray, px_per_mm: float) -> list[_Valley]:
     """Rows with fewer light pixels than those above and below, from the tip down: thesis, 3.3.1.1, steps 2 and 3."""
     from scipy.signal import find_peaks  # slow to load, and needed here alone
 
@@ -200,23 +189,25 @@ def _darkest_rows(image: FloatArray, inside: BoolArray, px_per_mm: float) -> tup
         smooth = smoothed(level, inside, _EQUALISED_MM * px_per_mm)
     width = inside.sum(axis=1)
     dark = np.where(width > 0, 1.0 - (inside & (smooth > 0.5)).sum(axis=1) / np.maximum(width, 1), 1.0)
-    rows, found = find_peaks(dark, prominence=_MIN_PROMINENT, distance=max(1, round(_SIDE_MM * px_per_mm)))
-    sides = [np.flatnonzero(inside[row])[[0, -1]] for row in rows]
-    return tuple(
-        _Valley(float(row), float(left), float(right), 0.0, float(depth), float(dark[row]))
-        for row, (left, right), depth in zip(rows, sides, found["prominences"], strict=True)
-    )
+    rows, peaks = find_peaks(dark, prominence=_MIN_PROMINENT, distance=max(1, round(_SIDE_MM * px_per_mm)))
+    valleys = []
+    for row, prominence in zip(rows, peaks["prominences"], strict=True):
+        columns = np.flatnonzero(inside[row])
+        place = float(row), float(columns[0]), float(columns[-1])
+        valleys.append(_Valley(*place, 0.0, float(prominence), float(dark[row])))
+    return valleys
 
 
-def _transverse_valleys(image: FloatArray, inside: BoolArray, px_per_mm: float) -> tuple[_Valley, ...]:
+def _transverse_valleys(image: FloatArray, inside: BoolArray, px_per_mm: float) -> list[_Valley]:
     """All dark lines across an upright finger, from the tip down: places of the blurred image darker than the skin
     `_SIDE_MM` above and below, averaged along lines that lean by up to `_MAX_TILT_DEG`.
     """
     response, valid = _response(image, inside, px_per_mm)
-    core = valid & (depth_inside(inside) > 0.08 * _width(inside))
-    found: list[_Valley] = []
+    widths = inside.sum(axis=1)
+    width = float(np.percentile(widths[widths > 0], 80)) if (widths > 0).any() else 1.0
+    core = valid & (depth_inside(inside) > 0.08 * width)
     tilts = np.deg2rad(np.arange(-_MAX_TILT_DEG, _MAX_TILT_DEG + 0.1, 3.0))
-    lines = [_along_lines(response, core, inside, float(tilt)) for tilt in tilts]
+    lines = [_along_lines(response, core, inside, width, float(tilt)) for tilt in tilts]
     depths, coverages = (np.stack(part) for part in zip(*lines, strict=True))
     best = np.argmax(depths * coverages, axis=0)
     rows = np.arange(depths.shape[1])
@@ -228,13 +219,14 @@ def _transverse_valleys(image: FloatArray, inside: BoolArray, px_per_mm: float) 
     reach = max(1, round(_SIDE_MM * px_per_mm))
     peaks = depth >= cv2.dilate(depth[:, None], np.ones((2 * reach + 1, 1), dtype=np.uint8))[:, 0]
     strong = peaks & (depth >= max(_MIN_DEPTH, _MIN_PROMINENCE * usual)) & (coverage >= _MIN_COVERAGE)
-    for row in np.flatnonzero(strong):
-        columns = np.flatnonzero(inside[row])
-        if len(columns) == 0 or (found and row - found[-1].row <= reach):
+    valleys: list[_Valley] = []
+    for row in np.flatnonzero(strong & inside.any(axis=1)).tolist():
+        if valleys and row - valleys[-1].row <= reach:
             continue
-        here = (float(one[row]) for one in (tilt, depth, coverage))
-        found.append(_Valley(_refine(depth, int(row)), float(columns[0]), float(columns[-1]), *here))
-    return tuple(found)
+        columns = np.flatnonzero(inside[row])
+        place = _refine(depth, row), float(columns[0]), float(columns[-1])
+        valleys.append(_Valley(*place, float(tilt[row]), float(depth[row]), float(coverage[row])))
+    return valleys
 
 
 def _response(image: FloatArray, inside: BoolArray, px_per_mm: float) -> tuple[FloatArray, BoolArray]:
@@ -278,30 +270,27 @@ def _moved_down(level: FloatArray, inside: BoolArray, step: int) -> tuple[FloatA
 
 
 def _along_lines(
-    response: FloatArray, core: BoolArray, inside: BoolArray, tilt: float
+    response: FloatArray, core: BoolArray, inside: BoolArray, finger_width: float, tilt: float
 ) -> tuple[FloatArray, FloatArray]:
     """Mean response and fraction of responding columns for every line of one lean; zero where too little is known."""
     height, width = response.shape
-    shown = np.flatnonzero(inside.any(axis=0))
-    centre = float(shown.mean()) if len(shown) else 0.5 * inside.shape[1]
+    occupied = np.flatnonzero(inside.any(axis=0))
+    centre = float(occupied.mean()) if len(occupied) else 0.5 * width
     x = np.arange(width, dtype=np.float32)
     shift = (-(x - centre) * np.float32(np.tan(tilt))).astype(np.float32)
     rows = np.arange(height, dtype=np.float32)[:, None] + shift[None, :]
     columns = np.broadcast_to(x, rows.shape).astype(np.float32)
-    values = cv2.remap(response, columns, rows, cv2.INTER_LINEAR, borderMode=cv2.BORDER_CONSTANT)
-    valid = cv2.remap(core.astype(np.float32), columns, rows, cv2.INTER_LINEAR, borderMode=cv2.BORDER_CONSTANT) > 0.99
-    count = valid.sum(axis=1).astype(np.float32)
-    enough = count > 0.6 * _width(inside)
-    clipped = np.clip(values, -0.2, 0.2)
-    depth = np.where(enough, (clipped * valid).sum(axis=1) / np.maximum(count, 1.0), 0.0)
-    hits = ((values > 0.4 * _MIN_DEPTH) & valid).sum(axis=1)
+    values, valid = (
+        cv2.remap(part, columns, rows, cv2.INTER_LINEAR, borderMode=cv2.BORDER_CONSTANT)
+        for part in (response, core.astype(np.float32))
+    )
+    known = valid > 0.99
+    count = known.sum(axis=1).astype(np.float32)
+    enough = count > 0.6 * finger_width
+    depth = np.where(enough, (np.clip(values, -0.2, 0.2) * known).sum(axis=1) / np.maximum(count, 1.0), 0.0)
+    hits = ((values > 0.4 * _MIN_DEPTH) & known).sum(axis=1)
     coverage = np.where(enough, hits / np.maximum(count, 1.0), 0.0)
     return depth.astype(np.float32), coverage.astype(np.float32)
-
-
-def _width(inside: BoolArray) -> float:
-    widths = inside.sum(axis=1)
-    return float(np.percentile(widths[widths > 0], 80)) if (widths > 0).any() else 1.0
 
 
 def _refine(profile: FloatArray, row: int) -> float:

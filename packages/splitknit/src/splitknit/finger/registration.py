@@ -9,7 +9,9 @@ at once until the rest is minimal: the surface itself is never needed, it is eli
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import cv2
 import numpy as np
@@ -21,7 +23,8 @@ from splitknit.model import Array, BoolArray, FloatArray
 
 TURN_MM = 8.0
 """A turn's parameter is the shift that it causes at this distance."""
-SETTLED_MM, SETTLED_PX = 5e-4, 0.02
+SETTLED_MM = 5e-4
+SETTLED_PX = 0.02
 """Shots that move by less than the larger of the two are settled; images are resampled to 1/32 px."""
 ITERATIONS = 20
 """Maximum refinements in each band."""
@@ -55,10 +58,10 @@ class Flow:
 
     def basis(self, x_mm: Array, y_mm: Array) -> Array:
         """(N, 2, 3) shift at places (N,), right of and below the first pixel, for a unit of every move."""
-        one = np.ones_like(x_mm)
-        none = np.zeros_like(x_mm)
-        right = [one, none, -(y_mm - self.centre_mm[1]) / TURN_MM]
-        down = [none, one, (x_mm - self.centre_mm[0]) / TURN_MM]
+        unit = np.ones_like(x_mm)
+        zero = np.zeros_like(x_mm)
+        right = [unit, zero, -(y_mm - self.centre_mm[1]) / TURN_MM]
+        down = [zero, unit, (x_mm - self.centre_mm[0]) / TURN_MM]
         return np.stack([np.stack(right, axis=-1), np.stack(down, axis=-1)], axis=1)
 
     def at(self, x_mm: Array, y_mm: Array) -> Array:
@@ -124,13 +127,11 @@ class Level:
         return values
 
 
-def details_of(
-    stack: FloatArray, region: BoolArray, px_per_mm: float, band_mm: tuple[float, float], working_px_per_mm: float
-) -> Level:
-    """Band-passed copies (`band_mm`: sigma, fine and coarse end) of (L, H, W), of at most `working_px_per_mm`, weighted
-    by one over the square of the brightness in `region` (H, W).
+def details_of(stack: FloatArray, region: BoolArray, px_per_mm: float, sigma_mm: float) -> Level:
+    """Band-passed copies of (L, H, W), fine end `sigma_mm`, weighted by one over the square of the brightness in
+    `region` (H, W).
     """
-    finest = min(px_per_mm, working_px_per_mm, 1.0 / band_mm[0])
+    finest = min(px_per_mm, WORKING_PX_PER_MM, 1.0 / sigma_mm)
     finest = px_per_mm if finest * SAME_SCALE > px_per_mm else finest
     size = tuple(max(8, round(n * finest / px_per_mm)) for n in (region.shape[1], region.shape[0]))
     px = px_per_mm * size[0] / region.shape[1]
@@ -143,23 +144,56 @@ def details_of(
     rows = rows[every // 2 :: every]
     columns = columns[every // 2 :: every]
     weight = 1.0 / np.maximum(level[rows, columns], max(floor, 1e-9)) ** 2
-    images = tuple(_with_slopes(blur(image, band_mm[0] * px) - blur(image, band_mm[1] * px), px) for image in small)
+    fine = (blur(image, sigma_mm * px) - blur(image, BAND_RATIO * sigma_mm * px) for image in small)
+    images = tuple(_with_slopes(image, px) for image in fine)
     return Level(images, columns.astype(np.float32), rows.astype(np.float32), weight.astype(np.float32), px)
 
 
 def _with_slopes(image: FloatArray, px_per_mm: float) -> FloatArray:
     """(h, w, 3) an image and its derivatives to the right and down the rows, a mm."""
     half = 0.5 * px_per_mm
-    slopes = [
-        cv2.Sobel(image, cv2.CV_32F, right, 1 - right, ksize=1, scale=half, borderType=cv2.BORDER_REPLICATE)
-        for right in (1, 0)
-    ]
-    return np.asarray(cv2.merge([image, *slopes]))
+    right = cv2.Sobel(image, cv2.CV_32F, 1, 0, ksize=1, scale=half, borderType=cv2.BORDER_REPLICATE)
+    down = cv2.Sobel(image, cv2.CV_32F, 0, 1, ksize=1, scale=half, borderType=cv2.BORDER_REPLICATE)
+    return np.asarray(cv2.merge([image, right, down]))
 
 
-def step_limits(level: Level) -> tuple[float, float]:
-    """Largest step of a shot, and the step below which it is settled, in mm."""
-    return 1.0 / level.px_per_mm, max(SETTLED_MM, SETTLED_PX / level.px_per_mm)
+def bands_of(mask: BoolArray, px_per_mm: float) -> Iterator[tuple[float, BoolArray, bool]]:
+    """Bands in which the shots of the finger under `mask` are compared, coarse to fine: fine end (sigma, mm), pixels,
+    and whether turns are sought.
+    """
+    around = dilate(mask, SURROUND_MM * px_per_mm)
+    skin = erode(mask, RIM_MM * px_per_mm)
+    for step, sigma_mm in enumerate((*COARSE_MM, *FINE_MM)):
+        fine = step >= len(COARSE_MM)
+        yield sigma_mm, skin if fine and skin.any() else around, step > 0
+
+
+def settled(  # noqa: PLR0917
+    level: Level,
+    flow: Flow,
+    shots: NDArray[np.intp],
+    free: Sequence[int],
+    step_of: Callable[[FloatArray, Array], Array],
+    turns: bool,
+) -> Flow:
+    """Move the shots `free` by Gauss-Newton steps until they hardly move.
+
+    `step_of`: change (F, M) of their parameters, from details and their derivatives (L, 3, N) as they lie now and the
+    shift (N, 2, M) for a unit of each parameter.
+    """
+    places = level.places()
+    basis = flow.basis(*places)[..., : 3 if turns else 2]
+    largest_mm = 1.0 / level.px_per_mm
+    settled_mm = max(SETTLED_MM, SETTLED_PX / level.px_per_mm)
+    moves = flow.moves_mm.copy()
+    for _ in range(ITERATIONS):
+        shifts = replace(flow, moves_mm=moves).at(*places)
+        sampled = level.sampled(shifts[shots].astype(np.float32))
+        step = np.clip(step_of(sampled, basis), -largest_mm, largest_mm)
+        moves[free, : basis.shape[2]] += step
+        if float(np.abs(step).max()) < settled_mm:
+            break
+    return replace(flow, moves_mm=moves)
 
 
 def robust_weight(level: Level, error: FloatArray) -> FloatArray:
@@ -190,12 +224,12 @@ def lights_on(lights: Array, level: Level, shape: tuple[int, ...], px_per_mm: fl
     return np.stack([sampled_at(part, columns, rows) for part in flat]).reshape(-1, 3, x.size)
 
 
-def shown_by_surfaces(lights: FloatArray) -> FloatArray:
+def surface_axes(lights: FloatArray) -> FloatArray:
     """Orthonormal brightnesses (L, 3, N) that span what matt surfaces may show under `lights` (L, 3, N)."""
     axes = lights.astype(np.float64)
     for k in range(3):
-        for other in range(k):
-            axes[:, k] -= (axes[:, k] * axes[:, other]).sum(axis=0) * axes[:, other]
+        for earlier in range(k):
+            axes[:, k] -= (axes[:, k] * axes[:, earlier]).sum(axis=0) * axes[:, earlier]
         axes[:, k] /= np.maximum(np.sqrt((axes[:, k] ** 2).sum(axis=0)), 1e-12)
     return axes.astype(np.float32)
 
@@ -209,8 +243,7 @@ def beyond_surface(images: FloatArray, axes: FloatArray) -> FloatArray:
 # All shots at once, the surface eliminated.
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Registration:
+class Registration(NamedTuple):
     """Where the skin of the reference shot lies in every shot."""
 
     flow: Flow
@@ -231,28 +264,32 @@ def register_shots(
 ) -> Registration:
     """Find where the skin of shot `reference` lies in every other shot.
 
-    Source: Golub, G. and Pereyra, V., "The
-    differentiation of pseudo-inverses and nonlinear least squares problems whose variables separate", SIAM J. Numer.
-    Anal. 10(2), 1973 (the surface is eliminated from the least squares). `stack`: (L, H, W) float32 linear, at least
-    five images, best without glare (:func:`without_glare`); `lights`: (L, 3, h, w) towards the light, its length the
-    relative strength, on nodes that lie evenly over the image, first and last pixel included;
-    `mask`: (H, W) bool, the finger, roughly; `reference`: shot onto which the others are brought; `shots`: (L,) shot of
-    every image, where several lights share one; None = every image is a shot.
+    Source: Golub, G. and Pereyra, V., "The differentiation of pseudo-inverses and nonlinear least squares problems
+    whose variables separate", SIAM J. Numer. Anal. 10(2), 1973 (the surface is eliminated from the least squares).
+    `stack`: (L, H, W) float32 linear, at least five images, best without glare (:func:`without_glare`); `lights`: (L,
+    3, h, w) towards the light, its length the relative strength, on nodes that lie evenly over the image, first and
+    last pixel included; `mask`: (H, W) bool, the finger, roughly; `reference`: shot onto which the others are brought;
+    `shots`: (L,) shot of every image, where several lights share one; None = every image is a shot.
     """
     shots = np.arange(len(stack)) if shots is None else shots
-    number = int(shots.max()) + 1
-    around = dilate(mask, SURROUND_MM * px_per_mm)
-    skin = erode(mask, RIM_MM * px_per_mm)
-    flow = unmoved = still(number, mask, px_per_mm)
-    for step, sigma in enumerate((*COARSE_MM, *FINE_MM)):
-        fine = step >= len(COARSE_MM)
-        region = skin if fine and skin.any() else around
-        band = (sigma, BAND_RATIO * sigma)
-        level = details_of(stack, region, px_per_mm, band, WORKING_PX_PER_MM)
-        here = lights_on(lights, level, mask.shape, px_per_mm)
-        problem = _Problem(level, shown_by_surfaces(here), shots, reference)
-        flow = problem.settled(flow, turns=step > 0)
-    return Registration(flow, problem.unexplained(unmoved), problem.unexplained(flow))
+    flow = unmoved = still(int(shots.max()) + 1, mask, px_per_mm)
+    free = [k for k in range(len(flow.moves_mm)) if k != reference]
+    for sigma_mm, region, turns in bands_of(mask, px_per_mm):
+        level = details_of(stack, region, px_per_mm, sigma_mm)
+        axes = surface_axes(lights_on(lights, level, mask.shape, px_per_mm))
+
+        def step_of(sampled: FloatArray, basis: Array, level: Level = level, axes: FloatArray = axes) -> Array:
+            return _step(level, axes, shots, free, sampled, basis)
+
+        flow = settled(level, flow, shots, free, step_of, turns)
+
+    def unexplained(flow: Flow) -> Array:
+        images = level.sampled(flow.at(*level.places())[shots].astype(np.float32))[:, 0]
+        residual = beyond_surface(images, axes)
+        error, power = ((part * part * level.weight).sum(axis=1, dtype=np.float64) for part in (residual, images))
+        return np.asarray(np.sqrt(error / np.maximum(power, 1e-30)))
+
+    return Registration(flow, unexplained(unmoved), unexplained(flow))
 
 
 def without_glare(colours: FloatArray) -> FloatArray:
@@ -260,61 +297,28 @@ def without_glare(colours: FloatArray) -> FloatArray:
     return np.asarray(colours[0] - colours[2])
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class _Problem:
-    """Details of one size: which images belong together, and what they may show."""
-
-    level: Level
-    axes: FloatArray
-    """(L, 3, N) orthonormal brightnesses that span what a matt surface may show."""
-    shots: NDArray[np.intp]
-    """(L,)"""
-    reference: int
-
-    def settled(self, flow: Flow, *, turns: bool) -> Flow:
-        """Move the shots by Gauss-Newton steps, with turns or without, until they hardly move."""
-        places = self.level.places()
-        moves = flow.moves_mm.copy()
-        free = [k for k in range(len(moves)) if k != self.reference]
-        basis = flow.basis(*places)[..., : 3 if turns else 2]
-        most, least = step_limits(self.level)
-        for _ in range(ITERATIONS):
-            shifts = replace(flow, moves_mm=moves).at(*places)
-            sampled = self.level.sampled(shifts[self.shots].astype(np.float32))
-            step = np.clip(self._step(sampled, basis, free), -most, most)
-            moves[free, : basis.shape[2]] += step
-            if float(np.abs(step).max()) < least:
-                break
-        return replace(flow, moves_mm=moves)
-
-    def unexplained(self, flow: Flow) -> Array:
-        """(L,) rms of what no surface explains over the rms of each image's details."""
-        images = self.level.sampled(flow.at(*self.level.places())[self.shots].astype(np.float32))[:, 0]
-        residual = beyond_surface(images, self.axes)
-        error, power = ((part * part * self.level.weight).sum(axis=1, dtype=np.float64) for part in (residual, images))
-        return np.asarray(np.sqrt(error / np.maximum(power, 1e-30)))
-
-    def _step(self, sampled: FloatArray, basis: Array, free: list[int]) -> Array:
-        """(F, M) change of the parameters of the free shots: the normal equations."""
-        residual = beyond_surface(sampled[:, 0], self.axes)
-        root = np.sqrt(robust_weight(self.level, np.sqrt((residual * residual).sum(axis=0) * self.level.weight)))
-        width = basis.shape[2]
-        number = len(free)
-        total = root.size
-        right, down = (np.ascontiguousarray(basis[:, c].T, dtype=np.float32) for c in range(2))
-        matrix = np.zeros((number, width, number, width))
-        force = np.zeros((number, width))
-        shown = np.zeros((3, number, width, total), dtype=np.float32)
-        for image, shot in enumerate(self.shots):
-            if shot == self.reference:
-                continue
-            k = free.index(int(shot))
-            columns = (sampled[image, 1] * right + sampled[image, 2] * down) * root
-            matrix[k, :, k] += gram(columns)
-            force[k] += np.einsum("mn,n->m", columns, residual[image] * root)
-            shown[:, k] += columns * self.axes[image][:, None]
-        for part in shown:
-            matrix -= gram(part.reshape(number * width, total)).reshape(matrix.shape)
-        flat = matrix.reshape(number * width, number * width)
-        flat = flat + 1e-6 * float(np.diag(flat).mean()) * np.eye(len(flat))
-        return np.asarray(-np.linalg.solve(flat, force.ravel()).reshape(number, width))
+def _step(  # noqa: PLR0917
+    level: Level, axes: FloatArray, shots: NDArray[np.intp], free: list[int], sampled: FloatArray, basis: Array
+) -> Array:
+    """(F, M) change of the parameters of the free shots: the normal equations."""
+    residual = beyond_surface(sampled[:, 0], axes)
+    root = np.sqrt(robust_weight(level, np.sqrt((residual * residual).sum(axis=0) * level.weight)))
+    width = basis.shape[2]
+    number = len(free)
+    right, down = (np.ascontiguousarray(basis[:, c].T, dtype=np.float32) for c in range(2))
+    matrix = np.zeros((number, width, number, width))
+    force = np.zeros((number, width))
+    along_axes = np.zeros((3, number, width, root.size), dtype=np.float32)
+    for image, shot in enumerate(shots):
+        if shot not in free:
+            continue
+        k = free.index(int(shot))
+        columns = (sampled[image, 1] * right + sampled[image, 2] * down) * root
+        matrix[k, :, k] += gram(columns)
+        force[k] += np.einsum("mn,n->m", columns, residual[image] * root)
+        along_axes[:, k] += columns * axes[image][:, None]
+    for part in along_axes:
+        matrix -= gram(part.reshape(number * width, root.size)).reshape(matrix.shape)
+    flat = matrix.reshape(number * width, number * width)
+    flat = flat + 1e-6 * float(np.diag(flat).mean()) * np.eye(len(flat))
+    return np.asarray(-np.linalg.solve(flat, force.ravel()).reshape(number, width))

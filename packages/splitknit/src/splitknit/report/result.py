@@ -18,6 +18,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from splitknit.findings import SEVERITY_WORDS
 from splitknit.finger.ridges import surface_print
 from splitknit.imaging.geometry import bounding_box
 from splitknit.imaging.polarised import picture_bytes
@@ -115,7 +116,7 @@ def make_report(
         unit="millimetres" if result.unit.known else "pixels: its scale is unknown",
         facts=facts,
         summary=summary,
-        warnings=[warning[:1].upper() + warning[1:] for warning in result.warnings],
+        warnings=[f"{SEVERITY_WORDS[finding.severity]}: {finding}" for finding in result.findings],
         scene=surfaces.result(),
         above=figures.picture_from_above(above, frame.pitch_mm, finger),
         prints=None if prints is None else figures.print_picture(prints),
