@@ -204,7 +204,7 @@ def metric_polarised(
     start = first
     if networks is None:  # a relief by colour alone would lead astray
         start = replace(first, relief_mm=0 * first.relief_mm, deviation_mm=np.full_like(first.deviation_mm, UNKNOWN_MM))
-    height_mm, error_mm, found = _specular_heights(images, (crossed, side and side[1]), start)
+    height_mm, error_mm, found = _specular_heights(images, (crossed, side and side[1]), start, films=True)
     if found["specular_over_noise"] < FAINT:
         modelled = metric_skin(images.bands, grid, skin, p, networks)
         return replace(modelled, facts={**modelled.facts, "specular": found})
@@ -227,7 +227,7 @@ def metric_side(
     red, blue = (grid.smooth(white.stack[c].mean(axis=0), grid.mask, COLOUR_MM) for c in (0, 2))
     part = RED_PART * blue / np.maximum(red, 1e-6)
     matt = without_white(white, part), without_white(side[0], part)
-    height_mm, error_mm, found = _specular_heights(images, matt, first, WHITE[0])
+    height_mm, error_mm, found = _specular_heights(images, matt, first, films=False)
     limits = found["roughness"] / WHITE[0], found["scattered_over_specular"] / WHITE[1]
     if found["specular_over_noise"] < FAINT or max(limits) > 1 or not found["side_lights"]:
         return replace(first, facts={**first.facts, "specular": found})
@@ -243,7 +243,7 @@ def _with_heights(first: SkinSurface, rest: FloatArray, error_mm: FloatArray, gr
 
 
 def _specular_heights(
-    images: SkinImages, matt: tuple[BandImages, BandImages | None], start: SkinSurface, roughest: float | None = None
+    images: SkinImages, matt: tuple[BandImages, BandImages | None], start: SkinSurface, films: bool
 ) -> tuple[FloatArray, FloatArray, dict[str, float]]:
     """What :func:`polarised_heights` finds from `start`; `matt`: the white band, and that under lights to the side,
     without specular reflection."""
@@ -255,7 +255,7 @@ def _specular_heights(
         rig = replace(specular.rig, leds=specular.rig.leds + aside.rig.leds)
         stack, noise = np.concatenate([specular.stack, aside.stack]), min(specular.noise, aside.noise)
         specular = replace(specular, stack=stack, rig=rig, noise=noise)
-    return polarised_heights(specular, grid, shape_mm + start.relief_mm, start.deviation_mm, roughest)
+    return polarised_heights(specular, grid, shape_mm + start.relief_mm, start.deviation_mm, films)
 
 
 def without_white(band: BandImages, part: FloatArray) -> BandImages:
