@@ -183,11 +183,11 @@ def metric_skin(
     colour = {name: shape.brightness[name] / shape.brightness[white[0]] for name in white}
     optics = skin.optics(images.channels, colour)
     if networks is None:
-        other = skin.optics(images.channels, colour, 1 + SCATTERING_SD)
+        scattering_more = skin.optics(images.channels, colour, 1 + SCATTERING_SD)
         smooth = on_fine_grid(shape.height_mm, images)
         light = white_light_on(shape.height_mm, images)
         measured = measure(images.white, grid, smooth, light, optics, shape.brightness)
-        estimate = relief_by_colour(measured, grid, smooth, other, p.rounds)
+        estimate = relief_by_colour(measured, grid, smooth, scattering_more, p.rounds)
     else:
         smooth, estimate = relief_and_shape(images, shape, optics, networks, p.rounds)
     detail = detail_of(smooth, estimate.trust, grid)  # of the shape, beyond the crossover: creases

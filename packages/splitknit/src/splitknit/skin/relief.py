@@ -365,11 +365,11 @@ def denoise(relief_mm: FloatArray, grid: Grid, mix: Unmixing, seed: int) -> tupl
 
 
 def _scattering_sensitivity(
-    measured: Measured, grid: Grid, mix: Unmixing, other: Mapping[str, Diffusion], relief_mm: FloatArray
+    measured: Measured, grid: Grid, mix: Unmixing, scattering_more: Mapping[str, Diffusion], relief_mm: FloatArray
 ) -> float:
-    """Relative change of the relief's gain if the skin scattered as `other` does and the unmixing did not know."""
+    """Relative change of the relief's gain if the skin scattered as `scattering_more` does."""
     gain = sum(
-        w * (grid.sampled(other[name]) - t)
+        w * (grid.sampled(scattering_more[name]) - t)
         for w, t, name in zip(mix.weights, measured.transfer, measured.channels, strict=True)
     )
     power = np.abs(grid.forward(relief_mm * measured.region)) ** 2
@@ -406,12 +406,13 @@ local rms height; measured on simulated fingers, see docs/experiments/accuracy.m
 
 
 def relief_by_colour(
-    measured: Measured, grid: Grid, smooth_mm: FloatArray, other: Mapping[str, Diffusion], rounds: int
+    measured: Measured, grid: Grid, smooth_mm: FloatArray, scattering_more: Mapping[str, Diffusion], rounds: int
 ) -> ReliefEstimate:
     """Relief that explains the slopes of all channels behind scattering and specular reflection.
 
-    `measured`: of the white band on the fine grid; `smooth_mm`: (h, w) the shape without the relief; `other`: transfer
-    function of each channel one standard deviation of the scattering away.
+    `measured`: of the white band on the fine grid; `smooth_mm`: (h, w) the shape without the
+    relief; `scattering_more`: transfer function of each channel one standard deviation of the
+    scattering away.
     """
     relief = np.zeros(grid.shape, dtype=np.float32)
     for _ in range(rounds * STEPS):
@@ -419,7 +420,7 @@ def relief_by_colour(
         mix = unmixing(measured, grid, _with_relief(slopes, measured, grid, relief), glare)
         relief = update(measured, grid, slopes, mix, relief)
         relief, noise = denoise(relief, grid, mix, _SEED)
-    sensitivity = abs(_scattering_sensitivity(measured, grid, mix, other, relief))
+    sensitivity = abs(_scattering_sensitivity(measured, grid, mix, scattering_more, relief))
     height = np.sqrt(np.maximum(grid.smooth(relief * relief, grid.mask, 0.6), 0.0))
     model = np.float32(np.hypot(sensitivity, MODEL_ERROR)) * height
     return ReliefEstimate(
