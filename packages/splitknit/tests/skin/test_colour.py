@@ -49,12 +49,12 @@ def test_weights_minimise_the_mean_square_error():
     transfer, signal, powers, noise = (
         np.array([[0.4], [0.7], [0.9]]),
         2.0,
-        np.array([[0.5, 1.5]]),
+        np.array([0.7]),
         np.array([0.1, 0.2, 0.05]),
     )
     draws = 400_000
     d = rng.standard_normal(draws) * np.sqrt(signal)
-    s = rng.standard_normal((2, draws)) * np.sqrt(powers[0])[:, None]
+    s = rng.standard_normal((2, draws)) * np.sqrt(powers)
     p = transfer * d + np.einsum("cg,gn->cn", glare, s) + rng.standard_normal((3, draws)) * np.sqrt(noise)[:, None]
     brute = np.linalg.solve(p @ p.T, p @ d)
     weights = unmixing_weights(transfer, glare, np.array([signal]), powers, noise)

@@ -19,17 +19,17 @@ def check_fields(
 
     Raises BadInput if the shapes differ, the mask is empty, or a value inside the mask is NaN or infinite.
     """
-    one, two = np.asarray(first), np.asarray(second)
+    shape = np.shape(first)
     require(
-        one.ndim == 2 and one.size > 0 and one.shape == two.shape,
-        f"{names[0]} and {names[1]} must have one shape (H, W), but they have {one.shape} and {two.shape}.",
+        len(shape) == 2 and 0 not in shape and shape == np.shape(second),
+        f"{names[0]} and {names[1]} must have one shape (H, W), but they have {shape} and {np.shape(second)}.",
     )
-    inside = check_mask(mask, (int(one.shape[0]), int(one.shape[1])))
-    fields = [np.where(inside, part, 0.0).astype(np.float32) for part in (one, two)]
-    for part, name in zip(fields, names, strict=True):
+    inside = check_mask(mask, (shape[0], shape[1]))
+    fields = np.where(inside, [first, second], 0.0).astype(np.float32)
+    for field, name in zip(fields, names, strict=True):
         require(
-            np.isfinite(part).all(),
-            f"{name} contains NaN or infinite values inside the mask; take those pixels out of the mask.",
+            np.isfinite(field).all(),
+            f"{name} contains NaN or infinite values inside the mask; take those pixels out of it.",
         )
     return fields[0], fields[1], inside
 
@@ -63,9 +63,9 @@ def _integrate_padded(gradient_x: FloatArray, gradient_y: FloatArray) -> FloatAr
     column_factor = np.where(np.isclose(column_frequency, np.pi), 0.0, column_frequency)
     spectrum = scipy.fft.rfft2(gradient_x, size, workers=WORKERS)
     spectrum *= column_factor.astype(np.float32)[None, :]
-    other = scipy.fft.rfft2(-gradient_y, size, workers=WORKERS)
-    other *= row_factor.astype(np.float32)[:, None]
-    spectrum += other
+    of_rows = scipy.fft.rfft2(-gradient_y, size, workers=WORKERS)
+    of_rows *= row_factor.astype(np.float32)[:, None]
+    spectrum += of_rows
     spectrum *= _radial_factor(row_frequency, column_frequency, None) * np.complex64(-1j)
     result = scipy.fft.irfft2(spectrum, size, workers=WORKERS, overwrite_x=True)
     return result[:height, :width]

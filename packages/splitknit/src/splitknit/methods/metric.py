@@ -11,7 +11,6 @@ import numpy as np
 from splitknit import steps
 from splitknit.errors import require
 from splitknit.findings import Finding
-from splitknit.finger.regions import erode
 from splitknit.imaging.geometry import gradients_from_normals
 from splitknit.imaging.view import view_of
 from splitknit.integration.knit import crossover
@@ -51,19 +50,24 @@ from splitknit.skin.shape import CoarseImages, Shape, coarse_images, coarse_shap
 from splitknit.steps import step
 
 TURNED = (5, 6)
-"""Orientations (by 90 and 270 degrees) that are averaged with the upright one in the relief estimate."""
-BOTH_DEG = (30.0, 40.0)
-"""Slants of the skin between which the relief becomes the mean of two estimates, from both series of a polarised
-capture and from the crossed one: the first is too high there, the second too low."""
+"""Orientations (90 and 270 degrees) averaged with the upright one in the relief estimate."""
+BOTH_FROM_DEG = 30.0
+"""Slant of the skin from which the relief becomes the mean of two estimates, from both series of a
+polarised capture and from the crossed one: the first is too high there, the second too low."""
+BOTH_DEG = 10.0
+"""Further slant at which it is the mean."""
 UNKNOWN_MM = 0.02
 """Standard deviation of the relief where no network gives a first one."""
 FAINT = 3.0
 """Specular reflection over noise below which heights do not follow from it."""
 DOUBTFUL = 0.5
 """Expected error of the relief, over the relief's rms height, from which a warning is due."""
-JPEG_LOSS, JPEG_LOSS_COARSE, _JPEG_COARSE = 0.3, 0.9, 14.0
-"""Part of the relief that JPEG may have taken, as a standard deviation: 0.06 to 0.31 at 15 to 30 px/mm, but 0.75 and
-more at 11; and the px/mm between them (two simulated fingers, qualities of 60 to 97)."""
+JPEG_LOSS = 0.3
+"""Fraction of the relief that JPEG may have taken, as a standard deviation: 0.06 to 0.31 at 15 to
+30 px/mm (two simulated fingers, qualities of 60 to 97)."""
+JPEG_LOSS_COARSE = 0.9
+"""The same below `JPEG_COARSE` px/mm: 0.75 and more at 11."""
+JPEG_COARSE = 14.0
 COLOURED = (
     "the skin blurs the light of each coloured LED differently, which this preset does not undo; use lin, ea or "
     "another of the published cases."
@@ -76,28 +80,38 @@ SIDE_MISFIT = (
     "{} of the white images lit from the side do not fit the others and are left out: check these LEDs' places and "
     "their films, if any, which must let the skin's mirror reflection pass the camera's film."
 )
+HARDLY_MEASURED = "the ridges are hardly measured: {:.0f} um rms with an expected error of {:.0f} um."
+LITTLE_GLOSS_NOTE = (
+    "the skin shows hardly any specular reflection: ridge heights follow from its brightness, and "
+    "may all be off by a common factor (standard deviation {:.0f} %)."
+)
+ODD_RELIEF = (
+    "give `material` opaque for what is not live skin (a cast, a render), else check `px_per_mm`, "
+    "and take colour photographs, as grey ones leave glare in the relief"
+)
 NO_WHITE = (
     "the images lit from the side are not used: the skin is too dry or too matt for its specular reflection to be "
     "separated by colour (films separate it)."
 )
-WHITE = (0.45, 10.0)
-"""Roughness, and scattered over specular light, up to which white light shows the ridges better than the front lights
-alone: of eight fingers one is worse beyond each."""
+WHITE_ROUGHNESS = 0.45
+"""Roughness up to which white light shows ridges better than the front lights alone."""
+WHITE_SCATTERED = 10.0
+"""The same for scattered over specular light: of eight fingers one is worse beyond each."""
 RED_PART = 0.5
-"""Part of the red light, in the colour of the skin, that is taken from the blue to leave white light. Between 0.3 and
-0.65 ridges come out alike (``validation/path_traced/polarised.py``)."""
+"""Part of the red light, in the colour of the skin, that is taken from the blue to leave white
+light. Between 0.3 and 0.65 ridges hardly change (``validation/path_traced/polarised.py``)."""
 SHAPE_MM = 2.0
 """Standard deviation of the Gaussian mean of the heights that white light does not show: it follows from how much of
 the light is scattered, which colours show only roughly."""
 COLOUR_MM = 1.0
 """Standard deviation of the Gaussian mean whose colour is that of the skin."""
-WALL_PART, WALL_OF_STEEP = 0.002, 0.25
-"""Fraction of a surface, and of its pixels steeper than a quarter of the longest slope, whose slopes are cut, from
-which it has walls. Of the latter 0.09 on a ball, 0.6 to 0.8 on coins with rims of 80 to 89 deg (simulated)."""
+WALL_PART = 0.002
+"""Fraction of a surface whose slopes are cut from which it has walls."""
+WALL_OF_STEEP = 0.25
+"""The same of its pixels steeper than a quarter of the longest slope: 0.09 on a ball, 0.6 to 0.8 on
+coins with rims of 80 to 89 deg (simulated)."""
 ROUNDS = 3
 """Rounds of near-light photometric stereo and integration."""
-RIM_PART = 0.02
-"""Width of the rim, as a fraction of the surface's size."""
 
 
 def metric_opaque(white: FingerBand, nir: FingerBand, p: Parameters) -> FingerSurface:
@@ -115,25 +129,27 @@ def metric_opaque(white: FingerBand, nir: FingerBand, p: Parameters) -> FingerSu
     return FingerSurface(height_mm, relief, height_mm - relief, albedo, normals, findings=findings)
 
 
-def doubt_of_walls(gradient_x: FloatArray, gradient_y: FloatArray, inside: BoolArray) -> tuple[Finding, ...]:
-    """A note where the surface (h, w) has walls, as a coin's rim: slopes longer than `MAX_SLOPE`, which are cut.
+def doubt_of_walls(
+    gradient_x: FloatArray,
+    gradient_y: FloatArray,
+    inside: BoolArray,
+) -> tuple[Finding, ...]:
+    """A note where the surface (h, w) has walls, as a coin's rim: slopes longer than `MAX_SLOPE`,
+    which are cut.
 
-    A ball has few of these (3 % of its view) beside many slopes that are nearly as steep; a wall has none beside it.
+    A ball has few of these (3 % of its view) beside many slopes that are nearly as steep.
     """
     steepness = np.hypot(gradient_x, gradient_y)[inside]
-    cut, steep = (int((steepness > part * MAX_SLOPE).sum()) for part in (0.999, 0.25))
+    cut = int((steepness > 0.999 * MAX_SLOPE).sum())
+    steep = int((steepness > 0.25 * MAX_SLOPE).sum())
     if cut < WALL_PART * inside.sum() or cut < WALL_OF_STEEP * steep:
         return ()
-    rim = inside & ~erode(inside, RIM_PART * float(np.sqrt(inside.sum())))
-    at_rim = (np.hypot(gradient_x, gradient_y)[rim] > 0.999 * MAX_SLOPE).sum() / cut
-    angle, part = np.rad2deg(np.arctan(MAX_SLOPE)), 100 * cut / int(inside.sum())
-    what = "has a steep rim" if at_rim > 0.5 else "has steep walls"
-    advice = "give a `mask` that ends inside the rim" if at_rim > 0.5 else "photograph it from another side"
-    words = (
-        f"the object {what}: {part:.1f} % of the surface is steeper than {angle:.0f} deg, where slopes are cut, so "
-        f"that heights drop too little there; {advice} where that matters."
+    message = (
+        f"the object has steep walls: {100 * cut / steepness.size:.1f} % of the surface is steeper than "
+        f"{np.rad2deg(np.arctan(MAX_SLOPE)):.0f} deg, where slopes are cut, so that heights drop too "
+        "little there; give a `mask` that ends inside a rim, or photograph walls from another side."
     )
-    return (Finding("steep-walls", words),)
+    return (Finding("steep-walls", message),)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -167,11 +183,11 @@ def metric_skin(
     colour = {name: shape.brightness[name] / shape.brightness[white[0]] for name in white}
     optics = skin.optics(images.channels, colour)
     if networks is None:
-        other = skin.optics(images.channels, colour, 1 + SCATTERING_SD)
+        scattering_more = skin.optics(images.channels, colour, 1 + SCATTERING_SD)
         smooth = on_fine_grid(shape.height_mm, images)
         light = white_light_on(shape.height_mm, images)
         measured = measure(images.white, grid, smooth, light, optics, shape.brightness)
-        estimate = relief_by_colour(measured, grid, smooth, other, p.rounds)
+        estimate = relief_by_colour(measured, grid, smooth, scattering_more, p.rounds)
     else:
         smooth, estimate = relief_and_shape(images, shape, optics, networks, p.rounds)
     detail = detail_of(smooth, estimate.trust, grid)  # of the shape, beyond the crossover: creases
@@ -204,11 +220,12 @@ def metric_polarised(
     start = first
     if networks is None:  # a relief by colour alone would lead astray
         start = replace(first, relief_mm=0 * first.relief_mm, deviation_mm=np.full_like(first.deviation_mm, UNKNOWN_MM))
-    height_mm, error_mm, found = _specular_heights(images, (crossed, side and side[1]), start)
-    if found["specular_over_noise"] < FAINT:
+    height_mm, error_mm, fit = _specular_heights(images, (crossed, side and side[1]), start, films=True)
+    if fit["specular_over_noise"] < FAINT:
         modelled = metric_skin(images.bands, grid, skin, p, networks)
-        return replace(modelled, facts={**modelled.facts, "specular": found})
-    return _with_heights(first, height_mm - first.shape_mm, error_mm, grid, relief_by="polarised", specular=found)
+        return replace(modelled, facts={**modelled.facts, "specular": fit})
+    rest = height_mm - first.shape_mm
+    return _with_heights(first, rest, error_mm, grid, relief_by="polarised", specular=fit)
 
 
 def metric_side(
@@ -227,13 +244,18 @@ def metric_side(
     red, blue = (grid.smooth(white.stack[c].mean(axis=0), grid.mask, COLOUR_MM) for c in (0, 2))
     part = RED_PART * blue / np.maximum(red, 1e-6)
     matt = without_white(white, part), without_white(side[0], part)
-    height_mm, error_mm, found = _specular_heights(images, matt, first, WHITE[0])
-    limits = found["roughness"] / WHITE[0], found["scattered_over_specular"] / WHITE[1]
-    if found["specular_over_noise"] < FAINT or max(limits) > 1 or not found["side_lights"]:
-        return replace(first, facts={**first.facts, "specular": found})
+    height_mm, error_mm, fit = _specular_heights(images, matt, first, films=False)
+    used = (
+        fit["specular_over_noise"] >= FAINT
+        and fit["roughness"] <= WHITE_ROUGHNESS
+        and fit["scattered_over_specular"] <= WHITE_SCATTERED
+        and fit["side_lights"]
+    )
+    if not used:
+        return replace(first, facts={**first.facts, "specular": fit})
     rest = height_mm - first.shape_mm
     rest -= grid.smooth(rest, grid.mask, SHAPE_MM)
-    return _with_heights(first, rest, error_mm, grid, relief_by="side", specular=found)
+    return _with_heights(first, rest, error_mm, grid, relief_by="side", specular=fit)
 
 
 def _with_heights(first: SkinSurface, rest: FloatArray, error_mm: FloatArray, grid: Grid, **facts: Any) -> SkinSurface:
@@ -243,19 +265,24 @@ def _with_heights(first: SkinSurface, rest: FloatArray, error_mm: FloatArray, gr
 
 
 def _specular_heights(
-    images: SkinImages, matt: tuple[BandImages, BandImages | None], start: SkinSurface, roughest: float | None = None
+    images: SkinImages, matt: tuple[BandImages, BandImages | None], start: SkinSurface, films: bool
 ) -> tuple[FloatArray, FloatArray, dict[str, float]]:
     """What :func:`polarised_heights` finds from `start`; `matt`: the white band, and that under lights to the side,
     without specular reflection."""
-    grid, shape_mm, side = images.grid, start.shape_mm, images.side
+    grid = images.grid
+    shape_mm = start.shape_mm
     specular = specular_images(images.bands[0], matt[0], images.parallel, grid, shape_mm)
-    if side is not None:
+    if images.side is not None:
         assert matt[1] is not None
-        aside = specular_images(side[0], matt[1], side[2], grid, shape_mm)
-        rig = replace(specular.rig, leds=specular.rig.leds + aside.rig.leds)
-        stack, noise = np.concatenate([specular.stack, aside.stack]), min(specular.noise, aside.noise)
-        specular = replace(specular, stack=stack, rig=rig, noise=noise)
-    return polarised_heights(specular, grid, shape_mm + start.relief_mm, start.deviation_mm, roughest)
+        both, _, rig = images.side
+        of_side = specular_images(both, matt[1], rig, grid, shape_mm)
+        specular = replace(
+            specular,
+            stack=np.concatenate([specular.stack, of_side.stack]),
+            rig=replace(specular.rig, leds=specular.rig.leds + of_side.rig.leds),
+            noise=min(specular.noise, of_side.noise),
+        )
+    return polarised_heights(specular, grid, shape_mm + start.relief_mm, start.deviation_mm, films)
 
 
 def without_white(band: BandImages, part: FloatArray) -> BandImages:
@@ -279,10 +306,10 @@ def relief_and_shape(
     if films is not None and not refinements:
         images, films = replace(images, white=films), None
     smooth = on_fine_grid(shape.height_mm, images)
-    given = features(images.white, grid, smooth, white_light_on(shape.height_mm, images))
-    upright, levels = network(given.fields), given.level[:2] * grid.mask
-    output = upright if films is not None else relief_network(network, TURNED, upright)(given.fields)
-    del given
+    light = features(images.white, grid, smooth, white_light_on(shape.height_mm, images))
+    upright, levels = network(light.fields), light.level[:2] * grid.mask
+    output = upright if films is not None else relief_network(network, TURNED, upright)(light.fields)
+    del light
     first = relief_of_output(upright, levels, grid, smooth)
     for _ in range(refinements):
         assert networks.shape is not None
@@ -290,12 +317,12 @@ def relief_and_shape(
         smooth = on_fine_grid(shape.height_mm, images)
     if films is None:
         return smooth, variance_restored(relief_of_output(output, levels, grid, smooth))
-    given = features(films, grid, smooth, white_light_on(shape.height_mm, replace(images, white=films)))
-    found = variance_restored(relief_by_network(given, grid, smooth, relief_network(network, TURNED)))
-    of_crossed = variance_restored(first).relief_mm - found.relief_mm
-    low, high = BOTH_DEG
-    part = smooth_step((slant_of(smooth, grid.pitch_mm) - low) / (high - low)) / 2
-    return smooth, replace(found, relief_mm=found.relief_mm + part * of_crossed)
+    light = features(films, grid, smooth, white_light_on(shape.height_mm, replace(images, white=films)))
+    relief = relief_by_network(light, grid, smooth, relief_network(network, TURNED))
+    relief = variance_restored(relief)
+    of_crossed = variance_restored(first).relief_mm - relief.relief_mm
+    part = smooth_step((slant_of(smooth, grid.pitch_mm) - BOTH_FROM_DEG) / BOTH_DEG) / 2
+    return smooth, replace(relief, relief_mm=relief.relief_mm + part * of_crossed)
 
 
 def opaque_surface(photographs: FingerPhotographs, settings: PipelineSettings) -> FingerSurface:
@@ -316,13 +343,15 @@ def skin_surface(photographs: FingerPhotographs, settings: PipelineSettings) -> 
     """The surface of skin; the photographs are released as soon as they lie on the working grid."""
     require(not photographs.bands[0].colours, COLOURED)
     images = _working_images(photographs, settings.metric)
-    aside = photographs.bands[0].side
-    unused = () if aside is None or images.side is not None else (side_unused(len(aside.leds)),)
-    coarse = photographs.capture.rig.camera.px_per_mm < _JPEG_COARSE
-    lost = (JPEG_LOSS_COARSE if coarse else JPEG_LOSS) if "jpeg" in photographs.finger.facts else 0.0
+    side = photographs.bands[0].side
+    unused = () if side is None or images.side is not None else (side_unused(len(side.leds)),)
+    jpeg_loss = 0.0
+    if "jpeg" in photographs.finger.facts:
+        coarse = photographs.capture.rig.camera.px_per_mm < JPEG_COARSE
+        jpeg_loss = JPEG_LOSS_COARSE if coarse else JPEG_LOSS
     photographs.release()
-    surface = _on_pixels(images, settings, lost)
-    return replace(surface, findings=(*unused, *surface.findings)) if unused else surface
+    surface = _on_pixels(images, settings, jpeg_loss)
+    return replace(surface, findings=(*unused, *surface.findings))
 
 
 def undoes_blur(material: str, skin: SkinSettings) -> bool:
@@ -338,29 +367,35 @@ def _working_images(photographs: FingerPhotographs, p: MetricSettings) -> SkinIm
 
 
 @step("surface")
-def _on_pixels(images: SkinImages, settings: PipelineSettings, lost: float) -> FingerSurface:
-    """The surface of skin, on the window's pixels; `lost`: part of the relief's height that the files may have lost."""
+def _on_pixels(images: SkinImages, settings: PipelineSettings, jpeg_loss: float) -> FingerSurface:
+    """The surface of skin, on the window's pixels; `jpeg_loss`: fraction of the relief's
+    height."""
     skin, p = settings.skin, settings.metric
     networks = _reporting(images.networks)
     if images.crossed is not None:
-        found = metric_polarised(images, skin, p, networks)
+        surface = metric_polarised(images, skin, p, networks)
     elif images.side is not None:
-        found = metric_side(images, skin, p, networks)
+        surface = metric_side(images, skin, p, networks)
     else:
-        found = metric_skin(images.bands, images.grid, skin, p, networks)
-    shape_mm, ridge_mm, albedo = (images.on_pixels(part) for part in (found.shape_mm, found.relief_mm, found.albedo))
-    deviation_um = np.hypot(images.on_pixels(found.deviation_mm), lost * ridge_mm) * 1000.0
-    relief_by = found.facts["relief_by"]
-    facts = {
-        "shape_source": "nir" if len(images.bands) > 1 else "white",
-        "separation": SEPARATED_BY[relief_by],
-        "heights": "measured" if relief_by == "polarised" else "modelled",
-        "optics": found.facts,
-    }
+        surface = metric_skin(images.bands, images.grid, skin, p, networks)
+    shape_mm = images.on_pixels(surface.shape_mm)
+    ridge_mm = images.on_pixels(surface.relief_mm)
+    deviation_mm = np.hypot(images.on_pixels(surface.deviation_mm), jpeg_loss * ridge_mm)
+    relief_by = surface.facts["relief_by"]
     return FingerSurface(
-        shape_mm + ridge_mm, ridge_mm, shape_mm, albedo,
-        uncertainty_um=deviation_um, facts=facts, findings=_findings_on(images, found),
-    )  # fmt: skip
+        shape_mm + ridge_mm,
+        ridge_mm,
+        shape_mm,
+        images.on_pixels(surface.albedo),
+        uncertainty_um=deviation_mm * 1000.0,
+        facts={
+            "shape_source": "nir" if len(images.bands) > 1 else "white",
+            "separation": SEPARATED_BY[relief_by],
+            "heights": "measured" if relief_by == "polarised" else "modelled",
+            "optics": surface.facts,
+        },
+        findings=_findings_on(images, surface),
+    )
 
 
 def _reporting(networks: Networks | None) -> Networks | None:
@@ -378,34 +413,30 @@ def _reporting(networks: Networks | None) -> Networks | None:
     return replace(networks, relief=reported)
 
 
-def _findings_on(images: SkinImages, found: SkinSurface) -> tuple[Finding, ...]:
+def _findings_on(images: SkinImages, surface: SkinSurface) -> tuple[Finding, ...]:
     """Notes where the ridges' heights are hardly known, known up to a common factor, or odd."""
-    facts = found.facts
+    facts = surface.facts
     notes = [*images.findings]
-    fitted, unused = facts.get("specular", {}).get("side_lights", 0), facts["relief_by"] not in {"polarised", "side"}
-    lost = 0 if images.side is None else len(images.side[2].leds) - fitted
-    if "specular" in facts and unused:
-        notes.insert(0, Finding("specular-unused", NO_WHITE if images.crossed is None else NO_SPECULAR))
-    if lost and not (fitted and unused):  # where fitted images are not used, the note above says why
-        notes.append(Finding("side-misfit", SIDE_MISFIT.format(round(lost))))
+    modelled = facts["relief_by"] not in {"polarised", "side"}
+    if modelled and "specular" in facts:
+        unused = NO_WHITE if images.crossed is None else NO_SPECULAR
+        notes.insert(0, Finding("specular-unused", unused))
+    if images.side is not None:
+        fitting = facts.get("specular", {}).get("side_lights", 0)
+        misfits = round(len(images.side[2].leds) - fitting)
+        if misfits and not (fitting and modelled):  # else the note above says why they are unused
+            notes.append(Finding("side-misfit", SIDE_MISFIT.format(misfits)))
     if facts["relief_by"] == "network":
-        error, relief, gain = facts["relief_error_um"], facts["relief_rms_um"], facts["gain_uncertainty"]
+        error, relief = facts["relief_error_um"], facts["relief_rms_um"]
         if error > DOUBTFUL * relief:
-            hardly = "the ridges are hardly measured: {:.0f um} rms with an expected error of {:.0f um}."
-            notes.append(Finding("hardly-measured", hardly, lengths_mm=(relief / 1000.0, error / 1000.0)))
+            lengths = (relief / 1000.0, error / 1000.0)
+            notes.append(Finding("hardly-measured", HARDLY_MEASURED, lengths_mm=lengths))
         if facts["gloss"] < LITTLE_GLOSS:
-            words = (
-                "the skin shows hardly any specular reflection: ridge heights follow from its brightness, and may all "
-                f"be off by a common factor (standard deviation {100 * gain:.0f} %)."
-            )
-            notes.append(Finding("little-gloss", words))
-    some = found.relief_mm[images.grid.mask > 0.5]
-    relief_um = 1000.0 * float(np.subtract(*np.percentile(some, (95, 5)))) if some.size else 0.0
-    remedy = (
-        "give `material` opaque for what is not live skin (a cast, a render), else check `px_per_mm`, and take colour "
-        "photographs, as grey ones leave glare in the relief"
-    )
-    return (*notes, *RELIEF.notes(relief_um, remedy))
+            little = LITTLE_GLOSS_NOTE.format(100 * facts["gain_uncertainty"])
+            notes.append(Finding("little-gloss", little))
+    heights = surface.relief_mm[images.grid.mask]
+    relief_um = 1000.0 * float(np.subtract(*np.percentile(heights, (95, 5)))) if heights.size else 0.0
+    return (*notes, *RELIEF.notes(relief_um, ODD_RELIEF))
 
 
 def near_slopes(

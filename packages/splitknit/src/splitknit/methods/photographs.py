@@ -124,9 +124,9 @@ def locate_finger(capture: Capture, settings: FingerSettings) -> tuple[Capture, 
 
 def diagnosed(photographs: FingerPhotographs, settings: PipelineSettings) -> FingerPhotographs:
     """The photographs without those that do not fit the others, and what is wrong with them, the worst first."""
-    capture, finger, found = diagnose(photographs.capture, photographs.finger)
+    capture, finger, diagnosis = diagnose(photographs.capture, photographs.finger)
     bands = tuple(capture.bands[band.name] for band in photographs.bands)
-    findings = [*found, *photographs.findings]
+    findings = [*diagnosis, *photographs.findings]
     if len(bands) == 1:  # what is wrong with a band that is not used spoils nothing
         findings = [each for each in findings if each.severity == Severity.NOTE or each.band == "white"]
     side = bands[0].side

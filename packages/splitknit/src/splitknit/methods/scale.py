@@ -61,9 +61,11 @@ def with_working_scale(capture: Capture) -> tuple[Capture, tuple[Finding, ...]]:
         return capture, OBJECT_VIEW.notes(view_mm, f"{check}, as all lengths follow it") if camera.scale_known else ()
     away = [float(np.linalg.norm(led.position_mm)) for led in capture.rig.leds if led.position_mm is not None]
     remedy = "check the unit of position_mm, millimetres, in the rig file"
-    far = [LED_DISTANCE.notes(one, remedy) for one in (min(away), max(away))] if away else []
+    notes: tuple[Finding, ...] = ()
+    if away:
+        notes = LED_DISTANCE.notes(min(away), remedy) + LED_DISTANCE.notes(max(away), remedy)
     if camera.scale_known:
-        return capture, (*VIEW.notes(view_mm, check), *sum(far, ()))
-    found = ridge_period(*_plain_normals(capture))
-    camera = replace(camera, px_per_mm=found.period_px / USUAL_PERIOD_MM)
-    return replace(capture, rig=replace(capture.rig, camera=camera)), sum(far, ())
+        return capture, VIEW.notes(view_mm, check) + notes
+    period_px = ridge_period(*_plain_normals(capture)).period_px
+    camera = replace(camera, px_per_mm=period_px / USUAL_PERIOD_MM)
+    return replace(capture, rig=replace(capture.rig, camera=camera)), notes

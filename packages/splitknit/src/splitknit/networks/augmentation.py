@@ -67,13 +67,12 @@ class Symmetry:
         rows, columns = fields.shape[1:]
         turned = fields.reshape(-1, columns, rows) if orientation & 4 else fields
         sources = np.abs(marks.ravel()).astype(np.intp) - 1
-        waiting: dict[int, FloatArray] = {}
-        for k, (source, mark) in enumerate(zip(sources.tolist(), marks.ravel(), strict=True)):
-            field = waiting.pop(source) if source in waiting else fields[source].copy()
-            if k in sources[k + 1 :]:
-                waiting[k] = fields[k].copy()
-            moved = cv2.transpose(field)[across, down] if orientation & 4 else field[down, across]
-            np.multiply(moved, np.sign(mark), out=turned[k])
+        swapped = np.flatnonzero(sources != np.arange(len(fields)))
+        fields[swapped] = fields[sources[swapped]]
+        for field, result, mark in zip(fields, turned, marks.ravel(), strict=True):
+            copy = field.copy()
+            moved = cv2.transpose(copy)[across, down] if orientation & 4 else copy[down, across]
+            np.multiply(moved, np.sign(mark), out=result)
         return turned
 
     def restored(self, fields: FloatArray, orientation: int) -> FloatArray:

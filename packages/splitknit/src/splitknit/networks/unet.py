@@ -44,17 +44,14 @@ class Card:
     facts: Mapping[str, Any] = field(default_factory=dict)  # data, training, metrics, licence, command
 
     def __post_init__(self) -> None:
-        limits = {"channels_in": (1, 4096), "channels_out": (1, 4096), "stride": (1, 256), "reach": (0, 4096)}
-        for name, (low, high) in limits.items():
+        limits = ("channels_in", 1, 4096), ("channels_out", 1, 4096), ("stride", 1, 256), ("reach", 0, 4096)
+        for name, low, high in limits:
             value = getattr(self, name)
-            fault = f"the card of network '{self.name}' gives {name} as {value!r}"
-            cure = f"it must be a whole number from {low} to {high}."
-            require(isinstance(value, int) and not isinstance(value, bool) and low <= value <= high, f"{fault}; {cure}")
-
-
-def _shipped_names() -> list[str]:
-    names = (entry.name for entry in _shipped().iterdir())
-    return sorted(name.removesuffix(".onnx") for name in names if name.endswith(".onnx"))
+            require(
+                type(value) is int and low <= value <= high,
+                f"the card of network '{self.name}' gives {name} as {value!r}; it must be a whole "
+                f"number from {low} to {high}.",
+            )
 
 
 def read_network(name: str | os.PathLike[str]) -> tuple[Card, bytes]:
@@ -65,10 +62,12 @@ def read_network(name: str | os.PathLike[str]) -> tuple[Card, bytes]:
     weights_file, card_file, remedy = _files(name)
     weights = _read(weights_file, f"the weights '{weights_file}'", remedy)
     card = _parse(_read(card_file, f"the card '{card_file}'", remedy), card_file, remedy)
-    found = hashlib.sha256(weights).hexdigest()
-    other = f"SHA-256 {found[:12]}... instead of {card.sha256[:12]}..."
-    fault = f"the weights '{weights_file}' are damaged or not those of their card"
-    require(found == card.sha256, f"{fault} ({other}); {remedy}.")
+    digest = hashlib.sha256(weights).hexdigest()
+    require(
+        digest == card.sha256,
+        f"the weights '{weights_file}' are damaged or not those of their card (SHA-256 "
+        f"{digest[:12]}... instead of {card.sha256[:12]}...); {remedy}.",
+    )
     return card, weights
 
 
@@ -80,20 +79,20 @@ def card_bytes(name: str, weights: bytes, facts: Mapping[str, Any]) -> bytes:
     return data
 
 
-def _shipped() -> Traversable:
-    return resources.files("splitknit.networks") / "shipped"
-
-
 def _files(name: str | os.PathLike[str]) -> tuple[Traversable, Traversable, str]:
     """Weights, card, and what to do if they are no good."""
     text = os.fspath(name)
     if text.endswith(".onnx"):
         path = Path(text).expanduser()
         return path, path.with_suffix(".json"), "copy the network again or train it again (training/README.md)"
-    known = _shipped_names()
-    cure = f"name one of {', '.join(known)}, or the path of an .onnx file."
-    require(text in known, f"there is no network '{text}' in this installation; {cure}")
-    return _shipped() / f"{text}.onnx", _shipped() / f"{text}.json", REINSTALL
+    shipped = resources.files("splitknit.networks") / "shipped"
+    known = sorted(Path(file.name).stem for file in shipped.iterdir() if file.name.endswith(".onnx"))
+    require(
+        text in known,
+        f"there is no network '{text}' in this installation; name one of {', '.join(known)}, or "
+        "the path of an .onnx file.",
+    )
+    return shipped / f"{text}.onnx", shipped / f"{text}.json", REINSTALL
 
 
 def _read(file: Traversable, words: str, remedy: str) -> bytes:
@@ -108,8 +107,10 @@ def _parse(data: bytes, file: Traversable, remedy: str) -> Card:
     with refusing(f"the card '{file}' is damaged; {remedy}."):
         require(len(data) <= _MAX_CARD_BYTES, f"the card '{file}' has {len(data)} bytes, too many; {remedy}.")
         document = json.loads(data)
-        fault = f"'{file}' is not the card of a network (format {FORMAT},"
-        require(document["format"] == FORMAT and document["version"] == 1, f"{fault} version 1); {remedy}.")
+        require(
+            document["format"] == FORMAT and document["version"] == 1,
+            f"'{file}' is not the card of a network (format {FORMAT}, version 1); {remedy}.",
+        )
         sizes = {key: document[key] for key in ("channels_in", "channels_out", "stride", "reach")}
         return Card(str(document["name"]), str(document["sha256"]), **sizes, facts=document)
 
@@ -157,9 +158,11 @@ def use_device(device: str = "cpu", threads: int = _THREADS) -> str:
     if device != "cpu":
         offered = _onnxruntime().get_available_providers()
         known = "CUDAExecutionProvider" in offered
-        fault = f"networks cannot run on cuda: onnxruntime offers {', '.join(offered)} only"
-        cure = "install onnxruntime-gpu in place of onnxruntime, or take `device` cpu."
-        require(known or device == "auto", f"{fault}; {cure}")
+        require(
+            known or device == "auto",
+            f"networks cannot run on cuda: onnxruntime offers {', '.join(offered)} only; install "
+            "onnxruntime-gpu in place of onnxruntime, or take `device` cpu.",
+        )
         device = "cuda" if known else "cpu"
     _running = Running(device, threads)
     return device
@@ -195,9 +198,11 @@ def network_of(card: Card, weights: bytes) -> Network:
     `weights`, in a file that no hash covers: ONNX keeps that place under the key ``location`` (onnx.proto,
     TensorProto.external_data), a string stored as it is; ONNX Runtime's own format (``ORTM``) has further ways.
     """
-    fault = f"network '{card.name}' may refer to data outside its file, which the SHA-256 of its card does not cover"
-    cure = "save it as one ONNX file, and name no part of it 'location'."
-    require(b"location" not in weights and weights[4:8] != b"ORTM", f"{fault}; {cure}")
+    require(
+        b"location" not in weights and weights[4:8] != b"ORTM",
+        f"network '{card.name}' may refer to data outside its file, which the SHA-256 of its card "
+        "does not cover; save it as one ONNX file, and name no part of it 'location'.",
+    )
     onnxruntime = _onnxruntime()
     options = onnxruntime.SessionOptions()
     # its threads share the values of a result, never the terms of a sum: the same bits for any number of them
@@ -213,8 +218,10 @@ def network_of(card: Card, weights: bytes) -> Network:
         session = onnxruntime.InferenceSession(weights, options, providers=providers, enable_fallback=0)
         (_,), (_,) = session.get_inputs(), session.get_outputs()
     except Exception as error:  # onnxruntime has a dozen exceptions of its own, without a common base
-        fault = f"the weights of network '{card.name}' are not a network from one image to one image"
-        raise BadInput(f"{fault} that onnxruntime can run ({_first_line(error)}); train it again.") from error
+        raise BadInput(
+            f"the weights of network '{card.name}' are not a network from one image to one image "
+            f"that onnxruntime can run ({_first_line(error)}); train it again."
+        ) from error
     require(  # it goes on without a provider whose libraries are missing
         _running.device == "cpu" or "CUDAExecutionProvider" in session.get_providers(),
         "onnxruntime cannot start cuda on this computer (driver, CUDA or cuDNN are missing or of another version); put "
@@ -228,9 +235,11 @@ def _onnxruntime() -> Any:
     from the user's cache folder. The variable is read when loaded; ``disable_telemetry_events()`` comes too late for
     the files.
     """
-    fault = "onnxruntime was imported with its telemetry on, before splitknit could turn it off"
-    cure = f"set the environment variable {NO_TELEMETRY}=1 before that import."
-    require(sys.modules.get("onnxruntime") is None or os.environ.get(NO_TELEMETRY) == "1", f"{fault}; {cure}")
+    require(
+        sys.modules.get("onnxruntime") is None or os.environ.get(NO_TELEMETRY) == "1",
+        "onnxruntime was imported with its telemetry on, before splitknit could turn it off; set "
+        f"the environment variable {NO_TELEMETRY}=1 before that import.",
+    )
     os.environ[NO_TELEMETRY] = "1"  # also over 0, with which it is on
     with importing("networks need onnxruntime, which cannot be imported ({error}); pip install onnxruntime."):
         import onnxruntime  # type: ignore[import-untyped]  # heavy, and only presets that need it pay
@@ -260,9 +269,9 @@ def run_network(network: Network, images: FloatArray, *, tile: int = TILE) -> Fl
             piece = np.pad(piece, ((0, 0), *beyond), mode="reflect")
         if channels != network.card.channels_in:
             piece = np.broadcast_to(piece, (network.card.channels_in, *piece.shape[1:]))
-        made = _infer(network, np.ascontiguousarray(piece)[None])[0]
+        output = _infer(network, np.ascontiguousarray(piece)[None])[0]
         room = result[(k, slice(None), *target)]
-        room[...] = made[(slice(None), *inner)][:, : room.shape[1], : room.shape[2]]
+        room[...] = output[(slice(None), *inner)][:, : room.shape[1], : room.shape[2]]
     return result
 
 
@@ -270,27 +279,35 @@ def _infer(network: Network, image: FloatArray) -> FloatArray:
     card = network.card
     try:
         (source,) = network.session.get_inputs()
-        (made,) = network.session.run(None, {source.name: image})
+        (output,) = network.session.run(None, {source.name: image})
     except Exception as error:  # as above
         raise BadInput(f"network '{card.name}' cannot be run ({_first_line(error)}); see its card.") from error
     expected = (1, card.channels_out, *image.shape[2:])
-    good = made.shape == expected
-    require(good, f"network '{card.name}' gave an array of the shape {made.shape} where its card promises {expected}.")
-    return np.asarray(made)
+    require(
+        output.shape == expected,
+        f"network '{card.name}' gave an array of the shape {output.shape} where its card promises {expected}.",
+    )
+    return np.asarray(output)
 
 
 def _checked(images: Any, card: Card) -> FloatArray:
     stack = np.asarray(images, dtype=np.float32)
     if stack.ndim == 3:
         stack = stack[:, None]
-    fault = "images must have the shape (N, H, W) or (N, C, H, W),"
-    require(stack.ndim == 4 and stack.size > 0, f"{fault} but they have {np.shape(images)}.")
+    require(
+        stack.ndim == 4 and stack.size > 0,
+        f"images must have the shape (N, H, W) or (N, C, H, W), but they have {np.shape(images)}.",
+    )
     _, channels, height, width = stack.shape
-    fault = f"network '{card.name}' takes images of {card.channels_in} channels,"
-    require(channels in (1, card.channels_in), f"{fault} but these have {channels}.")
-    fault = f"images of {height} x {width} pixels are too small for network '{card.name}'"
-    stride = f"its stride is {card.stride} pixels; give images of at least {card.stride} x {card.stride}."
-    require(min(height, width) >= card.stride, f"{fault}: {stride}")
+    require(
+        channels in (1, card.channels_in),
+        f"network '{card.name}' takes images of {card.channels_in} channels, but these have {channels}.",
+    )
+    require(
+        min(height, width) >= card.stride,
+        f"images of {height} x {width} pixels are too small for network '{card.name}': its stride "
+        f"is {card.stride} pixels; give images of at least {card.stride} x {card.stride}.",
+    )
     require(np.isfinite(stack).all(), "images contain NaN or infinite values.")
     return stack
 

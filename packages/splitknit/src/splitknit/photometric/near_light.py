@@ -128,10 +128,9 @@ def pseudo_normals(
     count, (rows, columns) = images.shape[0] // colours, images.shape[1:]
     grouped = images.reshape(colours, count, rows, columns)
     scene = _near_scene(grouped, rig, surface_mm, mask, view)
-    given, let_in = (
-        None if one is None else _check_weights(one, (count, rows, columns), name)
-        for one, name in ((weights, "weights"), (entering, "entering"))
-    )
+    shape = count, rows, columns
+    trusted = None if weights is None else _check_weights(weights, shape, "weights")
+    let_in = None if entering is None else _check_weights(entering, shape, "entering")
     planes = np.zeros((colours, 3, rows, columns), dtype=np.float32)  # a plane a component: faster to write and read
 
     def work(chunk: slice) -> None:
@@ -140,7 +139,7 @@ def pseudo_normals(
         here, lights, part = scene.cut(chunk)
         if let_in is not None:
             lights = lights * gather(let_in, chunk, here)[:, None]
-        trust = None if given is None else gather(given, chunk, here)
+        trust = None if trusted is None else gather(trusted, chunk, here)
         factors = factorise(moment_matrix(lights, trust))  # one serves all channels
         for channel, image in zip(planes, part, strict=True):
             g = back_substitute(factors, moment_vector(image, lights, trust))
@@ -152,7 +151,7 @@ def pseudo_normals(
     return result if channels else result[0]
 
 
-def _near_scene(images: FloatArray, rig: Rig, surface_mm: Any, mask: Any, given: View | None) -> _NearScene:
+def _near_scene(images: FloatArray, rig: Rig, surface_mm: Any, mask: Any, view: View | None) -> _NearScene:
     """Check what near lights shine on; parameters and errors as for :func:`near_light`."""
     count, shape = images.shape[1], (images.shape[2], images.shape[3])
     check_lights(rig.light_vectors(), count, name="the rig's lights")
@@ -164,7 +163,7 @@ def _near_scene(images: FloatArray, rig: Rig, surface_mm: Any, mask: Any, given:
         finite[inside].all(),
         "surface_mm contains NaN or infinite values inside the mask; fill them or take those pixels out of the mask.",
     )
-    view = view_of(rig.camera) if given is None else given
+    view = view_of(rig.camera) if view is None else view
     pixels = np.broadcast_shapes(*(axis.shape for axis in view.on_plane()))
     require(
         pixels == shape,
@@ -178,7 +177,7 @@ def _near_scene(images: FloatArray, rig: Rig, surface_mm: Any, mask: Any, given:
     return _NearScene(images, rig, surface, inside, view)
 
 
-def _check_weights(weights: Any, shape: tuple[int, int, int], name: str = "weights") -> FloatArray:
+def _check_weights(weights: Any, shape: tuple[int, int, int], name: str) -> FloatArray:
     array = np.asarray(weights, dtype=np.float32)
     require(array.shape == shape, f"{name} must have the shape {shape}, but it has the shape {array.shape}.")
     require(np.isfinite(array).all() and float(array.min()) >= 0, f"{name} must be finite and not negative.")

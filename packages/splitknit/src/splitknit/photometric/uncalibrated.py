@@ -41,6 +41,7 @@ _GLOSSY = 0.2
 _RANK = 2.0
 """Third singular value of the photographs over the fourth, at least: 4 on a glazed bear, 1 of copies and of noise."""
 _UNDETERMINED = "the photographs do not determine their lights; give a list of directions as `lights`."
+_AMBIGUOUS = "other lights explain the photographs as well; give a list of their directions as `lights`."
 _SOME, _FEW = 1000, 500
 """Places of the object that the fit, and the search for its start, look at."""
 
@@ -53,12 +54,18 @@ def with_estimated_lights(capture: Capture) -> Capture:
     require(alone, "unknown lights go with opaque things and white photographs alone; give a list of the lights.")
     band = capture.bands["white"]
     binning = max(1, max(capture.shape) // (2 * _SIDE))
-    stack, levels = linear_stack(band, capture.encoding, binning=binning), saturation_levels(band, capture.encoding)
-    mask = None if capture.mask is None else bin_mean(capture.mask.astype(np.float32), binning) > 0.99
-    stated = np.array([led.intensity for led in capture.rig.leds])
-    units, deviation = unknown_lights(stack / stated[:, None, None].astype(np.float32), mask, levels / stated)
-    pairs = zip(capture.rig.leds, units.tolist(), strict=True)
-    leds = tuple(replace(led, direction=(x, y, z)) for led, (x, y, z) in pairs)
+    mask = None
+    if capture.mask is not None:
+        mask = bin_mean(capture.mask.astype(np.float32), binning) > 0.99
+    intensity = np.array([led.intensity for led in capture.rig.leds])
+    stack = linear_stack(band, capture.encoding, binning=binning)
+    stack /= intensity[:, None, None].astype(np.float32)
+    ceilings = saturation_levels(band, capture.encoding) / intensity
+    directions, deviation = unknown_lights(stack, mask, ceilings)
+    leds = tuple(
+        replace(led, direction=tuple(direction))
+        for led, direction in zip(capture.rig.leds, directions.tolist(), strict=True)
+    )
     origin = {**capture.rig.provenance, "lights": "estimated", "bas_relief": list(deviation)}
     return replace(capture, rig=replace(capture.rig, leds=leds, provenance=origin))
 
@@ -68,7 +75,7 @@ def bas_relief_of(rig: Rig) -> tuple[float, float, float] | None:
     if "bas_relief" not in rig.provenance:
         return None
     with refusing(damaged := "the rig's provenance names no three numbers as bas_relief; read the photographs again."):
-        a, m, k = (float(one) for one in rig.provenance["bas_relief"])
+        a, m, k = map(float, rig.provenance["bas_relief"])
         require(min(a, m, k) >= 0 and max(a, m, k) < np.inf, damaged)
     return a, m, k
 
@@ -86,9 +93,10 @@ def bas_relief_note(deviation: tuple[float, float, float]) -> str:
 def bas_relief_um(height_mm: FloatArray, inside: BoolArray, pitch_mm: float, deviation: Any) -> FloatArray:
     """(H, W) standard deviation in um of heights whose bas-relief transformation has a `deviation` (a, m, k)."""
     rows, columns = np.indices(height_mm.shape, dtype=np.float32)
-    parts: list[Any] = [height_mm, pitch_mm * columns, pitch_mm * rows]
-    away = [scale * (part - part[inside].mean()) for scale, part in zip(deviation, parts, strict=True)]
-    return np.asarray(1000.0 * np.sqrt(sum(part**2 for part in away)), dtype=np.float32)
+    fields = np.stack([height_mm, pitch_mm * columns, pitch_mm * rows])
+    fields -= fields[:, inside].mean(axis=1)[:, None, None]
+    variance = np.einsum("k,khw->hw", np.square(deviation), fields * fields)
+    return np.asarray(1000.0 * np.sqrt(variance), dtype=np.float32)
 
 
 def unknown_lights(stack: Any, mask: Any = None, ceilings: Any = np.inf) -> tuple[Array, tuple[float, float, float]]:
@@ -108,16 +116,17 @@ def unknown_lights(stack: Any, mask: Any = None, ceilings: Any = np.inf) -> tupl
         inside = np.asarray(cv2.threshold(grey, 0, 1, cv2.THRESH_BINARY + cv2.THRESH_OTSU)[1] > 0)
     with refusing(_UNDETERMINED):  # singular matrices
         lights, fields, places = _factors(images, inside, np.broadcast_to(ceilings, len(images)))
-        few = [part[:: max(1, len(part) // _FEW)] for part in fields]
-        _, start = _fitted(lights, few, np.eye(3) * np.exp(np.log(np.linalg.norm(lights, axis=1)).mean()), 0.0)
+        few = [field[:: max(1, len(field) // _FEW)] for field in fields]
+        brightness = np.exp(np.log(np.linalg.norm(lights, axis=1)).mean())
+        _, start = _fitted(lights, few, np.eye(3) * brightness, 0.0)
         solutions = [_fitted(lights, fields, turn @ start) for turn in _turns(few, start)]
-        best, matrix = min(solutions, key=lambda one: one[0].cost)
-        deviation, unit = _deviation(best, matrix), _directions(lights, matrix, fields[0], places)
-    for other, another in solutions:
-        cosine = (_directions(lights, another, fields[0], places) * unit).sum(axis=1)
-        near = float(np.rad2deg(np.arccos(np.clip(cosine, -1.0, 1.0))).mean()) < _RIVAL_DEG
-        rival = "other lights explain the photographs as well; give a list of their directions as `lights`."
-        require(near or other.cost > _RIVAL + best.cost, rival)
+        best, matrix = min(solutions, key=lambda solution: solution[0].cost)
+        deviation = _deviation(best, matrix)
+        unit = _directions(lights, matrix, fields[0], places)
+    for rival, rival_matrix in solutions:
+        cosine = (_directions(lights, rival_matrix, fields[0], places) * unit).sum(axis=1)
+        near = np.rad2deg(np.arccos(np.clip(cosine, -1.0, 1.0))).mean() < _RIVAL_DEG
+        require(near or rival.cost > _RIVAL + best.cost, _AMBIGUOUS)
     require((unit[:, 2] > 0).all(), _UNDETERMINED)
     return unit, deviation
 
@@ -141,17 +150,21 @@ def _factors(images: FloatArray, inside: BoolArray, ceilings: Any) -> tuple[Arra
     left, size, _ = np.linalg.svd(light[:, whole], full_matrices=False)
     require(size[2] > _RANK * size[3] and size[2] > 1e-3 * size[0], _UNDETERMINED)
     lights, weights = left[:, :3] * size[:3] / np.sqrt(whole.sum()), lit.astype(np.float64)
-    for _ in range(30):
+
+    def surface_of(lights: Array, weights: Array) -> Array:
         moments = np.einsum("kn,ki,kj->nij", weights, lights, lights) + 1e-9 * np.eye(3)
-        surface = np.linalg.solve(moments, ((weights * light).T @ lights)[..., None])[..., 0]
-        rest = light - lights @ surface.T
-        weights = lit / (1.0 + (rest / (3.0 * float(np.median(np.abs(rest[lit]))) + 1e-9)) ** 2)
+        return np.linalg.solve(moments, ((weights * light).T @ lights)[..., None])[..., 0]
+
+    for _ in range(30):
+        surface = surface_of(lights, weights)
+        residual = light - lights @ surface.T
+        scale = 3.0 * np.median(np.abs(residual[lit])) + 1e-9
+        weights = lit / (1.0 + (residual / scale) ** 2)
         moments = np.einsum("kn,ni,nj->kij", weights, surface, surface)
         lights = np.linalg.solve(moments, ((weights * light) @ surface)[..., None])[..., 0]
         lights = lights @ np.linalg.cholesky(surface.T @ surface / len(surface))
     field = np.zeros((*within.shape, 3))
-    moments = np.einsum("kn,ki,kj->nij", weights, lights, lights) + 1e-9 * np.eye(3)
-    field[within] = np.linalg.solve(moments, ((weights * light).T @ lights)[..., None])[..., 0]
+    field[within] = surface_of(lights, weights)
     known = np.zeros(within.shape, np.uint8)
     known[within] = lit.any(axis=0)
     rows, columns = np.nonzero(cv2.erode(known, np.ones((3, 3)), borderValue=0))
@@ -184,13 +197,13 @@ def _fitted(lights: Array, fields: list[Array], matrix: Array, curls: float = _C
     def residuals(values: Array, wide: float) -> Array:
         strength, albedo, curl = _figures(values.reshape(3, 3), lights, fields)
         parts = (_PATCHES, albedo / (wide * _UNEVEN)), (curls, curl / (wide * _CURL))
-        robust = [np.sqrt(count / len(one) * np.log1p(one**2)) * np.sign(one) for count, one in parts]
+        robust = [np.sqrt(n / len(r) * np.log1p(r**2)) * np.sign(r) for n, r in parts]
         return np.concatenate([strength / _UNEQUAL, *robust])
 
     for wide in (6.0, 2.0, 1.0):
-        found = least_squares(residuals, matrix.ravel(), args=(wide,), max_nfev=40)
-        matrix = found.x.reshape(3, 3)
-    return found, matrix
+        solution = least_squares(residuals, matrix.ravel(), args=(wide,), max_nfev=40)
+        matrix = solution.x.reshape(3, 3)
+    return solution, matrix
 
 
 def _turns(fields: list[Array], matrix: Array, most: int = 3) -> list[Array]:
@@ -199,25 +212,27 @@ def _turns(fields: list[Array], matrix: Array, most: int = 3) -> list[Array]:
     mean = (normals / np.linalg.norm(normals, axis=1, keepdims=True)).mean(axis=0)
     facing = np.linalg.svd(mean[None])[2][[1, 2, 0]]
     facing[2] = mean / np.linalg.norm(mean)
-    none, tried = np.ones((1, 3)), []
+    none = np.ones((1, 3))
+    candidates = []
     for x, y in np.mgrid[-0.5:0.6:0.25, -0.5:0.6:0.25].reshape(2, -1).T:
         lean = cv2.Rodrigues(np.array([x, y, 0.0]))[0]
         for angle in np.pi * np.arange(12) / 12:
             for side in (1.0, -1.0):
-                turn = lean @ cv2.Rodrigues(np.array([0.0, 0.0, angle]))[0] @ np.diag([1.0, side, 1.0]) @ facing
+                spin = cv2.Rodrigues(np.array([0.0, 0.0, angle]))[0]
+                turn = lean @ spin @ np.diag([1.0, side, 1.0]) @ facing
                 curl = _figures(turn @ matrix, none, fields)[2]
-                tried.append((float(np.log1p((curl / _CURL) ** 2).mean()), turn))
-    tried.sort(key=lambda one: one[0])
+                candidates.append((float(np.log1p((curl / _CURL) ** 2).mean()), turn))
+    candidates.sort(key=lambda candidate: candidate[0])
     chosen: list[Array] = []
-    for _, turn in tried:
-        if all(float(np.sum(turn * other)) < 2.6 for other in chosen):
+    for _, turn in candidates:
+        if all(np.sum(turn * better) < 2.6 for better in chosen):
             chosen.append(turn)
     return chosen[:most]
 
 
-def _deviation(found: Any, matrix: Array) -> tuple[float, float, float]:
+def _deviation(solution: Any, matrix: Array) -> tuple[float, float, float]:
     """Standard deviations of the bas-relief transformation of :func:`_fitted`: of its factor, and of its slopes."""
-    normal = found.jac.T @ found.jac
+    normal = solution.jac.T @ solution.jac
     covariance = np.linalg.inv(normal + 1e-9 * np.trace(normal) * np.eye(9))
     turns = np.eye(9).reshape(9, 3, 3) @ np.linalg.inv(matrix)  # what changes of the matrix do to normals
     factor = 0.5 * (turns[:, 0, 0] + turns[:, 1, 1]) - turns[:, 2, 2]
@@ -229,7 +244,8 @@ def _deviation(found: Any, matrix: Array) -> tuple[float, float, float]:
 def _directions(lights: Array, matrix: Array, surface: Array, places: Array) -> Array:
     """(L, 3) unit vectors, by which the surface faces the camera and is convex."""
     normals = surface @ matrix.T
-    found = lights @ np.linalg.inv(matrix) * np.sign(normals[:, 2].mean())
-    outwards = float(np.sum(normals[:, :2] * places)) * np.sign(normals[:, 2].mean())
-    found[:, :2] *= 1.0 if outwards > 0 else -1.0
-    return np.asarray(found / np.linalg.norm(found, axis=1, keepdims=True))
+    facing = np.sign(normals[:, 2].mean())
+    directions = lights @ np.linalg.inv(matrix) * facing
+    convex = np.sum(normals[:, :2] * places) * facing > 0
+    directions[:, :2] *= 1.0 if convex else -1.0
+    return np.asarray(directions / np.linalg.norm(directions, axis=1, keepdims=True))

@@ -66,11 +66,11 @@ def direct_light(images: Any, network: Network | str | os.PathLike[str] = DEFAUL
     levels = np.stack([local_level(image) for image in stack])
     if stack.ndim == 4:
         levels = levels[:, None]
-    made = run_network(ready, stack / levels)
+    direct = run_network(ready, stack / levels)
     if stack.ndim == 3:
-        made = made.mean(axis=1, dtype=np.float32)
-    made *= levels
-    return np.clip(made, 0.0, np.maximum(stack, 0.0), out=made)
+        direct = direct.mean(axis=1, dtype=np.float32)
+    direct *= levels
+    return np.clip(direct, 0.0, np.maximum(stack, 0.0), out=direct)
 
 
 def direct_of_enhanced(

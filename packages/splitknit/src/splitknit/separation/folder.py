@@ -10,7 +10,6 @@ light K, ``specular.png`` of all lights, and ``report.json``.
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -28,7 +27,7 @@ from splitknit.io.photograph_files import natural_order, photographs_in
 from splitknit.io.photos import encoding_of, read_photo
 from splitknit.io.provenance import json_text, provenance
 from splitknit.io.targets import check_target
-from splitknit.model import BoolArray, FloatArray, Progress, no_progress
+from splitknit.model import BoolArray, FloatArray, Progress
 from splitknit.separation.binary import checkerboard
 from splitknit.separation.stacks import Separation, estimate_patterns
 
@@ -38,6 +37,10 @@ MARKER = "direct.tiff"
 POLARISED_MARKER = "specular.png"
 _RIDGES = 45  # periods of ridges that a picture of a finger is about long
 LINEAR = "linear light, 1 = full scale of the images"
+NO_CHECK_PX = (
+    "global light was taken to be the same under all shifts; on skin it is not, and direct light "
+    "comes out a quarter too low: give check_px for skin."
+)
 _LIT = 0.1  # figures of the report are over pixels brighter than this part of the brightest
 
 
@@ -45,51 +48,62 @@ def separate_to_folder(
     folder: Path,
     out: Path,
     *,
-    alpha: float = 0.5,
-    dark: float = 0.0,
-    patterns: str | None = None,
-    encoding: str = "linear",
-    check_px: float | None = None,
-    progress: Progress = no_progress,
+    alpha: float,
+    dark: float,
+    patterns: str | None,
+    encoding: str,
+    check_px: float | None,
+    progress: Progress,
 ) -> dict[str, Any]:
     """Separate the images in `folder`, write all results into `out`, return the facts of ``report.json`` and more.
 
     `alpha`, `dark`, `check_px`: of :func:`checkerboard`; `patterns`: a folder of state images, or ``estimate``.
     Raises BadInput naming the file or the folder at fault; nothing is left half-written.
     """
-    patterns = ESTIMATE if patterns is None and check_px is not None else patterns  # of use only with states
-    small = f"states can be found in the images where checks have 5 pixels or more, but check_px is {check_px}"
-    require(patterns != ESTIMATE or (check_px or 5) >= 5, f"{folder}: {small}; give the states as patterns.")
+    if patterns is None and check_px is not None:  # of use only with states
+        patterns = ESTIMATE
+    require(
+        patterns != ESTIMATE or (check_px or 5) >= 5,
+        f"{folder}: states can be found in the images where checks have 5 pixels or more, but "
+        f"check_px is {check_px}; give the states as patterns.",
+    )
+    states_folder = None if patterns in (None, ESTIMATE) else Path(str(patterns))
     check_target(out, MARKER, "an earlier separation", keep=folder)
     with atomic_folder(out) as target:
         progress("reading", 0.0)
-        light = read_light(folder, None if patterns in (None, ESTIMATE) else Path(patterns), encoding)
+        light = read_light(folder, states_folder, encoding)
         progress("separating", 0.5)
         common: dict[str, Any] = {"mask": light.mask, "clip_level": light.clip_level}
+        model = {"alpha": alpha, "dark": dark, "check_px": check_px}
         try:
-            states = estimate_patterns(light.stack, **common) if patterns == ESTIMATE else light.patterns
-            parts = checkerboard(light.stack, alpha=alpha, dark=dark, patterns=states, check_px=check_px, **common)
-        except BadInput as error:
-            raise BadInput(f"{folder}: {_with_names(str(error), light.names)}") from error
+            states = light.patterns
+            if patterns == ESTIMATE:
+                states = estimate_patterns(light.stack, **common)
+            parts = checkerboard(light.stack, patterns=states, **model, **common)
+        except BadInput as error:  # checks know the images' numbers only
+            message = re.sub(r"image (\d+)", lambda match: f"{match[0]} ({light.names[int(match[1])]})", str(error))
+            raise BadInput(f"{folder}: {message}") from error
         progress("writing", 0.8)
-        given = patterns if patterns in (None, ESTIMATE) else "given"
-        choices = {"encoding": encoding, "alpha": alpha, "dark": dark, "patterns": given, "check_px": check_px}
+        choices = {
+            **model,
+            "encoding": encoding,
+            "patterns": "given" if states_folder else patterns,
+        }
         origin = provenance({"separate": choices}, light.hashes)
-        files = ["direct.tiff", "global.tiff", "direct.png", "global.png"]
         for name, part in (("direct", parts.direct), ("global", parts.global_)):
             write_float_tiff(target / f"{name}.tiff", part, LINEAR, origin)
             write_image(target / f"{name}.png", _light_picture(part))
-        facts = {**origin, **_figures(parts, light), "files": [*files, "report.json"]}
+        files = ["direct.tiff", "global.tiff", "direct.png", "global.png", "report.json"]
+        facts = {**origin, **_figures(parts, light), "files": files}
         if patterns is not None and check_px is None:
-            low = "on skin it is not, and direct light comes out a quarter too low: give check_px for skin."
-            facts["warnings"].append(f"global light was taken to be the same under all shifts; {low}")
+            facts["warnings"].append(NO_CHECK_PX)
         (target / "report.json").write_text(json_text(facts), encoding="utf-8")
     progress("done", 1.0)
     return {**facts, "out": str(out)}
 
 
 def separate_polarised_folders(
-    parallel: Path, crossed: Path, out: Path, *, encoding: str | None = None, progress: Progress = no_progress
+    parallel: Path, crossed: Path, out: Path, *, encoding: str | None, progress: Progress
 ) -> dict[str, Any]:
     """Separate photographs through parallel and crossed films, light by light; return the facts of ``report.json``.
     Raises BadInput if the folders do not hold the same number of photographs of one kind, or are not to be read.
@@ -100,29 +114,36 @@ def separate_polarised_folders(
         series.append(photographs_in(folder, folder / "lights.txt")[0])
         check_target(out, POLARISED_MARKER, "an earlier separation", keep=folder)
     count = len(series[0])
-    cure = "both series need one photograph a light, in the same order."
-    require(0 < count == len(series[1]), f"{parallel} holds {count} photographs and {crossed} {len(series[1])}; {cure}")
+    require(
+        0 < count == len(series[1]),
+        f"{parallel} holds {count} photographs and {crossed} {len(series[1])}; both series need one "
+        "photograph a light, in the same order.",
+    )
     if encoding is None:
         encoding, _ = encoding_of(series[0], lambda: False)
-    hashes, first = {}, None
-    sums: list[FloatArray] = [np.zeros(1, np.float32)] * 2
+    hashes = {}
+    kinds = set()
+    specular = diffuse = np.zeros(1, np.float32)
     with atomic_folder(out) as target:
         for k in range(count):
             progress("separating", k / count)
             light = []
             for folder, files in zip((parallel, crossed), series, strict=True):
                 photo = read_photo(files[k])
-                kind = (photo.pixels.shape, photo.pixels.dtype)
-                first = first or kind
-                fits = kind == first and photo.pixels.dtype.kind == "u"
-                require(fits, f"{files[k]} is not of the size and kind of {series[0][0]}; all must agree, in integers.")
+                kinds.add((photo.pixels.shape, photo.pixels.dtype))
+                require(
+                    len(kinds) == 1 and photo.pixels.dtype.kind == "u",
+                    f"{files[k]} is not of the size and kind of {series[0][0]}; all must agree, in integers.",
+                )
                 light.append(linear_image(photo.pixels, encoding))
                 hashes[f"{folder.name}/{files[k].name}"] = photo.sha256
             parts = separate_polarised(*light)
-            sums = [total + pick_channel(part, "grey") for total, part in zip(sums, (parts[0], light[1]), strict=True)]
+            specular = specular + pick_channel(parts[0], "grey")
+            diffuse = diffuse + pick_channel(light[1], "grey")
             for name, part in zip(("specular", "diffuse"), parts, strict=True):
                 write_image(target / f"{name}_{k}.png", np.round(part * 65535).astype(np.uint16))
-        specular, diffuse = (total / count for total in sums)
+        specular /= count
+        diffuse /= count
         lit = diffuse > _LIT * float(np.quantile(diffuse, 0.999))
         require(lit.any(), "nothing is lit; the crossed images are black.")
         picture = specular_picture(specular[None], lit, max(lit.shape) / _RIDGES)
@@ -143,26 +164,22 @@ def separate_polarised_folders(
     return {**facts, "out": str(out)}
 
 
-def _with_names(message: str, names: Sequence[str]) -> str:
-    """Let what stages refuse, which know numbers only, name the files."""
-    return re.sub(r"image (\d+)", lambda found: f"{found[0]} ({names[int(found[1])]})", message)
-
-
 def _figures(parts: Separation, light: PatternLight) -> dict[str, Any]:
     total = parts.white
     grey = total if total.ndim == 2 else total.mean(axis=-1)
-    known = np.isfinite(grey)
-    lit = known & (np.where(known, grey, 0.0) > _LIT * float(np.quantile(grey[known], 0.999)))
+    lit = grey > _LIT * np.nanquantile(grey, 0.999)  # NaN is not
     require(lit.any(), "nothing is lit; the images are black.")
     negative = float((parts.global_[lit] < 0).mean())
-    dark = f"global light is negative in {100 * negative:.0f} % of the lit pixels"
+    warning = (
+        f"global light is negative in {100 * negative:.0f} % of the lit pixels: check alpha, dark and the black image."
+    )
     return {
         "method": "checkerboard",
         "images": list(light.names),
         "image_size": list(light.stack.shape[1:3]),
         "direct_share": float(np.median(parts.direct[lit] / np.maximum(total[lit], 1e-9))),
         "negative_global_share": negative,
-        "warnings": [f"{dark}: check alpha, dark and the black image."] if negative > 0.05 else [],
+        "warnings": [warning] if negative > 0.05 else [],
     }
 
 
@@ -171,9 +188,8 @@ def _figures(parts: Separation, light: PatternLight) -> dict[str, Any]:
 
 def _light_picture(light: FloatArray) -> NDArray[np.uint8]:
     """8 bits for people: black to the 99.9th percentile, sRGB curve; black where nothing is known."""
-    known = np.isfinite(light)
-    top = max(float(np.quantile(light[known], 0.999)) if known.any() else 1.0, 1e-12)
-    scaled = np.clip(np.where(known, light, 0.0) / top, 0.0, 1.0)
+    top = max(float(np.nanquantile(light, 0.999)), 1e-12)
+    scaled = np.clip(np.nan_to_num(light) / top, 0.0, 1.0)
     return np.asarray(np.round(255 * srgb_code(scaled)), dtype=np.uint8)
 
 

@@ -86,13 +86,22 @@ def separate(
     from splitknit.separation.folder import separate_polarised_folders, separate_to_folder
 
     places = [Path(folder) for folder in folders]
-    of_patterns = {"alpha": alpha, "dark": dark, "patterns": patterns, "check_px": check_px}
-    given: dict[str, Any] = {name: value for name, value in of_patterns.items() if value is not None}
+    target = Path(out)
     if len(places) == 1:
-        linear: Encoding = encoding or "linear"
-        return Separated(separate_to_folder(places[0], Path(out), encoding=linear, progress=progress, **given))
-    good = len(places) == 3 and str(places[0]) == "polarised" and not given
-    fault = "name one folder of images under patterns, or 'polarised PARALLEL CROSSED',"
-    require(good, f"{fault} with `out` and `encoding` alone.")
-    _, parallel, crossed = places
-    return Separated(separate_polarised_folders(parallel, crossed, Path(out), encoding=encoding, progress=progress))
+        facts = separate_to_folder(
+            places[0],
+            target,
+            alpha=0.5 if alpha is None else alpha,
+            dark=0.0 if dark is None else dark,
+            patterns=patterns,
+            encoding=encoding or "linear",
+            check_px=check_px,
+            progress=progress,
+        )
+        return Separated(facts)
+    require(
+        len(places) == 3 and str(places[0]) == "polarised" and {alpha, dark, patterns, check_px} == {None},
+        "name one folder of images under patterns, or 'polarised PARALLEL CROSSED', with `out` and `encoding` alone.",
+    )
+    facts = separate_polarised_folders(*places[1:], target, encoding=encoding, progress=progress)
+    return Separated(facts)

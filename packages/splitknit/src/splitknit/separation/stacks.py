@@ -83,15 +83,18 @@ def light_stack(stack: Any, mask: Any = None, clip_level: float | None = CLIP_LE
     require(len(images) >= 2, f"at least 2 images are needed, but there are {len(images)}.")
     first = images[0].shape
     for k, image in enumerate(images):
-        cure = "all must be of one size and kind."
-        require(image.shape == first, f"image {k} has the shape {image.shape}, but image 0 has {first}; {cure}")
+        require(
+            image.shape == first,
+            f"image {k} has the shape {image.shape}, but image 0 has {first}; all must be of one size and kind.",
+        )
     grey = len(first) == 2
-    fault = "an image must have the shape (H, W) or (H, W, C) with 1 or 3 channels,"
-    require((grey or (len(first) == 3 and first[2] in (1, 3))) and min(first) > 0, f"{fault} but it has {first}.")
-    light = np.empty((len(images), *first[:2], 1 if grey else first[2]), dtype=np.float32)
-    for k, image in enumerate(images):
-        light[k] = image[..., None] if grey else image
-        require(np.isfinite(light[k]).all(), f"image {k} contains NaN or infinite values.")
+    require(
+        (grey or (len(first) == 3 and first[2] in (1, 3))) and min(first) > 0,
+        f"an image must have the shape (H, W) or (H, W, C) with 1 or 3 channels, but it has {first}.",
+    )
+    light = np.stack([np.atleast_3d(image) for image in images]).astype(np.float32)
+    for k, image in enumerate(light):
+        require(np.isfinite(image).all(), f"image {k} contains NaN or infinite values.")
     where = check_mask(mask, first[:2])
     _check_exposure(light, where, clip_level)
     return LightStack(light, where, grey)
@@ -100,17 +103,22 @@ def light_stack(stack: Any, mask: Any = None, clip_level: float | None = CLIP_LE
 def _check_exposure(light: FloatArray, mask: BoolArray, clip_level: float | None) -> None:
     peaks = np.array([np.quantile(_thinned(image.max(axis=-1), mask), 0.999) for image in light])
     usual = float(np.median(peaks))
-    require(float(peaks.max()) > 0, "every image is black; check the light source and capture again.")
+    require(peaks.max() > 0, "every image is black; check the light source and capture again.")
     k = int(np.argmin(peaks))
-    fault = f"image {k} is black: its bright pixels reach {peaks[k]:.3g}, those of the others {usual:.3g}"
-    cure = "its pattern lights nothing, capture it again or leave it out."
-    require(peaks[k] > _BLACK_IMAGE * usual, f"{fault}; {cure}")
+    require(
+        peaks[k] > _BLACK_IMAGE * usual,
+        f"image {k} is black: its bright pixels reach {peaks[k]:.3g}, those of the others "
+        f"{usual:.3g}; its pattern lights nothing, capture it again or leave it out.",
+    )
     brightest = light.max(axis=(0, -1))
-    if clip_level is None or float(brightest.max()) > 1.0001:
+    if clip_level is None or brightest.max() > 1.0001:
         return
     fraction = float((brightest[mask] >= clip_level).mean())
-    fault = f"{percent(fraction)} of the pixels are saturated (linear value {clip_level:g} or more)"
-    require(fraction <= _MAX_CLIPPED, f"{fault} in their brightest image; capture again with a shorter exposure.")
+    require(
+        fraction <= _MAX_CLIPPED,
+        f"{percent(fraction)} of the pixels are saturated (linear value {clip_level:g} or more) in "
+        "their brightest image; capture again with a shorter exposure.",
+    )
 
 
 def mean_brightness(alpha: float, dark: float) -> float:
@@ -143,10 +151,11 @@ def check_contrast(low: FloatArray, high: FloatArray, mask: BoolArray) -> None:
     if fraction <= _MAX_CONSTANT:
         return
     row, column = np.argwhere(constant)[0]
-    place = f"(first at row {row}, column {column})"
-    fault = f"{percent(fraction)} of the bright pixels were never lit or never dark {place}"
-    cure = "let the patterns reach every pixel, or give a mask."
-    raise BadInput(f"{fault}: they change by less than {100 * MIN_CONTRAST:g} % from image to image; {cure}")
+    raise BadInput(
+        f"{percent(fraction)} of the bright pixels were never lit or never dark (first at row {row}, "
+        f"column {column}): they change by less than {100 * MIN_CONTRAST:g} % from image to image; "
+        "let the patterns reach every pixel, or give a mask."
+    )
 
 
 def check_change(light: FloatArray) -> None:
@@ -195,17 +204,18 @@ def check_patterns(patterns: Any, images: LightStack) -> FloatArray:
     states = np.asarray(patterns, dtype=np.float32)
     shape = images.light.shape[:3]
     require(states.shape == shape, f"patterns must have the shape {shape} of the images, but it has {states.shape}.")
-    good = bool(np.isfinite(states).all()) and float(states.min()) >= 0 and float(states.max()) <= 1
-    require(good, "patterns must hold states from 0 (dark) to 1 (lit), without NaN.")
-    lit, dark = (states >= 1 - EDGE), (states <= EDGE)
-    for found, word in ((lit, "lit"), (dark, "dark")):
-        never = images.mask & ~found.any(axis=0)
+    require(
+        bool(np.isfinite(states).all()) and states.min() >= 0 and states.max() <= 1,
+        "patterns must hold states from 0 (dark) to 1 (lit), without NaN.",
+    )
+    for reached, word in ((states >= 1 - EDGE, "lit"), (states <= EDGE, "dark")):
+        never = images.mask & ~reached.any(axis=0)
         if never.any():
             row, column = np.argwhere(never)[0]
-            fraction = float(never.sum()) / float(images.mask.sum())
             raise BadInput(
-                f"{percent(fraction)} of the pixels are never {word} by the patterns (first at row {row}, column "
-                f"{column}): a shift is missing; capture it, or leave these pixels out with a mask."
+                f"{percent(never.sum() / images.mask.sum())} of the pixels are never {word} by the "
+                f"patterns (first at row {row}, column {column}): a shift is missing; capture it, or "
+                "leave these pixels out with a mask."
             )
     _check_order(images, states)
     return states
@@ -213,17 +223,18 @@ def check_patterns(patterns: Any, images: LightStack) -> FloatArray:
 
 def _check_order(images: LightStack, states: FloatArray) -> None:
     step = max(1, int(np.count_nonzero(images.mask)) // 40_000)
-    seen = images.light.mean(axis=-1)[:, images.mask][:, ::step].astype(np.float64)
+    light = images.light.mean(axis=-1)[:, images.mask][:, ::step].astype(np.float64)
     known = states[:, images.mask][:, ::step].astype(np.float64)
-    decided = np.abs(known - 0.5) > 0.5 - EDGE  # the rest does not count in the result either
-    number = np.maximum(decided.sum(axis=0), 1)
-    known = np.where(decided, known - np.where(decided, known, 0.0).sum(axis=0) / number, 0.0)
-    seen -= seen.mean(axis=0)
-    likeness = (seen @ known.T) / np.maximum(np.linalg.norm(known, axis=1), 1e-12)
-    likeness /= np.sqrt(np.maximum((seen * seen) @ decided.T.astype(np.float64), 1e-30))
-    best = np.argmax(likeness, axis=1)
-    for k, found in enumerate(best):
-        cure = "check that images and patterns belong together."
-        require(likeness[k, k] > 0.02, f"image {k} does not show its pattern at all; {cure}")
-        fault = f"image {k} shows pattern {found} instead of its own: a shift is repeated,"
-        require(found == k or likeness[k, found] < likeness[k, k] + 0.02, f"{fault} missing or out of order.")
+    light -= light.mean(axis=0)
+    known -= known.mean(axis=0)
+    size = np.linalg.norm(light, axis=1)[:, None] * np.linalg.norm(known, axis=1)
+    correlation = light @ known.T / np.maximum(size, 1e-30)
+    for k, best in enumerate(np.argmax(correlation, axis=1)):
+        require(
+            correlation[k, k] > 0.02,
+            f"image {k} does not show its pattern at all; check that images and patterns belong together.",
+        )
+        require(
+            correlation[k, best] < correlation[k, k] + 0.02,
+            f"image {k} shows pattern {best} instead of its own: a shift is repeated, missing or out of order.",
+        )

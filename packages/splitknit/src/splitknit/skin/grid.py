@@ -65,27 +65,19 @@ class Grid:
 
     def forward(self, field: FloatArray, extend: bool = False) -> NDArray[np.complex64]:
         """Fourier transform of a field (..., h, w) with a margin of 3 mm: zero, or the border's values beyond a cut."""
-        m = self._margin
-        top, bottom, left, right = self.cut if extend else (False, False, False, False)
-        size = self._size
-        padded = np.zeros((*field.shape[:-2], *size), dtype=np.float32)
-        rows, columns = self.shape
-        padded[..., m : m + rows, m : m + columns] = field
-        if top:
-            padded[..., :m, :] = padded[..., m : m + 1, :]
-        if bottom:
-            padded[..., m + rows : 2 * m + rows, :] = padded[..., m + rows - 1 : m + rows, :]
-        if left:
-            padded[..., :, :m] = padded[..., :, m : m + 1]
-        if right:
-            padded[..., :, m + columns : 2 * m + columns] = padded[..., :, m + columns - 1 : m + columns]
+        margins = self._margin * (np.reshape(self.cut, (2, 2)) & extend)
+        whole = [(0, 0)] * (field.ndim - 2)
+        field = np.pad(field, [*whole, *margins], mode="edge")
+        top, left = self._margin - margins[:, 0]
+        padded = np.zeros((*field.shape[:-2], *self._size), dtype=np.float32)
+        padded[..., top : top + field.shape[-2], left : left + field.shape[-1]] = field
         return np.asarray(np.fft.rfft2(padded), dtype=np.complex64)
 
     def inverse(self, spectrum: NDArray[np.complex64]) -> FloatArray:
         """Back from :meth:`forward`, the margin cut off."""
-        m, (rows, columns) = self._margin, self.shape
-        field = np.fft.irfft2(spectrum, self._size)
-        return np.ascontiguousarray(field[..., m : m + rows, m : m + columns], dtype=np.float32)
+        inner = [slice(self._margin, self._margin + n) for n in self.shape]
+        field = np.fft.irfft2(spectrum, self._size)[..., *inner]
+        return np.ascontiguousarray(field, dtype=np.float32)
 
     def radial(self, omega: Array, gain: Array) -> FloatArray:
         """Sample a radial gain, given at increasing `omega`, on the frequencies of :meth:`forward`."""
@@ -105,20 +97,19 @@ class Grid:
         size = (-(-columns // step), -(-rows // step))
 
         def blurred(values: FloatArray) -> FloatArray:
-            small = values if step == 1 else cv2.resize(values, size, interpolation=cv2.INTER_AREA)
+            small = cv2.resize(values, size, interpolation=cv2.INTER_AREA)
             return np.asarray(cv2.GaussianBlur(small, (0, 0), sigma / step))
 
         total = np.maximum(blurred(weight), 1e-3)
-        means = np.empty(field.shape, dtype=np.float32)
 
-        def mean(job: tuple[FloatArray, FloatArray]) -> None:
-            values, room = job
-            one = blurred(np.where(weight > 0, values * weight, 0.0).astype(np.float32)) / total
-            room[...] = one if step == 1 else cv2.resize(one, (columns, rows), interpolation=cv2.INTER_LINEAR)
+        def mean(values: FloatArray) -> FloatArray:
+            known = np.where(weight > 0, values * weight, 0.0).astype(np.float32)
+            means = blurred(known) / total
+            return np.asarray(cv2.resize(means, (columns, rows), interpolation=cv2.INTER_LINEAR))
 
         with ThreadPoolExecutor(2) as pool:
-            list(pool.map(mean, zip(field.reshape(-1, rows, columns), means.reshape(-1, rows, columns), strict=True)))
-        return means
+            means = list(pool.map(mean, field.reshape(-1, rows, columns)))
+        return np.reshape(means, field.shape)
 
     @cached_property
     def depth_mm(self) -> FloatArray:

@@ -87,9 +87,9 @@ class SkinImages:
             by = self.binning
             field = np.asarray(cv2.resize(field, None, fx=by, fy=by, interpolation=cv2.INTER_CUBIC))
         covered = field[tuple(slice(part.stop - part.start) for part in self.place)]
-        first = [part.start for part in self.place]
-        last = [n - k - done for n, k, done in zip(self.size, first, covered.shape, strict=True)]
-        return np.pad(covered, tuple(zip(first, last, strict=True)), mode="edge")
+        before = np.array([part.start for part in self.place])
+        after = np.array(self.size) - before - covered.shape
+        return np.pad(covered, np.stack([before, after], axis=1), mode="edge")
 
 
 def working_images(
@@ -101,31 +101,45 @@ def working_images(
     of it that are reconstructed.
     """
     rows, columns = bounding_box(inside, round(_MARGIN_MM * capture.rig.camera.px_per_mm))
-    seen = _within(window[0], rows), _within(window[1], columns)
-    grid, images, binning = skin_images(capture, bands, seen, inside[rows, columns])
-    crossed = _crossed(capture, bands[0], images[0], seen, binning)
+    of_finger = tuple(
+        slice(whole.start + part.start, whole.start + part.stop)
+        for whole, part in zip(window, (rows, columns), strict=True)
+    )
+    grid, images, binning = skin_images(capture, bands, of_finger, inside[rows, columns])
+    white = bands[0]
+    crossed = _crossed(capture, white, images[0], of_finger, binning)
     wanted = settings.relief == "network"
-    able = can_learn(images[0], grid.pitch_mm)
-    finer = wanted and not able and can_learn(images[0], grid.pitch_mm / FACTOR)
+    coarse = not can_learn(images[0], grid.pitch_mm)
+    finer = wanted and coarse and can_learn(images[0], grid.pitch_mm / FACTOR)
+    readable = finer or not coarse
+
+    def fine(band: BandImages) -> BandImages:
+        return finer_images(band) if finer else band
+
     side = None
-    if bands[0].side is not None and (crossed is not None or (wanted and (able or finer))):
-        light = linear_channels(bands[0].side, capture.encoding, _names(bands[0]), seen, binning)
-        both = BandImages(images[0].channels, light, capture.rig.select(bands[0].side.lights))
-        side = both, _crossed(capture, bands[0].side, both, seen, binning), capture.rig.select(bands[0].side.leds)
-    if finer:
-        grid, images, able = finer_grid(grid), tuple(finer_images(band) for band in images), True
-        crossed = None if crossed is None else finer_images(crossed)
-        if side is not None:
-            side = finer_images(side[0]), None if side[1] is None else finer_images(side[1]), side[2]
-    networks = shipped_networks(settings) if able else None
+    if white.side is not None and (crossed is not None or (wanted and readable)):
+        light = linear_channels(white.side, capture.encoding, _names(white), of_finger, binning)
+        both = BandImages(images[0].channels, light, capture.rig.select(white.side.lights))
+        of_side = _crossed(capture, white.side, both, of_finger, binning)
+        side = fine(both), of_side and fine(of_side), capture.rig.select(white.side.leds)
     findings: tuple[Finding, ...] = ()
-    if not has_colour(bands[0]):
+    if not has_colour(white):
         findings = (Finding("grey-photographs", GREY),)
-    elif wanted and not able:
+    elif wanted and not readable:
         findings = (Finding("no-network", NO_NETWORK),)
-    size = inside.shape[0], inside.shape[1]
-    parallel = capture.rig.select(bands[0].leds) if crossed is not None else images[0].rig
-    return SkinImages(grid, images, crossed, parallel, side, networks, binning, finer, (rows, columns), size, findings)
+    return SkinImages(
+        grid=finer_grid(grid) if finer else grid,
+        bands=tuple(map(fine, images)),
+        crossed=crossed and fine(crossed),
+        parallel=images[0].rig if crossed is None else capture.rig.select(white.leds),
+        side=side,
+        networks=shipped_networks(settings) if readable else None,
+        binning=binning,
+        finer=finer,
+        place=(rows, columns),
+        size=(inside.shape[0], inside.shape[1]),
+        findings=findings,
+    )
 
 
 def _crossed(capture: Capture, band: Band, both: BandImages, window: Window, binning: float) -> BandImages | None:
@@ -133,13 +147,9 @@ def _crossed(capture: Capture, band: Band, both: BandImages, window: Window, bin
     if band.crossed is None:
         return None
     light = linear_channels(band.crossed, capture.encoding, _names(band), window, binning)
-    for k, seen in enumerate(contrast(capture, band).astype(np.float32)):
-        light[:, k] -= (1 / seen - 1) * (both.stack[:, k] - light[:, k]) if seen != 1 else 0
+    for k, film_contrast in enumerate(contrast(capture, band).astype(np.float32)):
+        light[:, k] -= (1 / film_contrast - 1) * (both.stack[:, k] - light[:, k])
     return BandImages(both.channels, light, capture.rig.select(band.crossed.lights))
-
-
-def _within(whole: slice, part: slice) -> slice:
-    return slice(whole.start + part.start, whole.start + part.stop)
 
 
 def skin_images(
@@ -188,12 +198,11 @@ def _grid(capture: Capture, window: Window, mask: BoolArray, binning: float) -> 
     if binning > 1:
         covered = block_means(covered, (height, width), binning)
     inside: BoolArray = covered > 0.999
-    full = capture.shape
     cut = (
         rows.start == 0 and bool(inside[0].any()),
-        rows.stop >= full[0] and bool(inside[-1].any()),
+        rows.stop >= capture.shape[0] and bool(inside[-1].any()),
         columns.start == 0 and bool(inside[:, 0].any()),
-        columns.stop >= full[1] and bool(inside[:, -1].any()),
+        columns.stop >= capture.shape[1] and bool(inside[:, -1].any()),
     )
     view = view_of(capture.rig.camera, rows, columns, binning=binning, along_rays=True)
     return Grid(inside, view.x_mm, view.y_mm, capture.rig.camera.pitch_mm * binning, cut, view.apex_mm)
@@ -209,18 +218,18 @@ FACTOR = 2
 
 def finer_grid(grid: Grid) -> Grid:
     """The grid with each of its pixels divided into 2 x 2."""
-    mask = np.repeat(np.repeat(grid.mask, FACTOR, axis=0), FACTOR, axis=1)
+    mask = grid.mask.repeat(FACTOR, axis=0).repeat(FACTOR, axis=1)
     x, y = (reduce(_halved, range(places.ndim), places) for places in (grid.x_mm, grid.y_mm))
     return Grid(mask, x, y, grid.pitch_mm / FACTOR, grid.cut, grid.apex_mm)
 
 
 def finer_images(band: BandImages) -> BandImages:
     """Images of a band on :func:`finer_grid`, bicubic."""
-    channels, lights, height, width = band.stack.shape
-    fine = np.empty((channels, lights, height * FACTOR, width * FACTOR), dtype=np.float32)
-    size = (width * FACTOR, height * FACTOR)
-    for image, room in zip(band.stack.reshape(-1, height, width), fine.reshape(-1, *size[::-1]), strict=True):
-        cv2.resize(image, size, dst=room, interpolation=cv2.INTER_CUBIC)
+    height, width = band.stack.shape[2:]
+    shape = height * FACTOR, width * FACTOR
+    fine = np.empty((*band.stack.shape[:2], *shape), dtype=np.float32)
+    for place in np.ndindex(fine.shape[:2]):
+        cv2.resize(band.stack[place], shape[::-1], dst=fine[place], interpolation=cv2.INTER_CUBIC)
     return BandImages(band.channels, fine, band.rig)
 
 

@@ -203,11 +203,13 @@ def can_learn(band: BandImages, pitch_mm: float) -> bool:
     return bool(around) and PITCH_MM[0] <= pitch_mm <= PITCH_MM[1]
 
 
-def relief_by_network(given: Features, grid: Grid, smooth_mm: FloatArray, network: Network) -> ReliefEstimate:
-    """Relief as the network estimates it on the fine grid. `given`:
-    of the white band on `smooth_mm` (h, w), the shape without the relief; their memory is used.
+def relief_by_network(light: Features, grid: Grid, smooth_mm: FloatArray, network: Network) -> ReliefEstimate:
+    """Relief as the network estimates it on the fine grid.
+
+    `light`: of the white band on `smooth_mm` (h, w), the shape without the relief; its memory is
+    used.
     """
-    return relief_of_output(network(given.fields), given.level[:2] * grid.mask, grid, smooth_mm)
+    return relief_of_output(network(light.fields), light.level[:2] * grid.mask, grid, smooth_mm)
 
 
 def relief_of_output(output: FloatArray, levels: FloatArray, grid: Grid, smooth_mm: FloatArray) -> ReliefEstimate:

@@ -150,14 +150,13 @@ def fine_lighting(rig: Rig, low: Grid, height_mm: FloatArray, factor: int, grid:
     trust = np.where(low.mask, light.trust, 0.0)
 
     def enlarge(fields: FloatArray) -> FloatArray:
-        size = (low.shape[1] * factor, low.shape[0] * factor)
-        flat = fields.reshape(-1, *low.shape)
-        large = np.empty((len(flat), *grid.shape), dtype=np.float32)
-        for one, field in zip(large, flat, strict=True):
-            cv2.resize(field, size, dst=one[: size[1], : size[0]], interpolation=cv2.INTER_LINEAR)
-            one[size[1] :, : size[0]] = one[size[1] - 1, : size[0]]
-            one[:, size[0] :] = one[:, size[0] - 1 : size[0]]
-        return large.reshape(*fields.shape[:-2], *grid.shape)
+        large = np.empty((*fields.shape[:-2], *grid.shape), dtype=np.float32)
+        rows, columns = (n * factor for n in low.shape)
+        border = 0, grid.shape[0] - rows, 0, grid.shape[1] - columns
+        for place in np.ndindex(fields.shape[:-2]):
+            field = cv2.resize(fields[place], (columns, rows), interpolation=cv2.INTER_LINEAR)
+            cv2.copyMakeBorder(field, *border, cv2.BORDER_REPLICATE, dst=large[place])
+        return large
 
     fine_trust, entering = enlarge(trust), enlarge(light.entering)
     np.maximum(fine_trust, 1e-3, out=fine_trust)

@@ -38,16 +38,13 @@ def unmixing_weights(transfer: Any, glare: Any, signal: Any, glare_power: Any, n
     signal M^T (signal M M^T + sum glare_power g g^T + noise)^-1 (N. Wiener 1949, "Extrapolation, Interpolation, and
     Smoothing of Stationary Time Series", for several channels), of the `transfer` function M (C, n) of each channel,
     the weights `glare` (C, G) of G independent glares in each channel, the expected powers `signal` (n,) of the true
-    slope and `glare_power` (n,) or (n, G), and the `noise` (C,).
+    slope and `glare_power` (n,) of each, and the `noise` (C,).
     """
     m = transfer.T  # (n, C)
     g = np.asarray(glare, dtype=np.float64).reshape(m.shape[1], -1)
-    power = glare_power
-    power = power[:, None] if power.ndim == 1 else power
+    power = np.broadcast_to(glare_power[:, None], (m.shape[0], g.shape[1]))
     covariance = (
-        signal[:, None, None] * m[:, :, None] * m[:, None, :]
-        + np.einsum("ng,cg,dg->ncd", np.broadcast_to(power, (m.shape[0], g.shape[1])), g, g)
-        + np.diag(noise)
+        signal[:, None, None] * m[:, :, None] * m[:, None, :] + np.einsum("ng,cg,dg->ncd", power, g, g) + np.diag(noise)
     )
     weights = np.linalg.solve(covariance, (signal[:, None] * m)[..., None])[..., 0]
     return weights.T
@@ -64,8 +61,7 @@ def cross_spectra(
     """
     highest = 0.95 * np.pi / pitch_mm
     edges = np.geomspace(min(5.0, highest / 4), highest, bands + 1)
-    rows, columns = region.shape
-    size = (scipy.fft.next_fast_len(rows, True), scipy.fft.next_fast_len(columns, True))
+    size = [scipy.fft.next_fast_len(n, True) for n in region.shape]
     wy = -2 * np.pi * np.fft.fftfreq(size[0])[:, None] / pitch_mm
     wx = 2 * np.pi * np.fft.rfftfreq(size[1])[None, :] / pitch_mm
     omega = np.hypot(wx, wy)
@@ -74,20 +70,20 @@ def cross_spectra(
     index = band[used]
     count = np.maximum(np.bincount(index, minlength=bands), 1)
     ux, uy = wx / np.maximum(omega, 1e-9), wy / np.maximum(omega, 1e-9)
-    longitudinal, transverse = [], []
-    for slope_x, slope_y in slopes:
-        fx = scipy.fft.rfft2((slope_x * region).astype(np.float32), size, workers=2)
-        fy = scipy.fft.rfft2((slope_y * region).astype(np.float32), size, workers=2)
+    longitudinal = []
+    transverse = []
+    for channel in slopes:
+        fx, fy = (scipy.fft.rfft2((slope * region).astype(np.float32), size, workers=2) for slope in channel)
         longitudinal.append((ux * fx + uy * fy)[used])
         transverse.append((ux * fy - uy * fx)[used])
     scale = count * float((region.astype(np.float64) ** 2).sum())
-    along = np.empty((bands, len(slopes), len(slopes)))
-    for i, first in enumerate(longitudinal):
-        for j, second in enumerate(longitudinal):
-            along[:, i, j] = np.bincount(index, (first * second.conj()).real, bands) / scale
-    across = np.stack([np.bincount(index, np.abs(t) ** 2, bands) / scale for t in transverse], axis=1)
-    centres = np.sqrt(edges[1:] * edges[:-1])
-    return centres, along, across
+
+    def mean(power: Array) -> Array:
+        return np.bincount(index, power, bands) / scale
+
+    along = [[mean((a * b.conj()).real) for b in longitudinal] for a in longitudinal]
+    across = [mean(np.abs(wave) ** 2) for wave in transverse]
+    return np.sqrt(edges[1:] * edges[:-1]), np.transpose(along), np.transpose(across)
 
 
 def fit_spectra(along: Array, across: Array, transfer: Any, glare: Any) -> tuple[Array, Array, Array]:
@@ -99,24 +95,25 @@ def fit_spectra(along: Array, across: Array, transfer: Any, glare: Any) -> tuple
     single channel they are indistinguishable: all is relief.
     """
     noise = np.median(across[-2:], axis=0)
-    m = transfer
     g = np.asarray(glare, dtype=np.float64)
-    require(all(bool(np.isfinite(part).all()) for part in (along, across, m, g)), NOT_SKIN)
+    finite = all(bool(np.isfinite(values).all()) for values in (along, across, transfer, g))
+    require(finite, NOT_SKIN)
     channels = len(g)
-    signal, specular = np.zeros(len(along)), np.zeros(len(along))
+    excess = along - np.diag(noise)
+    if channels == 1:
+        signal = np.maximum(excess[:, 0, 0], 0.0) / np.maximum(transfer[0] ** 2, 1e-12)
+        return signal, np.zeros_like(signal), np.maximum(noise, 1e-12)
     first, second = np.triu_indices(channels)
-    for n in range(len(along)):
-        excess = along[n] - np.diag(noise)
-        if channels == 1:
-            signal[n] = max(excess[0, 0], 0.0) / max(m[0, n] ** 2, 1e-12)
-            continue
-        level = np.sqrt(np.maximum(np.diag(along[n]), 1e-20))
+    powers = []
+    for measured, total, m in zip(excess, along, transfer.T, strict=True):
+        level = np.sqrt(np.maximum(np.diag(total), 1e-20))
         scale = 1.0 / (level[first] * level[second])
-        a = m[:, n]
-        columns = [a[first] * a[second], g[first] * g[second], a[first] * g[second] + g[first] * a[second]]
+        mixed = m[first] * g[second] + g[first] * m[second]
+        columns = [m[first] * m[second], g[first] * g[second], mixed]
         design = np.stack(columns, axis=1)[:, : 3 if channels > 2 else 2] * scale[:, None]
-        solution = np.linalg.lstsq(design, excess[first, second] * scale, rcond=None)[0]
-        signal[n], specular[n] = max(solution[0], 0.0), max(solution[1], 0.0)
+        solution = np.linalg.lstsq(design, measured[first, second] * scale, rcond=None)[0]
+        powers.append(np.maximum(solution[:2], 0.0))
+    signal, specular = np.transpose(powers)
     return signal, specular, np.maximum(noise, 1e-12)
 
 
@@ -149,19 +146,14 @@ def _local_wiener(relief: FloatArray, noise_power: FloatArray) -> tuple[FloatArr
     side = len(noise_power)
     hop = side // _OVERLAP
     rows, columns = relief.shape
-    extra = [(-(n + 2 * side)) % hop for n in (rows, columns)]
-    margins = ((side, side + extra[0]), (side, side + extra[1]))
+    margins = [(side, side + (-(n + 2 * side)) % hop) for n in relief.shape]
     padded = np.pad(relief, margins, mode="reflect").astype(np.float32)
     window = _window(side)
-    total = np.zeros_like(padded)
-    variance = np.zeros_like(padded)
-    norm = np.zeros_like(padded)
-    starts = range(0, padded.shape[1] - side + 1, hop)
+    total, variance, norm = np.zeros((3, *padded.shape), dtype=np.float32)
     double = np.full(side // 2 + 1, 2.0, dtype=np.float32)
     double[0] = double[-1] = 1.0
-    for row in range(0, padded.shape[0] - side + 1, hop):
-        strip = np.stack([padded[row : row + side, column : column + side] for column in starts]) * window
-        spectrum = scipy.fft.rfft2(strip, workers=2)
+    for row, strip in enumerate(sliding_window_view(padded, (side, side))[::hop, ::hop]):
+        spectrum = scipy.fft.rfft2(strip * window, workers=2)
         raw = (spectrum.real**2 + spectrum.imag**2).astype(np.float32)
         power = scipy.ndimage.uniform_filter(raw, (1, 3, 3), mode=("wrap", "wrap", "nearest"))
         excess = np.maximum(power - _CAUTION * noise_power, 0.0)
@@ -169,10 +161,10 @@ def _local_wiener(relief: FloatArray, noise_power: FloatArray) -> tuple[FloatArr
         kept = scipy.fft.irfft2(spectrum * gain, (side, side), workers=2) * window
         # the error's power in each window: g^2 N + (1 - g)^2 S = g N for the Wiener gain
         error = (gain * noise_power * double).sum(axis=(1, 2)) / (side**4) * (1 / (window**2).mean())
-        for column, part, left in zip(starts, kept, error, strict=True):
-            place = np.s_[row : row + side, column : column + side]
-            total[place] += part
-            variance[place] += left * window * window
+        for column, (denoised, residual) in enumerate(zip(kept, error, strict=True)):
+            place = tuple(slice(k * hop, k * hop + side) for k in (row, column))
+            total[place] += denoised
+            variance[place] += residual * window * window
             norm[place] += window * window
     norm = np.maximum(norm, 1e-6)
     inner = np.s_[side : side + rows, side : side + columns]
@@ -180,8 +172,8 @@ def _local_wiener(relief: FloatArray, noise_power: FloatArray) -> tuple[FloatArr
 
 
 def _window(side: int) -> FloatArray:
-    hann = np.sin(np.pi * (np.arange(side) + 0.5) / side).astype(np.float32)
-    return np.outer(hann, hann)
+    sine = np.sin(np.pi * (np.arange(side) + 0.5) / side).astype(np.float32)
+    return np.outer(sine, sine)
 
 
 NOT_SKIN = (
@@ -280,11 +272,10 @@ def _diffuse_scale(predicted: list[FloatArray], measured: list[FloatArray]) -> F
     """Local scale a of measured = a predicted + specular, equal in all channels; a single one has no such part."""
     if len(predicted) == 1:
         return measured[0] / np.maximum(predicted[0], 1e-6)
-    n = len(predicted)
-    mean_p, mean_m = sum(predicted) / n, sum(measured) / n
-    above = sum((p - mean_p) * (m - mean_m) for p, m in zip(predicted, measured, strict=True))
-    below = sum((p - mean_p) ** 2 for p in predicted)
-    return above / np.maximum(below, 1e-9)
+    of_predicted = np.stack(predicted) - np.mean(predicted, axis=0)
+    of_measured = np.stack(measured) - np.mean(measured, axis=0)
+    covariance = (of_predicted * of_measured).sum(axis=0)
+    return np.asarray(covariance / np.maximum((of_predicted**2).sum(axis=0), 1e-9))
 
 
 def unmixing(measured: Measured, grid: Grid, slopes: list[Slopes], glare: FloatArray) -> Unmixing:
@@ -364,10 +355,7 @@ def denoise(relief_mm: FloatArray, grid: Grid, mix: Unmixing, seed: int) -> tupl
     """
     rng = np.random.default_rng(seed)
 
-    def white(power: float) -> FloatArray:
-        return np.asarray(rng.standard_normal(grid.shape) * np.sqrt(power), dtype=np.float32)
-
-    noise = [(white(power), white(power)) for power in mix.noise]
+    noise = [(rng.standard_normal((2, *grid.shape)) * np.sqrt(power)).astype(np.float32) for power in mix.noise]
     pure = grid.inverse(_integrated(grid, noise, mix.weights) * high_pass(grid))
     side = max(16, _OVERLAP * round(_WINDOW_MM / grid.pitch_mm / _OVERLAP))  # a multiple of the overlap
     if min(grid.shape) <= side:
@@ -377,11 +365,11 @@ def denoise(relief_mm: FloatArray, grid: Grid, mix: Unmixing, seed: int) -> tupl
 
 
 def _scattering_sensitivity(
-    measured: Measured, grid: Grid, mix: Unmixing, other: Mapping[str, Diffusion], relief_mm: FloatArray
+    measured: Measured, grid: Grid, mix: Unmixing, scattering_more: Mapping[str, Diffusion], relief_mm: FloatArray
 ) -> float:
-    """Relative change of the relief's gain if the skin scattered as `other` does and the unmixing did not know."""
+    """Relative change of the relief's gain if the skin scattered as `scattering_more` does."""
     gain = sum(
-        w * (grid.sampled(other[name]) - t)
+        w * (grid.sampled(scattering_more[name]) - t)
         for w, t, name in zip(mix.weights, measured.transfer, measured.channels, strict=True)
     )
     power = np.abs(grid.forward(relief_mm * measured.region)) ** 2
@@ -418,12 +406,13 @@ local rms height; measured on simulated fingers, see docs/experiments/accuracy.m
 
 
 def relief_by_colour(
-    measured: Measured, grid: Grid, smooth_mm: FloatArray, other: Mapping[str, Diffusion], rounds: int
+    measured: Measured, grid: Grid, smooth_mm: FloatArray, scattering_more: Mapping[str, Diffusion], rounds: int
 ) -> ReliefEstimate:
     """Relief that explains the slopes of all channels behind scattering and specular reflection.
 
-    `measured`: of the white band on the fine grid; `smooth_mm`: (h, w) the shape without the relief; `other`: transfer
-    function of each channel one standard deviation of the scattering away.
+    `measured`: of the white band on the fine grid; `smooth_mm`: (h, w) the shape without the
+    relief; `scattering_more`: transfer function of each channel one standard deviation of the
+    scattering away.
     """
     relief = np.zeros(grid.shape, dtype=np.float32)
     for _ in range(rounds * STEPS):
@@ -431,7 +420,7 @@ def relief_by_colour(
         mix = unmixing(measured, grid, _with_relief(slopes, measured, grid, relief), glare)
         relief = update(measured, grid, slopes, mix, relief)
         relief, noise = denoise(relief, grid, mix, _SEED)
-    sensitivity = abs(_scattering_sensitivity(measured, grid, mix, other, relief))
+    sensitivity = abs(_scattering_sensitivity(measured, grid, mix, scattering_more, relief))
     height = np.sqrt(np.maximum(grid.smooth(relief * relief, grid.mask, 0.6), 0.0))
     model = np.float32(np.hypot(sensitivity, MODEL_ERROR)) * height
     return ReliefEstimate(

@@ -208,13 +208,10 @@ def residual_slopes(measured: FloatArray, predicted: FloatArray, grid: Grid) -> 
     z = np.maximum(predicted[..., 2], 0.1 * np.sqrt((predicted * predicted).sum(axis=-1)) + 1e-6)
     inside = grid.mask & (z > 0.05 * np.median(z[grid.mask]))
     albedo = grid.smooth(np.maximum(measured[..., 2], 0) / z, inside, 0.8)
-    scale = np.maximum(albedo * z, 1e-4)
-    slopes = []
-    for axis in range(2):
-        p = -predicted[..., axis] / z
-        value = -(measured[..., axis] + p * measured[..., 2]) / scale
-        slopes.append(np.where(grid.mask, np.clip(value, -0.6, 0.6), 0.0).astype(np.float32))
-    return slopes[0], slopes[1]
+    p = -predicted[..., :2] / z[..., None]
+    slopes = -(measured[..., :2] + p * measured[..., 2:]) / np.maximum(albedo * z, 1e-4)[..., None]
+    slopes = np.clip(slopes, -0.6, 0.6).astype(np.float32) * grid.mask[..., None]
+    return slopes[..., 0], slopes[..., 1]
 
 
 def _wiener(residual: Residual, added: Slopes, optics: Mapping[str, Diffusion], grid: Grid) -> Slopes:
@@ -224,7 +221,7 @@ def _wiener(residual: Residual, added: Slopes, optics: Mapping[str, Diffusion], 
     names = list(residual.slopes)
     omega = np.linspace(0, float(grid.omega[2].max()), 512)
     reference = residual.brightness[names[0]]
-    glare = np.zeros((len(names), len(residual.bands)))  # each band has a specular reflection of its own
+    glare = np.zeros((len(names), len(residual.bands)))  # a specular reflection for each band
     for g, members in enumerate(residual.bands):
         for name in members:
             glare[names.index(name), g] = reference / max(residual.brightness[name], 1e-6)
@@ -236,17 +233,15 @@ def _wiener(residual: Residual, added: Slopes, optics: Mapping[str, Diffusion], 
         np.full(len(names), _NOISE_RATIO**2),
     )
     weights = weights * np.exp(-0.5 * (omega / _CUTOFF_PER_MM) ** 2)
-    gains = [grid.radial(omega, w) for w in weights]
-    kept = sum(w * grid.sampled(optics[name]) for w, name in zip(gains, names, strict=True))
-    slope_x, slope_y = (
-        grid.inverse(
-            kept * grid.forward(added[axis])
-            + sum(w * grid.forward(residual.slopes[name][axis]) for w, name in zip(gains, names, strict=True))
-        )
-        * grid.mask
-        for axis in range(2)
-    )
-    return slope_x, slope_y
+    gains = {name: grid.radial(omega, w) for name, w in zip(names, weights, strict=True)}
+    kept = sum(gain * grid.sampled(optics[name]) for name, gain in gains.items())
+
+    def estimated(axis: int) -> FloatArray:
+        slopes = {name: grid.forward(residual.slopes[name][axis]) for name in names}
+        of_images = sum(gain * slopes[name] for name, gain in gains.items())
+        return grid.inverse(kept * grid.forward(added[axis]) + of_images) * grid.mask
+
+    return estimated(0), estimated(1)
 
 
 def _scaled_to(measured: FloatArray, predicted: FloatArray, where: BoolArray) -> list[float]:
@@ -272,9 +267,11 @@ def _specular_by_colour(
     """
     excess = excess[:, :, region]
     skin = np.array(brightness, dtype=np.float32)
-    n, sum_b, sum_bb = len(skin), skin.sum(), (skin * skin).sum()
+    total = skin.sum()
+    power = (skin * skin).sum()
     tinted = np.einsum("c,cln->ln", skin, excess)
-    white = (excess.sum(axis=0) * sum_bb - sum_b * tinted) / max(float(n * sum_bb - sum_b * sum_b), 1e-9)
+    white = excess.sum(axis=0) * power - total * tinted
+    white /= max(float(len(skin) * power - total * total), 1e-9)
     return best_lobe(white, MicrofacetGlare(normals[region], light.vectors[:, :, region]))
 
 
@@ -282,6 +279,4 @@ def _some(region: BoolArray) -> BoolArray:
     """Every other row of a large region."""
     if int(region.sum()) < 8000:
         return region
-    chosen = region.copy()
-    chosen[::2] = False
-    return chosen
+    return region & (np.arange(len(region)) % 2 > 0)[:, None]
