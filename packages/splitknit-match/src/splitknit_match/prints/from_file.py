@@ -17,7 +17,7 @@ from splitknit.errors import require
 from splitknit.finger.regions import fill_holes, largest_component
 from splitknit.imaging.areas import disc
 from splitknit.io.prints import PrintFile, read_print_png
-from splitknit.model import BoolArray, FloatArray
+from splitknit.model import BoolArray, FloatArray, GreyArray
 from splitknit_match.prints.make import Print, enhance, minutiae_by_phase
 from splitknit_match.prints.minutiae import at_500_ppi, is_a_fingers
 from splitknit_match.prints.minutiae_record import PPI, Minutiae, no_minutiae
@@ -127,7 +127,7 @@ def _resolved(item: PrintFile, name: str, input_ppi: float | None) -> PrintFile:
     return replace(item, resolution_ppi=float(ppi))
 
 
-def _suggestion(image: NDArray[np.uint8]) -> str:
+def _suggestion(image: GreyArray) -> str:
     period = _ridge_period_px(image)
     if period is None:
         return "it shows no ridges to measure it by: give it in pixels per inch, such as `input_ppi` 500"
@@ -288,7 +288,7 @@ def _dark_ridges(item: PrintFile) -> PrintFile:
     return item if np.mean(levels) > _DARK else _noted(item, _DOUBT)
 
 
-def _ridge_period_px(image: NDArray[np.uint8]) -> float | None:
+def _ridge_period_px(image: GreyArray) -> float | None:
     """Distance of the ridges of a print (H, W) of unknown resolution, in pixels; None where none
     stand out.
 
@@ -326,7 +326,7 @@ def finger_view(
     )  # fmt: skip
 
 
-def print_minutiae(image: NDArray[np.uint8]) -> Minutiae:
+def print_minutiae(image: GreyArray) -> Minutiae:
     """Minutiae of a print (H, W) of 500 ppi, as ``splitknit print`` and ``export`` find them; none
     without ridges."""
     try:

@@ -20,10 +20,9 @@ from numpy.typing import NDArray
 from splitknit.errors import check_mask, require
 from splitknit.imaging.band import bin_mean
 from splitknit.imaging.geometry import bounding_box
-from splitknit.model import BoolArray, FloatArray
+from splitknit.model import Array, BoolArray, FloatArray
 from splitknit_match.prints.curvature import normal_matrices, windowed
 
-Array = NDArray[np.float64]
 KINDS = ("free", "arc")
 _ITERATIONS = 10
 """Rounds of relaxation at most."""

@@ -38,7 +38,7 @@ from splitknit.mirrors.mirror import mirror_shape
 from splitknit.mirrors.reflection import Glass, Sight, facing_fraction, glass_in, led_image, mirrored_fraction, shade_of
 from splitknit.mirrors.settings import MirrorShapeSettings
 from splitknit.mirrors.views import view_binning, views_in
-from splitknit.model import BoolArray, FloatArray
+from splitknit.model import Array, BoolArray, FloatArray
 from splitknit.photometric.near_light import pseudo_normals
 from splitknit.skin.grid import COARSE_PITCH_MM, WORKING_PITCH_MM, BandImages, Grid, coarsen, refine, smooth_step
 from splitknit.skin.images import FACTOR, MetricSettings, coarser, finer_grid, finer_images, shipped_networks
@@ -46,7 +46,6 @@ from splitknit.skin.learned import can_learn, features, relief_by_network
 from splitknit.skin.light import Lighting, fine_lighting, slant_of, trust_of
 from splitknit_match.rolled.chart import Chart, heights, read
 
-Array = NDArray[np.float64]
 SIDES = ("left", "right")
 NO_MIRRORS = (
     "the capture has no mirrors beside the finger, so that it shows the finger from the front only; name them in its "
