@@ -19,7 +19,7 @@ from splitknit.io.prints import PrintFile, write_print_png
 from splitknit.io.provenance import canonical_json, file_hash, json_text, provenance
 from splitknit.model import GreyArray, Progress, no_progress
 from splitknit_match.prints.fingerphoto import FingerPhoto
-from splitknit_match.prints.from_file import finger_view, pressed_print, read_one_finger
+from splitknit_match.prints.from_file import contact_print, finger_view, pressed_print, read_one_finger
 from splitknit_match.prints.make import Print, enhance, measured, minutiae_by_phase
 from splitknit_match.prints.minutiae_record import PPI, Minutiae
 from splitknit_match.prints.print_quality import PrintQuality
@@ -121,11 +121,7 @@ def print_of_photo(photo: FingerPhoto) -> tuple[Source, Print]:
         "photo", ridges.inside, photo.pitch_mm, np.eye(3), photo.flat.shape, hashes=photo.hashes, scale=photo.scale,
         quality=photo.quality,
     )  # fmt: skip
-    weight = ridges.inside.astype(np.float32)
-    light = (255.0 - photo.flat).astype(np.float32)
-    return source, Print(
-        photo.flat, weight, photo.map, light, in_mm=False, even=ridges.image, confidence=ridges.confidence
-    )
+    return source, contact_print(photo.flat, ridges.inside, ridges, photo.map)
 
 
 def _page(source: Source, printed: Print, minutiae: Minutiae, pictures: Mapping[str, GreyArray], words: Facts) -> str:

@@ -156,7 +156,7 @@ def pressed_ridges(image: GreyArray, usual: tuple[float, float] | None = None) -
     y, x = ((np.arange(side, dtype=np.float32) + (_WINDOW_PX / 2 - _STEP_PX + 0.5)) / _STEP_PX for side in even.shape)
     sure = np.clip((blur(purity, 1.0) / _PURE - _NOISE) / (1 - _NOISE), 0, 1)
     confidence = cv2.remap(sure, *np.meshgrid(x, y), cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
-    clear_contrast = _usual(contrast[confidence >= 0.5 * _clearest(confidence)])
+    clear_contrast = usual_contrast(contrast[confidence >= 0.5 * _clearest(confidence)])
     faint = (_PHOTO_FAINT if is_photo else _FAINT) * clear_contrast + 1e-6
     confidence = confidence * np.minimum(contrast / faint, 1) ** 2
     inside = _extent(confidence, _PHOTO_EDGE if is_photo else _EDGE)
@@ -206,11 +206,11 @@ def _evened(image: GreyArray, sigma: float) -> tuple[FloatArray, FloatArray]:
     grey = np.minimum(grey, np.float32(np.percentile(grey[known > 0], 99)))  # paper is flat
     centred, weight = without_shading(grey, known, sigma)
     contrast = np.sqrt(_mean(centred * centred, sigma) / weight)
-    level = np.maximum(_MIN_LEVEL, _RAISED * _usual(contrast))
+    level = np.maximum(_MIN_LEVEL, _RAISED * usual_contrast(contrast))
     return np.clip(centred / np.maximum(contrast, level), -3.0, 3.0).astype(np.float32), contrast
 
 
-def _usual(contrast: FloatArray) -> np.float32:
+def usual_contrast(contrast: FloatArray) -> np.float32:
     """Mean contrast, weighted by itself: of the strong places, however few."""
     return np.float32((contrast * contrast).sum() / np.maximum(contrast.sum(), 1e-6))
 
