@@ -25,7 +25,8 @@ from splitknit.units import MILLIMETRES, LengthUnit, pixels
 Array = NDArray[np.float64]
 FloatArray = NDArray[np.floating]
 BoolArray = NDArray[np.bool_]
-PixelArray = NDArray[np.uint8] | NDArray[np.uint16]
+GreyArray = NDArray[np.uint8]
+PixelArray = GreyArray | NDArray[np.uint16]
 Progress = Callable[[str, float], None]
 """Called with the name of a step and the fraction done, 0 to 1."""
 Coordinate = Annotated[float, Meta(ge=-1e7, le=1e7)]

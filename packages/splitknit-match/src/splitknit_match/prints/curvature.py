@@ -19,9 +19,8 @@ from numpy.typing import NDArray
 
 from splitknit.errors import check_mask
 from splitknit.imaging.geometry import bounding_box
-from splitknit.model import BoolArray, FloatArray
+from splitknit.model import Array, BoolArray, FloatArray
 
-Array = NDArray[np.float64]
 REFERENCE_PX_PER_MM = 75.7
 """Scale at which the thesis gives the window."""
 WINDOW_PX = 15.0

@@ -18,7 +18,7 @@ from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 
 from splitknit.errors import require
-from splitknit.model import BoolArray, FloatArray
+from splitknit.model import BoolArray, FloatArray, GreyArray
 from splitknit_match.prints.ridge_field import NO_RIDGES, RidgeField, overlap_added, ridge_field
 
 _SIGMA_PERIODS = 0.5
@@ -33,7 +33,7 @@ _FLOOR = 0.15
 class Enhanced:
     """An enhanced print."""
 
-    image: NDArray[np.uint8]
+    image: GreyArray
     """(h, w) ridges dark, background white."""
     wave: FloatArray
     """(h, w) the ridges as a wave about zero, negative on ridges, about one in amplitude; 0 outside
@@ -43,7 +43,7 @@ class Enhanced:
     field: RidgeField
 
 
-def gabor_enhance(image: NDArray[np.uint8], ppi: float = 500.0, inside: BoolArray | None = None) -> Enhanced:
+def gabor_enhance(image: GreyArray, ppi: float = 500.0, inside: BoolArray | None = None) -> Enhanced:
     """Enhance a print (h, w) uint8, ridges dark; nothing is printed beside `inside` (h, w), where
     that is known.
 
@@ -79,9 +79,7 @@ def _wave_vectors(field: RidgeField) -> tuple[FloatArray, FloatArray]:
     return turn * np.cos(across), -turn * np.sin(across)  # rows run downwards
 
 
-def node_amplitudes(
-    image: NDArray[np.uint8] | FloatArray, field: RidgeField, sigma_periods: float
-) -> NDArray[np.complex64]:
+def node_amplitudes(image: GreyArray | FloatArray, field: RidgeField, sigma_periods: float) -> NDArray[np.complex64]:
     """Fit one plane wave, with a node's own direction and frequency, at every node of an image (h,
     w).
 

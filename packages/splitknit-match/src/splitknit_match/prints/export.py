@@ -107,11 +107,8 @@ def export_records(
             facts: Facts = {"kind": item.kind, **label}
             if picture is not None and (picture.doubt or picture.note):
                 facts["note"] = f"{picture.doubt} {picture.note}".strip()
-            if form.holds == "image":
-                writing = Writing(compression, provenance_texts(provenance({"to": form.name}, hashes)), owner=owner)
-                encode = partial(_picture_bytes, picture, form, writing, item.printed)
-            else:
-                encode = partial(_minutiae_bytes, picture, view, form, owner, minutiae, item.printed)
+            writing = Writing(compression, provenance_texts(provenance({"to": form.name}, hashes)), owner=owner)
+            encode = partial(_encoded, picture, view, form, writing, how=minutiae, printed=item.printed)
             data, more = naming(source, encode)
             yield item.name, form.suffix, partial(Path.write_bytes, data=data), facts | more
 
@@ -253,28 +250,26 @@ def _name_of(source: Path) -> str:
 # A finger in the format that was asked for.
 
 
-def _picture_bytes(
-    picture: PrintFile | None, form: PrintFormat, writing: Writing, printed: Print | None
-) -> tuple[bytes, Facts]:
-    if picture is None or form.encode is None:
+def _encoded(
+    picture: PrintFile | None, view: FingerView | None, form: PrintFormat, writing: Writing, *, how: str,
+    printed: Print | None,
+) -> tuple[bytes, Facts]:  # fmt: skip
+    """Bytes of a finger, and facts of them; `how` minutiae are found."""
+    assert form.encode is not None
+    if form.holds == "minutiae":
+        if view is None:
+            assert picture is not None
+            view = _minutiae_in(picture, how, printed)
+        facts: Facts = {"size": list(view.size), "minutiae": view.count, "quality": view.finger_quality}
+        return form.encode(view, writing), facts
+    if picture is None:
         cure = "write iso-19794-2 or ansi-378"
         raise BadInput(f"it holds minutiae and no picture, but {form.words} is for pictures; {cure}.")
     picture = _fitting(picture, form)
-    facts: Facts = {"size": list(picture.image.shape), "ppi": round(picture.resolution_ppi or 0.0, 2)}
+    facts = {"size": list(picture.image.shape), "ppi": round(picture.resolution_ppi or 0.0, 2)}
     if form.name == "iso-39794-4":
         facts["quality"] = _minutiae_in(picture, "none", printed).finger_quality
     return form.encode(picture, replace(writing, quality=facts.get("quality"))), facts
-
-
-def _minutiae_bytes(  # noqa: PLR0917
-    picture: PrintFile | None, view: FingerView | None, form: PrintFormat, owner: int, how: str, printed: Print | None
-) -> tuple[bytes, Facts]:
-    if view is None:
-        assert picture is not None
-        view = _minutiae_in(picture, how, printed)
-    assert form.encode is not None
-    facts = {"size": list(view.size), "minutiae": view.count, "quality": view.finger_quality}
-    return form.encode(view, Writing(owner=owner)), facts
 
 
 def _fitting(picture: PrintFile, form: PrintFormat) -> PrintFile:

@@ -28,7 +28,7 @@ from splitknit.imaging.areas import disc
 from splitknit.imaging.geometry import bounding_box
 from splitknit.io.photos import SUFFIXES, Photo, read_photo
 from splitknit.io.prints import is_coloured
-from splitknit.model import BoolArray, FloatArray
+from splitknit.model import BoolArray, FloatArray, GreyArray, PixelArray
 from splitknit.plausible import FINGER_WIDTH
 from splitknit_match.prints.enhance import node_amplitudes
 from splitknit_match.prints.from_file import USUAL_PERIOD_MM
@@ -99,7 +99,7 @@ def fingerphoto(path: str | os.PathLike[str]) -> Photo | None:
 class FingerPhoto:
     """A photograph of a finger, its skin laid flat row by row."""
 
-    flat: NDArray[np.uint8]
+    flat: GreyArray
     """(h, w) print at 500 ppi, ridges dark."""
     pressed: PressedRidges
     """Its ridges."""
@@ -134,7 +134,7 @@ def read_fingerphoto(
 
 
 def finger_of_photo(
-    pixels: NDArray[np.uint8] | NDArray[np.uint16],
+    pixels: PixelArray,
     px_per_mm: float | None = None,
     mask: BoolArray | None = None,
     box: tuple[int, int, int, int] | None = None,
@@ -233,7 +233,7 @@ def _segmented(
     return mask, None, find_upright(mask).width_px, note
 
 
-def _even(values: FloatArray, weight: FloatArray) -> tuple[NDArray[np.uint8], BoolArray]:
+def _even(values: FloatArray, weight: FloatArray) -> tuple[GreyArray, BoolArray]:
     """(h, w) a print of light without its shading, and where; contrast is raised alike everywhere,
     so that blocks of JPEG that lost their ridges stay flat.
     """

@@ -10,7 +10,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from splitknit import BadInput
 from splitknit.errors import naming
@@ -18,9 +17,9 @@ from splitknit.io.atomic import atomic_folder, write_file
 from splitknit.io.npz import write_npz
 from splitknit.io.prints import PrintFile, write_print_png
 from splitknit.io.provenance import canonical_json, file_hash, json_text, provenance
-from splitknit.model import Progress, no_progress
+from splitknit.model import GreyArray, Progress, no_progress
 from splitknit_match.prints.fingerphoto import FingerPhoto
-from splitknit_match.prints.from_file import finger_view, pressed_print, read_one_finger
+from splitknit_match.prints.from_file import contact_print, finger_view, pressed_print, read_one_finger
 from splitknit_match.prints.make import Print, enhance, measured, minutiae_by_phase
 from splitknit_match.prints.minutiae_record import PPI, Minutiae
 from splitknit_match.prints.print_quality import PrintQuality
@@ -122,16 +121,10 @@ def print_of_photo(photo: FingerPhoto) -> tuple[Source, Print]:
         "photo", ridges.inside, photo.pitch_mm, np.eye(3), photo.flat.shape, hashes=photo.hashes, scale=photo.scale,
         quality=photo.quality,
     )  # fmt: skip
-    weight = ridges.inside.astype(np.float32)
-    light = (255.0 - photo.flat).astype(np.float32)
-    return source, Print(
-        photo.flat, weight, photo.map, light, in_mm=False, even=ridges.image, confidence=ridges.confidence
-    )
+    return source, contact_print(photo.flat, ridges.inside, ridges, photo.map)
 
 
-def _page(
-    source: Source, printed: Print, minutiae: Minutiae, pictures: Mapping[str, NDArray[np.uint8]], words: Facts
-) -> str:
+def _page(source: Source, printed: Print, minutiae: Minutiae, pictures: Mapping[str, GreyArray], words: Facts) -> str:
     """The surface in three dimensions with the print's minutiae on it, and the print; `words`: of
     the template."""
     from splitknit.report import template
@@ -171,7 +164,7 @@ FULL_RATING = 0.95
 
 
 def _quality_facts(
-    quality: PrintQuality, method: str, photo: float | None, pictures: Mapping[str, NDArray[np.uint8]], ppi: float
+    quality: PrintQuality, method: str, photo: float | None, pictures: Mapping[str, GreyArray], ppi: float
 ) -> Facts:
     """What ``report.json`` holds under ``quality``: plain numbers and sentences; `photo`: quality
     of a photograph."""

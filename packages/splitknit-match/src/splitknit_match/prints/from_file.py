@@ -17,12 +17,12 @@ from splitknit.errors import require
 from splitknit.finger.regions import fill_holes, largest_component
 from splitknit.imaging.areas import disc
 from splitknit.io.prints import PrintFile, read_print_png
-from splitknit.model import BoolArray, FloatArray
+from splitknit.model import BoolArray, FloatArray, GreyArray
 from splitknit_match.prints.make import Print, enhance, minutiae_by_phase
 from splitknit_match.prints.minutiae import at_500_ppi, is_a_fingers
 from splitknit_match.prints.minutiae_record import PPI, Minutiae, no_minutiae
-from splitknit_match.prints.pressed import PressedRidges, frame, pressed_ridges
-from splitknit_match.prints.print_map import plane_map
+from splitknit_match.prints.pressed import PressedRidges, frame, pressed_ridges, usual_contrast
+from splitknit_match.prints.print_map import PrintMap, plane_map
 from splitknit_match.prints.ridge_field import closed_opened
 from splitknit_match.records.minutiae_files import read_minutiae_record
 from splitknit_match.records.minutiae_record import FINGER_CODES, RESOLUTION_500_PPI, FingerView
@@ -127,7 +127,7 @@ def _resolved(item: PrintFile, name: str, input_ppi: float | None) -> PrintFile:
     return replace(item, resolution_ppi=float(ppi))
 
 
-def _suggestion(image: NDArray[np.uint8]) -> str:
+def _suggestion(image: GreyArray) -> str:
     period = _ridge_period_px(image)
     if period is None:
         return "it shows no ridges to measure it by: give it in pixels per inch, such as `input_ppi` 500"
@@ -148,7 +148,7 @@ def _waves(image: NDArray[Any], step: int) -> tuple[FloatArray, FloatArray, Bool
     windows = sliding_window_view(image, (_TILE_PX, _TILE_PX))[::step, ::step]
     rows = [_tile_waves(tiles) for tiles in windows]  # a row at a time bounds the memory
     purity, period, turn, contrast = (np.array(values) for values in zip(*rows, strict=True))
-    strong = contrast > max(_FAINT, 0.3 * float((contrast**2).sum() / max(float(contrast.sum()), 1e-6)))
+    strong = contrast > max(_FAINT, 0.3 * usual_contrast(contrast))
     # ridges run on into the tiles beside
     cosine, sine, around = (cv2.blur(part, (3, 3)) for part in (turn.real, turn.imag, purity))
     agreement = np.hypot(cosine, sine) / np.maximum(around, 1e-6)
@@ -235,9 +235,14 @@ def pressed_print(item: PrintFile, inside: BoolArray | None = None, pressed: Pre
     mirrored = np.diag([-1.0, 1.0, 1.0])  # prints are, camera images not
     mirrored[0, 2] = item.image.shape[1] - 1.0
     paper = replace(plane_map(25.4 / ppi, mirrored, item.image.shape, PPI), surface="paper")
+    return contact_print(image, ridges, pressed, paper)
+
+
+def contact_print(image: GreyArray, inside: BoolArray, pressed: PressedRidges, print_map: PrintMap) -> Print:
+    """Print of what shows light (H, W), where it has ridges."""
     light = (255.0 - image).astype(np.float32)
-    weight = ridges.astype(np.float32)
-    return Print(image, weight, paper, light, in_mm=False, even=pressed.image, confidence=pressed.confidence)
+    weight = inside.astype(np.float32)
+    return Print(image, weight, print_map, light, in_mm=False, even=pressed.image, confidence=pressed.confidence)
 
 
 def _dark_ridges(item: PrintFile) -> PrintFile:
@@ -261,7 +266,7 @@ def _dark_ridges(item: PrintFile) -> PrintFile:
     mean, square = (cv2.resize(part, (columns, rows), interpolation=cv2.INTER_AREA) for part in (image, image * image))
     usable = ~framed.reshape(rows, side, columns, side).any(axis=(1, 3))
     deviation = np.sqrt(np.maximum(square - mean * mean, 0)) * usable
-    strong = deviation > max(_FAINT, 0.35 * float((deviation**2).sum() / max(float(deviation.sum()), 1e-6)))
+    strong = deviation > max(_FAINT, 0.35 * usual_contrast(deviation))
     whole = closed_opened(strong, 5, 2, 6) > 0
     if not whole.any():
         return item
@@ -288,7 +293,7 @@ def _dark_ridges(item: PrintFile) -> PrintFile:
     return item if np.mean(levels) > _DARK else _noted(item, _DOUBT)
 
 
-def _ridge_period_px(image: NDArray[np.uint8]) -> float | None:
+def _ridge_period_px(image: GreyArray) -> float | None:
     """Distance of the ridges of a print (H, W) of unknown resolution, in pixels; None where none
     stand out.
 
@@ -326,7 +331,7 @@ def finger_view(
     )  # fmt: skip
 
 
-def print_minutiae(image: NDArray[np.uint8]) -> Minutiae:
+def print_minutiae(image: GreyArray) -> Minutiae:
     """Minutiae of a print (H, W) of 500 ppi, as ``splitknit print`` and ``export`` find them; none
     without ridges."""
     try:

@@ -6,12 +6,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from splitknit import BadInput
 from splitknit.errors import require
 from splitknit.finger.ridges import ink
-from splitknit.model import FloatArray
+from splitknit.model import FloatArray, GreyArray
 from splitknit_match.prints.curvature import curvature
 from splitknit_match.prints.enhance import Enhanced, gabor_enhance
 from splitknit_match.prints.minutiae_record import Minutiae
@@ -26,7 +25,7 @@ from splitknit_match.prints.unroll import KINDS, surface_grid, unroll
 class Print:
     """A print, and where its pixels come from."""
 
-    image: NDArray[np.uint8]
+    image: GreyArray
     """(h, w) ridges dark."""
     weight: FloatArray
     """(h, w) fraction of the pixel that lies on the finger, 0 to 1."""
@@ -38,14 +37,14 @@ class Print:
     distortion: dict[str, float] | None = None
     """By how much lengths are off, of skin laid flat, see
     :func:`splitknit_match.prints.unroll.distortion`."""
-    even: NDArray[np.uint8] | None = None
+    even: GreyArray | None = None
     """(h, w) the same of even contrast, where a print was pressed on glass or paper; its minutiae
     are sought there."""
     confidence: FloatArray | None = None
     """(h, w) 0 to 1, of such a print: how sure its ridges are."""
 
     @property
-    def clearest(self) -> NDArray[np.uint8]:
+    def clearest(self) -> GreyArray:
         """(h, w) the print of even contrast where there is one: in it ridges are followed."""
         return self.image if self.even is None else self.even
 

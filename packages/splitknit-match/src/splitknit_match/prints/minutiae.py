@@ -14,10 +14,9 @@ from typing import Any
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
 from splitknit.errors import importing, require
-from splitknit.model import FloatArray
+from splitknit.model import FloatArray, GreyArray
 from splitknit_match.prints.minutiae_record import (
     BIFURCATION,
     ENDING,
@@ -48,7 +47,7 @@ _OPENED_MM = 0.6
 """Radius: thin lines beside it do not."""
 
 
-def edge_distance_mm(print_image: NDArray[np.uint8]) -> FloatArray:
+def edge_distance_mm(print_image: GreyArray) -> FloatArray:
     """(H, W) distance of every pixel to the print's outline, 0 on the paper.
 
     `print_image`: (H, W) uint8 at 500 ppi, ridges dark on white paper. The image's border is an
@@ -69,7 +68,7 @@ _LOCK = threading.Lock()
 
 
 def extract(
-    print_image: NDArray[np.uint8], ppi: float = PPI, enhance: bool = False, *,
+    print_image: GreyArray, ppi: float = PPI, enhance: bool = False, *,
     edge_mm: float | None = None,
 ) -> Minutiae:  # fmt: skip
     """Find the minutiae of a print (H, W) uint8, ridges dark, with mindtct: at most 150, by column
@@ -133,7 +132,7 @@ def minutiae_match(a: Minutiae, b: Minutiae) -> float:
     return float(sides[0].compare(sides[1]))
 
 
-def nfiq2(print_image: NDArray[np.uint8], ppi: float = PPI) -> int:
+def nfiq2(print_image: GreyArray, ppi: float = PPI) -> int:
     """NIST Fingerprint Image Quality 2 of a print (H, W) uint8: 0 (useless) to 100, or 255 where it
     sees no print.
 
@@ -168,12 +167,12 @@ def _exchanged(minutiae: Minutiae) -> bytes:
     return b"FMR\0 20\0" + struct.pack(">IxxHHxxxxxxxB", 26 + len(body), columns, rows, best.count) + body
 
 
-def is_a_fingers(print_image: NDArray[np.uint8], ppi: float) -> bool:
+def is_a_fingers(print_image: GreyArray, ppi: float) -> bool:
     """Whether a print (H, W) is no larger than one finger's."""
     return print_image.size * (25.4 / ppi) ** 2 <= LARGEST_MM2
 
 
-def at_500_ppi(print_image: NDArray[np.uint8], ppi: float) -> NDArray[np.uint8]:
+def at_500_ppi(print_image: GreyArray, ppi: float) -> GreyArray:
     """Resample a print (H, W) uint8 to 500 ppi; the size is checked first.
 
     Raises BadInput if the image or the resolution is of another kind, or the print is larger than a
@@ -198,7 +197,7 @@ def at_500_ppi(print_image: NDArray[np.uint8], ppi: float) -> NDArray[np.uint8]:
     return cv2.resize(image, (columns, rows), interpolation=kind).astype(np.uint8)
 
 
-def _png(image: NDArray[np.uint8]) -> bytes:
+def _png(image: GreyArray) -> bytes:
     return cv2.imencode(".png", image, [cv2.IMWRITE_PNG_COMPRESSION, 1])[1].tobytes()
 
 

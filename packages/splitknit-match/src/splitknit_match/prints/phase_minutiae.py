@@ -12,12 +12,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from splitknit.imaging.geometry import sampled_at
-from splitknit.model import FloatArray
+from splitknit.model import Array, FloatArray, GreyArray
 from splitknit_match.prints.enhance import Enhanced
 from splitknit_match.prints.minutiae_record import BIFURCATION, ENDING, Minutiae
 from splitknit_match.prints.ridge_field import outline_distance_mm
 
-Array = NDArray[np.float64]
 _CORNERS = ((1, 0), (1, 1), (0, 1), (0, 0))
 """Corners of a square of pixels, row and column, counter-clockwise as displayed."""
 
@@ -37,7 +36,7 @@ than 120 deg."""
 
 
 def by_phase(
-    image: NDArray[np.uint8], enhanced: Enhanced, ppi: float = 500.0, confidence: FloatArray | None = None
+    image: GreyArray, enhanced: Enhanced, ppi: float = 500.0, confidence: FloatArray | None = None
 ) -> Minutiae:
     """Find the minutiae of a print whose enhancement is at hand, on the grid of 500 ppi as
     mindtct's.
@@ -78,7 +77,7 @@ def by_phase(
     return Minutiae(column, row, towards % (2 * np.pi), kind, quality, size)
 
 
-def _quality(like: FloatArray, edge_mm: FloatArray, place_mm: Array, towards: Array) -> NDArray[np.uint8]:
+def _quality(like: FloatArray, edge_mm: FloatArray, place_mm: Array, towards: Array) -> GreyArray:
     """(N,) percent: how probably another print of the finger has these minutiae too."""
     apart = np.full(len(like), _APART_MM)
     for k, (place, turn) in enumerate(zip(place_mm, towards, strict=True)):
@@ -88,7 +87,7 @@ def _quality(like: FloatArray, edge_mm: FloatArray, place_mm: Array, towards: Ar
     return _probability(np.stack([np.ones(len(like)), missing, np.minimum(edge_mm, _FAR_MM), apart], axis=1))
 
 
-def _probability(terms: Array) -> NDArray[np.uint8]:
+def _probability(terms: Array) -> GreyArray:
     return np.asarray(np.round(100 / (1 + np.exp(-terms @ np.array(_AGAIN)))), dtype=np.uint8)
 
 
@@ -151,7 +150,7 @@ def _zeros(ridges: Array, quadratures: list[Array], rows: NDArray[np.intp], colu
     return np.where(flat[:, None], 0.0, np.clip(offset, -0.5, 0.5))
 
 
-def _kinds(ridges: Array, place: Array, towards: Array, wave_number: Array) -> NDArray[np.uint8]:
+def _kinds(ridges: Array, place: Array, towards: Array, wave_number: Array) -> GreyArray:
     """A ridge ends where the side with one more has a ridge ahead, it forks where that has a
     valley."""
     ahead = 0.5 * 2 * np.pi / wave_number
@@ -160,7 +159,7 @@ def _kinds(ridges: Array, place: Array, towards: Array, wave_number: Array) -> N
     return np.where(ending, ENDING, BIFURCATION).astype(np.uint8)
 
 
-def _likeness(image: NDArray[np.uint8], ridges: Array, sigma_px: float = 4.0) -> FloatArray:
+def _likeness(image: GreyArray, ridges: Array, sigma_px: float = 4.0) -> FloatArray:
     """(h, w) correlation of print and wave, about every pixel."""
     smooth = cv2.GaussianBlur(image.astype(np.float32), (0, 0), 1.0)
     ink = cv2.GaussianBlur(smooth, (0, 0), 2.5 * sigma_px) - smooth

@@ -20,7 +20,7 @@ from scipy.ndimage import gaussian_filter
 
 from splitknit.errors import require
 from splitknit.imaging.areas import filled
-from splitknit.model import BoolArray, FloatArray
+from splitknit.model import Array, BoolArray, FloatArray, PixelArray
 
 # lengths are in longer sides of the picture, or in widths of the finger
 _SEARCH_PX = 96
@@ -72,8 +72,6 @@ MIN_LIKENESS = 0.17
 (validation/match/telephone.py)."""
 _MIN_IN_BOX = 0.01
 """The same where somebody states that there is a finger."""
-Pixels = NDArray[np.uint8] | NDArray[np.uint16]
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -136,7 +134,7 @@ class PhotographedFinger:
     """Further fingers in the picture."""
 
 
-def finger_in_photo(pixels: Pixels, box: tuple[int, int, int, int] | None = None) -> PhotographedFinger:
+def finger_in_photo(pixels: PixelArray, box: tuple[int, int, int, int] | None = None) -> PhotographedFinger:
     """Find the clearest finger of a photograph (H, W, 3) of 8 or 16 bits; raises BadInput where
     there is none.
 
@@ -201,7 +199,7 @@ def finger_in_photo(pixels: Pixels, box: tuple[int, int, int, int] | None = None
     return PhotographedFinger(mask, direction_deg, best.width * side, len(fingers) - 1)
 
 
-def _lab(pixels: Pixels) -> FloatArray:
+def _lab(pixels: PixelArray) -> FloatArray:
     """The picture in weighted CIELAB, (H, W, 3), reduced."""
     coded = (_reduced(pixels, _FINE_PX) / np.iinfo(pixels.dtype).max).astype(np.float32)
     return cv2.cvtColor(coded, cv2.COLOR_RGB2Lab) * _LAB_WEIGHTS
@@ -420,7 +418,7 @@ def _likeness(outline: Outline, lab: FloatArray) -> float:
     return float(likeness * _skin_likeness(lab[inside]).mean())
 
 
-def _ridge_likeness(pixels: Pixels, outline: Outline) -> float:
+def _ridge_likeness(pixels: PixelArray, outline: Outline) -> float:
     """Part of an outline's likeness that its ridges leave: how much of the fine detail is one wave
     as far apart as ridges, running on from window to window, in the better half of the windows; 0
     where they vary more than skin does.

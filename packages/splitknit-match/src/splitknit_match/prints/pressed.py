@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from splitknit.finger.regions import blur, fill_holes
 from splitknit.imaging.areas import disc
 from splitknit.imaging.geometry import wide_blur
-from splitknit.model import BoolArray, FloatArray
+from splitknit.model import BoolArray, FloatArray, GreyArray
 from splitknit_match.prints.ridge_field import closed_opened, overlap_added, spectra_of
 
 # lengths in pixels at 500 ppi
@@ -112,7 +112,7 @@ paper."""
 class PressedRidges:
     """Ridges of a pressed print."""
 
-    image: NDArray[np.uint8]
+    image: GreyArray
     """(H, W) even ridges, dark; white where there are none."""
     inside: BoolArray
     """(H, W) where there are ridges."""
@@ -122,7 +122,7 @@ class PressedRidges:
     """Why they are no print of a finger; empty for prints."""
 
 
-def pressed_ridges(image: NDArray[np.uint8], usual: tuple[float, float] | None = None) -> PressedRidges:
+def pressed_ridges(image: GreyArray, usual: tuple[float, float] | None = None) -> PressedRidges:
     """Enhance a print (H, W) uint8 of 500 ppi, ridges dark, that was pressed on glass or paper;
     white without ridges.
 
@@ -156,7 +156,7 @@ def pressed_ridges(image: NDArray[np.uint8], usual: tuple[float, float] | None =
     y, x = ((np.arange(side, dtype=np.float32) + (_WINDOW_PX / 2 - _STEP_PX + 0.5)) / _STEP_PX for side in even.shape)
     sure = np.clip((blur(purity, 1.0) / _PURE - _NOISE) / (1 - _NOISE), 0, 1)
     confidence = cv2.remap(sure, *np.meshgrid(x, y), cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
-    clear_contrast = _usual(contrast[confidence >= 0.5 * _clearest(confidence)])
+    clear_contrast = usual_contrast(contrast[confidence >= 0.5 * _clearest(confidence)])
     faint = (_PHOTO_FAINT if is_photo else _FAINT) * clear_contrast + 1e-6
     confidence = confidence * np.minimum(contrast / faint, 1) ** 2
     inside = _extent(confidence, _PHOTO_EDGE if is_photo else _EDGE)
@@ -198,7 +198,7 @@ def without_shading(values: FloatArray, known: FloatArray, sigma: float) -> tupl
     return values, weight
 
 
-def _evened(image: NDArray[np.uint8], sigma: float) -> tuple[FloatArray, FloatArray]:
+def _evened(image: GreyArray, sigma: float) -> tuple[FloatArray, FloatArray]:
     """(H, W) the print with even mean and contrast, and its contrast; the sensor's frame does not
     count."""
     known = (~frame(image)).astype(np.float32)
@@ -206,16 +206,16 @@ def _evened(image: NDArray[np.uint8], sigma: float) -> tuple[FloatArray, FloatAr
     grey = np.minimum(grey, np.float32(np.percentile(grey[known > 0], 99)))  # paper is flat
     centred, weight = without_shading(grey, known, sigma)
     contrast = np.sqrt(_mean(centred * centred, sigma) / weight)
-    level = np.maximum(_MIN_LEVEL, _RAISED * _usual(contrast))
+    level = np.maximum(_MIN_LEVEL, _RAISED * usual_contrast(contrast))
     return np.clip(centred / np.maximum(contrast, level), -3.0, 3.0).astype(np.float32), contrast
 
 
-def _usual(contrast: FloatArray) -> np.float32:
+def usual_contrast(contrast: FloatArray) -> np.float32:
     """Mean contrast, weighted by itself: of the strong places, however few."""
     return np.float32((contrast * contrast).sum() / np.maximum(contrast.sum(), 1e-6))
 
 
-def frame(image: NDArray[np.uint8]) -> BoolArray:
+def frame(image: GreyArray) -> BoolArray:
     """(H, W) areas of one grey level at the picture's border that end in a step: beside the
     sensor's window."""
     border = np.concatenate([image[0], image[-1], image[:, 0], image[:, -1]])

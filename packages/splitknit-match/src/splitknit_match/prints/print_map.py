@@ -20,8 +20,8 @@ from splitknit.errors import check_mask, require
 from splitknit.finger.ridges import MM_PER_INCH, upright_from_print
 from splitknit.imaging.band import bin_mean
 from splitknit.imaging.geometry import bounding_box, gaussian_mean, sampled_at
-from splitknit.model import BoolArray, FloatArray
-from splitknit_match.prints.unroll import Array, SurfaceGrid, Unrolled, extrapolated, moved, slant_cos
+from splitknit.model import Array, BoolArray, FloatArray
+from splitknit_match.prints.unroll import SurfaceGrid, Unrolled, extrapolated, moved, slant_cos
 
 NOWHERE = -1e6
 """Where a print's pixel lies in the input if it shows nothing."""

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from splitknit.errors import require
 from splitknit.finger.ridges import MM_PER_INCH
 from splitknit.imaging.areas import disc
-from splitknit.model import BoolArray, FloatArray
+from splitknit.model import BoolArray, FloatArray, GreyArray
 
 # lengths in mm on the print
 _STEP_MM = 0.2
@@ -58,7 +58,7 @@ class RidgeField:
         return np.where(self.mask, MM_PER_INCH / ppi / self.frequency_px, np.nan).astype(np.float32)
 
 
-def ridge_field(image: NDArray[np.uint8], ppi: float = 500.0, inside: BoolArray | None = None) -> RidgeField:
+def ridge_field(image: GreyArray, ppi: float = 500.0, inside: BoolArray | None = None) -> RidgeField:
     """Find direction, frequency and extent of the ridges of a print (h, w) uint8, ridges dark.
 
     `inside`: (h, w) bool, where the finger is, if it is known. Raises BadInput if it has no ridges.
@@ -129,7 +129,7 @@ def overlap_added(tiles: FloatArray, step: int) -> FloatArray:
 
 def closed_opened(
     area: BoolArray, closing_px: int, opening_px: int, pad: int, border: int = cv2.BORDER_REPLICATE
-) -> NDArray[np.uint8]:
+) -> GreyArray:
     """(H, W) an area closed and opened with discs of these radii; beyond the image it goes on by
     `pad` pixels."""
     padded = cv2.copyMakeBorder(area.astype(np.uint8), pad, pad, pad, pad, border)

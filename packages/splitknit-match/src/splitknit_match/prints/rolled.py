@@ -6,14 +6,13 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from splitknit import preset_settings, read_capture
 from splitknit.errors import naming, require
 from splitknit.finger.ridges import ink
 from splitknit.imaging.polarised import without_films
 from splitknit.io.mesh import triangulate, write_ply
-from splitknit.model import BoolArray, FloatArray, Progress
+from splitknit.model import Array, BoolArray, FloatArray, Progress
 from splitknit_match.prints.make import Print
 from splitknit_match.prints.print_map import PrintMap, resample, unrolled_map
 from splitknit_match.prints.sources import Source
@@ -22,7 +21,6 @@ from splitknit_match.rolled.chart import Chart
 from splitknit_match.rolled.finger import Rolled, rolled_finger
 from splitknit_match.rolled.views import find_mirror_views
 
-Array = NDArray[np.float64]
 SIDE_MM = 14.0
 """Coverage is reported for the rows from the tip's cap downwards, as far as this."""
 

@@ -10,11 +10,10 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from splitknit import Capture, Reconstruction
 from splitknit.errors import naming, require
-from splitknit.model import BoolArray, FloatArray, Progress, no_progress
+from splitknit.model import Array, BoolArray, FloatArray, Progress, no_progress
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -25,7 +24,7 @@ class Source:
     """``result``, ``capture`` or ``photo``."""
     mask: BoolArray
     pitch_mm: float
-    input_from_upright: NDArray[np.float64]
+    input_from_upright: Array
     upright_size: tuple[int, int]
     height_mm: FloatArray | None = None
     """(H, W); None where only the photograph was asked for."""

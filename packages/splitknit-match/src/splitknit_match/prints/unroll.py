@@ -20,10 +20,9 @@ from numpy.typing import NDArray
 from splitknit.errors import check_mask, require
 from splitknit.imaging.band import bin_mean
 from splitknit.imaging.geometry import bounding_box
-from splitknit.model import BoolArray, FloatArray
+from splitknit.model import Array, BoolArray, FloatArray
 from splitknit_match.prints.curvature import normal_matrices, windowed
 
-Array = NDArray[np.float64]
 KINDS = ("free", "arc")
 _ITERATIONS = 10
 """Rounds of relaxation at most."""
@@ -253,9 +252,6 @@ def _derivatives(values: Array) -> Array:
 # parameterization,
 # eqs. 5-8 (as-rigid-as-possible).
 
-_ENDS = ((1, 2), (2, 0), (0, 1))
-"""Edge k of a triangle lies opposite corner k."""
-
 
 def _arc_lengths(grid: SurfaceGrid) -> Array:
     """Return (n, m, 2) u to the right and v to the tip, mm along the skin; NaN where nothing is
@@ -311,19 +307,31 @@ def _relaxed(grid: SurfaceGrid, start: Array, centre_weight: float) -> Array:
     turned back to the mean direction of `start`.
     """
     triangles, weight = _triangles(grid, start, centre_weight)
-    nodes = np.unique(triangles)
+    nodes, index = np.unique(triangles, return_inverse=True)
+    corner = index.reshape(triangles.shape)
     count = nodes.size
-    index = np.full(grid.inside.size, -1)
-    index[nodes] = np.arange(count)
-    corner = index[triangles]
-    flat = start.reshape(-1, 2)[nodes]
+
+    # triangles in a plane of complex numbers, and half the cotangents of their angles
     local = _laid_flat(grid.points_mm.reshape(-1, 3)[triangles])
-    cotangent = _cotangents(local) * weight[:, None]
-    i = np.concatenate([corner[:, a] for a, _ in _ENDS])
-    j = np.concatenate([corner[:, b] for _, b in _ENDS])
-    c = cotangent.T.ravel()
+    after = np.roll(local, -1, axis=1)
+    before = np.roll(local, 1, axis=1)
+    product = (after - local).conj() * (before - local)
+    cotangent = 0.5 * product.real / np.maximum(np.abs(product.imag), 1e-9) * weight[:, None]
+
+    # the Laplacian, and at each corner the sum of the triangle's weighted edges that meet there
+    i = np.roll(corner, -1, axis=1).ravel()
+    j = np.roll(corner, 1, axis=1).ravel()
+    c = cotangent.ravel()
     entries = np.r_[c, c, -c, -c], (np.r_[i, j, i, j], np.r_[i, j, j, i])
     laplacian = scipy.sparse.coo_array(entries, shape=(count, count)).tocsc()
+    edge = cotangent * (after - before)
+    sums = np.roll(edge, 1, axis=1) - np.roll(edge, -1, axis=1)
+    places = corner.ravel(), np.repeat(np.arange(len(corner)), 3)
+    edges = scipy.sparse.coo_array((sums.ravel(), places), shape=(count, len(corner))).tocsr()
+    back = edges.conj().T
+
+    flat = start.reshape(-1, 2)[nodes]
+    plane = flat.view(complex)[:, 0]
     pinned = int(np.argmin(np.linalg.norm(flat - np.median(flat, axis=0), axis=1)))
     free = np.delete(np.arange(count), pinned)
     from scipy.sparse.linalg import splu  # slow to import
@@ -332,31 +340,27 @@ def _relaxed(grid: SurfaceGrid, start: Array, centre_weight: float) -> Array:
         laplacian[free][:, free].tocsc(), permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0,
         options={"SymmetricMode": True},
     )  # fmt: skip
-    across, along = _edge_sums(corner, local, cotangent, count)
     pull = laplacian[free][:, [pinned]].toarray() * flat[[pinned]]
     for _ in range(_ITERATIONS):
-        cos = across.T @ flat[:, 0] + along.T @ flat[:, 1]
-        sin = across.T @ flat[:, 1] - along.T @ flat[:, 0]
-        length = np.maximum(np.hypot(cos, sin), 1e-12)
-        cos /= length
-        sin /= length
-        right = np.stack([across @ cos - along @ sin, across @ sin + along @ cos], axis=1)
+        turn = back @ plane  # of each triangle, as fits the nodes best
+        turn /= np.maximum(np.abs(turn), 1e-12)
+        right = (edges @ turn).view(float).reshape(-1, 2)
         solution = solver.solve(right[free] - pull)
         step = float(np.abs(solution - flat[free]).max())
         flat[free] = solution
         if step < 2e-4:
             break
-    result = np.full(start.shape, np.nan)
-    result.reshape(-1, 2)[nodes] = flat
+
     # turned and shifted so that it lies on `start` as well as a rigid sheet can
-    both = grid.inside & np.isfinite(result).all(axis=2) & np.isfinite(start).all(axis=2)
-    middle = result[both].mean(axis=0)
-    target = start[both].mean(axis=0)
-    a = result[both] - middle
-    b = start[both] - target
-    angle = np.arctan2((a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]).sum(), (a * b).sum())
-    turn = np.array([[np.cos(angle), np.sin(angle)], [-np.sin(angle), np.cos(angle)]])
-    return np.asarray((result - middle) @ turn + target)
+    wanted = start[..., 0] + 1j * start[..., 1]
+    result = np.full(wanted.shape, complex(np.nan, np.nan))
+    result.ravel()[nodes] = plane
+    both = grid.inside & np.isfinite(result) & np.isfinite(wanted)
+    middle = result[both].mean()
+    target = wanted[both].mean()
+    overlap = np.vdot(result[both] - middle, wanted[both] - target)
+    result = (result - middle) * (overlap / abs(overlap)) + target
+    return np.stack([result.real, result.imag], axis=2)
 
 
 def _triangles(grid: SurfaceGrid, start: Array, centre_weight: float) -> tuple[NDArray[np.intp], Array]:
@@ -377,46 +381,14 @@ def _triangles(grid: SurfaceGrid, start: Array, centre_weight: float) -> tuple[N
     return triangles, np.where(inside, np.maximum(cosine, 0.05) ** centre_weight, 1e-3)
 
 
-def _laid_flat(corners: Array) -> Array:
-    """Triangles (T, 3, 3) in space as congruent triangles (T, 3, 2) in a plane, counter-clockwise."""
-    first, second = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
-    result = np.zeros((len(corners), 3, 2))
-    result[:, 1, 0] = length = np.linalg.norm(first, axis=1)
-    result[:, 2, 0] = (first * second).sum(axis=1) / length
-    result[:, 2, 1] = np.linalg.norm(np.cross(first, second), axis=1) / length
-    return result
-
-
-def _cotangents(local: Array) -> Array:
-    """(T, 3) half the cotangent of the angle at each corner."""
-    result = np.empty(local.shape[:2])
-    for k in range(3):
-        first, second = local[:, (k + 1) % 3] - local[:, k], local[:, (k + 2) % 3] - local[:, k]
-        cross = first[:, 0] * second[:, 1] - first[:, 1] * second[:, 0]
-        result[:, k] = 0.5 * (first * second).sum(axis=1) / np.maximum(np.abs(cross), 1e-9)
-    return result
-
-
-def _edge_sums(
-    corner: NDArray[np.intp], local: Array, cotangent: Array, count: int
-) -> tuple[scipy.sparse.csr_array, scipy.sparse.csr_array]:
-    """Sparse (count, T): at each corner the sum of the triangle's weighted edges that meet there,
-    along x and y.
-
-    Turning all triangles and adding up their edges at the nodes, and finding the turn that fits the
-    nodes best, are products with these two.
-    """
-    sums = np.zeros((*corner.shape, 2))
-    for k, (a, b) in enumerate(_ENDS):
-        edge = cotangent[:, k, None] * (local[:, a] - local[:, b])
-        sums[:, a] += edge
-        sums[:, b] -= edge
-    places = corner.ravel(), np.repeat(np.arange(len(corner)), 3)
-    shape = count, len(corner)
-    across, along = (
-        scipy.sparse.coo_array((part.ravel(), places), shape=shape).tocsr() for part in (sums[..., 0], sums[..., 1])
-    )
-    return across, along
+def _laid_flat(corners: Array) -> NDArray[np.complex128]:
+    """Triangles (T, 3, 3) in space as congruent ones in a plane, (T, 3) x + i y of the corners,
+    counter-clockwise."""
+    first = corners[:, 1] - corners[:, 0]
+    second = corners[:, 2] - corners[:, 0]
+    length = np.linalg.norm(first, axis=1)
+    area = np.linalg.norm(np.cross(first, second), axis=1)
+    return np.stack([0.0 * length, length, ((first * second).sum(axis=1) + 1j * area) / length], axis=1)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

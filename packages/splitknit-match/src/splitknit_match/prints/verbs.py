@@ -299,27 +299,24 @@ def _print_lines(facts: Mapping[str, Any]) -> list[str]:
     if "scale" in facts:
         lines.append(f"Please note: {facts['scale']}")
     if "rolled" in facts:
-        reach, views = facts["rolled"]["coverage_deg"]["median"], facts["rolled"]["views"]
-        lines.append(f"It reaches {reach:.0f} deg around the finger, from {len(views)} views.")
-        lines += [f"Please note: {warning}" for warning in facts["rolled"]["warnings"]]
+        rolled = facts["rolled"]
+        reach = rolled["coverage_deg"]["median"]
+        lines.append(f"It reaches {reach:.0f} deg around the finger, from {len(rolled['views'])} views.")
+        lines += [f"Please note: {warning}" for warning in rolled["warnings"]]
     if facts.get("distortion"):
-        figures = facts["distortion"]
-        median, most = figures["length_median_percent"], figures["length_p95_percent"]
-        off = f"{median:.1f} % (median) and {most:.1f} % (95th percentile)"
+        median, p95 = facts["distortion"].values()
+        off = f"{median:.1f} % (median) and {p95:.1f} % (95th percentile)"
         lines.append(f"Lengths are off by {off}, whichever way is worse.")
     lines.append(f"{facts['minutiae']['count']} minutiae.")
-    lines += [] if "photo" in facts["quality"] else _quality_words(facts["quality"])  # a photograph's note says it
+    quality = facts["quality"]
+    if "photo" not in quality:  # a photograph's note states it
+        scores = f"Quality: {quality['ours']:.0f} of 100"
+        if quality["nfiq2"] is not None:
+            of_print, of_enhanced = ("none" if value is None else value for value in quality["nfiq2"].values())
+            scores += f"; NFIQ 2 is {of_print} (print) and {of_enhanced} (enhanced)"
+        lines += [f"{scores}.", *quality["advice"]]
     lines.append(f"Written to {facts['out']}: {', '.join(facts['files'])}.")
     return lines
-
-
-def _quality_words(quality: Mapping[str, Any]) -> list[str]:
-    """One line of scores and, where something is wrong, what to do."""
-    words = f"Quality: {quality['ours']:.0f} of 100"
-    if quality["nfiq2"] is not None:
-        of_print, of_enhanced = ("none" if value is None else value for value in quality["nfiq2"].values())
-        words += f"; NFIQ 2 is {of_print} (print) and {of_enhanced} (enhanced)"
-    return [f"{words}.", *quality["advice"]]
 
 
 def _export_lines(facts: Mapping[str, Any]) -> list[str]:

@@ -9,12 +9,12 @@ import struct
 from collections.abc import Mapping
 
 import numpy as np
-from numpy.typing import NDArray
 
 from splitknit import BadInput
 from splitknit.errors import require
 from splitknit.io.images import decode_image
 from splitknit.io.prints import PrintFile, decode_jpeg2000, encode_jpeg2000, encode_print_png
+from splitknit.model import GreyArray
 from splitknit_match.records.fmr_bytes import Cursor, check_length
 from splitknit_match.records.minutiae_record import (
     ANSI_2004_IMPRESSIONS,
@@ -126,7 +126,7 @@ def compression_of(code: int, codes: Mapping[int, str], name: str) -> str:
 
 def decode_print(
     stored: bytes, compression: str, name: str, *, size: tuple[int, int] | None = None, limit: int = MAX_PIXELS
-) -> NDArray[np.uint8]:
+) -> GreyArray:
     """Decode a print as records hold it: ``none``, ``wsq``, ``jp2`` or a picture file, of at most
     `limit` pixels.
 
@@ -161,7 +161,7 @@ def impression_of(code: int, codes: Mapping[str, int]) -> str:
     return next((words for words, known in codes.items() if known == code), "unknown")  # latent ones, for example
 
 
-def encode_print(image: NDArray[np.uint8], ppi: float, compression: str) -> bytes:
+def encode_print(image: GreyArray, ppi: float, compression: str) -> bytes:
     """Encode a print (H, W) for a record, by one of `WRITTEN`. Raises BadInput if WSQ cannot hold
     it."""
     require(compression in WRITTEN, f"'{compression}' is not a compression method; choose one of {', '.join(WRITTEN)}.")

@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from splitknit.errors import require
+from splitknit.model import Array, BoolArray, GreyArray
 
 FINGER_CODES = {
     "unknown": 0,
@@ -110,13 +111,13 @@ class Minutiae:
     """(N,) column, 0 is the leftmost pixel's centre."""
     y_px: NDArray[np.int32]
     """(N,) row, downwards."""
-    direction_rad: NDArray[np.float64]
+    direction_rad: Array
     """(N,) in [0, 2 pi), counter-clockwise from the right as seen in the print: from the minutia
     towards the side that has one more ridge, along the ridge that ends or between the branches (as
     ISO/IEC 19794-2 and ANSI/INCITS 378)."""
-    type: NDArray[np.uint8]
+    type: GreyArray
     """(N,) 1 ridge ending, 2 bifurcation, 0 other."""
-    quality: NDArray[np.uint8]
+    quality: GreyArray
     """(N,) 0 to 100."""
     size: tuple[int, int]
     """(rows, columns) of the image."""
@@ -151,16 +152,16 @@ class Minutiae:
         return self.count >= MIN_MINUTIAE
 
     @property
-    def x_mm(self) -> NDArray[np.float64]:
+    def x_mm(self) -> Array:
         """(N,) to the right of the print's middle."""
         return np.asarray((self.x_px - (self.size[1] - 1) / 2) * 25.4 / PPI)
 
     @property
-    def y_mm(self) -> NDArray[np.float64]:
+    def y_mm(self) -> Array:
         """(N,) up from the print's middle, towards the tip."""
         return np.asarray(((self.size[0] - 1) / 2 - self.y_px) * 25.4 / PPI)
 
-    def taken(self, index: NDArray[np.integer] | NDArray[np.bool_]) -> Self:
+    def taken(self, index: NDArray[np.integer] | BoolArray) -> Self:
         """Some of them, by their places or by a mask."""
         names = ("x_px", "y_px", "direction_rad", "type", "quality")
         return dataclasses.replace(self, **{name: getattr(self, name)[index] for name in names})

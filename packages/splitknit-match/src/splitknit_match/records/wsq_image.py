@@ -22,11 +22,11 @@ import sys
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from splitknit import BadInput
 from splitknit.errors import require
 from splitknit.io.prints import PrintFile
+from splitknit.model import GreyArray
 
 BIT_RATE = 0.75
 """Bits a pixel that the encoder aims at. It is the only rate of `wsq` 0.9, which does not pass
@@ -59,7 +59,7 @@ else:
 """
 
 
-def encode_wsq(image: NDArray[np.uint8], ppi: float = 500.0) -> bytes:
+def encode_wsq(image: GreyArray, ppi: float = 500.0) -> bytes:
     """Compress a print (H, W) uint8, at least 96 pixels each way, of 500 ppi within 1 %: WSQ is
     defined for no other. Raises BadInput if the image or the resolution is of another kind, or the
     package `wsq` is not installed.

@@ -14,14 +14,11 @@ from typing import Any
 import cv2
 import numpy as np
 import scipy
-from numpy.typing import NDArray
 
 from splitknit.imaging.geometry import sampled_at
 from splitknit.imaging.view import View
 from splitknit.mirrors.reflection import Sight
-from splitknit.model import FloatArray
-
-Array = NDArray[np.float64]
+from splitknit.model import Array, BoolArray, FloatArray
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -107,7 +104,7 @@ def heights(sight: Sight, chart: Chart, radius_mm: Array, view: View) -> FloatAr
         nearer = 1.0 if view.apex_mm is None else 1.0 - height / view.apex_mm
         return np.stack(np.broadcast_arrays(x * nearer, y * nearer, height), axis=-1)
 
-    def above(height: Array) -> tuple[Array, NDArray[np.bool_]]:
+    def above(height: Array) -> tuple[Array, BoolArray]:
         """Distance to the surface, and whether the chart reaches there."""
         angle, length, distance = chart.locate(sight.to_view(lifted(height)))
         column, row = chart.places(angle, length)
@@ -126,7 +123,7 @@ def heights(sight: Sight, chart: Chart, radius_mm: Array, view: View) -> FloatAr
     return np.where(met, height, np.nan).astype(np.float32)
 
 
-def crossing(outside: Callable[[Array], NDArray[np.bool_]], low: Array, high: Array, rounds: int) -> Array:
+def crossing(outside: Callable[[Array], BoolArray], low: Array, high: Array, rounds: int) -> Array:
     """Where rays that are inside at `low` and outside at `high` (n, m) leave a body, by bisection."""
     for _ in range(rounds):
         middle = 0.5 * (low + high)

@@ -9,20 +9,18 @@ from dataclasses import dataclass, replace
 import cv2
 import numpy as np
 import scipy
-from numpy.typing import NDArray
 
 from splitknit import Capture
 from splitknit.mirrors.body import Body
 from splitknit.mirrors.reflection import Glass, Sight
 from splitknit.mirrors.settings import MirrorShapeSettings
-from splitknit.model import BoolArray, FloatArray
+from splitknit.model import Array, BoolArray, FloatArray
 from splitknit.skin.grid import smooth_step
 from splitknit.skin.images import MetricSettings
 from splitknit_match.rolled.chart import Chart, crossing, surface_normals
 from splitknit_match.rolled.register import MIN_CORRELATION, ViewRidges, align, gaussian_over, ridges_of, search
 from splitknit_match.rolled.views import MirrorViews, ViewRelief, view_relief
 
-Array = NDArray[np.float64]
 ROLL_OF_SHEAR = -3.1
 """Radians of roll to the right for each unit of a body's shear."""
 MAX_ROLL_RAD = 0.3

@@ -16,13 +16,10 @@ from numpy.typing import NDArray
 
 from splitknit.imaging.view import pixels_of
 from splitknit.mirrors.reflection import Sight
-from splitknit.model import BoolArray, FloatArray
+from splitknit.model import Array, BoolArray, FloatArray
 from splitknit_match.rolled.chart import Chart, read
 
 # Ridges by themselves: a relief without what is smooth in it.
-
-
-Array = NDArray[np.float64]
 
 
 def ridges_of(relief: FloatArray, known: BoolArray, pitch_mm: float) -> FloatArray:

@@ -14,7 +14,6 @@ from functools import partial
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
 from splitknit import Capture, Led, Rig
 from splitknit.errors import require
@@ -38,7 +37,7 @@ from splitknit.mirrors.mirror import mirror_shape
 from splitknit.mirrors.reflection import Glass, Sight, facing_fraction, glass_in, led_image, mirrored_fraction, shade_of
 from splitknit.mirrors.settings import MirrorShapeSettings
 from splitknit.mirrors.views import view_binning, views_in
-from splitknit.model import BoolArray, FloatArray
+from splitknit.model import Array, BoolArray, FloatArray
 from splitknit.photometric.near_light import pseudo_normals
 from splitknit.skin.grid import COARSE_PITCH_MM, WORKING_PITCH_MM, BandImages, Grid, coarsen, refine, smooth_step
 from splitknit.skin.images import FACTOR, MetricSettings, coarser, finer_grid, finer_images, shipped_networks
@@ -46,7 +45,6 @@ from splitknit.skin.learned import can_learn, features, relief_by_network
 from splitknit.skin.light import Lighting, fine_lighting, slant_of, trust_of
 from splitknit_match.rolled.chart import Chart, heights, read
 
-Array = NDArray[np.float64]
 SIDES = ("left", "right")
 NO_MIRRORS = (
     "the capture has no mirrors beside the finger, so that it shows the finger from the front only; name them in its "
@@ -136,19 +134,9 @@ def _above_crease(mask: BoolArray, small: BoolArray, mean: FloatArray, capture: 
 EDGE_BAND_MM = 0.3  # beside a light's edge it counts for nothing; as far again until it counts in full
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class _Light:
-    """An LED or its image, in the rig's frame."""
-
-    led: Led
-    path: str  # the mirror's name; empty for the LED itself
-    facing: NDArray[np.float32]  # (h, w) fraction that the skin is not turned away from
-    through: NDArray[np.float32] | None = None  # (h, w) fraction that comes within the mirror's outline
-
-
 def view_light(  # noqa: PLR0917
     rig: Rig, glasses: Sequence[Glass], sight: Sight, heights_mm: FloatArray, grid: Grid, origin_mm: Array
-) -> tuple[Rig, NDArray[np.float32]]:
+) -> tuple[Rig, FloatArray]:
     """The lights as one view has them: in the frame of the view, its origin moved to that of the
     skin's grid. Light that meets two mirrors one after the other is left out. `rig`: `rig.leds[k]`
     lights image k; `glasses`: all mirrors; `heights_mm` (h, w) of the skin, in perspective along
@@ -162,43 +150,48 @@ def view_light(  # noqa: PLR0917
     normals = sight.turned(np.asarray(grid.view.in_rig(normals_from_gradients(*slopes)), dtype=float))
     points = sight.to_view(np.stack(grid.view.points(heights_mm), axis=-1).astype(float) + origin_mm)
 
-    def in_view(light: _Light) -> Led:
+    def in_view(led: Led, lit: FloatArray) -> Led:
         """A light of the rig's frame in the view's moved frame, with its shade."""
-        led = light.led if sight.plane is None else led_image(light.led, sight.plane)
+        led = led if sight.plane is None else led_image(led, sight.plane)
         if led.position_mm is not None:
             x, y, z = (np.asarray(led.position_mm) - origin_mm).tolist()
             right, up, out = np.asarray(led.axis).tolist()
             led = replace(led, position_mm=(x, y, z), aim=(right, up, out))
-        fraction = light.facing if light.through is None else light.facing * light.through
-        return replace(led, shade=shade_of(fraction, grid.view), reflected=True, also=())
+        return replace(led, shade=shade_of(lit, grid.view), reflected=True, also=())
 
+    ring = "" if sight.plane is None else sight.name
     leds = []
     inner = []
     for exposure in rig.leds:
-        lights = []
+        around: list[Led] = []  # the ring around the line of sight, which stands for the exposure
+        beside: list[Led] = []
+        edges = [np.ones(grid.shape, dtype=np.float32)]
         for led in (replace(exposure, also=()), *exposure.also):
-            lights.append(_Light(led, "", facing_fraction(points, normals, led)))
+            light = in_view(led, facing_fraction(points, normals, led))
+            (beside if ring else around).append(light)
             for glass in glasses:
                 image = led_image(led, glass.plane, glass.reflectance)
+                facing = facing_fraction(points, normals, image)
                 through = mirrored_fraction(points, image, glass.plane, glass.corners_mm)
-                lights.append(_Light(image, glass.name, facing_fraction(points, normals, image), through))
-        inner.append(np.min([_inner(light, grid.pitch_mm) for light in lights], axis=0))
-        # the ring around the line of sight comes first: it stands for the exposure
-        ring = "" if sight.plane is None else sight.name
-        first = [replace(in_view(light), reflected=False) for light in lights if light.path == ring]
-        rest = [in_view(light) for light in lights if light.path != ring]
-        leds.append(replace(first[0], also=(*first[1:], *rest)))
-    return replace(rig, leds=tuple(leds), mirrors=()), np.stack(inner).astype(np.float32)
+                (around if glass.name == ring else beside).append(in_view(image, facing * through))
+                edges.append(_inner(facing, through, grid.pitch_mm))
+        first, *rest = [replace(light, reflected=False) for light in around]
+        leds.append(replace(first, also=(*rest, *beside)))
+        inner.append(np.min(edges, axis=0))
+    return replace(rig, leds=tuple(leds), mirrors=()), np.stack(inner)
 
 
-def _inner(light: _Light, pitch_mm: float) -> NDArray[np.float32]:
-    """(h, w) zero beside the line where the light by way of a mirror ends."""
-    if light.through is None or float(np.ptp(light.through)) < 0.5:
-        return np.ones(light.facing.shape, dtype=np.float32)
-    lit = (light.through > 0.5).astype(np.uint8)
-    edge = cv2.morphologyEx(lit, cv2.MORPH_GRADIENT, np.ones((3, 3), np.uint8)) * (light.facing > 0.5)
+def _inner(facing: FloatArray, through: FloatArray, pitch_mm: float) -> FloatArray:
+    """(h, w) zero beside the line where the light by way of a mirror ends; `facing`, `through`:
+    fractions (h, w) of it that the skin is not turned away from, and that come within the mirror's
+    outline.
+    """
+    if float(np.ptp(through)) < 0.5:
+        return np.ones(facing.shape, dtype=np.float32)
+    lit = (through > 0.5).astype(np.uint8)
+    edge = cv2.morphologyEx(lit, cv2.MORPH_GRADIENT, np.ones((3, 3), np.uint8)) * (facing > 0.5)
     away = cv2.distanceTransform(1 - edge.astype(np.uint8), cv2.DIST_L2, 5) * pitch_mm
-    return smooth_step((away - EDGE_BAND_MM) / EDGE_BAND_MM)
+    return smooth_step((away - EDGE_BAND_MM) / EDGE_BAND_MM).astype(np.float32)
 
 
 LIT = 0.5
@@ -242,7 +235,7 @@ class ViewRelief:
         return relief, read(self.deviation_mm, column, row), read(self.trust, column, row)
 
 
-_SHAPELETS = ShapeletSettings(scales=4)
+_SHAPELET_SCALES = 4
 """Where no network estimates the relief."""
 
 
@@ -252,7 +245,9 @@ def _grid_of(
     """The grid of a window's blocks, on the plane of the finger, or of its image in the mirror; its
     origin (3,) in the frame of the view; and the scale of that plane over the pixels'.
     """
-    blocks = _blocks(mask, binning)
+    height, width = (n // binning for n in mask.shape)
+    whole = mask[: height * binning, : width * binning].reshape(height, binning, width, binning)
+    blocks = largest_component(np.asarray(whole.all(axis=(1, 3))))
     few = (slice(None, None, 4),) * view.x_mm.ndim
     coarse = heights(sight, chart, radius_mm, replace(view, x_mm=view.x_mm[few], y_mm=view.y_mm[few]))
     level = float(np.nanmean(coarse)) if np.isfinite(coarse).any() else 0.0
@@ -356,15 +351,10 @@ def _by_shapelets(
     shape = height_gradients(smooth, grid.pitch_mm)
     beyond = [(slope - base) * trust for slope, base in zip(slopes, shape, strict=True)]
     evened = [(b - grid.smooth(b, grid.mask, 0.3)).astype(np.float32) for b in beyond]
-    bank = replace(_SHAPELETS, sigma_px=_SHAPELETS.sigma_px / (REFERENCE_PX_PER_MM * grid.pitch_mm))
+    bank = ShapeletSettings(scales=_SHAPELET_SCALES)
+    bank = replace(bank, sigma_px=bank.sigma_px / (REFERENCE_PX_PER_MM * grid.pitch_mm))
     relief = np.nan_to_num(shapelets(evened[0], evened[1], grid.mask, bank), nan=0.0)
     return relief * np.float32(grid.pitch_mm) * trust
-
-
-def _blocks(mask: BoolArray, binning: int) -> BoolArray:
-    height, width = (n // binning for n in mask.shape)
-    blocks = mask[: height * binning, : width * binning].reshape(height, binning, width, binning)
-    return largest_component(np.asarray(blocks.all(axis=(1, 3))))
 
 
 # Photometric stereo where two lights of one exposure nearly cancel: slopes that the lights hardly
