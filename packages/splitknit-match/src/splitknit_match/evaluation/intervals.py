@@ -28,6 +28,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from splitknit.errors import require
+from splitknit.model import BoolArray
 from splitknit.settings import Checked, Limits
 from splitknit_match.evaluation.rates import CONFIDENCE, Roc, Values, error_bound, rank, roc
 from splitknit_match.evaluation.scores import Scores
@@ -211,7 +212,7 @@ def _bounds(scores: Scores, method: str, targets: Sequence[float]) -> dict[str, 
     ):
         trials = np.unique(clusters[tried]).size
 
-        def upper(rate: float, errors: NDArray[np.bool_], trials: int = trials) -> float:
+        def upper(rate: float, errors: BoolArray, trials: int = trials) -> float:
             return error_bound(rate, trials) if np.unique(clusters[errors]).size < FEW else rate
 
         equal = curve.equal_error()
@@ -224,5 +225,5 @@ def _bounds(scores: Scores, method: str, targets: Sequence[float]) -> dict[str, 
     return limits
 
 
-def _accepted(scores: Values, threshold: float | None) -> NDArray[np.bool_]:
+def _accepted(scores: Values, threshold: float | None) -> BoolArray:
     return scores >= (np.inf if threshold is None else threshold)

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from splitknit.imaging.geometry import gaussian_mean
-from splitknit.model import FloatArray
+from splitknit.model import Array, FloatArray
 from splitknit_match.matching.elastic import Affine, rigid, spectrum_of
 from splitknit_match.matching.ridge_band import RidgeBand
 
@@ -121,14 +121,14 @@ class CoarseViews:
         return (levels * unit).view(np.complex64)
 
     @cached_property
-    def poses(self) -> NDArray[np.float32]:
+    def poses(self) -> FloatArray:
         """(2, A, side, side) ridges and where there are any, turned by the steps of a small print."""
         side = int(np.ceil(np.hypot(*self.band.valid.shape) / self._step)) + 2
         angles = np.deg2rad(_POSE_STEP_DEG) * np.arange(round(360 / _POSE_STEP_DEG))
         return self._pictures(angles, (side, side))
 
     @cached_property
-    def upright(self) -> NDArray[np.float32]:
+    def upright(self) -> FloatArray:
         """(2, rows, columns) the same without rotation."""
         rows, columns = (int(np.ceil(side / self._step)) for side in self.band.valid.shape)
         return self._pictures(np.zeros(1), (rows, columns))[:, 0]
@@ -142,11 +142,11 @@ class CoarseViews:
     def _step(self) -> float:
         return _PITCH_MM / self.band.pitch_mm
 
-    def _pictures(self, angles_rad: NDArray[np.float64], size: tuple[int, int]) -> NDArray[np.float32]:
+    def _pictures(self, angles_rad: Array, size: tuple[int, int]) -> FloatArray:
         pictures = self._soft, self.band.valid.astype(np.float32)
         return np.stack([[_turned(part, angle, self._step, size) for angle in angles_rad] for part in pictures])
 
-    def _block_directions(self, angles_deg: NDArray[np.float64]) -> Spectra:
+    def _block_directions(self, angles_deg: Array) -> Spectra:
         """Spectra (3, A, rows, columns // 2 + 1) of blocks, turned by some angles (A,).
 
         Cosine and sine of the doubled directions, of length at most about one, and the fraction that is valid.
@@ -220,7 +220,7 @@ def _peak(a: CoarseViews, ridges: Spectra, number: int) -> _Peak:
     return _Peak(float(correlation.max()), _angle_deg(number), float(right * _PITCH_MM), float(down * _PITCH_MM))
 
 
-def _direction_agreement(products: Spectra) -> NDArray[np.float32]:
+def _direction_agreement(products: Spectra) -> FloatArray:
     """(A,) largest agreement of directions over all shifts, over the root of the overlap; from (3, A, ...)."""
     agreement, overlap = np.fft.irfft2(np.stack([products[0] + products[1], products[2]]), s=_BLOCKS)
     overlap = np.maximum(overlap, 0.2 * overlap.max())
@@ -258,7 +258,7 @@ def every_pose(a: CoarseViews, b: CoarseViews) -> list[Affine]:
             height[max(0, row - 2) : row + 3, max(0, column - 2) : column + 3] = -np.inf
     kept: list[_Peak] = []
     for peak in sorted(peaks, key=lambda peak: -peak.height):
-        if not any(peak.near(other) for other in kept):
+        if not any(peak.near(better) for better in kept):
             kept.append(peak)
         if len(kept) == _POSES:
             break

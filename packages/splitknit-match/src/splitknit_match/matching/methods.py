@@ -193,7 +193,7 @@ def _by_images(method: str, settings: ThesisSettings, a: Side, b: Side) -> Match
                 f"{side.path} is a {side.kind}; the method {method} compares surfaces: name a capture or a result."
             )
         images.append(naming(side.path, partial(surface_images, side.surface)))
-    match = thesis_match(*images, settings) if method == "thesis" else code_match(*map(code_side, images))
+    match = thesis_match(images[0], images[1], settings) if method == "thesis" else code_match(*map(code_side, images))
     return MatchOfImages(
         method=method, a=compared_side(a), b=compared_side(b), similarity=match.similarity, compared=match.compared,
         overlap=match.ratio, distances=match.distances, dissimilarity=match.dissimilarity or None,

@@ -12,10 +12,11 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from splitknit.errors import refusing, require
 from splitknit.io.fields import read_json
+from splitknit.model import Array
 from splitknit_match.matching.results import FmrBasis
 
 _TAIL = 50
@@ -39,9 +40,9 @@ def dissimilarity(ratio: float, distances: ArrayLike) -> float:
 class FmrTable:
     """False match rate as a function of the similarity, from impostor scores."""
 
-    similarity: NDArray[np.float64]
+    similarity: Array
     """(K,) rising."""
-    fmr: NDArray[np.float64]
+    fmr: Array
     """(K,) falling; rate of impostor scores at or above `similarity`."""
     impostors: int
     """Comparisons behind it: no rate below 1 / (impostors + 1) is ever stated."""
