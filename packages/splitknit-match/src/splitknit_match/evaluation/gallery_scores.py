@@ -24,7 +24,7 @@ from splitknit_match.prints.minutiae import minutiae_match
 from splitknit_match.prints.minutiae_record import holds_minutiae, unpack_minutiae
 
 _BLOCK = 32
-"""Fingers kept ready at a time: 2 to 9 MB each."""
+"""Fingers kept ready at a time: 2 to 16 MB each."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -229,7 +229,7 @@ class _Side:
         return np.stack([x, y, z], axis=1, dtype=float)
 
 
-def _pixels(places: Sequence[Any] | Array, size: Sequence[int]) -> tuple[NDArray[np.int64], ...]:
+def _pixels(places: Sequence[Any] | FloatArray, size: Sequence[int]) -> tuple[NDArray[np.int64], ...]:
     """Nearest pixels along each axis of a picture of some size."""
     pairs = zip(places, size, strict=True)
     return tuple(np.clip(np.round(place).astype(int), 0, length - 1) for place, length in pairs)
@@ -270,9 +270,7 @@ def _ridges_on_each_other(a: _Side, b: _Side) -> tuple[float, Affine]:
         f"the ridges of A and B are not the same (similarity {match.similarity:.2f}, at least {_MIN_SIMILARITY:g} is "
         "needed); give two measurements of one finger, or of one phantom.",
     )
-    shift_px = match.right_mm / a.step, -match.up_mm / a.step
-    shapes = a.ridges.band.valid.shape, b.ridges.band.valid.shape
-    affine = rigid(*shapes, np.deg2rad(match.rotation_deg), shift_px)
+    affine = rigid(a.ridges.band, b.ridges.band, np.deg2rad(match.rotation_deg), match.right_mm, -match.up_mm)
     for _ in range(3):
         affine = better_affine(b.ridges.first, compare_patches(b.ridges.first, a.ridges.band, affine), affine)
     return match.similarity, affine

@@ -70,14 +70,7 @@ class Scores:
     name: str = "scores"
 
     def __post_init__(self) -> None:
-        require(
-            self.label.ndim == 1 and self.label.shape == self.score.shape and self.label.dtype == np.bool_,
-            f"{self.name}: labels (boolean, true where genuine) and scores must be of one length, but they are "
-            f"{self.label.shape} and {self.score.shape}.",
-        )
         require(not np.isinf(self.score).any(), f"{self.name}: scores must be finite, or NaN where there is none.")
-        for ids in (self.finger, self.subject, self.session):
-            require(ids is None or len(ids.codes) == self.label.size, f"{self.name}: ids and scores differ in number.")
         for words, scores in (("genuine (label 1)", self.genuine), ("impostor (label 0)", self.impostor)):
             require(scores.size > 0, f"{self.name} holds no {words} comparison: both kinds are needed.")
             require(

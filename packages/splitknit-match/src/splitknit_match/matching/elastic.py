@@ -267,18 +267,13 @@ def overlap_correlation(
     return float(in_a @ in_b) / max(power, 1e-12) ** 0.5, float(common.sum()) * patches.pitch_mm**2
 
 
-def rigid(
-    a_shape: tuple[int, ...], b_shape: tuple[int, ...], angle_rad: float, shift_px: tuple[float, float]
-) -> Affine:
-    """B's position to A's, when A is turned counter-clockwise about its centre and its centre put beside B's.
-
-    `shift_px` : columns, rows from B's centre to A's.
-    """
-    a = (np.array(a_shape[::-1]) - 1) / 2
-    b = (np.array(b_shape[::-1]) - 1) / 2 + shift_px
+def rigid(a: RidgeBand, b: RidgeBand, angle_rad: float, right_mm: float, down_mm: float) -> Affine:
+    """B's position to A's, when A is turned counter-clockwise about its centre, which then lies so far from B's."""
+    centre_a = (np.array(a.valid.shape[::-1]) - 1) / 2
+    centre_b = (np.array(b.valid.shape[::-1]) - 1) / 2 + (right_mm / a.pitch_mm, down_mm / a.pitch_mm)
     cos, sin = np.cos(angle_rad), np.sin(angle_rad)
     turn = np.array([[cos, -sin], [sin, cos]])
-    return np.hstack([turn, (a - turn @ b)[:, None]])
+    return np.hstack([turn, (centre_a - turn @ centre_b)[:, None]])
 
 
 def _supported(surface: FloatArray, cell: Indices, grid: tuple[int, int], weight: FloatArray) -> FloatArray:

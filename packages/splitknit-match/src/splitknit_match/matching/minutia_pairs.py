@@ -15,6 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from splitknit.model import Array, BoolArray, FloatArray
+from splitknit_match.matching.elastic import Affine, rigid
+from splitknit_match.matching.ridge_band import RidgeBand
 from splitknit_match.prints.minutiae_record import Minutiae
 
 Places = NDArray[np.complex128]
@@ -85,6 +87,10 @@ class Pairing:
     """About how many pairs of minutiae fit each other."""
     a: Places
     b: Places
+
+    def affine(self, a: RidgeBand, b: RidgeBand) -> Affine:
+        """Position in B to position in A."""
+        return rigid(a, b, self.angle_rad, self.right_mm, -self.up_mm)
 
     def moved(self, place: Places) -> Places:
         """Places (N,) of A on B."""
