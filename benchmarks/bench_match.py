@@ -147,7 +147,7 @@ def warm(a: Prepared, b: Prepared) -> None:
     """Make what is kept between comparisons, whichever side it is on."""
     ridge_match(a, b)
     for side in (a, b):
-        assert side.views.rotated_directions.ndim == side.views.directions.ndim > side.views.ridges.ndim
+        assert side.views.directions.ndim > side.views.ridges().ndim
         assert len(side.first.corner) <= len(side.patches.corner)
         assert side.key
 

@@ -170,7 +170,6 @@ def test_failures_are_no_few_errors_of_the_matcher() -> None:
     generator = np.random.default_rng(4)
     genuine = np.append(generator.normal(50, 1, 40), np.full(20, np.nan))
     found = bootstrap(plain_scores(genuine, generator.normal(0, 1, 300)), "plain", FEW).figures
-    assert (found["eer_made"].low, found["eer_made"].high) == (0.0, 3 / 40)
     assert found["gar@0.01_made"].low == pytest.approx(1 - 3 / 40)
     assert found["gar@0.01"].value == pytest.approx(2 / 3) and found["gar@0.01"].high < 0.85
 

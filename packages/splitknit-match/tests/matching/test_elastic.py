@@ -65,7 +65,7 @@ def test_affine_fit_follows_a_stretched_skin() -> None:
 
 
 def test_rigid_maps_middles_and_turns() -> None:
-    turn = rigid((41, 61), (101, 81), np.pi / 2, (5.0, -3.0))
+    turn = rigid(texture(0, 41, 61), texture(0, 101, 81), np.pi / 2, 0.5, -0.3)
     # B's middle, moved by the shift, shows A's middle
     np.testing.assert_allclose(turn @ [40 + 5, 50 - 3, 1], [30, 20], atol=1e-9)
     # content to the right of A's middle is seen above (a smaller row)

@@ -132,7 +132,7 @@ def test_own_rates(templates, tmp_path: Path, capsys) -> None:
     words.insert(1, "--scores")
     assert main(list(map(str, words))) == 0
     found = read_own_rates(own)
-    assert (found.method, found.table.rated_mm2, found.table.impostors) == ("fusion", 20.0, 300)
+    assert (found.method, found.rated_mm2, found.impostors) == ("fusion", 20.0, 300)
     for name, side in (("a", 80), ("b", 44)):
         write_template(tmp_path / f"{name}.skt", pack(cut(templates[0], 80, 60, side)), VERSION)
     capsys.readouterr()

@@ -38,10 +38,10 @@ def chart(draw: Callable[..., None], wide: float = 4.9, high: float = 3.2, count
         import matplotlib
         from matplotlib.figure import Figure
     stream = io.BytesIO()
+    columns, rows = min(count, 3), -(-count // 3)
     with matplotlib.rc_context():  # whatever the user's own style
         matplotlib.rcdefaults()
         matplotlib.rcParams.update(_STYLE)
-        columns, rows = min(count, 3), -(-count // 3)
         figure = Figure((wide * columns, high * rows), layout="constrained")
         axes = figure.subplots(rows, columns, squeeze=False).ravel()
         for ax in axes[count:]:

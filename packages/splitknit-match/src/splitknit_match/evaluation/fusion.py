@@ -21,6 +21,7 @@ from scipy.special import expit
 
 from splitknit import BadInput
 from splitknit.errors import require
+from splitknit.model import BoolArray
 from splitknit_match.evaluation.protocol import pair_up
 from splitknit_match.evaluation.rates import Values
 from splitknit_match.evaluation.scores import Scores
@@ -29,7 +30,7 @@ FOLDS = 5
 """Fewer where there are fewer subjects."""
 PENALTY = 1e-3
 """Of the logistic regression: on half the sum of the squared weights, where the mean loss is 1."""
-Labels = NDArray[np.bool_]
+Labels = BoolArray
 Model = Callable[[Values], Values]
 
 

@@ -10,11 +10,10 @@ from functools import lru_cache
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from splitknit import BadInput
 from splitknit.io.provenance import file_hash
-from splitknit.model import Progress, no_progress
+from splitknit.model import Array, Progress, no_progress
 from splitknit_match.evaluation.protocol import Comparisons, comparisons, scores_of_comparisons
 from splitknit_match.evaluation.scores import Scores, score_table
 from splitknit_match.gallery.file import GalleryFile, Key, session_order
@@ -25,7 +24,7 @@ from splitknit_match.prints.minutiae import minutiae_match
 from splitknit_match.prints.minutiae_record import holds_minutiae, unpack_minutiae
 
 _BLOCK = 32
-"""Fingers kept ready at a time: 2 to 9 MB each."""
+"""Fingers kept ready at a time: 2 to 16 MB each."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -75,9 +74,7 @@ def gallery_scores(path: Path, *, key: Key | None = None, progress: Progress = n
     return GalleryScores(scores, table, file_hash(path), tuple(notes), method)
 
 
-def _similarities(
-    payloads: Sequence[bytes], pairs: Comparisons, progress: Progress
-) -> tuple[NDArray[np.float64], str | None, str]:
+def _similarities(payloads: Sequence[bytes], pairs: Comparisons, progress: Progress) -> tuple[Array, str | None, str]:
     """(N,) similarity of each pair, NaN where a side is a failure to acquire, what is to be noted, and the method.
 
     Pairs go in blocks of second sides, one first side after the other, so that what is kept ready is small.

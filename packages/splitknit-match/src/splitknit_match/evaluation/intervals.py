@@ -28,6 +28,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from splitknit.errors import require
+from splitknit.model import BoolArray
 from splitknit.settings import Checked, Limits
 from splitknit_match.evaluation.rates import CONFIDENCE, Roc, Values, error_bound, rank, roc
 from splitknit_match.evaluation.scores import Scores
@@ -72,7 +73,7 @@ class Intervals:
     method: str  # ``plain``, ``finger`` or ``subject``
     drawn: int  # comparisons of the smaller class, fingers or subjects
     figures: Mapping[str, Interval]
-    """``eer``, ``gar@0.01`` and so on, ``auc``, ``d_prime`` (where scores vary); with ``_made`` failures left out."""
+    """``eer``, ``gar@0.01`` and so on, ``auc``, ``d_prime`` (where scores vary); ``gar@0.01_made``: no failures."""
     curve_far: Values  # (P,) and the band of the GAR there:
     curve_low: Values
     curve_high: Values
@@ -113,16 +114,16 @@ def differences(
 
 def figure_names(targets: Sequence[float]) -> list[str]:
     """Names of the figures, in the order of :func:`_figures`."""
-    rates = ["eer", *(f"gar@{target:g}" for target in targets)]
-    return [*rates, *(f"{name}_made" for name in rates), "auc", "d_prime"]
+    gars = [f"gar@{target:g}" for target in targets]
+    return ["eer", *gars, *(f"{name}_made" for name in gars), "auc", "d_prime"]
 
 
 def _figures(curve: Roc, targets: Sequence[float], fars: Values) -> list[float]:
     """Figures of a ROC, and its GAR at some FARs; NaN where a class is missing."""
-    made = curve.made()
-    if min(made.tried) <= 0:
-        return [float("nan")] * (2 * len(targets) + len(fars) + 4)
-    rates = [rate for part in (curve, made) for rate in (part.equal_error().value, *part.gars(targets))]
+    known = curve.made()
+    if min(known.tried) <= 0:
+        return [float("nan")] * (2 * len(targets) + len(fars) + 3)
+    rates = [curve.equal_error().value, *curve.gars(targets), *known.gars(targets)]
     return [*rates, curve.auc(), curve.d_prime(), *curve.gars(fars)]
 
 
@@ -202,27 +203,24 @@ def _bounds(scores: Scores, method: str, targets: Sequence[float]) -> dict[str, 
     nothing failed the rule of three.
     """
     genuine = scores.genuine
-    whole = roc(genuine, scores.impostor)
+    curve = roc(genuine, scores.impostor)
     clusters = _clusters(scores, method)[0][scores.label, 0]
-    limits = {}
-    for curve, tried, ending in (
-        (whole, np.ones(genuine.size, dtype=bool), ""),
-        (whole.made(), ~np.isnan(genuine), "_made"),
-    ):
-        trials = np.unique(clusters[tried]).size
 
-        def upper(rate: float, errors: NDArray[np.bool_], trials: int = trials) -> float:
-            return error_bound(rate, trials) if np.unique(clusters[errors]).size < FEW else rate
+    def upper(rate: float, errors: BoolArray, tried: BoolArray) -> float:
+        few = np.unique(clusters[errors & tried]).size < FEW
+        return error_bound(rate, np.unique(clusters[tried]).size) if few else rate
 
-        equal = curve.equal_error()
-        limits[f"eer{ending}"] = equal.value, upper(equal.value, tried & ~_accepted(genuine, equal.threshold))
+    every = np.ones(genuine.size, dtype=bool)
+    equal = curve.equal_error()
+    limits = {"eer": (equal.value, upper(equal.value, ~_accepted(genuine, equal.threshold), every))}
+    for part, tried, ending in ((curve, every, ""), (curve.made(), ~np.isnan(genuine), "_made")):
         for target in targets:
-            point = curve.at_far(target)
+            point = part.at_far(target)
             accepted = _accepted(genuine, point.threshold)
-            low = 1.0 - upper(1.0 - point.gar, tried & ~accepted)
-            limits[f"gar@{target:g}{ending}"] = low, upper(point.gar, accepted)
+            low = 1.0 - upper(1.0 - point.gar, ~accepted, tried)
+            limits[f"gar@{target:g}{ending}"] = low, upper(point.gar, accepted, tried)
     return limits
 
 
-def _accepted(scores: Values, threshold: float | None) -> NDArray[np.bool_]:
+def _accepted(scores: Values, threshold: float | None) -> BoolArray:
     return scores >= (np.inf if threshold is None else threshold)

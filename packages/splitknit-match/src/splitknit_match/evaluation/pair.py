@@ -30,14 +30,12 @@ from splitknit import Reconstruction, read_result
 from splitknit.accuracy import eroded
 from splitknit.errors import require
 from splitknit.imaging.geometry import bounding_box, height_gradients, smoothed
-from splitknit.model import BoolArray, FloatArray, require_scale
+from splitknit.model import Array, BoolArray, FloatArray, require_scale
 from splitknit_match.evaluation.rates import CONFIDENCE
 from splitknit_match.matching.elastic import Affine, better_affine, compare_patches, rigid
 from splitknit_match.matching.ridge import Prepared, ridge_match
 from splitknit_match.matching.ridge_band import band_places, ridge_band
 from splitknit_match.matching.template import make_template
-
-Array = NDArray[np.float64]
 
 STEP_MM = 0.05
 """Pixels on which is compared, at least."""
@@ -138,8 +136,8 @@ def compare_results(
     similarity, affine = _ridges_on_each_other(tested, reference)
     rotation, shift, fields = _rigid_fit(tested, reference, *_start(tested, reference, affine))
     if fit == "rigid":
-        relief = [_band(height, fields.valid, BANDS_MM["relief"], step) for height in fields.heights]
-        strain_mm = _rms(_shifts(*relief, fields.valid, step)[fields.valid]) * step
+        relief_a, relief_b = (_band(height, fields.valid, BANDS_MM["relief"], step) for height in fields.heights)
+        strain_mm = _rms(_shifts(relief_a, relief_b, fields.valid, step)[fields.valid]) * step
     else:
         fields, strain_mm = _elastic_fit(tested, reference, affine)
     form = _form((fields.heights[0] + fields.heights[1]) * 0.5, fields.valid)
@@ -218,7 +216,7 @@ class _Side:
         flat = _sampled(relief, self.known, place, self.step / self.pixel) * cosine
         return flat, inside & (cosine > _MIN_COSINE), np.rad2deg(np.arccos(np.clip(cosine, 0.0, 1.0)))
 
-    def points(self, positions: Array) -> Array:
+    def points(self, positions: FloatArray) -> Array:
         """(N, 3) points in mm of columns and rows (N, 2) of the unrolled ridges; NaN where there is no surface."""
         column, row = _pixels(positions.T, self.rows.shape[::-1])
         source = self.rows[row, column], self.columns[row, column]
@@ -231,7 +229,7 @@ class _Side:
         return np.stack([x, y, z], axis=1, dtype=float)
 
 
-def _pixels(places: Sequence[Any] | Array, size: Sequence[int]) -> tuple[NDArray[np.int64], ...]:
+def _pixels(places: Sequence[Any] | FloatArray, size: Sequence[int]) -> tuple[NDArray[np.int64], ...]:
     """Nearest pixels along each axis of a picture of some size."""
     pairs = zip(places, size, strict=True)
     return tuple(np.clip(np.round(place).astype(int), 0, length - 1) for place, length in pairs)
@@ -250,12 +248,12 @@ def _form(height: FloatArray, known: BoolArray) -> FloatArray:
     return np.asarray(across @ factors.reshape(_ORDER + 1, -1) @ along.T, dtype=np.float32)
 
 
-def _inside(mask: BoolArray, place: Sequence[Array]) -> BoolArray:
+def _inside(mask: BoolArray, place: Sequence[FloatArray]) -> BoolArray:
     """Whether all four pixels around rows and columns are in the mask."""
     return np.asarray(ndimage.map_coordinates(mask.astype(np.float32), place, order=1) > 0.999)
 
 
-def _sampled(values: FloatArray, known: BoolArray, place: Sequence[Array], coarser: float = 1.0) -> FloatArray:
+def _sampled(values: FloatArray, known: BoolArray, place: Sequence[FloatArray], coarser: float = 1.0) -> FloatArray:
     """Cubic spline of `values` at rows and columns; low-passed where the places lie `coarser` pixels apart."""
     nearest = ndimage.distance_transform_edt(~known, return_distances=False, return_indices=True)
     full = values[tuple(nearest)].astype(float)
@@ -272,8 +270,7 @@ def _ridges_on_each_other(a: _Side, b: _Side) -> tuple[float, Affine]:
         f"the ridges of A and B are not the same (similarity {match.similarity:.2f}, at least {_MIN_SIMILARITY:g} is "
         "needed); give two measurements of one finger, or of one phantom.",
     )
-    shapes = [side.ridges.band.valid.shape for side in (a, b)]
-    affine = rigid(*shapes, np.deg2rad(match.rotation_deg), (match.right_mm / a.step, -match.up_mm / a.step))
+    affine = rigid(a.ridges.band, b.ridges.band, np.deg2rad(match.rotation_deg), match.right_mm, -match.up_mm)
     for _ in range(3):
         affine = better_affine(b.ridges.first, compare_patches(b.ridges.first, a.ridges.band, affine), affine)
     return match.similarity, affine
@@ -408,7 +405,7 @@ def _by_slant(fields: _Fields, limits: tuple[float, float], step: float) -> dict
             x, y = a[where].astype(float), b[where].astype(float)
             moments = np.ones(x.shape), x, y, x * x, y * y, x * y
             sums = np.stack([np.bincount(block[where], weights=moment) for moment in moments], axis=1)
-            figures[name] = _figures(sums[sums[:, 0] > 0], step)
+            figures[name] = _figures(sums[sums[:, 0] > 0].astype(float), step)
     return figures
 
 

@@ -10,20 +10,20 @@ from itertools import combinations
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from splitknit import BadInput
 from splitknit.errors import require
-from splitknit_match.evaluation.scores import KINDS, Ids, Scores, ids_of
+from splitknit.model import Array, BoolArray
+from splitknit_match.evaluation.scores import KINDS, Ids, Indices, Scores, ids_of
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Comparisons:
     """Which captures to compare, as places in the list of captures."""
 
-    a: NDArray[np.int64]  # (N,) the capture of the earlier session
-    b: NDArray[np.int64]  # (N,)
-    genuine: NDArray[np.bool_]
+    a: Indices  # (N,) the capture of the earlier session
+    b: Indices  # (N,)
+    genuine: BoolArray
 
 
 def comparisons(
@@ -66,7 +66,7 @@ def comparisons(
 
 def scores_of_comparisons(
     pairs: Comparisons,
-    score: NDArray[np.float64],
+    score: Array,
     finger: Sequence[Any],
     session: Sequence[Any],
     subject: Sequence[Any] | None = None,
@@ -141,7 +141,7 @@ def _names(scores: Scores, place: int) -> str:
     return " with ".join(sides) or "what has no names"
 
 
-def _keys(first: Scores, second: Scores, *, ordered: bool) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+def _keys(first: Scores, second: Scores, *, ordered: bool) -> tuple[Indices, Indices]:
     """A number for each comparison of both, equal where all ids are that both have."""
     sides = np.zeros((first.label.size + second.label.size, 2), dtype=np.int64)
     for kind in KINDS:

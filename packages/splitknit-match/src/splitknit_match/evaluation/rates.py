@@ -22,8 +22,10 @@ from numpy.typing import NDArray
 from scipy.special import betaincinv
 
 from splitknit.errors import require
+from splitknit.model import Array
 
-Values = NDArray[np.float64]
+Values = Array
+Indices = NDArray[np.int64]
 SLACK = 1e-12
 """Relative; 0.001 of 1000 impostors is one, whatever the last bit of 0.001 is."""
 CONFIDENCE = 0.95
@@ -56,11 +58,11 @@ class OperatingPoint:
 class Ranked:
     """Scores of both classes in falling order, failures last, so that weights make a ROC without sorting."""
 
-    order: tuple[NDArray[np.int64], NDArray[np.int64]]  # (N,) and (M,) places of genuine and impostor comparisons
+    order: tuple[Indices, Indices]  # (N,) and (M,) places of genuine and impostor comparisons
     scaled: tuple[Values, Values]  # scores that there are, falling, from the lowest (0) to the highest of all (1)
     threshold: Values  # (K,) falling; the first is infinite: nobody is accepted
-    accepted: NDArray[np.int64]  # (K, 2) how many genuine and impostor comparisons each threshold accepts
-    corners: NDArray[np.int64]  # thresholds that accept more genuine comparisons than the one before
+    accepted: Indices  # (K, 2) how many genuine and impostor comparisons each threshold accepts
+    corners: Indices  # thresholds that accept more genuine comparisons than the one before
 
     def roc(self, weights: Sequence[Values]) -> Roc:
         """ROC where the comparisons of each class, falling, count `weights` (N,) and (M,) times."""
@@ -124,7 +126,7 @@ class Roc:
         value = float((far + frr) / (2 * whole))
         return EqualError(value, float(far / whole), float(frr / whole), self._threshold(place))
 
-    def places(self, targets: Sequence[float] | Values) -> NDArray[np.int64]:
+    def places(self, targets: Sequence[float] | Values) -> Indices:
         """Last threshold whose FAR is not above each target. Ties are accepted together or not at all."""
         allowed = np.array(targets) * self.tried[1] * (1 + SLACK)
         most = np.searchsorted(self.sums[1], allowed, side="right") - 1

@@ -24,7 +24,9 @@ from numpy.typing import NDArray
 from splitknit import BadInput
 from splitknit.errors import naming, read_bytes, require
 from splitknit.io.csv_table import csv_text, plain_text
+from splitknit.model import Array, BoolArray
 
+Indices = NDArray[np.int64]
 KINDS = ("finger", "subject", "session")
 LARGEST = 1e150
 """Largest score whose square is still a number."""
@@ -37,11 +39,11 @@ _LABELS = {"1": True, "0": False, "1.0": True, "0.0": False}
 class Ids:
     """One kind of name for both sides of every comparison."""
 
-    codes: NDArray[np.int64]  # (N, 2), places in `names`; column 0 is the probe, 1 the reference
+    codes: Indices  # (N, 2), places in `names`; column 0 is the probe, 1 the reference
     names: tuple[str, ...]
 
     @property
-    def same(self) -> NDArray[np.bool_]:
+    def same(self) -> BoolArray:
         """(N,) whether both sides carry one name."""
         return np.asarray(self.codes[:, 0] == self.codes[:, 1])
 
@@ -60,22 +62,15 @@ def ids_of(a: Any, b: Any) -> Ids:
 class Scores:
     """N comparisons; a higher score means more similar."""
 
-    label: NDArray[np.bool_]  # (N,) true where genuine: both sides are one finger
-    score: NDArray[np.float64]  # (N,) NaN where a comparison gave none (failure to acquire)
+    label: BoolArray  # (N,) true where genuine: both sides are one finger
+    score: Array  # (N,) NaN where a comparison gave none (failure to acquire)
     finger: Ids | None = None  # fingers of the world: the index fingers of two people have two names
     subject: Ids | None = None
     session: Ids | None = None
     name: str = "scores"
 
     def __post_init__(self) -> None:
-        require(
-            self.label.ndim == 1 and self.label.shape == self.score.shape and self.label.dtype == np.bool_,
-            f"{self.name}: labels (boolean, true where genuine) and scores must be of one length, but they are "
-            f"{self.label.shape} and {self.score.shape}.",
-        )
         require(not np.isinf(self.score).any(), f"{self.name}: scores must be finite, or NaN where there is none.")
-        for ids in (self.finger, self.subject, self.session):
-            require(ids is None or len(ids.codes) == self.label.size, f"{self.name}: ids and scores differ in number.")
         for words, scores in (("genuine (label 1)", self.genuine), ("impostor (label 0)", self.impostor)):
             require(scores.size > 0, f"{self.name} holds no {words} comparison: both kinds are needed.")
             require(
@@ -89,12 +84,12 @@ class Scores:
         )
 
     @property
-    def genuine(self) -> NDArray[np.float64]:
+    def genuine(self) -> Array:
         """Scores of one finger with itself, NaN included."""
         return self.score[self.label]
 
     @property
-    def impostor(self) -> NDArray[np.float64]:
+    def impostor(self) -> Array:
         """Scores of two fingers, NaN included."""
         return self.score[~self.label]
 
@@ -104,7 +99,7 @@ class Scores:
         return replace(self, label=self.label[index], score=self.score[index], **ids)
 
 
-def contradictions(label: NDArray[np.bool_], finger: Ids | None, subject: Ids | None) -> NDArray[np.bool_]:
+def contradictions(label: BoolArray, finger: Ids | None, subject: Ids | None) -> BoolArray:
     """(N,) whether a comparison's ids and label cannot both be right. Genuine: one finger (and subject) on both sides;
     impostor: two fingers, perhaps of one subject.
     """
@@ -238,7 +233,7 @@ def _score(text: str, where: str) -> float:
     return value
 
 
-def _in_order(places: Mapping[str, int], codes: NDArray[np.int64]) -> Ids:
+def _in_order(places: Mapping[str, int], codes: Indices) -> Ids:
     """Ids whose names are in order, numbers by their size."""
     names = sorted(places, key=lambda text: (0, text.zfill(20), text) if text.isdigit() else (1, text, text))
     order = np.empty(len(names), dtype=np.int64)

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from splitknit.imaging.geometry import gaussian_mean
-from splitknit.model import FloatArray
+from splitknit.model import Array, FloatArray
 from splitknit_match.matching.elastic import Affine, rigid, spectrum_of
 from splitknit_match.matching.ridge_band import RidgeBand
 
@@ -77,8 +77,7 @@ class _Peak:
 
     def affine(self, a: RidgeBand, b: RidgeBand) -> Affine:
         """Position in B to position in A."""
-        shift_px = self.right_mm / a.pitch_mm, self.down_mm / a.pitch_mm
-        return rigid(a.valid.shape, b.valid.shape, float(np.deg2rad(self.angle_deg)), shift_px)
+        return rigid(a, b, float(np.deg2rad(self.angle_deg)), self.right_mm, self.down_mm)
 
     def near(self, peak: _Peak) -> bool:
         """Whether it is nearly the same alignment."""
@@ -93,42 +92,24 @@ class CoarseViews:
     def __init__(self, band: RidgeBand) -> None:
         """Nothing is computed yet."""
         self.band = band
-        self._rotated: dict[int, tuple[NDArray[np.int16], np.float32]] = {}
+        self._ridges: dict[int, Spectra] = {}
 
-    @cached_property
-    def rotated_directions(self) -> Spectra:
-        """Directions of blocks under the rotations of half a turn."""
-        return self._block_directions(_STEP_DEG * np.arange(_HALF_TURN, dtype=float))
-
-    @cached_property
-    def directions(self) -> Spectra:
-        """The same without rotation."""
-        return self._block_directions(np.zeros(1))
-
-    @cached_property
-    def ridges(self) -> Spectra:
-        """Ridges without rotation."""
-        return self._ridge_view(0.0)
-
-    def rotated_ridges(self, number: int) -> Spectra:
-        """Ridges turned by `number` half steps (less half a turn); kept in 16 bits, together up to 7 MB."""
+    def ridges(self, number: int = 0) -> Spectra:
+        """Ridges turned by `number` half steps (less half a turn), 190 kB each."""
         number %= 2 * _HALF_TURN
-        if number not in self._rotated:
-            view = self._ridge_view(_angle_deg(number)).view(np.float32)
-            unit = np.float32(max(float(np.abs(view).max()), 1e-30) / np.iinfo(np.int16).max)
-            self._rotated[number] = np.round(view / unit).astype(np.int16), unit
-        levels, unit = self._rotated[number]
-        return (levels * unit).view(np.complex64)
+        if number not in self._ridges:
+            self._ridges[number] = self._ridge_view(_angle_deg(number))
+        return self._ridges[number]
 
     @cached_property
-    def poses(self) -> NDArray[np.float32]:
+    def poses(self) -> FloatArray:
         """(2, A, side, side) ridges and where there are any, turned by the steps of a small print."""
         side = int(np.ceil(np.hypot(*self.band.valid.shape) / self._step)) + 2
         angles = np.deg2rad(_POSE_STEP_DEG) * np.arange(round(360 / _POSE_STEP_DEG))
         return self._pictures(angles, (side, side))
 
     @cached_property
-    def upright(self) -> NDArray[np.float32]:
+    def upright(self) -> FloatArray:
         """(2, rows, columns) the same without rotation."""
         rows, columns = (int(np.ceil(side / self._step)) for side in self.band.valid.shape)
         return self._pictures(np.zeros(1), (rows, columns))[:, 0]
@@ -142,12 +123,13 @@ class CoarseViews:
     def _step(self) -> float:
         return _PITCH_MM / self.band.pitch_mm
 
-    def _pictures(self, angles_rad: NDArray[np.float64], size: tuple[int, int]) -> NDArray[np.float32]:
+    def _pictures(self, angles_rad: Array, size: tuple[int, int]) -> FloatArray:
         pictures = self._soft, self.band.valid.astype(np.float32)
         return np.stack([[_turned(part, angle, self._step, size) for angle in angles_rad] for part in pictures])
 
-    def _block_directions(self, angles_deg: NDArray[np.float64]) -> Spectra:
-        """Spectra (3, A, rows, columns // 2 + 1) of blocks, turned by some angles (A,).
+    @cached_property
+    def directions(self) -> Spectra:
+        """Spectra (3, A, rows, columns // 2 + 1) of blocks, turned by the steps of half a turn.
 
         Cosine and sine of the doubled directions, of length at most about one, and the fraction that is valid.
         """
@@ -164,8 +146,8 @@ class CoarseViews:
         typical = float(np.partition(power, middle)[list(middle)].mean())  # np.median loads numpy.ma: 20 ms
         total = np.maximum(xx + yy, max(0.3 * typical, 1e-12))
         field = np.stack([(xx - yy) / total, 2 * xy / total, fraction], axis=-1, dtype=np.float32)
-        turned = np.empty((len(angles_deg), *_BLOCKS, 3), dtype=np.float32)
-        for blocks, angle in zip(turned, np.deg2rad(angles_deg), strict=True):
+        turned = np.empty((_HALF_TURN, *_BLOCKS, 3), dtype=np.float32)
+        for blocks, angle in zip(turned, np.deg2rad(_STEP_DEG * np.arange(_HALF_TURN, dtype=float)), strict=True):
             cos, sin = np.cos(2 * angle), np.sin(2 * angle)
             view = _turned(field, angle, _BLOCK_MM / self.band.pitch_mm, _BLOCKS)
             blocks[:] = cv2.transform(view, np.array([[cos, -sin, 0], [sin, cos, 0], [0, 0, 1]]))
@@ -188,7 +170,8 @@ class CoarseViews:
 
 def likely_alignments(a: CoarseViews, b: CoarseViews) -> list[Affine]:
     """Best alignments of A on B, best first, at most one a rotation: by directions, then by correlation."""
-    products = a.rotated_directions.conj() * b.directions, a.rotated_directions * b.directions
+    upright_b = b.directions[:, :1]
+    products = a.directions.conj() * upright_b, a.directions * upright_b
     scores = np.concatenate([_direction_agreement(product) for product in products])
     upright = np.arange(-_UPRIGHT_STEPS, _UPRIGHT_STEPS + 1)
     best = np.concatenate(
@@ -199,7 +182,7 @@ def likely_alignments(a: CoarseViews, b: CoarseViews) -> list[Affine]:
     )
     better_side = np.where(np.roll(scores, -1)[best] >= np.roll(scores, 1)[best], 1, -1)
     half_steps = sorted({*(2 * best).tolist(), *((2 * best + better_side) % (2 * len(scores))).tolist()})
-    peaks = sorted((_peak(a, b.ridges, number) for number in half_steps), key=lambda peak: -peak.height)
+    peaks = sorted((_peak(a, b.ridges(), number) for number in half_steps), key=lambda peak: -peak.height)
     return [peak.affine(a.band, b.band) for peak in peaks[:_CANDIDATES] if peak.height >= _MIN_HEIGHT * peaks[0].height]
 
 
@@ -211,7 +194,7 @@ def _angle_deg(number: int) -> float:
 def _peak(a: CoarseViews, ridges: Spectra, number: int) -> _Peak:
     """Largest correlation of A, turned by `number` half steps, with B's spectrum."""
     upside_down = number >= 2 * _HALF_TURN
-    product = a.rotated_ridges(number) * (ridges if upside_down else ridges.conj())
+    product = a.ridges(number) * (ridges if upside_down else ridges.conj())
     correlation = np.fft.irfft2(product, s=_GRID_PX)
     place = np.array(np.unravel_index(correlation.argmax(), _GRID_PX))
     # of what is not upside down the spectrum is conjugate: its correlation is mirrored
@@ -220,7 +203,7 @@ def _peak(a: CoarseViews, ridges: Spectra, number: int) -> _Peak:
     return _Peak(float(correlation.max()), _angle_deg(number), float(right * _PITCH_MM), float(down * _PITCH_MM))
 
 
-def _direction_agreement(products: Spectra) -> NDArray[np.float32]:
+def _direction_agreement(products: Spectra) -> FloatArray:
     """(A,) largest agreement of directions over all shifts, over the root of the overlap; from (3, A, ...)."""
     agreement, overlap = np.fft.irfft2(np.stack([products[0] + products[1], products[2]]), s=_BLOCKS)
     overlap = np.maximum(overlap, 0.2 * overlap.max())
@@ -258,7 +241,7 @@ def every_pose(a: CoarseViews, b: CoarseViews) -> list[Affine]:
             height[max(0, row - 2) : row + 3, max(0, column - 2) : column + 3] = -np.inf
     kept: list[_Peak] = []
     for peak in sorted(peaks, key=lambda peak: -peak.height):
-        if not any(peak.near(other) for other in kept):
+        if not any(peak.near(better) for better in kept):
             kept.append(peak)
         if len(kept) == _POSES:
             break

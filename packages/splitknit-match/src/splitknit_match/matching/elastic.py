@@ -14,12 +14,13 @@ import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 
-from splitknit.model import FloatArray
+from splitknit.model import Array, FloatArray
 from splitknit_match.matching.ridge_band import RidgeBand
 
-Affine = NDArray[np.float64]
+Affine = Array
 """(2, 3): position (column, row, 1) in B to position in A."""
-Positions = NDArray[np.float64]
+Indices = NDArray[np.int64]
+Positions = FloatArray
 """(N, 2) columns and rows."""
 
 PATCH_MM = 2.4
@@ -61,9 +62,9 @@ def spectrum_of(values: NDArray[Any], size: tuple[int, int] | None = None) -> ND
 class PatchGrid:
     """The patches of B with their spectra."""
 
-    cell: NDArray[np.int64]
+    cell: Indices
     """(P, 2) row and column of each patch in the grid."""
-    corner: NDArray[np.int64]
+    corner: Indices
     """(P, 2) its first row and column in B."""
     grid: tuple[int, int]
     """Rows and columns of the grid of patches."""
@@ -87,7 +88,7 @@ class PatchGrid:
         """(P, 2) columns and rows in B."""
         return self.corner[:, ::-1] + (self.side - 1) / 2
 
-    def nearest(self, positions: Positions) -> tuple[NDArray[np.int64], ...]:
+    def nearest(self, positions: Positions) -> tuple[Indices, ...]:
         """Rows (N,) and columns (N,) of the grid's cells nearest to positions (N, 2) in B."""
         cells = np.rint((positions - self.origin) / self.step)[:, ::-1].astype(np.int64)
         return tuple(np.clip(cells, 0, np.array(self.grid) - 1).T)
@@ -97,7 +98,7 @@ class PatchGrid:
 class Agreement:
     """Shifts and correlations of the patches."""
 
-    used: NDArray[np.int64]
+    used: Indices
     """(N,) numbers of the patches that lie on both."""
     correlation: FloatArray
     """(N,) at the supported shift, -1 to 1."""
@@ -119,7 +120,7 @@ class Agreement:
     @property
     def firmness(self) -> FloatArray:
         """(N,) weight of each shift in a fit."""
-        return np.maximum(self.correlation - _MIN_CORRELATION, 0.0) ** 2 * self.weight
+        return np.asarray(np.maximum(self.correlation - _MIN_CORRELATION, 0.0) ** 2 * self.weight)
 
 
 def patch_grid(band: RidgeBand, step_mm: float = STEP_MM, search_mm: float = SEARCH_MM) -> PatchGrid:
@@ -226,9 +227,7 @@ def bent_by(patches: PatchGrid, position: Positions, shift: Positions) -> FloatA
     return _smoothed(patches.grid, patches.nearest(position), shift, firm)
 
 
-def _smoothed(
-    grid: tuple[int, int], cell: tuple[NDArray[np.int64], ...], shift: Positions, weight: FloatArray
-) -> FloatArray:
+def _smoothed(grid: tuple[int, int], cell: tuple[Indices, ...], shift: Positions, weight: FloatArray) -> FloatArray:
     total = np.zeros((*grid, 3), dtype=np.float32)
     np.add.at(total, cell, np.column_stack([shift * weight[:, None], weight]).astype(np.float32))
     total = np.asarray(cv2.GaussianBlur(total, (0, 0), _SMOOTH, borderType=cv2.BORDER_CONSTANT))
@@ -268,21 +267,16 @@ def overlap_correlation(
     return float(in_a @ in_b) / max(power, 1e-12) ** 0.5, float(common.sum()) * patches.pitch_mm**2
 
 
-def rigid(
-    a_shape: tuple[int, ...], b_shape: tuple[int, ...], angle_rad: float, shift_px: tuple[float, float]
-) -> Affine:
-    """B's position to A's, when A is turned counter-clockwise about its centre and its centre put beside B's.
-
-    `shift_px` : columns, rows from B's centre to A's.
-    """
-    a = (np.array(a_shape[::-1]) - 1) / 2
-    b = (np.array(b_shape[::-1]) - 1) / 2 + shift_px
+def rigid(a: RidgeBand, b: RidgeBand, angle_rad: float, right_mm: float, down_mm: float) -> Affine:
+    """B's position to A's, when A is turned counter-clockwise about its centre, which then lies so far from B's."""
+    centre_a = (np.array(a.valid.shape[::-1]) - 1) / 2
+    centre_b = (np.array(b.valid.shape[::-1]) - 1) / 2 + (right_mm / a.pitch_mm, down_mm / a.pitch_mm)
     cos, sin = np.cos(angle_rad), np.sin(angle_rad)
     turn = np.array([[cos, -sin], [sin, cos]])
-    return np.hstack([turn, (a - turn @ b)[:, None]])
+    return np.hstack([turn, (centre_a - turn @ centre_b)[:, None]])
 
 
-def _supported(surface: FloatArray, cell: NDArray[np.int64], grid: tuple[int, int], weight: FloatArray) -> FloatArray:
+def _supported(surface: FloatArray, cell: Indices, grid: tuple[int, int], weight: FloatArray) -> FloatArray:
     """Correlation of each patch and, half as much, of its eight neighbours, for each shift."""
     board = np.zeros((grid[0] + 2, grid[1] + 2, *surface.shape[1:]), dtype=np.float32)
     board[cell[:, 0] + 1, cell[:, 1] + 1] = surface * weight[:, None, None]

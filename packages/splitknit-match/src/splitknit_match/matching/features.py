@@ -74,7 +74,7 @@ def uniform_bins(neighbours: int = 8) -> Codes:
     return np.where(uniform, np.cumsum(uniform) - 1, np.count_nonzero(uniform)).astype(np.uint8)
 
 
-def lbp_features(image: FloatArray, px_per_mm: float) -> NDArray[np.float32]:
+def lbp_features(image: FloatArray, px_per_mm: float) -> FloatArray:
     """Feature vector of one channel (H, W): histograms of all whole cells, of unit length, with 59 bins.
 
     Raises BadInput if the image is not finite and two-dimensional, or smaller than a cell.

@@ -24,7 +24,6 @@ from splitknit_match.matching.elastic import (
     bent_by,
     compare_patches,
     overlap_correlation,
-    rigid,
     shown_in_a,
 )
 from splitknit_match.matching.minutia_pairs import Pairing, agreeing, on_ridges, pair_minutiae
@@ -219,7 +218,7 @@ class _Alignment:
 
 def _best_alignment(a: Prepared, b: Prepared, pairings: list[Pairing], sure: float) -> _Alignment:
     """The alignment that ridges and minutiae agree on best."""
-    starts: list[tuple[Affine, Pairing | None]] = [(_rigid(a, b, pairing), pairing) for pairing in pairings]
+    starts: list[tuple[Affine, Pairing | None]] = [(pairing.affine(a.band, b.band), pairing) for pairing in pairings]
     if not pairings or pairings[0].support < sure:
         starts = [(affine, None) for affine in likely_alignments(a.views, b.views)] + starts
     tried = []
@@ -242,7 +241,7 @@ def _best_alignment(a: Prepared, b: Prepared, pairings: list[Pairing], sure: flo
 
 def _best_pose(a: Prepared, b: Prepared, pairings: list[Pairing]) -> _Alignment:
     """How a small B lies on A: the bent pose whose ridges agree best, for the area that they cover."""
-    starts = every_pose(a.views, b.views) + [_rigid(a, b, pairing) for pairing in pairings]
+    starts = every_pose(a.views, b.views) + [pairing.affine(a.band, b.band) for pairing in pairings]
     agreements = [(compare_patches(b.close, a.band, start), start) for start in starts]
     agreements.sort(key=lambda pose: -pose[0].evidence)
     poses = []
@@ -263,11 +262,6 @@ def _followed(
         agreement = compare_patches(patches, a.band, affine, bend)
     assert bend is not None
     return agreement, bend
-
-
-def _rigid(a: Prepared, b: Prepared, pairing: Pairing) -> Affine:
-    shift_px = pairing.right_mm / a.template.pitch_mm, -pairing.up_mm / a.template.pitch_mm
-    return rigid(a.template.valid.shape, b.template.valid.shape, pairing.angle_rad, shift_px)
 
 
 def _bend(a: Prepared, b: Prepared, patches: PatchGrid, pairing: Pairing) -> FloatArray:

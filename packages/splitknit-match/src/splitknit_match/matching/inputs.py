@@ -175,10 +175,10 @@ def read_side(  # noqa: PLR0911 - one for each kind
         source = read_fingerphoto(finger, None if input_ppi is None else input_ppi / 25.4, where, photo)
         template = print_template(source.flat, pressed=source.pressed)
         return Side(finger, "photo", None, template, source.flat, note=source.scale, quality=source.quality)
-    item = read_one_finger(finger, input_ppi)
-    if isinstance(item, FingerView):
-        return naming(finger, lambda: Side(finger, "minutiae", minutiae=minutiae_of(item)))
-    return _print_side(finger, item, item.doubt)
+    record = read_one_finger(finger, input_ppi)
+    if isinstance(record, FingerView):
+        return naming(finger, lambda: Side(finger, "minutiae", minutiae=minutiae_of(record)))
+    return _print_side(finger, record, record.doubt)
 
 
 def _folder_side(folder: Path, preset: str, progress: Progress) -> Side:

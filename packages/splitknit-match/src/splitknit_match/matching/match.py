@@ -109,8 +109,7 @@ def match(
             where=where if number == chosen else None,
         )  # fmt: skip
 
-    files = all(isinstance(finger, Path) and finger.is_file() and finger.suffix != ".skt" for finger in fingers)
-    if files:
+    if all(isinstance(finger, Path) and finger.is_file() and finger.suffix != ".skt" for finger in fingers):
         from concurrent.futures import ThreadPoolExecutor  # 20 ms, more than templates take
 
         with ThreadPoolExecutor(2) as pool:
@@ -121,11 +120,10 @@ def match(
     if own is not None and own.method != by:
         raise BadInput(f"'{decision}' is for the method {own.method}, but {by} compares these.")
     progress("comparing", 0.9)
-    known_scale = input_ppi is not None
-    result = compare_sides(by, left, right, fmr=fmr, own=own, thesis=thesis, known_scale=known_scale)
-    result = replace(result, template=write_template_file(target, left))
+    result = compare_sides(by, left, right, fmr=fmr, own=own, thesis=thesis, known_scale=input_ppi is not None)
+    written = write_template_file(target, left)
     progress("done", 1.0)
-    return result
+    return replace(result, template=written)
 
 
 @checked
@@ -242,17 +240,15 @@ def match_or_make_template(
     >>> match_or_make_template("capture", template="finger.skt").template.bytes  # doctest: +SKIP
     14321
     """
-    if b is not None:
-        comparison = match(
-            a, b, method, preset, settings, fmr=fmr, decision=decision, template=template, input_ppi=input_ppi,
-            mask=mask, box=box, progress=progress,
-        )  # fmt: skip
-        if not raw:
-            return comparison
-        from splitknit_match.matching.results import match_lines
+    finger: dict[str, Any] = {"input_ppi": input_ppi, "mask": mask, "box": box, "template": template}
+    how: dict[str, Any] = {"preset": preset, "settings": settings, "progress": progress}
+    if b is None:
+        require(template is not None, "name a second finger to compare with, or `template` to write.")
+        refuse_given("is of a comparison; name a second finger.", fmr=fmr, decision=decision)
+        return make_template(a, **finger, **how)
+    comparison = match(a, b, method, fmr=fmr, decision=decision, **finger, **how)
+    if not raw:
+        return comparison
+    from splitknit_match.matching.results import match_lines
 
-        return Report(comparison.facts, tuple(match_lines(comparison, scores=True)))
-    if template is None:
-        raise BadInput("name a second finger to compare with, or `template` to write.")
-    refuse_given("is of a comparison; name a second finger.", fmr=fmr, decision=decision)
-    return make_template(a, template, preset, settings, input_ppi=input_ppi, mask=mask, box=box, progress=progress)
+    return Report(comparison.facts, tuple(match_lines(comparison, scores=True)))

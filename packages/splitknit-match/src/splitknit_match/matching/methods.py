@@ -29,7 +29,7 @@ from splitknit_match.matching.results import (
     TemplateFile,
 )
 from splitknit_match.matching.ridge import Prepared, RidgeMatch, ridge_match
-from splitknit_match.matching.score import FMR_ROUNDING, FmrTable, OwnRates
+from splitknit_match.matching.score import FmrTable
 from splitknit_match.matching.surface import surface_images
 from splitknit_match.matching.template import VERSION, Template, mirrored
 from splitknit_match.prints.minutiae import NFIQ2_FAILED, extract, minutiae_match, nfiq2
@@ -57,7 +57,7 @@ DECIDED_AT = 1e-4
 
 
 def compare_sides(
-    method: str, a: Side, b: Side, *, fmr: float | None, own: OwnRates | None, thesis: ThesisSettings, known_scale: bool
+    method: str, a: Side, b: Side, *, fmr: float | None, own: FmrTable | None, thesis: ThesisSettings, known_scale: bool
 ) -> Match:
     """Compare two fingers by a method, with false match rate and decision.
 
@@ -193,7 +193,7 @@ def _by_images(method: str, settings: ThesisSettings, a: Side, b: Side) -> Match
                 f"{side.path} is a {side.kind}; the method {method} compares surfaces: name a capture or a result."
             )
         images.append(naming(side.path, partial(surface_images, side.surface)))
-    match = thesis_match(*images, settings) if method == "thesis" else code_match(*map(code_side, images))
+    match = thesis_match(images[0], images[1], settings) if method == "thesis" else code_match(*map(code_side, images))
     return MatchOfImages(
         method=method, a=compared_side(a), b=compared_side(b), similarity=match.similarity, compared=match.compared,
         overlap=match.ratio, distances=match.distances, dissimilarity=match.dissimilarity or None,
@@ -253,14 +253,14 @@ def doubt_of(side: Side | ComparedSide) -> str | None:
     return None if side.doubt is None else f"{side.path}: {side.doubt}".rstrip(".")
 
 
-def _prints_match(a: Template, b: Template, fmr: float | None, own: OwnRates | None) -> bool:
+def _prints_match(a: Template, b: Template, fmr: float | None, own: FmrTable | None) -> bool:
     """Whether two prints match by ridges and minutiae."""
     fused = fused_match(a, b)
     scores = scores_of("fusion", (a.area_mm2, b.area_mm2), fused.minutiae)
     return rate(fused.similarity, scores, fused.ridge.overlap_mm2, fmr, own).answer == "match"
 
 
-def scale_doubt(a: Template, b: Template, fmr: float | None, own: OwnRates | None = None) -> str | None:
+def scale_doubt(a: Template, b: Template, fmr: float | None, own: FmrTable | None = None) -> str | None:
     """Why two prints that do not match are not shown to be of two fingers: at one scale of their ridges they match."""
     sides = at_one_scale(a, b)
     if sides is None or not _prints_match(*sides[:2], fmr, own):
@@ -269,14 +269,12 @@ def scale_doubt(a: Template, b: Template, fmr: float | None, own: OwnRates | Non
     return f"the ridges of one lie {apart:.0f} % farther apart, and at one scale both match: check their resolutions"
 
 
-def _rated(match: Match, scores: str, fmr: float | None, own: OwnRates | None) -> Match:
+def _rated(match: Match, scores: str, fmr: float | None, own: FmrTable | None) -> Match:
     """With the false match rate and its basis, or why there is none, and the decision at a rate, by own rates."""
     doubts = [doubt for doubt in map(doubt_of, (match.a, match.b)) if doubt is not None]
     if not doubts and not (match.a.acquired and match.b.acquired):
         return replace(match, fmr_missing="nothing was compared", answer="not acquired", undecided="failure to acquire")
-    if scores not in TABLES and own is None:
-        rated = _unknown(f"false match rates of the method {scores} were not measured")
-    elif not match.compared:
+    if not match.compared:
         rated = _unknown("nothing was compared")
     else:
         minutiae = match.similarity_of_minutiae if isinstance(match, MatchOfPrints) else None
@@ -304,7 +302,7 @@ def scores_of(method: str, areas_mm2: tuple[float, float], minutiae: float | Non
 
 
 def rate(
-    similarity: float, scores: str, overlap_mm2: float | None, fmr: float | None = None, own: OwnRates | None = None
+    similarity: float, scores: str, overlap_mm2: float | None, fmr: float | None = None, own: FmrTable | None = None
 ) -> Rated:
     """Answer and false match rate of a similarity by `scores` (:func:`scores_of`) or `own` rates, decided at `fmr`.
 
@@ -312,13 +310,12 @@ def rate(
     """
     if own is None and scores not in TABLES:
         method = scores.removesuffix(" small")
-        return _unknown(
-            f"false match rates of the method {method} were measured on {SMALL_MM2:.0f} mm² of skin or more"
-        )
-    table = _fmr_table(scores) if own is None else own.table
+        where = "not measured" if method == scores else f"measured on {SMALL_MM2:.0f} mm² of skin or more"
+        return _unknown(f"false match rates of the method {method} were {where}")
+    table = own or _fmr_table(scores)
     if overlap_mm2 is not None and overlap_mm2 < table.rated_mm2:
         return _unknown(f"only {overlap_mm2:.0f} mm² of skin overlap; it takes {table.rated_mm2:.0f} mm² or more")
-    rated = Rated(fmr=table(similarity - (0.0 if table.whole else FMR_ROUNDING)), fmr_basis=table.basis)
+    rated = Rated(fmr=table(similarity - table.rounding), fmr_basis=table.basis)
     at = max(DECIDED_AT, table.smallest) if fmr is None else fmr
     if at < table.smallest and scores == "windows":
         why = f"on small prints false match rates below {table.smallest:.2g} were not measured"
@@ -367,5 +364,5 @@ def _fmr_table(method: str) -> FmrTable:
         impostors += real["impostors"]
     return FmrTable(
         similarity, fmr, impostors, population, document.get("rated_mm2", 0.0), document.get("excluded_mm2", 0.0),
-        whole=method.startswith("minutiae"),
+        method,
     )  # fmt: skip

@@ -14,11 +14,13 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from splitknit.model import BoolArray, FloatArray
+from splitknit.model import Array, BoolArray, FloatArray
+from splitknit_match.matching.elastic import Affine, rigid
+from splitknit_match.matching.ridge_band import RidgeBand
 from splitknit_match.prints.minutiae_record import Minutiae
 
 Places = NDArray[np.complex128]
-Directed = tuple[Places, NDArray[np.float64]]
+Directed = tuple[Places, Array]
 """Places (N,) in mm and directions (N,) in radians of minutiae."""
 
 _RADIUS_MM = 3.556
@@ -66,7 +68,7 @@ class Cylinders:
 
     place: Places
     """(N,) mm to the right, and up times i, of the centre of the print's template, as a camera sees it."""
-    turn: NDArray[np.float64]
+    turn: Array
     """(N,) radians, counter-clockwise."""
     value: FloatArray
     """(N, cells) 0 to 1."""
@@ -85,6 +87,10 @@ class Pairing:
     """About how many pairs of minutiae fit each other."""
     a: Places
     b: Places
+
+    def affine(self, a: RidgeBand, b: RidgeBand) -> Affine:
+        """Position in B to position in A."""
+        return rigid(a, b, self.angle_rad, self.right_mm, -self.up_mm)
 
     def moved(self, place: Places) -> Places:
         """Places (N,) of A on B."""
@@ -132,7 +138,7 @@ def minutia_cylinders(minutiae: Minutiae, valid: BoolArray, pitch_mm: float) -> 
     return Cylinders(place, turn, value.reshape(count, -1), np.repeat(known, _LEVELS, axis=1))
 
 
-def on_ridges(valid: BoolArray, place: NDArray[np.float64]) -> BoolArray:
+def on_ridges(valid: BoolArray, place: FloatArray) -> BoolArray:
     """(...) whether columns and rows (..., 2) lie on a template's ridges."""
     rows, columns = (np.clip(np.rint(place[..., 1 - k]), -1, valid.shape[k]).astype(np.int64) + 1 for k in (0, 1))
     return np.pad(valid, 1)[rows, columns]
@@ -195,7 +201,7 @@ def _similarity(a: Cylinders, b: Cylinders) -> FloatArray:
     return np.where(enough, 1 - distance / np.maximum(total, 1e-6), 0.0)
 
 
-def _compatible(a: Directed, b: Directed) -> NDArray[np.float64]:
+def _compatible(a: Directed, b: Directed) -> Array:
     """(K, K) how well each pair fits the others, 0 to 1: distances, directions, and where one sees the other."""
     (to_a, turn_a), (to_b, turn_b) = (
         ((place[None] - place[:, None]) * np.exp(-1j * turn)[:, None], turn[None] - turn[:, None])
@@ -208,7 +214,7 @@ def _compatible(a: Directed, b: Directed) -> NDArray[np.float64]:
     return np.asarray(np.exp(-0.5 * (misfit + misfit.T)))
 
 
-def _aligned(a: Directed, b: Directed, weight: NDArray[np.float64], support: float) -> Pairing:
+def _aligned(a: Directed, b: Directed, weight: Array, support: float) -> Pairing:
     """Least squares of places and directions."""
     weight = weight / weight.sum()
     centre_a, centre_b = weight @ a[0], weight @ b[0]
@@ -218,5 +224,5 @@ def _aligned(a: Directed, b: Directed, weight: NDArray[np.float64], support: flo
     return Pairing(angle, float(shift.real), float(shift.imag), support, a[0], b[0])
 
 
-def _wrapped(angle: NDArray[np.float64]) -> NDArray[np.float64]:
+def _wrapped(angle: Array) -> Array:
     return (angle + np.pi) % (2 * np.pi) - np.pi

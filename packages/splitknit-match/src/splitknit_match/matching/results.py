@@ -255,9 +255,9 @@ def _how(match: Match) -> list[str]:
     """What was compared: places and counts."""
     if isinstance(match, MatchOfImages):
         right_mm = match.alignment.right_mm or 0.0
-        side = "right" if right_mm >= 0 else "left"
+        way = "right" if right_mm >= 0 else "left"
         overlap = f"overlap {match.overlap:.3f} of both outlines (intersection over union)"
-        return [f"{overlap}, B shifted {abs(right_mm):.2f} mm to the {side}"]
+        return [f"{overlap}, B shifted {abs(right_mm):.2f} mm to the {way}"]
     if isinstance(match, MatchOfRidges):
         laid = match.alignment
         turned = f"overlap {match.overlap_mm2:.0f} mm² of skin; A turned by {laid.rotation_deg:.1f} deg"

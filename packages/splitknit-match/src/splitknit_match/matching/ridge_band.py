@@ -15,12 +15,14 @@ from numpy.typing import NDArray
 
 from splitknit.errors import check_mask, require
 from splitknit.imaging.geometry import gaussian_mean, height_gradients, sampled_at
-from splitknit.model import BoolArray, FloatArray
+from splitknit.model import Array, BoolArray, FloatArray
 from splitknit_match.prints.minutiae_record import LARGEST_MM2
 
 AnyArray = np.ndarray[Any, Any]
 MM_PER_INCH = 25.4
-_FINEST_MM, _COARSEST_MM, _LONGEST_MM = 1e-3, 10.0, 500.0
+_FINEST_MM = 1e-3
+_COARSEST_MM = 10.0
+_LONGEST_MM = 500.0
 """Pixels and surfaces beyond these are not a finger's, and need grids and windows that fill the memory."""
 _LARGEST_PX = 4_000_000
 """Largest ridge band with its margins, 200 x 200 mm; it takes 100 bytes a pixel."""
@@ -61,7 +63,7 @@ def ridge_band(  # noqa: PLR0917 - as the guide calls it
     mask: BoolArray,
     pitch_mm: float,
     shape_mm: FloatArray | None = None,
-    input_from_upright: NDArray[np.float64] | None = None,
+    input_from_upright: Array | None = None,
     upright_size: tuple[int, int] | None = None,
     *,
     band_mm: float = PITCH_MM,
@@ -85,13 +87,12 @@ def ridge_band(  # noqa: PLR0917 - as the guide calls it
     require(ridge_mm.ndim == 2, f"ridge_mm must have the shape (H, W), but it has {ridge_mm.shape}.")
     mask = check_mask(mask, (ridge_mm.shape[0], ridge_mm.shape[1]))
     for name, field in (("ridge_mm", ridge_mm), ("shape_mm", shape_mm)):
-        if field is None:
-            continue
-        require(field.shape == mask.shape, f"{name} must have the shape {mask.shape}, but it has {field.shape}.")
-        mask = mask & np.isfinite(field)
-        require(mask.any(), f"{name} is NaN all over the mask.")
-        deep = bool((np.abs(field[mask]) > _LONGEST_MM).any())
-        require(not deep, f"{name} holds heights beyond {_LONGEST_MM:g} mm, which are not a finger's.")
+        if field is not None:
+            require(field.shape == mask.shape, f"{name} must have the shape {mask.shape}, but it has {field.shape}.")
+            mask = mask & np.isfinite(field)
+            require(mask.any(), f"{name} is NaN all over the mask.")
+            deep = bool((np.abs(field[mask]) > _LONGEST_MM).any())
+            require(not deep, f"{name} holds heights beyond {_LONGEST_MM:g} mm, which are not a finger's.")
     transform = np.eye(3) if input_from_upright is None else input_from_upright
     size = upright_size or (mask.shape[0], mask.shape[1])
     area_mm2 = float(mask.sum()) * pitch_mm**2
@@ -103,11 +104,10 @@ def ridge_band(  # noqa: PLR0917 - as the guide calls it
         f"{LARGEST_MM2:.0f}; check its pitch ({pitch_mm:g} mm).",
     )
     columns, rows, slant_cos = band_places(mask, shape_mm, transform, size, pitch_mm=pitch_mm, band_mm=band_mm)
-
+    # low-pass, then sample
     sigma = NOISE_MM / pitch_mm
     weight = gaussian_mean(mask.astype(np.float32), sigma)
-    known = np.where(mask, ridge_mm, 0.0).astype(np.float32)
-    smooth: AnyArray = gaussian_mean(known, sigma) / np.maximum(weight, 1e-3)
+    smooth = gaussian_mean(np.where(mask, ridge_mm, 0.0).astype(np.float32), sigma) / np.maximum(weight, 1e-3)
     value = sampled_at(smooth, columns, rows, outside=0.0)
     inside = sampled_at(weight, columns, rows, outside=0.0) > 0.5
     inside &= slant_cos >= np.cos(np.deg2rad(SLANT_DEG))
@@ -122,7 +122,7 @@ def ridge_band(  # noqa: PLR0917 - as the guide calls it
     spread = np.sqrt(np.maximum(gaussian_mean(ridges * ridges, window) / fraction, 0.0))
     typical = float(np.median(spread[inside])) if inside.any() else 0.0
     if typical <= 0.0:
-        return RidgeBand(np.zeros(value.shape, dtype=np.float32), np.zeros(value.shape, dtype=bool), band_mm)
+        return RidgeBand(np.zeros_like(ridges), np.zeros_like(inside), band_mm)
     flat = ridges / np.maximum(spread, FLOOR * typical)
     # coherence of the structure tensor. Source: Bigun and Granlund 1987, Optimal orientation detection
     across, down = cv2.Sobel(flat, cv2.CV_32F, 1, 0), cv2.Sobel(flat, cv2.CV_32F, 0, 1)
@@ -163,7 +163,7 @@ def print_band(image: NDArray[np.uint8], ppi: float = 500.0, inside: BoolArray |
 def band_places(
     mask: BoolArray,
     shape_mm: FloatArray | None,
-    transform: NDArray[np.float64],
+    transform: Array,
     size: tuple[int, int],
     *,
     pitch_mm: float,
@@ -171,48 +171,47 @@ def band_places(
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Where each pixel of the band lies in the input (columns, rows), and the cosine of the slant there."""
     step = band_mm / pitch_mm
-    grid_rows, grid_columns = (max(1, int(np.ceil(length / step))) for length in size)
-    column = np.arange(grid_columns, dtype=float) * step
-    row = np.arange(grid_rows, dtype=float) * step
+    grid = max(1, int(np.ceil(size[0] / step))), max(1, int(np.ceil(size[1] / step)))
+    row, column = (np.arange(length, dtype=float) * step for length in grid)
+    flat = np.broadcast_to(column, grid)
     if shape_mm is None:
-        flat = np.broadcast_to(column, (grid_rows, grid_columns))
-        return (*_to_input(flat, row, transform), np.ones(flat.shape, dtype=np.float32))
+        return (*_to_input(flat, row, transform), np.ones(grid, dtype=np.float32))
     # slopes of the shape, on a grid of 0.25 mm and smooth: ridges must not stretch the skin
     reduced = max(1, int(0.25 / pitch_mm))
-    small = (max(1, mask.shape[1] // reduced), max(1, mask.shape[0] // reduced))
+    small = max(1, mask.shape[1] // reduced), max(1, mask.shape[0] // reduced)
     weight: AnyArray = cv2.resize(mask.astype(np.float32), small, interpolation=cv2.INTER_AREA)
     height: AnyArray = cv2.resize(np.where(mask, shape_mm, 0.0), small, interpolation=cv2.INTER_AREA)
     factor = mask.shape[1] / small[0]
     inside = weight > 0.5
     height = np.where(inside, height / np.maximum(weight, 0.5), np.nan).astype(np.float32)
-    slopes = height_gradients(height, pitch_mm * factor)
     sigma = 0.6 / (pitch_mm * factor)
-    total: AnyArray = np.maximum(gaussian_mean(inside.astype(np.float32), sigma), 1e-3)
+    fraction = inside.astype(np.float32)
+    total = np.maximum(gaussian_mean(fraction, sigma), 1e-3)
     limit = np.float32(np.tan(np.deg2rad(SLANT_DEG)))
-    x, y = _to_input(np.broadcast_to(column, (grid_rows, grid_columns)), row, transform)
-    there = (x + 0.5) / factor - 0.5, (y + 0.5) / factor - 0.5
-    known = sampled_at(inside.astype(np.float32), *there, outside=0.0) > 0.5
-    even_slopes: list[AnyArray] = [gaussian_mean(np.clip(s, -2 * limit, 2 * limit), sigma) / total for s in slopes]
-    right, up = (sampled_at(slope, *there, outside=0.0) for slope in even_slopes)
+    x, y = _to_input(flat, row, transform)
+    place = (x + 0.5) / factor - 0.5, (y + 0.5) / factor - 0.5
+    known = sampled_at(fraction, *place, outside=0.0) > 0.5
+    right, up = (
+        sampled_at(gaussian_mean(np.clip(slope, -2 * limit, 2 * limit), sigma) / total, *place, outside=0.0)
+        for slope in height_gradients(height, pitch_mm * factor)
+    )
     across = np.where(known, transform[0, 0] * right - transform[1, 0] * up, 0.0)
     along = np.where(known, transform[0, 1] * right - transform[1, 1] * up, 0.0)
     slant_cos = (1.0 / np.sqrt(1.0 + across**2 + along**2)).astype(np.float32)
+    # arc length across the finger, from its middle
     length = np.sqrt(1.0 + np.clip(across, -limit, limit) ** 2)
     arc = np.cumsum(length, axis=1) - 0.5 * length
     anywhere = np.flatnonzero(known.any(axis=0))
-    middle = int(anywhere.mean()) if anywhere.size else grid_columns // 2
+    middle = int(anywhere.mean()) if anywhere.size else grid[1] // 2
     arc -= arc[:, middle : middle + 1]
-    first, last = float(arc[:, 0].min()), float(arc[:, -1].max())
-    wanted = np.arange(np.floor(first), np.ceil(last) + 1.0)
+    wanted = np.arange(np.floor(arc[:, 0].min()), np.ceil(arc[:, -1].max()) + 1.0)
     source = np.stack([np.interp(wanted, line, column, left=-1e6, right=-1e6) for line in arc])
-    own = np.broadcast_to(np.arange(grid_rows, dtype=np.float32)[:, None], source.shape)
+    own = np.broadcast_to(np.arange(grid[0], dtype=np.float32)[:, None], source.shape)
     slant_cos = sampled_at(slant_cos, (source / step).astype(np.float32), own, outside=0.0)
     return (*_to_input(source, row, transform), slant_cos)
 
 
-def _to_input(
-    columns: NDArray[np.float64], rows: NDArray[np.float64], transform: NDArray[np.float64]
-) -> tuple[FloatArray, FloatArray]:
-    x = transform[0, 0] * columns + transform[0, 1] * rows[:, None] + transform[0, 2]
-    y = transform[1, 0] * columns + transform[1, 1] * rows[:, None] + transform[1, 2]
+def _to_input(columns: Array, rows: Array, transform: Array) -> tuple[FloatArray, FloatArray]:
+    """Columns and rows in the input of columns (h, w) and rows (h,) of the upright frame."""
+    x, y = (line[0] * columns + line[1] * rows[:, None] + line[2] for line in transform[:2])
     return x.astype(np.float32), y.astype(np.float32)

@@ -12,16 +12,16 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from splitknit.errors import refusing, require
 from splitknit.io.fields import read_json
+from splitknit.model import Array
 from splitknit_match.matching.results import FmrBasis
 
 _TAIL = 50
 """Impostors by which rates are extrapolated."""
-FMR_ROUNDING = 1e-5
-"""By this much similarities are rounded so that no rate comes out too low."""
+_FMR_ROUNDING = 1e-5
 _ENTRIES = 64
 """Entries of a table of false match rates, at most."""
 
@@ -39,9 +39,9 @@ def dissimilarity(ratio: float, distances: ArrayLike) -> float:
 class FmrTable:
     """False match rate as a function of the similarity, from impostor scores."""
 
-    similarity: NDArray[np.float64]
+    similarity: Array
     """(K,) rising."""
-    fmr: NDArray[np.float64]
+    fmr: Array
     """(K,) falling; rate of impostor scores at or above `similarity`."""
     impostors: int
     """Comparisons behind it: no rate below 1 / (impostors + 1) is ever stated."""
@@ -51,13 +51,18 @@ class FmrTable:
     """Where less overlaps, no rate is stated."""
     excluded_mm2: float = 0.0
     """Where less overlaps, no finger is excluded."""
-    whole: bool = False
-    """Whether scores are whole numbers, as bozorth3's."""
+    method: str = ""
+    """Of ``match``, whose scores were measured."""
 
     @property
     def smallest(self) -> float:
         """The smallest rate that it can state: none of its impostors is as similar."""
         return float(self.fmr.min())
+
+    @property
+    def rounding(self) -> float:
+        """By this much similarities are rounded so that no rate comes out too low; bozorth3's are whole numbers."""
+        return 0.0 if self.method.startswith("minutiae") else _FMR_ROUNDING
 
     @property
     def basis(self) -> FmrBasis:
@@ -77,7 +82,7 @@ class FmrTable:
         )
         measured = float(self.similarity[np.argmax(self.fmr <= fmr)])
         exact = measured if fmr >= self.smallest else self.beyond(fmr)[0]
-        return math.ceil(exact) if self.whole else (math.ceil(exact / FMR_ROUNDING) + 1) * FMR_ROUNDING
+        return (math.ceil(exact / self.rounding) + 1) * self.rounding if self.rounding else math.ceil(exact)
 
     def beyond(self, fmr: float) -> tuple[float, float]:
         """Similarity at which a smaller rate than was measured is reached, and the rate that is to be expected there.
@@ -126,15 +131,6 @@ def calibrate_scores(impostor: ArrayLike) -> FmrTable:
 DECISION_FORMAT = "splitknit-decision"
 
 
-@dataclass(frozen=True, slots=True)
-class OwnRates:
-    """False match rates of somebody's own prints: what ``evaluate --calibrate`` writes."""
-
-    table: FmrTable
-    method: str
-    """Of ``match``, whose scores were measured."""
-
-
 def own_rates_document(impostor: ArrayLike, what: str, method: str, least_mm2: float) -> dict[str, Any]:
     """Content of a file of own rates; failures (NaN) are left out. Raises BadInput as :func:`calibrate_scores`."""
     scores = np.asarray(impostor, dtype=float)
@@ -145,21 +141,20 @@ def own_rates_document(impostor: ArrayLike, what: str, method: str, least_mm2: f
     }  # fmt: skip
 
 
-def read_own_rates(path: Path) -> OwnRates:
-    """Read what ``evaluate --calibrate`` wrote. Raises BadInput if it is something else."""
+def read_own_rates(path: Path) -> FmrTable:
+    """Rates of own prints, as ``evaluate --calibrate`` wrote them. Raises BadInput if it is something else."""
     wrong = f"'{path}' is not a file of false match rates; name one that 'splitknit evaluate --calibrate' wrote."
     document, _ = read_json(path)
     require(document.get("format") == DECISION_FORMAT, wrong)
     require(document.get("version") == 1, f"'{path}' is of a version that this program does not know; make it anew.")
     with refusing(wrong):  # also integers beyond all floats
         scores, rates = (np.array(document[name], dtype=float) for name in ("similarity", "fmr"))
-        method = str(document["method"])
         table = FmrTable(
             scores, rates, int(float(document["impostors"])), str(document["what"]), float(document["least_mm2"]),
-            whole=method == "minutiae",
+            method=str(document["method"]),
         )  # fmt: skip
     require(scores.ndim == 1 and scores.shape == rates.shape and scores.size > 1, wrong)
     require(table.rated_mm2 >= 0 and table.impostors < 1e12, wrong)
     require((np.diff(scores) > 0).all() and (np.diff(rates) <= 0).all(), wrong)
     require(((rates > 0) & (rates <= 1)).all() and table.smallest * (table.impostors + 1) >= 1 - 1e-9, wrong)
-    return OwnRates(table, method)
+    return table

@@ -120,7 +120,7 @@ def scaled(template: Template, scale: float) -> Template:
     if template.empty:
         return template
     rows, columns = (max(1, round(side * scale)) for side in template.valid.shape)
-    value = np.asarray(cv2.resize(template.value(), (columns, rows)))
+    value = np.asarray(cv2.resize(template.value(), (columns, rows)), dtype=np.float32)
     valid = np.asarray(cv2.resize(template.valid.astype(np.float32), (columns, rows)) > 0.5)
     larger = leveled(value, valid, template.pitch_mm)
     minutiae = template.minutiae
@@ -142,7 +142,8 @@ def mirrored(template: Template) -> Template:
     if minutiae is not None and minutiae.count:
         x = (minutiae.size[1] - 1 - minutiae.x_px).astype(np.int32)
         minutiae = replace(minutiae, x_px=x, direction_rad=(np.pi - minutiae.direction_rad) % (2 * np.pi))
-    level, valid = (np.ascontiguousarray(part[:, ::-1]) for part in (template.level, template.valid))
+    level = np.ascontiguousarray(template.level[:, ::-1])
+    valid = np.ascontiguousarray(template.valid[:, ::-1])
     return replace(template, level=level, valid=valid, minutiae=minutiae)
 
 
@@ -160,8 +161,8 @@ def with_minutiae(template: Template, valid: BoolArray, minutiae: Minutiae) -> T
     row, column = (0.5 * (side.start + side.stop - 1) * step for side in bounding_box(valid))
     x = minutiae.x_px - round(minutiae.size[1] - 1 - column - (columns - 1) / 2)
     y = minutiae.y_px - round(row - (rows - 1) / 2)
-    shown = (x >= 0) & (y >= 0) & (x < columns) & (y < rows)
-    minutiae = replace(minutiae.taken(shown), x_px=x[shown], y_px=y[shown], size=(rows, columns))
+    inside = (x >= 0) & (y >= 0) & (x < columns) & (y < rows)
+    minutiae = replace(minutiae.taken(inside), x_px=x[inside], y_px=y[inside], size=(rows, columns))
     return replace(template, minutiae=minutiae)
 
 
@@ -191,7 +192,7 @@ def pack(template: Template) -> bytes:
         lengths = b"".join(struct.pack("<H", n) if n < _LONG else struct.pack("<HI", _LONG, n) for n in runs.tolist())
     level = template.level.ravel()[flat]
     quads = np.pad(level, (0, -len(level) % 4)).reshape(-1, 4)
-    packed = np.bitwise_or.reduce(quads << _SHIFTS, axis=1)
+    packed: NDArray[np.uint8] = (quads << _SHIFTS).sum(axis=1, dtype=np.uint8)
     minutiae = b"" if template.minutiae is None else pack_minutiae(template.minutiae) or _NO_MINUTIAE
     return head + lengths + packed.tobytes() + minutiae
 

@@ -9,11 +9,10 @@ from typing import Annotated
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
 from splitknit.errors import check_mask, require
 from splitknit.imaging.geometry import bounding_box, warp
-from splitknit.model import BoolArray, FloatArray
+from splitknit.model import Array, BoolArray, FloatArray
 from splitknit.settings import Checked, Limits, check_fields
 from splitknit_match.matching.features import lbp_features
 from splitknit_match.matching.score import dissimilarity
@@ -131,7 +130,7 @@ def finger_images(
     ridge_mm: FloatArray,
     mask: BoolArray,
     pitch_mm: float,
-    input_from_upright: NDArray[np.float64] | None = None,
+    input_from_upright: Array | None = None,
     *,
     upright_size: tuple[int, int] | None = None,
     shape_normals: FloatArray | None = None,
@@ -176,7 +175,7 @@ def check_scales(database: float, query: float) -> None:
     )
 
 
-def finger_features(images: FingerImages, settings: ThesisSettings = DEFAULTS) -> dict[str, NDArray[np.float32]]:
+def finger_features(images: FingerImages, settings: ThesisSettings = DEFAULTS) -> dict[str, FloatArray]:
     """Feature vector of each channel that `settings` name, for a finger of the database that is compared often.
 
     Raises BadInput if a channel is missing, or smaller than a cell. Returns (n,) float32 by
@@ -189,7 +188,7 @@ def thesis_match(
     database: FingerImages,
     query: FingerImages,
     settings: ThesisSettings = DEFAULTS,
-    features: Mapping[str, NDArray[np.float32]] | None = None,
+    features: Mapping[str, FloatArray] | None = None,
 ) -> ImageMatch:
     """Compare a query with a finger of the database, as the thesis does.
 

@@ -116,14 +116,10 @@ def code_match(database: CodeSide, query: CodeSide) -> ImageMatch:
 def _counts(labels: Labels, right: int, cell: int, cells: tuple[int, int], bins: int) -> NDArray[np.int64]:
     """(cells, bins) how often each label occurs, after a shift by `right` columns; nothing is the flat pattern."""
     rows, columns = cells[0] * cell, cells[1] * cell
-    laid = np.full((rows, columns), _FLAT[bins], dtype=np.int64)
+    laid = np.full((rows, columns), bins - 2, dtype=np.int64)  # all bits set: neighbours as large as the pixel
     first, last = max(0, right), min(columns, labels.shape[1] + right)
     height = min(rows, labels.shape[0])
     if last > first:
         laid[:height, first:last] = labels[:height, first - right : last - right]
     laid += bins * (np.arange(rows)[:, None] // cell * cells[1] + np.arange(columns)[None, :] // cell)
     return np.bincount(laid.ravel(), minlength=bins * cells[0] * cells[1])
-
-
-_FLAT = {_bins(count): _bins(count) - 2 for count in set(NEIGHBOURS.values())}
-"""Label of a place whose neighbours are all as large as it is, by the number of bins: all bits are set."""
