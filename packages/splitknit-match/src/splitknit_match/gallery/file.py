@@ -28,7 +28,7 @@ from splitknit.io.enrolment import FINGERS
 from splitknit_match.matching.template import VERSION as TEMPLATE_VERSION
 
 if TYPE_CHECKING:
-    from splitknit_match.gallery.minutia_index import MinutiaIndex
+    from splitknit_match.gallery.minutia_index import CaptureMinutiae, MinutiaIndex
 
 _LOG = logging.getLogger(__name__)
 APPLICATION_ID = 0x534B4741
@@ -210,11 +210,21 @@ def warn_of_gallery(gallery: AnyPath, key_file: AnyPath | None) -> None:
 class People:
     """What a gallery held at one time, in memory; threads may share it."""
 
-    def __init__(self, path: Path, settings_sha256: str, entries: list[Entry], templates: dict[int, bytes]) -> None:
-        """Take over what was read."""
-        self.path, self.settings_sha256, self.templates = path, settings_sha256, templates
+    def __init__(
+        self,
+        path: Path,
+        settings_sha256: str,
+        entries: list[Entry],
+        templates: dict[int, bytes],
+        minutiae: dict[int, CaptureMinutiae | None],
+    ) -> None:
+        """Take over what was read; `minutiae`: those that are known of some rows."""
+        self.path = path
+        self.settings_sha256 = settings_sha256
         self.entries = {entry.row: entry for entry in entries}
-        self.indexed: tuple[MinutiaIndex | None, dict[int, Entry]] = (None, {})
+        self.templates = templates
+        self.minutiae = minutiae
+        self._index: MinutiaIndex | None = None
         self._lock = threading.Lock()
 
     def of(self, person: str | None, finger: str | None) -> list[Entry]:
@@ -231,16 +241,14 @@ class People:
         return entries
 
     def index(self) -> MinutiaIndex:
-        """Index of the minutiae of all templates; what an earlier one knows is not read again."""
+        """Index of the minutiae of all templates."""
         from splitknit_match.gallery.minutia_index import MinutiaIndex  # a list of names needs none of it
 
         with self._lock:
-            index, known = self.indexed
-            if index is None or known is not self.entries:
-                same = {row for row, entry in known.items() if self.entries.get(row) == entry}
-                index = MinutiaIndex(self.templates, self.path, index, same)
-                self.indexed = index, self.entries
-            return index
+            if self._index is None:
+                self._index = MinutiaIndex(self.templates, self.path, self.minutiae)
+                self.minutiae = self._index.minutiae
+            return self._index
 
 
 class GalleryFile:
@@ -311,13 +319,14 @@ class GalleryFile:
             if kept is not None and state == known_state:
                 return kept
             entries = self._entries(database, person)
-            earlier = kept or People(self.path, "", [], {})
-            templates = {}
-            for entry in entries:
-                known = earlier.entries.get(entry.row) == entry
-                templates[entry.row] = earlier.templates[entry.row] if known else self._template(database, entry)
-            people = People(self.path, _settings_of(database), entries, templates)
-            people.indexed = earlier.indexed
+            earlier = kept or People(self.path, "", [], {}, {})
+            same = {entry.row for entry in entries if earlier.entries.get(entry.row) == entry}
+            templates = {
+                entry.row: earlier.templates[entry.row] if entry.row in same else self._template(database, entry)
+                for entry in entries
+            }
+            minutiae = {row: sides for row, sides in earlier.minutiae.items() if row in same}
+            people = People(self.path, _settings_of(database), entries, templates, minutiae)
             if person is None:
                 self._kept = state, people
             return people

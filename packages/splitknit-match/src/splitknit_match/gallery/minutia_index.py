@@ -1,18 +1,20 @@
 """Which captures of a gallery may show a probe's finger: by their minutiae, looked up in hash tables.
 
-What lies around a minutia is a cylinder of numbers (:mod:`splitknit_match.matching.minutia_pairs`); the signs of its
-products with random vectors are its keys, one a table. Minutiae of gallery and probe that share a key vote for a turn
-and a shift of their capture; rare keys count more. Of the captures with most votes, minutiae are laid on the probe's
-and those that agree are counted.
+What lies around a minutia is a cylinder of numbers (:mod:`splitknit_match.matching.minutia_pairs`);
+the signs of its products with random vectors are its keys, one a table. Minutiae of gallery and
+probe that share a key vote for a rotation and a shift of their capture; rare keys count more. Of
+the captures with most votes, minutiae are laid on the probe's and those that agree are counted.
 
-Source: R. Cappelli, M. Ferrara and D. Maltoni, "Fingerprint indexing based on minutia cylinder-code", IEEE TPAMI 33(5),
-2011. Different from it: random vectors instead of chosen bits, votes by turn and shift, and agreeing minutiae.
+Source: R. Cappelli, M. Ferrara and D. Maltoni, "Fingerprint indexing based on minutia
+cylinder-code", IEEE TPAMI 33(5), 2011. Different from it: random vectors instead of chosen bits,
+votes by rotation and shift, and agreeing minutiae.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Container, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
 from typing import TypeVar
@@ -22,208 +24,257 @@ from numpy.typing import NDArray
 
 from splitknit.errors import naming
 from splitknit.io.images import cores
-from splitknit.model import FloatArray
 from splitknit_match.matching.minutia_pairs import CYLINDER, Cylinders, Places
 from splitknit_match.matching.ridge import Prepared
 from splitknit_match.matching.template import Template, unpack
 
-_TABLES, _BITS = 80, 12
+_TABLES = 80
+_BITS = 12
+"""Of a key."""
 _MEAN = 0.157
 """Of a cylinder's numbers, in real prints (``validation/gallery/index.py``)."""
-_TURNS, _DOUBLE = 32, 6
-"""Steps of turn; votes of two neighbours are added. Twice as many are 2 to the power of 6."""
+_ROTATIONS = 32
+"""Steps of a full turn; votes of two neighbours are added."""
 _PEAKS = 2
-"""Turns of a capture whose votes are counted by shift."""
-_CELL_MM, _SHIFTS = 2.0, 15
-"""Steps of shift, and how many there are each way; votes of two neighbours are added."""
-_COMMON, _RARE = 2.0, 8
-"""A key that more of the gallery's minutiae have than so many times the mean, and than so many, is left out."""
-_TURNED, _LAID = 0.05, 200
-"""Fraction of the captures whose shifts are looked at, and number of those whose minutiae are laid on the probe's."""
-_AGREE = 20.0
-"""What the root of the fraction of agreeing minutiae counts beside votes."""
-_FITS_MM, _FITS_RAD, _FEW = 0.5, 0.35, 9.0
-"""Differences at which a minutia laid on another counts 1/e; minutiae that are added to those that could agree."""
+"""Rotations of a capture whose votes are counted by shift."""
+_CELL_MM = 2.0
+_CELLS = 15
+"""Shifts are counted in so many cells along x and y; votes of two neighbours are added."""
+_COMMON = 2.0
+"""A key that more minutiae have than so many times the mean is left out,"""
+_RARE = 8
+"""but not if it is of no more than these."""
+_ROTATED_FRACTION = 0.05
+"""Fraction of the captures whose shifts are counted."""
+_ALIGNED = 200
+"""Captures whose minutiae are laid on the probe's."""
+_AGREEMENT_WEIGHT = 20.0
+"""Of agreeing minutiae beside votes."""
+_DISTANCE_MM = 0.5
+"""At this distance, or the next angle, a minutia laid on another counts 1/e."""
+_ANGLE_RAD = 0.35
 _REACH_MM2 = 2.25
-"""Farther apart, squared, they do not count: less than 0.0002 each."""
+"""Squared distance beyond which minutiae do not agree: they would count less than 0.0002 each."""
+_FEW = 9.0
+"""Minutiae that are added to those that could agree."""
 
-Floats = NDArray[np.float32]
 T = TypeVar("T")
 R = TypeVar("R")
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class CaptureMinutiae:
+    """Minutiae of one capture that have a cylinder, N of them."""
+
+    place: Places
+    """(N,) x + iy, mm."""
+    turn: NDArray[np.float64]
+    keys: NDArray[np.uint16]
+    """(N, tables)."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Hits:
+    """Minutiae of the gallery, V of them, that share one of the probe's K keys."""
+
+    enrolled: NDArray[np.int32]
+    """(V,) minutia of the gallery."""
+    key: NDArray[np.int32]
+    """(V,) the key that is shared."""
+    bin: NDArray[np.int32]
+    """(V,) number of the capture times the steps of rotation, plus how many it is rotated by."""
+    probe: NDArray[np.int64]
+    """(K,) minutia of the probe that has the key."""
+    weight: NDArray[np.float64]
+    """(K,) of the key, more where it is rare."""
+
+
 class MinutiaIndex:
-    """Minutiae of captures in memory, 15 kB each. Threads may share it."""
+    """Minutiae of captures in memory, 26 kB each. Threads may share it."""
 
     rows: NDArray[np.int64]
     """(M,) numbers of the captures' rows."""
 
     def __init__(
-        self, payloads: Mapping[int, bytes], gallery: Path, earlier: MinutiaIndex | None = None,
-        same: Container[int] = (),
-    ) -> None:  # fmt: skip
-        """Take templates by their rows, without failures to acquire; those that are the `same` as in an `earlier` index
-        are not read again. Raises BadInput if one is damaged.
+        self,
+        templates: Mapping[int, bytes],
+        gallery: Path,
+        known: Mapping[int, CaptureMinutiae | None] | None = None,
+    ) -> None:
+        """Take templates by their rows, but those of failures to acquire.
+
+        `known`: minutiae of some rows, of an earlier index. Raises BadInput if one is damaged.
         """
-        known = np.array([row in same for row in ([] if earlier is None else earlier.rows.tolist())], dtype=bool)
-        taken = set() if earlier is None else set(earlier.rows[known].tolist())
+        known = known or {}
 
-        def minutiae(row: int) -> tuple[Places, NDArray[np.float64], NDArray[np.uint16]] | None:
-            side = Prepared(unpacked(gallery, row, payloads[row])).cylinders
-            return None if side is None else (side.place, side.turn, _keys(side))
+        def minutiae_of(row: int) -> CaptureMinutiae | None:
+            if row in known:
+                return known[row]
+            side = Prepared(unpacked(gallery, row, templates[row])).cylinders
+            return None if side is None else CaptureMinutiae(side.place, side.turn, _keys(side))
 
-        rows = sorted(row for row, payload in payloads.items() if payload and row not in taken)
-        found = list(zip(rows, each(minutiae, rows), strict=True))
-        self.others = [row for row, side in found if side is None]
-        """Rows that hold too few minutiae to be found."""
-        sides = [side for _, side in found if side is not None]
-        place = np.concatenate([np.zeros(0, np.complex128), *(side[0] for side in sides)])
-        turn = np.concatenate([np.zeros(0), *(side[1] for side in sides)])
-        keys = np.concatenate([np.zeros((0, _TABLES), np.uint16), *(side[2] for side in sides)])
-        self.rows = np.array([row for row, side in found if side is not None], dtype=np.int64)
-        self.count = np.array([len(side[1]) for side in sides], dtype=np.int64)
-        self.boxes = np.array([_box(side[0]) for side in sides], dtype=np.float32).reshape(-1, 4)
-        self.x, self.y, self.turn = (part.astype(np.float32) for part in (place.real, place.imag, turn))
-        if earlier is not None:
-            kept = np.repeat(known, earlier.count)
-            for name in ("rows", "count", "boxes"):
-                setattr(self, name, np.concatenate([getattr(earlier, name)[known], getattr(self, name)]))
-            for name in ("x", "y", "turn"):
-                setattr(self, name, np.concatenate([getattr(earlier, name)[kept], getattr(self, name)]))
-            keys = np.concatenate([earlier._keys()[kept], keys])
+        rows = sorted(row for row, template in templates.items() if template)
+        self.minutiae = dict(zip(rows, each(minutiae_of, rows), strict=True))
+        self.others = [row for row, minutiae in self.minutiae.items() if minutiae is None]
+        """Rows that hold too few minutiae to be searched."""
+        indexed = {row: minutiae for row, minutiae in self.minutiae.items() if minutiae is not None}
+        sides = list(indexed.values())
+        place = np.concatenate([np.zeros(0, np.complex128), *(side.place for side in sides)])
+        turn = np.concatenate([np.zeros(0), *(side.turn for side in sides)])
+        keys = np.concatenate([np.zeros((0, _TABLES), np.uint16), *(side.keys for side in sides)])
+        self.rows = np.array(list(indexed), dtype=np.int64)
+        self.count = np.array([len(side.turn) for side in sides], dtype=np.int64)
+        self.boxes = np.array([_box(side.place) for side in sides], dtype=np.float32).reshape(-1, 4)
+        self.x = place.real.astype(np.float32)
+        self.y = place.imag.astype(np.float32)
+        self.turn = turn.astype(np.float32)
         self.first = np.cumsum(self.count) - self.count
-        self.code = np.repeat(np.arange(len(self), dtype=np.int32), self.count) * (2 * _TURNS)
-        self.code += _steps(self.turn) + _TURNS
-        self.lists = np.stack([np.argsort(one, kind="stable").astype(np.int32) for one in keys.T])
-        sizes = [np.bincount(one, minlength=1 << _BITS) for one in keys.T]
+        # twice the steps, so that differences of rotation stay within the capture's own
+        self.code = np.repeat(np.arange(len(self), dtype=np.int32), self.count) * (2 * _ROTATIONS)
+        self.code += _steps(self.turn) + _ROTATIONS
+        # of each table the minutiae in the order of their keys, and where those of a key end
+        self.lists = np.stack([np.argsort(table, kind="stable").astype(np.int32) for table in keys.T])
+        sizes = [np.bincount(table, minlength=1 << _BITS) for table in keys.T]
         self.ends = np.pad(np.cumsum(sizes, axis=1), ((0, 0), (1, 0)))
-
-    def _keys(self) -> NDArray[np.uint16]:
-        """(N, tables) keys of all minutiae."""
-        keys = np.empty(self.lists.T.shape, dtype=np.uint16)
-        for table, (minutiae, ends) in enumerate(zip(self.lists, self.ends, strict=True)):
-            keys[minutiae, table] = np.repeat(np.arange(1 << _BITS, dtype=np.uint16), np.diff(ends))
-        return keys
 
     def __len__(self) -> int:
         return len(self.rows)
 
     def nearest(self, probe: Cylinders, k: int) -> list[int]:
-        """Rows of the `k` captures that agree with the probe best, best first, equal ones in the order of rows."""
+        """Rows of the `k` captures that agree with the probe best, best first; equal ones by rows."""
         if not len(self.turn) or not len(probe.turn):
             return []
-        found, shared, minutia, weight, code = self._sharing(probe)
-        captures, slot, count = self._turned(code)
-        slot = slot.take(code)
+        hits = self._hits(probe)
+        captures, slot = self._rotated(hits.bin)
+        slots = len(captures) * _PEAKS
+        slot = slot.take(hits.bin)
         voting = np.flatnonzero(slot >= 0)
-        slot, found, code = slot.take(voting), found.take(voting), code.take(voting)
-        shared = shared.take(voting)
-        minutia, weight = minutia.take(shared), weight.take(shared)
-        turned = (probe.place[:, None] * np.exp(2j * np.pi / _TURNS * np.arange(_TURNS))).astype(np.complex64)
-        start = turned.ravel().take(minutia * _TURNS + code % _TURNS)
-        right, up = (
-            np.clip((shift / _CELL_MM + _SHIFTS / 2).astype(np.int32), 0, _SHIFTS - 1)
-            for shift in (self.x.take(found) - start.real, self.y.take(found) - start.imag)
-        )
-        votes = np.bincount((slot * _SHIFTS + right) * _SHIFTS + up, weight, minlength=count * _SHIFTS**2)
-        votes = votes.reshape(count, _SHIFTS, _SHIFTS)
+        slot = slot.take(voting)
+        enrolled = hits.enrolled.take(voting)
+        rotation = hits.bin.take(voting) % _ROTATIONS
+        key = hits.key.take(voting)
+        minutia = hits.probe.take(key)
+        weight = hits.weight.take(key)
+
+        # votes by shift
+        angles = 2j * np.pi / _ROTATIONS * np.arange(_ROTATIONS)
+        rotated = (probe.place[:, None] * np.exp(angles)).astype(np.complex64)
+        start = rotated.ravel().take(minutia * _ROTATIONS + rotation)
+        column = _cells(self.x.take(enrolled) - start.real)
+        row = _cells(self.y.take(enrolled) - start.imag)
+        votes = np.bincount((slot * _CELLS + column) * _CELLS + row, weight, minlength=slots * _CELLS**2)
+        votes = votes.reshape(slots, _CELLS, _CELLS)
         votes = votes[:, 1:] + votes[:, :-1]
         votes = (votes[..., 1:] + votes[..., :-1]).reshape(len(captures), -1)
         most = votes.max(axis=1) / np.maximum(self.count[captures], 1) ** 0.25
-        kept = _largest(most, max(_LAID, 2 * k))
-        captures, most = captures[kept], most[kept]
-        # how these lie on the probe, by the pairs that voted for it
-        peak, *at = np.unravel_index(votes[kept].argmax(axis=1), (_PEAKS, _SHIFTS - 1, _SHIFTS - 1))
-        where = np.full(count, -1)
-        where[kept * _PEAKS + peak] = np.arange(len(kept))
-        laid = where.take(slot)
-        fits = (laid >= 0) & ((right - at[0][laid]) // 2 == 0) & ((up - at[1][laid]) // 2 == 0)
-        laid, found, minutia, weight = laid[fits], found[fits], minutia[fits], weight[fits]
+        kept = _largest(most, max(_ALIGNED, 2 * k))
 
-        def total_of(values: NDArray[np.complex128]) -> NDArray[np.complex128]:
-            parts = [np.bincount(laid, weight * part, minlength=len(kept)) for part in (values.real, values.imag)]
-            return parts[0] + 1j * parts[1]
+        # how these lie on the probe, by the hits that voted for it
+        shape = (_PEAKS, _CELLS - 1, _CELLS - 1)
+        peak, best_column, best_row = np.unravel_index(votes[kept].argmax(axis=1), shape)
+        number = np.full(slots, -1)
+        number[kept * _PEAKS + peak] = np.arange(len(kept))
+        aligned = number.take(slot)
+        fits = aligned >= 0
+        fits &= (column - best_column[aligned]) // 2 == 0
+        fits &= (row - best_row[aligned]) // 2 == 0
+        aligned = aligned[fits]
+        enrolled = enrolled[fits]
+        minutia = minutia[fits]
+        weight = weight[fits]
 
-        turns = np.exp(1j * np.angle(total_of(np.exp(1j * (self.turn[found] - probe.turn[minutia])))))
-        shifts = total_of(self.x[found] + 1j * self.y[found] - probe.place[minutia] * turns[laid])
-        shifts /= np.maximum(total_of(np.ones(len(laid), dtype=np.complex128)), 1e-9)
-        score = most + _AGREE * self._agreeing(captures, probe, turns, shifts)
-        order = np.lexsort((self.rows[captures], -score))[:k]
-        return [int(row) for row in self.rows[captures[order]]]
+        def weighted_sum(values: NDArray[np.complex128]) -> NDArray[np.complex128]:
+            real = np.bincount(aligned, weight * values.real, minlength=len(kept))
+            return real + 1j * np.bincount(aligned, weight * values.imag, minlength=len(kept))
 
-    def _sharing(
-        self, probe: Cylinders
-    ) -> tuple[NDArray[np.int32], NDArray[np.int32], NDArray[np.int64], NDArray[np.float64], NDArray[np.int32]]:
-        """Minutiae that share a key which is not too common, which of these it is, minutiae of the probe and weights of
-        these keys, and the code of what was found: its capture's number times the steps, and how many it is turned by.
-        """
-        keys, tables = _keys(probe), np.arange(_TABLES)
+        difference = self.turn[enrolled] - probe.turn[minutia]
+        turns = np.exp(1j * np.angle(weighted_sum(np.exp(1j * difference))))
+        place = self.x[enrolled] + 1j * self.y[enrolled]
+        shifts = weighted_sum(place - probe.place[minutia] * turns[aligned])
+        shifts /= np.maximum(weighted_sum(np.ones(len(aligned), dtype=np.complex128)), 1e-9)
+        agreement = self._agreement(captures[kept], probe, turns, shifts)
+        score = most[kept] + _AGREEMENT_WEIGHT * agreement
+        rows = self.rows[captures[kept]]
+        return [int(row) for row in rows[np.lexsort((rows, -score))[:k]]]
+
+    def _hits(self, probe: Cylinders) -> _Hits:
+        """Minutiae that share a key with the probe's which is not too common."""
+        keys = _keys(probe)
+        tables = np.arange(_TABLES)
         mean = len(self.turn) / (1 << _BITS)
-        starts, ends = self.ends[tables, keys], self.ends[tables, keys + 1]
-        telling = np.flatnonzero(ends - starts <= max(_COMMON * mean, _RARE))  # the probe's minutiae by tables
-        starts, size = (starts + tables * len(self.turn)).ravel()[telling], (ends - starts).ravel()[telling]
+        starts = self.ends[tables, keys]
+        sizes = (self.ends[tables, keys + 1] - starts).ravel()
+        telling = np.flatnonzero(sizes <= max(_COMMON * mean, _RARE))  # the probe's minutiae by tables
+        sizes = sizes[telling]
+        starts = (starts + tables * len(self.turn)).ravel()[telling]
         lists = self.lists.ravel()
-        parts = [lists[start:end] for start, end in zip(starts.tolist(), (starts + size).tolist(), strict=True)]
-        found = np.concatenate([lists[:0], *parts])
-        minutia, weight = telling // _TABLES, np.sqrt(mean / np.maximum(size, 1))
-        shared = np.repeat(np.arange(len(telling), dtype=np.int32), size)
-        steps = _steps(probe.turn.astype(np.float32))[minutia]
-        code = self.code.take(found) - steps.take(shared)
-        return found, shared, minutia, weight, (code >> _DOUBLE << _DOUBLE - 1) | (code & _TURNS - 1)
+        ranges = zip(starts.tolist(), (starts + sizes).tolist(), strict=True)
+        enrolled = np.concatenate([lists[:0], *(lists[start:end] for start, end in ranges)])
+        minutia = telling // _TABLES
+        key = np.repeat(np.arange(len(telling), dtype=np.int32), sizes)
+        code = self.code.take(enrolled) - _steps(probe.turn.astype(np.float32))[minutia].take(key)
+        capture = code // (2 * _ROTATIONS)
+        rotation = code % _ROTATIONS
+        weight = np.sqrt(mean / np.maximum(sizes, 1))
+        return _Hits(enrolled, key, capture * _ROTATIONS + rotation, minutia, weight)
 
-    def _turned(self, code: NDArray[np.int32]) -> tuple[NDArray[np.int64], NDArray[np.int32], int]:
-        """Captures with most votes for some turn; by code the number of a capture's best turn, -1 for others; and how
-        many of these there are.
+    def _rotated(self, bins: NDArray[np.int32]) -> tuple[NDArray[np.int64], NDArray[np.int32]]:
+        """Captures with most votes for some rotation; and by bin the number of a capture's best
+        rotation among all best ones, -1 for other rotations.
         """
-        votes = np.bincount(code, minlength=_TURNS * len(self)).reshape(-1, _TURNS)
+        votes = np.bincount(bins, minlength=_ROTATIONS * len(self)).reshape(-1, _ROTATIONS)
         votes += np.roll(votes, -1, axis=1)
         most = votes.max(axis=1) / np.sqrt(np.maximum(self.count, 1))
-        captures = _largest(most, max(_LAID, round(_TURNED * len(self))))
-        every = np.arange(len(captures))
-        slot = np.full((len(self), _TURNS), -1, dtype=np.int32)
+        captures = _largest(most, max(_ALIGNED, round(_ROTATED_FRACTION * len(self))))
+        number = np.arange(len(captures))
+        slot = np.full((len(self), _ROTATIONS), -1, dtype=np.int32)
         free = votes[captures]
         for peak in range(_PEAKS):
-            top = free.argmax(axis=1)
-            for step in (-1, 0, 1):
-                at = (top + step) % _TURNS
-                free[every, at] = -1
-                if step >= 0:
-                    slot[captures, at] = every * _PEAKS + peak
-        return captures, slot.ravel(), len(captures) * _PEAKS
+            best = free.argmax(axis=1)
+            free[number, best - 1] = -1
+            for rotation in (best, (best + 1) % _ROTATIONS):
+                free[number, rotation] = -1
+                slot[captures, rotation] = number * _PEAKS + peak
+        return captures, slot.ravel()
 
-    def _agreeing(
-        self, captures: NDArray[np.int64], probe: Cylinders, turns: Places, shift: Places
+    def _agreement(
+        self, captures: NDArray[np.int64], probe: Cylinders, turns: Places, shifts: Places
     ) -> NDArray[np.float64]:
-        """How many minutiae agree where the probe is laid on each capture, over the root of those that could."""
+        """How many minutiae agree where the probe is laid on each of C captures, over the root of
+        those that could; `turns` (C,) and `shifts` (C,) lay it there.
+        """
         count = self.count[captures]
         width = int(count.max())
         column = np.arange(width)
+        present = column < count[:, None]
         at = np.minimum(self.first[captures][:, None] + column, len(self.turn) - 1)
-        x, y, turn = self.x[at], self.y[at], self.turn[at]
-        laid = (probe.place * turns[:, None] + shift[:, None]).astype(np.complex64)
-        there = column < count[:, None]
-        apart = laid.real[:, :, None] - np.where(there, x, np.inf)[:, None]
-        apart *= apart
-        apart += (laid.imag[:, :, None] - y[:, None]) ** 2
-        near = np.flatnonzero(apart < _REACH_MM2)
-        one, other = near // width, near // laid[0].size // width * width + near % width  # of the probe, the captures
-        miss = (np.angle(turns)[:, None] + probe.turn).ravel()[one] - turn.ravel()[other]
-        miss -= 2 * np.pi * np.rint(miss / (2 * np.pi))
-        like = np.exp(-apart.ravel()[near] / _FITS_MM**2 - (miss / _FITS_RAD) ** 2)
-        both = np.ones(len(near), dtype=bool)
-        for side, size in ((one, laid.size), (other, x.size)):
-            most = np.zeros(size)
-            np.maximum.at(most, side, like)
-            both &= like == most[side]
-        agreeing = np.bincount(one[both] // laid[0].size, like[both], minlength=len(captures))
-        back = (x + 1j * y - shift[:, None]) * turns.conj()[:, None]
-        inside = _inside(back, np.array(_box(probe.place))) & there
-        seen = _inside(laid, self.boxes[captures].T[:, :, None]).sum(axis=1)
-        return np.asarray(agreeing / np.sqrt(np.sqrt(inside.sum(axis=1) * seen) + _FEW))
+        x = self.x[at]
+        y = self.y[at]
+        laid = (probe.place * turns[:, None] + shifts[:, None]).astype(np.complex64)
+        distance = laid.real[:, :, None] - np.where(present, x, np.inf)[:, None]
+        distance *= distance
+        distance += (laid.imag[:, :, None] - y[:, None]) ** 2
+        near = np.flatnonzero(distance < _REACH_MM2)  # of captures, the probe's minutiae, their own
+        of_probe = near // width
+        capture = of_probe // len(probe.turn)
+        of_capture = capture * width + near % width
+        angle = (np.angle(turns)[:, None] + probe.turn).ravel()[of_probe] - self.turn[at].ravel()[of_capture]
+        angle -= 2 * np.pi * np.rint(angle / (2 * np.pi))
+        likeness = np.exp(-distance.ravel()[near] / _DISTANCE_MM**2 - (angle / _ANGLE_RAD) ** 2)
+        mutual = np.ones(len(near), dtype=bool)
+        for minutia, size in ((of_probe, laid.size), (of_capture, x.size)):
+            best = np.zeros(size)
+            np.maximum.at(best, minutia, likeness)
+            mutual &= likeness == best[minutia]
+        agreeing = np.bincount(capture[mutual], likeness[mutual], minlength=len(captures))
+        back = (x + 1j * y - shifts[:, None]) * turns.conj()[:, None]
+        enrolled_overlap = (_inside(back, np.array(_box(probe.place))) & present).sum(axis=1)
+        probe_overlap = _inside(laid, self.boxes[captures].T[:, :, None]).sum(axis=1)
+        return np.asarray(agreeing / np.sqrt(np.sqrt(enrolled_overlap * probe_overlap) + _FEW))
 
 
 @cache
-def _vectors() -> Floats:
+def _vectors() -> NDArray[np.float32]:
     rng = np.random.default_rng(1)
     return rng.standard_normal((CYLINDER, _TABLES * _BITS), dtype=np.float32)
 
@@ -234,8 +285,12 @@ def _keys(side: Cylinders) -> NDArray[np.uint16]:
     return signs.reshape(-1, _TABLES, _BITS) @ (1 << np.arange(_BITS, dtype=np.uint16))
 
 
-def _steps(turn: Floats) -> NDArray[np.int32]:
-    return np.asarray(np.floor(turn * (_TURNS / (2 * np.pi))).astype(np.int32) % _TURNS)
+def _steps(turn: NDArray[np.float32]) -> NDArray[np.int32]:
+    return np.asarray(np.floor(turn * (_ROTATIONS / (2 * np.pi))).astype(np.int32) % _ROTATIONS)
+
+
+def _cells(shift_mm: NDArray[np.float32]) -> NDArray[np.int32]:
+    return np.clip((shift_mm / _CELL_MM + _CELLS / 2).astype(np.int32), 0, _CELLS - 1)
 
 
 def _largest(values: NDArray[np.float64], count: int) -> NDArray[np.int64]:
@@ -245,24 +300,22 @@ def _largest(values: NDArray[np.float64], count: int) -> NDArray[np.int64]:
     return np.flatnonzero(values >= np.partition(values, len(values) - count)[len(values) - count])
 
 
-def _box(place: NDArray[np.complex128]) -> tuple[float, float, float, float]:
+def _box(place: Places) -> tuple[float, float, float, float]:
     """Left, right, lower and upper end of places, and half a millimetre more."""
     if not len(place):
         return 0.0, 0.0, 0.0, 0.0
-    ends = place.real.min() - 0.5, place.real.max() + 0.5, place.imag.min() - 0.5, place.imag.max() + 0.5
-    return tuple(map(float, ends))  # type: ignore[return-value]
+    x = place.real
+    y = place.imag
+    return float(x.min() - 0.5), float(x.max() + 0.5), float(y.min() - 0.5), float(y.max() + 0.5)
 
 
-def _inside(place: NDArray[np.complexfloating], box: FloatArray | NDArray[np.float64]) -> NDArray[np.bool_]:
+def _inside(place: Places, box: NDArray[np.floating]) -> NDArray[np.bool_]:
     left, right, lower, upper = box
     return np.asarray((place.real > left) & (place.real < right) & (place.imag > lower) & (place.imag < upper))
 
 
 def each(work: Callable[[T], R], items: Sequence[T]) -> Iterator[R]:
-    """Do it with each, by a thread for each core: what takes the time lets others run. The results come in order."""
-    if len(items) < 2:
-        yield from map(work, items)
-        return
+    """Do it with each by a thread for each core, for other requests go on; results in order."""
     with ThreadPoolExecutor(cores(), thread_name_prefix="splitknit-match") as pool:
         yield from pool.map(work, items)
 
