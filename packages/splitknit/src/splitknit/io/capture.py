@@ -16,7 +16,7 @@ import numpy as np
 from msgspec import Meta, Struct
 from numpy.typing import NDArray
 
-from splitknit.errors import check_lights, check_mask, naming, refusing, require
+from splitknit.errors import BadInput, check_lights, check_mask, naming, require
 from splitknit.io.atomic import atomic_folder
 from splitknit.io.content import check_contents, image_name, mask_from_image
 from splitknit.io.fields import Version1, inside, read_document
@@ -404,16 +404,20 @@ def photographs_hint(folder: Path) -> str:
 
 
 def _document(path: str | os.PathLike[str]) -> Path:
-    with refusing(f"{os.fspath(path)!r} is not a usable path."):
-        file = Path(path)
-        if file.is_dir():
-            document = file / "capture.json"
-            hint = photographs_hint(file)
-            require(document.is_file(), f"{file} is not a capture folder: it holds no capture.json {hint}.")
-            return document
-        require(file.is_file(), f"{file} does not exist; name a capture folder.")
-        require(file.suffix == ".json", f"{file} is not a capture; name its folder or the capture.json in it.")
-        return file
+    file = Path(path)
+    document = file / "capture.json"
+    try:
+        is_folder = file.is_dir()
+        exists = (document if is_folder else file).is_file()
+    except (OSError, ValueError) as error:
+        raise BadInput(f"{os.fspath(path)!r} is not a usable path: {error}.") from error
+    if is_folder:
+        hint = photographs_hint(file)
+        require(exists, f"{file} is not a capture folder: it holds no capture.json {hint}.")
+        return document
+    require(exists, f"{file} does not exist; name a capture folder.")
+    require(file.suffix == ".json", f"{file} is not a capture; name its folder or the capture.json in it.")
+    return file
 
 
 def _seen_by(rig: Rig, band: Band) -> Band:
