@@ -107,10 +107,10 @@ class Outline:
         """(N, 2) places in the picture of the model's vectors (N, 2), widths."""
         return self.tip + self.width * self.turned(vectors)
 
-    def in_view(self, back: float, aside: float, shape: tuple[int, ...]) -> BoolArray:
-        """(2,) whether the picture shows the places `aside` widths left and right, and `back`
+    def in_view(self, back: float, offset: float, shape: tuple[int, ...]) -> BoolArray:
+        """(2,) whether the picture shows the places `offset` widths left and right, and `back`
         behind the tip."""
-        places = self.places(np.array([[-aside, back], [aside, back]])) * max(shape)
+        places = self.places(np.array([[-offset, back], [offset, back]])) * max(shape)
         return np.asarray(((places >= 0) & (places <= np.array(shape[1::-1]))).all(axis=1))
 
     def corners(self, side: int, length: float = _MAX_LENGTH + 1, scale: float = 1.0) -> Array:

@@ -16,7 +16,6 @@ from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 
 from splitknit.errors import require
-from splitknit.finger.ridges import MM_PER_INCH
 from splitknit.imaging.areas import disc
 from splitknit.model import BoolArray, FloatArray, GreyArray
 
@@ -55,7 +54,7 @@ class RidgeField:
 
     def period_mm(self, ppi: float) -> FloatArray:
         """(n, m) ridge period, NaN where there are no ridges."""
-        return np.where(self.mask, MM_PER_INCH / ppi / self.frequency_px, np.nan).astype(np.float32)
+        return np.where(self.mask, 25.4 / ppi / self.frequency_px, np.nan).astype(np.float32)
 
 
 def ridge_field(image: GreyArray, ppi: float = 500.0, inside: BoolArray | None = None) -> RidgeField:
@@ -68,8 +67,8 @@ def ridge_field(image: GreyArray, ppi: float = 500.0, inside: BoolArray | None =
     Chikkerur, A. Cartwright and V. Govindaraju 2007, Fingerprint enhancement using STFT analysis,
     section 3 (frequencies).
     """
-    require(min(image.shape) * MM_PER_INCH / ppi >= 2.0, "the print must be at least 2 mm wide and high.")
-    px = ppi / MM_PER_INCH
+    require(min(image.shape) * 25.4 / ppi >= 2.0, "the print must be at least 2 mm wide and high.")
+    px = ppi / 25.4
     step = max(2, round(_STEP_MM * px))
     n, m = (-(-size // step) for size in image.shape)
     below = n * step - image.shape[0]
