@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -11,17 +10,16 @@ from typing import Annotated, Any
 from cyclopts import Parameter
 
 from splitknit.arguments import AnyPath, Positive, checked, text_of
-from splitknit.errors import require
-
-_NUMBER = r"[-+]?(?:\d{1,5}\.?\d{0,9}|\.\d{1,9})"
+from splitknit.errors import BadInput, require
 
 
 def _place(kind: Any, tokens: Sequence[Any]) -> tuple[float, float]:
     word = tokens[0].value
-    match = re.fullmatch(rf"({_NUMBER}),({_NUMBER})", word)
-    require(match is not None, f"'{word}' must be X,Y in mm, such as -3,0.5")
-    assert match is not None
-    return float(match[1]), float(match[2])
+    try:
+        x, y = map(float, word.split(","))
+    except ValueError:
+        raise BadInput(f"'{word}' must be X,Y in mm, such as -3,0.5") from None
+    return x, y
 
 
 Place = Annotated[tuple[float, float], Parameter(converter=_place, n_tokens=1, allow_leading_hyphen=True)]

@@ -65,7 +65,7 @@ class View:
         x, y = self.on_plane()
         apex = np.float32(self.apex_mm)
         far = np.sqrt(x * x + y * y + apex * apex) * (1.0 - z_mm / apex)
-        return apex * np.log(apex / far)
+        return np.asarray(apex * np.log(apex / far))
 
     def of_rows(self, chunk: slice) -> View:
         """The view of some rows."""

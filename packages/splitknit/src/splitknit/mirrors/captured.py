@@ -84,7 +84,7 @@ def _drawing(seen: SeenInMirrors) -> dict[str, Any]:
         ends = rows.along_mm[np.isfinite(rows.width_mm)][[0, -1]]
         places = np.outer(ends, rows.axis) + np.outer(slope * ends + offset, rows.across)
         medial_lines[name] = pixels_of(rig.camera, np.column_stack([places, [0, 0]]))
-    lines = {
+    lines: dict[str, dict[str, Array]] = {
         "masks": masks,
         "medial_lines": medial_lines,
         "mirrors": {mirror.name: mirror_outline(mirror, rig.camera) for mirror in rig.mirrors},

@@ -98,7 +98,7 @@ def rows_of(mask: BoolArray, camera: Camera, binning: int, axis: Array, *, trust
     def pixels(p: Array, q: Array) -> Array:
         places = np.outer(p, axis) + np.outer(q, across)
         full = pixels_of(camera, np.column_stack([places, np.zeros(len(places))]))
-        return (full - 0.5 * (binning - 1)) / binning - low
+        return np.asarray((full - 0.5 * (binning - 1)) / binning - low)
 
     left, right = _edges(_resampled(smooth, camera, along, side, pixels), side)
     rows = OutlineRows(axis, along, left, right)
@@ -223,7 +223,7 @@ def _without_cuts(
         places = np.outer(along, rows.axis) + np.outer(edge[row], rows.across)
         pixel = pixels_of(camera, np.column_stack([places, np.zeros(len(places))])) / binning
         last = np.array([shape[1], shape[0]]) - 1 - _BORDER_PX
-        cut = ((pixel < _BORDER_PX) | (pixel > last)).any(axis=1)
+        cut = np.any((pixel < _BORDER_PX) | (pixel > last), axis=1)
         if not trust_ends and row.size > 4:
             low = along < middle
             steep = np.flatnonzero((np.abs(np.gradient(edge[row], along)) > 1.2) & low)

@@ -228,9 +228,9 @@ def print_picture(prints: NDArray[np.uint8]) -> Picture:
     dark = prints < 250
     if bool(dark.any()):
         prints = prints[bounding_box(dark, 8)]
-    words = "The relief as ink on paper: ridges dark, mirrored against the camera image, 500 pixels an inch. "
-    words += "Good: dark, separate ridges with clear endings and forks up to the edge."
-    return captioned("Print", prints, words, 25.4 / 500)
+    caption = "The relief as ink on paper: ridges dark, mirrored against the camera image, 500 pixels an inch. "
+    caption += "Good: dark, separate ridges with clear endings and forks up to the edge."
+    return captioned("Print", prints, caption, 25.4 / 500)
 
 
 SURFACE_ERROR = "Measured minus true height, mean removed. Blue is too low, orange too high; white is right."
