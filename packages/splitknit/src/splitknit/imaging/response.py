@@ -103,7 +103,7 @@ def _cost(values: Array, lit: Array, vectors: Array, exponent: float, *, known: 
     return np.log1p((rest / _WIDTH) ** 2) * lit
 
 
-def _lambertian(light: Array, weights: Array, vectors: Array) -> Array:
+def _lambertian(light: FloatArray, weights: Array, vectors: Array) -> Array:
     """(n, 3) normal times albedo of each pixel, by weighted least squares."""
     moments = np.einsum("ln,li,lj->nij", weights, vectors, vectors) + 1e-9 * np.eye(3)
     right = np.einsum("ln,ln,li->ni", weights, light, vectors)
