@@ -127,7 +127,7 @@ def bands(values: NDArray[Any], where: NDArray[np.bool_], result: Reconstruction
     above = {0.0: flat}
     for frequency in (2.0, 10.0):
         sigma_mm = 10.0 * np.sqrt(2.0 * np.log(2.0)) / (2.0 * np.pi * frequency)  # half the amplitude
-        above[frequency] = high_passed(inside, float(sigma_mm / result.pitch_mm))(flat)
+        above[frequency] = high_passed(flat, inside, float(sigma_mm / result.pitch_mm))
     parts = {
         "shape": above[0.0] - above[2.0], "between": above[2.0] - above[10.0], "ridges": above[10.0],
     }  # fmt: skip

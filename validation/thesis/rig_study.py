@@ -294,7 +294,7 @@ def _ridge_correlation(
     relief: FloatArray, true: FloatArray, mask: BoolArray, where: BoolArray, sigma_px: float
 ) -> float:
     """Correlation of two reliefs, each minus its Gaussian mean over the mask."""
-    first, second = (high_passed(mask, sigma_px)(field)[where].astype(np.float64) for field in (relief, true))
+    first, second = (high_passed(field, mask, sigma_px)[where].astype(np.float64) for field in (relief, true))
     first, second = first - first.mean(), second - second.mean()
     return float(np.sum(first * second) / max(float(np.sqrt(np.sum(first**2) * np.sum(second**2))), 1e-30))
 

@@ -17,7 +17,7 @@ Definitions (the same for every preset and for the validation):
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -26,7 +26,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from splitknit.errors import BadInput, require
-from splitknit.imaging.geometry import bounding_box, gaussian_mean, height_gradients
+from splitknit.imaging.geometry import bounding_box, height_gradients, smoothed
 from splitknit.io.npz import read_npz
 from splitknit.model import BoolArray, Capture, FloatArray, Reconstruction
 
@@ -117,9 +117,11 @@ def compare(result: Reconstruction, truth: Mapping[str, NDArray[Any]]) -> Compar
 
     slopes = height_gradients(np.where(inside, true_shape, np.nan), pitch)
     band = surface & (np.rad2deg(np.arctan(np.hypot(*slopes))) < MAX_SLANT_DEG)
-    band_of = high_passed(inside, BAND_SIGMA_MM / pitch)
-    true_band = band_of(true_height - true_shape)
-    ridge_band = band_of(cut(result.ridge_mm))
+    sigma_px = BAND_SIGMA_MM / pitch
+    true_band = high_passed(true_height - true_shape, inside, sigma_px)
+    ridge_band = high_passed(cut(result.ridge_mm), inside, sigma_px)
+    height_band = high_passed(height, inside, sigma_px)
+    true_height_band = high_passed(true_height, inside, sigma_px)
     overlap = float(np.sum(result.mask & true_mask))
     figures = {
         "surface_rms_mm": _rms(height_error[surface]),
@@ -135,7 +137,7 @@ def compare(result: Reconstruction, truth: Mapping[str, NDArray[Any]]) -> Compar
         figures["normals_mean_deg"] = float(np.mean(np.rad2deg(np.arccos(cosine))))
     window = max(3, 2 * round(WINDOW_MM / pitch / 2) + 1)
     figures |= _band_figures("ridge", ridge_band, true_band, band, window)
-    figures |= _band_figures("height_band", band_of(height), band_of(true_height), band, window)
+    figures |= _band_figures("height_band", height_band, true_height_band, band, window)
     ridge_error = np.where(inside, 1000.0 * (ridge_band - true_band), np.nan).astype(np.float32)
 
     def uncut(values: NDArray[Any], outside: Any) -> NDArray[Any]:
@@ -153,24 +155,9 @@ def compare(result: Reconstruction, truth: Mapping[str, NDArray[Any]]) -> Compar
     )
 
 
-def high_passed(mask: BoolArray, sigma_px: float) -> Callable[[FloatArray], FloatArray]:
-    """Return the function that takes from values (H, W) their Gaussian mean over the mask; zero outside it.
-
-    Above 24 px the mean is that of a copy reduced to 12 to 24 px: the rms of ridges changes by 1 in 10,000.
-    """
-    factor = max(1, int(sigma_px / 12))
-    size = mask.shape[::-1]
-
-    def blurred(image: NDArray[Any]) -> FloatArray:
-        image = image.astype(np.float32)
-        if factor == 1:
-            return gaussian_mean(image, sigma_px)
-        small = cv2.resize(image, (-(-size[0] // factor), -(-size[1] // factor)), interpolation=cv2.INTER_AREA)
-        mean = gaussian_mean(small, float(np.sqrt((sigma_px / factor) ** 2 - 0.25)))  # interpolation blurs the rest
-        return np.asarray(cv2.resize(mean, size, interpolation=cv2.INTER_LINEAR))
-
-    weight = np.maximum(blurred(mask), 1e-3)
-    return lambda values: np.where(mask, values - blurred(np.where(mask, values, 0.0)) / weight, 0.0)
+def high_passed(values: FloatArray, mask: BoolArray, sigma_px: float) -> FloatArray:
+    """Values (H, W) minus their Gaussian mean over the mask; zero outside it."""
+    return np.where(mask, values - smoothed(values, mask, sigma_px), 0.0)
 
 
 def _local_correlation(first: FloatArray, second: FloatArray, where: BoolArray, window_px: int) -> FloatArray:

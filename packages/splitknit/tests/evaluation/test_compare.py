@@ -100,14 +100,5 @@ def test_wrong_truth_is_refused() -> None:
 def test_high_pass_keeps_ridges_and_drops_slopes() -> None:
     x = np.arange(300, dtype=np.float32)[None].repeat(80, axis=0)
     ridges = np.sin(2 * np.pi * x / 10).astype(np.float32)
-    kept = high_passed(np.ones(x.shape, bool), 8.0)(ridges + 0.05 * x)
+    kept = high_passed(ridges + 0.05 * x, np.ones(x.shape, bool), 8.0)
     assert np.abs(kept[:, 40:-40] - ridges[:, 40:-40]).max() < 0.01
-
-
-def test_a_wide_mean_on_a_reduced_copy_keeps_the_ridges() -> None:
-    x, y = np.meshgrid(np.arange(420.0), np.arange(400.0))
-    mask = np.hypot(x - 210, y - 200) < 190
-    ridges = np.where(mask, np.sin(x / 5.5) + 0.002 * y, 0).astype(np.float32)
-    fine, wide = (high_passed(mask, sigma)(ridges)[mask] for sigma in (23.99, 24.0))
-    assert np.corrcoef(fine, wide)[0, 1] > 0.9999
-    assert float(np.std(wide)) == pytest.approx(float(np.std(fine)), rel=5e-4)

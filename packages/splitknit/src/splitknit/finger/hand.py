@@ -4,15 +4,17 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from math import ceil
 
 import cv2
 import numpy as np
 
 from splitknit.errors import require
 from splitknit.finger.mask import finger_masks
-from splitknit.imaging.areas import blanked, box_around, enlarged_box
+from splitknit.imaging.areas import blanked, enlarged_box
 from splitknit.imaging.band import linear_survey
 from splitknit.imaging.crop import cropped
+from splitknit.imaging.geometry import bounding_box
 from splitknit.model import Band, BoolArray, Capture, PixelArray
 from splitknit.plausible import VIEW
 
@@ -50,7 +52,7 @@ def fingers_apart(capture: Capture, names: str | Sequence[str] = "auto", *, keep
     _, nearest = cv2.distanceTransformWithLabels(beside, cv2.DIST_L2, cv2.DIST_MASK_5)
     found = {}
     for name, (_, part) in zip(named, places, strict=True):
-        box = box_around(part, _BESIDE_MM * scale / binning)
+        box = bounding_box(part, ceil(_BESIDE_MM * scale / binning))
         own = cropped(capture, enlarged_box(box, binning, mean.shape[:2], capture.shape))
         near = np.isin(nearest[box], np.unique(nearest[part])).astype(np.uint8)
         inside = cv2.resize(near, own.shape[::-1], interpolation=cv2.INTER_NEAREST) > 0

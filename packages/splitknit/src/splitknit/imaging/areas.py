@@ -27,18 +27,6 @@ def enlarged_box(
     return slice(cells[0].start * factor, ends[0]), slice(cells[1].start * factor, ends[1])
 
 
-def box_around(mask: BoolArray, margin: float) -> tuple[slice, slice]:
-    """Rows and columns that hold a mask and `margin` pixels around it."""
-    rows, columns = (
-        slice(max(0, int(inside[0] - margin)), min(int(inside[-1] + margin) + 2, size))
-        for inside, size in (
-            (np.flatnonzero(mask.any(axis=1)), mask.shape[0]),
-            (np.flatnonzero(mask.any(axis=0)), mask.shape[1]),
-        )
-    )
-    return rows, columns
-
-
 def blanked(image: NDArray[Any], inside: BoolArray, px_per_mm: float) -> NDArray[Any]:
     """The image whose pixels outside `inside` look like the background beside them."""
     if inside.all():

@@ -238,15 +238,15 @@ def _series_light(  # noqa: PLR0917
     if ambient is not None:
         light -= ambient
     size = image.shape[:2]
-    corner = tuple(part.indices(n)[0] for part, n in zip(window, size, strict=True))
+    top, left = (part.indices(n)[0] for part, n in zip(window, size, strict=True))
     if band.shading:
-        light /= lens_shading(band.shading, size, *corner, binning, light.shape)[..., None]
+        light /= lens_shading(band.shading, size, top, left, binning, light.shape)[..., None]
     if band.flat is not None:
         flat = flat_light(band, encoding)
         field = flat[k] / flat.mean()
         if band.promised is not None:
             field = field / band.promised[k]
-        light /= flat_at(field, size, corner, binning, light.shape)[..., None]
+        light /= flat_at(field, size, (top, left), binning, light.shape)[..., None]
     if band.transmission is not None:
         light /= band.transmission[k].astype(np.float32)
     return light

@@ -78,10 +78,9 @@ def shading_is_srgb(codes: FloatArray, vectors: Array, *, known: bool) -> bool |
 
 def _ratio_where_best(values: Array, lit: Array, vectors: Array) -> float:
     """Residual (rms) as sRGB over that as linear, of the pixels that gloss, shadows and scattering bend least."""
-    moments = np.einsum("ln,li,lj->nij", lit, vectors, vectors) + 1e-9 * np.eye(3)
     residuals = []
     for light, code in ((values, np.asarray), (_srgb_light(values), srgb_code)):
-        g = np.linalg.solve(moments, np.einsum("ln,ln,li->ni", lit, light, vectors)[..., None])[..., 0]
+        g = _lambertian(light, lit, vectors)
         rest = (values - code(np.clip(vectors @ g.T, 0.0, 1.0))) * lit
         residuals.append(np.sqrt((rest**2).sum(axis=0) / np.maximum(lit.sum(axis=0) - 3.0, 1.0)) + _CODE_NOISE)
     linear, srgb = residuals
@@ -97,12 +96,18 @@ def _cost(values: Array, lit: Array, vectors: Array, exponent: float, *, known: 
     for _ in range(3):
         if not known:
             scaled = vectors * _brightness(light, weights, vectors)[:, None]
-        moments = np.einsum("ln,li,lj->nij", weights, scaled, scaled) + 1e-9 * np.eye(3)
-        g = np.linalg.solve(moments, np.einsum("ln,ln,li->ni", weights, light, scaled)[..., None])[..., 0]
+        g = _lambertian(light, weights, scaled)
         rest = values - np.clip(scaled @ g.T, 1e-4, None) ** exponent
         wide = 3.0 * max(float(np.median(np.abs(rest[lit > 0]))), 1e-3)
         weights = lit / (1.0 + (rest / wide) ** 2)
     return np.log1p((rest / _WIDTH) ** 2) * lit
+
+
+def _lambertian(light: FloatArray, weights: Array, vectors: Array) -> Array:
+    """(n, 3) normal times albedo of each pixel, by weighted least squares."""
+    moments = np.einsum("ln,li,lj->nij", weights, vectors, vectors) + 1e-9 * np.eye(3)
+    right = np.einsum("ln,ln,li->ni", weights, light, vectors)
+    return np.asarray(np.linalg.solve(moments, right[..., None])[..., 0])
 
 
 def _brightness(light: Array, weights: Array, vectors: Array) -> Array:

@@ -65,7 +65,7 @@ class View:
         x, y = self.on_plane()
         apex = np.float32(self.apex_mm)
         far = np.sqrt(x * x + y * y + apex * apex) * (1.0 - z_mm / apex)
-        return apex * np.log(apex / far)
+        return np.asarray(apex * np.log(apex / far))
 
     def of_rows(self, chunk: slice) -> View:
         """The view of some rows."""
@@ -193,10 +193,12 @@ def plane_points(camera: Camera, pixels: Any) -> Array:
 
 
 def pixels_of(camera: Camera, points_mm: Any) -> Array:
-    """Pixels (N, 2), column and row, at which the camera sees points (N, 3) in mm: the inverse of `plane_points`.
+    """Pixels (N, 2), column and row, at which the camera sees points (N, 3) in mm, or places (N, 2) on the finger
+    plane: the inverse of `plane_points`.
     Raises BadInput for points at or beyond a perspective camera's height.
     """
     points = np.asarray(points_mm, dtype=np.float64)
+    points = np.pad(points, ((0, 0), (0, 3 - points.shape[1])))
     rows, columns = camera.image_size
     if camera.model == "orthographic":
         column = points[:, 0] * camera.px_per_mm + (columns - 1) / 2

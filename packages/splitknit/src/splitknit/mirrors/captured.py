@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any
@@ -83,8 +83,8 @@ def _drawing(seen: SeenInMirrors) -> dict[str, Any]:
         slope, offset = medial_line(rows)
         ends = rows.along_mm[np.isfinite(rows.width_mm)][[0, -1]]
         places = np.outer(ends, rows.axis) + np.outer(slope * ends + offset, rows.across)
-        medial_lines[name] = pixels_of(rig.camera, np.column_stack([places, [0, 0]]))
-    lines = {
+        medial_lines[name] = pixels_of(rig.camera, places)
+    lines: dict[str, Mapping[str, FloatArray]] = {
         "masks": masks,
         "medial_lines": medial_lines,
         "mirrors": {mirror.name: mirror_outline(mirror, rig.camera) for mirror in rig.mirrors},

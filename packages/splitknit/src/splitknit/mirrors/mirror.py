@@ -351,16 +351,13 @@ def _visible_part(rows: OutlineRows, side: str, mirror: Mirror, camera: Camera) 
     """Outline of a cut view without the mirror's edge, which takes the place of the pad's outline;
     None if that is straight, but not by the mirror's edge. The picture's border leaves a part of it.
     """
-    edge = rows.left_mm if side == "left" else rows.right_mm
+    edge = rows.edge(side)
     if float(np.isfinite(edge[rows.lower_part()]).mean()) < 1.0 - _MAX_MISSING:
         return rows
     places = rows.places(side)[0]
-    pixels = pixels_of(camera, np.column_stack([places, np.zeros(len(places))])).astype(np.float32)
+    pixels = pixels_of(camera, places).astype(np.float32)
     border = mirror_outline(mirror, camera).astype(np.float32)
     away = [cv2.pointPolygonTest(border, (float(x), float(y)), True) for x, y in pixels[:: max(1, len(pixels) // 20)]]
     if float(np.median(np.abs(away))) > _NEAR_EDGE_MM * camera.px_per_mm:
         return None
-    missing = np.full_like(edge, np.nan)
-    if side == "left":
-        return replace(rows, left_mm=missing)
-    return replace(rows, right_mm=missing)
+    return replace(rows, **{f"{side}_mm": np.full_like(edge, np.nan)})

@@ -54,6 +54,10 @@ class OutlineRows:
         kept = self.along_mm >= start_mm
         return OutlineRows(self.axis, self.along_mm[kept], self.left_mm[kept], self.right_mm[kept])
 
+    def edge(self, side: str) -> Array:
+        """(n,) of the side ``left`` or ``right``."""
+        return self.left_mm if side == "left" else self.right_mm
+
     def lower_part(self) -> slice:
         """Rows along the pad, where its outline bulges: not the base, nor the tip."""
         known = np.flatnonzero(np.isfinite(self.left_mm) | np.isfinite(self.right_mm))
@@ -63,7 +67,7 @@ class OutlineRows:
     def places(self, side: str) -> tuple[Array, Array, Array]:
         """Of one side: `places_mm` on the finger plane, directions `along` it and `outward`, off the
         finger, (m, 2) each."""
-        edge = self.left_mm if side == "left" else self.right_mm
+        edge = self.edge(side)
         row = np.flatnonzero(np.isfinite(edge))
         if row.size < 3:
             return np.zeros((0, 2)), np.zeros((0, 2)), np.zeros((0, 2))
@@ -97,8 +101,8 @@ def rows_of(mask: BoolArray, camera: Camera, binning: int, axis: Array, *, trust
 
     def pixels(p: Array, q: Array) -> Array:
         places = np.outer(p, axis) + np.outer(q, across)
-        full = pixels_of(camera, np.column_stack([places, np.zeros(len(places))]))
-        return (full - 0.5 * (binning - 1)) / binning - low
+        full = pixels_of(camera, places)
+        return np.asarray((full - 0.5 * (binning - 1)) / binning - low)
 
     left, right = _edges(_resampled(smooth, camera, along, side, pixels), side)
     rows = OutlineRows(axis, along, left, right)
@@ -144,7 +148,7 @@ def is_cut(rows: OutlineRows, side: str) -> bool:
     """
     part = rows.lower_part()
     along = rows.along_mm[part]
-    edge = (rows.left_mm if side == "left" else rows.right_mm)[part]
+    edge = rows.edge(side)[part]
     known = np.isfinite(edge)
     if float(known.mean()) < 0.6:
         return True
@@ -221,9 +225,9 @@ def _without_cuts(
         row = np.flatnonzero(np.isfinite(edge))
         along = rows.along_mm[row]
         places = np.outer(along, rows.axis) + np.outer(edge[row], rows.across)
-        pixel = pixels_of(camera, np.column_stack([places, np.zeros(len(places))])) / binning
+        pixel = pixels_of(camera, places) / binning
         last = np.array([shape[1], shape[0]]) - 1 - _BORDER_PX
-        cut = ((pixel < _BORDER_PX) | (pixel > last)).any(axis=1)
+        cut = np.any((pixel < _BORDER_PX) | (pixel > last), axis=1)
         if not trust_ends and row.size > 4:
             low = along < middle
             steep = np.flatnonzero((np.abs(np.gradient(edge[row], along)) > 1.2) & low)

@@ -27,7 +27,7 @@ class Touching(NamedTuple):
     @property
     def offset_mm(self) -> Array:
         """(n,) normal . X on the plane."""
-        return (self.normal * self.point).sum(axis=1)
+        return np.asarray((self.normal * self.point).sum(axis=1))
 
 
 def touching(camera: Camera, places_mm: Array, along: Array, outward: Array) -> Touching:

@@ -4,13 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from math import ceil
 
 import cv2
 import numpy as np
 
 from splitknit.errors import BadInput, require
 from splitknit.finger.mask import finger_outline, finger_region
-from splitknit.imaging.areas import blanked, box_around, enlarged_box, filled, grown, mirror_outline
+from splitknit.imaging.areas import blanked, enlarged_box, filled, grown, mirror_outline
 from splitknit.imaging.band import block_means
 from splitknit.imaging.geometry import bounding_box
 from splitknit.model import Array, BoolArray, FloatArray, Rig
@@ -113,7 +114,7 @@ def _outlined(  # noqa: PLR0917
     """A view whose outline is measured in `image`, around the rough one of a small copy; of the
     front where there is no `front` yet."""
     factor = image.shape[0] // rough.shape[0]
-    cells = box_around(rough, max(3.0, _REACH_MM) * px_per_mm / factor)
+    cells = bounding_box(rough, ceil(_REACH_MM * px_per_mm / factor))
     box = enlarged_box(cells, factor, rough.shape, image.shape)
     part = image[box]
     corner = np.array([box[1].start, box[0].start])

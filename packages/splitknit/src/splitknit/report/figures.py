@@ -228,16 +228,9 @@ def print_picture(prints: NDArray[np.uint8]) -> Picture:
     dark = prints < 250
     if bool(dark.any()):
         prints = prints[bounding_box(dark, 8)]
-    words = "The relief as ink on paper: ridges dark, mirrored against the camera image, 500 pixels an inch. "
-    words += "Good: dark, separate ridges with clear endings and forks up to the edge."
-    return captioned("Print", prints, words, 25.4 / 500)
-
-
-SURFACE_ERROR = "Measured minus true height, mean removed. Blue is too low, orange too high; white is right."
-RIDGE_ERROR = (
-    "Measured minus true relief where the finger's slant is below 60 deg. Ridges that are seen here are ridges of the "
-    "wrong height; white is right."
-)
+    caption = "The relief as ink on paper: ridges dark, mirrored against the camera image, 500 pixels an inch. "
+    caption += "Good: dark, separate ridges with clear endings and forks up to the edge."
+    return captioned("Print", prints, caption, 25.4 / 500)
 
 
 def error_pictures(
@@ -247,12 +240,26 @@ def error_pictures(
     signed = partial(_field_picture, pitch_mm=frame.pitch_mm, diverging=True)
     errors = []
     for result, comparison in zip(results, comparisons, strict=True):
-        surface = to_frame(comparison.height_error_mm, np.isfinite(comparison.height_error_mm), frame)
-        ridge = to_frame(comparison.ridge_error_um, comparison.band, frame)
-        errors += [
-            signed(f"Surface error, {result.preset}", surface, (-0.5, 0.5), "mm", SURFACE_ERROR),
-            signed(f"Ridge error, {result.preset}", ridge, (-50.0, 50.0), "µm", RIDGE_ERROR),
-        ]
+        surface_mm = comparison.height_error_mm
+        errors.append(
+            signed(
+                f"Surface error, {result.preset}",
+                to_frame(surface_mm, np.isfinite(surface_mm), frame),
+                (-0.5, 0.5),
+                "mm",
+                "Measured minus true height, mean removed. Blue is too low, orange too high; white is right.",
+            )
+        )
+        errors.append(
+            signed(
+                f"Ridge error, {result.preset}",
+                to_frame(comparison.ridge_error_um, comparison.band, frame),
+                (-50.0, 50.0),
+                "µm",
+                "Measured minus true relief where the finger's slant is below 60 deg. Ridges that are seen here are "
+                "ridges of the wrong height; white is right.",
+            )
+        )
     return errors
 
 

@@ -122,7 +122,7 @@ def make_report(
         prints=None if prints is None else figures.print_picture(prints),
         maps=maps,
         quality=_tables(facts["quality"]),
-        found=_tables({name: fact for name, fact in facts["facts"].items() if name not in hidden}),
+        assumed=_tables({name: fact for name, fact in facts["facts"].items() if name not in hidden}),
         settings=_tables(facts["settings"]),
         capture=[(_label(key), _text(value)) for key, value in facts["capture"].items() if value],
         comparisons=comparisons,
@@ -214,7 +214,7 @@ def _summary(result: Reconstruction) -> list[tuple[str, str]]:
 def _tables(facts: Mapping[str, Any]) -> list[dict[str, Any]]:
     """One table for each nested group of `facts`."""
     groups = {"": {key: value for key, value in facts.items() if not isinstance(value, Mapping)}}
-    groups |= {key: value for key, value in facts.items() if isinstance(value, Mapping)}
+    groups |= {key: dict(value) for key, value in facts.items() if isinstance(value, Mapping)}
     return [
         {
             "name": _label(name),

@@ -182,7 +182,8 @@ def _blur(values: _Values, sigma: float) -> _Values:
 
 def sample(field: FloatArray, place: _Values) -> _Values:
     """Bilinear values of `field` (h, w) at columns and rows (2, ...); NaN beyond its border."""
-    return sampled_at(field, *place, outside=np.nan).astype(np.float64)
+    column, row = place
+    return sampled_at(field, column, row, outside=np.nan).astype(np.float64)
 
 
 # The surface inside a page: three fields on a regular grid, as pictures, drawn by `static/surface.js`.
