@@ -90,13 +90,19 @@ def evaluate_files(
     from splitknit_match.matching.score import DECISION_FORMAT, own_rates_document
 
     require(not scores or gallery is None, "name `scores` or a `gallery`, not both.")
-    files = [Path(file) for file in (scores or ([] if gallery is None else [gallery]))]
-    fusion: Any = fuse[0] if fuse else None
-    if fuse and (len(fuse) > 1 or fusion not in _FUSIONS):
-        fault = "`fuse` takes score files in place of `scores` and `gallery`,"
-        require(not files, f"{fault} or beside them one of {', '.join(_FUSIONS)}, but not '{' '.join(fuse)}'.")
+    files, fusion = [Path(file) for file in scores], None
+    if len(fuse) == 1 and fuse[0] in _FUSIONS:
+        fusion = fuse[0]
+    elif fuse:
+        require(
+            not files and gallery is None,
+            "`fuse` takes score files in place of `scores` and `gallery`, or beside them one of "
+            f"{', '.join(_FUSIONS)}, but not '{' '.join(fuse)}'.",
+        )
         files, fusion = [Path(name) for name in fuse], "all"
-    require(files, "name what is evaluated: `scores` FILE, `gallery` GALLERY or `fuse` FILE FILE.")
+    require(
+        files or gallery is not None, "name what is evaluated: `scores` FILE, `gallery` GALLERY or `fuse` FILE FILE."
+    )
     bootstrap = BootstrapSettings(replicates=replicates, seed=seed)
     rates_file = None if calibrate is None else Path(calibrate)
     check_target(Path(out), "report.json", "an earlier evaluation", form=FORMAT)

@@ -201,19 +201,17 @@ def thesis_match(
     with the same settings, whose channels are not needed then.
     """
     check_scales(database.px_per_mm, query.px_per_mm)
-    if features is None:
-        _needed(database, settings)
     needed = _needed(query, settings)
     right, ratio = align_masks(database.mask, query.mask)
     if ratio < settings.gate or ratio <= 0.0:
         gated = float(np.exp(2.0 - ratio))  # above e: worse than any pair that is compared
         return ImageMatch(1.0 - gated, {}, ratio, right, dict.fromkeys(settings.attributes, gated), compared=False)
+    features = finger_features(database, settings) if features is None else features
     box = database.mask.shape[0], database.mask.shape[1]
-    scale = database.px_per_mm
     distances = {}
     for name in needed:
-        known = lbp_features(database.channels[name], scale) if features is None else features[name]
-        distances[name] = float(np.linalg.norm(known - lbp_features(to_box(query.channels[name], box), scale)))
+        own = lbp_features(to_box(query.channels[name], box), database.px_per_mm)
+        distances[name] = float(np.linalg.norm(features[name] - own))
     scores = {
         attribute: dissimilarity(ratio, [distances[name] for name in ATTRIBUTES[attribute]])
         for attribute in settings.attributes
