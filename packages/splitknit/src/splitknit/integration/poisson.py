@@ -124,27 +124,20 @@ class _Grid:
         self.degree = degree
         self.inverse = np.where(degree > 0, 1 / np.maximum(degree, 1e-30), 0).astype(np.float32)
         self.inside = (degree > 0).astype(np.float32)
-        self._target, self._term = np.empty_like(right), np.empty_like(right)
         self.coarser: _Grid | None = None
         self.direct: _DirectSolver | None = None
         self.fraction = self.inside  # replaced where there is a coarser grid
 
-    def neighbours(self, height: Floats, out: Floats | None = None) -> Floats:
+    def neighbours(self, height: FloatArray) -> FloatArray:
         """Weighted sum of the four neighbours (not masked on a unit grid)."""
-        total = np.empty_like(height) if out is None else out
         if self.unit:
-            cv2.filter2D(height, -1, _CROSS, dst=total, borderType=cv2.BORDER_CONSTANT)
-            return total
+            return np.asarray(cv2.filter2D(height, -1, _CROSS, borderType=cv2.BORDER_CONSTANT))
         right, down = self.right[:, :-1], self.down[:-1]
-        term = self._term if height.dtype == self._term.dtype else np.empty_like(height)
+        total = np.zeros_like(height)
         np.multiply(right, height[:, 1:], out=total[:, :-1])
-        total[:, -1] = 0
-        np.multiply(right, height[:, :-1], out=term[:, 1:])
-        total[:, 1:] += term[:, 1:]
-        np.multiply(down, height[1:], out=term[:-1])
-        total[:-1] += term[:-1]
-        np.multiply(down, height[:-1], out=term[1:])
-        total[1:] += term[1:]
+        total[:, 1:] += right * height[:, :-1]
+        total[:-1] += down * height[1:]
+        total[1:] += down * height[:-1]
         return total
 
     def apply(self, height: Floats) -> Floats:
@@ -154,10 +147,7 @@ class _Grid:
         height, and makes the operator indefinite once weights differ by a thousand.
         """
         if self.unit:
-            around = self.neighbours(height)
-            around *= self.inside
-            np.subtract(self.degree * height, around, out=around)
-            return around
+            return self.degree * height - self.neighbours(height) * self.inside
         result = np.zeros_like(height)
         flow = self.right[:, :-1] * (height[:, 1:] - height[:, :-1])
         result[:, :-1] -= flow
@@ -169,7 +159,7 @@ class _Grid:
 
     def _smooth(self, height: FloatArray, right_side: FloatArray, step: float) -> None:
         """One damped Jacobi step in place."""
-        target = self.neighbours(height, out=self._target)
+        target = self.neighbours(height)
         target += right_side
         target *= self.inverse
         cv2.addWeighted(height, 1 - step, target, step, 0, dst=height)

@@ -224,11 +224,13 @@ def check_patterns(patterns: Any, images: LightStack) -> FloatArray:
 def _check_order(images: LightStack, states: FloatArray) -> None:
     step = max(1, int(np.count_nonzero(images.mask)) // 40_000)
     light = images.light.mean(axis=-1)[:, images.mask][:, ::step].astype(np.float64)
-    known = states[:, images.mask][:, ::step].astype(np.float64)
     light -= light.mean(axis=0)
-    known -= known.mean(axis=0)
-    size = np.linalg.norm(light, axis=1)[:, None] * np.linalg.norm(known, axis=1)
-    correlation = light @ known.T / np.maximum(size, 1e-30)
+    known = states[:, images.mask][:, ::step].astype(np.float64)
+    known = np.ma.masked_inside(known, EDGE, 1 - EDGE)  # undecided
+    decided = ~np.ma.getmaskarray(known)
+    known = (known - known.mean(axis=0)).filled(0.0)
+    power = (known * known).sum(axis=1) * ((light * light) @ decided.T)
+    correlation = light @ known.T / np.sqrt(np.maximum(power, 1e-30))
     for k, best in enumerate(np.argmax(correlation, axis=1)):
         require(
             correlation[k, k] > 0.02,
