@@ -20,9 +20,10 @@ from pathlib import Path
 from typing import Annotated, Any
 
 from cyclopts import App, CycloptsError, Parameter
-from cyclopts.help import DefaultFormatter, PanelSpec
+from cyclopts.help import DefaultFormatter, HelpPanel, PanelSpec
 from rich.box import HORIZONTALS
 from rich.console import Console
+from rich.text import Text
 
 from splitknit.cli.console import one_line, progress_bar, warnings_shown, with_options
 from splitknit.cli.exits import ANSWERS, BAD_INPUT, DONE, INTERNAL_ERROR, fail, say
@@ -60,7 +61,7 @@ def build_app(verb: str | None = None) -> App:
         help=_ABOUT,
         help_epilogue=_ENDING,
         help_format="plaintext",
-        help_formatter=DefaultFormatter(panel_spec=PanelSpec(box=HORIZONTALS)),
+        help_formatter=_Panels(panel_spec=PanelSpec(box=HORIZONTALS)),
         version=_version,
         default_parameter=Parameter(negative="", allow_repeating=True),  # the last one counts
         result_action="return_value",
@@ -78,6 +79,17 @@ def build_app(verb: str | None = None) -> App:
             group.command(function, name=last)
         app.command(group)
     return app
+
+
+class _Panels(DefaultFormatter):
+    """Tables of options whose descriptions are filled anew: docstrings break lines where they end."""
+
+    def __call__(self, console: Any, options: Any, panel: HelpPanel) -> None:
+        for entry in panel.entries:
+            text = getattr(entry.description, "primary_renderable", None)
+            if isinstance(text, Text):
+                text.plain = " ".join(text.plain.split())
+        super().__call__(console, options, panel)
 
 
 def words_of_verbs(app: App) -> list[list[str]]:
