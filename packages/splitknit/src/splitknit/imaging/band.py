@@ -127,14 +127,12 @@ def linear_channels(
     without what the other colours leave in its pixels; it is had as ``grey`` alone. Negative values, which noise gives
     where there is no light, are kept: clipping would bias dark pixels upwards. `binning`: as of :func:`linear_image`.
     """
-    for channel in channels:
-        if channel == "grey":
-            continue
-        require(channel in CHANNELS, f"channel '{channel}' is not known.")
-        require(
-            not band.colours,
-            f"the band '{band.name}' was lit by coloured LEDs, one colour an image; it has no channel '{channel}'.",
-        )
+    unknown = set(channels) - {"grey", *CHANNELS}
+    require(not unknown, f"channel '{', '.join(unknown)}' is not known.")
+    require(
+        not band.colours or set(channels) <= {"grey"},
+        f"the band '{band.name}' was lit by coloured LEDs, one colour an image; it has no channels of one light.",
+    )
     where = window or (slice(None), slice(None))
     ambient = ambient_light(band, encoding, where, binning)
     size = (int(n // binning) for n in band.pixels[0][where].shape[:2])
