@@ -140,7 +140,7 @@ def test_failures_to_acquire_match_nobody(gallery: Path, tmp_path: Path, capsys)
         (["GALLERY", "PROBE", "--finger", "nose"], "is not a finger"),
         (["GALLERY", "PROBE", "--fmr", "0"], "--fmr must lie"),
         (["GALLERY", "PROBE", "--fmr", "nan"], "--fmr must lie"),
-        (["GALLERY", "PROBE", "--fmr", "1e-9"], "none below"),
+        (["GALLERY", "PROBE", "--fmr", "1e-9"], "rates below"),
         (["GALLERY", "PROBE", "--top", "0"], "--top must be at least 1"),
         (["GALLERY", "PROBE", "--set", "search.candidates=0"], "--set"),
     ],

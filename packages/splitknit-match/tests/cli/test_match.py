@@ -108,7 +108,7 @@ def test_the_decision_is_at_a_stated_rate(results: Path, capsys) -> None:
     threshold = found["decision"]["threshold"]
     assert f"Score {stranger['similarity']:.4f} (1 = the same picture), a match from {threshold:.4f} on." in words
     assert main(["match", *same, "--fmr", "1e-9"]) == 2
-    assert "none below 8.9e-07 can be stated" in capsys.readouterr().err
+    assert "rates below 8.9e-07 cannot be estimated" in capsys.readouterr().err
     smaller = facts_of(capsys, *same, "--fmr", "1e-5")["decision"]
     assert smaller["threshold"] > threshold and "expected_fmr" not in found["decision"]
     assert 0 < smaller["expected_fmr"] < smaller["fmr"] == 1e-5

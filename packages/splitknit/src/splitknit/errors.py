@@ -67,9 +67,10 @@ def require(condition: Any, message: str, kind: type[BadInput] = BadInput) -> No
 
 
 class Unfinished:
-    """How many parts of the program are at work on what must be done to its end, such as removing a temporary folder:
-    the command line holds Ctrl-C and SIGTERM back meanwhile. Such a part begins with ``UNFINISHED.depth += 1`` (a call
-    could be interrupted before it counts), and ends with :meth:`leave` in a ``finally``.
+    """Counts open critical sections; Ctrl-C and SIGTERM wait until it is zero.
+
+    A section, such as removing a temporary folder, begins with ``UNFINISHED.depth += 1`` (a call could be interrupted
+    before it counts) and ends with :meth:`leave` in a ``finally``.
     """
 
     depth = 0

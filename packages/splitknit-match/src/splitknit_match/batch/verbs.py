@@ -49,7 +49,7 @@ def batch(
     scheduler: str | None = None,
     progress: Progress = silent,
 ) -> Report:
-    """Reconstruct and compare a whole population, or what of it is missing.
+    """Reconstruct and compare a population; skips what is already done.
 
     Parameters
     ----------

@@ -270,7 +270,7 @@ def _search(
             support = 0.0
         if len(chosen) < len(acquired):
             best = f"of {len(acquired)} captures {len(chosen)} were compared, those whose minutiae agree best"
-            notes.append(f"{best}; about 1 in 100 matches is lost so")
+            notes.append(f"{best}; this shortcut misses about 1 match in 100")
         comparisons, note = _by_ridges(people, prepared, chosen, support, progress)
         notes += [note] if note else []
         if any(one.minutiae is not None or one.overlap_mm2 is not None for one in comparisons):

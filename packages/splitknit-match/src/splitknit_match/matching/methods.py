@@ -291,7 +291,7 @@ def _unknown(why: str) -> Rated:
 
 
 def scores_of(method: str, areas_mm2: tuple[float, float], minutiae: float | None) -> str:
-    """Which impostors a comparison is rated by: where little or no minutiae were compared, others than the method's.
+    """Choose the impostor table; comparisons with few minutiae have their own.
 
     `minutiae`: the fusion's `similarity_of_minutiae`.
     """

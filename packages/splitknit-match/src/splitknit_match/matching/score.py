@@ -77,8 +77,8 @@ class FmrTable:
         limit = 0.01 * self.smallest
         require(
             fmr >= limit,
-            f"false match rates were measured on {self.impostors} comparisons, so that none below {limit:.2g} can be "
-            f"stated; give a larger one than {fmr:g}.",
+            f"rates below {limit:.2g} cannot be estimated from {self.impostors} impostors; choose `fmr` >= {limit:.2g} "
+            f"(you gave {fmr:g}).",
         )
         measured = float(self.similarity[np.argmax(self.fmr <= fmr)])
         exact = measured if fmr >= self.smallest else self.beyond(fmr)[0]

@@ -1,4 +1,4 @@
-"""``splitknit records what FILE``: what a file of another system is, and what it holds."""
+"""``splitknit records what FILE``: identify a fingerprint record and list its contents."""
 
 from __future__ import annotations
 
