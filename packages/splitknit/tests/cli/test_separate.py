@@ -73,7 +73,7 @@ def test_checkerboards_of_a_folder(boards: Path, tmp_path: Path, capsys: pytest.
     assert len(facts["images"]) == 25
     assert "black.png" in facts["inputs"]
     assert metadata["inputs"] == facts["inputs"]
-    assert facts["warnings"] == []
+    assert facts["findings"] == []
     assert sorted(path.name for path in out.iterdir() if path.name[0] != ".") == sorted(facts["files"])
     report = json.loads((out / "report.json").read_text())
     assert report["direct_share"] == facts["direct_share"] == pytest.approx(np.median(DIRECT / (DIRECT + GLOBAL)), 0.02)
@@ -111,7 +111,7 @@ def test_known_states_ask_for_the_size_of_checks(
         out = tmp_path / f"out_{number}"
         assert run(boards, *words, "--out", out, "--json") == 0
         facts = json.loads(capsys.readouterr().out)
-        assert ("give check_px for skin" in " ".join(facts["warnings"])) == ("--check-px" not in words)
+        assert ("give check_px for skin" in " ".join(finding["message"] for finding in facts["findings"])) == ("--check-px" not in words)
         assert facts["settings"]["separate"]["patterns"] == "estimate"
         written[number] = read_light_tiff(out / "direct.tiff")[0]
         assert np.abs(written[number] - DIRECT).max() < 4 * STEP

@@ -102,6 +102,10 @@ CODES: dict[str, Code] = {
     "undone-motion": Code("The finger moved; that was undone.", "Nothing; a still finger shows finer ridges."),
     "few-lights": Code("Three or four lights leave little to check.", "Use seven."),
     "not-specular": Code("The series through parallel films is not the brighter one.", "Exchange the series."),
+    "no-check-size": Code(
+        "Shifted patterns were separated without the size of their checks.", "Give `--check-px` for skin."
+    ),
+    "negative-light": Code("Global light is negative in places.", "Check alpha, dark and the black image."),
     "series-order": Code("Both polarised series are not in one order of lights.", "List both in the same order."),
     "side-moved": Code("Photographs lit from the side were taken of a moved finger, and not used.", "Capture again."),
     # what was assumed, or could not be measured

@@ -18,6 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from splitknit.errors import BadInput, require
+from splitknit.findings import Finding
 from splitknit.imaging.band import decode_table, linear_image, pick_channel, srgb_code
 from splitknit.imaging.polarised import NOT_SPECULAR, picture_bytes, separate_polarised, specular_picture
 from splitknit.io.atomic import atomic_folder
@@ -37,9 +38,10 @@ MARKER = "direct.tiff"
 POLARISED_MARKER = "specular.png"
 _RIDGES = 45  # periods of ridges that a picture of a finger is about long
 LINEAR = "linear light, 1 = full scale of the images"
-NO_CHECK_PX = (
+NO_CHECK_PX = Finding(
+    "no-check-size",
     "global light was taken to be the same under all shifts; on skin it is not, and direct light "
-    "comes out a quarter too low: give check_px for skin."
+    "comes out a quarter too low: give check_px for skin.",
 )
 _LIT = 0.1  # figures of the report are over pixels brighter than this part of the brightest
 
@@ -96,7 +98,7 @@ def separate_to_folder(
         files = ["direct.tiff", "global.tiff", "direct.png", "global.png", "report.json"]
         facts = {**origin, **_figures(parts, light), "files": files}
         if patterns is not None and check_px is None:
-            facts["warnings"].append(NO_CHECK_PX)
+            facts["findings"].append(NO_CHECK_PX.facts)
         (target / "report.json").write_text(json_text(facts), encoding="utf-8")
     progress("done", 1.0)
     return {**facts, "out": str(out)}
@@ -156,7 +158,7 @@ def separate_polarised_folders(
             "images": count,
             "image_size": list(lit.shape),
             "specular_share": share,
-            "warnings": [NOT_SPECULAR] if share <= 0 else [],
+            "findings": [Finding("not-specular", NOT_SPECULAR).facts] if share <= 0 else [],
             "files": [*names, POLARISED_MARKER, "report.json"],
         }
         (target / "report.json").write_text(json_text(facts), encoding="utf-8")
@@ -170,8 +172,9 @@ def _figures(parts: Separation, light: PatternLight) -> dict[str, Any]:
     lit = grey > _LIT * np.nanquantile(grey, 0.999)  # NaN is not
     require(lit.any(), "nothing is lit; the images are black.")
     negative = float((parts.global_[lit] < 0).mean())
-    warning = (
-        f"global light is negative in {100 * negative:.0f} % of the lit pixels: check alpha, dark and the black image."
+    finding = Finding(
+        "negative-light",
+        f"global light is negative in {100 * negative:.0f} % of the lit pixels: check alpha, dark and the black image.",
     )
     return {
         "method": "checkerboard",
@@ -179,7 +182,7 @@ def _figures(parts: Separation, light: PatternLight) -> dict[str, Any]:
         "image_size": list(light.stack.shape[1:3]),
         "direct_share": float(np.median(parts.direct[lit] / np.maximum(total[lit], 1e-9))),
         "negative_global_share": negative,
-        "warnings": [warning] if negative > 0.05 else [],
+        "findings": [finding.facts] if negative > 0.05 else [],
     }
 
 

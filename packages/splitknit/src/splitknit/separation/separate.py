@@ -20,7 +20,7 @@ class Separated:
 
     def __str__(self) -> str:
         facts = self.facts
-        notes = [f"Please note: {warning}" for warning in facts["warnings"]]
+        notes = [f"Please note: {finding['message']}" for finding in facts["findings"]]
         if facts["method"] == "polarised":
             share = f"{100 * facts['specular_share']:.0f} % of the light through parallel films"
             return text_of([
