@@ -20,12 +20,13 @@ from splitknit.io.pictures import ORANGE, PAPER, SKY, ColourArray
 from splitknit.io.plain import natural_order
 from splitknit.io.targets import check_file, check_picture
 from splitknit.model import Array, FloatArray, Progress, no_progress
-from splitknit_rig.calibration.lights import BANDS, LEDS_PER_BAND, Tip, write_tips
+from splitknit_rig.calibration.lights import BANDS, LEDS_PER_BAND, Tip, led_of_file, write_tips
 from splitknit_rig.calibration.shadow import NailView, find_nail
 
-FOUND_SD_MM = 0.05
+NAIL_SD_MM = 0.05
 """Standard deviation of the nail's place in photographs; 0.01 mm in the twin, but nails stand a little askew."""
 SUFFIXES = (".png", ".tif", ".tiff", ".jpg", ".jpeg")
+_TILE_COLUMNS = 400
 Files = dict[tuple[int, str], list[Path]]
 """Files by nail position and band, in the order of the LEDs."""
 _Tile = tuple[str, FloatArray, NailView, int]
@@ -132,35 +133,34 @@ def _read(path: Path, size: tuple[int, int], encoding: str, *, upright: bool) ->
 
 
 def _bands(place: Path) -> Mapping[str, dict[int, Path]]:
-    found: dict[str, dict[int, Path]] = {}
+    """Photographs by band and LED."""
+    bands: dict[str, dict[int, Path]] = {}
     for path in sorted(place.iterdir()):
-        match = re.fullmatch(r"(white|nir)[_.-]?(\d+)", path.stem.lower())
-        if match and path.suffix.lower() in SUFFIXES and path.is_file():
-            led = int(match.group(2))
-            leds = found.setdefault(match.group(1), {})
+        name = led_of_file(path)
+        if name is not None and path.suffix.lower() in SUFFIXES and path.is_file():
+            band, led = name
+            leds = bands.setdefault(band, {})
             require(led < LEDS_PER_BAND, f"{path}: the LED must be 0 to {LEDS_PER_BAND - 1}, counted in its band.")
             require(led not in leds, f"{path} and {leds.get(led)} are both for one LED; keep one of them.")
             leds[led] = path
-    return found
+    return bands
 
 
-# Pictures that show what was found in photographs for the calibration of lights.
+# A picture of the tips in the photographs.
 
 
-def _nail_overview(tiles: Sequence[_Tile], image_size: tuple[int, int], width: int = 400) -> ColourArray:
+def _nail_overview(tiles: Sequence[_Tile], image_size: tuple[int, int]) -> ColourArray:
     """Photographs of the nail, small, seven a row: nail tip (cross), shadow tip (ring), ray to the LED (line)."""
-    drawn = [_nail_tile(tile, image_size, width) for tile in tiles]
-    blank = np.full_like(drawn[0], 255)
-    drawn += [blank] * (-len(drawn) % 7)
-    rows = [np.concatenate(drawn[k : k + 7], axis=1) for k in range(0, len(drawn), 7)]
-    return np.ascontiguousarray(np.concatenate(rows, axis=0))
+    drawn = [_nail_tile(tile, image_size) for tile in tiles]
+    drawn += [np.full_like(drawn[0], 255)] * (-len(drawn) % 7)
+    return np.concatenate([np.concatenate(drawn[k : k + 7], axis=1) for k in range(0, len(drawn), 7)], axis=0)
 
 
-def _nail_tile(tile: _Tile, image_size: tuple[int, int], width: int) -> ColourArray:
+def _nail_tile(tile: _Tile, image_size: tuple[int, int]) -> ColourArray:
     name, image, view, led = tile
     nail_px, tip_px = view.nail_px, view.tips_px[led]
-    scale = width / image_size[1]
-    size = (width, max(1, round(image_size[0] * scale)))
+    scale = _TILE_COLUMNS / image_size[1]
+    size = (_TILE_COLUMNS, max(1, round(image_size[0] * scale)))
     grey = cv2.resize(image, size, interpolation=cv2.INTER_AREA)
     top = max(float(np.percentile(grey, 99.5)), 1e-6)
     shade = np.rint(255.0 * np.clip(grey / top, 0, 1) ** (1 / 2.2)).astype(np.uint8)

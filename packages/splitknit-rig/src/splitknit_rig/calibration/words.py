@@ -84,48 +84,6 @@ def radiometry_lines(facts: Mapping[str, Any], *, base_tilt: bool) -> list[str]:
     return lines
 
 
-def light_lines(facts: Mapping[str, Any]) -> list[str]:
-    """Of the lights' places."""
-    if facts["method"] == "geometry":
-        return [f"{len(facts['leds'])} LEDs where the drawing has them, not measured; written to {facts['out']}."]
-    written = f"Written to {facts['out']}."
-    if not facts["written"]:
-        written = "Nothing was written; name a rig file (.json) or a list of lights (.txt) with `out` FILE."
-    if "ball" in facts:
-        lines = [f"{len(facts['leds'])} lights from a {facts['method']} ball:"]
-        for one in facts["leds"]:
-            x, y, z = one["direction"]
-            lines.append(f"  {one['image']}  towards ({x:+.4f}, {y:+.4f}, {z:+.4f})")
-        lines += [f"Please note: {note}" for note in facts["notes"]]
-        if facts["written"]:
-            lines.append(written)
-            written = f"Next: splitknit reconstruct --images PHOTOS --lights {facts['out']} --out RESULT"
-        return [*lines, written]
-    lines = [*_led_lines(facts), written]
-    if "shadows_out_of_the_picture" in facts:
-        lost, show, table = facts["shadows_out_of_the_picture"], facts["show"], facts["tips_out"]
-        lines += [f"Please note: the shadow leaves the picture for {', '.join(lost)}."] if lost else []
-        lines += [f"Please look at {show}: nail (cross), shadow tip (ring), ray to the LED (line)."] if show else []
-        lines += [f"Correct {table} where it is wrong, and give it to `table`."] if table else []
-    return lines
-
-
-def _led_lines(facts: Mapping[str, Any]) -> list[str]:
-    lines = [f"{len(facts['leds'])} LEDs from {facts['nail_positions']} nail position(s), method {facts['method']}:"]
-    for one in facts["leds"]:
-        x, y, z = one["direction"]
-        apart = "      -" if one["disagreement_deg"] is None else f"{one['disagreement_deg']:7.2f}"
-        bound = "" if one["interval_deg"] is None else f" +-{one['interval_deg']:.2f} deg"
-        kept = "" if one["kept"] else ", left out"
-        lines.append(
-            f"  {one['band']:5s} {one['led']}  towards ({x:+.4f}, {y:+.4f}, {z:+.4f}){bound}, positions disagree by "
-            f"{apart} deg: {one['verdict']}{kept}"
-        )
-    if facts["nail_height_mm"] is not None:
-        lines.append(f"The nail is {facts['nail_height_mm']:.1f} mm high, from its shadows.")
-    return lines + [f"Please note: {warning}" for warning in facts["warnings"]]
-
-
 def film_lines(facts: Mapping[str, Any]) -> list[str]:
     """Of polarising films."""
     films = facts["films"]
