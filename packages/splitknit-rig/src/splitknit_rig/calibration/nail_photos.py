@@ -158,29 +158,29 @@ def _nail_overview(tiles: Sequence[_Tile], image_size: tuple[int, int]) -> Colou
 
 def _nail_tile(tile: _Tile, image_size: tuple[int, int]) -> ColourArray:
     name, image, view, led = tile
-    nail_px, tip_px = view.nail_px, view.tips_px[led]
     scale = _TILE_COLUMNS / image_size[1]
-    size = (_TILE_COLUMNS, max(1, round(image_size[0] * scale)))
-    grey = cv2.resize(image, size, interpolation=cv2.INTER_AREA)
+    grey = cv2.resize(image, (_TILE_COLUMNS, max(1, round(image_size[0] * scale))), interpolation=cv2.INTER_AREA)
     top = max(float(np.percentile(grey, 99.5)), 1e-6)
     shade = np.rint(255.0 * np.clip(grey / top, 0, 1) ** (1 / 2.2)).astype(np.uint8)
     picture = np.ascontiguousarray(np.repeat(shade[..., None], 3, axis=2))
-    nail = _at(nail_px, scale)
+    tip_px = view.tips_px[led]
+    nail = _at(view.nail_px, scale)
     if np.isfinite(tip_px).all():
-        away = nail_px - tip_px
-        away = away / max(float(np.linalg.norm(away)), 1e-9) * float(sum(image_size))
-        cv2.line(picture, _at(tip_px, scale), _at(nail_px + away, scale), SKY, 1, cv2.LINE_AA, 4)
-        cv2.circle(picture, _at(tip_px, scale), 6 * 16, ORANGE, 1, cv2.LINE_AA, 4)
-    for x, y in ((6 * 16, 0), (0, 6 * 16)):
-        cv2.line(picture, (nail[0] - x, nail[1] - y), (nail[0] + x, nail[1] + y), PAPER, 1, cv2.LINE_AA, 4)
-    words = name if np.isfinite(tip_px).all() else f"{name}: out of the picture"
-    cv2.putText(picture, words, (6, 16), cv2.FONT_HERSHEY_SIMPLEX, 0.45, (255, 255, 255), 3, cv2.LINE_AA)
-    cv2.putText(picture, words, (6, 16), cv2.FONT_HERSHEY_SIMPLEX, 0.45, (0, 0, 0), 1, cv2.LINE_AA)
-    picture[-1], picture[:, -1] = 255, 255
+        towards_led = (view.nail_px - tip_px) / max(float(np.linalg.norm(view.nail_px - tip_px)), 1e-9)
+        beyond = view.nail_px + towards_led * float(sum(image_size))
+        cv2.line(picture, _at(tip_px, scale), _at(beyond, scale), SKY, 1, cv2.LINE_AA)
+        cv2.circle(picture, _at(tip_px, scale), 6, ORANGE, 1, cv2.LINE_AA)
+    else:
+        name += ": out of the picture"
+    cv2.drawMarker(picture, nail, PAPER, cv2.MARKER_CROSS, 13)
+    for colour, thickness in (((255, 255, 255), 3), ((0, 0, 0), 1)):
+        cv2.putText(picture, name, (6, 16), cv2.FONT_HERSHEY_SIMPLEX, 0.45, colour, thickness, cv2.LINE_AA)
+    picture[-1] = 255
+    picture[:, -1] = 255
     return picture
 
 
 def _at(place: Array, scale: float) -> tuple[int, int]:
-    """Where a pixel of the photograph is in the tile, in sixteenths of a pixel."""
+    """Where a pixel of the photograph is in the tile."""
     x, y = (place + 0.5) * scale - 0.5
-    return round(16 * float(x)), round(16 * float(y))
+    return round(float(x)), round(float(y))

@@ -39,7 +39,7 @@ def _fit_lines(facts: Mapping[str, Any]) -> list[str]:
     lines.append(f"  distortion {', '.join(free) or 'none'}")
     lines += [f"  held: {name}{', ' if 'point' in name else ' = '}{why}" for name, why in fit["held"].items()]
     lines += [f"  left out: {name}, corners {error:.2f} px off" for name, error in fit["rejected_px"].items()]
-    lines += [f"  left out: {name}, the same view as {other}" for name, other in fit["repeated"].items()]
+    lines += [f"  left out: {name}, the same view as {first}" for name, first in fit["repeated"].items()]
     board = facts["board"]["inner_corners"]
     lines += [f"  left out: {name}, no board of {board} inner corners in full view" for name in fit["without_board"]]
     return lines
@@ -62,7 +62,7 @@ def radiometry_lines(facts: Mapping[str, Any], *, base_tilt: bool) -> list[str]:
             f"{led['name']:10s} {led['intensity']:9.3f} {led['lobe_exponent']:5.1f} {led['aim_off_deg']:6.1f} deg"
             f"  {led['rms_percent']:.2f} %, {led['largest_percent']:.2f} %: {led['verdict']}"
         )
-    tried = ", ".join(f"{one['rms_percent']:.2f} %" for one in facts["model"]["tried"])
+    tried = ", ".join(f"{model['rms_percent']:.2f} %" for model in facts["model"]["tried"])
     lines += [
         f"Model: {facts['model']['chosen']} (residuals from the simplest to the richest model: {tried}).",
         f"The lens shows the corners at {100 * facts['lens']['corner']:.0f} % of the middle's brightness.",
