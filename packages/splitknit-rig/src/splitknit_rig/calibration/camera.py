@@ -117,11 +117,12 @@ def _fit(views: _Views, kept: tuple[str, ...], start: _LensFit | None = None) ->
     distortion = np.zeros(5) if start is None else np.array(start.distortion)
     criteria = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 60, 1e-7)
     try:
-        rms, matrix, distortion, turns, _, deviations, _, view_rms = cv2.calibrateCameraExtended(
+        rms, fitted, lens, turns, _, deviations, _, view_rms = cv2.calibrateCameraExtended(
             views.boards, views.corners, views.size, matrix, distortion, flags=flags, criteria=criteria
         )
     except cv2.error as error:
         raise BadInput(_UNDETERMINED) from error
+    matrix = np.asarray(fitted, dtype=np.float64)
     focal_px = np.diag(matrix)[:2]
     sound = np.isfinite(matrix).all() and np.isfinite(deviations).all()
     require(bool(sound and focal_px.min() > 0 and focal_px.max() < _LONGEST * max(views.size)), _UNDETERMINED)
@@ -132,8 +133,8 @@ def _fit(views: _Views, kept: tuple[str, ...], start: _LensFit | None = None) ->
     normals = np.array([-cv2.Rodrigues(np.asarray(turn))[0][:, 2] for turn in turns])
     normals *= np.where(normals[:, 2:] > 0, -1.0, 1.0)
     spread = {name: value for name, value in spread.items() if name in (*kept, "fx", "fy")}
-    terms = tuple(distortion.ravel()[:5].tolist())
-    return _LensFit(matrix, terms, spread, float(rms), np.asarray(view_rms).ravel(), normals, kept)
+    terms = tuple(lens.ravel()[:5].tolist())
+    return _LensFit(matrix, terms, spread, float(rms), np.asarray(view_rms, dtype=np.float64).ravel(), normals, kept)
 
 
 def _root_rise(held: _LensFit, free: _LensFit, views: _Views) -> float:

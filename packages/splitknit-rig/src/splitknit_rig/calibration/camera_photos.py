@@ -118,7 +118,7 @@ def calibrate_to_rig(
         "matrix.",
     )
     lens: dict[str, Any] = {}
-    warnings = []
+    warnings: list[str] = []
     if fit is not None:
         lens = {"matrix": fit.lens.matrix, "distortion": fit.lens.distortion}
         warnings += fit.warnings

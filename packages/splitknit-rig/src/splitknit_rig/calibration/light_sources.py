@@ -7,6 +7,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -175,16 +176,15 @@ def lights_of_nail(
     tips, hashes, lost = tips_of_photos(
         folder, rig.camera, encoding=encoding, show=show, table=tips_out, progress=progress
     )
-    files = {"show": show and str(show), "tips_out": tips_out and str(tips_out)}
     # a nail in photographs is located better than one that is clicked
     rules = replace(rules, nail=replace(rules.nail, sd_mm=NAIL_SD_MM))
     try:
         lights = lights_of_tips(tips, rig, circle, rules, hashes, name=str(folder))
     except Refused as error:
         pictured = "" if show is None else f" ({show} shows the tips)"
-        facts = {**error.facts, **files, "shadows_out_of_the_picture": lost}
-        raise Refused(f"{str(error).rstrip('.')}{pictured}.", facts) from error
-    lights = replace(lights, out=out, shadows_out_of_the_picture=tuple(lost), **files)
+        files: Any = plain_json({"show": show, "tips_out": tips_out, "shadows_out_of_the_picture": lost})
+        raise Refused(f"{str(error).rstrip('.')}{pictured}.", {**error.facts, **files}) from error
+    lights = replace(lights, out=out, show=show, tips_out=tips_out, shadows_out_of_the_picture=tuple(lost))
     _write(lights)
     return lights
 

@@ -83,7 +83,7 @@ class CalibratedLights:
     def facts(self) -> Any:
         """What ``splitknit calibrate lights`` prints as JSON."""
         document = {field: value for field, value in vars(self).items() if field != "rig"}
-        return plain_json({**document, "written": self.out is not None, "out": self.out and str(self.out)})
+        return plain_json({**document, "written": self.out is not None})
 
     def lines(self) -> list[str]:
         """What the method found, for people."""
@@ -106,12 +106,12 @@ class LightsOfNail(CalibratedLights):
     limit_deg: float = 0.0
     nail_positions: int = 0
     nail_height_mm: float | None = None
-    circle: Mapping[str, float] | None = None
+    circle: Circle | None = None
     refused: str | None = None
     """Why LEDs are refused and nothing is written."""
-    show: str | None = None
+    show: Path | None = None
     """Picture of the tips in photographs."""
-    tips_out: str | None = None
+    tips_out: Path | None = None
     """Table of the tips in photographs."""
     shadows_out_of_the_picture: tuple[str, ...] = ()
 
@@ -217,7 +217,7 @@ def lights_of_tips(
         limit_deg=rules.limit_deg,
         nail_positions=positions,
         nail_height_mm=height,
-        circle={"radius_mm": circle.radius_mm, "height_mm": circle.height_mm},
+        circle=circle,
         refused=None if rules.keep else sentence,
     )
     if lights.refused:

@@ -94,7 +94,7 @@ def find_board(pixels: Any, board: Board, search_px: int = _SEARCH_PX) -> Array 
         codes = np.asarray(np.round(small), dtype=np.uint8)
         # the quick search first; what either finds is checked and refined
         for search, flags in ((cv2.findChessboardCorners, _BY_QUADS), (cv2.findChessboardCornersSB, _BY_SECTOR)):
-            complete, corners = search(codes, size, flags=flags)  # type: ignore[operator]
+            complete, corners = search(codes, size, flags=flags)
             if not complete:
                 continue
             grid = np.asarray(corners, dtype=np.float64).reshape(board.rows, board.columns, 2)
