@@ -8,7 +8,6 @@ from typing import Annotated, Any
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
 from splitknit import Band, Rig
 from splitknit.devices import CameraDevice, Frame, LightBank, relative_exposure
@@ -82,8 +81,11 @@ class Examiner:
         local = np.maximum(blur(grey, 1.2 * px), np.float32(max(0.1 * level, 1e-6)))
         relative = np.asarray(grey / local, dtype=np.float32)
         details = np.asarray((blur(relative, 0.08 * px) - blur(relative, 0.3 * px)) * window, dtype=np.float32)
-        sparse = cv2.resize(self.region.astype(np.uint8), full.shape[1::-1], interpolation=cv2.INTER_NEAREST) > 0
-        return Look(grey, details, level, _clipped_fraction(full, np.asarray(sparse)))
+        region = cv2.resize(self.region.astype(np.uint8), full.shape[1::-1], interpolation=cv2.INTER_NEAREST)
+        clipped = full[region > 0] >= 0.995 * float(np.iinfo(full.dtype).max)
+        # at full scale in two channels, or the one
+        saturated = float(np.mean(clipped.sum(axis=1) >= min(2, full.shape[2]))) if clipped.size else 0.0
+        return Look(grey, details, level, saturated)
 
     def shine(self, look: Look, dark: Look) -> float:
         """Level of the finger's specular reflections in a shot, less that without LEDs, 1 = full scale."""
@@ -195,10 +197,10 @@ class Shooting:
             ambient=ambient.pixels,
             ambient_exposure=relative_exposure(ambient),
             ambient_black_level=ambient.black_level,
+            polarisation="crossed" if self._series else "",
         )
         if self._series:
             self.bands["white"] = replace(self.bands["white"], polarisation="parallel")
-            self.bands[band] = replace(self.bands[band], polarisation="crossed")
 
     def _name(self, led: int) -> str:
         return self._names[led] + self._series
@@ -300,10 +302,3 @@ class Shooting:
                 retries,
             )
         )
-
-
-def _clipped_fraction(pixels: NDArray[np.unsignedinteger], region: BoolArray) -> float:
-    """Fraction of the region's pixels in which two channels (or the one) are at full scale."""
-    full = float(np.iinfo(pixels.dtype).max)
-    inside = pixels[region] >= 0.995 * full
-    return float(np.mean(inside.sum(axis=1) >= min(2, pixels.shape[2]))) if inside.size else 0.0
