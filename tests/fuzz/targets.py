@@ -97,7 +97,7 @@ from splitknit_match.records.wsq_image import encode_wsq
 from splitknit_rig.calibration.lights import COLUMNS, read_tips
 from splitknit_rig.calibration.lights_found import check_tips
 from splitknit_rig.calibration.nail_photos import read_stack
-from splitknit_rig.calibration.radiometry_folder import read_radiometry_plan
+from splitknit_rig.calibration.radiometry_folder import read_exposures
 
 TINY_NETWORK = PACKAGES / "splitknit" / "tests" / "networks" / "tiny.onnx"
 DOCUMENTS: tuple[dict[str, Any], ...] = ({"ea": Case("ea", "ea").document()}, {}, {})
@@ -673,7 +673,7 @@ def _radiometry() -> list[Files]:
 
 def _radiometric(folder: Path, files: Files) -> object:
     return _any(
-        lambda: read_radiometry_plan(folder),
+        lambda: read_exposures(folder),
         lambda: read_stack([folder / f"white_{k}.png" for k in range(2)], (5, 6), "srgb"),
     )
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
@@ -20,15 +19,15 @@ from splitknit.arguments import (
     refuse_given,
     silent,
 )
-from splitknit.errors import BadInput, require
+from splitknit.errors import require
 from splitknit.settings import Limits
 
 if TYPE_CHECKING:
     from splitknit_rig.calibration.camera_photos import MeasuredCamera
     from splitknit_rig.calibration.lights_found import CalibratedLights
-    from splitknit_rig.calibration.radiometry import RadiometricCalibration
+    from splitknit_rig.calibration.radiometry import CardCheck, RadiometricCalibration
 else:
-    MeasuredCamera = CalibratedLights = RadiometricCalibration = Any
+    MeasuredCamera = CalibratedLights = RadiometricCalibration = CardCheck = Any
 
 _TARGET = Parameter(group="The printed target ('splitknit rig target' makes it)")
 _SOURCE = Parameter(group="From what (one of them)")
@@ -37,8 +36,8 @@ _NAIL = Parameter(group="The nail")
 _PICTURES = Parameter(group="Photographs")
 
 
-def _path(given: AnyPath | None) -> Path | None:
-    return None if given is None else Path(given)
+def _path(path: AnyPath | None) -> Path | None:
+    return None if path is None else Path(path)
 
 
 @checked
@@ -199,6 +198,7 @@ def calibrate_lights(
     >>> len(splitknit_rig.calibrate_lights(out="rig.json", geometry=True, image_size="1100,1600", **drawn).leds)
     14
     """
+    from splitknit import read_rig
     from splitknit_rig.calibration import light_sources as lights
     from splitknit_rig.calibration.lights_found import Rules
     from splitknit_rig.calibration.nail import Nail
@@ -209,30 +209,31 @@ def calibrate_lights(
         "sphere": sphere is not None,
         "geometry": geometry,
     }
-    asked = [name for name, given in sources.items() if given]
-    named = " and ".join(f"`{name}`" for name in asked) + " were" if asked else "none was"
+    chosen = [f"`{name}`" for name, is_given in sources.items() if is_given]
+    named = " and ".join(chosen) + " were" if chosen else "none was"
     choices = "`table`, `images`, `sphere` with `images`, and `geometry`"
-    require(len(asked) == 1, f"calibrate lights needs one of {choices}, but {named} given.")
+    require(len(chosen) == 1, f"calibrate lights needs one of {choices}, but {named} given.")
     require(sphere is None or images is not None, "`sphere` needs `images`, photographs of the ball.")
     require(not geometry or out is not None, "`geometry` writes a rig file; name it by `out`.")
-    for name, value in (("px_per_cm", px_per_cm), ("image_size", image_size)):
-        require(rig is None or value is None, f"`{name}` and `rig` set the same thing; give one of them.")
+    if rig is not None:
+        refuse_given("and `rig` set the same thing; give one of them.", px_per_cm=px_per_cm, image_size=image_size)
 
     target = _path(out)
     lights.check_lights_file(target)
-    base = None
-    if rig is not None or px_per_cm is not None or sphere is None:
-        base = lights.known_rig(_path(rig), px_per_cm, image_size, led_height_cm)
+    base = None if rig is None else read_rig(rig)
+    if base is None and (px_per_cm is not None or sphere is None):
+        base = lights.rig_without_leds(px_per_cm, image_size, led_height_cm)
     if sphere is not None:
         assert images is not None
-        ball = lights.BallPhotographs(Path(images), sphere, encoding, _path(mask))
-        return lights.lights_of_ball(ball, base, target, led_height_cm=led_height_cm)
+        return lights.lights_of_ball(
+            Path(images), sphere, base, target, encoding=encoding, mask=_path(mask), led_height_cm=led_height_cm
+        )
     assert base is not None
     circle = lights.led_circle(base, led_radius_cm, led_height_cm, led_centre_px)
     if geometry:
+        assert target is not None
         return lights.lights_as_drawn(base, circle, target, first_azimuth_deg=first_azimuth_deg)
-    joint_from = 2 if rig is not None else 3
-    rules = Rules(Nail(nail_height_mm), method, joint_from, limit_deg, keep)
+    rules = Rules(Nail(nail_height_mm), method, 2 if rig is not None else 3, limit_deg, keep)
     if table is not None:
         return lights.lights_of_table(Path(table), base, circle, rules, target)
     assert images is not None
@@ -250,14 +251,9 @@ def calibrate_lights(
 
 
 def _pair(kind: Any, tokens: Sequence[Any]) -> tuple[float, float]:
-    word = tokens[0].value
-    try:
-        x, y = (float(part) for part in word.split(","))
-    except ValueError:
-        x, y = math.nan, math.nan
-    if not math.isfinite(x + y):
-        raise BadInput(f"'{word}' must be two numbers with a comma between them")
-    return x, y
+    from splitknit_rig.calibration.light_sources import pair_of
+
+    return pair_of(tokens[0].value, "it must be two numbers with a comma between them")
 
 
 CardHeight = Annotated[float, Limits(-1000.0, 1000.0)]
@@ -269,68 +265,6 @@ PercentLimit = Annotated[Positive | None, Parameter("--limit")]
 def calibrate_radiometry(
     folder: AnyPath,
     *,
-    out: AnyPath,
-    rig: AnyPath | None = None,
-    limit_percent: PercentLimit = None,
-    card_height_mm: CardHeight = 0.0,
-    card_tilt_deg: CardTilt | None = None,
-    residuals: AnyPath | None = None,
-    progress: Progress = silent,
-) -> RadiometricCalibration:
-    """Measure lens fall-off, brightness, beam and aim of every LED, from a white card; the camera's response.
-
-    Parameters
-    ----------
-    folder : path
-        Capture folder of a white card under every LED.
-    out : path
-        Rig file to write.
-    rig : path, optional
-        Rig file with camera and LED places; by default the folder's.
-    limit_percent : float, optional
-        Of an LED's residuals (rms); 1 by default.
-    card_height_mm : float, optional
-        Height of the card's surface above the finger plane.
-    card_tilt_deg : pair of float, optional
-        Turn of the card about x and y; by default the base's, where the camera's calibration found it, else (0, 0).
-    residuals : path, optional
-        Picture to write: residuals under every LED, PNG.
-    progress : called with the name of a stage and the fraction done, optional
-
-    Returns
-    -------
-    RadiometricCalibration
-        ``rig`` with the lens's fall-off, intensities, beams and aims; ``flat_field``, ``warnings``, and ``facts`` as
-        they are in the rig file's provenance.
-
-    Raises
-    ------
-    BadInput
-        Naming the folder or file at fault; nothing is written.
-
-    Examples
-    --------
-    >>> import splitknit_rig
-    >>> splitknit_rig.calibrate_radiometry("card", out="rig.json")  # doctest: +SKIP
-    """
-    from splitknit_rig.calibration.radiometry_folder import calibrate_to_file
-
-    return calibrate_to_file(
-        Path(folder),
-        Path(out),
-        rig_file=_path(rig),
-        limit_percent=limit_percent,
-        card_height_mm=card_height_mm,
-        card_tilt_deg=card_tilt_deg,
-        residuals=_path(residuals),
-        progress=progress,
-    )
-
-
-@checked
-def calibrate_or_check_radiometry(
-    folder: AnyPath,
-    *,
     out: AnyPath | None = None,
     check: AnyPath | None = None,
     rig: AnyPath | None = None,
@@ -339,7 +273,7 @@ def calibrate_or_check_radiometry(
     card_tilt_deg: CardTilt | None = None,
     residuals: AnyPath | None = None,
     progress: Progress = silent,
-) -> RadiometricCalibration | Report:
+) -> RadiometricCalibration | CardCheck:
     """Measure lens fall-off, brightness, beam and aim of every LED, from a white card; the camera's response.
 
     Parameters
@@ -363,7 +297,9 @@ def calibrate_or_check_radiometry(
 
     Returns
     -------
-    RadiometricCalibration, or Report of a check
+    RadiometricCalibration, or CardCheck
+        ``rig`` with the lens's fall-off, intensities, beams and aims; ``flat_field``, ``warnings``, and ``facts`` as
+        they are in the rig file's provenance. With `check` the ``facts`` and ``warnings`` of the comparison.
 
     Raises
     ------
@@ -372,31 +308,32 @@ def calibrate_or_check_radiometry(
 
     Examples
     --------
-    >>> calibrate_or_check_radiometry("card", check="rig.json").facts["warnings"]  # doctest: +SKIP
-    []
+    >>> import splitknit_rig
+    >>> splitknit_rig.calibrate_radiometry("card", out="rig.json")  # doctest: +SKIP
     """
-    require((out is None) != (check is None), "name a rig file to write (`out`), or one to `check`.")
-    if out is not None:
-        return calibrate_radiometry(
-            folder, out=out, rig=rig, limit_percent=limit_percent, card_height_mm=card_height_mm,
-            card_tilt_deg=card_tilt_deg, residuals=residuals, progress=progress,
-        )  # fmt: skip
+    from splitknit_rig.calibration.radiometry_folder import calibrate_to_file, check_folder
+
+    if out is not None and check is None:
+        return calibrate_to_file(
+            Path(folder),
+            Path(out),
+            rig_file=_path(rig),
+            limit_percent=limit_percent,
+            card_height_mm=card_height_mm,
+            card_tilt_deg=card_tilt_deg,
+            residuals=_path(residuals),
+            progress=progress,
+        )
+    require(out is None and check is not None, "name a rig file to write (`out`), or one to `check`.")
     assert check is not None
     refuse_given(
         "does not go with `check`: the calibration is RIG's; leave it out.",
-        rig=rig, card_height_mm=card_height_mm or None, card_tilt_deg=card_tilt_deg, residuals=residuals,
-    )  # fmt: skip
-    from splitknit_rig.calibration.radiometry_folder import check_folder
-
-    facts = check_folder(Path(folder), Path(check), limit_percent=limit_percent, progress=progress)
-    own = [100 * led["own_ratio"] for led in facts["leds"]]
-    lines = [f"The LEDs show the card at {min(own):.1f} to {max(own):.1f} % of their calibrated brightness."]
-    if None in facts["common_ratio"].values():
-        lines.append("Only LEDs of one band are compared with each other: the exposures are not known on both days.")
-    lines += [f"Please note: {sentence}" for sentence in facts["warnings"]]
-    if not facts["warnings"]:
-        lines.append(f"All LEDs are as calibrated, within {facts['limit_percent']:g} %.")
-    return Report(facts, tuple(lines))
+        rig=rig,
+        card_height_mm=card_height_mm or None,
+        card_tilt_deg=card_tilt_deg,
+        residuals=residuals,
+    )
+    return check_folder(Path(folder), Path(check), limit_percent=limit_percent, progress=progress)
 
 
 def calibrate_polarisers(

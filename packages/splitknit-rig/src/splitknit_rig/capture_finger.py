@@ -20,7 +20,6 @@ if TYPE_CHECKING:
     from splitknit.devices import Opened
     from splitknit.io.enrolment import PlannedCapture
     from splitknit_rig.capture.exposure import Focus, FocusWatch
-    from splitknit_rig.capture.folder import CaptureOptions
 
     Opener = Callable[[int, int], AbstractContextManager[Opened]]
     """Opens the devices, by the twin's seed and impression."""
@@ -113,9 +112,10 @@ def capture(
     >>> capture(device="twin", out="capture", seed=1).facts["images"]  # doctest: +SKIP
     14
     """
-    from splitknit.io.enrolment import FINGERS, check_subject_id
+    from splitknit.io.enrolment import FINGERS, check_subject_id, fingers_named, open_enrolment
+    from splitknit.io.targets import check_capture
     from splitknit.settings import override
-    from splitknit_rig.capture.folder import CaptureOptions
+    from splitknit_rig.capture.folder import CaptureOptions, capture_enrolment, capture_to_folder
     from splitknit_rig.capture.session import SessionSettings
 
     places = "name where captures go: `out` DIR for one finger, or `enrolment` DIR for many, not both."
@@ -137,11 +137,11 @@ def capture(
     if target is not None:
         target = target or "card"  # of an option without a value
         changes["capture.find_finger"] = False
-    own = {name: value for name, value in changes.items() if name.startswith("capture.")}
-    others = {name: value for name, value in changes.items() if name not in own}
+    session_changes = {name: value for name, value in changes.items() if name.startswith("capture.")}
+    device_changes = {name: value for name, value in changes.items() if name not in session_changes}
     asks = device == "pi" and sys.stdin.isatty()
     how = CaptureOptions(
-        override(SessionSettings(), {name.removeprefix("capture."): value for name, value in own.items()}),
+        override(SessionSettings(), {name.removeprefix("capture."): value for name, value in session_changes.items()}),
         material="opaque" if target is not None else "skin",
         keep=keep,
         overwrite=overwrite,
@@ -149,18 +149,22 @@ def capture(
         turn=_turn if asks else None,
         ask=_ask if asks else None,
     )
-    opener = _pi(others, rig, scale) if device == "pi" else _twin(others, rig, scale, pattern=pattern, target=target)
+    opener = (
+        _pi(device_changes, rig, scale)
+        if device == "pi"
+        else _twin(device_changes, rig, scale, pattern=pattern, target=target)
+    )
     if out is not None:
         who: dict[str, Any] = {"id": subject or "anonymous", "session": session or 1}
         if target is not None:
             who = {}
         elif finger is not None or device == "twin":
             who["finger"] = finger or "simulated"
-        facts = _one(Path(out), how, opener, who, seed=seed or 0, impression=(session or 1) - 1, progress=progress)
+        check_capture(Path(out), overwrite=overwrite)  # before any device is opened
+        progress("opening the devices", 0.0)
+        with opener(seed or 0, (session or 1) - 1) as devices:
+            facts = capture_to_folder(devices, Path(out), how, subject=who, progress=progress)
         return Report(facts, tuple(_lines(facts, Path(out), of_finger=target is None)))
-
-    from splitknit.io.enrolment import fingers_named, open_enrolment
-    from splitknit_rig.capture.folder import capture_enrolment
 
     assert enrolment is not None
     names = fingers_named(fingers)
@@ -214,49 +218,26 @@ def _twin(
     return partial(twin.opened, pattern=pattern, target=target)
 
 
-def _one(
-    out: Path,
-    how: CaptureOptions,
-    opener: Opener,
-    subject: Mapping[str, Any],
-    *,
-    seed: int,
-    impression: int,
-    progress: Progress,
-) -> dict[str, Any]:
-    from splitknit.io.targets import check_capture
-    from splitknit_rig.capture.folder import capture_to_folder
-
-    check_capture(out, overwrite=how.overwrite)  # before any device is opened
-    progress("opening the devices", 0.0)
-    with opener(seed, impression) as devices:
-        return capture_to_folder(devices, out, how, subject=subject, progress=progress)
-
-
 def _lines(facts: Mapping[str, Any], out: Path, *, of_finger: bool) -> list[str]:
     rows, columns = facts["image_size"]
     each = f"{facts['seconds']:.1f} s ({facts['seconds_per_frame']:.2f} s a frame)"
     lines = [
         f"{facts['images']} images of {columns} x {rows} pixels, with ambient frames, in {each}, written to {out}.",
-        *_exposure_lines(facts),
-        *(f"Please note: {note}." for note in facts["notes"]),
     ]
-    if of_finger:
-        lines.append(f"Next: splitknit reconstruct {out} --out RESULT")
-    return lines
-
-
-def _exposure_lines(facts: Mapping[str, Any]) -> list[str]:
-    lines = [
-        f"  {band}: {1e3 * exposure['exposure_s']:.1f} ms at gain {exposure['gain']:.1f}, LED "
-        f"{exposure['brightest_led']}, the brightest, at {100 * exposure['level']:.0f} % of full scale"
-        for band, exposure in facts["exposure"].items()
-        if band != "white_crossed"  # as white
-    ]
+    for band, exposure in facts["exposure"].items():
+        if band != "white_crossed":  # as white
+            lines.append(
+                f"  {band}: {1e3 * exposure['exposure_s']:.1f} ms at gain {exposure['gain']:.1f}, LED "
+                f"{exposure['brightest_led']}, the brightest, at {100 * exposure['level']:.0f} % of full scale"
+            )
     if "crossed_over_parallel" in facts:
         part = 100 * facts["crossed_over_parallel"]
         lines.append(f"  where the finger shines, the crossed images have {part:.0f} % of the parallel ones' light")
-    return [*lines, f"  sharpness {facts['focus']['sharpness']:.2f} %"]
+    lines.append(f"  sharpness {facts['focus']['sharpness']:.2f} %")
+    lines += [f"Please note: {note}." for note in facts["notes"]]
+    if of_finger:
+        lines.append(f"Next: splitknit reconstruct {out} --out RESULT")
+    return lines
 
 
 def _ask(place: PlannedCapture, why: str | None) -> str:

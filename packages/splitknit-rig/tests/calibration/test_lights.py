@@ -70,7 +70,6 @@ def test_exact_shadows_give_the_leds():
         arm = np.array([50 * np.cos(angle), 50 * np.sin(angle), 140])
         assert one.direction == pytest.approx(arm / np.linalg.norm(arm), abs=1e-9)
         assert one.disagreement_deg == pytest.approx(0.0, abs=1e-6)
-        assert one.nails == (1, 2, 3)
 
 
 def test_the_thesiss_table(thesis):

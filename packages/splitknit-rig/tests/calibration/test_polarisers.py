@@ -158,9 +158,9 @@ def test_refusals(
     own = Path(shutil.copytree(bench[0], tmp_path / "own"))
     spoil(own)
     assert run(own, "--out", tmp_path / "rig.json", "--residuals", tmp_path / "left.png") == 2
-    said = capsys.readouterr().err
-    assert words in said
-    assert said.count("\n") == 1
+    printed = capsys.readouterr().err
+    assert words in printed
+    assert printed.count("\n") == 1
     assert not (tmp_path / "rig.json").exists() and not (tmp_path / "left.png").exists()
 
 

@@ -65,7 +65,7 @@ def test_a_card_calibrates_side_lights(rig):
         assert np.abs(found / truth / np.median(found / truth) - 1).max() < 0.02
     x, y, z = whole.leds[16].position_mm
     shifted = (*whole.leds[:16], replace(whole.leds[16], position_mm=(x, y, z + 3.0)), *whole.leds[17:])
-    later = check_card(photograph(replace(whole, leds=shifted), calibrated.rig, seed=1), calibrated.rig)
+    later = check_card(photograph(replace(whole, leds=shifted), calibrated.rig, seed=1), calibrated.rig).facts
     assert later["warnings"] == ["LED white 9 is 7 % brighter than at the calibration."]
 
 
@@ -118,7 +118,7 @@ def test_room_light(rig):
 
 def test_an_led_that_drifted_is_named(rig, found):
     later = photograph(rig, as_placed(rig), seed=9, gains={3: 0.88, 12: 1.05}, exposures=EXPOSURES)
-    check = check_card(later, found.rig)
+    check = check_card(later, found.rig).facts
     assert check["warnings"] == [
         "LED white 3 is 12 % darker than at the calibration.",
         "LED nir 5 is 5 % brighter than at the calibration.",
@@ -130,7 +130,7 @@ def test_an_led_that_drifted_is_named(rig, found):
 def test_all_leds_together_are_no_single_one(rig, found):
     gains = dict.fromkeys(range(7), 0.9)
     later = photograph(rig, as_placed(rig), gains=gains, exposures=EXPOSURES)
-    check = check_card(later, found.rig)
+    check = check_card(later, found.rig).facts
     assert len(check["warnings"]) == 1
     assert check["warnings"][0].startswith("all white LEDs together are 10 % darker than at the calibration")
     assert check["common_ratio"]["nir"] == pytest.approx(1, abs=0.004)
@@ -138,9 +138,9 @@ def test_all_leds_together_are_no_single_one(rig, found):
 
 def test_another_exposure_is_no_drift(rig, found):
     later = photograph(rig, as_placed(rig), exposures=(4.5, 3.5))
-    assert check_card(later, found.rig)["warnings"] == []
+    assert check_card(later, found.rig).facts["warnings"] == []
     unknown = {name: replace(band, exposure=np.ones(7), ambient_exposure=1.0) for name, band in later.bands.items()}
-    check = check_card(replace(later, bands=unknown), found.rig)
+    check = check_card(replace(later, bands=unknown), found.rig).facts
     assert check["warnings"] == [] and check["common_ratio"] == {"white": None, "nir": None}
 
 
@@ -149,7 +149,7 @@ def test_an_led_that_turned_is_named(rig, found):
     x, y, z = leds[8].axis + np.array([0.12, 0.0, 0.0])
     leds[8] = replace(leds[8], aim=(float(x), float(y), float(z)))
     later = photograph(Rig(rig.camera, tuple(leds)), as_placed(rig), exposures=EXPOSURES)
-    sentences = check_card(later, found.rig)["warnings"]
+    sentences = check_card(later, found.rig).facts["warnings"]
     assert any(sentence.startswith("LED nir 1 lights the card otherwise") for sentence in sentences)
 
 

@@ -206,12 +206,12 @@ def test_an_analyser_turned_by_hand(rig_of_pi, finger, tmp_path, capsys, *, monk
     monkeypatch.setattr(sys, "stdin", Hand(scene, answers))
     monkeypatch.setattr(sys.stdin, "fileno", lambda: 0)
     assert main([*words, "--out", str(tmp_path / "c")]) == code
-    said = capsys.readouterr()
-    assert "Turn the analyser to crossed, then press Enter" in said.err
+    printed = capsys.readouterr()
+    assert "Turn the analyser to crossed, then press Enter" in printed.err
     assert {file.name for file in tmp_path.iterdir()} == ({"rig.json"} if code else {"c", "rig.json"})
     if code == 0:
         capture = read_capture(tmp_path / "c")
         assert capture.bands["white_crossed"].polarisation == "crossed"
-        assert "where the finger shines, the crossed images have" in said.out
+        assert "where the finger shines, the crossed images have" in printed.out
     elif code == 2:
-        assert "nobody answered on the terminal" in said.err
+        assert "nobody answered on the terminal" in printed.err

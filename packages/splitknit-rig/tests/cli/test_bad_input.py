@@ -168,10 +168,10 @@ KINDS: dict[str, tuple[Damage, tuple[str, ...]]] = {
 def refused(arguments: list[str], capsys: Captured, words: tuple[str, ...] = ()) -> str:
     """Run the command line; return the one sentence with which it refuses."""
     assert main(arguments) == 2
-    said = capsys.readouterr()
-    assert said.out == ""
-    assert said.err.startswith("splitknit: error: ")
-    sentence = said.err.removeprefix("splitknit: error: ").removesuffix("\n")
+    printed = capsys.readouterr()
+    assert printed.out == ""
+    assert printed.err.startswith("splitknit: error: ")
+    sentence = printed.err.removeprefix("splitknit: error: ").removesuffix("\n")
     assert "\n" not in sentence
     assert sentence.endswith((".", "?"))
     assert ". " not in sentence.replace("e.g. ", ""), "more than one sentence"
@@ -202,8 +202,8 @@ def test_what_spoils_a_surface_stands_first_and_strict_writes_nothing(
     KINDS["white exchanged"][0](folder)
     words = ["reconstruct", str(folder), "--out", str(tmp_path / "out"), "--preset", "ea"]
     assert main([*words, "--keep"]) == 0
-    said = capsys.readouterr().out.splitlines()
-    assert said[0].startswith("The surface is spoilt: the photographs seem to be under other lights")
+    printed = capsys.readouterr().out.splitlines()
+    assert printed[0].startswith("The surface is spoilt: the photographs seem to be under other lights")
     findings = json.loads((tmp_path / "out" / "report.json").read_text())["findings"]
     assert [each["code"] for each in findings if each["severity"] != "note"] == ["light-order"]
     shutil.rmtree(tmp_path / "out")

@@ -13,7 +13,7 @@ from splitknit.cli.main import main
 from splitknit.io.images import write_image
 from splitknit.io.rig import read_rig, write_rig
 from splitknit.model import Mirror
-from splitknit_rig.calibration.camera_photos import calibrate_to_rig, camera_facts
+from splitknit_rig.calibration.camera_photos import calibrate_to_rig
 from splitknit_rig.calibration.targets import Board
 from splitknit_simulator.calibration_set import bench, flat
 from splitknit_simulator.rigs import built_rig
@@ -72,7 +72,7 @@ def calibrated(photos, tmp_path_factory):
     """Facts and rig of one calibration."""
     place, _ = photos
     out = tmp_path_factory.mktemp("calibrated") / "rig.json"
-    return camera_facts(calibrated_once(place, out)), out
+    return calibrated_once(place, out).facts, out
 
 
 def test_the_camera_that_took_the_photographs_is_found(photos, calibrated):
@@ -237,7 +237,7 @@ def test_images_and_numbers_that_do_not_do(photos, tmp_path, capsys):
     write_rig(rig, known)
     grey, black, small = (tmp_path / f"{name}.png" for name in ("grey", "black", "small"))
     write_image(grey, np.tile(np.arange(480, dtype=np.uint8), (330, 1)))
-    assert "grey.png shows no checkerboard of 9 x 6" in refused(capsys, out, "--plane", grey)
+    assert "grey.png shows no checkerboard of 9x6" in refused(capsys, out, "--plane", grey)
     assert "does not exist" in refused(capsys, out, "--plane", tmp_path / "none.png")
     write_image(black, np.zeros((330, 480), np.uint8))
     assert "black.png: an image is of one brightness all over" in refused(capsys, out, "--plane", black)

@@ -87,8 +87,8 @@ def test_the_facts_are_printed_all_the_same(capsys, tmp_path):
 
 def test_keep_keeps_both_kinds(capsys, tmp_path):
     out = tmp_path / "rig.json"
-    code, said, _ = run(capsys, "--table", THESIS, *RIG, "--out", out, "--keep", "--json")
-    facts = json.loads(said)
+    code, printed, _ = run(capsys, "--table", THESIS, *RIG, "--out", out, "--keep", "--json")
+    facts = json.loads(printed)
     assert code == 0 and facts["written"] and all(one["kept"] for one in facts["leds"])
     rig = read_rig(out)
     assert len(rig.leds) == 14 and rig.camera.px_per_mm == 75.7 and rig.camera.image_size == (2200, 3200)
@@ -100,8 +100,8 @@ def test_keep_keeps_both_kinds(capsys, tmp_path):
 
 def test_a_good_table(capsys, tmp_path):
     table = cast_table(tmp_path / "tips.csv", [(-6, -4), (6, 5)])
-    code, said, err = run(capsys, "--table", table, *GOOD, "--out", tmp_path / "rig.json")
-    assert code == 0 and err == "" and "ok" in said and "15.0 mm" in said
+    code, printed, err = run(capsys, "--table", table, *GOOD, "--out", tmp_path / "rig.json")
+    assert code == 0 and err == "" and "ok" in printed and "15.0 mm" in printed
     found = read_rig(tmp_path / "rig.json")
     for led, truth in zip(found.leds, default_rig().leds, strict=True):
         assert led.band == truth.band and led.position_mm == pytest.approx(truth.position_mm, abs=1e-3)
@@ -109,8 +109,8 @@ def test_a_good_table(capsys, tmp_path):
 
 def test_several_positions_are_fitted_together(capsys, tmp_path):
     table = cast_table(tmp_path / "tips.csv", [(-6, -4), (6, 5), (6, -4)], skip={("nir", 2, 1)})
-    code, said, _ = run(capsys, "--table", table, *GOOD, "--json")
-    facts = json.loads(said)
+    code, printed, _ = run(capsys, "--table", table, *GOOD, "--json")
+    facts = json.loads(printed)
     assert code == 0 and facts["method"] == "joint" and facts["written"] is False
     assert facts["nail_height_mm"] == pytest.approx(15.0, abs=0.01)
     for one, truth in zip(facts["leds"], default_rig().leds, strict=True):
@@ -123,10 +123,10 @@ def test_a_rig_keeps_what_it_knows(capsys, tmp_path):
     table = cast_table(tmp_path / "tips.csv", [(-6, -4), (6, 5)])
     known = replace(default_rig(seed=3), mirrors=(MIRROR,))
     write_rig(known, tmp_path / "old.json")
-    code, said, _ = run(
+    code, printed, _ = run(
         capsys, "--table", table, "--rig", tmp_path / "old.json", "--out", tmp_path / "new.json", "--json"
     )
-    assert code == 0 and json.loads(said)["method"] == "joint"
+    assert code == 0 and json.loads(printed)["method"] == "joint"
     rig = read_rig(tmp_path / "new.json")
     assert [led.intensity for led in rig.leds] == [led.intensity for led in known.leds]
     assert rig.provenance["source"] == known.provenance["source"]
@@ -194,9 +194,9 @@ def test_photographs_of_a_nail(capsys, tmp_path, nail_photographs):
     folder, true = nail_photographs
     out = tmp_path / "rig.json"
     words = ("--images", folder / "photographs", "--rig", folder / "nominal.json", "--out", out)
-    code, said, err = run(capsys, *words, "--json")
+    code, printed, err = run(capsys, *words, "--json")
     assert code == 0, err
-    facts = json.loads(said)
+    facts = json.loads(printed)
     assert facts["method"] == "joint" and facts["nail_positions"] == 2
     assert len(read_rig(out).leds) == 14
     for led, truth in zip(read_rig(out).leds[:7], true.leds[:7], strict=True):
@@ -264,8 +264,8 @@ def test_a_nail_leaves_side_lights_where_they_are_drawn(capsys, tmp_path):
     write_rig(rig, tmp_path / "rig.json")
     table = cast_table(tmp_path / "tips.csv", [(-6, -4), (7, 5), (5, -6)])
     out = tmp_path / "found.json"
-    code, said, _ = run(capsys, "--table", table, "--rig", tmp_path / "rig.json", "--out", out)
-    assert code == 0 and "the side lights white 7, white 8" in said and "a ball measures them" in said
+    code, printed, _ = run(capsys, "--table", table, "--rig", tmp_path / "rig.json", "--out", out)
+    assert code == 0 and "the side lights white 7, white 8" in printed and "a ball measures them" in printed
     found = read_rig(out).leds
     assert [led.position_mm for led in found[14:]] == [led.position_mm for led in rig.leds[14:]]
     for led, drawn in zip(found[:14], rig.leds, strict=False):
@@ -298,10 +298,10 @@ def test_a_ball_gives_the_lights_of_a_surface(capsys, tmp_path, ball, name, opti
     photographs, mask, edge = ball
     out, result = tmp_path / name, tmp_path / "result"
     words = ("--sphere", "grey", "--images", photographs, "--mask", mask, "--out", out, *options)
-    code, said, err = run(capsys, *words)
+    code, printed, err = run(capsys, *words)
     assert code == 0, err
-    assert "encoding srgb is assumed of the .jpg files (--encoding changes it)" in said
-    assert f"splitknit reconstruct --images PHOTOS --lights {out}" in said
+    assert "encoding srgb is assumed of the .jpg files (--encoding changes it)" in printed
+    assert f"splitknit reconstruct --images PHOTOS --lights {out}" in printed
     given = ["--rig" if name == "rig.json" else "--lights", str(out), "--mask", str(mask)]
     given += ["--px-per-mm", f"{default_rig(0.2).camera.px_per_mm}"]
     assert main(["reconstruct", "--images", str(photographs), *given, "--out", str(result)]) == 0
@@ -350,9 +350,9 @@ def test_photographs_that_disagree(capsys, tmp_path, nail_photographs):
     first.rename(second)
     (copy / "kept.png").rename(first)
     words = ("--images", copy, "--rig", folder / "nominal.json", "--out", tmp_path / "rig.json", "--method", "circle")
-    code, said, message = run(capsys, *words, "--json")
+    code, printed, message = run(capsys, *words, "--json")
     assert code == 2 and message.count("\n") == 1
     assert "white 1" in message and "white 4" in message and "white 2" not in message
-    facts = json.loads(said)
+    facts = json.loads(printed)
     assert facts["show"] in message and Path(facts["show"]).is_file() and Path(facts["tips_out"]).is_file()
     assert not (tmp_path / "rig.json").exists()

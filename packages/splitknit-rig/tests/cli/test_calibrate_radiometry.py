@@ -49,20 +49,20 @@ def refusal(capsys: pytest.CaptureFixture[str], *words: Any) -> str:
     """Return the one sentence with which a run is refused."""
     capsys.readouterr()
     assert run(*words) == 2
-    said = capsys.readouterr()
-    assert said.out == ""
-    assert said.err.startswith("splitknit: error: ")
-    assert said.err.count("\n") == 1
-    return said.err
+    printed = capsys.readouterr()
+    assert printed.out == ""
+    assert printed.err.startswith("splitknit: error: ")
+    assert printed.err.count("\n") == 1
+    return printed.err
 
 
 def test_a_rig_is_calibrated(card: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     rig_file, out, picture = tmp_path / "placed.json", tmp_path / "new" / "rig.json", tmp_path / "residuals.png"
     write_rig(as_placed(built_rig(2, scale=SCALE)), rig_file)
     assert run(card, "--rig", rig_file, "--out", out, "--residuals", picture, "--json") == 0
-    said = capsys.readouterr()
-    facts = json.loads(said.out)
-    assert said.err == ""
+    printed = capsys.readouterr()
+    facts = json.loads(printed.out)
+    assert printed.err == ""
     truth = built_rig(2, scale=SCALE)
     rig = read_rig(out)
     scale = np.mean([led.intensity for led in truth.leds[:7]]) / np.mean([led.intensity for led in rig.leds[:7]])
@@ -121,8 +121,8 @@ def test_srgb_files_must_say_so(tmp_path: Path, capsys: pytest.CaptureFixture[st
     card_folder(folder, seed=2, scale=SCALE, sensor=SensorSettings(encoding="srgb"))
     assert run(folder, "--out", tmp_path / "rig.json") == 0
     edit(folder / "capture.json", lambda document: document.update(encoding="linear"))
-    said = refusal(capsys, folder, "--out", tmp_path / "other.json")
-    assert 'are sRGB, but capture.json states "encoding": "linear"; write "encoding": "srgb"' in said
+    printed = refusal(capsys, folder, "--out", tmp_path / "other.json")
+    assert 'are sRGB, but capture.json states "encoding": "linear"; write "encoding": "srgb"' in printed
     assert not (tmp_path / "other.json").exists()
 
 
@@ -133,9 +133,9 @@ def test_processed_pictures_are_refused(own: Path, tmp_path: Path, capsys: pytes
 
     for k in range(4):
         repaint(own / f"step_{k}.png", contrast)
-    said = refusal(capsys, own, "--out", tmp_path / "rig.json")
-    assert "neither linear" in said and "switch off the camera's picture processing" in said
-    assert "radiometry.json" in said
+    printed = refusal(capsys, own, "--out", tmp_path / "rig.json")
+    assert "neither linear" in printed and "switch off the camera's picture processing" in printed
+    assert "radiometry.json" in printed
 
 
 def test_the_card_alone_will_do(own: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -148,8 +148,8 @@ def test_a_rig_file_decides_size_and_leds(tmp_path: Path):
 
 def test_a_finger_that_moved_is_not_written_and_the_verdict_is_said(tmp_path: Path, capsys: Captured, faults):
     faults(moves_mm={6: (0.5, 0.0)})
-    said = refused(capsys, "--out", tmp_path / "c", *SMALL)
-    assert "the finger moved by 0.5 mm between white 3 and white 4: hold still and capture again." in said
+    printed = refused(capsys, "--out", tmp_path / "c", *SMALL)
+    assert "the finger moved by 0.5 mm between white 3 and white 4: hold still and capture again." in printed
     assert list(tmp_path.iterdir()) == []
     assert run("--out", tmp_path / "c", *SMALL, "--keep", "--json") == 2
     out, err = capsys.readouterr()
@@ -180,7 +180,7 @@ def test_foreign_files_and_earlier_captures_are_not_replaced(done: Path, tmp_pat
 
 
 @pytest.mark.parametrize(
-    ("words", "said"),
+    ("words", "printed"),
     [
         ((), "--out DIR for one finger, or --enrolment DIR for many"),
         (("--out", "a", "--enrolment", "b"), "not both"),
@@ -195,9 +195,9 @@ def test_foreign_files_and_earlier_captures_are_not_replaced(done: Path, tmp_pat
         (("--out", "a", "--rig", "missing.json"), "missing.json"),
     ],
 )
-def test_what_is_refused(words, said, tmp_path: Path, monkeypatch, capsys: Captured):
+def test_what_is_refused(words, printed, tmp_path: Path, monkeypatch, capsys: Captured):
     monkeypatch.chdir(tmp_path)
-    assert said in refused(capsys, *words)
+    assert printed in refused(capsys, *words)
     assert list(tmp_path.iterdir()) == []
 
 
@@ -206,8 +206,8 @@ def test_a_rig_of_another_camera_or_with_too_few_leds(tmp_path: Path, capsys: Ca
 
     rig = default_rig(0.05)
     write_rig(rig, tmp_path / "rig.json")
-    said = refused(capsys, "--out", tmp_path / "c", "--rig", tmp_path / "rig.json", "--scale", 0.1)
-    assert "another camera: its images have 110 x 160" in said
+    printed = refused(capsys, "--out", tmp_path / "c", "--rig", tmp_path / "rig.json", "--scale", 0.1)
+    assert "another camera: its images have 110 x 160" in printed
     write_rig(replace(rig, leds=rig.leds[:2] + rig.leds[7:]), tmp_path / "few.json")
     assert "2 white LEDs" in refused(capsys, "--out", tmp_path / "c", "--rig", tmp_path / "few.json")
 
@@ -230,9 +230,9 @@ class TestEnrolment:
 
         with monkeypatch.context():
             faults(dead=frozenset({0}))
-            said = refused(capsys, "--enrolment", folder, "--scale", 0.05)
-            assert "S02, session 1, left thumb" in said
-            assert "white 0 did not light" in said
+            printed = refused(capsys, "--enrolment", folder, "--scale", 0.05)
+            assert "S02, session 1, left thumb" in printed
+            assert "white 0 did not light" in printed
         monkeypatch.undo()
         assert len(list(folder.rglob("capture.json"))) == 3
 
@@ -273,8 +273,8 @@ class TestPi:
         from gpiozero.pins.mock import MockFactory
 
         monkeypatch.setattr(Device, "pin_factory", MockFactory())
-        said = refused(capsys, "--out", tmp_path / "c", device="pi")
-        assert "picamera2" in said
+        printed = refused(capsys, "--out", tmp_path / "c", device="pi")
+        assert "picamera2" in printed
         assert list(tmp_path.iterdir()) == []
         assert not any(pin.state for pin in Device.pin_factory.pins.values())
 

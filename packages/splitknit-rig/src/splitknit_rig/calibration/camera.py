@@ -63,7 +63,7 @@ def fit_lens(board_mm: Any, corner_sets: Sequence[Any], image_size: tuple[int, i
     """
     board = np.asarray(board_mm, dtype=np.float64)
     flat = np.column_stack([board, np.zeros(len(board))]).astype(np.float32)
-    corners = [np.asarray(one, dtype=np.float32).reshape(-1, 1, 2) for one in corner_sets]
+    corners = [np.asarray(view, dtype=np.float32).reshape(-1, 1, 2) for view in corner_sets]
     views = _Views([flat] * len(corners), corners, (image_size[1], image_size[0]))
     kept: tuple[str, ...] = ("cx", "cy")
     fixed: dict[str, str] = {}
@@ -117,25 +117,24 @@ def _fit(views: _Views, kept: tuple[str, ...], start: _LensFit | None = None) ->
     distortion = np.zeros(5) if start is None else np.array(start.distortion)
     criteria = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 60, 1e-7)
     try:
-        found = cv2.calibrateCameraExtended(
+        rms, fitted, lens, turns, _, deviations, _, view_rms = cv2.calibrateCameraExtended(
             views.boards, views.corners, views.size, matrix, distortion, flags=flags, criteria=criteria
         )
     except cv2.error as error:
         raise BadInput(_UNDETERMINED) from error
-    rms, turns = float(found[0]), found[3]
-    matrix, distortion, deviations, each = (np.asarray(found[k], dtype=np.float64) for k in (1, 2, 5, 7))
-    sound = bool(np.isfinite(matrix).all() and np.isfinite(deviations).all())
-    longest = _LONGEST * max(views.size)
-    sound = sound and min(matrix[0, 0], matrix[1, 1]) > 0 and max(matrix[0, 0], matrix[1, 1]) < longest
-    require(sound, _UNDETERMINED)
+    matrix = np.asarray(fitted, dtype=np.float64)
+    focal_px = np.diag(matrix)[:2]
+    sound = np.isfinite(matrix).all() and np.isfinite(deviations).all()
+    require(bool(sound and focal_px.min() > 0 and focal_px.max() < _LONGEST * max(views.size)), _UNDETERMINED)
     names = ("fx", "fy", "cx", "cy", *TERMS)
     spread = dict(zip(names, deviations.ravel()[: len(names)].tolist(), strict=True))
     if "aspect" not in kept:
         spread["fx"] = spread["fy"]  # OpenCV counts one of the two
     normals = np.array([-cv2.Rodrigues(np.asarray(turn))[0][:, 2] for turn in turns])
     normals *= np.where(normals[:, 2:] > 0, -1.0, 1.0)
-    given = {name: value for name, value in spread.items() if name in (*kept, "fx", "fy")}
-    return _LensFit(matrix, tuple(distortion.ravel()[:5].tolist()), given, rms, each.ravel(), normals, kept)
+    spread = {name: value for name, value in spread.items() if name in (*kept, "fx", "fy")}
+    terms = tuple(lens.ravel()[:5].tolist())
+    return _LensFit(matrix, terms, spread, float(rms), np.asarray(view_rms, dtype=np.float64).ravel(), normals, kept)
 
 
 def _root_rise(held: _LensFit, free: _LensFit, views: _Views) -> float:
@@ -146,16 +145,16 @@ def _root_rise(held: _LensFit, free: _LensFit, views: _Views) -> float:
 
 def _focal_deviations(views: _Views, kept: tuple[str, ...], best: _LensFit) -> dict[str, float]:
     """Standard deviations of fx and fy, not less than fits with other focal lengths show."""
-    shown = []
+    estimates = []
     for factor in (0.97, 1.03):
         matrix = best.matrix.copy()
         matrix[[0, 1], [0, 1]] *= factor
         try:
-            other = _fit(views, (*kept, "no focal"), replace(best, matrix=matrix))
+            held = _fit(views, (*kept, "no focal"), replace(best, matrix=matrix))
         except BadInput:
             continue
-        shown.append(abs(factor - 1) * best.matrix[0, 0] / _root_rise(other, best, views))
-    largest = max(shown, default=float("inf"))
+        estimates.append(abs(factor - 1) * best.matrix[0, 0] / _root_rise(held, best, views))
+    largest = max(estimates, default=float("inf"))
     doubtful = largest > 2 * best.deviations["fx"]
     return {name: largest if doubtful else best.deviations[name] for name in ("fx", "fy")}
 
@@ -211,7 +210,7 @@ def fit_camera(
     Raises BadInput if too few views remain, or they do not determine the focal length, as boards parallel to the sensor
     do not (section 4).
     """
-    views = [np.asarray(one, dtype=np.float64) for one in corner_sets]
+    views = [np.asarray(corners, dtype=np.float64) for corners in corner_sets]
     names = list(names) if names is not None else [f"view {k}" for k in range(len(views))]
     kept, repeated = _without_repeats(views, names)
     _require_enough(len(kept), len(views), f" ({len(repeated)} of them twice)" if repeated else "")
@@ -224,8 +223,8 @@ def fit_camera(
             break
         rejected[names[kept[worst]]] = float(lens.view_rms_px[worst])
         del kept[worst]
-        shown = ", ".join(f"{name} ({error:.2f} px)" for name, error in rejected.items())
-        _require_enough(len(kept), len(views), f" (the error of {shown} is far above the others')")
+        removed = ", ".join(f"{name} ({error:.2f} px)" for name, error in rejected.items())
+        _require_enough(len(kept), len(views), f" (the error of {removed} is far above the others')")
     tilts = np.degrees(np.arccos(np.clip(-lens.normals[:, 2], -1, 1)))
     variety = float(np.degrees(np.arccos(np.clip(lens.normals @ lens.normals.T, -1, 1)).max()))
     # Part of the picture, in an 8 x 8 grid, that holds a corner or lies between ones that do
@@ -243,22 +242,22 @@ def _without_repeats(views: list[Array], names: list[str]) -> tuple[list[int], d
     kept: list[int] = []
     repeated: dict[str, str] = {}
     for k, view in enumerate(views):
-        for other in kept:
+        for earlier in kept:
             # a board that is named from its other end is the same one
-            both = (views[other], views[other][::-1])
+            both = (views[earlier], views[earlier][::-1])
             apart = min(float(np.sqrt(((view - there) ** 2).sum(axis=1).mean())) for there in both)
             if apart < _SAME_PX:
-                repeated[names[k]] = names[other]
+                repeated[names[k]] = names[earlier]
                 break
         else:
             kept.append(k)
     return kept, repeated
 
 
-def _require_enough(count: int, given: int, why: str) -> None:
+def _require_enough(count: int, total: int, why: str) -> None:
     require(
         count >= _MIN_VIEWS,
-        f"only {count} of {given} photographs of the board can be used{why}, but {_MIN_VIEWS} are needed "
+        f"only {count} of {total} photographs of the board can be used{why}, but {_MIN_VIEWS} are needed "
         "and 15 are advised; take more, the board tilted differently in each.",
     )
 

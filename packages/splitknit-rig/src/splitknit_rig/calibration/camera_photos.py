@@ -56,7 +56,26 @@ class MeasuredCamera:
     @property
     def facts(self) -> dict[str, Any]:
         """All that was measured, as plain JSON."""
-        return camera_facts(self)
+        camera = self.camera
+        lens = ["camera.matrix", "camera.distortion", "camera.image_size"] if self.fit is not None else []
+        plane = ["camera.px_per_mm", "camera.height_mm"]
+        leds = ["leds"] if self.leds_nominal else []
+        return {
+            "out": str(self.out),
+            "calibrated_at": self.calibrated_at,
+            "model": camera.model,
+            "image_size": list(camera.image_size),
+            "matrix": None if camera.matrix is None else np.asarray(camera.matrix).tolist(),
+            "distortion": None if camera.distortion is None else list(camera.distortion),
+            "height_mm": camera.height_mm,
+            "px_per_mm": camera.px_per_mm,
+            "board": {"inner_corners": self.board.name, "square_mm": self.board.square_mm},
+            "fit": None if self.fit is None else _fit_facts(self.fit, self.boardless),
+            "plane": None if self.pose is None else _plane_facts(self.pose, self.poses, self.fit),
+            "measured": lens if self.pose is None else lens + plane,
+            "nominal": plane + leds if self.pose is None else leds,
+            "warnings": list(self.warnings),
+        }
 
     def __str__(self) -> str:
         return text_of(camera_lines(self.facts))
@@ -84,61 +103,53 @@ def calibrate_to_rig(
     fit: CameraCalibration | None = None
     boardless: tuple[str, ...] = ()
     if folder is not None:
+        files = _image_files(folder, pattern)
         corners, boardless = _board_photos(
-            photos, folder, _image_files(folder, pattern), board, lambda part: progress("finding corners", 0.85 * part)
+            photos, folder, files, board, lambda part: progress("finding corners", 0.85 * part)
         )
         progress("fitting", 0.86)
         fit = naming(folder, partial(fit_camera, list(corners.values()), board, photos.size, list(corners)))
     marks = {file.name: _plane_marks(photos, file, board) for file in plane}
     progress("measuring the plane", 0.95)
-    camera, poses, warnings = _assembled(base, str(rig), photos.size, fit, marks)
-    now = calibrated_at or datetime.now(UTC).isoformat(timespec="seconds").replace("+00:00", "Z")
-    pose = mean_pose(list(poses.values()), _focal_px(camera)) if poses else None
-    measured = MeasuredCamera(out, board, camera, fit, poses, pose, tuple(warnings), now, base is None, boardless)
-    measured = replace(measured, warnings=(*warnings, *_warnings(measured)))
-    progress("writing", 0.97)
-    facts = camera_facts(measured)
-    kept = {name: facts[name] for name in ("calibrated_at", "measured", "nominal", "warnings")}
-    residuals = {"fit": facts["fit"], "plane": facts["plane"]}
-    origin = {**kept, "residuals": residuals, **provenance({"board": facts["board"]}, photos.hashes)}
-    start = base or Rig(camera, default_rig().leds, {"source": "nominal: the thesis's drawing"})
-    write_rig(replace(start, camera=camera, provenance={**start.provenance, "camera": origin}), out)
-    return measured
-
-
-def _assembled(
-    base: Rig | None,
-    rig_name: str,
-    size: tuple[int, int],
-    fit: CameraCalibration | None,
-    marks: Mapping[str, tuple[Array, Array]],
-) -> tuple[Camera, dict[str, PlanePose], list[str]]:
-    """The camera with lens and height as measured, pose of the plane by photograph, and warnings."""
-    old = base.camera if base is not None else Camera(75.7, size)
+    nominal = Camera(75.7, photos.size) if base is None else base.camera
     require(
-        fit is not None or old.model == "perspective",
+        fit is not None or nominal.model == "perspective",
         "`plane` alone measures the height of a camera whose lens is known; give FOLDER too, or a `rig` with its "
         "matrix.",
     )
-    warnings = list(fit.warnings) if fit is not None else []
     lens: dict[str, Any] = {}
+    warnings: list[str] = []
     if fit is not None:
         lens = {"matrix": fit.lens.matrix, "distortion": fit.lens.distortion}
-    camera = replace(old, model="perspective", image_size=size, **lens)
-    poses = {name: plane_pose(mm, px, camera.matrix, camera.distortion) for name, (mm, px) in marks.items()}
-    height = old.height_mm
-    if poses:
-        height = mean_pose(list(poses.values()), _focal_px(camera)).height_mm
+        warnings += fit.warnings
+    camera = replace(nominal, model="perspective", image_size=photos.size, **lens)
+    poses = {name: plane_pose(board.points_mm, px, camera.matrix, camera.distortion) for name, px in marks.items()}
+    assert camera.matrix is not None
+    focal_px = float(np.sqrt(camera.matrix[0, 0] * camera.matrix[1, 1]))
+    pose = mean_pose(list(poses.values()), focal_px) if poses else None
+    height = nominal.height_mm if pose is None else pose.height_mm
+    camera = replace(camera, height_mm=height, px_per_mm=focal_px / height)
+    if pose is not None:
         remedy = "check the side of the board's squares (`square_mm`)"
         warnings += map(str, CAMERA_HEIGHT.notes(height, remedy))
-        if base is not None and not 0.6 < height / old.height_mm < 1.6:
-            warnings.append(f"the camera is {height:.0f} mm high, by {rig_name} {old.height_mm:.0f} mm: {remedy}.")
-    return replace(camera, height_mm=height, px_per_mm=_focal_px(camera) / height), poses, warnings
-
-
-def _focal_px(camera: Camera) -> float:
-    assert camera.matrix is not None
-    return float(np.sqrt(camera.matrix[0, 0] * camera.matrix[1, 1]))
+        if base is not None and not 0.6 < height / nominal.height_mm < 1.6:
+            warnings.append(f"the camera is {height:.0f} mm high, by {rig} {nominal.height_mm:.0f} mm: {remedy}.")
+        warnings += _plane_warnings(camera, poses, pose)
+    elif fit is not None:
+        warnings.append(
+            f"px_per_mm rests on a height of {height:g} mm that was not measured; photograph the board flat on the "
+            "finger plane (`plane`)."
+        )
+    now = calibrated_at or datetime.now(UTC).isoformat(timespec="seconds").replace("+00:00", "Z")
+    measured = MeasuredCamera(out, board, camera, fit, poses, pose, tuple(warnings), now, base is None, boardless)
+    progress("writing", 0.97)
+    facts = measured.facts
+    stored = {name: facts[name] for name in ("calibrated_at", "measured", "nominal", "warnings")}
+    residuals = {"fit": facts["fit"], "plane": facts["plane"]}
+    origin = {**stored, "residuals": residuals, **provenance({"board": facts["board"]}, photos.hashes)}
+    start = base or Rig(camera, default_rig().leds, {"source": "nominal: the thesis's drawing"})
+    write_rig(replace(start, camera=camera, provenance={**start.provenance, "camera": origin}), out)
+    return measured
 
 
 # Photographs of checkerboards: reading them, and finding what they show.
@@ -189,11 +200,11 @@ class _Photos:
         data = read_bytes(file, MAX_BYTES)
         pixels = decode_image(data, str(file))
         rows, columns = pixels.shape[:2]
-        size, other = self._expected = self._expected or ((rows, columns), name or file.name)
+        size, reference = self._expected = self._expected or ((rows, columns), name or file.name)
         require(
             (rows, columns) == size,
-            f"{file} has {rows} x {columns} pixels (rows x columns), but {other} has {size[0]} x {size[1]}; photograph "
-            "everything with the camera's one setting.",
+            f"{file} has {rows} x {columns} pixels (rows x columns), but {reference} has {size[0]} x {size[1]}; "
+            "photograph everything with the camera's one setting.",
         )
         self.hashes[name or file.name] = hashlib.sha256(data).hexdigest()
         return pixels
@@ -204,78 +215,55 @@ def _board_photos(
 ) -> tuple[dict[str, Array], tuple[str, ...]]:
     """Corners by name, and photographs without the board; where it is on too few, BadInput names the size they show."""
     corners: dict[str, Array] = {}
-    without: list[Path] = []
+    boardless: list[str] = []
     for k, file in enumerate(files):
         progress(k / len(files))
-        found = naming(file, partial(find_board, photos.read(file, _label(file, folder)), board))
-        if found is None:
-            without.append(file)
+        label = _label(file, folder)
+        grid = naming(file, partial(find_board, photos.read(file, label), board))
+        if grid is None:
+            boardless.append(label)
         else:
-            corners[_label(file, folder)] = found
-    lacking = tuple(_label(file, folder) for file in without)
+            corners[label] = grid
     if len(corners) < LEAST:
-        named = ", ".join(lacking[:4]) + (" and more" if len(lacking) > 4 else "")
-        missing = f" (not in {named})" if without else ""
+        named = ", ".join(boardless[:4]) + (" and more" if len(boardless) > 4 else "")
+        missing = f" (not in {named})" if boardless else ""
         raise BadInput(
-            f"{folder}: a checkerboard of {board.columns} x {board.rows} inner corners is in full view in "
+            f"{folder}: a checkerboard of {board.name} inner corners is in full view in "
             f"{len(corners)} of {len(files)} photographs{missing}, but {LEAST} are needed and 15 are advised; "
             "compare `board` with the print (corners where four squares meet), or take more, each tilted differently."
         )
-    return corners, lacking
+    return corners, tuple(boardless)
 
 
-def _plane_marks(photos: _Photos, file: Path, board: Board) -> tuple[Array, Array]:
-    """Places of the board's corners in mm and in the image."""
+def _plane_marks(photos: _Photos, file: Path, board: Board) -> Array:
+    """Places of the board's corners in the image."""
     corners = naming(file, partial(find_board, photos.read(file), board))
     if corners is None:
         raise BadInput(
-            f"{file} shows no checkerboard of {board.columns} x {board.rows} inner corners in full view; "
+            f"{file} shows no checkerboard of {board.name} inner corners in full view; "
             "compare `board` with the print (corners where four squares meet), or lay it flat and evenly lit, and "
             "photograph it again."
         )
-    return board.points_mm, corners
+    return corners
 
 
-# What a camera's calibration found: as facts for programs and as provenance for the rig file, with its warnings.
+# What a camera's calibration measured, as facts for programs and as provenance for the rig file; its warnings.
 
 _TILT_LIMIT_DEG = 1.0
 _FINGER_MM = 8.0  # depth of the finger that the camera sees
-_POSES_HEIGHT, _POSES_TILT_DEG = 0.003, 0.3  # photographs of one plane that differ by more are warned about
+_POSES_HEIGHT = 0.003  # photographs of one plane whose heights differ by more (relative) are warned about
+_POSES_TILT_DEG = 0.3  # the same of their tilts
 
 
-def camera_facts(found: MeasuredCamera) -> dict[str, Any]:
-    """Return all that was measured, as plain JSON."""
-    camera, board = found.camera, found.board
-    measured, nominal = _origins(found)
-    return {
-        "out": str(found.out),
-        "calibrated_at": found.calibrated_at,
-        "model": camera.model,
-        "image_size": list(camera.image_size),
-        "matrix": None if camera.matrix is None else np.asarray(camera.matrix).tolist(),
-        "distortion": None if camera.distortion is None else list(camera.distortion),
-        "height_mm": camera.height_mm,
-        "px_per_mm": camera.px_per_mm,
-        "board": {"inner_corners": f"{board.columns}x{board.rows}", "square_mm": board.square_mm},
-        "fit": _fit(found),
-        "plane": _plane(found),
-        "measured": measured,
-        "nominal": nominal,
-        "warnings": list(found.warnings),
-    }
-
-
-def _fit(found: MeasuredCamera) -> dict[str, Any] | None:
-    if found.fit is None:
-        return None
-    fit, lens = found.fit, found.fit.lens
+def _fit_facts(fit: CameraCalibration, boardless: Sequence[str]) -> dict[str, Any]:
+    lens = fit.lens
     return {
         "rms_px": lens.rms_px,
         "images": len(fit.used),
         "per_image_px": dict(zip(fit.used, lens.view_rms_px.tolist(), strict=True)),
         "rejected_px": fit.rejected,
         "repeated": fit.repeated,
-        "without_board": list(found.boardless),
+        "without_board": list(boardless),
         "focal_length_px": [float(lens.matrix[0, 0]), float(lens.matrix[1, 1])],
         "principal_point_px": lens.matrix[:2, 2].tolist(),
         "deviations": dict(lens.deviations),
@@ -287,78 +275,50 @@ def _fit(found: MeasuredCamera) -> dict[str, Any] | None:
     }
 
 
-def _plane(found: MeasuredCamera) -> dict[str, Any] | None:
-    if found.pose is None:
-        return None
-    pose = found.pose
+def _plane_facts(pose: PlanePose, poses: Mapping[str, PlanePose], fit: CameraCalibration | None) -> dict[str, Any]:
+    tilt_deviation = pose.deviations["tilt_deg"]
+    if fit is not None:  # an axis that is off by one pixel is off by 1 / f
+        axis_px = max(fit.lens.deviations.get("cx", 0.0), fit.lens.deviations.get("cy", 0.0))
+        tilt_deviation = float(np.hypot(tilt_deviation, np.degrees(axis_px / float(fit.lens.matrix[0, 0]))))
     return {
         "height_mm": pose.height_mm,
         "height_mm_deviation": pose.deviations["height_mm"],
         "px_per_mm": pose.px_per_mm,
         "tilt_deg": pose.tilt_deg,
-        "tilt_deg_deviation": _tilt_deviation(found, pose),
+        "tilt_deg_deviation": tilt_deviation,
         "tilt_xy_deg": list(pose.tilt_xy_deg),
         "nearer_at": pose.nearer_side,
         "normal": pose.normal.tolist(),
         "rms_px": pose.rms_px,
         "per_image": {
-            name: {"height_mm": one.height_mm, "tilt_deg": one.tilt_deg, "rms_px": one.rms_px}
-            for name, one in found.poses.items()
+            name: {"height_mm": single.height_mm, "tilt_deg": single.tilt_deg, "rms_px": single.rms_px}
+            for name, single in poses.items()
         },
     }
 
 
-def _tilt_deviation(found: MeasuredCamera, pose: PlanePose) -> float:
-    """With what the principal point's uncertainty adds: an axis that is off by one pixel is off by 1 / f."""
-    lens = found.fit.lens if found.fit is not None else None
-    if lens is None:
-        return pose.deviations["tilt_deg"]
-    axis = max(lens.deviations.get("cx", 0.0), lens.deviations.get("cy", 0.0)) / float(lens.matrix[0, 0])
-    return float(np.hypot(pose.deviations["tilt_deg"], np.degrees(axis)))
-
-
-def _origins(found: MeasuredCamera) -> tuple[list[str], list[str]]:
-    """What is measured, and what is taken over."""
-    measured = ["camera.matrix", "camera.distortion", "camera.image_size"] if found.fit is not None else []
-    nominal = ["leds"] if found.leds_nominal else []
-    plane = ["camera.px_per_mm", "camera.height_mm"]
-    return (measured, plane + nominal) if found.pose is None else (measured + plane, nominal)
-
-
-def _warnings(found: MeasuredCamera) -> list[str]:
-    words = []
-    if found.fit is not None and found.pose is None:
-        words.append(
-            f"px_per_mm rests on a height of {found.camera.height_mm:g} mm that was not measured; photograph the board "
-            "flat on the finger plane (`plane`)."
-        )
-    if found.pose is not None:
-        words += _plane_warnings(found, found.pose)
-    return words
-
-
-def _plane_warnings(found: MeasuredCamera, pose: PlanePose) -> list[str]:
-    words, camera = [], found.camera
+def _plane_warnings(camera: Camera, poses: Mapping[str, PlanePose], pose: PlanePose) -> list[str]:
+    warnings = []
     if pose.tilt_deg > _TILT_LIMIT_DEG:
         slope = math.tan(math.radians(pose.tilt_deg))
         reach = math.hypot(*camera.image_size) / 2 / camera.px_per_mm
-        words.append(
+        warnings.append(
             f"the camera looks on the base obliquely by {pose.tilt_deg:.2f} deg: the picture's corners lie up to "
             f"{reach * slope:.2f} mm nearer or farther than its middle, which displaces them by "
             f"{reach**2 * slope / pose.height_mm:.2f} mm, and what stands {_FINGER_MM:g} mm high leans "
             f"by {_FINGER_MM * slope:.2f} mm; straighten the camera, or put something thin under the base."
         )
-    heights = [one.height_mm for one in found.poses.values()]
-    turns = [min(1.0, float(one.normal @ pose.normal)) for one in found.poses.values()]
+    heights = [single.height_mm for single in poses.values()]
+    turns = [min(1.0, float(single.normal @ pose.normal)) for single in poses.values()]
     apart = float(np.degrees(np.arccos(turns)).max())
     if max(heights) - min(heights) > _POSES_HEIGHT * pose.height_mm or apart > _POSES_TILT_DEG:
-        each = ", ".join(f"{name} {one.height_mm:.2f} mm, {one.tilt_deg:.2f} deg" for name, one in found.poses.items())
-        words.append(
+        each = ", ".join(f"{name} {p.height_mm:.2f} mm, {p.tilt_deg:.2f} deg" for name, p in poses.items())
+        warnings.append(
             f"the photographs of the finger plane disagree ({each}); the print lay uneven, or its scale is off."
         )
     if pose.rms_px > max(1.0, 0.01 * camera.px_per_mm):
-        words.append(
+        warnings.append(
             f"the marks on the finger plane miss their places by {pose.rms_px:.2f} px: the print is not flat, or its "
             "marks are not where they should be."
         )
-    return words
+    return warnings

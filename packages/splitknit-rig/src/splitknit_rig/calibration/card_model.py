@@ -24,7 +24,6 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from splitknit import Camera, Led
 from splitknit.errors import require
@@ -73,11 +72,6 @@ def _squared_radius(image_size: Sequence[int], pixels: Any) -> Array:
     return (x * x + y * y) / (0.25 * (rows**2 + columns**2))
 
 
-def _lens_fall_off(camera: Camera, pixels: Any) -> Array:
-    """(N,) brightness of the lens at `pixels` relative to the image's centre."""
-    return shading_at(camera.shading, _squared_radius(camera.image_size, pixels))
-
-
 def rays_to_led(led: Led, points_mm: Any) -> tuple[Array, Array]:
     """Unit vectors (N, 3) from points to a near LED, and their distances (N,) in mm; BadInput if the LED is distant."""
     require(led.position_mm is not None, "a flat field needs LEDs with position_mm; this rig has distant ones.")
@@ -95,7 +89,12 @@ def card_light(camera: Camera, led: Led, pixels: Any, card: CardPlane | None = N
     towards, distance = rays_to_led(led, points)
     along = np.maximum(-(towards @ led.axis), 1e-12)
     facing = np.asarray(led.intensity * UNIT_MM2 * along**led.lobe_exponent / distance**2)
-    return facing * (towards @ plane.normal) * _lens_fall_off(camera, pixels) / np.pi
+    return (
+        facing
+        * (towards @ plane.normal)
+        * shading_at(camera.shading, _squared_radius(camera.image_size, pixels))
+        / np.pi
+    )
 
 
 _MIN_EXPONENT = 0.02  # least exponent of a beam: below it an aim has no meaning
@@ -206,32 +205,28 @@ class CardModel:
             + np.log(self._fall_off(answer.lens))
         )
 
-    def slopes(self, answer: Answer, order: Order, k: int) -> tuple[NDArray[np.intp], Array]:
-        """Parameters that image k depends on: their places (m,), and the derivatives (m, N) of :meth:`logarithm`."""
-        light, lens, beams, tilts = self._places(order)
-        places, rows = [light[k]], [np.ones_like(self.squared)]
-        fall_off = self._fall_off(answer.lens)
-        for power, place in enumerate(lens):
-            places.append(place)
-            rows.append(self.squared ** (power + 1) / fall_off)
-        if order.beam != "none":
-            u, v = answer.tilt[k]
-            along = np.maximum(self.seen[k, 0] + u * self.seen[k, 1] + v * self.seen[k, 2], 1e-6)
-            by_u, by_v = (self.seen[k, 1 + i] / along - w / (1 + u * u + v * v) for i, w in ((0, u), (1, v)))
-            places.append(beams[int(self.band[k]) if order.beam == "band" else k])
-            rows.append(self._log_cosine(answer)[k] - u * by_u - v * by_v)  # at given n u and n v
-            if order.aims:
-                places += [tilts[2 * k], tilts[2 * k + 1]]
-                rows += [by_u, by_v]
-        return np.array(places, dtype=np.intp), np.stack(rows)
-
     def jacobian(self, answer: Answer, order: Order) -> Array:
         """(L, N, P) derivatives of :meth:`logarithm`."""
-        found = np.zeros((*self.known.shape, self.size(order)))
-        for k in range(self.count):
-            places, rows = self.slopes(answer, order, k)
-            found[k][:, places] = rows.T
-        return found
+        jacobian = np.zeros((*self.known.shape, self.size(order)))
+        light, lens, beams, tilts = self._places(order)
+        fall_off = self._fall_off(answer.lens)
+        log_cosine = self._log_cosine(answer)
+        for k, by_parameter in enumerate(jacobian):
+            by_parameter[:, light[k]] = 1.0
+            for power, place in enumerate(lens):
+                by_parameter[:, place] = self.squared ** (power + 1) / fall_off
+            if not beams:
+                continue
+            u, v = answer.tilt[k]
+            along = np.maximum(self.seen[k, 0] + u * self.seen[k, 1] + v * self.seen[k, 2], 1e-6)
+            by_u = self.seen[k, 1] / along - u / (1 + u * u + v * v)
+            by_v = self.seen[k, 2] / along - v / (1 + u * u + v * v)
+            own = beams[int(self.band[k]) if order.beam == "band" else k]
+            by_parameter[:, own] = log_cosine[k] - u * by_u - v * by_v  # at constant n u and n v
+            if tilts:
+                by_parameter[:, tilts[2 * k]] = by_u
+                by_parameter[:, tilts[2 * k + 1]] = by_v
+        return jacobian
 
     def exponents(self, values: Array, order: Order) -> Array:
         """(L,) what a vector of parameters (or of their errors) implies for each LED's exponent; NaN where nothing."""

@@ -59,8 +59,8 @@ def _fit_order(model: CardModel, start: Answer, order: Order, logarithm: Array, 
         last, weight = weight, 1.0 / (1.0 + (common / width) ** 2)
         if float(np.abs(weight - last).max()) < 0.01:
             break
-    found = slopes(vector, root)
-    return _CardFit(order, model.answer(vector, order), found.T @ found)
+    jacobian = slopes(vector, root)
+    return _CardFit(order, model.answer(vector, order), jacobian.T @ jacobian)
 
 
 # Whether a card shines: a bright spot that stands where a mirror would show the LED, and moves with it.
@@ -90,15 +90,15 @@ def _card_gloss(model: CardModel, half_angles_deg: Array, fit: _CardFit, rest: A
     left, rows = rest[used], model.jacobian(fit.answer, fit.order)[used]
     inverse, slope = np.linalg.pinv(rows.T @ rows, rcond=1e-12), rows.T @ left
     noise = float(np.sqrt(np.mean(left**2)))
-    found = (0.0, np.inf)
+    gloss = (0.0, np.inf)
     for width in WIDTHS_DEG:
         spot = np.exp(-0.5 * (half_angles_deg[used] / width) ** 2)
         shared, whole = rows.T @ spot, float(spot @ spot)
         own = whole - float(shared @ inverse @ shared)
         if own >= 1e-6 * whole + 1e-9:
             value = float((spot @ left - shared @ inverse @ slope) / own)
-            found = max(found, (value, float(noise / np.sqrt(own))), key=lambda one: one[0] / one[1])
-    return found
+            gloss = max(gloss, (value, float(noise / np.sqrt(own))), key=lambda spot: spot[0] / spot[1])
+    return gloss
 
 
 _ROBUST_PERCENT = 0.5
@@ -161,7 +161,7 @@ def fit_flat_field(
     level = np.exp(np.median(logarithm - model.known, axis=1))
     start = Answer(level, np.ones(model.count), np.zeros((model.count, 2)), np.zeros(2))
     for k, led in enumerate(leds):
-        usual = float(np.median([level[j] for j, other in enumerate(leds) if other.band == led.band]))
+        usual = float(np.median([level[j] for j in range(len(leds)) if leds[j].band == led.band]))
         require(
             level[k] > 0.1 * usual,
             f"LED {k} ({led.band}) shows the card at {100 * level[k] / usual:.0f} % of the brightness of "
@@ -177,7 +177,7 @@ def fit_flat_field(
     residuals = [images / np.exp(model.logarithm(fit.answer)) - 1.0 for fit in fits]
     dust = np.abs(np.median(residuals[-1], axis=0)) > 0.01 * DUST_PERCENT
     require(not dust.all(), "the card is not uniform: no part of the picture looks like an even card.")
-    rms = [100 * float(np.sqrt(np.mean(one[:, ~dust] ** 2))) for one in residuals]
+    rms = [100 * float(np.sqrt(np.mean(residual[:, ~dust] ** 2))) for residual in residuals]
     enough = max(float(np.hypot(min(rms), _ENOUGH_PERCENT)), (1 + _ENOUGH_FRACTION) * min(rms))
     best = next(k for k, value in enumerate(rms) if value <= enough)
     fit = fits[best]
@@ -193,7 +193,7 @@ def fit_flat_field(
         leds=lit,
         card_level=float(fit.answer.brightness.mean()),
         order=fit.order,
-        orders=tuple((one.order.name, model.size(one.order), value) for one, value in zip(fits, rms, strict=True)),
+        orders=tuple((order.name, model.size(order), value) for order, value in zip(LADDER, rms, strict=True)),
         residual=residuals[best],
         dust=dust,
         exponent_error=model.exponents(errors, fit.order),

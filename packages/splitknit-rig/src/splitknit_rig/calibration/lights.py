@@ -16,12 +16,14 @@ through the centre.
 from __future__ import annotations
 
 import csv
+import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 
-from splitknit import Camera
+from splitknit import Camera, Led
 from splitknit.errors import refusing, require
 from splitknit.imaging.view import plane_points
 from splitknit.io.csv_table import csv_text
@@ -56,6 +58,18 @@ class Tip:
 def name_of_led(band: str, led: int) -> str:
     """Such as ``white 3`` or ``NIR 0``."""
     return f"{'NIR' if band == 'nir' else band} {led}"
+
+
+def led_name(leds: Sequence[Led], index: int) -> str:
+    """Such as ``white 3``: an LED of a rig by its band and its number in it."""
+    band = leds[index].band
+    return f"{band} {sum(led.band == band for led in leds[:index])}"
+
+
+def led_of_file(path: Path) -> tuple[str, int] | None:
+    """Band and number of the LED that a photograph is named after, as ``white_3.png`` is."""
+    match = re.fullmatch(r"(white|nir)[_.-]?(\d+)", path.stem.lower())
+    return (match[1], int(match[2])) if match else None
 
 
 def read_tips(text: str, name: str = "the table") -> tuple[Tip, ...]:
@@ -155,7 +169,6 @@ class LedEstimate:
     position_mm: Array  # (3,) in the rig's frame
     direction: Array  # (3,) unit, from the circle's centre on the finger plane towards the LED
     disagreement_deg: float | None  # largest angle between the directions of two nail positions; None with one position
-    nails: tuple[int, ...]
     singles: Array  # (K, 3) positions, one for each of the nail's
 
 
@@ -192,34 +205,29 @@ def by_circle(
         # The nail's height, by similar triangles from the lengths of its shadows
         shadow = np.linalg.norm(ends - nails, axis=1)
         ratio = shadow / np.maximum(np.linalg.norm(positions[:, :2] - nails, axis=1), 1e-9)
-        found = float(np.median(positions[:, 2] * ratio / (1.0 + ratio)))
-        if camera.model != "perspective" or known_height_mm is not None or abs(found - height) < 1e-6:
+        measured = float(np.median(positions[:, 2] * ratio / (1.0 + ratio)))
+        if camera.model != "perspective" or known_height_mm is not None or abs(measured - height) < 1e-6:
             break
-        height = min(found, 0.6 * circle.height_mm)
+        height = min(measured, 0.6 * circle.height_mm)
     estimates = []
     for band, led in dict.fromkeys((tip.band, tip.led) for tip in tips):
         rows = [k for k, tip in enumerate(tips) if (tip.band, tip.led) == (band, led)]
-        estimates.append(combine(band, led, positions[rows], tuple(tips[k].nail for k in rows), circle))
-    return tuple(estimates), found if known_height_mm is None else known_height_mm
+        estimates.append(combine(band, led, positions[rows], circle))
+    return tuple(estimates), measured if known_height_mm is None else known_height_mm
 
 
-def combine(band: str, led: int, singles: Array, nails: tuple[int, ...], circle: Circle) -> LedEstimate:
+def combine(band: str, led: int, singles: Array, circle: Circle) -> LedEstimate:
     """Put the positions (K, 3) that single nail positions give together: the mean, and how far apart they are."""
     arms = singles - circle.foot_mm
     units = arms / np.linalg.norm(arms, axis=1, keepdims=True)
     mean = units.mean(axis=0)
     # at the mean height, in the mean direction: for arms of one length, the mean position
     position = circle.foot_mm + mean * (arms[:, 2].mean() / mean[2])
-    return LedEstimate(band, led, position, mean / np.linalg.norm(mean), _largest_angle_deg(units), nails, singles)
-
-
-def _largest_angle_deg(units: Array) -> float | None:
-    """Largest angle in degrees between two of the unit vectors (K, 3), None for a single one."""
-    if len(units) < 2:
-        return None
-    # by the chord, which is exact for small angles where the cosine is not
+    # angles by the chord, which is exact for small ones where the cosine is not
     chords = np.linalg.norm(units[:, None] - units[None], axis=2)
-    return float(np.degrees(2.0 * np.arcsin(np.clip(chords.max() / 2.0, 0.0, 1.0))))
+    largest_deg = float(np.degrees(2.0 * np.arcsin(np.clip(chords.max() / 2.0, 0.0, 1.0))))
+    disagreement_deg = largest_deg if len(units) > 1 else None
+    return LedEstimate(band, led, position, mean / np.linalg.norm(mean), disagreement_deg, singles)
 
 
 def _check_shadows(tips: Sequence[Tip], nails: Array, ends: Array, circle: Circle) -> None:

@@ -1,19 +1,21 @@
-"""From a table of nail and shadow tips to facts about every LED, and to a rig."""
+"""From a table of nail and shadow tips to every LED's place, the verdict on it, and a rig."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence, Set
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from itertools import combinations
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from splitknit import BadInput, Camera, Led, Rig
 from splitknit.arguments import text_of
-from splitknit.errors import require
+from splitknit.errors import Refused, require
 from splitknit.imaging.view import plane_points
-from splitknit.model import Array
+from splitknit.io.provenance import plain_json, provenance
+from splitknit.model import Array, side_lights
 from splitknit_rig.calibration.lights import (
     BANDS,
     LEDS_PER_BAND,
@@ -21,21 +23,19 @@ from splitknit_rig.calibration.lights import (
     LedEstimate,
     Tip,
     by_circle,
+    led_name,
     listed,
     name_of_led,
     pixels,
 )
 from splitknit_rig.calibration.nail import STRAY_MM, JointFit, Nail, by_joint_fit
-from splitknit_rig.calibration.words import light_lines
 
-_BEYOND = 0.02
-"""Part of the image's size by which a pixel may lie beyond its border: clicked beside the last pixel, not elsewhere."""
-OK, DISAGREES, COPIED, UNCHECKED, STRAYS = "ok", "disagrees", "copied", "unchecked", "off the circle"
-_TRUSTED = (OK, UNCHECKED)  # verdicts of LEDs that are used without a word from the user
 LedName = tuple[str, int]
 """Band, and number in it."""
-
-
+Point = tuple[float, float, float]
+OK, DISAGREES, COPIED, UNCHECKED, STRAYS = "ok", "disagrees", "copied", "unchecked", "off the circle"
+_BEYOND = 0.02
+"""Part of the image's size by which a pixel may lie beyond its border: clicked beside the last pixel, not elsewhere."""
 _COPY_MM = 0.4
 """Shadow tips of two nail positions nearer than this on the finger plane repeat; the thesis's copies lie up to 0.22."""
 _MOVE_MM = 1.0  # nail positions that are nearer than this are one position
@@ -48,21 +48,25 @@ class CalibratedLed:
 
     band: str
     led: int
-    direction: tuple[float, float, float]
+    direction: Point
     """Unit, towards the LED."""
-    position_mm: tuple[float, float, float] | None
+    position_mm: Point | None
     """In the rig's frame; None for a distant light."""
-    disagreement_deg: float | None
+    disagreement_deg: float | None = None
     """Largest angle between the directions of two nail positions; None where one was measured."""
-    verdict: str
+    verdict: str = UNCHECKED
     """``ok``, ``disagrees``, ``copied``, ``off the circle``, ``unchecked``, or ``nominal`` for the drawing's."""
-    kept: bool
+    kept: bool = True
     interval_deg: float | None = None
     """Half of the 95 % interval, of the joint fit; so `interval_mm`."""
     interval_mm: float | None = None
+    image: str | None = None
+    """The photograph of a ball that shows it."""
+    strength: float | None = None
+    """Of a matt ball's shading, relative to the mean."""
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, eq=False)
 class CalibratedLights:
     """Where the lights of a rig are."""
 
@@ -71,12 +75,69 @@ class CalibratedLights:
     leds: tuple[CalibratedLed, ...]
     rig: Rig
     """With these lights, as it is written."""
-    warnings: tuple[str, ...]
-    facts: Mapping[str, Any]
-    """What ``splitknit calibrate lights`` prints as JSON: also each step, plain."""
+    warnings: tuple[str, ...] = ()
+    out: Path | None = None
+    """The file that was written."""
+
+    @property
+    def facts(self) -> Any:
+        """What ``splitknit calibrate lights`` prints as JSON."""
+        document = {field: value for field, value in vars(self).items() if field != "rig"}
+        return plain_json({**document, "written": self.out is not None})
+
+    def lines(self) -> list[str]:
+        """What the method found, for people."""
+        return [f"{len(self.leds)} LEDs where the drawing has them, not measured; written to {self.out}."]
+
+    def written_line(self) -> str:
+        """The file that was written, or how to have one."""
+        if self.out is not None:
+            return f"Written to {self.out}."
+        return "Nothing was written; name a rig file (.json) or a list of lights (.txt) with `out` FILE."
 
     def __str__(self) -> str:
-        return text_of(light_lines(self.facts))
+        return text_of(self.lines())
+
+
+@dataclass(frozen=True, eq=False)
+class LightsOfNail(CalibratedLights):
+    """Lights by the shadows of a nail."""
+
+    limit_deg: float = 0.0
+    nail_positions: int = 0
+    nail_height_mm: float | None = None
+    circle: Circle | None = None
+    refused: str | None = None
+    """Why LEDs are refused and nothing is written."""
+    show: Path | None = None
+    """Picture of the tips in photographs."""
+    tips_out: Path | None = None
+    """Table of the tips in photographs."""
+    shadows_out_of_the_picture: tuple[str, ...] = ()
+
+    def lines(self) -> list[str]:
+        """See :meth:`CalibratedLights.lines`."""
+        lines = [f"{len(self.leds)} LEDs from {self.nail_positions} nail position(s), method {self.method}:"]
+        for led in self.leds:
+            x, y, z = led.direction
+            apart = "      -" if led.disagreement_deg is None else f"{led.disagreement_deg:7.2f}"
+            bound = "" if led.interval_deg is None else f" +-{led.interval_deg:.2f} deg"
+            lines.append(
+                f"  {led.band:5s} {led.led}  towards ({x:+.4f}, {y:+.4f}, {z:+.4f}){bound}, positions disagree by "
+                f"{apart} deg: {led.verdict}{'' if led.kept else ', left out'}"
+            )
+        if self.nail_height_mm is not None:
+            lines.append(f"The nail is {self.nail_height_mm:.1f} mm high, from its shadows.")
+        lines += [f"Please note: {warning}" for warning in self.warnings]
+        lines.append(self.written_line())
+        if self.shadows_out_of_the_picture:
+            names = ", ".join(self.shadows_out_of_the_picture)
+            lines.append(f"Please note: the shadow leaves the picture for {names}.")
+        if self.show:
+            lines.append(f"Please look at {self.show}: nail (cross), shadow tip (ring), ray to the LED (line).")
+        if self.tips_out:
+            lines.append(f"Correct {self.tips_out} where it is wrong, and give it to `table`.")
+        return lines
 
 
 @dataclass(frozen=True, slots=True)
@@ -90,86 +151,97 @@ class Rules:
     keep: bool = False  # keep LEDs that would be refused
 
 
-def find_leds(
-    tips: Sequence[Tip], camera: Camera, circle: Circle, rules: Rules, name: str
-) -> tuple[dict[LedName, LedEstimate], dict[str, Any], str | None]:
-    """Find and judge every LED of a table: LEDs, facts, and why they are refused (None: they are not).
-    LEDs whose tips are copies keep the construction's place. Raises BadInput if the table is incomplete or impossible.
+def lights_of_tips(
+    tips: Sequence[Tip], base: Rig, circle: Circle, rules: Rules, hashes: Mapping[str, str], *, name: str
+) -> LightsOfNail:
+    """Find and judge every LED of a table, of SHA-256 `hashes` by file. LEDs whose tips are copies keep the
+    construction's place. Raises BadInput if the table is incomplete or impossible; Refused if LEDs are not to be kept.
     """
-    limit_deg, keep, nail = rules.limit_deg, rules.keep, rules.nail
+    camera = base.camera
     check_tips(tips, camera.image_size, name)
+    positions = len({tip.nail for tip in tips})
+    method = rules.method or ("joint" if positions >= rules.joint_from else "circle")
+    joint = None
     try:
         check_nails(tips, camera)
-        plain, height = by_circle(tips, camera, circle, known_height_mm=nail.height_mm)
+        by_hand, height = by_circle(tips, camera, circle, known_height_mm=rules.nail.height_mm)
         copied = copied_leds(tips, camera)
         sound = [tip for tip in tips if (tip.band, tip.led) not in copied]
-        positions = len({tip.nail for tip in tips})
-        joint = by_joint_fit(sound, camera, circle, nail) if positions > 1 and sound else None
+        if method == "joint":
+            require(positions > 1, "one nail position is there, but the joint fit needs two at least.")
+            joint = by_joint_fit(sound, camera, circle, rules.nail) if sound else None
     except BadInput as error:
         raise BadInput(f"{name}: {error}") from error
-    require(
-        rules.method != "joint" or positions > 1, f"{name} has one nail position, but the joint fit needs two at least."
-    )
-    method = rules.method or ("joint" if positions >= rules.joint_from else "circle")
-    used = joint if method == "joint" else None
-    first = {(one.band, one.led): one for one in plain}
-    chosen = first if used is None else first | {(one.band, one.led): one for one in used.leds}
-    verdicts = judge(chosen, copied, frozenset() if used is None else used.strays, limit_deg)
-    sentence = refusal(verdicts, chosen, limit_deg)
-    leds = []
-    fitted: dict[LedName, dict[str, Any]] = {}
+    estimates = {(led.band, led.led): led for led in by_hand}
+    intervals: dict[LedName, tuple[float, float]] = {}
+    strays: frozenset[LedName] = frozenset()
     if joint is not None:
-        bounds = zip(joint.leds, joint.interval_deg.tolist(), joint.interval_mm.tolist(), strict=True)
-        fitted = {(e.band, e.led): {**_place(e), "interval_deg": deg, "interval_mm": mm} for e, deg, mm in bounds}
-    for (band, led), best in chosen.items():
-        place, verdict = fitted.get((band, led)), verdicts[band, led]
-        spread = place if place is not None and used is not None else {}
+        estimates |= {(led.band, led.led): led for led in joint.leds}
+        widths = zip(joint.interval_deg.tolist(), joint.interval_mm.tolist(), strict=True)
+        intervals = dict(zip(((led.band, led.led) for led in joint.leds), widths, strict=True))
+        strays = joint.strays
+        height = joint.nail_height_mm
+    verdicts = judge(estimates, copied, strays, rules.limit_deg)
+    sentence = refusal(verdicts, estimates, rules.limit_deg)
+    leds = []
+    for (band, number), estimate in estimates.items():
+        verdict = verdicts[band, number]
         leds.append(
-            {
-                "band": band,
-                "led": led,
-                **_place(best),
-                **{name: spread.get(name) for name in ("interval_deg", "interval_mm")},
-                "verdict": verdict,
-                "kept": keep or verdict in _TRUSTED,
-            }
+            CalibratedLed(
+                band,
+                number,
+                point_of(estimate.direction),
+                point_of(estimate.position_mm),
+                estimate.disagreement_deg,
+                verdict,
+                rules.keep or verdict in (OK, UNCHECKED),
+                *intervals.get((band, number), (None, None)),
+            )
         )
-    facts: dict[str, Any] = {
-        "method": method,
-        "limit_deg": limit_deg,
-        "nail_positions": positions,
-        "nail_height_mm": height if used is None else used.nail_height_mm,
-        "leds": leds,
-        "warnings": _warnings(verdicts, used, sound) + ([f"kept although {sentence}"] if keep and sentence else []),
-        "refused": None if keep else sentence,
-    }
-    return chosen, facts, None if keep else sentence
+    warnings = _warnings(verdicts, joint, sound)
+    if rules.keep and sentence:
+        warnings.append(f"kept although {sentence}")
+    origin = provenance({"method": method, "circle": circle, "limit_deg": rules.limit_deg, "nail": rules.nail}, hashes)
+    stored = ("band", "led", "verdict", "disagreement_deg", "interval_deg", "interval_mm")
+    judged = [{field: asdict(led)[field] for field in stored} for led in leds]
+    rig = rig_of(estimates, base, {"leds": plain_json(judged), "provenance": plain_json(origin)})
+    beside = [led_name(rig.leds, k) for k in side_lights(rig.leds)]
+    if beside:
+        note = f"the side lights {listed(beside)} keep the places that the rig file had; a ball measures them"
+        warnings.append(note)
+    lights = LightsOfNail(
+        method,
+        tuple(leds),
+        rig,
+        tuple(warnings),
+        limit_deg=rules.limit_deg,
+        nail_positions=positions,
+        nail_height_mm=height,
+        circle=circle,
+        refused=None if rules.keep else sentence,
+    )
+    if lights.refused:
+        raise Refused(f"{name}: {sentence}", lights.facts)
+    return lights
 
 
-def rig_of(found: Mapping[LedName, LedEstimate], base: Rig, provenance: Mapping[str, Any]) -> Rig:
-    """Return `base` with the LEDs where they were found; what it knows beside their places is kept."""
-    places = {
-        name: (float(one.position_mm[0]), float(one.position_mm[1]), float(one.position_mm[2]))
-        for name, one in found.items()
-    }
+def point_of(place: Array) -> Point:
+    """Three numbers of an array (3,)."""
+    x, y, z = place.tolist()
+    return x, y, z
+
+
+def rig_of(estimates: Mapping[LedName, LedEstimate], base: Rig, provenance: Mapping[str, Any]) -> Rig:
+    """Return `base` with the LEDs where they are estimated; what it knows beside their places is kept."""
+    places = {name: point_of(estimate.position_mm) for name, estimate in estimates.items()}
     leds: list[Led] = []
-    counted = dict.fromkeys(BANDS, 0)
     for led in base.leds:
-        number = counted.get(led.band, 0)
-        counted[led.band] = number + 1
+        number = sum(earlier.band == led.band for earlier in leds)
         place = places.pop((led.band, number), None)
         leds.append(led if place is None else replace(led, position_mm=place, direction=None))
     ordered = sorted(places.items(), key=lambda item: (BANDS.index(item[0][0]), item[0][1]))
     leds += [Led(band=band, position_mm=place) for (band, _), place in ordered]
     return replace(base, leds=tuple(leds), provenance={**base.provenance, "lights": dict(provenance)})
-
-
-def _place(found: LedEstimate) -> dict[str, Any]:
-    return {
-        "direction": found.direction.tolist(),
-        "position_mm": found.position_mm.tolist(),
-        "disagreement_deg": found.disagreement_deg,
-    }
 
 
 def _warnings(verdicts: Mapping[LedName, str], joint: JointFit | None, tips: Sequence[Tip]) -> list[str]:
@@ -185,7 +257,7 @@ def _warnings(verdicts: Mapping[LedName, str], joint: JointFit | None, tips: Seq
             f"{', '.join(astray)}."
         )
     bands = {band for band, _ in verdicts}
-    if len(verdicts) == LEDS_PER_BAND and len(bands) == 1:
+    if len(bands) == 1:
         warnings.append(f"the table has {min(bands)} LEDs only.")
     return warnings
 
@@ -195,27 +267,28 @@ def check_tips(tips: Sequence[Tip], image_size: tuple[int, int], name: str = "th
     rows, columns = image_size
     for tip in tips:
         for what, (x, y) in (("nail", tip.nail_px), ("shadow's tip", tip.tip_px)):
-            inside = -_BEYOND * columns <= x <= (1 + _BEYOND) * columns and -_BEYOND * rows <= y <= (1 + _BEYOND) * rows
+            inside = -_BEYOND <= x / columns <= 1 + _BEYOND and -_BEYOND <= y / rows <= 1 + _BEYOND
             require(
                 inside,
                 f"{name}: {tip.name}: the {what} at x = {x:g}, y = {y:g} lies outside the image of {columns} columns "
                 f"and {rows} rows; correct the row, or the image size (rows, columns).",
             )
     nails = sorted({tip.nail for tip in tips})
-    for band in [band for band in BANDS if any(tip.band == band for tip in tips)]:
-        present = {(tip.led, tip.nail) for tip in tips if tip.band == band}
-        absent = [led for led in range(LEDS_PER_BAND) if not any(led == one for one, _ in present)]
+    for band in dict.fromkeys(tip.band for tip in tips):
+        absent = [
+            name_of_led(band, k) for k in range(LEDS_PER_BAND) if (band, k) not in {(t.band, t.led) for t in tips}
+        ]
         require(
             not absent,
-            f"{name} has no row for {' and '.join(name_of_led(band, led) for led in absent)}; every LED from 0 to "
-            f"{LEDS_PER_BAND - 1} of a band that occurs needs its rows.",
+            f"{name} has no row for {' and '.join(absent)}; every LED from 0 to {LEDS_PER_BAND - 1} of a band that "
+            "occurs needs its rows.",
         )
         for led in range(LEDS_PER_BAND):
-            seen = [nail for nail in nails if (led, nail) in present]
-            lost = [str(nail) for nail in nails if nail not in seen]
+            present = [tip.nail for tip in tips if (tip.band, tip.led) == (band, led)]
+            lost = [str(nail) for nail in nails if nail not in present]
             require(
-                len(seen) >= min(2, len(nails)),
-                f"{name} has {name_of_led(band, led)} at nail {seen[0]} only, and not at nail {' and '.join(lost)}; "
+                len(present) >= min(2, len(nails)),
+                f"{name} has {name_of_led(band, led)} at nail {present[0]} only, and not at nail {' and '.join(lost)}; "
                 f"add the row, because one position cannot be checked.",
             )
 
@@ -223,13 +296,13 @@ def check_tips(tips: Sequence[Tip], image_size: tuple[int, int], name: str = "th
 def copied_leds(tips: Sequence[Tip], camera: Camera) -> set[LedName]:
     """LEDs whose shadow tips repeat although the nail moved: copying errors."""
     nails, ends = (plane_points(camera, part) for part in pixels(tips))
-    found = set()
+    copied = set()
     for i, j in combinations(range(len(tips)), 2):
         moved, apart = (float(np.linalg.norm(places[i] - places[j])) for places in (nails, ends))
         same = (tips[i].band, tips[i].led) == (tips[j].band, tips[j].led)
         if same and apart <= _COPY_MM and moved > _MOVE_MM:
-            found.add((tips[i].band, tips[i].led))
-    return found
+            copied.add((tips[i].band, tips[i].led))
+    return copied
 
 
 def check_nails(tips: Sequence[Tip], camera: Camera) -> None:
@@ -246,45 +319,44 @@ def check_nails(tips: Sequence[Tip], camera: Camera) -> None:
             f"position, so correct its pixels or give each position a number of its own.",
         )
         middles[band, nail] = middle
-    for ((band, nail), middle), ((other_band, other), place) in combinations(
-        sorted(middles.items(), key=lambda one: one[0]), 2
-    ):
-        distance = float(np.linalg.norm(middle - place))
+    for first, second in combinations(sorted(middles), 2):
+        distance = float(np.linalg.norm(middles[first] - middles[second]))
         require(
-            band != other_band or distance > _MOVE_MM,
-            f"nails {nail} and {other} of the {band} LEDs stand {distance:.2f} mm from each other, which is one "
-            f"position; move the nail by a centimetre between them, or correct its pixels.",
+            first[0] != second[0] or distance > _MOVE_MM,
+            f"nails {first[1]} and {second[1]} of the {first[0]} LEDs stand {distance:.2f} mm from each other, which "
+            f"is one position; move the nail by a centimetre between them, or correct its pixels.",
         )
 
 
 def judge(
-    found: Mapping[LedName, LedEstimate], copied: Set[LedName], strays: Set[LedName], limit_deg: float
+    estimates: Mapping[LedName, LedEstimate], copied: Set[LedName], strays: Set[LedName], limit_deg: float
 ) -> dict[LedName, str]:
     """Verdict of every LED, the first that holds; ``unchecked`` is an LED that one position of the nail shows."""
-
-    def verdict(name: LedName, apart_deg: float | None) -> str:
+    verdicts = {}
+    for name, estimate in estimates.items():
+        apart_deg = estimate.disagreement_deg
         if name in copied:
-            return COPIED
-        if name in strays:
-            return STRAYS
-        if apart_deg is None:
-            return UNCHECKED
-        return DISAGREES if apart_deg > limit_deg else OK
+            verdicts[name] = COPIED
+        elif name in strays:
+            verdicts[name] = STRAYS
+        elif apart_deg is None:
+            verdicts[name] = UNCHECKED
+        else:
+            verdicts[name] = DISAGREES if apart_deg > limit_deg else OK
+    return verdicts
 
-    return {name: verdict(name, one.disagreement_deg) for name, one in found.items()}
 
-
-def refusal(verdicts: Mapping[LedName, str], found: Mapping[LedName, LedEstimate], limit_deg: float) -> str | None:
+def refusal(verdicts: Mapping[LedName, str], estimates: Mapping[LedName, LedEstimate], limit_deg: float) -> str | None:
     """One sentence that names every LED that is refused and what to do; None where there is none."""
     named: dict[str, list[str]] = {}
-    for name, word in verdicts.items():
-        apart = f" ({found[name].disagreement_deg:.1f} deg)" if word == DISAGREES else ""
-        named.setdefault(word, []).append(name_of_led(*name) + apart)
-    words = {
+    for name, verdict in verdicts.items():
+        apart = f" ({estimates[name].disagreement_deg:.1f} deg)" if verdict == DISAGREES else ""
+        named.setdefault(verdict, []).append(name_of_led(*name) + apart)
+    sentences = {
         DISAGREES: f"two nail positions disagree by more than {limit_deg:g} deg about {{}}",
         COPIED: "the shadow tips of {} are copies: they repeat although the nail moved",
         STRAYS: f"{{}} would stand more than {STRAY_MM:g} mm outside or inside the LED circle",
     }
-    parts = [text.format(listed(named[word])) for word, text in words.items() if word in named]
+    parts = [text.format(listed(named[verdict])) for verdict, text in sentences.items() if verdict in named]
     remedy = "correct the pixels or photograph the nail again under these LEDs, or keep them as they are (`keep`)."
     return f"{', and '.join(parts)}; {remedy}" if parts else None

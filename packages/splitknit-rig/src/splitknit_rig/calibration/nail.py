@@ -110,14 +110,14 @@ class _NailModel:
 
 def _places(tips: Sequence[Tip], camera: Camera, nail_px: Array) -> tuple[NDArray[np.intp], Array]:
     """Place of the nail in each row (N,), and the mean pixels (P, 2); moved over 1 mm between bands, it is two."""
-    given = [(tip.nail, tip.band) for tip in tips]
-    middles = {key: nail_px[[one == key for one in given]].mean(axis=0) for key in dict.fromkeys(given)}
+    positions = [(tip.nail, tip.band) for tip in tips]
+    middles = {key: nail_px[[position == key for position in positions]].mean(axis=0) for key in positions}
 
     def first_beside(key: tuple[int, str]) -> tuple[int, str]:
-        near = (np.linalg.norm(middle - middles[key]) <= camera.px_per_mm for middle in middles.values())
-        return next(other for other, beside in zip(middles, near, strict=True) if beside and other[0] == key[0])
+        beside = (name for name in middles if name[0] == key[0])
+        return next(name for name in beside if np.linalg.norm(middles[name] - middles[key]) <= camera.px_per_mm)
 
-    keys = [first_beside(key) for key in given]
+    keys = [first_beside(key) for key in positions]
     names = list(dict.fromkeys(keys))
     place_of = np.array([names.index(key) for key in keys], dtype=np.intp)
     return place_of, np.array([nail_px[place_of == k].mean(axis=0) for k in range(len(names))])
@@ -137,7 +137,6 @@ class JointFit:
     residual_px: Array  # (N, 2) tips found minus expected, columns and rows, in the order of the rows
     outliers: tuple[int, ...]  # rows whose tip lies astray
     strays: frozenset[tuple[str, int]]  # LEDs, band and number, off the circle
-    circle: Circle  # as fitted
     rms_px: float  # residual of the tips that are not outliers, each way
 
 
@@ -149,11 +148,10 @@ def by_joint_fit(tips: Sequence[Tip], camera: Camera, circle: Circle, nail: Nail
 
 
 def _solve(model: _NailModel) -> OptimizeResult:
-    nail = model.nail
-    first, height = by_circle(model.tips, model.camera, model.circle, known_height_mm=nail.height_mm)
+    first, height = by_circle(model.tips, model.camera, model.circle, known_height_mm=model.nail.height_mm)
     height = float(np.clip(height, 0.6, model.top))
     places = nail_points(model.camera, model.places_px, height)
-    x = np.concatenate([np.ravel([one.position_mm for one in first]), places.ravel(), [height], np.zeros(4)])
+    x = np.concatenate([np.ravel([led.position_mm for led in first]), places.ravel(), [height], np.zeros(4)])
     weights = np.ones(len(model.tips))
     # the weights sharpen step by step, so that a tip astray does not pull its neighbours' away first
     for sharpness in (64.0, 32.0, 16.0, 8.0, 4.0, 2.0, *(1.0,) * 10):
@@ -169,8 +167,8 @@ def _solve(model: _NailModel) -> OptimizeResult:
 def _result(model: _NailModel, fit: OptimizeResult) -> JointFit:
     circle = model.circle
     leds, places, height, offsets = model.parts(fit.x)
-    found = model.tip_residuals(fit.x)
-    astray = np.linalg.norm(found, axis=1) > _OUTLIER * _TIP_SD_PX
+    residual_px = model.tip_residuals(fit.x)
+    astray = np.linalg.norm(residual_px, axis=1) > _OUTLIER * _TIP_SD_PX
     freedom = max(fit.fun.size - fit.x.size, 1)
     wider = max(1.0, 2.0 * float(fit.cost) / freedom)  # where the residuals exceed their stated deviation
     covariance = np.asarray(np.linalg.pinv(fit.jac.T @ fit.jac, hermitian=True) * wider)
@@ -181,27 +179,25 @@ def _result(model: _NailModel, fit: OptimizeResult) -> JointFit:
         nail = places[model.place_of[rows]]
         reach = (leds[k, 2] - height) / height
         singles = np.column_stack([nail + (nail - ends[rows]) * reach, np.full(len(rows), leds[k, 2])])
-        alone = combine(band, led, singles, tuple(model.tips[row].nail for row in rows), circle)
+        alone = combine(band, led, singles, circle)
         arm = leds[k] - circle.foot_mm
         unit = arm / np.linalg.norm(arm)
-        estimates.append(LedEstimate(band, led, leds[k], unit, alone.disagreement_deg, alone.nails, singles))
+        estimates.append(LedEstimate(band, led, leds[k], unit, alone.disagreement_deg, singles))
         block = covariance[3 * k : 3 * k + 3, 3 * k : 3 * k + 3]
         turn = (np.eye(3) - np.outer(unit, unit)) / np.linalg.norm(arm)
         degrees.append(np.degrees(_radius_95(turn @ block @ turn.T)))
         sizes.append(_radius_95(block))
-    x, y, radius, high = (np.array([*circle.centre_mm, circle.radius_mm, circle.height_mm]) + offsets).tolist()
-    centre, fitted = (x, y), Circle(radius, high, (x, y))
-    off = np.abs(np.linalg.norm(leds[:, :2] - np.asarray(centre), axis=1) - fitted.radius_mm) > STRAY_MM
+    arms = leds[:, :2] - np.asarray(circle.centre_mm) - offsets[:2]
+    off = np.abs(np.linalg.norm(arms, axis=1) - circle.radius_mm - offsets[2]) > STRAY_MM
     return JointFit(
         leds=tuple(estimates),
         interval_deg=np.array(degrees),
         interval_mm=np.array(sizes),
         nail_height_mm=height,
-        residual_px=found,
+        residual_px=residual_px,
         outliers=tuple(int(row) for row in np.flatnonzero(astray)),
         strays=frozenset(name for name, far in zip(model.names, off, strict=True) if far),
-        circle=fitted,
-        rms_px=float(np.sqrt(np.mean(found[~astray] ** 2))) if not astray.all() else float("nan"),
+        rms_px=float(np.sqrt(np.mean(residual_px[~astray] ** 2))) if not astray.all() else float("nan"),
     )
 
 

@@ -20,12 +20,13 @@ from splitknit.io.photos import decode_photo, encoding_of
 from splitknit.io.pictures import ORANGE, PAPER, SKY, ColourArray
 from splitknit.io.targets import check_file, check_picture
 from splitknit.model import Array, FloatArray, Progress, no_progress
-from splitknit_rig.calibration.lights import BANDS, LEDS_PER_BAND, Tip, write_tips
+from splitknit_rig.calibration.lights import BANDS, LEDS_PER_BAND, Tip, led_of_file, write_tips
 from splitknit_rig.calibration.shadow import NailView, find_nail
 
-FOUND_SD_MM = 0.05
+NAIL_SD_MM = 0.05
 """Standard deviation of the nail's place in photographs; 0.01 mm in the twin, but nails stand a little askew."""
 SUFFIXES = (".png", ".tif", ".tiff", ".jpg", ".jpeg")
+_TILE_COLUMNS = 400
 Files = dict[tuple[int, str], list[Path]]
 """Files by nail position and band, in the order of the LEDs."""
 _Tile = tuple[str, FloatArray, NailView, int]
@@ -132,55 +133,54 @@ def _read(path: Path, size: tuple[int, int], encoding: str, *, upright: bool) ->
 
 
 def _bands(place: Path) -> Mapping[str, dict[int, Path]]:
-    found: dict[str, dict[int, Path]] = {}
+    """Photographs by band and LED."""
+    bands: dict[str, dict[int, Path]] = {}
     for path in sorted(place.iterdir()):
-        match = re.fullmatch(r"(white|nir)[_.-]?(\d+)", path.stem.lower())
-        if match and path.suffix.lower() in SUFFIXES and path.is_file():
-            led = int(match.group(2))
-            leds = found.setdefault(match.group(1), {})
+        name = led_of_file(path)
+        if name is not None and path.suffix.lower() in SUFFIXES and path.is_file():
+            band, led = name
+            leds = bands.setdefault(band, {})
             require(led < LEDS_PER_BAND, f"{path}: the LED must be 0 to {LEDS_PER_BAND - 1}, counted in its band.")
             require(led not in leds, f"{path} and {leds.get(led)} are both for one LED; keep one of them.")
             leds[led] = path
-    return found
+    return bands
 
 
-# Pictures that show what was found in photographs for the calibration of lights.
+# A picture of the tips in the photographs.
 
 
-def _nail_overview(tiles: Sequence[_Tile], image_size: tuple[int, int], width: int = 400) -> ColourArray:
+def _nail_overview(tiles: Sequence[_Tile], image_size: tuple[int, int]) -> ColourArray:
     """Photographs of the nail, small, seven a row: nail tip (cross), shadow tip (ring), ray to the LED (line)."""
-    drawn = [_nail_tile(tile, image_size, width) for tile in tiles]
-    blank = np.full_like(drawn[0], 255)
-    drawn += [blank] * (-len(drawn) % 7)
-    rows = [np.concatenate(drawn[k : k + 7], axis=1) for k in range(0, len(drawn), 7)]
-    return np.ascontiguousarray(np.concatenate(rows, axis=0))
+    drawn = [_nail_tile(tile, image_size) for tile in tiles]
+    drawn += [np.full_like(drawn[0], 255)] * (-len(drawn) % 7)
+    return np.concatenate([np.concatenate(drawn[k : k + 7], axis=1) for k in range(0, len(drawn), 7)], axis=0)
 
 
-def _nail_tile(tile: _Tile, image_size: tuple[int, int], width: int) -> ColourArray:
+def _nail_tile(tile: _Tile, image_size: tuple[int, int]) -> ColourArray:
     name, image, view, led = tile
-    nail_px, tip_px = view.nail_px, view.tips_px[led]
-    scale = width / image_size[1]
-    size = (width, max(1, round(image_size[0] * scale)))
-    grey = cv2.resize(image, size, interpolation=cv2.INTER_AREA)
+    scale = _TILE_COLUMNS / image_size[1]
+    grey = cv2.resize(image, (_TILE_COLUMNS, max(1, round(image_size[0] * scale))), interpolation=cv2.INTER_AREA)
     top = max(float(np.percentile(grey, 99.5)), 1e-6)
     shade = np.rint(255.0 * np.clip(grey / top, 0, 1) ** (1 / 2.2)).astype(np.uint8)
     picture = np.ascontiguousarray(np.repeat(shade[..., None], 3, axis=2))
-    nail = _at(nail_px, scale)
+    tip_px = view.tips_px[led]
+    nail = _at(view.nail_px, scale)
     if np.isfinite(tip_px).all():
-        away = nail_px - tip_px
-        away = away / max(float(np.linalg.norm(away)), 1e-9) * float(sum(image_size))
-        cv2.line(picture, _at(tip_px, scale), _at(nail_px + away, scale), SKY, 1, cv2.LINE_AA, 4)
-        cv2.circle(picture, _at(tip_px, scale), 6 * 16, ORANGE, 1, cv2.LINE_AA, 4)
-    for x, y in ((6 * 16, 0), (0, 6 * 16)):
-        cv2.line(picture, (nail[0] - x, nail[1] - y), (nail[0] + x, nail[1] + y), PAPER, 1, cv2.LINE_AA, 4)
-    words = name if np.isfinite(tip_px).all() else f"{name}: out of the picture"
-    cv2.putText(picture, words, (6, 16), cv2.FONT_HERSHEY_SIMPLEX, 0.45, (255, 255, 255), 3, cv2.LINE_AA)
-    cv2.putText(picture, words, (6, 16), cv2.FONT_HERSHEY_SIMPLEX, 0.45, (0, 0, 0), 1, cv2.LINE_AA)
-    picture[-1], picture[:, -1] = 255, 255
+        towards_led = (view.nail_px - tip_px) / max(float(np.linalg.norm(view.nail_px - tip_px)), 1e-9)
+        beyond = view.nail_px + towards_led * float(sum(image_size))
+        cv2.line(picture, _at(tip_px, scale), _at(beyond, scale), SKY, 1, cv2.LINE_AA)
+        cv2.circle(picture, _at(tip_px, scale), 6, ORANGE, 1, cv2.LINE_AA)
+    else:
+        name += ": out of the picture"
+    cv2.drawMarker(picture, nail, PAPER, cv2.MARKER_CROSS, 13)
+    for colour, thickness in (((255, 255, 255), 3), ((0, 0, 0), 1)):
+        cv2.putText(picture, name, (6, 16), cv2.FONT_HERSHEY_SIMPLEX, 0.45, colour, thickness, cv2.LINE_AA)
+    picture[-1] = 255
+    picture[:, -1] = 255
     return picture
 
 
 def _at(place: Array, scale: float) -> tuple[int, int]:
-    """Where a pixel of the photograph is in the tile, in sixteenths of a pixel."""
+    """Where a pixel of the photograph is in the tile."""
     x, y = (place + 0.5) * scale - 0.5
-    return round(16 * float(x)), round(16 * float(y))
+    return round(float(x)), round(float(y))

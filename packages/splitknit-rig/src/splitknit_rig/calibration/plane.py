@@ -48,7 +48,10 @@ def plane_pose(marks_mm: Any, pixels: Any, matrix: Any, distortion: Any = None) 
     Collins and A. Bartoli, IJCV 109, 2014 (``SOLVEPNP_IPPE``), then Levenberg and Marquardt's least squares on the
     reprojection. Raises BadInput if there are too few marks, they lie on one line, or no pose explains them.
     """
-    marks, places = _marks(marks_mm, pixels, least=5)
+    marks, places = np.asarray(marks_mm, dtype=np.float64), np.asarray(pixels, dtype=np.float64)
+    require(len(marks) >= 5, f"at least 5 marks of the plane are needed, but {len(marks)} are given.")
+    spread = np.linalg.svd(marks - marks.mean(axis=0), compute_uv=False)
+    require(bool(spread[1] > 0.02 * spread[0]), "the marks of the plane lie on one line; show more of them.")
     camera = np.asarray(matrix, dtype=np.float64)
     lens = np.zeros(5) if distortion is None or len(distortion) == 0 else np.asarray(distortion, dtype=np.float64)
     flat = np.column_stack([marks - marks.mean(axis=0), np.zeros(len(marks))])
@@ -85,14 +88,6 @@ def mean_pose(poses: Sequence[PlanePose], focal_px: float) -> PlanePose:
         float(np.sqrt(np.mean([pose.rms_px**2 for pose in poses]))),
         {"height_mm": float(by_height.sum() ** -0.5), "tilt_deg": float(by_tilt.sum() ** -0.5)},
     )
-
-
-def _marks(marks_mm: Any, pixels: Any, least: int) -> tuple[Array, Array]:
-    marks, places = np.asarray(marks_mm, dtype=np.float64), np.asarray(pixels, dtype=np.float64)
-    require(len(marks) >= least, f"at least {least} marks of the plane are needed, but {len(marks)} are given.")
-    spread = np.linalg.svd(marks - marks.mean(axis=0), compute_uv=False)
-    require(bool(spread[1] > 0.02 * spread[0]), "the marks of the plane lie on one line; show more of them.")
-    return marks, places
 
 
 def _height_and_normal(turn: Array, shift: Array) -> tuple[float, Array]:

@@ -64,15 +64,26 @@ def films_to_file(
         ball.bands["white"].leds == card.bands["white"].leds and ball.shape == card.shape,
         f"{folder / 'ball'} has other LEDs or another size than {folder / 'card'}; use the same for both.",
     )
-    films, facts, departures = naming(folder / "card", lambda: measure_card(card))
+    films, facts, residual_maps = naming(folder / "card", lambda: measure_card(card))
     progress("ball", 0.4)
     light = naming(folder / "ball", lambda: measure_ball(ball, films))
-    films, leak_facts = _with_leak(films, light)
-    facts = {**facts, **leak_facts, "warnings": facts["warnings"] + leak_facts["warnings"]}
-    hashes = {f"{name}/{file}": digest for name, one in captures.items() for file, digest in one.hashes.items()}
+    both = light[:, 0, 0] + light[:, 1, 0]
+    leak = light[:, 1, 0] / both
+    error = np.hypot(np.hypot(light[:, 1, 1], leak * light[:, 0, 1]) / both, _LEAK_ERROR)
+    facts["leak_interval"] = [
+        [rounded(max(a - 2 * b, 0.0)), rounded(a + 2 * b)] for a, b in zip(leak, error, strict=True)
+    ]
+    facts["warnings"] += [
+        f"light {k}: {100 * part:.1f} % of the specular light is left in the crossed image; turn its film or the "
+        "analyser."
+        for k, part in enumerate(leak)
+        if part > _MAX_LEAK
+    ]
+    films = replace(films, leak=tuple(rounded(float(part)) for part in np.clip(leak, 0.0, 0.499)))
+    hashes = {f"{name}/{file}": digest for name, capture in captures.items() for file, digest in capture.hashes.items()}
     facts |= provenance({}, hashes)
     if residuals is not None:
-        tiles = [residual_tile(100 * part, np.isnan(part), part.shape) for part in departures]
+        tiles = [residual_tile(100 * part, np.isnan(part), part.shape) for part in residual_maps]
         write_image(residuals, np.concatenate(tiles, axis=1))
     write_rig(replace(card.rig, films=films, provenance={**card.rig.provenance, "polarisers": plain_json(facts)}), out)
     progress("done", 1.0)
@@ -85,6 +96,11 @@ def _image(band: Band, k: int, encoding: str) -> FloatArray:
     parts = {name: getattr(band, name)[k : k + 1] for name in ("pixels", "leds", "exposure", "black_level")}
     channels = linear_channels(replace(band, **parts), encoding, ("red", "green", "blue"))[:, 0]
     return np.ascontiguousarray(np.moveaxis(channels, 0, 2))
+
+
+def _grey(band: Band, k: int, encoding: str) -> FloatArray:
+    """(h, w) the same in grey."""
+    return pick_channel(_image(band, k, encoding), "grey")
 
 
 def _clipped(band: Band, k: int) -> BoolArray:
@@ -101,14 +117,15 @@ def measure_card(card: Capture) -> tuple[Films, dict[str, Any], list[Array]]:
     """
     near, far = card.bands["white"], card.bands["white_crossed"]
     some = (0, len(near.leds) // 2)
-    grey = [sum(pick_channel(_image(band, k, card.encoding), "grey") for k in some) for band in (near, far)]
+    grey = [sum(_grey(band, k, card.encoding) for k in some) for band in (near, far)]
     films, deviation = _shift(*grey)  # type: ignore[arg-type]
     inner = np.zeros(card.shape, dtype=np.float32)
     margin = 4 + int(np.hypot(*films.shift_px))
     inner[margin:-margin, margin:-margin] = 1.0
     side = max(4, max(card.shape) // _ACROSS)
     cells = (card.shape[0] // side, card.shape[1] // side)
-    brightness, rest = [], []
+    brightness = []
+    residuals = []
     for k in range(len(near.leds)):
         good = inner * ~(_clipped(near, k) | _clipped(far, k))
         parts = (good, _image(near, k, card.encoding), undone(_image(far, k, card.encoding), films))
@@ -128,24 +145,24 @@ def measure_card(card: Capture) -> tuple[Films, dict[str, Any], list[Array]]:
             f"image {k}: the card is {least:.2g} to {most:.2g} times as bright in the crossed image as in the parallel "
             "one; state exposure_s of every image, and compare the films.",
         )
-        rest.append((ratio / brightness[-1]) @ GREY_WEIGHTS.astype(np.float64) - 1.0)
-    rms = [100 * float(np.sqrt(np.nanmean(one**2))) for one in rest]
-    count = [int(np.isfinite(one).sum()) for one in rest]
+        residuals.append((ratio / brightness[-1]) @ GREY_WEIGHTS.astype(np.float64) - 1.0)
+    rms = [100 * float(np.sqrt(np.nanmean(residual**2))) for residual in residuals]
+    count = [int(np.isfinite(residual).sum()) for residual in residuals]
     facts = {
-        "shift_interval_px": [rounded(2.0 * one) for one in deviation[:2]],
+        "shift_interval_px": [rounded(2.0 * part) for part in deviation[:2]],
         "scale_interval": rounded(2.0 * deviation[2]),
-        "brightness_interval": [rounded(2.5 * 0.01 * one / np.sqrt(n)) for one, n in zip(rms, count, strict=True)],
-        "residual_rms_percent": [rounded(one) for one in rms],
-        "residual_largest_percent": [rounded(100 * float(np.nanmax(np.abs(one)))) for one in rest],
+        "brightness_interval": [rounded(2.5 * 0.01 * part / np.sqrt(n)) for part, n in zip(rms, count, strict=True)],
+        "residual_rms_percent": list(map(rounded, rms)),
+        "residual_largest_percent": [rounded(100 * float(np.nanmax(np.abs(residual)))) for residual in residuals],
         "warnings": [
-            f"the card's crossed image {k} departs by {one:.1f} % (rms) from a parallel one of other brightness; use a "
-            "matt card."
-            for k, one in enumerate(rms)
-            if one > _MATT_PERCENT and near.leds[k] == far.leds[k]
+            f"the card's crossed image {k} departs by {departure:.1f} % (rms) from a parallel one of other brightness; "
+            "use a matt card."
+            for k, departure in enumerate(rms)
+            if departure > _MATT_PERCENT and near.leds[k] == far.leds[k]
         ],
     }
-    rows = tuple(tuple(rounded(float(one)) for one in row) for row in brightness)
-    return replace(films, leds=tuple(group[0] for group in near.leds), brightness=rows), facts, rest
+    rows = tuple(tuple(map(rounded, row.tolist())) for row in brightness)
+    return replace(films, leds=tuple(group[0] for group in near.leds), brightness=rows), facts, residuals
 
 
 def _shift(parallel: FloatArray, crossed: FloatArray) -> tuple[Films, Array]:
@@ -167,7 +184,9 @@ def _shift(parallel: FloatArray, crossed: FloatArray) -> tuple[Films, Array]:
         seen = fixed[rows, columns].astype(np.float64)
         for _ in range(10):  # OpenCV would round places to 1/32 pixel
             at = crossed_place(films, parallel.shape) @ (columns, rows, np.ones(len(rows)))
-            here, slope_y, slope_x = (map_coordinates(one, at[::-1], prefilter=False, mode="nearest") for one in fields)
+            here, slope_y, slope_x = (
+                map_coordinates(field, at[::-1], prefilter=False, mode="nearest") for field in fields
+            )
             jacobian = np.stack([slope_x, slope_y, slope_x * across + slope_y * down, here])
             normal = jacobian @ jacobian.T
             step = np.linalg.lstsq(normal, jacobian @ (seen - here), rcond=None)[0]
@@ -184,7 +203,7 @@ def _shift(parallel: FloatArray, crossed: FloatArray) -> tuple[Films, Array]:
     )
     # blurred noise is alike over 4 pi sigma^2 pixels
     variance = np.diag(np.linalg.pinv(normal)) * float((rest**2).mean()) * 4.0 * np.pi * (sigma / every) ** 2
-    x, y = (rounded(one) for one in films.shift_px)
+    x, y = map(rounded, films.shift_px)
     return replace(films, shift_px=(x, y), scale=round(films.scale, 7)), np.sqrt(variance[:3])
 
 
@@ -212,13 +231,13 @@ def measure_ball(ball: Capture, films: Films) -> Array:
     near, far = ball.bands["white"], ball.bands["white_crossed"]
     matrix = crossed_place(films, ball.shape)
     light = []
-    for k, (led, other) in enumerate(zip(near.leds, far.leds, strict=True)):
-        grey = cv2.GaussianBlur(pick_channel(_image(near, k, ball.encoding), "grey"), (0, 0), 1.0)
+    for k, (led, crossed_led) in enumerate(zip(near.leds, far.leds, strict=True)):
+        grey = cv2.GaussianBlur(_grey(near, k, ball.encoding), (0, 0), 1.0)
         spot = _spot(grey, k)
         column, row = matrix @ (spot.column, spot.row, 1.0)
         place = Spot(round(float(column)), round(float(row)), spot.radius_px)
-        if led != other:  # films at right angles on LEDs beside each other
-            grey = cv2.GaussianBlur(pick_channel(_image(far, k, ball.encoding), "grey"), (0, 0), 1.0)
+        if led != crossed_led:  # films at right angles on LEDs beside each other
+            grey = cv2.GaussianBlur(_grey(far, k, ball.encoding), (0, 0), 1.0)
             around = replace(place, radius_px=_NEIGHBOUR_MM * ball.rig.camera.px_per_mm).disc(grey.shape)
             at = np.unravel_index(int(np.argmax(np.where(around, grey, -np.inf))), grey.shape)
             place = Spot(int(at[1]), int(at[0]), spot.radius_px)
@@ -249,7 +268,7 @@ def _spot(grey: NDArray[Any], k: int) -> Spot:
 
 def _flux(band: Band, k: int, encoding: str, spot: Spot) -> Array:
     """(2,) grey light of a highlight above what surrounds it, and its deviation."""
-    grey = pick_channel(_image(band, k, encoding), "grey").astype(np.float64)
+    grey = _grey(band, k, encoding).astype(np.float64)
     disc = spot.disc(grey.shape)
     require(
         not (_clipped(band, k) & disc).any(),
@@ -261,16 +280,3 @@ def _flux(band: Band, k: int, encoding: str, spot: Spot) -> Array:
     light = float((grey[disc] - beside).sum())
     pixels = disc.sum() * (1.0 + 1.57 * disc.sum() / max(ring.size, 1))
     return np.array([light, np.sqrt(spread**2 * pixels + (_STEADY * light) ** 2)])
-
-
-def _with_leak(films: Films, light: Array) -> tuple[Films, dict[str, Any]]:
-    """The films with their leak, and its interval; `light` (L, 2, 2): parallel and crossed highlights, deviations."""
-    both = light[:, 0, 0] + light[:, 1, 0]
-    leak = light[:, 1, 0] / both
-    error = np.hypot(np.hypot(light[:, 1, 1], leak * light[:, 0, 1]) / both, _LEAK_ERROR)
-    words = "light {}: {:.1f} % of the specular light is left in the crossed image; turn its film or the analyser."
-    facts = {
-        "leak_interval": [[rounded(max(a - 2 * b, 0.0)), rounded(a + 2 * b)] for a, b in zip(leak, error, strict=True)],
-        "warnings": [words.format(k, 100 * part) for k, part in enumerate(leak) if part > _MAX_LEAK],
-    }
-    return replace(films, leak=tuple(rounded(float(part)) for part in np.clip(leak, 0.0, 0.499))), facts

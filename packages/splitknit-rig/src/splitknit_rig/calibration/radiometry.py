@@ -12,13 +12,14 @@ from typing import Any
 
 import numpy as np
 
-from splitknit import Band, Capture, Led, Rig
+from splitknit import Band, Capture, Rig
 from splitknit.arguments import text_of
 from splitknit.errors import refusing, require
 from splitknit.imaging.band import linear_image, linear_stack, pick_channel
-from splitknit.model import Array, FloatArray
+from splitknit.model import Array
 from splitknit_rig.calibration.card_model import CardPlane, card_light
 from splitknit_rig.calibration.flat_field import DUST_PERCENT, MAX_DUST, FlatField, fit_flat_field
+from splitknit_rig.calibration.lights import led_name
 from splitknit_rig.calibration.words import radiometry_lines
 
 _ACROSS = 40  # cells along the image's longer side
@@ -37,17 +38,12 @@ def _cells_of(band: Band, encoding: str) -> tuple[Array, Array]:
     binning = max(1, round(max(size) / (_ACROSS * _INNER)))
     stack = linear_stack(band, encoding, "grey", binning=binning)
     inner = min(_INNER, max(1, max(size) // (binning * _ACROSS)))
-    light = _median_blocks(stack, inner)
+    rows, columns = stack.shape[1] // inner, stack.shape[2] // inner  # what fills no cell is dropped
+    cells = stack[:, : rows * inner, : columns * inner].reshape(-1, rows, inner, columns, inner).swapaxes(2, 3)
+    light = np.median(cells.reshape(-1, rows, columns, inner * inner), axis=-1).astype(np.float64)
     side = binning * inner
-    row, column = np.mgrid[: light.shape[1], : light.shape[2]] * side + (side - 1) / 2
+    row, column = np.mgrid[:rows, :columns] * side + (side - 1) / 2
     return np.stack([column, row], axis=-1), light
-
-
-def _median_blocks(stack: FloatArray, side: int) -> Array:
-    """Median (L, H // side, W // side) over blocks of `side` x `side`; what fills no block is dropped."""
-    rows, columns = stack.shape[1] // side, stack.shape[2] // side
-    blocks = stack[:, : rows * side, : columns * side].reshape(-1, rows, side, columns, side).swapaxes(2, 3)
-    return np.median(blocks.reshape(-1, rows, columns, side * side), axis=-1).astype(np.float64)
 
 
 _MAX_CLIPPED_PERCENT = 0.5  # an image is refused if more than this fraction of its pixels is at full scale
@@ -67,12 +63,6 @@ class CardImages:
     # whether the capture states how long it exposed, so that brightness can be compared with another day's
     exposures_given: bool
     brightest: Array  # (L,) 99th percentile of each image's values, as a part of full scale
-
-
-def led_name(leds: Sequence[Led], index: int) -> str:
-    """Such as ``white 3``: an LED by its band and its number in it."""
-    band = leds[index].band
-    return f"{band} {sum(led.band == band for led in leds[:index])}"
 
 
 def card_images(capture: Capture, rig: Rig) -> CardImages:
@@ -122,7 +112,7 @@ def _check_fit(capture: Capture, rig: Rig) -> None:
 
 
 def _images_of_leds(bands: Sequence[Band], rig: Rig) -> list[tuple[int, int]]:
-    found: dict[int, tuple[int, int]] = {}
+    images: dict[int, tuple[int, int]] = {}
     for b, band in enumerate(bands):
         for k, group in enumerate(band.leds):
             require(
@@ -130,17 +120,17 @@ def _images_of_leds(bands: Sequence[Band], rig: Rig) -> list[tuple[int, int]]:
                 f"image {k} of the band '{band.name}' is lit by {len(group)} LEDs; each LED must light the card alone.",
             )
             require(
-                group[0] not in found,
+                group[0] not in images,
                 f"LED {group[0]} ({led_name(rig.leds, group[0])}) lights two images of the card; keep one.",
             )
-            found[group[0]] = (b, k)
-    missing = [f"{k} ({led_name(rig.leds, k)})" for k in range(len(rig.leds)) if k not in found]
+            images[group[0]] = (b, k)
+    missing = [f"{k} ({led_name(rig.leds, k)})" for k in range(len(rig.leds)) if k not in images]
     require(
         not missing,
-        f"the card has {len(found)} images for the rig's {len(rig.leds)} LEDs: LED {', '.join(missing)} "
+        f"the card has {len(images)} images for the rig's {len(rig.leds)} LEDs: LED {', '.join(missing)} "
         f"{'is' if len(missing) == 1 else 'are'} missing; take the card under every LED.",
     )
-    return [found[k] for k in range(len(rig.leds))]
+    return [images[k] for k in range(len(rig.leds))]
 
 
 def _check_image(band: Band, k: int, rig: Rig) -> None:
@@ -165,7 +155,7 @@ def _ambient_percent(band: Band, encoding: str, light: Array) -> float | None:
     if band.ambient is None:
         return None
     image = linear_image(band.ambient, encoding, band.ambient_exposure, band.ambient_black_level, binning=2)
-    return 100 * float(np.mean(pick_channel(image, "grey"))) / float(np.mean(light))
+    return _round(100 * float(np.mean(pick_channel(image, "grey"))) / float(np.mean(light)))
 
 
 PROVENANCE = "radiometry"  # where a rig's provenance holds what is found here
@@ -226,7 +216,7 @@ def fit_radiometry(
             "chosen": flat.order.name,
             "tried": [{"name": n, "parameters": p, "rms_percent": _round(rms)} for n, p, rms in flat.orders],
         },
-        "ambient_percent": {band: None if v is None else _round(v) for band, v in images.ambient_percent.items()},
+        "ambient_percent": images.ambient_percent,
     }
     provenance = {**rig.provenance, PROVENANCE: facts}
     return RadiometricCalibration(
@@ -314,15 +304,42 @@ def _round(value: float) -> float:
     return float(f"{value:.6g}")
 
 
-def check_card(capture: Capture, rig: Rig, limit_percent: float = DRIFT_PERCENT) -> dict[str, Any]:
+@dataclass(frozen=True, slots=True)
+class CardCheck:
+    """How a rig's light departs from its calibration."""
+
+    facts: dict[str, Any]
+    """``verdict``; of ``leds`` the ``ratio`` of brightness now to then, the ``own_ratio`` without the median of its
+    band, and the ``pattern_percent``, robust deviation over the picture; ``common_ratio`` of each band, None where
+    exposures are not known; ``ambient_percent``; ``warnings``."""
+    warnings: tuple[str, ...]
+    limit_percent: float
+
+    def __str__(self) -> str:
+        own = [100 * led["own_ratio"] for led in self.facts["leds"]]
+        lines = [f"The LEDs show the card at {min(own):.1f} to {max(own):.1f} % of their calibrated brightness."]
+        if None in self.facts["common_ratio"].values():
+            lines.append("Only LEDs of one band are compared: the exposures are not known on both days.")
+        lines += [f"Please note: {warning}" for warning in self.warnings]
+        if not self.warnings:
+            lines.append(f"All LEDs are as calibrated, within {self.limit_percent:g} %.")
+        return text_of(lines)
+
+
+def check_card(capture: Capture, rig: Rig, limit_percent: float = DRIFT_PERCENT) -> CardCheck:
     """Compare a card with the calibration that a rig carries; BadInput if it carries none, or as
     :func:`fit_radiometry`.
-
-    Returns plain JSON: ``verdict``; of ``leds`` the ``ratio`` of brightness now to then, the ``own_ratio`` without the
-    median of its band, and the ``pattern_percent``, robust deviation over the picture; ``common_ratio`` of each band,
-    None where exposures are not known; ``ambient_percent``; ``warnings``: what departs.
     """
-    levels, plane, given = _stored(rig)
+    with refusing(
+        "the rig carries no radiometric calibration to check against; make one with "
+        "'splitknit calibrate radiometry' and check that."
+    ):
+        stored = rig.provenance[PROVENANCE]
+        levels = np.array([float(led["level"]) for led in stored["leds"]])
+        x, y = (float(value) for value in stored["card"]["tilt_deg"])
+        plane = CardPlane(float(stored["card"]["height_mm"]), (x, y))
+        exposures_given = bool(stored["card"]["exposures_given"])
+        assert len(levels) == len(rig.leds) and bool((levels > 0).all())
     images = card_images(capture, rig)
     expected = np.stack([card_light(rig.camera, led, images.pixels, plane) for led in rig.leds]) * levels[:, None]
     now = images.light / expected
@@ -334,52 +351,39 @@ def check_card(capture: Capture, rig: Rig, limit_percent: float = DRIFT_PERCENT)
     middle = {band: float(np.median(ratio[bands == band])) for band in dict.fromkeys(bands.tolist())}
     own = ratio / np.array([middle[band] for band in bands])
     # else exposure, gain, lens and card are not known to be the same
-    common = {band: value if given and images.exposures_given else None for band, value in middle.items()}
-    sentences: list[str] = []
+    comparable = exposures_given and images.exposures_given
+    warnings: list[str] = []
+    leds = []
     for k, value in enumerate(own):
-        name = f"LED {led_name(rig.leds, k)}"
+        name = led_name(rig.leds, k)
         if abs(value - 1) > 0.01 * limit_percent:
-            sentences.append(f"{name} is {_change(float(value))} than at the calibration.")
+            warnings.append(f"LED {name} is {_change(float(value))} than at the calibration.")
         if pattern[k] > _PATTERN_PERCENT:
-            sentences.append(
-                f"{name} lights the card otherwise than at the calibration ({pattern[k]:.1f} % across "
+            warnings.append(
+                f"LED {name} lights the card otherwise than at the calibration ({pattern[k]:.1f} % across "
                 f"the picture): it moved or turned."
             )
-    for band, value in common.items():
-        if value is not None and abs(value - 1) > 0.01 * limit_percent:
-            sentences.append(
+        ratios = {"ratio": _round(ratio[k]), "own_ratio": _round(value), "pattern_percent": _round(pattern[k])}
+        leds.append({"led": k, "name": name, **ratios})
+    for band, value in middle.items():
+        if comparable and abs(value - 1) > 0.01 * limit_percent:
+            warnings.append(
                 f"all {band} LEDs together are {_change(value)} than at the calibration: exposure, gain, supply, lens "
                 f"or card changed."
             )
     for band, fraction in images.ambient_percent.items():
         if fraction is not None and fraction > _AMBIENT_PERCENT:
-            sentences.append(f"light from elsewhere is {fraction:.1f} % of the {band} LEDs'.")
-    columns = {"ratio": ratio, "own_ratio": own, "pattern_percent": pattern}
-    return {
-        "verdict": "drifted" if sentences else "as calibrated",
-        "leds": [
-            {"led": k, "name": led_name(rig.leds, k), **{what: _round(values[k]) for what, values in columns.items()}}
-            for k in range(len(rig.leds))
-        ],
-        "common_ratio": {b: None if v is None else _round(v) for b, v in common.items()},
-        "ambient_percent": {b: None if v is None else _round(v) for b, v in images.ambient_percent.items()},
-        "warnings": sentences,
+            warnings.append(f"light from elsewhere is {fraction:.1f} % of the {band} LEDs'.")
+    facts = {
+        "verdict": "drifted" if warnings else "as calibrated",
+        "leds": leds,
+        "common_ratio": {band: _round(value) if comparable else None for band, value in middle.items()},
+        "ambient_percent": images.ambient_percent,
+        "warnings": warnings,
+        "limit_percent": limit_percent,
+        "inputs": dict(capture.hashes),
     }
-
-
-def _stored(rig: Rig) -> tuple[Array, CardPlane, bool]:
-    """Each LED's card brightness at the calibration, where the card lay, and whether its exposures were known."""
-    with refusing(
-        "the rig carries no radiometric calibration to check against; make one with "
-        "'splitknit calibrate radiometry' and check that."
-    ):
-        facts = rig.provenance[PROVENANCE]
-        levels = np.array([float(led["level"]) for led in facts["leds"]])
-        card = facts["card"]
-        x, y = (float(value) for value in card["tilt_deg"])
-        plane, given = CardPlane(float(card["height_mm"]), (x, y)), bool(card["exposures_given"])
-        assert len(levels) == len(rig.leds) and bool((levels > 0).all())
-    return levels, plane, given
+    return CardCheck(facts, tuple(warnings), limit_percent)
 
 
 def _change(value: float) -> str:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -24,15 +24,12 @@ from splitknit_rig.calibration.radiometry import (
     DRIFT_PERCENT,
     LIMIT_PERCENT,
     PROVENANCE,
+    CardCheck,
     RadiometricCalibration,
     check_card,
     fit_radiometry,
 )
-from splitknit_rig.calibration.sensor import (
-    MIN_EXPOSURES,
-    Response,
-    fit_response,
-)
+from splitknit_rig.calibration.sensor import MIN_EXPOSURES, fit_response
 
 _MAX_TILT_DEG = 5.0
 _SCALE_PERCENT = 2.0  # ends of the colours in the picture of residuals
@@ -54,38 +51,39 @@ def calibrate_to_file(
     check_rig_file(out)
     check_picture(residuals, folder)
     progress("reading", 0.0)
-    plan = read_radiometry_plan(folder)
     capture = read_capture(folder)
     rig = capture.rig if rig_file is None else read_rig(rig_file)
     plane = CardPlane(card_height_mm, card_tilt_deg or _base_tilt_deg(rig))
     progress("camera", 0.3)
     hashes = dict(capture.hashes)
-    response = _measured_response(plan, capture, hashes)
+    response = _measured_response(folder, capture, hashes)
     limit = limit_percent or LIMIT_PERCENT
     progress("flat field", 0.6)
-    found = naming(folder, lambda: fit_radiometry(capture, rig, plane, limit))
+    calibration = naming(folder, lambda: fit_radiometry(capture, rig, plane, limit))
     facts = {
-        **found.facts,
-        "response": None if response is None else _response_json(response),
-        "warnings": list(found.warnings),
+        **calibration.facts,
+        "response": response,
+        "warnings": list(calibration.warnings),
         **provenance({"limit_percent": limit}, hashes),
     }
     progress("writing", 0.9)
-    rig = replace(found.rig, provenance={**found.rig.provenance, PROVENANCE: facts})
+    rig = replace(calibration.rig, provenance={**calibration.rig.provenance, PROVENANCE: facts})
     if residuals is not None:
-        write_image(residuals, _residual_picture(found))
+        write_image(residuals, _residual_picture(calibration))
     write_rig(rig, out)
     progress("done", 1.0)
     files = [str(file) for file in (out, residuals) if file is not None]
-    return replace(found, rig=rig, facts={**facts, "out": str(out), "files": files}, base_tilt=card_tilt_deg is None)
+    return replace(
+        calibration, rig=rig, facts={**facts, "out": str(out), "files": files}, base_tilt=card_tilt_deg is None
+    )
 
 
 def _base_tilt_deg(rig: Rig) -> tuple[float, float]:
     """Turn of the base about x and y as ``splitknit calibrate camera`` left it; zero below twice its deviation."""
     try:
-        found: Any = rig.provenance["camera"]["residuals"]["plane"]
-        x, y = (float(value) for value in found["tilt_xy_deg"])
-        deviation = float(found["tilt_deg_deviation"])
+        plane: Any = rig.provenance["camera"]["residuals"]["plane"]
+        x, y = (float(value) for value in plane["tilt_xy_deg"])
+        deviation = float(plane["tilt_deg_deviation"])
     except (KeyError, TypeError, ValueError):
         return 0.0, 0.0
     return (x, y) if 2.0 * deviation < math.hypot(x, y) <= _MAX_TILT_DEG else (0.0, 0.0)
@@ -93,25 +91,24 @@ def _base_tilt_deg(rig: Rig) -> tuple[float, float]:
 
 def check_folder(
     folder: Path, rig_file: Path, *, limit_percent: float | None = None, progress: Progress = no_progress
-) -> dict[str, Any]:
-    """Compare the card in `folder` with the calibration in `rig_file`; return the facts."""
+) -> CardCheck:
+    """Compare the card in `folder` with the calibration in `rig_file`."""
     progress("reading", 0.0)
     rig, capture = read_rig(rig_file), read_capture(folder)
-    limit = limit_percent or DRIFT_PERCENT
     progress("comparing", 0.7)
-    found = naming(f"{rig_file} and {folder}", lambda: check_card(capture, rig, limit))
-    progress("done", 1.0)
-    return {**found, "limit_percent": limit, "inputs": dict(capture.hashes)}
+    return naming(f"{rig_file} and {folder}", lambda: check_card(capture, rig, limit_percent or DRIFT_PERCENT))
 
 
-def _residual_picture(found: RadiometricCalibration) -> ColourArray:
+def _residual_picture(calibration: RadiometricCalibration) -> ColourArray:
     """Residuals of every LED, a band a row: blue 2 % darker than the model, orange 2 % brighter, black left out."""
-    flat, shape = found.flat_field, found.images.shape
-    bands = [led.band for led in flat.leds]
-    tiles = [residual_tile(100 * one, flat.dust, shape) for one in flat.residual]
-    rows = [[tile for tile, b in zip(tiles, bands, strict=True) if b == band] for band in dict.fromkeys(bands)]
-    blank, widest = np.full_like(tiles[0], 255), max(map(len, rows))
-    return np.concatenate([np.concatenate(row + [blank] * (widest - len(row)), axis=1) for row in rows], axis=0)
+    flat = calibration.flat_field
+    rows: dict[str, list[ColourArray]] = {}
+    for led, residual in zip(flat.leds, flat.residual, strict=True):
+        rows.setdefault(led.band, []).append(residual_tile(100 * residual, flat.dust, calibration.images.shape))
+    widest = max(map(len, rows.values()))
+    blank = np.full_like(rows[flat.leds[0].band][0], 255)
+    bands = [np.concatenate(tiles + [blank] * (widest - len(tiles)), axis=1) for tiles in rows.values()]
+    return np.concatenate(bands, axis=0)
 
 
 def residual_tile(residual: Any, dust: Any, shape: tuple[int, int]) -> ColourArray:
@@ -130,24 +127,32 @@ _PATCHES_ACROSS = 40
 _MAX_TEXTURE = 0.04  # deviation within a patch, as a part of full scale, up to which it counts as even
 
 
-def _measured_response(plan: _RadiometryPlan, capture: Capture, hashes: dict[str, str]) -> Response | None:
+def _measured_response(folder: Path, capture: Capture, hashes: dict[str, str]) -> dict[str, Any] | None:
     """The camera's response by its exposures, compared with what the capture states of its images; None without."""
-    if plan.document is None or not plan.exposures:
+    exposures = read_exposures(folder)
+    if not exposures:
         return None
+    document = folder / DOCUMENT
     # one at a time: a series does not fit into a Raspberry Pi's memory
-    rows = [_patches(_image(path, capture, hashes)) for path, _ in plan.exposures]
+    rows = [_patches(_image(path, capture, hashes)) for path, _ in exposures]
     values, spread = map(np.stack, zip(*rows, strict=True))
     even = spread.max(axis=0) <= _MAX_TEXTURE
     values = values[:, even] if int(even.sum()) >= 100 else values  # all, if few are even in all images
-    response = fit_response(values, [time for _, time in plan.exposures], name=str(plan.document))
+    response = fit_response(values, [time for _, time in exposures], name=str(document))
     require(
         response.encoding == capture.encoding,
-        f"the exposures in {plan.document} are {response.encoding.replace('srgb', 'sRGB')}, but capture.json "
+        f"the exposures in {document} are {response.encoding.replace('srgb', 'sRGB')}, but capture.json "
         f'states "encoding": "{capture.encoding}"; write "encoding": "{response.encoding}" there and in all '
         f"captures of this camera.",
     )
-    hashes[plan.document.name] = file_hash(plan.document)
-    return response
+    hashes[DOCUMENT] = file_hash(document)
+    return {
+        "encoding": response.encoding,
+        "linear_departure_percent": rounded(response.linear_percent),
+        "srgb_departure_percent": rounded(response.srgb_percent),
+        "residual_percent": rounded(response.residual_percent),
+        "values_percent": [rounded(100 * end) for end in response.span],
+    }
 
 
 def _image(path: Path, capture: Capture, hashes: dict[str, str]) -> PixelArray:
@@ -176,16 +181,6 @@ def _patches(frame: PixelArray) -> tuple[Array, Array]:
     return np.where(clipped, np.nan, mean), squares.std(axis=1).astype(np.float64)
 
 
-def _response_json(response: Response) -> dict[str, Any]:
-    return {
-        "encoding": response.encoding,
-        "linear_departure_percent": rounded(response.linear_percent),
-        "srgb_departure_percent": rounded(response.srgb_percent),
-        "residual_percent": rounded(response.residual_percent),
-        "values_percent": [rounded(100 * one) for one in response.span],
-    }
-
-
 def rounded(value: float) -> float:
     """A number for a report, to five digits."""
     return float(f"{value:.5g}")
@@ -206,27 +201,19 @@ class _Document(Struct, forbid_unknown_fields=True):
     exposures: tuple[_Exposure, ...] = ()
 
 
-@dataclass(frozen=True, slots=True)
-class _RadiometryPlan:
-    """What ``radiometry.json`` names."""
-
-    exposures: tuple[tuple[Path, float], ...] = ()  # images of the series, and time times gain of each
-    document: Path | None = None
-
-
-def read_radiometry_plan(folder: Path) -> _RadiometryPlan:
-    """Read ``radiometry.json``; an empty plan where there is none. Raises BadInput naming the file and the field."""
+def read_exposures(folder: Path) -> tuple[tuple[Path, float], ...]:
+    """Images of the series in ``radiometry.json``, and time times gain of each; none where there is no such file.
+    Raises BadInput naming the file and the field.
+    """
     file = folder / DOCUMENT
     if not file.is_file():
-        return _RadiometryPlan()
+        return ()
     document, _ = read_document(file, _Document)
-    exposures = []
+    exposures: dict[Path, float] = {}
     for k, entry in enumerate(document.exposures):
         image = inside(folder, entry.file, str(file), f"exposures[{k}].file")
-        exposures.append((image, entry.exposure_s * entry.gain))
+        require(image not in exposures, f"{file} names {image.name} twice; every image serves once.")
+        exposures[image] = entry.exposure_s * entry.gain
     few = f"{file}: exposures names {len(exposures)} images, but at least {MIN_EXPOSURES} different ones are needed."
     require(len(exposures) == 0 or len(exposures) >= MIN_EXPOSURES, few)
-    files = [one for one, _ in exposures]
-    for k, image in enumerate(files):
-        require(files.index(image) == k, f"{file} names {image.name} twice; every image serves once.")
-    return _RadiometryPlan(tuple(exposures), file)
+    return tuple(exposures.items())

@@ -46,17 +46,17 @@ class _Shape:
         return self.depth * total / len(_LIGHT)
 
 
-def _hull_distance(places: Array, other: Array, radius: float, other_radius: float) -> Array:
-    """Distance (N,), negative inside, to the hull of a circle about the origin and one about `other` (2,)."""
-    length = max(float(np.linalg.norm(other)), 1e-9)
-    along = places @ other / length
-    beside = np.abs(places[:, 0] * other[1] - places[:, 1] * other[0]) / length
-    slope = float(np.clip((radius - other_radius) / length, -0.999, 0.999))
+def _hull_distance(places: Array, far_end: Array, radius: float, far_radius: float) -> Array:
+    """Distance (N,), negative inside, to the hull of a circle about the origin and another about `far_end` (2,)."""
+    length = max(float(np.linalg.norm(far_end)), 1e-9)
+    along = places @ far_end / length
+    beside = np.abs(places[:, 0] * far_end[1] - places[:, 1] * far_end[0]) / length
+    slope = float(np.clip((radius - far_radius) / length, -0.999, 0.999))
     across = float(np.sqrt(1.0 - slope * slope))
     foot = across * along - slope * beside
     square = beside * beside  # and no hypot, which is slow
     near = np.sqrt(along * along + square) - radius
-    far = np.sqrt((along - length) ** 2 + square) - other_radius
+    far = np.sqrt((along - length) ** 2 + square) - far_radius
     side = across * beside + slope * along - radius
     return np.asarray(np.where(foot < 0, near, np.where(foot > across * length, far, side)))
 
@@ -67,25 +67,12 @@ def _fit_shape(
     """Fit the shape to the darkness (H, W), the missing fraction of the light, about its outer part. `usable`: (H, W),
     off the nail; `common`: radius of the tip's shadow and of the penumbra, where known.
     """
-    shape = start
-    for _ in range(2 if common is None else 1):  # the pixels are chosen again once the outline is better known
-        places, values = _pixels_about(darkness, usable, shape, px_per_mm)
-        if len(places) < 20:
-            return shape
-        shape = _fit((places, values), shape, start, px_per_mm, common)
-    return shape
-
-
-def _fit(
-    seen: tuple[Array, Array], first: _Shape, start: _Shape, px_per_mm: float, common: tuple[float, float] | None
-) -> _Shape:
-    places, values = seen
 
     def shape_of(v: Array) -> _Shape:
         radius, penumbra = common if common is not None else (abs(v[6]), abs(v[7]))
         return _Shape(v[0:2], radius, penumbra, v[2:4], abs(v[4]), v[5])
 
-    def residuals(v: Array) -> Array:
+    def residuals(v: Array, places: Array, values: Array) -> Array:
         # the base is seldom seen; its place is known from the nail, loosely
         known = [(v[2] - start.base[0]) / px_per_mm, (v[3] - start.base[1]) / px_per_mm]
         known += [(v[4] - start.base_radius) / px_per_mm, (v[5] - 0.97) / 0.05]
@@ -93,11 +80,19 @@ def _fit(
             known += [(v[6] / px_per_mm - 0.15) / 0.15, (v[7] / px_per_mm - 0.15) / 0.15]
         return np.concatenate([shape_of(v).darkness(places) - values, 0.3 * np.array(known)])
 
-    x = np.array([*first.tip, *first.base, first.base_radius, first.depth, first.tip_radius, first.penumbra])
+    shape = start
     sizes = np.array([1.0, 1.0, 5.0, 5.0, 5.0, 0.05, 1.0, 1.0])
-    size = 8 if common is None else 6
-    fit = least_squares(residuals, x[:size], x_scale=sizes[:size], loss="soft_l1", f_scale=0.15, max_nfev=20)
-    return shape_of(np.asarray(fit.x))
+    free = 8 if common is None else 6
+    for _ in range(2 if common is None else 1):  # the pixels are chosen again once the outline is better known
+        pixels = _pixels_about(darkness, usable, shape, px_per_mm)
+        if len(pixels[0]) < 20:
+            return shape
+        x = np.array([*shape.tip, *shape.base, shape.base_radius, shape.depth, shape.tip_radius, shape.penumbra])
+        fit = least_squares(
+            residuals, x[:free], x_scale=sizes[:free], loss="soft_l1", f_scale=0.15, max_nfev=20, args=pixels
+        )
+        shape = shape_of(np.asarray(fit.x))
+    return shape
 
 
 def _pixels_about(darkness: FloatArray, usable: BoolArray, shape: _Shape, px_per_mm: float) -> tuple[Array, Array]:
@@ -161,44 +156,32 @@ def find_nail(stack: FloatArray, px_per_mm: float, names: Sequence[str]) -> Nail
     middle = np.array([columns.mean(), rows.mean()])
     size = float(np.sqrt(rows.size / np.pi))
     near = cv2.dilate(nail.astype(np.uint8), _disc(0.25 * px_per_mm)) > 0
-    parts = [_shadow_of(shadow, near) for shadow in shadows]
-    ends = [_far_end(part, middle) for part in parts]
-    for end, name in zip(ends, names, strict=True):
-        reach = float(np.linalg.norm(end - middle)) - size if end is not None else 0.0
+    shapes: dict[int, _Shape] = {}
+    border = max(round(_BORDER_MM * px_per_mm), 1)
+    for led, (shadow, name) in enumerate(zip(shadows, names, strict=True)):
+        part = _shadow_of(shadow, near)
+        end = _far_end(part, middle)
+        reach = float(np.linalg.norm(end - middle)) - size
         require(
             reach >= _MIN_SHADOW_MM * px_per_mm,
             f"{name} shows no shadow of the nail; check that its LED was lit, and alone, and that the nail stands in "
             f"the picture.",
         )
-    first: list[_Shape | None] = []
-    border = max(round(_BORDER_MM * px_per_mm), 1)
-    for ratio, part, end in zip(ratios, parts, ends, strict=True):
-        inner = part[border:-border, border:-border]
-        if end is None or int(inner.sum()) < int(part.sum()):
-            first.append(None)
-            continue
-        start = _Shape(end, 0.1 * px_per_mm, 0.1 * px_per_mm, middle, size, depth=0.95)
-        first.append(_fit_shape(1.0 - ratio, ~near, start, px_per_mm))
-    shapes = _second_fit(first, [1.0 - ratio for ratio in ratios], ~near, px_per_mm)
-    tips = np.array([(np.nan, np.nan) if shape is None else shape.tip for shape in shapes])
+        if part[border:-border, border:-border].sum() == part.sum():  # else it leaves the picture
+            start = _Shape(end, 0.1 * px_per_mm, 0.1 * px_per_mm, middle, size, depth=0.95)
+            shapes[led] = _fit_shape(1.0 - ratios[led], ~near, start, px_per_mm)
+    if len(shapes) >= 3:  # again with one bluntness of tip and one penumbra, for it is one nail
+        each = [(shape.tip_radius, shape.penumbra) for shape in shapes.values()]
+        radius, penumbra = np.median(each, axis=0).tolist()
+        for led, shape in shapes.items():
+            shapes[led] = _fit_shape(1.0 - ratios[led], ~near, shape, px_per_mm, (radius, penumbra))
+    tips = np.full((len(images), 2), np.nan)
+    for led, shape in shapes.items():
+        tips[led] = shape.tip
     # the faces meet where a sharp tip would be; the blunt one lies lower, and so is seen nearer to the base
-    blunt = float(np.median([shape.tip_radius for shape in shapes if shape is not None] or [0.0])) / _STRETCH
+    blunt = float(np.median([shape.tip_radius for shape in shapes.values()] or [0.0])) / _STRETCH
     tip = middle + (_nail_tip(images, nail, px_per_mm) - middle) * (1.0 - min(blunt / size, 0.5))
     return NailView(tip, tips, nail)
-
-
-def _second_fit(
-    first: Sequence[_Shape | None], darkness: Sequence[FloatArray], usable: BoolArray, px_per_mm: float
-) -> tuple[_Shape | None, ...]:
-    """All shadows again with one bluntness of tip and one penumbra, for it is one nail."""
-    found = [shape for shape in first if shape is not None]
-    if len(found) < 3:
-        return tuple(first)
-    radius, penumbra = np.median([(shape.tip_radius, shape.penumbra) for shape in found], axis=0).tolist()
-    return tuple(
-        None if shape is None else _fit_shape(dark, usable, shape, px_per_mm, (radius, penumbra))
-        for shape, dark in zip(first, darkness, strict=True)
-    )
 
 
 def _ratio(image: FloatArray, usual: FloatArray, dark: BoolArray) -> FloatArray:
@@ -255,10 +238,11 @@ def _shadow_of(shadow: BoolArray, near: BoolArray) -> BoolArray:
     return np.isin(labels, touching[touching > 0]) & (opened > 0) & ~near
 
 
-def _far_end(part: BoolArray, middle: Array) -> Array | None:
+def _far_end(part: BoolArray, middle: Array) -> Array:
+    """Where a shadow ends (2,); the middle of the nail if there is none."""
     rows, columns = np.nonzero(part)
     if rows.size == 0:
-        return None
+        return middle
     away = np.hypot(columns - middle[0], rows - middle[1])
     far = away >= np.quantile(away, 0.999)
     return np.array([columns[far].mean(), rows[far].mean()])

@@ -8,12 +8,9 @@ from typing import Any
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
-from splitknit.errors import require
+from splitknit.errors import BadInput, require
 from splitknit.model import Array, FloatArray
-
-_WORDS = re.compile(r"\s*(\d{1,4})\s*[xX×]\s*(\d{1,4})\s*")
 
 
 @dataclass(frozen=True, slots=True)
@@ -38,18 +35,17 @@ class Board:
     @classmethod
     def named(cls, text: str, square_mm: float) -> Board:
         """Read a size such as ``9x6``."""
-        found = _WORDS.fullmatch(text)
-        require(
-            found is not None,
-            f"'{text}' is not the size of a checkerboard; write the inner corners each way, such as 9x6.",
-        )
-        assert found is not None
-        return cls(int(found.group(1)), int(found.group(2)), square_mm)
+        size = re.fullmatch(r"\s*(\d{1,4})\s*[xX×]\s*(\d{1,4})\s*", text)
+        if size is None:
+            raise BadInput(
+                f"'{text}' is not the size of a checkerboard; write the inner corners each way, such as 9x6."
+            )
+        return cls(int(size[1]), int(size[2]), square_mm)
 
     @property
-    def size(self) -> tuple[int, int]:
-        """Columns, rows of inner corners."""
-        return self.columns, self.rows
+    def name(self) -> str:
+        """Such as ``9x6``."""
+        return f"{self.columns}x{self.rows}"
 
     @property
     def points_mm(self) -> Array:
@@ -60,6 +56,8 @@ class Board:
 
 _SEARCH_PX = 1200  # longer side of the image in which the board is sought; corners are then refined in the full image
 _WINDOW = 0.3  # half the window in which a corner is refined, as a part of the shortest side of a square in the image
+_BY_QUADS = cv2.CALIB_CB_ADAPTIVE_THRESH | cv2.CALIB_CB_NORMALIZE_IMAGE | cv2.CALIB_CB_FAST_CHECK
+_BY_SECTOR = cv2.CALIB_CB_NORMALIZE_IMAGE | cv2.CALIB_CB_EXHAUSTIVE | cv2.CALIB_CB_ACCURACY
 _WINDOW_PX = (3, 40)  # smallest and largest half window
 _SMOOTH_PX = 1.5
 """Blur (sigma, at most 5 % of a side) before corners are refined: edges sharp as a pixel draw corners to its middle."""
@@ -87,38 +85,23 @@ def find_board(pixels: Any, board: Board, search_px: int = _SEARCH_PX) -> Array 
     distinct points, corners and centres of circular features", 1987 (``cornerSubPix``).
     """
     image = _grey(pixels)
-    for small, factor in _reduced(image, search_px):
-        for search in (_by_quads, _by_sector):  # the quick one first; what either finds is checked and refined
-            grid = search(small, board)
-            if grid is None:
+    size = (board.columns, board.rows)
+    factor = min(1.0, search_px / max(image.shape))
+    for scale in [factor] if factor > 0.5 else [factor, min(1.0, 2 * factor)]:
+        small = image
+        if scale != 1.0:
+            small = np.asarray(cv2.resize(image, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA))
+        codes = np.asarray(np.round(small), dtype=np.uint8)
+        # the quick search first; what either finds is checked and refined
+        for search, flags in ((cv2.findChessboardCorners, _BY_QUADS), (cv2.findChessboardCornersSB, _BY_SECTOR)):
+            complete, corners = search(codes, size, flags=flags)
+            if not complete:
                 continue
-            refined = _refined(image, (grid + 0.5) / factor - 0.5)
+            grid = np.asarray(corners, dtype=np.float64).reshape(board.rows, board.columns, 2)
+            refined = _refined(image, (grid + 0.5) / scale - 0.5)
             if _is_board(image, refined) and not _goes_on(image, refined):
                 return np.asarray(refined.reshape(-1, 2), dtype=np.float64)
     return None
-
-
-def _reduced(image: FloatArray, search_px: int) -> list[tuple[NDArray[np.uint8], float]]:
-    factor = min(1.0, search_px / max(image.shape))
-    sizes = [factor] if factor > 0.5 else [factor, min(1.0, 2 * factor)]
-    small = (image if k == 1.0 else cv2.resize(image, None, fx=k, fy=k, interpolation=cv2.INTER_AREA) for k in sizes)
-    return [(np.asarray(np.round(one), dtype=np.uint8), k) for one, k in zip(small, sizes, strict=True)]
-
-
-def _by_sector(image: NDArray[np.uint8], board: Board) -> Array | None:
-    flags = cv2.CALIB_CB_NORMALIZE_IMAGE | cv2.CALIB_CB_EXHAUSTIVE | cv2.CALIB_CB_ACCURACY
-    found, corners = cv2.findChessboardCornersSB(image, board.size, flags=flags)
-    return _grid(corners, board.rows, board.columns) if found else None
-
-
-def _by_quads(image: NDArray[np.uint8], board: Board) -> Array | None:
-    flags = cv2.CALIB_CB_ADAPTIVE_THRESH | cv2.CALIB_CB_NORMALIZE_IMAGE | cv2.CALIB_CB_FAST_CHECK
-    found, corners = cv2.findChessboardCorners(image, board.size, flags=flags)
-    return _grid(corners, board.rows, board.columns) if found else None
-
-
-def _grid(corners: Any, rows: int, columns: int) -> Array:
-    return np.asarray(corners, dtype=np.float64).reshape(rows, columns, 2)
 
 
 def _refined(image: FloatArray, grid: Array) -> Array:

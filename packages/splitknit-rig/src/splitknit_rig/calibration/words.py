@@ -39,7 +39,7 @@ def _fit_lines(facts: Mapping[str, Any]) -> list[str]:
     lines.append(f"  distortion {', '.join(free) or 'none'}")
     lines += [f"  held: {name}{', ' if 'point' in name else ' = '}{why}" for name, why in fit["held"].items()]
     lines += [f"  left out: {name}, corners {error:.2f} px off" for name, error in fit["rejected_px"].items()]
-    lines += [f"  left out: {name}, the same view as {other}" for name, other in fit["repeated"].items()]
+    lines += [f"  left out: {name}, the same view as {first}" for name, first in fit["repeated"].items()]
     board = facts["board"]["inner_corners"]
     lines += [f"  left out: {name}, no board of {board} inner corners in full view" for name in fit["without_board"]]
     return lines
@@ -62,7 +62,7 @@ def radiometry_lines(facts: Mapping[str, Any], *, base_tilt: bool) -> list[str]:
             f"{led['name']:10s} {led['intensity']:9.3f} {led['lobe_exponent']:5.1f} {led['aim_off_deg']:6.1f} deg"
             f"  {led['rms_percent']:.2f} %, {led['largest_percent']:.2f} %: {led['verdict']}"
         )
-    tried = ", ".join(f"{one['rms_percent']:.2f} %" for one in facts["model"]["tried"])
+    tried = ", ".join(f"{model['rms_percent']:.2f} %" for model in facts["model"]["tried"])
     lines += [
         f"Model: {facts['model']['chosen']} (residuals from the simplest to the richest model: {tried}).",
         f"The lens shows the corners at {100 * facts['lens']['corner']:.0f} % of the middle's brightness.",
@@ -82,48 +82,6 @@ def radiometry_lines(facts: Mapping[str, Any], *, base_tilt: bool) -> list[str]:
         lines.append(f"The card is taken to lie as the camera's calibration found the base: {x:.2f}, {y:.2f} deg.")
     lines.append(f"Written: {', '.join(facts['files'])}.")
     return lines
-
-
-def light_lines(facts: Mapping[str, Any]) -> list[str]:
-    """Of the lights' places."""
-    if facts["method"] == "geometry":
-        return [f"{len(facts['leds'])} LEDs where the drawing has them, not measured; written to {facts['out']}."]
-    written = f"Written to {facts['out']}."
-    if not facts["written"]:
-        written = "Nothing was written; name a rig file (.json) or a list of lights (.txt) with `out` FILE."
-    if "ball" in facts:
-        lines = [f"{len(facts['leds'])} lights from a {facts['method']} ball:"]
-        for one in facts["leds"]:
-            x, y, z = one["direction"]
-            lines.append(f"  {one['image']}  towards ({x:+.4f}, {y:+.4f}, {z:+.4f})")
-        lines += [f"Please note: {note}" for note in facts["notes"]]
-        if facts["written"]:
-            lines.append(written)
-            written = f"Next: splitknit reconstruct --images PHOTOS --lights {facts['out']} --out RESULT"
-        return [*lines, written]
-    lines = [*_led_lines(facts), written]
-    if "shadows_out_of_the_picture" in facts:
-        lost, show, table = facts["shadows_out_of_the_picture"], facts["show"], facts["tips_out"]
-        lines += [f"Please note: the shadow leaves the picture for {', '.join(lost)}."] if lost else []
-        lines += [f"Please look at {show}: nail (cross), shadow tip (ring), ray to the LED (line)."] if show else []
-        lines += [f"Correct {table} where it is wrong, and give it to `table`."] if table else []
-    return lines
-
-
-def _led_lines(facts: Mapping[str, Any]) -> list[str]:
-    lines = [f"{len(facts['leds'])} LEDs from {facts['nail_positions']} nail position(s), method {facts['method']}:"]
-    for one in facts["leds"]:
-        x, y, z = one["direction"]
-        apart = "      -" if one["disagreement_deg"] is None else f"{one['disagreement_deg']:7.2f}"
-        bound = "" if one["interval_deg"] is None else f" +-{one['interval_deg']:.2f} deg"
-        kept = "" if one["kept"] else ", left out"
-        lines.append(
-            f"  {one['band']:5s} {one['led']}  towards ({x:+.4f}, {y:+.4f}, {z:+.4f}){bound}, positions disagree by "
-            f"{apart} deg: {one['verdict']}{kept}"
-        )
-    if facts["nail_height_mm"] is not None:
-        lines.append(f"The nail is {facts['nail_height_mm']:.1f} mm high, from its shadows.")
-    return lines + [f"Please note: {warning}" for warning in facts["warnings"]]
 
 
 def film_lines(facts: Mapping[str, Any]) -> list[str]:

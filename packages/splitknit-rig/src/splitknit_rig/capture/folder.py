@@ -69,25 +69,23 @@ def capture_to_folder(
 
 def _facts(devices: Opened, session: Session, options: CaptureOptions) -> dict[str, Any]:
     used = {"device": devices.name, "capture": options.settings, **devices.settings}
-    times = [shot.at_s for shot in session.shots]
-    lit = sum(shot.led is not None for shot in session.shots)
     return {
         "format": "splitknit-session",
         **provenance(used),
         "device": devices.name,
         "image_size": list(devices.rig.camera.image_size),
-        "bands": {band: len(one.leds) for band, one in session.bands.items()},
-        "images": lit,
+        "bands": {name: len(band.leds) for name, band in session.bands.items()},
+        "images": sum(shot.led is not None for shot in session.shots),
         "exposure": {
-            band: {"exposure_s": one.exposure_s, "gain": one.gain, "brightest_led": one.brightest, "level": one.level}
-            for band, one in session.exposures.items()
+            band: {"exposure_s": e.exposure_s, "gain": e.gain, "brightest_led": e.brightest, "level": e.level}
+            for band, e in session.exposures.items()
         },
         "focus": asdict(session.focus),
         **({} if session.crossed_over_parallel is None else {"crossed_over_parallel": session.crossed_over_parallel}),
         "shots": [asdict(shot) for shot in session.shots],
         "frames_taken": session.frames_taken,
         "seconds": session.seconds,
-        "seconds_per_frame": (times[-1] - times[0]) / (len(times) - 1),
+        "seconds_per_frame": session.seconds / (len(session.shots) - 1),
         "verdict": list(session.verdict),
         "notes": list(devices.notes),
     }

@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 from splitknit import BadInput, Rig
 from splitknit.devices import CameraDevice, Closing, ExposureRange, Frame, LightBank, Opened
 from splitknit.errors import importing, require
-from splitknit.model import PixelArray, nominal_rig
+from splitknit.model import nominal_rig
 from splitknit.settings import Checked, check_fields
 from splitknit_rig.capture.pins import RigFilms, pins_of, rig_films
 
@@ -245,7 +245,11 @@ class PiCamera(CameraDevice):
     def preview(self) -> Frame:
         """See :class:`splitknit.devices.CameraDevice`."""
         frame = self.capture()
-        return replace(frame, pixels=_preview_pixels(frame.pixels))
+        rows, columns, channels = frame.pixels.shape
+        factor = max(1, round(columns / _PREVIEW_COLUMNS))
+        size = (columns // factor, rows // factor)
+        small: Any = cv2.resize(frame.pixels, size, interpolation=cv2.INTER_AREA)  # means of whole blocks
+        return replace(frame, pixels=small.reshape(*size[::-1], channels))
 
     def close(self) -> None:
         """See :class:`splitknit.devices.CameraDevice`."""
@@ -348,15 +352,6 @@ class PiCamera(CameraDevice):
         return np.asarray(values[top : top + rows, left : left + columns], dtype=np.uint16), order, int(bits)
 
 
-def _preview_pixels(pixels: PixelArray) -> PixelArray:
-    """(h, w, C) an image of about 800 columns: the means of whole blocks of (H, W, C)."""
-    rows, columns, channels = pixels.shape
-    factor = max(1, round(columns / _PREVIEW_COLUMNS))
-    size = (columns // factor, rows // factor)
-    small: Any = cv2.resize(pixels, size, interpolation=cv2.INTER_AREA)
-    return np.asarray(small.reshape(*size[::-1], channels))
-
-
 # Pictures in proportion to light: the Pi's image processor straightened, or its sensor's raw values developed.
 
 # OpenCV names a pattern by its second row and column: blue green / green red is "BayerRG", and RGB its order
@@ -397,18 +392,20 @@ def _linear_tuning(tuning: Mapping[str, Any]) -> dict[str, Any]:
         "rpi.contrast": {"ce_enable": 0, "gamma_curve": [0, 0, 65535, 65535]},
         "rpi.ccm": {"ccms": [{"ct": 5000, "ccm": [1, 0, 0, 0, 1, 0, 0, 0, 1]}]},
     }
-    given = tuning.get("algorithms", [])
-    kept = [{name: straight.get(name, one[name]) for name in one if name != "rpi.alsc"} for one in given]
-    algorithms = [one for one in kept if one]
+    algorithms = []
+    for algorithm in tuning.get("algorithms", []):
+        algorithms += [{name: straight.get(name, value)} for name, value in algorithm.items() if name != "rpi.alsc"]
     require(
-        any("rpi.contrast" in one for one in algorithms),
+        any("rpi.contrast" in algorithm for algorithm in algorithms),
         "the camera's tuning file is of an unknown version; update libcamera (apt full-upgrade).",
     )
     return {**tuning, "algorithms": algorithms}
 
 
-INSTALL = "on the Raspberry Pi: sudo apt install python3-picamera2 python3-gpiozero, and make the virtual environment "
-INSTALL += "with --system-site-packages"
+INSTALL = (
+    "on the Raspberry Pi: sudo apt install python3-picamera2 python3-gpiozero, and make the virtual environment with "
+    "--system-site-packages"
+)
 
 
 @contextmanager
@@ -449,8 +446,7 @@ def _open_camera(settings: PiCameraSettings | None = None) -> PiCamera:
                 f"numpy {np.__version__}; take Raspberry Pi OS Trixie or later (Bookworm: docs/guide/capture.md)."
             ) from error
         raise BadInput(f"picamera2, which drives the camera, cannot be imported ({reason}); {INSTALL}.") from error
-    maker: Any = picamera2.Picamera2
-    return PiCamera(maker, settings)
+    return PiCamera(picamera2.Picamera2, settings)
 
 
 def _open_analyser(rig: Rig) -> PiAnalyser | None:
@@ -465,6 +461,8 @@ def _open_analyser(rig: Rig) -> PiAnalyser | None:
 @contextmanager
 def opened_pi(rig: Rig | None, settings: PiCameraSettings) -> Iterator[Opened]:
     """Open LEDs, which go dark, and the camera of the settings, and close them; BadInput if there is none."""
+    untested = f"the {settings.camera} camera was {UNTESTED}"
+    notes = (untested,) if rig is not None else (NOMINAL, untested)
     chosen = rig or replace(nominal_rig(), provenance={"source": "as drawn, not calibrated"})
     with ExitStack() as stack:
         lights = stack.enter_context(_open_lights(chosen))  # closed last
@@ -472,6 +470,4 @@ def opened_pi(rig: Rig | None, settings: PiCameraSettings) -> Iterator[Opened]:
         analyser = _open_analyser(chosen)
         if analyser is not None:
             stack.enter_context(analyser)
-        untested = f"the {settings.camera} camera was {UNTESTED}"
-        notes = (untested,) if rig is not None else (NOMINAL, untested)
         yield Opened("pi", camera, lights, chosen, {"pi": settings}, notes=notes, turn=analyser)

@@ -41,12 +41,12 @@ def pins_of(rig: Rig) -> tuple[int, ...]:
     """BCM lines of the rig's LEDs: LED k of a band has the band's k-th line. Raises BadInput for a map with too few
     lines, a line twice, or one that cannot be used.
     """
-    given = rig.provenance.get("pins", {**DEFAULT_PINS, "white": WHITE_PINS + SECOND_PINS})
-    words = 'provenance.pins of the rig file must be like {"white": [7 numbers], "nir": [7 numbers]}.'
-    require(isinstance(given, Mapping), words)
+    by_band = rig.provenance.get("pins", {"white": WHITE_PINS + SECOND_PINS, "nir": NIR_PINS})
+    form = 'provenance.pins of the rig file must be like {"white": [7 numbers], "nir": [7 numbers]}.'
+    require(isinstance(by_band, Mapping), form)
     pins: list[int] = []
     for index, (band, k) in enumerate(_numbered(rig)):
-        lines = given.get(band)
+        lines = by_band.get(band)
         require(
             isinstance(lines, Sequence)
             and not isinstance(lines, str)
@@ -55,8 +55,11 @@ def pins_of(rig: Rig) -> tuple[int, ...]:
             "hardware/files/board/rig.json has it.",
         )
         assert lines is not None
-        words = f"provenance.pins.{band} of the rig file has {len(lines)} lines"
-        require(k < len(lines), f"{words}, but LED {index} is {band} LED number {k}; add its line.")
+        require(
+            k < len(lines),
+            f"provenance.pins.{band} of the rig file has {len(lines)} lines, but LED {index} is {band} LED number {k}; "
+            "add its line.",
+        )
         pins.append(lines[k])
     for pin in pins:
         require(pins.count(pin) == 1, f"provenance.pins of the rig file gives GPIO {pin} to two LEDs; correct it.")
@@ -75,10 +78,10 @@ class RigFilms:
 
 def rig_films(rig: Rig) -> RigFilms | None:
     """Films of a rig by its file's ``provenance.films``; None where it has none; BadInput if their kind is unknown."""
-    given = rig.provenance.get("films")
-    if given is None:
+    films = rig.provenance.get("films")
+    if films is None:
         return None
-    kind = given.get("kind") if isinstance(given, Mapping) else None
+    kind = films.get("kind") if isinstance(films, Mapping) else None
     require(
         kind in ("servo", "hand", "neighbours"),
         'provenance.films of the rig file must have the kind "servo", "hand" or "neighbours"; '
@@ -86,7 +89,7 @@ def rig_films(rig: Rig) -> RigFilms | None:
     )
     white = tuple(k for k, led in enumerate(rig.leds) if led.band == "white")
     if kind == "neighbours":
-        crossed = given.get("crossed")
+        crossed = films.get("crossed")
         require(
             isinstance(crossed, Sequence)
             and all(type(led) is int and led in white for led in crossed)
@@ -95,7 +98,7 @@ def rig_films(rig: Rig) -> RigFilms | None:
             "crossed film, in the order of the others.",
         )
         return RigFilms(str(kind), tuple(crossed))
-    servo, pulses_ms = given.get("servo", SERVO_PIN), given.get("pulses_ms", PULSES_MS)
+    servo, pulses_ms = films.get("servo", SERVO_PIN), films.get("pulses_ms", PULSES_MS)
     require(
         type(servo) is int and servo in USABLE and (kind == "hand" or servo not in pins_of(rig)),
         f"provenance.films.servo of the rig file must be a GPIO number (BCM, 2 to 27) that no LED has, not {servo!r}.",

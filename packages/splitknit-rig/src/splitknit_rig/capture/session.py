@@ -159,7 +159,7 @@ def run_session(
     if judged and focus.snr < MIN_SNR:
         verdict.append("the finger is out of focus (nothing on it is sharper than the noise): focus and capture again")
     return Session(
-        bands={band: replace(one, shading=rig.camera.shading) for band, one in shooting.bands.items()},
+        bands={name: replace(band, shading=rig.camera.shading) for name, band in shooting.bands.items()},
         shots=tuple(shooting.shots),
         exposures=exposures,
         focus=focus,
@@ -179,19 +179,19 @@ def _focus(devices: Devices, region: BoolArray, exposure: Exposure, watch_focus:
     inner = np.asarray(depth > px_per_mm * region.shape[1] / columns)
     inner = inner if inner.any() else region
     part = []
-    for one, small, full in zip(bounding_box(inner), inner.shape, (rows, columns), strict=True):
-        middle = 0.5 * (one.start + one.stop) * full / small
-        half = min(0.5 * (one.stop - one.start) * full / small, 0.5 * _FOCUS_FIELD_MM * px_per_mm)
+    preview_pixels = []
+    for extent, small, full in zip(bounding_box(inner), inner.shape, (rows, columns), strict=True):
+        middle = 0.5 * (extent.start + extent.stop) * full / small
+        half = min(0.5 * (extent.stop - extent.start) * full / small, 0.5 * _FOCUS_FIELD_MM * px_per_mm)
         part.append(slice(max(int(middle - half), 0), max(int(middle + half), int(middle - half) + 8)))
-    y = np.minimum((np.arange(rows)[part[0]] * inner.shape[0] / rows).astype(np.intp), inner.shape[0] - 1)
-    x = np.minimum((np.arange(columns)[part[1]] * inner.shape[1] / columns).astype(np.intp), inner.shape[1] - 1)
-    seen = inner[np.ix_(y, x)]
+        preview_pixels.append(np.minimum((np.arange(full)[part[-1]] * small / full).astype(np.intp), small - 1))
+    visible = inner[np.ix_(*preview_pixels)]
     watch = FocusWatch()
     while True:
         lights.on(exposure.brightest)
         frame = camera.capture()
-        light = grey_light(frame.pixels[part[0], part[1]], frame.black_level)
-        focus = measure_focus(light, seen, px_per_mm)
+        light = grey_light(frame.pixels[tuple(part)], frame.black_level)
+        focus = measure_focus(light, visible, px_per_mm)
         enough = watch.add(focus)
         if watch_focus is None or watch_focus(focus, watch) or enough:
             lights.off()
@@ -223,7 +223,9 @@ def _meter(
         lights.off()
         camera.lock(seen.exposure_s, seen.gain, spectral_band(band))
         room = camera.preview()
-        added = max(float(np.percentile(one.pixels - np.float32(room.pixels), 99.9)) for one in seen.frames.values())
+        added = max(
+            float(np.percentile(frame.pixels - np.float32(room.pixels), 99.9)) for frame in seen.frames.values()
+        )
         words = f"nothing is seen under any {band.replace('_', ' ')} LED that is not seen without it; check the LEDs' "
         require(added > 0.02 * float(np.iinfo(room.pixels.dtype).max), f"{words}supply and the lens.")
         if region is None:
@@ -232,9 +234,9 @@ def _meter(
         dark = typical_level(room, region, typical)
         lit = {led: typical_level(frame, region, typical) - dark for led, frame in seen.frames.items()}
         _check_lit(lit, dark, led_names(devices.rig))
-        found = exposures.get(band.removesuffix("_crossed"))  # both series have the parallel one's
-        found = found or find_exposure(look, seen, region, camera.exposures, settings.exposure)
-        exposures[band] = found.promising(seen, lit)
+        exposure = exposures.get(band.removesuffix("_crossed"))  # both series have the parallel one's
+        exposure = exposure or find_exposure(look, seen, region, camera.exposures, settings.exposure)
+        exposures[band] = exposure.promising(seen, lit)
         lights.off()
         progress((done + 1) / len(bands))
     assert region is not None

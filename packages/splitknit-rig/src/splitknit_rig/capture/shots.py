@@ -8,13 +8,12 @@ from typing import Annotated, Any
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
 from splitknit import Band, Rig
 from splitknit.devices import CameraDevice, Frame, LightBank, relative_exposure
 from splitknit.finger.motion import MIN_RELIABILITY, WORKING_PX_PER_MM, shot_motion
 from splitknit.finger.regions import blur, dilate, reduce_image
-from splitknit.model import Array, BoolArray, FloatArray, PixelArray, side_lights, spectral_band
+from splitknit.model import Array, BoolArray, FloatArray, side_lights, spectral_band
 from splitknit.settings import Checked, Limits
 from splitknit_rig.capture.exposure import MEDIAN, Exposure, grey_light
 from splitknit_rig.capture.pins import led_names
@@ -82,21 +81,22 @@ class Examiner:
         local = np.maximum(blur(grey, 1.2 * px), np.float32(max(0.1 * level, 1e-6)))
         relative = np.asarray(grey / local, dtype=np.float32)
         details = np.asarray((blur(relative, 0.08 * px) - blur(relative, 0.3 * px)) * window, dtype=np.float32)
-        sparse = cv2.resize(self.region.astype(np.uint8), full.shape[1::-1], interpolation=cv2.INTER_NEAREST) > 0
-        return Look(grey, details, level, _clipped_fraction(full, np.asarray(sparse)))
+        region = cv2.resize(self.region.astype(np.uint8), full.shape[1::-1], interpolation=cv2.INTER_NEAREST)
+        clipped = full[region > 0] >= 0.995 * float(np.iinfo(full.dtype).max)
+        # at full scale in two channels, or the one
+        saturated = float(np.mean(clipped.sum(axis=1) >= min(2, full.shape[2]))) if clipped.size else 0.0
+        return Look(grey, details, level, saturated)
 
     def shine(self, look: Look, dark: Look) -> float:
         """Level of the finger's specular reflections in a shot, less that without LEDs, 1 = full scale."""
         inside, _ = self._mask((look.grey.shape[0], look.grey.shape[1]))
         return float(np.percentile((look.grey - dark.grey)[inside], _SHINE))
 
-    def shift_mm(self, before: Look, after: Look, full_columns: int) -> tuple[float, float] | None:
-        """How far the finger moved between two shots (x right, y up), or None if they show different things."""
-        (x, y), response = cv2.phaseCorrelate(before.details, after.details)
-        if response < 0.2:
-            return None
+    def shift_mm(self, before: Look, after: Look, full_columns: int) -> float | None:
+        """How far the finger moved between two shots, or None if they show different things."""
+        shift, response = cv2.phaseCorrelate(before.details, after.details)
         px = self._px_per_mm * before.details.shape[1] / full_columns
-        return float(x) / px, -float(y) / px
+        return float(np.hypot(*np.divide(shift, px))) if response >= 0.2 else None
 
     def drift(self, looks: Sequence[Look], dark: Look, full_columns: int) -> Array:
         """(L,) distance in mm of the finger in each shot of a band from its place in all of them."""
@@ -173,22 +173,34 @@ class Shooting:
         self._camera.lock(exposure.exposure_s, exposure.gain, spectral_band(band))
         self._lights.off()
         self._series = " crossed" if band == "white_crossed" else ""
-        room, dark = self._take()
-        self._note(f"{spectral_band(band)}{self._series} ambient", None, (room, dark))
-        pixels: Any = np.empty((len(leds), *room.pixels.shape), dtype=room.pixels.dtype)
-        frames, looks = [], []
+        ambient, dark = self._take()
+        self._note(f"{spectral_band(band)}{self._series} ambient", None, ambient, dark)
+        pixels: Any = np.empty((len(leds), *ambient.pixels.shape), dtype=ambient.pixels.dtype)
+        exposures = []
+        black_levels = []
+        looks = []
         for k, led in enumerate(leds):
             self._progress(self._name(led), len(self.shots) / total)
             frame, look = self._lit(led, dark, exposure.expected[led])
             pixels[k] = frame.pixels
-            frames.append(Frame(frame.pixels[:0], frame.exposure_s, frame.gain, frame.black_level))
+            exposures.append(relative_exposure(frame))
+            black_levels.append(frame.black_level)
             looks.append(look)
         self._lights.off()
         self._looks[band] = leds, looks, dark
-        self.bands[band] = _as_band(band, pixels, leds, frames, room)
+        self.bands[band] = Band(
+            name=band,
+            pixels=pixels,
+            leds=tuple((led,) for led in leds),
+            exposure=np.array(exposures),
+            black_level=np.array(black_levels),
+            ambient=ambient.pixels,
+            ambient_exposure=relative_exposure(ambient),
+            ambient_black_level=ambient.black_level,
+            polarisation="crossed" if self._series else "",
+        )
         if self._series:
             self.bands["white"] = replace(self.bands["white"], polarisation="parallel")
-            self.bands[band] = replace(self.bands[band], polarisation="crossed")
 
     def _name(self, led: int) -> str:
         return self._names[led] + self._series
@@ -208,7 +220,7 @@ class Shooting:
         for kind, words in troubles:
             self.verdict.append(words)
             self._steady = self._steady and kind != "moved"
-        self._note(self._name(led), led, (frame, look), moved, attempt)
+        self._note(self._name(led), led, frame, look, moved_mm=moved, retries=attempt)
         if not any(kind == "unlit" for kind, _ in troubles):
             self._before.append((led, self._name(led), look))
         return frame, look
@@ -223,21 +235,22 @@ class Shooting:
         name = self._name(led)
         if look.level - dark.level < _MIN_LIGHT * expected:
             return None, [("unlit", f"{name} did not light: check its wiring and capture again")]
-        troubles, moved = [], None
+        troubles = []
+        moved = None
         if look.saturated > _MAX_SATURATED:
             words = f"{name} is overexposed on {100 * look.saturated:.0f} % of the finger: capture again"
             troubles.append(("saturated", words))
         # the latest shot under a light from about there, or the same side light: others' shadows differ too much
         near = 0.98 if led in self._side else 0.7
-        alike = [one[1:] for one in self._before if self._towards[one[0]] @ self._towards[led] > near]
-        if self._watch_motion and alike:
-            earlier, before = alike[-1]
+        beside = [shot for shot in self._before if self._towards[shot[0]] @ self._towards[led] > near]
+        if self._watch_motion and beside:
+            _, earlier, before = beside[-1]
             between = f"between {earlier} and {name}"
-            shift = self._examiner.shift_mm(before, look, self._camera.image_size[1])
-            if shift is None:
+            moved = self._examiner.shift_mm(before, look, self._camera.image_size[1])
+            if moved is None:
                 words = f"the picture changed {between}: keep the finger in its place and capture again"
                 troubles.append(("moved", words))
-            elif (moved := float(np.hypot(*shift))) > self._examiner.moved_mm:
+            elif moved > self._examiner.moved_mm:
                 words = f"the finger moved by {moved:.1f} mm {between}: hold still and capture again"
                 troubles.append(("moved", words))
         return moved, troubles
@@ -273,28 +286,19 @@ class Shooting:
         return ratio
 
     def _note(
-        self, name: str, led: int | None, taken: tuple[Frame, Look], moved: float | None = None, retries: int = 0
+        self, name: str, led: int | None, frame: Frame, look: Look, *, moved_mm: float | None = None, retries: int = 0
     ) -> None:
-        frame, look = taken
-        of_frame = (frame.at_s, frame.exposure_s, frame.gain, frame.discarded)
-        self.shots.append(Shot(name, led, look.level, look.saturated, moved, *of_frame, retries))
-
-
-def _as_band(name: str, pixels: PixelArray, leds: Sequence[int], frames: Sequence[Frame], room: Frame) -> Band:
-    return Band(
-        name=name,
-        pixels=pixels,
-        leds=tuple((led,) for led in leds),
-        exposure=np.array([relative_exposure(frame) for frame in frames]),
-        black_level=np.array([frame.black_level for frame in frames]),
-        ambient=room.pixels,
-        ambient_exposure=relative_exposure(room),
-        ambient_black_level=room.black_level,
-    )
-
-
-def _clipped_fraction(pixels: NDArray[np.unsignedinteger], region: BoolArray) -> float:
-    """Fraction of the region's pixels in which two channels (or the one) are at full scale."""
-    full = float(np.iinfo(pixels.dtype).max)
-    inside = pixels[region] >= 0.995 * full
-    return float(np.mean(inside.sum(axis=1) >= min(2, pixels.shape[2]))) if inside.size else 0.0
+        self.shots.append(
+            Shot(
+                name,
+                led,
+                look.level,
+                look.saturated,
+                moved_mm,
+                frame.at_s,
+                frame.exposure_s,
+                frame.gain,
+                frame.discarded,
+                retries,
+            )
+        )
