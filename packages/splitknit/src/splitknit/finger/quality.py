@@ -178,9 +178,7 @@ def capture_quality(
     return {
         **figures,
         "sharpness": sharpness,
-        "saturated_per_image": [
-            float((image[mask] >= limit).mean()) for image, limit in zip(stack, limits, strict=True)
-        ],
+        "saturated_per_image": saturated,
         "brightness": brightness,
         "brightness_per_image": medians.tolist(),
         "ambient_share": None if ambient is None else quantile(ambient[mask]) / max(brightness, 1e-12),
