@@ -54,11 +54,11 @@ def diagnose(capture: Capture, finger: Finger) -> Diagnosis:
         with suppress(BadInput):  # raised below
             fit = _fit(capture, white, finger)
     of_mask = [] if fit is None else findings_on_mask(capture, finger)
-    films = []
+    films: tuple[Finding, ...] = ()
     if white.crossed is not None and not white.colours:
         parallel, _, pixels = sampled_light(capture, replace(white, crossed=None))
         crossed, _, _ = sampled_light(capture, white.crossed)
-        films += findings_on_series(parallel, crossed, finger.mask[pixels])
+        films = findings_on_series(parallel, crossed, finger.mask[pixels])
     judged = _judged_skin if skin else _judged_object
     capture, facts, findings = judged(capture, finger, fit)
     finger = replace(finger, facts={**finger.facts, **facts})

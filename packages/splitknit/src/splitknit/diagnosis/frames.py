@@ -413,7 +413,7 @@ def _least_curls(p: FloatArray, q: FloatArray, weight: FloatArray) -> tuple[_Cur
         return _Curl(power / max(total, 1e-12), convex, np.array([[cosine, -hand * sine], [sine, hand * cosine]]))
 
     def curl_and_divergence(hand: float) -> tuple[Array, Array]:
-        return -p_down - hand * q_right, p_right - hand * q_down
+        return np.asarray(-p_down - hand * q_right), np.asarray(p_right - hand * q_down)
 
     turns = []
     for hand in (1.0, -1.0):
@@ -463,7 +463,7 @@ def _residual(gram: Array, lights: Array) -> tuple[float, Array]:
     """Residual of all photographs, and (L,) of each."""
     unexplained = _unexplained(gram, lights)
     power = np.maximum(np.diag(gram), 1e-300)
-    return float(np.sqrt(unexplained.sum() / power.sum())), np.sqrt(unexplained / power)
+    return float(np.sqrt(unexplained.sum() / power.sum())), np.asarray(np.sqrt(unexplained / power))
 
 
 def _equalised(gram: Array, lights: Array) -> tuple[Array, Array]:

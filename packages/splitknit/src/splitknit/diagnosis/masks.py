@@ -17,14 +17,20 @@ INVERTED = (
     "the mask looks inverted: it runs around the picture, and what it leaves out turns more with the light than "
     "what it holds, so that the table is measured; paint the object white and all else black."
 )
-OTHER_OUTLINE = 0.03, 0.15
-"""Part of the rim that is darker in near infrared than in white from which the outlines differ, and from which the
-surface is spoilt: below 0 on simulated and path-traced fingers, 0.04 and 0.24 where the NIR images were of another."""
-_BORDER, _LEFT_OUT, _LIT = 0.7, 0.02, 0.1
-"""A mask may be inverted that holds the picture's corners and this part of its border, and leaves out this part of it,
-lit: brighter than this part of the brightest pixels."""
-_TURNS, _TURNS_DEG = 2.5, 5.0
-"""Spread of directions (70 % of pixels) of what an inverted mask leaves out: over that of what it holds, and itself."""
+_DARK_RIM = 0.03
+"""Fraction of the rim that is darker in near infrared than in white from which the outlines differ: below 0 on
+simulated and path-traced fingers, 0.04 and 0.24 where the NIR images were of another."""
+_DARK_RIM_SPOILS = 0.15
+_BORDER = 0.7
+"""A mask may be inverted that holds the picture's corners and this fraction of its border ..."""
+_LEFT_OUT = 0.02
+"""... and leaves out this fraction of it, lit."""
+_LIT = 0.1
+"""Lit is what is brighter than this fraction of the brightest pixels."""
+_TURNS = 2.5
+"""Spread of directions (70 % of pixels) of what an inverted mask leaves out, over that of what it holds."""
+_TURNS_DEG = 5.0
+"""The same spread itself."""
 
 
 def leaves_out_object(stack: Any, lights: Any, mask: Any) -> bool:
@@ -66,18 +72,20 @@ def findings_on_mask(capture: Capture, finger: Finger) -> list[Finding]:
 
 def findings_on_outline(capture: Capture, finger: Finger) -> list[Finding]:
     """A doubt where the finger of the near-infrared photographs has another outline than that of the white ones."""
-    (white, _, some), (nir, *_) = (sampled_light(capture, capture.bands[name]) for name in ("white", "nir"))
-    inside, px = finger.mask[some], capture.rig.camera.px_per_mm / some[0].step
-    rim = inside & ~erode(inside, 1.5 * px)
-    core = inside & ~rim
+    white, _, pixels = sampled_light(capture, capture.bands["white"])
+    nir, _, _ = sampled_light(capture, capture.bands["nir"])
+    inside = finger.mask[pixels]
+    core = erode(inside, 1.5 * capture.rig.camera.px_per_mm / pixels[0].step)
+    rim = inside & ~core
     if not core.any():
         return []
-    means = white.mean(axis=0), nir.mean(axis=0)
-    own, dark = (float((mean[rim] < 0.15 * np.median(mean[core])).mean()) for mean in means)
-    noted, spoils = OTHER_OUTLINE
-    if dark - own <= noted:
+    means = (stack.mean(axis=0) for stack in (white, nir))
+    dark_white, dark_nir = (float((mean[rim] < 0.15 * np.median(mean[core])).mean()) for mean in means)
+    if dark_nir - dark_white <= _DARK_RIM:
         return []
-    other = f"{100 * dark:.0f} % of the finger's rim (1.5 mm) is dark in it, and {100 * own:.0f} % in white"
-    words = f"{other}: check that both bands are of one finger in one place."
-    severity = Severity.SPOILS if dark - own > spoils else Severity.DOUBT
+    words = (
+        f"{100 * dark_nir:.0f} % of the finger's rim (1.5 mm) is dark in it, and {100 * dark_white:.0f} % in white: "
+        "check that both bands are of one finger in one place."
+    )
+    severity = Severity.SPOILS if dark_nir - dark_white > _DARK_RIM_SPOILS else Severity.DOUBT
     return [Finding("other-outline", words, severity).of_band("nir")]

@@ -256,7 +256,7 @@ class _Comparison:
 
         def best(model: Callable[[float, float], FloatArray]) -> tuple[float, float]:
             coarse = product(range(-8, 9, 2), repeat=2)
-            _, _, x, y = min((misfit(model(*shift)), np.hypot(*shift), *shift) for shift in coarse)
+            _, _, x, y = min((misfit(model(x, y)), float(np.hypot(x, y)), x, y) for x, y in coarse)
             fine = ((x + right, y + down) for right, down in product((-1.0, -0.5, 0.0, 0.5, 1.0), repeat=2))
             return min((misfit(model(*shift)), float(np.hypot(*shift))) for shift in fine)
 

@@ -42,12 +42,12 @@ def _odd_ridge_period(capture: Capture, result: Reconstruction, metric: bool) ->
     every = max(1, int(camera.px_per_mm / _PERIOD_PX_PER_MM))
     try:
         # a doubt needs few blocks
-        found = ridge_period(result.normals[::every, ::every], result.mask[::every, ::every], step=32)
+        ridges = ridge_period(result.normals[::every, ::every], result.mask[::every, ::every], step=32)
     except BadInput:  # too coarse to show any
         return ()
-    if found.part < _COVERED and USUAL_PERIOD_MM * camera.px_per_mm < _SEEN_PX:
+    if ridges.part < _COVERED and USUAL_PERIOD_MM * camera.px_per_mm < _SEEN_PX:
         return ()
-    period_mm, (low, high) = found.period_px * every * result.pitch_mm, RIDGE_PERIOD.possible
+    period_mm, (low, high) = ridges.period_px * every * result.pitch_mm, RIDGE_PERIOD.possible
     factor = f"{period_mm / USUAL_PERIOD_MM:.2g} of the true ones if the ridges lie {USUAL_PERIOD_MM:g} mm apart"
     remedy = f"check the scale of {camera.px_per_mm:g} px/mm (`px_per_mm`), as all lengths are {factor}"
     return RIDGE_PERIOD.notes(float(np.clip(period_mm, low, high)), remedy)

@@ -117,54 +117,55 @@ def find_finger(capture: Capture, settings: FingerSettings) -> Finger:
     binning = max(1, min(int(px_per_mm / SURVEY_PX_PER_MM), min(rows, columns) // SURVEY_SIDE), fits)
     mean, stack = linear_survey(white, capture.encoding, binning)
     grey = pick_channel(mean, "grey")
+    image = mean if has_colour(white) else grey
     small_px = px_per_mm / binning
-    given = capture.mask is not None
     skin = capture.material == "skin"
+    stated_mask = capture.mask is not None
     if capture.mask is not None:
         outline = reduced(capture.mask, grey.shape)
         require(outline.any(), "the given mask is too small: not one block of pixels lies inside it; mark all of it.")
     else:
-        outline = _found_outline(capture, mean if has_colour(white) else grey, binning, settings.mask.method)
+        outline = _outline(capture, image, binning, settings.mask.method)
+    quality, of_quality = _quality(capture, stack, outline, binning)
     stated = capture.tip_direction_deg is not None
     searched = skin and not stated and not capture.rig.mirrors
-    finger = skin or stated
-    direction = None if searched else capture.tip_direction_deg or 0.0
-    limits = saturation_levels(white, capture.encoding)
-    with ThreadPoolExecutor(1) as aside:
-        looking = aside.submit(_quality, capture, stack, outline, binning)
-        all_rows = settings.yaw == "all_rows"
-        upright = find_upright(outline, direction, all_rows=all_rows) if finger else as_it_lies(outline)
+    upright = as_it_lies(outline)
+    if skin or stated:
+        direction = None if searched else capture.tip_direction_deg or 0.0
+        upright = find_upright(outline, direction, all_rows=settings.yaw == "all_rows")
+    crease = Crease()
+    if skin:
         equalised = settings.cut_at_crease == "equalised"
-        crease = find_crease(grey, outline, upright, small_px, equalised=equalised) if skin else Crease()
-        cut = bool(settings.cut_at_crease) and not given and skin
-        kept = phalange_mask(outline, crease, upright) if cut else outline
-        usable = photometric_mask(stack, kept, small_px, saturation=limits) if not given else kept
-        beyond = crease._replace(row=crease.row + BEYOND_CREASE_MM * small_px)
-        wider = phalange_mask(outline, beyond, upright) if cut else outline
-        quality, of_quality = looking.result()
-    full = capture.shape
-    if given:
+        crease = find_crease(grey, outline, upright, small_px, equalised=equalised)
+    cut = bool(settings.cut_at_crease) and not stated_mask and skin
+    kept = usable = phalange_mask(outline, crease, upright) if cut else outline
+    if capture.mask is not None:
         mask = wide = np.asarray(capture.mask)
     else:
-        wide = enlarged_mask(wider & (usable | ~kept), full, binning)
-        mask = enlarged_mask(usable, full, binning) & wide
-    findings = [Finding("unsure-tip", upright.note)] if upright.note else []
-    odd = _check_width(kept if given else usable, small_px, given) if skin else ()
+        usable = photometric_mask(stack, kept, small_px, saturation=saturation_levels(white, capture.encoding))
+        beyond = crease._replace(row=crease.row + BEYOND_CREASE_MM * small_px)
+        wider = phalange_mask(outline, beyond, upright) if cut else outline
+        wide = enlarged_mask(wider & (usable | ~kept), capture.shape, binning)
+        mask = enlarged_mask(usable, capture.shape, binning) & wide
+    findings: list[Finding] = []
+    if skin and not stated_mask and not capture.rig.mirrors:
+        findings += _other_fingers(image, small_px)
+    if skin:
+        findings += _check_width(usable, small_px, stated_mask)
+    if upright.note:
+        findings.append(Finding("unsure-tip", upright.note))
     if cut and not crease.found:
         findings.append(crease.verdict)
-    large = _scaled(upright, binning)
     facts = {
         "yaw_deg": float(np.rad2deg(upright.yaw_rad)),
         "tip_direction": "given" if stated else "found" if searched and upright.clear else "assumed",
-        "mask": "given" if given else "found",
+        "mask": "given" if stated_mask else "found",
         "crease_found": bool(crease.found and cut),
         "crease_distance_mm": float(crease.distance_mm) if crease.found else None,
         "crease_line": [[(v + 0.5) * binning - 0.5 for v in end] for end in crease.line] if crease.line else None,
     }
-    alone = not skin or given or capture.rig.mirrors
-    others = () if alone else _other_fingers(mean if has_colour(white) else grey, small_px)
     window = bounding_box(wide, round(0.5 * px_per_mm))
-    return Finger(mask, wide, window, large, facts, quality, (*others, *odd, *findings, *of_quality))
+    return Finger(mask, wide, window, _scaled(upright, binning), facts, quality, (*findings, *of_quality))
 
 
 def _other_fingers(image: FloatArray, px_per_mm: float) -> tuple[Finding, ...]:
@@ -174,16 +175,14 @@ def _other_fingers(image: FloatArray, px_per_mm: float) -> tuple[Finding, ...]:
         count = len(finger_masks(reduce_image(image, scale), px_per_mm * scale))
     except BadInput:
         return ()
-    if count < 2:
-        return ()
-    several = (
-        f"the view shows {count} fingers, of which one is reconstructed: "
-        "cut them apart with 'splitknit import CAPTURE --fingers auto --out HAND'."
+    words = (
+        f"the view shows {count} fingers, of which one is reconstructed: cut them apart with 'splitknit import CAPTURE "
+        "--fingers auto --out HAND'."
     )
-    return (Finding("several-fingers", several, Severity.DOUBT),)
+    return (Finding("several-fingers", words, Severity.DOUBT),) if count > 1 else ()
 
 
-def _found_outline(capture: Capture, image: FloatArray, binning: int, method: Literal["grown", "kmeans"]) -> BoolArray:
+def _outline(capture: Capture, image: FloatArray, binning: int, method: Literal["grown", "kmeans"]) -> BoolArray:
     """Mask of the finger itself, not of its mirror images, in the mean of the white images."""
     camera = capture.rig.camera
     if capture.rig.mirrors:
@@ -200,29 +199,28 @@ def _found_outline(capture: Capture, image: FloatArray, binning: int, method: Li
         if not camera.scale_known or not isinstance(error, NoFinger):
             raise type(error)(words) from error
         rows_mm, columns_mm = (side / camera.px_per_mm for side in capture.shape)
-        raise BadInput(
-            words.replace(
-                " or give",
-                f" and the scale, by whose {camera.px_per_mm:g} px/mm the images show "
-                f"{columns_mm:.3g} x {rows_mm:.3g} mm, or give",
-            )
-        ) from error
+        shows = f"by whose {camera.px_per_mm:g} px/mm the images show {columns_mm:.3g} x {rows_mm:.3g} mm"
+        raise BadInput(words.replace(" or give", f" and the scale, {shows}, or give")) from error
     if capture.material == "skin":
         check_borders(outline)
     return outline
 
 
-def _check_width(mask: BoolArray, px_per_mm: float, given: bool) -> tuple[Finding, ...]:
+def _check_width(mask: BoolArray, px_per_mm: float, stated: bool) -> tuple[Finding, ...]:
     """Refuse a mask that is nowhere wide enough to hold a surface, or wider than a finger; note an odd one."""
     padded = np.pad(mask[bounding_box(mask)].astype(np.uint8), 1)
     width_mm = 2.0 * float(cv2.distanceTransform(padded, cv2.DIST_L2, cv2.DIST_MASK_PRECISE).max()) / px_per_mm
-    least = FINGER_WIDTH.possible[0]
-    narrow = f"only a strip of {width_mm:.1f} mm of the finger is bright enough in all images"
-    remedy = "capture it again with more light, or give a mask."
-    if given:
-        narrow = f"the given mask is too small: it is nowhere wider than {width_mm:.1f} mm, and {least:g} mm are needed"
-        remedy = "mark the whole finger, or check the rig's px_per_mm."
-    require(width_mm >= least, f"{narrow}; {remedy}")
+    least_mm = FINGER_WIDTH.possible[0]
+    narrow = (
+        f"only a strip of {width_mm:.1f} mm of the finger is bright enough in all images; capture it again with more "
+        "light, or give a mask."
+    )
+    if stated:
+        narrow = (
+            f"the given mask is too small: it is nowhere wider than {width_mm:.1f} mm, and {least_mm:g} mm are needed; "
+            "mark the whole finger, or check the rig's px_per_mm."
+        )
+    require(width_mm >= least_mm, narrow)
     odd = FINGER_WIDTH.notes(width_mm, "check the scale (`px_per_mm`) that all lengths come from, or the mask")
     return tuple(replace(finding, severity=Severity.DOUBT) for finding in odd)
 
@@ -236,43 +234,45 @@ def _quality(
     window = (slice(rows.start * binning, rows.stop * binning), slice(columns.start * binning, columns.stop * binning))
     inside = outline[rows, columns]
     skin = capture.material == "skin"
+    promised = skin or not capture.rig.intensities_assumed
 
     def of_band(name: str) -> tuple[dict[str, Any], list[Finding]]:
         band = capture.bands[name]
         stack = white[:, rows, columns]
-        saturation = saturation_levels(band, capture.encoding)
         if name != "white":
             stack = linear_stack(band, capture.encoding, "grey", window, binning)
         lights = capture.rig.select(band.lights).light_vectors()
         if band.colours:  # skin is brighter in red than in blue, whatever the LEDs are
             lights = lights * colour_factors_of(stack, capture.rig, band, inside)[:, None]
         light = ambient_light(band, capture.encoding, window, binning)
-        ambient = None if light is None else np.maximum(pick_channel(light, "grey"), 0.0)
-        found = capture_quality(
-            stack, inside, px_per_mm, finger=skin, lights=lights, ambient=ambient, saturation=saturation
+        figures = capture_quality(
+            stack,
+            inside,
+            px_per_mm,
+            finger=skin,
+            lights=lights,
+            ambient=None if light is None else np.maximum(pick_channel(light, "grey"), 0.0),
+            saturation=saturation_levels(band, capture.encoding),
         )
-        found |= outline_figures(outline, px_per_mm)
+        figures |= outline_figures(outline, px_per_mm)
         names = band.image_names
-        promised = skin or not capture.rig.intensities_assumed
-        of_figures = quality_findings(found, finger=skin, names=names, promised=promised)
-        findings = [*few_lights(lights), *of_figures]
+        findings = [*few_lights(lights), *quality_findings(figures, finger=skin, names=names, promised=promised)]
         if len(stack) >= 4 and skin:
             motion = shot_motion(stack, inside, px_per_mm)
-            found["motion_mm"] = [float(v) for v in np.hypot(motion.shift_mm[:, 0], motion.shift_mm[:, 1])]
-            found["motion_reliability"] = [float(v) for v in motion.reliability]
+            figures["motion_mm"] = np.hypot(*motion.shift_mm.T).tolist()
+            figures["motion_reliability"] = motion.reliability.tolist()
             findings += motion_findings(motion, names)
-        return found, [replace(finding, message=f"{name} band: {finding.message}") for finding in findings]
+        return figures, [replace(finding, message=f"{name} band: {finding.message}") for finding in findings]
 
     with ThreadPoolExecutor(2) as pool:
-        found = dict(zip(capture.bands, pool.map(of_band, capture.bands), strict=True))
-    quality = {name: figures for name, (figures, _) in found.items()}
-    return quality, tuple(finding for _, findings in found.values() for finding in findings)
+        bands = dict(zip(capture.bands, pool.map(of_band, capture.bands), strict=True))
+    quality = {name: figures for name, (figures, _) in bands.items()}
+    return quality, tuple(finding for _, findings in bands.values() for finding in findings)
 
 
 def reduced(mask: BoolArray, shape: tuple[int, ...]) -> BoolArray:
     """A mask on a smaller grid: pixels that lie in it by more than half."""
-    small = cv2.resize(mask.astype(np.float32), (shape[1], shape[0]), interpolation=cv2.INTER_AREA) > 0.5
-    return np.asarray(small)
+    return np.asarray(cv2.resize(mask.astype(np.float32), (shape[1], shape[0]), interpolation=cv2.INTER_AREA) > 0.5)
 
 
 def enlarged_mask(mask: BoolArray, shape: tuple[int, int], factor: int) -> BoolArray:
@@ -281,8 +281,6 @@ def enlarged_mask(mask: BoolArray, shape: tuple[int, int], factor: int) -> BoolA
 
 
 def _scaled(upright: Upright, factor: int) -> Upright:
-    if factor == 1:
-        return upright
     grow = np.array([[factor, 0, (factor - 1) / 2], [0, factor, (factor - 1) / 2], [0, 0, 1]], dtype=np.float64)
     column, row = upright.tip
     return replace(

@@ -8,10 +8,11 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Literal, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 import cv2
 import numpy as np
+from numpy.typing import NDArray
 
 from splitknit.errors import BadInput, require
 from splitknit.finger.regions import (
@@ -240,7 +241,7 @@ def _finger_cluster(second: BoolArray, brightness: FloatArray) -> BoolArray:
     return second if float(brightness[second].mean()) > float(brightness[~second].mean()) else ~second
 
 
-def _border(image: Array) -> Array:
+def _border(image: NDArray[Any]) -> NDArray[Any]:
     """Pixels along the image's border; those of the corners twice."""
     return np.concatenate([image[0], image[-1], image[:, 0], image[:, -1]])
 

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Annotated, Literal
+from typing import Annotated, Literal, NamedTuple
 
 import cv2
 import numpy as np
@@ -49,9 +49,9 @@ class MotionSettings(Checked):
     """More motion is refused, because ridges may be mistaken for their neighbours."""
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class _ShotMotion:
-    shift_mm: Array  # (L, 2): x right, y up
+class _ShotMotion(NamedTuple):
+    shift_mm: Array
+    """(L, 2): x right, y up."""
     reliability: Array
     """(L,) in [0, 1]: correlation of the shot's details with those of the other shots, after alignment."""
 
@@ -77,11 +77,11 @@ def shot_motion(stack: FloatArray, mask: BoolArray, px_per_mm: float) -> _ShotMo
         bands, region, light, px = _details(stack, mask, px_per_mm, band)
         aligned = np.stack([_shifted(image, shift * px) for image, shift in zip(bands, shifts, strict=True)])
         total = aligned.sum(axis=0)
-        found = np.zeros_like(shifts)
+        shifts_px = np.zeros_like(shifts)
         for k in range(count):
             reference = np.subtract(total, aligned[k]) / (count - 1)
-            found[k], agreement[k] = _register(reference, bands[k], shifts[k] * px, region)
-        shifts = _without_illumination(found / px, light)
+            shifts_px[k], agreement[k] = _register(reference, bands[k], shifts[k] * px, region)
+        shifts = _without_illumination(shifts_px / px, light)
     return _ShotMotion(shifts * np.array([1.0, -1.0]), np.clip(agreement, 0.0, 1.0))
 
 
@@ -93,15 +93,11 @@ def motion_findings(motion: _ShotMotion, names: Sequence[str] = ()) -> tuple[Fin
         return ()
     files = tuple(names[int(k)] if names else f"image {k}" for k in moved)
     which = ", ".join(f"{escaped(file)} by {{:.2f mm}}" for file in files)
-    return (
-        Finding(
-            "moved-finger",
-            f"the finger moved between the shots ({which}): "
-            "the relief is blurred there; rest the finger on its support and capture again.",
-            files=files,
-            lengths_mm=tuple(length[moved].tolist()),
-        ),
+    words = (
+        f"the finger moved between the shots ({which}): the relief is blurred there; rest the finger on its support "
+        "and capture again."
     )
+    return (Finding("moved-finger", words, files=files, lengths_mm=tuple(length[moved].tolist())),)
 
 
 def _reduced(mask: BoolArray, scale: float) -> BoolArray:
@@ -158,7 +154,7 @@ def _register(reference: FloatArray, image: FloatArray, start: Array, region: Bo
     """Shift of `image` against `reference` (columns, rows; pixels), and their correlation when aligned."""
     places = np.flatnonzero(region)
     places = places[:: max(1, len(places) // _SAMPLES)]
-    some = slice(None, None, max(1, len(places) // 4_000))  # a median needs no more
+    every = max(1, len(places) // 4_000)  # a median needs no more
     down, right = np.gradient(reference)
     rows = np.stack([-right.ravel()[places], -down.ravel()[places], reference.ravel()[places], np.zeros(len(places))])
     rows = rows.astype(np.float32)
@@ -171,7 +167,7 @@ def _register(reference: FloatArray, image: FloatArray, start: Array, region: Bo
             solution = _least_squares(_products(rows * root))
             x, y, gain = solution.astype(np.float32)
             residual = np.abs(values - x * rows[0] - y * rows[1] - gain * rows[2])
-            spread = max(1.4826 * quantile(residual[some]), 1e-12)
+            spread = max(1.4826 * quantile(residual[::every]), 1e-12)
             root = 1.0 / np.sqrt(np.maximum(1.0, residual / (1.5 * spread)))
         step = np.clip(solution[:2] / max(float(solution[2]), 0.3), -1.5, 1.5)
         shift = shift + step

@@ -80,7 +80,7 @@ def find_upright(mask: BoolArray, tip_direction_deg: float | None = None, *, all
     thesis has it. Source: the thesis, 3.3.1.1, "Orientation Correction".
     """
     stated = tip_direction_deg is not None
-    expected, clear = (np.deg2rad(tip_direction_deg), True) if stated else _tip_direction(mask)
+    expected, clear = _tip_direction(mask) if tip_direction_deg is None else (np.deg2rad(tip_direction_deg), True)
     scale = min(1.0, _LONGEST_SIDE / max(mask.shape))
     small = reduce_mask(mask, scale)
     visible = np.zeros(small.shape, dtype=np.float32)

@@ -11,7 +11,6 @@ from typing import Any
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
 from splitknit.errors import require
 from splitknit.findings import Finding
@@ -57,8 +56,10 @@ _BRIGHTER = 0.08
 """How much brighter than what surrounds it a pixel of a bright speck is."""
 
 
-_MAX_DARK, _MAX_BRIGHT = 0.002, 0.005
-"""Fractions of the finger that dark, and bright, specks may cover."""
+_MAX_DARK = 0.002
+"""Fraction of the finger that dark specks may cover."""
+_MAX_BRIGHT = 0.005
+"""The same of bright ones."""
 
 
 def _speck_fractions(stack: FloatArray, mask: BoolArray, px_per_mm: float) -> tuple[float | None, float | None]:
@@ -74,9 +75,15 @@ def _speck_fractions(stack: FloatArray, mask: BoolArray, px_per_mm: float) -> tu
     box, core = _core(mask, scale, px)
     if not core.any():
         return None, None
-    images = np.sort(np.stack([_relative(reduce_image(image, scale)[box], core, px) for image in stack]), axis=0)
+    relative = []
+    for image in stack:
+        small = reduce_image(image, scale)[box]
+        level = blur(small, _LEVEL_MM * px)
+        relative.append(small / np.maximum(level, 0.05 * max(quantile(level[core][::4]), 1e-12)))
+    images = np.sort(np.stack(relative), axis=0)
     half = max(1, len(images) // 2)
-    lit, dim = _finer(images[-half:].mean(axis=0), px), _finer(images[:half].mean(axis=0), px)
+    lit = _finer(images[-half:].mean(axis=0), px)
+    dim = _finer(images[:half].mean(axis=0), px)
     core = np.repeat(np.repeat(core, _FINER, axis=0), _FINER, axis=1)
     filled = _short_marks_filled(lit, _DARK_MM * px * _FINER)
     levelled = -_short_marks_filled(-dim, _BRIGHT_MM * px * _FINER)
@@ -96,34 +103,20 @@ def _core(mask: BoolArray, scale: float, px: float) -> tuple[tuple[slice, slice]
 def _short_marks_filled(image: FloatArray, length_px: float) -> FloatArray:
     """Fill the dark marks of an (H, W) image that hold no straight line of `length_px` in any direction."""
     filled = np.full_like(image, np.inf)
-    closed = np.empty_like(image)
-    for line in _lines(length_px):
-        np.minimum(filled, cv2.morphologyEx(image, cv2.MORPH_CLOSE, line, dst=closed), out=filled)
-    return filled
-
-
-def _lines(length_px: float) -> list[NDArray[np.uint8]]:
-    """Straight lines through the middle of a small square, in all directions."""
     reach = int(np.ceil(0.5 * length_px))
     along = np.linspace(-0.5 * length_px, 0.5 * length_px, 4 * reach + 1)
-    lines = []
     for angle in np.pi * np.arange(DIRECTIONS) / DIRECTIONS:
         line = np.zeros((2 * reach + 1, 2 * reach + 1), dtype=np.uint8)
-        rows, columns = np.rint(reach - along * np.sin(angle)), np.rint(reach + along * np.cos(angle))
-        line[rows.astype(np.intp), columns.astype(np.intp)] = 1
-        lines.append(line)
-    return lines
+        rows = np.rint(reach - along * np.sin(angle)).astype(np.intp)
+        columns = np.rint(reach + along * np.cos(angle)).astype(np.intp)
+        line[rows, columns] = 1
+        np.minimum(filled, cv2.morphologyEx(image, cv2.MORPH_CLOSE, line), out=filled)
+    return filled
 
 
 def _finer(image: FloatArray, px: float) -> FloatArray:
     large = cv2.resize(image, None, fx=_FINER, fy=_FINER, interpolation=cv2.INTER_LINEAR)
     return blur(np.asarray(large), _SMOOTH_MM * px * _FINER)
-
-
-def _relative(image: FloatArray, core: BoolArray, px: float) -> FloatArray:
-    wide = blur(image, _LEVEL_MM * px)
-    least = 0.05 * max(quantile(wide[core][::4]), 1e-12)
-    return image / np.maximum(wide, least)
 
 
 _SATURATION = 0.98
@@ -167,27 +160,27 @@ def capture_quality(
     LEDs off; `saturation`: value at which all images saturate, or (L,) at which each does.
     """
     stride = max(1, round(float(np.sqrt(mask.sum() / 200_000))))  # a median needs no more pixels than that
-    some = np.s_[::stride, ::stride]
-    some = some if mask[some].any() else np.s_[::1, ::1]
-    light = [image[some][mask[some]] for image in stack]
+    grid = np.s_[::stride, ::stride]
+    grid = grid if mask[grid].any() else np.s_[::1, ::1]
+    light = [image[grid][mask[grid]] for image in stack]
     medians = np.array([quantile(image) for image in light])
     brightness = quantile(np.mean(light, axis=0))
-    pairs = zip(stack, np.broadcast_to(saturation, (len(stack),)), strict=True)
-    saturated = [float((image[mask] >= limit).mean()) if float(image.max()) >= limit else 0.0 for image, limit in pairs]
-    found, sharpness = _ridge_contrast(stack, mask, px_per_mm, finger=finger)
+    limits = np.broadcast_to(saturation, (len(stack),))
+    saturated = [float((image[mask] >= limit).mean()) for image, limit in zip(stack, limits, strict=True)]
+    figures, sharpness = _ridge_contrast(stack, mask, px_per_mm, finger=finger)
     if finger:
-        found["dark_specks"], found["bright_specks"] = _speck_fractions(stack, mask, px_per_mm)
+        figures["dark_specks"], figures["bright_specks"] = _speck_fractions(stack, mask, px_per_mm)
     led_relative = None
     if lights is not None:  # a light counts with its z, as facing the camera
         ratio = medians / np.maximum(lights[:, 2], 1e-6)
         middle = float(np.median(ratio))
-        led_relative = [float(value / middle) if middle > 0 else 0.0 for value in ratio]
+        led_relative = (ratio / middle if middle > 0 else 0.0 * ratio).tolist()
     return {
-        **found,
+        **figures,
         "sharpness": sharpness,
         "saturated_per_image": saturated,
         "brightness": brightness,
-        "brightness_per_image": [float(v) for v in medians],
+        "brightness_per_image": medians.tolist(),
         "ambient_share": None if ambient is None else quantile(ambient[mask]) / max(brightness, 1e-12),
         **outline_figures(mask, px_per_mm),
         "led_relative": led_relative,
@@ -221,41 +214,50 @@ def quality_findings(
         words = f"the images are dark (median {quality['brightness']:.3f} of full scale): lengthen the exposure."
         yield Finding("dark-photographs", words)
     worst = int(np.argmax(quality["saturated_per_image"]))
-    fraction = quality["saturated_per_image"][worst]
-    if fraction > _MAX_SATURATED:
-        what, cure = ("finger", " or dry the finger") if finger else ("surface", "")
-        words = f"{100 * fraction:.0f} % of the {what} is saturated in {names[worst]}: shorten the exposure{cure}."
+    saturated = quality["saturated_per_image"][worst]
+    if saturated > _MAX_SATURATED:
+        what, remedy = ("finger", " or dry the finger") if finger else ("surface", "")
+        words = f"{100 * saturated:.0f} % of the {what} is saturated in {names[worst]}: shorten the exposure{remedy}."
         yield Finding("saturated-photograph", words, files=(names[worst],))
-    if finger and quality["ridge_contrast"] < _MIN_RIDGE_CONTRAST:
-        remedy = "focus the camera on the finger, clean the lens, dry a wet finger, or moisten a worn one."
-        words = f"ridges hardly show (contrast {100 * quality['ridge_contrast']:.2f} %): {remedy}"
+    ambient = quality["ambient_share"] or 0.0
+    if ambient > _MAX_AMBIENT:
+        words = f"ambient light is {100 * ambient:.0f} % of the LEDs' light: close the box, dim the room."
+        yield Finding("ambient-light", words)
+    for name, relative in zip(names, quality["led_relative"] or () if promised else (), strict=False):
+        if relative < _DEAD_LED:
+            words = f"{name} is almost black: its LED seems dead; check its wiring."
+            yield Finding("dead-led", words, files=(name,))
+        elif not _LED_RANGE[0] <= relative <= _LED_RANGE[1]:
+            words = (
+                f"{name} is {relative:.2f} times as bright as the rig file promises: check the LED, or calibrate the "
+                "rig again."
+            )
+            yield Finding("led-brightness", words, files=(name,))
+    if finger:
+        yield from _findings_on_skin(quality)
+
+
+def _findings_on_skin(quality: Mapping[str, Any]) -> Iterator[Finding]:
+    """Those on ridges, skin and tip."""
+    if quality["ridge_contrast"] < _MIN_RIDGE_CONTRAST:
+        words = (
+            f"ridges hardly show (contrast {100 * quality['ridge_contrast']:.2f} %): focus the camera on the finger, "
+            "clean the lens, dry a wet finger, or moisten a worn one."
+        )
         yield Finding("faint-ridges", words)
-    dark, bright = quality.get("dark_specks") or 0.0, quality.get("bright_specks") or 0.0
-    if finger and dark > _MAX_DARK:  # at most one sentence: dust has bright grains too
+    dark = quality.get("dark_specks") or 0.0
+    bright = quality.get("bright_specks") or 0.0
+    if dark > _MAX_DARK:  # at most one sentence: dust has bright grains too
         words = f"dark specks cover {100 * dark:.1f} % of the finger: wipe the finger, and the lens or its cover."
         yield Finding("dark-specks", words)
-    elif finger and bright > _MAX_BRIGHT:
+    elif bright > _MAX_BRIGHT:
         remedy = "wipe it if it is dusty, moisten it if its skin is dry."
         yield Finding("bright-specks", f"bright specks cover {100 * bright:.1f} % of the finger: {remedy}")
-    ambient = 100 * (quality["ambient_share"] or 0.0)
-    if ambient > 100 * _MAX_AMBIENT:
-        words = f"ambient light is {ambient:.0f} % of the LEDs' light: close the box, dim the room."
-        yield Finding("ambient-light", words)
-    for k, relative in enumerate((quality["led_relative"] or []) if promised else []):
-        if relative < _DEAD_LED:
-            words = f"{names[k]} is almost black: its LED seems dead; check its wiring."
-            yield Finding("dead-led", words, files=(names[k],))
-        elif not _LED_RANGE[0] <= relative <= _LED_RANGE[1]:
-            odd = f"{names[k]} is {relative:.2f} times as bright as the rig file promises"
-            words = f"{odd}: check the LED, or calibrate the rig again."
-            yield Finding("led-brightness", words, files=(names[k],))
-    if not finger:
-        return
     if quality["length_mm"] < _MIN_LENGTH_MM:
-        short = "only {:.0f mm} of the finger are in view: push it further in, or check px_per_mm."
-        yield Finding("short-finger", short, lengths_mm=(quality["length_mm"],))
-    opposite = {"top", "bottom"} <= set(quality["borders"]) or {"left", "right"} <= set(quality["borders"])
-    if opposite:
+        words = "only {:.0f mm} of the finger are in view: push it further in, or check px_per_mm."
+        yield Finding("short-finger", words, lengths_mm=(quality["length_mm"],))
+    borders = set(quality["borders"])
+    if borders >= {"top", "bottom"} or borders >= {"left", "right"}:
         words = "the finger crosses the whole image, so its tip is not in view: move it back."
         yield Finding("finger-crosses-view", words)
 
@@ -267,24 +269,23 @@ def _ridge_contrast(
     scale = reduction(mask.shape, px_per_mm, 24.0, 1200)
     px = px_per_mm * scale
     box, core = _core(mask, scale, px)
-    contrast = [] if core.any() else [0.0] * len(stack)
+    contrast = []
     total = np.zeros(core.shape, dtype=np.float32)
     for image in stack if core.any() else ():
         small = reduce_image(image, scale)[box]
         total += small
-        if not finger:
-            continue
-        fine, wide = blur(small, 0.06 * px), blur(small, 0.2 * px)
-        fine, wide = fine[core], wide[core]
-        level = np.maximum(wide, 0.05 * max(quantile(wide[::8]), 1e-12))
-        contrast.append(quantile(np.abs((fine - wide) / level), 0.683))  # robust deviation: glints do not count
-    found = {"ridge_contrast": float(np.mean(contrast)), "ridge_contrast_per_image": contrast} if finger else {}
+        if finger:
+            fine = blur(small, 0.06 * px)[core]
+            wide = blur(small, 0.2 * px)[core]
+            level = np.maximum(wide, 0.05 * max(quantile(wide[::8]), 1e-12))
+            contrast.append(quantile(np.abs((fine - wide) / level), 0.683))  # robust deviation: glints do not count
+    contrast = contrast or [0.0] * len(stack)
+    figures = {"ridge_contrast": float(np.mean(contrast)), "ridge_contrast_per_image": contrast} if finger else {}
     if not core.any():
-        return found, 0.0
+        return figures, 0.0
     smooth = blur(total, 0.06 * px)
     laplacian = np.abs(cv2.filter2D(smooth, -1, _SECOND)) + np.abs(cv2.filter2D(smooth, -1, _SECOND.T))
-    overall = max(float(total[core].mean()), 1e-12)
-    return found, float(laplacian[core].mean()) / overall
+    return figures, float(laplacian[core].mean()) / max(float(total[core].mean()), 1e-12)
 
 
 _SECOND = np.array([[-1.0, 2.0, -1.0]], dtype=np.float32)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import cv2
 import numpy as np
@@ -28,8 +28,7 @@ _MIN_BLOCKS, _MIN_FRACTION = 6, 0.25
 """Blocks with one wave: that many, and part of all (fingers 0.6 to 0.8, DiLiGenT's bear 0.08, a ball none)."""
 
 
-@dataclass(frozen=True, slots=True)
-class _RidgePeriod:
+class _RidgePeriod(NamedTuple):
     period_px: float
     """Median of the blocks."""
     error_px: float
@@ -90,15 +89,14 @@ def scale_of_ridges(
     """
     require(px_per_mm is None, "`px_per_mm` and `ridge_period_mm` both give the scale; choose one.")
     odd = RIDGE_PERIOD.notes(period_mm, "check `ridge_period_mm`")
-    found = ridge_period(normals, mask)
-    known = float(np.hypot(found.error_px / found.period_px, PEOPLE))
-    px_per_mm = found.period_px / period_mm
+    ridges = ridge_period(normals, mask)
+    error = float(np.hypot(ridges.error_px / ridges.period_px, PEOPLE))
+    px_per_mm = ridges.period_px / period_mm
     also = "".join(f" Also, {note}" for note in odd)
     return px_per_mm, (
-        "scale from the ridges: "
-        f"{found.period_px:.1f} px from one to the next (standard deviation {found.error_px:.2f}, {found.blocks} "
-        f"places) are {period_mm:g} mm, so {px_per_mm:.2f} px/mm; people differ, so that it is known to"
-        f" {100 * known:.0f} %.{also}"
+        f"scale from the ridges: {ridges.period_px:.1f} px from one to the next (standard deviation "
+        f"{ridges.error_px:.2f}, {ridges.blocks} places) are {period_mm:g} mm, so {px_per_mm:.2f} px/mm; people "
+        f"differ, so that it is known to {100 * error:.0f} %.{also}"
     )
 
 

@@ -352,7 +352,7 @@ def _resampled(capture: Capture, finger: Finger, flows: dict[str, Flow]) -> Capt
     bands = dict(capture.bands)
     for name, flow in flows.items():
         pixels = bands[name].pixels.copy()
-        for k in np.flatnonzero(flow.moves_mm.any(axis=1)):
+        for k in np.flatnonzero(flow.moves_mm.any(axis=1)).tolist():
             take(bands[name].pixels[k], flow, k, capture.rig.camera.px_per_mm, window, pixels[k])
         bands[name] = replace(bands[name], pixels=pixels)
     return replace(capture, bands=bands)
