@@ -17,7 +17,7 @@ from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
-from typing import TypeVar
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -309,7 +309,7 @@ def _box(place: Places) -> tuple[float, float, float, float]:
     return float(x.min() - 0.5), float(x.max() + 0.5), float(y.min() - 0.5), float(y.max() + 0.5)
 
 
-def _inside(place: Places, box: NDArray[np.floating]) -> NDArray[np.bool_]:
+def _inside(place: NDArray[np.complexfloating[Any, Any]], box: NDArray[np.floating]) -> NDArray[np.bool_]:
     left, right, lower, upper = box
     return np.asarray((place.real > left) & (place.real < right) & (place.imag > lower) & (place.imag < upper))
 

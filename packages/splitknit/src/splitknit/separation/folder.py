@@ -76,7 +76,7 @@ def separate_to_folder(
         light = read_light(folder, states_folder, encoding)
         progress("separating", 0.5)
         common: dict[str, Any] = {"mask": light.mask, "clip_level": light.clip_level}
-        model = {"alpha": alpha, "dark": dark, "check_px": check_px}
+        model: dict[str, Any] = {"alpha": alpha, "dark": dark, "check_px": check_px}
         try:
             states = light.patterns
             if patterns == ESTIMATE:
@@ -125,7 +125,8 @@ def separate_polarised_folders(
         encoding, _ = encoding_of(series[0], lambda: False)
     hashes = {}
     kinds = set()
-    specular = diffuse = np.zeros(1, np.float32)
+    specular: NDArray[np.floating] = np.zeros(1, np.float32)
+    diffuse = specular
     with atomic_folder(out) as target:
         for k in range(count):
             progress("separating", k / count)

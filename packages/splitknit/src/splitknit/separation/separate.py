@@ -103,5 +103,5 @@ def separate(
         len(places) == 3 and str(places[0]) == "polarised" and {alpha, dark, patterns, check_px} == {None},
         "name one folder of images under patterns, or 'polarised PARALLEL CROSSED', with `out` and `encoding` alone.",
     )
-    facts = separate_polarised_folders(*places[1:], target, encoding=encoding, progress=progress)
+    facts = separate_polarised_folders(places[1], places[2], target, encoding=encoding, progress=progress)
     return Separated(facts)

@@ -75,8 +75,8 @@ class Grid:
 
     def inverse(self, spectrum: NDArray[np.complex64]) -> FloatArray:
         """Back from :meth:`forward`, the margin cut off."""
-        inner = [slice(self._margin, self._margin + n) for n in self.shape]
-        field = np.fft.irfft2(spectrum, self._size)[..., *inner]
+        rows, columns = (slice(self._margin, self._margin + n) for n in self.shape)
+        field = np.fft.irfft2(spectrum, self._size)[..., rows, columns]
         return np.ascontiguousarray(field, dtype=np.float32)
 
     def radial(self, omega: Array, gain: Array) -> FloatArray:

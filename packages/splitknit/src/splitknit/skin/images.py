@@ -101,10 +101,8 @@ def working_images(
     of it that are reconstructed.
     """
     rows, columns = bounding_box(inside, round(_MARGIN_MM * capture.rig.camera.px_per_mm))
-    of_finger = tuple(
-        slice(whole.start + part.start, whole.start + part.stop)
-        for whole, part in zip(window, (rows, columns), strict=True)
-    )
+    top, left = window[0].start, window[1].start
+    of_finger = slice(top + rows.start, top + rows.stop), slice(left + columns.start, left + columns.stop)
     grid, images, binning = skin_images(capture, bands, of_finger, inside[rows, columns])
     white = bands[0]
     crossed = _crossed(capture, white, images[0], of_finger, binning)

@@ -24,7 +24,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import astuple, dataclass, replace
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import cv2
 import numpy as np
@@ -510,7 +510,7 @@ def _predicted(
         sharp[:, rows] = facets.specular * inside[rows]
         soft[:, rows] = facets.matt * inside[rows]
 
-    for_each_chunk(work, *mask.shape, FACET_FIELDS * len(sharp))
+    for_each_chunk(work, mask.shape[0], mask.shape[1], FACET_FIELDS * len(sharp))
     _blur(sharp, model.blur_px, inside)
     _blur(soft, float(np.hypot(model.blur_px, model.path_px)), inside)
     return sharp, soft
@@ -725,7 +725,7 @@ def _columns(
         model.strength * specular_by + damped * matt_by
         for specular_by, matt_by in zip(facets.specular_by_slope, facets.matt_by_slope, strict=True)
     ]
-    columns = [
+    columns: list[Any] = [
         *by_slope,
         fit.soft[:, rows],
         residual,
@@ -893,7 +893,7 @@ def _height_change(
         pulled = forward(_slopes_adjoint(xx * x + xy * y, xy * x + yy * y, pitch_mm))
         return np.asarray(pulled + (slow + ground) * spectrum)
 
-    residual = forward(_slopes_adjoint(*force, pitch_mm))
+    residual = forward(_slopes_adjoint(force[0], force[1], pitch_mm))
     residual -= slow * forward(nodes - start)
     solution = np.zeros_like(residual)
     direction = precondition * residual
