@@ -32,7 +32,7 @@ CODES: dict[str, Code] = {
         "The lights were measured in another frame than x right, y up.", "Give `--light-frame`.", _FITS
     ),
     "light-residual": Code(
-        "Much of the light is none that a matt surface under these lights reflects.",
+        "Much of the light does not fit a matt surface under these lights.",
         "Check order, directions and brightness of the lights, the encoding and the background.",
         "shine and deep shadows leave much too",
     ),

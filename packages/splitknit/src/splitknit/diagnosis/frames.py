@@ -325,8 +325,8 @@ def _fault_of_lights(fit: LightFit, names: Sequence[str], material: str) -> tupl
     limit = 1.4 * float(np.median(fit.residual_per_image))
     worst = [names[k] for k in np.argsort(fit.residual_per_image)[::-1] if fit.residual_per_image[k] > limit][:4]
     return "light-residual", (
-        f"the photographs do not fit the lights they are given: {residual} is none that a matt surface reflects (1 to "
-        f"15 % is usual){'; most in ' + ', '.join(worst) if worst else ''}; check the order and directions of the "
+        f"the photographs do not fit the lights they are given: {residual} does not fit a matt surface under these "
+        f"lights (1 to 15 % is usual){'; most in ' + ', '.join(worst) if worst else ''}; check the order and directions of the "
         "lights, their brightness, `encoding` and `background`; shine and deep shadows leave much too."
     )
 
