@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from hardware.sizes import Array
 from splitknit.imaging.geometry import height_gradients, normals_from_gradients
-from splitknit.io.mesh import surface_mesh
+from splitknit.io.mesh import triangulate
 from splitknit.io.provenance import provenance
 from splitknit.io.results import write_arrays
 from splitknit.model import FloatArray, Reconstruction
@@ -75,7 +75,9 @@ def phantom_mesh(result: Reconstruction) -> tuple[FloatArray, NDArray[np.int32]]
     rows, columns = result.mask.shape
     x = (np.arange(columns) - (columns - 1) / 2) * result.pitch_mm
     y = ((rows - 1) / 2 - np.arange(rows))[:, None] * result.pitch_mm
-    vertices, faces, index = surface_mesh(x, y, np.where(result.mask, result.height_mm, np.float32(0.0)))
+    height = np.where(result.mask, result.height_mm, np.float32(0.0))
+    faces, index = triangulate(np.isfinite(height))
+    vertices = np.stack(np.broadcast_arrays(x, y, height), axis=-1).reshape(-1, 3).astype(np.float32)
     rim = np.concatenate([index[-1, :-1], index[:0:-1, -1], index[0, :0:-1], index[:-1, 0]])  # counter-clockwise
     below = vertices[rim] * np.array([1, 1, 0]) - np.array([0, 0, THICK_MM])
     low = len(vertices) + np.arange(len(rim))

@@ -53,7 +53,7 @@ def test_waves_have_the_roughness_of_waves(waves: Path, tmp_path: Path, capsys) 
         (["-6.4,0", "4,0"], "has a gap"),
         (["-4,0", "4,0", "--cutoff", "0.1"], "give a larger one"),
         (["-4", "4,0"], "'-4' must be X,Y"),
-        (["nan,0", "4,0"], "must be finite"),
+        (["nan,0", "4,0"], "must be X,Y"),
         (["90,0", "95,0"], "no surface lies between"),
     ],
 )
