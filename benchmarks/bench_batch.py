@@ -2,7 +2,8 @@
 
     python benchmarks/bench_batch.py [--scale 0.4] [--fingers 3]
 
-Comparisons are in processor time of one core, which others on the machine change little; reconstructions by the clock.
+Comparisons are in processor time of one core, which others on the machine change little;
+reconstructions by the clock.
 """
 
 from __future__ import annotations
@@ -25,7 +26,9 @@ ALL_PAIRS = 173_400
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("--scale", type=float, default=0.4)
     parser.add_argument("--fingers", type=int, default=3)
     parser.add_argument("--cases", default="metric,ea")
@@ -33,18 +36,31 @@ def main() -> None:
     print(f"Batch, {machine()}")
     shutil.rmtree(OUT, ignore_errors=True)
     population = PopulationSettings(scale=options.scale)
-    simulate_population(OUT / "people", population, subjects=2, sessions=2, fingers=FINGERS[: options.fingers])
+    simulate_population(
+        OUT / "people", population, subjects=2, sessions=2, fingers=FINGERS[: options.fingers]
+    )
     cases = preset_cases(tuple(options.cases.split(",")))
-    facts = run_batch(OUT / "people", OUT / "store", cases=cases, matchers=("ridge", "thesis", "minutiae"), jobs=1)
+    facts = run_batch(
+        OUT / "people", OUT / "store", cases=cases, matchers=("ridge", "thesis", "minutiae"), jobs=1
+    )
     files = [file for case in cases for file in Store(OUT / "store").files("features", case.name)]
     size = sum(file.stat().st_size for file in files) / len(files)
     each = facts["reconstruction_s"] / facts["reconstructed"]
     print(f"A reconstruction of {len(files)}: {each:.2f} s by the clock, {size / 1e6:.1f} MB.")
-    print(f"| case | matcher | how many | each | {ALL_PAIRS} of them, two cores |\n| --- | --- | --- | --- | --- |")
+    print(
+        f"| case | matcher | how many | each | {ALL_PAIRS} of them, two cores |\n| --- | --- | ---"
+        " | --- | --- |"
+    )
     for scores in facts["scores"]:
         each = scores["ms_per_comparison"]
         whole = f"{each * ALL_PAIRS / 2 / 3.6e6:.2f} h"
-        row = (scores["case"], scores["matcher"], str(scores["compared"]), f"{each:.1f} ms of one core", whole)
+        row = (
+            scores["case"],
+            scores["matcher"],
+            str(scores["compared"]),
+            f"{each:.1f} ms of one core",
+            whole,
+        )
         print(f"| {' | '.join(row)} |")
 
 

@@ -1,7 +1,9 @@
-"""ROC, figures and bootstrap of 20,000 genuine and 1,000,000 impostor scores, and the thesis's 173,400 comparisons.
+"""ROC, figures and bootstrap of 20,000 genuine and 1,000,000 impostor scores, and the thesis's
+173,400 comparisons.
 
-Peers: numpy's way of the textbook (sort all scores with their labels, cumulate), scikit-learn and bob.measure, and a
-bootstrap that draws scores and sorts them anew. ``--file`` also writes and reads a score file of a million lines.
+Peers: numpy's way of the textbook (sort all scores with their labels, cumulate), scikit-learn and
+bob.measure, and a bootstrap that draws scores and sorts them anew. ``--file`` also writes and reads
+a score file of a million lines.
 """
 
 from __future__ import annotations
@@ -24,10 +26,16 @@ from timing import machine, print_table, race
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("--rounds", type=int, default=9)
-    parser.add_argument("--replicates", type=int, default=100, help="timed; the table gives seconds for 1,000")
-    parser.add_argument("--file", action="store_true", help="a score file of a million lines as well")
+    parser.add_argument(
+        "--replicates", type=int, default=100, help="timed; the table gives seconds for 1,000"
+    )
+    parser.add_argument(
+        "--file", action="store_true", help="a score file of a million lines as well"
+    )
     options = parser.parse_args()
     generator = np.random.default_rng(0)
     genuine, impostor = generator.normal(2.5, 1, 20_000), generator.normal(0, 1, 1_000_000)
@@ -37,17 +45,28 @@ def main() -> None:
         "roc, EER, GAR at three FARs, AUC": lambda: figures(genuine, impostor),
         "argsort of all scores, cumulated": lambda: textbook(genuine, impostor).size,
     }
-    label, score = np.repeat([1, 0], [genuine.size, impostor.size]), np.concatenate([genuine, impostor])
+    label, score = (
+        np.repeat([1, 0], [genuine.size, impostor.size]),
+        np.concatenate([genuine, impostor]),
+    )
     if metrics := library("sklearn.metrics"):
         contenders["scikit-learn: roc_curve"] = lambda: metrics.roc_curve(label, score)[0].size
-    print_table("ROC, scores in double precision", race(contenders, options.rounds), lambda size: f"{size:,}", "points")
+    print_table(
+        "ROC, scores in double precision",
+        race(contenders, options.rounds),
+        lambda size: f"{size:,}",
+        "points",
+    )
     rates = {"EER and the threshold of FAR 0.1 %": lambda: eer_and_threshold(genuine, impostor)}
     if measure := library("bob.measure"):
         rates["bob.measure: eer, far_threshold"] = lambda: (
-            measure.eer(impostor, genuine), float(np.mean(genuine >= measure.far_threshold(impostor, genuine, 0.001)))
-        )  # fmt: skip
+            measure.eer(impostor, genuine),
+            float(np.mean(genuine >= measure.far_threshold(impostor, genuine, 0.001))),
+        )
     facts = race(rates, max(options.rounds // 3, 1))
-    print_table("Figures", facts, lambda found: f"{found[0]:.5f} / {found[1]:.5f}", "EER / GAR at FAR 0.1 %")
+    print_table(
+        "Figures", facts, lambda found: f"{found[0]:.5f} / {found[1]:.5f}", "EER / GAR at FAR 0.1 %"
+    )
     label = np.repeat([True, False], [genuine.size, impostor.size])
     resampling(Scores(label, np.concatenate([genuine, impostor])), ("plain",), options.replicates)
     resampling(thesis(generator), ("plain", "finger", "subject"), options.replicates)
@@ -86,8 +105,14 @@ def thesis(generator: np.random.Generator) -> Scores:
 
 
 def resampling(scores: Scores, methods: tuple[str, ...], replicates: int) -> None:
-    counts = f"{int(scores.label.sum()):,} genuine and {int((~scores.label).sum()):,} impostor comparisons"
-    print(f"\n### Bootstrap of {counts}: seconds for 1,000 replicates\n\n| drawn | seconds | of the processor |")
+    counts = (
+        f"{int(scores.label.sum()):,} genuine and {int((~scores.label).sum()):,} impostor"
+        " comparisons"
+    )
+    print(
+        f"\n### Bootstrap of {counts}: seconds for 1,000 replicates\n\n| drawn | seconds | of the"
+        " processor |"
+    )
     print("| --- | --- | --- |")
     bootstrap(scores, "plain", BootstrapSettings(replicates=20))
     for method in methods:
@@ -104,7 +129,9 @@ def naive(genuine: np.ndarray, impostor: np.ndarray) -> None:
     for _ in range(3):
         figures(generator.choice(genuine, genuine.size), generator.choice(impostor, impostor.size))
     used = 1000 / 3 * (time.process_time() - started)
-    print(f"\nDrawing and sorting scores anew: {used:.0f} s of processor time for 1,000 replicates.")
+    print(
+        f"\nDrawing and sorting scores anew: {used:.0f} s of processor time for 1,000 replicates."
+    )
 
 
 def score_file(impostor: np.ndarray) -> Any:
@@ -117,7 +144,10 @@ def score_file(impostor: np.ndarray) -> Any:
         started = time.process_time()
         found = read_scores(path)
         count = found.scores.score.size
-        print(f"\nA file of {count:,} lines with fingers: read in {time.process_time() - started:.1f} s.")
+        print(
+            f"\nA file of {count:,} lines with fingers: read in"
+            f" {time.process_time() - started:.1f} s."
+        )
 
 
 if __name__ == "__main__":

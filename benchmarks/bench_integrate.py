@@ -38,7 +38,8 @@ def main() -> None:
     fraction = cv2.GaussianBlur(mask.astype(np.float32), (0, 0), 24)
 
     def rms(height: np.ndarray) -> str:
-        """Rms of the error in px: whole surface and ridge band (Gaussian high-pass of 24 px, 25 px inside the rim)."""
+        """Rms of the error in px: whole surface and ridge band (Gaussian high-pass of 24 px, 25 px
+        inside the rim)."""
         error = np.where(mask, height - case.height, 0)
         error = np.where(mask, error - error[mask].mean(), 0)
         band = error - cv2.GaussianBlur(error, (0, 0), 24) / np.maximum(fraction, 1e-3)
@@ -57,16 +58,25 @@ def main() -> None:
     print_table("Whole rectangle", race(whole, rounds), rms, "rms px, whole / ridge band")
     masked = {
         "poisson, masked": lambda: poisson(p, q, mask),
-        "poisson, masked, weighted": lambda: poisson(p, q, mask, weights=np.where(mask, case.normals[..., 2], 0)),
+        "poisson, masked, weighted": lambda: poisson(
+            p, q, mask, weights=np.where(mask, case.normals[..., 2], 0)
+        ),
     }
     system = masked_system(*double, mask)
     single, both = (cg_dct_solver(system, mask, dtype) for dtype in (np.float32, np.float64))
     exact = both(1e-9)
     print(
-        f"\nMasked solvers stop when they are as close to the exact solution as `poisson` is asked to be, {WANTED:g} of"
+        "\nMasked solvers stop when they are as close to the exact solution as `poisson` is asked"
+        f" to be, {WANTED:g} of"
     )
-    print("the rms height; peers have matrix, eigenvalues and multigrid hierarchy at hand, `poisson` makes its own.")
-    solvers = {"scipy: CG preconditioned by the DCT, single": single, "scipy: the same, double": both}
+    print(
+        "the rms height; peers have matrix, eigenvalues and multigrid hierarchy at hand, `poisson`"
+        " makes its own."
+    )
+    solvers = {
+        "scipy: CG preconditioned by the DCT, single": single,
+        "scipy: the same, double": both,
+    }
     if pyamg := library("pyamg"):
         solvers["pyamg: Ruge-Stueben with CG, double"] = pyamg_solver(pyamg, system, mask)
     for name, solve in solvers.items():
@@ -92,7 +102,9 @@ def main() -> None:
         def agreement(height: np.ndarray, peer: np.ndarray = peer) -> str:
             return f"{np.corrcoef(height[inner], peer[inner])[0, 1]:.4f}"
 
-        print_table(f"Shapelets, n = {scales}", rows, agreement, "correlation with the peer's height")
+        print_table(
+            f"Shapelets, n = {scales}", rows, agreement, "correlation with the peer's height"
+        )
 
 
 if __name__ == "__main__":

@@ -1,4 +1,5 @@
-"""Matching: a template, a comparison of templates, a pair by the thesis's matcher at full size, minutiae of a print.
+"""Matching: a template, a comparison of templates, a pair by the thesis's matcher at full size,
+minutiae of a print.
 
     python benchmarks/bench_match.py [--rounds 5]
 
@@ -24,7 +25,13 @@ from splitknit_match.matching.features import lbp_features
 from splitknit_match.matching.ridge import Prepared, ridge_match
 from splitknit_match.matching.ridge_band import print_band, ridge_band
 from splitknit_match.matching.template import Template, make_template, pack, unpack
-from splitknit_match.matching.thesis import FingerImages, ThesisSettings, finger_features, finger_images, thesis_match
+from splitknit_match.matching.thesis import (
+    FingerImages,
+    ThesisSettings,
+    finger_features,
+    finger_images,
+    thesis_match,
+)
 from splitknit_match.prints.minutiae import extract, minutiae_match, nfiq2
 from splitknit_match.prints.minutiae_record import pack_minutiae
 from splitknit_match.prints.pressed import pressed_ridges
@@ -46,10 +53,16 @@ def main() -> None:
     master = finger.master()
     seen = [
         finger_surface(replace(finger, printed=master), pose, camera)
-        for pose in (FingerPose(insertion_mm=26.0), FingerPose(insertion_mm=27.0, yaw_rad=0.1, roll_rad=0.1))
+        for pose in (
+            FingerPose(insertion_mm=26.0),
+            FingerPose(insertion_mm=27.0, yaw_rad=0.1, roll_rad=0.1),
+        )
     ]
     surfaces = [(s.height_mm - s.shape_mm, s.mask, camera.pitch_mm, s.shape_mm) for s in seen]
-    print(f"Matching, surfaces of {' x '.join(map(str, seen[0].mask.shape))} pixels, {machine()}, one thread")
+    print(
+        f"Matching, surfaces of {' x '.join(map(str, seen[0].mask.shape))} pixels, {machine()}, one"
+        " thread"
+    )
 
     def template(k: int) -> Template:
         return make_template(ridge_band(*surfaces[k]))
@@ -61,25 +74,41 @@ def main() -> None:
     print(f"A template has {len(stored[0])} bytes for {templates[0].area_mm2:.0f} mm² of skin.")
     contenders = {
         "comparison, both sides prepared": lambda: ridge_match(*ready),
-        "comparison, one side read and prepared anew": lambda: ridge_match(ready[0], Prepared(unpack(stored[1]))),
-        "comparison, the other side anew": lambda: ridge_match(Prepared(unpack(stored[0])), ready[1]),
-        "comparison, both sides anew": lambda: ridge_match(*(Prepared(unpack(one)) for one in stored)),
+        "comparison, one side read and prepared anew": lambda: ridge_match(
+            ready[0], Prepared(unpack(stored[1]))
+        ),
+        "comparison, the other side anew": lambda: ridge_match(
+            Prepared(unpack(stored[0])), ready[1]
+        ),
+        "comparison, both sides anew": lambda: ridge_match(
+            *(Prepared(unpack(one)) for one in stored)
+        ),
         "template from a reconstruction": lambda: template(0),
     }
     print_table("Ridge templates", race(contenders, 4 * rounds))
 
     # like with like: one side turned, which changes nothing in what is computed
-    away = Prepared(make_template(print_band(np.ascontiguousarray(np.rot90(print_of(seen[1], camera.px_per_mm), 2)))))
+    away = Prepared(
+        make_template(
+            print_band(np.ascontiguousarray(np.rot90(print_of(seen[1], camera.px_per_mm), 2)))
+        )
+    )
     level = Prepared(make_template(print_band(print_of(seen[1], camera.px_per_mm))))
     ridge_match(ready[0], level), ridge_match(ready[0], away)
     turned = {
         "upright": lambda: ridge_match(ready[0], level),
         "turned by 180 deg": lambda: ridge_match(ready[0], away),
     }
-    print_table("All rotations", race(turned, 4 * rounds), lambda found: f"{found.rotation_deg:.0f} deg", "found")
+    print_table(
+        "All rotations",
+        race(turned, 4 * rounds),
+        lambda found: f"{found.rotation_deg:.0f} deg",
+        "found",
+    )
 
     boxes = [
-        full_size(finger_images(s.normals, x[0], s.mask, camera.pitch_mm)) for s, x in zip(seen, surfaces, strict=True)
+        full_size(finger_images(s.normals, x[0], s.mask, camera.pitch_mm))
+        for s, x in zip(seen, surfaces, strict=True)
     ]
     settings = ThesisSettings(gate=0.0)
     known = finger_features(boxes[0], settings)
@@ -103,7 +132,9 @@ def main() -> None:
         wide = relief.shape[1] // 64 * 64
 
         def by_skimage() -> Any:
-            codes = feature.local_binary_pattern(relief, 8, 1.0, "nri_uniform").astype(np.int64)[:rows, :wide]
+            codes = feature.local_binary_pattern(relief, 8, 1.0, "nri_uniform").astype(np.int64)[
+                :rows, :wide
+            ]
             cell = np.arange(rows)[:, None] // 64 * (wide // 64) + np.arange(wide) // 64
             return np.bincount((59 * cell + codes).ravel(), minlength=59 * rows * wide // 4096)
 
@@ -122,7 +153,10 @@ def minutiae(prints: list[NDArray[np.uint8]], rounds: int) -> None:
         print("nbis-py is not installed: no minutiae.")
         return
     found = [extract(picture) for picture in prints]
-    print(f"Minutiae: {found[0].count} and {found[1].count}; packed {len(pack_minutiae(found[0]))} bytes")
+    print(
+        f"Minutiae: {found[0].count} and {found[1].count}; packed {len(pack_minutiae(found[0]))}"
+        " bytes"
+    )
     contenders = {
         "minutiae of a relief print": lambda: extract(prints[0]),
         "enhancement of a pressed print": lambda: pressed_ridges(prints[0]),

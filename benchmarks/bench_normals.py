@@ -29,28 +29,42 @@ def main() -> None:
         return f"{angle[mask & ~dark].mean():.3f} / {angle[dark].mean():.3f}"
 
     fraction = 100 * dark.sum() / mask.sum()
-    print(f"Photometric stereo, {' x '.join(map(str, stack.shape))}, {fraction:.1f} % shadowed, {machine()}")
+    print(
+        f"Photometric stereo, {' x '.join(map(str, stack.shape))}, {fraction:.1f} % shadowed,"
+        f" {machine()}"
+    )
     contenders = {
         "robust (shadow-aware)": lambda: robust(stack, lights, mask)[0],
         "lambertian": lambda: lambertian(stack, lights, mask)[0],
         "numpy: pinv": lambda: pinv_photometric_stereo(stack, lights),
-        "numpy: batched solve, shadow-aware": lambda: batched_weighted_photometric_stereo(stack, lights),
+        "numpy: batched solve, shadow-aware": lambda: batched_weighted_photometric_stereo(
+            stack, lights
+        ),
     }
     rows = race(contenders, rounds)
-    print("\nAll in single precision. Each against its like: shadow-aware, and all images of equal weight.")
+    print(
+        "\nAll in single precision. Each against its like: shadow-aware, and all images of equal"
+        " weight."
+    )
     for title, pair in (("Shadow-aware", (0, 3)), ("Equal weights", (1, 2))):
         print_table(title, [rows[k] for k in pair], error, "mean error deg, lit / shadowed")
     azimuth = 2 * np.pi * np.arange(7) / 7
-    leds = tuple(Led("white", position_mm=(52.5 * np.cos(a), 52.5 * np.sin(a), 140.0)) for a in azimuth)
+    leds = tuple(
+        Led("white", position_mm=(52.5 * np.cos(a), 52.5 * np.sin(a), 140.0)) for a in azimuth
+    )
     rig = Rig(Camera(75.7, mask.shape), leds)
     colours = np.stack([stack] * 3)
     weights = np.ones_like(stack)
     near = {
         "near_light, robust": lambda: near_light(stack, rig, 3.0, mask),
-        "pseudo_normals, three channels, weights": lambda: pseudo_normals(colours, rig, 3.0, mask, weights),
+        "pseudo_normals, three channels, weights": lambda: pseudo_normals(
+            colours, rig, 3.0, mask, weights
+        ),
     }
     print_table("Near lights (time alone)", race(near, max(rounds // 2, 1)))
-    folder = Path(os.environ.get("SPLITKNIT_DATA", Path(__file__).resolve().parents[2] / "shared" / "data"))
+    folder = Path(
+        os.environ.get("SPLITKNIT_DATA", Path(__file__).resolve().parents[2] / "shared" / "data")
+    )
     bear = folder / "diligent" / "bear.npz"
     if bear.is_file():
         with np.load(bear) as data:

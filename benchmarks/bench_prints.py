@@ -2,9 +2,10 @@
 
     python benchmarks/bench_prints.py [--rounds 5] [--scale 1.0] [--prints FOLDER]
 
-The phalange is a drawn finger's true surface (nothing is reconstructed). `--prints` names a folder of 500-ppi PNG files
-(default: the ten first of ../shared/data/fvc2002_db1b). Peers are `fingerprint-enhancer` and `pyfing` where
-SPLITKNIT_PEERS leads to them (peers.py). Quality is NFIQ 2 of the enhanced prints.
+The phalange is a drawn finger's true surface (nothing is reconstructed). `--prints` names a folder
+of 500-ppi PNG files (default: the ten first of ../shared/data/fvc2002_db1b). Peers are
+`fingerprint-enhancer` and `pyfing` where SPLITKNIT_PEERS leads to them (peers.py). Quality is NFIQ
+2 of the enhanced prints.
 """
 
 from __future__ import annotations
@@ -59,24 +60,39 @@ def phalange(scale: float, rounds: int) -> None:
     upright = find_upright(seen.mask)
     relief = seen.height_mm - seen.shape_mm
     source = Source(
-        "result", seen.mask, camera.pitch_mm, upright.input_from_upright, upright.size, seen.height_mm, relief,
+        "result",
+        seen.mask,
+        camera.pitch_mm,
+        upright.input_from_upright,
+        upright.size,
+        seen.height_mm,
+        relief,
         seen.shape_mm,
-    )  # fmt: skip
+    )
     rows, columns = (int(np.ptp(np.flatnonzero(seen.mask.any(axis=axis)))) + 1 for axis in (1, 0))
     unrolled: Print = make_print(source, "unroll")
-    work: dict[str, Callable[[], Any]] = {"unrolled print (free)": lambda: make_print(source, "unroll")}
+    work: dict[str, Callable[[], Any]] = {
+        "unrolled print (free)": lambda: make_print(source, "unroll")
+    }
     work["unrolled print (arc)"] = lambda: make_print(source, "unroll", "arc")
     work["relief print"] = lambda: make_print(source, "relief")
     for degree, word in ((2, "quadratic"), (3, "cubic")):
-        work[f"curvature map, {word}"] = partial(curvature, seen.height_mm, seen.mask, camera.pitch_mm, degree=degree)
+        work[f"curvature map, {word}"] = partial(
+            curvature, seen.height_mm, seen.mask, camera.pitch_mm, degree=degree
+        )
     work["Gabor enhancement of the unrolled print"] = lambda: enhance(unrolled)
-    print_table(f"A phalange of {rows} x {columns} pixels ({camera.px_per_mm:.1f} px/mm)", race(work, rounds))
+    print_table(
+        f"A phalange of {rows} x {columns} pixels ({camera.px_per_mm:.1f} px/mm)",
+        race(work, rounds),
+    )
     print(f"\nThe print has {unrolled.image.shape[0]} x {unrolled.image.shape[1]} pixels.")
 
 
 def real_prints(files: list[Path], rounds: int) -> None:
     """Time and judge enhancement of real prints."""
-    images = [np.asarray(cv2.imread(str(file), cv2.IMREAD_GRAYSCALE), dtype=np.uint8) for file in files]
+    images = [
+        np.asarray(cv2.imread(str(file), cv2.IMREAD_GRAYSCALE), dtype=np.uint8) for file in files
+    ]
     size = " x ".join(map(str, images[0].shape))
     methods: dict[str, Callable[[np.ndarray], np.ndarray]] = {
         "splitknit Gabor": lambda image: gabor_enhance(image).image,
@@ -90,7 +106,10 @@ def real_prints(files: list[Path], rounds: int) -> None:
     for name, run in methods.items():
         done = [image for image in images if _works(run, image)]
         if len(done) < len(images):
-            print(f"\n{name} fails on {len(images) - len(done)} of the {len(images)} prints: left out for all.")
+            print(
+                f"\n{name} fails on {len(images) - len(done)} of the {len(images)} prints: left out"
+                " for all."
+            )
         images = done
     work = {name: lambda run=run: [run(image) for image in images] for name, run in methods.items()}
 
@@ -99,7 +118,10 @@ def real_prints(files: list[Path], rounds: int) -> None:
         return f"{statistics.median(scores):g} / {statistics.mean(scores):.1f}"
 
     print(f"\nNFIQ 2 of the prints as they are, median / mean: {quality(images)}.")
-    title = f"Enhancement of {len(images)} real prints, the first of {size} pixels, everything estimated"
+    title = (
+        f"Enhancement of {len(images)} real prints, the first of {size} pixels, everything"
+        " estimated"
+    )
     print_table(title, race(work, rounds), quality, "NFIQ 2, median / mean")
 
 
@@ -123,7 +145,8 @@ def by_pyfing(pyfing: Any, image: np.ndarray) -> np.ndarray:
     field = pyfing.orientation_field_estimation(image, mask, method="GBFOE")
     field = field[0] if isinstance(field, tuple) else field
     periods = pyfing.frequency_estimation(image, field, mask, method="XSFFE")
-    return 255 - pyfing.fingerprint_enhancement(image, field, periods, mask, method="GBFEN")  # its ridges are white
+    # its ridges are white
+    return 255 - pyfing.fingerprint_enhancement(image, field, periods, mask, method="GBFEN")
 
 
 if __name__ == "__main__":

@@ -1,4 +1,5 @@
-"""Direct light by the shipped networks: seconds and memory for the seven white images of one finger."""
+"""Direct light by the shipped networks: seconds and memory for the seven white images of one
+finger."""
 
 from __future__ import annotations
 
@@ -15,9 +16,13 @@ from timing import machine, print_table, race
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("--rounds", type=int, default=5)
-    parser.add_argument("--network", default="direct", help="shipped network, or path of an .onnx file")
+    parser.add_argument(
+        "--network", default="direct", help="shipped network, or path of an .onnx file"
+    )
     options = parser.parse_args()
     case = shadow_case()
     grey = case.stack * case.mask
@@ -27,7 +32,10 @@ def main() -> None:
     use_device(threads=2)
     network = load_network(options.network)
     facts = network.card.facts
-    print(f"Direct light, {' x '.join(map(str, grey.shape))}, network '{network.card.name}', {machine()}")
+    print(
+        f"Direct light, {' x '.join(map(str, grey.shape))}, network '{network.card.name}',"
+        f" {machine()}"
+    )
     print(f"\n{facts.get('architecture', '')}; ", end="")
     before = peak_mb()
     direct_light(colours, network)
@@ -36,7 +44,8 @@ def main() -> None:
     direct_light(colours, network)
     busy = time.process_time() - started
     print(
-        f"\n{busy:.1f} s of processor time for the seven; what else runs on this machine makes the times below longer"
+        f"\n{busy:.1f} s of processor time for the seven; what else runs on this machine makes the"
+        " times below longer"
     )
     contenders = {
         "direct_light, colours, two threads": lambda: direct_light(colours, network),

@@ -1,4 +1,5 @@
-"""The inputs behind the integrator and photometric-stereo rows of docs/experiments/performance.md, with known truth.
+"""The inputs behind the integrator and photometric-stereo rows of docs/experiments/performance.md,
+with known truth.
 
 Axes are the library's: x right, y up against the rows, z towards the camera.
 """
@@ -45,11 +46,14 @@ class ShadowCase:
     """(H, W) pixels that some light does not reach."""
 
 
-def finger_case(rows: int = 1528, columns: int = 936, noise_deg: float = 0.0, seed: int = 0) -> FingerCase:
+def finger_case(
+    rows: int = 1528, columns: int = 936, noise_deg: float = 0.0, seed: int = 0
+) -> FingerCase:
     """Build the finger; `noise_deg` perturbs each component of the normals by that many degrees."""
     i, j = np.mgrid[0:rows, 0:columns].astype(np.float64)
     half_width, half_length = 440.0, 1450.0
-    across, along = (j - 467.5) / half_width, (1527.0 - i) / half_length  # right and up, from the lower border
+    # right and up, from the lower border
+    across, along = (j - 467.5) / half_width, (1527.0 - i) / half_length
     square = across**2 + along**2
     dome = np.sqrt(np.clip(1 - square, 1e-3, None))
     mask = square < 0.95**2
@@ -78,11 +82,16 @@ def finger_case(rows: int = 1528, columns: int = 936, noise_deg: float = 0.0, se
 
 
 def shadow_case(seed: int = 0, rows: int = 1528, columns: int = 936) -> ShadowCase:
-    """Seven lights at 55 deg elevation on the finger: attached shadows, noise of 0.003, varying albedo."""
+    """Seven lights at 55 deg elevation on the finger: attached shadows, noise of 0.003, varying
+    albedo."""
     finger = finger_case(rows, columns)
     azimuth, elevation = np.deg2rad(np.arange(7) * 360 / 7), np.deg2rad(55.0)
     lights = np.column_stack(
-        [np.cos(azimuth) * np.cos(elevation), -np.sin(azimuth) * np.cos(elevation), np.full(7, np.sin(elevation))]
+        [
+            np.cos(azimuth) * np.cos(elevation),
+            -np.sin(azimuth) * np.cos(elevation),
+            np.full(7, np.sin(elevation)),
+        ]
     )
     shading = finger.normals @ lights.T
     albedo = 0.6 + 0.1 * np.sin(np.arange(columns) / 50.0)

@@ -1,8 +1,8 @@
 """The usual ways, written plainly, and other libraries, to race against.
 
-Libraries that this project does not need (pyamg, scikit-learn, bob.measure, fingerprint-enhancer, pyfing) are taken
-from the folder that SPLITKNIT_PEERS names (``.../site-packages`` of an environment of its own); without it they sit
-out.
+Libraries that this project does not need (pyamg, scikit-learn, bob.measure, fingerprint-enhancer,
+pyfing) are taken from the folder that SPLITKNIT_PEERS names (``.../site-packages`` of an
+environment of its own); without it they sit out.
 """
 
 from __future__ import annotations
@@ -38,10 +38,14 @@ def pinv_photometric_stereo(stack: Array, lights: Array) -> Array:
     """Normals (H, W, 3) by one pseudo-inverse in one matrix product."""
     count, rows, columns = stack.shape
     g = np.linalg.pinv(lights).astype(np.float32) @ stack.reshape(count, -1)
-    return np.ascontiguousarray((g / np.maximum(np.linalg.norm(g, axis=0), 1e-9)).T).reshape(rows, columns, 3)
+    return np.ascontiguousarray((g / np.maximum(np.linalg.norm(g, axis=0), 1e-9)).T).reshape(
+        rows, columns, 3
+    )
 
 
-def batched_weighted_photometric_stereo(stack: Array, lights: Array, threshold: float = 0.02) -> Array:
+def batched_weighted_photometric_stereo(
+    stack: Array, lights: Array, threshold: float = 0.02
+) -> Array:
     """Shadow-aware: 3 x 3 normal equations of every pixel, by numpy's batched solver."""
     weights = (stack > threshold * stack.max(axis=0)).astype(np.float32)
     vectors = lights.astype(np.float32)
@@ -62,7 +66,8 @@ def frankot_chellappa_plain(slope_x: Array, slope_y: Array) -> Array:
 
 
 def dct_poisson(slope_x: Array, slope_y: Array) -> Array:
-    """Whole rectangle, trapezoidal differences, one cosine transform each way, in the precision of the slopes."""
+    """Whole rectangle, trapezoidal differences, one cosine transform each way, in the precision of
+    the slopes."""
     right_side = np.zeros(slope_x.shape, slope_x.dtype)
     step = (slope_x[:, 1:] + slope_x[:, :-1]) / 2
     right_side[:, 1:] += step
@@ -74,7 +79,8 @@ def dct_poisson(slope_x: Array, slope_y: Array) -> Array:
 
 
 def dct_inverse_laplacian(right_side: Array) -> Array:
-    """Negative Laplacian with free borders, inverted on its cosines, in the precision of `right_side`."""
+    """Negative Laplacian with free borders, inverted on its cosines, in the precision of
+    `right_side`."""
     return inverse_laplacian(right_side.shape, right_side.dtype)(right_side)
 
 
@@ -85,7 +91,9 @@ def inverse_laplacian(shape: tuple[int, ...], dtype: Any) -> Callable[[Array], A
     eigenvalues[0, 0] = 1
     inverse = (1 / eigenvalues).astype(dtype)
     inverse[0, 0] = 0
-    return lambda right_side: np.asarray(scipy.fft.idctn(scipy.fft.dctn(right_side, workers=2) * inverse, workers=2))
+    return lambda right_side: np.asarray(
+        scipy.fft.idctn(scipy.fft.dctn(right_side, workers=2) * inverse, workers=2)
+    )
 
 
 def masked_system(slope_x: Array, slope_y: Array, mask: Array) -> tuple[Any, Array]:
@@ -107,7 +115,8 @@ def masked_system(slope_x: Array, slope_y: Array, mask: Array) -> tuple[Any, Arr
 
 
 def cg_dct_solver(system: tuple[Any, Array], mask: Array, dtype: Any) -> Callable[[float], Array]:
-    """Masked least squares, matrix at hand: conjugate gradients, the rectangle's Poisson solver as preconditioner."""
+    """Masked least squares, matrix at hand: conjugate gradients, the rectangle's Poisson solver as
+    preconditioner."""
     matrix, right_side = system[0].astype(dtype), system[1].astype(dtype)
     inverse = inverse_laplacian(mask.shape, dtype)
 
@@ -119,17 +128,23 @@ def cg_dct_solver(system: tuple[Any, Array], mask: Array, dtype: Any) -> Callabl
     operator = scipy.sparse.linalg.LinearOperator(matrix.shape, matvec=precondition, dtype=dtype)
 
     def solve(tolerance: float) -> Array:
-        solution, _ = scipy.sparse.linalg.cg(matrix, right_side, rtol=tolerance, maxiter=400, M=operator)
+        solution, _ = scipy.sparse.linalg.cg(
+            matrix, right_side, rtol=tolerance, maxiter=400, M=operator
+        )
         return _on_grid(solution, mask)
 
     return solve
 
 
 def pyamg_solver(pyamg: Any, system: tuple[Any, Array], mask: Array) -> Callable[[float], Array]:
-    """Masked least squares by Ruge-Stueben algebraic multigrid, matrix and hierarchy at hand, double precision."""
+    """Masked least squares by Ruge-Stueben algebraic multigrid, matrix and hierarchy at hand,
+    double precision."""
     matrix, right_side = system
     grounded = (matrix + 1e-9 * scipy.sparse.identity(matrix.shape[0], format="csr")).tocsr()
-    grounded.indices, grounded.indptr = grounded.indices.astype(np.int32), grounded.indptr.astype(np.int32)
+    grounded.indices, grounded.indptr = (
+        grounded.indices.astype(np.int32),
+        grounded.indptr.astype(np.int32),
+    )
     hierarchy = pyamg.ruge_stuben_solver(grounded)
     return lambda tolerance: _on_grid(hierarchy.solve(right_side, tol=tolerance, accel="cg"), mask)
 
@@ -141,7 +156,8 @@ def _on_grid(solution: Array, mask: Array) -> Array:
 
 
 def loosest(solve: Callable[[float], Array], exact: Array, wanted: float) -> float:
-    """Largest tolerance of a power of ten with which a solver comes as close to the exact solution, in rms."""
+    """Largest tolerance of a power of ten with which a solver comes as close to the exact solution,
+    in rms."""
     scale = float(np.sqrt(np.nanmean(np.square(exact))))
     for power in range(3, 9):
         if np.sqrt(np.nanmean(np.square(solve(10.0**-power) - exact))) <= wanted * scale:
@@ -150,9 +166,13 @@ def loosest(solve: Callable[[float], Array], exact: Array, wanted: float) -> flo
 
 
 def shapelets_scale_by_scale(slope_x: Array, slope_y: Array, scales: int) -> Array:
-    """Kovesi's way: the transforms of every scale's slant and tilt fields, correlated with the surface's."""
+    """Kovesi's way: the transforms of every scale's slant and tilt fields, correlated with the
+    surface's."""
     rows, columns = slope_x.shape
-    x, y = scipy.fft.fftfreq(columns, 1 / columns)[None], -scipy.fft.fftfreq(rows, 1 / rows)[:, None]
+    x, y = (
+        scipy.fft.fftfreq(columns, 1 / columns)[None],
+        -scipy.fft.fftfreq(rows, 1 / rows)[:, None],
+    )
     steepness, tilt = np.hypot(slope_x, slope_y), np.arctan2(slope_y, slope_x)
     cosine, sine = np.fft.fft2(steepness * np.cos(tilt)), np.fft.fft2(steepness * np.sin(tilt))
     total = np.zeros(slope_x.shape)

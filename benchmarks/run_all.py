@@ -3,8 +3,9 @@
     python benchmarks/run_all.py [--quick] > benchmarks/out/tables.md
     python benchmarks/run_all.py --page [--only bench_match.py ...]
 
-``--page`` stores what the scripts print in tables/bench_*.json instead, and writes the rows ``SHOWN`` of it into
-docs/experiments/performance.md: one run on a quiet machine (load below 1.5, else it warns) remakes them.
+``--page`` stores what the scripts print in tables/bench_*.json instead, and writes the rows
+``SHOWN`` of it into docs/experiments/performance.md: one run on a quiet machine (load below 1.5,
+else it warns) remakes them.
 """
 
 from __future__ import annotations
@@ -45,7 +46,13 @@ SHOWN = (
     ("full frame by `metric`", "bench_reconstruct.py", _FRAME, "`metric`", _IMREAD),
     ("full frame by `snk`", "bench_reconstruct.py", _FRAME, "`snk`", ""),
     ("half scale by `metric`", "bench_reconstruct.py", _HALF, "`metric`", _IMREAD),
-    ("direct light, seven images", "bench_separate.py", "Seven images", "direct_light, colours, two threads", ""),
+    (
+        "direct light, seven images",
+        "bench_separate.py",
+        "Seven images",
+        "direct_light, colours, two threads",
+        "",
+    ),
     (
         "robust normals",
         "bench_normals.py",
@@ -60,30 +67,73 @@ SHOWN = (
         "poisson, masked",
         "pyamg: Ruge-Stueben with CG, double (rtol 1e-09)",
     ),
-    ("shapelets", "bench_integrate.py", "Shapelets, n = 3", "shapelets", "numpy: scale by scale (Kovesi)"),
-    ("`ridge`, both prepared", "bench_match.py", "Ridge templates", "comparison, both sides prepared", ""),
-    ("the thesis's matcher", "bench_match.py", "The thesis's matcher, four channels of 1528 x 936", "lbp", ""),
-    ("minutiae", "bench_match.py", _MINUTIAE, "minutiae of a relief print", "nbis-py: minutiae of the same as PNG"),
+    (
+        "shapelets",
+        "bench_integrate.py",
+        "Shapelets, n = 3",
+        "shapelets",
+        "numpy: scale by scale (Kovesi)",
+    ),
+    (
+        "`ridge`, both prepared",
+        "bench_match.py",
+        "Ridge templates",
+        "comparison, both sides prepared",
+        "",
+    ),
+    (
+        "the thesis's matcher",
+        "bench_match.py",
+        "The thesis's matcher, four channels of 1528 x 936",
+        "lbp",
+        "",
+    ),
+    (
+        "minutiae",
+        "bench_match.py",
+        _MINUTIAE,
+        "minutiae of a relief print",
+        "nbis-py: minutiae of the same as PNG",
+    ),
     ("unrolled print", "bench_prints.py", _PHALANGE, "unrolled print (free)", ""),
-    ("ROC", "bench_evaluate.py", "ROC, scores in double precision", "roc", "scikit-learn: roc_curve"),
+    (
+        "ROC",
+        "bench_evaluate.py",
+        "ROC, scores in double precision",
+        "roc",
+        "scikit-learn: roc_curve",
+    ),
 )
-"""Rows of the page: what it calls them, script, how the table's title begins, the row there, and a peer's row."""
+"""Rows of the page: what it calls them, script, how the table's title begins, the row there, and a
+peer's row."""
 
 
 def main() -> int:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--quick", action="store_true", help="few rounds, half scale: does everything run?")
-    parser.add_argument(
-        "--page", action="store_true", help="store the tables, and write docs/experiments/performance.md"
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
-    parser.add_argument("--only", nargs="+", choices=sorted(SUITES), default=list(SUITES), metavar="SCRIPT")
+    parser.add_argument(
+        "--quick", action="store_true", help="few rounds, half scale: does everything run?"
+    )
+    parser.add_argument(
+        "--page",
+        action="store_true",
+        help="store the tables, and write docs/experiments/performance.md",
+    )
+    parser.add_argument(
+        "--only", nargs="+", choices=sorted(SUITES), default=list(SUITES), metavar="SCRIPT"
+    )
     options = parser.parse_args()
     if options.page:
         return page(options.only, options.quick)
     packages = ", ".join(
-        f"{name} {version(name)}" for name in ("splitknit", "numpy", "scipy", "opencv-python-headless")
+        f"{name} {version(name)}"
+        for name in ("splitknit", "numpy", "scipy", "opencv-python-headless")
     )
-    print(f"# Benchmarks\n\nPython {platform.python_version()}, {packages}, {platform.machine()}", flush=True)
+    print(
+        f"# Benchmarks\n\nPython {platform.python_version()}, {packages}, {platform.machine()}",
+        flush=True,
+    )
     failed = 0
     for script in options.only:
         print(f"\n## {script}\n", flush=True)
@@ -96,14 +146,18 @@ def command(script: str, quick: bool) -> list[str]:
 
 
 def page(scripts: list[str], quick: bool) -> int:
-    """Store what each script prints, and show some of it on the page; scripts without a stored file are left out."""
+    """Store what each script prints, and show some of it on the page; scripts without a stored file
+    are left out."""
     failed = []
     for script in scripts:
         if not stored(script).is_file():
             continue
         load = os.getloadavg()[0]
         if load > QUIET:
-            print(f"{script}: the load is {load:.1f}; figures for the page need a quiet machine.", file=sys.stderr)
+            print(
+                f"{script}: the load is {load:.1f}; figures for the page need a quiet machine.",
+                file=sys.stderr,
+            )
         run = subprocess.run(command(script, quick), check=False, stdout=subprocess.PIPE, text=True)
         if run.returncode:
             failed.append(script)
@@ -111,7 +165,9 @@ def page(scripts: list[str], quick: bool) -> int:
         stored(script).write_text(as_json(parsed(run.stdout)), encoding="utf-8")
     PAGE.write_text(replaced(PAGE.read_text(encoding="utf-8"), shown()), encoding="utf-8")
     if failed:
-        print(f"The tables keep what they had of {', '.join(failed)}, which failed.", file=sys.stderr)
+        print(
+            f"The tables keep what they had of {', '.join(failed)}, which failed.", file=sys.stderr
+        )
     return int(bool(failed))
 
 
@@ -130,7 +186,8 @@ def _on_one_line(found: re.Match[str]) -> str:
 
 
 def parsed(text: str) -> dict[str, Any]:
-    """The Markdown that a script prints: its lines of prose, and its tables, each with the title above it."""
+    """The Markdown that a script prints: its lines of prose, and its tables, each with the title
+    above it."""
     notes: list[str] = []
     tables: list[dict[str, Any]] = []
     title, open_table = "", False
@@ -150,11 +207,18 @@ def parsed(text: str) -> dict[str, Any]:
 
 def shown() -> str:
     """The page's table: the rows ``SHOWN`` of what is stored."""
-    lines = ["| what | time, least / median | processor | peer, time |", "| --- | --- | --- | --- |"]
+    lines = [
+        "| what | time, least / median | processor | peer, time |",
+        "| --- | --- | --- | --- |",
+    ]
     for words, script, title, row, peer in SHOWN:
         tables = json.loads(stored(script).read_text(encoding="utf-8"))["tables"]
         cells = [figure(tables, title, row, kind) for kind in ("wall", "processor")]
-        beside = f"{figure(tables, title, peer, 'wall')} ({peer.partition(':')[0].partition(',')[0]})" if peer else ""
+        beside = (
+            f"{figure(tables, title, peer, 'wall')} ({peer.partition(':')[0].partition(',')[0]})"
+            if peer
+            else ""
+        )
         lines.append(f"| {words} | {' | '.join(cells)} | {beside} |")
     return "\n".join(lines)
 
@@ -164,10 +228,13 @@ KINDS = {"wall": ("wall", "seconds"), "processor": ("processor", "CPU")}
 
 
 def figure(tables: list[dict[str, Any]], title: str, row: str, kind: str) -> str:
-    """A cell with its unit; a dash where no table has such a row and column, as of a peer that is not installed."""
+    """A cell with its unit; a dash where no table has such a row and column, as of a peer that is
+    not installed."""
     for table in tables:
         cells = next((cells for cells in table["rows"] if cells[0] == row), None)
-        column = next((k for k, name in enumerate(table["columns"]) if name.startswith(KINDS[kind])), None)
+        column = next(
+            (k for k, name in enumerate(table["columns"]) if name.startswith(KINDS[kind])), None
+        )
         if table["title"].startswith(title) and cells is not None and column is not None:
             return f"{cells[column]} {'ms' if ' ms' in table['columns'][column] else 's'}"
     return "-"

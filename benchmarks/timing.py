@@ -1,4 +1,5 @@
-"""Time several methods of doing one thing, in turns, so that a busy machine slows all of them equally."""
+"""Time several methods of doing one thing, in turns, so that a busy machine slows all of them
+equally."""
 
 from __future__ import annotations
 
@@ -32,7 +33,8 @@ class Row:
 
 
 def race(contenders: dict[str, Callable[[], Any]], rounds: int = 5) -> list[Row]:
-    """Run every contender `rounds` times, one after the other (A B A B ...), after one run to warm up."""
+    """Run every contender `rounds` times, one after the other (A B A B ...), after one run to warm
+    up."""
     results = {name: run() for name, run in contenders.items()}
     seconds: dict[str, list[tuple[float, float]]] = {name: [] for name in contenders}
     for _ in range(rounds):
@@ -45,16 +47,27 @@ def race(contenders: dict[str, Callable[[], Any]], rounds: int = 5) -> list[Row]
 
 def ratio(row: Row, first: Row) -> float:
     """Median over the rounds of this one's processor time against the first's in the same round."""
-    return statistics.median(own / max(other, 1e-9) for own, other in zip(row.cpu_s, first.cpu_s, strict=True))
+    return statistics.median(
+        own / max(other, 1e-9) for own, other in zip(row.cpu_s, first.cpu_s, strict=True)
+    )
 
 
-def print_table(title: str, rows: list[Row], facts: Callable[[Any], str] | None = None, head: str = "") -> None:
-    """Print a Markdown table; the last column compares processor time with the first row's, round by round."""
+def print_table(
+    title: str, rows: list[Row], facts: Callable[[Any], str] | None = None, head: str = ""
+) -> None:
+    """Print a Markdown table; the last column compares processor time with the first row's, round
+    by round."""
     fact = f" {head} |" if head else ""
-    print(f"\n**{title}**\n\n| method | wall ms, min / median | processor ms, min / median |{fact} ratio |")
+    print(
+        f"\n**{title}**\n\n| method | wall ms, min / median | processor ms, min / median |{fact}"
+        " ratio |"
+    )
     print("| --- | --- | --- | --- |" + (" --- |" if head else ""))
     for row in rows:
-        wall, busy = (f"{_ms(min(taken))} / {_ms(statistics.median(taken))}" for taken in (row.wall_s, row.cpu_s))
+        wall, busy = (
+            f"{_ms(min(taken))} / {_ms(statistics.median(taken))}"
+            for taken in (row.wall_s, row.cpu_s)
+        )
         fact = f" {facts(row.result)} |" if facts and head else ""
         print(f"| {row.name} | {wall} | {busy} |{fact} {ratio(row, rows[0]):.2f} |")
 

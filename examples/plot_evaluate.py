@@ -1,10 +1,11 @@
-"""How good is a matcher? All pairs of a small population, error rates with intervals, and a ROC curve.
+"""How good is a matcher? All pairs of a small population, error rates with intervals, and a ROC
+curve.
 
     python examples/plot_evaluate.py --out pictures
 
-Ten fingers, each laid down twice, known exactly (no camera between): what remains is pose alone. Twenty captures are
-far too few for a false match rate of a hundredth, and the intervals show it; ``splitknit simulate population`` and
-``splitknit batch`` do the same with hundreds.
+Ten fingers, each laid down twice, known exactly (no camera between): what remains is pose alone.
+Twenty captures are far too few for a false match rate of a hundredth, and the intervals show it;
+``splitknit simulate population`` and ``splitknit batch`` do the same with hundreds.
 """
 
 from __future__ import annotations
@@ -38,33 +39,44 @@ def template(finger: int, impression: int, scale: float) -> Template:
     noise = (NOISE_UM / 1000.0 * rng.standard_normal(mask.shape)).astype(np.float32)
     relief = seen.height_mm - seen.shape_mm + noise
     return make_template(
-        ridge_band(relief, mask, camera.pitch_mm, seen.shape_mm, upright.input_from_upright, upright.size)
+        ridge_band(
+            relief, mask, camera.pitch_mm, seen.shape_mm, upright.input_from_upright, upright.size
+        )
     )
 
 
 def main(arguments: list[str] | None = None) -> int:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("--fingers", type=int, default=10)
     parser.add_argument("--scale", type=float, default=0.15)
     parser.add_argument("--out", type=Path, help="folder for pictures; none are written without it")
     options = parser.parse_args(arguments)
     count = options.fingers
     finger, session = np.tile(np.arange(count), 2), np.repeat(np.arange(2), count)
-    sides = [Prepared(template(100 + f, s, options.scale)) for f, s in zip(finger, session, strict=True)]
+    sides = [
+        Prepared(template(100 + f, s, options.scale)) for f, s in zip(finger, session, strict=True)
+    ]
     pairs = comparisons(finger, session)
-    similarity = np.array([ridge_match(sides[a], sides[b]).similarity for a, b in zip(pairs.a, pairs.b, strict=True)])
+    similarity = np.array(
+        [ridge_match(sides[a], sides[b]).similarity for a, b in zip(pairs.a, pairs.b, strict=True)]
+    )
     scores = scores_of_comparisons(pairs, similarity, finger, session)
     print(f"{int(pairs.genuine.sum())} genuine pairs, {int((~pairs.genuine).sum())} of impostors")
     print(
-        f"similarity: genuine {similarity[pairs.genuine].min():.2f} to {similarity[pairs.genuine].max():.2f}, "
-        f"impostors {similarity[~pairs.genuine].min():.2f} to {similarity[~pairs.genuine].max():.2f}"
+        f"similarity: genuine {similarity[pairs.genuine].min():.2f} to"
+        f" {similarity[pairs.genuine].max():.2f}, impostors {similarity[~pairs.genuine].min():.2f}"
+        f" to {similarity[~pairs.genuine].max():.2f}"
     )
     found = bootstrap(scores, "finger", BootstrapSettings(seed=1))
     for name, words in (("eer", "equal error rate"), ("gar@0.01", "GAR at FAR 1 %")):
         one = found.figures[name]
         print(f"{words}: {100 * one.value:.1f} % [{100 * one.low:.1f}, {100 * one.high:.1f}]")
     if options.out is not None:
-        (options.out / "roc.svg").write_bytes(chart(lambda ax: draw_roc(ax, [("ridges", scores, None)])))
+        (options.out / "roc.svg").write_bytes(
+            chart(lambda ax: draw_roc(ax, [("ridges", scores, None)]))
+        )
     return 0
 
 

@@ -2,8 +2,9 @@
 
     python examples/plot_integrators.py [--noise 0.02]
 
-Frankot-Chellappa on a zero-filled rectangle bends the surface; with mirror padding it does not; masked least squares
-uses only what is inside the mask. Shapelets give the ridges alone, with unit gain in their pass band.
+Frankot-Chellappa on a zero-filled rectangle bends the surface; with mirror padding it does not;
+masked least squares uses only what is inside the mask. Shapelets give the ridges alone, with unit
+gain in their pass band.
 """
 
 from __future__ import annotations
@@ -19,7 +20,9 @@ from splitknit.integration.shapelets import ShapeletSettings, shapelets
 Array = np.ndarray
 
 
-def ridged_bump(size: int = 256, period_px: float = 16.0) -> tuple[Array, Array, Array, Array, Array]:
+def ridged_bump(
+    size: int = 256, period_px: float = 16.0
+) -> tuple[Array, Array, Array, Array, Array]:
     """Height, its ridges, slopes dz/dx and dz/dy (y up), and mask; heights in pixels."""
     rows, columns = np.mgrid[:size, :size].astype(np.float64)
     x, y = columns - 0.5 * size, 0.7 * size - rows  # y up; the lower border cuts the bump
@@ -39,23 +42,44 @@ def rms(error: Array, mask: Array) -> float:
 
 
 def main(arguments: list[str] | None = None) -> int:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--noise", type=float, default=0.0, help="standard deviation of noise on the slopes")
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument(
+        "--noise", type=float, default=0.0, help="standard deviation of noise on the slopes"
+    )
     options = parser.parse_args(arguments)
     height, ridge, slope_x, slope_y, mask = ridged_bump()
     rng = np.random.default_rng(0)
-    p, q = ((s + options.noise * rng.standard_normal(s.shape)).astype(np.float32) for s in (slope_x, slope_y))
+    p, q = (
+        (s + options.noise * rng.standard_normal(s.shape)).astype(np.float32)
+        for s in (slope_x, slope_y)
+    )
     p, q = np.where(mask, p, 0), np.where(mask, q, 0)
-    print(f"{height.shape[0]} x {height.shape[1]} pixels, height {np.ptp(height[mask]):.0f} px; rms error in pixels:")
-    print(f"  Frankot-Chellappa, zero-filled   {rms(frankot_chellappa(p, q, mask) - height, mask):.3f}")
+    print(
+        f"{height.shape[0]} x {height.shape[1]} pixels, height {np.ptp(height[mask]):.0f} px; rms"
+        " error in pixels:"
+    )
+    print(
+        "  Frankot-Chellappa, zero-filled  "
+        f" {rms(frankot_chellappa(p, q, mask) - height, mask):.3f}"
+    )
     mirrored = frankot_chellappa(p, q, mask, padding="mirror")
     print(f"  Frankot-Chellappa, mirrored      {rms(mirrored - height, mask):.3f}")
     print(f"  Poisson, masked least squares    {rms(poisson(p, q, mask) - height, mask):.3f}")
-    inner = mask & np.roll(mask, 24, 0) & np.roll(mask, -24, 0) & np.roll(mask, 24, 1) & np.roll(mask, -24, 1)
+    inner = (
+        mask
+        & np.roll(mask, 24, 0)
+        & np.roll(mask, -24, 0)
+        & np.roll(mask, 24, 1)
+        & np.roll(mask, -24, 1)
+    )
     for scales in (3, 4, 5):
         found = shapelets(p, q, mask, ShapeletSettings(scales=scales))
         e, t = found[inner] - found[inner].mean(), ridge[inner] - ridge[inner].mean()
-        print(f"  shapelets, {scales} scales: gain at the ridges {np.sum(e * t) / np.sum(t * t):.2f}")
+        print(
+            f"  shapelets, {scales} scales: gain at the ridges {np.sum(e * t) / np.sum(t * t):.2f}"
+        )
     return 0
 
 

@@ -1,9 +1,11 @@
-"""Are these two captures of one finger? Three captures, reconstructed and compared by ridges and by minutiae.
+"""Are these two captures of one finger? Three captures, reconstructed and compared by ridges and by
+minutiae.
 
     python examples/plot_match.py --out pictures
 
-Two captures are of one finger, laid down twice (another roll, yaw and insertion, other noise); the third is another
-person's. Higher similarity means more similar; the false match rate gives how often impostors reach as much.
+Two captures are of one finger, laid down twice (another roll, yaw and insertion, other noise); the
+third is another person's. Higher similarity means more similar; the false match rate gives how
+often impostors reach as much.
 """
 
 from __future__ import annotations
@@ -40,7 +42,9 @@ def marked(image: np.ndarray, minutiae: Minutiae) -> np.ndarray:
 
 
 def main(arguments: list[str] | None = None) -> int:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("--scale", type=float, default=0.35)
     parser.add_argument("--out", type=Path, help="folder for pictures; none are written without it")
     options = parser.parse_args(arguments)
@@ -59,16 +63,22 @@ def main(arguments: list[str] | None = None) -> int:
         fmr = rate(found.similarity, "ridge", None).fmr
         score = minutiae_match(prints[first][1], prints[other][1])
         print(f"{first} against {other}:")
-        often = "always" if fmr is None or fmr >= 0.999 else f"in at most {100 * fmr:.2g} % of comparisons"
+        often = (
+            "always"
+            if fmr is None or fmr >= 0.999
+            else f"in at most {100 * fmr:.2g} % of comparisons"
+        )
         print(
-            f"  by ridges {found.similarity:.2f} (turned by {found.rotation_deg:+.1f} deg, {found.overlap_mm2:.0f} mm2 "
-            f"in common); impostors reach that {often}"
+            f"  by ridges {found.similarity:.2f} (turned by {found.rotation_deg:+.1f} deg,"
+            f" {found.overlap_mm2:.0f} mm2 in common); impostors reach that {often}"
         )
         print(f"  by minutiae (bozorth3) {score:.0f}")
     if options.out is not None:
         tall = max(image.shape[0] for image, _ in prints.values())
         panels = [
-            np.pad(marked(*one), ((0, tall - one[0].shape[0]), (0, 12), (0, 0)), constant_values=255)
+            np.pad(
+                marked(*one), ((0, tall - one[0].shape[0]), (0, 12), (0, 0)), constant_values=255
+            )
             for one in prints.values()
         ]
         write_image(options.out / "prints-with-minutiae.png", np.hstack(panels))

@@ -2,8 +2,9 @@
 
     python examples/plot_mirror_shape.py --out pictures
 
-Mirrors at 45 deg beside a simulated finger and at its tip show it from the side. Outlines of all views give the shape,
-and the mirrors' true poses with it; the white images give the ridges, which are laid upon that shape.
+Mirrors at 45 deg beside a simulated finger and at its tip show it from the side. Outlines of all
+views give the shape, and the mirrors' true poses with it; the white images give the ridges, which
+are laid upon that shape.
 """
 
 from __future__ import annotations
@@ -26,12 +27,16 @@ from splitknit_simulator.twin import simulate_capture
 
 
 def main(arguments: list[str] | None = None) -> int:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("--seed", type=int, default=3)
     parser.add_argument("--scale", type=float, default=0.35)
     parser.add_argument("--out", type=Path, help="folder for pictures; none are written without it")
     options = parser.parse_args(arguments)
-    twin = TwinSettings(scale=options.scale, mirrors=MirrorSettings(names=("left", "right", "tip"), nir=False))
+    twin = TwinSettings(
+        scale=options.scale, mirrors=MirrorSettings(names=("left", "right", "tip"), nir=False)
+    )
     capture, truth = simulate_capture(options.seed, "left_loop", twin)
     metric = PRESETS["metric"]
     mirrored = replace(metric, shape=replace(metric.shape, source="mirror"))
@@ -39,13 +44,15 @@ def main(arguments: list[str] | None = None) -> int:
         result = splitknit.reconstruct(capture, settings=settings)
         figures = compare(result, truth).figures
         print(
-            f"shape from {name:20s} surface rms {figures['surface_rms_mm']:.2f} mm, ridge correlation "
-            f"{figures['ridge_correlation']:.2f}"
+            f"shape from {name:20s} surface rms {figures['surface_rms_mm']:.2f} mm, ridge"
+            f" correlation {figures['ridge_correlation']:.2f}"
         )
     if options.out is not None:
         photograph = capture.bands["white"].pixels[1].astype(np.float32)
         bright = np.clip(photograph / np.percentile(photograph, 99.5), 0, 1) ** (1 / 2.2)
-        write_image(options.out / "one-image-four-views.png", np.round(255 * bright).astype(np.uint8))
+        write_image(
+            options.out / "one-image-four-views.png", np.round(255 * bright).astype(np.uint8)
+        )
         above = view_from_above(small_fields(result, upright_frame(result, 700)))
         write_image(options.out / "surface.png", above)
     return 0

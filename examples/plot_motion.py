@@ -1,9 +1,10 @@
-"""A finger that moves while it is photographed: still, moved as it is, and moved with the motion undone.
+"""A finger that moves while it is photographed: still, moved as it is, and moved with the motion
+undone.
 
     python examples/plot_motion.py --out pictures
 
-Fourteen shots take seven seconds, and a hand drifts and trembles. The shots are brought onto one of them before
-anything else is done, unless the finger lay still.
+Fourteen shots take seven seconds, and a hand drifts and trembles. The shots are brought onto one of
+them before anything else is done, unless the finger lay still.
 """
 
 from __future__ import annotations
@@ -26,8 +27,12 @@ from splitknit_simulator.twin import simulate_capture
 
 
 def main(arguments: list[str] | None = None) -> int:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--amplitude-mm", type=float, default=0.4, help="largest distance between two shots")
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument(
+        "--amplitude-mm", type=float, default=0.4, help="largest distance between two shots"
+    )
     parser.add_argument("--seed", type=int, default=5)
     parser.add_argument("--scale", type=float, default=0.25)
     parser.add_argument("--out", type=Path, help="folder for pictures; none are written without it")
@@ -41,12 +46,14 @@ def main(arguments: list[str] | None = None) -> int:
         ("moved, as it is", moving, as_it_is),
         ("moved, undone", moving, metric),
     ):
-        capture, truth = simulate_capture(options.seed, "whorl", TwinSettings(scale=options.scale, motion=motion))
+        capture, truth = simulate_capture(
+            options.seed, "whorl", TwinSettings(scale=options.scale, motion=motion)
+        )
         result = splitknit.reconstruct(capture, settings=settings)
         figures = compare(result, truth).figures
         print(
-            f"{name:16s} ridge correlation {figures['ridge_correlation']:.2f}, gain {figures['ridge_gain']:.2f}, "
-            f"surface rms {figures['surface_rms_mm']:.2f} mm"
+            f"{name:16s} ridge correlation {figures['ridge_correlation']:.2f}, gain"
+            f" {figures['ridge_gain']:.2f}, surface rms {figures['surface_rms_mm']:.2f} mm"
         )
         for warning in result.warnings:
             print(f"  the software reports: {warning}")

@@ -2,8 +2,8 @@
 
     python examples/plot_prints.py --out pictures
 
-The relief as ink; the surface unrolled at equal distances; its curvature; and the plain photograph as the baseline. The
-upper row shows the prints, the lower row their enhancement.
+The relief as ink; the surface unrolled at equal distances; its curvature; and the plain photograph
+as the baseline. The upper row shows the prints, the lower row their enhancement.
 """
 
 from __future__ import annotations
@@ -33,7 +33,9 @@ def beside(panels: list[np.ndarray]) -> np.ndarray:
 
 
 def main(arguments: list[str] | None = None) -> int:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("--seed", type=int, default=2)
     parser.add_argument("--scale", type=float, default=0.35)
     parser.add_argument("--out", type=Path, help="folder for pictures; none are written without it")
@@ -51,8 +53,8 @@ def main(arguments: list[str] | None = None) -> int:
         found = extract(made.image, 500.0)
         rows, columns = made.image.shape
         print(
-            f"{method:10s} {columns} x {rows} px at 500 ppi = {columns / 500 * 25.4:.1f} x {rows / 500 * 25.4:.1f} mm, "
-            f"{found.count} minutiae, NFIQ 2 {nfiq2(made.image)}"
+            f"{method:10s} {columns} x {rows} px at 500 ppi = {columns / 500 * 25.4:.1f} x"
+            f" {rows / 500 * 25.4:.1f} mm, {found.count} minutiae, NFIQ 2 {nfiq2(made.image)}"
         )
     if options.out is not None:
         write_image(options.out / "prints.png", np.vstack([beside(upper), beside(lower)]))

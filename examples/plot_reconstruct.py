@@ -1,9 +1,10 @@
-"""From a capture to a metric fingerprint in Python: simulate a small capture, reconstruct it, compare with the truth.
+"""From a capture to a metric fingerprint in Python: simulate a small capture, reconstruct it,
+compare with the truth.
 
 python examples/plot_reconstruct.py                     # prints the figures, a few seconds
-python examples/plot_reconstruct.py --preset ea         # the plain method of the thesis's comparison
-python examples/plot_reconstruct.py --out pictures      # a photograph, relief and shaded surface as pictures
-python examples/plot_reconstruct.py --capture DIR       # a capture folder of your own
+python examples/plot_reconstruct.py --preset ea # the plain method of the thesis's comparison python
+examples/plot_reconstruct.py --out pictures # a photograph, relief and shaded surface as pictures
+python examples/plot_reconstruct.py --capture DIR # a capture folder of your own
 """
 
 from __future__ import annotations
@@ -30,12 +31,19 @@ def describe(result: splitknit.Reconstruction) -> None:
     facing = result.mask & (result.normals[..., 2] > 0.7)
     low, high = np.percentile(result.ridge_mm[facing], (5, 95))
     print(
-        f"preset {result.preset}: {area:.0f} mm2 of skin, {depth:.1f} mm deep, one height each {result.pitch_mm:.3f} mm"
+        f"preset {result.preset}: {area:.0f} mm2 of skin, {depth:.1f} mm deep, one height each"
+        f" {result.pitch_mm:.3f} mm"
     )
-    print(f"yaw {result.facts['yaw_deg']:.1f} deg; crease {result.facts['crease_distance_mm']:.1f} mm below the tip")
+    print(
+        f"yaw {result.facts['yaw_deg']:.1f} deg; crease {result.facts['crease_distance_mm']:.1f} mm"
+        " below the tip"
+    )
     print(f"relief, 5th to 95th percentile: {1000 * (high - low):.0f} um")
     if result.uncertainty_um is not None:
-        print(f"stated uncertainty of the relief: {np.median(result.uncertainty_um[facing]):.0f} um (median)")
+        print(
+            f"stated uncertainty of the relief: {np.median(result.uncertainty_um[facing]):.0f} um"
+            " (median)"
+        )
     for warning in result.warnings:
         print(f"please note: {warning}")
 
@@ -54,8 +62,12 @@ def pictures(capture: splitknit.Capture, result: splitknit.Reconstruction, folde
 
 
 def main(arguments: list[str] | None = None) -> int:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--capture", type=Path, help="capture folder; a small one is simulated without it")
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument(
+        "--capture", type=Path, help="capture folder; a small one is simulated without it"
+    )
     parser.add_argument("--preset", choices=["metric", "snk", "pr", "ea"], default="metric")
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--scale", type=float, default=0.2)
@@ -63,7 +75,9 @@ def main(arguments: list[str] | None = None) -> int:
     options = parser.parse_args(arguments)
     truth = None
     if options.capture is None:
-        capture, truth = simulate_capture(options.seed, "left_loop", TwinSettings(scale=options.scale))
+        capture, truth = simulate_capture(
+            options.seed, "left_loop", TwinSettings(scale=options.scale)
+        )
     else:
         capture = splitknit.read_capture(options.capture)
     result = splitknit.reconstruct(capture, preset=options.preset)

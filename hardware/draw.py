@@ -1,7 +1,8 @@
-"""Draw the printed parts of the rig: ``python -m hardware.draw [--dimensions my.toml] [--out parts]``. Needs build123d.
+"""Draw the printed parts of the rig: ``python -m hardware.draw [--dimensions my.toml] [--out
+parts]``. Needs build123d.
 
-Writes ``stl/`` (as printed), ``step/`` and ``assembly.step`` (in the rig's frame), and ``parts.json``: every dimension,
-and each part's size and mass.
+Writes ``stl/`` (as printed), ``step/`` and ``assembly.step`` (in the rig's frame), and
+``parts.json``: every dimension, and each part's size and mass.
 """
 
 from __future__ import annotations
@@ -22,7 +23,8 @@ from hardware.films import film_mounts, rig_of, side_film_deg
 from hardware.geometry import LedHole, RigDimensions, dimensions_of, side_lamp
 from splitknit.errors import BadInput, require
 
-STACK = ("base", "cylinder", "frame", "box", "lid")  # the rig with the camera above, from below upwards
+# the rig with the camera above, from below upwards
+STACK = ("base", "cylinder", "frame", "box", "lid")
 STACK_BELOW = ("window_base", *STACK[1:])  # turned over: the lid is the foot
 FILM_PARTS = ("analyser_plate", "analyser", "film_ring")  # between cylinder and frame
 
@@ -45,7 +47,9 @@ PARTS = {
     "window_base": Part("Window base, for the camera below"),
     "mirror_holder": Part("Mirror holder at 45 deg (left, right, tip)", quantity=3),
     "calibration_disc": Part("Calibration disc, recessed dots", face_down=True),
-    "calibration_disc_flat": Part("Calibration disc, flush dots (with the pegs of calibration_dots)", face_down=True),
+    "calibration_disc_flat": Part(
+        "Calibration disc, flush dots (with the pegs of calibration_dots)", face_down=True
+    ),
     "calibration_dots": Part("Black dots for the flat disc"),
     "nail": Part("Nail cone"),
     "analyser_plate": Part("Plate before the lens, on which the analyser turns"),
@@ -53,15 +57,20 @@ PARTS = {
     "film_ring": Part("Ring of films below the LEDs"),
     "side_lamp": Part("Lamp of a side light"),
 }
-TOLERANCE_MM, TOLERANCE_RAD = 0.02, 0.2  # between a curved face and its triangles: below what a printer holds
-_TIMESTAMP = "2000-01-01T00:00:00"  # in the header of every STEP file, so that the same rig gives the same bytes
+# between a curved face and its triangles: below what a printer holds
+TOLERANCE_MM, TOLERANCE_RAD = 0.02, 0.2
+# in the header of every STEP file, so that the same rig gives the same bytes
+_TIMESTAMP = "2000-01-01T00:00:00"
 
 
 def names_of(d: RigDimensions) -> list[str]:
-    """Names of the parts that a rig has; an analyser that does not turn is not a part of its own."""
+    """Names of the parts that a rig has; an analyser that does not turn is not a part of its
+    own."""
     extras = [*FILM_PARTS, "side_lamp"]
     drawn = (
-        [] if d.films is None else [name for name in FILM_PARTS if name != "analyser" or d.films.kind != "neighbours"]
+        []
+        if d.films is None
+        else [name for name in FILM_PARTS if name != "analyser" or d.films.kind != "neighbours"]
     )
     drawn += ["side_lamp"] if d.sides else []
     return [name for name in PARTS if name not in extras or name in drawn]
@@ -78,7 +87,8 @@ def draw_parts(d: RigDimensions) -> dict[str, Any]:
 
 
 def write_parts(out: Path, s: SimpleNamespace) -> dict[str, Any]:
-    """Draw and write all parts of the rig of these dimensions; return the document of ``parts.json``."""
+    """Draw and write all parts of the rig of these dimensions; return the document of
+    ``parts.json``."""
     d = dimensions_of(rig_of(s), s)
     solids = draw_parts(d)
     from build123d import Compound, Location, Pos, Rot, export_step, export_stl
@@ -95,7 +105,9 @@ def write_parts(out: Path, s: SimpleNamespace) -> dict[str, Any]:
         export_stl(printed, str(out / "stl" / f"{name}.stl"), TOLERANCE_MM, TOLERANCE_RAD)
         size = [round(side, 1) for side in box.size]
         bed = (s.printer.bed_x_mm, s.printer.bed_y_mm, s.printer.bed_z_mm)
-        words = f"{name} is {size[0]:g} x {size[1]:g} x {size[2]:g} mm, larger than the printer's bed."
+        words = (
+            f"{name} is {size[0]:g} x {size[1]:g} x {size[2]:g} mm, larger than the printer's bed."
+        )
         require(all(side <= most for side, most in zip(size, bed, strict=True)), words)
         solid.label = name
         export_step(solid, str(out / "step" / f"{name}.step"), timestamp=_TIMESTAMP)
@@ -112,7 +124,9 @@ def write_parts(out: Path, s: SimpleNamespace) -> dict[str, Any]:
         for place in side_places(d) if name == "side_lamp" else [Location()]:
             shapes.append(turn * (place * solids[name]))
             shapes[-1].label = name
-    export_step(Compound(label="rig", children=shapes), str(out / "assembly.step"), timestamp=_TIMESTAMP)
+    export_step(
+        Compound(label="rig", children=shapes), str(out / "assembly.step"), timestamp=_TIMESTAMP
+    )
     _renumber(out / "assembly.step")
     facts = {"assembly": stack, "parts": rows, "dimensions": dimension_table(d)}
     (out / "parts.json").write_text(json.dumps(facts, indent=1) + "\n", encoding="utf-8")
@@ -120,10 +134,13 @@ def write_parts(out: Path, s: SimpleNamespace) -> dict[str, Any]:
 
 
 def _renumber(path: Path) -> None:
-    """Number the uses of parts from 1: the writer goes on counting for as long as the program runs."""
+    """Number the uses of parts from 1: the writer goes on counting for as long as the program
+    runs."""
     number = count(1)
     use = re.compile(rb"(= NEXT_ASSEMBLY_USAGE_OCCURRENCE\(')\d+'")
-    path.write_bytes(use.sub(lambda found: found.group(1) + b"%d'" % next(number), path.read_bytes()))
+    path.write_bytes(
+        use.sub(lambda found: found.group(1) + b"%d'" % next(number), path.read_bytes())
+    )
 
 
 def dimension_table(d: RigDimensions) -> dict[str, Any]:
@@ -137,7 +154,9 @@ def dimension_table(d: RigDimensions) -> dict[str, Any]:
         "tip_stops_at_y_mm": round(d.stop_y_mm, 2),
     }
     heights = ("base", "groove", "floor", "frame", "board", "box", "lid", "top")
-    table["heights_over_finger_plane_mm"] = {name: round(getattr(d, f"{name}_z_mm"), 2) for name in heights}
+    table["heights_over_finger_plane_mm"] = {
+        name: round(getattr(d, f"{name}_z_mm"), 2) for name in heights
+    }
     table["leds"] = [_led(hole) for hole in d.holes]
     if d.films is not None:
         mounts = film_mounts(d)
@@ -151,7 +170,8 @@ def dimension_table(d: RigDimensions) -> dict[str, Any]:
         table["side_lights"] = {
             "piece_mm": round(side_lamp(d).film_mm - 2 * sizes.JOINT_CLEARANCE_MM, 1),
             "leds": [
-                {**_led(hole), "film_axis_deg": round(side_film_deg(hole.light_mm.tolist()), 1)} for hole in d.sides
+                {**_led(hole), "film_axis_deg": round(side_film_deg(hole.light_mm.tolist()), 1)}
+                for hole in d.sides
             ],
         }
     return table
@@ -174,7 +194,10 @@ def main() -> None:
         size = " x ".join(f"{side:.0f}" for side in part["size_mm"])
         print(f"{name:22s} {part['quantity']} x, {size} mm, {part['mass_g']:.1f} g")
     high = facts["dimensions"]["total_height_mm"]
-    print(f"The rig stands {high:.0f} mm high. Written to {given.out}: stl/, step/, assembly.step, parts.json.")
+    print(
+        f"The rig stands {high:.0f} mm high. Written to {given.out}: stl/, step/, assembly.step,"
+        " parts.json."
+    )
 
 
 if __name__ == "__main__":

@@ -1,7 +1,7 @@
 """Every dimension of the printed parts, from the rig file and the settings.
 
-All places are in the rig's frame (``docs/explain/conventions.md``). Heights of the parts are stacked in that frame,
-base lowest; with the camera below the whole stack is turned over.
+All places are in the rig's frame (``docs/explain/conventions.md``). Heights of the parts are
+stacked in that frame, base lowest; with the camera below the whole stack is turned over.
 """
 
 from __future__ import annotations
@@ -31,8 +31,8 @@ def shadow_tips(rig: Rig, nail_mm: float, place_mm: tuple[float, float] = (0.0, 
 
 
 def _nail_height(rig: Rig, offset_mm: float, margin_mm: float, radius_mm: float) -> float:
-    """Greatest height (mm, in half mm) of a nail up to `offset_mm` from the middle along x and y whose shadows' tips
-    stay `margin_mm` inside the picture, and outside the nail's foot.
+    """Greatest height (mm, in half mm) of a nail up to `offset_mm` from the middle along x and y
+    whose shadows' tips stay `margin_mm` inside the picture, and outside the nail's foot.
     """
     camera = rig.camera
     half = np.array([camera.image_size[1], camera.image_size[0]]) / camera.px_per_mm / 2 - margin_mm
@@ -46,14 +46,15 @@ def _nail_height(rig: Rig, offset_mm: float, margin_mm: float, radius_mm: float)
     height = math.floor(best / _STEP_MM + 1e-9) * _STEP_MM
     require(
         height >= 4.0,
-        f"the picture of {2 * (half[0] + margin_mm):.0f} x {2 * (half[1] + margin_mm):.0f} mm is too small for the "
-        f"shadows of a nail up to {offset_mm:g} mm from its middle; take a rig with a larger picture.",
+        f"the picture of {2 * (half[0] + margin_mm):.0f} x {2 * (half[1] + margin_mm):.0f} mm is"
+        f" too small for the shadows of a nail up to {offset_mm:g} mm from its middle; take a rig"
+        " with a larger picture.",
     )
     nearest = float(np.hypot(*shadow_tips(rig, height).T).min())
     require(
         nearest >= radius_mm + 0.5,
-        f"a nail of {height:g} mm hides the shadow of an LED under its foot of {radius_mm:g} mm radius, as "
-        "that LED stands nearly above it.",
+        f"a nail of {height:g} mm hides the shadow of an LED under its foot of {radius_mm:g} mm"
+        " radius, as that LED stands nearly above it.",
     )
     return height
 
@@ -67,7 +68,8 @@ def _places(rig: Rig) -> Array:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class LedHole:
-    """A tilted hole for one LED; distances along its axis count from the light, away from the finger."""
+    """A tilted hole for one LED; distances along its axis count from the light, away from the
+    finger."""
 
     index: int
     band: str
@@ -99,7 +101,8 @@ class LedHole:
     @property
     def radius_taken_mm(self) -> float:
         """How far from the camera's axis the LED reaches while it is pushed in from behind."""
-        waiting = self.at(self.back_mm + self.shoulder_mm + self.radius_mm)  # its dome is at the pocket's end
+        # its dome is at the pocket's end
+        waiting = self.at(self.back_mm + self.shoulder_mm + self.radius_mm)
         outside = float(np.hypot(*waiting[:2])) + self.pocket_radius_mm * float(self.back[2])
         return max(outside, float(np.hypot(*self.light_mm[:2])) + self.radius_mm)
 
@@ -108,7 +111,8 @@ def _led_hole(index: int, led: Led, settings: SimpleNamespace) -> LedHole:
     """Return the hole of one LED. Raises BadInput if the LED has no place."""
     require(
         led.position_mm is not None and not led.also,
-        f"LED {index} of the rig has no position_mm (it is distant light or a group), but parts need its place.",
+        f"LED {index} of the rig has no position_mm (it is distant light or a group), but parts"
+        " need its place.",
     )
     sizes_of = ("diameter_mm", "flange_mm", "flange_to_light_mm")
     band = "white" if led.band == "white" else "nir"
@@ -126,11 +130,14 @@ def _led_hole(index: int, led: Led, settings: SimpleNamespace) -> LedHole:
 
 
 SCREWS_A_DEG = (35.0, 145.0, 215.0, 335.0)
-"""Azimuths of the screws between base and cylinder, and between frame and box: uneven, so that parts fit one way."""
+"""Azimuths of the screws between base and cylinder, and between frame and box: uneven, so that
+parts fit one way."""
 SCREWS_B_DEG = (0.0, 90.0, 180.0, 280.0)
-"""Azimuths between cylinder and frame, and between box and lid: out of the way of a screwdriver for the others."""
+"""Azimuths between cylinder and frame, and between box and lid: out of the way of a screwdriver for
+the others."""
 _HALF = math.sqrt(0.5)
-POCKET_MM = 1.0  # depth of the base's shallow pockets, which hold mirror holders and calibration disc in place
+# depth of the base's shallow pockets, which hold mirror holders and calibration disc in place
+POCKET_MM = 1.0
 _GROOVE_IN_FLOOR_MM = 0.4  # the groove's bottom lies this much below the base's upper face
 
 
@@ -142,7 +149,8 @@ class RigDimensions:
     camera_height_mm: float
     field_mm: tuple[float, float]  # width (x) and height (y) of the picture on the finger plane
     holes: tuple[LedHole, ...]
-    sides: tuple[LedHole, ...]  # side lights, each in a lamp of its own that is pushed through the cylinder's wall
+    # side lights, each in a lamp of its own that is pushed through the cylinder's wall
+    sides: tuple[LedHole, ...]
     bore_mm: float  # inner radius of cylinder, frame and box
     floor_z_mm: float  # upper face of the base, the joint between base and cylinder
     frame_z_mm: float  # lower face of the frame, the joint between cylinder and frame
@@ -167,12 +175,14 @@ class RigDimensions:
     block_mm: float  # half the width of the block that holds the groove
     disc_radius_mm: float  # radius of the calibration disc: as large as the niche allows
     lens_hole_mm: float  # radius of the frame's opening for the lens
-    base_screws_deg: tuple[float, ...]  # azimuths of the screws between base and cylinder: beside the lamps, if any
+    # azimuths of the screws between base and cylinder: beside the lamps, if any
+    base_screws_deg: tuple[float, ...]
     films: RigFilms | None
 
     @property
     def lit_corners(self) -> Array:
-        """(9, 3) border and middle of what every LED must light: the last phalanx, as far as the picture shows it."""
+        """(9, 3) border and middle of what every LED must light: the last phalanx, as far as the
+        picture shows it."""
         half = min(self.field_mm[0] / 2, self.disc_radius_mm)
         start = max(-self.field_mm[1] / 2, self.stop_y_mm - sizes.FINGER_PHALANX_MM)
         ends = (start, (start + self.stop_y_mm) / 2, self.field_mm[1] / 2)
@@ -180,8 +190,8 @@ class RigDimensions:
 
 
 def dimensions_of(rig: Rig, settings: SimpleNamespace) -> RigDimensions:
-    """Work out all dimensions, not yet checked: see :func:`hardware.checks.check_dimensions`. Raises
-    BadInput if an LED has no place, or the picture is too small for a nail's shadows.
+    """Work out all dimensions, not yet checked: see :func:`hardware.checks.check_dimensions`.
+    Raises BadInput if an LED has no place, or the picture is too small for a nail's shadows.
     """
     camera, finger = rig.camera, settings.finger
     rows, columns = camera.image_size
@@ -190,14 +200,20 @@ def dimensions_of(rig: Rig, settings: SimpleNamespace) -> RigDimensions:
     side = side_lights(rig.leds)
     holes = tuple(hole for hole in every if hole.index not in side)
     require(len(holes) > 0, "the rig has no LEDs around the camera; parts cannot be drawn for it.")
-    frame_z = min(  # the lowest LED's dome stands free below the frame, those of higher ones in funnels
-        float(hole.light_mm[2]) + hole.radius_mm * math.sin(math.radians(hole.tilt_deg)) + sizes.LED_TIP_FREE_MM
+    # the lowest LED's dome stands free below the frame, those of higher ones in funnels
+    frame_z = min(
+        float(hole.light_mm[2])
+        + hole.radius_mm * math.sin(math.radians(hole.tilt_deg))
+        + sizes.LED_TIP_FREE_MM
         for hole in holes
     )
     board_z = camera.height_mm + settings.camera.board_above_lens_mm
     plate_top = frame_z + sizes.JOINT_PLATE_MM
-    highest = max(board_z, plate_top, *(float(hole.at(hole.back_mm)[2]) + hole.radius_mm for hole in holes))
-    gusset = sizes.JOINT_RIDGE_MM + 2 * sizes.JOINT_LUG_RADIUS_MM + 0.1 - settings.joint.wall_mm  # 45 deg, below a lug
+    highest = max(
+        board_z, plate_top, *(float(hole.at(hole.back_mm)[2]) + hole.radius_mm for hole in holes)
+    )
+    # 45 deg, below a lug
+    gusset = sizes.JOINT_RIDGE_MM + 2 * sizes.JOINT_LUG_RADIUS_MM + 0.1 - settings.joint.wall_mm
     lug_room = 2 * sizes.JOINT_LUG_MM + sizes.JOINT_INSERT_DEPTH_MM + gusset
     box_z = max(highest + sizes.WIRE_ROOM_MM, frame_z + lug_room)
     films = rig_films(rig)
@@ -207,14 +223,18 @@ def dimensions_of(rig: Rig, settings: SimpleNamespace) -> RigDimensions:
     boards = sizes.PI_POST_HEIGHT_MM + 1.5 + sizes.PCB_OVER_PI_MM + 1.6 + sizes.PCB_PARTS_MM
     lid_z = max(box_z + sizes.JOINT_PLATE_MM + boards + second, box_z + lug_room)
     stop_y = min(field[1] / 2 - finger.tip_margin_mm, sizes.FINGER_PHALANX_MM / 2)
-    angle = np.linspace(0.0, np.pi, 361)  # about the thickest finger, an ellipse that lies on the floor
+    # about the thickest finger, an ellipse that lies on the floor
+    angle = np.linspace(0.0, np.pi, 361)
     x, z = finger.widest_mm / 2 * np.cos(angle), sizes.FINGER_THICKEST_MM / 2 * (1 + np.sin(angle))
     wall, bore, floor_z = (
         settings.joint.wall_mm,
         _bore(holes, settings, field),
         _GROOVE_IN_FLOOR_MM - finger.pad_height_mm,
     )
-    screw, niche_y = bore + sizes.JOINT_RIDGE_MM + sizes.JOINT_LUG_RADIUS_MM + 0.1, stop_y - finger.reach_mm
+    screw, niche_y = (
+        bore + sizes.JOINT_RIDGE_MM + sizes.JOINT_LUG_RADIUS_MM + 0.1,
+        stop_y - finger.reach_mm,
+    )
     half, depth = (finger.widest_mm + sizes.FINGER_CLEARANCE_MM) / 2, finger.groove_depth_mm
     behind = max(0.0, camera.height_mm - frame_z)  # a lens behind the frame must see past its edge
     return RigDimensions(
@@ -246,14 +266,19 @@ def dimensions_of(rig: Rig, settings: SimpleNamespace) -> RigDimensions:
         groove_radius_mm=(half * half + depth * depth) / (2 * depth),
         block_mm=half + wall,
         disc_radius_mm=math.floor(-niche_y - wall - 1.0),
-        lens_hole_mm=settings.camera.barrel_mm / 2 + 0.4 + behind * math.hypot(*field) / 2 / camera.height_mm,
+        lens_hole_mm=settings.camera.barrel_mm / 2
+        + 0.4
+        + behind * math.hypot(*field) / 2 / camera.height_mm,
         base_screws_deg=(35.0, 145.0, 222.0, 354.0) if side else SCREWS_A_DEG,
         films=films,
     )
 
 
-def _bore(holes: tuple[LedHole, ...], settings: SimpleNamespace, field: tuple[float, float]) -> float:
-    """Return the inner radius, in steps of half a millimetre: LEDs, picture, and boards must fit."""
+def _bore(
+    holes: tuple[LedHole, ...], settings: SimpleNamespace, field: tuple[float, float]
+) -> float:
+    """Return the inner radius, in steps of half a millimetre: LEDs, picture, and boards must
+    fit."""
     board = settings.board
     wanted = [
         max(hole.radius_taken_mm for hole in holes) + 0.5,
@@ -268,24 +293,38 @@ _LIP_WALL_MM = 1.2
 
 
 def _mirror_front() -> tuple[float, float]:
-    """Return the lower front edge of a mirror: distance from its holder's front, height over the holder's foot, mm."""
+    """Return the lower front edge of a mirror: distance from its holder's front, height over the
+    holder's foot, mm."""
     slack = sizes.JOINT_CLEARANCE_MM
-    return (slack + _LIP_WALL_MM) * _HALF + 0.2, (sizes.MIRROR_THICK_MM + slack) * _HALF + _LIP_WALL_MM
+    return (slack + _LIP_WALL_MM) * _HALF + 0.2, (
+        sizes.MIRROR_THICK_MM + slack
+    ) * _HALF + _LIP_WALL_MM
 
 
 def mirror_profile(settings: SimpleNamespace) -> list[tuple[float, float]]:
-    """Outline of a mirror holder: distance from its front, height over its foot, mm. The reflecting face starts at
-    :func:`_mirror_front` and leans by 45 deg away from the finger; a lip holds its lower edge.
+    """Outline of a mirror holder: distance from its front, height over its foot, mm. The reflecting
+    face starts at :func:`_mirror_front` and leans by 45 deg away from the finger; a lip holds its
+    lower edge.
     """
     slack, front = sizes.JOINT_CLEARANCE_MM, np.array(_mirror_front())
     along, behind = np.array([_HALF, _HALF]), np.array([_HALF, -_HALF])
     low = front + (sizes.MIRROR_THICK_MM + slack) * behind
     high = low + settings.mirror.wide_mm * along
-    lip, inside, outside = sizes.MIRROR_LIP_MM * along, front - slack * behind, front - (slack + _LIP_WALL_MM) * behind
-    start = outside[1] - outside[0]  # where the lip's outer face, at 45 deg, meets the holder's front
+    lip, inside, outside = (
+        sizes.MIRROR_LIP_MM * along,
+        front - slack * behind,
+        front - (slack + _LIP_WALL_MM) * behind,
+    )
+    # where the lip's outer face, at 45 deg, meets the holder's front
+    start = outside[1] - outside[0]
     corners = [high, low, inside, inside + lip, outside + lip]
     back = float(high[0]) + settings.joint.wall_mm
-    outline = [(0.0, 0.0), (back, 0.0), (back, float(high[1])), *((float(u), float(v)) for u, v in corners)]
+    outline = [
+        (0.0, 0.0),
+        (back, 0.0),
+        (back, float(high[1])),
+        *((float(u), float(v)) for u, v in corners),
+    ]
     return [*outline, (0.0, float(start))]
 
 
@@ -295,7 +334,8 @@ def holder_depth(settings: SimpleNamespace) -> float:
 
 
 def holder_places(dimensions: RigDimensions) -> list[tuple[float, float, float]]:
-    """Return for the right, left and tip holder: x, y of the middle of its front edge, and its turn in degrees."""
+    """Return for the right, left and tip holder: x, y of the middle of its front edge, and its turn
+    in degrees."""
     d = dimensions
     side = d.block_mm + sizes.MIRROR_GAP_MM
     middle = d.stop_y_mm + 1.0 - sizes.MIRROR_LONG_MM / 2
@@ -303,16 +343,19 @@ def holder_places(dimensions: RigDimensions) -> list[tuple[float, float, float]]
     return [(side, middle, 0.0), (-side, middle, 180.0), (0.0, tip, 90.0)]
 
 
-# The lamp of a side light, along the LED's axis: a turned body with a collar that fits the cylinder's outer wall.
+# The lamp of a side light, along the LED's axis: a turned body with a collar that fits the
+# cylinder's outer wall.
 
 
 @dataclass(frozen=True, slots=True)
 class SideLamp:
-    """Distances in mm along the LED's axis from the light towards the finger, and radii. All side lamps are alike."""
+    """Distances in mm along the LED's axis from the light towards the finger, and radii. All side
+    lamps are alike."""
 
     wall_mm: float  # to the cylinder's outer face
     mouth_mm: float  # to the lamp's end, just inside the cylinder
-    # of the opening there, which lights the last phalanx as far as the picture shows it, and its flanks
+    # of the opening there, which lights the last phalanx as far as the picture shows it, and its
+    # flanks
     mouth_radius_mm: float
     film_mm: float  # side of the square piece of film
     body_mm: float  # radius around LED and film
@@ -324,21 +367,24 @@ SIDE_FILM_AT_MM = 4.0  # from a side light to its film: in front of the dome
 
 
 def side_lamp(d: RigDimensions) -> SideLamp:
-    """Work out the lamp of the side lights; BadInput if they are not alike or stand inside the cylinder."""
-    lights, back = (np.array([getattr(hole, name) for hole in d.sides]) for name in ("light_mm", "back"))
+    """Work out the lamp of the side lights; BadInput if they are not alike or stand inside the
+    cylinder."""
+    lights, back = (
+        np.array([getattr(hole, name) for hole in d.sides]) for name in ("light_mm", "back")
+    )
     beside, hole = np.hypot(lights[:, 0], lights[:, 1]), d.sides[0]
     apart = float(np.ptp([beside, lights[:, 2], 90.0 * back[:, 2]], axis=1).max())
     require(
         apart <= 1.0,
-        "the side lights' lamps are alike, so all must stand equally high and far from the axis, and be aimed alike; "
-        f"in the rig file they differ by {apart:.1f} mm.",
+        "the side lights' lamps are alike, so all must stand equally high and far from the axis,"
+        f" and be aimed alike; in the rig file they differ by {apart:.1f} mm.",
     )
     level, least = float(np.hypot(*hole.back[:2])), 14.0
     wall, mouth = (float(beside[0] - radius) / level for radius in (d.outer_mm, d.bore_mm - 1.0))
     require(
         wall >= least,
-        f"the side lights stand {beside[0]:.1f} mm from the axis, but outside the tube of {d.outer_mm:.1f} mm they "
-        f"need {d.outer_mm + least * level:.1f} mm.",
+        f"the side lights stand {beside[0]:.1f} mm from the axis, but outside the tube of"
+        f" {d.outer_mm:.1f} mm they need {d.outer_mm + least * level:.1f} mm.",
     )
     half, deep = d.settings.finger.widest_mm / 2, d.settings.finger.pad_height_mm / 2
     pad = np.clip(d.lit_corners, (-half, -np.inf, 0.0), (half, np.inf, 0.0))

@@ -1,7 +1,8 @@
 """Draw a phantom for a resin printer: ``python -m hardware.phantom [--out phantom]``.
 
-Half a finger with ridges of known height, period and direction: ``phantom.stl`` (mm), ``height.npz`` (its heights as
-drawn, a result that ``splitknit compare`` takes as B) and ``phantom.json`` (its fields).
+Half a finger with ridges of known height, period and direction: ``phantom.stl`` (mm),
+``height.npz`` (its heights as drawn, a result that ``splitknit compare`` takes as B) and
+``phantom.json`` (its fields).
 """
 
 from __future__ import annotations
@@ -24,17 +25,20 @@ from splitknit.model import FloatArray, Reconstruction
 PITCH_MM = 0.05
 PLATE_MM, THICK_MM = (20.0, 34.0), 2.0
 RADIUS_MM, STEEPEST_DEG, ENDS_MM = 8.5, 62.0, (-14.5, 6.0)
-"""Half cylinder: its radius, the steepest slope of its skirts, where it begins and where its round tip starts."""
+"""Half cylinder: its radius, the steepest slope of its skirts, where it begins and where its round
+tip starts."""
 HEIGHTS_UM, PERIODS_MM, TURNS_DEG = (25.0, 50.0, 75.0, 100.0), (0.35, 0.45, 0.6), (0.0, 60.0, 120.0)
-"""Ridges from valley to top, a row of fields each; the periods, and directions across the ridges, take turns."""
-FIELD_MM, APART_MM = 4.6, 5.2  # side of a field of ridges, and between the middles of two, along the skin
+"""Ridges from valley to top, a row of fields each; the periods, and directions across the ridges,
+take turns."""
+# side of a field of ridges, and between the middles of two, along the skin
+FIELD_MM, APART_MM = 4.6, 5.2
 MARKS_MM = ((-3.5, 9.0), (0.6, 9.4), (3.0, 8.6), (-0.6, 10.8))
 """Across and along the skin: domes of 0.15 mm that no turn takes to each other."""
 
 
 def phantom() -> tuple[Reconstruction, list[dict[str, Any]]]:
-    """The phantom's surface as drawn, as a result, and its fields of ridges: ``middle_mm`` across and along the skin,
-    ``height_um``, ``period_mm``, ``turn_deg``.
+    """The phantom's surface as drawn, as a result, and its fields of ridges: ``middle_mm`` across
+    and along the skin, ``height_um``, ``period_mm``, ``turn_deg``.
     """
     columns, rows = (round(side / PITCH_MM) + 1 for side in PLATE_MM)
     x = (np.arange(columns) - (columns - 1) / 2) * PITCH_MM
@@ -52,21 +56,35 @@ def phantom() -> tuple[Reconstruction, list[dict[str, Any]]]:
             middle = APART_MM * (column - 1), ENDS_MM[0] + 3.0 + APART_MM * row
             period, turn = PERIODS_MM[(row + column) % 3], TURNS_DEG[(row + 2 * column) % 3]
             u, v = across - middle[0], along - middle[1]
-            phase = 2.0 * np.pi / period * (np.cos(np.deg2rad(turn)) * u + np.sin(np.deg2rad(turn)) * v)
+            phase = (
+                2.0 * np.pi / period * (np.cos(np.deg2rad(turn)) * u + np.sin(np.deg2rad(turn)) * v)
+            )
             edge = np.clip((0.5 * FIELD_MM - np.maximum(np.abs(u), np.abs(v))) / 0.4, 0.0, 1.0)
             relief += 1e-3 * high * edge * edge * (3.0 - 2.0 * edge) * (0.5 - 0.5 * np.cos(phase))
-            fields.append({"middle_mm": middle, "height_um": high, "period_mm": period, "turn_deg": turn})
+            fields.append(
+                {"middle_mm": middle, "height_um": high, "period_mm": period, "turn_deg": turn}
+            )
     for right, high in MARKS_MM:
-        relief += 0.15 * np.clip(1.0 - ((across - right) ** 2 + (along - high) ** 2) / 0.36, 0.0, 1.0)
+        relief += 0.15 * np.clip(
+            1.0 - ((across - right) ** 2 + (along - high) ** 2) / 0.36, 0.0, 1.0
+        )
     drawn = np.where(mask, shape + relief * RADIUS_MM / np.maximum(top, 1e-3), 0.0)
     height: FloatArray = drawn.astype(np.float32)
     seen = np.where(mask, 1.0, np.nan).astype(np.float32)
     smooth: FloatArray = (shape * seen).astype(np.float32)
     result = Reconstruction(
-        height * seen, height * seen - smooth, smooth, mask,
-        normals_from_gradients(*height_gradients(height, PITCH_MM)), seen, PITCH_MM, np.eye(3), mask.shape,
-        "phantom", facts={"material": "opaque"},
-    )  # fmt: skip
+        height * seen,
+        height * seen - smooth,
+        smooth,
+        mask,
+        normals_from_gradients(*height_gradients(height, PITCH_MM)),
+        seen,
+        PITCH_MM,
+        np.eye(3),
+        mask.shape,
+        "phantom",
+        facts={"material": "opaque"},
+    )
     return result, fields
 
 
@@ -77,8 +95,11 @@ def phantom_mesh(result: Reconstruction) -> tuple[FloatArray, NDArray[np.int32]]
     y = ((rows - 1) / 2 - np.arange(rows))[:, None] * result.pitch_mm
     height = np.where(result.mask, result.height_mm, np.float32(0.0))
     faces, index = triangulate(np.isfinite(height))
-    vertices = np.stack(np.broadcast_arrays(x, y, height), axis=-1).reshape(-1, 3).astype(np.float32)
-    rim = np.concatenate([index[-1, :-1], index[:0:-1, -1], index[0, :0:-1], index[:-1, 0]])  # counter-clockwise
+    vertices = (
+        np.stack(np.broadcast_arrays(x, y, height), axis=-1).reshape(-1, 3).astype(np.float32)
+    )
+    # counter-clockwise
+    rim = np.concatenate([index[-1, :-1], index[:0:-1, -1], index[0, :0:-1], index[:-1, 0]])
     below = vertices[rim] * np.array([1, 1, 0]) - np.array([0, 0, THICK_MM])
     low = len(vertices) + np.arange(len(rim))
     after, low_after = np.roll(rim, -1), np.roll(low, -1)
@@ -93,10 +114,18 @@ def write_phantom(out: Path) -> dict[str, Any]:
     """Write the phantom; return the facts of ``phantom.json``."""
     result, fields = phantom()
     vertices, faces = phantom_mesh(result)
-    triangles = np.zeros(len(faces), np.dtype([("normal", "<3f4"), ("corners", "<(3,3)f4"), ("unused", "<u2")]))
+    triangles = np.zeros(
+        len(faces), np.dtype([("normal", "<3f4"), ("corners", "<(3,3)f4"), ("unused", "<u2")])
+    )
     triangles["corners"] = vertices[faces]
     size = [*PLATE_MM, round(float(vertices[:, 2].max()) + THICK_MM, 3)]
-    facts = {"pitch_mm": PITCH_MM, "size_mm": size, "triangles": len(faces), "fields": fields, "marks_mm": MARKS_MM}
+    facts = {
+        "pitch_mm": PITCH_MM,
+        "size_mm": size,
+        "triangles": len(faces),
+        "fields": fields,
+        "marks_mm": MARKS_MM,
+    }
     out.mkdir(parents=True, exist_ok=True)
     header = b"phantom".ljust(80) + np.uint32(len(faces)).tobytes()
     (out / "phantom.stl").write_bytes(header + triangles.tobytes())
@@ -110,4 +139,7 @@ if __name__ == "__main__":
     parser.add_argument("--out", type=Path, default=Path("phantom"), help="folder to write")
     folder = parser.parse_args().out
     size = " x ".join(f"{side:.1f}" for side in write_phantom(folder)["size_mm"])
-    print(f"{folder / 'phantom.stl'}: {size} mm; its heights as drawn are B of 'splitknit compare A {folder} --out R'.")
+    print(
+        f"{folder / 'phantom.stl'}: {size} mm; its heights as drawn are B of 'splitknit compare A"
+        f" {folder} --out R'."
+    )

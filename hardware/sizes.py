@@ -1,4 +1,5 @@
-"""The dimensions: what ``dimensions.toml`` says, and the constants that nobody has varied yet. Lengths in mm."""
+"""The dimensions: what ``dimensions.toml`` says, and the constants that nobody has varied yet.
+Lengths in mm."""
 
 from __future__ import annotations
 
@@ -20,13 +21,18 @@ DIMENSIONS = Path(__file__).with_name("dimensions.toml")
 def arguments(description: str, out: str) -> Namespace:
     """Command line of a script: its file of dimensions and its folder."""
     parser = ArgumentParser(description=description)
-    parser.add_argument("--dimensions", type=Path, default=DIMENSIONS, help="file of dimensions (TOML)")
+    parser.add_argument(
+        "--dimensions", type=Path, default=DIMENSIONS, help="file of dimensions (TOML)"
+    )
     parser.add_argument("--out", type=Path, default=Path(out), help="folder to write")
     return parser.parse_args()
 
 
-def read_dimensions(path: Path = DIMENSIONS, changes: dict[str, Any] | None = None) -> SimpleNamespace:
-    """The dimensions of a file, of ``dimensions.toml`` where it says nothing. BadInput if a name is unknown.
+def read_dimensions(
+    path: Path = DIMENSIONS, changes: dict[str, Any] | None = None
+) -> SimpleNamespace:
+    """The dimensions of a file, of ``dimensions.toml`` where it says nothing. BadInput if a name is
+    unknown.
 
     >>> read_dimensions(changes={"finger": {"pad_height_mm": 11.0}}).finger.pad_height_mm
     11.0
@@ -42,12 +48,15 @@ def _merged(table: dict[str, Any], changes: dict[str, Any], prefix: str = "") ->
     for name, value in changes.items():
         require(
             name in table and isinstance(value, dict) == isinstance(table[name], dict),
-            f"'{prefix}{name}' is not a dimension; known are {', '.join(prefix + key for key in table)}.",
+            f"'{prefix}{name}' is not a dimension; known are"
+            f" {', '.join(prefix + key for key in table)}.",
         )
     return {
-        name: _merged(value, changes.get(name, {}), f"{prefix}{name}.")
-        if isinstance(value, dict)
-        else changes.get(name, value)
+        name: (
+            _merged(value, changes.get(name, {}), f"{prefix}{name}.")
+            if isinstance(value, dict)
+            else changes.get(name, value)
+        )
         for name, value in table.items()
     }
 
@@ -60,16 +69,19 @@ def _spaces(table: Any) -> Any:
 
 def _checked(s: SimpleNamespace) -> SimpleNamespace:
     wall, finger = s.joint.wall_mm, s.finger
-    require(wall >= MIN_WALL_MM, f"joint.wall_mm is {wall:g}, thinner than the minimum of {MIN_WALL_MM:g} mm.")
+    require(
+        wall >= MIN_WALL_MM,
+        f"joint.wall_mm is {wall:g}, thinner than the minimum of {MIN_WALL_MM:g} mm.",
+    )
     require(
         finger.stop_height_mm < finger.pad_height_mm,
-        f"finger.stop_height_mm is {finger.stop_height_mm:g}, but the stop must end below the finger plane, "
-        f"{finger.pad_height_mm:g} mm above the groove (finger.pad_height_mm).",
+        f"finger.stop_height_mm is {finger.stop_height_mm:g}, but the stop must end below the"
+        f" finger plane, {finger.pad_height_mm:g} mm above the groove (finger.pad_height_mm).",
     )
     require(
         finger.groove_depth_mm < finger.stop_height_mm,
-        f"finger.groove_depth_mm is {finger.groove_depth_mm:g}, but the stop is only {finger.stop_height_mm:g} mm high "
-        "(finger.stop_height_mm).",
+        f"finger.groove_depth_mm is {finger.groove_depth_mm:g}, but the stop is only"
+        f" {finger.stop_height_mm:g} mm high (finger.stop_height_mm).",
     )
     return s
 
@@ -85,7 +97,8 @@ JOINT_RIDGE_MM = 2.4  # width of the ridge at its foot; its flank leans by 45 de
 JOINT_RIDGE_HIGH_MM = 1.2  # height of the ridge
 JOINT_RING_MM = 4.0  # how far the ends of a tube are thickened beyond the wall
 JOINT_LUG_RADIUS_MM = 5.0  # half the width of the lugs that the screws go through
-JOINT_LUG_MM = 4.0  # thickness of the lug under a screw's head: M3 x 8 then reaches through a 4 mm insert
+# thickness of the lug under a screw's head: M3 x 8 then reaches through a 4 mm insert
+JOINT_LUG_MM = 4.0
 JOINT_SCREW_HOLE_MM = 3.4  # diameter of the hole that an M3 screw passes freely
 JOINT_INSERT_HOLE_MM = 4.0  # for a heat-set insert M3 x 4
 JOINT_INSERT_DEPTH_MM = 6.0  # depth of that hole: the insert, and room below it for the screw's end
@@ -96,17 +109,21 @@ LED_POCKET_MM = 3.0  # depth of the pocket behind the shoulder, for flange and g
 LED_TIP_FREE_MM = 0.5  # the frame's lower face stays at least this much behind every LED's light
 
 FINGER_THICKEST_MM = 24.0  # thumb at its joint, 95th percentile of men: what the opening must pass
-FINGER_CLEARANCE_MM = 2.0  # around the widest and thickest finger in the opening; on both sides together in the groove
+# around the widest and thickest finger in the opening; on both sides together in the groove
+FINGER_CLEARANCE_MM = 2.0
 FINGER_PHALANX_MM = 30.0
-"""From the tip backwards what must be lit by every LED; in a large picture it lies in the middle."""
+"""From the tip backwards what must be lit by every LED; in a large picture it lies in the
+middle."""
 
 
 CAMERA_BOARD_X_MM = 25.0  # size of the camera's board along x: no LED may stand where it is
 CAMERA_HOLE_X_MM = 21.0  # distance of the board's holes along x
 CAMERA_HOLE_Y_MM = 12.5  # distance of its two lines of holes along y
 CAMERA_LENS_TO_HOLES_MM = 0.0
-"""From the lens's axis to the line of the nearer two holes; the other two lie `CAMERA_HOLE_Y_MM` further."""
-CAMERA_LENS_TO_CONNECTOR_MM = 9.5  # from the lens's axis to the edge with the flat cable's connector
+"""From the lens's axis to the line of the nearer two holes; the other two lie `CAMERA_HOLE_Y_MM`
+further."""
+# from the lens's axis to the edge with the flat cable's connector
+CAMERA_LENS_TO_CONNECTOR_MM = 9.5
 CAMERA_POST_MM = 5.0  # diameter of the posts that carry the board
 CAMERA_POST_HOLE_MM = 1.7  # for self-tapping M2 screws
 
@@ -121,8 +138,10 @@ PI_POST_HOLE_MM = 2.1  # for self-tapping M2.5 screws
 PCB_OVER_PI_MM = 22.0  # from the Pi's board to the circuit's board: over the USB sockets
 PCB_POST_HOLE_MM = 2.5  # for self-tapping M3 screws
 PCB_PARTS_MM = 16.0  # room above the circuit's board
-SECOND_BOARD_MM = 20.0  # from the circuit's board to a second one above it, for further LEDs: spacers M3 x 20
-SERVO_HIGH_MM = 19.0  # height of a servo's body, with its wires, over its ears, which lie on the frame's floor
+# from the circuit's board to a second one above it, for further LEDs: spacers M3 x 20
+SECOND_BOARD_MM = 20.0
+# height of a servo's body, with its wires, over its ears, which lie on the frame's floor
+SERVO_HIGH_MM = 19.0
 SERVO_MM = (12.6, 23.2)  # hole for a servo's body
 SERVO_SHAFT_MM = 6.2  # from the end of that hole to the servo's shaft
 SERVO_SCREWS_MM = 28.0  # distance of the screws through a servo's ears

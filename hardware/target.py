@@ -1,7 +1,8 @@
-"""Draw the printed target: ``python -m hardware.target [--columns 9 --rows 6 --square-mm 3] [--out target.pdf]``.
+"""Draw the printed target: ``python -m hardware.target [--columns 9 --rows 6 --square-mm 3] [--out
+target.pdf]``.
 
-One page of vectors as PDF: checkerboards for the small field of view, the calibration disc, and a ruler to check the
-print. ``splitknit rig target`` writes the one that is drawn without options.
+One page of vectors as PDF: checkerboards for the small field of view, the calibration disc, and a
+ruler to check the print. ``splitknit rig target`` writes the one that is drawn without options.
 """
 
 from __future__ import annotations
@@ -41,10 +42,14 @@ class TargetSettings:
     rows: int = 6
     """And along its height."""
     square_mm: float = 3.0
-    """Side of a square: 9 x 6 inner corners of 3 mm are 30 x 21 mm, in a field of view of about 42 x 29 mm."""
+    """Side of a square: 9 x 6 inner corners of 3 mm are 30 x 21 mm, in a field of view of about 42
+    x 29 mm."""
 
     def __post_init__(self) -> None:
-        corners = f"a board to print must have 3 to 60 inner corners each way, but it is {self.columns} x {self.rows}."
+        corners = (
+            f"a board to print must have 3 to 60 inner corners each way, but it is {self.columns} x"
+            f" {self.rows}."
+        )
         require(3 <= self.columns <= 60 and 3 <= self.rows <= 60, corners)
         squares = f"squares to print must have 0.5 to 40 mm a side, but it is {self.square_mm:g}."
         require(0.5 <= self.square_mm <= 40, squares)
@@ -52,8 +57,8 @@ class TargetSettings:
         free = A4_MM[0] - 2 * _PAGE_MARGIN_MM
         require(
             width <= free and height <= _BOARDS_MM,
-            f"a card of {width:g} x {height:g} mm does not fit on the sheet beside the disc ({free:g} x "
-            f"{_BOARDS_MM:g} mm are free); use smaller or fewer squares.",
+            f"a card of {width:g} x {height:g} mm does not fit on the sheet beside the disc"
+            f" ({free:g} x {_BOARDS_MM:g} mm are free); use smaller or fewer squares.",
         )
 
     @property
@@ -76,7 +81,8 @@ class TargetSettings:
 
 
 def target_pdf(settings: TargetSettings | None = None) -> bytes:
-    """Return the target as a PDF file; equal settings give equal bytes. BadInput if the parts do not fit."""
+    """Return the target as a PDF file; equal settings give equal bytes. BadInput if the parts do
+    not fit."""
     settings = settings or TargetSettings()
     scale = _number(POINTS_PER_MM)
     marks = [*_words(settings), *_ruler(), *_boards(settings), *_disc()]
@@ -86,11 +92,15 @@ def target_pdf(settings: TargetSettings | None = None) -> bytes:
     objects = [
         "<< /Type /Catalog /Pages 2 0 R /ViewerPreferences << /PrintScaling /None >> >>",
         "<< /Type /Pages /Kids [3 0 R] /Count 1 >>",
-        f"<< /Type /Page /Parent 2 0 R /MediaBox [0 0 {width} {height}] /Contents 4 0 R "
-        "/Resources << /Font << /F 5 0 R >> /XObject << /Board 6 0 R /Dot 7 0 R >> >> >>",
+        (
+            f"<< /Type /Page /Parent 2 0 R /MediaBox [0 0 {width} {height}] /Contents 4 0 R "
+            "/Resources << /Font << /F 5 0 R >> /XObject << /Board 6 0 R /Dot 7 0 R >> >> >>"
+        ),
         _stream("", "\n".join([f"{scale} 0 0 {scale} 0 0 cm", *marks])),
         "<< /Type /Font /Subtype /Type1 /BaseFont /Helvetica >>",
-        _shape(_rectangles(_squares(settings)), f"0 0 {_number(board_width)} {_number(board_height)}"),
+        _shape(
+            _rectangles(_squares(settings)), f"0 0 {_number(board_width)} {_number(board_height)}"
+        ),
         _shape(_circle(radius), f"-{box} -{box} {box} {box}"),
         f"<< /Title (splitknit calibration target) {PRODUCER.decode()} >>",
     ]
@@ -101,13 +111,14 @@ def target_pdf(settings: TargetSettings | None = None) -> bytes:
     table = "".join(f"{place:010d} 00000 n \n" for place in places)
     count = len(objects) + 1
     tail = (
-        f"xref\n0 {count}\n0000000000 65535 f \n{table}trailer\n<< /Size {count} /Root 1 0 R /Info {count - 1} 0 R >>\n"
-        f"startxref\n{len(data)}\n%%EOF\n"
+        f"xref\n0 {count}\n0000000000 65535 f \n{table}trailer\n<< /Size {count} /Root 1 0 R /Info"
+        f" {count - 1} 0 R >>\nstartxref\n{len(data)}\n%%EOF\n"
     )
     return data + tail.encode("ascii")
 
 
-# What stands on the sheet, as PDF's operators; lengths in mm, the origin is the lower left corner, x right, y up.
+# What stands on the sheet, as PDF's operators; lengths in mm, the origin is the lower left corner,
+# x right, y up.
 
 
 def _stream(entries: str, content: str) -> str:
@@ -140,14 +151,23 @@ def _text(words: str, x: float, y: float, size: float = 2.8) -> str:
 
 def _rectangles(corners: Sequence[tuple[float, float, float, float]]) -> str:
     """Paths of rectangles: lower left x and y, width, height of each."""
-    return " ".join(f"{_number(x)} {_number(y)} {_number(w)} {_number(h)} re" for x, y, w, h in corners)
+    return " ".join(
+        f"{_number(x)} {_number(y)} {_number(w)} {_number(h)} re" for x, y, w, h in corners
+    )
 
 
 def _circle(radius: float) -> str:
     """Path of a circle about the origin."""
     r, h = radius, radius * _CIRCLE
-    curves = [(r, h, h, r, 0, r), (-h, r, -r, h, -r, 0), (-r, -h, -h, -r, 0, -r), (h, -r, r, -h, r, 0)]
-    return " ".join([f"{_number(r)} 0 m", *(" ".join(map(_number, curve)) + " c" for curve in curves), "h"])
+    curves = [
+        (r, h, h, r, 0, r),
+        (-h, r, -r, h, -r, 0),
+        (-r, -h, -h, -r, 0, -r),
+        (h, -r, r, -h, r, 0),
+    ]
+    return " ".join(
+        [f"{_number(r)} 0 m", *(" ".join(map(_number, curve)) + " c" for curve in curves), "h"]
+    )
 
 
 def _number(value: float) -> str:
@@ -157,7 +177,8 @@ def _number(value: float) -> str:
 
 
 def dots_mm() -> list[tuple[float, float]]:
-    """Centres of the disc's dots about its middle, those that lie wholly on it with 1 mm to spare."""
+    """Centres of the disc's dots about its middle, those that lie wholly on it with 1 mm to
+    spare."""
     most = int(DISC_RADIUS_MM // SPACING_MM)
     steps = [SPACING_MM * k for k in range(-most, most + 1)]
     reach = DISC_RADIUS_MM - DOT_MM / 2 - 1
@@ -167,13 +188,14 @@ def dots_mm() -> list[tuple[float, float]]:
 def _words(settings: TargetSettings) -> list[str]:
     x, y = _PAGE_MARGIN_MM, A4_MM[1] - _PAGE_MARGIN_MM - 4
     board = (
-        f"checkerboards of {settings.columns} x {settings.rows} inner corners, squares {settings.square_mm:g} mm "
-        f"\\(board {settings.columns}x{settings.rows}, square {settings.square_mm:g}\\)"
+        f"checkerboards of {settings.columns} x {settings.rows} inner corners, squares"
+        f" {settings.square_mm:g} mm \\(board {settings.columns}x{settings.rows}, square"
+        f" {settings.square_mm:g}\\)"
     )
     disc = f"disc with dots of {DOT_MM:g} mm every {SPACING_MM:g} mm"
     check = (
-        f"Print at 100 % on matt paper. The ruler must measure {RULER_MM:g} mm: if not, multiply the square and "
-        f"the dot spacing by what it measures / {RULER_MM:g}."
+        f"Print at 100 % on matt paper. The ruler must measure {RULER_MM:g} mm: if not, multiply"
+        f" the square and the dot spacing by what it measures / {RULER_MM:g}."
     )
     return [_text(f"splitknit: {board}; {disc}.", x, y), _text(check, x, y - 5)]
 
@@ -184,13 +206,20 @@ def _ruler() -> list[str]:
     for k in range(11):
         at, number = x + RULER_MM * k / 10, f"{RULER_MM * k / 10:g}"
         marks.append(_line((at, y - (3 if k % 10 == 0 else 1.5)), (at, y), 0.1))
-        marks.append(_text(number + (" mm" if k == 10 else ""), at - 0.75 * len(number), y - 6, 2.5))
+        marks.append(
+            _text(number + (" mm" if k == 10 else ""), at - 0.75 * len(number), y - 6, 2.5)
+        )
     return marks
 
 
 def _squares(settings: TargetSettings) -> list[tuple[float, float, float, float]]:
     side, (_, height) = settings.square_mm, settings.board_mm
-    places = [(i, j) for i in range(settings.rows + 1) for j in range(settings.columns + 1) if (i + j) % 2 == 0]
+    places = [
+        (i, j)
+        for i in range(settings.rows + 1)
+        for j in range(settings.columns + 1)
+        if (i + j) % 2 == 0
+    ]
     return [(j * side, height - (i + 1) * side, side, side) for i, j in places]
 
 
@@ -214,7 +243,9 @@ def _disc() -> list[str]:
 
 if __name__ == "__main__":
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--columns", type=int, default=9, help="inner corners along a board's width")
+    parser.add_argument(
+        "--columns", type=int, default=9, help="inner corners along a board's width"
+    )
     parser.add_argument("--rows", type=int, default=6, help="and along its height")
     parser.add_argument("--square-mm", type=float, default=3.0)
     parser.add_argument("--out", type=Path, default=Path("target.pdf"))

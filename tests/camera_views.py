@@ -17,12 +17,15 @@ def turned(tilt_deg, towards_deg, spin_deg=0.0):
     axis = np.array([np.cos(towards), np.sin(towards), 0.0])
     cross = np.array([[0, -axis[2], axis[1]], [axis[2], 0, -axis[0]], [-axis[1], axis[0], 0]])
     lean = np.eye(3) + np.sin(tilt) * cross + (1 - np.cos(tilt)) * cross @ cross
-    turn = np.array([[np.cos(spin), -np.sin(spin), 0], [np.sin(spin), np.cos(spin), 0], [0, 0, 1.0]])
+    turn = np.array(
+        [[np.cos(spin), -np.sin(spin), 0], [np.sin(spin), np.cos(spin), 0], [0, 0, 1.0]]
+    )
     return lean @ turn
 
 
 def seen(marks_mm, rotation, middle_mm, matrix=MATRIX, distortion=(0, 0, 0, 0, 0)):
-    """Columns and rows (N, 2) of marks (N, 2), centred on the board, in the camera's frame (y down, z away)."""
+    """Columns and rows (N, 2) of marks (N, 2), centred on the board, in the camera's frame (y down,
+    z away)."""
     flat = np.column_stack([marks_mm, np.zeros(len(marks_mm))])
     x, y, z = (flat @ rotation.T + middle_mm).T
     u, v = x / z, y / z
@@ -34,7 +37,16 @@ def seen(marks_mm, rotation, middle_mm, matrix=MATRIX, distortion=(0, 0, 0, 0, 0
     return np.column_stack([matrix[0, 0] * a + matrix[0, 2], matrix[1, 1] * b + matrix[1, 2]])
 
 
-def views(seed, count=10, *, tilts=(10, 35), noise_px=0.02, matrix=MATRIX, distortion=(0, 0, 0, 0, 0), distance=140.0):
+def views(
+    seed,
+    count=10,
+    *,
+    tilts=(10, 35),
+    noise_px=0.02,
+    matrix=MATRIX,
+    distortion=(0, 0, 0, 0, 0),
+    distance=140.0,
+):
     """Corner sets of a board held by hand."""
     rng = np.random.default_rng(seed)
     marks = BOARD.points_mm - BOARD.points_mm.mean(axis=0)

@@ -1,4 +1,5 @@
-"""Scripts of a folder under validation are not a package: import them by their names, and forget them afterwards."""
+"""Scripts of a folder under validation are not a package: import them by their names, and forget
+them afterwards."""
 
 from __future__ import annotations
 

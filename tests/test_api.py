@@ -1,4 +1,5 @@
-"""The public surface: what it holds, that nothing shadows it, and that results go out and come back."""
+"""The public surface: what it holds, that nothing shadows it, and that results go out and come
+back."""
 
 from __future__ import annotations
 
@@ -45,10 +46,10 @@ def test_no_public_function_has_the_name_of_a_module_beside_it() -> None:
     for name in splitknit.__all__:
         assert not (SRC / f"{name}.py").exists() and not (SRC / name).exists(), name
     program = (
-        "import importlib, pkgutil, splitknit\n"
-        "for found in pkgutil.iter_modules(splitknit.__path__, 'splitknit.'):\n"
-        "    importlib.import_module(found.name)\n"
-        "assert all(callable(getattr(splitknit, name)) for name in splitknit.__all__ if name != '__version__')\n"
+        "import importlib, pkgutil, splitknit\nfor found in"
+        " pkgutil.iter_modules(splitknit.__path__, 'splitknit.'):\n   "
+        " importlib.import_module(found.name)\nassert all(callable(getattr(splitknit, name)) for"
+        " name in splitknit.__all__ if name != '__version__')\n"
     )
     subprocess.run([sys.executable, "-c", program], check=True)
 
@@ -61,14 +62,22 @@ def test_reprs_are_short(capture: Capture, result: Reconstruction) -> None:
     assert html.startswith('<img src="data:image/jpeg;base64,') and "<th>preset</th>" in html
 
 
-def test_a_result_is_saved_and_read_again(capture: Capture, result: Reconstruction, tmp_path: Path) -> None:
+def test_a_result_is_saved_and_read_again(
+    capture: Capture, result: Reconstruction, tmp_path: Path
+) -> None:
     result.save(tmp_path / "with", capture)
     result.save(tmp_path / "without")
     for name in ("with", "without"):
         again = splitknit.read_result(tmp_path / name)
         for field in ("height_mm", "ridge_mm", "shape_mm", "normals", "mask", "input_from_upright"):
-            np.testing.assert_array_equal(getattr(again, field), getattr(result, field), err_msg=field)
-        assert (again.preset, again.warnings, again.upright_size) == ("ea", result.warnings, result.upright_size)
+            np.testing.assert_array_equal(
+                getattr(again, field), getattr(result, field), err_msg=field
+            )
+        assert (again.preset, again.warnings, again.upright_size) == (
+            "ea",
+            result.warnings,
+            result.upright_size,
+        )
         assert again.settings == plain_json(result.settings) and again.hashes == result.hashes
         known = result.mask & np.isfinite(result.albedo)
         assert np.corrcoef(again.albedo[known], result.albedo[known])[0, 1] > 0.98
@@ -86,13 +95,20 @@ def test_a_damaged_report_is_refused(result: Reconstruction, tmp_path: Path, tex
         splitknit.read_result(tmp_path / "r")
 
 
-def test_paths_and_objects_are_the_same(capture: Capture, result: Reconstruction, tmp_path: Path) -> None:
+@pytest.mark.slow
+def test_paths_and_objects_are_the_same(
+    capture: Capture, result: Reconstruction, tmp_path: Path
+) -> None:
     write_capture(capture, tmp_path / "c")
     by_path = splitknit.reconstruct(str(tmp_path / "c"), "ea")
-    np.testing.assert_allclose(by_path.height_mm[by_path.mask], result.height_mm[result.mask], atol=1e-5)
+    np.testing.assert_allclose(
+        by_path.height_mm[by_path.mask], result.height_mm[result.mask], atol=1e-5
+    )
     result.save(tmp_path / "r", capture)
     assert splitknit_match.match(result, tmp_path / "r").similarity == pytest.approx(1.0, abs=1e-3)
-    assert splitknit_match.match(capture, result, preset="ea").similarity == pytest.approx(1.0, abs=1e-3)
+    assert splitknit_match.match(capture, result, preset="ea").similarity == pytest.approx(
+        1.0, abs=1e-3
+    )
     one = splitknit_match.make_print(result, "relief").image
     np.testing.assert_array_equal(one, splitknit_match.make_print(tmp_path / "r", "relief").image)
     assert splitknit_match.make_print(capture, "photo").image.shape == one.shape

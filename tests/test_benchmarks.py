@@ -20,13 +20,17 @@ def test_all_benchmarks_are_run_and_named() -> None:
 
 
 def test_the_page_shows_rows_of_the_stored_tables() -> None:
-    page = (BENCHMARKS.parent / "docs" / "experiments" / "performance.md").read_text(encoding="utf-8")
+    page = (BENCHMARKS.parent / "docs" / "experiments" / "performance.md").read_text(
+        encoding="utf-8"
+    )
     with scripts_of(BENCHMARKS) as script:
         run_all = script("run_all")
         assert run_all.replaced(page, run_all.shown()) == page, "run benchmarks/run_all.py --page"
         for words, name, title, row, peer in run_all.SHOWN:
             tables = json.loads(run_all.stored(name).read_text(encoding="utf-8"))["tables"]
-            assert "-" not in [run_all.figure(tables, title, one, "wall") for one in (row, peer) if one], words
+            assert "-" not in [
+                run_all.figure(tables, title, one, "wall") for one in (row, peer) if one
+            ], words
         changed = run_all.replaced(page, "| a | b |")
         assert "<!-- run_all.py -->\n| a | b |\n<!-- /run_all.py -->" in changed
         names = {run_all.stored(name) for name in run_all.SUITES}
@@ -35,19 +39,34 @@ def test_the_page_shows_rows_of_the_stored_tables() -> None:
 
 def test_what_a_script_prints_is_stored_as_tables() -> None:
     printed = (
-        "Cores: 2\n\n**First**\n\n| a | b |\n| --- | --- |\n| 1 | 2 / 3 |\n\n| c |\n| --- |\n| |\n### Next\nmore\n"
+        "Cores: 2\n\n**First**\n\n| a | b |\n| --- | --- |\n| 1 | 2 / 3 |\n\n| c |\n| --- |\n|"
+        " |\n### Next\nmore\n"
     )
     with scripts_of(BENCHMARKS) as script:
         run_all = script("run_all")
         found = run_all.parsed(printed)
         assert found["notes"] == ["Cores: 2", "more"]
-        assert found["tables"][0] == {"title": "First", "columns": ["a", "b"], "rows": [["1", "2 / 3"]]}
+        assert found["tables"][0] == {
+            "title": "First",
+            "columns": ["a", "b"],
+            "rows": [["1", "2 / 3"]],
+        }
         assert [table["title"] for table in found["tables"]] == ["First", "First"]
         assert json.loads(run_all.as_json(found)) == found
         assert '["1", "2 / 3"]' in run_all.as_json(found)
-        times = [{"title": "T 7", "columns": ["method", "wall ms, min / median"], "rows": [["x", "1 / 2"]]}]
+        times = [
+            {
+                "title": "T 7",
+                "columns": ["method", "wall ms, min / median"],
+                "rows": [["x", "1 / 2"]],
+            }
+        ]
         assert run_all.figure(times, "T", "x", "wall") == "1 / 2 ms"
-        assert run_all.figure(times, "T", "y", "wall") == run_all.figure(times, "T", "x", "processor") == "-"
+        assert (
+            run_all.figure(times, "T", "y", "wall")
+            == run_all.figure(times, "T", "x", "processor")
+            == "-"
+        )
 
 
 def test_a_ratio_is_taken_round_by_round() -> None:
@@ -56,5 +75,7 @@ def test_a_ratio_is_taken_round_by_round() -> None:
         rows = timing.race({"nothing": lambda: None, "something": lambda: sum(range(20_000))}, 5)
         assert timing.ratio(rows[0], rows[0]) == 1.0
         assert timing.ratio(rows[1], rows[0]) > 5
-        first, other = (timing.Row("", None, (1.0,) * 3, cpu) for cpu in ((1.0, 2.0, 4.0), (3.0, 6.0, 4.0)))
+        first, other = (
+            timing.Row("", None, (1.0,) * 3, cpu) for cpu in ((1.0, 2.0, 4.0), (3.0, 6.0, 4.0))
+        )
         assert timing.ratio(other, first) == 3.0

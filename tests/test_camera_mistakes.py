@@ -27,11 +27,16 @@ def sound(equal: bool) -> Capture:
     return splitknit_simulator.simulate_capture(6101, settings=settings)[0]
 
 
-def stored(change: Callable[[Light, int], Light], *, ambient: bool = True, equal: bool = False) -> Capture:
-    """The capture with every image (H, W, 3) in [0, 1], and its number, changed; the ambient one is -1, or left out."""
+def stored(
+    change: Callable[[Light, int], Light], *, ambient: bool = True, equal: bool = False
+) -> Capture:
+    """The capture with every image (H, W, 3) in [0, 1], and its number, changed; the ambient one is
+    -1, or left out."""
 
     def bytes_of(image: Any, k: int) -> Any:
-        return np.clip(np.rint(255 * change(image.astype(np.float32) / 255, k)), 0, 255).astype(np.uint8)
+        return np.clip(np.rint(255 * change(image.astype(np.float32) / 255, k)), 0, 255).astype(
+            np.uint8
+        )
 
     bands = {}
     for name, band in sound(equal).bands.items():
@@ -67,6 +72,7 @@ def doubts_of(capture: Capture) -> list[str]:
     return [finding.code for finding in photographs.findings if finding.severity != "note"]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", MISTAKES)
 def test_the_cause_is_named(name: str) -> None:
     """First of all doubts; of the sound capture there is none."""
@@ -76,6 +82,7 @@ def test_the_cause_is_named(name: str) -> None:
     assert codes[0] == code if code else not codes
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["sound", "gamma 0.8", "S curve", "local contrast"])
 def test_equal_lights_show_a_curve_by_their_shading(name: str) -> None:
     """Light that is added to all images does not show there."""

@@ -1,4 +1,5 @@
-"""The pages say what is true: links lead somewhere, generated pages are current, examples on them are read."""
+"""The pages say what is true: links lead somewhere, generated pages are current, examples on them
+are read."""
 
 from __future__ import annotations
 
@@ -26,7 +27,12 @@ from splitknit.registry import VERBS
 
 ROOT = Path(__file__).resolve().parents[1]
 PAGES = sorted(
-    [*ROOT.glob("*.md"), *ROOT.glob("packages/*/README.md"), *ROOT.glob("docs/**/*.md"), *ROOT.glob("benchmarks/*.md")]
+    [
+        *ROOT.glob("*.md"),
+        *ROOT.glob("packages/*/README.md"),
+        *ROOT.glob("docs/**/*.md"),
+        *ROOT.glob("benchmarks/*.md"),
+    ]
 )
 
 
@@ -40,8 +46,12 @@ def test_links_lead_to_files(page: Path) -> None:
         file = (page.parent / path).resolve() if path else page
         assert file.exists(), f"{page.name}: {target}"
         if anchor:
-            headings = re.findall(r"^#+ (.*)$", file.read_text(encoding="utf-8"), flags=re.MULTILINE)
-            slugs = {re.sub(r"[^\w\- ]", "", heading).lower().replace(" ", "-") for heading in headings}
+            headings = re.findall(
+                r"^#+ (.*)$", file.read_text(encoding="utf-8"), flags=re.MULTILINE
+            )
+            slugs = {
+                re.sub(r"[^\w\- ]", "", heading).lower().replace(" ", "-") for heading in headings
+            }
             assert anchor in slugs, f"{page.name}: {target}"
 
 
@@ -54,18 +64,26 @@ def test_files_that_are_named_exist(page: Path) -> None:
             text,
         )
     )
-    missing = [name for name in named if not (ROOT / name).exists() and not (page.parent / name).exists()]
+    missing = [
+        name for name in named if not (ROOT / name).exists() and not (page.parent / name).exists()
+    ]
     assert missing == []
 
 
 def test_the_site_lists_every_page() -> None:
-    listed = re.findall(r"(\S+\.md)$", (ROOT / "mkdocs.yml").read_text(encoding="utf-8"), flags=re.MULTILINE)
-    pages = [*ROOT.glob("docs/**/*.md"), *(page.with_suffix(".md") for page in ROOT.glob("docs/**/*.ipynb"))]
+    listed = re.findall(
+        r"(\S+\.md)$", (ROOT / "mkdocs.yml").read_text(encoding="utf-8"), flags=re.MULTILINE
+    )
+    pages = [
+        *ROOT.glob("docs/**/*.md"),
+        *(page.with_suffix(".md") for page in ROOT.glob("docs/**/*.ipynb")),
+    ]
     assert sorted(listed) == sorted(page.relative_to(ROOT / "docs").as_posix() for page in pages)
 
 
 def test_the_site_fetches_nothing_and_its_search_works_from_the_disk() -> None:
-    """The plugin `offline` would fetch its Worker for pages on the disk; the one of `docs/assets` replaces it."""
+    """The plugin `offline` would fetch its Worker for pages on the disk; the one of `docs/assets`
+    replaces it."""
     text = (ROOT / "mkdocs.yml").read_text(encoding="utf-8")
     assert "\n  - offline\n" in text and "\n  font: false\n" in text
     named = re.findall(r"^extra\w*: .*?\[(.*?)\]", text, flags=re.MULTILINE)
@@ -77,7 +95,9 @@ def test_the_site_fetches_nothing_and_its_search_works_from_the_disk() -> None:
 def test_generated_pages_are_current() -> None:
     script = runpy.run_path(str(ROOT / "tools" / "make_settings_page.py"))
     for name, make in script["PAGES"].items():
-        assert (script["REFERENCE"] / name).read_text(encoding="utf-8") == make(), "run tools/make_settings_page.py"
+        assert (script["REFERENCE"] / name).read_text(encoding="utf-8") == make(), (
+            "run tools/make_settings_page.py"
+        )
 
 
 def test_the_page_of_the_command_line_lists_every_verb() -> None:
@@ -87,12 +107,16 @@ def test_the_page_of_the_command_line_lists_every_verb() -> None:
 
 
 def commands_of(page: str) -> list[list[str]]:
-    """Arguments of every `splitknit` line in the blocks of a page, but for usages with brackets or alternatives."""
+    """Arguments of every `splitknit` line in the blocks of a page, but for usages with brackets or
+    alternatives."""
     blocks = re.findall(r"```[a-z]*\n(.*?)```", page, flags=re.DOTALL)
     lines = "\n".join(blocks).replace("\\\n", " ").splitlines()
     found = [re.match(r"\s*(?:\$ )?(?:\.venv/bin/)?splitknit (.*)", line) for line in lines]
     words = [shlex.split(line[1], comments=True) for line in found if line]
-    cut = [list(itertools.takewhile(lambda word: word not in {"|", ">", "&&", ";"}, line)) for line in words]
+    cut = [
+        list(itertools.takewhile(lambda word: word not in {"|", ">", "&&", ";"}, line))
+        for line in words
+    ]
     return [line for line in cut if not any(word.startswith("[") or "|" in word for word in line)]
 
 
@@ -100,33 +124,45 @@ def commands_of(page: str) -> list[list[str]]:
 def test_commands_on_the_pages_are_understood(page: Path) -> None:
     app = build_app()
     for line in commands_of(page.read_text(encoding="utf-8")):
-        words = [word for word in line if word not in ("--help", "--json", "--exit-code", "--group-readable")]
+        words = [
+            word
+            for word in line
+            if word not in ("--help", "--json", "--exit-code", "--group-readable")
+        ]
         if words:
             app.parse_args(words)
 
 
 def test_commands_are_found_on_a_page() -> None:
-    page = "```sh\n.venv/bin/splitknit match a \\\n  b  # alike?\nsplitknit rig cad [--below]\n```\n`splitknit demo`"
+    page = (
+        "```sh\n.venv/bin/splitknit match a \\\n  b  # alike?\nsplitknit rig cad"
+        " [--below]\n```\n`splitknit demo`"
+    )
     assert commands_of(page) == [["match", "a", "b"]]
 
 
-FENCE = re.compile(r"(?:<!-- ([^\n]+?) -->\n)?^```(\w*)\n(.*?)^```$", flags=re.DOTALL | re.MULTILINE)
+FENCE = re.compile(
+    r"(?:<!-- ([^\n]+?) -->\n)?^```(\w*)\n(.*?)^```$", flags=re.DOTALL | re.MULTILINE
+)
 """A fenced block: the mark above it, its language, its text."""
 VARIES = re.compile(r"(?<=preset metric in )[\d.]+(?= s)|[\d.]+(?= ms each)")
 """Times differ from machine to machine, but for those of the simulated device."""
 MAKE = """#!/bin/sh
 test "$1" = install || exec .venv/bin/splitknit "$1" --out "$1"
 """
-"""What `make` does on the pages, without making an environment: extras are those of the environment at hand."""
+"""What `make` does on the pages, without making an environment: extras are those of the environment
+at hand."""
 
 
 def work_through(page: Path, folder: Path) -> list[str]:
-    """Do in `folder` what a page says, from top to bottom; return the lines that it promises and that did not come.
+    """Do in `folder` what a page says, from top to bottom; return the lines that it promises and
+    that did not come.
 
-    `sh` blocks run, but for those marked `by hand`; `python` blocks and those without language are files where a mark
-    names one (`file NAME`). Else a `python` block runs and prints what its last comment says, and a block without
-    language has lines of the output of the commands above it: all that are quoted, in their order, `...` for what is
-    left out. `needs NAME` skips the rest of the section where `shared/data/NAME` or the module is not at hand.
+    `sh` blocks run, but for those marked `by hand`; `python` blocks and those without language are
+    files where a mark names one (`file NAME`). Else a `python` block runs and prints what its last
+    comment says, and a block without language has lines of the output of the commands above it: all
+    that are quoted, in their order, `...` for what is left out. `needs NAME` skips the rest of the
+    section where `shared/data/NAME` or the module is not at hand.
     """
     programs = folder / ".venv" / "bin"
     programs.mkdir(parents=True)
@@ -154,12 +190,23 @@ def work_through(page: Path, folder: Path) -> list[str]:
                 (folder / name).write_text(text)
                 continue
             if language in ("sh", "python") and mark != "by hand":
-                command = ["bash", "-euc", text] if language == "sh" else [sys.executable, "-c", text]
-                done = subprocess.run(command, cwd=folder, env=environment, capture_output=True, text=True, check=False)
+                command = (
+                    ["bash", "-euc", text] if language == "sh" else [sys.executable, "-c", text]
+                )
+                done = subprocess.run(
+                    command,
+                    cwd=folder,
+                    env=environment,
+                    capture_output=True,
+                    text=True,
+                    check=False,
+                )
                 output = done.stdout + done.stderr
                 if done.returncode != 0:
                     return [*missing, f"{text}\n  ends with {done.returncode}\n{output}"]
-            promised = text.splitlines() if not language else re.findall(r"print\(.*\)  # (.*)", text)
+            promised = (
+                text.splitlines() if not language else re.findall(r"print\(.*\)  # (.*)", text)
+            )
             left = iter(VARIES.sub("", output).splitlines())
             for line in promised:
                 words = [re.escape(part) for part in VARIES.sub("", line).split("...")]
@@ -173,7 +220,11 @@ def work_through(page: Path, folder: Path) -> list[str]:
 @pytest.mark.timeout(1800)
 @pytest.mark.parametrize(
     "page",
-    [ROOT / "README.md", *sorted(ROOT.glob("packages/*/README.md")), *sorted(ROOT.glob("docs/guide/tutorial-*.md"))],
+    [
+        ROOT / "README.md",
+        *sorted(ROOT.glob("packages/*/README.md")),
+        *sorted(ROOT.glob("docs/guide/tutorial-*.md")),
+    ],
     ids=lambda page: f"{page.parent.name}/{page.stem}",
 )
 def test_what_the_page_promises_comes(page: Path, tmp_path: Path) -> None:
@@ -184,10 +235,10 @@ def test_what_the_page_promises_comes(page: Path, tmp_path: Path) -> None:
 def test_a_promise_that_is_not_kept_is_found(tmp_path: Path) -> None:
     page = tmp_path / "page.md"
     page.write_text(
-        "<!-- file a/b.txt -->\n```\n1\n```\n```sh\necho one; echo two in 3.1 ms each; echo three\n```\n"
-        "```\none\ntwo in 9 ms each\n...ree\n```\n```\nthree\none\n```\n<!-- by hand -->\n```sh\nfalse\n```\n"
-        "```python\nprint(1 + 1)  # 3\n```\n## Next\n<!-- needs no_such_module -->\n```sh\nfalse\n```\n"
-        "## Last\n```sh\nexit 3\n```\n```\nnever\n```\n"
+        "<!-- file a/b.txt -->\n```\n1\n```\n```sh\necho one; echo two in 3.1 ms each; echo"
+        " three\n```\n```\none\ntwo in 9 ms each\n...ree\n```\n```\nthree\none\n```\n<!-- by hand"
+        " -->\n```sh\nfalse\n```\n```python\nprint(1 + 1)  # 3\n```\n## Next\n<!-- needs"
+        " no_such_module -->\n```sh\nfalse\n```\n## Last\n```sh\nexit 3\n```\n```\nnever\n```\n"
     )
     (tmp_path / "work" / "a").mkdir(parents=True)
     missing = work_through(page, tmp_path / "work")
@@ -196,28 +247,47 @@ def test_a_promise_that_is_not_kept_is_found(tmp_path: Path) -> None:
 
 
 def test_the_figures_of_the_readme_are_those_of_the_experiments() -> None:
-    """Figures with intervals stand on a page of the experiments, those of any other row together on a line there."""
-    pages = "\n".join(page.read_text(encoding="utf-8") for page in ROOT.glob("docs/experiments/*.md"))
+    """Figures with intervals stand on a page of the experiments, those of any other row together on
+    a line there."""
+    pages = "\n".join(
+        page.read_text(encoding="utf-8") for page in ROOT.glob("docs/experiments/*.md")
+    )
     pages, lines = pages.replace("100.0", "100"), pages.splitlines()
-    readme = (ROOT / "README.md").read_text(encoding="utf-8").partition("## Results")[2].partition("\n## ")[0]
+    readme = (
+        (ROOT / "README.md")
+        .read_text(encoding="utf-8")
+        .partition("## Results")[2]
+        .partition("\n## ")[0]
+    )
     rows = [line for line in readme.splitlines() if re.match(r"\|.*\d\.\d", line)]
     assert len(rows) >= 3
     for row in rows:
         figures = re.findall(r"[\d.]+ \[[\d., ]+\]", row.replace("100.0", "100"))
         assert [figure for figure in figures if figure not in pages] == []
         numbers = [number.strip("|, ") for number in re.findall(r"[|,] [\d.]+(?=[ ,])", row)]
-        assert figures or any(set(numbers) <= set(re.findall(r"[\d.]+", line)) for line in lines), row
+        assert figures or any(set(numbers) <= set(re.findall(r"[\d.]+", line)) for line in lines), (
+            row
+        )
 
 
 def faults_of_claim(row: str, page: Path) -> list[str]:
-    """What a row of the claims' tables states that is not so: verdict, page with its intervals, script and options."""
+    """What a row of the claims' tables states that is not so: verdict, page with its intervals,
+    script and options."""
     number, _, _, measured, verdict, again = (cell.strip() for cell in row.strip("|").split(" | "))
-    faults = [] if verdict in ("confirmed", "refuted", "not decided") else [f"no verdict: {verdict}"]
+    faults = (
+        [] if verdict in ("confirmed", "refuted", "not decided") else [f"no verdict: {verdict}"]
+    )
     targets = [target.partition("#")[0] for target in re.findall(r"\]\(([^)]+)\)", measured)]
-    texts = "".join((page.parent / target).read_text(encoding="utf-8") for target in targets).replace("**", "")
-    stated = re.findall(r"[+-]?[\d.]+ \[[^\]]+\](?: \([^)\]]*\))?|[\d.]+ \([\d.]+(?: to |-)[\d.]+\)", measured)
+    texts = "".join(
+        (page.parent / target).read_text(encoding="utf-8") for target in targets
+    ).replace("**", "")
+    stated = re.findall(
+        r"[+-]?[\d.]+ \[[^\]]+\](?: \([^)\]]*\))?|[\d.]+ \([\d.]+(?: to |-)[\d.]+\)", measured
+    )
     faults += [] if targets else ["no page"]
-    faults += [f"not on the page: {one}" for one in stated if re.sub(r" \([^\d+-].*", "", one) not in texts]
+    faults += [
+        f"not on the page: {one}" for one in stated if re.sub(r" \([^\d+-].*", "", one) not in texts
+    ]
     scripts = re.findall(r"`((?:validation|benchmarks)/[\w/]+\.py)([^`]*)`", again)
     faults += [] if scripts or "](" in again else [f"no command: {again}"]
     for script, arguments in scripts:
@@ -239,15 +309,25 @@ def test_the_claims_stand_on_their_pages_and_their_commands_exist() -> None:
     assert list(dict.fromkeys(numbers)) == list(range(1, 47)) and numbers == sorted(numbers)
     assert [fault for row in rows for fault in faults_of_claim(row, page)] == []
     row = (
-        "| 1 | claim | criterion | 99.9 [1.2, 3.4], [page](motion.md) | perhaps | `validation/motion/run.py --never` |"
+        "| 1 | claim | criterion | 99.9 [1.2, 3.4], [page](motion.md) | perhaps |"
+        " `validation/motion/run.py --never` |"
     )
     assert len(faults_of_claim(row, page)) == 3
-    assert len(faults_of_claim(row.replace("motion/run", "motion/walk").replace("[page](motion.md)", ""), page)) == 5
+    assert (
+        len(
+            faults_of_claim(
+                row.replace("motion/run", "motion/walk").replace("[page](motion.md)", ""), page
+            )
+        )
+        == 5
+    )
 
 
 def test_verdicts_follow_from_the_interval_and_the_page_is_made_of_the_table() -> None:
     script = runpy.run_path(str(ROOT / "tools" / "make_claims_page.py"))
-    assert script["PAGE"].read_text(encoding="utf-8") == script["page"](), "run tools/make_claims_page.py"
+    assert script["PAGE"].read_text(encoding="utf-8") == script["page"](), (
+        "run tools/make_claims_page.py"
+    )
     rules = {
         ("> 0", "+1.0 [+0.4, +1.5] (+0.1, +2.0)"): "confirmed",
         ("> 0", "+1.0 [+0.4, +1.5] (-0.1, +2.0)"): "not decided",
@@ -266,14 +346,21 @@ def test_verdicts_follow_from_the_interval_and_the_page_is_made_of_the_table() -
 def test_the_sums_of_the_rigs_checklist_are_right() -> None:
     text = (ROOT / "docs" / "guide" / "rig-checklist.md").read_text(encoding="utf-8")
     order, prints = text.partition("## Order")[2].partition("## Solder")[0].split("## Print")
-    prices = [(int(low), int(high)) for low, high in re.findall(r"\| (\d+) to (\d+) \|$", order, flags=re.MULTILINE)]
+    prices = [
+        (int(low), int(high))
+        for low, high in re.findall(r"\| (\d+) to (\d+) \|$", order, flags=re.MULTILINE)
+    ]
     low, high = (sum(column) for column in zip(*prices[:-1], strict=True))  # without the mirrors
     assert f"| **{low} to {high}** |" in order and f"parts | {low} to {high} EUR" in text
     build = (ROOT / "docs" / "guide" / "rig-build.md").read_text(encoding="utf-8")
-    rows = re.findall(r"^\| ([\w ]+).* \| (\d+) \| ([\d.]+) \| ([\d.]+) \|$", prints, flags=re.MULTILINE)
+    rows = re.findall(
+        r"^\| ([\w ]+).* \| (\d+) \| ([\d.]+) \| ([\d.]+) \|$", prints, flags=re.MULTILINE
+    )
     assert len(rows) == 6
     for part, volume, *hours in rows:
-        mass = re.search(rf"^\| {part.strip()} \|.*? x [^|]*\| ([\d.]+) \|", build, flags=re.MULTILINE)
+        mass = re.search(
+            rf"^\| {part.strip()} \|.*? x [^|]*\| ([\d.]+) \|", build, flags=re.MULTILINE
+        )
         assert mass is not None and abs(float(mass[1]) / 1.24 - float(volume)) < 0.7, part
         for hour, rate in zip(hours, (5, 12), strict=True):
             assert abs(float(volume) / rate / 3.6 - float(hour)) < 0.1, part
@@ -321,4 +408,6 @@ def test_the_architecture_page_quotes_the_algorithm(name: str) -> None:
     words = ast.parse("\n".join(lines)).body[0].body[0]
     code = "\n".join(lines[: words.lineno - 1] + lines[words.end_lineno :])
     page = (ROOT / "docs" / "explain" / "architecture.md").read_text(encoding="utf-8")
-    assert f"```python\n{code}\n```" in page, f"docs/explain/architecture.md does not quote {name} as it is"
+    assert f"```python\n{code}\n```" in page, (
+        f"docs/explain/architecture.md does not quote {name} as it is"
+    )

@@ -27,7 +27,10 @@ def test_last_bits_may_differ_and_small_changes_on_another_machine_only(golden: 
     nudged[3, 4] = np.nextafter(nudged[3, 4], np.float32(2))
 
     def document(array: Any, processor: str = "one") -> dict[str, Any]:
-        return {"machine": {"processor": processor}, "cases": {"metric": {"height_mm": golden.entry(array)}}}
+        return {
+            "machine": {"processor": processor},
+            "cases": {"metric": {"height_mm": golden.entry(array)}},
+        }
 
     assert golden.differences(document(height), document(height.copy())) == []
     assert golden.differences(document(height), document(nudged)) == []
@@ -35,4 +38,7 @@ def test_last_bits_may_differ_and_small_changes_on_another_machine_only(golden: 
     assert golden.differences(document(height), document(changed, "other")) == []
     assert len(golden.differences(document(height), document(moved, "other"))) == 1
     assert len(golden.differences(document(height), document(height[:10], "other"))) == 1
-    assert len(golden.differences(document(height), {"machine": {"processor": "one"}, "cases": {}})) == 1
+    assert (
+        len(golden.differences(document(height), {"machine": {"processor": "one"}, "cases": {}}))
+        == 1
+    )

@@ -18,7 +18,11 @@ def source(member: str) -> Path:
 
 def private_imports(text: str, member: str) -> list[str]:
     """Names with a leading underscore that a module of `member` imports from another member."""
-    nodes = [node for node in ast.walk(ast.parse(text)) if isinstance(node, ast.ImportFrom) and node.module]
+    nodes = [
+        node
+        for node in ast.walk(ast.parse(text))
+        if isinstance(node, ast.ImportFrom) and node.module
+    ]
     others = [node for node in nodes if node.module.split(".")[0] in set(MEMBERS) - {member}]
     return [
         f"{node.module}.{alias.name}"
@@ -37,7 +41,10 @@ def test_no_private_name_of_another_member_is_imported(member: str) -> None:
 
 
 def test_a_private_import_is_found() -> None:
-    text = "def f():\n    from splitknit.io.png import _crc, read_png\n    from splitknit_match.prints import _x\n"
+    text = (
+        "def f():\n    from splitknit.io.png import _crc, read_png\n    from splitknit_match.prints"
+        " import _x\n"
+    )
     assert private_imports(text, "splitknit_match") == ["splitknit.io.png._crc"]
 
 

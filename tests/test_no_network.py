@@ -1,7 +1,8 @@
-"""Nothing leaves the machine: verbs that load a network send nothing, look up no name, and write where they are told.
+"""Nothing leaves the machine: verbs that load a network send nothing, look up no name, and write
+where they are told.
 
-Each runs with a home of its own, without a network where that is permitted, and is watched: under strace, which sees
-what compiled modules do, or, where there is none, by an audit hook of Python.
+Each runs with a home of its own, without a network where that is permitted, and is watched: under
+strace, which sees what compiled modules do, or, where there is none, by an audit hook of Python.
 """
 
 from __future__ import annotations
@@ -69,18 +70,33 @@ assert main(["enroll", "all.skg", "--population", people, "--workers", "2", "--p
 run_batch(people, "store", cases=preset_cases(("snk",)), matchers=())
 assert "onnxruntime" not in sys.modules  # but in the workers
 """
-DEMO_RUN = [["demo", "--scale", "0.165"]]  # metric runs its two networks from this size of the images on
+# metric runs its two networks from this size of the images on
+DEMO_RUN = [["demo", "--scale", "0.165"]]
 VERBS_RUN = [  # snk runs its network at any size
     ["reconstruct", "CAPTURE", "--out", "result", "--preset", "snk"],
     ["print", "CAPTURE", "--out", "print", "--preset", "snk"],
     ["pad", "CAPTURE", "--preset", "snk"],
     ["match", "CAPTURE", "--template", "finger.skt", "--preset", "snk"],
-    ["enroll", "one.skg", "CAPTURE", "--person", "one", "--finger", "right_index", "--preset", "snk"],
+    [
+        "enroll",
+        "one.skg",
+        "CAPTURE",
+        "--person",
+        "one",
+        "--finger",
+        "right_index",
+        "--preset",
+        "snk",
+    ],
     ["identify", "one.skg", "CAPTURE", "--preset", "snk"],
     ["export", "CAPTURE", "--to", "iso-19794-2", "--out", "records", "--preset", "snk"],
     ["batch", "PEOPLE", "--out", "store", "--cases", "pr", "--matchers", "none"],
 ]
-NETWORKS = {"demo": ("relief.onnx", "shape.onnx"), "verbs": ("direct.onnx",), "processes": ("direct.onnx",)}
+NETWORKS = {
+    "demo": ("relief.onnx", "shape.onnx"),
+    "verbs": ("direct.onnx",),
+    "processes": ("direct.onnx",),
+}
 
 
 SYSTEM = re.compile(r"/dev/(null|tty|shm/sem\.[^/]*)|/proc/self/[^/]*")
@@ -94,23 +110,50 @@ def works(*command: str) -> bool:
 
 
 def watched(code: str, folder: Path, *arguments: str, strace: bool) -> list[Event]:
-    """Run Python code in `folder`; return what it reads, writes, looks up and connects to, and what it leaves."""
+    """Run Python code in `folder`; return what it reads, writes, looks up and connects to, and what
+    it leaves."""
     outside, work = folder / "outside", folder / "work"
     for name in (outside / "home", outside / "tmp", outside / "log", outside / "hook", work):
         name.mkdir(parents=True)
     (outside / "hook" / "sitecustomize.py").write_text(HOOK)
-    environment = {key: value for key, value in os.environ.items() if not key.startswith(("XDG_", "ORT_", "PYTEST"))}
-    environment |= {"HOME": str(outside / "home"), "TMPDIR": str(outside / "tmp"), "PYTHONDONTWRITEBYTECODE": "1"}
+    environment = {
+        key: value
+        for key, value in os.environ.items()
+        if not key.startswith(("XDG_", "ORT_", "PYTEST"))
+    }
+    environment |= {
+        "HOME": str(outside / "home"),
+        "TMPDIR": str(outside / "tmp"),
+        "PYTHONDONTWRITEBYTECODE": "1",
+    }
     command = ["unshare", "-rn"] if works("unshare", "-rn", "true") else []
     if strace:
-        command += ["strace", "-ff", "-y", "--seccomp-bpf", "-qq", "-o", str(outside / "log" / "of"), "-e", SYSCALLS]
+        command += [
+            "strace",
+            "-ff",
+            "-y",
+            "--seccomp-bpf",
+            "-qq",
+            "-o",
+            str(outside / "log" / "of"),
+            "-e",
+            SYSCALLS,
+        ]
     else:
-        path = os.pathsep.join([str(outside / "hook"), *filter(None, [environment.get("PYTHONPATH")])])
+        path = os.pathsep.join(
+            [str(outside / "hook"), *filter(None, [environment.get("PYTHONPATH")])]
+        )
         environment |= {"PYTHONPATH": path, "AUDIT_LOG": str(outside / "log" / "of")}
     command += [sys.executable, "-c", code, *arguments]
-    run = subprocess.run(command, capture_output=True, text=True, check=False, cwd=work, env=environment)
+    run = subprocess.run(
+        command, capture_output=True, text=True, check=False, cwd=work, env=environment
+    )
     assert run.returncode == 0, run.stdout + run.stderr
-    lines = [line for log in (outside / "log").iterdir() for line in log.read_text(errors="replace").splitlines()]
+    lines = [
+        line
+        for log in (outside / "log").iterdir()
+        for line in log.read_text(errors="replace").splitlines()
+    ]
     events = (
         [event for line in lines for event in of_strace(line, work)]
         if strace
@@ -125,7 +168,13 @@ def of_strace(line: str, work: Path) -> list[Event]:
     call = line.partition("(")[0]
     if call in ("connect", "sendto", "sendmsg", "sendmmsg"):
         unix = [("write", path) for path in re.findall(r'sun_path="([^"]*)"', line)]
-        return [*unix, *(("address", address) for address in re.findall(r'(?:inet_addr\(|AF_INET6, )"([^"]*)"', line))]
+        return [
+            *unix,
+            *(
+                ("address", address)
+                for address in re.findall(r'(?:inet_addr\(|AF_INET6, )"([^"]*)"', line)
+            ),
+        ]
     if call not in SYSCALLS.split(",") or " = -1 " in line:
         return []
     *_, (base, name) = re.findall(r'(?:<([^>]*)>, )?"((?:[^"\\]|\\.)*)"', line)
@@ -137,7 +186,11 @@ def of_strace(line: str, work: Path) -> list[Event]:
 
 
 def violations(events: list[Event], folder: Path) -> list[Event]:
-    allowed = [str(folder / "work"), str(folder / "outside" / "tmp"), str(folder / "outside" / "log")]
+    allowed = [
+        str(folder / "work"),
+        str(folder / "outside" / "tmp"),
+        str(folder / "outside" / "log"),
+    ]
     return [
         (kind, of)
         for kind, of in events
@@ -162,9 +215,18 @@ def strace(request: Any) -> bool:
 
 
 PLANTED = {
-    "connection": ("address", "import socket; socket.socket(type=socket.SOCK_DGRAM).connect_ex(('192.0.2.1', 9))"),
-    "look-up": ("lookup", "import socket\ntry: socket.getaddrinfo('splitknit.invalid', 9)\nexcept OSError: pass"),
-    "file in the home": ("write", "import pathlib; pathlib.Path.home().joinpath('id').write_text('x')"),
+    "connection": (
+        "address",
+        "import socket; socket.socket(type=socket.SOCK_DGRAM).connect_ex(('192.0.2.1', 9))",
+    ),
+    "look-up": (
+        "lookup",
+        "import socket\ntry: socket.getaddrinfo('splitknit.invalid', 9)\nexcept OSError: pass",
+    ),
+    "file in the home": (
+        "write",
+        "import pathlib; pathlib.Path.home().joinpath('id').write_text('x')",
+    ),
     "folder beside the output": ("write", "import os; os.mkdir('../id')"),
     "moved there": ("write", "import os; open('id', 'w').close(); os.rename('id', '../id')"),
     "temporary file left": ("left", "import tempfile; tempfile.mkstemp()"),
@@ -182,8 +244,13 @@ def test_what_leaves_is_seen(tmp_path: Path, what: str, strace: bool) -> None:
 
 
 def test_what_stays_is_allowed(tmp_path: Path, strace: bool) -> None:
-    code = "import socket, tempfile; socket.socket(type=socket.SOCK_DGRAM).connect_ex(('127.0.0.1', 9)); "
-    code += "tempfile.TemporaryFile().close(); open('result', 'w').close(); open('/etc/passwd').close()"
+    code = (
+        "import socket, tempfile; socket.socket(type=socket.SOCK_DGRAM).connect_ex(('127.0.0.1',"
+        " 9)); "
+    )
+    code += (
+        "tempfile.TemporaryFile().close(); open('result', 'w').close(); open('/etc/passwd').close()"
+    )
     events = watched(code, tmp_path, strace=strace)
     assert ("address", "127.0.0.1") in events and ("read", "/etc/passwd") in events
     assert violations(events, tmp_path) == []
@@ -197,17 +264,27 @@ def people(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Two fingers, 132 x 192 pixels."""
     folder = tmp_path_factory.mktemp("watched") / "people"
     simulate_population(
-        folder, PopulationSettings(seed=4, scale=0.06), subjects=1, sessions=1, fingers=FINGERS, workers=1
+        folder,
+        PopulationSettings(seed=4, scale=0.06),
+        subjects=1,
+        sessions=1,
+        fingers=FINGERS,
+        workers=1,
     )
     return folder
 
 
-@pytest.mark.parametrize("run", ["verbs", "processes", pytest.param("demo", marks=pytest.mark.slow)])
+@pytest.mark.parametrize(
+    "run", ["verbs", "processes", pytest.param("demo", marks=pytest.mark.slow)]
+)
 def test_nothing_leaves_the_machine(tmp_path: Path, people: Path, run: str) -> None:
     places = {"PEOPLE": str(people), "CAPTURE": str(people / "S01" / "session_1" / "right_index")}
     before = sorted(people.rglob("*"))
     if run != "processes":
-        arguments = [[places.get(word, word) for word in verb] for verb in (VERBS_RUN if run == "verbs" else DEMO_RUN)]
+        arguments = [
+            [places.get(word, word) for word in verb]
+            for verb in (VERBS_RUN if run == "verbs" else DEMO_RUN)
+        ]
         events = watched(VERBS, tmp_path, json.dumps(arguments), strace=STRACE)
     else:
         events = watched(PROCESSES, tmp_path, str(people), strace=STRACE)
@@ -219,7 +296,11 @@ def test_nothing_leaves_the_machine(tmp_path: Path, people: Path, run: str) -> N
 def test_every_verb_that_loads_a_network_is_watched() -> None:
     app = build_app()
     options = {
-        words[0]: {option for argument in app[words[0]].assemble_argument_collection() for option in argument.names}
+        words[0]: {
+            option
+            for argument in app[words[0]].assemble_argument_collection()
+            for option in argument.names
+        }
         for words in words_of_verbs(app)
         if app[words[0]].default_command is not None
     }

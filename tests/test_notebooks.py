@@ -1,4 +1,5 @@
-"""The notebooks of the documentation store nothing that was computed; `make docs` runs them, and an error ends it."""
+"""The notebooks of the documentation store nothing that was computed; `make docs` runs them, and an
+error ends it."""
 
 from __future__ import annotations
 
@@ -8,7 +9,9 @@ from typing import Any
 
 import pytest
 
-NOTEBOOKS = sorted((Path(__file__).resolve().parents[1] / "docs" / "guide" / "notebooks").glob("*.ipynb"))
+NOTEBOOKS = sorted(
+    (Path(__file__).resolve().parents[1] / "docs" / "guide" / "notebooks").glob("*.ipynb")
+)
 
 
 def cells_of(notebook: Path) -> list[dict[str, Any]]:

@@ -1,4 +1,5 @@
-"""What installs the program agrees with pyproject.toml: wheel, conda recipe, environment.yml, Dockerfile, workflow."""
+"""What installs the program agrees with pyproject.toml: wheel, conda recipe, environment.yml,
+Dockerfile, workflow."""
 
 from __future__ import annotations
 
@@ -12,12 +13,19 @@ import yaml
 ROOT = Path(__file__).resolve().parents[1]
 MEMBERS = ("splitknit", "splitknit-simulator", "splitknit-rig", "splitknit-match")
 PROJECTS = {
-    name: tomllib.loads((ROOT / "packages" / name / "pyproject.toml").read_text(encoding="utf-8"))["project"]
+    name: tomllib.loads((ROOT / "packages" / name / "pyproject.toml").read_text(encoding="utf-8"))[
+        "project"
+    ]
     for name in MEMBERS
 }
 PROJECT = PROJECTS["splitknit"]
 NEEDED = sorted(
-    {one for project in PROJECTS.values() for one in project["dependencies"] if not one.startswith("splitknit")}
+    {
+        one
+        for project in PROJECTS.values()
+        for one in project["dependencies"]
+        if not one.startswith("splitknit")
+    }
 )
 """By any member, but for the members themselves."""
 CONDA = {"opencv-python-headless": "py-opencv", "matplotlib": "matplotlib-base"}
@@ -33,16 +41,28 @@ def of_conda(requirements: list[str]) -> set[str]:
 
 @pytest.mark.parametrize("member", MEMBERS)
 def test_the_wheel_holds_every_file_of_the_package(member: str) -> None:
-    """No rule of .gitignore, which hatchling obeys, takes out networks, presets, pages or licences."""
+    """No rule of .gitignore, which hatchling obeys, takes out networks, presets, pages or
+    licences."""
     wheel = pytest.importorskip("hatchling.builders.wheel")
     home = ROOT / "packages" / member
-    held = {file.distribution_path for file in wheel.WheelBuilder(str(home)).recurse_included_files()}
+    held = {
+        file.distribution_path for file in wheel.WheelBuilder(str(home)).recurse_included_files()
+    }
     files = [path.relative_to(home / "src") for path in (home / "src").rglob("*") if path.is_file()]
     kept = {path.as_posix() for path in files if "__pycache__" not in path.parts}
     assert held == kept
-    assert any(name.endswith("/py.typed") for name in held) and any(name.endswith("/__init__.pyi") for name in held)
+    assert any(name.endswith("/py.typed") for name in held) and any(
+        name.endswith("/__init__.pyi") for name in held
+    )
     if member == "splitknit":
-        assert {Path(name).suffix for name in held} >= {".onnx", ".npz", ".json", ".html", ".js", ".css"}
+        assert {Path(name).suffix for name in held} >= {
+            ".onnx",
+            ".npz",
+            ".json",
+            ".html",
+            ".js",
+            ".css",
+        }
     for licence in PROJECTS[member]["license-files"]:
         assert (home / licence).is_file()
 
@@ -64,7 +84,9 @@ def test_the_conda_recipe_needs_what_the_project_needs() -> None:
     text = (ROOT / "conda" / "meta.yaml").read_text(encoding="utf-8")
     recipe = yaml.safe_load(re.sub(r"{{ *(\w+) *}}", r"\1", text))
     assert recipe["package"] == {"name": PROJECT["name"], "version": PROJECT["version"]}
-    assert set(recipe["requirements"]["run"]) == of_conda(NEEDED) | {f"python {PROJECT['requires-python']}"}
+    assert set(recipe["requirements"]["run"]) == of_conda(NEEDED) | {
+        f"python {PROJECT['requires-python']}"
+    }
     ((name, target),) = PROJECT["scripts"].items()
     assert recipe["build"]["entry_points"] == [f"{name} = {target}"]
     assert recipe["about"]["license"] == PROJECT["license"]
@@ -84,31 +106,55 @@ def test_the_conda_environment_has_the_extra_plot() -> None:
 
 def test_the_docker_image_is_made_of_files_that_are_let_in() -> None:
     text = (ROOT / "Dockerfile").read_text(encoding="utf-8")
-    copied = {name for line in re.findall(r"^COPY (?!--)(.*) \S+$", text, flags=re.MULTILINE) for name in line.split()}
-    let_in = set(re.findall(r"^!(.*)$", (ROOT / ".dockerignore").read_text(encoding="utf-8"), flags=re.MULTILINE))
+    copied = {
+        name
+        for line in re.findall(r"^COPY (?!--)(.*) \S+$", text, flags=re.MULTILINE)
+        for name in line.split()
+    }
+    let_in = set(
+        re.findall(
+            r"^!(.*)$", (ROOT / ".dockerignore").read_text(encoding="utf-8"), flags=re.MULTILINE
+        )
+    )
     assert copied == let_in
     assert all((ROOT / name).exists() for name in copied)
     assert "'splitknit-match[plot,serve]'" in text
 
 
 def test_everything_is_installed_as_the_constraints_say() -> None:
-    """Every pip command of Makefile, Dockerfile and workflow checks hashes, or takes the project alone."""
+    """Every pip command of Makefile, Dockerfile and workflow checks hashes, or takes the project
+    alone."""
     for name in ("Makefile", "Dockerfile", ".github/workflows/ci.yml"):
         text = (ROOT / name).read_text(encoding="utf-8").replace("\\\n", " ")
-        found = [line for line in text.splitlines() if re.search(r"pip (install|wheel|sync) ", line)]
-        commands = [one for line in found for one in line.split("&&") if re.search(r"pip (install|wheel) ", one)]
+        found = [
+            line for line in text.splitlines() if re.search(r"pip (install|wheel|sync) ", line)
+        ]
+        commands = [
+            one
+            for line in found
+            for one in line.split("&&")
+            if re.search(r"pip (install|wheel) ", one)
+        ]
         assert len(commands) >= 3, name
-        assert all("--require-hashes" in one or "--no-deps" in one or "`" in one for one in commands), name
+        assert all(
+            "--require-hashes" in one or "--no-deps" in one or "`" in one for one in commands
+        ), name
         assert "PIP_BUILD_CONSTRAINT" in text, name
-    assert "pip uninstall --quiet --quiet --yes setuptools" in (ROOT / "Makefile").read_text(encoding="utf-8")
+    assert "pip uninstall --quiet --quiet --yes setuptools" in (ROOT / "Makefile").read_text(
+        encoding="utf-8"
+    )
 
 
 def test_the_workflow_runs_what_is_there_on_versions_that_are_declared() -> None:
-    workflow = yaml.safe_load((ROOT / ".github" / "workflows" / "ci.yml").read_text(encoding="utf-8"))
+    workflow = yaml.safe_load(
+        (ROOT / ".github" / "workflows" / "ci.yml").read_text(encoding="utf-8")
+    )
     jobs = workflow["jobs"]
     assert any(step.get("run") == ".ci/run" for step in jobs["linux"]["steps"])
     tested = {case["python"] for case in jobs["unit"]["strategy"]["matrix"]["include"]} | {"3.11"}
-    declared = {one.rpartition(" ")[2] for one in PROJECT["classifiers"] if re.search(r":: 3\.\d+$", one)}
+    declared = {
+        one.rpartition(" ")[2] for one in PROJECT["classifiers"] if re.search(r":: 3\.\d+$", one)
+    }
     assert tested == declared
     pinned = [step["uses"] for job in jobs.values() for step in job["steps"] if "uses" in step]
     assert all(re.fullmatch(r"actions/[\w-]+@[0-9a-f]{40}", one) for one in pinned)

@@ -17,8 +17,11 @@ import splitknit
 
 
 def _hooks() -> ModuleType:
-    """What the documentation's site is built with; it needs mkdocs only where pictures are taken in."""
-    spec = importlib.util.spec_from_file_location("docs_hooks", Path(__file__).parents[1] / "tools" / "docs_hooks.py")
+    """What the documentation's site is built with; it needs mkdocs only where pictures are taken
+    in."""
+    spec = importlib.util.spec_from_file_location(
+        "docs_hooks", Path(__file__).parents[1] / "tools" / "docs_hooks.py"
+    )
     assert spec is not None and spec.loader is not None
     module = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(module)
@@ -28,7 +31,8 @@ def _hooks() -> ModuleType:
 HOOKS = _hooks()
 PUBLIC = {f"splitknit.{name}": getattr(splitknit, name) for name in splitknit.__all__}
 PUBLIC = {name: value for name, value in PUBLIC.items() if inspect.isfunction(value)} | {
-    name: getattr(importlib.import_module(name.rpartition(".")[0]), name.rpartition(".")[2]) for name in HOOKS.ARRAYS
+    name: getattr(importlib.import_module(name.rpartition(".")[0]), name.rpartition(".")[2])
+    for name in HOOKS.ARRAYS
 }
 REFUSES = ("require(", "BadInput(", "check_stack(", "check_lights(", "check_image(")
 
@@ -64,7 +68,9 @@ def hooks() -> ModuleType:
     return HOOKS
 
 
-def test_the_site_shows_every_public_name_and_verb(hooks: ModuleType, caplog: pytest.LogCaptureFixture) -> None:
+def test_the_site_shows_every_public_name_and_verb(
+    hooks: ModuleType, caplog: pytest.LogCaptureFixture
+) -> None:
     with caplog.at_level(logging.WARNING):
         page = hooks.public_names()
     assert caplog.records == []
@@ -82,12 +88,15 @@ def test_a_public_name_without_words_is_found(
     assert "splitknit.Led is public and has no docstring" in caplog.text
 
 
-def test_links_out_of_the_pages_become_paths(hooks: ModuleType, caplog: pytest.LogCaptureFixture) -> None:
+def test_links_out_of_the_pages_become_paths(
+    hooks: ModuleType, caplog: pytest.LogCaptureFixture
+) -> None:
     text = "[README](../README.md), [code](../packages/splitknit/src/splitknit/model.py#a), "
     text += "[page](guide/install.md), [gone](../gone.py)"
     with caplog.at_level(logging.WARNING):
         found = hooks.inside(text, hooks.DOCS, lambda picture: picture.name)
     assert found.startswith(
-        "README (`README.md`), code (`packages/splitknit/src/splitknit/model.py`), [page](guide/install.md)"
+        "README (`README.md`), code (`packages/splitknit/src/splitknit/model.py`),"
+        " [page](guide/install.md)"
     )
     assert "no file ../gone.py" in caplog.text

@@ -1,4 +1,5 @@
-"""SECURITY.md, sentence by sentence: each claim stands there, and names the tests that try to break it."""
+"""SECURITY.md, sentence by sentence: each claim stands there, and names the tests that try to break
+it."""
 
 from __future__ import annotations
 
@@ -27,7 +28,9 @@ CLAIMS: dict[str, tuple[str, ...]] = {
         "tests/cli/test_cli.py::test_a_success_moves_no_cursor_whatever_its_files_are_called",
         "packages/splitknit/tests/report/test_report.py::test_a_page_turns_no_writing_and_holds_no_control_character",
     ),
-    "a text that would run as a formula begins with an apostrophe": ("packages/splitknit/tests/io/test_csv_table.py",),
+    "a text that would run as a formula begins with an apostrophe": (
+        "packages/splitknit/tests/io/test_csv_table.py",
+    ),
     "plain `tcp://` to another computer is refused": (
         "packages/splitknit-match/tests/batch/test_batch_workers.py::test_code_goes_to_other_computers_only_encrypted",
     ),
@@ -86,7 +89,9 @@ CLAIMS: dict[str, tuple[str, ...]] = {
         "packages/splitknit/tests/report/test_report.py::test_page_is_self_contained",
         "packages/splitknit/tests/report/test_page_browser.py",
     ),
-    "lets your group read them": ("tests/cli/test_private_files.py::test_verbs_write_private_files",),
+    "lets your group read them": (
+        "tests/cli/test_private_files.py::test_verbs_write_private_files",
+    ),
     "After `kill -9` a folder": ("tests/fuzz/kills.py",),
     "gone when the program ends, however it ends": (
         "packages/splitknit/tests/io/test_io_plain.py::test_large_stacks_are_worked_in_strips_from_disk",
@@ -147,7 +152,9 @@ UNTESTED = {
     "Never send real fingerprints": "a request to readers",
     "Only the latest version is fixed": "a promise of the maintainers",
     "asset | against | by": "the head of the table",
-    "Whoever can replace the file can put an earlier one back": "nothing in the file says which copy it is (read)",
+    "Whoever can replace the file can put an earlier one back": (
+        "nothing in the file says which copy it is (read)"
+    ),
     "keep backups, and the folder, out of others' reach": "advice",
     "and the time of its last change can be seen": "what every file shows",
     "are deleted, not overwritten": "what SQLite and file systems do (read)",
@@ -155,12 +162,16 @@ UNTESTED = {
     "leftovers of file managers": "held with the list `.splitknit` above",
     "the Docker image below it is a tag": "read in the Dockerfile; no image was built",
     "Caches of optional packages": "what other packages do; not tried again",
-    "a token compared in constant time": "`hmac.compare_digest` in `gallery/serve.py` (read); times were not measured",
+    "a token compared in constant time": (
+        "`hmac.compare_digest` in `gallery/serve.py` (read); times were not measured"
+    ),
     "not encrypted": "read in `steps.large_array`",
     "onnxruntime 1.31 sends telemetry by default": "its vendor's words",
     "without strace it uses an audit hook": "what Python's documentation says of such hooks",
     "host names are not compared with certificates": "what Dask does (read)",
-    "**Templates are biometric data.**": "a template is a picture of the ridges of two bits a pixel (read)",
+    "**Templates are biometric data.**": (
+        "a template is a picture of the ridges of two bits a pixel (read)"
+    ),
     "it is not a one-way hash": "a template is a picture of the ridges of two bits a pixel (read)",
     "limits on size hold for each file": "read",
     "A Dask worker keeps": "what Dask does; not tried again",
@@ -171,13 +182,16 @@ UNTESTED = {
     "Keys are not locked in memory": "no call of mlock in the program (read)",
     "swap and core dumps": "the system's",
     "A network file that you name runs in this process": "onnxruntime's behaviour",
-    "A scheduler on `tcp://127.0.0.1`": "a client of another account ran a function on such a scheduler",
+    "A scheduler on `tcp://127.0.0.1`": (
+        "a client of another account ran a function on such a scheduler"
+    ),
 }
 """What no test holds, and what was tried or read instead."""
 
 
 def clauses() -> list[str]:
-    """SECURITY.md in pieces: each sentence, and of a row of its table each part of the last cell."""
+    """SECURITY.md in pieces: each sentence, and of a row of its table each part of the last
+    cell."""
     pieces: list[str] = []
     text = (ROOT / "SECURITY.md").read_text(encoding="utf-8")
     for block in re.split(r"\n\s*\n|\n(?=- |\|)", text):

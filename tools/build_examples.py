@@ -1,9 +1,11 @@
-"""Run every example and write ``docs/guide/examples.md``: what each shows, its output and its pictures.
+"""Run every example and write ``docs/guide/examples.md``: what each shows, its output and its
+pictures.
 
     make examples
 
-Each example of ``examples/`` runs with ``--out FOLDER`` where it draws pictures. The page states from which source each
-section was made (SHA-256), so that ``tests/test_examples.py`` notices an example that was changed and not run again.
+Each example of ``examples/`` runs with ``--out FOLDER`` where it draws pictures. The page states
+from which source each section was made (SHA-256), so that ``tests/test_examples.py`` notices an
+example that was changed and not run again.
 """
 
 from __future__ import annotations
@@ -83,7 +85,10 @@ def keep(picture: Path, name: str) -> str:
         fraction = WIDEST_PX / image.shape[1]
         image = cv2.resize(image, None, fx=fraction, fy=fraction, interpolation=cv2.INTER_AREA)
     quality = 88
-    while len(data := cv2.imencode(".jpg", image, [cv2.IMWRITE_JPEG_QUALITY, quality])[1].tobytes()) > MAX_BYTES:
+    while (
+        len(data := cv2.imencode(".jpg", image, [cv2.IMWRITE_JPEG_QUALITY, quality])[1].tobytes())
+        > MAX_BYTES
+    ):
         quality -= 6
     target = PICTURES / f"{name}-{picture.stem}.jpg"
     target.write_bytes(data)
@@ -93,23 +98,34 @@ def keep(picture: Path, name: str) -> str:
 def section(one: Done) -> str:
     """One example, as Markdown."""
     short = one.name.removeprefix("plot_").replace("_", "-")
-    shown = "\n\n".join(f"![{path.stem.replace('-', ' ')}]({keep(path, short)})" for path in one.pictures)
+    shown = "\n\n".join(
+        f"![{path.stem.replace('-', ' ')}]({keep(path, short)})" for path in one.pictures
+    )
     parts = [
-        f"## {one.title.rstrip('.')}", f"<!-- {one.name}.py {one.sha256} -->", one.words,
-        f"[examples/{one.name}.py](../../examples/{one.name}.py) prints:", f"```\n{one.output}\n```", shown,
-    ]  # fmt: skip
+        f"## {one.title.rstrip('.')}",
+        f"<!-- {one.name}.py {one.sha256} -->",
+        one.words,
+        f"[examples/{one.name}.py](../../examples/{one.name}.py) prints:",
+        f"```\n{one.output}\n```",
+        shown,
+    ]
     return "\n\n".join(part for part in parts if part) + "\n"
 
 
 def ordered(examples: list[Path]) -> list[Path]:
     """The main path first."""
     first = [f"plot_{name}" for name in ORDER]
-    return sorted(examples, key=lambda path: (first.index(path.stem) if path.stem in first else len(first), path.stem))
+    return sorted(
+        examples,
+        key=lambda path: (first.index(path.stem) if path.stem in first else len(first), path.stem),
+    )
 
 
 def main() -> None:
     """Run."""
-    argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter).parse_args()
+    argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    ).parse_args()
     examples, done = ordered(sorted((ROOT / "examples").glob("plot_*.py"))), []
     with tempfile.TemporaryDirectory() as scratch:
         for example in examples:

@@ -1,8 +1,9 @@
-"""What mkdocs needs beside the pages: links out of ``docs``, the help of every verb, public names, executed notebooks.
+"""What mkdocs needs beside the pages: links out of ``docs``, the help of every verb, public names,
+executed notebooks.
 
-``mkdocs.yml`` names this file. A link to a file of the repository that is not a page becomes the file's path; one that
-leads nowhere ends a strict build, as does a public name without a docstring, or a page that would fetch something when
-it is read.
+``mkdocs.yml`` names this file. A link to a file of the repository that is not a page becomes the
+file's path; one that leads nowhere ends a strict build, as does a public name without a docstring,
+or a page that would fetch something when it is read.
 """
 
 from __future__ import annotations
@@ -53,7 +54,8 @@ RESULTS = (
 
 
 def inside(markdown: str, folder: Path, add: Callable[[Path], str]) -> str:
-    """Replace links to files outside `DOCS` by the files' paths; `add` takes a picture into the site."""
+    """Replace links to files outside `DOCS` by the files' paths; `add` takes a picture into the
+    site."""
 
     def path_of(link: re.Match[str]) -> str:
         label, target = link[2], link[3].partition("#")[0]
@@ -71,7 +73,10 @@ def inside(markdown: str, folder: Path, add: Callable[[Path], str]) -> str:
         return f"`{name}`" if label.strip("`") in (name, file.name) else f"{label} (`{name}`)"
 
     parts = re.split(r"(^ *```.*?^ *```$)", markdown, flags=re.DOTALL | re.MULTILINE)
-    return "".join(part if "```" in part else re.sub(r"(!?)\[([^\]]+)\]\(([^)\s]+)\)", path_of, part) for part in parts)
+    return "".join(
+        part if "```" in part else re.sub(r"(!?)\[([^\]]+)\]\(([^)\s]+)\)", path_of, part)
+        for part in parts
+    )
 
 
 def help_of_every_verb() -> str:
@@ -106,20 +111,23 @@ def public_names() -> str:
 
 
 def executed(notebook: Path, files_folder: str) -> tuple[str, dict[str, bytes]]:
-    """A notebook, run in a folder of its own, as Markdown, and the pictures it drew by their names from that page."""
+    """A notebook, run in a folder of its own, as Markdown, and the pictures it drew by their names
+    from that page."""
     import nbformat  # the tests load this file without what builds the site
     from nbconvert import MarkdownExporter
     from nbconvert.preprocessors import ExecutePreprocessor
 
     run = nbformat.read(notebook, as_version=4)
     with tempfile.TemporaryDirectory() as folder:
-        ExecutePreprocessor(timeout=300).preprocess(run, {"metadata": {"path": folder}})  # an error ends the build
+        # an error ends the build
+        ExecutePreprocessor(timeout=300).preprocess(run, {"metadata": {"path": folder}})
     text, found = MarkdownExporter().from_notebook_node(run, {"output_files_dir": files_folder})
     return text, found["outputs"]
 
 
 def on_files(files: Any, config: Any) -> None:
-    """Run the notebooks and put their pages into the site, beside the notebooks themselves (an event of mkdocs)."""
+    """Run the notebooks and put their pages into the site, beside the notebooks themselves (an
+    event of mkdocs)."""
     from mkdocs.structure.files import File
 
     for notebook in [file for file in files if file.src_uri.endswith(".ipynb")]:
@@ -127,7 +135,9 @@ def on_files(files: Any, config: Any) -> None:
         text, pictures = executed(source, f"{source.stem}_files")
         title, _, rest = text.strip().partition("\n")
         text = f"{title}\n\n[This page as a notebook]({source.name})\n{rest}\n"
-        files.append(File.generated(config, notebook.src_uri.replace(".ipynb", ".md"), content=text))
+        files.append(
+            File.generated(config, notebook.src_uri.replace(".ipynb", ".md"), content=text)
+        )
         folder = Path(notebook.src_uri).parent.as_posix()
         for name, content in pictures.items():
             files.append(File.generated(config, f"{folder}/{name}", content=content))
@@ -144,10 +154,14 @@ def on_page_markdown(markdown: str, page: Any, config: Any, files: Any) -> str:
             files.append(File.generated(config, uri, abs_src_path=str(picture)))
         return uri
 
-    for mark, make in (("<!-- help of every verb -->", help_of_every_verb), ("<!-- public names -->", public_names)):
+    for mark, make in (
+        ("<!-- help of every verb -->", help_of_every_verb),
+        ("<!-- public names -->", public_names),
+    ):
         if mark in markdown:
             markdown = markdown.replace(mark, make())
-    markdown = re.sub(r"`[^`\n]*`", lambda code: code[0].replace("\\|", "|"), markdown)  # GitHub wants them escaped
+    # GitHub wants them escaped
+    markdown = re.sub(r"`[^`\n]*`", lambda code: code[0].replace("\\|", "|"), markdown)
     here = DOCS / page.file.src_uri
     if not here.with_suffix(".ipynb").exists():  # which links to the notebook itself
         markdown = re.sub(r"(\]\([^)\s:]+)\.ipynb\)", r"\1.md)", markdown)
@@ -165,10 +179,12 @@ def on_post_build(config: Any, **_: Any) -> None:
     for script in (site / "assets" / "javascripts").glob("bundle.*.js"):
         text = script.read_text(encoding="utf-8")
         script.write_text(
-            re.sub(r"https://(unpkg\.com|api\.github\.com)[^\"`$]*", "about:blank", text), encoding="utf-8"
+            re.sub(r"https://(unpkg\.com|api\.github\.com)[^\"`$]*", "about:blank", text),
+            encoding="utf-8",
         )
     for page in site.rglob("*.html"):
         for found in re.findall(
-            r"<(?:script|img|iframe|link)\b[^>]*(?:src|href)=\"?(https?://[^\">]+)", page.read_text("utf-8")
+            r"<(?:script|img|iframe|link)\b[^>]*(?:src|href)=\"?(https?://[^\">]+)",
+            page.read_text("utf-8"),
         ):
             LOG.warning("%s fetches %s", page.relative_to(site), found)

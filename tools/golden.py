@@ -1,13 +1,15 @@
-"""Results of every preset, matcher, print and calibration, as hashes: a change of the code's structure keeps them.
+"""Results of every preset, matcher, print and calibration, as hashes: a change of the code's
+structure keeps them.
 
-    python tools/golden.py            compares with tools/golden.json (exit code 1: something differs)
-    python tools/golden.py --write    after a change that is meant to change results: writes it anew
+    python tools/golden.py compares with tools/golden.json (exit code 1: something differs) python
+    tools/golden.py --write after a change that is meant to change results: writes it anew
 
-Everything goes through the command line, whose verbs stay while modules move. Arrays, pixels and scores are hashed, not
-files, since these carry settings and versions. Sums of floating-point numbers differ in the last bits from one
-processor to another, even between two with the same instructions. Where the bytes differ, mean and spread are therefore
-compared: within a millionth of the spread on the processor and libraries of the file, within a thousandth on others.
-How many arrays have the same bytes is printed.
+Everything goes through the command line, whose verbs stay while modules move. Arrays, pixels and
+scores are hashed, not files, since these carry settings and versions. Sums of floating-point
+numbers differ in the last bits from one processor to another, even between two with the same
+instructions. Where the bytes differ, mean and spread are therefore compared: within a millionth of
+the spread on the processor and libraries of the file, within a thousandth on others. How many
+arrays have the same bytes is printed.
 """
 
 from __future__ import annotations
@@ -32,8 +34,9 @@ GOLDEN = Path(__file__).with_name("golden.json")
 SAME, TOLERANCE = 1e-6, 1e-3
 """Of mean and spread on the same kind of processor and on another, relative to the spread."""
 SENSITIVE, WIDER = ("match ", "template"), 2e-2
-"""Cases that count what lies beside a threshold, and their tolerance on another processor: the same code gave a
-similarity of 0.780 on one kind and 0.787 on another, and one minutia more in the template."""
+"""Cases that count what lies beside a threshold, and their tolerance on another processor: the same
+code gave a similarity of 0.780 on one kind and 0.787 on another, and one minutia more in the
+template."""
 Entry = dict[str, Any]
 QUICK = ["--set", "metric.rounds=1"]
 PRESETS = ("metric", "snk", "pr", "ea", "kumar", "zheng")
@@ -47,7 +50,9 @@ def run(*words: object) -> str:
     with contextlib.redirect_stdout(said), contextlib.redirect_stderr(said):
         code = script.load()([str(word) for word in words])
     if code != 0:
-        raise RuntimeError(f"splitknit {' '.join(map(str, words))}: exit code {code}: {said.getvalue()}")
+        raise RuntimeError(
+            f"splitknit {' '.join(map(str, words))}: exit code {code}: {said.getvalue()}"
+        )
     return said.getvalue()
 
 
@@ -69,8 +74,16 @@ def entry(array: Any) -> Entry:
 def result_of(folder: Path) -> dict[str, Entry]:
     """Arrays of ``height.npz``, and the print's pixels where there is one."""
     with np.load(folder / "height.npz") as arrays:
-        found = {name: entry(arrays[name]) for name in sorted(arrays.files) if arrays[name].dtype.kind != "U"}
-    return {**found, "print": entry(pixels(folder / "print.png"))} if (folder / "print.png").is_file() else found
+        found = {
+            name: entry(arrays[name])
+            for name in sorted(arrays.files)
+            if arrays[name].dtype.kind != "U"
+        }
+    return (
+        {**found, "print": entry(pixels(folder / "print.png"))}
+        if (folder / "print.png").is_file()
+        else found
+    )
 
 
 def pixels(file: Path) -> Any:
@@ -78,7 +91,12 @@ def pixels(file: Path) -> Any:
     return cv2.imread(str(file), cv2.IMREAD_UNCHANGED)
 
 
-def edited(capture: Path, target: Path, change: Callable[[dict[str, Any]], None], file: str = "capture.json") -> Path:
+def edited(
+    capture: Path,
+    target: Path,
+    change: Callable[[dict[str, Any]], None],
+    file: str = "capture.json",
+) -> Path:
     """A copy of a capture with one JSON document changed."""
     target.mkdir()
     for source in capture.iterdir():
@@ -119,16 +137,34 @@ def measure(folder: Path) -> dict[str, dict[str, Entry]]:
     found["simulated"] = {file.stem: entry(pixels(file)) for file in sorted(capture.glob("*.png"))}
     for preset in PRESETS:
         reconstructed(preset, capture, "--preset", preset)
-    reconstructed("opaque", edited(capture, folder / "opaque", lambda one: one.update(material="opaque")), *QUICK)
-    reconstructed("perspective", edited(capture, folder / "perspective", with_lens, "rig.json"), *QUICK)
+    reconstructed(
+        "opaque",
+        edited(capture, folder / "opaque", lambda one: one.update(material="opaque")),
+        *QUICK,
+    )
+    reconstructed(
+        "perspective", edited(capture, folder / "perspective", with_lens, "rig.json"), *QUICK
+    )
     grey = edited(capture, folder / "grey", as_grey)
     for file in grey.glob("*white*.png"):
         image = pixels(file)
-        cv2.imwrite(str(file), cv2.cvtColor(image, cv2.COLOR_BGR2GRAY) if image.ndim == 3 else image)
+        cv2.imwrite(
+            str(file), cv2.cvtColor(image, cv2.COLOR_BGR2GRAY) if image.ndim == 3 else image
+        )
     reconstructed("grey", grey, *QUICK)
     run("simulate", "--seed", 4, "--scale", 0.08, "--out", folder / "coarse")
     reconstructed("coarse", folder / "coarse")
-    run("simulate", "--seed", 4, "--scale", 0.12, "--lights", "coloured", "--out", folder / "coloured")
+    run(
+        "simulate",
+        "--seed",
+        4,
+        "--scale",
+        0.12,
+        "--lights",
+        "coloured",
+        "--out",
+        folder / "coloured",
+    )
     reconstructed("lin", folder / "coloured", "--preset", "lin")
     mirrors = folder / "mirrors"
     run("simulate", "--seed", 9002, "--scale", 0.15, "--mirrors", "left,right", "--out", mirrors)
@@ -139,7 +175,14 @@ def measure(folder: Path) -> dict[str, dict[str, Entry]]:
     run("match", folder / "result_metric", "--template", folder / "a.skt")
     found["template"] = {"bytes": entry(np.frombuffer((folder / "a.skt").read_bytes(), np.uint8))}
     for method in ("unroll", "relief", "curvature"):
-        run("print", folder / "result_metric", "--method", method, "--out", folder / f"print_{method}")
+        run(
+            "print",
+            folder / "result_metric",
+            "--method",
+            method,
+            "--out",
+            folder / f"print_{method}",
+        )
         found[f"print {method}"] = prints_of(folder / f"print_{method}")
     run("print", mirrors, "--method", "rolled", "--out", folder / "rolled")
     found["print rolled"] = prints_of(folder / "rolled")
@@ -147,7 +190,9 @@ def measure(folder: Path) -> dict[str, dict[str, Entry]]:
     run("calibrate", "camera", folder / "bench" / "board", "--out", folder / "rig.json")
     camera = json.loads((folder / "rig.json").read_text())["camera"]
     numbers = {key: value for key, value in camera.items() if isinstance(value, (int, float, list))}
-    found["calibrated camera"] = {key: entry(np.asarray(numbers[key], dtype=float)) for key in sorted(numbers)}
+    found["calibrated camera"] = {
+        key: entry(np.asarray(numbers[key], dtype=float)) for key in sorted(numbers)
+    }
     return found
 
 
@@ -171,7 +216,9 @@ def machine() -> dict[str, str]:
 def differences(wanted: dict[str, Any], found: dict[str, Any]) -> list[str]:
     """What is not as it was, a line each."""
     exact = wanted["machine"] == found["machine"]
-    lines = [f"{name} is new or gone" for name in sorted(wanted["cases"].keys() ^ found["cases"].keys())]
+    lines = [
+        f"{name} is new or gone" for name in sorted(wanted["cases"].keys() ^ found["cases"].keys())
+    ]
     for case in sorted(wanted["cases"].keys() & found["cases"].keys()):
         before, now = wanted["cases"][case], found["cases"][case]
         lines += [f"{case}, {name}: new or gone" for name in sorted(before.keys() ^ now.keys())]
@@ -183,14 +230,20 @@ def differences(wanted: dict[str, Any], found: dict[str, Any]) -> list[str]:
                 abs(one[key] - other[key]) <= slack for key in ("mean", "spread")
             )
             sizes = exact or not case.startswith(SENSITIVE)
-            if not same or one["type"] != other["type"] or (sizes and one["shape"] != other["shape"]):
+            if (
+                not same
+                or one["type"] != other["type"]
+                or (sizes and one["shape"] != other["shape"])
+            ):
                 lines.append(f"{case}, {name}: mean {one['mean']:.9g} -> {other['mean']:.9g}")
     return lines
 
 
 def main() -> int:
     """Compare or write."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("--write", action="store_true")
     options = parser.parse_args()
     with tempfile.TemporaryDirectory() as folder:
@@ -200,13 +253,25 @@ def main() -> int:
         return 0
     wanted = json.loads(GOLDEN.read_text(encoding="ascii"))
     lines = differences(wanted, found)
-    others = [f"{name} {wanted['machine'].get(name)} -> {now}" for name, now in found["machine"].items()
-              if wanted["machine"].get(name) != now]  # fmt: skip
-    same = [one["sha256"] == now.get(name, {}).get("sha256") for case, now in found["cases"].items()
-            for name, one in wanted["cases"].get(case, {}).items()]  # fmt: skip
-    where = f"not the machine of golden.json ({', '.join(others)}): tolerance {TOLERANCE:g}; " if others else ""
+    others = [
+        f"{name} {wanted['machine'].get(name)} -> {now}"
+        for name, now in found["machine"].items()
+        if wanted["machine"].get(name) != now
+    ]
+    same = [
+        one["sha256"] == now.get(name, {}).get("sha256")
+        for case, now in found["cases"].items()
+        for name, one in wanted["cases"].get(case, {}).items()
+    ]
+    where = (
+        f"not the machine of golden.json ({', '.join(others)}): tolerance {TOLERANCE:g}; "
+        if others
+        else ""
+    )
     sys.stdout.write(f"{where}{sum(same)} of {len(same)} arrays have the same bytes\n")
-    sys.stdout.write("\n".join([*lines, f"{len(found['cases'])} cases, {len(lines)} differences"]) + "\n")
+    sys.stdout.write(
+        "\n".join([*lines, f"{len(found['cases'])} cases, {len(lines)} differences"]) + "\n"
+    )
     return 1 if lines else 0
 
 

@@ -1,13 +1,15 @@
-"""Write the table and the summary of docs/experiments/claims.md from validation/thesis/tables/claims.csv.
+"""Write the table and the summary of docs/experiments/claims.md from
+validation/thesis/tables/claims.csv.
 
     python tools/make_claims_page.py            # writes
     python tools/make_claims_page.py --check    # exit code 1 if the page is out of date
 
-A row of the CSV file has a criterion in words and as a rule, and what was measured with its interval. The verdict
-follows from the rule alone: ``> 0`` is confirmed where the whole interval lies above 0, refuted where all of it lies
-below, and not decided otherwise. ``= 95`` is refuted where the interval excludes 95, ``= 19 21`` is confirmed where the
-interval lies within 19 to 21. With two bounds, ``> 1.4 2.5`` compares with a figure that has an interval itself. No
-rule: no figure decides.
+A row of the CSV file has a criterion in words and as a rule, and what was measured with its
+interval. The verdict follows from the rule alone: ``> 0`` is confirmed where the whole interval
+lies above 0, refuted where all of it lies below, and not decided otherwise. ``= 95`` is refuted
+where the interval excludes 95, ``= 19 21`` is confirmed where the interval lies within 19 to 21.
+With two bounds, ``> 1.4 2.5`` compares with a figure that has an interval itself. No rule: no
+figure decides.
 """
 
 from __future__ import annotations
@@ -28,16 +30,22 @@ NUMBER = r"[+-]?[\d.]+"
 
 
 def interval(measured: str) -> tuple[float, float]:
-    """The widest interval that `measured` states: drawn by finger, by subject, a range, or one exact figure."""
+    """The widest interval that `measured` states: drawn by finger, by subject, a range, or one
+    exact figure."""
     bounds = [
-        float(end) for pair in re.findall(rf"[\[(]({NUMBER})(?:, | to |-)({NUMBER})[\])]", measured) for end in pair
+        float(end)
+        for pair in re.findall(rf"[\[(]({NUMBER})(?:, | to |-)({NUMBER})[\])]", measured)
+        for end in pair
     ]
     if bounds:
         return min(bounds), max(bounds)
     exact = re.fullmatch(rf"({NUMBER}) (exactly|or more|or less)", measured)
     assert exact is not None, f"no interval: {measured}"
     value = float(exact[1])
-    return (value if exact[2] != "or less" else -float("inf"), value if exact[2] != "or more" else float("inf"))
+    return (
+        value if exact[2] != "or less" else -float("inf"),
+        value if exact[2] != "or more" else float("inf"),
+    )
 
 
 def verdict(rule: str, measured: str) -> str:
@@ -50,7 +58,9 @@ def verdict(rule: str, measured: str) -> str:
     if sign == "<":
         low, high, bounds, sign = -high, -low, [-end for end in bounds], ">"
     if sign == ">":
-        return "confirmed" if low > max(bounds) else "refuted" if high < min(bounds) else "not decided"
+        return (
+            "confirmed" if low > max(bounds) else "refuted" if high < min(bounds) else "not decided"
+        )
     if len(bounds) == 2 and min(bounds) <= low and high <= max(bounds):
         return "confirmed"
     return "refuted" if high < min(bounds) or low > max(bounds) else "not decided"
@@ -59,7 +69,10 @@ def verdict(rule: str, measured: str) -> str:
 def read() -> list[dict[str, str]]:
     """Rows of the table, each with its verdict."""
     with TABLE.open(encoding="utf-8", newline="") as stream:
-        return [{**row, "verdict": verdict(row["rule"], row["measured"])} for row in csv.DictReader(stream)]
+        return [
+            {**row, "verdict": verdict(row["rule"], row["measured"])}
+            for row in csv.DictReader(stream)
+        ]
 
 
 def summary(rows: Sequence[Mapping[str, str]]) -> str:
@@ -68,7 +81,9 @@ def summary(rows: Sequence[Mapping[str, str]]) -> str:
     for one in VERDICTS:
         found = [row for row in rows if row["verdict"] == one]
         short = "; ".join(f"{row['short']} ({row['number']})" for row in found if row["short"])
-        line = f"- **{one.capitalize()}**, {len(found)} of {len(rows)} criteria, among them: {short}."
+        line = (
+            f"- **{one.capitalize()}**, {len(found)} of {len(rows)} criteria, among them: {short}."
+        )
         lines.append(textwrap.fill(line, 140, subsequent_indent="  ", break_on_hyphens=False))
     return "\n".join(lines)
 

@@ -45,7 +45,8 @@ def schema_of(kind: Any, known: dict[str, Any]) -> dict[str, Any]:
         known[kind.__name__] = {}
         hints = typing.get_type_hints(kind, localns={"RankedCandidate": RankedCandidate})
         fields = {one.name: schema_of(hints[one.name], known) for one in dataclasses.fields(kind)}
-        needed = [one.name for one in dataclasses.fields(kind) if one.default is not None]  # as known_json leaves out
+        # as known_json leaves out
+        needed = [one.name for one in dataclasses.fields(kind) if one.default is not None]
         known[kind.__name__] = {"type": "object", "properties": fields, "required": needed}
     return {"$ref": f"#/$defs/{kind.__name__}"}
 
@@ -58,8 +59,14 @@ def schema_of_verb(verb: str) -> dict[str, Any]:
         content, whole = known.pop("GalleryContent"), known["Enrolment"]
         del whole["properties"]["content"]
         whole["properties"] |= content["properties"]
-        whole["required"] = [*content["required"], *(name for name in whole["required"] if name != "content")]
-    about = {"$schema": "https://json-schema.org/draft/2020-12/schema", "title": f"splitknit {verb} --json"}
+        whole["required"] = [
+            *content["required"],
+            *(name for name in whole["required"] if name != "content"),
+        ]
+    about = {
+        "$schema": "https://json-schema.org/draft/2020-12/schema",
+        "title": f"splitknit {verb} --json",
+    }
     return {**about, **found, "$defs": known}
 
 

@@ -1,10 +1,11 @@
-"""Write two pages of docs/reference: settings.md, every setting of the verbs that take ``--set``, its default, and what
-it does; findings.md, every code of a finding.
+"""Write two pages of docs/reference: settings.md, every setting of the verbs that take ``--set``,
+its default, and what it does; findings.md, every code of a finding.
 
     python tools/make_settings_page.py            # writes
     python tools/make_settings_page.py --check    # exit code 1 if a page is out of date
 
-The words are the docstrings below the fields of the settings dataclasses, and the table of the codes.
+The words are the docstrings below the fields of the settings dataclasses, and the table of the
+codes.
 """
 
 from __future__ import annotations
@@ -79,7 +80,9 @@ def rows(settings: Any, prefix: str = "") -> list[tuple[str, Any, str]]:
             found += rows(value, f"{prefix}{field.name}.")
         else:
             if not words.get(field.name):
-                raise ValueError(f"{type(settings).__qualname__}.{field.name} needs a docstring below it.")
+                raise ValueError(
+                    f"{type(settings).__qualname__}.{field.name} needs a docstring below it."
+                )
             found.append((prefix + field.name, value, words[field.name]))
     return found
 
@@ -100,7 +103,8 @@ def preset_table() -> str:
                 others.setdefault(shown(table[k][1]), []).append(f"`{preset}`")
         changed = "; ".join(f"{', '.join(presets)}: {other}" for other, presets in others.items())
         lines.append(
-            f"| `{name}` | {shown(value)}{f' ({changed})' if changed else ''} | {words.replace('|', ' or ')} |"
+            f"| `{name}` | {shown(value)}{f' ({changed})' if changed else ''} |"
+            f" {words.replace('|', ' or ')} |"
         )
     return "\n".join(lines)
 
@@ -109,13 +113,18 @@ def plain_table(settings: Any, prefix: str = "") -> str:
     """Settings of one dataclass, its groups opened."""
     lines = ["| setting | default | what it does |", "| --- | --- | --- |"]
     lines += [
-        f"| `{name}` | {shown(value)} | {words.replace('|', ' or ')} |" for name, value, words in rows(settings, prefix)
+        f"| `{name}` | {shown(value)} | {words.replace('|', ' or ')} |"
+        for name, value, words in rows(settings, prefix)
     ]
     return "\n".join(lines)
 
 
 SECTIONS: tuple[tuple[str, str, tuple[tuple[str, Any], ...]], ...] = (
-    ("`splitknit simulate`", "Ranges (low, high) are drawn from, finger by finger.", (("", TwinSettings()),)),
+    (
+        "`splitknit simulate`",
+        "Ranges (low, high) are drawn from, finger by finger.",
+        (("", TwinSettings()),),
+    ),
     (
         "`splitknit simulate population`",
         "Where they come from: [population model](../explain/population.md).",
@@ -129,7 +138,10 @@ SECTIONS: tuple[tuple[str, str, tuple[tuple[str, Any], ...]], ...] = (
     ),
     (
         "`splitknit match`, `enroll` and `identify`",
-        "What each is: [matching](../guide/matching.md). Captures are reconstructed with `--preset` as it is.",
+        (
+            "What each is: [matching](../guide/matching.md). Captures are reconstructed with"
+            " `--preset` as it is."
+        ),
         (("", MatchingSettings()),),
     ),
 )
@@ -145,7 +157,11 @@ def page() -> str:
         preset_table(),
     ]
     for heading, words, tables in SECTIONS:
-        parts += [f"## {heading}", words, *(plain_table(settings, prefix) for prefix, settings in tables)]
+        parts += [
+            f"## {heading}",
+            words,
+            *(plain_table(settings, prefix) for prefix, settings in tables),
+        ]
     return "\n\n".join(part.strip() for part in parts) + "\n"
 
 
@@ -171,7 +187,10 @@ Fingers of the last column are simulated, in all conditions; sets of objects are
 
 def findings_page() -> str:
     """The page of the codes."""
-    rows = [f"| `{name}` | {code.meaning} | {code.remedy} | {code.wrong} |" for name, code in sorted(CODES.items())]
+    rows = [
+        f"| `{name}` | {code.meaning} | {code.remedy} | {code.wrong} |"
+        for name, code in sorted(CODES.items())
+    ]
     return FINDINGS + "\n".join(rows) + "\n"
 
 
@@ -180,13 +199,19 @@ PAGES = {"settings.md": page, "findings.md": findings_page}
 
 def main() -> int:
     """Write or check."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("--check", action="store_true")
     check = parser.parse_args().check
     if not check:
         for name, make in PAGES.items():
             (REFERENCE / name).write_text(make(), encoding="utf-8")
-    return int(any((REFERENCE / name).read_text(encoding="utf-8") != make() for name, make in PAGES.items()))
+    return int(
+        any(
+            (REFERENCE / name).read_text(encoding="utf-8") != make() for name, make in PAGES.items()
+        )
+    )
 
 
 if __name__ == "__main__":

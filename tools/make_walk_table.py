@@ -1,4 +1,5 @@
-"""Make the table of random walks that the twin ships (about five minutes): python tools/make_walk_table.py."""
+"""Make the table of random walks that the twin ships (about five minutes): python
+tools/make_walk_table.py."""
 
 from __future__ import annotations
 
@@ -39,10 +40,12 @@ def main() -> None:
 
 
 def walk(walks: int, seed: int, batch: int = 200_000) -> WalkTable:
-    """Simulate `walks` random walks from one point of a semi-infinite, isotropically scattering medium.
+    """Simulate `walks` random walks from one point of a semi-infinite, isotropically scattering
+    medium.
 
-    Light enters diffusely, walks without absorption and leaves with the Fresnel transmittance; what is reflected
-    inside goes on diffusely, as at a rough surface. Walks longer than `LONGEST_WALK` end there.
+    Light enters diffusely, walks without absorption and leaves with the Fresnel transmittance; what
+    is reflected inside goes on diffusely, as at a rough surface. Walks longer than `LONGEST_WALK`
+    end there.
     """
     counts = np.zeros((RADIUS_EDGES.size - 1, LENGTH_EDGES.size - 1))
     total = np.zeros(LENGTH_EDGES.size - 1)
@@ -58,7 +61,9 @@ def walk(walks: int, seed: int, batch: int = 200_000) -> WalkTable:
     return WalkTable(counts=counts / walks, lengths=mean)
 
 
-def _walk_batch(count: int, rng: np.random.Generator) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def _walk_batch(
+    count: int, rng: np.random.Generator
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Exit radius and length of the walks of one batch that leave."""
     position = np.zeros((3, count))
     direction = _cosine_down(count, rng)

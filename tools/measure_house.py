@@ -1,21 +1,29 @@
-"""Measure the structure of the members: files, lines, settings, public names, imports; as tables, or as JSON.
+"""Measure the structure of the members: files, lines, settings, public names, imports; as tables,
+or as JSON.
 
     python tools/measure_house.py [--json] [--src packages/splitknit/src ...]
 
-Nothing of the package is executed but one ``import splitknit.pipeline`` in a fresh interpreter. What is counted:
+Nothing of the package is executed but one ``import splitknit.pipeline`` in a fresh interpreter.
+What is counted:
 
-- settings: annotated fields of classes whose name ends in ``Settings``, and of those derived from ``Checked``;
-- tokens by member and package: what Python's tokenizer gives, without comments, docstrings (of attributes, too), and
-  layout, so that neither wide lines nor blank ones count; ``all Python`` are those of every tracked ``.py`` file;
-- lines by member: of ``.py`` and ``.pyi`` files; public names by member: what stands at its door, ``__init__.pyi``;
-- words by page: of ``docs``, as ``wc -w`` counts them; pages that a script writes are not in the sum;
-- names of modules: functions and classes at their top level, without a leading underscore; homonyms: those that two
-  modules or more define;
-- whole settings: functions below the entry (``reconstruct``) with a parameter of the type ``PipelineSettings``;
+- settings: annotated fields of classes whose name ends in ``Settings``, and of those derived from
+  ``Checked``;
+- tokens by member and package: what Python's tokenizer gives, without comments, docstrings (of
+  attributes, too), and layout, so that neither wide lines nor blank ones count; ``all Python`` are
+  those of every tracked ``.py`` file;
+- lines by member: of ``.py`` and ``.pyi`` files; public names by member: what stands at its door,
+  ``__init__.pyi``;
+- words by page: of ``docs``, as ``wc -w`` counts them; pages that a script writes are not in the
+  sum;
+- names of modules: functions and classes at their top level, without a leading underscore;
+  homonyms: those that two modules or more define;
+- whole settings: functions below the entry (``reconstruct``) with a parameter of the type
+  ``PipelineSettings``;
 - many parameters: functions and methods with six or more, ``self`` not counted;
 - noqa: lines that silence the linter; README words: as ``wc -w`` counts them;
-- files to the equations, and to the PLY: files on the shortest chain of imports (lazy ones included) from the verb
-  ``reconstruct`` to the least squares of photometric stereo, and to the mesh writer;
+- files to the equations, and to the PLY: files on the shortest chain of imports (lazy ones
+  included) from the verb ``reconstruct`` to the least squares of photometric stereo, and to the
+  mesh writer;
 - circles: sets of modules that import each other, lazily or not;
 - one importer: files that one other file alone imports, in the same folder.
 """
@@ -48,8 +56,12 @@ class House:
     """All modules of a source tree: their syntax trees and who imports whom."""
 
     def __init__(self, sources: Sequence[Path]) -> None:  # noqa: D107 - the class says it
-        self.files = {_module(path, src): path for src in sources for path in sorted(src.rglob("*.py"))}
-        self.trees = {name: ast.parse(path.read_text(encoding="utf-8")) for name, path in self.files.items()}
+        self.files = {
+            _module(path, src): path for src in sources for path in sorted(src.rglob("*.py"))
+        }
+        self.trees = {
+            name: ast.parse(path.read_text(encoding="utf-8")) for name, path in self.files.items()
+        }
         self.imports = {name: self._imports(name) for name in self.files}
 
     def _imports(self, module: str) -> set[str]:
@@ -68,7 +80,8 @@ class House:
         return name
 
     def circles(self) -> list[list[str]]:
-        """Sets of modules that can reach each other (Tarjan's strongly connected components), larger than one."""
+        """Sets of modules that can reach each other (Tarjan's strongly connected components),
+        larger than one."""
         order: dict[str, int] = {}
         low: dict[str, int] = {}
         stack: list[str] = []
@@ -97,7 +110,8 @@ class House:
         return found
 
     def chain(self, starts: tuple[str, ...], goals: tuple[str, ...]) -> list[str]:
-        """Shortest chain of imports between the first of each that exist; packages' ``__init__`` are passed through."""
+        """Shortest chain of imports between the first of each that exist; packages' ``__init__``
+        are passed through."""
         start = next((name for name in starts if name in self.files), None)
         goal = next((name for name in goals if name in self.files), None)
         if start is None or goal is None:
@@ -139,14 +153,19 @@ class House:
             for tree in self.trees.values()
             for node in ast.walk(tree)
             if isinstance(node, ast.ClassDef)
-            and (node.name.endswith("Settings") or any(ast.unparse(base) == "Checked" for base in node.bases))
+            and (
+                node.name.endswith("Settings")
+                or any(ast.unparse(base) == "Checked" for base in node.bases)
+            )
             for item in node.body
         )
 
     def module_names(self) -> Counter[str]:
         """Functions and classes at the top level of modules, and how many modules define each."""
         kinds = (ast.FunctionDef, ast.ClassDef)
-        nodes = (node for tree in self.trees.values() for node in tree.body if isinstance(node, kinds))
+        nodes = (
+            node for tree in self.trees.values() for node in tree.body if isinstance(node, kinds)
+        )
         return Counter(node.name for node in nodes if not node.name.startswith("_"))
 
     def parameters(self) -> Iterator[tuple[str, list[ast.arg]]]:
@@ -174,7 +193,9 @@ def tokens(path: Path) -> int:
     strings = {
         (node.lineno, node.value.col_offset)
         for node in ast.walk(ast.parse(text))
-        if isinstance(node, ast.Expr) and isinstance(node.value, ast.Constant) and isinstance(node.value.value, str)
+        if isinstance(node, ast.Expr)
+        and isinstance(node.value, ast.Constant)
+        and isinstance(node.value.value, str)
     }
     each = tokenize.generate_tokens(io.StringIO(text).readline)
     return sum(one.type not in LAYOUT and one.start not in strings for one in each)
@@ -192,15 +213,24 @@ def tokens_by_package(package: Path) -> Counter[str]:
 def members(sources: Sequence[Path]) -> list[dict[str, str | int]]:
     """Files, lines and public names of every package."""
     rows: list[dict[str, str | int]] = []
-    for package in sorted(path for src in sources for path in src.iterdir() if (path / "__init__.py").is_file()):
+    for package in sorted(
+        path for src in sources for path in src.iterdir() if (path / "__init__.py").is_file()
+    ):
         files = [*package.rglob("*.py"), *package.rglob("*.pyi")]
         door = package / "__init__.pyi"
-        names = re.findall(r"^from \S+ import \w+ as (\w+)$", door.read_text(), re.MULTILINE) if door.is_file() else []
+        names = (
+            re.findall(r"^from \S+ import \w+ as (\w+)$", door.read_text(), re.MULTILINE)
+            if door.is_file()
+            else []
+        )
         lines = sum(len(file.read_text(encoding="utf-8").splitlines()) for file in files)
         count = sum(map(tokens, files))
         row = {"files": len(files), "lines": lines, "tokens": count, "public_names": len(names)}
         rows.append({"member": package.name, **row})
-    every = {name: sum(int(row[name]) for row in rows) for name in ("files", "lines", "tokens", "public_names")}
+    every = {
+        name: sum(int(row[name]) for row in rows)
+        for name in ("files", "lines", "tokens", "public_names")
+    }
     return [*rows, {"member": "all", **every}]
 
 
@@ -227,7 +257,10 @@ def measure(sources: Sequence[Path]) -> dict[str, float | int | None]:
     names, parameters = house.module_names(), list(house.parameters())
     readme = ROOT / "README.md"
     started = time.perf_counter()
-    code = "import sys, splitknit.pipeline; print(sum(m.split('.')[0] == 'splitknit' for m in sys.modules))"
+    code = (
+        "import sys, splitknit.pipeline; print(sum(m.split('.')[0] == 'splitknit' for m in"
+        " sys.modules))"
+    )
     run = subprocess.run(
         [sys.executable, "-c", code],
         capture_output=True,
@@ -244,11 +277,14 @@ def measure(sources: Sequence[Path]) -> dict[str, float | int | None]:
         "names_of_modules": names.total(),
         "homonyms": sum(count > 1 for count in names.values()),
         "functions_with_whole_settings": sum(
-            name not in ENTRIES and any(_takes_whole_settings(arg) for arg in given) for name, given in parameters
+            name not in ENTRIES and any(_takes_whole_settings(arg) for arg in given)
+            for name, given in parameters
         ),
         "functions_with_many_parameters": sum(len(given) > 5 for _, given in parameters),
         "noqa": sum("noqa" in line for text in texts for line in text.splitlines()),
-        "readme_words": len(readme.read_text(encoding="utf-8").split()) if readme.is_file() else None,
+        "readme_words": (
+            len(readme.read_text(encoding="utf-8").split()) if readme.is_file() else None
+        ),
         "files_to_the_equations": len(house.chain(VERB, EQUATIONS)),
         "files_to_the_ply": len(house.chain(VERB, MESH)),
         "modules_of_pipeline": int(run.stdout) if run.returncode == 0 else None,
@@ -269,27 +305,37 @@ def _module(path: Path, src: Path) -> str:
 
 def main() -> None:
     """Print."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("--json", action="store_true")
     parser.add_argument("--src", type=Path, nargs="+", default=sorted(ROOT.glob("packages/*/src")))
     options = parser.parse_args()
     figures, by_member, words = measure(options.src), members(options.src), pages(ROOT / "docs")
     if options.json:
-        sys.stdout.write(json.dumps({**figures, "members": by_member, "words": words}, indent=1) + "\n")
+        sys.stdout.write(
+            json.dumps({**figures, "members": by_member, "words": words}, indent=1) + "\n"
+        )
         return
     lines = [f"{'member':24}{'files':>8}{'lines':>8}{'tokens':>9}{'public names':>14}"]
     lines += [
         f"{row['member']:24}{row['files']:8}{row['lines']:8}{row['tokens']:9}{row['public_names']:14}"
         for row in by_member
     ]
-    packages = [package for src in options.src for package in sorted(src.iterdir()) if package.is_dir()]
+    packages = [
+        package for src in options.src for package in sorted(src.iterdir()) if package.is_dir()
+    ]
     lines += ["", f"{'package':44}{'tokens':>8}"]
     lines += [
         f"{f'{package.name}.{name}':44}{count:8}"
         for package in packages
         for name, count in sorted(tokens_by_package(package).items())
     ]
-    lines += ["", f"{'page':44}{'words':>8}", *(f"{page:44}{count:8}" for page, count in words.items())]
+    lines += [
+        "",
+        f"{'page':44}{'words':>8}",
+        *(f"{page:44}{count:8}" for page, count in words.items()),
+    ]
     lines += ["", *(f"{name.replace('_', ' '):34} {value}" for name, value in figures.items())]
     sys.stdout.write("\n".join(lines) + "\n")
 

@@ -1,8 +1,8 @@
 """Bundle three.js into the one script that a report holds.
 
-    npm pack three@0.183.2 esbuild@0.28.2 ...   # any folder with node_modules/three and node_modules/.bin/esbuild
-    python tools/vendor_three.py FOLDER/node_modules
-    python tools/vendor_three.py --check        # is the script here the one that was made?
+    npm pack three@0.183.2 esbuild@0.28.2 ... # any folder with node_modules/three and
+    node_modules/.bin/esbuild python tools/vendor_three.py FOLDER/node_modules python
+    tools/vendor_three.py --check # is the script here the one that was made?
 
 The bundle holds what `report/static/surface.js` uses, as the global name ``THREE``.
 """
@@ -18,19 +18,28 @@ import sys
 import tempfile
 from pathlib import Path
 
-TARGET = Path(__file__).resolve().parents[1] / "packages/splitknit/src/splitknit/report/static/three"
+TARGET = (
+    Path(__file__).resolve().parents[1] / "packages/splitknit/src/splitknit/report/static/three"
+)
 VERSIONS = {"three": "0.183.2", "esbuild": "0.28.2"}
 NAMES = (
-    "AmbientLight BufferAttribute BufferGeometry DirectionalLight DoubleSide Group Line LineBasicMaterial "
-    "Mesh MeshPhongMaterial OrthographicCamera Raycaster Scene Vector2 Vector3 WebGLRenderer"
+    "AmbientLight BufferAttribute BufferGeometry DirectionalLight DoubleSide Group Line"
+    " LineBasicMaterial Mesh MeshPhongMaterial OrthographicCamera Raycaster Scene Vector2 Vector3"
+    " WebGLRenderer"
 )
 
 
 def main() -> int:
     """Make the bundle, or compare it with what was made."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("modules", type=Path, nargs="?", help="a node_modules folder with three and esbuild")
-    parser.add_argument("--check", action="store_true", help="compare the script here with its hash")
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument(
+        "modules", type=Path, nargs="?", help="a node_modules folder with three and esbuild"
+    )
+    parser.add_argument(
+        "--check", action="store_true", help="compare the script here with its hash"
+    )
     options = parser.parse_args()
     if options.check:
         wanted = json.loads((TARGET / "source.json").read_text())["sha256"]
@@ -53,9 +62,16 @@ def bundle(modules: Path) -> None:
         entry = Path(folder) / "entry.js"
         controls = "three/examples/jsm/controls/OrbitControls.js"
         entry.write_text(
-            f'export {{ {", ".join(NAMES.split())} }} from "three";\nexport {{ OrbitControls }} from "{controls}";\n'
+            f'export {{ {", ".join(NAMES.split())} }} from "three";\nexport {{ OrbitControls }}'
+            f' from "{controls}";\n'
         )
-        flags = ["--bundle", "--minify", "--format=iife", "--global-name=THREE", "--legal-comments=none"]
+        flags = [
+            "--bundle",
+            "--minify",
+            "--format=iife",
+            "--global-name=THREE",
+            "--legal-comments=none",
+        ]
         command = [str(modules / ".bin" / "esbuild"), str(entry), *flags, f"--outfile={script}"]
         subprocess.run(command, check=True, cwd=modules.parent)
     shutil.copyfile(modules / "three" / "LICENSE", TARGET / "LICENSE")

@@ -1,4 +1,5 @@
-"""What the three trainings share: stored data, both U-Nets, the loop, and the ONNX file with its card (torch)."""
+"""What the three trainings share: stored data, both U-Nets, the loop, and the ONNX file with its
+card (torch)."""
 
 from __future__ import annotations
 
@@ -23,14 +24,17 @@ from splitknit.workers import run_jobs
 
 FIELDS = 32  # fields that `relief` and `shape` see, the first of a sample
 LAST_RATE = 0.02  # learning rate at the end of a training, relative to its maximum
-MAX_DIFFERENCE = 0.02  # of the exported network, over the output's range: its weights are stored in half precision
+# of the exported network, over the output's range: its weights are stored in half precision
+MAX_DIFFERENCE = 0.02
 
 
-# --- data: one folder a subject, empty where the subject was refused ----------------------------------------------
+# --- data: one folder a subject, empty where the subject was refused
+# ----------------------------------------------
 
 
 def make_data(out, subjects, shoot, workers):
-    """Photograph the `subjects` ((kind, number) each) that `out` lacks, and map the arrays of those not refused.
+    """Photograph the `subjects` ((kind, number) each) that `out` lacks, and map the arrays of those
+    not refused.
 
     `shoot`: function of a module, from kind and number to a list of arrays.
     """
@@ -42,7 +46,11 @@ def make_data(out, subjects, shoot, workers):
     ):
         print(f"data {done} of {len(missing)}: {subject[0]} {subject[1]}", flush=True)
     found = {subject: sorted(folder.glob("*.npy")) for subject, folder in folders.items()}
-    return {subject: [np.load(file, mmap_mode="r") for file in files] for subject, files in found.items() if files}
+    return {
+        subject: [np.load(file, mmap_mode="r") for file in files]
+        for subject, files in found.items()
+        if files
+    }
 
 
 def _store(out, shoot, subject):
@@ -57,20 +65,26 @@ def _store(out, shoot, subject):
     folder.rename(out / "data" / "{}_{:07d}".format(*subject))
 
 
-# --- networks -----------------------------------------------------------------------------------------------------
+# --- networks
+# -----------------------------------------------------------------------------------------------------
 
 
 def _block(before, after, *more):
     return nn.Sequential(
-        nn.Conv2d(before, after, 3, padding=1), nn.ReLU(), nn.Conv2d(after, after, 3, padding=1), nn.ReLU(), *more
+        nn.Conv2d(before, after, 3, padding=1),
+        nn.ReLU(),
+        nn.Conv2d(after, after, 3, padding=1),
+        nn.ReLU(),
+        *more,
     )
 
 
 class ThesisUNet(nn.Module):
     """The U-Net of the thesis (figure 3.19): three encoder blocks, a bridge, three decoder blocks.
 
-    `width`: channels of the first block, which double from block to block; `dropout`: fraction dropped after the last
-    encoder block and the bridge; `start_fraction`: the untrained network returns this fraction of its image.
+    `width`: channels of the first block, which double from block to block; `dropout`: fraction
+    dropped after the last encoder block and the bridge; `start_fraction`: the untrained network
+    returns this fraction of its image.
     """
 
     CHANNELS, DEPTH = 3, 3
@@ -86,7 +100,8 @@ class ThesisUNet(nn.Module):
         )
         self.bridge = _block(widths[-2], widths[-1], *drop)
         self.rise = nn.ModuleList(
-            nn.Sequential(nn.ConvTranspose2d(2 * one, one, 2, stride=2), nn.ReLU()) for one in reversed(widths[:-1])
+            nn.Sequential(nn.ConvTranspose2d(2 * one, one, 2, stride=2), nn.ReLU())
+            for one in reversed(widths[:-1])
         )
         self.decoder = nn.ModuleList(_block(2 * one, one) for one in reversed(widths[:-1]))
         self.last = nn.Conv2d(width, self.CHANNELS, 1)
@@ -126,16 +141,20 @@ class ThesisUNet(nn.Module):
 class FieldsUNet(nn.Module):
     """The U-Net (Ronneberger et al. 2015) of the `metric` networks: it runs on a processor.
 
-    Every level, of `widths` channels, the finest first, is two convolutions; down: maxima over 2 x 2 pixels; up: pixels
-    doubled. Fields are first multiplied by `scale`.
+    Every level, of `widths` channels, the finest first, is two convolutions; down: maxima over 2 x
+    2 pixels; up: pixels doubled. Fields are first multiplied by `scale`.
     """
 
     def __init__(self, widths, scale, outputs):
         super().__init__()
         befores = [len(scale), *widths[:-1]]
         self.widths = widths
-        self.down = nn.ModuleList(_block(before, after) for before, after in zip(befores, widths, strict=True))
-        self.up = nn.ModuleList(_block(fine + coarse, fine) for fine, coarse in reversed(list(pairwise(widths))))
+        self.down = nn.ModuleList(
+            _block(before, after) for before, after in zip(befores, widths, strict=True)
+        )
+        self.up = nn.ModuleList(
+            _block(fine + coarse, fine) for fine, coarse in reversed(list(pairwise(widths)))
+        )
         self.out = nn.Conv2d(widths[0], outputs, 1)
         self.register_buffer("scale", torch.from_numpy(scale))
 
@@ -148,20 +167,27 @@ class FieldsUNet(nn.Module):
         kept.pop()
         for stage, coarse in zip(self.up, reversed(self.widths[1:]), strict=True):
             image = nn.functional.interpolate(image, scale_factor=2, mode="nearest")
-            # beside what the level had: two sums instead of joined maps, which take a third of all memory
+            # beside what the level had: two sums instead of joined maps, which take a third of all
+            # memory
             weight, bias = (part.float() for part in (stage[0].weight, stage[0].bias))
             above = nn.functional.conv2d(image, weight[:, :coarse], padding=1)
-            image = stage[1:](above + nn.functional.conv2d(kept.pop(), weight[:, coarse:], bias, padding=1))
+            image = stage[1:](
+                above + nn.functional.conv2d(kept.pop(), weight[:, coarse:], bias, padding=1)
+            )
         return self.out(image)
 
 
-# --- the loop -----------------------------------------------------------------------------------------------------
+# --- the loop
+# -----------------------------------------------------------------------------------------------------
 
 
 class Training:
-    """A network in training (AdamW); on a processor the same data, seed and threads give the same weights."""
+    """A network in training (AdamW); on a processor the same data, seed and threads give the same
+    weights."""
 
-    def __init__(self, build, *, seed, threads, device, mixed, weight_decay=0.0, gradient_limit=None):
+    def __init__(
+        self, build, *, seed, threads, device, mixed, weight_decay=0.0, gradient_limit=None
+    ):
         """Draw the weights; `mixed`: bfloat16 products, float32 weights and sums."""
         torch.set_num_threads(threads)
         torch.manual_seed(seed)
@@ -171,7 +197,9 @@ class Training:
         self.optimiser = torch.optim.AdamW(self.network.parameters(), weight_decay=weight_decay)
 
     def tensor(self, array):
-        return torch.from_numpy(np.ascontiguousarray(array)).to(self.device, memory_format=torch.channels_last)
+        return torch.from_numpy(np.ascontiguousarray(array)).to(
+            self.device, memory_format=torch.channels_last
+        )
 
     def forward(self, images):
         with torch.autocast(self.device, dtype=torch.bfloat16, enabled=self.mixed):
@@ -182,7 +210,12 @@ class Training:
         """(n, H, W) or (N, n, H, W) through the network as it is, in single precision."""
         self.network.eval()
         with torch.no_grad():
-            made = self.network(self.tensor(images if images.ndim == 4 else images[None])).float().cpu().numpy()
+            made = (
+                self.network(self.tensor(images if images.ndim == 4 else images[None]))
+                .float()
+                .cpu()
+                .numpy()
+            )
         return made if images.ndim == 4 else made[0]
 
     def step(self, loss, learning_rate):
@@ -204,20 +237,27 @@ def report(out, rows, row):
     print(", ".join(f"{name} {value:.4g}" for name, value in row.items()), flush=True)
 
 
-# --- relief and shape: patches of samples (channels, h, w), fields first, the weight last -------------------------
+# --- relief and shape: patches of samples (channels, h, w), fields first, the weight last
+# -------------------------
 
 
 def draw_patch(task, samples, whole, rng):
-    """(channels, side, side) anywhere in any sample that holds enough skin; zero where it reaches over the sample."""
+    """(channels, side, side) anywhere in any sample that holds enough skin; zero where it reaches
+    over the sample."""
     side, beyond = task.patch_px, task.beyond_px
     while True:
         pool = whole if len(whole) > 0 and rng.random() < task.whole_share else samples
         sample = pool[int(rng.integers(len(pool)))]
-        corner = [int(rng.integers(-beyond, max(1 - beyond, length - side + beyond))) for length in sample.shape[1:]]
+        corner = [
+            int(rng.integers(-beyond, max(1 - beyond, length - side + beyond)))
+            for length in sample.shape[1:]
+        ]
         window = tuple(slice(max(start, 0), max(start + side, 0)) for start in corner)
         part = np.asarray(sample[(slice(None), *window)], dtype=np.float32)
         before = [max(-start, 0) for start in corner]
-        beside = [(low, side - low - length) for low, length in zip(before, part.shape[1:], strict=True)]
+        beside = [
+            (low, side - low - length) for low, length in zip(before, part.shape[1:], strict=True)
+        ]
         patch = np.pad(part, ((0, 0), *beside))
         if patch[-1].mean() >= task.min_weight:
             return patch
@@ -237,19 +277,29 @@ def draw_batch(task, samples, whole, iteration):
 
 
 def field_scale(task, samples, whole):
-    """(32,) factors that bring the fields to about one scale: one over their standard deviation in a few patches."""
+    """(32,) factors that bring the fields to about one scale: one over their standard deviation in
+    a few patches."""
     rng = np.random.default_rng(np.random.SeedSequence([0, 0x5C]))
     drawn = [draw_patch(task, samples, whole, rng)[:FIELDS] for _ in range(task.scale_patches)]
-    return np.asarray(1.0 / np.maximum(np.stack(drawn).std(axis=(0, 2, 3)), task.min_deviation), dtype=np.float32)
+    return np.asarray(
+        1.0 / np.maximum(np.stack(drawn).std(axis=(0, 2, 3)), task.min_deviation), dtype=np.float32
+    )
 
 
-def train_fields(task, out, command, samples, held_out, *, whole=(), iterations, threads=1, device="cpu"):
+def train_fields(
+    task, out, command, samples, held_out, *, whole=(), iterations, threads=1, device="cpu"
+):
     """Train `relief` or `shape` (a `Task` of their scripts), and write it into `out`."""
     scale = field_scale(task, samples, whole)
     training = Training(
-        lambda: FieldsUNet(task.widths, scale, task.outputs), seed=0, threads=threads, device=device, mixed=True,
-        weight_decay=task.weight_decay, gradient_limit=5.0,
-    )  # fmt: skip
+        lambda: FieldsUNet(task.widths, scale, task.outputs),
+        seed=0,
+        threads=threads,
+        device=device,
+        mixed=True,
+        weight_decay=task.weight_decay,
+        gradient_limit=5.0,
+    )
     rows, losses = [], []
     stride = 2 ** (len(task.widths) - 1)
     for iteration in range(iterations):
@@ -268,20 +318,31 @@ def train_fields(task, out, command, samples, held_out, *, whole=(), iterations,
             losses = []
     facts = {
         "command": command,
-        "training": {"iterations": iterations, "batch": task.batch, "patch_px": task.patch_px, "threads": threads},
+        "training": {
+            "iterations": iterations,
+            "batch": task.batch,
+            "patch_px": task.patch_px,
+            "threads": threads,
+        },
         "data": {"samples": len(samples), "whole_fingers": len(whole)},
-        "metrics": {"held_out": f"{len(held_out)} simulated fingers not trained on{task.held_out}",
-                    "mean": {name: round(value, 4) for name, value in means.items()}},
+        "metrics": {
+            "held_out": f"{len(held_out)} simulated fingers not trained on{task.held_out}",
+            "mean": {name: round(value, 4) for name, value in means.items()},
+        },
         "architecture": f"U-Net of {len(task.widths)} levels, widths {', '.join(map(str, task.widths))}",
-    }  # fmt: skip
-    write_network(out, task.name, training, task.what, (FIELDS, task.outputs), len(task.widths) - 1, facts)
+    }
+    write_network(
+        out, task.name, training, task.what, (FIELDS, task.outputs), len(task.widths) - 1, facts
+    )
 
 
-# --- the file -----------------------------------------------------------------------------------------------------
+# --- the file
+# -----------------------------------------------------------------------------------------------------
 
 
 def reach(depth):
-    """How far beyond a stretch that begins on the stride's grid an input can change the network's result, in pixels."""
+    """How far beyond a stretch that begins on the stride's grid an input can change the network's
+    result, in pixels."""
     pixels = 0
     for _ in range(depth):  # decoder, from fine to coarse
         pixels = -(-(pixels + 2) // 2)
@@ -292,7 +353,8 @@ def reach(depth):
 
 
 class _Halved(nn.Module):
-    """A convolution whose weights are stored in half precision and computed with in single: 0.05 % at most."""
+    """A convolution whose weights are stored in half precision and computed with in single: 0.05 %
+    at most."""
 
     def __init__(self, layer):
         super().__init__()
@@ -303,7 +365,9 @@ class _Halved(nn.Module):
         self.convolve = nn.functional.conv_transpose2d if rising else nn.functional.conv2d
 
     def forward(self, image):
-        return self.convolve(image, self.weight.float(), self.bias.float(), stride=self.stride, padding=self.padding)
+        return self.convolve(
+            image, self.weight.float(), self.bias.float(), stride=self.stride, padding=self.padding
+        )
 
 
 def onnx_bytes(network, channels, stride):
@@ -316,12 +380,19 @@ def onnx_bytes(network, channels, stride):
     axes = {0: "images", 2: "rows", 3: "columns"}
     buffer = io.BytesIO()
     with warnings.catch_warnings(), torch.no_grad():
-        warnings.simplefilter("ignore")  # of the older exporter, which needs no further packages, that it is older
+        # of the older exporter, which needs no further packages, that it is older
+        warnings.simplefilter("ignore")
         torch.onnx.export(
-            stored, (torch.zeros(1, channels, 8 * stride, 8 * stride),), buffer, dynamo=False, input_names=["image"],
-            output_names=["direct"], dynamic_axes={"image": axes, "direct": axes}, opset_version=17,
+            stored,
+            (torch.zeros(1, channels, 8 * stride, 8 * stride),),
+            buffer,
+            dynamo=False,
+            input_names=["image"],
+            output_names=["direct"],
+            dynamic_axes={"image": axes, "direct": axes},
+            opset_version=17,
             do_constant_folding=False,
-        )  # fmt: skip
+        )
     return buffer.getvalue()
 
 
@@ -329,9 +400,13 @@ def write_network(out, name, training, what, channels, depth, facts):  # noqa: P
     """Write `NAME.onnx` and its card; check that onnxruntime computes what torch does."""
     weights = onnx_bytes(training.network, channels[0], 2**depth)
     head = {
-        "channels_in": channels[0], "channels_out": channels[1], "stride": 2**depth, "reach": reach(depth),
-        "what": what, "licence": "Apache-2.0",
-    }  # fmt: skip
+        "channels_in": channels[0],
+        "channels_out": channels[1],
+        "stride": 2**depth,
+        "reach": reach(depth),
+        "what": what,
+        "licence": "Apache-2.0",
+    }
     file = out / f"{name}.onnx"
     file.write_bytes(weights)
     file.with_suffix(".json").write_bytes(card_bytes(name, weights, {**head, **facts}))
@@ -340,5 +415,7 @@ def write_network(out, name, training, what, channels, depth, facts):  # noqa: P
     made, wanted = run_network(network_of(*read_network(file)), probe), training.run(probe)
     difference = float(np.abs(made - wanted).max() / np.abs(wanted).max())
     if difference > MAX_DIFFERENCE:
-        raise SystemExit(f"the exported network differs from the trained one by {100 * difference:.2g} %.")
+        raise SystemExit(
+            f"the exported network differs from the trained one by {100 * difference:.2g} %."
+        )
     print(f"{file}: {len(weights)} bytes")

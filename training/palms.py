@@ -1,7 +1,8 @@
-"""A patch of a palm: the skin of fingers with flatter relief, coarser ridges and lines, gently curved.
+"""A patch of a palm: the skin of fingers with flatter relief, coarser ridges and lines, gently
+curved.
 
-The thesis trains its separation on palms, whose skin is that of fingers and which fill the picture. A palm here is a
-patch under an orthographic camera, its ridges displaced along the shape's normal.
+The thesis trains its separation on palms, whose skin is that of fingers and which fill the picture.
+A palm here is a patch under an orthographic camera, its ridges displaced along the shape's normal.
 """
 
 from __future__ import annotations
@@ -16,15 +17,22 @@ from scipy.interpolate import RectBivariateSpline
 
 from splitknit.errors import require
 from splitknit.model import Camera, FloatArray
-from splitknit_simulator.finger.master_print import MasterPrintSettings, ridge_profile, scatter_pores, twice_as_fine
+from splitknit_simulator.finger.master_print import (
+    MasterPrintSettings,
+    ridge_profile,
+    scatter_pores,
+    twice_as_fine,
+)
 from splitknit_simulator.finger.ridges import grow_ridges, smooth_noise
 from splitknit_simulator.surface import Array, SimulatedSurface
 
 STEP_MM = 0.25  # distance between the points of a line
-TOGETHER = 3.0  # exponent of the norm that joins grooves: deeper than each where they cross, less than their sum
+# exponent of the norm that joins grooves: deeper than each where they cross, less than their sum
+TOGETHER = 3.0
 
 
-# Lines of the palm: principal lines and wrinkles, wide, tapering and branching, as grooves on a map.
+# Lines of the palm: principal lines and wrinkles, wide, tapering and branching, as grooves on a
+# map.
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -45,8 +53,9 @@ def _draw_lines(
     principal_depth_mm: float,
     wrinkle_depth_mm: float,
 ) -> list[_PalmLine]:
-    """Draw the lines of one palm, each through a place inside the map, branches after their stems; `principal` and
-    `wrinkles` count the stems, and every line varies about the typical depths by about a third.
+    """Draw the lines of one palm, each through a place inside the map, branches after their stems;
+    `principal` and `wrinkles` count the stems, and every line varies about the typical depths by
+    about a third.
     """
     lines: list[_PalmLine] = []
     main = rng.uniform(0.0, np.pi)
@@ -56,7 +65,9 @@ def _draw_lines(
         depth = principal_depth_mm * np.exp(0.3 * np.clip(rng.standard_normal(), -2, 2))
         length = rng.uniform(0.9, 1.8) * max(half_size_mm) * 2.0
         width, depth = rng.uniform(0.28, 0.5), min(depth, 0.3)
-        lines += _stem(rng, through, heading, length=length, depth=depth, width=width, generations=2)
+        lines += _stem(
+            rng, through, heading, length=length, depth=depth, width=width, generations=2
+        )
     # wrinkles keep to two directions, as folds of the skin do
     folds = rng.uniform(0.0, np.pi, 2)
     for _ in range(wrinkles):
@@ -65,7 +76,9 @@ def _draw_lines(
         depth = wrinkle_depth_mm * np.exp(0.5 * np.clip(rng.standard_normal(), -2, 2))
         length = float(np.clip(7.0 * np.exp(0.6 * rng.standard_normal()), 2.0, 25.0))
         width = max(rng.uniform(0.09, 0.2), 1.3 * depth)
-        lines += _stem(rng, through, heading, length=length, depth=depth, width=width, generations=1)
+        lines += _stem(
+            rng, through, heading, length=length, depth=depth, width=width, generations=1
+        )
     return lines
 
 
@@ -96,7 +109,11 @@ def _stem(
     lines = [line]
     for _ in range(int(rng.poisson(length / 9.0)) if generations else 0):
         at = int(rng.uniform(0.12, 0.88) * count)
-        aside = angle[at] + rng.choice((-1.0, 1.0)) * rng.uniform(0.25, 0.8) + (np.pi if rng.random() < 0.3 else 0.0)
+        aside = (
+            angle[at]
+            + rng.choice((-1.0, 1.0)) * rng.uniform(0.25, 0.8)
+            + (np.pi if rng.random() < 0.3 else 0.0)
+        )
         fraction = rng.uniform(0.3, 0.75)
         lines += _stem(
             rng,
@@ -113,7 +130,9 @@ def _stem(
 
 def _wander(knots: Array, step: int, count: int) -> Array:
     """(count,) values between `knots`, which are `step` points apart."""
-    return np.asarray(np.interp(np.arange(count), step * np.arange(knots.size), knots), dtype=np.float64)
+    return np.asarray(
+        np.interp(np.arange(count), step * np.arange(knots.size), knots), dtype=np.float64
+    )
 
 
 def _groove_map(lines: list[_PalmLine], x_mm: Array, y_mm: Array) -> Array:
@@ -127,7 +146,12 @@ def _groove_map(lines: list[_PalmLine], x_mm: Array, y_mm: Array) -> Array:
         x, y, depth, width = _dense(line)
         column, row = (x - x_mm[0]) / pitch, (y_mm[0] - y) / pitch
         reach = int(np.ceil(3.5 * width.max() / pitch))
-        seen = (column > -reach) & (column < x_mm.size + reach) & (row > -reach) & (row < y_mm.size + reach)
+        seen = (
+            (column > -reach)
+            & (column < x_mm.size + reach)
+            & (row > -reach)
+            & (row < y_mm.size + reach)
+        )
         if not seen.any():
             continue
         column, row, depth, width = column[seen], row[seen], depth[seen], width[seen] / pitch
@@ -177,11 +201,17 @@ class _PalmShape:
         cosine, sine = np.cos(self.axis_rad), np.sin(self.axis_rad)
         u, v = cosine * x + sine * y, cosine * y - sine * x
         first, second = self.curvature_per_mm
-        height = self.tilt[0] * x + self.tilt[1] * y - 0.5 * (first * u**2 + second * v**2) - self.top_mm
+        height = (
+            self.tilt[0] * x + self.tilt[1] * y - 0.5 * (first * u**2 + second * v**2) - self.top_mm
+        )
         slope_x = self.tilt[0] - first * u * cosine + second * v * sine
         slope_y = self.tilt[1] - first * u * sine - second * v * cosine
         for px, py, rise, sigma in self.pads:
-            bump = rise * np.exp(-0.5 * ((x - px) / sigma) ** 2) * np.exp(-0.5 * ((y - py) / sigma) ** 2)
+            bump = (
+                rise
+                * np.exp(-0.5 * ((x - px) / sigma) ** 2)
+                * np.exp(-0.5 * ((y - py) / sigma) ** 2)
+            )
             height = height + bump
             slope_x = slope_x - bump * (x - px) / sigma**2
             slope_y = slope_y - bump * (y - py) / sigma**2
@@ -217,17 +247,22 @@ _RIDGE_DEPTH_UM = (20.0, 60.0)  # mean height of ridges over valleys: flatter th
 _DELTA_SHARE = 0.15  # fraction of the patches that hold a triradius
 _PRINCIPAL, _WRINKLES = (0, 3), (10, 60)  # principal lines and finer ones in the patch, inclusive
 _RADIUS_MM = (35.0, 150.0)  # radii of curvature along the patch's two axes
-_PERIOD_VARIATION = 0.06  # relative standard deviation of the ridge period within a palm, over distances of about 5 mm
-_TURN_PER_MM = 0.02  # standard deviation of the steady turn of the ridges' direction, rad/mm, along each axis
-_PRINCIPAL_UM, _WRINKLE_UM = (90.0, 280.0), (18.0, 50.0)  # depth of the principal lines and of the finer ones
+# relative standard deviation of the ridge period within a palm, over distances of about 5 mm
+_PERIOD_VARIATION = 0.06
+# standard deviation of the steady turn of the ridges' direction, rad/mm, along each axis
+_TURN_PER_MM = 0.02
+# depth of the principal lines and of the finer ones
+_PRINCIPAL_UM, _WRINKLE_UM = (90.0, 280.0), (18.0, 50.0)
 _DARKENING = (0.05, 0.25)  # loss of diffuse reflectance at the bottom of a line of 0.2 mm
-_MOTTLING = (0.01, 0.06)  # standard deviation of the blotches' diffuse reflectance, over distances of about 2 mm
+# standard deviation of the blotches' diffuse reflectance, over distances of about 2 mm
+_MOTTLING = (0.01, 0.06)
 FLATTENED_MM = 0.12  # ridges flatten inside grooves of about this depth
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Palm:
-    """One patch, all of it drawn. Axes as in the camera's frame: x right, y up, origin in the middle."""
+    """One patch, all of it drawn. Axes as in the camera's frame: x right, y up, origin in the
+    middle."""
 
     period_mm: float  # mean ridge period
     ridge_depth_um: float  # mean height of ridges over valleys
@@ -242,15 +277,21 @@ class _Palm:
 def draw_palm(seed: int) -> _Palm:
     """Draw one patch of a palm; the same seed gives the same bytes.
 
-    Ashbaugh 1999, Quantitative-qualitative friction ridge analysis (palmar ridges, flexion creases, white lines).
+    Ashbaugh 1999, Quantitative-qualitative friction ridge analysis (palmar ridges, flexion creases,
+    white lines).
     """
-    draws = [np.random.default_rng(child) for child in np.random.SeedSequence([seed, 0xBA1]).spawn(7)]
+    draws = [
+        np.random.default_rng(child) for child in np.random.SeedSequence([seed, 0xBA1]).spawn(7)
+    ]
     pick = draws[0]
     period = float(pick.uniform(*_PERIOD_MM))
     depth_um = float(pick.uniform(*_RIDGE_DEPTH_UM))
     darkening, mottling = float(pick.uniform(*_DARKENING)), float(pick.uniform(*_MOTTLING))
-    pitch = 2.0 * PITCH_MM  # of coarse axes, whose lengths suit the Fourier transform and cover the patch
-    width, height = (scipy.fft.next_fast_len(int(np.ceil(s / pitch)) + 1, real=True) for s in SIZE_MM)
+    # of coarse axes, whose lengths suit the Fourier transform and cover the patch
+    pitch = 2.0 * PITCH_MM
+    width, height = (
+        scipy.fft.next_fast_len(int(np.ceil(s / pitch)) + 1, real=True) for s in SIZE_MM
+    )
     x_mm, y_mm = _centred(width, pitch), -_centred(height, pitch)
     angle = _direction(draws[1], x_mm, y_mm)
     wave = twice_as_fine(_ridges(draws[2], angle, period))
@@ -273,9 +314,13 @@ def draw_palm(seed: int) -> _Palm:
     flatten = np.exp(-((groove / FLATTENED_MM) ** 2))
     relief = -groove - 1e-3 * depth_um * uneven * (1.0 - ridge) * (0.2 + 0.8 * flatten)
     relief -= 1e-3 * 0.35 * depth_um * pores * flatten
-    blotches = 1.0 + mottling * np.clip(smooth_noise(draws[5], wave.shape, 2.0 / PITCH_MM), -2.5, 2.5)
+    blotches = 1.0 + mottling * np.clip(
+        smooth_noise(draws[5], wave.shape, 2.0 / PITCH_MM), -2.5, 2.5
+    )
     broad = cv2.GaussianBlur(groove, (0, 0), 0.1 / PITCH_MM)
-    pigment = blotches * (1.0 - darkening * np.minimum(broad / 0.2, 1.5)) * (1.0 - 0.04 * pores * flatten)
+    pigment = (
+        blotches * (1.0 - darkening * np.minimum(broad / 0.2, 1.5)) * (1.0 - 0.04 * pores * flatten)
+    )
     return _Palm(
         period,
         depth_um,
@@ -297,7 +342,9 @@ def palm_surface(palm: _Palm, camera: Camera) -> SimulatedSurface:
     x, y = _centred(columns, camera.pitch_mm), -_centred(rows, camera.pitch_mm)
     height, slope_x, slope_y = palm.shape.on_grid(x, y)
     # splines want rising axes: the patch is turned upside down, and so is what comes out
-    spline = RectBivariateSpline(palm.y_mm[::-1], palm.x_mm, palm.relief_mm[::-1].astype(np.float64))
+    spline = RectBivariateSpline(
+        palm.y_mm[::-1], palm.x_mm, palm.relief_mm[::-1].astype(np.float64)
+    )
     inside = (x >= palm.x_mm[0]) & (x <= palm.x_mm[-1])
     seen = ((y >= palm.y_mm[-1]) & (y <= palm.y_mm[0]))[:, None] & inside[None, :]
 
@@ -305,10 +352,13 @@ def palm_surface(palm: _Palm, camera: Camera) -> SimulatedSurface:
         return np.asarray(of(y[::-1], x, dx=dy, dy=dx)[::-1])
 
     relief = sample(spline)
-    # displacement along the shape's normal raises the height by 1 / nz, and the patch is gently curved
+    # displacement along the shape's normal raises the height by 1 / nz, and the patch is gently
+    # curved
     rise = np.sqrt(1.0 + slope_x**2 + slope_y**2)
     skin_x, skin_y = slope_x + sample(spline, 0, 1) * rise, slope_y + sample(spline, 1, 0) * rise
-    pigment = RectBivariateSpline(palm.y_mm[::-1], palm.x_mm, palm.pigment[::-1].astype(np.float64), kx=1, ky=1)
+    pigment = RectBivariateSpline(
+        palm.y_mm[::-1], palm.x_mm, palm.pigment[::-1].astype(np.float64), kx=1, ky=1
+    )
     return SimulatedSurface(
         camera=camera,
         height_mm=_where(seen, height + relief * rise, np.nan),
@@ -318,7 +368,11 @@ def palm_surface(palm: _Palm, camera: Camera) -> SimulatedSurface:
         relief_um=_where(seen, 1e3 * relief, 0.0),
         mask=seen,
         pigment=_where(seen, sample(pigment), 1.0),
-        landmarks={"pattern": "palm", "period_mm": palm.period_mm, "ridge_depth_um": palm.ridge_depth_um},
+        landmarks={
+            "pattern": "palm",
+            "period_mm": palm.period_mm,
+            "ridge_depth_um": palm.ridge_depth_um,
+        },
     )
 
 

@@ -2,13 +2,14 @@
 
     python training/relief.py --out DIR [--prints FOLDER]       # an hour or two on two cores, 13 GB
 
-What photometric stereo leaves of the light of skin is split by how it turns with the light's azimuth
-(`splitknit.skin.learned`); the network learns on simulated fingers what of it is relief and what is specular
-reflection (glare). A whole finger is found and cut out as in any reconstruction, its smooth shape mixed from the true
-one and the first round's. A piece of a finger takes a tenth of the time; its smooth shape is the true one, in error.
+What photometric stereo leaves of the light of skin is split by how it turns with the light's
+azimuth (`splitknit.skin.learned`); the network learns on simulated fingers what of it is relief and
+what is specular reflection (glare). A whole finger is found and cut out as in any reconstruction,
+its smooth shape mixed from the true one and the first round's. A piece of a finger takes a tenth of
+the time; its smooth shape is the true one, in error.
 
-The shipped weights are a mean over several runs on older simulators too (see the card): the command repeats the recipe,
-not the bytes.
+The shipped weights are a mean over several runs on older simulators too (see the card): the command
+repeats the recipe, not the bytes.
 """
 
 from __future__ import annotations
@@ -43,7 +44,13 @@ from splitknit.presets import preset_settings
 from splitknit.skin.grid import COARSE_PITCH_MM, BandImages, Grid, coarsen
 from splitknit.skin.images import skin_images
 from splitknit.skin.learned import GLARE as GLARE_UNIT
-from splitknit.skin.learned import RELIEF_MM, RELIEF_SYMMETRY, RIDGE_BAND_MM, azimuth_waves, features
+from splitknit.skin.learned import (
+    RELIEF_MM,
+    RELIEF_SYMMETRY,
+    RIDGE_BAND_MM,
+    azimuth_waves,
+    features,
+)
 from splitknit.skin.light import fine_lighting, slant_of, trust_of
 from splitknit.skin.shape import coarse_images, coarse_shape, on_fine_grid
 from splitknit_simulator.camera.sensor import record
@@ -53,24 +60,31 @@ from splitknit_simulator.light.renderer import RenderSettings, render_band
 FINGERS, FIRST = 160, 7000  # that pieces come from
 WHOLE, FIRST_WHOLE = 116, 5000
 HELD_OUT, ITERATIONS = 6, 7200
-CROPS, CROP_PX = 5, 420  # pieces of each finger, every one with its own skin, lights and exposure; side as rendered
+# pieces of each finger, every one with its own skin, lights and exposure; side as rendered
+CROPS, CROP_PX = 5, 420
 SCALE, OTHER_SCALE = 0.5, (0.38, 0.62)  # size of the images, and of a part of them
 RELIEF, GLARE, WEIGHT = 32, slice(33, 40), 40
-"""In a sample, in the network's units: relief; glare, its waves over azimuth (1, cos a, ..., sin 3a); weight."""
+"""In a sample, in the network's units: relief; glare, its waves over azimuth (1, cos a, ..., sin
+3a); weight."""
 MAX_RELIEF = np.float32(10.0)  # relief beyond this many units (0.2 mm) is none
 MAX_GLARE = np.float32(3.0)  # times the green level: more hides the skin, whatever it is
-TRIM_PX = 60  # rim of a piece that is rendered but not kept: light from beyond the piece is missing there
-MIN_SKIN, MIN_WEIGHT = 0.35, 0.2  # pieces with less skin are not rendered, with less weight not kept
-BRIGHTEST, EXPOSURE = 0.72, (0.55, 1.05)  # brightest diffuse light of a piece over full scale, times a factor
+# rim of a piece that is rendered but not kept: light from beyond the piece is missing there
+TRIM_PX = 60
+# pieces with less skin are not rendered, with less weight not kept
+MIN_SKIN, MIN_WEIGHT = 0.35, 0.2
+# brightest diffuse light of a piece over full scale, times a factor
+BRIGHTEST, EXPOSURE = 0.72, (0.55, 1.05)
 BLUR_PX, BLURRED = (0.3, 1.2), 0.25  # standard deviation of the defocus of a fraction of the pieces
-SMOOTH_ERROR = (0.5, 0.06, 0.06, 0.01, 0.01, 0.01)  # of a shift (mm), slopes along both axes, three bends (1/mm)
+# of a shift (mm), slopes along both axes, three bends (1/mm)
+SMOOTH_ERROR = (0.5, 0.06, 0.06, 0.01, 0.01, 0.01)
 JUDGED_PX = 512  # side of the middle part of a finger on which the network is evaluated
 UNIT_UM = 1000.0 * float(RELIEF_MM)
 VARIANCE_LIMITS = (-6.0, 4.0)  # of the logarithm of the relief's variance, in the network's unit
 
 
 def training_sample(number, prints=None):
-    """Fields, relief, glare and weight (41, h, w) float16 of the finger `number`; BadInput if it is refused."""
+    """Fields, relief, glare and weight (41, h, w) float16 of the finger `number`; BadInput if it is
+    refused."""
     rng = np.random.default_rng([number, 77])
     scale = float(rng.uniform(*OTHER_SCALE)) if rng.random() < 0.25 else SCALE
     finger, rig, twin = draw_scene(number, rng, scale, prints)
@@ -81,7 +95,9 @@ def training_sample(number, prints=None):
     grid, bands, binning = skin_images(capture, lit, located.window, located.inside)
     images = coarse_images(bands, grid, settings.metric.plane_mm)
     optics = settings.skin.optics(images.channels)
-    found = on_fine_grid(coarse_shape(images, optics, settings.metric.coarse_steps).height_mm, images)
+    found = on_fine_grid(
+        coarse_shape(images, optics, settings.metric.coarse_steps).height_mm, images
+    )
     on_grid = TruthOnGrid(truth, located.window, grid, binning)
     true = on_grid.shape_mm()
     level = true[grid.mask].mean(dtype=np.float64)
@@ -112,7 +128,8 @@ def _assembled(white, grid, surface_mm, truth):
 
 
 def _light_on(rig, grid, surface_mm):
-    """Lights on a smooth surface of the fine grid, by way of the coarse one as in a reconstruction."""
+    """Lights on a smooth surface of the fine grid, by way of the coarse one as in a
+    reconstruction."""
     factor = max(1, round(COARSE_PITCH_MM / grid.pitch_mm))
     low = coarsen(grid, factor)
     rows, columns = low.shape
@@ -122,7 +139,8 @@ def _light_on(rig, grid, surface_mm):
 
 
 def training_crops(number, prints=None):
-    """Samples (n, 41, h, w) of pieces of the finger `number`; BadInput if none holds enough skin."""
+    """Samples (n, 41, h, w) of pieces of the finger `number`; BadInput if none holds enough
+    skin."""
     rng = np.random.default_rng([number, 78])
     scale = SCALE if rng.random() < 0.7 else float(rng.uniform(*OTHER_SCALE))
     finger = draw_finger_of(number, rng, prints)
@@ -144,14 +162,18 @@ def training_crops(number, prints=None):
         sample = _piece(textured(surface, rng), window, skin, rig, scale, (number, piece), rng)
         if sample[WEIGHT].mean(dtype=np.float32) >= MIN_WEIGHT:
             found.append(sample)
-    require(len(found) > 0, f"not one piece of {CROP_PX} pixels of finger {number} holds enough skin.")
+    require(
+        len(found) > 0, f"not one piece of {CROP_PX} pixels of finger {number} holds enough skin."
+    )
     return np.stack(found)
 
 
 def _piece(surface, window, skin, rig, scale, name, rng):  # noqa: PLR0917
     mask = np.zeros_like(surface.mask)
     mask[window] = surface.mask[window]
-    light = render_band(replace(surface, mask=mask), rig.leds, skin.medium("white"), RenderSettings(workers=1))
+    light = render_band(
+        replace(surface, mask=mask), rig.leds, skin.medium("white"), RenderSettings(workers=1)
+    )
     diffuse, glare = (_placed(part, light, window) for part in (light.diffuse, light.glare))
     inside = mask[window]
     brightest = max(float(np.percentile(diffuse[:, :, inside], 99.5)), 1e-12)
@@ -162,7 +184,9 @@ def _piece(surface, window, skin, rig, scale, name, rng):  # noqa: PLR0917
         frame = np.moveaxis((diffuse[k] + glare[k]) * exposure, 0, -1)
         if blur_px > 0:
             frame = cv2.GaussianBlur(frame, (0, 0), blur_px)
-        stored = record(np.ascontiguousarray(frame), "white", np.random.SeedSequence([*name, k]), sensor, scale)
+        stored = record(
+            np.ascontiguousarray(frame), "white", np.random.SeedSequence([*name, k]), sensor, scale
+        )
         images.append(np.moveaxis(stored.astype(np.float32) / np.float32(255), -1, 0))
     white = BandImages(("red", "green", "blue"), np.stack(images, axis=1), rig)
     pitch_mm = rig.camera.pitch_mm
@@ -171,15 +195,23 @@ def _piece(surface, window, skin, rig, scale, name, rng):  # noqa: PLR0917
     y = ((height - 1) / 2 - np.arange(rows.start, rows.stop)) * pitch_mm
     grid = Grid(np.ascontiguousarray(inside), x, y, pitch_mm, (False,) * 4)
     heights, shape = surface.height_mm[window], surface.shape_mm[window]
-    truth = {"mask": inside, "height_mm": heights, "shape_mm": shape, "glare_white": glare * exposure}
+    truth = {
+        "mask": inside,
+        "height_mm": heights,
+        "shape_mm": shape,
+        "glare_white": glare * exposure,
+    }
     on_grid = TruthOnGrid(truth, (slice(None), slice(None)), grid, 1)
     sample = _assembled(white, grid, on_grid.shape_mm() + _smooth_error(rng, grid), on_grid)
     return np.ascontiguousarray(sample[:, TRIM_PX:-TRIM_PX, TRIM_PX:-TRIM_PX])
 
 
 def _placed(light, band, window):
-    """Rendered light (..., h, w), whose own window is that of the skin, on the piece; zero around it."""
-    piece = np.zeros((*light.shape[:-2], *(part.stop - part.start for part in window)), dtype=np.float32)
+    """Rendered light (..., h, w), whose own window is that of the skin, on the piece; zero around
+    it."""
+    piece = np.zeros(
+        (*light.shape[:-2], *(part.stop - part.start for part in window)), dtype=np.float32
+    )
     into, source = [...], [...]
     for own, part in zip(band.window, window, strict=True):
         low, high = max(own.start, part.start), min(own.stop, part.stop)
@@ -193,14 +225,17 @@ def _smooth_error(rng, grid):
     """A random smooth error (h, w) of a shape, mm."""
     x, y = np.meshgrid(grid.x_mm - grid.x_mm.mean(), grid.y_mm - grid.y_mm.mean())
     terms = (np.ones_like(x), x, y, x * x, y * y, x * y)
-    total = sum(rng.normal(0, spread) * term for spread, term in zip(SMOOTH_ERROR, terms, strict=True))
+    total = sum(
+        rng.normal(0, spread) * term for spread, term in zip(SMOOTH_ERROR, terms, strict=True)
+    )
     return np.asarray(total, dtype=np.float32)
 
 
 def relief_loss(made, batch):
-    """Loss of `made` (B, 9, h, w), means over the pixels that count: squared error of heights; of their differences,
-    where ridges outweigh what is wide; negative log-likelihood of the error (fixed, so that no height gets worse) under
-    the estimated variance; squared error of the glare's waves.
+    """Loss of `made` (B, 9, h, w), means over the pixels that count: squared error of heights; of
+    their differences, where ridges outweigh what is wide; negative log-likelihood of the error
+    (fixed, so that no height gets worse) under the estimated variance; squared error of the glare's
+    waves.
     """
     weight = batch[:, WEIGHT]
     count = weight.sum() + 1.0
@@ -217,17 +252,21 @@ def relief_loss(made, batch):
 
 
 def judge(run, sample, stride):
-    """Figures of the middle of a finger: correlation, gain and rms error of the relief, explained power of the glare;
-    ``error_ratio``: over the expected error.
+    """Figures of the middle of a finger: correlation, gain and rms error of the relief, explained
+    power of the glare; ``error_ratio``: over the expected error.
     """
     sides = np.minimum(JUDGED_PX, np.array(sample.shape[1:]) // stride * stride)
     starts = (np.array(sample.shape[1:]) - sides) // 2
-    rows, columns = (slice(int(start), int(start + side)) for start, side in zip(starts, sides, strict=True))
+    rows, columns = (
+        slice(int(start), int(start + side)) for start, side in zip(starts, sides, strict=True)
+    )
     sample = np.asarray(sample[:, rows, columns], dtype=np.float32)
     made, counts = run(sample[:32]), sample[WEIGHT] > 0.5
     if not counts.any():
         return dict.fromkeys(("correlation", "gain", "rms_um", "error_ratio", "glare_r2"), math.nan)
-    drawn, truth = (np.asarray(field[counts], dtype=np.float64) for field in (made[0], sample[RELIEF]))
+    drawn, truth = (
+        np.asarray(field[counts], dtype=np.float64) for field in (made[0], sample[RELIEF])
+    )
     square = float(((drawn - truth) ** 2).mean())
     expected = float(np.exp(np.clip(made[8][counts], *VARIANCE_LIMITS), dtype=np.float64).mean())
     glare = np.asarray(sample[GLARE][:, counts], dtype=np.float64)
@@ -237,15 +276,23 @@ def judge(run, sample, stride):
             "gain": float((drawn * truth).mean() / (truth**2).mean()),
             "rms_um": UNIT_UM * math.sqrt(square),
             "error_ratio": math.sqrt(square / expected),
-            "glare_r2": float(1.0 - ((made[1:8][:, counts] - glare) ** 2).mean() / (glare**2).mean()),
+            "glare_r2": float(
+                1.0 - ((made[1:8][:, counts] - glare) ** 2).mean() / (glare**2).mean()
+            ),
         }
 
 
 TASK = SimpleNamespace(
     name="relief",
-    what="relief and glare of skin: the fields of splitknit.skin.learned to the relief in 0.02 mm, seven waves of the "
-    "glare over the light's azimuth in 0.05 of the green level, and the logarithm of the relief's variance",
-    held_out=f"; the middle {JUDGED_PX} x {JUDGED_PX} pixels, on the smooth shape they would be trained on",
+    what=(
+        "relief and glare of skin: the fields of splitknit.skin.learned to the relief in 0.02 mm,"
+        " seven waves of the glare over the light's azimuth in 0.05 of the green level, and the"
+        " logarithm of the relief's variance"
+    ),
+    held_out=(
+        f"; the middle {JUDGED_PX} x {JUDGED_PX} pixels, on the smooth shape they would be"
+        " trained on"
+    ),
     outputs=9,
     symmetry=replace(
         RELIEF_SYMMETRY,
@@ -259,7 +306,8 @@ TASK = SimpleNamespace(
     batch=6,
     patch_px=192,
     beyond_px=0,
-    whole_share=0.2,  # fraction of the patches that are cut from whole fingers; the others are from pieces
+    # fraction of the patches that are cut from whole fingers; the others are from pieces
+    whole_share=0.2,
     min_weight=0.2,
     min_deviation=0.02,
     scale_patches=12,
@@ -272,27 +320,57 @@ TASK = SimpleNamespace(
 
 
 def shoot(prints, kind, number):
-    return [training_sample(number, prints)] if kind == "finger" else list(training_crops(number, prints))
+    return (
+        [training_sample(number, prints)]
+        if kind == "finger"
+        else list(training_crops(number, prints))
+    )
 
 
 def main():
     from loop import make_data, train_fields
 
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--out", type=Path, required=True, help="folder; what it holds is not photographed again")
-    parser.add_argument("--prints", type=Path, help="real prints of 500 pixels an inch (PNG), of a part of the fingers")
-    parser.add_argument("--threads", type=int, default=1, help="of torch, and processes that photograph")
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument(
+        "--out", type=Path, required=True, help="folder; what it holds is not photographed again"
+    )
+    parser.add_argument(
+        "--prints",
+        type=Path,
+        help="real prints of 500 pixels an inch (PNG), of a part of the fingers",
+    )
+    parser.add_argument(
+        "--threads", type=int, default=1, help="of torch, and processes that photograph"
+    )
     parser.add_argument("--device", choices=("cpu", "cuda"), default="cpu")
     given = parser.parse_args()
-    whole = [*range(FIRST_WHOLE, FIRST_WHOLE + WHOLE), *range(HELD_OUT_FROM, HELD_OUT_FROM + HELD_OUT)]
-    subjects = [("pieces", n) for n in range(FIRST, FIRST + FINGERS)] + [("finger", n) for n in whole]
+    whole = [
+        *range(FIRST_WHOLE, FIRST_WHOLE + WHOLE),
+        *range(HELD_OUT_FROM, HELD_OUT_FROM + HELD_OUT),
+    ]
+    subjects = [("pieces", n) for n in range(FIRST, FIRST + FINGERS)] + [
+        ("finger", n) for n in whole
+    ]
     data = make_data(given.out, subjects, partial(shoot, given.prints), given.threads)
     pieces = [one for (kind, _), arrays in data.items() if kind == "pieces" for one in arrays]
     fingers = {number: arrays[0] for (kind, number), arrays in data.items() if kind == "finger"}
-    whole, held_out = ([a for n, a in fingers.items() if (n < HELD_OUT_FROM) == one] for one in (True, False))
+    whole, held_out = (
+        [a for n, a in fingers.items() if (n < HELD_OUT_FROM) == one] for one in (True, False)
+    )
     command = "python training/relief.py --out DIR"
-    train_fields(TASK, given.out, command, pieces, held_out, whole=whole, iterations=ITERATIONS, threads=given.threads,
-                 device=given.device)  # fmt: skip
+    train_fields(
+        TASK,
+        given.out,
+        command,
+        pieces,
+        held_out,
+        whole=whole,
+        iterations=ITERATIONS,
+        threads=given.threads,
+        device=given.device,
+    )
 
 
 if __name__ == "__main__":

@@ -1,7 +1,8 @@
-"""Simulated fingers to train `relief` and `shape` on, and their truth on the grid of a reconstruction.
+"""Simulated fingers to train `relief` and `shape` on, and their truth on the grid of a
+reconstruction.
 
-Skin, ridges, camera and lights are drawn from ranges far beyond those of plausible fingers; everything about a finger
-follows from its number.
+Skin, ridges, camera and lights are drawn from ranges far beyond those of plausible fingers;
+everything about a finger follows from its number.
 """
 
 from __future__ import annotations
@@ -38,24 +39,31 @@ SKIN = {
 SCATTERING_POWER = (0.4, 1.6)  # exponent of the wavelength
 REFRACTION, ENTRY_POWER = (0.0, 1.0), (-0.3, 1.1)  # see `splitknit_simulator.light.skin.Boundary`
 YELLOW_PER_MM, BASELINE_PER_MM = (0.05, 0.2), (0.005, 0.02)
-LAYERS_SPREAD = 0.35  # of the logarithm of each channel's absorption, by which layers depart from one medium
-BLURRED = 0.15  # part of the fingers whose light spreads across the picture, as in an image that is blurred
-MATT, RIDGELESS = 0.12, 0.08  # parts of the fingers without any surface reflection, and without ridges
+# of the logarithm of each channel's absorption, by which layers depart from one medium
+LAYERS_SPREAD = 0.35
+# part of the fingers whose light spreads across the picture, as in an image that is blurred
+BLURRED = 0.15
+# parts of the fingers without any surface reflection, and without ridges
+MATT, RIDGELESS = 0.12, 0.08
 RIDGE_DEPTH_UM = (25.0, 110.0)
 STEEPNESS, DUTY = (0.6, 2.4), (-0.2, 0.5)  # of the ridges' profile
 PRINTS_SHARE = 0.3  # part of the fingers that have the ridges of real prints, where there are any
-FORM = 0.12  # standard deviation of the logarithms of thickness and tip length beyond those of people
+# standard deviation of the logarithms of thickness and tip length beyond those of people
+FORM = 0.12
 UNDULATION_MM = (0.0, 0.15)  # standard deviation of bumps and dents some 5 mm wide
-PIGMENT = (0.0, 0.03)  # standard deviation of the skin's brightness at the scale of ridges that is not relief
+# standard deviation of the skin's brightness at the scale of ridges that is not relief
+PIGMENT = (0.0, 0.03)
 MOTTLING = (0.0, 0.2)  # of the logarithm of green light under mottled blood, over 0.5 to 3 mm
 SWEAT = (0.0, 0.6)  # relative standard deviation of the surface reflection over 0.4 to 2 mm
 GRAIN = (0.0, 0.03)  # relative standard deviation, from pixel to pixel, of what all images share
 FULL_WELL_E = (500.0, 5000.0)  # electrons of a full-frame pixel: noise up to 2 % at half scale
-APERTURE_MM, SHARP = (1.0, 4.0), 0.7  # of the cameras that are not sharp everywhere, and the part that is
+# of the cameras that are not sharp everywhere, and the part that is
+APERTURE_MM, SHARP = (1.0, 4.0), 0.7
 OTHER_RIG = 0.5  # part of the fingers whose lights stand elsewhere than on the thesis's rig
 LED_RADIUS_MM, LED_HEIGHT_MM, LED_TWIST_RAD = (42.0, 62.0), (120.0, 165.0), (-0.45, 0.45)
 LED_JITTER_MM = 1.0  # standard deviation of each light's place, every way
-TRUTH_FRACTION = 0.999  # blocks of pixels of which a smaller fraction lies on the finger have no truth
+# blocks of pixels of which a smaller fraction lies on the finger have no truth
+TRUTH_FRACTION = 0.999
 
 
 def log_uniform(rng, limits):
@@ -85,17 +93,22 @@ def draw_sensor(rng):
 
 
 def textured(surface, rng):
-    """The surface with pigment at the scale of ridges, mottled blood, patches of sweat and a fixed pattern."""
+    """The surface with pigment at the scale of ridges, mottled blood, patches of sweat and a fixed
+    pattern."""
     px_per_mm = surface.camera.px_per_mm
 
     def even_noise(deviation, scale_mm):
         size = log_uniform(rng, scale_mm) * px_per_mm
         step = max(1, int(size / 3))
         rows, columns = (-(-length // step) + 8 for length in surface.mask.shape)
-        noise = cv2.GaussianBlur(rng.standard_normal((rows, columns)).astype(np.float32), (0, 0), size / step)
+        noise = cv2.GaussianBlur(
+            rng.standard_normal((rows, columns)).astype(np.float32), (0, 0), size / step
+        )
         large = cv2.resize(noise, (columns * step, rows * step), interpolation=cv2.INTER_LINEAR)
         cut = large[: surface.mask.shape[0], : surface.mask.shape[1]]
-        return np.asarray(cut * np.float32(deviation / max(float(noise.std()), 1e-9)), dtype=np.float32)
+        return np.asarray(
+            cut * np.float32(deviation / max(float(noise.std()), 1e-9)), dtype=np.float32
+        )
 
     pigment = even_noise(float(rng.uniform(*PIGMENT)), (0.04, 0.25))
     blood = even_noise(float(rng.uniform(*MOTTLING)), (0.5, 3.0))
@@ -107,7 +120,8 @@ def textured(surface, rng):
 
 
 def draw_finger_of(number, rng, prints=None):
-    """The finger `number` with ridges of any depth; `prints`: folder of real prints of 500 pixels an inch (PNG)."""
+    """The finger `number` with ridges of any depth; `prints`: folder of real prints of 500 pixels
+    an inch (PNG)."""
     finger = draw_finger(number, print_settings=MasterPrintSettings(steepness=STEEPNESS, duty=DUTY))
     depth_um = 0.0 if rng.random() < RIDGELESS else float(rng.uniform(*RIDGE_DEPTH_UM))
     thick, long = np.exp(np.clip(rng.normal(0.0, FORM, 2), -0.3, 0.3))
@@ -117,12 +131,16 @@ def draw_finger_of(number, rng, prints=None):
         tip_length_mm=float(np.clip(finger.shape.tip_length_mm * long, 4.0, 14.0)),
     )
     chosen = np.random.default_rng([number, 80])
-    skin = replace(finger.skin, ridge_depth_um=depth_um, undulation_mm=float(chosen.uniform(*UNDULATION_MM)))
+    skin = replace(
+        finger.skin, ridge_depth_um=depth_um, undulation_mm=float(chosen.uniform(*UNDULATION_MM))
+    )
     finger = replace(finger, shape=shape, skin=skin)
     if prints is None or chosen.random() >= PRINTS_SHARE:
         return finger
     files = sorted(Path(prints).glob("*.png"))
-    master = master_of_print_file(files[int(chosen.integers(len(files)))], number, finger.print_settings)
+    master = master_of_print_file(
+        files[int(chosen.integers(len(files)))], number, finger.print_settings
+    )
     return replace(finger, pattern=master.pattern, printed=master)
 
 
@@ -134,7 +152,11 @@ def moved_rig(rig, rng):
     for led in rig.leds:
         azimuth = math.atan2(led.position_mm[1], led.position_mm[0]) + twist
         x, y, z = rng.normal(0.0, LED_JITTER_MM, 3)
-        place = (float(radius * math.cos(azimuth) + x), float(radius * math.sin(azimuth) + y), float(height + z))
+        place = (
+            float(radius * math.cos(azimuth) + x),
+            float(radius * math.sin(azimuth) + y),
+            float(height + z),
+        )
         leds.append(replace(led, position_mm=place))
     return replace(rig, leds=tuple(leds), camera=replace(rig.camera, height_mm=height))
 
@@ -143,7 +165,9 @@ def draw_scene(number, rng, scale, prints=None, rim_exponent=None):
     """Finger, rig and settings of the camera for the finger `number`, but for its sensor."""
     skin = draw_skin(rng)
     finger = draw_finger_of(number, rng, prints)
-    render = RenderSettings(aperture_mm=0.0 if rng.random() < SHARP else float(rng.uniform(*APERTURE_MM)))
+    render = RenderSettings(
+        aperture_mm=0.0 if rng.random() < SHARP else float(rng.uniform(*APERTURE_MM))
+    )
     if rim_exponent is not None:
         render = replace(render, rim_exponent=rim_exponent)
     rig = default_rig(scale, int(rng.integers(1000)))
@@ -153,7 +177,8 @@ def draw_scene(number, rng, scale, prints=None, rim_exponent=None):
 
 
 def photograph_scene(number, finger, rig, settings):
-    """Capture and truth, as `splitknit_simulator.twin.simulate_capture` makes them, with the scene's own rig."""
+    """Capture and truth, as `splitknit_simulator.twin.simulate_capture` makes them, with the
+    scene's own rig."""
     person = np.random.default_rng(np.random.SeedSequence([number, 0x51]))
     pose_seed, photo_seed = np.random.SeedSequence([number, 0, 0x52]).spawn(2)
     skin = settings.skin.draw(person)
@@ -167,7 +192,8 @@ class TruthOnGrid:
     """The truth of the simulator on the fine grid of a reconstruction."""
 
     def __init__(self, truth, window, grid, binning):
-        """Take the window of the simulator's arrays; `binning` pixels a side make one of the grid's."""
+        """Take the window of the simulator's arrays; `binning` pixels a side make one of the
+        grid's."""
         self._truth, self._window, self._shape, self._binning = truth, window, grid.shape, binning
         self.mask = self._mean("mask") > TRUTH_FRACTION
 
@@ -177,7 +203,9 @@ class TruthOnGrid:
 
     def shape_mm(self):
         """(h, w) shape, continued beyond the mask by the nearest values."""
-        nearest = ndimage.distance_transform_edt(~self.mask, return_distances=False, return_indices=True)
+        nearest = ndimage.distance_transform_edt(
+            ~self.mask, return_distances=False, return_indices=True
+        )
         return np.asarray(self._mean("shape_mm")[tuple(nearest)], dtype=np.float32)
 
     def glare(self):

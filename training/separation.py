@@ -1,11 +1,11 @@
 """Train `direct`, the U-Net of the thesis that finds direct light (3.3.1.4).
 
-    python training/separation.py --out DIR                    # what ships: 42 minutes on two busy cores
-    python training/separation.py --out DIR --thesis --device cuda --threads 16    # the thesis's own recipe
+    python training/separation.py --out DIR # what ships: 42 minutes on two busy cores python
+    training/separation.py --out DIR --thesis --device cuda --threads 16 # the thesis's own recipe
 
-The thesis trains on 72 x 72 patches of 50 palms whose direct light was measured with 25 shifted checkerboards; Adam on
-the mean squared error. Here the optics of the skin, the place of the light, the size of a pixel and the noise of the
-camera are drawn for every photograph.
+The thesis trains on 72 x 72 patches of 50 palms whose direct light was measured with 25 shifted
+checkerboards; Adam on the mean squared error. Here the optics of the skin, the place of the light,
+the size of a pixel and the noise of the camera are drawn for every photograph.
 """
 
 from __future__ import annotations
@@ -34,15 +34,21 @@ from splitknit_simulator.light.skin import SkinRanges
 
 FULL_PX_PER_MM = 75.7
 IMAGE_SIZE = (1018, 768)  # rows and columns of a palm's photograph
-PITCH_UM, FINGER_PITCH_UM = (13.0, 40.0), 20.0  # size of a palm's pixels on the finger plane, and a finger's smallest
+# size of a palm's pixels on the finger plane, and a finger's smallest
+PITCH_UM, FINGER_PITCH_UM = (13.0, 40.0), 20.0
 LED_RADIUS_MM = (20.0, 75.0)  # distance of the light from the camera's axis, at the camera's height
-CHECK_MM = 0.42  # side of the checks, about a ridge period: direct light is defined only together with it
-SKIN = SkinRanges(scattering_factor=(0.5, 2.0), glare=(0.0, 1.5), roughness=(0.12, 0.45))  # beyond plausible fingers
+# side of the checks, about a ridge period: direct light is defined only together with it
+CHECK_MM = 0.42
+# beyond plausible fingers
+SKIN = SkinRanges(scattering_factor=(0.5, 2.0), glare=(0.0, 1.5), roughness=(0.12, 0.45))
 PATCH_PX = 72  # the thesis
-MIN_SKIN = 0.25  # patches with a smaller fraction of skin are discarded (the thesis: those that are all black)
+# patches with a smaller fraction of skin are discarded (the thesis: those that are all black)
+MIN_SKIN = 0.25
 MAX_SHIFT_PX = 8  # random translation of a patch, each way
-TURNED = 0.5  # fraction of the patches turned by any angle, which smooths noise; the others by quarter turns
-ENHANCED = 0.5  # fraction of the patches that are given as grey, CLAHE-enhanced images, as by the thesis's presets
+# fraction of the patches turned by any angle, which smooths noise; the others by quarter turns
+TURNED = 0.5
+# fraction of the patches that are given as grey, CLAHE-enhanced images, as by the thesis's presets
+ENHANCED = 0.5
 BATCH, LEARNING_RATE, HELD_OUT = 32, 1e-3, 4
 
 
@@ -54,7 +60,8 @@ class Recipe:
     fingers: int
     views: int  # photographs of each, under other light and with other skin
     patches: int  # of each photograph
-    labels: str  # direct light by 25 shifted checkerboards (stack) or by the simulator, ten times faster (truth)
+    # direct light by 25 shifted checkerboards (stack) or by the simulator, ten times faster (truth)
+    labels: str
     width: int  # channels of the first block
     epochs: int
     dropout: float
@@ -67,22 +74,24 @@ SHIPPED = Recipe(50, 50, 2, 40, "truth", 12, 25, 0.0, 0.48, 0.25, 8)
 THESIS = Recipe(50, 0, 1, 750, "stack", 64, 50, 0.5, 0.0, 0.0, 0)
 
 
-# --- photographs --------------------------------------------------------------------------------------------------
+# --- photographs
+# --------------------------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True)
 class Photograph:
     """One photograph of one palm or finger, with its truth."""
 
-    # (h, w, 8) float16: image red, green, blue; direct red, green, blue; enhanced image, enhanced direct; image and
-    # direct light in units of the image's exposure level, zero outside
+    # (h, w, 8) float16: image red, green, blue; direct red, green, blue; enhanced image, enhanced
+    # direct; image and direct light in units of the image's exposure level, zero outside
     pixels: np.ndarray
     corners: np.ndarray  # (n, 2) row and column of the patches' upper left corners
     facts: dict[str, Any]  # pixel size, light, optics
 
 
 def photographs(kind, index, labels, *, patches=1, views=1, grey="srgb"):
-    """All views of the ``palm`` or ``finger`` of that number; `grey`: light that the contrast is enhanced in."""
+    """All views of the ``palm`` or ``finger`` of that number; `grey`: light that the contrast is
+    enhanced in."""
     surface = drawn_surface(kind, index)
     seeds = _root(kind, index).spawn(1 + views)[1:]
     return [_photograph(surface, seed, labels, patches, grey) for seed in seeds]
@@ -113,24 +122,38 @@ def _photograph(surface, seed, labels, patches, grey):
     skin = SKIN.draw(rng)
     low, high = LED_RADIUS_MM
     radius, azimuth = low + (high - low) * rng.random(), 2.0 * np.pi * rng.random()
-    place = (float(radius * np.cos(azimuth)), float(radius * np.sin(azimuth)), surface.camera.height_mm)
+    place = (
+        float(radius * np.cos(azimuth)),
+        float(radius * np.sin(azimuth)),
+        surface.camera.height_mm,
+    )
     led = Led("white", position_mm=place)
-    sensor = SensorSettings(exposure=float(rng.uniform(0.4, 0.9)), bits=8 if rng.random() < 0.5 else 16)
+    sensor = SensorSettings(
+        exposure=float(rng.uniform(0.4, 0.9)), bits=8 if rng.random() < 0.5 else 16
+    )
     light = separate_truth(surface, led, skin, check_mm=CHECK_MM, phases="centred")
     if labels == "stack":
         light = replace(light, direct=_through_patterns(surface, led, skin, light))
     pixels = _record(light, surface, sensor, noise_seed, grey)
-    corners = _patch_corners(surface.mask[light.window], patches, np.random.default_rng(corner_seed))
+    corners = _patch_corners(
+        surface.mask[light.window], patches, np.random.default_rng(corner_seed)
+    )
     facts = {
-        "pitch_um": 1000.0 * surface.camera.pitch_mm, "led_mm": place, "skin": skin, "exposure": sensor.exposure,
+        "pitch_um": 1000.0 * surface.camera.pitch_mm,
+        "led_mm": place,
+        "skin": skin,
+        "exposure": sensor.exposure,
         "bits": sensor.bits,
-    }  # fmt: skip
+    }
     return Photograph(pixels, corners, facts)
 
 
 def _through_patterns(surface, led, skin, light):
-    """Direct light (3, h, w) from 25 shifted checkerboards, L_max - L_min of the noise-free images."""
-    stack = checkerboard_stack(surface, led, skin, Checkerboard(CHECK_MM, steps=5)).transpose(0, 2, 3, 1)
+    """Direct light (3, h, w) from 25 shifted checkerboards, L_max - L_min of the noise-free
+    images."""
+    stack = checkerboard_stack(surface, led, skin, Checkerboard(CHECK_MM, steps=5)).transpose(
+        0, 2, 3, 1
+    )
     mask = surface.mask[light.window]
     # radiance in the rig's units knows no clipping; the black outside the mask is not a fault
     made = checkerboard(stack, alpha=0.5, dark=0.0, mask=mask, clip_level=None)
@@ -139,17 +162,23 @@ def _through_patterns(surface, led, skin, light):
 
 
 def _record(light, surface, sensor, seed, grey_light):
-    """Photograph the white light, noise and clipping included, and bring image and direct light to one scale."""
+    """Photograph the white light, noise and clipping included, and bring image and direct light to
+    one scale."""
     mask, px_per_mm = surface.mask[light.window], surface.camera.px_per_mm
     brightest = np.percentile((light.white - light.glare)[:, mask].max(axis=0), 99.9)
     exposure = np.float32(sensor.exposure / max(float(brightest), 1e-12))
     clean = (light.white * exposure * mask).transpose(1, 2, 0)
     stored = record(clean, "white", seed, sensor, px_per_mm / FULL_PX_PER_MM)
     image = stored.astype(np.float32) / np.float32(2**sensor.bits - 1) * mask[..., None]
-    # what clips is direct light: the truth of the clipped photograph is the clipped light less the global light
+    # what clips is direct light: the truth of the clipped photograph is the clipped light less the
+    # global light
     clipped = np.minimum(clean, np.float32(1.0))
-    kept = np.maximum((light.direct * exposure * mask).transpose(1, 2, 0) - (clean - clipped), np.float32(0.0))
-    grey, grey_clean, grey_kept = (np.asarray(part @ GREY_WEIGHTS) for part in (image, clipped, kept))
+    kept = np.maximum(
+        (light.direct * exposure * mask).transpose(1, 2, 0) - (clean - clipped), np.float32(0.0)
+    )
+    grey, grey_clean, grey_kept = (
+        np.asarray(part @ GREY_WEIGHTS) for part in (image, clipped, kept)
+    )
     enhanced = clahe(grey, px_per_mm, ClaheSettings(grey=grey_light), mask=mask)
     fraction = np.clip(grey_kept / np.maximum(grey_clean, np.float32(1e-6)), 0.0, 1.0)
     level = np.float32(exposure_level(image.transpose(2, 0, 1)))
@@ -163,12 +192,18 @@ def _patch_corners(mask, count, rng):
     """Draw the upper left corners (n, 2) of patches that hold skin."""
     side = PATCH_PX
     summed = np.pad(np.cumsum(np.cumsum(mask, axis=0, dtype=np.int64), axis=1), ((1, 0), (1, 0)))
-    inside = summed[side:, side:] - summed[:-side, side:] - summed[side:, :-side] + summed[:-side, :-side]
+    inside = (
+        summed[side:, side:]
+        - summed[:-side, side:]
+        - summed[side:, :-side]
+        + summed[:-side, :-side]
+    )
     chosen = rng.choice(np.flatnonzero(inside > MIN_SKIN * side * side), count)
     return np.stack(np.divmod(chosen, inside.shape[1]), axis=1).astype(np.int32)
 
 
-# --- patches ------------------------------------------------------------------------------------------------------
+# --- patches
+# ------------------------------------------------------------------------------------------------------
 
 
 class Patches:
@@ -176,7 +211,9 @@ class Patches:
 
     def __init__(self, photographed):
         self.pixels = [pixels for pixels, _ in photographed]
-        self._owner = np.concatenate([np.full(len(corners), k) for k, (_, corners) in enumerate(photographed)])
+        self._owner = np.concatenate(
+            [np.full(len(corners), k) for k, (_, corners) in enumerate(photographed)]
+        )
         self._corners = np.concatenate([corners for _, corners in photographed])
 
     def __len__(self):
@@ -194,12 +231,17 @@ class Patches:
     def fixed(self, enhanced):
         """All patches in their order as they are, linear or enhanced."""
         for first in range(0, len(self), BATCH):
-            pieces = [self._piece(k, *self._corners[k]) for k in range(first, min(first + BATCH, len(self)))]
+            pieces = [
+                self._piece(k, *self._corners[k])
+                for k in range(first, min(first + BATCH, len(self)))
+            ]
             yield _stacked(pieces, np.full(len(pieces), enhanced))
 
     def _piece(self, k, row, column):
         pixels = self.pixels[self._owner[k]]
-        return np.asarray(pixels[row : row + PATCH_PX, column : column + PATCH_PX], dtype=np.float32)
+        return np.asarray(
+            pixels[row : row + PATCH_PX, column : column + PATCH_PX], dtype=np.float32
+        )
 
     def _augmented(self, k, rng):
         """(72, 72, 8) patch k, shifted, turned and mirrored."""
@@ -226,36 +268,52 @@ def _turned(pixels, corner, angle_deg):
     middle = 0.5 * (source.shape[0] - 1)
     matrix = cv2.getRotationMatrix2D((middle, middle), angle_deg, 1.0)
     matrix[:, 2] -= around
-    halves = map(np.ascontiguousarray, (source[..., :4], source[..., 4:]))  # OpenCV turns four channels at a time
+    # OpenCV turns four channels at a time
+    halves = map(np.ascontiguousarray, (source[..., :4], source[..., 4:]))
     sides = (PATCH_PX, PATCH_PX)
-    return np.concatenate([cv2.warpAffine(half, matrix, sides, flags=cv2.INTER_LINEAR) for half in halves], 2)
+    return np.concatenate(
+        [cv2.warpAffine(half, matrix, sides, flags=cv2.INTER_LINEAR) for half in halves], 2
+    )
 
 
 def _stacked(pieces, enhanced):
-    """Input and target (B, 3, 72, 72) of each piece: linear colours, or three times the enhanced grey."""
+    """Input and target (B, 3, 72, 72) of each piece: linear colours, or three times the enhanced
+    grey."""
     inputs, targets = [], []
     for piece, grey in zip(pieces, enhanced, strict=True):
-        image, direct = (piece[..., [6, 6, 6]], piece[..., [7, 7, 7]]) if grey else (piece[..., :3], piece[..., 3:6])
+        image, direct = (
+            (piece[..., [6, 6, 6]], piece[..., [7, 7, 7]])
+            if grey
+            else (piece[..., :3], piece[..., 3:6])
+        )
         inputs.append(image.transpose(2, 0, 1))
         targets.append(direct.transpose(2, 0, 1))
     return np.stack(inputs), np.stack(targets)
 
 
-# --- the training -------------------------------------------------------------------------------------------------
+# --- the training
+# -------------------------------------------------------------------------------------------------
 
 
 def shoot(recipe, kind, index):
     """Pixels and corners of every view; every second subject is equalised in linear light."""
     arrays = []
     taken = photographs(
-        kind, index, recipe.labels, patches=recipe.patches, views=recipe.views, grey="linear" if index % 2 else "srgb"
+        kind,
+        index,
+        recipe.labels,
+        patches=recipe.patches,
+        views=recipe.views,
+        grey="linear" if index % 2 else "srgb",
     )
     for photograph in taken:
         pixels = photograph.pixels.astype(np.float32)
         # divided by the local level, as the network is given it
         level = local_level(np.ascontiguousarray(pixels[..., :3].transpose(2, 0, 1)))[..., None]
         enhanced_level = local_level(np.ascontiguousarray(pixels[..., 6]))[..., None]
-        divided = np.concatenate([pixels[..., :6] / level, pixels[..., 6:] / enhanced_level], axis=2)
+        divided = np.concatenate(
+            [pixels[..., :6] / level, pixels[..., 6:] / enhanced_level], axis=2
+        )
         arrays += [divided.astype(np.float16), photograph.corners]
     return arrays
 
@@ -270,13 +328,20 @@ def train(out, recipe, command, *, held_out=HELD_OUT, threads=2, device="cpu"):
     subjects = [(kind, index) for kind, count in counts.items() for index in range(count)]
     subjects += [(kind, HELD_OUT_FROM + index) for kind in counts for index in range(held_out)]
     data = make_data(out, subjects, partial(shoot, recipe), threads)
-    views = [(n, pair) for (_, n), found in data.items() for pair in zip(found[::2], found[1::2], strict=True)]
+    views = [
+        (n, pair)
+        for (_, n), found in data.items()
+        for pair in zip(found[::2], found[1::2], strict=True)
+    ]
     seen = Patches([pair for number, pair in views if number < HELD_OUT_FROM])
     judged = Patches([pair for number, pair in views if number >= HELD_OUT_FROM])
     training = Training(
-        lambda: ThesisUNet(recipe.width, recipe.dropout, recipe.start_fraction), seed=0, threads=threads,
-        device=device, mixed=True,
-    )  # fmt: skip
+        lambda: ThesisUNet(recipe.width, recipe.dropout, recipe.start_fraction),
+        seed=0,
+        threads=threads,
+        device=device,
+        mixed=True,
+    )
     rim = slice(recipe.border_px, -recipe.border_px or None)
 
     def loss_of(batch):
@@ -306,25 +371,40 @@ def train(out, recipe, command, *, held_out=HELD_OUT, threads=2, device="cpu"):
     facts = {
         "command": command,
         "training": vars(recipe),
-        "metrics": {"held_out": f"{held_out} palms and {held_out} fingers not trained on, local level 1", **figures},
+        "metrics": {
+            "held_out": f"{held_out} palms and {held_out} fingers not trained on, local level 1",
+            **figures,
+        },
         "architecture": f"U-Net of the thesis (figure 3.19), depth 3, width {recipe.width}",
     }
-    what = "direct light of skin: a photograph, or its CLAHE-enhanced grey image three times, to its direct part"
+    what = (
+        "direct light of skin: a photograph, or its CLAHE-enhanced grey image three times, to its"
+        " direct part"
+    )
     write_network(out, "direct", training, what, (3, 3), 3, facts)
 
 
 def learning_factor(done, decay):
-    """Learning rate, relative to its start, when a fraction is `done`: it falls over the last `decay` (a cosine)."""
+    """Learning rate, relative to its start, when a fraction is `done`: it falls over the last
+    `decay` (a cosine)."""
     if done <= 1 - decay:
         return 1.0
     return 0.5 * (1.0 + math.cos(math.pi * min((done - 1 + decay) / decay, 1.0)))
 
 
 def main():
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--out", type=Path, required=True, help="folder; what it holds is not photographed again")
-    parser.add_argument("--thesis", action="store_true", help="the thesis's recipe instead of the shipped network's")
-    parser.add_argument("--threads", type=int, default=2, help="of torch, and processes that photograph")
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument(
+        "--out", type=Path, required=True, help="folder; what it holds is not photographed again"
+    )
+    parser.add_argument(
+        "--thesis", action="store_true", help="the thesis's recipe instead of the shipped network's"
+    )
+    parser.add_argument(
+        "--threads", type=int, default=2, help="of torch, and processes that photograph"
+    )
     parser.add_argument("--device", choices=("cpu", "cuda"), default="cpu")
     given = parser.parse_args()
     command = "python training/separation.py --out DIR" + " --thesis" * given.thesis

@@ -2,12 +2,14 @@
 
     python training/shape.py --out DIR [--prints FOLDER]        # an hour or two on two cores
 
-Where a finger turns away, ridges that are not resolved and specular reflection at grazing angles bend the shape that
-all bands agree on; the network learns on simulated fingers which slopes are missing. A finger is photographed and
-reconstructed as any other, but in place of the relief network stands the true relief, a little too low or too high.
+Where a finger turns away, ridges that are not resolved and specular reflection at grazing angles
+bend the shape that all bands agree on; the network learns on simulated fingers which slopes are
+missing. A finger is photographed and reconstructed as any other, but in place of the relief network
+stands the true relief, a little too low or too high.
 
-The shipped weights are the mean of two networks: after 3,000 iterations on 125 fingers whose light was blurred across
-the picture, and after 5,400 more along the skin; the command repeats the recipe of one run, not the bytes.
+The shipped weights are the mean of two networks: after 3,000 iterations on 125 fingers whose light
+was blurred across the picture, and after 5,400 more along the skin; the command repeats the recipe
+of one run, not the bytes.
 """
 
 from __future__ import annotations
@@ -23,7 +25,14 @@ import cv2
 import numpy as np
 from scipy import ndimage
 
-from scenes import HELD_OUT_FROM, TRUTH_FRACTION, TruthOnGrid, draw_scene, draw_sensor, photograph_scene
+from scenes import (
+    HELD_OUT_FROM,
+    TRUTH_FRACTION,
+    TruthOnGrid,
+    draw_scene,
+    draw_sensor,
+    photograph_scene,
+)
 from splitknit.errors import require
 from splitknit.finger.locate import find_finger
 from splitknit.imaging.band import bin_mean
@@ -32,23 +41,35 @@ from splitknit.methods.metric import metric_skin
 from splitknit.presets import preset_settings
 from splitknit.skin.grid import COARSE_PITCH_MM, coarsen
 from splitknit.skin.images import skin_images
-from splitknit.skin.learned import RELIEF_MM, RIDGE_BAND_MM, SHAPE_SLOPE, SHAPE_SYMMETRY, Networks, can_learn
+from splitknit.skin.learned import (
+    RELIEF_MM,
+    RIDGE_BAND_MM,
+    SHAPE_SLOPE,
+    SHAPE_SYMMETRY,
+    Networks,
+    can_learn,
+)
 
 FINGERS, HELD_OUT, FIRST, ITERATIONS = 160, 8, 5000, 6000
 SCALE = (0.34, 0.43)  # size of the images
-RIM_EXPONENT = (0.0, 1.0)  # of the light at the finger's outline: the simulator's least certain physics
-GAIN, GAIN_SPREAD = 0.93, 0.12  # mean height of the relief that the reconstruction is given, over the true one
-SLOPES, WEIGHT = slice(32, 34), 34  # residual slopes along x and y in the network's unit, and weight, in a sample
+# of the light at the finger's outline: the simulator's least certain physics
+RIM_EXPONENT = (0.0, 1.0)
+# mean height of the relief that the reconstruction is given, over the true one
+GAIN, GAIN_SPREAD = 0.93, 0.12
+# residual slopes along x and y in the network's unit, and weight, in a sample
+SLOPES, WEIGHT = slice(32, 34), 34
 MAX_MISSING = 3.0  # slopes that are missing beyond this are cut off
 SEEN_SLOPES = slice(20, 22)  # the shape's own slopes among the fields, over two
-WIDE_PX = 8  # side of the blocks over which the loss also compares mean slopes: wide errors become the shape's
+# side of the blocks over which the loss also compares mean slopes: wide errors become the shape's
+WIDE_PX = 8
 JUDGED_WIDE_PX = 17
 MIN_TRUST = 0.05  # blocks with little weight count for less than that weight
 UNIT = float(SHAPE_SLOPE)
 
 
 def shape_sample(number, prints=None):
-    """Fields, missing slopes and weight (35, h, w) float16 of the finger `number`; BadInput if it is refused."""
+    """Fields, missing slopes and weight (35, h, w) float16 of the finger `number`; BadInput if it
+    is refused."""
     rng = np.random.default_rng([number, 77])
     scale, rim = (float(rng.uniform(*limits)) for limits in (SCALE, RIM_EXPONENT))
     finger, rig, twin = draw_scene(number, rng, scale, prints, rim)
@@ -58,7 +79,10 @@ def shape_sample(number, prints=None):
     found = find_finger(capture, settings)
     lit = tuple(capture.bands[name] for name in ("white", "nir") if name in capture.bands)
     grid, bands, binning = skin_images(capture, lit, found.window, found.inside)
-    require(can_learn(bands[0], grid.pitch_mm), "the lights or pixels are not such that a network draws the relief.")
+    require(
+        can_learn(bands[0], grid.pitch_mm),
+        "the lights or pixels are not such that a network draws the relief.",
+    )
     on_grid = TruthOnGrid(truth, found.window, grid, binning)
     known = grid.mask & on_grid.mask
     relief = np.where(known, on_grid.relief_mm(), np.float32(0.0)).astype(np.float32)
@@ -73,12 +97,19 @@ def shape_sample(number, prints=None):
         return np.zeros((2, *fields.shape[1:]), dtype=np.float32)
 
     def true_relief(fields):
-        """True relief for the first estimate; other orientations follow later, when all is known."""
-        return drawn if fields.shape[1:] == drawn.shape[1:] else np.zeros((9, *fields.shape[1:]), dtype=np.float32)
+        """True relief for the first estimate; other orientations follow later, when all is
+        known."""
+        return (
+            drawn
+            if fields.shape[1:] == drawn.shape[1:]
+            else np.zeros((9, *fields.shape[1:]), dtype=np.float32)
+        )
 
     metric_skin(bands, grid, settings.skin, settings.metric, Networks(true_relief, no_slopes))
     factor = max(1, round(COARSE_PITCH_MM / grid.pitch_mm))
-    return _assembled(kept[0], on_grid.shape_mm() + wide, on_grid.mask, coarsen(grid, factor), factor)
+    return _assembled(
+        kept[0], on_grid.shape_mm() + wide, on_grid.mask, coarsen(grid, factor), factor
+    )
 
 
 def _assembled(fields, true_mm, known, low, factor):
@@ -86,19 +117,32 @@ def _assembled(fields, true_mm, known, low, factor):
     rows, columns = low.shape
 
     def coarse(field):
-        return bin_mean(np.ascontiguousarray(field[: rows * factor, : columns * factor], dtype=np.float32), factor)
+        return bin_mean(
+            np.ascontiguousarray(field[: rows * factor, : columns * factor], dtype=np.float32),
+            factor,
+        )
 
     there = low.mask & (coarse(known) > TRUTH_FRACTION)
-    slopes = np.stack(height_gradients(np.where(there, coarse(true_mm), np.float32(np.nan)), low.pitch_mm))
-    # slopes are whole where the neighbours up, down, left and right are in the mask or beyond the image
-    inner = there & ndimage.binary_erosion(low.mask, border_value=1) & ndimage.binary_erosion(there, border_value=1)
-    missing = np.clip(slopes - 2 * fields[SEEN_SLOPES], -MAX_MISSING, MAX_MISSING) * inner / SHAPE_SLOPE
+    slopes = np.stack(
+        height_gradients(np.where(there, coarse(true_mm), np.float32(np.nan)), low.pitch_mm)
+    )
+    # slopes are whole where the neighbours up, down, left and right are in the mask or beyond the
+    # image
+    inner = (
+        there
+        & ndimage.binary_erosion(low.mask, border_value=1)
+        & ndimage.binary_erosion(there, border_value=1)
+    )
+    missing = (
+        np.clip(slopes - 2 * fields[SEEN_SLOPES], -MAX_MISSING, MAX_MISSING) * inner / SHAPE_SLOPE
+    )
     weight = inner / (1 + (slopes**2).sum(axis=0))
     return np.concatenate([fields[:32], missing, weight[None]]).astype(np.float16)
 
 
 def shape_loss(made, batch):
-    """Squared error of slopes (B, 2, h, w), and of its means over blocks, as integration adds up what is wrong."""
+    """Squared error of slopes (B, 2, h, w), and of its means over blocks, as integration adds up
+    what is wrong."""
     from torch.nn.functional import avg_pool2d
 
     weight = batch[:, WEIGHT : WEIGHT + 1]
@@ -115,7 +159,9 @@ def judge(run, sample, stride):
     weight, wanted = (np.asarray(sample[part], dtype=np.float64) for part in (WEIGHT, SLOPES))
     figures = {}
     for name, error in (("before", wanted), ("after", wanted - run(sample[:32]))):
-        wide = np.stack([_mean(part * weight) / np.maximum(_mean(weight), MIN_TRUST) for part in error])
+        wide = np.stack(
+            [_mean(part * weight) / np.maximum(_mean(weight), MIN_TRUST) for part in error]
+        )
         figures |= {name: _rms(error, weight), f"wide_{name}": _rms(wide, weight)}
     return figures
 
@@ -131,10 +177,15 @@ def _mean(field):
 
 TASK = SimpleNamespace(
     name="shape",
-    what="slopes that a finger's shape lacks: the fields of splitknit.skin.learned on the coarse grid to slopes "
-    "along x and y in units of 0.1",
-    held_out=": error of the shape's slopes (rms of one slope, steep parts count less) before and after mending, and "
-    f"of their means over {JUDGED_WIDE_PX} x {JUDGED_WIDE_PX} pixels of the coarse grid",
+    what=(
+        "slopes that a finger's shape lacks: the fields of splitknit.skin.learned on the coarse"
+        " grid to slopes along x and y in units of 0.1"
+    ),
+    held_out=(
+        ": error of the shape's slopes (rms of one slope, steep parts count less) before and after"
+        f" mending, and of their means over {JUDGED_WIDE_PX} x {JUDGED_WIDE_PX} pixels of the"
+        " coarse grid"
+    ),
     outputs=2,
     symmetry=replace(SHAPE_SYMMETRY, vectors=(*SHAPE_SYMMETRY.vectors, (32, 33))),
     loss=shape_loss,
@@ -162,18 +213,40 @@ def shoot(prints, kind, number):
 def main():
     from loop import make_data, train_fields
 
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--out", type=Path, required=True, help="folder; what it holds is not photographed again")
-    parser.add_argument("--prints", type=Path, help="real prints of 500 pixels an inch (PNG), of a part of the fingers")
-    parser.add_argument("--threads", type=int, default=1, help="of torch, and processes that photograph")
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument(
+        "--out", type=Path, required=True, help="folder; what it holds is not photographed again"
+    )
+    parser.add_argument(
+        "--prints",
+        type=Path,
+        help="real prints of 500 pixels an inch (PNG), of a part of the fingers",
+    )
+    parser.add_argument(
+        "--threads", type=int, default=1, help="of torch, and processes that photograph"
+    )
     parser.add_argument("--device", choices=("cpu", "cuda"), default="cpu")
     given = parser.parse_args()
     numbers = [*range(FIRST, FIRST + FINGERS), *range(HELD_OUT_FROM, HELD_OUT_FROM + HELD_OUT)]
-    data = make_data(given.out, [("finger", n) for n in numbers], partial(shoot, given.prints), given.threads)
-    seen, held_out = ([a[0] for (_, n), a in data.items() if (n < HELD_OUT_FROM) == one] for one in (True, False))
+    data = make_data(
+        given.out, [("finger", n) for n in numbers], partial(shoot, given.prints), given.threads
+    )
+    seen, held_out = (
+        [a[0] for (_, n), a in data.items() if (n < HELD_OUT_FROM) == one] for one in (True, False)
+    )
     command = "python training/shape.py --out DIR"
-    train_fields(TASK, given.out, command, seen, held_out, iterations=ITERATIONS, threads=given.threads,
-                 device=given.device)  # fmt: skip
+    train_fields(
+        TASK,
+        given.out,
+        command,
+        seen,
+        held_out,
+        iterations=ITERATIONS,
+        threads=given.threads,
+        device=given.device,
+    )
 
 
 if __name__ == "__main__":

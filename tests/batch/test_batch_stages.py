@@ -29,9 +29,14 @@ from splitknit_match.matching.thesis import ThesisSettings, thesis_match
 from splitknit_match.matching.thesis_code import code_match, code_side
 
 
-def test_rows_are_what_a_reconstruction_gives(people: Path, reconstructed: Path, tmp_path: Path) -> None:
+@pytest.mark.slow
+def test_rows_are_what_a_reconstruction_gives(
+    people: Path, reconstructed: Path, tmp_path: Path
+) -> None:
     table = Store(reconstructed).features("ea")
-    assert table["capture"].tolist() == sorted(f"S{s:02d}/session_{k}/right_index" for s in (1, 2) for k in (1, 2))
+    assert table["capture"].tolist() == sorted(
+        f"S{s:02d}/session_{k}/right_index" for s in (1, 2) for k in (1, 2)
+    )
     row = rows_of(table)[1]
     result = reconstruct(read_capture(people / row["capture"]), "ea")
     surface = surface_of(result)
@@ -44,7 +49,9 @@ def test_rows_are_what_a_reconstruction_gives(people: Path, reconstructed: Path,
     (tmp_path / "print.png").write_bytes(row["print"])
     shown = read_print_png(tmp_path / "print.png")
     place = result.input_from_upright, result.upright_size
-    np.testing.assert_array_equal(shown.image, relief_print(result.ridge_mm, result.mask, 1 / result.pitch_mm, *place))
+    np.testing.assert_array_equal(
+        shown.image, relief_print(result.ridge_mm, result.mask, 1 / result.pitch_mm, *place)
+    )
     assert shown.resolution_ppi == pytest.approx(500, rel=1e-3)
     kept = Store(reconstructed).places("features", "ea")[row["capture"]].surface()
     for name, channel in surface_images(surface).channels.items():
@@ -58,11 +65,15 @@ def test_tables_hold_where_they_come_from(people: Path, reconstructed: Path) -> 
     assert origin["kind"] == "features"
     assert origin["settings"]["settings_sha256"] == CASES[0].document()["settings_sha256"]
     assert [len(sha256) for sha256 in origin["inputs"].values()] == [64]
-    assert origin["inputs"].keys() == {file.relative_to(reconstructed / "features/ea").with_suffix("").as_posix()}
+    assert origin["inputs"].keys() == {
+        file.relative_to(reconstructed / "features/ea").with_suffix("").as_posix()
+    }
 
 
 @pytest.mark.slow
-def test_two_processes_leave_what_one_leaves(people: Path, reconstructed: Path, tmp_path: Path) -> None:
+def test_two_processes_leave_what_one_leaves(
+    people: Path, reconstructed: Path, tmp_path: Path
+) -> None:
     run(people, tmp_path / "other", jobs=2)
     assert tables(tmp_path / "other") == tables(reconstructed)
     assert len(tables(reconstructed)) == 4
@@ -95,8 +106,11 @@ def test_a_lost_table_alone_is_made_again_and_leftovers_go(people: Path, store: 
 
 
 @pytest.mark.slow
-def test_nothing_is_written_or_read_through_a_link(people: Path, store: Path, tmp_path: Path) -> None:
-    """A store or a population that came from someone else may hold links: to files of the user, or of the system."""
+def test_nothing_is_written_or_read_through_a_link(
+    people: Path, store: Path, tmp_path: Path
+) -> None:
+    """A store or a population that came from someone else may hold links: to files of the user, or
+    of the system."""
     away = tmp_path / "away"
     away.mkdir()
     for name in ("ea_ridge.csv", ".0.tmp"):
@@ -117,16 +131,25 @@ def test_nothing_is_written_or_read_through_a_link(people: Path, store: Path, tm
             run(people, store, "ridge")
         place.unlink()
         kept.rename(place) if kept.exists() else None
-    assert {path.name: path.read_text() for path in away.iterdir()} == {"ea_ridge.csv": "mine", ".0.tmp": "mine"}
+    assert {path.name: path.read_text() for path in away.iterdir()} == {
+        "ea_ridge.csv": "mine",
+        ".0.tmp": "mine",
+    }
     linked = tmp_path / "people"
     shutil.copytree(people, linked)
     photo = linked / "S01" / "session_1" / "right_index" / "white_0.png"
-    photo.symlink_to(photo.rename(photo.with_name("photo.png")))  # the link leads to the folder itself
-    with pytest.raises(Refused, match=r"1 of 4 captures .*white_0.png' is a link inside a folder.*the others are done"):
+    # the link leads to the folder itself
+    photo.symlink_to(photo.rename(photo.with_name("photo.png")))
+    with pytest.raises(
+        Refused,
+        match=r"1 of 4 captures .*white_0.png' is a link inside a folder.*the others are done",
+    ):
         run(linked, tmp_path / "new")
 
 
-def test_a_score_file_of_the_user_is_not_replaced(people: Path, store: Path, tmp_path: Path) -> None:
+def test_a_score_file_of_the_user_is_not_replaced(
+    people: Path, store: Path, tmp_path: Path
+) -> None:
     file = store / "csv" / "ea_ridge.csv"
     for _ in range(2):  # our own is replaced
         assert run(people, store, "ridge")["csv"] == [str(file)]
@@ -136,19 +159,25 @@ def test_a_score_file_of_the_user_is_not_replaced(people: Path, store: Path, tmp
     assert file.read_text() == "label,score\n1,0.9\n"
 
 
-def test_a_growing_population_is_taken_as_it_comes(people: Path, store: Path, tmp_path: Path) -> None:
+@pytest.mark.slow
+def test_a_growing_population_is_taken_as_it_comes(
+    people: Path, store: Path, tmp_path: Path
+) -> None:
     grown = tmp_path / "grown"
     shutil.copytree(people, grown)
     shutil.rmtree(grown / "S02" / "session_2" / "right_index")
     out = tmp_path / "out"
     facts = run(grown, out)
     assert (facts["captures"], facts["planned"], facts["reconstructed"]) == (3, 4, 3)
-    shutil.copytree(people / "S02" / "session_2" / "right_index", grown / "S02" / "session_2" / "right_index")
+    shutil.copytree(
+        people / "S02" / "session_2" / "right_index", grown / "S02" / "session_2" / "right_index"
+    )
     facts = run(grown, out)
     assert (facts["reconstructed"], facts["found"]) == (1, 3)
     assert rows_of(Store(out).features("ea")) == rows_of(Store(store).features("ea"))
 
 
+@pytest.mark.slow
 def test_a_capture_without_a_finger_is_a_row(people: Path, tmp_path: Path) -> None:
     spoiled = tmp_path / "people"
     shutil.copytree(people, spoiled)
@@ -218,7 +247,9 @@ def test_more_impostors_are_added_to_those_that_are_there(copies: tuple[Path, Pa
         run(population, out, "ridge", seed=5)
 
 
-def test_a_lost_table_of_scores_is_made_again(copies: tuple[Path, Path], monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_lost_table_of_scores_is_made_again(
+    copies: tuple[Path, Path], monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setattr("splitknit_match.batch.population.PAIRS", 8)
     population, out = copies
     run(population, out, "ridge")
@@ -242,18 +273,24 @@ def test_the_thesis_and_minutiae_compare_what_is_kept(people: Path, store: Path)
     assert row["dissimilarity_relief"] == direct.dissimilarity["relief"]
     assert row["ratio"] == direct.ratio
     assert (
-        rows_of(Store(store).scores("ea", "thesis-code"))[1]["shift_px"] == code_match(*map(code_side, sides)).shift_px
+        rows_of(Store(store).scores("ea", "thesis-code"))[1]["shift_px"]
+        == code_match(*map(code_side, sides)).shift_px
     )
     found = Store(store).scores("ea", "minutiae")
     assert found["similarity"].tolist() == found["bozorth3"].tolist()
-    assert found["similarity"][found["genuine"]].min() > found["similarity"][~found["genuine"]].max()
+    assert (
+        found["similarity"][found["genuine"]].min() > found["similarity"][~found["genuine"]].max()
+    )
     # made once: the second run reads them
     before = tables(store)
     run(people, store, "thesis", "minutiae")
     assert tables(store) == before
 
 
-def test_several_captures_in_a_table_are_read_as_earlier_programs_wrote_them(people: Path, store: Path) -> None:
+@pytest.mark.slow
+def test_several_captures_in_a_table_are_read_as_earlier_programs_wrote_them(
+    people: Path, store: Path
+) -> None:
     pytest.importorskip("nbis")
     run(people, store, "ridge", "minutiae")
     scores, csv = tables(store), (store / "csv" / "ea_ridge.csv").read_bytes()
@@ -262,13 +299,18 @@ def test_several_captures_in_a_table_are_read_as_earlier_programs_wrote_them(peo
     inputs = {name: sha256 for origin in origins for name, sha256 in origin["inputs"].items()}
     for folder in ("features", "minutiae", "scores", "csv"):
         shutil.rmtree(store / folder)
-    write_table(store / "features" / "ea" / "00000-9a514bad3d49.npz", rows, origins[0] | {"inputs": inputs})
+    write_table(
+        store / "features" / "ea" / "00000-9a514bad3d49.npz", rows, origins[0] | {"inputs": inputs}
+    )
     assert run(people, store, "ridge", "minutiae")["reconstructed"] == 0
     again = tables(store)
-    assert {name: again[name] for name in scores if name.startswith("scores")}.items() <= scores.items()
+    assert {
+        name: again[name] for name in scores if name.startswith("scores")
+    }.items() <= scores.items()
     assert (store / "csv" / "ea_ridge.csv").read_bytes() == csv
 
 
+@pytest.mark.slow
 def test_stores_without_surfaces_say_so(people: Path, tmp_path: Path) -> None:
     run(people, tmp_path / "out", surfaces=False)
     with pytest.raises(BadInput, match="without them"):
@@ -281,7 +323,9 @@ def test_other_settings_are_refused_by_name(people: Path, store: Path) -> None:
         run(people, store, cases=(case,))
 
 
-def test_other_populations_versions_and_folders_are_refused(people: Path, store: Path, tmp_path: Path) -> None:
+def test_other_populations_versions_and_folders_are_refused(
+    people: Path, store: Path, tmp_path: Path
+) -> None:
     other = tmp_path / "other"
     shutil.copytree(people, other, ignore=shutil.ignore_patterns("*.png", "truth.npz"))
     document = json.loads((other / "population.json").read_text())
@@ -290,7 +334,10 @@ def test_other_populations_versions_and_folders_are_refused(people: Path, store:
         run(other, store)
     kept = (store / "store.json").read_text()
     for change, words in (
-        ({"format_version": 2}, "version 2, and this is a reader of version 3; run the batch again"),
+        (
+            {"format_version": 2},
+            "version 2, and this is a reader of version 3; run the batch again",
+        ),
         ({"version": "9.9"}, "made with another version"),
         ({"cases": 3}, "damaged"),
         ({"cases": {"ea": 3}}, "made with another cases.ea"),
@@ -320,7 +367,10 @@ def test_no_captures_and_no_population(people: Path, tmp_path: Path) -> None:
     assert not (tmp_path / "out").exists()
 
 
-@pytest.mark.parametrize("damage", [lambda data: data[:200], lambda data: b"PAR1" + data[4:-60] + b"\0" * 60])
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    "damage", [lambda data: data[:200], lambda data: b"PAR1" + data[4:-60] + b"\0" * 60]
+)
 def test_damaged_tables_are_named(people: Path, store: Path, damage) -> None:
     file = Store(store).files("features", "ea")[0]
     file.write_bytes(damage(file.read_bytes()))

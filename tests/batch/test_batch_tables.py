@@ -1,4 +1,5 @@
-"""Tables of a store: damage is reported in a sentence, and sizes are checked before they are read."""
+"""Tables of a store: damage is reported in a sentence, and sizes are checked before they are
+read."""
 
 from __future__ import annotations
 
@@ -19,7 +20,10 @@ NAMES = ("S01/session_1/right_index", "S01/session_2/right_index", "S02/session_
 COLUMNS = ("a", "b", "genuine", "similarity", "compared", "shift_mm")
 ROWS: list[dict[str, Any]] = [
     dict(zip(COLUMNS, row, strict=True))
-    for row in ((NAMES[0], NAMES[1], True, 0.9, True, 0.5), (NAMES[0], NAMES[2], False, 0.1, True, 0.25))
+    for row in (
+        (NAMES[0], NAMES[1], True, 0.9, True, 0.5),
+        (NAMES[0], NAMES[2], False, 0.1, True, 0.25),
+    )
 ]
 
 
@@ -76,7 +80,9 @@ def test_of_a_pair_that_lies_in_two_tables_the_first_counts(table: Path) -> None
         ({"template": np.zeros(3, np.uint8), "template.ends": np.array([4, 3])}, "damaged"),
     ],
 )
-def test_columns_of_another_kind_are_refused(table: Path, change: dict[str, Any], words: str) -> None:
+def test_columns_of_another_kind_are_refused(
+    table: Path, change: dict[str, Any], words: str
+) -> None:
     columns = {name: np.array([row[name] for row in ROWS]) for name in COLUMNS} | change
     write_npz(table, {name: values for name, values in columns.items() if values is not None})
     with pytest.raises(BadInput, match=words) as caught:
@@ -90,13 +96,20 @@ def test_damage_is_refused_in_a_sentence(table: Path) -> None:
         table.write_bytes(content)
         with pytest.raises(BadInput, match="damaged"):
             read_table(table)
-    for origin in ({}, {"origin": np.array("{")}, {"origin": np.array("3")}, {"origin": np.zeros(3)}):
+    for origin in (
+        {},
+        {"origin": np.array("{")},
+        {"origin": np.array("3")},
+        {"origin": np.zeros(3)},
+    ):
         write_npz(table, {"a": np.array(["x"]), **origin})
         with pytest.raises(BadInput, match=r"damaged|not valid JSON"):
             read_origin(table)
 
 
-def test_sizes_are_checked_before_a_table_is_read(table: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_sizes_are_checked_before_a_table_is_read(
+    table: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     write_table(table, [row | {"a": "x" * 1_000_000} for row in ROWS], {})
     monkeypatch.setattr("splitknit_match.batch.tables._MAX_BYTES", 500_000)
     assert table.stat().st_size < 100_000

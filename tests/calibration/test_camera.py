@@ -48,7 +48,10 @@ def test_terms_that_the_photographs_show_are_fitted(distortion, fitted):
 def test_standard_deviations_are_what_repetition_gives():
     exact = views(3, 8, noise_px=0)
     rng = np.random.default_rng(7)
-    found = [fit_lens(BOARD.points_mm, [v + rng.normal(0, 0.05, v.shape) for v in exact], SIZE) for _ in range(10)]
+    found = [
+        fit_lens(BOARD.points_mm, [v + rng.normal(0, 0.05, v.shape) for v in exact], SIZE)
+        for _ in range(10)
+    ]
     values = np.array([[one.matrix[0, 0], *one.matrix[:2, 2]] for one in found])
     deviation = np.mean([[one.deviations[k] for k in ("fx", "cx", "cy")] for one in found], axis=0)
     ratio = values.std(axis=0, ddof=1) / deviation
@@ -57,6 +60,7 @@ def test_standard_deviations_are_what_repetition_gives():
     assert np.all(np.abs(values.mean(axis=0) - (2650, 405, 268)) < 4 * deviation / np.sqrt(10))
 
 
+@pytest.mark.slow
 def test_a_bad_photograph_is_left_out_and_named():
     sets = views(4, 12)
     rng = np.random.default_rng(0)
@@ -79,7 +83,9 @@ def test_the_same_photograph_twice_counts_once():
     found = fit_camera(twice, BOARD, SIZE, list("abcdefgh"))
     assert found.repeated == {"g": "c", "h": "a"}
     assert found.used == tuple("abcdef")
-    with pytest.raises(BadInput, match=r"only 4 of 8 photographs .* can be used \(4 of them twice\)"):
+    with pytest.raises(
+        BadInput, match=r"only 4 of 8 photographs .* can be used \(4 of them twice\)"
+    ):
         fit_camera([*sets[:4], *sets[:4]], BOARD, SIZE)
 
 
@@ -87,7 +93,9 @@ def test_boards_parallel_to_the_sensor_are_refused():
     for seed in range(3):
         with pytest.raises(BadInput, match="parallel"):
             fit_camera(views(seed, tilts=(0, 0)), BOARD, SIZE)
-    with pytest.raises(BadInput, match=r"nearly parallel .*focal length and distance cannot be separated"):
+    with pytest.raises(
+        BadInput, match=r"nearly parallel .*focal length and distance cannot be separated"
+    ):
         fit_camera(views(8, tilts=(0, 2), noise_px=0.1), BOARD, SIZE)
 
 

@@ -1,4 +1,5 @@
-"""Checkerboards drawn here: where corners are, whatever the light, and no board but the one that was asked for."""
+"""Checkerboards drawn here: where corners are, whatever the light, and no board but the one that
+was asked for."""
 
 from __future__ import annotations
 
@@ -15,7 +16,8 @@ LENS = np.array([[1900.0, 0, 279.5], [0, 1900.0, 199.5], [0, 0, 1]])
 
 
 def picture(board, tilt=20.0, towards=40.0, *, spin=5.0, middle=(0.0, 0.0, 140.0), blur=0.8):
-    """(H, W) float picture in 0 to 1 and the corners' true places; black squares in the corners, a white rim."""
+    """(H, W) float picture in 0 to 1 and the corners' true places; black squares in the corners, a
+    white rim."""
     sub = 8
     rotation = turned(tilt, towards, spin)
     half = np.array([board.columns - 1, board.rows - 1]) / 2
@@ -26,11 +28,17 @@ def picture(board, tilt=20.0, towards=40.0, *, spin=5.0, middle=(0.0, 0.0, 140.0
     drawing[:, [0, -1]] = 0.85
     drawing = np.kron(drawing, np.ones((scale, scale)))
     # corners (i, j) of the board lie at (j + 2) * scale - 0.5 in the drawing
-    marks = np.array([[-2, -2], [board.columns, -2], [board.columns, board.rows], [-2, board.rows]], dtype=float)
+    marks = np.array(
+        [[-2, -2], [board.columns, -2], [board.columns, board.rows], [-2, board.rows]], dtype=float
+    )
     ends = seen((marks - half) * board.square_mm, rotation, np.array(middle), LENS)
     source = (marks + 2) * scale - 0.5
-    warp = cv2.getPerspectiveTransform(source.astype(np.float32), ((ends + 0.5) * sub - 0.5).astype(np.float32))
-    large = cv2.warpPerspective(drawing, warp, (SIZE[1] * sub, SIZE[0] * sub), flags=cv2.INTER_AREA, borderValue=0.02)
+    warp = cv2.getPerspectiveTransform(
+        source.astype(np.float32), ((ends + 0.5) * sub - 0.5).astype(np.float32)
+    )
+    large = cv2.warpPerspective(
+        drawing, warp, (SIZE[1] * sub, SIZE[0] * sub), flags=cv2.INTER_AREA, borderValue=0.02
+    )
     image = cv2.resize(large, SIZE[::-1], interpolation=cv2.INTER_AREA)
     truth = seen(board.points_mm - board.points_mm.mean(axis=0), rotation, np.array(middle), LENS)
     return cv2.GaussianBlur(image, (0, 0), blur), truth
@@ -39,7 +47,9 @@ def picture(board, tilt=20.0, towards=40.0, *, spin=5.0, middle=(0.0, 0.0, 140.0
 def error(found, truth):
     """Rms distance, whichever corner is the first."""
     assert found is not None
-    return min(float(np.sqrt(((found - there) ** 2).sum(axis=1).mean())) for there in (truth, truth[::-1]))
+    return min(
+        float(np.sqrt(((found - there) ** 2).sum(axis=1).mean())) for there in (truth, truth[::-1])
+    )
 
 
 @pytest.mark.parametrize(("tilt", "towards"), [(0, 0), (20, 40), (35, 250)])

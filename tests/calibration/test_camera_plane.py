@@ -13,7 +13,8 @@ MARKS = BOARD.points_mm - BOARD.points_mm.mean(axis=0)
 
 
 def base(tilt_x_deg, tilt_y_deg):
-    """A plane turned by small angles about x and y of the rig's frame (x right, y up), in the camera's frame."""
+    """A plane turned by small angles about x and y of the rig's frame (x right, y up), in the
+    camera's frame."""
     x, y = np.deg2rad([-tilt_x_deg, -tilt_y_deg])
     about_x = np.array([[1, 0, 0], [0, np.cos(x), np.sin(x)], [0, -np.sin(x), np.cos(x)]])
     about_y = np.array([[np.cos(y), 0, np.sin(y)], [0, 1, 0], [-np.sin(y), 0, np.cos(y)]])
@@ -31,11 +32,14 @@ def base(tilt_x_deg, tilt_y_deg):
     ],
 )
 def test_pose_and_direction_of_the_tilt(tilt, side):
-    """Turned right-handed about x, the plane's upper part comes up to the camera; about y, its right part goes down."""
+    """Turned right-handed about x, the plane's upper part comes up to the camera; about y, its
+    right part goes down."""
     rotation = base(*tilt)
     middle = rotation @ (2.0, 1.0, 0.0) + (0, 0, 139.5)
     distortion = (0.1, 0, 0.001, 0, 0)
-    pose = plane_pose(BOARD.points_mm, seen(MARKS, rotation, middle, distortion=distortion), MATRIX, distortion)
+    pose = plane_pose(
+        BOARD.points_mm, seen(MARKS, rotation, middle, distortion=distortion), MATRIX, distortion
+    )
     assert pose.height_mm == pytest.approx(139.5, abs=1e-3)
     assert pose.px_per_mm == pytest.approx(2650 / 139.5, rel=1e-5)
     assert pose.tilt_deg == pytest.approx(np.hypot(*tilt), abs=2e-3)
@@ -48,8 +52,13 @@ def test_deviations_are_what_repetition_gives():
     rotation = base(0.6, -0.4)
     exact = seen(MARKS, rotation, (0, 0, 140.0))
     rng = np.random.default_rng(0)
-    poses = [plane_pose(BOARD.points_mm, exact + rng.normal(0, 0.05, exact.shape), MATRIX) for _ in range(60)]
-    promised = np.mean([[p.deviations["height_mm"], p.deviations["tilt_deg"]] for p in poses], axis=0)
+    poses = [
+        plane_pose(BOARD.points_mm, exact + rng.normal(0, 0.05, exact.shape), MATRIX)
+        for _ in range(60)
+    ]
+    promised = np.mean(
+        [[p.deviations["height_mm"], p.deviations["tilt_deg"]] for p in poses], axis=0
+    )
     heights = np.std([p.height_mm for p in poses], ddof=1)
     tilts = np.std([p.tilt_xy_deg for p in poses], axis=0, ddof=1).max()
     assert heights == pytest.approx(promised[0], rel=0.3)
@@ -58,7 +67,9 @@ def test_deviations_are_what_repetition_gives():
     assert mean.deviations["height_mm"] == pytest.approx(promised[0] / np.sqrt(60), rel=0.1)
     assert abs(mean.height_mm - 140) < 4 * mean.deviations["height_mm"]
     assert mean.px_per_mm == pytest.approx(2650 / mean.height_mm)
-    assert np.abs(np.subtract(mean.tilt_xy_deg, (0.6, -0.4))).max() < 4 * mean.deviations["tilt_deg"]
+    assert (
+        np.abs(np.subtract(mean.tilt_xy_deg, (0.6, -0.4))).max() < 4 * mean.deviations["tilt_deg"]
+    )
 
 
 def test_marks_that_do_not_do():

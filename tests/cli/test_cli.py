@@ -44,7 +44,12 @@ def seen(monkeypatch: pytest.MonkeyPatch) -> dict[str, Any]:
         settings: Mapping[str, Any] | None = None,
         progress: Callable[[str, float], None] | None = None,
     ) -> Reconstruction:
-        calls.update(preset=preset, settings=dict(settings or {}), shape=capture.shape, tip=capture.tip_direction_deg)
+        calls.update(
+            preset=preset,
+            settings=dict(settings or {}),
+            shape=capture.shape,
+            tip=capture.tip_direction_deg,
+        )
         if progress is not None:
             progress("normals", 0.5)
         if "raise" in calls:
@@ -55,14 +60,30 @@ def seen(monkeypatch: pytest.MonkeyPatch) -> dict[str, Any]:
     return calls
 
 
-def test_reconstruct_writes_and_says_so(capture_folder: Path, seen: dict[str, Any], capsys: Captured) -> None:
+def test_reconstruct_writes_and_says_so(
+    capture_folder: Path, seen: dict[str, Any], capsys: Captured
+) -> None:
     out = capture_folder.parent / "result"
     code = main(
-        ["reconstruct", str(capture_folder), "--out", str(out), "--preset", "snk", "--set", "knit.method=addition"]
+        [
+            "reconstruct",
+            str(capture_folder),
+            "--out",
+            str(out),
+            "--preset",
+            "snk",
+            "--set",
+            "knit.method=addition",
+        ]
     )
     said = capsys.readouterr()
     assert code == 0
-    assert seen == {"preset": "snk", "settings": {"knit.method": "addition"}, "shape": (440, 640), "tip": None}
+    assert seen == {
+        "preset": "snk",
+        "settings": {"knit.method": "addition"},
+        "shape": (440, 640),
+        "tip": None,
+    }
     assert {path.name for path in out.iterdir()} >= set(FILES)
     assert "preset snk" in said.out
     assert "Please note: No flexion crease is in view" in said.out
@@ -71,7 +92,9 @@ def test_reconstruct_writes_and_says_so(capture_folder: Path, seen: dict[str, An
     assert said.err == ""  # no progress in a pipe
 
 
-def test_json_is_one_object_and_nothing_else(capture_folder: Path, seen: dict[str, Any], capsys: Captured) -> None:
+def test_json_is_one_object_and_nothing_else(
+    capture_folder: Path, seen: dict[str, Any], capsys: Captured
+) -> None:
     out = capture_folder.parent / "result"
     assert main(["reconstruct", str(capture_folder), "--out", str(out), "--json"]) == 0
     said = capsys.readouterr()
@@ -97,14 +120,23 @@ def test_bad_input_is_one_sentence_and_code_2(tmp_path: Path, capsys: Captured) 
     ("error", "code", "words"),
     [
         (BadInput("the mask is\nempty."), 2, r"capture: the mask is\nempty."),
-        (KeyError("height"), 1, "KeyError: 'height' (internal error, please report it; --traceback shows where)"),
+        (
+            KeyError("height"),
+            1,
+            "KeyError: 'height' (internal error, please report it; --traceback shows where)",
+        ),
         (ValueError("no BadInput"), 1, "internal error, please report it"),
         (MemoryError(), 1, "not enough memory"),
         (KeyboardInterrupt(), 130, "interrupted; nothing was left half-written"),
     ],
 )
 def test_failures_have_their_codes(  # noqa: PLR0917
-    capture_folder: Path, seen: dict[str, Any], capsys: Captured, error: BaseException, code: int, words: str
+    capture_folder: Path,
+    seen: dict[str, Any],
+    capsys: Captured,
+    error: BaseException,
+    code: int,
+    words: str,
 ) -> None:
     seen["raise"] = error
     out = capture_folder.parent / "deep" / "result"
@@ -117,16 +149,23 @@ def test_failures_have_their_codes(  # noqa: PLR0917
     assert [path.name for path in capture_folder.parent.iterdir()] == ["capture"]
 
 
-def test_a_folder_of_another_user_is_one_sentence(monkeypatch: pytest.MonkeyPatch, capsys: Captured) -> None:
+def test_a_folder_of_another_user_is_one_sentence(
+    monkeypatch: pytest.MonkeyPatch, capsys: Captured
+) -> None:
     def denied(options: Any) -> None:
         raise PermissionError(13, "Permission denied", "theirs/x")
 
     monkeypatch.setattr("splitknit.io.results.read_result", denied)
     assert main(["profile", "theirs/x", "1,1", "2,2"]) == 2
-    assert capsys.readouterr().err == "splitknit: error: 'theirs/x' cannot be reached: Permission denied.\n"
+    assert (
+        capsys.readouterr().err
+        == "splitknit: error: 'theirs/x' cannot be reached: Permission denied.\n"
+    )
 
 
-def test_traceback_is_shown_on_request(capture_folder: Path, seen: dict[str, Any], capsys: Captured) -> None:
+def test_traceback_is_shown_on_request(
+    capture_folder: Path, seen: dict[str, Any], capsys: Captured
+) -> None:
     seen["raise"] = RuntimeError("odd")
     out = capture_folder.parent / "result"
     assert main(["reconstruct", str(capture_folder), "--out", str(out), "--traceback"]) == 1
@@ -159,16 +198,28 @@ def test_wrong_usage_is_code_2(
     assert list(tmp_path.iterdir()) == []
 
 
-@pytest.mark.parametrize("arguments", [["--help"], ["--version"], ["demo", "--help"], ["simulate", "--help"]])
+@pytest.mark.parametrize(
+    "arguments", [["--help"], ["--version"], ["demo", "--help"], ["simulate", "--help"]]
+)
 def test_help_is_code_0(arguments: list[str], capsys: Captured) -> None:
     assert main(arguments) == 0
     assert "splitknit" in capsys.readouterr().out
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(not Path("/dev/full").exists(), reason="no full device")
-@pytest.mark.parametrize("words", [["--version"], ["match", "--help"], ["simulate", "--scale", "0.05", "--out", "OUT"]])
-def test_a_closed_pipe_is_no_error_and_a_full_disk_is_one_sentence(tmp_path: Path, words: list[str]) -> None:
-    command = [sys.executable, "-m", "splitknit", *(str(tmp_path / "out") if one == "OUT" else one for one in words)]
+@pytest.mark.parametrize(
+    "words", [["--version"], ["match", "--help"], ["simulate", "--scale", "0.05", "--out", "OUT"]]
+)
+def test_a_closed_pipe_is_no_error_and_a_full_disk_is_one_sentence(
+    tmp_path: Path, words: list[str]
+) -> None:
+    command = [
+        sys.executable,
+        "-m",
+        "splitknit",
+        *(str(tmp_path / "out") if one == "OUT" else one for one in words),
+    ]
     reading, closed = os.pipe()
     os.close(reading)
     with os.fdopen(closed, "wb") as pipe:
@@ -178,7 +229,10 @@ def test_a_closed_pipe_is_no_error_and_a_full_disk_is_one_sentence(tmp_path: Pat
         again = [*command, "--overwrite"] if words[0] == "simulate" else command
         run = subprocess.run(again, stdout=full, stderr=subprocess.PIPE, text=True, check=False)
     assert run.returncode == 2
-    assert run.stderr.startswith("splitknit: error: stdout cannot be written: No space left") and "done" in run.stderr
+    assert (
+        run.stderr.startswith("splitknit: error: stdout cannot be written: No space left")
+        and "done" in run.stderr
+    )
     assert run.stderr.count("\n") == 1
     assert words[0] != "simulate" or (tmp_path / "out" / "capture.json").is_file()
 
@@ -202,9 +256,17 @@ sys.exit(main())
 
 @pytest.mark.parametrize(
     ("which", "number"),
-    [(1, signal.SIGTERM), (30, signal.SIGINT), (100, signal.SIGTERM), (200, signal.SIGINT), (300, signal.SIGTERM)],
+    [
+        (1, signal.SIGTERM),
+        (30, signal.SIGINT),
+        (100, signal.SIGTERM),
+        (200, signal.SIGINT),
+        (300, signal.SIGTERM),
+    ],
 )
-def test_an_interrupt_in_an_import_is_one_line(tmp_path: Path, which: int, number: signal.Signals) -> None:
+def test_an_interrupt_in_an_import_is_one_line(
+    tmp_path: Path, which: int, number: signal.Signals
+) -> None:
     """Of the verb, of numpy, of what the verb loads."""
     arguments = [str(which), str(int(number)), "reconstruct", "nowhere", "--out", "x"]
     run = subprocess.run(
@@ -214,7 +276,10 @@ def test_an_interrupt_in_an_import_is_one_line(tmp_path: Path, which: int, numbe
         check=False,
         cwd=tmp_path,
     )
-    assert (run.returncode, run.stderr) == (130, "splitknit: interrupted; nothing was left half-written.\n")
+    assert (run.returncode, run.stderr) == (
+        130,
+        "splitknit: interrupted; nothing was left half-written.\n",
+    )
     assert list(tmp_path.iterdir()) == []
 
 
@@ -237,14 +302,23 @@ splitknit.io.results.read_result = run
 sys.exit(cli.main())
 """
     run = subprocess.run(
-        [sys.executable, "-c", code, "profile", "a", "1,1", "2,2"], capture_output=True, text=True, check=False
+        [sys.executable, "-c", code, "profile", "a", "1,1", "2,2"],
+        capture_output=True,
+        text=True,
+        check=False,
     )
-    assert (run.returncode, run.stderr) == (130, "splitknit: interrupted; nothing was left half-written.\n")
+    assert (run.returncode, run.stderr) == (
+        130,
+        "splitknit: interrupted; nothing was left half-written.\n",
+    )
 
 
 def test_an_interrupt_at_exit_is_no_traceback() -> None:
     code = "import atexit, os, signal, sys; from splitknit.cli.main import main; "
-    code += "atexit.register(lambda: os.kill(os.getpid(), signal.SIGINT)); sys.argv[1:] = ['simulate']; main()"
+    code += (
+        "atexit.register(lambda: os.kill(os.getpid(), signal.SIGINT)); sys.argv[1:] = ['simulate'];"
+        " main()"
+    )
     run = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
     assert run.returncode == 130
     assert run.stderr.endswith("splitknit: interrupted; nothing was left half-written.\n")
@@ -273,7 +347,9 @@ def test_an_error_is_one_line_whatever_it_quotes(
 ) -> None:
     monkeypatch.chdir(tmp_path)
     assert main(arguments) == 2
-    (line,) = [line for line in capsys.readouterr().err.split("\n") if "error:" in line or "\x1b" in line]
+    (line,) = [
+        line for line in capsys.readouterr().err.split("\n") if "error:" in line or "\x1b" in line
+    ]
     assert line.startswith("splitknit") and line.isprintable()
     assert "x1b[1m" in line
 
@@ -288,7 +364,10 @@ def test_a_success_moves_no_cursor_whatever_its_files_are_called(
     assert "a\\x1b[2Jb\\nc\\u202eexe" in out
 
 
-ASCII = ({"PYTHONIOENCODING": "ascii"}, {"LC_ALL": "C", "PYTHONUTF8": "0", "PYTHONCOERCECLOCALE": "0"})
+ASCII = (
+    {"PYTHONIOENCODING": "ascii"},
+    {"LC_ALL": "C", "PYTHONUTF8": "0", "PYTHONCOERCECLOCALE": "0"},
+)
 
 
 @pytest.mark.parametrize("ascii_only", ASCII)
@@ -297,7 +376,10 @@ def test_what_a_terminal_cannot_show_is_escaped(ascii_only: dict[str, str]) -> N
     program = "import sys; from splitknit import profile; from splitknit.arguments import Report; "
     program += "from splitknit.cli import main as cli; "
     program += "profile.profile = lambda: Report({}, ['3 mm' + chr(178)]); sys.exit(cli.main())"
-    for arguments, code, wanted in ((["profile"], 0, "3 mm\\xb2"), (["profile", "²"], 2, "Unused Tokens")):
+    for arguments, code, wanted in (
+        (["profile"], 0, "3 mm\\xb2"),
+        (["profile", "²"], 2, "Unused Tokens"),
+    ):
         run = subprocess.run(
             [sys.executable, "-c", program, *arguments],
             capture_output=True,
@@ -317,7 +399,10 @@ def test_a_kill_leaves_nothing_behind(tmp_path: Path) -> None:
         "sys.exit(cli.main())"
     )
     run = subprocess.run(
-        [sys.executable, "-c", code, str(tmp_path / "out")], capture_output=True, text=True, check=False
+        [sys.executable, "-c", code, str(tmp_path / "out")],
+        capture_output=True,
+        text=True,
+        check=False,
     )
     assert run.returncode == 130, run.stderr
     assert "interrupted" in run.stderr
@@ -328,27 +413,39 @@ def test_experiments_and_benchmarks_import_no_command_line() -> None:
     """They call the library, or run the program."""
     root = Path(__file__).resolve().parents[2]
     scripts = [
-        script for folder in ("validation", "benchmarks", "examples") for script in (root / folder).rglob("*.py")
+        script
+        for folder in ("validation", "benchmarks", "examples")
+        for script in (root / folder).rglob("*.py")
     ]
     assert len(scripts) > 50
     imported = re.compile(r"^\s*(from|import) splitknit\.cli", re.MULTILINE)
-    assert [script.name for script in scripts if imported.search(script.read_text(encoding="utf-8"))] == []
+    assert [
+        script.name for script in scripts if imported.search(script.read_text(encoding="utf-8"))
+    ] == []
 
 
 OF_FUNCTIONS = {"intensities", "memory", "pitch_mm", "resolution_ppi", "view"}
 """Arguments of functions that no verb has."""
 
 
+@pytest.mark.slow
 def test_arguments_that_messages_name_are_fields_of_verbs() -> None:
-    """A message of the library names an argument between backticks; the command line writes its option."""
+    """A message of the library names an argument between backticks; the command line writes its
+    option."""
     app = build_app()
     known = OF_FUNCTIONS.union(*(options_of(app, words) for words in words_of_verbs(app)))
     named = set()
     for file in (Path(__file__).parents[2] / "packages").glob("*/src/**/*.py"):
         for call in ast.walk(ast.parse(file.read_text(encoding="utf-8"))):
-            if isinstance(call, ast.Call) and getattr(call.func, "id", "") in ("require", "BadInput", "Refused"):
+            if isinstance(call, ast.Call) and getattr(call.func, "id", "") in (
+                "require",
+                "BadInput",
+                "Refused",
+            ):
                 texts = [one.value for one in ast.walk(call) if isinstance(one, ast.Constant)]
-                named |= {name for text in texts for name in re.findall("`([a-z_0-9]+)`", str(text))}
+                named |= {
+                    name for text in texts for name in re.findall("`([a-z_0-9]+)`", str(text))
+                }
     assert len(named) > 20
     assert named - known == set()
 

@@ -1,4 +1,5 @@
-"""Photographs through the command line: one command to a surface, one to a capture, and a scale that is not known."""
+"""Photographs through the command line: one command to a surface, one to a capture, and a scale
+that is not known."""
 
 from __future__ import annotations
 
@@ -41,7 +42,20 @@ def photos(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="module")
 def result(photos: Path) -> Path:
-    assert main(["reconstruct", "--images", str(photos), "--preset", "ea", "--out", str(photos / "result")]) == 0
+    assert (
+        main(
+            [
+                "reconstruct",
+                "--images",
+                str(photos),
+                "--preset",
+                "ea",
+                "--out",
+                str(photos / "result"),
+            ]
+        )
+        == 0
+    )
     return photos / "result"
 
 
@@ -54,7 +68,9 @@ def captured(tmp_path: Path) -> Path:
     return taken
 
 
-def test_photographs_and_captures_are_not_read_through_links(photos: Path, captured: Path, capsys) -> None:
+def test_photographs_and_captures_are_not_read_through_links(
+    photos: Path, captured: Path, capsys
+) -> None:
     folder = captured.parent / "received"
     shutil.copytree(photos, folder, ignore=shutil.ignore_patterns("result*"))
     words = ["import", "--images", str(folder), "--out", str(captured.parent / "out")]
@@ -73,7 +89,18 @@ def test_photographs_and_captures_are_not_read_through_links(photos: Path, captu
         assert f"{name}' is a link inside a folder" in capsys.readouterr().err
         (captured / f"own_{name}").replace(captured / name)
     (captured.parent / "link").symlink_to(folder)
-    assert main(["import", "--images", str(captured.parent / "link"), "--out", str(captured.parent / "out")]) == 0
+    assert (
+        main(
+            [
+                "import",
+                "--images",
+                str(captured.parent / "link"),
+                "--out",
+                str(captured.parent / "out"),
+            ]
+        )
+        == 0
+    )
 
 
 def test_one_command_makes_a_surface_in_pixels(result: Path) -> None:
@@ -94,7 +121,9 @@ def test_one_command_makes_a_surface_in_pixels(result: Path) -> None:
     assert not [name for name in names if name.endswith(("_mm", "_mm2", "_um"))]
     page = (result / "report.html").read_text().replace("where it is a finger", "")
     page = re.sub("<script.*?</script>", "", page, flags=re.DOTALL)
-    assert "in pixels: its scale is unknown" in page and "finger" not in page.split("<h2>Quality")[0]
+    assert (
+        "in pixels: its scale is unknown" in page and "finger" not in page.split("<h2>Quality")[0]
+    )
     assert " mm" not in page.split("<h2>Quality")[0].split("</style>")[1].replace("--px-per-mm", "")
     assert b"unit pixel, the scale is unknown" in (result / "surface.ply").read_bytes()[:500]
     assert read_light_tiff(result / "height.tiff")[1]["unit"] == "pixel"
@@ -130,13 +159,18 @@ def test_refusals(options: list[str], words: str, photos: Path, tmp_path: Path, 
 
 def test_a_known_scale_is_not_replaced(photos: Path, tmp_path: Path, capsys) -> None:
     capture = tmp_path / "capture"
-    assert main(["import", "--images", str(photos), "--px-per-mm", "20", "--out", str(capture)]) == 0
-    assert main(["reconstruct", str(capture), "--px-per-mm", "30", "--out", str(tmp_path / "x")]) == 2
+    assert (
+        main(["import", "--images", str(photos), "--px-per-mm", "20", "--out", str(capture)]) == 0
+    )
+    assert (
+        main(["reconstruct", str(capture), "--px-per-mm", "30", "--out", str(tmp_path / "x")]) == 2
+    )
     assert "has a scale already: 20 px/mm" in capsys.readouterr().err
 
 
 def polarised_photos(photos: Path, root: Path, *, mirrored: int = 3000) -> tuple[Path, Path]:
-    """The ball's photographs as a crossed series, and with light that its surface reflects as a parallel one."""
+    """The ball's photographs as a crossed series, and with light that its surface reflects as a
+    parallel one."""
     parallel, crossed = root / "parallel", root / "crossed"
     for folder in (parallel, crossed):
         folder.mkdir(parents=True)
@@ -144,7 +178,9 @@ def polarised_photos(photos: Path, root: Path, *, mirrored: int = 3000) -> tuple
     for k in range(5):
         light = np.asarray(Image.open(photos / f"{k}.png")).astype(np.int64)
         Image.fromarray((light // 2).astype(np.uint16)).save(crossed / f"through_{k}.png")
-        Image.fromarray((light // 2 + mirrored * (light > 0)).astype(np.uint16)).save(parallel / f"{k}.png")
+        Image.fromarray((light // 2 + mirrored * (light > 0)).astype(np.uint16)).save(
+            parallel / f"{k}.png"
+        )
     return parallel, crossed
 
 
@@ -152,7 +188,9 @@ def imported(*arguments: object) -> int:
     return main(["import", *map(str, arguments), "--px-per-mm", "10", "--json"])
 
 
-def test_a_crossed_series_is_imported_beside_the_parallel_one(photos: Path, tmp_path: Path, capsys) -> None:
+def test_a_crossed_series_is_imported_beside_the_parallel_one(
+    photos: Path, tmp_path: Path, capsys
+) -> None:
     parallel, crossed = polarised_photos(photos, tmp_path)
     assert imported("--images", parallel, "--crossed", crossed, "--out", tmp_path / "c") == 0
     facts = json.loads(capsys.readouterr().out)
@@ -162,16 +200,32 @@ def test_a_crossed_series_is_imported_beside_the_parallel_one(photos: Path, tmp_
         first = np.asarray(Image.open(sorted(folder.glob("*.png"))[0]))
         np.testing.assert_array_equal(capture.bands[name].pixels[0, ..., 0], first)
         assert capture.bands[name].leds == ((0,), (1,), (2,), (3,), (4,))
-    assert main(["reconstruct", str(tmp_path / "c"), "--preset", "ea", "--out", str(tmp_path / "r")]) == 0
-    one = ("--images", parallel, "--crossed", crossed, "--max-size", "0.01", "--out", tmp_path / "small")
+    assert (
+        main(["reconstruct", str(tmp_path / "c"), "--preset", "ea", "--out", str(tmp_path / "r")])
+        == 0
+    )
+    one = (
+        "--images",
+        parallel,
+        "--crossed",
+        crossed,
+        "--max-size",
+        "0.01",
+        "--out",
+        tmp_path / "small",
+    )
     assert imported(*one) == 0
-    assert {band.pixels.shape for band in read_capture(tmp_path / "small").bands.values()} == {(5, 100, 100, 1)}
+    assert {band.pixels.shape for band in read_capture(tmp_path / "small").bands.values()} == {
+        (5, 100, 100, 1)
+    }
 
 
 def test_series_in_the_wrong_folders_are_noted(photos: Path, tmp_path: Path, capsys) -> None:
     parallel, crossed = polarised_photos(photos, tmp_path)
     lights = ("--lights", photos / "lights.txt")
-    assert imported("--images", crossed, "--crossed", parallel, *lights, "--out", tmp_path / "c") == 0
+    assert (
+        imported("--images", crossed, "--crossed", parallel, *lights, "--out", tmp_path / "c") == 0
+    )
     assert "were their folders exchanged" in str(json.loads(capsys.readouterr().out)["notes"])
 
 
@@ -179,8 +233,14 @@ def test_series_that_do_not_fit_are_refused(photos: Path, tmp_path: Path, capsys
     parallel, crossed = polarised_photos(photos, tmp_path)
     Image.fromarray(np.ones((20, 20), np.uint16)).save(tmp_path / "small.png")
     for change, words in (
-        (lambda: shutil.copy(tmp_path / "small.png", crossed / "through_2.png"), "200 x 200 are expected"),
-        (lambda: shutil.copy(crossed / "through_4.png", crossed / "through_5.png"), "5 photographs, but"),
+        (
+            lambda: shutil.copy(tmp_path / "small.png", crossed / "through_2.png"),
+            "200 x 200 are expected",
+        ),
+        (
+            lambda: shutil.copy(crossed / "through_4.png", crossed / "through_5.png"),
+            "5 photographs, but",
+        ),
     ):
         change()
         assert imported("--images", parallel, "--crossed", crossed, "--out", tmp_path / "c") == 2
@@ -188,7 +248,9 @@ def test_series_that_do_not_fit_are_refused(photos: Path, tmp_path: Path, capsys
         assert not (tmp_path / "c").exists()
     assert imported("--images", parallel, "--crossed", parallel, "--out", tmp_path / "c") == 2
     assert "named twice" in capsys.readouterr().err
-    assert main(["import", "print.wsq", "--crossed", str(parallel), "--out", str(tmp_path / "p")]) == 2
+    assert (
+        main(["import", "print.wsq", "--crossed", str(parallel), "--out", str(tmp_path / "p")]) == 2
+    )
     assert "--crossed goes with --images" in capsys.readouterr().err
 
 
@@ -196,7 +258,9 @@ def test_frames_of_a_camera_with_films_on_its_pixels(photos: Path, tmp_path: Pat
     parallel, crossed = polarised_photos(photos, tmp_path)
     frames = tmp_path / "frames"
     frames.mkdir()
-    for k, (one, other) in enumerate(zip(sorted(parallel.glob("*.png")), sorted(crossed.glob("*.png")), strict=True)):
+    for k, (one, other) in enumerate(
+        zip(sorted(parallel.glob("*.png")), sorted(crossed.glob("*.png")), strict=True)
+    ):
         through = [np.asarray(Image.open(name)) for name in (one, other)]
         mosaic = np.zeros((400, 400), np.uint16)
         mosaic[0::2, 0::2], mosaic[1::2, 1::2] = through[0], through[1]  # 90 and 0 degrees
@@ -208,7 +272,9 @@ def test_frames_of_a_camera_with_films_on_its_pixels(photos: Path, tmp_path: Pat
     assert capture.shape == (200, 200)
     middle = np.s_[0, 60:140, 60:140, 0]
     for name, folder in (("white", parallel), ("white_crossed", crossed)):
-        first = np.asarray(Image.open(sorted(folder.glob("*.png"))[0])).astype(float)[60:140, 60:140]
+        first = np.asarray(Image.open(sorted(folder.glob("*.png"))[0])).astype(float)[
+            60:140, 60:140
+        ]
         found = capture.bands[name].pixels[middle].astype(float)
         assert np.abs(found - first).mean() < 0.02 * first.mean()
     capsys.readouterr()
@@ -217,7 +283,12 @@ def test_frames_of_a_camera_with_films_on_its_pixels(photos: Path, tmp_path: Pat
         (("--crossed", crossed), "leave out"),
         (("--film-angle", "nan"), "--film-angle must be from"),
     ):
-        assert imported("--images", frames, *lights, "--mosaic", "mono", *more, "--out", tmp_path / "d") == 2
+        assert (
+            imported(
+                "--images", frames, *lights, "--mosaic", "mono", *more, "--out", tmp_path / "d"
+            )
+            == 2
+        )
         assert words in capsys.readouterr().err
     assert imported("--images", frames, *lights, "--mosaic", "colour", "--out", tmp_path / "d") == 0
     assert read_capture(tmp_path / "d").bands["white_crossed"].pixels.shape == (5, 200, 200, 3)

@@ -1,4 +1,5 @@
-"""What the command line writes is readable by its owner alone, or by the group where that is asked for."""
+"""What the command line writes is readable by its owner alone, or by the group where that is asked
+for."""
 
 from __future__ import annotations
 
@@ -17,9 +18,16 @@ def _modes(folder: Path) -> tuple[set[int], set[int]]:
     return {m for p, m in found.items() if p.is_file()}, {m for p, m in found.items() if p.is_dir()}
 
 
-@pytest.mark.parametrize(("option", "modes"), [([], (0o600, 0o700)), (["--group-readable"], (0o640, 0o750))])
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("option", "modes"), [([], (0o600, 0o700)), (["--group-readable"], (0o640, 0o750))]
+)
 def test_verbs_write_private_files(
-    option: list[str], modes: tuple[int, int], twin_folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    option: list[str],
+    modes: tuple[int, int],
+    twin_folder: Path,
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
 ) -> None:
     out = tmp_path / "out"
     before = os.environ.get(GROUP_READABLE, "")
@@ -29,7 +37,15 @@ def test_verbs_write_private_files(
             ["reconstruct", str(twin_folder), "--preset", "ea", "--out", str(out / "result")],
             ["match", str(out / "result"), "--template", str(out / "templates" / "a.skt")],
             ["print", str(out / "result"), "--out", str(out / "print")],
-            ["enroll", str(out / "people.skg"), str(out / "result"), "--person", "A", "--finger", "left_index"],
+            [
+                "enroll",
+                str(out / "people.skg"),
+                str(out / "result"),
+                "--person",
+                "A",
+                "--finger",
+                "left_index",
+            ],
             ["gallery", "export", str(out / "people.skg"), "--out", str(out / "exported")],
             ["simulate", "--scale", "0.1", "--out", str(out / "capture")],
         ):

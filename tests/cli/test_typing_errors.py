@@ -23,7 +23,9 @@ def test_every_verb_has_the_version(verb: str, capsys: pytest.CaptureFixture[str
         ("match a b --method rigde", '"ridge"'),
     ],
 )
-def test_a_typo_is_answered_with_what_was_meant(line: str, meant: str, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_typo_is_answered_with_what_was_meant(
+    line: str, meant: str, capsys: pytest.CaptureFixture[str]
+) -> None:
     assert main(line.split()) == 2
     error = capsys.readouterr().err
     assert error.startswith("splitknit: error: ") and meant in error
@@ -31,6 +33,8 @@ def test_a_typo_is_answered_with_what_was_meant(line: str, meant: str, capsys: p
 
 
 @pytest.mark.parametrize("line", ["zzz", "match a b --zzz", "match a b c"])
-def test_nothing_is_suggested_for_what_is_like_nothing(line: str, capsys: pytest.CaptureFixture[str]) -> None:
+def test_nothing_is_suggested_for_what_is_like_nothing(
+    line: str, capsys: pytest.CaptureFixture[str]
+) -> None:
     assert main(line.split()) == 2
     assert "did you mean" not in capsys.readouterr().err.lower()

@@ -1,4 +1,5 @@
-"""A verb is a function: its signature makes the options, its docstring the help, its result what is printed."""
+"""A verb is a function: its signature makes the options, its docstring the help, its result what is
+printed."""
 
 from __future__ import annotations
 
@@ -85,7 +86,10 @@ def shine(
     CALLS.append(dict(locals()))
     progress("light", 0.5)
     power = lamp.power_mw
-    require(power is None or power >= 0, f"`power_mw` must not be negative, but it is {power} (`unknown`).")
+    require(
+        power is None or power >= 0,
+        f"`power_mw` must not be negative, but it is {power} (`unknown`).",
+    )
     if colour == "blue":
         refuse_given("is for red light.", marks=tuple(marks))
     return Lit(str(out), seed, "`seed`" if seed else None)
@@ -95,7 +99,8 @@ def shine(
 def entry_points(monkeypatch: pytest.MonkeyPatch) -> None:
     """Two verbs of somebody else's, by entry points."""
     points = importlib.metadata.EntryPoints(
-        importlib.metadata.EntryPoint(name, "test_verbs:shine", registry.GROUP) for name in ("shine", "light shine")
+        importlib.metadata.EntryPoint(name, "test_verbs:shine", registry.GROUP)
+        for name in ("shine", "light shine")
     )
     actual = importlib.metadata.entry_points
 
@@ -106,13 +111,19 @@ def entry_points(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def test_words_become_arguments() -> None:
-    words = "shine a b --out c --colour blue --size 0.5 --seed 0 --no-shadows --scores x y --power 3"
+    words = (
+        "shine a b --out c --colour blue --size 0.5 --seed 0 --no-shadows --scores x y --power 3"
+    )
     assert main([*words.split(), "--set", "a.b=1", "--set", "c=x"]) == 0
     call = CALLS[-1]
     assert list(call["folders"]) == [Path("a"), Path("b")]
     assert list(call["scores"]) == [Path("x"), Path("y")]
     assert (call["out"], call["colour"], call["size"], call["seed"]) == (Path("c"), "blue", 0.5, 0)
-    assert (call["shadows"], call["settings"], call["lamp"]) == (False, {"a.b": 1, "c": "x"}, Lamp(3.0))
+    assert (call["shadows"], call["settings"], call["lamp"]) == (
+        False,
+        {"a.b": 1, "c": "x"},
+        Lamp(3.0),
+    )
     assert main(["shine", "a", "--out", "c", "--marks", "x", "--marks", "y"]) == 0
     assert list(CALLS[-1]["marks"]) == ["x", "y"]
     assert (CALLS[-1]["shadows"], CALLS[-1]["memory"]) == (True, None)
@@ -122,9 +133,16 @@ def test_help_comes_from_signature_and_docstring(capsys: pytest.CaptureFixture[s
     assert main(["shine", "--help"]) == 0
     text = " ".join(capsys.readouterr().out.split())
     for words in (
-        "Light a finger.", "FOLDERS", "--no-shadows", "Which. [default: 3]", "[choices: red, blue] [default: red]",
-        "see --power (100 %)", "--out PATH File to write. [required]", "--power FLOAT Of each LED.", "--json",
-    ):  # fmt: skip
+        "Light a finger.",
+        "FOLDERS",
+        "--no-shadows",
+        "Which. [default: 3]",
+        "[choices: red, blue] [default: red]",
+        "see --power (100 %)",
+        "--out PATH File to write. [required]",
+        "--power FLOAT Of each LED.",
+        "--json",
+    ):
         assert words in text, words
     assert "memory" not in text and "progress" not in text
     assert main(["--help"]) == 0
@@ -145,7 +163,9 @@ def test_help_comes_from_signature_and_docstring(capsys: pytest.CaptureFixture[s
         ("--colou blue", "Unknown option: --colou. Did you mean --colour?"),
     ],
 )
-def test_messages_name_options(words: str, sentence: str, capsys: pytest.CaptureFixture[str]) -> None:
+def test_messages_name_options(
+    words: str, sentence: str, capsys: pytest.CaptureFixture[str]
+) -> None:
     assert main(["shine", "a", "--out", "b", *words.split()]) == 2
     error = capsys.readouterr().err
     assert error.startswith("splitknit: error: ") and error.count("\n") == 1
@@ -165,7 +185,10 @@ def test_a_verb_of_two_words_and_its_facts(capsys: pytest.CaptureFixture[str]) -
 
 def test_python_has_the_same_checks() -> None:
     assert shine(["a"], out=Path("b"), size=1.0) == Lit("b", 3, "`seed`")
-    for wrong, sentence in (({"size": 2.0}, "`size` must be from 0 to 1"), ({"colour": "x"}, "one of red, blue, but")):
+    for wrong, sentence in (
+        ({"size": 2.0}, "`size` must be from 0 to 1"),
+        ({"colour": "x"}, "one of red, blue, but"),
+    ):
         with pytest.raises(BadInput, match=sentence):
             shine(["a"], out="b", **wrong)  # type: ignore[arg-type]
 
@@ -178,9 +201,11 @@ def test_a_member_that_is_missing_is_one_sentence(
     monkeypatch.setitem(registry.VERBS, "match", ("no-such-member", registry.VERBS["match"][1]))
     for words in (["match"], ["match", "--help"], ["match", "a", "b", "--json", "--set", "x=1"]):
         assert main(words) == 2
-        assert capsys.readouterr().err == (
-            "splitknit: error: 'splitknit match' comes with no-such-member, which is not installed; add it, in "
-            "splitknit's folder, with 'pip install ./packages/no-such-member'.\n"
+        assert (
+            capsys.readouterr().err
+            == "splitknit: error: 'splitknit match' comes with no-such-member, which is not"
+            " installed; add it, in splitknit's folder, with 'pip install"
+            " ./packages/no-such-member'.\n"
         )
     assert main(["--help"]) == 0
     assert capsys.readouterr().out == before

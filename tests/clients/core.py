@@ -1,4 +1,5 @@
-"""What a user writes against the core, for mypy alone: where a comment ignores an error, mypy must find that error."""
+"""What a user writes against the core, for mypy alone: where a comment ignores an error, mypy must
+find that error."""
 
 from pathlib import Path
 
@@ -10,7 +11,9 @@ import splitknit
 
 def of_a_folder(folder: Path) -> float:
     capture = splitknit.read_capture(folder)
-    result: splitknit.Reconstruction = splitknit.reconstruct(capture, preset="snk", settings={"keep": True})
+    result: splitknit.Reconstruction = splitknit.reconstruct(
+        capture, preset="snk", settings={"keep": True}
+    )
     for finding in result.findings:
         print(finding.code, finding.severity, finding.message)
         print(finding.cod)  # type: ignore[attr-defined]

@@ -1,4 +1,5 @@
-"""What a user writes against the matching, for mypy alone: an ignored error is one that mypy must find."""
+"""What a user writes against the matching, for mypy alone: an ignored error is one that mypy must
+find."""
 
 from pathlib import Path
 
@@ -16,7 +17,10 @@ def same(a: Path, b: str) -> bool:
 def known(gallery: str, probe: Path) -> list[str]:
     splitknit_match.enroll(gallery, probe, "A", "right_index", duplicates="warn")
     found = splitknit_match.identify(gallery, probe, top=3, merge="person")
-    return [f"{candidate.rank} {candidate.person} {candidate.similarity}" for candidate in found.candidates]
+    return [
+        f"{candidate.rank} {candidate.person} {candidate.similarity}"
+        for candidate in found.candidates
+    ]
 
 
 def printed(result: str) -> None:

@@ -1,4 +1,5 @@
-"""What a user writes against the rig, for mypy alone: an ignored error is one that mypy must find."""
+"""What a user writes against the rig, for mypy alone: an ignored error is one that mypy must
+find."""
 
 from pathlib import Path
 
@@ -6,11 +7,15 @@ import splitknit_rig
 
 
 def rig_of(folder: Path) -> list[int]:
-    camera = splitknit_rig.calibrate_camera(folder / "boards", out=folder / "camera.json", square_mm=2.0)
+    camera = splitknit_rig.calibrate_camera(
+        folder / "boards", out=folder / "camera.json", square_mm=2.0
+    )
     print(camera.camera.scale_known, sorted(camera.poses))
     lights = splitknit_rig.calibrate_lights(images=folder / "ball", sphere="chrome", rig=camera.out)
     print(lights.method, len(lights.leds), lights.warnings)
-    card = splitknit_rig.calibrate_radiometry(folder / "card", rig=camera.out, out=folder / "rig.json")
+    card = splitknit_rig.calibrate_radiometry(
+        folder / "card", rig=camera.out, out=folder / "rig.json"
+    )
     print(str(card))
     return list(range(len(lights.leds)))
 

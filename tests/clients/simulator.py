@@ -1,4 +1,5 @@
-"""What a user writes against the simulator, for mypy alone: an ignored error is one that mypy must find."""
+"""What a user writes against the simulator, for mypy alone: an ignored error is one that mypy must
+find."""
 
 import numpy as np
 
@@ -7,7 +8,9 @@ import splitknit_simulator
 
 
 def error_um(seed: int) -> float:
-    capture, truth = splitknit_simulator.simulate_capture(seed, settings={"scale": 0.25}, impression=2)
+    capture, truth = splitknit_simulator.simulate_capture(
+        seed, settings={"scale": 0.25}, impression=2
+    )
     result = splitknit.reconstruct(capture)
     print(capture.rig.camera.scale_known, capture.bands["white"].leds)
     apart = result.height_mm - truth["height_mm"]

@@ -23,11 +23,20 @@ MAIN = "0 to 40"
 
 
 def laid_down(
-    roll: float = 0.0, yaw: float = 0.0, moved: tuple[float, float] = (0.0, 0.0), *, um: float = 30.0,
-    whorl: float = 1.0, stretched: float = 0.0, near_mm: float = 0.0, half_mm: float = 5.6,
-) -> Reconstruction:  # fmt: skip
+    roll: float = 0.0,
+    yaw: float = 0.0,
+    moved: tuple[float, float] = (0.0, 0.0),
+    *,
+    um: float = 30.0,
+    whorl: float = 1.0,
+    stretched: float = 0.0,
+    near_mm: float = 0.0,
+    half_mm: float = 5.6,
+) -> Reconstruction:
     """The cylinder with concentric ridges, rolled and turned (rad) and moved (mm)."""
-    x, y = np.meshgrid(np.arange(-half_mm - 0.4, half_mm + 0.4, PITCH), np.arange(7.0, -7.0, -PITCH))
+    x, y = np.meshgrid(
+        np.arange(-half_mm - 0.4, half_mm + 0.4, PITCH), np.arange(7.0, -7.0, -PITCH)
+    )
     plane, above = (x, y), np.zeros(x.shape)
     for _ in range(4 if near_mm else 0):  # a perspective camera sees what lies deeper, further out
         x, y = (part * (1.0 - above / near_mm) for part in plane)
@@ -41,7 +50,12 @@ def laid_down(
         s, v = RADIUS_MM * (angle - roll), y
         s = s + stretched * np.sin(v / 1.6)
         v = v + stretched * np.cos(s / 1.9)
-        phase = 2 * np.pi / 0.5 * (np.hypot(s - whorl, v + 3.0 * whorl) + 0.3 * np.sin(0.7 * v + 0.4 * s))
+        phase = (
+            2
+            * np.pi
+            / 0.5
+            * (np.hypot(s - whorl, v + 3.0 * whorl) + 0.3 * np.sin(0.7 * v + 0.4 * s))
+        )
         relief = 1e-3 * um * np.cos(phase)
     mask = (np.abs(x) < half_mm) & (np.abs(y) < 6.6)
     seen = np.where(mask, 1.0, np.nan)
@@ -49,18 +63,30 @@ def laid_down(
     shape = (np.sqrt(RADIUS_MM**2 - np.minimum(x**2, 60.0)) * seen).astype(np.float32)
     normals = np.zeros((*mask.shape, 3), dtype=np.float32)
     return Reconstruction(
-        height, height - shape, shape, mask, normals, seen.astype(np.float32), PITCH, np.eye(3), mask.shape, "truth",
+        height,
+        height - shape,
+        shape,
+        mask,
+        normals,
+        seen.astype(np.float32),
+        PITCH,
+        np.eye(3),
+        mask.shape,
+        "truth",
         *((part * seen).astype(np.float32) for part in seen_at if near_mm),
-    )  # fmt: skip
+    )
 
 
 POSE: dict[str, Any] = {"roll": 0.12, "yaw": 0.08, "moved": (0.6, -0.4)}
 
 
+@pytest.mark.slow
 def test_another_pose_is_found_to_the_micrometre_and_gains_are_reported() -> None:
     a, b = laid_down(), laid_down(**POSE, um=25.0)
     found = compare_results(a, b)
-    assert np.rad2deg(np.arccos((np.trace(found.rotation) - 1) / 2)) == pytest.approx(8.26, abs=0.05)
+    assert np.rad2deg(np.arccos((np.trace(found.rotation) - 1) / 2)) == pytest.approx(
+        8.26, abs=0.05
+    )
     assert found.scale == pytest.approx(1.0, abs=0.02)
     ridges = found.figures["0.25 to 0.8 mm"][MAIN]
     assert ridges["gain"]["value"] == pytest.approx(1.2, abs=0.02)
@@ -82,7 +108,8 @@ def test_a_surface_differs_from_itself_by_nothing(fit: Any) -> None:
 
 
 def test_a_perspective_camera_sees_the_same_surface() -> None:
-    """Its pixels lie up to 0.1 mm beside those of parallel rays (ridges in between follow the smooth body's depth)."""
+    """Its pixels lie up to 0.1 mm beside those of parallel rays (ridges in between follow the
+    smooth body's depth)."""
     found = compare_results(laid_down(), laid_down(near_mm=60.0)).figures
     assert found["0.25 to 0.8 mm"][MAIN]["rms_um"]["value"] < 1.0
     assert found["above 8 mm"][MAIN]["rms_um"]["value"] < 2.0
@@ -116,15 +143,23 @@ def test_other_ridges_and_unknown_scales_are_refused() -> None:
         compare_results(laid_down(), replace(laid_down(), scale_known=False))
 
 
+@pytest.mark.slow
 def test_the_verb_writes_a_private_report_and_states_the_protocols_error(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     for name, result in {"a": laid_down(), "b": laid_down(**POSE)}.items():
         write_arrays(tmp_path / f"{name}.npz", result, provenance())
     a, b, out = str(tmp_path / "a.npz"), str(tmp_path / "b.npz"), tmp_path / "r"
-    assert main(["compare", a, b, "--out", str(out), "--protocol", "powder-5", "--repeat", b, "--json"]) == 0
+    assert (
+        main(
+            ["compare", a, b, "--out", str(out), "--protocol", "powder-5", "--repeat", b, "--json"]
+        )
+        == 0
+    )
     facts = json.loads(capsys.readouterr().out)
-    assert facts["own_error"]["powder-5, simulated"]["relief"]["rms_um"] == PROTOCOLS["powder-5"][0][0]
+    assert (
+        facts["own_error"]["powder-5, simulated"]["relief"]["rms_um"] == PROTOCOLS["powder-5"][0][0]
+    )
     assert facts["own_error"]["B, repeated"]["relief"]["rms_um"] < 0.1
     for name in facts["files"]:
         assert stat.S_IMODE((out / name).stat().st_mode) == 0o600
@@ -132,7 +167,10 @@ def test_the_verb_writes_a_private_report_and_states_the_protocols_error(
     assert "A - B" in page
     surfaces = json.loads(page.split('id="surfaces">')[1].split("</script>")[0])
     assert [surface["title"] for surface in surfaces] == ["A", "B"]
-    frames = [[surface[key] for key in ("rows", "columns", "left", "top", "pitch")] for surface in surfaces]
+    frames = [
+        [surface[key] for key in ("rows", "columns", "left", "top", "pitch")]
+        for surface in surfaces
+    ]
     assert frames[0] == frames[1]
     assert main(["compare", a, str(tmp_path / "nothing"), "--out", str(out)]) == 2
     assert (out / "report.json").is_file()
@@ -141,9 +179,13 @@ def test_the_verb_writes_a_private_report_and_states_the_protocols_error(
 
 def test_the_stated_errors_are_those_of_the_study() -> None:
     study = json.loads((Path(__file__).parents[2] / "validation/pair/results.json").read_text())
-    names = {"gel": "gel", "cast": "cast, elastic"} | {f"powder-{um}": f"powder {um} um" for um in (5, 10, 20)}
+    names = {"gel": "gel", "cast": "cast, elastic"} | {
+        f"powder-{um}": f"powder {um} um" for um in (5, 10, 20)
+    }
     for protocol, bands in PROTOCOLS.items():
         for band, (rms, gain) in zip(BANDS_MM, bands, strict=False):
             rows = [one["truth"][names[protocol]]["bands"][band][MAIN] for one in study.values()]
-            assert rms == pytest.approx(np.sqrt(np.mean([row["rms_um"] ** 2 for row in rows])), abs=0.05)
+            assert rms == pytest.approx(
+                np.sqrt(np.mean([row["rms_um"] ** 2 for row in rows])), abs=0.05
+            )
             assert gain == pytest.approx(np.mean([row["gain"] for row in rows]), abs=0.005)

@@ -26,13 +26,25 @@ def folder(data_dir):
 
 def focal_length(folder, name):
     """First number of a matrix in one of OpenCV's files."""
-    data = re.search(rf"{name}:.*?data: \[ ([\d.e+-]+),", (folder / "intrinsics.yml").read_text(), re.DOTALL)
+    data = re.search(
+        rf"{name}:.*?data: \[ ([\d.e+-]+),", (folder / "intrinsics.yml").read_text(), re.DOTALL
+    )
     return float(data.group(1))
 
 
 def test_the_left_camera(folder, tmp_path, capsys):
     out = tmp_path / "rig.json"
-    words = ["calibrate", "camera", str(folder), "--pattern", "left*.jpg", "--board", "9x6", "--square-mm", "25"]
+    words = [
+        "calibrate",
+        "camera",
+        str(folder),
+        "--pattern",
+        "left*.jpg",
+        "--board",
+        "9x6",
+        "--square-mm",
+        "25",
+    ]
     assert main([*words, "--out", str(out), "--json"]) == 0
     facts = json.loads(capsys.readouterr().out)
     fit = facts["fit"]
@@ -42,7 +54,8 @@ def test_the_left_camera(folder, tmp_path, capsys):
     assert fit["rejected_px"] == {}
     assert fit["fitted"][:2] == ["k1", "k2"]
     assert "k3" in fit["held"]
-    # the file is of a pair of cameras that share one focal length, which the right one's photographs raise
+    # the file is of a pair of cameras that share one focal length, which the right one's
+    # photographs raise
     assert fit["focal_length_px"][0] == pytest.approx(focal_length(folder, "M1"), rel=0.005)
     assert abs(fit["focal_length_px"][0] / focal_length(folder, "M1") - 1) < 0.0035
     camera = read_rig(out).camera
@@ -53,7 +66,8 @@ def test_the_left_camera(folder, tmp_path, capsys):
 
 @pytest.mark.slow
 def test_part_of_a_board_is_not_the_board(folder):
-    """OpenCV finds 8 x 6 corners in a board of 9 x 6; a calibration with them would be one square off in places."""
+    """OpenCV finds 8 x 6 corners in a board of 9 x 6; a calibration with them would be one square
+    off in places."""
     pixels = read_image(folder / "left01.jpg")
     assert find_board(pixels, Board(9, 6, 25.0)) is not None
     assert find_board(pixels, Board(8, 6, 25.0)) is None
@@ -62,8 +76,19 @@ def test_part_of_a_board_is_not_the_board(folder):
 @pytest.mark.slow
 def test_the_right_camera_and_the_wrong_board(folder, tmp_path, capsys):
     out = tmp_path / "rig.json"
-    words = ["calibrate", "camera", str(folder), "--pattern", "right*.jpg", "--square-mm", "25", "--out", str(out)]
-    assert main([*words, "--board", "6x9", "--json"]) == 0  # a board that is named the other way round is the same
+    words = [
+        "calibrate",
+        "camera",
+        str(folder),
+        "--pattern",
+        "right*.jpg",
+        "--square-mm",
+        "25",
+        "--out",
+        str(out),
+    ]
+    # a board that is named the other way round is the same
+    assert main([*words, "--board", "6x9", "--json"]) == 0
     fit = json.loads(capsys.readouterr().out)["fit"]
     assert fit["images"] >= 12
     assert fit["rms_px"] <= 0.20
@@ -71,5 +96,8 @@ def test_the_right_camera_and_the_wrong_board(folder, tmp_path, capsys):
     out.unlink()
     assert main([*words, "--board", "8x5"]) == 2
     message = capsys.readouterr().err
-    assert "a checkerboard of 8 x 5 inner corners is in full view in 0 of" in message and "compare --board" in message
+    assert (
+        "a checkerboard of 8 x 5 inner corners is in full view in 0 of" in message
+        and "compare --board" in message
+    )
     assert not out.exists()

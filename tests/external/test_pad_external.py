@@ -25,16 +25,23 @@ def test_an_opaque_gel_is_no_skin(data_dir, part, material):
         lights = script("light_orders").lights_of_balls(data_dir)
     files = [folder / f"image{k:02d}.png" for k in range(7, 13)]
     images = [
-        cv2.resize(cv2.imread(str(one), 0), None, fx=1 / 8, fy=1 / 8, interpolation=cv2.INTER_AREA) for one in files
+        cv2.resize(cv2.imread(str(one), 0), None, fx=1 / 8, fy=1 / 8, interpolation=cv2.INTER_AREA)
+        for one in files
     ]
     strength = np.linalg.norm(lights, axis=1)
     leds = tuple(
-        Led("white", direction=tuple(one / s), intensity=float(s)) for one, s in zip(lights, strength, strict=True)
+        Led("white", direction=tuple(one / s), intensity=float(s))
+        for one, s in zip(lights, strength, strict=True)
     )
     stack = np.stack(images)[..., None]
     band = Band("white", stack, tuple((k,) for k in range(6)), np.ones(6), np.zeros(6))
     camera = Camera(1 / 0.0034035 / 8, stack.shape[1:3])
-    capture = Capture(Rig(camera, leds), {"white": band}, material=material, mask=np.ones(stack.shape[1:3], dtype=bool))
+    capture = Capture(
+        Rig(camera, leds),
+        {"white": band},
+        material=material,
+        mask=np.ones(stack.shape[1:3], dtype=bool),
+    )
     assert judge(pad_features(pad_images(capture), reconstruct(capture, "metric"))).answer != "live"
     assert not_covered(capture)  # and its verb says why: one band, and coarse
 

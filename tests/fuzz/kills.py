@@ -1,7 +1,8 @@
-"""Verbs that write, stopped at drawn moments by SIGINT, SIGTERM and SIGKILL: ``python -m tests.fuzz.kills``.
+"""Verbs that write, stopped at drawn moments by SIGINT, SIGTERM and SIGKILL: ``python -m
+tests.fuzz.kills``.
 
-What was there is there unchanged, or the new one is there whole. After SIGINT and SIGTERM nothing else is left; what
-SIGKILL leaves, the next command on the same place removes.
+What was there is there unchanged, or the new one is there whole. After SIGINT and SIGTERM nothing
+else is left; what SIGKILL leaves, the next command on the same place removes.
 """
 
 from __future__ import annotations
@@ -36,15 +37,24 @@ from splitknit_match.gallery.file import GalleryFile
 VERBS: dict[str, str] = {
     "simulate": "simulate --out {out} --seed 1 --scale 0.05 --overwrite",
     "simulate-bench": "simulate --bench --out {out} --seed 1 --scale 0.1 --overwrite",
-    "simulate-population": "simulate population --out {out} --subjects 1 --fingers left_index --scale 0.05 --workers 1",
+    "simulate-population": (
+        "simulate population --out {out} --subjects 1 --fingers left_index --scale 0.05 --workers 1"
+    ),
     "capture": "capture --device twin --out {out} --seed 3 --scale 0.05 --overwrite",
     "separate": "separate polarised {base}/flat {base}/flat --out {out}",
     "calibrate-camera": "calibrate camera {base}/bench/board --board 9x6 --square-mm 3 --out {out}",
-    "calibrate-lights": "calibrate lights --images {base}/nail --rig {base}/bench/rig_true.json --out {out}",
-    "calibrate-radiometry": "calibrate radiometry {base}/bench/card --rig {base}/bench/rig_true.json --out {out}",
+    "calibrate-lights": (
+        "calibrate lights --images {base}/nail --rig {base}/bench/rig_true.json --out {out}"
+    ),
+    "calibrate-radiometry": (
+        "calibrate radiometry {base}/bench/card --rig {base}/bench/rig_true.json --out {out}"
+    ),
     "reconstruct": "reconstruct {base}/capture --out {out} --preset ea",
     "print": "print {base}/result --out {out}",
-    "import-images": "import --images {base}/flat --lights {base}/lights.txt --px-per-mm 9 --out {out} --overwrite",
+    "import-images": (
+        "import --images {base}/flat --lights {base}/lights.txt --px-per-mm 9 --out {out}"
+        " --overwrite"
+    ),
     "import-prints": "import {base}/result/print.png --out {out}",
     "import-capture": "import {base}/capture --fingers right_index --out {out} --overwrite",
     "export": "export {base}/result --to iso-19794-2 --out {out}",
@@ -54,7 +64,9 @@ VERBS: dict[str, str] = {
     "compare": "compare {base}/result {base}/result --out {out}",
     "match-template": "match {base}/result {base}/result --template {out}",
     "evaluate": "evaluate --scores {base}/scores.csv --replicates 20 --out {out}",
-    "evaluate-calibrate": "evaluate --scores {base}/scores.csv --replicates 20 --out {base}/rates --calibrate {out}",
+    "evaluate-calibrate": (
+        "evaluate --scores {base}/scores.csv --replicates 20 --out {base}/rates --calibrate {out}"
+    ),
     "profile": "profile {base}/result -4,-6 4,6 --cutoff 2.5 --out {out}",
     "demo": "demo --out {out} --seed 1 --scale 0.05",
     "batch": "batch {base}/population --out {out} --cases ea --matchers ridge --jobs 1",
@@ -64,7 +76,9 @@ VERBS: dict[str, str] = {
     "serve": "serve --gallery {gallery} --token-file {base}/key --port {port}",
 }
 NOT_STOPPED = {
-    "calibrate polarisers": "writes a rig file as `calibrate radiometry` does; its photographs take a minute",
+    "calibrate polarisers": (
+        "writes a rig file as `calibrate radiometry` does; its photographs take a minute"
+    ),
     "gallery info": "reads",
     "gallery list": "reads",
     "identify": "reads",
@@ -77,8 +91,11 @@ PARTS = ("simulate-population", "batch", "demo")
 SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGKILL)
 
 
-def forked(words: Sequence[str], log: Path, stop: Callable[[int], object] = lambda child: None) -> int:
-    """Run a command in a fork, which has all modules already; its exit code, negative where a signal ended it."""
+def forked(
+    words: Sequence[str], log: Path, stop: Callable[[int], object] = lambda child: None
+) -> int:
+    """Run a command in a fork, which has all modules already; its exit code, negative where a
+    signal ended it."""
     child = os.fork()
     if child == 0:
         code = 130  # stopped before the command began
@@ -123,7 +140,10 @@ def served(child: int, port: int, base: Path, number: int, seconds: float | None
     timer.start()
     try:
         service.request(
-            "POST", "/enroll", json.dumps(fields), {"Authorization": f"Bearer {(base / 'key').read_text()}"}
+            "POST",
+            "/enroll",
+            json.dumps(fields),
+            {"Authorization": f"Bearer {(base / 'key').read_text()}"},
         )
         return service.getresponse().status == 200
     except (OSError, http.client.HTTPException):
@@ -151,7 +171,11 @@ def people(gallery: Path) -> frozenset[str]:
 
 def left_in(tree: Path) -> list[str]:
     """Temporary folders and journals."""
-    return [str(one) for pattern in (".splitknit-*", "*-journal", "*-wal", "*-shm") for one in tree.rglob(pattern)]
+    return [
+        str(one)
+        for pattern in (".splitknit-*", "*-journal", "*-wal", "*-shm")
+        for one in tree.rglob(pattern)
+    ]
 
 
 def prepared(base: Path) -> None:
@@ -163,7 +187,10 @@ def prepared(base: Path) -> None:
         "enroll {0}/people.skg {0}/result --person B --finger right_index",
         "gallery export {0}/people.skg --out {0}/exported",
         "simulate --bench --out {0}/bench --seed 1 --scale 0.15",
-        "simulate population --out {0}/population --subjects 2 --fingers left_index --sessions 2 --scale 0.05",
+        (
+            "simulate population --out {0}/population --subjects 2 --fingers left_index --sessions"
+            " 2 --scale 0.05"
+        ),
     ):
         with contextlib.redirect_stdout(io.StringIO()):
             assert splitknit(words.format(base).split()) == 0, words
@@ -175,16 +202,22 @@ def prepared(base: Path) -> None:
     (base / "print").write_text(base64.b64encode((base / "result/print.png").read_bytes()).decode())
     (base / "key").write_text("0f" * 32)
     (base / "key").chmod(0o600)
-    (base / "scores.csv").write_text("label,score\n" + "".join(f"{k % 2},{k % 7}\n" for k in range(200)))
+    (base / "scores.csv").write_text(
+        "label,score\n" + "".join(f"{k % 2},{k % 7}\n" for k in range(200))
+    )
 
 
-def stopped_once(name: str, base: Path, tree: Path, seconds: float, draw: random.Random) -> list[str]:
+def stopped_once(
+    name: str, base: Path, tree: Path, seconds: float, draw: random.Random
+) -> list[str]:
     """Stop one run of a verb; what is wrong afterwards."""
     out, gallery, number = tree / "out", tree / "people.skg", draw.choice(SIGNALS)
     port, asked = free_port(), list[bool]()
     words = command(name, base, out, gallery, port)
     if (base / f"{name}.out").exists():
-        (shutil.copytree if (base / f"{name}.out").is_dir() else shutil.copyfile)(base / f"{name}.out", out)
+        (shutil.copytree if (base / f"{name}.out").is_dir() else shutil.copyfile)(
+            base / f"{name}.out", out
+        )
     before, names = contents(out), set(contents(base / f"{name}.new"))
     after = {"gallery-remove": {"B"}, "enroll": {"A", "B", "C"}, "serve": {"A", "B", "C"}}
     possible = [{"A", "B"}, after.get(name, {"A", "B"})]
@@ -201,8 +234,11 @@ def stopped_once(name: str, base: Path, tree: Path, seconds: float, draw: random
         whole = there == before or set(there) == names
         if MANIFEST in there and there != before:
             whole &= set(manifest_of(out)) == set(there) - {MANIFEST}
-        found += [] if whole or (name in PARTS and set(there) <= names) else [f"{when}: {sorted(there)}"]
-        if people(gallery) not in (possible[1:] if True in asked else possible):  # what was answered is there
+        found += (
+            [] if whole or (name in PARTS and set(there) <= names) else [f"{when}: {sorted(there)}"]
+        )
+        # what was answered is there
+        if people(gallery) not in (possible[1:] if True in asked else possible):
             found.append(f"{when}: {sorted(people(gallery))}")
         return found
 
@@ -237,10 +273,16 @@ def main(arguments: Sequence[str] | None = None) -> int:
         base.mkdir()
         prepared(base)
         for name in options.only:
-            new, gallery, log, port = base / f"{name}.new", base / "copy.skg", base / "log", free_port()
+            new, gallery, log, port = (
+                base / f"{name}.new",
+                base / "copy.skg",
+                base / "log",
+                free_port(),
+            )
             if name != "serve":
                 with contextlib.redirect_stdout(io.StringIO()):
-                    assert splitknit(command(name, base, new, gallery, port)) == 0, name  # its modules are loaded, too
+                    # its modules are loaded, too
+                    assert splitknit(command(name, base, new, gallery, port)) == 0, name
             words = command(name, base, base / f"{name}.again", gallery, port)
             started = time.perf_counter()
             if name == "serve":
@@ -249,7 +291,11 @@ def main(arguments: Sequence[str] | None = None) -> int:
                 assert people(gallery) == {"A", "B", "C"}, log.read_text()
             else:
                 code = forked(words, log)
-            assert code in ((0, -signal.SIGTERM) if name == "serve" else (0,)), (name, code, log.read_text())
+            assert code in ((0, -signal.SIGTERM) if name == "serve" else (0,)), (
+                name,
+                code,
+                log.read_text(),
+            )
             seconds = time.perf_counter() - started
             if name not in ("export", "gallery-export", *PARTS):
                 with contextlib.suppress(FileNotFoundError):
@@ -262,7 +308,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
                 for one in found:
                     print(f"{name}: {one}")
                 shutil.rmtree(tree)
-    print(f"{len(options.only)} verbs, {options.runs * len(options.only)} runs, {findings} findings")
+    print(
+        f"{len(options.only)} verbs, {options.runs * len(options.only)} runs, {findings} findings"
+    )
     return int(findings > 0)
 
 

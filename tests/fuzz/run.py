@@ -4,11 +4,12 @@
     python -m tests.fuzz.run --hours 8                      # as many as there is time for
     python -m tests.fuzz.run --target image --seed 4711     # one block of inputs again
 
-Hypothesis draws the changes (:mod:`tests.fuzz.mutators`) and makes what fails as small as it can. A block of inputs
-follows from its target and seed alone, and is read in a process of its own. Findings are: a crash; an exception other
-than ``BadInput`` (and anything beside one printable sentence); more than 3 s of processor time, or no end at all; more
-than 1 GB of memory above what was held before; anything written to stdout or stderr; any file left behind. Their files
-are kept. The exit code is 1 if there is one.
+Hypothesis draws the changes (:mod:`tests.fuzz.mutators`) and makes what fails as small as it can. A
+block of inputs follows from its target and seed alone, and is read in a process of its own.
+Findings are: a crash; an exception other than ``BadInput`` (and anything beside one printable
+sentence); more than 3 s of processor time, or no end at all; more than 1 GB of memory above what
+was held before; anything written to stdout or stderr; any file left behind. Their files are kept.
+The exit code is 1 if there is one.
 """
 
 from __future__ import annotations
@@ -51,14 +52,17 @@ RECURSION = sys.getrecursionlimit()
 GUARD_MB = 2500
 """Address space beyond what a process begins with: nothing takes the whole machine."""
 MIN_REFUSED, MORE = 100, 400
-"""A target that accepts none of so many inputs may test nothing behind its first check. It gets more, and none accepted
-of those is a problem: some readers accept one changed input in thirty, so that a hundred refused are chance.
+"""A target that accepts none of so many inputs may test nothing behind its first check. It gets
+more, and none accepted of those is a problem: some readers accept one changed input in thirty, so
+that a hundred refused are chance.
 """
 MORE_SEED = 1_000_000
 READERS = ("read_", "decode_", "unpack_", "open_", "load_", "import_", "parse_")
 NO_READERS = {
     "imaging.band.decode_table": "makes a table, reads nothing",
-    "importing.import_files": "reads what io.plain.capture_from_photographs and prints.from_file.read_print_file read",
+    "importing.import_files": (
+        "reads what io.plain.capture_from_photographs and prints.from_file.read_print_file read"
+    ),
     "light.skin.load_walks": "reads a table of the package",
     "prints.verbs.import_prints": "reads what prints.from_file.read_print_file reads",
 }
@@ -67,7 +71,8 @@ Task = tuple[Target, int, int]
 """Target, seed, number of inputs."""
 
 
-# --- in the child ------------------------------------------------------------------------------------------------
+# --- in the child
+# ------------------------------------------------------------------------------------------------
 
 
 def _memory_mb(key: bytes) -> float:
@@ -85,7 +90,8 @@ def _listed(folder: Path) -> set[str]:
 
 
 def judge(target: Target, files: Files, folder: Path, output: int) -> str:
-    """Read one input; return ``accepted`` or ``refused``, or fail. What failed stays in `folder`."""
+    """Read one input; return ``accepted`` or ``refused``, or fail. What failed stays in
+    `folder`."""
     shutil.rmtree(folder, ignore_errors=True)
     folder.mkdir()
     put(folder, files)
@@ -93,7 +99,8 @@ def judge(target: Target, files: Files, folder: Path, output: int) -> str:
     os.ftruncate(output, 0)
     os.lseek(output, 0, os.SEEK_SET)
     Path("/proc/self/clear_refs").write_text("5")  # the peak of memory is counted anew
-    signal.setitimer(signal.ITIMER_PROF, 3 * MAX_S)  # either signal ends the process, whatever it is doing
+    # either signal ends the process, whatever it is doing
+    signal.setitimer(signal.ITIMER_PROF, 3 * MAX_S)
     signal.alarm(WAIT_S)
     deep = sys.getrecursionlimit()
     sys.setrecursionlimit(RECURSION)  # Hypothesis allows more than the command line has
@@ -112,7 +119,9 @@ def judge(target: Target, files: Files, folder: Path, output: int) -> str:
     assert taken < MAX_MB, f"it takes {taken:.0f} MB of memory"
     aloud = os.pread(output, 4000, 0).decode("utf-8", "replace")
     assert not aloud, f"it writes to stdout or stderr: {aloud}"
-    assert _listed(folder) == before, f"left behind or removed: {', '.join(sorted(_listed(folder) ^ before))[:500]}"
+    assert _listed(folder) == before, (
+        f"left behind or removed: {', '.join(sorted(_listed(folder) ^ before))[:500]}"
+    )
     return verdict
 
 
@@ -133,9 +142,14 @@ def _work(task: Task, samples: list[Files], scratch: Path, output: int) -> Count
 
     @seed(number)
     @settings(
-        max_examples=count, database=None, deadline=None, report_multiple_bugs=False, verbosity=Verbosity.quiet,
-        phases=(Phase.generate, Phase.shrink), suppress_health_check=list(HealthCheck),
-    )  # fmt: skip
+        max_examples=count,
+        database=None,
+        deadline=None,
+        report_multiple_bugs=False,
+        verbosity=Verbosity.quiet,
+        phases=(Phase.generate, Phase.shrink),
+        suppress_health_check=list(HealthCheck),
+    )
     @given(inputs(samples, target.repair))
     def each(files: Files) -> None:
         tally[judge(target, files, scratch / "input", output)] += 1
@@ -145,7 +159,8 @@ def _work(task: Task, samples: list[Files], scratch: Path, output: int) -> Count
 
 
 def in_child(work: Callable[[], Any], out: Path, output: int) -> int:
-    """Do some work in a process of its own, which leaves its result, or what went wrong, in files."""
+    """Do some work in a process of its own, which leaves its result, or what went wrong, in
+    files."""
     pid = os.fork()
     if pid:
         return pid
@@ -158,11 +173,13 @@ def in_child(work: Callable[[], Any], out: Path, output: int) -> int:
         os._exit(1)
 
 
-# --- sound samples, and whether they reach every reader -----------------------------------------------------------
+# --- sound samples, and whether they reach every reader
+# -----------------------------------------------------------
 
 
 def public_readers() -> dict[tuple[str, str], str]:
-    """File and name of every public function of the members that is named as a reader, and its dotted name."""
+    """File and name of every public function of the members that is named as a reader, and its
+    dotted name."""
     found = {}
     for file in PACKAGES.glob("*/src/*/**/*.py"):
         module = ".".join(file.relative_to(PACKAGES).with_suffix("").parts[3:])
@@ -197,14 +214,19 @@ def look(scratch: Path, chosen: list[Target]) -> tuple[dict[str, list[Files]], l
         threading.setprofile(None)  # type: ignore[arg-type]
     if len(chosen) == len(TARGETS):
         readers = public_readers()
-        missing = sorted(name for place, name in readers.items() if place not in called and name not in NO_READERS)
+        missing = sorted(
+            name
+            for place, name in readers.items()
+            if place not in called and name not in NO_READERS
+        )
         problems += [f"no target reads a sound sample by {name}" for name in missing]
         gone = set(NO_READERS) - set(readers.values())
         problems += [f"NO_READERS names {name}, which is not there" for name in gone]
     return samples, problems
 
 
-# --- the parent --------------------------------------------------------------------------------------------------
+# --- the parent
+# --------------------------------------------------------------------------------------------------
 
 
 def _tasks(chosen: list[Target], each: int, until: float | None, first: int) -> Iterator[Task]:
@@ -216,7 +238,9 @@ def _tasks(chosen: list[Target], each: int, until: float | None, first: int) -> 
         yield from ((target, number, left) for target in chosen)
 
 
-def run(tasks: Iterator[Task], samples: dict[str, list[Files]], scratch: Path, keep: Path, jobs: int) -> dict[str, Any]:
+def run(
+    tasks: Iterator[Task], samples: dict[str, list[Files]], scratch: Path, keep: Path, jobs: int
+) -> dict[str, Any]:
     """Do all tasks; return what became of each target's inputs, and the findings."""
     tallies: dict[str, Counter[str]] = {name: Counter() for name in samples}
     findings: list[str] = []
@@ -224,7 +248,9 @@ def run(tasks: Iterator[Task], samples: dict[str, list[Files]], scratch: Path, k
     while True:
         while len(running) < jobs and (task := next(tasks, None)) is not None:
             place, output = Path(tempfile.mkdtemp(dir=scratch)), os.memfd_create("output")
-            work = lambda task=task, place=place, output=output: _work(task, samples[task[0].name], place, output)  # noqa: E731
+            work = lambda task=task, place=place, output=output: _work(  # noqa: E731
+                task, samples[task[0].name], place, output
+            )
             running[in_child(work, place / "tally", output)] = task, place, output
         if not running:
             return {"tallies": tallies, "findings": findings}
@@ -234,11 +260,18 @@ def run(tasks: Iterator[Task], samples: dict[str, list[Files]], scratch: Path, k
             tallies[target.name] += pickle.loads((place / "tally").read_bytes())
         else:
             how = signal.Signals(os.WTERMSIG(status)).name if os.WIFSIGNALED(status) else "failed"
-            words = os.pread(output, 1 << 20, 0).decode("utf-8", "replace").strip()[-2500:].replace("\n", "\n    ")
+            words = (
+                os.pread(output, 1 << 20, 0)
+                .decode("utf-8", "replace")
+                .strip()[-2500:]
+                .replace("\n", "\n    ")
+            )
             kept = keep / f"{target.name}-{number}"
             shutil.rmtree(kept, ignore_errors=True)
             shutil.copytree(place / "input", kept, symlinks=True, ignore=_no_files)
-            again = f"python -m tests.fuzz.run --target {target.name} --seed {number} --inputs {count}"
+            again = (
+                f"python -m tests.fuzz.run --target {target.name} --seed {number} --inputs {count}"
+            )
             findings.append(f"{target.name}: {how}\n    {kept}\n    {again}\n    {words}")
         os.close(output)
         shutil.rmtree(place)
@@ -252,20 +285,34 @@ def _no_files(folder: str, names: list[str]) -> list[str]:
     """Pipes cannot be copied, and what is enormous holds nothing."""
     paths = {name: Path(folder) / name for name in names}
     return [
-        name for name, path in paths.items() if path.is_fifo() or (path.is_file() and path.stat().st_size > 1 << 28)
+        name
+        for name, path in paths.items()
+        if path.is_fifo() or (path.is_file() and path.stat().st_size > 1 << 28)
     ]
 
 
 def main(arguments: list[str] | None = None) -> int:
     """Run from the command line."""
-    parser = argparse.ArgumentParser(prog="python -m tests.fuzz.run", description=(__doc__ or "").splitlines()[0])
-    parser.add_argument("--inputs", type=int, default=4000, help="over all targets together (default 4000)")
+    parser = argparse.ArgumentParser(
+        prog="python -m tests.fuzz.run", description=(__doc__ or "").splitlines()[0]
+    )
+    parser.add_argument(
+        "--inputs", type=int, default=4000, help="over all targets together (default 4000)"
+    )
     parser.add_argument("--hours", type=float, default=None, help="as many as there is time for")
     parser.add_argument("--jobs", type=int, default=2, help="processes at a time (default 2)")
-    parser.add_argument("--target", action="append", choices=[one.name for one in TARGETS], help="only these")
-    parser.add_argument("--seed", type=int, default=0, help="of the first block of inputs (default 0)")
-    parser.add_argument("--keep", type=Path, default=Path("fuzz-findings"), help="folder for the files of findings")
-    parser.add_argument("--json", type=Path, default=None, metavar="FILE", help="write the summary there, too")
+    parser.add_argument(
+        "--target", action="append", choices=[one.name for one in TARGETS], help="only these"
+    )
+    parser.add_argument(
+        "--seed", type=int, default=0, help="of the first block of inputs (default 0)"
+    )
+    parser.add_argument(
+        "--keep", type=Path, default=Path("fuzz-findings"), help="folder for the files of findings"
+    )
+    parser.add_argument(
+        "--json", type=Path, default=None, metavar="FILE", help="write the summary there, too"
+    )
     options = parser.parse_args(arguments)
     chosen = [one for one in TARGETS if options.target is None or one.name in options.target]
     until = None if options.hours is None else time.monotonic() + 3600 * options.hours
@@ -273,28 +320,41 @@ def main(arguments: list[str] | None = None) -> int:
         with contextlib.suppress(ImportError):  # once, here, and not in every child
             importlib.import_module(module)
     # the same for what hypothesis loads when it is first used
-    settings(max_examples=1, database=None)(given(inputs([{"x": b"1"}], None))(lambda files: None))()
+    settings(max_examples=1, database=None)(
+        given(inputs([{"x": b"1"}], None))(lambda files: None)
+    )()
     with tempfile.TemporaryDirectory(prefix="splitknit-fuzz-") as name:
         scratch = Path(name)
-        pid = in_child(lambda: look(scratch, chosen), scratch / "samples", 2)  # threads of readers stay there
+        # threads of readers stay there
+        pid = in_child(lambda: look(scratch, chosen), scratch / "samples", 2)
         if os.waitpid(pid, 0)[1] != 0:
             raise SystemExit("the sound samples cannot be made")
         samples, problems = pickle.loads((scratch / "samples").read_bytes())
         tasks = _tasks(chosen, math.ceil(options.inputs / len(chosen)), until, options.seed)
         found = run(tasks, samples, scratch, options.keep, options.jobs)
         barren = [one for one in chosen if _barren(found["tallies"][one.name])]
-        more = run(_tasks(barren, MORE, None, options.seed + MORE_SEED), samples, scratch, options.keep, options.jobs)
+        more = run(
+            _tasks(barren, MORE, None, options.seed + MORE_SEED),
+            samples,
+            scratch,
+            options.keep,
+            options.jobs,
+        )
     found["findings"] += more["findings"]
     for target, tally in found["tallies"].items():
         tally.update(more["tallies"][target])
         print(f"{target:<18}{tally['accepted']:>9} accepted{tally['refused']:>9} refused")
         if _barren(tally):
-            problems.append(f"{target}: none of {tally['refused']} inputs was accepted; give it other samples")
+            problems.append(
+                f"{target}: none of {tally['refused']} inputs was accepted; give it other samples"
+            )
     print("\n\n".join([*problems, *found["findings"]]))
     total = sum(tally.total() for tally in found["tallies"].values())
     print(f"{total} inputs, {len(found['findings'])} findings, {len(problems)} problems")
     if options.json is not None:
-        options.json.write_text(json.dumps(found | {"problems": problems}, indent=1) + "\n", encoding="utf-8")
+        options.json.write_text(
+            json.dumps(found | {"problems": problems}, indent=1) + "\n", encoding="utf-8"
+        )
     return 1 if found["findings"] or problems else 0
 
 

@@ -1,7 +1,7 @@
 """What reads bytes that somebody else made, and a sound sample of each.
 
-A target's function gets the files as they are and, if it reads files, the folder they lie in. It returns, or raises
-``BadInput``; what it asserts beside that must hold for whatever is accepted.
+A target's function gets the files as they are and, if it reads files, the folder they lie in. It
+returns, or raises ``BadInput``; what it asserts beside that must hold for whatever is accepted.
 """
 
 from __future__ import annotations
@@ -43,7 +43,13 @@ from splitknit.io.npz import read_npz, write_npz
 from splitknit.io.photographs import GivenPhotographs
 from splitknit.io.photos import read_photo
 from splitknit.io.plain import capture_from_photographs, read_flat
-from splitknit.io.prints import PrintFile, encode_print_png, encode_print_tiff, read_print_png, write_print_png
+from splitknit.io.prints import (
+    PrintFile,
+    encode_print_png,
+    encode_print_tiff,
+    read_print_png,
+    write_print_png,
+)
 from splitknit.io.results import read_result
 from splitknit.io.rig import read_rig
 from splitknit.io.targets import check_target
@@ -183,7 +189,8 @@ def _noise(*shape: int, kind: Any = np.uint8, seed: int = 4) -> Any:
     return np.random.default_rng(seed).integers(0, np.iinfo(kind).max, shape).astype(kind)
 
 
-# --- images ------------------------------------------------------------------------------------------------------
+# --- images
+# ------------------------------------------------------------------------------------------------------
 
 
 @cache
@@ -193,22 +200,46 @@ def _images() -> list[Files]:
     random = Random(1)
     pngs = [
         png_of(9, 11, depth, colour, interlaced, random)
-        for depth, colour in ((1, 0), (8, 0), (16, 0), (8, 2), (16, 2), (4, 3), (8, 3), (8, 4), (16, 6))
+        for depth, colour in (
+            (1, 0),
+            (8, 0),
+            (16, 0),
+            (8, 2),
+            (16, 2),
+            (4, 3),
+            (8, 3),
+            (8, 4),
+            (16, 6),
+        )
         for interlaced in (False, True)
     ]
     tiffs = []
-    for compression, pixels in ((1, _noise(20, 24, 3)), (5, _noise(20, 24, 3)), (5, _noise(20, 24, kind=np.uint16))):
-        tiffs.append(cv2.imencode(".tif", pixels, [cv2.IMWRITE_TIFF_COMPRESSION, compression])[1].tobytes())
+    for compression, pixels in (
+        (1, _noise(20, 24, 3)),
+        (5, _noise(20, 24, 3)),
+        (5, _noise(20, 24, kind=np.uint16)),
+    ):
+        tiffs.append(
+            cv2.imencode(".tif", pixels, [cv2.IMWRITE_TIFF_COMPRESSION, compression])[1].tobytes()
+        )
     options: list[dict[str, Any]] = [
-        {"compression": "zlib"}, {"tile": (16, 16)}, {"tile": (16, 16), "compression": "zlib"},
-        {"compression": "zlib", "predictor": True}, {"rowsperstrip": 3}, {"byteorder": ">"}, {"bigtiff": True},
+        {"compression": "zlib"},
+        {"tile": (16, 16)},
+        {"tile": (16, 16), "compression": "zlib"},
+        {"compression": "zlib", "predictor": True},
+        {"rowsperstrip": 3},
+        {"byteorder": ">"},
+        {"bigtiff": True},
         {"resolution": (500, 500)},
-    ]  # fmt: skip
+    ]
     for more in options:
         for pixels in (_noise(20, 24), _noise(33, 24, 3), _noise(20, 24, kind=np.uint16)):
             stream = io.BytesIO()
-            with contextlib.suppress(ImportError, KeyError, ValueError):  # without codecs tifffile writes fewer kinds
-                tifffile.imwrite(stream, pixels, photometric="rgb" if pixels.ndim == 3 else "minisblack", **more)
+            # without codecs tifffile writes fewer kinds
+            with contextlib.suppress(ImportError, KeyError, ValueError):
+                tifffile.imwrite(
+                    stream, pixels, photometric="rgb" if pixels.ndim == 3 else "minisblack", **more
+                )
                 tiffs.append(stream.getvalue())
     smooth = cv2.GaussianBlur(_noise(40, 48, 3), (9, 9), 3)
     jpegs = [
@@ -296,26 +327,54 @@ def _print() -> Any:
     return (127 + 120 * np.sin(0.7 * np.hypot(rows - 70, 1.2 * columns - 50))).astype(np.uint8)
 
 
-# --- captures and results ----------------------------------------------------------------------------------------
+# --- captures and results
+# ----------------------------------------------------------------------------------------
 
 
 @cache
 def _captures() -> list[Files]:
     pixels = _noise(6, 7, 9, 3)
     angles = (0, 2, 4)
-    near = [Led(b, position_mm=(50 * np.cos(a), 50 * np.sin(a), 140.0)) for b in ("white", "nir") for a in angles]
+    near = [
+        Led(b, position_mm=(50 * np.cos(a), 50 * np.sin(a), 140.0))
+        for b in ("white", "nir")
+        for a in angles
+    ]
     distant = [Led("white", direction=(0.4 * np.cos(a), 0.4 * np.sin(a), 0.9)) for a in angles]
     bands = {
-        name: Band(name, pixels[k : k + 3], ((k,), (k + 1,), (k + 2,)), np.full(3, 0.5), np.ones(3), pixels[0] // 30)
+        name: Band(
+            name,
+            pixels[k : k + 3],
+            ((k,), (k + 1,), (k + 2,)),
+            np.full(3, 0.5),
+            np.ones(3),
+            pixels[0] // 30,
+        )
         for name, k in (("white", 0), ("nir", 3))
     }
-    first = Capture(Rig(Camera(20.0, (7, 9)), tuple(near)), bands, mask=np.ones((7, 9), bool), subject={"id": "x"})
-    grey = Band("white", pixels[:3, ..., :1].astype(np.uint16) * 257, ((0,), (1,), (2,)), np.ones(3), np.zeros(3))
+    first = Capture(
+        Rig(Camera(20.0, (7, 9)), tuple(near)),
+        bands,
+        mask=np.ones((7, 9), bool),
+        subject={"id": "x"},
+    )
+    grey = Band(
+        "white",
+        pixels[:3, ..., :1].astype(np.uint16) * 257,
+        ((0,), (1,), (2,)),
+        np.ones(3),
+        np.zeros(3),
+    )
     matrix = np.array([[2800.0, 0, 4], [0, 2800, 3], [0, 0, 1]])
-    camera = Camera(20.0, (7, 9), 140.0, "perspective", matrix, (0.1, 0.0, 0.0, 0.0, 0.0), (0.1,), np.eye(3))
+    camera = Camera(
+        20.0, (7, 9), 140.0, "perspective", matrix, (0.1, 0.0, 0.0, 0.0, 0.0), (0.1,), np.eye(3)
+    )
     second = Capture(Rig(camera, tuple(distant)), {"white": grey}, encoding="srgb")
     truth = {"height_mm": np.zeros((7, 9)), "mask": np.ones((7, 9), bool)}
-    return [_folder(lambda to: write_capture(first, to, truth)), _folder(lambda to: write_capture(second, to))]
+    return [
+        _folder(lambda to: write_capture(first, to, truth)),
+        _folder(lambda to: write_capture(second, to)),
+    ]
 
 
 def _capture(folder: Path, files: Files) -> None:
@@ -342,7 +401,9 @@ def _plain_capture(folder: Path, files: Files) -> None:
     assert lights.ndim == 2
     assert lights.shape[1] == 3
     assert np.isfinite(lights).all()
-    capture_from_photographs(GivenPhotographs(folder / "{light}.png", lights, 10.0, encoding="linear"))
+    capture_from_photographs(
+        GivenPhotographs(folder / "{light}.png", lights, 10.0, encoding="linear")
+    )
     read_photographs(folder)
 
 
@@ -359,7 +420,9 @@ def _balls() -> list[Files]:
         for name, shade in zip(names, shades, strict=True)
     ]
     photos = dict(zip(names, pictures, strict=True))
-    rows = "".join(f"{name} {a:.3f} {b:.3f} {c:.3f}\n" for name, (a, b, c) in zip(names, lights, strict=True)).encode()
+    rows = "".join(
+        f"{name} {a:.3f} {b:.3f} {c:.3f}\n" for name, (a, b, c) in zip(names, lights, strict=True)
+    ).encode()
     mask = encode_image((255 * inside).astype(np.uint8), ".png")
     return [{"lights.txt": rows, "mask.png": mask, **photos}, {"lights.txt": rows, **photos}]
 
@@ -370,30 +433,52 @@ def _object(folder: Path, files: Files) -> None:
 
 
 def _flat_images() -> list[Files]:
-    return [{f"flat/{k}.png": encode_image(_noise(16, 17, seed=k) // 2 + 90, ".png") for k in range(3)}]
+    return [
+        {f"flat/{k}.png": encode_image(_noise(16, 17, seed=k) // 2 + 90, ".png") for k in range(3)}
+    ]
 
 
 @cache
 def _arrays() -> dict[str, Any]:
     result, _ = finger(px_per_mm=4.0, size=(80, 110))
-    names = ("height_mm", "ridge_mm", "shape_mm", "mask", "normals", "pitch_mm", "input_from_upright", "upright_size")
+    names = (
+        "height_mm",
+        "ridge_mm",
+        "shape_mm",
+        "mask",
+        "normals",
+        "pitch_mm",
+        "input_from_upright",
+        "upright_size",
+    )
     return {name: np.asarray(getattr(result, name)) for name in names}
 
 
 def _npz(arrays: dict[str, Any]) -> list[Files]:
-    return _written("height.npz", lambda path: write_npz(path, arrays), lambda path: np.savez(path, **arrays))
+    return _written(
+        "height.npz", lambda path: write_npz(path, arrays), lambda path: np.savez(path, **arrays)
+    )
 
 
 def _results() -> list[Files]:
     return _npz(_arrays())
 
 
-_RATES = json.dumps({
-    "format": DECISION_FORMAT, "version": 1, "similarity": [0.0, 1.0, 2.0], "fmr": [0.1, 0.01, 0.001],
-    "impostors": 1000, "what": "prints", "method": "fusion", "least_mm2": 40.0,
-}).encode()  # fmt: skip
+_RATES = json.dumps(
+    {
+        "format": DECISION_FORMAT,
+        "version": 1,
+        "similarity": [0.0, 1.0, 2.0],
+        "fmr": [0.1, 0.01, 0.001],
+        "impostors": 1000,
+        "what": "prints",
+        "method": "fusion",
+        "least_mm2": 40.0,
+    }
+).encode()
 _REPORT = (
-    b'{"preset": "ea", "settings": {"mask": {}}, "quality": {}, "facts": {}, "warnings": ["dark"], "timings_s": {}}'
+    b'{"preset": "ea", "settings": {"mask": {}}, "quality": {}, "facts": {}, "warnings": ["dark"],'
+    b' "timings_s": {}}'
 )
 
 
@@ -407,12 +492,15 @@ def _result(folder: Path, files: Files) -> object:
     )
 
 
-# --- templates, records, scores ----------------------------------------------------------------------------------
+# --- templates, records, scores
+# ----------------------------------------------------------------------------------
 
 
 def _templates() -> list[Files]:
     small = pack(Template(_noise(60, 50) % 4, np.ones((60, 50), bool), 0.1))
-    return _each("x.skt", *(encode_template(payload, VERSION) for payload in (waves("S01", 1), small)))
+    return _each(
+        "x.skt", *(encode_template(payload, VERSION) for payload in (waves("S01", 1), small))
+    )
 
 
 def _skt_repaired(files: Files) -> Files:
@@ -421,20 +509,30 @@ def _skt_repaired(files: Files) -> Files:
     def one(data: bytes) -> bytes:
         head = len(encode_template(b"x", VERSION)) - 1
         payload = data[head:]
-        return data[: head - 36] + struct.pack("<I", len(payload)) + hashlib.sha256(payload).digest() + payload
+        return (
+            data[: head - 36]
+            + struct.pack("<I", len(payload))
+            + hashlib.sha256(payload).digest()
+            + payload
+        )
 
     assert one(encode_template(b"abc", VERSION)) == encode_template(b"abc", VERSION)
     return {
-        name: one(file) if isinstance(file, bytes) and name.endswith(".skt") else file for name, file in files.items()
+        name: one(file) if isinstance(file, bytes) and name.endswith(".skt") else file
+        for name, file in files.items()
     }
 
 
 def _packed() -> list[Files]:
     many = np.random.default_rng(1)
     flat = Minutiae(
-        many.integers(0, 99, 7).astype(np.int32), many.integers(0, 99, 7).astype(np.int32), many.uniform(0, 6, 7),
-        np.ones(7, np.uint8), np.full(7, 50, np.uint8), (100, 100),
-    )  # fmt: skip
+        many.integers(0, 99, 7).astype(np.int32),
+        many.integers(0, 99, 7).astype(np.int32),
+        many.uniform(0, 6, 7),
+        np.ones(7, np.uint8),
+        np.full(7, 50, np.uint8),
+        (100, 100),
+    )
     return _each("bytes", pack_minutiae(flat))
 
 
@@ -477,11 +575,14 @@ def _scores(folder: Path, files: Files) -> None:
     read_scores(folder / "scores.csv", dissimilarity=True)
 
 
-# --- settings, networks, keys ------------------------------------------------------------------------------------
+# --- settings, networks, keys
+# ------------------------------------------------------------------------------------
 
 
 def _settings(name: str) -> Callable[[Path, Files], object]:
-    return lambda folder, files: override(preset_settings("metric"), read_changes([("--settings", str(folder / name))]))
+    return lambda folder, files: override(
+        preset_settings("metric"), read_changes([("--settings", str(folder / name))])
+    )
 
 
 def _assignments(folder: Path, files: Files) -> None:
@@ -510,7 +611,12 @@ _SET = b"knit.method=crossover\nmetric.rounds=2\nmetric.coarse_steps=5\nlights.b
 
 
 def _networks() -> list[Files]:
-    return [{"x.onnx": TINY_NETWORK.read_bytes(), "x.json": TINY_NETWORK.with_suffix(".json").read_bytes()}]
+    return [
+        {
+            "x.onnx": TINY_NETWORK.read_bytes(),
+            "x.json": TINY_NETWORK.with_suffix(".json").read_bytes(),
+        }
+    ]
 
 
 def _network_repaired(files: Files) -> Files:
@@ -528,7 +634,8 @@ def _keys(folder: Path, files: Files) -> object:
     return key_of(folder / "key")
 
 
-# --- galleries ---------------------------------------------------------------------------------------------------
+# --- galleries
+# ---------------------------------------------------------------------------------------------------
 
 
 def _new(person: str, seed: int, session: str = "1") -> NewCapture:
@@ -539,7 +646,9 @@ def _new(person: str, seed: int, session: str = "1") -> NewCapture:
 
 def _relief(seed: int) -> Any:
     row, column = np.mgrid[:90, :80] * 0.1
-    return np.sin(14 * (np.cos(seed) * column + np.sin(seed) * row) + np.hypot(row - 4, column - 4)).astype(np.float32)
+    return np.sin(
+        14 * (np.cos(seed) * column + np.sin(seed) * row) + np.hypot(row - 4, column - 4)
+    ).astype(np.float32)
 
 
 @cache
@@ -592,7 +701,8 @@ def _imported(folder: Path, files: Files) -> None:
             assert len(gallery.people().templates) > 0, "nothing was imported"
 
 
-# --- batch, populations, folders that grow -----------------------------------------------------------------------
+# --- batch, populations, folders that grow
+# -----------------------------------------------------------------------
 
 
 def _enrolment(folder: Path) -> None:
@@ -600,7 +710,12 @@ def _enrolment(folder: Path) -> None:
     for place in enrolment.places():
         enrolment.path(place).mkdir(parents=True)
         (enrolment.path(place) / "capture.json").write_bytes(b"{}")
-    facts = {"format": "splitknit-population", "format_version": 1, "settings_sha256": "ab" * 32, "settings": {}}
+    facts = {
+        "format": "splitknit-population",
+        "format_version": 1,
+        "settings_sha256": "ab" * 32,
+        "settings": {},
+    }
     (folder / "population.json").write_text(json.dumps(facts))
 
 
@@ -622,7 +737,11 @@ def _store() -> Files:
         open_store(store, there.sha256, *DOCUMENTS)
         rows = []
         for number, capture in enumerate(there.captures):
-            filled = {"acquired": True, "template": waves(capture.finger, number), "images": _surface()}
+            filled = {
+                "acquired": True,
+                "template": waves(capture.finger, number),
+                "images": _surface(),
+            }
             rows.append(failed_row(capture, "") | filled)
         write_table(store / "features" / "ea" / "00000-x.npz", rows, {"kind": "features"})
 
@@ -631,7 +750,8 @@ def _store() -> Files:
 
 def _batch(folder: Path, files: Files) -> object:
     def opened() -> None:
-        if os.path.lexists(folder / "store" / "store.json"):  # where there is none, a store is begun
+        # where there is none, a store is begun
+        if os.path.lexists(folder / "store" / "store.json"):
             open_store(folder / "store", read_population(folder / "people").sha256, *DOCUMENTS)
 
     store = Store(folder / "store")
@@ -645,7 +765,8 @@ def _batch(folder: Path, files: Files) -> object:
     )
 
 
-# --- calibration and separated light -----------------------------------------------------------------------------
+# --- calibration and separated light
+# -----------------------------------------------------------------------------
 
 
 def _tips() -> list[Files]:
@@ -665,9 +786,15 @@ def _tipped(data: bytes) -> None:
 def _radiometry() -> list[Files]:
     images = [f"{k}.png" for k in range(6)]
     document = {"format": "splitknit-radiometry", "version": 1}
-    document |= {"exposures": [{"file": one, "exposure_s": 0.01 * (k + 1)} for k, one in enumerate(images)]}
-    pictures: Files = {name: encode_image(_noise(5, 6, seed=9), ".png") for name in (*images, "dark.png")}
-    stack = {f"white_{k}.png": pictures["0.png"] for k in range(2)} | {"ambient_white.png": pictures["dark.png"]}
+    document |= {
+        "exposures": [{"file": one, "exposure_s": 0.01 * (k + 1)} for k, one in enumerate(images)]
+    }
+    pictures: Files = {
+        name: encode_image(_noise(5, 6, seed=9), ".png") for name in (*images, "dark.png")
+    }
+    stack = {f"white_{k}.png": pictures["0.png"] for k in range(2)} | {
+        "ambient_white.png": pictures["dark.png"]
+    }
     return [{"radiometry.json": json.dumps(document).encode(), **pictures, **stack}]
 
 
@@ -679,8 +806,15 @@ def _radiometric(folder: Path, files: Files) -> object:
 
 
 def _patterns() -> list[Files]:
-    images = {f"board_{i}_{j}.png": encode_image(_noise(8, 9, seed=i + 5 * j), ".png") for i in (0, 2) for j in (0, 2)}
-    singles = {name: encode_image(_noise(8, 9, seed=8) // 20, ".png") for name in ("black.png", "white.png")}
+    images = {
+        f"board_{i}_{j}.png": encode_image(_noise(8, 9, seed=i + 5 * j), ".png")
+        for i in (0, 2)
+        for j in (0, 2)
+    }
+    singles = {
+        name: encode_image(_noise(8, 9, seed=8) // 20, ".png")
+        for name in ("black.png", "white.png")
+    }
     return [{**images, **singles}]
 
 
@@ -688,19 +822,28 @@ def _pattern(folder: Path, files: Files) -> None:
     read_light(folder)
 
 
-# --- the surface inside a page -----------------------------------------------------------------------------------
+# --- the surface inside a page
+# -----------------------------------------------------------------------------------
 
 
 def _pages() -> list[Files]:
-    report = {"preset": "metric", "warnings": ["x"], "quality": {"focus": 0.8}, "timings_s": {"total": 1.5}}
-    return [{"height.npz": _npz(_arrays())[0]["height.npz"], "report.json": json.dumps(report).encode()}]
+    report = {
+        "preset": "metric",
+        "warnings": ["x"],
+        "quality": {"focus": 0.8},
+        "timings_s": {"total": 1.5},
+    }
+    return [
+        {"height.npz": _npz(_arrays())[0]["height.npz"], "report.json": json.dumps(report).encode()}
+    ]
 
 
 def _drawn(folder: Path, files: Files) -> object:
     return scene_of(read_result(folder), folder.name)
 
 
-# --- all of them -------------------------------------------------------------------------------------------------
+# --- all of them
+# -------------------------------------------------------------------------------------------------
 
 
 def put(folder: Path, files: Files) -> None:
@@ -723,15 +866,17 @@ def put(folder: Path, files: Files) -> None:
 
 
 def _prints() -> list[Files]:
-    return _written("print.png", lambda path: write_print_png(path, _print(), 500.0, {"a": "b"})) + _written(
-        "print.png", lambda path: path.write_bytes(encode_image(_print(), ".png"))
-    )
+    return _written(
+        "print.png", lambda path: write_print_png(path, _print(), 500.0, {"a": "b"})
+    ) + _written("print.png", lambda path: path.write_bytes(encode_image(_print(), ".png")))
 
 
 def _print_files() -> list[Files]:
     """A small print in every format, and minutiae in both."""
     image, small = _print(), _noise(70, 66)
-    png, jpeg, bmp = (cv2.imencode(suffix, image)[1].tobytes() for suffix in (".png", ".jpg", ".bmp"))
+    png, jpeg, bmp = (
+        cv2.imencode(suffix, image)[1].tobytes() for suffix in (".png", ".jpg", ".bmp")
+    )
     bmp = bmp[:38] + struct.pack("<II", 19685, 19685) + bmp[46:]
     held = PrintFile(small, 500.0, {}, "left_thumb")
     records = [encode_finger_image(held, how) for how in ("none", "png", "jp2")]
@@ -754,9 +899,13 @@ def _print_file(folder: Path, files: Files) -> object:
         return None
 
     def measured() -> object:
-        return [_ridge_period_px(one.image) for one in read_prints(path) if isinstance(one, PrintFile)]
+        return [
+            _ridge_period_px(one.image) for one in read_prints(path) if isinstance(one, PrintFile)
+        ]
 
-    return _any(lambda: read(None), lambda: read(700.0), lambda: read_one_finger(path, 500.0), measured)
+    return _any(
+        lambda: read(None), lambda: read(700.0), lambda: read_one_finger(path, 500.0), measured
+    )
 
 
 def _print_folder(folder: Path, files: Files) -> None:
@@ -768,10 +917,16 @@ TARGETS = (
     Target("capture", _captures, _capture),
     Target("plain_images", _plain_images, _plain_capture),
     Target("photograph", _photographs, _photograph),
-    Target("fingerphoto", _fingerphotos, _of_files("x.jpg", lambda path: read_fingerphoto(path, 14.0))),
+    Target(
+        "fingerphoto", _fingerphotos, _of_files("x.jpg", lambda path: read_fingerphoto(path, 14.0))
+    ),
     Target("match", _fingerphotos, _matched),
     Target("object", _balls, _object),
-    Target("rig", lambda: [{"rig.json": one["rig.json"]} for one in _captures()], _of_files("rig.json", read_rig)),
+    Target(
+        "rig",
+        lambda: [{"rig.json": one["rig.json"]} for one in _captures()],
+        _of_files("rig.json", read_rig),
+    ),
     Target("npz", _results, _of_files("height.npz", read_npz)),
     Target("result", lambda: [{**one, "report.json": _REPORT} for one in _results()], _result),
     Target(
@@ -780,17 +935,29 @@ TARGETS = (
         _of_files("print.png", read_print_png, read_one_finger),
     ),
     Target("print_file", _print_files, _print_file),
-    Target("print_folder", lambda: [one | {"minutiae.iso": ISO_BYTES} for one in _prints()[:1]], _print_folder),
-    Target("template", _templates, _of_files("x.skt", lambda path: unpack(read_template(path, VERSION))),
-           _skt_repaired),
+    Target(
+        "print_folder",
+        lambda: [one | {"minutiae.iso": ISO_BYTES} for one in _prints()[:1]],
+        _print_folder,
+    ),
+    Target(
+        "template",
+        _templates,
+        _of_files("x.skt", lambda path: unpack(read_template(path, VERSION))),
+        _skt_repaired,
+    ),
     Target("template_payload", lambda: _each("bytes", waves("S01", 1)), _of_bytes(unpack)),
     Target("packed", _packed, _of_bytes(unpack_minutiae), _packed_repaired),
-    Target("minutiae_record", lambda: _each("x.fmr", ISO_BYTES, ANSI_BYTES, ANSI_2009_BYTES), _record),
+    Target(
+        "minutiae_record", lambda: _each("x.fmr", ISO_BYTES, ANSI_BYTES, ANSI_2009_BYTES), _record
+    ),
     Target("what", _print_files, lambda folder, files: what(folder / "x")),
     Target("transaction", _transactions, _of_files("x.eft", read_prints)),
     Target("wsq", lambda: _each("x.wsq", encode_wsq(_print())), _of_files("x.wsq", read_prints)),
     Target("scores", lambda: [{"scores.csv": SCORES}], _scores),
-    Target("settings-json", lambda: [{"x.json": json.dumps(_SETTINGS).encode()}], _settings("x.json")),
+    Target(
+        "settings-json", lambda: [{"x.json": json.dumps(_SETTINGS).encode()}], _settings("x.json")
+    ),
     Target("settings-toml", lambda: [{"x.toml": _TOML}], _settings("x.toml")),
     Target("settings-set", lambda: [{"set": _SET}], _assignments),
     Target("network", _networks, _of_files("x.onnx", load_network), _network_repaired),
@@ -800,16 +967,26 @@ TARGETS = (
     Target("gallery_import", _exports, _imported, _skt_repaired),
     Target("batch", lambda: [_store()], _batch),
     Target("batch_surface", lambda: _each("bytes", _surface()), _of_bytes(unpack_surface)),
-    Target("population", lambda: [_folder(_enrolment)], lambda folder, files: read_population(folder)),
-    Target("earlier_output", lambda: _each("out/report.json", b'{"format": "x", "settings": {"a": [1, 2]}}'),
-           lambda folder, files: check_target(folder / "out", "report.json", "an earlier x", form="x")),
-    Target("flat_images", _flat_images, lambda folder, files: read_flat(folder / "flat", 3, "linear")),
+    Target(
+        "population", lambda: [_folder(_enrolment)], lambda folder, files: read_population(folder)
+    ),
+    Target(
+        "earlier_output",
+        lambda: _each("out/report.json", b'{"format": "x", "settings": {"a": [1, 2]}}'),
+        lambda folder, files: check_target(folder / "out", "report.json", "an earlier x", form="x"),
+    ),
+    Target(
+        "flat_images", _flat_images, lambda folder, files: read_flat(folder / "flat", 3, "linear")
+    ),
     Target("rates", lambda: _each("rates.json", _RATES), _of_files("rates.json", read_own_rates)),
     Target("token", lambda: _each("token", b"b9T2cYw0\n"), _of_files("token", read_token)),
-    Target("intensities", lambda: _each("light_intensities.txt", b"1 1.5 2\n0.5, 0.7, 1\n"),
-           _of_files("light_intensities.txt", lambda path: read_intensities(path, 2))),
+    Target(
+        "intensities",
+        lambda: _each("light_intensities.txt", b"1 1.5 2\n0.5, 0.7, 1\n"),
+        _of_files("light_intensities.txt", lambda path: read_intensities(path, 2)),
+    ),
     Target("light_table", _tips, _of_bytes(_tipped)),
     Target("radiometry", _radiometry, _radiometric),
     Target("patterns", _patterns, _pattern),
     Target("result_in_page", _pages, _drawn),
-)  # fmt: skip
+)

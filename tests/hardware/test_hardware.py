@@ -1,4 +1,5 @@
-"""The files of ``hardware/`` and the scripts that draw them: circuit, light on eye and skin, phantom, printed parts."""
+"""The files of ``hardware/`` and the scripts that draw them: circuit, light on eye and skin,
+phantom, printed parts."""
 
 from __future__ import annotations
 
@@ -39,14 +40,18 @@ def led(band: str, **changes: object) -> SimpleNamespace:
 
 def test_a_file_of_dimensions_changes_what_it_names(tmp_path: Path) -> None:
     own = tmp_path / "own.toml"
-    own.write_text("[rig]\ncamera_height_mm = 120.0\nled_radius_mm = 45.0\n[finger]\nreach_mm = 44.0\n")
+    own.write_text(
+        "[rig]\ncamera_height_mm = 120.0\nled_radius_mm = 45.0\n[finger]\nreach_mm = 44.0\n"
+    )
     s = read_dimensions(own)
     rig = films.rig_of(s)
     assert (rig.camera.height_mm, rig.leds[0].position_mm) == (120.0, (45.0, 0.0, 120.0))
     check_dimensions(dimensions_of(rig, s))
     assert films.rig_of(read_dimensions()).leds == default_rig().leds
     own.write_text("[finger]\nwidth_mm = 3.0\n")
-    with pytest.raises(BadInput, match=r"'finger.width_mm' is not a dimension; known are .*finger.widest_mm"):
+    with pytest.raises(
+        BadInput, match=r"'finger.width_mm' is not a dimension; known are .*finger.widest_mm"
+    ):
         read_dimensions(own)
 
 
@@ -60,19 +65,28 @@ def test_a_file_of_dimensions_changes_what_it_names(tmp_path: Path) -> None:
         ({"rig": {"side": 1}}, "from 2 to 7"),
     ],
 )
-def test_rigs_that_cannot_be_built_are_refused(changes: dict[str, dict[str, object]], words: str) -> None:
+def test_rigs_that_cannot_be_built_are_refused(
+    changes: dict[str, dict[str, object]], words: str
+) -> None:
     with pytest.raises(BadInput, match=words):
         s = read_dimensions(changes=changes)
         check_dimensions(dimensions_of(films.rig_of(s), s))
 
 
 def test_mirrors_stand_where_the_simulator_has_them() -> None:
-    enlarged = {"tip_margin_mm": 27.0, "pad_height_mm": 21.2, "widest_mm": 22.0, "groove_depth_mm": 3.0}
+    enlarged = {
+        "tip_margin_mm": 27.0,
+        "pad_height_mm": 21.2,
+        "widest_mm": 22.0,
+        "groove_depth_mm": 3.0,
+    }
     changes = {"finger": {**enlarged, "stop_height_mm": 3.5}, "mirror": {"wide_mm": 30.0}}
     rig = mirror_rig(MirrorSettings(names=("left", "right", "tip")), 0.5)
     d = dimensions_of(rig, read_dimensions(changes=changes))
     corners = {mirror.name: np.array(mirror.corners_mm) for mirror in rig.mirrors}
-    for name, place, away in zip(("right", "left", "tip"), holder_places(d), (0, 0, 1), strict=True):
+    for name, place, away in zip(
+        ("right", "left", "tip"), holder_places(d), (0, 0, 1), strict=True
+    ):
         assert corners[name][:, 1 - away].mean() == pytest.approx(place[1 - away], abs=1e-9)
         assert np.ptp(corners[name][:, 1 - away]) == pytest.approx(sizes.MIRROR_LONG_MM)
     profile, outline = holder_profile(), np.array(mirror_profile(d.settings))
@@ -86,7 +100,8 @@ def test_mirrors_stand_where_the_simulator_has_them() -> None:
 def solved(
     stage: Stage, *, high_v: float, supply_v: float, forward_v: float, base_v: float, gain: float
 ) -> tuple[float, float]:
-    """LED and base current by the transistor's exponential law (Ebers and Moll): no shortcuts of the design."""
+    """LED and base current by the transistor's exponential law (Ebers and Moll): no shortcuts of
+    the design."""
     thermal, back = 0.026, 4.0
     saturation = 0.1 / math.exp(base_v / thermal)  # base_v at 100 mA
     ohm = {resistor.role: resistor.ohm for resistor in stage.resistors}
@@ -101,23 +116,36 @@ def solved(
     def collector(of_base: float, at_emitter: float) -> float:
         """Voltage over the emitter at which LED and transistor carry the same current."""
         top = supply_v - forward_v - at_emitter
-        return float(brentq(lambda v: (top - v) / series - currents(of_base, v)[0], -60.0, 60.0, xtol=1e-12))
+        return float(
+            brentq(lambda v: (top - v) / series - currents(of_base, v)[0], -60.0, 60.0, xtol=1e-12)
+        )
 
     def emitter_of(of_base: float) -> float:
         """Voltage over the emitter resistor."""
         if emitter == 0.0:
             return 0.0
         ends = (0.0, 50.0)
-        return float(brentq(lambda v: sum(currents(of_base, collector(of_base, v))) - v / emitter, *ends, xtol=1e-12))
+        return float(
+            brentq(
+                lambda v: sum(currents(of_base, collector(of_base, v))) - v / emitter,
+                *ends,
+                xtol=1e-12,
+            )
+        )
 
     def too_much(of_base: float) -> float:
         at_emitter = emitter_of(of_base)
-        return currents(of_base, collector(of_base, at_emitter))[1] - (high_v - at_emitter - of_base) / base
+        return (
+            currents(of_base, collector(of_base, at_emitter))[1]
+            - (high_v - at_emitter - of_base) / base
+        )
 
     of_base = float(brentq(too_much, 0.3, base_v + 0.05, xtol=1e-12))
     at_emitter = emitter_of(of_base)
     of_collector = collector(of_base, at_emitter)
-    return (supply_v - forward_v - at_emitter - of_collector) / series, (high_v - at_emitter - of_base) / base
+    return (supply_v - forward_v - at_emitter - of_collector) / series, (
+        high_v - at_emitter - of_base
+    ) / base
 
 
 @pytest.mark.parametrize("band", ["white", "nir"])
@@ -143,7 +171,10 @@ def test_currents_are_those_of_the_solved_circuit(band: str, topology: str) -> N
 
 
 def test_missed_margins_are_named() -> None:
-    for changes, words in (({"supply_v": 6.0}, "too little"), ({"white": {"current_a": 0.3}}, "an LED of 120 mA")):
+    for changes, words in (
+        ({"supply_v": 6.0}, "too little"),
+        ({"white": {"current_a": 0.3}}, "an LED of 120 mA"),
+    ):
         with pytest.raises(BadInput, match=words):
             design_stage("white", circuit(**changes))
 
@@ -158,7 +189,9 @@ def test_the_reference_board_is_what_lies_there(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("kind", ["servo", "hand", "neighbours"])
 def test_films_add_rows_a_drawing_and_what_the_rig_file_says(kind: str, tmp_path: Path) -> None:
-    facts = write_circuit(tmp_path, read_dimensions(changes={"rig": {"films": kind}, "circuit": {"supply_v": 8.5}}))
+    facts = write_circuit(
+        tmp_path, read_dimensions(changes={"rig": {"films": kind}, "circuit": {"supply_v": 8.5}})
+    )
     written = read_rig(tmp_path / "rig.json")
     assert rig_films(written).kind == kind
     with pytest.raises(BadInput, match=f"has films of the kind '{kind}'"):
@@ -168,10 +201,16 @@ def test_films_add_rows_a_drawing_and_what_the_rig_file_says(kind: str, tmp_path
     assert ("servo" in names) == (kind == "servo") and "linear polarising film, 50 x 50 mm" in names
     drawing = (tmp_path / "films.svg").read_text(encoding="utf-8")
     assert ("GPIO 4)" in drawing) == (kind == "servo")
-    refs = {ref: line[1] for line in bill if line[-1].startswith("second board") for ref in line[-1].split()[2:]}
+    refs = {
+        ref: line[1]
+        for line in bill
+        if line[-1].startswith("second board")
+        for ref in line[-1].split()[2:]
+    }
     if kind == "neighbours":
         assert [one["gpio"] for one in facts["leds"][14:]] == list(SECOND_PINS)
-        assert refs["R406"] == "4k7 0.25 W" and refs["R405"] == "100k 0.25 W"  # against the pull-up of GPIO 5
+        # against the pull-up of GPIO 5
+        assert refs["R406"] == "4k7 0.25 W" and refs["R405"] == "100k 0.25 W"
     else:
         assert refs == {}
     blue = next(one for one in facts["safety"] if one["hazard"] == "retina, blue light")
@@ -183,7 +222,8 @@ def test_the_second_board_drives_side_lights_as_bright_as_the_ring(tmp_path: Pat
     assert facts["stages"]["side"]["current_ma"][1] == pytest.approx(100 * 0.4026, rel=0.01)
     blue = {one["leds"]: one for one in facts["safety"] if one["hazard"] == "retina, blue light"}
     assert blue["side"]["margin"] > 3 and blue["side"]["margin_without_films"] > 1.5
-    # light falls with the squared distance: they give an eye in the finger plane what the ring gives it
+    # light falls with the squared distance: they give an eye in the finger plane what the ring
+    # gives it
     assert blue["side"]["value"] == pytest.approx(blue["white"]["value"], rel=0.12)
     assert pins_of(read_rig(tmp_path / "rig.json"))[14:] == SECOND_PINS
     again = read_dimensions(changes={"rig": {"file": str(tmp_path / "rig.json")}})
@@ -194,7 +234,8 @@ def test_the_second_board_drives_side_lights_as_bright_as_the_ring(tmp_path: Pat
     assert angles == [-13.3, 6.9, 32.8, 90.0, -32.8, -6.9, 13.3]
 
 
-# Light on eye and skin. No number here is computed by the module's functions but the one that is checked.
+# Light on eye and skin. No number here is computed by the module's functions but the one that is
+# checked.
 
 POINT = {"intensity_w_sr": 1.0, "half_angle_deg": 5.0, "source_mm": 0.1, "forward_v": 20.0}
 
@@ -202,11 +243,21 @@ POINT = {"intensity_w_sr": 1.0, "half_angle_deg": 5.0, "source_mm": 0.1, "forwar
 @pytest.mark.parametrize(
     ("nm", "blue", "burn"),
     [  # IEC 62471:2006, table 4.2, as printed
-        (380, 0.01, 0.1), (415, 0.80, 8.0), (440, 1.00, 10.0), (460, 0.80, 8.0), (490, 0.22, 2.2), (500, 0.10, 1.0),
-        (550, 0.01, 1.0), (600, 0.001, 1.0), (810, 0.0, 0.603), (950, 0.0, 0.316), (1100, 0.0, 0.2),
-        (1300, 0.0, 0.02), (1450, 0.0, 0.0),
+        (380, 0.01, 0.1),
+        (415, 0.80, 8.0),
+        (440, 1.00, 10.0),
+        (460, 0.80, 8.0),
+        (490, 0.22, 2.2),
+        (500, 0.10, 1.0),
+        (550, 0.01, 1.0),
+        (600, 0.001, 1.0),
+        (810, 0.0, 0.603),
+        (950, 0.0, 0.316),
+        (1100, 0.0, 0.2),
+        (1300, 0.0, 0.02),
+        (1450, 0.0, 0.0),
     ],
-)  # fmt: skip
+)
 def test_the_weighting_functions_are_the_tables(nm: float, blue: float, burn: float) -> None:
     assert safety.blue_weight(np.array([float(nm)]))[0] == pytest.approx(blue, rel=0.01)
     assert safety.burn_weight(np.array([float(nm)]))[0] == pytest.approx(burn, rel=0.005)
@@ -217,11 +268,13 @@ def named(hazards: tuple[safety.Hazard, ...], clause: str) -> safety.Hazard:
 
 
 def test_hazards_by_hand() -> None:
-    """A point of 1 W/sr at 20 cm: 25 W/m2; over 11 mrad (9.503e-5 sr) 263 kW/m2/sr, weighted by half at 850 nm."""
+    """A point of 1 W/sr at 20 cm: 25 W/m2; over 11 mrad (9.503e-5 sr) 263 kW/m2/sr, weighted by
+    half at 850 nm."""
     burn = named(safety.band_hazards("nir", led("nir", **POINT), 0.1, 200.0), "4.3.6")
     assert burn.value == pytest.approx(25 / 9.503e-5 * 0.5027, rel=2e-3)
     assert burn.limit == pytest.approx(545_455, rel=1e-5)  # 545.5 mW/mm2/sr in ams OSRAM's note
-    # 100 cd of 7900 K at 1 m are 100 lx and 0.103 W/m2 of blue; over 0.1 rad (7.854e-3 sr) 13.1 W/m2/sr
+    # 100 cd of 7900 K at 1 m are 100 lx and 0.103 W/m2 of blue; over 0.1 rad (7.854e-3 sr) 13.1
+    # W/m2/sr
     lamp = led("white", intensity_cd=100.0, half_angle_deg=10.0, source_mm=20.0)
     blue = named(safety.band_hazards("white", lamp, 0.1, 1000.0), "4.3.3")
     assert blue.value == pytest.approx(100 * 1.03e-3 / 7.854e-3, rel=0.01) and blue.limit == 100.0
@@ -229,8 +282,11 @@ def test_hazards_by_hand() -> None:
     stages = {band: design_stage(band, circuit()) for band in ("white", "nir")}
     found, over = safety.rig_hazards(default_rig(), stages), stages["nir"].current_a[2] / 0.1
     assert named(found, "4.3.7").value == pytest.approx(7 * 0.12 * over / 0.1495202**2, rel=1e-3)
-    assert named(found, "4.3.8").value == pytest.approx(7 * (0.12 + 10.0 / 313.3) * over / 0.1495202**2, rel=2e-3)
-    assert stages["nir"].shorted_a == pytest.approx(8.05 / 59.4)  # (9.45 V - 1.4 V) over 27 + 33 ohms less 1 %
+    assert named(found, "4.3.8").value == pytest.approx(
+        7 * (0.12 + 10.0 / 313.3) * over / 0.1495202**2, rel=2e-3
+    )
+    # (9.45 V - 1.4 V) over 27 + 33 ohms less 1 %
+    assert stages["nir"].shorted_a == pytest.approx(8.05 / 59.4)
 
 
 def test_light_above_a_limit_is_refused(tmp_path: Path) -> None:

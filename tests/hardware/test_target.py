@@ -1,4 +1,5 @@
-"""The printed sheet, read back: true to scale, found by the calibration that it is for, the same bytes each time."""
+"""The printed sheet, read back: true to scale, found by the calibration that it is for, the same
+bytes each time."""
 
 from __future__ import annotations
 
@@ -34,7 +35,9 @@ def card(image, settings, across, down):
     x = free * (across + 1) / (count + 1) + across * width
     y = RULER_Y_MM - 10 - (down + 1) * height - 3 * down
     columns = slice(round((x + 0.5) * PX_PER_MM), round((x + width - 0.5) * PX_PER_MM))
-    return image[round((297 - y - height + 0.5) * PX_PER_MM) : round((297 - y - 0.5) * PX_PER_MM), columns]
+    return image[
+        round((297 - y - height + 0.5) * PX_PER_MM) : round((297 - y - 0.5) * PX_PER_MM), columns
+    ]
 
 
 def test_every_board_is_found_at_true_scale(sheet):
@@ -46,7 +49,12 @@ def test_every_board_is_found_at_true_scale(sheet):
     for column, row in ((0, 0), (across - 1, down - 1), (1, 1)):
         picture = card(sheet[0], settings, column, row)
         rows, columns = (np.flatnonzero((picture < 128).any(axis=axis)) for axis in (1, 0))
-        rims = [rows[0], picture.shape[0] - 1 - rows[-1], columns[0], picture.shape[1] - 1 - columns[-1]]
+        rims = [
+            rows[0],
+            picture.shape[0] - 1 - rows[-1],
+            columns[0],
+            picture.shape[1] - 1 - columns[-1],
+        ]
         assert np.abs(np.array(rims) / PX_PER_MM - (CARD_MARGIN_MM - 0.5)).max() < 0.15
         corners = find_board(picture, board)
         assert corners is not None
@@ -84,7 +92,10 @@ def test_lines_of_words_and_a_sheet_of_a4(sheet):
     data = target_pdf()
     assert data.startswith(b"%PDF-1.")
     assert b"/PrintScaling /None" in objects_of(data)[1]
-    assert f"[0 0 {210 * POINTS_PER_MM:.4f} {297 * POINTS_PER_MM:.4f}]".replace("0]", "]").encode() in data
+    assert (
+        f"[0 0 {210 * POINTS_PER_MM:.4f} {297 * POINTS_PER_MM:.4f}]".replace("0]", "]").encode()
+        in data
+    )
     assert len(data) < 10_000
 
 

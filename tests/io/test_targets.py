@@ -25,7 +25,8 @@ WRITERS = (
 
 @pytest.fixture
 def taken(tmp_path: Path) -> Path:
-    """A folder that splitknit wrote: photographs of a finger, as ``splitknit capture`` leaves them."""
+    """A folder that splitknit wrote: photographs of a finger, as ``splitknit capture`` leaves
+    them."""
     with atomic_folder(tmp_path / "finger") as folder:
         for name in ("capture.json", "session.json", "report.json", "white_0.png"):
             (folder / name).write_text("{}")
@@ -33,7 +34,9 @@ def taken(tmp_path: Path) -> Path:
 
 
 @pytest.mark.parametrize("words", WRITERS, ids=lambda words: " ".join(words[:2]))
-def test_no_verb_replaces_photographs(words: list[str], taken: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_no_verb_replaces_photographs(
+    words: list[str], taken: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     assert main([*words, "--out", str(taken)]) == 2
     error = capsys.readouterr().err
     assert "is not empty and is not an earlier" in error and error.count("\n") == 1
@@ -104,7 +107,9 @@ def test_no_option_replaces_a_file_of_another_kind(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     monkeypatch.chdir(tmp_path)
-    suffix = ".png" if words[-1] in ("--show", "--residuals") else ".pdf" if "target" in words else ""
+    suffix = (
+        ".png" if words[-1] in ("--show", "--residuals") else ".pdf" if "target" in words else ""
+    )
     out = tmp_path / f"mine{suffix}"
     out.write_bytes(content)
     assert main([*words, str(out)]) == 2
@@ -113,7 +118,9 @@ def test_no_option_replaces_a_file_of_another_kind(
     assert out.read_bytes() == content and list(tmp_path.iterdir()) == [out]
 
 
-def test_an_earlier_file_of_the_same_kind_is_replaced(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_an_earlier_file_of_the_same_kind_is_replaced(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     sheet, rig = tmp_path / "sheet.pdf", tmp_path / "rig.json"
     for _ in range(2):
         assert main(["rig", "target", "--out", str(sheet)]) == 0

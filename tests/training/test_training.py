@@ -43,7 +43,8 @@ def test_a_seed_gives_one_palm(script) -> None:
 
 @pytest.mark.slow
 def test_samples_hold_fields_truth_and_weight(script) -> None:
-    """A finger for `shape`, pieces of one for `relief`: the fields of both, and skin that counts."""
+    """A finger for `shape`, pieces of one for `relief`: the fields of both, and skin that
+    counts."""
     shape, relief = script("shape"), script("relief")
     sample = shape.shape_sample(5001)
     assert sample.shape[0] == 35 and 0.2 < sample[shape.WEIGHT].mean(dtype=np.float32) < 1
@@ -74,8 +75,12 @@ def test_direct_is_trained_on_palms_and_fingers(script, loop, tmp_path: Path, mo
 
 
 @pytest.mark.parametrize(("name", "channels"), [("relief", 41), ("shape", 35)])
-def test_networks_of_fields_learn_and_ship(script, loop, tmp_path: Path, name: str, channels: int) -> None:
-    task = SimpleNamespace(**{**vars(script(name).TASK), "batch": 1, "patch_px": 48, "beyond_px": 0})
+def test_networks_of_fields_learn_and_ship(
+    script, loop, tmp_path: Path, name: str, channels: int
+) -> None:
+    task = SimpleNamespace(
+        **{**vars(script(name).TASK), "batch": 1, "patch_px": 48, "beyond_px": 0}
+    )
     rng = np.random.default_rng(0)
     sample = rng.standard_normal((channels, 64, 80)).astype(np.float16)
     sample[32:-1], sample[-1] = sample[: channels - 33], 1.0
@@ -85,7 +90,10 @@ def test_networks_of_fields_learn_and_ship(script, loop, tmp_path: Path, name: s
     assert (tmp_path / f"{name}.onnx").read_bytes() == weights
     network = load_network(tmp_path / f"{name}.onnx")
     shipped = load_network(name)
-    assert (network.card.channels_out, network.card.stride) == (shipped.card.channels_out, shipped.card.stride)
+    assert (network.card.channels_out, network.card.stride) == (
+        shipped.card.channels_out,
+        shipped.card.stride,
+    )
     assert len(weights) == pytest.approx((SHIPPED / f"{name}.onnx").stat().st_size, rel=0.02)
 
 
@@ -100,5 +108,7 @@ def test_what_is_refused_is_left_out_and_what_is_there_is_kept(loop, tmp_path: P
 
     for _ in range(2):
         data = loop.make_data(tmp_path, [("finger", 1), ("finger", 2)], shoot, 1)
-        assert {subject: arrays[0].tolist() for subject, arrays in data.items()} == {("finger", 2): [2, 2, 2]}
+        assert {subject: arrays[0].tolist() for subject, arrays in data.items()} == {
+            ("finger", 2): [2, 2, 2]
+        }
     assert asked == [1, 2]

@@ -1,4 +1,5 @@
-"""The scripts of validation/accuracy are not a package: import them by their folder, and forget them afterwards."""
+"""The scripts of validation/accuracy are not a package: import them by their folder, and forget
+them afterwards."""
 
 from __future__ import annotations
 

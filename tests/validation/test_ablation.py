@@ -45,7 +45,9 @@ def test_the_finger_is_that_of_the_accuracy(twin: Any) -> None:
 def test_true_parts_of_the_light(script: Script, twin: Any) -> None:
     fractions = script("ablation_light").true_shares(twin, 0.42)
     mask = twin.truth["mask"]
-    direct, matt, rest = (fractions[n][:, mask] for n in ("direct", "direct without glare", "all but glare"))
+    direct, matt, rest = (
+        fractions[n][:, mask] for n in ("direct", "direct without glare", "all but glare")
+    )
     assert np.all((matt >= 0) & (matt <= direct) & (direct <= 1))
     np.testing.assert_allclose(direct - matt, 1 - rest, atol=1e-5)
     assert 0.1 < direct.mean() < 0.6
@@ -62,7 +64,9 @@ def test_changed_captures(script: Script, twin: Any) -> None:
     glare = twin.truth["glare_white"].astype(np.float32)
     without = light.without_glare(capture, "white", glare)
     wanted = linear_channels(capture.bands["white"], "linear", names) - glare
-    np.testing.assert_allclose(linear_channels(without.bands["white"], "linear", names), wanted, atol=2e-5)
+    np.testing.assert_allclose(
+        linear_channels(without.bands["white"], "linear", names), wanted, atol=2e-5
+    )
     assert without.bands["nir"] is capture.bands["nir"]
     grey = light.in_grey(capture).bands["white"]
     assert grey.pixels.shape[-1] == 1
@@ -70,13 +74,20 @@ def test_changed_captures(script: Script, twin: Any) -> None:
     np.testing.assert_allclose(linear_stack(grey, "linear", "grey"), wanted, atol=2e-5)
 
 
-def test_the_twin_takes_the_networks_place(script: Script, bench: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_twin_takes_the_networks_place(
+    script: Script, bench: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
     rows = script("ablation_rows").ROWS
     plain = bench.reconstructed(rows["snk_plain_all"])
     ones = np.ones((7, *bench.twin.capture.shape), dtype=np.float32)
-    fractions = {"direct": ones, "all but glare": ones * np.linspace(0.2, 1, 7, dtype=np.float32)[:, None, None]}
+    fractions = {
+        "direct": ones,
+        "all but glare": ones * np.linspace(0.2, 1, 7, dtype=np.float32)[:, None, None],
+    }
     monkeypatch.setitem(bench.__dict__, "_fractions", fractions)
-    same, other = (bench.reconstructed(rows[name]) for name in ("snk_plain_direct", "snk_plain_matt"))
+    same, other = (
+        bench.reconstructed(rows[name]) for name in ("snk_plain_direct", "snk_plain_matt")
+    )
     np.testing.assert_array_equal(same.height_mm, plain.height_mm)
     np.testing.assert_array_equal(same.mask, plain.mask)
     assert not np.allclose(other.ridge_mm[other.mask], plain.ridge_mm[plain.mask], rtol=0.1, atol=0)
@@ -90,7 +101,9 @@ def test_one_tiny_finger(script: Script, tmp_path: Path, monkeypatch: pytest.Mon
     (pair,) = ablation.summarised([finger], names)["pairs"]
     for key, figure in pair["figures"].items():
         assert figure["interval"] is None
-        assert figure["mean"] == pytest.approx(finger["snk_plain_all"][key] - finger["ea-split"][key])
+        assert figure["mean"] == pytest.approx(
+            finger["snk_plain_all"][key] - finger["ea-split"][key]
+        )
     monkeypatch.setattr(rows, "Bench", lambda *_: pytest.fail("measured again"))
     assert ablation.measure_one(1000, names, 0.15, tmp_path) == finger
 
@@ -100,14 +113,21 @@ def test_statistics(script: Script) -> None:
     figure = ablation.statistics([1.0, 2.0, 4.0, 5.0])
     # 3 +- t(0.975, 3 degrees of freedom) times 1.8257 / 2
     assert figure["mean"] == 3.0
-    assert figure["interval"] == pytest.approx([3.0 - 3.1824 * 0.91287, 3.0 + 3.1824 * 0.91287], abs=1e-3)
+    assert figure["interval"] == pytest.approx(
+        [3.0 - 3.1824 * 0.91287, 3.0 + 3.1824 * 0.91287], abs=1e-3
+    )
 
     keys = script("ablation_rows").FIGURES
     fingers = [
-        {"ea-split": dict.fromkeys(keys, 0.5 + 0.1 * k), "snk_plain_all": dict.fromkeys(keys, 0.7 + 0.1 * k)}
+        {
+            "ea-split": dict.fromkeys(keys, 0.5 + 0.1 * k),
+            "snk_plain_all": dict.fromkeys(keys, 0.7 + 0.1 * k),
+        }
         for k in range(3)
     ]
-    fingers.append({"ea-split": dict.fromkeys(keys, 0.1), "snk_plain_all": {"refused": "no finger"}})
+    fingers.append(
+        {"ea-split": dict.fromkeys(keys, 0.1), "snk_plain_all": {"refused": "no finger"}}
+    )
     results = ablation.summarised(fingers, ["ea-split", "snk_plain_all"])
     assert results["rows"]["snk_plain_all"]["refused"] == 1
     assert results["rows"]["ea-split"]["figures"]["ridge_gain"]["mean"] == pytest.approx(0.475)
@@ -119,7 +139,9 @@ def test_statistics(script: Script) -> None:
 
 
 def test_the_page_shows_the_figures(script: Script) -> None:
-    assert script("ablation_report").main(["--check"]) == 0, "run validation/separation/ablation_report.py"
+    assert script("ablation_report").main(["--check"]) == 0, (
+        "run validation/separation/ablation_report.py"
+    )
     results = json.loads((FOLDER / "ablation.json").read_text())
     rows = script("ablation_rows")
     assert set(rows.ROWS) - set(rows.CONTRAST_ROWS) <= set(results["rows"])
@@ -129,7 +151,12 @@ def test_the_page_shows_the_figures(script: Script) -> None:
 def test_contrast_is_shown_with_intervals_over_fingers(script: Script) -> None:
     report = script("ablation_report")
     fingers = [
-        {"rows": {"a": dict.fromkeys(report.COLUMNS, 0.5 + 0.1 * k), "b": dict.fromkeys(report.COLUMNS, 0.1 * k)}}
+        {
+            "rows": {
+                "a": dict.fromkeys(report.COLUMNS, 0.5 + 0.1 * k),
+                "b": dict.fromkeys(report.COLUMNS, 0.1 * k),
+            }
+        }
         for k in range(3)
     ]
     rows = {"a": {"words": "one"}, "b": {"words": "other"}}

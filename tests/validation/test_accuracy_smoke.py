@@ -1,4 +1,5 @@
-"""The accuracy experiment runs and says what it should; this finger's figures are those of before."""
+"""The accuracy experiment runs and says what it should; this finger's figures are those of
+before."""
 
 from __future__ import annotations
 
@@ -18,10 +19,23 @@ Script = Callable[[str], ModuleType]
 
 
 def run(out: Path, *arguments: str) -> dict:
-    command = [sys.executable, "-W", "error", str(ACCURACY / "run.py"), "--scale", "0.2", "--workers", "1"]
+    command = [
+        sys.executable,
+        "-W",
+        "error",
+        str(ACCURACY / "run.py"),
+        "--scale",
+        "0.2",
+        "--workers",
+        "1",
+    ]
     command += ["--out", str(out / "results.json"), "--scratch", str(out / "scratch"), *arguments]
     done = subprocess.run(
-        command, capture_output=True, text=True, check=False, env={**os.environ, "PYTHONWARNINGS": "error"}
+        command,
+        capture_output=True,
+        text=True,
+        check=False,
+        env={**os.environ, "PYTHONWARNINGS": "error"},
     )
     assert done.returncode == 0, done.stdout + done.stderr
     assert done.stderr == ""
@@ -58,7 +72,12 @@ def test_statistics(accuracy: Script) -> None:
     measured = [
         {
             "seed": seed,
-            "presets": {"metric": {"figures": {"surface_rms_mm": value, "ridge_gain": 1 + value}, "seconds": 1.0}},
+            "presets": {
+                "metric": {
+                    "figures": {"surface_rms_mm": value, "ridge_gain": 1 + value},
+                    "seconds": 1.0,
+                }
+            },
         }
         for seed, value in values.items()
     ]

@@ -1,4 +1,5 @@
-"""The agreement of prints with the truth: who is whose, where the truth lies, and one tiny capture from end to end."""
+"""The agreement of prints with the truth: who is whose, where the truth lies, and one tiny capture
+from end to end."""
 
 from __future__ import annotations
 
@@ -30,8 +31,11 @@ def test_pairs_are_as_many_and_as_near_as_can_be(script: Script) -> None:
     i, j = compare.paired(found, true, 3.5)
     assert list(zip(i.tolist(), j.tolist(), strict=True)) == [(0, 0), (1, 1)]
     assert compare.paired(found[:0], true, 3.5)[0].size == 0
-    np.testing.assert_allclose(compare.turned(np.array([0.1, 0.0]), np.array([2 * np.pi - 0.1, np.pi])), [11.459, 180],
-                               atol=1e-3)  # fmt: skip
+    np.testing.assert_allclose(
+        compare.turned(np.array([0.1, 0.0]), np.array([2 * np.pi - 0.1, np.pi])),
+        [11.459, 180],
+        atol=1e-3,
+    )
 
 
 def test_a_pair_across_the_border_counts_for_whichever_lies_inside(script: Script) -> None:
@@ -39,12 +43,25 @@ def test_a_pair_across_the_border_counts_for_whichever_lies_inside(script: Scrip
 
     def side(points: list[tuple[float, float]]) -> dict[str, Any]:
         place, zeros = np.array([[x, 0.0] for x, _ in points]), np.zeros(len(points))
-        return {"place": place, "direction": zeros, "border": np.array([b for _, b in points]), "slant": zeros}
+        return {
+            "place": place,
+            "direction": zeros,
+            "border": np.array([b for _, b in points]),
+            "slant": zeros,
+        }
 
-    found, true = [(0.0, 20.0), (31.0, 12.0), (99.0, 50.0)], [(1.0, 20.0), (30.0, 14.0), (60.0, 50.0)]
+    found, true = (
+        [(0.0, 20.0), (31.0, 12.0), (99.0, 50.0)],
+        [(1.0, 20.0), (30.0, 14.0), (60.0, 50.0)],
+    )
     record = compare.table(side(found), side(true), 2.0)
     one = compare.counts(record, 13)
-    assert {k: one[k] for k in ("true", "met", "found", "hit")} == {"true": 3, "met": 2, "found": 2, "hit": 1}
+    assert {k: one[k] for k in ("true", "met", "found", "hit")} == {
+        "true": 3,
+        "met": 2,
+        "found": 2,
+        "hit": 1,
+    }
     figures = compare.recall_precision([one])
     assert figures["recall"] == pytest.approx(2 / 3) and figures["precision"] == 0.5
     assert compare.counts(record, 13, slant=(10.0, 90.0))["true"] == 0
@@ -53,16 +70,21 @@ def test_a_pair_across_the_border_counts_for_whichever_lies_inside(script: Scrip
 
 def test_intervals_hold_the_figure(script: Script) -> None:
     compare = script("agreement_compare")
-    found = compare.by_finger(list(np.linspace(0, 1, 40)), lambda some: {"mean": float(np.mean(some))})
+    found = compare.by_finger(
+        list(np.linspace(0, 1, 40)), lambda some: {"mean": float(np.mean(some))}
+    )
     mean, low, high = found["mean"]
     assert low < mean < high
     # a mean of 40 draws: two standard errors to each side
-    assert high - low == pytest.approx(2 * 1.96 * np.linspace(0, 1, 40).std() / np.sqrt(40), rel=0.15)
+    assert high - low == pytest.approx(
+        2 * 1.96 * np.linspace(0, 1, 40).std() / np.sqrt(40), rel=0.15
+    )
 
 
 @pytest.mark.slow
 def test_true_minutiae_of_a_capture(script: Script, tmp_path: Path) -> None:
-    """Directions run along the true ridges, with the right sign; ours of the true relief are mostly true ones."""
+    """Directions run along the true ridges, with the right sign; ours of the true relief are mostly
+    true ones."""
     from splitknit.io.npz import write_npz
     from splitknit_match.prints.sources import Source
     from splitknit_simulator.population.sessions import PopulationSettings, population_capture
@@ -82,9 +104,13 @@ def test_true_minutiae_of_a_capture(script: Script, tmp_path: Path) -> None:
     mask = np.isfinite(shown.truth["shape_mm"])
     rows, columns = mask.shape
     none = np.full(mask.shape, np.nan, dtype=np.float32)
-    empty = Source("result", mask, float(shown.truth["pitch_mm"]), np.eye(3), (rows, columns), none, none, none)
+    empty = Source(
+        "result", mask, float(shown.truth["pitch_mm"]), np.eye(3), (rows, columns), none, none, none
+    )
     measure = script("agreement_measure")
-    record = measure.prints_of(script("agreement_truth").true_source(truth, empty), truth, ("unroll",), quality=False)
+    record = measure.prints_of(
+        script("agreement_truth").true_source(truth, empty), truth, ("unroll",), quality=False
+    )
     one = script("agreement_compare").counts(record["unroll"]["print"], 13, (0.0, 60.0))
     figures = script("agreement_compare").recall_precision([one])
     assert figures["recall"] > 0.65 and figures["precision"] > 0.65
@@ -100,13 +126,23 @@ def test_phase_turns_where_a_ridge_ends(script: Script) -> None:
     image = np.round(127.5 + 110 * np.cos(phase)).astype(np.uint8)
     found = script("agreement_phase").phase_minutiae(image, gabor_enhance(image, 500.0))
     inner = found.taken((np.abs(found.x_px - 90) < 60) & (np.abs(found.y_px - 90) < 60))
-    assert inner.count == 1 and abs(int(inner.x_px[0]) - 90) <= 3 and abs(int(inner.y_px[0]) - 90) <= 3
-    ridges = [int((np.diff((image[20:160, column] < 127).astype(int)) == 1).sum()) for column in (30, 150)]
+    assert (
+        inner.count == 1 and abs(int(inner.x_px[0]) - 90) <= 3 and abs(int(inner.y_px[0]) - 90) <= 3
+    )
+    ridges = [
+        int((np.diff((image[20:160, column] < 127).astype(int)) == 1).sum()) for column in (30, 150)
+    ]
     more_right = ridges[1] > ridges[0]
     assert ridges[0] != ridges[1]
-    assert np.cos(inner.direction_rad[0]) > 0.9 if more_right else np.cos(inner.direction_rad[0]) < -0.9
+    assert (
+        np.cos(inner.direction_rad[0]) > 0.9
+        if more_right
+        else np.cos(inner.direction_rad[0]) < -0.9
+    )
     assert inner.quality[0] > 60
 
 
 def test_the_tables_show_the_figures(script: Script) -> None:
-    assert script("agreement_report").main(["--check"]) == 0, "run validation/prints/agreement_report.py"
+    assert script("agreement_report").main(["--check"]) == 0, (
+        "run validation/prints/agreement_report.py"
+    )

@@ -19,7 +19,8 @@ SETTINGS = twin_settings(0.08, {"render.workers": 1})
 @pytest.fixture(scope="module")
 def presented():
     return {
-        name: simulate_attack(1, name, SETTINGS) for name in ("live", "photo-matt", "screen", "silicone", "bloodless")
+        name: simulate_attack(1, name, SETTINGS)
+        for name in ("live", "photo-matt", "screen", "silicone", "bloodless")
     }
 
 
@@ -31,7 +32,10 @@ def test_a_photograph_is_flat_and_shows_the_finger(presented):
     assert np.array_equal(inside, live["mask"])
     assert np.all(truth["relief_um"] == 0)
     plane = np.c_[np.argwhere(inside), np.ones(inside.sum())]
-    above = truth["height_mm"][inside] - plane @ np.linalg.lstsq(plane, truth["height_mm"][inside], rcond=None)[0]
+    above = (
+        truth["height_mm"][inside]
+        - plane @ np.linalg.lstsq(plane, truth["height_mm"][inside], rcond=None)[0]
+    )
     assert np.std(above) < 0.2 * np.std(live["height_mm"][inside])
     picture = capture.bands["white"].pixels[0][..., 1][inside].astype(float)
     assert picture.std() / picture.mean() > 0.1  # it shows shading that its surface does not have
@@ -50,7 +54,9 @@ def test_a_cast_has_lower_relief_and_a_normal_for_each_slope(presented):
 def test_a_screen_shines_with_the_lights_off_but_not_in_near_infrared(presented):
     capture, truth = presented["screen"]
     inside = truth["mask"]
-    white, nir = (capture.bands[name].ambient[inside].astype(float).mean() for name in ("white", "nir"))
+    white, nir = (
+        capture.bands[name].ambient[inside].astype(float).mean() for name in ("white", "nir")
+    )
     assert white > 20.0 and nir < 0.2 * white
 
 

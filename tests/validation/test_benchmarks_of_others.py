@@ -32,9 +32,12 @@ def ball() -> tuple[np.ndarray, np.ndarray]:
     return np.where(mask[..., None], np.dstack([x, y, z]), 0.0), mask
 
 
-def write_images(folder: Path, names: list[str], shading: np.ndarray, strengths: np.ndarray) -> None:
+def write_images(
+    folder: Path, names: list[str], shading: np.ndarray, strengths: np.ndarray
+) -> None:
     for name, picture, strength in zip(names, shading, strengths, strict=True):
-        colours = np.clip(picture[..., None] * strength[::-1] * 20_000, 0, 65_535)  # OpenCV writes blue first
+        # OpenCV writes blue first
+        colours = np.clip(picture[..., None] * strength[::-1] * 20_000, 0, 65_535)
         cv2.imwrite(str(folder / name), colours.astype(np.uint16))
 
 
@@ -85,12 +88,20 @@ def test_luces(tmp_path: Path, run: Script) -> None:
         to_light = position - points
         away = np.linalg.norm(to_light, axis=-1)
         lobe = np.clip(to_light[..., 2] / -away, 0, None)  # the axis looks along z
-        shading.append(np.where(mask, 1e4 * lobe * np.clip((normals * to_light).sum(-1) / away, 0, None) / away**2, 0))
+        shading.append(
+            np.where(
+                mask,
+                1e4 * lobe * np.clip((normals * to_light).sum(-1) / away, 0, None) / away**2,
+                0,
+            )
+        )
     write_images(folder, [f"{k + 1:02d}.png" for k in range(10)], np.array(shading), strengths)
     head = "N_img nrows ncols f x0 y0 mean_distance\n"
     rows = [f"10 {SIDE} {SIDE} {focal} 47.5 47.5 {distance - radius}\n"]
     for position, strength in zip(positions, strengths, strict=True):
-        rows.append(" ".join(f"{value:.5f}" for value in (*position, 0, 0, 1, *strength, 1, 0)) + "\n")
+        rows.append(
+            " ".join(f"{value:.5f}" for value in (*position, 0, 0, 1, *strength, 1, 0)) + "\n"
+        )
     (folder / "led_params.txt").write_text(head + "".join(rows))
     cv2.imwrite(str(folder / "mask.png"), mask.astype(np.uint8) * 255)
     ours = np.where(mask[..., None], normals * [1, -1, -1], 0)
@@ -104,8 +115,11 @@ def test_luces(tmp_path: Path, run: Script) -> None:
 
 
 @pytest.mark.slow
-def test_surfaces_against_prints(tmp_path: Path, run: Script, capsys: pytest.CaptureFixture[str]) -> None:
-    """Surfaces of 508 ppi and 13 x 15 mm, as tomographs give them, and contact prints of three simulated fingers."""
+def test_surfaces_against_prints(
+    tmp_path: Path, run: Script, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Surfaces of 508 ppi and 13 x 15 mm, as tomographs give them, and contact prints of three
+    simulated fingers."""
     down, right = 0.05 * np.mgrid[0:300, 0:260]
     (tmp_path / "prints").mkdir()
     with scripts_of(VALIDATION / "scanners") as named:
@@ -116,14 +130,27 @@ def test_surfaces_against_prints(tmp_path: Path, run: Script, capsys: pytest.Cap
             master = draw_finger(900 + finger).master()
             step = float(master.u_mm[1] - master.u_mm[0])
             place = (right - 6.5 - master.u_mm[0]) / step, (master.v_mm[0] - 23 + down) / step
-            ridges = cv2.remap(master.ridge.astype(np.float32), *np.float32(place), cv2.INTER_LINEAR)
+            ridges = cv2.remap(
+                master.ridge.astype(np.float32), *np.float32(place), cv2.INTER_LINEAR
+            )
             points = np.dstack([right, -down, 0.05 * ridges - 0.01 * (right - 6.5) ** 2])
             cloud = points.reshape(-1, 3).astype(np.float32)
             result_of_points(cloud, 0.05).save(tmp_path / "surfaces" / f"{finger}_1")
             cv2.imwrite(str(tmp_path / "prints" / f"{finger}-1.png"), press(master, 1))
     capsys.readouterr()
-    sets = [str(tmp_path / "surfaces"), "--pattern", "{finger}_{sample}", "--against", str(tmp_path / "prints")]
-    assert run.main(["prints", *sets, "--against-pattern", "{finger}-{sample}.png", "--input-ppi", "500"]) == 0
+    sets = [
+        str(tmp_path / "surfaces"),
+        "--pattern",
+        "{finger}_{sample}",
+        "--against",
+        str(tmp_path / "prints"),
+    ]
+    assert (
+        run.main(
+            ["prints", *sets, "--against-pattern", "{finger}-{sample}.png", "--input-ppi", "500"]
+        )
+        == 0
+    )
     found = json.loads(capsys.readouterr().out)
     assert (found["genuine"], found["impostors"], found["failures"]) == (3, 6, [])
     assert (found["eer_percent"][0], found["impostors_accepted"]) == (0, 0)

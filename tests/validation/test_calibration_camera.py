@@ -1,4 +1,5 @@
-"""The validation of the camera's calibration runs, on small pictures, and holds what the issue asks for."""
+"""The validation of the camera's calibration runs, on small pictures, and holds what the issue asks
+for."""
 
 from __future__ import annotations
 
@@ -22,7 +23,9 @@ def test_one_rig_at_a_seventh_of_the_size():
         photos = module.photographs(3, 0.14, count=8)
         fit = module.fit_camera(photos.corners, module.BOARD, photos.rig.camera.image_size)
         errors = module.errors_of(photos, fit)
-        table = module.summary([{"a": errors}, {"a": {name: 2 * value for name, value in errors.items()}}])
+        table = module.summary(
+            [{"a": errors}, {"a": {name: 2 * value for name, value in errors.items()}}]
+        )
     finally:
         del sys.modules[spec.name]
     assert errors["focal_percent"] < 0.3

@@ -30,7 +30,12 @@ def _moved(seed: int, amplitude: float, corrected: float) -> dict:
 
 def test_tables_give_losses_against_the_same_still_finger(script: Script):
     still = [
-        {"seed": s, "still": {"ridge_correlation": c, "shape_rms_mm": 0.1}, "left_alone": True, "same": True}
+        {
+            "seed": s,
+            "still": {"ridge_correlation": c, "shape_rms_mm": 0.1},
+            "left_alone": True,
+            "same": True,
+        }
         for s, c in ((1, 0.95), (2, 0.91))
     ]
     moved = [_moved(1, 0.5, 0.94), _moved(2, 0.5, 0.90)]

@@ -27,9 +27,14 @@ def test_both_ways_and_the_table(
         return results[polarised]
 
     monkeypatch.setattr(splitknit, "reconstruct", once)
-    capture, truth = splitknit_simulator.simulate_capture(3, settings={"scale": 0.2, "films.kind": "analyser"})
+    capture, truth = splitknit_simulator.simulate_capture(
+        3, settings={"scale": 0.2, "films.kind": "analyser"}
+    )
     splitknit.write_capture(capture, tmp_path / "finger")
-    np.savez(tmp_path / "finger_truth.npz", **{name: truth[name] for name in ("height_mm", "shape_mm", "mask")})
+    np.savez(
+        tmp_path / "finger_truth.npz",
+        **{name: truth[name] for name in ("height_mm", "shape_mm", "mask")},
+    )
     with scripts_of(VALIDATION / "path_traced") as script:
         table = script("polarised")
         mean = table.without_films(capture)
@@ -41,7 +46,9 @@ def test_both_ways_and_the_table(
         assert lines[1].startswith("finger | ")
         assert table.main([str(tmp_path / "nothing")]) == 2
         assert "give folders" in capsys.readouterr().err
-        monkeypatch.setattr(table, "simulate_capture", lambda seed, settings: (capture, dict(truth)))
+        monkeypatch.setattr(
+            table, "simulate_capture", lambda seed, settings: (capture, dict(truth))
+        )
         assert table.main(["--twins", "3", "4"]) == 0
         lines = [line.split() for line in capsys.readouterr().out.splitlines()]
         assert [line[0] for line in lines] == ["3", "4", "mean"]

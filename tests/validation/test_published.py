@@ -37,7 +37,10 @@ def test_minutiae_in_space(script: Script, name: str, kind: str) -> None:
         place, along = skin(seed)
         if turned:  # a quarter lost, all a little off, and moved rigidly
             rng = np.random.default_rng([seed, 1])
-            place, along = place[15:] + rng.normal(0, 0.1, (45, 3)), along[15:] + rng.normal(0, 0.08, (45, 3))
+            place, along = (
+                place[15:] + rng.normal(0, 0.1, (45, 3)),
+                along[15:] + rng.normal(0, 0.08, (45, 3)),
+            )
             motion, _ = np.linalg.qr(rng.normal(size=(3, 3)))
             motion[:, 0] *= np.linalg.det(motion)
             place, along = place @ motion.T + 20, along @ motion.T
@@ -73,8 +76,12 @@ def test_a_vote(script: Script) -> None:
 
 def test_pores_are_found_and_paired(script: Script) -> None:
     pores = script("pores")
-    across = np.cos(2 * np.pi * np.arange(200, dtype=np.float32) / 30)[:, None] * np.ones((1, 200), np.float32)
-    pit = np.exp(-((np.arange(200) - 100) ** 2 + (np.arange(200)[:, None] - 90) ** 2) / 18).astype(np.float32)
+    across = np.cos(2 * np.pi * np.arange(200, dtype=np.float32) / 30)[:, None] * np.ones(
+        (1, 200), np.float32
+    )
+    pit = np.exp(-((np.arange(200) - 100) ** 2 + (np.arange(200)[:, None] - 90) ** 2) / 18).astype(
+        np.float32
+    )
     found = pores.find_pores(0.03 * (across - pit), np.ones((200, 200), bool), 0.015)
     assert found[:, :2].tolist() == [[100.0, 90.0]]
 
@@ -83,25 +90,35 @@ def test_pores_are_found_and_paired(script: Script) -> None:
         ridge = -spiral_print((0, down_px)).astype(np.float32)[100:400] * np.float32(1e-4)
         flat, normals = np.zeros_like(ridge), np.zeros((*ridge.shape, 3), np.float32)
         normals[..., 2] = 1
-        surface = Surface(ridge, flat, normals, np.ones(ridge.shape, bool), 25.4 / 500, np.eye(3), ridge.shape)
+        surface = Surface(
+            ridge, flat, normals, np.ones(ridge.shape, bool), 25.4 / 500, np.eye(3), ridge.shape
+        )
         return pores.pore_template(surface, places + np.array([0, down_px]))
 
-    places, others = (np.random.default_rng(seed).uniform([60, 60], [320, 240], (400, 2)) for seed in (0, 9))
+    places, others = (
+        np.random.default_rng(seed).uniform([60, 60], [320, 240], (400, 2)) for seed in (0, 9)
+    )
     assert pores.pore_match(side(places, 0), side(places, 12)).similarity > 0.9
     assert pores.pore_match(side(places, 0), side(others, 12)).similarity < 0.5
 
 
 def test_features_that_the_thesis_dropped(script: Script) -> None:
     rng = np.random.default_rng(0)
-    image, other = (np.kron(rng.random((20, 20)), np.ones((10, 10))).astype(np.float32) for _ in range(2))
+    image, other = (
+        np.kron(rng.random((20, 20)), np.ones((10, 10))).astype(np.float32) for _ in range(2)
+    )
     for extract in script("image_features").FEATURES.values():
-        one, moved, away = (extract(values, 30.0) for values in (image, np.roll(image, 1, axis=1), other))
+        one, moved, away = (
+            extract(values, 30.0) for values in (image, np.roll(image, 1, axis=1), other)
+        )
         assert np.linalg.norm(one - moved) < np.linalg.norm(one - away)
 
 
 def test_knuckles_are_their_owners(script: Script) -> None:
     draw = script("knuckles").draw_knuckle
-    places = [[crease.v_mm for crease in finger.skin.creases] for finger in (draw(3), draw(3, 1), draw(4))]
+    places = [
+        [crease.v_mm for crease in finger.skin.creases] for finger in (draw(3), draw(3, 1), draw(4))
+    ]
     assert places[0] == places[1] != places[2]
 
 
@@ -121,4 +138,9 @@ def test_scores_of_people_are_a_score_file(script: Script, tmp_path: Path) -> No
     assert scored.run(features, lambda a, b: float(a == b), "metric", words) == 0
     lines = out.read_text().split()
     assert lines[0] == "label,score,finger_a,finger_b,subject_a,subject_b,session_a,session_b"
-    assert [line.split(",")[:2] for line in lines[1:]] == [["1", "1.0"], ["0", "0.0"], ["0", "0.0"], ["1", "1.0"]]
+    assert [line.split(",")[:2] for line in lines[1:]] == [
+        ["1", "1.0"],
+        ["0", "0.0"],
+        ["0", "0.0"],
+        ["1", "1.0"],
+    ]

@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
+import pytest
 
 from script_folder import VALIDATION, scripts_of
 from splitknit.io.capture import write_capture
@@ -13,6 +14,7 @@ from splitknit.pipeline import reconstruct
 from splitknit_simulator.twin import simulate_capture
 
 
+@pytest.mark.slow
 def test_a_folder_in_a_result_out(tmp_path: Path) -> None:
     capture, _ = simulate_capture(1, settings={"scale": 0.08, "render.workers": 1})
     write_capture(capture, tmp_path / "capture")
@@ -20,13 +22,19 @@ def test_a_folder_in_a_result_out(tmp_path: Path) -> None:
         assert script("xie").main([str(tmp_path / "capture"), "--out", str(tmp_path / "out")]) == 0
     found, plain = read_result(tmp_path / "out"), reconstruct(capture, "ea")
     assert np.array_equal(found.mask, plain.mask)
-    tilt, flat = (np.degrees(np.arccos(one.normals[..., 2][plain.mask])).mean() for one in (found, plain))
+    tilt, flat = (
+        np.degrees(np.arccos(one.normals[..., 2][plain.mask])).mean() for one in (found, plain)
+    )
     assert 0.5 < flat - tilt < 4  # Fresnel's law makes slopes smaller
 
 
 def test_derivatives_are_those_of_the_model() -> None:
     rng = np.random.default_rng(1)
-    mu, view, between = rng.uniform(0.3, 0.9, (4, 6)), rng.uniform(0.5, 1.0, 6), rng.uniform(0.6, 0.9, (4, 1))
+    mu, view, between = (
+        rng.uniform(0.3, 0.9, (4, 6)),
+        rng.uniform(0.5, 1.0, 6),
+        rng.uniform(0.6, 0.9, (4, 1)),
+    )
     layers = tuple(rng.uniform(low, high, 6) for low, high in ((0.3, 0.6), (0.7, 0.95), (2.0, 6.0)))
     with scripts_of(VALIDATION / "published") as script:
         model = script("xie").reflected
@@ -36,7 +44,11 @@ def test_derivatives_are_those_of_the_model() -> None:
             (model(mu + step, view, between, layers, 2.0) - at)[0] / step,
             (model(mu, view + step, between, layers, 2.0) - at)[0] / step,
             *(
-                (model(mu, view, between, (*layers[:k], layers[k] + step, *layers[k + 1 :]), 2.0) - at)[0] / step
+                (
+                    model(mu, view, between, (*layers[:k], layers[k] + step, *layers[k + 1 :]), 2.0)
+                    - at
+                )[0]
+                / step
                 for k in range(3)
             ),
         ]

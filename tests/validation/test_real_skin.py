@@ -38,7 +38,9 @@ def matt_bump() -> Capture:
     towards = np.stack([0.35 * np.cos(azimuth), 0.35 * np.sin(azimuth), np.full(7, 0.94)], axis=1)
     images = np.clip(40000 * np.einsum("hwi,li->lhw", normals, towards), 0, 65535).astype(np.uint16)
     band = Band("white", images[..., None], tuple((k,) for k in range(7)), np.ones(7), np.zeros(7))
-    rig = Rig(Camera(10.0, x.shape), tuple(Led("white", direction=tuple(map(float, v))) for v in towards))
+    rig = Rig(
+        Camera(10.0, x.shape), tuple(Led("white", direction=tuple(map(float, v))) for v in towards)
+    )
     return Capture(rig, {"white": band}, material="opaque", mask=x**2 + y**2 < 30)
 
 
@@ -59,12 +61,20 @@ def test_a_matt_surface_is_predicted(script: Script) -> None:
 def test_figures_of_known_predictions(script: Script) -> None:
     figures = script("predict").figures
     rng = np.random.default_rng(1)
-    grid = Grid(np.ones((120, 100), np.bool_), np.arange(100) * 0.05, np.arange(120) * 0.05, 0.05, (False,) * 4)
+    grid = Grid(
+        np.ones((120, 100), np.bool_),
+        np.arange(100) * 0.05,
+        np.arange(120) * 0.05,
+        0.05,
+        (False,) * 4,
+    )
     seen = (1 + 0.05 * rng.standard_normal((6, 120, 100))).astype(np.float32)
     slant = np.full(grid.shape, 10.0, np.float32)
     perfect = figures(2 * seen, seen, 1, grid, slant)
     assert perfect["rms"] < 1e-6
-    assert [perfect[name] for name in ("ridges", "change", "gain")] == pytest.approx([1, 1, 1], abs=1e-4)
+    assert [perfect[name] for name in ("ridges", "change", "gain")] == pytest.approx(
+        [1, 1, 1], abs=1e-4
+    )
     assert "rms_20_40" not in perfect
     opposite = seen.copy()
     opposite[1] = 2 * seen[np.arange(6) != 1].mean(axis=0) - seen[1]
@@ -76,10 +86,22 @@ def test_a_simulated_finger(
     script: Script, twin_folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     out = tmp_path / "results.json"
-    command = [str(twin_folder), "--surface", str(twin_folder), "--set", "metric.rounds=1", "--out", str(out)]
+    command = [
+        str(twin_folder),
+        "--surface",
+        str(twin_folder),
+        "--set",
+        "metric.rounds=1",
+        "--out",
+        str(out),
+    ]
     assert script("run").main(command) == 0
     rows = json.loads(out.read_text())["capture"]
-    assert [(row["band"], row["image"]) for row in rows] == [("white", 0), ("white", 2), ("white", 4)]
+    assert [(row["band"], row["image"]) for row in rows] == [
+        ("white", 0),
+        ("white", 2),
+        ("white", 4),
+    ]
     assert all(row["gloss"] == 0 for row in rows)
     assert all(0 < row["channels"]["green"]["model"]["rms"] < 0.2 for row in rows)
     assert len(capsys.readouterr().out.splitlines()) == 4
@@ -89,18 +111,25 @@ def test_a_simulated_finger(
 
 
 def drifted(capture: Capture, truth: dict[str, Any]) -> Capture:
-    """White images of light that is refracted as it enters: moved away from their LED (Wang and Jacques 1995)."""
+    """White images of light that is refracted as it enters: moved away from their LED (Wang and
+    Jacques 1995)."""
     band, per_mm = capture.bands["white"], capture.rig.camera.px_per_mm
     towards = capture.rig.select(band.leds).light_vectors()
     towards /= 1.42 * np.linalg.norm(towards, axis=1, keepdims=True)  # sine of the refracted angle
-    mean_path_mm = 1 / (truth["optics_scattering_per_mm"] + 0.35 * truth["optics_absorption_per_mm"])
+    mean_path_mm = 1 / (
+        truth["optics_scattering_per_mm"] + 0.35 * truth["optics_absorption_per_mm"]
+    )
     moved = band.pixels.copy()
     size = moved.shape[2], moved.shape[1]
     for image, (x, y, _) in zip(moved, towards, strict=True):
         for c in range(3):
-            shift = np.array([[1, 0, -x * mean_path_mm[c] * per_mm], [0, 1, y * mean_path_mm[c] * per_mm]])
+            shift = np.array(
+                [[1, 0, -x * mean_path_mm[c] * per_mm], [0, 1, y * mean_path_mm[c] * per_mm]]
+            )
             one = np.ascontiguousarray(image[..., c])
-            image[..., c] = cv2.warpAffine(one, shift, size, flags=cv2.INTER_CUBIC, borderMode=cv2.BORDER_REPLICATE)
+            image[..., c] = cv2.warpAffine(
+                one, shift, size, flags=cv2.INTER_CUBIC, borderMode=cv2.BORDER_REPLICATE
+            )
     return replace(capture, bands={**capture.bands, "white": replace(band, pixels=moved)})
 
 
@@ -110,7 +139,9 @@ def test_refracted_light_shades_ridges_less_behind_crossed_polarisers(script: Sc
     settings = script("run").chosen_settings(["metric.rounds=1"])
     surface = reconstruct(capture, settings=settings)
     gains = [
-        script("predict").left_out(one, "white", 2, settings, surface)["channels"]["green"]["model"]["gain"]
+        script("predict").left_out(one, "white", 2, settings, surface)["channels"]["green"][
+            "model"
+        ]["gain"]
         for one in (capture, drifted(capture, truth))
     ]
     assert gains[0] > 0.5

@@ -17,11 +17,14 @@ def rendered():
 
 
 @pytest.mark.parametrize(
-    ("seed", "what"), [(228, "the step where another light ends"), (349, "gloss on the ribs of a vase")]
+    ("seed", "what"),
+    [(228, "the step where another light ends"), (349, "gloss on the ribs of a vase")],
 )
 def test_a_sound_photograph_is_not_taken_for_blurred(rendered, seed, what):
     one = rendered(seed)
-    assert faulty_photographs(one.images.astype(np.float32) / 65535, one.lights, one.mask, 0.985) == (), what
+    assert (
+        faulty_photographs(one.images.astype(np.float32) / 65535, one.lights, one.mask, 0.985) == ()
+    ), what
 
 
 def test_given_brightness_is_as_good_as_equal_lights(rendered):
@@ -29,7 +32,9 @@ def test_given_brightness_is_as_good_as_equal_lights(rendered):
     degrees = []
     for strengths in (0.0, 0.3):
         one = rendered(206, strengths=strengths)
-        normals, _ = robust(one.images.astype(np.float32), one.lights * one.intensities[:, None], one.mask)
+        normals, _ = robust(
+            one.images.astype(np.float32), one.lights * one.intensities[:, None], one.mask
+        )
         cosine = np.clip((normals * one.normals).sum(axis=2)[one.mask], -1, 1)
         degrees.append(float(np.degrees(np.arccos(cosine)).mean()))
     assert degrees[1] < degrees[0] + 0.1

@@ -1,4 +1,5 @@
-"""The thesis's search of rigs: light in electrons, distances from the truth, a sweep that goes on."""
+"""The thesis's search of rigs: light in electrons, distances from the truth, a sweep that goes
+on."""
 
 from __future__ import annotations
 
@@ -36,7 +37,9 @@ def rig(rigs):
 @pytest.fixture(scope="module")
 def seen(study, rigs, rig):
     """Perspective view of the finger, and its phalange."""
-    surface = study.view_of(study.FIRST_SEED, rigs.candidate_rig(rig, rigs.BuildSettings(), {"white": 1.0}).camera)
+    surface = study.view_of(
+        study.FIRST_SEED, rigs.candidate_rig(rig, rigs.BuildSettings(), {"white": 1.0}).camera
+    )
     return surface, study.phalange_of(study.FIRST_SEED, surface)
 
 
@@ -49,29 +52,48 @@ def shot(study, rigs, rig, seen):
         lit = power if rendered else rigs.led_intensities(candidate, build, ("white",))["white"]
         built = rigs.candidate_rig(candidate, build, {"white": lit})
         how = {"known_rig": built, "mask": seen[1], "skin": None, "photons": rigs.PhotonSettings()}
-        return study.photograph_candidate(seen[0], built, **how, seed=np.random.SeedSequence(seed), rendered=rendered)
+        return study.photograph_candidate(
+            seen[0], built, **how, seed=np.random.SeedSequence(seed), rendered=rendered
+        )
 
     return taken
 
 
-def test_a_perfect_surface_is_as_near_as_the_points_are_dense_and_a_bent_one_off_by_its_bend(study, seen):
+def test_a_perfect_surface_is_as_near_as_the_points_are_dense_and_a_bent_one_off_by_its_bend(
+    study, seen
+):
     surface, mask = seen
 
     def compared(height):
         result = Reconstruction(
             height_mm=np.where(mask, height, np.nan).astype(np.float32),
-            ridge_mm=np.where(mask, surface.height_mm - surface.shape_mm, np.nan).astype(np.float32),
+            ridge_mm=np.where(mask, surface.height_mm - surface.shape_mm, np.nan).astype(
+                np.float32
+            ),
             shape_mm=np.where(mask, surface.shape_mm, np.nan).astype(np.float32),
-            mask=mask, normals=surface.normals, albedo=np.ones_like(surface.height_mm),
-            pitch_mm=surface.camera.pitch_mm, input_from_upright=np.eye(3), upright_size=mask.shape, preset="ea",
-            x_mm=surface.x_mm, y_mm=surface.y_mm,
-        )  # fmt: skip
+            mask=mask,
+            normals=surface.normals,
+            albedo=np.ones_like(surface.height_mm),
+            pitch_mm=surface.camera.pitch_mm,
+            input_from_upright=np.eye(3),
+            upright_size=mask.shape,
+            preset="ea",
+            x_mm=surface.x_mm,
+            y_mm=surface.y_mm,
+        )
         return study.compare_surfaces(result, surface, mask, study.FIRST_SEED, 10.0)
 
     perfect = compared(surface.height_mm + 3.0)
-    assert perfect["rms_mm"] < 0.08 and perfect["hausdorff95_mm"] < 0.17 and perfect["hausdorff_mm"] < 0.3
+    assert (
+        perfect["rms_mm"] < 0.08
+        and perfect["hausdorff95_mm"] < 0.17
+        and perfect["hausdorff_mm"] < 0.3
+    )
     assert perfect["normals_deg"] < 0.1 and perfect["ridge_correlation"] == pytest.approx(1.0)
-    assert compared(surface.height_mm + np.where(mask, 0.04 * surface.x_mm**2, 0.0))["hausdorff_mm"] > 0.5
+    assert (
+        compared(surface.height_mm + np.where(mask, 0.04 * surface.x_mm**2, 0.0))["hausdorff_mm"]
+        > 0.5
+    )
 
 
 def test_more_power_is_a_shorter_exposure(shot):
@@ -82,9 +104,13 @@ def test_more_power_is_a_shorter_exposure(shot):
 
 
 def test_noise_is_that_of_the_electrons(shot, seen):
-    # gain 8: a full-resolution pixel holds an eighth of the electrons; 158 of them make a pixel of 6 px/mm
+    # gain 8: a full-resolution pixel holds an eighth of the electrons; 158 of them make a pixel of
+    # 6 px/mm
     first, second = (shot(seed, power_w=0.02) for seed in (1, 2))
-    a, b = (one.capture.bands["white"].pixels[0, :, :, 1].astype(float) / 65535 for one in (first, second))
+    a, b = (
+        one.capture.bands["white"].pixels[0, :, :, 1].astype(float) / 65535
+        for one in (first, second)
+    )
     where = (a > 0.2) & seen[1]
     electrons = 4700.0 / first.exposures["white"].gain * (75.7 / 6.0) ** 2
     measured = np.std((a - b)[where] / np.sqrt(2 * a[where]))
@@ -106,9 +132,20 @@ def test_tremor_is_the_mean_of_the_variance_over_random_phases(study):
     assert study.tremor_blur_mm(t) == pytest.approx(np.sqrt(places.var(axis=1).mean()), rel=0.03)
 
 
+@pytest.mark.slow
 def test_a_sweep_goes_on_where_it_was_and_is_compared(script, tmp_path, capsys):
     sweep = script("rigs")
-    words = ["--heights", "140", "--radii", "12", "52.5", "--fingers", "1", "--scratch", str(tmp_path)]
+    words = [
+        "--heights",
+        "140",
+        "--radii",
+        "12",
+        "52.5",
+        "--fingers",
+        "1",
+        "--scratch",
+        str(tmp_path),
+    ]
     assert sweep.main(words) == 0
     first = capsys.readouterr().out
     assert "52.5     1" in first and "h140_r12_" in first

@@ -1,4 +1,5 @@
-"""The scripts that measure rolled fingers: against the truth of a drawn finger, and their tables."""
+"""The scripts that measure rolled fingers: against the truth of a drawn finger, and their
+tables."""
 
 from __future__ import annotations
 
@@ -35,7 +36,10 @@ def test_every_point_is_held_against_the_pixel_it_came_from(scene, monkeypatch) 
     y = ((scene.SIZE[0] - 1) / 2 - np.arange(scene.SIZE[0])) / scene.PX
     x, y = np.meshgrid(x, y - 2.0)
     truth = {"mask": masks["front"], "view_right_mask": masks["right"]}
-    for name, lines, axis in (("relief_um", x, "z"), ("view_right_relief_um", x - scene.LEAN, "+x")):
+    for name, lines, axis in (
+        ("relief_um", x, "z"),
+        ("view_right_relief_um", x - scene.LEAN, "+x"),
+    ):
         points = scene.on_finger(lines, y, axis)[0]
         truth[name] = 1e3 * scene.ridges(points)
         # the skin's own coordinates: length around the finger, place along it
@@ -46,11 +50,13 @@ def test_every_point_is_held_against_the_pixel_it_came_from(scene, monkeypatch) 
         measured = script("rolled_measure")
         front = measured.front_alone(rolled)
         found = measured.against_truth(rolled, front, truth)
-        wrong = measured.against_truth(rolled, front, {**truth, "view_right_relief_um": -truth["view_right_relief_um"]})
+        wrong = measured.against_truth(
+            rolled, front, {**truth, "view_right_relief_um": -truth["view_right_relief_um"]}
+        )
         apart = measured.ridges_apart(rolled, truth)["right"]
-        moved = measured.ridges_apart(rolled, {**truth, "chart_mm": truth["chart_mm"] + np.float32([0.0, 0.5])})[
-            "right"
-        ]
+        moved = measured.ridges_apart(
+            rolled, {**truth, "chart_mm": truth["chart_mm"] + np.float32([0.0, 0.5])}
+        )["right"]
     assert apart < 250  # not half a ridge
     assert moved == pytest.approx(500, abs=apart)
     assert front.blended.known.sum() < 0.85 * rolled.blended.known.sum()
@@ -65,11 +71,19 @@ def test_a_table_of_captures() -> None:
     seam = {"length_mm": 14.0, "faded_um": 6.0, "cut_um": 9.0, "no_seam_um": 7.0}
     bands = {"0-30": 0.9, "30-60": None}
     captures = [
-        {"seed": k, "coverage_deg": 200.0 + k, "coverage_front_deg": 140.0, "seams": {"left": seam, "right": None},
-         "rolled": bands, "front": bands, "surface_rms_mm": 0.2, "cut": ["left"] * (k == 1),
-         "ridges_apart_um": {"left": 50.0, "right": None}}
+        {
+            "seed": k,
+            "coverage_deg": 200.0 + k,
+            "coverage_front_deg": 140.0,
+            "seams": {"left": seam, "right": None},
+            "rolled": bands,
+            "front": bands,
+            "surface_rms_mm": 0.2,
+            "cut": ["left"] * (k == 1),
+            "ridges_apart_um": {"left": 50.0, "right": None},
+        }
         for k in range(3)
-    ]  # fmt: skip
+    ]
     with scripts_of(FOLDER) as script:
         whole = script("rolled").summary(captures)
     assert whole["coverage_deg"] == [201.0, 200.0, 202.0]

@@ -15,7 +15,9 @@ with scripts_of(VALIDATION / "scanners") as script:
     cloud, focus, laser, stereo, structured_light = map(
         script, ("cloud", "focus", "laser", "stereo", "structured_light")
     )
-    View, cloud_of, on_planes = (getattr(script("views"), name) for name in ("View", "cloud_of", "on_planes"))
+    View, cloud_of, on_planes = (
+        getattr(script("views"), name) for name in ("View", "cloud_of", "on_planes")
+    )
 
 SHAPE = (60, 80)
 
@@ -55,7 +57,9 @@ def test_phases_of_three_periods_give_points_and_their_uncertainty() -> None:
     assert decoded.sigma[5:].mean() == pytest.approx(error.std(), rel=0.2)
     points, sigma = structured_light.scan(camera, projector, decoded)
     away = np.linalg.norm(points - truth[5:].reshape(-1, 3), axis=1)
-    assert np.sqrt((away**2).mean()) == pytest.approx(float(np.sqrt((sigma[5:] ** 2).mean())), rel=0.2)
+    assert np.sqrt((away**2).mean()) == pytest.approx(
+        float(np.sqrt((sigma[5:] ** 2).mean())), rel=0.2
+    )
 
 
 def test_a_ray_meets_the_plane_of_its_row() -> None:
@@ -85,7 +89,10 @@ def test_the_sharpest_picture_tells_the_depth() -> None:
     depth = np.linspace(3, 16, shape[1])[None, :].repeat(shape[0], axis=0)
     stack = []
     for k in range(20):
-        columns = [cv2.GaussianBlur(texture, (0, 0), 0.4 + 0.5 * abs(k - d))[:, i] for i, d in enumerate(depth[0])]
+        columns = [
+            cv2.GaussianBlur(texture, (0, 0), 0.4 + 0.5 * abs(k - d))[:, i]
+            for i, d in enumerate(depth[0])
+        ]
         stack.append(np.stack(columns, axis=1))
     number, sharp = focus.depth(np.array(stack), 6.0)
     inner = (slice(10, -10), slice(10, -10))
@@ -98,7 +105,9 @@ def test_the_sharpest_picture_tells_the_depth() -> None:
 def test_two_cameras_find_a_hill_with_texture() -> None:
     shape = (200, 240)
     views = [view(deg, 1, 4200.0, shape) for deg in (-8.0, 8.0)]
-    texture = cv2.GaussianBlur(np.random.default_rng(2).random((600, 600)).astype(np.float32), (0, 0), 2.0)
+    texture = cv2.GaussianBlur(
+        np.random.default_rng(2).random((600, 600)).astype(np.float32), (0, 0), 2.0
+    )
     texture = (texture - texture.min()) / np.ptp(texture)
     pictures = []
     for one in views:
@@ -140,7 +149,10 @@ def test_scattered_points_are_fitted_and_the_hole_stays() -> None:
     below = points * np.float32([1, 1, -1]) - np.float32([0, 0, 3])
     result = cloud.result_of_points(np.concatenate([points, below]))
     rows, columns = np.nonzero(result.mask)
-    x_mm, y_mm = points[:, 0].min() + columns * result.pitch_mm, points[:, 1].max() - rows * result.pitch_mm
+    x_mm, y_mm = (
+        points[:, 0].min() + columns * result.pitch_mm,
+        points[:, 1].max() - rows * result.pitch_mm,
+    )
     error = result.height_mm[result.mask] - height(x_mm, y_mm)
     assert np.sqrt((error**2).mean()) < 0.0015
     assert np.hypot(x_mm - 1, y_mm + 3).min() > 0.9
@@ -151,10 +163,14 @@ def test_scattered_points_are_fitted_and_the_hole_stays() -> None:
 
 
 @pytest.mark.parametrize(("up", "turn"), [("x", [2, 0, 1]), ("-y", [0, 2, 1]), ("y", [0, 2, 1])])
-def test_points_are_seen_from_the_axis_that_is_named(up: str, turn: list[int], tmp_path: Path) -> None:
+def test_points_are_seen_from_the_axis_that_is_named(
+    up: str, turn: list[int], tmp_path: Path
+) -> None:
     points = np.random.default_rng(1).uniform(0, 1, (99, 3))
     points[:, 2] = points[:, 0] + 3
     stored = points[:, turn] * ([1, -1, 1] if up == "-y" else [1, 1, 1])
     np.savetxt(tmp_path / "a.xyz", stored / 25.4)
     read = cloud.points_of(tmp_path / "a.xyz", up, 25.4)
-    np.testing.assert_allclose(read[:, 2] - read[:, 2].mean(), points[:, 2] - points[:, 2].mean(), atol=1e-5)
+    np.testing.assert_allclose(
+        read[:, 2] - read[:, 2].mean(), points[:, 2] - points[:, 2].mean(), atol=1e-5
+    )

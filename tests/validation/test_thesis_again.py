@@ -32,16 +32,24 @@ def reproduce(*arguments: object) -> str:
 def test_time_and_disk_are_stated_and_a_dry_run_makes_nothing(tmp_path: Path) -> None:
     out = tmp_path / "again"
     stated = reproduce("--out", out, "--people", 2, "--dry-run")
-    assert re.search(r"40 captures, 600 comparisons in 5 cases: about 1\d minutes on 2 cores, 0\.7 GB on disk", stated)
+    assert re.search(
+        r"40 captures, 600 comparisons in 5 cases: about 1\d minutes on 2 cores, 0\.7 GB on disk",
+        stated,
+    )
     assert not out.exists()
 
 
-def test_figures_with_commands_of_their_own_and_every_claim_stand_on_the_page(tmp_path: Path, thesis: Script) -> None:
+def test_figures_with_commands_of_their_own_and_every_claim_stand_on_the_page(
+    tmp_path: Path, thesis: Script
+) -> None:
     reproduce("--out", tmp_path, "--figures", "3.17,4.1")
     page = (tmp_path / "index.html").read_text(encoding="utf-8")
     assert "python validation/separation/checkerboard.py" in page
     assert "14 cm and 5.25 cm are optimal" in page and "Figure 5.4" not in page
-    figures, known = thesis("reproduce").chosen_figures(None), thesis("report").read(THESIS / "tables" / "claims.csv")
+    figures, known = (
+        thesis("reproduce").chosen_figures(None),
+        thesis("report").read(THESIS / "tables" / "claims.csv"),
+    )
     numbers = {row["number"].rstrip("abcde") for row in known}
     assert {claim for figure in figures for claim in figure.claims} <= numbers
     with pytest.raises(SystemExit, match=r"no figure 9\.9"):
@@ -50,8 +58,21 @@ def test_figures_with_commands_of_their_own_and_every_claim_stand_on_the_page(tm
 
 @pytest.mark.slow
 @pytest.mark.timeout(1200)
-def test_a_figure_is_made_beside_the_thesis_and_a_second_run_has_nothing_to_do(tmp_path: Path) -> None:
-    small = ("--people", 2, "--sessions", 2, "--fingers", "right_index,right_thumb", "--scale", 0.2, "--figures", "5.4")
+def test_a_figure_is_made_beside_the_thesis_and_a_second_run_has_nothing_to_do(
+    tmp_path: Path,
+) -> None:
+    small = (
+        "--people",
+        2,
+        "--sessions",
+        2,
+        "--fingers",
+        "right_index,right_thumb",
+        "--scale",
+        0.2,
+        "--figures",
+        "5.4",
+    )
     reproduce("--out", tmp_path, *small)
     page = (tmp_path / "index.html").read_text(encoding="utf-8")
     assert "92, 90, 86 % at FAR 1 %" in page and 'src="figure-5-4.svg"' in page
@@ -74,7 +95,9 @@ def test_the_claims_of_the_committed_tables_are_those_of_the_page(thesis: Script
 def test_figure_5_6_has_the_thesis_s_bars_beside_ours(thesis: Script) -> None:
     figures, plots, report = thesis("figures"), thesis("plots"), thesis("report")
     groups = figures.accuracies(report.read(THESIS / "cases.csv"))
-    assert [[name for name, *_ in bars] for _, bars in groups] == [["ea", "snk", "ea, thesis", "snk, thesis"]] * 3
+    assert [[name for name, *_ in bars] for _, bars in groups] == [
+        ["ea", "snk", "ea, thesis", "snk, thesis"]
+    ] * 3
     assert plots.bars_figure(groups) != plots.bars_figure(figures.accuracies([]))
 
 
@@ -82,7 +105,9 @@ def test_closed_set_scores_are_of_a_query_over_one_session(thesis: Script) -> No
     trials, authors = thesis("trials"), thesis("authors")
     fingers, sessions = ("S01/a", "S02/a", "S03/a"), ("1", "2")
     names = [(f"{finger}/{session}", finger, session) for finger in fingers for session in sessions]
-    columns = zip(*((name, finger[:3], finger, session) for name, finger, session in names), strict=True)
+    columns = zip(
+        *((name, finger[:3], finger, session) for name, finger, session in names), strict=True
+    )
     captures = trials.Captures(*(np.array(column) for column in columns))
     a, b = np.triu_indices(6, 1)
     pairs = trials.Pairs(captures, a, b)
@@ -97,7 +122,9 @@ def test_closed_set_scores_are_of_a_query_over_one_session(thesis: Script) -> No
     np.testing.assert_allclose(authors.fused(ends), [0.0, 0.5, 0.25])
 
 
-def test_frankot_chellappa_with_mirrored_borders_is_poisson_on_the_rectangle(thesis: Script) -> None:
+def test_frankot_chellappa_with_mirrored_borders_is_poisson_on_the_rectangle(
+    thesis: Script,
+) -> None:
     paired = thesis("paired")
     errors = paired.integrated(lay_down(2001, settings=twin_settings(0.1, None))[0])
     assert abs(errors[paired.MIRRORED] - errors[paired.RECTANGLE]) < 0.01 * errors[paired.MASK]

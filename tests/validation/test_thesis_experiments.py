@@ -27,7 +27,8 @@ def thesis() -> Iterator[Script]:
 
 
 class MadeUpStore:
-    """Scores drawn at random: genuine ones higher, those of ``ea`` less so; ``pr`` lacks captures of one person."""
+    """Scores drawn at random: genuine ones higher, those of ``ea`` less so; ``pr`` lacks captures
+    of one person."""
 
     def __init__(self) -> None:
         self.names = [
@@ -63,7 +64,12 @@ class MadeUpStore:
         generator = np.random.default_rng([len(case), len(matcher)])
         good = generator.normal(size=(4, len(pairs))) + (1.0 if case == "ea" else 2.5) * genuine
         made = np.array([names[0] not in pair for pair in pairs])
-        table = {"a": [a for a, _ in pairs], "b": [b for _, b in pairs], "compared": made, "similarity": good[3]}
+        table = {
+            "a": [a for a, _ in pairs],
+            "b": [b for _, b in pairs],
+            "compared": made,
+            "similarity": good[3],
+        }
         if matcher == "thesis":
             overlap = np.where(genuine, 0.95, generator.uniform(0.8, 1.0, len(pairs)))
             table |= {"ratio": overlap}
@@ -78,10 +84,12 @@ def population(folder: Path, store: MadeUpStore) -> Path:
         place = folder / name
         place.mkdir(parents=True)
         facts = {
-            "roll_deg": generator.normal(0, 6), "glare": generator.uniform(0.5, 1.3),
-            "moisture": generator.uniform(), "partial": bool(generator.uniform() < 0.2),
+            "roll_deg": generator.normal(0, 6),
+            "glare": generator.uniform(0.5, 1.3),
+            "moisture": generator.uniform(),
+            "partial": bool(generator.uniform() < 0.2),
             "print": "101_1.png" if (name[:3], name[-5:]) == ("S02", "thumb") else "",
-        }  # fmt: skip
+        }
         (place / "impression.json").write_text(json.dumps(facts))
     document = {"settings_sha256": "0" * 64, "settings": {"seed": 1, "scale": 0.1}}
     (folder / "population.json").write_text(json.dumps(document))
@@ -94,7 +102,9 @@ def read(file: Path) -> list[dict[str, str]]:
 
 
 @pytest.mark.slow
-def test_all_parts_on_a_made_up_store(tmp_path: Path, thesis: Script, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_all_parts_on_a_made_up_store(
+    tmp_path: Path, thesis: Script, monkeypatch: pytest.MonkeyPatch
+) -> None:
     run = thesis("run")
     store = MadeUpStore()
     people = population(tmp_path / "people", store)
@@ -102,18 +112,43 @@ def test_all_parts_on_a_made_up_store(tmp_path: Path, thesis: Script, monkeypatc
     out = tmp_path / "out"
     parts = ("fusion", "cases", "matchers", "sensitivity", "failures")
     for part in parts:
-        given = [part, "--population", str(people), "--out", str(out), "--replicates", "20", "--jobs", "1"]
+        given = [
+            part,
+            "--population",
+            str(people),
+            "--out",
+            str(out),
+            "--replicates",
+            "20",
+            "--jobs",
+            "1",
+        ]
         assert run.main([*given, "--cases", "snk", "pr", "ea", "none"]) == 0
     monkeypatch.setattr(run, "PARTS", parts)
     monkeypatch.setattr(run, "run_part", lambda *_: pytest.fail("a finished part is made again"))
-    given = ["all", "--population", str(people), "--out", str(out), "--replicates", "20", "--jobs", "1"]
+    given = [
+        "all",
+        "--population",
+        str(people),
+        "--out",
+        str(out),
+        "--replicates",
+        "20",
+        "--jobs",
+        "1",
+    ]
     assert run.main([*given, "--cases", "snk", "pr", "ea", "none"]) == 0
     (out / "failures.csv").unlink()
     with pytest.raises(pytest.fail.Exception, match="made again"):
         run.main([*given, "--cases", "snk", "pr", "ea", "none"])
     rows = read(out / "cases.csv")
-    real = [row for row in rows if row["kept"] == "printed" and (row["case"], row["attribute"]) == ("snk", "relief")]
-    assert [int(row["genuine"]) for row in real] == [3]  # one finger has a real print, in three pairs of sessions
+    real = [
+        row
+        for row in rows
+        if row["kept"] == "printed" and (row["case"], row["attribute"]) == ("snk", "relief")
+    ]
+    # one finger has a real print, in three pairs of sessions
+    assert [int(row["genuine"]) for row in real] == [3]
     assert [int(row["impostors"]) for row in real] == [2 * 9 * 3]
     assert {row["case"] for row in rows} == {"snk", "pr", "ea"}
     plain = {
@@ -125,59 +160,93 @@ def test_all_parts_on_a_made_up_store(tmp_path: Path, thesis: Script, monkeypatc
     # five people (pr lacks one) x two fingers, three pairs of sessions
     assert int(own["genuine"]) == 5 * 2 * 3
     assert int(own["impostors"]) == 10 * 9 * 3
-    assert int(own["failures"]) == 2 * 10  # one capture of the first session failed: two later sessions x ten fingers
+    # one capture of the first session failed: two later sessions x ten fingers
+    assert int(own["failures"]) == 2 * 10
     assert float(own["gar@0.01"]) > float(plain["ea", "relief"]["gar@0.01"])
-    assert float(own["gar@0.01_low_finger"]) <= float(own["gar@0.01"]) <= float(own["gar@0.01_high_finger"])
+    assert (
+        float(own["gar@0.01_low_finger"])
+        <= float(own["gar@0.01"])
+        <= float(own["gar@0.01_high_finger"])
+    )
     # 270 impostors support a FAR of 1 %, not of 0.1 %
     assert own["gar@0.001"] == "" and own["accepts@0.001"] == "0" and own["accepts@0.01"] == "2"
-    passing = [row for row in rows if row["gate"] == "passing" and row["sessions"] == "single" and row["kept"] == "all"]
+    passing = [
+        row
+        for row in rows
+        if row["gate"] == "passing" and row["sessions"] == "single" and row["kept"] == "all"
+    ]
     assert all(0 < int(row["impostors"]) < 270 for row in passing)
     assert len({row["impostors"] for row in passing}) == 1
     differences = read(out / "cases_differences.csv")
-    two = next(row for row in differences if (row["first"], row["second"], row["gate"]) == ("snk", "ea", "none"))
+    two = next(
+        row
+        for row in differences
+        if (row["first"], row["second"], row["gate"]) == ("snk", "ea", "none")
+    )
     assert float(two["eer"]) < 0
     runs = json.loads((out / "runs.json").read_text())
     assert runs["cases"]["missing"] == ["none by thesis"]
     assert runs["failures"]["failures"] == {"snk": 1, "pr": 1, "ea": 1}
     assert {row["matcher"] for row in read(out / "matchers.csv")} == {"ridge"}
-    assert {row["factor"] for row in read(out / "sensitivity.csv")} == {"roll", "glare", "moisture", "partial"}
+    assert {row["factor"] for row in read(out / "sensitivity.csv")} == {
+        "roll",
+        "glare",
+        "moisture",
+        "partial",
+    }
     thesis("report").write(out, out / "page.md")
     filled = (out / "page.md").read_text()
     assert "| 5.4 | normals, SnK | 1 % | 92 |" in filled and "too few impostors (270)" in filled
     first, *cases = (out / "tables" / "ridge_margin.csv").read_text().splitlines()
-    assert first.startswith("case,least genuine") and [row.split(",")[0] for row in cases] == ["snk", "pr", "ea"]
-    assert not [name for name in ("family", "failures") if (out / "tables" / f"{name}.csv").exists()], "not measured"
+    assert first.startswith("case,least genuine") and [row.split(",")[0] for row in cases] == [
+        "snk",
+        "pr",
+        "ea",
+    ]
+    assert not [
+        name for name in ("family", "failures") if (out / "tables" / f"{name}.csv").exists()
+    ], "not measured"
     assert (out / "figure-5-4.svg").read_bytes().startswith(b"<?xml")
 
 
 def test_the_gate_follows_the_thesis_and_only_impostors_that_pass_are_kept(thesis: Script) -> None:
     trials, variants = thesis("trials"), thesis("variants")
     captures = trials.Captures(
-        np.array(["A/1", "A/2", "B/1", "B/2"]), np.array(["A", "A", "B", "B"]), np.array(["A", "A", "B", "B"]),
+        np.array(["A/1", "A/2", "B/1", "B/2"]),
+        np.array(["A", "A", "B", "B"]),
+        np.array(["A", "A", "B", "B"]),
         np.array(["1", "2", "1", "2"]),
-    )  # fmt: skip
+    )
     pairs = trials.Pairs(captures, np.array([0, 0, 2, 2]), np.array([1, 3, 1, 3]))  # AA AB BA BB
     ratio = np.array([0.95, 0.8, 0.92, 0.85])
-    trial = trials.Trial("snk", "thesis", "relief", np.array([0.1, 0.2, 0.3, 0.4]), ratio, 1 - np.exp(2 - ratio))
+    trial = trials.Trial(
+        "snk", "thesis", "relief", np.array([0.1, 0.2, 0.3, 0.4]), ratio, 1 - np.exp(2 - ratio)
+    )
     table = trials.Table(pairs, (trial,), ())
     known = variants.known_of(
         pairs,
         {
-            "A/1": {"roll_deg": 0.0}, "A/2": {"roll_deg": 12.0},
-            "B/1": {"roll_deg": 0.0}, "B/2": {"roll_deg": 3.0, "partial": True},
+            "A/1": {"roll_deg": 0.0},
+            "A/2": {"roll_deg": 12.0},
+            "B/1": {"roll_deg": 0.0},
+            "B/2": {"roll_deg": 3.0, "partial": True},
         },
-    )  # fmt: skip
+    )
 
     def judged(*how: str) -> Any:
-        return variants.judged(pairs, trial, variants.Variant(*how), known, variants.passing_everywhere(table))
+        return variants.judged(
+            pairs, trial, variants.Variant(*how), known, variants.passing_everywhere(table)
+        )
 
     assert judged("none", "single", "all").score.tolist() == [0.1, 0.2, 0.3, 0.4]
     gated = judged("gate", "single", "all").score
     assert gated.tolist() == pytest.approx([0.1, 1 - np.exp(1.2), 0.3, 1 - np.exp(1.15)])
     passing = judged("passing", "single", "all")
     assert passing.label.tolist() == [True, False, True] and passing.score[1] == 0.3
-    assert judged("none", "single", "pairs").score.tolist() == [0.2, 0.3, 0.4]  # A's rolls differ by 12 deg
-    assert judged("none", "single", "whole").score.tolist() == [0.1, 0.3]  # without B's second capture
+    # A's rolls differ by 12 deg
+    assert judged("none", "single", "pairs").score.tolist() == [0.2, 0.3, 0.4]
+    # without B's second capture
+    assert judged("none", "single", "whole").score.tolist() == [0.1, 0.3]
     assert judged("none", "averaged", "all").score.size == 4  # AB and BA stay two
 
 
@@ -197,7 +266,10 @@ def test_averages_over_unlike_numbers_of_sessions_are_not_given(thesis: Script) 
 def test_a_finger_is_discarded_by_its_largest_difference(thesis: Script) -> None:
     variants = thesis("variants")
     finger = np.array(["A", "A", "A", "B", "B"])
-    assert variants.spreads(finger, np.array([-8.0, 0.0, 9.0, 3.0, np.nan])) == {"A": 17.0, "B": 0.0}
+    assert variants.spreads(finger, np.array([-8.0, 0.0, 9.0, 3.0, np.nan])) == {
+        "A": 17.0,
+        "B": 0.0,
+    }
 
 
 @pytest.mark.slow
@@ -223,7 +295,10 @@ def test_reliefs_of_all_scales_are_those_of_the_preset(thesis: Script) -> None:
 
 def test_the_share_of_impostors_is_drawn_by_pair_of_fingers(thesis: Script) -> None:
     drawn = thesis("normals").drawn
-    a, b = np.array([f"F{k // 60}" for k in range(3600)]), np.array([f"F{k % 60}" for k in range(3600)])
+    a, b = (
+        np.array([f"F{k // 60}" for k in range(3600)]),
+        np.array([f"F{k % 60}" for k in range(3600)]),
+    )
     first = drawn(a, b, 0.25, 3)
     assert 0.22 < first.mean() < 0.28
     np.testing.assert_array_equal(first[::-1], drawn(a[::-1], b[::-1], 0.25, 3))
@@ -241,7 +316,12 @@ def test_the_tables_for_reading_are_those_of_the_committed_figures(thesis: Scrip
 
 def test_the_page_marks_what_too_few_impostors_cannot_support(thesis: Script) -> None:
     report = thesis("page_tables")
-    row = {"gar@0.01": "0.9", "gar@0.01_low_finger": "0.8", "gar@0.01_high_finger": "0.95", "accepts@0.01": "9"}
+    row = {
+        "gar@0.01": "0.9",
+        "gar@0.01_low_finger": "0.8",
+        "gar@0.01_high_finger": "0.95",
+        "accepts@0.01": "9",
+    }
     assert report.gar_cell(row, "0.01") == "90.0 [80.0, 95.0] †"
     assert report.gar_cell(row | {"accepts@0.01": "10"}, "0.01") == "90.0 [80.0, 95.0]"
     few = report.gar_cell({"gar@0.0001": "", "accepts@0.0001": "0", "impostors": "2700"}, "0.0001")
@@ -250,8 +330,16 @@ def test_the_page_marks_what_too_few_impostors_cannot_support(thesis: Script) ->
 
 def test_an_order_says_which_differences_are_beyond_chance(thesis: Script) -> None:
     order = thesis("page_tables").order
-    rows = [{"case": case, "gar@0.01": value, "accepts@0.01": "50"} for case, value in (("ea", "0.8"), ("snk", "0.9"))]
-    far = {"first": "snk", "second": "ea", "gar@0.01_low_finger": "0.02", "gar@0.01_high_finger": "0.2"}
+    rows = [
+        {"case": case, "gar@0.01": value, "accepts@0.01": "50"}
+        for case, value in (("ea", "0.8"), ("snk", "0.9"))
+    ]
+    far = {
+        "first": "snk",
+        "second": "ea",
+        "gar@0.01_low_finger": "0.02",
+        "gar@0.01_high_finger": "0.2",
+    }
     assert order(rows, [far], "gar@0.01", 100, "accepts@0.01") == "snk 90.0 > ea 80.0"
     by_subject = far | {"gar@0.01_low_subject": "-0.01", "gar@0.01_high_subject": "0.3"}
     assert order(rows, [by_subject], "gar@0.01", 100, "accepts@0.01") == "snk 90.0 ~ ea 80.0"
@@ -264,7 +352,9 @@ def handmade(seed: int, session: int) -> Any:
     finger, day = np.random.default_rng(seed), np.random.default_rng([seed, session])
     y, x = np.mgrid[0:150, 0:100]
     turn, period = finger.uniform(0, np.pi), finger.uniform(11, 15)
-    ridges = np.sin(2 * np.pi / period * (x * np.cos(turn) + y * np.sin(turn) + 0.002 * (x - 50) * (y - 70)))
+    ridges = np.sin(
+        2 * np.pi / period * (x * np.cos(turn) + y * np.sin(turn) + 0.002 * (x - 50) * (y - 70))
+    )
     channels = {
         name: (ridges + 0.1 * k + 0.3 * day.standard_normal(ridges.shape)).astype(np.float32)
         for k, name in enumerate(("normal_x", "normal_y", "normal_z", "relief"))
@@ -296,21 +386,32 @@ def test_other_descriptors_are_compared_by_the_same_rule(
     for trial in found:
         np.testing.assert_array_equal(np.isnan(trial.similarity), failed)
         known = trial.similarity[~failed]
-        assert known[pairs.genuine[~failed]].min() > known[~pairs.genuine[~failed]].max(), trial.case
+        assert known[pairs.genuine[~failed]].min() > known[~pairs.genuine[~failed]].max(), (
+            trial.case
+        )
         assert (trial.ratio[~failed] == 1.0).all()
-    again = compared.compare_pairs(pairs, lambda _: pytest.fail("compared again"), ways, tmp_path, 1)
+    again = compared.compare_pairs(
+        pairs, lambda _: pytest.fail("compared again"), ways, tmp_path, 1
+    )
     np.testing.assert_array_equal(again[2].similarity, found[2].similarity)
 
 
 def test_what_fails_the_gate_need_not_be_compared(tmp_path: Path, thesis: Script) -> None:
-    """Unless asked for, pairs that overlap too little have no similarity, and what the gate judges is the same."""
+    """Unless asked for, pairs that overlap too little have no similarity, and what the gate judges
+    is the same."""
     compared, trials, variants = thesis("compared"), thesis("trials"), thesis("variants")
 
     def narrow_second(name: str) -> Any:
         images = handmade_reader(name)
-        return replace(images, mask=images.mask & (np.arange(100) < 80)) if name.startswith("S02") else images
+        return (
+            replace(images, mask=images.mask & (np.arange(100) < 80))
+            if name.startswith("S02")
+            else images
+        )
 
-    captures = compared.captures_of([f"S{k:02d}/session_{day}/left_ring" for k in range(1, 4) for day in (1, 2)])
+    captures = compared.captures_of(
+        [f"S{k:02d}/session_{day}/left_ring" for k in range(1, 4) for day in (1, 2)]
+    )
     a, b = np.nonzero((captures.session[:, None] == "1") & (captures.session[None, :] == "2"))
     pairs = trials.Pairs(captures, a, b)
     ways = [compared.Way("lbp", thesis("descriptors").hog_features, "relief", ("relief",))]
@@ -323,14 +424,19 @@ def test_what_fails_the_gate_need_not_be_compared(tmp_path: Path, thesis: Script
     assert rejected.sum() == 4 and rejected[1]  # the second finger with the others
     assert np.isfinite(whole.similarity).all()
     np.testing.assert_array_equal(none.similarity, np.where(rejected, np.nan, whole.similarity))
-    np.testing.assert_array_equal(gated.similarity, np.where(rejected & ~asked, np.nan, whole.similarity))
+    np.testing.assert_array_equal(
+        gated.similarity, np.where(rejected & ~asked, np.nan, whole.similarity)
+    )
     known = variants.known_of(pairs, {})
     passing = variants.passing_everywhere(trials.Table(pairs, (whole,), ()))
     three = [*captures.names, *(f"S{k:02d}/session_3/left_ring" for k in range(1, 4))]
     table, ungated = compared.compare_all(three, narrow_second, ways, tmp_path, 1)
-    np.testing.assert_array_equal(ungated, (table.pairs.b % 3 == 1))  # of sessions 1 and 2; 27 comparisons
+    # of sessions 1 and 2; 27 comparisons
+    np.testing.assert_array_equal(ungated, (table.pairs.b % 3 == 1))
     assert ungated.sum() == 9 and np.isfinite(table.trials[0].similarity[ungated]).all()
-    np.testing.assert_array_equal(np.isnan(table.trials[0].similarity), (table.trials[0].ratio < 0.9) & ~ungated)
+    np.testing.assert_array_equal(
+        np.isnan(table.trials[0].similarity), (table.trials[0].ratio < 0.9) & ~ungated
+    )
     for variant in (variants.THESIS, variants.PASSING):
         both = [variants.judged(pairs, trial, variant, known, passing) for trial in (whole, gated)]
         np.testing.assert_array_equal(both[0].label, both[1].label)
@@ -339,15 +445,20 @@ def test_what_fails_the_gate_need_not_be_compared(tmp_path: Path, thesis: Script
 
 @pytest.mark.slow
 def test_the_figures_of_pictures_are_measured(tmp_path: Path, thesis: Script) -> None:
-    """A tiny population: ridges are found at their frequency, more scales take in more of the shape."""
+    """A tiny population: ridges are found at their frequency, more scales take in more of the
+    shape."""
     from splitknit_simulator.population.folder import simulate_population
     from splitknit_simulator.population.sessions import PopulationSettings
 
     figures = thesis("figures")
     simulate_population(
-        tmp_path / "people", PopulationSettings(seed=2, scale=0.1), subjects=1, sessions=1, fingers=("left_ring",),
+        tmp_path / "people",
+        PopulationSettings(seed=2, scale=0.1),
+        subjects=1,
+        sessions=1,
+        fingers=("left_ring",),
         workers=1,
-    )  # fmt: skip
+    )
     out = tmp_path / "out"
     out.mkdir()
     names = ["S01/session_1/left_ring"]
@@ -356,7 +467,10 @@ def test_the_figures_of_pictures_are_measured(tmp_path: Path, thesis: Script) ->
     rows = {(row["figure"], row["what"]): float(row["mean"]) for row in read(out / "figures.csv")}
     assert 15 < rows["3.1", "true relief: peak, cycles per cm"] < 32
     assert rows["3.1", "true shape: peak, cycles per cm"] < 1.5
-    assert rows["3.20", "n = 7 power beside the ridges, %"] > 3 * rows["3.20", "n = 2 power beside the ridges, %"]
+    assert (
+        rows["3.20", "n = 7 power beside the ridges, %"]
+        > 3 * rows["3.20", "n = 2 power beside the ridges, %"]
+    )
     assert rows["3.22", "NIR: shape error, um"] < rows["5.9", "truth: shape, um"]
     for name in ("figure-3-1", "figure-3-20", "figure-5-9"):
         assert (out / f"{name}.svg").read_bytes().startswith(b"<?xml")

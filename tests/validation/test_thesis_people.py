@@ -39,7 +39,8 @@ def photograph(file: Path, turn: float) -> None:
 
 @pytest.fixture
 def tree(tmp_path: Path) -> Path:
-    """Two people, two days, two fingers; of P2, day 2, left thumb one photograph is missing and one is doubled."""
+    """Two people, two days, two fingers; of P2, day 2, left thumb one photograph is missing and one
+    is doubled."""
     root = tmp_path / "tree"
     for person in ("P1", "P2"):
         for day in (1, 2):
@@ -57,7 +58,16 @@ def tree(tmp_path: Path) -> Path:
 
 def test_a_tree_becomes_a_population(people, tree, tmp_path, capsys):
     out, rig = tmp_path / "people", tmp_path / "rig.json"
-    drawn = ("--px-per-cm", "75.7", "--image-size", "220,320", "--led-height-cm", "14", "--led-radius-cm", "5.25")
+    drawn = (
+        "--px-per-cm",
+        "75.7",
+        "--image-size",
+        "220,320",
+        "--led-height-cm",
+        "14",
+        "--led-radius-cm",
+        "5.25",
+    )
     assert main(["calibrate", "lights", "--geometry", *drawn, "--out", str(rig)]) == 0
     words = [str(tree), "--images", PATTERN, "--nir", NIR, "--lights", str(rig), "--out", str(out)]
     capsys.readouterr()
@@ -81,7 +91,9 @@ def test_a_tree_becomes_a_population(people, tree, tmp_path, capsys):
     assert population.planned == 8 and len(population.captures) == 6
     capture = read_capture(out / "S02/session_1/left_thumb")
     assert capture.subject == {"id": "S02", "finger": "left_thumb", "session": 1}
-    assert capture.material == "skin" and capture.bands["nir"].leds == tuple((k,) for k in range(7, 14))
+    assert capture.material == "skin" and capture.bands["nir"].leds == tuple(
+        (k,) for k in range(7, 14)
+    )
     photograph(damaged, AZIMUTH[2] + np.pi / 7)
     assert people.main(words) == 0  # goes on where it was stopped
     assert " 1 written" in capsys.readouterr().out and len(read_population(out).captures) == 7
@@ -116,7 +128,10 @@ def test_numbers_of_people_and_sessions_are_kept_where_small(people, tmp_path):
     assert [place.folder for place, _ in tree.captures] == [
         "S03/session_1/right_middle", "S02/session_2/right_middle", "S03/session_3/right_middle"
     ]  # fmt: skip
-    assert tree.plan["subjects"] == 3 and "nothing is there of S01, session 1, right middle" in tree.faults[0]
+    assert (
+        tree.plan["subjects"] == 3
+        and "nothing is there of S01, session 1, right middle" in tree.faults[0]
+    )
 
 
 @pytest.mark.parametrize(

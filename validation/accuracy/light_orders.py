@@ -1,4 +1,5 @@
-"""Lights of a gel's photographs, which have no list: tests/external checks orders and frames of lights on them."""
+"""Lights of a gel's photographs, which have no list: tests/external checks orders and frames of
+lights on them."""
 
 from __future__ import annotations
 
@@ -12,7 +13,8 @@ from splitknit.model import FloatArray
 
 
 def lights_of_balls(data: Path) -> FloatArray:
-    """Light vectors of the gel's six lights, by least squares on the tops of the balls whose outlines are listed."""
+    """Light vectors of the gel's six lights, by least squares on the tops of the balls whose
+    outlines are listed."""
     text = (data / "elastomer" / "BGA-001" / "scan.yaml").read_text()
     files = [data / "elastomer" / "BGA-001" / f"image{k:02d}.png" for k in range(7, 13)]
     stack = np.stack([read_image(file)[..., 0] for file in files]).astype(np.float64)

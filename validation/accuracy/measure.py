@@ -23,7 +23,8 @@ from splitknit_simulator.twin import simulate_capture
 CREASE_TOLERANCE_MM = 1.0
 """A cut that lies further below the crease has kept skin of the next phalanx."""
 SIDE_LINES_MM = 3.4
-"""Lines beside the crease belong to the same joint; where a finger has any, a cut at the uppermost is right as well."""
+"""Lines beside the crease belong to the same joint; where a finger has any, a cut at the uppermost
+is right as well."""
 IN_VIEW_MM = 1.5
 """A crease nearer to the lower border than this is too close to judge."""
 
@@ -46,9 +47,12 @@ class Case:
 
 
 def source_hash() -> str:
-    """SHA-256 of the sources of core and simulator: results of other code are not mixed with these."""
+    """SHA-256 of the sources of core and simulator: results of other code are not mixed with
+    these."""
     digest = hashlib.sha256()
-    for folder in (Path(str(member.__file__)).parent for member in (splitknit, splitknit_simulator)):
+    for folder in (
+        Path(str(member.__file__)).parent for member in (splitknit, splitknit_simulator)
+    ):
         for file in sorted(folder.rglob("*")):
             if file.suffix in (".py", ".npz", ".onnx"):
                 digest.update(file.relative_to(folder.parent).as_posix().encode())
@@ -84,14 +88,19 @@ def _attempt(capture: Any, truth: Truth, preset: str, side_lines: bool) -> dict[
         return {"refused": str(error)}
     except Exception as error:  # so is an internal error
         return {"refused": f"{type(error).__name__}: {error}"}
-    figures = {**comparison.figures, **_pose_figures(result, truth, side_lines), **_honesty(result, comparison)}
+    figures = {
+        **comparison.figures,
+        **_pose_figures(result, truth, side_lines),
+        **_honesty(result, comparison),
+    }
     return {"figures": figures, "seconds": seconds, "warnings": list(result.warnings)}
 
 
 def _drawn(truth: Truth) -> dict[str, Any]:
     """What the finger, its skin and its pose are."""
     names = [n for n in truth if n.startswith("skin_") and truth[n].size == 1] + [
-        f"landmark_{n}" for n in ("pattern", "yaw_rad", "pitch_rad", "roll_rad", "insertion_mm", "period_mm")
+        f"landmark_{n}"
+        for n in ("pattern", "yaw_rad", "pitch_rad", "roll_rad", "insertion_mm", "period_mm")
     ]
     return {name.removeprefix("landmark_"): truth[name].item() for name in names}
 
@@ -124,11 +133,16 @@ def _crease_in_view(truth: Truth, pitch_mm: float) -> bool | None:
     return False if float(np.quantile(below_mm, 0.75)) < 0.3 * IN_VIEW_MM else None
 
 
-def crease_distance_mm(facts: Mapping[str, Any], points: NDArray[Any], pitch_mm: float) -> float | None:
-    """Median distance of the line that was found from the middle half of the true crease (N, 2); positive: above it."""
+def crease_distance_mm(
+    facts: Mapping[str, Any], points: NDArray[Any], pitch_mm: float
+) -> float | None:
+    """Median distance of the line that was found from the middle half of the true crease (N, 2);
+    positive: above it."""
     if not facts.get("crease_found") or not facts.get("crease_line") or len(points) < 4:
         return None
-    first, last = sorted((np.asarray(end, dtype=np.float64) for end in facts["crease_line"]), key=lambda end: end[0])
+    first, last = sorted(
+        (np.asarray(end, dtype=np.float64) for end in facts["crease_line"]), key=lambda end: end[0]
+    )
     low, high = np.quantile(points[:, 0], (0.25, 0.75))
     middle = points[(points[:, 0] >= low) & (points[:, 0] <= high)]
     along = (last - first) / np.linalg.norm(last - first)

@@ -2,13 +2,14 @@
 
     python validation/accuracy/objects.py [FILE.npz ...] [--sphere FOLDER ...]
 
-A file has ``images`` (N, H, W) linear, ``lights`` (N, 3) towards the lights (x right, y up, z to the camera), ``mask``
-(H, W) and ``normals`` (H, W, 3). A sphere's folder has photographs ``*.N.png``, a mask ``*.mask.png`` and, in it or
-above it, ``lights.txt``; its normals follow from its outline. Without arguments: the objects of SPLITKNIT_DATA.
+A file has ``images`` (N, H, W) linear, ``lights`` (N, 3) towards the lights (x right, y up, z to
+the camera), ``mask`` (H, W) and ``normals`` (H, W, 3). A sphere's folder has photographs
+``*.N.png``, a mask ``*.mask.png`` and, in it or above it, ``lights.txt``; its normals follow from
+its outline. Without arguments: the objects of SPLITKNIT_DATA.
 
-It prints the table that ``tables/objects.csv`` holds and docs/experiments/objects.md quotes: mean angular error in
-degrees of the normals as photometric stereo measured them, and of the integrated surface; with all lights, and with
-seven of them (mean, min to max of DRAWS draws).
+It prints the table that ``tables/objects.csv`` holds and docs/experiments/objects.md quotes: mean
+angular error in degrees of the normals as photometric stereo measured them, and of the integrated
+surface; with all lights, and with seven of them (mean, min to max of DRAWS draws).
 """
 
 from __future__ import annotations
@@ -41,7 +42,8 @@ FEW = 7
 """Lights of a rig."""
 DRAWS = 5
 PX_PER_MM = 5.0
-"""The scale that is stated; no preset's normals should depend on it, but those that smooth do so in mm."""
+"""The scale that is stated; no preset's normals should depend on it, but those that smooth do so in
+mm."""
 STEEPEST_DEG = 75
 """Of a sphere's slopes: its rim is blurred by its outline."""
 
@@ -59,10 +61,14 @@ class Object:
     def capture(self, chosen: Sequence[int]) -> Capture:
         """The photographs under some of the lights."""
         units = self.lights / np.linalg.norm(self.lights, axis=1, keepdims=True)
-        leds = tuple(Led("white", direction=tuple(float(part) for part in units[k])) for k in chosen)
+        leds = tuple(
+            Led("white", direction=tuple(float(part) for part in units[k])) for k in chosen
+        )
         count = len(leds)
         frames = tuple((k,) for k in range(count))
-        band = Band("white", self.images[list(chosen)][..., None], frames, np.ones(count), np.zeros(count))
+        band = Band(
+            "white", self.images[list(chosen)][..., None], frames, np.ones(count), np.zeros(count)
+        )
         rig = Rig(Camera(PX_PER_MM, self.mask.shape), leds)
         return Capture(rig, {"white": band}, material="opaque", mask=self.mask)
 
@@ -75,15 +81,22 @@ class Object:
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Measure the objects that are named, or those of SPLITKNIT_DATA."""
-    parser = argparse.ArgumentParser(description="How far the presets' normals are from those of real objects.")
+    parser = argparse.ArgumentParser(
+        description="How far the presets' normals are from those of real objects."
+    )
     parser.add_argument("files", nargs="*", type=Path, metavar="FILE.npz")
     parser.add_argument("--sphere", nargs="*", type=Path, default=[], metavar="FOLDER")
     options = parser.parse_args(arguments)
     data = Path(os.environ.get("SPLITKNIT_DATA", "../shared/data"))
     if not options.files and not options.sphere:
-        options.files, options.sphere = sorted((data / "diligent").glob("*.npz")), [data / "psm_spheres" / "gray"]
+        options.files, options.sphere = (
+            sorted((data / "diligent").glob("*.npz")),
+            [data / "psm_spheres" / "gray"],
+        )
     try:
-        objects = [scanned(file) for file in options.files] + [sphere(folder) for folder in options.sphere]
+        objects = [scanned(file) for file in options.files] + [
+            sphere(folder) for folder in options.sphere
+        ]
         for line in table(objects):
             print(line, flush=True)
     except BadInput as error:
@@ -98,7 +111,9 @@ def scanned(file: Path) -> Object:
     missing = {"images", "lights", "mask", "normals"} - set(held)
     require(not missing, f"'{file}' has no {', '.join(sorted(missing))}.")
     mask = np.asarray(held["mask"], dtype=np.bool_)
-    return Object(file.stem, held["images"], np.asarray(held["lights"]), mask, np.asarray(held["normals"]))
+    return Object(
+        file.stem, held["images"], np.asarray(held["lights"]), mask, np.asarray(held["normals"])
+    )
 
 
 def sphere(folder: Path) -> Object:
@@ -106,7 +121,9 @@ def sphere(folder: Path) -> Object:
     masks = sorted(folder.glob("*.mask.png"))
     require(len(masks) == 1, f"'{folder}' must hold one *.mask.png.")
     lights_file = folder / "lights.txt"
-    lights = read_light_list(lights_file if lights_file.is_file() else folder.parent / "lights.txt").lights
+    lights = read_light_list(
+        lights_file if lights_file.is_file() else folder.parent / "lights.txt"
+    ).lights
     stem = masks[0].name.removesuffix(".mask.png")
     photographs = GivenPhotographs(
         folder / f"{stem}.{{light}}.png", lights, PX_PER_MM, mask=masks[0], encoding="linear"
@@ -116,12 +133,17 @@ def sphere(folder: Path) -> Object:
     rows, columns = np.nonzero(capture.mask)
     radius = (np.ptp(columns) + np.ptp(rows) + 2) / 4
     i, j = np.mgrid[0 : capture.shape[0], 0 : capture.shape[1]]
-    x, y = (j - (columns.min() + columns.max()) / 2) / radius, ((rows.min() + rows.max()) / 2 - i) / radius
+    x, y = (
+        (j - (columns.min() + columns.max()) / 2) / radius,
+        ((rows.min() + rows.max()) / 2 - i) / radius,
+    )
     z = np.sqrt(np.clip(1 - x * x - y * y, 0, None))
     normals = np.where((z > np.cos(np.radians(STEEPEST_DEG)))[..., None], np.dstack([x, y, z]), 0.0)
     grey = capture.bands["white"].pixels.mean(axis=-1)
     directions = np.array([led.direction for led in capture.rig.leds])
-    return Object(f"{stem} sphere", grey.round().astype(np.uint16), directions, capture.mask, normals)
+    return Object(
+        f"{stem} sphere", grey.round().astype(np.uint16), directions, capture.mask, normals
+    )
 
 
 def table(objects: Sequence[Object]) -> Iterator[str]:
@@ -131,7 +153,10 @@ def table(objects: Sequence[Object]) -> Iterator[str]:
     for one in objects:
         count = len(one.lights)
         rng = np.random.default_rng(0)
-        few = [sorted(rng.choice(count, FEW, replace=False).tolist()) for _ in range(DRAWS if count > FEW else 0)]
+        few = [
+            sorted(rng.choice(count, FEW, replace=False).tolist())
+            for _ in range(DRAWS if count > FEW else 0)
+        ]
         for draws in [[list(range(count))], *([few] if few else [])]:
             for preset, (base, changes) in PRESETS.items():
                 errors = np.array([errors_of(one, chosen, base, changes) for chosen in draws])
@@ -139,7 +164,9 @@ def table(objects: Sequence[Object]) -> Iterator[str]:
                 yield f"| {one.name}, {len(draws[0])} | `{preset}` | {cells} |"
 
 
-def errors_of(one: Object, chosen: Sequence[int], preset: str, changes: dict[str, str]) -> tuple[float, float]:
+def errors_of(
+    one: Object, chosen: Sequence[int], preset: str, changes: dict[str, str]
+) -> tuple[float, float]:
     result = reconstruct(one.capture(chosen), preset, changes)
     measured = result.normals_measured
     return np.nan if measured is None else one.error_deg(measured), one.error_deg(result.normals)

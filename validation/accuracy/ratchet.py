@@ -1,8 +1,9 @@
 """Stored figures may improve, not slip by more than 1 %.
 
-python validation/accuracy/ratchet.py             # exit code 1 and a line for each figure that slipped
-python validation/accuracy/ratchet.py --update    # keep the better of the stored figures and those of results.json
-python validation/accuracy/ratchet.py --reset     # take those of results.json: the twin changed, say why in the commit
+python validation/accuracy/ratchet.py # exit code 1 and a line for each figure that slipped python
+validation/accuracy/ratchet.py --update # keep the better of the stored figures and those of
+results.json python validation/accuracy/ratchet.py --reset # take those of results.json: the twin
+changed, say why in the commit
 """
 
 from __future__ import annotations
@@ -75,7 +76,9 @@ def tightened(results: Tree, thresholds: Tree) -> dict[str, Any]:
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("--update", action="store_true")
     parser.add_argument("--reset", action="store_true")
     parser.add_argument("--results", type=Path, default=HERE / "results.json")
@@ -89,7 +92,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
         worse = slipped(results, thresholds)
         kept = tightened(results, thresholds) if options.update and not worse else thresholds
     if kept:
-        options.thresholds.write_text(json.dumps(kept, indent=1, sort_keys=True) + "\n", encoding="ascii")
+        options.thresholds.write_text(
+            json.dumps(kept, indent=1, sort_keys=True) + "\n", encoding="ascii"
+        )
     print("\n".join(worse) or "no figure slipped")
     return int(bool(worse))
 

@@ -1,7 +1,9 @@
-"""Write the figures of ``results.json`` to ``tables/``, and the short table of ``docs/experiments/accuracy.md``.
+"""Write the figures of ``results.json`` to ``tables/``, and the short table of
+``docs/experiments/accuracy.md``.
 
 python validation/accuracy/report.py            # writes
-python validation/accuracy/report.py --check    # exit code 1 if page and tables do not show what results.json holds
+python validation/accuracy/report.py --check # exit code 1 if page and tables do not show what
+results.json holds
 """
 
 from __future__ import annotations
@@ -35,8 +37,26 @@ COLUMNS = {
 }
 """Figures of the page's table."""
 POPULATION = (
-    *("preset", "captures", "refused", "seconds_median", "figure", "mean", "mean_low", "mean_high", "median"),
-    *("first_quartile", "third_quartile", "worst", "minimum", "minimum_met_percent", "aim", "aim_met_percent"),
+    *(
+        "preset",
+        "captures",
+        "refused",
+        "seconds_median",
+        "figure",
+        "mean",
+        "mean_low",
+        "mean_high",
+        "median",
+    ),
+    *(
+        "first_quartile",
+        "third_quartile",
+        "worst",
+        "minimum",
+        "minimum_met_percent",
+        "aim",
+        "aim_met_percent",
+    ),
 )
 """Columns of ``tables/population.csv``."""
 Tree = Mapping[str, Any]
@@ -52,7 +72,11 @@ def results_table(population: Tree, path_traced: Iterable[Mapping[str, str]]) ->
     asked = []
     for key in COLUMNS:
         least, aim = ROWS[key].least, ROWS[key].aim
-        asked.append("" if least is None or aim is None else f"{_wanted(ROWS[key], least)} ({_wanted(ROWS[key], aim)})")
+        asked.append(
+            ""
+            if least is None or aim is None
+            else f"{_wanted(ROWS[key], least)} ({_wanted(ROWS[key], aim)})"
+        )
     lines = [
         f"| light, preset | fingers | {' | '.join(COLUMNS.values())} |",
         "| --- " * (2 + len(COLUMNS)) + "|",
@@ -82,16 +106,28 @@ def _wanted(row: Row, wanted: Sequence[float]) -> str:
 
 
 def population_csv(population: Tree) -> str:
-    """Every preset and figure: mean with interval, quartiles, the worst, and how many meet what is asked."""
+    """Every preset and figure: mean with interval, quartiles, the worst, and how many meet what is
+    asked."""
     lines = [list(POPULATION)]
     for name in in_order(population["presets"]):
         preset = population["presets"][name]
-        first = [name, str(preset["captures"]), str(len(preset["refused"])), f"{preset['seconds_median']:.1f}"]
+        first = [
+            name,
+            str(preset["captures"]),
+            str(len(preset["refused"])),
+            f"{preset['seconds_median']:.1f}",
+        ]
         for key, row in ROWS.items():
             found = preset["figures"].get(key)
             if found is None:
                 continue
-            values = (found["mean"], *found["interval"], found["median"], *found["quartiles"], found["worst"])
+            values = (
+                found["mean"],
+                *found["interval"],
+                found["median"],
+                *found["quartiles"],
+                found["worst"],
+            )
             asked = []
             for which, wanted in (("least", row.least), ("aim", row.aim)):
                 met = "" if wanted is None else f"{100 * found[f'meets_{which}']:.0f}"
@@ -106,8 +142,15 @@ def singles_csv(population: Tree, preset: str = "metric") -> str:
     lines = [["seed", "pattern", "scattering", "glare", "roughness", "melanin", *keys]]
     for single in population["singles"]:
         found = single["figures"].get(preset)
-        cells = ["refused"] * len(keys) if found is None else [f"{found[k]:.{ROWS[k].digits}f}" for k in keys]
-        optics = [f"{single[name]:.{digits}f}" for name, digits in (("scattering", 2), ("glare", 2), ("roughness", 2))]
+        cells = (
+            ["refused"] * len(keys)
+            if found is None
+            else [f"{found[k]:.{ROWS[k].digits}f}" for k in keys]
+        )
+        optics = [
+            f"{single[name]:.{digits}f}"
+            for name, digits in (("scattering", 2), ("glare", 2), ("roughness", 2))
+        ]
         pattern = single["pattern"].replace("_", " ")
         lines.append([str(single["seed"]), pattern, *optics, f"{single['melanin']:.4f}", *cells])
     return _csv(lines)
@@ -130,8 +173,12 @@ def filled(page: str, texts: Mapping[str, str]) -> str:
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--check", action="store_true", help="write nothing; say whether the files are up to date")
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument(
+        "--check", action="store_true", help="write nothing; say whether the files are up to date"
+    )
     parser.add_argument("--results", type=Path, default=HERE / "results.json")
     options = parser.parse_args(arguments)
     results = json.loads(options.results.read_text())
@@ -143,9 +190,15 @@ def main(arguments: Sequence[str] | None = None) -> int:
         TABLES / "population.csv": population_csv(population),
         TABLES / "fingers.csv": singles_csv(population),
     }
-    stale = [place for place, text in wanted.items() if not place.exists() or place.read_text("utf-8") != text]
+    stale = [
+        place
+        for place, text in wanted.items()
+        if not place.exists() or place.read_text("utf-8") != text
+    ]
     if options.check:
-        print(f"not up to date: {', '.join(place.name for place in stale)}" if stale else "up to date")
+        print(
+            f"not up to date: {', '.join(place.name for place in stale)}" if stale else "up to date"
+        )
         return int(bool(stale))
     for place in stale:
         place.write_text(wanted[place], encoding="utf-8")

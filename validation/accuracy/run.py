@@ -1,11 +1,11 @@
 """How accurate are the presets on fingers of the digital twin?
 
     python validation/accuracy/run.py                          # 24 drawn fingers: metric, ea, snk
-    python validation/accuracy/report.py                       # docs/experiments/accuracy.md, tables/ from results.json
+    python validation/accuracy/report.py # docs/experiments/accuracy.md, tables/ from results.json
 
-One JSON per finger lands in ``validation/out/accuracy`` under a hash of the package's sources, so that a run that was
-stopped goes on where it was, and results of other code are never mixed in. One process a core; figures do not depend
-on how many. The population of ``results.json`` is replaced.
+One JSON per finger lands in ``validation/out/accuracy`` under a hash of the package's sources, so
+that a run that was stopped goes on where it was, and results of other code are never mixed in. One
+process a core; figures do not depend on how many. The population of ``results.json`` is replaced.
 """
 
 from __future__ import annotations
@@ -28,7 +28,9 @@ PRESETS = ("metric", "ea", "snk")
 def main(arguments: Sequence[str] | None = None) -> int:
     options = _parser().parse_args(arguments)
     # before numpy is imported: one thread of linear algebra a process
-    os.environ.update(dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1"))
+    os.environ.update(
+        dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1")
+    )
     from measure import Case, source_hash
 
     from report import population_csv
@@ -37,20 +39,40 @@ def main(arguments: Sequence[str] | None = None) -> int:
     seeds = range(options.first_seed, options.first_seed + options.fingers)
     cases = [Case(seed, k, options.scale) for seed in seeds for k in range(options.impressions)]
     code = source_hash()
-    measured = _measure_all(cases, presets, options.scratch / f"{code[:12]}_{options.scale:g}", options.workers)
+    measured = _measure_all(
+        cases, presets, options.scratch / f"{code[:12]}_{options.scale:g}", options.workers
+    )
     results = _read(options.out)
-    common = {"source_sha256": code, "scale": options.scale, "first_seed": seeds.start, "fingers": len(seeds)}
-    results["population"] = _population(measured, presets, {**common, "impressions": options.impressions})
-    options.out.write_text(json.dumps(_rounded(results), indent=1, sort_keys=True) + "\n", encoding="ascii")
+    common = {
+        "source_sha256": code,
+        "scale": options.scale,
+        "first_seed": seeds.start,
+        "fingers": len(seeds),
+    }
+    results["population"] = _population(
+        measured, presets, {**common, "impressions": options.impressions}
+    )
+    options.out.write_text(
+        json.dumps(_rounded(results), indent=1, sort_keys=True) + "\n", encoding="ascii"
+    )
     print(population_csv(results["population"]))
     return 0
 
 
 def _parser() -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("--fingers", type=int, default=24)
-    parser.add_argument("--first-seed", type=int, default=1000, help="fingers have this seed and those that follow")
-    parser.add_argument("--impressions", type=int, default=1, help="captures of each finger, each in a pose of its own")
+    parser.add_argument(
+        "--first-seed", type=int, default=1000, help="fingers have this seed and those that follow"
+    )
+    parser.add_argument(
+        "--impressions",
+        type=int,
+        default=1,
+        help="captures of each finger, each in a pose of its own",
+    )
     parser.add_argument("--scale", type=float, default=0.5, help="1 = 3200 x 2200 pixels")
     parser.add_argument("--presets", nargs="+", default=PRESETS)
     parser.add_argument("--workers", type=int, default=os.cpu_count() or 1, help="processes")
@@ -59,13 +81,22 @@ def _parser() -> argparse.ArgumentParser:
     return parser
 
 
-def _measure_all(cases: Sequence[Any], presets: Sequence[str], folder: Path, workers: int) -> list[dict[str, Any]]:
-    """Results of all cases in their order; those that are on disk already are not measured again."""
+def _measure_all(
+    cases: Sequence[Any], presets: Sequence[str], folder: Path, workers: int
+) -> list[dict[str, Any]]:
+    """Results of all cases in their order; those that are on disk already are not measured
+    again."""
     folder.mkdir(parents=True, exist_ok=True)
-    wanted = {case.name: case for case in cases if not _holds(folder / f"{case.name}.json", presets)}
+    wanted = {
+        case.name: case for case in cases if not _holds(folder / f"{case.name}.json", presets)
+    }
     context = multiprocessing.get_context("spawn")
-    with concurrent.futures.ProcessPoolExecutor(workers, mp_context=context, initializer=_one_thread) as pool:
-        for job in [pool.submit(_measure_one, case, tuple(presets), folder) for case in wanted.values()]:
+    with concurrent.futures.ProcessPoolExecutor(
+        workers, mp_context=context, initializer=_one_thread
+    ) as pool:
+        for job in [
+            pool.submit(_measure_one, case, tuple(presets), folder) for case in wanted.values()
+        ]:
             job.result()
     return [json.loads((folder / f"{case.name}.json").read_text()) for case in cases]
 
@@ -90,7 +121,9 @@ def _measure_one(case: Any, presets: tuple[str, ...], folder: Path) -> None:
     partial.replace(file)
 
 
-def _population(measured: Sequence[Any], presets: Sequence[str], common: dict[str, Any]) -> dict[str, Any]:
+def _population(
+    measured: Sequence[Any], presets: Sequence[str], common: dict[str, Any]
+) -> dict[str, Any]:
     from summary import ROWS, summarise
 
     shown = [name for name, row in ROWS.items() if row.least is not None]
@@ -115,7 +148,11 @@ def _population(measured: Sequence[Any], presets: Sequence[str], common: dict[st
 
 
 def _read(file: Path) -> dict[str, Any]:
-    return dict(json.loads(file.read_text())) if file.is_file() else {"format": "splitknit-accuracy", "version": 1}
+    return (
+        dict(json.loads(file.read_text()))
+        if file.is_file()
+        else {"format": "splitknit-accuracy", "version": 1}
+    )
 
 
 def _rounded(value: Any) -> Any:

@@ -1,4 +1,5 @@
-"""Figures of many fingers: means with intervals, quartiles, the worst, and how many meet what is asked."""
+"""Figures of many fingers: means with intervals, quartiles, the worst, and how many meet what is
+asked."""
 
 from __future__ import annotations
 
@@ -38,10 +39,18 @@ ROWS: dict[str, Row] = {
     "surface_rms_mm": Row("whole surface, rms", "mm", 3, (0, 0.13), (0, 0.09)),
     "ridge_correlation": Row("ridge band, correlation", "", 3, (0.85, 1), (0.97, 1), "high"),
     "ridge_gain": Row("ridge band, gain", "", 2, (0.6, 1.4), (0.9, 1.1), "one"),
-    "ridge_good_area": Row("area with local correlation > 0.8", "", 3, (0.90, 1), (0.95, 1), "high"),
-    "height_band_correlation": Row("ridge band of the whole height, correlation", "", 3, (0.85, 1), (0.97, 1), "high"),
-    "height_band_gain": Row("ridge band of the whole height, gain", "", 2, (0.6, 1.4), (0.9, 1.1), "one"),
-    "height_band_good_area": Row("the same, area with local correlation > 0.8", "", 3, (0.90, 1), (0.95, 1), "high"),
+    "ridge_good_area": Row(
+        "area with local correlation > 0.8", "", 3, (0.90, 1), (0.95, 1), "high"
+    ),
+    "height_band_correlation": Row(
+        "ridge band of the whole height, correlation", "", 3, (0.85, 1), (0.97, 1), "high"
+    ),
+    "height_band_gain": Row(
+        "ridge band of the whole height, gain", "", 2, (0.6, 1.4), (0.9, 1.1), "one"
+    ),
+    "height_band_good_area": Row(
+        "the same, area with local correlation > 0.8", "", 3, (0.90, 1), (0.95, 1), "high"
+    ),
     "ridge_rms_um": Row("ridge band, rms error", "um", 1),
     "shape_rms_mm": Row("shape without ridges, rms", "mm", 3),
     "normals_mean_deg": Row("normals, mean angle", "deg", 1),
@@ -55,7 +64,8 @@ ROWS: dict[str, Row] = {
 
 
 def summarise(measured: Sequence[Mapping[str, Any]], presets: Sequence[str]) -> dict[str, Any]:
-    """Statistics of every preset and figure over all captures; intervals resample fingers (seeds), not captures."""
+    """Statistics of every preset and figure over all captures; intervals resample fingers (seeds),
+    not captures."""
     return {preset: _of_preset(measured, preset) for preset in presets}
 
 
@@ -64,13 +74,17 @@ def _of_preset(measured: Sequence[Mapping[str, Any]], preset: str) -> dict[str, 
     done = [(seed, result) for seed, result in tried if "figures" in result]
     figures = {}
     for name, row in ROWS.items():
-        values = [(seed, result["figures"][name]) for seed, result in done if name in result["figures"]]
+        values = [
+            (seed, result["figures"][name]) for seed, result in done if name in result["figures"]
+        ]
         if values:
             figures[name] = _statistics(values, row, len(tried))
     return {
         "captures": len(tried),
         "refused": [result["refused"] for _, result in tried if "refused" in result],
-        "seconds_median": float(np.median([result["seconds"] for _, result in done])) if done else None,
+        "seconds_median": float(np.median([result["seconds"] for _, result in done]))
+        if done
+        else None,
         "figures": figures,
     }
 
@@ -99,7 +113,8 @@ def interval(
     fraction: float = 0.95,
     seed: int = 0,
 ) -> Range:
-    """Percentile bootstrap of a statistic of (finger, value) pairs; fingers are drawn with all their captures."""
+    """Percentile bootstrap of a statistic of (finger, value) pairs; fingers are drawn with all
+    their captures."""
     groups: dict[int, list[float]] = {}
     for finger, value in values:
         groups.setdefault(finger, []).append(value)

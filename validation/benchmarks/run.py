@@ -1,15 +1,16 @@
 """Public benchmarks, for whoever has them: one command a benchmark, with the folder's path.
 
-    python validation/benchmarks/run.py diligent FOLDER          # DiLiGenT, DiLiGenT-Pi: a folder an object
-    python validation/benchmarks/run.py luces FOLDER             # LUCES: near lights, depth in mm
-    python validation/benchmarks/run.py prints FOLDER --pattern '{finger}_{sample}.png'
-    python validation/benchmarks/run.py prints PHOTOS --pattern '{finger}/{sample}.jpg' \\
-        --against PRINTS --against-pattern '{finger}_{sample}.bmp'      # PolyU, ISPFD, ZJUT-EIFD kinds
+    python validation/benchmarks/run.py diligent FOLDER # DiLiGenT, DiLiGenT-Pi: a folder an object
+    python validation/benchmarks/run.py luces FOLDER # LUCES: near lights, depth in mm python
+    validation/benchmarks/run.py prints FOLDER --pattern '{finger}_{sample}.png' python
+    validation/benchmarks/run.py prints PHOTOS --pattern '{finger}/{sample}.jpg' \\
+        --against PRINTS --against-pattern '{finger}_{sample}.bmp' # PolyU, ISPFD, ZJUT-EIFD kinds
 
-An object's row has the mean angle between the normals and the truth in degrees (as photometric stereo measured them,
-and of the surface) and, where the truth has depth, the mean absolute error in mm after the mean is removed. A set of
-prints, photographs or result folders has its equal error rate, and the rates at the decision of ``match``, with 95 %
-intervals by finger. `--json FILE` keeps every row.
+An object's row has the mean angle between the normals and the truth in degrees (as photometric
+stereo measured them, and of the surface) and, where the truth has depth, the mean absolute error in
+mm after the mean is removed. A set of prints, photographs or result folders has its equal error
+rate, and the rates at the decision of ``match``, with 95 % intervals by finger. `--json FILE` keeps
+every row.
 """
 
 from __future__ import annotations
@@ -44,7 +45,8 @@ PX_PER_MM = 5.0
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Scene:
-    """Photographs of an object, and the truth in this project's frame (x right, y up, z to the camera)."""
+    """Photographs of an object, and the truth in this project's frame (x right, y up, z to the
+    camera)."""
 
     name: str
     capture: Capture
@@ -54,7 +56,11 @@ class Scene:
     def row(self, preset: str) -> dict[str, Any]:
         """Errors of a preset."""
         result = reconstruct(self.capture, preset)
-        found: dict[str, Any] = {"object": self.name, "preset": preset, "lights": len(self.capture.rig.leds)}
+        found: dict[str, Any] = {
+            "object": self.name,
+            "preset": preset,
+            "lights": len(self.capture.rig.leds),
+        }
         measured = result.normals_measured
         found["measured_deg"] = None if measured is None else self.error_deg(measured)
         found["surface_deg"] = self.error_deg(result.normals)
@@ -72,7 +78,11 @@ class Scene:
 
 
 def photographs(
-    files: Sequence[Path], strengths: np.ndarray, mask: np.ndarray, leds: Sequence[Led], camera: Camera
+    files: Sequence[Path],
+    strengths: np.ndarray,
+    mask: np.ndarray,
+    leds: Sequence[Led],
+    camera: Camera,
 ) -> Capture:
     """Grey photographs (linear), each colour divided by its light's strength (L, 3)."""
     stack = []
@@ -102,25 +112,40 @@ def diligent(folder: Path) -> Scene:
     names = (folder / "filenames.txt").read_text(encoding="utf-8").split()
     lights = np.loadtxt(folder / "light_directions.txt", ndmin=2)
     strengths = np.loadtxt(folder / "light_intensities.txt", ndmin=2)
-    require(len(names) == len(lights) == len(strengths), f"{folder}: the lists of names and lights differ in length.")
+    require(
+        len(names) == len(lights) == len(strengths),
+        f"{folder}: the lists of names and lights differ in length.",
+    )
     normals = np.asarray(loadmat(folder / "Normal_gt.mat")["Normal_gt"], dtype=np.float64)
     mask = mask_of(folder)
-    leds = [Led("white", direction=tuple(float(part) for part in light / np.linalg.norm(light))) for light in lights]
+    leds = [
+        Led("white", direction=tuple(float(part) for part in light / np.linalg.norm(light)))
+        for light in lights
+    ]
     files = [folder / name for name in names]
-    return Scene(folder.name, photographs(files, strengths, mask, leds, Camera(PX_PER_MM, mask.shape)), normals)
+    return Scene(
+        folder.name,
+        photographs(files, strengths, mask, leds, Camera(PX_PER_MM, mask.shape)),
+        normals,
+    )
 
 
 def luces(folder: Path) -> Scene:
-    """An object of LUCES: 52 near LEDs around a perspective camera, distances in mm along the camera's axis.
+    """An object of LUCES: 52 near LEDs around a perspective camera, distances in mm along the
+    camera's axis.
 
-    ``led_params.txt`` has the camera (number of images, rows, columns, focal length and principal point in pixels, mean
-    distance) in its second line, then position, axis, strength in red, green and blue, and the exponent of the lobe of
-    each LED, in the camera's frame (x right, y down, z away). A setup with one strength a light is read as well.
+    ``led_params.txt`` has the camera (number of images, rows, columns, focal length and principal
+    point in pixels, mean distance) in its second line, then position, axis, strength in red, green
+    and blue, and the exponent of the lobe of each LED, in the camera's frame (x right, y down, z
+    away). A setup with one strength a light is read as well.
     """
     lines = (folder / "led_params.txt").read_text(encoding="utf-8").rstrip().splitlines()
     count, _, _, focal, x0, y0, distance = (float(word) for word in lines[1].split())
     table = np.array([[float(word) for word in line.split()] for line in lines[2:]])
-    require(len(table) == int(count), f"{folder}: led_params.txt names {int(count)} lights and lists {len(table)}.")
+    require(
+        len(table) == int(count),
+        f"{folder}: led_params.txt names {int(count)} lights and lists {len(table)}.",
+    )
     colours = 3 if table.shape[1] > 10 else 1
     strengths = np.broadcast_to(table[:, 6 : 6 + colours], (len(table), 3))
     lobes = table[:, 6 + colours]
@@ -139,7 +164,10 @@ def luces(folder: Path) -> Scene:
         depth = np.asarray(held["zgt"], dtype=np.float64)
     height = np.where(mask & (depth > 0), distance - depth, np.nan)
     return Scene(
-        folder.name, photographs(files, strengths, mask, leds, camera), np.where(mask[..., None], normals, 0), height
+        folder.name,
+        photographs(files, strengths, mask, leds, camera),
+        np.where(mask[..., None], normals, 0),
+        height,
     )
 
 
@@ -147,7 +175,14 @@ def scenes(kind: str, folder: Path) -> Iterator[Scene]:
     """Every object below a folder, or the object that the folder is."""
     table = {"diligent": "light_directions.txt", "luces": "led_params.txt"}[kind]
     found = sorted(
-        {file.parent for file in [*folder.glob(table), *folder.glob(f"*/{table}"), *folder.glob(f"*/*/{table}")]}
+        {
+            file.parent
+            for file in [
+                *folder.glob(table),
+                *folder.glob(f"*/{table}"),
+                *folder.glob(f"*/*/{table}"),
+            ]
+        }
     )
     require(len(found) > 0, f"no folder at or below {folder} has a {table}.")
     yield from ({"diligent": diligent, "luces": luces}[kind](one) for one in found)
@@ -155,9 +190,13 @@ def scenes(kind: str, folder: Path) -> Iterator[Scene]:
 
 def listed(folder: Path, pattern: str) -> dict[tuple[str, str], Path]:
     """Files (or result folders) by finger and sample, from a pattern of their paths."""
-    require("{finger}" in pattern and "{sample}" in pattern, "a pattern needs {finger} and {sample}.")
+    require(
+        "{finger}" in pattern and "{sample}" in pattern, "a pattern needs {finger} and {sample}."
+    )
     parts = re.split(r"\{(finger|sample)\}", pattern)
-    form = "".join(re.escape(part) if k % 2 == 0 else f"(?P<{part}>[^/]+?)" for k, part in enumerate(parts))
+    form = "".join(
+        re.escape(part) if k % 2 == 0 else f"(?P<{part}>[^/]+?)" for k, part in enumerate(parts)
+    )
     found = {}
     for path in sorted(folder.rglob("*")):
         if fits := re.fullmatch(form, path.relative_to(folder).as_posix()):
@@ -172,7 +211,9 @@ def prints(
     """Rates of the default matcher on all pairs of a set, or of one set against another."""
     sides = [listed(folder, pattern)]
     sides += [] if against is None else [listed(against, against_pattern or pattern)]
-    pairs = list(itertools.product(*sides) if against is not None else itertools.combinations(sides[0], 2))
+    pairs = list(
+        itertools.product(*sides) if against is not None else itertools.combinations(sides[0], 2)
+    )
     labels, scores, decided, missing = [], [], [], set()
     with tempfile.TemporaryDirectory() as scratch:
         templates = []
@@ -190,35 +231,57 @@ def prints(
             found = match(first, second) if first is not None and second is not None else None
             labels.append(a[0] == b[0])
             scores.append(found.similarity if found is not None and found.compared else np.nan)
-            decided.append(found is not None and found.decision is not None and found.decision.match)
+            decided.append(
+                found is not None and found.decision is not None and found.decision.match
+            )
     label, score, accepted = np.array(labels), np.array(scores), np.array(decided)
-    require(label.any() and not label.all(), "the pairs need two samples of one finger, and two fingers.")
+    require(
+        label.any() and not label.all(),
+        "the pairs need two samples of one finger, and two fingers.",
+    )
     fingers = ids_of([a[0] for a, _ in pairs], [b[0] for _, b in pairs])
-    figures = bootstrap(Scores(label, score, finger=fingers), "finger", BootstrapSettings(curve_points=0)).figures
+    figures = bootstrap(
+        Scores(label, score, finger=fingers), "finger", BootstrapSettings(curve_points=0)
+    ).figures
     eer = figures["eer"]
     return {
-        "genuine": int(label.sum()), "impostors": int((~label).sum()), "failures": sorted(missing),
+        "genuine": int(label.sum()),
+        "impostors": int((~label).sum()),
+        "failures": sorted(missing),
         "eer_percent": [round(100 * value, 2) for value in (eer.value, eer.low, eer.high)],
-        "genuine_accepted": int(accepted[label].sum()), "impostors_accepted": int(accepted[~label].sum()),
-    }  # fmt: skip
+        "genuine_accepted": int(accepted[label].sum()),
+        "impostors_accepted": int(accepted[~label].sum()),
+    }
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run from the command line."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("benchmark", choices=["diligent", "luces", "prints"])
     parser.add_argument("folder", type=Path)
-    parser.add_argument("--pattern", default="{finger}_{sample}.png", help="of prints: paths below FOLDER")
+    parser.add_argument(
+        "--pattern", default="{finger}_{sample}.png", help="of prints: paths below FOLDER"
+    )
     parser.add_argument("--against", type=Path, help="of prints: the other set")
     parser.add_argument("--against-pattern")
-    parser.add_argument("--input-ppi", type=float, help="of prints: resolution where files do not state it")
+    parser.add_argument(
+        "--input-ppi", type=float, help="of prints: resolution where files do not state it"
+    )
     parser.add_argument("--json", type=Path)
     options = parser.parse_args(arguments)
     rows = []
     try:
         if options.benchmark == "prints":
             rows.append(
-                prints(options.folder, options.pattern, options.against, options.against_pattern, options.input_ppi)
+                prints(
+                    options.folder,
+                    options.pattern,
+                    options.against,
+                    options.against_pattern,
+                    options.input_ppi,
+                )
             )
             print(json.dumps(rows[0]))
         else:

@@ -1,13 +1,16 @@
-"""What calibration buys: fingers photographed by rigs as people build them, reconstructed with what is known of them.
+"""What calibration buys: fingers photographed by rigs as people build them, reconstructed with what
+is known of them.
 
-Every rig is another person's (``simulate --bench``): its camera, lights and brightness are calibrated from photographs
-by the command line, as a person does it. One finger is photographed by the true rig, and reconstructed with the true
-rig, with the calibrated one, with the drawings, and with one part of the calibration left out at a time.
+Every rig is another person's (``simulate --bench``): its camera, lights and brightness are
+calibrated from photographs by the command line, as a person does it. One finger is photographed by
+the true rig, and reconstructed with the true rig, with the calibrated one, with the drawings, and
+with one part of the calibration left out at a time.
 
     python validation/calibration/ablation.py [--rigs 6] [--scale 0.5] [--write FILE.csv]
 
-Finished parts are kept: a second call goes on. Results: ``ablation.json`` in ``validation/out/calibration`` and a table
-on stdout, with ``--write FILE.csv`` in a file too (``tables/ablation.csv`` is the one of docs/experiments).
+Finished parts are kept: a second call goes on. Results: ``ablation.json`` in
+``validation/out/calibration`` and a table on stdout, with ``--write FILE.csv`` in a file too
+(``tables/ablation.csv`` is the one of docs/experiments).
 """
 
 from __future__ import annotations
@@ -32,7 +35,14 @@ from splitknit_simulator.scene import TwinSettings
 from splitknit_simulator.twin import simulate_capture
 
 FIRST_FINGER = 2000
-FIGURES = ("surface_rms_mm", "misplaced_mm", "scale_error", "normals_deg", "ridge_correlation", "ridge_gain")
+FIGURES = (
+    "surface_rms_mm",
+    "misplaced_mm",
+    "scale_error",
+    "normals_deg",
+    "ridge_correlation",
+    "ridge_gain",
+)
 
 
 def run(out: Path, rigs: int, scale: float) -> list[dict[str, Any]]:
@@ -64,9 +74,20 @@ def calibrate(folder: Path, seed: int, scale: float) -> Rig:
         call("simulate", "--bench", "--seed", seed, "--scale", scale, "--out", bench)
     one, two, three = (folder / f"rig_{k}.json" for k in (1, 2, 3))
     call(
-        "calibrate", "camera", bench / "board", "--board", "9x6", "--square-mm", 3, "--plane", bench / "plane.png",
-        "--rig", bench / "rig_drawn.json", "--out", one,
-    )  # fmt: skip
+        "calibrate",
+        "camera",
+        bench / "board",
+        "--board",
+        "9x6",
+        "--square-mm",
+        3,
+        "--plane",
+        bench / "plane.png",
+        "--rig",
+        bench / "rig_drawn.json",
+        "--out",
+        one,
+    )
     call("calibrate", "lights", "--images", bench / "nail", "--rig", one, "--out", two)
     call("calibrate", "radiometry", bench / "card", "--rig", two, "--out", three)
     return read_rig(three)
@@ -87,7 +108,10 @@ def rows(true: Rig, found: Rig, drawn: Rig) -> dict[str, tuple[Rig, dict[str, An
         "true rig": (true, {}),
         "calibrated": (found, {}),
         "drawings only": (drawn, {}),
-        "calibrated, but distant lights": (replace(found, leds=tuple(distant(led) for led in found.leds)), {}),
+        "calibrated, but distant lights": (
+            replace(found, leds=tuple(distant(led) for led in found.leds)),
+            {},
+        ),
         "calibrated, but places from the drawings": (replace(found, leds=lights(drawn, found)), {}),
         "calibrated, but no flat field": (
             replace(found, leds=plain, camera=replace(found.camera, shading=())),
@@ -96,7 +120,10 @@ def rows(true: Rig, found: Rig, drawn: Rig) -> dict[str, tuple[Rig, dict[str, An
         "calibrated, but brightness alone": (
             replace(
                 found,
-                leds=tuple(replace(led, lobe_exponent=0.0, aim=None, intensity=at_origin(led)) for led in found.leds),
+                leds=tuple(
+                    replace(led, lobe_exponent=0.0, aim=None, intensity=at_origin(led))
+                    for led in found.leds
+                ),
                 camera=replace(found.camera, shading=()),
             ),
             {},
@@ -126,7 +153,9 @@ def measure(seed: int, true: Rig, found: Rig) -> list[dict[str, Any]]:
     capture, truth = simulate_capture(FIRST_FINGER + seed, settings=TwinSettings(rig=true))
     records = []
     for name, (rig, settings) in rows(true, found, nominal_rig(scale)).items():
-        bands = {key: replace(band, shading=rig.camera.shading) for key, band in capture.bands.items()}
+        bands = {
+            key: replace(band, shading=rig.camera.shading) for key, band in capture.bands.items()
+        }
         result = reconstruct(replace(capture, rig=rig, bands=bands), settings=settings)
         records.append({"rig": seed, "row": name, **figures(result, capture, truth)})
     return records
@@ -140,8 +169,12 @@ def figures(result: Reconstruction, capture: Capture, truth: dict[str, Any]) -> 
     above = true - true.mean()
     rows_px, columns_px = capture.shape
     if result.x_mm is None or result.y_mm is None:
-        x = np.broadcast_to((np.arange(columns_px) - (columns_px - 1) / 2) * result.pitch_mm, seen.shape)[seen]
-        y = np.broadcast_to(((rows_px - 1) / 2 - np.arange(rows_px))[:, None] * result.pitch_mm, seen.shape)[seen]
+        x = np.broadcast_to(
+            (np.arange(columns_px) - (columns_px - 1) / 2) * result.pitch_mm, seen.shape
+        )[seen]
+        y = np.broadcast_to(
+            ((rows_px - 1) / 2 - np.arange(rows_px))[:, None] * result.pitch_mm, seen.shape
+        )[seen]
     else:
         x, y = result.x_mm[seen], result.y_mm[seen]
     # a rig file's origin is its own principal ray: only differences of places count
@@ -158,23 +191,36 @@ def figures(result: Reconstruction, capture: Capture, truth: dict[str, Any]) -> 
 
 
 def table(records: list[dict[str, Any]]) -> list[list[str]]:
-    """Means over the rigs with 95 % intervals (bootstrap over rigs), and the surface's rms over the true rig's."""
+    """Means over the rigs with 95 % intervals (bootstrap over rigs), and the surface's rms over the
+    true rig's."""
     names = list(dict.fromkeys(record["row"] for record in records))
-    values = {name: {f: np.array([r[f] for r in records if r["row"] == name]) for f in FIGURES} for name in names}
+    values = {
+        name: {f: np.array([r[f] for r in records if r["row"] == name]) for f in FIGURES}
+        for name in names
+    }
     columns = [*FIGURES, "surface_rms_over_true_rig"]
-    rows = [["known_of_the_rig", *(f"{column}{end}" for column in columns for end in ("", "_low", "_high"))]]
+    rows = [
+        [
+            "known_of_the_rig",
+            *(f"{column}{end}" for column in columns for end in ("", "_low", "_high")),
+        ]
+    ]
     base = values["true rig"]["surface_rms_mm"]
     for name in names:
         own = values[name]["surface_rms_mm"]
         ratio = interval(np.stack([own, base], axis=1), lambda v: v[:, 0].mean() / v[:, 1].mean())
-        rows.append([name, *(cell for f in FIGURES for cell in interval(values[name][f], np.mean)), *ratio])
+        rows.append(
+            [name, *(cell for f in FIGURES for cell in interval(values[name][f], np.mean)), *ratio]
+        )
     return rows
 
 
 def interval(values: np.ndarray, statistic: Callable[[np.ndarray], Any]) -> list[str]:
     """The statistic, and the ends of its interval over resampled rigs."""
     rng = np.random.default_rng(0)
-    drawn = [float(statistic(values[rng.integers(0, len(values), len(values))])) for _ in range(2000)]
+    drawn = [
+        float(statistic(values[rng.integers(0, len(values), len(values))])) for _ in range(2000)
+    ]
     low, high = np.quantile(drawn, [0.025, 0.975])
     return [f"{float(value):.3f}" for value in (statistic(values), low, high)]
 

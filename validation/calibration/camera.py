@@ -1,10 +1,12 @@
-"""How well ``splitknit calibrate camera`` finds a known camera: built rigs of the twin, photographed with noise.
+"""How well ``splitknit calibrate camera`` finds a known camera: built rigs of the twin,
+photographed with noise.
 
-    python validation/calibration/camera.py [--seeds 8] [--scale 0.25] [--out validation/calibration/camera.json]
+    python validation/calibration/camera.py [--seeds 8] [--scale 0.25] [--out
+    validation/calibration/camera.json]
 
-Each seed is another rig as a person builds it (focal length, principal point, distortion, height and tilt off the
-drawing) and 15 other photographs of a checkerboard held by hand. Prints a table: mean and worst error over the seeds,
-and an interval of 95 % for the mean (bootstrap over seeds).
+Each seed is another rig as a person builds it (focal length, principal point, distortion, height
+and tilt off the drawing) and 15 other photographs of a checkerboard held by hand. Prints a table:
+mean and worst error over the seeds, and an interval of 95 % for the mean (bootstrap over seeds).
 """
 
 from __future__ import annotations
@@ -42,7 +44,9 @@ class Photos:
     """(3,) of the base, true."""
 
 
-def photographs(seed: int, scale: float, *, count: int = 15, f_number: float | None = None) -> Photos:
+def photographs(
+    seed: int, scale: float, *, count: int = 15, f_number: float | None = None
+) -> Photos:
     """Photograph a board by hand and on the base; a pinhole unless there is an f-number."""
     rig = built_rig(seed, scale=scale)
     focal_mm = float(rig.camera.matrix[0, 0]) / scale * 1.12e-3
@@ -68,7 +72,9 @@ def photographs(seed: int, scale: float, *, count: int = 15, f_number: float | N
         # a point of the base at x, y lies at z = -(nx x + ny y) / nz
         normal = flat.BoardScene(**common, board=PRINTED, rotation_vector=turn).plane.axes[:, 2]
         middle = (*shift, -float(normal[:2] @ shift) / float(normal[2]))
-        level = flat.BoardScene(**common, board=PRINTED, rotation_vector=turn, translation_mm=middle)
+        level = flat.BoardScene(
+            **common, board=PRINTED, rotation_vector=turn, translation_mm=middle
+        )
         planes.append(find_board(photo(level, 500 + k), BOARD))
     found = [one for one in corners if one is not None]
     return Photos(rig, found, [p for p in planes if p is not None], normal)
@@ -81,7 +87,8 @@ def errors_of(photos: Photos, fit: CameraCalibration | Any) -> dict[str, float]:
     true = np.asarray(truth.matrix)
     focal = float(lens.matrix[0, 0])
     by_board = mean_pose(
-        [plane_pose(BOARD.points_mm, one, lens.matrix, lens.distortion) for one in photos.planes], focal
+        [plane_pose(BOARD.points_mm, one, lens.matrix, lens.distortion) for one in photos.planes],
+        focal,
     )
 
     def tilt_error(pose: PlanePose) -> float:
@@ -102,7 +109,8 @@ def measure(seed: int, scale: float) -> dict[str, dict[str, float]]:
     sharp = photographs(seed, scale)
     size = sharp.rig.camera.image_size
     cases = {
-        f"{count} photographs": errors_of(sharp, fit_camera(sharp.corners[:count], BOARD, size)) for count in (15, 8, 5)
+        f"{count} photographs": errors_of(sharp, fit_camera(sharp.corners[:count], BOARD, size))
+        for count in (15, 8, 5)
     }
     moved = BOARD.points_mm + np.random.default_rng([seed, 1]).normal(0, PRINT_ERROR_MM, (54, 2))
     cases["15, corners printed 10 um off"] = errors_of(sharp, fit_lens(moved, sharp.corners, size))
@@ -139,12 +147,18 @@ def main() -> None:
     runs = []
     for seed in range(options.seeds):
         runs.append(measure(seed, options.scale))
-        print(f"seed {seed}: focal length {runs[-1]['15 photographs']['focal_percent']:.4f} % off", flush=True)
+        print(
+            f"seed {seed}: focal length {runs[-1]['15 photographs']['focal_percent']:.4f} % off",
+            flush=True,
+        )
     facts = summary(runs)
     for case, figures in facts.items():
         print(f"\n{case}")
         for name, one in figures.items():
-            print(f"  {name:26s} {one['mean']:8.4f} ({one['low']:.4f} to {one['high']:.4f}), worst {one['worst']:.4f}")
+            print(
+                f"  {name:26s} {one['mean']:8.4f} ({one['low']:.4f} to {one['high']:.4f}), worst"
+                f" {one['worst']:.4f}"
+            )
     if options.out is not None:
         document = {"scale": options.scale, "seeds": options.seeds, "cases": facts}
         options.out.write_text(json.dumps(document, indent=1) + "\n")

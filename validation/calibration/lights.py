@@ -1,12 +1,13 @@
 """How well the lights are found on the twin: tables with noise, and photographs from end to end.
 
-    python validation/calibration/lights.py                  # 50 rigs as tables, 5 as photographs: some minutes
-    python validation/calibration/lights.py --photographs 0  # tables only
+    python validation/calibration/lights.py # 50 rigs as tables, 5 as photographs: some minutes
+    python validation/calibration/lights.py --photographs 0 # tables only
 
-Every rig is built anew (``simulate.built_rig``: LEDs 0.7 mm off each way, camera shifted, oblique and distorted, the
-base tilted); its camera is taken as calibrated, its LEDs are not known better than the drawing says. Tips get one pixel
-of noise, the nail 0.1 mm in each position, both of the full-scale image. Errors are the angles between the found and
-the true direction of each LED from the rig's origin. Results go to ``lights.json`` beside this file.
+Every rig is built anew (``simulate.built_rig``: LEDs 0.7 mm off each way, camera shifted, oblique
+and distorted, the base tilted); its camera is taken as calibrated, its LEDs are not known better
+than the drawing says. Tips get one pixel of noise, the nail 0.1 mm in each position, both of the
+full-scale image. Errors are the angles between the found and the true direction of each LED from
+the rig's origin. Results go to ``lights.json`` beside this file.
 """
 
 from __future__ import annotations
@@ -38,14 +39,29 @@ TIP_PX, NAIL_MM = 1.0, 0.1
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--rigs", type=int, default=50, help="rigs measured by tables (default: 50)")
-    parser.add_argument("--photographs", type=int, default=5, help="rigs measured by photographs (default: 5)")
-    parser.add_argument("--scale", type=float, default=0.25, help="of the photographs (default: 0.25)")
-    parser.add_argument("--nail-mm", type=float, default=13.0, help="height of the nail (default: 13)")
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument(
+        "--rigs", type=int, default=50, help="rigs measured by tables (default: 50)"
+    )
+    parser.add_argument(
+        "--photographs", type=int, default=5, help="rigs measured by photographs (default: 5)"
+    )
+    parser.add_argument(
+        "--scale", type=float, default=0.25, help="of the photographs (default: 0.25)"
+    )
+    parser.add_argument(
+        "--nail-mm", type=float, default=13.0, help="height of the nail (default: 13)"
+    )
     parser.add_argument("--out", type=Path, default=HERE / "lights.json")
     chosen = parser.parse_args(arguments)
-    results = {"tip_px": TIP_PX, "nail_mm": NAIL_MM, "nail_height_mm": chosen.nail_mm, "rigs": chosen.rigs}
+    results = {
+        "tip_px": TIP_PX,
+        "nail_mm": NAIL_MM,
+        "nail_height_mm": chosen.nail_mm,
+        "rigs": chosen.rigs,
+    }
     results["cases"] = tables(chosen.rigs, chosen.nail_mm)
     if chosen.photographs:
         results["photographs"] = {
@@ -95,7 +111,8 @@ def tables(rigs: int, nail_mm: float) -> dict[str, Any]:
 
 
 def photographs(rigs: int, scale: float, nail_mm: float) -> dict[str, Any]:
-    """Photographs of four nail positions under 14 LEDs with the sensor's noise: tips found, LEDs fitted."""
+    """Photographs of four nail positions under 14 LEDs with the sensor's noise: tips found, LEDs
+    fitted."""
     errors, tip_off, nail_off = [], [], []
     for seed in range(rigs):
         rig = built_rig(seed, scale=scale)
@@ -105,12 +122,20 @@ def photographs(rigs: int, scale: float, nail_mm: float) -> dict[str, Any]:
             for first, band in ((0, "white"), (7, "nir")):
                 leds = range(first, first + 7)
                 exposure = well_exposed(scene, [[k] for k in leds])
-                images = [photograph_bench(scene, [k], 1000 * seed + k, exposure=exposure, band=band) for k in leds]
+                images = [
+                    photograph_bench(scene, [k], 1000 * seed + k, exposure=exposure, band=band)
+                    for k in leds
+                ]
                 stack = np.stack([image.mean(axis=2) for image in images]).astype(np.float32) / 255
                 view = find_nail(stack, rig.camera.px_per_mm, [f"{band} {k}" for k in range(7)])
-                tip_off.append((view.tips_px - scene.shadow_tips_px()[first : first + 7]) / rig.camera.px_per_mm)
+                tip_off.append(
+                    (view.tips_px - scene.shadow_tips_px()[first : first + 7])
+                    / rig.camera.px_per_mm
+                )
                 nail_off.append((view.nail_px - scene.tip_px()) / rig.camera.px_per_mm)
-                tips += [_tip(band, k, nail, view.nail_px, tip) for k, tip in enumerate(view.tips_px)]
+                tips += [
+                    _tip(band, k, nail, view.nail_px, tip) for k, tip in enumerate(view.tips_px)
+                ]
         fit = by_joint_fit(_sorted(tips), rig.camera, CIRCLE, Nail(sd_mm=0.05))
         errors.append(_errors(fit.leds, rig))
     return {
@@ -120,7 +145,9 @@ def photographs(rigs: int, scale: float, nail_mm: float) -> dict[str, Any]:
     }
 
 
-def noisy_table(rig: Rig, places: Sequence[tuple[float, float]], nail_mm: float, rng: np.random.Generator) -> list[Tip]:
+def noisy_table(
+    rig: Rig, places: Sequence[tuple[float, float]], nail_mm: float, rng: np.random.Generator
+) -> list[Tip]:
     """The table that a person would type."""
     tips = []
     for nail, place in enumerate(places, start=1):
@@ -139,7 +166,9 @@ def summary(results: dict[str, Any]) -> str:
     ]
     for name, row in results["cases"].items():
         fraction = (
-            "-" if row["inside_95"] is None else f"{100 * row['inside_95']:.0f} % of {row['interval_deg']:.2f} deg"
+            "-"
+            if row["inside_95"] is None
+            else f"{100 * row['inside_95']:.0f} % of {row['interval_deg']:.2f} deg"
         )
         lines.append(f"| {name} | {_words(row)} | {fraction} |")
     if "photographs" in results:
@@ -152,11 +181,15 @@ def summary(results: dict[str, Any]) -> str:
 
 def _words(row: dict[str, Any]) -> str:
     low, high = row["mean_interval"]
-    return f"{row['mean']:.3f} [{low:.3f}, {high:.3f}] | {row['p95']:.2f} | {row['worst']:.2f} | {row['worst_rig']:.2f}"
+    return (
+        f"{row['mean']:.3f} [{low:.3f}, {high:.3f}] | {row['p95']:.2f} | {row['worst']:.2f} |"
+        f" {row['worst_rig']:.2f}"
+    )
 
 
 def _figures(errors: Points) -> dict[str, Any]:
-    """Of (rigs, LEDs) in degrees; the mean's 95 % interval by resampling whole rigs, whose LEDs err together."""
+    """Of (rigs, LEDs) in degrees; the mean's 95 % interval by resampling whole rigs, whose LEDs err
+    together."""
     rng = np.random.default_rng(0)
     by_rig = errors.mean(axis=1)
     means = by_rig[rng.integers(0, len(by_rig), (2000, len(by_rig)))].mean(axis=1)
@@ -186,12 +219,22 @@ def _angles(positions: Points, rig: Rig) -> Points:
 def _scene(rig: Rig, place: tuple[float, float], nail_mm: float) -> NailScene:
     tilt = rig.provenance.get("base_tilt_deg", (0.0, 0.0))
     return NailScene(
-        camera=rig.camera, leds=rig.leds, position_mm=place, nail_mm=nail_mm, tilt_deg=(float(tilt[0]), float(tilt[1]))
+        camera=rig.camera,
+        leds=rig.leds,
+        position_mm=place,
+        nail_mm=nail_mm,
+        tilt_deg=(float(tilt[0]), float(tilt[1])),
     )
 
 
 def _tip(band: str, led: int, nail: int, nail_px: Points, tip_px: Points) -> Tip:
-    return Tip(band, led, nail, (float(nail_px[0]), float(nail_px[1])), (float(tip_px[0]), float(tip_px[1])))
+    return Tip(
+        band,
+        led,
+        nail,
+        (float(nail_px[0]), float(nail_px[1])),
+        (float(tip_px[0]), float(tip_px[1])),
+    )
 
 
 def _sorted(tips: Sequence[Tip]) -> list[Tip]:

@@ -1,13 +1,15 @@
-"""How well a rig's light is known after ``splitknit calibrate radiometry``, on rigs as people build them.
+"""How well a rig's light is known after ``splitknit calibrate radiometry``, on rigs as people build
+them.
 
-    python validation/calibration/radiometry.py                      # 20 rigs: about six minutes of one core
-    python validation/calibration/radiometry.py --rigs 2 --fingers 1 --out FILE
+    python validation/calibration/radiometry.py # 20 rigs: about six minutes of one core python
+    validation/calibration/radiometry.py --rigs 2 --fingers 1 --out FILE
 
-Each rig is drawn from the tolerances of ``simulate.built_rig``: camera, lens, places, aims, beams and brightness of 14
-LEDs. The twin photographs a white card; the calibration knows the camera and the LEDs' places (exactly or not) and
-finds the rest. Judged are all pixels of all 14 images against the twin's own noise-free light on an even card, with one
-factor free for the whole rig. Figures go to ``validation/calibration/radiometry.json``, tables to the screen; with
-``--tables FOLDER`` as CSV, too (``tables/`` holds those of the stored figures).
+Each rig is drawn from the tolerances of ``simulate.built_rig``: camera, lens, places, aims, beams
+and brightness of 14 LEDs. The twin photographs a white card; the calibration knows the camera and
+the LEDs' places (exactly or not) and finds the rest. Judged are all pixels of all 14 images against
+the twin's own noise-free light on an even card, with one factor free for the whole rig. Figures go
+to ``validation/calibration/radiometry.json``, tables to the screen; with ``--tables FOLDER`` as
+CSV, too (``tables/`` holds those of the stored figures).
 """
 
 from __future__ import annotations
@@ -29,10 +31,13 @@ SCALE = 0.12
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    os.environ.update(dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"), "1"))  # before numpy is imported
+    # before numpy is imported
+    os.environ.update(dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"), "1"))
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--rigs", type=int, default=20, help="built rigs (default: 20)")
-    parser.add_argument("--fingers", type=int, default=8, help="simulated fingers for the drift (default: 8)")
+    parser.add_argument(
+        "--fingers", type=int, default=8, help="simulated fingers for the drift (default: 8)"
+    )
     parser.add_argument("--out", type=Path, default=HERE / "radiometry.json")
     parser.add_argument("--tables", type=Path, help="folder for the tables as CSV")
     options = parser.parse_args(arguments)
@@ -81,12 +86,19 @@ def plane(seeds: Sequence[int], scale: float) -> list[dict[str, Any]]:
                 "refused": refused,
             }
         )
-        print(rows[-1]["case"], rows[-1]["mean_percent"], rows[-1]["worst_percent"], len(refused), flush=True)
+        print(
+            rows[-1]["case"],
+            rows[-1]["mean_percent"],
+            rows[-1]["worst_percent"],
+            len(refused),
+            flush=True,
+        )
     return rows
 
 
 def measure(seed: int, scale: float, case: Any) -> tuple[Any, dict[str, float], float]:
-    """Calibrate one rig; return its flat field, its errors on the plane, and the residuals' largest rms."""
+    """Calibrate one rig; return its flat field, its errors on the plane, and the residuals' largest
+    rms."""
     from radiometry_cards import as_placed, card_of, photograph
 
     from splitknit_rig.calibration.card_model import CardPlane
@@ -103,7 +115,8 @@ def measure(seed: int, scale: float, case: Any) -> tuple[Any, dict[str, float], 
 
 
 def errors(rig: Any, truth: Any, height_mm: float) -> dict[str, float]:
-    """Mean and largest departure in per cent of the flat field from the twin's light at a height, one factor free."""
+    """Mean and largest departure in per cent of the flat field from the twin's light at a height,
+    one factor free."""
     import numpy as np
 
     ratio = _model(rig, height_mm) / _light(truth)
@@ -112,7 +125,8 @@ def errors(rig: Any, truth: Any, height_mm: float) -> dict[str, float]:
 
 
 def heights(seeds: Sequence[int], scale: float) -> list[dict[str, Any]]:
-    """Model against division by the card's images, for an even surface at heights above the plane."""
+    """Model against division by the card's images, for an even surface at heights above the
+    plane."""
     import numpy as np
     from radiometry_cards import CASES, card_of
 
@@ -137,11 +151,15 @@ def heights(seeds: Sequence[int], scale: float) -> list[dict[str, Any]]:
             for way, light in ways.items():
                 ratio = light / truth
                 common = ratio / np.median(ratio)
-                own = found.setdefault((z, way), {"worst": [], "lights": [], "lean": [], "worst_lean": []})
+                own = found.setdefault(
+                    (z, way), {"worst": [], "lights": [], "lean": [], "worst_lean": []}
+                )
                 own["worst"].append(100 * float(np.abs(common - 1).max()))
                 spread = [ratio[b] / ratio[b].mean(axis=0) - 1 for b in (slice(0, 7), slice(7, 14))]
                 own["lights"].append(100 * float(np.sqrt(np.mean(np.concatenate(spread) ** 2))))
-                lean = np.concatenate([_lean(ratio[b], towards[b]) for b in (slice(0, 7), slice(7, 14))])
+                lean = np.concatenate(
+                    [_lean(ratio[b], towards[b]) for b in (slice(0, 7), slice(7, 14))]
+                )
                 own["lean"].append(float(np.sqrt(np.mean(lean**2))))
                 own["worst_lean"].append(float(lean.max()))
     return [
@@ -158,7 +176,8 @@ def heights(seeds: Sequence[int], scale: float) -> list[dict[str, Any]]:
 
 
 def drift(fingers: int, first_seed: int) -> dict[str, Any]:
-    """Gains of LEDs by captures of fingers: false alarms, and what becomes of a single LED that drifts."""
+    """Gains of LEDs by captures of fingers: false alarms, and what becomes of a single LED that
+    drifts."""
     import numpy as np
 
     from splitknit.diagnosis.response import drifted_light, image_gains
@@ -190,7 +209,8 @@ def drift(fingers: int, first_seed: int) -> dict[str, Any]:
         "named": named,
         "asked": asked,
         "gain_error_percent": {
-            str(gain): interval([v for v in own if np.isfinite(v)]) for gain, own in errors_found.items()
+            str(gain): interval([v for v in own if np.isfinite(v)])
+            for gain, own in errors_found.items()
         },
     }
 
@@ -198,7 +218,9 @@ def drift(fingers: int, first_seed: int) -> dict[str, Any]:
 def _pixels(rig: Any) -> Any:
     import numpy as np
 
-    rows, columns = np.mgrid[0 : rig.camera.image_size[0] : STEP, 0 : rig.camera.image_size[1] : STEP]
+    rows, columns = np.mgrid[
+        0 : rig.camera.image_size[0] : STEP, 0 : rig.camera.image_size[1] : STEP
+    ]
     return np.stack([columns.ravel(), rows.ravel()], axis=1).astype(np.float64)
 
 
@@ -206,7 +228,9 @@ def _light(card: Any) -> Any:
     """(14, N) the twin's light."""
     import numpy as np
 
-    return np.stack([card.light((k,))[::STEP, ::STEP, 0].ravel() for k in range(len(card.leds))]).astype(np.float64)
+    return np.stack(
+        [card.light((k,))[::STEP, ::STEP, 0].ravel() for k in range(len(card.leds))]
+    ).astype(np.float64)
 
 
 def _model(rig: Any, height_mm: float) -> Any:
@@ -214,7 +238,9 @@ def _model(rig: Any, height_mm: float) -> Any:
 
     from splitknit_rig.calibration.card_model import CardPlane, card_light
 
-    return np.stack([card_light(rig.camera, led, _pixels(rig), CardPlane(height_mm)) for led in rig.leds])
+    return np.stack(
+        [card_light(rig.camera, led, _pixels(rig), CardPlane(height_mm)) for led in rig.leds]
+    )
 
 
 def _directions(rig: Any, height_mm: float) -> Any:
@@ -238,7 +264,8 @@ def _directions_weight(rig: Any, height_mm: float) -> Any:
 
 
 def _lean(ratio: Any, towards: Any) -> Any:
-    """(N,) angle in deg by which a facing surface leans when images are divided by light that is `ratio` too bright."""
+    """(N,) angle in deg by which a facing surface leans when images are divided by light that is
+    `ratio` too bright."""
     import numpy as np
 
     lights = towards.transpose(1, 0, 2)  # (N, 7, 3)
@@ -256,7 +283,11 @@ def interval(values: Sequence[float]) -> dict[str, float | int] | None:
     if len(values) == 0:
         return None
     array = np.asarray(values, dtype=np.float64)
-    half = float(t.ppf(0.975, len(array) - 1) * array.std(ddof=1) / np.sqrt(len(array))) if len(array) > 1 else 0.0
+    half = (
+        float(t.ppf(0.975, len(array) - 1) * array.std(ddof=1) / np.sqrt(len(array)))
+        if len(array) > 1
+        else 0.0
+    )
     return {
         "mean": round(float(array.mean()), 4),
         "half": round(half, 4),
@@ -267,10 +298,17 @@ def interval(values: Sequence[float]) -> dict[str, float | int] | None:
 
 def summary(results: dict[str, Any]) -> str:
     """The figures as Markdown tables."""
-    lines = ["| case | mean error | largest error | largest of all rigs | refused |", "| --- | --- | --- | --- | --- |"]
+    lines = [
+        "| case | mean error | largest error | largest of all rigs | refused |",
+        "| --- | --- | --- | --- | --- |",
+    ]
     for row in results["plane"]:
         mean, worst = row["mean_percent"], row["worst_percent"]
-        cells = ("-", "-", "-") if mean is None else (_words(mean), _words(worst), f"{worst['largest']:.2f} %")
+        cells = (
+            ("-", "-", "-")
+            if mean is None
+            else (_words(mean), _words(worst), f"{worst['largest']:.2f} %")
+        )
         lines.append(f"| {row['case']} | {' | '.join(cells)} | {len(row['refused'])} |")
     lines += [
         "",
@@ -278,33 +316,60 @@ def summary(results: dict[str, Any]) -> str:
         "| --- " * 6 + "|",
     ]
     for row in results["heights"]:
-        worst, lights, lean, far = (row[k] for k in ("worst_percent", "lights_percent", "lean_deg", "worst_lean_deg"))
+        worst, lights, lean, far = (
+            row[k] for k in ("worst_percent", "lights_percent", "lean_deg", "worst_lean_deg")
+        )
         lines.append(
-            f"| {row['height_mm']:g} | {row['way']} | {_words(worst, 1)} | {_words(lights)} | {lean['mean']:.2f} deg | "
-            f"{far['mean']:.2f} deg |"
+            f"| {row['height_mm']:g} | {row['way']} | {_words(worst, 1)} | {_words(lights)} |"
+            f" {lean['mean']:.2f} deg | {far['mean']:.2f} deg |"
         )
     found = results["drift"]
     errors_found = ", ".join(
-        f"{100 * (1 - float(gain)):.0f} %: {_words(v)}" for gain, v in found["gain_error_percent"].items() if v
+        f"{100 * (1 - float(gain)):.0f} %: {_words(v)}"
+        for gain, v in found["gain_error_percent"].items()
+        if v
     )
     lines += [
         "",
-        f"Drift by fingers: {found['captures']} stacks, {found['false_alarms']} false alarms; single LEDs "
-        f"named {found['named']} of {found['asked']}; error of their gain at {errors_found}.",
+        (
+            f"Drift by fingers: {found['captures']} stacks, {found['false_alarms']} false alarms;"
+            f" single LEDs named {found['named']} of {found['asked']}; error of their gain at"
+            f" {errors_found}."
+        ),
     ]
     return "\n".join(lines)
 
 
 def write_tables(results: dict[str, Any], folder: Path) -> None:
-    """``radiometry.csv`` (the finger plane) and ``radiometry_heights.csv``; intervals as half their width."""
+    """``radiometry.csv`` (the finger plane) and ``radiometry_heights.csv``; intervals as half their
+    width."""
     errors_of = ["mean_error_percent", "mean_error_half_interval", "largest_error_percent"]
-    plane_rows = [["case", *errors_of, "largest_error_half_interval", "largest_of_all_rigs_percent", "refused"]]
+    plane_rows = [
+        [
+            "case",
+            *errors_of,
+            "largest_error_half_interval",
+            "largest_of_all_rigs_percent",
+            "refused",
+        ]
+    ]
     for row in results["plane"]:
         mean, worst = row["mean_percent"], row["worst_percent"]
-        cells = [""] * 5 if mean is None else [*_half(mean), *_half(worst), f"{worst['largest']:.2f}"]
+        cells = (
+            [""] * 5 if mean is None else [*_half(mean), *_half(worst), f"{worst['largest']:.2f}"]
+        )
         plane_rows.append([row["case"], *cells, str(len(row["refused"]))])
     errors_of = ["largest_error_percent", "largest_error_half_interval", "between_leds_rms_percent"]
-    height_rows = [["height_mm", "way", *errors_of, "between_leds_half_interval", "lean_rms_deg", "lean_largest_deg"]]
+    height_rows = [
+        [
+            "height_mm",
+            "way",
+            *errors_of,
+            "between_leds_half_interval",
+            "lean_rms_deg",
+            "lean_largest_deg",
+        ]
+    ]
     for row in results["heights"]:
         lean = [f"{row[name]['mean']:.2f}" for name in ("lean_deg", "worst_lean_deg")]
         figures = [*_half(row["worst_percent"], 1), *_half(row["lights_percent"]), *lean]

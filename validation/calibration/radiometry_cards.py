@@ -20,7 +20,8 @@ class Case:
     error_mm: float = 0.0
     """Of the LEDs' calibrated places: rms of the length."""
     base_tilt: str = "none"
-    """The card lies on the built rig's base, whose tilt is ``known`` or ``unknown``; ``none``: on the finger plane."""
+    """The card lies on the built rig's base, whose tilt is ``known`` or ``unknown``; ``none``: on
+    the finger plane."""
     ambient: float = 0.002
     sensor: SensorSettings = field(default_factory=lambda: SensorSettings(bits=16))
 
@@ -39,13 +40,20 @@ CASES = (
 
 def card_of(rig: Rig, case: Case, height_mm: float = 0.0, even: bool = False) -> CardScene:
     """The twin's card under a rig, as a case has it; `even`: level and without ambient light."""
-    tilt = (0.0, 0.0) if even or case.base_tilt == "none" else tuple(map(float, rig.provenance["base_tilt_deg"]))
+    tilt = (
+        (0.0, 0.0)
+        if even or case.base_tilt == "none"
+        else tuple(map(float, rig.provenance["base_tilt_deg"]))
+    )
     bench = BenchSettings(ambient=0.0 if even else case.ambient)
-    return CardScene(camera=rig.camera, leds=rig.leds, bench=bench, height_mm=height_mm, tilt_deg=tilt)
+    return CardScene(
+        camera=rig.camera, leds=rig.leds, bench=bench, height_mm=height_mm, tilt_deg=tilt
+    )
 
 
 def as_placed(rig: Rig, error_mm: float, seed: int) -> Rig:
-    """The rig as calibrations of camera and lights leave it: places known so far, light not at all."""
+    """The rig as calibrations of camera and lights leave it: places known so far, light not at
+    all."""
     rng = np.random.default_rng([seed, 3])
     leds = []
     for led in rig.leds:

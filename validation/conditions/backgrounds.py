@@ -1,8 +1,9 @@
-"""Segmentation and ridges before coloured paper: ``python validation/conditions/backgrounds.py SCRATCH``.
+"""Segmentation and ridges before coloured paper: ``python validation/conditions/backgrounds.py
+SCRATCH``.
 
-Six simulated fingers before the twin's black background and before black, green, blue and purple paper
-(the thesis, section 4.1.2); presets metric and snk. A row of SCRATCH/backgrounds.jsonl is one preset on one capture;
-running it again goes on. The table is written to ``tables/backgrounds.csv``.
+Six simulated fingers before the twin's black background and before black, green, blue and purple
+paper (the thesis, section 4.1.2); presets metric and snk. A row of SCRATCH/backgrounds.jsonl is one
+preset on one capture; running it again goes on. The table is written to ``tables/backgrounds.csv``.
 """
 
 from __future__ import annotations
@@ -39,8 +40,8 @@ COLOURS = {
     "blue paper": (0.06, 0.14, 0.40, 0.70),
     "purple paper": (0.25, 0.08, 0.32, 0.75),
 }
-"""Reflectance in red, green, blue and NIR. Assumed: dyed papers take their colour from the dye, which is transparent in
-NIR; black paper holds soot, which is not."""
+"""Reflectance in red, green, blue and NIR. Assumed: dyed papers take their colour from the dye,
+which is transparent in NIR; black paper holds soot, which is not."""
 FIGURES = {
     "iou": "{:.4f}",  # overlap of mask and truth
     "border_mm": "{:.2f}",  # worst distance of the outlines
@@ -53,28 +54,37 @@ TABLE = Path(__file__).with_name("tables") / "backgrounds.csv"
 
 
 def segmentation(capture: Capture, truth: NDArray[np.bool_]) -> dict[str, float]:
-    """Overlap and worst distance of the outline from the truth's, in mm, where it does not run along the border."""
+    """Overlap and worst distance of the outline from the truth's, in mm, where it does not run
+    along the border."""
     px_per_mm = capture.rig.camera.px_per_mm
     binning = max(1, int(px_per_mm / SURVEY_PX_PER_MM))
     mean, _ = linear_survey(capture.bands["white"], capture.encoding, binning)
     found = enlarged_mask(finger_mask(mean, px_per_mm / binning), capture.shape, binning)
     distances = [_farthest(first, second) for first, second in ((found, truth), (truth, found))]
-    return {"iou": float((found & truth).sum() / (found | truth).sum()), "border_mm": max(distances) / px_per_mm}
+    return {
+        "iou": float((found & truth).sum() / (found | truth).sum()),
+        "border_mm": max(distances) / px_per_mm,
+    }
 
 
 def _farthest(first: NDArray[np.bool_], second: NDArray[np.bool_]) -> float:
     """Largest distance in pixels from the outline of one mask to that of the other."""
     edges = [
-        mask & ~cv2.erode(mask.astype(np.uint8), np.ones((3, 3), np.uint8)).astype(bool) for mask in (first, second)
+        mask & ~cv2.erode(mask.astype(np.uint8), np.ones((3, 3), np.uint8)).astype(bool)
+        for mask in (first, second)
     ]
-    to_second = cv2.distanceTransform((~edges[1]).astype(np.uint8), cv2.DIST_L2, cv2.DIST_MASK_PRECISE)
+    to_second = cv2.distanceTransform(
+        (~edges[1]).astype(np.uint8), cv2.DIST_L2, cv2.DIST_MASK_PRECISE
+    )
     return float(to_second[edges[0]].max())
 
 
 def rows_of(seed: int, background: str, presets: list[str]) -> list[dict[str, Any]]:
     """What segmentation and every preset make of one capture."""
     settings = TwinSettings(
-        scale=SCALE, render=RenderSettings(workers=1), background=BackgroundSettings(colour=COLOURS[background])
+        scale=SCALE,
+        render=RenderSettings(workers=1),
+        background=BackgroundSettings(colour=COLOURS[background]),
     )
     capture, truth = simulate_capture(seed, settings=settings)
     row: dict[str, Any] = {"seed": seed, "background": background}
@@ -87,7 +97,13 @@ def rows_of(seed: int, background: str, presets: list[str]) -> list[dict[str, An
     for preset in presets:
         try:
             figures = compare(reconstruct(capture, preset, memory=memory), truth).figures
-            rows.append({**row, "preset": preset, **{name: figures[name] for name in FIGURES if name in figures}})
+            rows.append(
+                {
+                    **row,
+                    "preset": preset,
+                    **{name: figures[name] for name in FIGURES if name in figures},
+                }
+            )
         except BadInput as refusal:
             rows.append({**row, "preset": preset, "refused": str(refusal)})
     return rows
@@ -99,7 +115,9 @@ def table(rows: list[dict[str, Any]]) -> list[list[str]]:
     lines = [["background", "preset", "fingers", *(name + end for name in FIGURES for end in ends)]]
     for background in COLOURS:
         for preset in sorted({row["preset"] for row in rows}):
-            mine = [row for row in rows if (row["background"], row["preset"]) == (background, preset)]
+            mine = [
+                row for row in rows if (row["background"], row["preset"]) == (background, preset)
+            ]
             good = [row for row in mine if "refused" not in row]
             cells = [background, preset, f"{len(good)} of {len(mine)}"]
             for name, form in FIGURES.items():
@@ -111,7 +129,9 @@ def table(rows: list[dict[str, Any]]) -> list[list[str]]:
 
 def main() -> None:
     """Simulate, segment, reconstruct, append, write the table."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("scratch", type=Path)
     parser.add_argument("--presets", nargs="+", default=["metric", "snk"])
     options = parser.parse_args()
@@ -121,7 +141,9 @@ def main() -> None:
     done = {(row["seed"], row["background"], row["preset"]) for row in rows}
     for seed in SEEDS:
         for background in COLOURS:
-            missing = [preset for preset in options.presets if (seed, background, preset) not in done]
+            missing = [
+                preset for preset in options.presets if (seed, background, preset) not in done
+            ]
             for row in rows_of(seed, background, missing) if missing else []:
                 rows.append(row)
                 with kept.open("a") as file:

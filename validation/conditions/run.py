@@ -1,11 +1,12 @@
-"""Fingers in every condition, photographed and reconstructed: ``python validation/conditions/run.py SCRATCH``.
+"""Fingers in every condition, photographed and reconstructed: ``python validation/conditions/run.py
+SCRATCH``.
 
-Six simulated fingers (or ``--seeds``) x five conditions x severities 0.25 to 1, clean ones beside them; presets metric,
-snk and ea-split. A row of SCRATCH/rows.jsonl holds what one preset made of one capture: error against the truth,
-quality of the unrolled print, similarity with another, clean capture of the same finger, and all that the software
-said. Running it again goes on; ``--keep`` leaves the captures in SCRATCH/captures (84 MB each), for a later run of
-other presets. ``python validation/conditions/summary.py SCRATCH`` makes ``conditions.csv`` and
-``conditions.json``.
+Six simulated fingers (or ``--seeds``) x five conditions x severities 0.25 to 1, clean ones beside
+them; presets metric, snk and ea-split. A row of SCRATCH/rows.jsonl holds what one preset made of
+one capture: error against the truth, quality of the unrolled print, similarity with another, clean
+capture of the same finger, and all that the software said. Running it again goes on; ``--keep``
+leaves the captures in SCRATCH/captures (84 MB each), for a later run of other presets. ``python
+validation/conditions/summary.py SCRATCH`` makes ``conditions.csv`` and ``conditions.json``.
 """
 
 from __future__ import annotations
@@ -48,12 +49,19 @@ PRESETS = ("metric", "snk", "ea-split")
 SCALE = 0.35
 """The least at which metric uses its network for the relief, 26 px/mm."""
 COMPARED = (
-    "ridge_correlation", "ridge_gain", "normals_mean_deg", "shape_rms_mm", "surface_rms_mm", "ridge_good_area",
+    "ridge_correlation",
+    "ridge_gain",
+    "normals_mean_deg",
+    "shape_rms_mm",
+    "surface_rms_mm",
+    "ridge_good_area",
     "mask_overlap",
-)  # fmt: skip
+)
 
 
-def tasks(seeds: tuple[int, ...], severities: tuple[float, ...] = SEVERITIES) -> Iterator[tuple[int, int, str, float]]:
+def tasks(
+    seeds: tuple[int, ...], severities: tuple[float, ...] = SEVERITIES
+) -> Iterator[tuple[int, int, str, float]]:
     """Seed, impression, condition and severity; the clean ones first, then the worst."""
     yield from ((seed, 1, "none", 0.0) for seed in seeds)
     yield from ((seed, 0, "none", 0.0) for seed in seeds)
@@ -116,7 +124,12 @@ def row_of(
     except BadInput as refusal:
         return {"exit": 2, "refused": str(refusal)}, None
     figures = compare(result, truth).figures
-    row = {"exit": 0, **{name: figures[name] for name in COMPARED}, **said(result), **print_facts(result)}
+    row = {
+        "exit": 0,
+        **{name: figures[name] for name in COMPARED},
+        **said(result),
+        **print_facts(result),
+    }
     template = surface_template(surface_of(result))
     if other is not None:
         found = ridge_match(template, other)
@@ -129,13 +142,17 @@ def row_of(
 
 def main() -> None:
     """Simulate, reconstruct, measure, append."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("scratch", type=Path)
     parser.add_argument("--seeds", type=int, nargs="+", default=SEEDS)
     parser.add_argument("--presets", nargs="+", default=PRESETS, choices=PRESETS)
     parser.add_argument("--severities", type=float, nargs="+", default=SEVERITIES)
     parser.add_argument("--scale", type=float, help="other than 0.35; captures are then not kept")
-    parser.add_argument("--keep", action="store_true", help="leave the captures in SCRATCH/captures")
+    parser.add_argument(
+        "--keep", action="store_true", help="leave the captures in SCRATCH/captures"
+    )
     parser.add_argument("--most", type=int, default=10**6, help="captures in this run")
     options = parser.parse_args()
     cv2.setNumThreads(1)
@@ -143,7 +160,10 @@ def main() -> None:
     options.scratch.mkdir(parents=True, exist_ok=True)
     kept = options.scratch / "rows.jsonl"
     rows = [json.loads(line) for line in kept.read_text().splitlines()] if kept.is_file() else []
-    done = {(row["seed"], row["impression"], row["kind"], row["severity"], row["preset"]) for row in rows}
+    done = {
+        (row["seed"], row["impression"], row["kind"], row["severity"], row["preset"])
+        for row in rows
+    }
     gallery = options.scratch / "gallery"
     left = options.most
     for seed, impression, kind, severity in tasks(tuple(options.seeds), tuple(options.severities)):
@@ -152,7 +172,13 @@ def main() -> None:
             continue
         left -= 1
         capture, truth = photographed(
-            options.scratch, seed, impression, kind, severity, options.scale, keep=options.keep and not options.scale
+            options.scratch,
+            seed,
+            impression,
+            kind,
+            severity,
+            options.scale,
+            keep=options.keep and not options.scale,
         )
         memory = Memory(capture)
         for preset in missing:
@@ -160,7 +186,14 @@ def main() -> None:
             row, template = row_of(capture, truth, preset, memory, other)
             if impression == 1 and template is not None:
                 _keep(gallery / f"{seed}_{preset}.npz", template)
-            row = {"seed": seed, "impression": impression, "kind": kind, "severity": severity, "preset": preset, **row}
+            row = {
+                "seed": seed,
+                "impression": impression,
+                "kind": kind,
+                "severity": severity,
+                "preset": preset,
+                **row,
+            }
             with kept.open("a") as file:
                 file.write(json.dumps(row) + "\n")
             print(seed, impression, kind, severity, preset, flush=True)

@@ -1,8 +1,8 @@
 """What fails first: ``python validation/conditions/summary.py SCRATCH``, after ``run.py``.
 
-Writes ``conditions.csv`` (medians over fingers with 95 % bootstrap intervals, beside the range of clean captures) and
-``conditions.json`` (what leaves its clean range first, and what the software said), and prints the table of
-``docs/experiments/conditions.md``: the first preset at severity 1.
+Writes ``conditions.csv`` (medians over fingers with 95 % bootstrap intervals, beside the range of
+clean captures) and ``conditions.json`` (what leaves its clean range first, and what the software
+said), and prints the table of ``docs/experiments/conditions.md``: the first preset at severity 1.
 """
 
 from __future__ import annotations
@@ -21,12 +21,26 @@ from splitknit_match.prints.folder import advice
 from splitknit_match.prints.print_quality import PrintQuality, QualityFigures, score_of
 
 HERE = Path(__file__).parent
-WORSE_WHEN_LOWER = ("ridge_correlation", "ridge_good_area", "print_quality", "similarity", "mask_overlap")
+WORSE_WHEN_LOWER = (
+    "ridge_correlation",
+    "ridge_good_area",
+    "print_quality",
+    "similarity",
+    "mask_overlap",
+)
 WORSE_WHEN_HIGHER = ("normals_mean_deg", "shape_rms_mm", "surface_rms_mm")
 WORSE_BOTH_WAYS = ("ridge_gain", "nfiq2")
 SHOWN_ONLY = ("saturated", "ridge_contrast")
 FIGURES = (*WORSE_WHEN_LOWER, *WORSE_WHEN_HIGHER, *WORSE_BOTH_WAYS, *SHOWN_ONLY)
-JUDGED = ("ridge_correlation", "ridge_gain", "normals_mean_deg", "shape_rms_mm", "print_quality", "nfiq2", "similarity")
+JUDGED = (
+    "ridge_correlation",
+    "ridge_gain",
+    "normals_mean_deg",
+    "shape_rms_mm",
+    "print_quality",
+    "nfiq2",
+    "similarity",
+)
 """Figures that may fail first: those by which a condition is judged."""
 
 
@@ -56,10 +70,21 @@ def cells(rows: list[dict[str, Any]]) -> list[dict[str, Any]]:
         mine = [row for row in rows if row["preset"] == preset and row["exit"] == 0]
         clean = [row for row in mine if row["kind"] == "none"]
         fingers = len({row["seed"] for row in clean if row["impression"] == 0})
-        groups = sorted({(row["kind"], row["severity"]) for row in mine}, key=lambda key: (key[0] != "none", key))
+        groups = sorted(
+            {(row["kind"], row["severity"]) for row in mine},
+            key=lambda key: (key[0] != "none", key),
+        )
         for kind, severity in groups:
-            some = [r for r in mine if (r["kind"], r["severity"]) == (kind, severity) and r["impression"] == 0]
-            tried = [r for r in rows if (r["preset"], r["kind"], r["severity"]) == (preset, kind, severity)]
+            some = [
+                r
+                for r in mine
+                if (r["kind"], r["severity"]) == (kind, severity) and r["impression"] == 0
+            ]
+            tried = [
+                r
+                for r in rows
+                if (r["preset"], r["kind"], r["severity"]) == (preset, kind, severity)
+            ]
             if len({r["seed"] for r in tried}) < fingers or not some:
                 continue  # not measured on all fingers yet
             for figure in FIGURES:
@@ -69,30 +94,51 @@ def cells(rows: list[dict[str, Any]]) -> list[dict[str, Any]]:
                     continue
                 low, high = interval(values)
                 middle = float(np.median(values))
-                found.append({
-                    "preset": preset, "kind": kind, "severity": severity, "figure": figure, "fingers": len(values),
-                    "median": round(middle, 4), "low": round(low, 4), "high": round(high, 4),
-                    "clean_low": round(float(known.min()), 4), "clean_high": round(float(known.max()), 4),
-                    "beyond": 0.0 if kind == "none" or figure in SHOWN_ONLY
-                    else round(outside(figure, middle, known), 2),
-                })  # fmt: skip
+                found.append(
+                    {
+                        "preset": preset,
+                        "kind": kind,
+                        "severity": severity,
+                        "figure": figure,
+                        "fingers": len(values),
+                        "median": round(middle, 4),
+                        "low": round(low, 4),
+                        "high": round(high, 4),
+                        "clean_low": round(float(known.min()), 4),
+                        "clean_high": round(float(known.max()), 4),
+                        "beyond": 0.0
+                        if kind == "none" or figure in SHOWN_ONLY
+                        else round(outside(figure, middle, known), 2),
+                    }
+                )
     return found
 
 
 def first_failures(table: list[dict[str, Any]], preset: str) -> dict[str, Any]:
-    """For each condition: at which severity which figures first leave the clean range, the furthest first."""
+    """For each condition: at which severity which figures first leave the clean range, the furthest
+    first."""
     result = {}
     for kind in sorted({row["kind"] for row in table} - {"none"}):
-        mine = [r for r in table if (r["preset"], r["kind"]) == (preset, kind) and r["figure"] in JUDGED]
+        mine = [
+            r for r in table if (r["preset"], r["kind"]) == (preset, kind) and r["figure"] in JUDGED
+        ]
         gone = sorted({row["severity"] for row in mine if row["beyond"] > 0})
         if not gone:
-            result[kind] = {"severity": None, "figures": [], "measured": sorted({r["severity"] for r in mine})}
+            result[kind] = {
+                "severity": None,
+                "figures": [],
+                "measured": sorted({r["severity"] for r in mine}),
+            }
             continue
-        left = sorted((r for r in mine if r["severity"] == gone[0] and r["beyond"] > 0), key=lambda r: -r["beyond"])
+        left = sorted(
+            (r for r in mine if r["severity"] == gone[0] and r["beyond"] > 0),
+            key=lambda r: -r["beyond"],
+        )
         result[kind] = {
             "severity": gone[0],
             "figures": [
-                {k: r[k] for k in ("figure", "median", "low", "high", "clean_low", "clean_high")} for r in left
+                {k: r[k] for k in ("figure", "median", "low", "high", "clean_low", "clean_high")}
+                for r in left
             ],
             "measured": sorted({r["severity"] for r in mine}),
         }
@@ -100,7 +146,8 @@ def first_failures(table: list[dict[str, Any]], preset: str) -> dict[str, Any]:
 
 
 def sentences(rows: list[dict[str, Any]], preset: str) -> dict[str, dict[str, int]]:
-    """How many of the fingers heard what, by condition and severity; numbers in the sentences are dropped."""
+    """How many of the fingers heard what, by condition and severity; numbers in the sentences are
+    dropped."""
     heard: dict[str, Counter[str]] = {}
     for row in rows:
         if row["preset"] != preset or row["impression"] != 0:
@@ -110,12 +157,18 @@ def sentences(rows: list[dict[str, Any]], preset: str) -> dict[str, dict[str, in
         if row["exit"]:
             count["refused: " + plain(row["refused"])] += 1
             continue
-        heard_now = {"reconstruct: " + plain(text) for text in row["warnings"] if "flexion crease" not in text}
+        heard_now = {
+            "reconstruct: " + plain(text)
+            for text in row["warnings"]
+            if "flexion crease" not in text
+        }
         heard_now |= {"print: " + plain(text) for text in advice_of(row)}
         count.update(sorted(heard_now))
         count["silent"] += not heard_now
         count["reconstruct silent"] += not any(text.startswith("reconstruct") for text in heard_now)
-        count["not the same finger at a false match rate of 1e-4"] += bool(row.get("fmr", 0) and row["fmr"] > 1e-4)
+        count["not the same finger at a false match rate of 1e-4"] += bool(
+            row.get("fmr", 0) and row["fmr"] > 1e-4
+        )
     return {key: dict(count.most_common()) for key, count in heard.items()}
 
 
@@ -130,12 +183,18 @@ def advice_of(row: dict[str, Any]) -> tuple[str, ...]:
 
 def plain(text: str) -> str:
     """A sentence without its numbers, and whether the white or the nir band was meant."""
-    return re.sub(r"\d+(\.\d+)?", "N", text.replace("white band: ", "").replace("nir band: ", "nir: "))
+    return re.sub(
+        r"\d+(\.\d+)?", "N", text.replace("white band: ", "").replace("nir band: ", "nir: ")
+    )
 
 
 def show(document: dict[str, Any], table: list[dict[str, Any]], preset: str) -> str:
-    """Markdown: clean fingers and every condition at severity 1, bold where a figure left its clean range."""
-    lines = ["| condition | from severity | " + " | ".join(NAMES.values()) + " |", "| --- " * (2 + len(NAMES)) + "|"]
+    """Markdown: clean fingers and every condition at severity 1, bold where a figure left its clean
+    range."""
+    lines = [
+        "| condition | from severity | " + " | ".join(NAMES.values()) + " |",
+        "| --- " * (2 + len(NAMES)) + "|",
+    ]
     chosen = {
         (row["kind"], row["figure"]): row
         for row in table
@@ -146,38 +205,55 @@ def show(document: dict[str, Any], table: list[dict[str, Any]], preset: str) -> 
         for figure in NAMES:
             row = chosen.get((kind, figure))
             digits = {"nfiq2": 0, "normals_mean_deg": 1}.get(figure, 2)
-            three = [] if row is None else [f"{row[end]:.{digits}f}" for end in ("median", "low", "high")]
+            three = (
+                []
+                if row is None
+                else [f"{row[end]:.{digits}f}" for end in ("median", "low", "high")]
+            )
             text = f"{three[0]} ({three[1]}-{three[2]})" if three else ""
             values.append(f"**{text}**" if row is not None and row["beyond"] > 0 else text)
         first = "" if kind == "none" else document["first"][preset][kind]["severity"]
-        lines.append(f"| {kind} | {'never' if first is None else first} | " + " | ".join(values) + " |")
+        lines.append(
+            f"| {kind} | {'never' if first is None else first} | " + " | ".join(values) + " |"
+        )
     return "\n".join(lines)
 
 
 NAMES = {
-    "ridge_correlation": "ridge correlation", "ridge_gain": "ridge gain", "normals_mean_deg": "normals, deg",
-    "nfiq2": "NFIQ 2", "similarity": "similarity",
-}  # fmt: skip
+    "ridge_correlation": "ridge correlation",
+    "ridge_gain": "ridge gain",
+    "normals_mean_deg": "normals, deg",
+    "nfiq2": "NFIQ 2",
+    "similarity": "similarity",
+}
 """Columns of the page's table."""
 
 
 def main() -> None:
     """Read, summarise, write, print."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("scratch", type=Path)
     parser.add_argument("--out", type=Path, default=HERE)
-    parser.add_argument("--page", type=Path, help="page whose table is replaced, such as conditions.md")
+    parser.add_argument(
+        "--page", type=Path, help="page whose table is replaced, such as conditions.md"
+    )
     options = parser.parse_args()
     rows = [json.loads(line) for line in (options.scratch / "rows.jsonl").read_text().splitlines()]
     table = cells(rows)
-    presets = sorted({row["preset"] for row in rows}, key=lambda name: (name != "metric", name != "snk", name))
+    presets = sorted(
+        {row["preset"] for row in rows}, key=lambda name: (name != "metric", name != "snk", name)
+    )
     with (options.out / "conditions.csv").open("w", newline="") as file:
         writer = csv.DictWriter(file, list(table[0]))
         writer.writeheader()
         writer.writerows(table)
     document = {
         "fingers": sorted({row["seed"] for row in rows}),
-        "captures": len({(row["seed"], row["impression"], row["kind"], row["severity"]) for row in rows}),
+        "captures": len(
+            {(row["seed"], row["impression"], row["kind"], row["severity"]) for row in rows}
+        ),
         "first": {preset: first_failures(table, preset) for preset in presets},
         "said": {preset: sentences(rows, preset) for preset in presets},
     }

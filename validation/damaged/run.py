@@ -1,9 +1,11 @@
-"""What is done to a capture of a simulated finger, whether it is refused, and what the surface is with ``keep``.
+"""What is done to a capture of a simulated finger, whether it is refused, and what the surface is
+with ``keep``.
 
-``python validation/damaged/run.py`` (simulator; some minutes) writes ``tables/damaged.csv``: a row for each damage and
-finger. With ``--sound N`` it counts how many of N sound captures are doubted; ``--first`` is the first's seed, and
-``--factor 2`` states twice their scale, which is to be doubted. ``--mistakes`` makes mistakes of the camera and the rig
-instead (``tables/mistakes.csv``): ``named`` is 1 where a doubt has the cause's word.
+``python validation/damaged/run.py`` (simulator; some minutes) writes ``tables/damaged.csv``: a row
+for each damage and finger. With ``--sound N`` it counts how many of N sound captures are doubted;
+``--first`` is the first's seed, and ``--factor 2`` states twice their scale, which is to be
+doubted. ``--mistakes`` makes mistakes of the camera and the rig instead (``tables/mistakes.csv``):
+``named`` is 1 where a doubt has the cause's word.
 """
 
 from __future__ import annotations
@@ -88,7 +90,9 @@ def damages(capture: Capture, other: Capture) -> dict[str, Capture]:
     first = {name: band.pixels[0] for name, band in capture.bands.items()}
     theirs = {name: band.pixels for name, band in other.bands.items()}
     leds = tuple(
-        replace(led, position_mm=(-led.position_mm[0], *led.position_mm[1:])) if led.position_mm else led
+        replace(led, position_mm=(-led.position_mm[0], *led.position_mm[1:]))
+        if led.position_mm
+        else led
         for led in capture.rig.leds
     )
     return {
@@ -97,31 +101,52 @@ def damages(capture: Capture, other: Capture) -> dict[str, Capture]:
         "NIR shifted by one": changed(capture, "nir", ordered(1, 2, 3, 4, 5, 6, 0)),
         "white 0 and 1 exchanged": changed(capture, "white", ordered(1, 0, 2, 3, 4, 5, 6)),
         "both shifted by 3": changed(capture, both, ordered(3, 4, 5, 6, 0, 1, 2)),
-        "NIR 1 a noisy copy of NIR 0": changed(capture, "nir", one(1, lambda _: noisy(first["nir"]))),
-        "white 1 a noisy copy of white 0": changed(capture, "white", one(1, lambda _: noisy(first["white"]))),
-        "all white under one light": changed(capture, "white", lambda p: np.stack([noisy(first["white"]) for _ in p])),
+        "NIR 1 a noisy copy of NIR 0": changed(
+            capture, "nir", one(1, lambda _: noisy(first["nir"]))
+        ),
+        "white 1 a noisy copy of white 0": changed(
+            capture, "white", one(1, lambda _: noisy(first["white"]))
+        ),
+        "all white under one light": changed(
+            capture, "white", lambda p: np.stack([noisy(first["white"]) for _ in p])
+        ),
         "NIR 2 turned by 180 deg": changed(capture, "nir", one(2, lambda image: image[::-1, ::-1])),
         "NIR 2 noise": changed(capture, "nir", one(2, noise)),
         "white 2 noise": changed(capture, "white", one(2, noise)),
-        "white 2 blurred by 3 px": changed(capture, "white", one(2, lambda image: cv2.GaussianBlur(image, (0, 0), 3))),
+        "white 2 blurred by 3 px": changed(
+            capture, "white", one(2, lambda image: cv2.GaussianBlur(image, (0, 0), 3))
+        ),
         "all NIR of another finger": changed(capture, "nir", lambda _: theirs["nir"]),
-        "white 3 of another finger": changed(capture, "white", one(3, lambda _: theirs["white"][3])),
+        "white 3 of another finger": changed(
+            capture, "white", one(3, lambda _: theirs["white"][3])
+        ),
         "NIR 3 of another finger": changed(capture, "nir", one(3, lambda _: theirs["nir"][3])),
         "LEDs mirrored": replace(capture, rig=replace(capture.rig, leds=leds)),
-        "LEDs 12 % unequal": changed(capture, both, lambda pixels: (pixels * unequal).astype(np.uint8)),
-        "images flipped": changed(capture, both, lambda pixels: np.ascontiguousarray(pixels[:, :, ::-1])),
-        "values times two, wrapped round": changed(capture, both, lambda pixels: pixels * np.uint8(2)),
+        "LEDs 12 % unequal": changed(
+            capture, both, lambda pixels: (pixels * unequal).astype(np.uint8)
+        ),
+        "images flipped": changed(
+            capture, both, lambda pixels: np.ascontiguousarray(pixels[:, :, ::-1])
+        ),
+        "values times two, wrapped round": changed(
+            capture, both, lambda pixels: pixels * np.uint8(2)
+        ),
         "JPEG, quality 75": changed(capture, both, jpeg(75)),
         "JPEG, quality 95": changed(capture, both, jpeg(95)),
     }
 
 
-def graded(capture: Capture, names: str, change: Callable[[Pixels, int], Pixels], *, ambient: bool = True) -> Capture:
-    """Every image (H, W, C) in [0, 1], and its number, changed; the ambient one is number -1, or left out."""
+def graded(
+    capture: Capture, names: str, change: Callable[[Pixels, int], Pixels], *, ambient: bool = True
+) -> Capture:
+    """Every image (H, W, C) in [0, 1], and its number, changed; the ambient one is number -1, or
+    left out."""
 
     def whole(pixels: Pixels, k: int) -> Pixels:
         top = float(np.iinfo(pixels.dtype).max)
-        return np.clip(np.rint(top * change(pixels.astype(np.float32) / top, k)), 0, top).astype(pixels.dtype)
+        return np.clip(np.rint(top * change(pixels.astype(np.float32) / top, k)), 0, top).astype(
+            pixels.dtype
+        )
 
     bands = dict(capture.bands)
     for name in names.split():
@@ -132,11 +157,16 @@ def graded(capture: Capture, names: str, change: Callable[[Pixels, int], Pixels]
     return replace(capture, bands=bands)
 
 
-def stated(capture: Capture, across: float = 1.0, up_mm: float = 0.0, aside_mm: float = 0.0) -> Capture:
-    """A rig file whose LEDs stand elsewhere: their ring `across` times as wide, higher, and moved along x."""
+def stated(
+    capture: Capture, across: float = 1.0, up_mm: float = 0.0, aside_mm: float = 0.0
+) -> Capture:
+    """A rig file whose LEDs stand elsewhere: their ring `across` times as wide, higher, and moved
+    along x."""
     leds = [(led, led.position_mm) for led in capture.rig.leds]
     moved = tuple(
-        replace(led, position_mm=(across * at[0] + aside_mm, across * at[1], at[2] + up_mm)) for led, at in leds if at
+        replace(led, position_mm=(across * at[0] + aside_mm, across * at[1], at[2] + up_mm))
+        for led, at in leds
+        if at
     )
     return replace(capture, rig=replace(capture.rig, leds=moved))
 
@@ -146,7 +176,9 @@ def mistakes(capture: Capture, truth: dict[str, Any], seed: int) -> dict[str, tu
     rng, both = np.random.default_rng(seed), "white nir"
     gains = 1 + rng.uniform(-0.15, 0.15, (9, 3)).astype(np.float32)
     level = float(np.quantile(capture.bands["white"].pixels[:, truth["mask"]], 0.9)) / 255
-    facing = np.nan_to_num(np.clip(truth["normals"] @ [0.3, 0.2, 0.93], 0, 1)).astype(np.float32)[..., None]
+    facing = np.nan_to_num(np.clip(truth["normals"] @ [0.3, 0.2, 0.93], 0, 1)).astype(np.float32)[
+        ..., None
+    ]
     px = capture.rig.camera.px_per_mm
     row, column = np.argwhere(truth["mask"]).mean(axis=0)
     i, j = np.indices(truth["mask"].shape)
@@ -157,29 +189,52 @@ def mistakes(capture: Capture, truth: dict[str, Any], seed: int) -> dict[str, tu
 
     def covered(x: Pixels, _: int) -> Pixels:
         smooth = cv2.GaussianBlur(x, (0, 0), 0.6 * px).reshape(x.shape)
-        beige = smooth.mean(axis=2, keepdims=True) * np.linspace(1.1, 0.8, x.shape[2], dtype=np.float32)
+        beige = smooth.mean(axis=2, keepdims=True) * np.linspace(
+            1.1, 0.8, x.shape[2], dtype=np.float32
+        )
         weave = 1 + 0.04 * np.sin(2 * np.pi * i / (0.3 * px)) * np.sin(2 * np.pi * j / (0.3 * px))
         return np.where(plaster[..., None], beige * weave[..., None], x).astype(np.float32)
 
     curves: dict[str, tuple[Callable[[Pixels, int], Pixels], str, str]] = {
         "BGR for RGB": (lambda x, _: x[..., ::-1], "white", "blue, green, red"),
-        "white balance +-15 % an image": (lambda x, k: x * gains[k][: x.shape[2]], both, "white balance"),
+        "white balance +-15 % an image": (
+            lambda x, k: x * gains[k][: x.shape[2]],
+            both,
+            "white balance",
+        ),
         "gamma 0.8": (lambda x, _: x**0.8, both, "gamma"),
         "S curve": (lambda x, _: x * x * (3 - 2 * x), both, "tone curve"),
         "film's curve": (lambda x, _: 1.5 * x / (x + 0.5), both, "tone curve"),
-        "night mode": (lambda x, _: x * 0.33 / (0.15 + around(x, x.shape[1] / 30)), both, "night mode"),
-        "local contrast": (lambda x, _: x * np.sqrt(0.3 / np.maximum(around(x, 2 * px), 0.05)), both, "local contrast"),
+        "night mode": (
+            lambda x, _: x * 0.33 / (0.15 + around(x, x.shape[1] / 30)),
+            both,
+            "night mode",
+        ),
+        "local contrast": (
+            lambda x, _: x * np.sqrt(0.3 / np.maximum(around(x, 2 * px), 0.05)),
+            both,
+            "local contrast",
+        ),
         "clipped at 1.6 times": (lambda x, _: 1.6 * x, both, "clipped"),
         "plaster on the pad": (covered, both, "no ridges"),
     }
     without = {
         "room lamp 30 %": (lambda x, _: x + 0.3 * level * facing, both, "room"),
-        "haze": (lambda x, _: 0.8 * cv2.GaussianBlur(x, (0, 0), 1.2).reshape(x.shape) + 0.12, both, "haze"),
+        "haze": (
+            lambda x, _: 0.8 * cv2.GaussianBlur(x, (0, 0), 1.2).reshape(x.shape) + 0.12,
+            both,
+            "haze",
+        ),
     }
     return {
         "none": (capture, ""),
-        **{name: (graded(capture, on, change), word) for name, (change, on, word) in curves.items()},
-        **{name: (graded(capture, on, change, ambient=False), word) for name, (change, on, word) in without.items()},
+        **{
+            name: (graded(capture, on, change), word) for name, (change, on, word) in curves.items()
+        },
+        **{
+            name: (graded(capture, on, change, ambient=False), word)
+            for name, (change, on, word) in without.items()
+        },
         "LEDs 40 mm lower than stated": (stated(capture, up_mm=40), "LEDs"),
         "LEDs 60 mm higher than stated": (stated(capture, up_mm=-60), "LEDs"),
         "ring 8 mm aside": (stated(capture, aside_mm=8), "LEDs"),
@@ -189,7 +244,12 @@ def mistakes(capture: Capture, truth: dict[str, Any], seed: int) -> dict[str, tu
 
 def row_of(name: str, finger: int, capture: Capture, truth: dict[str, Any]) -> dict[str, Any]:
     """Reconstruct, and again with `keep` where that is refused."""
-    row: dict[str, Any] = dict.fromkeys(COLUMNS, "") | {"damage": name, "finger": finger, "refused": 0, "noted": 0}
+    row: dict[str, Any] = dict.fromkeys(COLUMNS, "") | {
+        "damage": name,
+        "finger": finger,
+        "refused": 0,
+        "noted": 0,
+    }
     try:
         result = reconstruct(capture, "metric")
     except BadInput as refusal:
@@ -203,12 +263,15 @@ def row_of(name: str, finger: int, capture: Capture, truth: dict[str, Any]) -> d
         row["first_words"] = result.warnings[0][:90] if row["noted"] else ""
         row["said"] = " ".join(result.warnings)
     found = compare(result, truth).figures
-    return row | {key: round(found[key], 3) for key in ("surface_rms_mm", "ridge_correlation", "ridge_gain")}
+    return row | {
+        key: round(found[key], 3) for key in ("surface_rms_mm", "ridge_correlation", "ridge_gain")
+    }
 
 
 def doubted(count: int, first: int, factor: float) -> int:
-    """How many of `count` sound captures are refused, or said to be spoilt: skin light and dark, dry, wet, dusty,
-    scarred and glossy; bare lights, films and lights to the side; a tenth of them larger. `factor`: of their scale.
+    """How many of `count` sound captures are refused, or said to be spoilt: skin light and dark,
+    dry, wet, dusty, scarred and glossy; bare lights, films and lights to the side; a tenth of them
+    larger. `factor`: of their scale.
     """
     conditions = (None, "wet", "dry", "dusty", "scarred", "glossy")
     tones, rigs = (0.0003, 0.002, 0.008, 0.03), ({}, {"films.kind": "analyser"}, {"side_lights": 7})
@@ -216,7 +279,9 @@ def doubted(count: int, first: int, factor: float) -> int:
     for seed in range(first, first + count):
         tone, condition = tones[seed // 6 % 4], conditions[seed % 6]
         twin = {"scale": 0.2 if seed % 10 == 7 else 0.12, "skin.melanin": (tone, tone)}
-        twin |= rigs[seed % 3 if seed % 2 else 0] | ({"condition.kind": condition} if condition else {})
+        twin |= rigs[seed % 3 if seed % 2 else 0] | (
+            {"condition.kind": condition} if condition else {}
+        )
         capture, _ = simulate_capture(seed, settings=twin, impression=seed % 3)
         camera = replace(capture.rig.camera, px_per_mm=factor * capture.rig.camera.px_per_mm)
         capture = replace(capture, rig=replace(capture.rig, camera=camera))
@@ -248,7 +313,8 @@ def main() -> None:
     rows = []
     for finger in options.fingers:
         (capture, truth), (other, _) = (
-            simulate_capture(seed, settings={"scale": options.scale}) for seed in (finger, finger + 18)
+            simulate_capture(seed, settings={"scale": options.scale})
+            for seed in (finger, finger + 18)
         )
         if options.mistakes:
             cases = mistakes(capture, dict(truth), finger)
@@ -261,7 +327,9 @@ def main() -> None:
             rows.append(row)
             print(row, flush=True)
     columns = COLUMNS if options.mistakes else tuple(name for name in COLUMNS if name != "named")
-    with (TABLES / ("mistakes.csv" if options.mistakes else "damaged.csv")).open("w", newline="") as stream:
+    with (TABLES / ("mistakes.csv" if options.mistakes else "damaged.csv")).open(
+        "w", newline=""
+    ) as stream:
         writer = csv.DictWriter(stream, columns, lineterminator="\n", extrasaction="ignore")
         writer.writeheader()
         writer.writerows(rows)

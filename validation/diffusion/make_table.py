@@ -1,18 +1,22 @@
-"""Make `splitknit/separation/diffusion_table.npz`: how skin blurs light, for any scattering and absorption.
+"""Make `splitknit/separation/diffusion_table.npz`: how skin blurs light, for any scattering and
+absorption.
 
-Random walks in a half space with isotropic scattering (the reduced problem), diffuse entry, Fresnel reflection inside
-with a rough boundary (reflected light leaves the boundary diffusely). Lengths are in units of the mean free path, and
-no walk is absorbed: the radius of each exit is stored with its number of scatterings n, so that every single-scattering
-albedo a follows by the weight a^n. The transfer function is the Hankel transform of the profile,
+Random walks in a half space with isotropic scattering (the reduced problem), diffuse entry, Fresnel
+reflection inside with a rough boundary (reflected light leaves the boundary diffusely). Lengths are
+in units of the mean free path, and no walk is absorbed: the radius of each exit is stored with its
+number of scatterings n, so that every single-scattering albedo a follows by the weight a^n. The
+transfer function is the Hankel transform of the profile,
 
     M(x; a) = sum over exits of a^n J0(x r) / number of walks,  x = omega / sigma_t'.
 
-This code is independent of the digital twin's. Run: `python validation/diffusion/make_table.py` (three minutes).
+This code is independent of the digital twin's. Run: `python validation/diffusion/make_table.py`
+(three minutes).
 
 References
 ----------
 L. Wang, S. Jacques and L. Zheng, "MCML", Computer Methods and Programs in Biomedicine 47 (1995);
-W. Egan and T. Hilgeman, "Optical Properties of Inhomogeneous Materials" (1979), for the similarity in a.
+W. Egan and T. Hilgeman, "Optical Properties of Inhomogeneous Materials" (1979), for the similarity
+in a.
 """
 
 from __future__ import annotations
@@ -24,7 +28,9 @@ import numpy as np
 from scipy.special import j0
 
 INDEX = 1.42
-ALBEDOS = np.array([0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 0.85, 0.9, 0.93, 0.95, 0.965, 0.98, 0.99, 0.995, 0.998, 0.9995])
+ALBEDOS = np.array(
+    [0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 0.85, 0.9, 0.93, 0.95, 0.965, 0.98, 0.99, 0.995, 0.998, 0.9995]
+)
 FREQUENCIES = np.concatenate([[0.0], np.geomspace(0.003, 60.0, 111)])
 TAIL = 8.0  # beyond it M x is constant within the noise
 
@@ -46,7 +52,8 @@ def downwards(rng, count):
 
 
 def walks(count, most, seed):
-    """Exit radii and numbers of scatterings of `count` walks, followed for `most` scatterings at the most."""
+    """Exit radii and numbers of scatterings of `count` walks, followed for `most` scatterings at
+    the most."""
     rng = np.random.default_rng(seed)
     place = np.zeros((count, 3))
     direction = downwards(rng, count)

@@ -2,12 +2,14 @@
 
     python validation/gallery/index.py [--cache FILE]          # about 8 minutes of one core
 
-writes ``tables/index.csv`` and ``tables/index.json`` (times) beside this file. Probes and their mates: FVC 2000, 2002,
-2004, presses 1 to 8 of five fingers on each of seven sensors; pairs one and three presses apart that match (method
-fusion, false match rate of 1 in 10,000). The others in the gallery are halves of two prints of other sensors, joined.
-A pair is lost where its mate is not among the given number that are compared in full; interval of Clopper and Pearson,
-and by fingers drawn anew. Constants of the index were chosen on the same prints. Times: of `Gallery.identify` with
-every fifth press of the first four sensors, a template; the gallery holds the others (present), or none of theirs.
+writes ``tables/index.csv`` and ``tables/index.json`` (times) beside this file. Probes and their
+mates: FVC 2000, 2002, 2004, presses 1 to 8 of five fingers on each of seven sensors; pairs one and
+three presses apart that match (method fusion, false match rate of 1 in 10,000). The others in the
+gallery are halves of two prints of other sensors, joined. A pair is lost where its mate is not
+among the given number that are compared in full; interval of Clopper and Pearson, and by fingers
+drawn anew. Constants of the index were chosen on the same prints. Times: of `Gallery.identify` with
+every fifth press of the first four sensors, a template; the gallery holds the others (present), or
+none of theirs.
 """
 
 from __future__ import annotations
@@ -52,7 +54,9 @@ SURE = 9.0
 
 def main() -> None:
     """Run."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("--cache", type=Path, default=Path("/tmp/splitknit_fvc_templates.pkl"))
     payloads = templates(parser.parse_args().cache)
     prints = {name: unpack(payload) for name, payload in payloads.items()}
@@ -70,7 +74,11 @@ def main() -> None:
         for n, name in enumerate(mine):
             own = [k for k, other in enumerate(mine) if other[:-2] == name[:-2]]
             mates = [own[(own.index(n) + step) % len(own)] for step in (1, 3)]
-            order = [row for row in index.nearest(ready[name].cylinders, 2 * LIST) if row not in own or row in mates]
+            order = [
+                row
+                for row in index.nearest(ready[name].cylinders, 2 * LIST)
+                if row not in own or row in mates
+            ]
             for mate in mates:
                 if fused_match(ready[name], ready[mine[mate]]).similarity >= limit:
                     before = [row for row in order if row not in mates or row == mate]
@@ -79,12 +87,15 @@ def main() -> None:
             others = [row for row in order if row not in own][:LIST]
             support[False] += [most(ready[name], Prepared(unpack(gallery[row]))) for row in others]
         seconds = time.process_time() - started
-        print(f"built in {built:.1f} s, {len(mine)} searches with their comparisons {seconds:.1f} s")
+        print(
+            f"built in {built:.1f} s, {len(mine)} searches with their comparisons {seconds:.1f} s"
+        )
         if fold == 0:
             times(mine, gallery)
     sure = sum(one >= SURE for one in support[True]), len(support[True])
     print(
-        f"support of {SURE}: {sure} matching pairs; of {len(support[False])} others {max(support[False]):.1f} at most"
+        f"support of {SURE}: {sure} matching pairs; of {len(support[False])} others"
+        f" {max(support[False]):.1f} at most"
     )
     write(ranks)
 
@@ -100,28 +111,42 @@ def times(mine: list[str], templates: list[bytes]) -> None:
     found: dict[str, object] = {"captures": len(templates)}
     with tempfile.TemporaryDirectory() as folder:
         probes = range(0, len(mine), 5)
-        for case, kept in (("present", set(range(len(templates))) - set(probes)), ("absent", range(len(mine), SIZE))):
+        for case, kept in (
+            ("present", set(range(len(templates))) - set(probes)),
+            ("absent", range(len(mine), SIZE)),
+        ):
             file = Path(folder) / f"{case}.skg"
             with Gallery(file) as made:
                 captures = (
-                    NewCapture(Entry(f"P{n}", "right_index", "1", "template", "", unpack(one).area_mm2), one)
+                    NewCapture(
+                        Entry(f"P{n}", "right_index", "1", "template", "", unpack(one).area_mm2),
+                        one,
+                    )
                     for n, one in enumerate(templates)
                     if n in kept
                 )
                 made.add(captures, TEMPLATES_HASH)
-            with get_context("spawn").Pool(1) as alone:  # as a server has it: its memory holds nothing else
-                first_s, matches, taken = alone.apply(search, (file, [templates[n] for n in probes]))
+            # as a server has it: its memory holds nothing else
+            with get_context("spawn").Pool(1) as alone:
+                first_s, matches, taken = alone.apply(
+                    search, (file, [templates[n] for n in probes])
+                )
             found[f"{case}_first_cpu_s"] = round(first_s, 1)
             found |= {f"{case}_probes": len(taken), f"{case}_matches": matches}
             wall, cpu = 1000 * np.array(taken).T
             for name, values in (("wall", wall), ("cpu", cpu)):
-                found[f"{case}_{name}_ms"] = [round(float(one), 1) for one in np.percentile(values, (0, 50, 95))]
+                found[f"{case}_{name}_ms"] = [
+                    round(float(one), 1) for one in np.percentile(values, (0, 50, 95))
+                ]
     print(json.dumps(found))
-    (HERE / "tables" / "index.json").write_text(json.dumps(found, indent=1) + "\n", encoding="utf-8")
+    (HERE / "tables" / "index.json").write_text(
+        json.dumps(found, indent=1) + "\n", encoding="utf-8"
+    )
 
 
 def search(file: Path, probes: list[bytes]) -> tuple[float, int, list[tuple[float, float]]]:
-    """Processor time of the first search, how many matched, and seconds of each by the clock and of the processor."""
+    """Processor time of the first search, how many matched, and seconds of each by the clock and of
+    the processor."""
     gallery = Gallery(file)
     started = time.process_time()
     gallery.identify(probes[0])
@@ -141,7 +166,9 @@ def templates(cache: Path) -> dict[str, bytes]:
     made = {}
     for name, ppi in PPI.items():
         for file in sorted((root / name).glob("*_[1-8].png")):
-            made[f"{name}/{file.stem}"] = pack(print_template(read_print_png(file).image, float(ppi)))
+            made[f"{name}/{file.stem}"] = pack(
+                print_template(read_print_png(file).image, float(ppi))
+            )
     cache.write_bytes(pickle.dumps(made))
     return made
 
@@ -167,7 +194,8 @@ def joined(prints: list[Template], count: int) -> list[Template]:
             moved[down : down + rows, right : right + columns] = one.level
             level[there], valid[there] = moved[there], True
             step = one.pitch_mm * 500 / 25.4
-            x = one.minutiae.x_px + round((shape[1] - columns - right) * step)  # prints are mirrored
+            # prints are mirrored
+            x = one.minutiae.x_px + round((shape[1] - columns - right) * step)
             y = one.minutiae.y_px + round(down * step)
             kept = (y < half * step) == upper
             parts.append(
@@ -183,7 +211,9 @@ def joined(prints: list[Template], count: int) -> list[Template]:
         if not template.empty:
             fields = [np.concatenate(part) for part in zip(*parts, strict=True)]
             size = print_size(template)
-            inside = (fields[0] >= 0) & (fields[0] < size[1]) & (fields[1] >= 0) & (fields[1] < size[0])
+            inside = (
+                (fields[0] >= 0) & (fields[0] < size[1]) & (fields[1] >= 0) & (fields[1] < size[0])
+            )
             minutiae = Minutiae(*(part[inside] for part in fields), size)
             made.append(Template(level, valid, a.pitch_mm, minutiae))
     return made
@@ -194,7 +224,16 @@ def write(ranks: list[tuple[str, int]]) -> None:
     owner, place = np.array([name for name, _ in ranks]), np.array([rank for _, rank in ranks])
     fingers, rng = np.unique(owner), np.random.default_rng(0)
     rows: list[list[object]] = [
-        ["captures", "compared", "matching_pairs", "lost", "low", "high", "low_by_finger", "high_by_finger"]
+        [
+            "captures",
+            "compared",
+            "matching_pairs",
+            "lost",
+            "low",
+            "high",
+            "low_by_finger",
+            "high_by_finger",
+        ]
     ]
     for compared in COMPARED:
         out = place >= compared

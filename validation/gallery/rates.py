@@ -1,14 +1,16 @@
-"""How often a search of 1,000 captures names somebody else, and how often it misses the finger: FPIR and FNIR.
+"""How often a search of 1,000 captures names somebody else, and how often it misses the finger:
+FPIR and FNIR.
 
     python validation/gallery/rates.py [--cache FILE]          # about 4 minutes of one core
 
-writes ``tables/rates.csv`` beside this file. Prints: those of ``index.py``. Each of two folds of sensors has two
-galleries of 1,000: the first press of every second finger, and halves of prints of the other fold's fingers, joined.
-Presses 2 to 8 are probes, whole, and as a square of 6 mm about the middle of their ridges: in the gallery that has the
-finger (present), and in the other (absent), searched as `identify` does by default. Left out are 45 of 245 windows with
-fewer than three minutiae, which are compared with all (40 s each).
-A stated FPIR is the mean number of false matches that the answer reports (captures times rate). Intervals: Clopper and
-Pearson, 95 %; presses of a finger are not independent. Of the probe's sensor are only the few first presses.
+writes ``tables/rates.csv`` beside this file. Prints: those of ``index.py``. Each of two folds of
+sensors has two galleries of 1,000: the first press of every second finger, and halves of prints of
+the other fold's fingers, joined. Presses 2 to 8 are probes, whole, and as a square of 6 mm about
+the middle of their ridges: in the gallery that has the finger (present), and in the other (absent),
+searched as `identify` does by default. Left out are 45 of 245 windows with fewer than three
+minutiae, which are compared with all (40 s each). A stated FPIR is the mean number of false matches
+that the answer reports (captures times rate). Intervals: Clopper and Pearson, 95 %; presses of a
+finger are not independent. Of the probe's sensor are only the few first presses.
 """
 
 from __future__ import annotations
@@ -38,7 +40,9 @@ SIZE, WINDOW_MM, FMR = 1000, 6.0, 1e-4
 
 def main() -> None:
     """Run."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("--cache", type=Path, default=Path("/tmp/splitknit_fvc_templates.pkl"))
     cache = parser.parse_args().cache
     payloads, cut = templates(cache), windows(cache.with_name("splitknit_fvc_windows.pkl"))
@@ -56,7 +60,9 @@ def main() -> None:
                 held += [(f"other {n}", one) for n, one in enumerate(fill[: SIZE - len(held)])]
                 file = Path(folder) / f"{half}.skg"
                 captures = (
-                    NewCapture(Entry(who, "right_index", "1", "template", "", unpack(one).area_mm2), one)
+                    NewCapture(
+                        Entry(who, "right_index", "1", "template", "", unpack(one).area_mm2), one
+                    )
                     for who, one in held
                 )
                 galleries.append(Gallery(file))
@@ -66,11 +72,16 @@ def main() -> None:
                 for kind, probe in (("whole", payloads[name]), ("6 mm", cut[name])):
                     if Prepared(unpack(probe)).cylinders is None:
                         continue
-                    for case, gallery in (("present", galleries[own]), ("absent", galleries[1 - own])):
+                    for case, gallery in (
+                        ("present", galleries[own]),
+                        ("absent", galleries[1 - own]),
+                    ):
                         found = gallery.identify(probe, fmr=FMR)
                         matched = found.answer == "match"
                         right = matched and found.candidates[0].person == name[:-2]
-                        stated = 0.0 if found.decision is None else found.decision.expected_false_matches
+                        stated = (
+                            0.0 if found.decision is None else found.decision.expected_false_matches
+                        )
                         counts.setdefault((kind, case), []).append((matched, right, stated))
             print(f"{len(mine)} presses of fold {fold} were searched", flush=True)
     write(counts)
@@ -85,14 +96,20 @@ def windows(cache: Path) -> dict[str, bytes]:
     for name, ppi in PPI.items():
         for file in sorted((root / name).glob("*_[2-8].png")):
             image = read_print_png(file).image
-            detail = image.astype(np.float32) - cv2.GaussianBlur(image.astype(np.float32), (0, 0), 6)
+            detail = image.astype(np.float32) - cv2.GaussianBlur(
+                image.astype(np.float32), (0, 0), 6
+            )
             spread = cv2.GaussianBlur(detail * detail, (0, 0), 12)
             side = round(WINDOW_MM * ppi / 25.4)
             start = [
                 int(np.clip(round(part.mean() - side / 2), 0, length - side))
-                for part, length in zip(np.nonzero(spread > 0.25 * np.quantile(spread, 0.95)), image.shape, strict=True)
+                for part, length in zip(
+                    np.nonzero(spread > 0.25 * np.quantile(spread, 0.95)), image.shape, strict=True
+                )
             ]
-            part = np.ascontiguousarray(image[start[0] : start[0] + side, start[1] : start[1] + side])
+            part = np.ascontiguousarray(
+                image[start[0] : start[0] + side, start[1] : start[1] + side]
+            )
             made[f"{name}/{file.stem}"] = pack(print_template(part, float(ppi)))
     cache.write_bytes(pickle.dumps(made))
     return made
@@ -100,7 +117,9 @@ def windows(cache: Path) -> dict[str, bytes]:
 
 def write(counts: dict[tuple[str, str], list[tuple[bool, bool, float]]]) -> None:
     """Write FPIR of absent fingers; of present ones FNIR, and how often somebody else was named."""
-    rows: list[list[object]] = [["probe", "finger", "fmr", "rate", "searches", "count", "low", "high", "stated"]]
+    rows: list[list[object]] = [
+        ["probe", "finger", "fmr", "rate", "searches", "count", "low", "high", "stated"]
+    ]
     for (kind, case), answers in counts.items():
         n = len(answers)
         wrong = sum(matched and not right for matched, right, _ in answers)

@@ -1,13 +1,15 @@
-"""Contactless prints of simulated fingers against presses of the same fingers on six models of sensors.
+"""Contactless prints of simulated fingers against presses of the same fingers on six models of
+sensors.
 
     python validation/match/contactless.py --work FOLDER                   # 24 fingers, a table
-    python validation/match/contactless.py --work FOLDER --fingers 3       # a quick look, three at least
+    python validation/match/contactless.py --work FOLDER --fingers 3 # a quick look, three at least
 
-Contactless: one capture of each finger in a pose of its own, and of it four prints: the relief of ``metric``, on the
-plane and unrolled, and the photograph, on the plane and unrolled. Contact: one press of each finger on each sensor. A
-sensor is a range of areas, of moisture and of stretch (``pressed_prints.py``). All pairs are compared by
-the default matcher. Both sides are our simulator's. Intervals of 95 % draw fingers. FOLDER keeps what is made, so an
-interrupted run goes on.
+Contactless: one capture of each finger in a pose of its own, and of it four prints: the relief of
+``metric``, on the plane and unrolled, and the photograph, on the plane and unrolled. Contact: one
+press of each finger on each sensor. A sensor is a range of areas, of moisture and of stretch
+(``pressed_prints.py``). All pairs are compared by the default matcher. Both sides are our
+simulator's. Intervals of 95 % draw fingers. FOLDER keeps what is made, so an interrupted run goes
+on.
 """
 
 from __future__ import annotations
@@ -73,7 +75,13 @@ def pressed(number: int, folder: Path) -> dict[str, Template]:
     file = folder / f"presses_{number}.pickle"
     if not file.is_file():
         master = draw_finger(SEED + number).master()
-        kept(file, {name: print_template(press(master, k, SENSORS[name])) for k, name in enumerate(SENSORS)})
+        kept(
+            file,
+            {
+                name: print_template(press(master, k, SENSORS[name]))
+                for k, name in enumerate(SENSORS)
+            },
+        )
     templates: dict[str, Template] = pickle.loads(file.read_bytes())
     return templates
 
@@ -90,7 +98,9 @@ def rates(one: Scores, settings: BootstrapSettings) -> dict[str, Any]:
 
 def main() -> None:
     """Run."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("--work", type=Path, required=True)
     parser.add_argument("--fingers", type=int, default=24)
     parser.add_argument("--scale", type=float, default=0.3, help="of the camera")
@@ -109,14 +119,19 @@ def main() -> None:
         parts: dict[str, tuple[list[str], list[str], list[float]]] = {}
         for name in REAL:
             pairs = [(i, j) for i in fingers for j in fingers]
-            score = [float("nan") if probes[i] is None else _score(probes[i], ready[name][j]) for i, j in pairs]
+            score = [
+                float("nan") if probes[i] is None else _score(probes[i], ready[name][j])
+                for i, j in pairs
+            ]
             parts[name] = [f"{i}" for i, _ in pairs], [f"{j}" for _, j in pairs], score
         left, right, score = zip(*(parts[name] for name in REAL), strict=True)
         parts["all"] = [*chain(*left)], [*chain(*right)], [*chain(*score)]
         facts["rates"][kind] = {}
         for name, (own, other, similarity) in parts.items():
             ids = ids_of(own, other)
-            row = rates(Scores(ids.same, np.array(similarity), finger=ids, name=f"{kind} {name}"), settings)
+            row = rates(
+                Scores(ids.same, np.array(similarity), finger=ids, name=f"{kind} {name}"), settings
+            )
             facts["rates"][kind][name] = row
             print(f"{kind:22s}{name:14s}", row, flush=True)
     if options.write:

@@ -1,17 +1,18 @@
 """Real prints of seven sensors by FVC's protocol: every system on the same pairs, peers included.
 
-    python validation/match/fvc.py                                   # the shipped matcher and its peers, a table
-    python validation/match/fvc.py --systems fusion nbis-py --sets fvc2004_db1b fvc2004_db2b
-    python validation/match/fvc.py --systems fusion --leave-one-set-out --turned
+    python validation/match/fvc.py # the shipped matcher and its peers, a table python
+    validation/match/fvc.py --systems fusion nbis-py --sets fvc2004_db1b fvc2004_db2b python
+    validation/match/fvc.py --systems fusion --leave-one-set-out --turned
 
-Sets: ``../shared/data/fvc`` and ``fvc2002_db1b`` (fingers 101 to 105, eight impressions), and simulated presses
-(``pressed_prints.py``, 24 fingers, four presses, seeds from 95,000). *All pairs*: 140 genuine and 640 impostor ones a
-set. *FVC*: the same genuine ones, and the first impressions of all fingers as impostors (ten a set). Pooled: the six
-sets of ``fvc`` at one threshold. A failure to acquire is a rejection. Intervals of 95 % draw fingers (five a set).
+Sets: ``../shared/data/fvc`` and ``fvc2002_db1b`` (fingers 101 to 105, eight impressions), and
+simulated presses (``pressed_prints.py``, 24 fingers, four presses, seeds from 95,000). *All pairs*:
+140 genuine and 640 impostor ones a set. *FVC*: the same genuine ones, and the first impressions of
+all fingers as impostors (ten a set). Pooled: the six sets of ``fvc`` at one threshold. A failure to
+acquire is a rejection. Intervals of 95 % draw fingers (five a set).
 
-What is made of a print is kept in ``--cache`` by the print's hash: name another one after a change of extraction.
-Scores are not kept. ``--leave-one-set-out`` fits the fusion's constants
-anew for every set, on the evidence of all others; the shipped ones are fitted on simulated presses alone
+What is made of a print is kept in ``--cache`` by the print's hash: name another one after a change
+of extraction. Scores are not kept. ``--leave-one-set-out`` fits the fusion's constants anew for
+every set, on the evidence of all others; the shipped ones are fitted on simulated presses alone
 (``--fit``, 24 fingers, four presses, seeds from 92,000), of which no finger is reported.
 """
 
@@ -47,7 +48,14 @@ from splitknit_match.prints.minutiae import at_500_ppi, extract, minutiae_match
 HERE = Path(__file__).resolve().parent
 OUT = HERE / "fvc.json"
 DATA = Path(os.environ.get("SPLITKNIT_DATA", HERE.parents[2] / "shared" / "data"))
-REAL = ("fvc2000_db2b", "fvc2000_db3b", "fvc2002_db2b", "fvc2004_db1b", "fvc2004_db2b", "fvc2004_db3b")
+REAL = (
+    "fvc2000_db2b",
+    "fvc2000_db3b",
+    "fvc2002_db2b",
+    "fvc2004_db1b",
+    "fvc2004_db2b",
+    "fvc2004_db3b",
+)
 KNOWN = "fvc2002_db1b"
 """On which earlier choices were made: not pooled."""
 SIMULATED = {"simulated": 95_000, "simulated_fit": 92_000}
@@ -130,7 +138,9 @@ def prints(name: str, job: Job) -> tuple[list[Image], list[str], list[int]]:
         folder = DATA / name if name == KNOWN else DATA / "fvc" / name
         files = sorted(folder.glob("*.png"))
         if not files:
-            raise SystemExit(f"there are no prints in '{folder}'; name the folder of the data by SPLITKNIT_DATA.")
+            raise SystemExit(
+                f"there are no prints in '{folder}'; name the folder of the data by SPLITKNIT_DATA."
+            )
         images = [at_500_ppi(read_print_png(file).image, PPI.get(name, 500.0)) for file in files]
         owner, impression = (
             [one.stem.split("_")[0] for one in files],
@@ -143,13 +153,17 @@ def prints(name: str, job: Job) -> tuple[list[Image], list[str], list[int]]:
 
 
 def turned(image: Image, angle_deg: float) -> Image:
-    """A print, turned counter-clockwise on a sheet that holds it, beyond its border as bright as its paper."""
+    """A print, turned counter-clockwise on a sheet that holds it, beyond its border as bright as
+    its paper."""
     rows, columns = image.shape
     side = int(np.ceil(np.hypot(rows, columns))) + 2
     matrix = cv2.getRotationMatrix2D(((columns - 1) / 2, (rows - 1) / 2), angle_deg, 1.0)
     matrix[:, 2] += (side - columns) / 2, (side - rows) / 2
     paper = float(np.percentile(image, 95))
-    return np.asarray(cv2.warpAffine(image, matrix, (side, side), flags=cv2.INTER_CUBIC, borderValue=paper), np.uint8)
+    return np.asarray(
+        cv2.warpAffine(image, matrix, (side, side), flags=cv2.INTER_CUBIC, borderValue=paper),
+        np.uint8,
+    )
 
 
 def kept(file: Path, thing: Any) -> None:
@@ -207,7 +221,9 @@ def compared(task: tuple[str, str, Job]) -> Found:
     spent = 1000 * (time.process_time() - begun) / len(pairs)
     ids = ids_of([owner[i] for i, _ in pairs], [owner[j] for _, j in pairs])
     same = ids.same
-    first = np.array([s or impression[i] == impression[j] == 0 for s, (i, j) in zip(same, pairs, strict=True)])
+    first = np.array(
+        [s or impression[i] == impression[j] == 0 for s, (i, j) in zip(same, pairs, strict=True)]
+    )
     scores = Scores(same, table[:, 0], finger=ids, name=f"{system_name} {name}")
     return Found(scores, first, spent, table[:, 1:])
 
@@ -215,7 +231,9 @@ def compared(task: tuple[str, str, Job]) -> Found:
 def pooled(found: Sequence[Found], name: str) -> Found:
     """Several sets at one threshold."""
     parts = [one.scores for one in found]
-    names = [[one.finger.names[k] for k in one.finger.codes.T.ravel()] for one in parts if one.finger]
+    names = [
+        [one.finger.names[k] for k in one.finger.codes.T.ravel()] for one in parts if one.finger
+    ]
     halves = [(one[: len(one) // 2], one[len(one) // 2 :]) for one in names]
     ids = ids_of([x for a, _ in halves for x in a], [x for _, b in halves for x in b])
     scores = Scores(
@@ -224,16 +242,22 @@ def pooled(found: Sequence[Found], name: str) -> Found:
         finger=ids,
         name=name,
     )
-    spent, first = float(np.mean([one.milliseconds for one in found])), np.concatenate([one.first for one in found])
+    spent, first = (
+        float(np.mean([one.milliseconds for one in found])),
+        np.concatenate([one.first for one in found]),
+    )
     return Found(scores, first, spent, np.concatenate([one.evidence for one in found]))
 
 
 def fitted(found: Sequence[Found]) -> dict[str, list[float]]:
-    """Slopes and offset of logistic regressions on both kinds of evidence and on each alone; sets count the same."""
+    """Slopes and offset of logistic regressions on both kinds of evidence and on each alone; sets
+    count the same."""
     table = np.concatenate([one.evidence for one in found])
     label = np.concatenate([one.scores.label for one in found])
     labels = [one.scores.label for one in found]
-    weight = np.concatenate([np.where(part, 0.5 / part.sum(), 0.5 / (~part).sum()) / len(found) for part in labels])
+    weight = np.concatenate(
+        [np.where(part, 0.5 / part.sum(), 0.5 / (~part).sum()) / len(found) for part in labels]
+    )
     result = {}
     for name, columns in COLUMNS.items():
         known = ~np.isnan(table[:, columns]).any(axis=1)
@@ -243,8 +267,11 @@ def fitted(found: Sequence[Found]) -> dict[str, list[float]]:
     return result
 
 
-def logistic(x: Evidence, label: NDArray[np.bool_], weight: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Weighted logistic regression, held back a little (3e-3 on standardised columns), by Newton's steps."""
+def logistic(
+    x: Evidence, label: NDArray[np.bool_], weight: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """Weighted logistic regression, held back a little (3e-3 on standardised columns), by Newton's
+    steps."""
     scale = np.append(x[:, :-1].std(axis=0), 1.0)
     z, hold, answer = x / scale, np.append(np.full(x.shape[1] - 1, 3e-3), 0.0), np.zeros(x.shape[1])
     for _ in range(100):
@@ -308,11 +335,20 @@ HEAD = "".join(
     name.rjust(width) if k > 1 else name.ljust(width)
     for k, (name, width) in enumerate(
         {
-            "set": 16, "system": 16, "EER": 20, "GAR@1%": 8, "GAR@.1%": 9, "GAR@0": 8, "FAR(0)": 8, "thr 1%": 9,
-            "FVC": 7, "fail": 6, "ms": 7,
+            "set": 16,
+            "system": 16,
+            "EER": 20,
+            "GAR@1%": 8,
+            "GAR@.1%": 9,
+            "GAR@0": 8,
+            "FAR(0)": 8,
+            "thr 1%": 9,
+            "FVC": 7,
+            "fail": 6,
+            "ms": 7,
         }.items()
     )
-)  # fmt: skip
+)
 
 
 def line(name: str, system: str, row: dict[str, Any]) -> str:
@@ -326,16 +362,29 @@ def line(name: str, system: str, row: dict[str, Any]) -> str:
 
 def main() -> None:
     """Run."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("--systems", nargs="+", choices=list(SYSTEMS), default=list(SYSTEMS))
-    parser.add_argument("--sets", nargs="+", choices=(*REAL, KNOWN, *SIMULATED), default=(*REAL, KNOWN, "simulated"))
+    parser.add_argument(
+        "--sets", nargs="+", choices=(*REAL, KNOWN, *SIMULATED), default=(*REAL, KNOWN, "simulated")
+    )
     parser.add_argument("--cache", type=Path, default=Path("/tmp/splitknit_fvc"))
-    parser.add_argument("--turned", action="store_true", help="every print by an angle of its own, 0 to 360 deg")
-    parser.add_argument("--fit", action="store_true", help="the fusion's constants, on the set simulated_fit")
-    parser.add_argument("--leave-one-set-out", action="store_true", help="the fusion, fitted on all other sets")
+    parser.add_argument(
+        "--turned", action="store_true", help="every print by an angle of its own, 0 to 360 deg"
+    )
+    parser.add_argument(
+        "--fit", action="store_true", help="the fusion's constants, on the set simulated_fit"
+    )
+    parser.add_argument(
+        "--leave-one-set-out", action="store_true", help="the fusion, fitted on all other sets"
+    )
     parser.add_argument("--write", action="store_true", help=f"add the figures to {OUT.name}")
     options = parser.parse_args()
-    sets = (*options.sets, *(("simulated_fit",) if options.fit and "simulated_fit" not in options.sets else ()))
+    sets = (
+        *options.sets,
+        *(("simulated_fit",) if options.fit and "simulated_fit" not in options.sets else ()),
+    )
     job = Job(options.cache, options.turned)
     settings = BootstrapSettings(replicates=300, targets=(0.01, 0.001, FAR_0), curve_points=0)
     facts: dict[str, Any] = {}

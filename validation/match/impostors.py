@@ -4,8 +4,9 @@
     python validation/match/impostors.py minutiae --fingers 250 --seed 60000
 
 writes the tables that ``splitknit match`` reads,
-``packages/splitknit-match/src/splitknit_match/matching/match_fmr*.json``: scores alone. Surfaces are the true ones, in
-poses drawn from the twin's ranges: impostor scores depend on the ridges' flow, not on how well they were reconstructed.
+``packages/splitknit-match/src/splitknit_match/matching/match_fmr*.json``: scores alone. Surfaces
+are the true ones, in poses drawn from the twin's ranges: impostor scores depend on the ridges'
+flow, not on how well they were reconstructed.
 """
 
 from __future__ import annotations
@@ -35,7 +36,14 @@ from splitknit_match.prints.from_file import print_minutiae
 from splitknit_match.prints.minutiae import extract, minutiae_match
 from splitknit_simulator.finger.finger import PoseRanges, draw_finger, finger_surface
 
-FOLDER = Path(__file__).resolve().parents[2] / "packages" / "splitknit-match" / "src" / "splitknit_match" / "matching"
+FOLDER = (
+    Path(__file__).resolve().parents[2]
+    / "packages"
+    / "splitknit-match"
+    / "src"
+    / "splitknit_match"
+    / "matching"
+)
 
 
 @dataclass(frozen=True, slots=True)
@@ -62,9 +70,14 @@ def drawn_surface(seed: int, scale: float) -> Surface:
     mask[first + round(PHALANGE_MM * camera.px_per_mm) :] = False
     upright = find_upright(mask)
     return Surface(
-        seen.height_mm - seen.shape_mm, seen.shape_mm, seen.normals, mask, camera.pitch_mm,
-        upright.input_from_upright, upright.size,
-    )  # fmt: skip
+        seen.height_mm - seen.shape_mm,
+        seen.shape_mm,
+        seen.normals,
+        mask,
+        camera.pitch_mm,
+        upright.input_from_upright,
+        upright.size,
+    )
 
 
 def pressed(seed: int) -> Any:
@@ -76,20 +89,29 @@ COARSE, FINE = partial(drawn_surface, scale=0.15), partial(drawn_surface, scale=
 """Of the camera: the second has 20 pixels a millimetre, the resolution of a print."""
 ROUTES = {
     "ridge": Route(
-        COARSE, lambda one: Prepared(surface_template(one)), lambda a, b: ridge_match(a, b).similarity,
+        COARSE,
+        lambda one: Prepared(surface_template(one)),
+        lambda a, b: ridge_match(a, b).similarity,
         "true surfaces",
     ),
     "fusion": Route(
-        pressed, lambda one: Prepared(print_template(one)), lambda a, b: fused_match(a, b).similarity, "presses"
+        pressed,
+        lambda one: Prepared(print_template(one)),
+        lambda a, b: fused_match(a, b).similarity,
+        "presses",
     ),
-    "minutiae": Route(FINE, lambda one: extract(surface_print(one)), minutiae_match, "relief prints"),
+    "minutiae": Route(
+        FINE, lambda one: extract(surface_print(one)), minutiae_match, "relief prints"
+    ),
     "minutiae_of_prints": Route(pressed, print_minutiae, minutiae_match, "presses"),
-}  # fmt: skip
+}
 
 
 def main() -> None:
     """Run."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("methods", nargs="+", choices=list(ROUTES), metavar="METHOD")
     parser.add_argument("--fingers", type=int, default=150)
     parser.add_argument("--seed", type=int, default=50_000)
@@ -118,7 +140,10 @@ def main() -> None:
             "impostor_largest": round(float(scores.max()), 4),
         }
         (FOLDER / TABLES[name]).write_text(json.dumps(facts, indent=1) + "\n", encoding="utf-8")
-        print({key: value for key, value in facts.items() if key not in ("similarity", "fmr")}, flush=True)
+        print(
+            {key: value for key, value in facts.items() if key not in ("similarity", "fmr")},
+            flush=True,
+        )
 
 
 if __name__ == "__main__":

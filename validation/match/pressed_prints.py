@@ -1,7 +1,8 @@
-"""Prints of simulated fingers as a pressed sensor gives them: turned, shifted, stretched, partial, wet, dry, noisy.
+"""Prints of simulated fingers as a pressed sensor gives them: turned, shifted, stretched, partial,
+wet, dry, noisy.
 
-Made to choose settings of the minutiae route on prints that are nobody's. The ranges were fixed before any setting was
-tried on them; they are wide, so that the plain route fails on some.
+Made to choose settings of the minutiae route on prints that are nobody's. The ranges were fixed
+before any setting was tried on them; they are wide, so that the plain route fails on some.
 """
 
 from __future__ import annotations
@@ -54,20 +55,27 @@ SENSORS = {
         DEFAULT, half_width_mm=(4.5, 9.0), half_height_mm=(6.0, 11.5), stretch_mm=0.6, turn_deg=15.0
     ),
     "fvc2004_db2b": replace(
-        DEFAULT, half_width_mm=(5.0, 8.5), half_height_mm=(6.5, 10.0), moisture=(0.3, 0.95), dropouts=(0.1, 0.6),
+        DEFAULT,
+        half_width_mm=(5.0, 8.5),
+        half_height_mm=(6.5, 10.0),
+        moisture=(0.3, 0.95),
+        dropouts=(0.1, 0.6),
         patches=0.2,
     ),
     "fvc2004_db3b": replace(
         DEFAULT, half_width_mm=(4.8, 8.5), half_height_mm=(6.0, 10.5), noise_grey=(2.0, 6.0)
     ),
-}  # fmt: skip
-"""Presses on six models of sensors: as large as the prints of these sets, and as FVC says of the set."""
+}
+"""Presses on six models of sensors: as large as the prints of these sets, and as FVC says of the
+set."""
 
 
 def finger(seed: int) -> MasterPrint:
     """The ridges of one finger, of a class by its natural frequency."""
     rng = np.random.default_rng([seed, 21])
-    return master_print(str(rng.choice(list(FREQUENCIES), p=np.array(list(FREQUENCIES.values())))), seed)
+    return master_print(
+        str(rng.choice(list(FREQUENCIES), p=np.array(list(FREQUENCIES.values())))), seed
+    )
 
 
 def press(master: MasterPrint, seed: int, ranges: PressRanges | None = None) -> NDArray[np.uint8]:
@@ -81,11 +89,26 @@ def press(master: MasterPrint, seed: int, ranges: PressRanges | None = None) -> 
     contact = 1 / (1 + np.exp((edge - 1) / 0.015))
     turn = np.deg2rad(np.clip(rng.normal(0, r.turn_deg), -25, 25))
     bent = [r.stretch_mm * smooth_noise(rng, SIZE, 4 / STEP_MM) for _ in range(2)]
-    u = -(np.cos(turn) * x - np.sin(turn) * y) + bent[0] + np.clip(rng.normal(0, r.across_mm), -5, 5)
-    v = np.sin(turn) * x + np.cos(turn) * y + bent[1] + MIDDLE_MM + np.clip(rng.normal(0, r.along_mm), -6, 5)
+    u = (
+        -(np.cos(turn) * x - np.sin(turn) * y)
+        + bent[0]
+        + np.clip(rng.normal(0, r.across_mm), -5, 5)
+    )
+    v = (
+        np.sin(turn) * x
+        + np.cos(turn) * y
+        + bent[1]
+        + MIDDLE_MM
+        + np.clip(rng.normal(0, r.along_mm), -6, 5)
+    )
     pitch = float(master.u_mm[1] - master.u_mm[0])
-    skin = cv2.GaussianBlur(np.clip(master.ridge - 0.6 * master.pores, 0, 1), (0, 0), 0.4 * STEP_MM / pitch)
-    place = ((u - master.u_mm[0]) / pitch).astype(np.float32), ((master.v_mm[0] - v) / pitch).astype(np.float32)
+    skin = cv2.GaussianBlur(
+        np.clip(master.ridge - 0.6 * master.pores, 0, 1), (0, 0), 0.4 * STEP_MM / pitch
+    )
+    place = (
+        ((u - master.u_mm[0]) / pitch).astype(np.float32),
+        ((master.v_mm[0] - v) / pitch).astype(np.float32),
+    )
     height = cv2.remap(skin, *place, cv2.INTER_CUBIC, borderMode=cv2.BORDER_REPLICATE)
     level = rng.uniform(*r.moisture) + r.patches * smooth_noise(rng, SIZE, 2.5 / STEP_MM)
     dry = rng.uniform(*r.dropouts) * smooth_noise(rng, SIZE, 0.09 / STEP_MM)

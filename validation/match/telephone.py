@@ -1,11 +1,13 @@
-"""Drawn telephone photographs: any finger of a hand, any direction, paper, gardens and rooms; scores.
+"""Drawn telephone photographs: any finger of a hand, any direction, paper, gardens and rooms;
+scores.
 
     python validation/match/telephone.py --work FOLDER [--count 40]
 
-A pinhole camera 110 to 250 mm from the finger sees elliptic, tapered fingers with the ridges of the simulator's master
-prints: one, a second beside it, a hand of four, or one before a fist. Drawn for each photograph: scale, pose (roll and
-pitch, turned at will), section, colour of skin, ridges' contrast, light, gloss, shadow, background, defocus,
-shake, noise, smoothing, sharpening, JPEG quality. Everything here is drawn by us: no photograph of a real finger.
+A pinhole camera 110 to 250 mm from the finger sees elliptic, tapered fingers with the ridges of the
+simulator's master prints: one, a second beside it, a hand of four, or one before a fist. Drawn for
+each photograph: scale, pose (roll and pitch, turned at will), section, colour of skin, ridges'
+contrast, light, gloss, shadow, background, defocus, shake, noise, smoothing, sharpening, JPEG
+quality. Everything here is drawn by us: no photograph of a real finger.
 """
 
 from __future__ import annotations
@@ -44,9 +46,21 @@ CANVAS = (1632, 1224)
 PRESSES = ("fvc2002_db2b", "fvc2004_db1b")
 HANDS = ("one finger", "second finger", "hand", "fist")
 SCENES = ("paper", "garden", "room", "picture")
-NATURAL = ("astronaut.png", "brick.png", "chelsea.png", "coffee.png", "grass.png", "gravel.png", "motorcycle_left.png",
-           "rocket.jpg")  # fmt: skip
-TINTS = {"grass.png": (0.55, 0.8, 0.35), "gravel.png": (1.0, 0.93, 0.85), "brick.png": (0.9, 0.6, 0.5)}
+NATURAL = (
+    "astronaut.png",
+    "brick.png",
+    "chelsea.png",
+    "coffee.png",
+    "grass.png",
+    "gravel.png",
+    "motorcycle_left.png",
+    "rocket.jpg",
+)
+TINTS = {
+    "grass.png": (0.55, 0.8, 0.35),
+    "gravel.png": (1.0, 0.93, 0.85),
+    "brick.png": (0.9, 0.6, 0.5),
+}
 """Colours of what is stored in grey."""
 Picture = NDArray[np.uint8]
 Light = NDArray[np.float64]
@@ -75,7 +89,9 @@ def linear(picture: Picture | Light) -> Light:
 def encoded(light: Light) -> Picture:
     """Linear light to sRGB."""
     light = np.clip(light, 0.0, 1.0)
-    value = np.where(light <= 0.0031308, 12.92 * light, 1.055 * np.maximum(light, 1e-9) ** (1 / 2.4) - 0.055)
+    value = np.where(
+        light <= 0.0031308, 12.92 * light, 1.055 * np.maximum(light, 1e-9) ** (1 / 2.4) - 0.055
+    )
     return np.rint(255.0 * value).astype(np.uint8)
 
 
@@ -88,11 +104,18 @@ def default_pictures() -> Path:
 
 @lru_cache(maxsize=8)
 def ridges(number: int) -> tuple[Array, Array, float, float, float]:
-    """Ridges of a finger (H, W), and of its skin: heights of them, pitch and the place of (u, v) = 0 in the map."""
+    """Ridges of a finger (H, W), and of its skin: heights of them, pitch and the place of (u, v) =
+    0 in the map."""
     master = draw_finger(SEED + number).master()
     pitch = float(master.u_mm[1] - master.u_mm[0])
     height = master.ridge.astype(np.float64) - master.ridge.mean()
-    return height, cv2.GaussianBlur(height, (0, 0), 3), pitch, float(master.u_mm[0]), float(master.v_mm[0])
+    return (
+        height,
+        cv2.GaussianBlur(height, (0, 0), 3),
+        pitch,
+        float(master.u_mm[0]),
+        float(master.v_mm[0]),
+    )
 
 
 @dataclass(frozen=True, slots=True)
@@ -114,12 +137,19 @@ def body_of(number: int) -> Body:
     """The finger of a number, the same in each of its photographs."""
     rng = np.random.default_rng([number, 1])
     half = rng.normal(8.4, 0.8)
-    return Body(half, rng.uniform(0.7, 0.95), rng.uniform(0.0, 0.006), rng.uniform(1.0, 1.3) * half,
-                rng.uniform(14, 17), number=number)  # fmt: skip
+    return Body(
+        half,
+        rng.uniform(0.7, 0.95),
+        rng.uniform(0.0, 0.006),
+        rng.uniform(1.0, 1.3) * half,
+        rng.uniform(14, 17),
+        number=number,
+    )
 
 
 def seen(body: Body, rays: Array, eye: Array) -> tuple[NDArray[np.bool_], Array, Array, Array]:
-    """Where rays (H, W, 3) from `eye` meet a finger along y, tip ahead: hits, points, normals and (u, v) in mm."""
+    """Where rays (H, W, 3) from `eye` meet a finger along y, tip ahead: hits, points, normals and
+    (u, v) in mm."""
     middle = np.array([body.aside_mm, body.ahead_mm, -body.behind_mm])
     start = eye - middle
     a, c, length, k = body.half_mm, body.half_mm * body.depth, body.length_mm, body.taper
@@ -160,19 +190,29 @@ def skin_light(body: Body, normal: Array, uv: Array, lit: dict[str, Any]) -> Arr
     """(H, W) light of the skin, ridges, creases and gloss in it."""
     height, smooth, pitch, u0, v0 = ridges(body.number % 1000)
     rows = (v0 - uv[..., 1]) / pitch
-    rows = np.abs((rows + len(height)) % (2 * len(height)) - len(height)) if rows.max() > len(height) else rows
+    rows = (
+        np.abs((rows + len(height)) % (2 * len(height)) - len(height))
+        if rows.max() > len(height)
+        else rows
+    )
     columns = (uv[..., 0] - u0) / pitch
     places = np.stack([np.clip(rows, 0, len(height) - 1), np.clip(columns, 0, height.shape[1] - 1)])
-    sharp, soft = (map_coordinates(one.astype(np.float32), places, order=1) for one in (height, smooth))
+    sharp, soft = (
+        map_coordinates(one.astype(np.float32), places, order=1) for one in (height, smooth)
+    )
     slope = np.stack(np.gradient(smooth), 0) / pitch
     down, right = (map_coordinates(one.astype(np.float32), places, order=1) for one in slope)
     light = lit["direction"]
     lambert = np.clip(normal @ light, 0, None)
     tilt = 0.025 * lit["relief"] * (light[1] * down - light[0] * right)
-    shade = lit["ambient"] * (0.55 + 0.45 * normal[..., 2]) + (1 - lit["ambient"]) * np.clip(lambert + tilt, 0, None)
+    shade = lit["ambient"] * (0.55 + 0.45 * normal[..., 2]) + (1 - lit["ambient"]) * np.clip(
+        lambert + tilt, 0, None
+    )
     shade *= 1 + lit["contrast"] * (0.5 * sharp + 0.5 * soft)
     for crease in (0.0, 1.6, -24.0, -26.0, -46.0):
-        shade *= 1 - 0.35 * np.exp(-(((uv[..., 1] - crease - 0.03 * uv[..., 0] ** 2 * 0.3) / 0.35) ** 2))
+        shade *= 1 - 0.35 * np.exp(
+            -(((uv[..., 1] - crease - 0.03 * uv[..., 0] ** 2 * 0.3) / 0.35) ** 2)
+        )
     half = light + np.array([0, 0, 1.0])
     half /= np.linalg.norm(half)
     return shade + lit["gloss"] * np.clip(normal @ half, 0, 1) ** 40
@@ -189,26 +229,41 @@ def behind(scene: str, folder: Path, rng: np.random.Generator) -> Light:
     rows, columns = CANVAS
     if scene == "paper":
         row, column = np.indices(CANVAS) / max(CANVAS)
-        level = rng.uniform(0.35, 0.85) * (1 + rng.uniform(-0.4, 0.4) * row + rng.uniform(-0.4, 0.4) * column)
+        level = rng.uniform(0.35, 0.85) * (
+            1 + rng.uniform(-0.4, 0.4) * row + rng.uniform(-0.4, 0.4) * column
+        )
         return level[..., None] * np.array([1.0, rng.uniform(0.93, 1.0), rng.uniform(0.8, 1.0)])
-    name = {"garden": ("grass.png", "gravel.png")[rng.integers(2)], "room": ("coffee.png", "motorcycle_left.png")[
-        rng.integers(2)]}.get(scene) or NATURAL[rng.integers(len(NATURAL))]  # fmt: skip
+    name = {
+        "garden": ("grass.png", "gravel.png")[rng.integers(2)],
+        "room": ("coffee.png", "motorcycle_left.png")[rng.integers(2)],
+    }.get(scene) or NATURAL[rng.integers(len(NATURAL))]
     stored = cv2.imread(str(folder / name), cv2.IMREAD_COLOR)
     assert stored is not None, name
     scale = max(rows / stored.shape[0], columns / stored.shape[1]) * rng.uniform(1.0, 1.8)
     picture = cv2.resize(stored[..., ::-1], None, fx=scale, fy=scale, interpolation=cv2.INTER_CUBIC)
     top, left = (rng.integers(0, picture.shape[k] - CANVAS[k] + 1) for k in (0, 1))
-    light = linear(picture[top : top + rows, left : left + columns]) * TINTS.get(name, (1.0, 1.0, 1.0))
+    light = linear(picture[top : top + rows, left : left + columns]) * TINTS.get(
+        name, (1.0, 1.0, 1.0)
+    )
     if scene == "garden":
         for _ in range(rng.integers(4, 30)):  # leaves, dry ones too
             green = rng.uniform(0.2, 1.0)
-            tone = np.array([rng.uniform(0.05, 0.5), 0.1 + 0.4 * green, rng.uniform(0.02, 0.15)]) * rng.uniform(
-                0.3, 1.2
-            )
+            tone = np.array(
+                [rng.uniform(0.05, 0.5), 0.1 + 0.4 * green, rng.uniform(0.02, 0.15)]
+            ) * rng.uniform(0.3, 1.2)
             leaf = np.zeros(CANVAS, np.float32)
             size = rng.uniform(30, 260)
             place = (int(rng.uniform(0, columns)), int(rng.uniform(0, rows)))
-            cv2.ellipse(leaf, place, (int(size), int(size * rng.uniform(0.2, 0.6))), rng.uniform(0, 180), 0, 360, 1, -1)
+            cv2.ellipse(
+                leaf,
+                place,
+                (int(size), int(size * rng.uniform(0.2, 0.6))),
+                rng.uniform(0, 180),
+                0,
+                360,
+                1,
+                -1,
+            )
             light = light * (1 - leaf[..., None]) + leaf[..., None] * tone
     blur = rng.choice([0.0, 2.0, 6.0, 15.0])
     return np.asarray(cv2.GaussianBlur(light, (0, 0), blur)) if blur else light
@@ -223,12 +278,34 @@ def bodies_of(body: Body, hand: str, rng: np.random.Generator) -> list[Body]:
             extra = body_of(body.number + 500 + k)
             gap = (2.0 + rng.uniform(0.02, 0.6)) * body.half_mm * k
             deep = rng.uniform(0, 6) if hand == "hand" else rng.uniform(2, 15)
-            bodies.append(Body(extra.half_mm, extra.depth, extra.taper, extra.length_mm, extra.pad_mm, gap, deep,
-                               rng.uniform(-14, 4), body.number + 500 + k))  # fmt: skip
+            bodies.append(
+                Body(
+                    extra.half_mm,
+                    extra.depth,
+                    extra.taper,
+                    extra.length_mm,
+                    extra.pad_mm,
+                    gap,
+                    deep,
+                    rng.uniform(-14, 4),
+                    body.number + 500 + k,
+                )
+            )
         if hand == "fist":
             for k in range(4):
-                bodies.append(Body(11 + k, 0.9, 0, 12, 10, rng.uniform(-14, 14), rng.uniform(4, 14),
-                                   rng.uniform(-62, -42), 999))  # fmt: skip
+                bodies.append(
+                    Body(
+                        11 + k,
+                        0.9,
+                        0,
+                        12,
+                        10,
+                        rng.uniform(-14, 14),
+                        rng.uniform(4, 14),
+                        rng.uniform(-62, -42),
+                        999,
+                    )
+                )
     return bodies
 
 
@@ -237,19 +314,24 @@ def developed(picture: Light, rng: np.random.Generator) -> Picture:
     soft = rng.choice([0.7, 1.0, 1.5, 2.2])
     picture = np.asarray(cv2.GaussianBlur(picture, (0, 0), soft))
     pixels = encoded(picture)
-    pixels = np.clip(pixels + rng.normal(0, rng.uniform(1, 5), pixels.shape), 0, 255).astype(np.uint8)
+    pixels = np.clip(pixels + rng.normal(0, rng.uniform(1, 5), pixels.shape), 0, 255).astype(
+        np.uint8
+    )
     if rng.random() < 0.4:
         pixels = np.asarray(cv2.bilateralFilter(pixels, 7, 25, 3), dtype=np.uint8)
     if rng.random() < 0.6:
-        pixels = np.clip(1.6 * pixels.astype(float) - 0.6 * cv2.GaussianBlur(pixels, (0, 0), 1.5), 0, 255).astype(
-            np.uint8
-        )
-    data = cv2.imencode(".jpg", pixels[..., ::-1], [cv2.IMWRITE_JPEG_QUALITY, int(rng.integers(60, 96))])[1]
+        pixels = np.clip(
+            1.6 * pixels.astype(float) - 0.6 * cv2.GaussianBlur(pixels, (0, 0), 1.5), 0, 255
+        ).astype(np.uint8)
+    data = cv2.imencode(
+        ".jpg", pixels[..., ::-1], [cv2.IMWRITE_JPEG_QUALITY, int(rng.integers(60, 96))]
+    )[1]
     return np.ascontiguousarray(cv2.imdecode(data, cv2.IMREAD_COLOR)[..., ::-1], dtype=np.uint8)
 
 
 def view(body: Body, hand: str, rng: np.random.Generator) -> tuple[Array, Array, Array, float]:
-    """Rays (H, W, 3) of the pixels and the eye in the finger's frame, turn of that frame, and px/mm at the finger."""
+    """Rays (H, W, 3) of the pixels and the eye in the finger's frame, turn of that frame, and px/mm
+    at the finger."""
     rows, columns = CANVAS
     far = rng.uniform(110, 250)
     width_px = rng.uniform(0.22, 0.45 if hand == "one finger" else 0.34) * columns
@@ -258,13 +340,18 @@ def view(body: Body, hand: str, rng: np.random.Generator) -> tuple[Array, Array,
     turn = rng.uniform(-np.pi, np.pi)
     cos, sin = np.cos(turn), np.sin(turn)
     ahead = np.array([-sin, -cos])  # of the tip, in the image (right, down)
-    tip = np.array([columns, rows]) / 2 + ahead * rng.uniform(-0.05, 0.3) * np.array([columns, rows]) / 2
+    tip = (
+        np.array([columns, rows]) / 2
+        + ahead * rng.uniform(-0.05, 0.3) * np.array([columns, rows]) / 2
+    )
     tip += rng.uniform(-0.1, 0.1, 2) * columns
     row, column = np.indices(CANVAS).astype(np.float64)
     x, y = (column - tip[0]) / focal, -(row - tip[1]) / focal
     rays = np.stack([cos * x + sin * y, -sin * x + cos * y, -np.ones(CANVAS)], -1)
     roll, pitch = np.radians(rng.normal(0, 8)), np.radians(rng.normal(0, 9))
-    rx = np.array([[1, 0, 0], [0, np.cos(pitch), -np.sin(pitch)], [0, np.sin(pitch), np.cos(pitch)]])
+    rx = np.array(
+        [[1, 0, 0], [0, np.cos(pitch), -np.sin(pitch)], [0, np.sin(pitch), np.cos(pitch)]]
+    )
     ry = np.array([[np.cos(roll), 0, np.sin(roll)], [0, 1, 0], [-np.sin(roll), 0, np.cos(roll)]])
     rotation = ry @ rx
     eye = np.array([0, 0, far]) @ rotation + np.array([0, body.length_mm, 0])
@@ -279,9 +366,13 @@ def photographed(number: int, take: int, folder: Path, hand: str, scene: str) ->
     rays, eye, rotation, px_per_mm = view(body, hand, rng)
     bodies = bodies_of(body, hand, rng)
     direction = np.array([rng.normal(0, 0.5), rng.normal(0.3, 0.5), 1.0])
-    lit = {"direction": direction / np.linalg.norm(direction), "ambient": rng.uniform(0.25, 0.7),
-           "contrast": rng.uniform(0.03, 0.14), "relief": rng.uniform(0.5, 2.0),
-           "gloss": rng.choice([0, 0.05, 0.2])}  # fmt: skip
+    lit = {
+        "direction": direction / np.linalg.norm(direction),
+        "ambient": rng.uniform(0.25, 0.7),
+        "contrast": rng.uniform(0.03, 0.14),
+        "relief": rng.uniform(0.5, 2.0),
+        "gloss": rng.choice([0, 0.05, 0.2]),
+    }
     skin = colour_of_skin(rng)
     picture = behind(scene, folder, rng)
     masks, hits = [np.zeros(CANVAS, np.bool_) for _ in bodies], []
@@ -294,8 +385,14 @@ def photographed(number: int, take: int, folder: Path, hand: str, scene: str) ->
         shift = rng.uniform(-60, 60, 2)
         moved = np.float32([[1, 0, shift[0]], [0, 1, shift[1]]])
         shadow = cv2.warpAffine(covered.astype(np.float64), moved, CANVAS[::-1])
-        picture *= 1 - rng.uniform(0.2, 0.6) * cv2.GaussianBlur(shadow, (0, 0), rng.uniform(8, 40))[..., None]
-    mottle = cv2.resize(rng.normal(0, 1, (rows // 40, columns // 40)), CANVAS[::-1], interpolation=cv2.INTER_CUBIC)
+        picture *= (
+            1
+            - rng.uniform(0.2, 0.6)
+            * cv2.GaussianBlur(shadow, (0, 0), rng.uniform(8, 40))[..., None]
+        )
+    mottle = cv2.resize(
+        rng.normal(0, 1, (rows // 40, columns // 40)), CANVAS[::-1], interpolation=cv2.INTER_CUBIC
+    )
     for k, (one, (hit, _, normal, uv)) in enumerate(zip(bodies, hits, strict=True)):
         mine = hit & (owner == k)
         masks[k] = mine
@@ -326,7 +423,8 @@ def drawn(number: int, take: int, work: Path) -> Telephone:
 
 
 def side_of(number: int, take: int, work: Path) -> tuple[Template | None, float]:
-    """Template of a photograph, whose finger is known, and its quality; None where it is refused."""
+    """Template of a photograph, whose finger is known, and its quality; None where it is
+    refused."""
     file = work / f"side_{number}_{take}.pickle"
     if not file.is_file():
         one = drawn(number, take, work)
@@ -342,19 +440,35 @@ def side_of(number: int, take: int, work: Path) -> tuple[Template | None, float]
 
 
 def scores(count: int, work: Path, write: bool) -> None:
-    """Photographs against presses of all fingers, and those of the same and the next six: the best scale's score."""
+    """Photographs against presses of all fingers, and those of the same and the next six: the best
+    scale's score."""
     presses = []
     for number in range(count):
         master = draw_finger(SEED + number).master()
-        presses.append(Prepared(print_template(press(master, number % 2, SENSORS[PRESSES[number % 2]]))))
-    photos = [(number, take, *side_of(number, take, work)) for take in (0, 1) for number in range(count)]
+        presses.append(
+            Prepared(print_template(press(master, number % 2, SENSORS[PRESSES[number % 2]])))
+        )
+    photos = [
+        (number, take, *side_of(number, take, work)) for take in (0, 1) for number in range(count)
+    ]
     rows: list[dict[str, object]] = []
 
     for k, (i, take, template, quality) in enumerate(photos):
         side = None if template is None else Prepared(template)
         for j in range(count):
-            found = -np.inf if side is None else fused_photo(side, presses[j], (True, False))[0].similarity
-            rows.append({"a": f"{i}.{take}", "b": f"press {j}", "quality": f"{quality:.0f}", "score": f"{found:.3f}"})
+            found = (
+                -np.inf
+                if side is None
+                else fused_photo(side, presses[j], (True, False))[0].similarity
+            )
+            rows.append(
+                {
+                    "a": f"{i}.{take}",
+                    "b": f"press {j}",
+                    "quality": f"{quality:.0f}",
+                    "score": f"{found:.3f}",
+                }
+            )
         for j, other, template_b, quality_b in photos[k + 1 :]:
             if (j - i) % count > 6:
                 continue
@@ -362,10 +476,20 @@ def scores(count: int, work: Path, write: bool) -> None:
             if side is not None and template_b is not None:
                 found = fused_photo(side, Prepared(template_b), (True, True))[0].similarity
             least = min(quality, quality_b)
-            rows.append({"a": f"{i}.{take}", "b": f"{j}.{other}", "quality": f"{least:.0f}", "score": f"{found:.3f}"})
+            rows.append(
+                {
+                    "a": f"{i}.{take}",
+                    "b": f"{j}.{other}",
+                    "quality": f"{least:.0f}",
+                    "score": f"{found:.3f}",
+                }
+            )
         print(i, take, f"{quality:.0f}", flush=True)
     write_table("telephone_scores.csv", rows)
-    print("highest impostor:", {kind: f"{table.similarity[-1]:.2f}" for kind, table in tables(rows, write).items()})
+    print(
+        "highest impostor:",
+        {kind: f"{table.similarity[-1]:.2f}" for kind, table in tables(rows, write).items()},
+    )
     rated(rows)
 
 
@@ -382,10 +506,12 @@ def tables(rows: list[dict[str, object]], write: bool) -> dict[str, FmrTable]:
         table = found[kind] = calibrate_scores(scored[np.isfinite(scored)])
         kept = {
             "what": f"drawn telephone photographs of {fingers} simulated fingers, {what}",
-            "by": "validation/match/telephone.py --write", "seed": SEED, "impostors": table.impostors,
+            "by": "validation/match/telephone.py --write",
+            "seed": SEED,
+            "impostors": table.impostors,
             "similarity": (np.ceil(table.similarity * 1e5) / 1e5).tolist(),
             "fmr": [float(f"{rate:.3g}") for rate in table.fmr],
-        }  # fmt: skip
+        }
         if write:
             place = Path(methods.__file__).with_name(f"match_fmr_fingerphotos{kind}.json")
             place.write_text(json.dumps(kept) + "\n", encoding="utf-8")
@@ -398,35 +524,54 @@ def genuine(row: dict[str, object]) -> bool:
 
 
 def rated(rows: list[dict[str, object]]) -> None:
-    """Equal error rate and rates above all impostors of a kind, by least quality; intervals of 95 % draw fingers."""
+    """Equal error rate and rates above all impostors of a kind, by least quality; intervals of 95 %
+    draw fingers."""
     rng, found = np.random.default_rng(0), tables(rows, write=False)
     table = np.array(
         [
-            (int(str(row["a"]).split(".")[0]), genuine(row), "press" in str(row["b"]), row["quality"], row["score"])
+            (
+                int(str(row["a"]).split(".")[0]),
+                genuine(row),
+                "press" in str(row["b"]),
+                row["quality"],
+                row["score"],
+            )
             for row in rows
         ],
         dtype=np.float64,
     )
-    for press_side, name, kind in ((1, "photograph and press", "_and_prints"), (0, "two photographs", "_alone")):
+    for press_side, name, kind in (
+        (1, "photograph and press", "_and_prints"),
+        (0, "two photographs", "_alone"),
+    ):
         threshold = float(found[kind].similarity[-1])
         for least in (0, MIN_QUALITY, 30, 50):
             part = table[(table[:, 2] == press_side) & (table[:, 3] >= least)]
             fingers = np.unique(part[part[:, 1] == 1, 0])
 
-            def figures(chosen: Array, part: Array = part, threshold: float = threshold) -> tuple[float, float, float]:
+            def figures(
+                chosen: Array, part: Array = part, threshold: float = threshold
+            ) -> tuple[float, float, float]:
                 some = np.vstack([part[part[:, 0] == finger] for finger in chosen])
                 same, other = some[some[:, 1] == 1, 4], some[some[:, 1] == 0, 4]
                 levels = np.unique(some[np.isfinite(some[:, 4]), 4])
                 errors = [max((same < level).mean(), (other >= level).mean()) for level in levels]
-                return 100 * min(errors), 100 * (same < threshold).mean(), 100 * (other >= threshold).mean()
+                return (
+                    100 * min(errors),
+                    100 * (same < threshold).mean(),
+                    100 * (other >= threshold).mean(),
+                )
 
             again = np.array([figures(rng.choice(fingers, len(fingers))) for _ in range(300)])
             low, high = np.percentile(again, [2.5, 97.5], axis=0)
-            words = [f"{v:.1f} [{a:.1f}, {b:.1f}]" for v, a, b in zip(figures(fingers), low, high, strict=True)]
+            words = [
+                f"{v:.1f} [{a:.1f}, {b:.1f}]"
+                for v, a, b in zip(figures(fingers), low, high, strict=True)
+            ]
             print(
-                f"{name}, quality {least} or more: {int(part[:, 1].sum())} genuine pairs of {len(fingers)} fingers, "
-                f"{int((part[:, 1] == 0).sum())} impostors: EER {words[0]} %, at {threshold:.2f} FNMR {words[1]} %, "
-                f"FMR {words[2]} %",
+                f"{name}, quality {least} or more: {int(part[:, 1].sum())} genuine pairs of"
+                f" {len(fingers)} fingers, {int((part[:, 1] == 0).sum())} impostors: EER {words[0]}"
+                f" %, at {threshold:.2f} FNMR {words[1]} %, FMR {words[2]} %",
                 flush=True,
             )
 
@@ -441,10 +586,14 @@ def write_table(name: str, rows: list[dict[str, object]]) -> None:
 
 def main() -> int:
     """Run."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("--count", type=int, default=40)
     parser.add_argument("--work", type=Path, required=True, help="keeps the photographs")
-    parser.add_argument("--write", action="store_true", help="write the table of impostor scores of `match`")
+    parser.add_argument(
+        "--write", action="store_true", help="write the table of impostor scores of `match`"
+    )
     options = parser.parse_args()
     cv2.setNumThreads(1)
     options.work.mkdir(parents=True, exist_ok=True)

@@ -1,13 +1,15 @@
-"""Small prints: square windows of real prints against whole prints and against each other, by what overlaps.
+"""Small prints: square windows of real prints against whole prints and against each other, by what
+overlaps.
 
-    python validation/match/windows.py --compare 24000        # adds comparisons to the cache, in a fixed order
-    python validation/match/windows.py                        # fits, rates and tables from what was compared
-    python validation/match/windows.py --write                # and writes what the matcher ships
+    python validation/match/windows.py --compare 24000 # adds comparisons to the cache, in a fixed
+    order python validation/match/windows.py # fits, rates and tables from what was compared python
+    validation/match/windows.py --write # and writes what the matcher ships
 
-Windows of 4 to 10 mm are cut from every print of ``fvc.py``'s seven real sets: one around the middle of its ridges, one
-where it is drawn. *Whole*: a window against a whole print of the same sensor, of another finger or of the same one.
-*Touches*: middle windows of the first four impressions of each finger against each other. Evidence is kept, so that
-constants and false match rates follow from one run: every set is judged by constants fitted on the six others.
+Windows of 4 to 10 mm are cut from every print of ``fvc.py``'s seven real sets: one around the
+middle of its ridges, one where it is drawn. *Whole*: a window against a whole print of the same
+sensor, of another finger or of the same one. *Touches*: middle windows of the first four
+impressions of each finger against each other. Evidence is kept, so that constants and false match
+rates follow from one run: every set is judged by constants fitted on the six others.
 """
 
 from __future__ import annotations
@@ -40,13 +42,15 @@ SIZES_MM = (4, 5, 6, 8, 10)
 SEED = 48
 WHOLE, TOUCHES, PRINTS = 0, 1, 2
 RATED_MM2, EXCLUDED_MM2 = 6.0, 40.0
-"""Overlap from which on rates are stated, and from which on nine of ten genuine pairs pass (see ``by_overlap``)."""
+"""Overlap from which on rates are stated, and from which on nine of ten genuine pairs pass (see
+``by_overlap``)."""
 FIRST, SECOND = 5600, 2800
 """Comparisons of either kind of order."""
 
 
 def windows(images: list[Image], number: int) -> list[tuple[int, int, str, Image]]:
-    """Of each print and size a window around the middle, and a drawn one: print, mm, which, pixels."""
+    """Of each print and size a window around the middle, and a drawn one: print, mm, which,
+    pixels."""
     rng = np.random.default_rng([SEED, number])
     found = []
     for n, image in enumerate(images):
@@ -80,7 +84,8 @@ def cut(image: Image, y: float, x: float, mm: float) -> Image:
 
 @dataclass(frozen=True, slots=True)
 class Task:
-    """One comparison: kind, set, size, whether of one finger, the window, and the other's number."""
+    """One comparison: kind, set, size, whether of one finger, the window, and the other's
+    number."""
 
     kind: int
     number: int
@@ -91,12 +96,17 @@ class Task:
 
 
 def tasks(number: int, owner: list[str], impression: list[int], count: int) -> list[Task]:
-    """Of a set, in the order in which they are compared: touches between windows against whole prints."""
+    """Of a set, in the order in which they are compared: touches between windows against whole
+    prints."""
     rng = np.random.default_rng([SEED, number, 1])
     everyone = np.array(owner)
     whole = []
     for k in range(count):
-        n, mm, which = int(rng.integers(len(owner))), int(rng.choice(SIZES_MM)), str(rng.choice(["middle", "drawn"]))
+        n, mm, which = (
+            int(rng.integers(len(owner))),
+            int(rng.choice(SIZES_MM)),
+            str(rng.choice(["middle", "drawn"])),
+        )
         same = k % 5 == 4
         others = [m for m in np.flatnonzero((everyone == owner[n]) == same).tolist() if m != n]
         whole.append(Task(WHOLE, number, mm, same, (n, mm, which), int(rng.choice(others))))
@@ -108,7 +118,8 @@ def tasks(number: int, owner: list[str], impression: list[int], count: int) -> l
     ]
     order = rng.permutation(len(touches))
     spread = np.argsort(
-        np.concatenate([np.arange(count) / count, np.arange(len(touches)) / len(touches)]), kind="stable"
+        np.concatenate([np.arange(count) / count, np.arange(len(touches)) / len(touches)]),
+        kind="stable",
     )
     both = whole + [touches[k] for k in order]
     return [both[k] for k in spread]
@@ -126,7 +137,11 @@ def second(owners: list[list[str]]) -> list[Task]:
     for k in range(SECOND // 4):
         number = k % len(owners)
         owner = np.array(owners[number])
-        n, mm, which = int(rng.integers(len(owner))), int(rng.choice(SIZES_MM)), str(rng.choice(["middle", "drawn"]))
+        n, mm, which = (
+            int(rng.integers(len(owner))),
+            int(rng.choice(SIZES_MM)),
+            str(rng.choice(["middle", "drawn"])),
+        )
         others = rng.choice(np.flatnonzero(owner != owner[n]), 4, replace=False)
         found += [Task(WHOLE, number, mm, False, (n, mm, which), int(one)) for one in others]
     return found
@@ -142,7 +157,9 @@ def compare(job: Job, most: int) -> None:
     kept: list[tuple[list[Image], dict[tuple[int, int, str], Image]]] = []
     for number, name in enumerate(SETS):
         images, owner, impression = prints(name, job)
-        kept.append((images, {(n, mm, which): part for n, mm, which, part in windows(images, number)}))
+        kept.append(
+            (images, {(n, mm, which): part for n, mm, which, part in windows(images, number)})
+        )
         owners.append(owner)
         todo.append(tasks(number, owner, impression, 2500))
 
@@ -157,12 +174,26 @@ def compare(job: Job, most: int) -> None:
         other = task.other if task.kind != TOUCHES else (task.other, task.mm, "middle")
         own = task.window[0] if task.kind == PRINTS else task.window
         found = fused_match(side(task.number, own), side(task.number, other))
-        rows.append((task.kind, task.number, task.mm, task.same, task.window[0], task.other, *found.evidence))
-        for key in [key for key in sides if not isinstance(key[1], int)][:-50]:  # turned windows are large
+        rows.append(
+            (
+                task.kind,
+                task.number,
+                task.mm,
+                task.same,
+                task.window[0],
+                task.other,
+                *found.evidence,
+            )
+        )
+        # turned windows are large
+        for key in [key for key in sides if not isinstance(key[1], int)][:-50]:
             del sides[key]
         if len(rows) % 250 == 0:
             np.save(file, np.concatenate([known, np.array(rows, dtype=np.float64)]))
-            print(f"{len(known) + len(rows)} comparisons, {time.monotonic() - begun:.0f} s", flush=True)
+            print(
+                f"{len(known) + len(rows)} comparisons, {time.monotonic() - begun:.0f} s",
+                flush=True,
+            )
     if rows:
         np.save(file, np.concatenate([known, np.array(rows, dtype=np.float64)]))
 
@@ -196,7 +227,11 @@ def fitted(rows: NDArray[np.float64]) -> Constants:
     ):
         x = np.stack([*(one[known] for one in columns), np.ones(known.sum())], axis=1)
         label = same[known]
-        found.append(np.round(logistic(x, label, np.where(label, 0.5 / label.sum(), 0.5 / (~label).sum())), 4))
+        found.append(
+            np.round(
+                logistic(x, label, np.where(label, 0.5 / label.sum(), 0.5 / (~label).sum())), 4
+            )
+        )
     return Constants(*found)
 
 
@@ -209,7 +244,9 @@ def scored(rows: NDArray[np.float64], by: Constants) -> NDArray[np.float64]:
 
 def cllr(score: NDArray[np.float64], same: NDArray[np.bool_]) -> float:
     """Cost of log-likelihood ratios, in bits (Bruemmer and du Preez 2006)."""
-    return float(np.logaddexp(0, -score[same]).mean() + np.logaddexp(0, score[~same]).mean()) / (2 * np.log(2))
+    return float(np.logaddexp(0, -score[same]).mean() + np.logaddexp(0, score[~same]).mean()) / (
+        2 * np.log(2)
+    )
 
 
 def equal_error(score: NDArray[np.float64], same: NDArray[np.bool_]) -> float:
@@ -225,7 +262,9 @@ def shares(passed: NDArray[np.bool_]) -> list[float]:
     """Fraction and its interval (Wilson), in percent."""
     found = binomtest(int(passed.sum()), max(passed.size, 1)).proportion_ci(method="wilson")
     low, high = (float(found.low), float(found.high)) if passed.size else (0.0, 1.0)
-    return [round(100 * one, 3) for one in (float(passed.mean()) if passed.size else 0.0, low, high)]
+    return [
+        round(100 * one, 3) for one in (float(passed.mean()) if passed.size else 0.0, low, high)
+    ]
 
 
 def at_stated(score: NDArray[np.float64], rows: NDArray[np.float64], fmr: float) -> dict[str, Any]:
@@ -238,10 +277,18 @@ def at_stated(score: NDArray[np.float64], rows: NDArray[np.float64], fmr: float)
         threshold = np.inf if allowed < 0 else others[others.size - 1 - allowed] + 1e-9
         accepted[number == one] = score[number == one] >= threshold
     per = {
-        name: {"fmr": shares(accepted[(number == k) & ~same]), "fnmr": shares(~accepted[(number == k) & same])}
+        name: {
+            "fmr": shares(accepted[(number == k) & ~same]),
+            "fnmr": shares(~accepted[(number == k) & same]),
+        }
         for k, name in enumerate(SETS)
     }
-    return {"stated": fmr, "fmr": shares(accepted[~same]), "fnmr": shares(~accepted[same]), "sets": per}
+    return {
+        "stated": fmr,
+        "fmr": shares(accepted[~same]),
+        "fnmr": shares(~accepted[same]),
+        "sets": per,
+    }
 
 
 def report(rows: NDArray[np.float64]) -> tuple[dict[str, Any], NDArray[np.float64], Constants]:
@@ -258,35 +305,41 @@ def report(rows: NDArray[np.float64]) -> tuple[dict[str, Any], NDArray[np.float6
             part = (kind == which) & (mm == size)
             if part.any() and (same & part).any():
                 facts["sizes"][f"{name}, {size} mm"] = {
-                    "genuine": int((part & same).sum()), "impostors": int((part & ~same).sum()),
+                    "genuine": int((part & same).sum()),
+                    "impostors": int((part & ~same).sum()),
                     "eer": round(equal_error(score[part], same[part]), 1),
-                }  # fmt: skip
+                }
     windows_ = (kind != PRINTS) & small
     limit = float(np.sort(score[windows_ & ~same & (overlap >= RATED_MM2)])[-1])
     for low, high in itertools.pairwise((0, 6, 10, 15, 20, 30, 40, 60, 400)):
         part = windows_ & (overlap >= low) & (overlap < high)
         impostor = score[part & ~same]
         facts["by_overlap"][f"{low} to {high} mm2"] = {
-            "impostors": int(impostor.size), "q99": round(float(np.quantile(impostor, 0.99)), 2),
-            "q999": round(float(np.quantile(impostor, 0.999)), 2), "largest": round(float(impostor.max()), 2),
+            "impostors": int(impostor.size),
+            "q99": round(float(np.quantile(impostor, 0.99)), 2),
+            "q999": round(float(np.quantile(impostor, 0.999)), 2),
+            "largest": round(float(impostor.max()), 2),
             "genuine above all": shares(score[part & same] > limit),
-        }  # fmt: skip
+        }
     whole = (kind == PRINTS) & ~small
     rated = windows_ & (overlap >= RATED_MM2)
     for name, part in (("whole prints", whole), ("windows", rated)):
         if part.any():
             facts[name] = {
-                "genuine": int((part & same).sum()), "impostors": int((part & ~same).sum()),
-                "eer": round(equal_error(score[part], same[part]), 2), "cllr": round(cllr(score[part], same[part]), 3),
+                "genuine": int((part & same).sum()),
+                "impostors": int((part & ~same).sum()),
+                "eer": round(equal_error(score[part], same[part]), 2),
+                "cllr": round(cllr(score[part], same[part]), 3),
                 "at": [at_stated(score[part], rows[part], fmr) for fmr in (0.01, 0.001)],
-            }  # fmt: skip
+            }
             for k, one in enumerate(SETS):
                 own = part & (number == k)
                 if not (own & same).any():
                     continue
                 facts["sets"].setdefault(one, {})[name] = {
-                    "eer": round(equal_error(score[own], same[own]), 2), "cllr": round(cllr(score[own], same[own]), 3)
-                }  # fmt: skip
+                    "eer": round(equal_error(score[own], same[own]), 2),
+                    "cllr": round(cllr(score[own], same[own]), 3),
+                }
     return facts, score, fitted(rows)
 
 
@@ -294,14 +347,18 @@ def table_of(impostor: NDArray[np.float64], what: str, **more: float) -> dict[st
     """What the matcher reads."""
     table = calibrate_scores(impostor)
     return {
-        "what": what, "by": "validation/match/windows.py", "impostors": table.impostors, **more,
+        "what": what,
+        "by": "validation/match/windows.py",
+        "impostors": table.impostors,
+        **more,
         "similarity": (np.ceil(table.similarity * 1e5) / 1e5).tolist(),
         "fmr": [float(f"{rate:.3g}") for rate in table.fmr],
-    }  # fmt: skip
+    }
 
 
 def write(facts: dict[str, Any], rows: NDArray[np.float64], constants: Constants) -> None:
-    """Figures, and the tables that the matcher ships; constants are copied by hand into ``matching/fusion.py``."""
+    """Figures, and the tables that the matcher ships; constants are copied by hand into
+    ``matching/fusion.py``."""
     score, same, small = scored(rows, constants), rows[:, 3] == 1, ~np.isnan(rows[:, 9])
     part = (rows[:, 0] != PRINTS) & small & ~same & (np.nan_to_num(rows[:, 9]) >= RATED_MM2)
     what = "windows of 16 to 100 mm² of real prints of seven sensors"
@@ -310,13 +367,20 @@ def write(facts: dict[str, Any], rows: NDArray[np.float64], constants: Constants
     part = (rows[:, 0] == PRINTS) & ~small & ~same
     made_ = table_of(score[part], "pairs of real prints of seven sensors")
     (FOLDER / REAL_PRINTS).write_text(json.dumps(made_, indent=1) + "\n", encoding="utf-8")
-    document = {"fitted": {"overlap": constants.overlap.tolist(), "overlap_and_minutiae": constants.both.tolist()}}
+    document = {
+        "fitted": {
+            "overlap": constants.overlap.tolist(),
+            "overlap_and_minutiae": constants.both.tolist(),
+        }
+    }
     OUT.write_text(json.dumps({**document, **facts}, indent=1) + "\n", encoding="utf-8")
 
 
 def main() -> None:
     """Run."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("--compare", type=int, metavar="N", help="compare until the cache holds N")
     parser.add_argument("--cache", type=Path, default=Path("/tmp/splitknit_fvc"))
     parser.add_argument("--write", action="store_true")

@@ -2,10 +2,10 @@
 
     python validation/mirror/rolled.py --fingers 8 --folder /tmp/rolled-captures
 
-simulates fingers between two mirrors at rolls of 0, +-10 and +-20 deg (each capture with a pose, dust and noise of its
-own), rolls them, compares them with the truth, and writes ``validation/mirror/rolled.json``.
-A run that is stopped goes on where it was; captures are deleted once they are measured. The settings were tuned on the
-fingers 11, 101 and 102 only.
+simulates fingers between two mirrors at rolls of 0, +-10 and +-20 deg (each capture with a pose,
+dust and noise of its own), rolls them, compares them with the truth, and writes
+``validation/mirror/rolled.json``. A run that is stopped goes on where it was; captures are deleted
+once they are measured. The settings were tuned on the fingers 11, 101 and 102 only.
 """
 
 from __future__ import annotations
@@ -45,7 +45,13 @@ def simulated(folder: Path, seed: int, number: int, scale: float, model: str) ->
             "--mirrors",
             "left,right",
         ]
-        arguments += ["--no-nir", "--impression", str(number), "--set", f"pose.roll_deg=[{roll},{roll}]"]
+        arguments += [
+            "--no-nir",
+            "--impression",
+            str(number),
+            "--set",
+            f"pose.roll_deg=[{roll},{roll}]",
+        ]
         arguments += ["--set", f"mirrors.model={model}"]
         program = [sys.executable, "-m", "splitknit.cli.main"]
         if subprocess.run([*program, *arguments, "--json"], check=False).returncode != 0:
@@ -53,7 +59,9 @@ def simulated(folder: Path, seed: int, number: int, scale: float, model: str) ->
     return out
 
 
-def kept(folder: Path, seed: int, number: int, keep: bool, scale: float, model: str) -> dict[str, Any]:  # noqa: PLR0917
+def kept(  # noqa: PLR0917
+    folder: Path, seed: int, number: int, keep: bool, scale: float, model: str
+) -> dict[str, Any]:
     """Row of one capture, from the folder or made now."""
     file = folder / f"{seed}_{number}.json"
     if not file.is_file():
@@ -84,7 +92,9 @@ def summary(rows: list[dict[str, Any]]) -> dict[str, Any]:
     def pooled(word: str) -> float:
         """Root mean square over all seams, each weighing by its length."""
         squares = [seam[word] ** 2 * seam["length_mm"] for seam in steps]
-        return round(float(np.sqrt(sum(squares) / max(sum(seam["length_mm"] for seam in steps), 1e-9))), 2)
+        return round(
+            float(np.sqrt(sum(squares) / max(sum(seam["length_mm"] for seam in steps), 1e-9))), 2
+        )
 
     result: dict[str, Any] = {
         "captures": len(rows),
@@ -95,7 +105,9 @@ def summary(rows: list[dict[str, Any]]) -> dict[str, Any]:
         "seams_above_10_um": sum(seam["faded_um"] > 10.0 for seam in steps),
         "seam_step_pooled_um": pooled("faded_um"),
         "same_step_beside_the_seams_pooled_um": pooled("no_seam_um"),
-        "ridges_apart_um": spread([value for row in rows for value in row["ridges_apart_um"].values()]),
+        "ridges_apart_um": spread(
+            [value for row in rows for value in row["ridges_apart_um"].values()]
+        ),
         "views_cut": sum(len(row["cut"]) for row in rows),
         "seam_step_um": spread([seam["faded_um"] for seam in steps]),
         "same_step_beside_the_seams_um": spread([seam["no_seam_um"] for seam in steps]),
@@ -109,12 +121,23 @@ def summary(rows: list[dict[str, Any]]) -> dict[str, Any]:
 
 def main() -> None:
     """Run."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("--fingers", type=int, default=8)
     parser.add_argument("--seed", type=int, default=103)
-    parser.add_argument("--rolls", type=int, default=len(ROLLS_DEG), help="how many of 0, 20, -20, 10, -10 deg")
-    parser.add_argument("--scale", type=float, default=SCALE, help="of the camera of 44 px/mm; each in its own folder")
-    parser.add_argument("--model", default="orthographic", help="or perspective; each in its own folder")
+    parser.add_argument(
+        "--rolls", type=int, default=len(ROLLS_DEG), help="how many of 0, 20, -20, 10, -10 deg"
+    )
+    parser.add_argument(
+        "--scale",
+        type=float,
+        default=SCALE,
+        help="of the camera of 44 px/mm; each in its own folder",
+    )
+    parser.add_argument(
+        "--model", default="orthographic", help="or perspective; each in its own folder"
+    )
     parser.add_argument("--folder", type=Path, default=Path("/tmp/rolled-captures"))
     parser.add_argument("--keep", action="store_true", help="keep the captures")
     parser.add_argument("--out", type=Path, default=HERE / "rolled.json")
@@ -126,12 +149,17 @@ def main() -> None:
         for number in range(options.rolls)
         for seed in fingers
     ]
-    rows, refused = [row for row in every if "refused" not in row], [row for row in every if "refused" in row]
+    rows, refused = (
+        [row for row in every if "refused" not in row],
+        [row for row in every if "refused" in row],
+    )
     facts = {
         "scale": options.scale,
         "camera": options.model,
         "mirrors": ["left", "right"],
-        "values": "median, least, largest over the captures; correlation of the ridge band by slant (deg)",
+        "values": (
+            "median, least, largest over the captures; correlation of the ridge band by slant (deg)"
+        ),
         "summary": summary(rows),
         "refused": refused,
         "captures": rows,

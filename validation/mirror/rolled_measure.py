@@ -62,7 +62,8 @@ def measure(folder: Path) -> dict[str, Any]:
 
 
 def front_alone(rolled: Rolled) -> Rolled:
-    """The same finger as its front shows it, as far as any view is used: the same relief, without the mirrors'."""
+    """The same finger as its front shows it, as far as any view is used: the same relief, without
+    the mirrors'."""
     facing = rolled.normals[..., 2] > np.cos(np.deg2rad(STEEPEST_DEG))
     known = rolled.blended.known & (rolled.view_reliefs[0] != 0) & facing
     relief = np.where(known, rolled.view_reliefs[0], np.float32(0.0)).astype(np.float32)
@@ -72,7 +73,8 @@ def front_alone(rolled: Rolled) -> Rolled:
 
 
 def _poses(rolled: Rolled, views: Any, truth: dict[str, Any]) -> dict[str, Any]:
-    """Errors of the mirrors' normals (deg) and places (mm), as the outlines have them and after registration."""
+    """Errors of the mirrors' normals (deg) and places (mm), as the outlines have them and after
+    registration."""
     found = {}
     first = {view.name: view.glass for view in views if view.glass is not None}
     for glass in rolled.glasses:
@@ -85,7 +87,8 @@ def _poses(rolled: Rolled, views: Any, truth: dict[str, Any]) -> dict[str, Any]:
 
 
 def against_truth(rolled: Rolled, front: Rolled, truth: dict[str, Any]) -> dict[str, Any]:
-    """Every point of the print against the truth at the pixel of the image that it was taken from."""
+    """Every point of the print against the truth at the pixel of the image that it was taken
+    from."""
     pitch = rolled.chart.pitch_mm * STEP
     slant = np.rad2deg(np.arccos(np.clip(rolled.normals[::STEP, ::STEP, 2], -1.0, 1.0)))
     length = rolled.chart.length_mm[::STEP, None]
@@ -96,8 +99,13 @@ def against_truth(rolled: Rolled, front: Rolled, truth: dict[str, Any]) -> dict[
     for name, one in (("rolled", rolled), ("front", front)):
         known = one.blended.known[::STEP, ::STEP]
         seen = ridges_of(np.ascontiguousarray(one.blended.relief_mm[::STEP, ::STEP]), known, pitch)
-        # where two views are mixed, the truth is that of the one that counts more: ridges that do not meet cost
-        there = np.take_along_axis(np.stack(by_view), best[None], axis=0)[0] if name == "rolled" else by_view[0]
+        # where two views are mixed, the truth is that of the one that counts more: ridges that do
+        # not meet cost
+        there = (
+            np.take_along_axis(np.stack(by_view), best[None], axis=0)[0]
+            if name == "rolled"
+            else by_view[0]
+        )
         known = known & np.isfinite(there)
         there = ridges_of(np.nan_to_num(there).astype(np.float32), known, pitch)
         result[name] = _by_band(there, seen, known & region, slant)
@@ -107,32 +115,53 @@ def against_truth(rolled: Rolled, front: Rolled, truth: dict[str, Any]) -> dict[
 
 
 def _truth_of(rolled: Rolled, view: int, truth: dict[str, Any]) -> NDArray[np.float32]:
-    """(n, m) true relief, mm, at the pixels at which one view shows the chart's points; NaN beside it."""
+    """(n, m) true relief, mm, at the pixels at which one view shows the chart's points; NaN beside
+    it."""
     name = rolled.names[view]
-    relief, mask = ("relief_um", "mask") if name == "front" else (f"view_{name}_relief_um", f"view_{name}_mask")
-    field = np.where(truth[mask], truth[relief] * np.float32(1e-3), np.float32(np.nan)).astype(np.float32)
+    relief, mask = (
+        ("relief_um", "mask")
+        if name == "front"
+        else (f"view_{name}_relief_um", f"view_{name}_mask")
+    )
+    field = np.where(truth[mask], truth[relief] * np.float32(1e-3), np.float32(np.nan)).astype(
+        np.float32
+    )
     places = rolled.places[view, ::STEP, ::STEP]
     return read(field, places[..., 0], places[..., 1])
 
 
 def ridges_apart(rolled: Rolled, truth: dict[str, Any]) -> dict[str, float | None]:
-    """How far apart (rms, um) the skin lies that the front and each mirror show at one place of the print, where both
-    count: by the skin's own coordinates."""
+    """How far apart (rms, um) the skin lies that the front and each mirror show at one place of the
+    print, where both count: by the skin's own coordinates."""
     skin = []
     for view, name in enumerate(rolled.names):
-        place, mask = ("chart_mm", "mask") if name == "front" else (f"view_{name}_chart_mm", f"view_{name}_mask")
-        field = np.where(truth[mask][..., None], truth[place], np.float32(np.nan)).astype(np.float32)
+        place, mask = (
+            ("chart_mm", "mask")
+            if name == "front"
+            else (f"view_{name}_chart_mm", f"view_{name}_mask")
+        )
+        field = np.where(truth[mask][..., None], truth[place], np.float32(np.nan)).astype(
+            np.float32
+        )
         at = rolled.places[view, ::STEP, ::STEP]
-        parts = [read(np.ascontiguousarray(field[..., k]), at[..., 0], at[..., 1]) for k in range(2)]
+        parts = [
+            read(np.ascontiguousarray(field[..., k]), at[..., 0], at[..., 1]) for k in range(2)
+        ]
         skin.append(np.stack(parts, axis=-1))
     length = rolled.chart.length_mm[::STEP, None]
     fractions = rolled.blended.fractions[:, ::STEP, ::STEP]
     result: dict[str, float | None] = {}
     for view, name in enumerate(rolled.names[1:], start=1):
         apart = np.linalg.norm(skin[view] - skin[0], axis=-1)
-        both = (np.minimum(fractions[0], fractions[view]) > 0.2) & (length <= CAP_MM) & (length >= -BASE_MM)
+        both = (
+            (np.minimum(fractions[0], fractions[view]) > 0.2)
+            & (length <= CAP_MM)
+            & (length >= -BASE_MM)
+        )
         values = apart[both & np.isfinite(apart)]
-        result[name] = round(1000.0 * float(np.sqrt((values**2).mean())), 1) if values.size > 100 else None
+        result[name] = (
+            round(1000.0 * float(np.sqrt((values**2).mean())), 1) if values.size > 100 else None
+        )
     return result
 
 
@@ -141,7 +170,10 @@ def _surface_error(rolled: Rolled, truth: dict[str, Any]) -> float:
     points = truth["body_shape_mm"].astype(np.float64)
     every = 8
     length = rolled.chart.length_mm[::every]
-    some = rolled.blended.known[::every, ::every] & ((length <= CAP_MM) & (length >= -BASE_MM))[:, None]
+    some = (
+        rolled.blended.known[::every, ::every]
+        & ((length <= CAP_MM) & (length >= -BASE_MM))[:, None]
+    )
     places = rolled.points_mm[::every, ::every][some].astype(np.float64)
     _, index = cKDTree(points.reshape(-1, 3)).query(places)
     normals = truth["body_normals"].reshape(-1, 3)[index]
@@ -154,37 +186,49 @@ def _by_band(there: Any, seen: Any, known: Any, slant: Any) -> dict[str, float |
     for low, high in BANDS_DEG:
         where = known & (slant >= low) & (slant < high)
         enough = int(where.sum()) > 500
-        result[f"{low}-{high}"] = round(float(np.corrcoef(there[where], seen[where])[0, 1]), 3) if enough else None
+        result[f"{low}-{high}"] = (
+            round(float(np.corrcoef(there[where], seen[where])[0, 1]), 3) if enough else None
+        )
     beyond = known & (slant >= 60)
     enough = int(beyond.sum()) > 500
-    result["beyond 60"] = round(float(np.corrcoef(there[beyond], seen[beyond])[0, 1]), 3) if enough else None
+    result["beyond 60"] = (
+        round(float(np.corrcoef(there[beyond], seen[beyond])[0, 1]), 3) if enough else None
+    )
     return result
 
 
 def seam_lines(fractions: NDArray[np.float32], first: int, second: int) -> NDArray[np.bool_]:
-    """(n, m) pixels just left of where the weight passes from view `first` to view `second`, along the rows."""
+    """(n, m) pixels just left of where the weight passes from view `first` to view `second`, along
+    the rows."""
     ahead = fractions[first] > fractions[second]
-    both = (np.minimum(fractions[first], fractions[second]) > 0.25) & (fractions[first] + fractions[second] > 0.8)
+    both = (np.minimum(fractions[first], fractions[second]) > 0.25) & (
+        fractions[first] + fractions[second] > 0.8
+    )
     line = np.zeros(ahead.shape, dtype=np.bool_)
     line[:, :-1] = (ahead[:, :-1] != ahead[:, 1:]) & both[:, :-1] & both[:, 1:]
     return line
 
 
-def seam_steps(values: NDArray[np.float32], line: NDArray[np.bool_], pitch_mm: float) -> NDArray[np.float64]:
-    """(K,) by how much the mean beside a seam differs from that on its other side, at every pixel of the seam.
-    `values` (n, m) is what should not change there: the relief's error, or the relief with its ridges smoothed away.
+def seam_steps(
+    values: NDArray[np.float32], line: NDArray[np.bool_], pitch_mm: float
+) -> NDArray[np.float64]:
+    """(K,) by how much the mean beside a seam differs from that on its other side, at every pixel
+    of the seam. `values` (n, m) is what should not change there: the relief's error, or the relief
+    with its ridges smoothed away.
     """
     reach = max(1, round(0.25 / pitch_mm))
     padded = np.pad(values.astype(np.float64), ((0, 0), (reach, reach)), mode="edge")
     sums = np.cumsum(np.pad(padded, ((0, 0), (1, 0))), axis=1)
     rows, columns = np.nonzero(line)
     at = columns + reach + 1  # first pixel right of the seam, in the padded image
-    return np.asarray((sums[rows, at + reach] - 2 * sums[rows, at] + sums[rows, at - reach]) / reach)
+    return np.asarray(
+        (sums[rows, at + reach] - 2 * sums[rows, at] + sums[rows, at - reach]) / reach
+    )
 
 
 def _seams(rolled: Rolled, seen: Any, there: Any, known: Any, pitch: float) -> dict[str, Any]:
-    """Steps of the relief's error (rms, um) across each seam: cross-faded, as a hard cut would have them, and 1.5 mm to
-    either side, where there is no seam."""
+    """Steps of the relief's error (rms, um) across each seam: cross-faded, as a hard cut would have
+    them, and 1.5 mm to either side, where there is no seam."""
     fractions = rolled.blended.fractions[:, ::STEP, ::STEP]
     best = np.argmax(fractions, axis=0)
     cut = np.take_along_axis(rolled.view_reliefs[:, ::STEP, ::STEP], best[None], axis=0)[0]
@@ -204,6 +248,9 @@ def _seams(rolled: Rolled, seen: Any, there: Any, known: Any, pitch: float) -> d
         }
         result[name] = {
             "length_mm": round(float(line.any(axis=1).sum()) * pitch, 1),
-            **{f"{word}_um": round(1000.0 * float(np.sqrt((s**2).mean())), 2) for word, s in steps.items()},
+            **{
+                f"{word}_um": round(1000.0 * float(np.sqrt((s**2).mean())), 2)
+                for word, s in steps.items()
+            },
         }
     return result

@@ -1,13 +1,15 @@
-"""The shape from mirrors on simulated fingers: the thesis's method beside `metric`, and mirrors off their place.
+"""The shape from mirrors on simulated fingers: the thesis's method beside `metric`, and mirrors off
+their place.
 
-    python validation/mirror/shape.py [--seeds 9101 9102 ...] [--scale 0.25]    # measure (resumes), then sum up
-    python validation/mirror/shape.py --summary                                 # sum up what there is
+    python validation/mirror/shape.py [--seeds 9101 9102 ...] [--scale 0.25] # measure (resumes),
+    then sum up python validation/mirror/shape.py --summary # sum up what there is
 
-Every finger is photographed once between three mirrors, which stand where the twin built them: about 1 deg and 0.7 mm
-off the rig file. Shapes are compared with the truth's shape without ridges over the front view, the tip to a little
-below the first crease, further than 0.33 mm from the edge, after the mean difference is removed; nothing else is
-aligned. ``off`` puts the rig file's mirrors 3 deg (about a random axis) and 2 mm (along their normal, either way) off
-the true ones. Seeds 9001 to 9008 were looked at while the method was made; those reported were not.
+Every finger is photographed once between three mirrors, which stand where the twin built them:
+about 1 deg and 0.7 mm off the rig file. Shapes are compared with the truth's shape without ridges
+over the front view, the tip to a little below the first crease, further than 0.33 mm from the edge,
+after the mean difference is removed; nothing else is aligned. ``off`` puts the rig file's mirrors 3
+deg (about a random axis) and 2 mm (along their normal, either way) off the true ones. Seeds 9001 to
+9008 were looked at while the method was made; those reported were not.
 """
 
 from __future__ import annotations
@@ -52,7 +54,8 @@ CASES: dict[str, tuple[str, tuple[str, ...], bool, bool]] = {
     "off: outlines and slopes, left": ("outlines", ("left",), True, True),
     "off: outlines and slopes, left right": ("outlines", ("left", "right"), True, True),
 }
-"""Method, mirrors, whether the skin's slopes in white light are used, whether the rig file's mirrors are off."""
+"""Method, mirrors, whether the skin's slopes in white light are used, whether the rig file's
+mirrors are off."""
 
 
 def rms_mm(shape: MirrorShape, truth: Mapping[str, Any]) -> float:
@@ -65,7 +68,8 @@ def rms_mm(shape: MirrorShape, truth: Mapping[str, Any]) -> float:
 
 
 def displaced(truth: Mapping[str, Any], mirror: Mirror, rng: np.random.Generator) -> Mirror:
-    """The true mirror, turned by 3 deg about a random axis through its middle and shifted by 2 mm."""
+    """The true mirror, turned by 3 deg about a random axis through its middle and shifted by 2
+    mm."""
     corners = truth[f"mirror_{mirror.name}_corners_mm"]
     axis = rng.standard_normal(3)
     turn = cv2.Rodrigues(np.deg2rad(TURN_DEG) * axis / np.linalg.norm(axis))[0]
@@ -75,13 +79,17 @@ def displaced(truth: Mapping[str, Any], mirror: Mirror, rng: np.random.Generator
     return replace(mirror, corners_mm=tuple(tuple(float(v) for v in corner) for corner in moved))
 
 
-def in_cases(capture: Capture, truth: Mapping[str, Any], seed: int) -> Iterator[tuple[str, float | str]]:
+def in_cases(
+    capture: Capture, truth: Mapping[str, Any], seed: int
+) -> Iterator[tuple[str, float | str]]:
     """Name and rms of every case, or the words with which it was refused."""
     rng = np.random.default_rng(seed)
     names = {mirror.name: mirror for mirror in capture.rig.mirrors}
     rigs = {
         False: capture.rig,
-        True: replace(capture.rig, mirrors=tuple(displaced(truth, names[name], rng) for name in sorted(names))),
+        True: replace(
+            capture.rig, mirrors=tuple(displaced(truth, names[name], rng) for name in sorted(names))
+        ),
     }
     seen: dict[bool, Any] = {}
     for case, (method, mirrors, with_slopes, off) in CASES.items():
@@ -91,7 +99,9 @@ def in_cases(capture: Capture, truth: Mapping[str, Any], seed: int) -> Iterator[
             if off not in seen:
                 seen[off] = found_views(taken)
             views, grey = seen[off]
-            part = Views(views.front, {n: m for n, m in views.mirrors.items() if n in mirrors}, views.binning)
+            part = Views(
+                views.front, {n: m for n, m in views.mirrors.items() if n in mirrors}, views.binning
+            )
             slopes_on = partial(skin_slopes, taken, grey, views) if with_slopes else None
             shape = mirror_shape(part, taken.rig, own, slopes_on=slopes_on)
             yield case, rms_mm(shape, truth)
@@ -107,7 +117,8 @@ def measured(seed: int, scale: float) -> dict[str, float | str]:
 
 
 def summary(fingers: Mapping[str, Mapping[str, float | str]]) -> dict[str, Any]:
-    """Median, mean with a 95 % interval (bootstrap over fingers), maximum, fraction below the targets, refusals."""
+    """Median, mean with a 95 % interval (bootstrap over fingers), maximum, fraction below the
+    targets, refusals."""
     rng = np.random.default_rng(0)
     table = {}
     for case in CASES:
@@ -131,7 +142,9 @@ def summary(fingers: Mapping[str, Mapping[str, float | str]]) -> dict[str, Any]:
 
 def main() -> None:
     """Measure and sum up."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("--seeds", type=int, nargs="*", default=list(SEEDS))
     parser.add_argument("--scale", type=float, default=0.25)
     parser.add_argument("--out", type=Path, default=OUT)
@@ -141,19 +154,27 @@ def main() -> None:
     for seed in [] if options.summary else options.seeds:
         if str(seed) not in kept:
             found = measured(seed, options.scale)
-            kept[str(seed)] = {case: round(v, 4) if isinstance(v, float) else v for case, v in found.items()}
+            kept[str(seed)] = {
+                case: round(v, 4) if isinstance(v, float) else v for case, v in found.items()
+            }
             write(options.out, options.scale, kept)
     write(options.out, options.scale, kept)
     for case, row in summary(kept).items():
         low, high = row["interval_mm"]
         print(
-            f"{case:38s} {row['mean_mm']:.3f} mm [{low:.3f}, {high:.3f}], most {row['most_mm']:.3f}, n {row['fingers']}"
+            f"{case:38s} {row['mean_mm']:.3f} mm [{low:.3f}, {high:.3f}], most"
+            f" {row['most_mm']:.3f}, n {row['fingers']}"
         )
 
 
 def write(out: Path, scale: float, fingers: Mapping[str, Mapping[str, float | str]]) -> None:
     """Write fingers and summary."""
-    document = {"scale": scale, "settings": "default", "summary": summary(fingers), "fingers": dict(fingers)}
+    document = {
+        "scale": scale,
+        "settings": "default",
+        "summary": summary(fingers),
+        "fingers": dict(fingers),
+    }
     out.write_text(json.dumps(document, indent=1) + "\n")
 
 

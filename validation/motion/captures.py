@@ -24,6 +24,8 @@ def capture_folder(seed: int, amplitude_mm: float, scale: float, out: Path = OUT
         motion = HandMotion(amplitude_mm=amplitude_mm)
         settings = TwinSettings(scale=scale, motion=motion, render=RenderSettings(workers=1))
         capture, truth = simulate_capture(seed, None, settings)
-        kept = {name: value for name, value in truth.items() if not name.startswith(("glare", "relief"))}
+        kept = {
+            name: value for name, value in truth.items() if not name.startswith(("glare", "relief"))
+        }
         write_capture(capture, folder, kept, overwrite=True)
     return folder

@@ -39,23 +39,32 @@ def errors(one: Rendered, images: np.ndarray | None = None, intensities: np.ndar
 def spread(values: list[float]) -> dict[str, float]:
     """Median and range."""
     low, middle, high = np.percentile(values, (5, 50, 95))
-    return {"median": round(float(middle), 2), "p5": round(float(low), 2), "p95": round(float(high), 2)}
+    return {
+        "median": round(float(middle), 2),
+        "p5": round(float(low), 2),
+        "p95": round(float(high), 2),
+    }
 
 
 def by_lights() -> dict[str, object]:
-    """Accuracy by the number of lights: twelve objects, each under 24 lights, of which so many are taken evenly."""
+    """Accuracy by the number of lights: twelve objects, each under 24 lights, of which so many are
+    taken evenly."""
     objects = [rendered(FIRST + seed, lights=24) for seed in range(2 * len(SHAPES))]
     rows = {}
     for count in (3, 4, 5, 6, 8, 12, 24):
         taken = np.arange(count) * 24 // count
         some = [replace(one, images=one.images[taken], lights=one.lights[taken]) for one in objects]
         found = [errors(one)[:2] for one in some]
-        rows[str(count)] = {"deg": spread([one[0] for one in found]), "um": spread([one[1] for one in found])}
+        rows[str(count)] = {
+            "deg": spread([one[0] for one in found]),
+            "um": spread([one[1] for one in found]),
+        }
     return rows
 
 
 def faults() -> dict[str, object]:
-    """One photograph in eight spoilt: whether it is named, and the height error over the good set's."""
+    """One photograph in eight spoilt: whether it is named, and the height error over the good
+    set's."""
     rows: dict[str, object] = {}
     good = {seed: errors(rendered(FIRST + seed))[1] for seed in range(10)}
     for kind in ("blurred", "moved", "double", "overexposed"):
@@ -83,7 +92,8 @@ def faults() -> dict[str, object]:
 
 
 def sound() -> dict[str, object]:
-    """Notes on good sets of eight photographs: none is due but on a dish, that it comes out hollow."""
+    """Notes on good sets of eight photographs: none is due but on a dish, that it comes out
+    hollow."""
     alarms, hollow = {}, []
     seeds = (*range(FIRST, FIRST + 50), *range(2 * FIRST, 2 * FIRST + 50))
     for seed in seeds:
@@ -93,12 +103,22 @@ def sound() -> dict[str, object]:
             findings = tuple(each for each in findings if each.code != "hollow")
         if findings:
             alarms[str(seed)] = [str(each) for each in findings]
-    return {"sets": len(seeds), "with_alarm": len(alarms), "alarms": alarms, "dishes_named_hollow": len(hollow)}
+    return {
+        "sets": len(seeds),
+        "with_alarm": len(alarms),
+        "alarms": alarms,
+        "dishes_named_hollow": len(hollow),
+    }
 
 
 def brightness() -> dict[str, object]:
     """Lights of unequal brightness and colour: degrees above those with equal lights."""
-    rows: dict[str, list[float]] = {"given": [], "estimated": [], "eight_colours": [], "eight_colours_given": []}
+    rows: dict[str, list[float]] = {
+        "given": [],
+        "estimated": [],
+        "eight_colours": [],
+        "eight_colours_given": [],
+    }
     for seed in range(FIRST, FIRST + 12):
         equal, unequal = rendered(seed), rendered(seed, strengths=0.3)
         base = errors(equal)[0]
@@ -112,10 +132,16 @@ def brightness() -> dict[str, object]:
 
 
 def unknown() -> dict[str, object]:
-    """Lights that nobody listed: normals and heights beside those with the list, and how often the stated deviation
-    covers the error. Of a hollow, which comes out as a hill, the turned surface counts.
+    """Lights that nobody listed: normals and heights beside those with the list, and how often the
+    stated deviation covers the error. Of a hollow, which comes out as a hill, the turned surface
+    counts.
     """
-    rows: dict[str, list[float]] = {"listed_deg": [], "unknown_deg": [], "lights_deg": [], "um_over_stated": []}
+    rows: dict[str, list[float]] = {
+        "listed_deg": [],
+        "unknown_deg": [],
+        "lights_deg": [],
+        "um_over_stated": [],
+    }
     refused, turned, covered = [], [], []
     for seed in range(FIRST, FIRST + 30):
         one = rendered(seed)
@@ -133,10 +159,17 @@ def unknown() -> dict[str, object]:
         error, stated = error - error.mean(), result.uncertainty_um[inside]
         covered.append(float(np.mean(np.abs(error) < 2 * stated)) > 0.95)
         rows["listed_deg"].append(errors(one)[0])
-        rows["unknown_deg"].append(angle(result.normals_measured[inside] * [sign, sign, 1], one.normals[inside]))
+        rows["unknown_deg"].append(
+            angle(result.normals_measured[inside] * [sign, sign, 1], one.normals[inside])
+        )
         rows["lights_deg"].append(min(hill, hollow))
         rows["um_over_stated"].append(float(np.std(error) / np.sqrt(np.mean(stated**2))))
-    facts = {"sets": 30, "refused": refused, "hollows_as_hills": turned, "covered_by_two_deviations": sum(covered)}
+    facts = {
+        "sets": 30,
+        "refused": refused,
+        "hollows_as_hills": turned,
+        "covered_by_two_deviations": sum(covered),
+    }
     return {**facts, **{name: spread(values) for name, values in rows.items()}, **bear()}
 
 
@@ -159,8 +192,12 @@ def angle(found: np.ndarray, true: np.ndarray) -> float:
 
 
 PARTS: dict[str, Callable[[], dict[str, object]]] = {
-    "lights": by_lights, "faults": faults, "sound": sound, "brightness": brightness, "unknown": unknown
-}  # fmt: skip
+    "lights": by_lights,
+    "faults": faults,
+    "sound": sound,
+    "brightness": brightness,
+    "unknown": unknown,
+}
 
 if __name__ == "__main__":
     TABLES.mkdir(exist_ok=True)

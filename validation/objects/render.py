@@ -1,8 +1,9 @@
-"""Rendered objects under distant lights, with their truth: photographs that the estimate's code has no part in.
+"""Rendered objects under distant lights, with their truth: photographs that the estimate's code has
+no part in.
 
-Heights are analytic; light is a cosine times the albedo, a little Blinn-Phong gloss, attached and cast shadows, two
-samples a pixel and axis, the lens's blur, shot and read noise, and the steps of 8 or 16 bits. FAULTS spoil one
-photograph as a stand, a focus ring or an exposure time would.
+Heights are analytic; light is a cosine times the albedo, a little Blinn-Phong gloss, attached and
+cast shadows, two samples a pixel and axis, the lens's blur, shot and read noise, and the steps of 8
+or 16 bits. FAULTS spoil one photograph as a stand, a focus ring or an exposure time would.
 """
 
 from __future__ import annotations
@@ -83,19 +84,28 @@ def rendered(
     normals = np.dstack([-dx, dy, np.ones_like(height)])
     normals /= np.linalg.norm(normals, axis=2, keepdims=True)
     slant = np.deg2rad(rng.uniform(25, 50) + rng.uniform(-6, 6, lights))
-    azimuth = 2 * np.pi * (np.arange(lights) + rng.uniform(-0.2, 0.2, lights)) / lights + rng.uniform(0, 6)
-    units = np.column_stack([np.sin(slant) * np.cos(azimuth), np.sin(slant) * np.sin(azimuth), np.cos(slant)])
+    azimuth = 2 * np.pi * (
+        np.arange(lights) + rng.uniform(-0.2, 0.2, lights)
+    ) / lights + rng.uniform(0, 6)
+    units = np.column_stack(
+        [np.sin(slant) * np.cos(azimuth), np.sin(slant) * np.sin(azimuth), np.cos(slant)]
+    )
     albedo = 0.6 * np.ones_like(height)
     if rng.random() < 0.6:
         albedo *= np.exp(rng.uniform(0.03, 0.3) * _smooth(rng, height.shape, rng.uniform(3, 25)))
-    gloss, shine = (rng.uniform(0.02, 0.15), rng.uniform(8, 40)) if rng.random() < 0.5 else (0.0, 1.0)
+    gloss, shine = (
+        (rng.uniform(0.02, 0.15), rng.uniform(8, 40)) if rng.random() < 0.5 else (0.0, 1.0)
+    )
     bits, noise = (8, 0.004) if rng.random() < 0.5 else (16, rng.uniform(0.001, 0.006))
     intensity = np.exp(strengths * rng.standard_normal(lights)) if strengths else np.ones(lights)
     images = []
     for unit, strength in zip(units, intensity, strict=True):
         cosine = np.maximum(normals @ unit, 0.0)
         middle = unit + np.array([0, 0, 1])
-        light = albedo * cosine + gloss * np.maximum(normals @ (middle / np.linalg.norm(middle)), 0.0) ** shine
+        light = (
+            albedo * cosine
+            + gloss * np.maximum(normals @ (middle / np.linalg.norm(middle)), 0.0) ** shine
+        )
         light *= _lit(height, inside, unit, pitch)
         light = np.where(inside, light, 0.05 * unit[2])
         light = cv2.GaussianBlur(light, (0, 0), 1.2)
@@ -108,7 +118,13 @@ def rendered(
     stored = np.rint(np.clip(np.rint(stack * top) / top, 0, 1) * 65535).astype(np.uint16)
     height, normals = (
         height[::2, ::2],
-        np.stack([cv2.resize(normals[..., c], (side, side), interpolation=cv2.INTER_AREA) for c in range(3)], axis=-1),
+        np.stack(
+            [
+                cv2.resize(normals[..., c], (side, side), interpolation=cv2.INTER_AREA)
+                for c in range(3)
+            ],
+            axis=-1,
+        ),
     )
     normals /= np.linalg.norm(normals, axis=2, keepdims=True)
     return Rendered(stored, units, intensity, mask, height, normals)
@@ -116,13 +132,16 @@ def rendered(
 
 def _lit(height: Array, inside: NDArray[np.bool_], unit: Array, pitch: float) -> Array:
     """Where no part of the object stands before the light: a march of shifted copies."""
-    heights = np.where(inside, height, -1e3).astype(np.float32)  # OpenCV 4.13 shifts float64 the other way
+    # OpenCV 4.13 shifts float64 the other way
+    heights = np.where(inside, height, -1e3).astype(np.float32)
     shadow = np.zeros(height.shape, bool)
     across = np.hypot(unit[0], unit[1])
     rise = unit[2] / across * pitch
     for step in range(2, int((height[inside].max() - height[inside].min()) / rise) + 2, 2):
         move = np.float32([[1, 0, -step * unit[0] / across], [0, 1, step * unit[1] / across]])
-        other = cv2.warpAffine(heights, move, height.shape[::-1], flags=cv2.INTER_NEAREST, borderValue=-1e3)
+        other = cv2.warpAffine(
+            heights, move, height.shape[::-1], flags=cv2.INTER_NEAREST, borderValue=-1e3
+        )
         shadow |= other > height + step * rise
     return 1.0 - cv2.GaussianBlur(shadow.astype(np.float64), (0, 0), 1.0)
 
@@ -130,7 +149,9 @@ def _lit(height: Array, inside: NDArray[np.bool_], unit: Array, pitch: float) ->
 FAULTS = ("blurred", "moved", "double", "overexposed", "underexposed")
 
 
-def spoilt(images: NDArray[np.uint16], k: int, fault: str, rng: np.random.Generator) -> NDArray[np.uint16]:
+def spoilt(
+    images: NDArray[np.uint16], k: int, fault: str, rng: np.random.Generator
+) -> NDArray[np.uint16]:
     """The photographs, of which one is spoilt."""
     result = images.copy()
     image = images[k].astype(np.float32)

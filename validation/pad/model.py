@@ -1,4 +1,5 @@
-"""Fit the detector of presentation attacks, and measure it on species and captures that it was not fitted to."""
+"""Fit the detector of presentation attacks, and measure it on species and captures that it was not
+fitted to."""
 
 from __future__ import annotations
 
@@ -15,11 +16,18 @@ from sklearn.linear_model import LogisticRegression
 from splitknit.pad import deviations, distance, judge, suspicious
 
 SIDES = {
-    "relief_rms": (0, 1), "relief_coherence": (0, 1), "shape_across": (1, 0), "shape_along": (1, 0),
-    "shape_rest": (0, 1), "spread_fixed": (1, 1), "spread_nir": (1, 0), "spread_fixed_nir": (1, 0),
-}  # fmt: skip
-"""Whether more and less of a feature than live skin's is suspicious: copies are flatter, their relief is weaker, their
-ridges are printed (fixed) or cast of what spreads light more evenly over the wavelengths."""
+    "relief_rms": (0, 1),
+    "relief_coherence": (0, 1),
+    "shape_across": (1, 0),
+    "shape_along": (1, 0),
+    "shape_rest": (0, 1),
+    "spread_fixed": (1, 1),
+    "spread_nir": (1, 0),
+    "spread_fixed_nir": (1, 0),
+}
+"""Whether more and less of a feature than live skin's is suspicious: copies are flatter, their
+relief is weaker, their ridges are printed (fixed) or cast of what spreads light more evenly over
+the wavelengths."""
 FOLDS = 5
 VARIANTS: dict[str, Callable[[Row], bool]] = {
     "usual optics, rig and camera": lambda row: row["variant"] == "plain",
@@ -31,10 +39,14 @@ VARIANTS: dict[str, Callable[[Row], bool]] = {
 }
 """Simulator's variants that are left out in turn."""
 BPCER, UNKNOWN = 0.01, 0.12
-"""Aims of the thresholds: live fingers called attacks, and live fingers called unknown because of their odds."""
+"""Aims of the thresholds: live fingers called attacks, and live fingers called unknown because of
+their odds."""
 FAR = 1.5
-"""By how much the log odds of what training did not cover must lie below those of an attack to be called one."""
-MODEL = Path(__file__).parents[2] / "packages" / "splitknit" / "src" / "splitknit" / "pad_model.json"
+"""By how much the log odds of what training did not cover must lie below those of an attack to be
+called one."""
+MODEL = (
+    Path(__file__).parents[2] / "packages" / "splitknit" / "src" / "splitknit" / "pad_model.json"
+)
 TABLES = Path(__file__).parent / "tables"
 Row = dict
 Model = dict
@@ -45,15 +57,20 @@ def read(out: Path) -> list[Row]:
 
 
 def fit(live: Sequence[Row], attacks: Sequence[Row]) -> Model:
-    """Logistic regression on one-sided deviations from live skin; kinds, their spread; thresholds by folds of live."""
+    """Logistic regression on one-sided deviations from live skin; kinds, their spread; thresholds
+    by folds of live."""
     model = _fit(live, attacks)
     odds, far = held_out(live, attacks)
-    # the worst of some dozens is not a quantile of 1 %: the lower of it and of a normal distribution's
+    # the worst of some dozens is not a quantile of 1 %: the lower of it and of a normal
+    # distribution's
     low = min(float(odds.min()), float(odds.mean() - 2.33 * odds.std()))
     reached = float(np.quantile(far, 0.98)) * 1.1
     return model | {
-        "covered": reached, "live": float(np.quantile(odds, UNKNOWN)), "attack": low, "far": low - FAR,
-    }  # fmt: skip
+        "covered": reached,
+        "live": float(np.quantile(odds, UNKNOWN)),
+        "attack": low,
+        "far": low - FAR,
+    }
 
 
 def _fit(live: Sequence[Row], attacks: Sequence[Row]) -> Model:
@@ -65,29 +82,39 @@ def _fit(live: Sequence[Row], attacks: Sequence[Row]) -> Model:
     parts = suspicious(away).reshape(len(away), -1)
     used = np.array(list(SIDES.values()), dtype=bool).ravel()
     while True:  # what lies farther is never more likely to be skin
-        logistic = LogisticRegression(C=0.3, class_weight="balanced", max_iter=2000).fit(parts[:, used], truth)
+        logistic = LogisticRegression(C=0.3, class_weight="balanced", max_iter=2000).fit(
+            parts[:, used], truth
+        )
         weights = np.zeros(len(used))
         weights[used] = -logistic.coef_[0]
         if (weights >= 0).all():
             break
         used &= weights > 0
     model = {
-        "names": names, "mean": mean.tolist(), "scale": scale.tolist(),
-        "weights": weights.reshape(-1, 2).tolist(), "offset": float(logistic.intercept_[0]),
-    }  # fmt: skip
+        "names": names,
+        "mean": mean.tolist(),
+        "scale": scale.tolist(),
+        "weights": weights.reshape(-1, 2).tolist(),
+        "offset": float(logistic.intercept_[0]),
+    }
     found = np.array([deviations(model, row["features"]) for row in (*live, *attacks)])
     species = np.array(["live"] * len(live) + [row["name"] for row in attacks])
     kinds = {one: found[species == one].mean(axis=0) for one in dict.fromkeys(species)}
     rest = found - np.array([kinds[one] for one in species])
     covariance = LedoitWolf(assume_centered=True).fit(rest).covariance_
-    return model | {"kinds": [one.tolist() for one in kinds.values()], "precision": np.linalg.inv(covariance).tolist()}
+    return model | {
+        "kinds": [one.tolist() for one in kinds.values()],
+        "precision": np.linalg.inv(covariance).tolist(),
+    }
 
 
 def odds_of(model: Model, row: Row) -> tuple[float, float]:
     """Log odds of live skin, and distance to the nearest kind."""
     limits = {"covered": np.inf, "live": 0.0, "attack": 0.0, "far": 0.0}
     probability = judge(row["features"], model | limits).probability
-    return float(np.log(probability / (1 - probability))), distance(model, deviations(model, row["features"]))
+    return float(np.log(probability / (1 - probability))), distance(
+        model, deviations(model, row["features"])
+    )
 
 
 def held_out(live: Sequence[Row], attacks: Sequence[Row]) -> tuple[np.ndarray, np.ndarray]:
@@ -109,25 +136,34 @@ def interval(hits: int, tried: int) -> tuple[float, float]:
 
 def words(hits: int, tried: int) -> str:
     low, high = interval(hits, tried)
-    return f"{hits} of {tried}: {100 * hits / max(tried, 1):.1f} % ({100 * low:.1f} to {100 * high:.1f})"
+    return (
+        f"{hits} of {tried}: {100 * hits / max(tried, 1):.1f} % ({100 * low:.1f} to"
+        f" {100 * high:.1f})"
+    )
 
 
 def parted(rows: Sequence[Row]) -> tuple[list[Row], list[Row], list[Row]]:
     """Live fingers and attacks to fit to, and captures that are not part of it (``NAME, how``)."""
     good = [row for row in rows if "features" in row and "," not in row["name"]]
-    live, attacks = ([row for row in good if (row["name"] == "live") is what] for what in (True, False))
+    live, attacks = (
+        [row for row in good if (row["name"] == "live") is what] for what in (True, False)
+    )
     return live, attacks, [row for row in rows if "," in row["name"]]
 
 
 def rates(rows: Sequence[Row]) -> list[Row]:
-    """Answers for every species by a model that never saw it, for live fingers by folds and by what was drawn, and for
-    what is not part of the fit. Thresholds are set anew for every model, on the live fingers that it saw.
+    """Answers for every species by a model that never saw it, for live fingers by folds and by what
+    was drawn, and for what is not part of the fit. Thresholds are set anew for every model, on the
+    live fingers that it saw.
     """
     live, attacks, others = parted(rows)
     counts: dict[str, Counter] = {}
 
     def count(group: str, model: Model, tried: Sequence[Row]) -> None:
-        answers = (judge(row["features"], model).answer if "features" in row else "unknown" for row in tried)
+        answers = (
+            judge(row["features"], model).answer if "features" in row else "unknown"
+            for row in tried
+        )
         counts.setdefault(group, Counter()).update(answers)
 
     for species in sorted({row["name"] for row in rows if "," not in row["name"]} - {"live"}):
@@ -143,7 +179,11 @@ def rates(rows: Sequence[Row]) -> list[Row]:
     for row in others:
         count(row["name"], whole, [row])
     return [
-        {"group": group, "tried": found.total(), **{one: found[one] for one in ("live", "attack", "unknown")}}
+        {
+            "group": group,
+            "tried": found.total(),
+            **{one: found[one] for one in ("live", "attack", "unknown")},
+        }
         for group, found in counts.items()
     ]
 
@@ -152,7 +192,9 @@ def summary(rows: Sequence[Row]) -> list[str]:
     """Rates over all species, and over live fingers, with intervals."""
     found = {one["group"]: one for one in rates(rows)}
     species = [found[one] for one in sorted({row["name"] for row in parted(rows)[1]})]
-    passed, caught, open_ = (sum(one[answer] for one in species) for answer in ("live", "attack", "unknown"))
+    passed, caught, open_ = (
+        sum(one[answer] for one in species) for answer in ("live", "attack", "unknown")
+    )
     own = found["live"]
     lines = [
         f"APCER among decided: {words(passed, passed + caught)}",
@@ -166,7 +208,9 @@ def summary(rows: Sequence[Row]) -> list[str]:
         if some:
             tried = sum(one["tried"] for one in some)
             called, open_ = (sum(one[answer] for one in some) for answer in ("attack", "unknown"))
-            lines.append(f"{start}: called attack {words(called, tried)}, unknown {words(open_, tried)}")
+            lines.append(
+                f"{start}: called attack {words(called, tried)}, unknown {words(open_, tried)}"
+            )
     return lines
 
 

@@ -1,13 +1,14 @@
-"""What the pair protocol can tell: ``python validation/pair/run.py [FINGER ...] [--truth-only] [--out FILE.json]``.
+"""What the pair protocol can tell: ``python validation/pair/run.py [FINGER ...] [--truth-only]
+[--out FILE.json]``.
 
-A simulated finger is measured bare and then, laid down anew, under powder, pressed on a gel, or as a cast. First the
-true surfaces alone are registered and compared: what they differ by is the protocol's own error, whatever measures
-them. Then the same is done with what ``metric`` makes of photographs of both. About two minutes of processor time a
-finger; a run goes on where it stopped. ``--table`` prints the tables (as in ``tables/``) behind
-docs/experiments/pair-protocol.md.
+A simulated finger is measured bare and then, laid down anew, under powder, pressed on a gel, or as
+a cast. First the true surfaces alone are registered and compared: what they differ by is the
+protocol's own error, whatever measures them. Then the same is done with what ``metric`` makes of
+photographs of both. About two minutes of processor time a finger; a run goes on where it stopped.
+``--table`` prints the tables (as in ``tables/``) behind docs/experiments/pair-protocol.md.
 
-Powder, gel and cast are models, and not the reconstruction's: a map of thickness over the skin, waves that the gel
-follows the less the shorter they are, skin that shifts.
+Powder, gel and cast are models, and not the reconstruction's: a map of thickness over the skin,
+waves that the gel follows the less the shorter they are, skin that shifts.
 """
 
 from __future__ import annotations
@@ -28,7 +29,12 @@ from splitknit.pipeline import reconstruct
 from splitknit_match.evaluation.pair import BANDS_MM, SLANTS_DEG, PairComparison, compare_results
 from splitknit_simulator.camera.sensor import SensorSettings, record
 from splitknit_simulator.finger.deformation import deformed, draw_deformation
-from splitknit_simulator.finger.finger import PoseRanges, SimulatedFinger, draw_finger, finger_surface
+from splitknit_simulator.finger.finger import (
+    PoseRanges,
+    SimulatedFinger,
+    draw_finger,
+    finger_surface,
+)
 from splitknit_simulator.finger.ridges import smooth_noise
 from splitknit_simulator.finger.skin_map import SkinMap, skin_map
 from splitknit_simulator.light.lighting import render_opaque, white_card
@@ -45,11 +51,13 @@ SCALE = 0.35
 GRAIN_MM = 0.015
 """Over which grains of powder bridge what is narrower (standard deviation)."""
 UNEVEN = ((0.4, 0.6), (0.3, 0.1))
-"""Relative standard deviation of the powder's thickness, and its length in mm: clumps, and strokes of the brush."""
+"""Relative standard deviation of the powder's thickness, and its length in mm: clumps, and strokes
+of the brush."""
 VALLEYS = 0.4
 """How much thicker than the mean powder lies in valleys, and thinner on ridges."""
 GEL_MM, GEL_REACH_MM, PRESSED = 0.03, 0.06, 0.85
-"""A gel follows the skin blurred by a Gaussian, into valleys down to a depth, and presses ridges flatter."""
+"""A gel follows the skin blurred by a Gaussian, into valleys down to a depth, and presses ridges
+flatter."""
 PITCH_MM = 0.03
 """Of the gel's picture."""
 
@@ -59,15 +67,26 @@ def truth_of(surface: SimulatedSurface, name: str) -> Reconstruction:
     seen = np.where(surface.mask, np.float32(1), np.float32(np.nan))
     height, shape = surface.height_mm * seen, surface.shape_mm * seen
     return Reconstruction(
-        height, height - shape, shape, surface.mask, surface.normals, seen, surface.camera.pitch_mm, np.eye(3),
-        surface.mask.shape, name,
-    )  # fmt: skip
+        height,
+        height - shape,
+        shape,
+        surface.mask,
+        surface.normals,
+        seen,
+        surface.camera.pitch_mm,
+        np.eye(3),
+        surface.mask.shape,
+        name,
+    )
 
 
 def displaced(skin: SkinMap, change: Any) -> SkinMap:
     """Skin whose displacement (H, W) in mm is what `change` makes of it."""
     rows, columns = skin.coefficients.shape
-    u, v = skin.u0_mm + skin.pitch_mm * np.arange(columns), skin.v0_mm - skin.pitch_mm * np.arange(rows)
+    u, v = (
+        skin.u0_mm + skin.pitch_mm * np.arange(columns),
+        skin.v0_mm - skin.pitch_mm * np.arange(rows),
+    )
     here = skin.displacement(*np.meshgrid(u, v))
     return replace(skin, coefficients=ndimage.spline_filter(change(here), order=3, mode="mirror"))
 
@@ -78,15 +97,23 @@ def powdered(skin: SkinMap, mean_um: float, rng: np.random.Generator) -> SkinMap
     def change(height: Any) -> Any:
         local = height - ndimage.gaussian_filter(height, 0.3 / skin.pitch_mm)
         spread = max(float(np.std(local)), 1e-6)
-        uneven = sum(s * smooth_noise(rng, height.shape, length / skin.pitch_mm) for s, length in UNEVEN)
-        thickness = 1e-3 * mean_um * np.clip(1.0 + uneven, 0.2, 2.5) * (1.0 - VALLEYS * np.clip(local / spread, -2, 2))
+        uneven = sum(
+            s * smooth_noise(rng, height.shape, length / skin.pitch_mm) for s, length in UNEVEN
+        )
+        thickness = (
+            1e-3
+            * mean_um
+            * np.clip(1.0 + uneven, 0.2, 2.5)
+            * (1.0 - VALLEYS * np.clip(local / spread, -2, 2))
+        )
         return ndimage.gaussian_filter(height + thickness, GRAIN_MM / skin.pitch_mm)
 
     return displaced(skin, change)
 
 
 def on_gel(finger: SimulatedFinger, rng: np.random.Generator) -> Reconstruction:
-    """The finger pressed on a flat gel, its relief as the gel takes it, on the chart of the skin."""
+    """The finger pressed on a flat gel, its relief as the gel takes it, on the chart of the
+    skin."""
     moved = deformed(finger.master(), draw_deformation(rng, finger.master(), 0.35, 5.0, 0.015))
     skin = skin_map(moved, replace(finger.skin, creases=()))
     x, y = np.arange(-7.5, 7.5, PITCH_MM), np.arange(8.5, -8.5, -PITCH_MM)
@@ -124,12 +151,18 @@ def opaque_capture(surface: SimulatedSurface, rig: Rig, rng: np.random.SeedSeque
         level = np.float32(0.7 / np.percentile(light[light > 0], 99.9))
         images = []
         for k, seed in enumerate(rng.spawn(len(leds))):
-            frame = np.where(surface.mask, np.float32(0), 0.006 * white_card(rig.camera, leds[k], -10.0))
+            frame = np.where(
+                surface.mask, np.float32(0), 0.006 * white_card(rig.camera, leds[k], -10.0)
+            )
             frame[window] += light[k]
-            stored = record(np.repeat(level * frame[..., None], 3, axis=2), name, seed, SensorSettings(), SCALE)
+            stored = record(
+                np.repeat(level * frame[..., None], 3, axis=2), name, seed, SensorSettings(), SCALE
+            )
             images.append(stored)
         count = len(images)
-        bands[name] = Band(name, np.stack(images), tuple((k,) for k in members), np.ones(count), np.zeros(count))
+        bands[name] = Band(
+            name, np.stack(images), tuple((k,) for k in members), np.ones(count), np.zeros(count)
+        )
     return Capture(rig=rig, bands=bands, material="opaque")
 
 
@@ -137,13 +170,19 @@ def figures(pair: PairComparison) -> dict[str, Any]:
     """What is kept of a comparison."""
     kept = {
         band: {
-            slant: {name: round(one[name]["value"], 4) for name in ("correlation", "gain", "rms_um")}
-            | {"std_um": round(one["std_um"], 2)}
+            slant: (
+                {name: round(one[name]["value"], 4) for name in ("correlation", "gain", "rms_um")}
+                | {"std_um": round(one["std_um"], 2)}
+            )
             for slant, one in rows.items()
         }
         for band, rows in pair.figures.items()
     }
-    return {"strain_um": round(1e3 * pair.strain_mm, 1), "scale": round(pair.scale, 4), "bands": kept}
+    return {
+        "strain_um": round(1e3 * pair.strain_mm, 1),
+        "scale": round(pair.scale, 4),
+        "bands": kept,
+    }
 
 
 def measured(number: int) -> dict[str, Any]:
@@ -167,11 +206,15 @@ def measured(number: int) -> dict[str, Any]:
     moved = truth_of(surface(1, powdered(own_skin, 10, draws[4])), "moved")
     gel = on_gel(finger, draws[5])
     cast = truth_of(surface(1, own_skin), "cast")
-    cast = replace(cast, pitch_mm=cast.pitch_mm * 0.998, height_mm=cast.height_mm * np.float32(0.998))
+    cast = replace(
+        cast, pitch_mm=cast.pitch_mm * 0.998, height_mm=cast.height_mm * np.float32(0.998)
+    )
     rows = {"laid down anew": compare_results(true, truth_of(other, "anew"))}
     rows |= {name: compare_results(true, truth_of(one, name)) for name, one in coated.items()}
     rows["powder 10 um, skin shifted by 0.05 mm"] = compare_results(true, moved)
-    rows["powder 10 um, skin shifted by 0.05 mm, elastic"] = compare_results(true, moved, fit="elastic")
+    rows["powder 10 um, skin shifted by 0.05 mm, elastic"] = compare_results(
+        true, moved, fit="elastic"
+    )
     rows["gel"] = compare_results(true, gel, fit="elastic")
     rows["cast"] = compare_results(true, cast)
     rows["cast, elastic"] = compare_results(true, cast, fit="elastic")
@@ -194,20 +237,31 @@ def measured(number: int) -> dict[str, Any]:
 def table(results: Mapping[str, Any], part: str, slant: str) -> list[str]:
     """Means over the fingers, as Markdown: rms in um and gain of every band."""
     rows = [one[part] for one in results.values() if part in one]
-    lines = [f"| {slant} deg, {len(rows)} fingers | {' | '.join(BANDS_MM)} |", f"|{' --- |' * (1 + len(BANDS_MM))}"]
+    lines = [
+        f"| {slant} deg, {len(rows)} fingers | {' | '.join(BANDS_MM)} |",
+        f"|{' --- |' * (1 + len(BANDS_MM))}",
+    ]
     for name in rows[0] if rows else ():
         cells = []
         for band in BANDS_MM:
-            values = [one[name]["bands"][band][slant] for one in rows if slant in one[name]["bands"].get(band, {})]
+            values = [
+                one[name]["bands"][band][slant]
+                for one in rows
+                if slant in one[name]["bands"].get(band, {})
+            ]
             rms, gain = ([value[figure] for value in values] for figure in ("rms_um", "gain"))
-            cells.append(f"{np.sqrt(np.mean(np.square(rms))):.1f} ({np.mean(gain):.2f})" if values else "-")
+            cells.append(
+                f"{np.sqrt(np.mean(np.square(rms))):.1f} ({np.mean(gain):.2f})" if values else "-"
+            )
         lines.append(f"| {name} | {' | '.join(cells)} |")
     return lines
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Measure what is not yet measured, or print the tables."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("fingers", type=int, nargs="*", default=FINGERS)
     parser.add_argument("--table", action="store_true", help="print the tables of an earlier run")
     parser.add_argument("--out", type=Path, default=RESULTS)

@@ -1,12 +1,13 @@
-"""The heights that films measure, and their stated error, on drawn specular images: seconds a finger, no random walk.
+"""The heights that films measure, and their stated error, on drawn specular images: seconds a
+finger, no random walk.
 
     python validation/path_traced/drawn_films.py [--names a,b,...] [--lights 14]
 
-Only the films' step of `metric` runs (:func:`splitknit.skin.polarised.polarised_heights`). What films leave is drawn:
-GGX facets finer than a pixel, cast shadows under lights from the side, films, once-scattered light, the lens's blur,
-noise. The step's start, a network's in the program, is drawn from the truth, with errors like a network's, and up to
-3 mm too low or high. Constants of the stated error were chosen on a, c and g, with lights to the side on i and j; on k
-to m nothing was.
+Only the films' step of `metric` runs (:func:`splitknit.skin.polarised.polarised_heights`). What
+films leave is drawn: GGX facets finer than a pixel, cast shadows under lights from the side, films,
+once-scattered light, the lens's blur, noise. The step's start, a network's in the program, is drawn
+from the truth, with errors like a network's, and up to 3 mm too low or high. Constants of the
+stated error were chosen on a, c and g, with lights to the side on i and j; on k to m nothing was.
 """
 
 from __future__ import annotations
@@ -50,8 +51,8 @@ NOISE = 0.004
 
 @dataclass(frozen=True)
 class Case:
-    """A finger: its seed and pattern, ridges in um, roughness, and the part of once-scattered light that stays
-    polarised."""
+    """A finger: its seed and pattern, ridges in um, roughness, and the part of once-scattered light
+    that stays polarised."""
 
     seed: int
     pattern: str
@@ -78,25 +79,35 @@ CASES = {
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("--names", default=",".join(CASES), help="fingers, with commas")
     parser.add_argument("--lights", type=int, default=14, choices=(7, 14), help="7: the ring alone")
     options = parser.parse_args()
-    print(f"{options.lights} lights: correlation / gain / rms um / error over stated, by slant and below 60 deg")
+    print(
+        f"{options.lights} lights: correlation / gain / rms um / error over stated, by slant and"
+        " below 60 deg"
+    )
     for name in options.names.split(","):
         case = CASES[name]
         images, grid, start, deviation, truth = drawn(name, case, options.lights)
         height, stated, facts = polarised_heights(images, grid, start, deviation)
-        result = {"height_mm": np.where(grid.mask, height, np.nan), "mask": grid.mask, "uncertainty_um": 1000 * stated}
+        result = {
+            "height_mm": np.where(grid.mask, height, np.nan),
+            "mask": grid.mask,
+            "uncertainty_um": 1000 * stated,
+        }
         found = score(result, truth)
         cells = [
-            f"{found[f'ridge_corr{c}']:.3f} / {found[f'ridge_gain{c}']:.2f} / {found[f'ridge_rms_um{c}']:.1f} / "
-            f"{found[f'error_over_stated{c}']:.2f}"
+            f"{found[f'ridge_corr{c}']:.3f} / {found[f'ridge_gain{c}']:.2f} /"
+            f" {found[f'ridge_rms_um{c}']:.1f} / {found[f'error_over_stated{c}']:.2f}"
             for c in CLASSES
             if f"ridge_corr{c}" in found
         ]
         print(
-            f"| {name}, {case.ridge_um} um, {case.roughness} ({facts['roughness']:.2f}) | {' | '.join(cells)} |",
+            f"| {name}, {case.ridge_um} um, {case.roughness} ({facts['roughness']:.2f}) |"
+            f" {' | '.join(cells)} |",
             flush=True,
         )
 
@@ -115,8 +126,12 @@ def drawn(
         shape=replace(finger.shape, width_mm=width_mm),
         skin=replace(finger.skin, ridge_depth_um=float(case.ridge_um)),
     )
-    settings = TwinSettings(rig=rig, pose=FingerPose(insertion_mm=round(SIZE[0] * camera.pitch_mm - 1.1, 1)))
-    closer = replace(camera, px_per_mm=FINE * camera.px_per_mm, image_size=(FINE * SIZE[0], FINE * SIZE[1]))
+    settings = TwinSettings(
+        rig=rig, pose=FingerPose(insertion_mm=round(SIZE[0] * camera.pitch_mm - 1.1, 1))
+    )
+    closer = replace(
+        camera, px_per_mm=FINE * camera.px_per_mm, image_size=(FINE * SIZE[0], FINE * SIZE[1])
+    )
     surface, fine = (
         lay_down(case.seed, None, replace(settings, rig=replace(rig, camera=one)), finger=finger)[0]
         for one in (camera, closer)
@@ -136,19 +151,29 @@ def drawn(
     grid = Grid(mask, x[0], y[:, 0], pitch, (False, True, False, False))
     start, deviation = _start(height, surface.shape_mm, mask, pitch, rng)
     specular = SpecularImages(
-        np.where(mask, stack, 0).astype(np.float32), _noise(stack, mask), replace(rig, leds=rig.leds[:lights])
+        np.where(mask, stack, 0).astype(np.float32),
+        _noise(stack, mask),
+        replace(rig, leds=rig.leds[:lights]),
     )
-    truth = {"height_mm": height, "shape_mm": surface.shape_mm, "mask": mask, "px_mm": np.float64(pitch)}
+    truth = {
+        "height_mm": height,
+        "shape_mm": surface.shape_mm,
+        "mask": mask,
+        "px_mm": np.float64(pitch),
+    }
     return specular, grid, start, deviation, truth
 
 
 def _images(case: Case, rig: Rig, surface: Any, fine: Any, lights: int) -> tuple[Array, Array]:
-    """(L, H, W) parallel less crossed series, and (L, H, W) diffuse light, whose noise both have."""
+    """(L, H, W) parallel less crossed series, and (L, H, W) diffuse light, whose noise both
+    have."""
     camera, mask, normals = rig.camera, surface.mask, surface.normals.astype(float)
     pitch, refraction = camera.pitch_mm, 1.42
     angle = float(case.seed % 7 * 20)
     films = mounted_films(
-        FilmSettings("analyser", angle, 0.5, 1000.0, (0.85,) * 3, case.kept), rig.leds, np.random.default_rng(case.seed)
+        FilmSettings("analyser", angle, 0.5, 1000.0, (0.85,) * 3, case.kept),
+        rig.leds,
+        np.random.default_rng(case.seed),
     )
     x, y = pixel_places(camera)
     z = np.where(mask, surface.height_mm, 0.0)
@@ -158,7 +183,9 @@ def _images(case: Case, rig: Rig, surface: Any, fine: Any, lights: int) -> tuple
         to_x, to_y, to_z, strength = towards(led, x, y, z)
         way = (to_x, to_y, to_z)
         passed = films.specular(0, k, way, camera_way) - films.specular(1, k, way, camera_way)
-        once = films.once_scattered(0, k, way, camera_way) - films.once_scattered(1, k, way, camera_way)
+        once = films.once_scattered(0, k, way, camera_way) - films.once_scattered(
+            1, k, way, camera_way
+        )
         if k < RING:  # hardly any skin hides the ring
             reflected = passed * pixel_means(reflected(fine, led, case.roughness), surface)
         else:
@@ -168,12 +195,23 @@ def _images(case: Case, rig: Rig, surface: Any, fine: Any, lights: int) -> tuple
             normals[..., 2].clip(0, 1),
         )
         inside = [np.sqrt(1 - (1 - one * one) / refraction**2) for one in cosines]
-        scattered = strength * cosines[0] * (1 - fresnel(cosines[0])) * (1 - fresnel(cosines[1])) / refraction**2
-        scattered = np.where(mask, scattered / (inside[0] + inside[1]) / (4 * np.pi) * 0.75, 0).astype(np.float32)
+        scattered = (
+            strength
+            * cosines[0]
+            * (1 - fresnel(cosines[0]))
+            * (1 - fresnel(cosines[1]))
+            / refraction**2
+        )
+        scattered = np.where(
+            mask, scattered / (inside[0] + inside[1]) / (4 * np.pi) * 0.75, 0
+        ).astype(np.float32)
         spread = (
-            cv2.GaussianBlur(scattered, (0, 0), 0.1 / pitch) + cv2.GaussianBlur(scattered, (0, 0), 0.25 / pitch)
+            cv2.GaussianBlur(scattered, (0, 0), 0.1 / pitch)
+            + cv2.GaussianBlur(scattered, (0, 0), 0.25 / pitch)
         ) / 2
-        seen.append(cv2.GaussianBlur((reflected + spread * once).astype(np.float32), (0, 0), LENS_PX))
+        seen.append(
+            cv2.GaussianBlur((reflected + spread * once).astype(np.float32), (0, 0), LENS_PX)
+        )
         diffuse.append((strength * cosines[0] / np.pi * 0.35 * 0.25 * mask).astype(np.float32))
     return np.stack(seen), np.stack(diffuse)
 
@@ -181,7 +219,8 @@ def _images(case: Case, rig: Rig, surface: Any, fine: Any, lights: int) -> tuple
 def _start(
     height: Array, shape: Array, mask: NDArray[np.bool_], pitch: float, rng: np.random.Generator
 ) -> tuple[Array, Array]:
-    """A start like a network's: ridges blurred, too low, with errors that grow with the slant; and their deviation."""
+    """A start like a network's: ridges blurred, too low, with errors that grow with the slant; and
+    their deviation."""
 
     def blurred(field: Array, sigma_mm: float) -> Array:
         return cv2.GaussianBlur(field.astype(np.float64), (0, 0), sigma_mm / pitch)
@@ -199,13 +238,19 @@ def _start(
     lower = rng.uniform(-3, 3)  # a photograph does not show how high the finger lies
     start = np.where(mask, shape + ridges + 0.05 * bend / bend[mask].std() - lower, np.nan)
     deviation = np.maximum(np.hypot(part * rms, (1 - gain) * rms), 1e-3)
-    return nearest_known(np.nan_to_num(start).astype(np.float32), mask).astype(np.float32), deviation.astype(np.float32)
+    return nearest_known(np.nan_to_num(start).astype(np.float32), mask).astype(
+        np.float32
+    ), deviation.astype(np.float32)
 
 
 def _noise(stack: Array, mask: NDArray[np.bool_]) -> float:
     """Standard deviation of the images' noise, from their Laplacian."""
     sides = stack[:, :-2, 1:-1] + stack[:, 2:, 1:-1] + stack[:, 1:-1, :-2] + stack[:, 1:-1, 2:]
-    return float(np.median(np.abs((4 * stack[:, 1:-1, 1:-1] - sides)[:, mask[1:-1, 1:-1]])) / 0.6745 / np.sqrt(20))
+    return float(
+        np.median(np.abs((4 * stack[:, 1:-1, 1:-1] - sides)[:, mask[1:-1, 1:-1]]))
+        / 0.6745
+        / np.sqrt(20)
+    )
 
 
 if __name__ == "__main__":

@@ -1,10 +1,10 @@
 """Random walks in a whole finger, compiled by numba: the kernels of ``walked_finger.py``.
 
-Lengths are in pixels: x along the columns, y along the rows, z up. The finger is what lies between two height maps,
-which are bilinear between the pixels' centres and are mirrored beyond their border. Fluence is kept in two grids, from
-independent halves of the walks, in cells of a pixel and of layers that follow the upper side, even across its slope.
-Every cell and pixel has random numbers of its own and every half one thread, so results do not depend on the number of
-threads.
+Lengths are in pixels: x along the columns, y along the rows, z up. The finger is what lies between
+two height maps, which are bilinear between the pixels' centres and are mirrored beyond their
+border. Fluence is kept in two grids, from independent halves of the walks, in cells of a pixel and
+of layers that follow the upper side, even across its slope. Every cell and pixel has random numbers
+of its own and every half one thread, so results do not depend on the number of threads.
 """
 
 from __future__ import annotations
@@ -15,11 +15,16 @@ from typing import Any
 import numpy as np
 from numba import njit, prange
 
-_GOLD, _MIX_A, _MIX_B = np.uint64(0x9E3779B97F4A7C15), np.uint64(0xBF58476D1CE4E5B9), np.uint64(0x94D049BB133111EB)
+_GOLD, _MIX_A, _MIX_B = (
+    np.uint64(0x9E3779B97F4A7C15),
+    np.uint64(0xBF58476D1CE4E5B9),
+    np.uint64(0x94D049BB133111EB),
+)
 _S11, _S27, _S30, _S31 = np.uint64(11), np.uint64(27), np.uint64(30), np.uint64(31)
 
 FAINT = 0.3
-"""A walk that will bring less than this back goes on with the chance of this part, and more weight."""
+"""A walk that will bring less than this back goes on with the chance of this part, and more
+weight."""
 STEP = 0.5
 """Step along rays of unscattered light, in mean free paths."""
 PLACES = 3
@@ -123,8 +128,18 @@ def _sides(sides: Any, x: Any, y: Any) -> Any:
     """Heights of the upper and of the lower side."""
     r, c, v, u = _cell(sides, x, y)
     a, b, d, e = (1 - v) * (1 - u), (1 - v) * u, v * (1 - u), v * u
-    top = a * sides[r, c, 0] + b * sides[r, c + 1, 0] + d * sides[r + 1, c, 0] + e * sides[r + 1, c + 1, 0]
-    low = a * sides[r, c, 1] + b * sides[r, c + 1, 1] + d * sides[r + 1, c, 1] + e * sides[r + 1, c + 1, 1]
+    top = (
+        a * sides[r, c, 0]
+        + b * sides[r, c + 1, 0]
+        + d * sides[r + 1, c, 0]
+        + e * sides[r + 1, c + 1, 0]
+    )
+    low = (
+        a * sides[r, c, 1]
+        + b * sides[r, c + 1, 1]
+        + d * sides[r + 1, c, 1]
+        + e * sides[r + 1, c + 1, 1]
+    )
     return top, low
 
 
@@ -132,8 +147,12 @@ def _sides(sides: Any, x: Any, y: Any) -> Any:
 def _outward(sides: Any, x: Any, y: Any, side: Any) -> Any:
     """Unit normal out of the upper (0) or lower (1) side."""
     r, c, v, u = _cell(sides, x, y)
-    gx = (1 - v) * (sides[r, c + 1, side] - sides[r, c, side]) + v * (sides[r + 1, c + 1, side] - sides[r + 1, c, side])
-    gy = (1 - u) * (sides[r + 1, c, side] - sides[r, c, side]) + u * (sides[r + 1, c + 1, side] - sides[r, c + 1, side])
+    gx = (1 - v) * (sides[r, c + 1, side] - sides[r, c, side]) + v * (
+        sides[r + 1, c + 1, side] - sides[r + 1, c, side]
+    )
+    gy = (1 - u) * (sides[r + 1, c, side] - sides[r, c, side]) + u * (
+        sides[r + 1, c + 1, side] - sides[r, c + 1, side]
+    )
     if _folded(x, sides.shape[1] - 1.0)[1]:
         gx = -gx
     if _folded(y, sides.shape[0] - 1.0)[1]:
@@ -166,7 +185,8 @@ def _facet(state: Any, nx: Any, ny: Any, nz: Any, spread: Any) -> Any:
 
 @njit(cache=True, fastmath=True)
 def _refracted(dx: Any, dy: Any, dz: Any, nx: Any, ny: Any, nz: Any, ratio: Any) -> Any:
-    """Refracted direction; the normal is against the direction, `ratio` is n before over n behind."""
+    """Refracted direction; the normal is against the direction, `ratio` is n before over n
+    behind."""
     cosine = -(dx * nx + dy * ny + dz * nz)
     behind = math.sqrt(max(1.0 - ratio * ratio * (1.0 - cosine * cosine), 0.0))
     k = ratio * cosine - behind
@@ -186,7 +206,8 @@ def _cosine(state: Any, nx: Any, ny: Any, nz: Any) -> Any:
 
 @njit(cache=True, fastmath=True)
 def _diffuse(state: Any, nx: Any, ny: Any, nz: Any, index: Any, reflected: Any) -> Any:
-    """Direction into the finger, cosine-weighted times what the boundary reflects or lets pass in this direction."""
+    """Direction into the finger, cosine-weighted times what the boundary reflects or lets pass in
+    this direction."""
     while True:
         state, dx, dy, dz = _cosine(state, nx, ny, nz)
         state, u = _random(state)
@@ -219,11 +240,14 @@ def _back(state: Any, dx: Any, dy: Any, dz: Any, nx: Any, ny: Any, nz: Any, medi
 
 
 @njit(cache=True, fastmath=True)
-def _flight(sides: Any, x: Any, y: Any, z: Any, dx: Any, dy: Any, dz: Any, length: Any, room: Any, lean: Any) -> Any:
-    """Length of the way inside, up to `length`, room at its end, and the side that was met (-1: none).
+def _flight(
+    sides: Any, x: Any, y: Any, z: Any, dx: Any, dy: Any, dz: Any, length: Any, room: Any, lean: Any
+) -> Any:
+    """Length of the way inside, up to `length`, room at its end, and the side that was met (-1:
+    none).
 
-    Steps are a part of the distance to the surface, which `room`, the vertical distance, and `lean`, the cosine of the
-    slope, give about.
+    Steps are a part of the distance to the surface, which `room`, the vertical distance, and
+    `lean`, the cosine of the slope, give about.
     """
     t = 0.0
     while True:
@@ -270,7 +294,8 @@ def _upper_part(first: Any, last: Any, depth: Any) -> Any:
 
 @njit(cache=True, fastmath=True)
 def _kept(medium: Any, mottle: Any, x: Any, y: Any, length: Any, first: Any, last: Any) -> Any:
-    """What absorption leaves of the light along a straight way between two depths below the skin."""
+    """What absorption leaves of the light along a straight way between two depths below the
+    skin."""
     upper = _upper_part(first, last, medium[3])
     r, c, _, _ = _cell(mottle, x, y)
     return math.exp(-length * (upper * medium[2] + (1.0 - upper) * medium[1] * mottle[r, c]))
@@ -281,10 +306,25 @@ def _kept(medium: Any, mottle: Any, x: Any, y: Any, length: Any, first: Any, las
 
 @njit(cache=True, fastmath=True)
 def _shine(
-    state: Any, x: Any, y: Any, z: Any, dx: Any, dy: Any, dz: Any, first: Any, last: Any, weights: Any, grid: Any,
-    layer_px: Any, sides: Any, lean: Any, mottle: Any, medium: Any,
-) -> Any:  # fmt: skip
-    """Add the fluence along a ray of the lights `first` to `last`, of `weights`, until little of it is left."""
+    state: Any,
+    x: Any,
+    y: Any,
+    z: Any,
+    dx: Any,
+    dy: Any,
+    dz: Any,
+    first: Any,
+    last: Any,
+    weights: Any,
+    grid: Any,
+    layer_px: Any,
+    sides: Any,
+    lean: Any,
+    mottle: Any,
+    medium: Any,
+) -> Any:
+    """Add the fluence along a ray of the lights `first` to `last`, of `weights`, until little of it
+    is left."""
     kept, room = 1.0, 0.0
     full = STEP / medium[0]
     while kept > 1e-3:
@@ -294,7 +334,9 @@ def _shine(
         length, after, side = _flight(sides, x, y, z, dx, dy, dz, full * (0.5 + u), room, slope)
         state, u = _random(state)
         middle = 0.5 * length
-        passed = _kept(medium, mottle, x + middle * dx, y + middle * dy, length, room * slope, after * slope)
+        passed = _kept(
+            medium, mottle, x + middle * dx, y + middle * dy, length, room * slope, after * slope
+        )
         passed *= math.exp(-medium[0] * length)
         if length > 1e-6:
             way = kept * (1.0 - passed) / (-math.log(passed) * layer_px) * length / PLACES
@@ -302,7 +344,9 @@ def _shine(
                 at = _within((place + u) / PLACES, length, medium[0])
                 px, py = x + at * dx, y + at * dy
                 r, c = _nearest(lean, px, py)
-                layer = int(max(_sides(sides, px, py)[0] - z - at * dz, 0.0) * lean[r, c] / layer_px)
+                layer = int(
+                    max(_sides(sides, px, py)[0] - z - at * dz, 0.0) * lean[r, c] / layer_px
+                )
                 if layer < grid.shape[2]:
                     for k in range(first, last):
                         grid[r, c, layer, k] += way * lean[r, c] * weights[k]
@@ -317,10 +361,19 @@ def _shine(
 
 @njit(parallel=True, cache=True, fastmath=True)
 def first_light(
-    sides: Any, lean: Any, mottle: Any, entering: Any, lights: Any, medium: Any, layer_px: Any, rays: Any, seed: Any,
+    sides: Any,
+    lean: Any,
+    mottle: Any,
+    entering: Any,
+    lights: Any,
+    medium: Any,
+    layer_px: Any,
+    rays: Any,
+    seed: Any,
     grids: Any,
-) -> None:  # fmt: skip
-    """Add to `grids` (2, H, W, layers, L) the fluence of unscattered light, by independent rays for each half."""
+) -> None:
+    """Add to `grids` (2, H, W, layers, L) the fluence of unscattered light, by independent rays for
+    each half."""
     count, rows, columns = lights.shape[0], entering.shape[1], entering.shape[2]
     spread = medium[4]
     for half in prange(2):
@@ -345,17 +398,39 @@ def first_light(
                         z = top - 1e-3 if side == 0 else low + 1e-3
                         if spread > 0.0:
                             for k in range(count):
-                                weights[k] = entering[side, row, column, k] * spread / (rays * rays * abs(nz))
+                                weights[k] = (
+                                    entering[side, row, column, k]
+                                    * spread
+                                    / (rays * rays * abs(nz))
+                                )
                             state, dx, dy, dz = _cosine(state, nx, ny, nz)
                             state = _shine(
-                                state, x, y, z, dx, dy, dz, 0, count, weights, grids[half], layer_px, sides, lean,
-                                mottle, medium,
-                            )  # fmt: skip
+                                state,
+                                x,
+                                y,
+                                z,
+                                dx,
+                                dy,
+                                dz,
+                                0,
+                                count,
+                                weights,
+                                grids[half],
+                                layer_px,
+                                sides,
+                                lean,
+                                mottle,
+                                medium,
+                            )
                         if spread >= 1.0:
                             continue
                         state, mx, my, mz = _facet(state, nx, ny, nz, medium[5])
                         for k in range(count):
-                            weights[k] = entering[side, row, column, k] * (1.0 - spread) / (rays * rays * abs(nz))
+                            weights[k] = (
+                                entering[side, row, column, k]
+                                * (1.0 - spread)
+                                / (rays * rays * abs(nz))
+                            )
                             dx, dy, dz = x - lights[k, 0], y - lights[k, 1], z - lights[k, 2]
                             size = math.sqrt(dx * dx + dy * dy + dz * dz)
                             dx, dy, dz = dx / size, dy / size, dz / size
@@ -366,9 +441,23 @@ def first_light(
                             else:
                                 dx, dy, dz = _refracted(dx, dy, dz, mx, my, mz, 1.0 / medium[6])
                             state = _shine(
-                                state, x, y, z, dx, dy, dz, k, k + 1, weights, grids[half], layer_px, sides, lean,
-                                mottle, medium,
-                            )  # fmt: skip
+                                state,
+                                x,
+                                y,
+                                z,
+                                dx,
+                                dy,
+                                dz,
+                                k,
+                                k + 1,
+                                weights,
+                                grids[half],
+                                layer_px,
+                                sides,
+                                lean,
+                                mottle,
+                                medium,
+                            )
 
 
 # Light that is scattered.
@@ -376,9 +465,18 @@ def first_light(
 
 @njit(parallel=True, cache=True, fastmath=True)
 def scatter(
-    sides: Any, lean: Any, mottle: Any, first: Any, layer_px: Any, medium: Any, density: Any, seed: Any, grids: Any
+    sides: Any,
+    lean: Any,
+    mottle: Any,
+    first: Any,
+    layer_px: Any,
+    medium: Any,
+    density: Any,
+    seed: Any,
+    grids: Any,
 ) -> None:
-    """Add to `grids` the fluence of scattered light, by walks that start where `first`'s light is scattered.
+    """Add to `grids` the fluence of scattered light, by walks that start where `first`'s light is
+    scattered.
 
     `density` walks start in a cell of the mean fluence one.
     """
@@ -400,7 +498,9 @@ def scatter(
                         continue
                     for k in range(count):
                         # energy that is scattered, by walk, over scattering x volume
-                        weights[k] = first[half, row, column, start, k] / (mean * density * lean[row, column])
+                        weights[k] = first[half, row, column, start, k] / (
+                            mean * density * lean[row, column]
+                        )
                     for _ in range(walks):
                         state, u = _random(state)
                         state, v = _random(state)
@@ -420,20 +520,32 @@ def scatter(
                             length = -math.log(1.0 - u) / scattering
                             r, c = _nearest(lean, x, y)
                             slope = lean[r, c]
-                            length, after, side = _flight(sides, x, y, z, dx, dy, dz, length, room, slope)
+                            length, after, side = _flight(
+                                sides, x, y, z, dx, dy, dz, length, room, slope
+                            )
                             before = kept
                             kept *= _kept(
-                                medium, mottle, x + 0.5 * length * dx, y + 0.5 * length * dy, length, room * slope,
+                                medium,
+                                mottle,
+                                x + 0.5 * length * dx,
+                                y + 0.5 * length * dy,
+                                length,
+                                room * slope,
                                 after * slope,
-                            )  # fmt: skip
-                            # what is on its way for a length l in a volume v adds l / v to the fluence
+                            )
+                            # what is on its way for a length l in a volume v adds l / v to the
+                            # fluence
                             state, u = _random(state)
                             way = 0.5 * (before + kept) * length * scattering / TRACKS
                             for place in range(TRACKS):
                                 at = (place + u) / TRACKS * length
                                 px, py = x + at * dx, y + at * dy
                                 r, c = _nearest(lean, px, py)
-                                layer = int(max(_sides(sides, px, py)[0] - z - at * dz, 0.0) * lean[r, c] / layer_px)
+                                layer = int(
+                                    max(_sides(sides, px, py)[0] - z - at * dz, 0.0)
+                                    * lean[r, c]
+                                    / layer_px
+                                )
                                 if layer < layers:
                                     for k in range(count):
                                         grids[half, r, c, layer, k] += way * lean[r, c] * weights[k]
@@ -442,7 +554,9 @@ def scatter(
                                 state, dx, dy, dz = _sphere(state)
                             else:
                                 nx, ny, nz = _outward(sides, x, y, side)
-                                state, dx, dy, dz, blocked = _back(state, dx, dy, dz, nx, ny, nz, medium)
+                                state, dx, dy, dz, blocked = _back(
+                                    state, dx, dy, dz, nx, ny, nz, medium
+                                )
                                 kept *= blocked
                             # the deeper, the less of it comes back
                             chance = kept * math.exp(-attenuation * room * slope) / FAINT
@@ -458,25 +572,50 @@ def scatter(
 
 @njit(parallel=True, cache=True, fastmath=True)
 def gather(
-    sides: Any, lean: Any, mottle: Any, entering: Any, grids: Any, first: Any, layer_px: Any, lights: Any,
-    strength: Any, medium: Any, pixels: Any, rays: Any, seed: Any, sums: Any, once: Any,
-) -> None:  # fmt: skip
-    """Add to `sums` (N, 2, L) the light that `rays` rays from each of N pixels collect in each half of the fluence.
+    sides: Any,
+    lean: Any,
+    mottle: Any,
+    entering: Any,
+    grids: Any,
+    first: Any,
+    layer_px: Any,
+    lights: Any,
+    strength: Any,
+    medium: Any,
+    pixels: Any,
+    rays: Any,
+    seed: Any,
+    sums: Any,
+    once: Any,
+) -> None:
+    """Add to `sums` (N, 2, L) the light that `rays` rays from each of N pixels collect in each half
+    of the fluence.
 
-    To `once` (N, L): the part that was scattered once, between two refractions at the boundary, in both halves.
+    To `once` (N, L): the part that was scattered once, between two refractions at the boundary, in
+    both halves.
 
     Parameters
     ----------
-    sides : (H, W, 2) heights; lean : (H, W) cosine of the smooth shape's slope; mottle : (H, W) factor of absorption
+    sides : (H, W, 2) heights; lean : (H, W) cosine of the smooth shape's slope; mottle : (H, W)
+    factor of absorption
     entering : (2, H - 1, W - 1, L) light that enters each cell of each side
-    grids, first : (2, H, W, layers, L) fluence, and that of unscattered light, in layers `layer_px` thick
+    grids, first : (2, H, W, layers, L) fluence, and that of unscattered light, in layers `layer_px`
+    thick
     lights : (L, 3) places; strength : (L,) their intensity, over the squared distance in pixels
-    medium : scattering, absorption of the dermis and of the epidermis, its thickness, fraction of diffused light,
-        standard deviation of the micro-facets' slopes, refractive index, diffuse reflectance from inside
+    medium : scattering, absorption of the dermis and of the epidermis, its thickness, fraction of
+    diffused light,
+        standard deviation of the micro-facets' slopes, refractive index, diffuse reflectance from
+        inside
     pixels : (N, 2) rows and columns
     """
     count = lights.shape[0]
-    scattering, spread, facets, index, inside = medium[0], medium[4], medium[5], medium[6], medium[7]
+    scattering, spread, facets, index, inside = (
+        medium[0],
+        medium[4],
+        medium[5],
+        medium[6],
+        medium[7],
+    )
     lobe = max((index - 1.0) * facets, 0.02)
     full, passing_all = STEP / scattering, (1.0 - inside) * index * index
     for i in prange(pixels.shape[0]):
@@ -503,7 +642,10 @@ def gather(
                 refracted = 0.0
                 # evenly within the cone of what can leave, cosine-weighted
                 sine = math.sqrt(along) / index
-                a, b = sine * math.cos(2.0 * math.pi * around), sine * math.sin(2.0 * math.pi * around)
+                a, b = (
+                    sine * math.cos(2.0 * math.pi * around),
+                    sine * math.sin(2.0 * math.pi * around),
+                )
                 dx, dy, dz = _turned(a, b, -math.sqrt(1.0 - sine * sine), nx, ny, nz)
                 weight *= (1.0 - _fresnel(math.sqrt(1.0 - sine * sine), 1.0 / index)) / passing_all
             else:
@@ -516,18 +658,38 @@ def gather(
                 state, u = _random(state)
                 r, c = _nearest(lean, x, y)
                 slope = lean[r, c]
-                length, after, side = _flight(sides, x, y, z, dx, dy, dz, full * (0.5 + u), room, slope)
+                length, after, side = _flight(
+                    sides, x, y, z, dx, dy, dz, full * (0.5 + u), room, slope
+                )
                 state, u = _random(state)
                 middle = 0.5 * length
-                kept = _kept(medium, mottle, x + middle * dx, y + middle * dy, length, room * slope, after * slope)
+                kept = _kept(
+                    medium,
+                    mottle,
+                    x + middle * dx,
+                    y + middle * dy,
+                    length,
+                    room * slope,
+                    after * slope,
+                )
                 kept *= math.exp(-scattering * length)
                 if length > 1e-6:
-                    part = weight * (1.0 - kept) / (-math.log(kept)) * length * scattering * (0.25 / math.pi) / PLACES
+                    part = (
+                        weight
+                        * (1.0 - kept)
+                        / (-math.log(kept))
+                        * length
+                        * scattering
+                        * (0.25 / math.pi)
+                        / PLACES
+                    )
                     for place in range(PLACES):
                         at = _within((place + u) / PLACES, length, scattering)
                         px, py = x + at * dx, y + at * dy
                         r, c = _nearest(lean, px, py)
-                        layer = int(max(_sides(sides, px, py)[0] - z - at * dz, 0.0) * lean[r, c] / layer_px)
+                        layer = int(
+                            max(_sides(sides, px, py)[0] - z - at * dz, 0.0) * lean[r, c] / layer_px
+                        )
                         if layer < grids.shape[3]:
                             for k in range(count):
                                 found[half, k] += part * grids[half, r, c, layer, k]
@@ -553,9 +715,16 @@ def gather(
                     for k in range(count):
                         lx, ly, lz = lights[k, 0] - x, lights[k, 1] - y, lights[k, 2] - z
                         squared = lx * lx + ly * ly + lz * lz
-                        off = ((ox * lx + oy * ly + oz * lz) / math.sqrt(squared) - 1.0) / (lobe * lobe)
+                        off = ((ox * lx + oy * ly + oz * lz) / math.sqrt(squared) - 1.0) / (
+                            lobe * lobe
+                        )
                         if off > -20.0:
-                            light = strength[k] / squared * math.exp(off) / (2.0 * math.pi * lobe * lobe)
+                            light = (
+                                strength[k]
+                                / squared
+                                * math.exp(off)
+                                / (2.0 * math.pi * lobe * lobe)
+                            )
                             found[half, k] += seen * light
                 state, dx, dy, dz, along = _mirrored(state, dx, dy, dz, nx, ny, nz, facets)
                 weight *= _fresnel(along, 1.0 / index)

@@ -2,11 +2,13 @@
 
     python validation/path_traced/make.py --out DIR              # a run that was stopped goes on
     python validation/path_traced/make.py --out DIR --polarised  # behind linear films
-    python validation/path_traced/make.py --out DIR --names third_matt no_ridges    # some of either kind
+    python validation/path_traced/make.py --out DIR --names third_matt no_ridges # some of either
+    kind
 
-Needs the group ``reference`` (numba). Each finger becomes a capture folder with ``truth.npz`` and ``info.json``, which
-has all optics and the noise of the walks; of polarised fingers these lie beside the folder, as ``NAME_truth.npz`` and
-``NAME_info.json``. The same arguments give the same bytes, whatever the number of threads.
+Needs the group ``reference`` (numba). Each finger becomes a capture folder with ``truth.npz`` and
+``info.json``, which has all optics and the noise of the walks; of polarised fingers these lie
+beside the folder, as ``NAME_truth.npz`` and ``NAME_info.json``. The same arguments give the same
+bytes, whatever the number of threads.
 """
 
 from __future__ import annotations
@@ -20,7 +22,13 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
-from walked_finger import FingerLight, FingerOptics, photograph_finger, walk_finger, without_walk_noise
+from walked_finger import (
+    FingerLight,
+    FingerOptics,
+    photograph_finger,
+    walk_finger,
+    without_walk_noise,
+)
 
 from splitknit.errors import BadInput, require
 from splitknit.io.atomic import atomic_folder
@@ -49,14 +57,55 @@ class Case:
 THIRD = 1 / 3
 CASES = (
     # spread, scattering, epidermis, melanin, blood, mottle, mottle size, roughness, gloss, noise
-    Case("third_matt", 9101, "loop", FingerOptics(THIRD, 0.5, 0.12, 0.002, 0.006, 0.15, 1.0, 0.25, 0.0, 0.005)),
-    Case("refracted_glossy", 9102, "whorl", FingerOptics(0.0, 0.6, 0.10, 0.0015, 0.005, 0.10, 1.5, 0.30, 1.0, 0.005)),
-    Case("diffuse_glossy", 9103, "loop", FingerOptics(1.0, 0.8, 0.20, 0.004, 0.008, 0.20, 0.7, 0.20, 1.0, 0.004)),
-    Case("third_dark_glossy", 9104, "whorl", FingerOptics(THIRD, 0.4, 0.25, 0.006, 0.010, 0.20, 2.0, 0.40, 1.3, 0.007)),
-    Case("refracted_matt", 9105, "arch", FingerOptics(0.0, 1.0, 0.05, 0.001, 0.004, 0.15, 0.5, 0.15, 0.0, 0.003)),
-    Case("diffuse_matt", 9106, "whorl", FingerOptics(1.0, 1.5, 0.15, 0.003, 0.012, 0.25, 3.0, 0.25, 0.0, 0.010)),
-    Case("no_ridges", 9107, "loop", FingerOptics(THIRD, 0.6, 0.15, 0.002, 0.006, 0.20, 0.6, 0.30, 1.0, 0.005), False),
-    Case("thin_glossy", 9108, "loop", FingerOptics(THIRD, 0.3, 0.08, 0.002, 0.004, 0.10, 1.0, 0.45, 1.0, 0.008)),
+    Case(
+        "third_matt",
+        9101,
+        "loop",
+        FingerOptics(THIRD, 0.5, 0.12, 0.002, 0.006, 0.15, 1.0, 0.25, 0.0, 0.005),
+    ),
+    Case(
+        "refracted_glossy",
+        9102,
+        "whorl",
+        FingerOptics(0.0, 0.6, 0.10, 0.0015, 0.005, 0.10, 1.5, 0.30, 1.0, 0.005),
+    ),
+    Case(
+        "diffuse_glossy",
+        9103,
+        "loop",
+        FingerOptics(1.0, 0.8, 0.20, 0.004, 0.008, 0.20, 0.7, 0.20, 1.0, 0.004),
+    ),
+    Case(
+        "third_dark_glossy",
+        9104,
+        "whorl",
+        FingerOptics(THIRD, 0.4, 0.25, 0.006, 0.010, 0.20, 2.0, 0.40, 1.3, 0.007),
+    ),
+    Case(
+        "refracted_matt",
+        9105,
+        "arch",
+        FingerOptics(0.0, 1.0, 0.05, 0.001, 0.004, 0.15, 0.5, 0.15, 0.0, 0.003),
+    ),
+    Case(
+        "diffuse_matt",
+        9106,
+        "whorl",
+        FingerOptics(1.0, 1.5, 0.15, 0.003, 0.012, 0.25, 3.0, 0.25, 0.0, 0.010),
+    ),
+    Case(
+        "no_ridges",
+        9107,
+        "loop",
+        FingerOptics(THIRD, 0.6, 0.15, 0.002, 0.006, 0.20, 0.6, 0.30, 1.0, 0.005),
+        False,
+    ),
+    Case(
+        "thin_glossy",
+        9108,
+        "loop",
+        FingerOptics(THIRD, 0.3, 0.08, 0.002, 0.004, 0.10, 1.0, 0.45, 1.0, 0.008),
+    ),
 )
 
 
@@ -84,31 +133,83 @@ class PolarisedCase:
     """White LEDs to the side of the finger."""
 
 
-def _films(kept: float, axis_deg: float, extinction: float, off_deg: float, *tint: float) -> FilmSettings:
+def _films(
+    kept: float, axis_deg: float, extinction: float, off_deg: float, *tint: float
+) -> FilmSettings:
     return FilmSettings("analyser", axis_deg, off_deg, extinction, tint or (0.85, 0.85, 0.82), kept)  # type: ignore[arg-type]
 
 
 _P01 = PolarisedCase(
-    "p01", 9201, "whorl", 60.0, FingerOptics(0.0, 0.9, 0.12, 0.002, 0.006, 0.12, 1.0, 0.30, 1.0, 0.004),
-    _films(0.25, 0, 1000, 0.5), size_px=(640, 700), width_mm=16.5, entering=2,
-)  # fmt: skip
+    "p01",
+    9201,
+    "whorl",
+    60.0,
+    FingerOptics(0.0, 0.9, 0.12, 0.002, 0.006, 0.12, 1.0, 0.30, 1.0, 0.004),
+    _films(0.25, 0, 1000, 0.5),
+    size_px=(640, 700),
+    width_mm=16.5,
+    entering=2,
+)
 _WITHOUT_SIDE_LIGHTS = (
     _P01,
-    PolarisedCase("p02", 9202, "loop", 55.0, FingerOptics(0.0, 0.8, 0.15, 0.012, 0.008, 0.15, 1.5, 0.13, 1.0, 0.005),
-                  _films(0.20, 90, 500, 0.5)),
-    PolarisedCase("p03", 9203, "loop", 30.0, FingerOptics(0.0, 1.1, 0.10, 0.0015, 0.005, 0.10, 1.0, 0.45, 1.0, 0.004),
-                  _films(0.40, 45, 2000, 1.0)),
-    PolarisedCase("p04", 9204, "whorl", 85.0, FingerOptics(0.0, 0.7, 0.15, 0.003, 0.008, 0.15, 0.8, 0.20, 1.0, 0.004),
-                  _films(0.10, 20, 5000, 0.3)),
-    PolarisedCase("p05", 9205, "loop", 60.0, FingerOptics(0.0, 0.9, 0.12, 0.002, 0.006, 0.20, 0.6, 0.35, 1.0, 0.004),
-                  _films(0.25, 0, 1000, 0.5), ridges=False),
-    PolarisedCase("p06", 9206, "loop", 45.0, FingerOptics(THIRD, 1.0, 0.20, 0.002, 0.004, 0.15, 1.0, 0.50, 1.0, 0.005),
-                  _films(0.0, 60, 300, 1.0, 0.82, 0.85, 0.78)),
-    PolarisedCase("p07", 9207, "whorl", 90.0, FingerOptics(0.0, 0.8, 0.12, 0.002, 0.007, 0.15, 1.2, 0.36, 1.0, 0.004),
-                  _films(0.30, -30, 1000, 0.5)),
-    PolarisedCase("p08", 9208, "loop", 25.0, FingerOptics(0.0, 1.0, 0.10, 0.003, 0.006, 0.10, 1.0, 0.25, 1.0, 0.004),
-                  _films(0.15, 10, 1000, 0.5)),
-)  # fmt: skip
+    PolarisedCase(
+        "p02",
+        9202,
+        "loop",
+        55.0,
+        FingerOptics(0.0, 0.8, 0.15, 0.012, 0.008, 0.15, 1.5, 0.13, 1.0, 0.005),
+        _films(0.20, 90, 500, 0.5),
+    ),
+    PolarisedCase(
+        "p03",
+        9203,
+        "loop",
+        30.0,
+        FingerOptics(0.0, 1.1, 0.10, 0.0015, 0.005, 0.10, 1.0, 0.45, 1.0, 0.004),
+        _films(0.40, 45, 2000, 1.0),
+    ),
+    PolarisedCase(
+        "p04",
+        9204,
+        "whorl",
+        85.0,
+        FingerOptics(0.0, 0.7, 0.15, 0.003, 0.008, 0.15, 0.8, 0.20, 1.0, 0.004),
+        _films(0.10, 20, 5000, 0.3),
+    ),
+    PolarisedCase(
+        "p05",
+        9205,
+        "loop",
+        60.0,
+        FingerOptics(0.0, 0.9, 0.12, 0.002, 0.006, 0.20, 0.6, 0.35, 1.0, 0.004),
+        _films(0.25, 0, 1000, 0.5),
+        ridges=False,
+    ),
+    PolarisedCase(
+        "p06",
+        9206,
+        "loop",
+        45.0,
+        FingerOptics(THIRD, 1.0, 0.20, 0.002, 0.004, 0.15, 1.0, 0.50, 1.0, 0.005),
+        _films(0.0, 60, 300, 1.0, 0.82, 0.85, 0.78),
+    ),
+    PolarisedCase(
+        "p07",
+        9207,
+        "whorl",
+        90.0,
+        FingerOptics(0.0, 0.8, 0.12, 0.002, 0.007, 0.15, 1.2, 0.36, 1.0, 0.004),
+        _films(0.30, -30, 1000, 0.5),
+    ),
+    PolarisedCase(
+        "p08",
+        9208,
+        "loop",
+        25.0,
+        FingerOptics(0.0, 1.0, 0.10, 0.003, 0.006, 0.10, 1.0, 0.25, 1.0, 0.004),
+        _films(0.15, 10, 1000, 0.5),
+    ),
+)
 POLARISED = (
     *_WITHOUT_SIDE_LIGHTS,
     replace(_P01, name="p01_ext", films=_films(0.25, 0, 100, 0.5), as_walked="p01"),
@@ -121,9 +222,13 @@ FINE = 3
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    parser = argparse.ArgumentParser(description="Fingers photographed by random walks in their volume.")
+    parser = argparse.ArgumentParser(
+        description="Fingers photographed by random walks in their volume."
+    )
     parser.add_argument("--out", type=Path, required=True, help="folder of the captures")
-    parser.add_argument("--scale", type=float, help="of the images; 1 is 2200 x 3200 pixels; 0.3, behind films 0.5")
+    parser.add_argument(
+        "--scale", type=float, help="of the images; 1 is 2200 x 3200 pixels; 0.3, behind films 0.5"
+    )
     parser.add_argument("--walks", type=float, default=16.0, help="for each pixel and channel")
     parser.add_argument("--threads", type=int, default=2, help="the result does not depend on it")
     parser.add_argument("--polarised", action="store_true", help="fingers behind films")
@@ -132,13 +237,24 @@ def main(arguments: Sequence[str] | None = None) -> int:
     try:
         known = {case.name: case for case in (POLARISED if options.polarised else CASES)}
         names = options.names or list(known)
-        require(set(names) <= set(known), f"--names are some of {', '.join(known)}, not {', '.join(names)}.")
+        require(
+            set(names) <= set(known),
+            f"--names are some of {', '.join(known)}, not {', '.join(names)}.",
+        )
         for case in (known[name] for name in names):
             if isinstance(case, PolarisedCase):
                 if not (options.out / f"{case.name}_info.json").exists():
-                    make_polarised(case, options.out, options.scale or 0.5, options.walks, options.threads)
+                    make_polarised(
+                        case, options.out, options.scale or 0.5, options.walks, options.threads
+                    )
             elif not (options.out / case.name / "info.json").exists():
-                make(case, options.out / case.name, options.scale or 0.3, options.walks, options.threads)
+                make(
+                    case,
+                    options.out / case.name,
+                    options.scale or 0.3,
+                    options.walks,
+                    options.threads,
+                )
     except BadInput as error:
         print(error, file=sys.stderr)
         return 2
@@ -151,37 +267,62 @@ def make(case: Case, folder: Path, scale: float, walks: float, threads: int) -> 
 
     def progress(step: str, fraction: float) -> None:
         if sys.stderr.isatty():
-            print(f"\r{case.name}: {step} {100 * fraction:3.0f} %   ", end="", file=sys.stderr, flush=True)
+            print(
+                f"\r{case.name}: {step} {100 * fraction:3.0f} %   ",
+                end="",
+                file=sys.stderr,
+                flush=True,
+            )
 
     surface, drawn = lay_down(case.seed, case.pattern, TwinSettings(scale=scale))
     surface = surface if case.ridges else without_ridges(surface)
     capture, truth, info = photograph_finger(
-        surface, drawn.rig, case.optics, walks=walks, rays=max(round(0.8 * walks), 2), threads=threads, seed=case.seed,
+        surface,
+        drawn.rig,
+        case.optics,
+        walks=walks,
+        rays=max(round(0.8 * walks), 2),
+        threads=threads,
+        seed=case.seed,
         progress=progress,
-    )  # fmt: skip
+    )
     info |= {"name": case.name, "pattern": case.pattern, "ridges": case.ridges, "scale": scale}
     with atomic_folder(folder) as target:
         write_capture(capture, target, truth, overwrite=True)
         (target / "info.json").write_text(json.dumps(info, indent=1) + "\n")
     worst = max(channel["noise"]["common"] for channel in info["channels"].values())
-    print(f"{case.name}: {time.perf_counter() - started:.0f} s, noise of the walks {100 * worst:.1f} %", flush=True)
+    print(
+        f"{case.name}: {time.perf_counter() - started:.0f} s, noise of the walks"
+        f" {100 * worst:.1f} %",
+        flush=True,
+    )
 
 
-def make_polarised(case: PolarisedCase, out: Path, scale: float, walks: float, threads: int) -> None:
+def make_polarised(
+    case: PolarisedCase, out: Path, scale: float, walks: float, threads: int
+) -> None:
     """Photograph one finger behind films; write its folder, and truth and info beside it."""
     started = time.perf_counter()
     rows, columns = case.size_px
     size = round(rows * 2 * scale), round(columns * 2 * scale)
     camera = replace(default_rig(scale).camera, image_size=size)
     white = [led for led in default_rig(scale, None).leds if led.band == "white"]
-    rig = with_side_lights(Rig(camera, (*white, *(replace(led, band="nir") for led in white))), case.side_lights)
+    rig = with_side_lights(
+        Rig(camera, (*white, *(replace(led, band="nir") for led in white))), case.side_lights
+    )
     finger = draw_finger(case.seed, case.pattern)
     width = min(finger.shape.width_mm, case.width_mm)
     finger = replace(
-        finger, shape=replace(finger.shape, width_mm=width), skin=replace(finger.skin, ridge_depth_um=case.ridge_um)
+        finger,
+        shape=replace(finger.shape, width_mm=width),
+        skin=replace(finger.skin, ridge_depth_um=case.ridge_um),
     )
-    settings = TwinSettings(rig=rig, pose=FingerPose(insertion_mm=round(size[0] * camera.pitch_mm - 1.1, 1)))
-    closer = replace(camera, px_per_mm=FINE * camera.px_per_mm, image_size=(FINE * size[0], FINE * size[1]))
+    settings = TwinSettings(
+        rig=rig, pose=FingerPose(insertion_mm=round(size[0] * camera.pitch_mm - 1.1, 1))
+    )
+    closer = replace(
+        camera, px_per_mm=FINE * camera.px_per_mm, image_size=(FINE * size[0], FINE * size[1])
+    )
     surface, fine = (
         lay_down(case.seed, None, replace(settings, rig=replace(rig, camera=one)), finger=finger)[0]
         for one in (camera, closer)
@@ -192,15 +333,34 @@ def make_polarised(case: PolarisedCase, out: Path, scale: float, walks: float, t
     def walk() -> FingerLight:
         rays = max(round(0.6 * walks), 2)
         return walk_finger(
-            surface, rig, case.optics, walks=walks, rays=rays, threads=threads, seed=case.seed, entering=case.entering
+            surface,
+            rig,
+            case.optics,
+            walks=walks,
+            rays=rays,
+            threads=threads,
+            seed=case.seed,
+            entering=case.entering,
         )
 
     light = without_walk_noise(_walked(case, out, walk), surface)
     capture, truth, info = photograph_finger(
-        surface, rig, case.optics, walks=walks, seed=case.seed, light=light, films=case.films, moved_mm=case.moved_mm,
+        surface,
+        rig,
+        case.optics,
+        walks=walks,
+        seed=case.seed,
+        light=light,
+        films=case.films,
+        moved_mm=case.moved_mm,
         fine=fine,
-    )  # fmt: skip
-    info |= {"name": case.name, "pattern": case.pattern, "ridges": case.ridges, "ridge_depth_um": case.ridge_um}
+    )
+    info |= {
+        "name": case.name,
+        "pattern": case.pattern,
+        "ridges": case.ridges,
+        "ridge_depth_um": case.ridge_um,
+    }
     with atomic_folder(out / case.name) as target:
         write_capture(capture, target, overwrite=True)
     write_npz(out / f"{case.name}_truth.npz", truth)
@@ -210,7 +370,11 @@ def make_polarised(case: PolarisedCase, out: Path, scale: float, walks: float, t
 
 def _walked(case: PolarisedCase, out: Path, walk: Callable[[], FingerLight]) -> FingerLight:
     """The light of a case, kept in a file that cases share."""
-    kept, parts, bands = out / f".{case.as_walked or case.name}_light.npz", ("diffuse", "once"), ("white", "nir")
+    kept, parts, bands = (
+        out / f".{case.as_walked or case.name}_light.npz",
+        ("diffuse", "once"),
+        ("white", "nir"),
+    )
     if kept.exists():
         found = read_npz(kept)
         diffuse, once = ({name: found[f"{part}_{name}"] for name in bands} for part in parts)
@@ -225,7 +389,10 @@ def _walked(case: PolarisedCase, out: Path, walk: Callable[[], FingerLight]) -> 
 def without_ridges(surface: SimulatedSurface) -> SimulatedSurface:
     """The same finger with smooth skin."""
     return replace(
-        surface, height_mm=surface.shape_mm, normals=surface.shape_normals, relief_um=0.0 * surface.relief_um
+        surface,
+        height_mm=surface.shape_mm,
+        normals=surface.shape_normals,
+        relief_um=0.0 * surface.relief_um,
     )
 
 

@@ -1,11 +1,14 @@
 """Heights with and without polarising films, on fingers whose light the fast twin did not make.
 
-    python validation/path_traced/polarised.py FOLDER...    # captures with NAME_truth.npz beside them, or their folder
+    python validation/path_traced/polarised.py FOLDER... # captures with NAME_truth.npz beside them,
+    or their folder
 
-For each capture that has a parallel and a crossed series: `metric` on it, and on the mean of both series, which is the
-photograph without films. It prints a table, and JSON with ``--json``. Captures are made by ``make.py --polarised``.
+For each capture that has a parallel and a crossed series: `metric` on it, and on the mean of both
+series, which is the photograph without films. It prints a table, and JSON with ``--json``. Captures
+are made by ``make.py --polarised``.
 
-    python validation/path_traced/polarised.py --twins FIRST LAST [SCALE]    # fingers of the fast simulator with these
+    python validation/path_traced/polarised.py --twins FIRST LAST [SCALE] # fingers of the fast
+    simulator with these
         # seeds, behind films with seven lights to the side: each, and their means
 """
 
@@ -38,8 +41,13 @@ def main(arguments: Sequence[str] | None = None) -> int:
     try:
         if given[:1] == ["--twins"]:
             seeds = given[1:3]
-            require(len(seeds) == 2 and all(one.isdigit() for one in seeds), "give two seeds: --twins FIRST LAST.")
-            twins(range(int(seeds[0]), int(seeds[1]) + 1), float(given[3] if len(given) > 3 else 0.2))
+            require(
+                len(seeds) == 2 and all(one.isdigit() for one in seeds),
+                "give two seeds: --twins FIRST LAST.",
+            )
+            twins(
+                range(int(seeds[0]), int(seeds[1]) + 1), float(given[3] if len(given) > 3 else 0.2)
+            )
             return 0
         folders = [folder for one in given if one != "--json" for folder in _captures(Path(one))]
         require(bool(folders), "give folders of polarised captures with their truth beside them.")
@@ -71,14 +79,18 @@ def both_ways(folder: Path) -> dict[str, dict[str, float]]:
 
 
 def twins(seeds: Sequence[int], scale: float) -> None:
-    """Print surface (mm), and correlation, gain, rms (um) and error over stated by slant, with lights to the side."""
+    """Print surface (mm), and correlation, gain, rms (um) and error over stated by slant, with
+    lights to the side."""
     rows = []
     for seed in seeds:
         capture, truth = simulate_capture(seed, settings={"scale": scale, **TWINS})
         truth["px_mm"] = np.float64(capture.rig.camera.pitch_mm)
         figures = _figures(capture, truth)
         parts = ("ridge_corr", "ridge_gain", "ridge_rms_um", "error_over_stated")
-        names = ["surface_rms_mm", *(f"{part}{each}" for each in (*CLASSES[1:], "") for part in parts)]
+        names = [
+            "surface_rms_mm",
+            *(f"{part}{each}" for each in (*CLASSES[1:], "") for part in parts),
+        ]
         rows.append([figures.get(name, np.nan) for name in names])
         print(seed, *(f"{value:.3f}" for value in rows[-1]), flush=True)
     require(bool(rows), "the last seed is before the first.")
@@ -92,7 +104,8 @@ TWINS = {"films.kind": "analyser", "side_lights": 7}
 def without_films(capture: Capture) -> Capture:
     """The photographs as they were without films: half the sum of both series."""
     require(
-        capture.encoding == "linear" and "white_crossed" in capture.bands, "the capture is not polarised and linear."
+        capture.encoding == "linear" and "white_crossed" in capture.bands,
+        "the capture is not polarised and linear.",
     )
     white, crossed = capture.bands["white"], capture.bands["white_crossed"]
     mean = (white.pixels.astype(np.uint32) + crossed.pixels) // 2
@@ -103,24 +116,38 @@ def without_films(capture: Capture) -> Capture:
 
 def _figures(capture: Capture, truth: dict[str, np.ndarray]) -> dict[str, float]:
     result = splitknit.reconstruct(capture)
-    figures = score({name: getattr(result, name) for name in ("height_mm", "mask", "uncertainty_um")}, truth)
+    figures = score(
+        {name: getattr(result, name) for name in ("height_mm", "mask", "uncertainty_um")}, truth
+    )
     specular = result.facts["optics"].get("specular", {})
     return figures | {f"fitted_{name}": value for name, value in specular.items()}
 
 
 def table(found: dict[str, dict[str, dict[str, float]]]) -> str:
     """Correlation, gain and rms error of the ridges, by slant; no films in brackets."""
-    lines = ["finger | surface mm | " + " | ".join(name[1:].replace("_", " to ") or "below 60 deg" for name in CLASSES)
-             + " | error over stated | false um"]  # fmt: skip
+    lines = [
+        "finger | surface mm | "
+        + " | ".join(name[1:].replace("_", " to ") or "below 60 deg" for name in CLASSES)
+        + " | error over stated | false um"
+    ]
     for name, ways in found.items():
         a, b = ways["films"], ways["no films"]
         cells = [f"{a['surface_rms_mm']:.3f} ({b['surface_rms_mm']:.3f})"]
         for each in CLASSES:
             keys = [f"ridge_{figure}{each}" for figure in ("corr", "gain", "rms_um")]
-            texts = [f"{w[keys[0]]:.3f}, {w[keys[1]]:.2f}, {w[keys[2]]:.1f}" if keys[0] in w else "-" for w in (a, b)]
+            texts = [
+                f"{w[keys[0]]:.3f}, {w[keys[1]]:.2f}, {w[keys[2]]:.1f}" if keys[0] in w else "-"
+                for w in (a, b)
+            ]
             cells.append(f"{texts[0]} ({texts[1]})")
-        cells.append(f"{a.get('error_over_stated', np.nan):.2f} ({b.get('error_over_stated', np.nan):.2f})")
-        cells.append(f"{a['false_relief_um']:.1f} ({b['false_relief_um']:.1f})" if "false_relief_um" in a else "-")
+        cells.append(
+            f"{a.get('error_over_stated', np.nan):.2f} ({b.get('error_over_stated', np.nan):.2f})"
+        )
+        cells.append(
+            f"{a['false_relief_um']:.1f} ({b['false_relief_um']:.1f})"
+            if "false_relief_um" in a
+            else "-"
+        )
         lines.append(" | ".join([name, *cells]))
     return "\n".join(lines)
 

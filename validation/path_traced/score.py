@@ -1,9 +1,10 @@
 """A result against the truth of a finger whose light the fast twin did not make.
 
-    python validation/path_traced/score.py RESULT TRUTH    # a result folder; truth.npz, or the folder that has it
+    python validation/path_traced/score.py RESULT TRUTH # a result folder; truth.npz, or the folder
+    that has it
 
-It prints JSON: the whole surface, the ridge band below 60 degrees of slant and in classes of slant, error over stated
-uncertainty, and the relief that was found where there are no ridges.
+It prints JSON: the whole surface, the ridge band below 60 degrees of slant and in classes of slant,
+error over stated uncertainty, and the relief that was found where there are no ridges.
 """
 
 from __future__ import annotations
@@ -49,15 +50,22 @@ def main(arguments: Sequence[str] | None = None) -> int:
     return 0
 
 
-def score(found: dict[str, NDArray[np.generic]], known: dict[str, NDArray[np.generic]]) -> dict[str, float]:
-    """Score a result's ``height.npz`` against a truth: ``height_mm``, ``shape_mm``, ``mask``, ``px_mm`` (``pitch_mm``).
+def score(
+    found: dict[str, NDArray[np.generic]], known: dict[str, NDArray[np.generic]]
+) -> dict[str, float]:
+    """Score a result's ``height.npz`` against a truth: ``height_mm``, ``shape_mm``, ``mask``,
+    ``px_mm`` (``pitch_mm``).
 
     Ridges are scored where the truth's ``pattern_weight``, or its relief, says that there are some.
     """
     height, true, shape = (
-        np.asarray(one, dtype=np.float64) for one in (found["height_mm"], known["height_mm"], known["shape_mm"])
+        np.asarray(one, dtype=np.float64)
+        for one in (found["height_mm"], known["height_mm"], known["shape_mm"])
     )
-    require(height.shape == true.shape, f"the result has {height.shape} pixels, but the truth has {true.shape}.")
+    require(
+        height.shape == true.shape,
+        f"the result has {height.shape} pixels, but the truth has {true.shape}.",
+    )
     pitch_mm = float(known["px_mm" if "px_mm" in known else "pitch_mm"])
     finger = np.asarray(known["mask"], dtype=np.bool_)
     both = np.asarray(found["mask"], dtype=np.bool_) & finger & np.isfinite(height)
@@ -75,10 +83,16 @@ def score(found: dict[str, NDArray[np.generic]], known: dict[str, NDArray[np.gen
         square = max(round(PERIOD_MM / pitch_mm), 1)
         flat = ndimage.uniform_filter(relief**2, square) < 1e-6
         ridged = inner & ~flat
-    classes = {"": (0, CLASSES_DEG[-1])} | {f"_{low}_{high}": (low, high) for low, high in pairwise(CLASSES_DEG)}
-    stated = np.asarray(found["uncertainty_um"], dtype=np.float64) if "uncertainty_um" in found else None
+    classes = {"": (0, CLASSES_DEG[-1])} | {
+        f"_{low}_{high}": (low, high) for low, high in pairwise(CLASSES_DEG)
+    }
+    stated = (
+        np.asarray(found["uncertainty_um"], dtype=np.float64) if "uncertainty_um" in found else None
+    )
     for name, (low, high) in classes.items():
-        where = (ridged if ridged.sum() >= FEWEST else inner) & (slant_deg >= low) & (slant_deg < high)
+        where = (
+            (ridged if ridged.sum() >= FEWEST else inner) & (slant_deg >= low) & (slant_deg < high)
+        )
         if where.sum() < FEWEST:
             continue
         a, b = estimate[where], relief[where]
@@ -88,7 +102,9 @@ def score(found: dict[str, NDArray[np.generic]], known: dict[str, NDArray[np.gen
             result[f"ridge_rms_um{name}"] = _rms_um(a - b)
         if stated is not None and np.isfinite(stated[where]).all():
             off = 1000.0 * np.abs(a - b)
-            result[f"error_over_stated{name}"] = float(np.sqrt(np.mean(off**2) / np.mean(stated[where] ** 2)))
+            result[f"error_over_stated{name}"] = float(
+                np.sqrt(np.mean(off**2) / np.mean(stated[where] ** 2))
+            )
             result[f"within_one_sigma{name}"] = float(np.mean(off < stated[where]))
     where = inner & flat & (slant_deg < 45)
     if where.sum() >= FEWEST:

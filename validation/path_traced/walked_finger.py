@@ -1,14 +1,16 @@
-"""A slow reference for whole fingers: random walks in the volume below the ridged skin, compiled, in minutes.
+"""A slow reference for whole fingers: random walks in the volume below the ridged skin, compiled,
+in minutes.
 
-It shares no transport code with :mod:`splitknit_simulator.light.renderer`; the coefficients of skin are the same. Light
-of every LED enters through the ridged surface, which diffuses a fraction of it and refracts the rest at micro-facets.
-Where it is scattered for the first time, walks begin that serve all LEDs of a band; rays from the pixels gather what
-they leave in the volume. So the noise is mostly the same in all images of a channel. Scattering is isotropic with the
-reduced coefficient; absorption, in two layers and mottled, weighs the light.
+It shares no transport code with :mod:`splitknit_simulator.light.renderer`; the coefficients of skin
+are the same. Light of every LED enters through the ridged surface, which diffuses a fraction of it
+and refracts the rest at micro-facets. Where it is scattered for the first time, walks begin that
+serve all LEDs of a band; rays from the pixels gather what they leave in the volume. So the noise is
+mostly the same in all images of a channel. Scattering is isotropic with the reduced coefficient;
+absorption, in two layers and mottled, weighs the light.
 
-The finger is closed by the mirror image of its smooth shape from below, with walls along the outline, and is mirrored
-where the picture ends. Skin hides the LEDs from skin (cast shadows), as soft as their faces make it. Needs the extra
-``reference`` (numba).
+The finger is closed by the mirror image of its smooth shape from below, with walls along the
+outline, and is mirrored where the picture ends. Skin hides the LEDs from skin (cast shadows), as
+soft as their faces make it. Needs the extra ``reference`` (numba).
 """
 
 from __future__ import annotations
@@ -53,16 +55,19 @@ EXPOSURE = 0.7
 LAYERS = 32
 """Layers that hold the light, five to a mean free path."""
 SCATTERED, STARTS = (0.05, 0.4), (0.15, 0.6)
-"""Gaussians that smooth a layer of fluence: their standard deviation over depth, and in pixels at least. For scattered
-light, and for unscattered light where walks begin; where it is seen, it is not smoothed."""
+"""Gaussians that smooth a layer of fluence: their standard deviation over depth, and in pixels at
+least. For scattered light, and for unscattered light where walks begin; where it is seen, it is not
+smoothed."""
 MOST_PX = 3.0
 """Largest standard deviation of these Gaussians."""
 REGRESSION_MM = (0.3, 0.15)
-"""Windows of :func:`without_walk_noise`: of what all lights have in common, and of what each has of its own."""
+"""Windows of :func:`without_walk_noise`: of what all lights have in common, and of what each has of
+its own."""
 FACE_MM = 1.5
 """Side of an LED's face, for the edge of its cast shadows."""
 RAYS = 2
-"""Along each side of a cell: rays of unscattered light into it, diffused and of each light, in each half."""
+"""Along each side of a cell: rays of unscattered light into it, diffused and of each light, in each
+half."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -90,11 +95,13 @@ class FingerOptics(Checked):
     gloss: Annotated[float, Limits(0.0, 5.0)] = 1.0
     """Weight of the specular reflection; 1 = Fresnel."""
     shot_noise: Annotated[float, Limits(0.0, 0.1)] = 0.005
-    """Standard deviation of the shot noise, relative to light of the exposure's level; 0 = no noise."""
+    """Standard deviation of the shot noise, relative to light of the exposure's level; 0 = no
+    noise."""
 
 
 def draw_optics(rng: np.random.Generator) -> FingerOptics:
-    """Draw a finger's optics from their ranges: the boundary from matt to refracted, light and dark, dry and oily."""
+    """Draw a finger's optics from their ranges: the boundary from matt to refracted, light and
+    dark, dry and oily."""
     low = FingerOptics(0.0, 0.3, 0.05, 0.001, 0.003, 0.05, 0.5, 0.15, 0.0, 0.003)
     high = FingerOptics(1.0, 1.5, 0.25, 0.006, 0.012, 0.25, 3.0, 0.45, 1.3, 0.01)
     at = rng.random(len(fields(FingerOptics)))
@@ -117,8 +124,11 @@ class _ChannelLight:
         return np.asarray(self.halves.mean(axis=0), dtype=np.float32)
 
     def noise(self, mask: NDArray[np.bool_]) -> dict[str, float]:
-        """Relative standard error of a pixel of `mask`: the part common to all lights, and the rest of each light."""
-        first, second = (cv2.GaussianBlur(np.moveaxis(half, 0, 2), (0, 0), LENS_PX)[mask] for half in self.halves)
+        """Relative standard error of a pixel of `mask`: the part common to all lights, and the rest
+        of each light."""
+        first, second = (
+            cv2.GaussianBlur(np.moveaxis(half, 0, 2), (0, 0), LENS_PX)[mask] for half in self.halves
+        )
         error = (first - second) / np.maximum(first + second, 1e-9)
         common = error.mean(axis=1)
         rest = (error - common[:, None]) * np.sqrt(error.shape[1] / max(error.shape[1] - 1, 1))
@@ -130,10 +140,18 @@ def _rms(values: NDArray[Any]) -> float:
 
 
 def render_finger(
-    surface: SimulatedSurface, leds: Sequence[Led], channel: Channel, optics: FingerOptics,
-    *, walks: float = 16.0, rays: int = 12, threads: int = 2, seed: int = 0, progress: Progress = no_progress,
+    surface: SimulatedSurface,
+    leds: Sequence[Led],
+    channel: Channel,
+    optics: FingerOptics,
+    *,
+    walks: float = 16.0,
+    rays: int = 12,
+    threads: int = 2,
+    seed: int = 0,
+    progress: Progress = no_progress,
     entering: int | None = None,
-) -> _ChannelLight:  # fmt: skip
+) -> _ChannelLight:
     """Light from within the skin under each LED, by random walks in one channel.
 
     Parameters
@@ -151,13 +169,17 @@ def render_finger(
     Raises
     ------
     BadInput
-        If numba is missing, the camera is not orthographic, an LED is distant or has a lobe, or `walks` is odd.
+        If numba is missing, the camera is not orthographic, an LED is distant or has a lobe, or
+        `walks` is odd.
 
     Examples
     --------
     >>> light = render_finger(surface, rig.leds[:7], "green", FingerOptics(spread=0.3))  # doctest: +SKIP
     """
-    require(walks > 0 and rays > 0, f"walks and rays must be above zero, but they are {walks} and {rays}.")
+    require(
+        walks > 0 and rays > 0,
+        f"walks and rays must be above zero, but they are {walks} and {rays}.",
+    )
     pitch = surface.camera.pitch_mm
     skin = SkinOptics(scattering_factor=optics.scattering_factor, melanin=0.0, blood=optics.blood)
     dermis = skin.channel(channel)
@@ -165,16 +187,30 @@ def render_finger(
     inside = 1.0 - diffuse_transmittance() / REFRACTIVE_INDEX**2
     medium = np.array(
         [
-            dermis.scattering_per_mm * pitch, dermis.absorption_per_mm * pitch, epidermis.absorption_per_mm * pitch,
-            optics.epidermis_mm / pitch, optics.spread, optics.roughness / np.sqrt(2.0), REFRACTIVE_INDEX, inside,
+            dermis.scattering_per_mm * pitch,
+            dermis.absorption_per_mm * pitch,
+            epidermis.absorption_per_mm * pitch,
+            optics.epidermis_mm / pitch,
+            optics.spread,
+            optics.roughness / np.sqrt(2.0),
+            REFRACTIVE_INDEX,
+            inside,
         ]
-    )  # fmt: skip
+    )
     solid = solid_of(surface, leds)
     mottle = _mottles(solid.lean.shape, pitch, optics, seed)
     return walk_solid(
-        solid, surface, mottle, medium, walks=walks, rays=rays, threads=threads,
-        seed=[seed, CHANNELS.index(channel)], progress=progress, entering=entering,
-    )  # fmt: skip
+        solid,
+        surface,
+        mottle,
+        medium,
+        walks=walks,
+        rays=rays,
+        threads=threads,
+        seed=[seed, CHANNELS.index(channel)],
+        progress=progress,
+        entering=entering,
+    )
 
 
 # The finger as a solid, in pixels.
@@ -195,9 +231,15 @@ class _Solid:
 
 def solid_of(surface: SimulatedSurface, leds: Sequence[Led]) -> _Solid:
     camera, pitch = surface.camera, surface.camera.pitch_mm
-    require(camera.model == "orthographic", "the reference's walks start under an orthographic camera only.")
     require(
-        all(led.position_mm is not None and led.lobe_exponent == 0.0 and not led.also for led in leds),
+        camera.model == "orthographic",
+        "the reference's walks start under an orthographic camera only.",
+    )
+    require(
+        all(
+            led.position_mm is not None and led.lobe_exponent == 0.0 and not led.also
+            for led in leds
+        ),
         "the reference of whole fingers knows single near LEDs without a lobe only.",
     )
     require(bool(surface.mask.any()), "no part of the finger is in the picture.")
@@ -210,7 +252,9 @@ def solid_of(surface: SimulatedSurface, leds: Sequence[Led]) -> _Solid:
     low = np.minimum(2.0 * rim - shape, height - 0.05)
     both = np.stack([np.where(mask, height, rim), np.where(mask, low, rim)], axis=-1) / pitch
     sides = np.ascontiguousarray(both, dtype=np.float32)
-    lean = np.where(mask, np.clip(surface.shape_normals[place][..., 2], 0.15, 1.0), 0.15).astype(np.float32)
+    lean = np.where(mask, np.clip(surface.shape_normals[place][..., 2], 0.15, 1.0), 0.15).astype(
+        np.float32
+    )
     corner = place[0].start, place[1].start
     rows, columns = surface.mask.shape
     lights = np.array([led.position_mm for led in leds], dtype=np.float64).reshape(-1, 3)
@@ -222,7 +266,8 @@ def solid_of(surface: SimulatedSurface, leds: Sequence[Led]) -> _Solid:
 
 
 def _entering(sides: FloatArray, lights: Array, strength: Array, pitch: float) -> FloatArray:
-    """(2, H - 1, W - 1, L) light that passes the boundary, for each cell between four pixel centres, of each side."""
+    """(2, H - 1, W - 1, L) light that passes the boundary, for each cell between four pixel
+    centres, of each side."""
     rows, columns = sides.shape[0] - 1, sides.shape[1] - 1
     result = np.zeros((2, rows, columns, len(lights)), dtype=np.float32)
     y, x = np.mgrid[0:rows, 0:columns] + 0.5
@@ -244,8 +289,9 @@ def _entering(sides: FloatArray, lights: Array, strength: Array, pitch: float) -
 
 
 def _lit(height: Array, light: Array, face: float) -> FloatArray:
-    """(H, W) part of an LED's face (a square of side `face`, upright) that no skin hides. All in pixels: `height` with
-    z up, `light` column, row and z. Lines of sight are followed in steps that grow with the distance.
+    """(H, W) part of an LED's face (a square of side `face`, upright) that no skin hides. All in
+    pixels: `height` with z up, `light` column, row and z. Lines of sight are followed in steps that
+    grow with the distance.
     """
     rows, columns = height.shape
     y, x = np.mgrid[0:rows, 0:columns].astype(np.float32)
@@ -259,9 +305,13 @@ def _lit(height: Array, light: Array, face: float) -> FloatArray:
         far = np.maximum(np.hypot(*way), np.float32(1e-3))
         right, down, rise = way[0] / far, way[1] / far, (np.float32(place[2]) - sharp) / far
         free, step = np.ones((rows, columns), dtype=np.bool_), 0.7
-        while step < min(max(rows, columns), (top - float(height.min())) / max(float(rise.min()), 1e-3) + 1.0):
+        while step < min(
+            max(rows, columns), (top - float(height.min())) / max(float(rise.min()), 1e-3) + 1.0
+        ):
             x_there, y_there = x + np.float32(step) * right, y + np.float32(step) * down
-            there = cv2.remap(sharp, x_there, y_there, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+            there = cv2.remap(
+                sharp, x_there, y_there, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE
+            )
             free &= there <= sharp + np.float32(step) * rise + np.float32(1e-3)
             step *= 1.0 + 0.12 / (1.0 + 4.0 / step)
         seen += free
@@ -270,27 +320,45 @@ def _lit(height: Array, light: Array, face: float) -> FloatArray:
 
 def _mottles(size: tuple[int, int], pitch_mm: float, optics: FingerOptics, seed: int) -> FloatArray:
     """(H, W) factor of the absorption below the epidermis, one on average."""
-    noise = np.random.default_rng(np.random.SeedSequence([seed, 0x307])).standard_normal(size).astype(np.float32)
-    field = cv2.GaussianBlur(noise, (0, 0), optics.mottle_mm / pitch_mm, borderType=cv2.BORDER_REFLECT)
+    noise = (
+        np.random.default_rng(np.random.SeedSequence([seed, 0x307]))
+        .standard_normal(size)
+        .astype(np.float32)
+    )
+    field = cv2.GaussianBlur(
+        noise, (0, 0), optics.mottle_mm / pitch_mm, borderType=cv2.BORDER_REFLECT
+    )
     field -= field.mean()
     factor = np.maximum(1.0 + optics.mottle * field / max(float(field.std()), 1e-9), 0.2)
     return np.asarray(factor, dtype=np.float32)
 
 
 def walk_solid(
-    solid: _Solid, surface: SimulatedSurface, mottle: FloatArray, medium: Array,
-    *, walks: float, rays: int, threads: int, seed: Sequence[int], progress: Progress = no_progress,
+    solid: _Solid,
+    surface: SimulatedSurface,
+    mottle: FloatArray,
+    medium: Array,
+    *,
+    walks: float,
+    rays: int,
+    threads: int,
+    seed: Sequence[int],
+    progress: Progress = no_progress,
     entering: int | None = None,
-) -> _ChannelLight:  # fmt: skip
+) -> _ChannelLight:
     """Walk from all pixels that see the finger."""
     numba, kernels = _load()
     numba.set_num_threads(min(threads, numba.config.NUMBA_NUM_THREADS))
     count, (rows, columns) = len(solid.lights), solid.lean.shape
-    seeds = [int(value) for value in np.random.SeedSequence([*seed, 0x3A1]).generate_state(3, np.uint32)]
+    seeds = [
+        int(value) for value in np.random.SeedSequence([*seed, 0x3A1]).generate_state(3, np.uint32)
+    ]
     layer_px = 0.2 / medium[0]
     optics = solid.sides, solid.lean, mottle
     first = np.zeros((2, rows, columns, LAYERS, count), dtype=np.float32)
-    kernels.first_light(*optics, solid.entering, solid.lights, medium, layer_px, entering or RAYS, seeds[0], first)
+    kernels.first_light(
+        *optics, solid.entering, solid.lights, medium, layer_px, entering or RAYS, seeds[0], first
+    )
     _share_border(first, 2.0)
     starts = first.copy()
     _smooth(starts, solid.sides, layer_px, STARTS)
@@ -301,7 +369,10 @@ def walk_solid(
         0.5
         * walks
         * len(pixels)
-        / max(float((starts.mean(axis=(0, 4), dtype=np.float64).sum(axis=-1) / solid.lean).sum()), 1e-30)
+        / max(
+            float((starts.mean(axis=(0, 4), dtype=np.float64).sum(axis=-1) / solid.lean).sum()),
+            1e-30,
+        )
     )
     fluence = np.zeros_like(first)
     kernels.scatter(*optics, starts, layer_px, medium, density, seeds[1], fluence)
@@ -312,9 +383,20 @@ def walk_solid(
     progress("scattering", 0.7)
     sums, once = np.zeros((len(pixels), 2, count)), np.zeros((len(pixels), count))
     kernels.gather(
-        *optics, solid.entering, fluence, first, layer_px, solid.lights, solid.strength, medium,
-        pixels - solid.corner, rays, seeds[2], sums, once,
-    )  # fmt: skip
+        *optics,
+        solid.entering,
+        fluence,
+        first,
+        layer_px,
+        solid.lights,
+        solid.strength,
+        medium,
+        pixels - solid.corner,
+        rays,
+        seeds[2],
+        sums,
+        once,
+    )
     progress("gathering", 1.0)
     halves = np.zeros((2, count, *surface.mask.shape), dtype=np.float32)
     halves[:, :, pixels[:, 0], pixels[:, 1]] = np.transpose(sums, (1, 2, 0)) / rays
@@ -324,12 +406,15 @@ def walk_solid(
 
 
 def _share_border(fluence: FloatArray, factor: float) -> None:
-    """Multiply the cells at the border, half of which lies beyond it, mirrored: from energy to density or back."""
+    """Multiply the cells at the border, half of which lies beyond it, mirrored: from energy to
+    density or back."""
     fluence[:, [0, -1]] *= factor
     fluence[:, :, [0, -1]] *= factor
 
 
-def _smooth(fluence: FloatArray, sides: FloatArray, layer_px: float, by: tuple[float, float]) -> None:
+def _smooth(
+    fluence: FloatArray, sides: FloatArray, layer_px: float, by: tuple[float, float]
+) -> None:
     """Smooth every layer of the fluence, within which light varies little."""
     inside = (sides[..., 0] - sides[..., 1] > 1e-2).astype(np.float32)
     for layer in range(fluence.shape[3]):
@@ -357,18 +442,24 @@ def _load() -> tuple[Any, Any]:
 # Light that the surface alone reflects.
 
 
-def specular(surface: SimulatedSurface, led: Led, roughness: float, fine: SimulatedSurface | None = None) -> FloatArray:
+def specular(
+    surface: SimulatedSurface, led: Led, roughness: float, fine: SimulatedSurface | None = None
+) -> FloatArray:
     """(H, W) radiance of the GGX reflection at the ridged skin, without inter-reflection.
 
-    `fine`: the same finger with several pixels along each side of one of `surface`, whose mean is taken. On steep
-    flanks the slope at a pixel's centre is not that of its heights: integrated, it gives 0.95 of a ridge at 30 to 45
-    deg and 0.72 at 45 to 60.
+    `fine`: the same finger with several pixels along each side of one of `surface`, whose mean is
+    taken. On steep flanks the slope at a pixel's centre is not that of its heights: integrated, it
+    gives 0.95 of a ridge at 30 to 45 deg and 0.72 at 45 to 60.
 
     References
     ----------
     Walter, Marschner, Li and Torrance 2007, equations (20), (33), (34).
     """
-    (rows, columns), pitch, light = surface.mask.shape, surface.camera.pitch_mm, np.asarray(led.position_mm)
+    (rows, columns), pitch, light = (
+        surface.mask.shape,
+        surface.camera.pitch_mm,
+        np.asarray(led.position_mm),
+    )
     total = pixel_means(reflected(fine or surface, led, roughness), surface)
     column, row = light[0] / pitch + (columns - 1) / 2, (rows - 1) / 2 - light[1] / pitch
     beside = float(surface.shape_mm[surface.mask].min()) - 6.0
@@ -398,7 +489,15 @@ def reflected(surface: SimulatedSurface, led: Led, roughness: float) -> Array:
     shadow = np.ones_like(n_l)
     for cosine in (n_l, n_v):
         shadow = shadow * 2.0 * cosine / (cosine + np.sqrt(square + (1.0 - square) * cosine**2))
-    light = led.intensity * UNIT / squared * facets * shadow * fresnel(np.sum(half * towards, -1)) / (4.0 * n_v)
+    light = (
+        led.intensity
+        * UNIT
+        / squared
+        * facets
+        * shadow
+        * fresnel(np.sum(half * towards, -1))
+        / (4.0 * n_v)
+    )
     return np.where(seen, light, 0.0)
 
 
@@ -427,12 +526,19 @@ class FingerLight:
 
 
 def walk_finger(
-    surface: SimulatedSurface, rig: Rig, optics: FingerOptics,
-    *, walks: float = 16.0, rays: int = 12, threads: int = 2, seed: int = 0, progress: Progress = no_progress,
+    surface: SimulatedSurface,
+    rig: Rig,
+    optics: FingerOptics,
+    *,
+    walks: float = 16.0,
+    rays: int = 12,
+    threads: int = 2,
+    seed: int = 0,
+    progress: Progress = no_progress,
     entering: int | None = None,
-) -> FingerLight:  # fmt: skip
-    """Walk in a finger under every LED of `rig`; arguments and errors as in :func:`photograph_finger` and
-    :func:`render_finger`.
+) -> FingerLight:
+    """Walk in a finger under every LED of `rig`; arguments and errors as in
+    :func:`photograph_finger` and :func:`render_finger`.
     """
     diffuse, once, channels = {}, {}, {}
     todo = [(name, channel) for name, names in BAND_CHANNELS.items() for channel in names]
@@ -450,9 +556,17 @@ def walk_finger(
                 progress(channel, (done + fraction) / len(todo))
 
             found = render_finger(
-                surface, leds, channel, optics, walks=walks, rays=rays, threads=threads, seed=seed, progress=report,
+                surface,
+                leds,
+                channel,
+                optics,
+                walks=walks,
+                rays=rays,
+                threads=threads,
+                seed=seed,
+                progress=report,
                 entering=entering,
-            )  # fmt: skip
+            )
             light.append(found.radiance)
             single.append(found.once)
             channels[channel] = {
@@ -462,7 +576,8 @@ def walk_finger(
                 **_coefficients(channel, optics),
             }
         diffuse[name], once[name] = (
-            np.stack([one[min(c, len(one) - 1)] for c in range(3)], axis=-1) for one in (light, single)
+            np.stack([one[min(c, len(one) - 1)] for c in range(3)], axis=-1)
+            for one in (light, single)
         )
     return FingerLight(diffuse, once, channels)
 
@@ -470,13 +585,14 @@ def walk_finger(
 def without_walk_noise(light: FingerLight, surface: SimulatedSurface) -> FingerLight:
     """The light with most of the walks' noise taken away by regression on the true surface.
 
-    Around every pixel each image is explained, by weighted least squares within a Gaussian window, by place, relief and
-    slopes, as they are and smoothed; the pixel then has what these explain. What all lights have in common is noisier
-    and has a wider window than what each has of its own.
+    Around every pixel each image is explained, by weighted least squares within a Gaussian window,
+    by place, relief and slopes, as they are and smoothed; the pixel then has what these explain.
+    What all lights have in common is noisier and has a wider window than what each has of its own.
 
     References
     ----------
-    Bitterli et al. 2016, Nonlinearly weighted first-order regression for denoising Monte Carlo renderings.
+    Bitterli et al. 2016, Nonlinearly weighted first-order regression for denoising Monte Carlo
+    renderings.
     """
     common, own = (_Regression(surface, width) for width in REGRESSION_MM)
 
@@ -504,17 +620,25 @@ class _Regression:
         weight = self.mask.astype(np.float64)
 
         def smooth(field: Array, by_mm: float) -> Array:
-            blur = [cv2.GaussianBlur(one, (0, 0), by_mm / pitch) for one in (field * weight, weight)]
+            blur = [
+                cv2.GaussianBlur(one, (0, 0), by_mm / pitch) for one in (field * weight, weight)
+            ]
             return np.asarray(blur[0] / np.maximum(blur[1], 1e-3), dtype=np.float64)
 
-        relief = 10.0 * np.where(self.mask, surface.height_mm - surface.shape_mm, 0.0).astype(np.float64)
+        relief = 10.0 * np.where(self.mask, surface.height_mm - surface.shape_mm, 0.0).astype(
+            np.float64
+        )
         slopes = [surface.normals[..., axis].astype(np.float64) for axis in range(2)]
         self.features = np.stack(
             [
-                *pixel_places(surface.camera), relief, smooth(relief, 0.06), smooth(relief, 0.13),
-                *slopes, *(smooth(slope, 0.06) for slope in slopes),
+                *pixel_places(surface.camera),
+                relief,
+                smooth(relief, 0.06),
+                smooth(relief, 0.13),
+                *slopes,
+                *(smooth(slope, 0.06) for slope in slopes),
             ]
-        )  # fmt: skip
+        )
         self.weight = self._window(np.ones(self.mask.shape))
         self.means = [self._mean(field) for field in self.features]
         count = len(self.features)
@@ -540,18 +664,29 @@ class _Regression:
 
     def _window(self, field: Array) -> Array:
         inside = np.where(self.mask, field, 0.0)
-        return np.asarray(cv2.GaussianBlur(inside, (0, 0), self.sigma, borderType=cv2.BORDER_REFLECT)[self.mask])
+        return np.asarray(
+            cv2.GaussianBlur(inside, (0, 0), self.sigma, borderType=cv2.BORDER_REFLECT)[self.mask]
+        )
 
     def _mean(self, field: Array) -> Array:
         return self._window(field) / self.weight
 
 
 def photograph_finger(
-    surface: SimulatedSurface, rig: Rig, optics: FingerOptics,
-    *, walks: float = 16.0, rays: int = 12, threads: int = 2, seed: int = 0, progress: Progress = no_progress,
-    light: FingerLight | None = None, films: FilmSettings | None = None, moved_mm: tuple[float, float] = (0.0, 0.0),
+    surface: SimulatedSurface,
+    rig: Rig,
+    optics: FingerOptics,
+    *,
+    walks: float = 16.0,
+    rays: int = 12,
+    threads: int = 2,
+    seed: int = 0,
+    progress: Progress = no_progress,
+    light: FingerLight | None = None,
+    films: FilmSettings | None = None,
+    moved_mm: tuple[float, float] = (0.0, 0.0),
     fine: SimulatedSurface | None = None,
-) -> tuple[Capture, dict[str, NDArray[Any]], dict[str, Any]]:  # fmt: skip
+) -> tuple[Capture, dict[str, NDArray[Any]], dict[str, Any]]:
     """Photograph a finger under every LED of `rig` by random walks.
 
     Parameters
@@ -564,9 +699,11 @@ def photograph_finger(
     seed : of walks, mottles and noise
     progress : called with the channel and the fraction of all walks
     light : of :func:`walk_finger` with the same arguments; None: walk
-    films : before the white LEDs and the camera: the white band becomes a parallel and a crossed series of the same
+    films : before the white LEDs and the camera: the white band becomes a parallel and a crossed
+    series of the same
         LEDs (``analyser``)
-    moved_mm : by which the finger has moved (x, y up) after the parallel series; its light is taken as unchanged
+    moved_mm : by which the finger has moved (x, y up) after the parallel series; its light is taken
+    as unchanged
     fine : see :func:`specular`; true heights are its pixels' means too
 
     Returns
@@ -580,7 +717,10 @@ def photograph_finger(
     BadInput
         As :func:`render_finger`.
     """
-    require(films is None or films.kind == "analyser", "the reference knows films before the same LEDs only.")
+    require(
+        films is None or films.kind == "analyser",
+        "the reference knows films before the same LEDs only.",
+    )
     light = light or walk_finger(
         surface, rig, optics, walks=walks, rays=rays, threads=threads, seed=seed, progress=progress
     )
@@ -590,7 +730,9 @@ def photograph_finger(
         members = [k for k, led in enumerate(rig.leds) if led.band == name]
         if name == "white" and films is not None:
             mount_seed = np.random.SeedSequence([seed, 0x4C2])
-            mounted = mounted_films(films, [rig.leds[k] for k in members], np.random.default_rng(mount_seed))
+            mounted = mounted_films(
+                films, [rig.leds[k] for k in members], np.random.default_rng(mount_seed)
+            )
             frames = _polarised((surface, fine), rig, optics, light, mounted)
             series = [name, "white_crossed"]
             seeds = [*noise_seeds, *np.random.SeedSequence([seed, 0x4C1]).spawn(len(members))]
@@ -599,7 +741,10 @@ def photograph_finger(
             frames = np.empty((1, *diffuse.shape), dtype=np.float32)
             for k, member in enumerate(members):
                 led = rig.leds[member]
-                frames[0, k] = diffuse[k] + optics.gloss * specular(surface, led, optics.roughness, fine)[..., None]
+                frames[0, k] = (
+                    diffuse[k]
+                    + optics.gloss * specular(surface, led, optics.roughness, fine)[..., None]
+                )
                 frames[0, k] += _background_beside(surface, led)
             series, seeds, numbers = [name], noise_seeds, [members]
         level = diffuse if len(frames) == 1 else frames[0]
@@ -611,7 +756,13 @@ def photograph_finger(
                 seen = cv2.GaussianBlur(moved(frame * np.float32(exposure), shift), (0, 0), LENS_PX)
                 images.append(record(seen, name, seeds[seeds_of[k]], _sensor(optics)))
             none = np.zeros(len(members))
-            bands[key] = Band(key, np.stack(images).astype(np.uint16), tuple((k,) for k in members), none + 1.0, none)
+            bands[key] = Band(
+                key,
+                np.stack(images).astype(np.uint16),
+                tuple((k,) for k in members),
+                none + 1.0,
+                none,
+            )
     if "white_crossed" in bands:
         bands = {
             "white": replace(bands["white"], polarisation="parallel"),
@@ -620,7 +771,9 @@ def photograph_finger(
     height = surface.height_mm
     if fine is not None:
         whole = pixel_means(fine.mask, surface) == 1.0
-        height = np.where(whole, pixel_means(np.where(fine.mask, fine.height_mm, 0.0), surface), height)
+        height = np.where(
+            whole, pixel_means(np.where(fine.mask, fine.height_mm, 0.0), surface), height
+        )
     truth = {
         "height_mm": height.astype(np.float32),
         "shape_mm": surface.shape_mm,
@@ -641,9 +794,12 @@ def photograph_finger(
 
 
 def _polarised(
-    skin: tuple[SimulatedSurface, SimulatedSurface | None], rig: Rig, optics: FingerOptics, light: FingerLight,
+    skin: tuple[SimulatedSurface, SimulatedSurface | None],
+    rig: Rig,
+    optics: FingerOptics,
+    light: FingerLight,
     mounted: Films,
-) -> FloatArray:  # fmt: skip
+) -> FloatArray:
     """(2, L, H, W, 3) radiance behind the films, parallel and crossed, under every white LED."""
     surface, fine = skin
     leds = [led for led in rig.leds if led.band == "white"]
@@ -658,7 +814,11 @@ def _polarised(
         for series in range(2):
             mirrored = gloss * mounted.specular(series, k, (lx, ly, lz), (0.0, 0.0, 1.0))
             kept = mounted.once_scattered(series, k, (lx, ly, lz), (0.0, 0.0, 1.0))
-            frame = mounted.depolarised * (diffuse[k] + background) + kept[..., None] * once[k] + mirrored[..., None]
+            frame = (
+                mounted.depolarised * (diffuse[k] + background)
+                + kept[..., None] * once[k]
+                + mirrored[..., None]
+            )
             frame = frame * passing
             frames[series, k] = moved(frame.astype(np.float32), series * mounted.shift_px)
     return frames
@@ -666,11 +826,15 @@ def _polarised(
 
 def _background_beside(surface: SimulatedSurface, led: Led) -> FloatArray:
     """(H, W, 1) radiance of the black background, none where the finger is."""
-    return np.where(surface.mask, 0.0, _background(surface.camera, led))[..., None].astype(np.float32)
+    return np.where(surface.mask, 0.0, _background(surface.camera, led))[..., None].astype(
+        np.float32
+    )
 
 
 def _coefficients(channel: Channel, optics: FingerOptics) -> dict[str, float]:
-    dermis = SkinOptics(scattering_factor=optics.scattering_factor, melanin=0.0, blood=optics.blood).channel(channel)
+    dermis = SkinOptics(
+        scattering_factor=optics.scattering_factor, melanin=0.0, blood=optics.blood
+    ).channel(channel)
     epidermis = SkinOptics(melanin=optics.melanin, blood=0.0).channel(channel)
     return {
         "scattering_per_mm": dermis.scattering_per_mm,
@@ -689,7 +853,8 @@ def _background(camera: Camera, led: Led) -> Array:
 
 
 def _sensor(optics: FingerOptics) -> SensorSettings:
-    """A sensor whose shot noise at the exposure's level is that of `optics`, of 12 bits in files of 16."""
+    """A sensor whose shot noise at the exposure's level is that of `optics`, of 12 bits in files of
+    16."""
     if optics.shot_noise == 0.0:
         return SensorSettings(noise=False, bits=16, raw_bits=16)
     full = 1.0 / (EXPOSURE * optics.shot_noise**2)

@@ -1,11 +1,12 @@
-"""Is the simulated population like people? Classes and sizes as drawn, prints as impostors, outlines as similar.
+"""Is the simulated population like people? Classes and sizes as drawn, prints as impostors,
+outlines as similar.
 
     pip install nbis-py==0.1.3
     python validation/population/run.py                 # all parts, ten minutes of one core
     python validation/population/run.py --parts sizes   # only some: sizes, impostors, outlines
 
-writes ``results.json`` beside this file; parts that are not run stay as they are there. The outlines are those of the
-surfaces that the camera sees, without light and noise.
+writes ``results.json`` beside this file; parts that are not run stay as they are there. The
+outlines are those of the surfaces that the camera sees, without light and noise.
 """
 
 from __future__ import annotations
@@ -68,7 +69,10 @@ def sizes(count: int = 2000) -> dict[str, Any]:
                 "period_mm": _mean_sd([finger.print_settings.period_mm for finger in some], 4),
             }
         asked = (WIDTH_MM[k], LENGTH_MM[k], PERIOD_MM * PERIOD_DIGIT[k])
-        result["digits"][digit] = {"asked_mean_of_sexes": [round(value, 4) for value in asked], **table}
+        result["digits"][digit] = {
+            "asked_mean_of_sexes": [round(value, 4) for value in asked],
+            **table,
+        }
     worst = 0.0
     for name in FINGERS:
         side, digit = name.split("_")
@@ -76,16 +80,27 @@ def sizes(count: int = 2000) -> dict[str, Any]:
         row = {}
         for pattern, fraction in class_fractions(side, digit).items():
             found = drawn.count(pattern) / count
-            worst = max(worst, abs(found - fraction) / max(np.sqrt(fraction * (1 - fraction) / count), 1e-9))
+            worst = max(
+                worst, abs(found - fraction) / max(np.sqrt(fraction * (1 - fraction) / count), 1e-9)
+            )
             row[pattern] = [round(fraction, 4), round(found, 4)]
         result["classes"][name] = row
     result["classes_worst_deviation_in_sd"] = round(float(worst), 2)
-    whorls = np.array([[p.fingers[f].finger.pattern in ("whorl", "twin_loop") for f in FINGERS] for p in everybody])
+    whorls = np.array(
+        [
+            [p.fingers[f].finger.pattern in ("whorl", "twin_loop") for f in FINGERS]
+            for p in everybody
+        ]
+    )
     result["people_without_whorls"] = round(float((~whorls.any(axis=1)).mean()), 3)
     result["people_with_whorls_only"] = round(float(whorls.all(axis=1).mean()), 3)
     widths = np.array([[p.fingers[f].finger.shape.width_mm for f in FINGERS] for p in everybody])
-    result["width_correlation_index_ring"] = round(float(np.corrcoef(widths[:, 1], widths[:, 3])[0, 1]), 3)
-    result["width_correlation_index_left_right"] = round(float(np.corrcoef(widths[:, 1], widths[:, 6])[0, 1]), 3)
+    result["width_correlation_index_ring"] = round(
+        float(np.corrcoef(widths[:, 1], widths[:, 3])[0, 1]), 3
+    )
+    result["width_correlation_index_left_right"] = round(
+        float(np.corrcoef(widths[:, 1], widths[:, 6])[0, 1]), 3
+    )
     return result
 
 
@@ -99,7 +114,11 @@ def matched(files: Sequence[bytes], labels: Sequence[str]) -> dict[str, Any]:
 
     extractor = nbis.new_nbis_extractor(
         nbis.NbisExtractorSettings(
-            min_quality=0.0, get_center=False, check_fingerprint=False, compute_nfiq2=False, ppi=500.0
+            min_quality=0.0,
+            get_center=False,
+            check_fingerprint=False,
+            compute_nfiq2=False,
+            ppi=500.0,
         )
     )
     templates = [extractor.extract_minutiae(file) for file in files]
@@ -129,19 +148,28 @@ def _distribution(scores: Sequence[int]) -> dict[str, float]:
 
 
 def impostors(draws: int = 5) -> dict[str, Any]:
-    """Scores of NIST's mindtct and bozorth3 between 40 prints: of four people, and of forty, for some populations."""
-    result: dict[str, Any] = {"matcher": "mindtct + bozorth3 (nbis-py 0.1.3), 500 ppi, all minutiae"}
+    """Scores of NIST's mindtct and bozorth3 between 40 prints: of four people, and of forty, for
+    some populations."""
+    result: dict[str, Any] = {
+        "matcher": "mindtct + bozorth3 (nbis-py 0.1.3), 500 ppi, all minutiae"
+    }
     for seed in range(draws):
         families = [own for person in people(seed, 4) for own in person.fingers.values()]
-        impostors = [person.fingers[FINGERS[person.number % len(FINGERS)]] for person in people(seed, 40)]
+        impostors = [
+            person.fingers[FINGERS[person.number % len(FINGERS)]] for person in people(seed, 40)
+        ]
         for name, fingers in (("four_people", families), ("forty_people", impostors)):
-            images = [np.pad(ink_print(own.finger.master()), 20, constant_values=255) for own in fingers]
+            images = [
+                np.pad(ink_print(own.finger.master()), 20, constant_values=255) for own in fingers
+            ]
             files = [cv2.imencode(".png", image)[1].tobytes() for image in images]
             result[f"{name}_{seed}"] = matched(files, [str(k) for k in range(len(files))])
     data = Path(os.environ.get("SPLITKNIT_DATA", HERE.parents[2] / "shared" / "data"))
     real = sorted((data / "fvc2002_db1b").glob("*.png"))
     if real:
-        result["real_fvc2002_db1b"] = matched([one.read_bytes() for one in real], [one.stem[:3] for one in real])
+        result["real_fvc2002_db1b"] = matched(
+            [one.read_bytes() for one in real], [one.stem[:3] for one in real]
+        )
     return result
 
 
@@ -172,13 +200,21 @@ def outlines(subjects: int = 17, sessions: int = 4) -> dict[str, Any]:
     others = ~genuine & (people_of[first] != people_of[second])
     index = np.array([name.endswith("right_index") for name in fingers])
     by_person = [width[index & (people_of == who)] for who in dict.fromkeys(people_of)]
-    within = float(np.sqrt(np.mean([values.var(ddof=1) for values in by_person]))) if sessions > 1 else None
+    within = (
+        float(np.sqrt(np.mean([values.var(ddof=1) for values in by_person])))
+        if sessions > 1
+        else None
+    )
     return {
         "captures": len(fingers),
         "width_mm": _mean_sd(width),
-        "right_index_width_sd_between_people_mm": round(float(np.std([values.mean() for values in by_person])), 3),
+        "right_index_width_sd_between_people_mm": round(
+            float(np.std([values.mean() for values in by_person])), 3
+        ),
         "right_index_width_sd_between_sessions_mm": None if within is None else round(within, 3),
-        "strangers_within_0.5_mm": round(float((np.abs(width[first] - width[second])[others] < 0.5).mean()), 3),
+        "strangers_within_0.5_mm": round(
+            float((np.abs(width[first] - width[second])[others] < 0.5).mean()), 3
+        ),
         "genuine_overlap_above_0.9": round(float((overlap[genuine] > 0.9).mean()), 4),
         "impostor_overlap_above_0.9": round(float((overlap[~genuine] > 0.9).mean()), 4),
         "separation": {
@@ -191,14 +227,21 @@ def outlines(subjects: int = 17, sessions: int = 4) -> dict[str, Any]:
     }
 
 
-def _edges(settings: PopulationSettings, person: Person, name: str, session: int) -> NDArray[np.float64]:
-    """(2, 16) left and right edge of the upright outline, mm from the middle line, at distances from the tip."""
+def _edges(
+    settings: PopulationSettings, person: Person, name: str, session: int
+) -> NDArray[np.float64]:
+    """(2, 16) left and right edge of the upright outline, mm from the middle line, at distances
+    from the tip."""
     own = person.fingers[name]
     rig = settings.rig()
-    impression = draw_impression(own, settings.sessions, rig.camera, (settings.seed, person.number, session))
+    impression = draw_impression(
+        own, settings.sessions, rig.camera, (settings.seed, person.number, session)
+    )
     pose = replace(impression.pose(), yaw_rad=0.0, x_mm=0.0)  # the thesis turns outlines upright
     today = finger_of_today(own.finger, impression)
-    surface = finger_surface(replace(today, printed=_smooth_skin(today)), pose, rig.camera, workers=1)
+    surface = finger_surface(
+        replace(today, printed=_smooth_skin(today)), pose, rig.camera, workers=1
+    )
     pitch = surface.camera.pitch_mm
     rows = np.nonzero(surface.mask.any(axis=1))[0]
     left = np.argmax(surface.mask, axis=1) * pitch
@@ -212,13 +255,22 @@ def _smooth_skin(finger: SimulatedFinger) -> MasterPrint:
     """A print without ridges: the outline does not need them."""
     u, v = np.arange(-22.0, 22.1, 1.0), np.arange(44.0, -25.0, -1.0)
     return MasterPrint(
-        finger.pattern, finger.seed, np.ones((v.size, u.size), np.float32), np.zeros((v.size, u.size), np.float32),
-        u, v, 0.43, (), (), np.zeros((0, 3)),
-    )  # fmt: skip
+        finger.pattern,
+        finger.seed,
+        np.ones((v.size, u.size), np.float32),
+        np.zeros((v.size, u.size), np.float32),
+        u,
+        v,
+        0.43,
+        (),
+        (),
+        np.zeros((0, 3)),
+    )
 
 
 def _overlap(outline: NDArray[Any], first: NDArray[Any], second: NDArray[Any]) -> NDArray[Any]:
-    """Intersection over union of upright outlines, tips together, the best of some lateral shifts."""
+    """Intersection over union of upright outlines, tips together, the best of some lateral
+    shifts."""
     best = np.zeros(first.size)
     for begin in range(0, first.size, 50_000):
         part = slice(begin, begin + 50_000)
@@ -232,10 +284,15 @@ def _overlap(outline: NDArray[Any], first: NDArray[Any], second: NDArray[Any]) -
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("--parts", default="sizes,impostors,outlines")
     options = parser.parse_args()
-    file, parts = HERE / "results.json", {"sizes": sizes, "impostors": impostors, "outlines": outlines}
+    file, parts = (
+        HERE / "results.json",
+        {"sizes": sizes, "impostors": impostors, "outlines": outlines},
+    )
     results = json.loads(file.read_text()) if file.is_file() else {}
     for part in options.parts.split(","):
         results[part] = parts[part]()

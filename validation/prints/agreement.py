@@ -1,11 +1,14 @@
-"""How far prints can be trusted: true minutiae in the prints, their quality, and how bozorth3 separates fingers.
+"""How far prints can be trusted: true minutiae in the prints, their quality, and how bozorth3
+separates fingers.
 
-    python validation/prints/agreement.py POPULATION STORE --scratch FOLDER      # measure (resumes), then sum up
-    python validation/prints/agreement.py --summary --scratch FOLDER             # sum up what there is
+    python validation/prints/agreement.py POPULATION STORE --scratch FOLDER # measure (resumes),
+    then sum up python validation/prints/agreement.py --summary --scratch FOLDER # sum up what there
+    is
 
-POPULATION is a folder of ``splitknit simulate population`` (here: seed 680, scale 0.4), STORE one of ``splitknit
-batch`` with its reconstructions. Reported are fingers of the first ten people. Every capture and preset is one file in
-the scratch folder, so a run may be stopped at any time. The results are in ``agreement.json``.
+POPULATION is a folder of ``splitknit simulate population`` (here: seed 680, scale 0.4), STORE one
+of ``splitknit batch`` with its reconstructions. Reported are fingers of the first ten people. Every
+capture and preset is one file in the scratch folder, so a run may be stopped at any time. The
+results are in ``agreement.json``.
 """
 
 from __future__ import annotations
@@ -29,9 +32,16 @@ VERSION = 3
 FINGERS = ("right_index", "left_thumb", "right_ring", "left_middle")
 REPORTED = tuple(f"S{k:02d}" for k in range(1, 11))
 PARTS = (
-    ("metric", 1), ("truth", 1), ("metric", 2), ("snk", 1), ("pr-split", 1), ("ea-split", 1), ("snk", 2),
-    ("pr-split", 2), ("ea-split", 2),
-)  # fmt: skip
+    ("metric", 1),
+    ("truth", 1),
+    ("metric", 2),
+    ("snk", 1),
+    ("pr-split", 1),
+    ("ea-split", 1),
+    ("snk", 2),
+    ("pr-split", 2),
+    ("ea-split", 2),
+)
 """Presets and sessions, the most important first; ``truth`` is the true surface."""
 
 
@@ -81,7 +91,9 @@ def records(scratch: Path) -> dict[tuple[str, int], dict[str, Any]]:
 
 def main() -> None:
     """Run."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("population", nargs="?", type=Path)
     parser.add_argument("store", nargs="?", type=Path)
     parser.add_argument("--scratch", type=Path, required=True)
@@ -97,7 +109,12 @@ def main() -> None:
         if lacking:
             print(f"{lacking} captures are not in the store yet; run the same again later")
     facts = {
-        "population": {"seed": 680, "scale": 0.4, "people": list(REPORTED), "fingers": list(FINGERS)},
+        "population": {
+            "seed": 680,
+            "scale": 0.4,
+            "people": list(REPORTED),
+            "fingers": list(FINGERS),
+        },
         **summary(records(options.scratch)),
     }
     options.out.write_text(json.dumps(facts, indent=1, allow_nan=False) + "\n", encoding="utf-8")

@@ -13,8 +13,8 @@ Array = NDArray[np.float64]
 
 
 def paired(found: Array, true: Array, reach: float) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
-    """Pairs (found, true) of points (N, 2) and (M, 2), each once, no further apart than `reach`; as many as can be,
-    and of these the nearest."""
+    """Pairs (found, true) of points (N, 2) and (M, 2), each once, no further apart than `reach`; as
+    many as can be, and of these the nearest."""
     if not len(found) or not len(true):
         empty = np.zeros(0, dtype=np.intp)
         return empty, empty
@@ -30,25 +30,37 @@ def turned(one: Array, other: Array) -> Array:
 
 
 def table(found: dict[str, Array], true: dict[str, Array], reach: float) -> dict[str, Any]:
-    """One print's record. Both sides hold ``place`` (N, 2), ``direction``, ``border`` and ``slant`` (N,). Whoever lies
-    outside the evaluated region may still be another's partner."""
+    """One print's record. Both sides hold ``place`` (N, 2), ``direction``, ``border`` and ``slant``
+    (N,). Whoever lies outside the evaluated region may still be another's partner."""
     i, j = paired(found["place"], true["place"], reach)
     hit, met = np.zeros(len(found["place"]), int), np.zeros(len(true["place"]), int)
     hit[i], met[j] = 1, 1
     angle = np.full(len(met), np.nan)
     angle[j] = turned(found["direction"][i], true["direction"][j])
     columns = {
-        "true_met": met, "true_border": true["border"], "true_slant": true["slant"], "true_angle": angle,
-        "found_hit": hit, "found_border": found["border"], "found_slant": found["slant"],
-    }  # fmt: skip
+        "true_met": met,
+        "true_border": true["border"],
+        "true_slant": true["slant"],
+        "true_angle": angle,
+        "found_hit": hit,
+        "found_border": found["border"],
+        "found_slant": found["slant"],
+    }
     return {
-        name: [None if not np.isfinite(v) else round(float(v), 3) for v in values] for name, values in columns.items()
+        name: [None if not np.isfinite(v) else round(float(v), 3) for v in values]
+        for name, values in columns.items()
     }
 
 
-def counts(record: dict[str, Any], margin_px: float, slant: tuple[float, float] = (0.0, 90.0)) -> dict[str, Any]:
+def counts(
+    record: dict[str, Any], margin_px: float, slant: tuple[float, float] = (0.0, 90.0)
+) -> dict[str, Any]:
     """True ones, those found, found ones, those that are true, and angles, inside a region."""
-    col = {name: np.array(record[name], dtype=np.float64) for name in record if name.startswith(("true_", "found_"))}
+    col = {
+        name: np.array(record[name], dtype=np.float64)
+        for name in record
+        if name.startswith(("true_", "found_"))
+    }
 
     def region(side: str) -> NDArray[np.bool_]:
         where = (col[f"{side}_border"] >= margin_px) & (col[f"{side}_slant"] >= slant[0])
@@ -57,9 +69,12 @@ def counts(record: dict[str, Any], margin_px: float, slant: tuple[float, float] 
     true, found, met = region("true"), region("found"), col["true_met"] > 0
     angles = col["true_angle"][true & met]
     return {
-        "true": int(true.sum()), "met": int((true & met).sum()), "found": int(found.sum()),
-        "hit": int((found & (col["found_hit"] > 0)).sum()), "angles": angles[np.isfinite(angles)],
-    }  # fmt: skip
+        "true": int(true.sum()),
+        "met": int((true & met).sum()),
+        "found": int(found.sum()),
+        "hit": int((found & (col["found_hit"] > 0)).sum()),
+        "angles": angles[np.isfinite(angles)],
+    }
 
 
 def recall_precision(rows: Sequence[dict[str, Any]]) -> dict[str, float]:
@@ -76,12 +91,19 @@ def recall_precision(rows: Sequence[dict[str, Any]]) -> dict[str, float]:
 
 
 def by_finger(
-    items: Sequence[Any], figure: Callable[[Sequence[Any]], dict[str, float]], replicates: int = 300, seed: int = 1
+    items: Sequence[Any],
+    figure: Callable[[Sequence[Any]], dict[str, float]],
+    replicates: int = 300,
+    seed: int = 1,
 ) -> dict[str, list[float | None]]:
-    """Figures of all fingers, each with its 95 % interval when fingers are drawn with replacement."""
+    """Figures of all fingers, each with its 95 % interval when fingers are drawn with
+    replacement."""
     whole = figure(items)
     rng = np.random.default_rng(seed)
-    drawn = [figure([items[k] for k in rng.integers(0, len(items), len(items))]) for _ in range(replicates)]
+    drawn = [
+        figure([items[k] for k in rng.integers(0, len(items), len(items))])
+        for _ in range(replicates)
+    ]
     rows = {}
     for name, value in whole.items():
         values = np.array([one[name] for one in drawn])
@@ -92,10 +114,16 @@ def by_finger(
 
 
 def agreed(rows: Sequence[dict[str, Any]], replicates: int = 1000, seed: int = 1) -> dict[str, Any]:
-    """:func:`recall_precision` with 95 % intervals of the two fractions when fingers are drawn with replacement."""
+    """:func:`recall_precision` with 95 % intervals of the two fractions when fingers are drawn with
+    replacement."""
     whole = recall_precision(rows)
-    sums = {name: np.array([row[name] for row in rows], dtype=np.float64) for name in ("true", "met", "found", "hit")}
-    drawn = np.random.default_rng(seed).multinomial(len(rows), np.full(len(rows), 1 / len(rows)), size=replicates)
+    sums = {
+        name: np.array([row[name] for row in rows], dtype=np.float64)
+        for name in ("true", "met", "found", "hit")
+    }
+    drawn = np.random.default_rng(seed).multinomial(
+        len(rows), np.full(len(rows), 1 / len(rows)), size=replicates
+    )
     result: dict[str, Any] = {}
     for name, value in whole.items():
         limits: tuple[float, ...] = (np.nan, np.nan)
@@ -103,6 +131,10 @@ def agreed(rows: Sequence[dict[str, Any]], replicates: int = 1000, seed: int = 1
             of, out_of = ("met", "true") if name == "recall" else ("hit", "found")
             total = drawn @ sums[out_of]
             if np.any(total > 0):
-                limits = tuple(np.percentile((drawn @ sums[of])[total > 0] / total[total > 0], [2.5, 97.5]))
-        result[name] = [None if not np.isfinite(v) else round(float(v), 4) for v in (value, *limits)]
+                limits = tuple(
+                    np.percentile((drawn @ sums[of])[total > 0] / total[total > 0], [2.5, 97.5])
+                )
+        result[name] = [
+            None if not np.isfinite(v) else round(float(v), 4) for v in (value, *limits)
+        ]
     return result

@@ -45,9 +45,16 @@ class Surfaces:
         if s is None:
             return None
         return Source(
-            "result", s.mask, s.pitch_mm, s.input_from_upright, s.upright_size, s.ridge_mm + s.shape_mm, s.ridge_mm,
-            s.shape_mm, preset=case,
-        )  # fmt: skip
+            "result",
+            s.mask,
+            s.pitch_mm,
+            s.input_from_upright,
+            s.upright_size,
+            s.ridge_mm + s.shape_mm,
+            s.ridge_mm,
+            s.shape_mm,
+            preset=case,
+        )
 
 
 def photograph(folder: Path) -> NDArray[np.float32]:
@@ -57,7 +64,9 @@ def photograph(folder: Path) -> NDArray[np.float32]:
     return np.asarray(light.mean(axis=0), dtype=np.float32)
 
 
-def prints_of(source: Source, truth: Truth, methods: tuple[str, ...], quality: bool = True) -> dict[str, Any]:
+def prints_of(
+    source: Source, truth: Truth, methods: tuple[str, ...], quality: bool = True
+) -> dict[str, Any]:
     """Records of all methods on one surface."""
     rows: dict[str, Any] = {}
     for method in methods:
@@ -83,32 +92,40 @@ def border_px(known: NDArray[np.bool_]) -> NDArray[np.float32]:
 
 
 def directions_on_print(laid, points, angles_rad):
-    """Directions (N,) on the print of directions at places (N, 2) of the input; both counter-clockwise as seen."""
+    """Directions (N,) on the print of directions at places (N, 2) of the input; both
+    counter-clockwise as seen."""
     step = 0.5 * np.stack([np.cos(angles_rad), -np.sin(angles_rad)], axis=1)  # rows run downwards
     along = laid.print_from_input(points + step) - laid.print_from_input(points - step)
     return np.arctan2(-along[:, 1], along[:, 0])
 
 
 def against_truth(minutiae: Minutiae, made: Print, truth: Truth) -> dict[str, Any]:
-    """Record of a print's minutiae; true ones are those whose place in the picture the print shows."""
+    """Record of a print's minutiae; true ones are those whose place in the picture the print
+    shows."""
     border = border_px(made.weight > 0.5)
     there = made.map.print_from_input(truth.places_px)
     angle = np.full(len(there), np.nan)
     known = np.isfinite(truth.directions_rad) & np.isfinite(there).all(axis=1)
-    angle[known] = directions_on_print(made.map, truth.places_px[known], truth.directions_rad[known])
+    angle[known] = directions_on_print(
+        made.map, truth.places_px[known], truth.directions_rad[known]
+    )
     on = _sampled(border, there) > 0
     true = {
-        "place": there[on], "direction": angle[on], "border": _sampled(border, there)[on],
+        "place": there[on],
+        "direction": angle[on],
+        "border": _sampled(border, there)[on],
         "slant": truth.slant_at(truth.places_px)[on],
-    }  # fmt: skip
+    }
     place = np.stack([minutiae.x_px, minutiae.y_px], 1).astype(np.float64)
     back = made.map.input_from_print(place)
     beside = ~np.isfinite(back).all(axis=1)
     back[beside] = -100.0
     found = {
-        "place": place, "direction": minutiae.direction_rad, "border": _sampled(border, place),
+        "place": place,
+        "direction": minutiae.direction_rad,
+        "border": _sampled(border, place),
         "slant": truth.slant_at(back),
-    }  # fmt: skip
+    }
     record = table(found, true, 0.5 * truth.period_mm * PX_PER_MM)
     return record | {"minutiae": pack_minutiae(minutiae).hex()}
 
@@ -127,8 +144,8 @@ def _sampled(values: NDArray[np.float32], places: Array) -> Array:
 def capture_record(
     population: Path, surfaces: Surfaces, truth: Truth, capture: tuple[str, int, str], preset: str
 ) -> dict[str, Any] | None:
-    """All prints of one capture by one preset (``truth``: of the true surface, on the mask of ``metric``); None where
-    the store lacks it."""
+    """All prints of one capture by one preset (``truth``: of the true surface, on the mask of
+    ``metric``); None where the store lacks it."""
     subject, session, finger = capture
     name = f"{subject}/session_{session}/{finger}"
     source = surfaces.source("metric" if preset == "truth" else preset, name)

@@ -1,8 +1,8 @@
-"""Minutiae of a print as the points about which the phase of its ridges turns: what the print holds, not what an
-extractor makes of it.
+"""Minutiae of a print as the points about which the phase of its ridges turns: what the print
+holds, not what an extractor makes of it.
 
-The truth's minutiae are defined so, on the noise-free master; here the same is asked of the print alone (its own
-directions, its own Gabor-filtered wave). Nothing of the truth enters.
+The truth's minutiae are defined so, on the noise-free master; here the same is asked of the print
+alone (its own directions, its own Gabor-filtered wave). Nothing of the truth enters.
 
 References
 ----------
@@ -21,14 +21,16 @@ from splitknit_simulator.finger.ridges import phase_singularities
 
 
 def phase_minutiae(image: NDArray[np.uint8], enhanced: Enhanced) -> Minutiae:
-    """Minutiae of a print (h, w) whose enhanced form is at hand; their quality (0 to 100) is how well both agree
-    around them."""
+    """Minutiae of a print (h, w) whose enhanced form is at hand; their quality (0 to 100) is how
+    well both agree around them."""
     wave = -enhanced.wave
     found = phase_singularities(wave, ridge_angles(enhanced))
     place = np.rint(found[:, :2]).astype(np.int32)
     there = enhanced.mask[place[:, 1], place[:, 0]]
     found, place = found[there], place[there]
-    quality = np.round(100 * np.clip(likeness(image, wave)[place[:, 1], place[:, 0]], 0, 1)).astype(np.uint8)
+    quality = np.round(100 * np.clip(likeness(image, wave)[place[:, 1], place[:, 0]], 0, 1)).astype(
+        np.uint8
+    )
     kind = np.zeros(len(place), dtype=np.uint8)
     return Minutiae(place[:, 0], place[:, 1], found[:, 2] % (2 * np.pi), kind, quality, image.shape)
 
@@ -38,12 +40,18 @@ def ridge_angles(enhanced: Enhanced) -> NDArray[np.float64]:
     field, (rows, columns) = enhanced.field, enhanced.wave.shape
     size = field.mask.shape[1] * field.step_px, field.mask.shape[0] * field.step_px
     double = [np.cos(2 * field.orientation_rad), np.sin(2 * field.orientation_rad)]
-    cosine, sine = (cv2.resize(part, size, interpolation=cv2.INTER_CUBIC)[:rows, :columns] for part in double)
+    cosine, sine = (
+        cv2.resize(part, size, interpolation=cv2.INTER_CUBIC)[:rows, :columns] for part in double
+    )
     return 0.5 * np.arctan2(sine, cosine).astype(np.float64)
 
 
-def likeness(image: NDArray[np.uint8], wave: NDArray[np.float32], sigma_px: float = 4.0) -> NDArray[np.float32]:
+def likeness(
+    image: NDArray[np.uint8], wave: NDArray[np.float32], sigma_px: float = 4.0
+) -> NDArray[np.float32]:
     """(h, w) local correlation of a print with the wave made of it."""
     grey = 127.0 - cv2.GaussianBlur(image.astype(np.float32), (0, 0), 1.0)
-    both, own, other = (cv2.GaussianBlur(p, (0, 0), sigma_px) for p in (wave * grey, wave * wave, grey * grey))
+    both, own, other = (
+        cv2.GaussianBlur(p, (0, 0), sigma_px) for p in (wave * grey, wave * wave, grey * grey)
+    )
     return np.asarray(both / np.sqrt(own * other + 1e-6), dtype=np.float32)

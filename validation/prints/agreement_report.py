@@ -1,4 +1,5 @@
-"""Tables of ``agreement.json`` as CSV, in ``tables/``: ``python validation/prints/agreement_report.py [--check]``.
+"""Tables of ``agreement.json`` as CSV, in ``tables/``: ``python
+validation/prints/agreement_report.py [--check]``.
 
 ``docs/experiments/prints.md`` quotes them.
 """
@@ -39,19 +40,31 @@ def named(key: str) -> tuple[str, str]:
 
 def minutiae(facts: dict[str, Any]) -> list[list[str]]:
     """Recall, precision and direction of the minutiae on every print."""
-    rows = [["print", "minutiae_by", *columns("recall"), *columns("precision"), "direction_median_deg"]]
-    rows[0] += ["direction_p90_deg", *columns("recall_below_60_deg"), *columns("precision_below_60_deg")]
+    rows = [
+        ["print", "minutiae_by", *columns("recall"), *columns("precision"), "direction_median_deg"]
+    ]
+    rows[0] += [
+        "direction_p90_deg",
+        *columns("recall_below_60_deg"),
+        *columns("precision_below_60_deg"),
+    ]
     for key, row in facts["minutiae"].items():
         off = [f"{row[name][0]:.1f}" for name in ("direction_median_deg", "direction_p90_deg")]
         flat = row["below_60_deg"]
-        below = [""] * 6 if key.startswith("pressed") else [*cells(flat["recall"]), *cells(flat["precision"])]
+        below = (
+            [""] * 6
+            if key.startswith("pressed")
+            else [*cells(flat["recall"]), *cells(flat["precision"])]
+        )
         rows.append([*named(key), *cells(row["recall"]), *cells(row["precision"]), *off, *below])
     return rows
 
 
 def held(facts: dict[str, Any]) -> list[list[str]]:
     """Which of the true minutiae mindtct finds on a print, and which the phase shows besides."""
-    rows = [["print", "mindtct_finds_percent", "missed_but_shown_by_phase_percent", "neither_percent"]]
+    rows = [
+        ["print", "mindtct_finds_percent", "missed_but_shown_by_phase_percent", "neither_percent"]
+    ]
     for key, row in facts["held"].items():
         fractions = [f"{100 * value:.0f}" for name, value in row.items() if name != "minutiae"]
         rows.append([named(key + " print")[0], *fractions])
@@ -92,7 +105,9 @@ def main(arguments: list[str] | None = None) -> int:
         text, path = io.StringIO(), TABLES / f"{table.__name__}.csv"
         csv.writer(text, lineterminator="\n").writerows(table(facts))
         if options.check:
-            current = current and path.is_file() and path.read_text(encoding="utf-8") == text.getvalue()
+            current = (
+                current and path.is_file() and path.read_text(encoding="utf-8") == text.getvalue()
+            )
         else:
             TABLES.mkdir(exist_ok=True)
             path.write_text(text.getvalue(), encoding="utf-8")

@@ -29,8 +29,11 @@ def between_sessions(reported: Records, preset: str, pictures: Sequence[str]) ->
     return {name: one for name, one in found.items() if one}
 
 
-def told_apart(first: dict[str, Any], second: dict[str, Any], method: str, picture: str) -> dict[str, Any]:
-    """Fraction of genuine scores above every impostor's; all of one side against all of the other."""
+def told_apart(
+    first: dict[str, Any], second: dict[str, Any], method: str, picture: str
+) -> dict[str, Any]:
+    """Fraction of genuine scores above every impostor's; all of one side against all of the
+    other."""
     names = [name for name in first if name in second]
     sides = [[_minutiae(side[name][method], picture) for name in names] for side in (first, second)]
     scores = np.array([[minutiae_match(a, b) for b in sides[1]] for a in sides[0]])

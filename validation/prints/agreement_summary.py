@@ -24,7 +24,9 @@ def summary(reported: Records) -> dict[str, Any]:
     first = {preset: rows for (preset, session), rows in reported.items() if session == 1}
     facts: dict[str, Any] = {
         "margin_px": MARGIN_PX,
-        "fingers": {f"{preset} {session}": len(rows) for (preset, session), rows in reported.items()},
+        "fingers": {
+            f"{preset} {session}": len(rows) for (preset, session), rows in reported.items()
+        },
         "minutiae": agreement(first),
     }
     facts["reasons"] = {
@@ -60,7 +62,11 @@ def agreement(first: dict[str, dict[str, Any]]) -> dict[str, Any]:
                 items = [counts(row[picture], MARGIN_PX) for row in good if picture in row]
                 if items:
                     sums = {k: sum(item[k] for item in items) for k in ("true", "found")}
-                    flat = [counts(row[picture], MARGIN_PX, (0.0, FACING_DEG)) for row in good if picture in row]
+                    flat = [
+                        counts(row[picture], MARGIN_PX, (0.0, FACING_DEG))
+                        for row in good
+                        if picture in row
+                    ]
                     refused = {"refused": len(whole) - len(good)}
                     table[f"{preset} {method} {picture}"] = agreed(items) | sums | refused
                     table[f"{preset} {method} {picture}"]["below_60_deg"] = agreed(flat)
@@ -71,17 +77,22 @@ def by_slant(rows: dict[str, Any], method: str) -> dict[str, Any]:
     """Where recall and precision are lost."""
     prints = [row[method]["print"] for row in rows.values() if "refused" not in row[method]]
     return {
-        f"slant {low:g} to {high:g} deg": agreed([counts(one, MARGIN_PX, (low, high)) for one in prints])
+        f"slant {low:g} to {high:g} deg": agreed(
+            [counts(one, MARGIN_PX, (low, high)) for one in prints]
+        )
         for low, high in pairwise(SLANTS)
     }
 
 
 def held(rows: dict[str, Any], method: str) -> dict[str, Any]:
-    """Of the true minutiae on the prints: those that mindtct finds, those that only the phase shows, and the rest."""
+    """Of the true minutiae on the prints: those that mindtct finds, those that only the phase
+    shows, and the rest."""
     sums = {"found by mindtct": 0, "missed by it, shown by the phase": 0, "shown by neither": 0}
     for row in rows.values():
         one, other = row[method]["print"], row[method]["phase"]
-        for met, shown, border in zip(one["true_met"], other["true_met"], one["true_border"], strict=True):
+        for met, shown, border in zip(
+            one["true_met"], other["true_met"], one["true_border"], strict=True
+        ):
             if border >= MARGIN_PX:
                 sums[list(sums)[0 if met else 1 if shown else 2]] += 1
     total = max(1, sum(sums.values()))
@@ -97,7 +108,9 @@ def quality(metric: dict[str, Any], truth: dict[str, Any]) -> dict[str, Any]:
             for finger in metric if finger in truth and "nfiq2" in metric[finger][method]
         ]  # fmt: skip
         off = [a - b for a, b in pairs if max(a, b) <= 100]
-        found[method] = by_finger(off, lambda some: {"median_difference": float(np.median(some))}) | {
+        found[method] = by_finger(
+            off, lambda some: {"median_difference": float(np.median(some))}
+        ) | {
             "median": float(np.median([a for a, _ in pairs])),
             "median_of_true_relief": float(np.median([b for _, b in pairs])),
             "median_size_of_difference": float(np.median(np.abs(off))),

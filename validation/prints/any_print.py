@@ -2,14 +2,16 @@
 
     python validation/prints/any_print.py [--data ../shared/data]
 
-writes ``tables/any_print.csv``, a row for each set of 40 prints. *white*: of the prints as they are, and inverted, how
-many are turned, and of how many it is said to be in doubt. *doubted*: prints whose resolution is in doubt as it is, and
-if half or twice of it is stated. *period*: distance of the ridges over 0.46 mm, 2.5 % and
-97.5 %, by :func:`splitknit_match.prints.from_file._ridge_period_px`, and of how many prints none is found.
+writes ``tables/any_print.csv``, a row for each set of 40 prints. *white*: of the prints as they
+are, and inverted, how many are turned, and of how many it is said to be in doubt. *doubted*: prints
+whose resolution is in doubt as it is, and if half or twice of it is stated. *period*: distance of
+the ridges over 0.46 mm, 2.5 % and 97.5 %, by
+:func:`splitknit_match.prints.from_file._ridge_period_px`, and of how many prints none is found.
 
-``--stated`` writes ``tables/stated_resolution.csv`` instead: answers of `match` where one of two prints states 0.8 or
-1.2 times its resolution (the first two impressions of each finger, both ways, and each with the next finger's), as they
-were (*no_match*), and after a comparison at one scale of the ridges (*still_no_match*).
+``--stated`` writes ``tables/stated_resolution.csv`` instead: answers of `match` where one of two
+prints states 0.8 or 1.2 times its resolution (the first two impressions of each finger, both ways,
+and each with the next finger's), as they were (*no_match*), and after a comparison at one scale of
+the ridges (*still_no_match*).
 """
 
 from __future__ import annotations
@@ -48,8 +50,14 @@ def row(folder: Path) -> dict[str, object]:
     return {
         "set": folder.name,
         "prints": len(periods),
-        **{f"{name}_turned": sum("turned dark" in one for one in notes) for name, notes in said.items()},
-        **{f"{name}_in_doubt": sum("invert the picture" in one for one in notes) for name, notes in said.items()},
+        **{
+            f"{name}_turned": sum("turned dark" in one for one in notes)
+            for name, notes in said.items()
+        },
+        **{
+            f"{name}_in_doubt": sum("invert the picture" in one for one in notes)
+            for name, notes in said.items()
+        },
         **{f"doubted_{name.replace(' ', '_')}": count for name, count in doubted.items()},
         "no_period": periods.count(None),
         "period_2.5": round(float(np.percentile(known, 2.5)), 3),
@@ -71,7 +79,13 @@ def stated(folder: Path, factor: float) -> list[tuple[bool, str, bool]]:
             by = scores_of("fusion", (wrong.area_mm2, right[n].area_mm2), one.minutiae)
             answer = rate(one.similarity, by, one.ridge.overlap_mm2).answer
             answer = "undecided" if item.doubt and answer != "match" else answer
-            found.append((n == k ^ 1, answer, answer == "match" or scale_doubt(wrong, right[n], None) is None))
+            found.append(
+                (
+                    n == k ^ 1,
+                    answer,
+                    answer == "match" or scale_doubt(wrong, right[n], None) is None,
+                )
+            )
     return found
 
 
@@ -79,12 +93,17 @@ def write_stated(folders: list[Path]) -> None:
     """Count answers of all sets, print and write them."""
     with STATED.open("w", newline="") as stream:
         writer = csv.writer(stream, lineterminator="\n")
-        writer.writerow(("factor", "one_finger", "pairs", "match", "undecided", "no_match", "still_no_match"))
+        writer.writerow(
+            ("factor", "one_finger", "pairs", "match", "undecided", "no_match", "still_no_match")
+        )
         for factor in (1.0, 0.8, 1.2):
             rows = [one for folder in folders for one in stated(folder, factor)]
             for same in (True, False):
                 part = [(answer, stays) for whose, answer, stays in rows if whose == same]
-                counts = [sum(answer == one for answer, _ in part) for one in ("match", "undecided", "no match")]
+                counts = [
+                    sum(answer == one for answer, _ in part)
+                    for one in ("match", "undecided", "no match")
+                ]
                 writer.writerow((factor, same, len(part), *counts, part.count(("no match", True))))
     print(STATED.read_text())
 
@@ -95,7 +114,11 @@ if __name__ == "__main__":
     parser.add_argument("--stated", action="store_true")
     options = parser.parse_args()
     data = options.data
-    folders = [folder for folder in (*sorted((data / "fvc").iterdir()), data / "fvc2002_db1b") if folder.is_dir()]
+    folders = [
+        folder
+        for folder in (*sorted((data / "fvc").iterdir()), data / "fvc2002_db1b")
+        if folder.is_dir()
+    ]
     if options.stated:
         write_stated(folders)
         raise SystemExit

@@ -1,9 +1,10 @@
-"""How far noise on a surface changes the shape index, by quadratic and by cubic fits of its curvature.
+"""How far noise on a surface changes the shape index, by quadratic and by cubic fits of its
+curvature.
 
     python validation/prints/curvature_noise.py CAPTURE RESULT
 
-The result is a reconstruction of the capture, which is a simulated one (its ``truth.npz`` is used). Prints one JSON
-object: rms changes in the middle and at the edge of the mask.
+The result is a reconstruction of the capture, which is a simulated one (its ``truth.npz`` is used).
+Prints one JSON object: rms changes in the middle and at the edge of the mask.
 """
 
 from __future__ import annotations
@@ -33,8 +34,12 @@ def fits(capture: Path, surface) -> dict[str, dict[str, float]]:
     for degree, word in ((2, "quadratic"), (3, "cubic")):
         clean = curvature(height, mask, pitch, degree=degree).shape_index
         for sigma_um in (0.5, 2.0, 5.0):
-            noise = rng.standard_normal(height.shape).astype(np.float32) * np.float32(sigma_um / 1000)
-            noisy = curvature(np.where(mask, height + noise, height), mask, pitch, degree=degree).shape_index
+            noise = rng.standard_normal(height.shape).astype(np.float32) * np.float32(
+                sigma_um / 1000
+            )
+            noisy = curvature(
+                np.where(mask, height + noise, height), mask, pitch, degree=degree
+            ).shape_index
             row = {}
             for zone, where in (("full_windows", deep), ("cut_windows", rim)):
                 both = where & np.isfinite(clean) & np.isfinite(noisy)
@@ -48,4 +53,8 @@ if __name__ == "__main__":
     parser.add_argument("capture", type=Path)
     parser.add_argument("result", type=Path)
     options = parser.parse_args()
-    print(json.dumps(fits(options.capture, read_source(options.result, photo=False, surface=True)), indent=1))
+    print(
+        json.dumps(
+            fits(options.capture, read_source(options.result, photo=False, surface=True)), indent=1
+        )
+    )

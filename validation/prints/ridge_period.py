@@ -1,9 +1,11 @@
-"""Ridge periods on our prints against the truth: ``python validation/prints/ridge_period.py CAPTURE RESULT...``.
+"""Ridge periods on our prints against the truth: ``python validation/prints/ridge_period.py CAPTURE
+RESULT...``.
 
-The capture's ``truth.npz`` has the true surface. Around many points, a patch of 3 mm of the true relief is
-laid flat on the true surface by itself (its own small unrolling, which is as good as exact over 3 mm) and its ridge
-period is measured; the same ruler is laid on the same place of our print. What is reported is the period on the print
-over the true one, minus one, in percent: median and 95th percentile of its size, by slant.
+The capture's ``truth.npz`` has the true surface. Around many points, a patch of 3 mm of the true
+relief is laid flat on the true surface by itself (its own small unrolling, which is as good as
+exact over 3 mm) and its ridge period is measured; the same ruler is laid on the same place of our
+print. What is reported is the period on the print over the true one, minus one, in percent: median
+and 95th percentile of its size, by slant.
 """
 
 from __future__ import annotations
@@ -23,7 +25,12 @@ from splitknit_match.prints.ridge_field import ridge_field
 from splitknit_match.prints.sources import Source, read_source
 from splitknit_match.prints.unroll import KINDS, slant_cos, surface_grid, unroll
 
-ZONES = {"centre (< 20 deg)": (0, 20), "20-40 deg": (20, 40), "40-55 deg": (40, 55), "55-65 deg": (55, 65)}
+ZONES = {
+    "centre (< 20 deg)": (0, 20),
+    "20-40 deg": (20, 40),
+    "40-55 deg": (40, 55),
+    "55-65 deg": (55, 65),
+}
 PATCH_MM = 3.2
 
 
@@ -31,7 +38,10 @@ def true_period(truth: dict, source: Source, place: np.ndarray, slant_deg: float
     """Ridge period (mm) on the true skin around a pixel."""
     reach = int(PATCH_MM / source.pitch_mm * 0.62)
     row, column = (round(float(v)) for v in place[::-1])
-    rows, columns = slice(max(0, row - reach), row + reach), slice(max(0, column - reach), column + reach)
+    rows, columns = (
+        slice(max(0, row - reach), row + reach),
+        slice(max(0, column - reach), column + reach),
+    )
     shape = truth["shape_mm"][rows, columns]
     mask = np.isfinite(shape)
     if mask.mean() < 0.7:
@@ -42,12 +52,15 @@ def true_period(truth: dict, source: Source, place: np.ndarray, slant_deg: float
     relief = (truth["height_mm"] - truth["shape_mm"])[rows, columns]
     known = mask & np.isfinite(relief)
     image = ink(*resample(relief, known, source.pitch_mm, made))
-    here = made.print_from_input(np.array([[column - columns.start, row - rows.start]], dtype=float))[0]
+    here = made.print_from_input(
+        np.array([[column - columns.start, row - rows.start]], dtype=float)
+    )[0]
     return period_at(image, here)
 
 
 def period_at(image: np.ndarray, place: np.ndarray) -> float | None:
-    """Ridge period (mm) of a print around a pixel, both prints measured with one ruler: a window of 2.2 mm."""
+    """Ridge period (mm) of a print around a pixel, both prints measured with one ruler: a window of
+    2.2 mm."""
     half = 22
     column, row = (round(float(v)) for v in place)
     if min(column, row) < half or column + half > image.shape[1] or row + half > image.shape[0]:
@@ -67,7 +80,9 @@ def period_at(image: np.ndarray, place: np.ndarray) -> float | None:
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("pairs", nargs="+", type=Path, help="capture (with truth.npz) and its result, in turn")
+    parser.add_argument(
+        "pairs", nargs="+", type=Path, help="capture (with truth.npz) and its result, in turn"
+    )
     parser.add_argument("--points", type=int, default=150)
     options = parser.parse_args()
     cv2.setNumThreads(2)
@@ -79,10 +94,18 @@ def main() -> None:
         mask = estimated.mask & np.isfinite(relief)
         parts = (truth["height_mm"], relief, truth["shape_mm"])
         true = Source(
-            "result", mask, estimated.pitch_mm, estimated.input_from_upright, estimated.upright_size, *parts,
-            truth.get("x_mm"), truth.get("y_mm"),
-        )  # fmt: skip
-        grid = surface_grid(true.shape_mm, mask, true.pitch_mm, true.input_from_upright, true.upright_size)
+            "result",
+            mask,
+            estimated.pitch_mm,
+            estimated.input_from_upright,
+            estimated.upright_size,
+            *parts,
+            truth.get("x_mm"),
+            truth.get("y_mm"),
+        )
+        grid = surface_grid(
+            true.shape_mm, mask, true.pitch_mm, true.input_from_upright, true.upright_size
+        )
         slant = np.rad2deg(np.arccos(slant_cos(grid.points_mm)))
         nodes = np.argwhere(grid.inside)
         rng = np.random.default_rng(1)

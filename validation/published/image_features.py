@@ -1,11 +1,13 @@
-"""The features that the thesis tried beside local binary patterns (5.2): HOG, Gabor energies, shape context.
+"""The features that the thesis tried beside local binary patterns (5.2): HOG, Gabor energies, shape
+context.
 
     python validation/published/image_features.py hog|gabor|shape_context A B [--preset snk]
     python validation/published/image_features.py hog PEOPLE --out scores.csv
 
-Each turns one channel (H, W) into a vector whose Euclidean distance to another finger's is its dissimilarity; masks,
-boxes and the score (5.2) are those of ``--method thesis``, without its gate. Sizes are the thesis's (75.7 px/mm) and
-scale with the image. The thesis names the three without settings; these are usual.
+Each turns one channel (H, W) into a vector whose Euclidean distance to another finger's is its
+dissimilarity; masks, boxes and the score (5.2) are those of ``--method thesis``, without its gate.
+Sizes are the thesis's (75.7 px/mm) and scale with the image. The thesis names the three without
+settings; these are usual.
 """
 
 from __future__ import annotations
@@ -45,7 +47,8 @@ CONTEXT_REACH_PX = 192.0
 
 
 def hog_features(image: FloatArray, px_per_mm: float) -> NDArray[np.float32]:
-    """Histograms of oriented gradients: cells, directions shared between two bins, blocks of 2 x 2 cells.
+    """Histograms of oriented gradients: cells, directions shared between two bins, blocks of 2 x 2
+    cells.
 
     Source: Dalal and Triggs 2005, Histograms of oriented gradients for human detection.
     """
@@ -59,10 +62,16 @@ def hog_features(image: FloatArray, px_per_mm: float) -> NDArray[np.float32]:
     low = place.astype(np.uint8)  # from bins - 1 to 3 bins: none is negative
     size_of = np.asarray(size)[cut]
     upper = (place - low) * size_of
-    first = bins * (np.arange(height * cell)[:, None] // cell * width + np.arange(width * cell)[None, :] // cell)
+    first = bins * (
+        np.arange(height * cell)[:, None] // cell * width + np.arange(width * cell)[None, :] // cell
+    )
     turned = (np.arange(257) % bins).astype(np.uint8)
     counts = [
-        np.bincount((first + cv2.LUT(low, table)).ravel(), weights=weight.ravel(), minlength=height * width * bins)
+        np.bincount(
+            (first + cv2.LUT(low, table)).ravel(),
+            weights=weight.ravel(),
+            minlength=height * width * bins,
+        )
         for table, weight in ((turned[:-1], size_of - upper), (turned[1:], upper))
     ]
     grid = (counts[0] + counts[1]).reshape(height, width, bins)
@@ -75,7 +84,8 @@ def hog_features(image: FloatArray, px_per_mm: float) -> NDArray[np.float32]:
 
 
 def gabor_features(image: FloatArray, px_per_mm: float) -> NDArray[np.float32]:
-    """Mean magnitude of Gabor responses in cells, for each period and direction, of unit length in a cell.
+    """Mean magnitude of Gabor responses in cells, for each period and direction, of unit length in
+    a cell.
 
     Source: Jain, Prabhakar, Hong and Pankanti 2000, Filterbank-based fingerprint matching.
     """
@@ -85,13 +95,16 @@ def gabor_features(image: FloatArray, px_per_mm: float) -> NDArray[np.float32]:
     shrink = max(1.0, min(GABOR_PERIODS_PX) * factor / 8.0)
     size = max(1, round(image.shape[1] / shrink)), max(1, round(image.shape[0] / shrink))
     small: NDArray[Any] = cv2.resize(image, size, interpolation=cv2.INTER_AREA)
-    quarter = max(1, size[0] // 4), max(1, size[1] // 4)  # enough for what is as smooth as this mean
+    # enough for what is as smooth as this mean
+    quarter = max(1, size[0] // 4), max(1, size[1] // 4)
     mean = gaussian_mean(
-        cv2.resize(small, quarter, interpolation=cv2.INTER_AREA), 0.75 * GABOR_PERIODS_PX[-1] * factor / shrink
+        cv2.resize(small, quarter, interpolation=cv2.INTER_AREA),
+        0.75 * GABOR_PERIODS_PX[-1] * factor / shrink,
     )
     small = small - cv2.resize(mean, size, interpolation=cv2.INTER_LINEAR)
     _, rows, columns = cells(image, px_per_mm)
-    plane = [scipy.fft.next_fast_len(side + 32) for side in small.shape]  # a border against wrapping round
+    # a border against wrapping round
+    plane = [scipy.fft.next_fast_len(side + 32) for side in small.shape]
     spectrum = scipy.fft.fft2(small, s=plane)
     parts = []
     for period_px in GABOR_PERIODS_PX:
@@ -101,22 +114,37 @@ def gabor_features(image: FloatArray, px_per_mm: float) -> NDArray[np.float32]:
             turn = np.pi * k / GABOR_DIRECTIONS
             down, across = (
                 _passed(side, middle, width)
-                for side, middle in zip(plane, (wave * np.sin(turn), wave * np.cos(turn)), strict=True)
+                for side, middle in zip(
+                    plane, (wave * np.sin(turn), wave * np.cos(turn)), strict=True
+                )
             )
             band = spectrum.take(down[0], 0).take(across[0], 1) * down[1][:, None]
             band *= across[1]
-            # the magnitude at as many points as the filter's band needs; a band's middle turns the phase alone
-            answer = np.abs(scipy.fft.ifft2(band, overwrite_x=True)) * np.float32(band.size / (plane[0] * plane[1]))
-            seen = [-(-side * of // whole) for side, of, whole in zip(small.shape, band.shape, plane, strict=True)]
-            parts.append(cv2.resize(answer[: seen[0], : seen[1]], (columns, rows), interpolation=cv2.INTER_AREA))
+            # the magnitude at as many points as the filter's band needs; a band's middle turns the
+            # phase alone
+            answer = np.abs(scipy.fft.ifft2(band, overwrite_x=True)) * np.float32(
+                band.size / (plane[0] * plane[1])
+            )
+            seen = [
+                -(-side * of // whole)
+                for side, of, whole in zip(small.shape, band.shape, plane, strict=True)
+            ]
+            parts.append(
+                cv2.resize(
+                    answer[: seen[0], : seen[1]], (columns, rows), interpolation=cv2.INTER_AREA
+                )
+            )
     grid = np.stack(parts, axis=-1)
     length = np.sqrt((grid * grid).sum(axis=-1, keepdims=True))
     return np.asarray(grid / np.maximum(length, 1e-12), dtype=np.float32).ravel()
 
 
 @lru_cache(maxsize=256)
-def _passed(side: int, middle: float, width: float) -> tuple[NDArray[np.int64], NDArray[np.float32]]:
-    """Places in the spectrum of `side` values that a Gaussian filter passes (6 widths each way), and its gain there."""
+def _passed(
+    side: int, middle: float, width: float
+) -> tuple[NDArray[np.int64], NDArray[np.float32]]:
+    """Places in the spectrum of `side` values that a Gaussian filter passes (6 widths each way),
+    and its gain there."""
     centre, reach = round(middle * side), int(np.ceil(6.0 * width * side))
     count = min(side, scipy.fft.next_fast_len(2 * reach + 1))
     number = centre - count // 2 + np.arange(count)
@@ -125,12 +153,14 @@ def _passed(side: int, middle: float, width: float) -> tuple[NDArray[np.int64], 
 
 
 def shape_context_features(image: FloatArray, px_per_mm: float) -> NDArray[np.float32]:
-    """Shape contexts of the ridges' flanks: around each cell's middle, where they lie in rings and sectors.
+    """Shape contexts of the ridges' flanks: around each cell's middle, where they lie in rings and
+    sectors.
 
-    Flanks are where the channel, freed from its mean over two cells, changes its sign. Fixed places instead of matched
-    points make vectors of one length, as the thesis's distance needs them.
+    Flanks are where the channel, freed from its mean over two cells, changes its sign. Fixed places
+    instead of matched points make vectors of one length, as the thesis's distance needs them.
 
-    Source: Belongie, Malik and Puzicha 2002, Shape matching and object recognition using shape contexts.
+    Source: Belongie, Malik and Puzicha 2002, Shape matching and object recognition using shape
+    contexts.
     """
     image = check_image(image)
     cell, rows, columns = cells(image, px_per_mm)
@@ -140,25 +170,38 @@ def shape_context_features(image: FloatArray, px_per_mm: float) -> NDArray[np.fl
     # where flanks lie to a twentieth of the reach is enough
     factor = max(1, int(CONTEXT_REACH_PX * px_per_mm / REFERENCE_PX_PER_MM / 20))
     down, across = image.shape[0] // factor, image.shape[1] // factor
-    blocks = flank[: down * factor, : across * factor].reshape(down, factor, -1).sum(axis=1, dtype=np.float32)
+    blocks = (
+        flank[: down * factor, : across * factor]
+        .reshape(down, factor, -1)
+        .sum(axis=1, dtype=np.float32)
+    )
     reach = CONTEXT_REACH_PX * px_per_mm / REFERENCE_PX_PER_MM / factor
     half = max(2, int(np.ceil(reach)))
     padded = np.pad(blocks.reshape(down, across, factor).sum(axis=2), half)
     y, x = np.mgrid[-half : half + 1, -half : half + 1]
     # rings whose radii double, the outermost ends at the reach
-    ring = CONTEXT_RADII + np.floor(np.log2(np.maximum(np.hypot(x, y), 1e-9) / reach)).astype(np.int64)
-    sector = np.floor(np.mod(np.arctan2(-y, x) / (2 * np.pi), 1.0) * CONTEXT_ANGLES).astype(np.int64)
+    ring = CONTEXT_RADII + np.floor(np.log2(np.maximum(np.hypot(x, y), 1e-9) / reach)).astype(
+        np.int64
+    )
+    sector = np.floor(np.mod(np.arctan2(-y, x) / (2 * np.pi), 1.0) * CONTEXT_ANGLES).astype(
+        np.int64
+    )
     number = np.clip(ring, 0, CONTEXT_RADII - 1) * CONTEXT_ANGLES + sector % CONTEXT_ANGLES
-    bins = np.eye(CONTEXT_RADII * CONTEXT_ANGLES, dtype=np.float32)[number] * (ring < CONTEXT_RADII)[..., None]
+    bins = (
+        np.eye(CONTEXT_RADII * CONTEXT_ANGLES, dtype=np.float32)[number]
+        * (ring < CONTEXT_RADII)[..., None]
+    )
     top, left = ((np.arange(count) * cell + cell // 2) // factor for count in (rows, columns))
     around = sliding_window_view(padded, ring.shape)[np.ix_(top, left)]
-    result = around.reshape(rows * columns, -1) @ bins.reshape(ring.size, -1)  # whole numbers: the same in any order
+    # whole numbers: the same in any order
+    result = around.reshape(rows * columns, -1) @ bins.reshape(ring.size, -1)
     counted = np.maximum(result.sum(axis=1, keepdims=True), np.float32(factor * factor))
     return np.asarray(result / counted, dtype=np.float32).ravel()
 
 
 def _means_down(image: FloatArray, sigma: int) -> FloatArray:
-    """Gaussian means of the columns, zeros beyond them: products of matrices take a third of a wide filter's time."""
+    """Gaussian means of the columns, zeros beyond them: products of matrices take a third of a wide
+    filter's time."""
     rows, step, reach = len(image), 2 * sigma, 4 * sigma
     weights = np.pad(cv2.getGaussianKernel(2 * reach + 1, sigma, cv2.CV_32F)[:, 0], step)
     band = np.ascontiguousarray(sliding_window_view(weights, step + 2 * reach)[step:0:-1])
@@ -183,7 +226,10 @@ def similarity(name: str, a: FingerImages, b: FingerImages) -> float:
         known = extract(a.channels[channel], a.px_per_mm)
         return float(np.linalg.norm(known - extract(to_box(b.channels[channel], box), a.px_per_mm)))
 
-    scores = [dissimilarity(ratio, [distance(one) for one in ATTRIBUTES[of]]) for of in ("normals", "relief")]
+    scores = [
+        dissimilarity(ratio, [distance(one) for one in ATTRIBUTES[of]])
+        for of in ("normals", "relief")
+    ]
     return 1.0 - float(np.mean(scores))
 
 

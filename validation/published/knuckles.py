@@ -1,12 +1,14 @@
-"""Two traits of the same simulated people: prints, and knuckles as the rig sees them; alone and fused.
+"""Two traits of the same simulated people: prints, and knuckles as the rig sees them; alone and
+fused.
 
-    nice python validation/published/knuckles.py --work FOLDER                 # 12 people, 5 minutes of one core
+    nice python validation/published/knuckles.py --work FOLDER # 12 people, 5 minutes of one core
 
-Each person's finger is pressed twice (sessions 1 and 2), and its back is captured twice, in poses of its own, and
-reconstructed by `metric` without the cut at the crease. Prints are compared by the default matcher, knuckles by
-`ridge`. FOLDER keeps ``prints.csv`` and ``knuckles.csv``, as ``splitknit evaluate --fuse`` reads them. Intervals of
-95 % draw people. All of it is our simulator's: number, places and forms of the creases are our choice, after pictures
-of minor finger knuckles (A. Kumar and Z. Xu, IEEE TIFS 11, 2016); the nail is kept out of view.
+Each person's finger is pressed twice (sessions 1 and 2), and its back is captured twice, in poses
+of its own, and reconstructed by `metric` without the cut at the crease. Prints are compared by the
+default matcher, knuckles by `ridge`. FOLDER keeps ``prints.csv`` and ``knuckles.csv``, as
+``splitknit evaluate --fuse`` reads them. Intervals of 95 % draw people. All of it is our
+simulator's: number, places and forms of the creases are our choice, after pictures of minor finger
+knuckles (A. Kumar and Z. Xu, IEEE TIFS 11, 2016); the nail is kept out of view.
 """
 
 from __future__ import annotations
@@ -53,9 +55,11 @@ BINS = 1024  # of the densities of scores
 
 
 def draw_knuckle(seed: int, session: int = 0) -> SimulatedFinger:
-    """Draw the back of the finger that :func:`splitknit_simulator.finger.finger.draw_finger` draws for `seed`.
+    """Draw the back of the finger that :func:`splitknit_simulator.finger.finger.draw_finger` draws
+    for `seed`.
 
-    Creases stay; how deep all of them are changes by a fifth from `session` to session, as the joint bends.
+    Creases stay; how deep all of them are changes by a fifth from `session` to session, as the
+    joint bends.
     """
     finger, rng = draw_finger(seed), np.random.default_rng([seed, 0xD02])
     bent = float(np.exp(0.2 * np.random.default_rng([seed, session, 0xD03]).standard_normal()))
@@ -64,7 +68,13 @@ def draw_knuckle(seed: int, session: int = 0) -> SimulatedFinger:
     creases = tuple(
         FlexionCrease(
             v_mm=float(place),
-            depth_mm=float(np.clip(bent * 0.16 * np.exp(0.4 * rng.standard_normal() - (place / 6.0) ** 2), 0.02, 0.4)),
+            depth_mm=float(
+                np.clip(
+                    bent * 0.16 * np.exp(0.4 * rng.standard_normal() - (place / 6.0) ** 2),
+                    0.02,
+                    0.4,
+                )
+            ),
             width_mm=float(rng.uniform(0.14, 0.3)),
             tilt=float(rng.normal(0.0, 0.07)),
             bow_per_mm=float(np.sign(place) * rng.uniform(0.0, 0.012)),
@@ -74,12 +84,15 @@ def draw_knuckle(seed: int, session: int = 0) -> SimulatedFinger:
         )
         for place in places
     )
-    skin = SkinRelief(0.0, pore_depth_um=0.0, pore_darkening=0.0, undulation_mm=0.02, creases=creases)
+    skin = SkinRelief(
+        0.0, pore_depth_um=0.0, pore_darkening=0.0, undulation_mm=0.02, creases=creases
+    )
     return replace(finger, skin=skin, shape=replace(finger.shape, pad_bulge=0.0, neck=-0.05))
 
 
 def knuckle_pose(rng: np.random.Generator) -> FingerPose:
-    """Draw how the back of a finger lies: its last joint in the middle of the picture, its tip beyond the border."""
+    """Draw how the back of a finger lies: its last joint in the middle of the picture, its tip
+    beyond the border."""
     return FingerPose(
         yaw_rad=float(rng.uniform(-0.1, 0.1)), pitch_rad=float(rng.uniform(-0.05, 0.05)),
         roll_rad=float(rng.uniform(-0.1, 0.1)), x_mm=float(rng.uniform(-2.0, 2.0)),
@@ -94,7 +107,9 @@ def made(person: int, session: int, folder: Path, scale: float) -> tuple[Templat
         seed = SEED + person
         pose = knuckle_pose(np.random.default_rng([seed, session, 0xD04]))
         finger, settings = draw_knuckle(seed, session), TwinSettings(scale=scale, pose=pose)
-        capture, _ = splitknit_simulator.simulate_capture(seed, settings=settings, impression=session, finger=finger)
+        capture, _ = splitknit_simulator.simulate_capture(
+            seed, settings=settings, impression=session, finger=finger
+        )
         found = splitknit.reconstruct(capture, settings={"cut_at_crease": False})
         knuckle = surface_template(surface_of(found))
         made = print_template(press(draw_finger(seed).master(), session, SENSOR)), knuckle
@@ -107,9 +122,10 @@ def made(person: int, session: int, folder: Path, scale: float) -> tuple[Templat
 def fit_ratios(scores: Values, genuine: Labels) -> tuple[Values, Model]:
     """Sum of log-likelihood ratios; missing ones add nothing.
 
-    Densities are estimated by Gaussian kernels of Silverman's width; one observation spread over the whole range is
-    added to each class, so that no ratio is infinite. Source: K. Nandakumar, Y. Chen, S. Dass and A. Jain, "Likelihood
-    ratio-based biometric score fusion", IEEE TPAMI 30, 2008, eq. 5; B. Silverman, "Density Estimation", 1986, eq. 3.31.
+    Densities are estimated by Gaussian kernels of Silverman's width; one observation spread over
+    the whole range is added to each class, so that no ratio is infinite. Source: K. Nandakumar, Y.
+    Chen, S. Dass and A. Jain, "Likelihood ratio-based biometric score fusion", IEEE TPAMI 30, 2008,
+    eq. 5; B. Silverman, "Density Estimation", 1986, eq. 3.31.
     """
     spread(scores)
     low, high = np.nanmin(scores, axis=0), np.nanmax(scores, axis=0)
@@ -117,7 +133,10 @@ def fit_ratios(scores: Values, genuine: Labels) -> tuple[Values, Model]:
 
     def log_density(column: Values, k: int) -> Values:
         known = column[~np.isnan(column)]
-        require(known.size > 0, f"system {k + 1} has only genuine or only impostor scores in the part to learn from.")
+        require(
+            known.size > 0,
+            f"system {k + 1} has only genuine or only impostor scores in the part to learn from.",
+        )
         counts = np.histogram(known, BINS, (low[k], high[k]))[0].astype(np.float64)
         quartiles = float(np.subtract(*np.percentile(known, [75, 25]))) / 1.34
         sigma = min(float(known.std()), quartiles or np.inf)
@@ -125,11 +144,16 @@ def fit_ratios(scores: Values, genuine: Labels) -> tuple[Values, Model]:
         density = gaussian_filter1d(counts, kernel, mode="constant") + 1.0 / BINS
         return np.asarray(np.log(density / density.sum()))
 
-    ratio = [log_density(side[genuine], k) - log_density(side[~genuine], k) for k, side in enumerate(scores.T)]
+    ratio = [
+        log_density(side[genuine], k) - log_density(side[~genuine], k)
+        for k, side in enumerate(scores.T)
+    ]
 
     def scored(table: Values) -> Values:  # held at the training part's ends
         places = ((table - low) / width - 0.5).T
-        each = [np.interp(place, np.arange(BINS), one) for place, one in zip(places, ratio, strict=True)]
+        each = [
+            np.interp(place, np.arange(BINS), one) for place, one in zip(places, ratio, strict=True)
+        ]
         return np.asarray(np.nansum(each, axis=0))
 
     return np.ones(len(ratio)), scored
@@ -137,7 +161,9 @@ def fit_ratios(scores: Values, genuine: Labels) -> tuple[Values, Model]:
 
 def main() -> None:
     """Run."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("--work", type=Path, required=True)
     parser.add_argument("--people", type=int, default=12)
     parser.add_argument("--scale", type=float, default=0.2, help="of the camera")
@@ -146,7 +172,10 @@ def main() -> None:
     cv2.setNumThreads(1)
     options.work.mkdir(parents=True, exist_ok=True)
     person, session = np.tile(np.arange(options.people), 2), np.repeat([1, 2], options.people)
-    every = [made(int(who), int(when), options.work, options.scale) for who, when in zip(person, session, strict=True)]
+    every = [
+        made(int(who), int(when), options.work, options.scale)
+        for who, when in zip(person, session, strict=True)
+    ]
     pairs = comparisons(person, session)
     files = []
     for name, place, match in (("prints", 0, fused_match), ("knuckles", 1, ridge_match)):
@@ -160,12 +189,19 @@ def main() -> None:
                 score = f"{found.similarity:.5f}" if found.compared else ""
                 rows.writerow([int(genuine), score, person[a], person[b], session[a], session[b]])
     FITS["llr"] = fit_ratios
-    study = splitknit_match.evaluate(files, fuse="all", bootstrap=BootstrapSettings(targets=(0.01,), curve_points=0))
+    study = splitknit_match.evaluate(
+        files, fuse="all", bootstrap=BootstrapSettings(targets=(0.01,), curve_points=0)
+    )
     facts: dict[str, Any] = {"what": "simulated people", "people": options.people, "rates": {}}
     for one in study.results:
         figures = {"eer": one.eer, "gar_far_1": one.gar_at(0.01)}
-        row = {name: [round(100 * v, 1) for v in (f.value, f.low, f.high)] for name, f in figures.items()}
-        facts["rates"][one.scores.name] = row | {"d_prime": round(one.intervals.figures["d_prime"].value, 2)}
+        row = {
+            name: [round(100 * v, 1) for v in (f.value, f.low, f.high)]
+            for name, f in figures.items()
+        }
+        facts["rates"][one.scores.name] = row | {
+            "d_prime": round(one.intervals.figures["d_prime"].value, 2)
+        }
         print(f"{one.scores.name:16s}", facts["rates"][one.scores.name], flush=True)
     if options.write:
         OUT.write_text(json.dumps(facts, indent=1) + "\n", encoding="utf-8")

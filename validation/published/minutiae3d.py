@@ -3,11 +3,12 @@
     python validation/published/minutiae3d.py A B [--preset kumar]
     python validation/published/minutiae3d.py PEOPLE --out scores.csv
 
-A. Kumar and C. Kwong, "Towards contactless, low-cost and accurate 3D fingerprint identification", IEEE Trans. PAMI
-37(3), 2015. Minutiae of the relief's print (mindtct) with their height z and elevation phi. Pairs of neighbours that
-look similar propose motions; those proposed most often are tried on all minutiae and refined from all that agree. The
-score is the square of the number of agreeing minutiae over the product of both sides' numbers. Tolerances were chosen
-on two simulated people.
+A. Kumar and C. Kwong, "Towards contactless, low-cost and accurate 3D fingerprint identification",
+IEEE Trans. PAMI 37(3), 2015. Minutiae of the relief's print (mindtct) with their height z and
+elevation phi. Pairs of neighbours that look similar propose motions; those proposed most often are
+tried on all minutiae and refined from all that agree. The score is the square of the number of
+agreeing minutiae over the product of both sides' numbers. Tolerances were chosen on two simulated
+people.
 """
 
 from __future__ import annotations
@@ -34,7 +35,8 @@ Array = NDArray[np.float64]
 Index = NDArray[np.intp]
 
 SLOPE_SIGMA_MM = 0.2
-"""Of the Gaussian over the surface before its slope along a ridge is measured: half a ridge's period."""
+"""Of the Gaussian over the surface before its slope along a ridge is measured: half a ridge's
+period."""
 NEIGHBOURS = 6
 """Nearest minutiae with which each forms pairs."""
 LENGTH_MM, ANGLE_DEG = 0.25, 15.0
@@ -63,27 +65,38 @@ class SpaceMinutiae:
 
 
 def space_minutiae(surface: Surface) -> SpaceMinutiae:
-    """Minutiae of a reconstruction, in the upright finger's frame: x to the right, y to the tip, z to the camera.
+    """Minutiae of a reconstruction, in the upright finger's frame: x to the right, y to the tip, z
+    to the camera.
 
-    Places of the print go back to the surface; the direction rises as the smoothed surface does along it.
+    Places of the print go back to the surface; the direction rises as the smoothed surface does
+    along it.
     """
     found = extract(surface_print(surface, 500.0))
     print_map = plane_map(surface.pitch_mm, surface.input_from_upright, surface.upright_size)
-    height = smoothed(surface.shape_mm + surface.ridge_mm, surface.mask, SLOPE_SIGMA_MM / surface.pitch_mm)
+    height = smoothed(
+        surface.shape_mm + surface.ridge_mm, surface.mask, SLOPE_SIGMA_MM / surface.pitch_mm
+    )
     height = np.where(surface.mask, height, np.float32(np.nan)).astype(np.float32)
     places = np.stack([found.x_px, found.y_px], axis=1).astype(np.float64)
-    step = 0.5 * np.stack([np.cos(found.direction_rad), -np.sin(found.direction_rad)], axis=1)  # rows run downwards
+    # rows run downwards
+    step = 0.5 * np.stack([np.cos(found.direction_rad), -np.sin(found.direction_rad)], axis=1)
     there = print_map.input_from_print(places)
     ahead = print_map.input_from_print(places + step) - print_map.input_from_print(places - step)
     ahead = ahead * [1, -1] / np.linalg.norm(ahead, axis=1, keepdims=True)
-    slopes = np.stack([_bilinear(part, there) for part in height_gradients(height, surface.pitch_mm)], axis=1)
+    slopes = np.stack(
+        [_bilinear(part, there) for part in height_gradients(height, surface.pitch_mm)], axis=1
+    )
     turn, flip = np.linalg.inv(surface.input_from_upright[:2, :2]), np.diag([1.0, -1.0])
     turn = flip @ (turn / np.sqrt(abs(np.linalg.det(turn)))) @ flip
     middle = (np.array(height.shape[::-1]) - 1) / 2
     plane = (there - middle) * [surface.pitch_mm, -surface.pitch_mm]
-    space = np.column_stack([plane @ turn.T, _bilinear(height, there), ahead @ turn.T, (slopes * ahead).sum(axis=1)])
+    space = np.column_stack(
+        [plane @ turn.T, _bilinear(height, there), ahead @ turn.T, (slopes * ahead).sum(axis=1)]
+    )
     space = space[np.isfinite(space).all(axis=1)]
-    return SpaceMinutiae(space[:, :3], space[:, 3:] / np.linalg.norm(space[:, 3:], axis=1, keepdims=True))
+    return SpaceMinutiae(
+        space[:, :3], space[:, 3:] / np.linalg.norm(space[:, 3:], axis=1, keepdims=True)
+    )
 
 
 def _bilinear(values: Any, places: Array) -> Array:
@@ -96,7 +109,8 @@ def _bilinear(values: Any, places: Array) -> Array:
 class Framed(ABC):
     """Minutiae in a frame of their own, so that nothing depends on how the finger lay.
 
-    The origin is their mean; x, y and z are the axes of their spread, the largest first, z out of the side that bulges.
+    The origin is their mean; x, y and z are the axes of their spread, the largest first, z out of
+    the side that bulges.
     """
 
     minutiae: SpaceMinutiae
@@ -123,9 +137,14 @@ class Framed(ABC):
 
     @cached_property
     def key(self) -> tuple[float, float, bytes]:
-        """By which sides are ordered, so that the result depends neither on the order of arguments nor on the frame."""
+        """By which sides are ordered, so that the result depends neither on the order of arguments
+        nor on the frame."""
         places = self.places[0]
-        return float(len(places)), round(float((places**2).sum()), 3), self.minutiae.position_mm.tobytes()
+        return (
+            float(len(places)),
+            round(float((places**2).sum()), 3),
+            self.minutiae.position_mm.tobytes(),
+        )
 
 
 class Pairs(Framed):
@@ -145,13 +164,16 @@ class Pairs(Framed):
 
     @cached_property
     def tree(self) -> cKDTree:
-        """Of each pair its length, and both azimuths against the line between them, in units of the tolerances."""
+        """Of each pair its length, and both azimuths against the line between them, in units of the
+        tolerances."""
         places, directions = self.places
         first, second = self.pairs.T
         line = places[second] - places[first]
         ahead = np.arctan2(line[:, 1], line[:, 0])
         azimuth = np.arctan2(directions[:, 1], directions[:, 0])
-        looks = np.stack([np.linalg.norm(line, axis=1), azimuth[first] - ahead, azimuth[second] - ahead], axis=1)
+        looks = np.stack(
+            [np.linalg.norm(line, axis=1), azimuth[first] - ahead, azimuth[second] - ahead], axis=1
+        )
         angle = np.deg2rad(ANGLE_DEG)
         scaled = looks / np.array([LENGTH_MM, angle, angle])
         round_ = 2 * np.pi / angle  # azimuths go round
@@ -161,7 +183,8 @@ class Pairs(Framed):
 
 
 def similarity(a: Framed, b: Framed) -> float:
-    """Align two sides by what looks similar in both: the square of agreeing minutiae over the product of both numbers.
+    """Align two sides by what looks similar in both: the square of agreeing minutiae over the
+    product of both numbers.
 
     Comparing A with B gives what B with A gives.
     """
@@ -221,12 +244,16 @@ def _plane_motions(a: Framed, b: Framed, left: Index, right: Index) -> tuple[Arr
     across = (arms[..., 0] * others[..., 1] - arms[..., 1] * others[..., 0]).sum(axis=1)
     turn = np.arctan2(across, (arms * others).sum(axis=(1, 2)))
     cosine, sine = np.cos(turn), np.sin(turn)
-    moved = np.stack([cosine * middle[:, 0] - sine * middle[:, 1], sine * middle[:, 0] + cosine * middle[:, 1]], axis=1)
+    moved = np.stack(
+        [cosine * middle[:, 0] - sine * middle[:, 1], sine * middle[:, 0] + cosine * middle[:, 1]],
+        axis=1,
+    )
     return turn, there - moved
 
 
 def _moved(a: Framed, b: Framed, left: Index, right: Index) -> tuple[Index, Index]:
-    """What agrees after the motion that takes minutiae `left` best to `right` (Kabsch, Acta Cryst. A32, 1976)."""
+    """What agrees after the motion that takes minutiae `left` best to `right` (Kabsch, Acta Cryst.
+    A32, 1976)."""
     ours, theirs = (
         np.concatenate([side.places[0][k], side.places[0][k] + ARM_MM * side.places[1][k]])
         for side, k in ((a, left), (b, right))
@@ -239,14 +266,17 @@ def _moved(a: Framed, b: Framed, left: Index, right: Index) -> tuple[Index, Inde
 
 
 def agreeing(a: Framed, b: Framed, rotation: Array, shift_mm: Array) -> tuple[Index, Index]:
-    """Minutiae (M,) of both sides that agree after a motion, paired one to one, the nearest first."""
+    """Minutiae (M,) of both sides that agree after a motion, paired one to one, the nearest
+    first."""
     there, ahead = a.places[0] @ rotation.T + shift_mm, a.places[1] @ rotation.T
     apart = there[:, None] - b.places[0][None]
     plane2 = apart[..., 0] ** 2 + apart[..., 1] ** 2
     i, j = np.nonzero((plane2 <= PLANE_MM**2) & (np.abs(apart[..., 2]) <= HEIGHT_MM))
     turned = np.arctan2(ahead[i, 1], ahead[i, 0]) - np.arctan2(b.places[1][j, 1], b.places[1][j, 0])
     turned = np.abs((turned + np.pi) % (2 * np.pi) - np.pi) / np.deg2rad(THETA_DEG)
-    risen = np.abs(np.arcsin(np.clip(ahead[i, 2], -1, 1)) - np.arcsin(np.clip(b.places[1][j, 2], -1, 1)))
+    risen = np.abs(
+        np.arcsin(np.clip(ahead[i, 2], -1, 1)) - np.arcsin(np.clip(b.places[1][j, 2], -1, 1))
+    )
     risen /= np.deg2rad(PHI_DEG)
     cost = plane2[i, j] / PLANE_MM**2 + (apart[i, j, 2] / HEIGHT_MM) ** 2 + turned**2 + risen**2
     cost[(turned > 1) | (risen > 1)] = np.inf
@@ -258,7 +288,8 @@ def agreeing(a: Framed, b: Framed, rotation: Array, shift_mm: Array) -> tuple[In
 
 
 def nearest(places: Array, count: int) -> tuple[Index, Array]:
-    """Each of N points' `count` nearest others (N, count), nearest first, and all squared distances (N, N)."""
+    """Each of N points' `count` nearest others (N, count), nearest first, and all squared distances
+    (N, N)."""
     apart2 = ((places[:, None] - places[None]) ** 2).sum(axis=2)
     np.fill_diagonal(apart2, np.inf)
     return np.argsort(apart2, axis=1, kind="stable")[:, :count], apart2

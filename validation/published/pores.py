@@ -1,11 +1,13 @@
-"""Sweat pores: small pits along the crests of the ridges, or dark dots on a photograph of them; found and compared.
+"""Sweat pores: small pits along the crests of the ridges, or dark dots on a photograph of them;
+found and compared.
 
     python validation/published/pores.py A B                       # captures of at least 29 px/mm
     python validation/published/pores.py PEOPLE --out scores.csv
 
-Found: what is left when a ridge is taken for the same along itself (Q. Zhao et al., Pattern Recognition 43, 2010).
-Compared, as pairs where the ridges lie on each other: A. K. Jain, Y. Chen and M. Demirkus, "Pores and ridges", IEEE
-Trans. PAMI 29, 2007. Beside ridges they added nothing (docs/explain/tried.md).
+Found: what is left when a ridge is taken for the same along itself (Q. Zhao et al., Pattern
+Recognition 43, 2010). Compared, as pairs where the ridges lie on each other: A. K. Jain, Y. Chen
+and M. Demirkus, "Pores and ridges", IEEE Trans. PAMI 29, 2007. Beside ridges they added nothing
+(docs/explain/tried.md).
 """
 
 from __future__ import annotations
@@ -34,7 +36,8 @@ from splitknit_match.matching.template import make_template
 DIAMETER_MM = 0.13
 """Diameter of a pore (0.06 to 0.25); the filter is a Gaussian of this width at half maximum."""
 ALONG_MM, DIRECTION_MM, CONTRAST_MM = 0.3, 0.3, 0.5
-"""Sigmas: along ridges, where one without pores is the same; of the ridges' direction; of their amplitude."""
+"""Sigmas: along ridges, where one without pores is the same; of the ridges' direction; of their
+amplitude."""
 CREST = 0.25
 """Height of a crest's sides, in amplitudes: pores lie above."""
 DIRECTIONS = 16
@@ -46,30 +49,44 @@ NEAR_MM = 0.12
 
 
 def find_pores(
-    image: FloatArray, mask: BoolArray, pitch_mm: float, crests: FloatArray | None = None, *, least: float = 0.05
+    image: FloatArray,
+    mask: BoolArray,
+    pitch_mm: float,
+    crests: FloatArray | None = None,
+    *,
+    least: float = 0.05,
 ) -> NDArray[np.float32]:
     """Find sweat pores by what is left when a ridge is taken for the same along itself.
 
-    The direction of the ridges is that of the structure tensor; along it the image is smoothed, which keeps ridges and
-    loses pores. A pore is a minimum of the difference, at a pore's size, on a crest.
+    The direction of the ridges is that of the structure tensor; along it the image is smoothed,
+    which keeps ridges and loses pores. A pore is a minimum of the difference, at a pore's size, on
+    a crest.
 
-    `image`: (H, W) float32, a relief (``ridge_mm``) or a photograph on which pores are dark; `mask`: (H, W) bool;
-    `pitch_mm`: side of a pixel, at most 0.034, as a pore has 0.06 to 0.25 mm; `crests`: (H, W) float32, relief whose
-    crests hold the pores, where `image` is a photograph; `least`: depth of a pore, in standard deviations of the ridges
-    around it. Returns (N, 3) float32: column, row and depth, the deepest first.
+    `image`: (H, W) float32, a relief (``ridge_mm``) or a photograph on which pores are dark;
+    `mask`: (H, W) bool; `pitch_mm`: side of a pixel, at most 0.034, as a pore has 0.06 to 0.25 mm;
+    `crests`: (H, W) float32, relief whose crests hold the pores, where `image` is a photograph;
+    `least`: depth of a pore, in standard deviations of the ridges around it. Returns (N, 3)
+    float32: column, row and depth, the deepest first.
 
-    Source: Q. Zhao, D. Zhang, L. Zhang and N. Luo, "Adaptive fingerprint pore modeling and extraction", Pattern
-    Recognition 43, 2010 (pores differ from the ridge along its direction); A. K. Jain, Y. Chen and M. Demirkus, "Pores
-    and ridges", IEEE Trans. PAMI 29, 2007 (a band-pass at a pore's scale).
+    Source: Q. Zhao, D. Zhang, L. Zhang and N. Luo, "Adaptive fingerprint pore modeling and
+    extraction", Pattern Recognition 43, 2010 (pores differ from the ridge along its direction); A.
+    K. Jain, Y. Chen and M. Demirkus, "Pores and ridges", IEEE Trans. PAMI 29, 2007 (a band-pass at
+    a pore's scale).
     """
     relief = image if crests is None else crests
     if not 0 < pitch_mm <= MAX_PITCH_MM:
-        raise BadInput(f"pores need pixels of at most {1000 * MAX_PITCH_MM:g} um; these have {1000 * pitch_mm:.0f}.")
+        raise BadInput(
+            f"pores need pixels of at most {1000 * MAX_PITCH_MM:g} um; these have"
+            f" {1000 * pitch_mm:.0f}."
+        )
     weight = blur(mask.astype(np.float32), CONTRAST_MM / pitch_mm) + np.float32(1e-6)
     ridges, values = (_ridges(plane, mask, weight, pitch_mm) for plane in (relief, image))
     turn = _directions(ridges, pitch_mm)
     crest = _along(ridges, turn, pitch_mm)
-    rest = blur(values - (crest if crests is None else _along(values, turn, pitch_mm)), DIAMETER_MM / 2.355 / pitch_mm)
+    rest = blur(
+        values - (crest if crests is None else _along(values, turn, pitch_mm)),
+        DIAMETER_MM / 2.355 / pitch_mm,
+    )
     depth = -rest
     reach = 2 * round(DIAMETER_MM / pitch_mm / 2) + 1
     peak = depth >= cv2.dilate(depth, np.ones((reach, reach), np.uint8))
@@ -93,7 +110,8 @@ class PoreMatch:
     """How many pores two fingers share."""
 
     similarity: float
-    """Pairs over the geometric mean of both numbers of pores, 0 to 1; 0 where there is nothing to compare."""
+    """Pairs over the geometric mean of both numbers of pores, 0 to 1; 0 where there is nothing to
+    compare."""
     pairs: int
     pores: tuple[int, int]  # of each side, where the other shows skin
     ridges: float
@@ -119,7 +137,9 @@ def pore_template(surface: Surface, pores: NDArray[np.floating]) -> PoreTemplate
     # about bilinear between the band's four nearest pixels
     away, near = (np.asarray(one) for one in cKDTree(shown).query(pores[:, :2], k=4))
     row, column = np.divmod(near, template.valid.shape[1])
-    places = np.stack([np.average(one, axis=1, weights=1 / (away + 1e-6)) for one in (column, row)], axis=1)
+    places = np.stack(
+        [np.average(one, axis=1, weights=1 / (away + 1e-6)) for one in (column, row)], axis=1
+    )
     places = places[away[:, 0] < PITCH_MM / pitch]
     return PoreTemplate(Prepared(template), places[on_ridges(template.valid, places)])
 
@@ -127,9 +147,10 @@ def pore_template(surface: Surface, pores: NDArray[np.floating]) -> PoreTemplate
 def pore_match(a: PoreTemplate, b: PoreTemplate) -> PoreMatch:
     """Compare two fingers by their pores, where their ridges put them on each other.
 
-    Alignment: that of the ridges, bent as they agree, then in three rounds as the pairs of nearest pores ask for,
-    smoothly. Score: pores that are each other's nearest within 0.12 mm. Source: A. K. Jain, Y. Chen and M. Demirkus,
-    "Pores and ridges", IEEE Trans. PAMI 29, 2007 (iterative closest points where the ridges agree, then pairs).
+    Alignment: that of the ridges, bent as they agree, then in three rounds as the pairs of nearest
+    pores ask for, smoothly. Score: pores that are each other's nearest within 0.12 mm. Source: A.
+    K. Jain, Y. Chen and M. Demirkus, "Pores and ridges", IEEE Trans. PAMI 29, 2007 (iterative
+    closest points where the ridges agree, then pairs).
     """
     swapped = a.ridges.key > b.ridges.key
     left, right = (b, a) if swapped else (a, b)
@@ -145,17 +166,24 @@ def pore_match(a: PoreTemplate, b: PoreTemplate) -> PoreMatch:
         bend = bend + bent_by(grid, right.pores[one], (there[one] - left.pores[other]) @ back)
     there = shown_in_a(grid, affine, bend, right.pores)
     pairs = len(_nearest(there, left.pores, NEAR_MM / pitch)[0])
-    shown = on_ridges(right.ridges.template.valid, (left.pores - affine[:, 2]) @ back), on_ridges(valid, there)
+    shown = (
+        on_ridges(right.ridges.template.valid, (left.pores - affine[:, 2]) @ back),
+        on_ridges(valid, there),
+    )
     counts = [int(one.sum()) for one in shown]
     similarity = pairs / float(np.sqrt(max(1, counts[0] * counts[1])))
     return PoreMatch(similarity, pairs, (counts[swapped], counts[not swapped]), found.similarity)
 
 
-def _nearest(a: NDArray[np.float64], b: NDArray[np.float64], reach: float) -> tuple[NDArray[np.intp], ...]:
+def _nearest(
+    a: NDArray[np.float64], b: NDArray[np.float64], reach: float
+) -> tuple[NDArray[np.intp], ...]:
     """Numbers of the points (N, 2), (M, 2) that are each other's nearest within a reach."""
     if not len(a) or not len(b):
         return (np.zeros(0, np.intp),) * 2
-    (away, near), (_, back) = ((np.asarray(part) for part in cKDTree(p).query(q)) for p, q in ((b, a), (a, b)))
+    (away, near), (_, back) = (
+        (np.asarray(part) for part in cKDTree(p).query(q)) for p, q in ((b, a), (a, b))
+    )
     one = np.flatnonzero((away <= reach) & (back[near] == np.arange(len(a))))
     return one, near[one]
 
@@ -163,13 +191,16 @@ def _nearest(a: NDArray[np.float64], b: NDArray[np.float64], reach: float) -> tu
 def _ridges(image: FloatArray, mask: BoolArray, weight: FloatArray, pitch_mm: float) -> FloatArray:
     """What is faster than ridges' surroundings, in local standard deviations; 0 outside."""
     inside = np.where(mask & np.isfinite(image), image, np.float32(0)).astype(np.float32)
-    flat = np.where(mask, inside - blur(inside, CONTRAST_MM / pitch_mm) / weight, np.float32(0)).astype(np.float32)
+    flat = np.where(
+        mask, inside - blur(inside, CONTRAST_MM / pitch_mm) / weight, np.float32(0)
+    ).astype(np.float32)
     amplitude = np.sqrt(blur(flat * flat, 2 * CONTRAST_MM / pitch_mm)) + np.float32(1e-9)
     return np.asarray(flat / amplitude, dtype=np.float32)
 
 
 def _directions(ridges: FloatArray, pitch_mm: float) -> NDArray[np.intp]:
-    """(H, W) number of the direction along the ridges, of :data:`DIRECTIONS` in half a turn, rows running down."""
+    """(H, W) number of the direction along the ridges, of :data:`DIRECTIONS` in half a turn, rows
+    running down."""
     smooth = blur(ridges, 0.06 / pitch_mm)
     right, down = (cv2.Sobel(smooth, cv2.CV_32F, *axes) for axes in ((1, 0), (0, 1)))
     sigma = DIRECTION_MM / pitch_mm
@@ -186,7 +217,10 @@ def _along(values: FloatArray, turn: NDArray[np.intp], pitch_mm: float) -> Float
     result = np.zeros_like(values)
     for number in range(DIRECTIONS):
         angle = np.pi * number / DIRECTIONS
-        on, beside = right * np.cos(angle) + down * np.sin(angle), down * np.cos(angle) - right * np.sin(angle)
+        on, beside = (
+            right * np.cos(angle) + down * np.sin(angle),
+            down * np.cos(angle) - right * np.sin(angle),
+        )
         kernel = np.exp(-0.5 * ((on / sigma) ** 2 + (beside / max(width, 0.5)) ** 2))
         here = turn == number
         result[here] = cv2.filter2D(values, cv2.CV_32F, kernel / kernel.sum())[here]
@@ -198,7 +232,9 @@ def features(finger: Path, preset: str) -> PoreTemplate | None:
     capture = read_capture(finger)
     surface = surface_of(reconstruct(capture, preset))
     photograph = capture.bands["white"].pixels.astype(np.float32).mean(axis=(0, 3))
-    found = pore_template(surface, find_pores(photograph, surface.mask, surface.pitch_mm, surface.ridge_mm))
+    found = pore_template(
+        surface, find_pores(photograph, surface.mask, surface.pitch_mm, surface.ridge_mm)
+    )
     return None if found.ridges.template.empty else found
 
 

@@ -1,10 +1,13 @@
-"""A published matcher run as anybody runs an own one: two fingers, or all of a folder as a score file.
+"""A published matcher run as anybody runs an own one: two fingers, or all of a folder as a score
+file.
 
     python validation/published/NAME.py A B                       # prints the similarity
-    python validation/published/NAME.py PEOPLE --out scores.csv   # then: splitknit evaluate --scores scores.csv
+    python validation/published/NAME.py PEOPLE --out scores.csv # then: splitknit evaluate --scores
+    scores.csv
 
-A and B are captures or results; PEOPLE is a folder of ``splitknit simulate population``, whose later sessions are
-compared with its earlier ones. A finger that gives no features is a failure to acquire: its score is blank.
+A and B are captures or results; PEOPLE is a folder of ``splitknit simulate population``, whose
+later sessions are compared with its earlier ones. A finger that gives no features is a failure to
+acquire: its score is blank.
 """
 
 from __future__ import annotations
@@ -36,8 +39,11 @@ def run(
     preset: str,
     arguments: list[str] | None = None,
 ) -> int:
-    """Compare what the command line names; `features` of a finger by a preset are None where there are too few."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    """Compare what the command line names; `features` of a finger by a preset are None where there
+    are too few."""
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("fingers", nargs="+", type=Path, metavar="FINGER")
     parser.add_argument("--preset", default=preset)
     parser.add_argument("--out", type=Path)
@@ -57,10 +63,17 @@ def run(
 
 
 def _scores(
-    features: Callable[[Path, str], Any], score: Callable[[Any, Any], float], people: Path, preset: str
+    features: Callable[[Path, str], Any],
+    score: Callable[[Any, Any], float],
+    people: Path,
+    preset: str,
 ) -> bytes:
-    captures = sorted(file.parent.relative_to(people) for file in people.glob("*/session_*/*/capture.json"))
-    subject, session, name = (list(part) for part in zip(*(capture.parts for capture in captures), strict=True))
+    captures = sorted(
+        file.parent.relative_to(people) for file in people.glob("*/session_*/*/capture.json")
+    )
+    subject, session, name = (
+        list(part) for part in zip(*(capture.parts for capture in captures), strict=True)
+    )
     finger = [f"{who}/{which}" for who, which in zip(subject, name, strict=True)]
     sides = [_side(features, people / capture, preset) for capture in captures]
     pairs = comparisons(finger, session)

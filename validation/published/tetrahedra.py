@@ -1,13 +1,14 @@
-"""Minutiae in space after Lin and Kumar: tetrahedra of neighbouring minutiae, matched level by level.
+"""Minutiae in space after Lin and Kumar: tetrahedra of neighbouring minutiae, matched level by
+level.
 
     python validation/published/tetrahedra.py A B [--preset lin]
     python validation/published/tetrahedra.py PEOPLE --out scores.csv
 
 C. Lin and A. Kumar, "Tetrahedron based fast 3D fingerprint identification using colored LEDs
-illumination", IEEE Trans. PAMI 40(12), 2018; the accessible text lacks its tolerances: those here are
-ours. A tetrahedron is a minutia and three of its nearest. Level 1 compares six sorted edges; level 2
-finds which corner is which, and compares edges and the angles between each corner's direction and the
-edges from it. The rest is as in ``minutiae3d.py``.
+illumination", IEEE Trans. PAMI 40(12), 2018; the accessible text lacks its tolerances: those here
+are ours. A tetrahedron is a minutia and three of its nearest. Level 1 compares six sorted edges;
+level 2 finds which corner is which, and compares edges and the angles between each corner's
+direction and the edges from it. The rest is as in ``minutiae3d.py``.
 """
 
 from __future__ import annotations
@@ -34,7 +35,8 @@ class Tetrahedra(Framed):
     """Minutiae in their own frame, and the tetrahedra among them."""
 
     def correspondences(self, other: Tetrahedra) -> tuple[Index, Index]:
-        """Corners (K, 4) of similar tetrahedra, each beside its own; of several orders that with the least angles."""
+        """Corners (K, 4) of similar tetrahedra, each beside its own; of several orders that with
+        the least angles."""
         i, j = close_points(self.tree, other.tree)
         own_edges, own_angles = (one[:, 0] for one in self.ordered)
         edges, angles = other.ordered
@@ -43,15 +45,20 @@ class Tetrahedra(Framed):
         worst[k, order] = np.abs(own_angles[i[k]] - angles[j[k], order]).max(axis=1)
         best = worst.argmin(axis=1)
         good = worst[np.arange(len(i)), best] <= ANGLE_RAD
-        return self.corners[i[good]], np.take_along_axis(other.corners[j[good]], ORDERS[best[good]], axis=1)
+        return self.corners[i[good]], np.take_along_axis(
+            other.corners[j[good]], ORDERS[best[good]], axis=1
+        )
 
     @cached_property
     def corners(self) -> Index:
-        """(T, 4) minutiae of each tetrahedron, its apex first; none with an edge below what is separated."""
+        """(T, 4) minutiae of each tetrahedron, its apex first; none with an edge below what is
+        separated."""
         places = self.places[0]
         near, apart2 = nearest(places, NEIGHBOURS)
         triples = np.array(list(combinations(range(near.shape[1]), 3)), dtype=np.intp)
-        corners = np.column_stack([np.repeat(np.arange(len(places)), len(triples)), near[:, triples].reshape(-1, 3)])
+        corners = np.column_stack(
+            [np.repeat(np.arange(len(places)), len(triples)), near[:, triples].reshape(-1, 3)]
+        )
         least = np.stack([apart2[corners[:, i], corners[:, j]] for i, j in EDGES]).min(axis=0)
         return corners[least >= EDGE_MM**2]
 
@@ -63,10 +70,15 @@ class Tetrahedra(Framed):
 
     @cached_property
     def angles(self) -> Array:
-        """(T, 4, 4) angle between the direction of each corner and the line to each other one; 0 to itself."""
+        """(T, 4, 4) angle between the direction of each corner and the line to each other one; 0 to
+        itself."""
         corner, ahead = self.places[0][self.corners], self.places[1][self.corners]
         line = corner[:, None] - corner[:, :, None]  # (T, from, to, 3)
-        angle = np.arccos(np.clip((line * ahead[:, :, None]).sum(axis=3) / np.maximum(self.edges, 1e-9), -1.0, 1.0))
+        angle = np.arccos(
+            np.clip(
+                (line * ahead[:, :, None]).sum(axis=3) / np.maximum(self.edges, 1e-9), -1.0, 1.0
+            )
+        )
         angle[:, np.arange(4), np.arange(4)] = 0.0
         return np.asarray(angle)
 
@@ -81,7 +93,8 @@ class Tetrahedra(Framed):
 
     @cached_property
     def tree(self) -> cKDTree:
-        """Sorted edges from the apex, other edges and the apex's angles, in units of the tolerances."""
+        """Sorted edges from the apex, other edges and the apex's angles, in units of the
+        tolerances."""
         flat = np.stack([self.edges[:, i, j] for i, j in EDGES], axis=1)
         parts = (flat[:, :3], flat[:, 3:], self.angles[:, 0, 1:])
         looks = np.concatenate([np.sort(part, axis=1) for part in parts], axis=1)
@@ -89,4 +102,6 @@ class Tetrahedra(Framed):
 
 
 if __name__ == "__main__":
-    raise SystemExit(run(lambda finger, preset: framed(Tetrahedra, finger, preset), similarity, "lin"))
+    raise SystemExit(
+        run(lambda finger, preset: framed(Tetrahedra, finger, preset), similarity, "lin")
+    )

@@ -1,10 +1,12 @@
-"""Minutiae on which pictures of a finger agree: normals and albedo of every set of images that leaves one out.
+"""Minutiae on which pictures of a finger agree: normals and albedo of every set of images that
+leaves one out.
 
-    python validation/published/voted.py A B [--preset zheng]      # captures: a result has lost its images
-    python validation/published/voted.py PEOPLE --out scores.csv
+    python validation/published/voted.py A B [--preset zheng] # captures: a result has lost its
+    images python validation/published/voted.py PEOPLE --out scores.csv
 
-Q. Zheng, A. Kumar and G. Pan, "Contactless 3D fingerprint identification without 3D reconstruction", IWBF 2018, as the
-thesis describes it (section 2.2.1): seven sets of six images, four pictures of each; no model of the skin.
+Q. Zheng, A. Kumar and G. Pan, "Contactless 3D fingerprint identification without 3D
+reconstruction", IWBF 2018, as the thesis describes it (section 2.2.1): seven sets of six images,
+four pictures of each; no model of the skin.
 """
 
 from __future__ import annotations
@@ -34,7 +36,8 @@ from splitknit_match.prints.minutiae_record import PPI, Minutiae
 from splitknit_match.prints.print_map import plane_map, resample
 
 REACH_MM, TURN_DEG = 0.3, 40.0
-"""Minutiae of two pictures are the same if they lie no further apart, and their directions differ by no more."""
+"""Minutiae of two pictures are the same if they lie no further apart, and their directions differ
+by no more."""
 LEAST_SHARE = 0.5
 """Fraction of the pictures in which a minutia must be found to be kept."""
 PICTURES = ("x", "y", "z", "albedo")
@@ -44,9 +47,10 @@ PICTURES = ("x", "y", "z", "albedo")
 def vote(pictures: Sequence[Minutiae], least_share: float = LEAST_SHARE) -> Minutiae:
     """Keep the minutiae that enough pictures show.
 
-    Every picture has one vote for a place. The place with most votes is taken first, and the minutiae that voted for it
-    have then no vote left for another. A kept minutia lies at the mean of its voters, points in their mean direction
-    and has the type of most of them; its quality is the fraction of the pictures that show it, 0 to 100.
+    Every picture has one vote for a place. The place with most votes is taken first, and the
+    minutiae that voted for it have then no vote left for another. A kept minutia lies at the mean
+    of its voters, points in their mean direction and has the type of most of them; its quality is
+    the fraction of the pictures that show it, 0 to 100.
     """
     pool = _pool(pictures)
     near = _same(pool)
@@ -80,13 +84,16 @@ def vote(pictures: Sequence[Minutiae], least_share: float = LEAST_SHARE) -> Minu
 def _pool(pictures: Sequence[Minutiae]) -> NDArray[np.void]:
     """All minutiae, in an order that does not depend on that of the pictures."""
     rows = np.dtype(
-        [(name, float) for name in ("x", "y", "direction")] + [(name, int) for name in ("type", "quality", "picture")]
+        [(name, float) for name in ("x", "y", "direction")]
+        + [(name, int) for name in ("type", "quality", "picture")]
     )
     parts = [
         (one.x_px, one.y_px, one.direction_rad, one.type, one.quality, np.full(one.count, number))
         for number, one in enumerate(pictures)
     ]
-    pool = np.rec.fromarrays([np.concatenate(column) for column in zip(*parts, strict=True)], rows).view(np.ndarray)
+    pool = np.rec.fromarrays(
+        [np.concatenate(column) for column in zip(*parts, strict=True)], rows
+    ).view(np.ndarray)
     return pool[np.lexsort([pool[key] for key in ("type", "quality", "direction", "y", "x")])]
 
 
@@ -96,7 +103,9 @@ def _same(pool: NDArray[np.void]) -> list[NDArray[np.intp]]:
         return []
     places = np.stack([pool["x"], pool["y"]], axis=1)
     found = []
-    for k, around in enumerate(cKDTree(places).query_ball_point(places, REACH_MM * PPI / 25.4, return_sorted=True)):
+    for k, around in enumerate(
+        cKDTree(places).query_ball_point(places, REACH_MM * PPI / 25.4, return_sorted=True)
+    ):
         index = np.array(around, dtype=np.intp)
         turn = np.abs(np.angle(np.exp(1j * (pool["direction"][index] - pool["direction"][k]))))
         found.append(index[turn <= np.deg2rad(TURN_DEG)])
@@ -104,7 +113,8 @@ def _same(pool: NDArray[np.void]) -> list[NDArray[np.intp]]:
 
 
 def _standing(pool: NDArray[np.void], around: NDArray[np.intp]) -> tuple[int, float]:
-    """How many pictures show a place, negative, and how far its voters lie apart: the smallest comes first."""
+    """How many pictures show a place, negative, and how far its voters lie apart: the smallest
+    comes first."""
     here = pool[around]
     return -len(set(here["picture"].tolist())), round(float(here["x"].var() + here["y"].var()), 6)
 
@@ -119,7 +129,8 @@ def _voters(pool: NDArray[np.void], where: NDArray[np.intp]) -> NDArray[np.intp]
 
 
 def _mean(voters: NDArray[np.void]) -> tuple[float, float, float, int]:
-    """Place, direction and type of a kept minutia; the reliable voters decide where the types are even."""
+    """Place, direction and type of a kept minutia; the reliable voters decide where the types are
+    even."""
     direction = float(np.angle(np.exp(1j * voters["direction"]).sum()))
     support = {}
     for kind in np.unique(voters["type"]).tolist():
@@ -130,16 +141,22 @@ def _mean(voters: NDArray[np.void]) -> tuple[float, float, float, int]:
 
 
 def pictures_of(capture: Capture, preset: str = "zheng") -> Iterator[tuple[str, NDArray[np.uint8]]]:
-    """Name and print (h, w) of each picture of each set: photometric stereo without each white image in its turn.
+    """Name and print (h, w) of each picture of each set: photometric stereo without each white
+    image in its turn.
 
     Grey images, distant lights, a matt surface. A picture without any contrast is left out.
     """
     settings = preset_settings(preset)
-    capture, finger = find_steady_finger(aligned(prepared_capture(capture, settings)[0])[0], settings)
+    capture, finger = find_steady_finger(
+        aligned(prepared_capture(capture, settings)[0])[0], settings
+    )
     white, window = without_films(capture).bands["white"], finger.window
     stack = np.maximum(linear_stack(white, capture.encoding, "grey", window), np.float32(0.0))
     if len(stack) < 4:
-        raise BadInput(f"leaving out one image needs at least four of them, but the white band has {len(stack)}.")
+        raise BadInput(
+            "leaving out one image needs at least four of them, but the white band has"
+            f" {len(stack)}."
+        )
     mask = finger.mask[window]
     if settings.lights.balance and white.colours:
         stack = balanced(stack, capture.rig, white, mask)
@@ -148,9 +165,13 @@ def pictures_of(capture: Capture, preset: str = "zheng") -> Iterator[tuple[str, 
     print_map = plane_map(pitch, matrix, finger.upright.size, PPI)
     lights = capture.rig.select(white.lights).light_vectors()
     for k in range(len(stack)):
-        normals, albedo = lambertian(np.delete(stack, k, axis=0), np.delete(lights, k, axis=0), mask)
+        normals, albedo = lambertian(
+            np.delete(stack, k, axis=0), np.delete(lights, k, axis=0), mask
+        )
         for name in PICTURES:
-            values, weight = resample(_component(normals, albedo, name, finger), mask, pitch, print_map)
+            values, weight = resample(
+                _component(normals, albedo, name, finger), mask, pitch, print_map
+            )
             try:
                 yield name, ink(values, weight, PPI)
             except BadInput:  # flat: no vote
@@ -164,13 +185,15 @@ def _component(normals: FloatArray, albedo: FloatArray, name: str, finger: Finge
     if name == "z":
         return normals[..., 2]
     turned = finger.upright.input_from_upright[:2, 0 if name == "x" else 1]
-    right, down = turned / np.linalg.norm(turned)  # of the upright axis, in columns and rows of the input
+    # of the upright axis, in columns and rows of the input
+    right, down = turned / np.linalg.norm(turned)
     along = np.float32(right) * normals[..., 0] - np.float32(down) * normals[..., 1]
     return along if name == "x" else -along
 
 
 def features(finger: Path, preset: str) -> Minutiae | None:
-    """Minutiae of a capture on which half of the pictures agree; None where they are fewer than ten."""
+    """Minutiae of a capture on which half of the pictures agree; None where they are fewer than
+    ten."""
     found = [extract(picture) for _, picture in pictures_of(read_capture(finger), preset)]
     kept = vote(found) if found else None
     return kept if kept is not None and kept.acquired else None

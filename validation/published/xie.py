@@ -2,22 +2,24 @@
 
     python validation/published/xie.py CAPTURE --out RESULT
 
-Light enters through the surface (Fresnel) and is refracted; what the epidermis scatters once, and the dermis, without
-end, below it, leaves through the surface again; all that is scattered more often is a matt base. With mu_i, mu_r the
-cosines of light and view outside and c_i, c_r those of the refracted rays, an image is
+Light enters through the surface (Fresnel) and is refracted; what the epidermis scatters once, and
+the dermis, without end, below it, leaves through the surface again; all that is scattered more
+often is a matt base. With mu_i, mu_r the cosines of light and view outside and c_i, c_r those of
+the refracted rays, an image is
 
     I = strength * mu_i * T(mu_i) T(mu_r) / T(1)^2 * (base + exposure * K),
     K = [W p(q; g) (1 - E) + W' p(q; g') E] / (c_i + c_r),    E = exp(-depth (1 / c_i + 1 / c_r)),
 
-q the cosine between the refracted rays towards light and view, p Henyey and Greenstein's phase function, W the fraction
-of an interaction that is scattering and not absorption; primes are the dermis. Fitted at every pixel by Levenberg and
-Marquardt's method: the normal (2), the base, and W and optical depth of the epidermis, the last two held to typical
-skin, as seven images see little of them.
+q the cosine between the refracted rays towards light and view, p Henyey and Greenstein's phase
+function, W the fraction of an interaction that is scattering and not absorption; primes are the
+dermis. Fitted at every pixel by Levenberg and Marquardt's method: the normal (2), the base, and W
+and optical depth of the epidermis, the last two held to typical skin, as seven images see little of
+them.
 
-W. Xie, Z. Song and R. C. Chung, "Real-time three-dimensional fingerprint acquisition via a new photometric stereo
-means", Optical Engineering 52 (2013). P. Hanrahan and W. Krueger, "Reflection from layered surfaces due to subsurface
-scattering", SIGGRAPH 1993. D. W. Marquardt, "An algorithm for least-squares estimation of nonlinear parameters", SIAM
-J. Appl. Math. 11 (1963).
+W. Xie, Z. Song and R. C. Chung, "Real-time three-dimensional fingerprint acquisition via a new
+photometric stereo means", Optical Engineering 52 (2013). P. Hanrahan and W. Krueger, "Reflection
+from layered surfaces due to subsurface scattering", SIGGRAPH 1993. D. W. Marquardt, "An algorithm
+for least-squares estimation of nonlinear parameters", SIAM J. Appl. Math. 11 (1963).
 """
 
 from __future__ import annotations
@@ -52,9 +54,11 @@ DERMIS_W = 21.7 / (21.7 + 0.3)
 BASE = 0.45
 """Fraction of the light that the matt base gives back, of the median pixel."""
 NOISE, SPREAD_W, SPREAD_DEPTH = 0.02, 1.0, 0.7
-"""Standard deviations: of an image, relative to the albedo; of W's logit and the depth's logarithm over the pixels."""
+"""Standard deviations: of an image, relative to the albedo; of W's logit and the depth's logarithm
+over the pixels."""
 ROUNDS, STEP, GAIN = 30, 1e-3, 1e-5
-"""Iterations at most; a pixel has converged when no parameter moves by more, or its cost falls by less."""
+"""Iterations at most; a pixel has converged when no parameter moves by more, or its cost falls by
+less."""
 DAMPING, STEEPER, FLATTER = 1e-3, 8.0, 0.15
 LONGEST = np.array([0.25, 0.25, 0.7, 2.0, 1.5], dtype=np.float32)[:, None]
 LOW = np.array([-np.inf, -np.inf, -4.0, -9.0, -6.0], dtype=np.float32)[:, None]
@@ -76,21 +80,28 @@ def transmitted(cosine: Array, inside: Array) -> tuple[Array, Array]:
     across, along = cosine + INDEX * inside, INDEX * cosine + inside
     share = 2 * INDEX * cosine * inside * (1 / across**2 + 1 / along**2)
     slope = 2 * (INDEX**2 - 1) / INDEX / inside
-    return share, slope * ((INDEX * inside - cosine) / across**3 + (inside - INDEX * cosine) / along**3)
+    return share, slope * (
+        (INDEX * inside - cosine) / across**3 + (inside - INDEX * cosine) / along**3
+    )
 
 
 def scattered(cosine: Array, g: float) -> tuple[Array, Array]:
-    """Phase function by the cosine between the rays towards light and viewer, and its derivative."""
+    """Phase function by the cosine between the rays towards light and viewer, and its
+    derivative."""
     below = 1 + g * g + 2 * g * cosine
     phase = (1 - g * g) / (4 * np.pi) / (below * np.sqrt(below))
     return phase, -3 * g * phase / below
 
 
-def reflected(mu: Array, view: Array, between: Array, unknowns: tuple[Array, Array, Array], exposure: float) -> Array:
-    """Images (L, n) for strength one, and their derivatives by mu_i, mu_r, base, W and depth: (6, L, n).
+def reflected(
+    mu: Array, view: Array, between: Array, unknowns: tuple[Array, Array, Array], exposure: float
+) -> Array:
+    """Images (L, n) for strength one, and their derivatives by mu_i, mu_r, base, W and depth: (6,
+    L, n).
 
-    `mu` (L, n) and `view` (n,) are cosines with the normal, `between` (L, 1) that of light and view; `unknowns`: base,
-    W and optical depth (n,). Where the light is behind the surface everything is zero.
+    `mu` (L, n) and `view` (n,) are cosines with the normal, `between` (L, 1) that of light and
+    view; `unknowns`: base, W and optical depth (n,). Where the light is behind the surface
+    everything is zero.
     """
     base, share, depth = unknowns
     lit = mu > 0
@@ -111,17 +122,22 @@ def reflected(mu: Array, view: Array, between: Array, unknowns: tuple[Array, Arr
     by_light = by_turn * (outside * inside_by - view / INDEX**2) + inside_by * (
         step * depth / inside**2 - once * spread
     )
-    by_view = by_turn * (inside * outside_by - mu / INDEX**2) + outside_by * (step * depth / outside**2 - once * spread)
+    by_view = by_turn * (inside * outside_by - mu / INDEX**2) + outside_by * (
+        step * depth / outside**2 - once * spread
+    )
     through = np.where(lit, mu * enters, np.float32(0))
     front, level = through * leaves, base + exposure * once
-    return np.stack([
-        front * level,
-        np.where(lit, leaves, np.float32(0)) * (enters + mu * enters_by) * level + front * exposure * by_light,
-        through * leaves_by * level + front * exposure * by_view,
-        front,
-        front * exposure * upper * upper_lit,
-        -front * exposure * step * (1 / inside + 1 / outside),
-    ])  # fmt: skip
+    return np.stack(
+        [
+            front * level,
+            np.where(lit, leaves, np.float32(0)) * (enters + mu * enters_by) * level
+            + front * exposure * by_light,
+            through * leaves_by * level + front * exposure * by_view,
+            front,
+            front * exposure * upper * upper_lit,
+            -front * exposure * step * (1 / inside + 1 / outside),
+        ]
+    )
 
 
 def directions(f: Array, g: Array) -> tuple[Array, Array, Array]:
@@ -135,11 +151,14 @@ def directions(f: Array, g: Array) -> tuple[Array, Array, Array]:
 def prior() -> tuple[float, float]:
     """Logit of W, and logarithm of the optical depth, of typical skin."""
     scattering, absorption, thickness = EPIDERMIS
-    return float(np.log(scattering / absorption)), float(np.log(thickness * (scattering + absorption)))
+    return float(np.log(scattering / absorption)), float(
+        np.log(thickness * (scattering + absorption))
+    )
 
 
 def fit(images: Array, lights: Array, start: Array, albedo: Array, exposure: float) -> Array:
-    """Parameters (5, n) of images (L, n): f, g, logarithm of base over albedo, logit of W, logarithm of the depth.
+    """Parameters (5, n) of images (L, n): f, g, logarithm of base over albedo, logit of W,
+    logarithm of the depth.
 
     `lights`: (L, 3); `start`: Lambertian normals (3, n), and their `albedo` (n,).
     """
@@ -159,13 +178,21 @@ def fit(images: Array, lights: Array, start: Array, albedo: Array, exposure: flo
             units @ normals, normals[2], units[:, 2:], (base, share, depth), exposure
         )
         scale = strength * trust[part]
-        slopes = scale * np.stack([
-            light * (units @ by_f) + view * by_f[2], light * (units @ by_g) + view * by_g[2], of_base * base,
-            of_share * share * (1 - share), of_depth * depth,
-        ])  # fmt: skip
+        slopes = scale * np.stack(
+            [
+                light * (units @ by_f) + view * by_f[2],
+                light * (units @ by_g) + view * by_g[2],
+                of_base * base,
+                of_share * share * (1 - share),
+                of_depth * depth,
+            ]
+        )
         residual = value * scale - images[:, part] * trust[part]
         cost = (residual**2).sum(axis=0)
-        gradient, matrix = (slopes * residual).sum(axis=1), np.einsum("iln,jln->ijn", slopes, slopes)
+        gradient, matrix = (
+            (slopes * residual).sum(axis=1),
+            np.einsum("iln,jln->ijn", slopes, slopes),
+        )
         for row, spread, usual in zip((3, 4), (SPREAD_W, SPREAD_DEPTH), prior(), strict=True):
             away = (p[row] - usual) / spread
             cost += away**2
@@ -181,9 +208,13 @@ def fit(images: Array, lights: Array, start: Array, albedo: Array, exposure: flo
         trial = moved(here[:, active], step.astype(np.float32))
         new = equations(trial, active)
         better = new[0] < cost
-        still = (np.abs(trial - here[:, active]).max(axis=0) < STEP) | (better & (cost - new[0] < GAIN * cost))
+        still = (np.abs(trial - here[:, active]).max(axis=0) < STEP) | (
+            better & (cost - new[0] < GAIN * cost)
+        )
         here[:, active] = np.where(better, trial, here[:, active])
-        cost, gradient, matrix = (np.where(better, n, k) for n, k in zip(new, (cost, gradient, matrix), strict=True))
+        cost, gradient, matrix = (
+            np.where(better, n, k) for n, k in zip(new, (cost, gradient, matrix), strict=True)
+        )
         damping = np.clip(damping * np.where(better, FLATTER, STEEPER), 1e-7, 1e7)
         on = ~still & (damping < 1e7)
         active, damping = active[on], damping[on]
@@ -194,7 +225,8 @@ def fit(images: Array, lights: Array, start: Array, albedo: Array, exposure: flo
 
 
 def moved(parameters: Array, step: Array) -> Array:
-    """Parameters after a step, none further than its longest one, inside the hemisphere and the bounds."""
+    """Parameters after a step, none further than its longest one, inside the hemisphere and the
+    bounds."""
     shorter = np.minimum(1, (LONGEST / np.maximum(np.abs(step), 1e-20)).min(axis=0))
     result = np.clip(parameters + step * shorter, LOW, HIGH)
     square = result[0] ** 2 + result[1] ** 2
@@ -202,7 +234,9 @@ def moved(parameters: Array, step: Array) -> Array:
     return np.asarray(result, dtype=np.float32)
 
 
-def layered_normals(images: FloatArray, lights: Array, inside: BoolArray) -> tuple[FloatArray, FloatArray]:
+def layered_normals(
+    images: FloatArray, lights: Array, inside: BoolArray
+) -> tuple[FloatArray, FloatArray]:
     """Normals (H, W, 3) and albedo (H, W) of images (L, H, W) under distant lights (L, 3)."""
     normals, albedo = lambertian(images, lights, inside)
     typical = float(np.median(albedo[inside]))
@@ -219,25 +253,34 @@ def layered_normals(images: FloatArray, lights: Array, inside: BoolArray) -> tup
 
 
 def heights(capture: Capture) -> Reconstruction:
-    """The surface of a capture, not split, as the preset `ea` reconstructs it by another reflectance."""
+    """The surface of a capture, not split, as the preset `ea` reconstructs it by another
+    reflectance."""
     settings = PRESETS["ea"]
     photographs = diagnosed(prepared(capture, settings), settings)
     white, _ = photographs.white_and_nir(plane_mm=0.0)
-    images = np.maximum(linear_stack(white.band, white.capture.encoding, "grey", white.finger.window), np.float32(0))
+    images = np.maximum(
+        linear_stack(white.band, white.capture.encoding, "grey", white.finger.window), np.float32(0)
+    )
     normals, albedo = layered_normals(images, white.rig.light_vectors(), white.inside)
     slopes = gradients_from_normals(normals, white.inside, MAX_SLOPE)
     height_mm = frankot_chellappa(*slopes, white.inside) * white.pitch_mm
     relief = fast_part(height_mm, white)
     facts = {"shape_source": "white", "separation": "none", "heights": "measured"}
-    surface = FingerSurface(height_mm, relief, height_mm - relief, albedo, normals, whole=True, facts=facts)
+    surface = FingerSurface(
+        height_mm, relief, height_mm - relief, albedo, normals, whole=True, facts=facts
+    )
     result = placed(photographs, surface, settings.top_mm)
     return replace(result, preset="xie", findings=photographs.findings)
 
 
 def main(arguments: list[str] | None = None) -> int:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("capture", type=Path)
-    parser.add_argument("--out", type=Path, required=True, help="folder of the result, as of splitknit reconstruct")
+    parser.add_argument(
+        "--out", type=Path, required=True, help="folder of the result, as of splitknit reconstruct"
+    )
     options = parser.parse_args(arguments)
     capture = read_capture(options.capture)
     write_results(heights(capture), capture, options.out)

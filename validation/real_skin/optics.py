@@ -1,9 +1,11 @@
-"""The simulator's optics of skin against published measurements: each check passes, or says why it differs.
+"""The simulator's optics of skin against published measurements: each check passes, or says why it
+differs.
 
     python validation/real_skin/optics.py    # prints the table and writes tables/optics.csv
 
-Coefficients (Jensen et al. 2001), reflectance at 780 nm (Cooksey et al. 2017), and how much of the detail is left in
-red, by its scale. What is drawn for a simulated finger (`SkinRanges`) should cover what was measured.
+Coefficients (Jensen et al. 2001), reflectance at 780 nm (Cooksey et al. 2017), and how much of the
+detail is left in red, by its scale. What is drawn for a simulated finger (`SkinRanges`) should
+cover what was measured.
 """
 
 from __future__ import annotations
@@ -39,12 +41,18 @@ JENSEN = {
 NIST = (0.526, 0.617, 0.665)
 """Reflectance of the forearm's inside at 780 nm, least, mean and most of 100 people."""
 AT_780_NM = replace(
-    EFFECTIVE["nir"], scattering_nm=780.0, absorption_nm=780.0, oxygenated=0.38, deoxygenated=0.58, water=0.0025
+    EFFECTIVE["nir"],
+    scattering_nm=780.0,
+    absorption_nm=780.0,
+    oxygenated=0.38,
+    deoxygenated=0.58,
+    water=0.0025,
 )
-"""Blood of 150 g/l by Prahl's compilation (710 and 1075 per cm and mol/l), water by Hale and Querry 1973, per mm."""
+"""Blood of 150 g/l by Prahl's compilation (710 and 1075 per cm and mol/l), water by Hale and Querry
+1973, per mm."""
 FACE_RED_OVER_GREEN = (0.63, 0.76)
-"""Detail in red over that in green on a real face under seven lights: nearly the same at all scales, whose size in mm
-is not known."""
+"""Detail in red over that in green on a real face under seven lights: nearly the same at all
+scales, whose size in mm is not known."""
 PERIODS_MM = (4, 2, 1, 0.5, 0.25)
 FINGERS = 400
 SEED = 1
@@ -68,7 +76,10 @@ def jensen() -> Iterator[Check]:
     factors = np.array([finger.scattering_factor for finger in fingers])
     for skin, coefficients in JENSEN.items():
         scattering = dict(zip(VISIBLE, coefficients["scattering"], strict=True))
-        needed = [value / usual.channel(channel).scattering_per_mm for channel, value in scattering.items()]
+        needed = [
+            value / usual.channel(channel).scattering_per_mm
+            for channel, value in scattering.items()
+        ]
         passed = bool(factors.min() <= min(needed) and max(needed) <= factors.max())
         shown = ", ".join(f"{value:g}" for value in scattering.values())
         literature = f"{shown} (factor {min(needed):.2f} to {max(needed):.2f})"
@@ -79,36 +90,44 @@ def jensen() -> Iterator[Check]:
             absorption = np.array([finger.channel(channel).absorption_per_mm for finger in fingers])
             passed = bool(absorption.min() <= value <= absorption.max())
             name = f"Jensen's {skin}: absorption in {channel}, per mm"
-            yield Check(name, f"{value:g}", _range(absorption), passed, "" if passed else WHY_ABSORPTION)
+            yield Check(
+                name, f"{value:g}", _range(absorption), passed, "" if passed else WHY_ABSORPTION
+            )
 
 
 WHY_SCATTERING = (
-    "Jensen et al. fit a diffusion model to light that leaves living skin some way from a beam, while the simulator "
-    "takes Jacques's mean of published measurements of tissue (46 per cm at 500 nm); no measurement of a finger's pad "
-    "decides between them."
+    "Jensen et al. fit a diffusion model to light that leaves living skin some way from a beam,"
+    " while the simulator takes Jacques's mean of published measurements of tissue (46 per cm at"
+    " 500 nm); no measurement of a finger's pad decides between them."
 )
 WHY_ABSORPTION = (
-    "it lies outside what is drawn: fingers get a grey absorption of 0.008 per mm, blood from 0.3 %, and in blue "
-    "0.105 per mm for the pad's thick horny layer, which other skin lacks."
+    "it lies outside what is drawn: fingers get a grey absorption of 0.008 per mm, blood from 0.3"
+    " %, and in blue 0.105 per mm for the pad's thick horny layer, which other skin lacks."
 )
 
 
 def nist() -> Check:
-    """Reflectance of flat skin at 780 nm, surface reflection included, as an integrating sphere sees it."""
+    """Reflectance of flat skin at 780 nm, surface reflection included, as an integrating sphere
+    sees it."""
     surface = float(fresnel(np.array(1.0)))
-    with mock.patch.dict(EFFECTIVE, nir=AT_780_NM):  # the simulator's own mixture at another wavelength
+    # the simulator's own mixture at another wavelength
+    with mock.patch.dict(EFFECTIVE, nir=AT_780_NM):
         optics = [finger.channel("nir") for finger in drawn_fingers()]
     ours = surface + (1 - surface) * np.array([_profile(one).albedo for one in optics])
     low, mean, high = NIST
     passed = bool(ours.min() <= low and ours.max() >= high)
     return Check(
-        "reflectance at 780 nm", f"{mean:g}, {low:g} to {high:g}", _range(ours), passed, "" if passed else WHY_NIST
+        "reflectance at 780 nm",
+        f"{mean:g}, {low:g} to {high:g}",
+        _range(ours),
+        passed,
+        "" if passed else WHY_NIST,
     )
 
 
 WHY_NIST = (
-    "the simulator's absorption is that of its reference renders and was not fitted to people, and the forearm's skin "
-    "is not the finger pad's."
+    "the simulator's absorption is that of its reference renders and was not fitted to people, and"
+    " the forearm's skin is not the finger pad's."
 )
 
 
@@ -118,7 +137,10 @@ def face() -> Check:
 
     def ratios(red: ChannelOptics, green: ChannelOptics) -> NDArray[np.float64]:
         """Light left of a pattern in red over that in green, relative to the mean of each."""
-        left = [profile.transfer(cycles) / profile.albedo for profile in (_profile(red), _profile(green))]
+        left = [
+            profile.transfer(cycles) / profile.albedo
+            for profile in (_profile(red), _profile(green))
+        ]
         return np.asarray(left[0] / left[1])
 
     cycles = 1 / np.array(PERIODS_MM)
@@ -127,19 +149,32 @@ def face() -> Check:
         ours = ratios(finger.channel("red"), finger.channel("green"))
         passed |= bool(((low <= ours) & (ours <= high)).all())
     theirs = [
-        ratios(*(ChannelOptics(s, a, 0.0) for s, a in zip(c["scattering"][:2], c["absorption"][:2], strict=True)))
+        ratios(
+            *(
+                ChannelOptics(s, a, 0.0)
+                for s, a in zip(c["scattering"][:2], c["absorption"][:2], strict=True)
+            )
+        )
         for c in JENSEN.values()
     ]
     gloss = _profile(usual.channel("green")).albedo / _profile(usual.channel("red")).albedo
     why = (
-        "behind a diffuse boundary the ratio falls down to periods of about 1 mm and is lower than the face's below; "
-        f"Jensen's coefficients make it flatter but lower still ({np.min(theirs):.2f} to {np.max(theirs):.2f}); "
-        f"specular reflection alone has the ratio of the brightness in green to that in red, {gloss:.2f}, at all "
-        "scales, so that a face whose detail is mostly specular would look as it does; crossed polarisers would tell."
+        "behind a diffuse boundary the ratio falls down to periods of about 1 mm and is lower than"
+        " the face's below; Jensen's coefficients make it flatter but lower still"
+        f" ({np.min(theirs):.2f} to {np.max(theirs):.2f}); specular reflection alone has the ratio"
+        f" of the brightness in green to that in red, {gloss:.2f}, at all scales, so that a face"
+        " whose detail is mostly specular would look as it does; crossed polarisers would tell."
     )
-    shown = ", ".join(f"{ratio:.2f}" for ratio in ratios(usual.channel("red"), usual.channel("green")))
-    name = f"red over green detail at periods of {', '.join(f'{period:g}' for period in PERIODS_MM)} mm"
-    return Check(name, f"{low:g} to {high:g} at all scales (face)", shown, passed, "" if passed else why)
+    shown = ", ".join(
+        f"{ratio:.2f}" for ratio in ratios(usual.channel("red"), usual.channel("green"))
+    )
+    name = (
+        "red over green detail at periods of"
+        f" {', '.join(f'{period:g}' for period in PERIODS_MM)} mm"
+    )
+    return Check(
+        name, f"{low:g} to {high:g} at all scales (face)", shown, passed, "" if passed else why
+    )
 
 
 def _profile(optics: ChannelOptics) -> Profile:
@@ -163,7 +198,10 @@ def checks() -> list[Check]:
 
 def table(found: Sequence[Check]) -> list[list[str]]:
     """Rows of ``tables/optics.csv``."""
-    rows = [[one.name, one.literature, one.ours, "pass" if one.passed else "differs", one.why] for one in found]
+    rows = [
+        [one.name, one.literature, one.ours, "pass" if one.passed else "differs", one.why]
+        for one in found
+    ]
     return [["figure", "literature", "simulator", "verdict", "why"], *rows]
 
 

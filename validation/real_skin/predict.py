@@ -1,4 +1,5 @@
-"""An image that the reconstruction has not seen, predicted by what was found in the others; no truth is needed."""
+"""An image that the reconstruction has not seen, predicted by what was found in the others; no
+truth is needed."""
 
 from __future__ import annotations
 
@@ -22,7 +23,8 @@ from splitknit.skin.images import skin_images
 from splitknit.skin.light import Lighting, MicrofacetGlare, fresnel_transmission, predict, slant_of
 
 MIN_IMAGES = 5
-"""Of the band: plain photometric stereo needs three, and one more leaves something to be explained."""
+"""Of the band: plain photometric stereo needs three, and one more leaves something to be
+explained."""
 RIDGE_BAND_MM = 0.3
 """Standard deviation of the Gaussian mean that ridges are relative to."""
 FROM_OUTLINE_MM = 0.4
@@ -31,7 +33,8 @@ DARK = 0.1
 """Pixels darker than this fraction of the image's median are not compared: they lie in shadow."""
 SLANTS_DEG = (0, 20, 40, 60)
 WAYS = ("model", "neighbours", "lambertian")
-"""The reconstruction; the mean of the two lights next to it in azimuth; plain photometric stereo."""
+"""The reconstruction; the mean of the two lights next to it in azimuth; plain photometric
+stereo."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -49,7 +52,8 @@ class Found:
 
 
 def without(capture: Capture, name: str, image: int) -> Capture:
-    """The capture without one image of the band `name`; its LED stays in the rig, and lights nothing."""
+    """The capture without one image of the band `name`; its LED stays in the rig, and lights
+    nothing."""
     band = capture.bands[name]
     kept = [k for k in range(len(band.leds)) if k != image]
     rest = replace(
@@ -64,19 +68,38 @@ def without(capture: Capture, name: str, image: int) -> Capture:
 
 
 def left_out(
-    capture: Capture, name: str, image: int, settings: PipelineSettings, surface: Reconstruction | None = None
+    capture: Capture,
+    name: str,
+    image: int,
+    settings: PipelineSettings,
+    surface: Reconstruction | None = None,
 ) -> dict[str, Any]:
-    """Figures of one image of the band `name`: every way of predicting it against the image itself, by channel.
+    """Figures of one image of the band `name`: every way of predicting it against the image itself,
+    by channel.
 
-    The surface is reconstructed from the other images, unless it is given: then the images were taken through crossed
-    polarisers, of the same still finger, and no specular reflection is predicted.
+    The surface is reconstructed from the other images, unless it is given: then the images were
+    taken through crossed polarisers, of the same still finger, and no specular reflection is
+    predicted.
     """
     count = len(capture.bands[name].leds)
-    require(not capture.bands[name].colours, f"the band '{name}' was lit by coloured LEDs; leave out a white one.")
-    require(count >= MIN_IMAGES, f"the band '{name}' has {count} images; leaving one out needs {MIN_IMAGES} at least.")
-    result = reconstruct(without(capture, name, image), settings=settings) if surface is None else surface
+    require(
+        not capture.bands[name].colours,
+        f"the band '{name}' was lit by coloured LEDs; leave out a white one.",
+    )
+    require(
+        count >= MIN_IMAGES,
+        f"the band '{name}' has {count} images; leaving one out needs {MIN_IMAGES} at least.",
+    )
+    result = (
+        reconstruct(without(capture, name, image), settings=settings)
+        if surface is None
+        else surface
+    )
     same = result.mask.shape == capture.shape
-    require(same, "the surface is of images of another size; take both captures with one camera and one rig.")
+    require(
+        same,
+        "the surface is of images of another size; take both captures with one camera and one rig.",
+    )
     grid, band, found = seen_and_found(capture, name, result, settings.metric.plane_mm)
     model, gloss = by_model(band, grid, found, image, crossed=surface is not None)
     predicted = {
@@ -87,9 +110,17 @@ def left_out(
     channels = {}
     for c, channel in enumerate(band.channels):
         seen, ways = band.stack[c], {way: stack[c] for way, stack in predicted.items()}
-        channels[channel] = {way: figures(ways[way], seen, image, grid, found.slant_deg) for way in WAYS}
+        channels[channel] = {
+            way: figures(ways[way], seen, image, grid, found.slant_deg) for way in WAYS
+        }
     relief_by = found.optics["relief_by"] if found.optics else "photometric stereo"
-    return {"band": name, "image": image, "relief_by": relief_by, "gloss": gloss, "channels": channels}
+    return {
+        "band": name,
+        "image": image,
+        "relief_by": relief_by,
+        "gloss": gloss,
+        "channels": channels,
+    }
 
 
 def seen_and_found(
@@ -109,31 +140,44 @@ def seen_and_found(
     if result.x_mm is not None and result.y_mm is not None:
         points = on_grid(result.x_mm), on_grid(result.y_mm), height
     else:
-        points = grid.view.points((height - height[grid.mask].mean() + np.float32(plane_mm)) * grid.mask)
+        points = grid.view.points(
+            (height - height[grid.mask].mean() + np.float32(plane_mm)) * grid.mask
+        )
     inner = np.where(grid.mask, shape, np.float32(np.nan)).astype(np.float32)
     slant = np.nan_to_num(slant_of(inner, grid.pitch_mm))
     return grid, images[-1], Found(points, normals, slant, result.facts.get("optics"))
 
 
-def by_model(band: BandImages, grid: Grid, found: Found, image: int, crossed: bool = False) -> tuple[FloatArray, float]:
-    """(C, L, h, w) all images by the surface and optics found; and the strength of the specular reflection.
+def by_model(
+    band: BandImages, grid: Grid, found: Found, image: int, crossed: bool = False
+) -> tuple[FloatArray, float]:
+    """(C, L, h, w) all images by the surface and optics found; and the strength of the specular
+    reflection.
 
-    The albedo of every pixel, and that strength (over the one that was found; zero behind crossed polarisers), explain
-    the other images best.
+    The albedo of every pixel, and that strength (over the one that was found; zero behind crossed
+    polarisers), explain the other images best.
     """
     vectors = light_vectors_at(band.rig, *found.points_mm)
     length = np.sqrt((vectors * vectors).sum(axis=1))
-    unit = found.normals / np.maximum(np.linalg.norm(found.normals, axis=-1, keepdims=True), 1e-9).astype(np.float32)
+    unit = found.normals / np.maximum(
+        np.linalg.norm(found.normals, axis=-1, keepdims=True), 1e-9
+    ).astype(np.float32)
     cosine = np.einsum("lihw,hwi->lhw", vectors, unit) / np.maximum(length, np.float32(1e-12))
     rest = [k for k in range(len(vectors)) if k != image]
-    trust = (np.clip((cosine[rest] - np.float32(0.05)) / np.float32(0.15), 0, 1) + np.float32(1e-3)) * grid.mask
+    trust = (
+        np.clip((cosine[rest] - np.float32(0.05)) / np.float32(0.15), 0, 1) + np.float32(1e-3)
+    ) * grid.mask
     if found.optics is None:
         light = Lighting(vectors, np.ones_like(cosine), np.ones_like(cosine))
         matt = predict(light, grid, found.normals, [np.ones((), np.float32)] * len(band.channels))
         return _albedo(matt[:, rest], band.stack[:, rest], trust)[:, None] * matt, 0.0
-    light = Lighting(vectors, fresnel_transmission(np.maximum(cosine, np.float32(0.05))), np.ones_like(cosine))
+    light = Lighting(
+        vectors, fresnel_transmission(np.maximum(cosine, np.float32(0.05))), np.ones_like(cosine)
+    )
     per_mm = found.optics["scattering_per_mm"], found.optics["absorption_per_mm"]
-    transfers = [grid.sampled(diffusion(*(p[channel] for p in per_mm))) for channel in band.channels]
+    transfers = [
+        grid.sampled(diffusion(*(p[channel] for p in per_mm))) for channel in band.channels
+    ]
     diffuse = predict(light, grid, found.normals, transfers)
     glare = found.optics["glare"][band.channels[-1]]
     mirrored = MicrofacetGlare(unit, vectors)(glare["roughness"]) * np.float32(glare["strength"])
@@ -145,19 +189,27 @@ def by_model(band: BandImages, grid: Grid, found: Found, image: int, crossed: bo
 
     alone = lacking(np.broadcast_to(mirrored[rest], diffuse[:, rest].shape))
     product = float((alone * lacking(band.stack[:, rest])).sum(dtype=np.float64))
-    gloss = 0.0 if crossed else max(product, 0.0) / max(float((alone * alone).sum(dtype=np.float64)), 1e-12)
+    gloss = (
+        0.0
+        if crossed
+        else max(product, 0.0) / max(float((alone * alone).sum(dtype=np.float64)), 1e-12)
+    )
     mirrored = mirrored * np.float32(gloss)
-    return _albedo(diffuse[:, rest], band.stack[:, rest] - mirrored[rest], trust)[:, None] * diffuse + mirrored, gloss
+    return _albedo(diffuse[:, rest], band.stack[:, rest] - mirrored[rest], trust)[
+        :, None
+    ] * diffuse + mirrored, gloss
 
 
 def _albedo(expected: FloatArray, seen: FloatArray, trust: FloatArray) -> FloatArray:
-    """(C, h, w) factor on `expected` (C, L, h, w) that explains `seen` best, by weighted least squares."""
+    """(C, h, w) factor on `expected` (C, L, h, w) that explains `seen` best, by weighted least
+    squares."""
     power = np.maximum((trust * expected * expected).sum(axis=1), np.float32(1e-9))
     return np.asarray((trust * expected * seen).sum(axis=1) / power, dtype=np.float32)
 
 
 def by_neighbours(band: BandImages, image: int) -> FloatArray:
-    """(C, L, h, w) the images, and for this one the mean of the two next to it, each over its light's brightness."""
+    """(C, L, h, w) the images, and for this one the mean of the two next to it, each over its
+    light's brightness."""
     towards = band.rig.light_vectors()
     azimuth = np.arctan2(towards[:, 1], towards[:, 0])
     turned = np.mod(azimuth - azimuth[image], 2 * np.pi)
@@ -170,30 +222,40 @@ def by_neighbours(band: BandImages, image: int) -> FloatArray:
 
 
 def by_lambertian(band: BandImages, grid: Grid, image: int, plane_mm: float) -> FloatArray:
-    """(C, L, h, w) by a matt surface under near lights: a normal for each pixel, an albedo for each of its channels."""
+    """(C, L, h, w) by a matt surface under near lights: a normal for each pixel, an albedo for each
+    of its channels."""
     rest = [k for k in range(len(band.rig.leds)) if k != image]
     others = Rig(band.rig.camera, tuple(band.rig.leds[k] for k in rest))
     plane = np.full(grid.shape, plane_mm, dtype=np.float32)
-    normals = pseudo_normals(band.stack[:, rest].sum(axis=0), others, plane, grid.mask, view=grid.view)
+    normals = pseudo_normals(
+        band.stack[:, rest].sum(axis=0), others, plane, grid.mask, view=grid.view
+    )
     vectors = grid.view.turned(light_vectors_at(band.rig, *grid.view.points(plane)))
     shading = np.maximum(np.einsum("lihw,hwi->lhw", vectors, normals), 0)[None]
     albedo = _albedo(shading[:, rest], band.stack[:, rest], grid.mask.astype(np.float32))
     return np.asarray(albedo[:, None] * shading, dtype=np.float32)
 
 
-def figures(predicted: FloatArray, seen: FloatArray, image: int, grid: Grid, slant_deg: FloatArray) -> dict[str, float]:
+def figures(
+    predicted: FloatArray, seen: FloatArray, image: int, grid: Grid, slant_deg: FloatArray
+) -> dict[str, float]:
     """How well one image of `seen` (L, h, w) is predicted, after one scale factor.
 
-    ``rms`` and ``rms_A_B`` (slants from A to B deg): root mean square of (predicted - seen) / seen. ``ridges``:
-    fraction of the variance in the ridge band that is predicted: one less the mean square of what is left over that of
-    the image. ``change``: the same of what the image's ridge band has beyond that of the mean of the other images: only
-    there is the light's direction seen. ``gain``: that change in the image over the predicted one, by regression.
+    ``rms`` and ``rms_A_B`` (slants from A to B deg): root mean square of (predicted - seen) / seen.
+    ``ridges``: fraction of the variance in the ridge band that is predicted: one less the mean
+    square of what is left over that of the image. ``change``: the same of what the image's ridge
+    band has beyond that of the mean of the other images: only there is the light's direction seen.
+    ``gain``: that change in the image over the predicted one, by regression.
     """
     one, rest = seen[image], [k for k in range(len(seen)) if k != image]
     region = grid.mask & (grid.depth_mm > FROM_OUTLINE_MM) & (slant_deg < SLANTS_DEG[-1])
     region &= one > DARK * np.median(one[region])
-    require(int(region.sum()) > 100, "too little of the finger is lit to compare a prediction with it.")
-    scale = np.float32(np.median(one[region] / np.maximum(predicted[image][region], np.float32(1e-6))))
+    require(
+        int(region.sum()) > 100, "too little of the finger is lit to compare a prediction with it."
+    )
+    scale = np.float32(
+        np.median(one[region] / np.maximum(predicted[image][region], np.float32(1e-6)))
+    )
     relative = (scale * predicted[image] - one) / np.maximum(one, np.float32(1e-6))
     found = {"rms": _rms(relative[region])}
     for low, high in pairwise(SLANTS_DEG):
@@ -206,8 +268,12 @@ def figures(predicted: FloatArray, seen: FloatArray, image: int, grid: Grid, sla
         for field in (one, predicted[image], seen[rest].mean(axis=0), predicted[rest].mean(axis=0))
     )
     found["ridges"] = 1 - _rms(likely - ridges) ** 2 / _rms(ridges) ** 2
-    found["change"] = 1 - _rms(likely - expected - ridges + always) ** 2 / _rms(ridges - always) ** 2
-    found["gain"] = float(np.mean((ridges - always) * (likely - expected)) / np.mean((likely - expected) ** 2))
+    found["change"] = (
+        1 - _rms(likely - expected - ridges + always) ** 2 / _rms(ridges - always) ** 2
+    )
+    found["gain"] = float(
+        np.mean((ridges - always) * (likely - expected)) / np.mean((likely - expected) ** 2)
+    )
     found["contrast"] = _rms(ridges)
     return found
 

@@ -1,11 +1,14 @@
-"""Leave one light out, reconstruct from the others, predict its image: relative error without any truth.
+"""Leave one light out, reconstruct from the others, predict its image: relative error without any
+truth.
 
-    python validation/real_skin/run.py CAPTURE [CAPTURE ...] [--all] [--out FILE.json] [--set STAGE.FIELD=VALUE]
-    python validation/real_skin/run.py CROSSED --surface CAPTURE     # the same still finger behind crossed polarisers
+    python validation/real_skin/run.py CAPTURE [CAPTURE ...] [--all] [--out FILE.json] [--set
+    STAGE.FIELD=VALUE] python validation/real_skin/run.py CROSSED --surface CAPTURE # the same still
+    finger behind crossed polarisers
 
-Three white lights of each capture, or with ``--all`` every light of every band. Beside the reconstruction stand two
-predictions that use no model of skin: the mean of the two lights next to it, and plain photometric stereo. Each is
-fitted to the image by one factor a channel. What the figures mean: docs/experiments/real-skin.md.
+Three white lights of each capture, or with ``--all`` every light of every band. Beside the
+reconstruction stand two predictions that use no model of skin: the mean of the two lights next to
+it, and plain photometric stereo. Each is fitted to the image by one factor a channel. What the
+figures mean: docs/experiments/real-skin.md.
 """
 
 from __future__ import annotations
@@ -52,7 +55,9 @@ def images_of(capture: Capture, everything: bool) -> list[tuple[str, int]]:
     """Band and number of the images that are left out, one after another."""
     if everything:
         return [(name, k) for name, band in capture.bands.items() for k in range(len(band.leds))]
-    require("white" in capture.bands, "the capture has no band 'white'; every reconstruction needs it.")
+    require(
+        "white" in capture.bands, "the capture has no band 'white'; every reconstruction needs it."
+    )
     count = len(capture.bands["white"].leds)
     return [("white", k) for k in sorted({k * count // FEW for k in range(FEW)})]
 
@@ -65,8 +70,14 @@ def table(captures: Mapping[str, Sequence[Mapping[str, Any]]]) -> list[list[str]
             of_images = [row["channels"] for row in rows if row["band"] == band]
             for way in WAYS:
                 parts = [part[way] for channels in of_images for part in channels.values()]
-                cells = [_percent([part[figure] for part in parts if figure in part]) for figure in PERCENT]
-                gains = [np.mean([one[channel][way]["gain"] for one in of_images]) for channel in of_images[0]]
+                cells = [
+                    _percent([part[figure] for part in parts if figure in part])
+                    for figure in PERCENT
+                ]
+                gains = [
+                    np.mean([one[channel][way]["gain"] for one in of_images])
+                    for channel in of_images[0]
+                ]
                 cells.append(", ".join(f"{gain:.2f}" for gain in gains))
                 lines.append([name, band, way, *cells])
     return lines
@@ -78,31 +89,47 @@ def _percent(values: Sequence[float]) -> str:
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Measure, print the table, write the figures."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("captures", type=Path, nargs="+", metavar="CAPTURE")
-    parser.add_argument("--all", action="store_true", help="every light of every band, not three white ones")
+    parser.add_argument(
+        "--all", action="store_true", help="every light of every band, not three white ones"
+    )
     parser.add_argument(
         "--surface",
         type=Path,
         metavar="CAPTURE",
-        help="the images were taken through crossed polarisers: take the surface from CAPTURE, the same still finger "
-        "without them",
+        help=(
+            "the images were taken through crossed polarisers: take the surface from CAPTURE, the"
+            " same still finger without them"
+        ),
     )
     parser.add_argument("--out", type=Path, metavar="FILE.json")
-    parser.add_argument("--table", type=Path, metavar="FILE.csv", help="means, as in tables/predictions.csv")
-    parser.add_argument("--set", action="append", default=[], metavar="STAGE.FIELD=VALUE", dest="assignments")
+    parser.add_argument(
+        "--table", type=Path, metavar="FILE.csv", help="means, as in tables/predictions.csv"
+    )
+    parser.add_argument(
+        "--set", action="append", default=[], metavar="STAGE.FIELD=VALUE", dest="assignments"
+    )
     options = parser.parse_args(arguments)
     captures: dict[str, list[dict[str, Any]]] = {}
     try:
         settings = chosen_settings(options.assignments)
-        surface = None if options.surface is None else reconstruct(options.surface, settings=settings)
+        surface = (
+            None if options.surface is None else reconstruct(options.surface, settings=settings)
+        )
         for folder in options.captures:
             capture = read_capture(folder)
             name = folder.resolve().name
             rows = captures.setdefault(str(folder) if name in captures else name, [])
             for band, image in images_of(capture, options.all):
                 rows.append(rounded(left_out(capture, band, image, settings, surface)))
-                print(f"{folder}: {band} {image}, relief by {rows[-1]['relief_by']}", file=sys.stderr, flush=True)
+                print(
+                    f"{folder}: {band} {image}, relief by {rows[-1]['relief_by']}",
+                    file=sys.stderr,
+                    flush=True,
+                )
                 if options.out is not None:
                     options.out.write_text(json.dumps(captures, indent=1) + "\n")
     except (BadInput, OSError) as error:

@@ -2,11 +2,12 @@
 
     python validation/records/quality.py            # some minutes
 
-writes ``tables/quality.csv`` beside this file: of minutiae that another impression shows, how many of each quality it
-has too (within 0.75 mm and 29 deg, where minutiae lay the two prints on each other), and the area under the curve.
-Presses 1 to 4 of five fingers on each of six sensors (FVC 2000, 2002, 2004); pairs that do not match are left out. The
-weights in ``prints/phase_minutiae.py`` were fitted on these; the columns `held_out` are of weights that were fitted
-without the sensor itself.
+writes ``tables/quality.csv`` beside this file: of minutiae that another impression shows, how many
+of each quality it has too (within 0.75 mm and 29 deg, where minutiae lay the two prints on each
+other), and the area under the curve. Presses 1 to 4 of five fingers on each of six sensors (FVC
+2000, 2002, 2004); pairs that do not match are left out. The weights in ``prints/phase_minutiae.py``
+were fitted on these; the columns `held_out` are of weights that were fitted without the sensor
+itself.
 """
 
 from __future__ import annotations
@@ -29,19 +30,28 @@ from splitknit_match.prints import phase_minutiae
 
 HERE = Path(__file__).resolve().parent
 SETS = (
-    "fvc2002_db1b", "fvc/fvc2000_db2b", "fvc/fvc2002_db2b", "fvc/fvc2004_db1b", "fvc/fvc2004_db2b", "fvc/fvc2004_db3b",
-)  # fmt: skip
+    "fvc2002_db1b",
+    "fvc/fvc2000_db2b",
+    "fvc/fvc2002_db2b",
+    "fvc/fvc2004_db1b",
+    "fvc/fvc2004_db2b",
+    "fvc/fvc2004_db3b",
+)
 NEAR_MM, NEAR_RAD, SURE = 0.75, 0.5, 5.0
 
 
 def found_again(a: Prepared, b: Prepared) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
     """Which minutiae of A are shown by B, and which of them B has."""
     laid = max(pair_minutiae(a.cylinders, b.cylinders), key=lambda one: one.support)
-    (place, turn), (others, turns) = ((side.cylinders.place, side.cylinders.turn) for side in (a, b))
+    (place, turn), (others, turns) = (
+        (side.cylinders.place, side.cylinders.turn) for side in (a, b)
+    )
     there = laid.moved(place)
     gap = np.abs(there[:, None] - others)
     apart = np.angle(np.exp(1j * (turn[:, None] + laid.angle_rad - turns)))
-    return on_ridges(b.template.valid, b.pixels(there)), ((gap < NEAR_MM) & (np.abs(apart) < NEAR_RAD)).any(axis=1)
+    return on_ridges(b.template.valid, b.pixels(there)), (
+        (gap < NEAR_MM) & (np.abs(apart) < NEAR_RAD)
+    ).any(axis=1)
 
 
 def area(quality: NDArray[np.float64], again: NDArray[np.bool_]) -> float:
@@ -56,7 +66,9 @@ def fitted(terms: NDArray[np.float64], again: NDArray[np.bool_]) -> NDArray[np.f
     weights = np.zeros(terms.shape[1])
     for _ in range(20):
         rate = 1 / (1 + np.exp(-terms @ weights))
-        weights += np.linalg.solve((terms.T * (rate * (1 - rate))) @ terms, terms.T @ (again - rate))
+        weights += np.linalg.solve(
+            (terms.T * (rate * (1 - rate))) @ terms, terms.T @ (again - rate)
+        )
     return weights
 
 
@@ -73,7 +85,8 @@ def main() -> None:
             terms.clear()
             item = read_print_png(file)
             ready = Prepared(print_template(item.image, item.resolution_ppi or 500.0))
-            if ready.cylinders is not None and len(ready.cylinders.turn) == len(terms[-1]):  # none was cut off
+            # none was cut off
+            if ready.cylinders is not None and len(ready.cylinders.turn) == len(terms[-1]):
                 sides.append((file.stem[:3], ready, terms[-1]))
         for (x, a, of_a), (y, b, of_b) in itertools.combinations(sides, 2):
             if x != y or fused_match(a, b).similarity < SURE:
@@ -84,22 +97,45 @@ def main() -> None:
                 again.append(there[shown])
                 rows.append(design[shown])
                 sets += [name] * int(shown.sum())
-    values, hit, design = np.concatenate(quality).astype(float), np.concatenate(again), np.concatenate(rows)
+    values, hit, design = (
+        np.concatenate(quality).astype(float),
+        np.concatenate(again),
+        np.concatenate(rows),
+    )
     held, owner = np.zeros(len(hit)), np.array(sets)
     for name in SETS:
-        held[owner == name] = design[owner == name] @ fitted(design[owner != name], hit[owner != name])
+        held[owner == name] = design[owner == name] @ fitted(
+            design[owner != name], hit[owner != name]
+        )
     held = 100 / (1 + np.exp(-held))
     with (HERE / "tables" / "quality.csv").open("w", encoding="utf-8", newline="") as stream:
         table = csv.writer(stream, lineterminator="\n")
-        table.writerow(["quality_from", "quality_to", "minutiae", "found_again", "held_out_minutiae", "held_out_again"])
+        table.writerow(
+            [
+                "quality_from",
+                "quality_to",
+                "minutiae",
+                "found_again",
+                "held_out_minutiae",
+                "held_out_again",
+            ]
+        )
         for low, high in ((0, 60), (60, 70), (70, 80), (80, 90), (90, 95), (95, 101)):
             cells: list[object] = [low, high - 1]
             for score in (values, held):
                 part = (score >= low) & (score < high)
                 cells += [int(part.sum()), round(float(hit[part].mean()), 3) if part.any() else ""]
             table.writerow(cells)
-        table.writerow(["area under the curve", "", len(hit), round(area(values, hit), 3), len(hit),
-                        round(area(held, hit), 3)])  # fmt: skip
+        table.writerow(
+            [
+                "area under the curve",
+                "",
+                len(hit),
+                round(area(values, hit), 3),
+                len(hit),
+                round(area(held, hit), 3),
+            ]
+        )
     print("weights:", np.round(fitted(design, hit), 3).tolist(), file=sys.stderr)
 
 

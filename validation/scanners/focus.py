@@ -1,8 +1,10 @@
-"""Depth from focus: where in a stack of pictures each place is sharpest, and one picture that is sharp everywhere.
+"""Depth from focus: where in a stack of pictures each place is sharpest, and one picture that is
+sharp everywhere.
 
 References
 ----------
-S. Nayar and Y. Nakagawa, "Shape from focus", IEEE TPAMI 16(8), 1994 (modified Laplacian, Gaussian interpolation).
+S. Nayar and Y. Nakagawa, "Shape from focus", IEEE TPAMI 16(8), 1994 (modified Laplacian, Gaussian
+interpolation).
 """
 
 from __future__ import annotations
@@ -15,17 +17,19 @@ from views import View, between_neighbours, cloud_of
 from splitknit.errors import require
 from splitknit.model import FloatArray
 
-_LEAST = 0.2  # by which the peak of sharpness rises over its mean through the stack, as a fraction of the peak
+# by which the peak of sharpness rises over its mean through the stack, as a fraction of the peak
+_LEAST = 0.2
 
 
 def depth(stack: NDArray[np.floating], window_px: float) -> tuple[FloatArray, FloatArray]:
     """Find the sharpest picture of each pixel.
 
-    `stack`: (N, H, W) linear light, focused at N equally spaced depths, three at least, all at one magnification;
-    `window_px`: standard deviation of the window in which sharpness is summed, about a ridge period. Returns the number
-    of the picture, with its fraction, (H, W), NaN where the peak of sharpness rises over its mean through the stack by
-    less than a fifth of the peak; and the light of the sharpest picture (H, W). Raises BadInput if the stack has fewer
-    than three pictures.
+    `stack`: (N, H, W) linear light, focused at N equally spaced depths, three at least, all at one
+    magnification; `window_px`: standard deviation of the window in which sharpness is summed, about
+    a ridge period. Returns the number of the picture, with its fraction, (H, W), NaN where the peak
+    of sharpness rises over its mean through the stack by less than a fifth of the peak; and the
+    light of the sharpest picture (H, W). Raises BadInput if the stack has fewer than three
+    pictures.
     """
     require(stack.ndim == 3 and len(stack) >= 3, "a stack of focus needs three pictures at least.")
     kernel = np.array([[-1.0, 2.0, -1.0]], dtype=np.float32)
@@ -37,16 +41,23 @@ def depth(stack: NDArray[np.floating], window_px: float) -> tuple[FloatArray, Fl
         sharpness[k] = cv2.GaussianBlur(bend, (0, 0), window_px) / np.maximum(light, 1e-3)
     best = sharpness.argmax(axis=0)
     middle = np.clip(best, 1, len(stack) - 2)
-    three = (np.log(np.take_along_axis(sharpness, (middle + k)[None], 0)[0] + 1e-9) for k in (-1, 0, 1))
+    three = (
+        np.log(np.take_along_axis(sharpness, (middle + k)[None], 0)[0] + 1e-9) for k in (-1, 0, 1)
+    )
     fraction = between_neighbours(*three)
     peak = sharpness.max(axis=0)
-    known = (best == middle) & (np.abs(fraction) <= 1.0) & (peak - sharpness.mean(axis=0) > _LEAST * peak)
+    known = (
+        (best == middle)
+        & (np.abs(fraction) <= 1.0)
+        & (peak - sharpness.mean(axis=0) > _LEAST * peak)
+    )
     sharp = np.take_along_axis(stack, best[None], 0)[0]
     return np.where(known, middle + fraction, np.nan).astype(np.float32), sharp.astype(np.float32)
 
 
 def scan(camera: View, number: FloatArray, heights_mm: tuple[float, float]) -> FloatArray:
-    """Points of a stack whose picture k is focused on the plane z = heights_mm[0] + k heights_mm[1]."""
+    """Points of a stack whose picture k is focused on the plane z = heights_mm[0] + k
+    heights_mm[1]."""
     rays, centre = camera.directions((number.shape[0], number.shape[1])), camera.centre_mm
     z = heights_mm[0] + heights_mm[1] * number.astype(np.float64)
     return cloud_of(centre + ((z - centre[2]) / rays[..., 2])[..., None] * rays)

@@ -1,9 +1,11 @@
-"""Laser line: a plane of light that sweeps over the finger; for every pixel the time at which it passes.
+"""Laser line: a plane of light that sweeps over the finger; for every pixel the time at which it
+passes.
 
 References
 ----------
-B. Curless and M. Levoy, "Better optical triangulation through spacetime analysis", ICCV 1995; R. Fisher and D. Naidu,
-"A comparison of algorithms for subpixel peak detection", 1996 (Gaussian approximation).
+B. Curless and M. Levoy, "Better optical triangulation through spacetime analysis", ICCV 1995; R.
+Fisher and D. Naidu, "A comparison of algorithms for subpixel peak detection", 1996 (Gaussian
+approximation).
 """
 
 from __future__ import annotations
@@ -21,9 +23,10 @@ from splitknit.model import FloatArray
 def peaks(frames: Iterable[NDArray[np.floating]], least: float = 0.05) -> FloatArray:
     """Find when each pixel is brightest: a Gaussian through the brightest frame and its neighbours.
 
-    `frames`: (H, W) linear light, 0 to 1, one after another, of which only three are held; `least`: smallest brightness
-    of a peak that counts. Returns (H, W) the number of the frame, with its fraction; NaN where nothing passed or the
-    peak lies at an end of the sweep. Raises BadInput if there are fewer than three frames.
+    `frames`: (H, W) linear light, 0 to 1, one after another, of which only three are held; `least`:
+    smallest brightness of a peak that counts. Returns (H, W) the number of the frame, with its
+    fraction; NaN where nothing passed or the peak lies at an end of the sweep. Raises BadInput if
+    there are fewer than three frames.
 
     >>> times = np.arange(9)[:, None, None]
     >>> peaks(np.exp(-((times - 4.3) ** 2) / 2) * np.ones((9, 1, 1))).round(3).tolist()
@@ -50,5 +53,6 @@ def peaks(frames: Iterable[NDArray[np.floating]], least: float = 0.05) -> FloatA
 
 
 def scan(camera: View, laser: View, frame: FloatArray, rows: tuple[float, float]) -> FloatArray:
-    """Triangulate a sweep: frame k lit the row rows[0] + k rows[1] of the laser's scanner, described as a projector."""
+    """Triangulate a sweep: frame k lit the row rows[0] + k rows[1] of the laser's scanner,
+    described as a projector."""
     return cloud_of(on_planes(camera, laser, rows[0] + rows[1] * frame)[0])

@@ -1,8 +1,9 @@
-"""The same simulated fingers by every scanner: `python validation/scanners/run.py [--fingers 24] [--system NAME]`.
+"""The same simulated fingers by every scanner: `python validation/scanners/run.py [--fingers 24]
+[--system NAME]`.
 
 Every finger and system is written to --out, with the scanner's cloud (``1-stripes.xyz``, for
-``cloud.py``), and not measured twice. `--fringes` measures fringes on skin, and `--tables` prints the tables (as in
-``tables/``) behind docs/experiments/scanners.md from what is there.
+``cloud.py``), and not measured twice. `--fringes` measures fringes on skin, and `--tables` prints
+the tables (as in ``tables/``) behind docs/experiments/scanners.md from what is there.
 """
 
 from __future__ import annotations
@@ -39,7 +40,9 @@ def colour_stripes(finger: sim.Fingers) -> sim.Scan:
     for k, channel in enumerate(("red", "green", "blue")):
         radiance, brightest, unit = sight.even(channel, lamp)
         flat = np.maximum(sight.record(radiance, brightest), 0.01)
-        shots = list(sight.light(channel, lamp, [sim.stripe(period, k, 3) for period in sim.PERIODS]))
+        shots = list(
+            sight.light(channel, lamp, [sim.stripe(period, k, 3) for period in sim.PERIODS])
+        )
         series.append([sight.record(one, brightest) / flat for one, _ in shots])
         light += (1 + sum(one for _, one in shots) / unit) / 3
     images = np.swapaxes(np.array(series), 0, 1) * sight.surface.mask
@@ -57,7 +60,13 @@ SYSTEMS: dict[str, tuple[Callable[[sim.Fingers], sim.Scan], str, int, int, float
         650,
         24 * FRAME_S,
     ),
-    "colour-stripes": (colour_stripes, "Three-colour fringes, 3 periods, 4 exposures", 3, 650, 4 * FRAME_S),
+    "colour-stripes": (
+        colour_stripes,
+        "Three-colour fringes, 3 periods, 4 exposures",
+        3,
+        650,
+        4 * FRAME_S,
+    ),
     "laser": (sim.laser_line, "Laser line, red, 0.1 mm a step", 4, 450, 264 * FRAME_S),
     "focus": (sim.depth_from_focus, "Depth from focus, 20 pictures", 4, 400, 20 * FRAME_S),
     "stereo2": (lambda f: sim.cameras(f, (-9.0, 9.0)), "Stereo, two cameras", 4, 300, FRAME_S),
@@ -70,12 +79,16 @@ SYSTEMS: dict[str, tuple[Callable[[sim.Fingers], sim.Scan], str, int, int, float
 def on_grid(points: FloatArray, shape: tuple[int, int], pitch: float) -> splitknit.Reconstruction:
     """A result on the pixels of the thesis's camera: its corners, far below, fix the grid."""
     x, y = (shape[1] - 1) / 2 * pitch, (shape[0] - 1) / 2 * pitch
-    points = points[(np.abs(points[:, 0]) < x) & (np.abs(points[:, 1]) < y) & (np.abs(points[:, 2]) < 30)]
+    points = points[
+        (np.abs(points[:, 0]) < x) & (np.abs(points[:, 1]) < y) & (np.abs(points[:, 2]) < 30)
+    ]
     corners = np.array([[a, b, -40.0] for a in (-x, x) for b in (-y, y)], np.float32)
     return result_of_points(np.concatenate([points, corners]).astype(np.float32), pitch, 0.0)
 
 
-def fused(coarse: splitknit.Reconstruction, ridges: splitknit.Reconstruction) -> splitknit.Reconstruction:
+def fused(
+    coarse: splitknit.Reconstruction, ridges: splitknit.Reconstruction
+) -> splitknit.Reconstruction:
     """Shape of one, relief of the other."""
     from dataclasses import replace
 
@@ -84,8 +97,15 @@ def fused(coarse: splitknit.Reconstruction, ridges: splitknit.Reconstruction) ->
     return replace(ridges, mask=mask, shape_mm=coarse.shape_mm, height_mm=height)
 
 
-KEEP = ("surface_rms_mm", "ridge_correlation", "ridge_gain", "ridge_rms_um", "ridge_truth_std_um", "ridge_area_mm2",
-        "ridge_good_area")  # fmt: skip
+KEEP = (
+    "surface_rms_mm",
+    "ridge_correlation",
+    "ridge_gain",
+    "ridge_rms_um",
+    "ridge_truth_std_um",
+    "ridge_area_mm2",
+    "ridge_good_area",
+)
 
 
 def measure(seed: int, names: list[str], out: Path) -> None:
@@ -99,7 +119,9 @@ def measure(seed: int, names: list[str], out: Path) -> None:
         begun = time.process_time()
         metric = splitknit.reconstruct(capture, "metric")
         facts = {"compute_s": time.process_time() - begun, "capture_s": 14 * 0.17, "light": 14.0}
-        facts |= {k: float(v) for k, v in splitknit.compare(metric, truth).figures.items() if k in KEEP}
+        facts |= {
+            k: float(v) for k, v in splitknit.compare(metric, truth).figures.items() if k in KEEP
+        }
         metric.save(own)
         other, _ = splitknit_simulator.simulate_capture(seed, settings=settings, impression=1)
         splitknit.reconstruct(other, "metric").save(out / f"{seed}-second")
@@ -120,15 +142,20 @@ def measure(seed: int, names: list[str], out: Path) -> None:
             print(seed, name, refusal, flush=True)
             continue
         facts = {"compute_s": seconds + time.process_time() - begun, "light": light}
-        facts |= {k: float(v) for k, v in splitknit.compare(result, truth).figures.items() if k in KEEP}
-        facts["fused_surface_rms_mm"] = splitknit.compare(fused(result, metric), truth).figures["surface_rms_mm"]
+        facts |= {
+            k: float(v) for k, v in splitknit.compare(result, truth).figures.items() if k in KEEP
+        }
+        facts["fused_surface_rms_mm"] = splitknit.compare(fused(result, metric), truth).figures[
+            "surface_rms_mm"
+        ]
         result.save(out / f"{seed}-{name}")
         (out / f"{seed}-{name}.json").write_text(json.dumps(facts))
         print(seed, name, {k: round(v, 3) for k, v in facts.items()}, flush=True)
 
 
 def fringe_table(out: Path) -> None:
-    """Modulation of fringes on skin by period and colour, and ridges by the colour of the stripes, on finger 1."""
+    """Modulation of fringes on skin by period and colour, and ridges by the colour of the stripes,
+    on finger 1."""
     path = out / "fringes.json"
     if path.exists():
         return
@@ -141,16 +168,25 @@ def fringe_table(out: Path) -> None:
         for mm in (0.25, 0.5, 1.0, 2.0, 4.0, 8.0):
             period = mm / sim.PROJECTOR_PX_MM
             shots = np.stack(
-                [one for one, _ in sight.light(channel, lamp, [sim.stripe(period, k, 4) for k in range(4)])]
+                [
+                    one
+                    for one, _ in sight.light(
+                        channel, lamp, [sim.stripe(period, k, 4) for k in range(4)]
+                    )
+                ]
             )
-            found = structured_light.decode(shots[None], [period], 0.0).modulation[0][sight.patch.window]
+            found = structured_light.decode(shots[None], [period], 0.0).modulation[0][
+                sight.patch.window
+            ]
             rows[str(mm)] = float(np.median(found[inner]))
         cloud, _, _ = sim.stripes(finger, channel)
         result = on_grid(cloud, truth["mask"].shape, float(truth["pitch_mm"]))
         figures = splitknit.compare(result, truth).figures
         facts[channel] = rows | {k: float(figures[k]) for k in KEEP if k in figures}
         cloud, _, _ = sim.stripes(finger, channel, (*sim.PERIODS, FINE))
-        figures = splitknit.compare(on_grid(cloud, truth["mask"].shape, float(truth["pitch_mm"])), truth).figures
+        figures = splitknit.compare(
+            on_grid(cloud, truth["mask"].shape, float(truth["pitch_mm"])), truth
+        ).figures
         facts[channel] |= {f"fine_{k}": float(figures[k]) for k in KEEP if k in figures}
         if channel != "opaque":
             optics = finger.optics.channel(channel)
@@ -160,7 +196,8 @@ def fringe_table(out: Path) -> None:
 
 
 def rates(out: Path, seeds: list[int], name: str) -> dict[str, tuple[float, bool]]:
-    """Scans against second captures by `metric`, every pair: the matcher `ridge`, its similarity and its decision."""
+    """Scans against second captures by `metric`, every pair: the matcher `ridge`, its similarity
+    and its decision."""
     path = out / f"rates-{name}.json"
     kept = json.loads(path.read_text()) if path.exists() else {}
     template = cache(lambda folder: splitknit_match.make_template(folder).payload)
@@ -192,14 +229,25 @@ def tables(out: Path, seeds: list[int]) -> None:
         rows = [row for row in rows if "refused" not in row]
         mean = {key: float(np.mean([row[key] for row in rows])) for key in rows[0]}
         spread = float(np.std([1e3 * row["surface_rms_mm"] for row in rows], ddof=1))
-        fusion = f"{1e3 * mean['fused_surface_rms_mm']:.0f}" if "fused_surface_rms_mm" in mean else "-"
+        fusion = (
+            f"{1e3 * mean['fused_surface_rms_mm']:.0f}" if "fused_surface_rms_mm" in mean else "-"
+        )
         cells = [
-            title, str(len(rows)), f"{1e3 * mean['surface_rms_mm']:.0f} +- {spread:.0f}",
+            title,
+            str(len(rows)),
+            f"{1e3 * mean['surface_rms_mm']:.0f} +- {spread:.0f}",
             f"{mean['ridge_correlation']:.2f}",
-            f"{mean['ridge_gain']:.2f}", f"{mean['ridge_rms_um']:.0f}", f"{mean['ridge_area_mm2']:.0f}",
-            f"{100 * mean['ridge_good_area']:.0f}", fusion, f"{capture:.2g}", f"{mean['compute_s']:.1f}",
-            f"{mean['light']:.1f}", str(parts), str(price),
-        ]  # fmt: skip
+            f"{mean['ridge_gain']:.2f}",
+            f"{mean['ridge_rms_um']:.0f}",
+            f"{mean['ridge_area_mm2']:.0f}",
+            f"{100 * mean['ridge_good_area']:.0f}",
+            fusion,
+            f"{capture:.2g}",
+            f"{mean['compute_s']:.1f}",
+            f"{mean['light']:.1f}",
+            str(parts),
+            str(price),
+        ]
         scores = rates(out, seeds, name)
         genuine = [scores[f"{k}-{k}"][1] for k in seeds]
         others = [scores[f"{a}-{b}"][1] for a, b in itertools.permutations(seeds, 2)]
@@ -208,7 +256,11 @@ def tables(out: Path, seeds: list[int]) -> None:
     for channel, facts in json.loads((out / "fringes.json").read_text()).items():
         cells = [f"{facts[mm]:.2f}" for mm in ("0.25", "0.5", "1.0", "2.0", "4.0", "8.0")]
         for key in ("ridge_", "fine_ridge_"):
-            cells += [f"{facts[f'{key}correlation']:.2f}", f"{facts[f'{key}gain']:.2f}", f"{facts[f'{key}rms_um']:.0f}"]
+            cells += [
+                f"{facts[f'{key}correlation']:.2f}",
+                f"{facts[f'{key}gain']:.2f}",
+                f"{facts[f'{key}rms_um']:.0f}",
+            ]
         print(f"| {channel} | {facts.get('half_radius_mm', 0):.2f} | " + " | ".join(cells) + " |")
 
 
@@ -218,7 +270,9 @@ if __name__ == "__main__":
     parser.add_argument("--system", choices=[*SYSTEMS], action="append")
     parser.add_argument("--out", type=Path, default=Path("build/scanners"))
     parser.add_argument("--fringes", action="store_true", help="the table of fringes on skin only")
-    parser.add_argument("--tables", action="store_true", help="match what was measured, and print the tables only")
+    parser.add_argument(
+        "--tables", action="store_true", help="match what was measured, and print the tables only"
+    )
     given = parser.parse_args()
     given.out.mkdir(parents=True, exist_ok=True)
     if given.fringes:

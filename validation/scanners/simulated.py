@@ -1,4 +1,5 @@
-"""Other scanners of the simulator's fingers: its geometry, skin and noise under stripes, lines and lamps."""
+"""Other scanners of the simulator's fingers: its geometry, skin and noise under stripes, lines and
+lamps."""
 
 from __future__ import annotations
 
@@ -19,7 +20,14 @@ from splitknit.model import BoolArray, Camera, FloatArray, Led
 from splitknit_simulator.camera.lens import blur_sigma_px, defocus
 from splitknit_simulator.camera.sensor import FULL_PX_PER_MM, SensorSettings
 from splitknit_simulator.finger.finger import placement_of
-from splitknit_simulator.finger.raycast import PlacedFinger, Placement, above, finger_in_view, meet_body, rays_of
+from splitknit_simulator.finger.raycast import (
+    PlacedFinger,
+    Placement,
+    above,
+    finger_in_view,
+    meet_body,
+    rays_of,
+)
 from splitknit_simulator.finger.shape import FingerBody
 from splitknit_simulator.finger.skin_map import skin_map
 from splitknit_simulator.light.lighting import LED_RADIUS_MM, cut_out, light_on
@@ -38,13 +46,17 @@ PROJECTOR_BLUR_MM, LASER_SIGMA_MM = 0.05, 0.05
 APERTURE_MM = 28.0  # of the lens of depth from focus: f/2.5 at 70 mm
 PERIODS, STEPS = (1300.0, 200.0, 36.0), 6
 Pattern = Callable[[FloatArray], NDArray[np.floating]]  # light by the projector's row
-Scan = tuple[FloatArray, float, float]  # with the light on the skin (1: one evenly lit exposure), seconds of computing
+# with the light on the skin (1: one evenly lit exposure), seconds of computing
+Scan = tuple[FloatArray, float, float]
 
 
 def turned(about: str, deg: float) -> Array:
-    """(3, 3) turn about x or y that takes the direction of a device, `deg` from the z axis, to the z axis."""
+    """(3, 3) turn about x or y that takes the direction of a device, `deg` from the z axis, to the
+    z axis."""
     c, s = np.cos(np.deg2rad(deg)), np.sin(np.deg2rad(deg))
-    return np.array([[1, 0, 0], [0, c, -s], [0, s, c]] if about == "x" else [[c, 0, -s], [0, 1, 0], [s, 0, c]])
+    return np.array(
+        [[1, 0, 0], [0, c, -s], [0, s, c]] if about == "x" else [[c, 0, -s], [0, 1, 0], [s, 0, c]]
+    )
 
 
 def camera_of(px_per_mm: float) -> Camera:
@@ -76,15 +88,20 @@ class Sight:
         self.camera, self.who, self.turn = camera_of(PX_PER_MM), who, turn
         assert self.camera.matrix is not None
         self.view = view_of(self.camera.matrix, turn)
-        self.surface = finger_in_view(PlacedFinger(who.body, who.skin, who.placed(turn)), self.camera, 1)
+        self.surface = finger_in_view(
+            PlacedFinger(who.body, who.skin, who.placed(turn)), self.camera, 1
+        )
         self.patch = cut_out(self.surface)
         self.rng = np.random.default_rng([who.seed, round(deg) % 360])
         self._media: dict[str, tuple[SubsurfaceScattering, Relief]] = {}
         here = np.stack([self.patch.x, self.patch.y, self.patch.z], -1)
         self.points = (here - PIVOT) @ turn + PIVOT  # in the scene's frame
 
-    def light(self, channel: Any, lamp: View, patterns: Iterable[Pattern] = ()) -> Iterator[tuple[FloatArray, float]]:
-        """Radiance (H, W) and mean light on the skin under a lamp, or under each pattern; ``opaque``: painted skin."""
+    def light(
+        self, channel: Any, lamp: View, patterns: Iterable[Pattern] = ()
+    ) -> Iterator[tuple[FloatArray, float]]:
+        """Radiance (H, W) and mean light on the skin under a lamp, or under each pattern;
+        ``opaque``: painted skin."""
         optics = self.who.optics
         gain: Any = np.float32(1 / np.pi)
         led = Led("white", tuple(self.turn @ (lamp.centre_mm - PIVOT) + PIVOT))
@@ -111,13 +128,16 @@ class Sight:
         return radiance, float(np.percentile(radiance[self.surface.mask], 99.5)), on_skin
 
     def record(self, radiance: FloatArray, brightest: float) -> FloatArray:
-        """What the sensor makes of light whose brightest reaches 0.7 of full scale: noise, ten bits."""
+        """What the sensor makes of light whose brightest reaches 0.7 of full scale: noise, ten
+        bits."""
         sensor, binned = SensorSettings(), (FULL_PX_PER_MM / self.camera.px_per_mm) ** 2
         full = sensor.full_well_e * binned
         electrons = radiance * np.float32(0.7 / brightest * full)
         spread = np.sqrt(electrons + sensor.read_noise_e**2 * binned)
         electrons += spread * self.rng.standard_normal(electrons.shape, dtype=np.float32)
-        return np.asarray(np.clip(np.rint(electrons / full * 1023), 0, 1023) / 1023, dtype=np.float32)
+        return np.asarray(
+            np.clip(np.rint(electrons / full * 1023), 0, 1023) / 1023, dtype=np.float32
+        )
 
 
 class Fingers:
@@ -133,7 +153,9 @@ class Fingers:
 
     def placed(self, turn: Array) -> Placement:
         """Where it lies for a device that was turned about the pivot."""
-        return Placement(turn @ self.placement.rotation, turn @ (self.placement.shift - PIVOT) + PIVOT)
+        return Placement(
+            turn @ self.placement.rotation, turn @ (self.placement.shift - PIVOT) + PIVOT
+        )
 
     def at(self, deg: float) -> Sight:
         """The camera `deg` beside the axis."""
@@ -145,7 +167,9 @@ class Fingers:
 def stripe(period: float, step: int, steps: int, gamma: float = 1.1) -> Pattern:
     """A projector's fringes with its gamma, eight bits and blur."""
     at = np.arange(-200.0, PROJECTOR_ROWS + 200)
-    level = np.rint(255 * structured_light.fringes(at, period, step, steps)).astype(np.float64) / 255
+    level = (
+        np.rint(255 * structured_light.fringes(at, period, step, steps)).astype(np.float64) / 255
+    )
     shown = cv2.GaussianBlur(level[None] ** gamma, (0, 0), PROJECTOR_BLUR_MM / PROJECTOR_PX_MM)[0]
     return lambda row: np.interp(row, at, shown)
 
@@ -160,11 +184,17 @@ def stripes(finger: Fingers, channel: str = "blue", periods: tuple[float, ...] =
     """Fringes of several periods."""
     sight, lamp = finger.at(0), projector()
     _, brightest, unit = sight.even(channel, lamp)
-    shots = list(sight.light(channel, lamp, [stripe(period, k, STEPS) for period in periods for k in range(STEPS)]))
+    shots = list(
+        sight.light(
+            channel, lamp, [stripe(period, k, STEPS) for period in periods for k in range(STEPS)]
+        )
+    )
     images = np.stack([sight.record(one, brightest) for one, _ in shots])
     images[:, (images >= 1.0).any(axis=0)] = np.nan
     begun = time.process_time()
-    decoded = structured_light.decode(images.reshape(len(periods), STEPS, *images.shape[1:]), periods)
+    decoded = structured_light.decode(
+        images.reshape(len(periods), STEPS, *images.shape[1:]), periods
+    )
     cloud, _ = structured_light.scan(sight.view, lamp, decoded)
     return cloud, sum(one for _, one in shots) / unit, time.process_time() - begun
 
@@ -201,8 +231,13 @@ def depth_from_focus(finger: Fingers) -> Scan:
     radiance, brightest, _ = sight.even("green", projector())
     heights = np.linspace(1.0, -8.5, 20)
     depth = np.where(sight.surface.mask, sight.surface.shape_mm, -8.0).astype(np.float32)
-    sigmas = (blur_sigma_px(depth, float(z), HEIGHT_MM, APERTURE_MM, sight.camera.px_per_mm) for z in heights)
-    stack = np.stack([sight.record(defocus(radiance[..., None], one)[..., 0], brightest) for one in sigmas])
+    sigmas = (
+        blur_sigma_px(depth, float(z), HEIGHT_MM, APERTURE_MM, sight.camera.px_per_mm)
+        for z in heights
+    )
+    stack = np.stack(
+        [sight.record(defocus(radiance[..., None], one)[..., 0], brightest) for one in sigmas]
+    )
     begun = time.process_time()
     number, _ = focus.depth(stack, 0.4 * PX_PER_MM)
     cloud = focus.scan(sight.view, number, (float(heights[0]), float(heights[1] - heights[0])))
@@ -225,8 +260,13 @@ def hull(finger: Fingers) -> Scan:
     assert camera.matrix is not None
     for deg in (-75.0, -45.0, -15.0, 15.0, 45.0, 75.0):
         turn = turned("y", deg)
-        place, rays = finger.placed(turn), rays_of(camera, *(np.arange(n) for n in camera.image_size))
-        _, hit = meet_body(finger.body, place, rays, np.full(rays.x.size, above(finger.body, place)))
+        place, rays = (
+            finger.placed(turn),
+            rays_of(camera, *(np.arange(n) for n in camera.image_size)),
+        )
+        _, hit = meet_body(
+            finger.body, place, rays, np.full(rays.x.size, above(finger.body, place))
+        )
         masks.append(hit.reshape(camera.image_size))
         views.append(view_of(camera.matrix, turn))
     begun = time.process_time()

@@ -4,10 +4,11 @@ Mirrors beside the finger give silhouettes, too: :mod:`splitknit.mirrors` fits a
 
 References
 ----------
-H. Hirschmueller, "Stereo processing by semiglobal matching and mutual information", IEEE TPAMI 30(2), 2008; A. Fusiello
-et al., "A compact algorithm for rectification of stereo pairs", Machine Vision and Applications 12, 2000; B. Lucas and
-T. Kanade, "An iterative image registration technique", 1981; A. Laurentini, "The visual hull concept for
-silhouette-based image understanding", IEEE TPAMI 16(2), 1994.
+H. Hirschmueller, "Stereo processing by semiglobal matching and mutual information", IEEE TPAMI
+30(2), 2008; A. Fusiello et al., "A compact algorithm for rectification of stereo pairs", Machine
+Vision and Applications 12, 2000; B. Lucas and T. Kanade, "An iterative image registration
+technique", 1981; A. Laurentini, "The visual hull concept for silhouette-based image understanding",
+IEEE TPAMI 16(2), 1994.
 """
 
 from __future__ import annotations
@@ -26,23 +27,35 @@ from splitknit_simulator.surface import Array
 _ROUNDS, _LARGEST_STEP_PX = 4, 0.5
 
 
-def scan(pictures: Sequence[FloatArray], views: Sequence[View], middle_mm: Array, depth_mm: float) -> FloatArray:
+def scan(
+    pictures: Sequence[FloatArray], views: Sequence[View], middle_mm: Array, depth_mm: float
+) -> FloatArray:
     """Match each camera with its neighbour and collect the points.
 
-    `pictures`: two to five (H, W), 0 to 1, in the order of the cameras around the finger, 0 beside the finger; `views`:
-    of the cameras; `middle_mm`: (3,) a point in the middle of the surface; `depth_mm`: how far the surface reaches
-    before and behind it. Raises BadInput if there are other than two to five pictures, or nothing matches.
+    `pictures`: two to five (H, W), 0 to 1, in the order of the cameras around the finger, 0 beside
+    the finger; `views`: of the cameras; `middle_mm`: (3,) a point in the middle of the surface;
+    `depth_mm`: how far the surface reaches before and behind it. Raises BadInput if there are other
+    than two to five pictures, or nothing matches.
     """
-    require(2 <= len(pictures) == len(views) <= 5, "stereo takes two to five pictures, each with its view.")
+    require(
+        2 <= len(pictures) == len(views) <= 5,
+        "stereo takes two to five pictures, each with its view.",
+    )
     pairs = zip(pictures, pictures[1:], views, views[1:], strict=False)
-    found = [_pair((one, two), (first, second), middle_mm, depth_mm) for one, two, first, second in pairs]
+    found = [
+        _pair((one, two), (first, second), middle_mm, depth_mm) for one, two, first, second in pairs
+    ]
     return cloud_of(np.concatenate(found))
 
 
 def _pair(
-    pictures: tuple[FloatArray, FloatArray], views: tuple[View, View], middle: Array, depth_mm: float
+    pictures: tuple[FloatArray, FloatArray],
+    views: tuple[View, View],
+    middle: Array,
+    depth_mm: float,
 ) -> NDArray[np.floating]:
-    """(N, 3) points that two neighbours see; both are turned so that the baseline runs along the rows."""
+    """(N, 3) points that two neighbours see; both are turned so that the baseline runs along the
+    rows."""
     base = views[1].centre_mm - views[0].centre_mm
     if (views[0].rotation @ base)[0] < 0:  # the left one first
         return _pair((pictures[1], pictures[0]), (views[1], views[0]), middle, depth_mm)
@@ -69,9 +82,17 @@ def _pair(
     local = [_even(field) for field in fields]
     eight = [np.clip(128 + 40 * one, 0, 255).astype(np.uint8) for one in local]
     matcher = cv2.StereoSGBM.create(
-        minDisparity=lowest, numDisparities=count, blockSize=7, P1=8 * 49, P2=32 * 49, disp12MaxDiff=1,
-        uniquenessRatio=5, speckleWindowSize=400, speckleRange=2, mode=cv2.STEREO_SGBM_MODE_SGBM_3WAY,
-    )  # fmt: skip
+        minDisparity=lowest,
+        numDisparities=count,
+        blockSize=7,
+        P1=8 * 49,
+        P2=32 * 49,
+        disp12MaxDiff=1,
+        uniquenessRatio=5,
+        speckleWindowSize=400,
+        speckleRange=2,
+        mode=cv2.STEREO_SGBM_MODE_SGBM_3WAY,
+    )
     # the matrix's border would be lost to the search: it is widened
     wide = [cv2.copyMakeBorder(one, 0, 0, count, count, cv2.BORDER_REPLICATE) for one in eight]
     disparity = matcher.compute(*wide)[:, count:-count].astype(np.float32) / 16.0
@@ -93,37 +114,61 @@ def _even(field: FloatArray) -> FloatArray:
 
 
 def _refined(fields: Sequence[FloatArray], disparity: FloatArray) -> tuple[FloatArray, BoolArray]:
-    """Disparities to a fraction of a pixel by Gauss-Newton on patches, and where the patches then agree."""
-    rows, columns = (one.astype(np.float32) for one in np.mgrid[: disparity.shape[0], : disparity.shape[1]])
+    """Disparities to a fraction of a pixel by Gauss-Newton on patches, and where the patches then
+    agree."""
+    rows, columns = (
+        one.astype(np.float32) for one in np.mgrid[: disparity.shape[0], : disparity.shape[1]]
+    )
     start, reference = disparity, fields[0]
     side = (9, 9)
     for _ in range(_ROUNDS):
-        other = np.asarray(cv2.remap(fields[1], columns - disparity, rows, cv2.INTER_CUBIC), dtype=np.float32)
-        slope = np.asarray(cv2.Sobel(other, cv2.CV_32F, 1, 0, ksize=3), dtype=np.float32) / np.float32(8.0)
+        other = np.asarray(
+            cv2.remap(fields[1], columns - disparity, rows, cv2.INTER_CUBIC), dtype=np.float32
+        )
+        slope = np.asarray(
+            cv2.Sobel(other, cv2.CV_32F, 1, 0, ksize=3), dtype=np.float32
+        ) / np.float32(8.0)
         step = cv2.blur(slope * (other - reference), side) / (cv2.blur(slope * slope, side) + 1e-3)
         disparity = disparity + np.clip(step, -_LARGEST_STEP_PX, _LARGEST_STEP_PX)
-    other = np.asarray(cv2.remap(fields[1], columns - disparity, rows, cv2.INTER_CUBIC), dtype=np.float32)
+    other = np.asarray(
+        cv2.remap(fields[1], columns - disparity, rows, cv2.INTER_CUBIC), dtype=np.float32
+    )
     a, b = (np.asarray(one - cv2.blur(one, side), dtype=np.float32) for one in (reference, other))
     power = cv2.blur(a * a, side) * cv2.blur(b * b, side)
     alike = cv2.blur(a * b, side) / np.sqrt(np.maximum(power, 1e-8))
-    return np.asarray(disparity, dtype=np.float32), np.asarray((alike > 0.6) & (np.abs(disparity - start) < 2.0))
+    return np.asarray(disparity, dtype=np.float32), np.asarray(
+        (alike > 0.6) & (np.abs(disparity - start) < 2.0)
+    )
 
 
-def hull(masks: Sequence[BoolArray], views: Sequence[View], box_mm: Array, pitch_mm: float) -> FloatArray:
+def hull(
+    masks: Sequence[BoolArray], views: Sequence[View], box_mm: Array, pitch_mm: float
+) -> FloatArray:
     """Upper side of the visual hull: the highest points that lie within all silhouettes.
 
-    `masks`: (H, W) silhouettes; what leaves a picture goes on beyond its border; `views`: of the cameras; `box_mm`: (2,
-    3) lowest and highest corner of what is searched; `pitch_mm`: of the grid, sideways; along z it is four times that,
-    and interpolated. Raises BadInput if there are fewer than two silhouettes, or they have nothing in common.
+    `masks`: (H, W) silhouettes; what leaves a picture goes on beyond its border; `views`: of the
+    cameras; `box_mm`: (2, 3) lowest and highest corner of what is searched; `pitch_mm`: of the
+    grid, sideways; along z it is four times that, and interpolated. Raises BadInput if there are
+    fewer than two silhouettes, or they have nothing in common.
     """
-    require(2 <= len(masks) == len(views), "a visual hull needs two silhouettes at least, each with its view.")
+    require(
+        2 <= len(masks) == len(views),
+        "a visual hull needs two silhouettes at least, each with its view.",
+    )
     steps = (pitch_mm, pitch_mm, 4.0 * pitch_mm)
-    x, y, z = (np.arange(low, high, step) for (low, high), step in zip(np.asarray(box_mm).T, steps, strict=True))
-    require(x.size * y.size * z.size <= 100_000_000, "the grid is too fine for the box; give a larger `pitch_mm`.")
+    x, y, z = (
+        np.arange(low, high, step)
+        for (low, high), step in zip(np.asarray(box_mm).T, steps, strict=True)
+    )
+    require(
+        x.size * y.size * z.size <= 100_000_000,
+        "the grid is too fine for the box; give a larger `pitch_mm`.",
+    )
     inside = []
     for mask in masks:  # distance to the outline, positive inside
         near = [
-            cv2.distanceTransform(one.astype(np.uint8), cv2.DIST_L2, cv2.DIST_MASK_PRECISE) for one in (mask, ~mask)
+            cv2.distanceTransform(one.astype(np.uint8), cv2.DIST_L2, cv2.DIST_MASK_PRECISE)
+            for one in (mask, ~mask)
         ]
         inside.append(np.asarray(near[0] - near[1], dtype=np.float32))
     grid_y, grid_x = np.meshgrid(y[::-1], x, indexing="ij")
@@ -134,7 +179,10 @@ def hull(masks: Sequence[BoolArray], views: Sequence[View], box_mm: Array, pitch
         here = np.full(grid_x.shape, np.inf, np.float32)
         for distance, view in zip(inside, views, strict=True):
             column, row = (one.astype(np.float32) for one in view.pixels(points))
-            here = np.minimum(here, cv2.remap(distance, column, row, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE))
+            here = np.minimum(
+                here,
+                cv2.remap(distance, column, row, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE),
+            )
         entered = np.isnan(top) & (here > 0)
         top[entered] = height + (steps[2] * here / np.maximum(here - above, 1e-6))[entered]
         above = here

@@ -1,14 +1,17 @@
-"""What each part of the light does to the surface: contrast, direct light, glare and blur, alone and together.
+"""What each part of the light does to the surface: contrast, direct light, glare and blur, alone
+and together.
 
-    python validation/separation/ablation.py             # eight fingers, 17 ways each: about seven minutes of one core
-    python validation/separation/ablation.py --clahe     # the contrast enhancement of snk on 24 fingers: clahe.json
-    python validation/separation/ablation_report.py      # the tables of docs/experiments/separation.md and of
-    docs/explain/reconstruction.md from ablation.json and clahe.json
+    python validation/separation/ablation.py # eight fingers, 17 ways each: about seven minutes of
+    one core python validation/separation/ablation.py --clahe # the contrast enhancement of snk on
+    24 fingers: clahe.json python validation/separation/ablation_report.py # the tables of
+    docs/experiments/separation.md and of docs/explain/reconstruction.md from ablation.json and
+    clahe.json
 
-The fingers are those of ``validation/accuracy`` (seed 1000 and on, half scale). All ways see the same finger in the
-same mask, found once in the images as they are; ``ablation_rows.py`` lists them. One JSON a finger lands in
-``validation/out/ablation`` under a hash of the code that it follows from, so that a run that was stopped goes on where
-it was. One process a core; figures do not depend on how many.
+The fingers are those of ``validation/accuracy`` (seed 1000 and on, half scale). All ways see the
+same finger in the same mask, found once in the images as they are; ``ablation_rows.py`` lists them.
+One JSON a finger lands in ``validation/out/ablation`` under a hash of the code that it follows
+from, so that a run that was stopped goes on where it was. One process a core; figures do not depend
+on how many.
 """
 
 from __future__ import annotations
@@ -35,7 +38,9 @@ Found = Mapping[str, Mapping[str, Any]]
 
 def main(arguments: Sequence[str] | None = None) -> int:
     # before numpy is imported: one thread of linear algebra a process
-    os.environ.update(dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1"))
+    os.environ.update(
+        dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1")
+    )
     from ablation_rows import CHECK_MM, CONTRAST_ROWS, ROWS
 
     chosen = _parser().parse_args(arguments)
@@ -44,7 +49,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
     out = chosen.out or HERE / ("clahe.json" if chosen.clahe else "ablation.json")
     code = source_hash()
     seeds = list(range(FIRST_SEED, FIRST_SEED + fingers))
-    found = measure_all(seeds, names, chosen.scale, chosen.scratch / f"{code[:12]}_{chosen.scale:g}", chosen.workers)
+    found = measure_all(
+        seeds, names, chosen.scale, chosen.scratch / f"{code[:12]}_{chosen.scale:g}", chosen.workers
+    )
     results = {
         "format": "splitknit-ablation",
         "version": 1,
@@ -53,7 +60,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
         "check_mm": CHECK_MM,
         "seeds": seeds,
         **summarised(found, names),
-        "fingers": [{"seed": seed, "rows": figures} for seed, figures in zip(seeds, found, strict=True)],
+        "fingers": [
+            {"seed": seed, "rows": figures} for seed, figures in zip(seeds, found, strict=True)
+        ],
     }
     text = json.dumps(_rounded(results), indent=1, allow_nan=False)
     out.write_text(text + "\n", encoding="ascii")
@@ -65,18 +74,25 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def _parser() -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--clahe", action="store_true", help="the contrast enhancement of snk, and nothing else")
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument(
+        "--clahe", action="store_true", help="the contrast enhancement of snk, and nothing else"
+    )
     parser.add_argument("--fingers", type=int, help="default: 8, of --clahe 24")
     parser.add_argument("--scale", type=float, default=0.5, help="1 = 3200 x 2200 pixels")
     parser.add_argument("--workers", type=int, default=os.cpu_count() or 1, help="processes")
-    parser.add_argument("--out", type=Path, help="default: ablation.json, of --clahe clahe.json, beside this file")
+    parser.add_argument(
+        "--out", type=Path, help="default: ablation.json, of --clahe clahe.json, beside this file"
+    )
     parser.add_argument("--scratch", type=Path, default=OUT, help="folder of the single results")
     return parser
 
 
 def source_hash() -> str:
-    """SHA-256 of the code that the figures follow from: results of other code are not mixed with these."""
+    """SHA-256 of the code that the figures follow from: results of other code are not mixed with
+    these."""
     import ablation_rows  # noqa: F401
 
     import splitknit
@@ -84,7 +100,9 @@ def source_hash() -> str:
 
     members = {"splitknit": splitknit, "splitknit_simulator": splitknit_simulator}
     names = [name for name in sys.modules if name.split(".")[0] in members or name in RECIPES]
-    tables = [file for one in members.values() for file in Path(str(one.__file__)).parent.rglob("*.npz")]
+    tables = [
+        file for one in members.values() for file in Path(str(one.__file__)).parent.rglob("*.npz")
+    ]
     files = {Path(str(sys.modules[name].__file__)) for name in names} | set(tables)
     digest = hashlib.sha256()
     for file in sorted(files):
@@ -99,7 +117,9 @@ def measure_all(
     """Figures of every finger's rows; those that are on disk already are not measured again."""
     folder.mkdir(parents=True, exist_ok=True)
     context = multiprocessing.get_context("spawn")
-    with concurrent.futures.ProcessPoolExecutor(workers, mp_context=context, initializer=_one_thread) as pool:
+    with concurrent.futures.ProcessPoolExecutor(
+        workers, mp_context=context, initializer=_one_thread
+    ) as pool:
         jobs = [pool.submit(measure_one, seed, names, scale, folder) for seed in seeds]
         return [job.result() for job in jobs]
 
@@ -126,7 +146,8 @@ def measure_one(seed: int, names: Sequence[str], scale: float, folder: Path) -> 
 
 
 def summarised(found: Sequence[Found], names: Sequence[str]) -> dict[str, Any]:
-    """Mean and interval over fingers of every figure of every row, and of the differences of :data:`PAIRS`."""
+    """Mean and interval over fingers of every figure of every row, and of the differences of
+    :data:`PAIRS`."""
     from ablation_rows import FIGURES, PAIRS, ROWS
 
     rows: dict[str, Any] = {}
@@ -134,16 +155,33 @@ def summarised(found: Sequence[Found], names: Sequence[str]) -> dict[str, Any]:
         done = [finger[name] for finger in found if "refused" not in finger[name]]
         figures = {key: statistics([row[key] for row in done]) for key in FIGURES} if done else {}
         row = ROWS[name]
-        rows[name] = {"group": row.group, "words": row.words, "refused": len(found) - len(done), "figures": figures}
+        rows[name] = {
+            "group": row.group,
+            "words": row.words,
+            "refused": len(found) - len(done),
+            "figures": figures,
+        }
     pairs = []
     for words, first, second in PAIRS:
         if first not in names or second not in names:
             continue
         both = [(finger[first], finger[second]) for finger in found]
-        both = [(one, other) for one, other in both if "refused" not in one and "refused" not in other]
+        both = [
+            (one, other) for one, other in both if "refused" not in one and "refused" not in other
+        ]
         if both:
-            figures = {key: statistics([one[key] - other[key] for one, other in both]) for key in FIGURES}
-            pairs.append({"words": words, "row": first, "against": second, "fingers": len(both), "figures": figures})
+            figures = {
+                key: statistics([one[key] - other[key] for one, other in both]) for key in FIGURES
+            }
+            pairs.append(
+                {
+                    "words": words,
+                    "row": first,
+                    "against": second,
+                    "fingers": len(both),
+                    "figures": figures,
+                }
+            )
     return {"rows": rows, "pairs": pairs}
 
 
@@ -155,7 +193,9 @@ def statistics(values: Sequence[float]) -> dict[str, Any]:
     mean = float(np.mean(values))
     if len(values) < 2:
         return {"mean": mean, "interval": None}
-    half = float(t.ppf(0.5 + 0.5 * FRACTION, len(values) - 1) * np.std(values, ddof=1) / len(values) ** 0.5)
+    half = float(
+        t.ppf(0.5 + 0.5 * FRACTION, len(values) - 1) * np.std(values, ddof=1) / len(values) ** 0.5
+    )
     return {"mean": mean, "interval": [mean - half, mean + half]}
 
 

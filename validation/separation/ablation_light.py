@@ -33,23 +33,27 @@ class Twin:
 
 
 def twin_of(seed: int, scale: float) -> Twin:
-    """The first capture of a person: the same as :func:`splitknit_simulator.twin.simulate_capture` takes."""
+    """The first capture of a person: the same as :func:`splitknit_simulator.twin.simulate_capture`
+    takes."""
     settings = TwinSettings(scale=scale)
     assert isinstance(settings.skin, SkinRanges) and isinstance(settings.pose, PoseRanges)
     rig = default_rig(scale, settings.rig_seed)
     skin = settings.skin.draw(np.random.default_rng(np.random.SeedSequence([seed, 0x51])))
     pose_seed, photo_seed = np.random.SeedSequence([seed, 0, 0x52]).spawn(2)
     pose = settings.pose.draw(np.random.default_rng(pose_seed), rig.camera)
-    surface = finger_surface(draw_finger(seed, None), pose, rig.camera, workers=settings.render.workers)
+    surface = finger_surface(
+        draw_finger(seed, None), pose, rig.camera, workers=settings.render.workers
+    )
     capture, truth = photograph(surface, rig, skin, photo_seed, settings=settings)
     return Twin(capture, truth, surface, skin)
 
 
 def true_shares(twin: Twin, check_mm: float) -> dict[str, FloatArray]:
-    """(L, H, W) what fraction of each white image's grey light a part of it is, as the twin knows it.
+    """(L, H, W) what fraction of each white image's grey light a part of it is, as the twin knows
+    it.
 
-    ``direct`` through checks of `check_mm`, glare included; ``direct without glare``; ``all but glare``. One where
-    there is no light.
+    ``direct`` through checks of `check_mm`, glare included; ``direct without glare``; ``all but
+    glare``. One where there is no light.
     """
     band = twin.capture.bands["white"]
     shape = (len(band.leds), *twin.capture.shape)
@@ -58,9 +62,13 @@ def true_shares(twin: Twin, check_mm: float) -> dict[str, FloatArray]:
     for k, (index,) in enumerate(band.leds):
         led = twin.capture.rig.leds[index]
         light = separate_truth(twin.surface, led, twin.skin, check_mm=check_mm, phases="centred")
-        direct, white = (np.tensordot(GREY_WEIGHTS, part, 1) for part in (light.direct, light.white))
+        direct, white = (
+            np.tensordot(GREY_WEIGHTS, part, 1) for part in (light.direct, light.white)
+        )
         lit = white > 1e-6 * white.max()
-        for name, part in zip(names, (direct, direct - light.glare, white - light.glare), strict=True):
+        for name, part in zip(
+            names, (direct, direct - light.glare, white - light.glare), strict=True
+        ):
             fraction = np.divide(part, white, out=np.ones_like(white), where=lit)
             fractions[name][k][light.window] = np.clip(fraction, 0.0, 1.0)
     return fractions

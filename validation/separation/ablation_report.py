@@ -1,8 +1,10 @@
-"""Write the tables of ``ablation.json`` to ``tables/`` and the short one into ``docs/experiments/separation.md``,
-those of ``clahe.json`` into ``tables/clahe.csv`` and four rows of them into ``docs/explain/reconstruction.md``.
+"""Write the tables of ``ablation.json`` to ``tables/`` and the short one into
+``docs/experiments/separation.md``, those of ``clahe.json`` into ``tables/clahe.csv`` and four rows
+of them into ``docs/explain/reconstruction.md``.
 
 python validation/separation/ablation_report.py            # writes
-python validation/separation/ablation_report.py --check    # exit code 1 if they do not show what the file holds
+python validation/separation/ablation_report.py --check # exit code 1 if they do not show what the
+file holds
 """
 
 from __future__ import annotations
@@ -32,7 +34,13 @@ CONTRAST_SHOWN = (
     "*sRGB code instead of linear light*",
     "*network instead of all light, sRGB code*",
 )
-CONTRAST_COLUMNS = ("ridge_correlation", "ridge_gain", "ridge_rms_um", "normals_mean_deg", "surface_rms_mm")
+CONTRAST_COLUMNS = (
+    "ridge_correlation",
+    "ridge_gain",
+    "ridge_rms_um",
+    "normals_mean_deg",
+    "surface_rms_mm",
+)
 REPLICATES = 4000
 COLUMNS = {
     "ridge_correlation": ("ridge correlation", 3),
@@ -72,20 +80,35 @@ def rows_table(results: Tree) -> str:
     for name, words in PAGE_ROWS.items():
         if name in results["rows"]:
             row = results["rows"][name]
-            lines.append(_line(words + (f" ({row['refused']} refused)" if row["refused"] else ""), row["figures"]))
+            lines.append(
+                _line(
+                    words + (f" ({row['refused']} refused)" if row["refused"] else ""),
+                    row["figures"],
+                )
+            )
     return "\n".join(lines)
 
 
 def rows_csv(results: Tree) -> str:
     """Every way with all its figures."""
-    rows = [[name, row["group"], row["words"], str(row["refused"])] for name, row in results["rows"].items()]
-    return _csv(["row", "group", "words", "refused"], rows, [row["figures"] for row in results["rows"].values()], "")
+    rows = [
+        [name, row["group"], row["words"], str(row["refused"])]
+        for name, row in results["rows"].items()
+    ]
+    return _csv(
+        ["row", "group", "words", "refused"],
+        rows,
+        [row["figures"] for row in results["rows"].values()],
+        "",
+    )
 
 
 def pairs_csv(results: Tree) -> str:
     """Differences, finger by finger."""
     rows = [[pair["words"], pair["row"], pair["against"]] for pair in results["pairs"]]
-    return _csv(["difference", "row", "against"], rows, [pair["figures"] for pair in results["pairs"]], "+")
+    return _csv(
+        ["difference", "row", "against"], rows, [pair["figures"] for pair in results["pairs"]], "+"
+    )
 
 
 def _csv(first: list[str], rows: list[list[str]], figures: list[Tree], sign: str) -> str:
@@ -104,7 +127,10 @@ def _csv(first: list[str], rows: list[list[str]], figures: list[Tree], sign: str
 
 
 def _line(words: str, figures: Tree) -> str:
-    cells = [_cell(_cut(key, figures[key], ""), COLUMNS[key][1], "") if figures else "" for key in PAGE_COLUMNS]
+    cells = [
+        _cell(_cut(key, figures[key], ""), COLUMNS[key][1], "") if figures else ""
+        for key in PAGE_COLUMNS
+    ]
     return f"| {words} | " + " | ".join(cells) + " |"
 
 
@@ -130,9 +156,12 @@ def section(results: Tree) -> str:
     seeds = results["seeds"]
     return "\n".join(
         [
-            f"{len(seeds)} fingers, seeds {seeds[0]} to {seeds[-1]}, images at {results['scale']:g} of the full scale; "
-            f"direct light through checks of {results['check_mm']:g} mm. Mean [95 % interval over fingers, Student's "
-            "t, cut at 1]; definitions in [accuracy.md](accuracy.md#definitions).",
+            (
+                f"{len(seeds)} fingers, seeds {seeds[0]} to {seeds[-1]}, images at"
+                f" {results['scale']:g} of the full scale; direct light through checks of"
+                f" {results['check_mm']:g} mm. Mean [95 % interval over fingers, Student's t, cut"
+                " at 1]; definitions in [accuracy.md](accuracy.md#definitions)."
+            ),
             "",
             rows_table(results),
         ]
@@ -140,22 +169,30 @@ def section(results: Tree) -> str:
 
 
 def contrast_rows(results: Tree) -> list[list[str]]:
-    """The contrast enhancement of ``snk``: its ways, and differences finger by finger, with bootstrap intervals."""
+    """The contrast enhancement of ``snk``: its ways, and differences finger by finger, with
+    bootstrap intervals."""
     fingers = [finger["rows"] for finger in results["fingers"]]
     drawn = np.random.default_rng(0).integers(len(fingers), size=(REPLICATES, len(fingers)))
 
     def row(words: str, name: str, against: str, sign: str) -> list[str]:
         cells = []
         for key in CONTRAST_COLUMNS:
-            values = np.array([rows[name][key] - (rows[against][key] if against else 0.0) for rows in fingers])
+            values = np.array(
+                [rows[name][key] - (rows[against][key] if against else 0.0) for rows in fingers]
+            )
             ends = np.percentile(values[drawn].mean(axis=1), (2.5, 97.5)).tolist()
-            cells.append(_cell({"mean": float(values.mean()), "interval": ends}, COLUMNS[key][1], sign))
+            cells.append(
+                _cell({"mean": float(values.mean()), "interval": ends}, COLUMNS[key][1], sign)
+            )
         return [words, *cells]
 
     return [
         ["", *(COLUMNS[key][0] for key in CONTRAST_COLUMNS)],
         *(row(way["words"], name, "", "") for name, way in results["rows"].items()),
-        *(row(f"*{pair['words']}*", pair["row"], pair["against"], "+") for pair in results["pairs"]),
+        *(
+            row(f"*{pair['words']}*", pair["row"], pair["against"], "+")
+            for pair in results["pairs"]
+        ),
     ]
 
 
@@ -164,9 +201,12 @@ def contrast_section(results: Tree, shown: Sequence[str] = CONTRAST_SHOWN) -> st
     seeds = results["seeds"]
     head, *rows = contrast_rows(results)
     lines = [
-        f"`snk` on {len(seeds)} fingers of the simulator (seeds {seeds[0]} to {seeds[-1]}, scale "
-        f"{results['scale']:g}); mean [95 % interval, bootstrap over fingers]; in italics: differences, finger by "
-        f"finger. All rows: [clahe.csv](../../validation/separation/tables/clahe.csv).",
+        (
+            f"`snk` on {len(seeds)} fingers of the simulator (seeds {seeds[0]} to {seeds[-1]},"
+            f" scale {results['scale']:g}); mean [95 % interval, bootstrap over fingers]; in"
+            " italics: differences, finger by finger. All rows:"
+            " [clahe.csv](../../validation/separation/tables/clahe.csv)."
+        ),
         "",
         "| " + " | ".join(head) + " |",
         "| --- " * len(head) + "|",
@@ -176,14 +216,20 @@ def contrast_section(results: Tree, shown: Sequence[str] = CONTRAST_SHOWN) -> st
 
 
 def contrast_csv(results: Tree) -> str:
-    """All rows as CSV: mean and interval of each figure in columns of their own; differences begin with a sign."""
+    """All rows as CSV: mean and interval of each figure in columns of their own; differences begin
+    with a sign."""
     head, *rows = contrast_rows(results)
     names = [f"{name}{end}" for name in head[1:] for end in ("", " low", " high")]
     text = io.StringIO()
     table = csv.writer(text, lineterminator="\n")
     table.writerow(["light", *names])
     for words, *cells in rows:
-        table.writerow([words.strip("*"), *(value for cell in cells for value in re.findall(r"[+-]?[\d.]+", cell))])
+        table.writerow(
+            [
+                words.strip("*"),
+                *(value for cell in cells for value in re.findall(r"[+-]?[\d.]+", cell)),
+            ]
+        )
     return text.getvalue()
 
 
@@ -195,10 +241,14 @@ def filled(page: str, text: str, marks: tuple[str, str]) -> str:
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("--check", action="store_true")
     options = parser.parse_args(arguments)
-    results, contrast = (json.loads(file.read_text(encoding="ascii")) for file in (RESULTS, CONTRAST))
+    results, contrast = (
+        json.loads(file.read_text(encoding="ascii")) for file in (RESULTS, CONTRAST)
+    )
     page, contrast_page = (place.read_text(encoding="utf-8") for place in (PAGE, CONTRAST_PAGE))
     wanted = {
         PAGE: filled(page, section(results), MARKS),
@@ -207,7 +257,11 @@ def main(arguments: Sequence[str] | None = None) -> int:
         TABLES / "ablation_pairs.csv": pairs_csv(results),
         TABLES / "clahe.csv": contrast_csv(contrast),
     }
-    stale = [place for place, text in wanted.items() if not place.exists() or place.read_text(encoding="utf-8") != text]
+    stale = [
+        place
+        for place, text in wanted.items()
+        if not place.exists() or place.read_text(encoding="utf-8") != text
+    ]
     if not options.check:
         for place, text in wanted.items():
             place.write_text(text, encoding="utf-8")

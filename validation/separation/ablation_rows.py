@@ -1,4 +1,5 @@
-"""The ways to a surface that are compared, one row of the table each; all see the same finger in the same mask."""
+"""The ways to a surface that are compared, one row of the table each; all see the same finger in
+the same mask."""
 
 from __future__ import annotations
 
@@ -42,8 +43,9 @@ class Row:
     change: Mapping[str, Any] = field(default_factory=dict)
     """Settings, beside the preset's."""
     fraction: str = ""
-    """What of the white light is let through instead of the network's grey output: that of the twin's truth by this
-    name, or of the ``network`` that is given the colours; empty: nothing is changed."""
+    """What of the white light is let through instead of the network's grey output: that of the
+    twin's truth by this name, or of the ``network`` that is given the colours; empty: nothing is
+    changed."""
     glare: str = "in"
     """``in``, or ``truth``: taken out of the white images, as the twin knows it."""
     grey: bool = False
@@ -53,13 +55,22 @@ THESIS = "thesis's chain (`snk`)"
 CONTRAST = "CLAHE of `snk`"
 CELLS = {"cells": "cells of 64 px", "tiles": "64 x 64 tiles"}
 CLAHE: dict[str, dict[str, Any]] = {
-    f"{grey}_{cells}_{clip}": {"grey": grey, "tiles": 64 if cells == "tiles" else 0, "clip_limit": float(clip)}
+    f"{grey}_{cells}_{clip}": {
+        "grey": grey,
+        "tiles": 64 if cells == "tiles" else 0,
+        "clip_limit": float(clip),
+    }
     for grey, cells, clip in (
-        ("linear", "cells", 3), ("linear", "tiles", 3), ("srgb", "cells", 2), ("srgb", "cells", 3),
-        ("srgb", "cells", 4), ("srgb", "tiles", 3),
+        ("linear", "cells", 3),
+        ("linear", "tiles", 3),
+        ("srgb", "cells", 2),
+        ("srgb", "cells", 3),
+        ("srgb", "cells", 4),
+        ("srgb", "tiles", 3),
     )
-}  # fmt: skip
-"""Contrast enhancement in linear light or in its sRGB code, in cells of 64 px or 64 x 64 tiles, by the limit."""
+}
+"""Contrast enhancement in linear light or in its sRGB code, in cells of 64 px or 64 x 64 tiles, by
+the limit."""
 NEAR = "near lights, blur left in"
 GREY = "blur inverted, images in grey"
 COLOUR = "blur inverted, images in colour (`metric`)"
@@ -75,13 +86,22 @@ GLARES = {"in": "glare in", "truth": "glare truly out (white)"}
 
 
 def _rows() -> dict[str, Row]:
-    rows = {"ea-split": Row("photometric stereo, split but not knitted (`ea-split`)", "all light", "ea-split")}
+    rows = {
+        "ea-split": Row(
+            "photometric stereo, split but not knitted (`ea-split`)", "all light", "ea-split"
+        )
+    }
     for clahe in (False, True):
         for light, (words, fraction) in LIGHTS.items():
             # where the twin gives the light, it does so in the network's place
-            change = {"enhance.clahe": clahe, "direct.method": "none" if light == "all" else "network"}
+            change = {
+                "enhance.clahe": clahe,
+                "direct.method": "none" if light == "all" else "network",
+            }
             text = f"CLAHE {'on' if clahe else 'off'}, {words}"
-            rows[f"snk_{'clahe' if clahe else 'plain'}_{light}"] = Row(THESIS, text, "snk", change, fraction)
+            rows[f"snk_{'clahe' if clahe else 'plain'}_{light}"] = Row(
+                THESIS, text, "snk", change, fraction
+            )
     by_colour = {"metric.relief": "colour"}
     for glare, words in GLARES.items():
         rows[f"near_{glare}"] = Row(NEAR, words, change={"skin.invert_blur": False}, glare=glare)
@@ -96,7 +116,9 @@ def _contrast_rows() -> dict[str, Row]:
     for name, change in CLAHE.items():
         grey, cells, clip = name.split("_")
         of_cells = {f"enhance.cells.{key}": value for key, value in change.items()}
-        words = f"{'linear light' if grey == 'linear' else 'sRGB code'}, {CELLS[cells]}, limit {clip}"
+        words = (
+            f"{'linear light' if grey == 'linear' else 'sRGB code'}, {CELLS[cells]}, limit {clip}"
+        )
         rows[f"clahe_{name}"] = Row(CONTRAST, words, "snk", of_cells)
         if cells == "cells" and clip == "3":
             no_network = of_cells | {"direct.method": "none"}
@@ -109,12 +131,24 @@ CONTRAST_ROWS = _contrast_rows()
 ROWS = _rows() | CONTRAST_ROWS
 PAIRS: tuple[tuple[str, str, str], ...] = (
     ("`snk` against `ea-split`", "snk_clahe_network", "ea-split"),
-    ("split and knit without CLAHE and direct light against `ea-split`", "snk_plain_all", "ea-split"),
+    (
+        "split and knit without CLAHE and direct light against `ea-split`",
+        "snk_plain_all",
+        "ea-split",
+    ),
     ("CLAHE, all light", "snk_clahe_all", "snk_plain_all"),
     ("direct light by the network, CLAHE off", "snk_plain_network", "snk_plain_all"),
     ("direct light by the network, CLAHE on", "snk_clahe_network", "snk_clahe_all"),
-    ("direct light by the network, from the colours, CLAHE off", "snk_plain_colours", "snk_plain_all"),
-    ("direct light by the network, from the colours, CLAHE on", "snk_clahe_colours", "snk_clahe_all"),
+    (
+        "direct light by the network, from the colours, CLAHE off",
+        "snk_plain_colours",
+        "snk_plain_all",
+    ),
+    (
+        "direct light by the network, from the colours, CLAHE on",
+        "snk_clahe_colours",
+        "snk_clahe_all",
+    ),
     ("true direct light, CLAHE off", "snk_plain_direct", "snk_plain_all"),
     ("true direct light, CLAHE on", "snk_clahe_direct", "snk_clahe_all"),
     ("true direct light without its glare, CLAHE off", "snk_plain_direct_matt", "snk_plain_all"),
@@ -127,10 +161,18 @@ PAIRS: tuple[tuple[str, str, str], ...] = (
     ("`metric` by networks against `metric` by colour", "metric", "colour"),
     ("sRGB code instead of linear light", "clahe_srgb_cells_3", "clahe_linear_cells_3"),
     ("the same without the network", "clahe_srgb_cells_3_all", "clahe_linear_cells_3_all"),
-    ("64 x 64 tiles instead of cells, linear light", "clahe_linear_tiles_3", "clahe_linear_cells_3"),
+    (
+        "64 x 64 tiles instead of cells, linear light",
+        "clahe_linear_tiles_3",
+        "clahe_linear_cells_3",
+    ),
     ("64 x 64 tiles instead of cells, sRGB code", "clahe_srgb_tiles_3", "clahe_srgb_cells_3"),
     ("limit 4 instead of 2, sRGB code", "clahe_srgb_cells_4", "clahe_srgb_cells_2"),
-    ("network instead of all light, linear light", "clahe_linear_cells_3", "clahe_linear_cells_3_all"),
+    (
+        "network instead of all light, linear light",
+        "clahe_linear_cells_3",
+        "clahe_linear_cells_3_all",
+    ),
     ("network instead of all light, sRGB code", "clahe_srgb_cells_3", "clahe_srgb_cells_3_all"),
 )
 """Words, row, and the row that it is compared with, finger by finger."""
@@ -163,13 +205,17 @@ class Bench:
             return reconstruct(capture, self.finger, settings)
         fraction = self._coloured if row.fraction == "network" else self._fractions[row.fraction]
         fraction = fraction[(slice(None), *self.finger.window)]
-        with mock.patch.object(thesis, "direct_light", lambda visible, _network: visible * fraction):
+        with mock.patch.object(
+            thesis, "direct_light", lambda visible, _network: visible * fraction
+        ):
             return reconstruct(capture, self.finger, settings)
 
     def _capture(self, row: Row) -> Capture:
         capture = in_grey(self.twin.capture) if row.grey else self.twin.capture
         if row.glare == "truth":
-            capture = without_glare(capture, "white", self.twin.truth["glare_white"].astype(np.float32))
+            capture = without_glare(
+                capture, "white", self.twin.truth["glare_white"].astype(np.float32)
+            )
         return capture
 
     @cached_property
@@ -178,12 +224,17 @@ class Bench:
 
     @cached_property
     def _coloured(self) -> FloatArray:
-        """(L, H, W) fraction of direct light in the grey images, as the network finds it in the linear colours."""
+        """(L, H, W) fraction of direct light in the grey images, as the network finds it in the
+        linear colours."""
         capture, window = self.twin.capture, self.finger.window
-        light = linear_channels(capture.bands["white"], capture.encoding, ("red", "green", "blue"), window)
+        light = linear_channels(
+            capture.bands["white"], capture.encoding, ("red", "green", "blue"), window
+        )
         light = np.maximum(light, np.float32(0.0)) * self.finger.wider[window]
         fraction = np.ones((light.shape[1], *capture.shape), dtype=np.float32)
-        fraction[(slice(None), *window)] = direct_of_enhanced(np.ones_like(light[0]), light.swapaxes(0, 1), "direct")
+        fraction[(slice(None), *window)] = direct_of_enhanced(
+            np.ones_like(light[0]), light.swapaxes(0, 1), "direct"
+        )
         return fraction
 
 

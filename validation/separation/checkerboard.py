@@ -3,14 +3,16 @@
     python validation/separation/checkerboard.py
 
 takes some minutes on one core, writes ``checkerboard.json`` beside this file and prints a
-Markdown summary. The truth is the maximum minus the minimum over *all* phases of a checkerboard of that check
-size, in steps of a pixel; what is judged sees only the shifts that a projector takes. PSNR is given for two peaks: the
-white image's 99.9th percentile, and that of the truth itself.
+Markdown summary. The truth is the maximum minus the minimum over *all* phases of a checkerboard of
+that check size, in steps of a pixel; what is judged sees only the shifts that a projector takes.
+PSNR is given for two peaks: the white image's 99.9th percentile, and that of the truth itself.
 
 - ``noise_free``: PSNR of direct and global light by check size and shifts.
-- ``noise``: shot and read noise of the twin's sensor: raw maximum and minimum against least squares with states known
-  or found in the images, over all lit and dark images or in the middle of the checks.
-- ``centred``: the fast truth against the one over all phases; with the projector at its LED, and in the camera's axis.
+- ``noise``: shot and read noise of the twin's sensor: raw maximum and minimum against least squares
+  with states known or found in the images, over all lit and dark images or in the middle of the
+  checks.
+- ``centred``: the fast truth against the one over all phases; with the projector at its LED, and in
+  the camera's axis.
 """
 
 from __future__ import annotations
@@ -47,7 +49,9 @@ COAXIAL = Led("white", direction=(0.0, 0.0, 1.0))
 """Simulated radiance does not clip."""
 
 
-def noise_free(patches: dict[str, Patch], checks: Iterable[float], steps: Iterable[int]) -> list[dict[str, Any]]:
+def noise_free(
+    patches: dict[str, Patch], checks: Iterable[float], steps: Iterable[int]
+) -> list[dict[str, Any]]:
     """PSNR of the separation by check size and number of shifts."""
     rows = []
     for name, patch in patches.items():
@@ -59,7 +63,12 @@ def noise_free(patches: dict[str, Patch], checks: Iterable[float], steps: Iterab
                 stack = photograph(patch, pattern)
                 common: dict[str, Any] = {"mask": mask, "clip_level": None}
                 common |= {"shifts": pattern.shifts_mm(), "period": 2 * check}
-                what = {"surface": name, "check_mm": check, "shifts": count**2, "method": "maximum - minimum"}
+                what = {
+                    "surface": name,
+                    "check_mm": check,
+                    "shifts": count**2,
+                    "method": "maximum - minimum",
+                }
                 rows.append({**what, **_judged(checkerboard(stack, **common), truth, mask)})
                 print(f"  {name} {check} mm {count**2} shifts: {rows[-1]['direct_db']}", flush=True)
     return rows
@@ -99,16 +108,23 @@ def noise(patches: dict[str, Patch], check: float) -> list[dict[str, Any]]:
                     "method": method,
                     "direct_db": decibels(loud - real, real, white),
                     "noise_free_db": decibels(quiet - real, real, white),
-                    "bias_by_noise": [float((loud - quiet)[c].mean() / real[c].mean()) for c in range(3)],
+                    "bias_by_noise": [
+                        float((loud - quiet)[c].mean() / real[c].mean()) for c in range(3)
+                    ],
                     "bias": [float((loud - real)[c].mean() / real[c].mean()) for c in range(3)],
-                    "rms": [float(np.sqrt(np.mean((loud - real)[c] ** 2)) / real[c].mean()) for c in range(3)],
+                    "rms": [
+                        float(np.sqrt(np.mean((loud - real)[c] ** 2)) / real[c].mean())
+                        for c in range(3)
+                    ],
                 }
             )
             print(f"  {name} {method}: {rows[-1]['direct_db']}", flush=True)
     return rows
 
 
-def _estimates(stack: np.ndarray, check_mm: float, mask: np.ndarray, states: np.ndarray) -> dict[str, Separation]:
+def _estimates(
+    stack: np.ndarray, check_mm: float, mask: np.ndarray, states: np.ndarray
+) -> dict[str, Separation]:
     """All estimates from one stack, with the states of its pixels."""
     common: dict[str, Any] = {"mask": mask, "clip_level": None}
     side = check_mm * PX_PER_MM
@@ -128,7 +144,10 @@ def centred(patches: dict[str, Patch], checks: Iterable[float]) -> list[dict[str
         for check in checks:
             row: dict[str, Any] = {"surface": name, "check_mm": check}
             for place, projector in (("led", led), ("coaxial", COAXIAL)):
-                full, fast = (truth_of((surface, projector, skin), check, phases=kind) for kind in ("all", "centred"))
+                full, fast = (
+                    truth_of((surface, projector, skin), check, phases=kind)
+                    for kind in ("all", "centred")
+                )
                 mask = inner(surface, full)
                 real, difference = full.direct[:, mask], (fast.direct - full.direct)[:, mask]
                 row[f"{place}_rms"] = float(np.sqrt(np.mean(difference**2)) / real.mean())
@@ -144,9 +163,15 @@ def summary(results: dict[str, Any]) -> str:
     lines = []
     for check in sorted({row["check_mm"] for row in results["noise_free"]}):
         for shifts in sorted({row["shifts"] for row in results["noise_free"]}):
-            group = [r["direct_db"] for r in results["noise_free"] if (r["check_mm"], r["shifts"]) == (check, shifts)]
+            group = [
+                r["direct_db"]
+                for r in results["noise_free"]
+                if (r["check_mm"], r["shifts"]) == (check, shifts)
+            ]
             least = [min(row[peak] for row in group) for peak in ("white_peak", "own_peak")]
-            lines.append(f"{check} mm, {shifts} images: {least[0]:.1f} dB or more, own peak {least[1]:.1f}")
+            lines.append(
+                f"{check} mm, {shifts} images: {least[0]:.1f} dB or more, own peak {least[1]:.1f}"
+            )
     for method in dict.fromkeys(row["method"] for row in results["noise"]):
         group = [row for row in results["noise"] if row["method"] == method]
         levels = [row["direct_db"]["own_peak"] for row in group]
@@ -154,7 +179,10 @@ def summary(results: dict[str, Any]) -> str:
         level = f"{min(levels):.1f} to {max(levels):.1f} dB (own peak)"
         lines.append(f"noise, {method}: {level}, by noise {min(bias):+.1f} to {max(bias):+.1f} %")
     for row in results["centred"]:
-        lines.append(f"{row['surface']}, {row['check_mm']} mm, the fast truth: {100 * row['led_rms']:.2f} % rms")
+        lines.append(
+            f"{row['surface']}, {row['check_mm']} mm, the fast truth: {100 * row['led_rms']:.2f}"
+            " % rms"
+        )
     return "\n".join(lines)
 
 
@@ -168,7 +196,9 @@ def main() -> None:
         "noise_free": noise_free(patches, CHECKS_MM, STEPS),
         "noise": noise(patches, 0.42),
         "centred": centred(one, CHECKS_MM[:3]),
-        "psnr_peak": "white_peak: 99.9th percentile of the white image; own_peak: of the true part itself",
+        "psnr_peak": (
+            "white_peak: 99.9th percentile of the white image; own_peak: of the true part itself"
+        ),
     }
     (HERE / "checkerboard.json").write_text(json.dumps(results, indent=1) + "\n", encoding="utf-8")
     print(summary(results))

@@ -1,12 +1,13 @@
-"""The four ways to separate direct from global light that the thesis compares (3.2.5), on the same simulated skin.
+"""The four ways to separate direct from global light that the thesis compares (3.2.5), on the same
+simulated skin.
 
-    python validation/separation/nayar.py        # a minute; writes tables/nayar.csv beside this file
+    python validation/separation/nayar.py # a minute; writes tables/nayar.csv beside this file
 
-Truth: maximum minus minimum over all phases of a checkerboard of 0.42 mm. PSNR in dB of the direct light, peak of the
-white image, without noise and with the sensor's.
+Truth: maximum minus minimum over all phases of a checkerboard of 0.42 mm. PSNR in dB of the direct
+light, peak of the white image, without noise and with the sensor's.
 
-S. K. Nayar, G. Krishnan, M. D. Grossberg and R. Raskar, "Fast separation of direct and global components of a scene
-using high frequency illumination", ACM Transactions on Graphics 25(3), 2006.
+S. K. Nayar, G. Krishnan, M. D. Grossberg and R. Raskar, "Fast separation of direct and global
+components of a scene using high frequency illumination", ACM Transactions on Graphics 25(3), 2006.
 """
 
 from __future__ import annotations
@@ -18,7 +19,17 @@ from typing import Any
 
 import cv2
 import numpy as np
-from patches import PX_PER_MM, SIZE, Patch, decibels, draw_patches, inner, noisy_images, photograph, truth_of
+from patches import (
+    PX_PER_MM,
+    SIZE,
+    Patch,
+    decibels,
+    draw_patches,
+    inner,
+    noisy_images,
+    photograph,
+    truth_of,
+)
 
 from splitknit.separation.binary import checkerboard
 from splitknit_simulator.light.separation import Checkerboard
@@ -64,13 +75,15 @@ class Shifted:
 
 
 def by_occluder(images: np.ndarray, lit: float) -> tuple[np.ndarray, np.ndarray]:
-    """Direct and global light of images (N, ...) under a moving shadow; `lit`: fraction of the source that passes."""
+    """Direct and global light of images (N, ...) under a moving shadow; `lit`: fraction of the
+    source that passes."""
     low, high = images.min(axis=0), images.max(axis=0)
     return high - low, low / lit
 
 
 def by_sinusoid(images: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Direct and global light of three images (3, ...) under a sinusoid moved by thirds of its period."""
+    """Direct and global light of three images (3, ...) under a sinusoid moved by thirds of its
+    period."""
     first, second, third = images
     mean = images.mean(axis=0)
     amplitude = np.sqrt(3 * (second - third) ** 2 + (2 * first - second - third) ** 2) / 3
@@ -78,8 +91,9 @@ def by_sinusoid(images: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 def by_one_image(image: np.ndarray, block: int, check_px: float) -> np.ndarray:
-    """Direct light (h, w, C) in blocks of one image (H, W, C) under a checkerboard: from valley to valley and from peak
-    to peak (opening and closing by a window that holds a lit and a dark check), means over blocks."""
+    """Direct light (h, w, C) in blocks of one image (H, W, C) under a checkerboard: from valley to
+    valley and from peak to peak (opening and closing by a window that holds a lit and a dark
+    check), means over blocks."""
     reach = int(np.ceil(0.75 * check_px))
     window = cv2.getStructuringElement(cv2.MORPH_RECT, (2 * reach + 1, 2 * reach + 1))
     rim = 2 * reach
@@ -87,7 +101,9 @@ def by_one_image(image: np.ndarray, block: int, check_px: float) -> np.ndarray:
     ends = []
     for kind in (cv2.MORPH_OPEN, cv2.MORPH_CLOSE):
         whole: Any = cv2.morphologyEx(np.asarray(image, dtype=np.float32), kind, window)
-        whole = cv2.copyMakeBorder(whole[rim:-rim, rim:-rim], rim, rim, rim, rim, cv2.BORDER_REPLICATE)
+        whole = cv2.copyMakeBorder(
+            whole[rim:-rim, rim:-rim], rim, rim, rim, rim, cv2.BORDER_REPLICATE
+        )
         blocks = whole[: rows * block, : columns * block].reshape(rows, block, columns, block, -1)
         ends.append(blocks.mean(axis=(1, 3), dtype=np.float64))
     return np.asarray(ends[1] - ends[0])

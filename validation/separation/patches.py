@@ -30,12 +30,14 @@ PX_PER_MM = 37.85
 SIZE = (224, 240)
 LEDS = default_rig().leds
 WELL, READ_NOISE = 4700.0, 2.5
-"""Electrons, as in the twin's sensor; one colour channel of one pixel, exposed to 0.7 of full scale."""
+"""Electrons, as in the twin's sensor; one colour channel of one pixel, exposed to 0.7 of full
+scale."""
 RENDER: dict[str, Any] = {"settings": RenderSettings(reach_mm=3.0, workers=1)}
 """A shorter reach than the captures': of the light beyond 3 mm the checkerboard leaves nothing."""
 
 Patch = tuple[SimulatedSurface, Led, SkinOptics | Medium]
-"""What is looked at, where the projector stands, and the skin: the first arguments of the twin's separation."""
+"""What is looked at, where the projector stands, and the skin: the first arguments of the twin's
+separation."""
 
 
 def draw_patches(smoke: bool) -> dict[str, Patch]:
@@ -47,8 +49,12 @@ def draw_patches(smoke: bool) -> dict[str, Patch]:
         skin = SkinRanges().draw(np.random.default_rng([17, k]))
         result[f"palm {k}"] = (palm_surface(draw_palm(500 + k), camera), LEDS[k], skin)
         # the pad fills most of the crop, its flank and outline the rest
-        pose = FingerPose(x_mm=3.5 * (-1) ** k, insertion_mm=size[0] / PX_PER_MM + 6.0, roll_rad=0.1)
-        finger = finger_surface(draw_finger(500 + k, ("whorl", "left_loop")[k]), pose, camera, workers=1)
+        pose = FingerPose(
+            x_mm=3.5 * (-1) ** k, insertion_mm=size[0] / PX_PER_MM + 6.0, roll_rad=0.1
+        )
+        finger = finger_surface(
+            draw_finger(500 + k, ("whorl", "left_loop")[k]), pose, camera, workers=1
+        )
         result[f"finger {k}"] = (finger, LEDS[k + 3], skin)
     return result
 
@@ -60,7 +66,9 @@ def truth_of(patch: Patch, check_mm: float, **options: Any) -> Separated:
 
 def photograph(patch: Patch, pattern: Any) -> np.ndarray:
     """Return the images (N, h, w, C) under all shifts of a pattern, without noise."""
-    return np.stack([np.moveaxis(image, 0, -1) for image in checkerboard_images(*patch, pattern, **RENDER)])
+    return np.stack(
+        [np.moveaxis(image, 0, -1) for image in checkerboard_images(*patch, pattern, **RENDER)]
+    )
 
 
 def noisy_images(clean: np.ndarray, truth: Separated, mask: np.ndarray) -> np.ndarray:
@@ -79,20 +87,28 @@ def inner(surface: SimulatedSurface, truth: Separated) -> np.ndarray:
     return np.asarray(mask & slope & lit)
 
 
-def known_states(patch: Patch, truth: Separated, mask: np.ndarray, pattern: Checkerboard) -> np.ndarray:
-    """The pattern's states in the window; beside the judged pixels, where any will do, those of the finger plane."""
+def known_states(
+    patch: Patch, truth: Separated, mask: np.ndarray, pattern: Checkerboard
+) -> np.ndarray:
+    """The pattern's states in the window; beside the judged pixels, where any will do, those of the
+    finger plane."""
     x, y = np.meshgrid(np.arange(mask.shape[1]) / PX_PER_MM, np.arange(mask.shape[0]) / PX_PER_MM)
     states = pattern_states(patch[0], patch[1], pattern)[(slice(None), *truth.window)]
-    beside = np.stack([pattern.state(x, y, shift, 1.0 / PX_PER_MM) for shift in pattern.shifts_mm()])
+    beside = np.stack(
+        [pattern.state(x, y, shift, 1.0 / PX_PER_MM) for shift in pattern.shifts_mm()]
+    )
     return np.where(mask, states, beside)
 
 
 def decibels(error: np.ndarray, truth: np.ndarray, white: np.ndarray) -> dict[str, float]:
     """PSNR of an error (..., pixels) under both conventions of what the peak is.
 
-    ``white_peak``: the 99.9th percentile of the image under full light, as for photographs whose full scale is 1.
-    ``own_peak``: the 99.9th percentile of the true part itself, which is darker: the stricter figure.
+    ``white_peak``: the 99.9th percentile of the image under full light, as for photographs whose
+    full scale is 1. ``own_peak``: the 99.9th percentile of the true part itself, which is darker:
+    the stricter figure.
     """
     rms = np.sqrt(np.mean(np.square(error, dtype=np.float64)))
     peaks = {"white_peak": white, "own_peak": truth}
-    return {name: float(20 * np.log10(np.percentile(peak, 99.9) / rms)) for name, peak in peaks.items()}
+    return {
+        name: float(20 * np.log10(np.percentile(peak, 99.9) / rms)) for name, peak in peaks.items()
+    }

@@ -2,11 +2,12 @@
 
     python validation/separation/unet.py [--fingers 30] [--network NAME]
 
-takes some minutes on one core. Truth: direct light through 25 shifted checkerboards of 0.42 mm and the separation code,
-without noise; the network was trained on the twin's own direct light, so the two came about differently. Palms,
-fingers, light, optics of the skin, pixel size and noise are drawn anew. Images are grey after CLAHE, as the presets
-``pr`` and ``snk`` have them. *Network on the colours, their fraction* multiplies them by the direct fraction found in
-the linear colours, *constant fraction* by that of other photographs. PSNR is for a peak of one, the photograph's
+takes some minutes on one core. Truth: direct light through 25 shifted checkerboards of 0.42 mm and
+the separation code, without noise; the network was trained on the twin's own direct light, so the
+two came about differently. Palms, fingers, light, optics of the skin, pixel size and noise are
+drawn anew. Images are grey after CLAHE, as the presets ``pr`` and ``snk`` have them. *Network on
+the colours, their fraction* multiplies them by the direct fraction found in the linear colours,
+*constant fraction* by that of other photographs. PSNR is for a peak of one, the photograph's
 exposure level, on the skin. Figures of fingers are stored in ``unet_fingers.json``.
 """
 
@@ -37,8 +38,12 @@ PALMS = 6
 
 def main() -> None:
     """Judge, print and store."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--network", default="direct", help="shipped network, or path of an .onnx file")
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument(
+        "--network", default="direct", help="shipped network, or path of an .onnx file"
+    )
     parser.add_argument("--fingers", type=int, default=30)
     options = parser.parse_args()
     network, fraction = load_network(options.network), constant_fraction()
@@ -48,21 +53,29 @@ def main() -> None:
     print("fingers:", json.dumps(result))
 
 
-def compared(kind: str, count: int, network: Network, fraction: np.float32) -> dict[str, dict[str, list[float]]]:
-    """PSNR of each way and the paired difference from the constant, with 95 % intervals that draw photographs."""
+def compared(
+    kind: str, count: int, network: Network, fraction: np.float32
+) -> dict[str, dict[str, list[float]]]:
+    """PSNR of each way and the paired difference from the constant, with 95 % intervals that draw
+    photographs."""
     rows = []
     for index in range(FIRST, FIRST + count):
         colours, image, truth = channels(kind, index, "stack")
         ways = {
             "network": direct_light(image[None], network)[0],
-            "network on the colours, their fraction": direct_of_enhanced(image[None], colours[None], network)[0],
+            "network on the colours, their fraction": direct_of_enhanced(
+                image[None], colours[None], network
+            )[0],
             "constant fraction": image * fraction,
         }
         rows.append([psnr_db(direct, truth) for direct in ways.values()])
     drawn = np.random.default_rng(1).integers(0, count, (2000, count))
 
     def mean(values: np.ndarray) -> list[float]:
-        return [round(float(v), 2) for v in (values.mean(), *np.percentile(values[drawn].mean(axis=1), [2.5, 97.5]))]
+        return [
+            round(float(v), 2)
+            for v in (values.mean(), *np.percentile(values[drawn].mean(axis=1), [2.5, 97.5]))
+        ]
 
     columns = dict(zip(ways, np.array(rows).T, strict=True))
     return {
@@ -76,7 +89,8 @@ def compared(kind: str, count: int, network: Network, fraction: np.float32) -> d
 
 
 def constant_fraction() -> np.float32:
-    """Fraction of the equalised image that is nearest to the direct light over other photographs."""
+    """Fraction of the equalised image that is nearest to the direct light over other
+    photographs."""
     up = down = 0.0
     for kind in ("palm", "finger"):
         first = HELD_OUT_FROM + FRACTION_FROM
@@ -88,7 +102,8 @@ def constant_fraction() -> np.float32:
 
 
 def channels(kind: str, index: int, truth: str) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Linear colours (3, h, w), equalised image (h, w), and its direct light (h, w), zero beside the skin."""
+    """Linear colours (3, h, w), equalised image (h, w), and its direct light (h, w), zero beside
+    the skin."""
     pixels = photographs(kind, index, truth)[0].pixels.astype(np.float32).transpose(2, 0, 1)
     return pixels[:3], pixels[6], pixels[7]
 

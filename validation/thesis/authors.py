@@ -1,12 +1,14 @@
-"""The author's program beside his text: both matchers on the same captures, and what closed-set scores do to rates.
+"""The author's program beside his text: both matchers on the same captures, and what closed-set
+scores do to rates.
 
-    splitknit batch POPULATION --out STORE --cases snk,pr,ea --matchers thesis,thesis-code --impostors 1
-    python validation/thesis/authors.py --population POPULATION --store STORE
+    splitknit batch POPULATION --out STORE --cases snk,pr,ea --matchers thesis,thesis-code
+    --impostors 1 python validation/thesis/authors.py --population POPULATION --store STORE
 
-``text``: the thesis's local binary patterns (5.2), without gate. ``code``: what the author's program compares
-(``thesis-code``). ``closed set``: each query's scores are brought to [0, 1] over the gallery of a session, as his
-program does before it draws curves. The best candidate of every query gets 1: a threshold is not of a pair any more.
-``fused`` is a b / (a + b) of normals and of the shape's normals, each brought to [0, 1] over all scores, as he fuses.
+``text``: the thesis's local binary patterns (5.2), without gate. ``code``: what the author's
+program compares (``thesis-code``). ``closed set``: each query's scores are brought to [0, 1] over
+the gallery of a session, as his program does before it draws curves. The best candidate of every
+query gets 1: a threshold is not of a pair any more. ``fused`` is a b / (a + b) of normals and of
+the shape's normals, each brought to [0, 1] over all scores, as he fuses.
 """
 
 from __future__ import annotations
@@ -54,7 +56,8 @@ def fused(scores: Mapping[str, Values]) -> Values:
 
 
 def closed_set(pairs: Pairs, similarity: Values) -> tuple[Pairs, Values]:
-    """Every capture as a query against the gallery of each other session: scores in [0, 1] over that gallery."""
+    """Every capture as a query against the gallery of each other session: scores in [0, 1] over
+    that gallery."""
     captures = pairs.captures
     count = len(captures.names)
     known = np.full((count, count), np.nan)
@@ -78,7 +81,9 @@ def across_sessions(pairs: Pairs) -> np.ndarray:
 
 
 def main() -> int:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("--population", type=Path, required=True)
     parser.add_argument("--store", type=Path, required=True)
     parser.add_argument("--out", type=Path, default=OUT)
@@ -95,7 +100,9 @@ def main() -> int:
     for case in CASES:
         by_code = scores_by_code(store, captures, pairs, case)
         by_text = {
-            name: trial.similarity[across] for name in ATTRIBUTES if (trial := table.trial(case, "thesis", name))
+            name: trial.similarity[across]
+            for name in ATTRIBUTES
+            if (trial := table.trial(case, "thesis", name))
         }
         for matcher, scores in (("text", by_text), ("code", by_code)):
             for name, values in {**scores, "fused": fused(scores)}.items():
@@ -106,9 +113,24 @@ def main() -> int:
                     trial = Trial(case, matcher, name, similarity, None)
                     part = Table(those, (trial,), ())
                     work = Work(part, known_of(those, truth), passing_everywhere(part), settings)
-                    rows += [{"gallery": gallery, **row} for row in rate_rows(work, [trial], 1, JUDGED)]
-    kept = ("case", "matcher", "attribute", "gallery", "sessions", "genuine", "impostors", "fingers")
-    figures = [f"gar@{far}{end}" for far in ("0.01", "0.001") for end in ("", "_low_finger", "_high_finger")]
+                    rows += [
+                        {"gallery": gallery, **row} for row in rate_rows(work, [trial], 1, JUDGED)
+                    ]
+    kept = (
+        "case",
+        "matcher",
+        "attribute",
+        "gallery",
+        "sessions",
+        "genuine",
+        "impostors",
+        "fingers",
+    )
+    figures = [
+        f"gar@{far}{end}"
+        for far in ("0.01", "0.001")
+        for end in ("", "_low_finger", "_high_finger")
+    ]
     write_csv(options.out, [{name: row.get(name) for name in (*kept, *figures)} for row in rows])
     print(f"{options.out}: {len(rows)} rows")
     return 0

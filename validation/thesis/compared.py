@@ -54,8 +54,8 @@ def captures_of(names: Sequence[str]) -> Captures:
 def compare_all(
     names: Sequence[str], read: Read, ways: Sequence[Way], scratch: Path, jobs: int
 ) -> tuple[Table, NDArray[np.bool_]]:
-    """Trials of all ways on all comparisons of captures, and (N,) those that are made without the gate, too: all of
-    sessions 1 and 2.
+    """Trials of all ways on all comparisons of captures, and (N,) those that are made without the
+    gate, too: all of sessions 1 and 2.
 
     Parameters
     ----------
@@ -70,7 +70,12 @@ def compare_all(
 
 
 def compare_pairs(  # noqa: PLR0917
-    pairs: Pairs, read: Read, ways: Sequence[Way], scratch: Path, jobs: int, ungated: NDArray[np.bool_] | None = None
+    pairs: Pairs,
+    read: Read,
+    ways: Sequence[Way],
+    scratch: Path,
+    jobs: int,
+    ungated: NDArray[np.bool_] | None = None,
 ) -> tuple[Trial, ...]:
     """One trial for each way.
 
@@ -81,7 +86,8 @@ def compare_pairs(  # noqa: PLR0917
     ways : the same everywhere
     scratch : folder of finished comparisons; another one for other captures or other images
     jobs : processes
-    ungated : (N,) those that are compared even if they do not pass the gate; of the others, five sixths of the
+    ungated : (N,) those that are compared even if they do not pass the gate; of the others, five
+    sixths of the
         impostors, the similarity is NaN. None: all
     """
     always = np.ones(pairs.a.shape, dtype=np.bool_) if ungated is None else ungated
@@ -98,22 +104,32 @@ def compare_pairs(  # noqa: PLR0917
     ratio = found[:, 0]
     gated = 1.0 - np.exp(2.0 - ratio)
     return tuple(
-        Trial(way.name, "thesis", way.attribute, 1.0 - found[:, 1 + k], ratio, gated) for k, way in enumerate(ways)
+        Trial(way.name, "thesis", way.attribute, 1.0 - found[:, 1 + k], ratio, gated)
+        for k, way in enumerate(ways)
     )
 
 
-def _compare(read: Read, ways: tuple[Way, ...], scratch: Path, task: list[tuple[str, str, bool]]) -> Values:
-    """(N, 1 + ways) overlap of the masks and dissimilarities (5.2) of pairs; NaN where a capture failed, or where the
-    overlap is too small and the pair is not to be compared without the gate.
+def _compare(
+    read: Read, ways: tuple[Way, ...], scratch: Path, task: list[tuple[str, str, bool]]
+) -> Values:
+    """(N, 1 + ways) overlap of the masks and dissimilarities (5.2) of pairs; NaN where a capture
+    failed, or where the overlap is too small and the pair is not to be compared without the gate.
 
     Queries are read once each, beside the features of all fingers that they are compared with.
     """
-    key = repr(([pair[:2] for pair in task], [(way.name, way.attribute, way.channels) for way in ways]))
+    key = repr(
+        ([pair[:2] for pair in task], [(way.name, way.attribute, way.channels) for way in ways])
+    )
     file = scratch / (hashlib.sha256(key.encode()).hexdigest()[:24] + ".npy")
-    result, waiting = np.full((len(task), 1 + len(ways)), np.nan), np.ones(len(task), dtype=np.bool_)
+    result, waiting = (
+        np.full((len(task), 1 + len(ways)), np.nan),
+        np.ones(len(task), dtype=np.bool_),
+    )
     if file.is_file():  # what did not pass the gate then may be asked for now
         result = np.asarray(np.load(file))
-        waiting = np.isfinite(result[:, 0]) & np.isnan(result[:, 1]) & [always for *_, always in task]
+        waiting = (
+            np.isfinite(result[:, 0]) & np.isnan(result[:, 1]) & [always for *_, always in task]
+        )
     if not waiting.any():
         return result
     rows = np.flatnonzero(waiting).tolist()
@@ -133,11 +149,16 @@ def _compare(read: Read, ways: tuple[Way, ...], scratch: Path, task: list[tuple[
             result[k, 0] = ratio
             if ratio < GATE and not task[k][2]:
                 continue
-            boxed = {name: to_box(query.channels[name], (mask.shape[0], mask.shape[1])) for name in needed}
+            boxed = {
+                name: to_box(query.channels[name], (mask.shape[0], mask.shape[1]))
+                for name in needed
+            }
             on_database = FingerImages(boxed, mask, px_per_mm)
             for j, way in enumerate(ways):
                 both = zip(known[j], features_of(on_database, way), strict=True)
-                result[k, 1 + j] = dissimilarity(ratio, [float(np.linalg.norm(a - b)) for a, b in both])
+                result[k, 1 + j] = dissimilarity(
+                    ratio, [float(np.linalg.norm(a - b)) for a, b in both]
+                )
     keep(file, lambda stream: np.save(stream, result))
     return result
 
@@ -145,7 +166,11 @@ def _compare(read: Read, ways: tuple[Way, ...], scratch: Path, task: list[tuple[
 def _known(
     images: FingerImages | None, ways: tuple[Way, ...]
 ) -> tuple[BoolArray, float, list[list[NDArray[np.float32]]]] | None:
-    return None if images is None else (images.mask, images.px_per_mm, [features_of(images, way) for way in ways])
+    return (
+        None
+        if images is None
+        else (images.mask, images.px_per_mm, [features_of(images, way) for way in ways])
+    )
 
 
 def features_of(images: FingerImages, way: Way) -> list[NDArray[np.float32]]:
@@ -172,13 +197,15 @@ def each(work: Any, tasks: Sequence[Any], jobs: int) -> list[Any]:
 
 
 def _alone() -> None:
-    """One thread, and a heap that keeps what is freed: patterns and gradients take a third of the time."""
+    """One thread, and a heap that keeps what is freed: patterns and gradients take a third of the
+    time."""
     cv2.setNumThreads(1)
     one_heap()
 
 
 def kept_images(file: Path, make: Callable[[], FingerImages | None]) -> None:
-    """Keep a capture's images in a file, unless they are there; a failure to acquire is kept as well."""
+    """Keep a capture's images in a file, unless they are there; a failure to acquire is kept as
+    well."""
     if file.is_file():
         return
     try:
@@ -188,7 +215,12 @@ def kept_images(file: Path, make: Callable[[], FingerImages | None]) -> None:
     if made is None:
         keep(file, lambda stream: np.savez(stream, mask=np.zeros((0, 0), np.bool_), px_per_mm=1.0))
     else:
-        keep(file, lambda stream: np.savez(stream, mask=made.mask, px_per_mm=made.px_per_mm, **made.channels))
+        keep(
+            file,
+            lambda stream: np.savez(
+                stream, mask=made.mask, px_per_mm=made.px_per_mm, **made.channels
+            ),
+        )
 
 
 def read_images(file: Path) -> FingerImages | None:
@@ -196,5 +228,7 @@ def read_images(file: Path) -> FingerImages | None:
     with np.load(file) as arrays:
         if not arrays["mask"].size:
             return None
-        channels = {name: arrays[name] for name in arrays.files if name not in ("mask", "px_per_mm")}
+        channels = {
+            name: arrays[name] for name in arrays.files if name not in ("mask", "px_per_mm")
+        }
         return FingerImages(channels, arrays["mask"], float(arrays["px_per_mm"]))

@@ -1,4 +1,5 @@
-"""Whether local binary patterns are the best descriptor, as section 5.2 says: HOG, Gabor energies, shape contexts.
+"""Whether local binary patterns are the best descriptor, as section 5.2 says: HOG, Gabor energies,
+shape contexts.
 
 Alignment, gate and score (5.2) are the same for all.
 """
@@ -24,4 +25,8 @@ DESCRIPTORS: Mapping[str, Extract] = {
     "shape context": shape_context_features,
 }
 MATCHED = ("normals", "relief")
-WAYS = [Way(name, extract, of, ATTRIBUTES[of]) for of in MATCHED for name, extract in DESCRIPTORS.items()]
+WAYS = [
+    Way(name, extract, of, ATTRIBUTES[of])
+    for of in MATCHED
+    for name, extract in DESCRIPTORS.items()
+]

@@ -42,14 +42,17 @@ FUSION_VARIANTS = (*COMPARED, Variant("none", "averaged", "all"))
 
 
 def run_fusion(options: argparse.Namespace, store: Any, truth: Mapping[str, Row]) -> Row:
-    """Figure 5.3: attributes and their fusion; with minutiae on the comparisons that they made too."""
+    """Figure 5.3: attributes and their fusion; with minutiae on the comparisons that they made
+    too."""
     cases = [case for case in ("snk", "metric") if case in options.cases]
     captures = read_captures(store, cases)
     table = read_table(store, captures, cases, ("thesis",))
     work = _work(options, table, truth)
     trials, groups = [], []
     for case in cases:
-        single = [trial for name in ATTRIBUTES if (trial := table.trial(case, "thesis", name)) is not None]
+        single = [
+            trial for name in ATTRIBUTES if (trial := table.trial(case, "thesis", name)) is not None
+        ]
         joined = [trial for name in OF_THESIS for trial in fused(table, case, name, options.seed)]
         trials += [*single, *joined]
         groups += _against("all three, mean", case, [*single, *joined])
@@ -58,11 +61,17 @@ def run_fusion(options: argparse.Namespace, store: Any, truth: Mapping[str, Row]
     _write(options, "fusion", rows, differences)
     shown = [trial for trial in trials if trial.case == cases[0] and _in_figure(trial)]
     _rocs(options, work, "figure-5-3", shown, lambda trial: trial.attribute.replace("_", " "))
-    return _facts(table, trials) | {"with_minutiae": _fusion_with_minutiae(options, store, truth, captures, cases)}
+    return _facts(table, trials) | {
+        "with_minutiae": _fusion_with_minutiae(options, store, truth, captures, cases)
+    }
 
 
 def _fusion_with_minutiae(
-    options: argparse.Namespace, store: Any, truth: Mapping[str, Row], captures: Captures, cases: list[str]
+    options: argparse.Namespace,
+    store: Any,
+    truth: Mapping[str, Row],
+    captures: Captures,
+    cases: list[str],
 ) -> Row:
     table = read_table(store, captures, cases, ("thesis", "minutiae"))
     rows, differences = [], []
@@ -73,9 +82,15 @@ def _fusion_with_minutiae(
         if alone is None:
             continue
         mine = [replace(alone, attribute="minutiae")]
-        mine += [trial for name in ("all three", MINUTIAE_SET) for trial in fused(table, case, name, options.seed)]
+        mine += [
+            trial
+            for name in ("all three", MINUTIAE_SET)
+            for trial in fused(table, case, name, options.seed)
+        ]
         rows += rate_rows(work, mine, options.jobs, FUSION_VARIANTS)
-        differences += difference_rows(work, _against("minutiae", case, mine), (THESIS_WHOLE, WHOLE), options.jobs)
+        differences += difference_rows(
+            work, _against("minutiae", case, mine), (THESIS_WHOLE, WHOLE), options.jobs
+        )
         trials += mine
     _write(options, "fusion_minutiae", rows, differences)
     return _facts(table, trials)
@@ -83,7 +98,10 @@ def _fusion_with_minutiae(
 
 def _against(first: str, case: str, trials: Sequence[Trial]) -> list[tuple[Trial, Trial]]:
     """One trial and each other, labelled."""
-    named = {trial.attribute: trial.labelled(f"{case}: {trial.attribute.replace('_', ' ')}") for trial in trials}
+    named = {
+        trial.attribute: trial.labelled(f"{case}: {trial.attribute.replace('_', ' ')}")
+        for trial in trials
+    }
     return [(named[first], named[name]) for name in named if first in named and name != first]
 
 
@@ -144,7 +162,8 @@ def _by_matchers(  # noqa: PLR0917
     cases: Sequence[str],
     matchers: Mapping[str, str],
 ) -> Row:
-    """Rates of `cases` by `matchers` (with the attribute), and their differences from ``ea`` or ``ea-split``."""
+    """Rates of `cases` by `matchers` (with the attribute), and their differences from ``ea`` or
+    ``ea-split``."""
     captures = read_captures(store, cases)
     facts: Row = {}
     rows, differences = [], []
@@ -155,9 +174,13 @@ def _by_matchers(  # noqa: PLR0917
             facts[matcher] = {"missing": [str(nothing)]}
             continue
         work = _work(options, table, truth)
-        trials = [trial.labelled(f"{trial.case}, {matcher}") for trial in _of(table, matcher, attribute)]
+        trials = [
+            trial.labelled(f"{trial.case}, {matcher}") for trial in _of(table, matcher, attribute)
+        ]
         rows += rate_rows(work, trials, options.jobs, (PLAIN, WHOLE))
-        base = next((trial for name in ("ea", "ea-split") for trial in trials if trial.case == name), None)
+        base = next(
+            (trial for name in ("ea", "ea-split") for trial in trials if trial.case == name), None
+        )
         groups = [(trial, base) for trial in trials if base is not None and trial is not base]
         differences += difference_rows(work, groups, (WHOLE,), options.jobs)
         facts[matcher] = _facts(table, trials)
@@ -170,7 +193,11 @@ def run_sensitivity(options: argparse.Namespace, store: Any, truth: Mapping[str,
     captures = read_captures(store, options.cases)
     rows: list[Row] = []
     facts: Row = {}
-    for matcher, attributes in (("thesis", ("normals", "relief")), ("ridge", ("",)), ("minutiae", ("",))):
+    for matcher, attributes in (
+        ("thesis", ("normals", "relief")),
+        ("ridge", ("",)),
+        ("minutiae", ("",)),
+    ):
         try:
             table = read_table(store, captures, options.cases, (matcher,))
         except SystemExit:
@@ -181,10 +208,13 @@ def run_sensitivity(options: argparse.Namespace, store: Any, truth: Mapping[str,
         facts[matcher] = _facts(table, chosen)
     write_csv(options.out / "sensitivity.csv", rows)
     for factor, (matcher, attribute) in (
-        (name, system) for name in ("roll", "glare") for system in (("thesis", "relief"), ("ridge", ""))
+        (name, system)
+        for name in ("roll", "glare")
+        for system in (("thesis", "relief"), ("ridge", ""))
     ):
         series = [
-            (case, [row for row in rows if _key(row) == (case, matcher, attribute, factor)]) for case in options.cases
+            (case, [row for row in rows if _key(row) == (case, matcher, attribute, factor)])
+            for case in options.cases
         ]
         words = ", ".join(part for part in (FACTORS[factor].words, FACTORS[factor].unit) if part)
         chart = bins_figure(series, "gar@0.01", words, "GAR at FAR 1 %")
@@ -194,7 +224,8 @@ def run_sensitivity(options: argparse.Namespace, store: Any, truth: Mapping[str,
 
 
 def run_failures(options: argparse.Namespace, store: Any, truth: Mapping[str, Row]) -> Row:
-    """Failures to acquire of each case, and how many fingers and comparisons each rule of roll discards."""
+    """Failures to acquire of each case, and how many fingers and comparisons each rule of roll
+    discards."""
     rows = []
     for case in options.cases:
         try:
@@ -211,12 +242,17 @@ def run_failures(options: argparse.Namespace, store: Any, truth: Mapping[str, Ro
         area = np.asarray(table["area_mm2"], dtype=float)
         rows.append(
             {
-                "case": case, "captures": acquired.size, "failures": int((~acquired).sum()),
-                "failures_partial": int((~acquired & partial).sum()), "partial": int(partial.sum()),
+                "case": case,
+                "captures": acquired.size,
+                "failures": int((~acquired).sum()),
+                "failures_partial": int((~acquired & partial).sum()),
+                "partial": int(partial.sum()),
                 "median_area_mm2": float(np.median(area[acquired])) if acquired.any() else None,
-                "reasons": "; ".join(f"{count} x {words}" for words, count in sorted(reasons.items())),
+                "reasons": "; ".join(
+                    f"{count} x {words}" for words, count in sorted(reasons.items())
+                ),
             }
-        )  # fmt: skip
+        )
     write_csv(options.out / "failures.csv", rows)
     facts = discarded_by_roll(read_captures(store, options.cases), truth)
     return {"failures": {row["case"]: row["failures"] for row in rows}, "roll": facts}
@@ -233,7 +269,14 @@ def run_descriptors(options: argparse.Namespace, truth: Mapping[str, Row]) -> Ro
     """Section 5.2: local binary patterns beside HOG, Gabor energies and shape contexts."""
     from descriptors import MATCHED, WAYS  # the others need no images
 
-    return _on_images(options, truth, "descriptors", WAYS, "lbp", {name: f"descriptors-{name}" for name in MATCHED})
+    return _on_images(
+        options,
+        truth,
+        "descriptors",
+        WAYS,
+        "lbp",
+        {name: f"descriptors-{name}" for name in MATCHED},
+    )
 
 
 def _on_images(  # noqa: PLR0917
@@ -244,8 +287,8 @@ def _on_images(  # noqa: PLR0917
     first: str,
     figures: Mapping[str, str],
 ) -> Row:
-    """Rates of `ways` on images made anew, and what `first` has more than each of the others: with the gate on all
-    comparisons, without it on those that are made without it.
+    """Rates of `ways` on images made anew, and what `first` has more than each of the others: with
+    the gate on all comparisons, without it on those that are made without it.
     """
     from scales import keep_all
 
@@ -253,7 +296,11 @@ def _on_images(  # noqa: PLR0917
     names = [name for name in truth if name.split("/")[0] in people]
     read, place = keep_all(options.population, names, _scratch(options, "images"), options.jobs)
     every, ungated = compare_all(names, read, ways, place / part, options.jobs)
-    some = Table(every.pairs.taken(ungated), tuple(trial.at(ungated) for trial in every.trials), every.missing)
+    some = Table(
+        every.pairs.taken(ungated),
+        tuple(trial.at(ungated) for trial in every.trials),
+        every.missing,
+    )
     rows, differences, facts = [], [], {}
     for table in (some, every):
         work = _work(options, table, truth)
@@ -290,19 +337,40 @@ def run_figures(options: argparse.Namespace, truth: Mapping[str, Row]) -> Row:
     """Figures 3.1, 3.20, 3.22, 5.6 and 5.9, measured."""
     from figures import choose, run
 
-    whole = sorted(name for name, facts in truth.items() if not facts.get("partial") and not facts.get("print"))
+    whole = sorted(
+        name for name, facts in truth.items() if not facts.get("partial") and not facts.get("print")
+    )
     chosen = choose(whole, options.seed)[: options.captures]
-    return run(options.population, chosen, options.out, _scratch(options, "figures"), options.seed, options.jobs)
+    return run(
+        options.population,
+        chosen,
+        options.out,
+        _scratch(options, "figures"),
+        options.seed,
+        options.jobs,
+    )
 
 
 def run_part(part: str, options: argparse.Namespace, store: Any, truth: Mapping[str, Row]) -> Row:
     """Make the tables and plots of one part; `store` is None for those of :data:`WITHOUT_STORE`."""
-    return WITHOUT_STORE[part](options, truth) if part in WITHOUT_STORE else PART_OF[part](options, store, truth)
+    return (
+        WITHOUT_STORE[part](options, truth)
+        if part in WITHOUT_STORE
+        else PART_OF[part](options, store, truth)
+    )
 
 
 PARTS = (
-    "fusion", "cases", "matchers", "sensitivity", "failures", "descriptors", "figures", "scales", "normals",
-)  # fmt: skip
+    "fusion",
+    "cases",
+    "matchers",
+    "sensitivity",
+    "failures",
+    "descriptors",
+    "figures",
+    "scales",
+    "normals",
+)
 """What ``all`` makes; ``family`` and ``people`` have populations and stores of their own."""
 WITHOUT_STORE = {
     "scales": run_scales,
@@ -326,23 +394,30 @@ def discarded_by_roll(captures: Captures, truth: Mapping[str, Row]) -> Row:
     rolls = np.array([_rolls(truth).get(str(name), np.nan) for name in captures.names])
     spread = np.array(list(spreads(captures.finger, rolls).values()))
     same = [rolls[captures.finger == name] for name in np.unique(captures.finger)]
-    pairs = np.concatenate([np.abs(np.subtract.outer(one, one))[np.triu_indices(one.size, 1)] for one in same])
+    pairs = np.concatenate(
+        [np.abs(np.subtract.outer(one, one))[np.triu_indices(one.size, 1)] for one in same]
+    )
     limits = (8.0, 10.0, 15.0, 20.0)
     return {
-        "fingers": int(spread.size), "genuine_pairs": int(pairs.size),
+        "fingers": int(spread.size),
+        "genuine_pairs": int(pairs.size),
         "fingers_discarded": {f"{limit:g}": int((spread > limit).sum()) for limit in limits},
         "pairs_discarded": {f"{limit:g}": int((pairs > limit).sum()) for limit in limits},
-    }  # fmt: skip
+    }
 
 
 def _scratch(options: argparse.Namespace, part: str) -> Path:
     """Folder of what a part keeps of a population."""
-    population = json.loads((options.population / "population.json").read_text(encoding="utf-8"))["settings_sha256"]
+    population = json.loads((options.population / "population.json").read_text(encoding="utf-8"))[
+        "settings_sha256"
+    ]
     return Path(options.scratch / part / population[:12])
 
 
 def _of(table: Table, matcher: str, attribute: str) -> list[Trial]:
-    return [trial for trial in table.trials if (trial.matcher, trial.attribute) == (matcher, attribute)]
+    return [
+        trial for trial in table.trials if (trial.matcher, trial.attribute) == (matcher, attribute)
+    ]
 
 
 def _in_figure(trial: Trial) -> bool:
@@ -370,20 +445,26 @@ def _rocs(  # noqa: PLR0917
     label: Any,
     variants: Sequence[Variant] = COMPARED,
 ) -> None:
-    """As the thesis judges, and with neither gate nor averaging; where there are partial views, without them, too."""
-    settings = BootstrapSettings(replicates=options.replicates, seed=options.seed, curve_points=31, targets=(0.01,))
+    """As the thesis judges, and with neither gate nor averaging; where there are partial views,
+    without them, too."""
+    settings = BootstrapSettings(
+        replicates=options.replicates, seed=options.seed, curve_points=31, targets=(0.01,)
+    )
     for ending, variant in (("", THESIS), ("-plain", PLAIN), ("-whole", WHOLE)):
         if variant not in variants or (variant == WHOLE and not work.known.partial.any()):
             continue
         scores = [
-            (label(trial), judged(work.table.pairs, trial, variant, work.known, work.passing)) for trial in trials
+            (label(trial), judged(work.table.pairs, trial, variant, work.known, work.passing))
+            for trial in trials
         ]
         curves = [(words, one) for words, one in scores if one is not None]
         if curves:
             save(roc_figure(curves, settings), options.out / f"{name}{ending}.svg")
 
 
-def _write(options: argparse.Namespace, name: str, rows: Sequence[Row], differences: Sequence[Row]) -> None:
+def _write(
+    options: argparse.Namespace, name: str, rows: Sequence[Row], differences: Sequence[Row]
+) -> None:
     write_csv(options.out / f"{name}.csv", rows)
     write_csv(options.out / f"{name}_differences.csv", differences)
 
@@ -391,8 +472,10 @@ def _write(options: argparse.Namespace, name: str, rows: Sequence[Row], differen
 def _facts(table: Table, trials: Sequence[Trial]) -> Row:
     genuine = table.pairs.genuine
     return {
-        "genuine": int(genuine.sum()), "impostors": int((~genuine).sum()),
+        "genuine": int(genuine.sum()),
+        "impostors": int((~genuine).sum()),
         "impostors_passing_everywhere": int((passing_everywhere(table) & ~genuine).sum()),
         "fingers": int(np.unique(table.pairs.captures.finger[table.pairs.a]).size),
-        "trials": len(trials), "missing": list(table.missing),
-    }  # fmt: skip
+        "trials": len(trials),
+        "missing": list(table.missing),
+    }

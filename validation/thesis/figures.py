@@ -1,12 +1,16 @@
-"""Figures 3.1, 3.20, 3.22, 5.6 and 5.9 as figures that can be measured, on whole views of the population.
+"""Figures 3.1, 3.20, 3.22, 5.6 and 5.9 as figures that can be measured, on whole views of the
+population.
 
-- 3.1: power by spatial frequency, in all directions together, of the true shape and relief, and of white and NIR images
+- 3.1: power by spatial frequency, in all directions together, of the true shape and relief, and of
+  white and NIR images
 - 3.20: what n = 2 to 7 scales of shapelets leave of the shape in the relief
 - 3.22: error of the shape by photometric stereo under NIR and under white light
 - 5.6: bars of SnK and EA, of the rates in ``cases.csv``, beside the thesis's
-- 5.9: error of SnK, PR and EA in bands of spatial frequency; and as a picture, with patches, of one finger
+- 5.9: error of SnK, PR and EA in bands of spatial frequency; and as a picture, with patches, of one
+  finger
 
-The thesis shows 3.20, 3.22 and 5.9 as pictures of one finger. Each capture's figures are kept as a file.
+The thesis shows 3.20, 3.22 and 5.9 as pictures of one finger. Each capture's figures are kept as a
+file.
 """
 
 from __future__ import annotations
@@ -51,8 +55,11 @@ RESAMPLED = 1000
 Values = NDArray[np.float64]
 
 
-def run(population: Path, chosen: Sequence[str], out: Path, scratch: Path, seed: int, jobs: int) -> Row:  # noqa: PLR0917
-    """Write ``figures.csv``, ``figure_spectra.csv`` and the plots of the captures `chosen`; return the facts."""
+def run(  # noqa: PLR0917
+    population: Path, chosen: Sequence[str], out: Path, scratch: Path, seed: int, jobs: int
+) -> Row:
+    """Write ``figures.csv``, ``figure_spectra.csv`` and the plots of the captures `chosen`; return
+    the facts."""
     each(partial(_keep, population, scratch), chosen, jobs)
     found = [json.loads(_file(scratch, name).read_text(encoding="utf-8")) for name in chosen]
     known = [row for row in found if row]
@@ -98,7 +105,11 @@ def measure(capture: Capture) -> Row:
         row[f"3.20 n = {count} ridge correlation"] = seen.figures["ridge_correlation"]
         row[f"3.20 n = {count} power beside the ridges, %"] = _percent_beside(slow)
     nir, white, enhanced = results["snk"].shape_mm, results["ea"].height_mm, results["pr"].height_mm
-    for words, surface, case in (("NIR", nir, "snk"), ("white", white, "ea"), ("white, enhanced", enhanced, "pr")):
+    for words, surface, case in (
+        ("NIR", nir, "snk"),
+        ("white", white, "ea"),
+        ("white, enhanced", enhanced, "pr"),
+    ):
         error = bands(surface - truth["shape_mm"], against[case].surface, results[case])
         row[f"3.22 {words}: shape error, um"] = error["shape"]
     for case, result in results.items():
@@ -115,7 +126,9 @@ def _ridge(seen: Comparison) -> float:
     return float(seen.figures["height_band_correlation"])
 
 
-def bands(values: NDArray[Any], where: NDArray[np.bool_], result: Reconstruction) -> dict[str, float]:
+def bands(
+    values: NDArray[Any], where: NDArray[np.bool_], result: Reconstruction
+) -> dict[str, float]:
     """Rms by band in um, on a surface and freed from its mean plane: a camera does not know it."""
     inside = result.mask & np.isfinite(values)
     filled = np.where(inside, values, 0.0).astype(np.float64)
@@ -123,15 +136,23 @@ def bands(values: NDArray[Any], where: NDArray[np.bool_], result: Reconstruction
     plane = np.stack([np.ones(y.size), y, x], axis=1)
     least = np.linalg.lstsq(plane, filled[y, x], rcond=None)[0]
     rows, columns = np.indices(filled.shape)
-    flat = np.where(inside, filled - (least[0] + least[1] * rows + least[2] * columns), 0.0).astype(np.float32)
+    flat = np.where(inside, filled - (least[0] + least[1] * rows + least[2] * columns), 0.0).astype(
+        np.float32
+    )
     above = {0.0: flat}
     for frequency in (2.0, 10.0):
-        sigma_mm = 10.0 * np.sqrt(2.0 * np.log(2.0)) / (2.0 * np.pi * frequency)  # half the amplitude
+        # half the amplitude
+        sigma_mm = 10.0 * np.sqrt(2.0 * np.log(2.0)) / (2.0 * np.pi * frequency)
         above[frequency] = high_passed(flat, inside, float(sigma_mm / result.pitch_mm))
     parts = {
-        "shape": above[0.0] - above[2.0], "between": above[2.0] - above[10.0], "ridges": above[10.0],
-    }  # fmt: skip
-    return {band: 1000.0 * float(np.sqrt(np.mean(part[y, x].astype(np.float64) ** 2))) for band, part in parts.items()}
+        "shape": above[0.0] - above[2.0],
+        "between": above[2.0] - above[10.0],
+        "ridges": above[10.0],
+    }
+    return {
+        band: 1000.0 * float(np.sqrt(np.mean(part[y, x].astype(np.float64) ** 2)))
+        for band, part in parts.items()
+    }
 
 
 def _percent_beside(bands: Mapping[str, float]) -> float:
@@ -139,7 +160,9 @@ def _percent_beside(bands: Mapping[str, float]) -> float:
     return 100.0 * (power["shape"] + power["between"]) / sum(power.values())
 
 
-def _spectra(capture: Capture, result: Reconstruction, truth: Mapping[str, NDArray[Any]]) -> dict[str, list[float]]:
+def _spectra(
+    capture: Capture, result: Reconstruction, truth: Mapping[str, NDArray[Any]]
+) -> dict[str, list[float]]:
     """Power of a square as wide as the finger, of 1 at most, in bins around :data:`FREQUENCIES`."""
     fields = {
         "true shape": np.asarray(truth["shape_mm"], dtype=np.float64),
@@ -151,8 +174,13 @@ def _spectra(capture: Capture, result: Reconstruction, truth: Mapping[str, NDArr
     middle = int(rows[rows.size // 2])
     columns = np.flatnonzero(result.mask[middle])
     half = min(columns.size // 2, middle - int(rows[0]), int(rows[-1]) - middle)
-    square = np.s_[middle - half : middle + half, int(columns.mean()) - half : int(columns.mean()) + half]
-    return {name: _power(field[square], result.mask[square], result.pitch_mm) for name, field in fields.items()}
+    square = np.s_[
+        middle - half : middle + half, int(columns.mean()) - half : int(columns.mean()) + half
+    ]
+    return {
+        name: _power(field[square], result.mask[square], result.pitch_mm)
+        for name, field in fields.items()
+    }
 
 
 def _brightness(capture: Capture, name: str) -> Values:
@@ -166,22 +194,34 @@ def _power(field: Values, mask: NDArray[np.bool_], pitch_mm: float) -> list[floa
     window = np.where(inside, np.outer(np.hanning(field.shape[0]), np.hanning(field.shape[1])), 0.0)
     values = np.where(inside, field, 0.0)
     values = window * (values - np.sum(window * values) / np.sum(window))
-    count = scipy.fft.next_fast_len(max(3 * max(field.shape), int(np.ceil(20.0 / (STEP * pitch_mm)))))
+    count = scipy.fft.next_fast_len(
+        max(3 * max(field.shape), int(np.ceil(20.0 / (STEP * pitch_mm))))
+    )
     power = np.abs(scipy.fft.fft2(values, s=(count, count))) ** 2
     waves = np.fft.fftfreq(count, 0.1 * pitch_mm)
     number = np.round(np.hypot(waves[:, None], waves[None, :]) / STEP).astype(np.int64).ravel()
-    total = np.bincount(number, weights=power.ravel(), minlength=FREQUENCIES.size + 1)[1 : FREQUENCIES.size + 1]
+    total = np.bincount(number, weights=power.ravel(), minlength=FREQUENCIES.size + 1)[
+        1 : FREQUENCIES.size + 1
+    ]
     return [float(value) for value in total / max(float(total.max()), 1e-30)]
 
 
-def _profiles(results: Mapping[str, Reconstruction], truth: Mapping[str, NDArray[Any]]) -> dict[str, list[float]]:
-    """Heights along the finger's middle in mm, freed from their mean: the side view of figure 5.9."""
+def _profiles(
+    results: Mapping[str, Reconstruction], truth: Mapping[str, NDArray[Any]]
+) -> dict[str, list[float]]:
+    """Heights along the finger's middle in mm, freed from their mean: the side view of figure
+    5.9."""
     mask = results["snk"].mask
     column = int(np.median(np.nonzero(mask)[1]))
     along = np.flatnonzero(mask[:, column] & np.isfinite(truth["height_mm"][:, column]))
     along = along[:: max(1, round(PROFILE_STEP_MM / results["snk"].pitch_mm))]
-    heights = {"truth": truth["height_mm"], **{case: result.height_mm for case, result in results.items()}}
-    shown = {name: np.asarray(field[along, column], dtype=np.float64) for name, field in heights.items()}
+    heights = {
+        "truth": truth["height_mm"],
+        **{case: result.height_mm for case, result in results.items()},
+    }
+    shown = {
+        name: np.asarray(field[along, column], dtype=np.float64) for name, field in heights.items()
+    }
     found = {name: (values - np.nanmean(values)).tolist() for name, values in shown.items()}
     return {"mm": (along * results["snk"].pitch_mm).tolist(), **found}
 
@@ -193,7 +233,10 @@ def summary(found: Sequence[Row], seed: int) -> list[Row]:
     values = {
         f"3.1 {name}: {words}": [of(np.array(row["spectra"][name])) for row in found]
         for name in (found[0]["spectra"] if found else ())
-        for words, of in (("peak, cycles per cm", _peak), ("power above 10 cycles per cm, %", _above))
+        for words, of in (
+            ("peak, cycles per cm", _peak),
+            ("power above 10 cycles per cm, %", _above),
+        )
     }
     names = [name for name in (found[0] if found else ()) if name not in ("spectra", "profiles")]
     rows = []
@@ -216,11 +259,17 @@ def _above(power: Values) -> float:
 
 
 def _draw(found: Sequence[Row], out: Path) -> None:
-    spectra = {name: np.mean([row["spectra"][name] for row in found], axis=0) for name in found[0]["spectra"]}
+    spectra = {
+        name: np.mean([row["spectra"][name] for row in found], axis=0)
+        for name in found[0]["spectra"]
+    }
     write_csv(
         out / "figure_spectra.csv",
         [
-            {"cycles_per_cm": float(f), **{name: float(power[k]) for name, power in spectra.items()}}
+            {
+                "cycles_per_cm": float(f),
+                **{name: float(power[k]) for name, power in spectra.items()},
+            }
             for k, f in enumerate(FREQUENCIES)
         ],
     )
@@ -230,10 +279,19 @@ def _draw(found: Sequence[Row], out: Path) -> None:
     curves = []
     for words in ("ridge correlation", "power beside the ridges, %"):
         factor = 0.01 if words.endswith("%") else 1.0
-        values = [factor * np.mean([row[f"3.20 n = {count} {words}"] for row in found]) for count in SCALES]
+        values = [
+            factor * np.mean([row[f"3.20 n = {count} {words}"] for row in found])
+            for count in SCALES
+        ]
         curves.append((words.removesuffix(", %"), SCALES, values))
-    titled = {"title": "Ridges and what else is in the relief, by scales of shapelets", "ylim": (0, 1)}
-    save(lines_figure(curves, "scales of shapelets", "fraction, correlation", **titled), out / "figure-3-20.svg")
+    titled = {
+        "title": "Ridges and what else is in the relief, by scales of shapelets",
+        "ylim": (0, 1),
+    }
+    save(
+        lines_figure(curves, "scales of shapelets", "fraction, correlation", **titled),
+        out / "figure-3-20.svg",
+    )
     profile = dict(found[0]["profiles"])
     x = profile.pop("mm")
     sides = [(name, x, np.array(values, dtype=np.float64)) for name, values in profile.items()]
@@ -250,7 +308,8 @@ OF_5_6 = (
 
 
 def accuracies(rows: Sequence[Mapping[str, str]]) -> list[Any]:
-    """Bars of figure 5.6: rates of ``cases.csv`` in percent, judged as the thesis with whole views."""
+    """Bars of figure 5.6: rates of ``cases.csv`` in percent, judged as the thesis with whole
+    views."""
     judged = ("gate", "averaged", "whole")
     groups = []
     for label, attribute, far, theirs in OF_5_6:
@@ -260,9 +319,14 @@ def accuracies(rows: Sequence[Mapping[str, str]]) -> list[Any]:
             keys = ("case", "matcher", "attribute", "gate", "sessions", "kept")
             row = next((row for row in rows if tuple(row[key] for key in keys) == wanted), {})
             if value := row.get(f"gar@{far}"):
-                ends = tuple(100.0 * float(row[f"gar@{far}_{end}_finger"]) for end in ("low", "high"))
+                ends = tuple(
+                    100.0 * float(row[f"gar@{far}_{end}_finger"]) for end in ("low", "high")
+                )
                 bars.append((case, 100.0 * float(value), ends))
-        bars += [(f"{case}, thesis", value, None) for case, value in zip(("ea", "snk"), theirs, strict=True)]
+        bars += [
+            (f"{case}, thesis", value, None)
+            for case, value in zip(("ea", "snk"), theirs, strict=True)
+        ]
         groups.append((label, bars))
     return groups
 
@@ -271,19 +335,22 @@ PATCH_MM, PATCH_PX = 5.0, 220
 
 
 def surfaces(capture: Capture) -> NDArray[np.uint8]:
-    """Figure 5.9 of one finger: truth, SnK, PR and EA from the front and the side, and below zoomed ridges of each."""
+    """Figure 5.9 of one finger: truth, SnK, PR and EA from the front and the side, and below zoomed
+    ridges of each."""
     results, heights = _of_cases(capture)
     ridges = {**heights, "snk": results["snk"].ridge_mm}
     return _side_by_side(results["snk"], heights, ridges)
 
 
 def shapes(capture: Capture) -> NDArray[np.uint8]:
-    """Figure 3.22 of one finger: its true shape, and that by NIR, white and enhanced white light, front and side."""
+    """Figure 3.22 of one finger: its true shape, and that by NIR, white and enhanced white light,
+    front and side."""
     results, heights = _of_cases(capture)
     truth = np.asarray(read_truth(capture)["shape_mm"])
     first = results["snk"]
     return _side_by_side(
-        replace(first, ridge_mm=np.zeros_like(first.ridge_mm)),  # which the shading would darken valleys by
+        # which the shading would darken valleys by
+        replace(first, ridge_mm=np.zeros_like(first.ridge_mm)),
         {"truth": truth, "NIR": first.shape_mm, "white": heights["ea"], "enhanced": heights["pr"]},
     )
 
@@ -296,16 +363,25 @@ def _of_cases(capture: Capture) -> tuple[dict[str, Reconstruction], dict[str, ND
 
 
 def _side_by_side(
-    first: Reconstruction, heights: Mapping[str, NDArray[Any]], ridges: Mapping[str, NDArray[Any]] | None = None
+    first: Reconstruction,
+    heights: Mapping[str, NDArray[Any]],
+    ridges: Mapping[str, NDArray[Any]] | None = None,
 ) -> NDArray[np.uint8]:
     """Each surface from the front and the side, with zoomed ridges below where they are given."""
     columns = []
     for name, height in heights.items():
-        whole = np.where(first.mask & np.isfinite(height), height, np.float32(np.nan)).astype(np.float32)
+        whole = np.where(first.mask & np.isfinite(height), height, np.float32(np.nan)).astype(
+            np.float32
+        )
         shown = replace(first, height_mm=whole, mask=first.mask & np.isfinite(whole))
         small = small_fields(shown, upright_frame(shown, 700))
-        views = [oblique_view(small, tilt_deg=0.0), oblique_view(small, turn_deg=90.0, tilt_deg=80.0)]
-        column = [_fitted(view, size) for view, size in zip(views, ((320, 220), (150, 220)), strict=True)]
+        views = [
+            oblique_view(small, tilt_deg=0.0),
+            oblique_view(small, turn_deg=90.0, tilt_deg=80.0),
+        ]
+        column = [
+            _fitted(view, size) for view, size in zip(views, ((320, 220), (150, 220)), strict=True)
+        ]
         column += [] if ridges is None else [_patch(ridges[name], first)]
         columns.append(_labelled(np.vstack(column), name))
     return np.asarray(np.hstack(columns) & 0xF8)  # 32 shades: a quarter of the bytes
@@ -316,12 +392,18 @@ def _patch(height_mm: NDArray[Any], result: Reconstruction) -> NDArray[np.uint8]
     rows, columns = np.nonzero(result.mask)
     half = round(0.5 * PATCH_MM / result.pitch_mm)
     row, column = (int(np.median(part)) for part in (rows, columns))
-    part = np.asarray(height_mm[row - half : row + half, column - half : column + half], dtype=np.float64)
+    part = np.asarray(
+        height_mm[row - half : row + half, column - half : column + half], dtype=np.float64
+    )
     down, right = np.gradient(part - np.nanmean(part), result.pitch_mm)
     light = (1.0 + 0.8 * (down + right)) / np.sqrt(1.0 + down**2 + right**2)
     low, high = np.nanpercentile(light, (1.0, 99.0))
-    shade = np.clip(255.0 * (np.nan_to_num(light) - low) / max(high - low, 1e-6), 0, 255).astype(np.uint8)
-    return np.repeat(cv2.resize(shade, (PATCH_PX, PATCH_PX), interpolation=cv2.INTER_CUBIC)[..., None], 3, axis=2)
+    shade = np.clip(255.0 * (np.nan_to_num(light) - low) / max(high - low, 1e-6), 0, 255).astype(
+        np.uint8
+    )
+    return np.repeat(
+        cv2.resize(shade, (PATCH_PX, PATCH_PX), interpolation=cv2.INTER_CUBIC)[..., None], 3, axis=2
+    )
 
 
 def _fitted(view: NDArray[np.uint8], size: tuple[int, int]) -> NDArray[np.uint8]:
@@ -335,7 +417,9 @@ def _fitted(view: NDArray[np.uint8], size: tuple[int, int]) -> NDArray[np.uint8]
 
 def _labelled(column: NDArray[np.uint8], name: str) -> NDArray[np.uint8]:
     framed = np.pad(column, ((34, 4), (4, 4), (0, 0)), constant_values=255)
-    return cv2.putText(framed, name, (10, 24), cv2.FONT_HERSHEY_SIMPLEX, 0.8, (0, 0, 0), 2, cv2.LINE_AA)
+    return cv2.putText(
+        framed, name, (10, 24), cv2.FONT_HERSHEY_SIMPLEX, 0.8, (0, 0, 0), 2, cv2.LINE_AA
+    )
 
 
 def _keep(population: Path, scratch: Path, name: str) -> None:

@@ -11,7 +11,8 @@ from splitknit.errors import BadInput
 from splitknit_match.evaluation.fusion import fuse
 
 OF_THESIS = {"normals + relief": ("normals", "relief"), "all three": ATTRIBUTES}
-"""What is joined; the thesis's figure 5.3 has all three, its further figures the first two apart."""
+"""What is joined; the thesis's figure 5.3 has all three, its further figures the first two
+apart."""
 MINUTIAE_SET = "all three + minutiae"
 SETS = {
     **{name: tuple(("thesis", one) for one in chosen) for name, chosen in OF_THESIS.items()},
@@ -22,10 +23,10 @@ SETS = {
 def fused(table: Table, case: str, name: str, seed: int) -> list[Trial]:
     """A set of :data:`SETS` joined in several ways; none where a part is missing.
 
-    ``mean``: of the thesis's scores (5.2) as they are, the plainest "linear combination". ``linear``: each part brought
-    to [0, 1] by its least and largest score, then the mean, as the figure's "normalised LBP score" may be meant.
-    ``trained``: logistic regression. Both learn from other people than those of the comparison: cross-validated by
-    subject.
+    ``mean``: of the thesis's scores (5.2) as they are, the plainest "linear combination".
+    ``linear``: each part brought to [0, 1] by its least and largest score, then the mean, as the
+    figure's "normalised LBP score" may be meant. ``trained``: logistic regression. Both learn from
+    other people than those of the comparison: cross-validated by subject.
     """
     parts = [table.trial(case, matcher, attribute) for matcher, attribute in SETS[name]]
     known = [part for part in parts if part is not None]

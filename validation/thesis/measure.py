@@ -14,7 +14,13 @@ from numpy.typing import NDArray
 from trials import Table, Trial
 from variants import VARIANTS, Known, Variant, judged
 
-from splitknit_match.evaluation.intervals import TARGETS, BootstrapSettings, Interval, bootstrap, differences
+from splitknit_match.evaluation.intervals import (
+    TARGETS,
+    BootstrapSettings,
+    Interval,
+    bootstrap,
+    differences,
+)
 from splitknit_match.evaluation.scores import Scores
 from tables import Row
 
@@ -34,7 +40,9 @@ class Work:
         return judged(self.table.pairs, trial, variant, self.known, self.passing)
 
 
-def rate_rows(work: Work, trials: Sequence[Trial], jobs: int = 1, variants: Sequence[Variant] = VARIANTS) -> list[Row]:
+def rate_rows(
+    work: Work, trials: Sequence[Trial], jobs: int = 1, variants: Sequence[Variant] = VARIANTS
+) -> list[Row]:
     """One row for each trial and variant."""
     return _in_parallel(_rate_row, work, list(product(trials, variants)), jobs)
 
@@ -42,13 +50,24 @@ def rate_rows(work: Work, trials: Sequence[Trial], jobs: int = 1, variants: Sequ
 def difference_rows(
     work: Work, groups: Iterable[Sequence[Trial]], variants: Sequence[Variant], jobs: int = 1
 ) -> list[Row]:
-    """One row for each two trials of a group and each variant: first minus second, on the same comparisons."""
-    tasks = [(*two, variant) for group in groups for two in combinations(group, 2) for variant in variants]
+    """One row for each two trials of a group and each variant: first minus second, on the same
+    comparisons."""
+    tasks = [
+        (*two, variant)
+        for group in groups
+        for two in combinations(group, 2)
+        for variant in variants
+    ]
     return _in_parallel(_difference_row, work, tasks, jobs)
 
 
 def _rate_row(work: Work, trial: Trial, variant: Variant) -> Row:
-    head = {"case": trial.case, "matcher": trial.matcher, "attribute": trial.attribute, **asdict(variant)}
+    head = {
+        "case": trial.case,
+        "matcher": trial.matcher,
+        "attribute": trial.attribute,
+        **asdict(variant),
+    }
     scores = work.judged(trial, variant)
     methods = METHODS if variant.kept not in ("pairs", "fingers") else METHODS[:1]
     return {**head, **(_nothing() if scores is None else rates_of(scores, work.settings, methods))}
@@ -56,9 +75,12 @@ def _rate_row(work: Work, trial: Trial, variant: Variant) -> Row:
 
 def _difference_row(work: Work, first: Trial, second: Trial, variant: Variant) -> Row:
     head = {
-        "first": first.label, "second": second.label, "matcher": first.matcher, "attribute": first.attribute,
+        "first": first.label,
+        "second": second.label,
+        "matcher": first.matcher,
+        "attribute": first.attribute,
         **asdict(variant),
-    }  # fmt: skip
+    }
     sides = [work.judged(trial, variant) for trial in (first, second)]
     if sides[0] is None or sides[1] is None:
         return {**head, **_nothing()}
@@ -68,7 +90,11 @@ def _difference_row(work: Work, first: Trial, second: Trial, variant: Variant) -
 def rates_of(scores: Scores, settings: BootstrapSettings, methods: Sequence[str] = METHODS) -> Row:
     """GAR at each FAR that the impostors can support, EER and d', each by finger and by subject."""
     impostors = int(np.sum(~scores.label))
-    found = {way: bootstrap(scores, way, settings).figures for way in methods_of(scores) if way in methods}
+    found = {
+        way: bootstrap(scores, way, settings).figures
+        for way in methods_of(scores)
+        if way in methods
+    }
     row: Row = {
         "genuine": int(scores.label.sum()),
         "impostors": impostors,
@@ -77,9 +103,11 @@ def rates_of(scores: Scores, settings: BootstrapSettings, methods: Sequence[str]
         "subjects": 0 if scores.subject is None else int(np.unique(scores.subject.codes).size),
     }
     for name, label, reduce in (
-        ("least_genuine", True, np.nanmin), ("median_genuine", True, np.nanmedian),
-        ("median_impostor", False, np.nanmedian), ("largest_impostor", False, np.nanmax),
-    ):  # fmt: skip
+        ("least_genuine", True, np.nanmin),
+        ("median_genuine", True, np.nanmedian),
+        ("median_impostor", False, np.nanmedian),
+        ("largest_impostor", False, np.nanmax),
+    ):
         row[name] = float(reduce(scores.score[scores.label == label]))
     for target in TARGETS:
         row[f"accepts@{target:g}"] = allowed(target, impostors)
@@ -107,7 +135,9 @@ def allowed(target: float, impostors: int) -> int:
 def methods_of(scores: Scores) -> tuple[str, ...]:
     """Ways of drawing for which there are three to draw at least."""
     ids = {"finger": scores.finger, "subject": scores.subject}
-    return tuple(m for m in METHODS if (one := ids[m]) is not None and np.unique(one.codes).size >= 3)
+    return tuple(
+        m for m in METHODS if (one := ids[m]) is not None and np.unique(one.codes).size >= 3
+    )
 
 
 def _limits(name: str, found: dict[str, Any], figure: str) -> Row:
@@ -129,11 +159,15 @@ _shared: list[Any] = []
 """Of a worker: the function and what its tasks share."""
 
 
-def _in_parallel(work_on: Callable[..., Row], work: Work, tasks: Sequence[tuple[Any, ...]], jobs: int) -> list[Row]:
+def _in_parallel(
+    work_on: Callable[..., Row], work: Work, tasks: Sequence[tuple[Any, ...]], jobs: int
+) -> list[Row]:
     if jobs <= 1 or len(tasks) <= 1:
         return [work_on(work, *task) for task in tasks]
     context = multiprocessing.get_context("spawn")
-    with ProcessPoolExecutor(jobs, mp_context=context, initializer=_fraction, initargs=(work_on, work)) as pool:
+    with ProcessPoolExecutor(
+        jobs, mp_context=context, initializer=_fraction, initargs=(work_on, work)
+    ) as pool:
         return list(pool.map(_one, tasks))
 
 

@@ -1,7 +1,8 @@
-"""Both readings of the thesis's "normals": of the integrated surface, and as photometric stereo measured them.
+"""Both readings of the thesis's "normals": of the integrated surface, and as photometric stereo
+measured them.
 
-The text does not say which. Those of the surface are in the store; here the measured ones are compared by the same
-local binary patterns, alignment and score, on the same comparisons.
+The text does not say which. Those of the surface are in the store; here the measured ones are
+compared by the same local binary patterns, alignment and score, on the same comparisons.
 """
 
 from __future__ import annotations
@@ -29,15 +30,19 @@ from splitknit_match.matching.surface import surface_images
 from splitknit_match.matching.thesis import NORMALS, FingerImages
 
 MEASURED_AS: Mapping[str, str] = {"snk": "pr", "pr": "pr", "ea": "ea"}
-"""Case, and the case that measures the same normals: `snk` and `pr` differ after photometric stereo only."""
-FIELDS = {case: tuple(f"{case}_{name}" for name in NORMALS) for case in dict.fromkeys(MEASURED_AS.values())}
+"""Case, and the case that measures the same normals: `snk` and `pr` differ after photometric stereo
+only."""
+FIELDS = {
+    case: tuple(f"{case}_{name}" for name in NORMALS)
+    for case in dict.fromkeys(MEASURED_AS.values())
+}
 
 
 def normals_table(store: StoreLike, captures: Captures, options: argparse.Namespace) -> Table:
     """Trials of each case and reading on the comparisons that the store has of all cases.
 
-    `options`: of ``run.py``; ``fraction`` of the impostor pairs is compared, and finished captures and comparisons are
-    kept in ``scratch``.
+    `options`: of ``run.py``; ``fraction`` of the impostor pairs is compared, and finished captures
+    and comparisons are kept in ``scratch``.
     """
     table = read_table(store, captures, tuple(MEASURED_AS), ("thesis",))
     every, finger = table.pairs, captures.finger
@@ -48,7 +53,10 @@ def normals_table(store: StoreLike, captures: Captures, options: argparse.Namesp
     each(partial(_keep, options.population, place), captures.names.tolist(), options.jobs)
     ways = [Way(case, lbp_features, "measured normals", names) for case, names in FIELDS.items()]
     measured = {
-        trial.case: trial for trial in compare_pairs(pairs, partial(_read, place), ways, place / "scores", options.jobs)
+        trial.case: trial
+        for trial in compare_pairs(
+            pairs, partial(_read, place), ways, place / "scores", options.jobs
+        )
     }
     trials: list[Trial] = []
     for case, like in MEASURED_AS.items():
@@ -61,14 +69,19 @@ def normals_table(store: StoreLike, captures: Captures, options: argparse.Namesp
     return Table(pairs, tuple(trials), table.missing)
 
 
-def drawn(finger_a: NDArray[np.str_], finger_b: NDArray[np.str_], fraction: float, seed: int) -> NDArray[np.bool_]:
+def drawn(
+    finger_a: NDArray[np.str_], finger_b: NDArray[np.str_], fraction: float, seed: int
+) -> NDArray[np.bool_]:
     """(N,) a fraction of the pairs of fingers, the same whatever else is compared."""
 
     def chosen(a: str, b: str) -> bool:
         digest = hashlib.sha256(f"{seed}:{a}:{b}".encode()).digest()
         return int.from_bytes(digest[:8], "big") < fraction * 2.0**64
 
-    return np.array([chosen(a, b) for a, b in zip(finger_a.tolist(), finger_b.tolist(), strict=True)], dtype=np.bool_)
+    return np.array(
+        [chosen(a, b) for a, b in zip(finger_a.tolist(), finger_b.tolist(), strict=True)],
+        dtype=np.bool_,
+    )
 
 
 def _keep(population: Path, place: Path, name: str) -> None:
@@ -79,7 +92,9 @@ def _keep(population: Path, place: Path, name: str) -> None:
             result = reconstruct(capture, case)
             assert result.normals_measured is not None  # the thesis's cases measure normals
             found = surface_images(replace(surface_of(result), normals=result.normals_measured))
-            channels |= {field: found.channels[name] for field, name in zip(fields, NORMALS, strict=True)}
+            channels |= {
+                field: found.channels[name] for field, name in zip(fields, NORMALS, strict=True)
+            }
         return replace(found, channels=channels)  # both cases find the same mask
 
     kept_images(_file(place, name), images)

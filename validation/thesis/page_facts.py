@@ -9,7 +9,8 @@ from page_tables import Lines, Row, digits
 
 
 def sensitivity_table(rows: Sequence[Row]) -> Lines:
-    """GAR at the thresholds of FAR 1 % and 0.1 % in each bin, one line for each case and matcher."""
+    """GAR at the thresholds of FAR 1 % and 0.1 % in each bin, one line for each case and
+    matcher."""
     if not rows:
         return []
     bins = list(dict.fromkeys((float(row["from"]), float(row["to"])) for row in rows))
@@ -18,7 +19,8 @@ def sensitivity_table(rows: Sequence[Row]) -> Lines:
     counts = {
         (float(row["from"]), float(row["to"])): row["genuine"]
         for row in rows
-        if (row["case"], row["matcher"], row["attribute"]) == (first["case"], first["matcher"], first["attribute"])
+        if (row["case"], row["matcher"], row["attribute"])
+        == (first["case"], first["matcher"], first["attribute"])
     }
     shown = [
         f"{low:g} to {high:g} ({counts.get((low, high), '?')})" if first["factor"] != "partial"
@@ -46,7 +48,9 @@ def _bin_cell(row: Row) -> str:
 
 def failures_table(rows: Sequence[Row]) -> Lines:
     """Failures to acquire."""
-    lines = [["case", "captures", "failures to acquire", "of them partial views", "median area, mm²"]]
+    lines = [
+        ["case", "captures", "failures to acquire", "of them partial views", "median area, mm²"]
+    ]
     for row in rows:
         failed = f"{row['failures_partial']} of {row['partial']}"
         area = f"{float(row['median_area_mm2'] or 'nan'):.0f}"
@@ -80,7 +84,15 @@ def figures_table(rows: Sequence[Row]) -> Lines:
 def run_table(runs: Mapping[str, Any]) -> Lines:
     """From what each table is, and from how much of it."""
     lines = [
-        ["table", "genuine / impostor pairs", "impostors that pass", "fingers", "left out", "seconds", "population"]
+        [
+            "table",
+            "genuine / impostor pairs",
+            "impostors that pass",
+            "fingers",
+            "left out",
+            "seconds",
+            "population",
+        ]
     ]
     parts = [(name, runs.get(name, {})) for name in ("scales", "fusion", "cases", "descriptors")]
     matchers = runs.get("matchers", {})
@@ -91,13 +103,15 @@ def run_table(runs: Mapping[str, Any]) -> Lines:
             passing = f"{part['impostors_passing_everywhere']:,}"
             left = ", ".join(part["missing"]) or "nothing"
             seconds = str(part.get("seconds"))
-            lines.append([name, pairs, passing, str(part["fingers"]), left, seconds, population_words(part)])
+            lines.append(
+                [name, pairs, passing, str(part["fingers"]), left, seconds, population_words(part)]
+            )
     return lines
 
 
 def population_words(run: Mapping[str, Any]) -> str:
     """Of what population the figures are."""
     return (
-        f"seed {run['population_seed']}, scale {run['population_scale']}, hash {run['population_sha256'][:12]}; "
-        f"{run['replicates']} replicates, seed {run['seed']}"
+        f"seed {run['population_seed']}, scale {run['population_scale']}, hash"
+        f" {run['population_sha256'][:12]}; {run['replicates']} replicates, seed {run['seed']}"
     )

@@ -1,4 +1,5 @@
-"""Tables for reading, from the rows of this folder's CSV files: report.py writes them to ``tables/``.
+"""Tables for reading, from the rows of this folder's CSV files: report.py writes them to
+``tables/``.
 
 Each function returns the lines of one table, its head first; no lines where nothing was measured.
 """
@@ -24,14 +25,19 @@ JUDGED = {
     ("passing", "single", "all"): "impostors that pass, single",
     ("passing", "single", "whole"): "impostors that pass, single, whole views",
 }
-THESIS, PLAIN, PASSING = ("gate", "averaged", "all"), ("none", "single", "all"), ("passing", "single", "all")
+THESIS, PLAIN, PASSING = (
+    ("gate", "averaged", "all"),
+    ("none", "single", "all"),
+    ("passing", "single", "all"),
+)
 THESIS_WHOLE, WHOLE = ("gate", "averaged", "whole"), ("none", "single", "whole")
 LIKE_ROLLS = ("gate", "averaged", "fingers")
 GATED = ("gate", "single", "all")
 UNDILUTED = (THESIS, LIKE_ROLLS, GATED, PLAIN, PASSING)
 """How the population without partial views is judged."""
 BY_PRINT = (THESIS, PLAIN, *(("none", "single", kept) for kept in ("printed", "drawn")))
-"""How ``ridge`` and minutiae are judged: fingers with ridges of real prints and of drawn ones apart, too."""
+"""How ``ridge`` and minutiae are judged: fingers with ridges of real prints and of drawn ones
+apart, too."""
 ROUGH_BELOW = 10
 """False accepts behind a FAR below which a figure is marked."""
 Row = dict[str, str]
@@ -59,16 +65,29 @@ THE_THESIS: tuple[tuple[str, str, str, str, str], ...] = (
 """Figure, what, FAR, the thesis's GAR in percent, and our row."""
 
 
-def rate_table(rows: Sequence[Row], head: str, name: Callable[[Row], str], judged: Sequence[tuple[str, ...]]) -> Lines:
+def rate_table(
+    rows: Sequence[Row], head: str, name: Callable[[Row], str], judged: Sequence[tuple[str, ...]]
+) -> Lines:
     """Rates of several trials, each judged in some ways."""
     if not rows:
         return []
-    lines = [["judged", head, *(f"GAR at FAR {PERCENT[far]}" for far in FARS), "EER", "d'", "pairs"]]
+    lines = [
+        ["judged", head, *(f"GAR at FAR {PERCENT[far]}" for far in FARS), "EER", "d'", "pairs"]
+    ]
     for key in judged:
         for row in compared(rows, key):
             cells = [gar_cell(row, far) for far in FARS]
             pairs = f"{int(row['genuine']):,} / {int(row['impostors']):,}"
-            lines.append([JUDGED[key], name(row), *cells, cell(row, "eer", 100), cell(row, "d_prime", 1), pairs])
+            lines.append(
+                [
+                    JUDGED[key],
+                    name(row),
+                    *cells,
+                    cell(row, "eer", 100),
+                    cell(row, "d_prime", 1),
+                    pairs,
+                ]
+            )
     return lines
 
 
@@ -85,21 +104,34 @@ def difference_table(rows: Sequence[Row], judged: Sequence[tuple[str, ...]]) -> 
     return lines
 
 
-def thesis_table(tables: Mapping[str, Sequence[Row]], judged: Sequence[tuple[str, ...]] = UNDILUTED) -> Lines:
+def thesis_table(
+    tables: Mapping[str, Sequence[Row]], judged: Sequence[tuple[str, ...]] = UNDILUTED
+) -> Lines:
     """Beside the thesis's own numbers."""
-    lines = [["figure", "what", "FAR", "thesis", "impostor pairs", *(JUDGED[key] for key in judged)]]
+    lines = [
+        ["figure", "what", "FAR", "thesis", "impostor pairs", *(JUDGED[key] for key in judged)]
+    ]
     for figure, words, far, said, place in THE_THESIS:
         table, case, attribute = place.split(":")
         own = [row for row in tables[table] if (row["case"], row["attribute"]) == (case, attribute)]
-        cells = [next((gar_cell(row, far) for row in own if variant(row) == key), "not measured") for key in judged]
-        counts = [f"{int(row['impostors']):,}" for key in (GATED, PLAIN) for row in own if variant(row) == key]
+        cells = [
+            next((gar_cell(row, far) for row in own if variant(row) == key), "not measured")
+            for key in judged
+        ]
+        counts = [
+            f"{int(row['impostors']):,}"
+            for key in (GATED, PLAIN)
+            for row in own
+            if variant(row) == key
+        ]
         pairs = " / ".join(dict.fromkeys(counts)) or "none"
         lines.append([figure, words, PERCENT[far], said, pairs, *cells])
     return lines
 
 
 def order_table(tables: Mapping[str, Sequence[Row]], differ: Mapping[str, Sequence[Row]]) -> Lines:
-    """Cases from the highest GAR down; ``>`` where the paired interval of the two neighbours leaves out zero."""
+    """Cases from the highest GAR down; ``>`` where the paired interval of the two neighbours leaves
+    out zero."""
     systems = (
         ("thesis, normals", "cases", "thesis", "normals"),
         ("thesis, relief", "cases", "thesis", "relief"),
@@ -109,7 +141,8 @@ def order_table(tables: Mapping[str, Sequence[Row]], differ: Mapping[str, Sequen
     lines = [["matcher", "judged", *(f"FAR {PERCENT[far]}" for far in FARS), "d'"]]
     for words, table, *own in systems:
         rates, differences = (
-            [row for row in part[table] if [row["matcher"], row["attribute"]] == own] for part in (tables, differ)
+            [row for row in part[table] if [row["matcher"], row["attribute"]] == own]
+            for part in (tables, differ)
         )
         for key in (THESIS, PLAIN, PASSING):
             rows, two = compared(rates, key), compared(differences, key)
@@ -122,7 +155,9 @@ def order_table(tables: Mapping[str, Sequence[Row]], differ: Mapping[str, Sequen
     return lines if len(lines) > 1 else []
 
 
-def order(rows: Sequence[Row], two: Sequence[Row], figure: str, factor: float = 1, accepts: str = "") -> str:
+def order(
+    rows: Sequence[Row], two: Sequence[Row], figure: str, factor: float = 1, accepts: str = ""
+) -> str:
     """One order, such as ``snk 95 > ea 88 ~ pr 88``, by a figure of which more is better."""
     known = sorted((row for row in rows if row.get(figure)), key=lambda row: -float(row[figure]))
     if not known:

@@ -1,4 +1,5 @@
-"""Figures as SVG files: ROC curves over a logarithmic FAR, rates over bins of a factor, lines and bars."""
+"""Figures as SVG files: ROC curves over a logarithmic FAR, rates over bins of a factor, lines and
+bars."""
 
 from __future__ import annotations
 
@@ -23,17 +24,26 @@ def save(picture: bytes, file: Path) -> None:
     file.write_bytes(picture)
 
 
-def roc_figure(curves: Sequence[tuple[str, Scores]], settings: BootstrapSettings, banded: int = 2) -> bytes:
+def roc_figure(
+    curves: Sequence[tuple[str, Scores]], settings: BootstrapSettings, banded: int = 2
+) -> bytes:
     """ROC of several trials; the first `banded` with the band of a bootstrap by finger."""
     drawn: list[tuple[str, Scores, Any]] = [(name, scores, None) for name, scores in curves]
     for place, (name, scores) in enumerate(curves[:banded]):
         intervals = bootstrap(scores, "finger", settings)
-        drawn[place] = (name, scores, (intervals.curve_far, intervals.curve_low, intervals.curve_high))
+        drawn[place] = (
+            name,
+            scores,
+            (intervals.curve_far, intervals.curve_low, intervals.curve_high),
+        )
     return chart(lambda ax: draw_roc(ax, drawn))
 
 
-def bins_figure(series: Sequence[tuple[str, Sequence[Row]]], figure: str, x_label: str, y_label: str) -> bytes:
-    """A rate over the mean of a factor in each bin, with the interval of the first and last series as a band."""
+def bins_figure(
+    series: Sequence[tuple[str, Sequence[Row]]], figure: str, x_label: str, y_label: str
+) -> bytes:
+    """A rate over the mean of a factor in each bin, with the interval of the first and last series
+    as a band."""
     known = {name: [row for row in rows if row[figure] is not None] for name, rows in series}
     if not any(known.values()):
         return b""
@@ -41,7 +51,9 @@ def bins_figure(series: Sequence[tuple[str, Sequence[Row]]], figure: str, x_labe
     def draw(ax: Any) -> None:
         for name, rows in known.items():
             x = [row["mean_factor"] for row in rows]
-            (line,) = ax.plot(x, [row[figure] for row in rows], marker="o", markersize=3, label=name)
+            (line,) = ax.plot(
+                x, [row[figure] for row in rows], marker="o", markersize=3, label=name
+            )
             if name in (series[0][0], series[-1][0]):
                 low, high = ([row[figure + end] for row in rows] for end in ("_low", "_high"))
                 ax.fill_between(x, low, high, color=line.get_color(), alpha=0.15, linewidth=0)
@@ -52,7 +64,9 @@ def bins_figure(series: Sequence[tuple[str, Sequence[Row]]], figure: str, x_labe
     return chart(draw)
 
 
-def lines_figure(lines: Sequence[tuple[str, Any, Any]], x_label: str, y_label: str, **axes: Any) -> bytes:
+def lines_figure(
+    lines: Sequence[tuple[str, Any, Any]], x_label: str, y_label: str, **axes: Any
+) -> bytes:
     """Curves (name, x, y); `axes`: further properties of matplotlib's axes."""
 
     def draw(ax: Any) -> None:
@@ -64,8 +78,11 @@ def lines_figure(lines: Sequence[tuple[str, Any, Any]], x_label: str, y_label: s
     return chart(draw)
 
 
-def bars_figure(groups: Sequence[tuple[str, Sequence[tuple[str, float, tuple[float, float] | None]]]]) -> bytes:
-    """Upright bars in groups: of each a label and bars of a name, a percentage and the ends of its interval."""
+def bars_figure(
+    groups: Sequence[tuple[str, Sequence[tuple[str, float, tuple[float, float] | None]]]],
+) -> bytes:
+    """Upright bars in groups: of each a label and bars of a name, a percentage and the ends of its
+    interval."""
     names = dict.fromkeys(name for _, bars in groups for name, *_ in bars)
 
     def draw(ax: Any) -> None:
@@ -75,7 +92,14 @@ def bars_figure(groups: Sequence[tuple[str, Sequence[tuple[str, float, tuple[flo
                     if of_bar == name:
                         errors = None if ends is None else [[value - ends[0]], [ends[1] - value]]
                         x = place + 0.2 * offset
-                        ax.bar(x, value, 0.18, color=paint, yerr=errors, label=name if place == 0 else None)
+                        ax.bar(
+                            x,
+                            value,
+                            0.18,
+                            color=paint,
+                            yerr=errors,
+                            label=name if place == 0 else None,
+                        )
                         ax.annotate(f"{value:.1f}", (x, 2.0), ha="center", fontsize=7)
         ax.set_xticks(np.arange(len(groups)) + 0.3, [label for label, _ in groups])
         ax.set(ylim=(0, 100), ylabel="%")

@@ -1,10 +1,11 @@
-"""Write this folder's figures as tables for reading, and one of them into ``docs/experiments/thesis-tables.md``.
+"""Write this folder's figures as tables for reading, and one of them into
+``docs/experiments/thesis-tables.md``.
 
     python validation/thesis/report.py            # tables/*.csv and the page
-    python validation/thesis/report.py --check    # exit code 1 if either does not show what lies here
+    python validation/thesis/report.py --check # exit code 1 if either does not show what lies here
 
-Cells of the tables are ``value [drawn by finger] (drawn by subject)``. The CSV files beside this file hold the same
-figures with more digits, one figure a column.
+Cells of the tables are ``value [drawn by finger] (drawn by subject)``. The CSV files beside this
+file hold the same figures with more digits, one figure a column.
 """
 
 from __future__ import annotations
@@ -40,12 +41,19 @@ PAGE = HERE.parents[1] / "docs" / "experiments" / "thesis-tables.md"
 
 
 def main() -> int:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("--check", action="store_true")
     options = parser.parse_args()
     if options.check:
         made = {**files(HERE), PAGE: fill(PAGE.read_text(encoding="utf-8"), blocks(HERE))}
-        return int(any(not file.is_file() or file.read_text(encoding="utf-8") != text for file, text in made.items()))
+        return int(
+            any(
+                not file.is_file() or file.read_text(encoding="utf-8") != text
+                for file, text in made.items()
+            )
+        )
     write(HERE, PAGE)
     return 0
 
@@ -84,8 +92,14 @@ def fill(page: str, made: Mapping[str, str]) -> str:
 
 def blocks(folder: Path) -> dict[str, str]:
     """The generated part of the page, in Markdown."""
-    head, *rows = thesis_table({name: read(folder / f"{name}.csv") for name in ("scales", "fusion", "cases")}, SHOWN)
-    return {"thesis": "\n".join(f"| {' | '.join(cells)} |" for cells in [head, ["---"] * len(head), *rows])}
+    head, *rows = thesis_table(
+        {name: read(folder / f"{name}.csv") for name in ("scales", "fusion", "cases")}, SHOWN
+    )
+    return {
+        "thesis": "\n".join(
+            f"| {' | '.join(cells)} |" for cells in [head, ["---"] * len(head), *rows]
+        )
+    }
 
 
 SHOWN = (THESIS, PLAIN)
@@ -95,13 +109,17 @@ SHOWN = (THESIS, PLAIN)
 def readable(folder: Path) -> dict[str, Lines]:
     """All tables for reading."""
     runs = json.loads((folder / "runs.json").read_text(encoding="utf-8"))
-    tables = {name: read(folder / f"{name}.csv") for name in ("fusion", "cases", "matchers", "scales")}
+    tables = {
+        name: read(folder / f"{name}.csv") for name in ("fusion", "cases", "matchers", "scales")
+    }
     differ = {name: read(folder / f"{name}_differences.csv") for name in tables}
     made = {
         "run": run_table(runs),
         "thesis": thesis_table(tables),
         "order": order_table(tables, differ),
-        "scales": rate_table(tables["scales"], "n", lambda row: row["case"].removeprefix("n = "), UNDILUTED),
+        "scales": rate_table(
+            tables["scales"], "n", lambda row: row["case"].removeprefix("n = "), UNDILUTED
+        ),
         "scales_differences": difference_table(differ["scales"], UNDILUTED),
         "fusion": rate_table(tables["fusion"], "attribute", _attribute, UNDILUTED),
         "fusion_differences": difference_table(differ["fusion"], (THESIS_WHOLE, WHOLE)),
@@ -135,10 +153,16 @@ def readable(folder: Path) -> dict[str, Lines]:
             (PLAIN, WHOLE),
         )
     made["family_differences"] = difference_table(read(folder / "family_differences.csv"), (WHOLE,))
-    described, apart = (read(folder / f"descriptors{ending}.csv") for ending in ("", "_differences"))
+    described, apart = (
+        read(folder / f"descriptors{ending}.csv") for ending in ("", "_differences")
+    )
     for name in ("normals", "relief"):
-        rows, two = ([row for row in part if row["attribute"] == name] for part in (described, apart))
-        made[f"descriptors_{name}"] = rate_table(rows, f"feature, {name}", lambda row: row["case"], UNDILUTED)
+        rows, two = (
+            [row for row in part if row["attribute"] == name] for part in (described, apart)
+        )
+        made[f"descriptors_{name}"] = rate_table(
+            rows, f"feature, {name}", lambda row: row["case"], UNDILUTED
+        )
         made[f"descriptors_{name}_differences"] = difference_table(two, UNDILUTED)
     made["figures"] = figures_table(read(folder / "figures.csv"))
     sensitivity = read(folder / "sensitivity.csv")

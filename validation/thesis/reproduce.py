@@ -1,12 +1,14 @@
-"""The thesis's experiments, tables and figures, made again in one folder, with one page that shows his beside ours.
+"""The thesis's experiments, tables and figures, made again in one folder, with one page that shows
+his beside ours.
 
-    python validation/thesis/reproduce.py --out DIR                 # as the thesis: 17 people, ten fingers
-    python validation/thesis/reproduce.py --out DIR --people 2      # ten minutes of two cores
-    python validation/thesis/reproduce.py --out DIR --figures 5.4,5.5     # what these figures need
-    python validation/thesis/reproduce.py --out DIR --scheduler tls://HOST:8786    # reconstructs on a cluster
+    python validation/thesis/reproduce.py --out DIR # as the thesis: 17 people, ten fingers python
+    validation/thesis/reproduce.py --out DIR --people 2 # ten minutes of two cores python
+    validation/thesis/reproduce.py --out DIR --figures 5.4,5.5 # what these figures need python
+    validation/thesis/reproduce.py --out DIR --scheduler tls://HOST:8786 # reconstructs on a cluster
 
-It states time and disk before it begins, may be stopped at any moment, and goes on with the same command. Everything is
-written below DIR; ``DIR/index.html`` is the page. Fewer than ten people show the fingers of the right hand.
+It states time and disk before it begins, may be stopped at any moment, and goes on with the same
+command. Everything is written below DIR; ``DIR/index.html`` is the page. Fewer than ten people show
+the fingers of the right hand.
 """
 
 from __future__ import annotations
@@ -59,7 +61,8 @@ class Figure:
 
 
 FIGURES = HERE / "tables" / "reproduced.csv"
-"""The thesis's figures that state or show a result; the others are diagrams and photographs of parts."""
+"""The thesis's figures that state or show a result; the others are diagrams and photographs of
+parts."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -86,27 +89,43 @@ class Size:
 
     def seconds(self, examined: int) -> float:
         """Processor time; `examined`: captures of the part ``figures``."""
-        return self.captures * (SIMULATE_S + RECONSTRUCT_S) + self.pairs * COMPARE_S + examined * SPECTRA_S
+        return (
+            self.captures * (SIMULATE_S + RECONSTRUCT_S)
+            + self.pairs * COMPARE_S
+            + examined * SPECTRA_S
+        )
 
     def words(self, examined: int, jobs: int) -> str:
         """What is stated before anything is made."""
         hours = self.seconds(examined) / jobs / 3600
         time_needed = f"{60 * hours:.0f} minutes" if hours < 2 else f"{hours:.0f} hours"
         return (
-            f"{self.captures} captures, {self.pairs:,} comparisons in {len(CASES)} cases: about {time_needed} on "
-            f"{jobs} cores, {self.captures * CAPTURE_MB / 1000:.1f} GB on disk."
+            f"{self.captures} captures, {self.pairs:,} comparisons in {len(CASES)} cases: about"
+            f" {time_needed} on {jobs} cores, {self.captures * CAPTURE_MB / 1000:.1f} GB on disk."
         )
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
     options = _parser().parse_args(arguments)
     wanted = chosen_figures(options.figures)
-    named = options.fingers if options.fingers is not None else ("" if options.people >= 10 else RIGHT_HAND)
+    named = (
+        options.fingers
+        if options.fingers is not None
+        else ("" if options.people >= 10 else RIGHT_HAND)
+    )
     size = Size(options.people, options.sessions, named)
-    needed = [name for name in ("cases", "fusion", "figures") if any(figure.part == name for figure in wanted)]
-    examined = min(24, options.captures, size.captures // size.sessions) if "figures" in needed else 0
+    needed = [
+        name
+        for name in ("cases", "fusion", "figures")
+        if any(figure.part == name for figure in wanted)
+    ]
+    examined = (
+        min(24, options.captures, size.captures // size.sessions) if "figures" in needed else 0
+    )
     print(
-        size.words(examined, options.jobs) if needed else "Nothing is made: these figures have commands of their own."
+        size.words(examined, options.jobs)
+        if needed
+        else "Nothing is made: these figures have commands of their own."
     )
     if options.dry_run:
         return 0
@@ -126,11 +145,16 @@ def chosen_figures(names: str | None) -> list[Figure]:
     """Figures by number, all where None; an unknown number ends the program."""
     known = {
         row["figure"]: Figure(
-            row["figure"], row["shows"], row["thesis"], tuple(row["claims"].split()), row["part"],
-            tuple(row["pictures"].split()), row["command"],
+            row["figure"],
+            row["shows"],
+            row["thesis"],
+            tuple(row["claims"].split()),
+            row["part"],
+            tuple(row["pictures"].split()),
+            row["command"],
         )
         for row in read(FIGURES)
-    }  # fmt: skip
+    }
     if names is None:
         return list(known.values())
     unknown = [name for name in names.split(",") if name not in known]
@@ -139,27 +163,72 @@ def chosen_figures(names: str | None) -> list[Figure]:
     return [known[name] for name in names.split(",")]
 
 
-def _steps(options: argparse.Namespace, size: Size, needed: Sequence[str], examined: int) -> Iterator[list[str]]:
+def _steps(
+    options: argparse.Namespace, size: Size, needed: Sequence[str], examined: int
+) -> Iterator[list[str]]:
     """The commands, each of which goes on where it was stopped."""
     people, store, tables = (str(options.out / name) for name in ("people", "store", "tables"))
     verb = [sys.executable, "-m", "splitknit"]
     fingers = ["--fingers", size.fingers] if size.fingers else []
     yield [
-        *verb, "simulate", "population", "--out", people, "--seed", str(SEED), "--scale", str(options.scale),
-        "--subjects", str(size.people), "--sessions", str(size.sessions), *fingers,
-        "--set", "sessions.partial_share=0", "--workers", str(options.jobs),
-    ]  # fmt: skip
-    cluster = ["--scheduler", options.scheduler] if options.scheduler else ["--jobs", str(options.jobs)]
+        *verb,
+        "simulate",
+        "population",
+        "--out",
+        people,
+        "--seed",
+        str(SEED),
+        "--scale",
+        str(options.scale),
+        "--subjects",
+        str(size.people),
+        "--sessions",
+        str(size.sessions),
+        *fingers,
+        "--set",
+        "sessions.partial_share=0",
+        "--workers",
+        str(options.jobs),
+    ]
+    cluster = (
+        ["--scheduler", options.scheduler] if options.scheduler else ["--jobs", str(options.jobs)]
+    )
     yield [
-        *verb, "batch", people, "--out", store, "--cases", ",".join(CASES), "--matchers", "thesis",
-        "--impostors", "1", "--seed", str(SEED), *cluster,
-    ]  # fmt: skip
+        *verb,
+        "batch",
+        people,
+        "--out",
+        store,
+        "--cases",
+        ",".join(CASES),
+        "--matchers",
+        "thesis",
+        "--impostors",
+        "1",
+        "--seed",
+        str(SEED),
+        *cluster,
+    ]
     for part in needed:
         yield [
-            sys.executable, str(HERE / "run.py"), part, "--population", people, "--store", store, "--out", tables,
-            "--scratch", str(options.out / "scratch"), "--cases", *CASES, "--captures", str(examined),
-            "--jobs", str(options.jobs),
-        ]  # fmt: skip
+            sys.executable,
+            str(HERE / "run.py"),
+            part,
+            "--population",
+            people,
+            "--store",
+            store,
+            "--out",
+            tables,
+            "--scratch",
+            str(options.out / "scratch"),
+            "--cases",
+            *CASES,
+            "--captures",
+            str(examined),
+            "--jobs",
+            str(options.jobs),
+        ]
 
 
 def _do(step: Sequence[str]) -> None:
@@ -169,16 +238,20 @@ def _do(step: Sequence[str]) -> None:
             print("is finished")
             return
     environment = {"OMP_NUM_THREADS": "1", **os.environ}
-    done = subprocess.run(list(step), check=False, env=environment, cwd=ROOT if step[1] != "-m" else None)
+    done = subprocess.run(
+        list(step), check=False, env=environment, cwd=ROOT if step[1] != "-m" else None
+    )
     if done.returncode:
         raise SystemExit(done.returncode)
 
 
 def page_of(out: Path, wanted: Sequence[Figure], size: Size) -> str:
-    """HTML: one section a figure, his numbers beside ours, claims with their verdicts, and the command."""
+    """HTML: one section a figure, his numbers beside ours, claims with their verdicts, and the
+    command."""
     known = read(HERE / "tables" / "claims.csv")
     tables = {
-        name: read(out / "tables" / f"{name}.csv") for name in ("cases", "cases_differences", "fusion", "figures")
+        name: read(out / "tables" / f"{name}.csv")
+        for name in ("cases", "cases_differences", "fusion", "figures")
     }
     sections = [_section(figure, out, known, tables) for figure in wanted]
     counts = verdicts(known)
@@ -194,14 +267,18 @@ def verdicts(known: Sequence[Mapping[str, str]]) -> dict[str, int]:
 
 
 def _section(
-    figure: Figure, out: Path, known: Sequence[Mapping[str, str]], tables: Mapping[str, Sequence[dict[str, str]]]
+    figure: Figure,
+    out: Path,
+    known: Sequence[Mapping[str, str]],
+    tables: Mapping[str, Sequence[dict[str, str]]],
 ) -> str:
     rows = []
     for number in figure.claims:
         here: dict[str, str] = {}
         for words, judged in (("averaged", AVERAGED), ("single", SINGLE)):
             values = [
-                f"{label} {cell(tables[name], wanted | (judged if name != 'figures' else {}), what)}"
+                f"{label}"
+                f" {cell(tables[name], wanted | (judged if name != 'figures' else {}), what)}"
                 for label, name, wanted, what in CLAIMS.get(int(number), ())
                 if tables.get(name)
             ]
@@ -209,17 +286,31 @@ def _section(
         if here["single"] == here["averaged"]:
             here["single"] = ""
         for k, row in enumerate(row for row in known if row["number"].rstrip("abcde") == number):
-            published = row["number"], row["claim"], row["criterion"] or "-", row["measured"].removesuffix(" exactly")
+            published = (
+                row["number"],
+                row["claim"],
+                row["criterion"] or "-",
+                row["measured"].removesuffix(" exactly"),
+            )
             this_run = (here["averaged"], here["single"]) if k == 0 else ("", "")
             cells = (*published, verdict(row["rule"], row["measured"]), *this_run)
-            rows.append("<tr>" + "".join(f"<td>{html.escape(text)}</td>" for text in cells) + "</tr>")
+            rows.append(
+                "<tr>" + "".join(f"<td>{html.escape(text)}</td>" for text in cells) + "</tr>"
+            )
     table = f"<table>{_HEAD}{''.join(rows)}</table>" if rows else ""
     pictures = "".join(_picture(out, name) for name in figure.pictures)
-    command = figure.command or f"validation/thesis/reproduce.py --out DIR --figures {figure.number}"
+    command = (
+        figure.command or f"validation/thesis/reproduce.py --out DIR --figures {figure.number}"
+    )
     python = "" if command.startswith("splitknit") else "python "
-    stated = f"<b>The thesis:</b> {html.escape(figure.thesis)}." if figure.thesis else "The thesis shows a picture."
+    stated = (
+        f"<b>The thesis:</b> {html.escape(figure.thesis)}."
+        if figure.thesis
+        else "The thesis shows a picture."
+    )
     return (
-        f"<section><h2>Figure {figure.number}: {html.escape(figure.shows)}</h2><p>{stated}</p>{pictures}{table}"
+        f"<section><h2>Figure {figure.number}:"
+        f" {html.escape(figure.shows)}</h2><p>{stated}</p>{pictures}{table}"
         f"<pre>{html.escape(python + command)}</pre></section>"
     )
 
@@ -240,14 +331,23 @@ PAGE = string.Template((HERE / "reproduce.html").read_text(encoding="utf-8"))
 
 
 def _parser() -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("--out", type=Path, required=True)
     parser.add_argument("--people", type=int, default=17)
     parser.add_argument("--sessions", type=int, default=4)
-    parser.add_argument("--fingers", help="names with commas; default: all, of fewer than ten people the right hand's")
+    parser.add_argument(
+        "--fingers",
+        help="names with commas; default: all, of fewer than ten people the right hand's",
+    )
     parser.add_argument("--figures", help="numbers with commas; default: all")
-    parser.add_argument("--captures", type=int, default=24, help="that the figures on spectra and surfaces examine")
-    parser.add_argument("--scale", type=float, default=0.4, help="size of the images, 1 = the thesis's")
+    parser.add_argument(
+        "--captures", type=int, default=24, help="that the figures on spectra and surfaces examine"
+    )
+    parser.add_argument(
+        "--scale", type=float, default=0.4, help="size of the images, 1 = the thesis's"
+    )
     parser.add_argument("--jobs", type=int, default=2)
     parser.add_argument("--scheduler", help="of a cluster that reconstructs and compares")
     parser.add_argument("--dry-run", action="store_true", help="state time and disk, and end")

@@ -1,9 +1,10 @@
-"""Rigs that are compared: what changes from one to the next, how brightly a rig exposes, and what it must satisfy.
+"""Rigs that are compared: what changes from one to the next, how brightly a rig exposes, and what
+it must satisfy.
 
-Radiometry: an LED of the electrical power P emits the flux efficiency * P in a lobe cos^m, so its intensity on the axis
-is flux (m + 1) / (2 pi); irradiance falls with the squared distance; a lens of the f-number N that images with the
-magnification M gives the sensor pi L T / (4 N^2 (1 + M)^2) of a surface of radiance L; photons times the quantum
-efficiency are electrons.
+Radiometry: an LED of the electrical power P emits the flux efficiency * P in a lobe cos^m, so its
+intensity on the axis is flux (m + 1) / (2 pi); irradiance falls with the squared distance; a lens
+of the f-number N that images with the magnification M gives the sensor pi L T / (4 N^2 (1 + M)^2)
+of a surface of radiance L; photons times the quantum efficiency are electrons.
 """
 
 from __future__ import annotations
@@ -23,7 +24,8 @@ from splitknit_simulator.light.lighting import irradiance
 Array = NDArray[np.float64]
 FULL_PX_PER_MM = 75.7  # scale of the full frame of the thesis's camera, 3200 x 2200 pixels
 FIELD_MM = (2200 / FULL_PX_PER_MM, 3200 / FULL_PX_PER_MM)
-"""Rows and columns of the field on the finger plane: the lens is chosen for it, whatever the height."""
+"""Rows and columns of the field on the finger plane: the lens is chosen for it, whatever the
+height."""
 _LEDS_PER_BAND = 7
 
 
@@ -38,7 +40,8 @@ class RigCandidate:
     power_w: float
     """Electrical power of one LED."""
     tilt_deg: float | None = None
-    """Tilt of the beams from the vertical, towards the axis; None aims them at the middle of the finger plane."""
+    """Tilt of the beams from the vertical, towards the axis; None aims them at the middle of the
+    finger plane."""
     px_per_mm: float = 12.0
     """Resolution of the camera on the finger plane; the field stays."""
 
@@ -52,7 +55,9 @@ class RigCandidate:
     def name(self) -> str:
         """Short, unique, fit for a file."""
         tilt = "centre" if self.tilt_deg is None else f"{self.tilt_deg:g}"
-        return f"h{self.height_mm:g}_r{self.radius_mm:g}_p{self.power_w:g}_t{tilt}_s{self.px_per_mm:g}"
+        return (
+            f"h{self.height_mm:g}_r{self.radius_mm:g}_p{self.power_w:g}_t{tilt}_s{self.px_per_mm:g}"
+        )
 
     @property
     def volume_l(self) -> float:
@@ -65,11 +70,13 @@ class BuildSettings:
     """What all candidates share."""
 
     half_angle_deg: float = 30.0
-    """Angle at which an LED is half as bright: 60 bare, 30 and less with a lens, 90 for even light."""
+    """Angle at which an LED is half as bright: 60 bare, 30 and less with a lens, 90 for even
+    light."""
     led_drop_mm: float = 0.0
     """How far the LEDs stand below the front of the lens; negative is above."""
     view: str = "perspective"
-    """Model of the simulated camera: ``perspective``, or ``orthographic`` as the thesis assumes it."""
+    """Model of the simulated camera: ``perspective``, or ``orthographic`` as the thesis assumes
+    it."""
 
     @property
     def lobe_exponent(self) -> float:
@@ -97,12 +104,17 @@ def _camera_of(candidate: RigCandidate, build: BuildSettings) -> Camera:
     if build.view == "orthographic":
         return camera
     focal = candidate.px_per_mm * candidate.height_mm
-    matrix = np.array([[focal, 0, (columns - 1) / 2], [0, focal, (rows - 1) / 2], [0, 0, 1]], dtype=np.float64)
+    matrix = np.array(
+        [[focal, 0, (columns - 1) / 2], [0, focal, (rows - 1) / 2], [0, 0, 1]], dtype=np.float64
+    )
     return replace(camera, model="perspective", matrix=matrix)
 
 
-def candidate_rig(candidate: RigCandidate, build: BuildSettings, intensities: Mapping[str, float]) -> Rig:
-    """The candidate as a rig; `intensities`: of the LEDs on their axis, in W/sr, of each band that has LEDs."""
+def candidate_rig(
+    candidate: RigCandidate, build: BuildSettings, intensities: Mapping[str, float]
+) -> Rig:
+    """The candidate as a rig; `intensities`: of the LEDs on their axis, in W/sr, of each band that
+    has LEDs."""
     tilt, z = np.deg2rad(candidate.beam_deg), candidate.height_mm - build.led_drop_mm
     leds = []
     for band, intensity in intensities.items():
@@ -111,8 +123,14 @@ def candidate_rig(candidate: RigCandidate, build: BuildSettings, intensities: Ma
             x, y = float(np.cos(azimuth)), float(np.sin(azimuth))
             place = (candidate.radius_mm * x, candidate.radius_mm * y, z)
             aim = (-float(np.sin(tilt)) * x, -float(np.sin(tilt)) * y, -float(np.cos(tilt)))
-            leds.append(Led(band, place, intensity=intensity, lobe_exponent=build.lobe_exponent, aim=aim))
-    return Rig(_camera_of(candidate, build), tuple(leds), {"source": "search of rigs", "candidate": candidate.name})
+            leds.append(
+                Led(band, place, intensity=intensity, lobe_exponent=build.lobe_exponent, aim=aim)
+            )
+    return Rig(
+        _camera_of(candidate, build),
+        tuple(leds),
+        {"source": "search of rigs", "candidate": candidate.name},
+    )
 
 
 # How brightly a rig exposes.
@@ -126,18 +144,20 @@ class _Lamp:
 
     efficiency: float  # radiant flux over electrical power
     wavelength_nm: float  # mean, for the energy of a photon
-    quantum_efficiency: float  # electrons of a green pixel per photon of this light, colour filter included
+    # electrons of a green pixel per photon of this light, colour filter included
+    quantum_efficiency: float
 
 
 LAMPS = {"white": _Lamp(0.31, 560.0, 0.22), "nir": _Lamp(0.40, 850.0, 0.20)}
-"""By band. White: 100 lm/W, as data sheets of white LEDs of this size give it, over 320 lm a watt of light of a
-phosphor LED of 5000 K; green filters pass a third of its photons to silicon of 65 %. Near infrared: data sheets of
-850 nm emitters; the camera without infrared filter."""
+"""By band. White: 100 lm/W, as data sheets of white LEDs of this size give it, over 320 lm a watt
+of light of a phosphor LED of 5000 K; green filters pass a third of its photons to silicon of 65 %.
+Near infrared: data sheets of 850 nm emitters; the camera without infrared filter."""
 _TRANSMISSION = 0.9  # transmission of the lens
 _PIXEL_UM = 1.12  # pixel of the IMX219 at full resolution; smaller pictures bin its pixels
 MAGNIFICATION = _PIXEL_UM * 1e-3 * FULL_PX_PER_MM  # size on the sensor over size on the finger
 FULL_WELL_E = 4700.0  # electrons at full scale of a pixel at full resolution
-READ_NOISE_E = 2.5  # standard deviation of the noise of reading out, electrons, a pixel at full resolution
+# standard deviation of the noise of reading out, electrons, a pixel at full resolution
+READ_NOISE_E = 2.5
 TARGET_LEVEL = 0.7  # fraction of full scale that the brightest skin shall reach
 MIN_LEVEL = 0.1  # below this fraction a picture is too dark to be used
 _LONGEST_S = 0.2  # 14 pictures in 7 s leave half a second each for light, settling and reading out
@@ -164,7 +184,9 @@ class PlannedExposure:
 
     time_s: float
     gain: float
-    level: float  # fraction of full scale of the brightest skin: the target where the shutter and the gain allow it
+    # fraction of full scale of the brightest skin: the target where the shutter and the gain allow
+    # it
+    level: float
 
 
 def intensity_w_sr(power_w: float, lamp: _Lamp, lobe_exponent: float) -> float:
@@ -173,14 +195,18 @@ def intensity_w_sr(power_w: float, lamp: _Lamp, lobe_exponent: float) -> float:
 
 
 def electrons_per_s(radiance: float, lamp: _Lamp, settings: PhotonSettings) -> float:
-    """Electrons a second in one full-resolution green pixel that looks at `radiance`, in W/(m^2 sr)."""
-    on_sensor = np.pi * radiance * _TRANSMISSION / (4.0 * (settings.f_number * (1 + MAGNIFICATION)) ** 2)
+    """Electrons a second in one full-resolution green pixel that looks at `radiance`, in W/(m^2
+    sr)."""
+    on_sensor = (
+        np.pi * radiance * _TRANSMISSION / (4.0 * (settings.f_number * (1 + MAGNIFICATION)) ** 2)
+    )
     photons = on_sensor * (_PIXEL_UM * 1e-6) ** 2 * lamp.wavelength_nm * 1e-9 / PLANCK_LIGHT
     return float(photons * lamp.quantum_efficiency)
 
 
 def plan_exposure(rate_e_s: float, settings: PhotonSettings) -> PlannedExposure:
-    """Shutter first, then gain, then darkness, for electrons a second where the finger is brightest."""
+    """Shutter first, then gain, then darkness, for electrons a second where the finger is
+    brightest."""
     require(rate_e_s > 0, "no light falls on the finger; turn the LEDs towards it.")
     wanted = TARGET_LEVEL * FULL_WELL_E / rate_e_s
     time = float(np.clip(wanted, settings.shortest_s, _LONGEST_S))
@@ -189,22 +215,27 @@ def plan_exposure(rate_e_s: float, settings: PhotonSettings) -> PlannedExposure:
 
 
 W_PER_UNIT = 100.0
-"""W/(m^2 sr) in one unit of the twin's radiance, where intensities are W/sr: its unit is that of 100 mm, (0.1 m)^-2."""
+"""W/(m^2 sr) in one unit of the twin's radiance, where intensities are W/sr: its unit is that of
+100 mm, (0.1 m)^-2."""
 _LED_BODY_MM = 2.5  # radius of an LED's case
-_CAMERA_BODY_MM = 17.3  # half the diagonal of the camera's board (25 x 24 mm), which stands inside the circle
+# half the diagonal of the camera's board (25 x 24 mm), which stands inside the circle
+_CAMERA_BODY_MM = 17.3
 _FINGER_MM = 12.0  # half the breadth of the opening that a large finger needs
 _WALL_MM = 8.0  # from the circle of the LEDs to the outside of the box
 _BED_MM = (220.0, 250.0)  # side of the printer's bed, and its height
 _ROUGHNESS = 0.25  # GGX alpha of the skin whose specular reflection is evaluated
 _MAX_BLIND = 0.05
-"""Largest fraction of the print where fewer than three LEDs are free of it: three is what a normal needs."""
+"""Largest fraction of the print where fewer than three LEDs are free of it: three is what a normal
+needs."""
 ALBEDO = 0.6  # albedo of skin in its brightest channel, for the exposure
-_MIN_BEAM = 0.1  # smallest fraction of an LED's axial intensity that falls on the middle of the finger plane
+# smallest fraction of an LED's axial intensity that falls on the middle of the finger plane
+_MIN_BEAM = 0.1
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PrintPoints:
-    """Where on a finger specular reflection is looked for: (N, 3) points in mm, and normals towards the camera."""
+    """Where on a finger specular reflection is looked for: (N, 3) points in mm, and normals towards
+    the camera."""
 
     points_mm: Array
     normals: Array
@@ -218,7 +249,8 @@ def examine(
     finger: PrintPoints,
     bands: Sequence[str] = ("white",),
 ) -> dict[str, str]:
-    """By constraint why the candidate breaks it, "" where it does not; `bands`: whose exposure is judged."""
+    """By constraint why the candidate breaks it, "" where it does not; `bands`: whose exposure is
+    judged."""
     leds = candidate_rig(candidate, build, led_intensities(candidate, build, bands)).leds
     white = [led for led in leds if led.band == leds[0].band]
     return {
@@ -228,13 +260,20 @@ def examine(
         "printer": _bed(candidate),
         "beam": _beam(candidate, build.lobe_exponent),
         "glare": _glare(white, candidate, build, finger),
-        **{f"exposure_{band}": _exposed(band, planned_exposure(leds, band, photons)) for band in bands},
+        **{
+            f"exposure_{band}": _exposed(band, planned_exposure(leds, band, photons))
+            for band in bands
+        },
     }
 
 
-def led_intensities(candidate: RigCandidate, build: BuildSettings, bands: Sequence[str]) -> dict[str, float]:
+def led_intensities(
+    candidate: RigCandidate, build: BuildSettings, bands: Sequence[str]
+) -> dict[str, float]:
     """Radiant intensity of the candidate's LEDs on their axis, W/sr, by band."""
-    return {band: intensity_w_sr(candidate.power_w, LAMPS[band], build.lobe_exponent) for band in bands}
+    return {
+        band: intensity_w_sr(candidate.power_w, LAMPS[band], build.lobe_exponent) for band in bands
+    }
 
 
 def _in_view(leds: list[Led], candidate: RigCandidate, build: BuildSettings) -> str:
@@ -248,11 +287,16 @@ def _in_view(leds: list[Led], candidate: RigCandidate, build: BuildSettings) -> 
             half_y, half_x = (0.5 * side * fraction for side in FIELD_MM)
             outside = np.hypot(max(abs(x) - half_x, 0.0), max(abs(y) - half_y, 0.0))
             clear = min(clear, float(outside) - _LED_BODY_MM)
-    return "" if clear > 0.0 else f"an LED on a circle of {candidate.radius_mm:g} mm stands in the picture."
+    return (
+        ""
+        if clear > 0.0
+        else f"an LED on a circle of {candidate.radius_mm:g} mm stands in the picture."
+    )
 
 
 def _into_lens(leds: list[Led], candidate: RigCandidate) -> str:
-    """Fraction of an LED's axial intensity that meets the front of the lens, weighed by the cosine there."""
+    """Fraction of an LED's axial intensity that meets the front of the lens, weighed by the cosine
+    there."""
     worst = 0.0
     for led in leds:
         to_lens = np.array([0.0, 0.0, candidate.height_mm]) - np.asarray(led.position_mm)
@@ -260,37 +304,69 @@ def _into_lens(leds: list[Led], candidate: RigCandidate) -> str:
             distance = float(np.linalg.norm(to_lens))
             leaves = max(float(np.dot(led.axis, to_lens)) / distance, 0.0)
             worst = max(worst, float(to_lens[2]) / distance * leaves**led.lobe_exponent)
-    return "" if worst < 1e-3 else f"LEDs below the lens shine into it ({100 * worst:.1f} % of their axial light)."
+    return (
+        ""
+        if worst < 1e-3
+        else f"LEDs below the lens shine into it ({100 * worst:.1f} % of their axial light)."
+    )
 
 
 def _room(candidate: RigCandidate) -> str:
     inside, needed = candidate.radius_mm - _LED_BODY_MM, max(_CAMERA_BODY_MM, _FINGER_MM)
-    return "" if inside >= needed else f"{inside:.1f} mm are free in the circle, {needed:.1f} are needed."
+    return (
+        ""
+        if inside >= needed
+        else f"{inside:.1f} mm are free in the circle, {needed:.1f} are needed."
+    )
 
 
 def _bed(candidate: RigCandidate) -> str:
     breadth = 2.0 * (candidate.radius_mm + _WALL_MM)
     fits = breadth <= _BED_MM[0] and candidate.height_mm <= _BED_MM[1]
-    return "" if fits else f"the box, {breadth:.0f} mm wide and {candidate.height_mm:.0f} mm high, fits no printer."
+    return (
+        ""
+        if fits
+        else (
+            f"the box, {breadth:.0f} mm wide and {candidate.height_mm:.0f} mm high, fits no"
+            " printer."
+        )
+    )
 
 
 def _beam(candidate: RigCandidate, exponent: float) -> str:
-    off = abs(candidate.beam_deg - float(np.rad2deg(np.arctan2(candidate.radius_mm, candidate.height_mm))))
+    off = abs(
+        candidate.beam_deg - float(np.rad2deg(np.arctan2(candidate.radius_mm, candidate.height_mm)))
+    )
     fraction = max(float(np.cos(np.deg2rad(off))), 0.0) ** exponent
     ok = fraction >= _MIN_BEAM and off < 75.0
-    return "" if ok else f"beams {off:.0f} deg off the finger give it {100 * fraction:.0f} % of their light."
+    return (
+        ""
+        if ok
+        else f"beams {off:.0f} deg off the finger give it {100 * fraction:.0f} % of their light."
+    )
 
 
-def _glare(leds: list[Led], candidate: RigCandidate, build: BuildSettings, finger: PrintPoints) -> str:
+def _glare(
+    leds: list[Led], candidate: RigCandidate, build: BuildSettings, finger: PrintPoints
+) -> str:
     glare = _glaring(leds, candidate, build, _ROUGHNESS, finger)
     blind = float(np.mean((~glare).sum(axis=0) < 3))
-    return "" if blind <= _MAX_BLIND else f"on {100 * blind:.0f} % of the print fewer than three LEDs show no glare."
+    return (
+        ""
+        if blind <= _MAX_BLIND
+        else f"on {100 * blind:.0f} % of the print fewer than three LEDs show no glare."
+    )
 
 
 def _glaring(
-    leds: list[Led], candidate: RigCandidate, build: BuildSettings, roughness: float, finger: PrintPoints
+    leds: list[Led],
+    candidate: RigCandidate,
+    build: BuildSettings,
+    roughness: float,
+    finger: PrintPoints,
 ) -> BoolArray:
-    """(L, N) whether each LED's mirror direction lies within the roughness lobe, seen by the camera."""
+    """(L, N) whether each LED's mirror direction lies within the roughness lobe, seen by the
+    camera."""
     points = finger.points_mm
     view = np.array([0.0, 0.0, 1.0])
     if build.view == "perspective":
@@ -300,8 +376,11 @@ def _glaring(
     return np.array([np.sum(half * finger.normals, axis=1) > limit for half in halves])
 
 
-def planned_exposure(leds: Sequence[Led], band: str, photons: PhotonSettings) -> PlannedExposure | None:
-    """Exposure of facing patches of skin about the middle of the finger plane; None where no light falls on them."""
+def planned_exposure(
+    leds: Sequence[Led], band: str, photons: PhotonSettings
+) -> PlannedExposure | None:
+    """Exposure of facing patches of skin about the middle of the finger plane; None where no light
+    falls on them."""
     spots = np.array([[0.0, 5.0, -5.0, 0.0, 0.0], [0.0, 0.0, 0.0, 5.0, -5.0], np.zeros(5)])
     lit = (float(irradiance(led, spots, (0.0, 0.0, 1.0)).max()) for led in leds if led.band == band)
     rate = electrons_per_s(ALBEDO / np.pi * W_PER_UNIT * max(lit), LAMPS[band], photons)
@@ -309,7 +388,8 @@ def planned_exposure(leds: Sequence[Led], band: str, photons: PhotonSettings) ->
 
 
 def _glare_lobe_rad(roughness: float) -> float:
-    """Angle between normal and half vector where a GGX surface's glare is halved: Walter et al. 2007, equation (33)."""
+    """Angle between normal and half vector where a GGX surface's glare is halved: Walter et al.
+    2007, equation (33)."""
     squared = min(roughness**2, 0.6)
     return float(np.arctan(np.sqrt(squared * (np.sqrt(2) - 1) / (1 - np.sqrt(2) * squared))))
 

@@ -1,7 +1,7 @@
 """The thesis's own experiment (4.1.1) on the twin: how a candidate rig is photographed and judged.
 
-An opaque finger or skin, a sensor's or a rendering program's camera, tremor while the shutter is open, the finger's
-outline given, and Hausdorff distances from the true surface.
+An opaque finger or skin, a sensor's or a rendering program's camera, tremor while the shutter is
+open, the finger's outline given, and Hausdorff distances from the true surface.
 """
 
 from __future__ import annotations
@@ -61,7 +61,8 @@ Array = NDArray[np.float64]
 TRUTH_PX_PER_MM = 10.0
 """Density of the points of the true surface."""
 BAND_SIGMA_MM = 0.32
-"""Standard deviation of the Gaussian whose complement is the ridge band (``docs/explain/conventions.md``)."""
+"""Standard deviation of the Gaussian whose complement is the ridge band
+(``docs/explain/conventions.md``)."""
 ABOVE_CREASE_MM = 0.5
 """The phalange is what lies further towards the tip than this, seen from its crease."""
 _TREMOR_UM = 30.0
@@ -76,7 +77,8 @@ FOCUS_DEPTH_MM = 1.5
 
 
 FIRST_SEED = 400  # seeds of the fingers
-MAX_SLANT_DEG = 60.0  # the print is where the shape is flatter than this (``docs/explain/conventions.md``)
+# the print is where the shape is flatter than this (``docs/explain/conventions.md``)
+MAX_SLANT_DEG = 60.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -84,8 +86,8 @@ class ThesisStudy:
     """Everything that a candidate's figures follow from, besides the candidate."""
 
     method: str = "ea"
-    """``ea``: the thesis's plain photometric stereo; ``ea-poisson``: its normals, integrated over the mask alone; or
-    ``metric``."""
+    """``ea``: the thesis's plain photometric stereo; ``ea-poisson``: its normals, integrated over
+    the mask alone; or ``metric``."""
     fingers: int = 3
     """Number of fingers; all candidates photograph the same ones."""
     build: BuildSettings = field(default_factory=BuildSettings)
@@ -93,8 +95,8 @@ class ThesisStudy:
     material: str = "opaque"
     """``opaque``: a Lambertian finger, as the thesis's sculpture; or the twin's ``skin``."""
     camera: str = "sensor"
-    """``sensor``: the rig's, with photons, noise and defocus; or a ``renderer``'s: pin-hole, no noise, one fixed
-    exposure, bare isotropic lamps, 8 bits sRGB."""
+    """``sensor``: the rig's, with photons, noise and defocus; or a ``renderer``'s: pin-hole, no
+    noise, one fixed exposure, bare isotropic lamps, 8 bits sRGB."""
 
     @property
     def seeds(self) -> tuple[int, ...]:
@@ -107,20 +109,32 @@ class ThesisStudy:
         return ("white", "nir") if self.method == "metric" else ("white",)
 
     def broken(self, candidate: RigCandidate) -> dict[str, str]:
-        """The constraints; under a rendering program's fixed exposure that of the sensor does not count."""
-        found = examine(candidate, self.build, self.photons, finger=_typical(FIRST_SEED), bands=self.bands)
+        """The constraints; under a rendering program's fixed exposure that of the sensor does not
+        count."""
+        found = examine(
+            candidate, self.build, self.photons, finger=_typical(FIRST_SEED), bands=self.bands
+        )
         rendered = self.camera == "renderer"
-        return {name: why for name, why in found.items() if not (rendered and name.startswith("exposure"))}
+        return {
+            name: why
+            for name, why in found.items()
+            if not (rendered and name.startswith("exposure"))
+        }
 
     def record(self, candidate: RigCandidate) -> dict[str, Any]:
-        """Judge and measure one candidate: ``status`` (``done``; ``refused`` by a constraint; ``failed`` where a finger
-        could not be reconstructed), ``reason``, ``constraints``, and the figures of all ``fingers`` and their ``mean``.
+        """Judge and measure one candidate: ``status`` (``done``; ``refused`` by a constraint;
+        ``failed`` where a finger could not be reconstructed), ``reason``, ``constraints``, and the
+        figures of all ``fingers`` and their ``mean``.
         """
         constraints = self.broken(candidate)
         record: dict[str, Any] = {"candidate": {**asdict(candidate), "name": candidate.name}}
         record |= {"constraints": constraints, "fingers": [], "mean": None}
         if any(constraints.values()):
-            return {**record, "status": "refused", "reason": next(filter(None, constraints.values()))}
+            return {
+                **record,
+                "status": "refused",
+                "reason": next(filter(None, constraints.values())),
+            }
         try:
             fingers = [_measure(candidate, self, seed) for seed in self.seeds]
         except BadInput as error:
@@ -150,24 +164,31 @@ def _person(seed: int) -> tuple[SimulatedFinger, MasterPrint]:
 
 
 def _pose_of(seed: int, camera: Camera) -> FingerPose:
-    """How this finger lies: in the same place under any camera, whose rows are only about `FIELD_MM` long."""
+    """How this finger lies: in the same place under any camera, whose rows are only about
+    `FIELD_MM` long."""
     even = Camera(px_per_mm=100.0, image_size=(round(100 * FIELD_MM[0]), round(100 * FIELD_MM[1])))
     rng = np.random.default_rng(np.random.SeedSequence([seed, 0x0C]))
     pose = PoseRanges(height_mm=(0.0, 0.0), insertion_mm=(25.0, 27.0)).draw(rng, even)
     rows_mm = camera.image_size[0] / camera.px_per_mm
-    return replace(pose, insertion_mm=pose.insertion_mm + 0.5 * (rows_mm - even.image_size[0] / even.px_per_mm))
+    return replace(
+        pose, insertion_mm=pose.insertion_mm + 0.5 * (rows_mm - even.image_size[0] / even.px_per_mm)
+    )
 
 
 def view_of(seed: int, camera: Camera) -> SimulatedSurface:
     """The finger on the pixels of `camera`."""
     finger, master = _person(seed)
-    return finger_surface(replace(finger, printed=master), _pose_of(seed, camera), camera, workers=1)
+    return finger_surface(
+        replace(finger, printed=master), _pose_of(seed, camera), camera, workers=1
+    )
 
 
 def phalange_of(seed: int, surface: SimulatedSurface) -> BoolArray:
     """(H, W) pixels of the distal phalange: the finger above its first crease."""
     finger, _ = _person(seed)
-    placement = placement_of(FingerBody(finger.shape), _pose_of(seed, surface.camera), surface.camera)
+    placement = placement_of(
+        FingerBody(finger.shape), _pose_of(seed, surface.camera), surface.camera
+    )
     x, y = _places(surface)
     z = np.where(surface.mask, surface.shape_mm, 0.0).astype(np.float64)
     along = np.asarray(placement.to_finger(x.ravel(), y.ravel(), z.ravel())[1]).reshape(z.shape)
@@ -180,7 +201,8 @@ def _printed(surface: SimulatedSurface, where: BoolArray) -> BoolArray:
 
 
 def _places(surface: SimulatedSurface) -> tuple[Array, Array]:
-    """(H, W) x and y of what each pixel sees, mm; of the pixel on the finger plane beside the finger."""
+    """(H, W) x and y of what each pixel sees, mm; of the pixel on the finger plane beside the
+    finger."""
     x, y = _grid_places(surface.camera)
     if surface.x_mm is not None and surface.y_mm is not None:
         return np.where(surface.mask, surface.x_mm, x), np.where(surface.mask, surface.y_mm, y)
@@ -198,7 +220,8 @@ def _grid_places(camera: Camera) -> tuple[Array, Array]:
 
 @functools.lru_cache(maxsize=8)
 def _truth(seed: int, px_per_mm: float) -> _Points:
-    """The true surface, seen straight from above, whatever the rig: what every reconstruction is measured against."""
+    """The true surface, seen straight from above, whatever the rig: what every reconstruction is
+    measured against."""
     size = (round(FIELD_MM[0] * px_per_mm), round(FIELD_MM[1] * px_per_mm))
     surface = view_of(seed, Camera(px_per_mm=px_per_mm, image_size=size))
     whole = phalange_of(seed, surface)
@@ -232,14 +255,16 @@ def _measure(candidate: RigCandidate, study: ThesisStudy, seed: int) -> dict[str
         seed=np.random.SeedSequence([seed, 0x0D]),
         rendered=study.camera == "renderer",
     )
-    preset = "metric" if study.method == "metric" else "ea-split"  # the surface of ea, ridges by shapelets
+    # the surface of ea, ridges by shapelets
+    preset = "metric" if study.method == "metric" else "ea-split"
     changes = {"height.method": "poisson"} if study.method == "ea-poisson" else {}
     result = reconstruct(shot.capture, preset, changes)
     return {**_exposed(shot), **compare_surfaces(result, surface, whole, seed, TRUTH_PX_PER_MM)}
 
 
 def _rigs(candidate: RigCandidate, study: ThesisStudy) -> tuple[Rig, Rig]:
-    """The rig that photographs, and the one that the reconstruction assumes: the thesis's methods see parallel rays."""
+    """The rig that photographs, and the one that the reconstruction assumes: the thesis's methods
+    see parallel rays."""
     build = study.build
     if study.camera == "renderer":
         build = replace(build, half_angle_deg=90.0)
@@ -253,14 +278,19 @@ def _rigs(candidate: RigCandidate, study: ThesisStudy) -> tuple[Rig, Rig]:
 
 
 def compare_surfaces(
-    result: Reconstruction, surface: SimulatedSurface, whole: BoolArray, seed: int, truth_px_per_mm: float
+    result: Reconstruction,
+    surface: SimulatedSurface,
+    whole: BoolArray,
+    seed: int,
+    truth_px_per_mm: float,
 ) -> dict[str, float]:
     """Distances between the true and the reconstructed surface.
 
-    The mean height over the print is removed. ``hausdorff_mm``, ``hausdorff95_mm`` and ``rms_mm`` are those of the
-    print (slant up to 60 deg), whose nearest points are looked for on the whole phalange; ``whole_mm`` is the Hausdorff
-    distance of the whole phalange, whose steep sides and cut edge decide it. ``normals_deg`` is the mean angle between
-    true and reconstructed normals on the print, ``ridge_correlation`` that of the ridge bands there.
+    The mean height over the print is removed. ``hausdorff_mm``, ``hausdorff95_mm`` and ``rms_mm``
+    are those of the print (slant up to 60 deg), whose nearest points are looked for on the whole
+    phalange; ``whole_mm`` is the Hausdorff distance of the whole phalange, whose steep sides and
+    cut edge decide it. ``normals_deg`` is the mean angle between true and reconstructed normals on
+    the print, ``ridge_correlation`` that of the ridge bands there.
     """
     true = _truth(seed, truth_px_per_mm)
     flat = _printed(surface, whole) & np.isfinite(result.height_mm)
@@ -268,7 +298,10 @@ def compare_surfaces(
     x, y = _grid_places(surface.camera)
     if result.x_mm is not None and result.y_mm is not None:
         x, y = result.x_mm.astype(np.float64), result.y_mm.astype(np.float64)
-    lift = float(np.mean(result.height_mm[flat], dtype=np.float64) - np.mean(surface.height_mm[flat], dtype=np.float64))
+    lift = float(
+        np.mean(result.height_mm[flat], dtype=np.float64)
+        - np.mean(surface.height_mm[flat], dtype=np.float64)
+    )
     points = np.stack([x, y, result.height_mm - lift], axis=-1).astype(np.float64)
     there, back = _both_ways(true.phalange, points[kept])
     cosine = np.sum(result.normals[flat].astype(np.float64) * surface.normals[flat], axis=1)
@@ -277,7 +310,11 @@ def compare_surfaces(
         "whole_mm": _surface_distances(there, back)["hausdorff_mm"],
         "normals_deg": float(np.mean(np.rad2deg(np.arccos(np.clip(cosine, -1.0, 1.0))))),
         "ridge_correlation": _ridge_correlation(
-            result.ridge_mm, surface.height_mm - surface.shape_mm, kept, flat, BAND_SIGMA_MM / result.pitch_mm
+            result.ridge_mm,
+            surface.height_mm - surface.shape_mm,
+            kept,
+            flat,
+            BAND_SIGMA_MM / result.pitch_mm,
         ),
     }
 
@@ -294,9 +331,13 @@ def _ridge_correlation(
     relief: FloatArray, true: FloatArray, mask: BoolArray, where: BoolArray, sigma_px: float
 ) -> float:
     """Correlation of two reliefs, each minus its Gaussian mean over the mask."""
-    first, second = (high_passed(field, mask, sigma_px)[where].astype(np.float64) for field in (relief, true))
+    first, second = (
+        high_passed(field, mask, sigma_px)[where].astype(np.float64) for field in (relief, true)
+    )
     first, second = first - first.mean(), second - second.mean()
-    return float(np.sum(first * second) / max(float(np.sqrt(np.sum(first**2) * np.sum(second**2))), 1e-30))
+    return float(
+        np.sum(first * second) / max(float(np.sqrt(np.sum(first**2) * np.sum(second**2))), 1e-30)
+    )
 
 
 @functools.lru_cache(maxsize=32)
@@ -317,7 +358,8 @@ def _skin(seed: int) -> SkinOptics:
 def tremor_blur_mm(time_s: float) -> float:
     """Standard deviation, per axis, of where a trembling finger is while the shutter is open.
 
-    A sinusoid of amplitude a and a random phase, seen for the time t, varies by a^2 / 2 (1 - sinc^2(f t)) on average.
+    A sinusoid of amplitude a and a random phase, seen for the time t, varies by a^2 / 2 (1 -
+    sinc^2(f t)) on average.
     """
     fraction = 1.0 - float(np.sinc(_TREMOR_HZ * time_s)) ** 2
     return _TREMOR_UM * 1e-3 * float(np.sqrt(0.5 * fraction))
@@ -353,12 +395,14 @@ def photograph_candidate(
     skin : its optics; None for an opaque Lambertian finger
     photons : lens, shutter, sensor
     seed : of the noise
-    rendered : as a rendering program stores it: one fixed exposure (a radiance of 1 W/(m^2 sr) is white), pin-hole, no
+    rendered : as a rendering program stores it: one fixed exposure (a radiance of 1 W/(m^2 sr) is
+    white), pin-hole, no
         noise, 8 bits sRGB
 
     Returns
     -------
-    Shot whose capture is exposed so that the brightest skin reaches the target, where shutter and gain allow it.
+    Shot whose capture is exposed so that the brightest skin reaches the target, where shutter and
+    gain allow it.
 
     Raises
     ------
@@ -377,7 +421,9 @@ def photograph_candidate(
             exposure = PlannedExposure(0.0, 1.0, brightest * W_PER_UNIT)
             sensor = SensorSettings(noise=False, raw_bits=16, encoding="srgb")
         else:
-            exposure = plan_exposure(electrons_per_s(brightest * W_PER_UNIT, LAMPS[name], photons), photons)
+            exposure = plan_exposure(
+                electrons_per_s(brightest * W_PER_UNIT, LAMPS[name], photons), photons
+            )
             sensor = SensorSettings(
                 full_well_e=FULL_WELL_E / exposure.gain,
                 read_noise_e=READ_NOISE_E,
@@ -401,14 +447,16 @@ def photograph_candidate(
     material = "opaque" if skin is None else "skin"
     encoding = "srgb" if rendered else "linear"
     return ExposedCapture(
-        Capture(rig=known_rig, bands=bands, encoding=encoding, material=material, mask=mask), exposures
+        Capture(rig=known_rig, bands=bands, encoding=encoding, material=material, mask=mask),
+        exposures,
     )
 
 
 def _frames(
     surface: SimulatedSurface, leds: list[Led], name: str, skin: SkinOptics | None
 ) -> tuple[list[FloatArray], float]:
-    """(H, W, 3) radiance of the whole frame under each LED, and that of the brightest skin without specular light."""
+    """(H, W, 3) radiance of the whole frame under each LED, and that of the brightest skin without
+    specular light."""
     if skin is None:
         window, matt = render_opaque(surface, leds, OPAQUE_ALBEDO)
         diffuse, glare = matt[:, None], np.zeros_like(matt)
@@ -424,7 +472,11 @@ def _frames(
         frames.append(frame)
     lit = diffuse[diffuse > 0]
     require(lit.size > 0, "no LED lights the finger; turn the beams towards it.")
-    brightest = max(float(np.percentile(part[part > 0], 99.9)) for part in np.moveaxis(diffuse, 1, 0) if part.any())
+    brightest = max(
+        float(np.percentile(part[part > 0], 99.9))
+        for part in np.moveaxis(diffuse, 1, 0)
+        if part.any()
+    )
     return frames, brightest
 
 
@@ -440,7 +492,9 @@ def _defocus(surface: SimulatedSurface, photons: PhotonSettings) -> FloatArray:
 def _trembled(frame: FloatArray, sigma_px: float) -> FloatArray:
     if sigma_px < 0.05:
         return frame
-    return np.asarray(cv2.GaussianBlur(frame, (0, 0), sigma_px, borderType=cv2.BORDER_REPLICATE), dtype=np.float32)
+    return np.asarray(
+        cv2.GaussianBlur(frame, (0, 0), sigma_px, borderType=cv2.BORDER_REPLICATE), dtype=np.float32
+    )
 
 
 # How far two surfaces lie apart, as sets of points.
@@ -452,14 +506,14 @@ def _both_ways(first: Array, second: Array) -> tuple[Array, Array]:
 
 
 def _surface_distances(there: Array, back: Array) -> dict[str, float]:
-    """Hausdorff distance, its 95 % variant and root mean square (mm) of nearest distances, (N,) and (M,), in both
-    directions: those of :func:`_both_ways`, or a part of them.
+    """Hausdorff distance, its 95 % variant and root mean square (mm) of nearest distances, (N,) and
+    (M,), in both directions: those of :func:`_both_ways`, or a part of them.
 
-    Where only the middle of two surfaces is measured, a point at its border may have its neighbour just beyond; so
-    distances are found on the whole surfaces and those of the middle are kept. Source: F. Hausdorff, Grundzuege der
-    Mengenlehre, 1914, chapter 8; D. P. Huttenlocher, G. A. Klanderman, W. J. Rucklidge, Comparing images using the
-    Hausdorff distance, IEEE PAMI 15 (1993), equations (1) and (2); the percentile is their partial distance, equation
-    (8).
+    Where only the middle of two surfaces is measured, a point at its border may have its neighbour
+    just beyond; so distances are found on the whole surfaces and those of the middle are kept.
+    Source: F. Hausdorff, Grundzuege der Mengenlehre, 1914, chapter 8; D. P. Huttenlocher, G. A.
+    Klanderman, W. J. Rucklidge, Comparing images using the Hausdorff distance, IEEE PAMI 15 (1993),
+    equations (1) and (2); the percentile is their partial distance, equation (8).
     """
     return {
         "hausdorff_mm": float(max(there.max(), back.max())),

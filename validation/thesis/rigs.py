@@ -1,11 +1,14 @@
-"""Which rig would the thesis's own experiment choose? Sweeps of height, radius, power, tilt and resolution.
+"""Which rig would the thesis's own experiment choose? Sweeps of height, radius, power, tilt and
+resolution.
 
-    python validation/thesis/rigs.py                    # all sweeps: 15 minutes of one core; may be interrupted
-    python validation/thesis/rigs.py --report           # only the tables (some are kept in tables/rig)
-    python validation/thesis/rigs.py --heights 100 140 --radii 40 52.5 80 --method metric    # a sweep of your own
+    python validation/thesis/rigs.py # all sweeps: 15 minutes of one core; may be interrupted python
+    validation/thesis/rigs.py --report # only the tables (some are kept in tables/rig) python
+    validation/thesis/rigs.py --heights 100 140 --radii 40 52.5 80 --method metric # a sweep of your
+    own
 
-Every sweep grows in a folder of its own in ``validation/out/rig`` (one file a rig), so that a run that was stopped goes
-on where it was. ``rigs.json`` beside this script holds the figures that the tables follow from.
+Every sweep grows in a folder of its own in ``validation/out/rig`` (one file a rig), so that a run
+that was stopped goes on where it was. ``rigs.json`` beside this script holds the figures that the
+tables follow from.
 """
 
 from __future__ import annotations
@@ -44,23 +47,37 @@ class Sweep:
     candidates: tuple[RigCandidate, ...]
 
 
-def _plane(fingers: int, heights: Sequence[float] = HEIGHTS, radii: Sequence[float] = RADII, **study: Any) -> Sweep:
+def _plane(
+    fingers: int, heights: Sequence[float] = HEIGHTS, radii: Sequence[float] = RADII, **study: Any
+) -> Sweep:
     return Sweep(
-        "height and radius", ThesisStudy(fingers=fingers, **study), grid(heights, radii, (1.0,), (None,), (PX,))
+        "height and radius",
+        ThesisStudy(fingers=fingers, **study),
+        grid(heights, radii, (1.0,), (None,), (PX,)),
     )
 
 
 def _powers(fingers: int, powers: Sequence[float], **study: Any) -> Sweep:
-    return Sweep("power", ThesisStudy(fingers=fingers, **study), grid((140.0,), (52.5,), powers, (None,), (PX,)))
+    return Sweep(
+        "power",
+        ThesisStudy(fingers=fingers, **study),
+        grid((140.0,), (52.5,), powers, (None,), (PX,)),
+    )
 
 
 def _tilts(fingers: int, **study: Any) -> Sweep:
     tilts = (0.0, 10.0, 20.0, 30.0, None)
-    return Sweep("tilt", ThesisStudy(fingers=fingers, **study), grid((140.0,), (52.5,), (1.0,), tilts, (PX,)))
+    return Sweep(
+        "tilt", ThesisStudy(fingers=fingers, **study), grid((140.0,), (52.5,), (1.0,), tilts, (PX,))
+    )
 
 
 def _resolutions(fingers: int, values: Sequence[float], **study: Any) -> Sweep:
-    return Sweep("resolution", ThesisStudy(fingers=fingers, **study), grid((140.0,), (52.5,), (1.0,), (None,), values))
+    return Sweep(
+        "resolution",
+        ThesisStudy(fingers=fingers, **study),
+        grid((140.0,), (52.5,), (1.0,), (None,), values),
+    )
 
 
 POWERS = (0.005, 0.01, 0.03, 0.1, 0.4, 1.0, 3.0)
@@ -71,14 +88,18 @@ SWEEPS: dict[str, Sweep] = {
     "ea_skin": _plane(4, material="skin"),
     "metric_skin": _plane(6, (100.0, 140.0, 200.0), (35.0, 52.5, 80.0, 100.0), **METRIC),
     "near_ea_opaque": _plane(4, (50.0, 70.0, 85.0), (52.5, 65.0, 80.0, 100.0)),
-    "parallel_ea_opaque": _plane(8, (100.0, 140.0, 200.0), (52.5, 80.0), build=BuildSettings(view="orthographic")),
+    "parallel_ea_opaque": _plane(
+        8, (100.0, 140.0, 200.0), (52.5, 80.0), build=BuildSettings(view="orthographic")
+    ),
     "power_ea_opaque": _powers(4, POWERS),
     "power_metric_skin": _powers(3, POWERS, **METRIC),
     "tilt_ea_opaque": _tilts(4),
     "tilt_metric_skin": _tilts(3, **METRIC),
     "resolution_ea_opaque": _resolutions(4, (5.0, 7.5, 10.0, 15.0, 20.0)),
     "resolution_metric_skin": _resolutions(3, (5.0, 7.5, 10.0, 15.0, 20.0), **METRIC),
-    "renderer_power": _powers(4, (0.01, 0.03, 0.1, 0.3, 0.7, 1.0, 1.5, 2.0, 3.0, 10.0), camera="renderer"),
+    "renderer_power": _powers(
+        4, (0.01, 0.03, 0.1, 0.3, 0.7, 1.0, 1.5, 2.0, 3.0, 10.0), camera="renderer"
+    ),
     "renderer": Sweep(
         "height, radius and power under one fixed exposure",
         ThesisStudy(fingers=3, camera="renderer"),
@@ -90,47 +111,81 @@ SWEEPS: dict[str, Sweep] = {
 def main(arguments: Sequence[str] | None = None) -> int:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--report", action="store_true", help="tables from rigs.json alone")
-    parser.add_argument("--sweeps", nargs="*", choices=SWEEPS, metavar="NAME", help=f"of {', '.join(SWEEPS)}")
+    parser.add_argument(
+        "--sweeps", nargs="*", choices=SWEEPS, metavar="NAME", help=f"of {', '.join(SWEEPS)}"
+    )
     parser.add_argument("--workers", type=int, default=1)
     parser.add_argument("--scratch", type=Path, default=OUT)
-    own = parser.add_argument_group("a sweep of your own, which is printed and not kept in rigs.json")
-    own.add_argument("--heights", type=float, nargs="+", help="of camera and LEDs over the finger plane, mm")
-    own.add_argument("--radii", type=float, nargs="+", default=[52.5], help="of the circle of LEDs, mm")
+    own = parser.add_argument_group(
+        "a sweep of your own, which is printed and not kept in rigs.json"
+    )
+    own.add_argument(
+        "--heights", type=float, nargs="+", help="of camera and LEDs over the finger plane, mm"
+    )
+    own.add_argument(
+        "--radii", type=float, nargs="+", default=[52.5], help="of the circle of LEDs, mm"
+    )
     own.add_argument("--powers", type=float, nargs="+", default=[1.0], help="of one LED, W")
-    own.add_argument("--method", choices=("ea", "ea-poisson", "metric"), default="ea", help="metric: on skin")
+    own.add_argument(
+        "--method", choices=("ea", "ea-poisson", "metric"), default="ea", help="metric: on skin"
+    )
     own.add_argument("--fingers", type=int, default=2)
     chosen = parser.parse_args(arguments)
     if chosen.heights:
-        study = ThesisStudy(chosen.method, chosen.fingers, material="skin" if chosen.method == "metric" else "opaque")
-        sweep = Sweep("own", study, grid(chosen.heights, chosen.radii, chosen.powers, (None,), (PX,)))
+        study = ThesisStudy(
+            chosen.method,
+            chosen.fingers,
+            material="skin" if chosen.method == "metric" else "opaque",
+        )
+        sweep = Sweep(
+            "own", study, grid(chosen.heights, chosen.radii, chosen.powers, (None,), (PX,))
+        )
         folder = chosen.scratch / f"own_{chosen.method}_{chosen.fingers}"
         print("\n".join(table("own", measured(sweep, folder, chosen.workers))))
         return 0
-    results = json.loads(RESULTS.read_text()) if RESULTS.exists() and (chosen.report or chosen.sweeps) else {}
+    results = (
+        json.loads(RESULTS.read_text())
+        if RESULTS.exists() and (chosen.report or chosen.sweeps)
+        else {}
+    )
     if not chosen.report:
         for name in chosen.sweeps or SWEEPS:
             results[name] = measured(SWEEPS[name], chosen.scratch / name, chosen.workers)
-        RESULTS.write_text(json.dumps(results, separators=(",", ":")).replace("},{", "},\n{") + "\n")
+        RESULTS.write_text(
+            json.dumps(results, separators=(",", ":")).replace("},{", "},\n{") + "\n"
+        )
     for name, result in results.items():
         print("\n".join(table(name, result)))
     return 0
 
 
 def table(name: str, result: Mapping[str, Any]) -> list[str]:
-    """Lines of one sweep: every rig with its distances in mm (95 % intervals), the smallest first."""
+    """Lines of one sweep: every rig with its distances in mm (95 % intervals), the smallest
+    first."""
     lines = [
-        f"{name}: {result['method']}, {result['material']}, {result['camera']}, {result['fingers']} fingers",
-        "height radius power  tilt px/mm  Hausdorff (x: on the Pareto front; =: as good as the best)   whole  ridges",
+        (
+            f"{name}: {result['method']}, {result['material']}, {result['camera']},"
+            f" {result['fingers']} fingers"
+        ),
+        (
+            "height radius power  tilt px/mm  Hausdorff (x: on the Pareto front; =: as good as the"
+            " best)   whole  ridges"
+        ),
     ]
     rows = [row for row in result["rows"] if row["status"] == "done"]
     for row in sorted(rows, key=lambda row: row["hausdorff_mm"]):
         its = dict(zip(COMPARED, row["compared"]["hausdorff"], strict=True))
-        interval = "" if its["low"] is None else f" ({its['low']:.3f} to {its['high']:.3f}), {its['worse_by']:+.3f} mm"
+        interval = (
+            ""
+            if its["low"] is None
+            else f" ({its['low']:.3f} to {its['high']:.3f}), {its['worse_by']:+.3f} mm"
+        )
         marks = " x" * (row["name"] in result["pareto"]) + " =" * its["as_good"]
         tilt = "centre" if row["tilt_deg"] is None else f"{row['tilt_deg']:g}"
         lines.append(
-            f"{row['height_mm']:6g} {row['radius_mm']:6g} {row['power_w']:5g} {tilt:>6} {row['px_per_mm']:5g}  "
-            f"{row['hausdorff_mm']:.3f}{interval}{marks}   {row['whole_mm']:.3f}  {row['ridge_correlation']:.3f}"
+            f"{row['height_mm']:6g} {row['radius_mm']:6g} {row['power_w']:5g} {tilt:>6}"
+            f" {row['px_per_mm']:5g}  {row['hausdorff_mm']:.3f}{interval}{marks}  "
+            f" {row['whole_mm']:.3f}  {row['ridge_correlation']:.3f}"
         )
     return lines + [f"{row['name']}: {row['reason']}" for row in result["rows"] if row["reason"]]
 
@@ -138,12 +193,15 @@ def table(name: str, result: Mapping[str, Any]) -> list[str]:
 def sweep_rigs(
     out: Path, candidates: Sequence[RigCandidate], study: ThesisStudy, workers: int = 1
 ) -> list[dict[str, Any]]:
-    """Records of all candidates in their order; each is kept in `out` when it is finished, and not measured again."""
+    """Records of all candidates in their order; each is kept in `out` when it is finished, and not
+    measured again."""
     out.mkdir(parents=True, exist_ok=True)
     files = {one: out / f"{one.name}.json" for one in candidates}
     waiting = [one for one, file in files.items() if not file.is_file()]
     with ProcessPoolExecutor(workers) as pool:
-        for k, (one, record) in enumerate(zip(waiting, pool.map(study.record, waiting), strict=True), start=1):
+        for k, (one, record) in enumerate(
+            zip(waiting, pool.map(study.record, waiting), strict=True), start=1
+        ):
             files[one].write_text(json.dumps(record), encoding="ascii")
             print(f"\r{out.name} {k}/{len(waiting)}", end="", file=sys.stderr, flush=True)
     print(file=sys.stderr)
@@ -151,27 +209,42 @@ def sweep_rigs(
 
 
 def summarise(records: Sequence[Mapping[str, Any]], figure: str) -> dict[str, Any]:
-    """The ``best`` rig by a figure, which is minimised; how all are ``compared`` with it, by name; the ``pareto`` front
-    of the figure, the LEDs' power and the size of the box.
+    """The ``best`` rig by a figure, which is minimised; how all are ``compared`` with it, by name;
+    the ``pareto`` front of the figure, the LEDs' power and the size of the box.
     """
     done = [one for one in records if one["status"] == "done"]
     if not done:
-        sys.exit(f"not one of the {len(records)} rigs can be built and measured: {records[0]['reason']}")
+        sys.exit(
+            f"not one of the {len(records)} rigs can be built and measured: {records[0]['reason']}"
+        )
     compared = _compare_with_best(done, figure)
-    rigs = [RigCandidate(**{k: v for k, v in one["candidate"].items() if k != "name"}) for one in done]
-    costs = [[one["mean"][figure], rig.power_w, rig.volume_l] for one, rig in zip(done, rigs, strict=True)]
+    rigs = [
+        RigCandidate(**{k: v for k, v in one["candidate"].items() if k != "name"}) for one in done
+    ]
+    costs = [
+        [one["mean"][figure], rig.power_w, rig.volume_l]
+        for one, rig in zip(done, rigs, strict=True)
+    ]
     front = zip(rigs, _pareto_front(np.array(costs)), strict=True)
     best = next(name for name, row in compared.items() if row["best"])
-    return {"best": best, "compared": compared, "pareto": [rig.name for rig, is_on in front if is_on]}
+    return {
+        "best": best,
+        "compared": compared,
+        "pareto": [rig.name for rig, is_on in front if is_on],
+    }
 
 
 def _pareto_front(costs: np.ndarray) -> np.ndarray:
-    """(N,) true where no other row of (N, K) `costs` is at most as large everywhere and smaller somewhere."""
-    return np.array([not ((costs <= row).all(axis=1) & (costs < row).any(axis=1)).any() for row in costs])
+    """(N,) true where no other row of (N, K) `costs` is at most as large everywhere and smaller
+    somewhere."""
+    return np.array(
+        [not ((costs <= row).all(axis=1) & (costs < row).any(axis=1)).any() for row in costs]
+    )
 
 
 def _mean_interval(values: Sequence[float]) -> tuple[float, float, float]:
-    """Mean of `values` and Student's interval about it; one value alone has no interval: (value, -inf, inf)."""
+    """Mean of `values` and Student's interval about it; one value alone has no interval: (value,
+    -inf, inf)."""
     numbers = np.asarray(values, dtype=np.float64)
     mean = float(numbers.mean())
     if numbers.size == 1:
@@ -181,11 +254,14 @@ def _mean_interval(values: Sequence[float]) -> tuple[float, float, float]:
 
 
 def _compare_with_best(records: Sequence[dict[str, Any]], figure: str) -> dict[str, dict[str, Any]]:
-    """How much worse than the best every candidate is, finger by finger, by name: ``value`` and ``low``, ``high`` (95 %
-    interval of the mean over the fingers; None for one finger), ``worse_by`` and ``worse_low``, ``worse_high`` (of the
-    paired difference), and ``as_good``: that interval holds zero.
+    """How much worse than the best every candidate is, finger by finger, by name: ``value`` and
+    ``low``, ``high`` (95 % interval of the mean over the fingers; None for one finger),
+    ``worse_by`` and ``worse_low``, ``worse_high`` (of the paired difference), and ``as_good``: that
+    interval holds zero.
     """
-    values = {one["candidate"]["name"]: np.array([f[figure] for f in one["fingers"]]) for one in records}
+    values = {
+        one["candidate"]["name"]: np.array([f[figure] for f in one["fingers"]]) for one in records
+    }
     best = min(values, key=lambda name: (float(values[name].mean()), name))
     compared: dict[str, dict[str, Any]] = {}
     for name, own in values.items():
@@ -195,14 +271,21 @@ def _compare_with_best(records: Sequence[dict[str, Any]], figure: str) -> dict[s
             strict=True,
         )
         row: dict[str, Any] = {end: value if np.isfinite(value) else None for end, value in ends}
-        compared[name] = {**row, "as_good": row["worse_low"] is None or row["worse_low"] <= 0.0, "best": name == best}
+        compared[name] = {
+            **row,
+            "as_good": row["worse_low"] is None or row["worse_low"] <= 0.0,
+            "best": name == best,
+        }
     return compared
 
 
 def measured(asked: Sweep, out: Path, workers: int) -> dict[str, Any]:
     """Sweep, and what the tables follow from."""
     records = sweep_rigs(out, asked.candidates, asked.study, workers)
-    summaries = {objective: summarise(records, f"{objective}_mm") for objective in ("hausdorff", "whole", "rms")}
+    summaries = {
+        objective: summarise(records, f"{objective}_mm")
+        for objective in ("hausdorff", "whole", "rms")
+    }
     rows = []
     for one in records:
         row = {name: value for name, value in one["candidate"].items() if name != "name"}
@@ -216,9 +299,20 @@ def measured(asked: Sweep, out: Path, workers: int) -> dict[str, Any]:
             }
         rows.append(row)
     study = asked.study
-    asks = {"method": study.method, "material": study.material, "camera": study.camera, "fingers": study.fingers}
+    asks = {
+        "method": study.method,
+        "material": study.material,
+        "camera": study.camera,
+        "fingers": study.fingers,
+    }
     best = {objective: its["best"] for objective, its in summaries.items()}
-    return {"asks": asked.asks, **asks, "best": best, "pareto": summaries["hausdorff"]["pareto"], "rows": rows}
+    return {
+        "asks": asked.asks,
+        **asks,
+        "best": best,
+        "pareto": summaries["hausdorff"]["pareto"],
+        "rows": rows,
+    }
 
 
 def _short(value: float | bool | None) -> float | bool | None:

@@ -1,4 +1,5 @@
-"""The thesis's matching experiments on a simulated population: one command each, figures and plots beside this file.
+"""The thesis's matching experiments on a simulated population: one command each, figures and plots
+beside this file.
 
     python validation/thesis/run.py all --store STORE --population POPULATION
     python validation/thesis/run.py fusion|cases|matchers|sensitivity|failures|normals \\
@@ -7,12 +8,13 @@
     python validation/thesis/run.py family|people --store STORE --population POPULATION
     python validation/thesis/report.py     # tables for reading, from what lies here
 
-``all`` may be stopped at any moment: the same command goes on. A part is made again only if the population, the store,
-the options or the version changed since; within a part finished captures and comparisons are kept in
---scratch.
+``all`` may be stopped at any moment: the same command goes on. A part is made again only if the
+population, the store, the options or the version changed since; within a part finished captures and
+comparisons are kept in --scratch.
 
-STORE is what ``splitknit batch`` made of POPULATION, a folder of ``splitknit simulate population``. A store that is not
-finished is taken as far as it goes: a table has the comparisons that all of its cases have, and says so.
+STORE is what ``splitknit batch`` made of POPULATION, a folder of ``splitknit simulate population``.
+A store that is not finished is taken as far as it goes: a table has the comparisons that all of its
+cases have, and says so.
 """
 
 from __future__ import annotations
@@ -68,7 +70,8 @@ def finished(out: Path, part: str, inputs: str) -> bool:
 
 
 def inputs_of(options: argparse.Namespace, part: str) -> str:
-    """Hash of what a part's figures follow from: options, version, population and the files of the store."""
+    """Hash of what a part's figures follow from: options, version, population and the files of the
+    store."""
     names = ("cases", "people", "fraction")
     given = {name: str(getattr(options, name)) for name in names}
     store = options.store if part not in WITHOUT_STORE else None
@@ -82,8 +85,14 @@ def read_truth(population: Path) -> dict[str, Row]:
     """``impression.json`` of each capture that is there, by its name."""
     files = sorted(population.glob("*/session_*/*/impression.json"))
     if not files:
-        raise SystemExit(f"'{population}' holds no impression.json: name a folder of splitknit simulate population.")
-    return {file.parent.relative_to(population).as_posix(): json.loads(file.read_text("utf-8")) for file in files}
+        raise SystemExit(
+            f"'{population}' holds no impression.json: name a folder of splitknit simulate"
+            " population."
+        )
+    return {
+        file.parent.relative_to(population).as_posix(): json.loads(file.read_text("utf-8"))
+        for file in files
+    }
 
 
 def _remember(file: Path, part: str, facts: Row) -> None:
@@ -97,7 +106,11 @@ def _origin(options: argparse.Namespace) -> Row:
     """What the figures follow from."""
     population = json.loads((options.population / "population.json").read_text(encoding="utf-8"))
     store = options.store / "store.json" if options.store is not None else None
-    cases = json.loads(store.read_text(encoding="utf-8"))["cases"] if store is not None and store.is_file() else {}
+    cases = (
+        json.loads(store.read_text(encoding="utf-8"))["cases"]
+        if store is not None and store.is_file()
+        else {}
+    )
     return {
         "version": provenance()["version"], "seed": options.seed, "replicates": options.replicates,
         "gate": GATE, "finger_limit_deg": FINGER_LIMIT_DEG, "pair_limit_deg": PAIR_LIMIT_DEG,
@@ -117,20 +130,32 @@ def _store(options: argparse.Namespace) -> Any:
 
 
 def _parser() -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("part", choices=[*PARTS, "family", "people", "all"])
     parser.add_argument("--population", type=Path, required=True)
     parser.add_argument("--store", type=Path, default=None)
     parser.add_argument("--out", type=Path, default=HERE, help="of tables and plots")
     parser.add_argument(
-        "--scratch", type=Path, default=HERE.parent / "out" / "thesis", help="what parts keep to go on when stopped"
+        "--scratch",
+        type=Path,
+        default=HERE.parent / "out" / "thesis",
+        help="what parts keep to go on when stopped",
     )
     parser.add_argument("--cases", nargs="+", default=list(CASES))
     parser.add_argument(
-        "--people", type=int, default=5, help="whose fingers scales and descriptors take, from the first on"
+        "--people",
+        type=int,
+        default=5,
+        help="whose fingers scales and descriptors take, from the first on",
     )
-    parser.add_argument("--fraction", type=float, default=1.0, help="of the impostor pairs, in normals")
-    parser.add_argument("--captures", type=int, default=24, help="of the part figures, each of another finger")
+    parser.add_argument(
+        "--fraction", type=float, default=1.0, help="of the impostor pairs, in normals"
+    )
+    parser.add_argument(
+        "--captures", type=int, default=24, help="of the part figures, each of another finger"
+    )
     parser.add_argument("--replicates", type=int, default=300)
     parser.add_argument("--seed", type=int, default=680)
     parser.add_argument("--jobs", type=int, default=2)

@@ -1,8 +1,10 @@
-"""Figure 3.21: the relief of case SnK with n = 2 to 7 scales of shapelets, compared by the thesis's matcher.
+"""Figure 3.21: the relief of case SnK with n = 2 to 7 scales of shapelets, compared by the thesis's
+matcher.
 
-Only the last step differs between the six, so that images are enhanced and separated once for each capture:
-:func:`snk_images` lets all n share what comes before. It gives the same relief as
-``splitknit reconstruct --preset snk --set shapelets.scales=n`` (tests/validation/test_thesis_experiments.py).
+Only the last step differs between the six, so that images are enhanced and separated once for each
+capture: :func:`snk_images` lets all n share what comes before. It gives the same relief as
+``splitknit reconstruct --preset snk --set shapelets.scales=n``
+(tests/validation/test_thesis_experiments.py).
 """
 
 from __future__ import annotations
@@ -30,7 +32,8 @@ WAYS = [Way(f"n = {count}", lbp_features, "relief", (f"snk{count}",)) for count 
 
 
 def snk_images(capture: Capture) -> FingerImages:
-    """Normals and relief of one capture by case SnK, and a relief ``snk2`` ... for each number of scales.
+    """Normals and relief of one capture by case SnK, and a relief ``snk2`` ... for each number of
+    scales.
 
     Raises
     ------
@@ -48,7 +51,8 @@ def snk_images(capture: Capture) -> FingerImages:
 
 
 def keep_all(population: Path, names: Iterable[str], scratch: Path, jobs: int) -> tuple[Read, Path]:
-    """Keep the images of captures in `scratch`, a folder of this population alone. Returns a reader and the folder."""
+    """Keep the images of captures in `scratch`, a folder of this population alone. Returns a reader
+    and the folder."""
     settings = [preset_settings("snk"), preset_settings("pr-split"), SCALES, __version__]
     place = scratch / settings_hash(settings)[:12]
     each(partial(_keep, population, place), list(names), jobs)

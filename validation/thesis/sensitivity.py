@@ -1,4 +1,5 @@
-"""How genuine scores depend on roll, glare, moisture and partial views, from the truth of the captures."""
+"""How genuine scores depend on roll, glare, moisture and partial views, from the truth of the
+captures."""
 
 from __future__ import annotations
 
@@ -45,10 +46,18 @@ def _number(both: Values) -> Values:
 
 
 FACTORS: Mapping[str, Factor] = {
-    "roll": Factor("difference of the two rolls", "deg", "roll_deg", _difference, (0, 3, 6, 10, 15, 90)),
-    "glare": Factor("glare, the stronger of the two", "", "glare", _larger, (0, 0.8, 0.95, 1.1, 1.2, 2)),
+    "roll": Factor(
+        "difference of the two rolls", "deg", "roll_deg", _difference, (0, 3, 6, 10, 15, 90)
+    ),
+    "glare": Factor(
+        "glare, the stronger of the two", "", "glare", _larger, (0, 0.8, 0.95, 1.1, 1.2, 2)
+    ),
     "moisture": Factor(
-        "difference of the two moistures (0 dry, 1 moist)", "", "moisture", _difference, (0, 0.1, 0.2, 0.35, 0.5, 1)
+        "difference of the two moistures (0 dry, 1 moist)",
+        "",
+        "moisture",
+        _difference,
+        (0, 0.1, 0.2, 0.35, 0.5, 1),
     ),
     "partial": Factor("partial views among the two", "", "partial", _number, (-0.5, 0.5, 1.5, 2.5)),
 }
@@ -57,9 +66,11 @@ FACTORS: Mapping[str, Factor] = {
 def sensitivity_rows(  # noqa: PLR0917
     table: Table, trials: tuple[Trial, ...], truth: Truth, known: Known, replicates: int, seed: int
 ) -> list[dict[str, Any]]:
-    """One row for each trial, factor and bin: median genuine score, and GAR at the trial's thresholds.
+    """One row for each trial, factor and bin: median genuine score, and GAR at the trial's
+    thresholds.
 
-    Thresholds are those of all impostor comparisons (no gate, not averaged); intervals are drawn by finger.
+    Thresholds are those of all impostor comparisons (no gate, not averaged); intervals are drawn by
+    finger.
     """
     rows = []
     genuine = table.pairs.genuine
@@ -79,19 +90,30 @@ def sensitivity_rows(  # noqa: PLR0917
                 if not inside.any():
                     continue
                 row = {
-                    "case": trial.case, "matcher": trial.matcher, "attribute": trial.attribute, "factor": name,
-                    "from": low, "to": high, "genuine": int(inside.sum()),
+                    "case": trial.case,
+                    "matcher": trial.matcher,
+                    "attribute": trial.attribute,
+                    "factor": name,
+                    "from": low,
+                    "to": high,
+                    "genuine": int(inside.sum()),
                     "fingers": int(np.unique(fingers[inside]).size),
                     "failures": int(np.isnan(similarity[inside]).sum()),
                     "mean_factor": float(values[inside].mean()),
                     "median_similarity": _median(similarity[inside]),
-                }  # fmt: skip
+                }
                 for target, threshold in thresholds.items():
-                    accepted = np.zeros(inside.sum()) if threshold is None else similarity[inside] >= threshold
+                    accepted = (
+                        np.zeros(inside.sum())
+                        if threshold is None
+                        else similarity[inside] >= threshold
+                    )
                     value, limits = _fraction(accepted.astype(np.float64), fingers[inside], weights)
                     supported = allowed(target, int(np.sum(~scores.label))) >= 1
                     row[f"gar@{target:g}"] = value if supported else None
-                    row[f"gar@{target:g}_low"], row[f"gar@{target:g}_high"] = limits if supported else (None, None)
+                    row[f"gar@{target:g}_low"], row[f"gar@{target:g}_high"] = (
+                        limits if supported else (None, None)
+                    )
                 rows.append(row)
     return rows
 
@@ -101,18 +123,25 @@ def _threshold(scores: Scores, target: float) -> float | None:
 
 
 def _values(pairs: Pairs, factor: Factor, truth: Truth) -> Values:
-    of_captures = np.array([float(truth.get(str(name), {}).get(factor.field, np.nan)) for name in pairs.captures.names])
+    of_captures = np.array(
+        [float(truth.get(str(name), {}).get(factor.field, np.nan)) for name in pairs.captures.names]
+    )
     return factor.of_two(pairs.of_both(of_captures))
 
 
 def _draws(fingers: int, replicates: int, seed: int) -> Values:
     """(replicates, fingers) how often each finger is drawn."""
     fraction = np.full(fingers, 1.0 / fingers)
-    return np.random.default_rng(seed).multinomial(fingers, fraction, size=replicates).astype(np.float64)
+    return (
+        np.random.default_rng(seed)
+        .multinomial(fingers, fraction, size=replicates)
+        .astype(np.float64)
+    )
 
 
 def _fraction(accepted: Values, fingers: Any, weights: Values) -> tuple[float, tuple[float, float]]:
-    """A rate and its limits where fingers are drawn; of no error, or nothing else, the rule of three."""
+    """A rate and its limits where fingers are drawn; of no error, or nothing else, the rule of
+    three."""
     count = weights.shape[1]
     hits = np.bincount(fingers, weights=accepted, minlength=count)
     tried = np.bincount(fingers, minlength=count).astype(np.float64)

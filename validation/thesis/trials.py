@@ -1,7 +1,9 @@
-"""Scores of a store as arrays: the comparisons that several cases share, and each one's similarities.
+"""Scores of a store as arrays: the comparisons that several cases share, and each one's
+similarities.
 
-A *trial* is one system: a case (how captures are reconstructed), a matcher and, of the thesis's matcher, an attribute.
-All trials of a table are brought to the same comparisons in the same order, so that their differences are paired.
+A *trial* is one system: a case (how captures are reconstructed), a matcher and, of the thesis's
+matcher, an attribute. All trials of a table are brought to the same comparisons in the same order,
+so that their differences are paired.
 """
 
 from __future__ import annotations
@@ -17,7 +19,8 @@ from splitknit_match.evaluation.scores import Ids, Scores
 
 ATTRIBUTES = ("normals", "relief", "shape_normals")
 KEPT_FRACTION = 0.2
-"""A case that has less than this fraction of the largest one's comparisons is left out of a table, and named."""
+"""A case that has less than this fraction of the largest one's comparisons is left out of a table,
+and named."""
 
 Values = NDArray[np.float64]
 
@@ -58,7 +61,9 @@ class Pairs:
 
     def ids(self, column: NDArray[np.str_]) -> Ids:
         names, codes = np.unique(column, return_inverse=True)
-        return Ids(np.stack([codes[self.a], codes[self.b]], axis=1), tuple(str(name) for name in names))
+        return Ids(
+            np.stack([codes[self.a], codes[self.b]], axis=1), tuple(str(name) for name in names)
+        )
 
     def of_both(self, values: Values) -> Values:
         """(N, 2) a figure of the captures, for both sides of every comparison."""
@@ -79,7 +84,8 @@ class Trial:
     ratio: Values | None
     """Overlap of the masks (5.1); None where the thesis's matcher did not run on the case."""
     gated: Values | None = None
-    """Similarity of a pair that does not pass the gate, by the thesis's rule; None: the matcher's lowest."""
+    """Similarity of a pair that does not pass the gate, by the thesis's rule; None: the matcher's
+    lowest."""
 
     label: str = ""
     """What it is called beside others of its table; the case unless given."""
@@ -126,33 +132,54 @@ def read_captures(store: StoreLike, cases: Iterable[str]) -> Captures:
     for case in cases:
         table = _table(lambda case=case: store.features(case, list(columns)))
         if table is not None:
-            rows |= {row[0]: row for row in zip(*(table[name].tolist() for name in columns), strict=True)}
+            rows |= {
+                row[0]: row for row in zip(*(table[name].tolist() for name in columns), strict=True)
+            }
     if not rows:
-        raise SystemExit(f"the store holds no captures of {', '.join(cases)}; run splitknit batch first.")
+        raise SystemExit(
+            f"the store holds no captures of {', '.join(cases)}; run splitknit batch first."
+        )
     ordered = [rows[name] for name in sorted(rows)]
     return Captures(*(np.array([str(row[k]) for row in ordered]) for k in range(4)))
 
 
-def read_table(store: StoreLike, captures: Captures, cases: Sequence[str], matchers: Sequence[str]) -> Table:
+def read_table(
+    store: StoreLike, captures: Captures, cases: Sequence[str], matchers: Sequence[str]
+) -> Table:
     """Trials of all cases by all matchers, on the comparisons that all of them have.
 
     The overlap of the masks comes from the thesis's matcher, also for the others.
     """
     wanted = [(case, matcher) for matcher in matchers for case in cases]
     overlaps = {case: _overlap_case(store, captures, case, cases) for case in cases}
-    asked = dict.fromkeys([*wanted, *((case, "thesis") for case in overlaps.values() if case is not None)])
+    asked = dict.fromkeys(
+        [*wanted, *((case, "thesis") for case in overlaps.values() if case is not None)]
+    )
     raw = {key: _columns(store, captures, *key) for key in asked}
     longest = max((len(columns["key"]) for key in wanted if (columns := raw[key])), default=0)
-    used = {key: columns for key, columns in raw.items() if columns and len(columns["key"]) >= KEPT_FRACTION * longest}
+    used = {
+        key: columns
+        for key, columns in raw.items()
+        if columns and len(columns["key"]) >= KEPT_FRACTION * longest
+    }
     missing = [f"{case} by {matcher}" for case, matcher in wanted if (case, matcher) not in used]
     if not any(key in used for key in wanted):
-        raise SystemExit(f"the store holds no scores of {', '.join(cases)} by {', '.join(matchers)}.")
+        raise SystemExit(
+            f"the store holds no scores of {', '.join(cases)} by {', '.join(matchers)}."
+        )
     common: NDArray[np.int64] | None = None
     for columns in used.values():
-        common = columns["key"] if common is None else np.intersect1d(common, columns["key"], assume_unique=True)
+        common = (
+            columns["key"]
+            if common is None
+            else np.intersect1d(common, columns["key"], assume_unique=True)
+        )
     assert common is not None
     aligned = {
-        key: {name: values[np.searchsorted(columns["key"], common)] for name, values in columns.items()}
+        key: {
+            name: values[np.searchsorted(columns["key"], common)]
+            for name, values in columns.items()
+        }
         for key, columns in used.items()
     }
     count = len(captures.names)
@@ -160,20 +187,31 @@ def read_table(store: StoreLike, captures: Captures, cases: Sequence[str], match
         trial
         for case, matcher in wanted
         if (case, matcher) in aligned
-        for trial in _trials(case, matcher, aligned[case, matcher], aligned.get((overlaps[case] or "", "thesis")))
+        for trial in _trials(
+            case, matcher, aligned[case, matcher], aligned.get((overlaps[case] or "", "thesis"))
+        )
     ]
     return Table(Pairs(captures, common // count, common % count), tuple(trials), tuple(missing))
 
 
-def _overlap_case(store: StoreLike, captures: Captures, case: str, cases: Sequence[str]) -> str | None:
-    """The case whose overlaps under the thesis's matcher are those of `case`: its own, or one with the same masks.
+def _overlap_case(
+    store: StoreLike, captures: Captures, case: str, cases: Sequence[str]
+) -> str | None:
+    """The case whose overlaps under the thesis's matcher are those of `case`: its own, or one with
+    the same masks.
 
-    A store that is being filled may have more of another case. Masks are taken to be the same where all captures have
-    the same area to the last bit.
+    A store that is being filled may have more of another case. Masks are taken to be the same where
+    all captures have the same area to the last bit.
     """
     areas = {one: _areas(store, captures, one) for one in cases}
-    made = {one: 0 if table is None else len(table["a"]) for one in cases for table in [_read_scores(store, one)]}
-    same = [one for one in cases if areas[one] is not None and np.array_equal(areas[one], areas[case])]
+    made = {
+        one: 0 if table is None else len(table["a"])
+        for one in cases
+        for table in [_read_scores(store, one)]
+    }
+    same = [
+        one for one in cases if areas[one] is not None and np.array_equal(areas[one], areas[case])
+    ]
     best = max(same, key=lambda one: (made[one], one == case), default=None)
     return best if best is not None and made[best] > 0 else None
 
@@ -202,19 +240,31 @@ def _trials(
     case: str, matcher: str, columns: Mapping[str, Values], of_thesis: Mapping[str, Values] | None
 ) -> list[Trial]:
     made = columns["compared"].astype(np.bool_)
-    ratio = None if of_thesis is None else np.where(of_thesis["compared"].astype(np.bool_), of_thesis["ratio"], np.nan)
+    ratio = (
+        None
+        if of_thesis is None
+        else np.where(of_thesis["compared"].astype(np.bool_), of_thesis["ratio"], np.nan)
+    )
     if matcher != "thesis":
         return [Trial(case, matcher, "", np.where(made, columns["similarity"], np.nan), ratio)]
     assert ratio is not None
     return [
-        Trial(case, matcher, name, np.where(made, 1.0 - columns[f"dissimilarity_{name}"], np.nan), ratio,
-              1.0 - np.exp(2.0 - ratio))
+        Trial(
+            case,
+            matcher,
+            name,
+            np.where(made, 1.0 - columns[f"dissimilarity_{name}"], np.nan),
+            ratio,
+            1.0 - np.exp(2.0 - ratio),
+        )
         for name in ATTRIBUTES
         if f"dissimilarity_{name}" in columns
-    ]  # fmt: skip
+    ]
 
 
-def _columns(store: StoreLike, captures: Captures, case: str, matcher: str) -> dict[str, NDArray[Any]] | None:
+def _columns(
+    store: StoreLike, captures: Captures, case: str, matcher: str
+) -> dict[str, NDArray[Any]] | None:
     """Columns of numbers by rising key, place of a times number of captures plus place of b."""
     table = _table(lambda: store.scores(case, matcher))
     if table is None or len(table["a"]) == 0:

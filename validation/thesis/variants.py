@@ -22,7 +22,8 @@ PAIR_LIMIT_DEG = 10.0
 
 
 SIMILAR_FRACTION = 0.75
-"""Comparisons of a pair of two fingers over those of one finger with itself, at least, for averages to be given."""
+"""Comparisons of a pair of two fingers over those of one finger with itself, at least, for averages
+to be given."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -30,21 +31,28 @@ class Variant:
     """One way of judging."""
 
     gate: str
-    """``none``: all pairs are compared. ``gate``: pairs that overlap by less than 0.9 are rejected, as the thesis does.
-    ``passing``: likewise, and of the impostor pairs only those count that pass in every case of the table."""
+    """``none``: all pairs are compared. ``gate``: pairs that overlap by less than 0.9 are rejected,
+    as the thesis does. ``passing``: likewise, and of the impostor pairs only those count that pass
+    in every case of the table."""
     sessions: str
-    """``single``: every comparison of two captures. ``averaged``: the mean over pairs of sessions, as the thesis."""
+    """``single``: every comparison of two captures. ``averaged``: the mean over pairs of sessions,
+    as the thesis."""
     kept: str
-    """``all``; ``fingers``: without fingers whose roll differs; ``pairs``: without such genuine comparisons; ``whole``:
-    without comparisons with a partial view; ``printed``: of fingers with the ridges of a real print, impostor pairs
-    where one of the two has them; ``drawn``: the others."""
+    """``all``; ``fingers``: without fingers whose roll differs; ``pairs``: without such genuine
+    comparisons; ``whole``: without comparisons with a partial view; ``printed``: of fingers with
+    the ridges of a real print, impostor pairs where one of the two has them; ``drawn``: the
+    others."""
 
 
 VARIANTS = tuple(
     Variant(gate, *rest)
     for gate, rest in product(
         ("none", "gate", "passing"),
-        (*product(("single", "averaged"), ("all", "whole")), ("single", "pairs"), ("averaged", "fingers")),
+        (
+            *product(("single", "averaged"), ("all", "whole")),
+            ("single", "pairs"),
+            ("averaged", "fingers"),
+        ),
     )
 ) + tuple(Variant("none", "single", kept) for kept in ("printed", "drawn"))
 THESIS = Variant("gate", "averaged", "all")
@@ -72,14 +80,20 @@ class Known:
 def known_of(pairs: Pairs, truth: Mapping[str, Mapping[str, Any]]) -> Known:
     """Apply the rule for fingers; `truth` is ``impression.json`` by capture."""
     captures = pairs.captures
-    rolls = np.array([float(truth.get(str(name), {}).get("roll_deg", np.nan)) for name in captures.names])
+    rolls = np.array(
+        [float(truth.get(str(name), {}).get("roll_deg", np.nan)) for name in captures.names]
+    )
     partial, printed = (
         np.array([bool(truth.get(str(name), {}).get(key, False)) for name in captures.names])
         for key in ("partial", "print")
     )
     sides = pairs.of_both(rolls)
     roll_difference = np.abs(sides[:, 0] - sides[:, 1])
-    gone = [name for name, spread in spreads(captures.finger, rolls).items() if spread > FINGER_LIMIT_DEG]
+    gone = [
+        name
+        for name, spread in spreads(captures.finger, rolls).items()
+        if spread > FINGER_LIMIT_DEG
+    ]
     out = np.isin(captures.finger, gone)
     either = [found[pairs.a] | found[pairs.b] for found in (out, partial, printed)]
     return Known(roll_difference, *either)
@@ -95,7 +109,8 @@ def spreads(finger: NDArray[np.str_], rolls: Values) -> dict[str, float]:
 
 
 def passing_everywhere(table: Table) -> NDArray[np.bool_]:
-    """(N,) comparisons whose masks overlap enough in every case of a table; empty without overlaps."""
+    """(N,) comparisons whose masks overlap enough in every case of a table; empty without
+    overlaps."""
     passing = np.ones(table.pairs.a.shape, dtype=np.bool_)
     for trial in table.trials:
         if trial.ratio is not None:
@@ -103,16 +118,23 @@ def passing_everywhere(table: Table) -> NDArray[np.bool_]:
     return passing
 
 
-def judged(pairs: Pairs, trial: Trial, variant: Variant, known: Known, passing: NDArray[np.bool_]) -> Scores | None:
-    """Scores of a trial in one way; None where it cannot be (no overlaps known, or a class is empty)."""
+def judged(
+    pairs: Pairs, trial: Trial, variant: Variant, known: Known, passing: NDArray[np.bool_]
+) -> Scores | None:
+    """Scores of a trial in one way; None where it cannot be (no overlaps known, or a class is
+    empty)."""
     similarity = trial.similarity
     if variant.gate != "none":
         if trial.ratio is None:
             return None
-        floor = np.full(similarity.shape, np.nanmin(similarity)) if trial.gated is None else trial.gated
+        floor = (
+            np.full(similarity.shape, np.nanmin(similarity)) if trial.gated is None else trial.gated
+        )
         similarity = np.where(trial.ratio < GATE, floor, similarity)
     genuine = pairs.genuine
-    kept = genuine | passing if variant.gate == "passing" else np.ones(genuine.shape, dtype=np.bool_)
+    kept = (
+        genuine | passing if variant.gate == "passing" else np.ones(genuine.shape, dtype=np.bool_)
+    )
     if variant.kept == "fingers":
         kept &= ~known.discarded
     elif variant.kept == "pairs":
@@ -132,10 +154,12 @@ def judged(pairs: Pairs, trial: Trial, variant: Variant, known: Known, passing: 
 
 
 def averages_agree(pairs: Pairs) -> bool:
-    """Whether a pair of two fingers was compared in about as many pairs of sessions as one finger with itself.
+    """Whether a pair of two fingers was compared in about as many pairs of sessions as one finger
+    with itself.
 
-    A mean over one or two comparisons scatters more than one over six: where single comparisons of impostors were drawn
-    instead of pairs of fingers, averaged scores of both kinds cannot be judged by one threshold.
+    A mean over one or two comparisons scatters more than one over six: where single comparisons of
+    impostors were drawn instead of pairs of fingers, averaged scores of both kinds cannot be judged
+    by one threshold.
     """
     finger = np.unique(pairs.captures.finger, return_inverse=True)[1]
     key = finger[pairs.a] * pairs.captures.names.size + finger[pairs.b]

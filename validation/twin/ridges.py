@@ -1,8 +1,9 @@
 """The twin's relief term against random walks under a ridged surface.
 
-Run ``python validation/twin/ridges.py``: two to three minutes. Walks start at the camera, wander below parallel ridges
-and end at a distant light 20.6 deg off the axis, across the ridges or along them. Printed, for each ridge profile and
-channel: the gain k that makes the twin's convolution follow the walks best, the twin's k, and the contrast of both.
+Run ``python validation/twin/ridges.py``: two to three minutes. Walks start at the camera, wander
+below parallel ridges and end at a distant light 20.6 deg off the axis, across the ridges or along
+them. Printed, for each ridge profile and channel: the gain k that makes the twin's convolution
+follow the walks best, the twin's k, and the contrast of both.
 """
 
 from __future__ import annotations
@@ -31,7 +32,8 @@ CHECKS = (np.arange(32) + 1) / 32.0
 
 
 def ridges(kind: str, depth_um: float) -> tuple[Array, Array]:
-    """Height in mm (0 at the tops) and slope over one period: a cosine, or flat ridges with narrow valleys."""
+    """Height in mm (0 at the tops) and slope over one period: a cosine, or flat ridges with narrow
+    valleys."""
     wave = np.cos(2.0 * np.pi * np.arange(SAMPLES) / SAMPLES)
     if kind == "flat":
         wave = np.tanh(2.2 * (wave + 0.35))
@@ -57,7 +59,9 @@ def _into(normals: Array, rng: np.random.Generator) -> Array:
     across = np.stack([normals[2], 0.0 * normals[0], -normals[0]])
     along = np.array([[0.0], [1.0], [0.0]])
     side = np.sqrt(fraction)
-    return -np.sqrt(1.0 - fraction) * normals + side * (np.cos(turn) * across + np.sin(turn) * along)
+    return -np.sqrt(1.0 - fraction) * normals + side * (
+        np.cos(turn) * across + np.sin(turn) * along
+    )
 
 
 def _entering(normals: Array) -> Array:
@@ -65,9 +69,13 @@ def _entering(normals: Array) -> Array:
     return cosine * (1.0 - fresnel(cosine))
 
 
-def _first_exit(points: Array, directions: Array, step: Array, height: Array) -> tuple[NDArray[np.intp], Array]:
+def _first_exit(
+    points: Array, directions: Array, step: Array, height: Array
+) -> tuple[NDArray[np.intp], Array]:
     """Which walks leave the skin on this step, and after which length."""
-    close = np.flatnonzero((points[2] > height.min()) | (points[2] + step * directions[2] > height.min()))
+    close = np.flatnonzero(
+        (points[2] > height.min()) | (points[2] + step * directions[2] > height.min())
+    )
     p, d = points[:, close], directions[:, close]
     rise = np.maximum(d[2], 1e-9)
     reach = np.where(d[2] > 1e-9, np.minimum(step[close], (1e-6 - p[2]) / rise), step[close])
@@ -81,7 +89,9 @@ def _first_exit(points: Array, directions: Array, step: Array, height: Array) ->
     return close[left], np.maximum(reach[left] * fraction, 0.0)
 
 
-def walked(x_mm: float, optics: ChannelOptics, relief: tuple[Array, Array], rng: np.random.Generator) -> Array:
+def walked(
+    x_mm: float, optics: ChannelOptics, relief: tuple[Array, Array], rng: np.random.Generator
+) -> Array:
     """Light towards the camera at `x_mm`, a value a light."""
     height, slope = relief
     x = np.full(WALKS, x_mm)
@@ -118,7 +128,9 @@ def convolved(optics: ChannelOptics, relief: tuple[Array, Array]) -> Array:
     normals = _normals(relief[1])
     profile = diffusion_profile(optics.scattering_per_mm, optics.absorption_per_mm)
     transfer = profile.transfer(np.fft.rfftfreq(SAMPLES, PERIOD_MM / SAMPLES))
-    light = np.fft.irfft(np.fft.rfft(_entering(normals)) * transfer, SAMPLES) * (1.0 - fresnel(normals[2]))
+    light = np.fft.irfft(np.fft.rfft(_entering(normals)) * transfer, SAMPLES) * (
+        1.0 - fresnel(normals[2])
+    )
     return light[:, :: SAMPLES // PLACES].T
 
 
@@ -137,9 +149,21 @@ def main() -> None:
             ratio = volume / plain
             fitted = 100.0 * np.sum((ratio / ratio.mean(axis=0) - 1.0) * h, axis=0) / np.sum(h * h)
             twin = plain * (1.0 + optics.relief_gain_per_um * h)
-            contrast = [(light / light.mean(axis=0)).std(axis=0).round(4) for light in (volume, twin)]
+            contrast = [
+                (light / light.mean(axis=0)).std(axis=0).round(4) for light in (volume, twin)
+            ]
             used = round(100.0 * optics.relief_gain_per_um, 3)
-            print(kind, depth_um, channel, "k fitted", fitted.round(3), "used", used, "%/um, contrast walks", end=" ")
+            print(
+                kind,
+                depth_um,
+                channel,
+                "k fitted",
+                fitted.round(3),
+                "used",
+                used,
+                "%/um, contrast walks",
+                end=" ",
+            )
             print(contrast[0], "twin", contrast[1], "(light across, along)")
 
 

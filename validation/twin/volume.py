@@ -1,7 +1,8 @@
-"""The twin's image-space skin against random walks in the volume of an elliptic cylinder, the shape of a finger.
+"""The twin's image-space skin against random walks in the volume of an elliptic cylinder, the shape
+of a finger.
 
-Run ``python validation/twin/volume.py``: about a minute. It prints, for each channel and light, the twin's radiance
-over that of the walks along the cross-section, relative to the middle.
+Run ``python validation/twin/volume.py``: about a minute. It prints, for each channel and light, the
+twin's radiance over that of the walks along the cross-section, relative to the middle.
 """
 
 from __future__ import annotations
@@ -37,7 +38,9 @@ def _into(normals: Array, rng: np.random.Generator) -> Array:
     across = np.stack([normals[2], 0.0 * normals[0], -normals[0]])
     along = np.array([[0.0], [1.0], [0.0]])
     side = np.sqrt(fraction)
-    return -np.sqrt(1.0 - fraction) * normals + side * (np.cos(turn) * across + np.sin(turn) * along)
+    return -np.sqrt(1.0 - fraction) * normals + side * (
+        np.cos(turn) * across + np.sin(turn) * along
+    )
 
 
 def _received(points: Array, normals: Array, light: tuple[float, float, float]) -> Array:
@@ -47,8 +50,11 @@ def _received(points: Array, normals: Array, light: tuple[float, float, float]) 
     return 1e4 * cosine / squared * (1.0 - fresnel(cosine))
 
 
-def volume_radiance(x_mm: float, scattering: float, absorption: float, rng: np.random.Generator) -> Array:
-    """Radiance towards the camera at `x_mm`, a value a light: walks start at the camera and end at the lights."""
+def volume_radiance(
+    x_mm: float, scattering: float, absorption: float, rng: np.random.Generator
+) -> Array:
+    """Radiance towards the camera at `x_mm`, a value a light: walks start at the camera and end at
+    the lights."""
     start = np.array([[x_mm], [0.0], [HALF_HEIGHT_MM * np.sqrt(1.0 - (x_mm / HALF_WIDTH_MM) ** 2)]])
     points = np.repeat(start, WALKS, axis=1)
     directions = _into(_normals(points), rng)
@@ -73,7 +79,9 @@ def volume_radiance(x_mm: float, scattering: float, absorption: float, rng: np.r
         leaves = rng.random(out.size) >= fresnel(cosine, 1.0 / REFRACTIVE_INDEX)
         weight = np.exp(-absorption * lengths[out[leaves]])
         for k, light in enumerate(LIGHTS):
-            total[k] += np.sum(weight * _received(points[:, out[leaves]], normals[:, leaves], light))
+            total[k] += np.sum(
+                weight * _received(points[:, out[leaves]], normals[:, leaves], light)
+            )
         directions = np.stack([side * np.cos(turn), side * np.sin(turn), z])
         directions[:, out[~leaves]] = _into(normals[:, ~leaves], rng)
         keep[out[leaves]] = False
@@ -110,7 +118,10 @@ def main() -> None:
         image = render_band(surface, leds, Medium([optics], 0.25, 0.0), settings)
         x = (np.arange(*image.window[1].indices(221)[:2]) - 110.0) / 10.0
         volume = np.stack(
-            [volume_radiance(float(v), optics.scattering_per_mm, optics.absorption_per_mm, rng) for v in places]
+            [
+                volume_radiance(float(v), optics.scattering_per_mm, optics.absorption_per_mm, rng)
+                for v in places
+            ]
         )
         for k in range(len(LIGHTS)):
             twin = np.interp(places, x, image.diffuse[k, 0, 100])

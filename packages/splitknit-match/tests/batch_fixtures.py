@@ -31,13 +31,16 @@ def store(reconstructed: Path, tmp_path: Path) -> Path:
 
 @pytest.fixture(scope="session")
 def invented(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
-    """Population and store of 2 subjects x 2 fingers x 3 sessions: templates of waves, no captures; not to be changed.
+    """Population and store of 2 subjects x 2 fingers x 3 sessions: templates of waves, no captures;
+    not to be changed.
 
     The second finger of the second subject could not be acquired in the third session.
     """
     folder = tmp_path_factory.mktemp("invented")
     population, out = folder / "people", folder / "store"
-    enrolment = open_enrolment(population, subjects=2, sessions=3, fingers=("right_thumb", "right_index"))
+    enrolment = open_enrolment(
+        population, subjects=2, sessions=3, fingers=("right_thumb", "right_index")
+    )
     for place in enrolment.places():
         enrolment.path(place).mkdir(parents=True)
         (enrolment.path(place) / "capture.json").touch()
@@ -47,7 +50,12 @@ def invented(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
     for number, capture in enumerate(there.captures):
         row = failed_row(capture, "no finger.")
         if capture.name != "S02/session_3/right_index":
-            row |= {"acquired": True, "failure": "", "area_mm2": 70.0, "template": waves(capture.finger, number)}
+            row |= {
+                "acquired": True,
+                "failure": "",
+                "area_mm2": 70.0,
+                "template": waves(capture.finger, number),
+            }
         origin = {"kind": "features", "inputs": {capture.name: f"{number:064x}"}}
         write_table(out / "features" / "ea" / f"{capture.name}.npz", [row], origin)
     return population, out

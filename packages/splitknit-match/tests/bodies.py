@@ -29,7 +29,9 @@ class Twin:
         return np.eye(3), self.seen.mask.shape
 
     def grid(self) -> SurfaceGrid:
-        return surface_grid(self.seen.shape_mm, self.seen.mask, self.seen.camera.pitch_mm, *self.frame, node_mm=0.5)
+        return surface_grid(
+            self.seen.shape_mm, self.seen.mask, self.seen.camera.pitch_mm, *self.frame, node_mm=0.5
+        )
 
 
 def plane_points(size: tuple[int, int]) -> tuple[np.ndarray, np.ndarray]:

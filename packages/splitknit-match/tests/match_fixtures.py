@@ -18,7 +18,8 @@ from splitknit_match.prints.pressed import pressed_ridges
 
 
 def once(function: Callable[..., Any]) -> Callable[..., Any]:
-    """A function of a print, the same at every call (test_minutiae.py), which so is called once for all tests."""
+    """A function of a print, the same at every call (test_minutiae.py), which so is called once for
+    all tests."""
     kept: dict[bytes, Any] = {}
 
     @wraps(function)
@@ -37,5 +38,6 @@ minutiae.pressed_ridges = from_file.pressed_ridges = once(pressed_ridges)
 
 @pytest.fixture(scope="session")
 def people_folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Enrolment of two people, three fingers, two sessions, as result folders; not to be changed."""
+    """Enrolment of two people, three fingers, two sessions, as result folders; not to be
+    changed."""
     return enrolled.people(tmp_path_factory.mktemp("people"))

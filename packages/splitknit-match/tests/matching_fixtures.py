@@ -1,4 +1,5 @@
-"""Simulated fingers without photographs: the true surfaces of a few fingers, each laid down several times."""
+"""Simulated fingers without photographs: the true surfaces of a few fingers, each laid down several
+times."""
 
 from __future__ import annotations
 
@@ -51,7 +52,11 @@ def impressions() -> list[Impression]:
         for pose in POSES:
             seen = finger_surface(replace(finger, printed=master), pose, camera)
             ridge = seen.height_mm - seen.shape_mm
-            found.append(Impression(seed, pose, ridge, seen.shape_mm, seen.mask, seen.normals, camera.pitch_mm))
+            found.append(
+                Impression(
+                    seed, pose, ridge, seen.shape_mm, seen.mask, seen.normals, camera.pitch_mm
+                )
+            )
     return found
 
 

@@ -17,4 +17,6 @@ def twin() -> Twin:
     finger = draw_finger(731, "whorl")
     master = finger.master()
     finger = replace(finger, printed=master)
-    return Twin(finger_surface(finger, FingerPose(insertion_mm=27.0), default_rig(0.25).camera), master)
+    return Twin(
+        finger_surface(finger, FingerPose(insertion_mm=27.0), default_rig(0.25).camera), master
+    )

@@ -1,4 +1,5 @@
-"""A matt finger between two mirrors, from formulas of its own: an elliptic cylinder with a round tip, and ridges."""
+"""A matt finger between two mirrors, from formulas of its own: an elliptic cylinder with a round
+tip, and ridges."""
 
 from __future__ import annotations
 
@@ -34,7 +35,9 @@ def mirrors(names: tuple[str, ...] = ("left", "right")) -> tuple[Mirror, ...]:
 
 def rig(names: tuple[str, ...] = ("left", "right")) -> Rig:
     azimuth = 2 * np.pi * np.arange(7) / 7
-    leds = tuple(Led("white", position_mm=(52.5 * np.cos(a), 52.5 * np.sin(a), 140.0)) for a in azimuth)
+    leds = tuple(
+        Led("white", position_mm=(52.5 * np.cos(a), 52.5 * np.sin(a), 140.0)) for a in azimuth
+    )
     return Rig(Camera(PX, SIZE), leds, {}, mirrors(names))
 
 
@@ -51,7 +54,8 @@ def ridges(points: np.ndarray) -> np.ndarray:
 
 
 def on_finger(first: np.ndarray, y: np.ndarray, axis: str) -> tuple[np.ndarray, np.ndarray]:
-    """Points (..., 3) of the finger on lines along x or z through (`first`, y), and which lines meet it.
+    """Points (..., 3) of the finger on lines along x or z through (`first`, y), and which lines
+    meet it.
 
     `axis` is ``z`` (from the camera; first is x), ``+x`` or ``-x`` (from the sides; first is z).
     """
@@ -73,7 +77,10 @@ def bumped(points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     smooth = np.stack([x / A**2, np.maximum(y, 0.0) / CAP**2, (z - TOP + B) / B**2], axis=-1)
     smooth /= np.linalg.norm(smooth, axis=-1, keepdims=True)
     step = 1e-3
-    slope = np.stack([(ridges(points + step * e) - ridges(points - step * e)) / (2 * step) for e in np.eye(3)], axis=-1)
+    slope = np.stack(
+        [(ridges(points + step * e) - ridges(points - step * e)) / (2 * step) for e in np.eye(3)],
+        axis=-1,
+    )
     slope -= (slope * smooth).sum(-1, keepdims=True) * smooth
     ridged = smooth - slope
     return smooth, ridged / np.linalg.norm(ridged, axis=-1, keepdims=True)
@@ -111,11 +118,15 @@ def on_rays(start: np.ndarray, way: np.ndarray) -> tuple[np.ndarray, np.ndarray]
     return found, hit
 
 
-def perspective(names: tuple[str, ...] = ("left", "right")) -> tuple[Capture, dict[str, np.ndarray]]:
+def perspective(
+    names: tuple[str, ...] = ("left", "right"),
+) -> tuple[Capture, dict[str, np.ndarray]]:
     """As :func:`capture`, under a camera 140 mm above the finger plane."""
     drawn = rig(names)
     focal = PX * 140.0
-    matrix = np.array([[focal, 0.0, (SIZE[1] - 1) / 2], [0.0, focal, (SIZE[0] - 1) / 2], [0.0, 0.0, 1.0]])
+    matrix = np.array(
+        [[focal, 0.0, (SIZE[1] - 1) / 2], [0.0, focal, (SIZE[0] - 1) / 2], [0.0, 0.0, 1.0]]
+    )
     made = replace(drawn, camera=Camera(PX, SIZE, 140.0, "perspective", matrix))
     x = (np.arange(SIZE[1]) - (SIZE[1] - 1) / 2) / PX
     y = ((SIZE[0] - 1) / 2 - np.arange(SIZE[0])) / PX
@@ -145,7 +156,9 @@ def capture(names: tuple[str, ...] = ("left", "right")) -> tuple[Capture, dict[s
     return _photographed(made, views, names)
 
 
-def _photographed(made: Rig, views: dict, names: tuple[str, ...]) -> tuple[Capture, dict[str, np.ndarray]]:
+def _photographed(
+    made: Rig, views: dict, names: tuple[str, ...]
+) -> tuple[Capture, dict[str, np.ndarray]]:
     shift = np.array([0.0, 2.0, 0.0])  # the finger lies 2 mm further up in the picture
     masks, frames = {}, np.zeros((7, *SIZE))
     for name, (points, met, inside, strength) in views.items():
@@ -160,12 +173,19 @@ def _photographed(made: Rig, views: dict, names: tuple[str, ...]) -> tuple[Captu
     return Capture(made, {"white": band}, material="opaque"), masks
 
 
-def body_between_mirrors(views: Views, rig: Rig, settings: MirrorShapeSettings | None = None) -> SimpleNamespace:
-    """What the outlines determine: body, planes of the mirrors that are used, and which views are cut, or useless."""
+def body_between_mirrors(
+    views: Views, rig: Rig, settings: MirrorShapeSettings | None = None
+) -> SimpleNamespace:
+    """What the outlines determine: body, planes of the mirrors that are used, and which views are
+    cut, or useless."""
     shape = mirror_shape(views, rig, settings, cut_too=True)
-    planes = {mirror.name: shape.plane(mirror) for mirror in rig.mirrors if mirror.name in shape.fit.poses}
+    planes = {
+        mirror.name: shape.plane(mirror) for mirror in rig.mirrors if mirror.name in shape.fit.poses
+    }
     cut = tuple(name for name in shape.facts["views_cut_off"] if name in planes)
-    return SimpleNamespace(body=shape.model, planes=planes, cut=cut, useless=tuple(shape.facts["views_useless"]))
+    return SimpleNamespace(
+        body=shape.model, planes=planes, cut=cut, useless=tuple(shape.facts["views_useless"])
+    )
 
 
 def views_of(capture: Capture, masks: dict[str, np.ndarray]) -> MirrorViews:
@@ -175,7 +195,14 @@ def views_of(capture: Capture, masks: dict[str, np.ndarray]) -> MirrorViews:
     ellipse = MirrorShapeSettings(squareness=0.0)
     body = body_between_mirrors(Views(masks["front"], sides, 1), capture.rig, settings=ellipse).body
     glasses = {
-        name: Glass(name, Plane(mirror.point_mm, mirror.normal), np.asarray(mirror.corners_mm), mirror.reflectance)
+        name: Glass(
+            name,
+            Plane(mirror.point_mm, mirror.normal),
+            np.asarray(mirror.corners_mm),
+            mirror.reflectance,
+        )
         for name, mirror in built.items()
     }
-    return MirrorViews(tuple(MirrorView(name, mask, glasses.get(name)) for name, mask in masks.items()), body)
+    return MirrorViews(
+        tuple(MirrorView(name, mask, glasses.get(name)) for name, mask in masks.items()), body
+    )

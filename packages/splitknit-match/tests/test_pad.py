@@ -45,19 +45,31 @@ def test_usual_skin_is_live_and_a_flat_print_is_an_attack():
 
 
 def test_what_training_did_not_cover_is_unknown():
-    odd = judge(USUAL | {"relief_coherence": USUAL["relief_coherence"] - 12 * SCALE["relief_coherence"]})
-    assert odd.answer == "unknown" and "unlike everything" in odd.reason and odd.distance > odd.covered
+    odd = judge(
+        USUAL | {"relief_coherence": USUAL["relief_coherence"] - 12 * SCALE["relief_coherence"]}
+    )
+    assert (
+        odd.answer == "unknown" and "unlike everything" in odd.reason and odd.distance > odd.covered
+    )
     curved = judge(USUAL | {"shape_along": USUAL["shape_along"] - 12 * SCALE["shape_along"]})
     assert curved.answer == "live"  # copies are flatter than fingers, never rounder
     lacking = judge({name: value for name, value in USUAL.items() if name != "spread_nir"})
-    assert (lacking.answer, lacking.probability) == ("unknown", None) and "spread_nir" in lacking.reason
+    assert (lacking.answer, lacking.probability) == (
+        "unknown",
+        None,
+    ) and "spread_nir" in lacking.reason
 
 
 def test_odds_between_live_skin_and_copies_are_unknown():
     steps = [
-        judge(USUAL | {"spread_nir": USUAL["spread_nir"] + k * SCALE["spread_nir"]}).answer for k in (0, 2.5, 3, 6)
+        judge(USUAL | {"spread_nir": USUAL["spread_nir"] + k * SCALE["spread_nir"]}).answer
+        for k in (0, 2.5, 3, 6)
     ]
-    assert steps[0] == "live" and "unknown" in steps and steps == sorted(steps, key=("live", "unknown", "attack").index)
+    assert (
+        steps[0] == "live"
+        and "unknown" in steps
+        and steps == sorted(steps, key=("live", "unknown", "attack").index)
+    )
 
 
 def test_a_photograph_has_no_relief_that_turns_with_the_light(photograph):
@@ -69,22 +81,27 @@ def test_a_photograph_has_no_relief_that_turns_with_the_light(photograph):
         pad_features(pad_images(capture), replace(result, scale_known=False))
 
 
+@pytest.mark.slow
 def test_neither_brightness_nor_colour_nor_jpeg_changes_a_feature(photograph):
     capture, result = photograph
     found = pad_features(pad_images(capture), result)
     white = capture.bands["white"]
-    dim = replace(capture, bands={**capture.bands, "white": replace(white, exposure=3 * white.exposure)})
+    dim = replace(
+        capture, bands={**capture.bands, "white": replace(white, exposure=3 * white.exposure)}
+    )
     for name, value in pad_features(pad_images(dim), result).items():
         assert value == pytest.approx(found[name], abs=1e-3), name
     finger, _ = simulate_attack(2, "live", twin_settings(0.1, {"render.workers": 1}))
     shape = reconstruct(finger, "ea")
     found = pad_features(pad_images(finger), shape)
     for name, value in pad_features(pad_images(as_jpeg(finger)), shape).items():
-        assert abs(value - found[name]) < 0.7 * SCALE[name], name  # coarser than what the model covers
+        # coarser than what the model covers
+        assert abs(value - found[name]) < 0.7 * SCALE[name], name
 
 
 def test_coarse_or_unusual_captures_are_not_covered(photograph):
-    assert "pixels a millimetre" in not_covered(photograph[0])  # coarser than what the model was fitted to
+    # coarser than what the model was fitted to
+    assert "pixels a millimetre" in not_covered(photograph[0])
     camera = replace(photograph[0].rig.camera, px_per_mm=20.0)
     fine = replace(photograph[0], rig=replace(photograph[0].rig, camera=camera))
     assert not_covered(fine) == ""
@@ -92,15 +109,22 @@ def test_coarse_or_unusual_captures_are_not_covered(photograph):
     assert "not of skin" in not_covered(replace(fine, material="opaque"))
 
 
+@pytest.mark.slow
 def test_the_verb_has_three_answers_and_three_exit_codes(photograph, tmp_path, capsys, monkeypatch):
     write_capture(photograph[0], tmp_path / "capture")
     words = ["pad", str(tmp_path / "capture"), "--preset", "ea"]
     assert main([*words, "--json"]) == 0
     facts = json.loads(capsys.readouterr().out)
-    assert facts["answer"] == "unknown" and "pixels a millimetre" in facts["reason"] and "simulated" in facts["basis"]
+    assert (
+        facts["answer"] == "unknown"
+        and "pixels a millimetre" in facts["reason"]
+        and "simulated" in facts["basis"]
+    )
     assert main([*words, "--exit-code"]) == 11
     assert "Unknown: " in capsys.readouterr().out
-    monkeypatch.setattr(verb, "_presented", lambda *_: {**facts, "answer": "attack", "probability": None})
+    monkeypatch.setattr(
+        verb, "_presented", lambda *_: {**facts, "answer": "attack", "probability": None}
+    )
     assert main([*words, "--exit-code"]) == 10 and main(words) == 0
     assert "Presentation attack." in capsys.readouterr().out
     assert main(["pad", str(tmp_path / "nothing")]) == 0  # the answer above
@@ -115,7 +139,9 @@ def test_a_capture_that_cannot_be_reconstructed_is_unknown(photograph, tmp_path,
         photograph[0],
         bands={
             **photograph[0].bands,
-            "white": replace(white, pixels=np.where(white.pixels > 20, 255, white.pixels).astype(np.uint8)),
+            "white": replace(
+                white, pixels=np.where(white.pixels > 20, 255, white.pixels).astype(np.uint8)
+            ),
         },
     )
     write_capture(bright, tmp_path / "screen")
@@ -123,9 +149,22 @@ def test_a_capture_that_cannot_be_reconstructed_is_unknown(photograph, tmp_path,
     assert "it cannot be reconstructed (" in capsys.readouterr().out
 
 
-def test_enrolment_refuses_attacks_and_takes_the_unknown_as_such(photograph, tmp_path, capsys, monkeypatch):
+@pytest.mark.slow
+def test_enrolment_refuses_attacks_and_takes_the_unknown_as_such(
+    photograph, tmp_path, capsys, monkeypatch
+):
     write_capture(photograph[0], tmp_path / "capture")
-    whose = [str(tmp_path / "capture"), "--person", "a", "--finger", "left_index", "--pad", "--preset", "ea", "--json"]
+    whose = [
+        str(tmp_path / "capture"),
+        "--person",
+        "a",
+        "--finger",
+        "left_index",
+        "--pad",
+        "--preset",
+        "ea",
+        "--json",
+    ]
     for answer in ("attack", "unknown"):
         facts = {"answer": answer, "reason": "it is coarse."}
         monkeypatch.setattr(verb, "_presented", lambda *_: facts)  # noqa: B023
@@ -140,7 +179,20 @@ def test_enrolment_refuses_attacks_and_takes_the_unknown_as_such(photograph, tmp
             assert "failure to acquire" in said.err
 
 
+@pytest.mark.slow
 def test_a_report_says_nothing_of_live_skin(photograph, tmp_path):
     write_capture(photograph[0], tmp_path / "capture")
-    assert main(["reconstruct", str(tmp_path / "capture"), "--out", str(tmp_path / "out"), "--preset", "ea"]) == 0
+    assert (
+        main(
+            [
+                "reconstruct",
+                str(tmp_path / "capture"),
+                "--out",
+                str(tmp_path / "out"),
+                "--preset",
+                "ea",
+            ]
+        )
+        == 0
+    )
     assert "live" not in (tmp_path / "out" / "report.json").read_text()

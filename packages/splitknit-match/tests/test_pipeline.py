@@ -1,4 +1,5 @@
-"""The recipe as a whole, on a small simulated finger: what it keeps, where it puts it, and what it says about it."""
+"""The recipe as a whole, on a small simulated finger: what it keeps, where it puts it, and what it
+says about it."""
 
 from __future__ import annotations
 
@@ -51,7 +52,9 @@ def results(capture: Capture, twin_memory: Memory) -> dict[str, Reconstruction]:
 
 
 @pytest.mark.parametrize("preset", PRESETS)
-def test_results_lie_on_the_input_grid(results: dict[str, Reconstruction], capture: Capture, preset: str) -> None:
+def test_results_lie_on_the_input_grid(
+    results: dict[str, Reconstruction], capture: Capture, preset: str
+) -> None:
     result = results[preset]
     assert result.preset == preset
     assert result.pitch_mm == pytest.approx(1 / (0.15 * 75.7), rel=1e-3)
@@ -63,20 +66,27 @@ def test_results_lie_on_the_input_grid(results: dict[str, Reconstruction], captu
         np.testing.assert_array_equal(np.isfinite(field), result.mask)
     assert (result.uncertainty_um is None) == (preset != "metric")
     inside = result.mask
-    np.testing.assert_allclose((result.ridge_mm + result.shape_mm)[inside], result.height_mm[inside], atol=1e-4)
+    np.testing.assert_allclose(
+        (result.ridge_mm + result.shape_mm)[inside], result.height_mm[inside], atol=1e-4
+    )
     expected = normals_from_gradients(*height_gradients(result.height_mm, result.pitch_mm))
     np.testing.assert_allclose(result.normals[inside], expected[inside], atol=1e-5)
     assert not result.normals[~inside].any()
 
 
 @pytest.mark.parametrize("preset", PRESETS)
-def test_the_surface_is_that_of_the_finger(results: dict[str, Reconstruction], truth: Truth, preset: str) -> None:
-    """At a sixth of the full scale a ridge has five pixels; validation holds the accuracy at full scale."""
+def test_the_surface_is_that_of_the_finger(
+    results: dict[str, Reconstruction], truth: Truth, preset: str
+) -> None:
+    """At a sixth of the full scale a ridge has five pixels; validation holds the accuracy at full
+    scale."""
     as_accurate(preset, results[preset], truth)
 
 
 @pytest.mark.slow
-def test_the_networks_show_the_ridges_of_a_coarse_camera(capture: Capture, results: dict[str, Reconstruction]) -> None:
+def test_the_networks_show_the_ridges_of_a_coarse_camera(
+    capture: Capture, results: dict[str, Reconstruction]
+) -> None:
     """At 12.9 pixels a millimetre both networks run, on a grid twice as fine."""
     fine, truth = simulate_capture(
         3, "whorl", TwinSettings(scale=0.17, pose=FingerPose(insertion_mm=28.0, yaw_rad=0.1))
@@ -88,7 +98,8 @@ def test_the_networks_show_the_ridges_of_a_coarse_camera(capture: Capture, resul
 
 
 def as_accurate(name: str, result: Reconstruction, truth: Truth) -> None:
-    """As good as stored, within three standard deviations and 1 %, by which other versions of packages may differ."""
+    """As good as stored, within three standard deviations and 1 %, by which other versions of
+    packages may differ."""
     figures = compare(result, truth).figures
     assert figures["mask_on_finger"] > 0.99
     (rms, rms_spread), (correlation, correlation_spread), (gain, gain_spread) = FIGURES[name]
@@ -97,22 +108,30 @@ def as_accurate(name: str, result: Reconstruction, truth: Truth) -> None:
     assert figures["ridge_gain"] == pytest.approx(gain, abs=0.01 * gain + 3 * gain_spread)
 
 
-def test_what_the_presets_say_of_themselves(results: dict[str, Reconstruction], capture: Capture) -> None:
+def test_what_the_presets_say_of_themselves(
+    results: dict[str, Reconstruction], capture: Capture
+) -> None:
     for preset, result in results.items():
-        assert ("direct light by the network" in result.facts["separation"]) == (preset in ("pr", "pr-split", "snk"))
+        assert ("direct light by the network" in result.facts["separation"]) == (
+            preset in ("pr", "pr-split", "snk")
+        )
         # a sixth of the full scale is too coarse for the network
-        assert any("the network of the relief needs" in words for words in result.warnings) == (preset == "metric")
+        assert any("the network of the relief needs" in words for words in result.warnings) == (
+            preset == "metric"
+        )
         assert result.facts["shape_source"] == ("nir" if preset in ("metric", "snk") else "white")
         assert result.facts["mask"] == "found"
         assert result.settings == asdict(preset_settings(preset))
         assert result.hashes == capture.hashes
         assert len(result.hashes) == 14 + 2 + 2  # images, ambient, two documents
-        assert {"surface", "result"} <= set(result.timings_s)  # what others have done before is not done again
+        # what others have done before is not done again
+        assert {"surface", "result"} <= set(result.timings_s)
         assert all(seconds >= 0 for seconds in result.timings_s.values())
         assert set(result.quality) == {"white", "nir"}
         assert len(result.quality["nir"]["led_relative"]) == 7
 
 
+@pytest.mark.slow
 def test_progress_only_grows(capture: Capture) -> None:
     fractions: list[float] = []
     reconstruct(capture, "snk", progress=lambda _, fraction: fractions.append(fraction))
@@ -120,7 +139,10 @@ def test_progress_only_grows(capture: Capture) -> None:
     assert 0 <= fractions[0] < fractions[-1] <= 1
 
 
-def test_the_phalange_ends_at_the_crease(results: dict[str, Reconstruction], capture: Capture, truth: Truth) -> None:
+@pytest.mark.slow
+def test_the_phalange_ends_at_the_crease(
+    results: dict[str, Reconstruction], capture: Capture, truth: Truth
+) -> None:
     result = results["ea"]
     assert result.facts["crease_found"]
     assert 20 < result.facts["crease_distance_mm"] < 30
@@ -131,8 +153,11 @@ def test_the_phalange_ends_at_the_crease(results: dict[str, Reconstruction], cap
     (left, upper), (right, lower) = result.facts["crease_line"]
     columns = np.arange(int(left) + 5, int(right) - 5)
     ends = np.array([np.flatnonzero(result.mask[:, column]).max() for column in columns])
-    assert np.polyfit(columns, ends, 1)[0] == pytest.approx(-np.tan(np.deg2rad(result.facts["yaw_deg"])), abs=0.01)
-    assert ends.mean() == pytest.approx((upper + lower) / 2, abs=1.5)  # straight across, at the crease's middle
+    assert np.polyfit(columns, ends, 1)[0] == pytest.approx(
+        -np.tan(np.deg2rad(result.facts["yaw_deg"])), abs=0.01
+    )
+    # straight across, at the crease's middle
+    assert ends.mean() == pytest.approx((upper + lower) / 2, abs=1.5)
     below = np.mgrid[0 : capture.shape[0], 0 : capture.shape[1]][0] > ends.min()
     lost = truth["mask"].astype(bool) & ~below & ~result.mask
     assert lost.sum() < 0.02 * result.mask.sum()
@@ -141,7 +166,9 @@ def test_the_phalange_ends_at_the_crease(results: dict[str, Reconstruction], cap
 def test_upright_is_tip_up(results: dict[str, Reconstruction]) -> None:
     result = results["ea"]
     assert abs(np.linalg.det(result.input_from_upright) - 1) < 1e-9  # turned and moved, not scaled
-    upright = warp(result.mask.astype(np.float32), result.input_from_upright, result.upright_size) > 0.5
+    upright = (
+        warp(result.mask.astype(np.float32), result.input_from_upright, result.upright_size) > 0.5
+    )
     assert upright.sum() == pytest.approx(result.mask.sum(), rel=0.01)  # nothing is cut off
     widths = upright.sum(axis=1)
     rows = np.flatnonzero(widths)
@@ -152,7 +179,9 @@ def test_upright_is_tip_up(results: dict[str, Reconstruction]) -> None:
     assert abs(middle[0] - middle[1]) < 4
 
 
-def test_mesh_and_heights_are_one_surface(results: dict[str, Reconstruction], tmp_path: Path) -> None:
+def test_mesh_and_heights_are_one_surface(
+    results: dict[str, Reconstruction], tmp_path: Path
+) -> None:
     """Each vertex, taken back to the input by `input_from_upright`'s turn, is its pixel."""
     result = results["snk"]
     write_mesh(tmp_path / "m.ply", result, provenance({}, {}))
@@ -168,7 +197,8 @@ def test_mesh_and_heights_are_one_surface(results: dict[str, Reconstruction], tm
 
 
 @pytest.mark.parametrize(
-    ("quarter_turns", "tip_deg"), [(1, 90.0), pytest.param(2, 180.0, marks=pytest.mark.slow), (3, -90.0)]
+    ("quarter_turns", "tip_deg"),
+    [(1, 90.0), pytest.param(2, 180.0, marks=pytest.mark.slow), (3, -90.0)],
 )
 def test_a_turned_capture_gives_the_turned_surface(
     capture: Capture, results: dict[str, Reconstruction], quarter_turns: int, tip_deg: float
@@ -178,7 +208,9 @@ def test_a_turned_capture_gives_the_turned_surface(
     expected = results["snk"]
     mask = np.rot90(expected.mask, quarter_turns)
     assert (result.mask & mask).sum() > 0.995 * (result.mask | mask).sum()
-    difference = (result.height_mm - np.rot90(expected.height_mm, quarter_turns))[result.mask & mask]
+    difference = (result.height_mm - np.rot90(expected.height_mm, quarter_turns))[
+        result.mask & mask
+    ]
     assert difference.std() < 0.03
     turn = result.facts["yaw_deg"] - expected.facts["yaw_deg"]
     assert abs((turn - tip_deg + 180) % 360 - 180) < 0.5
@@ -187,7 +219,8 @@ def test_a_turned_capture_gives_the_turned_surface(
 
 @pytest.mark.slow
 def test_a_yawed_finger_is_the_same_phalange() -> None:
-    """The same finger laid down straight and turned by 17 deg: upright, its relief and outline agree."""
+    """The same finger laid down straight and turned by 17 deg: upright, its relief and outline
+    agree."""
     uprights = []
     for yaw in (0.0, 0.3):
         pose = FingerPose(insertion_mm=28.0, yaw_rad=yaw)
@@ -207,6 +240,7 @@ def test_a_yawed_finger_is_the_same_phalange() -> None:
     assert (difference - difference.mean()).std() < 0.25
 
 
+@pytest.mark.slow
 def test_a_given_mask_is_used_as_it_is(capture: Capture, truth: Truth) -> None:
     """Across the crease, with a hole, and touching three borders: not a pixel is changed."""
     mask = truth["mask"].astype(bool)
@@ -239,7 +273,10 @@ def differing(first: PipelineSettings, second: PipelineSettings) -> dict[str, An
     ],
 )
 def test_one_setting_changes_one_thing(
-    capture: Capture, twin_memory: Memory, results: dict[str, Reconstruction], change: dict[str, Any]
+    capture: Capture,
+    twin_memory: Memory,
+    results: dict[str, Reconstruction],
+    change: dict[str, Any],
 ) -> None:
     base = results["snk"]
     result = reconstruct(capture, "snk", change, memory=twin_memory)
@@ -249,6 +286,7 @@ def test_one_setting_changes_one_thing(
     assert not np.array_equal(result.height_mm, base.height_mm, equal_nan=True)
 
 
+@pytest.mark.slow
 def test_whole_settings_are_taken_too(capture: Capture) -> None:
     chosen = replace(preset_settings("ea"), cut_at_crease=False)
     result = reconstruct(capture, "ea", chosen)
@@ -258,7 +296,10 @@ def test_whole_settings_are_taken_too(capture: Capture) -> None:
 def test_a_result_is_named_after_what_was_run() -> None:
     for name in PRESETS:
         assert chosen_settings("metric", preset_settings(name)) == (name, PRESETS[name])
-        assert chosen_settings("metric", replace(preset_settings(name), top_mm=0.0))[1] == PRESETS[name]
+        assert (
+            chosen_settings("metric", replace(preset_settings(name), top_mm=0.0))[1]
+            == PRESETS[name]
+        )
     assert chosen_settings("metric", replace(PRESETS["snk"], top_mm=1.0))[0] == "snk, changed"
     assert chosen_settings("zheng", replace(PRESETS["zheng"], top_mm=1.0))[0] == "zheng, changed"
     assert chosen_settings("snk", {"top_mm": 1.0})[0] == "snk, changed"
@@ -267,7 +308,10 @@ def test_a_result_is_named_after_what_was_run() -> None:
 
 
 def test_the_thesis_cases_differ_as_the_thesis_says() -> None:
-    assert differing(PRESETS["ea"], PRESETS["pr"]) == {"enhance.clahe": True, "direct.method": "network"}
+    assert differing(PRESETS["ea"], PRESETS["pr"]) == {
+        "enhance.clahe": True,
+        "direct.method": "network",
+    }
     assert differing(PRESETS["pr"], PRESETS["snk"]) == {"knit.method": "addition"}
     assert differing(PRESETS["pr"], PRESETS["pr-split"]) == {"knit.method": "none"}
     assert differing(PRESETS["ea"], PRESETS["ea-split"]) == {"knit.method": "none"}
@@ -283,20 +327,30 @@ def test_what_is_not_split_is_matched_by_its_height(
     assert unsplit.whole and not split.whole
     np.testing.assert_array_equal(unsplit.height_mm, split.height_mm)
     inside = unsplit.mask
-    assert np.abs(unsplit.shape_mm - unsplit.height_mm)[inside].max() < 1  # its slow part, not nothing
+    # its slow part, not nothing
+    assert np.abs(unsplit.shape_mm - unsplit.height_mm)[inside].max() < 1
     assert 0.005 < np.std(unsplit.ridge_mm[inside]) < 0.1
     unsplit.save(tmp_path / "result")
     kept = read_result(tmp_path / "result")
     assert kept.whole
-    of_heights = surface_images(replace(surface_of(split), ridge_mm=unsplit.ridge_mm + unsplit.shape_mm))
-    for result in (surface_of(unsplit), surface_of(kept), read_surface(tmp_path / "result" / "height.npz")):
-        np.testing.assert_array_equal(surface_images(result).channels["relief"], of_heights.channels["relief"])
+    of_heights = surface_images(
+        replace(surface_of(split), ridge_mm=unsplit.ridge_mm + unsplit.shape_mm)
+    )
+    for result in (
+        surface_of(unsplit),
+        surface_of(kept),
+        read_surface(tmp_path / "result" / "height.npz"),
+    ):
+        np.testing.assert_array_equal(
+            surface_images(result).channels["relief"], of_heights.channels["relief"]
+        )
     relief = surface_images(surface_of(split)).channels["relief"]
     assert np.corrcoef(relief.ravel(), of_heights.channels["relief"].ravel())[0, 1] < 0.5
     if preset == "pr":  # what SnK adds its shape to
         np.testing.assert_array_equal(split.ridge_mm, results["snk"].ridge_mm)
 
 
+@pytest.mark.slow
 def test_blur_is_undone_where_the_material_is_skin(capture: Capture) -> None:
     metric = preset_settings("metric")
     assert undoes_blur(capture.material, metric.skin)
@@ -308,22 +362,29 @@ def test_blur_is_undone_where_the_material_is_skin(capture: Capture) -> None:
 
 
 @pytest.mark.slow
-def test_cases_that_share_a_memory_are_what_they_are_alone(capture: Capture, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_cases_that_share_a_memory_are_what_they_are_alone(
+    capture: Capture, monkeypatch: pytest.MonkeyPatch
+) -> None:
     results = {preset: reconstruct(capture, preset) for preset in PRESETS}
     asked: list[int] = []
     network = thesis.direct_light
-    monkeypatch.setattr(thesis, "direct_light", lambda *given: (asked.append(1), network(*given))[1])
+    monkeypatch.setattr(
+        thesis, "direct_light", lambda *given: (asked.append(1), network(*given))[1]
+    )
     memory = Memory(capture)
     for preset, alone in results.items():
         shared = reconstruct(capture, preset, memory=memory)
         for name in ("height_mm", "ridge_mm", "shape_mm", "normals", "albedo", "mask"):
-            np.testing.assert_array_equal(getattr(shared, name), getattr(alone, name), err_msg=f"{preset} {name}")
+            np.testing.assert_array_equal(
+                getattr(shared, name), getattr(alone, name), err_msg=f"{preset} {name}"
+            )
         assert shared.warnings == alone.warnings and shared.quality == alone.quality
     assert len(asked) == 1  # snk, pr and pr-split share their direct light
     # other settings of a stage that the slopes follow from are not mistaken for the same
     coarse = {"enhance.cells.tiles": 16}
     np.testing.assert_array_equal(
-        reconstruct(capture, "snk", coarse, memory=memory).ridge_mm, reconstruct(capture, "snk", coarse).ridge_mm
+        reconstruct(capture, "snk", coarse, memory=memory).ridge_mm,
+        reconstruct(capture, "snk", coarse).ridge_mm,
     )
     with pytest.raises(BadInput, match="another"):
         reconstruct(replace(capture), "ea", memory=memory)
@@ -339,7 +400,8 @@ def test_what_is_refused(capture: Capture) -> None:
 
 
 def lambertian_dome(px_per_mm: float = 12.0) -> tuple[Capture, np.ndarray]:
-    """A matt dome 11 mm right of the picture's middle under four near lights; and its height in mm."""
+    """A matt dome 11 mm right of the picture's middle under four near lights; and its height in
+    mm."""
     camera = Camera(px_per_mm, (240, 440))
     view = view_of(camera)
     x, y = np.meshgrid(view.x_mm - 11.0, view.y_mm)
@@ -347,7 +409,10 @@ def lambertian_dome(px_per_mm: float = 12.0) -> tuple[Capture, np.ndarray]:
     height = np.where(inside, np.sqrt(np.maximum(12.0**2 - x**2 - y**2, 0.0)) - 11.0, 0.0)
     points = np.stack([x + 11.0, y, height], axis=-1)
     normals = np.stack([x, y, height + 11.0], axis=-1) / 12.0
-    leds = [Led("white", position_mm=place) for place in ((50, 0, 90), (0, 50, 90), (-50, 0, 90), (0, -50, 90))]
+    leds = [
+        Led("white", position_mm=place)
+        for place in ((50, 0, 90), (0, 50, 90), (-50, 0, 90), (0, -50, 90))
+    ]
     images = []
     for led in leds:
         towards = np.array(led.position_mm) - points
@@ -355,11 +420,14 @@ def lambertian_dome(px_per_mm: float = 12.0) -> tuple[Capture, np.ndarray]:
         images.append((normals * towards).sum(axis=-1) / distance**3 * inside)
     pixels = np.round(np.stack(images) / np.max(images) * 60000).astype(np.uint16)[..., None]
     band = Band("white", pixels, tuple((k,) for k in range(4)), np.ones(4), np.zeros(4))
-    return Capture(Rig(camera, tuple(leds)), {"white": band}, material="opaque", mask=inside), height
+    return Capture(
+        Rig(camera, tuple(leds)), {"white": band}, material="opaque", mask=inside
+    ), height
 
 
 def test_near_lights_on_a_matt_dome_beside_the_middle() -> None:
-    """To a micrometre, as nothing is noisy; the lights must be placed against the picture, not the window."""
+    """To a micrometre, as nothing is noisy; the lights must be placed against the picture, not the
+    window."""
     capture, height = lambertian_dome()
     assert capture.mask is not None
     result = reconstruct(capture, "metric", {"metric.plane_mm": float(height[capture.mask].mean())})

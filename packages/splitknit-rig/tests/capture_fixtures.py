@@ -16,7 +16,9 @@ from twin_bench import Devices, twin_devices
 @pytest.fixture(scope="session")
 def finger() -> FingerScene:
     """A finger of 220 x 320 pixels."""
-    return FingerScene(3, "whorl", TwinSettings(scale=0.1, pose=FingerPose(insertion_mm=26.0, yaw_rad=0.05)))
+    return FingerScene(
+        3, "whorl", TwinSettings(scale=0.1, pose=FingerPose(insertion_mm=26.0, yaw_rad=0.05))
+    )
 
 
 @pytest.fixture(scope="session")

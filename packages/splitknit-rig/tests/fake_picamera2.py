@@ -1,4 +1,5 @@
-"""A small picamera2 for tests: frames on a clock, settings that arrive late, buffers that hold stale frames."""
+"""A small picamera2 for tests: frames on a clock, settings that arrive late, buffers that hold
+stale frames."""
 
 from __future__ import annotations
 
@@ -144,7 +145,11 @@ class FakePicamera2:
     def capture_request(self) -> FakeRequest:
         """Return the oldest frame that still waits in a buffer, or the next when it is there."""
         self._run_on()
-        complete = [k for k, shot in enumerate(self.shots) if shot.at_ns + READOUT_NS + CARRIED_NS <= self.world.now_ns]
+        complete = [
+            k
+            for k, shot in enumerate(self.shots)
+            if shot.at_ns + READOUT_NS + CARRIED_NS <= self.world.now_ns
+        ]
         self.given = max(self.given, len(complete) - 2)
         while self.given >= len(self.shots):
             self._next()
@@ -166,7 +171,10 @@ class FakePicamera2:
                 controls |= asked
         exposure = controls.get("ExposureTime", before.exposure_us)
         duration = max(47_700, exposure + 1000)
-        gain, colours = controls.get("AnalogueGain", before.gain), controls.get("ColourGains", before.colours)
+        gain, colours = (
+            controls.get("AnalogueGain", before.gain),
+            controls.get("ColourGains", before.colours),
+        )
         self.shots.append(Shot(before.at_ns + 1000 * duration, exposure, gain, colours))
 
 

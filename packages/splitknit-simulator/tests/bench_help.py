@@ -1,4 +1,5 @@
-"""What the tests of the bench's scenes share: two cameras, one light, positions found in pictures."""
+"""What the tests of the bench's scenes share: two cameras, one light, positions found in
+pictures."""
 
 from __future__ import annotations
 
@@ -42,7 +43,9 @@ def grey(scene, lit):
     assert np.array_equal(image[..., 0], image[..., 2])
     rows, columns = scene.camera.image_size
     row, column = np.indices((rows, columns))
-    r2 = ((row - (rows - 1) / 2) ** 2 + (column - (columns - 1) / 2) ** 2) / ((rows**2 + columns**2) / 4)
+    r2 = ((row - (rows - 1) / 2) ** 2 + (column - (columns - 1) / 2) ** 2) / (
+        (rows**2 + columns**2) / 4
+    )
     return image[..., 1] / sum(a * r2**k for k, a in enumerate((1.0, *scene.camera.shading)))
 
 
@@ -51,7 +54,10 @@ def seen(camera, points):
     points = np.atleast_2d(points).astype(np.float64)
     if camera.model == "orthographic":
         rows, columns = camera.image_size
-        return points[:, :2] * (camera.px_per_mm, -camera.px_per_mm) + ((columns - 1) / 2, (rows - 1) / 2)
+        return points[:, :2] * (camera.px_per_mm, -camera.px_per_mm) + (
+            (columns - 1) / 2,
+            (rows - 1) / 2,
+        )
     turned = points * (1, -1, -1) + (0, 0, camera.height_mm)
     distortion = np.array(camera.distortion or (0.0,) * 5)
     return cv2.projectPoints(turned, np.zeros(3), np.zeros(3), camera.matrix, distortion)[0][:, 0]
@@ -60,7 +66,9 @@ def seen(camera, points):
 def sample(image, places):
     """Values of `image` at (N, 2) columns and rows, bilinear."""
     places = np.asarray(places, dtype=np.float32)
-    return cv2.remap(image.astype(np.float32), places[None, :, 0], places[None, :, 1], cv2.INTER_LINEAR)[0]
+    return cv2.remap(
+        image.astype(np.float32), places[None, :, 0], places[None, :, 1], cv2.INTER_LINEAR
+    )[0]
 
 
 def crossing(values, places, level):

@@ -1,4 +1,5 @@
-"""People without photographs: perfect reconstructions of small fingers in an enrolment's folders."""
+"""People without photographs: perfect reconstructions of small fingers in an enrolment's
+folders."""
 
 from __future__ import annotations
 

@@ -14,7 +14,8 @@ from splitknit_simulator.camera.device import LitScene
 
 @dataclass(frozen=True, slots=True)
 class Faults:
-    """Faults by the number of the full-size photograph (from 0, previews not counted) from which on they hold."""
+    """Faults by the number of the full-size photograph (from 0, previews not counted) from which on
+    they hold."""
 
     moves_mm: Mapping[int, tuple[float, float]] = field(default_factory=dict)
     """Step of the finger (x right, y up) before a photograph; steps add up."""
@@ -58,7 +59,9 @@ class FaultyScene:
         burning = [
             led
             for led in lit
-            if led not in faults.dead and faults.dies_at.get(led, now + 1) > now and now not in faults.flickers_at
+            if led not in faults.dead
+            and faults.dies_at.get(led, now + 1) > now
+            and now not in faults.flickers_at
         ]
         frame = self.scene.light(burning) + np.float32(faults.room)
         steps = [step for number, step in faults.moves_mm.items() if number <= now]
@@ -66,7 +69,9 @@ class FaultyScene:
             x, y = np.sum(steps, axis=0) * self.camera.px_per_mm
             matrix = np.array([[1.0, 0.0, x], [0.0, 1.0, -y]])
             size = (frame.shape[1], frame.shape[0])
-            warped = cv2.warpAffine(frame, matrix, size, flags=cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+            warped = cv2.warpAffine(
+                frame, matrix, size, flags=cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE
+            )
             frame = np.asarray(warped, dtype=np.float32)
         begun = [number for number in faults.blur_mm if number <= now]
         sigma = faults.blur_mm[max(begun)] * self.camera.px_per_mm if begun else 0.0

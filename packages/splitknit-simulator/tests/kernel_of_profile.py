@@ -1,4 +1,5 @@
-"""A profile of diffuse light in space: what its transform, which the simulator uses, is tested against."""
+"""A profile of diffuse light in space: what its transform, which the simulator uses, is tested
+against."""
 
 from __future__ import annotations
 
@@ -9,10 +10,11 @@ from splitknit_simulator.light.skin import Profile
 
 
 def kernel(profile: Profile, pitch_mm: float, radius_mm: float) -> FloatArray:
-    """(2n + 1, 2n + 1) fraction of the light that leaves within each pixel, area-sampled; the sum is the albedo.
+    """(2n + 1, 2n + 1) fraction of the light that leaves within each pixel, area-sampled; the sum
+    is the albedo.
 
-    Light that leaves beyond the kernel is spread over the kernel in proportion. Each pixel is averaged over its
-    area on a grid of sub-pixels, exactly in the ring that holds the centre.
+    Light that leaves beyond the kernel is spread over the kernel in proportion. Each pixel is
+    averaged over its area on a grid of sub-pixels, exactly in the ring that holds the centre.
     """
     n = int(np.ceil(radius_mm / pitch_mm))
     cumulative = np.concatenate([[0.0], np.cumsum(profile.weights)])
@@ -30,7 +32,8 @@ def kernel(profile: Profile, pitch_mm: float, radius_mm: float) -> FloatArray:
 
 
 def _centre(profile: Profile, pitch_mm: float) -> float:
-    """Light that leaves within the central pixel: a disc, exactly, and the corners by their angle."""
+    """Light that leaves within the central pixel: a disc, exactly, and the corners by their
+    angle."""
     inner, outer = 0.5 * pitch_mm, 0.5 * np.sqrt(2.0) * pitch_mm
     cumulative = np.concatenate([[0.0], np.cumsum(profile.weights)])
     edges = np.linspace(inner, outer, 201)
@@ -38,4 +41,6 @@ def _centre(profile: Profile, pitch_mm: float) -> float:
     light = np.diff(np.interp(edges**2, squared, cumulative))
     middle = 0.5 * (edges[1:] + edges[:-1])
     inside = 1.0 - 4.0 * np.arccos(inner / middle) / np.pi
-    return float(np.interp(inner**2, squared, cumulative) + np.sum(light * np.clip(inside, 0.0, 1.0)))
+    return float(
+        np.interp(inner**2, squared, cumulative) + np.sum(light * np.clip(inside, 0.0, 1.0))
+    )

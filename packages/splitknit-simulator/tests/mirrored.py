@@ -33,12 +33,15 @@ class Scene:
         """Of a shape against the truth, mean removed, 0.33 mm inside the outline."""
         _, _, z = shape.points(slice(None), slice(None))
         common = np.isfinite(z) & self.mask
-        depth = cv2.distanceTransform(np.pad(common, 1).astype(np.uint8), cv2.DIST_L2, 5)[1:-1, 1:-1]
+        depth = cv2.distanceTransform(np.pad(common, 1).astype(np.uint8), cv2.DIST_L2, 5)[
+            1:-1, 1:-1
+        ]
         return float(np.std((z - self.shape_mm)[depth > 0.33 * self.rig.camera.px_per_mm]))
 
 
 def turned(mirror: Mirror, turn_deg: float, lean_deg: float, shift_mm: float) -> Mirror:
-    """A mirror turned about the camera's axis, leaned about its own level axis, and shifted along its normal."""
+    """A mirror turned about the camera's axis, leaned about its own level axis, and shifted along
+    its normal."""
     corners = np.asarray(mirror.corners_mm)
     middle, normal = corners.mean(axis=0), mirror.normal
     level = np.cross([0.0, 0.0, 1.0], normal)
@@ -61,5 +64,8 @@ def scene(
     pose = pose or FingerPose(yaw_rad=0.06, pitch_rad=0.02, roll_rad=0.0, insertion_mm=28.5)
     placement, skin = placement_of(body, pose, rig.camera), skin_map(master, finger.skin)
     front = finger_surface(replace(finger, printed=master), pose, rig.camera)
-    masks = {m.name: mirror_view(PlacedFinger(body, skin, placement), rig.camera, m).mask for m in rig.mirrors}
+    masks = {
+        m.name: mirror_view(PlacedFinger(body, skin, placement), rig.camera, m).mask
+        for m in rig.mirrors
+    }
     return Scene(rig, Views(front.mask, masks, 1), front.shape_mm, front.mask)

@@ -16,13 +16,19 @@ def plane(size: tuple[int, int] = (96, 128), px_per_mm: float = 10.0) -> Simulat
     up = np.zeros((*size, 3), dtype=np.float32)
     up[..., 2] = 1.0
     mask = np.ones(size, dtype=np.bool_)
-    return SimulatedSurface(Camera(px_per_mm, size), zero, zero, up, up, zero, mask, np.ones(size, dtype=np.float32))
+    return SimulatedSurface(
+        Camera(px_per_mm, size), zero, zero, up, up, zero, mask, np.ones(size, dtype=np.float32)
+    )
 
 
 def ridged_egg(
-    size: tuple[int, int] = (550, 480), px_per_mm: float = PX_PER_MM, depth_um: float = 75.0, period_mm: float = 0.43
+    size: tuple[int, int] = (550, 480),
+    px_per_mm: float = PX_PER_MM,
+    depth_um: float = 75.0,
+    period_mm: float = 0.43,
 ) -> SimulatedSurface:
-    """A finger-sized half ellipsoid with concentric ridges; its normals are those of the ridged height, exactly."""
+    """A finger-sized half ellipsoid with concentric ridges; its normals are those of the ridged
+    height, exactly."""
     camera = Camera(px_per_mm, size)
     x = ((np.arange(size[1]) - (size[1] - 1) / 2) / px_per_mm)[None, :]
     y = (((size[0] - 1) / 2 - np.arange(size[0])) / px_per_mm)[:, None]
@@ -89,4 +95,6 @@ def perspective_plane(camera: Camera, z_mm: float, slope: float = 0.0) -> Simula
     normals = np.zeros((*camera.image_size, 3), dtype=np.float32)
     normals[:] = np.array([-slope, 0.0, 1.0]) / np.hypot(slope, 1.0)
     one = np.ones(camera.image_size, dtype=np.float32)
-    return SimulatedSurface(camera, z, z, normals, normals, 0.0 * z, np.ones(z.shape, np.bool_), one, x_mm=x, y_mm=y)
+    return SimulatedSurface(
+        camera, z, z, normals, normals, 0.0 * z, np.ones(z.shape, np.bool_), one, x_mm=x, y_mm=y
+    )

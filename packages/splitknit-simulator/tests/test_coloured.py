@@ -1,4 +1,5 @@
-"""Coloured LEDs in a capture: separated, written and read, and refused where they cannot be separated."""
+"""Coloured LEDs in a capture: separated, written and read, and refused where they cannot be
+separated."""
 
 from __future__ import annotations
 
@@ -37,7 +38,9 @@ def white() -> Capture:
     return simulate_capture(4, "left_loop", TwinSettings(scale=0.12))[0]
 
 
-def band_of(light: np.ndarray, colours: tuple[tuple[str, ...], ...], crosstalk: np.ndarray | None) -> Band:
+def band_of(
+    light: np.ndarray, colours: tuple[tuple[str, ...], ...], crosstalk: np.ndarray | None
+) -> Band:
     """16-bit images of linear light (L, H, W, 3)."""
     groups, start = [], 0
     for names in colours:
@@ -45,9 +48,14 @@ def band_of(light: np.ndarray, colours: tuple[tuple[str, ...], ...], crosstalk: 
         start += len(names)
     count = len(light)
     return Band(
-        "white", np.rint(light * 65535).astype(np.uint16), tuple(groups), np.ones(count), np.zeros(count),
-        colours=colours, crosstalk=crosstalk,
-    )  # fmt: skip
+        "white",
+        np.rint(light * 65535).astype(np.uint16),
+        tuple(groups),
+        np.ones(count),
+        np.zeros(count),
+        colours=colours,
+        crosstalk=crosstalk,
+    )
 
 
 def test_a_coloured_capture_is_written_and_read(twin: Capture, tmp_path: Path) -> None:
@@ -56,7 +64,9 @@ def test_a_coloured_capture_is_written_and_read(twin: Capture, tmp_path: Path) -
     band = read.bands["white"]
     assert band.pixels.shape[0] == 2
     assert band.colours == twin.bands["white"].colours
-    np.testing.assert_array_equal(linear_stack(band, "linear"), linear_stack(twin.bands["white"], "linear"))
+    np.testing.assert_array_equal(
+        linear_stack(band, "linear"), linear_stack(twin.bands["white"], "linear")
+    )
     assert [led.colour for led in read.rig.leds] == [led.colour for led in twin.rig.leds]
     result = reconstruct(read, "lin")
     assert result.mask.mean() > 0.1
@@ -65,7 +75,9 @@ def test_a_coloured_capture_is_written_and_read(twin: Capture, tmp_path: Path) -
 
 
 def test_a_plain_rig_says_nothing_of_colours(tmp_path: Path) -> None:
-    leds = tuple(Led("white", position_mm=(40 * np.cos(a), 40 * np.sin(a), 100.0)) for a in range(4))
+    leds = tuple(
+        Led("white", position_mm=(40 * np.cos(a), 40 * np.sin(a), 100.0)) for a in range(4)
+    )
     write_rig(Rig(Camera(10.0, (20, 30)), leds), tmp_path / "rig.json")
     text = (tmp_path / "rig.json").read_text()
     assert "colour" not in text
@@ -83,9 +95,21 @@ def test_a_plain_rig_says_nothing_of_colours(tmp_path: Path) -> None:
         ("rig.json", lambda d: d["leds"][0].update(colour="purple"), "red, green or blue"),
         ("rig.json", lambda d: d["leds"][-1].update(colour="red"), "only LEDs of the band 'white'"),
         ("rig.json", lambda d: d["camera"].update(crosstalk=[[1, 0], [0, 1]]), "camera.crosstalk"),
-        ("rig.json", lambda d: d["camera"].update(crosstalk=[[1, 1, 1]] * 3), "that separate the three colours"),
-        ("rig.json", lambda d: d["leds"][0].pop("colour"), "coloured and white LEDs for one exposure"),
-        ("capture.json", lambda d: d["bands"]["white"].update(leds=[[0], [3]]), "at least 3 lights"),
+        (
+            "rig.json",
+            lambda d: d["camera"].update(crosstalk=[[1, 1, 1]] * 3),
+            "that separate the three colours",
+        ),
+        (
+            "rig.json",
+            lambda d: d["leds"][0].pop("colour"),
+            "coloured and white LEDs for one exposure",
+        ),
+        (
+            "capture.json",
+            lambda d: d["bands"]["white"].update(leds=[[0], [3]]),
+            "at least 3 lights",
+        ),
     ],
 )
 def test_what_cannot_be_separated_is_refused(  # noqa: PLR0917
@@ -93,7 +117,10 @@ def test_what_cannot_be_separated_is_refused(  # noqa: PLR0917
 ) -> None:
     write_capture(twin, tmp_path / "c")
     edit(tmp_path / "c" / file, change)
-    assert main(["reconstruct", str(tmp_path / "c"), "--out", str(tmp_path / "r"), "--preset", "lin"]) == 2
+    assert (
+        main(["reconstruct", str(tmp_path / "c"), "--out", str(tmp_path / "r"), "--preset", "lin"])
+        == 2
+    )
     said = capsys.readouterr().err
     assert words in said
     assert said.count("\n") == 1
@@ -105,6 +132,7 @@ def test_our_preset_refuses_coloured_leds(twin: Capture) -> None:
         reconstruct(twin)
 
 
+@pytest.mark.slow
 def test_white_images_become_coloured_exposures(white: Capture) -> None:
     made = composed(white, 2)
     band = made.bands["white"]
@@ -154,7 +182,8 @@ def test_simulate_takes_coloured_lights(tmp_path: Path, capsys: pytest.CaptureFi
     assert "--preset lin" in capsys.readouterr().out
     document = json.loads((tmp_path / "c" / "capture.json").read_text())
     assert [len(group) for group in document["bands"]["white"]["leds"]] == [3, 3, 3]
-    assert main([*given, "--out", str(tmp_path / "m"), "--motion", "0.2"]) == 0  # one pose an exposure
+    # one pose an exposure
+    assert main([*given, "--out", str(tmp_path / "m"), "--motion", "0.2"]) == 0
     moving = json.loads((tmp_path / "m" / "capture.json").read_text())
     assert moving["bands"]["white"]["leds"] == document["bands"]["white"]["leds"]
     still, moved = ((tmp_path / name / "white_2.png").read_bytes() for name in "cm")

@@ -5,25 +5,34 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import Any
 
+import pytest
+
 from splitknit.findings import Finding
 from splitknit.model import Capture
 from splitknit.pipeline import reconstruct
 
 
-def drifts(capture: Capture, changes: dict[int, float], provenance: dict[str, Any]) -> list[Finding]:
+def drifts(
+    capture: Capture, changes: dict[int, float], provenance: dict[str, Any]
+) -> list[Finding]:
     """Drifts in a capture whose rig file has other intensities than the LEDs had."""
-    leds = tuple(replace(led, intensity=led.intensity * changes.get(k, 1.0)) for k, led in enumerate(capture.rig.leds))
+    leds = tuple(
+        replace(led, intensity=led.intensity * changes.get(k, 1.0))
+        for k, led in enumerate(capture.rig.leds)
+    )
     rig = replace(capture.rig, leds=leds, provenance=provenance)
     result = reconstruct(replace(capture, rig=rig), "ea")
     return [finding for finding in result.findings if finding.code == "drifted-led"]
 
 
+@pytest.mark.slow
 def test_an_led_that_got_darker_is_named(twin_capture: Capture) -> None:
     found = drifts(twin_capture, {9: 1 / 0.9}, {"radiometry": {"calibrated": True}})
     assert [finding.files for finding in found] == [(twin_capture.bands["nir"].image_names[2],)]
     assert "darker than at the calibration" in str(found[0])
 
 
+@pytest.mark.slow
 def test_nothing_is_said_of_a_rig_that_holds_or_was_never_calibrated(twin_capture: Capture) -> None:
     assert drifts(twin_capture, {}, {"radiometry": {"calibrated": True}}) == []
     assert drifts(twin_capture, {9: 1 / 0.9}, {}) == []

@@ -1,4 +1,5 @@
-"""Captures of other kinds than the rig's: each gives a plausible surface with every preset that it concerns."""
+"""Captures of other kinds than the rig's: each gives a plausible surface with every preset that it
+concerns."""
 
 from __future__ import annotations
 
@@ -47,7 +48,9 @@ def truth(twin_folder: Path) -> Truth:
     return read_npz(twin_folder / "truth.npz")
 
 
-def plausible(result: Reconstruction, truth: Truth, rms_mm: float = 1.3, correlation: float = 0.1) -> None:
+def plausible(
+    result: Reconstruction, truth: Truth, rms_mm: float = 1.3, correlation: float = 0.1
+) -> None:
     mask = result.mask
     for field in (result.height_mm, result.ridge_mm, result.shape_mm, result.albedo):
         np.testing.assert_array_equal(np.isfinite(field), mask)
@@ -61,7 +64,11 @@ def plausible(result: Reconstruction, truth: Truth, rms_mm: float = 1.3, correla
 KINDS: dict[str, tuple[Callable[[Capture], Capture], float, tuple[str, str]]] = {
     "grey skin": (lambda capture: kinds.grey(capture, "skin"), 1.3, ("pr", "kumar")),
     "grey opaque": (lambda capture: kinds.grey(capture, "opaque"), 1.55, ("ea", "zheng")),
-    "three lights": (lambda capture: kinds.chosen_lights(capture, [0, 2, 4]), 1.45, ("pr-split", "lin")),
+    "three lights": (
+        lambda capture: kinds.chosen_lights(capture, [0, 2, 4]),
+        1.45,
+        ("pr-split", "lin"),
+    ),
     "no ambient": (
         lambda one: kinds.each_band(one, lambda band: replace(band, ambient=None)),
         1.05,
@@ -70,13 +77,18 @@ KINDS: dict[str, tuple[Callable[[Capture], Capture], float, tuple[str, str]]] = 
     "several leds": (kinds.paired_lights, 1.05, ("kumar", "pr")),
     "distant leds": (kinds.distant, 1.6, ("zheng", "ea")),
     "perspective": (kinds.perspective, 1.05, ("lin", "pr-split")),
-    "no nir": (lambda one: replace(one, bands={"white": one.bands["white"]}), 1.3, ("kumar", "ea-split")),
+    "no nir": (
+        lambda one: replace(one, bands={"white": one.bands["white"]}),
+        1.3,
+        ("kumar", "ea-split"),
+    ),
 }
-"""How a capture is made from the rig's, the factor by which the surface's rms may grow, and two presets: `metric` and
-`snk` see every kind, each of the others two kinds that differ."""
+"""How a capture is made from the rig's, the factor by which the surface's rms may grow, and two
+presets: `metric` and `snk` see every kind, each of the others two kinds that differ."""
 
 METRIC = ("grey skin", "grey opaque", "perspective")
-"""Kinds that the metric recipe treats in another way; the presets tell that other numbers of lights and images do."""
+"""Kinds that the metric recipe treats in another way; the presets tell that other numbers of lights
+and images do."""
 
 
 @pytest.mark.parametrize(
@@ -106,6 +118,7 @@ def test_odd_sizes(size: tuple[int, int], capture: Capture, truth: Truth) -> Non
         plausible(quick(kinds.cropped(capture, rows, columns), preset), part)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("preset", ["metric", "ea"])
 def test_a_finger_that_one_side_cuts(preset: str, capture: Capture, truth: Truth) -> None:
     columns = np.flatnonzero(truth["mask"].any(axis=0))
@@ -129,13 +142,20 @@ TWINS: dict[str, TwinSettings] = {
 
 
 @pytest.mark.parametrize(
-    "kind", [pytest.param(kind, marks=() if kind in ("tiny", "smallest") else pytest.mark.slow) for kind in TWINS]
+    "kind",
+    [
+        pytest.param(kind, marks=() if kind in ("tiny", "smallest") else pytest.mark.slow)
+        for kind in TWINS
+    ],
 )
 def test_kinds_of_fingers_and_cameras(kind: str) -> None:
     settings = TWINS[kind]
-    capture, truth = simulate_capture(3, "whorl", replace(settings, scale=min(settings.scale, 0.12)))
+    capture, truth = simulate_capture(
+        3, "whorl", replace(settings, scale=min(settings.scale, 0.12))
+    )
     result = quick(capture, "metric")
-    if kind == "smallest":  # a ridge has less than two pixels: there is a shape, but no relief to compare
+    # a ridge has less than two pixels: there is a shape, but no relief to compare
+    if kind == "smallest":
         assert compare(result, truth).figures["surface_rms_mm"] < 1.3
     else:
         plausible(result, truth)
@@ -143,13 +163,18 @@ def test_kinds_of_fingers_and_cameras(kind: str) -> None:
 
 @pytest.mark.slow
 def test_two_creases_in_view() -> None:
-    """A finger far in a picture that is higher than the rig's: it is cut at its first crease, not at its second."""
+    """A finger far in a picture that is higher than the rig's: it is cut at its first crease, not
+    at its second."""
     settings = TwinSettings(scale=0.15)
     rig = default_rig(0.15)
     camera = replace(rig.camera, image_size=(720, 480))
     surface = finger_surface(draw_finger(5, "left_loop"), FingerPose(insertion_mm=57.0), camera)
     simulated, truth = photograph(
-        surface, replace(rig, camera=camera), SkinOptics(), np.random.SeedSequence(1), settings=settings
+        surface,
+        replace(rig, camera=camera),
+        SkinOptics(),
+        np.random.SeedSequence(1),
+        settings=settings,
     )
     result = reconstruct(simulated, "ea")
     assert result.facts["crease_found"], result.warnings
@@ -158,13 +183,18 @@ def test_two_creases_in_view() -> None:
     plausible(result, truth)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("suffix", ["jpg", "tiff"])
-def test_other_files(suffix: str, twin_folder: Path, truth: Truth, upright: Reconstruction, tmp_path: Path) -> None:
+def test_other_files(
+    suffix: str, twin_folder: Path, truth: Truth, upright: Reconstruction, tmp_path: Path
+) -> None:
     """JPEG of 8 and TIFF of 16 bits in place of the PNGs."""
     folder = copy_of(twin_folder, tmp_path / "capture")
     for file in sorted(folder.glob("*.png")):
         pixels = read_image(file)
-        picture = pixels[..., ::-1] if suffix == "jpg" else pixels[..., ::-1].astype(np.uint16) * 257
+        picture = (
+            pixels[..., ::-1] if suffix == "jpg" else pixels[..., ::-1].astype(np.uint16) * 257
+        )
         options = [cv2.IMWRITE_JPEG_QUALITY, 97] if suffix == "jpg" else []
         assert cv2.imwrite(str(file.with_suffix(f".{suffix}")), picture, options)
         file.unlink()
@@ -180,11 +210,15 @@ def test_other_files(suffix: str, twin_folder: Path, truth: Truth, upright: Reco
     assert difference.std() < (0.05 if suffix == "jpg" else 1e-4)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("tip_deg", [90, -90, 180])
 def test_the_tips_direction_from_a_file(tip_deg: int, capture: Capture, tmp_path: Path) -> None:
     quarter_turns = (tip_deg // 90) % 4
     write_capture(kinds.turned(capture, quarter_turns, None), tmp_path / "capture")
-    edit(tmp_path / "capture" / "capture.json", lambda document: document.update(tip_direction_deg=tip_deg))
+    edit(
+        tmp_path / "capture" / "capture.json",
+        lambda document: document.update(tip_direction_deg=tip_deg),
+    )
     result = reconstruct(read_capture(tmp_path / "capture"), "ea")
     assert abs((result.facts["yaw_deg"] - tip_deg + 180) % 360 - 180) < 60
     tip = np.linalg.inv(result.input_from_upright) @ [*tip_of(result.mask, quarter_turns), 1.0]
@@ -206,23 +240,33 @@ def tip_of(mask: np.ndarray, quarter_turns: int) -> tuple[float, float]:
 def test_a_strip_as_a_mask_is_refused(capture: Capture) -> None:
     mask = np.zeros(capture.shape, dtype=bool)
     mask[200:300, 240:256] = True
-    with pytest.raises(BadInput, match=r"given mask is too small: it is nowhere wider than 1\.4 mm"):
+    with pytest.raises(
+        BadInput, match=r"given mask is too small: it is nowhere wider than 1\.4 mm"
+    ):
         reconstruct(replace(capture, mask=mask), "ea")
 
 
-@pytest.mark.parametrize(("material", "px_per_mm"), [("skin", 961.0), ("skin", 0.03785), ("skin", 37850.0),
-                                                     ("opaque", 961.0), ("opaque", 37850.0)])  # fmt: skip
+@pytest.mark.parametrize(
+    ("material", "px_per_mm"),
+    [("skin", 961.0), ("skin", 0.03785), ("skin", 37850.0), ("opaque", 961.0), ("opaque", 37850.0)],
+)
 def test_a_wrong_scale_is_named(material: str, px_per_mm: float, capture: Capture) -> None:
     rig = replace(capture.rig, camera=replace(capture.rig.camera, px_per_mm=px_per_mm))
     with pytest.raises(BadInput, match=f"{px_per_mm:g} px/mm"):
         quick(replace(capture, rig=rig, material=material), "ea")
 
 
+@pytest.mark.slow
 def test_an_odd_scale_is_noted_by_the_width_or_the_ridges(capture: Capture) -> None:
     camera = capture.rig.camera
     half = kinds.distant(
-        replace(capture, rig=replace(capture.rig, camera=replace(camera, px_per_mm=2.5 * camera.px_per_mm)))
+        replace(
+            capture,
+            rig=replace(capture.rig, camera=replace(camera, px_per_mm=2.5 * camera.px_per_mm)),
+        )
     )
     warned = quick(half, "ea").warnings
     assert [text for text in warned if "mm is usual: check" in text]
-    assert not [text for text in quick(kinds.distant(capture), "ea").warnings if "mm is usual" in text]
+    assert not [
+        text for text in quick(kinds.distant(capture), "ea").warnings if "mm is usual" in text
+    ]

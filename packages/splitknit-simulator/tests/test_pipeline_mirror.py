@@ -1,4 +1,5 @@
-"""A capture with mirrors through the whole pipeline: the shape from mirrors, or the front view alone."""
+"""A capture with mirrors through the whole pipeline: the shape from mirrors, or the front view
+alone."""
 
 from __future__ import annotations
 
@@ -38,7 +39,20 @@ def test_the_command_line_takes_the_shape_from_the_mirror(
     capture, truth = photographed
     write_capture(capture, tmp_path / "capture", truth)
     out = tmp_path / "result"
-    assert main(["reconstruct", str(tmp_path / "capture"), "--out", str(out), "--shape", "mirror", "--json"]) == 0
+    assert (
+        main(
+            [
+                "reconstruct",
+                str(tmp_path / "capture"),
+                "--out",
+                str(out),
+                "--shape",
+                "mirror",
+                "--json",
+            ]
+        )
+        == 0
+    )
     facts = json.loads(capsys.readouterr().out)
     assert facts["facts"]["shape_source"] == "mirror"
     assert facts["facts"]["mirror_shape"]["mirrors"] == ["left"]
@@ -48,12 +62,15 @@ def test_the_command_line_takes_the_shape_from_the_mirror(
     assert "Views in the mirrors" in (out / "report.html").read_text()
 
 
+@pytest.mark.slow
 def test_the_thesis_case_is_knitted_on_the_mirrors_shape(photographed: Photographed) -> None:
     capture, truth = photographed
     result = reconstruct(capture, "snk", {"shape.source": "mirror", "direct.method": "none"})
     assert compare(result, truth).figures["shape_rms_mm"] < 0.3
     inside = result.mask
-    assert np.allclose(result.height_mm[inside], (result.shape_mm + result.ridge_mm)[inside], atol=1e-5)
+    assert np.allclose(
+        result.height_mm[inside], (result.shape_mm + result.ridge_mm)[inside], atol=1e-5
+    )
 
 
 def test_without_it_the_front_view_is_the_finger(photographed: Photographed) -> None:
@@ -64,11 +81,14 @@ def test_without_it_the_front_view_is_the_finger(photographed: Photographed) -> 
     assert "mirror_shape" not in result.facts and result.facts["shape_source"] == "white"
 
 
-def test_refusals(photographed: Photographed, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_refusals(
+    photographed: Photographed, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     capture, _ = photographed
     bare = replace(capture, rig=replace(capture.rig, mirrors=()))
     mask = np.zeros(capture.shape, dtype=np.bool_)
-    mask[200:400, 250:400] = True  # a given mask: two views in the picture would be two fingers else
+    # a given mask: two views in the picture would be two fingers else
+    mask[200:400, 250:400] = True
     with pytest.raises(BadInput, match="the rig has no mirrors"):
         reconstruct(replace(bare, mask=mask), "snk", {"shape.source": "mirror"})
     with pytest.raises(BadInput, match="keeps the visible surface whole"):
@@ -76,6 +96,8 @@ def test_refusals(photographed: Photographed, tmp_path: Path, capsys: pytest.Cap
     with pytest.raises(BadInput, match="'nir', 'white', 'mirror'"):
         reconstruct(capture, "metric", {"shape.source": "sonar"})
     write_capture(replace(bare, mask=mask), tmp_path / "bare")
-    code = main(["reconstruct", str(tmp_path / "bare"), "--out", str(tmp_path / "out"), "--shape", "mirror"])
+    code = main(
+        ["reconstruct", str(tmp_path / "bare"), "--out", str(tmp_path / "out"), "--shape", "mirror"]
+    )
     assert code == 2 and not (tmp_path / "out").exists()
     assert len(capsys.readouterr().err.strip().splitlines()) == 1

@@ -1,4 +1,5 @@
-"""A finger that moved is brought onto one shot before it is reconstructed; a still one is left alone, bit by bit."""
+"""A finger that moved is brought onto one shot before it is reconstructed; a still one is left
+alone, bit by bit."""
 
 from __future__ import annotations
 
@@ -31,7 +32,9 @@ def still():
 
 @pytest.fixture(scope="module")
 def moved():
-    return simulate_capture(11, "whorl", TwinSettings(scale=SCALE, motion=HandMotion(amplitude_mm=0.5)))
+    return simulate_capture(
+        11, "whorl", TwinSettings(scale=SCALE, motion=HandMotion(amplitude_mm=0.5))
+    )
 
 
 @pytest.fixture(scope="module")
@@ -45,7 +48,9 @@ def unmoved(still):
 
 
 def steadied(capture, **changes):
-    settings = override(preset_settings("ea"), {f"motion.{name}": value for name, value in changes.items()})
+    settings = override(
+        preset_settings("ea"), {f"motion.{name}": value for name, value in changes.items()}
+    )
     return find_steady_finger(capture, settings)
 
 
@@ -57,7 +62,10 @@ def correlation(result, truth):
 def test_motion_is_undone(still, moved, unmoved, undone):
     lost = correlation(unmoved, still[1]) - correlation(undone, moved[1])
     assert lost < 0.05
-    assert correlation(reconstruct(moved[0], "ea", OFF), moved[1]) < correlation(undone, moved[1]) - 0.15
+    assert (
+        correlation(reconstruct(moved[0], "ea", OFF), moved[1])
+        < correlation(undone, moved[1]) - 0.15
+    )
 
 
 @pytest.mark.slow
@@ -68,7 +76,9 @@ def test_the_report_tells_the_motion(moved, undone):
     assert told["white"]["turn_deg"][3] == 0.0
     for name, first in (("white", 0), ("nir", 7)):
         assert len(told[name]["shift_mm"]) == 7
-        flow = np.nanmean(truth["motion_flow_px"][first : first + 7], axis=(2, 3)) * float(truth["pitch_mm"])
+        flow = np.nanmean(truth["motion_flow_px"][first : first + 7], axis=(2, 3)) * float(
+            truth["pitch_mm"]
+        )
         # the finger's middle is not that of all skin in view, which turns
         np.testing.assert_allclose(told[name]["shift_mm"], flow * [1, -1], atol=0.06)
     assert max(told["white"]["unexplained_after"]) < 0.5 * max(told["white"]["unexplained_before"])
@@ -111,7 +121,9 @@ def test_too_much_motion_is_refused(moved, tmp_path, capsys):
 @pytest.mark.slow
 def test_photographs_of_coloured_leds_are_brought_together():
     motion = HandMotion(amplitude_mm=0.8)
-    capture, truth = simulate_capture(4, "left_loop", TwinSettings(rig=coloured_rig(0.15, 0), motion=motion))
+    capture, truth = simulate_capture(
+        4, "left_loop", TwinSettings(rig=coloured_rig(0.15, 0), motion=motion)
+    )
     _, finger = steadied(capture, correct="on")
     told = finger.facts["motion_white"]
     count = len(capture.bands["white"].pixels)

@@ -1,4 +1,5 @@
-"""A finger under a perspective camera whose axis misses the image's middle, and whose lens bends and darkens."""
+"""A finger under a perspective camera whose axis misses the image's middle, and whose lens bends
+and darkens."""
 
 from __future__ import annotations
 
@@ -25,9 +26,17 @@ def photographed() -> tuple[Capture, Truth]:
     focal = rig.camera.px_per_mm * 140.0
     matrix = np.array([[focal, 0, columns / 2 + 5.0], [0, focal, rows / 2 - 4.0], [0, 0, 1]])
     camera = Camera(
-        rig.camera.px_per_mm, (rows, columns), 140.0, "perspective", matrix, (-0.4, 0.0, 0.0, 0.0, 0.0), (-0.15, -0.05)
+        rig.camera.px_per_mm,
+        (rows, columns),
+        140.0,
+        "perspective",
+        matrix,
+        (-0.4, 0.0, 0.0, 0.0, 0.0),
+        (-0.15, -0.05),
     )
-    settings = TwinSettings(scale=SCALE, rig=replace(rig, camera=camera), pose=FingerPose(insertion_mm=26.0, x_mm=2.0))
+    settings = TwinSettings(
+        scale=SCALE, rig=replace(rig, camera=camera), pose=FingerPose(insertion_mm=26.0, x_mm=2.0)
+    )
     return simulate_capture(5, settings=settings)
 
 
@@ -42,7 +51,9 @@ def misplaced(result: Reconstruction, capture: Capture, truth: Truth) -> tuple[f
     height, true = result.height_mm[seen], truth["height_mm"][seen]
     if result.x_mm is None:
         rows, columns = capture.shape
-        x = np.broadcast_to((np.arange(columns) - (columns - 1) / 2) * result.pitch_mm, (rows, columns))[seen]
+        x = np.broadcast_to(
+            (np.arange(columns) - (columns - 1) / 2) * result.pitch_mm, (rows, columns)
+        )[seen]
     else:
         x = result.x_mm[seen]
         assert np.isnan(result.x_mm[~result.mask]).all()
@@ -51,18 +62,24 @@ def misplaced(result: Reconstruction, capture: Capture, truth: Truth) -> tuple[f
     return float(np.abs(x - truth["x_mm"][seen]).mean()), scale
 
 
-def test_points_lie_where_they_are(photographed: tuple[Capture, Truth], reconstructed: Reconstruction) -> None:
+@pytest.mark.slow
+def test_points_lie_where_they_are(
+    photographed: tuple[Capture, Truth], reconstructed: Reconstruction
+) -> None:
     flat = reconstruct(photographed[0], settings={"metric.rounds": 1, "camera": "orthographic"})
     across, scale = misplaced(reconstructed, *photographed)
     across_flat, scale_flat = misplaced(flat, *photographed)
     assert across < 0.05
     assert across_flat > 0.15
-    # on z = -x^2 / 2R a step of a pixel on the plane is one of 1 + 3 x^2 / (2 R D) on the skin: 6 % at 7 mm
+    # on z = -x^2 / 2R a step of a pixel on the plane is one of 1 + 3 x^2 / (2 R D) on the skin: 6 %
+    # at 7 mm
     assert scale - scale_flat == pytest.approx(0.06, abs=0.02)
 
 
 @pytest.mark.slow
-def test_shading_is_divided_out(photographed: tuple[Capture, Truth], reconstructed: Reconstruction) -> None:
+def test_shading_is_divided_out(
+    photographed: tuple[Capture, Truth], reconstructed: Reconstruction
+) -> None:
     (capture, truth), kept = photographed, reconstructed
     darker = {name: replace(band, shading=()) for name, band in capture.bands.items()}
     assert all(band.shading == (-0.15, -0.05) for band in capture.bands.values())
@@ -70,5 +87,7 @@ def test_shading_is_divided_out(photographed: tuple[Capture, Truth], reconstruct
     rows, columns = np.nonzero(kept.mask)
     far = np.hypot(rows - capture.shape[0] / 2, columns - capture.shape[1] / 2)
     ratio = lost.albedo[kept.mask] / kept.albedo[kept.mask]
-    assert np.median(ratio[far > np.quantile(far, 0.8)]) < 0.97 * np.median(ratio[far < np.quantile(far, 0.2)])
+    assert np.median(ratio[far > np.quantile(far, 0.8)]) < 0.97 * np.median(
+        ratio[far < np.quantile(far, 0.2)]
+    )
     assert truth["mask"].any()

@@ -6,6 +6,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+import pytest
 
 import splitknit
 import splitknit_simulator
@@ -16,10 +17,13 @@ from splitknit.units import MILLIMETRES, pixels
 
 def unscaled(capture: Capture) -> Capture:
     """The same photographs, by a camera whose scale nobody has measured, under distant lights."""
-    leds = tuple(Led(led.band, direction=tuple(vector_at_origin(led).tolist())) for led in capture.rig.leds)
+    leds = tuple(
+        Led(led.band, direction=tuple(vector_at_origin(led).tolist())) for led in capture.rig.leds
+    )
     return replace(capture, rig=Rig(camera_without_scale(capture.shape), leds), material="opaque")
 
 
+@pytest.mark.slow
 def test_a_file_of_unknown_scale_is_in_pixels(tmp_path: Path) -> None:
     capture = unscaled(splitknit_simulator.simulate_capture(1, settings={"scale": 0.08})[0])
     result = splitknit.reconstruct(capture, "ea")
@@ -40,10 +44,20 @@ def test_a_file_of_unknown_scale_is_in_pixels(tmp_path: Path) -> None:
 
 
 def test_facts_in_pixels_have_names_of_pixels() -> None:
-    facts = {"white": {"motion_mm": [0.5, None], "sharpness": 2.0}, "scattering_per_mm": {"red": 3.0}, "rms_um": 20.0,
-             "area_mm2": 1.0, "assumed_px_per_mm": 10.0, "count_mm": 3}  # fmt: skip
+    facts = {
+        "white": {"motion_mm": [0.5, None], "sharpness": 2.0},
+        "scattering_per_mm": {"red": 3.0},
+        "rms_um": 20.0,
+        "area_mm2": 1.0,
+        "assumed_px_per_mm": 10.0,
+        "count_mm": 3,
+    }
     assert MILLIMETRES.converted(facts) is facts
     assert pixels(0.5).converted(facts) == {
-        "white": {"motion_px": [1.0, None], "sharpness": 2.0}, "scattering_per_px": {"red": 1.5}, "rms_px": 0.04,
-        "area_px2": 4.0, "assumed_px_per_mm": 10.0, "count_px": 3,
-    }  # fmt: skip
+        "white": {"motion_px": [1.0, None], "sharpness": 2.0},
+        "scattering_per_px": {"red": 1.5},
+        "rms_px": 0.04,
+        "area_px2": 4.0,
+        "assumed_px_per_mm": 10.0,
+        "count_px": 3,
+    }

@@ -21,7 +21,8 @@ from splitknit_simulator.twin import simulate_capture
 
 @lru_cache(maxsize=12)
 def drawn_once(pattern: str, seed: int, settings: MasterPrintSettings) -> MasterPrint:
-    """Ridges of a finger: the same at every call (test_master_print.py), so one drawing serves all tests."""
+    """Ridges of a finger: the same at every call (test_master_print.py), so one drawing serves all
+    tests."""
     master = master_print(pattern, seed, settings)
     for name in ("ridge", "pores", "u_mm", "v_mm", "minutiae"):
         getattr(master, name).setflags(write=False)
@@ -33,7 +34,8 @@ finger.master_print = drawn_once  # type: ignore[assignment]
 
 @pytest.fixture(scope="session")
 def twin_folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Capture folder of a simulated finger, 330 x 480 pixels, its crease in view; not to be changed."""
+    """Capture folder of a simulated finger, 330 x 480 pixels, its crease in view; not to be
+    changed."""
     folder = tmp_path_factory.mktemp("twin") / "capture"
     settings = TwinSettings(scale=0.15, pose=FingerPose(insertion_mm=28.0, yaw_rad=0.1))
     capture, truth = simulate_capture(3, "whorl", settings)
@@ -58,5 +60,7 @@ def people(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Two people's right index fingers in two sessions, simulated; not to be changed."""
     folder = tmp_path_factory.mktemp("batch") / "people"
     settings = PopulationSettings(seed=3, scale=0.08)
-    simulate_population(folder, settings, subjects=2, sessions=2, fingers=("right_index",), workers=1)
+    simulate_population(
+        folder, settings, subjects=2, sessions=2, fingers=("right_index",), workers=1
+    )
     return folder

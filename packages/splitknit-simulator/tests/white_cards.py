@@ -22,7 +22,8 @@ SENSOR = SensorSettings(bits=16)
 
 
 def as_placed(rig: Rig, error_mm: float = 0.0, seed: int = 0) -> Rig:
-    """The rig after calibration of camera and places, `error_mm` off (rms of the length), light not yet known."""
+    """The rig after calibration of camera and places, `error_mm` off (rms of the length), light not
+    yet known."""
     rng = np.random.default_rng(seed)
     leds = []
     for led in rig.leds:
@@ -48,12 +49,15 @@ def photograph(  # noqa: PLR0917
 ) -> Capture:
     """The card under every LED of `rig` as a capture whose rig is `stored`.
 
-    `gains` change single LEDs' brightness; `exposures` of the white and the NIR band are full scales per unit of light
-    and found where not given.
+    `gains` change single LEDs' brightness; `exposures` of the white and the NIR band are full
+    scales per unit of light and found where not given.
     """
     dimmed = Rig(
         rig.camera,
-        tuple(replace(led, intensity=led.intensity * (gains or {}).get(k, 1.0)) for k, led in enumerate(rig.leds)),
+        tuple(
+            replace(led, intensity=led.intensity * (gains or {}).get(k, 1.0))
+            for k, led in enumerate(rig.leds)
+        ),
     )
     card = scene_of(dimmed) if scene is None else scene(dimmed)
     bands = {}
@@ -79,9 +83,14 @@ def photograph(  # noqa: PLR0917
 
 
 def card_folder(
-    folder: Path, seed: int = 1, scale: float = 0.1, series: Sequence[float] = (0.2, 0.4, 0.8, 1.2), **how: Any
+    folder: Path,
+    seed: int = 1,
+    scale: float = 0.1,
+    series: Sequence[float] = (0.2, 0.4, 0.8, 1.2),
+    **how: Any,
 ) -> tuple[Rig, Rig]:
-    """Write a folder as `calibrate radiometry` reads it; return the built rig and what is known of it."""
+    """Write a folder as `calibrate radiometry` reads it; return the built rig and what is known of
+    it."""
     rig = built_rig(seed, scale=scale)
     stored = as_placed(rig)
     capture = photograph(rig, stored, seed, **how)

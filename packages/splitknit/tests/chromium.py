@@ -10,10 +10,18 @@ from typing import Any
 
 import pytest
 
-BINARY = os.environ.get("SPLITKNIT_CHROMIUM") or shutil.which("chromium") or shutil.which("chromium-browser")
+BINARY = (
+    os.environ.get("SPLITKNIT_CHROMIUM")
+    or shutil.which("chromium")
+    or shutil.which("chromium-browser")
+)
 DRIVER = os.environ.get("SPLITKNIT_CHROMEDRIVER") or shutil.which("chromedriver")
 PATIENCE_S = 90.0
-PICTURES = Path(os.environ.get("SPLITKNIT_PICTURES", Path(__file__).resolve().parents[3] / "tests" / "out" / "page"))
+PICTURES = Path(
+    os.environ.get(
+        "SPLITKNIT_PICTURES", Path(__file__).resolve().parents[3] / "tests" / "out" / "page"
+    )
+)
 
 
 def why_not() -> str:
@@ -30,7 +38,9 @@ def why_not() -> str:
 class Page:
     """A page, as a person and as a program see it."""
 
-    def __init__(self, width: int = 1280, height: int = 800, *flags: str, still: bool = False) -> None:
+    def __init__(
+        self, width: int = 1280, height: int = 800, *flags: str, still: bool = False
+    ) -> None:
         """Start a browser whose page has so many CSS pixels."""
         from selenium import webdriver
         from selenium.webdriver.chrome.service import Service
@@ -38,10 +48,16 @@ class Page:
         options = webdriver.ChromeOptions()
         options.binary_location = str(BINARY)
         for flag in (
-            "--headless=new", "--no-sandbox", "--disable-dev-shm-usage", "--disable-background-networking",
-            "--no-first-run", "--use-angle=swiftshader", "--enable-unsafe-swiftshader",
-            "--host-resolver-rules=MAP * ~NOTFOUND, EXCLUDE 127.0.0.1", *flags,
-        ):  # fmt: skip
+            "--headless=new",
+            "--no-sandbox",
+            "--disable-dev-shm-usage",
+            "--disable-background-networking",
+            "--no-first-run",
+            "--use-angle=swiftshader",
+            "--enable-unsafe-swiftshader",
+            "--host-resolver-rules=MAP * ~NOTFOUND, EXCLUDE 127.0.0.1",
+            *flags,
+        ):
             options.add_argument(flag)
         options.set_capability("goog:loggingPrefs", {"browser": "ALL"})
         self.driver = webdriver.Chrome(options=options, service=Service(str(DRIVER)))
@@ -66,7 +82,9 @@ class Page:
                 return found
             if time.monotonic() > end:
                 words = self.run("return document.body.innerText")[:400]
-                pytest.fail(f"waited {PATIENCE_S:.0f} s for {what or script}; the page says {words!r}")
+                pytest.fail(
+                    f"waited {PATIENCE_S:.0f} s for {what or script}; the page says {words!r}"
+                )
             time.sleep(0.05)
 
     def open(self, url: str) -> None:
@@ -86,8 +104,9 @@ class Page:
         """Move a slider."""
         self.run(
             "arguments[0].value = arguments[1]; arguments[0].dispatchEvent(new Event('input', {bubbles: true}))",
-            self.find(selector), value,
-        )  # fmt: skip
+            self.find(selector),
+            value,
+        )
 
     def press(self, *keys: str) -> None:
         """Press keys where the focus is."""
@@ -100,13 +119,17 @@ class Page:
         """Move the pointer to a place relative to an element's middle."""
         from selenium.webdriver.common.action_chains import ActionChains
 
-        ActionChains(self.driver).move_to_element_with_offset(self.find(selector), right, down).perform()
+        ActionChains(self.driver).move_to_element_with_offset(
+            self.find(selector), right, down
+        ).perform()
 
     def click_at(self, selector: str, right: int, down: int) -> None:
         """Click a place relative to an element's middle."""
         from selenium.webdriver.common.action_chains import ActionChains
 
-        ActionChains(self.driver).move_to_element_with_offset(self.find(selector), right, down).click().perform()
+        ActionChains(self.driver).move_to_element_with_offset(
+            self.find(selector), right, down
+        ).click().perform()
 
     def picture(self, name: str) -> Path:
         """Keep what is seen."""
@@ -117,7 +140,8 @@ class Page:
             try:
                 self.driver.save_screenshot(str(PICTURES / f"{name}.png"))
                 break
-            except TimeoutException:  # the driver waits ten seconds for a frame; a busy machine takes longer
+            # the driver waits ten seconds for a frame; a busy machine takes longer
+            except TimeoutException:
                 if attempt == 5:
                     raise
         return PICTURES / f"{name}.png"

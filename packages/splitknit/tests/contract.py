@@ -1,4 +1,5 @@
-"""What every camera and every bank of LEDs must do. Each implementation inherits these tests and makes the devices."""
+"""What every camera and every bank of LEDs must do. Each implementation inherits these tests and
+makes the devices."""
 
 from __future__ import annotations
 
@@ -19,7 +20,8 @@ class LightContract(ABC):
     """For one implementation of :class:`splitknit.devices.LightBank`."""
 
     making: str
-    """Python that makes `bank`, and `burning()` which tells what the hardware really does; for a process of its own."""
+    """Python that makes `bank`, and `burning()` which tells what the hardware really does; for a
+    process of its own."""
 
     @abstractmethod
     def bank(self) -> LightBank:
@@ -69,7 +71,8 @@ class LightContract(ABC):
                 assert self.now_s() - before >= bank.settle_s * (1 - 1e-9)
             before = self.now_s()
             bank.off()
-            assert self.now_s() - before >= bank.settle_s * (1 - 1e-9)  # the light fades before the dark frame
+            # the light fades before the dark frame
+            assert self.now_s() - before >= bank.settle_s * (1 - 1e-9)
 
     @pytest.mark.parametrize("error", [ValueError, KeyboardInterrupt, SystemExit, BadInput])
     def test_off_after_an_exception(self, error):
@@ -130,7 +133,8 @@ class LightContract(ABC):
         assert self.burning() == set()
 
     def test_off_when_the_process_ends(self, tmp_path):
-        """The bank is neither closed nor in a with block; what ends the process must not leave an LED lit."""
+        """The bank is neither closed nor in a with block; what ends the process must not leave an
+        LED lit."""
         ends = {
             "sys.exit(0)": 0,
             "raise RuntimeError('boom')": 1,
@@ -138,7 +142,9 @@ class LightContract(ABC):
             "os.kill(os.getpid(), signal.SIGHUP); time.sleep(5)": -signal.SIGHUP,
             "os.kill(os.getpid(), signal.SIGINT); time.sleep(5)": 1,
         }
-        imports = [line for line in self.making.splitlines() if line.startswith(("from ", "import "))]
+        imports = [
+            line for line in self.making.splitlines() if line.startswith(("from ", "import "))
+        ]
         script = textwrap.dedent(f"""
             import os, signal, sys, time
             signal.signal(signal.SIGHUP, signal.SIG_DFL)  # ignored where the tests run without a terminal
@@ -163,8 +169,12 @@ class LightContract(ABC):
             except KeyboardInterrupt:
                 raise SystemExit(1)
         """)
-        done = subprocess.run([sys.executable, "-c", script], check=False, timeout=60, capture_output=True)
-        assert [int(code) for code in done.stdout.split()] == list(ends.values()), done.stderr.decode()
+        done = subprocess.run(
+            [sys.executable, "-c", script], check=False, timeout=60, capture_output=True
+        )
+        assert [int(code) for code in done.stdout.split()] == list(ends.values()), (
+            done.stderr.decode()
+        )
         for number in range(len(ends)):
             states = (tmp_path / str(number)).read_text().split("\n")
             assert "[3]" in states
@@ -196,7 +206,9 @@ class CameraContract(ABC):
             aspect = frame.pixels.shape[1] / frame.pixels.shape[0]
             assert small.pixels.shape[1] / small.pixels.shape[0] == pytest.approx(aspect, rel=0.03)
 
-    @pytest.mark.parametrize(("exposure_s", "gain", "band"), [(0.008, 1.0, "white"), (0.06, 4.0, "nir")])
+    @pytest.mark.parametrize(
+        ("exposure_s", "gain", "band"), [(0.008, 1.0, "white"), (0.06, 4.0, "nir")]
+    )
     def test_what_is_locked_is_what_comes(self, exposure_s, gain, band):
         camera, lights = self.devices()
         with lights, camera:
@@ -231,9 +243,16 @@ class CameraContract(ABC):
 
     @pytest.mark.parametrize(
         ("exposure_s", "gain", "band"),
-        [(0.0, 1.0, "white"), (1e3, 1.0, "white"), (0.01, 0.1, "white"), (0.01, 1e3, "white"),
-         (float("nan"), 1.0, "white"), (0.01, float("nan"), "white"), (0.01, 1.0, "ultraviolet")],
-    )  # fmt: skip
+        [
+            (0.0, 1.0, "white"),
+            (1e3, 1.0, "white"),
+            (0.01, 0.1, "white"),
+            (0.01, 1e3, "white"),
+            (float("nan"), 1.0, "white"),
+            (0.01, float("nan"), "white"),
+            (0.01, 1.0, "ultraviolet"),
+        ],
+    )
     def test_an_exposure_out_of_range_is_refused(self, exposure_s, gain, band):
         camera, lights = self.devices()
         with lights, camera:

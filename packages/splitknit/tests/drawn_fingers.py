@@ -1,4 +1,5 @@
-"""Simple drawn fingers: a capsule of skin under seven LEDs on black paper, with truth. Not the twin, on purpose."""
+"""Simple drawn fingers: a capsule of skin under seven LEDs on black paper, with truth. Not the
+twin, on purpose."""
 
 from __future__ import annotations
 
@@ -62,7 +63,8 @@ def draw(
     ridges: float = 0.03,
     seed: int = 0,
 ) -> Scene:
-    """Draw a finger whose tip lies at `tip_at` (x, y in mm from the centre) and points `yaw_deg` counter-clockwise."""
+    """Draw a finger whose tip lies at `tip_at` (x, y in mm from the centre) and points `yaw_deg`
+    counter-clockwise."""
     rng = np.random.default_rng(seed)
     height, width = round(size_mm[0] * px_per_mm), round(size_mm[1] * px_per_mm)
     x = (np.arange(width) - (width - 1) / 2)[None, :] / px_per_mm
@@ -72,7 +74,11 @@ def draw(
     across = (x - tip_at[0]) * np.cos(yaw) + (y - tip_at[1]) * np.sin(yaw)
     length = 1.25 * half_width
     fade = np.clip((length - along) / length, 0.0, 1.0)
-    half = half_width * (1.0 + taper * (along - length) / 20.0) * np.sqrt(np.maximum(1.0 - fade**2, 0.0))
+    half = (
+        half_width
+        * (1.0 + taper * (along - length) / 20.0)
+        * np.sqrt(np.maximum(1.0 - fade**2, 0.0))
+    )
     inside = (along > 0) & (np.abs(across) < half)
     section = np.clip(1.0 - (across / np.maximum(half, 1e-6)) ** 2, 0.0, 1.0)
     z = 0.7 * half * np.sqrt(section)
@@ -81,7 +87,11 @@ def draw(
     norm = np.sqrt(1.0 + dz_dx**2 + dz_dy**2)
     angles = 2 * np.pi * np.arange(7) / 7
     lights = np.stack([0.35 * np.cos(angles), 0.35 * np.sin(angles), np.full(7, 0.937)], axis=1)
-    shade = (-dz_dx * lights[:, 0, None, None] - dz_dy * lights[:, 1, None, None] + lights[:, 2, None, None]) / norm
+    shade = (
+        -dz_dx * lights[:, 0, None, None]
+        - dz_dy * lights[:, 1, None, None]
+        + lights[:, 2, None, None]
+    ) / norm
     shade = (0.9 * np.maximum(shade, 0.0) + 0.1).astype(np.float32)
     albedo = np.ones_like(z)
     for distance, depth in creases:
@@ -110,14 +120,25 @@ def draw(
         rgb = (shade * brightness)[..., None] * skin
         rgb[~inside] = backdrop[~inside, None]
         if infrared:
-            rgb += np.where(inside, infrared * shade, infrared * paper).astype(np.float32)[..., None]
+            rgb += np.where(inside, infrared * shade, infrared * paper).astype(np.float32)[
+                ..., None
+            ]
         for where, value in spots:
             rgb[where] = value
-        return rgb + np.float32(noise) * np.random.default_rng(seed).standard_normal(rgb.shape, dtype=np.float32)
+        return rgb + np.float32(noise) * np.random.default_rng(seed).standard_normal(
+            rgb.shape, dtype=np.float32
+        )
 
     rgb = photographed(shade.mean(axis=0), noise / np.sqrt(len(shade)), seed)
     tip = ((width - 1) / 2 + tip_at[0] * px_per_mm, (height - 1) / 2 - tip_at[1] * px_per_mm)
-    return Scene(rgb, inside, px_per_mm, tip, lights, lambda k: photographed(shade[k], noise, 1000 * (seed + 1) + k))
+    return Scene(
+        rgb,
+        inside,
+        px_per_mm,
+        tip,
+        lights,
+        lambda k: photographed(shade[k], noise, 1000 * (seed + 1) + k),
+    )
 
 
 @pytest.fixture(scope="session")

@@ -1,4 +1,5 @@
-"""A finger made by hand: a half ellipsoid with a spiral of ridges, turned by a known yaw on the input grid."""
+"""A finger made by hand: a half ellipsoid with a spiral of ridges, turned by a known yaw on the
+input grid."""
 
 from __future__ import annotations
 
@@ -13,7 +14,10 @@ from splitknit.model import Band, Camera, Capture, Led, Reconstruction, Rig
 
 
 def finger(
-    px_per_mm: float = 20.0, size: tuple[int, int] = (440, 640), yaw_deg: float = 12.0, preset: str = "metric"
+    px_per_mm: float = 20.0,
+    size: tuple[int, int] = (440, 640),
+    yaw_deg: float = 12.0,
+    preset: str = "metric",
 ) -> tuple[Reconstruction, dict[str, NDArray[Any]]]:
     """Return a reconstruction that equals its truth, and the truth."""
     height, width = size
@@ -21,8 +25,16 @@ def finger(
     input_from_upright = rotation_about(centre, np.deg2rad(yaw_deg))
     upright_from_input = np.linalg.inv(input_from_upright)
     columns, rows = np.meshgrid(np.arange(width, dtype=float), np.arange(height, dtype=float))
-    upright_column = upright_from_input[0, 0] * columns + upright_from_input[0, 1] * rows + upright_from_input[0, 2]
-    upright_row = upright_from_input[1, 0] * columns + upright_from_input[1, 1] * rows + upright_from_input[1, 2]
+    upright_column = (
+        upright_from_input[0, 0] * columns
+        + upright_from_input[0, 1] * rows
+        + upright_from_input[0, 2]
+    )
+    upright_row = (
+        upright_from_input[1, 0] * columns
+        + upright_from_input[1, 1] * rows
+        + upright_from_input[1, 2]
+    )
     x = (upright_column - centre[0]) / px_per_mm
     y = (centre[1] - upright_row) / px_per_mm
     along = np.where(y > 1.0, (y - 1.0) / 8.5, 0.0)
@@ -34,7 +46,9 @@ def finger(
     total = (shape + ridge).astype(np.float32)
     pitch = 1.0 / px_per_mm
     gradient_x, gradient_y = height_gradients(total, pitch)
-    normals = np.where(mask[..., None], normals_from_gradients(gradient_x, gradient_y), 0.0).astype(np.float32)
+    normals = np.where(mask[..., None], normals_from_gradients(gradient_x, gradient_y), 0.0).astype(
+        np.float32
+    )
     result = Reconstruction(
         height_mm=total,
         ridge_mm=ridge.astype(np.float32),
@@ -50,20 +64,33 @@ def finger(
         settings={"integrate": {"method": "poisson"}, "knit": {"mode": "crossover"}},
         quality={"focus": 0.8, "coverage": 0.97, "led_brightness": [1.0, 0.9, 1.1]},
         facts={"yaw_deg": yaw_deg, "crease_row": 400, "scattering_mm": 0.24},
-        findings=(Finding("no-crease", "No flexion crease is in view; the whole visible finger was kept."),),
+        findings=(
+            Finding(
+                "no-crease", "No flexion crease is in view; the whole visible finger was kept."
+            ),
+        ),
         timings_s={"preprocess": 0.5, "normals": 1.25},
         hashes={"white_0.png": "ab" * 32},
     )
-    truth = {"height_mm": total, "shape_mm": shape.astype(np.float32), "mask": mask, "normals": normals}
+    truth = {
+        "height_mm": total,
+        "shape_mm": shape.astype(np.float32),
+        "mask": mask,
+        "normals": normals,
+    }
     return result, truth
 
 
 def capture_of(result: Reconstruction, lights: int = 4) -> Capture:
     """Return grey images of the reconstruction under distant lights."""
     angles = 2 * np.pi * np.arange(lights) / lights
-    directions = np.stack([0.35 * np.cos(angles), 0.35 * np.sin(angles), np.full(lights, 0.937)], axis=1)
+    directions = np.stack(
+        [0.35 * np.cos(angles), 0.35 * np.sin(angles), np.full(lights, 0.937)], axis=1
+    )
     camera = Camera(px_per_mm=1.0 / result.pitch_mm, image_size=result.mask.shape)
-    leds = tuple(Led(band="white", direction=(float(d[0]), float(d[1]), float(d[2]))) for d in directions)
+    leds = tuple(
+        Led(band="white", direction=(float(d[0]), float(d[1]), float(d[2]))) for d in directions
+    )
     shaded = np.stack([np.clip(0.7 * result.normals @ d, 0.0, 1.0) for d in directions])
     pixels = np.round(255 * shaded).astype(np.uint8)[..., None]
     band = Band(

@@ -15,14 +15,19 @@ from splitknit.model import Band, Camera, Capture, Led, Rig
 
 def ring(band: str, count: int = 4) -> list[Led]:
     angles = 2 * np.pi * np.arange(count) / count
-    return [Led(band=band, position_mm=(50 * np.cos(a), 50 * np.sin(a), 140.0), intensity=1 + a / 9) for a in angles]
+    return [
+        Led(band=band, position_mm=(50 * np.cos(a), 50 * np.sin(a), 140.0), intensity=1 + a / 9)
+        for a in angles
+    ]
 
 
 @pytest.fixture
 def build_capture() -> Build:
     """Capture of a bright disc under four white and four NIR lights."""
 
-    def build(dtype: Any = np.uint8, channels: int = 3, shape: tuple[int, int] = (40, 30), **changes: Any) -> Capture:
+    def build(
+        dtype: Any = np.uint8, channels: int = 3, shape: tuple[int, int] = (40, 30), **changes: Any
+    ) -> Capture:
         rng = np.random.default_rng(5)
         full = int(np.iinfo(dtype).max)
         rows, columns = np.mgrid[: shape[0], : shape[1]]

@@ -22,8 +22,9 @@ FIGURES = {
     "zheng": ((0.8362, 0.0001), (0.6518, 0.0001), (0.1764, 0.0001)),
     "lin": ((0.8377, 0.0002), (0.6710, 0.0001), (0.2118, 0.0001)),
 }
-"""Rms of the surface (mm), correlation and gain of the relief of the finger of `twin_folder` (with networks: at scale
-0.17): mean and standard deviation over six photographs with other dust and noise."""
+"""Rms of the surface (mm), correlation and gain of the relief of the finger of `twin_folder` (with
+networks: at scale 0.17): mean and standard deviation over six photographs with other dust and
+noise."""
 
 
 def each_band(capture: Capture, change: Callable[[Band], Band]) -> Capture:
@@ -31,7 +32,9 @@ def each_band(capture: Capture, change: Callable[[Band], Band]) -> Capture:
 
 
 def each_led(capture: Capture, change: Callable[[Led], Led]) -> Capture:
-    return replace(capture, rig=replace(capture.rig, leds=tuple(change(led) for led in capture.rig.leds)))
+    return replace(
+        capture, rig=replace(capture.rig, leds=tuple(change(led) for led in capture.rig.leds))
+    )
 
 
 def turned(capture: Capture, quarter_turns: int, tip_direction_deg: float | None) -> Capture:
@@ -48,11 +51,16 @@ def turned(capture: Capture, quarter_turns: int, tip_direction_deg: float | None
         return replace(led, position_mm=(x, y, z))
 
     size = capture.shape if quarter_turns % 2 == 0 else capture.shape[::-1]
-    rig = Rig(replace(capture.rig.camera, image_size=size), tuple(turn_led(led) for led in capture.rig.leds))
+    rig = Rig(
+        replace(capture.rig.camera, image_size=size),
+        tuple(turn_led(led) for led in capture.rig.leds),
+    )
     result = replace(capture, rig=rig, tip_direction_deg=tip_direction_deg)
     return each_band(
         result,
-        lambda band: replace(band, pixels=turn_array(band.pixels, (1, 2)), ambient=turn_array(band.ambient, (0, 1))),
+        lambda band: replace(
+            band, pixels=turn_array(band.pixels, (1, 2)), ambient=turn_array(band.ambient, (0, 1))
+        ),
     )
 
 
@@ -71,10 +79,16 @@ def cropped(capture: Capture, rows: slice, columns: slice) -> Capture:
         return replace(led, position_mm=(x - right, y - up, z))
 
     def part(band: Band) -> Band:
-        ambient = None if band.ambient is None else np.ascontiguousarray(band.ambient[rows, columns])
-        return replace(band, pixels=np.ascontiguousarray(band.pixels[:, rows, columns]), ambient=ambient)
+        ambient = (
+            None if band.ambient is None else np.ascontiguousarray(band.ambient[rows, columns])
+        )
+        return replace(
+            band, pixels=np.ascontiguousarray(band.pixels[:, rows, columns]), ambient=ambient
+        )
 
-    camera = replace(capture.rig.camera, image_size=(last_row - first_row, last_column - first_column))
+    camera = replace(
+        capture.rig.camera, image_size=(last_row - first_row, last_column - first_column)
+    )
     result = each_band(each_led(capture, moved), part)
     return replace(result, rig=replace(result.rig, camera=camera))
 
@@ -85,7 +99,9 @@ def grey(capture: Capture, material: str) -> Capture:
     weights = np.array([0.299, 0.587, 0.114])
 
     def merged(pixels: Any) -> Any:
-        return None if pixels is None else np.round(pixels @ weights).astype(pixels.dtype)[..., None]
+        return (
+            None if pixels is None else np.round(pixels @ weights).astype(pixels.dtype)[..., None]
+        )
 
     band = replace(white, pixels=merged(white.pixels), ambient=merged(white.ambient))
     return replace(capture, material=material, bands={"white": band})

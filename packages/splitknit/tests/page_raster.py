@@ -1,4 +1,5 @@
-"""A small reader of our PDF pages: it follows the table of places and draws what the page says, in pixels."""
+"""A small reader of our PDF pages: it follows the table of places and draws what the page says, in
+pixels."""
 
 from __future__ import annotations
 
@@ -40,7 +41,8 @@ def draw(data: bytes, px_per_mm: float) -> tuple[np.ndarray, list[str]]:
     page = objects[3].decode("ascii")
     width, height = map(float, re.search(r"MediaBox \[0 0 ([\d.]+) ([\d.]+)\]", page).groups())
     shapes = {
-        name: stream_of(objects[int(k)]) for name, k in re.findall(r"/(\w+) (\d+) 0 R", page.split("/XObject")[1])
+        name: stream_of(objects[int(k)])
+        for name, k in re.findall(r"/(\w+) (\d+) 0 R", page.split("/XObject")[1])
     }
     scale = px_per_mm * 25.4 / 72
     size = round(height * scale), round(width * scale)
@@ -77,7 +79,10 @@ def _run(content, matrix, image, shapes, texts):  # noqa: PLR0912 - one branch a
             ends = np.array([paths[-1][-1], n[0:2], n[2:4], n[4:6]])
             t = np.linspace(0, 1, 33)[1:, None]
             curve = (
-                (1 - t) ** 3 * ends[0] + 3 * (1 - t) ** 2 * t * ends[1] + 3 * (1 - t) * t**2 * ends[2] + t**3 * ends[3]
+                (1 - t) ** 3 * ends[0]
+                + 3 * (1 - t) ** 2 * t * ends[1]
+                + 3 * (1 - t) * t**2 * ends[2]
+                + t**3 * ends[3]
             )
             paths[-1].extend(map(tuple, curve))
         elif token == "g":
@@ -103,6 +108,7 @@ def _run(content, matrix, image, shapes, texts):  # noqa: PLR0912 - one branch a
 
 
 def _places(path, matrix):
-    """Fixed-point pixels (8 bits of fraction) of points; a page's edge is a pixel's edge, not its middle."""
+    """Fixed-point pixels (8 bits of fraction) of points; a page's edge is a pixel's edge, not its
+    middle."""
     points = np.column_stack([np.array(path), np.ones(len(path))]) @ matrix.T
     return np.round((points[:, :2] * SUB - 0.5) * 256).astype(np.int32)

@@ -1,4 +1,5 @@
-"""PNG files by hand: of any kind that the standard knows, with sound checksums whatever they hold."""
+"""PNG files by hand: of any kind that the standard knows, with sound checksums whatever they
+hold."""
 
 from __future__ import annotations
 
@@ -20,7 +21,15 @@ def png_of(  # noqa: PLR0917
     """A PNG of noise, written by hand: of any kind that the standard knows."""
     samples = {0: 1, 2: 3, 3: 1, 4: 2, 6: 4}[colour]
     steps = (
-        ((0, 0, 8, 8), (0, 4, 8, 8), (4, 0, 8, 4), (0, 2, 4, 4), (2, 0, 4, 2), (0, 1, 2, 2), (1, 0, 2, 1))
+        (
+            (0, 0, 8, 8),
+            (0, 4, 8, 8),
+            (4, 0, 8, 4),
+            (0, 2, 4, 4),
+            (2, 0, 4, 2),
+            (0, 1, 2, 2),
+            (1, 0, 2, 1),
+        )
         if interlaced
         else ((0, 0, 1, 1),)
     )
@@ -28,7 +37,16 @@ def png_of(  # noqa: PLR0917
     for r, c, dr, dc in steps:
         height, width = len(range(r, rows, dr)), len(range(c, columns, dc))
         size = (width * samples * depth + 7) // 8
-        lines += b"".join(bytes([random.randrange(5)]) + random.randbytes(size) for _ in range(height if width else 0))
+        lines += b"".join(
+            bytes([random.randrange(5)]) + random.randbytes(size)
+            for _ in range(height if width else 0)
+        )
     head = struct.pack(">IIBBBBB", columns, rows, depth, colour, 0, 0, int(interlaced))
     palette = chunk(b"PLTE", random.randbytes(768)) if colour == 3 else b""
-    return PNG + chunk(b"IHDR", head) + palette + chunk(b"IDAT", zlib.compress(lines)) + chunk(b"IEND", b"")
+    return (
+        PNG
+        + chunk(b"IHDR", head)
+        + palette
+        + chunk(b"IDAT", zlib.compress(lines))
+        + chunk(b"IEND", b"")
+    )

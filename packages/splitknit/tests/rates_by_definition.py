@@ -27,7 +27,8 @@ def gar_at_far(genuine: list[float], impostor: list[float], target: float) -> tu
 
 
 def equal_error(genuine: list[float], impostor: list[float]) -> float:
-    """(FAR + FRR) / 2 at the better of the last point with FRR <= FAR and the first with FRR >= FAR."""
+    """(FAR + FRR) / 2 at the better of the last point with FRR <= FAR and the first with FRR >=
+    FAR."""
     every = points(genuine, impostor)
     before = [(far + frr) / 2 for _, far, frr in every if frr <= far]
     after = [(far + frr) / 2 for _, far, frr in every if frr >= far]

@@ -7,7 +7,8 @@ COUNT = 8
 
 
 def scene(seed=0, side=110):
-    """Photographs (8, H, W) of a matt rough dome with pale and dark patches, its lights and its mask."""
+    """Photographs (8, H, W) of a matt rough dome with pale and dark patches, its lights and its
+    mask."""
     rng = np.random.default_rng(seed)
     y, x = np.mgrid[1 : -1 : side * 1j, -1 : 1 : side * 1j]
     height = np.sqrt(2.2 - x**2 - y**2) + 0.03 * np.sin(9 * x) * np.sin(8 * y)
@@ -18,7 +19,11 @@ def scene(seed=0, side=110):
     lights = np.column_stack([0.6 * np.cos(azimuth), 0.6 * np.sin(azimuth), np.full(COUNT, 0.8)])
     patches = cv2.GaussianBlur(rng.standard_normal((side, side)), (0, 0), 3)
     stack = (0.6 + 0.5 * patches) * np.maximum(np.einsum("ki,yxi->kyx", lights, normals), 0)
-    return (stack + rng.normal(0, 0.002, stack.shape)).astype(np.float32), lights, np.hypot(x, y) < 0.9
+    return (
+        (stack + rng.normal(0, 0.002, stack.shape)).astype(np.float32),
+        lights,
+        np.hypot(x, y) < 0.9,
+    )
 
 
 def spoilt(image, kind):

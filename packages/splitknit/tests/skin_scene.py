@@ -65,7 +65,8 @@ def fresnel(cosine: np.ndarray, index: float = 1.42) -> np.ndarray:
 
 
 def ggx(normal: np.ndarray, light: np.ndarray, roughness: float) -> np.ndarray:
-    """Cook-Torrance glare times the cosine of the light, viewer along z; vectors (3, ...) of unit length."""
+    """Cook-Torrance glare times the cosine of the light, viewer along z; vectors (3, ...) of unit
+    length."""
     a2 = roughness**2
     half = light + np.array([0.0, 0.0, 1.0])[:, None, None]
     half = half / np.linalg.norm(half, axis=0)
@@ -80,9 +81,16 @@ def ggx(normal: np.ndarray, light: np.ndarray, roughness: float) -> np.ndarray:
 
 
 def photograph(
-    rig: Rig, names: tuple[str, ...], glare: float, seed: int, *, scattering: float = 1.0, depth: float = DEPTH_MM
+    rig: Rig,
+    names: tuple[str, ...],
+    glare: float,
+    seed: int,
+    *,
+    scattering: float = 1.0,
+    depth: float = DEPTH_MM,
 ) -> tuple[np.ndarray, ...]:
-    """Images (C, L, H, W), mask, x, y and the heights; the window is cut at the bottom only afterwards."""
+    """Images (C, L, H, W), mask, x, y and the heights; the window is cut at the bottom only
+    afterwards."""
     x, y = (np.arange(-140, 140) + 0.5) * PITCH_MM, -(np.arange(-160, 160) + 0.5) * PITCH_MM
     gx, gy = np.meshgrid(x, y)
     shape, relief, slope_x, slope_y = dome(gx, gy, depth)
@@ -91,7 +99,8 @@ def photograph(
     normal /= np.linalg.norm(normal, axis=0)
     surface = shape - shape[mask].mean() + 1.0 + relief
     omega = np.hypot(
-        2 * np.pi * np.fft.fftfreq(400, PITCH_MM)[:, None], 2 * np.pi * np.fft.rfftfreq(400, PITCH_MM)[None, :]
+        2 * np.pi * np.fft.fftfreq(400, PITCH_MM)[:, None],
+        2 * np.pi * np.fft.rfftfreq(400, PITCH_MM)[None, :],
     )
     skin = SkinSettings(scattering_factor=scattering)
     images = np.empty((len(names), len(rig.leds), *gx.shape))
@@ -116,12 +125,21 @@ def photograph(
 
 def make_scene(glare: float = 0.5, scattering: float = 1.0, depth: float = DEPTH_MM) -> Scene:
     white, nir = ring("white"), ring("nir", np.pi / 7)
-    stack, mask, x, y, shape, relief = photograph(white, COLOURS, glare, 1, scattering=scattering, depth=depth)
+    stack, mask, x, y, shape, relief = photograph(
+        white, COLOURS, glare, 1, scattering=scattering, depth=depth
+    )
     invisible = photograph(nir, ("nir",), glare, 2, scattering=scattering, depth=depth)[0]
     grid = Grid(mask, x, y, PITCH_MM, (False, True, False, False))
     gx, gy = np.meshgrid(x, y)
     inner = ((gx / 5.2) ** 2 + (gy / 6.0) ** 2 < 0.45) & (y[:, None] > CUT_MM + 0.8)
-    return Scene(grid, BandImages(COLOURS, stack, white), BandImages(("nir",), invisible, nir), shape, relief, inner)
+    return Scene(
+        grid,
+        BandImages(COLOURS, stack, white),
+        BandImages(("nir",), invisible, nir),
+        shape,
+        relief,
+        inner,
+    )
 
 
 def shape_rms(found: np.ndarray, true: np.ndarray, where: np.ndarray) -> float:
@@ -133,4 +151,6 @@ def shape_rms(found: np.ndarray, true: np.ndarray, where: np.ndarray) -> float:
 def relief_gain(found: np.ndarray, true: np.ndarray, where: np.ndarray) -> tuple[float, float]:
     """Gain (regression on the truth) and correlation."""
     a, b = found[where] - found[where].mean(), true[where] - true[where].mean()
-    return float((a * b).sum() / (b * b).sum()), float((a * b).sum() / np.sqrt((a * a).sum() * (b * b).sum()))
+    return float((a * b).sum() / (b * b).sum()), float(
+        (a * b).sum() / np.sqrt((a * a).sum() * (b * b).sum())
+    )

@@ -1,4 +1,5 @@
-"""Prints whose minutiae are known: rings of ridges, and a turn of the phase by 2 pi about each minutia."""
+"""Prints whose minutiae are known: rings of ridges, and a turn of the phase by 2 pi about each
+minutia."""
 
 from __future__ import annotations
 
@@ -20,8 +21,11 @@ PLACES = _places(1)
 
 
 @lru_cache(maxsize=8)
-def spiral_print(shift: tuple[int, int] = (0, 0), scale: float = 1.0, seed: int = 1) -> NDArray[np.uint8]:
-    """(500, 380) uint8 at 500 ppi, times `scale`; ridges 9 pixels apart, dark; another finger for each `seed`."""
+def spiral_print(
+    shift: tuple[int, int] = (0, 0), scale: float = 1.0, seed: int = 1
+) -> NDArray[np.uint8]:
+    """(500, 380) uint8 at 500 ppi, times `scale`; ridges 9 pixels apart, dark; another finger for
+    each `seed`."""
     rows, columns = np.mgrid[: round(500 * scale), : round(380 * scale)] / scale
     phase = 2 * np.pi / 9 * np.hypot(0.9 * (columns - 190 - shift[0]), rows - 620 - shift[1])
     signs = np.random.default_rng([seed, 2]).choice([-1, 1], len(_places(seed)))

@@ -7,7 +7,16 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from splitknit.errors import BadInput, check_image, check_lights, check_mask, check_stack, read_bytes, refusing, require
+from splitknit.errors import (
+    BadInput,
+    check_image,
+    check_lights,
+    check_mask,
+    check_stack,
+    read_bytes,
+    refusing,
+    require,
+)
 
 RING = np.array([[np.cos(a), np.sin(a), 2.0] for a in 2 * np.pi * np.arange(5) / 5])
 
@@ -77,7 +86,14 @@ def test_lights_must_match_the_images() -> None:
 def test_weak_but_real_depth_of_lights_is_enough() -> None:
     """Directions 2 deg about one: all near a line, but not in a plane."""
     angles = 2 * np.pi * np.arange(3) / 3
-    assert len(check_lights(np.column_stack([0.035 * np.cos(angles), 0.035 * np.sin(angles), np.ones(3)]))) == 3
+    assert (
+        len(
+            check_lights(
+                np.column_stack([0.035 * np.cos(angles), 0.035 * np.sin(angles), np.ones(3)])
+            )
+        )
+        == 3
+    )
 
 
 def test_only_whole_regular_files_of_the_budget_are_read(tmp_path: Path) -> None:
@@ -110,14 +126,21 @@ def test_a_refused_folder_is_closed(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize(
     ("raised", "expected"),
-    [(KeyError("x"), BadInput), (RecursionError(), BadInput), (MemoryError(), MemoryError), (BadInput("x"), BadInput)],
+    [
+        (KeyError("x"), BadInput),
+        (RecursionError(), BadInput),
+        (MemoryError(), MemoryError),
+        (BadInput("x"), BadInput),
+    ],
 )
 def test_parsers_are_refused_in_one_sentence_but_not_for_want_of_memory(
     raised: Exception, expected: type[Exception]
 ) -> None:
     with pytest.raises(expected) as caught, refusing("the table is damaged."):
         raise raised
-    assert str(caught.value) == ("the table is damaged." if type(caught.value) is not type(raised) else str(raised))
+    assert str(caught.value) == (
+        "the table is damaged." if type(caught.value) is not type(raised) else str(raised)
+    )
 
 
 def test_refusals_are_one_printable_line_whatever_they_quote() -> None:

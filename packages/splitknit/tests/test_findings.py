@@ -15,7 +15,9 @@ from splitknit.errors import BadInput
 from splitknit.findings import Finding, Severity, refuse, worst_first
 
 WIDE = Finding(
-    "odd-finger-width", "it is {:.1f mm} wide, where {:g mm-} to {:g mm} is usual.", lengths_mm=(40.0, 6.0, 30.0)
+    "odd-finger-width",
+    "it is {:.1f mm} wide, where {:g mm-} to {:g mm} is usual.",
+    lengths_mm=(40.0, 6.0, 30.0),
 )
 
 
@@ -34,15 +36,25 @@ def test_the_worst_come_first_and_each_once() -> None:
     with pytest.raises(BadInput, match=r"^c; `keep`"):
         refuse([note, spoils], keep=False)
     assert spoils.facts == {
-        "code": "one-light", "severity": "spoils", "message": "c.", "files": ["x.png"], "effect_deg": 4.0
-    }  # fmt: skip
+        "code": "one-light",
+        "severity": "spoils",
+        "message": "c.",
+        "files": ["x.png"],
+        "effect_deg": 4.0,
+    }
     assert str(Finding("jpeg", "a").of_band("nir")) == "nir band: a"
 
 
 def test_every_code_has_a_row_and_every_row_is_used() -> None:
-    sources = [path.read_text(encoding="utf-8") for path in Path(splitknit.__file__).parent.rglob("*.py")]
+    sources = [
+        path.read_text(encoding="utf-8") for path in Path(splitknit.__file__).parent.rglob("*.py")
+    ]
     table = next(text for text in sources if "CODES: dict" in text)
-    used = set(re.findall(r'"([a-z]+(?:-[a-z]+)*)"', "\n".join(text for text in sources if text is not table)))
+    used = set(
+        re.findall(
+            r'"([a-z]+(?:-[a-z]+)*)"', "\n".join(text for text in sources if text is not table)
+        )
+    )
     used |= {f"{kind}-photograph" for kind in get_args(Fault)}
     made = set(re.findall(r'Finding\(\s*"([a-z-]+)"', "\n".join(sources)))
     assert made <= set(CODES)

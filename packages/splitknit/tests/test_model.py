@@ -60,12 +60,15 @@ def test_strength_falls_with_the_square_of_the_distance() -> None:
 
 def test_lights_of_one_exposure_add() -> None:
     leds = [
-        Led("white", direction=d, intensity=i) for d, i in (((0, 0, 1), 1.0), ((0, 0.6, 0.8), 2.0), ((1, 0, 0), 1.0))
+        Led("white", direction=d, intensity=i)
+        for d, i in (((0, 0, 1), 1.0), ((0, 0.6, 0.8), 2.0), ((1, 0, 0), 1.0))
     ]
     rig = rig_of(*leds).select([(0, 1), (2,), (0,)])
     assert len(rig.leds) == 3
     expected = np.array([[0, 1.2, 2.6], [1, 0, 0], [0, 0, 1]], dtype=float)
-    np.testing.assert_allclose(rig.light_vectors(), expected / np.linalg.norm(expected, axis=1).mean())
+    np.testing.assert_allclose(
+        rig.light_vectors(), expected / np.linalg.norm(expected, axis=1).mean()
+    )
     with pytest.raises(BadInput, match="LED 3 is not in the rig"):
         rig_of(*leds).select([(0, 3)])
     with pytest.raises(BadInput, match="at least one LED"):

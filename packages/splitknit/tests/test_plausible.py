@@ -21,7 +21,9 @@ def test_the_odd_is_noted_and_the_impossible_refused() -> None:
     assert CAMERA_HEIGHT.notes(140.0, "check `square_mm`") == ()
     (note,) = CAMERA_HEIGHT.notes(500.0, "check `square_mm`")
     assert str(note).endswith("is 500 mm, where 40 to 400 mm is usual: check `square_mm`.")
-    with pytest.raises(BadInput, match="is 1401 mm, where only 15 to 1000 mm is possible: check `square_mm`"):
+    with pytest.raises(
+        BadInput, match="is 1401 mm, where only 15 to 1000 mm is possible: check `square_mm`"
+    ):
         CAMERA_HEIGHT.notes(1401.0, "check `square_mm`")
     with pytest.raises(BadInput):
         CAMERA_HEIGHT.notes(float("nan"), "check `square_mm`")

@@ -1,4 +1,5 @@
-"""Arrays in, a surface out; a photograph that spoils it is named, and lights may differ in brightness."""
+"""Arrays in, a surface out; a photograph that spoils it is named, and lights may differ in
+brightness."""
 
 import cv2
 import numpy as np
@@ -13,7 +14,9 @@ KINDS = {
     "uint16": lambda stack: np.rint(stack * 65535).astype(np.uint16),
     "float32": lambda stack: stack,
     "float64": lambda stack: 7.0 * stack.astype(np.float64),
-    "colour": lambda stack: np.repeat(np.rint(stack * 65535).astype(np.uint16)[..., None], 3, axis=3),
+    "colour": lambda stack: np.repeat(
+        np.rint(stack * 65535).astype(np.uint16)[..., None], 3, axis=3
+    ),
     "list": list,
 }
 
@@ -97,7 +100,9 @@ def test_clipped_values_are_not_used(sound):
     stack[5] = np.minimum(stack[5] / np.quantile(stack[5][mask], 0.9), 1.0)
     pixels = np.rint(stack * 65535).astype(np.uint16)
     result = splitknit.reconstruct_images(pixels, lights, mask, 10.0)
-    assert ("overexposed-photograph", ("image 5",)) in {(each.code, each.files) for each in result.findings}
+    assert ("overexposed-photograph", ("image 5",)) in {
+        (each.code, each.files) for each in result.findings
+    }
     assert turned(result, sound) < 1.0
 
 
@@ -106,7 +111,9 @@ def test_unequal_lights_are_estimated_or_taken_as_stated(sound):
     bright = np.array([1, 0.5, 0.9, 0.7, 0.4, 1, 0.8, 0.6])
     stack = stack * bright[:, None, None]
     found = splitknit.reconstruct_images(stack, lights, mask, 10.0)
-    assert found.facts["light_brightness"] == pytest.approx((bright / bright.mean()).tolist(), rel=0.03)
+    assert found.facts["light_brightness"] == pytest.approx(
+        (bright / bright.mean()).tolist(), rel=0.03
+    )
     assert turned(found, sound) < 0.5
     stated = splitknit.reconstruct_images(stack, lights, mask, 10.0, bright)
     assert "light_brightness" not in stated.facts
@@ -137,11 +144,14 @@ def test_a_photograph_of_something_else_is_named_by_its_index(sound):
 
 
 def coin(rim_deg, size=300):
-    """Heights in pixels of a coin whose rim falls at `rim_deg`, its eight photographs, lights and outline."""
+    """Heights in pixels of a coin whose rim falls at `rim_deg`, its eight photographs, lights and
+    outline."""
     rng = np.random.default_rng(4)
     i, j = np.mgrid[0:size, 0:size] - (size - 1) / 2
     radius, wide = np.hypot(i, j), 20 / np.tan(np.deg2rad(rim_deg))
-    text = cv2.GaussianBlur(((np.abs(i) < 60) & (np.abs(j) % 40 < 12) & (radius < 80)) * 2.5, (0, 0), 2.0)
+    text = cv2.GaussianBlur(
+        ((np.abs(i) < 60) & (np.abs(j) % 40 < 12) & (radius < 80)) * 2.5, (0, 0), 2.0
+    )
     inside = radius < 0.46 * size
     height = text + 3 * np.exp(-(((radius - 0.42 * size) / 5) ** 2))
     height -= 20 * np.clip((radius - (0.46 * size - wide)) / wide, 0, 1)

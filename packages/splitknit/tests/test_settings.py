@@ -30,7 +30,9 @@ class Outer:
 
 
 def test_one_field_changes_and_the_rest_stays() -> None:
-    changed = override(Outer(), {"inner.sigma": 2, "inner": {"weights": [3, 4.5]}, "inner.limit": 0.5})
+    changed = override(
+        Outer(), {"inner.sigma": 2, "inner": {"weights": [3, 4.5]}, "inner.limit": 0.5}
+    )
     assert changed == Outer(Inner(sigma=2.0, weights=(3.0, 4.5), limit=0.5))
     assert isinstance(changed.inner.sigma, float)
     assert override(changed, {"inner.limit": None}).inner.limit is None
@@ -97,7 +99,10 @@ class PairSettings(Checked):
         ({"power_w": 0.0}, "lamp.power_w must be above 0 to 5, but it is 0.0."),
         ({"power_w": float("nan")}, "lamp.power_w must be above 0 to 5, but it is nan."),
         ({"span_mm": (0.0, 4.0)}, "lamp.span_mm must be from -2 to 3, but it is (0.0, 4.0)."),
-        ({"seed": 10**5000}, "lamp.seed must be zero or more, but it is a number of thousands of digits."),
+        (
+            {"seed": 10**5000},
+            "lamp.seed must be zero or more, but it is a number of thousands of digits.",
+        ),
         ({"seed": -1}, "lamp.seed must be zero or more, but it is -1."),
         ({"model": "lens"}, "lamp.model must be one of point, disc, but it is 'lens'."),
     ],

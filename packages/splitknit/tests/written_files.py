@@ -1,4 +1,5 @@
-"""Readers, for tests alone, of what splitknit writes and never reads: meshes as PLY and STL, floats as TIFF."""
+"""Readers, for tests alone, of what splitknit writes and never reads: meshes as PLY and STL, floats
+as TIFF."""
 
 from __future__ import annotations
 

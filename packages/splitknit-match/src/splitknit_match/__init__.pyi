@@ -1,4 +1,5 @@
-"""The door: what users (``__all__``) and the other members may import; all else may change tomorrow."""
+"""The door: what users (``__all__``) and the other members may import; all else may change
+tomorrow."""
 
 from splitknit_match.evaluation.evaluate import evaluate as evaluate
 from splitknit_match.evaluation.pair import compare_results as compare_results
@@ -12,6 +13,13 @@ from splitknit_match.prints.verbs import make_print as make_print
 __version__: str
 
 __all__ = [
-    "Gallery", "__version__", "compare_results", "enroll", "evaluate", "identify", "make_print", "make_template",
+    "Gallery",
+    "__version__",
+    "compare_results",
+    "enroll",
+    "evaluate",
+    "identify",
+    "make_print",
+    "make_template",
     "match",
-]  # fmt: skip
+]

@@ -43,7 +43,11 @@ def pad(capture: AnyPath, *, preset: Preset = "metric", progress: Progress = sil
     facts = _presented(Path(capture), preset, progress)
     suspected = sorted((facts["suspicion"] or {}).items(), key=lambda item: -item[1])
     unlike = [name for name, value in suspected if value > 1.0]
-    words = {"live": "Live skin", "attack": "Presentation attack", "unknown": f"Unknown: {facts['reason']}"}
+    words = {
+        "live": "Live skin",
+        "attack": "Presentation attack",
+        "unknown": f"Unknown: {facts['reason']}",
+    }
     lines = [words[facts["answer"]].rstrip(".") + "."]
     if facts["probability"] is not None:
         distance = f"distance to what the model was fitted to {facts['distance']:.2f}"
@@ -53,7 +57,9 @@ def pad(capture: AnyPath, *, preset: Preset = "metric", progress: Progress = sil
     return Report(facts, (*lines, f"Please note: {facts['basis']}"))
 
 
-def refuse_attacks(wanted: bool, paths: Sequence[Any], preset: str, progress: Progress) -> str | None:
+def refuse_attacks(
+    wanted: bool, paths: Sequence[Any], preset: str, progress: Progress
+) -> str | None:
     """Where it is `wanted`, raise BadInput if a capture is an attack; ``live``, ``unknown`` if one
     is, or None."""
     require(not wanted or paths, "`pad` goes with captures that are named.")
@@ -61,7 +67,11 @@ def refuse_attacks(wanted: bool, paths: Sequence[Any], preset: str, progress: Pr
     for capture in paths if wanted else ():
         facts = _presented(Path(capture), preset, progress)
         attack = facts["answer"] == "attack"
-        require(not attack, f"'{capture}' is suspected to be a presentation attack; leave out `pad` to take it anyway.")
+        require(
+            not attack,
+            f"'{capture}' is suspected to be a presentation attack; leave out `pad` to take it"
+            " anyway.",
+        )
         if facts["answer"] == "unknown":
             answer = "unknown"
             _LOG.warning("whether '%s' is live skin is unknown: %s", capture, facts["reason"])
@@ -76,15 +86,20 @@ def _presented(folder: Path, preset: str, progress: Progress) -> dict[str, Any]:
     no_capture = f"'{folder}' is not a capture folder (capture.json), which attacks show in."
     require((folder / "capture.json").is_file(), no_capture)
     features: dict[str, float] = {}
-    kind: type[BadInput] = BadExposure  # as a screen's own light has it; other refusals on reading are of files
+    # as a screen's own light has it; other refusals on reading are of files
+    kind: type[BadInput] = BadExposure
     try:
         capture = read_capture(folder)
         kind = BadInput  # no finger, or too little of one
-        features = pad_features(pad_images(capture), reconstruct(capture, preset, progress=progress))
+        features = pad_features(
+            pad_images(capture), reconstruct(capture, preset, progress=progress)
+        )
         missing = not_covered(capture)
         presentation = Presentation("unknown", f"{missing}.") if missing else judge(features)
     except BadInput as error:
         if not isinstance(error, kind):
             raise
-        presentation = Presentation("unknown", f"it cannot be reconstructed ({str(error).rstrip('.')}).")
+        presentation = Presentation(
+            "unknown", f"it cannot be reconstructed ({str(error).rstrip('.')})."
+        )
     return {"capture": str(folder), **asdict(presentation), "features": features, "basis": BASIS}

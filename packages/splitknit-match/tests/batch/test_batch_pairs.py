@@ -1,4 +1,5 @@
-"""Which captures are compared: all of them, or a fraction that grows without changing, in blocks."""
+"""Which captures are compared: all of them, or a fraction that grows without changing, in
+blocks."""
 
 from __future__ import annotations
 
@@ -19,7 +20,9 @@ def test_all_fingers_of_all_pairs_of_sessions() -> None:
     pairs = all_pairs(CAPTURES, 1.0, 0)
     assert pairs.a.size == 3 * 14 * 14
     assert pairs.genuine.sum() == 3 * 14
-    assert all(CAPTURES[a].session < CAPTURES[b].session for a, b in zip(pairs.a, pairs.b, strict=True))
+    assert all(
+        CAPTURES[a].session < CAPTURES[b].session for a, b in zip(pairs.a, pairs.b, strict=True)
+    )
 
 
 def test_a_share_keeps_all_genuine_ones_and_grows_without_changing() -> None:
@@ -42,7 +45,9 @@ def test_blocks_hold_every_comparison_once_and_stay_small(monkeypatch: pytest.Mo
     monkeypatch.setattr("splitknit_match.batch.population.PAIRS", 50)
     pairs = all_pairs(CAPTURES, 1.0, 0)
     blocks = blocks_of(pairs, CAPTURES, 5)
-    held = Counter(pair for block in blocks for pair in zip(block.a.tolist(), block.b.tolist(), strict=True))
+    held = Counter(
+        pair for block in blocks for pair in zip(block.a.tolist(), block.b.tolist(), strict=True)
+    )
     assert held == Counter(zip(pairs.a.tolist(), pairs.b.tolist(), strict=True))
     for block in blocks:
         assert len(set(block.a.tolist())) <= 5 and block.a.size <= 50

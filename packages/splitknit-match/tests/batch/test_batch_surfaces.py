@@ -20,17 +20,23 @@ def surface() -> tuple[Surface, np.ndarray]:
     row, column = np.mgrid[:60, :50]
     mask = np.hypot(row - 31, column - 24) < 20
     mask[40:44, 20:30] = False
-    shape = np.where(mask, 3 - 0.002 * (row - 30) ** 2 - 0.004 * (column - 24) ** 2, np.nan).astype(np.float32)
+    shape = np.where(mask, 3 - 0.002 * (row - 30) ** 2 - 0.004 * (column - 24) ** 2, np.nan).astype(
+        np.float32
+    )
     ridge = np.where(mask, 0.02 * rng.standard_normal(mask.shape), np.nan).astype(np.float32)
     height = shape + ridge
-    normals = np.nan_to_num(normals_from_gradients(*height_gradients(height, 0.033)) * mask[..., None])
+    normals = np.nan_to_num(
+        normals_from_gradients(*height_gradients(height, 0.033)) * mask[..., None]
+    )
     matrix = np.array([[0.9, 0.1, 3.5], [-0.1, 0.9, 1.25], [0, 0, 1]])
     return Surface(ridge, shape, normals, mask, 0.033, matrix, (70, 48)), height
 
 
 def assert_equal(one: Surface, other: Surface) -> None:
     for field in fields(Surface):
-        np.testing.assert_array_equal(getattr(one, field.name), getattr(other, field.name), err_msg=field.name)
+        np.testing.assert_array_equal(
+            getattr(one, field.name), getattr(other, field.name), err_msg=field.name
+        )
 
 
 def test_surfaces_come_back_to_the_last_bit() -> None:
@@ -44,14 +50,18 @@ def test_relief_and_normals_of_their_own_come_back_too() -> None:
     # normals of a perspective camera, and a relief that is not the surface minus the shape
     kept, height = surface()
     turned = np.where(kept.mask[..., None], kept.normals[..., ::-1], 0).astype(np.float32)
-    other = replace(kept, normals=turned, ridge_mm=(kept.ridge_mm * np.float32(1.7)).astype(np.float32))
+    other = replace(
+        kept, normals=turned, ridge_mm=(kept.ridge_mm * np.float32(1.7)).astype(np.float32)
+    )
     for whole in (False, True):
         given = replace(other, whole=whole)
         assert_equal(unpack_surface(pack_surface(given, height)), given)
         assert unpack_surface(pack_surface(replace(kept, whole=whole), height)).whole == whole
 
 
-@pytest.mark.parametrize("change", [lambda p: p[:50], lambda p: p[:-1], lambda p: p + b"\0", lambda p: b"XXXX" + p[4:]])
+@pytest.mark.parametrize(
+    "change", [lambda p: p[:50], lambda p: p[:-1], lambda p: p + b"\0", lambda p: b"XXXX" + p[4:]]
+)
 def test_damage_is_noticed(change) -> None:
     with pytest.raises(BadInput, match="damaged"):
         unpack_surface(change(pack_surface(*surface())))
@@ -70,7 +80,9 @@ def test_damage_is_noticed(change) -> None:
         (112, "<II", (60_000, 60_000)),  # of the upright frame
     ],
 )
-def test_a_head_that_claims_too_much_is_refused_before_memory_is_taken(place, layout, values) -> None:
+def test_a_head_that_claims_too_much_is_refused_before_memory_is_taken(
+    place, layout, values
+) -> None:
     payload = bytearray(pack_surface(*surface()))
     struct.pack_into(layout, payload, place, *values)
     tracemalloc.start()

@@ -69,8 +69,11 @@ def when_begun(out: Path, act: Callable[[], None]) -> Iterator[threading.Event]:
         thread.join()
 
 
+@pytest.mark.slow
 def test_tasks_here_and_in_processes_give_the_same() -> None:
-    assert sizes(double, range(7), HERE) == sizes(double, range(7), TWO) == [2 * k for k in range(7)]
+    assert (
+        sizes(double, range(7), HERE) == sizes(double, range(7), TWO) == [2 * k for k in range(7)]
+    )
     assert sizes(double, [], TWO) == []
 
 
@@ -105,7 +108,9 @@ def certificates(folder: Path) -> Path:
         f"req {new} -subj /CN=node -keyout key.pem -out node.csr",
         "x509 -req -in node.csr -CA ca.pem -CAkey ca_key.pem -CAcreateserial -days 1 -out cert.pem",
     ):
-        subprocess.run(["openssl", *command.split()], cwd=folder, check=True, capture_output=True, timeout=60)
+        subprocess.run(
+            ["openssl", *command.split()], cwd=folder, check=True, capture_output=True, timeout=60
+        )
     return folder
 
 
@@ -114,7 +119,9 @@ def configured(folder: Path) -> Any:
     import dask
 
     files = {"ca-file": "ca.pem", "client.cert": "cert.pem", "client.key": "key.pem"}
-    return dask.config.set({f"distributed.comm.tls.{name}": str(folder / file) for name, file in files.items()})
+    return dask.config.set(
+        {f"distributed.comm.tls.{name}": str(folder / file) for name, file in files.items()}
+    )
 
 
 @pytest.fixture(scope="module")
@@ -128,11 +135,19 @@ def tls(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[str, Path, P
         for role in ("scheduler", "worker", "client")
         for kind in ("cert", "key")
     }
-    security = distributed.Security(require_encryption=True, tls_ca_file=str(good / "ca.pem"), **pair)
+    security = distributed.Security(
+        require_encryption=True, tls_ca_file=str(good / "ca.pem"), **pair
+    )
     with distributed.LocalCluster(
-        n_workers=1, threads_per_worker=1, processes=False, protocol="tls://", host="127.0.0.1", security=security,
-        dashboard_address="127.0.0.1:0", silence_logs="CRITICAL",
-    ) as cluster:  # fmt: skip
+        n_workers=1,
+        threads_per_worker=1,
+        processes=False,
+        protocol="tls://",
+        host="127.0.0.1",
+        security=security,
+        dashboard_address="127.0.0.1:0",
+        silence_logs="CRITICAL",
+    ) as cluster:
         yield cluster.scheduler_address, good, other
 
 
@@ -145,32 +160,61 @@ def listening() -> int:
 
 @pytest.mark.parametrize(
     "address",
-    ["nonsense://", "127.0.0.1:8786", "http://127.0.0.1:8786", "inproc://127.0.0.1/1/1", "tls://host", "tls://host:0",
-     "tls://host:99999", "tls://host:8786/", "ucx://host:8786", "tcp://127.0.0.1:8786\n", "tcp://[::1:8786", ""],
-)  # fmt: skip
+    [
+        "nonsense://",
+        "127.0.0.1:8786",
+        "http://127.0.0.1:8786",
+        "inproc://127.0.0.1/1/1",
+        "tls://host",
+        "tls://host:0",
+        "tls://host:99999",
+        "tls://host:8786/",
+        "ucx://host:8786",
+        "tcp://127.0.0.1:8786\n",
+        "tcp://[::1:8786",
+        "",
+    ],
+)
 def test_other_addresses_are_refused(address: str) -> None:
     with pytest.raises(BadInput, match="is not the address of a scheduler"), connected(address):
         pass
 
 
 def test_code_goes_to_other_computers_only_encrypted() -> None:
-    for host in ("people.example", "10.0.0.1", "127.0.0.1.example", "0.0.0.0", "[::]", "[2001:db8::1]"):
-        with pytest.raises(BadInput, match="can send code that its workers run"), connected(f"tcp://{host}:8786"):
+    for host in (
+        "people.example",
+        "10.0.0.1",
+        "127.0.0.1.example",
+        "0.0.0.0",
+        "[::]",
+        "[2001:db8::1]",
+    ):
+        with (
+            pytest.raises(BadInput, match="can send code that its workers run"),
+            connected(f"tcp://{host}:8786"),
+        ):
             pass
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("host", ["127.0.0.1", "localhost", "[::1]"])
 def test_a_scheduler_that_is_not_there(host: str, monkeypatch: pytest.MonkeyPatch) -> None:
     pytest.importorskip("distributed")
     monkeypatch.setattr(tasks, "PATIENCE_S", 0.5)
-    refused = pytest.raises(BadInput, match=r"cannot be reached \(.*(refused|no answer in time|Cannot assign)")
+    refused = pytest.raises(
+        BadInput, match=r"cannot be reached \(.*(refused|no answer in time|Cannot assign)"
+    )
     with refused, connected(f"tcp://{host}:9"):
         pass
 
 
 @pytest.mark.slow
 def test_a_cluster_is_used_by_whom_its_ca_knows(
-    tls: tuple[str, Path, Path], people: Path, tmp_path: Path, capsys: Any, monkeypatch: pytest.MonkeyPatch
+    tls: tuple[str, Path, Path],
+    people: Path,
+    tmp_path: Path,
+    capsys: Any,
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     address, good, other = tls
     monkeypatch.setattr(tasks, "PATIENCE_S", 10.0)
@@ -216,6 +260,7 @@ def test_the_scheduler_is_given_few_tasks_at_a_time(tls: tuple[str, Path, Path])
     assert values.begun == 20
 
 
+@pytest.mark.slow
 def test_each_of_several_jobs_runs_networks_on_one_thread() -> None:
     before = running()
     assert sizes(threads_of, range(4), TWO) == [1] * 4
@@ -223,34 +268,51 @@ def test_each_of_several_jobs_runs_networks_on_one_thread() -> None:
     assert running() == before
 
 
-def test_the_client_opens_no_port_and_dask_s_configuration_weakens_nothing(tls: tuple[str, Path, Path]) -> None:
+def test_the_client_opens_no_port_and_dask_s_configuration_weakens_nothing(
+    tls: tuple[str, Path, Path],
+) -> None:
     import dask
 
     address, good, other = tls
     before = listening()
-    weak = {"distributed.comm.require-encryption": False, "distributed.comm.tls.ciphers": "eNULL:aNULL"}
+    weak = {
+        "distributed.comm.require-encryption": False,
+        "distributed.comm.tls.ciphers": "eNULL:aNULL",
+    }
     for setting in ({}, weak):
         with configured(good), dask.config.set(setting), connected(address) as client:
             assert sizes(double, [4], Workers(1, client)) == [8]
             assert listening() == before
-    with configured(other), dask.config.set(weak), pytest.raises(BadInput, match="verify failed"), connected(address):
+    with (
+        configured(other),
+        dask.config.set(weak),
+        pytest.raises(BadInput, match="verify failed"),
+        connected(address),
+    ):
         pass
 
 
 def test_the_page_s_commands_make_certificates_and_start_a_cluster_with_them(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Commands of docs/guide/batch.md: what OpenSSL writes is taken, and Dask understands its options."""
+    """Commands of docs/guide/batch.md: what OpenSSL writes is taken, and Dask understands its
+    options."""
     pytest.importorskip("distributed")
     from distributed.cli.dask_scheduler import main as scheduler
     from distributed.cli.dask_worker import main as worker
 
-    page = (Path(__file__).resolve().parents[4] / "docs" / "guide" / "batch.md").read_text(encoding="utf-8")
-    making, starting = re.findall(r"```sh\n(.*?)```", page[page.index("## On several computers") :], re.DOTALL)[:2]
+    page = (Path(__file__).resolve().parents[4] / "docs" / "guide" / "batch.md").read_text(
+        encoding="utf-8"
+    )
+    making, starting = re.findall(
+        r"```sh\n(.*?)```", page[page.index("## On several computers") :], re.DOTALL
+    )[:2]
     monkeypatch.chdir(tmp_path)
     subprocess.run(["sh", "-e"], input=making, text=True, check=True, capture_output=True)
     assert (tmp_path / "ca-key.pem").stat().st_mode & 0o77 == 0
-    lines = [shlex.split(line, comments=True) for line in starting.replace("\\\n", " ").splitlines()]
+    lines = [
+        shlex.split(line, comments=True) for line in starting.replace("\\\n", " ").splitlines()
+    ]
     commands = {line[1]: line[2:] for line in lines if line[:1] == ["dask"]}
     for name, command in (("scheduler", scheduler), ("worker", worker)):
         understood = command.make_context(name, commands[name]).params
@@ -258,7 +320,9 @@ def test_the_page_s_commands_make_certificates_and_start_a_cluster_with_them(
         assert [understood[f"tls_{kind}"] for kind in ("ca_file", "cert", "key")] == [
             str(tmp_path / file) for file in ("ca.pem", "cert.pem", "key.pem")
         ]
-    subprocess.run(["openssl", "verify", "-CAfile", "ca.pem", "cert.pem"], check=True, capture_output=True)
+    subprocess.run(
+        ["openssl", "verify", "-CAfile", "ca.pem", "cert.pem"], check=True, capture_output=True
+    )
 
 
 @pytest.mark.slow
@@ -294,7 +358,10 @@ except KeyboardInterrupt:
 def test_ctrl_c_ends_the_run_and_its_processes_quietly(people: Path, tmp_path: Path) -> None:
     out = tmp_path / "stopped"
     program = subprocess.Popen(
-        [sys.executable, "-c", RUN, str(people), str(out)], stderr=subprocess.PIPE, text=True, start_new_session=True
+        [sys.executable, "-c", RUN, str(people), str(out)],
+        stderr=subprocess.PIPE,
+        text=True,
+        start_new_session=True,
     )
     with when_begun(out, lambda: os.killpg(program.pid, signal.SIGINT)) as stopped:
         _, err = program.communicate()
@@ -308,7 +375,9 @@ def test_ctrl_c_ends_the_run_and_its_processes_quietly(people: Path, tmp_path: P
 def test_a_run_that_was_killed_goes_on(people: Path, reconstructed: Path, tmp_path: Path) -> None:
     out = tmp_path / "killed"
     program = subprocess.Popen(
-        [sys.executable, "-c", RUN, str(people), str(out)], stderr=subprocess.DEVNULL, start_new_session=True
+        [sys.executable, "-c", RUN, str(people), str(out)],
+        stderr=subprocess.DEVNULL,
+        start_new_session=True,
     )
     with when_begun(out, program.kill) as killed:
         program.wait()
@@ -366,5 +435,7 @@ print("sound")
 @pytest.mark.slow
 def test_kills_at_any_moment_lose_and_change_no_byte(people: Path, tmp_path: Path) -> None:
     arguments = [str(people), str(tmp_path), str(Path(__file__).parents[1])]
-    found = subprocess.run([sys.executable, "-c", MANY_KILLED, *arguments], capture_output=True, text=True, check=False)
+    found = subprocess.run(
+        [sys.executable, "-c", MANY_KILLED, *arguments], capture_output=True, text=True, check=False
+    )
     assert found.stdout == "sound\n", found.stderr

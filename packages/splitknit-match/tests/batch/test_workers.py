@@ -38,10 +38,16 @@ if __name__ == "__main__":
 def test_ctrl_c_ends_the_run_and_the_jobs_of_its_workers(tmp_path: Path) -> None:
     (tmp_path / "jobs.py").write_text(JOBS)
     run = subprocess.run(
-        [sys.executable, "jobs.py"], capture_output=True, text=True, check=False, cwd=tmp_path, start_new_session=True
+        [sys.executable, "jobs.py"],
+        capture_output=True,
+        text=True,
+        check=False,
+        cwd=tmp_path,
+        start_new_session=True,
     )
     assert (run.returncode, run.stdout, run.stderr) == (0, "interrupted\n", "")
-    assert not list((tmp_path / "out").iterdir())  # no job went on to its end, and none left half of its folder
+    # no job went on to its end, and none left half of its folder
+    assert not list((tmp_path / "out").iterdir())
 
 
 def test_threads_of_a_worker_share_one_heap(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -13,7 +13,10 @@ from splitknit.errors import BadInput
 from splitknit_match.batch.verbs import _case
 
 
-def test_a_population_on_the_command_line(people: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+@pytest.mark.slow
+def test_a_population_on_the_command_line(
+    people: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     store = tmp_path / "store"
     words = ["batch", str(people), "--out", str(store), "--cases", "ea", "--jobs", "1"]
     assert main([*words, "--matchers", "ridge", "--json"]) == 0
@@ -24,7 +27,10 @@ def test_a_population_on_the_command_line(people: Path, tmp_path: Path, capsys: 
     out, err = capsys.readouterr()
     assert out.startswith("0 reconstructions made now, 4 were there")
     assert err == ""
-    assert main(["evaluate", "--scores", facts["csv"][0], "--out", str(tmp_path / "page"), "--json"]) == 0
+    assert (
+        main(["evaluate", "--scores", facts["csv"][0], "--out", str(tmp_path / "page"), "--json"])
+        == 0
+    )
     capsys.readouterr()
     assert main([*words, "--matchers", "eyes"]) == 2
     assert "no matcher 'eyes'" in capsys.readouterr().err
@@ -36,13 +42,27 @@ def test_a_population_on_the_command_line(people: Path, tmp_path: Path, capsys: 
         assert f"{option} needs a name at least" in capsys.readouterr().err
 
 
+@pytest.mark.slow
 def test_a_damaged_copy_is_named_and_done_again(
     people: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """A copy that broke off is no failure to acquire: the others are done, and the next run finds it whole."""
+    """A copy that broke off is no failure to acquire: the others are done, and the next run finds
+    it whole."""
     copies, store = tmp_path / "people", tmp_path / "store"
     shutil.copytree(people, copies)
-    words = ["batch", str(copies), "--out", str(store), "--cases", "ea", "--jobs", "1", "--matchers", "ridge", "--json"]
+    words = [
+        "batch",
+        str(copies),
+        "--out",
+        str(store),
+        "--cases",
+        "ea",
+        "--jobs",
+        "1",
+        "--matchers",
+        "ridge",
+        "--json",
+    ]
     whole = {}
     for name in ("S01/session_1/right_index/white_0.png", "S02/session_2/right_index/white_3.png"):
         whole[copies / name] = (copies / name).read_bytes()
@@ -54,7 +74,10 @@ def test_a_damaged_copy_is_named_and_done_again(
         assert (facts["captures"], facts["reconstructed"], facts["failures"]) == (4, done, [])
         named = [one["capture"] for one in facts["unreadable"]]
         assert named == ["S01/session_1/right_index", "S02/session_2/right_index"]
-        assert err.count("\n") == 1 and "2 of 4 captures cannot be read (first: S01/session_1/right_index" in err
+        assert (
+            err.count("\n") == 1
+            and "2 of 4 captures cannot be read (first: S01/session_1/right_index" in err
+        )
         assert str(tmp_path) not in err and "the others are done" in err
         assert [one["compared"] for one in facts["scores"]] == [done // 2]
     for file, content in whole.items():
@@ -76,7 +99,12 @@ def test_of_damaged_copies_alone_nothing_is_kept(
     shutil.copytree(people, copies)
     for file in copies.rglob("white_1.png"):
         file.write_bytes(b"")
-    assert main(["batch", str(copies), "--out", str(tmp_path / "store"), "--cases", "ea", "--jobs", "1"]) == 2
+    assert (
+        main(
+            ["batch", str(copies), "--out", str(tmp_path / "store"), "--cases", "ea", "--jobs", "1"]
+        )
+        == 2
+    )
     out, err = capsys.readouterr()
     assert out == "" and err.count("\n") == 1
     assert "4 of 4 captures cannot be read" in err and "not compared" in err

@@ -1,4 +1,5 @@
-"""``splitknit enroll`` and ``splitknit gallery``: what goes in, what can be seen, what is gone, what is refused."""
+"""``splitknit enroll`` and ``splitknit gallery``: what goes in, what can be seen, what is gone,
+what is refused."""
 
 from __future__ import annotations
 
@@ -40,7 +41,9 @@ def who(capsys, gallery: Path, *more: object) -> list[tuple[str, str, str]]:
     return [(one["person"], one["finger"], one["session"]) for one in found]
 
 
-def test_a_gallery_begins_with_its_first_finger(people_folder: Path, tmp_path: Path, capsys) -> None:
+def test_a_gallery_begins_with_its_first_finger(
+    people_folder: Path, tmp_path: Path, capsys
+) -> None:
     source = people_folder / "S01/session_1/right_index"
     arguments = ("--person", "Zoe\u0308 Example", "--finger", "right_index")
     facts = facts_of(capsys, "enroll", tmp_path / "g.skg", source, *arguments)
@@ -65,6 +68,7 @@ def test_a_gallery_begins_with_its_first_finger(people_folder: Path, tmp_path: P
     assert (tmp_path / "g.skg").read_bytes() == (tmp_path / "h.skg").read_bytes()
 
 
+@pytest.mark.slow
 def test_several_sources_are_sessions(people_folder: Path, tmp_path: Path, capsys) -> None:
     first, second = (people_folder / f"S02/session_{k}/right_index" for k in (1, 2))
     finger = ("--person", "Bob", "--finger", "right_index")
@@ -72,18 +76,35 @@ def test_several_sources_are_sessions(people_folder: Path, tmp_path: Path, capsy
     assert "Enrolled Bob, right index, session 1" in words
     assert "session 2" in words
     assert "holds 2 captures of 1 finger of 1 person." in words
-    facts = facts_of(capsys, "enroll", tmp_path / "g.skg", second / "print.png", *finger, "--with-time")
+    facts = facts_of(
+        capsys, "enroll", tmp_path / "g.skg", second / "print.png", *finger, "--with-time"
+    )
     assert facts["enrolled"][0]["session"] == "3"
     listed = facts_of(capsys, "gallery", "list", tmp_path / "g.skg")["captures"]
     assert [one["kind"] for one in listed] == ["result", "result", "print"]
     assert listed[2]["enrolled_at"].endswith("+00:00")
-    said = refusal_of(capsys, "enroll", tmp_path / "g.skg", first / "print.png", *finger, "--session", "2")
+    said = refusal_of(
+        capsys, "enroll", tmp_path / "g.skg", first / "print.png", *finger, "--session", "2"
+    )
     assert "already" in said
     assert "--replace" in said
-    facts_of(capsys, "enroll", tmp_path / "g.skg", first / "print.png", *finger, "--session", "2", "--replace")
-    assert [one["kind"] for one in facts_of(capsys, "gallery", "list", tmp_path / "g.skg")["captures"]] == [
-        "result", "print", "print",
-    ]  # fmt: skip
+    facts_of(
+        capsys,
+        "enroll",
+        tmp_path / "g.skg",
+        first / "print.png",
+        *finger,
+        "--session",
+        "2",
+        "--replace",
+    )
+    assert [
+        one["kind"] for one in facts_of(capsys, "gallery", "list", tmp_path / "g.skg")["captures"]
+    ] == [
+        "result",
+        "print",
+        "print",
+    ]
 
 
 @pytest.mark.parametrize("grey", [0, 255])
@@ -97,7 +118,15 @@ def test_a_print_without_ridges_is_not_enrolled(grey: int, tmp_path: Path, capsy
 
 def test_a_failure_to_acquire_is_kept_as_such(people_folder: Path, tmp_path: Path, capsys) -> None:
     (tmp_path / "none.skt").write_bytes(b"")
-    arguments = ("enroll", tmp_path / "g.skg", tmp_path / "none.skt", "--person", "Ann", "--finger", "left_ring")
+    arguments = (
+        "enroll",
+        tmp_path / "g.skg",
+        tmp_path / "none.skt",
+        "--person",
+        "Ann",
+        "--finger",
+        "left_ring",
+    )
     words = words_of(capsys, *arguments)
     assert "failure to acquire" in words
     assert "match nobody" in words
@@ -106,10 +135,16 @@ def test_a_failure_to_acquire_is_kept_as_such(people_folder: Path, tmp_path: Pat
     assert "failure to acquire" in words_of(capsys, "gallery", "list", tmp_path / "g.skg")
 
 
-def test_a_population_with_one_call(people_folder: Path, whole: Path, tmp_path: Path, capsys) -> None:
+def test_a_population_with_one_call(
+    people_folder: Path, whole: Path, tmp_path: Path, capsys
+) -> None:
     assert who(capsys, whole) == [
         (person, finger, session)
-        for person, finger in (("S01", "left_thumb"), ("S01", "right_index"), ("S02", "right_index"))
+        for person, finger in (
+            ("S01", "left_thumb"),
+            ("S01", "right_index"),
+            ("S02", "right_index"),
+        )
         for session in "12"
     ]
     facts = facts_of(capsys, "gallery", "info", whole)
@@ -117,6 +152,7 @@ def test_a_population_with_one_call(people_folder: Path, whole: Path, tmp_path: 
     assert facts["failures"] == 0
 
 
+@pytest.mark.slow
 def test_a_population_of_prints(people_folder: Path, tmp_path: Path, capsys) -> None:
     for picture in people_folder.glob("*/*/*/print.png"):
         copy = tmp_path / "prints" / picture.parent.relative_to(people_folder).with_suffix(".png")
@@ -131,7 +167,9 @@ def test_a_population_of_prints(people_folder: Path, tmp_path: Path, capsys) -> 
     assert "are of one finger and session" in words
 
 
-def test_a_population_goes_on_where_it_was_stopped(people_folder: Path, tmp_path: Path, capsys, monkeypatch) -> None:
+def test_a_population_goes_on_where_it_was_stopped(
+    people_folder: Path, tmp_path: Path, capsys, monkeypatch
+) -> None:
     from splitknit_match.batch import enrol as enrolling_population
 
     file, calls = tmp_path / "g.skg", []
@@ -156,7 +194,11 @@ def test_a_population_goes_on_where_it_was_stopped(people_folder: Path, tmp_path
 
 def test_failures_and_damage_in_a_population(people_folder: Path, tmp_path: Path, capsys) -> None:
     folder, file = tmp_path / "people", tmp_path / "g.skg"
-    for name in ("S01/session_1/left_thumb", "S02/session_1/right_index", "S02/session_2/right_index"):
+    for name in (
+        "S01/session_1/left_thumb",
+        "S02/session_1/right_index",
+        "S02/session_2/right_index",
+    ):
         shutil.copytree(people_folder / name, folder / name)
     with np.load(folder / "S02/session_1/right_index/height.npz") as arrays:
         smooth = dict(arrays) | {"ridge_mm": np.zeros_like(arrays["ridge_mm"])}
@@ -172,13 +214,18 @@ def test_failures_and_damage_in_a_population(people_folder: Path, tmp_path: Path
     (folder / "S02/session_2/right_index/height.npz").write_bytes(sound)
     assert facts_of(capsys, "enroll", file, "--population", folder)["new"] == 1
     # other files under the same names are noticed
-    shutil.copy(people_folder / "S01/session_2/left_thumb/height.npz", folder / "S01/session_1/left_thumb/height.npz")
+    shutil.copy(
+        people_folder / "S01/session_2/left_thumb/height.npz",
+        folder / "S01/session_1/left_thumb/height.npz",
+    )
     assert "is not what was enrolled" in refusal_of(capsys, "enroll", file, "--population", folder)
     assert facts_of(capsys, "enroll", file, "--population", folder, "--replace")["new"] == 1
     assert len(who(capsys, file)) == 3
 
 
-def test_a_capture_without_a_finger_is_a_failure_not_an_error(twin_folder: Path, monkeypatch) -> None:
+def test_a_capture_without_a_finger_is_a_failure_not_an_error(
+    twin_folder: Path, monkeypatch
+) -> None:
     from splitknit_match.gallery import gallery
 
     def refuses(path, *rest, **more):
@@ -203,19 +250,26 @@ def test_a_capture_is_its_files_without_the_truth(twin_folder: Path, tmp_path: P
 
 @pytest.mark.slow
 def test_workers_change_nothing(people_folder: Path, whole: Path, tmp_path: Path, capsys) -> None:
-    facts = facts_of(capsys, "enroll", tmp_path / "g.skg", "--population", people_folder, "--workers", 2)
+    facts = facts_of(
+        capsys, "enroll", tmp_path / "g.skg", "--population", people_folder, "--workers", 2
+    )
     assert facts["new"] == 6
     for file in (whole, tmp_path / "g.skg"):
         facts_of(capsys, "gallery", "export", file, "--out", tmp_path / file.parent.name / "x")
     one, other = (
-        {row["person"] + row["finger"] + row["session"]: (folder / row["template"]).read_bytes() for row in rows}
+        {
+            row["person"] + row["finger"] + row["session"]: (folder / row["template"]).read_bytes()
+            for row in rows
+        }
         for folder in (tmp_path / whole.parent.name / "x", tmp_path / tmp_path.name / "x")
         for rows in [csv.DictReader(io.StringIO((folder / "gallery.csv").read_text()))]
     )
     assert one == other
 
 
-def test_a_gallery_that_others_can_read_gets_a_note(whole: Path, tmp_path: Path, capsys, monkeypatch) -> None:
+def test_a_gallery_that_others_can_read_gets_a_note(
+    whole: Path, tmp_path: Path, capsys, monkeypatch
+) -> None:
     file = tmp_path / "g.skg"
     file.write_bytes(whole.read_bytes())
     for mode, noted in ((0o600, False), (0o644, True)):
@@ -224,6 +278,7 @@ def test_a_gallery_that_others_can_read_gets_a_note(whole: Path, tmp_path: Path,
         assert ("the gallery" in capsys.readouterr().err) == noted
 
 
+@pytest.mark.slow
 def test_an_encrypted_gallery(people_folder: Path, tmp_path: Path, capsys, monkeypatch) -> None:
     pytest.importorskip("sqlcipher3")
     file, key = tmp_path / "g.skg", tmp_path / "key"
@@ -249,7 +304,9 @@ def test_an_encrypted_gallery(people_folder: Path, tmp_path: Path, capsys, monke
     facts_of(capsys, "gallery", "export", file, "--out", tmp_path / "out")
     facts_of(capsys, "gallery", "import", tmp_path / "h.skg", tmp_path / "out")
     monkeypatch.delenv("SPLITKNIT_GALLERY_KEY")
-    assert "it is encrypted; give its key" in refusal_of(capsys, "gallery", "list", tmp_path / "h.skg")
+    assert "it is encrypted; give its key" in refusal_of(
+        capsys, "gallery", "list", tmp_path / "h.skg"
+    )
     facts_of(capsys, "gallery", "import", tmp_path / "plain.skg", tmp_path / "out")
     assert b"Ann" in (tmp_path / "plain.skg").read_bytes()
     said = refusal_of(capsys, "gallery", "list", tmp_path / "plain.skg", "--key-file", key)
@@ -261,7 +318,12 @@ def test_what_is_removed_is_gone(gallery: Path, capsys) -> None:
     facts = facts_of(capsys, "gallery", "remove", gallery, "--person", "S02")
     assert (facts["removed"], facts["captures"]) == (2, 4)
     assert b"S02" not in gallery.read_bytes()
-    assert facts_of(capsys, "gallery", "remove", gallery, "--person", "S01", "--finger", "left_thumb")["removed"] == 2
+    assert (
+        facts_of(capsys, "gallery", "remove", gallery, "--person", "S01", "--finger", "left_thumb")[
+            "removed"
+        ]
+        == 2
+    )
     words = words_of(capsys, "gallery", "remove", gallery, "--person", "S01", "--session", "2")
     assert "Removed 1 capture from" in words
     assert who(capsys, gallery) == [("S01", "right_index", "1")]
@@ -278,11 +340,15 @@ def test_export_and_import(gallery: Path, tmp_path: Path, capsys) -> None:
     assert who(capsys, tmp_path / "new.skg") == who(capsys, gallery)
     again = facts_of(capsys, "gallery", "import", tmp_path / "new.skg", out)
     assert (again["new"], again["captures"]) == (0, 6)
-    assert main(["gallery", "export", str(tmp_path / "new.skg"), "--out", str(tmp_path / "out2")]) == 0
+    assert (
+        main(["gallery", "export", str(tmp_path / "new.skg"), "--out", str(tmp_path / "out2")]) == 0
+    )
     capsys.readouterr()
     names = sorted(path.relative_to(out).as_posix() for path in out.rglob("*") if path.is_file())
     assert len(names) == 9
-    assert all((out / name).read_bytes() == (tmp_path / "out2" / name).read_bytes() for name in names)
+    assert all(
+        (out / name).read_bytes() == (tmp_path / "out2" / name).read_bytes() for name in names
+    )
     # an exported template is a template
     match = facts_of(capsys, "match", out / "templates/0001.skt", out / "templates/0001.skt")
     assert match["similarity"] == pytest.approx(1, abs=1e-3)
@@ -292,7 +358,9 @@ def test_a_name_is_no_formula_in_an_exported_table(gallery: Path, tmp_path: Path
     name = '=HYPERLINK("http://x","open")'
     out = tmp_path / "out"
     facts_of(capsys, "gallery", "export", gallery, "--out", out)
-    table = (out / "gallery.csv").read_text().replace(",S01,", ",\"'" + name.replace('"', '""') + '",')
+    table = (
+        (out / "gallery.csv").read_text().replace(",S01,", ",\"'" + name.replace('"', '""') + '",')
+    )
     (out / "gallery.csv").write_text(table)
     facts_of(capsys, "gallery", "import", tmp_path / "new.skg", out)
     assert name in {person for person, *_ in who(capsys, tmp_path / "new.skg")}
@@ -304,12 +372,32 @@ def test_a_name_is_no_formula_in_an_exported_table(gallery: Path, tmp_path: Path
     ("file", "change", "words"),
     [
         ("gallery.json", lambda data: b"{}", "format: expected str"),
-        ("gallery.json", lambda data: data.replace(b'_version": 1', b'_version": 1e999'), "Number out of range"),
-        ("gallery.csv", lambda data: re.sub(rb",\d+\.\d+,", b",1e999,", data), "area_mm2 must be a number"),
+        (
+            "gallery.json",
+            lambda data: data.replace(b'_version": 1', b'_version": 1e999'),
+            "Number out of range",
+        ),
+        (
+            "gallery.csv",
+            lambda data: re.sub(rb",\d+\.\d+,", b",1e999,", data),
+            "area_mm2 must be a number",
+        ),
         ("gallery.csv", lambda data: data + b"\xff\n", "cannot be read as a table"),
-        ("gallery.json", lambda data: data.replace(b'"template_version": 1', b'"template_version": 9'), "version 9"),
-        ("gallery.csv", lambda data: data.replace(b"0001.skt", b"../a.skt"), "line 2: a template is named"),
-        ("gallery.csv", lambda data: data.replace(b"right_index", b"Right Index"), "cannot be a finger"),
+        (
+            "gallery.json",
+            lambda data: data.replace(b'"template_version": 1', b'"template_version": 9'),
+            "version 9",
+        ),
+        (
+            "gallery.csv",
+            lambda data: data.replace(b"0001.skt", b"../a.skt"),
+            "line 2: a template is named",
+        ),
+        (
+            "gallery.csv",
+            lambda data: data.replace(b"right_index", b"Right Index"),
+            "cannot be a finger",
+        ),
         ("gallery.csv", lambda data: data.replace(b"session", b"seance", 1), "columns"),
         ("gallery.csv", lambda data: data.splitlines(keepends=True)[0], "lists no finger"),
         (
@@ -321,7 +409,9 @@ def test_a_name_is_no_formula_in_an_exported_table(gallery: Path, tmp_path: Path
         ("templates/0003.skt", None, "line 4: .*does not exist"),
     ],
 )
-def test_a_damaged_export_is_not_imported(whole: Path, tmp_path: Path, capsys, *, file, change, words) -> None:
+def test_a_damaged_export_is_not_imported(
+    whole: Path, tmp_path: Path, capsys, *, file, change, words
+) -> None:
     out = tmp_path / "out"
     facts_of(capsys, "gallery", "export", whole, "--out", out)
     data = (out / file).read_bytes()
@@ -333,7 +423,9 @@ def test_a_damaged_export_is_not_imported(whole: Path, tmp_path: Path, capsys, *
 
 
 @pytest.mark.parametrize("name", ["templates/0001.skt", "gallery.csv"])
-def test_an_export_with_a_link_is_not_imported(whole: Path, tmp_path: Path, capsys, *, name: str) -> None:
+def test_an_export_with_a_link_is_not_imported(
+    whole: Path, tmp_path: Path, capsys, *, name: str
+) -> None:
     out, away = tmp_path / "out", tmp_path / "away"
     facts_of(capsys, "gallery", "export", whole, "--out", out)
     away.mkdir()
@@ -353,14 +445,76 @@ def test_an_export_with_a_link_is_not_imported(whole: Path, tmp_path: Path, caps
         (["enroll", "NEW", "--person", "A", "--finger", "right_index"], "name a capture"),
         (["enroll", "NEW", "SOURCE", "--person", "A", "--finger", "nose"], "is not a finger"),
         (["enroll", "NEW", "SOURCE", "--person", "", "--finger", "right_index"], "person's name"),
-        (["enroll", "NEW", "SOURCE", "--person", "A", "--finger", "right_index", "--session", "a b"], "a session"),
-        (["enroll", "NEW", "SOURCE", "SOURCE", "--person", "A", "--finger", "right_index", "--session", "1"], "one so"),
+        (
+            [
+                "enroll",
+                "NEW",
+                "SOURCE",
+                "--person",
+                "A",
+                "--finger",
+                "right_index",
+                "--session",
+                "a b",
+            ],
+            "a session",
+        ),
+        (
+            [
+                "enroll",
+                "NEW",
+                "SOURCE",
+                "SOURCE",
+                "--person",
+                "A",
+                "--finger",
+                "right_index",
+                "--session",
+                "1",
+            ],
+            "one so",
+        ),
         (["enroll", "NEW", "NOWHERE", "--person", "A", "--finger", "right_index"], "there is no"),
-        (["enroll", "NOWHERE/g", "SOURCE", "--person", "A", "--finger", "right_index"], "there is no folder"),
-        (["enroll", "TEXT", "SOURCE", "--person", "A", "--finger", "right_index"], "is not a gallery"),
-        (["enroll", "FOLDER", "SOURCE", "--person", "A", "--finger", "right_index"], "is not a file"),
-        (["enroll", "NEW", "SOURCE", "--person", "A", "--finger", "right_index", "--key-file", "NOWHERE"], "key file"),
-        (["enroll", "NEW", "SOURCE", "--person", "A", "--finger", "right_index", "--workers", "2"], "--population"),
+        (
+            ["enroll", "NOWHERE/g", "SOURCE", "--person", "A", "--finger", "right_index"],
+            "there is no folder",
+        ),
+        (
+            ["enroll", "TEXT", "SOURCE", "--person", "A", "--finger", "right_index"],
+            "is not a gallery",
+        ),
+        (
+            ["enroll", "FOLDER", "SOURCE", "--person", "A", "--finger", "right_index"],
+            "is not a file",
+        ),
+        (
+            [
+                "enroll",
+                "NEW",
+                "SOURCE",
+                "--person",
+                "A",
+                "--finger",
+                "right_index",
+                "--key-file",
+                "NOWHERE",
+            ],
+            "key file",
+        ),
+        (
+            [
+                "enroll",
+                "NEW",
+                "SOURCE",
+                "--person",
+                "A",
+                "--finger",
+                "right_index",
+                "--workers",
+                "2",
+            ],
+            "--population",
+        ),
         (["enroll", "NEW", "--population", "FOLDER"], "holds nothing to enrol"),
         (["enroll", "NEW", "--population", "NOWHERE"], "there is no folder"),
         (["enroll", "NEW", "--population", "FOLDER", "--person", "A"], "does not go with"),
@@ -371,8 +525,10 @@ def test_an_export_with_a_link_is_not_imported(whole: Path, tmp_path: Path, caps
         (["gallery", "export", "TEXT", "--out", "NEW"], "is not a gallery"),
         (["gallery", "import", "NEW", "FOLDER"], "is not an export"),
     ],
-)  # fmt: skip
-def test_bad_input_is_one_sentence(people_folder: Path, whole: Path, tmp_path, capsys, *, arguments, words) -> None:
+)
+def test_bad_input_is_one_sentence(
+    people_folder: Path, whole: Path, tmp_path, capsys, *, arguments, words
+) -> None:
     (tmp_path / "TEXT").write_text("hello")
     (tmp_path / "FOLDER").mkdir()
     names = {"SOURCE": people_folder / "S02/session_1/right_index", "WHOLE": whole}

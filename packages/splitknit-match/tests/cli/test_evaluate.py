@@ -24,7 +24,13 @@ HAND = "label,score\n1,0.9\n1,0.8\n1,0.7\n1,0.3\n0,0.1\n0,0.2\n0,0.4\n0,0.5\n"
 
 
 def write_population(
-    path: Path, *, power: float = 3.0, fingers: int = 20, sessions: int = 4, ids: bool = True, turn: bool = False
+    path: Path,
+    *,
+    power: float = 3.0,
+    fingers: int = 20,
+    sessions: int = 4,
+    ids: bool = True,
+    turn: bool = False,
 ) -> Path:
     """Scores of a protocol, two fingers a subject, every fiftieth missing."""
     generator = np.random.default_rng(0)
@@ -33,7 +39,11 @@ def write_population(
     score = power * pairs.genuine + generator.normal(size=pairs.a.size)
     with path.open("w", newline="") as stream:
         writer = csv.writer(stream)
-        names = ["finger_a", "finger_b", "subject_a", "subject_b", "session_a", "session_b"] if ids else []
+        names = (
+            ["finger_a", "finger_b", "subject_a", "subject_b", "session_a", "session_b"]
+            if ids
+            else []
+        )
         writer.writerow(["label", "score", *names])
         for k, (a, b) in enumerate(zip(pairs.a, pairs.b, strict=True)):
             text = "" if k % 50 == 0 else f"{-score[k] if turn else score[k]:.6f}"
@@ -60,6 +70,7 @@ def report(out: Path) -> dict[str, Any]:
     return document
 
 
+@pytest.mark.slow
 def test_a_file_of_labels_and_scores(folder: Path, tmp_path: Path, capsys: Captured) -> None:
     out = tmp_path / "out"
     assert main(["evaluate", "--scores", str(folder / "hand.csv"), "--out", str(out), *QUICK]) == 0
@@ -73,21 +84,39 @@ def test_a_file_of_labels_and_scores(folder: Path, tmp_path: Path, capsys: Captu
     assert [one["value"] for one in facts["gar_at_far"].values()] == [0.75] * 3
     one = facts["systems"]["hand"]
     assert one["bootstrap"]["method"] == "plain"
-    assert one["operating_points"]["0.01"]["far_upper"] == 0.75 and not one["operating_points"]["0.01"]["resolved"]
+    assert (
+        one["operating_points"]["0.01"]["far_upper"] == 0.75
+        and not one["operating_points"]["0.01"]["resolved"]
+    )
     assert any("cannot resolve a FAR of 1 %" in note for note in facts["notes"])
     written = [path.name for path in sorted(out.iterdir())]
-    assert written == [".splitknit", "det.svg", "report.html", "report.json", "roc.svg", "scores.svg"]
+    assert written == [
+        ".splitknit",
+        "det.svg",
+        "report.html",
+        "report.json",
+        "roc.svg",
+        "scores.svg",
+    ]
 
 
 def test_figures_are_those_of_the_scores(folder: Path, tmp_path: Path, capsys: Captured) -> None:
     out = tmp_path / "out"
-    assert main(["evaluate", "--scores", str(folder / "ours.csv"), "--out", str(out), *QUICK, "--json"]) == 0
+    assert (
+        main(
+            ["evaluate", "--scores", str(folder / "ours.csv"), "--out", str(out), *QUICK, "--json"]
+        )
+        == 0
+    )
     said = capsys.readouterr()
     printed, facts = json.loads(said.out), report(out)
     assert said.err == "" and printed["eer"] == facts["eer"] and printed["out"] == str(out)
     with (folder / "ours.csv").open() as stream:
         rows = list(csv.DictReader(stream))
-    sides = [np.array([float(row["score"] or "nan") for row in rows if row["label"] == label]) for label in ("1", "0")]
+    sides = [
+        np.array([float(row["score"] or "nan") for row in rows if row["label"] == label])
+        for label in ("1", "0")
+    ]
     assert facts["eer"]["value"] == roc(*sides).equal_error().value
     assert facts["gar_at_far"]["0.01"]["value"] == roc(*sides).at_far(0.01).gar
     one = facts["systems"]["ours"]
@@ -110,7 +139,9 @@ def test_the_page_needs_nothing_else(folder: Path, tmp_path: Path) -> None:
     assert "nan" not in re.sub(r'"data:[^"]*"', "", page).lower() and "None" not in page
 
 
-def test_without_matplotlib_the_page_has_no_curves(folder: Path, tmp_path: Path, monkeypatch) -> None:
+def test_without_matplotlib_the_page_has_no_curves(
+    folder: Path, tmp_path: Path, monkeypatch
+) -> None:
     monkeypatch.setitem(sys.modules, "matplotlib", None)
     out = tmp_path / "out"
     assert main(["evaluate", "--scores", str(folder / "hand.csv"), "--out", str(out), *QUICK]) == 0
@@ -118,17 +149,32 @@ def test_without_matplotlib_the_page_has_no_curves(folder: Path, tmp_path: Path,
     assert report(out)["files"] == ["report.html", "report.json"]
 
 
+@pytest.mark.slow
 def test_same_input_same_report_but_for_date_and_time(folder: Path, tmp_path: Path) -> None:
     outs = [tmp_path / name for name in ("a", "b", "c")]
     for out, seed in zip(outs, ("3", "3", "4"), strict=True):
-        done = main(["evaluate", "--scores", str(folder / "ours.csv"), "--out", str(out), "--seed", seed, *QUICK])
+        done = main(
+            [
+                "evaluate",
+                "--scores",
+                str(folder / "ours.csv"),
+                "--out",
+                str(out),
+                "--seed",
+                seed,
+                *QUICK,
+            ]
+        )
         assert done == 0
     facts = [report(out) for out in outs]
     for one in facts:
         assert one.pop("written_at")
     assert facts[0] == facts[1] and facts[0]["eer"]["low"] != facts[2]["eer"]["low"]
     assert facts[0]["eer"]["value"] == facts[2]["eer"]["value"]
-    pages = [re.sub(r"\d{4}-\d\d-\d\dT[\d:+]*", "", (out / "report.html").read_text()) for out in outs[:2]]
+    pages = [
+        re.sub(r"\d{4}-\d\d-\d\dT[\d:+]*", "", (out / "report.html").read_text())
+        for out in outs[:2]
+    ]
     assert pages[0] == pages[1]  # the curves as well
 
 
@@ -140,7 +186,9 @@ def test_two_files_are_compared_pair_by_pair(folder: Path, tmp_path: Path) -> No
     (found,) = facts["differences"]
     assert (found["first"], found["second"], found["method"]) == ("ours", "theirs", "finger")
     single = facts["systems"]
-    assert found["eer"]["value"] == pytest.approx(single["ours"]["eer"]["value"] - single["theirs"]["eer"]["value"])
+    assert found["eer"]["value"] == pytest.approx(
+        single["ours"]["eer"]["value"] - single["theirs"]["eer"]["value"]
+    )
     assert found["auc"]["low"] > 0
     assert "Differences" in (out / "report.html").read_text()
     assert set(facts["inputs_sha256"]) == set(files)
@@ -157,10 +205,27 @@ def test_systems_of_other_pairs_are_not_compared(folder: Path, tmp_path: Path) -
 def test_files_of_one_name_are_distinguished(folder: Path, tmp_path: Path) -> None:
     (tmp_path / "hand.csv").write_text(HAND.replace("0.3", "0.6"))
     files = [str(folder / "hand.csv"), str(tmp_path / "hand.csv")]
-    assert main(["evaluate", "--scores", files[0], "--scores", files[1], "--out", str(tmp_path / "o"), *QUICK]) == 0
+    assert (
+        main(
+            [
+                "evaluate",
+                "--scores",
+                files[0],
+                "--scores",
+                files[1],
+                "--out",
+                str(tmp_path / "o"),
+                *QUICK,
+            ]
+        )
+        == 0
+    )
     facts = report(tmp_path / "o")
     assert list(facts["systems"]) == ["hand (1)", "hand (2)"]
-    assert facts["differences"][0]["eer"]["value"] == 0.25 and facts["differences"][0]["method"] == "plain"
+    assert (
+        facts["differences"][0]["eer"]["value"] == 0.25
+        and facts["differences"][0]["method"] == "plain"
+    )
 
 
 def test_the_function_takes_one_file_or_several(folder: Path) -> None:
@@ -171,11 +236,27 @@ def test_the_function_takes_one_file_or_several(folder: Path) -> None:
     assert one.results[0].eer.value == two.results[0].eer.value
 
 
+@pytest.mark.slow
 def test_distances_are_turned_round(folder: Path, tmp_path: Path) -> None:
     for name, more in (("distances", ["--dissimilarity"]), ("ours", []), ("distances", [])):
         out = tmp_path / f"{name}{len(more)}"
-        assert main(["evaluate", "--scores", str(folder / f"{name}.csv"), "--out", str(out), *QUICK, *more]) == 0
-    turned, right, wrong = (report(tmp_path / name) for name in ("distances1", "ours0", "distances0"))
+        assert (
+            main(
+                [
+                    "evaluate",
+                    "--scores",
+                    str(folder / f"{name}.csv"),
+                    "--out",
+                    str(out),
+                    *QUICK,
+                    *more,
+                ]
+            )
+            == 0
+        )
+    turned, right, wrong = (
+        report(tmp_path / name) for name in ("distances1", "ours0", "distances0")
+    )
     assert turned["eer"] == right["eer"] and turned["gar_at_far"] == right["gar_at_far"]
     assert wrong["eer"]["value"] > 0.8
     assert any("`dissimilarity`" in note for note in wrong["notes"])
@@ -183,19 +264,40 @@ def test_distances_are_turned_round(folder: Path, tmp_path: Path) -> None:
 
 
 def test_what_is_drawn_can_be_chosen(folder: Path, tmp_path: Path, capsys: Captured) -> None:
-    arguments = ["evaluate", "--scores", str(folder / "ours.csv"), "--out", str(tmp_path / "out"), *QUICK]
+    arguments = [
+        "evaluate",
+        "--scores",
+        str(folder / "ours.csv"),
+        "--out",
+        str(tmp_path / "out"),
+        *QUICK,
+    ]
     assert main([*arguments, "--cluster", "subject"]) == 0
     facts = report(tmp_path / "out")
     one = facts["systems"]["ours"]
     assert one["bootstrap"]["method"] == "subject"
-    plain = ["evaluate", "--scores", str(folder / "plain.csv"), "--out", str(tmp_path / "no"), *QUICK]
+    plain = [
+        "evaluate",
+        "--scores",
+        str(folder / "plain.csv"),
+        "--out",
+        str(tmp_path / "no"),
+        *QUICK,
+    ]
     assert main([*plain, "--cluster", "finger"]) == 2
     assert "finger_a and finger_b" in capsys.readouterr().err
     assert not (tmp_path / "no").exists()
 
 
 def test_averaged_and_not(folder: Path, tmp_path: Path) -> None:
-    arguments = ["evaluate", "--scores", str(folder / "ours.csv"), "--out", str(tmp_path / "out"), *QUICK]
+    arguments = [
+        "evaluate",
+        "--scores",
+        str(folder / "ours.csv"),
+        "--out",
+        str(tmp_path / "out"),
+        *QUICK,
+    ]
     assert main([*arguments, "--average-sessions"]) == 0
     facts = report(tmp_path / "out")
     averaged = facts["systems"]["ours, averaged over sessions"]
@@ -222,12 +324,16 @@ def test_averaged_and_not(folder: Path, tmp_path: Path) -> None:
         ("label,score\n1,2\n1,1\n", "bad holds no impostor"),
     ],
 )
-def test_bad_files_give_one_sentence(tmp_path: Path, capsys: Captured, text: str, words: str) -> None:
+def test_bad_files_give_one_sentence(
+    tmp_path: Path, capsys: Captured, text: str, words: str
+) -> None:
     path, out = tmp_path / "bad.csv", tmp_path / "out"
     path.write_text(text)
     assert main(["evaluate", "--scores", str(path), "--out", str(out), *QUICK]) == 2
     said = capsys.readouterr()
-    assert said.out == "" and said.err.count("\n") == 1 and words in said.err and str(path) in said.err
+    assert (
+        said.out == "" and said.err.count("\n") == 1 and words in said.err and str(path) in said.err
+    )
     assert not out.exists() and sorted(tmp_path.iterdir()) == [path]
 
 
@@ -250,10 +356,13 @@ def test_other_bad_requests(folder: Path, tmp_path: Path, capsys: Captured) -> N
     assert not (tmp_path / "out").exists()
 
 
+@pytest.mark.slow
 def test_scores_without_spread(tmp_path: Path) -> None:
     (tmp_path / "same.csv").write_text("label,score\n1,5\n1,5\n0,5\n0,5\n")
     out = tmp_path / "out"
-    assert main(["evaluate", "--scores", str(tmp_path / "same.csv"), "--out", str(out), *QUICK]) == 0
+    assert (
+        main(["evaluate", "--scores", str(tmp_path / "same.csv"), "--out", str(out), *QUICK]) == 0
+    )
     facts = report(out)
     assert facts["eer"]["value"] == 0.5 and facts["systems"]["same"]["d_prime"] is None
     assert facts["gar_at_far"]["0.01"]["value"] == 0.0

@@ -14,11 +14,14 @@ from splitknit_match.evaluation.protocol import comparisons
 
 
 def write(path: Path, seed: int, *, ids: bool = True, subjects: bool = True) -> Path:
-    """Twelve subjects, two fingers each, two sessions; errors by `seed`, every fiftieth score missing."""
+    """Twelve subjects, two fingers each, two sessions; errors by `seed`, every fiftieth score
+    missing."""
     rng = np.random.default_rng(seed)
     finger, session = np.tile(np.arange(24), 2), np.repeat([1, 2], 24)
     pairs = comparisons(finger, session)
-    names = ["finger_a", "finger_b", "session_a", "session_b"] + (["subject_a", "subject_b"] if subjects else [])
+    names = ["finger_a", "finger_b", "session_a", "session_b"] + (
+        ["subject_a", "subject_b"] if subjects else []
+    )
     with path.open("w", newline="") as stream:
         rows = csv.writer(stream)
         rows.writerow(["label", "score", *(names if ids else [])])
@@ -37,10 +40,13 @@ def run(capsys: pytest.CaptureFixture[str], *arguments: object) -> tuple[int, st
     return code, printed.out, printed.err
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("method", ["linear", "trained", "minmax"])
 def test_the_fusion_stands_in_the_report(tmp_path: Path, capsys, method: str) -> None:
     files = [write(tmp_path / f"s{k}.csv", k) for k in (1, 2)]
-    code, out, _ = run(capsys, "--scores", *files, "--fuse", method, "--out", tmp_path / "report", "--json")
+    code, out, _ = run(
+        capsys, "--scores", *files, "--fuse", method, "--out", tmp_path / "report", "--json"
+    )
     assert code == 0
     facts = json.loads(out)
     name = f"fused, {method}"
@@ -52,11 +58,15 @@ def test_the_fusion_stands_in_the_report(tmp_path: Path, capsys, method: str) ->
     assert fusion["dealt_by"] == "subject"
     assert fusion["missing"] == {"s1": 11, "s2": 11}
     assert facts["system"] == "s1"  # the first stays the first
-    assert {(one["first"], one["second"]) for one in facts["differences"]} >= {("s1", name), ("s2", name)}
+    assert {(one["first"], one["second"]) for one in facts["differences"]} >= {
+        ("s1", name),
+        ("s2", name),
+    }
     assert any("saw nothing of the folds" in note for note in facts["notes"])
     assert name in (tmp_path / "report" / "report.html").read_text()
 
 
+@pytest.mark.slow
 def test_files_of_several_traits(tmp_path: Path, capsys) -> None:
     files = [write(tmp_path / f"s{k}.csv", k) for k in (1, 2)]
     code, out, _ = run(capsys, "--fuse", *files, "--out", tmp_path / "report", "--json")
@@ -75,7 +85,12 @@ def test_fingers_alone_are_said_to_be_less(tmp_path: Path, capsys) -> None:
     assert "Subjects are not named" in out
 
 
-CASES = {"one": "two systems at least", "nameless": "subject_a", "both": "in place of --scores", "none": "--gallery"}
+CASES = {
+    "one": "two systems at least",
+    "nameless": "subject_a",
+    "both": "in place of --scores",
+    "none": "--gallery",
+}
 
 
 @pytest.mark.parametrize("case", CASES)

@@ -32,6 +32,7 @@ def table_of(folder: Path) -> list[dict[str, str]]:
         return list(csv.DictReader(stream))
 
 
+@pytest.mark.slow
 def test_all_sessions_with_each_other(gallery: Path, tmp_path: Path, capsys) -> None:
     facts = facts_of(capsys, "evaluate", "--gallery", gallery, "--out", tmp_path / "report", *QUICK)
     assert facts["system"] == "people"
@@ -39,8 +40,14 @@ def test_all_sessions_with_each_other(gallery: Path, tmp_path: Path, capsys) -> 
     assert (counts["genuine"], counts["impostor"]) == (3, 12)  # six of them of one session
     assert facts["eer"]["value"] == 0
     assert {path.name for path in (tmp_path / "report").iterdir()} == {
-        ".splitknit", "det.svg", "report.html", "report.json", "roc.svg", "scores.csv", "scores.svg",
-    }  # fmt: skip
+        ".splitknit",
+        "det.svg",
+        "report.html",
+        "report.json",
+        "roc.svg",
+        "scores.csv",
+        "scores.svg",
+    }
     assert "scores.csv" in facts["files"]
     rows = table_of(tmp_path / "report")
     assert len(rows) == 15
@@ -57,7 +64,13 @@ def test_all_sessions_with_each_other(gallery: Path, tmp_path: Path, capsys) -> 
         assert row["label"] == str(int(same))
     # anyone can evaluate the table again
     again = facts_of(
-        capsys, "evaluate", "--scores", tmp_path / "report/scores.csv", "--out", tmp_path / "again", *QUICK
+        capsys,
+        "evaluate",
+        "--scores",
+        tmp_path / "report/scores.csv",
+        "--out",
+        tmp_path / "again",
+        *QUICK,
     )
     for name in ("eer", "gar_at_far"):
         assert again[name] == facts[name]
@@ -85,6 +98,7 @@ def test_failures_to_acquire_give_no_score(gallery: Path, tmp_path: Path, capsys
     assert facts["gar_at_far"]["0.01"]["value"] == pytest.approx(2 / 3)
 
 
+@pytest.mark.slow
 def test_no_name_leaves_an_encrypted_gallery(gallery: Path, tmp_path: Path, capsys) -> None:
     pytest.importorskip("sqlcipher3")
     file = tmp_path / "g.skg"
@@ -100,7 +114,9 @@ def test_no_name_leaves_an_encrypted_gallery(gallery: Path, tmp_path: Path, caps
     rows = table_of(tmp_path / "out")
     assert {row["subject_a"] for row in rows} == {"P001", "P002"}
     assert (
-        facts_of(capsys, "evaluate", "--gallery", gallery, "--out", tmp_path / "plain", *QUICK)["eer"]
+        facts_of(capsys, "evaluate", "--gallery", gallery, "--out", tmp_path / "plain", *QUICK)[
+            "eer"
+        ]
         == json.loads((tmp_path / "out/report.json").read_text())["eer"]
     )
 

@@ -1,4 +1,5 @@
-"""``splitknit export`` and ``import``: prints and results as records, read by other programs, and back."""
+"""``splitknit export`` and ``import``: prints and results as records, read by other programs, and
+back."""
 
 from __future__ import annotations
 
@@ -39,18 +40,30 @@ def prints(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
-def exported(capsys, tmp_path: Path, to: str, *sources: object, out: str = "out", **options: object) -> dict:
-    words = [word for name, value in options.items() for word in (f"--{name.replace('_', '-')}", value)]
+def exported(
+    capsys, tmp_path: Path, to: str, *sources: object, out: str = "out", **options: object
+) -> dict:
+    words = [
+        word for name, value in options.items() for word in (f"--{name.replace('_', '-')}", value)
+    ]
     return facts_of(capsys, "export", *sources, "--to", to, "--out", tmp_path / out, *words)
 
 
 @pytest.mark.parametrize("to", MINUTIAE)
-def test_prints_become_records_in_one_command(prints: Path, tmp_path: Path, capsys, to: str) -> None:
-    facts = exported(capsys, tmp_path, to, prints / "a.png", prints / "fine.png", finger="left_thumb")
+def test_prints_become_records_in_one_command(
+    prints: Path, tmp_path: Path, capsys, to: str
+) -> None:
+    facts = exported(
+        capsys, tmp_path, to, prints / "a.png", prints / "fine.png", finger="left_thumb"
+    )
     assert [one["file"] for one in facts["files"]] == [f"a.{MINUTIAE[to]}", f"fine.{MINUTIAE[to]}"]
     for one in facts["files"]:
         (view,) = read_minutiae_record(tmp_path / "out" / one["file"])
-        assert (view.finger, view.size, view.resolution_ppcm) == ("left_thumb", (500, 380), (197, 197))
+        assert (view.finger, view.size, view.resolution_ppcm) == (
+            "left_thumb",
+            (500, 380),
+            (197, 197),
+        )
         assert view.count == one["minutiae"]
         assert 40 < view.finger_quality == one["quality"] <= 100
         apart = np.hypot(view.x_px[:, None] - PLACES[:, 0], view.y_px[:, None] - PLACES[:, 1])
@@ -75,6 +88,7 @@ def test_pictures_come_back(prints: Path, tmp_path: Path, capsys, to: str) -> No
         assert np.abs(found.image.astype(int) - given).mean() < (12 if to == "wsq" else 1e-9)
 
 
+@pytest.mark.slow
 def test_other_programs_read_what_is_written(prints: Path, tmp_path: Path, capsys) -> None:
     """Pillow with the package wsq, tifffile; and the compressions of records."""
     pytest.importorskip("wsq")
@@ -92,35 +106,56 @@ def test_other_programs_read_what_is_written(prints: Path, tmp_path: Path, capsy
             assert np.corrcoef(back.image.ravel(), given.ravel())[0, 1] > 0.98
 
 
+@pytest.mark.slow
 def test_records_of_all_kinds_are_matched(prints: Path, tmp_path: Path, capsys) -> None:
     pytest.importorskip("nbis")
     names = [prints / f"{name}.png" for name in ("a", "again", "other")]
     exported(capsys, tmp_path, "iso-19794-2", *names, out="iso")
     exported(capsys, tmp_path, "ansi-378", *names, out="ansi")
     exported(capsys, tmp_path, "iso-19794-4", *names, out="fir")
-    iso, ansi, fir = tmp_path / "iso" / "a.iso", tmp_path / "ansi" / "again.fmr", tmp_path / "fir" / "again.fir"
+    iso, ansi, fir = (
+        tmp_path / "iso" / "a.iso",
+        tmp_path / "ansi" / "again.fmr",
+        tmp_path / "fir" / "again.fir",
+    )
     found = facts_of(capsys, "match", iso, ansi)
     assert found["method"] == "minutiae"
     assert found["similarity"] > 100
-    assert (found["a"]["kind"], found["a"]["acquired"], found["decision"]["match"]) == ("minutiae", True, True)
+    assert (found["a"]["kind"], found["a"]["acquired"], found["decision"]["match"]) == (
+        "minutiae",
+        True,
+        True,
+    )
     assert facts_of(capsys, "match", iso, tmp_path / "iso" / "other.iso")["similarity"] < 40
     assert facts_of(capsys, "match", iso, fir)["similarity"] > 40
-    assert facts_of(capsys, "match", prints / "a.png", fir, "--method", "ridge")["method"] == "ridge"
+    assert (
+        facts_of(capsys, "match", prints / "a.png", fir, "--method", "ridge")["method"] == "ridge"
+    )
     assert "a.iso: 50 minutiae\n" in words_of(capsys, "match", iso, ansi)
-    assert "no ridges; compare by the method minutiae" in refusal_of(capsys, "match", iso, ansi, "--method", "ridge")
+    assert "no ridges; compare by the method minutiae" in refusal_of(
+        capsys, "match", iso, ansi, "--method", "ridge"
+    )
     facts_of(capsys, "match", iso, "--template", tmp_path / "a.skt")
     again = facts_of(capsys, "match", tmp_path / "a.skt", ansi)["similarity"]
     # not with the first: bozorth3's first comparison in a process may differ
     assert again == facts_of(capsys, "match", iso, ansi)["similarity"]
 
 
+@pytest.mark.slow
 def test_a_gallery_of_minutiae(prints: Path, tmp_path: Path, capsys) -> None:
     pytest.importorskip("nbis")
     exported(capsys, tmp_path, "iso-19794-2", prints / "a.png", prints / "other.png", out="iso")
     gallery = tmp_path / "m.skg"
     for person, name in (("Ann", "a"), ("Bob", "other")):
         facts_of(
-            capsys, "enroll", gallery, tmp_path / "iso" / f"{name}.iso", "--person", person, "--finger", "right_index"
+            capsys,
+            "enroll",
+            gallery,
+            tmp_path / "iso" / f"{name}.iso",
+            "--person",
+            person,
+            "--finger",
+            "right_index",
         )
     for probe in (prints / "again.png", tmp_path / "iso" / "a.iso"):
         found = facts_of(capsys, "identify", gallery, probe)
@@ -129,23 +164,41 @@ def test_a_gallery_of_minutiae(prints: Path, tmp_path: Path, capsys) -> None:
         assert found["candidates"][0]["similarity"] > 100
         assert found["candidates"][1]["similarity"] < 40
     assert "by minutiae" in words_of(capsys, "identify", gallery, prints / "again.png")
-    facts_of(capsys, "enroll", gallery, prints / "again.png", "--person", "Ann", "--finger", "right_index")
+    facts_of(
+        capsys,
+        "enroll",
+        gallery,
+        prints / "again.png",
+        "--person",
+        "Ann",
+        "--finger",
+        "right_index",
+    )
     assert facts_of(capsys, "gallery", "info", gallery)["captures"] == 3
     facts_of(capsys, "gallery", "export", gallery, "--out", tmp_path / "plain")
-    assert facts_of(capsys, "gallery", "import", tmp_path / "copy.skg", tmp_path / "plain")["new"] == 3
+    assert (
+        facts_of(capsys, "gallery", "import", tmp_path / "copy.skg", tmp_path / "plain")["new"] == 3
+    )
     said = refusal_of(capsys, "export", gallery, "--to", "iso-19794-2", "--out", tmp_path / "back")
     assert "a database, such as a gallery" in said
 
 
 def test_ridges_and_minutiae_are_not_mixed(prints: Path, tmp_path: Path, capsys) -> None:
     exported(capsys, tmp_path, "iso-19794-2", prints / "a.png", out="iso")
-    ridges, record, whose = tmp_path / "r.skg", tmp_path / "iso" / "a.iso", ("--person", "A", "--finger", "left_ring")
+    ridges, record, whose = (
+        tmp_path / "r.skg",
+        tmp_path / "iso" / "a.iso",
+        ("--person", "A", "--finger", "left_ring"),
+    )
     facts_of(capsys, "enroll", ridges, prints / "a.png", *whose)
     assert "a gallery of their own" in refusal_of(capsys, "enroll", ridges, record, *whose)
     assert "keeps ridges" in refusal_of(capsys, "identify", ridges, record)
 
 
-def test_a_result_becomes_what_print_makes_of_it(people_folder: Path, tmp_path: Path, capsys) -> None:
+@pytest.mark.slow
+def test_a_result_becomes_what_print_makes_of_it(
+    people_folder: Path, tmp_path: Path, capsys
+) -> None:
     result = people_folder / "S01" / "session_1" / "right_index"
     facts_of(capsys, "print", result, "--out", tmp_path / "print")
     exported(capsys, tmp_path, "iso-19794-2", result, tmp_path / "print")
@@ -166,7 +219,9 @@ def test_prints_are_imported(prints: Path, tmp_path: Path, capsys) -> None:
     assert [(one["file"], one["finger"]) for one in facts["files"]] == [
         ("two-1.png", "left_thumb"), ("two-2.png", "right_thumb"), ("a.iso", "unknown")
     ]  # fmt: skip
-    np.testing.assert_array_equal(read_print_png(tmp_path / "in" / "two-1.png").image, spiral_print())
+    np.testing.assert_array_equal(
+        read_print_png(tmp_path / "in" / "two-1.png").image, spiral_print()
+    )
     said = refusal_of(capsys, "match", sources[0], prints / "a.png")
     assert "holds 2 prints; take them apart with 'splitknit import'" in said
 
@@ -178,7 +233,8 @@ def test_a_print_is_printed(prints: Path, tmp_path: Path, capsys) -> None:
     (view,) = read_minutiae_record(tmp_path / "out" / "minutiae.iso")
     assert abs(view.count - len(PLACES)) <= 4
     with np.load(tmp_path / "out" / "map.npz") as there:
-        np.testing.assert_allclose(there["columns"][7, :3], [0.5, 2.5, 4.5], atol=1e-3)  # of 1000 ppi
+        # of 1000 ppi
+        np.testing.assert_allclose(there["columns"][7, :3], [0.5, 2.5, 4.5], atol=1e-3)
         np.testing.assert_allclose(there["rows"][:3, 7], [0.5, 2.5, 4.5], atol=1e-3)
     assert "leave out --method" in refusal_of(
         capsys, "print", prints / "a.png", "--method", "relief", "--out", tmp_path / "no"
@@ -190,7 +246,9 @@ def test_the_same_bytes_whatever_else_is_exported(prints: Path, tmp_path: Path, 
         exported(capsys, tmp_path, to, prints / "again.png", prints / "a.png", out=f"{to}-both")
         exported(capsys, tmp_path, to, prints / "a.png", out=f"{to}-one")
         name = f"a.{(PICTURES | MINUTIAE)[to]}"
-        assert (tmp_path / f"{to}-both" / name).read_bytes() == (tmp_path / f"{to}-one" / name).read_bytes()
+        assert (tmp_path / f"{to}-both" / name).read_bytes() == (
+            tmp_path / f"{to}-one" / name
+        ).read_bytes()
 
 
 def test_prints_without_ridges_are_failures_to_acquire(tmp_path: Path, capsys) -> None:
@@ -213,7 +271,10 @@ def test_prints_without_ridges_are_failures_to_acquire(tmp_path: Path, capsys) -
         (["export", ".", "--to", "wsq"], "is not a capture"),
         (["export", "text.txt", "--to", "wsq"], "of another kind"),
         (["export", "a.png", "--to", "wsq", "--finger", "toe"], "'toe' is not a finger"),
-        (["export", "a.png", "--to", "wsq", "--impression", "ink"], "'ink' is not an impression type"),
+        (
+            ["export", "a.png", "--to", "wsq", "--impression", "ink"],
+            "'ink' is not an impression type",
+        ),
         (["import", "."], "photographs of a folder are imported by --images"),
         (["import"], "name photographs"),
         (["import", "a.png", "--images", "."], "one after the other"),
@@ -241,6 +302,7 @@ def test_every_format_that_is_written_is_tested() -> None:
     assert set(get_args(PrintFormat)) == {*written, "stl", "obj", "glb", "lp"}
 
 
+@pytest.mark.slow
 def test_a_result_becomes_a_mesh(tmp_path: Path, capsys) -> None:
     """What phalange.ply holds, as others read it."""
     trimesh = pytest.importorskip("trimesh")
@@ -260,7 +322,9 @@ def test_a_result_becomes_a_mesh(tmp_path: Path, capsys) -> None:
     np.testing.assert_allclose(np.array(normals, dtype=float), ply.normals, atol=1e-6)
     np.testing.assert_array_equal(read_stl(stl), ply.vertices_mm[ply.faces])
     for to, scale in (("obj", 1.0), ("glb", 1000.0)):
-        mesh = trimesh.load(tmp_path / to / f"a.{to}", process=False, maintain_order=True, force="mesh")
+        mesh = trimesh.load(
+            tmp_path / to / f"a.{to}", process=False, maintain_order=True, force="mesh"
+        )
         np.testing.assert_allclose(scale * mesh.vertices, ply.vertices_mm, atol=1e-5)
         np.testing.assert_array_equal(mesh.faces, ply.faces)
         np.testing.assert_allclose(mesh.visual.vertex_colors[:, 0] / 255, ply.quality, atol=3e-3)
@@ -278,7 +342,9 @@ def test_records_state_quality_and_owner(prints: Path, tmp_path: Path, capsys) -
     exported(capsys, tmp_path, "ansi-378", prints / "a.png", out="ansi", owner="0x0123")
     assert (tmp_path / "ansi" / "a.fmr").read_bytes()[10:12] == b"\x01\x23"
     out = tmp_path / "none"
-    words = refusal_of(capsys, "export", prints / "a.png", "--to", "ansi-378", "--out", out, "--owner", "0")
+    words = refusal_of(
+        capsys, "export", prints / "a.png", "--to", "ansi-378", "--out", out, "--owner", "0"
+    )
     assert "must be from 1 to 65535" in words
 
 
@@ -294,7 +360,10 @@ def test_what_a_file_is(prints: Path, tmp_path: Path, capsys) -> None:
     (tmp_path / "cut.iso").write_bytes((tmp_path / "iso" / "a.iso").read_bytes()[:100])
     assert "truncated" in facts_of(capsys, "records", "what", tmp_path / "cut.iso")["damage"]
     facts_of(capsys, "match", prints / "a.png", "--template", tmp_path / "a.skt")
-    for name, content, what in (("a.skt", None, "template of splitknit"), ("x", b"GIF89a", "of an unknown kind")):
+    for name, content, what in (
+        ("a.skt", None, "template of splitknit"),
+        ("x", b"GIF89a", "of an unknown kind"),
+    ):
         if content is not None:
             (tmp_path / name).write_bytes(content)
         found = facts_of(capsys, "records", "what", tmp_path / name)

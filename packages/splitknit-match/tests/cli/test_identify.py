@@ -14,7 +14,8 @@ from splitknit_match.matching.methods import rate, similarity_at
 
 @pytest.fixture(scope="module")
 def gallery(people_folder: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """First sessions of three fingers, second of one, and a failure to acquire; not to be changed."""
+    """First sessions of three fingers, second of one, and a failure to acquire; not to be
+    changed."""
     folder = tmp_path_factory.mktemp("identify")
     file, none = folder / "g.skg", folder / "none.skt"
     none.write_bytes(b"")
@@ -38,13 +39,21 @@ def probe(people_folder: Path) -> Path:
 def test_the_right_one_is_first(gallery: Path, probe: Path, capsys) -> None:
     facts = facts_of(capsys, "identify", gallery, probe)
     first, second = facts["candidates"]
-    assert (first["rank"], first["person"], first["finger"], first["session"]) == (1, "Bob", "right_index", "1")
+    assert (first["rank"], first["person"], first["finger"], first["session"]) == (
+        1,
+        "Bob",
+        "right_index",
+        "1",
+    )
     assert second["person"] == "Ann"
     assert first["similarity"] > 0.7 > 0.5 > second["similarity"]  # noqa: PLR0133
     assert first["fmr"] == rate(first["similarity"], "ridge", None).fmr
     assert first["expected_false_matches"] == pytest.approx(4 * first["fmr"])
     assert second["expected_false_matches"] == pytest.approx(4 * second["fmr"])
-    assert facts["searched"] | {"captures": 4, "failures": 1, "fingers": 3, "people": 2} == facts["searched"]
+    assert (
+        facts["searched"] | {"captures": 4, "failures": 1, "fingers": 3, "people": 2}
+        == facts["searched"]
+    )
     assert facts["searched"]["compared"] == 4
     assert facts["mode"] == "identification"
     decision = facts["decision"]
@@ -73,7 +82,9 @@ def test_nobody_is_a_fact(gallery: Path, probe: Path, tmp_path: Path, capsys) ->
     assert "nothing to compare with" in words_of(capsys, "identify", file, probe)
 
 
-def test_one_candidate_for_a_person_a_finger_or_a_capture(gallery: Path, people_folder: Path, capsys) -> None:
+def test_one_candidate_for_a_person_a_finger_or_a_capture(
+    gallery: Path, people_folder: Path, capsys
+) -> None:
     probe = people_folder / "S01/session_1/left_thumb"
 
     def found(*more: object) -> list[str]:
@@ -136,7 +147,10 @@ def test_failures_to_acquire_match_nobody(gallery: Path, tmp_path: Path, capsys)
         (["GALLERY", "NOWHERE"], "there is no"),
         (["PROBE", "GALLERY"], "is not a file"),
         (["GALLERY", "PROBE", "--person", "Nobody"], "holds nothing of person 'Nobody'"),
-        (["GALLERY", "PROBE", "--person", "Bob", "--finger", "left_thumb"], "person 'Bob' and finger 'left_thumb'"),
+        (
+            ["GALLERY", "PROBE", "--person", "Bob", "--finger", "left_thumb"],
+            "person 'Bob' and finger 'left_thumb'",
+        ),
         (["GALLERY", "PROBE", "--finger", "nose"], "is not a finger"),
         (["GALLERY", "PROBE", "--fmr", "0"], "--fmr must lie"),
         (["GALLERY", "PROBE", "--fmr", "nan"], "--fmr must lie"),
@@ -145,6 +159,8 @@ def test_failures_to_acquire_match_nobody(gallery: Path, tmp_path: Path, capsys)
         (["GALLERY", "PROBE", "--set", "search.candidates=0"], "--set"),
     ],
 )
-def test_bad_input_is_one_sentence(gallery: Path, probe: Path, tmp_path: Path, capsys, *, arguments, words) -> None:
+def test_bad_input_is_one_sentence(
+    gallery: Path, probe: Path, tmp_path: Path, capsys, *, arguments, words
+) -> None:
     names = {"GALLERY": gallery, "PROBE": probe, "NOWHERE": tmp_path / "NOWHERE"}
     assert words in refusal_of(capsys, "identify", *(names.get(word, word) for word in arguments))

@@ -19,7 +19,8 @@ from splitknit_simulator.finger.finger import FingerPose
 
 @pytest.fixture(scope="module")
 def results(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Two impressions of one finger and one of another, as result folders of perfect reconstructions."""
+    """Two impressions of one finger and one of another, as result folders of perfect
+    reconstructions."""
     turned = FingerPose(insertion_mm=26.0, yaw_rad=0.15, roll_rad=0.08)
     return write_impressions(tmp_path_factory.mktemp("match"), 0.15, 721, turned)
 
@@ -51,6 +52,7 @@ def test_templates_stand_for_results(results: Path, tmp_path: Path, capsys) -> N
     assert (tmp_path / "a.skt").read_bytes() == (tmp_path / "b.skt").read_bytes()
 
 
+@pytest.mark.slow
 def test_prints_match_their_surfaces(results: Path, capsys) -> None:
     """A print is mirrored and lies flat; a surface is neither."""
     same = facts_of(capsys, results / "a", results / "again" / "print.png")
@@ -68,10 +70,13 @@ def test_the_thesis_method(results: Path, capsys) -> None:
     assert same["similarity"] > other["similarity"]
     assert 0.5 < same["overlap"] < 1
     assert set(same["dissimilarity"]) == {"normals", "relief"}
-    gated = facts_of(capsys, results / "a", results / "other", "--method", "thesis", "--set", "thesis.gate=1")
+    gated = facts_of(
+        capsys, results / "a", results / "other", "--method", "thesis", "--set", "thesis.gate=1"
+    )
     assert not gated["compared"]
 
 
+@pytest.mark.slow
 def test_a_capture_is_reconstructed(twin_folder: Path, capsys) -> None:
     found = facts_of(capsys, twin_folder, twin_folder, "--preset", "ea")
     assert found["a"]["kind"] == "capture"
@@ -79,7 +84,18 @@ def test_a_capture_is_reconstructed(twin_folder: Path, capsys) -> None:
 
 
 def test_words_for_people(results: Path, tmp_path: Path, capsys) -> None:
-    assert main(["match", str(results / "a"), str(results / "again"), "--template", str(tmp_path / "t.skt")]) == 0
+    assert (
+        main(
+            [
+                "match",
+                str(results / "a"),
+                str(results / "again"),
+                "--template",
+                str(tmp_path / "t.skt"),
+            ]
+        )
+        == 0
+    )
     words = capsys.readouterr().out
     assert words.startswith("Match, decided at a false match rate of 1 in 10,000 (method ridge).")
     basis = "11,175 impostor comparisons, true surfaces of 150 simulated fingers"
@@ -106,22 +122,36 @@ def test_the_decision_is_at_a_stated_rate(results: Path, capsys) -> None:
     words = capsys.readouterr().out
     assert words.startswith("No match, decided at")
     threshold = found["decision"]["threshold"]
-    assert f"Score {stranger['similarity']:.4f} (1 = the same picture), a match from {threshold:.4f} on." in words
+    assert (
+        f"Score {stranger['similarity']:.4f} (1 = the same picture), a match from"
+        f" {threshold:.4f} on." in words
+    )
     assert main(["match", *same, "--fmr", "1e-9"]) == 2
     assert "rates below 8.9e-07 cannot be estimated" in capsys.readouterr().err
     smaller = facts_of(capsys, *same, "--fmr", "1e-5")["decision"]
     assert smaller["threshold"] > threshold and "expected_fmr" not in found["decision"]
     assert 0 < smaller["expected_fmr"] < smaller["fmr"] == 1e-5
     assert main(["match", *same, "--fmr", "1e-5"]) == 0
-    assert "1 in 100,000 (beyond what was measured: extrapolated; expected is 1 in 1," in capsys.readouterr().out
+    assert (
+        "1 in 100,000 (beyond what was measured: extrapolated; expected is 1 in 1,"
+        in capsys.readouterr().out
+    )
 
 
 @pytest.mark.parametrize(
     ("rate", "words"),
-    [(1e-4, "1 in 10,000"), (0.0359, "1 in 27"), (0.7, "more than 1 in 2"), (4e-3, "below 1 in 250")],
+    [
+        (1e-4, "1 in 10,000"),
+        (0.0359, "1 in 27"),
+        (0.7, "more than 1 in 2"),
+        (4e-3, "below 1 in 250"),
+    ],
 )
 def test_rates_in_words(rate: float, words: str) -> None:
-    assert one_in(rate, FmrBasis(249, "fingers", 0.004) if words.startswith("below") else None) == words
+    assert (
+        one_in(rate, FmrBasis(249, "fingers", 0.004) if words.startswith("below") else None)
+        == words
+    )
 
 
 @pytest.mark.slow
@@ -137,7 +167,9 @@ def test_folders_of_print_are_matched(results: Path, tmp_path: Path, capsys) -> 
     if importlib.util.find_spec("nbis"):
         found = facts_of(capsys, tmp_path / "a", tmp_path / "again", "--method", "minutiae")
         assert [found[side]["minutiae"] for side in ("a", "b")] == counts
-        record = facts_of(capsys, tmp_path / "a" / "minutiae.iso", tmp_path / "again" / "minutiae.iso")
+        record = facts_of(
+            capsys, tmp_path / "a" / "minutiae.iso", tmp_path / "again" / "minutiae.iso"
+        )
         assert (record["a"]["minutiae"], record["similarity"]) == (counts[0], found["similarity"])
         # a print from a file has as many minutiae as 'print' finds in it
         picture = str(results / "a" / "print.png")
@@ -147,7 +179,9 @@ def test_folders_of_print_are_matched(results: Path, tmp_path: Path, capsys) -> 
 
 
 @pytest.mark.parametrize("content", [b"", b"SKTMPL\r\n and then my notes"])
-def test_a_file_that_is_no_template_is_not_replaced(results: Path, tmp_path: Path, capsys, content: bytes) -> None:
+def test_a_file_that_is_no_template_is_not_replaced(
+    results: Path, tmp_path: Path, capsys, content: bytes
+) -> None:
     (tmp_path / "notes.txt").write_bytes(content)
     assert main(["match", str(results / "a"), "--template", str(tmp_path / "notes.txt")]) == 2
     assert "exists and is not a template" in capsys.readouterr().err
@@ -184,7 +218,9 @@ def test_a_failure_to_acquire_is_no_error(results: Path, tmp_path: Path, capsys)
         (["a", "again", "--template", "a/height.npz/x.skt"], "cannot write"),
     ],
 )
-def test_bad_input_is_one_sentence(results: Path, tmp_path: Path, capsys, arguments, words: str) -> None:
+def test_bad_input_is_one_sentence(
+    results: Path, tmp_path: Path, capsys, arguments, words: str
+) -> None:
     (tmp_path / "EMPTY").mkdir()
     (tmp_path / "TEXT").write_text("hello")
     (tmp_path / "BROKEN").mkdir()
@@ -196,7 +232,11 @@ def test_bad_input_is_one_sentence(results: Path, tmp_path: Path, capsys, argume
     names |= {name: tmp_path / name for name in ("EMPTY", "TEXT", "BROKEN", "PARTIAL")}
     before = sorted(path.name for path in tmp_path.iterdir())
     full = [
-        str(names.get(word, results / word)) if (results / word.split("/")[0]).exists() or word in names else word
+        (
+            str(names.get(word, results / word))
+            if (results / word.split("/")[0]).exists() or word in names
+            else word
+        )
         for word in arguments
     ]
     assert main(["match", *full]) == 2
@@ -208,7 +248,18 @@ def test_bad_input_is_one_sentence(results: Path, tmp_path: Path, capsys, argume
 
 def test_an_input_is_never_overwritten(results: Path, tmp_path: Path, capsys) -> None:
     assert main(["match", str(results / "a"), "--template", str(tmp_path / "t.skt")]) == 0
-    assert main(["match", str(tmp_path / "t.skt"), str(results / "a"), "--template", str(tmp_path / "t.skt")]) == 2
+    assert (
+        main(
+            [
+                "match",
+                str(tmp_path / "t.skt"),
+                str(results / "a"),
+                "--template",
+                str(tmp_path / "t.skt"),
+            ]
+        )
+        == 2
+    )
     assert "one of the inputs" in capsys.readouterr().err
 
 

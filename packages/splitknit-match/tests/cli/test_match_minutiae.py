@@ -18,13 +18,16 @@ from splitknit_match.prints.minutiae import extract, minutiae_match
 from splitknit_match.prints.minutiae_record import no_minutiae
 
 
-def facts_of(capsys: pytest.CaptureFixture[str], *arguments: object, method: str = "minutiae") -> dict:
+def facts_of(
+    capsys: pytest.CaptureFixture[str], *arguments: object, method: str = "minutiae"
+) -> dict:
     assert main(["match", *map(str, arguments), "--method", method, "--json"]) == 0
     printed = capsys.readouterr()
     assert printed.err == ""
     return json.loads(printed.out)
 
 
+@pytest.mark.slow
 def test_one_finger_is_told_from_another(impressions: Path, capsys) -> None:
     same = facts_of(capsys, impressions / "a", impressions / "again")
     other = facts_of(capsys, impressions / "a", impressions / "other")
@@ -36,12 +39,18 @@ def test_one_finger_is_told_from_another(impressions: Path, capsys) -> None:
     assert "sides" not in same
 
 
+@pytest.mark.slow
 def test_the_similarity_is_that_of_the_prints(impressions: Path, capsys) -> None:
     """What a result's print.png gives, taken as it is."""
     found = facts_of(capsys, impressions / "a", impressions / "again")
-    sides = [extract(read_print_png(impressions / name / "print.png").image) for name in ("a", "again")]
+    sides = [
+        extract(read_print_png(impressions / name / "print.png").image) for name in ("a", "again")
+    ]
     assert found["similarity"] == minutiae_match(*sides)
-    assert found["similarity"] == facts_of(capsys, impressions / "again", impressions / "a")["similarity"]
+    assert (
+        found["similarity"]
+        == facts_of(capsys, impressions / "again", impressions / "a")["similarity"]
+    )
 
 
 def test_prints_match_their_surfaces(impressions: Path, capsys) -> None:
@@ -53,7 +62,9 @@ def test_prints_match_their_surfaces(impressions: Path, capsys) -> None:
 
 
 def test_rates_are_of_the_shipped_table(impressions: Path, capsys) -> None:
-    same, other = (facts_of(capsys, impressions / "a", impressions / name) for name in ("again", "other"))
+    same, other = (
+        facts_of(capsys, impressions / "a", impressions / name) for name in ("again", "other")
+    )
     low, high = (rate(one, "minutiae", None).fmr for one in (5.0, 200.0))
     assert same["fmr"] == rate(same["similarity"], "minutiae", None).fmr
     assert high == same["fmr"] < 1e-3 < other["fmr"] <= 1
@@ -61,11 +72,28 @@ def test_rates_are_of_the_shipped_table(impressions: Path, capsys) -> None:
 
 
 def test_words_for_people(impressions: Path, capsys) -> None:
-    assert main(["match", str(impressions / "a"), str(impressions / "again"), "--method", "minutiae"]) == 0
+    assert (
+        main(["match", str(impressions / "a"), str(impressions / "again"), "--method", "minutiae"])
+        == 0
+    )
     words = capsys.readouterr().out
-    assert words.startswith("Match, decided at a false match rate of 1 in 10,000 (method minutiae).")
+    assert words.startswith(
+        "Match, decided at a false match rate of 1 in 10,000 (method minutiae)."
+    )
     assert "quality (NFIQ 2)" in words
-    assert main(["match", str(impressions / "a"), str(impressions / "again"), "--method", "minutiae", "--raw"]) == 0
+    assert (
+        main(
+            [
+                "match",
+                str(impressions / "a"),
+                str(impressions / "again"),
+                "--method",
+                "minutiae",
+                "--raw",
+            ]
+        )
+        == 0
+    )
     words = capsys.readouterr().out
     assert "pairs of minutiae fit together" in words
 
@@ -78,19 +106,26 @@ def test_an_empty_print_is_a_failure_to_acquire(impressions: Path, tmp_path: Pat
     assert not found["a"]["acquired"]
     assert found["a"]["nfiq2"] is None
     assert found["fmr"] is None
-    assert main(["match", str(tmp_path / "empty.png"), str(impressions / "a"), "--method", "minutiae"]) == 0
+    assert (
+        main(["match", str(tmp_path / "empty.png"), str(impressions / "a"), "--method", "minutiae"])
+        == 0
+    )
     assert "fewer than ten minutiae (failure to acquire)" in capsys.readouterr().out
 
 
 def test_templates_of_ridges_are_refused(impressions: Path, tmp_path: Path, capsys) -> None:
     assert main(["match", str(impressions / "a"), "--template", str(tmp_path / "a.skt")]) == 0
     capsys.readouterr()
-    assert main(["match", str(tmp_path / "a.skt"), str(impressions / "a"), "--method", "minutiae"]) == 2
+    assert (
+        main(["match", str(tmp_path / "a.skt"), str(impressions / "a"), "--method", "minutiae"])
+        == 2
+    )
     said = capsys.readouterr().err
     assert "keeps no minutiae" in said
     assert said.count("\n") == 1
 
 
+@pytest.mark.slow
 def test_two_prints_are_fused_by_default(impressions: Path, tmp_path: Path, capsys) -> None:
     prints = {name: impressions / name / "print.png" for name in ("a", "again", "other")}
     same = facts_of(capsys, prints["a"], prints["again"], method="auto")
@@ -102,7 +137,10 @@ def test_two_prints_are_fused_by_default(impressions: Path, tmp_path: Path, caps
     template = tmp_path / "a.skt"
     assert main(["match", str(prints["a"]), "--template", str(template)]) == 0
     capsys.readouterr()
-    assert facts_of(capsys, template, prints["again"], method="auto")["similarity"] == same["similarity"]
+    assert (
+        facts_of(capsys, template, prints["again"], method="auto")["similarity"]
+        == same["similarity"]
+    )
     assert facts_of(capsys, impressions / "a", prints["again"], method="auto")["method"] == "ridge"
     assert main(["match", *map(str, prints.values())][:3]) == 0
     assert "(method fusion)" in capsys.readouterr().out
@@ -131,10 +169,25 @@ def test_a_gallery_of_prints_is_searched_and_evaluated_by_both(
 ) -> None:
     gallery = tmp_path / "prints.skg"
     turned = tmp_path / "turned.png"
-    write_print_png(turned, np.rot90(read_print_png(impressions / "other" / "print.png").image, 1).copy(), 500.0)
+    write_print_png(
+        turned, np.rot90(read_print_png(impressions / "other" / "print.png").image, 1).copy(), 500.0
+    )
     for person, sources in (("Ada", ("a", "again")), ("Bo", ("other", None))):
         files = [turned if name is None else impressions / name / "print.png" for name in sources]
-        assert main(["enroll", str(gallery), *map(str, files), "--person", person, "--finger", "left_index"]) == 0
+        assert (
+            main(
+                [
+                    "enroll",
+                    str(gallery),
+                    *map(str, files),
+                    "--person",
+                    person,
+                    "--finger",
+                    "left_index",
+                ]
+            )
+            == 0
+        )
     capsys.readouterr()
     assert main(["identify", str(gallery), str(turned), "--merge", "none", "--json"]) == 0
     found = json.loads(capsys.readouterr().out)
@@ -148,12 +201,24 @@ def test_a_gallery_of_prints_is_searched_and_evaluated_by_both(
         patched.setattr(
             "splitknit_match.matching.inputs._MINUTIAE_PER_MM2", (-1.0, 1.0)
         )  # too few minutiae are no print otherwise
-        patched.setattr("splitknit_match.prints.make.minutiae_by_phase", lambda made, *_: no_minutiae(made.image.shape))
-        more = [gallery, impressions / "again" / "print.png", "--person", "Cy", "--finger", "left_index"]
+        patched.setattr(
+            "splitknit_match.prints.make.minutiae_by_phase",
+            lambda made, *_: no_minutiae(made.image.shape),
+        )
+        more = [
+            gallery,
+            impressions / "again" / "print.png",
+            "--person",
+            "Cy",
+            "--finger",
+            "left_index",
+        ]
         assert main(["enroll", *map(str, more)]) == 0
     capsys.readouterr()
     mixed = gallery_scores(gallery)
-    assert np.array_equal(np.sort(scores.score), np.sort(mixed.scores.score[~holds(mixed.scores, "Cy")]))
+    assert np.array_equal(
+        np.sort(scores.score), np.sort(mixed.scores.score[~holds(mixed.scores, "Cy")])
+    )
     assert abs(mixed.scores.impostor).max() > 1
     assert main(["identify", str(gallery), str(turned), "--json"]) == 0
     assert json.loads(capsys.readouterr().out)["candidates"][0]["person"] == "Bo"

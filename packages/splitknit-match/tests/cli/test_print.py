@@ -27,9 +27,12 @@ from splitknit_simulator.finger.finger import FingerPose, draw_finger, finger_su
 
 @pytest.fixture(scope="module")
 def result(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A perfect reconstruction of a whorl, turned a little, with the places of its true minutiae."""
+    """A perfect reconstruction of a whorl, turned a little, with the places of its true
+    minutiae."""
     camera = default_rig(0.22).camera
-    seen = finger_surface(draw_finger(741, "whorl"), FingerPose(insertion_mm=27.0, yaw_rad=0.12), camera)
+    seen = finger_surface(
+        draw_finger(741, "whorl"), FingerPose(insertion_mm=27.0, yaw_rad=0.12), camera
+    )
     more = {"minutiae_px": seen.landmarks["minutiae_px"]}
     return write_perfect(tmp_path_factory.mktemp("print") / "result", seen, camera, more=more)
 
@@ -50,8 +53,13 @@ def refusal(capsys: pytest.CaptureFixture[str], *arguments: object) -> str:
     return lines[0]
 
 
-@pytest.mark.parametrize(("method", "surface"), [("relief", "plane"), ("unroll", "free"), ("curvature", "plane")])
-def test_all_files_are_written(result: Path, tmp_path: Path, capsys, method: str, surface: str) -> None:
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("method", "surface"), [("relief", "plane"), ("unroll", "free"), ("curvature", "plane")]
+)
+def test_all_files_are_written(
+    result: Path, tmp_path: Path, capsys, method: str, surface: str
+) -> None:
     out = tmp_path / "out"
     facts = facts_of(capsys, result, "--method", method, "--out", out)
     wanted = {"print.png", "enhanced.png", "map.npz", "report.html", "report.json", "minutiae.iso"}
@@ -67,7 +75,8 @@ def test_all_files_are_written(result: Path, tmp_path: Path, capsys, method: str
 
 
 def test_true_minutiae_are_found_where_they_are(result: Path, tmp_path: Path, capsys) -> None:
-    """The stored map takes the true minutiae to the print; most of what is found lies on one of them."""
+    """The stored map takes the true minutiae to the print; most of what is found lies on one of
+    them."""
     from scipy.spatial import cKDTree
 
     from splitknit_match.prints.make import make_print
@@ -94,7 +103,8 @@ def test_true_minutiae_are_found_where_they_are(result: Path, tmp_path: Path, ca
 
 
 def test_the_page_has_the_minutiae_on_the_surface(result: Path, tmp_path: Path, capsys) -> None:
-    """Their places are those of the mesh, x right and y to the tip, and they lie on the true minutiae."""
+    """Their places are those of the mesh, x right and y to the tip, and they lie on the true
+    minutiae."""
     from scipy.spatial import cKDTree
 
     facts_of(capsys, result, "--out", tmp_path / "out")
@@ -117,14 +127,21 @@ def test_the_page_has_the_minutiae_on_the_surface(result: Path, tmp_path: Path, 
 def test_resolution_surface_and_settings(result: Path, tmp_path: Path, capsys) -> None:
     coarse = facts_of(capsys, result, "--method", "relief", "--out", tmp_path / "a")
     fine = facts_of(capsys, result, "--method", "relief", "--ppi", 1000, "--out", tmp_path / "b")
-    assert read_print_png(tmp_path / "b" / "print.png").resolution_ppi == pytest.approx(1000, abs=0.02)
+    assert read_print_png(tmp_path / "b" / "print.png").resolution_ppi == pytest.approx(
+        1000, abs=0.02
+    )
     assert np.allclose(np.array(fine["size"]) / 2, coarse["size"], atol=1)
-    assert fine["ridge_period_mm"]["median"] == pytest.approx(coarse["ridge_period_mm"]["median"], rel=0.02)
-    wide = facts_of(capsys, result, "--method", "curvature", "--surface", "arc", "--out", tmp_path / "d")
+    assert fine["ridge_period_mm"]["median"] == pytest.approx(
+        coarse["ridge_period_mm"]["median"], rel=0.02
+    )
+    wide = facts_of(
+        capsys, result, "--method", "curvature", "--surface", "arc", "--out", tmp_path / "d"
+    )
     assert wide["size"][1] > coarse["size"][1]
     assert "distortion" in wide
 
 
+@pytest.mark.slow
 def test_same_input_same_bytes(result: Path, tmp_path: Path, capsys) -> None:
     for name in ("a", "b"):
         facts_of(capsys, result, "--out", tmp_path / name)
@@ -135,11 +152,22 @@ def test_same_input_same_bytes(result: Path, tmp_path: Path, capsys) -> None:
 
 @pytest.mark.slow
 def test_the_threads_of_blas_change_nothing(result: Path, tmp_path: Path) -> None:
-    """Its kernels without AVX-512, which most processors run, round sums by how threads share them."""
+    """Its kernels without AVX-512, which most processors run, round sums by how threads share
+    them."""
     for threads in "12":
         out = tmp_path / threads
         subprocess.run(
-            [sys.executable, "-m", "splitknit.cli.main", "print", result, "--method", "unroll", "--out", out],
+            [
+                sys.executable,
+                "-m",
+                "splitknit.cli.main",
+                "print",
+                result,
+                "--method",
+                "unroll",
+                "--out",
+                out,
+            ],
             env={**os.environ, "OPENBLAS_CORETYPE": "Haswell", "OPENBLAS_NUM_THREADS": threads},
             check=True,
         )
@@ -147,6 +175,7 @@ def test_the_threads_of_blas_change_nothing(result: Path, tmp_path: Path) -> Non
         assert (tmp_path / "1" / name).read_bytes() == (tmp_path / "2" / name).read_bytes(), name
 
 
+@pytest.mark.slow
 def test_the_photograph(twin_folder: Path, tmp_path: Path, capsys) -> None:
     facts = facts_of(capsys, twin_folder, "--method", "photo", "--out", tmp_path / "photo")
     assert facts["source"]["kind"] == "capture"
@@ -177,7 +206,9 @@ def test_bad_input_is_one_sentence(result: Path, twin_folder: Path, tmp_path: Pa
     (tmp_path / "empty").mkdir()
     assert "neither a capture" in refusal(capsys, tmp_path / "empty", "--out", out)
     assert "no photograph" in refusal(capsys, result, "--method", "photo", "--out", out)
-    assert "--method relief" in refusal(capsys, result, "--method", "unroll", "--surface", "plane", "--out", out)
+    assert "--method relief" in refusal(
+        capsys, result, "--method", "unroll", "--surface", "plane", "--out", out
+    )
     arrays = read_npz(result / "height.npz")
 
     def changed(name: str, **others: object) -> Path:
@@ -194,8 +225,12 @@ def test_bad_input_is_one_sentence(result: Path, twin_folder: Path, tmp_path: Pa
     flat = changed("flat", ridge_mm=np.zeros_like(arrays["ridge_mm"]))
     for method in ("relief", "unroll"):
         assert "no ridges" in refusal(capsys, flat, "--method", method, "--out", out)
-    assert "another shape" in refusal(capsys, changed("shape", ridge_mm=np.zeros((3, 3), np.float32)), "--out", out)
-    assert "mask is empty" in refusal(capsys, changed("mask", mask=np.zeros_like(arrays["mask"])), "--out", out)
+    assert "another shape" in refusal(
+        capsys, changed("shape", ridge_mm=np.zeros((3, 3), np.float32)), "--out", out
+    )
+    assert "mask is empty" in refusal(
+        capsys, changed("mask", mask=np.zeros_like(arrays["mask"])), "--out", out
+    )
     (tmp_path / "scale" / "height.npz").write_bytes(b"PK nonsense")
     refusal(capsys, tmp_path / "scale", "--out", out)
     assert not out.exists()
@@ -206,8 +241,10 @@ def test_an_earlier_result_is_not_overwritten(result: Path, capsys) -> None:
     assert (result / "height.npz").is_file()
 
 
+@pytest.mark.slow
 def test_ridges_do_not_doubt_a_calibrated_camera(result: Path, tmp_path: Path, capsys) -> None:
-    """A finger whose ridges are unusually close keeps the scale that its camera gives it; a print's file does not."""
+    """A finger whose ridges are unusually close keeps the scale that its camera gives it; a print's
+    file does not."""
     fine = tmp_path / "fine"
     fine.mkdir()
     arrays = read_npz(result / "height.npz")
@@ -223,6 +260,7 @@ def test_ridges_do_not_doubt_a_calibrated_camera(result: Path, tmp_path: Path, c
         assert "check the resolution" in capsys.readouterr().err
 
 
+@pytest.mark.slow
 def test_the_report_tells_the_quality(result: Path, tmp_path: Path, capsys) -> None:
     """A good finger is called good; a shallow one scores less, and a sentence says what to do."""
     good = facts_of(capsys, result, "--out", tmp_path / "good")["quality"]
@@ -238,7 +276,9 @@ def test_the_report_tells_the_quality(result: Path, tmp_path: Path, capsys) -> N
     facts = json.loads((tmp_path / "shallow" / "report.json").read_text())
     weak = facts["quality"]
     assert weak["ours"] < good["ours"] - 5
-    assert weak["figures"]["ridge_height_um"] == pytest.approx(0.3 * good["figures"]["ridge_height_um"], rel=0.1)
+    assert weak["figures"]["ridge_height_um"] == pytest.approx(
+        0.3 * good["figures"]["ridge_height_um"], rel=0.1
+    )
     assert 1 <= len(weak["advice"]) <= 3
     assert any("moisten the finger" in sentence for sentence in weak["advice"])
     assert set(weak["advice"]) <= set(words)
@@ -261,16 +301,26 @@ def test_advice_is_chosen_by_the_worst_figure() -> None:
 
     assert said() == ()
     wanted = {
-        "moisten": {"ridge_height_um": 15.0}, "clean finger and lens": {"ridge_share": 0.4},
-        "wipe the finger": {"gap_share": 0.3}, "directions": {"coherence": 0.6}, "distances": {"plausible_share": 0.6},
-        "focus the camera": {"sharpness": 0.04, "ridge_height_um": 40.0}, "push the finger": {"ridge_length_mm": 9.0},
+        "moisten": {"ridge_height_um": 15.0},
+        "clean finger and lens": {"ridge_share": 0.4},
+        "wipe the finger": {"gap_share": 0.3},
+        "directions": {"coherence": 0.6},
+        "distances": {"plausible_share": 0.6},
+        "focus the camera": {"sharpness": 0.04, "ridge_height_um": 40.0},
+        "push the finger": {"ridge_length_mm": 9.0},
         "turn its pad": {"centre_offset_mm": 6.0},
-    }  # fmt: skip
+    }
     for words, changes in wanted.items():
         assert len(said(**changes)) == 1
         assert words in said(**changes)[0], words
     assert said(sharpness=0.04) == ()  # high ridges: the finger's own
-    many = said(ridge_length_mm=7.0, ridge_area_mm2=40.0, ridge_height_um=10.0, gap_share=0.25, centre_offset_mm=5.0)
+    many = said(
+        ridge_length_mm=7.0,
+        ridge_area_mm2=40.0,
+        ridge_height_um=10.0,
+        gap_share=0.25,
+        centre_offset_mm=5.0,
+    )
     assert len(many) == 3
     assert "push" in many[0]
     assert "moisten" in many[1]

@@ -72,20 +72,40 @@ def test_a_capture_without_mirrors_is_refused(drawn, tmp_path: Path, capsys) -> 
     assert not out.exists()
 
 
-def test_what_is_no_capture_and_surfaces_that_do_not_fit_are_refused(tmp_path: Path, capsys) -> None:
+def test_what_is_no_capture_and_surfaces_that_do_not_fit_are_refused(
+    tmp_path: Path, capsys
+) -> None:
     said = refusal(capsys, tmp_path, "--method", "rolled", "--out", tmp_path / "out")
     assert "not a capture folder" in said
-    said = refusal(capsys, tmp_path, "--method", "rolled", "--surface", "plane", "--out", tmp_path / "out")
+    said = refusal(
+        capsys, tmp_path, "--method", "rolled", "--surface", "plane", "--out", tmp_path / "out"
+    )
     assert "cannot be printed on the plane" in said
     assert not (tmp_path / "out").exists()
 
 
 @pytest.mark.slow
 def test_the_twin_between_mirrors_is_rolled_by_itself(tmp_path: Path, capsys) -> None:
-    made = ["simulate", "--out", str(tmp_path / "capture"), "--seed", "105", "--scale", "0.6", "--no-nir"]
+    made = [
+        "simulate",
+        "--out",
+        str(tmp_path / "capture"),
+        "--seed",
+        "105",
+        "--scale",
+        "0.6",
+        "--no-nir",
+    ]
     assert main([*made, "--mirrors", "left,right", "--set", "pose.roll_deg=[0,0]", "--json"]) == 0
     capsys.readouterr()
-    arguments = [str(tmp_path / "capture"), "--method", "rolled", "--out", str(tmp_path / "out"), "--json"]
+    arguments = [
+        str(tmp_path / "capture"),
+        "--method",
+        "rolled",
+        "--out",
+        str(tmp_path / "out"),
+        "--json",
+    ]
     assert main(["print", *arguments]) == 0
     rolled = json.loads(capsys.readouterr().out)["rolled"]
     assert rolled["coverage_deg"]["median"] > 160

@@ -1,4 +1,5 @@
-"""``splitknit simulate population``: laid out as an enrolment, the same however it was made, resumable."""
+"""``splitknit simulate population``: laid out as an enrolment, the same however it was made,
+resumable."""
 
 from __future__ import annotations
 
@@ -27,7 +28,16 @@ from splitknit_simulator.finger.master_print import ink_print, master_print
 from splitknit_simulator.population.folder import _jobs_of, _population_hash, choose_prints
 from splitknit_simulator.population.sessions import PopulationSettings, population_capture
 
-SMALL = ("--scale", "0.08", "--subjects", "2", "--fingers", "right_index,left_thumb", "--sessions", "2")
+SMALL = (
+    "--scale",
+    "0.08",
+    "--subjects",
+    "2",
+    "--fingers",
+    "right_index,left_thumb",
+    "--sessions",
+    "2",
+)
 Captured = pytest.CaptureFixture[str]
 
 
@@ -68,9 +78,17 @@ def test_it_is_laid_out_as_an_enrolment(population: Path) -> None:
     assert enrolment.waiting() == []
     for place in enrolment.places():
         capture = read_capture(enrolment.path(place))
-        assert capture.subject == {"id": place.subject, "finger": place.finger, "session": place.session}
+        assert capture.subject == {
+            "id": place.subject,
+            "finger": place.finger,
+            "session": place.session,
+        }
         facts = json.loads((enrolment.path(place) / "impression.json").read_text())
-        assert (facts["subject"], facts["finger"], facts["session"]) == (place.subject, place.finger, place.session)
+        assert (facts["subject"], facts["finger"], facts["session"]) == (
+            place.subject,
+            place.finger,
+            place.session,
+        )
         truth = read_npz(enrolment.path(place) / "truth.npz")
         assert truth["height_mm"].shape == capture.shape
         assert float(truth["impression_roll_deg"]) == facts["roll_deg"]
@@ -82,16 +100,20 @@ def test_it_is_laid_out_as_an_enrolment(population: Path) -> None:
 
 def test_the_table_lists_all_captures(population: Path) -> None:
     rows = list(csv.DictReader((population / "population.csv").read_text().splitlines()))
-    assert [row["folder"] for row in rows] == [place.folder for place in open_enrolment(population).places()]
+    assert [row["folder"] for row in rows] == [
+        place.folder for place in open_enrolment(population).places()
+    ]
     first = json.loads((population / rows[0]["folder"] / "impression.json").read_text())
     assert float(rows[0]["roll_deg"]) == first["roll_deg"]
-    assert {row["pattern"] for row in rows if row["subject"] == "S01" and row["finger"] == "left_thumb"} == {
-        rows[1]["pattern"]
-    }
+    assert {
+        row["pattern"] for row in rows if row["subject"] == "S01" and row["finger"] == "left_thumb"
+    } == {rows[1]["pattern"]}
 
 
 @pytest.mark.slow
-def test_a_killed_run_goes_on_with_other_workers_to_the_same_bytes(population: Path, tmp_path: Path) -> None:
+def test_a_killed_run_goes_on_with_other_workers_to_the_same_bytes(
+    population: Path, tmp_path: Path
+) -> None:
     out = tmp_path / "killed"
     environment = {**os.environ, "OMP_NUM_THREADS": "1"}
     run = subprocess.Popen(
@@ -115,17 +137,24 @@ def test_a_killed_run_goes_on_with_other_workers_to_the_same_bytes(population: P
     (out / "S01" / "session_1").mkdir(parents=True, exist_ok=True)
     left = out / "S01" / "session_1" / ".splitknit-0123456789ab.tmp"  # what a killed worker leaves
     (left / "new").mkdir(parents=True)
-    (left / "mark.json").write_text('{"format": "splitknit-temporary", "version": 1, "target": "left_thumb"}')
+    (left / "mark.json").write_text(
+        '{"format": "splitknit-temporary", "version": 1, "target": "left_thumb"}'
+    )
     mine = left.with_name(".left_thumb.0123456789ab.tmp")  # and what it does not
     mine.mkdir()
     stamps = {folder: (folder / "capture.json").stat().st_mtime_ns for folder in found}
     assert main(words(out, "--workers", "1")) == 0
     assert digests(out) == digests(population)
     assert list(out.rglob("*.tmp")) == [mine]
-    assert all((folder / "capture.json").stat().st_mtime_ns == stamp for folder, stamp in stamps.items())
+    assert all(
+        (folder / "capture.json").stat().st_mtime_ns == stamp for folder, stamp in stamps.items()
+    )
 
 
-def test_a_table_that_is_not_ours_and_links_are_not_written(population: Path, tmp_path: Path, capsys: Captured):
+@pytest.mark.slow
+def test_a_table_that_is_not_ours_and_links_are_not_written(
+    population: Path, tmp_path: Path, capsys: Captured
+):
     out, mine = tmp_path / "people", tmp_path / "mine.csv"
     shutil.copytree(population, out)
     mine.write_text("my own")
@@ -141,18 +170,25 @@ def test_a_table_that_is_not_ours_and_links_are_not_written(population: Path, tm
     (out / "S02" / "session_2").symlink_to(tmp_path / "away")
     shutil.rmtree(tmp_path / "away" / "left_thumb")
     for workers in ("1", "2"):
-        assert "session_2' is a link inside a folder" in refused(capsys, *words(out, "--workers", workers))
+        assert "session_2' is a link inside a folder" in refused(
+            capsys, *words(out, "--workers", workers)
+        )
     assert [path.name for path in (tmp_path / "away").iterdir()] == ["right_index"]
     assert mine.read_text() == "my own"
 
 
 def list_of_processes(out: Path) -> list[str]:
-    """Processes whose command line or parent's names `out`; spawned workers name only their parent's pipe."""
+    """Processes whose command line or parent's names `out`; spawned workers name only their
+    parent's pipe."""
     alive = []
     for entry in Path("/proc").glob("[0-9]*"):
         try:
             line = (entry / "cmdline").read_bytes()
-            opened = [str(link.readlink()) for link in (entry / "fd").iterdir()] if b"spawn_main" in line else []
+            opened = (
+                [str(link.readlink()) for link in (entry / "fd").iterdir()]
+                if b"spawn_main" in line
+                else []
+            )
         except OSError:
             continue
         if str(out).encode() in line or any(str(out) in name for name in opened):
@@ -165,7 +201,16 @@ def test_a_plan_may_grow(population: Path, tmp_path: Path, capsys: Captured) -> 
     out = tmp_path / "grown"
     shutil.copytree(population, out)
     capsys.readouterr()
-    more = ("--scale", "0.08", "--subjects", "2", "--fingers", "right_index,left_thumb,left_little", "--sessions", "2")
+    more = (
+        "--scale",
+        "0.08",
+        "--subjects",
+        "2",
+        "--fingers",
+        "right_index,left_thumb,left_little",
+        "--sessions",
+        "2",
+    )
     assert main(words(out, "--workers", "1", "--json", small=more)) == 0
     facts = json.loads(capsys.readouterr().out)
     assert (facts["found"], facts["simulated"], facts["total"]) == (8, 4, 12)
@@ -175,7 +220,9 @@ def test_a_plan_may_grow(population: Path, tmp_path: Path, capsys: Captured) -> 
 
 def test_finished_populations_are_left_alone(population: Path, capsys: Captured) -> None:
     before = digests(population)
-    assert main(["simulate", "population", "--out", str(population), "--scale", "0.08", "--json"]) == 0
+    assert (
+        main(["simulate", "population", "--out", str(population), "--scale", "0.08", "--json"]) == 0
+    )
     facts = json.loads(capsys.readouterr().out)
     assert (facts["simulated"], facts["seconds_per_capture"]) == (0, None)
     assert digests(population) == before
@@ -183,7 +230,9 @@ def test_finished_populations_are_left_alone(population: Path, capsys: Captured)
 
 def test_other_settings_are_refused(population: Path, capsys: Captured) -> None:
     before = digests(population)
-    assert "other settings (scale)" in refused(capsys, *words(population, small=("--scale", "0.09")))
+    assert "other settings (scale)" in refused(
+        capsys, *words(population, small=("--scale", "0.09"))
+    )
     assert "other settings (seed)" in refused(capsys, *words(population, "--seed", "3"))
     changed = words(population, "--set", "sessions.roll_sd_deg=2")
     assert "other settings (sessions.roll_sd_deg)" in refused(capsys, *changed)
@@ -203,9 +252,13 @@ def test_what_cannot_be_a_population_is_refused(tmp_path: Path, capsys: Captured
     (other / "S01" / "session_1" / "right_index").mkdir(parents=True)
     assert "something else than a simulated population" in refused(capsys, *words(other))
     new = tmp_path / "new"
-    assert "Expected right_thumb or right_index" in refused(capsys, *words(new, small=("--fingers", "toe")))
+    assert "Expected right_thumb or right_index" in refused(
+        capsys, *words(new, small=("--fingers", "toe"))
+    )
     assert "workers must be 1 to 256" in refused(capsys, *words(new, "--workers", "0"))
-    assert "--pattern does not go with a population" in refused(capsys, *words(new, "--pattern", "loop"))
+    assert "--pattern does not go with a population" in refused(
+        capsys, *words(new, "--pattern", "loop")
+    )
     assert "--bench does not go with a population" in refused(capsys, *words(new, "--bench"))
     assert "--subjects is for 'splitknit simulate population'" in refused(
         capsys, "simulate", "--out", str(new), "--subjects", "2"
@@ -231,7 +284,9 @@ def test_a_damaged_capture_is_named(population: Path, tmp_path: Path, capsys: Ca
 
 
 def test_a_finger_is_one_job(tmp_path: Path) -> None:
-    enrolment = open_enrolment(tmp_path / "plan", subjects=2, sessions=3, fingers=("left_ring", "right_ring"))
+    enrolment = open_enrolment(
+        tmp_path / "plan", subjects=2, sessions=3, fingers=("left_ring", "right_ring")
+    )
     jobs = _jobs_of(enrolment.waiting())
     assert [len(job) for job in jobs] == [3] * 4
     assert [(job[0].subject, job[0].finger) for job in jobs] == [
@@ -239,10 +294,18 @@ def test_a_finger_is_one_job(tmp_path: Path) -> None:
     ]  # fmt: skip
 
 
+@pytest.mark.slow
 def test_one_finger_is_simulated_as_before(tmp_path: Path, capsys: Captured) -> None:
     for name, what in (("plain", []), ("named", ["finger"])):
-        assert main(["simulate", *what, "--out", str(tmp_path / name), "--scale", "0.08", "--seed", "4"]) == 0
-        assert f"Next: splitknit reconstruct {tmp_path / name} --out RESULT" in capsys.readouterr().out
+        assert (
+            main(
+                ["simulate", *what, "--out", str(tmp_path / name), "--scale", "0.08", "--seed", "4"]
+            )
+            == 0
+        )
+        assert (
+            f"Next: splitknit reconstruct {tmp_path / name} --out RESULT" in capsys.readouterr().out
+        )
     assert digests(tmp_path / "plain") == digests(tmp_path / "named")
 
 
@@ -262,7 +325,8 @@ def prints(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def test_a_third_of_the_fingers_have_ridges_of_real_prints(
     population: Path, tmp_path: Path, prints: Path, capsys: Captured
 ) -> None:
-    """One real finger is one finger in all sessions; all else is as without prints, and it goes on as it was begun."""
+    """One real finger is one finger in all sessions; all else is as without prints, and it goes on
+    as it was begun."""
     out = tmp_path / "printed"
     seeded = ("--prints", str(prints), "--workers", "1", "--seed", "1")
     assert main(words(out, *seeded, small=PRINTED)) == 0
@@ -276,13 +340,21 @@ def test_a_third_of_the_fingers_have_ridges_of_real_prints(
     assert list(document["prints"]) == [f"{subject}/right_index"]
     assert document["settings_sha256"] != _population_hash(settings)
     for row in rows[:3]:
-        drawn = population_capture(settings, settings.person(int(row["subject"][1:])), "right_index", 1)
+        drawn = population_capture(
+            settings, settings.person(int(row["subject"][1:])), "right_index", 1
+        )
         truth = read_npz(out / row["folder"] / "truth.npz")
         both = truth["mask"] & drawn.truth["mask"]
-        np.testing.assert_allclose(truth["shape_mm"][both], drawn.truth["shape_mm"][both], atol=1e-5)
+        np.testing.assert_allclose(
+            truth["shape_mm"][both], drawn.truth["shape_mm"][both], atol=1e-5
+        )
         same = np.abs(truth["height_mm"] - drawn.truth["height_mm"])[both].max() < 1e-9
         assert same == (row["subject"] != subject)
-        assert (truth["landmark_pattern"] == "print") == (row["pattern"] == "print") == (row["subject"] == subject)
+        assert (
+            (truth["landmark_pattern"] == "print")
+            == (row["pattern"] == "print")
+            == (row["subject"] == subject)
+        )
         assert float(row["roll_deg"]) == drawn.facts["roll_deg"]
 
     before = digests(out)
@@ -290,34 +362,52 @@ def test_a_third_of_the_fingers_have_ridges_of_real_prints(
     assert main(words(out, *seeded, small=PRINTED)) == 0
     assert digests(out) == before
     assert "other settings (prints)" in refused(capsys, *words(out, "--seed", "1", small=PRINTED))
-    assert "begun without real prints" in refused(capsys, *words(population, "--prints", str(prints)))
+    assert "begun without real prints" in refused(
+        capsys, *words(population, "--prints", str(prints))
+    )
     others = tmp_path / "others"
     others.mkdir()
     shutil.copy(prints / "101_2.png", others / "101_1.png")
-    assert "is not the print" in refused(capsys, *words(out, "--seed", "1", "--prints", str(others), small=PRINTED))
+    assert "is not the print" in refused(
+        capsys, *words(out, "--seed", "1", "--prints", str(others), small=PRINTED)
+    )
 
 
-def test_prints_that_cannot_be_used_are_refused(tmp_path: Path, prints: Path, capsys: Captured) -> None:
+def test_prints_that_cannot_be_used_are_refused(
+    tmp_path: Path, prints: Path, capsys: Captured
+) -> None:
     out, empty = tmp_path / "out", tmp_path / "empty"
     assert "is not a folder of prints" in refused(capsys, *words(out, "--prints", str(empty)))
     empty.mkdir()
     assert "holds no prints" in refused(capsys, *words(out, "--prints", str(empty)))
     write_image(empty / "1_1.png", np.full((300, 300), 255, dtype=np.uint8))
-    assert "1_1.png: the image shows no ridges" in refused(capsys, *words(out, "--prints", str(empty)))
+    assert "1_1.png: the image shows no ridges" in refused(
+        capsys, *words(out, "--prints", str(empty))
+    )
     assert "--prints is for 'splitknit simulate population'" in refused(
         capsys, "simulate", "--out", str(out), "--prints", str(prints)
     )
     assert not out.exists()
 
 
+@pytest.mark.slow
 def test_prints_are_dealt_evenly_and_one_finger_is_one_identity(tmp_path: Path) -> None:
     ink = ink_print(master_print("whorl", 5))
     for name in ("a_1", "a_2", "a_10", "b_c_3", "b_c_4", "d"):
         write_image(tmp_path / f"{name}.png", ink)
-    subjects, fingers = tuple(f"S{k:02d}" for k in range(1, 5)), ("left_ring", "right_ring", "left_index")
+    subjects, fingers = (
+        tuple(f"S{k:02d}" for k in range(1, 5)),
+        ("left_ring", "right_ring", "left_index"),
+    )
     dealt = choose_prints(tmp_path, 3, subjects, fingers).of_finger
-    assert [sum(one.mirrored is mirrored for one in dealt.values()) for mirrored in (False, True)] == [3, 1]
-    assert {one.file for one in dealt.values() if not one.mirrored} == {"a_1.png", "b_c_3.png", "d.png"}
+    assert [
+        sum(one.mirrored is mirrored for one in dealt.values()) for mirrored in (False, True)
+    ] == [3, 1]
+    assert {one.file for one in dealt.values() if not one.mirrored} == {
+        "a_1.png",
+        "b_c_3.png",
+        "d.png",
+    }
     assert sorted(finger.split("/")[0] for finger in dealt) == list(subjects)
     assert choose_prints(tmp_path, 3, subjects, fingers).of_finger == dealt
     assert choose_prints(tmp_path, 4, subjects, fingers).of_finger != dealt

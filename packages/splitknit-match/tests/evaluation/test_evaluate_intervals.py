@@ -1,4 +1,5 @@
-"""Intervals: replicates agree with the rates themselves, clusters hang together, and the truth is covered."""
+"""Intervals: replicates agree with the rates themselves, clusters hang together, and the truth is
+covered."""
 
 from __future__ import annotations
 
@@ -19,16 +20,24 @@ from splitknit_match.evaluation.scores import Scores, ids_of
 
 FEW = BootstrapSettings(replicates=100, curve_points=5)
 scores_1d = st.lists(
-    st.one_of(st.integers(-5, 5).map(float), st.floats(-3, 3).map(lambda s: round(s, 6)), st.just(float("nan"))),
+    st.one_of(
+        st.integers(-5, 5).map(float),
+        st.floats(-3, 3).map(lambda s: round(s, 6)),
+        st.just(float("nan")),
+    ),
     min_size=1,
     max_size=15,
 )
-sides = st.tuples(scores_1d, scores_1d).filter(lambda both: not any(np.isnan(side).all() for side in both))
+sides = st.tuples(scores_1d, scores_1d).filter(
+    lambda both: not any(np.isnan(side).all() for side in both)
+)
 
 
 def figures(curve: Roc) -> list[float]:
     """Rates, failures counted and left out."""
-    rates = [(one.equal_error().value, *one.gars((0.5, 0.1, 0.01))) for one in (curve, curve.made())]
+    rates = [
+        (one.equal_error().value, *one.gars((0.5, 0.1, 0.01))) for one in (curve, curve.made())
+    ]
     return [*rates[0], *rates[1], curve.auc()]
 
 
@@ -38,7 +47,8 @@ def plain_scores(genuine: np.ndarray, impostor: np.ndarray, name: str = "scores"
 
 
 def population(seed: int, fingers: int = 30, sessions: int = 3, spread: float = 0.8) -> Scores:
-    """Scores with an effect of each finger, of 3 + spread q_a and spread (q_a + q_b) / 2, noise of one."""
+    """Scores with an effect of each finger, of 3 + spread q_a and spread (q_a + q_b) / 2, noise of
+    one."""
     generator = np.random.default_rng(seed)
     finger, session = np.tile(np.arange(fingers), sessions), np.repeat(np.arange(sessions), fingers)
     pairs = comparisons(finger, session)
@@ -49,14 +59,20 @@ def population(seed: int, fingers: int = 30, sessions: int = 3, spread: float = 
 
 
 @given(sides, st.integers(0, 1000))
-def test_a_weight_counts_as_often_as_a_score_that_is_repeated(both: tuple[list[float], list[float]], seed: int) -> None:
+def test_a_weight_counts_as_often_as_a_score_that_is_repeated(
+    both: tuple[list[float], list[float]], seed: int
+) -> None:
     genuine, impostor = map(np.array, both)
     times = [np.random.default_rng(seed).integers(0, 3, side.size) for side in (genuine, impostor)]
-    drawn = [np.repeat(side, number) for side, number in zip((genuine, impostor), times, strict=True)]
+    drawn = [
+        np.repeat(side, number) for side, number in zip((genuine, impostor), times, strict=True)
+    ]
     if any(np.isnan(side).all() for side in drawn):  # an empty side too
         return
     ranked = rank(genuine, impostor)
-    weights = [number[order].astype(np.float64) for number, order in zip(times, ranked.order, strict=True)]
+    weights = [
+        number[order].astype(np.float64) for number, order in zip(times, ranked.order, strict=True)
+    ]
     assert figures(ranked.roc(weights)) == pytest.approx(figures(roc(*drawn)))
     assert ranked.roc(weights).d_prime() == pytest.approx(roc(*drawn).d_prime(), nan_ok=True)
 
@@ -70,7 +86,11 @@ def test_clusters_weigh_as_often_as_they_are_drawn(method: str) -> None:
     for _ in range(FEW.replicates):
         drawn = np.bincount(generator.integers(0, names, names), minlength=names)
         times = np.array([drawn[a] if a == b else drawn[a] * drawn[b] for a, b in ids.codes])
-        areas.append(roc(*(np.repeat(scores.score[one], times[one]) for one in (scores.label, ~scores.label))).auc())
+        areas.append(
+            roc(
+                *(np.repeat(scores.score[one], times[one]) for one in (scores.label, ~scores.label))
+            ).auc()
+        )
     found = bootstrap(scores, method, FEW).figures["auc"]
     assert [found.low, found.high] == pytest.approx(np.quantile(areas, [0.025, 0.975]))
 
@@ -94,23 +114,34 @@ def test_clusters_give_wider_intervals_where_fingers_differ(seed: int) -> None:
     widths = {}
     for method in ("plain", "finger"):
         found = bootstrap(scores, method, FEW).figures
-        widths[method] = [found[name].high - found[name].low for name in ("eer", "gar@0.01", "auc", "d_prime")]
+        widths[method] = [
+            found[name].high - found[name].low for name in ("eer", "gar@0.01", "auc", "d_prime")
+        ]
     assert (np.array(widths["finger"]) > np.array(widths["plain"])).all()
     assert widths["finger"][-1] > 1.25 * widths["plain"][-1]
 
 
 def test_clusters_change_little_where_fingers_do_not_differ() -> None:
     scores = population(4, fingers=60, spread=0.0)
-    widths = [np.ptp([one.low, one.high]) for one in (bootstrap(scores, m, FEW).figures["auc"] for m in _BOTH)]
+    widths = [
+        np.ptp([one.low, one.high])
+        for one in (bootstrap(scores, m, FEW).figures["auc"] for m in _BOTH)
+    ]
     assert 0.6 < widths[1] / widths[0] < 1.6
 
 
 _BOTH = ("plain", "finger")
 
 
+@pytest.mark.slow
 def test_plain_intervals_cover() -> None:
     generator = np.random.default_rng(11)
-    truth = {"eer": ndtr(-1.0), "auc": ndtr(np.sqrt(2.0)), "d_prime": 2.0, "gar@0.1": ndtr(2 - 1.2815515655446004)}
+    truth = {
+        "eer": ndtr(-1.0),
+        "auc": ndtr(np.sqrt(2.0)),
+        "d_prime": 2.0,
+        "gar@0.1": ndtr(2 - 1.2815515655446004),
+    }
     settings = BootstrapSettings(replicates=100, targets=(0.1,), curve_points=0)
     hits = dict.fromkeys(truth, 0)
     for trial in range(100):
@@ -144,24 +175,35 @@ def test_no_error_is_not_certainty() -> None:
     scores = plain_scores(generator.normal(50, 1, 60), generator.normal(0, 1, 300))
     found = bootstrap(scores, "plain", FEW).figures
     assert (found["eer"].value, found["eer"].low, found["eer"].high) == (0.0, 0.0, 0.05)
-    assert (found["gar@0.01"].value, found["gar@0.01"].low, found["gar@0.01"].high) == (1.0, 0.95, 1.0)
+    assert (found["gar@0.01"].value, found["gar@0.01"].low, found["gar@0.01"].high) == (
+        1.0,
+        0.95,
+        1.0,
+    )
     turned = plain_scores(generator.normal(-50, 1, 60), generator.normal(0, 1, 300))
     found = bootstrap(turned, "plain", FEW).figures
     assert (found["gar@0.01"].low, found["gar@0.01"].high) == (0.0, 0.05)
     by_finger = population(1, fingers=30, spread=0.0)
     easy = Scores(by_finger.label, by_finger.score + 50 * by_finger.label, finger=by_finger.finger)
-    assert bootstrap(easy, "finger", FEW).figures["eer"].high == pytest.approx(0.1)  # 30 fingers, not 90 pairs
+    # 30 fingers, not 90 pairs
+    assert bootstrap(easy, "finger", FEW).figures["eer"].high == pytest.approx(0.1)
 
 
 def test_few_errors_are_no_certainty_either() -> None:
     generator = np.random.default_rng(3)
     genuine = np.append(generator.normal(50, 1, 59), -50.0)
-    found = bootstrap(plain_scores(genuine, generator.normal(0, 1, 300)), "plain", FEW).figures["gar@0.01"]
+    found = bootstrap(plain_scores(genuine, generator.normal(0, 1, 300)), "plain", FEW).figures[
+        "gar@0.01"
+    ]
     assert found.value == pytest.approx(59 / 60)
-    assert betainc(2, 59, 1 - found.low) == pytest.approx(0.95)  # one error of 60, Clopper and Pearson
+    # one error of 60, Clopper and Pearson
+    assert betainc(2, 59, 1 - found.low) == pytest.approx(0.95)
     assert error_bound(0.0, 300) == 0.01 and error_bound(1.0, 5) == 1.0
-    assert error_bound(1e-12, 300) == pytest.approx(0.01, rel=0.01)  # it starts at the rule of three
-    many = plain_scores(np.append(generator.normal(50, 1, 300), np.full(100, -50.0)), generator.normal(0, 1, 300))
+    # it starts at the rule of three
+    assert error_bound(1e-12, 300) == pytest.approx(0.01, rel=0.01)
+    many = plain_scores(
+        np.append(generator.normal(50, 1, 300), np.full(100, -50.0)), generator.normal(0, 1, 300)
+    )
     found = bootstrap(many, "plain", FEW).figures["gar@0.01"]
     assert found.high - found.low == pytest.approx(2 * 1.96 * np.sqrt(0.25 * 0.75 / 400), rel=0.3)
 
@@ -197,7 +239,9 @@ def test_differences_of_like_systems(method: str) -> None:
         assert found[name].high - found[name].low < single[name].high - single[name].low
     back = differences(second, first, method, FEW)
     assert back["eer"].value == -found["eer"].value
-    assert (back["eer"].low, back["eer"].high) == pytest.approx((-found["eer"].high, -found["eer"].low))
+    assert (back["eer"].low, back["eer"].high) == pytest.approx(
+        (-found["eer"].high, -found["eer"].low)
+    )
     assert found["auc"].value > 0
     much = replace(first, score=first.score + 2 * noise, name="much noisier")
     assert differences(first, much, method, FEW)["auc"].low > 0  # beyond chance
@@ -225,6 +269,10 @@ def test_bad_requests() -> None:
         bootstrap(scores, "hand", FEW)
     with pytest.raises(BadInput, match="same pairs"):
         differences(scores, plain_scores(np.array([2.0]), np.array([0.0, 1.0])), "plain", FEW)
-    two = Scores(np.array([True, True, False]), np.arange(3.0), finger=ids_of(["a", "b", "a"], ["a", "b", "b"]))
+    two = Scores(
+        np.array([True, True, False]),
+        np.arange(3.0),
+        finger=ids_of(["a", "b", "a"], ["a", "b", "b"]),
+    )
     with pytest.raises(BadInput, match="three of them"):
         bootstrap(two, "finger", FEW)

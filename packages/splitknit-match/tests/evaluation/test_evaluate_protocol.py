@@ -8,7 +8,12 @@ import numpy as np
 import pytest
 
 from splitknit.errors import BadInput
-from splitknit_match.evaluation.protocol import average_sessions, comparisons, pair_up, scores_of_comparisons
+from splitknit_match.evaluation.protocol import (
+    average_sessions,
+    comparisons,
+    pair_up,
+    scores_of_comparisons,
+)
 from splitknit_match.evaluation.scores import Ids, Scores, ids_of
 
 
@@ -26,7 +31,9 @@ def test_the_thesis_has_six_pairs_of_sessions() -> None:
     assert (int(pairs.genuine.sum()), int((~pairs.genuine).sum())) == (1020, 172_380)
     assert (session[pairs.a] < session[pairs.b]).all()
     assert len(set(zip(pairs.a.tolist(), pairs.b.tolist(), strict=True))) == pairs.a.size
-    averaged = average_sessions(scores_of_comparisons(pairs, np.zeros(pairs.a.size), finger, session))
+    averaged = average_sessions(
+        scores_of_comparisons(pairs, np.zeros(pairs.a.size), finger, session)
+    )
     assert (int(averaged.label.sum()), int((~averaged.label).sum())) == (170, 28_730)
 
 
@@ -44,7 +51,11 @@ def test_impostors_of_one_session_are_compared_once() -> None:
 
 def test_a_finger_that_is_missing_in_a_session() -> None:
     pairs = comparisons(["x", "y", "x"], [1, 1, 2])
-    assert pairs.a.tolist() == [0, 1] and pairs.b.tolist() == [2, 2] and pairs.genuine.tolist() == [True, False]
+    assert (
+        pairs.a.tolist() == [0, 1]
+        and pairs.b.tolist() == [2, 2]
+        and pairs.genuine.tolist() == [True, False]
+    )
     with pytest.raises(BadInput, match="two captures"):
         comparisons(["x", "x"], [1, 1])
     with pytest.raises(BadInput, match="two sessions"):
@@ -61,7 +72,10 @@ def test_two_fingers_are_drawn_once_for_all_sessions() -> None:
     finger, session = ["x", "y", "z"] * 3, [k for k in (1, 2, 3) for _ in range(3)]
     few, every = comparisons(finger, session, drawn), comparisons(finger, session)
     assert len(asked) == 3
-    kept = [finger[a] == finger[b] or "y" not in (finger[a], finger[b]) for a, b in zip(every.a, every.b, strict=True)]
+    kept = [
+        finger[a] == finger[b] or "y" not in (finger[a], finger[b])
+        for a, b in zip(every.a, every.b, strict=True)
+    ]
     assert few.a.tolist() == every.a[kept].tolist() and few.b.tolist() == every.b[kept].tolist()
     assert few.genuine.tolist() == every.genuine[kept].tolist()
 
@@ -102,14 +116,17 @@ def test_systems_are_paired_by_their_ids() -> None:
     first = small()
     second = replace(first.taken(np.random.default_rng(0).permutation(12)), name="other")
     assert second.finger is not None
-    renamed = replace(second, finger=Ids(1 - second.finger.codes, second.finger.names[::-1]))  # other codes, same names
+    # other codes, same names
+    renamed = replace(second, finger=Ids(1 - second.finger.codes, second.finger.names[::-1]))
     for other in (second, renamed):
         paired = pair_up(first, other)
         assert paired.name == "other"
         np.testing.assert_array_equal(paired.score, first.score)
     stranger = replace(second, finger=Ids(second.finger.codes, ("x", "q")))
     for other in (stranger, first.taken(np.arange(11))):
-        with pytest.raises(BadInput, match=r"same pairs: .* lacks, or has more than once, .*finger [xy]"):
+        with pytest.raises(
+            BadInput, match=r"same pairs: .* lacks, or has more than once, .*finger [xy]"
+        ):
             pair_up(first, other)
 
 
@@ -117,7 +134,10 @@ def test_systems_without_ids_are_paired_by_place() -> None:
     first = Scores(np.array([True, False, False]), np.array([3.0, 1.0, 2.0]))
     second = Scores(np.array([True, False, False]), np.array([5.0, 0.0, 1.0]))
     twice = ids_of(["x", "x", "x"], ["x", "y", "y"])  # a pair that is named twice has but its place
-    for one, other in ((first, second), (replace(first, finger=twice), replace(second, finger=twice))):
+    for one, other in (
+        (first, second),
+        (replace(first, finger=twice), replace(second, finger=twice)),
+    ):
         assert pair_up(one, other) is other
         with pytest.raises(BadInput, match="same pairs"):
             pair_up(one, other.taken([1, 0, 2]))
@@ -139,7 +159,9 @@ def test_bad_sets_of_scores(label: list[bool], score: list[float], words: str) -
 
 def test_ids_that_contradict_labels() -> None:
     label, score = np.array([True, False]), np.array([1.0, 0.0])
-    Scores(label, score, finger=ids_of(["x", "x"], ["x", "y"]), subject=ids_of(["s", "s"], ["s", "s"]))
+    Scores(
+        label, score, finger=ids_of(["x", "x"], ["x", "y"]), subject=ids_of(["s", "s"], ["s", "s"])
+    )
     for finger, subject in (
         (ids_of(["x", "x"], ["y", "y"]), None),
         (ids_of(["x", "x"], ["x", "x"]), None),

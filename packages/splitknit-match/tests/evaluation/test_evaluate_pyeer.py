@@ -2,9 +2,10 @@
 
 Its figures on these scores are written down here.
 
-Two of its definitions differ from ours. GAR at FAR: it takes the threshold whose FMR is *nearest* to the target, we the
-largest FAR not above it; the same where the target is reached exactly, as in ``real``. AUC: its curve ends at the
-highest score, so that the last piece, above which nobody is accepted, is missing where that score is an impostor's.
+Two of its definitions differ from ours. GAR at FAR: it takes the threshold whose FMR is *nearest*
+to the target, we the largest FAR not above it; the same where the target is reached exactly, as in
+``real``. AUC: its curve ends at the highest score, so that the last piece, above which nobody is
+accepted, is missing where that score is an impostor's.
 """
 
 from __future__ import annotations
@@ -32,13 +33,21 @@ RECORDED = {
         "gar@0": 0.2964285714285714,
         "gar@0.01": 0.6,
     },
-    "apart": {"eer": 0.0, "auc": 1.0, "d_prime": 40.001721721401466, "gar@0": 1.0, "gar@0.001": 1.0, "gar@0.01": 1.0},
+    "apart": {
+        "eer": 0.0,
+        "auc": 1.0,
+        "d_prime": 40.001721721401466,
+        "gar@0": 1.0,
+        "gar@0.001": 1.0,
+        "gar@0.01": 1.0,
+    },
 }
 """By pyeer."""
 
 
 def shared(name: str) -> tuple[np.ndarray, np.ndarray]:
-    """Genuine and impostor scores without a random generator: the same in every version of everything."""
+    """Genuine and impostor scores without a random generator: the same in every version of
+    everything."""
 
     def normal(count: int, start: float) -> np.ndarray:
         return ndtri(np.mod(start + GOLDEN * np.arange(1, count + 1), 1.0))
@@ -46,7 +55,9 @@ def shared(name: str) -> tuple[np.ndarray, np.ndarray]:
     if name == "real":  # no ties
         return np.round(2.4 + 1.1 * normal(1500, 0.1), 9), np.round(normal(10_000, 0.7), 9)
     if name == "whole":  # like bozorth3: whole numbers, many ties
-        return np.floor(np.exp(3.1 + 0.8 * normal(280, 0.3))), np.floor(np.exp(1.7 + 0.5 * normal(3619, 0.2)))
+        return np.floor(np.exp(3.1 + 0.8 * normal(280, 0.3))), np.floor(
+            np.exp(1.7 + 0.5 * normal(3619, 0.2))
+        )
     return 40 + normal(200, 0.5), normal(2000, 0.5)  # no overlap
 
 

@@ -20,8 +20,12 @@ whole = st.lists(st.integers(-6, 6).map(float), min_size=1, max_size=14)
 real = st.lists(st.floats(-1e3, 1e3), min_size=1, max_size=14)
 either = st.one_of(st.tuples(whole, whole), st.tuples(real, real))
 missing = st.tuples(
-    st.lists(st.one_of(st.integers(-4, 4).map(float), st.just(float("nan"))), min_size=1, max_size=12),
-    st.lists(st.one_of(st.integers(-4, 4).map(float), st.just(float("nan"))), min_size=1, max_size=12),
+    st.lists(
+        st.one_of(st.integers(-4, 4).map(float), st.just(float("nan"))), min_size=1, max_size=12
+    ),
+    st.lists(
+        st.one_of(st.integers(-4, 4).map(float), st.just(float("nan"))), min_size=1, max_size=12
+    ),
 ).filter(lambda both: not any(np.isnan(side).all() for side in both))
 
 
@@ -37,7 +41,9 @@ missing = st.tuples(
         (0.0001, 0.25, 0.0, 6.0),
     ],
 )
-def test_gar_at_far_by_hand_with_ties(target: float, gar: float, far: float, threshold: float) -> None:
+def test_gar_at_far_by_hand_with_ties(
+    target: float, gar: float, far: float, threshold: float
+) -> None:
     point = roc(GENUINE, IMPOSTOR).at_far(target)
     assert (point.gar, point.far, point.threshold) == (gar, far, threshold)
     assert point.resolved == (target >= 0.25)
@@ -77,7 +83,8 @@ def test_rule_of_three() -> None:
         ([1.0], [1.0], 0.5),
         ([1.0, 1.0, 2.0], [1.0, 1.0], 1 / 3),  # at t = 2: FAR 0, FRR 2/3; at t = 1: FAR 1, FRR 0
         (GENUINE, IMPOSTOR, 0.25),  # t = 5: both 1/4, so that they meet
-        ([3.0, 4.0, 6.0], [0.0, 1.0, 5.0, 5.0], 5 / 12),  # t = 4: FAR 1/2, FRR 1/3; t = 5: FAR 1/2, FRR 2/3
+        # t = 4: FAR 1/2, FRR 1/3; t = 5: FAR 1/2, FRR 2/3
+        ([3.0, 4.0, 6.0], [0.0, 1.0, 5.0, 5.0], 5 / 12),
     ],
 )
 def test_equal_error_by_hand(genuine: list[float], impostor: list[float], value: float) -> None:
@@ -117,7 +124,9 @@ def test_failures_are_rejections_or_left_out(sides: tuple[list[float], list[floa
     every, some = roc(genuine, impostor), roc(genuine, impostor).made()
     fractions = [1 - len(few) / len(all_) for few, all_ in zip(made, sides, strict=True)]
     np.testing.assert_allclose(every.far, some.far * (1 - fractions[1]))
-    np.testing.assert_allclose(1 - every.gar, fractions[0] + (1 - some.gar) * (1 - fractions[0]), atol=1e-12)
+    np.testing.assert_allclose(
+        1 - every.gar, fractions[0] + (1 - some.gar) * (1 - fractions[0]), atol=1e-12
+    )
 
 
 @given(either)
@@ -129,12 +138,18 @@ def test_the_roc_rises_and_holds_every_point(sides: tuple[list[float], list[floa
     assert (np.diff(found.ranked.threshold) <= 0).all()
     for t, far, gar in zip(found.ranked.threshold, found.far, found.gar, strict=True):
         assert far == np.mean(np.array(impostor) >= t) and gar == np.mean(np.array(genuine) >= t)
-    for _, far, frr in reference.points(genuine, impostor):  # on a corner, or between two on a line along an axis
+    # on a corner, or between two on a line along an axis
+    for _, far, frr in reference.points(genuine, impostor):
         x, y = float(far), float(1 - frr)
-        on = (found.far[:-1] <= x) & (x <= found.far[1:]) & (found.gar[:-1] <= y) & (y <= found.gar[1:])
-        assert (on & ((found.far[:-1] == found.far[1:]) | (found.gar[:-1] == found.gar[1:]))).any() or (
-            (found.far == x) & (found.gar == y)
-        ).any()
+        on = (
+            (found.far[:-1] <= x)
+            & (x <= found.far[1:])
+            & (found.gar[:-1] <= y)
+            & (y <= found.gar[1:])
+        )
+        assert (
+            on & ((found.far[:-1] == found.far[1:]) | (found.gar[:-1] == found.gar[1:]))
+        ).any() or ((found.far == x) & (found.gar == y)).any()
 
 
 @given(st.tuples(whole, whole))
@@ -144,23 +159,38 @@ def test_order_is_all_that_counts(sides: tuple[list[float], list[float]]) -> Non
     def bent(s: np.ndarray) -> np.ndarray:
         return np.exp(s / 3) - 100 * np.exp(-s)
 
-    assert roc(bent(genuine), bent(impostor)).equal_error().value == roc(genuine, impostor).equal_error().value
+    assert (
+        roc(bent(genuine), bent(impostor)).equal_error().value
+        == roc(genuine, impostor).equal_error().value
+    )
     assert roc(bent(genuine), bent(impostor)).auc() == roc(genuine, impostor).auc()
-    np.testing.assert_array_equal(roc(bent(genuine), bent(impostor)).gar, roc(genuine, impostor).gar)
-    assert roc(bent(genuine), bent(impostor)).at_far(0.1).gar == roc(genuine, impostor).at_far(0.1).gar
+    np.testing.assert_array_equal(
+        roc(bent(genuine), bent(impostor)).gar, roc(genuine, impostor).gar
+    )
+    assert (
+        roc(bent(genuine), bent(impostor)).at_far(0.1).gar == roc(genuine, impostor).at_far(0.1).gar
+    )
 
 
 @given(st.tuples(whole, whole))
-def test_exchanging_the_classes_exchanges_the_errors(sides: tuple[list[float], list[float]]) -> None:
+def test_exchanging_the_classes_exchanges_the_errors(
+    sides: tuple[list[float], list[float]],
+) -> None:
     genuine, impostor = map(np.array, sides)
-    assert roc(-impostor, -genuine).equal_error().value == roc(genuine, impostor).equal_error().value
+    assert (
+        roc(-impostor, -genuine).equal_error().value == roc(genuine, impostor).equal_error().value
+    )
     assert roc(-impostor, -genuine).auc() == pytest.approx(roc(genuine, impostor).auc())
     assert roc(impostor, genuine).auc() == pytest.approx(1 - roc(genuine, impostor).auc())
-    assert roc(-impostor, -genuine).d_prime() == pytest.approx(roc(genuine, impostor).d_prime(), nan_ok=True)
+    assert roc(-impostor, -genuine).d_prime() == pytest.approx(
+        roc(genuine, impostor).d_prime(), nan_ok=True
+    )
 
 
 @given(st.tuples(whole, whole), st.randoms(use_true_random=False))
-def test_order_of_the_scores_does_not_count(sides: tuple[list[float], list[float]], random: object) -> None:
+def test_order_of_the_scores_does_not_count(
+    sides: tuple[list[float], list[float]], random: object
+) -> None:
     genuine, impostor = (list(side) for side in sides)
     before = roc(genuine, impostor).equal_error(), roc(genuine, impostor).at_far(0.2)
     random.shuffle(genuine)  # type: ignore[attr-defined]
@@ -173,7 +203,9 @@ def test_two_normal_distributions(distance: float) -> None:
     quantiles = (np.arange(40_000) + 0.5) / 40_000
     impostor = ndtri(quantiles)
     genuine = impostor[::4] + distance
-    assert roc(genuine, impostor).equal_error().value == pytest.approx(ndtr(-distance / 2), abs=2e-4)
+    assert roc(genuine, impostor).equal_error().value == pytest.approx(
+        ndtr(-distance / 2), abs=2e-4
+    )
     assert roc(genuine, impostor).auc() == pytest.approx(ndtr(distance / np.sqrt(2)), abs=1e-4)
     assert roc(genuine, impostor).d_prime() == pytest.approx(distance, abs=2e-3)
     for target in (0.01, 0.001):

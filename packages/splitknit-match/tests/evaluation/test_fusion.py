@@ -16,14 +16,17 @@ from splitknit_match.evaluation.scores import Scores, ids_of
 
 
 def systems(count: int = 3, subjects: int = 30, seed: int = 0, noise: float = 0.6) -> list[Scores]:
-    """Systems of independent errors, two fingers of each subject in two sessions, on scales of their own."""
+    """Systems of independent errors, two fingers of each subject in two sessions, on scales of
+    their own."""
     finger = np.tile(np.arange(2 * subjects), 2)
     session = np.repeat([1, 2], 2 * subjects)
     pairs, rng = comparisons(finger, session), np.random.default_rng(seed)
     found = []
     for k in range(count):
         score = 10.0**k * (pairs.genuine + rng.normal(0, noise, pairs.a.size)) - 5 * k
-        found.append(scores_of_comparisons(pairs, score, finger, session, finger // 2, name=f"s{k}"))
+        found.append(
+            scores_of_comparisons(pairs, score, finger, session, finger // 2, name=f"s{k}")
+        )
     return found
 
 
@@ -43,20 +46,29 @@ def test_the_trained_one_leaves_a_useless_system_out() -> None:
     good, useless = systems(2)
     noise = replace(useless, score=np.random.default_rng(5).normal(size=useless.score.size))
     trained = fuse([good, noise])
-    assert separation(trained.scores) > 0.9 * separation(good)  # it pools 15 models, each of some 20 genuine pairs
+    # it pools 15 models, each of some 20 genuine pairs
+    assert separation(trained.scores) > 0.9 * separation(good)
     assert separation(fuse([good, noise], "linear").scores) < 0.8 * separation(good)
     assert abs(trained.weights[1]) < 0.2 * trained.weights[0]
 
 
 def test_nobody_is_trained_on_who_is_tested_on() -> None:
-    """Spoil all that one subject took part in: only the models that score its fold stay as they were."""
+    """Spoil all that one subject took part in: only the models that score its fold stay as they
+    were."""
     two = systems(2)
     assert two[0].subject is not None
     mine = (two[0].subject.codes == 3).any(axis=1)
-    spoilt = [replace(one, score=np.where(mine, 1e3 * np.sin(np.arange(mine.size)), one.score)) for one in two]
+    spoilt = [
+        replace(one, score=np.where(mine, 1e3 * np.sin(np.arange(mine.size)), one.score))
+        for one in two
+    ]
     plain, other = fuse(two), fuse(spoilt)
     table = np.stack([one.score for one in two], axis=1)
-    same = {key for key, model in plain.models.items() if np.array_equal(model(table), other.models[key](table))}
+    same = {
+        key
+        for key, model in plain.models.items()
+        if np.array_equal(model(table), other.models[key](table))
+    }
     assert len(plain.models) == 15
     assert any(same == {key for key in plain.models if fold in key} for fold in range(5))
 
@@ -99,7 +111,9 @@ def test_newton_finds_the_least_loss() -> None:
     """Against a general minimiser on the loss as it is defined."""
     rng = np.random.default_rng(2)
     genuine = np.arange(400) % 5 == 0
-    table = np.stack([genuine + rng.normal(0, 0.8, 400), 3 * genuine + rng.normal(0, 4, 400)], axis=1)
+    table = np.stack(
+        [genuine + rng.normal(0, 0.8, 400), 3 * genuine + rng.normal(0, 4, 400)], axis=1
+    )
     table[rng.random(table.shape) < 0.1] = np.nan
     table = table[~np.isnan(table).all(axis=1)]
     genuine = genuine[: len(table)]
@@ -143,7 +157,9 @@ def test_the_pair_at_fault_is_named() -> None:
     fewer = other.taken(np.arange(other.label.size) != 20)
     again = other.taken(np.append(np.arange(other.label.size), 20))
     for wrong in (fewer, again):
-        with pytest.raises(BadInput, match="'s1' lacks, or has more than once, finger 1, subject 0, session 1 with"):
+        with pytest.raises(
+            BadInput, match="'s1' lacks, or has more than once, finger 1, subject 0, session 1 with"
+        ):
             fuse([one, wrong])
     with pytest.raises(BadInput, match="did not score the same pairs"):
         fuse([one, replace(other, finger=None)])
@@ -179,6 +195,16 @@ def test_what_cannot_be_fused_is_refused() -> None:
         fuse([two[0], replace(two[1], score=np.ones(two[1].score.size))])
     few = ids_of(["a", "b"], ["a", "a"])
     with pytest.raises(BadInput, match="three subjects"):
-        fuse([Scores(np.array([True, False]), np.array([1.0, 0.0]), subject=few, name=name) for name in "xy"])
+        fuse(
+            [
+                Scores(np.array([True, False]), np.array([1.0, 0.0]), subject=few, name=name)
+                for name in "xy"
+            ]
+        )
     with pytest.raises(BadInput, match="left to learn from"):
-        fuse([replace(one, subject=None).taken((one.finger.codes < 3).all(axis=1)) for one in systems(2, subjects=2)])
+        fuse(
+            [
+                replace(one, subject=None).taken((one.finger.codes < 3).all(axis=1))
+                for one in systems(2, subjects=2)
+            ]
+        )

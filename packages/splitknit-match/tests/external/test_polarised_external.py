@@ -1,4 +1,5 @@
-"""A finger path-traced behind polarising films by nobody on this project: a parallel and a crossed series."""
+"""A finger path-traced behind polarising films by nobody on this project: a parallel and a crossed
+series."""
 
 from __future__ import annotations
 
@@ -29,12 +30,17 @@ def capture(data_dir: Path) -> Capture:
 
 
 @pytest.mark.parametrize("moved_mm", [(0.0, 0.0), (0.2, -0.1)])
-def test_motion_between_the_series_is_found_to_micrometres(capture: Capture, moved_mm: tuple[float, float]) -> None:
-    """A still finger to 0.004 mm in each shot; a moved one to 0.009 mm, the mean of its shots to 0.005 mm."""
+def test_motion_between_the_series_is_found_to_micrometres(
+    capture: Capture, moved_mm: tuple[float, float]
+) -> None:
+    """A still finger to 0.004 mm in each shot; a moved one to 0.009 mm, the mean of its shots to
+    0.005 mm."""
     px, band = capture.rig.camera.px_per_mm, capture.bands["white_crossed"]
     turn = np.array([[1.0, 0.0, moved_mm[0] * px], [0.0, 1.0, -moved_mm[1] * px]])
     size = capture.shape[::-1]
-    pixels = [cv2.warpAffine(one, turn, size, flags=cv2.INTER_CUBIC, borderMode=1) for one in band.pixels]
+    pixels = [
+        cv2.warpAffine(one, turn, size, flags=cv2.INTER_CUBIC, borderMode=1) for one in band.pixels
+    ]
     crossed = replace(band, pixels=np.stack(pixels)) if any(moved_mm) else band
     given = replace(capture, bands={**capture.bands, "white_crossed": crossed})
     steady, finger = find_steady_finger(given, preset_settings("metric"))
@@ -49,18 +55,25 @@ def test_motion_between_the_series_is_found_to_micrometres(capture: Capture, mov
 
 
 @pytest.mark.slow
-def test_prints_of_specular_light_and_of_relief_are_one_finger(capture: Capture, tmp_path: Path, capsys) -> None:
+def test_prints_of_specular_light_and_of_relief_are_one_finger(
+    capture: Capture, tmp_path: Path, capsys
+) -> None:
     result, out = tmp_path / "result", []
     splitknit.reconstruct(capture, "snk").save(result, None)
     for method in ("specular", "relief"):
         out.append(str(tmp_path / method / "print.png"))
-        assert main(["print", str(result), "--method", method, "--out", str(tmp_path / method)]) == 0
+        assert (
+            main(["print", str(result), "--method", method, "--out", str(tmp_path / method)]) == 0
+        )
     assert main(["match", *out]) == 0
     assert "Match, decided" in capsys.readouterr().out
 
 
-def test_heights_are_measured_where_the_skin_faces_the_camera(capture: Capture, data_dir: Path) -> None:
-    """0.9995 and 0.96 below 15 degrees, 0.996 and 0.98 up to 30; without films 0.987 and 0.89, 0.976 and 0.84."""
+def test_heights_are_measured_where_the_skin_faces_the_camera(
+    capture: Capture, data_dir: Path
+) -> None:
+    """0.9995 and 0.96 below 15 degrees, 0.996 and 0.98 up to 30; without films 0.987 and 0.89,
+    0.976 and 0.84."""
     result = splitknit.reconstruct(capture)
     assert result.facts["heights"] == "measured"
     with np.load(data_dir / "path_traced" / "polarised" / "d17_pol_truth.npz") as file:
@@ -76,11 +89,19 @@ def test_heights_are_measured_where_the_skin_faces_the_camera(capture: Capture, 
 
 
 @pytest.mark.slow
-def test_grey_photographs_do_where_the_skin_faces_the_camera(capture: Capture, data_dir: Path) -> None:
-    """0.996, 0.96 and 1.9 um below 15 degrees; from a relief by colour the heights ended at 0.82, 0.34 and 14 um."""
+def test_grey_photographs_do_where_the_skin_faces_the_camera(
+    capture: Capture, data_dir: Path
+) -> None:
+    """0.996, 0.96 and 1.9 um below 15 degrees; from a relief by colour the heights ended at 0.82,
+    0.34 and 14 um."""
     luminance = np.array([0.2126, 0.7152, 0.0722])
     bands = {
-        name: replace(band, pixels=np.rint((band.pixels * luminance).sum(-1, keepdims=True)).astype(band.pixels.dtype))
+        name: replace(
+            band,
+            pixels=np.rint((band.pixels * luminance).sum(-1, keepdims=True)).astype(
+                band.pixels.dtype
+            ),
+        )
         if band.pixels.shape[-1] == 3
         else band
         for name, band in capture.bands.items()

@@ -43,7 +43,11 @@ def test_our_route_is_no_worse_than_nbis_py(files) -> None:
 
     extractor = nbis.new_nbis_extractor(
         nbis.NbisExtractorSettings(
-            min_quality=0.0, get_center=False, check_fingerprint=False, compute_nfiq2=False, ppi=500.0
+            min_quality=0.0,
+            get_center=False,
+            check_fingerprint=False,
+            compute_nfiq2=False,
+            ppi=500.0,
         )
     )
     plain = [extractor.extract_minutiae(file.read_bytes()) for file in files]
@@ -59,11 +63,18 @@ def test_unenhanced_minutiae_give_the_scores_of_nbis_py(files) -> None:
 
     extractor = nbis.new_nbis_extractor(
         nbis.NbisExtractorSettings(
-            min_quality=0.0, get_center=False, check_fingerprint=False, compute_nfiq2=False, ppi=500.0
+            min_quality=0.0,
+            get_center=False,
+            check_fingerprint=False,
+            compute_nfiq2=False,
+            ppi=500.0,
         )
     )
     some = files[::6]
     plain = [extractor.extract_minutiae(file.read_bytes()) for file in some]
-    ours = [unpack_minutiae(pack_minutiae(extract(read_print_png(file).image, edge_mm=0.0))) for file in some]
+    ours = [
+        unpack_minutiae(pack_minutiae(extract(read_print_png(file).image, edge_mm=0.0)))
+        for file in some
+    ]
     for i, j in itertools.product(range(len(some)), repeat=2):
         assert minutiae_match(ours[i], ours[j]) == plain[i].compare(plain[j])

@@ -1,4 +1,5 @@
-"""Pictures of others through the whole pipeline, with every preset: figures, and files through the command line."""
+"""Pictures of others through the whole pipeline, with every preset: figures, and files through the
+command line."""
 
 from __future__ import annotations
 
@@ -38,11 +39,19 @@ def needed(path: Path) -> Path:
 def bear(data_dir: Path) -> tuple[Capture, np.ndarray]:
     """DiLiGenT's bear and its scanned normals."""
     with np.load(needed(data_dir / "diligent" / "bear.npz")) as data:
-        images, lights, mask, normals = (data[name] for name in ("images", "lights", "mask", "normals"))
+        images, lights, mask, normals = (
+            data[name] for name in ("images", "lights", "mask", "normals")
+        )
     units = lights / np.linalg.norm(lights, axis=1, keepdims=True)
     leds = tuple(Led("white", direction=(float(x), float(y), float(z))) for x, y, z in units)
     count = len(leds)
-    band = Band("white", images[..., None], tuple((k,) for k in range(count)), np.ones(count), np.zeros(count))
+    band = Band(
+        "white",
+        images[..., None],
+        tuple((k,) for k in range(count)),
+        np.ones(count),
+        np.zeros(count),
+    )
     rig = Rig(Camera(4.0, (images.shape[1], images.shape[2])), leds)
     return Capture(rig, {"white": band}, material="opaque", mask=mask.astype(bool)), normals
 
@@ -53,14 +62,21 @@ def ball(data_dir: Path) -> tuple[Capture, np.ndarray]:
     folder = needed(data_dir / "psm_spheres")
     lights = read_light_list(folder / "lights.txt").lights
     photographs = GivenPhotographs(
-        folder / "gray" / "gray.{light}.png", lights, 5.0, mask=folder / "gray" / "gray.mask.png", encoding="linear"
+        folder / "gray" / "gray.{light}.png",
+        lights,
+        5.0,
+        mask=folder / "gray" / "gray.mask.png",
+        encoding="linear",
     )
     capture = capture_from_photographs(photographs).capture
     assert capture.mask is not None
     rows, columns = np.nonzero(capture.mask)
     radius = (np.ptp(columns) + np.ptp(rows) + 2) / 4
     i, j = np.mgrid[0 : capture.shape[0], 0 : capture.shape[1]]
-    x, y = (j - (columns.min() + columns.max()) / 2) / radius, (i - (rows.min() + rows.max()) / 2) / radius
+    x, y = (
+        (j - (columns.min() + columns.max()) / 2) / radius,
+        (i - (rows.min() + rows.max()) / 2) / radius,
+    )
     sphere = np.where(np.hypot(x, y) < 0.95, np.sqrt(np.clip(1 - x * x - y * y, 0, None)), np.nan)
     return capture, sphere * radius / 5.0
 
@@ -71,7 +87,12 @@ def phalange(data_dir: Path) -> Capture:
     folder = needed(data_dir / "blender_finger" / "phalange")
     lights = read_light_list(folder / "lights.txt").lights
     photographs = GivenPhotographs(
-        folder / "light_{light}.png", lights, 40.0, mask=folder / "mask.png", background=71, encoding="linear"
+        folder / "light_{light}.png",
+        lights,
+        40.0,
+        mask=folder / "mask.png",
+        background=71,
+        encoding="linear",
     )
     return capture_from_photographs(photographs).capture
 
@@ -99,18 +120,26 @@ def angle_deg(first: np.ndarray, second: np.ndarray, mask: BoolArray) -> float:
 
 
 LINEAR = {"enhance.cells.grey": "linear"}
-"""Equalise linear light; the thesis's images were equalised in their sRGB code, which bends shapes twice as much."""
+"""Equalise linear light; the thesis's images were equalised in their sRGB code, which bends shapes
+twice as much."""
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
     ("preset", "changes", "limit_deg"),
-    [("metric", {}, 6.0), ("snk", {}, 9.6), ("ea", {}, 9.6), ("pr", LINEAR, 12.8), ("pr", {}, 19.6)],
+    [
+        ("metric", {}, 6.0),
+        ("snk", {}, 9.6),
+        ("ea", {}, 9.6),
+        ("pr", LINEAR, 12.8),
+        ("pr", {}, 19.6),
+    ],
 )
 def test_normals_of_the_bear(
     bear: tuple[Capture, np.ndarray], preset: str, changes: dict[str, str], limit_deg: float
 ) -> None:
-    """Of the integrated surface; integration costs `metric` less than half a degree on its photometric stereo."""
+    """Of the integrated surface; integration costs `metric` less than half a degree on its
+    photometric stereo."""
     capture, truth = bear
     assert capture.mask is not None
     result = reconstruct(capture, preset, changes)
@@ -133,7 +162,9 @@ def test_measured_normals_are_those_of_photometric_stereo(bear: tuple[Capture, n
     white = capture.bands["white"]
     lights = capture.rig.select(white.leds).light_vectors()
     plain, _ = lambertian(linear_stack(white, capture.encoding), lights, capture.mask)
-    np.testing.assert_allclose(result.normals_measured[capture.mask], plain[capture.mask], atol=1e-6)
+    np.testing.assert_allclose(
+        result.normals_measured[capture.mask], plain[capture.mask], atol=1e-6
+    )
     measured = angle_deg(result.normals_measured, truth, capture.mask)
     assert measured < 8.95 and measured + 0.2 < angle_deg(result.normals, truth, capture.mask)
     assert not result.normals_measured[~capture.mask].any()
@@ -142,12 +173,23 @@ def test_measured_normals_are_those_of_photometric_stereo(bear: tuple[Capture, n
 
 @pytest.mark.parametrize(
     ("preset", "changes", "limit"),
-    [("metric", {}, 0.04), ("snk", {}, 0.03), ("ea", {}, 0.03), ("pr", LINEAR, 0.05), ("pr", {}, 0.105)],
+    [
+        ("metric", {}, 0.04),
+        ("snk", {}, 0.03),
+        ("ea", {}, 0.03),
+        ("pr", LINEAR, 0.05),
+        ("pr", {}, 0.105),
+    ],
 )
 def test_heights_of_the_ball(
-    ball: tuple[Capture, np.ndarray], memory_of_ball: Memory, preset: str, changes: dict[str, str], limit: float
+    ball: tuple[Capture, np.ndarray],
+    memory_of_ball: Memory,
+    preset: str,
+    changes: dict[str, str],
+    limit: float,
 ) -> None:
-    """Within a few per cent of the radius, though the camera's response is not known and its lens not orthographic."""
+    """Within a few per cent of the radius, though the camera's response is not known and its lens
+    not orthographic."""
     capture, sphere = ball
     assert capture.mask is not None
     result = reconstruct(capture, preset, changes, memory=memory_of_ball)
@@ -157,7 +199,9 @@ def test_heights_of_the_ball(
 
 
 @pytest.mark.parametrize("preset", PRESETS)
-def test_the_phalange_is_a_finger_with_ridges(phalange: Capture, memory_of_phalange: Memory, preset: str) -> None:
+def test_the_phalange_is_a_finger_with_ridges(
+    phalange: Capture, memory_of_phalange: Memory, preset: str
+) -> None:
     assert phalange.mask is not None
     result = reconstruct(phalange, preset, memory=memory_of_phalange)
     sound(result, phalange.mask)
@@ -200,7 +244,8 @@ def test_the_phalange_is_found_without_its_mask(phalange: Capture, tmp_path: Pat
         mask = arrays["mask"]
         assert (mask & given).sum() > 0.94 * (mask | given).sum()
         assert np.isfinite(arrays["height_mm"][mask]).all()
-    # its lamps stand in one plane, 3 units high: their light falls by the square of the distance, by 11 %
+    # its lamps stand in one plane, 3 units high: their light falls by the square of the distance,
+    # by 11 %
     messages = [each["message"] for each in facts["findings"]]
     assert ["may differ in brightness, by 11 %" in message for message in messages] == [True]
     assert not (out / "print.png").exists()
@@ -211,15 +256,20 @@ def test_the_phalange_is_found_without_its_mask(phalange: Capture, tmp_path: Pat
 
 @pytest.mark.slow
 def test_on_balls_pressed_into_a_gel_metric_is_as_good_as_ea(data_dir: Path) -> None:
-    """Caps in um. Lights and ambient are fitted to the balls left of the crop; rims of contact cast shadows."""
+    """Caps in um. Lights and ambient are fitted to the balls left of the crop; rims of contact cast
+    shadows."""
     folder = needed(data_dir / "elastomer")
     names = [f"image{k:02d}.png" for k in range(7, 13)]
     pressed, flat = (
-        np.stack([cv2.imread(str(folder / part / name), cv2.IMREAD_GRAYSCALE) for name in names]).astype(np.float32)
+        np.stack(
+            [cv2.imread(str(folder / part / name), cv2.IMREAD_GRAYSCALE) for name in names]
+        ).astype(np.float32)
         for part in ("BGA-001", "Flat-001")
     )
     ratio = pressed / np.maximum(flat, 1)
-    outlines = re.findall(r"x: ([\d.]+)\s+y: ([\d.]+)", (folder / "BGA-001" / "scan.yaml").read_text("utf-8"))
+    outlines = re.findall(
+        r"x: ([\d.]+)\s+y: ([\d.]+)", (folder / "BGA-001" / "scan.yaml").read_text("utf-8")
+    )
     centres, pitch_mm, radius_mm = np.array(outlines, dtype=float), 0.00340346, 0.2475
     radius = radius_mm / pitch_mm
 
@@ -228,7 +278,9 @@ def test_on_balls_pressed_into_a_gel_metric_is_as_good_as_ea(data_dir: Path) -> 
         rows, columns = np.mgrid[int(y - 50) : int(y + 50), int(x - 50) : int(x + 50)]
         u, v = (columns - x) / radius, (y - rows) / radius
         part = u * u + v * v < 0.36
-        return (rows[part], columns[part]), np.stack([u, v, np.sqrt(np.clip(1 - u * u - v * v, 0, None))])[:, part]
+        return (rows[part], columns[part]), np.stack(
+            [u, v, np.sqrt(np.clip(1 - u * u - v * v, 0, None))]
+        )[:, part]
 
     left = [cap(x, y) for x, y in centres if 60 < x < 900 and 60 < y < len(ratio[0]) - 60]
     truth = np.concatenate([normals.T for _, normals in left])
@@ -238,7 +290,10 @@ def test_on_balls_pressed_into_a_gel_metric_is_as_good_as_ea(data_dir: Path) -> 
     crop = np.s_[500:1400, 1000:1900]
     strength = np.linalg.norm(lights, axis=1)
     images = ((ratio - ambient[:, None, None]) / strength[:, None, None])[:, *crop] * 12000
-    leds = tuple(Led("white", direction=(float(x), float(y), float(z))) for x, y, z in lights / strength[:, None])
+    leds = tuple(
+        Led("white", direction=(float(x), float(y), float(z)))
+        for x, y, z in lights / strength[:, None]
+    )
     band = Band(
         "white",
         np.clip(images, 0, 65535).astype(np.uint16)[..., None],

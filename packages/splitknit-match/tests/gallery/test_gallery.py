@@ -17,7 +17,14 @@ import numpy as np
 import pytest
 
 from splitknit.errors import BadInput
-from splitknit_match.gallery.file import APPLICATION_ID, Entry, GalleryFile, Key, NewCapture, session_order
+from splitknit_match.gallery.file import (
+    APPLICATION_ID,
+    Entry,
+    GalleryFile,
+    Key,
+    NewCapture,
+    session_order,
+)
 from splitknit_match.matching.template import Template, pack
 
 SETTINGS = "5e" * 32
@@ -27,7 +34,9 @@ KEY = Key("0f" * 32)
 def payload(seed: int) -> bytes:
     """A template of noise: 60 x 50 pixels."""
     rng = np.random.default_rng(seed)
-    return pack(Template(rng.integers(0, 4, (60, 50)).astype(np.uint8), np.ones((60, 50), bool), 0.1))
+    return pack(
+        Template(rng.integers(0, 4, (60, 50)).astype(np.uint8), np.ones((60, 50), bool), 0.1)
+    )
 
 
 def new(person: str, seed: int = 0, finger: str = "right_index", session: str = "1") -> NewCapture:
@@ -65,7 +74,13 @@ def test_what_is_put_in_comes_out(file: Path, key: Key | None) -> None:
         assert [one.person for one in found] == ["Ann", "Ann", "Bob", "Bob", "Zoë"]
         assert [one.template_bytes for one in found] == [len(payload(1))] * 4 + [0]
         assert replace(found[0], template_bytes=0, template_sha256="", row=0) == new("Ann", 1).entry
-        assert gallery.people().templates == {1: payload(1), 2: payload(2), 3: payload(3), 4: payload(4), 5: b""}
+        assert gallery.people().templates == {
+            1: payload(1),
+            2: payload(2),
+            3: payload(3),
+            4: payload(4),
+            5: b"",
+        }
         assert list(gallery) == found
         assert list(gallery.people("Bob").of("Bob", None)) == found[2:4]
         assert [one.row for one in gallery.entries("Bob", session="2")] == [4]
@@ -139,12 +154,15 @@ def test_nothing_remains_of_a_removed_finger(file: Path, key: Key | None) -> Non
 @pytest.mark.parametrize("table", ["capture", "person"])
 @pytest.mark.parametrize("act", ["remove", "replace"])
 def test_second_copies_in_a_page_go_with_a_removal(tmp_path: Path, table: str, act: str) -> None:
-    """SQLite may leave a second copy of a row between a page's pointers and its cells; here one is put there."""
+    """SQLite may leave a second copy of a row between a page's pointers and its cells; here one is
+    put there."""
     file = tmp_path / "g.skg"
     with GalleryFile(file) as gallery:
         gallery.add([new("Ann", 1), new("Ann", 2, "left_thumb"), new("Bob", 3)], SETTINGS)
     with contextlib.closing(sqlite3.connect(file)) as raw:
-        (page,) = raw.execute("SELECT rootpage FROM sqlite_master WHERE name = ?", (table,)).fetchone()
+        (page,) = raw.execute(
+            "SELECT rootpage FROM sqlite_master WHERE name = ?", (table,)
+        ).fetchone()
         (size,) = raw.execute("PRAGMA page_size").fetchone()
     data = bytearray(file.read_bytes())
     begin = (page - 1) * size
@@ -161,7 +179,9 @@ def test_second_copies_in_a_page_go_with_a_removal(tmp_path: Path, table: str, a
     assert b"a second copy of" not in file.read_bytes()
 
 
-def test_what_one_could_not_erase_the_next_writer_does(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_what_one_could_not_erase_the_next_writer_does(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """As after a kill between a removal and its VACUUM: here a reader is in the way."""
     file, gone = tmp_path / "g.skg", payload(1)[-200:]
     with GalleryFile(file) as gallery:
@@ -170,7 +190,10 @@ def test_what_one_could_not_erase_the_next_writer_does(tmp_path: Path, monkeypat
     with contextlib.closing(sqlite3.connect(file)) as reader:
         reader.execute("BEGIN")
         reader.execute("SELECT * FROM about").fetchall()
-        with GalleryFile(file) as gallery, pytest.raises(BadInput, match="its bytes may still lie in the file"):
+        with (
+            GalleryFile(file) as gallery,
+            pytest.raises(BadInput, match="its bytes may still lie in the file"),
+        ):
             gallery.remove("Ann")
         assert people(file, None) == ["Bob, right index, session 1"]
         assert gone in file.read_bytes()
@@ -191,11 +214,16 @@ def test_what_became_free_is_used_again(file: Path, key: Key | None) -> None:
         assert file.stat().st_size < 1.1 * before
 
 
+@pytest.mark.slow
 def test_all_sides_of_a_key(tmp_path: Path) -> None:
     pytest.importorskip("sqlcipher3")
     phrase, other = Key("correct 'horse'"), Key("ab" * 32)
     secrets = [b"Ann", b"right_index", payload(1)[40:60]]
-    for path, own in ((tmp_path / "plain", None), (tmp_path / "phrase", phrase), (tmp_path / "digits", KEY)):
+    for path, own in (
+        (tmp_path / "plain", None),
+        (tmp_path / "phrase", phrase),
+        (tmp_path / "digits", KEY),
+    ):
         with GalleryFile(path, own) as gallery:
             gallery.add([new("Ann Example", 1)], SETTINGS)
         assert [one in path.read_bytes() for one in secrets] == [own is None] * 3
@@ -212,7 +240,9 @@ def test_all_sides_of_a_key(tmp_path: Path) -> None:
         assert people(path, own) == ["Ann Example, right index, session 1"]
 
 
-def test_what_an_encrypted_file_reveals_is_no_name_and_any_changed_byte_is_noticed(tmp_path: Path) -> None:
+def test_what_an_encrypted_file_reveals_is_no_name_and_any_changed_byte_is_noticed(
+    tmp_path: Path,
+) -> None:
     pytest.importorskip("sqlcipher3")
     path = tmp_path / "g.skg"
     with GalleryFile(path, KEY) as gallery:
@@ -225,7 +255,9 @@ def test_what_an_encrypted_file_reveals_is_no_name_and_any_changed_byte_is_notic
             gallery.people()
 
 
-def test_without_sqlcipher_one_sentence_says_so(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_without_sqlcipher_one_sentence_says_so(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setitem(sys.modules, "sqlcipher3", None)
     with pytest.raises(BadInput, match=r"need SQLCipher: pip install 'splitknit-match\[encrypt\]'"):
         GalleryFile(tmp_path / "g.skg", KEY)
@@ -234,7 +266,10 @@ def test_without_sqlcipher_one_sentence_says_so(tmp_path: Path, monkeypatch: pyt
 @pytest.mark.parametrize(
     ("change", "words"),
     [
-        ("UPDATE capture SET template = zeroblob(500) WHERE id = 1", "the template of Ann.* is damaged"),
+        (
+            "UPDATE capture SET template = zeroblob(500) WHERE id = 1",
+            "the template of Ann.* is damaged",
+        ),
         ("UPDATE capture SET session = 'a/b' WHERE id = 1", "cannot be a session"),
         ("UPDATE person SET name = '' WHERE id = 1", "cannot be a person's name"),
         ("UPDATE capture SET area_mm2 = 9e999 WHERE id = 1", "area_mm2 must be"),
@@ -276,12 +311,20 @@ def test_damaged_pages_are_noticed_when_it_is_opened(tmp_path: Path) -> None:
         (lambda path, whole: path.mkdir(), "is not a file"),
         (lambda path, whole: os.mkfifo(path), "there is no gallery"),
         (
-            lambda path, whole: sqlite3.connect(path).executescript("CREATE TABLE t (x)").connection.close(),
+            lambda path, whole: (
+                sqlite3.connect(path).executescript("CREATE TABLE t (x)").connection.close()
+            ),
             "another program's",
         ),
         (lambda path, whole: path.write_bytes(whole[:4096]), "is damaged"),
-        (lambda path, whole: path.write_bytes(whole[:100] + b"\xff" * 3000 + whole[3100:]), "is damaged"),
-        (lambda path, whole: path.write_bytes(whole[:20]), "is damaged|not a gallery|another program"),
+        (
+            lambda path, whole: path.write_bytes(whole[:100] + b"\xff" * 3000 + whole[3100:]),
+            "is damaged",
+        ),
+        (
+            lambda path, whole: path.write_bytes(whole[:20]),
+            "is damaged|not a gallery|another program",
+        ),
     ],
 )
 def test_what_is_no_gallery_is_refused(tmp_path: Path, make, words: str) -> None:
@@ -298,10 +341,19 @@ def test_other_versions_and_tables_are_refused(tmp_path: Path) -> None:
     with GalleryFile(file) as gallery:
         gallery.add([new("Ann", 1)], SETTINGS)
         for change, words in (
-            ("CREATE TRIGGER t AFTER INSERT ON capture BEGIN DELETE FROM capture; END", "tables are not a gallery's"),
-            ("DROP TRIGGER t; UPDATE about SET template_version = 2", "of version 2, but this program makes version 1"),
+            (
+                "CREATE TRIGGER t AFTER INSERT ON capture BEGIN DELETE FROM capture; END",
+                "tables are not a gallery's",
+            ),
+            (
+                "DROP TRIGGER t; UPDATE about SET template_version = 2",
+                "of version 2, but this program makes version 1",
+            ),
             ("DELETE FROM about", "its own record is missing"),
-            ("PRAGMA user_version = 3", "version 3, but this program reads version 4; export it with the program"),
+            (
+                "PRAGMA user_version = 3",
+                "version 3, but this program reads version 4; export it with the program",
+            ),
             (f"PRAGMA application_id = {APPLICATION_ID + 1}", "another program's"),
         ):
             with contextlib.closing(sqlite3.connect(file)) as raw:
@@ -339,7 +391,9 @@ def test_writers_wait_for_each_other_and_lose_nothing(file: Path, key: Key | Non
         assert len(gallery.people().templates) == 45
 
 
-def test_one_who_waits_too_long_is_told(file: Path, key: Key | None, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_one_who_waits_too_long_is_told(
+    file: Path, key: Key | None, monkeypatch: pytest.MonkeyPatch
+) -> None:
     def meanwhile() -> None:
         monkeypatch.setattr("splitknit_match.gallery.file.WAIT_S", 0.05)
         with GalleryFile(file, key) as another:
@@ -355,12 +409,17 @@ def test_one_who_waits_too_long_is_told(file: Path, key: Key | None, monkeypatch
 def test_a_file_that_is_replaced_meanwhile_is_left_alone(file: Path, key: Key | None) -> None:
     other = file.with_name("other.skg")
     other.write_bytes(file.read_bytes())
-    with GalleryFile(file, key) as gallery, pytest.raises(BadInput, match="was replaced or removed meanwhile"):
+    with (
+        GalleryFile(file, key) as gallery,
+        pytest.raises(BadInput, match="was replaced or removed meanwhile"),
+    ):
         gallery.add([new("Dan", 8)], SETTINGS, last=lambda: other.replace(file))
     assert len(people(file, key)) == 5
 
 
-def test_a_link_in_place_of_the_journal_leads_nowhere(file: Path, key: Key | None, tmp_path: Path) -> None:
+def test_a_link_in_place_of_the_journal_leads_nowhere(
+    file: Path, key: Key | None, tmp_path: Path
+) -> None:
     other = tmp_path / "other"
     other.write_bytes(b"not ours" * 1000)
     Path(f"{file}-wal").symlink_to(other)
@@ -433,7 +492,9 @@ print("sound")
 def test_thirty_killed_writers_lose_nothing(file: Path, key: Key | None) -> None:
     """What was told as done is there, of what was under way all or nothing."""
     arguments = [str(file), str(Path(__file__).parent), "plain" if key is None else "encrypted"]
-    found = subprocess.run([sys.executable, "-c", KILLED, *arguments], capture_output=True, text=True, check=False)
+    found = subprocess.run(
+        [sys.executable, "-c", KILLED, *arguments], capture_output=True, text=True, check=False
+    )
     assert found.stdout == "sound\n", found.stderr
 
 

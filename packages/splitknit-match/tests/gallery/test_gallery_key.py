@@ -25,7 +25,9 @@ def test_kinds_of_keys(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     assert key_of(None) is None
 
 
-@pytest.mark.parametrize("content", [b"", b"seven c\n", b"\xff" * 31, b"two\nlines of text", b"x" * 5000])
+@pytest.mark.parametrize(
+    "content", [b"", b"seven c\n", b"\xff" * 31, b"two\nlines of text", b"x" * 5000]
+)
 def test_what_is_no_key(tmp_path: Path, content: bytes) -> None:
     (tmp_path / "key").write_bytes(content)
     with pytest.raises(BadInput, match="holds no key"):
@@ -36,6 +38,7 @@ def test_keys_are_not_shown() -> None:
     assert "secret" not in repr(Key("secret phrase"))
 
 
+@pytest.mark.slow
 def test_a_key_comes_from_a_pipe(tmp_path: Path) -> None:
     """``--key-file <(...)``; one that nobody writes into holds nobody."""
     os.mkfifo(tmp_path / "pipe")

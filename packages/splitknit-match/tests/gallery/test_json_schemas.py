@@ -15,11 +15,19 @@ from splitknit.io.prints import write_print_png
 from test_open_gallery import press  # isort: skip
 
 SCRIPT = Path(__file__).resolve().parents[4] / "tools" / "make_json_schemas.py"
-KINDS = {"string": str, "boolean": bool, "integer": int, "number": (int, float), "null": type(None), "array": list}
+KINDS = {
+    "string": str,
+    "boolean": bool,
+    "integer": int,
+    "number": (int, float),
+    "null": type(None),
+    "array": list,
+}
 
 
 def check(value: Any, schema: dict[str, Any], known: dict[str, Any]) -> None:
-    """Hold a value against the part of JSON Schema that is used, with no field that it does not name."""
+    """Hold a value against the part of JSON Schema that is used, with no field that it does not
+    name."""
     if "$ref" in schema:
         schema = known[schema["$ref"].removeprefix("#/$defs/")]
         assert set(schema["required"]) <= set(value) <= set(schema["properties"]), set(value) ^ set(
@@ -44,6 +52,7 @@ def check(value: Any, schema: dict[str, Any], known: dict[str, Any]) -> None:
             check(one, schema["items"], known)
 
 
+@pytest.mark.slow
 def test_schemas_are_true(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     script = runpy.run_path(str(SCRIPT))
     write_print_png(tmp_path / "a.png", press(1))
@@ -55,6 +64,8 @@ def test_schemas_are_true(tmp_path: Path, capsys: pytest.CaptureFixture[str]) ->
     }.items():
         schema = script["schema_of_verb"](verb)
         file = script["FOLDER"] / f"{verb}.json"
-        assert json.loads(file.read_text(encoding="utf-8")) == schema, "run tools/make_json_schemas.py"
+        assert json.loads(file.read_text(encoding="utf-8")) == schema, (
+            "run tools/make_json_schemas.py"
+        )
         assert main([verb, *words, "--json"]) == 0
         check(json.loads(capsys.readouterr().out), schema, schema["$defs"])

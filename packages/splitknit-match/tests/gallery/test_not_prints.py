@@ -1,4 +1,5 @@
-"""What is no print of a finger is not acquired, and what is larger than one costs nothing: refused before its band."""
+"""What is no print of a finger is not acquired, and what is larger than one costs nothing: refused
+before its band."""
 
 from __future__ import annotations
 
@@ -56,7 +57,9 @@ def labyrinth(x: Grid, y: Grid) -> Grid:
         (blocks, ""),
     ],
 )
-def test_lines_that_are_no_ridges_are_not_acquired(wave: Callable[[Grid, Grid], Grid], words: str) -> None:
+def test_lines_that_are_no_ridges_are_not_acquired(
+    wave: Callable[[Grid, Grid], Grid], words: str
+) -> None:
     found = print_template(picture(wave))
     assert found.empty
     assert words in found.lacks
@@ -65,7 +68,9 @@ def test_lines_that_are_no_ridges_are_not_acquired(wave: Callable[[Grid, Grid], 
 def test_what_is_no_print_is_not_enrolled_and_says_why(tmp_path: Path) -> None:
     stripes = picture(lambda x, y: np.sin(0.7 * x))
     with pytest.raises(BadInput, match="no print of a finger: its lines run straight on"):
-        splitknit_match.enroll(tmp_path / "g.skg", stripes, "Ann", "right_index", resolution_ppi=500)
+        splitknit_match.enroll(
+            tmp_path / "g.skg", stripes, "Ann", "right_index", resolution_ppi=500
+        )
     assert not (tmp_path / "g.skg").exists()
     found = splitknit_match.match(stripes, press(1), resolution_ppi=500)
     assert found.answer == "not acquired"
@@ -113,6 +118,7 @@ def test_a_large_template_is_refused() -> None:
         unpack(head + packed)
 
 
+@pytest.mark.slow
 def test_a_mirrored_print_is_named(tmp_path: Path) -> None:
     one, other = press(1), press(1, 9, 12.0)
     template = print_template(one)
@@ -130,12 +136,17 @@ def test_a_mirrored_print_is_named(tmp_path: Path) -> None:
     assert "only in a mirror" in str(done.enrolled[0].note)
 
 
+@pytest.mark.slow
 def test_a_finger_named_wrong_gets_a_note(tmp_path: Path) -> None:
     gallery = tmp_path / "g.skg"
     splitknit_match.enroll(gallery, press(1), "Ann", "right_index", resolution_ppi=500)
-    same = splitknit_match.enroll(gallery, press(1), "Ann", "left_index", resolution_ppi=500, duplicates="refuse")
+    same = splitknit_match.enroll(
+        gallery, press(1), "Ann", "left_index", resolution_ppi=500, duplicates="refuse"
+    )
     assert [(one.person, one.finger) for one in same.alike] == [("Ann", "right_index")]
-    again = splitknit_match.enroll(gallery, press(1, 9, 12.0), "Ann", "right_index", resolution_ppi=500)
+    again = splitknit_match.enroll(
+        gallery, press(1, 9, 12.0), "Ann", "right_index", resolution_ppi=500
+    )
     assert again.enrolled[0].note is None or "unlike" not in again.enrolled[0].note
     other = splitknit_match.enroll(gallery, press(2), "Ann", "right_index", resolution_ppi=500)
     assert "unlike" in str(other.enrolled[0].note)

@@ -1,4 +1,5 @@
-"""Python without files: arrays, templates as bytes, a gallery that stays open, one finger under two names."""
+"""Python without files: arrays, templates as bytes, a gallery that stays open, one finger under two
+names."""
 
 from __future__ import annotations
 
@@ -20,17 +21,27 @@ PPI = 500.0
 
 def press(seed: int, shift: int = 0, noise: float = 0.0) -> np.ndarray:
     """A print of a simulated finger, moved by some pixels."""
-    master = master_print("left_loop", seed, MasterPrintSettings(half_width_mm=7.0, distal_mm=16.0, proximal_mm=1.0))
+    master = master_print(
+        "left_loop", seed, MasterPrintSettings(half_width_mm=7.0, distal_mm=16.0, proximal_mm=1.0)
+    )
     image = np.pad(ink_print(master), 20, constant_values=255).astype(np.float32)
-    image = np.roll(image, shift, axis=1) + noise * np.random.default_rng(seed).standard_normal(image.shape)
+    image = np.roll(image, shift, axis=1) + noise * np.random.default_rng(seed).standard_normal(
+        image.shape
+    )
     return np.clip(image, 0, 255).astype(np.uint8)
 
 
 @pytest.fixture(scope="module")
 def prints() -> dict[str, np.ndarray]:
-    return {"ann": press(1), "ann again": press(1, 9, 12.0), "bob": press(2), "bob again": press(2, -7, 12.0)}
+    return {
+        "ann": press(1),
+        "ann again": press(1, 9, 12.0),
+        "bob": press(2),
+        "bob again": press(2, -7, 12.0),
+    }
 
 
+@pytest.mark.slow
 def test_arrays_are_matched_as_files_are(prints, tmp_path: Path) -> None:
     from splitknit.io.prints import write_print_png
 
@@ -43,16 +54,24 @@ def test_arrays_are_matched_as_files_are(prints, tmp_path: Path) -> None:
     made = splitknit_match.make_template(prints["ann"], resolution_ppi=PPI)
     assert made.payload and made.template is None and made.a.acquired
     assert (
-        splitknit_match.match(made.payload, prints["ann again"], resolution_ppi=PPI).similarity == of_files.similarity
+        splitknit_match.match(made.payload, prints["ann again"], resolution_ppi=PPI).similarity
+        == of_files.similarity
     )
     splitknit_match.make_template(prints["ann"], tmp_path / "a.skt", resolution_ppi=PPI)
-    assert splitknit_match.match(tmp_path / "a.skt", tmp_path / "b.png").similarity == of_files.similarity
+    assert (
+        splitknit_match.match(tmp_path / "a.skt", tmp_path / "b.png").similarity
+        == of_files.similarity
+    )
 
 
 @pytest.mark.parametrize(
     ("finger", "ppi", "words"),
     [
-        (np.zeros((90, 90), np.uint8), None, "does not state its resolution; give it: `resolution_ppi`"),
+        (
+            np.zeros((90, 90), np.uint8),
+            None,
+            "does not state its resolution; give it: `resolution_ppi`",
+        ),
         (np.zeros((90, 90), np.uint8), 72.0, "in 200 to 5080"),
         (np.zeros((90, 90), np.uint8), float("nan"), "in 200 to 5080"),
         (np.zeros((90, 90)), PPI, r"must be \(H, W\) uint8"),
@@ -65,13 +84,16 @@ def test_what_is_no_finger_is_refused(finger, ppi, words: str, tmp_path: Path) -
     for call in (
         lambda: splitknit_match.match(finger, finger, resolution_ppi=ppi),
         lambda: splitknit_match.make_template(finger, resolution_ppi=ppi),
-        lambda: splitknit_match.enroll(tmp_path / "g.skg", finger, "Ann", "right_index", resolution_ppi=ppi),
+        lambda: splitknit_match.enroll(
+            tmp_path / "g.skg", finger, "Ann", "right_index", resolution_ppi=ppi
+        ),
     ):
         with pytest.raises(BadInput, match=words):
             call()
     assert not (tmp_path / "g.skg").exists()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("key", [None, Key("0f" * 32)], ids=["plain", "encrypted"])
 def test_a_gallery_stays_open(prints, tmp_path: Path, key: Key | None, monkeypatch) -> None:
     if key is not None:  # by the index of minutiae, brought up to date
@@ -86,24 +108,34 @@ def test_a_gallery_stays_open(prints, tmp_path: Path, key: Key | None, monkeypat
         found = gallery.identify(prints["ann again"], resolution_ppi=PPI)
         assert found.candidates[0].person == "ann" and found.decision.match
         fresh = splitknit_match.identify(file, prints["ann again"], key, resolution_ppi=PPI)
-        assert [one.similarity for one in fresh.candidates] == [one.similarity for one in found.candidates]
-        assert not gallery.identify(prints["ann again"], resolution_ppi=PPI, person="bob").decision.match
+        assert [one.similarity for one in fresh.candidates] == [
+            one.similarity for one in found.candidates
+        ]
+        assert not gallery.identify(
+            prints["ann again"], resolution_ppi=PPI, person="bob"
+        ).decision.match
         # what another program changes is seen with the next call
         splitknit_match.enroll(file, press(3), "zoe", "left_thumb", key=key, resolution_ppi=PPI)
         assert len(gallery) == 3
         assert gallery.identify(press(3, 5), resolution_ppi=PPI).candidates[0].person == "zoe"
         with splitknit_match.Gallery(file, key) as other:
             other.remove("ann")
-        assert "ann" not in [one.person for one in gallery.identify(prints["ann"], resolution_ppi=PPI).candidates]
+        assert "ann" not in [
+            one.person for one in gallery.identify(prints["ann"], resolution_ppi=PPI).candidates
+        ]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("how", ["moved over it", "copied over it", "removed and written"])
 def test_another_file_of_the_name_is_searched_at_once(prints, tmp_path: Path, how: str) -> None:
     file, other = tmp_path / "people.skg", tmp_path / "other.skg"
-    for place, names in ((file, ("ann", "zoe")), (other, ("bob", "zoe"))):  # as many changes, and of one size
+    # as many changes, and of one size
+    for place, names in ((file, ("ann", "zoe")), (other, ("bob", "zoe"))):
         for name in names:
             finger = prints[name] if name != "zoe" else press(3)
-            splitknit_match.enroll(place, finger, name if name == "zoe" else "x", "right_index", resolution_ppi=PPI)
+            splitknit_match.enroll(
+                place, finger, name if name == "zoe" else "x", "right_index", resolution_ppi=PPI
+            )
     with splitknit_match.Gallery(file) as gallery:
         assert gallery.identify(prints["ann again"], resolution_ppi=PPI).decision.match
         content = other.read_bytes()
@@ -134,16 +166,20 @@ def test_a_file_that_is_gone_is_not_searched(prints, tmp_path: Path) -> None:
         assert gallery.identify(prints["ann again"], resolution_ppi=PPI).decision.match
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("duplicates", ["refuse", "warn"])
 def test_one_finger_under_two_names_at_once(prints, tmp_path: Path, duplicates: str) -> None:
-    """Whoever comes first: of several who look at the same time one is enrolled, and the others hear of it."""
+    """Whoever comes first: of several who look at the same time one is enrolled, and the others
+    hear of it."""
     template = splitknit_match.make_template(prints["ann"], resolution_ppi=PPI).payload
     told: list[object] = []
 
     def enrol(gallery, name: str) -> None:
         start.wait()
         try:
-            told.append(len(gallery.enroll(template, name, "right_index", duplicates=duplicates).alike))
+            told.append(
+                len(gallery.enroll(template, name, "right_index", duplicates=duplicates).alike)
+            )
         except BadInput as error:
             told.append(str(error))
 
@@ -153,7 +189,10 @@ def test_one_finger_under_two_names_at_once(prints, tmp_path: Path, duplicates: 
                 gallery.enroll(prints["bob"], "bob", "left_thumb", resolution_ppi=PPI)
             told.clear()
             start = threading.Barrier(3)
-            threads = [threading.Thread(target=enrol, args=(gallery, name)) for name in ("eve", "ivy", "kim")]
+            threads = [
+                threading.Thread(target=enrol, args=(gallery, name))
+                for name in ("eve", "ivy", "kim")
+            ]
             for one in threads:
                 one.start()
             for one in threads:
@@ -161,7 +200,9 @@ def test_one_finger_under_two_names_at_once(prints, tmp_path: Path, duplicates: 
             if duplicates == "warn":
                 assert sorted(told, key=str) == [0, 1, 2], told
             else:
-                assert told.count(0) == 1 and sum("of another person" in str(one) for one in told) == 2, told
+                assert (
+                    told.count(0) == 1 and sum("of another person" in str(one) for one in told) == 2
+                ), told
                 assert len(gallery) == (1 if trial == 0 else 2)
 
 
@@ -177,11 +218,16 @@ def test_what_is_put_down_comes_before_the_finger(prints, tmp_path: Path) -> Non
             gallery.enroll(prints["ann"], "ann", "right_index", resolution_ppi=PPI, put_down=refuse)
         assert len(gallery) == 1
         gallery.enroll(
-            prints["ann"], "ann", "right_index", resolution_ppi=PPI, put_down=lambda: seen.append(len(another))
+            prints["ann"],
+            "ann",
+            "right_index",
+            resolution_ppi=PPI,
+            put_down=lambda: seen.append(len(another)),
         )
         assert (seen, len(another)) == ([1], 2)
 
 
+@pytest.mark.slow
 def test_threads_and_forks_share_it(prints, tmp_path: Path) -> None:
     with splitknit_match.Gallery(tmp_path / "g.skg") as gallery:
         for name in ("ann", "bob"):
@@ -191,7 +237,9 @@ def test_threads_and_forks_share_it(prints, tmp_path: Path) -> None:
         found: list[object] = []
 
         def ask() -> None:
-            found.append([(one.person, one.similarity) for one in gallery.identify(probe).candidates])
+            found.append(
+                [(one.person, one.similarity) for one in gallery.identify(probe).candidates]
+            )
 
         threads = [threading.Thread(target=ask) for _ in range(4)]
         for one in threads:
@@ -202,26 +250,39 @@ def test_threads_and_forks_share_it(prints, tmp_path: Path) -> None:
         if hasattr(os, "fork"):
             child = os.fork()
             if child == 0:
-                same = [(one.person, one.similarity) for one in gallery.identify(probe).candidates] == expected
+                same = [
+                    (one.person, one.similarity) for one in gallery.identify(probe).candidates
+                ] == expected
                 os._exit(0 if same else 1)
             assert os.waitpid(child, 0)[1] == 0
-        assert [(one.person, one.similarity) for one in gallery.identify(probe).candidates] == expected
+        assert [
+            (one.person, one.similarity) for one in gallery.identify(probe).candidates
+        ] == expected
 
 
+@pytest.mark.slow
 def test_one_finger_under_two_names(prints, tmp_path: Path) -> None:
     file = tmp_path / "g.skg"
     splitknit_match.enroll(file, prints["ann"], "ann", "right_index", resolution_ppi=PPI)
     with pytest.raises(BadInput, match="matches right index of another person, 'ann'"):
-        splitknit_match.enroll(file, prints["ann again"], "eve", "left_thumb", resolution_ppi=PPI, duplicates="refuse")
+        splitknit_match.enroll(
+            file, prints["ann again"], "eve", "left_thumb", resolution_ppi=PPI, duplicates="refuse"
+        )
     assert len(splitknit_match.Gallery(file)) == 1
-    told = splitknit_match.enroll(file, prints["ann again"], "eve", "left_thumb", resolution_ppi=PPI)
+    told = splitknit_match.enroll(
+        file, prints["ann again"], "eve", "left_thumb", resolution_ppi=PPI
+    )
     assert [one.person for one in told.alike] == ["ann"]
-    quiet = splitknit_match.enroll(file, press(1, 3), "ivy", "left_thumb", resolution_ppi=PPI, duplicates="allow")
+    quiet = splitknit_match.enroll(
+        file, press(1, 3), "ivy", "left_thumb", resolution_ppi=PPI, duplicates="allow"
+    )
     assert quiet.alike == () and quiet.content.captures == 3
     same = splitknit_match.enroll(file, press(1, -3), "ivy", "left_thumb", resolution_ppi=PPI)
     assert {one.person for one in same.alike} == {"ann", "eve"}
     with pytest.raises(BadInput, match="refuse, warn or allow"):
-        splitknit_match.enroll(file, prints["ann"], "x", "left_thumb", resolution_ppi=PPI, duplicates="maybe")
+        splitknit_match.enroll(
+            file, prints["ann"], "x", "left_thumb", resolution_ppi=PPI, duplicates="maybe"
+        )
 
 
 def test_a_search_by_minutiae_says_what_it_left_out(prints, tmp_path: Path, monkeypatch) -> None:

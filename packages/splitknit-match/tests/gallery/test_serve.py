@@ -1,4 +1,5 @@
-"""The service over HTTP: its acts, its refusals, its audit file, a client made from its OpenAPI document."""
+"""The service over HTTP: its acts, its refusals, its audit file, a client made from its OpenAPI
+document."""
 
 from __future__ import annotations
 
@@ -50,7 +51,9 @@ def service(tmp_path: Path):
         thread = threading.Thread(target=server.run, kwargs={"sockets": [place]})
         thread.start()
         base = f"http://127.0.0.1:{place.getsockname()[1]}"
-        with httpx.Client(base_url=base, headers={"Authorization": f"Bearer {TOKEN}"}, timeout=60) as client:
+        with httpx.Client(
+            base_url=base, headers={"Authorization": f"Bearer {TOKEN}"}, timeout=60
+        ) as client:
             for _ in range(100):
                 if server.started:
                     break
@@ -60,6 +63,7 @@ def service(tmp_path: Path):
         thread.join()
 
 
+@pytest.mark.slow
 def test_a_client_made_of_the_document_enrols_and_identifies(service, tmp_path: Path) -> None:
     document = service.get("/openapi.json").json()
     assert document == openapi()
@@ -82,7 +86,9 @@ def test_a_client_made_of_the_document_enrols_and_identifies(service, tmp_path: 
         made = Client.enroll(person=name, finger="right_index", print=sent(press(seed)))
         assert made.status_code == 200, made.text
         assert made.json()["enrolled"][0]["acquired"] and made.json()["alike"] == []
-    again = Client.enroll(person="eve", finger="left_thumb", print=sent(press(1, 5, 9.0)), duplicates="refuse")
+    again = Client.enroll(
+        person="eve", finger="left_thumb", print=sent(press(1, 5, 9.0)), duplicates="refuse"
+    )
     assert again.status_code == 400 and "another person, 'ann'" in again.json()["error"]
     found = Client.identify(print=sent(press(1, 9, 12.0)), top=1).json()
     assert found["candidates"][0]["person"] == "ann" and found["decision"]["match"]
@@ -91,7 +97,12 @@ def test_a_client_made_of_the_document_enrols_and_identifies(service, tmp_path: 
     assert Client.verify(person="bob", template=quality["template"]).json()["decision"]["match"]
     assert not Client.verify(person="ann", template=quality["template"]).json()["decision"]["match"]
     lines = [json.loads(line) for line in (tmp_path / "audit").read_text().splitlines()][1:]
-    assert [line["act"] for line in lines] == ["enroll"] * 3 + ["identify", "quality", "verify", "verify"]
+    assert [line["act"] for line in lines] == ["enroll"] * 3 + [
+        "identify",
+        "quality",
+        "verify",
+        "verify",
+    ]
     assert (lines[3]["match"], lines[3]["found"], lines[2]["status"]) == (True, "ann", 400)
     assert set().union(*lines) <= {"time", "act", "status", "ms", "person", "match", "found"}
     assert (tmp_path / "audit").stat().st_mode & 0o077 == 0
@@ -99,7 +110,10 @@ def test_a_client_made_of_the_document_enrols_and_identifies(service, tmp_path: 
 
 def test_what_is_wrong_is_one_sentence(service, tmp_path: Path) -> None:
     good = {"person": "Ann", "finger": "right_index", "print": sent(press(1))}
-    assert service.post("/enroll", json=good, headers={"Authorization": "Bearer wrong"}).status_code == 401
+    assert (
+        service.post("/enroll", json=good, headers={"Authorization": "Bearer wrong"}).status_code
+        == 401
+    )
     assert service.post("/enroll", json=good, headers={"Authorization": ""}).status_code == 401
     assert service.post("/identify", content=b"x" * 2_100_000).status_code == 413
     assert service.get("/identify").status_code == 405
@@ -133,7 +147,9 @@ def test_broken_requests_do_not_end_it(service) -> None:
         body = bytearray(good)
         for _ in range(1 + k % 5):
             body[rng.randrange(len(body))] = rng.randrange(256)
-        answer = service.post(f"/{rng.choice(list(ACTS))}", content=bytes(body[: rng.randrange(len(body))]))
+        answer = service.post(
+            f"/{rng.choice(list(ACTS))}", content=bytes(body[: rng.randrange(len(body))])
+        )
         assert answer.status_code == 400 and set(answer.json()) == {"error"}
     assert service.get("/openapi.json").status_code == 200
 
@@ -147,10 +163,14 @@ def test_faults_say_nothing(service, monkeypatch) -> None:
     assert (answer.status_code, answer.json()) == (500, {"error": "internal error"})
 
 
+@pytest.mark.slow
 def test_slow_clients_are_let_go_and_no_host_is_believed(service, monkeypatch) -> None:
     monkeypatch.setattr(serve, "PATIENCE_S", 0.5)
     place = service.base_url.host, service.base_url.port
-    head = f"POST /quality HTTP/1.1\r\nHost: a\r\nAuthorization: Bearer {TOKEN}\r\nContent-Length: 9\r\n\r\n{{"
+    head = (
+        f"POST /quality HTTP/1.1\r\nHost: a\r\nAuthorization: Bearer {TOKEN}\r\nContent-Length:"
+        " 9\r\n\r\n{"
+    )
     for begin, answer in (("POST /quality HTTP/1.1\r\n", b""), ("", b""), (head, b"HTTP/1.1 408")):
         with socket.create_connection(place, 10) as slow:
             slow.sendall(begin.encode())
@@ -160,9 +180,18 @@ def test_slow_clients_are_let_go_and_no_host_is_believed(service, monkeypatch) -
     assert (said.status_code, said.json()) == (400, {"error": "'fmr' must be a number."})
 
 
+@pytest.mark.slow
 def test_it_is_for_this_machine_and_wants_a_token(tmp_path: Path) -> None:
     def refused(*words: str) -> str:
-        run = [sys.executable, "-m", "splitknit", "serve", "--gallery", str(tmp_path / "g.skg"), *words]
+        run = [
+            sys.executable,
+            "-m",
+            "splitknit",
+            "serve",
+            "--gallery",
+            str(tmp_path / "g.skg"),
+            *words,
+        ]
         done = subprocess.run(run, capture_output=True, text=True, check=False, timeout=60)
         assert done.returncode == 2 and done.stderr.count("\n") == 1
         return done.stderr
@@ -177,6 +206,7 @@ def test_it_is_for_this_machine_and_wants_a_token(tmp_path: Path) -> None:
         make_app(Gallery(tmp_path / "g.skg"), TOKEN, tmp_path / "none" / "audit")
 
 
+@pytest.mark.slow
 def test_without_its_line_an_act_is_not_done(service, tmp_path: Path, monkeypatch) -> None:
     """A full disk: nothing is enrolled, and nothing is answered."""
     good = {"person": "Ann", "finger": "right_index", "print": sent(press(1))}
@@ -202,10 +232,14 @@ def test_without_its_line_an_act_is_not_done(service, tmp_path: Path, monkeypatc
 
     with monkeypatch.context() as change:
         change.setattr("splitknit.io.atomic.os.fdopen", full)
-        answers = [service.post("/enroll", json=good), service.post("/quality", json={"print": good["print"]})]
+        answers = [
+            service.post("/enroll", json=good),
+            service.post("/quality", json={"print": good["print"]}),
+        ]
     assert [one.status_code for one in answers] == [503, 503]
     assert {one.json()["error"] for one in answers} == {
-        "the audit file 'audit' cannot be written (No space left on device), and without it nothing is done."
+        "the audit file 'audit' cannot be written (No space left on device), and without it nothing"
+        " is done."
     }
     assert (tmp_path / "audit").read_bytes() == before
     assert not (tmp_path / "people.skg").exists()
@@ -214,11 +248,17 @@ def test_without_its_line_an_act_is_not_done(service, tmp_path: Path, monkeypatc
     assert [(act["act"], act.get("person")) for act in acts] == [("start", None), ("quality", None)]
 
 
-def test_a_gallery_that_is_gone_is_503_and_no_answer_names_a_folder(service, tmp_path: Path) -> None:
+@pytest.mark.slow
+def test_a_gallery_that_is_gone_is_503_and_no_answer_names_a_folder(
+    service, tmp_path: Path
+) -> None:
     good = {"person": "Ann", "finger": "right_index", "print": sent(press(1))}
     probe = {"print": sent(press(1, 9, 12.0))}
     answers = [service.post("/identify", json=probe), service.post("/enroll", json=good)]
-    answers += [service.post("/identify", json=probe), service.post("/verify", json={**probe, "person": "Bob"})]
+    answers += [
+        service.post("/identify", json=probe),
+        service.post("/verify", json={**probe, "person": "Bob"}),
+    ]
     answers += [service.post("/enroll", json={**good, "print": sent(press(2)), "session": "1"})]
     (tmp_path / "people.skg").rename(tmp_path / "away")
     answers += [service.post("/identify", json=probe), service.post("/enroll", json=good)]
@@ -228,7 +268,11 @@ def test_a_gallery_that_is_gone_is_503_and_no_answer_names_a_folder(service, tmp
     assert [one.status_code for one in answers] == [400, 200, 200, 400, 400, 503, 503, 200]
     assert answers[2].json()["gallery"] == "people.skg" and answers[-1].json()["decision"]["match"]
     assert "people.skg' is gone" in answers[5].json()["error"]
-    assert not [one.text for one in answers if str(tmp_path) in one.text or str(tmp_path.resolve()) in one.text]
+    assert not [
+        one.text
+        for one in answers
+        if str(tmp_path) in one.text or str(tmp_path.resolve()) in one.text
+    ]
 
 
 def test_lines_of_the_audit_file_are_short(service, tmp_path: Path) -> None:
@@ -238,7 +282,11 @@ def test_lines_of_the_audit_file_are_short(service, tmp_path: Path) -> None:
     answers += [service.post("/verify", json={"person": name, "template": fields["template"]})]
     assert [one.status_code for one in answers] == [400, 400]
     lines = (tmp_path / "audit").read_bytes().splitlines()
-    assert len(lines) == 3 and max(map(len, lines)) < 1500 and max(len(one.content) for one in answers) < 500
+    assert (
+        len(lines) == 3
+        and max(map(len, lines)) < 1500
+        and max(len(one.content) for one in answers) < 500
+    )
 
 
 @contextlib.contextmanager
@@ -247,10 +295,21 @@ def served(folder: Path, *words: str, tls: bool = True, before: tuple[str, ...] 
     with socket.socket() as place:
         place.bind(("127.0.0.1", 0))
         port = place.getsockname()[1]
-    command = [*before, sys.executable, "-m", "splitknit", "serve", "--gallery", str(folder / "people.skg")]
+    command = [
+        *before,
+        sys.executable,
+        "-m",
+        "splitknit",
+        "serve",
+        "--gallery",
+        str(folder / "people.skg"),
+    ]
     command += ["--port", str(port), *words, *(certificate(folder) if tls else [])]
     environment = {**os.environ, "SPLITKNIT_SERVE_TOKEN": TOKEN}
-    with (folder / "said").open("wb") as said, subprocess.Popen(command, env=environment, stderr=said) as process:
+    with (
+        (folder / "said").open("wb") as said,
+        subprocess.Popen(command, env=environment, stderr=said) as process,
+    ):
         try:
             for _ in range(600):
                 if b"Serving" in (folder / "said").read_bytes() or process.poll() is not None:
@@ -266,7 +325,17 @@ def certificate(folder: Path) -> list[str]:
     if shutil.which("openssl") is None:
         pytest.skip("no openssl to make a certificate")
     chain, key = folder / "chain.pem", folder / "key.pem"
-    kind = ["-newkey", "ec", "-pkeyopt", "ec_paramgen_curve:prime256v1", "-nodes", "-days", "1", "-subj", "/CN=x"]
+    kind = [
+        "-newkey",
+        "ec",
+        "-pkeyopt",
+        "ec_paramgen_curve:prime256v1",
+        "-nodes",
+        "-days",
+        "1",
+        "-subj",
+        "/CN=x",
+    ]
     command = ["openssl", "req", "-x509", *kind, "-keyout", str(key), "-out", str(chain)]
     subprocess.run(command, check=True, capture_output=True, timeout=60)
     key.chmod(0o600)
@@ -282,6 +351,7 @@ def connected(port: int, tls: bool) -> socket.socket:
     return context.wrap_socket(plain)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("tls", [True, False])
 def test_clients_that_are_silent_do_not_hold_the_end(tmp_path: Path, tls: bool) -> None:
     with served(tmp_path, tls=tls) as (process, port), contextlib.ExitStack() as stack:
@@ -291,7 +361,10 @@ def test_clients_that_are_silent_do_not_hold_the_end(tmp_path: Path, tls: bool) 
             client.sendall(b"GET /openapi.json HTTP/1.1\r\nHost: a\r\n\r\n")
             assert client.recv(15) == b"HTTP/1.1 200 OK"
         half = stack.enter_context(connected(port, tls))
-        head = f"POST /quality HTTP/1.1\r\nHost: a\r\nAuthorization: Bearer {TOKEN}\r\nContent-Length: 90000\r\n\r\n"
+        head = (
+            f"POST /quality HTTP/1.1\r\nHost: a\r\nAuthorization: Bearer {TOKEN}\r\nContent-Length:"
+            " 90000\r\n\r\n"
+        )
         half.sendall(head.encode() + b"{" * 70_000)
         time.sleep(0.3)
         process.terminate()
@@ -300,22 +373,29 @@ def test_clients_that_are_silent_do_not_hold_the_end(tmp_path: Path, tls: bool) 
     assert len(said) < 1000 and "Traceback" not in said
 
 
+@pytest.mark.slow
 def test_clients_killed_while_they_wait_do_not_hold_the_end(tmp_path: Path) -> None:
     body = json.dumps({"print": sent(press(1))}).encode()
-    head = f"POST /quality HTTP/1.1\r\nHost: a\r\nAuthorization: Bearer {TOKEN}\r\nContent-Length: {len(body)}\r\n\r\n"
+    head = (
+        f"POST /quality HTTP/1.1\r\nHost: a\r\nAuthorization: Bearer {TOKEN}\r\nContent-Length:"
+        f" {len(body)}\r\n\r\n"
+    )
     with served(tmp_path) as (process, port):
         for _ in range(4):
             client = connected(port, True)
             client.sendall(head.encode() + body)
-            client.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, struct.pack("ii", 1, 0))  # as of one that is killed
+            # as of one that is killed
+            client.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, struct.pack("ii", 1, 0))
             client.close()
         process.terminate()
         assert process.wait(20) in (0, -15)
     assert "Traceback" not in (tmp_path / "said").read_text()
 
 
+@pytest.mark.slow
 def test_what_it_cannot_serve_with_is_one_sentence(tmp_path: Path) -> None:
-    """A certificate that does not fit, a key that is locked, a port that is taken; a note of an open token."""
+    """A certificate that does not fit, a key that is locked, a port that is taken; a note of an
+    open token."""
     options, token = certificate(tmp_path), tmp_path / "token"
     (tmp_path / "locked.pem").write_bytes(
         b"-----BEGIN ENCRYPTED PRIVATE KEY-----\n"
@@ -344,23 +424,44 @@ def test_what_it_cannot_serve_with_is_one_sentence(tmp_path: Path) -> None:
         assert first.wait(20) in (0, -15)
 
 
+@pytest.mark.slow
 def test_a_full_disk_is_no_fault_of_the_client(tmp_path: Path) -> None:
-    mounted = ("unshare", "-rm", "sh", "-c", f'mount -t tmpfs -o size=80k none {tmp_path / "small"} && exec "$@"', "sh")
+    mounted = (
+        "unshare",
+        "-rm",
+        "sh",
+        "-c",
+        f'mount -t tmpfs -o size=80k none {tmp_path / "small"} && exec "$@"',
+        "sh",
+    )
     (tmp_path / "small").mkdir()
     try:
         subprocess.run([*mounted, "true"], check=True, capture_output=True, timeout=20)
     except (OSError, subprocess.SubprocessError):
         pytest.skip("no small disk can be mounted here")
-    gallery = ("--gallery", str(tmp_path / "small" / "people.skg"), "--audit", str(tmp_path / "audit"))
-    with served(tmp_path, *gallery, tls=False, before=mounted) as (_, port), httpx.Client() as client:
-        client.base_url, client.headers["Authorization"] = f"http://127.0.0.1:{port}", f"Bearer {TOKEN}"
+    gallery = (
+        "--gallery",
+        str(tmp_path / "small" / "people.skg"),
+        "--audit",
+        str(tmp_path / "audit"),
+    )
+    with (
+        served(tmp_path, *gallery, tls=False, before=mounted) as (_, port),
+        httpx.Client() as client,
+    ):
+        client.base_url, client.headers["Authorization"] = (
+            f"http://127.0.0.1:{port}",
+            f"Bearer {TOKEN}",
+        )
         answers = []
         for seed in range(1, 20):
             fields = {"person": str(seed), "finger": "right_index", "print": sent(press(seed))}
             answers.append(client.post("/enroll", json=fields, timeout=60))
             if answers[-1].status_code != 200:
                 break
-        assert answers[-1].status_code == 503 and "is full" in answers[-1].json()["error"], answers[-1].text
+        assert answers[-1].status_code == 503 and "is full" in answers[-1].json()["error"], answers[
+            -1
+        ].text
         assert str(tmp_path) not in answers[-1].text
         found = client.post("/identify", json={"print": sent(press(1, 9, 12.0))}, timeout=60)
         assert found.status_code == 200 and found.json()["searched"]["captures"] == len(answers) - 1

@@ -1,4 +1,5 @@
-"""Finger image records, byte by byte: written as ISO/IEC 19794-4:2005 has it, read in three layouts."""
+"""Finger image records, byte by byte: written as ISO/IEC 19794-4:2005 has it, read in three
+layouts."""
 
 from __future__ import annotations
 
@@ -19,7 +20,9 @@ TYPED = bytes.fromhex(
 """One image of a right index, contactless, 500 ppi, not compressed: typed by the tables."""
 
 
-def item(image=SMALL, ppi: float = 500.0, finger: str = "right_index", impression: str = "contactless") -> PrintFile:
+def item(
+    image=SMALL, ppi: float = 500.0, finger: str = "right_index", impression: str = "contactless"
+) -> PrintFile:
     return PrintFile(image, ppi, {}, finger, impression)
 
 
@@ -35,7 +38,12 @@ def test_images_come_back(compression: str) -> None:
     image = (127 + 90 * np.sin(0.7 * np.hypot(rows, columns))).astype(np.uint8)
     for a in (item(image), item(image[::-1].copy(), finger="left_thumb", impression="live_rolled")):
         (b,) = decode_finger_images(encode_finger_image(a, compression))
-        assert (b.finger, b.impression, b.resolution_ppi, b.image.shape) == (a.finger, a.impression, 500, a.image.shape)
+        assert (b.finger, b.impression, b.resolution_ppi, b.image.shape) == (
+            a.finger,
+            a.impression,
+            500,
+            a.image.shape,
+        )
         assert np.abs(b.image.astype(int) - a.image).mean() < (4 if compression == "wsq" else 1e-9)
 
 
@@ -89,7 +97,8 @@ def test_what_does_not_fit_is_named(place: int, value: bytes, words: str) -> Non
 
 
 def test_a_small_file_costs_little() -> None:
-    """A PNG of 20,000 x 20,000 pixels in a record that states so, and in one that states 10 x 12."""
+    """A PNG of 20,000 x 20,000 pixels in a record that states so, and in one that states 10 x
+    12."""
     import tracemalloc
 
     import cv2

@@ -1,4 +1,5 @@
-"""Transactions of ANSI/NIST-ITL: what is read of them, what is refused. Their bytes are made by hand (fmr_samples)."""
+"""Transactions of ANSI/NIST-ITL: what is read of them, what is refused. Their bytes are made by
+hand (fmr_samples)."""
 
 from __future__ import annotations
 
@@ -25,8 +26,16 @@ def test_prints_are_read() -> None:
     fine = {"THPS": b"1000", "TVPS": b"1000", "IMP": b"1", "FGP": b"10"}
     data = transaction(TYPE_2, type_14(SMALL), type_14(LARGE, **fine), type_14(SMALL, 13, IMP=b"7"))
     plain, rolled, latent = decode_transaction(data)
-    assert (plain.finger, plain.impression, plain.resolution_ppi) == ("right_index", "contactless", 500)
-    assert (rolled.finger, rolled.impression, rolled.resolution_ppi) == ("left_little", "live_rolled", 1000)
+    assert (plain.finger, plain.impression, plain.resolution_ppi) == (
+        "right_index",
+        "contactless",
+        500,
+    )
+    assert (rolled.finger, rolled.impression, rolled.resolution_ppi) == (
+        "left_little",
+        "live_rolled",
+        1000,
+    )
     assert latent.impression == "latent_lift" and "latent print: false match rates" in latent.note
     for item, image in ((plain, SMALL), (rolled, LARGE), (latent, SMALL)):
         np.testing.assert_array_equal(item.image, image)
@@ -48,7 +57,9 @@ def test_compressions_are_read(code: bytes) -> None:
 
 
 def test_pixels_may_hold_separators_and_field_names() -> None:
-    image = np.frombuffer((b"\x1c\x1d\x1e\x1f14.001:1\x1d14.999:" * 20)[:300], dtype=np.uint8).reshape(15, 20)
+    image = np.frombuffer(
+        (b"\x1c\x1d\x1e\x1f14.001:1\x1d14.999:" * 20)[:300], dtype=np.uint8
+    ).reshape(15, 20)
     for item in decode_transaction(transaction(type_14(image), type_14(image))):
         np.testing.assert_array_equal(item.image, image)
 
@@ -114,8 +125,13 @@ def test_every_cut_is_refused() -> None:
             decode_transaction(data[:length])
 
 
-@settings(max_examples=200, derandomize=True, deadline=None, suppress_health_check=[HealthCheck.too_slow])
-@given(st.lists(st.tuples(st.integers(0, 400), st.integers(1, 255)), min_size=1, max_size=4), st.binary(max_size=20))
+@settings(
+    max_examples=200, derandomize=True, deadline=None, suppress_health_check=[HealthCheck.too_slow]
+)
+@given(
+    st.lists(st.tuples(st.integers(0, 400), st.integers(1, 255)), min_size=1, max_size=4),
+    st.binary(max_size=20),
+)
 def test_changed_bytes_are_refused_or_read(changes: list[tuple[int, int]], more: bytes) -> None:
     data = bytearray(transaction(type_14(SMALL), type_14(SMALL)) + more)
     for place, value in changes:
@@ -133,18 +149,23 @@ def test_many_records_take_no_time() -> None:
     assert time.process_time() - began < 2
 
 
-def type_4(finger: int = 2, scale: int = 0, code: int = 0, pixels: bytes = SMALL.tobytes()) -> bytes:
+def type_4(
+    finger: int = 2, scale: int = 0, code: int = 0, pixels: bytes = SMALL.tobytes()
+) -> bytes:
     body = bytes([1, 1, finger, 255, 255, 255, 255, 255, scale, 0, 12, 0, 10, code]) + pixels
     return (4 + len(body)).to_bytes(4, "big") + body
 
 
 def with_type_4(*records: bytes) -> bytes:
-    content = b"1\x1f%d" % len(records) + b"".join(b"\x1e4\x1f%d" % (number + 1) for number in range(len(records)))
+    content = b"1\x1f%d" % len(records) + b"".join(
+        b"\x1e4\x1f%d" % (number + 1) for number in range(len(records))
+    )
     return transaction(*records, content=content)
 
 
 def test_binary_records_are_read() -> None:
-    """Rolled prints of Type-4, at 500 ppi or the native resolution; four fingers at once are passed over."""
+    """Rolled prints of Type-4, at 500 ppi or the native resolution; four fingers at once are passed
+    over."""
     prints = decode_transaction(with_type_4(type_4(), type_4(13), type_4(7, scale=1)))
     assert [item.finger for item in prints] == ["right_index", "left_index"]
     assert [round(item.resolution_ppi or 0) for item in prints] == [500, 1000]

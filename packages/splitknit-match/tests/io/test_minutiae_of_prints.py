@@ -1,4 +1,5 @@
-"""From a print to a record: minutiae as mindtct finds them, in the frame that the standards ask for."""
+"""From a print to a record: minutiae as mindtct finds them, in the frame that the standards ask
+for."""
 
 from __future__ import annotations
 
@@ -16,12 +17,19 @@ pytest.importorskip("nbis")
 
 def view_of(found: Minutiae) -> FingerView:
     return FingerView(
-        found.x_px, found.y_px, found.direction_rad, found.type, found.quality, found.size, finger_quality=60
+        found.x_px,
+        found.y_px,
+        found.direction_rad,
+        found.type,
+        found.quality,
+        found.size,
+        finger_quality=60,
     )
 
 
 def test_an_ending_points_along_its_ridge() -> None:
-    """Upright ridges, one more below row 150 than above it: down is 270 deg, 192 of 256 and 135 of 180 steps."""
+    """Upright ridges, one more below row 150 than above it: down is 270 deg, 192 of 256 and 135 of
+    180 steps."""
     rows, columns = np.mgrid[:300, :280].astype(float)
     phase = 2 * np.pi * columns / 9 + np.arctan2(columns - 140, rows - 150)
     print_image = np.round(127 + 100 * np.cos(phase)).astype(np.uint8)

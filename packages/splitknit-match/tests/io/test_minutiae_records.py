@@ -10,7 +10,15 @@ import numpy as np
 import pytest
 from hypothesis import HealthCheck, given, settings
 
-from fmr_samples import ANSI_2009_BYTES, ANSI_BYTES, ISO_BYTES, STANDARDS, THREE, three_minutiae, views
+from fmr_samples import (
+    ANSI_2009_BYTES,
+    ANSI_BYTES,
+    ISO_BYTES,
+    STANDARDS,
+    THREE,
+    three_minutiae,
+    views,
+)
 from splitknit.errors import BadInput
 from splitknit_match.records.fmr_bytes import ANSI_2004, ANSI_2009, ISO_2005, standard_of
 from splitknit_match.records.minutiae_files import (
@@ -28,7 +36,10 @@ def changed(data: bytes, place: int, *values: int) -> bytes:
 
 
 def test_bytes_are_those_of_the_standards() -> None:
-    head = "46 4d 52 00  20 32 30 00  00 00 00 30  00 00  01 5e  01 f4  00 c5  00 c5  01 00  02 08 50 03"
+    head = (
+        "46 4d 52 00  20 32 30 00  00 00 00 30  00 00  01 5e  01 f4  00 c5  00 c5  01 00  02 08"
+        " 50 03"
+    )
     assert encode_minutiae_record(three_minutiae()) == bytes.fromhex(head + THREE + "00 00")
     thumb = three_minutiae(
         direction_rad=np.deg2rad([90.0, 270.0, 358.0]),
@@ -37,12 +48,20 @@ def test_bytes_are_those_of_the_standards() -> None:
         finger_quality=100,
         resolution_ppcm=(197, 198),
     )
-    expected = changed(changed(ANSI_BYTES, 12, 0, 0, 0, 0), 27, 0x09)  # no product, no device, view 0
+    # no product, no device, view 0
+    expected = changed(changed(ANSI_BYTES, 12, 0, 0, 0, 0), 27, 0x09)
     assert encode_minutiae_record(thumb, ANSI_2004) == expected
     little = FingerView(
-        np.array([10, 63]), np.array([20, 79]), np.deg2rad([90.0, 0.0]), np.array([1, 2]), np.array([0, 0]), (80, 64),
-        finger_quality=0, finger="left_little", resolution_ppcm=(394, 394),
-    )  # fmt: skip
+        np.array([10, 63]),
+        np.array([20, 79]),
+        np.deg2rad([90.0, 0.0]),
+        np.array([1, 2]),
+        np.array([0, 0]),
+        (80, 64),
+        finger_quality=0,
+        finger="left_little",
+        resolution_ppcm=(394, 394),
+    )
     expected = changed(ANSI_2009_BYTES, 16, 0, 0, 0)
     for place, *values in ((24, 0, 0, 0x1B), (43, 0), (49, 0)):
         expected = changed(expected, place, *values)
@@ -61,19 +80,31 @@ def test_fields_are_where_the_standards_have_them() -> None:
     assert (second.finger, second.impression, second.count) == ("left_index", "live_plain", 0)
     (view,) = decode_minutiae_record(ANSI_BYTES)
     np.testing.assert_allclose(np.rad2deg(view.direction_rad), [90, 270, 358])
-    assert (view.finger, view.impression, view.finger_quality) == ("right_thumb", "contactless", 100)
+    assert (view.finger, view.impression, view.finger_quality) == (
+        "right_thumb",
+        "contactless",
+        100,
+    )
     assert (view.size, view.resolution_ppcm) == ((500, 350), (197, 198))
     for data in (ANSI_2009_BYTES, changed(ANSI_2009_BYTES, 6, 0x35)):  # amendment 1
         (view,) = decode_minutiae_record(data)
         assert (view.finger, view.impression, view.size, view.finger_quality) == (
-            "left_little", "contactless", (80, 64), 0,
-        )  # fmt: skip
+            "left_little",
+            "contactless",
+            (80, 64),
+            0,
+        )
         np.testing.assert_array_equal(view.quality, [0, 0])  # 254 and 255: not known
 
 
 @pytest.mark.parametrize("standard", STANDARDS)
 def test_what_is_written_is_read(standard: str) -> None:
-    @settings(max_examples=30, derandomize=True, deadline=None, suppress_health_check=[HealthCheck.too_slow])
+    @settings(
+        max_examples=30,
+        derandomize=True,
+        deadline=None,
+        suppress_health_check=[HealthCheck.too_slow],
+    )
     @given(views(standard))
     def check(view: FingerView) -> None:
         data = encode_minutiae_record(view, standard)
@@ -109,7 +140,9 @@ def test_files_are_known_by_what_they_hold(tmp_path: Path) -> None:
 def test_cuts_and_flipped_bits_are_refused_or_read(standard: str) -> None:
     sample = SAMPLES[standard]
     for length in range(1, len(sample)):
-        with pytest.raises(BadInput, match=r"truncated|but a record of minutiae is expected") as refused:
+        with pytest.raises(
+            BadInput, match=r"truncated|but a record of minutiae is expected"
+        ) as refused:
             decode_minutiae_record(sample[:length], "cut.iso")
         assert "cut.iso" in str(refused.value)
     for place in range(len(sample)):
@@ -132,7 +165,10 @@ def test_cuts_and_flipped_bits_are_refused_or_read(standard: str) -> None:
         (changed(ISO_BYTES, 14, 0, 0), "no size or no resolution"),
         (changed(ISO_BYTES, 16, 1, 0x90), "inside their print of 400 x 350 pixels"),
         (changed(ISO_BYTES, 24, 11), "finger position of view 1 of x.iso 11 is not one"),
-        (changed(ISO_BYTES, 25, 9), "impression type of view 1 of x.iso 9 is not one of the standard's codes"),
+        (
+            changed(ISO_BYTES, 25, 9),
+            "impression type of view 1 of x.iso 9 is not one of the standard's codes",
+        ),
         (changed(ISO_BYTES, 26, 101), "the quality of view 1 does not lie between 0 and 100"),
         (changed(ISO_BYTES, 27, 255), "within the 255 minutiae of view 1"),
         (changed(ISO_BYTES, 28, 0xC0), "types of minutiae are"),
@@ -147,7 +183,10 @@ def test_cuts_and_flipped_bits_are_refused_or_read(standard: str) -> None:
         (changed(ANSI_2009_BYTES, 24, 253), "the quality of view 1"),
         (changed(ANSI_2009_BYTES, 33, 0, 0), "no size or no resolution"),
         (b"FMR\x00040\0" + bytes(30), "unknown version b'040"),
-        (b"\x7f\x60\x45" + bytes(20) + ISO_BYTES, r"an envelope \(CBEFF\?\) with a minutiae record inside, 23 bytes"),
+        (
+            b"\x7f\x60\x45" + bytes(20) + ISO_BYTES,
+            r"an envelope \(CBEFF\?\) with a minutiae record inside, 23 bytes",
+        ),
         (b"FIR\x00010\0" + bytes(30), "finger image record"),
         (b"SKTMPL\r\n\1\0", "template of splitknit"),
         (b"anything", "does not begin with 'FMR'"),

@@ -1,4 +1,5 @@
-"""Prints of 500 and 1000 ppi as PNG and TIFF: pixels and resolution, also as other programs see them."""
+"""Prints of 500 and 1000 ppi as PNG and TIFF: pixels and resolution, also as other programs see
+them."""
 
 from __future__ import annotations
 
@@ -58,20 +59,41 @@ def test_other_programs_see_it(tmp_path: Path) -> None:
 
 def test_tiffs_of_others_are_read(tmp_path: Path) -> None:
     file = tmp_path / "a.tiff"
-    tifffile.imwrite(file, IMAGE, photometric="minisblack", metadata=None, resolution=(200, 200), resolutionunit=3)
+    tifffile.imwrite(
+        file,
+        IMAGE,
+        photometric="minisblack",
+        metadata=None,
+        resolution=(200, 200),
+        resolutionunit=3,
+    )
     assert read(file).resolution_ppi == pytest.approx(508)
     tifffile.imwrite(file, IMAGE, photometric="minisblack", metadata=None, description="a print")
     assert (read(file).resolution_ppi, read(file).text) == (None, {})
-    tifffile.imwrite(file, IMAGE, photometric="minisblack", metadata=None, resolution=(500, 400), resolutionunit=2)
-    assert (read(file).resolution_ppi, read(file).image.shape) == (500, (round(IMAGE.shape[0] * 1.25), IMAGE.shape[1]))
+    tifffile.imwrite(
+        file,
+        IMAGE,
+        photometric="minisblack",
+        metadata=None,
+        resolution=(500, 400),
+        resolutionunit=2,
+    )
+    assert (read(file).resolution_ppi, read(file).image.shape) == (
+        500,
+        (round(IMAGE.shape[0] * 1.25), IMAGE.shape[1]),
+    )
     tifffile.imwrite(file, np.stack([IMAGE] * 3, axis=-1), photometric="rgb", metadata=None)
     np.testing.assert_array_equal(read(file).image, IMAGE)
-    tifffile.imwrite(file, np.stack([IMAGE, IMAGE, IMAGE // 2], axis=-1), photometric="rgb", metadata=None)
+    tifffile.imwrite(
+        file, np.stack([IMAGE, IMAGE, IMAGE // 2], axis=-1), photometric="rgb", metadata=None
+    )
     with pytest.raises(BadInput, match="not an 8-bit grey image"):
         read(file)
 
 
-@pytest.mark.parametrize(("image", "ppi", "words"), [(IMAGE / 2, 500, "uint8"), (IMAGE, 5, "between 10 and 100000")])
+@pytest.mark.parametrize(
+    ("image", "ppi", "words"), [(IMAGE / 2, 500, "uint8"), (IMAGE, 5, "between 10 and 100000")]
+)
 def test_other_images_are_refused(tmp_path: Path, image, ppi: float, words: str) -> None:
     with pytest.raises(BadInput, match=words):
         write_tiff(tmp_path / "a.tiff", image, ppi)
@@ -107,7 +129,9 @@ def test_damaged_tiffs_are_refused_or_read(tmp_path: Path) -> None:
         (296, struct.pack("<HII", 3, 1, 9), 0),  # no unit
     ],
 )
-def test_odd_tags_of_a_print_are_no_crash(tmp_path: Path, tag: int, entry: bytes, resolution: int) -> None:
+def test_odd_tags_of_a_print_are_no_crash(
+    tmp_path: Path, tag: int, entry: bytes, resolution: int
+) -> None:
     """`resolution` is 0 where none is known."""
     path = tmp_path / "a.tiff"
     write_tiff(path, IMAGE, 500, {"note": "x"})

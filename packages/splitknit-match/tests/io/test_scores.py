@@ -27,7 +27,12 @@ def test_label_and_score_are_enough(tmp_path: Path) -> None:
     assert scores.label.tolist() == [True, False, True, False]
     np.testing.assert_array_equal(scores.score, [0.5, -1e-3, np.nan, 7.0])
     np.testing.assert_array_equal(read_scores(path, dissimilarity=True).scores.score, -scores.score)
-    assert (scores.finger, scores.subject, scores.session, scores.name) == (None, None, None, "scores")
+    assert (scores.finger, scores.subject, scores.session, scores.name) == (
+        None,
+        None,
+        None,
+        "scores",
+    )
     assert found.ignored == []
     assert found.sha256 == hashlib.sha256(path.read_bytes()).hexdigest()
 
@@ -42,17 +47,17 @@ def test_names_that_were_written_as_texts_come_back(tmp_path: Path) -> None:
 def test_everything_there_is(tmp_path: Path) -> None:
     path = write(
         tmp_path,
-        "\ufeffwhere, score ,label,finger_a,finger_b,subject_a,subject_b,session_a,session_b,time\r\n"
-        "\r\n"
-        '"here, there","0.5",0,9,10,s,t,1,10,8\r\n'
-        "here,1.5,1.0,10,10,s,s,1,2,9\r\n",
+        "\ufeffwhere, score"
+        ' ,label,finger_a,finger_b,subject_a,subject_b,session_a,session_b,time\r\n\r\n"here,'
+        ' there","0.5",0,9,10,s,t,1,10,8\r\nhere,1.5,1.0,10,10,s,s,1,2,9\r\n',
     )
     found = read_scores(path)
     ours = found.scores
     assert (ours.name, found.ignored) == ("scores", ["where", "time"])
     assert ours.session is not None and ours.finger is not None
     assert ours.session.names == ("1", "2", "10")  # numbers in the order of numbers
-    assert [ours.finger.names[code] for code in ours.finger.codes[0]] == ["s/9", "t/10"]  # within their subject
+    # within their subject
+    assert [ours.finger.names[code] for code in ours.finger.codes[0]] == ["s/9", "t/10"]
     assert ours.label.tolist() == [False, True]
 
 
@@ -75,7 +80,10 @@ def test_lines_are_those_of_the_file_where_fields_hold_line_breaks(tmp_path: Pat
         ("score,truth\n1,2\n", "line 1: there is no column 'label'"),
         ("\n\nscore,truth\n1,2\n", "line 3: there is no column 'label'"),
         ("1,0.5\n0,0.2\n", "line 1: there is no column"),
-        ("label;score\n1;0.5\n", "line 1: there is no column 'label' in 'label;score'; columns apart by commas"),
+        (
+            "label;score\n1;0.5\n",
+            "line 1: there is no column 'label' in 'label;score'; columns apart by commas",
+        ),
         ("label,score,score\n1,2,3\n", "line 1: there are two columns 'score'"),
         ("label,score,a,a\n1,2,3,4\n", "line 1: there are two columns 'a'"),
         ("label,score\n1,2\n0\n", "line 3: 2 fields are expected, but there are 1"),
@@ -117,8 +125,14 @@ def test_files_that_are_none(tmp_path: Path) -> None:
         read_scores(tmp_path)
 
 
-@settings(max_examples=150, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
-@given(st.one_of(st.binary(max_size=60), st.text('label,score10\n"x.\r\x00', max_size=60).map(str.encode)))
+@settings(
+    max_examples=150, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture]
+)
+@given(
+    st.one_of(
+        st.binary(max_size=60), st.text('label,score10\n"x.\r\x00', max_size=60).map(str.encode)
+    )
+)
 def test_whatever_the_bytes(tmp_path: Path, data: bytes) -> None:
     for content in (data, b"label,score\n" + data):
         try:

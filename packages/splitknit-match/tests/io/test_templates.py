@@ -73,7 +73,11 @@ def test_any_bytes_are_read_or_refused(data: bytes) -> None:
 
 
 @settings(max_examples=150, deadline=None, derandomize=True)
-@given(payload=st.binary(min_size=1, max_size=50), place=st.integers(0, 10_000), change=st.integers(1, 255))
+@given(
+    payload=st.binary(min_size=1, max_size=50),
+    place=st.integers(0, 10_000),
+    change=st.integers(1, 255),
+)
 def test_every_changed_byte_is_noticed(payload: bytes, place: int, change: int) -> None:
     data = bytearray(encode_template(payload, 1))
     assert _decode_template(bytes(data), 1) == payload

@@ -110,7 +110,8 @@ def test_comments_without_resolution_are_read(sound: bytes) -> None:
 
 
 def test_damaged_files_do_not_end_this_process(sound: bytes) -> None:
-    """NIST's decoder ends its process on some of these; whichever, there is an image or a sentence."""
+    """NIST's decoder ends its process on some of these; whichever, there is an image or a
+    sentence."""
     random = np.random.default_rng(7)
     refused = 0
     for _ in range(12):
@@ -124,7 +125,9 @@ def test_damaged_files_do_not_end_this_process(sound: bytes) -> None:
     assert 0 < refused < 12
 
 
-def test_a_child_that_ends_hangs_or_talks_is_refused(sound: bytes, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_child_that_ends_hangs_or_talks_is_refused(
+    sound: bytes, monkeypatch: pytest.MonkeyPatch
+) -> None:
     for child in ("import os; os.abort()", "import time; time.sleep(60)", "print('hello')"):
         monkeypatch.setattr(wsq_image, "_CHILD", child)
         monkeypatch.setattr(wsq_image, "TIMEOUT_S", 0.5)
@@ -141,7 +144,9 @@ def test_the_child_inherits_no_key(sound: bytes, monkeypatch: pytest.MonkeyPatch
     assert decode_wsq(sound).image.size > 0
 
 
-def test_without_the_package_the_remedy_is_named(sound: bytes, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_without_the_package_the_remedy_is_named(
+    sound: bytes, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setattr(wsq_image.importlib.util, "find_spec", lambda name: None)
     with pytest.raises(BadInput, match=r"pip install 'splitknit-match\[records\]'"):
         encode_wsq(ridges())
@@ -157,7 +162,10 @@ def test_without_the_package_the_remedy_is_named(sound: bytes, monkeypatch: pyte
 
 @pytest.mark.parametrize(
     ("work", "signals", "words"),
-    [("bytearray(2_000_000_000)", (), b"MemoryError"), ("sum(iter(int, 1))", (-signal.SIGXCPU, -signal.SIGKILL), b"")],
+    [
+        ("bytearray(2_000_000_000)", (), b"MemoryError"),
+        ("sum(iter(int, 1))", (-signal.SIGXCPU, -signal.SIGKILL), b""),
+    ],
 )
 def test_the_codec_may_take_no_more_memory_and_time_than_an_image_needs(
     sound: bytes, monkeypatch: pytest.MonkeyPatch, work: str, signals: tuple[int, ...], words: bytes

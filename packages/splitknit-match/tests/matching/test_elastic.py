@@ -29,7 +29,8 @@ def texture(seed: int, rows: int = 160, columns: int = 140) -> RidgeBand:
 @pytest.mark.parametrize("shift", [(0, 0), (3, -2), (-4, 4), (2, 1)])
 def test_shifts_of_patches_are_found(shift: tuple[int, int]) -> None:
     b = texture(1)
-    a = replace(b, value=np.roll(b.value, shift[::-1], axis=(0, 1)))  # A's content lies `shift` (columns, rows) further
+    # A's content lies `shift` (columns, rows) further
+    a = replace(b, value=np.roll(b.value, shift[::-1], axis=(0, 1)))
     found = compare_patches(patch_grid(b), a, IDENTITY)
     inner = slice(20, -20)
     assert np.median(found.correlation[inner]) == pytest.approx(1.0, abs=0.02)
@@ -42,7 +43,9 @@ def test_too_little_valid_skin_is_not_compared() -> None:
     half = b.valid.copy()
     half[:, 70:] = False
     patches = patch_grid(b)
-    found = compare_patches(patches, replace(b, value=np.where(half, b.value, np.float32(0)), valid=half), IDENTITY)
+    found = compare_patches(
+        patches, replace(b, value=np.where(half, b.value, np.float32(0)), valid=half), IDENTITY
+    )
     assert 0.3 < len(found.used) / len(patches.corner) < 0.6
     assert patches.corner[found.used, 1].max() + 0.6 * patches.side <= 71
     nothing = compare_patches(patches, replace(b, valid=np.zeros_like(half)), IDENTITY)
@@ -53,7 +56,8 @@ def test_too_little_valid_skin_is_not_compared() -> None:
 def test_affine_fit_follows_a_stretched_skin() -> None:
     b = texture(4, 220, 200)
     true = np.array([[1.03, 0.01, -4.0], [-0.015, 0.98, 3.0]])  # place in B to place in A
-    a = replace(b, value=cv2.warpAffine(b.value, true, (200, 220), flags=cv2.INTER_CUBIC))  # A at true(p) shows B at p
+    # A at true(p) shows B at p
+    a = replace(b, value=cv2.warpAffine(b.value, true, (200, 220), flags=cv2.INTER_CUBIC))
     patches = patch_grid(b, search_mm=0.8)
     found = compare_patches(patches, a, IDENTITY)
     fitted = better_affine(patches, found, IDENTITY)
@@ -73,7 +77,8 @@ def test_rigid_maps_middles_and_turns() -> None:
 
 
 def test_chance_finds_no_support() -> None:
-    """Unlike textures: each patch alone finds some shift that fits; its neighbours do not share it."""
+    """Unlike textures: each patch alone finds some shift that fits; its neighbours do not share
+    it."""
     a, b = texture(5), texture(6)
     found = compare_patches(patch_grid(b), a, IDENTITY)
     assert abs(found.mean) < 0.205  # 0.22 if every patch chose for itself

@@ -17,12 +17,17 @@ from splitknit.steps import Memory
 @pytest.mark.slow
 def test_kumar_is_ea_smoothed(twin_capture: Capture, twin_memory: Memory) -> None:
     assert override(PRESETS["kumar"], {"smooth.sigma_mm": 0.0}) == PRESETS["ea"]
-    plain, smooth = (reconstruct(twin_capture, preset, memory=twin_memory) for preset in ("ea", "kumar"))
+    plain, smooth = (
+        reconstruct(twin_capture, preset, memory=twin_memory) for preset in ("ea", "kumar")
+    )
     np.testing.assert_array_equal(smooth.mask, plain.mask)
     inside = plain.mask
-    np.testing.assert_allclose((smooth.ridge_mm + smooth.shape_mm)[inside], smooth.height_mm[inside], atol=1e-5)
+    np.testing.assert_allclose(
+        (smooth.ridge_mm + smooth.shape_mm)[inside], smooth.height_mm[inside], atol=1e-5
+    )
     # a Gaussian of 0.05 mm keeps exp(-2 (pi 0.05 / 0.45)^2) of ridges 0.45 mm apart: 0.78
-    facing = inside & (plain.normals[..., 2] > 0.9)  # beside the outline, the relief of EA is not of ridges
+    # beside the outline, the relief of EA is not of ridges
+    facing = inside & (plain.normals[..., 2] > 0.9)
     kept = np.std(smooth.ridge_mm[facing]) / np.std(plain.ridge_mm[facing])
     assert 0.6 < kept < 0.9
     assert np.abs(smooth.height_mm - plain.height_mm)[inside].mean() < 0.02

@@ -42,7 +42,9 @@ def test_codes_keep_under_gain_and_offset() -> None:
     ("px_per_mm", "size", "cell"),
     [(75.7, (200, 150), 64), (37.85, (133, 100), 32), (20.0, (35, 90), 17), (5.0, (9, 600), 4)],
 )
-def test_features_are_histograms_of_whole_cells(px_per_mm: float, size: tuple[int, int], cell: int) -> None:
+def test_features_are_histograms_of_whole_cells(
+    px_per_mm: float, size: tuple[int, int], cell: int
+) -> None:
     image = np.random.default_rng(7).random(size).astype(np.float32)
     assert cell_px(px_per_mm) == cell
     bins = uniform_bins()[lbp_codes(image)]

@@ -13,8 +13,18 @@ from hypothesis import strategies as st
 
 from splitknit.errors import BadInput
 from splitknit_match.prints.minutiae import NFIQ2_FAILED, extract, minutiae_match, nfiq2
-from splitknit_match.prints.minutiae_record import Minutiae, no_minutiae, pack_minutiae, unpack_minutiae
-from splitknit_simulator.finger.master_print import MasterPrint, MasterPrintSettings, ink_print, master_print
+from splitknit_match.prints.minutiae_record import (
+    Minutiae,
+    no_minutiae,
+    pack_minutiae,
+    unpack_minutiae,
+)
+from splitknit_simulator.finger.master_print import (
+    MasterPrint,
+    MasterPrintSettings,
+    ink_print,
+    master_print,
+)
 
 BORDER = 20
 SMALL = MasterPrintSettings(half_width_mm=8.0, distal_mm=25.0, proximal_mm=1.0)
@@ -28,7 +38,10 @@ def nbis():
 
 @pytest.fixture(scope="module")
 def masters() -> list[MasterPrint]:
-    return [master_print(pattern, seed, SMALL) for seed, pattern in enumerate(("whorl", "left_loop", "right_loop"), 41)]
+    return [
+        master_print(pattern, seed, SMALL)
+        for seed, pattern in enumerate(("whorl", "left_loop", "right_loop"), 41)
+    ]
 
 
 @pytest.fixture(scope="module")
@@ -37,7 +50,9 @@ def prints(masters: list[MasterPrint]) -> list[np.ndarray]:
     found = [np.pad(ink_print(master), BORDER, constant_values=255) for master in masters]
     turn = cv2.getRotationMatrix2D((170, 220), 12.0, 1.0)
     turn[:, 2] += 6.0, -9.0
-    again = cv2.warpAffine(found[0], turn, found[0].shape[::-1], flags=cv2.INTER_CUBIC, borderValue=255)
+    again = cv2.warpAffine(
+        found[0], turn, found[0].shape[::-1], flags=cv2.INTER_CUBIC, borderValue=255
+    )
     return [*found, again]
 
 
@@ -58,8 +73,11 @@ def some(count: int, seed: int = 0, size: tuple[int, int] = (380, 360)) -> Minut
     )
 
 
-def test_minutiae_lie_where_the_finger_has_them(masters: list[MasterPrint], found: list[Minutiae]) -> None:
-    """Places within a pixel on average, directions within a step of mindtct's (11.25 deg), against the truth."""
+def test_minutiae_lie_where_the_finger_has_them(
+    masters: list[MasterPrint], found: list[Minutiae]
+) -> None:
+    """Places within a pixel on average, directions within a step of mindtct's (11.25 deg), against
+    the truth."""
     step = 25.4 / 500
     near, wrong, left, up = 0, [], [], []
     for master, minutiae in zip(masters, found, strict=False):
@@ -94,12 +112,17 @@ def test_what_a_print_holds(found: list[Minutiae], prints: list[np.ndarray]) -> 
     assert first.x_mm == pytest.approx((first.x_px - (prints[0].shape[1] - 1) / 2) * 0.0508)
 
 
+@pytest.mark.slow
 def test_scores_are_those_of_nbis_py(nbis, prints: list[np.ndarray]) -> None:
     """With all that mindtct finds, also at the outline."""
     found = [extract(one, edge_mm=0.0) for one in prints]
     extractor = nbis.new_nbis_extractor(
         nbis.NbisExtractorSettings(
-            min_quality=0.0, get_center=False, check_fingerprint=False, compute_nfiq2=False, ppi=500.0
+            min_quality=0.0,
+            get_center=False,
+            check_fingerprint=False,
+            compute_nfiq2=False,
+            ppi=500.0,
         )
     )
     theirs = [extractor.extract_minutiae(cv2.imencode(".png", one)[1].tobytes()) for one in prints]
@@ -112,7 +135,10 @@ def test_scores_are_those_of_nbis_py(nbis, prints: list[np.ndarray]) -> None:
 
 def test_one_finger_is_told_from_others(found: list[Minutiae]) -> None:
     assert minutiae_match(found[0], found[3]) > 60
-    assert max(minutiae_match(found[i], found[j]) for i, j in ((0, 1), (0, 2), (1, 2), (1, 3), (2, 3))) < 40
+    assert (
+        max(minutiae_match(found[i], found[j]) for i, j in ((0, 1), (0, 2), (1, 2), (1, 3), (2, 3)))
+        < 40
+    )
 
 
 def test_the_order_of_minutiae_does_not_matter(found: list[Minutiae]) -> None:
@@ -124,7 +150,9 @@ def test_the_order_of_minutiae_does_not_matter(found: list[Minutiae]) -> None:
 def test_of_too_many_the_best_are_compared() -> None:
     """200 good ones and 50 bad ones among them: the bad ones change nothing."""
     good, bad = some(200, 1), some(50, 2)
-    good = Minutiae(good.x_px, good.y_px, good.direction_rad, good.type, np.full(200, 80, np.uint8), good.size)
+    good = Minutiae(
+        good.x_px, good.y_px, good.direction_rad, good.type, np.full(200, 80, np.uint8), good.size
+    )
     names = ("x_px", "y_px", "direction_rad", "type")
     both = [np.concatenate([getattr(bad, name), getattr(good, name)]) for name in names]
     quality = np.repeat(np.array([10, 80], np.uint8), [50, 200])

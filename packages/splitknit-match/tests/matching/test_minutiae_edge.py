@@ -12,7 +12,8 @@ STEP_MM = 25.4 / 500
 
 
 def test_distance_on_a_print_of_straight_ridges() -> None:
-    """Valleys are not an outline, the image's border is one, and a thin line beside the print is not part of it."""
+    """Valleys are not an outline, the image's border is one, and a thin line beside the print is
+    not part of it."""
     rows, _ = np.mgrid[:300, :240]
     ridges = np.where((rows // 5) % 2 == 0, 40, 255).astype(np.uint8)
     printed = np.full((300, 240), 255, np.uint8)
@@ -21,14 +22,18 @@ def test_distance_on_a_print_of_straight_ridges() -> None:
     distance = edge_distance_mm(printed)
     assert distance[150, 120] == pytest.approx(60 * STEP_MM, abs=2.5 * STEP_MM)
     assert distance[150, 70] == pytest.approx(10.5 * STEP_MM, abs=2.5 * STEP_MM)
-    assert distance[10, 120] == pytest.approx(11 * STEP_MM, abs=2.5 * STEP_MM)  # the finger goes on above
+    # the finger goes on above
+    assert distance[10, 120] == pytest.approx(11 * STEP_MM, abs=2.5 * STEP_MM)
     assert distance[101, 20] == 0
     assert not edge_distance_mm(np.full((100, 90), 255, np.uint8)).any()
-    assert edge_distance_mm(np.zeros((100, 90), np.uint8)).max() == pytest.approx(45 * STEP_MM, abs=STEP_MM)
+    assert edge_distance_mm(np.zeros((100, 90), np.uint8)).max() == pytest.approx(
+        45 * STEP_MM, abs=STEP_MM
+    )
 
 
 def test_straight_ridges_have_no_minutiae_wherever_their_print_ends() -> None:
-    """A relief of parallel ridges inside a round outline: the ends at the outline are found, and left out."""
+    """A relief of parallel ridges inside a round outline: the ends at the outline are found, and
+    left out."""
     pytest.importorskip("nbis")
     rows, columns = np.mgrid[:400, :400]
     turned = np.cos(0.3) * rows + np.sin(0.3) * columns

@@ -14,7 +14,13 @@ import pytest
 from splitknit.errors import BadInput
 from splitknit_match.matching import fusion
 from splitknit_match.matching.elastic import bent, compare_patches, patch_grid, shown_in_a
-from splitknit_match.matching.fusion import can_fuse, fused_match, fused_photo, fused_score, with_fusion
+from splitknit_match.matching.fusion import (
+    can_fuse,
+    fused_match,
+    fused_photo,
+    fused_score,
+    with_fusion,
+)
 from splitknit_match.matching.minutia_pairs import Cylinders, minutia_cylinders, pair_minutiae
 from splitknit_match.matching.ridge import Prepared, ridge_match
 from splitknit_match.matching.ridge_band import RidgeBand
@@ -43,15 +49,24 @@ def test_either_method_alone_counts_where_the_other_failed() -> None:
     none = math.nan
     assert fused_score(none, none, 12, none) > 0 > fused_score(none, none, 2, none)
     assert fused_score(none, 0.8, none, 60) > 0 > fused_score(none, 0.2, none, 60)
-    assert fused_score(2, 0.6, 3, none) > max(fused_score(2, 0.2, 3, none), fused_score(0.4, 0.6, 3, none))
+    assert fused_score(2, 0.6, 3, none) > max(
+        fused_score(2, 0.2, 3, none), fused_score(0.4, 0.6, 3, none)
+    )
 
 
 def test_what_overlaps_counts() -> None:
-    """The same agreement of ridges says less where less overlaps, and nothing more beyond a small print."""
+    """The same agreement of ridges says less where less overlaps, and nothing more beyond a small
+    print."""
     none = math.nan
-    scores = [fused_score(none, 0.6, none, overlap) for overlap in (10, 30, 90, fusion.SMALL_MM2, 300)]
+    scores = [
+        fused_score(none, 0.6, none, overlap) for overlap in (10, 30, 90, fusion.SMALL_MM2, 300)
+    ]
     assert scores[0] < scores[1] < scores[2] < scores[3] == scores[4]
-    assert fused_score(none, none, none, none) == fused_score(none, none, 0.0, none) == fusion.BY_BOTH[2]
+    assert (
+        fused_score(none, none, none, none)
+        == fused_score(none, none, 0.0, none)
+        == fusion.BY_BOTH[2]
+    )
 
 
 def test_a_photograph_is_compared_at_the_scale_that_fits(templates) -> None:
@@ -66,7 +81,10 @@ def test_a_photograph_is_compared_at_the_scale_that_fits(templates) -> None:
     assert found.similarity > fused_match(photo, print_of_it).similarity + 5
     again, other_scale, number = fused_photo(print_of_it, photo, (False, True))
     assert (again.similarity, other_scale, number) == (found.similarity, scale, 1)
-    both = [fused_photo(*sides, (True, True))[0].similarity for sides in ((photo, print_of_it), (print_of_it, photo))]
+    both = [
+        fused_photo(*sides, (True, True))[0].similarity
+        for sides in ((photo, print_of_it), (print_of_it, photo))
+    ]
     assert both[0] == both[1]
 
 
@@ -134,20 +152,27 @@ def some_minutiae(count: int, template: Template | None = None) -> Minutiae:
     x, y = (rng.permutation(side - 1)[:count].astype(np.int32) for side in size[::-1])
     order = np.lexsort((y, x))
     kind = np.ones(count, np.uint8)
-    return Minutiae(x[order], y[order], rng.integers(0, 32, count) * (np.pi / 16), kind, kind * 50, size)
+    return Minutiae(
+        x[order], y[order], rng.integers(0, 32, count) * (np.pi / 16), kind, kind * 50, size
+    )
 
 
 def test_pairs_of_minutiae_find_any_turn() -> None:
-    """Half of them missing on either side, the rest turned by 130 deg, moved and stretched by 3 %."""
+    """Half of them missing on either side, the rest turned by 130 deg, moved and stretched by 3
+    %."""
     rng = np.random.default_rng(5)
     count, valid = 60, np.ones((240, 240), np.bool_)
     place = rng.uniform(-7, 7, count) + 1j * rng.uniform(-7, 7, count)
     turn = rng.uniform(0, 2 * np.pi, count)
 
     def side(places: np.ndarray, turns: np.ndarray) -> Cylinders:
-        pixels = [np.rint(235 + one * 500 / 25.4).astype(np.int32) for one in (-places.real, -places.imag)]
+        pixels = [
+            np.rint(235 + one * 500 / 25.4).astype(np.int32) for one in (-places.real, -places.imag)
+        ]
         small = np.ones(len(turns), np.uint8)
-        return minutia_cylinders(Minutiae(*pixels, (np.pi - turns) % (2 * np.pi), small, small, (471, 471)), valid, 0.1)
+        return minutia_cylinders(
+            Minutiae(*pixels, (np.pi - turns) % (2 * np.pi), small, small, (471, 471)), valid, 0.1
+        )
 
     angle, moved = np.deg2rad(130), 0.8 - 0.5j
     a = side(place[:45], turn[:45])
@@ -156,12 +181,15 @@ def test_pairs_of_minutiae_find_any_turn() -> None:
     assert found.angle_rad == pytest.approx(angle, abs=0.03)
     assert (found.right_mm, found.up_mm) == pytest.approx((0.8, -0.5), abs=0.3)
     assert found.support > 10
-    other = side(rng.uniform(-7, 7, 45) + 1j * rng.uniform(-7, 7, 45), rng.uniform(0, 2 * np.pi, 45))
+    other = side(
+        rng.uniform(-7, 7, 45) + 1j * rng.uniform(-7, 7, 45), rng.uniform(0, 2 * np.pi, 45)
+    )
     assert max((one.support for one in pair_minutiae(a, other)), default=0) < 6
 
 
 def test_a_bent_print_is_laid_back() -> None:
-    """Ridges stretched by a smooth shift of a ridge's width correlate after bending, and not without."""
+    """Ridges stretched by a smooth shift of a ridge's width correlate after bending, and not
+    without."""
     rng = np.random.default_rng(2)
     noise = cv2.GaussianBlur(rng.normal(size=(200, 200)).astype(np.float32), (0, 0), 1.6)
     value = ((noise - cv2.GaussianBlur(noise, (0, 0), 3)) / noise.std()).astype(np.float32)

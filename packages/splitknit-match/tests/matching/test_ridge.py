@@ -18,6 +18,7 @@ from splitknit_match.matching.ridge_band import RidgeBand
 from splitknit_match.matching.template import Template, failed_template, make_template
 
 
+@pytest.mark.slow
 def test_same_fingers_are_more_similar_than_any_others(impressions, templates) -> None:
     ready = [Prepared(template) for template in templates]
     genuine, impostor = [], []
@@ -45,7 +46,10 @@ def test_a_picture_is_like_itself(templates) -> None:
 
 def test_order_does_not_matter(templates) -> None:
     for i, j in ((0, 1), (0, 4), (5, 8)):
-        one, other = ridge_match(templates[i], templates[j]), ridge_match(templates[j], templates[i])
+        one, other = (
+            ridge_match(templates[i], templates[j]),
+            ridge_match(templates[j], templates[i]),
+        )
         assert one.similarity == other.similarity
         assert one.overlap_mm2 == other.overlap_mm2
         assert one.rotation_deg == pytest.approx(-other.rotation_deg, abs=1e-9)
@@ -77,13 +81,17 @@ def test_rotation_and_shift_are_found(templates, angle: float, right: float, up:
     assert abs(found.up_mm) < 0.15
     part = window(fixed, rows=slice(20, 200), columns=slice(30, 180))
     found = ridge_match(part, fixed)
-    middle = (20 + 199) / 2 - (fixed.valid.shape[0] - 1) / 2, (30 + 179) / 2 - (fixed.valid.shape[1] - 1) / 2
+    middle = (
+        (20 + 199) / 2 - (fixed.valid.shape[0] - 1) / 2,
+        (30 + 179) / 2 - (fixed.valid.shape[1] - 1) / 2,
+    )
     assert found.up_mm == pytest.approx(-0.1 * middle[0], abs=0.05)
     assert found.right_mm == pytest.approx(0.1 * middle[1], abs=0.05)
 
 
 def test_other_impressions_are_found_at_any_rotation(impressions, templates) -> None:
-    """One impression of each finger, turned, is as similar to another one as before; impostors do not gain much."""
+    """One impression of each finger, turned, is as similar to another one as before; impostors do
+    not gain much."""
     rng = np.random.default_rng(4)
     for k in range(0, 9, 3):
         assert impressions[k].finger == impressions[k + 1].finger != impressions[(k + 4) % 9].finger
@@ -108,7 +116,9 @@ def test_little_overlap_costs(templates) -> None:
     lower = window(templates[0], rows=slice(110, 400), columns=slice(0, 400))
     found = ridge_match(upper, lower)
     assert found.overlap_mm2 < 60
-    assert found.similarity == pytest.approx(found.correlation * np.sqrt(found.overlap_mm2 / 60), abs=1e-6)
+    assert found.similarity == pytest.approx(
+        found.correlation * np.sqrt(found.overlap_mm2 / 60), abs=1e-6
+    )
 
 
 def test_a_failure_to_acquire_is_compared_with_nothing(templates) -> None:
@@ -147,18 +157,22 @@ def made(value: np.ndarray, valid: np.ndarray, pitch_mm: float) -> Template:
 
 
 def test_the_work_of_a_comparison_is_counted(templates, monkeypatch) -> None:
-    """Correlations of whole prints, local comparisons, and spectra: none is made twice for a prepared side."""
+    """Correlations of whole prints, local comparisons, and spectra: none is made twice for a
+    prepared side."""
     done: Counter[str] = Counter()
 
     def counted(module: ModuleType, name: str) -> None:
         work = getattr(module, name)
-        monkeypatch.setattr(module, name, lambda *given, **how: done.update([name]) or work(*given, **how))
+        monkeypatch.setattr(
+            module, name, lambda *given, **how: done.update([name]) or work(*given, **how)
+        )
 
     counted(ridge, "compare_patches")
     counted(coarse, "spectrum_of")
     first, same, other = (Prepared(templates[k]) for k in (0, 1, 3))
     ridge_match(first, same)
-    assert done["spectrum_of"] <= 21  # nine rotations, each there and half a step on; B's ridges; directions of both
+    # nine rotations, each there and half a step on; B's ridges; directions of both
+    assert done["spectrum_of"] <= 21
     assert done["compare_patches"] <= 4  # two candidates, one refinement, the score
     done.clear()
     ridge_match(first, same)

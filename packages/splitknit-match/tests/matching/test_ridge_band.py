@@ -36,13 +36,16 @@ def test_wide_shapes_are_taken_out() -> None:
     _, columns = np.mgrid[0:300, 0:300]
     hill = (0.5 * np.cos((columns - 150) / 100)).astype(np.float32)
     mask = np.ones((300, 300), np.bool_)
-    plain, hilly = (ridge_band(stripes(0.4) + extra, mask, PITCH).value for extra in (0 * hill, hill))
+    plain, hilly = (
+        ridge_band(stripes(0.4) + extra, mask, PITCH).value for extra in (0 * hill, hill)
+    )
     inner = slice(25, -25), slice(25, -25)
     assert np.corrcoef(plain[inner].ravel(), hilly[inner].ravel())[0, 1] > 0.99
 
 
 def test_unrolling_measures_along_the_skin() -> None:
-    """Ridges at even distances on a cylinder crowd towards its sides in the picture, and lie evenly in the band."""
+    """Ridges at even distances on a cylinder crowd towards its sides in the picture, and lie evenly
+    in the band."""
     radius, side = 8.0, 300
     x = (np.arange(side) - 149.5) * PITCH  # up to 69 deg of slant
     arc = radius * np.arcsin(x / radius)
@@ -92,7 +95,8 @@ def test_skin_without_ridges_is_left_out() -> None:
 
 def test_prints_are_mirrored_and_inverted() -> None:
     ridge = stripes(0.5)
-    picture = np.clip(128 - 3000 * ridge[:, ::-1], 0, 255).astype(np.uint8)  # ink: ridges dark, mirrored
+    # ink: ridges dark, mirrored
+    picture = np.clip(128 - 3000 * ridge[:, ::-1], 0, 255).astype(np.uint8)
     from_print = print_band(picture, 25.4 / PITCH)
     band = ridge_band(ridge, np.ones((300, 300), np.bool_), PITCH)
     inner = slice(25, -25), slice(25, -25)

@@ -43,7 +43,8 @@ def test_few_or_broken_scores_are_refused() -> None:
 
 
 def test_extrapolated_rates_are_upper_limits() -> None:
-    """Of scores with the tail that is assumed: the true rate beyond the threshold seldom exceeds what is stated."""
+    """Of scores with the tail that is assumed: the true rate beyond the threshold seldom exceeds
+    what is stated."""
     rng, stated = np.random.default_rng(0), 1e-5
     tables = [calibrate_scores(rng.exponential(0.3, 5000)) for _ in range(200)]
     found = [table.beyond(stated) for table in tables]

@@ -55,12 +55,19 @@ def test_a_print_without_minutiae_keeps_that_it_is_one(templates) -> None:
 
 def test_what_was_compared_decides_what_is_said() -> None:
     assert scores_of("fusion", (300, SMALL_MM2 + 1), 12.0) == "fusion"
-    assert scores_of("fusion", (300, SMALL_MM2 - 1), 12.0) == scores_of("fusion", (300, 300), None) == "windows"
+    assert (
+        scores_of("fusion", (300, SMALL_MM2 - 1), 12.0)
+        == scores_of("fusion", (300, 300), None)
+        == "windows"
+    )
     assert rate(0.9, scores_of("ridge", (300, 30), None), 30.0).answer == "undecided"
     assert rate(0.9, "ridge", 100.0).answer == "match"
     assert fmr_basis("fusion").smallest < 1e-4  # the usual decision
     photographs, both = (f"fingerphotos {of}" for of in ("alone", "and prints"))
-    assert sum(fmr_basis(one).impostors for one in (photographs, both)) == fmr_basis("fingerphotos").impostors
+    assert (
+        sum(fmr_basis(one).impostors for one in (photographs, both))
+        == fmr_basis("fingerphotos").impostors
+    )
     assert [rate(4.0, one, 100.0).answer for one in (photographs, both)] == ["no match", "match"]
     assert rate(9.0, scores_of(photographs, (300, 30), None), 30.0).answer == "undecided"
     assert similarity_at(1e-4, "fusion") >= similarity_at(1e-3, "fusion")
@@ -94,9 +101,14 @@ def test_nothing_to_compare_is_no_match_and_no_warning(tmp_path: Path) -> None:
 
 
 def test_answers_end_differently(templates, tmp_path: Path, capsys) -> None:
-    """Also in a gallery: a small part of a finger, searched among wholes of its own and of another."""
+    """Also in a gallery: a small part of a finger, searched among wholes of its own and of
+    another."""
     for name, one in (("whole", templates[0]), ("other", templates[4])):
-        write_template(tmp_path / f"{name}.skt", pack(replace(one, minutiae=no_minutiae(print_size(one)))), VERSION)
+        write_template(
+            tmp_path / f"{name}.skt",
+            pack(replace(one, minutiae=no_minutiae(print_size(one)))),
+            VERSION,
+        )
     for name, side in (("part", 70), ("bit", 38)):
         write_template(tmp_path / f"{name}.skt", pack(cut(templates[0], 90, 70, side)), VERSION)
     file = {name: str(tmp_path / f"{name}.skt") for name in ("whole", "other", "part", "bit")}
@@ -111,7 +123,9 @@ def test_answers_end_differently(templates, tmp_path: Path, capsys) -> None:
     assert "mm²" in facts["undecided"]
     gallery = str(tmp_path / "g.skg")
     for name in ("whole", "other"):
-        assert main(["enroll", gallery, file[name], "--person", name, "--finger", "right_index"]) == 0
+        assert (
+            main(["enroll", gallery, file[name], "--person", name, "--finger", "right_index"]) == 0
+        )
     capsys.readouterr()
     assert main(["identify", gallery, file["part"], "--fmr", "0.001", "--exit-code"]) == 0
     assert capsys.readouterr().out.startswith("Match: whole")
@@ -121,13 +135,28 @@ def test_answers_end_differently(templates, tmp_path: Path, capsys) -> None:
     assert capsys.readouterr().out.startswith("Undecided: ")
 
 
+@pytest.mark.slow
 def test_own_rates(templates, tmp_path: Path, capsys) -> None:
-    """``evaluate --calibrate`` writes what ``match --decision`` decides by; anything else is refused."""
+    """``evaluate --calibrate`` writes what ``match --decision`` decides by; anything else is
+    refused."""
     rng = np.random.default_rng(0)
-    lines = ["label,score", *(f"0,{value:.4f}" for value in rng.normal(-3, 1, 300)), *["1,8.0"] * 20]
+    lines = [
+        "label,score",
+        *(f"0,{value:.4f}" for value in rng.normal(-3, 1, 300)),
+        *["1,8.0"] * 20,
+    ]
     (tmp_path / "scores.csv").write_text("\n".join(lines) + "\n")
     own, out = tmp_path / "own.json", tmp_path / "report"
-    words = ["evaluate", tmp_path / "scores.csv", "--out", out, "--replicates", "20", "--calibrate", own]
+    words = [
+        "evaluate",
+        tmp_path / "scores.csv",
+        "--out",
+        out,
+        "--replicates",
+        "20",
+        "--calibrate",
+        own,
+    ]
     words += ["--least-mm2", "20"]
     words.insert(1, "--scores")
     assert main(list(map(str, words))) == 0
@@ -137,15 +166,27 @@ def test_own_rates(templates, tmp_path: Path, capsys) -> None:
         write_template(tmp_path / f"{name}.skt", pack(cut(templates[0], 80, 60, side)), VERSION)
     capsys.readouterr()
     sides = [str(tmp_path / f"{name}.skt") for name in "ab"]
-    assert main(["match", sides[0], sides[0], "--decision", str(own), "--fmr", "0.01", "--json"]) == 0
+    assert (
+        main(["match", sides[0], sides[0], "--decision", str(own), "--fmr", "0.01", "--json"]) == 0
+    )
     facts = json.loads(capsys.readouterr().out)
     assert facts["answer"] == "match"
     assert facts["fmr_basis"]["population"] == "scores of scores"
     assert main(["match", *sides, "--decision", str(own), "--json", "--exit-code"]) == 11
     assert main(["match", *sides, "--decision", str(own), "--method", "ridge"]) == 2
     sound, huge = own_rates_document(rng.normal(size=200), "", "fusion", 0.0), 10**400
-    wrong = [{"fmr": [1.0, 2.0]}, {"impostors": huge}, {"least_mm2": huge}, {"similarity": [huge, 2 * huge]}]
-    wrong += [{"impostors": -1}, {"impostors": 10**30}, {"similarity": [[[0.0]]]}, {"fmr": {"a": 1}}]
+    wrong = [
+        {"fmr": [1.0, 2.0]},
+        {"impostors": huge},
+        {"least_mm2": huge},
+        {"similarity": [huge, 2 * huge]},
+    ]
+    wrong += [
+        {"impostors": -1},
+        {"impostors": 10**30},
+        {"similarity": [[[0.0]]]},
+        {"fmr": {"a": 1}},
+    ]
     for change in wrong:
         own.write_text(json.dumps(sound | change))
         with pytest.raises(BadInput, match="is not a file of false match rates"):
@@ -158,18 +199,30 @@ def test_own_rates(templates, tmp_path: Path, capsys) -> None:
 def test_own_rates_of_dissimilarities_are_refused(tmp_path: Path, capsys) -> None:
     lines = ["label,score", *(f"0,{5 + k / 100}" for k in range(300)), *["1,0.5"] * 20]
     (tmp_path / "scores.csv").write_text("\n".join(lines) + "\n")
-    words = ["evaluate", "--scores", tmp_path / "scores.csv", "--dissimilarity", "--calibrate", tmp_path / "own.json"]
+    words = [
+        "evaluate",
+        "--scores",
+        tmp_path / "scores.csv",
+        "--dissimilarity",
+        "--calibrate",
+        tmp_path / "own.json",
+    ]
     assert main(list(map(str, [*words, "--out", tmp_path / "report", "--replicates", "20"]))) == 2
     said = capsys.readouterr().err.strip()
-    assert said.endswith("--calibrate takes similarities, as 'splitknit match' gives them.") and "\n" not in said
+    assert (
+        said.endswith("--calibrate takes similarities, as 'splitknit match' gives them.")
+        and "\n" not in said
+    )
     assert [path.name for path in tmp_path.iterdir()] == ["scores.csv"]
 
 
 @pytest.mark.parametrize(
-    "method", ["minutiae", *(pytest.param(name, marks=pytest.mark.slow) for name in ("ridge", "fusion"))]
+    "method",
+    ["minutiae", *(pytest.param(name, marks=pytest.mark.slow) for name in ("ridge", "fusion"))],
 )
 def test_own_rates_of_a_gallery_name_what_compared(method: str, tmp_path: Path, capsys) -> None:
-    """112 impostor pairs of eight fingers in two sessions; the name given by ``--method`` is not taken."""
+    """112 impostor pairs of eight fingers in two sessions; the name given by ``--method`` is not
+    taken."""
     gallery, own, rng = tmp_path / "people.skg", tmp_path / "own.json", np.random.default_rng(7)
     for number in range(8):
         finger = ridges(number)
@@ -179,11 +232,23 @@ def test_own_rates_of_a_gallery_name_what_compared(method: str, tmp_path: Path, 
             if method == "minutiae":
                 x, y = rng.integers(20, 180, (2, 20)).astype(np.int32)
                 kind, quality = np.ones(20, np.uint8), np.full(20, 60, np.uint8)
-                payload = pack_minutiae(Minutiae(x, y, rng.uniform(0, 6.2, 20), kind, quality, (200, 200)))
+                payload = pack_minutiae(
+                    Minutiae(x, y, rng.uniform(0, 6.2, 20), kind, quality, (200, 200))
+                )
             write_template(tmp_path / "one.skt", payload, VERSION)
             words = ["--person", f"S{number}", "--finger", "left_index", "--session", str(session)]
             assert main(["enroll", str(gallery), str(tmp_path / "one.skt"), *words]) == 0
-    words = ["evaluate", "--gallery", gallery, "--calibrate", own, "--out", tmp_path / "report", "--replicates", "20"]
+    words = [
+        "evaluate",
+        "--gallery",
+        gallery,
+        "--calibrate",
+        own,
+        "--out",
+        tmp_path / "report",
+        "--replicates",
+        "20",
+    ]
     assert main(list(map(str, words))) == 0
     assert read_own_rates(own).method == method
 

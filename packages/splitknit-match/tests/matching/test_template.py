@@ -84,7 +84,8 @@ def test_templates_are_small_and_keep_the_ridges(impressions, templates) -> None
     template = templates[0]
     one = impressions[0]
     band = ridge_band(one.ridge_mm, one.mask, one.pitch_mm, one.shape_mm)
-    assert len(pack(template)) < 2.5 * template.area_mm2 / 0.01 / 8 + 2000  # two bits a pixel, and the outline
+    # two bits a pixel, and the outline
+    assert len(pack(template)) < 2.5 * template.area_mm2 / 0.01 / 8 + 2000
     rows, columns = np.flatnonzero(band.valid.any(axis=1)), np.flatnonzero(band.valid.any(axis=0))
     box = slice(rows[0], rows[-1] + 1), slice(columns[0], columns[-1] + 1)
     kept, original = template.value()[template.valid], band.value[box][template.valid]

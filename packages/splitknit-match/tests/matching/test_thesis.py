@@ -39,7 +39,16 @@ def test_lateral_search_finds_the_shift(right: int, rows: int, columns: int) -> 
 
 def test_overlap_by_hand() -> None:
     a, b = np.ones((4, 6), np.bool_), np.ones((4, 6), np.bool_)
-    assert [best_shift(a, b, range(k, k + 1))[1] for k in range(-7, 1)] == [0, 0, 4, 8, 12, 16, 20, 24]
+    assert [best_shift(a, b, range(k, k + 1))[1] for k in range(-7, 1)] == [
+        0,
+        0,
+        4,
+        8,
+        12,
+        16,
+        20,
+        24,
+    ]
     assert best_shift(a, b, range(-7, 8)) == (0, 24)
     assert align_masks(a, b[:2])[1] == pytest.approx(12 / 24)
 
@@ -65,7 +74,9 @@ def test_same_fingers_are_more_similar(impressions) -> None:
             np.roll(impressions[k].mask, 2, axis=1), impressions[k].pitch_mm,
         )  # fmt: skip
         same = thesis_match(one, again, chosen).similarity
-        others = [thesis_match(other, again, chosen).similarity for other in fingers if other is not one]
+        others = [
+            thesis_match(other, again, chosen).similarity for other in fingers if other is not one
+        ]
         assert same > max(others)
 
 
@@ -83,7 +94,9 @@ def test_the_score_is_that_of_the_distances(impressions) -> None:
     found = thesis_match(impressions[0].images(), impressions[3].images(), ThesisSettings(gate=0.0))
     total = sum(found.distances[name] for name in ("normal_x", "normal_y", "normal_z"))
     assert found.dissimilarity["normals"] == pytest.approx(np.exp(-(found.ratio**4) / total))
-    assert found.dissimilarity["relief"] == pytest.approx(np.exp(-(found.ratio**4) / found.distances["relief"]))
+    assert found.dissimilarity["relief"] == pytest.approx(
+        np.exp(-(found.ratio**4) / found.distances["relief"])
+    )
     assert found.similarity == pytest.approx(1 - np.mean(list(found.dissimilarity.values())))
 
 
@@ -94,7 +107,8 @@ def test_upright_images_turn_their_normals() -> None:
     mask = np.zeros((30, 40), np.bool_)
     mask[10:20, 12:26] = True
     relief = np.zeros((30, 40), np.float32)
-    turn = rotation_about((19.5, 14.5), -np.pi / 2)  # upright content is the input turned counter-clockwise
+    # upright content is the input turned counter-clockwise
+    turn = rotation_about((19.5, 14.5), -np.pi / 2)
     found = finger_images(normals, relief, mask, 0.1, turn, upright_size=(60, 60))
     assert found.mask.shape == pytest.approx((14, 10), abs=1)
     middle = tuple(float(found.channels[f"normal_{axis}"][7, 5]) for axis in "xyz")

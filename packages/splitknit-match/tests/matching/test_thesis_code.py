@@ -16,7 +16,10 @@ def finger(seed: int, px_per_mm: float = 75.7, columns: int = 100) -> FingerImag
     y, x = np.mgrid[0:130, 0:columns]
     mask = ((x - columns / 2) / (columns / 2)) ** 2 + ((y - 129) / 129) ** 2 < 1
     names = ("relief", *NORMALS, *(f"shape_{name}" for name in NORMALS))
-    channels = {name: np.where(mask, rng.standard_normal(mask.shape), 0).astype(np.float32) for name in names}
+    channels = {
+        name: np.where(mask, rng.standard_normal(mask.shape), 0).astype(np.float32)
+        for name in names
+    }
     return FingerImages(channels, mask, px_per_mm)
 
 
@@ -38,7 +41,10 @@ def test_labels_are_those_of_single_pixels(neighbours: int) -> None:
             else:
                 assert known.setdefault(tuple(bits), labels[row, column]) == labels[row, column]
     assert len(set(known.values())) == len(known)
-    assert pattern_labels(np.zeros((3, 3), np.float32), neighbours).max() == neighbours * (neighbours - 1) + 1
+    assert (
+        pattern_labels(np.zeros((3, 3), np.float32), neighbours).max()
+        == neighbours * (neighbours - 1) + 1
+    )
 
 
 def test_a_finger_equals_itself_and_its_score_is_that_of_counting() -> None:
@@ -50,7 +56,9 @@ def test_a_finger_equals_itself_and_its_score_is_that_of_counting() -> None:
     for row in range(4):
         for column in range(3):
             cut = slice(32 * row, 32 * row + 32), slice(32 * column, 32 * column + 32)
-            first, second = (np.bincount(side.labels["relief"][cut].ravel(), minlength=213) for side in (a, b))
+            first, second = (
+                np.bincount(side.labels["relief"][cut].ravel(), minlength=213) for side in (a, b)
+            )
             distance += np.abs(first - second).sum()
     assert found.distances["relief"] == pytest.approx(distance / (4 * 3 * 213))
     assert found.similarity == pytest.approx(1 - np.mean(list(found.distances.values())))

@@ -1,4 +1,5 @@
-"""The body between its mirrors, by outlines that formulas draw: also where the picture's border cuts a view."""
+"""The body between its mirrors, by outlines that formulas draw: also where the picture's border
+cuts a view."""
 
 from __future__ import annotations
 
@@ -11,7 +12,13 @@ import rolled_scene as scene
 from rolled_scene import body_between_mirrors
 from splitknit.errors import BadInput
 from splitknit.mirrors.views import Views
-from splitknit_match.rolled.finger import ROLL_OF_SHEAR, _outside, _radius_of, _rolled_pad, _shape_of
+from splitknit_match.rolled.finger import (
+    ROLL_OF_SHEAR,
+    _outside,
+    _radius_of,
+    _rolled_pad,
+    _shape_of,
+)
 
 RIG = scene.rig()
 MIRRORS = {mirror.name: mirror for mirror in RIG.mirrors}
@@ -37,7 +44,9 @@ def off_surface(body) -> np.ndarray:
     points = shape.chart.points(shape.radius_mm) - np.array([0.0, 2.0, 0.0])
     x, y, z = np.moveaxis(points, -1, 0)
     value = np.sqrt(
-        (x / scene.A) ** 2 + (np.maximum(y, 0) / scene.CAP) ** 2 + ((z - scene.TOP + scene.B) / scene.B) ** 2
+        (x / scene.A) ** 2
+        + (np.maximum(y, 0) / scene.CAP) ** 2
+        + ((z - scene.TOP + scene.B) / scene.B) ** 2
     )
     rows = (shape.chart.length_mm < 4) & (shape.chart.length_mm > -10)
     front = np.abs(np.rad2deg(shape.chart.angle_rad)) < 100
@@ -45,7 +54,9 @@ def off_surface(body) -> np.ndarray:
 
 
 def test_the_body_is_the_finger(drawn) -> None:
-    found = body_between_mirrors(views(drawn["front"], left=drawn["left"], right=drawn["right"]), RIG)
+    found = body_between_mirrors(
+        views(drawn["front"], left=drawn["left"], right=drawn["right"]), RIG
+    )
     assert found.cut == ()
     assert found.useless == ()
     # an ellipse is drawn, a flatter pad expected
@@ -59,7 +70,8 @@ def test_an_edge_that_is_taken_for_the_holder_behind_it_is_left_out(drawn) -> No
     rows = np.flatnonzero(spoilt.any(axis=1))
     for row in rows[len(rows) // 4 :]:
         first = int(np.argmax(spoilt[row]))
-        spoilt[row, first - 30 : first] = True  # by 1.7 mm beyond the side that turns away from the camera
+        # by 1.7 mm beyond the side that turns away from the camera
+        spoilt[row, first - 30 : first] = True
     found = body_between_mirrors(views(drawn["front"], left=drawn["left"], right=spoilt), RIG)
     assert np.sqrt((off_surface(found.body) ** 2).mean()) < 0.2  # 1.9 with all edges
     for name, plane in found.planes.items():
@@ -69,22 +81,31 @@ def test_an_edge_that_is_taken_for_the_holder_behind_it_is_left_out(drawn) -> No
 def test_a_cut_view_still_tells_where_its_mirror_lies(drawn) -> None:
     mirror = MIRRORS["left"]
     turn = np.deg2rad(1.0)
-    turned = np.array([[np.cos(turn), -np.sin(turn), 0], [np.sin(turn), np.cos(turn), 0], [0, 0, 1]])
+    turned = np.array(
+        [[np.cos(turn), -np.sin(turn), 0], [np.sin(turn), np.cos(turn), 0], [0, 0, 1]]
+    )
     middle = np.mean(mirror.corners_mm, axis=0)
-    corners = tuple(tuple(float(v) for v in middle + turned @ (np.array(c) - middle)) for c in mirror.corners_mm)
+    corners = tuple(
+        tuple(float(v) for v in middle + turned @ (np.array(c) - middle)) for c in mirror.corners_mm
+    )
     wrong = replace(mirror, corners_mm=corners)
     # the picture ends where the pad bulges most
     column = int(np.flatnonzero(drawn["left"].any(axis=0))[0]) + round(0.6 * scene.PX)
     camera = replace(RIG.camera, image_size=(scene.SIZE[0], scene.SIZE[1] - 2 * column))
-    cut = {name: np.ascontiguousarray(mask[:, column : scene.SIZE[1] - column]) for name, mask in drawn.items()}
+    cut = {
+        name: np.ascontiguousarray(mask[:, column : scene.SIZE[1] - column])
+        for name, mask in drawn.items()
+    }
     found = body_between_mirrors(
-        views(cut["front"], left=cut["left"]), replace(RIG, camera=camera, mirrors=(wrong, MIRRORS["right"]))
+        views(cut["front"], left=cut["left"]),
+        replace(RIG, camera=camera, mirrors=(wrong, MIRRORS["right"])),
     )
     assert found.cut == ("left",)
     plane = found.planes["left"]
     assert np.rad2deg(np.arccos(min(1.0, float(plane.normal @ mirror.normal)))) < 0.6
     assert np.rad2deg(np.arccos(float(wrong.normal @ mirror.normal))) > 0.6
-    # of a view that ends beyond the pad's rim nothing is left but the far side, which alone makes no body
+    # of a view that ends beyond the pad's rim nothing is left but the far side, which alone makes
+    # no body
     straight = drawn["left"].copy()
     edge = round((scene.SIZE[1] - 1) / 2 - 27.5 * scene.PX)
     straight[:, :edge] = False
@@ -103,7 +124,9 @@ def test_the_radius_is_where_the_body_ends(drawn) -> None:
 
 
 def test_a_rolled_finger_is_flat_where_it_rolled_to(drawn) -> None:
-    body = body_between_mirrors(views(drawn["front"], left=drawn["left"], right=drawn["right"]), RIG).body
+    body = body_between_mirrors(
+        views(drawn["front"], left=drawn["left"], right=drawn["right"]), RIG
+    ).body
     chart = _shape_of(body).chart
     radius = np.full(chart.shape, 7.0)
     flat, roll = 0.16, 0.1

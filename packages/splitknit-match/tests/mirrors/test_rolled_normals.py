@@ -13,14 +13,21 @@ SHAPE, PITCH = (24, 24), 0.05
 
 
 def tilted(slant_deg: float, held: float, lights: np.ndarray, ridge: float = 0.2) -> np.ndarray:
-    """Normal, found on a plane of that slant, of skin whose ridge turns it by `ridge` (rad) across and along."""
+    """Normal, found on a plane of that slant, of skin whose ridge turns it by `ridge` (rad) across
+    and along."""
     x = PITCH * np.arange(SHAPE[1])
     grid = Grid(np.ones(SHAPE, bool), x, PITCH * np.arange(SHAPE[0])[::-1], PITCH, (False,) * 4)
     smooth = np.broadcast_to(-np.tan(np.deg2rad(slant_deg)) * x, SHAPE).astype(np.float32)
     slant = np.deg2rad(slant_deg)
     normal = np.array([np.sin(slant), 0.0, np.cos(slant)])
-    turned = normal + ridge * np.array([np.cos(slant), 0.0, -np.sin(slant)]) + ridge * np.array([0.0, 1.0, 0.0])
-    images = np.broadcast_to((lights @ turned)[None, :, None, None], (1, len(lights), *SHAPE)).astype(np.float32)
+    turned = (
+        normal
+        + ridge * np.array([np.cos(slant), 0.0, -np.sin(slant)])
+        + ridge * np.array([0.0, 1.0, 0.0])
+    )
+    images = np.broadcast_to(
+        (lights @ turned)[None, :, None, None], (1, len(lights), *SHAPE)
+    ).astype(np.float32)
     vectors = np.broadcast_to(lights[:, :, None, None], (len(lights), 3, *SHAPE)).astype(np.float32)
     ones = np.ones((len(lights), *SHAPE), np.float32)
     found = _held_normals(images, Lighting(vectors, ones, ones), smooth, grid, held)[0, 12, 12]

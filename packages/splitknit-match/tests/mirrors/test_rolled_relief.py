@@ -29,8 +29,12 @@ def test_a_camera_of_15_px_per_mm_shows_the_ridges_in_front_and_in_the_mirror() 
         view = work.reliefs[name]
         assert view.how == "network"
         shown = view.window
-        true = truth["relief_um" if name == "front" else f"{prefix}relief_um"][shown] * np.float32(1e-3)
+        true = truth["relief_um" if name == "front" else f"{prefix}relief_um"][shown] * np.float32(
+            1e-3
+        )
         known = np.isfinite(view.relief_mm) & truth[f"{prefix}mask"][shown] & (view.trust > 0.95)
-        seen, there = (ridges_of(np.nan_to_num(f), known, 1 / px_per_mm) for f in (view.relief_mm, true))
+        seen, there = (
+            ridges_of(np.nan_to_num(f), known, 1 / px_per_mm) for f in (view.relief_mm, true)
+        )
         assert np.corrcoef(seen[known], there[known])[0, 1] > least
         assert seen[known].std() > 0.5 * there[known].std()

@@ -18,7 +18,8 @@ def test_the_window_scales() -> None:
 
 
 def test_a_quadric_is_exact_even_at_the_mask() -> None:
-    """At its middle the curvatures are the coefficients; z follows from x and y, also by windows that the mask cuts."""
+    """At its middle the curvatures are the coefficients; z follows from x and y, also by windows
+    that the mask cuts."""
     x, y = plane_points((61, 61))
     angle = 0.5
     p, q = x * np.cos(angle) + y * np.sin(angle), y * np.cos(angle) - x * np.sin(angle)
@@ -33,7 +34,8 @@ def test_a_quadric_is_exact_even_at_the_mask() -> None:
 
 
 def test_a_cylinder_is_as_curved_at_its_side() -> None:
-    """The Weingarten matrix, not the second derivative: at 55 deg of slant that is five times too large."""
+    """The Weingarten matrix, not the second derivative: at 55 deg of slant that is five times too
+    large."""
     x, _ = plane_points((40, 260))
     height = np.sqrt(np.maximum(64.0 - x**2, 0.01)).astype(np.float32)
     mask = np.abs(x) < 8 * np.sin(np.deg2rad(60))
@@ -47,9 +49,17 @@ def test_a_cylinder_is_as_curved_at_its_side() -> None:
 
 def test_shape_index_names_the_forms() -> None:
     x, y = plane_points((41, 41))
-    forms = {"cap": -(x**2) - y**2, "ridge": -(x**2), "saddle": x**2 - y**2, "valley": x**2, "cup": x**2 + y**2}
+    forms = {
+        "cap": -(x**2) - y**2,
+        "ridge": -(x**2),
+        "saddle": x**2 - y**2,
+        "valley": x**2,
+        "cup": x**2 + y**2,
+    }
     for (name, form), wanted in zip(forms.items(), (1.0, 0.75, 0.5, 0.25, 0.0), strict=True):
-        found = curvature((0.1 * form).astype(np.float32), np.ones((41, 41), bool), PITCH, window_px=WIDE)
+        found = curvature(
+            (0.1 * form).astype(np.float32), np.ones((41, 41), bool), PITCH, window_px=WIDE
+        )
         assert found.shape_index[20, 20] == pytest.approx(wanted, abs=0.01), name
 
 
@@ -72,14 +82,18 @@ def test_the_camera_does_not_matter() -> None:
 
 
 def test_what_a_cubic_changes() -> None:
-    """On full windows nothing but the slopes, which hardly matter; where the mask cuts the window it is noisier."""
+    """On full windows nothing but the slopes, which hardly matter; where the mask cuts the window
+    it is noisier."""
     rng = np.random.default_rng(2)
     x, _ = plane_points((80, 80))
     ridges = 0.02 * np.cos(2 * np.pi * x / 1.5)
     mask = np.ones((80, 80), bool)
     mask[:, 41:] = False
     noisy = (ridges + 1e-3 * rng.standard_normal((80, 80))).astype(np.float32)
-    two, three = (curvature(noisy, mask, PITCH, window_px=9 * 75.7 / PX_PER_MM, degree=d).k_min for d in (2, 3))
+    two, three = (
+        curvature(noisy, mask, PITCH, window_px=9 * 75.7 / PX_PER_MM, degree=d).k_min
+        for d in (2, 3)
+    )
     full = slice(10, -10), slice(10, 36)
     assert np.corrcoef(two[full].ravel(), three[full].ravel())[0, 1] > 0.999
     edge = slice(10, -10), slice(38, 39)

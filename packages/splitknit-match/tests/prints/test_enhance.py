@@ -11,7 +11,8 @@ from splitknit_match.prints.ridge_field import ridge_field
 
 
 def _waves(period: float, angle_deg: float, size: int = 300) -> tuple[np.ndarray, np.ndarray]:
-    """Phase of ridges that run at an angle counter-clockwise from the right, and the print, ridges dark."""
+    """Phase of ridges that run at an angle counter-clockwise from the right, and the print, ridges
+    dark."""
     row, column = np.mgrid[0:size, 0:size].astype(float)
     angle = np.deg2rad(angle_deg)
     phase = 2 * np.pi * (column * np.sin(angle) + row * np.cos(angle)) / period
@@ -33,7 +34,9 @@ def test_direction_and_period_of_waves(period: float, angle: float) -> None:
     off = 0.5 * np.angle(np.exp(2j * (field.orientation_rad[inner] - np.deg2rad(angle))))
     assert np.abs(off).max() < np.deg2rad(0.5)
     twice = ridge_field(np.kron(_waves(period, angle, 150)[1], np.ones((2, 2), np.uint8)), 1000.0)
-    assert np.median(twice.period_mm(1000.0)[8:-8, 8:-8]) == pytest.approx(period * 25.4 / 500, rel=0.01)
+    assert np.median(twice.period_mm(1000.0)[8:-8, 8:-8]) == pytest.approx(
+        period * 25.4 / 500, rel=0.01
+    )
 
 
 def test_ridges_are_found_under_noise() -> None:
@@ -50,7 +53,8 @@ def test_ridges_are_found_under_noise() -> None:
 
 
 def test_it_is_what_a_filter_for_every_pixel_gives() -> None:
-    """The slow way: at every pixel a Gabor filter with the direction and frequency that hold there."""
+    """The slow way: at every pixel a Gabor filter with the direction and frequency that hold
+    there."""
     _, image = _rings(size=300, period=8.0)
     enhanced = gabor_enhance(image)
     field = enhanced.field
@@ -60,7 +64,8 @@ def test_it_is_what_a_filter_for_every_pixel_gives() -> None:
     for row in range(60, 250, 23):
         for column in range(60, 250, 19):
             i, j = row // field.step_px, column // field.step_px
-            frequency, angle = field.frequency_px[i, j], np.arctan2(-(row - 150.3), column - 149.1)  # across rings
+            # across rings
+            frequency, angle = field.frequency_px[i, j], np.arctan2(-(row - 150.3), column - 149.1)
             x, y = np.meshgrid(offset, -offset)
             envelope = np.exp(-0.5 * (x**2 + y**2) * (frequency / 0.5) ** 2)
             wave = np.cos(2 * np.pi * frequency * (x * np.cos(angle) + y * np.sin(angle)))

@@ -1,4 +1,5 @@
-"""A photograph of a finger: drawn here, an elliptic cylinder with ridges at known distances along the skin."""
+"""A photograph of a finger: drawn here, an elliptic cylinder with ridges at known distances along
+the skin."""
 
 from __future__ import annotations
 
@@ -20,8 +21,11 @@ HALF, PX_PER_MM, PERIOD_MM = 110.0, 220.0 / 17.0, 0.5
 SKIN, PAPER = (215.0, 160.0, 140.0), (120.0, 130.0, 140.0)
 
 
-def drawn(turn_deg: float = 0.0, *, across: bool = True, minutiae: int = 0) -> tuple[np.ndarray, np.ndarray]:
-    """Photograph (520, 460, 3) uint8 and mask; ridges run along the finger (`across` is their distance) or round it.
+def drawn(
+    turn_deg: float = 0.0, *, across: bool = True, minutiae: int = 0
+) -> tuple[np.ndarray, np.ndarray]:
+    """Photograph (520, 460, 3) uint8 and mask; ridges run along the finger (`across` is their
+    distance) or round it.
 
     `minutiae`: so many ridge endings at random places of the pad, as phase dislocations.
     """
@@ -46,7 +50,9 @@ def drawn(turn_deg: float = 0.0, *, across: bool = True, minutiae: int = 0) -> t
 def spacings(image: np.ndarray) -> np.ndarray:
     """Distances of the ridges across the middle of a print, pixels."""
     rows = image.shape[0] // 2
-    line = cv2.GaussianBlur(image[rows : rows + 60].mean(axis=0).astype(np.float32), (1, 5), 1.0).ravel()
+    line = cv2.GaussianBlur(
+        image[rows : rows + 60].mean(axis=0).astype(np.float32), (1, 5), 1.0
+    ).ravel()
     darker = (line[1:-1] < line[:-2]) & (line[1:-1] <= line[2:]) & (line[1:-1] < 128)
     return np.diff(np.flatnonzero(darker))
 
@@ -72,15 +78,19 @@ def test_unrolled_ridges_lie_as_far_apart_as_on_the_skin() -> None:
 
 def test_an_unknown_scale_is_that_of_usual_widths_and_ridges() -> None:
     source = finger_of_photo(drawn(across=False)[0])
-    assert PX_PER_MM * source.pitch_mm == pytest.approx((0.46 / PERIOD_MM) ** 0.69, rel=0.03)  # 17 mm wide is usual
+    # 17 mm wide is usual
+    assert PX_PER_MM * source.pitch_mm == pytest.approx((0.46 / PERIOD_MM) ** 0.69, rel=0.03)
     assert "assumed, to about 8 %" in source.scale
 
 
 def test_skin_without_ridges_does_not_change_the_scale() -> None:
     photo, inside = drawn(across=False)
     partly, flat = photo.copy(), cv2.GaussianBlur(photo, (0, 0), 5)
-    noise = np.random.default_rng(1).normal(0, 6, photo.shape[:2])  # out of focus above, and as noisy as telephones are
-    flat = np.clip(flat + cv2.GaussianBlur(noise, (0, 0), 1.5)[..., None] * 3, 0, 255).astype(np.uint8)
+    # out of focus above, and as noisy as telephones are
+    noise = np.random.default_rng(1).normal(0, 6, photo.shape[:2])
+    flat = np.clip(flat + cv2.GaussianBlur(noise, (0, 0), 1.5)[..., None] * 3, 0, 255).astype(
+        np.uint8
+    )
     partly[:240] = flat[:240]
     clear, some = (finger_of_photo(one, mask=inside) for one in (photo, partly))
     assert some.pitch_mm == pytest.approx(clear.pitch_mm, rel=0.02)
@@ -106,9 +116,12 @@ def test_other_pictures_are_refused() -> None:
         with pytest.raises(BadInput, match="its tip in view"):
             finger_of_photo(np.ascontiguousarray(close))
     inside = drawn()[1]
-    stripes = np.where(inside, 1 + 0.1 * np.sin(np.indices(inside.shape)[0] * (2 * np.pi / 9.4)), 1.0)[..., None]
+    stripes = np.where(
+        inside, 1 + 0.1 * np.sin(np.indices(inside.shape)[0] * (2 * np.pi / 9.4)), 1.0
+    )[..., None]
     wide = np.clip(np.where(inside[..., None], SKIN, PAPER) * stripes, 0, 255).astype(np.uint8)
-    with pytest.raises(BadInput, match="too far apart or close for its width"):  # 0.73 mm, if it is 17 mm wide
+    # 0.73 mm, if it is 17 mm wide
+    with pytest.raises(BadInput, match="too far apart or close for its width"):
         finger_of_photo(wide, mask=inside)
     assert finger_of_photo(wide, PX_PER_MM, inside).quality
     with pytest.raises(BadInput, match="the finger's width is"):
@@ -150,8 +163,12 @@ def test_a_finger_whose_side_leaves_the_picture_is_found_whole(turn_deg: float) 
 def two() -> np.ndarray:
     """Two fingers beside each other, before leaves of two greens."""
     (one, inside), row = drawn(), np.indices((520, 460))
-    leaves = np.where((np.sin(row[0] / 9.0) * np.sin(row[1] / 13.0) > 0)[..., None], (60, 110, 40), (110, 130, 50))
-    left, right = (np.where(inside[..., None], picture, leaves) for picture in (one, one // 2 + one // 3))
+    leaves = np.where(
+        (np.sin(row[0] / 9.0) * np.sin(row[1] / 13.0) > 0)[..., None], (60, 110, 40), (110, 130, 50)
+    )
+    left, right = (
+        np.where(inside[..., None], picture, leaves) for picture in (one, one // 2 + one // 3)
+    )
     return np.ascontiguousarray(np.hstack([left, right])[:, 20:-20].astype(np.uint8))
 
 
@@ -160,11 +177,15 @@ def test_a_finger_among_leaves_and_beside_another_is_found_and_said_or_chosen() 
     found = finger_in_photo(pixels)
     assert found.others == 1
     truths = [np.pad(inside, ((0, 0), pad))[:, 20:-20] for pad in ((0, 460), (460, 0))]
-    covers = [np.count_nonzero(found.mask & true) / np.count_nonzero(found.mask | true) for true in truths]
+    covers = [
+        np.count_nonzero(found.mask & true) / np.count_nonzero(found.mask | true) for true in truths
+    ]
     assert max(covers) > 0.95
     other = 1 - int(np.argmax(covers))
     chosen = finger_in_photo(pixels, (440 * other, 0, 440, 520)).mask
-    assert np.count_nonzero(chosen & truths[other]) / np.count_nonzero(chosen | truths[other]) > 0.95
+    assert (
+        np.count_nonzero(chosen & truths[other]) / np.count_nonzero(chosen | truths[other]) > 0.95
+    )
 
 
 def test_quality_is_that_of_the_ridges_and_says_what_to_change() -> None:
@@ -189,6 +210,7 @@ def test_what_is_no_photograph_of_a_finger_is_refused_in_one_sentence(kind: str)
         finger_of_photo(np.ascontiguousarray(pixels, dtype=np.uint8))
 
 
+@pytest.mark.slow
 def test_box_and_mask_are_refused_where_they_cannot_be_meant(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -199,11 +221,24 @@ def test_box_and_mask_are_refused_where_they_cannot_be_meant(
     cv2.imwrite(str(mask), inside[:-1].astype(np.uint8) * 255)
     for command, words in (
         (["match", photo, photo, "--box", "1,2,3"], "must be four whole numbers X,Y,W,H"),
-        (["match", photo, photo, "--box", "0,0,900,90"], "must lie in the picture of 460 x 520 pixels"),
+        (
+            ["match", photo, photo, "--box", "0,0,900,90"],
+            "must lie in the picture of 460 x 520 pixels",
+        ),
         (["print", photo, "--out", tmp_path / "out", "--mask", mask], "mask"),
         (["print", grey, "--out", tmp_path / "out", "--box", "0,0,99,99"], f"'{grey}' is none"),
         (
-            ["enroll", tmp_path / "a.skg", grey, "--person", "A", "--finger", "left_index", "--box", "0,0,99,99"],
+            [
+                "enroll",
+                tmp_path / "a.skg",
+                grey,
+                "--person",
+                "A",
+                "--finger",
+                "left_index",
+                "--box",
+                "0,0,99,99",
+            ],
             "is none",
         ),
     ):

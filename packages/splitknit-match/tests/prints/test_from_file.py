@@ -1,4 +1,5 @@
-"""Prints from files of any format and resolution, brought to 500 ppi; their minutiae are those that were drawn."""
+"""Prints from files of any format and resolution, brought to 500 ppi; their minutiae are those that
+were drawn."""
 
 from __future__ import annotations
 
@@ -32,7 +33,9 @@ from splitknit_match.prints.make import enhance, minutiae_by_phase
 def saved(image: NDArray[np.uint8], kind: str, ppi: float | None, **more) -> bytes:
     """As Pillow writes it; grey."""
     stream = io.BytesIO()
-    Image.fromarray(image).save(stream, kind, **({} if ppi is None else {"dpi": (ppi, ppi)}), **more)
+    Image.fromarray(image).save(
+        stream, kind, **({} if ppi is None else {"dpi": (ppi, ppi)}), **more
+    )
     return stream.getvalue()
 
 
@@ -67,9 +70,21 @@ def coloured(*seeds: int) -> np.ndarray:
         (1.0, lambda: saved(coloured(1, 1, 1), "JPEG", 500, quality=80)),
         (1.0, lambda: saved(spiral_print().astype(np.uint16) * 257, "PNG", 500)),
     ],
-    ids=["png", "png 1000", "tiff 300", "jpeg 600", "exif 600", "bmp 800", "rgb", "rgb jpeg", "16 bits"],
+    ids=[
+        "png",
+        "png 1000",
+        "tiff 300",
+        "jpeg 600",
+        "exif 600",
+        "bmp 800",
+        "rgb",
+        "rgb jpeg",
+        "16 bits",
+    ],
 )
-def test_every_format_and_resolution_gives_the_same_print(tmp_path: Path, scale: float, data: Data) -> None:
+def test_every_format_and_resolution_gives_the_same_print(
+    tmp_path: Path, scale: float, data: Data
+) -> None:
     file = tmp_path / "scan.of.a.print"  # the bytes show the format
     file.write_bytes(data())
     (stored,) = read_print_file(file)
@@ -82,11 +97,17 @@ def test_every_format_and_resolution_gives_the_same_print(tmp_path: Path, scale:
     assert others <= 3
 
 
-@pytest.mark.parametrize(("scale", "low", "high"), [(0.6, 210, 410), (1.0, 350, 680), (2.0, 700, 1370)])
-def test_unmarked_prints_are_measured_and_asked_about(tmp_path: Path, scale: float, low: int, high: int) -> None:
+@pytest.mark.parametrize(
+    ("scale", "low", "high"), [(0.6, 210, 410), (1.0, 350, 680), (2.0, 700, 1370)]
+)
+def test_unmarked_prints_are_measured_and_asked_about(
+    tmp_path: Path, scale: float, low: int, high: int
+) -> None:
     file = tmp_path / "scan.png"
     file.write_bytes(saved(spiral_print(scale=scale), "PNG", None))
-    with pytest.raises(BadInput, match=r"does not state its resolution; .* fits (\d+) to (\d+) pixels") as refused:
+    with pytest.raises(
+        BadInput, match=r"does not state its resolution; .* fits (\d+) to (\d+) pixels"
+    ) as refused:
         read_one_finger(file)
     assert "\n" not in str(refused.value) and "`input_ppi` 500" in str(refused.value)
     said = [int(one) for one in re.findall(r"fits (\d+) to (\d+)", str(refused.value))[0]]
@@ -97,14 +118,20 @@ def test_unmarked_prints_are_measured_and_asked_about(tmp_path: Path, scale: flo
 
 
 def test_pixels_that_are_not_square_are_made_so(tmp_path: Path) -> None:
-    narrow = cv2.resize(spiral_print(), (285, 500), interpolation=cv2.INTER_AREA)  # 375 ppi along the columns
+    # 375 ppi along the columns
+    narrow = cv2.resize(spiral_print(), (285, 500), interpolation=cv2.INTER_AREA)
     for kind in ("PNG", "TIFF", "JPEG", "BMP"):
         stream = io.BytesIO()
-        Image.fromarray(narrow).save(stream, kind, dpi=(375, 500), **({"quality": 95} if kind == "JPEG" else {}))
+        Image.fromarray(narrow).save(
+            stream, kind, dpi=(375, 500), **({"quality": 95} if kind == "JPEG" else {})
+        )
         (tmp_path / "scan").write_bytes(stream.getvalue())
         one = read_one_finger(tmp_path / "scan")
         assert isinstance(one, PrintFile) and one.image.shape == (500, 380), kind
-        assert one.resolution_ppi == pytest.approx(500, rel=1e-3) and "375 by 500 ppi were made square" in one.note
+        assert (
+            one.resolution_ppi == pytest.approx(500, rel=1e-3)
+            and "375 by 500 ppi were made square" in one.note
+        )
         known, others = found_in(one.image)
         assert known >= len(PLACES) - 1 and others <= 3
 
@@ -112,8 +139,13 @@ def test_pixels_that_are_not_square_are_made_so(tmp_path: Path) -> None:
 def test_white_ridges_are_turned_dark_and_reported(tmp_path: Path) -> None:
     file = tmp_path / "scan.png"
     down, right = np.mgrid[-1:1:500j, -1:1:380j]
-    touching = np.clip(3 - 3 * np.hypot(down, right), 0, 1)  # it fades out, as where a finger touches less
-    image = np.pad(np.round(255 - (255.0 - spiral_print()) * touching).astype(np.uint8), 60, constant_values=255)
+    # it fades out, as where a finger touches less
+    touching = np.clip(3 - 3 * np.hypot(down, right), 0, 1)
+    image = np.pad(
+        np.round(255 - (255.0 - spiral_print()) * touching).astype(np.uint8),
+        60,
+        constant_values=255,
+    )
     file.write_bytes(saved(255 - image, "PNG", 500))
     one = read_one_finger(file)
     assert isinstance(one, PrintFile) and "were white and have been turned dark" in one.note
@@ -149,8 +181,10 @@ def test_a_resolution_that_the_ridges_contradict_gives_no_answer(ppi: int, tmp_p
     assert not (tmp_path / "scan.skt").exists() and match(sound, sound).answer == "match"
 
 
+@pytest.mark.slow
 def test_a_resolution_that_only_the_other_print_contradicts_gives_no_answer(tmp_path: Path) -> None:
-    """400 for 500 ppi is within what people differ by, but at one scale of their ridges both match."""
+    """400 for 500 ppi is within what people differ by, but at one scale of their ridges both
+    match."""
     sound, file, other = (tmp_path / name for name in ("sound.png", "scan.png", "other.png"))
     sound.write_bytes(saved(spiral_print(), "PNG", 500))
     file.write_bytes(saved(spiral_print(), "PNG", 400))
@@ -181,7 +215,11 @@ def test_resolutions_of_screens_are_asked_about(tmp_path: Path) -> None:
 def test_pictures_without_ridges_have_no_period() -> None:
     random = np.random.default_rng(1)
     noise = random.integers(0, 256, (400, 400)).astype(np.uint8)
-    for picture in (noise, np.full((300, 300), 9, np.uint8), np.repeat(np.repeat(noise[:20, :20], 20, 0), 20, 1)):
+    for picture in (
+        noise,
+        np.full((300, 300), 9, np.uint8),
+        np.repeat(np.repeat(noise[:20, :20], 20, 0), 20, 1),
+    ):
         assert _ridge_period_px(picture) is None
     assert _ridge_period_px(spiral_print()[200:250]) is None  # too small to tell
 

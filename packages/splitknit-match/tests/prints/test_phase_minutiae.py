@@ -1,4 +1,5 @@
-"""Minutiae by the phase: found where a pattern has them, directed and named rightly, none where it has none."""
+"""Minutiae by the phase: found where a pattern has them, directed and named rightly, none where it
+has none."""
 
 from __future__ import annotations
 
@@ -15,7 +16,8 @@ PERIOD_PX = 9.0
 def with_dislocations(
     places: list[tuple[float, float]], signs: list[int], shift: float, turn: float = 0.0
 ) -> np.ndarray:
-    """Parallel ridges, and at each place (column, row) one more on one side; the phase is that of the formula."""
+    """Parallel ridges, and at each place (column, row) one more on one side; the phase is that of
+    the formula."""
     rows, columns = np.mgrid[:260, :260].astype(np.float64)
     x, y = columns - 130, 130 - rows
     phase = 2 * np.pi * (-np.sin(turn) * x + np.cos(turn) * y) / PERIOD_PX + shift
@@ -36,18 +38,23 @@ def test_one_more_ridge_begins_at_a_known_place(turn: float, sign: int) -> None:
 
 
 def test_endings_and_forks_are_distinguished() -> None:
-    """The pattern with ridges and valleys exchanged has the other kind at the same place, and the same direction."""
+    """The pattern with ridges and valleys exchanged has the other kind at the same place, and the
+    same direction."""
     for shift in (0.0, np.pi):
         image = with_dislocations([(130.0, 128.0)], [1], shift)
         found = by_phase(image, gabor_enhance(image))
-        # straight ahead of the point, on the side of the additional ridge, lies the phase of the formula
+        # straight ahead of the point, on the side of the additional ridge, lies the phase of the
+        # formula
         ridge_ahead = np.cos(shift) > 0
         assert found.type.tolist() == [1 if ridge_ahead else 2]
 
 
 def test_a_finger_has_its_own() -> None:
-    """Of a master print's minutiae nine in ten are found within half a period, and nine in ten found ones are true."""
-    master = master_print("left_loop", 52, MasterPrintSettings(half_width_mm=8.0, distal_mm=25.0, proximal_mm=1.0))
+    """Of a master print's minutiae nine in ten are found within half a period, and nine in ten
+    found ones are true."""
+    master = master_print(
+        "left_loop", 52, MasterPrintSettings(half_width_mm=8.0, distal_mm=25.0, proximal_mm=1.0)
+    )
     border = 20
     image = np.pad(ink_print(master), border, constant_values=255)
     found = by_phase(image, gabor_enhance(image))
@@ -75,8 +82,11 @@ def test_quality_and_outline_leave_out(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def test_minutiae_lie_on_even_and_odd_pixels() -> None:
-    """And their quality says more than that they were taken: near the outline, and beside an opposite one, it falls."""
-    master = master_print("left_loop", 52, MasterPrintSettings(half_width_mm=8.0, distal_mm=25.0, proximal_mm=1.0))
+    """And their quality says more than that they were taken: near the outline, and beside an
+    opposite one, it falls."""
+    master = master_print(
+        "left_loop", 52, MasterPrintSettings(half_width_mm=8.0, distal_mm=25.0, proximal_mm=1.0)
+    )
     image = np.pad(ink_print(master), 20, constant_values=255)
     found = by_phase(image, gabor_enhance(image))
     odd = np.concatenate([found.x_px, found.y_px]) % 2

@@ -22,7 +22,9 @@ def test_ridges_come_out_of_noise(angle_deg: float, period_px: float) -> None:
     wave = waves(angle_deg, period_px)
     inside = wave != 0
     noise = np.random.default_rng(0).normal(0, 80, wave.shape)
-    image = np.clip(np.where(inside, 130 + 60 * wave, 250) + noise * inside, 0, 255).astype(np.uint8)
+    image = np.clip(np.where(inside, 130 + 60 * wave, 250) + noise * inside, 0, 255).astype(
+        np.uint8
+    )
     better = pressed_ridges(image).image.astype(float)
     core = np.hypot(*(np.mgrid[0:160, 0:180] - np.array([80, 90])[:, None, None])) < 45
     before = np.corrcoef(image[core], wave[core])[0, 1]
@@ -73,8 +75,12 @@ def patch(wave: np.ndarray) -> np.ndarray:
 def test_the_sensors_frame_is_no_ridge() -> None:
     rows, columns = np.mgrid[0:300, 0:260]
     window = np.abs(columns - 130) < 60 + 0.2 * rows
-    print_ = np.where(np.hypot(columns - 130, rows - 130) < 55, 150 - 50 * np.cos(2 * np.pi * rows / 9), 190)
-    image = np.where(window, print_, 255) + np.random.default_rng(1).normal(0, 3, window.shape) * window
+    print_ = np.where(
+        np.hypot(columns - 130, rows - 130) < 55, 150 - 50 * np.cos(2 * np.pi * rows / 9), 190
+    )
+    image = (
+        np.where(window, print_, 255) + np.random.default_rng(1).normal(0, 3, window.shape) * window
+    )
     found = pressed_ridges(np.clip(image, 0, 255).astype(np.uint8))
     away = np.hypot(columns - 130, rows - 130) > 80
     assert found.inside[130, 130]
@@ -83,13 +89,16 @@ def test_the_sensors_frame_is_no_ridge() -> None:
 
 
 def test_the_direction_that_continues_the_surroundings_is_taken() -> None:
-    """In a patch of 2 mm ridges are a sixth as high as in the surroundings, and strong scratches cross them."""
+    """In a patch of 2 mm ridges are a sixth as high as in the surroundings, and strong scratches
+    cross them."""
     rows, columns = np.mgrid[0:240, 0:240]
     wave = np.cos(2 * np.pi * (0.8 * columns + 0.6 * rows) / 9)
     spot = np.hypot(columns - 120, rows - 120) < 20
     scratches = 100 * np.clip(np.cos(2 * np.pi * (0.6 * columns - 0.8 * rows) / 11) - 0.2, 0, 1)
     image = np.where(spot, 90 + 12 * wave + scratches, 140 + 70 * wave)
-    image = np.clip(image + np.random.default_rng(2).normal(0, 6, wave.shape), 0, 255).astype(np.uint8)
+    image = np.clip(image + np.random.default_rng(2).normal(0, 6, wave.shape), 0, 255).astype(
+        np.uint8
+    )
     better = pressed_ridges(image)
     assert np.corrcoef(better.image[spot], wave[spot])[0, 1] > 0.9
     assert better.confidence[spot].mean() < 0.75 * better.confidence[~spot & better.inside].mean()
@@ -107,15 +116,22 @@ def test_traces_of_another_print_are_left_out() -> None:
 def test_confidence_is_that_of_ridges(sigma: float) -> None:
     wave = waves(50, 9.0)
     noise = np.random.default_rng(4).normal(0, sigma, wave.shape) * (wave != 0)
-    sure = pressed_ridges(np.clip(patch(wave) + noise, 0, 255).astype(np.uint8)).confidence[60:100, 70:110]
+    sure = pressed_ridges(np.clip(patch(wave) + noise, 0, 255).astype(np.uint8)).confidence[
+        60:100, 70:110
+    ]
     assert (sure.min() > 0.9) if sigma == 0 else (0.2 < sure.mean() < 0.7)
 
 
 def test_a_border_of_plain_paper_changes_no_ridges() -> None:
     noise = np.random.default_rng(2).normal(0, 110, (200, 200))
     inside = np.pad(np.ones((160, 160), np.bool_), 20)
-    image = np.clip(np.where(inside, 130 + 60 * waves(30, 9.0, (200, 200)) + noise, 232 + noise / 50), 0, 255)
-    alone, bordered = (pressed_ridges(np.pad(image.astype(np.uint8), size, constant_values=240)) for size in (0, 80))
+    image = np.clip(
+        np.where(inside, 130 + 60 * waves(30, 9.0, (200, 200)) + noise, 232 + noise / 50), 0, 255
+    )
+    alone, bordered = (
+        pressed_ridges(np.pad(image.astype(np.uint8), size, constant_values=240))
+        for size in (0, 80)
+    )
     core = np.s_[50:150, 50:150]
     one, other = alone.image[core].astype(float), bordered.image[80:-80, 80:-80][core].astype(float)
     assert np.corrcoef(one.ravel(), other.ravel())[0, 1] > 0.95

@@ -52,7 +52,9 @@ def test_there_and_back(twin: Twin, ppi: float) -> None:
         assert np.abs(back - points)[known].max() < 0.02
         # what is stored for every pixel is the same map
         pixel = np.rint(there[known]).astype(int)
-        dense = np.stack([made.columns[pixel[:, 1], pixel[:, 0]], made.rows[pixel[:, 1], pixel[:, 0]]], axis=1)
+        dense = np.stack(
+            [made.columns[pixel[:, 1], pixel[:, 0]], made.rows[pixel[:, 1], pixel[:, 0]]], axis=1
+        )
         again = made.print_from_input(dense)
         assert np.nanpercentile(np.abs(again - pixel), 99) < 0.1
 
@@ -73,13 +75,18 @@ def test_beside_the_finger_there_is_nothing(laid: PrintMap) -> None:
 
 
 def _best(part: np.ndarray, whole: np.ndarray) -> tuple[float, tuple[int, int]]:
-    score = cv2.matchTemplate(whole.astype(np.float32), part.astype(np.float32), cv2.TM_CCOEFF_NORMED)
+    score = cv2.matchTemplate(
+        whole.astype(np.float32), part.astype(np.float32), cv2.TM_CCOEFF_NORMED
+    )
     _, best, _, place = cv2.minMaxLoc(score)
     return best, place
 
 
-def test_side_size_and_polarity_are_those_of_ink(twin: Twin, laid: PrintMap, printed: np.ndarray) -> None:
-    """8 mm of our print lie on the finger's own ink print, unturned, unscaled: mirrored, upright, ridges dark."""
+def test_side_size_and_polarity_are_those_of_ink(
+    twin: Twin, laid: PrintMap, printed: np.ndarray
+) -> None:
+    """8 mm of our print lie on the finger's own ink print, unturned, unscaled: mirrored, upright,
+    ridges dark."""
     ink_master = ink_print(twin.master)
     core = laid.print_from_input(np.atleast_2d(twin.seen.landmarks["cores_px"])[:1])[0]
     column, row = np.rint(core).astype(int)

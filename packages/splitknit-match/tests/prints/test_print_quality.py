@@ -17,13 +17,16 @@ GOOD = QualityFigures(0.8, 45.0, 0.95, 0.95, 0.5, 0.1, 280.0, 350.0, 19.0, 0.03,
 
 
 def waves(height_um: float = 50.0, second: float = 0.0, period_mm: float = 0.5) -> np.ndarray:
-    """Horizontal ridges of a height from valley to ridge, with a second harmonic of a fraction of the first."""
+    """Horizontal ridges of a height from valley to ridge, with a second harmonic of a fraction of
+    the first."""
     phase = 2 * np.pi * np.arange(ROWS) / (period_mm * PX_PER_MM)
     line = 0.5 * height_um * (np.cos(phase) + second * np.cos(2 * phase + 0.4))
     return np.repeat(line[:, None], COLUMNS, axis=1).astype(np.float32)
 
 
-def figures(values: np.ndarray, weight: np.ndarray | None = None, *, in_um: bool = True) -> QualityFigures:
+def figures(
+    values: np.ndarray, weight: np.ndarray | None = None, *, in_um: bool = True
+) -> QualityFigures:
     weight = np.ones(values.shape, np.float32) if weight is None else weight
     return print_quality(values, weight, ridge_field(ink(values, weight)), in_um=in_um).figures
 
@@ -108,7 +111,11 @@ def test_a_figure_that_is_not_known_is_left_out() -> None:
 def test_without_waves_the_score_is_zero() -> None:
     field = ridge_field(ink(waves(), np.ones((ROWS, COLUMNS), np.float32)))
     nothing = RidgeField(
-        field.step_px, field.orientation_rad, field.coherence, field.frequency_px, np.zeros_like(field.mask)
+        field.step_px,
+        field.orientation_rad,
+        field.coherence,
+        field.frequency_px,
+        np.zeros_like(field.mask),
     )
     found = print_quality(waves(), np.ones((ROWS, COLUMNS), np.float32), nothing)
     assert found.score == 0.0

@@ -20,7 +20,8 @@ def _cylinder() -> tuple[np.ndarray, np.ndarray]:
 
 
 def _off_arc(grid: SurfaceGrid, flat_mm: np.ndarray, slant_deg: float) -> float:
-    """Largest difference of u from the cylinder's arc length, to the right, where it is no steeper than this."""
+    """Largest difference of u from the cylinder's arc length, to the right, where it is no steeper
+    than this."""
     x = grid.points_mm[..., 0][grid.inside]
     difference = flat_mm[..., 0][grid.inside] - RADIUS * np.arcsin(np.clip(x / RADIUS, -1, 1))
     difference = difference[np.abs(x) < RADIUS * np.sin(np.deg2rad(slant_deg))]
@@ -45,7 +46,8 @@ def test_a_cylinder_unrolls_without_distortion(kind: str) -> None:
 
 
 def test_a_dome_is_relaxed() -> None:
-    """No map of a dome is free of distortion; relaxing takes much of it, the more of it from the middle."""
+    """No map of a dome is free of distortion; relaxing takes much of it, the more of it from the
+    middle."""
     grid = body_grid(*_cap())
     arc = unroll(grid, "arc").distortion
     free = unroll(grid, "free").distortion
@@ -79,7 +81,9 @@ def test_yaw_and_perspective_do_not_matter() -> None:
     across = x * np.cos(angle) + y * np.sin(angle)
     along = y * np.cos(angle) - x * np.sin(angle)
     turned_mask = (np.abs(across) < RADIUS * np.sin(np.deg2rad(70))) & (np.abs(along) < 8)
-    turned = np.where(turned_mask, np.sqrt(np.maximum(RADIUS**2 - across**2, 0.01)), np.nan).astype(np.float32)
+    turned = np.where(turned_mask, np.sqrt(np.maximum(RADIUS**2 - across**2, 0.01)), np.nan).astype(
+        np.float32
+    )
     frame = rotation_about((179.5, 179.5), angle)
     grid = surface_grid(turned, turned_mask, 1 / PX_PER_MM, frame, (360, 360), node_mm=0.4)
     laid = unroll(grid)
@@ -109,11 +113,14 @@ def test_nonsense_is_refused() -> None:
     with pytest.raises(BadInput, match="pitch_mm"):
         surface_grid(flat, ~mask, float("nan"), np.eye(3), (40, 40))
     wide = np.zeros((300, 300), np.float32)
-    with pytest.raises(BadInput, match="1520 mm long, more than any finger"):  # else a grid of gigabytes
+    # else a grid of gigabytes
+    with pytest.raises(BadInput, match="1520 mm long, more than any finger"):
         surface_grid(wide, wide == 0, 5.0, np.eye(3), wide.shape)
     with pytest.raises(BadInput, match="pitch_mm"):
         surface_grid(wide, wide == 0, 1e-4, np.eye(3), wide.shape)
     with pytest.raises(BadInput, match="too small"):
         surface_grid(flat, np.ones_like(mask), 0.001, np.eye(3), flat.shape)
     with pytest.raises(BadInput, match="no finite height"):
-        surface_grid(wide, wide == 0, 0.05, np.eye(3), wide.shape, xy_mm=(wide * np.float32(np.nan), wide))
+        surface_grid(
+            wide, wide == 0, 0.05, np.eye(3), wide.shape, xy_mm=(wide * np.float32(np.nan), wide)
+        )

@@ -9,13 +9,21 @@ import pytest
 
 from splitknit.cli.main import main
 
-PAGE = (Path(__file__).resolve().parents[4] / "docs" / "guide" / "evaluation.md").read_text(encoding="utf-8")
+PAGE = (Path(__file__).resolve().parents[4] / "docs" / "guide" / "evaluation.md").read_text(
+    encoding="utf-8"
+)
 
 
 def test_the_example_is_read(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     (text,) = re.findall(r"<!-- example scores.csv -->\n```\n(.*?)```", PAGE, flags=re.DOTALL)
     (tmp_path / "scores.csv").write_text(text)
-    arguments = ["evaluate", "--scores", str(tmp_path / "scores.csv"), "--out", str(tmp_path / "report")]
+    arguments = [
+        "evaluate",
+        "--scores",
+        str(tmp_path / "scores.csv"),
+        "--out",
+        str(tmp_path / "report"),
+    ]
     assert main([*arguments, "--replicates", "50"]) == 0
     assert "3 genuine and 2 impostor" in capsys.readouterr().out
     assert (tmp_path / "report" / "report.html").exists()

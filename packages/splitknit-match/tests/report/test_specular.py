@@ -1,4 +1,5 @@
-"""The specular image of a polarised capture: in the result, its files, the report, and as a print."""
+"""The specular image of a polarised capture: in the result, its files, the report, and as a
+print."""
 
 from __future__ import annotations
 
@@ -22,12 +23,16 @@ from splitknit.model import Capture, Reconstruction
 def polarised() -> Capture:
     """A finger with specular reflection, and without it as crossed films show it."""
     one, other = (
-        splitknit_simulator.simulate_capture(3, settings={"scale": 0.2, "skin.glare": [strength, strength]})[0]
+        splitknit_simulator.simulate_capture(
+            3, settings={"scale": 0.2, "skin.glare": [strength, strength]}
+        )[0]
         for strength in (1.0, 0.0)
     )
     white, dark = one.bands["white"], other.bands["white"]
     crossed = replace(dark, name="white_crossed", polarisation="crossed")
-    return replace(one, bands={"white": replace(white, polarisation="parallel"), "white_crossed": crossed})
+    return replace(
+        one, bands={"white": replace(white, polarisation="parallel"), "white_crossed": crossed}
+    )
 
 
 @pytest.fixture(scope="module")
@@ -36,14 +41,18 @@ def result(polarised: Capture) -> Reconstruction:
 
 
 @pytest.fixture(scope="module")
-def folder(result: Reconstruction, polarised: Capture, tmp_path_factory: pytest.TempPathFactory) -> Path:
+def folder(
+    result: Reconstruction, polarised: Capture, tmp_path_factory: pytest.TempPathFactory
+) -> Path:
     out = tmp_path_factory.mktemp("specular") / "result"
     result.save(out, polarised)
     return out
 
 
 @pytest.mark.slow
-def test_a_polarised_capture_has_a_specular_image(result: Reconstruction, polarised: Capture) -> None:
+def test_a_polarised_capture_has_a_specular_image(
+    result: Reconstruction, polarised: Capture
+) -> None:
     assert result.specular is not None
     np.testing.assert_array_equal(np.isfinite(result.specular), result.mask)
     values = result.specular[result.mask]
@@ -70,7 +79,10 @@ def test_it_is_kept_with_the_result(result: Reconstruction, folder: Path) -> Non
 
 @pytest.mark.slow
 def test_it_is_printed(folder: Path, polarised: Capture, tmp_path: Path, capsys) -> None:
-    assert main(["print", str(folder), "--method", "specular", "--out", str(tmp_path / "p"), "--json"]) == 0
+    assert (
+        main(["print", str(folder), "--method", "specular", "--out", str(tmp_path / "p"), "--json"])
+        == 0
+    )
     facts = json.loads(capsys.readouterr().out)
     assert (facts["method"], facts["surface"]) == ("specular", "plane")
     assert facts["minutiae"]["count"]
@@ -81,6 +93,11 @@ def test_it_is_printed(folder: Path, polarised: Capture, tmp_path: Path, capsys)
 def test_without_films_there_is_none_to_print(polarised: Capture, tmp_path: Path, capsys) -> None:
     plain = replace(polarised, bands={"white": replace(polarised.bands["white"], polarisation="")})
     splitknit.reconstruct(plain, "ea").save(tmp_path / "plain", plain)
-    assert main(["print", str(tmp_path / "plain"), "--method", "specular", "--out", str(tmp_path / "p")]) == 2
+    assert (
+        main(
+            ["print", str(tmp_path / "plain"), "--method", "specular", "--out", str(tmp_path / "p")]
+        )
+        == 2
+    )
     assert "there is no specular image" in capsys.readouterr().err
     assert not (tmp_path / "p").exists()

@@ -1,4 +1,5 @@
-"""The door: what users (``__all__``) and the other members may import; all else may change tomorrow."""
+"""The door: what users (``__all__``) and the other members may import; all else may change
+tomorrow."""
 
 from splitknit_rig.calibrate import calibrate_camera as calibrate_camera
 from splitknit_rig.calibrate import calibrate_lights as calibrate_lights

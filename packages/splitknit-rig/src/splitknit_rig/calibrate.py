@@ -64,20 +64,23 @@ def calibrate_camera(
     rig
         Rig file whose other parts are kept.
     pattern
-        Only files of this name, such as 'left*.jpg', or 'board_*/white_0.png' in capture folders (default: all).
+        Only files of this name, such as 'left*.jpg', or 'board_*/white_0.png' in capture folders
+        (default: all).
     board
         Inner corners each way, as 9x6.
     square_mm
         Side of a square, measured on the print.
     plane
-        Photograph of the board lying on the finger plane: camera height, scale, tilt; may be repeated.
+        Photograph of the board lying on the finger plane: camera height, scale, tilt; may be
+        repeated.
     calibrated_at
         Time of the calibration, ISO 8601; now by default.
 
     Returns
     -------
     MeasuredCamera
-        ``camera`` as it is in the rig file, ``fit`` of the lens, ``pose`` of the finger plane, ``warnings``.
+        ``camera`` as it is in the rig file, ``fit`` of the lens, ``pose`` of the finger plane,
+        ``warnings``.
 
     Raises
     ------
@@ -87,7 +90,9 @@ def calibrate_camera(
     Examples
     --------
     >>> import splitknit_rig
-    >>> splitknit_rig.calibrate_camera("boards", out="rig.json", board="9x6", square_mm=3.0)  # doctest: +SKIP
+    >>> splitknit_rig.calibrate_camera(  # doctest: +SKIP
+    ...     "boards", out="rig.json", board="9x6", square_mm=3.0
+    ... )
 
     References
     ----------
@@ -138,8 +143,8 @@ def calibrate_lights(
     Parameters
     ----------
     out
-        Rig file (.json) or list of lights (.txt) to write; 'splitknit reconstruct' takes both as lights of photographs
-        (default: none, only report what was found).
+        Rig file (.json) or list of lights (.txt) to write; 'splitknit reconstruct' takes both as
+        lights of photographs (default: none, only report what was found).
     table
         Nail and shadow tips, typed, as CSV.
     images
@@ -165,8 +170,8 @@ def calibrate_lights(
     nail_height_mm
         Where it is known (default: it is found).
     method
-        circle: the thesis's construction and mean; joint: least squares over all rows (default: joint for three nail
-        positions or more, and with `rig`).
+        circle: the thesis's construction and mean; joint: least squares over all rows (default:
+        joint for three nail positions or more, and with `rig`).
     limit_deg
         Directions further apart are refused.
     keep
@@ -188,14 +193,17 @@ def calibrate_lights(
     Raises
     ------
     BadInput
-        Naming the file or argument at fault; nothing is written. ``Refused``, whose facts hold what was found, if that
-        is not good enough.
+        Naming the file or argument at fault; nothing is written. ``Refused``, whose facts hold what
+        was found, if that is not good enough.
 
     Examples
     --------
     >>> import splitknit_rig
     >>> drawn = {"px_per_cm": 378.5, "led_height_cm": 14.0, "led_radius_cm": 5.25}
-    >>> len(splitknit_rig.calibrate_lights(out="rig.json", geometry=True, image_size="1100,1600", **drawn).leds)
+    >>> lights = splitknit_rig.calibrate_lights(
+    ...     out="rig.json", geometry=True, image_size="1100,1600", **drawn
+    ... )
+    >>> len(lights.leds)
     14
     """
     from splitknit import read_rig
@@ -213,10 +221,16 @@ def calibrate_lights(
     named = " and ".join(chosen) + " were" if chosen else "none was"
     choices = "`table`, `images`, `sphere` with `images`, and `geometry`"
     require(len(chosen) == 1, f"calibrate lights needs one of {choices}, but {named} given.")
-    require(sphere is None or images is not None, "`sphere` needs `images`, photographs of the ball.")
+    require(
+        sphere is None or images is not None, "`sphere` needs `images`, photographs of the ball."
+    )
     require(not geometry or out is not None, "`geometry` writes a rig file; name it by `out`.")
     if rig is not None:
-        refuse_given("and `rig` set the same thing; give one of them.", px_per_cm=px_per_cm, image_size=image_size)
+        refuse_given(
+            "and `rig` set the same thing; give one of them.",
+            px_per_cm=px_per_cm,
+            image_size=image_size,
+        )
 
     target = _path(out)
     lights.check_lights_file(target)
@@ -226,7 +240,13 @@ def calibrate_lights(
     if sphere is not None:
         assert images is not None
         return lights.lights_of_ball(
-            Path(images), sphere, base, target, encoding=encoding, mask=_path(mask), led_height_cm=led_height_cm
+            Path(images),
+            sphere,
+            base,
+            target,
+            encoding=encoding,
+            mask=_path(mask),
+            led_height_cm=led_height_cm,
         )
     assert base is not None
     circle = lights.led_circle(base, led_radius_cm, led_height_cm, led_centre_px)
@@ -257,7 +277,9 @@ def _pair(kind: Any, tokens: Sequence[Any]) -> tuple[float, float]:
 
 
 CardHeight = Annotated[float, Limits(-1000.0, 1000.0)]
-CardTilt = Annotated[tuple[float, float], Parameter(converter=_pair, n_tokens=1, allow_leading_hyphen=True)]
+CardTilt = Annotated[
+    tuple[float, float], Parameter(converter=_pair, n_tokens=1, allow_leading_hyphen=True)
+]
 PercentLimit = Annotated[Positive | None, Parameter("--limit")]
 
 
@@ -274,7 +296,8 @@ def calibrate_radiometry(
     residuals: AnyPath | None = None,
     progress: Progress = silent,
 ) -> RadiometricCalibration | CardCheck:
-    """Measure lens fall-off, brightness, beam and aim of every LED, from a white card; the camera's response.
+    """Measure lens fall-off, brightness, beam and aim of every LED, from a white card; the camera's
+    response.
 
     Parameters
     ----------
@@ -283,7 +306,8 @@ def calibrate_radiometry(
     out
         Rig file to write.
     check
-        Compare with the calibration in this rig file, to within `limit_percent` (default: 3); writes nothing.
+        Compare with the calibration in this rig file, to within `limit_percent` (default: 3);
+        writes nothing.
     rig
         Rig file with camera and LED places (default: the folder's).
     limit_percent
@@ -291,15 +315,17 @@ def calibrate_radiometry(
     card_height_mm
         Height of the card's surface above the finger plane.
     card_tilt_deg
-        Turn of the card about x and y, as X,Y (default: the base's, where 'calibrate camera' found it, else 0,0).
+        Turn of the card about x and y, as X,Y (default: the base's, where 'calibrate camera' found
+        it, else 0,0).
     residuals
         Picture to write: residuals under every LED, PNG.
 
     Returns
     -------
     RadiometricCalibration, or CardCheck
-        ``rig`` with the lens's fall-off, intensities, beams and aims; ``flat_field``, ``warnings``, and ``facts`` as
-        they are in the rig file's provenance. With `check` the ``facts`` and ``warnings`` of the comparison.
+        ``rig`` with the lens's fall-off, intensities, beams and aims; ``flat_field``, ``warnings``,
+        and ``facts`` as they are in the rig file's provenance. With `check` the ``facts`` and
+        ``warnings`` of the comparison.
 
     Raises
     ------
@@ -324,7 +350,9 @@ def calibrate_radiometry(
             residuals=_path(residuals),
             progress=progress,
         )
-    require(out is None and check is not None, "name a rig file to write (`out`), or one to `check`.")
+    require(
+        out is None and check is not None, "name a rig file to write (`out`), or one to `check`."
+    )
     assert check is not None
     refuse_given(
         "does not go with `check`: the calibration is RIG's; leave it out.",
@@ -344,13 +372,14 @@ def calibrate_polarisers(
     residuals: AnyPath | None = None,
     progress: Progress = silent,
 ) -> Report:
-    """Measure polarising films: brightness, image shift, and what they let pass, from a printed card and a glossy
-    black ball.
+    """Measure polarising films: brightness, image shift, and what they let pass, from a printed
+    card and a glossy black ball.
 
     Parameters
     ----------
     folder
-        Holds the capture folders card and ball, analyser parallel (white) and crossed (white_crossed).
+        Holds the capture folders card and ball, analyser parallel (white) and crossed
+        (white_crossed).
     out
         Rig file to write.
     rig
@@ -361,7 +390,8 @@ def calibrate_polarisers(
     Returns
     -------
     Report
-        What was measured, with its intervals; ``films`` as they are in the rig file, ``out`` and ``files``.
+        What was measured, with its intervals; ``films`` as they are in the rig file, ``out`` and
+        ``files``.
 
     Raises
     ------
@@ -375,5 +405,7 @@ def calibrate_polarisers(
     from splitknit_rig.calibration.polarisers import films_to_file
     from splitknit_rig.calibration.words import film_lines
 
-    facts = films_to_file(Path(folder), Path(out), rig=_path(rig), residuals=_path(residuals), progress=progress)
+    facts = films_to_file(
+        Path(folder), Path(out), rig=_path(rig), residuals=_path(residuals), progress=progress
+    )
     return Report(facts, tuple(film_lines(facts)))

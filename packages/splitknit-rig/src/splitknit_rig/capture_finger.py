@@ -12,7 +12,17 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from cyclopts import Parameter
 
-from splitknit.arguments import AnyPath, Natural, Progress, Report, Scale, Settings, checked, refuse_given, silent
+from splitknit.arguments import (
+    AnyPath,
+    Natural,
+    Progress,
+    Report,
+    Scale,
+    Settings,
+    checked,
+    refuse_given,
+    silent,
+)
 from splitknit.errors import require
 from splitknit.settings import flatten
 
@@ -26,7 +36,8 @@ if TYPE_CHECKING:
     Target = str | None
 else:
     Target = Annotated[
-        tuple[str, ...] | None, Parameter(consume_multiple=(0, 1), converter=lambda _, tokens: tokens[0].value)
+        tuple[str, ...] | None,
+        Parameter(consume_multiple=(0, 1), converter=lambda _, tokens: tokens[0].value),
     ]
 _BAR = 30
 _WHO = Parameter(group="Who (ids only, never names)")
@@ -68,8 +79,8 @@ def capture(
     rig
         Rig file (default: the nominal rig).
     target
-        Photograph a calibration target: no finger is looked for; the twin puts a card (default), nail, board or sphere
-        there.
+        Photograph a calibration target: no finger is looked for; the twin puts a card (default),
+        nail, board or sphere there.
     keep
         Write a capture even if it must be taken again.
     overwrite
@@ -100,12 +111,14 @@ def capture(
     Returns
     -------
     Report
-        The facts of ``session.json`` and ``out``; of an enrolment what was captured and skipped, and what is next.
+        The facts of ``session.json`` and ``out``; of an enrolment what was captured and skipped,
+        and what is next.
 
     Raises
     ------
     BadInput
-        Naming what is at fault; ``Refused``, with the session's facts, where the finger must be captured again.
+        Naming what is at fault; ``Refused``, with the session's facts, where the finger must be
+        captured again.
 
     Examples
     --------
@@ -118,11 +131,16 @@ def capture(
     from splitknit_rig.capture.folder import CaptureOptions, capture_enrolment, capture_to_folder
     from splitknit_rig.capture.session import SessionSettings
 
-    places = "name where captures go: `out` DIR for one finger, or `enrolment` DIR for many, not both."
+    places = (
+        "name where captures go: `out` DIR for one finger, or `enrolment` DIR for many, not both."
+    )
     require((out is None) != (enrolment is None), places)
     if subject is not None:
         check_subject_id(subject)
-    require(finger is None or finger in FINGERS, f"'{finger}' is not a finger; fingers are {', '.join(FINGERS)}.")
+    require(
+        finger is None or finger in FINGERS,
+        f"'{finger}' is not a finger; fingers are {', '.join(FINGERS)}.",
+    )
     require(session is None or session >= 1, "sessions are numbered from 1.")
     if enrolment is None:
         many = {"subjects": subjects, "sessions": sessions, "fingers": fingers, "next": next}
@@ -130,18 +148,26 @@ def capture(
     require(next is None or next >= 1, "`next` must be at least 1.")
     drawn = seed is not None or pattern is not None
     require(device == "twin" or not drawn, "`seed` and `pattern` belong to `device` twin.")
-    alone = "`target`, `overwrite` and `pattern` are for one capture; an enrolment draws fingers and replaces nothing."
+    alone = (
+        "`target`, `overwrite` and `pattern` are for one capture; an enrolment draws fingers and"
+        " replaces nothing."
+    )
     require(enrolment is None or not (target is not None or overwrite or pattern), alone)
 
     changes = flatten(settings or {})
     if target is not None:
         target = target or "card"  # of an option without a value
         changes["capture.find_finger"] = False
-    session_changes = {name: value for name, value in changes.items() if name.startswith("capture.")}
+    session_changes = {
+        name: value for name, value in changes.items() if name.startswith("capture.")
+    }
     device_changes = {name: value for name, value in changes.items() if name not in session_changes}
     asks = device == "pi" and sys.stdin.isatty()
     how = CaptureOptions(
-        override(SessionSettings(), {name.removeprefix("capture."): value for name, value in session_changes.items()}),
+        override(
+            SessionSettings(),
+            {name.removeprefix("capture."): value for name, value in session_changes.items()},
+        ),
         material="opaque" if target is not None else "skin",
         keep=keep,
         overwrite=overwrite,
@@ -174,7 +200,9 @@ def capture(
         kept = stack.enter_context(opener(0, 0)) if device == "pi" and waiting else None
 
         def open_devices(place: PlannedCapture) -> AbstractContextManager[Opened]:
-            return nullcontext(kept) if kept is not None else opener(*opened.seeds(place, seed or 0))
+            return (
+                nullcontext(kept) if kept is not None else opener(*opened.seeds(place, seed or 0))
+            )
 
         facts = capture_enrolment(opened, waiting, open_devices, how, progress)
     done = f"{facts['finished']} of {facts['total']} are finished in {enrolment}."
@@ -198,16 +226,23 @@ def _pi(changes: Mapping[str, Any], rig_file: AnyPath | None, scale: float | Non
     strays = [name for name in changes if not name.startswith("pi.")]
     require(
         not strays and scale is None,
-        f"'{strays[0] if strays else 'scale'}' is a setting of the twin; with `device` pi leave it out, or use "
-        "names that begin with capture. or pi.",
+        f"'{strays[0] if strays else 'scale'}' is a setting of the twin; with `device` pi leave it"
+        " out, or use names that begin with capture. or pi.",
     )
     rig = None if rig_file is None else read_rig(rig_file)
-    settings = override(PiCameraSettings(), {name.removeprefix("pi."): value for name, value in changes.items()})
+    settings = override(
+        PiCameraSettings(), {name.removeprefix("pi."): value for name, value in changes.items()}
+    )
     return lambda seed, impression: opened_pi(rig, settings)
 
 
 def _twin(
-    changes: Mapping[str, Any], rig_file: AnyPath | None, scale: float | None, *, pattern: str | None, target: Target
+    changes: Mapping[str, Any],
+    rig_file: AnyPath | None,
+    scale: float | None,
+    *,
+    pattern: str | None,
+    target: Target,
 ) -> Opener:
     """What opens the twin's devices, which the simulator's member brings."""
     from splitknit import read_rig
@@ -222,17 +257,24 @@ def _lines(facts: Mapping[str, Any], out: Path, *, of_finger: bool) -> list[str]
     rows, columns = facts["image_size"]
     each = f"{facts['seconds']:.1f} s ({facts['seconds_per_frame']:.2f} s a frame)"
     lines = [
-        f"{facts['images']} images of {columns} x {rows} pixels, with ambient frames, in {each}, written to {out}.",
+        (
+            f"{facts['images']} images of {columns} x {rows} pixels, with ambient frames, in"
+            f" {each}, written to {out}."
+        ),
     ]
     for band, exposure in facts["exposure"].items():
         if band != "white_crossed":  # as white
             lines.append(
-                f"  {band}: {1e3 * exposure['exposure_s']:.1f} ms at gain {exposure['gain']:.1f}, LED "
-                f"{exposure['brightest_led']}, the brightest, at {100 * exposure['level']:.0f} % of full scale"
+                f"  {band}: {1e3 * exposure['exposure_s']:.1f} ms at gain {exposure['gain']:.1f},"
+                f" LED {exposure['brightest_led']}, the brightest, at {100 * exposure['level']:.0f}"
+                " % of full scale"
             )
     if "crossed_over_parallel" in facts:
         part = 100 * facts["crossed_over_parallel"]
-        lines.append(f"  where the finger shines, the crossed images have {part:.0f} % of the parallel ones' light")
+        lines.append(
+            f"  where the finger shines, the crossed images have {part:.0f} % of the parallel ones'"
+            " light"
+        )
     lines.append(f"  sharpness {facts['focus']['sharpness']:.2f} %")
     lines += [f"Please note: {note}." for note in facts["notes"]]
     if of_finger:
@@ -243,7 +285,12 @@ def _lines(facts: Mapping[str, Any], out: Path, *, of_finger: bool) -> list[str]
 def _ask(place: PlannedCapture, why: str | None) -> str:
     if why is not None:
         print(f"\nNot yet: {why}", file=sys.stderr)
-    print(f"\n{place.words}: lay it down and press Enter (s: skip it, q: stop) ", end="", file=sys.stderr, flush=True)
+    print(
+        f"\n{place.words}: lay it down and press Enter (s: skip it, q: stop) ",
+        end="",
+        file=sys.stderr,
+        flush=True,
+    )
     answer = sys.stdin.readline()
     if answer == "" or answer.strip().lower().startswith("q"):
         return "stop"
@@ -251,8 +298,15 @@ def _ask(place: PlannedCapture, why: str | None) -> str:
 
 
 def _turn(position: str) -> None:
-    print(f"\nTurn the analyser to {position}, then press Enter: ", end="", file=sys.stderr, flush=True)
-    require(sys.stdin.readline() != "", "the analyser was not turned: nobody answered on the terminal.")
+    print(
+        f"\nTurn the analyser to {position}, then press Enter: ",
+        end="",
+        file=sys.stderr,
+        flush=True,
+    )
+    require(
+        sys.stdin.readline() != "", "the analyser was not turned: nobody answered on the terminal."
+    )
 
 
 class _FocusBar:

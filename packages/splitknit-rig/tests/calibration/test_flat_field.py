@@ -1,4 +1,5 @@
-"""The flat field as a model: what the twin shows of a card is found again, and nothing else is called a card."""
+"""The flat field as a model: what the twin shows of a card is found again, and nothing else is
+called a card."""
 
 from __future__ import annotations
 
@@ -37,7 +38,9 @@ def grid(camera, step=STEP):
 def shown(rig, step=STEP, **card):
     """What the twin sees at the grid's pixels under every LED, no room light."""
     scene = scene_of(rig, 0.0, **card)
-    return np.stack([scene.light((k,))[::step, ::step, 0].ravel() for k in range(len(rig.leds))]).astype(float)
+    return np.stack(
+        [scene.light((k,))[::step, ::step, 0].ravel() for k in range(len(rig.leds))]
+    ).astype(float)
 
 
 def relative_error(found, truth):
@@ -56,9 +59,11 @@ def test_the_model_is_the_twins_card(rig, card, model):
     assert np.abs(model_light / truth - 1).max() < 1e-4
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("error_mm", [0.0, 1.0])
 def test_light_and_lens_are_found(rig, error_mm):
-    """Places exact or a millimetre off: aims and beams make up for it on the plane, and nearly so above it."""
+    """Places exact or a millimetre off: aims and beams make up for it on the plane, and nearly so
+    above it."""
     noise = 1 + NOISE * np.random.default_rng(0).standard_normal((14, len(grid(rig.camera))))
     truth = shown(rig)
     placed = as_placed(rig, error_mm)
@@ -72,14 +77,18 @@ def test_light_and_lens_are_found(rig, error_mm):
     assert np.mean([led.intensity for led in flat.leds]) == pytest.approx(1, abs=1e-5)
     assert flat.card_level > 0
     if error_mm == 0:
-        beams = np.array([led.lobe_exponent for led in flat.leds]) - [led.lobe_exponent for led in rig.leds]
+        beams = np.array([led.lobe_exponent for led in flat.leds]) - [
+            led.lobe_exponent for led in rig.leds
+        ]
         assert np.abs(beams / flat.exponent_error).max() < 5
         aims = [
-            np.rad2deg(np.arccos(np.clip(a.axis @ b.axis, -1, 1))) for a, b in zip(flat.leds, rig.leds, strict=True)
+            np.rad2deg(np.arccos(np.clip(a.axis @ b.axis, -1, 1)))
+            for a, b in zip(flat.leds, rig.leds, strict=True)
         ]
         assert max(aims) < 1.0
 
 
+@pytest.mark.slow
 def test_the_simplest_model_that_explains_the_images_is_taken():
     rig = default_rig(0.08, seed=4)
     noise = 1 + 0.002 * np.random.default_rng(1).standard_normal((14, len(grid(rig.camera))))
@@ -99,6 +108,7 @@ def test_the_simplest_model_that_explains_the_images_is_taken():
     assert [name for name, _, _ in flat.orders] == [order.name for order in LADDER]
 
 
+@pytest.mark.slow
 def test_dust_does_no_harm(rig):
     pixels = grid(rig.camera)
     truth = shown(rig)
@@ -118,15 +128,23 @@ def test_slopes_of_the_model_are_its_derivatives(rig):
     pixels = grid(rig.camera, 30)
     model = CardModel(rig.camera, rig.leds, pixels, CardPlane(1.0))
     rng = np.random.default_rng(5)
-    answer = Answer(1 + rng.random(14), 1 + 5 * rng.random(14), rng.normal(0, 0.05, (14, 2)), np.array([-0.1, -0.2]))
+    answer = Answer(
+        1 + rng.random(14),
+        1 + 5 * rng.random(14),
+        rng.normal(0, 0.05, (14, 2)),
+        np.array([-0.1, -0.2]),
+    )
     for order in LADDER:
         vector = model.vector(answer, order)
         jacobian = model.jacobian(model.answer(vector, order), order)
         for place, step in enumerate(1e-5 * np.eye(len(vector))):
-            up, down = (model.logarithm(model.answer(v, order)) for v in (vector + step, vector - step))
+            up, down = (
+                model.logarithm(model.answer(v, order)) for v in (vector + step, vector - step)
+            )
             assert np.abs((up - down) / 2e-5 - jacobian[..., place]).max() < 1e-6
 
 
+@pytest.mark.slow
 def test_a_card_that_ends_in_the_picture_is_refused(rig):
     pixels, light = grid(rig.camera), shown(rig)
     placed = as_placed(rig)
@@ -151,6 +169,7 @@ def test_an_led_that_did_not_light_is_named(rig):
         fit_flat_field(placed.camera, placed.leds, pixels, light)
 
 
+@pytest.mark.slow
 def test_gloss_shows_where_a_mirror_would(rig):
     pixels, light = grid(rig.camera), shown(rig)
     placed = as_placed(rig)
@@ -161,7 +180,9 @@ def test_gloss_shows_where_a_mirror_would(rig):
     towards = [np.asarray(led.position_mm) - points for led in rig.leds]
     half = np.stack([one / np.linalg.norm(one, axis=1, keepdims=True) + sight for one in towards])
     angles = np.rad2deg(np.arccos(half[..., 2] / np.linalg.norm(half, axis=2)))
-    shiny = fit_flat_field(placed.camera, placed.leds, pixels, light * (1 + 0.05 * np.exp(-0.5 * (angles / 5) ** 2)))
+    shiny = fit_flat_field(
+        placed.camera, placed.leds, pixels, light * (1 + 0.05 * np.exp(-0.5 * (angles / 5) ** 2))
+    )
     assert abs(matt.gloss_percent) < 0.3
     assert shiny.gloss_percent > 3 and shiny.gloss_percent > 10 * shiny.gloss_error
 

@@ -1,4 +1,5 @@
-"""The thesis's construction: exact on shadows that are cast exactly, and the thesis's own table for what it is."""
+"""The thesis's construction: exact on shadows that are cast exactly, and the thesis's own table for
+what it is."""
 
 from __future__ import annotations
 
@@ -43,7 +44,8 @@ def cast(places, *, leds=7, height=20.0, circle=CIRCLE, camera=CAMERA):
             along = circle.height_mm / (circle.height_mm - height)
             end = led + (place - led) * along
             nail_px, tip_px = (
-                (float(x * camera.px_per_mm + 1599.5), float(1099.5 - y * camera.px_per_mm)) for x, y in (place, end)
+                (float(x * camera.px_per_mm + 1599.5), float(1099.5 - y * camera.px_per_mm))
+                for x, y in (place, end)
             )
             tips.append(Tip("white", k, number, nail_px, tip_px))
     return tuple(tips)
@@ -66,7 +68,9 @@ def test_exact_shadows_give_the_leds():
     assert height == pytest.approx(20.0)
     for one in found:
         angle = 2 * np.pi * one.led / 7
-        assert one.position_mm == pytest.approx([1.5 + 50 * np.cos(angle), -2 + 50 * np.sin(angle), 140], abs=1e-6)
+        assert one.position_mm == pytest.approx(
+            [1.5 + 50 * np.cos(angle), -2 + 50 * np.sin(angle), 140], abs=1e-6
+        )
         arm = np.array([50 * np.cos(angle), 50 * np.sin(angle), 140])
         assert one.direction == pytest.approx(arm / np.linalg.norm(arm), abs=1e-9)
         assert one.disagreement_deg == pytest.approx(0.0, abs=1e-6)
@@ -91,7 +95,14 @@ def test_the_thesiss_table(thesis):
     ]
     sentence = refusal(verdicts, named, 5.0)
     assert sentence is not None
-    for name in ("white 0 (8.9", "white 2", "white 5", "white 6", "NIR 0 (6.9", *(f"NIR {k}" for k in range(1, 7))):
+    for name in (
+        "white 0 (8.9",
+        "white 2",
+        "white 5",
+        "white 6",
+        "NIR 0 (6.9",
+        *(f"NIR {k}" for k in range(1, 7)),
+    ):
         assert name in sentence
     assert "white 1" not in sentence and "`keep`" in sentence
 
@@ -107,7 +118,8 @@ def test_directions_are_the_thesiss(thesis):
 
 
 def test_copies_scale_with_the_image():
-    """A repeated tip is found at any scale, a true one is not taken for a copy, however small the image."""
+    """A repeated tip is found at any scale, a true one is not taken for a copy, however small the
+    image."""
     for scale in (1.0, 0.1):
         camera = Camera(px_per_mm=75.7 * scale, image_size=(2200, 3200))
         tips = list(cast([(-3, 0), (3, 0)], camera=camera))
@@ -127,7 +139,8 @@ def test_one_position_is_unchecked():
 
 
 def test_perspective_moves_the_nails_tip():
-    """The tip of a nail is seen further out; its height comes from the shadows, and the LEDs come out right."""
+    """The tip of a nail is seen further out; its height comes from the shadows, and the LEDs come
+    out right."""
     focal = 140 * 75.7
     matrix = np.array([[focal, 0, 1599.5], [0, focal, 1099.5], [0, 0, 1.0]])
     camera = Camera(px_per_mm=75.7, image_size=(2200, 3200), model="perspective", matrix=matrix)
@@ -135,7 +148,9 @@ def test_perspective_moves_the_nails_tip():
     for tip in cast([(-6, -4), (7, 5)]):
         x, y = tip.nail_px
         out = 140 / (140 - 20)
-        tips.append(replace(tip, nail_px=(1599.5 + (x - 1599.5) * out, 1099.5 + (y - 1099.5) * out)))
+        tips.append(
+            replace(tip, nail_px=(1599.5 + (x - 1599.5) * out, 1099.5 + (y - 1099.5) * out))
+        )
     found, height = by_circle(tips, camera, CIRCLE)
     assert height == pytest.approx(20.0, abs=1e-3)
     assert found[3].disagreement_deg == pytest.approx(0.0, abs=1e-3)
@@ -149,7 +164,9 @@ def test_a_table_survives_writing():
 
 def test_spaces_blank_lines_comments_and_further_columns():
     head = ", ".join([*(name.upper() for name in COLUMNS), "remark"])
-    tips = read_tips(f"\ufeff# typed\n{head}\n\n WHITE , 3, 1, 10, 20.5, 30, 4e1, blurred\n,,,,,,,\n")
+    tips = read_tips(
+        f"\ufeff# typed\n{head}\n\n WHITE , 3, 1, 10, 20.5, 30, 4e1, blurred\n,,,,,,,\n"
+    )
     assert tips == (Tip("white", 3, 1, (10.0, 20.5), (30.0, 40.0)),)
 
 
@@ -161,7 +178,10 @@ def test_spaces_blank_lines_comments_and_further_columns():
         (lambda lines: [lines[0].replace("tip_y_px", "y"), *lines[1:]], "lacks tip_y_px"),
         (lambda lines: [lines[0], lines[1].replace("white", "red")], "white or nir"),
         (lambda lines: [lines[0], lines[1].replace("white,0", "white,7")], "led must be 0 to 6"),
-        (lambda lines: [lines[0], lines[1].replace("white,0,1", "white,0,one")], "nail must be a whole number"),
+        (
+            lambda lines: [lines[0], lines[1].replace("white,0,1", "white,0,one")],
+            "nail must be a whole number",
+        ),
         (lambda lines: [lines[0], lines[1].rsplit(",", 1)[0] + ",?"], "tip_y_px must be a number"),
         (lambda lines: [lines[0], lines[1].rsplit(",", 1)[0]], "6 fields"),
         (lambda lines: [lines[0], "a" * 200_000], "not a table in CSV"),
@@ -178,8 +198,14 @@ def test_a_table_that_cannot_be_read(change, words):
     ("change", "words"),
     [
         (lambda tips: [tip for tip in tips if tip.led != 3], "no row for white 3"),
-        (lambda tips: [tip for tip in tips if (tip.led, tip.nail) != (3, 2)], "white 3 at nail 1 only"),
-        (lambda tips: [replace(tips[0], tip_px=(3300.0, 5.0)), *tips[1:]], "white 0, nail 1: .* outside the image"),
+        (
+            lambda tips: [tip for tip in tips if (tip.led, tip.nail) != (3, 2)],
+            "white 3 at nail 1 only",
+        ),
+        (
+            lambda tips: [replace(tips[0], tip_px=(3300.0, 5.0)), *tips[1:]],
+            "white 0, nail 1: .* outside the image",
+        ),
         (lambda tips: [replace(tips[0], nail_px=(5.0, 2300.0)), *tips[1:]], "outside the image"),
     ],
 )

@@ -1,4 +1,5 @@
-"""The joint fit: exact on exact shadows, within its own intervals on noisy ones, not led astray by a wrong tip."""
+"""The joint fit: exact on exact shadows, within its own intervals on noisy ones, not led astray by
+a wrong tip."""
 
 from __future__ import annotations
 
@@ -33,7 +34,8 @@ def rig(seed, sd=0.7):
 
 
 def seen(leds, camera, places=FOUR, *, height=20.0, tip_px=0.0, nail_mm=0.0, seed=0):
-    """Tips by the twin's lens, by hand otherwise; LED k of the 14 is white 0, NIR 0, white 1, ..."""
+    """Tips by the twin's lens, by hand otherwise; LED k of the 14 is white 0, NIR 0, white 1,
+    ..."""
     rng = np.random.default_rng([seed, 7])
     tips = []
     for number, (x, y) in enumerate(places, start=1):
@@ -41,10 +43,20 @@ def seen(leds, camera, places=FOUR, *, height=20.0, tip_px=0.0, nail_mm=0.0, see
         nail = np.array(pixels_of_points(camera, *map(np.array, (x, y, height)))) + moved
         for k, (px, py, pz) in enumerate(leds):
             far = pz / (pz - height)
-            end = pixels_of_points(camera, *map(np.array, (px + (x - px) * far, py + (y - py) * far, 0.0)))
+            end = pixels_of_points(
+                camera, *map(np.array, (px + (x - px) * far, py + (y - py) * far, 0.0))
+            )
             tip = np.array(end) + rng.normal(0, tip_px, 2)
             band = "nir" if k % 2 else "white"
-            tips.append(Tip(band, k // 2, number, (float(nail[0]), float(nail[1])), (float(tip[0]), float(tip[1]))))
+            tips.append(
+                Tip(
+                    band,
+                    k // 2,
+                    number,
+                    (float(nail[0]), float(nail[1])),
+                    (float(tip[0]), float(tip[1])),
+                )
+            )
     return sorted(tips, key=lambda tip: (tip.band != "white", tip.led, tip.nail))
 
 
@@ -62,7 +74,9 @@ def errors_deg(fit, leds):
 def test_exact_shadows_of_an_exact_rig(camera):
     leds = rig(0, sd=0.0)
     fit = by_joint_fit(seen(leds, camera), camera, CIRCLE)
-    assert np.array([one.position_mm for one in fit.leds]) == pytest.approx(in_order(leds), abs=1e-3)
+    assert np.array([one.position_mm for one in fit.leds]) == pytest.approx(
+        in_order(leds), abs=1e-3
+    )
     assert fit.nail_height_mm == pytest.approx(20.0, abs=1e-3)
     assert np.abs(fit.residual_px).max() < 0.01
     assert fit.outliers == () and fit.strays == frozenset()
@@ -70,7 +84,8 @@ def test_exact_shadows_of_an_exact_rig(camera):
 
 
 def test_a_known_nail_needs_no_circle():
-    """The circle is wrong by a tenth in radius and by a twentieth in height, and the LEDs come out all the same."""
+    """The circle is wrong by a tenth in radius and by a twentieth in height, and the LEDs come out
+    all the same."""
     leds = rig(1, sd=1.0)
     wrong = Circle(57.0, 147.0, (3.0, -2.0))
     fit = by_joint_fit(seen(leds, PERSPECTIVE), PERSPECTIVE, wrong, Nail(height_mm=20.0))
@@ -118,7 +133,11 @@ def test_an_led_off_its_circle_is_named():
 def test_the_nail_may_stand_elsewhere_under_the_other_band():
     leds = rig(5, sd=0.0)
     white = [tip for tip in seen(leds, ORTHOGRAPHIC) if tip.band == "white"]
-    nir = [tip for tip in seen(leds, ORTHOGRAPHIC, [(-5, 3), (4, 4), (2, -5), (-3, -3)]) if tip.band == "nir"]
+    nir = [
+        tip
+        for tip in seen(leds, ORTHOGRAPHIC, [(-5, 3), (4, 4), (2, -5), (-3, -3)])
+        if tip.band == "nir"
+    ]
     fit = by_joint_fit([*white, *nir], ORTHOGRAPHIC, CIRCLE)
     assert errors_deg(fit, leds).max() < 1e-3
 

@@ -1,4 +1,5 @@
-"""Films before LEDs and camera, from simulated photographs of a card and a black ball, and their use on captures."""
+"""Films before LEDs and camera, from simulated photographs of a card and a black ball, and their
+use on captures."""
 
 from __future__ import annotations
 
@@ -34,8 +35,11 @@ def photographed(folder: Path, seed: int, extinction: float) -> Films:
     rig = built_rig(seed, scale=SCALE)
     films, ball = drawn_films(rig, np.random.SeedSequence(seed), BenchSettings(), extinction)
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(solids, "FINER", 4)  # samples across a pixel of the LEDs' images: less than 12, for time
-        for _, job in behind_films(replace(rig, films=films), ball, np.random.SeedSequence(seed + 1)):
+        # samples across a pixel of the LEDs' images: less than 12, for time
+        patch.setattr(solids, "FINER", 4)
+        for _, job in behind_films(
+            replace(rig, films=films), ball, np.random.SeedSequence(seed + 1)
+        ):
             job(folder)
     return films
 
@@ -70,7 +74,9 @@ def check(folder: Path, films: Films, tmp_path: Path, capsys: pytest.CaptureFixt
 
 
 @pytest.mark.slow
-def test_good_films(bench: tuple[Path, Films], tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_good_films(
+    bench: tuple[Path, Films], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     found = check(*bench, tmp_path, capsys)
     rig = read_rig(tmp_path / "rig.json")
     assert rig_from_json(json.loads(json.dumps(rig_to_json(rig)))).films == found
@@ -84,10 +90,14 @@ def test_leds_beside_each_other(bench: tuple[Path, Films]) -> None:
     usual = measure_ball(ball, films)
     crossed = ball.bands["white_crossed"]
     moved = replace(
-        crossed, pixels=np.roll(crossed.pixels, (6, 4), (1, 2)), leds=tuple((k + 7,) for (k,) in crossed.leds)
+        crossed,
+        pixels=np.roll(crossed.pixels, (6, 4), (1, 2)),
+        leds=tuple((k + 7,) for (k,) in crossed.leds),
     )
     light = measure_ball(replace(ball, bands={**ball.bands, "white_crossed": moved}), films)
-    np.testing.assert_allclose(light[..., 0], usual[..., 0], rtol=0.03, atol=2e-5 * usual[..., 0].max())
+    np.testing.assert_allclose(
+        light[..., 0], usual[..., 0], rtol=0.03, atol=2e-5 * usual[..., 0].max()
+    )
 
 
 def _dark(folder: Path) -> Capture:
@@ -153,7 +163,11 @@ def _alone(folder: Path) -> None:
     ],
 )
 def test_refusals(
-    bench: tuple[Path, Films], spoil: Any, words: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    bench: tuple[Path, Films],
+    spoil: Any,
+    words: str,
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
 ) -> None:
     own = Path(shutil.copytree(bench[0], tmp_path / "own"))
     spoil(own)
@@ -186,7 +200,9 @@ def test_rig_files_with_wrong_films(change: dict[str, Any], words: str) -> None:
 
 
 @pytest.mark.slow
-def test_the_crossed_series_is_brought_onto_the_parallel_one(bench: tuple[Path, Films], tmp_path: Path) -> None:
+def test_the_crossed_series_is_brought_onto_the_parallel_one(
+    bench: tuple[Path, Films], tmp_path: Path
+) -> None:
     folder, films = bench
     capture = _dark(folder / "card")
     measured, facts = aligned(replace(capture, rig=replace(capture.rig, films=films)))
@@ -194,7 +210,10 @@ def test_the_crossed_series_is_brought_onto_the_parallel_one(bench: tuple[Path, 
 
     def apart(of: Capture) -> float:
         names = ("red", "green", "blue")
-        p, c = (linear_channels(of.bands[name], of.encoding, names) for name in ("white", "white_crossed"))
+        p, c = (
+            linear_channels(of.bands[name], of.encoding, names)
+            for name in ("white", "white_crossed")
+        )
         inner = np.s_[..., 20:-20, 20:-20]
         return float(np.abs(c - p)[inner].mean() / p[inner].mean())
 
@@ -205,7 +224,10 @@ def test_the_crossed_series_is_brought_onto_the_parallel_one(bench: tuple[Path, 
     alone = linear_channels(measured.bands["white"], capture.encoding, ("grey",))
     assert abs(float(white.mean() / alone.mean()) - 1.0) < 0.002
     write_capture(capture, tmp_path / "c")
-    write_rig(replace(capture.rig, films=replace(films, leds=(*films.leds[1:], 12))), tmp_path / "c" / "rig.json")
+    write_rig(
+        replace(capture.rig, films=replace(films, leds=(*films.leds[1:], 12))),
+        tmp_path / "c" / "rig.json",
+    )
     with pytest.raises(BadInput, match="LED 0 lights a polarised image"):
         aligned(_dark(tmp_path / "c"))
 
@@ -227,7 +249,9 @@ def test_light_that_clips_behind_a_darker_film() -> None:
     parts = {"leds": ((0,), (1,), (2,)), "exposure": np.ones(3), "black_level": np.zeros(3)}
     for crossed, clips in ((pixels, False), (full, True)):
         behind = Band("white_crossed", crossed, transmission=np.full((3, 3), 0.75), **parts)
-        light = linear_channels(Band("white", pixels, crossed=behind, **parts), "linear", ("red",))[0, 0]
+        light = linear_channels(Band("white", pixels, crossed=behind, **parts), "linear", ("red",))[
+            0, 0
+        ]
         assert (light >= 0.985).all() == clips
 
 
@@ -236,7 +260,10 @@ def test_contrast_is_that_of_the_highlights(bench: tuple[Path, Films]) -> None:
     folder, films = bench
     capture = _dark(folder / "ball")
     capture = aligned(replace(capture, rig=replace(capture.rig, films=films)))[0]
-    p, c = (linear_channels(capture.bands[name], capture.encoding, ("grey",))[0] for name in ("white", "white_crossed"))
+    p, c = (
+        linear_channels(capture.bands[name], capture.encoding, ("grey",))[0]
+        for name in ("white", "white_crossed")
+    )
     for k, expected in enumerate(contrast(capture, capture.bands["white"])):
         row, column = np.unravel_index(int(p[k].argmax()), p[k].shape)
         spot = np.s_[row - 8 : row + 9, column - 8 : column + 9]

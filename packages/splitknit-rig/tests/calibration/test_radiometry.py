@@ -1,4 +1,5 @@
-"""A capture of a white card calibrates a rig; a later one is compared with it; what cannot be used is named."""
+"""A capture of a white card calibrates a rig; a later one is compared with it; what cannot be used
+is named."""
 
 from __future__ import annotations
 
@@ -52,11 +53,15 @@ def worst(rig, calibrated, height_mm=0.0):
     return max(float(np.abs(half - 1).max()) for half in halves)
 
 
+@pytest.mark.slow
 def test_a_card_calibrates_side_lights(rig):
-    """18 deg above the card: brightness, beam and aim of 21 LEDs, and one that moved by 3 mm is named."""
+    """18 deg above the card: brightness, beam and aim of 21 LEDs, and one that moved by 3 mm is
+    named."""
     whole = with_side_lights(rig, 7)
     calibrated = fit_radiometry(photograph(whole, as_placed(whole)), as_placed(whole))
-    ratio = np.array([led.intensity for led in calibrated.rig.leds]) / [led.intensity for led in whole.leds]
+    ratio = np.array([led.intensity for led in calibrated.rig.leds]) / [
+        led.intensity for led in whole.leds
+    ]
     assert np.abs(ratio / np.median(ratio) - 1).max() < 0.02
     pixels = np.array([[60.0, 60.0], [160.0, 110.0], [260.0, 160.0]])
     for k in range(14, 21):
@@ -64,8 +69,14 @@ def test_a_card_calibrates_side_lights(rig):
         found = card_light(calibrated.rig.camera, calibrated.rig.leds[k], pixels) / ratio[k]
         assert np.abs(found / truth / np.median(found / truth) - 1).max() < 0.02
     x, y, z = whole.leds[16].position_mm
-    shifted = (*whole.leds[:16], replace(whole.leds[16], position_mm=(x, y, z + 3.0)), *whole.leds[17:])
-    later = check_card(photograph(replace(whole, leds=shifted), calibrated.rig, seed=1), calibrated.rig).facts
+    shifted = (
+        *whole.leds[:16],
+        replace(whole.leds[16], position_mm=(x, y, z + 3.0)),
+        *whole.leds[17:],
+    )
+    later = check_card(
+        photograph(replace(whole, leds=shifted), calibrated.rig, seed=1), calibrated.rig
+    ).facts
     assert later["warnings"] == ["LED white 9 is 7 % brighter than at the calibration."]
 
 
@@ -75,11 +86,15 @@ def test_flat_field_within_one_per_cent(rig, found):
     assert worst(rig, found.rig, 10.0) < 0.004
 
 
+@pytest.mark.slow
 def test_a_card_on_a_tilted_base(rig):
     """Known, the tilt does no harm; unknown, it goes into the LEDs' brightness."""
     tilt = (0.6, -0.5)
     capture = photograph(
-        rig, as_placed(rig), scene=lambda own: scene_of(own, height_mm=1.5, tilt_deg=tilt), exposures=EXPOSURES
+        rig,
+        as_placed(rig),
+        scene=lambda own: scene_of(own, height_mm=1.5, tilt_deg=tilt),
+        exposures=EXPOSURES,
     )
     known = fit_radiometry(capture, as_placed(rig), CardPlane(1.5, tilt))
     assert worst(rig, known.rig) < 0.003
@@ -90,7 +105,9 @@ def test_a_card_on_a_tilted_base(rig):
 def test_what_is_written_down(rig, found):
     facts = found.rig.provenance[PROVENANCE]
     assert facts is found.facts
-    assert [led["name"] for led in facts["leds"]] == [f"{b} {k}" for b in ("white", "nir") for k in range(7)]
+    assert [led["name"] for led in facts["leds"]] == [
+        f"{b} {k}" for b in ("white", "nir") for k in range(7)
+    ]
     assert all(led["verdict"] == "good" and led["rms_percent"] < 0.4 for led in facts["leds"])
     assert facts["ambient_percent"]["white"] == pytest.approx(0.2, abs=0.05)
     assert facts["card"]["exposures_given"] is True
@@ -104,6 +121,7 @@ def test_what_is_written_down(rig, found):
     assert found.warnings == ()
 
 
+@pytest.mark.slow
 def test_room_light(rig):
     placed = as_placed(rig)
     bright = photograph(rig, placed, scene=lambda own: scene_of(own, 0.08), exposures=EXPOSURES)
@@ -112,7 +130,9 @@ def test_room_light(rig):
     assert worst(rig, lit.rig) < 0.004
     bands = {name: replace(band, ambient=None) for name, band in bright.bands.items()}
     without = fit_radiometry(replace(bright, bands=bands), placed, limit_percent=5)
-    assert any("there is no ambient image of the band white" in warning for warning in without.warnings)
+    assert any(
+        "there is no ambient image of the band white" in warning for warning in without.warnings
+    )
     assert worst(rig, without.rig) > 0.005
 
 
@@ -132,14 +152,19 @@ def test_all_leds_together_are_no_single_one(rig, found):
     later = photograph(rig, as_placed(rig), gains=gains, exposures=EXPOSURES)
     check = check_card(later, found.rig).facts
     assert len(check["warnings"]) == 1
-    assert check["warnings"][0].startswith("all white LEDs together are 10 % darker than at the calibration")
+    assert check["warnings"][0].startswith(
+        "all white LEDs together are 10 % darker than at the calibration"
+    )
     assert check["common_ratio"]["nir"] == pytest.approx(1, abs=0.004)
 
 
 def test_another_exposure_is_no_drift(rig, found):
     later = photograph(rig, as_placed(rig), exposures=(4.5, 3.5))
     assert check_card(later, found.rig).facts["warnings"] == []
-    unknown = {name: replace(band, exposure=np.ones(7), ambient_exposure=1.0) for name, band in later.bands.items()}
+    unknown = {
+        name: replace(band, exposure=np.ones(7), ambient_exposure=1.0)
+        for name, band in later.bands.items()
+    }
     check = check_card(replace(later, bands=unknown), found.rig).facts
     assert check["warnings"] == [] and check["common_ratio"] == {"white": None, "nir": None}
 
@@ -161,9 +186,13 @@ def test_a_rig_without_calibration_cannot_be_checked(rig, capture):
 def test_each_led_once(rig, capture):
     placed = as_placed(rig)
     white = capture.bands["white"]
-    short = replace(white, pixels=white.pixels[:6], leds=white.leds[:6], exposure=white.exposure[:6])
+    short = replace(
+        white, pixels=white.pixels[:6], leds=white.leds[:6], exposure=white.exposure[:6]
+    )
     short = replace(short, black_level=white.black_level[:6])
-    with pytest.raises(BadInput, match=r"13 images for the rig's 14 LEDs: LED 6 \(white 6\) is missing"):
+    with pytest.raises(
+        BadInput, match=r"13 images for the rig's 14 LEDs: LED 6 \(white 6\) is missing"
+    ):
         fit_radiometry(replace(capture, bands={**capture.bands, "white": short}), placed)
     with pytest.raises(BadInput, match=r"LED 7 \(nir 0\), 8 \(nir 1\), .* are missing"):
         fit_radiometry(replace(capture, bands={"white": white}), placed)
@@ -183,14 +212,24 @@ def test_images_that_are_black_or_clipped(rig, capture):
         pixels = white.pixels.copy()
         pixels[k] = change(pixels[k])
         names = tuple(f"white_{j}.png" for j in range(7))
-        return replace(capture, bands={**capture.bands, "white": replace(white, pixels=pixels, files=names)})
+        return replace(
+            capture, bands={**capture.bands, "white": replace(white, pixels=pixels, files=names)}
+        )
 
-    with pytest.raises(BadInput, match=r"white_3.png is black \(.*\): LED 3 \(white 3\) did not light"):
+    with pytest.raises(
+        BadInput, match=r"white_3.png is black \(.*\): LED 3 \(white 3\) did not light"
+    ):
         fit_radiometry(with_image(3, lambda image: image // 200), placed)
-    with pytest.raises(BadInput, match=r"white_2.png is clipped: .* at full scale .*; take the card with a shorter"):
-        fit_radiometry(with_image(2, lambda image: np.minimum(image.astype(int) * 2, 65535).astype("u2")), placed)
+    with pytest.raises(
+        BadInput, match=r"white_2.png is clipped: .* at full scale .*; take the card with a shorter"
+    ):
+        fit_radiometry(
+            with_image(2, lambda image: np.minimum(image.astype(int) * 2, 65535).astype("u2")),
+            placed,
+        )
 
 
+@pytest.mark.slow
 def test_cards_that_do_not_serve(rig, capture, monkeypatch):
     placed = as_placed(rig)
     shadowed = capture.bands["white"].pixels.copy()
@@ -213,19 +252,26 @@ def test_rigs_that_do_not_fit(rig, capture):
     with pytest.raises(BadInput, match="a rig of 14 LEDs, but the rig to calibrate has 7"):
         fit_radiometry(capture, Rig(placed.camera, placed.leds[:7]))
     distant = replace(placed.leds[0], position_mm=None, direction=(0.0, 0.0, 1.0))
-    with pytest.raises(BadInput, match="LED 0 of the rig has a direction, but no position_mm; calibrate the lights"):
+    with pytest.raises(
+        BadInput, match="LED 0 of the rig has a direction, but no position_mm; calibrate the lights"
+    ):
         fit_radiometry(capture, Rig(placed.camera, (distant, *placed.leds[1:])))
 
 
+@pytest.mark.slow
 def test_a_mottled_card_is_not_laid_to_an_led(rig, capture):
     rows, columns = rig.camera.image_size
     spots = (
         1
-        + 0.017 * np.sign(np.sin(np.arange(rows) / 6))[:, None, None] * np.sign(np.sin(np.arange(columns) / 7))[:, None]
+        + 0.017
+        * np.sign(np.sin(np.arange(rows) / 6))[:, None, None]
+        * np.sign(np.sin(np.arange(columns) / 7))[:, None]
     )
     bands = {
         name: replace(band, pixels=np.round(band.pixels * spots).astype(np.uint16))
         for name, band in capture.bands.items()
     }
-    with pytest.raises(BadInput, match=r"the card is not uniform: it differs by 1\.\d % from place to place"):
+    with pytest.raises(
+        BadInput, match=r"the card is not uniform: it differs by 1\.\d % from place to place"
+    ):
         fit_radiometry(replace(capture, bands=bands), as_placed(rig))

@@ -1,4 +1,5 @@
-"""The script behind the figures of docs/experiments/calibration.md: it runs, and its goal is met on a small rig."""
+"""The script behind the figures of docs/experiments/calibration.md: it runs, and its goal is met on
+a small rig."""
 
 from __future__ import annotations
 
@@ -25,8 +26,10 @@ def script(monkeypatch: pytest.MonkeyPatch) -> Iterator[ModuleType]:
         del sys.modules[name]
 
 
+@pytest.mark.slow
 def test_the_goal_is_met(script: ModuleType) -> None:
-    """Flat-fielded intensities within 1 %, on the plane and above it, where division by the card is not."""
+    """Flat-fielded intensities within 1 %, on the plane and above it, where division by the card is
+    not."""
     cases = importlib.import_module("radiometry_cards").CASES
     case = next(one for one in cases if one.name == "LEDs 1 mm off")
     found, error, residual = script.measure(101, 0.06, case)
@@ -36,7 +39,8 @@ def test_the_goal_is_met(script: ModuleType) -> None:
     rows = {(row["height_mm"], row["way"]): row for row in script.heights([101], 0.06)}
     assert rows[10.0, "model"]["worst_percent"]["mean"] < 1.0
     assert (
-        rows[10.0, "division by the card"]["lights_percent"]["mean"] > 4 * rows[10.0, "model"]["lights_percent"]["mean"]
+        rows[10.0, "division by the card"]["lights_percent"]["mean"]
+        > 4 * rows[10.0, "model"]["lights_percent"]["mean"]
     )
     assert rows[0.0, "no flat field"]["lights_percent"]["mean"] > 5
 
@@ -50,4 +54,6 @@ def test_stored_figures_meet_the_goal(script: ModuleType, tmp_path: Path) -> Non
         assert rows[name]["worst_percent"]["largest"] < 1.0
     script.write_tables(stored, tmp_path)
     for table in ("radiometry.csv", "radiometry_heights.csv"):
-        assert (tmp_path / table).read_text() == (SCRIPTS / "tables" / table).read_text(), f"{table} is old"
+        assert (tmp_path / table).read_text() == (SCRIPTS / "tables" / table).read_text(), (
+            f"{table} is old"
+        )

@@ -1,4 +1,5 @@
-"""Linear, sRGB or neither: exposures tell, noise or none, and what they cannot tell is refused with the reason."""
+"""Linear, sRGB or neither: exposures tell, noise or none, and what they cannot tell is refused with
+the reason."""
 
 from __future__ import annotations
 
@@ -14,7 +15,9 @@ TRUE = TIMES[:, None] * LIGHT
 
 
 def srgb(light):
-    return np.where(light <= 0.0031308, 12.92 * light, 1.055 * np.maximum(light, 0) ** (1 / 2.4) - 0.055)
+    return np.where(
+        light <= 0.0031308, 12.92 * light, 1.055 * np.maximum(light, 0) ** (1 / 2.4) - 0.055
+    )
 
 
 def noisy(values, sigma=0.0015, seed=1):
@@ -39,7 +42,8 @@ def test_an_srgb_camera():
 
 @pytest.mark.parametrize("bend", [0.0, 0.01, 0.02, 0.04])
 def test_the_departure_is_measured(bend):
-    """v = L + b 4 L (1 - L), as a well that fills: a parabola departs from its best line by a third to two thirds."""
+    """v = L + b 4 L (1 - L), as a well that fills: a parabola departs from its best line by a third
+    to two thirds."""
     found = fit_response(noisy(TRUE + bend * 4 * TRUE * (1 - TRUE), 0.0005), TIMES, limit_percent=5)
     assert found.linear_percent == pytest.approx(100 * bend * 0.6, abs=0.15 + 20 * bend)
     if bend:
@@ -48,13 +52,18 @@ def test_the_departure_is_measured(bend):
 
 def test_a_curve_of_its_own_is_refused():
     bent = TRUE + 0.03 * np.sin(2 * np.pi * TRUE)
-    with pytest.raises(BadInput, match=r"neither linear \(it departs by 2\.\d .* nor sRGB .*; switch off the camera's"):
+    with pytest.raises(
+        BadInput,
+        match=r"neither linear \(it departs by 2\.\d .* nor sRGB .*; switch off the camera's",
+    ):
         fit_response(noisy(bent), TIMES)
 
 
 def test_a_scene_that_moved_is_refused():
     moved = TRUE * (1 + 0.05 * np.random.default_rng(2).standard_normal(TRUE.shape))
-    with pytest.raises(BadInput, match=r"contradicts itself by 1\.. % of full scale: the scene moved"):
+    with pytest.raises(
+        BadInput, match=r"contradicts itself by 1\.. % of full scale: the scene moved"
+    ):
         fit_response(moved, TIMES)
 
 

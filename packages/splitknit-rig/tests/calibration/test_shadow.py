@@ -1,4 +1,5 @@
-"""Tips in photographs: against the places that the twin knows, with texture, dots and noise; and what is refused."""
+"""Tips in photographs: against the places that the twin knows, with texture, dots and noise; and
+what is refused."""
 
 from __future__ import annotations
 
@@ -27,7 +28,10 @@ def photographs(scene, seed=0):
 def shot():
     rig = built_rig(4, scale=SCALE)
     scene = NailScene(
-        camera=rig.camera, leds=rig.leds, position_mm=(5, -3), tilt_deg=tuple(rig.provenance["base_tilt_deg"])
+        camera=rig.camera,
+        leds=rig.leds,
+        position_mm=(5, -3),
+        tilt_deg=tuple(rig.provenance["base_tilt_deg"]),
     )
     return scene, photographs(scene)
 
@@ -39,16 +43,20 @@ def off_mm(view, scene):
     )
 
 
+@pytest.mark.slow
 def test_tips_of_a_built_rig(shot):
-    """Full-scale pixels are 0.013 mm: the tips are found within two of them in the mean at a seventh of the scale."""
+    """Full-scale pixels are 0.013 mm: the tips are found within two of them in the mean at a
+    seventh of the scale."""
     scene, stack = shot
     tips, nail = off_mm(find_nail(stack, scene.camera.px_per_mm, NAMES), scene)
     assert tips.mean() < 0.015 and tips.max() < 0.04
     assert nail < 0.02
 
 
+@pytest.mark.slow
 def test_texture_and_dots_on_the_ground(shot):
-    """What lies on the ground is there under every LED: grain, and the black dots of the calibration disc."""
+    """What lies on the ground is there under every LED: grain, and the black dots of the
+    calibration disc."""
     scene, stack = shot
     rng = np.random.default_rng(0)
     ground = rng.uniform(0.7, 1.0, stack.shape[1:]).astype(np.float32)
@@ -59,15 +67,22 @@ def test_texture_and_dots_on_the_ground(shot):
     assert nail < 0.1
 
 
+@pytest.mark.slow
 def test_an_orthographic_camera_and_another_nail():
     rig = default_rig(SCALE)
     scene = NailScene(
-        camera=rig.camera, leds=rig.leds, position_mm=(-4, 3), nail_mm=18.0, base_radius_mm=2.0, tip_radius_mm=0.3
+        camera=rig.camera,
+        leds=rig.leds,
+        position_mm=(-4, 3),
+        nail_mm=18.0,
+        base_radius_mm=2.0,
+        tip_radius_mm=0.3,
     )
     tips, nail = off_mm(find_nail(photographs(scene), rig.camera.px_per_mm, NAMES), scene)
     assert tips.mean() < 0.03 and nail < 0.02
 
 
+@pytest.mark.slow
 def test_a_shadow_that_leaves_the_picture():
     rig = default_rig(SCALE)
     scene = NailScene(camera=rig.camera, leds=rig.leds, position_mm=(-17, 0))

@@ -7,7 +7,14 @@ import pytest
 
 from splitknit.errors import BadInput
 from splitknit.model import default_rig
-from splitknit_rig.calibration.sphere import Ball, ball_of_mask, chrome_directions, find_ball, grey_directions, rim_of
+from splitknit_rig.calibration.sphere import (
+    Ball,
+    ball_of_mask,
+    chrome_directions,
+    find_ball,
+    grey_directions,
+    rim_of,
+)
 from splitknit_simulator.calibration_set.solids import SphereScene
 
 BALL = Ball(81.3, 58.6, 41.5)
@@ -16,11 +23,15 @@ SIZE = (120, 160)
 
 def lights(count=6):
     angles = 2 * np.pi * np.arange(count) / count
-    return np.column_stack([0.4 * np.cos(angles), 0.4 * np.sin(angles), np.full(count, np.sqrt(1 - 0.16))])
+    return np.column_stack(
+        [0.4 * np.cos(angles), 0.4 * np.sin(angles), np.full(count, np.sqrt(1 - 0.16))]
+    )
 
 
 def errors_deg(found, truth):
-    return np.degrees(np.linalg.norm(found - truth / np.linalg.norm(truth, axis=1, keepdims=True), axis=1))
+    return np.degrees(
+        np.linalg.norm(found - truth / np.linalg.norm(truth, axis=1, keepdims=True), axis=1)
+    )
 
 
 def shaded(directions, strengths):
@@ -61,7 +72,10 @@ def test_highlights_give_directions():
 
 def test_the_outline_of_a_mask_and_of_a_ball():
     inside = np.isfinite(BALL.normals(SIZE)[..., 2])
-    for found in (ball_of_mask(inside), find_ball(np.where(inside, 0.5, 0.02)[None].astype(np.float32))):
+    for found in (
+        ball_of_mask(inside),
+        find_ball(np.where(inside, 0.5, 0.02)[None].astype(np.float32)),
+    ):
         assert (found.column, found.row) == pytest.approx((BALL.column, BALL.row), abs=0.2)
         assert found.radius_px == pytest.approx(BALL.radius_px, abs=0.5)
 
@@ -77,19 +91,25 @@ def test_the_rim_replaces_an_outline_beside_it(aside):
     off = Ball(BALL.column + aside[0], BALL.row + aside[1], aside[2] * BALL.radius_px)
     rim, agreed = rim_of(stack, off)
     assert agreed > 0.6
-    assert (rim.column, rim.row, rim.radius_px) == pytest.approx((BALL.column, BALL.row, BALL.radius_px), abs=0.4)
+    assert (rim.column, rim.row, rim.radius_px) == pytest.approx(
+        (BALL.column, BALL.row, BALL.radius_px), abs=0.4
+    )
     noise = np.random.default_rng(0).random(stack.shape, dtype=np.float32)
     assert rim_of(noise, off)[1] < 0.5
     assert rim_of(stack, Ball(BALL.column, BALL.row, 20.0))[1] == 0.0
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("chrome", [True, False])
 def test_balls_of_the_bench(chrome):
-    """The LEDs are near, so that a highlight's direction holds at the ball's surface, and shading is biased."""
+    """The LEDs are near, so that a highlight's direction holds at the ball's surface, and shading
+    is biased."""
     rig = default_rig(0.15)
     scene = SphereScene(camera=rig.camera, leds=rig.leds, chrome=chrome)
     stack = np.stack([scene.light([k]).mean(axis=2) for k in range(7)])
-    stack = (0.9 * stack / (np.percentile(stack, 99.9) if not chrome else stack.max())).astype(np.float32)
+    stack = (0.9 * stack / (np.percentile(stack, 99.9) if not chrome else stack.max())).astype(
+        np.float32
+    )
     edge = scene.outline_px()
     ball = Ball(*edge.mean(axis=0), float(np.ptp(edge[:, 0]) / 2))
     found = chrome_directions(stack, ball) if chrome else grey_directions(stack, ball)[0]

@@ -1,4 +1,5 @@
-"""The Raspberry Pi's devices keep the contract: gpiozero on mock pins, and a small picamera2 of our own."""
+"""The Raspberry Pi's devices keep the contract: gpiozero on mock pins, and a small picamera2 of our
+own."""
 
 from __future__ import annotations
 
@@ -77,7 +78,11 @@ burning = lambda: [k for k, pin in enumerate(PINS) if factory.pin(pin).function 
 
     def burning(self):
         # a closed line is an input: its transistor's base resistor pulls it down
-        return {k for k, pin in enumerate(PINS) if self.pins.pin(pin).function == "output" and self.pins.pin(pin).state}
+        return {
+            k
+            for k, pin in enumerate(PINS)
+            if self.pins.pin(pin).function == "output" and self.pins.pin(pin).state
+        }
 
     def most_at_once(self):
         return max(len(lit) for _, lit in self.world.history)

@@ -1,4 +1,5 @@
-"""A session with polarising films: two series, an analyser that turns or LEDs of its own, and what is checked."""
+"""A session with polarising films: two series, an analyser that turns or LEDs of its own, and what
+is checked."""
 
 from __future__ import annotations
 
@@ -26,7 +27,8 @@ from twin_bench import twin_devices
 
 
 class FilmScene:
-    """A finger behind films: what is brighter than most of it is shine, which the crossed analyser stops."""
+    """A finger behind films: what is brighter than most of it is shine, which the crossed analyser
+    stops."""
 
     def __init__(self, scene, *, turns=True, crossed_leds=()):
         self.scene, self.turns, self.crossed_leds = scene, turns, crossed_leds
@@ -39,7 +41,9 @@ class FilmScene:
         self.position = position if self.turns else "parallel"
 
     def light(self, lit):
-        light = self.scene.light([self.crossed_leds.index(k) if k in self.crossed_leds else k for k in lit])
+        light = self.scene.light(
+            [self.crossed_leds.index(k) if k in self.crossed_leds else k for k in lit]
+        )
         matt = np.minimum(light, np.quantile(light, 0.97))
         crossed = self.position == "crossed" or any(k in self.crossed_leds for k in lit)
         return 0.5 * (matt if crossed else light + 2 * (light - matt))
@@ -55,6 +59,7 @@ def captured(scene, rig, settings=None):
         return run_session(camera, lights, rig, settings, turn=scene.turn)
 
 
+@pytest.mark.slow
 def test_both_series_have_one_exposure_and_the_crossed_one_no_shine(finger):
     scene = FilmScene(finger)
     session = captured(scene, with_films(finger.rig, kind="hand"))
@@ -70,8 +75,10 @@ def test_both_series_have_one_exposure_and_the_crossed_one_no_shine(finger):
     assert session.crossed_over_parallel < 0.9
 
 
+@pytest.mark.slow
 def test_both_series_with_side_lights(finger):
-    """From the last light of the parallel series on the left to the first of the crossed one on the right."""
+    """From the last light of the parallel series on the left to the first of the crossed one on the
+    right."""
     rig = with_side_lights(finger.rig, 7)
     scene = FilmScene(FingerScene(3, "whorl", replace(finger.settings, rig=rig)))
     session = captured(scene, with_films(rig, kind="hand"))
@@ -81,6 +88,7 @@ def test_both_series_with_side_lights(finger):
     assert session.crossed_over_parallel < 0.9
 
 
+@pytest.mark.slow
 def test_neighbours_have_leds_of_their_own_and_nothing_turns(finger):
     crossed = tuple(range(14, 21))
     scene = FilmScene(finger, crossed_leds=crossed)
@@ -97,7 +105,11 @@ def test_an_analyser_that_does_not_turn_is_noticed(finger, turns):
     session = captured(scene, with_films(finger.rig, kind="hand"))
     found = [words for words in session.verdict if "where the finger shines" in words]
     assert (found == []) == turns
-    assert turns or "have 100 % of the parallel ones' light, not 93 % or less: the analyser did not turn" in found[0]
+    assert (
+        turns
+        or "have 100 % of the parallel ones' light, not 93 % or less: the analyser did not turn"
+        in found[0]
+    )
 
 
 def test_a_finger_that_moves_between_the_series_is_noticed(finger):
@@ -116,7 +128,9 @@ def test_a_finger_that_moves_between_the_series_is_noticed(finger):
 
 def test_a_target_is_photographed_in_both_series_and_need_not_shine(finger):
     scene = FilmScene(finger, turns=False)
-    session = captured(scene, with_films(finger.rig, kind="servo"), SessionSettings(find_finger=False))
+    session = captured(
+        scene, with_films(finger.rig, kind="servo"), SessionSettings(find_finger=False)
+    )
     assert session.verdict == ()
     assert "white_crossed" in session.bands
 
@@ -129,7 +143,15 @@ def test_an_analyser_that_nothing_turns(finger):
 
 def test_the_twin_has_no_films(tmp_path, capsys):
     write_rig(with_films(default_rig(), kind="servo"), tmp_path / "rig.json")
-    words = ["capture", "--device", "twin", "--rig", str(tmp_path / "rig.json"), "--out", str(tmp_path / "c")]
+    words = [
+        "capture",
+        "--device",
+        "twin",
+        "--rig",
+        str(tmp_path / "rig.json"),
+        "--out",
+        str(tmp_path / "c"),
+    ]
     assert main(words) == 2  # before anything is simulated
     assert "the twin's camera and LEDs have not" in capsys.readouterr().err
 
@@ -160,7 +182,9 @@ def test_the_servo_gets_pulses_only_while_it_turns():
     try:
         rig = with_films(default_rig(), kind="servo", servo=5, pulses_ms=[2.0, 1.0])
         slept = []
-        analyser = PiAnalyser(rig_films(rig), gpiozero.Servo, lambda seconds: slept.append(pin.state))
+        analyser = PiAnalyser(
+            rig_films(rig), gpiozero.Servo, lambda seconds: slept.append(pin.state)
+        )
         pin = gpiozero.Device.pin_factory.pin(5)
         with analyser:
             assert pin.state == 0
@@ -168,7 +192,9 @@ def test_the_servo_gets_pulses_only_while_it_turns():
             analyser("crossed")
             assert pin.state == 0
         assert slept == pytest.approx([0.1, 0.05])  # fractions of 20 ms
-        assert rig_films(with_films(default_rig(), kind="hand")) == RigFilms("hand", tuple(range(7)))
+        assert rig_films(with_films(default_rig(), kind="hand")) == RigFilms(
+            "hand", tuple(range(7))
+        )
     finally:
         gpiozero.Device.pin_factory.reset()
         gpiozero.Device.pin_factory = None
@@ -193,11 +219,21 @@ class Hand(io.StringIO):
         return answer and "\n"
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("answers", "code"),
     [(["parallel", "crossed"], 0), (["parallel", ""], 2), (["parallel", KeyboardInterrupt], 130)],
 )
-def test_an_analyser_turned_by_hand(rig_of_pi, finger, tmp_path, capsys, *, monkeypatch, answers, code):  # noqa: F811
+def test_an_analyser_turned_by_hand(
+    rig_of_pi,  # noqa: F811
+    finger,
+    tmp_path,
+    capsys,
+    *,
+    monkeypatch,
+    answers,
+    code,
+):
     """Asked for on the terminal; a capture that ends between the series leaves nothing."""
     words, _ = rig_of_pi
     scene = FilmScene(finger)
@@ -208,7 +244,9 @@ def test_an_analyser_turned_by_hand(rig_of_pi, finger, tmp_path, capsys, *, monk
     assert main([*words, "--out", str(tmp_path / "c")]) == code
     printed = capsys.readouterr()
     assert "Turn the analyser to crossed, then press Enter" in printed.err
-    assert {file.name for file in tmp_path.iterdir()} == ({"rig.json"} if code else {"c", "rig.json"})
+    assert {file.name for file in tmp_path.iterdir()} == (
+        {"rig.json"} if code else {"c", "rig.json"}
+    )
     if code == 0:
         capture = read_capture(tmp_path / "c")
         assert capture.bands["white_crossed"].polarisation == "crossed"

@@ -18,7 +18,10 @@ def skin(blur_px: float = 0.0, noise: float = 0.0, light: float = 0.5, seed: int
     rng = np.random.default_rng(seed)
     x = np.arange(400) / PX
     ridges = 1 + 0.02 * np.sin(2 * np.pi * x / 0.45)[None, :] * np.ones((400, 1))
-    texture = sum(size * cv2.GaussianBlur(rng.standard_normal((400, 400)), (0, 0), size) for size in (1.5, 3.0, 6.0))
+    texture = sum(
+        size * cv2.GaussianBlur(rng.standard_normal((400, 400)), (0, 0), size)
+        for size in (1.5, 3.0, 6.0)
+    )
     image = (light * ridges * (1 + 0.02 * texture)).astype(np.float32)
     if blur_px:
         image = cv2.GaussianBlur(image, (0, 0), blur_px)
@@ -29,7 +32,9 @@ EVERYWHERE = np.ones((400, 400), dtype=bool)
 
 
 def test_the_sharpest_picture_has_the_highest_value():
-    values = [measure_focus(skin(blur), EVERYWHERE, PX).sharpness for blur in (0.0, 0.7, 1.5, 3.0, 6.0)]
+    values = [
+        measure_focus(skin(blur), EVERYWHERE, PX).sharpness for blur in (0.0, 0.7, 1.5, 3.0, 6.0)
+    ]
     assert all(a > 1.1 * b for a, b in itertools.pairwise(values))
 
 

@@ -80,7 +80,9 @@ def test_a_camera_that_does_not_obey_is_refused_in_one_sentence(world, monkeypat
     with camera_in(world) as camera:
         monkeypatch.setattr(FakePicamera2, "stuck", True)
         camera.lock(0.05, 1.0)
-        with pytest.raises(BadInput, match=r"did not take its settings: 50000 us at gain 1.*reports"):
+        with pytest.raises(
+            BadInput, match=r"did not take its settings: 50000 us at gain 1.*reports"
+        ):
             camera.capture()
         assert all(request.released for request in FakePicamera2.opened[0].requests)
 
@@ -89,7 +91,9 @@ def test_a_camera_that_does_not_obey_is_refused_in_one_sentence(world, monkeypat
 def test_a_digital_gain_is_not_accepted(world, monkeypatch, digital):
     metadata = FakeRequest.get_metadata
     with camera_in(world) as camera:
-        monkeypatch.setattr(FakeRequest, "get_metadata", lambda own: metadata(own) | {"DigitalGain": digital})
+        monkeypatch.setattr(
+            FakeRequest, "get_metadata", lambda own: metadata(own) | {"DigitalGain": digital}
+        )
         with pytest.raises(BadInput, match="did not take its settings"):
             camera.capture()
 
@@ -97,12 +101,16 @@ def test_a_digital_gain_is_not_accepted(world, monkeypatch, digital):
 def test_the_tuning_becomes_linear(world, monkeypatch):
     with camera_in(world):
         straight = FakePicamera2.opened[0].tuning
-    algorithms = {name: values for entry in straight["algorithms"] for name, values in entry.items()}
+    algorithms = {
+        name: values for entry in straight["algorithms"] for name, values in entry.items()
+    }
     assert "rpi.alsc" not in algorithms
     assert algorithms["rpi.contrast"] == {"ce_enable": 0, "gamma_curve": [0, 0, 65535, 65535]}
     assert np.array_equal(np.reshape(algorithms["rpi.ccm"]["ccms"][0]["ccm"], (3, 3)), np.eye(3))
     assert algorithms["rpi.black_level"] == {"black_level": 4096}
-    monkeypatch.setattr(FakePicamera2, "load_tuning_file", lambda name: {"version": 1.0, "rpi.contrast": {}})
+    monkeypatch.setattr(
+        FakePicamera2, "load_tuning_file", lambda name: {"version": 1.0, "rpi.contrast": {}}
+    )
     with pytest.raises(BadInput, match="unknown version"):
         camera_in(world)
 
@@ -154,7 +162,9 @@ def test_every_camera_module_keeps_its_frames_apart(world, monkeypatch, name, pi
     monkeypatch.setattr(FakePicamera2, "pi5", pi5)
     sensor = SENSORS[name]
     for raw in (False, True):
-        with camera_in(world, PiCameraSettings(camera=name, image_size=(64, 96), raw=raw)) as camera:
+        with camera_in(
+            world, PiCameraSettings(camera=name, image_size=(64, 96), raw=raw)
+        ) as camera:
             camera.lock(0.02, 1.0)
             asked = FakePicamera2.opened[-1].configuration
             assert asked["raw"]["size"] == sensor.size[::-1]
@@ -165,7 +175,8 @@ def test_every_camera_module_keeps_its_frames_apart(world, monkeypatch, name, pi
             lit = camera.capture()
             world.switch(3, False)
             assert lit.pixels[..., 0].mean() > dark.pixels[..., 0].mean() + 0.5
-            if raw:  # no light is where the sensor has it, on the scale of 16 bits, whichever Pi it is
+            # no light is where the sensor has it, on the scale of 16 bits, whichever Pi it is
+            if raw:
                 assert dark.black_level == sensor.black * 2 ** (16 - sensor.bits)
                 assert dark.pixels.min() >= dark.black_level
                 assert dark.pixels.mean() - dark.black_level < 10 * 2.13 * 2 ** (16 - sensor.bits)
@@ -177,7 +188,8 @@ def test_sizes_of_the_modules():
     for name, sensor in SENSORS.items():
         settings = PiCameraSettings(camera=name)
         assert settings.image_size is None
-        PiCameraSettings(camera=name, image_size=sensor.image_size)  # even, a multiple of 32, on the sensor
+        # even, a multiple of 32, on the sensor
+        PiCameraSettings(camera=name, image_size=sensor.image_size)
         with pytest.raises(BadInput, match=r"pi\.image_size must be even rows up to"):
             PiCameraSettings(camera=name, image_size=(sensor.size[0] + 2, 32))
     with pytest.raises(BadInput, match=r"pi\.camera must be"):
@@ -185,11 +197,19 @@ def test_sizes_of_the_modules():
 
 
 def test_the_page_lists_the_modules():
-    page = (Path(__file__).resolve().parents[4] / "docs" / "guide" / "capture.md").read_text(encoding="utf-8")
-    table = page.partition("<!-- cameras -->")[2].partition("<!-- /cameras -->")[0].strip().splitlines()[2:]
+    page = (Path(__file__).resolve().parents[4] / "docs" / "guide" / "capture.md").read_text(
+        encoding="utf-8"
+    )
+    table = (
+        page.partition("<!-- cameras -->")[2]
+        .partition("<!-- /cameras -->")[0]
+        .strip()
+        .splitlines()[2:]
+    )
     assert table == [
-        f"| `{name}` | {s.module} | {s.image_size[0]} x {s.image_size[1]} | {s.pixel_um:g} | {s.bits} | "
-        f"{'global' if s.global_shutter else 'rolling'} | {s.full_well_e:g} | {s.read_noise_e:g} | `{s.tuning}` |"
+        f"| `{name}` | {s.module} | {s.image_size[0]} x {s.image_size[1]} | {s.pixel_um:g} |"
+        f" {s.bits} | {'global' if s.global_shutter else 'rolling'} | {s.full_well_e:g} |"
+        f" {s.read_noise_e:g} | `{s.tuning}` |"
         for name, s in SENSORS.items()
     ]
 
@@ -202,7 +222,9 @@ def test_another_module_than_asked_for_is_named(world):
 def test_a_raw_format_that_cannot_be_read_is_refused(world, monkeypatch):
     with camera_in(world, PiCameraSettings(image_size=(64, 96), raw=True)) as camera:
         made = FakePicamera2.opened[-1]
-        monkeypatch.setattr(made, "camera_configuration", lambda: {"raw": {"format": "BGGR_PISP_COMP1"}})
+        monkeypatch.setattr(
+            made, "camera_configuration", lambda: {"raw": {"format": "BGGR_PISP_COMP1"}}
+        )
         with pytest.raises(BadInput, match="as BGGR_PISP_COMP1, which cannot be read"):
             camera.capture()
 
@@ -224,7 +246,9 @@ def opened(rig=None) -> None:
 
 def test_a_camera_in_use_says_so(world, pins, monkeypatch):  # noqa: F811
     monkeypatch.setattr(FakePicamera2, "broken", True)
-    with pytest.raises(BadInput, match=r"could not be started .*resource busy.*close other programs"):
+    with pytest.raises(
+        BadInput, match=r"could not be started .*resource busy.*close other programs"
+    ):
         opened()
 
 
@@ -256,7 +280,8 @@ def test_a_computer_without_gpio_lines_says_so(monkeypatch):
     monkeypatch.setattr(gpiozero.Device, "pin_factory", None)
 
     def none():
-        warnings.warn(gpiozero.PinFactoryFallback("Falling back from lgpio"), stacklevel=1)  # an error in tests
+        # an error in tests
+        warnings.warn(gpiozero.PinFactoryFallback("Falling back from lgpio"), stacklevel=1)
         raise gpiozero.BadPinFactory("Unable to load any default pin factory!")
 
     monkeypatch.setattr(gpiozero.Device, "_default_pin_factory", none)

@@ -1,4 +1,5 @@
-"""The whole verb on a Raspberry Pi whose camera and pins are of our making, around a finger of the twin."""
+"""The whole verb on a Raspberry Pi whose camera and pins are of our making, around a finger of the
+twin."""
 
 from __future__ import annotations
 
@@ -64,7 +65,21 @@ def rig_of_pi(monkeypatch, finger, tmp_path):
 def test_a_session_from_the_command_to_the_folder(rig_of_pi, tmp_path, capsys):
     words, world = rig_of_pi
     before = world.now_ns
-    assert main([*words, "--out", str(tmp_path / "c"), "--subject", "S03", "--finger", "right_index", "--json"]) == 0
+    assert (
+        main(
+            [
+                *words,
+                "--out",
+                str(tmp_path / "c"),
+                "--subject",
+                "S03",
+                "--finger",
+                "right_index",
+                "--json",
+            ]
+        )
+        == 0
+    )
     capture = read_capture(tmp_path / "c")
     assert capture.subject == {"id": "S03", "session": 1, "finger": "right_index"}
     assert capture.captured_at is not None
@@ -92,7 +107,14 @@ def test_an_enrolment_asks_for_every_finger(rig_of_pi, tmp_path, capsys, monkeyp
     answers.isatty = lambda: True
     monkeypatch.setattr(sys, "stdin", answers)
     folder = tmp_path / "e"
-    plan = ["--subjects", "1", "--sessions", "1", "--fingers", "right_index,right_middle,left_thumb"]
+    plan = [
+        "--subjects",
+        "1",
+        "--sessions",
+        "1",
+        "--fingers",
+        "right_index,right_middle,left_thumb",
+    ]
     assert main([*words, "--enrolment", str(folder), *plan]) == 0
     out, err = capsys.readouterr()
     assert "S01, session 1, right index: lay it down" in err

@@ -47,7 +47,12 @@ def test_an_ambient_frame_and_every_led_of_both_bands(done, finger):
     assert session.verdict == ()
     names = [shot.name for shot in session.shots]
     assert names == (
-        ["white ambient", *(f"white {k}" for k in range(7)), "nir ambient", *(f"nir {k}" for k in range(7))]
+        [
+            "white ambient",
+            *(f"white {k}" for k in range(7)),
+            "nir ambient",
+            *(f"nir {k}" for k in range(7)),
+        ]
     )
     assert session.frames_taken == 16
     for band, first in (("white", 0), ("nir", 7)):
@@ -55,8 +60,15 @@ def test_an_ambient_frame_and_every_led_of_both_bands(done, finger):
         assert one.pixels.shape == (7, 220, 320, 3)
         assert one.leds == tuple((first + k,) for k in range(7))
         assert (one.exposure == one.exposure[0]).all()
-        assert one.exposure[0] == one.ambient_exposure == pytest.approx(session.exposures[band].exposure_s)
-        assert one.ambient[finger.surface.mask].mean() < 0.05 * one.pixels[:, finger.surface.mask].mean()
+        assert (
+            one.exposure[0]
+            == one.ambient_exposure
+            == pytest.approx(session.exposures[band].exposure_s)
+        )
+        assert (
+            one.ambient[finger.surface.mask].mean()
+            < 0.05 * one.pixels[:, finger.surface.mask].mean()
+        )
     assert session.exposures["white"] != session.exposures["nir"]
 
 
@@ -86,7 +98,8 @@ def test_images_are_lit_by_the_led_that_is_named(done, finger):
 
 def test_fourteen_frames_in_seven_seconds_by_the_devices_clock(done):
     session, clock = done
-    assert session.seconds < 4.0  # without what the Raspberry Pi's processor needs, see docs/experiments/performance.md
+    # without what the Raspberry Pi's processor needs, see docs/experiments/performance.md
+    assert session.seconds < 4.0
     times = [shot.at_s for shot in session.shots]
     assert (np.diff(times) > 0.09).all()
     assert session.shots[0].discarded == 4  # the new exposure: three frames, and the one under way
@@ -108,7 +121,9 @@ def test_the_slowest_exposure_is_fast_enough_too(finger, monkeypatch):
 
 def test_a_finger_that_moves_and_stays_is_to_be_captured_again(finger, faulty):
     session = captured(finger, faulty, moves_mm={WHITE + 4: (0.4, 0.3)})
-    assert session.verdict == ("the finger moved by 0.5 mm between white 3 and white 4: hold still and capture again",)
+    assert session.verdict == (
+        "the finger moved by 0.5 mm between white 3 and white 4: hold still and capture again",
+    )
     moved = {shot.name: shot for shot in session.shots}
     assert moved["white 4"].moved_mm == pytest.approx(0.5, abs=0.07)
     assert moved["white 4"].retries == 2
@@ -116,10 +131,12 @@ def test_a_finger_that_moves_and_stays_is_to_be_captured_again(finger, faulty):
     assert session.frames_taken == 18
 
 
+@pytest.mark.slow
 def test_shadows_of_side_lights_are_no_motion_and_motion_under_them_is_noticed(finger):
     settings = finger.settings
     side = FingerScene(3, "whorl", replace(settings, rig=with_side_lights(finger.rig, 7)))
-    for moves, words in (({}, ""), ({WHITE + 9: (0.4, 0.3)}, "the finger moved by 0.5 mm between")):  # seen in NIR
+    # seen in NIR
+    for moves, words in (({}, ""), ({WHITE + 9: (0.4, 0.3)}, "the finger moved by 0.5 mm between")):
         camera, lights, _ = twin_devices(FaultyScene(side, Faults(moves_mm=moves)))
         with lights, camera:
             session = run_session(camera, lights, side.rig)
@@ -129,7 +146,9 @@ def test_shadows_of_side_lights_are_no_motion_and_motion_under_them_is_noticed(f
 
 def test_a_finger_that_moves_between_the_bands_is_noticed(finger, faulty):
     session = captured(finger, faulty, moves_mm={NIR_AMBIENT: (-0.5, 0.0)})
-    assert session.verdict == ("the finger moved by 0.5 mm between white 6 and nir 0: hold still and capture again",)
+    assert session.verdict == (
+        "the finger moved by 0.5 mm between white 6 and nir 0: hold still and capture again",
+    )
 
 
 def test_a_twitch_that_goes_back_is_taken_again_and_forgiven(finger, faulty):
@@ -141,7 +160,9 @@ def test_a_twitch_that_goes_back_is_taken_again_and_forgiven(finger, faulty):
 
 def test_a_slow_drift_is_noticed_though_no_two_neighbours_show_it(finger, faulty):
     drift = {NIR + k: (0.11, 0.0) for k in range(1, 7)}
-    session = captured(finger, faulty, SessionSettings(checks=CheckSettings(moved_mm=0.3)), moves_mm=drift)
+    session = captured(
+        finger, faulty, SessionSettings(checks=CheckSettings(moved_mm=0.3)), moves_mm=drift
+    )
     assert len(session.verdict) == 1
     assert "drifted" in session.verdict[0]
     assert "nir" in session.verdict[0]
@@ -191,7 +212,9 @@ def test_light_that_comes_on_later_overexposes(finger, faulty):
         scene.faults = Faults(room=0.3 if number == WHITE + 3 else 0.0)
 
     scene.frame_begins = begins
-    session = run_session(camera, lights, finger.rig, SessionSettings(checks=CheckSettings(retries=0)))
+    session = run_session(
+        camera, lights, finger.rig, SessionSettings(checks=CheckSettings(retries=0))
+    )
     assert any("white 3 is overexposed on " in words for words in session.verdict)
 
 
@@ -199,7 +222,9 @@ def test_light_that_comes_on_later_overexposes(finger, faulty):
 def test_a_blurred_finger_is_refused_where_that_can_be_judged(sharp_finger):
     camera, lights, _ = twin_devices(FaultyScene(sharp_finger, Faults(blur_mm={0: 0.35})))
     with lights, camera:
-        session = run_session(camera, lights, sharp_finger.rig, SessionSettings(exposure=ExposureSettings()))
+        session = run_session(
+            camera, lights, sharp_finger.rig, SessionSettings(exposure=ExposureSettings())
+        )
     assert any("out of focus" in words for words in session.verdict)
     camera, lights, _ = twin_devices(sharp_finger)
     with lights, camera:
@@ -208,6 +233,7 @@ def test_a_blurred_finger_is_refused_where_that_can_be_judged(sharp_finger):
     assert session.focus.snr > 1
 
 
+@pytest.mark.slow
 def test_focus_is_watched_until_somebody_says_stop(finger, faulty):
     camera, lights, _ = faulty(blur_mm={0: 0.3, 1: 0.2, 2: 0.1, 3: 0.0})
     seen = []
@@ -220,7 +246,8 @@ def test_focus_is_watched_until_somebody_says_stop(finger, faulty):
     assert len(seen) == 5
     seen.clear()
     camera, lights, _ = faulty()
-    run_session(camera, lights, finger.rig, watch_focus=lambda focus, watching: seen.append(1))  # never says stop
+    # never says stop
+    run_session(camera, lights, finger.rig, watch_focus=lambda focus, watching: seen.append(1))
     assert 5 < len(seen) < 20
 
 
@@ -233,7 +260,9 @@ def test_leds_are_off_after_an_interrupt(finger, faulty):
 
 
 def test_a_target_needs_no_finger(faulty, finger):
-    session = captured(finger, faulty, SessionSettings(find_finger=False), moves_mm={WHITE + 2: (3.0, 0.0)})
+    session = captured(
+        finger, faulty, SessionSettings(find_finger=False), moves_mm={WHITE + 2: (3.0, 0.0)}
+    )
     assert session.verdict == ()
     assert session.capture(finger.rig, material="opaque").material == "opaque"
 
@@ -246,9 +275,15 @@ def test_a_rig_that_does_not_fit_is_refused(finger):
     with pytest.raises(BadInput, match="13 LEDs, but 14 are connected"):
         run_session(camera, lights, replace(rig, leds=rig.leds[1:]))
     with pytest.raises(BadInput, match=r"2 white LEDs.*three"):
-        run_session(camera, lights, replace(rig, leds=rig.leds[:2] + rig.leds[2:7] * 0 + rig.leds[7:] + rig.leds[7:12]))
+        run_session(
+            camera,
+            lights,
+            replace(rig, leds=rig.leds[:2] + rig.leds[2:7] * 0 + rig.leds[7:] + rig.leds[7:12]),
+        )
     with pytest.raises(BadInput, match="band 'uv'"):
-        run_session(camera, lights, replace(rig, leds=(*rig.leds[:13], replace(rig.leds[13], band="uv"))))
+        run_session(
+            camera, lights, replace(rig, leds=(*rig.leds[:13], replace(rig.leds[13], band="uv")))
+        )
 
 
 @pytest.mark.parametrize("wrong", [{"moved_mm": -1.0}, {"retries": -1}])

@@ -49,7 +49,8 @@ def resized(document: Any, shape: tuple[int, int]) -> None:
 
 
 def too_close(folder: Path) -> None:
-    """The finger goes on to the left, to the right and below; only around its tip the background shows."""
+    """The finger goes on to the left, to the right and below; only around its tip the background
+    shows."""
     of_all(lambda pixels: pixels[:, 175:285])(folder)
     of_rig(lambda document: resized(document, (330, 110)))(folder)
 
@@ -57,7 +58,9 @@ def too_close(folder: Path) -> None:
 def noise(level: int, spread: int) -> Damage:
     def damage(folder: Path) -> None:
         rng = np.random.default_rng(0)
-        of_all(lambda pixels: rng.integers(level, level + spread, pixels.shape).astype(np.uint8))(folder)
+        of_all(lambda pixels: rng.integers(level, level + spread, pixels.shape).astype(np.uint8))(
+            folder
+        )
 
     return damage
 
@@ -94,7 +97,9 @@ def shrunk(pixels: Any) -> Any:
         len(pixels), -1, pixels.shape[2]
     )
     beside = (pixels.shape[1] - small.shape[1]) // 2
-    return np.pad(small, ((0, 0), (beside, pixels.shape[1] - small.shape[1] - beside), (0, 0)), mode="edge")
+    return np.pad(
+        small, ((0, 0), (beside, pixels.shape[1] - small.shape[1] - beside), (0, 0)), mode="edge"
+    )
 
 
 def cut_short(name: str, keep: float) -> Damage:
@@ -111,7 +116,12 @@ def linked_out(folder: Path) -> None:
 
 
 def truth_of_another(folder: Path) -> None:
-    np.savez(folder / "truth.npz", height_mm=np.ones((4, 5)), shape_mm=np.ones((4, 5)), mask=np.ones((4, 5)))
+    np.savez(
+        folder / "truth.npz",
+        height_mm=np.ones((4, 5)),
+        shape_mm=np.ones((4, 5)),
+        mask=np.ones((4, 5)),
+    )
     of_capture(lambda document: document.update(truth="truth.npz"))(folder)
 
 
@@ -121,15 +131,27 @@ def white(document: Any) -> Any:
 
 # name: (what is done to a good capture, words that the sentence must hold)
 KINDS: dict[str, tuple[Damage, tuple[str, ...]]] = {
-    "missing image": (lambda folder: (folder / "white_3.png").unlink(), ("white_3.png", "does not exist")),
+    "missing image": (
+        lambda folder: (folder / "white_3.png").unlink(),
+        ("white_3.png", "does not exist"),
+    ),
     "truncated image": (cut_short("nir_2.png", 0.6), ("nir_2.png",)),
-    "all black": (of_image("white_4.png", np.zeros_like), ("white_4.png", "black", "LED 4", "capture it again")),
+    "all black": (
+        of_image("white_4.png", np.zeros_like),
+        ("white_4.png", "black", "LED 4", "capture it again"),
+    ),
     "saturated": (
         of_image("white_5.png", lambda pixels: np.where(pixels > 30, 255, pixels).astype(np.uint8)),
         ("white_5.png", "overexposed", "shorter exposure"),
     ),
-    "one of another size": (of_image("nir_1.png", lambda pixels: pixels[:-1]), ("nir_1.png", "329", "330")),
-    "rig for another camera": (of_rig(lambda document: resized(document, (440, 640))), ("rig", "640", "480")),
+    "one of another size": (
+        of_image("nir_1.png", lambda pixels: pixels[:-1]),
+        ("nir_1.png", "329", "330"),
+    ),
+    "rig for another camera": (
+        of_rig(lambda document: resized(document, (440, 640))),
+        ("rig", "640", "480"),
+    ),
     "broken capture.json": (cut_short("capture.json", 0.5), ("capture.json", "not valid JSON")),
     "path above the folder": (
         of_capture(lambda document: white(document)["images"].__setitem__(0, "../white_0.png")),
@@ -138,17 +160,38 @@ KINDS: dict[str, tuple[Damage, tuple[str, ...]]] = {
     "link out of the folder": (linked_out, ("white_2.png",)),
     "three borders": (too_close, ("capture", "touches 3 borders", "mask")),
     "no finger": (noise(20, 30), ("capture", "no finger", "mask")),
-    "mask too small": (mask_of((330, 480), np.s_[200:202], np.s_[240:242]), ("capture", "mask", "small")),
-    "values that wrapped round": (of_all(lambda pixels: pixels * np.uint8(10)), ("capture", "do not fit the lights")),
-    "NIR exchanged": (exchanged("nir_0.png", "nir_3.png"), ("nir_0.png and nir_3.png", "deg (median)", "--keep")),
-    "white exchanged": (exchanged("white_0.png", "white_1.png"), ("white_0.png and white_1.png", "--keep")),
-    "NIR turned": (of_image("nir_2.png", lambda pixels: pixels[::-1, ::-1]), ("nir_2.png does not", "--keep")),
+    "mask too small": (
+        mask_of((330, 480), np.s_[200:202], np.s_[240:242]),
+        ("capture", "mask", "small"),
+    ),
+    "values that wrapped round": (
+        of_all(lambda pixels: pixels * np.uint8(10)),
+        ("capture", "do not fit the lights"),
+    ),
+    "NIR exchanged": (
+        exchanged("nir_0.png", "nir_3.png"),
+        ("nir_0.png and nir_3.png", "deg (median)", "--keep"),
+    ),
+    "white exchanged": (
+        exchanged("white_0.png", "white_1.png"),
+        ("white_0.png and white_1.png", "--keep"),
+    ),
+    "NIR turned": (
+        of_image("nir_2.png", lambda pixels: pixels[::-1, ::-1]),
+        ("nir_2.png does not", "--keep"),
+    ),
     "white noise": (
-        of_image("white_2.png", lambda p: np.random.default_rng(0).integers(10, 200, p.shape).astype(np.uint8)),
+        of_image(
+            "white_2.png",
+            lambda p: np.random.default_rng(0).integers(10, 200, p.shape).astype(np.uint8),
+        ),
         ("white_2.png does not", "--keep"),
     ),
     "images flipped": (of_all(lambda pixels: pixels[:, ::-1]), ("x pointing left", "--keep")),
-    "one light": (all_under_one_light, ("nir_0.png to nir_6.png are all under one light", "--keep")),
+    "one light": (
+        all_under_one_light,
+        ("nir_0.png to nir_6.png are all under one light", "--keep"),
+    ),
     "NIR of another finger": (
         lambda folder: [repaint(folder / f"nir_{k}.png", shrunk) for k in range(7)],
         ("rim", "of one finger", "--keep"),
@@ -158,7 +201,11 @@ KINDS: dict[str, tuple[Damage, tuple[str, ...]]] = {
         ("same pixels", "white_3.png", "white_4.png"),
     ),
     "lights in micrometres": (
-        of_rig(lambda d: [one.update(position_mm=[1e3 * v for v in one["position_mm"]]) for one in d["leds"]]),
+        of_rig(
+            lambda d: [
+                one.update(position_mm=[1e3 * v for v in one["position_mm"]]) for one in d["leds"]
+            ]
+        ),
         ("position_mm", "possible"),
     ),
     "truth of another capture": (truth_of_another, ("capture", "truth")),
@@ -183,6 +230,7 @@ def refused(arguments: list[str], capsys: Captured, words: tuple[str, ...] = ())
     return sentence
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", KINDS)
 def test_bad_captures(kind: str, twin_folder: Path, tmp_path: Path, capsys: Captured) -> None:
     damage, words = KINDS[kind]
@@ -190,11 +238,17 @@ def test_bad_captures(kind: str, twin_folder: Path, tmp_path: Path, capsys: Capt
     damage(folder)
     before = sorted(path.name for path in tmp_path.rglob("*"))
     more = ["--json"] if len(kind) % 2 else []  # the sentence is the same with and without
-    more += ["--preset", "ea"] if kind.startswith("truth") else []  # quicker: refused after the reconstruction
-    refused(["reconstruct", str(folder), "--out", str(tmp_path / "deep" / "result"), *more], capsys, words)
+    # quicker: refused after the reconstruction
+    more += ["--preset", "ea"] if kind.startswith("truth") else []
+    refused(
+        ["reconstruct", str(folder), "--out", str(tmp_path / "deep" / "result"), *more],
+        capsys,
+        words,
+    )
     assert sorted(path.name for path in tmp_path.rglob("*")) == before
 
 
+@pytest.mark.slow
 def test_what_spoils_a_surface_stands_first_and_strict_writes_nothing(
     twin_folder: Path, tmp_path: Path, capsys: Captured
 ) -> None:
@@ -203,7 +257,9 @@ def test_what_spoils_a_surface_stands_first_and_strict_writes_nothing(
     words = ["reconstruct", str(folder), "--out", str(tmp_path / "out"), "--preset", "ea"]
     assert main([*words, "--keep"]) == 0
     printed = capsys.readouterr().out.splitlines()
-    assert printed[0].startswith("The surface is spoilt: the photographs seem to be under other lights")
+    assert printed[0].startswith(
+        "The surface is spoilt: the photographs seem to be under other lights"
+    )
     findings = json.loads((tmp_path / "out" / "report.json").read_text())["findings"]
     assert [each["code"] for each in findings if each["severity"] != "note"] == ["light-order"]
     shutil.rmtree(tmp_path / "out")
@@ -218,11 +274,16 @@ def test_what_spoils_a_surface_stands_first_and_strict_writes_nothing(
         (0.5, "ea", "the finger's width is 3"),
     ],
 )
-def test_a_wrong_scale_stands_first(factor: float, preset: str, words: str, tmp_path: Path, capsys: Captured) -> None:
+def test_a_wrong_scale_stands_first(
+    factor: float, preset: str, words: str, tmp_path: Path, capsys: Captured
+) -> None:
     folder, out = tmp_path / "capture", tmp_path / "out"
     assert main(f"simulate --out {folder} --seed 3 --scale 0.12".split()) == 0
     capsys.readouterr()
-    edit(folder / "rig.json", lambda rig: rig["camera"].update(px_per_mm=factor * rig["camera"]["px_per_mm"]))
+    edit(
+        folder / "rig.json",
+        lambda rig: rig["camera"].update(px_per_mm=factor * rig["camera"]["px_per_mm"]),
+    )
     command = ["reconstruct", str(folder), "--out", str(out), "--preset", preset]
     assert main(command) == 0
     first = capsys.readouterr().out.splitlines()[0]
@@ -246,10 +307,13 @@ def test_jpeg_is_seen_in_the_pixels(twin_folder: Path, tmp_path: Path, capsys: C
         assert main(["reconstruct", str(folder), "--out", str(tmp_path / f"result_{quality}")]) == 0
         assert ("saved as JPEG" in capsys.readouterr().out) == (quality > 0)
         with np.load(tmp_path / f"result_{quality}" / "height.npz") as saved:
-            over = saved["uncertainty_um"][saved["mask"]] / np.abs(1000.0 * saved["ridge_mm"][saved["mask"]])
+            over = saved["uncertainty_um"][saved["mask"]] / np.abs(
+                1000.0 * saved["ridge_mm"][saved["mask"]]
+            )
         assert (float(np.nanmin(over)) > 0.299) == (quality > 0)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("preset", ["metric", "ea"])
 def test_a_mask_helps_where_the_finger_touches_three_borders(
     preset: str, twin_folder: Path, tmp_path: Path, capsys: Captured
@@ -270,7 +334,10 @@ def test_a_mask_helps_where_the_finger_touches_three_borders(
     [
         (["--set", "nowhere.field=1"], ("nowhere.field", "there is no setting")),
         (["--set", "knit.mehtod=addition"], ("did you mean 'knit.method'",)),
-        (["--set", "metric.rounds=0x" + "f" * 5000], ("metric.rounds must be", "thousands of digits")),
+        (
+            ["--set", "metric.rounds=0x" + "f" * 5000],
+            ("metric.rounds must be", "thousands of digits"),
+        ),
         (["--set", "mask"], ("--set", "stage.field=value")),
         (["--settings", "nowhere.json"], ("nowhere.json", "does not exist")),
     ],
@@ -279,17 +346,29 @@ def test_wrong_settings_are_refused_before_the_work(
     arguments: list[str], words: tuple[str, ...], tmp_path: Path, capsys: Captured
 ) -> None:
     """Even before the capture is looked for."""
-    refused(["reconstruct", str(tmp_path / "none"), "--out", str(tmp_path / "out"), *arguments], capsys, words)
+    refused(
+        ["reconstruct", str(tmp_path / "none"), "--out", str(tmp_path / "out"), *arguments],
+        capsys,
+        words,
+    )
     assert list(tmp_path.iterdir()) == []
 
 
-def test_a_folder_of_others_is_left_alone(twin_folder: Path, tmp_path: Path, capsys: Captured) -> None:
+def test_a_folder_of_others_is_left_alone(
+    twin_folder: Path, tmp_path: Path, capsys: Captured
+) -> None:
     (tmp_path / "letters").mkdir()
     (tmp_path / "letters" / "dear.txt").write_text("x")
     refused(
-        ["reconstruct", str(twin_folder), "--out", str(tmp_path / "letters")], capsys, ("letters", "another folder")
+        ["reconstruct", str(twin_folder), "--out", str(tmp_path / "letters")],
+        capsys,
+        ("letters", "another folder"),
     )
-    refused(["reconstruct", str(twin_folder), "--out", str(tmp_path / "letters" / "dear.txt")], capsys, ("dear.txt",))
+    refused(
+        ["reconstruct", str(twin_folder), "--out", str(tmp_path / "letters" / "dear.txt")],
+        capsys,
+        ("dear.txt",),
+    )
     assert [path.name for path in tmp_path.rglob("*")] == ["letters", "dear.txt"]
 
 
@@ -332,5 +411,9 @@ def closed(request: pytest.FixtureRequest, twin_folder: Path, tmp_path: Path) ->
 
 @pytest.mark.parametrize("closed", [".", "white_3.png", "rig.json"], indirect=True)
 def test_what_may_not_be_read(closed: Path, tmp_path: Path, nobody: None, capsys: Captured) -> None:
-    refused(["reconstruct", str(closed), "--out", str(tmp_path / "out")], capsys, ("capture", "ermission denied"))
+    refused(
+        ["reconstruct", str(closed), "--out", str(tmp_path / "out")],
+        capsys,
+        ("capture", "ermission denied"),
+    )
     assert [path.name for path in tmp_path.iterdir()] == ["capture"]

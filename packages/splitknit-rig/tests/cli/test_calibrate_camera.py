@@ -1,4 +1,5 @@
-"""``splitknit calibrate camera`` on photographs of a rig of the twin: files in, a rig file out, or one sentence."""
+"""``splitknit calibrate camera`` on photographs of a rig of the twin: files in, a rig file out, or
+one sentence."""
 
 from __future__ import annotations
 
@@ -29,19 +30,32 @@ def photograph(scene, number):
 
 @pytest.fixture(scope="session")
 def photos(tmp_path_factory):
-    """Folder `boards` of photographs by hand, plane.png, plane2.png, oblique.png; and the rig that took them."""
+    """Folder `boards` of photographs by hand, plane.png, plane2.png, oblique.png; and the rig that
+    took them."""
     place = tmp_path_factory.mktemp("photos")
     (place / "boards").mkdir()
     rig = built_rig(SEED, scale=SCALE)
     common = {"camera": rig.camera, "leds": rig.leds}
     for k, pose in enumerate(flat.board_poses(SEED, COUNT, rig.camera, PRINTED)):
-        write_image(place / f"boards/{k}.png", photograph(flat.BoardScene(**common, board=PRINTED, **pose), k))
+        write_image(
+            place / f"boards/{k}.png",
+            photograph(flat.BoardScene(**common, board=PRINTED, **pose), k),
+        )
     tilt = rig.provenance["base_tilt_deg"]
     turn = (*np.deg2rad(tilt), 0.0)
-    write_image(place / "plane.png", photograph(flat.BoardScene(**common, board=PRINTED, rotation_vector=turn), 100))
-    write_image(place / "plane2.png", photograph(flat.BoardScene(**common, board=PRINTED, rotation_vector=turn), 101))
+    write_image(
+        place / "plane.png",
+        photograph(flat.BoardScene(**common, board=PRINTED, rotation_vector=turn), 100),
+    )
+    write_image(
+        place / "plane2.png",
+        photograph(flat.BoardScene(**common, board=PRINTED, rotation_vector=turn), 101),
+    )
     slant = (*np.deg2rad((2.0, 0.0)), 0.0)
-    write_image(place / "oblique.png", photograph(flat.BoardScene(**common, board=PRINTED, rotation_vector=slant), 102))
+    write_image(
+        place / "oblique.png",
+        photograph(flat.BoardScene(**common, board=PRINTED, rotation_vector=slant), 102),
+    )
     return place, rig
 
 
@@ -156,7 +170,9 @@ def test_the_plane_alone_measures_the_height_again(photos, tmp_path, capsys):
     out, moved = tmp_path / "flat.json", tmp_path / "moved.json"
     assert "`plane`" not in refused(capsys, out, "--plane", place / "plane.png")
     write_rig(replace(rig, camera=replace(rig.camera, height_mm=150.0, px_per_mm=11.0)), moved)
-    _, printed, _ = run(capsys, "--plane", place / "plane.png", "--rig", moved, "--out", out, "--json")
+    _, printed, _ = run(
+        capsys, "--plane", place / "plane.png", "--rig", moved, "--out", out, "--json"
+    )
     facts = json.loads(printed)
     assert facts["height_mm"] == pytest.approx(rig.camera.height_mm, rel=1e-3)
     assert facts["px_per_mm"] == pytest.approx(rig.camera.px_per_mm, rel=1e-3)
@@ -169,13 +185,27 @@ def test_an_oblique_camera_is_warned_about(photos, tmp_path, capsys):
     known = tmp_path / "known.json"
     write_rig(rig, known)
     out = tmp_path / "rig.json"
-    _, printed, _ = run(capsys, "--plane", place / "oblique.png", "--rig", known, "--out", out, "--json")
+    _, printed, _ = run(
+        capsys, "--plane", place / "oblique.png", "--rig", known, "--out", out, "--json"
+    )
     facts = json.loads(printed)
     assert facts["plane"]["tilt_xy_deg"] == pytest.approx([2.0, 0.0], abs=0.1)
     assert facts["plane"]["nearer_at"] == "top"
-    assert any("obliquely by 2.0" in words and "8 mm high leans by 0.28 mm" in words for words in facts["warnings"])
+    assert any(
+        "obliquely by 2.0" in words and "8 mm high leans by 0.28 mm" in words
+        for words in facts["warnings"]
+    )
     _, printed, _ = run(
-        capsys, "--plane", place / "oblique.png", "--plane", place / "plane.png", "--rig", known, "--out", out, "--json"
+        capsys,
+        "--plane",
+        place / "oblique.png",
+        "--plane",
+        place / "plane.png",
+        "--rig",
+        known,
+        "--out",
+        out,
+        "--json",
     )
     assert any("the finger plane disagree" in words for words in json.loads(printed)["warnings"])
 
@@ -199,7 +229,9 @@ def test_photographs_in_capture_folders_are_taken_by_their_pattern(photos, tmp_p
         shutil.copy(place / "boards" / "0.png", tmp_path / f"board_{k}" / "white_1.png")
     plain, inside = tmp_path / "plain.json", tmp_path / "inside.json"
     run(capsys, place / "boards", "--out", plain, "--json")
-    _, printed, _ = run(capsys, tmp_path, "--pattern", "board_*/white_0.png", "--out", inside, "--json")
+    _, printed, _ = run(
+        capsys, tmp_path, "--pattern", "board_*/white_0.png", "--out", inside, "--json"
+    )
     np.testing.assert_array_equal(read_rig(inside).camera.matrix, read_rig(plain).camera.matrix)
     assert "board_3/white_0.png" in printed
 
@@ -223,12 +255,16 @@ def test_folders_that_do_not_do(photos, tmp_path, capsys):
     assert "in full view in 4 of 4 photographs, but 5 are needed" in refused(capsys, out, few)
     for k in range(4, 8):
         shutil.copy(place / "boards/0.png", few / f"{k}.png")
-    assert "only 4 of 8 photographs of the board can be used (4 of them twice)" in refused(capsys, out, few)
+    assert "only 4 of 8 photographs of the board can be used (4 of them twice)" in refused(
+        capsys, out, few
+    )
     (few / "9.png").write_bytes(b"not a picture")
     assert "9.png is not a PNG, TIFF or JPEG image" in refused(capsys, out, few)
     (few / "9.png").unlink()
     write_image(few / "9.png", np.zeros((100, 200), np.uint8))
-    assert "9.png has 100 x 200 pixels (rows x columns), but 0.png has 330 x 480" in refused(capsys, out, few)
+    assert "9.png has 100 x 200 pixels (rows x columns), but 0.png has 330 x 480" in refused(
+        capsys, out, few
+    )
 
 
 def test_images_and_numbers_that_do_not_do(photos, tmp_path, capsys):
@@ -240,7 +276,9 @@ def test_images_and_numbers_that_do_not_do(photos, tmp_path, capsys):
     assert "grey.png shows no checkerboard of 9x6" in refused(capsys, out, "--plane", grey)
     assert "does not exist" in refused(capsys, out, "--plane", tmp_path / "none.png")
     write_image(black, np.zeros((330, 480), np.uint8))
-    assert "black.png: an image is of one brightness all over" in refused(capsys, out, "--plane", black)
+    assert "black.png: an image is of one brightness all over" in refused(
+        capsys, out, "--plane", black
+    )
     write_image(small, np.zeros((100, 200), np.uint8))
     assert f"but {known} has 330 x 480" in refused(capsys, out, "--plane", small, "--rig", known)
     assert "such as 9x6" in refused(capsys, out, "--plane", plane, "--board", "nine")
@@ -252,6 +290,14 @@ def test_a_height_far_from_the_rigs_is_noted(photos, tmp_path, capsys):
     known = tmp_path / "known.json"
     write_rig(rig, known)
     _, printed, _ = run(
-        capsys, "--plane", place / "plane.png", "--square-mm", 6, "--rig", known, "--out", tmp_path / "r.json"
+        capsys,
+        "--plane",
+        place / "plane.png",
+        "--square-mm",
+        6,
+        "--rig",
+        known,
+        "--out",
+        tmp_path / "r.json",
     )
     assert "check the side of the board's squares (--square-mm)" in printed

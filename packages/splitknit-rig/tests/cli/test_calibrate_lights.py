@@ -27,8 +27,16 @@ RIG = (
     *("--px-per-cm", "757", "--led-height-cm", "14", "--led-radius-cm", "5"),
     *("--led-centre-px", "1575,1174", "--image-size", "2200,3200"),
 )
-MIRROR = Mirror("right", ((12.0, -10.0, -15.0), (12.0, 20.0, -15.0), (26.0, 20.0, -1.0), (26.0, -10.0, -1.0)), 0.85)
-GOOD = (*("--px-per-cm", "757", "--led-height-cm", "14", "--led-radius-cm", "5.25"), "--image-size", "2200,3200")
+MIRROR = Mirror(
+    "right",
+    ((12.0, -10.0, -15.0), (12.0, 20.0, -15.0), (26.0, 20.0, -1.0), (26.0, -10.0, -1.0)),
+    0.85,
+)
+GOOD = (
+    *("--px-per-cm", "757", "--led-height-cm", "14", "--led-radius-cm", "5.25"),
+    "--image-size",
+    "2200,3200",
+)
 
 
 def cast_table(path: Path, places, *, height=15.0, bands=("white", "nir"), skip=()) -> Path:
@@ -41,7 +49,9 @@ def cast_table(path: Path, places, *, height=15.0, bands=("white", "nir"), skip=
             at = np.asarray(led.position_mm)
             end = at[:2] + (place - at[:2]) * at[2] / (at[2] - height)
             pixels = [(1599.5 + 75.7 * x, 1099.5 - 75.7 * y) for x, y in (place, end)]
-            lines.append(f"{led.band},{k % 7},{number},{pixels[0][0]},{pixels[0][1]},{pixels[1][0]},{pixels[1][1]}")
+            lines.append(
+                f"{led.band},{k % 7},{number},{pixels[0][0]},{pixels[0][1]},{pixels[1][0]},{pixels[1][1]}"
+            )
     path.write_text("\n".join(lines) + "\n")
     return path
 
@@ -63,7 +73,14 @@ def refused(capsys, *words) -> str:
 def test_the_thesiss_table_is_refused(capsys, tmp_path):
     out = tmp_path / "rig.json"
     message = refused(capsys, "--table", THESIS, *RIG, "--out", out)
-    for name in ("white 0", "white 2", "white 5", "white 6", *(f"NIR {k}" for k in range(7)), "--keep"):
+    for name in (
+        "white 0",
+        "white 2",
+        "white 5",
+        "white 6",
+        *(f"NIR {k}" for k in range(7)),
+        "--keep",
+    ):
         assert name in message
     assert "white 1" not in message
     assert list(tmp_path.iterdir()) == []
@@ -73,7 +90,9 @@ def test_the_facts_are_printed_all_the_same(capsys, tmp_path):
     code, out, err = run(capsys, "--table", THESIS, *RIG, "--out", tmp_path / "rig.json", "--json")
     assert code == 2 and err.count("\n") == 1
     facts = json.loads(out)
-    assert facts["method"] == "circle" and facts["written"] is False and list(tmp_path.iterdir()) == []
+    assert (
+        facts["method"] == "circle" and facts["written"] is False and list(tmp_path.iterdir()) == []
+    )
     verdicts = [one["verdict"] for one in facts["leds"]]
     assert [verdicts.count(word) for word in ("ok", "disagrees", "copied")] == [3, 5, 6]
     names = [(one["band"], one["led"]) for one in facts["leds"]]
@@ -91,7 +110,11 @@ def test_keep_keeps_both_kinds(capsys, tmp_path):
     facts = json.loads(printed)
     assert code == 0 and facts["written"] and all(one["kept"] for one in facts["leds"])
     rig = read_rig(out)
-    assert len(rig.leds) == 14 and rig.camera.px_per_mm == 75.7 and rig.camera.image_size == (2200, 3200)
+    assert (
+        len(rig.leds) == 14
+        and rig.camera.px_per_mm == 75.7
+        and rig.camera.image_size == (2200, 3200)
+    )
     for led, one in zip(rig.leds, facts["leds"], strict=True):
         assert led.band == one["band"] and led.position_mm == pytest.approx(one["position_mm"])
     verdicts = [one["verdict"] for one in rig.provenance["lights"]["leds"]]
@@ -104,7 +127,9 @@ def test_a_good_table(capsys, tmp_path):
     assert code == 0 and err == "" and "ok" in printed and "15.0 mm" in printed
     found = read_rig(tmp_path / "rig.json")
     for led, truth in zip(found.leds, default_rig().leds, strict=True):
-        assert led.band == truth.band and led.position_mm == pytest.approx(truth.position_mm, abs=1e-3)
+        assert led.band == truth.band and led.position_mm == pytest.approx(
+            truth.position_mm, abs=1e-3
+        )
 
 
 def test_several_positions_are_fitted_together(capsys, tmp_path):
@@ -124,7 +149,14 @@ def test_a_rig_keeps_what_it_knows(capsys, tmp_path):
     known = replace(default_rig(seed=3), mirrors=(MIRROR,))
     write_rig(known, tmp_path / "old.json")
     code, printed, _ = run(
-        capsys, "--table", table, "--rig", tmp_path / "old.json", "--out", tmp_path / "new.json", "--json"
+        capsys,
+        "--table",
+        table,
+        "--rig",
+        tmp_path / "old.json",
+        "--out",
+        tmp_path / "new.json",
+        "--json",
     )
     assert code == 0 and json.loads(printed)["method"] == "joint"
     rig = read_rig(tmp_path / "new.json")
@@ -146,7 +178,19 @@ def test_geometry(capsys, tmp_path):
     for led, truth in zip(read_rig(out).leds, default_rig().leds, strict=True):
         assert led.band == truth.band and led.position_mm == pytest.approx(truth.position_mm)
     write_rig(default_rig(seed=2), tmp_path / "old.json")
-    assert run(capsys, "--geometry", "--rig", tmp_path / "old.json", "--led-radius-cm", "5", "--out", out)[0] == 0
+    assert (
+        run(
+            capsys,
+            "--geometry",
+            "--rig",
+            tmp_path / "old.json",
+            "--led-radius-cm",
+            "5",
+            "--out",
+            out,
+        )[0]
+        == 0
+    )
     for led, old in zip(read_rig(out).leds, default_rig(seed=2).leds, strict=True):
         assert led.intensity == old.intensity
         assert np.hypot(*led.position_mm[:2]) == pytest.approx(50.0)
@@ -158,7 +202,16 @@ def test_geometry(capsys, tmp_path):
         (("--table", THESIS, "--geometry"), "--table and --geometry"),
         (("--table", THESIS), "--px-per-cm and --image-size and --led-height-cm"),
         (
-            ("--table", THESIS, "--px-per-cm", "757", "--image-size", "2200,3200", "--led-height-cm", "14"),
+            (
+                "--table",
+                THESIS,
+                "--px-per-cm",
+                "757",
+                "--image-size",
+                "2200,3200",
+                "--led-height-cm",
+                "14",
+            ),
             "--led-radius-cm",
         ),
         (("--table", THESIS, *RIG[:-1], "2200"), "rows,columns"),
@@ -174,7 +227,8 @@ def test_bad_input_is_one_sentence(capsys, words, expected):
 
 @pytest.fixture(scope="module")
 def nail_photographs(tmp_path_factory):
-    """Two positions of the nail under white LEDs, at a tenth of the scale; the rig file knows the built camera."""
+    """Two positions of the nail under white LEDs, at a tenth of the scale; the rig file knows the
+    built camera."""
     folder = tmp_path_factory.mktemp("nail")
     true = built_rig(6, scale=0.1)
     write_rig(replace(nominal_rig(0.1), camera=true.camera), folder / "nominal.json")
@@ -200,7 +254,9 @@ def test_photographs_of_a_nail(capsys, tmp_path, nail_photographs):
     assert facts["method"] == "joint" and facts["nail_positions"] == 2
     assert len(read_rig(out).leds) == 14
     for led, truth in zip(read_rig(out).leds[:7], true.leds[:7], strict=True):
-        found, known = (np.array(one.position_mm) / np.linalg.norm(one.position_mm) for one in (led, truth))
+        found, known = (
+            np.array(one.position_mm) / np.linalg.norm(one.position_mm) for one in (led, truth)
+        )
         assert np.degrees(np.linalg.norm(found - known)) < 0.6
         assert led.lobe_exponent > 0
     assert read_image(facts["show"]).shape[2] == 3
@@ -230,7 +286,9 @@ def test_photographs_that_are_wrong(capsys, tmp_path, nail_photographs):
 def test_a_ball_places_side_lights_where_they_are(capsys, tmp_path):
     rig = with_side_lights(nominal_rig(0.2), 7)
     write_rig(rig, tmp_path / "rig.json")
-    scene = SphereScene(camera=rig.camera, leds=rig.leds, chrome=False, radius_mm=5.0, position_mm=(2.0, 1.0))
+    scene = SphereScene(
+        camera=rig.camera, leds=rig.leds, chrome=False, radius_mm=5.0, position_mm=(2.0, 1.0)
+    )
     (tmp_path / "ball").mkdir()
     white = [*range(7), *range(14, 21)]
     for number, k in enumerate(white):
@@ -238,7 +296,9 @@ def test_a_ball_places_side_lights_where_they_are(capsys, tmp_path):
         write_image(tmp_path / "ball" / f"white_{number}.png", image)
     edge = scene.outline_px()
     rows, columns = np.mgrid[:440, :640]
-    inside = np.hypot(columns - edge[:, 0].mean(), rows - edge[:, 1].mean()) < np.ptp(edge[:, 0]) / 2
+    inside = (
+        np.hypot(columns - edge[:, 0].mean(), rows - edge[:, 1].mean()) < np.ptp(edge[:, 0]) / 2
+    )
     write_image(tmp_path / "mask.png", np.where(inside, 255, 0).astype(np.uint8))
     words = (
         "--sphere",
@@ -250,12 +310,16 @@ def test_a_ball_places_side_lights_where_they_are(capsys, tmp_path):
         "--led-height-cm",
         "14",
     )
-    code, _, err = run(capsys, *words, "--rig", tmp_path / "rig.json", "--out", tmp_path / "found.json")
+    code, _, err = run(
+        capsys, *words, "--rig", tmp_path / "rig.json", "--out", tmp_path / "found.json"
+    )
     assert code == 0, err
     for k, led in zip(white, read_rig(tmp_path / "found.json").leds, strict=True):
         assert math.dist(led.position_mm, rig.leds[k].position_mm) < 2.0
     scale = ("--px-per-cm", "151.4", "--image-size", "440,640")
-    assert "white_7.png shows a side light" in refused(capsys, *words, *scale, "--out", tmp_path / "no.json")
+    assert "white_7.png shows a side light" in refused(
+        capsys, *words, *scale, "--out", tmp_path / "no.json"
+    )
     assert not (tmp_path / "no.json").exists()
 
 
@@ -265,7 +329,11 @@ def test_a_nail_leaves_side_lights_where_they_are_drawn(capsys, tmp_path):
     table = cast_table(tmp_path / "tips.csv", [(-6, -4), (7, 5), (5, -6)])
     out = tmp_path / "found.json"
     code, printed, _ = run(capsys, "--table", table, "--rig", tmp_path / "rig.json", "--out", out)
-    assert code == 0 and "the side lights white 7, white 8" in printed and "a ball measures them" in printed
+    assert (
+        code == 0
+        and "the side lights white 7, white 8" in printed
+        and "a ball measures them" in printed
+    )
     found = read_rig(out).leds
     assert [led.position_mm for led in found[14:]] == [led.position_mm for led in rig.leds[14:]]
     for led, drawn in zip(found[:14], rig.leds, strict=False):
@@ -274,7 +342,8 @@ def test_a_nail_leaves_side_lights_where_they_are_drawn(capsys, tmp_path):
 
 @pytest.fixture(scope="module")
 def ball(tmp_path_factory):
-    """A ball on the bench, as a camera writes JPEG files of it, its mask, and its outline in pixels."""
+    """A ball on the bench, as a camera writes JPEG files of it, its mask, and its outline in
+    pixels."""
     folder = tmp_path_factory.mktemp("ball")
     rig = default_rig(0.2)
     scene = SphereScene(camera=rig.camera, leds=rig.leds, chrome=False, ground=0.0)
@@ -282,7 +351,9 @@ def ball(tmp_path_factory):
     for k in range(7):
         image = photograph_bench(scene, [k], k, exposure=well_exposed(scene, [[k]]))
         code = np.rint(255.0 * srgb_code(image / np.iinfo(image.dtype).max)).astype(np.uint8)
-        Image.fromarray(code[..., 0] if code.shape[2] == 1 else code).save(folder / "ball" / f"{k}.jpg", quality=95)
+        Image.fromarray(code[..., 0] if code.shape[2] == 1 else code).save(
+            folder / "ball" / f"{k}.jpg", quality=95
+        )
     edge = scene.outline_px()
     column, row = edge.mean(axis=0)
     rows, columns = np.mgrid[:440, :640]
@@ -291,8 +362,11 @@ def ball(tmp_path_factory):
     return folder / "ball", folder / "mask.png", edge
 
 
-@pytest.mark.parametrize(("name", "options"), [("lights.txt", ()), ("rig.json", ()), ("places.txt", (
-    "--led-height-cm", "14"))])  # fmt: skip
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("name", "options"),
+    [("lights.txt", ()), ("rig.json", ()), ("places.txt", ("--led-height-cm", "14"))],
+)
 def test_a_ball_gives_the_lights_of_a_surface(capsys, tmp_path, ball, name, options):
     """First the ball, then the lights of other photographs."""
     photographs, mask, edge = ball
@@ -349,10 +423,23 @@ def test_photographs_that_disagree(capsys, tmp_path, nail_photographs):
     second.rename(copy / "kept.png")
     first.rename(second)
     (copy / "kept.png").rename(first)
-    words = ("--images", copy, "--rig", folder / "nominal.json", "--out", tmp_path / "rig.json", "--method", "circle")
+    words = (
+        "--images",
+        copy,
+        "--rig",
+        folder / "nominal.json",
+        "--out",
+        tmp_path / "rig.json",
+        "--method",
+        "circle",
+    )
     code, printed, message = run(capsys, *words, "--json")
     assert code == 2 and message.count("\n") == 1
     assert "white 1" in message and "white 4" in message and "white 2" not in message
     facts = json.loads(printed)
-    assert facts["show"] in message and Path(facts["show"]).is_file() and Path(facts["tips_out"]).is_file()
+    assert (
+        facts["show"] in message
+        and Path(facts["show"]).is_file()
+        and Path(facts["tips_out"]).is_file()
+    )
     assert not (tmp_path / "rig.json").exists()

@@ -1,4 +1,5 @@
-"""``splitknit calibrate radiometry``: a folder in, a rig or a verdict out, one sentence where it cannot."""
+"""``splitknit calibrate radiometry``: a folder in, a rig or a verdict out, one sentence where it
+cannot."""
 
 from __future__ import annotations
 
@@ -56,8 +57,15 @@ def refusal(capsys: pytest.CaptureFixture[str], *words: Any) -> str:
     return printed.err
 
 
-def test_a_rig_is_calibrated(card: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    rig_file, out, picture = tmp_path / "placed.json", tmp_path / "new" / "rig.json", tmp_path / "residuals.png"
+@pytest.mark.slow
+def test_a_rig_is_calibrated(
+    card: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    rig_file, out, picture = (
+        tmp_path / "placed.json",
+        tmp_path / "new" / "rig.json",
+        tmp_path / "residuals.png",
+    )
     write_rig(as_placed(built_rig(2, scale=SCALE)), rig_file)
     assert run(card, "--rig", rig_file, "--out", out, "--residuals", picture, "--json") == 0
     printed = capsys.readouterr()
@@ -65,7 +73,9 @@ def test_a_rig_is_calibrated(card: Path, tmp_path: Path, capsys: pytest.CaptureF
     assert printed.err == ""
     truth = built_rig(2, scale=SCALE)
     rig = read_rig(out)
-    scale = np.mean([led.intensity for led in truth.leds[:7]]) / np.mean([led.intensity for led in rig.leds[:7]])
+    scale = np.mean([led.intensity for led in truth.leds[:7]]) / np.mean(
+        [led.intensity for led in rig.leds[:7]]
+    )
     for led, true in zip(rig.leds[:7], truth.leds[:7], strict=True):
         assert led.intensity * scale == pytest.approx(true.intensity, rel=0.02)
         assert led.lobe_exponent == pytest.approx(true.lobe_exponent, abs=0.6)
@@ -80,12 +90,29 @@ def test_a_rig_is_calibrated(card: Path, tmp_path: Path, capsys: pytest.CaptureF
     assert shown.shape[2] == 3 and shown.shape[1] > 3 * shown.shape[0]
 
 
-def test_the_base_lies_as_the_camera_found_it(card: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+@pytest.mark.slow
+def test_the_base_lies_as_the_camera_found_it(
+    card: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     def tilt_of(deviation: float, *words: Any) -> Any:
         plane = {"tilt_xy_deg": [0.3, -0.2], "tilt_deg_deviation": deviation}
-        rig = replace(as_placed(built_rig(2, scale=SCALE)), provenance={"camera": {"residuals": {"plane": plane}}})
+        rig = replace(
+            as_placed(built_rig(2, scale=SCALE)),
+            provenance={"camera": {"residuals": {"plane": plane}}},
+        )
         write_rig(rig, tmp_path / "placed.json")
-        assert run(card, "--rig", tmp_path / "placed.json", "--out", tmp_path / "rig.json", "--json", *words) == 0
+        assert (
+            run(
+                card,
+                "--rig",
+                tmp_path / "placed.json",
+                "--out",
+                tmp_path / "rig.json",
+                "--json",
+                *words,
+            )
+            == 0
+        )
         return json.loads(capsys.readouterr().out)["card"]["tilt_deg"]
 
     assert tilt_of(0.1) == [0.3, -0.2]
@@ -93,18 +120,24 @@ def test_the_base_lies_as_the_camera_found_it(card: Path, tmp_path: Path, capsys
     assert tilt_of(0.1, "--card-tilt-deg", "0,0.1") == [0, 0.1]
 
 
+@pytest.mark.slow
 def test_same_folder_same_bytes(card: Path, calibrated: Path, tmp_path: Path) -> None:
     assert run(card, "--out", tmp_path / "rig.json") == 0
     assert (tmp_path / "rig.json").read_bytes() == calibrated.read_bytes()
 
 
-def test_a_later_card(card: Path, calibrated: Path, own: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_later_card(
+    card: Path, calibrated: Path, own: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     assert run(card, "--check", calibrated) == 0
     assert "All LEDs are as calibrated, within 3 %." in capsys.readouterr().out
     repaint(own / "white_3.png", lambda pixels: (pixels * 0.88).astype(pixels.dtype))
     before = calibrated.read_bytes()
     assert run(own, "--check", calibrated) == 0
-    assert "Please note: LED white 3 is 12 % darker than at the calibration." in capsys.readouterr().out
+    assert (
+        "Please note: LED white 3 is 12 % darker than at the calibration."
+        in capsys.readouterr().out
+    )
     assert run(own, "--check", calibrated, "--json") == 0
     facts = json.loads(capsys.readouterr().out)
     assert facts["verdict"] == "drifted"
@@ -114,6 +147,7 @@ def test_a_later_card(card: Path, calibrated: Path, own: Path, capsys: pytest.Ca
     assert calibrated.read_bytes() == before
 
 
+@pytest.mark.slow
 def test_srgb_files_must_say_so(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     from splitknit_simulator.camera.sensor import SensorSettings
 
@@ -122,11 +156,16 @@ def test_srgb_files_must_say_so(tmp_path: Path, capsys: pytest.CaptureFixture[st
     assert run(folder, "--out", tmp_path / "rig.json") == 0
     edit(folder / "capture.json", lambda document: document.update(encoding="linear"))
     printed = refusal(capsys, folder, "--out", tmp_path / "other.json")
-    assert 'are sRGB, but capture.json states "encoding": "linear"; write "encoding": "srgb"' in printed
+    assert (
+        'are sRGB, but capture.json states "encoding": "linear"; write "encoding": "srgb"'
+        in printed
+    )
     assert not (tmp_path / "other.json").exists()
 
 
-def test_processed_pictures_are_refused(own: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_processed_pictures_are_refused(
+    own: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     def contrast(pixels: Any) -> Any:
         light = pixels / 65535
         return np.round(65535 * (light - 0.03 * np.sin(2 * np.pi * light))).astype(np.uint16)
@@ -138,7 +177,10 @@ def test_processed_pictures_are_refused(own: Path, tmp_path: Path, capsys: pytes
     assert "radiometry.json" in printed
 
 
-def test_the_card_alone_will_do(own: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+@pytest.mark.slow
+def test_the_card_alone_will_do(
+    own: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     (own / "radiometry.json").unlink()
     assert run(own, "--out", tmp_path / "rig.json", "--json") == 0
     assert json.loads(capsys.readouterr().out)["response"] is None
@@ -150,7 +192,10 @@ def test_the_card_alone_will_do(own: Path, tmp_path: Path, capsys: pytest.Captur
         ({"darks": "dark.png"}, "unknown field darks"),
         ({"version": 2}, "version: Expected int <= 1"),
         ({"format": "splitknit-rig"}, "format: Expected splitknit-radiometry"),
-        ({"exposures": [{"file": "step_0.png", "exposure_s": 1}]}, "names 1 images, but at least 4"),
+        (
+            {"exposures": [{"file": "step_0.png", "exposure_s": 1}]},
+            "names 1 images, but at least 4",
+        ),
         (
             {"exposures": [{"file": f"step_{k}.png"} for k in range(4)]},
             "exposures[0]: Object missing required field exposure_s",
@@ -170,7 +215,9 @@ def test_documents_that_are_wrong(
     assert not (tmp_path / "rig.json").exists()
 
 
-def test_words_that_are_wrong(card: Path, calibrated: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_words_that_are_wrong(
+    card: Path, calibrated: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     out = tmp_path / "rig.json"
     assert "is not a capture folder" in refusal(capsys, tmp_path, "--out", out)
     assert "does not exist" in refusal(capsys, tmp_path / "none", "--out", out)

@@ -1,4 +1,5 @@
-"""``splitknit capture`` through the command line, on the twin and on a Raspberry Pi that is not there."""
+"""``splitknit capture`` through the command line, on the twin and on a Raspberry Pi that is not
+there."""
 
 from __future__ import annotations
 
@@ -42,7 +43,22 @@ def refused(capsys: Captured, *words: object, device: str = "twin") -> str:
 @pytest.fixture(scope="module")
 def done(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("capture") / "one"
-    assert run("--out", folder, *SMALL, "--seed", 3, "--subject", "S01", "--finger", "left_ring", "--session", 2) == 0
+    assert (
+        run(
+            "--out",
+            folder,
+            *SMALL,
+            "--seed",
+            3,
+            "--subject",
+            "S01",
+            "--finger",
+            "left_ring",
+            "--session",
+            2,
+        )
+        == 0
+    )
     return folder
 
 
@@ -100,17 +116,36 @@ def test_a_folder_that_reads_back_with_truth_and_session(done: Path):
     assert facts["verdict"] == []
 
 
+@pytest.mark.slow
 def test_the_same_command_gives_the_same_bytes(done: Path, tmp_path: Path):
     again = tmp_path / "again"
-    assert run("--out", again, *SMALL, "--seed", 3, "--subject", "S01", "--finger", "left_ring", "--session", 2) == 0
+    assert (
+        run(
+            "--out",
+            again,
+            *SMALL,
+            "--seed",
+            3,
+            "--subject",
+            "S01",
+            "--finger",
+            "left_ring",
+            "--session",
+            2,
+        )
+        == 0
+    )
     names = sorted(file.name for file in done.iterdir())
     assert names == sorted(file.name for file in again.iterdir())
     for name in names:
         assert (done / name).read_bytes() == (again / name).read_bytes(), name
 
 
+@pytest.mark.slow
 def test_json_is_one_object(tmp_path: Path, capsys: Captured):
-    assert run("--out", tmp_path / "c", *SMALL, "--json", "--set", "capture.exposure.target=0.5") == 0
+    assert (
+        run("--out", tmp_path / "c", *SMALL, "--json", "--set", "capture.exposure.target=0.5") == 0
+    )
     out, err = capsys.readouterr()
     facts = json.loads(out)
     assert err == ""
@@ -121,7 +156,9 @@ def test_json_is_one_object(tmp_path: Path, capsys: Captured):
 
 @pytest.mark.parametrize("what", [(), ("nail",)])
 def test_targets_for_calibration(what, tmp_path: Path, capsys: Captured):
-    assert run("--target", *what, "--out", tmp_path / "c", "--scale", 0.05, "--seed", 2, "--json") == 0
+    assert (
+        run("--target", *what, "--out", tmp_path / "c", "--scale", 0.05, "--seed", 2, "--json") == 0
+    )
     facts = json.loads(capsys.readouterr().out)
     assert facts["verdict"] == []
     assert len(facts["notes"]) == 1  # what stood there, and where
@@ -134,7 +171,9 @@ def test_targets_for_calibration(what, tmp_path: Path, capsys: Captured):
 
 
 def test_an_unknown_target_is_refused(tmp_path: Path, capsys: Captured):
-    assert "no target 'teapot'; it has card" in refused(capsys, "--target", "teapot", "--out", tmp_path / "c")
+    assert "no target 'teapot'; it has card" in refused(
+        capsys, "--target", "teapot", "--out", tmp_path / "c"
+    )
 
 
 def test_a_rig_file_decides_size_and_leds(tmp_path: Path):
@@ -146,31 +185,45 @@ def test_a_rig_file_decides_size_and_leds(tmp_path: Path):
     assert [led.intensity for led in capture.rig.leds] == [led.intensity for led in rig.leds]
 
 
-def test_a_finger_that_moved_is_not_written_and_the_verdict_is_said(tmp_path: Path, capsys: Captured, faults):
+@pytest.mark.slow
+def test_a_finger_that_moved_is_not_written_and_the_verdict_is_said(
+    tmp_path: Path, capsys: Captured, faults
+):
     faults(moves_mm={6: (0.5, 0.0)})
     printed = refused(capsys, "--out", tmp_path / "c", *SMALL)
-    assert "the finger moved by 0.5 mm between white 3 and white 4: hold still and capture again." in printed
+    assert (
+        "the finger moved by 0.5 mm between white 3 and white 4: hold still and capture again."
+        in printed
+    )
     assert list(tmp_path.iterdir()) == []
     assert run("--out", tmp_path / "c", *SMALL, "--keep", "--json") == 2
     out, err = capsys.readouterr()
     assert "kept in" in err
     assert json.loads((tmp_path / "c" / "session.json").read_text())["verdict"] != []
     read_capture(tmp_path / "c")
-    assert json.loads(out)["verdict"] == ["the finger moved by 0.5 mm between white 3 and white 4: hold still and "
-                                          "capture again"]  # fmt: skip
+    assert json.loads(out)["verdict"] == [
+        "the finger moved by 0.5 mm between white 3 and white 4: hold still and capture again"
+    ]
 
 
 def test_a_dead_led_is_named(tmp_path: Path, capsys: Captured, faults):
     faults(dead=frozenset({9}))
-    assert "nir 2 did not light; check its wiring" in refused(capsys, "--out", tmp_path / "c", *SMALL)
+    assert "nir 2 did not light; check its wiring" in refused(
+        capsys, "--out", tmp_path / "c", *SMALL
+    )
     assert list(tmp_path.iterdir()) == []
 
 
-def test_foreign_files_and_earlier_captures_are_not_replaced(done: Path, tmp_path: Path, capsys: Captured):
+@pytest.mark.slow
+def test_foreign_files_and_earlier_captures_are_not_replaced(
+    done: Path, tmp_path: Path, capsys: Captured
+):
     (tmp_path / "mine").mkdir()
     (tmp_path / "mine" / "diary.txt").write_text("x")
     assert "mine" in refused(capsys, "--out", tmp_path / "mine", *SMALL)
-    assert "not an earlier capture" in refused(capsys, "--out", tmp_path / "mine", *SMALL, "--overwrite")
+    assert "not an earlier capture" in refused(
+        capsys, "--out", tmp_path / "mine", *SMALL, "--overwrite"
+    )
     assert (tmp_path / "mine" / "diary.txt").read_text() == "x"
     before = (done / "white_0.png").read_bytes()
     assert "exists and is not empty" in refused(capsys, "--out", done, *SMALL)
@@ -188,7 +241,10 @@ def test_foreign_files_and_earlier_captures_are_not_replaced(done: Path, tmp_pat
         (("--out", "a", "--session", "0"), "numbered from 1"),
         (("--out", "a", "--subjects", "3"), "--subjects belongs to --enrolment"),
         (("--enrolment", "e", "--next", "0"), "--next"),
-        (("--enrolment", "e", "--fingers", "right_index,toe"), "Expected right_thumb or right_index"),
+        (
+            ("--enrolment", "e", "--fingers", "right_index,toe"),
+            "Expected right_thumb or right_index",
+        ),
         (("--enrolment", "e", "--overwrite"), "replaces nothing"),
         (("--out", "a", "--set", "capture.exposure.target=3"), "exposure.target"),
         (("--out", "a", "--set", "skin.nonsense=3"), "nonsense"),
@@ -206,10 +262,14 @@ def test_a_rig_of_another_camera_or_with_too_few_leds(tmp_path: Path, capsys: Ca
 
     rig = default_rig(0.05)
     write_rig(rig, tmp_path / "rig.json")
-    printed = refused(capsys, "--out", tmp_path / "c", "--rig", tmp_path / "rig.json", "--scale", 0.1)
+    printed = refused(
+        capsys, "--out", tmp_path / "c", "--rig", tmp_path / "rig.json", "--scale", 0.1
+    )
     assert "another camera: its images have 110 x 160" in printed
     write_rig(replace(rig, leds=rig.leds[:2] + rig.leds[7:]), tmp_path / "few.json")
-    assert "2 white LEDs" in refused(capsys, "--out", tmp_path / "c", "--rig", tmp_path / "few.json")
+    assert "2 white LEDs" in refused(
+        capsys, "--out", tmp_path / "c", "--rig", tmp_path / "few.json"
+    )
 
 
 class TestEnrolment:
@@ -219,7 +279,9 @@ class TestEnrolment:
         return run("--enrolment", folder, "--scale", 0.05, *words)
 
     @pytest.mark.slow
-    def test_stops_and_goes_on_until_all_are_done(self, tmp_path: Path, capsys: Captured, faults, monkeypatch):
+    def test_stops_and_goes_on_until_all_are_done(
+        self, tmp_path: Path, capsys: Captured, faults, monkeypatch
+    ):
         folder = tmp_path / "e"
         assert self.enrol(folder, *self.PLAN, "--next", 3, "--json") == 0
         facts = json.loads(capsys.readouterr().out)
@@ -292,12 +354,14 @@ class TestPi:
         assert list(tmp_path.iterdir()) == []
 
     @pytest.mark.parametrize(
-        "words", [("--scale", "0.5"), ("--seed", "3"), ("--pattern", "loop"), ("--set", "skin.melanin=0.1")]
+        "words",
+        [("--scale", "0.5"), ("--seed", "3"), ("--pattern", "loop"), ("--set", "skin.melanin=0.1")],
     )
     def test_settings_of_the_twin_are_refused(self, words, tmp_path: Path, capsys: Captured):
         assert "twin" in refused(capsys, "--out", tmp_path / "c", *words, device="pi")
 
 
+@pytest.mark.slow
 def test_sigterm_leaves_nothing_half_written(tmp_path: Path):
     out = tmp_path / "c"
     code = "import sys; from splitknit.cli.main import main; sys.exit(main())"

@@ -1,4 +1,5 @@
-"""Directions of lights from photographs of a chrome and of a grey ball, against the file that comes with them."""
+"""Directions of lights from photographs of a chrome and of a grey ball, against the file that comes
+with them."""
 
 from __future__ import annotations
 
@@ -10,7 +11,14 @@ import pytest
 
 from splitknit.cli.main import main
 from splitknit.errors import BadInput
-from splitknit_rig.calibration.sphere import Ball, ball_of_mask, chrome_directions, find_ball, grey_directions, rim_of
+from splitknit_rig.calibration.sphere import (
+    Ball,
+    ball_of_mask,
+    chrome_directions,
+    find_ball,
+    grey_directions,
+    rim_of,
+)
 
 pytestmark = pytest.mark.external
 
@@ -22,9 +30,16 @@ def photographs(request, data_dir):
     if not folder.is_dir():
         pytest.skip(f"{folder} is absent")
     kind = request.param
-    images = [cv2.imread(str(folder / kind / f"{kind}.{k}.png"), cv2.IMREAD_GRAYSCALE) for k in range(12)]
+    images = [
+        cv2.imread(str(folder / kind / f"{kind}.{k}.png"), cv2.IMREAD_GRAYSCALE) for k in range(12)
+    ]
     mask = cv2.imread(str(folder / kind / f"{kind}.mask.png"), cv2.IMREAD_GRAYSCALE) > 127
-    return kind, np.stack(images).astype(np.float32) / 255, mask, np.loadtxt(folder / "lights.txt", skiprows=1)
+    return (
+        kind,
+        np.stack(images).astype(np.float32) / 255,
+        mask,
+        np.loadtxt(folder / "lights.txt", skiprows=1),
+    )
 
 
 def errors_deg(found, truth):
@@ -37,7 +52,8 @@ def directions(kind, stack, ball):
 
 
 def test_directions(photographs):
-    """The file is itself an estimate: about its first two lights both balls agree with each other and not with it."""
+    """The file is itself an estimate: about its first two lights both balls agree with each other
+    and not with it."""
     kind, stack, mask, truth = photographs
     errors = errors_deg(directions(kind, stack, ball_of_mask(mask)), truth)
     assert np.median(errors) < (2.2 if kind == "chrome" else 3.0)
@@ -62,9 +78,13 @@ def test_both_balls_agree(data_dir):
         folder = data_dir / "psm_spheres" / kind
         if not folder.is_dir():
             pytest.skip(f"{folder} is absent")
-        images = [cv2.imread(str(folder / f"{kind}.{k}.png"), cv2.IMREAD_GRAYSCALE) for k in range(12)]
+        images = [
+            cv2.imread(str(folder / f"{kind}.{k}.png"), cv2.IMREAD_GRAYSCALE) for k in range(12)
+        ]
         mask = cv2.imread(str(folder / f"{kind}.mask.png"), cv2.IMREAD_GRAYSCALE) > 127
-        found.append(directions(kind, np.stack(images).astype(np.float32) / 255, ball_of_mask(mask)))
+        found.append(
+            directions(kind, np.stack(images).astype(np.float32) / 255, ball_of_mask(mask))
+        )
     errors = errors_deg(*found)
     assert np.median(errors) < 2.0 and errors.mean() < 2.1 and errors.max() < 5.6
 
@@ -88,11 +108,18 @@ def test_a_chrome_ball_gives_the_lights_of_a_grey_one(data_dir, tmp_path, name):
     if not folder.is_dir():
         pytest.skip(f"{folder} is absent")
     out, result, mask = tmp_path / name, tmp_path / "result", folder / "gray" / "gray.mask.png"
-    found = ["--images", str(folder / "chrome"), "--mask", str(folder / "chrome" / "chrome.mask.png")]
+    found = [
+        "--images",
+        str(folder / "chrome"),
+        "--mask",
+        str(folder / "chrome" / "chrome.mask.png"),
+    ]
     assert main(["calibrate", "lights", "--sphere", "chrome", *found, "--out", str(out)]) == 0
     given = ["--images", str(folder / "gray"), "--mask", str(mask), "--lights", str(out)]
     assert main(["reconstruct", *given, "--out", str(result)]) == 0
-    codes = {finding["code"] for finding in json.loads((result / "report.json").read_text())["findings"]}
+    codes = {
+        finding["code"] for finding in json.loads((result / "report.json").read_text())["findings"]
+    }
     assert "assumed-encoding" in codes and "light-frame" not in codes
     inside = cv2.imread(str(mask), cv2.IMREAD_GRAYSCALE) > 127
     ball = ball_of_mask(inside).normals(inside.shape)

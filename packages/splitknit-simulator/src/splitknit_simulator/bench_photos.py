@@ -1,4 +1,5 @@
-"""All photographs that calibrate a rig, of a simulated one, so that calibration is measured without hardware."""
+"""All photographs that calibrate a rig, of a simulated one, so that calibration is measured without
+hardware."""
 
 from __future__ import annotations
 
@@ -24,8 +25,20 @@ from splitknit_simulator.calibration_set.bench import (
     photograph_bench,
     well_exposed,
 )
-from splitknit_simulator.calibration_set.flat import BoardScene, CardScene, PrintedBoard, board_poses
-from splitknit_simulator.calibration_set.solids import Lines, NailScene, SphereScene, directions, mirrored, unit
+from splitknit_simulator.calibration_set.flat import (
+    BoardScene,
+    CardScene,
+    PrintedBoard,
+    board_poses,
+)
+from splitknit_simulator.calibration_set.solids import (
+    Lines,
+    NailScene,
+    SphereScene,
+    directions,
+    mirrored,
+    unit,
+)
 from splitknit_simulator.camera.device import LitScene
 from splitknit_simulator.camera.sensor import SensorSettings, binning_scale, record
 from splitknit_simulator.light.films import reflected_through
@@ -38,7 +51,8 @@ NAIL_PLACES_MM = ((-5.0, -3.5), (5.5, -3.0), (4.5, 4.0), (-5.5, 3.5))
 """Where the nail stands: all shadows stay in a picture of 42 x 29 mm."""
 BOARD = PrintedBoard(rows=6, columns=9, square_mm=3.0)
 EXPOSURES_S = (0.002, 0.004, 0.006, 0.008, 0.010, 0.012)
-PUPIL_MM = 1.6  # a lens of 12.8 mm at f/8: boards that are held obliquely are blurred by up to a few pixels
+# a lens of 12.8 mm at f/8: boards that are held obliquely are blurred by up to a few pixels
+PUPIL_MM = 1.6
 _LONGEST = EXPOSURES_S[-1]
 _EXPOSED = 0.9
 _LONGER = 64.0  # the ball behind a crossed analyser is exposed longer, up to so many times
@@ -68,9 +82,10 @@ def bench_to_folder(
     """Photograph everything that calibrates the rig that person `seed` built.
 
     Writes ``board/`` (the checkerboard in the hand), ``plane.png`` (the same on the finger plane),
-    ``nail/nail_K/`` (the nail under every LED), ``card/`` (a capture folder of a white card, with an exposure
-    series), ``polarisers/`` where asked for, ``rig_drawn.json`` (the nominal rig) and ``rig_true.json`` (what
-    calibration should find). Raises BadInput if `out` holds something else, or numbers are out of range.
+    ``nail/nail_K/`` (the nail under every LED), ``card/`` (a capture folder of a white card, with
+    an exposure series), ``polarisers/`` where asked for, ``rig_drawn.json`` (the nominal rig) and
+    ``rig_true.json`` (what calibration should find). Raises BadInput if `out` holds something else,
+    or numbers are out of range.
     """
     photos = photos or BenchPhotos()
     check_capture(out, overwrite=overwrite, marker=MARKER, words="an earlier simulated bench")
@@ -78,14 +93,18 @@ def bench_to_folder(
     count = photos.boards + photos.nails + 2 + 2 * photos.polarisers
     ball = None
     if photos.polarisers:
-        films, ball = drawn_films(rig, np.random.SeedSequence([seed, 0xF1]), BenchSettings(aperture_mm=PUPIL_MM))
+        films, ball = drawn_films(
+            rig, np.random.SeedSequence([seed, 0xF1]), BenchSettings(aperture_mm=PUPIL_MM)
+        )
         rig = replace(rig, films=films)
     with atomic_folder(out, overwrite=overwrite) as target:
         write_rig(rig, target / MARKER)
         write_rig(drawn, target / "rig_drawn.json")
         # one scene after another: each keeps arrays of the picture's size
         jobs = _jobs(rig, photos, np.random.SeedSequence([seed, 0xBE]))
-        behind = () if ball is None else behind_films(rig, ball, np.random.SeedSequence([seed, 0xF2]))
+        behind = (
+            () if ball is None else behind_films(rig, ball, np.random.SeedSequence([seed, 0xF2]))
+        )
         for k, (stage, job) in enumerate(chain(jobs, behind)):
             progress(stage, k / count)
             job(target)
@@ -102,15 +121,26 @@ def bench_to_folder(
     }
 
 
-def _jobs(rig: Rig, photos: BenchPhotos, seeds: np.random.SeedSequence) -> Iterator[tuple[str, Callable[[Path], None]]]:
+def _jobs(
+    rig: Rig, photos: BenchPhotos, seeds: np.random.SeedSequence
+) -> Iterator[tuple[str, Callable[[Path], None]]]:
     tilt = tuple(rig.provenance["base_tilt_deg"])
-    under: dict[str, Any] = {"camera": rig.camera, "leds": rig.leds, "bench": BenchSettings(aperture_mm=PUPIL_MM)}
+    under: dict[str, Any] = {
+        "camera": rig.camera,
+        "leds": rig.leds,
+        "bench": BenchSettings(aperture_mm=PUPIL_MM),
+    }
     white = [k for k, led in enumerate(rig.leds) if led.band == "white"]
     of_boards, of_plane, of_nails, of_card = seeds.spawn(4)
     board_seed = int(of_boards.generate_state(1)[0])
     for k, pose in enumerate(board_poses(board_seed, photos.boards, rig.camera, BOARD)):
         scene = BoardScene(**under, board=BOARD, **pose)
-        yield "board", partial(_one, scene, white, of_boards.spawn(1)[0], Path("board") / f"board_{k:02d}.png")
+        yield (
+            "board",
+            partial(
+                _one, scene, white, of_boards.spawn(1)[0], Path("board") / f"board_{k:02d}.png"
+            ),
+        )
     turn = np.deg2rad(tilt)
     plane = BoardScene(**under, board=BOARD, rotation_vector=(float(turn[0]), float(turn[1]), 0.0))
     yield "plane", partial(_one, plane, white, of_plane.spawn(1)[0], Path("plane.png"))
@@ -128,7 +158,9 @@ def behind_films(
     assert rig.films is not None
     tilt = np.deg2rad(rig.provenance["base_tilt_deg"])
     pose = (float(tilt[0]), float(tilt[1]), 0.0)
-    card = BoardScene(camera=rig.camera, leds=rig.leds, bench=ball.bench, board=BOARD, rotation_vector=pose)
+    card = BoardScene(
+        camera=rig.camera, leds=rig.leds, bench=ball.bench, board=BOARD, rotation_vector=pose
+    )
     away, folder = behind_analyser(rig.camera, rig.films), Path("polarisers")
     series: dict[str, LitScene] = {"white": card, "white_crossed": replace(card, camera=away)}
     yield "card", partial(_polarised, series, rig, seed.spawn(1)[0], np.inf, folder / "card")
@@ -145,7 +177,8 @@ def _polarised(  # noqa: PLR0917
     folder: Path,
     target: Path,
 ) -> None:
-    """A capture folder of what is behind films under every white LED, each image with its own exposure."""
+    """A capture folder of what is behind films under every white LED, each image with its own
+    exposure."""
     films, bands, sensor = rig.films, {}, SensorSettings(bits=16)
     assert films is not None
     for name, scene in series.items():
@@ -156,21 +189,31 @@ def _polarised(  # noqa: PLR0917
                 light *= np.array(films.brightness[k], dtype=np.float32)
             exposures.append(min(0.7 / float(light.max()), longest))
             light = light * np.float32(exposures[-1])
-            pixels.append(record(light, "white", seed.spawn(1)[0], sensor, binning_scale(scene.camera)))
+            pixels.append(
+                record(light, "white", seed.spawn(1)[0], sensor, binning_scale(scene.camera))
+            )
         polarisation = "parallel" if name == "white" else "crossed"
         bands[name] = _band(name, pixels, films.leds, exposures, polarisation=polarisation)
     drawn = nominal_rig(rig.camera.image_size[0] / 2200)
-    write_capture(Capture(rig=drawn, bands=bands, material="opaque"), target / folder, overwrite=True)
+    write_capture(
+        Capture(rig=drawn, bands=bands, material="opaque"), target / folder, overwrite=True
+    )
 
 
 def _band(
-    name: str, images: Sequence[PixelArray], leds: Sequence[int], exposures: Sequence[float], **more: Any
+    name: str,
+    images: Sequence[PixelArray],
+    leds: Sequence[int],
+    exposures: Sequence[float],
+    **more: Any,
 ) -> Band:
     groups, black = tuple((led,) for led in leds), np.zeros(len(images))
     return Band(name, np.stack(images), groups, np.array(exposures), black, **more)  # type: ignore[arg-type]
 
 
-def _one(scene: LitScene, lit: Sequence[int], seed: np.random.SeedSequence, name: Path, target: Path) -> None:
+def _one(
+    scene: LitScene, lit: Sequence[int], seed: np.random.SeedSequence, name: Path, target: Path
+) -> None:
     pixels = photograph_bench(scene, lit, seed, exposure=well_exposed(scene, [lit]))
     (target / name).parent.mkdir(exist_ok=True, parents=True)
     write_image(target / name, pixels)
@@ -193,7 +236,10 @@ def _card(scene: CardScene, rig: Rig, seed: np.random.SeedSequence, target: Path
     for name in ("white", "nir"):
         members = [k for k, led in enumerate(rig.leds) if led.band == name]
         exposure = well_exposed(scene, [[k] for k in members])
-        images = [photograph_bench(scene, [k], seed.spawn(1)[0], exposure=exposure, band=name) for k in members]
+        images = [
+            photograph_bench(scene, [k], seed.spawn(1)[0], exposure=exposure, band=name)
+            for k in members
+        ]
         ambient = photograph_bench(scene, [], seed.spawn(1)[0], exposure=exposure, band=name)
         bands[name] = _band(name, images, members, [1.0] * len(members), ambient=ambient)
     # the folder's rig is the one that is known before the calibration: the drawing's
@@ -203,30 +249,36 @@ def _card(scene: CardScene, rig: Rig, seed: np.random.SeedSequence, target: Path
     steps = []
     brightest = well_exposed(scene, [[0]], _EXPOSED)
     for k, seconds in enumerate(EXPOSURES_S):
-        pixels = photograph_bench(scene, [0], seed.spawn(1)[0], exposure=brightest * seconds / _LONGEST)
+        pixels = photograph_bench(
+            scene, [0], seed.spawn(1)[0], exposure=brightest * seconds / _LONGEST
+        )
         write_image(folder / f"step_{k}.png", pixels)
         steps.append({"file": f"step_{k}.png", "exposure_s": seconds})
     document = {"format": "splitknit-radiometry", "version": 1, "exposures": steps}
     (folder / "radiometry.json").write_text(json.dumps(document, indent=2) + "\n", encoding="ascii")
 
 
-# Polarising films: a glossy black ball reflects an LED's light with Fresnel's signed amplitudes; cards and the ball's
-# body return it depolarised.
+# Polarising films: a glossy black ball reflects an LED's light with Fresnel's signed amplitudes;
+# cards and the ball's body return it depolarised.
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class BlackBallScene(SphereScene):
-    """A glossy ball whose body and ground return a few per cent of the light, half of which passes the analyser."""
+    """A glossy ball whose body and ground return a few per cent of the light, half of which passes
+    the analyser."""
 
     radius_mm: float = 14.0
     chrome: bool = True
     reflectance: float | None = 0.01
     ground: float = 0.025
     extinction: float = 1000.0  # extinction of both films together; each is twice as good
-    angle_deg: tuple[float, ...] = ()  # angle of each LED's polariser, from the image's columns towards up
+    # angle of each LED's polariser, from the image's columns towards up
+    angle_deg: tuple[float, ...] = ()
     analyser_deg: float = 0.0
 
-    def _mirrored(self, leds: tuple[Led, ...], lines: SightLines, seen: Lines, reflectance: float) -> Array:
+    def _mirrored(
+        self, leds: tuple[Led, ...], lines: SightLines, seen: Lines, reflectance: float
+    ) -> Array:
         rays, view = mirrored(lines, seen), -directions(lines)
         image = self._matt(leds, *seen, reflectance)
         for led in leds:
@@ -236,24 +288,31 @@ class BlackBallScene(SphereScene):
         return image
 
     def _passed(self, led: Led, towards: Array, view: Array) -> Array:
-        """Fraction of an LED's light that passes both films and is reflected, of the directions (..., 3) to both."""
+        """Fraction of an LED's light that passes both films and is reflected, of the directions
+        (..., 3) to both."""
         to_led, to_camera = (np.moveaxis(way, -1, 0) for way in (towards, view))
-        polariser, analyser = (float(np.deg2rad(a)) for a in (self.angle_deg[self.leds.index(led)], self.analyser_deg))
-        leak = self.extinction - float(np.sqrt(self.extinction**2 - 1.0))  # of both films 2 leak / (1 + leak^2)
+        polariser, analyser = (
+            float(np.deg2rad(a)) for a in (self.angle_deg[self.leds.index(led)], self.analyser_deg)
+        )
+        # of both films 2 leak / (1 + leak^2)
+        leak = self.extinction - float(np.sqrt(self.extinction**2 - 1.0))
         return 0.5 * reflected_through(to_led, to_camera, polariser, analyser, leak)
 
     def leak(self, index: int) -> float:
         """What is left of an LED's reflection towards the camera when films are crossed."""
         point, led = self.highlights_mm()[index], self.leds[index]
         ways = unit(np.asarray(led.position_mm) - point), unit(self._towards_camera(point))
-        level, up = (float(replace(self, analyser_deg=angle)._passed(led, *ways)) for angle in (0.0, 90.0))
+        level, up = (
+            float(replace(self, analyser_deg=angle)._passed(led, *ways)) for angle in (0.0, 90.0)
+        )
         return up / (level + up)
 
 
 def drawn_films(
     rig: Rig, seed: np.random.SeedSequence, bench: BenchSettings, extinction: float | None = None
 ) -> tuple[Films, BlackBallScene]:
-    """Films as a person cuts and mounts them, as calibration should find them, and the ball behind them.
+    """Films as a person cuts and mounts them, as calibration should find them, and the ball behind
+    them.
 
     The extinction ratio is drawn between 100 and 5000 where it is not given.
     """
@@ -263,7 +322,9 @@ def drawn_films(
     drawn = float(np.exp(rng.uniform(np.log(100.0), np.log(5000.0))))
     extinction = drawn if extinction is None else extinction
     turned = tuple(float(angle) for angle in angles)
-    ball = BlackBallScene(camera=rig.camera, leds=rig.leds, bench=bench, extinction=extinction, angle_deg=turned)
+    ball = BlackBallScene(
+        camera=rig.camera, leds=rig.leds, bench=bench, extinction=extinction, angle_deg=turned
+    )
     tint = rng.uniform(0.93, 1.02, 3) * rng.uniform(0.95, 1.05, (len(leds), 1))
     x, y = rng.uniform(-2.0, 2.0, 2)
     films = Films(

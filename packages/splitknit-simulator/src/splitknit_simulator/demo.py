@@ -1,4 +1,5 @@
-"""The demonstration: a simulated finger, photographed, reconstructed by two methods, compared with its true surface."""
+"""The demonstration: a simulated finger, photographed, reconstructed by two methods, compared with
+its true surface."""
 
 from __future__ import annotations
 
@@ -19,13 +20,20 @@ WRITTEN = {
 
 
 @checked
-def demo(*, out: AnyPath = Path("demo"), seed: Natural = 1, scale: Scale = 0.5, progress: Progress = silent) -> Report:
+def demo(
+    *,
+    out: AnyPath = Path("demo"),
+    seed: Natural = 1,
+    scale: Scale = 0.5,
+    progress: Progress = silent,
+) -> Report:
     """Simulate a finger, reconstruct it, compare it with the truth.
 
     Parameters
     ----------
     out
-        Folder to write: ``capture``, ``metric``, ``ea`` and the report that compares them, all or nothing.
+        Folder to write: ``capture``, ``metric``, ``ea`` and the report that compares them, all or
+        nothing.
     seed
         Which finger.
     scale
@@ -42,7 +50,8 @@ def demo(*, out: AnyPath = Path("demo"), seed: Natural = 1, scale: Scale = 0.5, 
 
     Examples
     --------
-    >>> demo(out="demo", scale=0.1).facts["comparison"]["metric"]["ridge_correlation"]  # doctest: +SKIP
+    >>> facts = demo(out="demo", scale=0.1).facts  # doctest: +SKIP
+    >>> facts["comparison"]["metric"]["ridge_correlation"]  # doctest: +SKIP
     0.97
     """
     from splitknit import read_capture, reconstruct, write_capture
@@ -73,11 +82,14 @@ def demo(*, out: AnyPath = Path("demo"), seed: Natural = 1, scale: Scale = 0.5, 
         facts = report.write(target, list(WRITTEN))
     progress("done", 1.0)
     total_s = time.perf_counter() - started
-    lines = [f"A simulated finger was photographed, reconstructed and compared with the truth in {total_s:.0f} s."]
+    lines = [
+        "A simulated finger was photographed, reconstructed and compared with the truth in"
+        f" {total_s:.0f} s."
+    ]
     for preset, figure in facts["comparison"].items():
         lines.append(
-            f"  {preset:7s} surface rms {figure['surface_rms_mm']:.3f} mm, "
-            f"ridge correlation {figure['ridge_correlation']:.2f}, ridge gain {figure['ridge_gain']:.2f}"
+            f"  {preset:7s} surface rms {figure['surface_rms_mm']:.3f} mm, ridge correlation"
+            f" {figure['ridge_correlation']:.2f}, ridge gain {figure['ridge_gain']:.2f}"
         )
     lines.append(f"Open {folder / 'report.html'} in a browser. Also written:")
     lines += [f"  {folder / name}: {what}" for name, what in WRITTEN.items()]

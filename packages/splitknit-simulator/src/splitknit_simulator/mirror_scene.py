@@ -27,7 +27,13 @@ from splitknit_simulator.light.renderer import (
     render_lights,
 )
 from splitknit_simulator.light.skin import SkinOptics
-from splitknit_simulator.mirror_view import Coverage, Light, ReflectedView, lights_of, outline_coverage
+from splitknit_simulator.mirror_view import (
+    Coverage,
+    Light,
+    ReflectedView,
+    lights_of,
+    outline_coverage,
+)
 from splitknit_simulator.rigs import holder_profile, holder_quad
 from splitknit_simulator.scene import (
     BACKGROUND_MM,
@@ -41,13 +47,21 @@ from splitknit_simulator.scene import (
 from splitknit_simulator.surface import Array, SimulatedSurface
 
 
-def _light_through(patch: Patch, lights: Sequence[Light], roughness: float) -> tuple[FloatArray, FloatArray]:
-    """(h, w) irradiance that enters the skin and radiance that its surface reflects, of all `lights` together."""
+def _light_through(
+    patch: Patch, lights: Sequence[Light], roughness: float
+) -> tuple[FloatArray, FloatArray]:
+    """(h, w) irradiance that enters the skin and radiance that its surface reflects, of all
+    `lights` together."""
     entering, gloss = np.zeros((2, *patch.mask.shape), dtype=np.float32)
     for light in lights:
-        with np.errstate(divide="ignore", invalid="ignore"):  # light from straight behind, where nothing is lit
+        # light from straight behind, where nothing is lit
+        with np.errstate(divide="ignore", invalid="ignore"):
             parts = light_on(patch, light.led, roughness, LED_RADIUS_MM)
-        fraction = 1 if light.gate is None else light.gate.fraction(patch.x, patch.y, patch.z, light.led, LED_RADIUS_MM)
+        fraction = (
+            1
+            if light.gate is None
+            else light.gate.fraction(patch.x, patch.y, patch.z, light.led, LED_RADIUS_MM)
+        )
         entering += parts[0] * fraction
         gloss += parts[1] * fraction
     return entering, gloss
@@ -67,7 +81,8 @@ class MirrorScene:
         surface, rig, skin = subject
         self.views, self.rig, self.skin, self.settings = tuple(seen), rig, skin, settings
         self.front = Scene(subject, settings, np.random.default_rng(seed))
-        if settings.render.aperture_mm > 0.0:  # what a mirror shows lies as deep as its image behind the mirror
+        # what a mirror shows lies as deep as its image behind the mirror
+        if settings.render.aperture_mm > 0.0:
             depth, top = finger_depth(surface)
             for view in self.views:
                 cover = view.coverage
@@ -80,23 +95,30 @@ class MirrorScene:
         self.masks: list[BoolArray] = []
         for view in self.views:
             self.frames.append(_mirror_frame(view, self.mirrors, rig.camera))
-            mask = view.mask & self.free  # not the lip, not the lip in the mirror, not the finger itself
+            # not the lip, not the lip in the mirror, not the finger itself
+            mask = view.mask & self.free
             for plate in (*self.frames[-1].reflected_lip, *self.frames[-1].lip):
                 mask[plate.coverage.window] &= plate.coverage.fraction < 0.5
             self.masks.append(mask)
             require(
                 bool(self.masks[-1].any()),
-                f"the lip of the {view.mirror.name} mirror's holder hides the finger; lift it or lower the mirror.",
+                f"the lip of the {view.mirror.name} mirror's holder hides the finger; lift it or"
+                " lower the mirror.",
             )
 
     def photograph(self, name: str, seed: np.random.SeedSequence) -> Taken:
-        """Images of one band, the glare (L, H, W) in the images' units, and the exposure, as :class:`Scene` does."""
+        """Images of one band, the glare (L, H, W) in the images' units, and the exposure, as
+        :class:`Scene` does."""
         members = [k for k, led in enumerate(self.rig.leds) if led.band == name]
         leds = [self.rig.leds[k] for k in members]
         lit = [lights_of(led, self.mirrors) for led in leds]
         front = self._render(self.front.surface, lit, name)
         sides = [
-            self._render(view.surface, [[light.reflected(view.reflection) for light in group] for group in lit], name)
+            self._render(
+                view.surface,
+                [[light.reflected(view.reflection) for light in group] for group in lit],
+                name,
+            )
             for view in self.views
         ]
         exposure = np.float32(self.settings.sensor.exposure / self._brightest(front, sides))
@@ -111,16 +133,24 @@ class MirrorScene:
         band = self.front.take(name, [(k,) for k in members], shoot, ambient * exposure, seed)
         return band, glare, np.array(float(exposure))
 
-    def _render(self, surface: SimulatedSurface, lights: Sequence[Sequence[Light]], name: str) -> BandLight:
-        """Light of a finger, or its reflection, in as many images as there are groups of `lights`."""
+    def _render(
+        self, surface: SimulatedSurface, lights: Sequence[Sequence[Light]], name: str
+    ) -> BandLight:
+        """Light of a finger, or its reflection, in as many images as there are groups of
+        `lights`."""
         skin, patch = self.skin.medium(name), cut_out(surface)
 
         def shine(k: int) -> tuple[FloatArray, FloatArray, None]:
             entering, gloss = _light_through(patch, lights[k], skin.roughness)
             return entering, gloss * np.float32(skin.glare), None
 
-        blur, relief = SubsurfaceScattering(patch, skin, self.settings.render), Relief(surface, patch, skin)
-        return render_lights(patch, shine, len(lights), blur, lambda k: relief.gains(lights[k][0].led))
+        blur, relief = (
+            SubsurfaceScattering(patch, skin, self.settings.render),
+            Relief(surface, patch, skin),
+        )
+        return render_lights(
+            patch, shine, len(lights), blur, lambda k: relief.gains(lights[k][0].led)
+        )
 
     def _frame(self, front: BandLight, sides: Sequence[BandLight], k: int, led: Led) -> FloatArray:
         """(H, W, 3) radiance of the whole picture under light k."""
@@ -130,15 +160,17 @@ class MirrorScene:
         for view, plates, light in zip(self.views, self.frames, sides, strict=True):
             # (H, W, 3) radiance of what a mirror shows behind the finger
             above = np.array([0.0, 0.0, 1.0])
-            wall = plates.wall.radiance(led) + _STRAY_SHARE * plates.wall.albedo / np.pi * _received(
-                led, np.zeros(3), above
-            )
+            wall = plates.wall.radiance(
+                led
+            ) + _STRAY_SHARE * plates.wall.albedo / np.pi * _received(led, np.zeros(3), above)
             content = np.full((*camera.image_size, 3), wall, dtype=np.float32)
             for cover in plates.opposite:
                 _blend(content, cover, np.float32(_LID_SHARE * wall))
             inside = content
             _put(inside, view.surface, light.window, light.diffuse[k] + light.glare[k])
-            self._over(frame, (view, plates), inside, lambda plate: plate.radiance(led), self.front.shade)
+            self._over(
+                frame, (view, plates), inside, lambda plate: plate.radiance(led), self.front.shade
+            )
         return frame
 
     def _over(
@@ -149,7 +181,8 @@ class MirrorScene:
         radiance: Callable[[_Plate], float],
         shade: FloatArray | None = None,
     ) -> None:
-        """Lay a mirror that shows `inside` (H, W, 3), and its holder, over `frame`; `shade` (H, 1): the hand's."""
+        """Lay a mirror that shows `inside` (H, W, 3), and its holder, over `frame`; `shade` (H, 1):
+        the hand's."""
         view, plates = seen
         for plate in plates.reflected_lip:
             _blend(inside, plate.coverage, np.float32(radiance(plate)))
@@ -179,7 +212,9 @@ class MirrorScene:
         for view, mask, light in zip(self.views, self.masks, sides, strict=True):
             if mask[light.window][::4, ::4].any():
                 reflected = light.diffuse * mask[light.window] * np.float32(view.mirror.reflectance)
-                values.append(brightest(reflected, None if fallen is None else fallen[light.window]))
+                values.append(
+                    brightest(reflected, None if fallen is None else fallen[light.window])
+                )
         return max(values)
 
     def _ambient(self, name: str, leds: list[Led]) -> FloatArray:
@@ -190,15 +225,20 @@ class MirrorScene:
             return frame
         for view, plates in zip(self.views, self.frames, strict=True):
             up = view.reflection.vectors(np.array([0.0, 0.0, 1.0]))
-            light = render_ambient(view.surface, level, self.skin.medium(name), self.settings.render, up)
+            light = render_ambient(
+                view.surface, level, self.skin.medium(name), self.settings.render, up
+            )
             inside = np.full_like(frame, np.float32(0.5 * level * _PLASTIC_ALBEDO))
             _put(inside, view.surface, finger_window(view.surface), light)
             self._over(frame, (view, plates), inside, lambda plate: level * plate.albedo)
         return frame
 
 
-def _put(frame: FloatArray, surface: SimulatedSurface, window: tuple[slice, slice], light: FloatArray) -> None:
-    """Write the light of a finger (C, h, w) over `frame` (H, W, 3) where the finger is seen, in place."""
+def _put(
+    frame: FloatArray, surface: SimulatedSurface, window: tuple[slice, slice], light: FloatArray
+) -> None:
+    """Write the light of a finger (C, h, w) over `frame` (H, W, 3) where the finger is seen, in
+    place."""
     colours = np.broadcast_to(np.moveaxis(light, 0, -1), frame[window].shape)
     np.copyto(frame[window], colours, where=surface.mask[window][..., None])
 
@@ -209,8 +249,10 @@ def _put(frame: FloatArray, surface: SimulatedSurface, window: tuple[slice, slic
 _PLASTIC_ALBEDO = 0.04  # albedo of holders and tube: black print
 _GLASS_ALBEDO = 0.12  # albedo of the mirrors' ground upper edge
 _TUBE_MM = 52.0  # inner radius of the tube around the finger
-_STRAY_SHARE = 0.1  # light that comes to the tube by way of other things, against that of a white card under the LED
-_LID_SHARE = 0.2  # light from what hangs above the finger, which a second mirror shows, against that from the tube
+# light that comes to the tube by way of other things, against that of a white card under the LED
+_STRAY_SHARE = 0.1
+# light from what hangs above the finger, which a second mirror shows, against that from the tube
+_LID_SHARE = 0.2
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -240,16 +282,26 @@ class _Frame:
 
 
 def _mirror_frame(view: ReflectedView, mirrors: Sequence[Mirror], camera: Camera) -> _Frame:
-    """Lay out what surrounds the finger in and around one mirror; the holders stand where the drawing has them."""
+    """Lay out what surrounds the finger in and around one mirror; the holders stand where the
+    drawing has them."""
     name, profile = view.mirror.name, holder_profile()
-    inwards = {"left": np.array([1.0, 0, 0]), "right": np.array([-1.0, 0, 0]), "tip": np.array([0, -1.0, 0])}[name]
+    inwards = {
+        "left": np.array([1.0, 0, 0]),
+        "right": np.array([-1.0, 0, 0]),
+        "tip": np.array([0, -1.0, 0]),
+    }[name]
 
     def quad(line: str) -> Array:
         return holder_quad(name, camera, *profile[line])
 
     def plate(line: str, albedo: float = _PLASTIC_ALBEDO) -> _Plate:
         corners = quad(line)
-        return _Plate(outline_coverage(camera, corners), corners.mean(axis=0), _face_normal(corners, inwards), albedo)
+        return _Plate(
+            outline_coverage(camera, corners),
+            corners.mean(axis=0),
+            _face_normal(corners, inwards),
+            albedo,
+        )
 
     lip = (plate("lip_front"), plate("lip"))
     reflected = tuple(
@@ -275,13 +327,19 @@ def _face_normal(corners: Array, inwards: Array) -> Array:
     return np.asarray(normal if lean > 0 else -normal)
 
 
-def _blend(frame: FloatArray, cover: Coverage, over: FloatArray | np.float32, free: BoolArray | None = None) -> None:
-    """Replace what `cover` covers of `frame` (H, W, 3) by `over` (H, W, 3), in place; only where `free` (H, W)."""
+def _blend(
+    frame: FloatArray, cover: Coverage, over: FloatArray | np.float32, free: BoolArray | None = None
+) -> None:
+    """Replace what `cover` covers of `frame` (H, W, 3) by `over` (H, W, 3), in place; only where
+    `free` (H, W)."""
     fraction = cover.fraction if free is None else cover.fraction * free[cover.window]
     some = frame[cover.window]
-    some += fraction[..., None] * ((over[cover.window] if isinstance(over, np.ndarray) else over) - some)
+    some += fraction[..., None] * (
+        (over[cover.window] if isinstance(over, np.ndarray) else over) - some
+    )
 
 
 def _received(led: Led, point: Array, normal: Array) -> float:
-    """Light of an LED, and of those lit with it, on a facet at `point` (3,) that faces `normal` (3,)."""
+    """Light of an LED, and of those lit with it, on a facet at `point` (3,) that faces `normal`
+    (3,)."""
     return sum(float(irradiance(lamp, point, normal)) for lamp in (led, *led.also))

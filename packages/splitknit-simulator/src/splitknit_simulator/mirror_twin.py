@@ -13,7 +13,13 @@ from splitknit import Camera, Capture, Mirror, Rig
 from splitknit.errors import require
 from splitknit.model import BoolArray
 from splitknit_simulator.camera.lens import picture_on_plane
-from splitknit_simulator.finger.finger import FingerPose, PoseRanges, SimulatedFinger, finger_surface, placement_of
+from splitknit_simulator.finger.finger import (
+    FingerPose,
+    PoseRanges,
+    SimulatedFinger,
+    finger_surface,
+    placement_of,
+)
 from splitknit_simulator.finger.raycast import PlacedFinger, Placement
 from splitknit_simulator.finger.shape import FingerBody
 from splitknit_simulator.finger.skin_map import SkinMap, skin_map
@@ -25,15 +31,18 @@ from splitknit_simulator.scene import TwinSettings, surface_truth, take_capture
 from splitknit_simulator.surface import Array
 
 _INSERTION_MM = (28.7, 30.3)
-"""From the lower image border to the tip, in place of the pose ranges' own; cut to the tip's stop."""
+"""From the lower image border to the tip, in place of the pose ranges' own; cut to the tip's
+stop."""
 _FADE_MM = 3.0  # width over which the ridges fade
 
 _AROUND_MM, _OVER_TIP_MM = 12.0, 10.0
-"""How much further than the master print the skin's map reaches, to either side and beyond the tip."""
+"""How much further than the master print the skin's map reaches, to either side and beyond the
+tip."""
 
 
 def rig_with_mirrors(settings: TwinSettings) -> Rig:
-    """Return the rig as drawn: the one that is given, else the thesis's with a camera that sees the mirrors too."""
+    """Return the rig as drawn: the one that is given, else the thesis's with a camera that sees the
+    mirrors too."""
     views = settings.mirrors
     if settings.rig is None:
         return mirror_rig(views, settings.scale, settings.rig_seed)
@@ -41,11 +50,13 @@ def rig_with_mirrors(settings: TwinSettings) -> Rig:
     unknown = [name for name in views.names if name not in names]
     require(
         not unknown,
-        f"the rig has no {unknown[0] if unknown else ''} mirror; it has {', '.join(names) or 'none'}: add it to the "
-        "rig file, or leave out the rig.",
+        f"the rig has no {unknown[0] if unknown else ''} mirror; it has"
+        f" {', '.join(names) or 'none'}: add it to the rig file, or leave out the rig.",
     )
     leds = rig.leds if views.nir else tuple(led for led in rig.leds if led.band != "nir")
-    mirrors = tuple(mirror for mirror in rig.mirrors if not views.names or mirror.name in views.names)
+    mirrors = tuple(
+        mirror for mirror in rig.mirrors if not views.names or mirror.name in views.names
+    )
     return replace(rig, leds=leds, mirrors=mirrors)
 
 
@@ -75,8 +86,8 @@ def photograph_between_mirrors(
     """Photograph a finger between the mirrors of a rig under every LED; the truth's arrays:
     ``docs/explain/simulator.md``.
 
-    The capture's rig has the mirrors as drawn; they truly stand a little elsewhere, by `seed`. Raises BadInput if a
-    mirror shows nothing of the finger, or the finger touches one.
+    The capture's rig has the mirrors as drawn; they truly stand a little elsewhere, by `seed`.
+    Raises BadInput if a mirror shows nothing of the finger, or the finger touches one.
     """
     finger, pose, rig, skin = drawn.finger, drawn.pose, drawn.rig, drawn.skin
     camera, views = rig.camera, settings.mirrors
@@ -87,7 +98,9 @@ def photograph_between_mirrors(
     for mirror in mirrors:
         _check_apart(body, placement, mirror)
     workers = settings.render.workers
-    surface = finger_surface(replace(finger, printed=master), pose, camera, workers=workers, skin=worn)
+    surface = finger_surface(
+        replace(finger, printed=master), pose, camera, workers=workers, skin=worn
+    )
     placed = PlacedFinger(body, worn, placement)
     seen = [mirror_view(placed, camera, mirror, workers=workers) for mirror in mirrors]
     background_seed, noise_seed = drawn.photo_seed.spawn(2)
@@ -102,7 +115,8 @@ def photograph_between_mirrors(
 
 
 def _bare_behind(skin: SkinMap, body: FingerBody, ridges_to_deg: float) -> SkinMap:
-    """Let the ridged skin end at an angle from the pad's top, at the sides as at the tip: the back has no ridges.
+    """Let the ridged skin end at an angle from the pad's top, at the sides as at the tip: the back
+    has no ridges.
 
     The map grows, as it would be continued, so that it reaches all around the finger.
     """
@@ -111,7 +125,8 @@ def _bare_behind(skin: SkinMap, body: FingerBody, ridges_to_deg: float) -> SkinM
     shape = body.shape
     y = np.array([0.5 * shape.length_mm])
     edge = _section_points(body, y, np.array([np.deg2rad(ridges_to_deg)]))
-    # where the master print ends, its continuation has ridges that meet at angles: they are to be faint there
+    # where the master print ends, its continuation has ridges that meet at angles: they are to be
+    # faint there
     limit = min(float(body.distance_and_chart(*edge)[1][0]), -skin.u0_mm - 0.5)
     reach = shape.length_mm - shape.tip_length_mm
     around, over_tip = (int(np.ceil(wide / skin.pitch_mm)) for wide in (_AROUND_MM, _OVER_TIP_MM))
@@ -131,14 +146,16 @@ def _bare_behind(skin: SkinMap, body: FingerBody, ridges_to_deg: float) -> SkinM
 
 def _check_apart(body: FingerBody, placement: Placement, mirror: Mirror) -> None:
     along, around = np.meshgrid(
-        np.linspace(-20.0, body.shape.length_mm - 1e-3, 60), np.linspace(-np.pi, np.pi, 72, endpoint=False)
+        np.linspace(-20.0, body.shape.length_mm - 1e-3, 60),
+        np.linspace(-np.pi, np.pi, 72, endpoint=False),
     )
     points = np.stack(_section_points(body, along.ravel(), around.ravel()), axis=-1)
     points = points @ placement.rotation.T + placement.shift
     gap = (points - mirror.point_mm) @ mirror.normal
     require(
         bool(gap.min() > 0.3),
-        f"the finger touches the {mirror.name} mirror; move the finger away or set the mirror further off.",
+        f"the finger touches the {mirror.name} mirror; move the finger away or set the mirror"
+        " further off.",
     )
 
 
@@ -147,9 +164,14 @@ def _check_apart(body: FingerBody, placement: Placement, mirror: Mirror) -> None
 _PROXIMAL_MM = 6.0
 
 
-def _view_truth(views: Sequence[ReflectedView], masks: Sequence[BoolArray]) -> dict[str, NDArray[Any]]:
-    """The true mirrors, and what each view shows where `masks` (H, W) leave it visible: behind its mirror."""
-    truth: dict[str, NDArray[Any]] = {"mirror_names": np.array([view.mirror.name for view in views])}
+def _view_truth(
+    views: Sequence[ReflectedView], masks: Sequence[BoolArray]
+) -> dict[str, NDArray[Any]]:
+    """The true mirrors, and what each view shows where `masks` (H, W) leave it visible: behind its
+    mirror."""
+    truth: dict[str, NDArray[Any]] = {
+        "mirror_names": np.array([view.mirror.name for view in views])
+    }
     for view, mask in zip(views, masks, strict=True):
         mirror, surface = view.mirror, view.surface
         arrays = {
@@ -172,11 +194,14 @@ def _view_truth(views: Sequence[ReflectedView], masks: Sequence[BoolArray]) -> d
     return truth
 
 
-def _body_truth(body: FingerBody, skin: SkinMap, placement: Placement, pitch_mm: float) -> dict[str, NDArray[Any]]:
+def _body_truth(
+    body: FingerBody, skin: SkinMap, placement: Placement, pitch_mm: float
+) -> dict[str, NDArray[Any]]:
     """The whole finger on a grid of places along it and angles around it, in the rig's frame.
 
-    Rows are evenly spaced along the finger's axis, from behind the first crease to the tip; columns are evenly spaced
-    angles about the axis of the section, 0 at the pad's top, positive towards the finger's +x.
+    Rows are evenly spaced along the finger's axis, from behind the first crease to the tip; columns
+    are evenly spaced angles about the axis of the section, 0 at the pad's top, positive towards the
+    finger's +x.
     """
     shape = body.shape
     along = np.arange(-_PROXIMAL_MM, shape.length_mm, pitch_mm)
@@ -205,7 +230,8 @@ def _body_truth(body: FingerBody, skin: SkinMap, placement: Placement, pitch_mm:
 
 
 def _section_points(body: FingerBody, y: Array, theta: Array) -> tuple[Array, Array, Array]:
-    """x, y, z (N,) in the finger's frame of the smooth skin at places `y` and angles `theta` about the axis."""
+    """x, y, z (N,) in the finger's frame of the smooth skin at places `y` and angles `theta` about
+    the axis."""
     axis, drop = body.axis_line(y)
     sine, cosine = np.sin(theta), np.cos(theta)
 
@@ -213,13 +239,17 @@ def _section_points(body: FingerBody, y: Array, theta: Array) -> tuple[Array, Ar
         value, gx, _, gz = body.value_and_gradient(axis + radius * sine, y, drop + radius * cosine)
         return value, gx * sine + gz * cosine
 
-    low, high = np.zeros_like(y), np.full_like(y, 1.5 * max(body.shape.width_mm, body.shape.thickness_mm))
+    low, high = (
+        np.zeros_like(y),
+        np.full_like(y, 1.5 * max(body.shape.width_mm, body.shape.thickness_mm)),
+    )
     for _ in range(8):  # bisection: the sections are star-shaped about the axis
         middle = 0.5 * (low + high)
         inside = value_and_rise(middle)[0] < 0
         low, high = np.where(inside, middle, low), np.where(inside, high, middle)
     radius = high
-    for _ in range(5):  # Newton from outside, where the function rises more steeply than it needs to
+    # Newton from outside, where the function rises more steeply than it needs to
+    for _ in range(5):
         value, rise = value_and_rise(radius)
         radius = np.clip(radius - value / np.maximum(rise, 1e-9), low, high)
     return axis + radius * sine, y, drop + radius * cosine

@@ -74,8 +74,11 @@ class _Gate:
         """The same outline behind a mirror."""
         return _Gate(reflection.points(self.corners))
 
-    def fraction(self, x: Numbers, y: Numbers, z: Numbers, led: Led, radius_mm: float) -> NDArray[np.float32]:
-        """Fraction of an LED's face, of `radius_mm`, that points see through the outline: 0 to 1, their shape."""
+    def fraction(
+        self, x: Numbers, y: Numbers, z: Numbers, led: Led, radius_mm: float
+    ) -> NDArray[np.float32]:
+        """Fraction of an LED's face, of `radius_mm`, that points see through the outline: 0 to 1,
+        their shape."""
         middle, normal, inwards = self._frame()
         near = led.position_mm is not None
         source = np.asarray(led.position_mm if near else led.direction, dtype=np.float64)
@@ -98,7 +101,8 @@ class _Gate:
         return np.where(ahead, fraction * fraction * (3.0 - 2.0 * fraction), 0.0).astype(np.float32)
 
     def _frame(self) -> tuple[Array, Array, list[tuple[Array, float]]]:
-        """Middle, normal, and for every edge its inward direction and the middle's distance from it."""
+        """Middle, normal, and for every edge its inward direction and the middle's distance from
+        it."""
         middle = self.corners.mean(axis=0)
         _, _, axes = np.linalg.svd(self.corners - middle)
         edges = []
@@ -128,18 +132,25 @@ def lights_of(led: Led, mirrors: Sequence[Mirror]) -> list[Light]:
 
     Light that meets two mirrors one after the other is left out.
     """
-    reflected = [(_Reflection.of(mirror).led(led, mirror.reflectance), mirror.corners_mm) for mirror in mirrors]
+    reflected = [
+        (_Reflection.of(mirror).led(led, mirror.reflectance), mirror.corners_mm)
+        for mirror in mirrors
+    ]
     return [Light(led), *(Light(image, _Gate(np.asarray(corners))) for image, corners in reflected)]
 
 
-_TURN_MAX_DEG, _SHIFT_MAX_MM = 3.0, 2.0  # turns about any axis and shifts along any axis beyond this are cut off to it
+# turns about any axis and shifts along any axis beyond this are cut off to it
+_TURN_MAX_DEG, _SHIFT_MAX_MM = 3.0, 2.0
 
 
 def as_built(mirrors: Sequence[Mirror], views: MirrorSettings, seed: int) -> tuple[Mirror, ...]:
-    """Draw where the mirrors truly are: turned about their middle and shifted against the drawing."""
+    """Draw where the mirrors truly are: turned about their middle and shifted against the
+    drawing."""
     drawn = []
     for mirror in mirrors:
-        rng = np.random.default_rng(np.random.SeedSequence([seed, 0x3117, SIDES.index(mirror.name)]))
+        rng = np.random.default_rng(
+            np.random.SeedSequence([seed, 0x3117, SIDES.index(mirror.name)])
+        )
         turn = np.clip(views.turn_sd_deg * rng.standard_normal(3), -_TURN_MAX_DEG, _TURN_MAX_DEG)
         shift = np.clip(views.shift_sd_mm * rng.standard_normal(3), -_SHIFT_MAX_MM, _SHIFT_MAX_MM)
         rotation = np.asarray(cv2.Rodrigues(np.deg2rad(turn))[0], dtype=np.float64)
@@ -155,9 +166,12 @@ def _triple(values: Array) -> tuple[float, float, float]:
 
 # What a camera sees in a mirror: the surface of the reflected finger.
 
-BEYOND_MM = 3.0  # how far beyond a mirror's outline the reflected skin is followed: light diffuses across the outline
+# how far beyond a mirror's outline the reflected skin is followed: light diffuses across the
+# outline
+BEYOND_MM = 3.0
 PROXIMAL_MM = 32.0
-"""What lies further than this from the first crease towards the palm is not shown: the hand's sleeve is there."""
+"""What lies further than this from the first crease towards the palm is not shown: the hand's
+sleeve is there."""
 _FINE = 8
 
 
@@ -175,22 +189,26 @@ class ReflectedView:
 
     mirror: Mirror  # as it truly is
     reflection: _Reflection
-    # the reflected finger, also a little beyond the outline; in the rig's frame, as though there were no mirror
+    # the reflected finger, also a little beyond the outline; in the rig's frame, as though there
+    # were no mirror
     surface: SimulatedSurface
     coverage: Coverage  # the face in the picture
 
     @property
     def mask(self) -> BoolArray:
-        """(H, W) pixels of the mirror's face that show the finger, if nothing stands before the mirror."""
+        """(H, W) pixels of the mirror's face that show the finger, if nothing stands before the
+        mirror."""
         mask = np.zeros_like(self.surface.mask)
         window = self.coverage.window
         mask[window] = self.surface.mask[window] & (self.coverage.fraction >= 0.5)
         return mask
 
 
-def mirror_view(finger: PlacedFinger, camera: Camera, mirror: Mirror, *, workers: int = 2) -> ReflectedView:
-    """Show the finger's reflection in a mirror, as it truly is, to a camera; the result does not depend on `workers`,
-    threads.
+def mirror_view(
+    finger: PlacedFinger, camera: Camera, mirror: Mirror, *, workers: int = 2
+) -> ReflectedView:
+    """Show the finger's reflection in a mirror, as it truly is, to a camera; the result does not
+    depend on `workers`, threads.
 
     Raises BadInput if the mirror lies outside the picture, or no part of the finger is seen in it.
     """
@@ -199,7 +217,8 @@ def mirror_view(finger: PlacedFinger, camera: Camera, mirror: Mirror, *, workers
     coverage = outline_coverage(camera, np.asarray(mirror.corners_mm))
     require(
         bool((coverage.fraction >= 0.5).any()),
-        f"the {mirror.name} mirror lies outside the picture; lower px_per_mm or make image_size larger.",
+        f"the {mirror.name} mirror lies outside the picture; lower px_per_mm or make image_size"
+        " larger.",
     )
     margin = int(np.ceil(BEYOND_MM * camera.px_per_mm))
     rows, columns = (
@@ -209,7 +228,8 @@ def mirror_view(finger: PlacedFinger, camera: Camera, mirror: Mirror, *, workers
     surface = _surface(behind, camera, (rows, columns), workers)
     view = ReflectedView(mirror, reflection, surface, coverage)
     require(
-        bool(view.mask.any()), f"the {mirror.name} mirror shows nothing of the finger; move the finger or the mirror."
+        bool(view.mask.any()),
+        f"the {mirror.name} mirror shows nothing of the finger; move the finger or the mirror.",
     )
     return view
 
@@ -217,7 +237,9 @@ def mirror_view(finger: PlacedFinger, camera: Camera, mirror: Mirror, *, workers
 def outline_coverage(camera: Camera, corners: Array) -> Coverage:
     """Where an outline (N, 3) appears, its edges as the lens bends them."""
     fraction = np.linspace(0.0, 1.0, 16, endpoint=False)[:, None]
-    edges = [a + fraction * (b - a) for a, b in zip(corners, np.roll(corners, -1, axis=0), strict=True)]
+    edges = [
+        a + fraction * (b - a) for a, b in zip(corners, np.roll(corners, -1, axis=0), strict=True)
+    ]
     x, y, z = np.concatenate(edges).T
     column, row = pixels_of_points(camera, x, y, z)
     rows, columns = camera.image_size
@@ -235,13 +257,20 @@ def outline_coverage(camera: Camera, corners: Array) -> Coverage:
     return Coverage(window, np.asarray(covered, dtype=np.float32))
 
 
-def _surface(finger: PlacedFinger, camera: Camera, box: tuple[slice, slice], workers: int) -> SimulatedSurface:
+def _surface(
+    finger: PlacedFinger, camera: Camera, box: tuple[slice, slice], workers: int
+) -> SimulatedSurface:
     """The first points of a placed finger on the rays of a part of the camera's pixels."""
     body, placement = finger.body, finger.placement
     shape = body.shape
     half = 0.8 * max(shape.width_mm, shape.thickness_mm)
     corners = np.array(
-        [(x, y, z) for x in (-half, half) for y in (-PROXIMAL_MM, shape.length_mm + 2.0) for z in (-half, half)]
+        [
+            (x, y, z)
+            for x in (-half, half)
+            for y in (-PROXIMAL_MM, shape.length_mm + 2.0)
+            for z in (-half, half)
+        ]
     )
     heights = corners @ placement.rotation[2] + placement.shift[2]
     bottom, top = float(heights.min()) - 2.0, float(heights.max()) + 2.0
@@ -254,7 +283,9 @@ def _surface(finger: PlacedFinger, camera: Camera, box: tuple[slice, slice], wor
             return wanted, []
         rays = rays_of(camera, down, across).some(wanted)
         index, values = cast_rays(finger, rays, np.full(wanted.size, top), bottom=bottom)
-        _, along, _ = placement.to_finger(*rays.some(index).at(np.asarray(values[0], dtype=np.float64)))
+        _, along, _ = placement.to_finger(
+            *rays.some(index).at(np.asarray(values[0], dtype=np.float64))
+        )
         bare = along > -PROXIMAL_MM
         return wanted[index[bare]], [value[bare] for value in values]
 

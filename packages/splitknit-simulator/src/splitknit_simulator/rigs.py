@@ -1,4 +1,5 @@
-"""Rigs that the simulator photographs with: as a person builds them, with coloured LEDs, with mirrors.
+"""Rigs that the simulator photographs with: as a person builds them, with coloured LEDs, with
+mirrors.
 
 The rig as it is drawn is :func:`splitknit.model.default_rig`.
 """
@@ -29,11 +30,13 @@ from splitknit.settings import Checked, Limits, check_fields
 Array = NDArray[np.float64]
 
 SIDE_ARC_DEG, SIDE_MM = (-25.0, 205.0), (90.0, 30.0)
-"""Azimuths of the first and the last light to the side; distance from the axis, and height above the finger plane."""
+"""Azimuths of the first and the last light to the side; distance from the axis, and height above
+the finger plane."""
 
 
 def with_side_lights(rig: Rig, count: int) -> Rig:
-    """The rig with `count` further white LEDs to the side of the finger, as bright at the origin as a ring's."""
+    """The rig with `count` further white LEDs to the side of the finger, as bright at the origin as
+    a ring's."""
     if count == 0:
         return rig
     (away, up), height = SIDE_MM, rig.camera.height_mm
@@ -48,36 +51,44 @@ def with_side_lights(rig: Rig, count: int) -> Rig:
 # As a person builds it: printed parts, common LEDs, a small lens, nothing in place.
 
 
-# How far a built rig is from its drawing: standard deviations, cut at 2.5 of them, unless another word is said.
+# How far a built rig is from its drawing: standard deviations, cut at 2.5 of them, unless another
+# word is said.
 _LED_POSITION_MM = 0.7
-"""Per axis: a printed hole is 0.2 to 0.3 mm off, a 5 mm LED's collar rocks in its seat, and its die is up to 0.3 mm
-off its lens's axis and 1 mm along it from lot to lot."""
+"""Per axis: a printed hole is 0.2 to 0.3 mm off, a 5 mm LED's collar rocks in its seat, and its die
+is up to 0.3 mm off its lens's axis and 1 mm along it from lot to lot."""
 _LED_BEAM_DEG = 2.0
-"""Per axis: data sheets allow the beam +-5 deg against the package (2 deg as a deviation); the seat adds 0.5."""
+"""Per axis: data sheets allow the beam +-5 deg against the package (2 deg as a deviation); the seat
+adds 0.5."""
 _LED_HALF_ANGLE = 0.08
-"""Relative, of the angle at which an LED has half its light: lots of one type differ by 5 to 10 %."""
+"""Relative, of the angle at which an LED has half its light: lots of one type differ by 5 to 10
+%."""
 _LED_INTENSITY = 0.1
 """Relative: one brightness bin of LEDs spans about a factor of 1.4, and 5 % resistors add to it."""
 _FOCAL_LENGTH = 0.01
-"""Relative: focal lengths of board lenses are stated to 1 or 2 %, and turning the lens for focus changes them."""
+"""Relative: focal lengths of board lenses are stated to 1 or 2 %, and turning the lens for focus
+changes them."""
 _CAMERA_HEIGHT_MM = 0.5
-"""Of the pupil's height: 0.2 mm of the print, and the pupil's place in the lens, which its drawing lacks."""
+"""Of the pupil's height: 0.2 mm of the print, and the pupil's place in the lens, which its drawing
+lacks."""
 _CAMERA_TILT_DEG = 0.3  # per axis, of the camera against the base: 0.15 mm over a seat of 25 mm
 _CAMERA_SHIFT_MM = 0.3  # per axis, of the camera against the LEDs' circle: the play of its screws
 _PRINCIPAL_POINT = 0.005
 """Per axis, of the image's width: a lens holder is glued within 0.02 mm on a sensor 3.7 mm wide."""
 _CORNER_DISTORTION = 0.005
-"""Largest relative shift of the corners by distortion (evenly drawn, either sign): long lenses' is below 1 %."""
+"""Largest relative shift of the corners by distortion (evenly drawn, either sign): long lenses' is
+below 1 %."""
 _CORNER_VIGNETTING = 0.10, 0.20
-"""Light lost at the corners beside the cosine law (evenly drawn): small lenses cut oblique beams."""
+"""Light lost at the corners beside the cosine law (evenly drawn): small lenses cut oblique
+beams."""
 
 
 def built_rig(seed: int, *, scale: float = 1.0) -> Rig:
-    """Return the rig as a person builds it: the truth that calibration has to find; one for each `seed`, the same at
-    every `scale` in (0, 1] of the full frame of 2200 x 3200 pixels.
+    """Return the rig as a person builds it: the truth that calibration has to find; one for each
+    `seed`, the same at every `scale` in (0, 1] of the full frame of 2200 x 3200 pixels.
 
-    The camera stands on z and looks straight down it, so that an oblique camera moves the LEDs. `provenance` has
-    ``base_tilt_deg``: how the base lies in this frame (`tilt_deg` of the bench's scenes).
+    The camera stands on z and looks straight down it, so that an oblique camera moves the LEDs.
+    `provenance` has ``base_tilt_deg``: how the base lies in this frame (`tilt_deg` of the bench's
+    scenes).
     """
     require(seed >= 0, f"seed must not be negative, but it is {seed}.")
     drawn = nominal_rig(scale)
@@ -85,7 +96,8 @@ def built_rig(seed: int, *, scale: float = 1.0) -> Rig:
     camera = _built_camera(drawn.camera, rng)
     shift = np.array([*(_CAMERA_SHIFT_MM * _normal(rng, 2)), 0.0])
     tilt_deg = _CAMERA_TILT_DEG * _normal(rng, 2)
-    # seen from the camera, which is oblique in its seat beside the LEDs, all the rest is turned about the camera
+    # seen from the camera, which is oblique in its seat beside the LEDs, all the rest is turned
+    # about the camera
     turn = np.asarray(cv2.Rodrigues(np.array([*np.deg2rad(tilt_deg), 0.0]))[0], dtype=np.float64)
     seat = np.array([0.0, 0.0, camera.height_mm])
     leds = tuple(_built_led(led, rng, (turn, seat, shift)) for led in drawn.leds)
@@ -103,7 +115,8 @@ def _built_camera(drawn: Camera, rng: np.random.Generator) -> Camera:
     height_mm = drawn.height_mm + _CAMERA_HEIGHT_MM * height
     middle = np.array([columns - 1, rows - 1]) / 2 + _PRINCIPAL_POINT * columns * np.array(offset)
     matrix = np.array([[focal_px, 0.0, middle[0]], [0.0, focal_px, middle[1]], [0.0, 0.0, 1.0]])
-    corner2 = (rows**2 + columns**2) / (4.0 * focal_px**2)  # squared tangent of the field angle at the corners
+    # squared tangent of the field angle at the corners
+    corner2 = (rows**2 + columns**2) / (4.0 * focal_px**2)
     low, high = _CORNER_VIGNETTING
     lost = low + (high - low) * vignetting
     return replace(
@@ -111,13 +124,21 @@ def _built_camera(drawn: Camera, rng: np.random.Generator) -> Camera:
         px_per_mm=float(focal_px / height_mm),
         height_mm=float(height_mm),
         matrix=matrix,
-        distortion=(float(_CORNER_DISTORTION * (2.0 * distortion - 1.0) / corner2), 0.0, 0.0, 0.0, 0.0),
+        distortion=(
+            float(_CORNER_DISTORTION * (2.0 * distortion - 1.0) / corner2),
+            0.0,
+            0.0,
+            0.0,
+            0.0,
+        ),
         # cos^4 = (1 + tan^2)^-2 = 1 - 2 tan^2 + 3 tan^4 - ..., and vignetting, which sets in late
         shading=(float(-2.0 * corner2), float(3.0 * corner2**2 - lost)),
     )
 
 
-def _built_led(drawn: Led, rng: np.random.Generator, seen_from_camera: tuple[Array, Array, Array]) -> Led:
+def _built_led(
+    drawn: Led, rng: np.random.Generator, seen_from_camera: tuple[Array, Array, Array]
+) -> Led:
     turn, seat, shift = seen_from_camera
     position = np.asarray(drawn.position_mm) + _LED_POSITION_MM * _normal(rng, 3) + shift
     position = turn @ (position - seat) + seat
@@ -146,18 +167,26 @@ def _normal(rng: np.random.Generator, count: int) -> Array:
 CURRENTS = {"red": 1.0, "green": 1.6, "blue": 1.9}
 """Intensities by which light skin fills the three channels about equally."""
 
-_INTENSITY_SPREAD = 0.1  # standard deviation of the coloured LEDs' intensities, as of default_rig's white ones
+# standard deviation of the coloured LEDs' intensities, as of default_rig's white ones
+_INTENSITY_SPREAD = 0.1
 
 
 # With coloured LEDs.
 
 
 def coloured_rig(scale: float = 1.0, seed: int | None = None, exposures: int = 2) -> Rig:
-    """Return the thesis's rig with 3 x `exposures` (1 to 3) coloured LEDs on the circle of its seven white ones."""
+    """Return the thesis's rig with 3 x `exposures` (1 to 3) coloured LEDs on the circle of its
+    seven white ones."""
     plain = default_rig(scale, seed)
     count = 3 * exposures
-    colours = {place: c for triple in shared_exposures(exposures) for place, c in zip(triple, COLOURS, strict=True)}
-    deviations = np.zeros(count) if seed is None else _normal(np.random.default_rng([seed, 0xC0]), count)
+    colours = {
+        place: c
+        for triple in shared_exposures(exposures)
+        for place, c in zip(triple, COLOURS, strict=True)
+    }
+    deviations = (
+        np.zeros(count) if seed is None else _normal(np.random.default_rng([seed, 0xC0]), count)
+    )
     leds = []
     for k, deviation in enumerate(deviations):
         azimuth = 2.0 * np.pi * k / count
@@ -172,15 +201,19 @@ def coloured_rig(scale: float = 1.0, seed: int | None = None, exposures: int = 2
 SIDES = ("left", "right", "tip")
 
 _CLEARANCE_MM = 0.2  # of all joints
-_FINGER_CLEARANCE_MM = 2.0  # between the widest finger and the walls of the groove, both sides together
-_PHALANX_MM = 30.0  # length of the last phalanx, tip to crease: in a large picture its centre is the picture's
+# between the widest finger and the walls of the groove, both sides together
+_FINGER_CLEARANCE_MM = 2.0
+# length of the last phalanx, tip to crease: in a large picture its centre is the picture's
+_PHALANX_MM = 30.0
 
-# The printed parts that carry the mirrors: those of a rig whose mirrors show the whole side of most fingers, larger
-# than the reference ones (``docs/guide/rig-build.md`` has their dimensions).
-_LONG_MM, _WIDE_MM, _THICK_MM = 30.0, 30.0, 2.0  # a mirror along its lower edge, up its slope, and its glass
+# The printed parts that carry the mirrors: those of a rig whose mirrors show the whole side of most
+# fingers, larger than the reference ones (``docs/guide/rig-build.md`` has their dimensions).
+# a mirror along its lower edge, up its slope, and its glass
+_LONG_MM, _WIDE_MM, _THICK_MM = 30.0, 30.0, 2.0
 _GAP_MM = 1.0  # between the groove's block and a holder
 _LIP_MM = 0.8  # how much of the mirror's lower edge the holder's lip covers
-_WALL_MM = 2.4  # thickness of the printed walls: the groove's, the stop's, and the holder's top behind the mirror
+# thickness of the printed walls: the groove's, the stop's, and the holder's top behind the mirror
+_WALL_MM = 2.4
 _PAD_HEIGHT_MM = 21.2  # height of the finger plane over the groove's bottom
 _WIDEST_MM = 22.0  # width of the widest finger
 _TIP_MARGIN_MM = 27.0  # from the fingertip's stop to the picture's upper border
@@ -195,30 +228,39 @@ class MirrorSettings(Checked):
     names: tuple[str, ...] = ()
     """Any of ``left``, ``right`` and ``tip``. A given rig with mirrors keeps its own."""
     reflectance: Annotated[float, Limits(1e-6, 1.0)] = 0.9
-    """Fraction of the light that a mirror reflects: aluminium on the face, protected, 0.85 to 0.92."""
+    """Fraction of the light that a mirror reflects: aluminium on the face, protected, 0.85 to
+    0.92."""
     turn_sd_deg: Annotated[float, Limits(0.0, 10.0)] = 1.0
-    """Standard deviation, about each axis, of the true mirrors against the drawing: a glued holder, a mirror that
-    rocks in its seat. Poses are the same in all impressions of a finger."""
+    """Standard deviation, about each axis, of the true mirrors against the drawing: a glued holder,
+    a mirror that rocks in its seat. Poses are the same in all impressions of a finger."""
     shift_sd_mm: Annotated[float, Limits(0.0, 10.0)] = 0.7
-    """Standard deviation of the true mirrors' places against the drawing, along each axis; 0 to 10."""
+    """Standard deviation of the true mirrors' places against the drawing, along each axis; 0 to
+    10."""
     px_per_mm: Annotated[float, Limits(1.0, 200.0)] = 43.0
     """Scale of the full frame: all views must fit."""
     image_size: Annotated[tuple[int, int], Limits(64)] = (2464, 3280)
     """Rows and columns of the full frame: all of the IMX219."""
     model: Literal["orthographic", "perspective"] = "orthographic"
-    """Model of the camera: ``orthographic``, or ``perspective`` from 140 mm with a lens without distortion. A given
-    `rig` has its own camera."""
+    """Model of the camera: ``orthographic``, or ``perspective`` from 140 mm with a lens without
+    distortion. A given `rig` has its own camera."""
     nir: bool = True
     """Whether the rig has its NIR LEDs: mirrors can do without."""
     ridges_to_deg: Annotated[float, Limits(60.0, 180.0)] = 112.0
-    """Around the finger, from the pad's top: there the ridged skin ends; 180: it goes all around."""
+    """Around the finger, from the pad's top: there the ridged skin ends; 180: it goes all
+    around."""
     truth_pitch_mm: Annotated[float, Limits(0.02, 2.0)] = 0.08
     """Spacing of the grid around the finger in the truth."""
 
     def __post_init__(self) -> None:
         check_fields(self)
-        known = all(name in SIDES for name in self.names) and len(set(self.names)) == len(self.names)
-        require(known, f"mirrors.names are some of left, right and tip, each once, but they are {list(self.names)}.")
+        known = all(name in SIDES for name in self.names) and len(set(self.names)) == len(
+            self.names
+        )
+        require(
+            known,
+            "mirrors.names are some of left, right and tip, each once, but they are"
+            f" {list(self.names)}.",
+        )
 
 
 # With mirrors, as it is drawn.
@@ -228,13 +270,16 @@ _LIP_WALL_MM, _GROOVE_IN_FLOOR_MM, _POCKET_MM = 1.2, 0.4, 1.0
 
 
 def mirror_rig(views: MirrorSettings, scale: float, seed: int | None = None) -> Rig:
-    """Return the thesis's rig with a camera that sees the mirrors too, and the mirrors where the drawing has them."""
+    """Return the thesis's rig with a camera that sees the mirrors too, and the mirrors where the
+    drawing has them."""
     rig = default_rig(scale, seed)
     rows, columns = (round(side * scale) for side in views.image_size)
     camera = replace(rig.camera, px_per_mm=views.px_per_mm * scale, image_size=(rows, columns))
     if views.model == "perspective":
         focal_px = camera.px_per_mm * camera.height_mm
-        matrix = np.array([[focal_px, 0.0, (columns - 1) / 2], [0.0, focal_px, (rows - 1) / 2], [0.0, 0.0, 1.0]])
+        matrix = np.array(
+            [[focal_px, 0.0, (columns - 1) / 2], [0.0, focal_px, (rows - 1) / 2], [0.0, 0.0, 1.0]]
+        )
         camera = replace(camera, model="perspective", matrix=matrix)
     leds = rig.leds if views.nir else tuple(led for led in rig.leds if led.band != "nir")
     return replace(rig, camera=camera, leds=leds, mirrors=_nominal_mirrors(views, camera))
@@ -256,16 +301,22 @@ def stop_y_mm(camera: Camera) -> float:
 
 
 def holder_profile() -> dict[str, tuple[Array, Array]]:
-    """Return lines in the section of a holder with its mirror, each between two points (distance from the holder's
-    front, height over its foot), mm.
+    """Return lines in the section of a holder with its mirror, each between two points (distance
+    from the holder's front, height over its foot), mm.
 
-    ``face``: the mirror's free face, from its lower to its upper end; ``glass``: its ground upper edge, from front to
-    back; ``lip``: the lip's end, from its inner to its outer edge; ``lip_front``: from there to where the lip's outer
-    face meets the holder's front; ``shade``: what stands before the mirror below that edge, seen from the mirror, dark;
-    ``back``: the holder's top behind the mirror.
+    ``face``: the mirror's free face, from its lower to its upper end; ``glass``: its ground upper
+    edge, from front to back; ``lip``: the lip's end, from its inner to its outer edge;
+    ``lip_front``: from there to where the lip's outer face meets the holder's front; ``shade``:
+    what stands before the mirror below that edge, seen from the mirror, dark; ``back``: the
+    holder's top behind the mirror.
     """
     along, behind = np.array([_HALF, _HALF]), np.array([_HALF, -_HALF])
-    front = np.array([(_CLEARANCE_MM + _LIP_WALL_MM) * _HALF + 0.2, (_THICK_MM + _CLEARANCE_MM) * _HALF + _LIP_WALL_MM])
+    front = np.array(
+        [
+            (_CLEARANCE_MM + _LIP_WALL_MM) * _HALF + 0.2,
+            (_THICK_MM + _CLEARANCE_MM) * _HALF + _LIP_WALL_MM,
+        ]
+    )
     low, high = front + _LIP_MM * along, front + _WIDE_MM * along
     inside = front - _CLEARANCE_MM * behind
     outside = inside - _LIP_WALL_MM * behind
@@ -283,7 +334,8 @@ def holder_profile() -> dict[str, tuple[Array, Array]]:
 
 
 def holder_quad(name: str, camera: Camera, low: Array, high: Array) -> Array:
-    """(4, 3) rectangle between two points of the section, along the whole holder `name`, in the rig's frame."""
+    """(4, 3) rectangle between two points of the section, along the whole holder `name`, in the
+    rig's frame."""
     stop = stop_y_mm(camera)
     foot = -_PAD_HEIGHT_MM + _GROOVE_IN_FLOOR_MM - _POCKET_MM
     half = _LONG_MM / 2

@@ -1,4 +1,5 @@
-"""A finger in front of the camera: its pictures under every LED, as the sensor stores them, and the truth."""
+"""A finger in front of the camera: its pictures under every LED, as the sensor stores them, and the
+truth."""
 
 from __future__ import annotations
 
@@ -31,7 +32,12 @@ from splitknit_simulator.light.films import (
     once_scattered,
 )
 from splitknit_simulator.light.lighting import cut_out, finger_window, towards, white_card
-from splitknit_simulator.light.renderer import BandLight, RenderSettings, render_ambient, render_band
+from splitknit_simulator.light.renderer import (
+    BandLight,
+    RenderSettings,
+    render_ambient,
+    render_band,
+)
 from splitknit_simulator.light.skin import BAND_CHANNELS, CHANNELS, Channel, SkinOptics, SkinRanges
 from splitknit_simulator.rigs import MirrorSettings
 from splitknit_simulator.surface import SimulatedSurface
@@ -52,13 +58,16 @@ class BackgroundSettings(Checked):
     hand_shadow: Annotated[float, Limits(0.0, 1.0)] = 0.0
     """Fraction of the light that the hand takes away at the finger's base, 0 to 1."""
     colour: Annotated[tuple[float, float, float, float] | None, Limits(0.0, 1.0)] = None
-    """Diffuse reflectance in red, green, blue and NIR of coloured paper in place of the black background. What it sends
-    on to the finger's flanks is simulated too, as from an endless, evenly lit plane. Not between mirrors."""
+    """Diffuse reflectance in red, green, blue and NIR of coloured paper in place of the black
+    background. What it sends on to the finger's flanks is simulated too, as from an endless, evenly
+    lit plane. Not between mirrors."""
     ambient: Annotated[float, Limits(0.0, 1.0)] = 0.002
     """Ambient light: radiance of a white card relative to the same card under one LED."""
 
 
-def background_albedo(camera: Camera, settings: BackgroundSettings, rng: np.random.Generator) -> FloatArray:
+def background_albedo(
+    camera: Camera, settings: BackgroundSettings, rng: np.random.Generator
+) -> FloatArray:
     """(H, W) albedo of the background: even, but for specks of dust."""
     height, width = camera.image_size
     albedo = np.full((height, width), settings.albedo, dtype=np.float32)
@@ -80,7 +89,9 @@ def _background_albedos(
     }
 
 
-def _speck(albedo: NDArray[np.float32], px_per_mm: float, brightest: float, rng: np.random.Generator) -> None:
+def _speck(
+    albedo: NDArray[np.float32], px_per_mm: float, brightest: float, rng: np.random.Generator
+) -> None:
     row, column = (rng.random() * length for length in albedo.shape)
     long_px = px_per_mm * 0.02 * (0.4 / 0.02) ** rng.random()
     short_px = long_px * (0.2 + 0.8 * rng.random())
@@ -101,7 +112,8 @@ class TwinSettings(Checked):
     """One simulated capture."""
 
     scale: float = 0.5
-    """Size of the images relative to the full frame of 2200 x 3200 pixels; not used where `rig` is given."""
+    """Size of the images relative to the full frame of 2200 x 3200 pixels; not used where `rig` is
+    given."""
     rig_seed: int | None = 0
     """Seed of the LEDs' individual intensities; None makes them equal."""
     skin: SkinOptics | SkinRanges = field(default_factory=SkinRanges)
@@ -112,22 +124,26 @@ class TwinSettings(Checked):
     background: BackgroundSettings = field(default_factory=BackgroundSettings)
     sensor: SensorSettings = field(default_factory=SensorSettings)
     rig: Rig | None = None
-    """Camera and LEDs as they are: any camera model, size, height, aims and lobes. None: the thesis's rig, made from
-    `scale` and `rig_seed`."""
+    """Camera and LEDs as they are: any camera model, size, height, aims and lobes. None: the
+    thesis's rig, made from `scale` and `rig_seed`."""
     side_lights: Annotated[int, Limits(0, 16)] = 0
-    """White LEDs added to the side of the finger, 90 mm from the axis and 30 mm above the finger plane, on an arc that
-    leaves the hand free."""
+    """White LEDs added to the side of the finger, 90 mm from the axis and 30 mm above the finger
+    plane, on an arc that leaves the hand free."""
     sensor_scale: Annotated[float | None, Limits(0.0, 1.0, above=True)] = None
-    """Size of a sensor pixel relative to an image pixel, for the noise: 1 = full resolution, 0.5 = 2 x 2
-    binned. None: as :func:`splitknit_simulator.camera.sensor.binning_scale` finds it from the camera."""
+    """Size of a sensor pixel relative to an image pixel, for the noise: 1 = full resolution, 0.5 =
+    2 x 2 binned. None: as :func:`splitknit_simulator.camera.sensor.binning_scale` finds it from the
+    camera."""
     motion: HandMotion = field(default_factory=HandMotion)
-    """How the finger moves between the shots; it lies still unless `motion.amplitude_mm` is above zero."""
+    """How the finger moves between the shots; it lies still unless `motion.amplitude_mm` is above
+    zero."""
     mirrors: MirrorSettings = field(default_factory=MirrorSettings)
     """Mirrors beside the finger: none unless they are named, or a given `rig` has them."""
     condition: Condition = field(default_factory=Condition)
-    """State of the finger's skin: clean unless `condition.kind` is wet, dry, dusty, scarred or glossy."""
+    """State of the finger's skin: clean unless `condition.kind` is wet, dry, dusty, scarred or
+    glossy."""
     films: FilmSettings = field(default_factory=FilmSettings)
-    """Polarising films before the white LEDs and the camera: none unless `films.kind` is analyser or leds."""
+    """Polarising films before the white LEDs and the camera: none unless `films.kind` is analyser
+    or leds."""
 
     def __post_init__(self) -> None:
         check_fields(self)
@@ -137,9 +153,10 @@ class TwinSettings(Checked):
             "a finger in some condition lies still in the twin; leave out motion, or condition.",
         )
         require(
-            not self.between_mirrors or not (self.condition.active or moving or coloured or self.films.kind != "none"),
-            "between mirrors the twin's finger is clean, lies still and on black, without films; leave out mirrors, or "
-            "condition, motion, background.colour and films.kind.",
+            not self.between_mirrors
+            or not (self.condition.active or moving or coloured or self.films.kind != "none"),
+            "between mirrors the twin's finger is clean, lies still and on black, without films;"
+            " leave out mirrors, or condition, motion, background.colour and films.kind.",
         )
 
     @property
@@ -152,7 +169,8 @@ class TwinSettings(Checked):
 
 
 def surface_truth(surface: SimulatedSurface) -> dict[str, NDArray[Any]]:
-    """Heights, normals, mask, relief and landmarks; of a perspective camera also the points' x and y, and its lens."""
+    """Heights, normals, mask, relief and landmarks; of a perspective camera also the points' x and
+    y, and its lens."""
     truth: dict[str, NDArray[Any]] = {
         "height_mm": surface.height_mm,
         "shape_mm": surface.shape_mm,
@@ -162,14 +180,17 @@ def surface_truth(surface: SimulatedSurface) -> dict[str, NDArray[Any]]:
         "pitch_mm": np.array(surface.camera.pitch_mm),
     }
     if surface.x_mm is not None and surface.y_mm is not None:
-        truth |= {"x_mm": surface.x_mm, "y_mm": surface.y_mm} | _flat("camera", asdict(surface.camera))
+        truth |= {"x_mm": surface.x_mm, "y_mm": surface.y_mm} | _flat(
+            "camera", asdict(surface.camera)
+        )
     if surface.coat is not None:
         truth |= surface.coat.truth()
     return truth | _flat("landmark", surface.landmarks)
 
 
 def optics_truth(skin: SkinOptics) -> dict[str, NDArray[Any]]:
-    """Return the coefficients by channel, in the order red, green, blue, NIR, and the parameters they come from."""
+    """Return the coefficients by channel, in the order red, green, blue, NIR, and the parameters
+    they come from."""
     media = [skin.channel(channel) for channel in CHANNELS]
     truth: dict[str, NDArray[Any]] = {
         "optics_channels": np.array(CHANNELS),
@@ -198,13 +219,19 @@ class Scene:
     """One finger in front of the camera."""
 
     def __init__(
-        self, subject: tuple[SimulatedSurface, Rig, SkinOptics], settings: TwinSettings, rng: np.random.Generator
+        self,
+        subject: tuple[SimulatedSurface, Rig, SkinOptics],
+        settings: TwinSettings,
+        rng: np.random.Generator,
     ) -> None:
-        """Lay the background, whose dust `rng` draws, and find how far each pixel is out of focus."""
+        """Lay the background, whose dust `rng` draws, and find how far each pixel is out of
+        focus."""
         surface, rig, skin = subject
         self.surface, self.rig, self.skin, self.settings = surface, rig, skin, settings
         albedos = _background_albedos(rig.camera, settings.background, rng)
-        self.albedo = {channel: np.where(surface.mask, 0, albedo) for channel, albedo in albedos.items()}
+        self.albedo = {
+            channel: np.where(surface.mask, 0, albedo) for channel, albedo in albedos.items()
+        }
         # (H, 1) fraction of the light that reaches each row
         height = rig.camera.image_size[0]
         below = (np.arange(height) / (height - 1) - (1.0 - _SHADED_ROWS)) / (0.3 * _SHADED_ROWS)
@@ -223,15 +250,18 @@ class Scene:
     def photograph(self, name: str, seed: np.random.SeedSequence) -> Taken:
         """Photograph one band.
 
-        An LED of a colour is a narrow line: all pixels that see it see the skin at its wavelength, blurred as light of
-        this colour is; how strongly they see it is the camera's crosstalk. Glare and exposure are those of the middle
-        of the lens: what the images are divided by its fall-off.
+        An LED of a colour is a narrow line: all pixels that see it see the skin at its wavelength,
+        blurred as light of this colour is; how strongly they see it is the camera's crosstalk.
+        Glare and exposure are those of the middle of the lens: what the images are divided by its
+        fall-off.
         """
         numbers = members_of(name, self.rig, self.settings)
         leds = [self.rig.leds[k] for k in numbers]
         light, groups = self.render(name, leds), exposures_of(leds)
         if name != "white_crossed":  # both series have one exposure
-            self.exposure = np.float32(self.settings.sensor.exposure / self.brightest(light, groups, leds))
+            self.exposure = np.float32(
+                self.settings.sensor.exposure / self.brightest(light, groups, leds)
+            )
         exposure, light = self.exposure, self.behind_films(name, light, numbers)
         ambient = self.ambient(name, leds)
         glare = np.zeros((len(leds), *self.rig.camera.image_size), dtype=np.float16)
@@ -239,7 +269,9 @@ class Scene:
         def shoot(e: int, seed: np.random.SeedSequence) -> PixelArray:
             for k in groups[e]:
                 glare[k][light.window] = light.glare[k] * self.shade[light.window[0]] * exposure
-            return self.record(self.exposed(light, groups[e], leds, ambient) * exposure, name, leds, seed)
+            return self.record(
+                self.exposed(light, groups[e], leds, ambient) * exposure, name, leds, seed
+            )
 
         named = [tuple(numbers[k] for k in group) for group in groups]
         band = self.take(name, named, shoot, ambient * exposure, seed)
@@ -254,7 +286,8 @@ class Scene:
         return light
 
     def _add_reflected(self, light: BandLight, name: str, leds: Sequence[Led]) -> None:
-        """Add to the finger's light what comes by way of the background, in place: a hemisphere from below."""
+        """Add to the finger's light what comes by way of the background, in place: a hemisphere
+        from below."""
         channels = BAND_CHANNELS[name]
         up = np.array([0.0, 0.0, -1.0])
         below = render_ambient(self.surface, 1.0, self.skin.medium(name), self.settings.render, up)
@@ -265,12 +298,16 @@ class Scene:
                 light.diffuse[k, c] += np.float32(card * colour[channel]) * below[c]
 
     def background(self, light: FloatArray | np.float32, name: str) -> FloatArray:
-        """(H, W, 3) radiance of the background, none where the finger is, where a white card sends `light`."""
+        """(H, W, 3) radiance of the background, none where the finger is, where a white card sends
+        `light`."""
         channels = BAND_CHANNELS[name] * (3 // len(BAND_CHANNELS[name]))
         return np.stack([light * self.albedo[channel] for channel in channels], axis=-1)
 
-    def exposed(self, light: BandLight, group: Sequence[int], leds: Sequence[Led], ambient: FloatArray) -> FloatArray:
-        """(H, W, 3) what the pixels see under a group's LEDs together and `ambient` light; `light`: of all `leds`."""
+    def exposed(
+        self, light: BandLight, group: Sequence[int], leds: Sequence[Led], ambient: FloatArray
+    ) -> FloatArray:
+        """(H, W, 3) what the pixels see under a group's LEDs together and `ambient` light; `light`:
+        of all `leds`."""
         mixing, frame = self._mixing, ambient.copy()
         for k in group:
             card = white_card(self.rig.camera, leds[k], -BACKGROUND_MM)
@@ -281,8 +318,11 @@ class Scene:
             frame += lit
         return frame
 
-    def brightest(self, light: BandLight, groups: Sequence[Sequence[int]], leds: Sequence[Led]) -> float:
-        """99.9th percentile of the diffuse light behind the lens, in the channel where it is highest.
+    def brightest(
+        self, light: BandLight, groups: Sequence[Sequence[int]], leds: Sequence[Led]
+    ) -> float:
+        """99.9th percentile of the diffuse light behind the lens, in the channel where it is
+        highest.
 
         White LEDs count together, coloured ones by the exposure.
         """
@@ -309,7 +349,8 @@ class Scene:
         return np.eye(3) if crosstalk is None else np.asarray(crosstalk)
 
     def frame(self, light: BandLight, k: int, frame: FloatArray) -> FloatArray:
-        """(H, W, 3) radiance of the whole frame under light k, written over that of the background, `frame`."""
+        """(H, W, 3) radiance of the whole frame under light k, written over that of the background,
+        `frame`."""
         frame[light.window] += np.moveaxis(light.diffuse[k] + light.glare[k], 0, -1)
         frame *= self.shade[..., None]
         return frame
@@ -327,16 +368,22 @@ class Scene:
         return np.asarray(frame, dtype=np.float32)
 
     def behind_films(self, name: str, light: BandLight, numbers: Sequence[int]) -> BandLight:
-        """Light of a band's LEDs `numbers`, in place, as films leave it, over what they leave of depolarised light."""
+        """Light of a band's LEDs `numbers`, in place, as films leave it, over what they leave of
+        depolarised light."""
         if self.films is None or name == "nir":
             return light
-        patch, members = cut_out(self.surface, shadows=True), members_of(name, self.rig, self.settings)
+        patch, members = (
+            cut_out(self.surface, shadows=True),
+            members_of(name, self.rig, self.settings),
+        )
         view = patch.view or (np.float32(0), np.float32(0), np.float32(1))
         optics = self.skin.medium("white").optics
         for i, number in enumerate(numbers):
             towards_led = towards(self.rig.leds[number], patch.x, patch.y, patch.z)[:3]
             ray = int(name == "white_crossed"), members.index(number), towards_led, view
-            light.glare[i] *= (self.films.specular(*ray) / self.films.depolarised).astype(np.float32)
+            light.glare[i] *= (self.films.specular(*ray) / self.films.depolarised).astype(
+                np.float32
+            )
             kept = (self.films.once_scattered(*ray) / self.films.depolarised).astype(np.float32)
             for c, once in enumerate(once_scattered(patch, self.rig.leds[number], optics)):
                 light.diffuse[i, c] += kept * once
@@ -350,7 +397,8 @@ class Scene:
         dark: FloatArray,
         seed: np.random.SeedSequence,
     ) -> Band:
-        """Take a band's images, an exposure of each of `groups` of LEDs, and its ambient frame of `dark` (H, W, 3)."""
+        """Take a band's images, an exposure of each of `groups` of LEDs, and its ambient frame of
+        `dark` (H, W, 3)."""
         rig, seeds = self.rig, seed.spawn(len(groups) + 1)
         leds = [rig.leds[k] for group in groups for k in group]
         with ThreadPoolExecutor(self.settings.render.workers) as pool:
@@ -366,14 +414,19 @@ class Scene:
             shading=rig.camera.shading,
             colours=colours,
             crosstalk=rig.camera.crosstalk if colours else None,
-            polarisation="" if self.films is None or name == "nir" else SERIES[name == "white_crossed"],
+            polarisation=(
+                "" if self.films is None or name == "nir" else SERIES[name == "white_crossed"]
+            ),
         )
 
     def blur_by(self, depth: FloatArray, top_mm: float) -> FloatArray:
-        """(H, W) defocus in pixels (standard deviation) of what lies at z = `depth`; `top_mm` is the finger's."""
+        """(H, W) defocus in pixels (standard deviation) of what lies at z = `depth`; `top_mm` is
+        the finger's."""
         camera, render = self.rig.camera, self.settings.render
         focus = top_mm - render.focus_depth_mm
-        return blur_sigma_px(depth, focus, camera.height_mm, render.aperture_mm, px_per_mm_at(camera, focus))
+        return blur_sigma_px(
+            depth, focus, camera.height_mm, render.aperture_mm, px_per_mm_at(camera, focus)
+        )
 
     def through_lens(self, frame: FloatArray) -> FloatArray:
         """(H, W, 3) the radiance (H, W, 3) as defocus and fall-off of the lens leave it."""
@@ -381,24 +434,36 @@ class Scene:
             frame = defocus(frame, self.blur)
         return frame if self.fall_off is None else frame * self.fall_off[..., None]
 
-    def record(self, frame: FloatArray, name: str, leds: Sequence[Led], seed: np.random.SeedSequence) -> PixelArray:
-        """(H, W, 3) what the sensor stores of the radiance (H, W, 3) of a band's LEDs times the exposure."""
+    def record(
+        self, frame: FloatArray, name: str, leds: Sequence[Led], seed: np.random.SeedSequence
+    ) -> PixelArray:
+        """(H, W, 3) what the sensor stores of the radiance (H, W, 3) of a band's LEDs times the
+        exposure."""
         if self.films is not None and name != "nir":
             frame = self.films.on_camera(frame, crossed=name == "white_crossed")
-        return record(self.through_lens(frame), response_to(name, leds), seed, self.settings.sensor, self.scale)
+        return record(
+            self.through_lens(frame),
+            response_to(name, leds),
+            seed,
+            self.settings.sensor,
+            self.scale,
+        )
 
 
 def ambient_level(camera: Camera, leds: Sequence[Led], fraction: float) -> float:
-    """Radiance of a white card under ambient light: `fraction` of that under one LED (mean of all)."""
+    """Radiance of a white card under ambient light: `fraction` of that under one LED (mean of
+    all)."""
     return fraction * float(np.mean([white_card(camera, led, step=10**6).mean() for led in leds]))
 
 
 Taken = tuple[Band, NDArray[np.float16], NDArray[Any]]
-"""Images of one band, the glare (L, H, W) of each of its LEDs in the images' units, and the exposure (one number)."""
+"""Images of one band, the glare (L, H, W) of each of its LEDs in the images' units, and the
+exposure (one number)."""
 
 
 def response_to(band: str, leds: Sequence[Led]) -> str:
-    """How the sensor responds to LEDs of a band: a name of :data:`splitknit_simulator.camera.sensor.RESPONSE`."""
+    """How the sensor responds to LEDs of a band: a name of
+    :data:`splitknit_simulator.camera.sensor.RESPONSE`."""
     return "coloured" if any(led.colour for led in leds) else spectral_band(band)
 
 
@@ -409,7 +474,8 @@ def bands_of(rig: Rig, settings: TwinSettings) -> list[str]:
 
 
 def members_of(name: str, rig: Rig, settings: TwinSettings) -> list[int]:
-    """Numbers of the LEDs of a capture's band; those of a crossed series on neighbours follow all other white ones."""
+    """Numbers of the LEDs of a capture's band; those of a crossed series on neighbours follow all
+    other white ones."""
     numbers = [k for k, led in enumerate(rig.leds) if led.band == spectral_band(name)]
     if settings.films.kind == "leds" and name != "nir":
         half = len(numbers) // 2
@@ -436,7 +502,8 @@ def take_capture(
     seed: np.random.SeedSequence,
     truth: dict[str, NDArray[Any]],
 ) -> Capture:
-    """Photograph every band of a scene's rig; glare, exposures, optics and LEDs are added to `truth`."""
+    """Photograph every band of a scene's rig; glare, exposures, optics and LEDs are added to
+    `truth`."""
     rig = scene.rig
     names, bands = bands_of(rig, scene.settings), {}
     for name, band_seed in zip(names, seed.spawn(len(names)), strict=True):
@@ -444,7 +511,9 @@ def take_capture(
     truth |= optics_truth(scene.skin)
     truth["led_intensity"] = np.array([led.intensity for led in rig.leds])
     encoding = scene.settings.sensor.encoding
-    return Capture(rig=rig, bands=bands, encoding=encoding, material="skin", subject={"id": "anonymous"})
+    return Capture(
+        rig=rig, bands=bands, encoding=encoding, material="skin", subject={"id": "anonymous"}
+    )
 
 
 def finger_depth(surface: SimulatedSurface) -> tuple[FloatArray, float]:
@@ -455,12 +524,15 @@ def finger_depth(surface: SimulatedSurface) -> tuple[FloatArray, float]:
     mask = surface.mask
     z = np.where(mask, surface.shape_mm, 0).astype(np.float32)
     weight, size = mask.astype(np.float32), 0.5 * surface.camera.px_per_mm
-    near = cv2.GaussianBlur(z, (0, 0), size) / np.maximum(cv2.GaussianBlur(weight, (0, 0), size), 1e-3)
+    near = cv2.GaussianBlur(z, (0, 0), size) / np.maximum(
+        cv2.GaussianBlur(weight, (0, 0), size), 1e-3
+    )
     return np.where(mask, z, near).astype(np.float32), float(z[mask].max())
 
 
 def brightest(diffuse: FloatArray, fall_off: FloatArray | None = None) -> float:
-    """99.9th percentile of the diffuse light behind the lens over all lights, in the channel where it is highest."""
+    """99.9th percentile of the diffuse light behind the lens over all lights, in the channel where
+    it is highest."""
     sample = diffuse[:, :, ::4, ::4]
     if fall_off is not None:
         sample = sample * fall_off[::4, ::4]
@@ -471,5 +543,7 @@ def brightest(diffuse: FloatArray, fall_off: FloatArray | None = None) -> float:
 def exposures_of(leds: Sequence[Led]) -> list[tuple[int, ...]]:
     """Which of `leds` share an exposure: the k-th of each colour; a white one has its own."""
     of_colours = [[k for k, led in enumerate(leds) if led.colour == colour] for colour in COLOURS]
-    shared = [tuple(sorted(k for k in group if k is not None)) for group in zip_longest(*of_colours)]
+    shared = [
+        tuple(sorted(k for k in group if k is not None)) for group in zip_longest(*of_colours)
+    ]
     return shared + [(k,) for k, led in enumerate(leds) if not led.colour]

@@ -60,7 +60,8 @@ def simulate(
     Parameters
     ----------
     what
-        One capture (finger, the default), or many people's fingers in several sessions (population).
+        One capture (finger, the default), or many people's fingers in several sessions
+        (population).
     out
         Capture folder to write.
     overwrite
@@ -68,28 +69,33 @@ def simulate(
     seed
         Which finger, or which population.
     bench
-        Not a finger, but all that calibrates the rig that person `seed` built: board, disc, nail, white card.
+        Not a finger, but all that calibrates the rig that person `seed` built: board, disc, nail,
+        white card.
     rig
         Rig file that photographs the finger.
     pattern
         loop, whorl, arch or another master print the twin knows (default: drawn).
     print_file
-        A real print of 500 pixels an inch, ridges dark, tip up: the finger that left it, instead of a drawn one.
+        A real print of 500 pixels an inch, ridges dark, tip up: the finger that left it, instead of
+        a drawn one.
     rolled
-        The print was rolled from nail to nail, down to the first crease: its outline sizes the finger.
+        The print was rolled from nail to nail, down to the first crease: its outline sizes the
+        finger.
     scale
         Size of the images, 1 = 3200 x 2200 pixels (default: the twin's).
     motion
-        The finger moves by so many mm during the capture, as a hand does that is held still (0.5 is much).
+        The finger moves by so many mm during the capture, as a hand does that is held still (0.5 is
+        much).
     lights
-        LEDs of the visible band: seven white ones (the default), or six or nine coloured ones, of which a red, a green
-        and a blue one share an exposure.
+        LEDs of the visible band: seven white ones (the default), or six or nine coloured ones, of
+        which a red, a green and a blue one share an exposure.
     condition
         What is the matter with the finger's skin (default: none).
     severity
         Of the condition: 0 (nothing) to 1 (default: 1).
     mirrors
-        Mirrors beside the finger, seen in the same picture: left, right, tip, or several with commas between.
+        Mirrors beside the finger, seen in the same picture: left, right, tip, or several with
+        commas between.
     nir
         --no-nir: leave out the NIR LEDs; mirrors give the shape.
     impression
@@ -101,8 +107,9 @@ def simulate(
     sessions
         Captures a finger (default: 4).
     prints
-        Folder of real prints of 500 pixels an inch, FINGER_IMPRESSION.png, tip up, ridges dark: the ridges of a third
-        of the fingers, one print for each; with mirror images where they are too few.
+        Folder of real prints of 500 pixels an inch, FINGER_IMPRESSION.png, tip up, ridges dark: the
+        ridges of a third of the fingers, one print for each; with mirror images where they are too
+        few.
     workers
         Processes (default: 2).
 
@@ -135,11 +142,21 @@ def simulate(
         why = "does not go with a population."
         refuse_given(why, **of_a_finger, severity=severity, bench=bench, overwrite=overwrite)
         return _population(
-            Path(out), seed, scale, settings or {}, subjects=subjects, fingers=fingers, sessions=sessions,
-            prints=prints, workers=_WORKERS if workers is None else workers, progress=progress,
-        )  # fmt: skip
+            Path(out),
+            seed,
+            scale,
+            settings or {},
+            subjects=subjects,
+            fingers=fingers,
+            sessions=sessions,
+            prints=prints,
+            workers=_WORKERS if workers is None else workers,
+            progress=progress,
+        )
     why = "is for 'splitknit simulate population'."
-    refuse_given(why, subjects=subjects, fingers=fingers, sessions=sessions, workers=workers, prints=prints)
+    refuse_given(
+        why, subjects=subjects, fingers=fingers, sessions=sessions, workers=workers, prints=prints
+    )
     if bench:
         refuse_given("does not go with `bench`, which has no finger.", **of_a_finger)
     changes = dict(settings or {})
@@ -155,23 +172,43 @@ def simulate(
         changes.setdefault("mirrors.names", tuple(part.strip() for part in mirrors.split(",")))
     if not nir:
         shaped = mirrors is not None or rig is not None
-        require(shaped, "`nir` needs `mirrors`: without mirrors the shape of the finger comes from its NIR images.")
+        require(
+            shaped,
+            "`nir` needs `mirrors`: without mirrors the shape of the finger comes from its NIR"
+            " images.",
+        )
         changes.setdefault("mirrors.nir", False)
     if bench:
         together = "`bench` and `lights` do not go together: what is calibrated has white LEDs."
         require(lights == "white", together)
-        return _bench(Path(out), seed, scale or 0.5, changes, overwrite=overwrite, progress=progress)
+        return _bench(
+            Path(out), seed, scale or 0.5, changes, overwrite=overwrite, progress=progress
+        )
 
     from splitknit import write_capture
     from splitknit.io.atomic import atomic_folder
     from splitknit.io.targets import check_capture
-    from splitknit_simulator.twin import finger_of_print, rig_settings, simulate_capture, twin_settings
+    from splitknit_simulator.twin import (
+        finger_of_print,
+        rig_settings,
+        simulate_capture,
+        twin_settings,
+    )
 
     started, folder = time.perf_counter(), Path(out)
-    require(rig is None or scale is None, "the rig file says how large the images are; leave out the scale.")
+    require(
+        rig is None or scale is None,
+        "the rig file says how large the images are; leave out the scale.",
+    )
     twin = rig_settings(twin_settings(scale, changes), None if rig is None else Path(rig), lights)
-    require(print_file is not None or not rolled, "`rolled` describes a real print; name its file (`print_file`).")
-    require(print_file is None or pattern is None, "a print has a pattern of its own; leave out the pattern.")
+    require(
+        print_file is not None or not rolled,
+        "`rolled` describes a real print; name its file (`print_file`).",
+    )
+    require(
+        print_file is None or pattern is None,
+        "a print has a pattern of its own; leave out the pattern.",
+    )
     finger = None if print_file is None else finger_of_print(Path(print_file), seed, rolled=rolled)
     check_capture(folder, overwrite=overwrite)
     with atomic_folder(folder, overwrite=overwrite) as target:
@@ -202,21 +239,33 @@ def simulate(
 
 
 def _bench(
-    out: Path, seed: int, scale: float, changes: Mapping[str, Any], *, overwrite: bool, progress: Progress
+    out: Path,
+    seed: int,
+    scale: float,
+    changes: Mapping[str, Any],
+    *,
+    overwrite: bool,
+    progress: Progress,
 ) -> Report:
     from splitknit.settings import override
     from splitknit_simulator.bench_photos import BenchPhotos, bench_to_folder
 
     photos = override(BenchPhotos(), changes)
-    facts = bench_to_folder(out, seed=seed, scale=scale, photos=photos, overwrite=overwrite, progress=progress)
+    facts = bench_to_folder(
+        out, seed=seed, scale=scale, photos=photos, overwrite=overwrite, progress=progress
+    )
     return Report(
         facts,
         (
-            f"The bench of rig {facts['seed']} written to {out}: {facts['boards']} photographs of a board of "
-            f"{facts['board']} inner corners and {facts['square_mm']:g} mm, the nail in {facts['nails']} places, a "
-            "card.",
-            f"Next: splitknit calibrate camera {out}/board --board {facts['board']} --plane {out}/plane.png "
-            f"--rig {out}/rig_drawn.json --out rig.json",
+            (
+                f"The bench of rig {facts['seed']} written to {out}: {facts['boards']} photographs"
+                f" of a board of {facts['board']} inner corners and {facts['square_mm']:g} mm, the"
+                f" nail in {facts['nails']} places, a card."
+            ),
+            (
+                f"Next: splitknit calibrate camera {out}/board --board {facts['board']} --plane"
+                f" {out}/plane.png --rig {out}/rig_drawn.json --out rig.json"
+            ),
         ),
     )
 
@@ -254,14 +303,21 @@ def _population(
     )
     each = facts["seconds_per_capture"]
     speed = f", {each:.1f} s each" if each is not None else ""
-    people = f"{facts['subjects']} subjects, {len(facts['fingers'])} fingers, {facts['sessions']} sessions"
+    people = (
+        f"{facts['subjects']} subjects, {len(facts['fingers'])} fingers, {facts['sessions']}"
+        " sessions"
+    )
     lines = [
-        f"{facts['simulated']} captures simulated now{speed}, {facts['found']} were there; {facts['total']} in "
-        f"{out}: {people}."
+        f"{facts['simulated']} captures simulated now{speed}, {facts['found']} were there;"
+        f" {facts['total']} in {out}: {people}."
     ]
     if facts["prints"]:
         count = facts["subjects"] * len(facts["fingers"])
-        mirrored = f", {facts['prints_mirrored']} of them mirrored" if facts["prints_mirrored"] else ""
-        lines.append(f"{facts['prints']} of {count} fingers have the ridges of a real print{mirrored}.")
+        mirrored = (
+            f", {facts['prints_mirrored']} of them mirrored" if facts["prints_mirrored"] else ""
+        )
+        lines.append(
+            f"{facts['prints']} of {count} fingers have the ridges of a real print{mirrored}."
+        )
     lines.append(f"{facts['table']} lists them with what was drawn.")
     return Report(facts, tuple(lines))

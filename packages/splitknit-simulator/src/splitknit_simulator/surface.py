@@ -22,7 +22,8 @@ class Film:
     """Water on the skin, seen from above."""
 
     fraction: FloatArray  # (H, W) fraction of the pixel that is under water
-    normals: FloatArray  # (H, W, 3) unit normals of the water's surface, those of the skin where there is none
+    # (H, W, 3) unit normals of the water's surface, those of the skin where there is none
+    normals: FloatArray
     roughness: FloatArray  # (H, W) GGX alpha of the water's surface, with the bend inside a pixel
 
 
@@ -48,7 +49,8 @@ class Coat:
     roughness_along: FloatArray | None = None  # (H, W) GGX alpha along `along`; None: as across
     along: FloatArray | None = None  # (H, W, 3) unit vectors along the ridges, in the surface
     film: Film | None = None
-    scales: FloatArray | None = None  # (H, W) diffuse white reflectance of horny scales above the skin
+    # (H, W) diffuse white reflectance of horny scales above the skin
+    scales: FloatArray | None = None
     grains: Grains | None = None
     # for each channel: diffuse reflectance of the affected skin over that of the rest
     tint: Mapping[str, float] = field(default_factory=dict)
@@ -67,32 +69,39 @@ class Texture:
     """What varies over the skin's surface and is not relief, on the camera's pixels."""
 
     gloss: FloatArray  # (H, W) specular reflection over its mean: sweat
-    blood: FloatArray  # (H, W) how much darker blood makes green light, as a natural logarithm: mottled skin
-    # (4, H, W) factor of red, green, blue and near-infrared light from within the skin, the same in all
-    # images: the sensor's fixed pattern, or the noise of a light-transport simulation that all lights share
+    # (H, W) how much darker blood makes green light, as a natural logarithm: mottled skin
+    blood: FloatArray
+    # (4, H, W) factor of red, green, blue and near-infrared light from within the skin, the same in
+    # all images: the sensor's fixed pattern, or the noise of a light-transport simulation that all
+    # lights share
     grain: FloatArray | None = None
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SimulatedSurface:
-    """One posed finger on the camera's pixel grid: each pixel's values belong to the first point that its ray meets.
+    """One posed finger on the camera's pixel grid: each pixel's values belong to the first point
+    that its ray meets.
 
     Heights are z in the rig's frame and normals are vectors of that frame, whatever the camera.
     """
 
     camera: Camera
     height_mm: FloatArray  # (H, W) z of the skin with ridges, NaN outside `mask`
-    shape_mm: FloatArray  # (H, W) z of the same finger without ridges, pores and creases, NaN outside `mask`
+    # (H, W) z of the same finger without ridges, pores and creases, NaN outside `mask`
+    shape_mm: FloatArray
     normals: FloatArray  # (H, W, 3) unit normals of `height_mm`, zero outside `mask`
     shape_normals: FloatArray  # (H, W, 3) unit normals of `shape_mm`, zero outside `mask`
-    # (H, W) displacement of the skin along the shape's normal: 0 at ridge tops, negative in valleys, zero outside
+    # (H, W) displacement of the skin along the shape's normal: 0 at ridge tops, negative in
+    # valleys, zero outside
     relief_um: FloatArray
     mask: BoolArray  # (H, W) true where the camera sees the finger
     # (H, W) multiplier of the diffuse reflectance (creases and pores are darker), one on plain skin
     pigment: FloatArray
-    # what the geometry knows: tip and flexion creases in pixels, pose, pattern, cores and deltas in pixels
+    # what the geometry knows: tip and flexion creases in pixels, pose, pattern, cores and deltas in
+    # pixels
     landmarks: Mapping[str, Any] = field(default_factory=dict)
-    # (H, W) x of the points of `height_mm`, NaN outside `mask`; None for an orthographic camera: the grid gives it
+    # (H, W) x of the points of `height_mm`, NaN outside `mask`; None for an orthographic camera:
+    # the grid gives it
     x_mm: FloatArray | None = None
     y_mm: FloatArray | None = None  # (H, W) y of the same points
     # (H, W, 2) u and v of the points on the skin's map, mm; None unless it was asked for
@@ -103,5 +112,6 @@ class SimulatedSurface:
     def __post_init__(self) -> None:
         require(
             (self.x_mm is None) == (self.y_mm is None) == (self.camera.model == "orthographic"),
-            "a surface needs x_mm and y_mm where its camera is perspective, and neither where it is orthographic.",
+            "a surface needs x_mm and y_mm where its camera is perspective, and neither where it is"
+            " orthographic.",
         )

@@ -1,4 +1,5 @@
-"""A whole capture of the simulator: finger, skin, lights, background and sensor, with the truth; and as a folder."""
+"""A whole capture of the simulator: finger, skin, lights, background and sensor, with the truth;
+and as a folder."""
 
 from __future__ import annotations
 
@@ -17,15 +18,29 @@ from splitknit.io.images import read_image
 from splitknit.model import BoolArray, FloatArray, PixelArray, default_rig
 from splitknit.settings import override
 from splitknit_simulator.finger.conditions import conditioned_surface
-from splitknit_simulator.finger.finger import FingerPose, SimulatedFinger, draw_finger, finger_surface
-from splitknit_simulator.finger.master_print import MasterPrint, MasterPrintSettings, master_of_print
+from splitknit_simulator.finger.finger import (
+    FingerPose,
+    SimulatedFinger,
+    draw_finger,
+    finger_surface,
+)
+from splitknit_simulator.finger.master_print import (
+    MasterPrint,
+    MasterPrintSettings,
+    master_of_print,
+)
 from splitknit_simulator.finger.motion import EXPOSURE_S, draw_path, moving_finger
 from splitknit_simulator.finger.shape import shape_of_rolled_print
 from splitknit_simulator.light.films import FilmSettings, with_crossed_leds
 from splitknit_simulator.light.lighting import white_card
 from splitknit_simulator.light.renderer import BandLight
 from splitknit_simulator.light.skin import BAND_CHANNELS, SkinOptics
-from splitknit_simulator.mirror_twin import Drawn, photograph_between_mirrors, poses_between_mirrors, rig_with_mirrors
+from splitknit_simulator.mirror_twin import (
+    Drawn,
+    photograph_between_mirrors,
+    poses_between_mirrors,
+    rig_with_mirrors,
+)
 from splitknit_simulator.rigs import coloured_rig, with_side_lights
 from splitknit_simulator.scene import (
     BACKGROUND_MM,
@@ -46,24 +61,35 @@ def twin_settings(scale: float | None, changes: Mapping[str, Any] | None) -> Twi
     """Return the twin's settings with `scale` and single fields replaced."""
     settings = override(TwinSettings(), dict(changes or {}))
     settings = settings if scale is None else replace(settings, scale=scale)
-    require(0.05 <= settings.scale <= 1.0, f"scale must lie between 0.05 and 1, but it is {settings.scale:g}.")
+    require(
+        0.05 <= settings.scale <= 1.0,
+        f"scale must lie between 0.05 and 1, but it is {settings.scale:g}.",
+    )
     return settings
 
 
 def rig_settings(settings: TwinSettings, rig: Path | None, lights: str) -> TwinSettings:
-    """The settings with the rig of a file, or with coloured `lights`: ``coloured`` or ``coloured9``."""
+    """The settings with the rig of a file, or with coloured `lights`: ``coloured`` or
+    ``coloured9``."""
     if rig is not None:
         settings = replace(settings, rig=read_rig(rig))
     if lights != "white":
-        require(settings.rig is None, "a rig file says which LEDs there are; leave out `lights`, or `rig`.")
-        require(not settings.mirrors.names, "mirrors have white LEDs in the twin; leave out `mirrors` or `lights`.")
+        require(
+            settings.rig is None,
+            "a rig file says which LEDs there are; leave out `lights`, or `rig`.",
+        )
+        require(
+            not settings.mirrors.names,
+            "mirrors have white LEDs in the twin; leave out `mirrors` or `lights`.",
+        )
         exposures = {"coloured": 2, "coloured9": 3}[lights]
         settings = replace(settings, rig=coloured_rig(settings.scale, settings.rig_seed, exposures))
     return settings
 
 
 def finger_of_print(path: Path, seed: int, *, rolled: bool) -> SimulatedFinger:
-    """The finger that left a print of 500 pixels an inch; the outline of a print that was `rolled` gives its size."""
+    """The finger that left a print of 500 pixels an inch; the outline of a print that was `rolled`
+    gives its size."""
     grey = _grey_print(path)
     finger = replace(draw_finger(seed), pattern="print", printed=master_of_print(grey, seed))
     if not rolled:
@@ -72,9 +98,14 @@ def finger_of_print(path: Path, seed: int, *, rolled: bool) -> SimulatedFinger:
 
 
 def master_of_print_file(
-    path: Path, seed: int = 0, settings: MasterPrintSettings | None = None, *, mirrored: bool = False
+    path: Path,
+    seed: int = 0,
+    settings: MasterPrintSettings | None = None,
+    *,
+    mirrored: bool = False,
 ) -> MasterPrint:
-    """Read a print of 500 pixels an inch (PNG, TIFF, JPEG) and return the master print of the finger that left it.
+    """Read a print of 500 pixels an inch (PNG, TIFF, JPEG) and return the master print of the
+    finger that left it.
 
     `mirrored`: of the finger that would leave its mirror image.
     """
@@ -89,7 +120,8 @@ def _grey_print(path: Path) -> NDArray[np.uint8]:
 
 
 def _inked(grey: NDArray[np.uint8]) -> BoolArray:
-    """Where a print has ridges or the valleys between them; strokes thinner than 1 mm are left out."""
+    """Where a print has ridges or the valleys between them; strokes thinner than 1 mm are left
+    out."""
     dark = cv2.threshold(grey, 0, 1, cv2.THRESH_BINARY_INV + cv2.THRESH_OTSU)[1]
     ink = cv2.copyMakeBorder(dark, 21, 21, 21, 21, cv2.BORDER_CONSTANT)
     disc = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (21, 21))
@@ -126,7 +158,8 @@ def simulate_capture(
     Raises
     ------
     BadInput
-        If there is no such `pattern`, or `settings` combine what the twin cannot show together (motion and mirrors).
+        If there is no such `pattern`, or `settings` combine what the twin cannot show together
+        (motion and mirrors).
 
     Notes
     -----
@@ -139,7 +172,9 @@ def simulate_capture(
     >>> capture.shape
     (176, 256)
     """
-    settings = settings if isinstance(settings, TwinSettings) else override(TwinSettings(), settings or {})
+    settings = (
+        settings if isinstance(settings, TwinSettings) else override(TwinSettings(), settings or {})
+    )
     if settings.motion.amplitude_mm > 0:
         capture, truth = _photograph_moving(seed, pattern, settings, impression, finger)
     elif settings.between_mirrors:
@@ -147,7 +182,9 @@ def simulate_capture(
         capture, truth = photograph_between_mirrors(drawn, seed, settings)
     else:
         surface, drawn = lay_down(seed, pattern, settings, impression=impression, finger=finger)
-        capture, truth = photograph(surface, drawn.rig, drawn.skin, drawn.photo_seed, settings=settings)
+        capture, truth = photograph(
+            surface, drawn.rig, drawn.skin, drawn.photo_seed, settings=settings
+        )
     subject = {"id": "anonymous", "finger": "simulated", "session": impression + 1}
     return replace(capture, subject=subject), truth
 
@@ -160,21 +197,28 @@ def lay_down(
     impression: int = 0,
     finger: SimulatedFinger | None = None,
 ) -> tuple[SimulatedSurface, Drawn]:
-    """Draw a finger, its skin and its pose as :func:`simulate_capture` does, with the same arguments."""
+    """Draw a finger, its skin and its pose as :func:`simulate_capture` does, with the same
+    arguments."""
     settings = settings or TwinSettings()
     drawn = drawn_finger(seed, pattern, settings, impression, finger)
     finger, pose, skin = drawn.finger, drawn.pose, drawn.skin
     workers, camera = settings.render.workers, drawn.rig.camera
     if settings.condition.active:
         condition_seed = np.random.SeedSequence([seed, impression, 0x54])
-        surface = conditioned_surface(finger, pose, camera, skin, settings.condition, condition_seed, workers=workers)
+        surface = conditioned_surface(
+            finger, pose, camera, skin, settings.condition, condition_seed, workers=workers
+        )
     else:
         surface = finger_surface(finger, pose, camera, workers=workers)
     return surface, drawn
 
 
 def drawn_finger(
-    seed: int, pattern: str | None, settings: TwinSettings, impression: int, finger: SimulatedFinger | None
+    seed: int,
+    pattern: str | None,
+    settings: TwinSettings,
+    impression: int,
+    finger: SimulatedFinger | None,
 ) -> Drawn:
     """Finger, pose, rig and skin of :func:`simulate_capture` with the same arguments."""
     require(seed >= 0 and impression >= 0, "seed and impression must not be negative.")
@@ -202,16 +246,18 @@ def photograph(
     *,
     settings: TwinSettings | None = None,
 ) -> tuple[Capture, dict[str, NDArray[Any]]]:
-    """Photograph `surface`, on the pixels of `rig.camera`, under every LED of `rig`; `seed`: of background and noise.
+    """Photograph `surface`, on the pixels of `rig.camera`, under every LED of `rig`; `seed`: of
+    background and noise.
 
-    Of `settings` only `render`, `background`, `sensor`, `sensor_scale` and `films` are used here. The truth's arrays by
-    name: see ``docs/explain/simulator.md``. Raises BadInput if the surface does not fit the camera or is not in the
-    picture.
+    Of `settings` only `render`, `background`, `sensor`, `sensor_scale` and `films` are used here.
+    The truth's arrays by name: see ``docs/explain/simulator.md``. Raises BadInput if the surface
+    does not fit the camera or is not in the picture.
     """
     settings = settings or TwinSettings()
     require(
         surface.mask.shape == rig.camera.image_size,
-        f"the surface has {surface.mask.shape} pixels, but the rig's camera has {rig.camera.image_size}.",
+        f"the surface has {surface.mask.shape} pixels, but the rig's camera has"
+        f" {rig.camera.image_size}.",
     )
     background_seed, noise_seed = seed.spawn(2)
     scene = Scene((surface, rig, skin), settings, np.random.default_rng(background_seed))
@@ -223,20 +269,31 @@ def photograph(
 
 
 def _photograph_moving(
-    seed: int, pattern: str | None, settings: TwinSettings, impression: int, finger: SimulatedFinger | None
+    seed: int,
+    pattern: str | None,
+    settings: TwinSettings,
+    impression: int,
+    finger: SimulatedFinger | None,
 ) -> tuple[Capture, dict[str, NDArray[Any]]]:
     """Photograph a finger that moves from shot to shot, the white band first.
 
-    Finger and pose are those of :func:`lay_down` in the reference shot, the middle one of the first band. The truth is
-    that of this shot, ``motion_reference``; ``motion_*`` describe the motion, and ``glare_*`` lie where each shot shows
-    the finger. A band's ambient frame goes with its first shot; coloured LEDs of one exposure with one place.
+    Finger and pose are those of :func:`lay_down` in the reference shot, the middle one of the first
+    band. The truth is that of this shot, ``motion_reference``; ``motion_*`` describe the motion,
+    and ``glare_*`` lie where each shot shows the finger. A band's ambient frame goes with its first
+    shot; coloured LEDs of one exposure with one place.
     """
     drawn = drawn_finger(seed, pattern, settings, impression, finger)
     rig = drawn.rig
     members = {name: members_of(name, rig, settings) for name in bands_of(rig, settings)}
-    groups = {name: exposures_of([rig.leds[k] for k in numbers]) for name, numbers in members.items()}
+    groups = {
+        name: exposures_of([rig.leds[k] for k in numbers]) for name, numbers in members.items()
+    }
     # band and LEDs of every shot, in the order in which they are taken: the white band first
-    shots = [(name, tuple(members[name][k] for k in group)) for name, exposed in groups.items() for group in exposed]
+    shots = [
+        (name, tuple(members[name][k] for k in group))
+        for name, exposed in groups.items()
+        for group in exposed
+    ]
     path_seed, slip_seed = np.random.SeedSequence([seed, impression, 0x53]).spawn(2)
     reference = sum(name == shots[0][0] for name, _ in shots) // 2
     path = draw_path(np.random.default_rng(path_seed), len(shots), settings.motion, reference)
@@ -245,7 +302,9 @@ def _photograph_moving(
     lit: dict[str, list[_Shot]] = {}
     truth: dict[str, NDArray[Any]] = {}
     exposed_px = EXPOSURE_S * rig.camera.px_per_mm
-    for number, ((name, leds), surface) in enumerate(zip(shots, moving.surfaces(settings.render.workers), strict=True)):
+    for number, ((name, leds), surface) in enumerate(
+        zip(shots, moving.surfaces(settings.render.workers), strict=True)
+    ):
         # the same dust in every shot
         scene = Scene((surface, rig, drawn.skin), settings, np.random.default_rng(background_seed))
         if number == moving.path.reference:
@@ -273,12 +332,17 @@ class _Shot:
     smear: FloatArray  # kernel of the blur within the exposure
 
 
-def _moving_band(name: str, shots: Sequence[_Shot], exposed: Sequence[_Shot], seed: np.random.SeedSequence) -> Taken:
-    """Images of one band, as :meth:`Scene.photograph` gives them; the exposure is set to the shots `exposed`."""
+def _moving_band(
+    name: str, shots: Sequence[_Shot], exposed: Sequence[_Shot], seed: np.random.SeedSequence
+) -> Taken:
+    """Images of one band, as :meth:`Scene.photograph` gives them; the exposure is set to the shots
+    `exposed`."""
     first = shots[0].scene
     rig = first.rig
     used = sorted(k for shot in shots for k in shot.leds)
-    bright = max(shot.scene.brightest(shot.light, [range(len(shot.leds))], shot.members) for shot in exposed)
+    bright = max(
+        shot.scene.brightest(shot.light, [range(len(shot.leds))], shot.members) for shot in exposed
+    )
     exposure = np.float32(first.settings.sensor.exposure / bright)
     ambient = first.ambient(name, [rig.leds[k] for shot in shots for k in shot.leds])
     glare = np.zeros((len(used), *rig.camera.image_size), dtype=np.float16)
@@ -289,7 +353,9 @@ def _moving_band(name: str, shots: Sequence[_Shot], exposed: Sequence[_Shot], se
         scene, light = shot.scene, shot.light
         frame = scene.exposed(light, range(len(shot.leds)), shot.members, ambient) * exposure
         for k, led in enumerate(shot.leds):
-            glare[used.index(led)][light.window] = light.glare[k] * scene.shade[light.window[0]] * exposure
+            glare[used.index(led)][light.window] = (
+                light.glare[k] * scene.shade[light.window[0]] * exposure
+            )
         smeared = cv2.filter2D(frame, -1, shot.smear, borderType=cv2.BORDER_REPLICATE)
         return scene.record(np.asarray(smeared, dtype=np.float32), name, leds, seed)
 
@@ -317,8 +383,9 @@ HalfArray = NDArray[np.float16]
 class FingerScene:
     """One finger, laid down once, under any LEDs of a rig.
 
-    It is that of :func:`splitknit_simulator.twin.simulate_capture` with the same arguments. Each band's light is
-    rendered once, when one of its LEDs is lit first, and kept. The ambient light is the same whichever LED is lit.
+    It is that of :func:`splitknit_simulator.twin.simulate_capture` with the same arguments. Each
+    band's light is rendered once, when one of its LEDs is lit first, and kept. The ambient light is
+    the same whichever LED is lit.
     """
 
     def __init__(
@@ -330,27 +397,33 @@ class FingerScene:
         impression: int = 0,
         finger: SimulatedFinger | None = None,
     ) -> None:
-        """Lay a finger down, drawn as by :func:`simulate_capture`; `sensor` and `films` are not used here."""
+        """Lay a finger down, drawn as by :func:`simulate_capture`; `sensor` and `films` are not
+        used here."""
         settings = replace(settings or TwinSettings(), films=FilmSettings())
-        self.surface, drawn = lay_down(seed, pattern, settings, impression=impression, finger=finger)
+        self.surface, drawn = lay_down(
+            seed, pattern, settings, impression=impression, finger=finger
+        )
         self.settings, self.rig, self.skin = settings, drawn.rig, drawn.skin
         self.camera, self.leds = drawn.rig.camera, drawn.rig.leds
         rng = np.random.default_rng(drawn.photo_seed.spawn(1)[0])
         self._scene = Scene((self.surface, self.rig, self.skin), settings, rng)
         self._bands: dict[str, tuple[tuple[slice, slice], HalfArray]] = {}
-        """Window, and planes (L, C, h, w) of diffuse light and glare, C = 3 (white) or 1 (NIR); half floats, whose
-        steps are a tenth of the noise."""
+        """Window, and planes (L, C, h, w) of diffuse light and glare, C = 3 (white) or 1 (NIR);
+        half floats, whose steps are a tenth of the noise."""
         self._room: FloatArray | None = None
 
     def light(self, lit: Sequence[int]) -> FloatArray:
-        """Noise-free light (H, W, 3) with the LEDs `lit` on; none = the ambient light alone; BadInput if there is no
-        such LED.
+        """Noise-free light (H, W, 3) with the LEDs `lit` on; none = the ambient light alone;
+        BadInput if there is no such LED.
 
-        White-balanced linear radiance in the rig's units: a white Lambertian card that faces an LED of intensity one at
-        100 mm gives 1 / pi.
+        White-balanced linear radiance in the rig's units: a white Lambertian card that faces an LED
+        of intensity one at 100 mm gives 1 / pi.
         """
         for index in lit:
-            require(0 <= index < len(self.leds), f"there is no LED {index} in the rig of {len(self.leds)}.")
+            require(
+                0 <= index < len(self.leds),
+                f"there is no LED {index} in the rig of {len(self.leds)}.",
+            )
         if self._room is None:
             self._room = self._scene.ambient("white", self.leds)
         frame, scene = self._room.copy(), self._scene
@@ -359,11 +432,14 @@ class FingerScene:
             members = [k for k, led in enumerate(self.leds) if led.band == self.leds[index].band]
             card = white_card(self.camera, self.leds[index], -BACKGROUND_MM)
             frame += scene.background(card, self.leds[index].band) * scene.shade[..., None]
-            frame[window] += np.moveaxis(all_planes[members.index(index)] * scene.shade[window[0]], 0, -1)
+            frame[window] += np.moveaxis(
+                all_planes[members.index(index)] * scene.shade[window[0]], 0, -1
+            )
         return scene.through_lens(frame)
 
     def truth(self) -> dict[str, NDArray[Any]]:
-        """Arrays by name: heights, normals, mask, landmarks and optics, see ``docs/explain/simulator.md``."""
+        """Arrays by name: heights, normals, mask, landmarks and optics, see
+        ``docs/explain/simulator.md``."""
         intensities = {"led_intensity": np.array([led.intensity for led in self.leds])}
         return surface_truth(self.surface) | optics_truth(self.skin) | intensities
 
@@ -371,5 +447,8 @@ class FingerScene:
         if name not in self._bands:
             require(name in BAND_CHANNELS, f"the twin's LEDs are white or nir, not '{name}'.")
             light = self._scene.render(name, [led for led in self.leds if led.band == name])
-            self._bands[name] = light.window, (light.diffuse + light.glare[:, None]).astype(np.float16)
+            self._bands[name] = (
+                light.window,
+                (light.diffuse + light.glare[:, None]).astype(np.float16),
+            )
         return self._bands[name]

@@ -1,4 +1,5 @@
-"""The twin as the devices of ``splitknit capture``, a finger or calibration target; registered as ``twin``."""
+"""The twin as the devices of ``splitknit capture``, a finger or calibration target; registered as
+``twin``."""
 
 from __future__ import annotations
 
@@ -31,27 +32,33 @@ class Twin:
 
     @classmethod
     def made(cls, changes: Mapping[str, Any], rig: Rig | None, scale: float | None) -> Twin:
-        """Change settings of finger, skin, light and sensor; BadInput if unknown, or the rig is another camera's."""
+        """Change settings of finger, skin, light and sensor; BadInput if unknown, or the rig is
+        another camera's."""
         settings = twin_settings(scale, changes)
         if rig is not None:
             require(
                 "films" not in rig.provenance,
-                "the rig file has polarising films, which the twin's camera and LEDs have not; capture with `device` "
-                "pi, or take provenance.films out of the file.",
+                "the rig file has polarising films, which the twin's camera and LEDs have not;"
+                " capture with `device` pi, or take provenance.films out of the file.",
             )
             size = (default_rig(scale) if scale is not None else rig).camera.image_size
             require(
                 size == rig.camera.image_size,
-                f"the rig file is for another camera: its images have {rig.camera.image_size[0]} x "
-                f"{rig.camera.image_size[1]} pixels (rows x columns), those of `scale` {scale} have {size[0]} x "
-                f"{size[1]}; leave `scale` out.",
+                f"the rig file is for another camera: its images have {rig.camera.image_size[0]} x"
+                f" {rig.camera.image_size[1]} pixels (rows x columns), those of `scale` {scale}"
+                f" have {size[0]} x {size[1]}; leave `scale` out.",
             )
             settings = replace(settings, rig=rig)
         return cls(settings)
 
     @contextmanager
     def opened(
-        self, seed: int, impression: int = 0, *, pattern: str | None = None, target: str | None = None
+        self,
+        seed: int,
+        impression: int = 0,
+        *,
+        pattern: str | None = None,
+        target: str | None = None,
     ) -> Iterator[Opened]:
         """Open the devices around a simulated finger, or around a calibration target."""
         truth: Mapping[str, Any] | None = None
@@ -65,8 +72,14 @@ class Twin:
             rig = twin.rig or default_rig(twin.scale, twin.rig_seed)
             scene, words = _target_scene(target, rig, seed)
             notes = (words,)
-        noise = int(np.random.SeedSequence([seed, impression, 0xCA]).generate_state(1, np.uint32)[0])
-        sensor: dict[str, Any] = {"sensor": twin.sensor, "sensor_scale": twin.sensor_scale, "seed": noise}
+        noise = int(
+            np.random.SeedSequence([seed, impression, 0xCA]).generate_state(1, np.uint32)[0]
+        )
+        sensor: dict[str, Any] = {
+            "sensor": twin.sensor,
+            "sensor_scale": twin.sensor_scale,
+            "seed": noise,
+        }
         with (
             TwinLightBank(scene, clock) as lights,
             TwinCamera(scene, lights, clock, **sensor) as camera,
@@ -78,10 +91,20 @@ def _target_scene(name: str, rig: Rig, seed: int) -> tuple[LitScene, str]:
     """Return a target under the rig, and what it is; the seed draws its place where it has one."""
     camera, leds = rig.camera, rig.leds
     if name == "nail":
-        x, y = np.random.default_rng(np.random.SeedSequence([seed, 0x7A])).uniform(-8.0, 8.0, 2).round(2).tolist()
-        return NailScene(camera=camera, leds=leds, position_mm=(x, y)), f"a nail of 13 mm stood at x {x}, y {y} mm"
+        x, y = (
+            np.random.default_rng(np.random.SeedSequence([seed, 0x7A]))
+            .uniform(-8.0, 8.0, 2)
+            .round(2)
+            .tolist()
+        )
+        return (
+            NailScene(camera=camera, leds=leds, position_mm=(x, y)),
+            f"a nail of 13 mm stood at x {x}, y {y} mm",
+        )
     if name == "board":
-        scene = BoardScene(camera=camera, leds=leds, board=BOARD, **board_poses(seed, 1, camera, BOARD)[0])
+        scene = BoardScene(
+            camera=camera, leds=leds, board=BOARD, **board_poses(seed, 1, camera, BOARD)[0]
+        )
         size = f"{BOARD.columns}x{BOARD.rows}"
         return scene, f"a checkerboard of {size} inner corners (board {size}) was held"
     makers: dict[str, Any] = {"card": CardScene, "sphere": SphereScene}

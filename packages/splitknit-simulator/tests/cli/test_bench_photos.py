@@ -47,14 +47,27 @@ def test_the_card_is_a_capture_with_exposures(bench: Path) -> None:
     document = json.loads((bench / "card" / "radiometry.json").read_text())
     series = [read_image(bench / "card" / one["file"]).mean() for one in document["exposures"]]
     times = [one["exposure_s"] for one in document["exposures"]]
-    np.testing.assert_allclose(np.array(series) / series[-1], np.array(times) / times[-1], rtol=0.03)
+    np.testing.assert_allclose(
+        np.array(series) / series[-1], np.array(times) / times[-1], rtol=0.03
+    )
 
 
-def test_a_finger_by_that_rig_and_its_reconstruction_with_another(bench: Path, tmp_path: Path) -> None:
+@pytest.mark.slow
+def test_a_finger_by_that_rig_and_its_reconstruction_with_another(
+    bench: Path, tmp_path: Path
+) -> None:
     true = bench / "rig_true.json"
     assert main(["simulate", "--seed", "4", "--rig", str(true), "--out", str(tmp_path / "c")]) == 0
     assert read_capture(tmp_path / "c").rig.camera.height_mm == read_rig(true).camera.height_mm
-    call = ["reconstruct", str(tmp_path / "c"), "--preset", "ea", "--rig", str(bench / "rig_drawn.json"), "--keep"]
+    call = [
+        "reconstruct",
+        str(tmp_path / "c"),
+        "--preset",
+        "ea",
+        "--rig",
+        str(bench / "rig_drawn.json"),
+        "--keep",
+    ]
     assert main([*call, "--out", str(tmp_path / "r")]) == 0
     report = json.loads((tmp_path / "r" / "report.json").read_text())
     assert "replaced rig: rig_drawn.json" in json.dumps(report)
@@ -68,7 +81,9 @@ def test_a_finger_by_that_rig_and_its_reconstruction_with_another(bench: Path, t
         (["simulate", "--rig", "RIG", "--scale", "0.5"], "leave out the scale"),
     ],
 )
-def test_refusals(call: list[str], words: str, bench: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_refusals(
+    call: list[str], words: str, bench: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     given = [str(bench / "rig_true.json") if part == "RIG" else part for part in call]
     assert main([*given, "--out", str(tmp_path / "o")]) == 2
     said = capsys.readouterr().err
@@ -77,16 +92,31 @@ def test_refusals(call: list[str], words: str, bench: Path, tmp_path: Path, caps
     assert not (tmp_path / "o").exists()
 
 
-def test_rigs_that_do_not_fit_a_capture(bench: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_rigs_that_do_not_fit_a_capture(
+    bench: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     rig = read_rig(bench / "rig_drawn.json")
-    swapped = tuple(Led("nir" if led.band == "white" else "white", led.position_mm) for led in rig.leds)
+    swapped = tuple(
+        Led("nir" if led.band == "white" else "white", led.position_mm) for led in rig.leds
+    )
     other = built_rig(3, scale=2 * SCALE)
     for name, wrong, words in (
-        ("few.json", Rig(rig.camera, rig.leds[:9]), "LED 9, which lit images of the band 'nir', is not in it"),
+        (
+            "few.json",
+            Rig(rig.camera, rig.leds[:9]),
+            "LED 9, which lit images of the band 'nir', is not in it",
+        ),
         ("swapped.json", Rig(rig.camera, swapped), "is of the band 'nir' there"),
         ("other.json", other, "is the rig of another camera"),
     ):
         write_rig(wrong, tmp_path / name)
-        call = ["reconstruct", str(bench / "card"), "--rig", str(tmp_path / name), "--out", str(tmp_path / "r")]
+        call = [
+            "reconstruct",
+            str(bench / "card"),
+            "--rig",
+            str(tmp_path / name),
+            "--out",
+            str(tmp_path / "r"),
+        ]
         assert main(call) == 2
         assert words in capsys.readouterr().err

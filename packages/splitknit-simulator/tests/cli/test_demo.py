@@ -49,8 +49,11 @@ def test_demo_writes_everything_and_says_where(
     assert "Open demo/report.html" in said
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("short_cut")
-def test_demo_can_be_repeated_and_its_results_replaced(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_demo_can_be_repeated_and_its_results_replaced(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     out = str(tmp_path / "demo")
     assert main(["demo", "--out", out]) == 0
     assert main(["demo", "--out", out, "--json"]) == 0

@@ -26,7 +26,10 @@ for capture, preset, out in zip(sys.argv[2::3], sys.argv[3::3], sys.argv[4::3], 
 
 def digests(folder: Path) -> dict[str, str]:
     files = sorted(path for path in folder.rglob("*") if path.is_file() and path.stem != "report")
-    return {path.relative_to(folder).as_posix(): hashlib.sha256(path.read_bytes()).hexdigest() for path in files}
+    return {
+        path.relative_to(folder).as_posix(): hashlib.sha256(path.read_bytes()).hexdigest()
+        for path in files
+    }
 
 
 @pytest.mark.slow
@@ -37,8 +40,16 @@ def test_threads_do_not_change_a_byte(twin_folder: Path, tmp_path: Path) -> None
     for threads in (1, 2):
         out = tmp_path / str(threads)
         cases = [(twin_folder, "metric"), (twin_folder, "snk"), (opaque, "metric")]
-        arguments = [str(word) for k, (c, preset) in enumerate(cases) for word in (c, preset, out / f"{k}_{preset}")]
-        environment = {**os.environ, "OMP_NUM_THREADS": str(threads), "OPENBLAS_NUM_THREADS": str(threads)}
+        arguments = [
+            str(word)
+            for k, (c, preset) in enumerate(cases)
+            for word in (c, preset, out / f"{k}_{preset}")
+        ]
+        environment = {
+            **os.environ,
+            "OMP_NUM_THREADS": str(threads),
+            "OPENBLAS_NUM_THREADS": str(threads),
+        }
         command = [sys.executable, "-c", CODE, str(threads), *arguments]
         run = subprocess.run(command, env=environment, capture_output=True, text=True, check=False)
         assert run.returncode == 0, run.stderr

@@ -22,14 +22,29 @@ def test_the_finger_that_left_a_print_is_photographed(tmp_path: Path) -> None:
     write_image(tmp_path / "print.png", ink_print(master_print("whorl", 5)))
     out = ["--seed", "3", "--scale", "0.15"]
     assert main(["simulate", "--out", str(tmp_path / "drawn"), *out]) == 0
-    assert main(["simulate", "--out", str(tmp_path / "own"), *out, "--print", str(tmp_path / "print.png")]) == 0
+    assert (
+        main(
+            [
+                "simulate",
+                "--out",
+                str(tmp_path / "own"),
+                *out,
+                "--print",
+                str(tmp_path / "print.png"),
+            ]
+        )
+        == 0
+    )
     drawn, own = (read_npz(tmp_path / name / "truth.npz") for name in ("drawn", "own"))
     assert str(own["landmark_pattern"]) == "print"
     both = own["mask"] & drawn["mask"]
     np.testing.assert_allclose(own["shape_mm"][both], drawn["shape_mm"][both], atol=1e-5)
     relief = [np.where(both, truth["height_mm"] - truth["shape_mm"], 0.0) for truth in (drawn, own)]
     rows, columns = np.flatnonzero(both.any(axis=1)), np.flatnonzero(both.any(axis=0))
-    middle = np.s_[rows[0] + 40 : rows[0] + 100, columns.mean().astype(int) - 30 : columns.mean().astype(int) + 30]
+    middle = np.s_[
+        rows[0] + 40 : rows[0] + 100,
+        columns.mean().astype(int) - 30 : columns.mean().astype(int) + 30,
+    ]
     assert relief[1][middle].std() > 0.5 * relief[0][middle].std()
     assert abs(np.corrcoef(relief[0][middle].ravel(), relief[1][middle].ravel())[0, 1]) < 0.5
 
@@ -45,10 +60,12 @@ def test_a_row_of_a_rolled_print_is_as_long_as_the_half_section() -> None:
     found = shape_of_rolled_print(2.0 * np.abs(columns)[None, :] < row_mm[:, None], pitch, shape)
     assert found.width_mm == pytest.approx(2.0 * half, abs=0.1)
     assert found.thickness_mm == pytest.approx(2.0 * high, abs=0.1)
-    assert 4.0 <= found.tip_length_mm < 7.0 and found.length_mm < 24.0  # the skin of the tip falls towards the nail
+    # the skin of the tip falls towards the nail
+    assert 4.0 <= found.tip_length_mm < 7.0 and found.length_mm < 24.0
     assert (found.squareness, found.taper) == (0.0, shape.taper)
 
 
+@pytest.mark.slow
 def test_the_outline_of_a_rolled_print_gives_the_finger_its_size(tmp_path: Path) -> None:
     image = ink_print(master_print("whorl", 5), half_width_mm=11.5)  # 23 mm from nail to nail
     write_image(tmp_path / "rolled.png", image)
@@ -56,7 +73,9 @@ def test_the_outline_of_a_rolled_print_gives_the_finger_its_size(tmp_path: Path)
     assert main(["simulate", "--out", str(tmp_path / "drawn"), *options]) == 0
     assert main(["simulate", "--out", str(tmp_path / "own"), *options, "--rolled"]) == 0
     drawn, own = (read_npz(tmp_path / name / "truth.npz") for name in ("drawn", "own"))
-    width = [float(truth["mask"].sum(axis=1).max()) * float(truth["pitch_mm"]) for truth in (drawn, own)]
+    width = [
+        float(truth["mask"].sum(axis=1).max()) * float(truth["pitch_mm"]) for truth in (drawn, own)
+    ]
     assert width[1] == pytest.approx(draw_width(image), abs=1.0)
     assert abs(width[0] - width[1]) > 0.3
 
@@ -64,7 +83,9 @@ def test_the_outline_of_a_rolled_print_gives_the_finger_its_size(tmp_path: Path)
 def draw_width(image: np.ndarray) -> float:
     """Of the finger of seed 3 that left a print of this outline."""
     ink = (image < 128).any(axis=0)
-    return shape_of_rolled_print(np.ones((300, int(ink.sum())), dtype=bool), 25.4 / 500, draw_finger(3).shape).width_mm
+    return shape_of_rolled_print(
+        np.ones((300, int(ink.sum())), dtype=bool), 25.4 / 500, draw_finger(3).shape
+    ).width_mm
 
 
 @pytest.mark.parametrize(
@@ -76,10 +97,18 @@ def draw_width(image: np.ndarray) -> float:
         ([], "no ridges"),
     ],
 )
-def test_what_does_not_go_is_said_in_one_sentence(tmp_path: Path, capsys, options: list[str], words: str) -> None:
+def test_what_does_not_go_is_said_in_one_sentence(
+    tmp_path: Path, capsys, options: list[str], words: str
+) -> None:
     write_image(tmp_path / "white.png", np.full((300, 300), 255, dtype=np.uint8))
     first = options[:1] if options[:1] == ["population"] else []
-    given = ["--out", str(tmp_path / "none"), "--print", str(tmp_path / "white.png"), *options[len(first) :]]
+    given = [
+        "--out",
+        str(tmp_path / "none"),
+        "--print",
+        str(tmp_path / "white.png"),
+        *options[len(first) :],
+    ]
     assert main(["simulate", *first, *given]) == 2
     said = capsys.readouterr().err
     assert words in said and said.count("\n") == 1

@@ -25,7 +25,9 @@ def moved(capture: Capture, right_mm: float, up_mm: float) -> Capture:
     turn = np.array([[1.0, 0.0, right_mm * px], [0.0, 1.0, -up_mm * px]])
     band = capture.bands["white_crossed"]
     size = capture.shape[::-1]
-    pixels = [cv2.warpAffine(one, turn, size, flags=cv2.INTER_CUBIC, borderMode=1) for one in band.pixels]
+    pixels = [
+        cv2.warpAffine(one, turn, size, flags=cv2.INTER_CUBIC, borderMode=1) for one in band.pixels
+    ]
     crossed = replace(band, pixels=np.stack(pixels).reshape(band.pixels.shape))
     return replace(capture, bands={**capture.bands, "white_crossed": crossed})
 
@@ -34,13 +36,20 @@ def moved(capture: Capture, right_mm: float, up_mm: float) -> Capture:
 def polarised() -> Capture:
     """A finger without specular reflection, as crossed films show it, and with it."""
     one, other = (
-        splitknit_simulator.simulate_capture(3, settings={"scale": 0.2, "skin.glare": [strength, strength]})[0]
+        splitknit_simulator.simulate_capture(
+            3, settings={"scale": 0.2, "skin.glare": [strength, strength]}
+        )[0]
         for strength in (1.0, 0.0)
     )
     white, dark = one.bands["white"], other.bands["white"]
     crossed = replace(dark, name="white_crossed", polarisation="crossed")
     return replace(
-        one, bands={"white": replace(white, polarisation="parallel"), "white_crossed": crossed, "nir": one.bands["nir"]}
+        one,
+        bands={
+            "white": replace(white, polarisation="parallel"),
+            "white_crossed": crossed,
+            "nir": one.bands["nir"],
+        },
     )
 
 
@@ -52,12 +61,16 @@ def test_a_still_finger_stays_as_it_is(polarised: Capture) -> None:
     assert not any("moved" in finding.code for finding in finger.findings)
 
 
+@pytest.mark.slow
 def test_motion_between_the_series_is_undone(polarised: Capture) -> None:
     apart = moved(polarised, *MOVED_MM)
     steady, finger = find_steady_finger(apart, METRIC)
     found = np.array(finger.facts["motion_white_crossed"]["shift_mm"])
     np.testing.assert_allclose(found, np.broadcast_to(MOVED_MM, found.shape), atol=0.01)
-    assert any("between the parallel and the crossed series; that was undone" in str(note) for note in finger.findings)
+    assert any(
+        "between the parallel and the crossed series; that was undone" in str(note)
+        for note in finger.findings
+    )
     assert steady.bands["white"] is apart.bands["white"]
     assert "motion_white" not in finger.facts
     before, after = (
@@ -76,4 +89,7 @@ def test_it_is_measured_where_it_is_not_undone(polarised: Capture) -> None:
     steady, finger = find_steady_finger(apart, override(METRIC, {"motion.correct": "off"}))
     assert steady is apart
     assert finger.facts["motion"]["most_mm"] == pytest.approx(np.hypot(*MOVED_MM), abs=0.01)
-    assert any(str(note).endswith("between the parallel and the crossed series.") for note in finger.findings)
+    assert any(
+        str(note).endswith("between the parallel and the crossed series.")
+        for note in finger.findings
+    )

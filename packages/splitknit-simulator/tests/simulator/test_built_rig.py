@@ -54,7 +54,9 @@ def test_two_hundred_rigs_scatter_as_their_tolerances_say():
     assert offset.std(axis=(0, 1)) == pytest.approx(0.7, rel=0.1)
     cosines = np.sum(np.array([axes(rig) for rig in rigs]) * axes(drawn), axis=-1)
     assert np.sqrt(np.mean(np.arccos(cosines) ** 2) / 2) == pytest.approx(np.deg2rad(2), rel=0.06)
-    assert np.std([[led.intensity for led in rig.leds] for rig in rigs]) == pytest.approx(0.1, rel=0.06)
+    assert np.std([[led.intensity for led in rig.leds] for rig in rigs]) == pytest.approx(
+        0.1, rel=0.06
+    )
     for band, angle in (("white", 30), ("nir", 20)):
         lobes = [led.lobe_exponent for rig in rigs for led in rig.leds if led.band == band]
         assert np.median(lobes) == pytest.approx(lobe_exponent(angle), rel=0.05)

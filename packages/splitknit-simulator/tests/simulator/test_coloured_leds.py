@@ -37,8 +37,10 @@ def test_the_rig_is_the_thesis_s_but_for_its_white_leds() -> None:
         coloured_rig(0.2, exposures=4)
 
 
+@pytest.mark.slow
 def test_an_exposure_is_the_mixture_of_its_colours() -> None:
-    """Without noise: the channels hold what each LED alone gives in its own colour, mixed as the filters mix it."""
+    """Without noise: the channels hold what each LED alone gives in its own colour, mixed as the
+    filters mix it."""
     sensor = SensorSettings(noise=False, bits=16, raw_bits=16)
     rig = coloured_rig(0.05, 0)
     capture, truth = simulate_capture(3, "whorl", TwinSettings(rig=rig, sensor=sensor))
@@ -50,7 +52,9 @@ def test_an_exposure_is_the_mixture_of_its_colours() -> None:
     for k in band.leds[1]:
         led = rig.leds[k]
         alone, facts = simulate_capture(
-            3, "whorl", TwinSettings(rig=replace(rig, leds=(replace(led, colour=""),)), sensor=sensor)
+            3,
+            "whorl",
+            TwinSettings(rig=replace(rig, leds=(replace(led, colour=""),)), sensor=sensor),
         )
         own, c = alone.bands["white"], COLOURS.index(led.colour)
         assert own.ambient is not None

@@ -33,7 +33,9 @@ POSE = FingerPose(yaw_rad=0.05, roll_rad=0.1, insertion_mm=29.5)
 
 
 def settings(names=ALL, scale=0.12, **views):
-    chosen = MirrorSettings(names=names, nir=False, truth_pitch_mm=0.3, ridges_to_deg=180.0, **views)
+    chosen = MirrorSettings(
+        names=names, nir=False, truth_pitch_mm=0.3, ridges_to_deg=180.0, **views
+    )
     return TwinSettings(scale=scale, mirrors=chosen, pose=POSE, skin=SkinOptics(), sensor=QUIET)
 
 
@@ -44,7 +46,10 @@ def captures():
         "perspective": settings(model="perspective"),
         "faint": settings(reflectance=1e-6),
     }
-    return {kind: (chosen, *simulate_capture(4, settings=chosen, finger=FINGER)) for kind, chosen in kinds.items()}
+    return {
+        kind: (chosen, *simulate_capture(4, settings=chosen, finger=FINGER))
+        for kind, chosen in kinds.items()
+    }
 
 
 @pytest.fixture(params=["orthographic", "perspective"])
@@ -75,7 +80,9 @@ def test_true_mirrors_are_near_the_drawn_ones_and_seeded():
             turns.append(np.degrees(np.arccos(np.clip(drawn.normal @ true.normal, -1, 1))))
             shifts.append(true.point_mm - drawn.point_mm)
     assert np.abs(shifts).max() <= 2.0 and np.std(shifts) == pytest.approx(0.7, abs=0.03)
-    assert max(turns) <= 3.0 * np.sqrt(2) and np.sqrt(np.mean(np.square(turns))) == pytest.approx(np.sqrt(2), abs=0.1)
+    assert max(turns) <= 3.0 * np.sqrt(2) and np.sqrt(np.mean(np.square(turns))) == pytest.approx(
+        np.sqrt(2), abs=0.1
+    )
     first, second = (as_built(rig.mirrors, views, 7) for _ in range(2))
     assert first == second != as_built(rig.mirrors, views, 8)
     exact = as_built(rig.mirrors, replace(views, turn_sd_deg=0.0, shift_sd_mm=0.0), 7)
@@ -88,7 +95,8 @@ def reflected(mirror, points):
 
 
 def traced(truth, camera, name, count=40):
-    """Rays of some of a view's pixels, reflected one by one and followed in small steps to the smooth finger."""
+    """Rays of some of a view's pixels, reflected one by one and followed in small steps to the
+    smooth finger."""
     body = FingerBody(FINGER.shape)
     rotation, shift = truth["body_rotation"], truth["body_shift_mm"]
     point, normal = truth[f"mirror_{name}_point_mm"], truth[f"mirror_{name}_normal"]
@@ -127,7 +135,8 @@ def test_a_pixel_in_a_mirror_shows_what_its_reflected_ray_meets(taken):
 
 
 def places_in_view(truth, camera, name):
-    """(N, 3) points of the skin that a view shows, as they lie behind the mirror, and their pixels."""
+    """(N, 3) points of the skin that a view shows, as they lie behind the mirror, and their
+    pixels."""
     rows, columns = np.nonzero(truth[f"view_{name}_mask"])
     z = truth[f"view_{name}_height_mm"][rows, columns].astype(float)
     if f"view_{name}_x_mm" in truth:
@@ -160,7 +169,9 @@ def test_what_a_mirror_shows_lies_on_the_finger(taken):
 
 def test_the_truth_all_around_agrees_with_the_front(taken_once):
     _, capture, truth = taken_once
-    points, normals = (truth[k].reshape(-1, 3).astype(float) for k in ("body_points_mm", "body_normals"))
+    points, normals = (
+        truth[k].reshape(-1, 3).astype(float) for k in ("body_points_mm", "body_normals")
+    )
     column, row = pixels_of_points(capture.rig.camera, *points.T)
     i, j = np.rint(row).astype(int), np.rint(column).astype(int)
     seen = (normals[:, 2] > 0.7) & (i >= 0) & (i < truth["mask"].shape[0])
@@ -192,10 +203,12 @@ def test_mirrors_that_reflect_nothing_leave_the_front_as_it_is(captures):
 def test_images_of_leds_light_the_sides(captures):
     (_, lit, truth), (_, unlit, dark) = captures["orthographic"], captures["faint"]
     light, less = (
-        c.bands["white"].pixels.astype(float) / t["exposure_white"] for c, t in ((lit, truth), (unlit, dark))
+        c.bands["white"].pixels.astype(float) / t["exposure_white"]
+        for c, t in ((lit, truth), (unlit, dark))
     )
     mask, normals = truth["mask"], truth["normals"]
-    # a single steep pixel of a pore rings by less than a hundredth where the skin is laid out: means of 3 x 3
+    # a single steep pixel of a pore rings by less than a hundredth where the skin is laid out:
+    # means of 3 x 3
     more = ndimage.uniform_filter(np.where(mask[..., None], light - less, 0.0), (1, 3, 3, 1))
     assert more.min() > -1e-3 * less[:, mask].max()
     for axis, sign in ((0, 1), (0, -1), (1, 1)):
@@ -217,21 +230,27 @@ def test_skin_that_is_seen_twice_is_as_bright_in_the_mirror_as_in_front(taken):
         for light in pixels:
             here, there = light[mask][same], light[front][nearest[same]]
             bright = there > 0.2 * there.max()
-            assert np.median(here[bright] / there[bright]) == pytest.approx(0.9, abs=0.15)  # Fresnel, glare, neighbours
+            # Fresnel, glare, neighbours
+            assert np.median(here[bright] / there[bright]) == pytest.approx(0.9, abs=0.15)
 
 
 def test_a_capture_has_the_drawn_mirrors_and_its_truth_the_true_ones(taken_once):
     chosen, capture, truth = taken_once
-    assert [mirror.name for mirror in capture.rig.mirrors] == list(truth["mirror_names"]) == list(ALL)
+    assert (
+        [mirror.name for mirror in capture.rig.mirrors] == list(truth["mirror_names"]) == list(ALL)
+    )
     assert capture.rig.mirrors == mirror_rig(chosen.mirrors, chosen.scale).mirrors
     for mirror in capture.rig.mirrors:
-        apart = np.abs(np.array(mirror.corners_mm) - truth[f"mirror_{mirror.name}_corners_mm"]).max()
+        apart = np.abs(
+            np.array(mirror.corners_mm) - truth[f"mirror_{mirror.name}_corners_mm"]
+        ).max()
         assert 0.05 < apart < 5.0
         assert truth[f"view_{mirror.name}_mask"].sum() > 300
         assert not (truth[f"view_{mirror.name}_mask"] & truth["mask"]).any()
     assert set(capture.bands) == {"white"}
 
 
+@pytest.mark.slow
 def test_the_same_bytes_whatever_the_number_of_workers(taken_once):
     chosen, capture, truth = taken_once
     other, other_truth = simulate_capture(

@@ -36,8 +36,12 @@ from splitknit_simulator.surface import SimulatedSurface
 from surfaces import perspective_camera, perspective_plane
 
 SHORT = MasterPrintSettings(proximal_mm=12.0)
-POSE = FingerPose(yaw_rad=0.15, pitch_rad=-0.05, roll_rad=0.2, x_mm=-2.0, insertion_mm=26.0, height_mm=0.4)
-CAMERA = perspective_camera((430, 560), 15.0, 110.0, off=(9.3, -7.8), distortion=(0.4, -2.0, 3e-3, -2e-3, 4.0))
+POSE = FingerPose(
+    yaw_rad=0.15, pitch_rad=-0.05, roll_rad=0.2, x_mm=-2.0, insertion_mm=26.0, height_mm=0.4
+)
+CAMERA = perspective_camera(
+    (430, 560), 15.0, 110.0, off=(9.3, -7.8), distortion=(0.4, -2.0, 3e-3, -2e-3, 4.0)
+)
 CENTRED = perspective_camera((430, 560), 15.0, 140.0)
 
 
@@ -78,7 +82,9 @@ def test_every_point_appears_in_its_pixel(seen: SimulatedSurface) -> None:
     assert np.array_equal(np.isfinite(seen.shape_mm), seen.mask)
 
 
-def test_every_point_is_skin_and_nothing_stands_before_it(seen: SimulatedSurface, finger: SimulatedFinger) -> None:
+def test_every_point_is_skin_and_nothing_stands_before_it(
+    seen: SimulatedSurface, finger: SimulatedFinger
+) -> None:
     body = FingerBody(finger.shape)
     placement = placement_of(body, POSE, CAMERA)
     pick = seen.mask & ((_view(seen) * seen.normals).sum(-1) > 0.25)
@@ -89,10 +95,14 @@ def test_every_point_is_skin_and_nothing_stands_before_it(seen: SimulatedSurface
     deepest = 1e-3 * seen.relief_um.min()
     for above in (0.3, 1.0, 3.0):
         z = seen.height_mm[seen.mask].astype(np.float64) + above
-        before, _, _ = body.distance_and_chart(*placement.to_finger(across * (110.0 - z), up * (110.0 - z), z))
+        before, _, _ = body.distance_and_chart(
+            *placement.to_finger(across * (110.0 - z), up * (110.0 - z), z)
+        )
         assert before.min() > deepest
     shape_z = seen.shape_mm[seen.mask].astype(np.float64)
-    on_shape = body.distance_and_chart(*placement.to_finger(across * (110 - shape_z), up * (110 - shape_z), shape_z))[0]
+    on_shape = body.distance_and_chart(
+        *placement.to_finger(across * (110 - shape_z), up * (110 - shape_z), shape_z)
+    )[0]
     assert 1e3 * np.abs(on_shape).max() < 0.01
 
 
@@ -107,13 +117,17 @@ def test_normals_are_those_of_the_points_and_face_the_camera(seen: SimulatedSurf
     points = np.stack([across.reshape(z.shape) * (110 - z), up.reshape(z.shape) * (110 - z), z], -1)
     normal = np.cross(np.gradient(points, axis=1), -np.gradient(points, axis=0))
     normal /= np.linalg.norm(normal, axis=-1, keepdims=True)
-    inside = ndimage.binary_erosion(seen.mask, iterations=4) & ((_view(seen) * seen.shape_normals).sum(-1) > 0.6)
+    inside = ndimage.binary_erosion(seen.mask, iterations=4) & (
+        (_view(seen) * seen.shape_normals).sum(-1) > 0.6
+    )
     cosine = (normal * seen.shape_normals).sum(-1)[inside]
     assert np.rad2deg(np.arccos(np.clip(cosine, -1, 1))).max() < 0.5
 
 
+@pytest.mark.slow
 def test_the_sides_move_inwards(finger: SimulatedFinger, master: MasterPrint) -> None:
-    """What lies below the finger plane appears nearer to the axis: by 0.2 to 0.4 mm at the sides."""
+    """What lies below the finger plane appears nearer to the axis: by 0.2 to 0.4 mm at the
+    sides."""
     pose = FingerPose(insertion_mm=26.0)
     plain = finger_surface(replace(finger, printed=master), pose, Camera(15.0, (430, 560)))
     spread = finger_surface(replace(finger, printed=master), pose, CENTRED)
@@ -154,11 +168,15 @@ def test_light_on_a_plane_follows_the_true_points_and_view() -> None:
     expected = 1e4 * cosine / distance**2 * (1 - fresnel(cosine)) * (1 - fresnel(rough)) * albedo
     inner = (slice(8, -8), slice(8, -8))
     np.testing.assert_allclose(
-        image.diffuse[0, 0][inner], (expected / (np.pi * diffuse_transmittance()))[inner], rtol=0.004
+        image.diffuse[0, 0][inner],
+        (expected / (np.pi * diffuse_transmittance()))[inner],
+        rtol=0.004,
     )
     sky = render_ambient(sheet, 1.0, Medium([dense], 0.2))
     half = 0.5 * (1.0 + sheet.normals[..., 2])
-    np.testing.assert_allclose(sky[0][inner], (half * albedo * (1 - fresnel(rough)))[inner], rtol=0.006)
+    np.testing.assert_allclose(
+        sky[0][inner], (half * albedo * (1 - fresnel(rough)))[inner], rtol=0.006
+    )
 
 
 def test_a_card_is_lit_where_the_rays_meet_it() -> None:
@@ -168,7 +186,9 @@ def test_a_card_is_lit_where_the_rays_meet_it() -> None:
     across, up = slopes_of_pixels(CAMERA, columns, rows)
     to = np.stack([30.0 - 122.0 * across, -10.0 - 122.0 * up, np.full(3, 102.0)], -1)
     distance = np.linalg.norm(to, axis=-1)
-    lobe = (to @ np.array([30.0, -10.0, 90.0]) / distance / np.linalg.norm([30.0, -10.0, 90.0])) ** 4
+    lobe = (
+        to @ np.array([30.0, -10.0, 90.0]) / distance / np.linalg.norm([30.0, -10.0, 90.0])
+    ) ** 4
     expected = 1e4 * 102.0 / distance**3 * lobe / np.pi
     np.testing.assert_allclose(card[rows, columns], expected, rtol=2e-3)
 
@@ -185,7 +205,9 @@ def test_the_beam_falls_off_about_its_aim() -> None:
     assert (column - 120) / 2.0 == pytest.approx(hit[0], abs=0.5)
     assert (80 - row) / 2.0 == pytest.approx(hit[1], abs=0.5)
     x, y = (np.arange(241) - 120)[None, :] / 2.0, (80 - np.arange(161))[:, None] / 2.0
-    away = np.stack(np.broadcast_arrays(x - position[0], y - position[1], np.array([[-position[2]]])), -1)
+    away = np.stack(
+        np.broadcast_arrays(x - position[0], y - position[1], np.array([[-position[2]]])), -1
+    )
     cosine = away @ aim / np.linalg.norm(away, axis=-1) / np.linalg.norm(aim)
     np.testing.assert_allclose(fraction, cosine**12, rtol=1e-4, atol=1e-5)
     to_origin = replace(even, lobe_exponent=12.0)

@@ -40,7 +40,13 @@ def _digest(capture, truth):
 
 
 def _photo(egg, rig, seed=1, skin=None, **settings):
-    return photograph(egg, rig, skin or SkinOptics(), np.random.SeedSequence(seed), settings=TwinSettings(**settings))
+    return photograph(
+        egg,
+        rig,
+        skin or SkinOptics(),
+        np.random.SeedSequence(seed),
+        settings=TwinSettings(**settings),
+    )
 
 
 def test_a_capture_holds_what_the_format_says(egg, rig):
@@ -54,7 +60,15 @@ def test_a_capture_holds_what_the_format_says(egg, rig):
         assert capture.bands[name].pixels.dtype == np.uint8
         assert truth[f"glare_{name}"].shape == (7, 280, 260)
         assert truth[f"glare_{name}"].dtype == np.float16
-    for name in ("height_mm", "shape_mm", "mask", "normals", "relief_um", "optics_scattering_per_mm", "skin_melanin"):
+    for name in (
+        "height_mm",
+        "shape_mm",
+        "mask",
+        "normals",
+        "relief_um",
+        "optics_scattering_per_mm",
+        "skin_melanin",
+    ):
         assert name in truth
     assert all(array.dtype != object for array in truth.values())
     assert truth["landmark_pose_yaw_deg"] == 0.0
@@ -65,8 +79,10 @@ def test_exposure_leaves_room_and_skin_looks_like_skin(egg, rig):
     capture, truth = _photo(egg, rig, skin=SkinOptics(glare=0.0))
     light = linear_stack(capture.bands["white"], "linear", "red")
     assert np.percentile(light[:, truth["mask"]], 99.9) == pytest.approx(0.7, abs=0.06)
-    red, green, blue = (linear_stack(capture.bands["white"], "linear", c)[:, truth["mask"]].mean() for c in
-                        ("red", "green", "blue"))  # fmt: skip
+    red, green, blue = (
+        linear_stack(capture.bands["white"], "linear", c)[:, truth["mask"]].mean()
+        for c in ("red", "green", "blue")
+    )
     assert red > green > blue > 0.2 * red
     nir = capture.bands["nir"].pixels[:, truth["mask"]].astype(float)
     means = nir.mean(axis=(0, 1))
@@ -75,6 +91,7 @@ def test_exposure_leaves_room_and_skin_looks_like_skin(egg, rig):
     assert noise.std() > 0.3  # the three channels see the same light with their own noise
 
 
+@pytest.mark.slow
 def test_ambient_light_is_in_every_image_and_in_its_frame(egg, rig):
     lit, truth = _photo(egg, rig, sensor=QUIET, background=BackgroundSettings(ambient=0.05))
     dark, _ = _photo(egg, rig, sensor=QUIET, background=BackgroundSettings(ambient=0.0))
@@ -84,7 +101,9 @@ def test_ambient_light_is_in_every_image_and_in_its_frame(egg, rig):
     assert lit.bands["white"].ambient[truth["mask"]].mean() > 300
     np.testing.assert_allclose(removed[:, inside], reference[:, inside], atol=2e-4)
     assert dark.bands["white"].ambient.max() == 0
-    noisy, _ = _photo(egg, rig, sensor=SensorSettings(bits=16), background=BackgroundSettings(ambient=0.05))
+    noisy, _ = _photo(
+        egg, rig, sensor=SensorSettings(bits=16), background=BackgroundSettings(ambient=0.05)
+    )
     beside = ~truth["mask"]
     frame, image = (
         pixels[..., 1][beside].astype(float)
@@ -97,7 +116,9 @@ def test_dust_and_the_shadow_of_the_hand(egg, rig):
     camera = Camera(20.0, (200, 300))
     plain = background_albedo(camera, BackgroundSettings(), np.random.default_rng(0))
     assert np.unique(plain).size == 1
-    dusty = background_albedo(camera, BackgroundSettings(dust_per_cm2=20.0), np.random.default_rng(0))
+    dusty = background_albedo(
+        camera, BackgroundSettings(dust_per_cm2=20.0), np.random.default_rng(0)
+    )
     assert dusty.max() > 5 * plain.max()
     open_hand, truth = _photo(egg, rig, sensor=QUIET)
     shaded, _ = _photo(egg, rig, sensor=QUIET, background=BackgroundSettings(hand_shadow=0.8))
@@ -119,7 +140,10 @@ def test_a_coloured_background_lights_the_flanks(egg, rig):
     paper = before_green.bands["white"].pixels[0][beside].mean(axis=0)
     assert paper[0] < 0.01 * paper[1]
     assert paper[2] == pytest.approx(0.25 * paper[1], rel=0.02)
-    assert before_green.bands["nir"].pixels[0][beside].mean() > 5 * black.bands["nir"].pixels[0][beside].mean()
+    assert (
+        before_green.bands["nir"].pixels[0][beside].mean()
+        > 5 * black.bands["nir"].pixels[0][beside].mean()
+    )
     one, other = (
         linear_stack(c.bands["white"], "linear", "green")[0] / t["exposure_white"]
         for c, t in ((black, truth), (before_green, its))
@@ -131,17 +155,28 @@ def test_a_coloured_background_lights_the_flanks(egg, rig):
         TwinSettings(background=green, mirrors=MirrorSettings(names=("left",)))
 
 
+@pytest.mark.slow
 def test_defocus_off_is_exact_and_on_blurs_what_is_deep(egg, rig):
     sharp, truth = _photo(egg, rig, sensor=QUIET)
-    off, _ = _photo(egg, rig, sensor=QUIET, render=RenderSettings(aperture_mm=0.0, focus_depth_mm=0.3))
+    off, _ = _photo(
+        egg, rig, sensor=QUIET, render=RenderSettings(aperture_mm=0.0, focus_depth_mm=0.3)
+    )
     np.testing.assert_array_equal(sharp.bands["white"].pixels, off.bands["white"].pixels)
-    soft, _ = _photo(egg, rig, sensor=QUIET, render=RenderSettings(aperture_mm=11.0, focus_depth_mm=0.3))
-    change = np.abs(soft.bands["white"].pixels[0].astype(float) - sharp.bands["white"].pixels[0]).mean(axis=-1)
+    soft, _ = _photo(
+        egg, rig, sensor=QUIET, render=RenderSettings(aperture_mm=11.0, focus_depth_mm=0.3)
+    )
+    change = np.abs(
+        soft.bands["white"].pixels[0].astype(float) - sharp.bands["white"].pixels[0]
+    ).mean(axis=-1)
     depth = np.nanmax(truth["shape_mm"]) - truth["shape_mm"]
-    near, far = change[truth["mask"] & (depth < 0.5)].mean(), change[truth["mask"] & (depth > 2) & (depth < 3.5)].mean()
+    near, far = (
+        change[truth["mask"] & (depth < 0.5)].mean(),
+        change[truth["mask"] & (depth > 2) & (depth < 3.5)].mean(),
+    )
     assert far > 2 * near
 
 
+@pytest.mark.slow
 def test_seeds_repeat_and_workers_do_not_matter(egg, rig):
     one = _digest(*_photo(egg, rig))
     assert one == _digest(*_photo(egg, rig, render=RenderSettings(workers=5)))

@@ -1,4 +1,5 @@
-"""Captures with a rig of one's own: perspective camera, lens that darkens, other sizes and scales."""
+"""Captures with a rig of one's own: perspective camera, lens that darkens, other sizes and
+scales."""
 
 from __future__ import annotations
 
@@ -22,17 +23,22 @@ from surfaces import perspective_camera, ridged_egg
 QUIET = SensorSettings(noise=False, bits=16, raw_bits=16)
 SHADING = (-0.35, -0.1)
 FINGER = draw_finger(4, print_settings=MasterPrintSettings(proximal_mm=12.0))
-PERSPECTIVE = perspective_camera((220, 320), 7.57, 120.0, off=(3.0, -2.0), distortion=(0.2,), shading=SHADING)
+PERSPECTIVE = perspective_camera(
+    (220, 320), 7.57, 120.0, off=(3.0, -2.0), distortion=(0.2,), shading=SHADING
+)
 
 
 @pytest.fixture(scope="module")
 def perspective():
     rig = default_rig(0.1, 0)
     leds = tuple(
-        replace(led, lobe_exponent=3.0, aim=(0.02, 0.0, -1.0)) if k % 2 else led for k, led in enumerate(rig.leds)
+        replace(led, lobe_exponent=3.0, aim=(0.02, 0.0, -1.0)) if k % 2 else led
+        for k, led in enumerate(rig.leds)
     )
     rig = replace(rig, camera=PERSPECTIVE, leds=leds)
-    settings = TwinSettings(rig=rig, pose=FingerPose(insertion_mm=26.0), sensor=QUIET, skin=SkinOptics())
+    settings = TwinSettings(
+        rig=rig, pose=FingerPose(insertion_mm=26.0), sensor=QUIET, skin=SkinOptics()
+    )
     return rig, settings, *simulate_capture(4, settings=settings, finger=FINGER)
 
 
@@ -55,14 +61,24 @@ def test_a_perspective_capture_says_what_its_camera_is(perspective):
     assert capture.bands["white"].shading == capture.bands["nir"].shading == SHADING
 
 
+@pytest.mark.slow
 def test_the_lens_darkens_every_image_and_reconstruction_undoes_it():
-    """Stored values fall with the lens, ambient frame included; divided, they are those of a clear lens."""
+    """Stored values fall with the lens, ambient frame included; divided, they are those of a clear
+    lens."""
     egg = ridged_egg((280, 260), 18.9)
     shading = replace(egg.camera, shading=SHADING)
     base = replace(default_rig(0.25, seed=3), camera=egg.camera)
-    settings = TwinSettings(sensor=QUIET, background=BackgroundSettings(ambient=0.05), skin=SkinOptics())
+    settings = TwinSettings(
+        sensor=QUIET, background=BackgroundSettings(ambient=0.05), skin=SkinOptics()
+    )
     (clear, plain), (dim, truth) = (
-        photograph(egg, replace(base, camera=camera), SkinOptics(), np.random.SeedSequence(1), settings=settings)
+        photograph(
+            egg,
+            replace(base, camera=camera),
+            SkinOptics(),
+            np.random.SeedSequence(1),
+            settings=settings,
+        )
         for camera in (egg.camera, shading)
     )
     gain = float(truth["exposure_white"] / plain["exposure_white"])
@@ -73,11 +89,17 @@ def test_the_lens_darkens_every_image_and_reconstruction_undoes_it():
         (clear.bands["white"].pixels[2], dim.bands["white"].pixels[2]),
     ):
         ratio = b[bright].astype(float) / a[bright] / gain
-        np.testing.assert_allclose(ratio, np.repeat(fall_off(shading)[bright][:, None], 3, 1), rtol=0.01)
-    light, divided = (linear_stack(c.bands["white"], "linear", "green")[:, bright] for c in (clear, dim))
+        np.testing.assert_allclose(
+            ratio, np.repeat(fall_off(shading)[bright][:, None], 3, 1), rtol=0.01
+        )
+    light, divided = (
+        linear_stack(c.bands["white"], "linear", "green")[:, bright] for c in (clear, dim)
+    )
     np.testing.assert_allclose(divided, gain * light, atol=1e-3)
     # the stored glare is in the units of divided images
-    np.testing.assert_allclose(truth["glare_white"].astype(float), gain * plain["glare_white"].astype(float), atol=2e-3)
+    np.testing.assert_allclose(
+        truth["glare_white"].astype(float), gain * plain["glare_white"].astype(float), atol=2e-3
+    )
     assert clear.bands["white"].shading == ()
 
 
@@ -94,7 +116,9 @@ def test_pixels_are_binned_as_the_picture_tells():
     rig = replace(default_rig(0.125), camera=egg.camera)
     for scale in (None, 0.125, 1.0):
         settings = TwinSettings(sensor=SensorSettings(bits=16), sensor_scale=scale)
-        capture, truth = photograph(egg, rig, SkinOptics(), np.random.SeedSequence(1), settings=settings)
+        capture, truth = photograph(
+            egg, rig, SkinOptics(), np.random.SeedSequence(1), settings=settings
+        )
         nir = capture.bands["nir"].pixels[:, truth["mask"]].astype(float)
         noise.append((nir - nir.mean(axis=-1, keepdims=True)).std())
     assert noise[1] == pytest.approx(noise[0], rel=0.02)

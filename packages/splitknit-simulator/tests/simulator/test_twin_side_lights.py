@@ -53,7 +53,8 @@ def test_a_low_light_casts_shadows_of_the_finger_and_a_high_one_none() -> None:
         free = (arriving(patch, led)[3] / towards(led, patch.x, patch.y, patch.z)[3])[inner]
         assert float(free.min()) == least
         assert float(free.mean()) > 0.3
-    lx, ly, lz, _ = towards(led, patch.x, patch.y, patch.z)  # the flank that faces it, as far as the outline
+    # the flank that faces it, as far as the outline
+    lx, ly, lz, _ = towards(led, patch.x, patch.y, patch.z)
     facing = (lx * patch.nx + ly * patch.ny + lz * patch.nz)[inner]
     assert float(np.mean(free[facing > 0.7])) > 0.99
 
@@ -66,7 +67,9 @@ def test_without_films_metric_measures_ridges_better_with_them() -> None:
     assert both.facts["optics"]["relief_by"] == "side"
     assert both.facts["optics"]["specular"]["side_lights"] == 7
     assert both.facts["heights"] == "modelled"
-    assert not any("from the side" in warning or "to the side" in warning for warning in both.warnings)
+    assert not any(
+        "from the side" in warning or "to the side" in warning for warning in both.warnings
+    )
     errors = [splitknit.compare(one, truth).figures["ridge_rms_um"] for one in (both, before)]
     assert errors[0] < 0.95 * errors[1], errors
 
@@ -88,7 +91,9 @@ def test_which_lights_stand_to_the_side(off_deg: list[float], front: int) -> Non
     across, up = np.sin(np.deg2rad(off_deg)), np.cos(np.deg2rad(off_deg))
     turn = np.arange(len(off_deg))
     towards = np.stack([across * np.cos(turn), across * np.sin(turn), up], axis=1)
-    found = lights_in_front(Rig(default_rig(0.1).camera, tuple(Led("white", direction=tuple(one)) for one in towards)))
+    found = lights_in_front(
+        Rig(default_rig(0.1).camera, tuple(Led("white", direction=tuple(one)) for one in towards))
+    )
     assert found.sum() == front
     assert max(np.array(off_deg)[found]) < min(np.array(off_deg)[~found], default=90.0)
 
@@ -97,7 +102,8 @@ def test_which_lights_stand_to_the_side(off_deg: list[float], front: int) -> Non
 def test_motion_before_the_side_images_is_what_all_share(
     lit: Capture, monkeypatch: pytest.MonkeyPatch, common_mm: float, moved: bool
 ) -> None:
-    """Each light seems to shift the ridges along itself; what could not be registered says nothing."""
+    """Each light seems to shift the ridges along itself; what could not be registered says
+    nothing."""
     parted = without_side_lights(lit)
     side = parted.bands["white"].side
     assert side is not None

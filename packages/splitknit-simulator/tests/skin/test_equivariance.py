@@ -31,23 +31,37 @@ class Piece:
 
     def surface(self) -> tuple[np.ndarray, np.ndarray]:
         """Shape, less its mean, and relief."""
-        found = metric_skin(self.bands, self.grid, SETTINGS.skin, SETTINGS.metric, networks=self.networks)
+        found = metric_skin(
+            self.bands, self.grid, SETTINGS.skin, SETTINGS.metric, networks=self.networks
+        )
         mean = found.shape_mm[self.grid.mask].mean()
         return (found.shape_mm - mean) * self.grid.mask, found.relief_mm * self.grid.mask
 
-    def moved(self, image: Callable[[np.ndarray], np.ndarray], place: Place, mask: np.ndarray) -> Piece:
+    def moved(
+        self, image: Callable[[np.ndarray], np.ndarray], place: Place, mask: np.ndarray
+    ) -> Piece:
         """The piece whose images and lights are moved; its middle stays where it is."""
         bands = []
         for band in self.bands:
             leds = tuple(
-                replace(led, position_mm=(*place(*led.position_mm[:2]), led.position_mm[2])) for led in band.rig.leds
+                replace(led, position_mm=(*place(*led.position_mm[:2]), led.position_mm[2]))
+                for led in band.rig.leds
             )
             flat = band.stack.reshape(-1, *band.stack.shape[-2:])
-            stack = np.stack([image(one) for one in flat]).reshape(*band.stack.shape[:2], *mask.shape) * mask
-            bands.append(
-                BandImages(band.channels, np.ascontiguousarray(stack, np.float32), replace(band.rig, leds=leds))
+            stack = (
+                np.stack([image(one) for one in flat]).reshape(*band.stack.shape[:2], *mask.shape)
+                * mask
             )
-        return Piece(tuple(bands), replace(self.grid, mask=np.ascontiguousarray(mask)), self.networks)
+            bands.append(
+                BandImages(
+                    band.channels,
+                    np.ascontiguousarray(stack, np.float32),
+                    replace(band.rig, leds=leds),
+                )
+            )
+        return Piece(
+            tuple(bands), replace(self.grid, mask=np.ascontiguousarray(mask)), self.networks
+        )
 
 
 @pytest.fixture(scope="module")
@@ -61,12 +75,22 @@ def piece() -> Piece:
     cut = np.s_[row - side : row + side, column - side : column + side]
     pitch = images.grid.pitch_mm
     x = (np.arange(2 * side) - side + 0.5) * pitch
-    far_x, far_y = float(images.grid.x_mm[column] - 0.5 * pitch), float(images.grid.y_mm[row] + 0.5 * pitch)
+    far_x, far_y = (
+        float(images.grid.x_mm[column] - 0.5 * pitch),
+        float(images.grid.y_mm[row] + 0.5 * pitch),
+    )
     disc = np.hypot(x[None, :], x[:, None]) < 0.96 * side * pitch
     bands = []
     for band in images.bands:
         leds = tuple(
-            replace(led, position_mm=(led.position_mm[0] - far_x, led.position_mm[1] - far_y, led.position_mm[2]))
+            replace(
+                led,
+                position_mm=(
+                    led.position_mm[0] - far_x,
+                    led.position_mm[1] - far_y,
+                    led.position_mm[2],
+                ),
+            )
             for led in band.rig.leds
         )
         stack = np.ascontiguousarray(band.stack[(..., *cut)] * (images.grid.mask[cut] & disc))
@@ -104,7 +128,9 @@ def test_a_mirrored_finger_is_mirrored(piece: Piece, straight) -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("turn_deg", [137.0, *(pytest.param(a, marks=pytest.mark.slow) for a in (30.0, 90.0, 180.0))])
+@pytest.mark.parametrize(
+    "turn_deg", [137.0, *(pytest.param(a, marks=pytest.mark.slow) for a in (30.0, 90.0, 180.0))]
+)
 def test_a_turned_finger_is_turned(piece: Piece, straight, turn_deg: float) -> None:
     side = piece.grid.shape[0]
     matrix = cv2.getRotationMatrix2D(((side - 1) / 2, (side - 1) / 2), turn_deg, 1.0)
@@ -112,7 +138,9 @@ def test_a_turned_finger_is_turned(piece: Piece, straight, turn_deg: float) -> N
     c, s = np.cos(np.deg2rad(turn_deg)), np.sin(np.deg2rad(turn_deg))
 
     def turned(image: np.ndarray, by: np.ndarray = matrix) -> np.ndarray:
-        return cv2.warpAffine(np.ascontiguousarray(image, np.float32), by, (side, side), flags=cv2.INTER_CUBIC)
+        return cv2.warpAffine(
+            np.ascontiguousarray(image, np.float32), by, (side, side), flags=cv2.INTER_CUBIC
+        )
 
     mask = turned(piece.grid.mask) > 0.999
     found = piece.moved(turned, lambda x, y: (c * x - s * y, s * x + c * y), mask).surface()
@@ -121,7 +149,9 @@ def test_a_turned_finger_is_turned(piece: Piece, straight, turn_deg: float) -> N
 
 def same_surface(found, wanted, grid: Grid) -> None:
     inner = grid.mask & (grid.depth_mm > 1.0)
-    shape, relief = ((one - one[inner].mean())[inner] for one in (found[0] - wanted[0], found[1] - wanted[1]))
+    shape, relief = (
+        (one - one[inner].mean())[inner] for one in (found[0] - wanted[0], found[1] - wanted[1])
+    )
     assert shape.std() < 0.15 * wanted[0][inner].std()
     assert relief.std() < 0.3 * wanted[1][inner].std()
     assert np.corrcoef(found[1][inner], wanted[1][inner])[0, 1] > 0.96

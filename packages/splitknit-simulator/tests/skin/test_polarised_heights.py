@@ -23,7 +23,9 @@ NOISE = 0.003
 
 def _rig(size: tuple[int, int]) -> Rig:
     angle = 2 * np.pi * np.arange(7) / 7
-    leds = tuple(Led(band="white", position_mm=(52.5 * np.cos(a), 52.5 * np.sin(a), 140.0)) for a in angle)
+    leds = tuple(
+        Led(band="white", position_mm=(52.5 * np.cos(a), 52.5 * np.sin(a), 140.0)) for a in angle
+    )
     return Rig(Camera(1 / PITCH_MM, size, 140.0), leds)
 
 
@@ -31,7 +33,10 @@ def _grid(size: tuple[int, int]) -> Grid:
     rows, columns = size
     mask = np.zeros(size, dtype=np.bool_)
     mask[4:-4, 4:-4] = True
-    x, y = (np.arange(columns) - (columns - 1) / 2) * PITCH_MM, ((rows - 1) / 2 - np.arange(rows)) * PITCH_MM
+    x, y = (
+        (np.arange(columns) - (columns - 1) / 2) * PITCH_MM,
+        ((rows - 1) / 2 - np.arange(rows)) * PITCH_MM,
+    )
     return Grid(mask, x, y, PITCH_MM, (False,) * 4)
 
 
@@ -39,20 +44,30 @@ def _ridged(grid: Grid) -> tuple[FloatArray, FloatArray]:
     """A dome, and ridges across it."""
     x, y = np.meshgrid(grid.x_mm, grid.y_mm)
     dome = 0.6 - (x * x + y * y) / 20
-    return dome.astype(np.float32), (0.03 * np.cos(2 * np.pi * (x + 0.4 * y) / 0.5)).astype(np.float32)
+    return dome.astype(np.float32), (0.03 * np.cos(2 * np.pi * (x + 0.4 * y) / 0.5)).astype(
+        np.float32
+    )
 
 
-def _photographed(height_mm: FloatArray, grid: Grid, rig: Rig, roughness: float, rho: float) -> FloatArray:
-    """What the older model of glare makes of it, by other code than the method's: no blur, Lambert beside it."""
+def _photographed(
+    height_mm: FloatArray, grid: Grid, rig: Rig, roughness: float, rho: float
+) -> FloatArray:
+    """What the older model of glare makes of it, by other code than the method's: no blur, Lambert
+    beside it."""
     normals = normals_from_gradients(*height_gradients(height_mm, grid.pitch_mm))
     x, y = np.meshgrid(grid.x_mm, grid.y_mm)
-    towards = np.stack([np.array(led.position_mm)[:, None, None] - np.stack([x, y, height_mm]) for led in rig.leds])
+    towards = np.stack(
+        [np.array(led.position_mm)[:, None, None] - np.stack([x, y, height_mm]) for led in rig.leds]
+    )
     far = np.sqrt((towards**2).sum(axis=1, keepdims=True))
     lights = (towards / far * (140.0 / far) ** 2).astype(np.float32)
     matt = np.maximum(np.einsum("lchw,hwc->lhw", lights, normals), 0)
-    return np.asarray(5.0 * MicrofacetGlare(normals, lights)(roughness) + rho * matt, dtype=np.float32)
+    return np.asarray(
+        5.0 * MicrofacetGlare(normals, lights)(roughness) + rho * matt, dtype=np.float32
+    )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("roughness", "gain"), [(0.15, 0.7), (0.35, 1.2)])
 def test_ridges_come_out_at_their_height_whatever_the_start(roughness: float, gain: float) -> None:
     grid, rig = _grid((180, 200)), _rig((180, 200))
@@ -62,7 +77,9 @@ def test_ridges_come_out_at_their_height_whatever_the_start(roughness: float, ga
     stack += rng.normal(0, NOISE, stack.shape).astype(np.float32)
     start = dome + np.float32(gain) * ridges
     images = SpecularImages(stack, NOISE, rig)
-    height_mm, error_mm, facts = polarised_heights(images, grid, start, np.full(grid.shape, 0.006, dtype=np.float32))
+    height_mm, error_mm, facts = polarised_heights(
+        images, grid, start, np.full(grid.shape, 0.006, dtype=np.float32)
+    )
     inner = grid.depth_mm > 0.3
     rest = height_mm - dome
     relief = (rest - grid.smooth(rest, grid.mask, 0.32))[inner]
@@ -76,10 +93,14 @@ def test_ridges_come_out_at_their_height_whatever_the_start(roughness: float, ga
 
 def _with_side(rig: Rig) -> Rig:
     angle = np.deg2rad(np.linspace(-25, 205, 5))
-    leds = tuple(Led(band="white", position_mm=(90 * np.cos(a), 90 * np.sin(a), 30.0), intensity=0.46) for a in angle)
+    leds = tuple(
+        Led(band="white", position_mm=(90 * np.cos(a), 90 * np.sin(a), 30.0), intensity=0.46)
+        for a in angle
+    )
     return replace(rig, leds=(*rig.leds, *leds))
 
 
+@pytest.mark.slow
 def test_lights_to_the_side_are_fitted_and_left_out_where_they_do_not_fit() -> None:
     grid, rig = _grid((180, 200)), _with_side(_rig((180, 200)))
     dome, ridges = _ridged(grid)
@@ -95,7 +116,8 @@ def test_lights_to_the_side_are_fitted_and_left_out_where_they_do_not_fit() -> N
     height_mm, error_mm, facts = polarised_heights(images, grid, start, unknown)
     assert facts["side_lights"] == 4
     inner = grid.depth_mm > 0.3
-    same_mm, more_mm, _ = polarised_heights(images, grid, start, unknown, films=False)  # as if colours separated them
+    # as if colours separated them
+    same_mm, more_mm, _ = polarised_heights(images, grid, start, unknown, films=False)
     np.testing.assert_array_equal(same_mm, height_mm)
     assert (more_mm > error_mm)[inner].mean() > 0.99
     rest = height_mm - dome
@@ -124,16 +146,21 @@ def test_white_light_is_what_colours_leave() -> None:
     both = BandImages(("red", "green", "blue"), (colour * skin + white).astype(np.float32), rig)
     left = without_white(both, np.full((60, 70), 0.2, dtype=np.float32))
     found = specular_images(both, left, rig, grid, np.zeros((60, 70), dtype=np.float32)).stack
-    np.testing.assert_allclose(found, 0.8 * white + 0.2 * skin[0], atol=1e-6)  # 0.4 - 0.2 of the skin's light
+    # 0.4 - 0.2 of the skin's light
+    np.testing.assert_allclose(found, 0.8 * white + 0.2 * skin[0], atol=1e-6)
 
 
 @pytest.fixture(scope="module")
 def simulated() -> tuple[Capture, dict[str, FloatArray]]:
-    return splitknit_simulator.simulate_capture(3, settings={"scale": 0.25, "films.kind": "analyser"})
+    return splitknit_simulator.simulate_capture(
+        3, settings={"scale": 0.25, "films.kind": "analyser"}
+    )
 
 
 @pytest.mark.slow
-def test_a_polarised_capture_has_measured_heights(simulated: tuple[Capture, dict[str, FloatArray]]) -> None:
+def test_a_polarised_capture_has_measured_heights(
+    simulated: tuple[Capture, dict[str, FloatArray]],
+) -> None:
     capture, truth = simulated
     result = splitknit.reconstruct(capture, settings={"metric.rounds": 1})
     assert result.facts["heights"] == "measured"
@@ -144,9 +171,13 @@ def test_a_polarised_capture_has_measured_heights(simulated: tuple[Capture, dict
 
 
 @pytest.mark.slow
-def test_films_that_are_not_crossed_say_so(simulated: tuple[Capture, dict[str, FloatArray]]) -> None:
+def test_films_that_are_not_crossed_say_so(
+    simulated: tuple[Capture, dict[str, FloatArray]],
+) -> None:
     capture, _ = simulated
     white = replace(capture.bands["white"], name="white_crossed", polarisation="crossed")
-    result = splitknit.reconstruct(replace(capture, bands={**capture.bands, "white_crossed": white}))
+    result = splitknit.reconstruct(
+        replace(capture, bands={**capture.bands, "white_crossed": white})
+    )
     assert result.facts["heights"] == "modelled"
     assert NO_SPECULAR in result.warnings

@@ -1,7 +1,7 @@
 """splitknit: photographs under one light after another in, a metric surface out.
 
-What stands in ``__init__.pyi`` may be imported, and is imported when it is first used, so that ``import splitknit`` is
-quick.
+What stands in ``__init__.pyi`` may be imported, and is imported when it is first used, so that
+``import splitknit`` is quick.
 
 >>> import splitknit
 >>> result = splitknit.reconstruct(splitknit.read_capture("demo/capture"))  # doctest: +SKIP

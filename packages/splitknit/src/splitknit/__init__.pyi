@@ -1,4 +1,5 @@
-"""The door: what users (``__all__``) and the other members may import; all else may change tomorrow."""
+"""The door: what users (``__all__``) and the other members may import; all else may change
+tomorrow."""
 
 from splitknit.accuracy import compare as compare
 from splitknit.errors import BadInput as BadInput

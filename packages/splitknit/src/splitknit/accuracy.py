@@ -2,16 +2,18 @@
 
 Definitions (the same for every preset and for the validation):
 
-- *surface*: the pixels of both masks that lie further than 0.33 mm from the edge of their common mask (the image's
-  border is an edge). The rms is taken after the mean difference is removed: a camera without stereo does not know the
-  distance.
-- *ridge band*: value minus its mask-normalised Gaussian mean with sigma 0.32 mm, on the surface where the slant of the
-  true shape is below 60 deg. The relief (`ridge_mm`; of a surface that is not split, as in `ea` and `pr`, its height
-  less its slow part) is compared with the true relief (`height_mm - shape_mm`); the whole height (`height_mm`) with
-  the true height is given beside it, where curvature and mask edge count as well.
-- *gain*: least-squares factor that takes the true ridge band to the estimated one; 1 is right, below 1 too flat.
-- *local correlation*: correlation in square windows of 0.86 mm side, without removing the window's mean; the area is
-  the fraction of the ridge band's pixels where it exceeds 0.8.
+- *surface*: the pixels of both masks that lie further than 0.33 mm from the edge of their common
+  mask (the image's border is an edge). The rms is taken after the mean difference is removed: a
+  camera without stereo does not know the distance.
+- *ridge band*: value minus its mask-normalised Gaussian mean with sigma 0.32 mm, on the surface
+  where the slant of the true shape is below 60 deg. The relief (`ridge_mm`; of a surface that is
+  not split, as in `ea` and `pr`, its height less its slow part) is compared with the true relief
+  (`height_mm - shape_mm`); the whole height (`height_mm`) with the true height is given beside it,
+  where curvature and mask edge count as well.
+- *gain*: least-squares factor that takes the true ridge band to the estimated one; 1 is right,
+  below 1 too flat.
+- *local correlation*: correlation in square windows of 0.86 mm side, without removing the window's
+  mean; the area is the fraction of the ridge band's pixels where it exceeds 0.8.
 - *normals*: mean angle between estimated and true normals on the surface.
 """
 
@@ -50,10 +52,11 @@ class Comparison:
 
     preset: str
     figures: Mapping[str, float]
-    """``surface_rms_mm``, ``shape_rms_mm``, ``normals_mean_deg``, ``ridge_correlation``, ``ridge_gain``,
-    ``ridge_rms_um``, ``ridge_truth_std_um``, ``ridge_good_area``, the same for the whole height (``height_band_*``),
-    ``mask_on_finger`` (fraction of the mask on the true finger), ``mask_overlap`` (intersection over union; the true
-    mask goes on below the crease) and ``ridge_area_mm2``."""
+    """``surface_rms_mm``, ``shape_rms_mm``, ``normals_mean_deg``, ``ridge_correlation``,
+    ``ridge_gain``, ``ridge_rms_um``, ``ridge_truth_std_um``, ``ridge_good_area``, the same for the
+    whole height (``height_band_*``), ``mask_on_finger`` (fraction of the mask on the true finger),
+    ``mask_overlap`` (intersection over union; the true mask goes on below the crease) and
+    ``ridge_area_mm2``."""
     height_error_mm: FloatArray
     """(H, W) estimate minus truth, mean removed, NaN outside the common mask."""
     ridge_error_um: FloatArray
@@ -71,7 +74,8 @@ def compare(result: Reconstruction, truth: Mapping[str, NDArray[Any]]) -> Compar
     ----------
     result : Reconstruction
     truth : arrays (H, W) by name
-        ``height_mm``, ``shape_mm`` and ``mask``, and ``normals`` (H, W, 3) where they are known, on the input's grid.
+        ``height_mm``, ``shape_mm`` and ``mask``, and ``normals`` (H, W, 3) where they are known, on
+        the input's grid.
 
     Returns
     -------
@@ -95,16 +99,22 @@ def compare(result: Reconstruction, truth: Mapping[str, NDArray[Any]]) -> Compar
         require(name in truth, f"the truth has no '{name}'; write it with splitknit simulate.")
         require(
             truth[name].shape == result.mask.shape,
-            f"the truth's {name} has the shape {truth[name].shape}, but the images have {result.mask.shape}.",
+            f"the truth's {name} has the shape {truth[name].shape}, but the images have"
+            f" {result.mask.shape}.",
         )
     true_mask = truth["mask"]
-    common = result.mask & true_mask & np.isfinite(result.height_mm) & np.isfinite(truth["height_mm"])
+    common = (
+        result.mask & true_mask & np.isfinite(result.height_mm) & np.isfinite(truth["height_mm"])
+    )
     require(common.any(), "the reconstruction and the truth have no pixel in common.")
     box = bounding_box(common)
     inside = common[box]
     pitch = result.pitch_mm
     surface = eroded(inside, EROSION_MM / pitch)
-    require(surface.any(), "the surface common to the truth and the reconstruction is too narrow to measure.")
+    require(
+        surface.any(),
+        "the surface common to the truth and the reconstruction is too narrow to measure.",
+    )
 
     def cut(field: NDArray[Any]) -> FloatArray:
         return np.nan_to_num(np.where(inside, field[box], 0.0)).astype(np.float32)
@@ -160,8 +170,11 @@ def high_passed(values: FloatArray, mask: BoolArray, sigma_px: float) -> FloatAr
     return np.where(mask, values - smoothed(values, mask, sigma_px), 0.0)
 
 
-def _local_correlation(first: FloatArray, second: FloatArray, where: BoolArray, window_px: int) -> FloatArray:
-    """Correlation of two zero-mean fields over square windows of `window_px` a side, counting the pixels of `where`."""
+def _local_correlation(
+    first: FloatArray, second: FloatArray, where: BoolArray, window_px: int
+) -> FloatArray:
+    """Correlation of two zero-mean fields over square windows of `window_px` a side, counting the
+    pixels of `where`."""
 
     def total(image: NDArray[Any]) -> FloatArray:
         size = (window_px, window_px)
@@ -210,7 +223,8 @@ def _rms(values: NDArray[Any]) -> float:
 
 
 def read_truth(capture: Capture) -> dict[str, Any]:
-    """The simulator's truth of a capture, as far as compared. BadInput if none, damaged or of another size."""
+    """The simulator's truth of a capture, as far as compared. BadInput if none, damaged or of
+    another size."""
     if capture.truth is None:
         raise BadInput("the capture has no truth to compare with; only simulated ones have.")
     truth = read_npz(capture.truth, TRUTH_ARRAYS)  # only what is compared: the rest is large

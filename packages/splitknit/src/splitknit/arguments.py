@@ -1,8 +1,9 @@
-"""Arguments that several verbs have: a verb is a function, and its signature makes the options of the command line.
+"""Arguments that several verbs have: a verb is a function, and its signature makes the options of
+the command line.
 
-Its docstring (numpydoc) is the help; a name between backticks is shown as the option it becomes. What stands here are
-the annotations that verbs share, and :func:`checked`, which refuses values out of range for Python and command line
-alike.
+Its docstring (numpydoc) is the help; a name between backticks is shown as the option it becomes.
+What stands here are the annotations that verbs share, and :func:`checked`, which refuses values out
+of range for Python and command line alike.
 """
 
 from __future__ import annotations
@@ -35,7 +36,10 @@ else:
         tuple[str, ...] | None,
         Parameter(
             ("--set", "--settings"),
-            help="Changed settings, each as STAGE.FIELD=VALUE; --settings names a JSON or TOML file of them.",
+            help=(
+                "Changed settings, each as STAGE.FIELD=VALUE; --settings names a JSON or TOML file"
+                " of them."
+            ),
             converter=lambda _, tokens: tuple((token.keyword, token.value) for token in tokens),
             n_tokens=1,
         ),
@@ -47,7 +51,9 @@ PYTHON_ONLY = Parameter(parse=False)
 """Marks an argument without an option; it needs a default."""
 SEVERAL = Parameter(consume_multiple=True)
 """Marks an option that takes all words up to the next option."""
-Natural = Annotated[int, Limits(0, 2**63 - 1), Parameter(converter=lambda _, tokens: whole_number(tokens[0].value))]
+Natural = Annotated[
+    int, Limits(0, 2**63 - 1), Parameter(converter=lambda _, tokens: whole_number(tokens[0].value))
+]
 Scale = Annotated[float, Limits(0.05, 1.0)]
 Fraction = Annotated[float, Limits(0.0, 1.0)]
 Positive = Annotated[float, Limits(0.0, above=True)]
@@ -57,7 +63,10 @@ Device = Literal["cpu", "cuda", "auto"]
 InputPpi = Annotated[
     float | None,
     Parameter(
-        help="Pixels per inch of prints whose files do not state it; where they do, it is taken all the same.",
+        help=(
+            "Pixels per inch of prints whose files do not state it; where they do, it is taken all"
+            " the same."
+        ),
     ),
 ]
 
@@ -87,13 +96,16 @@ def point_of(word: str) -> tuple[float, float]:
 
 PlanePoint = Annotated[
     tuple[float, float],
-    Parameter(converter=lambda _, tokens: point_of(tokens[0].value), n_tokens=1, allow_leading_hyphen=True),
+    Parameter(
+        converter=lambda _, tokens: point_of(tokens[0].value), n_tokens=1, allow_leading_hyphen=True
+    ),
 ]
 """Two numbers that the command line takes as X,Y."""
 
 
 def checked(function: Callable[P, R]) -> Callable[P, R]:
-    """Make a function refuse arguments that are out of the range or the choices which its signature declares.
+    """Make a function refuse arguments that are out of the range or the choices which its signature
+    declares.
 
     >>> @checked
     ... def shrink(scale: Scale = 1.0) -> float:
@@ -116,7 +128,8 @@ def checked(function: Callable[P, R]) -> Callable[P, R]:
 
 
 def refuse_given(why: str, **arguments: Any) -> None:
-    """Refuse the first of these arguments that was given: is not None, False or empty; `why` follows its name."""
+    """Refuse the first of these arguments that was given: is not None, False or empty; `why`
+    follows its name."""
     for name, value in arguments.items():
         require(value is None or value is False or value == (), f"`{name}` {why}")
 
@@ -128,7 +141,8 @@ def text_of(lines: Sequence[str]) -> str:
 
 @dataclass(frozen=True, slots=True)
 class Report:
-    """What a verb returns that writes files: the facts of its document, and the same in lines for people."""
+    """What a verb returns that writes files: the facts of its document, and the same in lines for
+    people."""
 
     facts: dict[str, Any]
     lines: tuple[str, ...]

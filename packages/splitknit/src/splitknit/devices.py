@@ -1,7 +1,8 @@
-"""What a camera and a bank of LEDs must do, whoever makes them: a Raspberry Pi's hardware, or the digital twin.
+"""What a camera and a bank of LEDs must do, whoever makes them: a Raspberry Pi's hardware, or the
+digital twin.
 
-One suite of contract tests (``packages/splitknit/tests/contract.py``) holds for every implementation. What keeps LEDs
-from staying lit is written once, in :class:`LightBank`.
+One suite of contract tests (``packages/splitknit/tests/contract.py``) holds for every
+implementation. What keeps LEDs from staying lit is written once, in :class:`LightBank`.
 """
 
 from __future__ import annotations
@@ -35,7 +36,8 @@ class Frame:
     at_s: float = 0.0
     """When the exposure of the last row ended, on a clock that only runs forward."""
     discarded: int = 0
-    """Frames that the camera gave before this one and that were thrown away: stale, or not yet as locked."""
+    """Frames that the camera gave before this one and that were thrown away: stale, or not yet as
+    locked."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -48,11 +50,16 @@ class ExposureRange:
     highest_gain: float
 
     def check(self, exposure_s: float, gain: float) -> None:
-        """Refuse an exposure outside the range. Raises BadInput, naming the quantity and the range."""
+        """Refuse an exposure outside the range. Raises BadInput, naming the quantity and the
+        range."""
         low = 1e3 * self.shortest_s
         high = 1e3 * self.longest_s
         fits = (1 - 1e-9) * low <= 1e3 * exposure_s <= (1 + 1e-9) * high
-        require(fits, f"the camera exposes for {low:g} to {high:g} ms, but {1e3 * exposure_s:g} ms were asked for.")
+        require(
+            fits,
+            f"the camera exposes for {low:g} to {high:g} ms, but {1e3 * exposure_s:g} ms were asked"
+            " for.",
+        )
         low = self.lowest_gain
         high = self.highest_gain
         fits = (1 - 1e-9) * low <= gain <= (1 + 1e-9) * high
@@ -76,8 +83,9 @@ class Closing(ABC):
 
 
 class CameraDevice(Closing):
-    """A camera whose exposure, gain and white balance stay as set; a context manager that closes. Every frame of
-    :meth:`capture` and :meth:`preview` was exposed wholly after the call, with what was locked.
+    """A camera whose exposure, gain and white balance stay as set; a context manager that closes.
+    Every frame of :meth:`capture` and :meth:`preview` was exposed wholly after the call, with what
+    was locked.
     """
 
     image_size: tuple[int, int]
@@ -87,8 +95,8 @@ class CameraDevice(Closing):
 
     @abstractmethod
     def lock(self, exposure_s: float, gain: float, band: str = "white") -> None:
-        """Fix exposure, gain (within :attr:`exposures`) and white balance: a white card is white under the LEDs of
-        `band`, ``white`` or ``nir``. Raises BadInput for others.
+        """Fix exposure, gain (within :attr:`exposures`) and white balance: a white card is white
+        under the LEDs of `band`, ``white`` or ``nir``. Raises BadInput for others.
         """
 
     @abstractmethod
@@ -97,13 +105,15 @@ class CameraDevice(Closing):
 
     @abstractmethod
     def preview(self) -> Frame:
-        """Take a small photograph of the whole field quickly, for exposure, with the same exposure."""
+        """Take a small photograph of the whole field quickly, for exposure, with the same
+        exposure."""
 
 
 class LightBank(Closing):
-    """LEDs, switched one at a time: all off when it is made, its ``with`` block ends, the process exits, and before
-    SIGTERM or SIGHUP (where nobody else handles these) end it. SIGKILL and power failures are the circuit's: its
-    transistors pull the lines down. The ``__init__`` of a subclass calls this one last.
+    """LEDs, switched one at a time: all off when it is made, its ``with`` block ends, the process
+    exits, and before SIGTERM or SIGHUP (where nobody else handles these) end it. SIGKILL and power
+    failures are the circuit's: its transistors pull the lines down. The ``__init__`` of a subclass
+    calls this one last.
     """
 
     def __init__(self, count: int, settle_s: float) -> None:
@@ -113,7 +123,8 @@ class LightBank(Closing):
         self.count = count
         """LEDs, in the order of the rig file."""
         self.settle_s = settle_s
-        """Time that an LED needs from the switch to full brightness; :meth:`on` returns after it."""
+        """Time that an LED needs from the switch to full brightness; :meth:`on` returns after
+        it."""
         self._lit: set[int] = set(range(count))  # for all we know
         self._closed = False
         atexit.register(self.close)
@@ -142,7 +153,8 @@ class LightBank(Closing):
         return frozenset(self._lit)
 
     def on(self, led: int) -> None:
-        """Switch every other LED off, then `led` on, and wait until it has settled. BadInput without it, or closed."""
+        """Switch every other LED off, then `led` on, and wait until it has settled. BadInput
+        without it, or closed."""
         self.on_together((led,))
 
     def on_together(self, leds: Sequence[int]) -> None:
@@ -150,7 +162,10 @@ class LightBank(Closing):
         require(not self._closed, "the bank of LEDs is closed; open it again.")
         wanted = sorted(set(leds))
         for led in wanted:
-            require(0 <= led < self.count, f"there is no LED {led}; the bank has {self.count}, 0 to {self.count - 1}.")
+            require(
+                0 <= led < self.count,
+                f"there is no LED {led}; the bank has {self.count}, 0 to {self.count - 1}.",
+            )
         require(len(wanted) > 0, "name at least one LED, or switch all off.")
         self._dark(keep=frozenset(wanted))  # before the next is lit: never two at once
         for led in wanted:

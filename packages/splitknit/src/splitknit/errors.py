@@ -1,8 +1,8 @@
 """Input checks with one message style: what was expected, what came, what to do about it.
 
-Every check raises :class:`BadInput`, a ``ValueError`` whose text is one sentence that a user can act on. The command
-line prints it and exits with code 2. An argument stands between backticks in it (```px_per_mm```), of which the command
-line makes its option.
+Every check raises :class:`BadInput`, a ``ValueError`` whose text is one sentence that a user can
+act on. The command line prints it and exits with code 2. An argument stands between backticks in it
+(```px_per_mm```), of which the command line makes its option.
 """
 
 from __future__ import annotations
@@ -27,8 +27,8 @@ J = TypeVar("J")
 class BadInput(ValueError):  # noqa: N818 - a user reads it as a statement about the input, not about our code
     """The input cannot be used; the message names the part, and the remedy.
 
-    A message quotes what files hold: characters that end a line or cannot be printed become escapes in it, and what is
-    longer than 2000 characters is cut.
+    A message quotes what files hold: characters that end a line or cannot be printed become escapes
+    in it, and what is longer than 2000 characters is cut.
     """
 
     def __init__(self, message: str = "") -> None:
@@ -37,15 +37,20 @@ class BadInput(ValueError):  # noqa: N818 - a user reads it as a statement about
 
 
 def printable(text: str) -> str:
-    """Return `text` on one line that moves no cursor: what cannot be printed, and what turns the direction of writing,
-    become escapes.
+    """Return `text` on one line that moves no cursor: what cannot be printed, and what turns the
+    direction of writing, become escapes.
 
-    Every line that a person reads goes through here: names of files, and what files hold, may be any characters.
+    Every line that a person reads goes through here: names of files, and what files hold, may be
+    any characters.
 
     >>> print(printable(chr(27) + "[2J" + chr(0x202E) + "gnp.exe"))
     \\x1b[2J\\u202egnp.exe
     """
-    return text if text.isprintable() else "".join(c if c.isprintable() else ascii(c)[1:-1] for c in text)
+    return (
+        text
+        if text.isprintable()
+        else "".join(c if c.isprintable() else ascii(c)[1:-1] for c in text)
+    )
 
 
 class Refused(BadInput):
@@ -69,8 +74,8 @@ def require(condition: Any, message: str, kind: type[BadInput] = BadInput) -> No
 class Unfinished:
     """Counts open critical sections; Ctrl-C and SIGTERM wait until it is zero.
 
-    A section, such as removing a temporary folder, begins with ``UNFINISHED.depth += 1`` (a call could be interrupted
-    before it counts) and ends with :meth:`leave` in a ``finally``.
+    A section, such as removing a temporary folder, begins with ``UNFINISHED.depth += 1`` (a call
+    could be interrupted before it counts) and ends with :meth:`leave` in a ``finally``.
     """
 
     depth = 0
@@ -92,8 +97,8 @@ UNFINISHED = Unfinished()
 
 @contextlib.contextmanager
 def importing(message: str) -> Iterator[None]:
-    """Turn a failure to import a package that not every installation has into BadInput. `message` says how to get it;
-    ``{error}`` in it becomes Python's reason.
+    """Turn a failure to import a package that not every installation has into BadInput. `message`
+    says how to get it; ``{error}`` in it becomes Python's reason.
     """
     try:
         yield
@@ -111,9 +116,11 @@ def naming(path: object, work: Callable[[], T]) -> T:
 
 @contextlib.contextmanager
 def refusing(message: str) -> Iterator[None]:
-    """Turn whatever a parser raises in the block into :class:`BadInput` with `message`, one sentence.
+    """Turn whatever a parser raises in the block into :class:`BadInput` with `message`, one
+    sentence.
 
-    A :class:`BadInput` passes as it is, and so does a :class:`MemoryError`: it is not a fault of the input.
+    A :class:`BadInput` passes as it is, and so does a :class:`MemoryError`: it is not a fault of
+    the input.
 
     >>> with refusing("the table is damaged; write it again."):
     ...     {}["rows"]
@@ -130,14 +137,17 @@ def refusing(message: str) -> Iterator[None]:
 
 
 @contextlib.contextmanager
-def open_file(path: str | os.PathLike[str], max_bytes: int) -> Iterator[tuple[io.BufferedReader[io.FileIO], int]]:
-    """Open a regular file of at most `max_bytes`; yield the stream and the file's size. Raises BadInput if it is
-    missing, no regular file (devices and pipes are not opened for reading), too large, or cannot be read, also in the
-    block.
+def open_file(
+    path: str | os.PathLike[str], max_bytes: int
+) -> Iterator[tuple[io.BufferedReader[io.FileIO], int]]:
+    """Open a regular file of at most `max_bytes`; yield the stream and the file's size. Raises
+    BadInput if it is missing, no regular file (devices and pipes are not opened for reading), too
+    large, or cannot be read, also in the block.
     """
     name = shown_path(path)
     try:
-        with io.BufferedReader(io.FileIO(path, "rb", opener=open_at_once)) as stream:  # closes a folder, unlike fdopen
+        # closes a folder, unlike fdopen
+        with io.BufferedReader(io.FileIO(path, "rb", opener=open_at_once)) as stream:
             status = os.fstat(stream.fileno())
             require(stat.S_ISREG(status.st_mode), f"{name} is not a file.")
             require(
@@ -152,11 +162,14 @@ def open_file(path: str | os.PathLike[str], max_bytes: int) -> Iterator[tuple[io
     except BadInput:
         raise
     except (OSError, ValueError) as error:
-        raise BadInput(f"{name} cannot be read: {getattr(error, 'strerror', None) or error}.") from error
+        raise BadInput(
+            f"{name} cannot be read: {getattr(error, 'strerror', None) or error}."
+        ) from error
 
 
 def open_at_once(path: str | os.PathLike[str], flags: int, mode: int = 0o600) -> int:
-    """Opener for files: through no link (:func:`given_folders`), and at once where a pipe has no writer."""
+    """Opener for files: through no link (:func:`given_folders`), and at once where a pipe has no
+    writer."""
     refuse_links(path)
     return os.open(path, flags | os.O_NONBLOCK, mode)
 
@@ -166,9 +179,10 @@ _GIVEN: set[str] = set()
 
 @contextlib.contextmanager
 def given_folders(paths: Iterable[str | os.PathLike[str]]) -> Iterator[None]:
-    """In the block, nothing inside these folders is read or written through a symbolic link: a folder may come from
-    anyone. What the user named may be a link. Readers (:func:`open_file`) and writers (:mod:`splitknit.io.atomic`) ask
-    :func:`refuse_links`, in worker processes too (:func:`with_given_folders`).
+    """In the block, nothing inside these folders is read or written through a symbolic link: a
+    folder may come from anyone. What the user named may be a link. Readers (:func:`open_file`) and
+    writers (:mod:`splitknit.io.atomic`) ask :func:`refuse_links`, in worker processes too
+    (:func:`with_given_folders`).
     """
     earlier = set(_GIVEN)
     for path in map(Path, paths):
@@ -204,7 +218,8 @@ def refuse_links(path: str | os.PathLike[str]) -> None:
             name = path if link == whole else link
             require(
                 link is None,
-                f"'{name}' is a link inside a folder, which is not followed; put the file or folder itself there.",
+                f"'{name}' is a link inside a folder, which is not followed; put the file or folder"
+                " itself there.",
             )
             return
         inside.append(parent)
@@ -213,8 +228,8 @@ def refuse_links(path: str | os.PathLike[str]) -> None:
 def read_bytes(path: str | os.PathLike[str], max_bytes: int) -> bytes:
     """Read a whole regular file of at most `max_bytes`; every reader of a file goes through here.
 
-    The size is checked before memory is taken, and again while reading, for a file that grows and for those of
-    ``/proc``, which have no size. Raises BadInput as :func:`open_file`.
+    The size is checked before memory is taken, and again while reading, for a file that grows and
+    for those of ``/proc``, which have no size. Raises BadInput as :func:`open_file`.
 
     >>> read_bytes("/dev/zero", 1000)
     Traceback (most recent call last):
@@ -225,7 +240,9 @@ def read_bytes(path: str | os.PathLike[str], max_bytes: int) -> bytes:
         data = stream.read(size + 1)
         while len(data) > size and len(data) <= max_bytes and (more := stream.read(1 << 16)):
             data += more
-    require(len(data) <= max_bytes, f"{shown_path(path)} is too large: more than {max_bytes} bytes.")
+    require(
+        len(data) <= max_bytes, f"{shown_path(path)} is too large: more than {max_bytes} bytes."
+    )
     return data
 
 
@@ -240,9 +257,17 @@ def check_stack(stack: Any, *, least: int = 1, name: str = "stack") -> NDArray[n
     import numpy as np
 
     array = np.asarray(stack)
-    require(array.ndim == 3, f"{name} must have the shape (L, H, W), but it has the shape {array.shape}.")
-    require(array.shape[0] >= least, f"{name} must hold at least {least} images, but it holds {array.shape[0]}.")
-    require(array.shape[1] > 0 and array.shape[2] > 0, f"{name} has empty images: shape {array.shape}.")
+    require(
+        array.ndim == 3,
+        f"{name} must have the shape (L, H, W), but it has the shape {array.shape}.",
+    )
+    require(
+        array.shape[0] >= least,
+        f"{name} must hold at least {least} images, but it holds {array.shape[0]}.",
+    )
+    require(
+        array.shape[1] > 0 and array.shape[2] > 0, f"{name} has empty images: shape {array.shape}."
+    )
     return _finite(array, name)
 
 
@@ -251,12 +276,16 @@ def check_image(image: Any, *, name: str = "image") -> NDArray[np.float32]:
     import numpy as np
 
     array = np.asarray(image)
-    require(array.ndim == 2 and array.size > 0, f"{name} must have the shape (H, W), but it has {array.shape}.")
+    require(
+        array.ndim == 2 and array.size > 0,
+        f"{name} must have the shape (H, W), but it has {array.shape}.",
+    )
     return _finite(array, name)
 
 
 def check_mask(mask: Any, shape: tuple[int, int], *, name: str = "mask") -> NDArray[np.bool_]:
-    """Return `mask` as a boolean array of `shape` that is true somewhere; ``None`` gives an all-true mask."""
+    """Return `mask` as a boolean array of `shape` that is true somewhere; ``None`` gives an
+    all-true mask."""
     import numpy as np
 
     if mask is None:
@@ -268,30 +297,42 @@ def check_mask(mask: Any, shape: tuple[int, int], *, name: str = "mask") -> NDAr
     return result
 
 
-def check_lights(lights: Any, count: int | None = None, *, name: str = "lights") -> NDArray[np.float64]:
-    """`lights` as a float64 array (L, 3) that determines a normal: finite, non-zero, distinct, not coplanar. A row's
-    length is the light's relative strength. Directions within 0.5 deg are duplicates; where the smallest singular value
-    is below 1 % of the largest they lie in one plane for all practical purposes. Raises BadInput otherwise.
+def check_lights(
+    lights: Any, count: int | None = None, *, name: str = "lights"
+) -> NDArray[np.float64]:
+    """`lights` as a float64 array (L, 3) that determines a normal: finite, non-zero, distinct, not
+    coplanar. A row's length is the light's relative strength. Directions within 0.5 deg are
+    duplicates; where the smallest singular value is below 1 % of the largest they lie in one plane
+    for all practical purposes. Raises BadInput otherwise.
     """
     import numpy as np
 
     array = np.asarray(lights, dtype=np.float64)
-    require(array.ndim == 2 and array.shape[1] == 3, f"{name} must have the shape (L, 3), but it has {array.shape}.")
+    require(
+        array.ndim == 2 and array.shape[1] == 3,
+        f"{name} must have the shape (L, 3), but it has {array.shape}.",
+    )
     finite = np.isfinite(array) & (np.abs(array) < 1e100)  # the squares of more overflow
     require(bool(finite.all()), f"{name} contains NaN or infinite values.")
     require(
         count in (None, array.shape[0]),
         f"{name} and images differ in number: {array.shape[0]} lights for {count} images.",
     )
-    require(array.shape[0] >= 3, f"photometric stereo needs at least 3 lights, but {name} holds {array.shape[0]}.")
+    require(
+        array.shape[0] >= 3,
+        f"photometric stereo needs at least 3 lights, but {name} holds {array.shape[0]}.",
+    )
     norms = np.linalg.norm(array, axis=1)
-    require(bool((norms > 0).all()), f"{name} contains a zero vector (light {int(np.argmin(norms))}).")
+    require(
+        bool((norms > 0).all()), f"{name} contains a zero vector (light {int(np.argmin(norms))})."
+    )
     unit = array / norms[:, None]
     cosines = unit @ unit.T - 2.0 * np.eye(len(unit))
     i, j = np.unravel_index(int(np.argmax(cosines)), cosines.shape)
     require(
         bool(cosines[i, j] < np.cos(np.deg2rad(0.5))),
-        f"{name} {min(i, j)} and {max(i, j)} have the same direction; remove one or correct the rig.",
+        f"{name} {min(i, j)} and {max(i, j)} have the same direction; remove one or correct the"
+        " rig.",
     )
     singular = np.linalg.svd(unit, compute_uv=False)
     require(

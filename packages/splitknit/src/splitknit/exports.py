@@ -1,5 +1,5 @@
-"""What stands at a package's door: the names of its ``__init__.pyi``, each imported when it is first used; those of its
-``__all__`` are for users, the others for the other members.
+"""What stands at a package's door: the names of its ``__init__.pyi``, each imported when it is
+first used; those of its ``__all__`` are for users, the others for the other members.
 
 
 So ``import splitknit`` is quick, and the list is the one that type checkers read.
@@ -10,7 +10,8 @@ from __future__ import annotations
 import re
 import sys
 
-TYPE_CHECKING = False  # as typing's, whose import would take longer than all the rest of the command line's start
+# as typing's, whose import would take longer than all the rest of the command line's start
+TYPE_CHECKING = False
 if TYPE_CHECKING:
     from collections.abc import Callable
     from typing import Any
@@ -19,8 +20,11 @@ _LINE = re.compile(r"^from (\S+) import (\w+) as (\w+)$", re.MULTILINE)
 _NAME = re.compile(r'"(\w+)"')
 
 
-def door(package: str, file: str) -> tuple[Callable[[str], Any], Callable[[], list[str]], list[str]]:
-    """Return ``__getattr__``, ``__dir__`` and ``__all__`` of the `package` whose ``__init__.py`` is `file`."""
+def door(
+    package: str, file: str
+) -> tuple[Callable[[str], Any], Callable[[], list[str]], list[str]]:
+    """Return ``__getattr__``, ``__dir__`` and ``__all__`` of the `package` whose ``__init__.py`` is
+    `file`."""
     with open(f"{file}i", encoding="utf-8") as stream:  # noqa: PTH123 - pathlib takes longer than the rest
         text = stream.read()
     homes = {door: (module, name) for module, name, door in _LINE.findall(text)}

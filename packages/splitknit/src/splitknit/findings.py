@@ -1,4 +1,5 @@
-"""What is wrong with photographs, or was assumed of them: each finding has a code, a severity and a sentence.
+"""What is wrong with photographs, or was assumed of them: each finding has a code, a severity and a
+sentence.
 
 :mod:`splitknit.diagnosis.codes` says of every code what it means and what to do.
 """
@@ -44,8 +45,8 @@ class Finding:
     code: str
     """Stable name for programs, as ``clipped-photograph``."""
     message: str
-    """One sentence; where there are `lengths_mm`, a template with a field for each: ``{:.1f mm}``, ``{:.0f um}``, or
-    ``{:g mm-}`` without the unit."""
+    """One sentence; where there are `lengths_mm`, a template with a field for each: ``{:.1f mm}``,
+    ``{:.0f um}``, or ``{:g mm-}`` without the unit."""
     severity: Severity = Severity.NOTE
     files: tuple[str, ...] = ()
     """Photographs at fault."""
@@ -56,7 +57,9 @@ class Finding:
     """Whose photographs it is about."""
 
     def __str__(self) -> str:
-        return self.message.format(*map(_Length, self.lengths_mm)) if self.lengths_mm else self.message
+        return (
+            self.message.format(*map(_Length, self.lengths_mm)) if self.lengths_mm else self.message
+        )
 
     def in_pixels(self, px_per_mm: float) -> Finding:
         """The finding with its lengths in pixels, for a capture whose scale is unknown."""
@@ -67,7 +70,11 @@ class Finding:
 
     def of_band(self, name: str) -> Finding:
         """The finding of a band other than the white one, which its sentence then names."""
-        return self if name == "white" else replace(self, message=f"{name} band: {self.message}", band=name)
+        return (
+            self
+            if name == "white"
+            else replace(self, message=f"{name} band: {self.message}", band=name)
+        )
 
     @property
     def facts(self) -> dict[str, Any]:
@@ -112,4 +119,6 @@ def refuse(findings: Iterable[Finding], *, keep: bool) -> None:
     """Refuse photographs that spoil the surface, unless they are to be kept. Raises BadInput."""
     for finding in findings:
         sound = keep or finding.severity != Severity.SPOILS
-        require(sound, f"{str(finding).rstrip('.')}; `keep` (the setting keep) goes on all the same.")
+        require(
+            sound, f"{str(finding).rstrip('.')}; `keep` (the setting keep) goes on all the same."
+        )

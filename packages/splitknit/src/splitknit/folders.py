@@ -9,10 +9,26 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
-from splitknit.arguments import AnyPath, Device, Encoding, Preset, Progress, Settings, checked, silent, text_of
+from splitknit.arguments import (
+    AnyPath,
+    Device,
+    Encoding,
+    Preset,
+    Progress,
+    Settings,
+    checked,
+    silent,
+    text_of,
+)
 from splitknit.errors import BadInput, naming, require
 from splitknit.findings import SEVERITY_WORDS, Finding, Severity, worst_first
-from splitknit.io.photographs import NO_PHOTOGRAPHS, OF_CAPTURES, AllPhotographs, GivenPhotographs, Lights
+from splitknit.io.photographs import (
+    NO_PHOTOGRAPHS,
+    OF_CAPTURES,
+    AllPhotographs,
+    GivenPhotographs,
+    Lights,
+)
 
 if TYPE_CHECKING:
     from splitknit.model import Capture
@@ -40,7 +56,8 @@ def read_photographs(
     flat: AnyPath | None = None,
     nir: AnyPath | None = None,
 ) -> Capture:
-    """Read photographs of one object under one light after the other, taken by any camera, as a capture.
+    """Read photographs of one object under one light after the other, taken by any camera, as a
+    capture.
 
     What was assumed of them (such as their encoding) is logged by the logger ``splitknit.folders``.
 
@@ -52,7 +69,8 @@ def read_photographs(
         By default ``lights.txt`` beside the images; ``unknown``: they are estimated.
     px_per_mm : float, optional
         Scale on the object; without it heights are in pixels.
-    light_frame, ridge_period_mm, mask, material, tip_direction_deg, encoding, brightness, max_megapixels, background, \
+    light_frame, ridge_period_mm, mask, material, tip_direction_deg, encoding, brightness,
+    max_megapixels, background, \
 crossed, mosaic, film_deg, flat, nir : optional
         See :class:`splitknit.io.photographs.GivenPhotographs`, whose fields they are.
 
@@ -68,7 +86,9 @@ crossed, mosaic, film_deg, flat, nir : optional
     Examples
     --------
     >>> import splitknit
-    >>> capture = splitknit.read_photographs("photos", "lights.txt", px_per_mm=20.0)  # doctest: +SKIP
+    >>> capture = splitknit.read_photographs(  # doctest: +SKIP
+    ...     "photos", "lights.txt", px_per_mm=20.0
+    ... )
     >>> splitknit.reconstruct(capture).height_mm.shape  # doctest: +SKIP
     (1500, 2000)
     """
@@ -79,7 +99,8 @@ crossed, mosaic, film_deg, flat, nir : optional
 
 
 def capture_of(photographs: GivenPhotographs) -> tuple[Capture, list[Finding]]:
-    """Photographs as a capture, and what was assumed of them. Raises BadInput as :func:`read_photographs`."""
+    """Photographs as a capture, and what was assumed of them. Raises BadInput as
+    :func:`read_photographs`."""
     from splitknit.io.plain import capture_from_photographs
     from splitknit.photometric.uncalibrated import with_estimated_lights
 
@@ -102,7 +123,9 @@ def _with_frame_and_scale(
 
     if photographs.light_frame is not None:
         capture = replace(capture, rig=rig_of_frame(capture.rig, photographs.light_frame))
-    capture, note = naming(source, partial(with_scale, capture, px_per_mm, photographs.ridge_period_mm))
+    capture, note = naming(
+        source, partial(with_scale, capture, px_per_mm, photographs.ridge_period_mm)
+    )
     return capture, [Finding("scale-of-ridges", note)] if note else []
 
 
@@ -117,9 +140,14 @@ class Reconstructed:
         facts = self.facts
         result, out = facts["result"], facts["out"]
         known = result["scale_known"]
-        measured = f"{facts['area_mm2']:.0f} mm²" if known else f"{result['area_px']} px (scale unknown)"
-        findings = [f"{SEVERITY_WORDS[each['severity']]}: {each['message']}" for each in facts["findings"]]
-        doubts = sum(each["severity"] != Severity.NOTE for each in facts["findings"])  # the worst stand first
+        measured = (
+            f"{facts['area_mm2']:.0f} mm²" if known else f"{result['area_px']} px (scale unknown)"
+        )
+        findings = [
+            f"{SEVERITY_WORDS[each['severity']]}: {each['message']}" for each in facts["findings"]
+        ]
+        # the worst stand first
+        doubts = sum(each["severity"] != Severity.NOTE for each in facts["findings"])
         lines = [
             *findings[:doubts],
             f"{measured} reconstructed with preset {facts['preset']} in {facts['total_s']:.1f} s.",
@@ -128,7 +156,10 @@ class Reconstructed:
         ]
         for preset, figure in facts["comparison"].items():
             rms = f"surface rms {figure['surface_rms_mm']:.3f} mm"
-            ridges = f"ridge correlation {figure['ridge_correlation']:.2f}, ridge gain {figure['ridge_gain']:.2f}"
+            ridges = (
+                f"ridge correlation {figure['ridge_correlation']:.2f}, ridge gain"
+                f" {figure['ridge_gain']:.2f}"
+            )
             lines.append(f"Against the truth ({preset}): {rms}, {ridges}.")
         return text_of([*lines, f"Open {Path(out) / 'report.html'} in a browser."])
 
@@ -157,16 +188,18 @@ def reconstruct_to_folder(
     out
         Folder to write the results into.
     preset
-        metric (the default), or the thesis's snk (all of it), pr (direct light, no split), ea (plain), these two split
-        by shapelets (pr-split, ea-split), or another published case: kumar, zheng, lin.
+        metric (the default), or the thesis's snk (all of it), pr (direct light, no split), ea
+        (plain), these two split by shapelets (pr-split, ea-split), or another published case:
+        kumar, zheng, lin.
     rig
-        Rig file instead of the capture's, such as a calibration; with `images` its white LEDs and camera.
+        Rig file instead of the capture's, such as a calibration; with `images` its white LEDs and
+        camera.
     shape
-        Where the finger's shape comes from: near-infrared (nir, the default), white light, or its outlines in mirrors
-        beside it (mirror).
+        Where the finger's shape comes from: near-infrared (nir, the default), white light, or its
+        outlines in mirrors beside it (mirror).
     device
-        Where networks run: cpu (the default, always the same bytes), cuda (other last digits; needs onnxruntime-gpu),
-        or auto, cuda where there is one.
+        Where networks run: cpu (the default, always the same bytes), cuda (other last digits; needs
+        onnxruntime-gpu), or auto, cuda where there is one.
     keep
         Go on where photographs that contradict each other spoil the surface of skin.
     strict
@@ -211,7 +244,8 @@ def reconstruct_to_folder(
     started = time.perf_counter()
     one_heap()
     source = Path(capture or photographs.images or "")
-    override(preset_settings(preset), changes)  # a wrong setting is refused before the images are read
+    # a wrong setting is refused before the images are read
+    override(preset_settings(preset), changes)
     check_target(Path(out), "height.npz", "an earlier result", keep=source)
     device_used = use_device(device)
     with atomic_folder(Path(out)) as target:
@@ -219,12 +253,14 @@ def reconstruct_to_folder(
         captures, notes = _read(capture, rig, photographs)
         read_s = time.perf_counter() - started
         small_bands = {
-            name: replace(band, pixels=small_images(band), ambient=None) for name, band in captures[0].bands.items()
+            name: replace(band, pixels=small_images(band), ambient=None)
+            for name, band in captures[0].bands.items()
         }
         small = replace(captures[0], bands=small_bands)  # for the report
         try:
             result = reconstruct(
-                captures.pop(),  # so that its images go once they are read: 0.3 GB less at a full frame's peak
+                # so that its images go once they are read: 0.3 GB less at a full frame's peak
+                captures.pop(),
                 preset,
                 changes,
                 lambda stage, fraction: progress(stage, 0.15 + 0.65 * fraction),
@@ -244,7 +280,9 @@ def reconstruct_to_folder(
             raise BadInput(f"{source}: {error}") from error
     progress("done", 1.0)
     total_s = time.perf_counter() - started
-    return Reconstructed({**facts, "out": str(out), "area_mm2": facts["result"]["area_mm2"], "total_s": total_s})
+    return Reconstructed(
+        {**facts, "out": str(out), "area_mm2": facts["result"]["area_mm2"], "total_s": total_s}
+    )
 
 
 def _read(
@@ -255,15 +293,26 @@ def _read(
 
     rig = None if rig_file is None else Path(rig_file)
     if capture_folder is None:
-        require(rig is None or photographs.lights is None, "`rig` and `lights` both give the lights; choose one.")
+        require(
+            rig is None or photographs.lights is None,
+            "`rig` and `lights` both give the lights; choose one.",
+        )
         named = rig is None or rig.suffix.lower() == ".json"
-        require(named, f"`rig` must name a rig file (.json), not '{rig}'; name a list of lights with `lights`.")
-        capture, notes = capture_of(photographs if rig is None else replace(photographs, lights=rig))
+        require(
+            named,
+            f"`rig` must name a rig file (.json), not '{rig}'; name a list of lights with"
+            " `lights`.",
+        )
+        capture, notes = capture_of(
+            photographs if rig is None else replace(photographs, lights=rig)
+        )
         return [capture], notes
     capture = read_capture(capture_folder)
     if rig is not None:
         capture = with_rig(capture, rig)
     if photographs.tip_direction_deg is not None:
         capture = replace(capture, tip_direction_deg=photographs.tip_direction_deg)
-    capture, notes = _with_frame_and_scale(capture, capture_folder, photographs, photographs.px_per_mm)
+    capture, notes = _with_frame_and_scale(
+        capture, capture_folder, photographs, photographs.px_per_mm
+    )
     return [capture], notes

@@ -1,5 +1,5 @@
-"""Photographs in, a capture folder out; a view of several fingers, a capture folder of each. Prints are read by what is
-registered for them.
+"""Photographs in, a capture folder out; a view of several fingers, a capture folder of each. Prints
+are read by what is registered for them.
 """
 
 from __future__ import annotations
@@ -33,23 +33,24 @@ def import_files(
     photographs: AllPhotographs = NO_PHOTOGRAPHS,
     progress: Progress = silent,
 ) -> Report:
-    """Turn photographs and light directions into a capture folder (`images`), or prints of other systems into PNG.
+    """Turn photographs and light directions into a capture folder (`images`), or prints of other
+    systems into PNG.
 
     Parameters
     ----------
     files
-        WSQ, ISO 19794-4, ANSI/NIST-ITL, PNG, TIFF, JPEG, BMP: each print becomes a PNG with its resolution; ISO
-        19794-2, ANSI 378: the minutiae of each finger become an ISO 19794-2 file; match, enroll, identify take all of
-        them as they are.
+        WSQ, ISO 19794-4, ANSI/NIST-ITL, PNG, TIFF, JPEG, BMP: each print becomes a PNG with its
+        resolution; ISO 19794-2, ANSI 378: the minutiae of each finger become an ISO 19794-2 file;
+        match, enroll, identify take all of them as they are.
     out
         Folder to write.
     nir
-        Near-infrared photographs: a folder, or a pattern as for `images`; their lights are the NIR LEDs of a rig file,
-        else lights.txt in that folder.
+        Near-infrared photographs: a folder, or a pattern as for `images`; their lights are the NIR
+        LEDs of a rig file, else lights.txt in that folder.
     fingers
-        `images`, or the capture folder FILES, show several fingers side by side: each becomes a capture in `out`; left,
-        right: index to little finger of that hand; auto: the hand follows from their tips; else names from left to
-        right, such as right_middle,right_index.
+        `images`, or the capture folder FILES, show several fingers side by side: each becomes a
+        capture in `out`; left, right: index to little finger of that hand; auto: the hand follows
+        from their tips; else names from left to right, such as right_middle,right_index.
     keep
         Keep a hand of `fingers` that the tips contradict.
     overwrite
@@ -74,7 +75,10 @@ def import_files(
     """
     images = photographs.images
     both = images is not None and bool(files)
-    require(not both, "photographs (`images` DIR) and prints (FILES ...) are imported one after the other.")
+    require(
+        not both,
+        "photographs (`images` DIR) and prints (FILES ...) are imported one after the other.",
+    )
     fault = "name photographs (`images` DIR `lights` FILE)"
     require(images is not None or bool(files), f"{fault} or files of prints to import.")
     skin = (nir, fingers) != (None, None)  # a finger is
@@ -84,9 +88,14 @@ def import_files(
         require(len(files) < 2, "`fingers` takes one capture, or `images` of one.")
         photographs.refuse_without_images(*OF_CAPTURES)
         folder = Path(files[0] if images is None else images)
-        return _import_fingers(folder, known, Path(out), fingers, keep=keep, overwrite=overwrite, progress=progress)
+        return _import_fingers(
+            folder, known, Path(out), fingers, keep=keep, overwrite=overwrite, progress=progress
+        )
     cloud = next((file for file in files if Path(file).suffix.lower() in _SURFACES), None)
-    require(cloud is None, f"'{cloud}' is a surface: 'python validation/scanners/cloud.py' of a checkout reads it.")
+    require(
+        cloud is None,
+        f"'{cloud}' is a surface: 'python validation/scanners/cloud.py' of a checkout reads it.",
+    )
     require(not keep, "`keep` goes with `fingers`.")
     if images is None:
         require(nir is None, "`nir` goes with `images`.")
@@ -125,12 +134,20 @@ def _import_fingers(
         check_capture(place, overwrite=overwrite, keep=folder)
     for place, part in captures.items():
         write_capture(part, place, overwrite=overwrite)
-    written = [f"{part.shape[1]} x {part.shape[0]} pixels written to {place}." for place, part in captures.items()]
-    facts = {"out": str(out), "fingers": {place.name: list(part.shape) for place, part in captures.items()}}
+    written = [
+        f"{part.shape[1]} x {part.shape[0]} pixels written to {place}."
+        for place, part in captures.items()
+    ]
+    facts = {
+        "out": str(out),
+        "fingers": {place.name: list(part.shape) for place, part in captures.items()},
+    }
     return _report(facts, written, notes, next(iter(captures)))
 
 
-def _import_photographs(photographs: GivenPhotographs, out: Path, *, overwrite: bool, progress: Progress) -> Report:
+def _import_photographs(
+    photographs: GivenPhotographs, out: Path, *, overwrite: bool, progress: Progress
+) -> Report:
     from splitknit.io.capture import write_capture
     from splitknit.io.photograph_files import home_of
     from splitknit.io.targets import check_capture
@@ -157,15 +174,28 @@ def _import_photographs(photographs: GivenPhotographs, out: Path, *, overwrite: 
         "mask": capture.mask is not None,
         "nir": nir,
     }
-    kind = f"parallel and {images} crossed" if facts["polarised"] else "colour" if channels == 3 else "grey"
+    kind = (
+        f"parallel and {images} crossed"
+        if facts["polarised"]
+        else "colour"
+        if channels == 3
+        else "grey"
+    )
     kind += f" and {nir} near-infrared" if nir else ""
-    covered = "no mask" if capture.mask is None else f"the mask covers {100 * capture.mask.mean():.0f} %"
+    covered = (
+        "no mask" if capture.mask is None else f"the mask covers {100 * capture.mask.mean():.0f} %"
+    )
     how = f"{capture.encoding}, {capture.material}, {camera.scale}, {covered}"
     written = f"{images} {kind} photographs of {columns} x {rows} pixels ({how}) written to {out}."
     return _report(facts, [written], notes, out)
 
 
-def _report(facts: dict[str, Any], written: Sequence[str], notes: Sequence[Finding], following: Path) -> Report:
+def _report(
+    facts: dict[str, Any], written: Sequence[str], notes: Sequence[Finding], following: Path
+) -> Report:
     sentences = [str(note) for note in notes]
     lines = [*written, *(f"Please note: {note}" for note in sentences)]
-    return Report({**facts, "notes": sentences}, (*lines, f"Next: splitknit reconstruct {following} --out RESULT"))
+    return Report(
+        {**facts, "notes": sentences},
+        (*lines, f"Next: splitknit reconstruct {following} --out RESULT"),
+    )

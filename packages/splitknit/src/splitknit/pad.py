@@ -1,6 +1,8 @@
-"""Presentation attack detection: what of a capture and its result differs between skin and copies, and an answer.
+"""Presentation attack detection: what of a capture and its result differs between skin and copies,
+and an answer.
 
-Terms and rates: ISO/IEC 30107-3; what the shipped model was fitted to, and its rates: ``docs/experiments/pad.md``.
+Terms and rates: ISO/IEC 30107-3; what the shipped model was fitted to, and its rates:
+``docs/experiments/pad.md``.
 """
 
 from __future__ import annotations
@@ -22,7 +24,10 @@ from splitknit.imaging.band import linear_channels
 from splitknit.imaging.geometry import smoothed
 from splitknit.model import Array, BoolArray, Capture, FloatArray, Reconstruction
 
-BASIS = "the model was fitted to simulated fingers and attacks only; nobody has measured it on real ones."
+BASIS = (
+    "the model was fitted to simulated fingers and attacks only; nobody has measured it on real"
+    " ones."
+)
 PX_PER_MM = 15.0  # at which photographs and results are measured
 _FACING = 0.8  # cosine between the surface without ridges and the view: flanks are left out
 _SLOW_MM = 0.35  # standard deviations of the Gaussians around the band of ridges
@@ -34,11 +39,13 @@ class PadImages:
     """What of a capture's images is measured, at `PX_PER_MM` or as coarse as the capture is."""
 
     binning: float
-    light: Mapping[str, FloatArray]  # (L, h, w) linear, above zero: white (luma, which JPEG keeps), nir
+    # (L, h, w) linear, above zero: white (luma, which JPEG keeps), nir
+    light: Mapping[str, FloatArray]
 
 
 def not_covered(capture: Capture) -> str:
-    """Why the shipped model, which was fitted to fine captures of skin in white and near infrared, says nothing."""
+    """Why the shipped model, which was fitted to fine captures of skin in white and near infrared,
+    says nothing."""
     camera = capture.rig.camera
     if not camera.scale_known:
         return "its scale is not known"
@@ -55,22 +62,26 @@ def pad_images(capture: Capture) -> PadImages:
     light = {}
     for name in ("white", "nir"):
         if name in capture.bands:
-            stack = linear_channels(capture.bands[name], capture.encoding, ("grey",), None, binning)[0]
+            stack = linear_channels(
+                capture.bands[name], capture.encoding, ("grey",), None, binning
+            )[0]
             light[name] = np.maximum(stack, 1e-6 * float(stack.max()) + 1e-12)
     return PadImages(binning, light)
 
 
 def pad_features(images: PadImages, result: Reconstruction) -> dict[str, float]:
-    """What differs between skin and copies, by name, as far as the capture has it: ``relief_*``, ``shape_*`` (1/mm),
-    ``spread_*`` (logarithms of ratios of ridge contrast: fixed to turning with the light, near infrared to white); none
-    depends on brightness, colour or file. BadInput if the result has no scale, or shows too little.
+    """What differs between skin and copies, by name, as far as the capture has it: ``relief_*``,
+    ``shape_*`` (1/mm), ``spread_*`` (logarithms of ratios of ridge contrast: fixed to turning with
+    the light, near infrared to white); none depends on brightness, colour or file. BadInput if the
+    result has no scale, or shows too little.
     """
     shape, relief, mask = _coarse(result, images.binning)
     pitch = result.pitch_mm * images.binning
     inside = _facing(shape, mask, pitch)
     require(
         result.scale_known and int(inside.sum()) >= 100,
-        "presentation attacks show in results with a known scale and at least some mm² of a finger.",
+        "presentation attacks show in results with a known scale and at least some mm² of a"
+        " finger.",
     )
     features = _of_relief(relief, inside, pitch) | _of_shape(shape, inside, pitch)
     features |= _of_spread(images.light, inside, pitch)
@@ -129,10 +140,16 @@ def _of_shape(shape: FloatArray, inside: BoolArray, pitch: float) -> dict[str, f
     fit = np.linalg.lstsq(basis, values, rcond=None)[0]
     bends = np.linalg.eigvalsh([[2 * fit[3], fit[4]], [fit[4], 2 * fit[5]]])
     rest = float(np.std(values - basis @ fit))
-    return {"shape_across": float(bends[0]), "shape_along": float(bends[1]), "shape_rest": float(np.log(rest + 1e-3))}
+    return {
+        "shape_across": float(bends[0]),
+        "shape_along": float(bends[1]),
+        "shape_rest": float(np.log(rest + 1e-3)),
+    }
 
 
-def _of_spread(stacks: Mapping[str, FloatArray], inside: BoolArray, pitch: float) -> dict[str, float]:
+def _of_spread(
+    stacks: Mapping[str, FloatArray], inside: BoolArray, pitch: float
+) -> dict[str, float]:
     """Contrast of ridges that turns with the light (relief), and that does not (pigment, print)."""
     turning = {}
     fixed = {}
@@ -148,13 +165,15 @@ def _of_spread(stacks: Mapping[str, FloatArray], inside: BoolArray, pitch: float
     return spread
 
 
-# The model: how far each feature lies from live skin's, towards what copies have, and what training covered.
+# The model: how far each feature lies from live skin's, towards what copies have, and what training
+# covered.
 
 Model = Mapping[str, Any]
-"""``names``; ``mean`` and ``scale`` of live skin's features; ``weights`` of deviations above and below it, none
-negative; ``offset`` of the log odds; ``kinds``: mean deviations of live skin and of each species, and ``precision``:
-inverse covariance about them; ``covered``: largest distance to the nearest; ``live``, ``attack``, ``far``: log odds of
-live skin from which, up to which, and far from everything up to which an answer is given."""
+"""``names``; ``mean`` and ``scale`` of live skin's features; ``weights`` of deviations above and
+below it, none negative; ``offset`` of the log odds; ``kinds``: mean deviations of live skin and of
+each species, and ``precision``: inverse covariance about them; ``covered``: largest distance to the
+nearest; ``live``, ``attack``, ``far``: log odds of live skin from which, up to which, and far from
+everything up to which an answer is given."""
 _USUAL = 0.5  # deviations, in standard deviations of live skin, that count from here on
 _LARGEST = 6.5  # and up to here
 
@@ -166,7 +185,8 @@ def shipped_model() -> Model:
 
 
 def deviations(model: Model, features: Mapping[str, float]) -> Array:
-    """Features' deviations from live skin in its standard deviations; 0 on a side on which nothing is suspicious."""
+    """Features' deviations from live skin in its standard deviations; 0 on a side on which nothing
+    is suspicious."""
     away = np.array([features[name] for name in model["names"]]) - model["mean"]
     above, below = np.array(model["weights"]).T
     one_sided = np.where(away > 0, above > 0, below > 0) | ((above == 0) & (below == 0))
@@ -179,7 +199,8 @@ def suspicious(away: Array) -> Array:
 
 
 def distance(model: Model, away: Array) -> float:
-    """Mahalanobis distance to the nearest of live skin and the species of the training, a feature's mean."""
+    """Mahalanobis distance to the nearest of live skin and the species of the training, a feature's
+    mean."""
     rest = away - np.array(model["kinds"])
     squared = np.einsum("ki,ij,kj->k", rest, np.array(model["precision"]), rest)
     return float(np.sqrt(squared.min() / len(away)))
@@ -194,13 +215,15 @@ class Presentation:
     probability: float | None = None  # of live skin, if attacks were as frequent as it
     distance: float | None = None  # to the nearest kind of the training
     covered: float | None = None  # the largest distance of what training covered
-    suspicion: Mapping[str, float] | None = None  # by group of features: what it takes from the log odds
+    # by group of features: what it takes from the log odds
+    suspicion: Mapping[str, float] | None = None
 
 
 def judge(features: Mapping[str, float], model: Model | None = None) -> Presentation:
     """Whether :func:`pad_features` are those of live skin, by the shipped model or by another one.
 
-    Unknown is what training did not cover, unless it is very suspicious, and what lies between live skin and copies.
+    Unknown is what training did not cover, unless it is very suspicious, and what lies between live
+    skin and copies.
 
     >>> judge(dict(zip(shipped_model()["names"], shipped_model()["mean"], strict=True))).answer
     'live'

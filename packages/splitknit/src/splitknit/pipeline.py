@@ -1,7 +1,8 @@
 """From a capture to a metric fingerprint: :func:`reconstruct` picks a method and its parameters.
 
-The algorithm is in :mod:`splitknit.methods`, one function a method; presets are in :mod:`splitknit.presets`. Time,
-progress and results that several cases share wrap the steps from outside (:mod:`splitknit.steps`).
+The algorithm is in :mod:`splitknit.methods`, one function a method; presets are in
+:mod:`splitknit.presets`. Time, progress and results that several cases share wrap the steps from
+outside (:mod:`splitknit.steps`).
 """
 
 from __future__ import annotations
@@ -42,9 +43,10 @@ def reconstruct(
     capture : Capture, or the path of a capture folder
         From :func:`splitknit.read_capture` or a simulator.
     preset : a name of :data:`PRESETS`
-    settings : mapping from ``stage.field`` to a value (or nested mappings), or whole settings, optional
-        Changes to the preset, of which the result says ``snk, changed``; whole settings instead of a preset are named
-        after the one that they are, or are nearest to.
+    settings : mapping from ``stage.field`` to a value (or nested mappings), or whole settings,
+    optional
+        Changes to the preset, of which the result says ``snk, changed``; whole settings instead of
+        a preset are named after the one that they are, or are nearest to.
     progress : called with the name of the stage and the fraction done, optional
     memory : what several cases of this very capture share, optional
         Saves time; changes nothing.
@@ -57,8 +59,9 @@ def reconstruct(
     Raises
     ------
     BadInput
-        If the capture shows no finger, lacks a band, a setting is not known, or the memory is another capture's; if
-        photographs of skin contradict each other or their lights (setting ``keep``).
+        If the capture shows no finger, lacks a band, a setting is not known, or the memory is
+        another capture's; if photographs of skin contradict each other or their lights (setting
+        ``keep``).
 
     Examples
     --------
@@ -70,7 +73,8 @@ def reconstruct(
 
     References
     ----------
-    A. Srivastava, "Split and Knit Algorithm for 3D fingerprint reconstruction using Single Camera", chapter 3.
+    A. Srivastava, "Split and Knit Algorithm for 3D fingerprint reconstruction using Single Camera",
+    chapter 3.
     """
     name, chosen = chosen_settings(preset, settings)
     capture = _opened(capture, memory, mirrors=chosen.shape.source == "mirror")
@@ -81,19 +85,27 @@ def reconstruct(
         del capture  # `photographs` alone holds the images now, and can release them
         photographs = diagnosed(photographs, chosen)
         refuse(photographs.findings, keep=chosen.keep)
-        seen = mirror_views(photographs.capture, chosen) if chosen.shape.source == "mirror" else None
+        seen = (
+            mirror_views(photographs.capture, chosen) if chosen.shape.source == "mirror" else None
+        )
         surface = METHODS[method_for(photographs, chosen)](photographs, chosen)
         if seen is not None:
             surface = on_mirror_shape(photographs, surface, seen, chosen)
         result = placed(photographs, surface, chosen.top_mm)
     odd = doubt_of_size(photographs.capture, result, chosen.method == "metric")
     findings = worst_first((*odd, *notes, *of_scale, *photographs.findings, *surface.findings))
-    result = replace(result, findings=findings, preset=name, settings=asdict(chosen), timings_s=dict(seconds))
+    result = replace(
+        result, findings=findings, preset=name, settings=asdict(chosen), timings_s=dict(seconds)
+    )
     return result if result.scale_known else _of_unknown_scale(result)
 
 
 def reconstruct_images(
-    images: Any, lights: Any = None, mask: Any = None, px_per_mm: float | None = None, intensities: Any = None
+    images: Any,
+    lights: Any = None,
+    mask: Any = None,
+    px_per_mm: float | None = None,
+    intensities: Any = None,
 ) -> Reconstruction:
     """Reconstruct an object from arrays: one image for each distant light, by the preset `metric`.
 
@@ -102,13 +114,15 @@ def reconstruct_images(
     images : (L, H, W) or (L, H, W, 3) of uint8, uint16 or floats
         Grey, or red, green and blue; linear light, or sRGB where images of 8 bits are shaded so.
     lights : (L, 3), optional
-        Directions towards the lights, x right, y up, z to the camera; estimated by default, from six images or more.
+        Directions towards the lights, x right, y up, z to the camera; estimated by default, from
+        six images or more.
     mask : (H, W) bool, optional
         The object; it is looked for by default.
     px_per_mm : float, optional
         Without it heights are in pixels.
     intensities : (L,) or (L, 3), optional
-        Brightness of the lights, or of their red, green and blue; estimated with the surface by default.
+        Brightness of the lights, or of their red, green and blue; estimated with the surface by
+        default.
 
     Returns
     -------
@@ -125,8 +139,10 @@ def reconstruct_images(
     >>> import numpy as np
     >>> y, x = np.mgrid[1:-1:120j, -1:1:120j]
     >>> normals = np.dstack([x, y, np.sqrt(np.maximum(2 - x**2 - y**2, 0.5))]) / np.sqrt(2)
-    >>> lights = np.array([[0.5, 0, 0.8], [0, 0.5, 0.8], [-0.5, 0, 0.8], [0, -0.5, 0.8], [0.3, 0.3, 0.9]])
-    >>> result = reconstruct_images(np.clip(normals @ lights.T, 0, 1).transpose(2, 0, 1), lights, x**2 + y**2 < 0.8)
+    >>> across = [[0.5, 0, 0.8], [-0.5, 0, 0.8]]
+    >>> lights = np.array([*across, [0, 0.5, 0.8], [0, -0.5, 0.8], [0.3, 0.3, 0.9]])
+    >>> images = np.clip(normals @ lights.T, 0, 1).transpose(2, 0, 1)
+    >>> result = reconstruct_images(images, lights, x**2 + y**2 < 0.8)
     >>> result.height_mm.shape
     (120, 120)
     """
@@ -137,26 +153,36 @@ def reconstruct_images(
     return replace(result, findings=worst_first((*notes, *result.findings)))
 
 
-def _opened(capture: Capture | str | os.PathLike[str], memory: Memory | None, *, mirrors: bool) -> Capture:
-    """The capture, read where it is a path. Raises BadInput if it has no white band, or no `mirrors` where they are
-    needed, or the memory is another's."""
+def _opened(
+    capture: Capture | str | os.PathLike[str], memory: Memory | None, *, mirrors: bool
+) -> Capture:
+    """The capture, read where it is a path. Raises BadInput if it has no white band, or no
+    `mirrors` where they are needed, or the memory is another's."""
     if not isinstance(capture, Capture):
         from splitknit.io.capture import read_capture  # large, and needed for paths alone
 
         capture = read_capture(capture)
     if memory is not None:
         memory.check(capture)
-    require("white" in capture.bands, "the capture has no band 'white'; every reconstruction needs it.")
+    require(
+        "white" in capture.bands, "the capture has no band 'white'; every reconstruction needs it."
+    )
     if mirrors:
-        from splitknit.mirrors.captured import require_mirrors  # large, and needed where there are mirrors
+        # large, and needed where there are mirrors
+        from splitknit.mirrors.captured import require_mirrors
 
         require_mirrors(capture.rig)
     return capture
 
 
 def _of_unknown_scale(result: Reconstruction) -> Reconstruction:
-    """The result with its findings in pixels, a note on the scale, and without an uncertainty in micrometres."""
-    facts = {**result.facts, "scale": "unknown, heights in pixels", "assumed_px_per_mm": result.unit.per_mm}
+    """The result with its findings in pixels, a note on the scale, and without an uncertainty in
+    micrometres."""
+    facts = {
+        **result.facts,
+        "scale": "unknown, heights in pixels",
+        "assumed_px_per_mm": result.unit.per_mm,
+    }
     in_pixels = [finding.in_pixels(result.unit.per_mm) for finding in result.findings]
     findings = worst_first((Finding("scale-unknown", UNKNOWN_SCALE), *in_pixels))
     return replace(result, uncertainty_um=None, facts=facts, findings=findings)

@@ -36,7 +36,8 @@ class DirectSettings(Checked):
     network: str = "direct"
     """Name of a network in the package, or path of an ``.onnx`` file with its card beside it."""
     from_colours: bool = False
-    """Estimate the fraction of direct light from colour images where there are any; the thesis uses grey images."""
+    """Estimate the fraction of direct light from colour images where there are any; the thesis uses
+    grey images."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -60,7 +61,8 @@ class SmoothSettings(Checked):
     """Smoothing of a finished surface: Kumar's case only."""
 
     sigma_mm: Annotated[float, Limits(0, 1)] = 0.0
-    """Standard deviation of the Gaussian over heights and relief; more removes noise and lowers the ridges; 0: none."""
+    """Standard deviation of the Gaussian over heights and relief; more removes noise and lowers the
+    ridges; 0: none."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -68,14 +70,16 @@ class ShapeSettings(Checked):
     """Where the finger's shape comes from."""
 
     source: Literal["nir", "white", "mirror"] = "nir"
-    """``nir`` (the white band where there is none), ``white``, or ``mirror``: outlines in mirrors beside the finger."""
+    """``nir`` (the white band where there is none), ``white``, or ``mirror``: outlines in mirrors
+    beside the finger."""
     mirror: MirrorShapeSettings = field(default_factory=MirrorShapeSettings)
     """How the last is done."""
 
 
 @dataclass(frozen=True, slots=True)
 class Photometry:
-    """How the thesis's cases measure normals: preparation of the images, then photometric stereo."""
+    """How the thesis's cases measure normals: preparation of the images, then photometric
+    stereo."""
 
     balance: bool
     """Bring coloured LEDs to one brightness."""
@@ -105,7 +109,8 @@ class PipelineSettings(FingerSettings):
     method: Literal["metric", "thesis"] = "metric"
     """``metric``, or ``thesis``: distant lights, and integration as the thesis has it."""
     top_mm: float = 0.0
-    """Assumed height of the finger's top over the plane; under a perspective camera 0.7 % of size a mm."""
+    """Assumed height of the finger's top over the plane; under a perspective camera 0.7 % of size a
+    mm."""
     enhance: EnhanceSettings = field(default_factory=EnhanceSettings)
     direct: DirectSettings = field(default_factory=DirectSettings)
     normals: NormalsSettings = field(default_factory=NormalsSettings)
@@ -120,16 +125,24 @@ class PipelineSettings(FingerSettings):
     def __post_init__(self) -> None:
         check_fields(self)
         rough = not self.smooth.sigma_mm
-        require(self.method == "thesis" or rough, "smooth.sigma_mm smooths the thesis's cases only; set method=thesis.")
+        require(
+            self.method == "thesis" or rough,
+            "smooth.sigma_mm smooths the thesis's cases only; set method=thesis.",
+        )
 
     def finding(self) -> FingerSettings:
         """The part that defines how the capture is read and the finger is found in it."""
-        return FingerSettings(**{item.name: getattr(self, item.name) for item in fields(FingerSettings)})
+        return FingerSettings(
+            **{item.name: getattr(self, item.name) for item in fields(FingerSettings)}
+        )
 
     def parameters(self, coloured: bool, material: str) -> Parameters:
-        """What the methods are given under coloured LEDs or not, for ``skin`` or ``opaque`` things (direct light)."""
+        """What the methods are given under coloured LEDs or not, for ``skin`` or ``opaque`` things
+        (direct light)."""
         direct = self.direct if material == "skin" else DirectSettings()
-        photometry = Photometry(self.lights.balance and coloured, self.enhance, direct, self.normals)
+        photometry = Photometry(
+            self.lights.balance and coloured, self.enhance, direct, self.normals
+        )
         return Parameters(photometry, self.height, self.shapelets)
 
     @property
@@ -138,7 +151,9 @@ class PipelineSettings(FingerSettings):
         return self.method == "thesis" and self.knit.method in {"none", "whole"}
 
 
-def _thesis(direct: bool = False, knit: Literal["addition", "none", "whole"] = "whole") -> PipelineSettings:
+def _thesis(
+    direct: bool = False, knit: Literal["addition", "none", "whole"] = "whole"
+) -> PipelineSettings:
     """`direct`: with contrast enhancement and direct light; nothing given: case EA."""
     return PipelineSettings(
         method="thesis",
@@ -159,29 +174,33 @@ PRESETS: dict[str, PipelineSettings] = {
     "ea": _thesis(),
     "pr-split": _thesis(direct=True, knit="none"),
     "ea-split": _thesis(knit="none"),
-    # Kumar and Kwong reconstruct from seven visible images by Lambertian least squares and Frankot-Chellappa, and
-    # smooth the surface before curvatures are computed. How much is not said; 0.05 mm, a ninth of a ridge's period,
-    # keeps three quarters of the ridges' height. A. Kumar and C. Kwong, "Towards contactless, low-cost and accurate 3D
-    # fingerprint identification", IEEE Trans. PAMI 37(3), 2015; A. Kumar, "Contactless 3D Fingerprint Identification",
-    # Springer 2018.
+    # Kumar and Kwong reconstruct from seven visible images by Lambertian least squares and
+    # Frankot-Chellappa, and smooth the surface before curvatures are computed. How much is not
+    # said; 0.05 mm, a ninth of a ridge's period, keeps three quarters of the ridges' height. A.
+    # Kumar and C. Kwong, "Towards contactless, low-cost and accurate 3D fingerprint
+    # identification", IEEE Trans. PAMI 37(3), 2015; A. Kumar, "Contactless 3D Fingerprint
+    # Identification", Springer 2018.
     "kumar": replace(_thesis(), smooth=SmoothSettings(sigma_mm=0.05)),
     "zheng": _thesis(),
-    # Lin and Kumar reconstruct as Kumar and Kwong do, from the red, green and blue images of coloured LEDs, three of
-    # which share an exposure. Colour images under white LEDs are put together into two such exposures first. C. Lin and
-    # A. Kumar, "Tetrahedron based fast 3D fingerprint identification using colored LEDs illumination", IEEE Trans. PAMI
-    # 40(12), 2018.
+    # Lin and Kumar reconstruct as Kumar and Kwong do, from the red, green and blue images of
+    # coloured LEDs, three of which share an exposure. Colour images under white LEDs are put
+    # together into two such exposures first. C. Lin and A. Kumar, "Tetrahedron based fast 3D
+    # fingerprint identification using colored LEDs illumination", IEEE Trans. PAMI 40(12), 2018.
     "lin": replace(_thesis(), lights=LightsSettings(compose=2, balance=True)),
 }
 
 
-def chosen_settings(preset: str, settings: Mapping[str, Any] | PipelineSettings | None) -> tuple[str, PipelineSettings]:
-    """What to run, and its name: a preset's, or ``snk, changed``. `settings`: changes, from ``stage.field`` to a value;
-    or whole settings, named after the nearest preset. Raises BadInput as :func:`preset_settings`, or if a change is
-    refused.
+def chosen_settings(
+    preset: str, settings: Mapping[str, Any] | PipelineSettings | None
+) -> tuple[str, PipelineSettings]:
+    """What to run, and its name: a preset's, or ``snk, changed``. `settings`: changes, from
+    ``stage.field`` to a value; or whole settings, named after the nearest preset. Raises BadInput
+    as :func:`preset_settings`, or if a change is refused.
     """
     if isinstance(settings, PipelineSettings):
         chosen = settings
-        names = sorted(PRESETS, key=lambda name: (PRESETS[name] is not settings, name != preset))  # equal: ea and zheng
+        # equal: ea and zheng
+        names = sorted(PRESETS, key=lambda name: (PRESETS[name] is not settings, name != preset))
         preset = min(names, key=lambda name: len(differing(asdict(PRESETS[name]), asdict(chosen))))
     else:
         chosen = override(preset_settings(preset), settings or {})
@@ -193,7 +212,8 @@ def preset_settings(preset: str) -> PipelineSettings:
 
     Parameters
     ----------
-    preset : ``metric``, ``snk``, ``pr``, ``ea``, ``pr-split``, ``ea-split``, ``kumar``, ``zheng`` or ``lin``
+    preset : ``metric``, ``snk``, ``pr``, ``ea``, ``pr-split``, ``ea-split``, ``kumar``, ``zheng``
+    or ``lin``
 
     Returns
     -------

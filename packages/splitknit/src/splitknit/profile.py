@@ -23,12 +23,19 @@ class Profile:
         few = f" ({lengths} sampling lengths, ISO 4288 wants 5)" if lengths < 5 else ""
         ra, rz, rq = (f"{facts[name]:.3g} um" for name in ("Ra_um", "Rz_um", "Rq_um"))
         over = f"cut-off {facts['cutoff_mm']:g} mm{few}, over {facts['flat_mm']:.2f} mm"
-        return text_of([f"Ra {ra}, Rz {rz}, Rq {rq}, {over}.", f"Written to {facts['out']}: profile.csv."])
+        return text_of(
+            [f"Ra {ra}, Rz {rz}, Rq {rq}, {over}.", f"Written to {facts['out']}: profile.csv."]
+        )
 
 
 @checked
 def profile(
-    result: AnyPath, start: PlanePoint, end: PlanePoint, *, cutoff: Positive = 0.8, out: AnyPath = Path("profile")
+    result: AnyPath,
+    start: PlanePoint,
+    end: PlanePoint,
+    *,
+    cutoff: Positive = 0.8,
+    out: AnyPath = Path("profile"),
 ) -> Profile:
     """Cut a surface between two points, and measure its roughness there.
 
@@ -37,7 +44,8 @@ def profile(
     result
         Folder of a result.
     start
-        One end, X,Y in mm from the image's middle, x right, y up, as a section in report.html states it.
+        One end, X,Y in mm from the image's middle, x right, y up, as a section in report.html
+        states it.
     end
         The other end, X,Y.
     cutoff
@@ -78,4 +86,6 @@ def profile(
     cells = [["" if np.isnan(value) else f"{value:.4f}" for value in row] for row in rows]
     with atomic_folder(Path(out)) as folder:
         write_file(folder / "profile.csv", csv_text([columns, *cells]).encode("ascii"))
-    return Profile({"out": str(out), "cutoff_mm": cutoff, "step_mm": step_mm, **figures, **cut.figures})
+    return Profile(
+        {"out": str(out), "cutoff_mm": cutoff, "step_mm": step_mm, **figures, **cut.figures}
+    )

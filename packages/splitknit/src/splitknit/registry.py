@@ -1,9 +1,10 @@
-"""Which verbs there are, and which distribution brings each: members register theirs by entry points.
+"""Which verbs there are, and which distribution brings each: members register theirs by entry
+points.
 
-An entry point of the group ``splitknit.verbs`` has the verb as its name (``match``, ``calibrate camera``) and names a
-function: its signature and docstring make the options and the help. The group ``splitknit.imports`` extends a verb of
-the core, ``splitknit.devices`` names what ``capture`` photographs with.
-The module imports next to nothing, so that ``splitknit --help`` is quick.
+An entry point of the group ``splitknit.verbs`` has the verb as its name (``match``, ``calibrate
+camera``) and names a function: its signature and docstring make the options and the help. The group
+``splitknit.imports`` extends a verb of the core, ``splitknit.devices`` names what ``capture``
+photographs with. The module imports next to nothing, so that ``splitknit --help`` is quick.
 """
 
 from __future__ import annotations
@@ -25,10 +26,16 @@ VERBS = {
     ),
     "import": (
         CORE,
-        "turn photographs and light directions into a capture folder (--images), or prints of other systems into PNG",
+        (
+            "turn photographs and light directions into a capture folder (--images), or prints of"
+            " other systems into PNG"
+        ),
     ),
     "reconstruct": (CORE, "turn a capture folder, or photographs, into a 3D fingerprint"),
-    "separate": (CORE, "split images under fine patterns into direct and global light, or polarised ones"),
+    "separate": (
+        CORE,
+        "split images under fine patterns into direct and global light, or polarised ones",
+    ),
     "capture": (RIG, "photograph a finger under all LEDs: with the rig, or with its twin"),
     "calibrate": (RIG, "measure a rig: its camera, its lights, its sensor, its films"),
     "rig": (RIG, "draw the targets that calibrate a rig"),
@@ -44,21 +51,45 @@ VERBS = {
     "batch": (MATCH, "reconstruct and compare a population; skips what is already done"),
     "profile": (CORE, "cut a surface between two points, and measure its roughness there"),
     "print": (MATCH, "turn a finger in space into a flat print of 500 pixels per inch"),
-    "pad": (MATCH, "detect presentation attacks: was live skin photographed, or a copy, or is that unknown"),
+    "pad": (
+        MATCH,
+        "detect presentation attacks: was live skin photographed, or a copy, or is that unknown",
+    ),
 }
-"""The verbs of all members in the order of ``--help``, each with its distribution and its line of help."""
+"""The verbs of all members in the order of ``--help``, each with its distribution and its line of
+help."""
 GONE: dict[str, str] = {
-    "completion": "the options of a verb are in its '--help', and a typo is answered by what was meant.",
-    "forget": "'gallery remove' erases a person from a gallery; docs/guide/data-protection.md lists the other files.",
-    "gallery index": "up to some 100,000 captures are searched by an index in memory; leave the command out.",
-    "gallery migrate": "use 'gallery export' of the program that wrote the gallery, and 'gallery import' of this one.",
-    "gallery rekey": "use 'gallery export', and 'gallery import' into a new file under the other key.",
+    "completion": (
+        "the options of a verb are in its '--help', and a typo is answered by what was meant."
+    ),
+    "forget": (
+        "'gallery remove' erases a person from a gallery; docs/guide/data-protection.md lists the"
+        " other files."
+    ),
+    "gallery index": (
+        "up to some 100,000 captures are searched by an index in memory; leave the command out."
+    ),
+    "gallery migrate": (
+        "use 'gallery export' of the program that wrote the gallery, and 'gallery import' of this"
+        " one."
+    ),
+    "gallery rekey": (
+        "use 'gallery export', and 'gallery import' into a new file under the other key."
+    ),
     "gallery repair": "what is damaged is named when it is read: 'gallery remove' takes it out.",
     "gallery check": "a gallery is checked whenever it is opened.",
-    "calibrate shading": "gel sensors are not calibrated any more; lights of opaque things are, with a ball or a nail.",
+    "calibrate shading": (
+        "gel sensors are not calibrated any more; lights of opaque things are, with a ball or a"
+        " nail."
+    ),
     "view": "open report.html in the result's folder: it shows the surface in three dimensions.",
-    "rig cad": "draw the parts from a checkout, with 'python -m hardware.draw' (docs/guide/rig-build.md).",
-    "rig circuit": "design the board from a checkout, with 'python -m hardware.circuit' (docs/guide/rig-circuit.md).",
+    "rig cad": (
+        "draw the parts from a checkout, with 'python -m hardware.draw' (docs/guide/rig-build.md)."
+    ),
+    "rig circuit": (
+        "design the board from a checkout, with 'python -m hardware.circuit'"
+        " (docs/guide/rig-circuit.md)."
+    ),
     "rig phantom": "draw it from a checkout, with 'python -m hardware.phantom'.",
     "rig optimise": "sweep rigs from a checkout, with 'python validation/thesis/rigs.py'.",
     "train": "use the scripts of training/ from a checkout: 'python training/shape.py --out DIR'.",
@@ -67,7 +98,8 @@ GONE: dict[str, str] = {
 
 
 def registered(group: str, distribution: str | None = None) -> dict[str, str]:
-    """Names and objects (``module:name``) that are registered, by one distribution or by all that are installed."""
+    """Names and objects (``module:name``) that are registered, by one distribution or by all that
+    are installed."""
     from importlib import metadata  # slow where many distributions are installed
 
     if distribution is None:
@@ -86,9 +118,14 @@ def verbs_known() -> list[str]:
 
 
 def objects_of(verb: str) -> dict[str, str]:
-    """A verb's functions by what follows it (nothing, or ``camera`` ... of ``calibrate``); none where not installed."""
+    """A verb's functions by what follows it (nothing, or ``camera`` ... of ``calibrate``); none
+    where not installed."""
     functions = registered(GROUP, VERBS[verb][0] if verb in VERBS else None)
-    return {name[len(verb) :].strip(): value for name, value in functions.items() if name.split(" ")[0] == verb}
+    return {
+        name[len(verb) :].strip(): value
+        for name, value in functions.items()
+        if name.split(" ")[0] == verb
+    }
 
 
 def refusal(words: Sequence[str]) -> str:
@@ -110,7 +147,8 @@ def refusal(words: Sequence[str]) -> str:
 
 
 def extension(group: str, name: str, what: str, distribution: str) -> Any:
-    """The object that a member registers for a part of a core's verb; BadInput, begun by `what`, if not installed."""
+    """The object that a member registers for a part of a core's verb; BadInput, begun by `what`, if
+    not installed."""
     value = registered(group).get(name)
     if value is None:
         from splitknit.errors import BadInput

@@ -1,4 +1,5 @@
-"""Settings: frozen dataclasses whose ranges stand on the field, and changes by name, ``stage.field = value``."""
+"""Settings: frozen dataclasses whose ranges stand on the field, and changes by name, ``stage.field
+= value``."""
 
 from __future__ import annotations
 
@@ -23,7 +24,8 @@ _KINDS = {"float": "a number", "int": "a whole number", "bool": "true or false",
 class Limits:
     """Range of a field, declared on its type: ``Annotated[float, Limits(0, 1)]``.
 
-    It holds for a number, for every number of a tuple, and not for None; what is not finite lies in no range.
+    It holds for a number, for every number of a tuple, and not for None; what is not finite lies in
+    no range.
     """
 
     min: float = -math.inf
@@ -37,7 +39,9 @@ class Limits:
             return all(self.hold(part) for part in value)
         if value is None:
             return True
-        finite = abs(value) <= sys.float_info.max if isinstance(value, int) else math.isfinite(value)
+        finite = (
+            abs(value) <= sys.float_info.max if isinstance(value, int) else math.isfinite(value)
+        )
         within = self.min < value <= self.max if self.above else self.min <= value <= self.max
         return bool(within and finite)  # whole numbers may have any length
 
@@ -53,11 +57,12 @@ class Limits:
 
 
 class Checked:
-    """Base of settings dataclasses: what the fields' types declare (:class:`Limits`, ``Literal``) is checked.
+    """Base of settings dataclasses: what the fields' types declare (:class:`Limits`, ``Literal``)
+    is checked.
 
-    Messages name a field with the name of its group before it: the class's name in snake case (``MaskSettings``:
-    ``mask``), or its ``_group``, which may be empty. A class with rules between fields has its own ``__post_init__``,
-    which calls ``check_fields(self)`` first.
+    Messages name a field with the name of its group before it: the class's name in snake case
+    (``MaskSettings``: ``mask``), or its ``_group``, which may be empty. A class with rules between
+    fields has its own ``__post_init__``, which calls ``check_fields(self)`` first.
 
     >>> from dataclasses import dataclass
     >>> @dataclass(frozen=True, slots=True)
@@ -76,7 +81,8 @@ class Checked:
 
 
 def check_fields(settings: Checked) -> None:
-    """Check each field of settings against the range or choices of its type; BadInput names field and value."""
+    """Check each field of settings against the range or choices of its type; BadInput names field
+    and value."""
     kind = type(settings)
     for name, rule in rules_of(kind):  # type: ignore[arg-type]  # a class is hashable
         check_value(f"{_group(kind)}{name}", rule, getattr(settings, name))
@@ -96,7 +102,12 @@ def check_value(name: str, rule: Limits | tuple[Any, ...], value: Any) -> None:
 def _group(kind: type[Checked]) -> str:
     if kind._group is not None:
         return kind._group and kind._group + "."
-    return "".join(f"_{c.lower()}" if c.isupper() else c for c in kind.__name__)[1:].removesuffix("_settings") + "."
+    return (
+        "".join(f"_{c.lower()}" if c.isupper() else c for c in kind.__name__)[1:].removesuffix(
+            "_settings"
+        )
+        + "."
+    )
 
 
 @cache
@@ -158,13 +169,17 @@ def differing(first: Any, second: Any, name: str = "") -> list[str]:
 
 
 def override(settings: Settings, changes: Mapping[str, Any]) -> Settings:
-    """`settings` (nested frozen dataclasses) with `changes`: from ``stage.field`` to a value, or nested mappings.
-    Raises BadInput if a field is unknown (the nearest name is offered), of another type, or refused.
+    """`settings` (nested frozen dataclasses) with `changes`: from ``stage.field`` to a value, or
+    nested mappings. Raises BadInput if a field is unknown (the nearest name is offered), of another
+    type, or refused.
     """
     result = settings
     for name, value in flatten(changes).items():
         sound = len(name) <= _LONGEST_NAME and name.isprintable()
-        require(sound, f"there is no setting {name[:_LONGEST_NAME]!a}; settings are named as stage.field.")
+        require(
+            sound,
+            f"there is no setting {name[:_LONGEST_NAME]!a}; settings are named as stage.field.",
+        )
         result = _replaced(result, name.split("."), value, name)
     return result
 
@@ -176,7 +191,11 @@ def _replaced(settings: Any, path: list[str], value: Any, name: str) -> Any:
         from difflib import get_close_matches  # only errors need it
 
         near = get_close_matches(path[0], known, n=1, cutoff=0.5)
-        hint = f"did you mean '{parent}{near[0]}'?" if near else f"known are {', '.join(parent + k for k in known)}."
+        hint = (
+            f"did you mean '{parent}{near[0]}'?"
+            if near
+            else f"known are {', '.join(parent + k for k in known)}."
+        )
         raise BadInput(f"there is no setting '{name}'; " + (hint if known else "it has no parts."))
     current = getattr(settings, path[0])
     if len(path) > 1:
@@ -190,13 +209,20 @@ def _replaced(settings: Any, path: list[str], value: Any, name: str) -> Any:
 
 
 def _converted(value: Any, hint: Any, name: str) -> Any:
-    """`value` as the type of the field, without guessing: an int may become a float, a list a tuple."""
+    """`value` as the type of the field, without guessing: an int may become a float, a list a
+    tuple."""
     import msgspec  # only changes need it
 
     try:
         return msgspec.convert(value, hint)
     except (msgspec.ValidationError, UnicodeError) as error:
-        choices = ["one of " + ", ".join(map(repr, rule)) for rule in _rules_in(hint) if not isinstance(rule, Limits)]
+        choices = [
+            "one of " + ", ".join(map(repr, rule))
+            for rule in _rules_in(hint)
+            if not isinstance(rule, Limits)
+        ]
         kinds = re.findall(r"\w+", str(error).partition("`")[2].partition("`")[0])
         wanted = choices or [_KINDS.get(kind, kind) for kind in kinds] or ["in range"]
-        raise BadInput(f"setting '{name}' must be {' or '.join(wanted)}, but it is {quoted(value)}.") from error
+        raise BadInput(
+            f"setting '{name}' must be {' or '.join(wanted)}, but it is {quoted(value)}."
+        ) from error

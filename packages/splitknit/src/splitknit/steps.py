@@ -1,4 +1,5 @@
-"""What wraps the steps of a reconstruction from outside: time, progress, shared results, and memory."""
+"""What wraps the steps of a reconstruction from outside: time, progress, shared results, and
+memory."""
 
 from __future__ import annotations
 
@@ -31,9 +32,10 @@ BEGINS = {"finger": 0.0, "light": 0.1, "normals": 0.2, "surface": 0.25, "result"
 class Memory:
     """Intermediate results of one capture, by the steps and arguments that they follow from.
 
-    Give the same memory to :func:`splitknit.reconstruct` for every case of a capture: what two cases share (the finger,
-    normals of direct light) is computed once, and every result is the same as without it. Nine presets of a full frame
-    take 25 s with it and 58 s without, two cores. It keeps some ten images of the finger's window.
+    Give the same memory to :func:`splitknit.reconstruct` for every case of a capture: what two
+    cases share (the finger, normals of direct light) is computed once, and every result is the same
+    as without it. Nine presets of a full frame take 25 s with it and 58 s without, two cores. It
+    keeps some ten images of the finger's window.
     """
 
     def __init__(self, capture: Capture) -> None:
@@ -44,7 +46,8 @@ class Memory:
     def check(self, capture: Capture) -> None:
         """Refuse, by BadInput, another capture than the one whose results are remembered."""
         require(
-            capture is self._capture or self._capture is None, "a memory serves one capture; make another for this one."
+            capture is self._capture or self._capture is None,
+            "a memory serves one capture; make another for this one.",
         )
 
     @property
@@ -54,7 +57,8 @@ class Memory:
         return self._capture
 
     def hand_over(self) -> Capture:
-        """The capture, for its last case: the memory lets go of it, and of its results once the images are read."""
+        """The capture, for its last case: the memory lets go of it, and of its results once the
+        images are read."""
         capture, self._capture = self.capture, None
         return capture
 
@@ -80,7 +84,8 @@ class _Run:
     stage: str = ""
     """Stage under way."""
     done: float = 0.0
-    """Fraction that was reported last: a stage may be entered again, but progress never goes back."""
+    """Fraction that was reported last: a stage may be entered again, but progress never goes
+    back."""
 
 
 _HEAP = {-8: 1, -4: 0, -1: 512 << 20}
@@ -88,11 +93,12 @@ _HEAP = {-8: 1, -4: 0, -1: 512 << 20}
 
 
 def one_heap() -> None:
-    """Let all threads of this process, a program of its own, allocate from one heap, which keeps up to 512 MB free. By
-    default glibc gives each thread a heap, and returns an array's pages only to ask for them again; with other C
-    libraries nothing happens. A full frame by ``metric`` takes 0.93 GB at its peak with it (0.91 to 0.96, three runs)
-    and 1.00 GB without (0.97 to 1.02), at the same processor time. Environment variables (``MALLOC_ARENA_MAX=1`` ...)
-    give 0.92 GB, but glibc reads them before the program starts.
+    """Let all threads of this process, a program of its own, allocate from one heap, which keeps up
+    to 512 MB free. By default glibc gives each thread a heap, and returns an array's pages only to
+    ask for them again; with other C libraries nothing happens. A full frame by ``metric`` takes
+    0.93 GB at its peak with it (0.91 to 0.96, three runs) and 1.00 GB without (0.97 to 1.02), at
+    the same processor time. Environment variables (``MALLOC_ARENA_MAX=1`` ...) give 0.92 GB, but
+    glibc reads them before the program starts.
     """
     with suppress(AttributeError, OSError, ValueError):  # Windows, macOS, musl
         if os.confstr("CS_GNU_LIBC_VERSION"):
@@ -102,13 +108,14 @@ def one_heap() -> None:
 
 
 IN_MEMORY = 250_000_000
-"""Bytes of photographs, or of a band's linear light, in memory at once; a full frame's band has 197 million."""
+"""Bytes of photographs, or of a band's linear light, in memory at once; a full frame's band has 197
+million."""
 
 
 def large_array(shape: tuple[int, ...], dtype: np.dtype[Any]) -> NDArray[Any]:
-    """An array for stored images; beyond :data:`IN_MEMORY` in a nameless file in ``TMPDIR``, by default ``/var/tmp``,
-    which is on disk, that ends with it. Call :func:`let_go` after each part read or written. Raises BadInput if the
-    disk is full.
+    """An array for stored images; beyond :data:`IN_MEMORY` in a nameless file in ``TMPDIR``, by
+    default ``/var/tmp``, which is on disk, that ends with it. Call :func:`let_go` after each part
+    read or written. Raises BadInput if the disk is full.
     """
     size = math.prod(shape) * dtype.itemsize
     if size <= IN_MEMORY or not hasattr(os, "posix_fallocate"):
@@ -116,17 +123,20 @@ def large_array(shape: tuple[int, ...], dtype: np.dtype[Any]) -> NDArray[Any]:
     place = os.environ.get("TMPDIR") or ("/var/tmp" if os.access("/var/tmp", os.W_OK) else None)
     try:
         with tempfile.TemporaryFile(dir=place) as file:  # of mode 0600, and unlinked at once
-            os.posix_fallocate(file.fileno(), 0, size)  # a full disk shows here, not as a signal later
+            # a full disk shows here, not as a signal later
+            os.posix_fallocate(file.fileno(), 0, size)
             return np.frombuffer(mmap.mmap(file.fileno(), size), dtype).reshape(shape)
     except OSError as error:
         raise BadInput(
-            f"the photographs take {size / 1e9:.1f} GB of disk while they are worked on ({error.strerror}); "
-            "name a folder with room in the environment variable TMPDIR, or fewer or smaller photographs."
+            f"the photographs take {size / 1e9:.1f} GB of disk while they are worked on"
+            f" ({error.strerror}); name a folder with room in the environment variable TMPDIR, or"
+            " fewer or smaller photographs."
         ) from error
 
 
 def let_go(images: NDArray[Any]) -> None:
-    """Give the memory of an array of :func:`large_array` back to the system; what it holds stays in its file."""
+    """Give the memory of an array of :func:`large_array` back to the system; what it holds stays in
+    its file."""
     owner: Any = images
     while isinstance(owner, np.ndarray):
         owner = owner.base
@@ -141,7 +151,8 @@ _RUN: ContextVar[_Run | None] = ContextVar("run", default=None)
 
 @contextmanager
 def timed_run(progress: Progress | None, memory: Memory | None) -> Iterator[dict[str, float]]:
-    """Time the steps inside, report them to `progress`, and share results by `memory`; yield the seconds of stages."""
+    """Time the steps inside, report them to `progress`, and share results by `memory`; yield the
+    seconds of stages."""
     run = _Run(progress, memory)
     token = _RUN.set(run)
     try:
@@ -189,7 +200,8 @@ def step(stage: str) -> Callable[[Callable[P, T]], Callable[P, T]]:
 
 
 def shared(function: Callable[P, T]) -> Callable[P, T]:
-    """Decorator of a step that follows from its arguments alone (hashable, positional): cases share its result."""
+    """Decorator of a step that follows from its arguments alone (hashable, positional): cases share
+    its result."""
 
     @functools.wraps(function)
     def once(*args: P.args, **kwargs: P.kwargs) -> T:

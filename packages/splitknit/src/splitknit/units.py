@@ -1,7 +1,9 @@
-"""The unit in which lengths are written and shown: mm, or pixels where nobody has measured the scale.
+"""The unit in which lengths are written and shown: mm, or pixels where nobody has measured the
+scale.
 
-Arrays are always in mm. Where the scale is unknown they are in mm of a scale that was assumed for the methods to work
-with, and that means nothing to a person. Whatever writes or shows a length converts it here.
+Arrays are always in mm. Where the scale is unknown they are in mm of a scale that was assumed for
+the methods to work with, and that means nothing to a person. Whatever writes or shows a length
+converts it here.
 """
 
 from __future__ import annotations
@@ -38,7 +40,8 @@ class LengthUnit:
         return heights_mm if self.known else heights_mm * np.float32(self.per_mm)
 
     def converted(self, value: Any) -> Any:
-        """Facts in this unit: mappings, lists, numbers and sentences. A number's unit is the end of its name.
+        """Facts in this unit: mappings, lists, numbers and sentences. A number's unit is the end of
+        its name.
 
         >>> pixels(0.1).converted({"shift_mm": [0.5, 1.0], "area_mm2": 2.0, "gain": 1.5})
         {'shift_px': [5.0, 10.0], 'area_px2': 200.0, 'gain': 1.5}
@@ -47,12 +50,18 @@ class LengthUnit:
 
 
 def _in_pixels(value: Any, px: float, factor: float = 1.0) -> Any:
-    """`value` with a factor for its numbers; names without a unit (colours, bands) have that of the mapping around."""
+    """`value` with a factor for its numbers; names without a unit (colours, bands) have that of the
+    mapping around."""
     if isinstance(value, list | tuple):
         return [_in_pixels(item, px, factor) for item in value]
     if not isinstance(value, Mapping):
         return value * factor if isinstance(value, float) else value
-    ends = {"_per_mm": ("_per_px", 1 / px), "_mm2": ("_px2", px * px), "_mm": ("_px", px), "_um": ("_px", px / 1e3)}
+    ends = {
+        "_per_mm": ("_per_px", 1 / px),
+        "_mm2": ("_px2", px * px),
+        "_mm": ("_px", px),
+        "_um": ("_px", px / 1e3),
+    }
     converted = {}
     for name, item in value.items():
         end = next((end for end in ends if name.endswith(end)), "")

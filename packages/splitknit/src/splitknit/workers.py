@@ -24,16 +24,19 @@ _GRACE_S = 1.0
 """Time for workers that are ended to remove what they have half written."""
 
 
-def run_jobs(work: Callable[[Job], Done], jobs: Sequence[Job], workers: int, kept: str) -> Iterator[tuple[Job, Done]]:
-    """Do all jobs; yield each with its result: in order by one worker (this process), as they come by several. `work`:
-    function of a module; `kept`: what stays if a process is killed, for the message. Raises BadInput then, or `work`'s
-    own; the other jobs are given up.
+def run_jobs(
+    work: Callable[[Job], Done], jobs: Sequence[Job], workers: int, kept: str
+) -> Iterator[tuple[Job, Done]]:
+    """Do all jobs; yield each with its result: in order by one worker (this process), as they come
+    by several. `work`: function of a module; `kept`: what stays if a process is killed, for the
+    message. Raises BadInput then, or `work`'s own; the other jobs are given up.
     """
     if workers == 1 or len(jobs) < 2:
         for job in jobs:
             yield job, work(job)
         return
-    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # a second thread of each worker wins no time
+    # a second thread of each worker wins no time
+    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     context = multiprocessing.get_context("spawn")
     pool = ProcessPoolExecutor(min(workers, len(jobs)), mp_context=context, initializer=_begin)
     rest = iter(jobs)
@@ -42,7 +45,8 @@ def run_jobs(work: Callable[[Job], Done], jobs: Sequence[Job], workers: int, kep
     earlier = set(multiprocessing.active_children())
     try:
         while True:
-            for job in islice(rest, 2 * workers - len(running)):  # few enough that an interrupt waits for little
+            # few enough that an interrupt waits for little
+            for job in islice(rest, 2 * workers - len(running)):
                 with _interrupts_for_us_alone():
                     running[pool.submit(_whole, work, job)] = job
             if not running:
@@ -52,10 +56,12 @@ def run_jobs(work: Callable[[Job], Done], jobs: Sequence[Job], workers: int, kep
                 yield running.pop(future), future.result()
     except BrokenProcessPool as error:
         raise BadInput(
-            f"a worker was killed, perhaps for want of memory; {kept} is kept: run the same again, with fewer workers."
+            f"a worker was killed, perhaps for want of memory; {kept} is kept: run the same again,"
+            " with fewer workers."
         ) from error
     finally:
-        ours = set(multiprocessing.active_children()) - earlier  # at work still: an error, or an interrupt
+        # at work still: an error, or an interrupt
+        ours = set(multiprocessing.active_children()) - earlier
         for process in ours:
             process.terminate()
         end = time.monotonic() + _GRACE_S
@@ -75,7 +81,8 @@ def _whole(work: Callable[[Job], Done], job: Job) -> Done:
 
 @contextlib.contextmanager
 def _interrupts_for_us_alone() -> Iterator[None]:
-    """Start processes that Ctrl-C, delivered here at the end, does not reach: each would show a traceback."""
+    """Start processes that Ctrl-C, delivered here at the end, does not reach: each would show a
+    traceback."""
     before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
     try:
         yield
@@ -84,7 +91,8 @@ def _interrupts_for_us_alone() -> Iterator[None]:
 
 
 def _end_once(number: int, _: object) -> None:
-    """End this worker; a second SIGTERM, of a pool that lost another worker, must not cut the cleaning short."""
+    """End this worker; a second SIGTERM, of a pool that lost another worker, must not cut the
+    cleaning short."""
     if UNFINISHED.depth:
         UNFINISHED.signal = number
         return
@@ -93,7 +101,8 @@ def _end_once(number: int, _: object) -> None:
 
 
 def _begin() -> None:
-    """In a new worker: one thread for OpenCV, one heap, and an end when the run that started it is no more."""
+    """In a new worker: one thread for OpenCV, one heap, and an end when the run that started it is
+    no more."""
     import cv2
 
     signal.signal(signal.SIGTERM, _end_once)

@@ -7,7 +7,13 @@ import json
 import pytest
 
 from splitknit.errors import BadInput
-from splitknit.io.enrolment import FINGERS, EnrolmentPlan, PlannedCapture, check_subject_id, open_enrolment
+from splitknit.io.enrolment import (
+    FINGERS,
+    EnrolmentPlan,
+    PlannedCapture,
+    check_subject_id,
+    open_enrolment,
+)
 
 
 def finish(enrolment, place):
@@ -31,7 +37,9 @@ def test_the_thesis_has_680_captures(tmp_path):
 
 
 def test_what_is_finished_is_skipped_and_the_rest_is_in_order(tmp_path):
-    enrolment = open_enrolment(tmp_path / "e", subjects=2, sessions=2, fingers=("right_index", "left_thumb"))
+    enrolment = open_enrolment(
+        tmp_path / "e", subjects=2, sessions=2, fingers=("right_index", "left_thumb")
+    )
     first = [place.folder for place in enrolment.waiting()]
     assert first[:4] == [
         "S01/session_1/right_index",
@@ -44,7 +52,9 @@ def test_what_is_finished_is_skipped_and_the_rest_is_in_order(tmp_path):
     assert again.plan == enrolment.plan
     assert [place.folder for place in again.waiting()] == [first[0], *first[2:]]
     assert [p.folder for p in again.waiting(subject="S02", session=2)] == first[6:]
-    assert [p.folder for p in again.waiting(finger="left_thumb", session=1)] == ["S02/session_1/left_thumb"]
+    assert [p.folder for p in again.waiting(finger="left_thumb", session=1)] == [
+        "S02/session_1/left_thumb"
+    ]
 
 
 def test_a_plan_may_grow_but_not_shrink(tmp_path):
@@ -68,7 +78,9 @@ def test_folders_that_are_no_enrolment_are_refused(tmp_path):
         open_enrolment(tmp_path / "file")
 
 
-@pytest.mark.parametrize("text", ["", "[]", "{", '{"format": "x"}', '{"format": "splitknit-enrolment", "version": 2}'])
+@pytest.mark.parametrize(
+    "text", ["", "[]", "{", '{"format": "x"}', '{"format": "splitknit-enrolment", "version": 2}']
+)
 def test_a_damaged_plan_is_refused(tmp_path, text):
     open_enrolment(tmp_path / "e", subjects=2)
     (tmp_path / "e" / "enrolment.json").write_text(text)
@@ -76,7 +88,9 @@ def test_a_damaged_plan_is_refused(tmp_path, text):
         open_enrolment(tmp_path / "e")
 
 
-@pytest.mark.parametrize("change", [{"subjects": "2"}, {"subjects": True}, {"fingers": [1]}, {"fingers": ["toe"]}])
+@pytest.mark.parametrize(
+    "change", [{"subjects": "2"}, {"subjects": True}, {"fingers": [1]}, {"fingers": ["toe"]}]
+)
 def test_a_plan_of_wrong_values_is_refused(tmp_path, change):
     open_enrolment(tmp_path / "e", subjects=2)
     file = tmp_path / "e" / "enrolment.json"
@@ -87,9 +101,15 @@ def test_a_plan_of_wrong_values_is_refused(tmp_path, change):
 
 @pytest.mark.parametrize(
     "wrong",
-    [{"subjects": 0}, {"sessions": 0}, {"subjects": 10_000}, {"fingers": ()}, {"fingers": ("right_toe",)},
-     {"fingers": ("right_index", "right_index")}],
-)  # fmt: skip
+    [
+        {"subjects": 0},
+        {"sessions": 0},
+        {"subjects": 10_000},
+        {"fingers": ()},
+        {"fingers": ("right_toe",)},
+        {"fingers": ("right_index", "right_index")},
+    ],
+)
 def test_impossible_plans_are_refused_and_nothing_is_written(tmp_path, wrong):
     with pytest.raises(BadInput):
         open_enrolment(tmp_path / "e", **wrong)

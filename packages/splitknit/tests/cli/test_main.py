@@ -7,4 +7,6 @@ from splitknit.registry import GONE
 def test_a_verb_that_left_names_what_to_use_instead(monkeypatch, capsys):
     monkeypatch.setitem(GONE, "rig paint", "use a brush.")
     assert main(["rig", "paint", "--red"]) == 2
-    assert capsys.readouterr().err == "splitknit: error: 'rig paint' left the program: use a brush.\n"
+    assert (
+        capsys.readouterr().err == "splitknit: error: 'rig paint' left the program: use a brush.\n"
+    )

@@ -38,6 +38,7 @@ def test_other_forms_are_refused(text: str) -> None:
         parse_assignment(text)
 
 
+@pytest.mark.slow
 @given(st.text(max_size=40))
 @hypothesis_settings(max_examples=150, derandomize=True, deadline=None)
 def test_no_text_breaks_the_parser(text: str) -> None:
@@ -62,7 +63,10 @@ def test_json_and_toml_say_the_same(tmp_path: Path) -> None:
     (tmp_path / "s.json").write_text(json.dumps({"knit": {"mode": "a"}, "x.y": [1]}))
     (tmp_path / "s.toml").write_text('"x.y" = [1]\n[knit]\nmode = "a"\n')
     for name in ("s.json", "s.toml"):
-        assert read_changes([("--settings", str(tmp_path / name))]) == {"knit.mode": "a", "x.y": [1]}
+        assert read_changes([("--settings", str(tmp_path / name))]) == {
+            "knit.mode": "a",
+            "x.y": [1],
+        }
 
 
 @pytest.mark.parametrize(

@@ -29,7 +29,15 @@ def waves(tmp_path_factory) -> Path:
     facts = {"material": "opaque"}
     out = tmp_path_factory.mktemp("waves") / "result"
     none = {"uncertainty_um": None, "albedo": np.where(mask, np.float32(0.5), np.float32(np.nan))}
-    replace(result, **flat, **none, mask=mask, normals=normals, facts=facts, input_from_upright=np.eye(3)).save(out)
+    replace(
+        result,
+        **flat,
+        **none,
+        mask=mask,
+        normals=normals,
+        facts=facts,
+        input_from_upright=np.eye(3),
+    ).save(out)
     return out
 
 
@@ -65,7 +73,8 @@ def test_what_has_no_roughness_is_refused(waves: Path, tmp_path: Path, capsys, w
 
 def test_a_long_wave_is_form() -> None:
     along = 0.005 * np.arange(4000)
-    for length, part in ((0.8, 0.5), (8.0, 0.007)):  # half of a wave as long as the cut-off passes (ISO 16610-21)
+    # half of a wave as long as the cut-off passes (ISO 16610-21)
+    for length, part in ((0.8, 0.5), (8.0, 0.007)):
         _, found = profile_roughness(0.01 * np.sin(2 * np.pi * along / length), 0.005, 0.8)
         assert found["Rq_um"] == pytest.approx(part * 10 / np.sqrt(2), rel=0.1)
     with pytest.raises(BadInput, match="gap"):

@@ -38,7 +38,8 @@ def boards(tmp_path: Path) -> Path:
     """25 shifted checkerboards over a black level, with a white image, named by their shifts."""
     patterns = checkerboard_patterns(SIZE, 5, SHIFTS)
     images = {
-        f"board_{i}_{j}.png": p * DIRECT + 0.5 * GLOBAL + 0.03 for (i, j), p in zip(SHIFTS, patterns, strict=True)
+        f"board_{i}_{j}.png": p * DIRECT + 0.5 * GLOBAL + 0.03
+        for (i, j), p in zip(SHIFTS, patterns, strict=True)
     }
     images["black.png"] = np.full(SIZE, 0.03)
     images["white.png"] = DIRECT + GLOBAL + 0.03
@@ -61,7 +62,9 @@ def refusal(capsys: pytest.CaptureFixture[str], out: Path, *words: Any) -> str:
     return said.err
 
 
-def test_checkerboards_of_a_folder(boards: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_checkerboards_of_a_folder(
+    boards: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     out = tmp_path / "out"
     assert run(boards, "--out", out, "--json") == 0
     facts = json.loads(capsys.readouterr().out)
@@ -74,9 +77,15 @@ def test_checkerboards_of_a_folder(boards: Path, tmp_path: Path, capsys: pytest.
     assert "black.png" in facts["inputs"]
     assert metadata["inputs"] == facts["inputs"]
     assert facts["findings"] == []
-    assert sorted(path.name for path in out.iterdir() if path.name[0] != ".") == sorted(facts["files"])
+    assert sorted(path.name for path in out.iterdir() if path.name[0] != ".") == sorted(
+        facts["files"]
+    )
     report = json.loads((out / "report.json").read_text())
-    assert report["direct_share"] == facts["direct_share"] == pytest.approx(np.median(DIRECT / (DIRECT + GLOBAL)), 0.02)
+    assert (
+        report["direct_share"]
+        == facts["direct_share"]
+        == pytest.approx(np.median(DIRECT / (DIRECT + GLOBAL)), 0.02)
+    )
     preview = read_image(out / "direct.png")
     assert preview.shape == (*SIZE, 1)
     assert preview.max() == 255
@@ -99,13 +108,16 @@ def test_found_and_given_patterns_and_a_mask(boards: Path, tmp_path: Path) -> No
         direct, metadata = read_light_tiff(out / "direct.tiff")
         assert np.array_equal(np.isnan(direct), mask == 0)
         assert np.nanmax(np.abs(direct - DIRECT)) < 3 * STEP
-        assert metadata["settings"]["separate"]["patterns"] == ("estimate" if choice == "estimate" else "given")
+        assert metadata["settings"]["separate"]["patterns"] == (
+            "estimate" if choice == "estimate" else "given"
+        )
 
 
 def test_known_states_ask_for_the_size_of_checks(
     boards: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """Skin is where it matters, and what is in the images the verb cannot know; the size alone is enough for it."""
+    """Skin is where it matters, and what is in the images the verb cannot know; the size alone is
+    enough for it."""
     written = {}
     for number, words in enumerate((("--patterns", "estimate"), ("--check-px", 5))):
         out = tmp_path / f"out_{number}"
@@ -119,12 +131,16 @@ def test_known_states_ask_for_the_size_of_checks(
     assert "5 pixels or more" in refusal(capsys, tmp_path / "x", boards, "--check-px", 4)
 
 
-def test_a_leaking_pattern_is_noticed(boards: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_leaking_pattern_is_noticed(
+    boards: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     assert run(boards, "--dark", 0.8, "--out", tmp_path / "out") == 0
     assert "Please note: global light is negative" in capsys.readouterr().out
 
 
-def test_bad_stacks_name_the_file(boards: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_bad_stacks_name_the_file(
+    boards: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     out = tmp_path / "out"
     good = (boards / "board_0_4.png").read_bytes()
     write_image(boards / "board_0_4.png", stored(np.full(SIZE, 0.03)))
@@ -137,7 +153,9 @@ def test_bad_stacks_name_the_file(boards: Path, tmp_path: Path, capsys: pytest.C
     write_image(boards / "board_2_0.png", stored(np.full(SIZE, 1.0)))
     assert "saturated" in refusal(capsys, out, boards)
     assert "alpha must lie" in refusal(capsys, out, boards, "--alpha", 0)
-    assert "not a folder of patterns" in refusal(capsys, out, boards, "--patterns", tmp_path / "none")
+    assert "not a folder of patterns" in refusal(
+        capsys, out, boards, "--patterns", tmp_path / "none"
+    )
     assert "not a folder" in refusal(capsys, out, tmp_path / "none")
     (tmp_path / "empty").mkdir()
     assert "holds no PNG, TIFF or JPEG" in refusal(capsys, out, tmp_path / "empty")
@@ -156,7 +174,8 @@ def test_light_tiff(tmp_path: Path) -> None:
 
 
 def polarised(root: Path, count: int = 3) -> tuple[Path, Path]:
-    """Photographs through parallel and crossed films: half of the diffuse light each, the specular light in one."""
+    """Photographs through parallel and crossed films: half of the diffuse light each, the specular
+    light in one."""
     specular = [0.05 + 0.04 * np.sin(COLUMNS / 2 + k) for k in range(count)]
     parallel = {f"photo_{k}.png": 0.5 * GLOBAL + one for k, one in enumerate(specular)}
     crossed = {f"through_{k}.png": 0.5 * GLOBAL for k in range(count)}
@@ -173,9 +192,13 @@ def test_polarised_photographs_become_specular_and_diffuse_light(tmp_path: Path,
         f"crossed/through_{k}.png" for k in range(3)
     }
     for k in range(3):
-        specular, diffuse = (read_image(out / f"{name}_{k}.png")[..., 0] for name in ("specular", "diffuse"))
+        specular, diffuse = (
+            read_image(out / f"{name}_{k}.png")[..., 0] for name in ("specular", "diffuse")
+        )
         assert specular.dtype == diffuse.dtype == np.uint16
-        np.testing.assert_allclose(specular * STEP, 0.05 + 0.04 * np.sin(COLUMNS / 2 + k), atol=2 * STEP)
+        np.testing.assert_allclose(
+            specular * STEP, 0.05 + 0.04 * np.sin(COLUMNS / 2 + k), atol=2 * STEP
+        )
         np.testing.assert_allclose(diffuse * STEP, 0.5 * GLOBAL, atol=2 * STEP)
     assert read_image(out / "specular.png").dtype == np.uint8
     assert run("polarised", *folders, "--out", out) == 0  # again: an earlier separation is replaced
@@ -184,14 +207,20 @@ def test_polarised_photographs_become_specular_and_diffuse_light(tmp_path: Path,
     assert "were their folders exchanged" in capsys.readouterr().out
 
 
-def test_series_that_do_not_fit_are_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_series_that_do_not_fit_are_refused(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     parallel, crossed = polarised(tmp_path)
     out = tmp_path / "out"
     assert "name one folder" in refusal(capsys, out, parallel, crossed)
-    assert "with --out and --encoding alone" in refusal(capsys, out, "polarised", parallel, crossed, "--alpha", 0.5)
+    assert "with --out and --encoding alone" in refusal(
+        capsys, out, "polarised", parallel, crossed, "--alpha", 0.5
+    )
     assert "is not a folder" in refusal(capsys, out, "polarised", parallel, tmp_path / "none")
     write(crossed, {"through_1.png": GLOBAL[:20]})
-    assert "through_1.png is not of the size" in refusal(capsys, out, "polarised", parallel, crossed)
+    assert "through_1.png is not of the size" in refusal(
+        capsys, out, "polarised", parallel, crossed
+    )
     (crossed / "through_1.png").unlink()
     assert "3 photographs and" in refusal(capsys, out, "polarised", parallel, crossed)
     assert "holds the input itself" in refusal(capsys, parallel, "polarised", parallel, crossed)

@@ -54,9 +54,16 @@ def test_every_frame_is_found(egg, frame):
 @pytest.mark.parametrize("frame", FRAMES)
 def test_the_rig_is_brought_back(frame):
     lights = np.array([[0.1, 0.2, 0.9], [-0.5, 0.3, 0.8], [0.4, -0.6, 0.7]])
-    rig = Rig(Camera(10.0, SHAPE), tuple(Led("white", direction=tuple(v)) for v in in_frame(lights, frame)))
-    np.testing.assert_allclose([led.direction for led in rig_of_frame(rig, frame).leds], lights, atol=1e-12)
-    near = Rig(Camera(10.0, SHAPE), (Led("white", position_mm=(1.0, 2.0, 3.0), aim=(0.0, -1.0, -1.0)),))
+    rig = Rig(
+        Camera(10.0, SHAPE),
+        tuple(Led("white", direction=tuple(v)) for v in in_frame(lights, frame)),
+    )
+    np.testing.assert_allclose(
+        [led.direction for led in rig_of_frame(rig, frame).leds], lights, atol=1e-12
+    )
+    near = Rig(
+        Camera(10.0, SHAPE), (Led("white", position_mm=(1.0, 2.0, 3.0), aim=(0.0, -1.0, -1.0)),)
+    )
     (led,) = rig_of_frame(near, "right-down").leds
     assert (led.position_mm, led.aim) == ((1.0, -2.0, 3.0), (0.0, 1.0, -1.0))
 
@@ -69,9 +76,15 @@ def test_an_unknown_frame_is_refused():
 def test_a_flat_plate_is_no_alarm():
     normals, lights = np.zeros((*SHAPE, 3)), around(8, uneven=True)
     normals[..., 2] = 1.0
-    assert fit_lights(photographs(normals, lights), lights, np.ones(SHAPE, dtype=bool)).frame == "right-up"
+    assert (
+        fit_lights(photographs(normals, lights), lights, np.ones(SHAPE, dtype=bool)).frame
+        == "right-up"
+    )
     normals[..., :2] = 0.05 * np.random.default_rng(0).standard_normal((*SHAPE, 2))
-    assert fit_lights(photographs(normals, lights), lights, np.ones(SHAPE, dtype=bool)).frame == "right-up"
+    assert (
+        fit_lights(photographs(normals, lights), lights, np.ones(SHAPE, dtype=bool)).frame
+        == "right-up"
+    )
 
 
 def test_a_reconstruction_warns_and_names_the_frame(egg):
@@ -81,19 +94,31 @@ def test_a_reconstruction_warns_and_names_the_frame(egg):
     light = np.where(inside, np.clip(normals @ lights.T, 0.0, None).transpose(2, 0, 1), 0.0)
     pixels = np.round(200.0 * light).astype(np.uint8)[..., None]
     band = Band("white", pixels, tuple((k,) for k in range(6)), np.ones(6), np.zeros(6))
-    rig = Rig(Camera(10.0, SHAPE), tuple(Led("white", direction=tuple(v)) for v in in_frame(lights, "right-down")))
+    rig = Rig(
+        Camera(10.0, SHAPE),
+        tuple(Led("white", direction=tuple(v)) for v in in_frame(lights, "right-down")),
+    )
     capture = Capture(rig, {"white": band}, material="opaque", mask=inside)
-    (order,) = (finding for finding in reconstruct(capture, "ea").findings if finding.code == "light-order")
+    (order,) = (
+        finding for finding in reconstruct(capture, "ea").findings if finding.code == "light-order"
+    )
     assert "`light_frame` right-down" in str(order)
     mended = replace(capture, rig=rig_of_frame(rig, "right-down"))
-    assert not [finding for finding in reconstruct(mended, "ea").findings if finding.code.startswith("light-")]
+    assert not [
+        finding
+        for finding in reconstruct(mended, "ea").findings
+        if finding.code.startswith("light-")
+    ]
 
 
 def around(count: int, *, uneven: bool) -> np.ndarray:
     """Lights around the camera: on a ring, or at several heights."""
     angles = 2.0 * np.pi * np.arange(count) / count
     slant = 0.45 + (0.2 * np.sin(2.3 * np.arange(count)) if uneven else 0.0)
-    return np.stack([slant * np.cos(angles), slant * np.sin(angles), np.sqrt(1.0 - slant**2) * np.ones(count)], axis=1)
+    return np.stack(
+        [slant * np.cos(angles), slant * np.sin(angles), np.sqrt(1.0 - slant**2) * np.ones(count)],
+        axis=1,
+    )
 
 
 def photographs(normals: np.ndarray, lights: np.ndarray) -> np.ndarray:
@@ -120,7 +145,9 @@ def test_a_wrong_order_is_found_and_no_frame_advised(egg, name, uneven):
     if uneven or name in {"two exchanged", "shuffled"}:
         assert fit.residual > 1.3 * fit.residual_in_order
         assert "`light_frame`" not in words
-    assert {"two exchanged": "exchange the lights of image 2 and image 3"}.get(name, "order") in words
+    assert {"two exchanged": "exchange the lights of image 2 and image 3"}.get(
+        name, "order"
+    ) in words
 
 
 @pytest.mark.parametrize("uneven", [False, True])
@@ -142,12 +169,15 @@ def test_unequal_brightness_is_no_other_order(egg):
         assert fit.order == tuple(range(9))
         assert np.allclose(fit.brightness, gains / gains.mean(), rtol=0.02)
         words = str(doubt_of_lights(fit))
-        assert "not as bright as is stated" in words and fit.spoils_skin == (fit.turned_deg > SPOILT_DEG)
+        assert "not as bright as is stated" in words and fit.spoils_skin == (
+            fit.turned_deg > SPOILT_DEG
+        )
 
 
 @pytest.mark.parametrize(("count", "seed"), [(4, 3), (5, 0), (5, 1)])
 def test_few_lights_tell_nothing_of_their_brightness(egg, count, seed):
-    """Directions that are wrong by some degrees are not brightness, though one for each photograph explains them."""
+    """Directions that are wrong by some degrees are not brightness, though one for each photograph
+    explains them."""
     normals, inside = egg
     lights = around(count, uneven=True)
     wrong = lights + 0.15 * np.random.default_rng(seed).standard_normal(lights.shape)
@@ -165,7 +195,11 @@ def test_photographs_of_something_else_are_doubted_and_the_worst_named(egg):
     words = str(doubt_of_lights(fit, [f"{k}.png" for k in range(8)]))
     assert fit.strange == 5 and "5.png does not belong" in words and "deg (median)" in words
     words = str(doubt_of_lights(replace(fit, strange=None), [f"{k}.png" for k in range(8)]))
-    assert "do not fit the lights" in words and "most in 5.png" in words and "`light_frame`" not in words
+    assert (
+        "do not fit the lights" in words
+        and "most in 5.png" in words
+        and "`light_frame`" not in words
+    )
 
 
 @pytest.mark.parametrize("frame", FRAMES)
@@ -176,7 +210,9 @@ def test_a_field_of_balls_is_no_wrong_frame(frame):
     normals = np.dstack([x * ball, y * ball, np.sqrt(np.where(ball, 1.0 - x**2 - y**2, 1.0))])
     normals += 0.02 * np.random.default_rng(2).standard_normal(normals.shape)
     lights = around(6, uneven=True)
-    fit = fit_lights(photographs(normals, lights), in_frame(lights, frame), np.ones((200, 200), bool))
+    fit = fit_lights(
+        photographs(normals, lights), in_frame(lights, frame), np.ones((200, 200), bool)
+    )
     assert fit.frame == "right-up"
 
 
@@ -196,7 +232,10 @@ def test_a_relief_without_curl_tells_the_frame_but_for_a_half_turn(frame):
         assert fit.frame == "right-up" and doubt_of_lights(fit, material="opaque") is None
         return
     words = str(doubt_of_lights(fit, material="opaque"))
-    assert f"`light_frame` {frame}" in words or f"({frame} if what is raised comes out hollow)" in words
+    assert (
+        f"`light_frame` {frame}" in words
+        or f"({frame} if what is raised comes out hollow)" in words
+    )
 
 
 @pytest.mark.parametrize("uneven", [False, True])
@@ -214,10 +253,17 @@ def test_a_list_shifted_by_one_is_named_on_a_relief(uneven):
 def test_a_report_holds_the_residual_of_every_photograph(egg):
     normals, inside = egg
     lights = around(6, uneven=True)
-    pixels = np.round(200.0 * np.clip(photographs(normals, lights), 0, 1) * inside).astype(np.uint8)[..., None]
+    pixels = np.round(200.0 * np.clip(photographs(normals, lights), 0, 1) * inside).astype(
+        np.uint8
+    )[..., None]
     files = tuple(f"photos/{k}.png" for k in range(6))
     band = Band(
-        "white", pixels[[1, 0, 2, 3, 4, 5]], tuple((k,) for k in range(6)), np.ones(6), np.zeros(6), files=files
+        "white",
+        pixels[[1, 0, 2, 3, 4, 5]],
+        tuple((k,) for k in range(6)),
+        np.ones(6),
+        np.zeros(6),
+        files=files,
     )
     rig = Rig(Camera(10.0, SHAPE), tuple(Led("white", direction=tuple(v)) for v in lights))
     result = reconstruct(Capture(rig, {"white": band}, material="opaque", mask=inside), "ea")

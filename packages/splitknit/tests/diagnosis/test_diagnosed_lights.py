@@ -15,10 +15,16 @@ PITCH_MM = 0.8
 AXIS = np.arange(-12.0, 12.01, PITCH_MM)
 
 
-def _rig(height_mm: float = 140.0, radius_mm: float = 52.5, x_mm: float = 0.0, y_mm: float = 0.0) -> Rig:
+def _rig(
+    height_mm: float = 140.0, radius_mm: float = 52.5, x_mm: float = 0.0, y_mm: float = 0.0
+) -> Rig:
     angles = 2 * np.pi * np.arange(7) / 7
-    places = [(radius_mm * np.cos(a) + x_mm, radius_mm * np.sin(a) + y_mm, height_mm) for a in angles]
-    return Rig(Camera(10.0, (300, 300)), tuple(Led("white", (float(x), float(y), z)) for x, y, z in places))
+    places = [
+        (radius_mm * np.cos(a) + x_mm, radius_mm * np.sin(a) + y_mm, height_mm) for a in angles
+    ]
+    return Rig(
+        Camera(10.0, (300, 300)), tuple(Led("white", (float(x), float(y), z)) for x, y, z in places)
+    )
 
 
 def _doubt(stated: Rig) -> str:
@@ -32,7 +38,9 @@ def _doubt(stated: Rig) -> str:
     cosine = np.maximum(cosine, 0.05)
     entering = fresnel_transmission(cosine) * cosine**0.15
     albedo = np.exp(-0.3 * (1 - normals[2]))
-    stack = (albedo * entering * np.einsum("kahw,ahw->khw", vectors, normals) * mask).astype(np.float32)
+    stack = (albedo * entering * np.einsum("kahw,ahw->khw", vectors, normals) * mask).astype(
+        np.float32
+    )
     depth_mm = np.where(mask, 2.0, 0.0).astype(np.float32)
     places = fitted_places(stack, stated, mask, depth_mm, View(AXIS, AXIS[::-1]), PITCH_MM)
     assert places is not None
@@ -60,8 +68,13 @@ def test_places_that_are_wrong_are_named(stated, words):
 
 def test_what_cannot_tell_is_left_alone():
     few = replace(_rig(), leds=_rig().leds[:5])
-    distant = replace(few, leds=tuple(Led("white", direction=(np.cos(a), np.sin(a), 2.0)) for a in range(7)))
+    distant = replace(
+        few, leds=tuple(Led("white", direction=(np.cos(a), np.sin(a), 2.0)) for a in range(7))
+    )
     mask = np.ones((31, 31), bool)
     for rig in (few, distant):
         stack = np.ones((len(rig.leds), 31, 31), np.float32)
-        assert fitted_places(stack, rig, mask, mask.astype(np.float32), View(AXIS, AXIS), PITCH_MM) is None
+        assert (
+            fitted_places(stack, rig, mask, mask.astype(np.float32), View(AXIS, AXIS), PITCH_MM)
+            is None
+        )

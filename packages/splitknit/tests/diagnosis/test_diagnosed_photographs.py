@@ -14,7 +14,9 @@ def test_sound_photographs_have_no_fault():
     assert faulty_photographs(stack, lights, mask, 0.98) == ()
 
 
-@pytest.mark.parametrize("kind", ["moved", "double", "blurred", "overexposed", "underexposed", "unlike"])
+@pytest.mark.parametrize(
+    "kind", ["moved", "double", "blurred", "overexposed", "underexposed", "unlike"]
+)
 def test_the_photograph_at_fault_is_named_and_its_fault(kind):
     stack, lights, mask = scene(1)
     stack[5] = spoilt(stack[5], kind)
@@ -22,7 +24,8 @@ def test_the_photograph_at_fault_is_named_and_its_fault(kind):
     assert [(fault.photograph, fault.kind) for fault in found] == [(5, kind)]
     if kind in {"moved", "double", "blurred"}:
         assert found[0].size == pytest.approx({"blurred": 2.5}.get(kind, 3.6), abs=0.6)
-    if kind not in {"underexposed", "overexposed"}:  # the floats of the former are exact, the latter is not used
+    # the floats of the former are exact, the latter is not used
+    if kind not in {"underexposed", "overexposed"}:
         assert found[0].effect_deg > 0.05
 
 

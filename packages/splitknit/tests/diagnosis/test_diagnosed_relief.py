@@ -1,4 +1,5 @@
-"""Patches without ridges, and images of other ridges: a matt plane with ridges that curve, under a ring of lights."""
+"""Patches without ridges, and images of other ridges: a matt plane with ridges that curve, under a
+ring of lights."""
 
 import numpy as np
 import pytest
@@ -13,7 +14,8 @@ MASK = ((X - 9.0) / 8.5) ** 2 + ((Y - 11.0) / 10.5) ** 2 < 1
 
 
 def _stack(bare: np.ndarray, albedo: float = 1.0, weave_um: float = 0.0) -> np.ndarray:
-    """Light (7, h, w) of ridges 0.5 mm apart but where `bare`: there 0.3 mm higher, of another albedo, woven."""
+    """Light (7, h, w) of ridges 0.5 mm apart but where `bare`: there 0.3 mm higher, of another
+    albedo, woven."""
     ridges = 0.02 * np.cos(2 * np.pi * np.hypot(X - 9.0, Y - 24.0) / 0.5)
     weave = 0.3 + 1e-3 * weave_um * np.cos(2 * np.pi * X / 0.45) * np.cos(2 * np.pi * Y / 0.45)
     down, across = np.gradient(np.where(bare, weave, ridges) * PX_PER_MM)
@@ -60,9 +62,11 @@ def test_images_of_one_relief_are_not_doubted():
 def test_an_image_of_other_ridges_is_named(fault):
     stack = _stack(np.zeros_like(MASK))
     moved = np.roll(stack[2], 2, axis=0)
-    stack[2] = {"moved": moved, "double": (stack[2] + moved) / 2, "another finger": np.roll(stack[2, ::-1], 3, axis=1)}[
-        fault
-    ]
+    stack[2] = {
+        "moved": moved,
+        "double": (stack[2] + moved) / 2,
+        "another finger": np.roll(stack[2, ::-1], 3, axis=1),
+    }[fault]
     assert unlike_image(stack, LIGHTS, MASK, PX_PER_MM) == 2
     assert unlike_image(stack[:5], LIGHTS[:5], MASK, PX_PER_MM) is None  # too few
     assert unlike_image(stack, LIGHTS, MASK, 5.0) is None  # too coarse

@@ -30,7 +30,9 @@ def scene(brightness: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     normals /= np.linalg.norm(normals, axis=0)
     lights = DIRECTIONS * brightness[:, None]
     light = np.clip(lights @ normals, 0.0, None) * np.linspace(0.4, 0.6, normals.shape[1])
-    return np.stack([light, 0.7 * light, 0.5 * light]), np.repeat(lights[:, :, None], normals.shape[1], axis=2)
+    return np.stack([light, 0.7 * light, 0.5 * light]), np.repeat(
+        lights[:, :, None], normals.shape[1], axis=2
+    )
 
 
 def test_gains_that_differ_between_colours_are_a_white_balance() -> None:
@@ -65,13 +67,17 @@ def test_added_light_looks_like_an_exponent_below_one_and_equal_lights_show_none
 def test_shading_shows_the_exponent_under_equal_lights(exponent: float) -> None:
     """Within 0.05, though their brightness is 1 % off."""
     light, lights = scene(np.ones(7))
-    assert shading_exponent((light**exponent) * BRIGHTNESS[:, None] ** 0.1, lights) == pytest.approx(exponent, abs=0.05)
+    assert shading_exponent(
+        (light**exponent) * BRIGHTNESS[:, None] ** 0.1, lights
+    ) == pytest.approx(exponent, abs=0.05)
 
 
 def test_height_colour_and_clipping() -> None:
     """Of the ellipsoid itself."""
     light, _ = scene(np.ones(7))
-    assert height_over_half_width(HEIGHT, X**2 + Y**2 < 1, float(X[0, 1] - X[0, 0])) == pytest.approx(0.8, abs=0.05)
+    assert height_over_half_width(
+        HEIGHT, X**2 + Y**2 < 1, float(X[0, 1] - X[0, 0])
+    ) == pytest.approx(0.8, abs=0.05)
     assert blue_over_red(light) == pytest.approx(0.5)
     assert blue_over_red(light[::-1]) == pytest.approx(2.0)
     stored = np.moveaxis(light, 0, 2)

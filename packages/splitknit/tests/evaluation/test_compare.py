@@ -49,11 +49,14 @@ def test_the_edge_is_left_out() -> None:
     edge_rows, edge_columns = np.nonzero(~result.mask)
     step = slice(None, None, 97)
     nearest = min(
-        float(np.hypot(edge_rows - r, edge_columns - c).min()) for r, c in zip(rows[step], columns[step], strict=True)
+        float(np.hypot(edge_rows - r, edge_columns - c).min())
+        for r, c in zip(rows[step], columns[step], strict=True)
     )
     assert nearest * result.pitch_mm > 0.33
     spoilt = np.where(surface, result.height_mm, result.height_mm + np.float32(1.0))
-    assert compare(replace(result, height_mm=spoilt), truth).figures["surface_rms_mm"] == pytest.approx(0.0, abs=1e-6)
+    assert compare(replace(result, height_mm=spoilt), truth).figures[
+        "surface_rms_mm"
+    ] == pytest.approx(0.0, abs=1e-6)
 
 
 def test_ridge_band_stops_at_sixty_degrees() -> None:
@@ -70,8 +73,12 @@ def test_ridge_band_stops_at_sixty_degrees() -> None:
 def test_area_counts_where_ridges_are_right() -> None:
     result, truth = finger()
     noise = np.random.default_rng(0).normal(0, 0.03, result.mask.shape).astype(np.float32)
-    half = np.where(np.arange(result.mask.shape[1]) < result.mask.shape[1] // 2, result.ridge_mm, noise)
-    area = compare(replace(result, ridge_mm=half.astype(np.float32)), truth).figures["ridge_good_area"]
+    half = np.where(
+        np.arange(result.mask.shape[1]) < result.mask.shape[1] // 2, result.ridge_mm, noise
+    )
+    area = compare(replace(result, ridge_mm=half.astype(np.float32)), truth).figures[
+        "ridge_good_area"
+    ]
     assert 0.4 < area < 0.6
 
 
@@ -83,7 +90,9 @@ def test_a_part_of_the_finger_is_compared_where_both_are() -> None:
     assert figures["mask_overlap"] == pytest.approx(part.sum() / truth["mask"].sum())
     assert figures["mask_on_finger"] == 1.0
     wide = np.ones_like(part)
-    assert compare(replace(result, mask=wide), truth).figures["mask_on_finger"] == pytest.approx(truth["mask"].mean())
+    assert compare(replace(result, mask=wide), truth).figures["mask_on_finger"] == pytest.approx(
+        truth["mask"].mean()
+    )
     assert figures["surface_rms_mm"] == pytest.approx(0.0, abs=1e-6)
 
 

@@ -1,4 +1,5 @@
-"""The thesis's author's own finger, from the film on his public page: our steps beside his on the same pixels."""
+"""The thesis's author's own finger, from the film on his public page: our steps beside his on the
+same pixels."""
 
 from __future__ import annotations
 
@@ -19,13 +20,15 @@ FINGER_MM = 16.0  # assumed: the film states no scale
 
 @pytest.fixture(scope="module")
 def film(data_dir: Path) -> dict[str, FloatArray]:
-    """Grey picture, his contrast enhancement and his network's output of it, in the film's code from 0 to 1."""
+    """Grey picture, his contrast enhancement and his network's output of it, in the film's code
+    from 0 to 1."""
     folder = data_dir / "author_film"
     if not folder.is_dir():
         pytest.skip(f"{folder} is absent")
     names = ("grey_crop", "clahe", "direct")
     return {
-        name: cv2.imread(str(folder / f"{name}.png"), cv2.IMREAD_GRAYSCALE).astype(np.float32) / 255 for name in names
+        name: cv2.imread(str(folder / f"{name}.png"), cv2.IMREAD_GRAYSCALE).astype(np.float32) / 255
+        for name in names
     }
 
 
@@ -47,19 +50,28 @@ def agreement(ours: FloatArray, his: FloatArray, inside: BoolArray) -> tuple[flo
     return float(np.corrcoef(a, b)[0, 1]), float(a @ b / (b @ b))
 
 
-def test_our_enhancement_shows_the_ridges_of_his(film: dict[str, FloatArray], inside: BoolArray) -> None:
+def test_our_enhancement_shows_the_ridges_of_his(
+    film: dict[str, FloatArray], inside: BoolArray
+) -> None:
     """Half as strong beside its mean: ours makes the brightest skin white before it equalises."""
     code, finger = film["grey_crop"], film["clahe"] > 0.08
-    linear = np.where(code <= 0.04045, code / 12.92, ((code + 0.055) / 1.055) ** 2.4).astype(np.float32)
+    linear = np.where(code <= 0.04045, code / 12.92, ((code + 0.055) / 1.055) ** 2.4).astype(
+        np.float32
+    )
     columns = np.flatnonzero(finger.any(axis=0))
     ours = clahe(linear, float(np.ptp(columns)) / FINGER_MM, mask=finger)
     correlation, gain = agreement(ours, film["clahe"], inside)
     assert correlation > 0.97 and 0.9 < gain < 1.3
-    contrast = [float(np.std(ridges(image, inside)) / image[inside].mean()) for image in (ours, film["clahe"])]
+    contrast = [
+        float(np.std(ridges(image, inside)) / image[inside].mean())
+        for image in (ours, film["clahe"])
+    ]
     assert contrast == pytest.approx([0.060, 0.128], abs=0.005)
 
 
-def test_our_network_on_his_enhanced_picture_is_like_his(film: dict[str, FloatArray], inside: BoolArray) -> None:
+def test_our_network_on_his_enhanced_picture_is_like_his(
+    film: dict[str, FloatArray], inside: BoolArray
+) -> None:
     ours = direct_light(film["clahe"][None], "direct")[0]
     correlation, gain = agreement(ours, film["direct"], inside)
     assert correlation > 0.95 and 0.8 < gain < 1.1

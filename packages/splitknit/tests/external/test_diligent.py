@@ -21,7 +21,9 @@ def bear(data_dir):
 
 
 def mean_error_deg(normals, bear, mask):
-    return float(np.degrees(np.arccos(np.clip((normals * bear["normals"]).sum(axis=-1), -1, 1)))[mask].mean())
+    return float(
+        np.degrees(np.arccos(np.clip((normals * bear["normals"]).sum(axis=-1), -1, 1)))[mask].mean()
+    )
 
 
 def test_error_on_the_bear(bear):

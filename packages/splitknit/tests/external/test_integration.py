@@ -1,7 +1,7 @@
 """Normal maps with measured depth (DiLiGenT bear and cow, packaged by Cao et al. 2022).
 
-The depth was seen in perspective and the integrators are orthographic, so heights are compared after the best scale and
-plane; the remaining error includes the perspective.
+The depth was seen in perspective and the integrators are orthographic, so heights are compared
+after the best scale and plane; the remaining error includes the perspective.
 """
 
 from __future__ import annotations
@@ -29,7 +29,8 @@ def load(folder):
 
 
 def aligned_error(height, truth, mask):
-    """Rms of the truth (mm) against scale x height + plane, and the truth's own std after its plane."""
+    """Rms of the truth (mm) against scale x height + plane, and the truth's own std after its
+    plane."""
     rows, columns = np.nonzero(mask)
     plane = np.column_stack([np.ones(rows.size), rows, columns])
     design = np.column_stack([plane, height[mask]])

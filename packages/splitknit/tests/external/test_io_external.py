@@ -19,11 +19,19 @@ from splitknit.model import Band, Camera, Capture, Led, Rig
 pytestmark = pytest.mark.external
 
 
-def capture_from_arrays(images: np.ndarray, lights: np.ndarray, mask: np.ndarray, px_per_mm: float) -> Capture:
+def capture_from_arrays(
+    images: np.ndarray, lights: np.ndarray, mask: np.ndarray, px_per_mm: float
+) -> Capture:
     """Grey images (L, H, W) uint16 under distant lights (L, 3), as DiLiGenT comes."""
     units = lights / np.linalg.norm(lights, axis=1, keepdims=True)
     count = len(images)
-    band = Band("white", images[..., None], tuple((k,) for k in range(count)), np.ones(count), np.zeros(count))
+    band = Band(
+        "white",
+        images[..., None],
+        tuple((k,) for k in range(count)),
+        np.ones(count),
+        np.zeros(count),
+    )
     leds = tuple(Led("white", direction=(float(x), float(y), float(z))) for x, y, z in units)
     rig = Rig(Camera(px_per_mm, (images.shape[1], images.shape[2])), leds)
     return Capture(rig, {"white": band}, material="opaque", mask=mask)
@@ -33,7 +41,12 @@ def test_blender_phalange(data_dir: Path, tmp_path: Path) -> None:
     folder = data_dir / "blender_finger" / "phalange"
     lights = read_light_list(folder / "lights.txt").lights
     photographs = GivenPhotographs(
-        folder / "light_{light}.png", lights, 40.0, mask=folder / "mask.png", background=71, encoding="linear"
+        folder / "light_{light}.png",
+        lights,
+        40.0,
+        mask=folder / "mask.png",
+        background=71,
+        encoding="linear",
     )
     capture = capture_from_photographs(photographs).capture
     write_capture(capture, tmp_path / "capture")
@@ -51,7 +64,11 @@ def test_spheres_and_the_lights_that_their_shading_shows(data_dir: Path, tmp_pat
     lights = read_light_list(folder / "lights.txt").lights
     assert lights.shape == (12, 3)
     photographs = GivenPhotographs(
-        folder / "gray" / "gray.{light}.png", lights, 5.0, mask=folder / "gray" / "gray.mask.png", encoding="linear"
+        folder / "gray" / "gray.{light}.png",
+        lights,
+        5.0,
+        mask=folder / "gray" / "gray.mask.png",
+        encoding="linear",
     )
     capture = capture_from_photographs(photographs).capture
     write_capture(capture, tmp_path / "capture")
@@ -66,12 +83,20 @@ def test_spheres_and_the_lights_that_their_shading_shows(data_dir: Path, tmp_pat
         shade = image[again.mask]
         lit = shade > 0.25 * shade.max()
         seen = np.linalg.lstsq(normals[lit], shade[lit], rcond=None)[0]
-        assert seen @ light > np.cos(np.deg2rad(10.0)) * np.linalg.norm(seen) * np.linalg.norm(light)
+        assert seen @ light > np.cos(np.deg2rad(10.0)) * np.linalg.norm(seen) * np.linalg.norm(
+            light
+        )
 
 
 def test_the_mirrors_lights_are_places_not_directions(data_dir: Path) -> None:
-    assert read_light_list(data_dir / "blender_finger" / "with_mirrors" / "lights.txt").lights.shape == (7, 3)
-    assert read_image(data_dir / "blender_finger" / "with_mirrors" / "light_00.png").shape == (2000, 3000, 3)
+    assert read_light_list(
+        data_dir / "blender_finger" / "with_mirrors" / "lights.txt"
+    ).lights.shape == (7, 3)
+    assert read_image(data_dir / "blender_finger" / "with_mirrors" / "light_00.png").shape == (
+        2000,
+        3000,
+        3,
+    )
 
 
 def test_diligent_through_a_capture_folder(data_dir: Path, tmp_path: Path) -> None:
@@ -85,7 +110,11 @@ def test_diligent_through_a_capture_folder(data_dir: Path, tmp_path: Path) -> No
 
 
 def test_every_image_of_the_independent_data_is_read_or_refused_in_words(data_dir: Path) -> None:
-    files = [file for kind in ("png", "jpg", "tif", "bmp") for file in sorted(data_dir.rglob(f"*.{kind}"))]
+    files = [
+        file
+        for kind in ("png", "jpg", "tif", "bmp")
+        for file in sorted(data_dir.rglob(f"*.{kind}"))
+    ]
     read = 0
     for file in files[:: max(1, len(files) // 60)]:
         try:
@@ -98,7 +127,8 @@ def test_every_image_of_the_independent_data_is_read_or_refused_in_words(data_di
 
 @pytest.mark.parametrize("stored", ["linear", "srgb"])
 def test_the_encoding_of_eight_bits_shows_in_the_shading(data_dir, tmp_path, stored):
-    """The bear as 8-bit PNG without a word on its encoding: a wrong guess doubles the error (16 deg instead of 8)."""
+    """The bear as 8-bit PNG without a word on its encoding: a wrong guess doubles the error (16 deg
+    instead of 8)."""
     file = data_dir / "diligent" / "bear.npz"
     if not file.is_file():
         pytest.skip(f"{file} is absent")
@@ -116,5 +146,8 @@ def test_renders_without_a_tone_curve_stay_linear(data_dir):
     folder = data_dir / "blender_finger" / "phalange"
     if not folder.is_dir():
         pytest.skip(f"{folder} is absent")
-    assert capture_from_photographs(GivenPhotographs(folder, background=71)).capture.encoding == "linear"
+    assert (
+        capture_from_photographs(GivenPhotographs(folder, background=71)).capture.encoding
+        == "linear"
+    )
     assert capture_from_photographs(GivenPhotographs(folder)).capture.encoding == "linear"

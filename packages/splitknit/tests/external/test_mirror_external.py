@@ -17,15 +17,18 @@ from splitknit.model import Band, Camera, Capture, Led, Mirror, Rig
 pytestmark = [pytest.mark.external, pytest.mark.slow]
 
 FOCAL_PX, PX_PER_MM = 6800.0, 20.0
-"""From the mirrors' corners, which are squares at 45 deg; the scale is that of a finger 16 mm broad."""
+"""From the mirrors' corners, which are squares at 45 deg; the scale is that of a finger 16 mm
+broad."""
 LOW_MM, CLOSER = -14.8, 1.0664
-"""Height of the mirrors' inner edges below the pad's top, and how much larger their outer edges look than the inner."""
+"""Height of the mirrors' inner edges below the pad's top, and how much larger their outer edges
+look than the inner."""
 CORNERS_PX = {
     "left": ((1200.0, 752.8), (1798.8, 752.8), (1818.7, 284.6), (1180.2, 284.6)),
     "right": ((1200.2, 1246.2), (1798.9, 1246.2), (1818.7, 1714.3), (1180.1, 1714.3)),
     "tip": ((1854.0, 709.2), (1854.0, 1305.2), (2327.0, 1325.4), (2327.0, 690.0)),
 }
-"""Column and row of the mirrors' corners in the picture, the two of the inner edge first; the tip points right."""
+"""Column and row of the mirrors' corners in the picture, the two of the inner edge first; the tip
+points right."""
 
 
 def rig_of(lights: np.ndarray) -> Rig:
@@ -40,10 +43,16 @@ def rig_of(lights: np.ndarray) -> Rig:
         return (column - 1499.5) * near, (999.5 - row) * near, z
 
     mirrors = tuple(
-        Mirror(name, tuple(placed(*corner, LOW_MM if k < 2 else high) for k, corner in enumerate(corners)), 0.88)
+        Mirror(
+            name,
+            tuple(placed(*corner, LOW_MM if k < 2 else high) for k, corner in enumerate(corners)),
+            0.88,
+        )
         for name, corners in CORNERS_PX.items()
     )
-    leds = tuple(Led("white", position_mm=(float(x), float(y), float(z))) for x, y, z in 1000.0 * lights)
+    leds = tuple(
+        Led("white", position_mm=(float(x), float(y), float(z))) for x, y, z in 1000.0 * lights
+    )
     return Rig(camera, leds, mirrors=mirrors)
 
 
@@ -55,7 +64,9 @@ def capture(data_dir: Path) -> Capture:
     images = np.stack([read_image(folder / f"light_{k:02d}.png") for k in range(7)])
     rig = rig_of(np.loadtxt(folder / "lights.txt"))
     band = Band("white", images, tuple((k,) for k in range(7)), np.ones(7), np.zeros(7))
-    return Capture(rig, {"white": band}, encoding="srgb", material="opaque", tip_direction_deg=-90.0)
+    return Capture(
+        rig, {"white": band}, encoding="srgb", material="opaque", tip_direction_deg=-90.0
+    )
 
 
 @pytest.fixture(scope="module")
@@ -64,7 +75,8 @@ def seen(capture: Capture) -> SeenInMirrors:
 
 
 def reprojected(seen: SeenInMirrors, name: str, points: np.ndarray) -> np.ndarray:
-    """Column and row at which the camera sees points (n, 3), in a mirror where the fit has it or (``front``) itself."""
+    """Column and row at which the camera sees points (n, 3), in a mirror where the fit has it or
+    (``front``) itself."""
     if name != "front":
         mirror = next(m for m in seen.capture.rig.mirrors if m.name == name)
         plane = seen.shape.plane(mirror)
@@ -74,7 +86,8 @@ def reprojected(seen: SeenInMirrors, name: str, points: np.ndarray) -> np.ndarra
 
 
 def test_silhouettes_of_the_result_agree_with_the_picture(seen: SeenInMirrors) -> None:
-    """The visible surface, moved into each view by plain geometry, ends where the picture's finger does."""
+    """The visible surface, moved into each view by plain geometry, ends where the picture's finger
+    does."""
     assert set(seen.views.mirrors) == {"left", "right", "tip"}
     window = slice(600, 1400), slice(1100, 1900)
     x, y, z = seen.shape.points(*window)
@@ -88,7 +101,8 @@ def test_silhouettes_of_the_result_agree_with_the_picture(seen: SeenInMirrors) -
         pixels = reprojected(seen, name, points)
         mask = masks[name]
         away = []
-        for column in range(1260, 1740, 20):  # the tip points right: the finger's sides run along the columns
+        # the tip points right: the finger's sides run along the columns
+        for column in range(1260, 1740, 20):
             here = np.abs(pixels[:, 0] - column) < 1.0
             rows = (np.flatnonzero(mask[:, column // binning]) + 0.5) * binning - 0.5
             for side in outward:
@@ -102,12 +116,18 @@ def test_whole_outlines_are_fitted_within_a_hundredth_of_the_width(seen: SeenInM
     rms = seen.shape.facts["outline_rms_mm"]
     assert all(rms[name] < 0.01 * 16.0 for name in ("front", "left", "right"))
     poses = seen.shape.facts["poses"]
-    assert all(abs(poses[name]["turn_deg"]) < 1.0 for name in ("left", "right"))  # they stand at right angles
+    # they stand at right angles
+    assert all(abs(poses[name]["turn_deg"]) < 1.0 for name in ("left", "right"))
 
 
 def test_the_finger_itself_is_told_from_its_images(capture: Capture, seen: SeenInMirrors) -> None:
-    mask = cv2.resize(seen.views.front.astype(np.uint8), (3000, 2000), interpolation=cv2.INTER_NEAREST) > 0
-    assert mask[1000, 1500] and not mask[520, 1500] and not mask[1480, 1500] and not mask[1000, 2100]
+    mask = (
+        cv2.resize(seen.views.front.astype(np.uint8), (3000, 2000), interpolation=cv2.INTER_NEAREST)
+        > 0
+    )
+    assert (
+        mask[1000, 1500] and not mask[520, 1500] and not mask[1480, 1500] and not mask[1000, 2100]
+    )
 
 
 def test_one_mirror_is_enough(capture: Capture) -> None:

@@ -49,7 +49,10 @@ def baseline_rms_mm(traced: Traced) -> float:
     whole = (slice(0, mask.shape[0]), slice(0, mask.shape[1]))
     red = linear_channels(white, traced.capture.encoding, ("red",), whole)[0]
     leds = [rig.leds[k] for k in range(len(red))]
-    places, powers = np.array([led.position_mm for led in leds]), np.array([led.intensity for led in leds])
+    places, powers = (
+        np.array([led.position_mm for led in leds]),
+        np.array([led.intensity for led in leds]),
+    )
     pitch = rig.camera.pitch_mm
     height, inside = forty_lines(red, places, powers, mask, pitch)
     true = blocks(traced.truth["height_mm"].astype(float))
@@ -70,7 +73,9 @@ def test_the_surface_is_right(traced: Traced) -> None:
 
 def test_the_ridges_are_there_on_flanks_too_and_their_error_is_known(traced: Traced) -> None:
     score = traced.score
-    assert score["ridge_corr"] > 0.9 and 0.8 < score["ridge_gain"] < 1.2 and score["ridge_rms_um"] < 12
+    assert (
+        score["ridge_corr"] > 0.9 and 0.8 < score["ridge_gain"] < 1.2 and score["ridge_rms_um"] < 12
+    )
     if traced.name == "loop":  # the print ends before
         assert score["ridge_corr_45_60"] > 0.8 and score["ridge_rms_um_45_60"] < 25
     else:

@@ -20,7 +20,10 @@ pytestmark = pytest.mark.external
 def phalange(data_dir):
     folder = data_dir / "blender_finger" / "phalange"
     files = sorted(folder.glob("light_*.png"))
-    stack = np.stack([cv2.imread(str(path), cv2.IMREAD_GRAYSCALE) for path in files]).astype(np.float32) / 255
+    stack = (
+        np.stack([cv2.imread(str(path), cv2.IMREAD_GRAYSCALE) for path in files]).astype(np.float32)
+        / 255
+    )
     mask = cv2.imread(str(folder / "mask.png"), cv2.IMREAD_GRAYSCALE) > 127
     return stack, mask
 

@@ -1,4 +1,5 @@
-"""Photographs of a grey ball under twelve lights: normals against the sphere that its outline gives."""
+"""Photographs of a grey ball under twelve lights: normals against the sphere that its outline
+gives."""
 
 from __future__ import annotations
 
@@ -14,11 +15,14 @@ pytestmark = pytest.mark.external
 
 @pytest.fixture(scope="module")
 def ball(data_dir):
-    """Stack, lights, mask and the sphere's normals; an 8-bit camera of unknown response, taken as linear."""
+    """Stack, lights, mask and the sphere's normals; an 8-bit camera of unknown response, taken as
+    linear."""
     folder = data_dir / "psm_spheres"
     if not folder.is_dir():
         pytest.skip(f"{folder} is absent")
-    images = [cv2.imread(str(folder / "gray" / f"gray.{k}.png"), cv2.IMREAD_GRAYSCALE) for k in range(12)]
+    images = [
+        cv2.imread(str(folder / "gray" / f"gray.{k}.png"), cv2.IMREAD_GRAYSCALE) for k in range(12)
+    ]
     lights = np.loadtxt(folder / "lights.txt", skiprows=1)
     mask = cv2.imread(str(folder / "gray" / "gray.mask.png"), cv2.IMREAD_GRAYSCALE) > 127
     rows, columns = np.nonzero(mask)
@@ -36,6 +40,8 @@ def test_normals_follow_the_sphere(ball):
     errors = {}
     for method in (lambertian, robust):
         normals, _ = method(stack, lights, mask)
-        errors[method.__name__] = np.degrees(np.arccos(np.clip((normals * sphere).sum(axis=-1), -1, 1)))[inner].mean()
+        errors[method.__name__] = np.degrees(
+            np.arccos(np.clip((normals * sphere).sum(axis=-1), -1, 1))
+        )[inner].mean()
     assert errors["lambertian"] < 5.5
     assert errors["robust"] < 4.6

@@ -1,7 +1,7 @@
 """A real projector on a paper board: stripes and their inverses, half of the projector lit.
 
-The files are linear: a pattern and its inverse, black taken off, add up to white within 2 %. With the sRGB curve undone
-they would miss it by a quarter.
+The files are linear: a pattern and its inverse, black taken off, add up to white within 2 %. With
+the sRGB curve undone they would miss it by a quarter.
 """
 
 from __future__ import annotations
@@ -40,18 +40,26 @@ def test_direct_and_global_light_add_up_to_white(data_dir, names):
 
 
 def test_the_files_are_linear(data_dir):
-    """Whatever the optics, light adds up: this tells the camera's curve without a model of the scene."""
+    """Whatever the optics, light adds up: this tells the camera's curve without a model of the
+    scene."""
     for encoding, miss in (("linear", 0.02), ("srgb", 0.25)):
         white = light(data_dir, "white", encoding)
-        both = sum(light(data_dir, "stripes_14" + inverse, encoding) for inverse in ("", "_inverse"))
-        error = abs(float(np.median((both / np.where(white > 0.1, white, np.inf))[white > 0.1])) - 1)
+        both = sum(
+            light(data_dir, "stripes_14" + inverse, encoding) for inverse in ("", "_inverse")
+        )
+        error = abs(
+            float(np.median((both / np.where(white > 0.1, white, np.inf))[white > 0.1])) - 1
+        )
         assert error < miss
         assert error > miss / 2
 
 
 def test_tape_glows_and_black_ink_does_not(data_dir):
-    """Translucent adhesive tape sends back light that went through it: more of it is global than on bare paper."""
-    parts = checkerboard([light(data_dir, name + inverse) for name in PAIRS for inverse in ("", "_inverse")])
+    """Translucent adhesive tape sends back light that went through it: more of it is global than on
+    bare paper."""
+    parts = checkerboard(
+        [light(data_dir, name + inverse) for name in PAIRS for inverse in ("", "_inverse")]
+    )
     fraction = parts.global_ / np.maximum(parts.white, 0.02)
     fraction = cv2.blur(fraction, (9, 9))
     tape, paper = fraction[240, 80], fraction[240, 530]

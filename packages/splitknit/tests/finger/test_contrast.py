@@ -41,7 +41,9 @@ def test_tiles_agree_with_opencv():
 
 def test_coded_grey_is_equalised_as_its_code():
     image = picture()
-    code = np.where(image <= 0.0031308, 12.92 * image, 1.055 * np.maximum(image, 1e-9) ** (1 / 2.4) - 0.055)
+    code = np.where(
+        image <= 0.0031308, 12.92 * image, 1.055 * np.maximum(image, 1e-9) ** (1 / 2.4) - 0.055
+    )
     code[:2, :64] = image[:2, :64] = 1.0
     found = clahe(image, 75.7)
     plain = ClaheSettings(grey="linear")
@@ -56,12 +58,14 @@ def test_range_and_levels():
     assert result.min() >= 0.0
     assert result.max() <= 1.0
     assert len(np.unique(result)) > 20_000  # no 8-bit steps
-    np.testing.assert_allclose(clahe(image * np.float32(7.0), 75.7), result, atol=1e-4)  # exposure does not matter
+    # exposure does not matter
+    np.testing.assert_allclose(clahe(image * np.float32(7.0), 75.7), result, atol=1e-4)
 
 
 def test_the_limit_bounds_the_gain():
     y, x = np.mgrid[0:320, 0:320]
-    image = (0.6 + 0.02 * np.sin(x / 7.0) * np.sin(y / 9.0)).astype(np.float32)  # hardly any contrast
+    # hardly any contrast
+    image = (0.6 + 0.02 * np.sin(x / 7.0) * np.sin(y / 9.0)).astype(np.float32)
     image[0, :120] = 1.0
     amplitude = np.ptp(image[64:256, 64:256])
     gains = []

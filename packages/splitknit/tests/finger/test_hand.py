@@ -22,7 +22,9 @@ PX_PER_MM, SHAPE = 8.0, (320, 720)
 MIDDLES_MM, TIPS_MM, HALF_MM = (-33.0, -11.0, 11.0, 33.0), (24.0, 33.0, 36.0, 31.0), 7.0
 
 
-def view(middles_mm: tuple[float, ...] = MIDDLES_MM, tips_mm: tuple[float, ...] = TIPS_MM) -> Capture:
+def view(
+    middles_mm: tuple[float, ...] = MIDDLES_MM, tips_mm: tuple[float, ...] = TIPS_MM
+) -> Capture:
     """Flat bright fingers with round tips, under seven near lights of white and NIR."""
     rig = default_rig(1.0, 0)
     rig = replace(rig, camera=Camera(PX_PER_MM, SHAPE))
@@ -36,9 +38,13 @@ def view(middles_mm: tuple[float, ...] = MIDDLES_MM, tips_mm: tuple[float, ...] 
     bands = {}
     for name, first in (("white", 0), ("nir", 7)):
         shown = colour if name == "white" else colour[..., :1]
-        pixels = np.stack([shown * (0.8 + 0.05 * k) + rng.normal(0, 1.0, shown.shape) for k in range(7)])
+        pixels = np.stack(
+            [shown * (0.8 + 0.05 * k) + rng.normal(0, 1.0, shown.shape) for k in range(7)]
+        )
         leds = tuple((first + k,) for k in range(7))
-        bands[name] = Band(name, pixels.clip(0, 255).astype(np.uint8), leds, np.ones(7), np.zeros(7))
+        bands[name] = Band(
+            name, pixels.clip(0, 255).astype(np.uint8), leds, np.ones(7), np.zeros(7)
+        )
     return Capture(rig, bands, subject={"id": "S01", "session": 1})
 
 
@@ -60,11 +66,14 @@ def test_four_fingers_are_cut_apart_and_named() -> None:
 
 
 def test_a_neighbour_in_the_part_is_filled() -> None:
-    own = fingers_apart(view((-8.0, 9.0), (30.0, 36.0)), ["left_index", "left_middle"])["left_index"]
+    own = fingers_apart(view((-8.0, 9.0), (30.0, 36.0)), ["left_index", "left_middle"])[
+        "left_index"
+    ]
     right = own.bands["white"].pixels[:, :, -10:]
     assert right.max() < 12
 
 
+@pytest.mark.slow
 def test_left_hand_and_names() -> None:
     assert "left_index" in fingers_apart(view(tips_mm=TIPS_MM[::-1]))
     assert list(fingers_apart(view(), "left", keep=True))[-1] == "left_little"
@@ -81,11 +90,21 @@ def test_light_of_a_part_is_that_of_the_whole(encoding: str) -> None:
     capture, window = view(), (slice(40, 240), slice(60, 200))
     shading = (-0.4, 0.1)
     camera = replace(capture.rig.camera, shading=shading)
-    white = replace(capture.bands["white"], shading=shading, exposure=np.linspace(1, 2, 7), black_level=np.full(7, 2.0))
-    capture = replace(capture, rig=replace(capture.rig, camera=camera), bands={"white": white}, encoding=encoding)
+    white = replace(
+        capture.bands["white"],
+        shading=shading,
+        exposure=np.linspace(1, 2, 7),
+        black_level=np.full(7, 2.0),
+    )
+    capture = replace(
+        capture, rig=replace(capture.rig, camera=camera), bands={"white": white}, encoding=encoding
+    )
     part = cropped(capture, window)
     assert part.rig.camera.shading == ()
-    before, after = linear_stack(white, encoding, "grey", window), linear_stack(part.bands["white"], encoding, "grey")
+    before, after = (
+        linear_stack(white, encoding, "grey", window),
+        linear_stack(part.bands["white"], encoding, "grey"),
+    )
     ratio = after[:, before[0] > 0.1] / before[:, before[0] > 0.1]
     assert np.ptp(ratio) / ratio.mean() < 0.01
 
@@ -94,35 +113,69 @@ def test_a_perspective_part_looks_where_the_whole_does() -> None:
     rig = nominal_rig(0.1)
     rows, columns = rig.camera.image_size
     pixels = np.full((7, rows, columns, 1), 50, np.uint8)
-    capture = Capture(rig, {"white": Band("white", pixels, tuple((k,) for k in range(7)), np.ones(7), np.zeros(7))})
+    capture = Capture(
+        rig,
+        {"white": Band("white", pixels, tuple((k,) for k in range(7)), np.ones(7), np.zeros(7))},
+    )
     part = cropped(capture, (slice(30, 130), slice(200, 300)))
-    assert np.allclose(plane_points(part.rig.camera, [[5, 7]]), plane_points(rig.camera, [[205, 37]]))
+    assert np.allclose(
+        plane_points(part.rig.camera, [[5, 7]]), plane_points(rig.camera, [[205, 37]])
+    )
     assert part.rig.leds == rig.leds
 
 
 def test_beams_keep_their_aim() -> None:
     capture = view()
     leds = tuple(replace(led, lobe_exponent=4.8) for led in capture.rig.leds)
-    part = cropped(replace(capture, rig=Rig(capture.rig.camera, leds)), (slice(0, 100), slice(0, 100)))
+    part = cropped(
+        replace(capture, rig=Rig(capture.rig.camera, leds)), (slice(0, 100), slice(0, 100))
+    )
     assert np.allclose(part.rig.leds[0].axis, leds[0].axis)
 
 
-def test_import_writes_a_capture_of_each(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+@pytest.mark.slow
+def test_import_writes_a_capture_of_each(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     write_capture(view((-12.0, 12.0), (30.0, 36.0)), tmp_path / "view")
-    order = ["import", str(tmp_path / "view"), "--fingers", "left_index,left_middle", "--out", str(tmp_path / "hand")]
+    order = [
+        "import",
+        str(tmp_path / "view"),
+        "--fingers",
+        "left_index,left_middle",
+        "--out",
+        str(tmp_path / "hand"),
+    ]
     assert main(order) == 0
     assert read_capture(tmp_path / "hand" / "left_middle").subject["finger"] == "left_middle"
     assert main(order) == 2
     assert "give --overwrite" in capsys.readouterr().err
     write_capture(view(), tmp_path / "right")
-    order = ["import", str(tmp_path / "right"), "--fingers", "left", "--out", str(tmp_path / "wrong")]
+    order = [
+        "import",
+        str(tmp_path / "right"),
+        "--fingers",
+        "left",
+        "--out",
+        str(tmp_path / "wrong"),
+    ]
     assert main(order) == 2
-    assert "the tips are those of a right hand (the outer ones differ by 7 mm)" in capsys.readouterr().err
+    assert (
+        "the tips are those of a right hand (the outer ones differ by 7 mm)"
+        in capsys.readouterr().err
+    )
     assert not (tmp_path / "wrong").exists()
     for given in ("--keep", "--force"):
         assert main([*order, given, "--overwrite"]) == 0
     assert (tmp_path / "wrong" / "left_index").is_dir()
     capsys.readouterr()
-    order = ["import", str(tmp_path / "view"), "--fingers", "left_index,left_middle", "--out", str(tmp_path / "hand")]
+    order = [
+        "import",
+        str(tmp_path / "view"),
+        "--fingers",
+        "left_index,left_middle",
+        "--out",
+        str(tmp_path / "hand"),
+    ]
     assert main([*order[:3], "auto", *order[4:]]) == 2
     assert "stand apart in the view: 2" in capsys.readouterr().err

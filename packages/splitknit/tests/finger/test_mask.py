@@ -1,4 +1,5 @@
-"""Finger masks on drawn fingers of every tone and disturbance, and refusal where there is no finger."""
+"""Finger masks on drawn fingers of every tone and disturbance, and refusal where there is no
+finger."""
 
 from __future__ import annotations
 
@@ -58,7 +59,8 @@ def test_finds_the_finger_whatever_its_tone(draw_finger, tone, disturbance, leas
 
 
 @pytest.mark.parametrize(
-    "disturbance", [{}, {"shadow": "side"}, {"specks": 60}, {"yaw_deg": 40.0, "tip_at": (-8.0, 8.0)}]
+    "disturbance",
+    [{}, {"shadow": "side"}, {"specks": 60}, {"yaw_deg": 40.0, "tip_at": (-8.0, 8.0)}],
 )
 def test_in_two_steps_the_outline_is_the_same(draw_finger, disturbance):
     scene = draw_finger("medium", px_per_mm=20.0, **disturbance)
@@ -102,7 +104,8 @@ def test_grey_images_fall_back_on_brightness(draw_finger, tone):
 def test_finds_the_finger_on_coloured_paper(draw_finger, tone, colour):
     scene = draw_finger(tone)
     falling = np.linspace(0.7, 1.3, scene.rgb.shape[1], dtype=np.float32)[None, :, None]
-    paper = falling * np.asarray(colour, dtype=np.float32) + (scene.rgb - 0.03)  # with the background's own noise
+    # with the background's own noise
+    paper = falling * np.asarray(colour, dtype=np.float32) + (scene.rgb - 0.03)
     mask = finger_mask(np.where(scene.mask[..., None], scene.rgb, paper), scene.px_per_mm)
     assert overlap(mask, scene.mask) > 0.985
 
@@ -131,7 +134,8 @@ def test_dust_on_the_outline_is_cut_off(draw_finger):
     y, x = np.mgrid[0:height, 0:width]
     for row in (400, 500, 600):
         edge = int(np.flatnonzero(scene.mask[row])[-1])
-        rgb[((x - edge - 8) ** 2 + (y - row) ** 2 < 100) & ~scene.mask] = 0.5  # specks of 1 mm that touch the finger
+        # specks of 1 mm that touch the finger
+        rgb[((x - edge - 8) ** 2 + (y - row) ** 2 < 100) & ~scene.mask] = 0.5
     assert (finger_mask(rgb, 20.0) ^ finger_mask(scene.rgb, 20.0)).sum() < 250  # of some 740
 
 
@@ -144,7 +148,8 @@ def _empty(kind: str, rng: np.random.Generator) -> np.ndarray:
         "paper": 0.03 + 0.003 * noise,
         "vignette": (0.05 * (1 - (x - 0.5) ** 2 - (y - 0.7) ** 2))[..., None] + 0.002 * noise,
         "ramp": (0.02 + 0.1 * y)[..., None] + 0.001 * noise,
-        "bright patch": (0.02 + 0.3 * np.exp(-((x - 0.5) ** 2 + (y - 0.7) ** 2) / 0.25))[..., None] + 0.001 * noise,
+        "bright patch": (0.02 + 0.3 * np.exp(-((x - 0.5) ** 2 + (y - 0.7) ** 2) / 0.25))[..., None]
+        + 0.001 * noise,
         "saturated": np.ones((500, 350, 3)),
         "all skin": np.array([0.4, 0.3, 0.2]) + 0.01 * noise,
     }
@@ -186,13 +191,16 @@ def test_small_images_are_refused():
         finger_mask(np.zeros((5, 5, 3), np.float32), 12.0)
 
 
-@pytest.mark.parametrize("box", [np.s_[20:50, 10:40], np.s_[0:25, 30:60], np.s_[30:64, 0:80], np.s_[:, :]])
+@pytest.mark.parametrize(
+    "box", [np.s_[20:50, 10:40], np.s_[0:25, 30:60], np.s_[30:64, 0:80], np.s_[:, :]]
+)
 @pytest.mark.parametrize("radius", [1.0, 1.5, 2.0, 3.7, 9.3])
 def test_what_is_computed_around_a_region_is_what_the_whole_image_gives(box, radius):
     mask = np.zeros((64, 80), dtype=bool)
     mask[box] = np.random.default_rng(2).random(mask[box].shape) < 0.97
     inside, outside = (
-        cv2.distanceTransform(part.astype(np.uint8), cv2.DIST_L2, cv2.DIST_MASK_PRECISE) for part in (mask, ~mask)
+        cv2.distanceTransform(part.astype(np.uint8), cv2.DIST_L2, cv2.DIST_MASK_PRECISE)
+        for part in (mask, ~mask)
     )
     np.testing.assert_allclose(depth_inside(mask), inside, rtol=1e-6)
     np.testing.assert_array_equal(erode(mask, radius), inside > radius)
@@ -200,8 +208,12 @@ def test_what_is_computed_around_a_region_is_what_the_whole_image_gives(box, rad
     near = outside <= radius
     np.testing.assert_allclose(distance_outside(mask, radius)[near], outside[near], rtol=1e-6)
     assert (distance_outside(mask, radius)[~near] > radius).all()
-    count, labels, stats, _ = cv2.connectedComponentsWithStats((~mask).astype(np.uint8), connectivity=4)
-    at_border = {int(v) for line in (labels[0], labels[-1], labels[:, 0], labels[:, -1]) for v in line}
+    count, labels, stats, _ = cv2.connectedComponentsWithStats(
+        (~mask).astype(np.uint8), connectivity=4
+    )
+    at_border = {
+        int(v) for line in (labels[0], labels[-1], labels[:, 0], labels[:, -1]) for v in line
+    }
     small = [k for k in range(1, count) if k not in at_border and stats[k, cv2.CC_STAT_AREA] <= 2]
     np.testing.assert_array_equal(fill_holes(mask, 2.0), mask | np.isin(labels, small))
 

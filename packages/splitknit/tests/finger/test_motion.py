@@ -13,7 +13,9 @@ def moved(stack, k, x_mm, y_mm, px_per_mm):
     stack = stack.copy()
     matrix = np.array([[1.0, 0.0, x_mm * px_per_mm], [0.0, 1.0, -y_mm * px_per_mm]])
     size = (stack.shape[2], stack.shape[1])
-    stack[k] = cv2.warpAffine(stack[k], matrix, size, flags=cv2.INTER_CUBIC, borderMode=cv2.BORDER_REPLICATE)
+    stack[k] = cv2.warpAffine(
+        stack[k], matrix, size, flags=cv2.INTER_CUBIC, borderMode=cv2.BORDER_REPLICATE
+    )
     return stack
 
 
@@ -34,14 +36,20 @@ def test_a_moved_shot_is_measured(scene, k, x, y):
     motion = shot_motion(moved(scene.stack, k, x, y, 16.0), scene.mask, 16.0)
     np.testing.assert_allclose(motion.shift_mm[k], [x, y], atol=0.03)
     (warning,) = motion_findings(motion)
-    assert f"image {k} by" in str(warning) and warning.code == "moved-finger" and warning.files == (f"image {k}",)
+    assert (
+        f"image {k} by" in str(warning)
+        and warning.code == "moved-finger"
+        and warning.files == (f"image {k}",)
+    )
 
 
 def test_light_order_does_not_matter(scene):
     order = np.array([3, 0, 6, 1, 5, 2, 4])
     stack = moved(scene.stack, 3, 0.1, 0.0, 16.0)
     first = shot_motion(stack, scene.mask, 16.0).shift_mm
-    np.testing.assert_allclose(shot_motion(stack[order], scene.mask, 16.0).shift_mm, first[order], atol=2e-3)
+    np.testing.assert_allclose(
+        shot_motion(stack[order], scene.mask, 16.0).shift_mm, first[order], atol=2e-3
+    )
 
 
 def test_few_shots_are_not_judged(scene):

@@ -25,8 +25,12 @@ def test_yaw_tip_and_frame(draw_finger, yaw, tip):
     upright = find_upright(scene.mask)
     assert upright.reliable
     assert upright.note == ""
-    assert np.rad2deg(upright.yaw_rad) == pytest.approx(yaw, abs=0.5)  # positive: the tip leans to the left
-    assert np.hypot(upright.tip[0] - scene.tip[0], upright.tip[1] - scene.tip[1]) < 0.5 * scene.px_per_mm
+    # positive: the tip leans to the left
+    assert np.rad2deg(upright.yaw_rad) == pytest.approx(yaw, abs=0.5)
+    assert (
+        np.hypot(upright.tip[0] - scene.tip[0], upright.tip[1] - scene.tip[1])
+        < 0.5 * scene.px_per_mm
+    )
     turned = warp(scene.mask.astype(np.float32), upright.input_from_upright, upright.size) > 0.5
     assert turned.sum() == pytest.approx(scene.mask.sum(), rel=0.01)  # all of it is in the frame
     rows = np.flatnonzero(turned.any(axis=1))
@@ -35,7 +39,9 @@ def test_yaw_tip_and_frame(draw_finger, yaw, tip):
     assert upright.width_px == pytest.approx(width, rel=0.12)
     narrow = turned[rows[0] + 5].sum()
     assert narrow < 0.6 * width  # the tip is up
-    np.testing.assert_allclose(upright.upright_from_input @ upright.input_from_upright, np.eye(3), atol=1e-9)
+    np.testing.assert_allclose(
+        upright.upright_from_input @ upright.input_from_upright, np.eye(3), atol=1e-9
+    )
 
 
 def test_all_rows_give_the_yaw_as_in_the_thesis(draw_finger):
@@ -48,7 +54,9 @@ def test_all_rows_give_the_yaw_as_in_the_thesis(draw_finger):
 
 @pytest.mark.parametrize("yaw", [20.0, 35.0, -45.0])
 def test_a_short_finger_cut_by_the_border(draw_finger, yaw):
-    scene = draw_finger("medium", yaw_deg=yaw, tip_at=(-0.1 * yaw, 0.0), size_mm=(29.0, 42.0), noise=0.0)
+    scene = draw_finger(
+        "medium", yaw_deg=yaw, tip_at=(-0.1 * yaw, 0.0), size_mm=(29.0, 42.0), noise=0.0
+    )
     assert np.rad2deg(find_upright(scene.mask).yaw_rad) == pytest.approx(yaw, abs=0.5)
 
 
@@ -97,7 +105,8 @@ def test_a_bitten_edge_and_a_slanting_cut_do_not_turn_it(draw_finger):
     mask = scene.mask.copy()
     height, width = mask.shape
     mask[250:275, : width // 2 - 60] = False
-    mask &= np.arange(height)[:, None] < height - 0.6 * np.arange(width)[None, :] + 120  # base cut at a slant
+    # base cut at a slant
+    mask &= np.arange(height)[:, None] < height - 0.6 * np.arange(width)[None, :] + 120
     assert np.rad2deg(find_upright(mask).yaw_rad) == pytest.approx(0.0, abs=1.0)
 
 

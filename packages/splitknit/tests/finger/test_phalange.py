@@ -42,7 +42,8 @@ def test_never_cut_where_there_is_none(draw_finger, shadow, seed):
 
 
 def test_foot_of_a_shadow_above_a_crease_is_not_taken(draw_finger):
-    scene = draw_finger("medium", creases=((18.5, 0.15),), shadow="step")  # the shadow begins 14 mm below the tip
+    # the shadow begins 14 mm below the tip
+    scene = draw_finger("medium", creases=((18.5, 0.15),), shadow="step")
     _, crease = search(scene)
     assert crease.distance_mm == pytest.approx(18.5, abs=0.5)
 
@@ -50,7 +51,9 @@ def test_foot_of_a_shadow_above_a_crease_is_not_taken(draw_finger):
 @pytest.mark.parametrize("yaw", [0.0, 25.0, -50.0])
 def test_line_and_cut_follow_the_finger(draw_finger, yaw):
     tip = (-0.12 * yaw, 15.0 - 0.1 * abs(yaw))
-    scene = draw_finger("medium", yaw_deg=yaw, tip_at=tip, creases=((20.0, 0.2),), crease_tilt_deg=6.0)
+    scene = draw_finger(
+        "medium", yaw_deg=yaw, tip_at=tip, creases=((20.0, 0.2),), crease_tilt_deg=6.0
+    )
     upright, crease = search(scene)
     assert crease.distance_mm == pytest.approx(20.0, abs=0.5)
     cut = phalange_mask(scene.mask, crease, upright)
@@ -69,11 +72,17 @@ def test_line_and_cut_follow_the_finger(draw_finger, yaw):
 
 
 def test_two_creases(draw_finger):
-    far = draw_finger("medium", size_mm=(60.0, 29.0), tip_at=(0.0, 28.0), creases=((23.0, 0.12), (46.0, 0.2)))
+    far = draw_finger(
+        "medium", size_mm=(60.0, 29.0), tip_at=(0.0, 28.0), creases=((23.0, 0.12), (46.0, 0.2))
+    )
     _, crease = search(far)
-    assert crease.distance_mm == pytest.approx(23.0, abs=0.5)  # the deeper second joint is not taken
-    long = draw_finger("medium", size_mm=(60.0, 29.0), tip_at=(0.0, 28.0), creases=((22.0, 0.14), (36.0, 0.2)))
-    assert search(long)[1].distance_mm == pytest.approx(22.0, abs=0.5)  # the usual place outweighs some depth
+    # the deeper second joint is not taken
+    assert crease.distance_mm == pytest.approx(23.0, abs=0.5)
+    long = draw_finger(
+        "medium", size_mm=(60.0, 29.0), tip_at=(0.0, 28.0), creases=((22.0, 0.14), (36.0, 0.2))
+    )
+    # the usual place outweighs some depth
+    assert search(long)[1].distance_mm == pytest.approx(22.0, abs=0.5)
     doublet = draw_finger("medium", creases=((23.0, 0.15), (26.5, 0.15)))
     assert search(doublet)[1].distance_mm == pytest.approx(23.0, abs=0.5)
     faint = draw_finger("medium", creases=((22.0, 0.06), (25.5, 0.2)))

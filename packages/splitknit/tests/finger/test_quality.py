@@ -17,7 +17,9 @@ def scene(draw_finger):
 
 
 def test_a_good_capture_has_no_warnings(scene):
-    quality = capture_quality(scene.stack, scene.mask, 24.0, lights=scene.lights, ambient=0 * scene.grey)
+    quality = capture_quality(
+        scene.stack, scene.mask, 24.0, lights=scene.lights, ambient=0 * scene.grey
+    )
     assert not list(quality_findings(quality))
     json.dumps(quality)
     assert quality["area_mm2"] == pytest.approx(scene.mask.sum() / 24.0**2)
@@ -41,7 +43,10 @@ def test_led_faults_are_named(scene):
     stack[2] *= 0.3
     stack[5] *= 0.01
     words = [
-        str(finding) for finding in quality_findings(capture_quality(stack, scene.mask, 24.0, lights=scene.lights))
+        str(finding)
+        for finding in quality_findings(
+            capture_quality(stack, scene.mask, 24.0, lights=scene.lights)
+        )
     ]
     assert any(text.startswith("image 2 is 0.") and "calibrate" in text for text in words)
     assert any(text.startswith("image 5") and "dead" in text for text in words)
@@ -53,7 +58,9 @@ def test_led_faults_are_named(scene):
 def test_exposure_and_ambient(scene):
     bright = capture_quality(np.minimum(scene.stack * 6, 1.0), scene.mask, 24.0)
     assert any("saturated" in str(text) for text in quality_findings(bright))
-    allowed = capture_quality(np.minimum(scene.stack * 6, 1.0), scene.mask, 24.0, saturation=np.full(7, 6.0))
+    allowed = capture_quality(
+        np.minimum(scene.stack * 6, 1.0), scene.mask, 24.0, saturation=np.full(7, 6.0)
+    )
     assert max(allowed["saturated_per_image"]) == 0.0
     dark = capture_quality(scene.stack * np.float32(0.02), scene.mask, 24.0)
     assert any("dark" in str(text) for text in quality_findings(dark))
@@ -65,7 +72,13 @@ def test_exposure_and_ambient(scene):
 def test_coverage(scene):
     whole = np.zeros_like(scene.mask)
     whole[:, 200:500] = True
-    assert any("crosses the whole image" in str(t) for t in quality_findings(capture_quality(scene.stack, whole, 24.0)))
+    assert any(
+        "crosses the whole image" in str(t)
+        for t in quality_findings(capture_quality(scene.stack, whole, 24.0))
+    )
     short = np.zeros_like(scene.mask)
     short[-200:, 200:500] = True
-    assert any("push it further in" in str(t) for t in quality_findings(capture_quality(scene.stack, short, 24.0)))
+    assert any(
+        "push it further in" in str(t)
+        for t in quality_findings(capture_quality(scene.stack, short, 24.0))
+    )

@@ -1,4 +1,5 @@
-"""Specks are found whatever the camera's scale; valleys, wrinkles, hairs, pores, glare and scars are none."""
+"""Specks are found whatever the camera's scale; valleys, wrinkles, hairs, pores, glare and scars
+are none."""
 
 from __future__ import annotations
 
@@ -19,7 +20,8 @@ FINE = 44.0
 
 @lru_cache
 def skin(px_per_mm: float) -> np.ndarray:
-    """Four images of ridges, 0.45 mm apart, with two ends and with pores; the flanks' shading turns with the light."""
+    """Four images of ridges, 0.45 mm apart, with two ends and with pores; the flanks' shading turns
+    with the light."""
     rng = np.random.default_rng(0)
     y, x = (np.arange(round(side * FINE)) / FINE for side in SIZE_MM)
     bend = 1.5 * np.sin(x / 3.0)[None, :]
@@ -29,7 +31,10 @@ def skin(px_per_mm: float) -> np.ndarray:
     pores = np.zeros(phase.shape)
     pores[rng.integers(0, len(y), 300), rng.integers(0, len(x), 300)] = 1.0
     pores = 0.1 * 2 * np.pi * (0.05 * FINE) ** 2 * gaussian_filter(pores, 0.05 * FINE)
-    images = [0.4 * (1 + 0.05 * np.cos(phase) + 0.06 * np.sin(phase + turn) - pores) for turn in (-0.3, 0.3, 2.8, 3.4)]
+    images = [
+        0.4 * (1 + 0.05 * np.cos(phase) + 0.06 * np.sin(phase + turn) - pores)
+        for turn in (-0.3, 0.3, 2.8, 3.4)
+    ]
     return np.stack([at_scale(image, px_per_mm) for image in images]).astype(np.float32)
 
 
@@ -81,14 +86,19 @@ def test_bright_specks():
 def test_long_marks_are_no_specks():
     y, x = (np.arange(round(side * 24.0)) / 24.0 for side in SIZE_MM)
     stack = skin(24.0)
-    for slope, offset, width, depth in ((0.3, 2.0, 0.05, 0.8), (-1.2, 9.0, 0.06, 0.8), (0.02, 7.0, 0.3, 0.5)):
+    for slope, offset, width, depth in (
+        (0.3, 2.0, 0.05, 0.8),
+        (-1.2, 9.0, 0.06, 0.8),
+        (0.02, 7.0, 0.3, 0.5),
+    ):
         away = np.abs(y[:, None] - offset - slope * x[None, :]) / np.hypot(1.0, slope)
         stack = stack * (1 - depth * np.clip(1.5 - away / width, 0, 1)).astype(np.float32)
     assert fractions(stack, 24.0)[0] < 0.002
 
 
 def test_glare_that_turns_with_the_light_is_no_speck():
-    glints = np.random.default_rng(1).random(skin(24.0).shape) < 0.003  # other places in every image
+    # other places in every image
+    glints = np.random.default_rng(1).random(skin(24.0).shape) < 0.003
     glary = skin(24.0) + 3.0 * gaussian_filter(glints.astype(np.float32), (0, 1, 1))
     assert fractions(glary, 24.0)[1] < 0.001
     same = skin(24.0) + 3.0 * gaussian_filter(glints[:1].astype(np.float32), (0, 1, 1))
@@ -115,8 +125,20 @@ def test_brightness_does_not_matter():
 
 
 def test_one_sentence_says_what_to_do():
-    dusty = list(quality_findings(capture_quality(marked(24.0, 300, 0.1, 0.3), np.ones((336, 288), bool), 24.0)))
+    dusty = list(
+        quality_findings(
+            capture_quality(marked(24.0, 300, 0.1, 0.3), np.ones((336, 288), bool), 24.0)
+        )
+    )
     assert sum("specks" in str(text) for text in dusty) == 1
-    assert [each.code for each in dusty if "specks" in each.code] == ["dark-specks"] and "wipe the finger" in str(dusty)
-    scaly = list(quality_findings(capture_quality(marked(24.0, 120, 0.25, 1.5), np.ones((336, 288), bool), 24.0)))
-    assert [each.code for each in scaly if "specks" in each.code] == ["bright-specks"] and "moisten" in str(scaly)
+    assert [each.code for each in dusty if "specks" in each.code] == [
+        "dark-specks"
+    ] and "wipe the finger" in str(dusty)
+    scaly = list(
+        quality_findings(
+            capture_quality(marked(24.0, 120, 0.25, 1.5), np.ones((336, 288), bool), 24.0)
+        )
+    )
+    assert [each.code for each in scaly if "specks" in each.code] == [
+        "bright-specks"
+    ] and "moisten" in str(scaly)

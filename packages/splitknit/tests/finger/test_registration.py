@@ -1,4 +1,5 @@
-"""Shots of a moving finger: shifts and turns are found under lights that change, and none where there are none."""
+"""Shots of a moving finger: shifts and turns are found under lights that change, and none where
+there are none."""
 
 from __future__ import annotations
 
@@ -23,7 +24,14 @@ def quick():
         yield
 
 
-SHIFTS = {0: (0.31, -0.12), 1: (0.2, 0.1), 2: (-0.06, 0.0), 4: (0.03, 0.15), 5: (0.12, -0.24), 6: (-0.4, 0.2)}
+SHIFTS = {
+    0: (0.31, -0.12),
+    1: (0.2, 0.1),
+    2: (-0.06, 0.0),
+    4: (0.03, 0.15),
+    5: (0.12, -0.24),
+    6: (-0.4, 0.2),
+}
 TURNS_DEG = {0: 0.4, 1: 0.0, 2: -0.2, 4: 0.3, 5: -0.5, 6: 0.1}
 
 
@@ -32,14 +40,18 @@ def moved(image, shift_mm, turn_deg, centre):
     matrix = cv2.getRotationMatrix2D(centre, turn_deg, 1.0)
     matrix[:, 2] += np.asarray(shift_mm) * PX
     size = (image.shape[1], image.shape[0])
-    return cv2.warpAffine(image, matrix, size, flags=cv2.INTER_CUBIC, borderMode=cv2.BORDER_REPLICATE)
+    return cv2.warpAffine(
+        image, matrix, size, flags=cv2.INTER_CUBIC, borderMode=cv2.BORDER_REPLICATE
+    )
 
 
 def expected(points, shift_mm, turn_deg, centre):
     """(2, N) shifts in mm of points (2, N) in mm."""
     angle = -np.deg2rad(turn_deg)
     x, y = points - np.asarray(centre)[:, None] / PX
-    turned = np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]]) @ np.stack([x, y])
+    turned = np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]]) @ np.stack(
+        [x, y]
+    )
     return turned - np.stack([x, y]) + np.asarray(shift_mm)[:, None]
 
 
@@ -51,21 +63,30 @@ class Ridged:
 
 
 def ridged(depth_mm=0.03, tone=0.02, first_light=0.0, seed=0):
-    """A matt finger with ridges of `depth_mm` and a pattern of `tone` on them under seven lights on a ring."""
+    """A matt finger with ridges of `depth_mm` and a pattern of `tone` on them under seven lights on
+    a ring."""
     rng = np.random.default_rng(seed)
     height, width = round(24 * PX), round(19 * PX)
     x = (np.arange(width) - (width - 1) / 2)[None, :] / PX
     y = ((height - 1) / 2 - np.arange(height))[:, None] / PX
     inside = (x / 8.0) ** 2 + (np.maximum(y + 1.0, 0) / 11.0) ** 2 < 1.0
-    body = 6.0 * np.sqrt(np.clip(1.0 - (x / 8.0) ** 2 - (np.maximum(y + 1.0, 0) / 11.0) ** 2, 0.0, 1.0))
+    body = 6.0 * np.sqrt(
+        np.clip(1.0 - (x / 8.0) ** 2 - (np.maximum(y + 1.0, 0) / 11.0) ** 2, 0.0, 1.0)
+    )
     wave = np.sin(2 * np.pi * np.hypot(x - 1.0, y + 3.0) / 0.5)
     down, right = np.gradient(np.where(inside, body + 0.5 * depth_mm * wave, 0.0), 1.0 / PX)
     norm = np.sqrt(1.0 + right**2 + down**2)
     angles = first_light + 2 * np.pi * np.arange(7) / 7
     lights = np.stack([0.35 * np.cos(angles), 0.35 * np.sin(angles), np.full(7, 0.937)], axis=1)
-    shade = (-right * lights[:, 0, None, None] + down * lights[:, 1, None, None] + lights[:, 2, None, None]) / norm
+    shade = (
+        -right * lights[:, 0, None, None]
+        + down * lights[:, 1, None, None]
+        + lights[:, 2, None, None]
+    ) / norm
     stack = np.where(inside, 0.4 * np.maximum(shade, 0.0) * (1 + tone * wave), 0.02)
-    return Ridged((stack + 0.002 * rng.standard_normal(stack.shape)).astype(np.float32), inside, lights)
+    return Ridged(
+        (stack + 0.002 * rng.standard_normal(stack.shape)).astype(np.float32), inside, lights
+    )
 
 
 @pytest.fixture(scope="module")
@@ -81,7 +102,12 @@ def centre(scene):
 
 @pytest.fixture(scope="module")
 def motion(scene, centre):
-    return np.stack([moved(i, SHIFTS.get(k, (0, 0)), TURNS_DEG.get(k, 0.0), centre) for k, i in enumerate(scene.stack)])
+    return np.stack(
+        [
+            moved(i, SHIFTS.get(k, (0, 0)), TURNS_DEG.get(k, 0.0), centre)
+            for k, i in enumerate(scene.stack)
+        ]
+    )
 
 
 @pytest.fixture(scope="module")
@@ -129,15 +155,23 @@ def test_the_flow_tells_where_to_take_pixels_from(scene, motion, found):
 
 def test_the_order_of_the_lights_does_not_matter(scene, motion, found):
     order = np.array([3, 0, 6, 1, 5, 2, 4])
-    again = register_shots(motion[order], scene.lights[order, :, None, None], scene.mask, PX, reference=0)
-    np.testing.assert_allclose(again.flow.at(*core(scene)), found.flow.at(*core(scene))[order], atol=2e-3)
+    again = register_shots(
+        motion[order], scene.lights[order, :, None, None], scene.mask, PX, reference=0
+    )
+    np.testing.assert_allclose(
+        again.flow.at(*core(scene)), found.flow.at(*core(scene))[order], atol=2e-3
+    )
 
 
 def test_images_of_one_shot_move_together(scene, centre):
     shots = np.array([0, 0, 1, 1, 1, 2, 2])
     place = {0: (0.2, -0.1), 1: (0.0, 0.0), 2: (-0.15, 0.1)}
-    stack = np.stack([moved(i, place[s], 0.0, centre) for i, s in zip(scene.stack, shots, strict=True)])
-    found = register_shots(stack, scene.lights[..., None, None], scene.mask, PX, reference=1, shots=shots)
+    stack = np.stack(
+        [moved(i, place[s], 0.0, centre) for i, s in zip(scene.stack, shots, strict=True)]
+    )
+    found = register_shots(
+        stack, scene.lights[..., None, None], scene.mask, PX, reference=1, shots=shots
+    )
     mean = found.flow.at(*core(scene)).mean(axis=2)
     assert len(mean) == 3
     for shot, shift in place.items():
@@ -146,7 +180,10 @@ def test_images_of_one_shot_move_together(scene, centre):
 
 def test_glare_is_what_all_colours_share():
     rng = np.random.default_rng(0)
-    skin, glare = rng.random((3, 4, 5, 6), dtype=np.float32), rng.random((4, 5, 6), dtype=np.float32)
+    skin, glare = (
+        rng.random((3, 4, 5, 6), dtype=np.float32),
+        rng.random((4, 5, 6), dtype=np.float32),
+    )
     np.testing.assert_allclose(without_glare(skin + glare), without_glare(skin), atol=1e-6)
 
 
@@ -161,7 +198,8 @@ def test_a_shift_and_a_turn_are_one_affine_map(scene, found):
 
 
 def near_lights(places_mm):
-    """(7, 3, ...) light of seven LEDs 40 mm above the plane, at places (2, ...) from its middle, right and up."""
+    """(7, 3, ...) light of seven LEDs 40 mm above the plane, at places (2, ...) from its middle,
+    right and up."""
     angles = 2 * np.pi * np.arange(7) / 7
     leds = np.stack([22.0 * np.cos(angles), 22.0 * np.sin(angles), np.full(7, 40.0)], axis=1)
     points = np.concatenate([places_mm, np.zeros((1, *places_mm.shape[1:]))])
@@ -172,19 +210,32 @@ def near_lights(places_mm):
 def test_under_near_lights_their_light_at_every_place_is_needed():
     rng = np.random.default_rng(3)
     height, width = round(20 * PX), round(16 * PX)
-    x, y = np.meshgrid((np.arange(width) - (width - 1) / 2) / PX, ((height - 1) / 2 - np.arange(height)) / PX)
-    relief = 0.012 * np.sin(2 * np.pi * np.hypot(x - 3.0, y + 9.0) / 0.5) - 0.02 * (x**2 + 0.5 * y**2)
+    x, y = np.meshgrid(
+        (np.arange(width) - (width - 1) / 2) / PX, ((height - 1) / 2 - np.arange(height)) / PX
+    )
+    relief = 0.012 * np.sin(2 * np.pi * np.hypot(x - 3.0, y + 9.0) / 0.5) - 0.02 * (
+        x**2 + 0.5 * y**2
+    )
     down, right = np.gradient(relief, 1.0 / PX)
     normal = np.stack([-right, down, np.ones_like(x)]) / np.sqrt(1.0 + right**2 + down**2)
     stack = np.einsum("lchw,chw->lhw", near_lights(np.stack([x, y])), normal)
     mask = np.hypot(x / 7.0, y / 9.0) < 1.0
     stack = np.where(mask, 0.4 * stack, 0.02)
     stack = (stack + 0.002 * rng.standard_normal(stack.shape)).astype(np.float32)
-    nodes = np.stack(np.meshgrid(np.linspace(x[0, 0], x[0, -1], 9), np.linspace(y[0, 0], y[-1, 0], 11)))
+    nodes = np.stack(
+        np.meshgrid(np.linspace(x[0, 0], x[0, -1], 9), np.linspace(y[0, 0], y[-1, 0], 11))
+    )
     core = np.nonzero(np.hypot(x / 6.0, y / 8.0) < 1.0)[::-1] / np.float64(PX)
     noise = np.float32(1e-7) * rng.standard_normal(stack.shape).astype(np.float32)
-    given = (near_lights(np.zeros((2, 1, 1))), stack), (near_lights(nodes), stack), (near_lights(nodes), stack + noise)
-    flows = [register_shots(images, lights, mask, PX, reference=3).flow.at(*core) for lights, images in given]
+    given = (
+        (near_lights(np.zeros((2, 1, 1))), stack),
+        (near_lights(nodes), stack),
+        (near_lights(nodes), stack + noise),
+    )
+    flows = [
+        register_shots(images, lights, mask, PX, reference=3).flow.at(*core)
+        for lights, images in given
+    ]
     errors = [np.abs(flow).max() for flow in flows]
     assert errors[1] < 0.005
     assert errors[0] > 2 * errors[1]

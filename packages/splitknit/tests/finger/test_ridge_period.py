@@ -20,7 +20,9 @@ def test_the_distance_is_that_along_the_skin(period: float, tilt: float) -> None
     wave = 0.15 * np.cos(2 * np.pi * across / period)
     normals = normals_of(tilt + wave * np.cos(0.4), -wave * np.sin(0.4))
     expected = period * np.sqrt(1 + (tilt * np.cos(0.4)) ** 2)
-    assert ridge_period(normals, np.ones((600, 600), bool)).period_px == pytest.approx(expected, rel=0.03)
+    assert ridge_period(normals, np.ones((600, 600), bool)).period_px == pytest.approx(
+        expected, rel=0.03
+    )
 
 
 def test_what_has_no_ridges_gives_no_scale() -> None:

@@ -39,7 +39,9 @@ def test_a_plane_that_rises_to_the_right_and_upwards() -> None:
     np.testing.assert_allclose(gradient_x, 0.3, atol=1e-5)
     np.testing.assert_allclose(gradient_y, 0.7, atol=1e-5)
     normals = normals_from_gradients(gradient_x, gradient_y)
-    np.testing.assert_allclose(normals[2, 3], np.array([-0.3, -0.7, 1.0]) / np.sqrt(1.58), atol=1e-5)
+    np.testing.assert_allclose(
+        normals[2, 3], np.array([-0.3, -0.7, 1.0]) / np.sqrt(1.58), atol=1e-5
+    )
 
 
 def test_differences_at_the_edge_of_a_surface() -> None:
@@ -71,13 +73,17 @@ def test_steep_slopes_are_shortened_in_their_direction() -> None:
 def test_turning_is_counter_clockwise_as_seen() -> None:
     turn = rotation_about((10.0, 20.0), np.pi / 2)
     np.testing.assert_allclose(turn @ [10.0, 20.0, 1.0], [10.0, 20.0, 1.0], atol=1e-12)
-    np.testing.assert_allclose(turn @ [13.0, 20.0, 1.0], [10.0, 17.0, 1.0], atol=1e-12)  # right goes up
-    np.testing.assert_allclose(turn @ rotation_about((10.0, 20.0), -np.pi / 2), np.eye(3), atol=1e-12)
+    # right goes up
+    np.testing.assert_allclose(turn @ [13.0, 20.0, 1.0], [10.0, 17.0, 1.0], atol=1e-12)
+    np.testing.assert_allclose(
+        turn @ rotation_about((10.0, 20.0), -np.pi / 2), np.eye(3), atol=1e-12
+    )
 
 
 def test_warping() -> None:
     image = np.random.default_rng(1).normal(size=(6, 8)).astype(np.float32)
-    shift = np.array([[1.0, 0.0, 2.0], [0.0, 1.0, 1.0], [0.0, 0.0, 1.0]])  # source is right of and below the target
+    # source is right of and below the target
+    shift = np.array([[1.0, 0.0, 2.0], [0.0, 1.0, 1.0], [0.0, 0.0, 1.0]])
     moved = warp(image, shift, (4, 9))
     assert moved.shape == (4, 9)
     np.testing.assert_allclose(moved[:, :6], image[1:5, 2:8], atol=1e-6)

@@ -6,14 +6,20 @@ import numpy as np
 import pytest
 
 from splitknit.errors import BadInput
-from splitknit.imaging.polarised import findings_on_series, separate_polarised, specular_picture, split_mosaic
+from splitknit.imaging.polarised import (
+    findings_on_series,
+    separate_polarised,
+    specular_picture,
+    split_mosaic,
+)
 
 FILMS = {90: (0, 0), 45: (0, 1), 135: (1, 0), 0: (1, 1)}
 """Row and column of each in its block."""
 
 
 def mosaic_of(total: np.ndarray, polarised: np.ndarray, angle_deg: float) -> np.ndarray:
-    """16-bit frame (H, W) of light of which a part is polarised at an angle, sampled where each pixel is."""
+    """16-bit frame (H, W) of light of which a part is polarised at an angle, sampled where each
+    pixel is."""
     frame = np.zeros(total.shape)
     for film, (row, column) in FILMS.items():
         own = np.s_[row::2, column::2]
@@ -35,7 +41,8 @@ def test_light_along_the_film_passes_the_parallel_analyser_alone(film: float) ->
 
 
 def test_an_edge_is_hardly_taken_for_polarised_light() -> None:
-    """Unpolarised ridges of 16 pixels: without interpolation a tenth of their contrast would seem polarised."""
+    """Unpolarised ridges of 16 pixels: without interpolation a tenth of their contrast would seem
+    polarised."""
     columns = np.arange(128)
     total = np.broadcast_to(30000 + 8000 * np.sin(2 * np.pi * columns / 16), (64, 128))
     frame = mosaic_of(total, np.zeros_like(total), 0.0)
@@ -50,13 +57,21 @@ def test_an_edge_is_hardly_taken_for_polarised_light() -> None:
 def test_colours_of_a_quad_bayer_mosaic() -> None:
     """Blocks behind red, green / green, blue."""
     frame = np.zeros((32, 32), np.uint16)
-    for (row, column), level in {(0, 0): 30000, (0, 2): 20000, (2, 0): 20000, (2, 2): 10000}.items():
+    for (row, column), level in {
+        (0, 0): 30000,
+        (0, 2): 20000,
+        (2, 0): 20000,
+        (2, 2): 10000,
+    }.items():
         for i, j in np.ndindex(2, 2):
             frame[row + i :: 4, column + j :: 4] = level
     parallel, crossed = split_mosaic(frame, 90.0, colour=True)
     assert parallel.shape == (16, 16, 3)
-    for image in (parallel, crossed):  # of unpolarised light each analyser passes what its pixels saw
-        np.testing.assert_allclose(image[4:-4, 4:-4], np.broadcast_to([30000, 20000, 10000], (8, 8, 3)), atol=1)
+    # of unpolarised light each analyser passes what its pixels saw
+    for image in (parallel, crossed):
+        np.testing.assert_allclose(
+            image[4:-4, 4:-4], np.broadcast_to([30000, 20000, 10000], (8, 8, 3)), atol=1
+        )
 
 
 def test_what_clips_behind_one_film_clips_in_the_parallel_image() -> None:
@@ -106,12 +121,17 @@ def test_the_specular_picture_is_even_where_the_light_is_not() -> None:
 def test_series_that_do_not_belong_together_are_doubted() -> None:
     rows, columns = np.mgrid[-1:1:30j, -1:1:30j]
     sides = 2 * np.pi * np.arange(7) / 7
-    crossed = np.stack([1 + 0.4 * (columns * np.cos(a) + rows * np.sin(a)) for a in sides]).astype(np.float32)
+    crossed = np.stack([1 + 0.4 * (columns * np.cos(a) + rows * np.sin(a)) for a in sides]).astype(
+        np.float32
+    )
     noise = np.random.default_rng(0).normal(0, 0.02, crossed.shape).astype(np.float32)
     parallel, mask = crossed + 0.3 + noise, np.hypot(rows, columns) < 0.9
-    beside = np.stack([1 + 0.4 * (columns * np.cos(a) + rows * np.sin(a)) for a in sides + np.pi / 7])
+    beside = np.stack(
+        [1 + 0.4 * (columns * np.cos(a) + rows * np.sin(a)) for a in sides + np.pi / 7]
+    )
     assert findings_on_series(parallel, crossed, mask) == ()
-    assert findings_on_series(parallel, beside.astype(np.float32), mask) == ()  # LEDs halfway to the next ones
+    # LEDs halfway to the next ones
+    assert findings_on_series(parallel, beside.astype(np.float32), mask) == ()
     assert "were their folders exchanged" in str(findings_on_series(crossed, parallel, mask)[0])
     (words,) = findings_on_series(parallel, crossed[[1, 2, 3, 4, 5, 6, 0]], mask)
     assert words.code == "series-order"

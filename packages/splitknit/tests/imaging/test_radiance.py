@@ -24,7 +24,9 @@ def band_of(pixels: np.ndarray, **changes: object) -> Band:
     return Band("white", pixels, tuple((k,) for k in range(count)), **given)
 
 
-def random_pixels(dtype: type = np.uint8, channels: int = 3, shape: tuple[int, int] = (7, 9)) -> np.ndarray:
+def random_pixels(
+    dtype: type = np.uint8, channels: int = 3, shape: tuple[int, int] = (7, 9)
+) -> np.ndarray:
     return np.random.default_rng(3).integers(20, 200, (3, *shape, channels)).astype(dtype)
 
 
@@ -39,7 +41,9 @@ def test_srgb_is_the_standards_curve() -> None:
 
 
 def test_linear_is_the_share_of_the_full_scale() -> None:
-    np.testing.assert_allclose(decode_table(np.dtype(np.uint16), "linear")[[0, 13107, 65535]], [0, 0.2, 1])
+    np.testing.assert_allclose(
+        decode_table(np.dtype(np.uint16), "linear")[[0, 13107, 65535]], [0, 0.2, 1]
+    )
     with pytest.raises(BadInput, match="rec709"):
         decode_table(np.dtype(np.uint8), "rec709")
 
@@ -52,7 +56,8 @@ def test_black_level_and_exposure(dtype: type, encoding: str) -> None:
     light = linear_image(pixels, encoding, exposure=0.25, black_level=10.0)
     np.testing.assert_allclose(light, (table[pixels] - table[10]) * 4.0, rtol=1e-5, atol=1e-7)
     assert light.min() > 0
-    assert linear_image(pixels, encoding, black_level=190.0).min() < 0  # noise below black is not clipped
+    # noise below black is not clipped
+    assert linear_image(pixels, encoding, black_level=190.0).min() < 0
 
 
 def test_ambient_light_is_taken_off_on_one_scale() -> None:
@@ -60,7 +65,9 @@ def test_ambient_light_is_taken_off_on_one_scale() -> None:
     rng = np.random.default_rng(0)
     light, room = rng.uniform(0.05, 0.2, (2, 4, 5, 1))
     exposure = np.array([1.0, 2.0, 0.5])
-    images = np.stack([np.round(65535 * t * (light + room)) + 1000 for t in exposure]).astype(np.uint16)
+    images = np.stack([np.round(65535 * t * (light + room)) + 1000 for t in exposure]).astype(
+        np.uint16
+    )
     ambient = (np.round(65535 * 1.5 * room) + 700).astype(np.uint16)
     band = band_of(
         images,
@@ -107,5 +114,9 @@ def test_binning_averages_light_not_codes(encoding: str) -> None:
 
 
 def test_saturation_follows_exposure_and_black_level() -> None:
-    band = band_of(random_pixels(), exposure=np.array([1.0, 2.0, 0.5]), black_level=np.array([0.0, 0.0, 51.0]))
-    np.testing.assert_allclose(saturation_levels(band, "linear"), [0.985, 0.4925, 2 * (0.985 - 0.2)], rtol=1e-6)
+    band = band_of(
+        random_pixels(), exposure=np.array([1.0, 2.0, 0.5]), black_level=np.array([0.0, 0.0, 51.0])
+    )
+    np.testing.assert_allclose(
+        saturation_levels(band, "linear"), [0.985, 0.4925, 2 * (0.985 - 0.2)], rtol=1e-6
+    )

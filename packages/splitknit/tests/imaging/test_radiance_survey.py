@@ -25,13 +25,17 @@ def band(channels: int, count: int, ambient: bool) -> Band:
     )
 
 
-@pytest.mark.parametrize(("channels", "count", "ambient"), [(3, 7, True), (1, 3, False), (3, 4, False)])
+@pytest.mark.parametrize(
+    ("channels", "count", "ambient"), [(3, 7, True), (1, 3, False), (3, 4, False)]
+)
 @pytest.mark.parametrize("binning", [1, 2, 3])
 def test_survey_is_mean_and_grey(channels: int, count: int, ambient: bool, binning: int) -> None:
     images = band(channels, count, ambient)
     mean, grey = linear_survey(images, "srgb", binning)
     names = ("red", "green", "blue") if channels == 3 else ("grey",)
-    expected = np.moveaxis(linear_channels(images, "srgb", names, binning=binning).mean(axis=1), 0, -1)
+    expected = np.moveaxis(
+        linear_channels(images, "srgb", names, binning=binning).mean(axis=1), 0, -1
+    )
     np.testing.assert_array_equal(mean, expected)
     np.testing.assert_array_equal(grey, linear_stack(images, "srgb", "grey", binning=binning))
 
@@ -45,6 +49,8 @@ def test_chunks_do_not_show(monkeypatch: pytest.MonkeyPatch, encoding: str, binn
     for rows in (1, 7, 64):
         monkeypatch.setattr(band_module, "CHUNK_ROWS", rows)
         np.testing.assert_array_equal(linear_image(pixels, encoding, 1.5, 3.0, binning), whole)
-    blocks = linear_image(pixels[: 151 // binning * binning, : 75 // binning * binning], encoding, 1.5, 3.0)
+    blocks = linear_image(
+        pixels[: 151 // binning * binning, : 75 // binning * binning], encoding, 1.5, 3.0
+    )
     blocks = blocks.reshape(151 // binning, binning, 75 // binning, binning, 3).mean(axis=(1, 3))
     np.testing.assert_allclose(whole, blocks, atol=1e-6)

@@ -22,8 +22,11 @@ def camera(distortion: tuple[float, ...] | None = LENS, size: tuple[int, int] = 
     return Camera(5.0, size, 60.0, "perspective", matrix, distortion)
 
 
-def sphere(lens: Camera, radius: float = 14.0, low: float = -9.0) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """(H, W, 3) points of a sphere that every pixel sees (NaN beside it), normals, and the distance from the camera."""
+def sphere(
+    lens: Camera, radius: float = 14.0, low: float = -9.0
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """(H, W, 3) points of a sphere that every pixel sees (NaN beside it), normals, and the distance
+    from the camera."""
     rows, columns = lens.image_size
     grid = np.stack(np.meshgrid(np.arange(columns), np.arange(rows)), axis=-1).reshape(-1, 2)
     plane = np.concatenate([plane_points(lens, grid), np.zeros((len(grid), 1))], axis=1)
@@ -36,7 +39,11 @@ def sphere(lens: Camera, radius: float = 14.0, low: float = -9.0) -> tuple[np.nd
     far = along - np.sqrt(np.where(below > 4.0, below, np.nan))
     points = start + far[:, None] * rays
     normals = (points - centre) / radius
-    return points.reshape(rows, columns, 3), normals.reshape(rows, columns, 3), far.reshape(rows, columns)
+    return (
+        points.reshape(rows, columns, 3),
+        normals.reshape(rows, columns, 3),
+        far.reshape(rows, columns),
+    )
 
 
 @pytest.mark.parametrize("lens", [Camera(5.0, SIZE, 60.0), camera(None), camera()])
@@ -49,7 +56,9 @@ def test_pixels_and_plane_are_inverse(lens: Camera) -> None:
 
 def test_a_higher_point_is_seen_further_out() -> None:
     lens = camera(None)
-    low, high = pixels_of(lens, [[10.0, 0.0, 0.0], [10.0, 0.0, 6.0]]) - pixels_of(lens, [[0.0, 0.0, 0.0]])
+    low, high = pixels_of(lens, [[10.0, 0.0, 0.0], [10.0, 0.0, 6.0]]) - pixels_of(
+        lens, [[0.0, 0.0, 0.0]]
+    )
     assert high[0] / low[0] == pytest.approx(60 / 54, rel=1e-6)
 
 
@@ -61,7 +70,9 @@ def test_a_window_of_blocks_is_a_part_of_the_whole() -> None:
     expected = whole.x_mm[20:140, 33:197].reshape(30, 4, 41, 4).mean(axis=(1, 3))
     np.testing.assert_allclose(part.x_mm, expected, atol=2e-3)
     exact = plane_points(lens, np.array([[100.0, 50.0], [0.0, 0.0], [239.0, 179.0]]))
-    np.testing.assert_allclose(exact[:, 1], [whole.y_mm[50, 100], whole.y_mm[0, 0], whole.y_mm[179, 239]], atol=1e-5)
+    np.testing.assert_allclose(
+        exact[:, 1], [whole.y_mm[50, 100], whole.y_mm[0, 0], whole.y_mm[179, 239]], atol=1e-5
+    )
 
 
 def test_turning_is_a_rotation_that_shows_the_camera_above() -> None:
@@ -70,7 +81,9 @@ def test_turning_is_a_rotation_that_shows_the_camera_above() -> None:
     vectors = np.random.default_rng(1).standard_normal((2, 3, *SIZE)).astype(np.float32)
     turned = view.turned(vectors)
     np.testing.assert_allclose((turned**2).sum(axis=1), (vectors**2).sum(axis=1), rtol=1e-4)
-    np.testing.assert_allclose(view.in_rig(np.moveaxis(turned[0], 0, -1)), np.moveaxis(vectors[0], 0, -1), atol=1e-5)
+    np.testing.assert_allclose(
+        view.in_rig(np.moveaxis(turned[0], 0, -1)), np.moveaxis(vectors[0], 0, -1), atol=1e-5
+    )
     x, y = view.on_plane()
     towards = np.stack([-x, -y, np.full(SIZE, 60.0)])[None].astype(np.float32)
     own = view.turned(towards)[0]
@@ -109,7 +122,8 @@ def test_a_regular_grid_is_not_stretched() -> None:
 
 
 def test_a_surface_integrated_as_if_on_a_regular_grid_is_placed_right() -> None:
-    """Heights whose slopes over equal steps are those of the pixels' frames, as photometric stereo makes them."""
+    """Heights whose slopes over equal steps are those of the pixels' frames, as photometric stereo
+    makes them."""
     from splitknit.integration.poisson import poisson
 
     lens = camera(size=(360, 480))
@@ -117,8 +131,12 @@ def test_a_surface_integrated_as_if_on_a_regular_grid_is_placed_right() -> None:
     view = view_of(lens, along_rays=True)
     own = view.turned(np.moveaxis(normals, -1, 0)[None].astype(np.float32))[0]
     mask = np.isfinite(own[2]) & (own[2] > 0.55)
-    slope_x, slope_y = (np.where(mask, -own[k] / np.where(mask, own[2], 1), 0).astype(np.float32) for k in range(2))
-    plain = np.nan_to_num(poisson(slope_x, slope_y, mask)).astype(np.float32) * np.float32(lens.pitch_mm)
+    slope_x, slope_y = (
+        np.where(mask, -own[k] / np.where(mask, own[2], 1), 0).astype(np.float32) for k in range(2)
+    )
+    plain = np.nan_to_num(poisson(slope_x, slope_y, mask)).astype(np.float32) * np.float32(
+        lens.pitch_mm
+    )
     window = (slice(0, 360), slice(0, 480))
     top = float(np.quantile(points[..., 2][mask], 0.998))
     z, _, found, x, _ = place(plain, plain, mask, lens, window, top)

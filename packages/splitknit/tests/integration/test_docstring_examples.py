@@ -10,7 +10,12 @@ import pytest
 
 @pytest.mark.parametrize(
     "module",
-    ["integration.poisson", "integration.frankot_chellappa", "integration.shapelets", "photometric.lambertian"],
+    [
+        "integration.poisson",
+        "integration.frankot_chellappa",
+        "integration.shapelets",
+        "photometric.lambertian",
+    ],
 )
 def test_examples_run(module):
     result = doctest.testmod(importlib.import_module(f"splitknit.{module}"))

@@ -66,7 +66,9 @@ def test_values_outside_the_mask_do_not_matter() -> None:
     mask = np.zeros((16, 16), dtype=bool)
     mask[3:12, 4:14] = True
     dirty = np.where(mask, visible, np.nan)
-    np.testing.assert_array_equal(crossover(visible, shape, keep_fine, mask), crossover(dirty, shape, keep_fine, mask))
+    np.testing.assert_array_equal(
+        crossover(visible, shape, keep_fine, mask), crossover(dirty, shape, keep_fine, mask)
+    )
 
 
 def test_what_is_refused() -> None:

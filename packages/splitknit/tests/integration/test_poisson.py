@@ -1,4 +1,5 @@
-"""Masked Poisson: exact where the truth is in its reach, equal to a direct solver everywhere else."""
+"""Masked Poisson: exact where the truth is in its reach, equal to a direct solver everywhere
+else."""
 
 from __future__ import annotations
 
@@ -13,7 +14,8 @@ from splitknit.integration.poisson import poisson
 
 
 def paraboloid(rows, columns):
-    """Heights and y-up gradients of a tilted bowl: trapezoidal differences of its slopes are exact."""
+    """Heights and y-up gradients of a tilted bowl: trapezoidal differences of its slopes are
+    exact."""
     i, j = np.mgrid[0:rows, 0:columns].astype(float)
     x, y = (j - 0.4 * columns) / 10, (0.6 * rows - i) / 10
     height = 3 * x + 2 * y - 0.5 * x**2 + 0.25 * y**2 + 0.3 * x * y
@@ -40,7 +42,9 @@ def reference(slope_x, slope_y, mask, weights=None):
         (np.repeat([-1.0, 1.0], len(first)), (np.tile(edge, 2), np.concatenate([first, second]))),
         shape=(len(first), int(mask.sum())),
     )
-    normal = operator.T @ scipy.sparse.diags(weight) @ operator + 1e-10 * scipy.sparse.identity(int(mask.sum()))
+    normal = operator.T @ scipy.sparse.diags(weight) @ operator + 1e-10 * scipy.sparse.identity(
+        int(mask.sum())
+    )
     height = np.full(mask.shape, np.nan)
     height[mask] = scipy.sparse.linalg.spsolve(normal.tocsc(), operator.T @ (weight * target))
     _, parts = cv2.connectedComponents(mask.astype(np.uint8), connectivity=4)
@@ -112,7 +116,9 @@ def test_mean_is_zero_in_every_part():
 
 
 def test_y_is_up():
-    height = poisson(np.zeros((20, 20)), np.ones((20, 20)), np.pad(np.ones((18, 18), dtype=bool), 1))
+    height = poisson(
+        np.zeros((20, 20)), np.ones((20, 20)), np.pad(np.ones((18, 18), dtype=bool), 1)
+    )
     assert height[2, 10] > height[15, 10]
 
 

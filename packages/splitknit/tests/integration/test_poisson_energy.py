@@ -1,4 +1,5 @@
-"""Weighted integration reaches the least energy: random masks, rims and weights against a sparse direct solver."""
+"""Weighted integration reaches the least energy: random masks, rims and weights against a sparse
+direct solver."""
 
 from __future__ import annotations
 
@@ -34,7 +35,10 @@ def random_mask(rng, rows, columns):
     )
     mask = shapes[rng.integers(len(shapes))]
     for _ in range(rng.integers(0, 5)):  # holes
-        mask = mask & (np.hypot(i - rng.uniform(0, rows), j - rng.uniform(0, columns)) > rng.uniform(0, 0.2) * size)
+        mask = mask & (
+            np.hypot(i - rng.uniform(0, rows), j - rng.uniform(0, columns))
+            > rng.uniform(0, 0.2) * size
+        )
     if rng.random() < 0.3:
         mask = mask & (rng.random((rows, columns)) > rng.uniform(0, 0.4))
     mask[rows // 2, columns // 2] = True
@@ -42,15 +46,20 @@ def random_mask(rng, rows, columns):
 
 
 def random_slopes(rng, mask):
-    """Slopes of a surface with rims of 60 to 89.9 deg, noise and gross errors; weights down to the floor and zero."""
+    """Slopes of a surface with rims of 60 to 89.9 deg, noise and gross errors; weights down to the
+    floor and zero."""
     rows, columns = mask.shape
     size = min(rows, columns)
     rim = np.tan(np.deg2rad(rng.uniform(60, 89.9)))
-    hills = cv2.GaussianBlur(rng.standard_normal((rows, columns)).astype(np.float32), (0, 0), max(1.0, size / 8))
+    hills = cv2.GaussianBlur(
+        rng.standard_normal((rows, columns)).astype(np.float32), (0, 0), max(1.0, size / 8)
+    )
     depth = cv2.distanceTransform(np.pad(mask, 1).astype(np.uint8), cv2.DIST_L2, 3)[1:-1, 1:-1]
     height = 0.1 * size * hills / np.abs(hills).max() + rim * np.minimum(depth, rng.uniform(1, 6))
     down, right = np.gradient(height)
-    slopes = np.stack([right, -down]) + 10 ** rng.uniform(-6, 0) * rng.standard_normal((2, rows, columns))
+    slopes = np.stack([right, -down]) + 10 ** rng.uniform(-6, 0) * rng.standard_normal(
+        (2, rows, columns)
+    )
     if rng.random() < 0.6:
         wrong = rng.random((rows, columns)) < rng.uniform(0, 0.1)
         angle = rng.uniform(0, 2 * np.pi, (rows, columns))
@@ -67,7 +76,8 @@ def random_slopes(rng, mask):
 
 
 def edges_of(slopes, weights, mask):
-    """First and second pixel of every edge, its weight, and the difference of height that its slopes predict."""
+    """First and second pixel of every edge, its weight, and the difference of height that its
+    slopes predict."""
     index, floored = np.full(mask.shape, -1), np.maximum(weights, np.float32(FLOOR)).astype(float)
     index[mask] = np.arange(mask.sum())
     used, parts = (weights > FLOOR).astype(float), []
@@ -92,11 +102,15 @@ def energy_above_the_least(seed, largest):
     first, second, weight, target = edges_of(slopes, weights, mask)
     count, edge = int(mask.sum()), np.arange(len(first))
     ends = np.tile(edge, 2), np.concatenate([first, second])
-    operator = scipy.sparse.csr_matrix((np.repeat([-1.0, 1.0], len(edge)), ends), shape=(len(edge), count))
+    operator = scipy.sparse.csr_matrix(
+        (np.repeat([-1.0, 1.0], len(edge)), ends), shape=(len(edge), count)
+    )
     normal = operator.T @ scipy.sparse.diags(weight) @ operator
     ground = 1e-12 * max(float(normal.diagonal().mean()), 1e-9)
     factors = scipy.sparse.linalg.splu(
-        (normal + ground * scipy.sparse.identity(count)).tocsc(), "MMD_AT_PLUS_A", options={"SymmetricMode": True}
+        (normal + ground * scipy.sparse.identity(count)).tocsc(),
+        "MMD_AT_PLUS_A",
+        options={"SymmetricMode": True},
     )
     best = factors.solve(operator.T @ (weight * target))
     best += factors.solve(operator.T @ (weight * (target - operator @ best)))
@@ -109,14 +123,17 @@ def assert_least(seeds, largest, caplog):
     with caplog.at_level(logging.WARNING):
         for seed in seeds:
             energy, least, power = energy_above_the_least(seed, largest)
-            assert energy <= 1.001 * least + 1e-10 * power, (seed, energy, least)  # heights are in single precision
+            # heights are in single precision
+            assert energy <= 1.001 * least + 1e-10 * power, (seed, energy, least)
     assert not caplog.records
 
 
+@pytest.mark.slow
 def test_weighted_integration_reaches_the_least_energy(caplog):
     assert_least(range(150), 120, caplog)
 
 
+@pytest.mark.slow
 def test_large_weighted_integration_reaches_the_least_energy(caplog):
     assert_least((20_036, 20_039), 600, caplog)
 

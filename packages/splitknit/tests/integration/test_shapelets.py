@@ -23,7 +23,8 @@ def ridged_bump(size=96):
 
 
 def explicit(slope_x, slope_y, settings):
-    """Scale by scale, correlation with sampled slant and tilt fields of Gaussians, as the equations read."""
+    """Scale by scale, correlation with sampled slant and tilt fields of Gaussians, as the equations
+    read."""
     total = np.zeros(slope_x.shape)
     reach = int(np.ceil(6 * settings.sigmas_px[-1]))
     x, y = np.meshgrid(np.arange(-reach, reach + 1), np.arange(reach, -reach - 1, -1))
@@ -40,7 +41,10 @@ def explicit(slope_x, slope_y, settings):
 def test_equals_the_explicit_correlations(scales, sigma, factor):
     _, slope_x, slope_y = ridged_bump()
     settings = ShapeletSettings(scales, sigma, factor)
-    got, expected = shapelets(slope_x, slope_y, settings=settings), explicit(slope_x, slope_y, settings)
+    got, expected = (
+        shapelets(slope_x, slope_y, settings=settings),
+        explicit(slope_x, slope_y, settings),
+    )
     assert np.abs(got - expected).max() < 2e-3 * np.abs(expected).max()
 
 
@@ -67,7 +71,8 @@ def test_pass_band_has_unit_gain():
 
 
 def test_response_of_the_thesis_at_the_ridges():
-    """Three scales pass 33 px ridges with a gain well below one (reading note 8), four with more."""
+    """Three scales pass 33 px ridges with a gain well below one (reading note 8), four with
+    more."""
     omega = 2 * np.pi / 33
     assert 0.3 < shapelet_response(omega) < 0.75
     assert shapelet_response(omega, ShapeletSettings(scales=4)) > shapelet_response(omega)

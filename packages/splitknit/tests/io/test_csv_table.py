@@ -33,4 +33,6 @@ def test_texts_come_back_and_none_runs(text: str) -> None:
 
 
 def test_numbers_are_untouched() -> None:
-    assert csv_text([["a", "b"], [-0.5, "-1.25e-09"], [None, True]]) == "a,b\n-0.5,-1.25e-09\n,True\n"
+    assert (
+        csv_text([["a", "b"], [-0.5, "-1.25e-09"], [None, True]]) == "a,b\n-0.5,-1.25e-09\n,True\n"
+    )

@@ -42,7 +42,9 @@ def test_a_folder_appears_whole_and_parents_are_made(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("error", [RuntimeError, KeyboardInterrupt])
-def test_after_a_failure_everything_is_as_before(tmp_path: Path, error: type[BaseException]) -> None:
+def test_after_a_failure_everything_is_as_before(
+    tmp_path: Path, error: type[BaseException]
+) -> None:
     def fail(out: Path) -> None:
         with pytest.raises(error), atomic_folder(out) as folder:
             (folder / "half").write_text("x")
@@ -56,7 +58,9 @@ def test_after_a_failure_everything_is_as_before(tmp_path: Path, error: type[Bas
     assert [path.name for path in tmp_path.iterdir()] == ["result"]
 
 
-def test_a_failing_rename_brings_the_earlier_result_back(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_failing_rename_brings_the_earlier_result_back(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     fill(tmp_path / "result", one="1")
     rename = Path.rename
 
@@ -92,7 +96,12 @@ def test_files_of_others_are_never_deleted(tmp_path: Path) -> None:
     (tmp_path / "result" / "link").symlink_to(mine)
     with pytest.raises(BadInput, match="'link', which splitknit did not write"):
         fill(tmp_path / "result", one="2")
-    for text in ("[]", "{", '{"format": "other", "files": ["holiday.png"]}', '{"format": "splitknit-folder"}'):
+    for text in (
+        "[]",
+        "{",
+        '{"format": "other", "files": ["holiday.png"]}',
+        '{"format": "splitknit-folder"}',
+    ):
         (mine / ".splitknit").write_text(text)
         with pytest.raises(BadInput, match="did not write"):
             fill(mine, one="1")
@@ -122,7 +131,10 @@ def test_a_list_of_files_counts_only_as_a_file_of_its_own(tmp_path: Path, kind: 
 
 def test_a_file_that_someone_adds_meanwhile_is_kept(tmp_path: Path) -> None:
     fill(tmp_path / "result", one="1")
-    with pytest.raises(BadInput, match="did not write"), atomic_folder(tmp_path / "result") as folder:
+    with (
+        pytest.raises(BadInput, match="did not write"),
+        atomic_folder(tmp_path / "result") as folder,
+    ):
         (folder / "one").write_text("2")
         (tmp_path / "result" / "notes").write_text("mine")
     assert visible(tmp_path / "result") == {"one": "1", "notes": "mine"}
@@ -138,7 +150,10 @@ def test_places_that_cannot_be_written(tmp_path: Path) -> None:
         fill(tmp_path / ("x" * 300), one="1")
     with pytest.raises(BadInput, match="not a usable path"):
         fill(Path("a\0b"), one="1")
-    with pytest.raises(BadInput, match="exists and is not empty"), atomic_folder(tmp_path, overwrite=False):
+    with (
+        pytest.raises(BadInput, match="exists and is not empty"),
+        atomic_folder(tmp_path, overwrite=False),
+    ):
         pass
     with pytest.raises(BadInput, match="mounted disk"), atomic_folder("/"):
         pass
@@ -198,13 +213,18 @@ def test_a_pipe_is_not_replaced_by_a_file(tmp_path: Path) -> None:
     os.mkfifo(tmp_path / "pipe")
     (tmp_path / "link").symlink_to("pipe")
     for name in ("pipe", "link"):
-        with pytest.raises(BadInput, match="is a device or a pipe"), atomic_file(tmp_path / name) as stream:
+        with (
+            pytest.raises(BadInput, match="is a device or a pipe"),
+            atomic_file(tmp_path / name) as stream,
+        ):
             stream.write(b"never")
     assert (tmp_path / "pipe").is_fifo()
     assert {path.name for path in tmp_path.iterdir()} == {"pipe", "link"}
 
 
-@pytest.mark.parametrize(("group", "for_file", "for_folder"), [("", 0o600, 0o700), ("1", 0o640, 0o750)])
+@pytest.mark.parametrize(
+    ("group", "for_file", "for_folder"), [("", 0o600, 0o700), ("1", 0o640, 0o750)]
+)
 def test_what_is_written_is_private(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, group: str, for_file: int, for_folder: int
 ) -> None:
@@ -216,11 +236,16 @@ def test_what_is_written_is_private(
         (folder / "link").symlink_to(tmp_path)
     with atomic_file(tmp_path / "other" / "file"):
         pass
-    modes = {path: stat.S_IMODE(path.lstat().st_mode) for path in tmp_path.rglob("*") if not path.is_symlink()}
+    modes = {
+        path: stat.S_IMODE(path.lstat().st_mode)
+        for path in tmp_path.rglob("*")
+        if not path.is_symlink()
+    }
     assert {mode for path, mode in modes.items() if path.is_dir()} == {for_folder}
     assert {mode for path, mode in modes.items() if path.is_file()} == {for_file}
     assert len(modes) == 7
-    assert tmp_path.stat().st_mode & 0o777 == 0o700  # what was there keeps its permissions (pytest's are these)
+    # what was there keeps its permissions (pytest's are these)
+    assert tmp_path.stat().st_mode & 0o777 == 0o700
 
 
 @pytest.mark.parametrize("place", ["mkdir", "_lock", "_discard", "rename", "_release"])
@@ -276,16 +301,28 @@ with atomic_folder(out) as folder:
 
 
 def unmarked(parent: Path) -> list[Path]:
-    """Hidden files and folders of a user, some of them called as ours are, and backups of results of ours."""
-    names = (".kept.tmp", ".photos.202611221145.old", ".photo.0123456789ab.tmp", ".splitknit-0123456789ab.tmp")
-    folders = (".photos.202611221146.old", ".splitknit-0123456789ac.tmp", ".splitknit-0123456789ad.tmp",
-               ".splitknit-0123456789ae.tmp")  # fmt: skip
+    """Hidden files and folders of a user, some of them called as ours are, and backups of results
+    of ours."""
+    names = (
+        ".kept.tmp",
+        ".photos.202611221145.old",
+        ".photo.0123456789ab.tmp",
+        ".splitknit-0123456789ab.tmp",
+    )
+    folders = (
+        ".photos.202611221146.old",
+        ".splitknit-0123456789ac.tmp",
+        ".splitknit-0123456789ad.tmp",
+        ".splitknit-0123456789ae.tmp",
+    )
     for name in names:
         (parent / name).write_text("mine")
     for name in folders:
         (parent / name).mkdir()
         (parent / name / "mine").write_text("mine")
-        (parent / name / ".splitknit").write_text('{"format": "splitknit-folder", "files": ["mine"]}')
+        (parent / name / ".splitknit").write_text(
+            '{"format": "splitknit-folder", "files": ["mine"]}'
+        )
     mark = '{"format": "splitknit-temporary", "version": 1, "target": "../x"}'
     (parent / folders[2] / "mark.json").write_text(mark)
     (parent / folders[3] / "mark.json").write_text('{"format": "other", "target": "x"}')
@@ -293,13 +330,16 @@ def unmarked(parent: Path) -> list[Path]:
 
 
 def test_what_a_mark_names_stays_beside_it_and_a_new_result_is_kept(tmp_path: Path) -> None:
-    """A received folder may hold marks: they lead nowhere; what took the place of an old result is not replaced."""
+    """A received folder may hold marks: they lead nowhere; what took the place of an old result is
+    not replaced."""
     for name, target in (("0123456789ab", "../away"), ("0123456789ac", "taken")):
         left = tmp_path / "received" / f".splitknit-{name}.tmp"
         for part in ("new", "old"):
             (left / part).mkdir(parents=True)
         (left / "old" / "result").write_text("old")
-        (left / "mark.json").write_text(json.dumps({"format": "splitknit-temporary", "target": target}))
+        (left / "mark.json").write_text(
+            json.dumps({"format": "splitknit-temporary", "target": target})
+        )
     (tmp_path / "received" / "taken").write_text("mine")
     with atomic_file(tmp_path / "received" / "file"):
         pass
@@ -332,9 +372,15 @@ def test_nothing_is_written_through_a_link_inside_a_given_folder(tmp_path: Path)
     for named in (given, tmp_path / "link"):
         with given_folders([named]):
             for name in ("file", "folder/file", "folder/new/file"):
-                with pytest.raises(BadInput, match="is a link inside a folder"), atomic_file(named / name):
+                with (
+                    pytest.raises(BadInput, match="is a link inside a folder"),
+                    atomic_file(named / name),
+                ):
                     pass
-                with pytest.raises(BadInput, match="is a link inside a folder"), atomic_folder(named / name):
+                with (
+                    pytest.raises(BadInput, match="is a link inside a folder"),
+                    atomic_folder(named / name),
+                ):
                     pass
                 with pytest.raises(BadInput, match="is a link inside a folder"):
                     read_bytes(named / name, 100)
@@ -356,7 +402,10 @@ def test_the_next_program_removes_what_a_killed_one_left(tmp_path: Path, where: 
     assert run.returncode == -signal.SIGKILL
     left = [path for path in tmp_path.iterdir() if path not in {*mine, tmp_path / "kept"}]
     assert len(left) == 1
-    again = "from splitknit.io.atomic import atomic_file; import sys; atomic_file(sys.argv[1]).__enter__()"
+    again = (
+        "from splitknit.io.atomic import atomic_file; import sys;"
+        " atomic_file(sys.argv[1]).__enter__()"
+    )
     for digits in ("10", "11"):  # killed before its mark was written
         (tmp_path / f".splitknit-0123456789{digits}.tmp").mkdir()
     (tmp_path / ".splitknit-012345678911.tmp" / "mark.json").touch()
@@ -366,13 +415,19 @@ def test_the_next_program_removes_what_a_killed_one_left(tmp_path: Path, where: 
         assert len(before) == 1
         subprocess.run([sys.executable, "-c", again, str(tmp_path / "other")], check=True)
         assert before <= set(tmp_path.iterdir())
-    assert {path.name for path in tmp_path.iterdir()} == {"kept", "at_work", *(path.name for path in mine)}
+    assert {path.name for path in tmp_path.iterdir()} == {
+        "kept",
+        "at_work",
+        *(path.name for path in mine),
+    }
     assert visible(tmp_path / "kept") == {"one": "1"}
     for path in mine:
         assert (path if path.is_file() else path / "mine").read_text() == "mine"
 
 
-def test_a_folder_that_another_program_sweeps_is_made_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_folder_that_another_program_sweeps_is_made_again(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """Between its making and its locking it looks as if its program had been killed."""
     hold, made = atomic._open_folder, []
 

@@ -49,7 +49,9 @@ def assert_same(a: Capture, b: Capture) -> None:
 
 @pytest.mark.parametrize("dtype", [np.uint8, np.uint16])
 @pytest.mark.parametrize("channels", [1, 3])
-def test_what_is_written_is_read_back(dtype: Any, channels: int, tmp_path: Path, build_capture: Build) -> None:
+def test_what_is_written_is_read_back(
+    dtype: Any, channels: int, tmp_path: Path, build_capture: Build
+) -> None:
     mask = np.zeros((40, 30), dtype=bool)
     mask[5:30, 4:20] = True
     capture = build_capture(
@@ -87,7 +89,9 @@ def test_what_is_written_is_read_back(dtype: Any, channels: int, tmp_path: Path,
     write_capture(again, tmp_path / "d")
     assert_same(again, read_capture(tmp_path / "d" / "capture.json"))
     assert (tmp_path / "d" / "truth.npz").read_bytes() == again.truth.read_bytes()
-    assert (tmp_path / "d" / "capture.json").read_bytes() == (tmp_path / "c" / "capture.json").read_bytes()
+    assert (tmp_path / "d" / "capture.json").read_bytes() == (
+        tmp_path / "c" / "capture.json"
+    ).read_bytes()
 
 
 def test_the_least_document_and_unknown_fields(folder: Path) -> None:
@@ -95,12 +99,28 @@ def test_the_least_document_and_unknown_fields(folder: Path) -> None:
         white = document["bands"]["white"]
         white["comment"] = ["not", {"known": None}]
         document.clear()
-        document |= {"format": "splitknit-capture", "version": 1, "rig": "rig.json", "bands": {"white": white}, "x": 1}
-        document |= {"mask": None, "truth": None, "subject": None, "captured_at": None, "tip_direction_deg": None}
+        document |= {
+            "format": "splitknit-capture",
+            "version": 1,
+            "rig": "rig.json",
+            "bands": {"white": white},
+            "x": 1,
+        }
+        document |= {
+            "mask": None,
+            "truth": None,
+            "subject": None,
+            "captured_at": None,
+            "tip_direction_deg": None,
+        }
 
     edit(folder / "capture.json", least)
     capture = read_capture(folder)
-    assert (capture.encoding, capture.material, list(capture.bands)) == ("linear", "skin", ["white"])
+    assert (capture.encoding, capture.material, list(capture.bands)) == (
+        "linear",
+        "skin",
+        ["white"],
+    )
     assert capture.mask is capture.truth is capture.tip_direction_deg is capture.captured_at is None
 
 
@@ -143,7 +163,9 @@ def test_exposure_of_the_ambient_image(
             name if s is None else {"file": name, "exposure_s": s}
             for name, s in zip(white["images"], exposures, strict=True)
         ]
-        white["ambient"] = "dark.png" if ambient is None else {"file": "dark.png", "exposure_s": ambient}
+        white["ambient"] = (
+            "dark.png" if ambient is None else {"file": "dark.png", "exposure_s": ambient}
+        )
 
     edit(folder / "capture.json", expose)
     if isinstance(expected, str):
@@ -157,7 +179,12 @@ def test_masks(folder: Path) -> None:
     mask = np.zeros((40, 30), np.uint8)
     mask[10:20, 5:9] = 1
     edit(folder / "capture.json", lambda document: document.update(mask="m.png"))
-    for values in (mask, mask * 255, np.repeat(mask[..., None] * 255, 3, axis=2), mask.astype(np.uint16) * 65535):
+    for values in (
+        mask,
+        mask * 255,
+        np.repeat(mask[..., None] * 255, 3, axis=2),
+        mask.astype(np.uint16) * 65535,
+    ):
         write_image(folder / "m.png", values)
         found = read_capture(folder).mask
         assert found is not None
@@ -193,23 +220,39 @@ Change = Callable[[Any], Any]
             r"bands\.white\.images: .*1000",
         ),
         (lambda d: d["bands"]["white"].update(leds=[0, 1, 2]), "4 images but 3 entries"),
-        (lambda d: d["bands"]["white"].update(leds=[0, 1, 2, 99]), "LED 99 is not in the rig, which has 8"),
+        (
+            lambda d: d["bands"]["white"].update(leds=[0, 1, 2, 99]),
+            "LED 99 is not in the rig, which has 8",
+        ),
         (lambda d: d["bands"]["white"].update(leds=[0, 1, 2, -1]), r"leds\[3\]: "),
-        (lambda d: d["bands"]["white"].update(leds=[0, 1, 2, [3, 3]]), r"leds\[3\] names an LED twice"),
-        (lambda d: d["bands"]["white"].update(leds=[0, 1, 2, 4]), "is a 'nir' LED in the rig, not 'white'"),
+        (
+            lambda d: d["bands"]["white"].update(leds=[0, 1, 2, [3, 3]]),
+            r"leds\[3\] names an LED twice",
+        ),
+        (
+            lambda d: d["bands"]["white"].update(leds=[0, 1, 2, 4]),
+            "is a 'nir' LED in the rig, not 'white'",
+        ),
         (lambda d: d["bands"]["white"].update(leds=[0, 1, 2, 2]), "same direction"),
         (lambda d: d["bands"]["white"]["images"].__setitem__(0, {}), r"images\[0\]: .*field file"),
-        (lambda d: d["bands"]["white"]["images"].__setitem__(0, "white_1.png"), r"names 'white_1\.png' twice"),
+        (
+            lambda d: d["bands"]["white"]["images"].__setitem__(0, "white_1.png"),
+            r"names 'white_1\.png' twice",
+        ),
         (
             lambda d: d["bands"]["white"]["images"].__setitem__(2, "./white_1.png"),
             r"white.* '\./white_1\.png' twice",
         ),
         (
-            lambda d: d["bands"]["white"]["images"].__setitem__(0, {"file": "white_0.png", "exposure_s": 0}),
+            lambda d: d["bands"]["white"]["images"].__setitem__(
+                0, {"file": "white_0.png", "exposure_s": 0}
+            ),
             r"images\[0\]\.exposure_s: ",
         ),
         (
-            lambda d: d["bands"]["white"]["images"].__setitem__(0, {"file": "white_0.png", "black_level": 255}),
+            lambda d: d["bands"]["white"]["images"].__setitem__(
+                0, {"file": "white_0.png", "black_level": 255}
+            ),
             r"white_0\.png has the black level 255",
         ),
     ],
@@ -306,7 +349,9 @@ def test_images_that_do_not_fit(folder: Path) -> None:
     with pytest.raises(BadInput, match=r"white_2\.png has 39 x 30 pixels.* 40 x 30 are expected"):
         read_capture(folder)
     write_image(folder / "white_2.png", good[..., 0])
-    with pytest.raises(BadInput, match=r"white_2\.png is 40 x 30 grey, 8 bits, but .*white_0\.png is 40 x 30 RGB"):
+    with pytest.raises(
+        BadInput, match=r"white_2\.png is 40 x 30 grey, 8 bits, but .*white_0\.png is 40 x 30 RGB"
+    ):
         read_capture(folder)
     write_image(folder / "white_2.png", good.astype(np.uint16))
     with pytest.raises(BadInput, match=r"white_2\.png is 40 x 30 RGB, 16 bits"):
@@ -352,14 +397,24 @@ def test_a_capture_is_not_overwritten_unless_asked(folder: Path, build_capture: 
 RIG = {
     "format": "splitknit-rig",
     "version": 1,
-    "camera": {"px_per_mm": 75.7, "image_size": [22, 32], "height_mm": 140.0, "matrix": None, "distortion": None},
-    "leds": [{"position_mm": [52.5, 0, 140], "intensity": 1, "band": "white", "lobe_exponent": 1.5}],
+    "camera": {
+        "px_per_mm": 75.7,
+        "image_size": [22, 32],
+        "height_mm": 140.0,
+        "matrix": None,
+        "distortion": None,
+    },
+    "leds": [
+        {"position_mm": [52.5, 0, 140], "intensity": 1, "band": "white", "lobe_exponent": 1.5}
+    ],
 }
 
 
 def test_rigs_round_trip(tmp_path: Path) -> None:
     matrix = np.array([[900.0, 0, 15.5], [0, 901.0, 10.5], [0, 0, 1]])
-    camera = Camera(6.45, (22, 32), 139.5, "perspective", matrix, (0.1, 0.0, 0.0, -0.2, 0.0), (-0.1, 0.02))
+    camera = Camera(
+        6.45, (22, 32), 139.5, "perspective", matrix, (0.1, 0.0, 0.0, -0.2, 0.0), (-0.1, 0.02)
+    )
     leds = (
         Led("white", position_mm=(1 / 3, -52.5, 140.0), intensity=0.1, lobe_exponent=2.0),
         Led("nir", direction=(0.6, 0.0, 0.8)),
@@ -381,7 +436,8 @@ def test_rigs_round_trip(tmp_path: Path) -> None:
 def test_a_lens_without_distortion_is_written_with_zeros(tmp_path: Path) -> None:
     matrix = np.array([[900.0, 0, 15.5], [0, 901.0, 10.5], [0, 0, 1]])
     write_rig(
-        Rig(Camera(6.45, (22, 32), 139.5, "perspective", matrix), (Led("white", (0.0, 1.0, 2.0)),)), tmp_path / "r"
+        Rig(Camera(6.45, (22, 32), 139.5, "perspective", matrix), (Led("white", (0.0, 1.0, 2.0)),)),
+        tmp_path / "r",
     )
     assert read_rig(tmp_path / "r").camera.distortion == (0.0,) * 5
 
@@ -405,11 +461,17 @@ def test_a_rounded_direction_becomes_a_unit_vector(tmp_path: Path) -> None:
         (lambda d: d["camera"].update(image_size=[22, -1]), r"camera\.image_size\[1\]: "),
         (lambda d: d["camera"].update(image_size=[10**6, 10**6]), "pixels that are read"),
         (lambda d: d["camera"].update(model="fisheye"), r"camera\.model: "),
-        (lambda d: d["camera"].update(model="perspective"), "a perspective camera needs .*distortion"),
+        (
+            lambda d: d["camera"].update(model="perspective"),
+            "a perspective camera needs .*distortion",
+        ),
         (lambda d: d["camera"].update(shading=[-1.5]), r"shading leaves no light"),
         (lambda d: d["leds"][0].update(aim=[0, 0, 1]), r"leds\[0\].*aim must point towards"),
         (lambda d: d["camera"].update(distortion=[0] * 6), r"a list of 4, 5"),
-        (lambda d: d["camera"].update(matrix=[[1, 0, 0], [0, 1, 0]]), r"camera\.matrix: .*length 3"),
+        (
+            lambda d: d["camera"].update(matrix=[[1, 0, 0], [0, 1, 0]]),
+            r"camera\.matrix: .*length 3",
+        ),
         (lambda d: d["camera"].update(matrix=[[1, 0, 0], [0, 1, 0], [1, 0, 1]]), "last row"),
         (
             lambda d: d["camera"].update(
@@ -422,11 +484,17 @@ def test_a_rounded_direction_becomes_a_unit_vector(tmp_path: Path) -> None:
         (lambda d: d["leds"][0].update(band=""), r"leds\[0\]\.band: "),
         (lambda d: d["leds"][0].pop("position_mm"), r"leds\[0\]: .*either position_mm"),
         (lambda d: d["leds"][0].update(direction=[0, 0, 1]), r"leds\[0\]: .*not both"),
-        (lambda d: d["leds"][0].update(position_mm=[1, 2, 1e300]), r"leds\[0\]\.position_mm\[2\]: "),
+        (
+            lambda d: d["leds"][0].update(position_mm=[1, 2, 1e300]),
+            r"leds\[0\]\.position_mm\[2\]: ",
+        ),
         (lambda d: d["leds"][0].update(position_mm=[1, 2, -3]), "above the finger plane"),
         (lambda d: d["leds"][0].update(intensity=0), r"leds\[0\]\.intensity: "),
         (lambda d: d.update(leds=[{"band": "white", "direction": [3, 4, 5]}]), "unit vector"),
-        (lambda d: d.update(leds=[{"band": "white", "direction": [0, 0.6, -0.8]}]), "away from the camera"),
+        (
+            lambda d: d.update(leds=[{"band": "white", "direction": [0, 0.6, -0.8]}]),
+            "away from the camera",
+        ),
     ],
 )
 def test_rigs_that_are_refused(change: Change, words: str, tmp_path: Path) -> None:
@@ -448,7 +516,9 @@ def test_lights_in_one_plane(folder: Path) -> None:
         read_capture(folder)
 
 
-def test_the_images_of_a_capture_have_a_budget_together(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_images_of_a_capture_have_a_budget_together(
+    folder: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     pixels = read_capture(folder).bands["white"].pixels
     monkeypatch.setattr("splitknit.io.images.STACK_BYTES", 2 * pixels.nbytes)
     read_capture(folder)

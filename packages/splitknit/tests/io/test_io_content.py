@@ -32,7 +32,9 @@ def full(band: Band) -> int:
 
 def test_black_images_name_their_file_and_led(band: Band) -> None:
     for dark in (0, int(0.009 * full(band))):
-        with pytest.raises(BadInput, match=r"white_2\.png is black: .*check LED 2 and capture it again"):
+        with pytest.raises(
+            BadInput, match=r"white_2\.png is black: .*check LED 2 and capture it again"
+        ):
             check_content(changed(band, 2, dark))
     hot = np.zeros_like(band.pixels[0])
     hot[50, 40] = full(band)  # a hot pixel is not light
@@ -46,7 +48,9 @@ def test_black_means_above_the_black_level_and_the_ambient_light(band: Band) -> 
     with pytest.raises(BadInput, match=r"white_3\.png is black"):
         check_content(changed(band, 3, grey + noise, black_level=np.array([0.0, 0, 0, grey])))
     raised = (band.pixels // 2 + grey).astype(band.pixels.dtype)
-    lit = replace(band, pixels=raised, ambient=np.full_like(band.pixels[0], grey // 2), ambient_exposure=0.5)
+    lit = replace(
+        band, pixels=raised, ambient=np.full_like(band.pixels[0], grey // 2), ambient_exposure=0.5
+    )
     check_content(lit)
     with pytest.raises(BadInput, match=r"white_3\.png is black: .* above the ambient image"):
         check_content(changed(lit, 3, grey + noise))
@@ -89,7 +93,9 @@ def test_one_clipped_channel_leaves_two(build_capture: Build) -> None:
         check_content(changed(band, 1, red))
 
 
-def test_large_images_are_judged_by_a_sample(build_capture: Build, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_large_images_are_judged_by_a_sample(
+    build_capture: Build, monkeypatch: pytest.MonkeyPatch
+) -> None:
     band = build_capture(channels=1, shape=(700, 600)).bands["white"]
     monkeypatch.setattr(content, "_SAMPLE_PIXELS", 5000)
     check_content(band)

@@ -1,4 +1,5 @@
-"""Pictures: pixels come as stored, and what is damaged, too large or of another kind is refused in a sentence."""
+"""Pictures: pixels come as stored, and what is damaged, too large or of another kind is refused in
+a sentence."""
 
 from __future__ import annotations
 
@@ -27,7 +28,13 @@ def chunk(kind: bytes, body: bytes) -> bytes:
 def png(header: tuple[int, ...], lines: bytes, *extra: bytes) -> bytes:
     """PNG of filtered rows, made without any library."""
     ihdr = chunk(b"IHDR", struct.pack(">IIBBBBB", *header))
-    return SIGNATURE + ihdr + b"".join(extra) + chunk(b"IDAT", zlib.compress(lines)) + chunk(b"IEND", b"")
+    return (
+        SIGNATURE
+        + ihdr
+        + b"".join(extra)
+        + chunk(b"IDAT", zlib.compress(lines))
+        + chunk(b"IEND", b"")
+    )
 
 
 def smooth(shape: tuple[int, ...], dtype: type = np.uint8, sigma: float = 1.5) -> np.ndarray:
@@ -75,7 +82,9 @@ def test_palettes_are_expanded_and_few_bits_stretched(depth: int) -> None:
 
 
 @pytest.mark.parametrize("dtype", [np.uint8, np.uint16])
-@pytest.mark.parametrize("encode", [encode_image, lambda image, suffix: cv2.imencode(suffix, image)[1].tobytes()])
+@pytest.mark.parametrize(
+    "encode", [encode_image, lambda image, suffix: cv2.imencode(suffix, image)[1].tobytes()]
+)
 def test_png_cut_anywhere_or_with_a_changed_byte_is_refused(
     dtype: type, encode: Any, capfd: pytest.CaptureFixture[str]
 ) -> None:
@@ -101,7 +110,13 @@ def test_sound_checksums_do_not_hide_wrong_image_data(lines: bytes, interlaced: 
 
 @pytest.mark.parametrize(
     "header",
-    [(0, 4, 8, 0, 0, 0, 0), (3, 4, 3, 0, 0, 0, 0), (3, 4, 8, 1, 0, 0, 0), (3, 4, 8, 0, 0, 1, 0), (3, 4, 8, 0, 0, 0, 2)],
+    [
+        (0, 4, 8, 0, 0, 0, 0),
+        (3, 4, 3, 0, 0, 0, 0),
+        (3, 4, 8, 1, 0, 0, 0),
+        (3, 4, 8, 0, 0, 1, 0),
+        (3, 4, 8, 0, 0, 0, 2),
+    ],
 )
 def test_impossible_headers_of_png(header: tuple[int, ...]) -> None:
     with pytest.raises(BadInput):
@@ -175,7 +190,9 @@ def peak_bytes_of_refusal(data: bytes, words: str) -> int:
         (9_000, 8, 2, "cannot be in"),
     ],
 )
-def test_a_small_png_cannot_claim_a_large_image(side: int, depth: int, colour: int, words: str) -> None:
+def test_a_small_png_cannot_claim_a_large_image(
+    side: int, depth: int, colour: int, words: str
+) -> None:
     data = png((side, side, depth, colour, 0, 0, 1), bytes(1000))
     assert peak_bytes_of_refusal(data, words) < 1_000_000
 
@@ -183,7 +200,10 @@ def test_a_small_png_cannot_claim_a_large_image(side: int, depth: int, colour: i
 def test_a_small_jpeg_cannot_claim_a_large_image() -> None:
     data = cv2.imencode(".jpg", np.zeros((8, 8, 3), np.uint8))[1].tobytes()
     frame = data.index(b"\xff\xc0") + 5
-    for side, words in ((11_000, "cannot be in"), (14_000, "more than the 400000000 that are read")):
+    for side, words in (
+        (11_000, "cannot be in"),
+        (14_000, "more than the 400000000 that are read"),
+    ):
         claim = side.to_bytes(2, "big") * 2
         assert peak_bytes_of_refusal(data[:frame] + claim + data[frame + 4 :], words) < 1_000_000
 
@@ -217,7 +237,9 @@ def test_jpeg_of_other_kinds() -> None:
     for other in others:
         with pytest.raises(BadInput):
             decode_image(other, "x")
-    scans = cv2.imencode(".jpg", smooth((40, 56, 3)), [cv2.IMWRITE_JPEG_PROGRESSIVE, 1])[1].tobytes()
+    scans = cv2.imencode(".jpg", smooth((40, 56, 3)), [cv2.IMWRITE_JPEG_PROGRESSIVE, 1])[
+        1
+    ].tobytes()
     last = scans.rindex(b"\xff\xda")
     with pytest.raises(BadInput, match="more than 100 JPEG scans"):
         decode_image(scans[:last] + scans[last:-2] * 101 + b"\xff\xd9", "x")
@@ -229,7 +251,9 @@ def test_jpeg_of_other_kinds() -> None:
     "options",
     [{}, {"rowsperstrip": 7}, {"tile": (16, 32)}, {"byteorder": ">", "bigtiff": True}],
 )
-def test_tiff(options: dict[str, Any], compression: str | None, dtype: type, capfd: pytest.CaptureFixture[str]) -> None:
+def test_tiff(
+    options: dict[str, Any], compression: str | None, dtype: type, capfd: pytest.CaptureFixture[str]
+) -> None:
     for image in (smooth((41, 57, 3), dtype), smooth((41, 57), dtype)):
         photometric = "rgb" if image.ndim == 3 else "minisblack"
         data = tiff(image, photometric=photometric, compression=compression, **options)
@@ -257,7 +281,9 @@ def test_tiff_with_alpha_or_white_as_zero() -> None:
     for compression in (None, "zlib"):
         for grey in (image[..., 0], image[..., 0].astype(np.uint16) * 257):
             inverted = tiff(grey, photometric="miniswhite", compression=compression)
-            np.testing.assert_array_equal(decode_image(inverted, "x")[..., 0], np.iinfo(grey.dtype).max - grey)
+            np.testing.assert_array_equal(
+                decode_image(inverted, "x")[..., 0], np.iinfo(grey.dtype).max - grey
+            )
 
 
 @pytest.mark.parametrize(
@@ -266,8 +292,16 @@ def test_tiff_with_alpha_or_white_as_zero() -> None:
         (np.zeros((4, 5), np.float32), {}, "float32"),
         (np.zeros((4, 5), np.int16), {}, "int16"),
         (np.zeros((4, 5, 4), np.uint8), {"photometric": "separated"}, "CMYK"),
-        (np.zeros((4, 5), np.uint8), {"photometric": "palette", "colormap": np.zeros((3, 256), np.uint16)}, "palette"),
-        (np.zeros((3, 4, 5), np.uint8), {"photometric": "rgb", "planarconfig": "separate"}, "grey nor RGB"),
+        (
+            np.zeros((4, 5), np.uint8),
+            {"photometric": "palette", "colormap": np.zeros((3, 256), np.uint16)},
+            "palette",
+        ),
+        (
+            np.zeros((3, 4, 5), np.uint8),
+            {"photometric": "rgb", "planarconfig": "separate"},
+            "grey nor RGB",
+        ),
     ],
 )
 def test_tiff_of_other_kinds(image: np.ndarray, options: dict[str, Any], words: str) -> None:

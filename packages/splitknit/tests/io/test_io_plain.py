@@ -36,7 +36,9 @@ def plain(tmp_path: Path) -> Path:
 LIGHTS = np.array([[1.0, 0, 2], [-1, 0, 2], [0, 1, 2], [0, -1, 3]])
 
 
-def convert(plain: Path, lights: Any = LIGHTS, count: int = 4, intensities: Any = None, **options: Any) -> Any:
+def convert(
+    plain: Path, lights: Any = LIGHTS, count: int = 4, intensities: Any = None, **options: Any
+) -> Any:
     for k in range(count, 4):
         (plain / f"{k}.png").unlink()
     lights = np.asarray(lights, dtype=np.float64)
@@ -44,22 +46,37 @@ def convert(plain: Path, lights: Any = LIGHTS, count: int = 4, intensities: Any 
         np.savetxt(plain / "list.txt", np.column_stack([lights, intensities]))
         lights = plain / "list.txt"
     known = GivenPhotographs(**{"encoding": "linear", **options})
-    return capture_from_photographs(replace(known, images=plain / "{light}.png", lights=lights, px_per_mm=12.5)).capture
+    return capture_from_photographs(
+        replace(known, images=plain / "{light}.png", lights=lights, px_per_mm=12.5)
+    ).capture
 
 
 def test_plain_images_become_a_capture(plain: Path) -> None:
-    capture = convert(plain, mask=plain / "mask.png", background=71, intensities=[1, 2, 3, 4], tip_direction_deg=90)
+    capture = convert(
+        plain,
+        mask=plain / "mask.png",
+        background=71,
+        intensities=[1, 2, 3, 4],
+        tip_direction_deg=90,
+    )
     np.testing.assert_allclose(
-        [led.direction for led in capture.rig.leds], LIGHTS / np.linalg.norm(LIGHTS, axis=1, keepdims=True)
+        [led.direction for led in capture.rig.leds],
+        LIGHTS / np.linalg.norm(LIGHTS, axis=1, keepdims=True),
     )
     assert [led.intensity for led in capture.rig.leds] == pytest.approx([0.4, 0.8, 1.2, 1.6])
     assert capture.rig.camera.px_per_mm == 12.5
     assert capture.shape == (25, 35)
-    assert (capture.material, capture.encoding, capture.tip_direction_deg) == ("opaque", "linear", 90)
+    assert (capture.material, capture.encoding, capture.tip_direction_deg) == (
+        "opaque",
+        "linear",
+        90,
+    )
     assert capture.mask.sum() == 25
     assert len(capture.hashes) == 6
     band = capture.bands["white"]
-    np.testing.assert_allclose(linear_stack(band, "linear"), (band.pixels[..., 0].astype(float) - 71) / 255, atol=1e-6)
+    np.testing.assert_allclose(
+        linear_stack(band, "linear"), (band.pixels[..., 0].astype(float) - 71) / 255, atol=1e-6
+    )
     write_capture(capture, plain / "capture")
     again = read_capture(plain / "capture")
     np.testing.assert_array_equal(again.bands["white"].pixels, band.pixels)
@@ -99,7 +116,9 @@ def test_refusals(options: dict[str, Any], words: str, plain: Path) -> None:
 )
 def test_light_files(text: str, tmp_path: Path) -> None:
     (tmp_path / "l.txt").write_bytes(text.encode())
-    np.testing.assert_array_equal(read_light_list(tmp_path / "l.txt").lights, [[1, 0, 1], [0, 1.5, 1]])
+    np.testing.assert_array_equal(
+        read_light_list(tmp_path / "l.txt").lights, [[1, 0, 1], [0, 1.5, 1]]
+    )
 
 
 @pytest.mark.parametrize(
@@ -131,7 +150,9 @@ def test_light_files_that_are_refused(text: bytes, words: str, tmp_path: Path) -
 )
 def test_decimal_commas_are_understood(text: str, tmp_path: Path) -> None:
     (tmp_path / "l.txt").write_text(text)
-    np.testing.assert_array_equal(read_light_list(tmp_path / "l.txt").lights, [[0.5, 0.3, 0.8], [-0.5, 0.25, 0.8]])
+    np.testing.assert_array_equal(
+        read_light_list(tmp_path / "l.txt").lights, [[0.5, 0.3, 0.8], [-0.5, 0.25, 0.8]]
+    )
 
 
 def test_commas_that_may_be_either_are_refused(tmp_path: Path) -> None:
@@ -141,7 +162,8 @@ def test_commas_that_may_be_either_are_refused(tmp_path: Path) -> None:
 
 
 def test_lp_files_of_rti(plain: Path) -> None:
-    """Paths of another machine, with spaces and other capitals; the photographs are found by their own names."""
+    """Paths of another machine, with spaces and other capitals; the photographs are found by their
+    own names."""
     for name in ("mask.png", "dark.png"):
         (plain / name).unlink()
     names = ("C:\\Scans\\coin 7\\3.PNG", "/home/a user/coin/0.png", "jpeg-exports/1.jpg", "2.png")
@@ -169,7 +191,10 @@ def test_places_in_mm_are_near_lights(plain: Path) -> None:
     write_rig(Rig(Camera(12.5, (25, 35)), leds), plain / "rig.json")
     again = capture_from_photographs(GivenPhotographs(plain, plain / "rig.json")).capture.rig
     assert again.leds == rig.leds and again.camera.px_per_mm == 12.5
-    assert splitknit.read_photographs(plain, rig, max_megapixels=0.0004).rig.camera.px_per_mm == 20.0 / 1.5
+    assert (
+        splitknit.read_photographs(plain, rig, max_megapixels=0.0004).rig.camera.px_per_mm
+        == 20.0 / 1.5
+    )
 
 
 def test_what_a_png_states_is_its_encoding(tmp_path: Path) -> None:
@@ -191,14 +216,19 @@ def test_what_a_png_states_is_its_encoding(tmp_path: Path) -> None:
         encoding_of([tmp_path / "s.png", tmp_path / "n.png"], lambda: False)
 
 
-def ball_photographs(folder: Path, code: Any, count: int = 8, size: int = 120, bright: Any = 1.0) -> Any:
-    """A matt ball under `count` lights as `bright` as is given, stored through `code`; its directions."""
+def ball_photographs(
+    folder: Path, code: Any, count: int = 8, size: int = 120, bright: Any = 1.0
+) -> Any:
+    """A matt ball under `count` lights as `bright` as is given, stored through `code`; its
+    directions."""
     rows, columns = np.mgrid[:size, :size]
     x, y = (columns - size / 2 + 0.5) / (0.45 * size), (size / 2 - 0.5 - rows) / (0.45 * size)
     inner = 1.0 - x * x - y * y
     normals = np.stack([x, y, np.sqrt(np.clip(inner, 0, 1))], axis=-1)
     angles = 2 * np.pi * np.arange(count) / count
-    lights = np.stack([0.5 * np.cos(angles), 0.5 * np.sin(angles), np.full(count, 0.75**0.5)], axis=1)
+    lights = np.stack(
+        [0.5 * np.cos(angles), 0.5 * np.sin(angles), np.full(count, 0.75**0.5)], axis=1
+    )
     for k, light in enumerate(lights):
         strength = np.broadcast_to(bright, count)[k]
         shade = np.where(inner > 0, np.clip(normals @ light, 0, 1) * 0.9 * strength, 0)
@@ -208,7 +238,9 @@ def ball_photographs(folder: Path, code: Any, count: int = 8, size: int = 120, b
 
 
 @pytest.mark.parametrize(("code", "encoding"), [(np.asarray, "linear"), (srgb_code, "srgb")])
-def test_eight_bits_that_state_nothing_are_judged_by_their_shading(tmp_path: Path, code: Any, encoding: str) -> None:
+def test_eight_bits_that_state_nothing_are_judged_by_their_shading(
+    tmp_path: Path, code: Any, encoding: str
+) -> None:
     ball_photographs(tmp_path, code)
     found = capture_from_photographs(GivenPhotographs(tmp_path))
     assert found.capture.encoding == encoding
@@ -220,7 +252,8 @@ def test_eight_bits_that_state_nothing_are_judged_by_their_shading(tmp_path: Pat
 def test_the_encoding_is_judged_with_the_brightness_of_the_lights(
     tmp_path: Path, code: Any, encoding: str, *, listed: bool
 ) -> None:
-    """Unequal lights looked like a wrong curve: sRGB was taken for linear, and normals came out 16 deg wrong."""
+    """Unequal lights looked like a wrong curve: sRGB was taken for linear, and normals came out 16
+    deg wrong."""
     bright = np.array([1.0, 0.5, 0.9, 0.7, 0.4, 1.0, 0.8, 0.6])
     lights = ball_photographs(tmp_path, code, bright=bright)
     if listed:
@@ -228,8 +261,12 @@ def test_the_encoding_is_judged_with_the_brightness_of_the_lights(
     assert capture_from_photographs(GivenPhotographs(tmp_path)).capture.encoding == encoding
 
 
-@pytest.mark.parametrize(("code", "right", "wrong"), [(np.asarray, "linear", "srgb"), (srgb_code, "srgb", "linear")])
-def test_a_stated_encoding_that_is_wrong_is_noted(tmp_path: Path, code: Any, right: str, wrong: str) -> None:
+@pytest.mark.parametrize(
+    ("code", "right", "wrong"), [(np.asarray, "linear", "srgb"), (srgb_code, "srgb", "linear")]
+)
+def test_a_stated_encoding_that_is_wrong_is_noted(
+    tmp_path: Path, code: Any, right: str, wrong: str
+) -> None:
     ball_photographs(tmp_path, code)
     said = {
         way: capture_from_photographs(GivenPhotographs(tmp_path, encoding=way)).notes  # type: ignore[arg-type]
@@ -245,11 +282,15 @@ def test_brightness_can_be_chosen(tmp_path: Path) -> None:
     np.savetxt(tmp_path / "lights.txt", np.column_stack([lights, bright[::-1]]))  # a wrong list
     for way in ("estimate", "equal"):
         rig = capture_from_photographs(GivenPhotographs(tmp_path, brightness=way)).capture.rig
-        assert {led.intensity for led in rig.leds} == {1.0} and rig.intensities_assumed == (way == "estimate")
+        assert {led.intensity for led in rig.leds} == {1.0} and rig.intensities_assumed == (
+            way == "estimate"
+        )
     capture = splitknit.read_photographs(tmp_path, px_per_mm=10.0, brightness="estimate")
     found = splitknit.reconstruct(capture).facts["light_brightness"]
     assert found == pytest.approx((bright / bright.mean()).tolist(), rel=0.03)
-    (tmp_path / "lights.txt").write_text("".join(f"{k}.png {x} {y} {z}\n" for k, (x, y, z) in enumerate(lights[:4])))
+    (tmp_path / "lights.txt").write_text(
+        "".join(f"{k}.png {x} {y} {z}\n" for k, (x, y, z) in enumerate(lights[:4]))
+    )
     with pytest.raises(BadInput, match="five lights or more"):
         capture_from_photographs(GivenPhotographs(tmp_path, brightness="estimate"))
 
@@ -259,19 +300,31 @@ def test_reduced_photographs_are_means_of_linear_light(tmp_path: Path) -> None:
     write_image(tmp_path / "mask.png", np.pad(np.full((60, 120), 255, np.uint8), ((0, 60), (0, 0))))
     whole, small = (
         capture_from_photographs(
-            GivenPhotographs(tmp_path, None, 10.0, encoding="srgb", background=13, max_megapixels=limit)
+            GivenPhotographs(
+                tmp_path, None, 10.0, encoding="srgb", background=13, max_megapixels=limit
+            )
         )
         for limit in (None, 120 * 120 / 4e6)
     )
-    assert any("of 0.0144 megapixels were reduced to 0.0036 (`max_megapixels`)" in str(note) for note in small.notes)
+    assert any(
+        "of 0.0144 megapixels were reduced to 0.0036 (`max_megapixels`)" in str(note)
+        for note in small.notes
+    )
     camera = small.capture.rig.camera
-    assert (camera.image_size, camera.px_per_mm, small.capture.encoding) == ((60, 60), 5.0, "linear")
+    assert (camera.image_size, camera.px_per_mm, small.capture.encoding) == (
+        (60, 60),
+        5.0,
+        "linear",
+    )
     assert small.capture.mask[:30].all() and not small.capture.mask[30:].any()
-    stacks = [linear_stack(one.capture.bands["white"], one.capture.encoding) for one in (whole, small)]
+    stacks = [
+        linear_stack(one.capture.bands["white"], one.capture.encoding) for one in (whole, small)
+    ]
     means = stacks[0].reshape(len(lights), 60, 2, 60, 2).mean(axis=(2, 4))
     np.testing.assert_allclose(stacks[1], means, atol=2e-5)
 
 
+@pytest.mark.slow
 def test_large_stacks_are_worked_in_strips_from_disk(tmp_path: Path, monkeypatch: Any) -> None:
     """The surface is that of images in memory; the file of the stack has no name."""
     ball_photographs(tmp_path, srgb_code)
@@ -311,7 +364,9 @@ def test_a_link_to_itself_is_no_traceback(plain: Path) -> None:
     (plain / "3.png").symlink_to("3.png")
     with pytest.raises(BadInput, match="has 4 lights"):
         convert(plain)
-    (plain / "lights.txt").write_text("\n".join(f"{k}.png {x} {y} {z}" for k, (x, y, z) in enumerate(LIGHTS)))
+    (plain / "lights.txt").write_text(
+        "\n".join(f"{k}.png {x} {y} {z}" for k, (x, y, z) in enumerate(LIGHTS))
+    )
     with pytest.raises(BadInput, match=r"3\.png"):
         capture_from_photographs(GivenPhotographs(plain, px_per_mm=12.5))
     with pytest.raises(BadInput, match=r"3\.png"):
@@ -339,7 +394,8 @@ def test_lists_with_the_brightness_of_each_light(
 
 
 @pytest.mark.parametrize(
-    "text", ["1 0 1 2\n0 1.5 1\n", "1 0 1 0\n0 1.5 1 1\n", "1 0 1 2\n0 1.5 1 1 1 1\n", "1 0 1 2 3\n"]
+    "text",
+    ["1 0 1 2\n0 1.5 1\n", "1 0 1 0\n0 1.5 1 1\n", "1 0 1 2\n0 1.5 1 1 1 1\n", "1 0 1 2 3\n"],
 )
 def test_brightness_that_is_no_brightness_is_refused(text: str, tmp_path: Path) -> None:
     (tmp_path / "l.txt").write_text(text)
@@ -354,8 +410,12 @@ def test_light_intensities_beside_the_list_are_taken(columns: int, plain: Path) 
     values[1] = 2.0
     for name in ("mask.png", "dark.png"):
         (plain / name).unlink()
-    (plain / "light_directions.txt").write_text("\n".join(" ".join(map(str, row)) for row in LIGHTS))
-    (plain / "light_intensities.txt").write_text("\n".join(" ".join(map(str, row)) for row in values))
+    (plain / "light_directions.txt").write_text(
+        "\n".join(" ".join(map(str, row)) for row in LIGHTS)
+    )
+    (plain / "light_intensities.txt").write_text(
+        "\n".join(" ".join(map(str, row)) for row in values)
+    )
     found = capture_from_photographs(GivenPhotographs(plain))
     bright = [led.intensity for led in found.capture.rig.leds]
     assert bright[1] == pytest.approx(2 * bright[0])
@@ -399,7 +459,9 @@ def test_a_mask_is_transparency_or_all(tmp_path: Path) -> None:
     np.testing.assert_array_equal(found.capture.mask, inside)
     assert any("not transparent" in str(note) for note in found.notes)
     Image.fromarray(alpha).save(tmp_path / "mask.tif")
-    photographs = GivenPhotographs(tmp_path, None, 5.0, mask=tmp_path / "mask.tif", encoding="linear")
+    photographs = GivenPhotographs(
+        tmp_path, None, 5.0, mask=tmp_path / "mask.tif", encoding="linear"
+    )
     np.testing.assert_array_equal(capture_from_photographs(photographs).capture.mask, inside)
     Image.fromarray(picture).save(tmp_path / "mask.png")
     with pytest.raises(BadInput, match="is a picture and no mask"):
@@ -429,5 +491,7 @@ def test_lp_file_names_photographs(tmp_path: Path) -> None:
     assert names == ("one.jpg", "two.jpg")
     np.testing.assert_allclose(lights, [[1 / 3, 2 / 3, 2 / 3], [0, 0, 1]], atol=1e-6)
     with pytest.raises(BadInput, match="holds directions"):
-        write_light_list([Led("white", position_mm=(1.0, 2.0, 3.0))], tmp_path / "b.lp", ["one.jpg"])
+        write_light_list(
+            [Led("white", position_mm=(1.0, 2.0, 3.0))], tmp_path / "b.lp", ["one.jpg"]
+        )
     assert not (tmp_path / "b.lp").exists()

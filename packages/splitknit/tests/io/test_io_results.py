@@ -67,14 +67,19 @@ def test_ply_round_trip(tmp_path: Path) -> None:
         *map(float, normals[0]),
         float(mesh.quality[0]),
     )
-    assert struct.unpack("<B3i", data[start + 28 * len(vertices) :][:13]) == (3, *map(int, faces[0]))
+    assert struct.unpack("<B3i", data[start + 28 * len(vertices) :][:13]) == (
+        3,
+        *map(int, faces[0]),
+    )
 
 
 def test_height_tiff(tmp_path: Path) -> None:
     height = hill()[2]
     height[:3] = np.nan
     path = tmp_path / "h.tiff"
-    write_float_tiff(path, height, "mm", provenance({"sigma": 1.5}, {"white_0.png": "ab"}), 1 / 75.7)
+    write_float_tiff(
+        path, height, "mm", provenance({"sigma": 1.5}, {"white_0.png": "ab"}), 1 / 75.7
+    )
     found, pitch_mm, metadata = read_height_tiff(path)
     np.testing.assert_array_equal(found, height)
     assert pitch_mm == 1 / 75.7
@@ -91,7 +96,9 @@ def test_height_tiff(tmp_path: Path) -> None:
         assert tags["ResolutionUnit"].value == 2  # inch
     np.testing.assert_array_equal(cv2.imread(str(path), cv2.IMREAD_UNCHANGED), height)
     first = path.read_bytes()
-    write_float_tiff(path, height, "mm", provenance({"sigma": 1.5}, {"white_0.png": "ab"}), 1 / 75.7)
+    write_float_tiff(
+        path, height, "mm", provenance({"sigma": 1.5}, {"white_0.png": "ab"}), 1 / 75.7
+    )
     assert path.read_bytes() == first
     with pytest.raises(BadInput, match="pitch_mm"):
         write_float_tiff(path, height, "mm", pitch_mm=0.0)
@@ -136,14 +143,21 @@ class Settings:
 
 
 def test_provenance_and_canonical_json() -> None:
-    value = {"b": np.float32(0.5), "a": [np.int64(3), np.bool_(True), None, "ü"], "c": Settings(), "d": np.eye(2)}
+    value = {
+        "b": np.float32(0.5),
+        "a": [np.int64(3), np.bool_(True), None, "ü"],
+        "c": Settings(),
+        "d": np.eye(2),
+    }
     text = canonical_json(value)
     assert text == (
         '{"a":[3,true,null,"\\u00fc"],"b":0.5,"c":{"path":"a/b","sigma":0.1,"steps":[1,2]},"d":[[1.0,0.0],[0.0,1.0]]}'
     )
     assert canonical_json(json.loads(text)) == text
     assert canonical_json(dict(reversed(value.items()))) == text
-    assert settings_hash(Settings()) == settings_hash({"steps": [1, 2], "path": "a/b", "sigma": 0.1})
+    assert settings_hash(Settings()) == settings_hash(
+        {"steps": [1, 2], "path": "a/b", "sigma": 0.1}
+    )
     assert settings_hash(Settings()) != settings_hash(Settings(sigma=0.2))
     facts = provenance(Settings(), {"b": "2", "a": "1"})
     assert facts["software"] == "splitknit"

@@ -95,7 +95,9 @@ def test_archives_of_other_kinds_are_refused(tmp_path: Path) -> None:
     locked = bytearray(archive(tmp_path / "locked.npz", ("a.npy", sound)).read_bytes())
     locked[6] |= 1
     locked[locked.index(b"PK\1\2") + 8] |= 1
-    changed = bytearray(archive(tmp_path / "changed.npz", ("a.npy", sound), method=zipfile.ZIP_STORED).read_bytes())
+    changed = bytearray(
+        archive(tmp_path / "changed.npz", ("a.npy", sound), method=zipfile.ZIP_STORED).read_bytes()
+    )
     changed[changed.index(sound) + len(sound) - 1] ^= 1
     for data in (locked, changed, lzma.compress(sound), b"", changed[:-30]):
         (tmp_path / "a.npz").write_bytes(data)
@@ -114,7 +116,8 @@ def test_an_archive_is_the_same_each_time_and_states_no_date(tmp_path: Path) -> 
 
 
 @pytest.mark.parametrize(
-    ("arrays", "words"), [({"a/b": 1}, "named"), ({"": 1}, "named"), ({"a": np.array([None])}, "objects")]
+    ("arrays", "words"),
+    [({"a/b": 1}, "named"), ({"": 1}, "named"), ({"a": np.array([None])}, "objects")],
 )
 def test_what_is_not_stored_is_refused(tmp_path: Path, arrays: dict[str, Any], words: str) -> None:
     with pytest.raises(BadInput, match=words):

@@ -21,7 +21,9 @@ from splitknit.io.photos import read_photo
 from splitknit.io.plain import Photographs, capture_from_photographs
 from splitknit.photometric.lambertian import lambertian
 
-DIRECTIONS = np.array([[0.5, 0, 0.9], [-0.5, 0, 0.9], [0, 0.5, 0.9], [0, -0.5, 0.9], [0.1, 0.1, 1.0]])
+DIRECTIONS = np.array(
+    [[0.5, 0, 0.9], [-0.5, 0, 0.9], [0, 0.5, 0.9], [0, -0.5, 0.9], [0.1, 0.1, 1.0]]
+)
 
 
 def picture(rows: int = 40, columns: int = 60) -> Any:
@@ -47,7 +49,9 @@ def test_the_turn_in_exif_data_is_obeyed(orientation: int, suffix: str, tmp_path
     exif = Image.Exif()
     exif[274] = orientation
     file = tmp_path / f"x.{suffix}"
-    lossless = {"lossless": True} if suffix == "webp" else {"quality": 95} if suffix == "jpg" else {}
+    lossless = (
+        {"lossless": True} if suffix == "webp" else {"quality": 95} if suffix == "jpg" else {}
+    )
     Image.fromarray(picture()).save(file, exif=exif, **lossless)
     photo = read_photo(file)
     assert photo.orientation == orientation
@@ -62,7 +66,9 @@ def test_bmp_and_floats(tmp_path: Path) -> None:
     values = (picture() / 7.0).astype(np.float32)
     tifffile.imwrite(tmp_path / "x.tif", values, photometric="rgb")
     np.testing.assert_array_equal(read_photo(tmp_path / "x.tif").pixels, values)
-    tifffile.imwrite(tmp_path / "x.tif", values, photometric="rgb", compression="zlib", tile=(16, 16))
+    tifffile.imwrite(
+        tmp_path / "x.tif", values, photometric="rgb", compression="zlib", tile=(16, 16)
+    )
     np.testing.assert_array_equal(read_photo(tmp_path / "x.tif").pixels, values)
     values[3, 4] = np.nan
     tifffile.imwrite(tmp_path / "x.tif", values, photometric="rgb")
@@ -74,7 +80,9 @@ def test_heic(tmp_path: Path) -> None:
     heif = pytest.importorskip("pillow_heif", reason="of the extra photos")
     exif = Image.Exif()
     exif[274] = 6
-    heif.from_pillow(Image.fromarray(picture())).save(tmp_path / "x.heic", exif=exif.tobytes(), quality=95)
+    heif.from_pillow(Image.fromarray(picture())).save(
+        tmp_path / "x.heic", exif=exif.tobytes(), quality=95
+    )
     photo = read_photo(tmp_path / "x.heic")
     expected = np.rot90(picture(), -1).astype(int)
     assert photo.pixels.shape == expected.shape
@@ -85,11 +93,16 @@ def write_raw(file: Path, mosaic: Any, orientation: int = 1) -> None:
     """The smallest DNG that LibRaw reads: black level 256, white level 4095."""
     unit = tuple(x for value in (1, 0, 0, 0, 1, 0, 0, 0, 1) for x in (value, 1))
     tags = [
-        (33421, "H", 2, (2, 2), True), (33422, "B", 4, bytes([0, 1, 1, 2]), True), (50721, "2i", 9, unit, True),
-        (50706, "B", 4, bytes([1, 4, 0, 0]), True), (50707, "B", 4, bytes([1, 1, 0, 0]), True),
-        (50708, "s", 0, "Test", True), (50714, "H", 1, 256, True), (50717, "H", 1, 4095, True),
+        (33421, "H", 2, (2, 2), True),
+        (33422, "B", 4, bytes([0, 1, 1, 2]), True),
+        (50721, "2i", 9, unit, True),
+        (50706, "B", 4, bytes([1, 4, 0, 0]), True),
+        (50707, "B", 4, bytes([1, 1, 0, 0]), True),
+        (50708, "s", 0, "Test", True),
+        (50714, "H", 1, 256, True),
+        (50717, "H", 1, 4095, True),
         (274, "H", 1, orientation, True),
-    ]  # fmt: skip
+    ]
     tifffile.imwrite(file, mosaic, photometric="CFA", extratags=tags, metadata=None)
 
 
@@ -98,8 +111,12 @@ def test_raw_is_linear_and_on_one_scale(tmp_path: Path) -> None:
     for name, level in (("dim", 500), ("bright", 3000)):
         write_raw(tmp_path / f"{name}.dng", np.full((64, 96), level, dtype=np.uint16), 6)
     dim, bright = (read_photo(tmp_path / f"{name}.dng") for name in ("dim", "bright"))
-    assert dim.pixels.shape == (96, 64, 3) and dim.pixels.dtype == np.uint16 and dim.orientation == 6
-    middle = [photo.pixels[20:-20, 20:-20].astype(float).mean(axis=(0, 1)) for photo in (dim, bright)]
+    assert (
+        dim.pixels.shape == (96, 64, 3) and dim.pixels.dtype == np.uint16 and dim.orientation == 6
+    )
+    middle = [
+        photo.pixels[20:-20, 20:-20].astype(float).mean(axis=(0, 1)) for photo in (dim, bright)
+    ]
     np.testing.assert_allclose(middle[1] / middle[0], (3000 - 256) / (500 - 256), rtol=0.01)
     assert np.ptp(middle[1]) < 0.01 * middle[1].mean()  # no white balance
 
@@ -130,7 +147,9 @@ def ball(light: Any, size: int = 60) -> Any:
     rows, columns = np.mgrid[:size, :size]
     x, y = (columns - (size - 1) / 2) / (0.45 * size), ((size - 1) / 2 - rows) / (0.45 * size)
     normals = np.stack([x, y, np.sqrt(np.clip(1 - x * x - y * y, 0, None))], axis=-1)
-    shade = np.where(x * x + y * y < 1, np.clip(normals @ (light / np.linalg.norm(light)), 0, None), 0)
+    shade = np.where(
+        x * x + y * y < 1, np.clip(normals @ (light / np.linalg.norm(light)), 0, None), 0
+    )
     return np.rint(shade * 200).astype(np.uint8)
 
 
@@ -140,8 +159,11 @@ def folder(tmp_path: Path) -> Path:
     root = tmp_path / "photos"
     root.mkdir()
     for k, light in enumerate(DIRECTIONS):
-        Image.fromarray(ball(light)).save(root / f"p{k + 8}.png")  # p8, p9, p10: not in the order of letters
-    Image.fromarray((ball(np.array([0, 0, 1.0])) > 0).astype(np.uint8) * np.uint8(255)).save(root / "mask.png")
+        # p8, p9, p10: not in the order of letters
+        Image.fromarray(ball(light)).save(root / f"p{k + 8}.png")
+    Image.fromarray((ball(np.array([0, 0, 1.0])) > 0).astype(np.uint8) * np.uint8(255)).save(
+        root / "mask.png"
+    )
     (root / "lights.txt").write_text("\n".join(" ".join(map(str, light)) for light in DIRECTIONS))
     return root
 
@@ -159,7 +181,9 @@ def test_a_folder_becomes_a_capture(folder: Path) -> None:
     assert found.capture.mask is not None and found.capture.encoding == "srgb"  # 8 bits, undecided
     left_out = "notes.docx (not a photograph), other.mask.png (a mask? name it with `mask`)."
     assert set(found.capture.hashes) == {"lights.txt", "mask.png", *files_of(found)}
-    assert any(note.code == "skipped-files" and str(note).endswith(left_out) for note in found.notes)
+    assert any(
+        note.code == "skipped-files" and str(note).endswith(left_out) for note in found.notes
+    )
 
 
 def test_unknown_scale_goes_through_files(folder: Path) -> None:
@@ -168,7 +192,9 @@ def test_unknown_scale_goes_through_files(folder: Path) -> None:
     assert '"px_per_mm": null' in (folder / "capture" / "rig.json").read_text()
     again = read_capture(folder / "capture").rig.camera
     assert not again.scale_known and again.px_per_mm == capture.rig.camera.px_per_mm == 60 / 25
-    assert "scale unknown" in repr(again) or "scale unknown" in repr(read_capture(folder / "capture"))
+    assert "scale unknown" in repr(again) or "scale unknown" in repr(
+        read_capture(folder / "capture")
+    )
 
 
 def test_names_in_the_lights_file(folder: Path) -> None:
@@ -209,9 +235,13 @@ def test_series_turned_by_exif_data(folder: Path) -> None:
     exif = Image.Exif()
     exif[274] = 3
     for file in folder.glob("p*.png"):
-        Image.fromarray(np.ascontiguousarray(np.asarray(Image.open(file))[::-1, ::-1])).save(file, exif=exif)
+        Image.fromarray(np.ascontiguousarray(np.asarray(Image.open(file))[::-1, ::-1])).save(
+            file, exif=exif
+        )
     found = capture_from_photographs(GivenPhotographs(folder))
-    np.testing.assert_array_equal(found.capture.bands["white"].pixels[0, ..., 0], ball(DIRECTIONS[0]))
+    np.testing.assert_array_equal(
+        found.capture.bands["white"].pixels[0, ..., 0], ball(DIRECTIONS[0])
+    )
     assert any("orientation 3" in str(note) for note in found.notes)
     Image.fromarray(ball(DIRECTIONS[2])).save(folder / "p10.png")
     with pytest.raises(BadInput, match=r"p10\.png is turned differently"):
@@ -220,7 +250,9 @@ def test_series_turned_by_exif_data(folder: Path) -> None:
 
 def test_floats_are_brought_to_one_scale(folder: Path) -> None:
     for k, file in enumerate(sorted(folder.glob("p*.png"), key=lambda file: int(file.stem[1:]))):
-        tifffile.imwrite(file.with_suffix(".tiff"), ball(DIRECTIONS[k]).astype(np.float32) * 40.0 + 3.0)
+        tifffile.imwrite(
+            file.with_suffix(".tiff"), ball(DIRECTIONS[k]).astype(np.float32) * 40.0 + 3.0
+        )
         file.unlink()
     found = capture_from_photographs(GivenPhotographs(folder, background=3.0))
     light = linear_stack(found.capture.bands["white"], "linear")
@@ -245,13 +277,21 @@ def test_the_tone_curve_of_a_camera_is_assumed_and_said(folder: Path) -> None:
 @pytest.mark.parametrize("count", [3, 4, 5])
 def test_the_error_that_few_lights_are_warned_of_is_that_of_noise(count: int) -> None:
     azimuth = 2 * np.pi * np.arange(count) / count
-    lights = np.stack([0.57 * np.cos(azimuth), 0.57 * np.sin(azimuth), np.full(count, 0.82)], axis=1)
+    lights = np.stack(
+        [0.57 * np.cos(azimuth), 0.57 * np.sin(azimuth), np.full(count, 0.82)], axis=1
+    )
     words = few_lights(lights)
     assert len(words) == (count < 5)
     if words:
-        stack = np.random.default_rng(1).normal(lights[:, 2, None, None], 0.01, (count, 100, 100)).astype(np.float32)
+        stack = (
+            np.random.default_rng(1)
+            .normal(lights[:, 2, None, None], 0.01, (count, 100, 100))
+            .astype(np.float32)
+        )
         lengths = np.linalg.norm(lights, axis=1)
-        normals, _ = lambertian(stack / lengths[:, None, None].astype(np.float32), lights / lengths[:, None])
+        normals, _ = lambertian(
+            stack / lengths[:, None, None].astype(np.float32), lights / lengths[:, None]
+        )
         tilt = np.degrees(np.sqrt((normals[..., :2] ** 2).sum(axis=-1).mean()))
         said = float(str(words[0]).split("normals by ")[1].split(" deg")[0])
         assert said == pytest.approx(tilt, abs=0.08)

@@ -11,7 +11,8 @@ from splitknit.report.figures import small_fields, view_from_above
 
 @pytest.mark.parametrize("longest", [90, 200, 500])
 def test_frame_is_upright_and_averages(longest: int) -> None:
-    """Every picture pixel holds the mean of the place that its frame names, in a finger at a yaw of 12 deg."""
+    """Every picture pixel holds the mean of the place that its frame names, in a finger at a yaw of
+    12 deg."""
     result, _ = finger()
     frame = upright_frame(result, longest)
     assert max(frame.size) <= longest
@@ -22,9 +23,11 @@ def test_frame_is_upright_and_averages(longest: int) -> None:
     v, u = np.nonzero(weight > 0.999)
     assert v.size > 0.5 * weight.size
     named = frame.input_from_picture @ np.stack([u, v, np.ones(u.size)])
-    assert np.abs(values[v, u].T - named[:2]).max() < 0.1  # input pixels; the library samples at 32nds
+    # input pixels; the library samples at 32nds
+    assert np.abs(values[v, u].T - named[:2]).max() < 0.1
     step = frame.input_from_picture[:2, 0]
-    assert np.rad2deg(np.arctan2(-step[1], step[0])) == pytest.approx(12.0)  # columns run across the turned finger
+    # columns run across the turned finger
+    assert np.rad2deg(np.arctan2(-step[1], step[0])) == pytest.approx(12.0)
 
 
 def test_tip_is_at_the_top() -> None:

@@ -43,7 +43,10 @@ def neighbours(capture: Capture) -> Capture:
         x, y, z = led.position_mm
         turn = np.pi / 4  # halfway to the next LED
         beside.append(
-            Led("white", (x * np.cos(turn) - y * np.sin(turn), x * np.sin(turn) + y * np.cos(turn), z))  # type: ignore[arg-type]
+            Led(
+                "white",
+                (x * np.cos(turn) - y * np.sin(turn), x * np.sin(turn) + y * np.cos(turn), z),
+            )  # type: ignore[arg-type]
         )
     crossed = replace(capture.bands["white_crossed"], leds=tuple((first + k,) for k in range(4)))
     rig = replace(capture.rig, leds=(*capture.rig.leds, *beside))
@@ -53,12 +56,16 @@ def neighbours(capture: Capture) -> Capture:
 @pytest.mark.parametrize("change", [lambda capture: capture, neighbours])
 @pytest.mark.parametrize("exposures", [(1.0, 1.0), (1.0, 2.0), (0.5, 1.0)])
 def test_both_series_are_written_and_read_back(
-    polarised: Capture, tmp_path: Path, change: Callable[[Capture], Capture], exposures: tuple[float, float]
+    polarised: Capture,
+    tmp_path: Path,
+    change: Callable[[Capture], Capture],
+    exposures: tuple[float, float],
 ) -> None:
     capture = change(polarised)
     names = ("white", "white_crossed")
     timed = {
-        name: replace(capture.bands[name], exposure=np.full(4, s)) for name, s in zip(names, exposures, strict=True)
+        name: replace(capture.bands[name], exposure=np.full(4, s))
+        for name, s in zip(names, exposures, strict=True)
     }
     capture = replace(capture, bands={**capture.bands, **timed})
     write_capture(capture, tmp_path / "c")
@@ -71,7 +78,9 @@ def test_both_series_are_written_and_read_back(
         assert (found.polarisation, found.leds) == (band.polarisation, band.leds)
     assert "white_crossed_3.png" in again.hashes
     write_capture(again, tmp_path / "d")
-    assert (tmp_path / "c" / "capture.json").read_bytes() == (tmp_path / "d" / "capture.json").read_bytes()
+    assert (tmp_path / "c" / "capture.json").read_bytes() == (
+        tmp_path / "d" / "capture.json"
+    ).read_bytes()
 
 
 def _exposed(document: Any) -> None:
@@ -83,16 +92,28 @@ def _exposed(document: Any) -> None:
     ("change", "words"),
     [
         (lambda d: d["bands"]["white"].update(polarisation="vertical"), "white.polarisation: "),
-        (lambda d: d["bands"]["white"].pop("polarisation"), 'bands.white must say "polarisation": "parallel"'),
-        (lambda d: d["bands"]["white_crossed"].update(polarisation="parallel"), 'bands.white_crossed "crossed"'),
+        (
+            lambda d: d["bands"]["white"].pop("polarisation"),
+            'bands.white must say "polarisation": "parallel"',
+        ),
+        (
+            lambda d: d["bands"]["white_crossed"].update(polarisation="parallel"),
+            'bands.white_crossed "crossed"',
+        ),
         (
             lambda d: [d["bands"]["white_crossed"][name].pop() for name in ("images", "leds")],
             "bands.white has 4 images but bands.white_crossed 3",
         ),
         (_exposed, "must state exposure_s for every image, both or neither"),
-        (lambda d: d["bands"]["white_crossed"].update(leds=[1, 2, 3, 0]), "list both series in the same order"),
+        (
+            lambda d: d["bands"]["white_crossed"].update(leds=[1, 2, 3, 0]),
+            "list both series in the same order",
+        ),
         (lambda d: d["bands"]["white_crossed"].update(leds=[4, 5, 6, 7]), "which is a 'nir' LED"),
-        (lambda d: d["bands"]["white_crossed"].update(images=d["bands"]["white"]["images"]), "twice"),
+        (
+            lambda d: d["bands"]["white_crossed"].update(images=d["bands"]["white"]["images"]),
+            "twice",
+        ),
         (lambda d: d["bands"].pop("white"), "bands: Object missing required field white"),
         (lambda d: d["bands"].update(red={}), "bands: "),
     ],
@@ -123,18 +144,24 @@ def test_coloured_leds_are_refused(polarised: Capture, tmp_path: Path) -> None:
 
 def test_another_rig_lights_both_series(polarised: Capture, tmp_path: Path) -> None:
     capture = neighbours(polarised)
-    brighter = replace(capture.rig, leds=tuple(replace(led, intensity=2.0) for led in capture.rig.leds))
+    brighter = replace(
+        capture.rig, leds=tuple(replace(led, intensity=2.0) for led in capture.rig.leds)
+    )
     write_rig(brighter, tmp_path / "new.json")
     assert with_rig(capture, tmp_path / "new.json").rig.leds[8].intensity == 2.0
     write_rig(replace(brighter, leds=brighter.leds[:8]), tmp_path / "short.json")
-    with pytest.raises(BadInput, match="LED 8, which lit images of the band 'white_crossed', is not in it"):
+    with pytest.raises(
+        BadInput, match="LED 8, which lit images of the band 'white_crossed', is not in it"
+    ):
         with_rig(capture, tmp_path / "short.json")
 
 
 def test_the_light_without_films_is_the_mean_of_both_under_both_leds(polarised: Capture) -> None:
     capture = neighbours(polarised)
     crossed = replace(
-        capture.bands["white_crossed"], exposure=np.full(4, 2.0), ambient=np.full((40, 30, 3), 4, np.uint8)
+        capture.bands["white_crossed"],
+        exposure=np.full(4, 2.0),
+        ambient=np.full((40, 30, 3), 4, np.uint8),
     )
     both = without_films(replace(capture, bands={**capture.bands, "white_crossed": crossed}))
     white = both.bands["white"]
@@ -146,14 +173,18 @@ def test_the_light_without_films_is_the_mean_of_both_under_both_leds(polarised: 
 
 @pytest.mark.parametrize("ambient", [0, 20])
 @pytest.mark.parametrize("clips", ["white", "white_crossed"])
-def test_what_clips_in_either_series_clips_in_the_mean(polarised: Capture, clips: str, ambient: int) -> None:
+def test_what_clips_in_either_series_clips_in_the_mean(
+    polarised: Capture, clips: str, ambient: int
+) -> None:
     pixels = polarised.bands[clips].pixels.copy()
     pixels[1, 20, 15, :2] = 255
     pixels[2, 20, 15, :1] = 255  # of one channel: the others carry the shading
     room = np.full(pixels.shape[1:], ambient, np.uint8)
     band = replace(polarised.bands[clips], pixels=pixels, ambient=room if ambient else None)
     white = without_films(replace(polarised, bands={**polarised.bands, clips: band})).bands["white"]
-    clipped = linear_stack(white, "linear") >= saturation_levels(white, "linear")[:, None, None] - 1e-6
+    clipped = (
+        linear_stack(white, "linear") >= saturation_levels(white, "linear")[:, None, None] - 1e-6
+    )
     assert np.argwhere(clipped).tolist() == [[1, 20, 15]]
 
 

@@ -18,10 +18,14 @@ from splitknit.model import Camera, Mirror
 CAMERA = Camera(10.0, (400, 300))
 
 
-def body_of(squareness: float, shear: float, half_width: float = 8.0, half_height: float = 6.0) -> Body:
+def body_of(
+    squareness: float, shear: float, half_width: float = 8.0, half_height: float = 6.0
+) -> Body:
     """A body whose section is the same all along, but for its tip."""
     splines = np.tile([[1.5], [-4.0], [half_width], [half_height]], (1, 12))
-    return Body(np.zeros(2), np.array([0.0, 1.0]), 10.0, 25.0, splines, squareness=squareness, shear=shear)
+    return Body(
+        np.zeros(2), np.array([0.0, 1.0]), 10.0, 25.0, splines, squareness=squareness, shear=shear
+    )
 
 
 BASE = np.array([-15.0])
@@ -33,7 +37,9 @@ def section(squareness: float, shear: float) -> tuple[Any, np.ndarray]:
     w = np.linspace(-np.pi / 2, np.pi / 2, 2000)
     x, z = np.sin(w), np.cos(w) * (1 + squareness * np.sin(w) ** 2)
     points = np.column_stack([np.r_[x, x], np.r_[z, -z]])
-    return sections, np.column_stack([1.5 + 8 * points[:, 0] + shear * 6 * points[:, 1], -4 + 6 * points[:, 1]])
+    return sections, np.column_stack(
+        [1.5 + 8 * points[:, 0] + shear * 6 * points[:, 1], -4 + 6 * points[:, 1]]
+    )
 
 
 @pytest.mark.parametrize("squareness", [0.0, 0.2, MAX_SQUARE])
@@ -51,15 +57,27 @@ def test_support_is_the_farthest_point(squareness: float, shear: float) -> None:
 def test_support_answers_to_its_half_axes() -> None:
     normal = np.array([0.6]), np.array([0.8])
     value, by_a, by_b = body_of(0.2, 0.05).sections(BASE).support(*normal)
-    for grown, slope in ((body_of(0.2, 0.05, 8.0001), by_a), (body_of(0.2, 0.05, 8.0, 6.0001), by_b)):
-        assert (grown.sections(BASE).support(*normal)[0] - value) / 1e-4 == pytest.approx(slope, abs=1e-3)
+    for grown, slope in (
+        (body_of(0.2, 0.05, 8.0001), by_a),
+        (body_of(0.2, 0.05, 8.0, 6.0001), by_b),
+    ):
+        assert (grown.sections(BASE).support(*normal)[0] - value) / 1e-4 == pytest.approx(
+            slope, abs=1e-3
+        )
 
 
 def test_splines_sum_to_one_and_bodies_end_round() -> None:
     assert np.allclose(basis(np.linspace(0, 1, 50), 12).sum(axis=1), 1.0)
-    body = Body(np.zeros(2), np.array([0.0, 1.0]), 10.0, 25.0, np.tile([[0.0], [-5.0], [8.0], [6.0]], (1, 12)))
+    body = Body(
+        np.zeros(2),
+        np.array([0.0, 1.0]),
+        10.0,
+        25.0,
+        np.tile([[0.0], [-5.0], [8.0], [6.0]], (1, 12)),
+    )
     near = body.sections(np.array([10.0 - 0.01, 10.0 - 0.04]))
-    assert near.a[1] / near.a[0] == pytest.approx(2.0, rel=1e-6)  # a sphere's cap: half width as the root of the depth
+    # a sphere's cap: half width as the root of the depth
+    assert near.a[1] / near.a[0] == pytest.approx(2.0, rel=1e-6)
 
 
 def ellipse_mask(half_width: float, slant: float) -> np.ndarray:
@@ -92,14 +110,22 @@ def test_an_empty_view_is_refused() -> None:
 
 
 def test_reflected_rays_see_the_finger_itself() -> None:
-    """The mirror image of a point, seen by the camera, lies on the reflected ray through the point."""
-    mirror = Mirror("right", ((17.0, -15.0, -20.0), (17.0, 15.0, -20.0), (37.0, 15.0, 0.0), (37.0, -15.0, 0.0)))
+    """The mirror image of a point, seen by the camera, lies on the reflected ray through the
+    point."""
+    mirror = Mirror(
+        "right", ((17.0, -15.0, -20.0), (17.0, 15.0, -20.0), (37.0, 15.0, 0.0), (37.0, -15.0, 0.0))
+    )
     plane = Plane(mirror.point_mm, mirror.normal).posed(0.03, -0.02, 0.7)
     point = np.array([3.0, 4.0, -2.0])
     image = point - 2 * (point @ plane.normal - plane.offset_mm) * plane.normal
-    for camera in (CAMERA, Camera(10.0, (400, 300), model="perspective", matrix=np.diag([1400.0, 1400.0, 1.0]))):
+    for camera in (
+        CAMERA,
+        Camera(10.0, (400, 300), model="perspective", matrix=np.diag([1400.0, 1400.0, 1.0])),
+    ):
         near = 1.0 if camera.model == "orthographic" else 1.0 - image[2] / camera.height_mm
-        seen = touching(camera, image[None, :2] / near, np.array([[0.0, 1.0]]), np.array([[1.0, 0.0]]))
+        seen = touching(
+            camera, image[None, :2] / near, np.array([[0.0, 1.0]]), np.array([[1.0, 0.0]])
+        )
         ray = plane.reflect(seen)
         away = point - ray.point[0]
         assert np.linalg.norm(away - (away @ ray.direction[0]) * ray.direction[0]) < 1e-9
@@ -108,7 +134,10 @@ def test_reflected_rays_see_the_finger_itself() -> None:
 
 
 def test_a_mirror_turns_leans_and_shifts_as_said() -> None:
-    mirror = Mirror("left", ((-17.0, -15.0, -20.0), (-17.0, 15.0, -20.0), (-37.0, 15.0, 0.0), (-37.0, -15.0, 0.0)))
+    mirror = Mirror(
+        "left",
+        ((-17.0, -15.0, -20.0), (-17.0, 15.0, -20.0), (-37.0, 15.0, 0.0), (-37.0, -15.0, 0.0)),
+    )
     plane = Plane(mirror.point_mm, mirror.normal)
     assert plane.posed(0.0, 0.0, 0.0).normal == pytest.approx(plane.normal)
     moved = plane.posed(0.05, 0.04, 1.5)

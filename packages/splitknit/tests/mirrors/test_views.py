@@ -1,4 +1,5 @@
-"""Which part of a picture is the finger and which its mirror images; and pictures that are refused."""
+"""Which part of a picture is the finger and which its mirror images; and pictures that are
+refused."""
 
 from __future__ import annotations
 
@@ -15,18 +16,25 @@ from splitknit.mirrors.views import view_binning, views_in
 from splitknit.model import BoolArray, Camera, FloatArray, Mirror, Rig
 
 CAMERA = Camera(5.0, (300, 460))
-LEFT = Mirror("left", ((-15.0, -25.0, -20.0), (-15.0, 12.0, -20.0), (-37.0, 12.0, 2.0), (-37.0, -25.0, 2.0)))
-RIGHT = Mirror("right", ((15.0, -25.0, -20.0), (15.0, 12.0, -20.0), (37.0, 12.0, 2.0), (37.0, -25.0, 2.0)))
+LEFT = Mirror(
+    "left", ((-15.0, -25.0, -20.0), (-15.0, 12.0, -20.0), (-37.0, 12.0, 2.0), (-37.0, -25.0, 2.0))
+)
+RIGHT = Mirror(
+    "right", ((15.0, -25.0, -20.0), (15.0, 12.0, -20.0), (37.0, 12.0, 2.0), (37.0, -25.0, 2.0))
+)
 MIRRORS = {"left": LEFT, "right": RIGHT}
 RIG = Rig(CAMERA, (), mirrors=(LEFT, RIGHT))
 
 
 @pytest.fixture(autouse=True)
 def bright_pieces(monkeypatch: pytest.MonkeyPatch) -> None:
-    """The largest bright piece stands for the finger; its outline is looked for in a piece of the image."""
+    """The largest bright piece stands for the finger; its outline is looked for in a piece of the
+    image."""
 
     def region(image: FloatArray, _: float) -> BoolArray:
-        _, labels, stats, _ = cv2.connectedComponentsWithStats((image.sum(axis=2) > 0.9).astype(np.uint8))
+        _, labels, stats, _ = cv2.connectedComponentsWithStats(
+            (image.sum(axis=2) > 0.9).astype(np.uint8)
+        )
         if len(stats) < 2 or stats[1:, cv2.CC_STAT_AREA].max() < 400:
             raise BadInput("no finger was found.")
         return np.asarray(labels == 1 + int(np.argmax(stats[1:, cv2.CC_STAT_AREA])))
@@ -40,7 +48,8 @@ def bright_pieces(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def picture(*fingers: tuple[int, int]) -> FloatArray:
-    """Fingers as bright strips: (first column, width); mirrors with grey frames and a second reflection."""
+    """Fingers as bright strips: (first column, width); mirrors with grey frames and a second
+    reflection."""
     image = np.full((300, 460, 3), 0.02, dtype=np.float32)
     for mirror in MIRRORS.values():
         corners = mirror_outline(mirror, CAMERA).round().astype(np.int32)
@@ -98,7 +107,8 @@ def test_the_front_is_left_alone() -> None:
 
 
 def large(*fingers: tuple[int, int]) -> tuple[FloatArray, Camera]:
-    """The picture at four times the scale, one row and two columns larger: no whole number of the search's blocks."""
+    """The picture at four times the scale, one row and two columns larger: no whole number of the
+    search's blocks."""
     image = np.kron(picture(*fingers), np.ones((4, 4, 1), dtype=np.float32))
     return np.pad(image, ((0, 1), (0, 2), (0, 0)), mode="edge"), Camera(20.0, (1201, 1842))
 
@@ -114,7 +124,8 @@ def test_outlines_are_found_in_the_image_around_what_a_small_copy_shows() -> Non
         columns, rows = np.flatnonzero(mask.any(axis=0)), np.flatnonzero(mask.any(axis=1))
         assert (columns[0], columns[-1]) == (4 * first, 4 * (first + width) - 1)
         assert rows[0] == 400
-    assert np.flatnonzero(views.front.any(axis=1))[-1] == 1200  # the rows that fill no block are looked at, too
+    # the rows that fill no block are looked at, too
+    assert np.flatnonzero(views.front.any(axis=1))[-1] == 1200
 
 
 @pytest.mark.parametrize(
@@ -126,7 +137,9 @@ def test_outlines_are_found_in_the_image_around_what_a_small_copy_shows() -> Non
         (((140, 80), (79, 61), BESIDE[1]), "touches the edge of the left mirror"),
     ],
 )
-def test_the_same_is_refused_where_outlines_are_found_apart(fingers: tuple[tuple[int, int], ...], words: str) -> None:
+def test_the_same_is_refused_where_outlines_are_found_apart(
+    fingers: tuple[tuple[int, int], ...], words: str
+) -> None:
     image, camera = large(*fingers)
     with pytest.raises(BadInput, match=words):
         views_in(image, replace(RIG, camera=camera), 1)

@@ -20,7 +20,12 @@ from splitknit.networks.unet import (
     running,
     use_device,
 )
-from splitknit.separation.direct import direct_light, direct_of_enhanced, exposure_level, local_level
+from splitknit.separation.direct import (
+    direct_light,
+    direct_of_enhanced,
+    exposure_level,
+    local_level,
+)
 
 TINY = Path(__file__).parent / "tiny.onnx"
 """A U-Net of width 2 with random weights; its card tells how it was made."""
@@ -37,7 +42,9 @@ def images() -> np.ndarray:
 
 
 @pytest.mark.parametrize("value", ["0", "", None])
-def test_onnxruntime_is_imported_without_telemetry(monkeypatch: pytest.MonkeyPatch, value: str | None) -> None:
+def test_onnxruntime_is_imported_without_telemetry(
+    monkeypatch: pytest.MonkeyPatch, value: str | None
+) -> None:
     if value is None:
         monkeypatch.delenv(NO_TELEMETRY, raising=False)
     else:
@@ -57,13 +64,16 @@ def test_onnxruntime_imported_with_telemetry_is_refused(
         monkeypatch.delenv(NO_TELEMETRY, raising=False)
     else:
         monkeypatch.setenv(NO_TELEMETRY, value)
-    with pytest.raises(BadInput, match="set the environment variable ORT_DISABLE_TELEMETRY=1 before"):
+    with pytest.raises(
+        BadInput, match="set the environment variable ORT_DISABLE_TELEMETRY=1 before"
+    ):
         load_network(TINY)
 
 
 @pytest.fixture
 def offered(monkeypatch: pytest.MonkeyPatch) -> Iterator[tuple[list[str], list[Any]]]:
-    """Providers that onnxruntime is made to offer, and those that were asked for; everything runs on the CPU."""
+    """Providers that onnxruntime is made to offer, and those that were asked for; everything runs
+    on the CPU."""
     import onnxruntime
 
     there, asked = ["CPUExecutionProvider"], []
@@ -71,7 +81,9 @@ def offered(monkeypatch: pytest.MonkeyPatch) -> Iterator[tuple[list[str], list[A
 
     def session(weights: bytes, options: Any, providers: list[Any], enable_fallback: int) -> Any:
         asked.append(providers)
-        made = real(weights, options, providers=["CPUExecutionProvider"], enable_fallback=enable_fallback)
+        made = real(
+            weights, options, providers=["CPUExecutionProvider"], enable_fallback=enable_fallback
+        )
         names = [one if isinstance(one, str) else one[0] for one in providers]
         return SimpleNamespace(
             run=made.run, get_inputs=made.get_inputs, get_outputs=made.get_outputs,
@@ -87,11 +99,14 @@ def offered(monkeypatch: pytest.MonkeyPatch) -> Iterator[tuple[list[str], list[A
 def test_networks_run_on_cuda_where_onnxruntime_offers_it(
     offered: tuple[list[str], list[Any]], images: np.ndarray
 ) -> None:
-    """With a provider that is made up: this says which device is asked for, not that a GPU does the same."""
+    """With a provider that is made up: this says which device is asked for, not that a GPU does the
+    same."""
     there, asked = offered
     with pytest.raises(BadInput, match="no device 'gpu'"):
         use_device("gpu")
-    with pytest.raises(BadInput, match="onnxruntime offers CPUExecutionProvider only; install onnxruntime-gpu"):
+    with pytest.raises(
+        BadInput, match="onnxruntime offers CPUExecutionProvider only; install onnxruntime-gpu"
+    ):
         use_device("cuda")
     assert use_device("auto") == running().device == "cpu"
     before = run_network(load_network(TINY), images)
@@ -99,7 +114,11 @@ def test_networks_run_on_cuda_where_onnxruntime_offers_it(
     assert use_device("auto") == use_device("cuda") == running().device == "cuda"
     made = run_network(load_network(TINY), images)
     (name, options), rest = asked[-1]
-    assert (name, options["use_tf32"], rest) == ("CUDAExecutionProvider", "0", "CPUExecutionProvider")
+    assert (name, options["use_tf32"], rest) == (
+        "CUDAExecutionProvider",
+        "0",
+        "CPUExecutionProvider",
+    )
     assert np.abs(made - before).max() <= CUDA_TOLERANCE * np.abs(before).max()
     shipped = load_network("relief")
     use_device()
@@ -138,7 +157,8 @@ def test_no_memory_is_kept_for_every_shape(network: Network) -> None:
 
 
 def test_the_reach_of_the_card_is_needed(network: Network, images: np.ndarray) -> None:
-    """A pixel at the reach's end still changes the result, so that a smaller margin would be wrong."""
+    """A pixel at the reach's end still changes the result, so that a smaller margin would be
+    wrong."""
     reach = network.card.reach
     image = images[:1, :, :200, :144].copy()
     before = run_network(network, image)
@@ -156,13 +176,17 @@ def test_the_same_bytes_on_one_two_and_four_threads(name: str) -> None:
     for threads in (1, 2, 4):
         use_device(threads=threads)
         network = load_network(name)
-        fields = np.random.default_rng(0).random((1, network.card.channels_in, 203, 150), dtype=np.float32)
+        fields = np.random.default_rng(0).random(
+            (1, network.card.channels_in, 203, 150), dtype=np.float32
+        )
         made.append(run_network(network, fields, tile=96).tobytes())
     use_device()
     assert made[0] == made[1] == made[2]
 
 
-def test_sides_that_are_no_multiple_of_the_stride_are_reflected(network: Network, images: np.ndarray) -> None:
+def test_sides_that_are_no_multiple_of_the_stride_are_reflected(
+    network: Network, images: np.ndarray
+) -> None:
     padded = np.pad(images, ((0, 0), (0, 0), (0, 5), (0, 2)), mode="reflect")
     expected = run_network(network, padded)[:, :, :203, :150]
     np.testing.assert_array_equal(run_network(network, images), expected)
@@ -176,7 +200,9 @@ def test_one_channel_is_repeated(network: Network, images: np.ndarray) -> None:
 
 
 def test_images_are_independent(network: Network, images: np.ndarray) -> None:
-    np.testing.assert_array_equal(run_network(network, images[1:]), run_network(network, images)[1:])
+    np.testing.assert_array_equal(
+        run_network(network, images[1:]), run_network(network, images)[1:]
+    )
 
 
 @pytest.mark.parametrize(
@@ -202,7 +228,9 @@ def test_nan_is_refused(network: Network) -> None:
 
 def test_direct_light_does_not_depend_on_the_exposure(network: Network, images: np.ndarray) -> None:
     once = direct_light(images, network)
-    np.testing.assert_allclose(direct_light(images * np.float32(0.125), network), 0.125 * once, rtol=1e-4, atol=1e-6)
+    np.testing.assert_allclose(
+        direct_light(images * np.float32(0.125), network), 0.125 * once, rtol=1e-4, atol=1e-6
+    )
     assert once.shape == images.shape and (once >= 0).all() and (once <= images).all()
 
 
@@ -238,11 +266,17 @@ def test_direct_light_of_a_black_image_is_black(network: Network) -> None:
     assert (direct_light(np.zeros((1, 3, 16, 16), dtype=np.float32), network) == 0).all()
 
 
-def test_the_direct_part_of_enhanced_images_follows_the_colours(network: Network, images: np.ndarray) -> None:
+def test_the_direct_part_of_enhanced_images_follows_the_colours(
+    network: Network, images: np.ndarray
+) -> None:
     enhanced = np.sqrt(images.mean(axis=1))
     weights = np.array([0.299, 0.587, 0.114])[:, None, None]
-    fraction = (direct_light(images, network) * weights).sum(axis=1) / (images * weights).sum(axis=1)
+    fraction = (direct_light(images, network) * weights).sum(axis=1) / (images * weights).sum(
+        axis=1
+    )
     assert np.ptp(fraction) > 0.05
-    np.testing.assert_allclose(direct_of_enhanced(enhanced, images, network), enhanced * fraction, rtol=1e-4, atol=1e-6)
+    np.testing.assert_allclose(
+        direct_of_enhanced(enhanced, images, network), enhanced * fraction, rtol=1e-4, atol=1e-6
+    )
     with pytest.raises(BadInput, match="do not match"):
         direct_of_enhanced(enhanced[:1], images, network)

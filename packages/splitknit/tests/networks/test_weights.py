@@ -32,7 +32,9 @@ def test_one_changed_byte_is_noticed(copy: Path) -> None:
     data = bytearray(copy.read_bytes())
     data[len(data) // 2] ^= 1
     copy.write_bytes(data)
-    with pytest.raises(BadInput, match=r"damaged or not those of their card .* copy the network again"):
+    with pytest.raises(
+        BadInput, match=r"damaged or not those of their card .* copy the network again"
+    ):
         load_network(copy)
 
 
@@ -40,14 +42,24 @@ def message(*fields: tuple[int, bytes | int | str]) -> bytes:
     """A message of Protocol Buffers, of numbers and parts below 2^14."""
     made = b""
     for number, value in fields:
-        body = value.encode() if isinstance(value, str) else b"" if isinstance(value, int) else value
+        body = (
+            value.encode() if isinstance(value, str) else b"" if isinstance(value, int) else value
+        )
         count = value if isinstance(value, int) else len(body)
-        made += bytes([number << 3 | (0 if isinstance(value, int) else 2), count & 127 | 128, count >> 7]) + body
+        made += (
+            bytes(
+                [number << 3 | (0 if isinstance(value, int) else 2), count & 127 | 128, count >> 7]
+            )
+            + body
+        )
     return made
 
 
-def test_data_outside_the_file_are_refused(copy: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Values in a file that the card's hash does not cover, looked for where the program was started."""
+def test_data_outside_the_file_are_refused(
+    copy: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Values in a file that the card's hash does not cover, looked for where the program was
+    started."""
     sides = [(1, side) for side in (1, 1, 64, 64)]
     image = message((1, message((1, 1), (2, message(*[(1, message(side)) for side in sides])))))
     place = message((1, "location"), (2, "values"))
@@ -94,7 +106,9 @@ def test_an_unknown_name_is_told_what_there_is() -> None:
         ({"channels_in": True}, "gives channels_in as True"),
     ],
 )
-def test_a_card_that_makes_no_sense_is_refused(copy: Path, change: dict[str, object], words: str) -> None:
+def test_a_card_that_makes_no_sense_is_refused(
+    copy: Path, change: dict[str, object], words: str
+) -> None:
     file = copy.with_suffix(".json")
     file.write_text(json.dumps({**json.loads(file.read_text()), **change}))
     with pytest.raises(BadInput, match=words):

@@ -12,7 +12,11 @@ from splitknit.photometric.lambertian import lambertian
 def ring(count=7, elevation_deg=55.0):
     azimuth, elevation = 2 * np.pi * np.arange(count) / count, np.deg2rad(elevation_deg)
     return np.column_stack(
-        [np.cos(azimuth) * np.cos(elevation), np.sin(azimuth) * np.cos(elevation), np.full(count, np.sin(elevation))]
+        [
+            np.cos(azimuth) * np.cos(elevation),
+            np.sin(azimuth) * np.cos(elevation),
+            np.full(count, np.sin(elevation)),
+        ]
     )
 
 

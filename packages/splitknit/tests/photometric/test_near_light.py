@@ -43,12 +43,15 @@ def dome(x, y):
 
 
 def point_light(led, points):
-    """Light vector by the book, in double precision: d / |d|^3 times the lobe; relative to 100 mm."""
+    """Light vector by the book, in double precision: d / |d|^3 times the lobe; relative to 100
+    mm."""
     position = np.asarray(led.position_mm)
     to_light = position - points
     distance = np.linalg.norm(to_light, axis=-1, keepdims=True)
     cosine = (to_light @ position)[..., None] / (distance * np.linalg.norm(position))
-    vector = led.intensity * 1e4 * to_light / distance**3 * np.clip(cosine, 0, None) ** led.lobe_exponent
+    vector = (
+        led.intensity * 1e4 * to_light / distance**3 * np.clip(cosine, 0, None) ** led.lobe_exponent
+    )
     return vector + sum(point_light(other, points) for other in led.also)
 
 
@@ -59,7 +62,11 @@ def scene(rig, x=None, y=None, albedo=0.7):
     z, normals = dome(gx, gy)
     points = np.stack([gx, gy, z], axis=-1)
     strength = np.mean([np.linalg.norm(point_light(led, np.zeros(3))) for led in rig.leds])
-    stack = np.stack([(point_light(led, points) * normals).sum(axis=-1) for led in rig.leds]) * albedo / strength
+    stack = (
+        np.stack([(point_light(led, points) * normals).sum(axis=-1) for led in rig.leds])
+        * albedo
+        / strength
+    )
     return stack.astype(np.float32), z.astype(np.float32), normals
 
 
@@ -147,7 +154,9 @@ def test_perspective_rays_pass_through_the_apex(distortion):
     points = np.stack([gx * 130 / 140, gy * 130 / 140, np.full(SHAPE, 10.0)], axis=-1)
     strength = np.mean([np.linalg.norm(point_light(led, np.zeros(3))) for led in rig.leds])
     for k, led in enumerate(rig.leds):
-        assert np.abs(field[k].transpose(1, 2, 0) - point_light(led, points) / strength).max() < 1e-5
+        assert (
+            np.abs(field[k].transpose(1, 2, 0) - point_light(led, points) / strength).max() < 1e-5
+        )
 
 
 def test_pseudo_normals_are_linear_and_share_channels():
@@ -160,7 +169,9 @@ def test_pseudo_normals_are_linear_and_share_channels():
     assert g.shape == (3, *SHAPE, 3)
     assert np.abs(g[0] - 0.7 * normals).max() < 3e-4
     assert np.allclose(g[1], 2 * g[0], atol=1e-5)
-    assert np.allclose(pseudo_normals(colours[0] + colours[2], rig, z, weights=weights), g[0] + g[2], atol=2e-3)
+    assert np.allclose(
+        pseudo_normals(colours[0] + colours[2], rig, z, weights=weights), g[0] + g[2], atol=2e-3
+    )
     assert np.array_equal(pseudo_normals(colours[2], rig, z, weights=weights), g[2])
 
 

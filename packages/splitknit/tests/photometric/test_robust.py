@@ -14,12 +14,17 @@ from splitknit.photometric.robust import robust
 def ring(count=7, elevation_deg=55.0):
     azimuth, elevation = 2 * np.pi * np.arange(count) / count, np.deg2rad(elevation_deg)
     return np.column_stack(
-        [np.cos(azimuth) * np.cos(elevation), np.sin(azimuth) * np.cos(elevation), np.full(count, np.sin(elevation))]
+        [
+            np.cos(azimuth) * np.cos(elevation),
+            np.sin(azimuth) * np.cos(elevation),
+            np.full(count, np.sin(elevation)),
+        ]
     )
 
 
 def sphere(lights, gloss=0.0, noise=0.0, seed=0, sharpness=80, *, size=120):
-    """Stack, normals and mask of a sphere with attached shadows, a highlight lobe and noise; albedo 0.6."""
+    """Stack, normals and mask of a sphere with attached shadows, a highlight lobe and noise; albedo
+    0.6."""
     i, j = np.mgrid[0:size, 0:size]
     x, y = (2 * j - size + 1) / size, (size - 1 - 2 * i) / size
     mask = x**2 + y**2 < 0.85
@@ -59,8 +64,11 @@ def test_highlights_lose_weight(count, least):
 
 
 def test_lit_lights_in_one_plane_do_not_decide_alone():
-    """Noise of 2 % must not turn a normal that three lights in one plane leave open; the shadowed ones close it."""
-    lights = np.array([[-0.5, 0.0, 1.0], [0.0, 0.01, 1.0], [0.5, 0.0, 1.0], [0.0, 0.8, 0.6], [0.0, -0.8, 0.6]])
+    """Noise of 2 % must not turn a normal that three lights in one plane leave open; the shadowed
+    ones close it."""
+    lights = np.array(
+        [[-0.5, 0.0, 1.0], [0.0, 0.01, 1.0], [0.5, 0.0, 1.0], [0.0, 0.8, 0.6], [0.0, -0.8, 0.6]]
+    )
     stack = np.array([1.0, 1.02, 1.0, 0.028, 0.03], dtype=np.float32)[:, None, None]
     normals, albedo = robust(stack, lights)
     assert normals[0, 0, 2] > 0.95

@@ -12,7 +12,9 @@ from splitknit.imaging.light_field import light_vectors_at
 from splitknit.model import Camera, Led, Rig, Shade
 
 CAMERA = Camera(10.0, (20, 30))
-X, Y = (np.ascontiguousarray(a) for a in np.meshgrid(np.linspace(-9, 9, 300), np.linspace(5, -5, 200)))
+X, Y = (
+    np.ascontiguousarray(a) for a in np.meshgrid(np.linspace(-9, 9, 300), np.linspace(5, -5, 200))
+)
 Z = np.zeros_like(X)
 PLACES = tuple(a.astype(np.float32) for a in (X, Y, Z))
 
@@ -25,9 +27,12 @@ def test_a_shade_dims_a_light_where_it_says() -> None:
     ramp = np.linspace(0, 1, 19, dtype=np.float32)[None].repeat(3, axis=0)
     led = Led("white", position_mm=(30.0, 0.0, 100.0))
     whole = light_vectors_at(rig_of(led), *PLACES)
-    shaded = light_vectors_at(rig_of(replace(led, shade=Shade((-9.0, 9.0), (5.0, -5.0), ramp))), *PLACES)
+    shaded = light_vectors_at(
+        rig_of(replace(led, shade=Shade((-9.0, 9.0), (5.0, -5.0), ramp))), *PLACES
+    )
     fraction = shaded[0, 2] / whole[0, 2]
-    assert np.abs(fraction - (X + 9) / 18).max() < 2e-3  # 60 000 places: more than one line of OpenCV's
+    # 60 000 places: more than one line of OpenCV's
+    assert np.abs(fraction - (X + 9) / 18).max() < 2e-3
 
 
 def test_images_in_mirrors_add_light_and_do_not_change_what_an_exposure_is_called() -> None:

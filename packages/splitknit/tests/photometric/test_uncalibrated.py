@@ -1,4 +1,5 @@
-"""Lights that nobody listed: their directions and what they leave open of the surface, or a refusal."""
+"""Lights that nobody listed: their directions and what they leave open of the surface, or a
+refusal."""
 
 from __future__ import annotations
 
@@ -23,7 +24,11 @@ HEIGHT = 0.9 - 0.5 * X**2 - 0.3 * Y**2 + 0.06 * np.sin(5 * X + 1) * np.cos(4 * Y
 def photographs(height: np.ndarray, lights: np.ndarray) -> np.ndarray:
     """(L, 100, 100) of uint16: a matt surface over the places X, Y, before black."""
     step = X[0, 1] - X[0, 0]
-    slopes = [-np.gradient(height, step, axis=1), np.gradient(height, step, axis=0), np.ones_like(X)]
+    slopes = [
+        -np.gradient(height, step, axis=1),
+        np.gradient(height, step, axis=0),
+        np.ones_like(X),
+    ]
     normals = np.dstack(slopes) / np.linalg.norm(slopes, axis=0)[..., None]
     light = np.einsum("ki,yxi->kyx", lights, normals).clip(0) * INSIDE
     noise = np.random.default_rng(0).normal(0, 100, light.shape)
@@ -34,6 +39,7 @@ def apart_deg(found: np.ndarray, true: np.ndarray) -> float:
     return float(np.degrees(np.arccos(np.clip((found * true).sum(axis=1), -1, 1))).mean())
 
 
+@pytest.mark.slow
 def test_arrays_without_lights_give_a_surface_and_what_is_not_known_of_it() -> None:
     bright = np.array([0.5, 1, 0.7, 1, 0.4, 1, 0.8, 1, 1])
     images = (photographs(HEIGHT, spread_lights(9)[::-1]) * bright[:, None, None]).astype(np.uint16)
@@ -46,6 +52,7 @@ def test_arrays_without_lights_give_a_surface_and_what_is_not_known_of_it() -> N
     assert result.facts["lights"] == "estimated"
 
 
+@pytest.mark.slow
 def test_the_command_line_takes_unknown(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     folder = tmp_path / "photos"
     folder.mkdir()
@@ -60,6 +67,7 @@ def test_the_command_line_takes_unknown(tmp_path: Path, capsys: pytest.CaptureFi
     assert "unknown lights go with opaque things" in capsys.readouterr().err
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("case", ["few", "copies", "noise", "waves"])
 def test_photographs_that_determine_no_lights_are_refused(case: str) -> None:
     images = photographs(HEIGHT, spread_lights(8))

@@ -12,13 +12,17 @@ from splitknit.imaging.geometry import rotation_about
 PX_PER_MM = 1000 / 25.4  # twice the print's resolution
 
 
-def _stripes(angle_deg: float, size: tuple[int, int] = (300, 400), period_mm: float = 0.45) -> NDArray[np.float32]:
+def _stripes(
+    angle_deg: float, size: tuple[int, int] = (300, 400), period_mm: float = 0.45
+) -> NDArray[np.float32]:
     """Ridges of 30 um whose crests run at an angle counter-clockwise from x, on the pixel grid."""
     rows, columns = size
     x = (np.arange(columns) - (columns - 1) / 2)[None, :] / PX_PER_MM
     y = ((rows - 1) / 2 - np.arange(rows))[:, None] / PX_PER_MM
     angle = np.deg2rad(angle_deg)
-    return (0.03 * np.cos(2 * np.pi * (y * np.cos(angle) - x * np.sin(angle)) / period_mm)).astype(np.float32)
+    return (0.03 * np.cos(2 * np.pi * (y * np.cos(angle) - x * np.sin(angle)) / period_mm)).astype(
+        np.float32
+    )
 
 
 def _direction_deg(image: NDArray[np.uint8]) -> float:
@@ -33,11 +37,16 @@ def _direction_deg(image: NDArray[np.uint8]) -> float:
 def test_size_is_exactly_the_resolution() -> None:
     mask = np.ones((300, 400), bool)
     assert relief_print(_stripes(20), mask, PX_PER_MM, np.eye(3), (300, 400)).shape == (150, 200)
-    assert relief_print(_stripes(20), mask, PX_PER_MM, np.eye(3), (300, 400), ppi=1000).shape == (300, 400)
+    assert relief_print(_stripes(20), mask, PX_PER_MM, np.eye(3), (300, 400), ppi=1000).shape == (
+        300,
+        400,
+    )
 
 
 def test_print_is_mirrored() -> None:
-    printed = relief_print(_stripes(30), np.ones((300, 400), bool), PX_PER_MM, np.eye(3), (300, 400))
+    printed = relief_print(
+        _stripes(30), np.ones((300, 400), bool), PX_PER_MM, np.eye(3), (300, 400)
+    )
     assert _direction_deg(printed) == pytest.approx(150.0, abs=1.0)
 
 
@@ -74,11 +83,15 @@ def test_contrast_is_even_up_to_the_edge() -> None:
     """Ridges that fade to a fifth, on a bowl far higher than themselves, come out equally dark."""
     rows, columns = np.mgrid[0:600, 0:600]
     fade = 1.0 - 0.8 * columns / 599
-    relief = _stripes(0, (600, 600)) * fade.astype(np.float32) + np.float32(1e-6) * (columns - 300.0) ** 2
+    relief = (
+        _stripes(0, (600, 600)) * fade.astype(np.float32)
+        + np.float32(1e-6) * (columns - 300.0) ** 2
+    )
     mask = np.hypot(rows - 299.5, columns - 299.5) < 280
     printed = relief_print(relief.astype(np.float32), mask, PX_PER_MM, np.eye(3), (600, 600))
     strong, weak, edge = (
-        printed[130:170, part].astype(float).std() for part in (slice(200, 240), slice(60, 100), slice(18, 30))
+        printed[130:170, part].astype(float).std()
+        for part in (slice(200, 240), slice(60, 100), slice(18, 30))
     )
     assert weak > 0.85 * strong
     assert edge > 0.7 * strong
@@ -86,7 +99,8 @@ def test_contrast_is_even_up_to_the_edge() -> None:
 
 
 def test_no_aliases_of_fine_structure() -> None:
-    """Structure of 0.07 mm cannot be shown at 500 ppi and must vanish, not turn into false ridges."""
+    """Structure of 0.07 mm cannot be shown at 500 ppi and must vanish, not turn into false
+    ridges."""
     relief = _stripes(90, period_mm=0.45) + 4 * _stripes(90, period_mm=0.07)
     mask = np.ones(relief.shape, bool)
     printed = relief_print(relief, mask, PX_PER_MM, np.eye(3), (300, 400))
@@ -104,7 +118,9 @@ def test_nan_outside_the_mask_does_no_harm() -> None:
 
 
 def test_flat_relief_gives_white_paper() -> None:
-    printed = relief_print(np.zeros((60, 80), np.float32), np.ones((60, 80), bool), PX_PER_MM, np.eye(3), (60, 80))
+    printed = relief_print(
+        np.zeros((60, 80), np.float32), np.ones((60, 80), bool), PX_PER_MM, np.eye(3), (60, 80)
+    )
     assert (printed == 255).all()
 
 

@@ -25,7 +25,8 @@ def blob(seed, shape):
 
 
 def waves(seed, rows=64, columns=80):
-    """A surface of mirrored cosines, which all integrators take for periodic or free, and its y-up slopes."""
+    """A surface of mirrored cosines, which all integrators take for periodic or free, and its y-up
+    slopes."""
     rng = np.random.default_rng(seed)
     i, j = np.arange(rows)[:, None] + 0.5, np.arange(columns)[None] + 0.5
     height, slope_x, slope_y = np.zeros((3, rows, columns))
@@ -69,7 +70,9 @@ def test_plane_is_recovered_on_any_mask(seed):
 def test_integrators_agree_on_an_integrable_field(seed):
     height, slope_x, slope_y = waves(seed)
     scale = np.abs(height).max()
-    assert np.abs(frankot_chellappa(slope_x, slope_y, padding="mirror") - height).max() < 1e-3 * scale
+    assert (
+        np.abs(frankot_chellappa(slope_x, slope_y, padding="mirror") - height).max() < 1e-3 * scale
+    )
     bank = ShapeletSettings(scales=20, sigma_px=0.05)
     assert np.abs(shapelets(slope_x, slope_y, settings=bank) - height).max() < 0.03 * scale
 
@@ -82,7 +85,11 @@ def test_heights_scale_with_gradients(seed, factor):
     for integrate in (poisson, frankot_chellappa, shapelets):
         height = integrate(slope_x, slope_y, mask)
         scaled = integrate(factor * slope_x, factor * slope_y, mask)
-        assert np.allclose(scaled[mask], factor * height[mask], atol=1e-4 * abs(factor) * (1 + np.nanmax(abs(height))))
+        assert np.allclose(
+            scaled[mask],
+            factor * height[mask],
+            atol=1e-4 * abs(factor) * (1 + np.nanmax(abs(height))),
+        )
 
 
 @quick

@@ -1,4 +1,5 @@
-"""What is written is read again, and a PNG is decoded as others decode it; tests/fuzz reads what is damaged."""
+"""What is written is read again, and a PNG is decoded as others decode it; tests/fuzz reads what is
+damaged."""
 
 from __future__ import annotations
 
@@ -20,14 +21,21 @@ from splitknit.io.npz import read_npz, write_npz
 from splitknit.io.provenance import canonical_json
 
 FUZZ = settings(max_examples=150, derandomize=True, deadline=None)
-SCALARS = st.none() | st.booleans() | st.integers(-(10**30), 10**30) | st.floats() | st.text(max_size=8)
+SCALARS = (
+    st.none() | st.booleans() | st.integers(-(10**30), 10**30) | st.floats() | st.text(max_size=8)
+)
 JSON = st.recursive(
-    SCALARS, lambda inner: st.lists(inner, max_size=4) | st.dictionaries(st.text(max_size=6), inner, max_size=4)
+    SCALARS,
+    lambda inner: (
+        st.lists(inner, max_size=4) | st.dictionaries(st.text(max_size=6), inner, max_size=4)
+    ),
 )
 COLOURS = [
     (depth, colour)
     for colour in (0, 2, 3, 4, 6)
-    for depth in ((1, 2, 4, 8, 16), (8, 16), (1, 2, 4, 8))[0 if colour == 0 else 2 if colour == 3 else 1]
+    for depth in ((1, 2, 4, 8, 16), (8, 16), (1, 2, 4, 8))[
+        0 if colour == 0 else 2 if colour == 3 else 1
+    ]
 ]
 
 
@@ -40,7 +48,13 @@ def refused(data: bytes) -> bool:
 
 
 @FUZZ
-@given(st.integers(1, 12), st.integers(1, 12), st.sampled_from(COLOURS), st.booleans(), st.integers(0, 2**32))
+@given(
+    st.integers(1, 12),
+    st.integers(1, 12),
+    st.sampled_from(COLOURS),
+    st.booleans(),
+    st.integers(0, 2**32),
+)
 def test_any_sound_png_is_decoded_as_opencv_does(
     rows: int, columns: int, kind: tuple[int, int], interlaced: bool, seed: int
 ) -> None:
@@ -58,7 +72,9 @@ def test_kinds_of_png_that_the_standard_does_not_know_are_refused() -> None:
             known = (depth, colour) in COLOURS
             head = b"\0\0\0\3\0\0\0\2" + bytes([depth, colour, 0, 0, 0])
             made = PNG + chunk(b"IHDR", head) + chunk(b"IEND", b"")
-            assert refused(png_of(2, 3, depth, colour, False, Random(1)) if known else made) != known
+            assert (
+                refused(png_of(2, 3, depth, colour, False, Random(1)) if known else made) != known
+            )
 
 
 @FUZZ
@@ -75,7 +91,10 @@ def test_canonical_json_is_a_fixed_point(value: Any) -> None:
 @given(
     st.dictionaries(
         st.text(alphabet="abcdef_0", min_size=1, max_size=5),
-        st.integers(-(2**60), 2**60) | st.floats() | st.lists(st.integers(-5, 5), max_size=5) | st.booleans(),
+        st.integers(-(2**60), 2**60)
+        | st.floats()
+        | st.lists(st.integers(-5, 5), max_size=5)
+        | st.booleans(),
         max_size=4,
     )
 )

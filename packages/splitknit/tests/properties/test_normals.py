@@ -21,12 +21,18 @@ def scene(seed, count=8, shape=(9, 11)):
     azimuth = 2 * np.pi * (np.arange(count) + rng.uniform(0, 0.5, count)) / count
     elevation = rng.uniform(0.6, 1.2, count)
     lights = np.column_stack(
-        [np.cos(azimuth) * np.cos(elevation), np.sin(azimuth) * np.cos(elevation), np.sin(elevation)]
+        [
+            np.cos(azimuth) * np.cos(elevation),
+            np.sin(azimuth) * np.cos(elevation),
+            np.sin(elevation),
+        ]
     )
     lights *= rng.uniform(0.5, 1.5, (count, 1))
     normals = np.dstack([rng.normal(0, 0.4, (*shape, 2)), np.ones(shape)])
     normals /= np.linalg.norm(normals, axis=2, keepdims=True)
-    stack = np.clip(np.einsum("hwi,li->lhw", normals, lights), 0, None) * rng.uniform(0.3, 0.9, shape)
+    stack = np.clip(np.einsum("hwi,li->lhw", normals, lights), 0, None) * rng.uniform(
+        0.3, 0.9, shape
+    )
     return np.clip(stack + rng.normal(0, 0.002, stack.shape), 0, None).astype(np.float32), lights
 
 
@@ -39,7 +45,12 @@ def close(a, b, tolerance=2e-3):
 def near_rig(lights, shape):
     """LEDs along the lights, some 100 mm away and above the surface."""
     leds = tuple(
-        Led("white", position_mm=tuple(100 * v / np.linalg.norm(v)), intensity=float(np.linalg.norm(v))) for v in lights
+        Led(
+            "white",
+            position_mm=tuple(100 * v / np.linalg.norm(v)),
+            intensity=float(np.linalg.norm(v)),
+        )
+        for v in lights
     )
     return Rig(Camera(4.0, shape), leds)
 
@@ -72,7 +83,9 @@ def test_brighter_images_mean_albedo_alone(seed, scale):
 @given(seeds, st.floats(-np.pi, np.pi))
 def test_turning_the_lights_turns_the_normals(seed, angle):
     stack, lights = scene(seed)
-    turn = np.array([[np.cos(angle), -np.sin(angle), 0], [np.sin(angle), np.cos(angle), 0], [0, 0, 1]])
+    turn = np.array(
+        [[np.cos(angle), -np.sin(angle), 0], [np.sin(angle), np.cos(angle), 0], [0, 0, 1]]
+    )
     for method in (lambertian, robust):
         normals, albedo = method(stack, lights)
         turned, turned_albedo = method(stack, lights @ turn.T)

@@ -23,9 +23,12 @@ def _decoded(picture: Picture) -> NDArray[np.uint8]:
 
 @pytest.mark.parametrize("yaw_deg", [-20.0, 0.0, 20.0])
 def test_normals_turn_with_the_finger(yaw_deg: float) -> None:
-    """Red is symmetrical about the finger's axis and green about nothing: at the tip it is above the middle value."""
+    """Red is symmetrical about the finger's axis and green about nothing: at the tip it is above
+    the middle value."""
     result, _ = finger(yaw_deg=yaw_deg)
-    image = _decoded(NORMALS(result, figures.small_fields(result, upright_frame(result, 200)))).astype(float)
+    image = _decoded(
+        NORMALS(result, figures.small_fields(result, upright_frame(result, 200)))
+    ).astype(float)
     rows, columns = image.shape[:2]
     left, right = image[rows // 2, columns // 5], image[rows // 2, -columns // 5]
     assert left[0] + right[0] == pytest.approx(255, abs=12)
@@ -43,7 +46,12 @@ def test_outline_and_crease_lie_on_the_input() -> None:
     image = _decoded(shown).astype(int)
     assert image.shape[:2] == result.mask.shape
     orange = np.abs(image - np.array(ORANGE)).max(axis=2) < 60
-    edge = cv2.morphologyEx(result.mask.astype(np.uint8), cv2.MORPH_GRADIENT, np.ones((7, 7), np.uint8)) > 0
+    edge = (
+        cv2.morphologyEx(
+            result.mask.astype(np.uint8), cv2.MORPH_GRADIENT, np.ones((7, 7), np.uint8)
+        )
+        > 0
+    )
     assert orange.sum() > 800
     assert (orange & edge).sum() > 0.97 * orange.sum()
     blue = np.abs(image[365, 290:310] - np.array(BLUE)).max(axis=1) < 70
@@ -57,7 +65,9 @@ def test_scale_bar_is_as_long_as_it_says() -> None:
     frame = upright_frame(result, 200)
     shown = RELIEF(result, figures.small_fields(result, frame))
     length_mm = float(shown.scale_label.split()[0])
-    assert shown.scale_percent / 100 * shown.width * frame.pitch_mm == pytest.approx(length_mm, rel=1e-3)
+    assert shown.scale_percent / 100 * shown.width * frame.pitch_mm == pytest.approx(
+        length_mm, rel=1e-3
+    )
 
 
 def test_relief_limits_leave_out_steep_flanks() -> None:

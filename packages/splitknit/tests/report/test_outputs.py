@@ -28,7 +28,15 @@ def test_all_files_are_written(written: Written) -> None:
 def test_fields_lie_on_the_input_grid(written: Written) -> None:
     result, _ = finger()
     arrays = read_npz(written[0] / "height.npz")
-    for name in ("height_mm", "ridge_mm", "shape_mm", "mask", "normals", "input_from_upright", "uncertainty_um"):
+    for name in (
+        "height_mm",
+        "ridge_mm",
+        "shape_mm",
+        "mask",
+        "normals",
+        "input_from_upright",
+        "uncertainty_um",
+    ):
         assert np.array_equal(arrays[name], getattr(result, name), equal_nan=name != "mask"), name
     assert float(arrays["pitch_mm"]) == result.pitch_mm
     assert tuple(arrays["upright_size"]) == result.upright_size
@@ -53,7 +61,8 @@ def test_pictures_of_fields_lie_on_the_input_grid(written: Written) -> None:
 
 
 def test_mesh_is_upright_and_not_resampled(written: Written) -> None:
-    """The finger's yaw of 12 deg is gone from the coordinates, and every vertex still is one pixel."""
+    """The finger's yaw of 12 deg is gone from the coordinates, and every vertex still is one
+    pixel."""
     result, _ = finger()
     mesh = read_ply(written[0] / "phalange.ply")
     assert len(mesh.vertices_mm) == int(result.mask.sum())
@@ -84,7 +93,9 @@ def test_print_says_its_resolution(written: Written) -> None:
     result, _ = finger()
     stored = read_print_png(written[0] / "print.png")
     assert stored.resolution_ppi == pytest.approx(500.0, abs=0.02)
-    assert stored.image.shape == tuple(round(n * result.pitch_mm / 25.4 * 500) for n in result.upright_size)
+    assert stored.image.shape == tuple(
+        round(n * result.pitch_mm / 25.4 * 500) for n in result.upright_size
+    )
     assert "splitknit" in stored.text["Software"]
 
 
@@ -109,7 +120,8 @@ def test_same_input_same_bytes(written: Written, tmp_path: Path) -> None:
     for name in FILES:
         if not name.startswith("report"):
             digests = {
-                hashlib.sha256((folder / name).read_bytes()).digest() for folder in (written[0], tmp_path / "again")
+                hashlib.sha256((folder / name).read_bytes()).digest()
+                for folder in (written[0], tmp_path / "again")
             }
             assert len(digests) == 1, name
 

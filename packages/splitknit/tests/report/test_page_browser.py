@@ -1,4 +1,5 @@
-"""The report in a real Chromium, offline: its surface turns, is lit, and is cut between two points."""
+"""The report in a real Chromium, offline: its surface turns, is lit, and is cut between two
+points."""
 
 from __future__ import annotations
 
@@ -28,7 +29,9 @@ def page() -> Iterator[Page]:
     page.close()
 
 
-def test_a_mailed_report_turns_and_measures_a_section(written: tuple[Path, dict], page: Page, tmp_path: Path) -> None:
+def test_a_mailed_report_turns_and_measures_a_section(
+    written: tuple[Path, dict], page: Page, tmp_path: Path
+) -> None:
     mailed = tmp_path / "mailed.html"
     mailed.write_bytes((written[0] / "report.html").read_bytes())
     page.open(mailed.as_uri())
@@ -47,16 +50,22 @@ def test_a_mailed_report_turns_and_measures_a_section(written: tuple[Path, dict]
 
     page.find("input[value=section]").click()
     page.click_at("canvas", 0, 60)
-    assert page.run("return document.getElementById('section-note').textContent") == "Choose the other end."
+    assert (
+        page.run("return document.getElementById('section-note').textContent")
+        == "Choose the other end."
+    )
     page.click_at("canvas", 0, -60)
     time.sleep(0.5)
     note = page.run("return document.getElementById('section-note').textContent")
-    figures = re.fullmatch(r"Section from .* mm: ([\d.]+) mm long, ([\d.]+) \u00b5m from lowest to highest\.", note)
+    figures = re.fullmatch(
+        r"Section from .* mm: ([\d.]+) mm long, ([\d.]+) \u00b5m from lowest to highest\.", note
+    )
     assert figures is not None, note
     assert 1.0 < float(figures[1]) < 12.0
     page.find("#alone").click()
     relief = page.run("return document.getElementById('section-note').textContent")
-    assert 50.0 < float(relief.split(", ")[1].split()[0]) < 70.0  # of the spiral, 60 um from valley to ridge
+    # of the spiral, 60 um from valley to ridge
+    assert 50.0 < float(relief.split(", ")[1].split()[0]) < 70.0
     assert page.run("return document.querySelectorAll('#section path').length") > 5
     page.picture("section")
     assert page.complaints() == []

@@ -1,4 +1,5 @@
-"""Sections, and the surface in a page, are those of the finger: a half ellipsoid with a known relief."""
+"""Sections, and the surface in a page, are those of the finger: a half ellipsoid with a known
+relief."""
 
 from __future__ import annotations
 
@@ -25,8 +26,12 @@ from splitknit.report.surface import ResultSurface, scene_of, section, surface_i
 def perspective(result: Reconstruction) -> Reconstruction:
     """The same finger as a camera 140 mm above sees it."""
     height, width = result.mask.shape
-    x = ((np.arange(width) - (width - 1) / 2) * result.pitch_mm)[None, :] * (1 - result.height_mm / 140)
-    y = (((height - 1) / 2 - np.arange(height)) * result.pitch_mm)[:, None] * (1 - result.height_mm / 140)
+    x = ((np.arange(width) - (width - 1) / 2) * result.pitch_mm)[None, :] * (
+        1 - result.height_mm / 140
+    )
+    y = (((height - 1) / 2 - np.arange(height)) * result.pitch_mm)[:, None] * (
+        1 - result.height_mm / 140
+    )
     return replace(result, x_mm=x.astype(np.float32), y_mm=y.astype(np.float32))
 
 
@@ -46,7 +51,9 @@ def height_at(x: float, y: float) -> float:
 def test_a_section_across_has_the_ellipse_s_length(surfaces) -> None:
     cut = section(surfaces["parallel"], (-6.0, -4.0), (6.0, -4.0))
     assert cut.figures["flat_mm"] == pytest.approx(12.0)
-    assert cut.figures["height_difference_mm"] == pytest.approx(height_at(6, -4) - height_at(-6, -4), abs=0.01)
+    assert cut.figures["height_difference_mm"] == pytest.approx(
+        height_at(6, -4) - height_at(-6, -4), abs=0.01
+    )
     x = np.linspace(-6, 6, 4001)
     z = np.array([height_at(each, -4.0) for each in x])
     length = np.hypot(np.diff(x), np.diff(z)).sum()
@@ -57,7 +64,9 @@ def test_a_section_across_has_the_ellipse_s_length(surfaces) -> None:
 @pytest.mark.parametrize("which", ["parallel", "perspective"])
 def test_a_section_along_a_ray_of_the_spiral_has_its_period(which: str, surfaces) -> None:
     cut = section(surfaces[which], (0.6, 3.0), (0.6, 8.4))
-    low, high = (y * (1 - (height_at(0.6, y) / 140 if which == "perspective" else 0.0)) for y in (3.0, 8.4))
+    low, high = (
+        y * (1 - (height_at(0.6, y) / 140 if which == "perspective" else 0.0)) for y in (3.0, 8.4)
+    )
     period = 0.45 * (high - low) / 5.4  # further from the camera looks smaller
     assert cut.figures["ridge_period_mm"] == pytest.approx(period, rel=0.015)
 

@@ -33,7 +33,9 @@ class _Page(html.parser.HTMLParser):
 
     def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
         self.tags.add(tag)
-        self.addresses += [value or "" for name, value in attrs if name in ("src", "href", "data", "action")]
+        self.addresses += [
+            value or "" for name, value in attrs if name in ("src", "href", "data", "action")
+        ]
         if tag not in self.VOID:
             self.open.append(tag)
 
@@ -70,17 +72,34 @@ def test_scripts_are_allowed_by_their_hash_alone(written: Written) -> None:
     allowed = re.search(r"script-src ([^;]*);", html.unescape(text))
     assert allowed is not None
     scripts = re.findall(r"<script>(.*?)</script>", text, flags=re.DOTALL)
-    digests = [base64.b64encode(hashlib.sha256(script.encode()).digest()).decode() for script in scripts]
+    digests = [
+        base64.b64encode(hashlib.sha256(script.encode()).digest()).decode() for script in scripts
+    ]
     assert allowed[1].split() == [f"'sha256-{digest}'" for digest in digests]
 
 
 def test_page_says_what_a_stranger_needs(written: Written) -> None:
     words = " ".join(_page((written[0] / "report.html").read_text(encoding="utf-8")).words)
     for needed in (
-        "Finger found", "Surface normals", "Relief", "Shape", "From above", "Photographs", "Print", "Uncertainty",
-        "No flexion crease is in view", "Compared with the truth", "Ridge band, gain", "Timings", "preprocess",
-        "scattering mm", "crossover", "led brightness", "focus", "white_0.png",
-    ):  # fmt: skip
+        "Finger found",
+        "Surface normals",
+        "Relief",
+        "Shape",
+        "From above",
+        "Photographs",
+        "Print",
+        "Uncertainty",
+        "No flexion crease is in view",
+        "Compared with the truth",
+        "Ridge band, gain",
+        "Timings",
+        "preprocess",
+        "scattering mm",
+        "crossover",
+        "led brightness",
+        "focus",
+        "white_0.png",
+    ):
         assert needed in words, needed
 
 
@@ -112,7 +131,8 @@ def test_strings_cannot_become_markup() -> None:
     )
     text = make_report(spiked, capture).html
     page = _page(text)
-    assert len(re.findall("<script", text)) == 3  # the surface's data, three.js, and what draws with it
+    # the surface's data, three.js, and what draws with it
+    assert len(re.findall("<script", text)) == 3
     assert "<img src=http" not in text
     assert all(address.startswith("data:image/") for address in page.addresses)
     assert text.count("&lt;script&gt;") >= 6

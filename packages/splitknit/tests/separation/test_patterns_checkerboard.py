@@ -1,4 +1,5 @@
-"""Checkerboards: exact where the pattern is ideal, unbiased where its states are known, closed to sloppy stacks."""
+"""Checkerboards: exact where the pattern is ideal, unbiased where its states are known, closed to
+sloppy stacks."""
 
 from __future__ import annotations
 
@@ -55,7 +56,9 @@ def test_an_ideal_pattern_gives_the_truth(patterns, channels, dark, known):
 def test_any_fraction_of_lit_checks(alpha):
     """Squares on a grid, a quarter of the plane lit or dark."""
     rows, columns = np.mgrid[: SIZE[0], : SIZE[1]]
-    squares = np.stack([((rows - i) // 4 % 2 == 0) & ((columns - j) // 4 % 2 == 0) for i in (0, 4) for j in (0, 4)])
+    squares = np.stack(
+        [((rows - i) // 4 % 2 == 0) & ((columns - j) // 4 % 2 == 0) for i in (0, 4) for j in (0, 4)]
+    )
     patterns = squares.astype(float) if alpha == 0.25 else 1.0 - squares
     direct, global_ = scene()
     stack = stack_of(direct, global_, patterns, alpha, 0.1)
@@ -68,10 +71,16 @@ def test_any_fraction_of_lit_checks(alpha):
 def test_noise_biases_extremes_and_not_known_states(patterns):
     direct, global_ = scene()
     sigma = 0.01
-    noisy = stack_of(direct, global_, patterns) + np.random.default_rng(1).normal(0, sigma, patterns.shape)
+    noisy = stack_of(direct, global_, patterns) + np.random.default_rng(1).normal(
+        0, sigma, patterns.shape
+    )
     errors = {
         name: checkerboard(noisy, patterns=known).direct - direct
-        for name, known in (("extremes", None), ("known", patterns), ("found", estimate_patterns(noisy)))
+        for name, known in (
+            ("extremes", None),
+            ("known", patterns),
+            ("found", estimate_patterns(noisy)),
+        )
     }
     mean = {name: float(error.mean()) for name, error in errors.items()}
     # 25 images, 12 or 13 of them lit: the expected maximum of so many normals is 1.65 sigma, twice
@@ -84,12 +93,20 @@ def test_noise_biases_extremes_and_not_known_states(patterns):
 
 
 def test_light_from_around_is_told_from_light_of_the_check(patterns):
-    """A third of the light spreads over 0.8 checks: what counts is the middle of the checks, noise or none."""
+    """A third of the light spreads over 0.8 checks: what counts is the middle of the checks, noise
+    or none."""
     direct, global_ = scene()
     fraction = np.array([0.5, 1, 1, 1, 0.5]) / 4  # four of five pixels
-    around = np.stack([cv2.sepFilter2D(p, -1, fraction, fraction, borderType=cv2.BORDER_REFLECT) for p in patterns])
+    around = np.stack(
+        [
+            cv2.sepFilter2D(p, -1, fraction, fraction, borderType=cv2.BORDER_REFLECT)
+            for p in patterns
+        ]
+    )
     stack = patterns * direct + around * direct / 2 + 0.5 * global_
-    contrast = np.take_along_axis(around, around.argmax(axis=0)[None], axis=0)[0] - around.min(axis=0)
+    contrast = np.take_along_axis(around, around.argmax(axis=0)[None], axis=0)[0] - around.min(
+        axis=0
+    )
     expected = direct * (1 + contrast / 2)
     parts = checkerboard(stack, patterns=patterns, check_px=5)
     assert np.abs(parts.direct - expected).max() < 1e-5
@@ -103,10 +120,13 @@ def test_light_from_around_is_told_from_light_of_the_check(patterns):
 
 
 def test_found_states_do_not_invent_direct_light(patterns):
-    """Where noise is as strong as the direct light, they fall a little short; extremes give four times too much."""
+    """Where noise is as strong as the direct light, they fall a little short; extremes give four
+    times too much."""
     direct, global_ = scene()
     direct, sigma = 0.1 * direct, 0.02
-    noisy = stack_of(direct, global_, patterns) + np.random.default_rng(2).normal(0, sigma, patterns.shape)
+    noisy = stack_of(direct, global_, patterns) + np.random.default_rng(2).normal(
+        0, sigma, patterns.shape
+    )
     found = checkerboard(noisy, patterns=estimate_patterns(noisy)).direct.mean() / direct.mean()
     plain = checkerboard(noisy).direct.mean() / direct.mean()
     assert 0.8 < found < 1.02
@@ -115,7 +135,9 @@ def test_found_states_do_not_invent_direct_light(patterns):
 
 def test_found_states_are_the_true_ones(patterns):
     direct, global_ = scene()
-    noisy = stack_of(direct, global_, patterns) + np.random.default_rng(3).normal(0, 0.01, patterns.shape)
+    noisy = stack_of(direct, global_, patterns) + np.random.default_rng(3).normal(
+        0, 0.01, patterns.shape
+    )
     states = estimate_patterns(noisy)
     decided = states != 0.5
     assert 0.3 < decided.mean() < 0.9
@@ -124,7 +146,9 @@ def test_found_states_are_the_true_ones(patterns):
 
 def test_rims_of_checks_are_left_out():
     """Half-lit pixels follow no model here: they must not count."""
-    patterns = checkerboard_patterns(SIZE, 8, [(3.2 * i, 3.2 * j) for i in range(5) for j in range(5)])
+    patterns = checkerboard_patterns(
+        SIZE, 8, [(3.2 * i, 3.2 * j) for i in range(5) for j in range(5)]
+    )
     direct, global_ = scene()
     stack = stack_of(direct, global_, patterns)
     rim = (patterns > 0.1) & (patterns < 0.9)
@@ -171,7 +195,9 @@ def test_inconsistent_stacks_are_refused(patterns):
     refused("never lit", stack[:2], patterns=patterns[:2])
     refused("at least 2 images", stack[:1])
     refused("image 3 has the shape", [*stack[:3], stack[3, :-1]])
-    refused("image 0 contains NaN", np.where(np.isnan(stack) | (stack == stack[0, 0, 0]), np.nan, stack))
+    refused(
+        "image 0 contains NaN", np.where(np.isnan(stack) | (stack == stack[0, 0, 0]), np.nan, stack)
+    )
     refused("saturated", np.minimum(2.4 * stack, 1.0))
     refused("image 7 is black", np.where(np.arange(25)[:, None, None] == 7, 1e-4, stack))
     refused("every image is black", 0 * stack)
@@ -194,7 +220,8 @@ def test_a_region_without_pattern_is_named(patterns):
 
 
 def test_background_and_exact_zeros_do_no_harm(patterns):
-    """Half of the picture is black: its pixels never change, and that is not a fault of the patterns."""
+    """Half of the picture is black: its pixels never change, and that is not a fault of the
+    patterns."""
     direct, global_ = scene()
     stack = stack_of(direct, global_, patterns)
     stack[:, :, 36:] = 0

@@ -1,4 +1,5 @@
-"""The shape's grid: lights at a surface, integration, and one comparison of prediction and images."""
+"""The shape's grid: lights at a surface, integration, and one comparison of prediction and
+images."""
 
 from __future__ import annotations
 
@@ -38,7 +39,9 @@ class Coarse:
             for b in (scene.white, scene.nir)
         )
         height = bin_mean(scene.shape_mm[part].astype(np.float32), FACTOR)
-        self.height = (height - height[self.grid.mask].mean() + 1.0).astype(np.float32) * self.grid.mask
+        self.height = (height - height[self.grid.mask].mean() + 1.0).astype(
+            np.float32
+        ) * self.grid.mask
         self.inner = self.grid.mask & (self.grid.depth_mm > 0.6)
 
     @property
@@ -70,7 +73,9 @@ def test_lights_at_the_surface_are_near_and_enter_by_fresnel(matt):
             towards = np.asarray(led.position_mm) - point
             distance = np.linalg.norm(towards)
             vector = towards / distance * led.intensity / distance**2 / at_origin
-            np.testing.assert_allclose(light.vectors[k, :, row, column], vector, rtol=2e-3, atol=1e-3)
+            np.testing.assert_allclose(
+                light.vectors[k, :, row, column], vector, rtol=2e-3, atol=1e-3
+            )
             cosine = towards @ normals[row, column] / distance
             enters = (1 - fresnel(cosine)) / (1 - fresnel(np.float64(1.0)))
             assert light.entering[k, row, column] == pytest.approx(enters, abs=2e-3)
@@ -88,7 +93,9 @@ def test_trust_ends_where_light_grazes_and_outside(matt):
     opposite = int(np.argmin([led.position_mm[0] for led in matt.white.rig.leds]))
     assert light.trust[opposite, row, first] > 0.99
     assert light.trust[opposite, row, last] < 0.01
-    cosine = np.einsum("lihw,hwi->lhw", light.vectors, slanted) / np.linalg.norm(light.vectors, axis=1)
+    cosine = np.einsum("lihw,hwi->lhw", light.vectors, slanted) / np.linalg.norm(
+        light.vectors, axis=1
+    )
     half = (cosine > 0.12) & (cosine < 0.13) & grid.mask
     assert half.any()
     assert (np.abs(light.trust[half] - 0.5) < 0.04).all()
@@ -105,18 +112,23 @@ def test_along_rays_lights_stand_in_the_pixels_own_frames(matt):
     found = lighting(rig, looking, height, normals)
     row, column = 10, 4  # off the axis
     x, y = float(grid.x_mm[column]), float(grid.y_mm[row])
-    far = apex * np.exp(-14.0 / apex)  # distance from the camera's centre at which h = D log(D / r) is 14 mm
+    # distance from the camera's centre at which h = D log(D / r) is 14 mm
+    far = apex * np.exp(-14.0 / apex)
     ray = np.array([x, y, -apex]) / np.linalg.norm([x, y, apex])
     point = np.array([0, 0, apex]) + far * ray
     scale = np.mean(
-        [np.linalg.norm(led.intensity * 1e4 / np.dot(led.position_mm, led.position_mm)) for led in rig.leds]
+        [
+            np.linalg.norm(led.intensity * 1e4 / np.dot(led.position_mm, led.position_mm))
+            for led in rig.leds
+        ]
     )
     for k, led in enumerate(rig.leds):
         towards = np.asarray(led.position_mm) - point
         expected = led.intensity * 1e4 * towards / np.linalg.norm(towards) ** 3 / scale
         seen = found.vectors[k, :, row, column]
         np.testing.assert_allclose(np.linalg.norm(seen), np.linalg.norm(expected), rtol=1e-4)
-        np.testing.assert_allclose(seen[2], -np.dot(ray, expected), rtol=1e-4)  # z is towards the camera
+        # z is towards the camera
+        np.testing.assert_allclose(seen[2], -np.dot(ray, expected), rtol=1e-4)
 
 
 def test_integrated_slopes_give_the_height_with_mean_zero(matt):
@@ -124,8 +136,12 @@ def test_integrated_slopes_give_the_height_with_mean_zero(matt):
     x, y = np.meshgrid(grid.x_mm, grid.y_mm)
     height = 0.1 * x - 0.03 * y * y + 0.02 * x * y
     slopes = (0.1 + 0.02 * y, -0.06 * y + 0.02 * x)
-    found = integrate(*(s.astype(np.float32) for s in slopes), grid, np.ones(grid.shape, np.float32))
-    np.testing.assert_allclose(found[grid.mask], (height - height[grid.mask].mean())[grid.mask], atol=2e-3)
+    found = integrate(
+        *(s.astype(np.float32) for s in slopes), grid, np.ones(grid.shape, np.float32)
+    )
+    np.testing.assert_allclose(
+        found[grid.mask], (height - height[grid.mask].mean())[grid.mask], atol=2e-3
+    )
     assert found[grid.mask].mean() == pytest.approx(0, abs=1e-4)
     assert not found[~grid.mask].any()
 
@@ -134,7 +150,9 @@ def test_brightness_is_the_albedo(matt):
     step = matt.compare((matt.white, matt.nir))
     assert set(step.brightness) == {*COLOURS, "nir"}
     for name in ("green", "blue"):
-        assert step.brightness[name] / step.brightness["red"] == pytest.approx(ALBEDO[name] / ALBEDO["red"], rel=0.01)
+        assert step.brightness[name] / step.brightness["red"] == pytest.approx(
+            ALBEDO[name] / ALBEDO["red"], rel=0.01
+        )
     # images are relative to the irradiance 140 mm away, light vectors to that at the origin
     origin = np.mean([led.intensity for led in matt.white.rig.leds]) * (140 / 149.52) ** 2
     assert step.brightness["red"] == pytest.approx(ALBEDO["red"] * origin, rel=0.02)
@@ -154,15 +172,21 @@ def test_glare_is_found_on_a_smooth_dome(glossy, bands):
     for roughness, strength in step.glare.values():
         assert roughness == 0.30
         assert strength == pytest.approx(GLARE * np.pi * origin, rel=0.1)
-    assert step.brightness[chosen[0].channels[0]] == pytest.approx(ALBEDO[chosen[0].channels[0]] * origin, rel=0.02)
+    assert step.brightness[chosen[0].channels[0]] == pytest.approx(
+        ALBEDO[chosen[0].channels[0]] * origin, rel=0.02
+    )
 
 
 def test_matt_skin_has_little_glare(matt, glossy):
     for bands in ((matt.white,), (matt.nir,)):
         (_, strength), *_ = matt.compare(bands).glare.values()
         assert strength < 0.4
-    assert matt.compare((matt.white,)).glare["blue"][1] < 0.3 * glossy.compare((glossy.white,)).glare["blue"][1]
+    assert (
+        matt.compare((matt.white,)).glare["blue"][1]
+        < 0.3 * glossy.compare((glossy.white,)).glare["blue"][1]
+    )
 
 
 def test_ring_of_the_scene_is_not_symmetrical():
-    assert len({led.intensity for led in ring("white").leds}) > 1  # or a mix-up of lights would pass
+    # or a mix-up of lights would pass
+    assert len({led.intensity for led in ring("white").leds}) > 1

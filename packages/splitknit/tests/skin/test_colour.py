@@ -18,7 +18,10 @@ def test_weights_are_blind_to_strong_glare():
     weights = unmixing_weights(TRANSFER, GLARE, ONES, 1e6 * ONES, np.full(3, 1e-3))
     through = np.abs(GLARE @ weights)
     assert through.max() < 1e-3
-    assert np.abs(GLARE @ unmixing_weights(TRANSFER, GLARE, ONES, 0 * ONES, np.full(3, 1e-3))).max() > 0.5
+    assert (
+        np.abs(GLARE @ unmixing_weights(TRANSFER, GLARE, ONES, 0 * ONES, np.full(3, 1e-3))).max()
+        > 0.5
+    )
 
 
 def test_strong_relief_is_passed_without_bias():
@@ -27,7 +30,9 @@ def test_strong_relief_is_passed_without_bias():
 
 
 def test_relief_is_shrunk_never_amplified():
-    gain = (unmixing_weights(TRANSFER, GLARE, ONES, 0.1 * ONES, np.full(3, 0.05)) * TRANSFER).sum(axis=0)
+    gain = (unmixing_weights(TRANSFER, GLARE, ONES, 0.1 * ONES, np.full(3, 0.05)) * TRANSFER).sum(
+        axis=0
+    )
     assert (gain > 0).all()
     assert (gain < 1).all()
     assert gain[-1] < gain[1]
@@ -43,7 +48,8 @@ def test_one_channel_is_the_inverse_of_the_blur():
 
 
 def test_weights_minimise_the_mean_square_error():
-    """By simulation: least squares of the true slope on many draws of the channels, two glares among them."""
+    """By simulation: least squares of the true slope on many draws of the channels, two glares
+    among them."""
     rng = np.random.default_rng(0)
     glare = np.array([[1.0, 0.0], [1.5, 0.0], [0.0, 0.8]])
     transfer, signal, powers, noise = (
@@ -55,7 +61,11 @@ def test_weights_minimise_the_mean_square_error():
     draws = 400_000
     d = rng.standard_normal(draws) * np.sqrt(signal)
     s = rng.standard_normal((2, draws)) * np.sqrt(powers)
-    p = transfer * d + np.einsum("cg,gn->cn", glare, s) + rng.standard_normal((3, draws)) * np.sqrt(noise)[:, None]
+    p = (
+        transfer * d
+        + np.einsum("cg,gn->cn", glare, s)
+        + rng.standard_normal((3, draws)) * np.sqrt(noise)[:, None]
+    )
     brute = np.linalg.solve(p @ p.T, p @ d)
     weights = unmixing_weights(transfer, glare, np.array([signal]), powers, noise)
     np.testing.assert_allclose(weights[:, 0], brute, atol=0.01)
@@ -66,13 +76,17 @@ SHAPE = (150, 180)
 
 
 def window():
-    return np.outer(*(np.sin(np.pi * (np.arange(n) + 0.5) / n) ** 2 for n in SHAPE)).astype(np.float32)
+    return np.outer(*(np.sin(np.pi * (np.arange(n) + 0.5) / n) ** 2 for n in SHAPE)).astype(
+        np.float32
+    )
 
 
 def test_white_noise_has_its_variance_in_every_band_and_channel():
     rng = np.random.default_rng(1)
     sigma = (0.1, 0.3)
-    slopes = [tuple((s * rng.standard_normal(SHAPE)).astype(np.float32) for _ in range(2)) for s in sigma]
+    slopes = [
+        tuple((s * rng.standard_normal(SHAPE)).astype(np.float32) for _ in range(2)) for s in sigma
+    ]
     omega, along, across = cross_spectra(slopes, window(), PITCH)
     assert omega.shape == (28,)
     assert (np.diff(omega) > 0).all()

@@ -1,4 +1,5 @@
-"""The transfer function of scattering: the measured figures, limits, order, and random walks with another seed."""
+"""The transfer function of scattering: the measured figures, limits, order, and random walks with
+another seed."""
 
 from __future__ import annotations
 
@@ -25,7 +26,9 @@ def maker():
 @pytest.mark.parametrize(("channel", "gain"), [("red", 0.08), ("green", 0.15), ("blue", 0.22)])
 def test_ridges_of_33_pixels_keep_what_was_measured(channel, gain):
     skin = SkinSettings()
-    assert diffusion(skin.scattering(channel), skin.absorption(channel))(RIDGES) == pytest.approx(gain, abs=0.01)
+    assert diffusion(skin.scattering(channel), skin.absorption(channel))(RIDGES) == pytest.approx(
+        gain, abs=0.01
+    )
 
 
 def test_gain_is_one_at_zero_and_falls_with_the_frequency():
@@ -49,7 +52,9 @@ def test_more_scattering_or_absorption_blurs_less():
 
 def test_only_the_ratio_of_frequency_to_coefficients_counts():
     omega = np.array([0.5, 3.0, 14.4])
-    np.testing.assert_allclose(diffusion(8.0, 0.4)(2 * omega), diffusion(4.0, 0.2)(omega), rtol=1e-12)
+    np.testing.assert_allclose(
+        diffusion(8.0, 0.4)(2 * omega), diffusion(4.0, 0.2)(omega), rtol=1e-12
+    )
 
 
 def test_albedo_lies_between_zero_and_one_and_falls_with_absorption():
@@ -62,7 +67,9 @@ def test_albedo_lies_between_zero_and_one_and_falls_with_absorption():
 def test_gain_takes_any_shape():
     omega = np.linspace(0, 40, 12).reshape(3, 2, 2)
     skin = diffusion(4.0, 0.2)
-    np.testing.assert_array_equal(skin(omega), [[[skin(w) for w in row] for row in plane] for plane in omega])
+    np.testing.assert_array_equal(
+        skin(omega), [[[skin(w) for w in row] for row in plane] for plane in omega]
+    )
 
 
 def test_table_agrees_with_walks_of_another_seed():
@@ -71,8 +78,10 @@ def test_table_agrees_with_walks_of_another_seed():
     walked = module.table(count, 400, seed=3)
     x = module.FREQUENCIES
     near = (x > 0.1) & (x < 0.99 * module.TAIL)
-    for row, albedo in enumerate(module.ALBEDOS[:-3]):  # beyond, 400 scatterings cut the walks too short
-        # sigma_t' of 1, so that x is the frequency; both tables' errors, the weights of walks being at most one
+    # beyond, 400 scatterings cut the walks too short
+    for row, albedo in enumerate(module.ALBEDOS[:-3]):
+        # sigma_t' of 1, so that x is the frequency; both tables' errors, the weights of walks being
+        # at most one
         skin = diffusion(albedo, 1 - albedo)
         worst = np.abs(skin(x[near]) * skin.albedo - walked[row, near]).max()
         assert worst < 4.0 * np.sqrt(skin.albedo / 2 / count), albedo
@@ -86,7 +95,9 @@ def test_between_the_albedos_of_the_table_walks_agree_too():
         skin = diffusion(albedo, 1 - albedo)
         x = np.array([0.2, 0.7, 2.0, 5.0])
         walked = [(albedo**orders * module.j0(w * radii)).sum() / 20_000 for w in x]
-        np.testing.assert_allclose(skin(x) * skin.albedo, walked, atol=4 * np.sqrt(skin.albedo / 2 / 20_000))
+        np.testing.assert_allclose(
+            skin(x) * skin.albedo, walked, atol=4 * np.sqrt(skin.albedo / 2 / 20_000)
+        )
 
 
 def test_settings_scale_all_channels_and_refuse_nonsense():
@@ -104,9 +115,13 @@ def test_settings_scale_all_channels_and_refuse_nonsense():
 def test_absorption_follows_the_colour_of_the_finger() -> None:
     skin = SkinSettings()
     red = diffusion(skin.scattering("red"), skin.absorption("red")).albedo
-    usual = {c: diffusion(skin.scattering(c), skin.absorption(c)).albedo / red for c in ("green", "blue")}
+    usual = {
+        c: diffusion(skin.scattering(c), skin.absorption(c)).albedo / red for c in ("green", "blue")
+    }
     for channel, ratio in usual.items():  # by a power of 0.6
         assert skin.absorption(channel, ratio) == pytest.approx(skin.absorption(channel), rel=0.03)
         redder = skin.absorption(channel, 0.8 * ratio)
-        assert diffusion(skin.scattering(channel), redder).albedo / red == pytest.approx(0.8**0.6 * ratio, rel=0.02)
+        assert diffusion(skin.scattering(channel), redder).albedo / red == pytest.approx(
+            0.8**0.6 * ratio, rel=0.02
+        )
     assert skin.absorption("red", 0.5) == skin.absorption("red")

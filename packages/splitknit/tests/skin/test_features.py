@@ -1,4 +1,5 @@
-"""What the networks see: exposure, pigment and the image's orientation drop out, slopes and glare do not."""
+"""What the networks see: exposure, pigment and the image's orientation drop out, slopes and glare
+do not."""
 
 from __future__ import annotations
 
@@ -30,8 +31,12 @@ def light_on(scene, grid=None, rig=None, surface=None):
     grid = grid or scene.grid
     low = coarsen(grid, FACTOR)
     rows, columns = low.shape
-    height = (surface if surface is not None else placed(scene))[: rows * FACTOR, : columns * FACTOR]
-    return fine_lighting(rig or scene.white.rig, low, bin_mean(np.ascontiguousarray(height), FACTOR), FACTOR, grid)
+    height = (surface if surface is not None else placed(scene))[
+        : rows * FACTOR, : columns * FACTOR
+    ]
+    return fine_lighting(
+        rig or scene.white.rig, low, bin_mean(np.ascontiguousarray(height), FACTOR), FACTOR, grid
+    )
 
 
 def placed(scene):
@@ -40,7 +45,9 @@ def placed(scene):
 
 
 def fields_of(scene, stack=None):
-    band = BandImages(scene.white.channels, scene.white.stack if stack is None else stack, scene.white.rig)
+    band = BandImages(
+        scene.white.channels, scene.white.stack if stack is None else stack, scene.white.rig
+    )
     return features(band, scene.grid, placed(scene), light_on(scene)).fields
 
 
@@ -90,11 +97,16 @@ def test_a_mirrored_finger_has_mirrored_features(scene):
     """Scalars stay, x components turn their sign, and so do sin 2a and cos 3a."""
     grid = scene.grid
     across = Grid(grid.mask[:, ::-1].copy(), -grid.x_mm[::-1], grid.y_mm, grid.pitch_mm, grid.cut)
-    leds = tuple(replace(led, position_mm=(-led.position_mm[0], *led.position_mm[1:])) for led in scene.white.rig.leds)
+    leds = tuple(
+        replace(led, position_mm=(-led.position_mm[0], *led.position_mm[1:]))
+        for led in scene.white.rig.leds
+    )
     rig = replace(scene.white.rig, leds=leds)
     surface = placed(scene)[:, ::-1].copy()
     band = BandImages(scene.white.channels, scene.white.stack[..., ::-1].copy(), rig)
-    mirrored = features(band, across, surface, light_on(scene, across, rig, surface)).fields[..., ::-1]
+    mirrored = features(band, across, surface, light_on(scene, across, rig, surface)).fields[
+        ..., ::-1
+    ]
     signs = np.ones(COUNT)
     signs[[3, 5, 7, 21]] = -1
     for c in range(3):
@@ -118,13 +130,17 @@ def test_networks_need_colour_lights_all_around_and_fine_pixels(scene):
     assert can_learn(white, 0.0264)
     assert not can_learn(white, 0.08)
     assert not can_learn(BandImages(("green",), white.stack[1:2], white.rig), 0.0264)
-    few = BandImages(white.channels, white.stack[:, :5], replace(white.rig, leds=white.rig.leds[:5]))
+    few = BandImages(
+        white.channels, white.stack[:, :5], replace(white.rig, leds=white.rig.leds[:5])
+    )
     assert not can_learn(few, 0.0264)
     crowded = tuple(
         replace(led, position_mm=(52.5 * np.cos(0.1 * k), 52.5 * np.sin(0.1 * k), 140.0))
         for k, led in enumerate(white.rig.leds)
     )
-    assert not can_learn(BandImages(white.channels, white.stack, replace(white.rig, leds=crowded)), 0.0264)
+    assert not can_learn(
+        BandImages(white.channels, white.stack, replace(white.rig, leds=crowded)), 0.0264
+    )
 
 
 def test_the_relief_is_what_the_network_draws(scene):
@@ -139,12 +155,16 @@ def test_the_relief_is_what_the_network_draws(scene):
         return drawn
 
     light = light_on(scene)
-    found = relief_by_network(features(scene.white, grid, placed(scene), light), grid, placed(scene), network)
+    found = relief_by_network(
+        features(scene.white, grid, placed(scene), light), grid, placed(scene), network
+    )
     np.testing.assert_array_equal(seen[0], fields_of(scene))
     inner = scene.inner
     np.testing.assert_allclose(found.relief_mm[inner], true[inner], atol=0.003)
     assert not found.relief_mm[~grid.mask].any()
     stated = found.deviation_mm / (0.5 * RELIEF_MM)
     slant = slant_of(placed(scene), grid.pitch_mm)
-    np.testing.assert_allclose(stated[inner], np.interp(slant[inner], SLANT_DEG, SLANT_ERROR), rtol=0.01)
+    np.testing.assert_allclose(
+        stated[inner], np.interp(slant[inner], SLANT_DEG, SLANT_ERROR), rtol=0.01
+    )
     assert stated[inner & (slant < 10)].max() < 0.95 and np.ptp(slant[inner]) > 10

@@ -1,4 +1,5 @@
-"""A grid of half the pitch: it looks at the same places, and a coarse camera's relief is as good as a fine one's."""
+"""A grid of half the pitch: it looks at the same places, and a coarse camera's relief is as good as
+a fine one's."""
 
 from __future__ import annotations
 
@@ -17,10 +18,14 @@ def test_the_finer_grid_is_that_of_a_camera_with_pixels_half_as_large(model: str
         matrix = None
         if model == "perspective":
             focal = px_per_mm * 140.0
-            matrix = np.array([[focal, 0, (shape[1] - 1) / 2], [0, focal, (shape[0] - 1) / 2], [0, 0, 1]])
+            matrix = np.array(
+                [[focal, 0, (shape[1] - 1) / 2], [0, focal, (shape[0] - 1) / 2], [0, 0, 1]]
+            )
         camera = Camera(px_per_mm, shape, 140.0, model, matrix)
         view = view_of(camera, slice(0, shape[0]), slice(0, shape[1]), along_rays=True)
-        return Grid(np.ones(shape, bool), view.x_mm, view.y_mm, 1 / px_per_mm, (False,) * 4, view.apex_mm)
+        return Grid(
+            np.ones(shape, bool), view.x_mm, view.y_mm, 1 / px_per_mm, (False,) * 4, view.apex_mm
+        )
 
     found, expected = finer_grid(grid(10.0, (12, 17))), grid(20.0, (24, 34))
     assert found.pitch_mm == expected.pitch_mm and found.shape == expected.shape
@@ -35,4 +40,6 @@ def test_images_lie_where_they_lay() -> None:
     assert fine.stack.shape == (3, 2, 40, 60)
     for c in range(3):
         for k in range(2):
-            np.testing.assert_allclose(coarser(fine.stack[c, k])[2:-2, 2:-2], stack[c, k][2:-2, 2:-2], atol=1e-3)
+            np.testing.assert_allclose(
+                coarser(fine.stack[c, k])[2:-2, 2:-2], stack[c, k][2:-2, 2:-2], atol=1e-3
+            )

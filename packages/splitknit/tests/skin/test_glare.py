@@ -21,7 +21,9 @@ def lights_at(*vectors, pixels):
 
 def direction(polar_deg, azimuth_deg=0.0):
     t, p = np.deg2rad(polar_deg), np.deg2rad(azimuth_deg)
-    return np.stack(np.broadcast_arrays(np.sin(t) * np.cos(p), np.sin(t) * np.sin(p), np.cos(t)), axis=-1)
+    return np.stack(
+        np.broadcast_arrays(np.sin(t) * np.cos(p), np.sin(t) * np.sin(p), np.cos(t)), axis=-1
+    )
 
 
 def test_transmission_is_one_at_normal_incidence_and_vanishes_at_grazing():
@@ -35,14 +37,18 @@ def test_transmission_follows_fresnel():
     index = 1.42
     mirrored = 0.5 * ((index**2 - 1) / (index**2 + 1)) ** 2
     brewster = np.cos(np.arctan(index))
-    assert float(fresnel_transmission(brewster)) == pytest.approx((1 - mirrored) / (1 - NORMAL_REFLECTANCE), abs=1e-5)
+    assert float(fresnel_transmission(brewster)) == pytest.approx(
+        (1 - mirrored) / (1 - NORMAL_REFLECTANCE), abs=1e-5
+    )
     assert float(fresnel_transmission(0.3, index=1.0)) == pytest.approx(1.0, abs=1e-6)
 
 
 def test_lobe_at_normal_incidence_is_the_formula():
     for roughness in (0.1, 0.3, 0.5):
         glare = MicrofacetGlare(flat([[0, 0, 1]]), lights_at((0, 0, 1), pixels=1))(roughness)
-        assert float(glare[0, 0, 0]) == pytest.approx(NORMAL_REFLECTANCE / (4 * np.pi * roughness**2), rel=1e-4)
+        assert float(glare[0, 0, 0]) == pytest.approx(
+            NORMAL_REFLECTANCE / (4 * np.pi * roughness**2), rel=1e-4
+        )
 
 
 @pytest.mark.parametrize("azimuth", [0.0, 130.0])
@@ -58,18 +64,21 @@ def test_roughness_widens_the_lobe():
     tilts = np.arange(0, 30, 0.25)
     light = lights_at((0, 0, 1), pixels=len(tilts))
     widths = [
-        (g > g.max() / 2).sum() for g in (MicrofacetGlare(flat(direction(tilts)), light)(r)[0, 0] for r in (0.1, 0.2))
+        (g > g.max() / 2).sum()
+        for g in (MicrofacetGlare(flat(direction(tilts)), light)(r)[0, 0] for r in (0.1, 0.2))
     ]
     assert widths[1] == pytest.approx(2 * widths[0], rel=0.1)
 
 
 @pytest.mark.parametrize("roughness", [0.05, 0.15, 0.4])
 def test_energy_is_that_of_the_facets_that_mirror_the_sky(roughness):
-    # of the sky's light, facets up to 45 deg, 1 / (1 + alpha^2) of all, send the reflectance towards the camera; a
-    # little is shadowed
+    # of the sky's light, facets up to 45 deg, 1 / (1 + alpha^2) of all, send the reflectance
+    # towards the camera; a little is shadowed
     t = (np.arange(2000) + 0.5) / 2000 * np.pi / 2
     sky = direction(np.rad2deg(t)).T.astype(np.float32)[None, :, None, :]
-    glare = MicrofacetGlare(flat(direction(np.zeros(2000))), sky)(roughness)[0, 0].astype(np.float64)
+    glare = MicrofacetGlare(flat(direction(np.zeros(2000))), sky)(roughness)[0, 0].astype(
+        np.float64
+    )
     albedo = float((glare * 2 * np.pi * np.sin(t)).sum() * (np.pi / 2 / 2000))
     assert 0.92 < albedo / NORMAL_REFLECTANCE * (1 + roughness**2) < 1.02
 
@@ -88,7 +97,9 @@ def test_glare_of_any_facet_is_the_textbooks():
         unshadowed = [2 / (1 + np.sqrt(1 + a2 * (1 / c**2 - 1))) for c in (nl, nv)]
         g = np.sqrt(1.42**2 - 1 + lh**2)
         reflectance = (
-            0.5 * ((g - lh) / (g + lh)) ** 2 * (1 + ((lh * (g + lh) - 1) / (lh * (g - lh) + 1)) ** 2)
+            0.5
+            * ((g - lh) / (g + lh)) ** 2
+            * (1 + ((lh * (g + lh) - 1) / (lh * (g - lh) + 1)) ** 2)
         )  # Walter et al., eq. 22
         expected = facets * unshadowed[0] * unshadowed[1] * reflectance / (4 * nv)
         found = MicrofacetGlare(flat(normal), lights_at(light, pixels=40))(roughness)[0, 0]
@@ -119,7 +130,9 @@ def cap():
     inside = np.hypot(x, y) < 0.55
     x, y = x[inside], y[inside]
     normals = np.stack([x, y, np.sqrt(1 - x * x - y * y)], axis=-1).astype(np.float32)
-    towards = direction(np.full(7, 22.0), np.arange(7) * 360 / 7) * (1 + 0.1 * np.arange(7))[:, None]
+    towards = (
+        direction(np.full(7, 22.0), np.arange(7) * 360 / 7) * (1 + 0.1 * np.arange(7))[:, None]
+    )
     lights = np.repeat(towards[:, :, None].astype(np.float32), len(x), axis=2)
     return normals, lights
 

@@ -50,7 +50,8 @@ def test_frequencies_differentiate_with_y_up(turn_deg):
 
 @pytest.mark.parametrize("side", range(4))
 def test_a_cut_side_goes_on_and_the_others_end(side):
-    """A blur at the middle of each side: as if the finger went on there, and half dark elsewhere."""
+    """A blur at the middle of each side: as if the finger went on there, and half dark
+    elsewhere."""
     grid = full(cut=tuple(k == side for k in range(4)))
     gain = np.exp(-0.5 * (grid.omega[2] * 0.4) ** 2)
     ones = np.ones(grid.shape, dtype=np.float32)
@@ -60,7 +61,9 @@ def test_a_cut_side_goes_on_and_the_others_end(side):
     for k in {0, 1, 2, 3} - {side}:
         assert ends[k] == pytest.approx(0.55, abs=0.05)
     plain = grid.inverse(gain * grid.forward(ones))
-    assert [plain[0, 31], plain[-1, 31], plain[25, 0], plain[25, -1]][side] == pytest.approx(0.55, abs=0.05)
+    assert [plain[0, 31], plain[-1, 31], plain[25, 0], plain[25, -1]][side] == pytest.approx(
+        0.55, abs=0.05
+    )
 
 
 def test_nothing_wraps_around():
@@ -89,7 +92,8 @@ def test_mean_ignores_what_lies_outside(sigma_mm):
     np.testing.assert_allclose(mean[mask], 3.0, rtol=1e-4)
     other = np.where(mask, noise(mask.shape), np.float32(1e6))
     np.testing.assert_array_equal(
-        grid.smooth(other, mask, sigma_mm)[mask], grid.smooth(np.where(mask, other, 0), mask, sigma_mm)[mask]
+        grid.smooth(other, mask, sigma_mm)[mask],
+        grid.smooth(np.where(mask, other, 0), mask, sigma_mm)[mask],
     )
 
 

@@ -54,7 +54,11 @@ def ridge(amplitude):
 def blurred(field, name):
     """Irradiance pattern behind the skin, in double precision with a margin of its own."""
     size = 512
-    omega = 2 * np.pi * np.hypot(np.fft.fftfreq(size, PITCH)[:, None], np.fft.rfftfreq(size, PITCH)[None, :])
+    omega = (
+        2
+        * np.pi
+        * np.hypot(np.fft.fftfreq(size, PITCH)[:, None], np.fft.rfftfreq(size, PITCH)[None, :])
+    )
     spread = np.fft.irfft2(np.fft.rfft2(field, (size, size)) * OPTICS[name](omega), (size, size))
     return spread[: SHAPE[0], : SHAPE[1]]
 
@@ -64,7 +68,8 @@ def gain_of(found, true):
 
 
 def measured_of(slope_x, slope_y, albedo=1.0, glare=0.0, names=COLOURS):
-    """Pseudo-normals of a surface with these slopes behind the skin, times an albedo, plus white glare along z."""
+    """Pseudo-normals of a surface with these slopes behind the skin, times an albedo, plus white
+    glare along z."""
     normal = np.stack([-slope_x, -slope_y, np.ones(SHAPE)], axis=-1)
     normal /= np.linalg.norm(normal, axis=-1, keepdims=True)
     normal *= GRID.mask[..., None]
@@ -72,7 +77,9 @@ def measured_of(slope_x, slope_y, albedo=1.0, glare=0.0, names=COLOURS):
     for c, name in enumerate(names):
         level = BRIGHTNESS[COLOURS.index(name)]
         g[c] = (
-            level * np.stack([blurred(normal[..., i], name) for i in range(3)], axis=-1) * np.asarray(albedo)[..., None]
+            level
+            * np.stack([blurred(normal[..., i], name) for i in range(3)], axis=-1)
+            * np.asarray(albedo)[..., None]
         )
         g[c, ..., 2] += glare
     omega = np.linspace(0, float(GRID.omega[2].max()), 1024)
@@ -103,7 +110,14 @@ def test_measure_gives_albedo_times_normal():
         towards = np.asarray(led.position_mm)[:, None, None] - np.stack([X, Y, DOME])
         distance = np.linalg.norm(towards, axis=0)
         cosine = (towards / distance * normal).sum(axis=0)
-        stack[:, k] = BRIGHTNESS[:, None, None] * led.intensity * cosine / distance**2 * 149.52**2 * entering[k]
+        stack[:, k] = (
+            BRIGHTNESS[:, None, None]
+            * led.intensity
+            * cosine
+            / distance**2
+            * 149.52**2
+            * entering[k]
+        )
     light = lights(entering, np.ones_like(entering))
     brightness = dict(zip(COLOURS, BRIGHTNESS.tolist(), strict=True))
     found = measure(BandImages(COLOURS, stack, rig), GRID, DOME, light, OPTICS, brightness)
@@ -111,7 +125,9 @@ def test_measure_gives_albedo_times_normal():
     mean = np.mean([led.intensity for led in rig.leds])
     for c in range(3):
         truth = np.moveaxis(normal, 0, -1) * BRIGHTNESS[c] * mean
-        np.testing.assert_allclose(found.pseudo_normals[c][GRID.mask], truth[GRID.mask], rtol=0.01, atol=1e-3)
+        np.testing.assert_allclose(
+            found.pseudo_normals[c][GRID.mask], truth[GRID.mask], rtol=0.01, atol=1e-3
+        )
     np.testing.assert_array_equal(found.brightness, BRIGHTNESS)
     wx = GRID.omega[0][0]
     np.testing.assert_allclose(found.transfer[1, 0], OPTICS["green"](wx), atol=2e-3)
@@ -136,7 +152,9 @@ def test_lights_that_are_not_trusted_do_not_count():
     level = np.ones(SHAPE, dtype=np.float32)
     band = BandImages(("green",), stack, rig)
     found, fooled = (
-        measure(band, GRID, level, lights(np.ones_like(trust), t), OPTICS, {"green": 1.0}).pseudo_normals[0]
+        measure(
+            band, GRID, level, lights(np.ones_like(trust), t), OPTICS, {"green": 1.0}
+        ).pseudo_normals[0]
         for t in (trust, np.ones_like(trust))
     )
     for g, straight in ((found, True), (fooled, False)):
@@ -177,7 +195,14 @@ def test_steep_slopes_are_not_trusted():
     rig = ring("white")
     steep = (-1.0 * np.abs(X) ** 2).astype(np.float32)  # 60 deg at 0.87 mm, 74 deg at 1.7 mm
     ones = np.ones((7, *SHAPE), dtype=np.float32)
-    found = measure(BandImages(("green",), ones[None], rig), GRID, steep, lights(ones, ones), OPTICS, {"green": 1.0})
+    found = measure(
+        BandImages(("green",), ones[None], rig),
+        GRID,
+        steep,
+        lights(ones, ones),
+        OPTICS,
+        {"green": 1.0},
+    )
     row = SHAPE[0] // 2
     slant = np.rad2deg(np.arctan(2 * np.abs(GRID.x_mm)))
     assert (found.trust[row, slant < 59] > 0.99).all()
@@ -229,7 +254,13 @@ def test_glare_does_not_become_relief():
         measured.trust,
         measured.region,
     )
-    fooled = update(blue, GRID, alone, unmixing(blue, GRID, alone, np.ones(1, np.float32)), np.zeros(SHAPE, np.float32))
+    fooled = update(
+        blue,
+        GRID,
+        alone,
+        unmixing(blue, GRID, alone, np.ones(1, np.float32)),
+        np.zeros(SHAPE, np.float32),
+    )
     left, kept = ((f - relief)[INNER].std() for f in (found, fooled))
     assert left < 0.3 * kept
 
@@ -263,8 +294,12 @@ def test_repeating_settles_and_does_not_grow():
 def test_fine_grid_leaves_the_shape_to_the_coarse_one():
     fraction = high_pass(GRID)
     assert fraction[0, 0] == 0
-    np.testing.assert_allclose(fraction, 1 - np.exp(-0.5 * (GRID.omega[2] * CROSSOVER_MM) ** 2), atol=1e-6)
-    measured, slopes, glare = synthetic((0.3 * np.ones(SHAPE), np.zeros(SHAPE)), (np.zeros(SHAPE),) * 2, 0.003)
+    np.testing.assert_allclose(
+        fraction, 1 - np.exp(-0.5 * (GRID.omega[2] * CROSSOVER_MM) ** 2), atol=1e-6
+    )
+    measured, slopes, glare = synthetic(
+        (0.3 * np.ones(SHAPE), np.zeros(SHAPE)), (np.zeros(SHAPE),) * 2, 0.003
+    )
     mix = unmixing(measured, GRID, slopes, glare)
     found = update(measured, GRID, slopes, mix, np.zeros(SHAPE, np.float32))
     tilt = 0.3 * X

@@ -25,10 +25,13 @@ def networks():
     return Networks(runner(SETTINGS.network), runner(SETTINGS.shape_network))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("glare", "scattering"), [(0.5, 1.0), (1.0, 0.7)])
 def test_relief_and_shape_of_a_dome(networks, glare, scattering):
     scene = make_scene(glare=glare, scattering=scattering)
-    found = metric_skin((scene.white, scene.nir), scene.grid, SkinSettings(), SETTINGS, networks=networks)
+    found = metric_skin(
+        (scene.white, scene.nir), scene.grid, SkinSettings(), SETTINGS, networks=networks
+    )
     gain, correlation = relief_gain(found.relief_mm, scene.relief_mm, scene.inner)
     assert found.facts["relief_by"] == "network"
     assert correlation > 0.95
@@ -45,10 +48,13 @@ def test_relief_and_shape_of_a_dome(networks, glare, scattering):
 @pytest.mark.slow
 def test_without_ridges_none_are_drawn(networks):
     scene = make_scene(depth=0.0)
-    found = metric_skin((scene.white, scene.nir), scene.grid, SkinSettings(), SETTINGS, networks=networks)
+    found = metric_skin(
+        (scene.white, scene.nir), scene.grid, SkinSettings(), SETTINGS, networks=networks
+    )
     assert found.relief_mm[scene.inner].std() < 0.007  # a third of what is there with ridges
 
 
+@pytest.mark.slow
 def test_settings_turn_the_networks_off():
     scene = make_scene()
     settings = MetricSettings(relief="colour", rounds=1, coarse_steps=2)

@@ -64,7 +64,9 @@ def test_matt_skin_has_less_glare_than_glossy_skin(found):
 
 def test_facts_tell_what_was_assumed_and_found(found):
     skin = SkinSettings()
-    assert found.facts["scattering_per_mm"] == {n: skin.scattering(n) for n in ("blue", "green", "nir", "red")}
+    assert found.facts["scattering_per_mm"] == {
+        n: skin.scattering(n) for n in ("blue", "green", "nir", "red")
+    }
     assert found.facts["colour"]["red"] == 1.0
     assert found.facts["colour"]["green"] == pytest.approx(0.42 / 0.62, rel=0.05)
     assert found.facts["colour"]["blue"] == pytest.approx(0.33 / 0.62, rel=0.05)
@@ -72,6 +74,7 @@ def test_facts_tell_what_was_assumed_and_found(found):
     assert 0 < found.facts["gain_sensitivity"] < 0.1
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("scattering", [0.7, 1.3])
 def test_colours_find_the_relief_of_skin_that_scatters_otherwise(scattering):
     scene = make_scene(scattering=scattering)
@@ -104,7 +107,11 @@ def test_deviation_of_grey_skin_tells_what_wrong_scattering_does(monkeypatch):
 
 @pytest.mark.parametrize("bands", ["grey", "grey and nir", "no nir"])
 def test_fewer_bands_do(scene, bands):
-    chosen = {"grey": (grey(scene),), "grey and nir": (grey(scene), scene.nir), "no nir": (scene.white,)}[bands]
+    chosen = {
+        "grey": (grey(scene),),
+        "grey and nir": (grey(scene), scene.nir),
+        "no nir": (scene.white,),
+    }[bands]
     surface = metric_skin(chosen, scene.grid, SkinSettings(), SETTINGS)
     assert_finite(surface, scene.grid.shape)
     gain, correlation = relief_gain(surface.relief_mm, scene.relief_mm, scene.inner)
@@ -113,6 +120,7 @@ def test_fewer_bands_do(scene, bands):
     # grey images keep their glare: only its sign and pattern can be right
 
 
+@pytest.mark.slow
 def test_same_bytes_every_time(scene, found):
     again = metric_skin((scene.white, scene.nir), scene.grid, SkinSettings(), SETTINGS)
     for name in ("shape_mm", "relief_mm", "deviation_mm", "albedo"):
@@ -144,7 +152,9 @@ def test_fine_lights_are_the_coarse_ones_enlarged(scene):
 
 def test_images_are_left_as_they_were(scene):
     before = scene.white.stack.copy()
-    metric_skin((scene.white,), scene.grid, SkinSettings(), MetricSettings(rounds=1, coarse_steps=1))
+    metric_skin(
+        (scene.white,), scene.grid, SkinSettings(), MetricSettings(rounds=1, coarse_steps=1)
+    )
     np.testing.assert_array_equal(scene.white.stack, before)
 
 

@@ -1,1 +1,2 @@
-"""A whole population, reconstructed and compared: resumable, by several processes or a cluster, into one store."""
+"""A whole population, reconstructed and compared: resumable, by several processes or a cluster,
+into one store."""

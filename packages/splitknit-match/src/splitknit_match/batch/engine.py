@@ -187,7 +187,9 @@ def _require_readable(facts: dict[str, Any], others: str) -> None:
 def _compare(run: _Run, case: Case, name: str) -> dict[str, Any]:
     """Make the comparisons of a case by a matcher that the store lacks; return the facts."""
     if MATCHERS[name].source == "minutiae":
-        features, target = (run.store.folder / kind / case.name for kind in ("features", "minutiae"))
+        features, target = (
+            run.store.folder / kind / case.name for kind in ("features", "minutiae")
+        )
         files = run.store.files("features", case.name)
         lacking = [file for file in files if not (target / file.relative_to(features)).is_file()]
         run.done(partial(extract_minutiae, features, target), lacking, f"{case.name}: minutiae")

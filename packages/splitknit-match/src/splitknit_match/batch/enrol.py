@@ -1,4 +1,5 @@
-"""A whole enrolment folder into a gallery: resumable, by several workers, failures to acquire counted and kept."""
+"""A whole enrolment folder into a gallery: resumable, by several workers, failures to acquire
+counted and kept."""
 
 from __future__ import annotations
 
@@ -12,7 +13,14 @@ from splitknit.errors import Refused, require
 from splitknit.io.enrolment import FINGERS
 from splitknit.model import Progress, no_progress
 from splitknit.workers import run_jobs
-from splitknit_match.gallery.file import Entry, GalleryFile, Key, check_session, known_finger, session_order
+from splitknit_match.gallery.file import (
+    Entry,
+    GalleryFile,
+    Key,
+    check_session,
+    known_finger,
+    session_order,
+)
 from splitknit_match.gallery.gallery import (
     Enrolling,
     Made,
@@ -46,22 +54,28 @@ def enroll_population(
     workers: int = 1,
     progress: Progress = no_progress,
 ) -> dict[str, Any]:
-    """Enrol ``folder/S01/session_1/right_index`` (or ``right_index.png``) and so on, but for what is in the gallery;
-    every finished capture is kept at once. A capture in which no finger is found is a failure to acquire, a template of
-    zero bytes. Raises BadInput if there are no captures, or one was enrolled from other files before (unless it may be
-    replaced). Raises Refused if files of some captures cannot be read; the others are enrolled then.
+    """Enrol ``folder/S01/session_1/right_index`` (or ``right_index.png``) and so on, but for what
+    is in the gallery; every finished capture is kept at once. A capture in which no finger is found
+    is a failure to acquire, a template of zero bytes. Raises BadInput if there are no captures, or
+    one was enrolled from other files before (unless it may be replaced). Raises Refused if files of
+    some captures cannot be read; the others are enrolled then.
     """
     require(1 <= workers <= 256, f"workers must be 1 to 256, but it is {workers}.")
     progress("looking", 0.0)
     places = _found_in(folder)
     with GalleryFile(gallery, key) as target:
         created, sha256 = not target.there, settings_of(target, settings)
-        require(sha256 != MINUTIAE_HASH, f"'{gallery}' keeps minutiae; enrol a population into a gallery of its own.")
+        require(
+            sha256 != MINUTIAE_HASH,
+            f"'{gallery}' keeps minutiae; enrol a population into a gallery of its own.",
+        )
         waiting = _waiting([] if created else target.entries(), places, replace=settings.replace)
         unread: list[dict[str, str]] = []
         failures: list[dict[str, str]] = []
         enrolled = 0
-        jobs = run_jobs(partial(_template_of, settings=settings), waiting, workers, "what is enrolled")
+        jobs = run_jobs(
+            partial(_template_of, settings=settings), waiting, workers, "what is enrolled"
+        )
         for done, (place, made) in enumerate(jobs, start=1):
             if isinstance(made, str):
                 unread.append({"path": str(place.path), "reason": made})
@@ -90,25 +104,43 @@ def enroll_population(
 
 
 def _found_in(folder: Path) -> list[_Source]:
-    """What an enrolment folder holds, by person, session and finger. Raises BadInput if that is nothing, a folder has a
-    name that no finger or session has, or a finger of a session is there twice.
+    """What an enrolment folder holds, by person, session and finger. Raises BadInput if that is
+    nothing, a folder has a name that no finger or session has, or a finger of a session is there
+    twice.
     """
-    require(folder.is_dir(), f"there is no folder '{folder}'; name an enrolment or a simulated population.")
+    require(
+        folder.is_dir(),
+        f"there is no folder '{folder}'; name an enrolment or a simulated population.",
+    )
     found: dict[tuple[str, str, str], _Source] = {}
     for path in folder.glob(f"*/{_SESSION}*/*"):
         is_file = path.is_file() and path.stem in FINGERS
         if not (is_file or (path / "capture.json").is_file() or (path / "height.npz").is_file()):
             continue
         session = check_session(path.parent.name.removeprefix(_SESSION))
-        one = _Source(path.parent.parent.name, known_finger(path.stem if is_file else path.name), session, path)
+        one = _Source(
+            path.parent.parent.name,
+            known_finger(path.stem if is_file else path.name),
+            session,
+            path,
+        )
         other = found.setdefault((one.person, one.session, one.finger), one)
-        require(other is one, f"'{other.path}' and '{path}' are of one finger and session; remove one of them.")
-    expected = "captures in S01/session_1/right_index (or prints, right_index.png) and so on are expected"
+        require(
+            other is one,
+            f"'{other.path}' and '{path}' are of one finger and session; remove one of them.",
+        )
+    expected = (
+        "captures in S01/session_1/right_index (or prints, right_index.png) and so on are expected"
+    )
     require(found, f"'{folder}' holds nothing to enrol: {expected}.")
-    return sorted(found.values(), key=lambda one: (one.person, session_order(one.session), one.finger))
+    return sorted(
+        found.values(), key=lambda one: (one.person, session_order(one.session), one.finger)
+    )
 
 
-def _waiting(entries: Sequence[Entry], places: Sequence[_Source], *, replace: bool) -> list[_Source]:
+def _waiting(
+    entries: Sequence[Entry], places: Sequence[_Source], *, replace: bool
+) -> list[_Source]:
     """What is not in the gallery; of what is, the files are compared by their hash."""
     earlier = {one.names: one.source_sha256 for one in entries}
     waiting = []
@@ -116,7 +148,10 @@ def _waiting(entries: Sequence[Entry], places: Sequence[_Source], *, replace: bo
         known = earlier.get((place.person, place.finger, place.session))
         if known is not None and known == source_hash(place.path):
             continue
-        fault = f"'{place.path}' is not what was enrolled as {place.person}, {place.finger}, session {place.session}"
+        fault = (
+            f"'{place.path}' is not what was enrolled as {place.person}, {place.finger}, session"
+            f" {place.session}"
+        )
         require(known is None or replace, f"{fault}; give `replace`, or name another gallery.")
         waiting.append(place)
     return waiting

@@ -70,7 +70,10 @@ def reconstruct_capture(
             failures.append(f"{case.name}, {name}: {row['failure']}")
         origin = provenance(case.document(), {name: row["input_sha256"]})
         origin |= {"kind": "features", "kind_version": 1, "case": case.name}
-        origin |= {"population_sha256": population_sha256, "matching_sha256": TEMPLATES["settings_sha256"]}
+        origin |= {
+            "population_sha256": population_sha256,
+            "matching_sha256": TEMPLATES["settings_sha256"],
+        }
         if running().device != "cpu":
             origin["device"] = running().device
         write_table(store / "features" / case.name / f"{name}{SUFFIX}", [row], origin)
@@ -98,7 +101,9 @@ def _reconstructed(memory: Memory, case: Case, surfaces: bool, last: bool) -> di
     surface = surface_of(result)
     template = surface_template(surface)
     small = "the ridge band that could be acquired is too small for a template."
-    texts = provenance_texts(provenance({"preset": result.preset, **result.settings}, result.hashes))
+    texts = provenance_texts(
+        provenance({"preset": result.preset, **result.settings}, result.hashes)
+    )
     return inputs | {
         **{key: result.quality.get(band, {}).get(name) for key, (band, name) in QUALITY.items()},
         "acquired": not template.empty,
@@ -120,7 +125,10 @@ def extract_minutiae(features: Path, target: Path, file: Path) -> Done:
         minutiae = no_minutiae()
         if data:
             pixels = decode_image(data, name)
-            require(pixels.shape[2] == 1 and pixels.dtype == np.uint8, f"{name} is not an 8-bit grey image.")
+            require(
+                pixels.shape[2] == 1 and pixels.dtype == np.uint8,
+                f"{name} is not an 8-bit grey image.",
+            )
             minutiae = extract(np.asarray(pixels[..., 0], dtype=np.uint8))
         packed = pack_minutiae(minutiae)
         rows.append({"capture": capture, "acquired": minutiae.acquired, "minutiae": packed})

@@ -114,7 +114,9 @@ MATCHERS: Mapping[str, Matcher] = MappingProxyType(
             _by_thesis,
         ),
         # that of the thesis author's program; 4 MB
-        "thesis-code": Matcher((*_SHIFT, *(f"score_{name}" for name in ATTRIBUTES)), 128, {}, _codes, _codes, _by_code),
+        "thesis-code": Matcher(
+            (*_SHIFT, *(f"score_{name}" for name in ATTRIBUTES)), 128, {}, _codes, _codes, _by_code
+        ),
         "minutiae": Matcher(
             ("bozorth3",),
             128,

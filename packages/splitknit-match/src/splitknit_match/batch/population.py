@@ -34,7 +34,8 @@ class Population:
     """A population on disk."""
 
     folder: Path
-    sha256: str  # of the simulation's settings; for captures of real fingers, of the word ``enrolment``
+    # of the simulation's settings; for captures of real fingers, of the word ``enrolment``
+    sha256: str
     planned: int
     captures: tuple[CaptureRef, ...]  # those that are complete
 
@@ -85,7 +86,9 @@ def all_pairs(captures: Sequence[CaptureRef], impostors: float, seed: int) -> Co
     return comparisons(fingers, sessions, drawn if impostors < 1.0 else None)
 
 
-def blocks_of(pairs: Comparisons, captures: Sequence[CaptureRef], fingers: int) -> list[Comparisons]:
+def blocks_of(
+    pairs: Comparisons, captures: Sequence[CaptureRef], fingers: int
+) -> list[Comparisons]:
     """Comparisons in blocks: at most :data:`PAIRS`, with earlier captures of at most `fingers`.
 
     Blocks follow from the captures alone, not from what is done, so that a run that goes on makes
@@ -97,7 +100,9 @@ def blocks_of(pairs: Comparisons, captures: Sequence[CaptureRef], fingers: int) 
     changes = np.diff(session[order]) | np.diff(group[order])
     starts = [0, *(np.flatnonzero(changes) + 1).tolist()]
     ends = [*starts[1:], len(order)]
-    cuts = [cut for start, end in zip(starts, ends, strict=True) for cut in range(start, end, PAIRS)]
+    cuts = [
+        cut for start, end in zip(starts, ends, strict=True) for cut in range(start, end, PAIRS)
+    ]
     return [chosen_pairs(pairs, part) for part in np.split(order, cuts[1:])]
 
 

@@ -71,14 +71,18 @@ class Store:
     folder: Path
 
     def document(self) -> dict[str, Any]:
-        """The store's own record. Raises BadInput if it is missing, damaged or of another version."""
+        """The store's own record. Raises BadInput if it is missing, damaged or of another
+        version."""
         file = self.folder / STORE_FILE
         fault = f"'{self.folder}' is not a store of 'splitknit batch': it holds no {STORE_FILE}."
         require(file.is_file(), fault)
         document, _ = read_json(file, self.damaged)
         require(document.get("format") == FORMAT, self.damaged)
         version = document.get("format_version")
-        fault = f"the store '{self.folder}' is of version {version}, and this is a reader of version {VERSION}"
+        fault = (
+            f"the store '{self.folder}' is of version {version}, and this is a reader of version"
+            f" {VERSION}"
+        )
         require(version == VERSION, f"{fault}; run the batch again into another folder.")
         return dict(document)
 

@@ -1,10 +1,12 @@
-"""A surface as bytes: exactly what matching needs of a reconstruction, and nothing that follows from it.
+"""A surface as bytes: exactly what matching needs of a reconstruction, and nothing that follows
+from it.
 
-The payload, little-endian: a head (see :data:`_HEAD`), the mask's bounding box in bits, and for each pixel of the mask,
-in row order, the heights of surface and shape as differences of neighbouring values' bit patterns, the relief as its
-difference from surface minus shape, and the normals only where they do not follow from the surface. All of it is stored
-by byte planes, which compress to about 5 bytes a pixel. Nothing is rounded: local binary patterns compare neighbours,
-and a step of 0.05 um changed the features of the relief by 7 %.
+The payload, little-endian: a head (see :data:`_HEAD`), the mask's bounding box in bits, and for
+each pixel of the mask, in row order, the heights of surface and shape as differences of
+neighbouring values' bit patterns, the relief as its difference from surface minus shape, and the
+normals only where they do not follow from the surface. All of it is stored by byte planes, which
+compress to about 5 bytes a pixel. Nothing is rounded: local binary patterns compare neighbours, and
+a step of 0.05 um changed the features of the relief by 7 %.
 """
 
 from __future__ import annotations
@@ -19,11 +21,13 @@ from splitknit.imaging.geometry import bounding_box, height_gradients, normals_f
 from splitknit.model import BoolArray, FloatArray, Surface
 
 _HEAD = struct.Struct("<4sII4IId9dII")
-"""Magic; rows, columns; top, left, rows and columns of the box; 1 if normals are stored, and 2 more if the surface is
-not split; pitch in mm; matrix that takes the upright frame to the input; rows and columns of the upright frame."""
+"""Magic; rows, columns; top, left, rows and columns of the box; 1 if normals are stored, and 2 more
+if the surface is not split; pitch in mm; matrix that takes the upright frame to the input; rows and
+columns of the upright frame."""
 _MAGIC = b"SKS1"
 _MAX_PIXELS = 40_000_000
-"""Pixels of a capture's images, at most: five times the rig's camera. A surface takes 21 bytes a pixel unpacked."""
+"""Pixels of a capture's images, at most: five times the rig's camera. A surface takes 21 bytes a
+pixel unpacked."""
 _MAX_MM = 1000.0  # largest height
 _DAMAGED = "a stored surface is damaged; remove its chunk and run the same again."
 
@@ -41,7 +45,9 @@ def pack_surface(surface: Surface, height_mm: FloatArray) -> bytes:
     corner = [side.start for side in box] + [side.stop - side.start for side in box]
     matrix = np.asarray(surface.input_from_upright, dtype=float).ravel()
     kinds = int(stored) + 2 * int(surface.whole)
-    head = _HEAD.pack(_MAGIC, *mask.shape, *corner, kinds, surface.pitch_mm, *matrix, *surface.upright_size)
+    head = _HEAD.pack(
+        _MAGIC, *mask.shape, *corner, kinds, surface.pitch_mm, *matrix, *surface.upright_size
+    )
     words = [_differences(height), _differences(shape)]
     words.append(_bits(surface.ridge_mm[mask]) - _bits(height - shape))
     if stored:
@@ -53,10 +59,14 @@ def pack_surface(surface: Surface, height_mm: FloatArray) -> bytes:
 def unpack_surface(payload: bytes) -> Surface:
     """Read what :func:`pack_surface` wrote, to the last bit. Raises BadInput if it is damaged."""
     with refusing(_DAMAGED):
-        magic, rows, columns, top, left, high, wide, kinds, pitch, *rest = _HEAD.unpack_from(payload)
+        magic, rows, columns, top, left, high, wide, kinds, pitch, *rest = _HEAD.unpack_from(
+            payload
+        )
         matrix, upright_size = np.array(rest[:9]).reshape(3, 3), (rest[9], rest[10])
         largest = int(max(rows * columns, upright_size[0] * upright_size[1] // 2))
-        sound = magic == _MAGIC and kinds < 4 and bool(1e-6 < pitch < 1e3) and largest <= _MAX_PIXELS
+        sound = (
+            magic == _MAGIC and kinds < 4 and bool(1e-6 < pitch < 1e3) and largest <= _MAX_PIXELS
+        )
         sound = sound and top + high <= rows and left + wide <= columns
         require(sound and np.isfinite(matrix).all(), _DAMAGED)
         bits = np.frombuffer(payload, np.uint8, (high * wide + 7) // 8, _HEAD.size)
@@ -67,7 +77,9 @@ def unpack_surface(payload: bytes) -> Surface:
         require(count > 0 and len(payload) == at + 4 * count * layers, _DAMAGED)
         planes = np.frombuffer(payload, np.uint8, offset=at).reshape(layers, 4, count)
         words = np.ascontiguousarray(planes.transpose(0, 2, 1)).view("<i4")[..., 0]
-    height, shape, *normal = (_floats(np.cumsum(words[k], dtype=np.int32)) for k in (0, 1, *range(3, layers)))
+    height, shape, *normal = (
+        _floats(np.cumsum(words[k], dtype=np.int32)) for k in (0, 1, *range(3, layers))
+    )
     with np.errstate(invalid="ignore", over="ignore"):
         ridge = _floats(_bits(height - shape) + words[2])
     sound = all(bool((np.abs(part) <= _MAX_MM).all()) for part in (height, shape, ridge, *normal))

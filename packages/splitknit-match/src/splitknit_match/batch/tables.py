@@ -27,7 +27,17 @@ Table = dict[str, NDArray[Any]]
 """Columns by their names; payloads are arrays of ``bytes``."""
 _ENDS = ".ends"
 _MAX_BYTES = 2_000_000_000  # columns of one file at most: surfaces of forty captures
-_TEXTS = ("capture", "subject", "finger", "session", "failure", "input_sha256", "a", "b", "warnings")
+_TEXTS = (
+    "capture",
+    "subject",
+    "finger",
+    "session",
+    "failure",
+    "input_sha256",
+    "a",
+    "b",
+    "warnings",
+)
 _FLAGS = ("acquired", "genuine", "compared")
 _PAYLOADS = ("template", "print", "images", "minutiae")
 _REMEDY = "delete it and run the same again: only what it holds is done anew"

@@ -131,9 +131,13 @@ def connected(address: str) -> Iterator[Any]:
     try:
         checked = {"tls_ciphers": None, "tls_min_version": None}  # Python's, not those configured
         security = distributed.Security(require_encryption=encrypted, **checked)
-        client = distributed.Client(address, timeout=PATIENCE_S, set_as_default=False, security=security)
+        client = distributed.Client(
+            address, timeout=PATIENCE_S, set_as_default=False, security=security
+        )
     except (OSError, ValueError, TypeError, RuntimeError, AssertionError) as error:
-        remedy = "start it and its workers, tls:// with certificates of one CA (docs/guide/batch.md)."
+        remedy = (
+            "start it and its workers, tls:// with certificates of one CA (docs/guide/batch.md)."
+        )
         raise BadInput(f"{fault} ({_cause(error)}); {remedy}") from error
     try:
         try:
@@ -180,6 +184,12 @@ def _on_cluster(work: Work[Task], tasks: Sequence[Task], workers: Workers) -> It
             futures.update(submitted(1))
     except distributed.KilledWorker as error:
         fault = "several workers were killed at one task, perhaps for want of memory"
-        raise BadInput(f"{fault}; {kept}: give them more memory, and run the same again.") from error
-    except (distributed.comm.CommClosedError, distributed.client.FutureCancelledError, OSError) as error:
+        raise BadInput(
+            f"{fault}; {kept}: give them more memory, and run the same again."
+        ) from error
+    except (
+        distributed.comm.CommClosedError,
+        distributed.client.FutureCancelledError,
+        OSError,
+    ) as error:
         raise BadInput(f"the cluster was lost; {kept}: start it and run the same again.") from error

@@ -1,4 +1,5 @@
-"""Verbs on many fingers: ``splitknit batch``, and ``enroll``, of one finger or a whole population."""
+"""Verbs on many fingers: ``splitknit batch``, and ``enroll``, of one finger or a whole
+population."""
 
 from __future__ import annotations
 
@@ -60,7 +61,8 @@ def batch(
     cases
         Presets with commas (default: metric,snk,pr,ea).
     case
-        A case of your own, NAME=PRESET:STAGE.FIELD=VALUE,...: a preset with settings changed; may be repeated.
+        A case of your own, NAME=PRESET:STAGE.FIELD=VALUE,...: a preset with settings changed; may
+        be repeated.
     matchers
         ridge, thesis, thesis-code, minutiae, with commas; or none.
     impostors
@@ -72,8 +74,8 @@ def batch(
     jobs
         Processes at most, if memory allows.
     device
-        Where networks run: cpu (always the same bytes), cuda (other last digits; needs onnxruntime-gpu), or auto, cuda
-        where there is one.
+        Where networks run: cpu (always the same bytes), cuda (other last digits; needs
+        onnxruntime-gpu), or auto, cuda where there is one.
     scheduler
         Dask scheduler tls://HOST:PORT whose workers do it instead.
 
@@ -99,10 +101,18 @@ def batch(
         own = (*preset_cases(tuple(presets)), *own)
     names = _names(matchers, "`matchers`", "such as ridge, or none")
     facts = run_batch(
-        Path(population), Path(out), cases=own or preset_cases(), matchers=[] if names == ["none"] else names,
-        impostors=impostors, seed=seed, surfaces=surfaces, jobs=jobs, scheduler=scheduler, device=device,
+        Path(population),
+        Path(out),
+        cases=own or preset_cases(),
+        matchers=[] if names == ["none"] else names,
+        impostors=impostors,
+        seed=seed,
+        surfaces=surfaces,
+        jobs=jobs,
+        scheduler=scheduler,
+        device=device,
         progress=progress,
-    )  # fmt: skip
+    )
     return Report(facts, tuple(_batch_lines(facts)))
 
 
@@ -131,7 +141,9 @@ def _batch_lines(facts: Mapping[str, Any]) -> list[str]:
     cases = f"{len(facts['cases'])} cases ({', '.join(facts['cases'])})"
     lines = [f"{work}: {facts['captures']} captures in {cases} in {facts['out']}."]
     if waiting := facts["planned"] - facts["captures"]:
-        lines.append(f"{waiting} captures of the plan are not there yet; run the same again when they are.")
+        lines.append(
+            f"{waiting} captures of the plan are not there yet; run the same again when they are."
+        )
     if failures := facts["failures"]:
         lines.append(f"{len(failures)} failures to acquire now; the first: {failures[0]}")
     for scores in facts["scores"]:
@@ -172,9 +184,9 @@ def enroll(
     gallery
         File of the gallery.
     sources
-        Capture folder, result folder, template (.skt), print (PNG, TIFF, JPEG, BMP, WSQ, ISO 19794-4, ANSI/NIST-ITL)
-        or record of minutiae (ISO 19794-2, ANSI 378), or photograph of a finger in colour; several are sessions of one
-        finger.
+        Capture folder, result folder, template (.skt), print (PNG, TIFF, JPEG, BMP, WSQ, ISO
+        19794-4, ANSI/NIST-ITL) or record of minutiae (ISO 19794-2, ANSI 378), or photograph of a
+        finger in colour; several are sessions of one finger.
     person
         Whose finger it is.
     finger
@@ -182,8 +194,8 @@ def enroll(
     session
         Which session (default: the next number).
     population
-        Instead of sources: a whole enrolment, FOLDER/S01/session_1/right_index (or right_index.png) and so on;
-        resumable.
+        Instead of sources: a whole enrolment, FOLDER/S01/session_1/right_index (or right_index.png)
+        and so on; resumable.
     workers
         Processes for a population (default: 1).
     replace
@@ -191,8 +203,8 @@ def enroll(
     with_time
         Keep the time of enrolment as well.
     duplicates
-        What to do about a finger that matches another person's: refuse it, report it (warn, the default), or not look
-        (allow).
+        What to do about a finger that matches another person's: refuse it, report it (warn, the
+        default), or not look (allow).
     pad
         Refuse presentation attacks; where it is unknown whether it is one, a note says so.
     mask
@@ -209,11 +221,15 @@ def enroll(
     Raises
     ------
     BadInput
-        Naming what is at fault; the gallery is then as before, but for captures of a population that are done.
+        Naming what is at fault; the gallery is then as before, but for captures of a population
+        that are done.
 
     Examples
     --------
-    >>> enroll("people.skg", ["print.png"], person="Ann", finger="right_index").facts["people"]  # doctest: +SKIP
+    >>> added = enroll(  # doctest: +SKIP
+    ...     "people.skg", ["print.png"], person="Ann", finger="right_index"
+    ... )
+    >>> added.facts["people"]  # doctest: +SKIP
     1
     """
     from splitknit_match.gallery.file import key_of, warn_of_gallery
@@ -226,24 +242,46 @@ def enroll(
     presentation = refuse_attacks(pad, sources, preset, progress)
     if population is None:
         require(workers is None, "`workers` is for `population`.")
-        require(len(sources) == 1 or not how.where.given, "`mask` and `box` are for one photograph; name one source.")
+        require(
+            len(sources) == 1 or not how.where.given,
+            "`mask` and `box` are for one photograph; name one source.",
+        )
         if person is None or finger is None:
-            raise BadInput("name whose finger it is: `person` NAME `finger` right_index (or `population` FOLDER).")
+            raise BadInput(
+                "name whose finger it is: `person` NAME `finger` right_index (or `population`"
+                " FOLDER)."
+            )
         facts, lines = _enroll_sources(
-            Path(gallery), sources, person, finger, session=session, key=key, how=how,
-            duplicates=duplicates or "warn", progress=progress,
-        )  # fmt: skip
+            Path(gallery),
+            sources,
+            person,
+            finger,
+            session=session,
+            key=key,
+            how=how,
+            duplicates=duplicates or "warn",
+            progress=progress,
+        )
     else:
         why = "does not go with `population`, whose folders have names."
         refuse_given(why, person=person, finger=finger, session=session, mask=mask, box=box)
-        refuse_given("goes with sources; people of a `population` are not compared.", duplicates=duplicates)
+        refuse_given(
+            "goes with sources; people of a `population` are not compared.", duplicates=duplicates
+        )
         require(not sources, "name sources or a `population`, not both.")
         facts, lines = _enroll_population(
-            Path(gallery), Path(population), how, key=key, workers=1 if workers is None else workers, progress=progress
+            Path(gallery),
+            Path(population),
+            how,
+            key=key,
+            workers=1 if workers is None else workers,
+            progress=progress,
         )
     locked = ", encrypted" if facts["encrypted"] else ""
     people = count(facts["people"], "person", "people")
-    holds = f"{count(facts['captures'], 'capture')} of {count(facts['fingers'], 'finger')} of {people}"
+    holds = (
+        f"{count(facts['captures'], 'capture')} of {count(facts['fingers'], 'finger')} of {people}"
+    )
     lines.append(f"{facts['gallery']} holds {holds}{locked}.")
     warn_of_gallery(gallery, key_file)
     if presentation is not None:
@@ -267,9 +305,16 @@ def _enroll_sources(
     from splitknit_match.gallery.gallery import enroll as enroll_finger
 
     enrolment = enroll_finger(
-        gallery, list(sources), person, finger, session=session, key=key, how=how, duplicates=duplicates,
+        gallery,
+        list(sources),
+        person,
+        finger,
+        session=session,
+        key=key,
+        how=how,
+        duplicates=duplicates,
         progress=progress,
-    )  # fmt: skip
+    )
     facts = dict(known_json(enrolment.content))
     facts |= {"enrolled": known_json(enrolment.enrolled), "alike": known_json(enrolment.alike)}
     lines = [_enrolled_line(capture) for capture in enrolment.enrolled]
@@ -277,7 +322,13 @@ def _enroll_sources(
 
 
 def _enroll_population(
-    gallery: Path, population: Path, how: Enrolling, *, key: Key | None, workers: int, progress: Progress
+    gallery: Path,
+    population: Path,
+    how: Enrolling,
+    *,
+    key: Key | None,
+    workers: int,
+    progress: Progress,
 ) -> tuple[dict[str, Any], list[str]]:
     from splitknit_match.batch.enrol import enroll_population
 
@@ -287,7 +338,9 @@ def _enroll_population(
     failed = facts["failures_to_acquire"]
     if failed:
         first = f"first: {failed[0]['path']}: {failed[0]['reason'].rstrip('.')}"
-        lines.append(f"Please note: {count(len(failed), 'failure')} to acquire, kept as such ({first}).")
+        lines.append(
+            f"Please note: {count(len(failed), 'failure')} to acquire, kept as such ({first})."
+        )
     return facts, lines
 
 

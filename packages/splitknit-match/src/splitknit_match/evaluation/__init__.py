@@ -1,1 +1,2 @@
-"""How well scores separate genuine from impostor pairs: rates, confidence intervals, identification, protocols."""
+"""How well scores separate genuine from impostor pairs: rates, confidence intervals,
+identification, protocols."""

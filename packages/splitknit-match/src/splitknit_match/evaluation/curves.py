@@ -33,7 +33,8 @@ def chart(draw: Callable[..., None], wide: float = 4.9, high: float = 3.2, count
     sizes of each in inches, words as outlines. Raises BadInput without matplotlib.
     """
     with importing(
-        "curves need matplotlib: python -m pip install 'splitknit-match[plot]', or make install EXTRAS=plot."
+        "curves need matplotlib: python -m pip install 'splitknit-match[plot]', or make install"
+        " EXTRAS=plot."
     ):
         import matplotlib
         from matplotlib.figure import Figure
@@ -59,7 +60,8 @@ def percent(axis: Any) -> None:
 
 
 def draw_roc(ax: Any, curves: Sequence[tuple[str, Scores, Band | None]]) -> None:
-    """GAR over FAR, the latter on a logarithmic axis down to one impostor, with bands of FAR, low and high GAR."""
+    """GAR over FAR, the latter on a logarithmic axis down to one impostor, with bands of FAR, low
+    and high GAR."""
     lowest = 1.0 / max(2, *(scores.impostor.size for _, scores, _ in curves))
     for name, scores, band in curves:
         curve = _corners(roc(scores.genuine, scores.impostor))
@@ -74,7 +76,8 @@ def draw_roc(ax: Any, curves: Sequence[tuple[str, Scores, Band | None]]) -> None
 
 
 def draw_det(ax: Any, curves: Sequence[tuple[str, Scores]]) -> None:
-    """FRR over FAR on probit axes: two normal distributions give a straight line; grey is where both are equal."""
+    """FRR over FAR on probit axes: two normal distributions give a straight line; grey is where
+    both are equal."""
     from scipy.special import ndtr, ndtri
 
     ends = np.array([1e-5, 0.99])
@@ -97,7 +100,14 @@ def draw_scores(ax: Any, scores: Scores) -> None:
     sides = [side[~np.isnan(side)] for side in (scores.genuine, scores.impostor)]
     edges = np.histogram_bin_edges(np.concatenate(sides), 60)
     for side, name in zip(sides, ("genuine", "impostor"), strict=True):
-        ax.hist(side, edges, weights=np.full(side.size, 1.0 / side.size), histtype="stepfilled", alpha=0.4, label=name)
+        ax.hist(
+            side,
+            edges,
+            weights=np.full(side.size, 1.0 / side.size),
+            histtype="stepfilled",
+            alpha=0.4,
+            label=name,
+        )
     threshold = roc(scores.genuine, scores.impostor).equal_error().threshold
     if threshold is not None:
         ax.axvline(threshold, color="#222222", linestyle=":", label="EER")

@@ -1,4 +1,5 @@
-"""Score files in, error rates with their intervals out: systems, their fusion, and how they differ."""
+"""Score files in, error rates with their intervals out: systems, their fusion, and how they
+differ."""
 
 from __future__ import annotations
 
@@ -16,7 +17,13 @@ from splitknit.errors import require
 from splitknit.model import Progress, no_progress
 from splitknit_match.evaluation.fusion import Fused
 from splitknit_match.evaluation.fusion import fuse as fuse_systems
-from splitknit_match.evaluation.intervals import DEFAULTS, BootstrapSettings, Interval, Intervals, differences
+from splitknit_match.evaluation.intervals import (
+    DEFAULTS,
+    BootstrapSettings,
+    Interval,
+    Intervals,
+    differences,
+)
 from splitknit_match.evaluation.intervals import bootstrap as resample
 from splitknit_match.evaluation.protocol import average_sessions, pair_up
 from splitknit_match.evaluation.rates import error_bound, roc
@@ -47,7 +54,8 @@ class Result:
         return self.intervals.figures["auc"]
 
     def gar_at(self, far: float) -> Interval:
-        """Genuine accept rate at a FAR: 0.01, 0.001, 0.0001, or those that the bootstrap's settings name."""
+        """Genuine accept rate at a FAR: 0.01, 0.001, 0.0001, or those that the bootstrap's settings
+        name."""
         return self.intervals.figures[f"gar@{far:g}"]
 
 
@@ -65,7 +73,8 @@ class Difference:
 class Evaluation:
     """Error rates of systems."""
 
-    results: tuple[Result, ...]  # scores, error rates and their intervals for every system and variant
+    # scores, error rates and their intervals for every system and variant
+    results: tuple[Result, ...]
     differences: tuple[Difference, ...]
     notes: tuple[str, ...]  # for the reader
     fused: Mapping[str, Fused]  # the systems' fusions that were asked for, by method
@@ -88,27 +97,29 @@ def evaluate(
     Parameters
     ----------
     files : path or Scores, or several
-        One a system. Files are CSV with genuine and impostor comparisons, see ``docs/guide/evaluation.md``.
+        One a system. Files are CSV with genuine and impostor comparisons, see
+        ``docs/guide/evaluation.md``.
     dissimilarity : bool
         Whether the scores are distances: lower is more similar.
     cluster : ``auto``, ``plain``, ``finger`` or ``subject``
-        What the bootstrap draws for the intervals; ``auto``: fingers where they are named, else subjects, else
-        comparisons.
+        What the bootstrap draws for the intervals; ``auto``: fingers where they are named, else
+        subjects, else comparisons.
     average : bool
         Whether figures of scores averaged over sessions are given as well.
     fuse : ``linear``, ``minmax``, ``trained`` or ``all``, optional
-        Whether the systems' fusion is one more: of z-scores, of min-max scores, by logistic regression, or the first
-        two with intervals by subject.
+        Whether the systems' fusion is one more: of z-scores, of min-max scores, by logistic
+        regression, or the first two with intervals by subject.
     bootstrap : BootstrapSettings
-        Replicates, seed and FARs of :class:`splitknit_match.evaluation.intervals.BootstrapSettings`.
+        Replicates, seed and FARs of
+        :class:`splitknit_match.evaluation.intervals.BootstrapSettings`.
     progress : callable
         Called with a stage and the fraction that is done.
 
     Returns
     -------
     Evaluation
-        ``results``: of every system and variant ``eer``, ``gar_at(far)``, ``auc``, each with its confidence interval;
-        ``differences`` between systems; ``notes``.
+        ``results``: of every system and variant ``eer``, ``gar_at(far)``, ``auc``, each with its
+        confidence interval; ``differences`` between systems; ``notes``.
 
     Raises
     ------
@@ -125,11 +136,15 @@ def evaluate(
     require(len(set(paths)) == len(paths), "a score file is named twice; name each once.")
     progress("reading", 0.0)
     tables = {str(path): read_scores(path, dissimilarity=dissimilarity) for path in paths}
-    named = [source for source in sources if isinstance(source, Scores)] + [table.scores for table in tables.values()]
+    named = [source for source in sources if isinstance(source, Scores)] + [
+        table.scores for table in tables.values()
+    ]
     names = [system.name for system in named]
     systems = []
     for place, system in enumerate(named):
-        number = f" ({names[: place + 1].count(system.name)})" if names.count(system.name) > 1 else ""
+        number = (
+            f" ({names[: place + 1].count(system.name)})" if names.count(system.name) > 1 else ""
+        )
         systems.append(replace(system, name=system.name + number))
     ignored = dict.fromkeys(column for table in tables.values() for column in table.ignored)
     notes = [f"Columns that were not read: {', '.join(ignored)}."] if ignored else []
@@ -143,7 +158,8 @@ def evaluate(
     count = sum(map(len, groups))
     require(
         count <= MAX_SYSTEMS,
-        f"one report shows {MAX_SYSTEMS} systems and variants at most, but there are {count}; give fewer files.",
+        f"one report shows {MAX_SYSTEMS} systems and variants at most, but there are {count}; give"
+        " fewer files.",
     )
     notes += [note for method, fusion in fused.items() for note in _fusion_notes(fusion, method)]
     results: list[Result] = []
@@ -155,41 +171,56 @@ def evaluate(
             method = units[0] if cluster == "auto" else cluster
             require(
                 method in units,
-                f"`cluster` {method} needs columns {method}_a and {method}_b with three of them at least, which "
-                f"{system.name} does not have.",
+                f"`cluster` {method} needs columns {method}_a and {method}_b with three of them at"
+                f" least, which {system.name} does not have.",
             )
             results.append(Result(system, resample(system, method, bootstrap)))
             if method == "finger" and "subject" in units:
                 by_subject = resample(system, "subject", replace(bootstrap, curve_points=0))
                 notes += _wider(results[-1], by_subject)
-        pairs = combinations(group, 2) if len(group) <= 4 else ((group[0], system) for system in group[1:])
+        pairs = (
+            combinations(group, 2)
+            if len(group) <= 4
+            else ((group[0], system) for system in group[1:])
+        )
         for first, second in pairs:
             method = next(result.intervals.method for result in results if result.scores is first)
             try:
-                figures = differences(first, pair_up(first, second), method, replace(bootstrap, curve_points=0))
+                figures = differences(
+                    first, pair_up(first, second), method, replace(bootstrap, curve_points=0)
+                )
                 differing.append(Difference(first.name, second.name, method, figures))
             except BadInput as error:
                 notes.append(f"Not compared: {error}")
     notes += [note for result in results for note in _notes(result)]
     hashes = {path: tables[path].sha256 for path in sorted(tables)}
-    return Evaluation(tuple(results), tuple(differing), tuple(dict.fromkeys(notes)), fused, bootstrap, hashes)
+    return Evaluation(
+        tuple(results), tuple(differing), tuple(dict.fromkeys(notes)), fused, bootstrap, hashes
+    )
 
 
 def _units(scores: Scores) -> list[str]:
-    """What the bootstrap can draw, best first: fingers and subjects where three are named, comparisons."""
+    """What the bootstrap can draw, best first: fingers and subjects where three are named,
+    comparisons."""
     named = {"finger": scores.finger, "subject": scores.subject}
-    units = [unit for unit, ids in named.items() if ids is not None and np.unique(ids.codes).size >= 3]
+    units = [
+        unit for unit, ids in named.items() if ids is not None and np.unique(ids.codes).size >= 3
+    ]
     return [*units, "plain"]
 
 
 def _wider(result: Result, by_subject: Intervals) -> list[str]:
-    """Whether fingers of one subject hang together, so that intervals drawn by finger are too narrow."""
-    width, wide = (part.figures["eer"].high - part.figures["eer"].low for part in (result.intervals, by_subject))
+    """Whether fingers of one subject hang together, so that intervals drawn by finger are too
+    narrow."""
+    width, wide = (
+        part.figures["eer"].high - part.figures["eer"].low
+        for part in (result.intervals, by_subject)
+    )
     if result.eer.value == 0 or not wide >= 1.3 * width > 0:
         return []
     return [
-        f"{result.scores.name}: drawn by subject the interval of the EER is {wide / width:.1f} times as wide, so that "
-        "fingers of one subject are similarly hard; trust the wider one."
+        f"{result.scores.name}: drawn by subject the interval of the EER is {wide / width:.1f}"
+        " times as wide, so that fingers of one subject are similarly hard; trust the wider one."
     ]
 
 
@@ -197,46 +228,58 @@ def _notes(result: Result) -> list[str]:
     """What a reader of a system's figures has to know."""
     scores, name, notes = result.scores, result.scores.name, []
     curve, impostors = roc(scores.genuine, scores.impostor), scores.impostor.size
-    targets = [float(key[4:]) for key in result.intervals.figures if key.startswith("gar@") and "_" not in key]
+    targets = [
+        float(key[4:])
+        for key in result.intervals.figures
+        if key.startswith("gar@") and "_" not in key
+    ]
     unresolved = [target for target in targets if not curve.at_far(target).resolved]
     if unresolved:
         fars = " or ".join(f"{100 * target:g} %" for target in unresolved)
         needed = " or ".join(f"{int(np.ceil(1 / target)):,}" for target in unresolved)
         notes.append(
-            f"{name}: {impostors} impostor comparisons cannot resolve a FAR of {fars} ({needed} are needed for one "
-            "false accept). The GAR is that at FAR 0, where the FAR may in truth be up to "
-            f"{100 * error_bound(0.0, impostors):.2g} % (95 %, rule of three)."
+            f"{name}: {impostors} impostor comparisons cannot resolve a FAR of {fars} ({needed} are"
+            " needed for one false accept). The GAR is that at FAR 0, where the FAR may in truth"
+            f" be up to {100 * error_bound(0.0, impostors):.2g} % (95 %, rule of three)."
         )
     missing = int(np.isnan(scores.score).sum())
     if missing:
         notes.append(
-            f"{name}: {missing} of {scores.score.size} comparisons gave no score. FAR and GAR count them as "
-            "rejections, FMR and FNMR leave them out."
+            f"{name}: {missing} of {scores.score.size} comparisons gave no score. FAR and GAR count"
+            " them as rejections, FMR and FNMR leave them out."
         )
     if curve.auc() < 0.5:
         notes.append(
-            f"{name}: genuine scores are lower than impostor ones; if they are distances, use `dissimilarity`."
+            f"{name}: genuine scores are lower than impostor ones; if they are distances, use"
+            " `dissimilarity`."
         )
     if result.intervals.drawn < 20:
         notes.append(
-            f"{name}: only {result.intervals.drawn} to draw from ({result.intervals.method}), so that its intervals "
-            "are rough."
+            f"{name}: only {result.intervals.drawn} to draw from ({result.intervals.method}), so"
+            " that its intervals are rough."
         )
     return notes
 
 
 def _fusion_notes(fused: Fused, method: str) -> list[str]:
-    weights = ", ".join(f"{name} {weight:.2f}" for name, weight in zip(fused.systems, fused.weights, strict=True))
+    weights = ", ".join(
+        f"{name} {weight:.2f}" for name, weight in zip(fused.systems, fused.weights, strict=True)
+    )
     notes = [
-        f"'{fused.scores.name}' joins {len(fused.systems)} systems. Each {fused.by} belongs to one of {fused.folds} "
-        "folds; every comparison was scored by a model that saw nothing of the folds of its two sides. Mean weights of "
-        f"the normalised scores: {weights}."
+        f"'{fused.scores.name}' joins {len(fused.systems)} systems. Each {fused.by} belongs to one"
+        f" of {fused.folds} folds; every comparison was scored by a model that saw nothing of the"
+        f" folds of its two sides. Mean weights of the normalised scores: {weights}."
     ]
     if fused.by == "finger":
         notes.append(
-            "Subjects are not named, so that fusion may have learned from other fingers of who it was tested on."
+            "Subjects are not named, so that fusion may have learned from other fingers of who it"
+            " was tested on."
         )
     if any(fused.missing):
-        instead = "it counts as the mean" if method == "trained" else "its weight goes to the others"
-        notes.append(f"Scores are missing in the fusion ({sum(fused.missing)}): where one is, {instead}.")
+        instead = (
+            "it counts as the mean" if method == "trained" else "its weight goes to the others"
+        )
+        notes.append(
+            f"Scores are missing in the fusion ({sum(fused.missing)}): where one is, {instead}."
+        )
     return notes

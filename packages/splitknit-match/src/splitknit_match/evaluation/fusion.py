@@ -1,11 +1,13 @@
-"""Fusion of the scores of several systems, cross-validated so that nobody is trained on who is tested on.
+"""Fusion of the scores of several systems, cross-validated so that nobody is trained on who is
+tested on.
 
-Subjects (where they are not named: fingers) are dealt to folds. A comparison of somebody of fold i with somebody of
-fold j is scored by a model that saw comparisons among the other folds only. There is so one model for each pair of
-folds, and a comparison of two people is never scored by a model that knew one of them.
+Subjects (where they are not named: fingers) are dealt to folds. A comparison of somebody of fold i
+with somebody of fold j is scored by a model that saw comparisons among the other folds only. There
+is so one model for each pair of folds, and a comparison of two people is never scored by a model
+that knew one of them.
 
-A model is fitted to scores (N, S) of S systems, NaN where there is none, and labels (N,), and is a function from scores
-to fused scores.
+A model is fitted to scores (N, S) of S systems, NaN where there is none, and labels (N,), and is a
+function from scores to fused scores.
 """
 
 from __future__ import annotations
@@ -42,7 +44,8 @@ class Fused:
     systems: tuple[str, ...]
     by: str  # ``subject`` or ``finger``: what was dealt to folds
     folds: int
-    models: dict[tuple[int, int], Model]  # by the two folds, the smaller first, that it scored and saw none of
+    # by the two folds, the smaller first, that it scored and saw none of
+    models: dict[tuple[int, int], Model]
     weights: Values  # (S,) of the systems' normalised scores, mean of all models
     missing: tuple[int, ...]  # how many scores of each system were missing
 
@@ -57,9 +60,10 @@ def fuse(systems: Sequence[Scores], method: str = "trained", seed: int = 0) -> F
     so is the fused one. Raises BadInput if the systems scored other pairs, nobody is named, there
     are fewer than three subjects (fingers), or a training part lacks a class.
 
-    Source: A. Ross and A. Jain, "Information fusion in biometrics", Pattern Recognition Letters 24, 2003; A. Ross, K.
-    Nandakumar and A. Jain, "Handbook of Multibiometrics", Springer 2006, chapter 4; R. Snelick et al., IEEE TPAMI 27,
-    2005; A. Jain, K. Nandakumar and A. Ross, Pattern Recognition 38, 2005 (normalisation).
+    Source: A. Ross and A. Jain, "Information fusion in biometrics", Pattern Recognition Letters 24,
+    2003; A. Ross, K. Nandakumar and A. Jain, "Handbook of Multibiometrics", Springer 2006, chapter
+    4; R. Snelick et al., IEEE TPAMI 27, 2005; A. Jain, K. Nandakumar and A. Ross, Pattern
+    Recognition 38, 2005 (normalisation).
     """
     require(len(systems) >= 2, "a fusion needs two systems at least; give several score files.")
     first = systems[0]
@@ -67,11 +71,14 @@ def fuse(systems: Sequence[Scores], method: str = "trained", seed: int = 0) -> F
     by, ids = ("finger", first.finger) if first.subject is None else ("subject", first.subject)
     if ids is None:
         raise BadInput(
-            f"{first.name}: a fusion needs columns subject_a and subject_b (or finger_a and finger_b), so as never to "
-            "be trained on those that it is tested on."
+            f"{first.name}: a fusion needs columns subject_a and subject_b (or finger_a and"
+            " finger_b), so as never to be trained on those that it is tested on."
         )
     used = np.unique(ids.codes)
-    require(used.size >= 3, f"a fusion needs three subjects (or fingers) at least, but there are {used.size}.")
+    require(
+        used.size >= 3,
+        f"a fusion needs three subjects (or fingers) at least, but there are {used.size}.",
+    )
     folds = min(FOLDS, used.size)
     fold_of = np.zeros(len(ids.names), dtype=np.int64)
     fold_of[np.random.default_rng([seed, 0xF05E]).permutation(used)] = np.arange(used.size) % folds
@@ -89,10 +96,13 @@ def fuse(systems: Sequence[Scores], method: str = "trained", seed: int = 0) -> F
 
 
 def _cross_fit(
-    table: Values, genuine: Labels, fold: NDArray[np.int64], fit: Callable[[Values, Labels], tuple[Values, Model]]
+    table: Values,
+    genuine: Labels,
+    fold: NDArray[np.int64],
+    fit: Callable[[Values, Labels], tuple[Values, Model]],
 ) -> tuple[dict[tuple[int, int], Model], Values, Values]:
-    """Score every comparison by a model that saw nobody of the folds (N, 2) of its sides: models by pair of folds, mean
-    weights (S,), and scores (N,).
+    """Score every comparison by a model that saw nobody of the folds (N, 2) of its sides: models by
+    pair of folds, mean weights (S,), and scores (N,).
     """
     fold = np.sort(fold, axis=1)
     known = ~np.isnan(table).all(axis=1)
@@ -103,8 +113,8 @@ def _cross_fit(
         seen = known & ~np.isin(fold, (low, high)).any(axis=1)
         require(
             len(np.unique(genuine[seen])) == 2,
-            "without the subjects of two folds no genuine or no impostor scores are left to learn from; give more "
-            "subjects.",
+            "without the subjects of two folds no genuine or no impostor scores are left to learn"
+            " from; give more subjects.",
         )
         weight, models[low, high] = fit(table[seen], genuine[seen])
         weights.append(weight)
@@ -113,12 +123,14 @@ def _cross_fit(
 
 
 def fit_linear(scores: Values, genuine: Labels) -> tuple[Values, Model]:
-    """Mean of z-scores; a missing score's weight goes to the others. Source: A. Ross and A. Jain 2003 (sum rule)."""
+    """Mean of z-scores; a missing score's weight goes to the others. Source: A. Ross and A. Jain
+    2003 (sum rule)."""
     return _mean(*spread(scores))
 
 
 def fit_minmax(scores: Values, genuine: Labels) -> tuple[Values, Model]:
-    """Mean of scores between the lowest (0) and highest (1) of the training part. Source: R. Snelick et al. 2005."""
+    """Mean of scores between the lowest (0) and highest (1) of the training part. Source: R.
+    Snelick et al. 2005."""
     spread(scores)
     low, high = np.nanmin(scores, axis=0), np.nanmax(scores, axis=0)
     return _mean(low, high - low)
@@ -130,9 +142,10 @@ def _mean(offset: Values, scale: Values) -> tuple[Values, Model]:
 
 
 def fit_logistic(scores: Values, genuine: Labels) -> tuple[Values, Model]:
-    """Logistic regression on z-scores: log-odds that a pair is genuine, where both kinds are equally likely beforehand.
-    A missing score counts as the mean and, being missing, as a feature of its own. Source: Handbook of Multibiometrics,
-    chapter 4 (classifier-based fusion); C. Bishop, "Pattern Recognition and Machine Learning", 2006, (4.92) to (4.100).
+    """Logistic regression on z-scores: log-odds that a pair is genuine, where both kinds are
+    equally likely beforehand. A missing score counts as the mean and, being missing, as a feature
+    of its own. Source: Handbook of Multibiometrics, chapter 4 (classifier-based fusion); C. Bishop,
+    "Pattern Recognition and Machine Learning", 2006, (4.92) to (4.100).
     """
     offset, scale = spread(scores)
 
@@ -147,14 +160,21 @@ def fit_logistic(scores: Values, genuine: Labels) -> tuple[Values, Model]:
 
     def loss(w: Values) -> tuple[float, Values]:
         rate = fraction * sign * expit(-sign * (x @ w))
-        return float(fraction @ np.logaddexp(0.0, -sign * (x @ w)) + 0.5 * hold @ w**2), -x.T @ rate + hold * w
+        return (
+            float(fraction @ np.logaddexp(0.0, -sign * (x @ w)) + 0.5 * hold @ w**2),
+            -x.T @ rate + hold * w,
+        )
 
     def curvature(w: Values) -> Values:
         rate = expit(x @ w)
-        return np.asarray((x * (fraction * rate * (1 - rate))[:, None]).T @ x + np.diag(hold + 1e-12))
+        return np.asarray(
+            (x * (fraction * rate * (1 - rate))[:, None]).T @ x + np.diag(hold + 1e-12)
+        )
 
     start: Any = np.zeros(x.shape[1])
-    weights = minimize(loss, start, jac=True, hess=curvature, method="trust-exact", options={"gtol": 1e-12}).x
+    weights = minimize(
+        loss, start, jac=True, hess=curvature, method="trust-exact", options={"gtol": 1e-12}
+    ).x
     return weights[: scores.shape[1]], lambda table: design(table) @ weights
 
 
@@ -168,7 +188,7 @@ def spread(scores: Values) -> tuple[Values, Values]:
     flat = deviation <= 1e-12 * np.maximum(1.0, np.abs(mean))
     require(
         not flat.any(),
-        f"the scores of system {int(np.argmax(flat)) + 1} of {flat.size} do not vary in the part to learn from; leave "
-        "it out of the fusion.",
+        f"the scores of system {int(np.argmax(flat)) + 1} of {flat.size} do not vary in the part to"
+        " learn from; leave it out of the fusion.",
     )
     return mean, deviation

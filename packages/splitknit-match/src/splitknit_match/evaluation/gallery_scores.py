@@ -1,5 +1,5 @@
-"""Scores from a gallery: every finger of a session with every other finger and with itself in each later session, by
-ridges, or, where templates of prints hold minutiae, by both on the same scale.
+"""Scores from a gallery: every finger of a session with every other finger and with itself in each
+later session, by ridges, or, where templates of prints hold minutiae, by both on the same scale.
 """
 
 from __future__ import annotations
@@ -38,20 +38,31 @@ class GalleryScores:
     method: str  # of `match`, which gives such scores
 
 
-def gallery_scores(path: Path, *, key: Key | None = None, progress: Progress = no_progress) -> GalleryScores:
-    """Compare all sessions of a gallery with each other; people of an encrypted one are numbered by enrolment (P001
-    ...). Raises BadInput if the gallery cannot be read, or holds fewer than two sessions or fingers.
+def gallery_scores(
+    path: Path, *, key: Key | None = None, progress: Progress = no_progress
+) -> GalleryScores:
+    """Compare all sessions of a gallery with each other.
+
+    People of an encrypted one are numbered by enrolment (P001 ...). Raises BadInput if the gallery
+    cannot be read, or holds fewer than two sessions or fingers.
     """
     with GalleryFile(path, key) as opened:
         people = opened.people()
     captures = list(people.entries.values())
     persons = [capture.person for capture in captures]
     if key is not None:
-        numbers = {person: f"P{number:03d}" for number, person in enumerate(dict.fromkeys(persons), start=1)}
+        numbers = {
+            person: f"P{number:03d}"
+            for number, person in enumerate(dict.fromkeys(persons), start=1)
+        }
         persons = [numbers[person] for person in persons]
     sessions = [capture.session for capture in captures]
-    order = {session: place for place, session in enumerate(sorted(set(sessions), key=session_order))}
-    fingers = [f"{person}/{capture.finger}" for person, capture in zip(persons, captures, strict=True)]
+    order = {
+        session: place for place, session in enumerate(sorted(set(sessions), key=session_order))
+    }
+    fingers = [
+        f"{person}/{capture.finger}" for person, capture in zip(persons, captures, strict=True)
+    ]
     try:
         pairs = comparisons(fingers, [order[session] for session in sessions], within=True)
         payloads = [people.templates[capture.row] for capture in captures]
@@ -65,7 +76,11 @@ def gallery_scores(path: Path, *, key: Key | None = None, progress: Progress = n
         notes.append(note)
     if key is not None:
         notes.append("The gallery is encrypted: its people are numbered in the order of enrolment.")
-    columns = {"finger": [capture.finger for capture in captures], "subject": persons, "session": sessions}
+    columns = {
+        "finger": [capture.finger for capture in captures],
+        "subject": persons,
+        "session": sessions,
+    }
     names = {
         kind: ([column[place] for place in pairs.a], [column[place] for place in pairs.b])
         for kind, column in columns.items()
@@ -74,10 +89,14 @@ def gallery_scores(path: Path, *, key: Key | None = None, progress: Progress = n
     return GalleryScores(scores, table, file_hash(path), tuple(notes), method)
 
 
-def _similarities(payloads: Sequence[bytes], pairs: Comparisons, progress: Progress) -> tuple[Array, str | None, str]:
-    """(N,) similarity of each pair, NaN where a side is a failure to acquire, what is to be noted, and the method.
+def _similarities(
+    payloads: Sequence[bytes], pairs: Comparisons, progress: Progress
+) -> tuple[Array, str | None, str]:
+    """(N,) similarity of each pair, NaN where a side is a failure to acquire, what is to be noted,
+    and the method.
 
-    Pairs go in blocks of second sides, one first side after the other, so that what is kept ready is small.
+    Pairs go in blocks of second sides, one first side after the other, so that what is kept ready
+    is small.
     """
     if any(holds_minutiae(payload) for payload in payloads):
         minutiae = [unpack_minutiae(payload) for payload in payloads]

@@ -73,17 +73,23 @@ class Intervals:
     method: str  # ``plain``, ``finger`` or ``subject``
     drawn: int  # comparisons of the smaller class, fingers or subjects
     figures: Mapping[str, Interval]
-    """``eer``, ``gar@0.01`` and so on, ``auc``, ``d_prime`` (where scores vary); ``gar@0.01_made``: no failures."""
+    """``eer``, ``gar@0.01`` and so on, ``auc``, ``d_prime`` (where scores vary); ``gar@0.01_made``:
+    no failures."""
     curve_far: Values  # (P,) and the band of the GAR there:
     curve_low: Values
     curve_high: Values
 
 
-def bootstrap(scores: Scores, method: str = "plain", settings: BootstrapSettings = DEFAULTS) -> Intervals:
-    """All figures of `scores` with percentile intervals of 95 %. Raises BadInput if `method` lacks its ids."""
+def bootstrap(
+    scores: Scores, method: str = "plain", settings: BootstrapSettings = DEFAULTS
+) -> Intervals:
+    """All figures of `scores` with percentile intervals of 95 %. Raises BadInput if `method` lacks
+    its ids."""
     falling = scores.taken(np.argsort(-scores.score, kind="stable"))
     lowest = min(0.1, 1.0 / falling.impostor.size)
-    curve_far = np.geomspace(lowest, 1.0, settings.curve_points) if settings.curve_points else np.zeros(0)
+    curve_far = (
+        np.geomspace(lowest, 1.0, settings.curve_points) if settings.curve_points else np.zeros(0)
+    )
     ((values, replicates),) = _resampled([falling], method, settings, curve_far)
     lows, highs = _percentiles(replicates)
     bounds = _bounds(falling, method, settings.targets)
@@ -100,16 +106,22 @@ def bootstrap(scores: Scores, method: str = "plain", settings: BootstrapSettings
 def differences(
     first: Scores, second: Scores, method: str = "plain", settings: BootstrapSettings = DEFAULTS
 ) -> dict[str, Interval]:
-    """Figures of `first` minus figures of `second`, which scored the same pairs in the same order. Both get the same
-    replicates, so that what is hard for both cancels; a difference is beyond chance where its interval leaves out zero.
-    Raises BadInput if the systems differ in number or labels, or `method` lacks its ids.
+    """Figures of `first` minus figures of `second`, which scored the same pairs in the same order.
+    Both get the same replicates, so that what is hard for both cancels; a difference is beyond
+    chance where its interval leaves out zero. Raises BadInput if the systems differ in number or
+    labels, or `method` lacks its ids.
     """
     same = np.array_equal(first.label, second.label)
-    require(same, f"'{first.name}' and '{second.name}' did not score the same pairs; their labels differ.")
+    require(
+        same,
+        f"'{first.name}' and '{second.name}' did not score the same pairs; their labels differ.",
+    )
     (values, replicates), (values_2, replicates_2) = _resampled([first, second], method, settings)
     ends = _percentiles(replicates - replicates_2)
     rows = zip(figure_names(settings.targets), values - values_2, *ends, strict=True)
-    return {name: _interval(value, low, high) for name, value, low, high in rows if np.isfinite(value)}
+    return {
+        name: _interval(value, low, high) for name, value, low, high in rows if np.isfinite(value)
+    }
 
 
 def figure_names(targets: Sequence[float]) -> list[str]:
@@ -130,18 +142,23 @@ def _figures(curve: Roc, targets: Sequence[float], fars: Values) -> list[float]:
 def _resampled(
     systems: Sequence[Scores], method: str, settings: BootstrapSettings, fars: Values = _NO_FARS
 ) -> list[tuple[Values, Values]]:
-    """Figures (F,) of each system, and (replicates, F) those of the same replicates for all systems."""
+    """Figures (F,) of each system, and (replicates, F) those of the same replicates for all
+    systems."""
     ranks = [rank(system.genuine, system.impostor) for system in systems]
     replicates: list[list[list[float]]] = [[] for _ in systems]
     for weights in _weights(systems[0], method, settings):
         for ranked, figures in zip(ranks, replicates, strict=True):
             falling = [weight[order] for weight, order in zip(weights, ranked.order, strict=True)]
             figures.append(_figures(ranked.roc(falling), settings.targets, fars))
-    values = [_figures(roc(system.genuine, system.impostor), settings.targets, fars) for system in systems]
+    values = [
+        _figures(roc(system.genuine, system.impostor), settings.targets, fars) for system in systems
+    ]
     return [(np.array(own), np.array(rows)) for own, rows in zip(values, replicates, strict=True)]
 
 
-def _weights(scores: Scores, method: str, settings: BootstrapSettings) -> Iterator[Sequence[Values]]:
+def _weights(
+    scores: Scores, method: str, settings: BootstrapSettings
+) -> Iterator[Sequence[Values]]:
     """How often each genuine (N,) and impostor comparison (M,) counts in each replicate."""
     generator = np.random.default_rng(settings.seed)
 
@@ -169,17 +186,22 @@ def _clusters(scores: Scores, method: str) -> tuple[NDArray[np.int64], int]:
         places = np.arange(scores.label.size)
         return np.stack([places, places], axis=1), min(scores.genuine.size, scores.impostor.size)
     ids = getattr(scores, method)
-    require(ids is not None, f"{scores.name}: to draw by {method}, columns {method}_a and {method}_b are needed.")
+    require(
+        ids is not None,
+        f"{scores.name}: to draw by {method}, columns {method}_a and {method}_b are needed.",
+    )
     used, codes = np.unique(ids.codes, return_inverse=True)
     require(
         used.size >= 3,
-        f"{scores.name}: a bootstrap by {method} needs three of them at least, but there are {used.size}.",
+        f"{scores.name}: a bootstrap by {method} needs three of them at least, but there are"
+        f" {used.size}.",
     )
     return codes.reshape(ids.codes.shape), int(used.size)
 
 
 def _percentiles(rows: Values) -> Values:
-    """(2, F) percentiles over replicates; those in which a class was not drawn at all are left out."""
+    """(2, F) percentiles over replicates; those in which a class was not drawn at all are left
+    out."""
     tail = (1 - CONFIDENCE) / 2
     limits = np.full((2, rows.shape[1]), np.nan)
     for limit, column in zip(limits.T, rows.T, strict=True):
@@ -194,13 +216,16 @@ def _interval(value: float, *limits: float) -> Interval:
     return Interval(float(value), min(known), max(known))
 
 
-def _bounds(scores: Scores, method: str, targets: Sequence[float]) -> dict[str, tuple[float, float]]:
-    """How far off rates that rest on few fingers may be; the rate itself if enough were rejected and accepted.
+def _bounds(
+    scores: Scores, method: str, targets: Sequence[float]
+) -> dict[str, tuple[float, float]]:
+    """How far off rates that rest on few fingers may be; the rate itself if enough were rejected
+    and accepted.
 
-    A bootstrap repeats what was seen. Where only some fingers (subjects, comparisons) were ever rejected, it knows too
-    little of those that are, and nothing where none was. The limit is then that of Clopper and Pearson for as many
-    independent trials as there are fingers, as if all comparisons of a finger failed together: cautious, and where
-    nothing failed the rule of three.
+    A bootstrap repeats what was seen. Where only some fingers (subjects, comparisons) were ever
+    rejected, it knows too little of those that are, and nothing where none was. The limit is then
+    that of Clopper and Pearson for as many independent trials as there are fingers, as if all
+    comparisons of a finger failed together: cautious, and where nothing failed the rule of three.
     """
     genuine = scores.genuine
     curve = roc(genuine, scores.impostor)

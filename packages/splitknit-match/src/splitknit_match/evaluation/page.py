@@ -1,4 +1,5 @@
-"""The folder of an evaluation: one HTML page that needs nothing else, the same facts as JSON, and curves as SVG."""
+"""The folder of an evaluation: one HTML page that needs nothing else, the same facts as JSON, and
+curves as SVG."""
 
 from __future__ import annotations
 
@@ -28,8 +29,8 @@ _DRAWN_BY = {"plain": "comparisons", "finger": "fingers", "subject": "subjects"}
 def write_evaluation(
     evaluation: Evaluation, out: Path, tables: Mapping[str, bytes], settings: Mapping[str, Any]
 ) -> dict[str, Any]:
-    """Write the page, the facts (returned), the curves and further `tables` into the folder `out`, all or nothing;
-    `settings`: what was asked for, to be reported.
+    """Write the page, the facts (returned), the curves and further `tables` into the folder `out`,
+    all or nothing; `settings`: what was asked for, to be reported.
     """
     try:
         charts, uncharted = _charts(evaluation.results), ""
@@ -63,7 +64,11 @@ def _facts(evaluation: Evaluation, settings: Mapping[str, Any]) -> dict[str, Any
     return {
         "format": FORMAT,
         "version": 1,
-        "software": {"name": "splitknit", "version": provenance()["version"], "python": platform.python_version()},
+        "software": {
+            "name": "splitknit",
+            "version": provenance()["version"],
+            "python": platform.python_version(),
+        },
         "written_at": datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds"),
         "system": first,
         "eer": systems[first]["eer"],

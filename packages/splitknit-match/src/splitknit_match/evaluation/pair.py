@@ -1,13 +1,16 @@
 """Two measurements of one surface, laid on each other: how they differ, by slant and by wavelength.
 
-A bare finger and the same finger coated, pressed on a gel, or cast: the second is nearly free of what light does in
-skin, so that what the two differ by is the first one's error, the second one's error, and the protocol's.
+A bare finger and the same finger coated, pressed on a gel, or cast: the second is nearly free of
+what light does in skin, so that what the two differ by is the first one's error, the second one's
+error, and the protocol's.
 
-- *rigid*: six degrees of freedom. The start comes from the ridges (:mod:`splitknit_match.matching.ridge`); then the
-  differences of height are least, those narrower and those wider than a ridge weighted by their own variance.
-- *elastic*: both surfaces are unrolled, and B's skin may shift smoothly. Only what is narrower than 2.5 mm is compared.
-- *difference*: A minus B along the normal of the smooth surface; *gain*: least-squares factor from B to A (noise of B
-  lowers it); *slant*: of A's smooth surface against its camera.
+- *rigid*: six degrees of freedom. The start comes from the ridges
+  (:mod:`splitknit_match.matching.ridge`); then the differences of height are least, those narrower
+  and those wider than a ridge weighted by their own variance.
+- *elastic*: both surfaces are unrolled, and B's skin may shift smoothly. Only what is narrower than
+  2.5 mm is compared.
+- *difference*: A minus B along the normal of the smooth surface; *gain*: least-squares factor from
+  B to A (noise of B lowers it); *slant*: of A's smooth surface against its camera.
 - *intervals*: 95 %, of resampled square blocks (2 mm a side, or the band's longest wavelength).
 """
 
@@ -48,7 +51,12 @@ BANDS_MM = {
     "above 8 mm": (8.0, np.inf),
 }
 """Shortest and longest wavelength; ``relief``: the ridge band of :mod:`splitknit.accuracy`."""
-SLANTS_DEG = {"0 to 40": (0.0, 40.0), "0 to 20": (0.0, 20.0), "20 to 40": (20.0, 40.0), "40 to 60": (40.0, 60.0)}
+SLANTS_DEG = {
+    "0 to 40": (0.0, 40.0),
+    "0 to 20": (0.0, 20.0),
+    "20 to 40": (20.0, 40.0),
+    "40 to 60": (40.0, 60.0),
+}
 ELASTIC_MM = 2.5
 """Longest wavelength that is compared on skin that may shift."""
 _SIGMA = float(np.sqrt(np.log(2.0) / 2.0) / np.pi)
@@ -73,7 +81,8 @@ _ORDER = 9
 """Of the polynomial for the slow shape."""
 
 PROTOCOLS = json.loads(Path(__file__).with_name("protocols.json").read_text(encoding="ascii"))
-"""The protocol's own error: rms in um and gain in each of the bands, of true surfaces alone (``validation/pair``)."""
+"""The protocol's own error: rms in um and gain in each of the bands, of true surfaces alone
+(``validation/pair``)."""
 Fit = Literal["rigid", "elastic"]
 
 
@@ -86,26 +95,32 @@ class PairComparison:
     scale: float  # length in A over length in B, by the ridges (unrolled)
     rotation: Array  # (3, 3), and
     shift_mm: Array
-    """(3,): A = rotation @ B + shift, both about the middle of their image; of the rigid fit, whatever `fit`."""
+    """(3,): A = rotation @ B + shift, both about the middle of their image; of the rigid fit,
+    whatever `fit`."""
     strain_mm: float  # rms of the shifts of single patches of skin that are left after a rigid fit
     figures: Mapping[str, Mapping[str, Mapping[str, Any]]]
-    """By band and slant: ``correlation``, ``gain``, ``rms_um`` (each an interval, whose ends are None where there are
-    too few blocks), ``std_um`` of B, ``area_mm2``."""
+    """By band and slant: ``correlation``, ``gain``, ``rms_um`` (each an interval, whose ends are
+    None where there are too few blocks), ``std_um`` of B, ``area_mm2``."""
     relief_um: FloatArray  # (2, H, W) A and B in the band ``relief``, NaN where nothing is compared
-    height_mm: FloatArray  # (2, H, W) of both in A's frame; where the fit is elastic, without their shape
+    # (2, H, W) of both in A's frame; where the fit is elastic, without their shape
+    height_mm: FloatArray
     pitch_mm: float
     notes: tuple[str, ...] = ()
 
 
 def compare_results(
-    a: Reconstruction | str | os.PathLike[str], b: Reconstruction | str | os.PathLike[str], *, fit: Fit = "rigid"
+    a: Reconstruction | str | os.PathLike[str],
+    b: Reconstruction | str | os.PathLike[str],
+    *,
+    fit: Fit = "rigid",
 ) -> PairComparison:
     """Lay two measurements of one surface on each other and measure how they differ.
 
     Parameters
     ----------
     a, b : Reconstruction, or path of a result folder or its ``height.npz``
-        A is tested, B is the reference (or a phantom's known heights, ``python -m hardware.phantom``).
+        A is tested, B is the reference (or a phantom's known heights, ``python -m
+        hardware.phantom``).
     fit : ``rigid`` (six degrees of freedom) or ``elastic`` (skin that was pressed or has shifted)
 
     Returns
@@ -119,24 +134,30 @@ def compare_results(
 
     References
     ----------
-    ISO 16610-61:2015 (areal Gaussian filter); Besl and McKay 1992, A method for registration of 3-D shapes; Kroeger et
-    al. 2016, Fast optical flow using dense inverse search (shifts of skin); Politis and Romano 1994 (resampling of
-    blocks).
+    ISO 16610-61:2015 (areal Gaussian filter); Besl and McKay 1992, A method for registration of 3-D
+    shapes; Kroeger et al. 2016, Fast optical flow using dense inverse search (shifts of skin);
+    Politis and Romano 1994 (resampling of blocks).
 
     Examples
     --------
     >>> import splitknit
     >>> import splitknit_match
-    >>> comparison = splitknit_match.compare_results("bare_result", "powder_result")  # doctest: +SKIP
+    >>> comparison = splitknit_match.compare_results(  # doctest: +SKIP
+    ...     "bare_result", "powder_result"
+    ... )
     >>> comparison.figures["relief"]["0 to 40"]["rms_um"]["value"]  # doctest: +SKIP
     """
-    results = [side if isinstance(side, Reconstruction) else read_result(Path(side)) for side in (a, b)]
+    results = [
+        side if isinstance(side, Reconstruction) else read_result(Path(side)) for side in (a, b)
+    ]
     step = max(STEP_MM, *(result.pitch_mm for result in results))
     tested, reference = (_Side(result, step) for result in results)
     similarity, affine = _ridges_on_each_other(tested, reference)
     rotation, shift, fields = _rigid_fit(tested, reference, *_start(tested, reference, affine))
     if fit == "rigid":
-        relief_a, relief_b = (_band(height, fields.valid, BANDS_MM["relief"], step) for height in fields.heights)
+        relief_a, relief_b = (
+            _band(height, fields.valid, BANDS_MM["relief"], step) for height in fields.heights
+        )
         strain_mm = _rms(_shifts(relief_a, relief_b, fields.valid, step)[fields.valid]) * step
     else:
         fields, strain_mm = _elastic_fit(tested, reference, affine)
@@ -148,21 +169,40 @@ def compare_results(
             figures[band] = _by_slant(detail, limits, step)
         elif fit == "rigid":
             figures[band] = _by_slant(fields, limits, step)
-    relief = [_band(height, fields.valid, BANDS_MM["relief"], step) * fields.cosine for height in detail.heights]
+    relief = [
+        _band(height, fields.valid, BANDS_MM["relief"], step) * fields.cosine
+        for height in detail.heights
+    ]
     scale = float(np.sqrt(abs(np.linalg.det(affine[:, :2]))))
     notes = []
-    if tested.mask.shape == reference.mask.shape and np.array_equal(tested.height, reference.height):
-        notes.append("A and B are the same measurement, to the last digit: that it repeats is not shown.")
+    if tested.mask.shape == reference.mask.shape and np.array_equal(
+        tested.height, reference.height
+    ):
+        notes.append(
+            "A and B are the same measurement, to the last digit: that it repeats is not shown."
+        )
     if abs(scale - 1.0) > 0.02:
-        notes.append(f"Lengths in A are {100 * (scale - 1):+.1f} % of those in B; check the scale of both.")
+        notes.append(
+            f"Lengths in A are {100 * (scale - 1):+.1f} % of those in B; check the scale of both."
+        )
     if fit == "rigid" and strain_mm > 0.012:
-        notes.append(f"Patches of skin have shifted by {1e3 * strain_mm:.0f} um; compare with the elastic fit as well.")
+        notes.append(
+            f"Patches of skin have shifted by {1e3 * strain_mm:.0f} um; compare with the elastic"
+            " fit as well."
+        )
     return PairComparison(
-        fit, similarity, scale, rotation, shift, strain_mm, figures,
+        fit,
+        similarity,
+        scale,
+        rotation,
+        shift,
+        strain_mm,
+        figures,
         relief_um=np.where(fields.valid, np.stack(relief), np.nan).astype(np.float32) * 1e3,
         height_mm=np.where(fields.valid, np.stack(fields.heights), np.nan).astype(np.float32),
-        pitch_mm=step, notes=tuple(notes),
-    )  # fmt: skip
+        pitch_mm=step,
+        notes=tuple(notes),
+    )
 
 
 class _Side:
@@ -176,69 +216,101 @@ class _Side:
         self.pixel = result.pitch_mm
         rows, columns = known.shape
         self.centre = (rows - 1) / 2, (columns - 1) / 2
-        size = round((rows - 1) * self.pixel / step) + 1, round((columns - 1) * self.pixel / step) + 1
+        size = (
+            round((rows - 1) * self.pixel / step) + 1,
+            round((columns - 1) * self.pixel / step) + 1,
+        )
         self.middle = (size[0] - 1) / 2, (size[1] - 1) / 2
         row, column = np.indices(size, dtype=float)
         self.x, self.y = (column - self.middle[1]) * step, (self.middle[0] - row) * step
-        plane = source = [self.centre[0] - self.y / self.pixel, self.centre[1] + self.x / self.pixel]
-        if result.x_mm is not None and result.y_mm is not None:  # perspective: rays meet the plane beside the points
+        plane = source = [
+            self.centre[0] - self.y / self.pixel,
+            self.centre[1] + self.x / self.pixel,
+        ]
+        # perspective: rays meet the plane beside the points
+        if result.x_mm is not None and result.y_mm is not None:
             row, column = np.indices(known.shape)
             parallax = (
                 self.centre[0] - result.y_mm / self.pixel - row,
                 self.centre[1] + result.x_mm / self.pixel - column,
             )
             for _ in range(4):  # a contraction, by the depth over the distance
-                source = [start - _sampled(part, known, source) for start, part in zip(plane, parallax, strict=True)]
+                source = [
+                    start - _sampled(part, known, source)
+                    for start, part in zip(plane, parallax, strict=True)
+                ]
         self.mask = _inside(known, source)
         require(self.mask.any(), "a result holds no surface.")
         height = _sampled(result.height_mm, known, source, step / self.pixel)
         self.height = np.where(self.mask, height, 0.0).astype(np.float32)
         self.slopes = height_gradients(np.where(self.mask, self.height, np.nan), step)
-        x, y = (smoothed(slope, self.mask, 0.6 / step) for slope in self.slopes)  # a mean's slope is too flat at edges
+        # a mean's slope is too flat at edges
+        x, y = (smoothed(slope, self.mask, 0.6 / step) for slope in self.slopes)
         self.cosine = (1.0 / np.sqrt(1.0 + x * x + y * y)).astype(np.float32)
         shape, frame = result.shape_mm, (result.input_from_upright, result.upright_size)
         relief = result.ridge_mm + shape if result.whole else result.ridge_mm
         band = ridge_band(relief, result.mask, self.pixel, shape, *frame, band_mm=step)
         template = make_template(band)
-        require(not template.empty, "no ridges were found on a result; compare skin, or a phantom with ridges.")
+        require(
+            not template.empty,
+            "no ridges were found on a result; compare skin, or a phantom with ridges.",
+        )
         self.ridges = Prepared(template)
-        places = band_places(result.mask & np.isfinite(shape), shape, *frame, pitch_mm=self.pixel, band_mm=step)
-        self.columns, self.rows, self.unrolled_cosine = (part[bounding_box(band.valid)] for part in places)
+        places = band_places(
+            result.mask & np.isfinite(shape), shape, *frame, pitch_mm=self.pixel, band_mm=step
+        )
+        self.columns, self.rows, self.unrolled_cosine = (
+            part[bounding_box(band.valid)] for part in places
+        )
         """(h, w) where the unrolled ridges lie in the result, and the cosine of their slant."""
 
     def flat(self) -> tuple[FloatArray, BoolArray, FloatArray]:
-        """Relief along the normal on the unrolled grid, mm, where it is known, and the slant in deg."""
+        """Relief along the normal on the unrolled grid, mm, where it is known, and the slant in
+        deg."""
         height, cosine = self.result.height_mm, self.unrolled_cosine
         relief = np.where(self.known, height, 0.0) - _form(height, self.known)
         relief = relief - smoothed(relief, self.known, _SIGMA * ELASTIC_MM / self.pixel)
         place = [self.rows, self.columns]
-        inside = _inside(eroded(self.known, 3 * _EDGE_MM / self.pixel), place)  # unrolling errs beside the edge
+        # unrolling errs beside the edge
+        inside = _inside(eroded(self.known, 3 * _EDGE_MM / self.pixel), place)
         flat = _sampled(relief, self.known, place, self.step / self.pixel) * cosine
-        return flat, inside & (cosine > _MIN_COSINE), np.rad2deg(np.arccos(np.clip(cosine, 0.0, 1.0)))
+        return (
+            flat,
+            inside & (cosine > _MIN_COSINE),
+            np.rad2deg(np.arccos(np.clip(cosine, 0.0, 1.0))),
+        )
 
     def points(self, positions: FloatArray) -> Array:
-        """(N, 3) points in mm of columns and rows (N, 2) of the unrolled ridges; NaN where there is no surface."""
+        """(N, 3) points in mm of columns and rows (N, 2) of the unrolled ridges; NaN where there is
+        no surface."""
         column, row = _pixels(positions.T, self.rows.shape[::-1])
         source = self.rows[row, column], self.columns[row, column]
         pixel = _pixels(source, self.known.shape)
         if self.result.x_mm is not None and self.result.y_mm is not None:
             x, y = self.result.x_mm[pixel], self.result.y_mm[pixel]
         else:
-            x, y = (source[1] - self.centre[1]) * self.pixel, (self.centre[0] - source[0]) * self.pixel
+            x, y = (
+                (source[1] - self.centre[1]) * self.pixel,
+                (self.centre[0] - source[0]) * self.pixel,
+            )
         z = np.where(self.result.mask[pixel], self.result.height_mm[pixel], np.nan)
         return np.stack([x, y, z], axis=1, dtype=float)
 
 
-def _pixels(places: Sequence[Any] | FloatArray, size: Sequence[int]) -> tuple[NDArray[np.int64], ...]:
+def _pixels(
+    places: Sequence[Any] | FloatArray, size: Sequence[int]
+) -> tuple[NDArray[np.int64], ...]:
     """Nearest pixels along each axis of a picture of some size."""
     pairs = zip(places, size, strict=True)
     return tuple(np.clip(np.round(place).astype(int), 0, length - 1) for place, length in pairs)
 
 
 def _form(height: FloatArray, known: BoolArray) -> FloatArray:
-    """Polynomial of a surface's slow shape: what is left of it has no slope from which a filter errs at the edge."""
+    """Polynomial of a surface's slow shape: what is left of it has no slope from which a filter
+    errs at the edge."""
     across, along = (
-        np.polynomial.legendre.legvander(np.linspace(-1.0, 1.0, length), _ORDER) for length in height.shape
+        np.polynomial.legendre.legvander(np.linspace(-1.0, 1.0, length), _ORDER)
+        for length in height.shape
     )
     rows, columns = np.nonzero(known)
     every = max(1, len(rows) // 20_000)
@@ -253,36 +325,51 @@ def _inside(mask: BoolArray, place: Sequence[FloatArray]) -> BoolArray:
     return np.asarray(ndimage.map_coordinates(mask.astype(np.float32), place, order=1) > 0.999)
 
 
-def _sampled(values: FloatArray, known: BoolArray, place: Sequence[FloatArray], coarser: float = 1.0) -> FloatArray:
-    """Cubic spline of `values` at rows and columns; low-passed where the places lie `coarser` pixels apart."""
+def _sampled(
+    values: FloatArray, known: BoolArray, place: Sequence[FloatArray], coarser: float = 1.0
+) -> FloatArray:
+    """Cubic spline of `values` at rows and columns; low-passed where the places lie `coarser`
+    pixels apart."""
     nearest = ndimage.distance_transform_edt(~known, return_distances=False, return_indices=True)
     full = values[tuple(nearest)].astype(float)
     if coarser > 1.2:
         full = ndimage.gaussian_filter(full, 0.35 * coarser)
-    return np.asarray(ndimage.map_coordinates(full, place, order=3, mode="nearest"), dtype=np.float32)
+    return np.asarray(
+        ndimage.map_coordinates(full, place, order=3, mode="nearest"), dtype=np.float32
+    )
 
 
 def _ridges_on_each_other(a: _Side, b: _Side) -> tuple[float, Affine]:
-    """Similarity of the ridges, and the affine map (2, 3) of a position in B's unrolled ridges to A's."""
+    """Similarity of the ridges, and the affine map (2, 3) of a position in B's unrolled ridges to
+    A's."""
     match = ridge_match(a.ridges, b.ridges)
     require(
         match.similarity >= _MIN_SIMILARITY,
-        f"the ridges of A and B are not the same (similarity {match.similarity:.2f}, at least {_MIN_SIMILARITY:g} is "
-        "needed); give two measurements of one finger, or of one phantom.",
+        f"the ridges of A and B are not the same (similarity {match.similarity:.2f}, at least"
+        f" {_MIN_SIMILARITY:g} is needed); give two measurements of one finger, or of one phantom.",
     )
-    affine = rigid(a.ridges.band, b.ridges.band, np.deg2rad(match.rotation_deg), match.right_mm, -match.up_mm)
+    affine = rigid(
+        a.ridges.band, b.ridges.band, np.deg2rad(match.rotation_deg), match.right_mm, -match.up_mm
+    )
     for _ in range(3):
-        affine = better_affine(b.ridges.first, compare_patches(b.ridges.first, a.ridges.band, affine), affine)
+        affine = better_affine(
+            b.ridges.first, compare_patches(b.ridges.first, a.ridges.band, affine), affine
+        )
     return match.similarity, affine
 
 
 def _start(a: _Side, b: _Side, affine: Affine) -> tuple[Array, Array]:
-    """Rotation (3, 3) and shift (3,) in mm that take B to A, robustly, from the patches whose ridges agree."""
+    """Rotation (3, 3) and shift (3,) in mm that take B to A, robustly, from the patches whose
+    ridges agree."""
     agreement = compare_patches(b.ridges.patches, a.ridges.band, affine)
     positions = b.ridges.patches.centres[agreement.used]
     in_a = a.points((positions - agreement.shift) @ affine[:, :2].T + affine[:, 2])
     in_b = b.points(positions)
-    good = np.isfinite(in_a).all(axis=1) & np.isfinite(in_b).all(axis=1) & (agreement.correlation > 0.2)
+    good = (
+        np.isfinite(in_a).all(axis=1)
+        & np.isfinite(in_b).all(axis=1)
+        & (agreement.correlation > 0.2)
+    )
     require(int(good.sum()) >= 6, "A and B overlap too little; show more of the same skin in both.")
     in_a, in_b = in_a[good], in_b[good]
     weight = firm = agreement.correlation[good].astype(float)
@@ -318,34 +405,46 @@ def _rigid_fields(a: _Side, b: _Side, points: Array, place: Sequence[Array]) -> 
     valid = eroded(_inside(a.mask, place) & b.mask, _EDGE_MM / a.step)
     valid &= (cosine > _MIN_COSINE) & (b.cosine > _MIN_COSINE)
     require(valid.any(), "A and B have no surface in common that is seen at less than 60 deg.")
-    return _Fields((height, points[..., 2].astype(np.float32)), valid, cosine, np.rad2deg(np.arccos(cosine)))
+    return _Fields(
+        (height, points[..., 2].astype(np.float32)), valid, cosine, np.rad2deg(np.arccos(cosine))
+    )
 
 
 def _rigid_fit(a: _Side, b: _Side, rotation: Array, shift: Array) -> tuple[Array, Array, _Fields]:
-    """Gauss-Newton steps on the differences of height; slow and fast ones count by their own variance."""
+    """Gauss-Newton steps on the differences of height; slow and fast ones count by their own
+    variance."""
     sigma = _SIGMA * BANDS_MM["relief"][1] / a.step
     for _ in range(_STEPS):
         points, place = _moved(a, b, rotation, shift)
         fields = _rigid_fields(a, b, points, place)
         box = bounding_box(fields.valid)
         valid, cosine, points = fields.valid[box], fields.cosine[box], points[box]
-        tilt = [-ndimage.map_coordinates(slope, [part[box] for part in place], order=1) for slope in a.slopes]
+        tilt = [
+            -ndimage.map_coordinates(slope, [part[box] for part in place], order=1)
+            for slope in a.slopes
+        ]
         normal = np.stack([*tilt, np.ones(valid.shape)], -1)
         centre = points[valid].mean(axis=0)
-        jacobian = np.concatenate([normal, np.cross(points - centre, normal)], axis=-1) * cosine[..., None]
+        jacobian = (
+            np.concatenate([normal, np.cross(points - centre, normal)], axis=-1) * cosine[..., None]
+        )
         error = (fields.heights[1] - fields.heights[0])[box] * cosine
         parts = np.stack([error, *np.moveaxis(jacobian, -1, 0)]).astype(np.float32)
         slow = np.stack([smoothed(part, valid, sigma)[valid] for part in parts]).astype(float)
         fast = parts[:, valid] - slow
         spread_fast, spread_slow = (
-            max(1.4826 * float(np.median(np.abs(part[0] - np.median(part[0])))), 1e-5) for part in (fast, slow)
+            max(1.4826 * float(np.median(np.abs(part[0] - np.median(part[0])))), 1e-5)
+            for part in (fast, slow)
         )
         # a slow difference counts as often as it is independent: the Gaussian's area over a ridge's
         ratio = min(0.2 * (spread_fast / spread_slow) ** 2, 1.0)
         robust = 1.0 / (1.0 + (fast[0] / (2.0 * spread_fast)) ** 2)
         normal_matrix = (fast[1:] * robust) @ fast[1:].T + ratio * slow[1:] @ slow[1:].T
-        step = -np.linalg.solve(normal_matrix, (fast[1:] * robust) @ fast[0] + ratio * slow[1:] @ slow[0])
-        step *= min(1.0, 0.1 / max(float(np.abs(step).max()), 1e-9))  # zero between a surface and itself
+        step = -np.linalg.solve(
+            normal_matrix, (fast[1:] * robust) @ fast[0] + ratio * slow[1:] @ slow[0]
+        )
+        # zero between a surface and itself
+        step *= min(1.0, 0.1 / max(float(np.abs(step).max()), 1e-9))
         turn = Rotation.from_rotvec(step[3:]).as_matrix()
         rotation, shift = turn @ rotation, turn @ (shift - centre) + centre + step[:3]
         if float(np.abs(step).max()) < 1e-5:
@@ -354,7 +453,8 @@ def _rigid_fit(a: _Side, b: _Side, rotation: Array, shift: Array) -> tuple[Array
 
 
 def _elastic_fit(a: _Side, b: _Side, affine: Affine) -> tuple[_Fields, float]:
-    """Reliefs along the normal, unrolled, with B's skin shifted smoothly onto A's, and the rms of that shift in mm."""
+    """Reliefs along the normal, unrolled, with B's skin shifted smoothly onto A's, and the rms of
+    that shift in mm."""
     (relief_a, known_a, slant), (relief_b, known_b, _) = a.flat(), b.flat()
     row, column = np.indices(relief_b.shape, dtype=float)
     shift = np.zeros((*relief_b.shape, 2), dtype=np.float32)
@@ -366,11 +466,17 @@ def _elastic_fit(a: _Side, b: _Side, affine: Affine) -> tuple[_Fields, float]:
         if sweep < _SWEEPS:
             shift = shift + _shifts(moved, relief_b, valid, b.step)
     slant_deg = ndimage.map_coordinates(slant, place, order=1, mode="nearest")
-    return _Fields((moved, relief_b), valid, np.ones_like(relief_b), slant_deg), _rms(shift[valid]) * b.step
+    return (
+        _Fields((moved, relief_b), valid, np.ones_like(relief_b), slant_deg),
+        _rms(shift[valid]) * b.step,
+    )
 
 
-def _shifts(relief_a: FloatArray, relief_b: FloatArray, valid: BoolArray, step: float) -> FloatArray:
-    """(H, W, 2) smooth shifts, columns and rows in pixels, of places in B's relief to those in A's."""
+def _shifts(
+    relief_a: FloatArray, relief_b: FloatArray, valid: BoolArray, step: float
+) -> FloatArray:
+    """(H, W, 2) smooth shifts, columns and rows in pixels, of places in B's relief to those in
+    A's."""
     limit = 3.0 * max(_rms(relief[valid]) for relief in (relief_a, relief_b))
     grey_a, grey_b = (
         np.where(valid, 127.5 + 127.5 * np.clip(relief / limit, -1.0, 1.0), 127).astype(np.uint8)
@@ -378,23 +484,36 @@ def _shifts(relief_a: FloatArray, relief_b: FloatArray, valid: BoolArray, step: 
     )
     still = np.zeros((*valid.shape, 2), dtype=np.float32)
     flow = cv2.DISOpticalFlow.create(cv2.DISOPTICAL_FLOW_PRESET_MEDIUM).calc(grey_b, grey_a, still)
-    return np.stack([smoothed(part, valid, _SKIN_MM / step) for part in np.moveaxis(np.asarray(flow), -1, 0)], axis=-1)
+    return np.stack(
+        [smoothed(part, valid, _SKIN_MM / step) for part in np.moveaxis(np.asarray(flow), -1, 0)],
+        axis=-1,
+    )
 
 
 def _rms(values: NDArray[Any]) -> float:
     return float(np.sqrt(np.mean(np.square(values))))
 
 
-def _band(values: FloatArray, valid: BoolArray, limits: tuple[float, float], step: float) -> FloatArray:
+def _band(
+    values: FloatArray, valid: BoolArray, limits: tuple[float, float], step: float
+) -> FloatArray:
     """Return the waves between two lengths, zero where not valid."""
     fine = smoothed(values, valid, _SIGMA * limits[0] / step) if limits[0] > 0 else values
-    coarse = smoothed(values, valid, _SIGMA * limits[1] / step) if np.isfinite(limits[1]) else values[valid].mean()
+    coarse = (
+        smoothed(values, valid, _SIGMA * limits[1] / step)
+        if np.isfinite(limits[1])
+        else values[valid].mean()
+    )
     return np.where(valid, fine - coarse, 0.0).astype(np.float32)
 
 
-def _by_slant(fields: _Fields, limits: tuple[float, float], step: float) -> dict[str, dict[str, Any]]:
+def _by_slant(
+    fields: _Fields, limits: tuple[float, float], step: float
+) -> dict[str, dict[str, Any]]:
     """Figures of a band of wavelengths, by slant."""
-    a, b = (1e3 * _band(height, fields.valid, limits, step) * fields.cosine for height in fields.heights)
+    a, b = (
+        1e3 * _band(height, fields.valid, limits, step) * fields.cosine for height in fields.heights
+    )
     side = max(_BLOCK_MM, limits[1] if np.isfinite(limits[1]) else limits[0]) / step
     rows, columns = (np.arange(length) // side for length in a.shape)
     block = (rows[:, None] * (columns[-1] + 1) + columns).astype(int)
@@ -404,7 +523,9 @@ def _by_slant(fields: _Fields, limits: tuple[float, float], step: float) -> dict
         if int(where.sum()) * step**2 >= _BLOCK_MM**2:
             x, y = a[where].astype(float), b[where].astype(float)
             moments = np.ones(x.shape), x, y, x * x, y * y, x * y
-            sums = np.stack([np.bincount(block[where], weights=moment) for moment in moments], axis=1)
+            sums = np.stack(
+                [np.bincount(block[where], weights=moment) for moment in moments], axis=1
+            )
             figures[name] = _figures(sums[sums[:, 0] > 0].astype(float), step)
     return figures
 
@@ -414,14 +535,20 @@ def _figures(sums: Array, step: float) -> dict[str, Any]:
     value = _statistics(sums.sum(axis=0))
     ends = [[None, None]] * 4
     if len(sums) >= _MIN_BLOCKS:
-        drawn = np.random.default_rng(0).multinomial(len(sums), np.full(len(sums), 1 / len(sums)), _REPLICATES)
+        drawn = np.random.default_rng(0).multinomial(
+            len(sums), np.full(len(sums), 1 / len(sums)), _REPLICATES
+        )
         tail = 50.0 * (1.0 - CONFIDENCE)
         ends = np.percentile(_statistics(drawn @ sums), (tail, 100.0 - tail), axis=1).T.tolist()
     figures: dict[str, Any] = {
         name: {"value": float(value[k]), "low": ends[k][0], "high": ends[k][1]}
         for k, name in enumerate(("correlation", "gain", "rms_um"))
     }
-    return figures | {"std_um": float(value[3]), "area_mm2": float(sums[:, 0].sum()) * step**2, "blocks": len(sums)}
+    return figures | {
+        "std_um": float(value[3]),
+        "area_mm2": float(sums[:, 0].sum()) * step**2,
+        "blocks": len(sums),
+    }
 
 
 def _statistics(sums: Array) -> Array:
@@ -429,4 +556,11 @@ def _statistics(sums: Array) -> Array:
     count, a, b, aa, bb, ab = sums.T
     aa, bb, ab = aa - a * a / count, bb - b * b / count, ab - a * b / count
     rms = np.sqrt(np.maximum(aa + bb - 2 * ab, 0.0) / count)
-    return np.stack([ab / np.sqrt(np.maximum(aa * bb, 1e-30)), ab / np.maximum(bb, 1e-30), rms, np.sqrt(bb / count)])
+    return np.stack(
+        [
+            ab / np.sqrt(np.maximum(aa * bb, 1e-30)),
+            ab / np.maximum(bb, 1e-30),
+            rms,
+            np.sqrt(bb / count),
+        ]
+    )

@@ -1,5 +1,5 @@
-"""The thesis's protocol: every session against every other, averaged over them or not; and which comparison of one
-system is which of another.
+"""The thesis's protocol: every session against every other, averaged over them or not; and which
+comparison of one system is which of another.
 """
 
 from __future__ import annotations
@@ -33,26 +33,37 @@ def comparisons(
     *,
     within: bool = False,
 ) -> Comparisons:
-    """Every finger of a session with every finger of every later session, ordered by session pair, then by capture.
+    """Every finger of a session with every finger of every later session, ordered by session pair,
+    then by capture.
 
-    170 fingers in four sessions give 1,020 genuine and 172,380 impostor comparisons. A finger that is missing in a
-    session is missing in its comparisons. Raises BadInput if a finger has two captures in one session.
+    170 fingers in four sessions give 1,020 genuine and 172,380 impostor comparisons. A finger that
+    is missing in a session is missing in its comparisons. Raises BadInput if a finger has two
+    captures in one session.
 
     finger, session : of each capture, one capture for each finger and session
-    drawn : whether two fingers are compared, in all sessions; None: all are; asked once, before comparisons are listed
-    within : whether different fingers of one session are compared, too, each two once, after all others
+    drawn : whether two fingers are compared, in all sessions; None: all are; asked once, before
+    comparisons are listed
+    within : whether different fingers of one session are compared, too, each two once, after all
+    others
     """
     fingers, sessions = np.asarray(finger), np.asarray(session)
-    require(fingers.ndim == 1 and fingers.shape == sessions.shape, "fingers and sessions must be lists of one length.")
+    require(
+        fingers.ndim == 1 and fingers.shape == sessions.shape,
+        "fingers and sessions must be lists of one length.",
+    )
     captures = set(zip(fingers.tolist(), sessions.tolist(), strict=True))
-    require(len(captures) == len(fingers), "a finger has two captures in one session; keep one of them.")
+    require(
+        len(captures) == len(fingers), "a finger has two captures in one session; keep one of them."
+    )
     names, number = np.unique(fingers, return_inverse=True)
     kinds = np.unique(sessions)
     require(kinds.size > 1, "captures of two sessions at least are needed.")
     wanted = np.ones((names.size, names.size), dtype=bool)
     if drawn is not None:
         for row, name in enumerate(names.tolist()):
-            wanted[row, :row] = wanted[:row, row] = [drawn(name, earlier) for earlier in names[:row].tolist()]
+            wanted[row, :row] = wanted[:row, row] = [
+                drawn(name, earlier) for earlier in names[:row].tolist()
+            ]
     a, b = [], []
     for early, late in [*combinations(kinds, 2), *((kind, kind) for kind in kinds if within)]:
         first, second = np.flatnonzero(sessions == early), np.flatnonzero(sessions == late)
@@ -73,7 +84,8 @@ def scores_of_comparisons(
     *,
     name: str = "scores",
 ) -> Scores:
-    """Scores (N,) of `pairs`, NaN where there is none, with the names of fingers, sessions and subjects."""
+    """Scores (N,) of `pairs`, NaN where there is none, with the names of fingers, sessions and
+    subjects."""
     of_captures = {"finger": finger, "session": session, "subject": subject}
     named = {kind: np.asarray(names) for kind, names in of_captures.items() if names is not None}
     ids = {kind: ids_of(names[pairs.a], names[pairs.b]) for kind, names in named.items()}
@@ -91,7 +103,9 @@ def average_sessions(scores: Scores) -> Scores:
     """
     finger, session = scores.finger, scores.session
     if finger is None or session is None:
-        raise BadInput(f"{scores.name}: to average over sessions, columns for fingers and sessions are needed.")
+        raise BadInput(
+            f"{scores.name}: to average over sessions, columns for fingers and sessions are needed."
+        )
     across = ~session.same
     score, names = scores.score[across], finger.codes[across]
     turned = session.codes[across, 0] > session.codes[across, 1]
@@ -107,18 +121,25 @@ def average_sessions(scores: Scores) -> Scores:
         owner[finger.codes.ravel()] = scores.subject.codes.ravel()
         subject = Ids(owner[fingers], scores.subject.names)
     name = f"{scores.name}, averaged over sessions"
-    return Scores(fingers[:, 0] == fingers[:, 1], mean, Ids(fingers, finger.names), subject, name=name)
+    return Scores(
+        fingers[:, 0] == fingers[:, 1], mean, Ids(fingers, finger.names), subject, name=name
+    )
 
 
 def pair_up(first: Scores, second: Scores) -> Scores:
-    """The comparisons of `second` in the order of `first`. Pairs are known by fingers, subjects and sessions where both
-    have them, each pair once, in any order of sides; otherwise by their place, if labels agree. Raises BadInput if the
-    pairs are not the same, naming one.
+    """The comparisons of `second` in the order of `first`. Pairs are known by fingers, subjects and
+    sessions where both have them, each pair once, in any order of sides; otherwise by their place,
+    if labels agree. Raises BadInput if the pairs are not the same, naming one.
     """
-    same_kinds = (first.finger is None) == (second.finger is None)  # else several fingers would count as one
+    # else several fingers would count as one
+    same_kinds = (first.finger is None) == (second.finger is None)
     for ordered in (True, False):
         keys, keys_2 = _keys(first, second, ordered=ordered)
-        if same_kinds and np.array_equal(keys, keys_2) and np.array_equal(first.label, second.label):
+        if (
+            same_kinds
+            and np.array_equal(keys, keys_2)
+            and np.array_equal(first.label, second.label)
+        ):
             return second
         mine, theirs = np.argsort(keys, kind="stable"), np.argsort(keys_2, kind="stable")
         if np.array_equal(keys[mine], keys_2[theirs]) and np.unique(keys).size == keys.size:
@@ -126,7 +147,10 @@ def pair_up(first: Scores, second: Scores) -> Scores:
             if np.array_equal(first.label, second.label[places]):
                 return second.taken(places)
     fault = f"'{first.name}' and '{second.name}' did not score the same pairs"
-    for own, theirs, scores, lacking in ((keys, keys_2, first, second), (keys_2, keys, second, first)):
+    for own, theirs, scores, lacking in (
+        (keys, keys_2, first, second),
+        (keys_2, keys, second, first),
+    ):
         values, counts = np.unique(theirs, return_counts=True)
         unpaired = np.flatnonzero(~np.isin(own, values[counts == 1]))
         if unpaired.size:
@@ -137,7 +161,10 @@ def pair_up(first: Scores, second: Scores) -> Scores:
 
 def _names(scores: Scores, place: int) -> str:
     named = [(kind, ids) for kind in KINDS if (ids := getattr(scores, kind)) is not None]
-    sides = (", ".join(f"{kind} {ids.names[ids.codes[place, side]]}" for kind, ids in named) for side in (0, 1))
+    sides = (
+        ", ".join(f"{kind} {ids.names[ids.codes[place, side]]}" for kind, ids in named)
+        for side in (0, 1)
+    )
     return " with ".join(sides) or "what has no names"
 
 

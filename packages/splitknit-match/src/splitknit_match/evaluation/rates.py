@@ -5,9 +5,10 @@ of t that changes only at scores, so that every figure here is exact and nothing
 comparison counts as often as its weight says: once in the figures, as often as it was drawn in a
 replicate of the bootstrap.
 
-NaN stands for a comparison that gave no score, a *failure to acquire*. It is a rejection, as a user at the door sees it
-(FAR and FRR = 1 - GAR, over all attempts), or is left out by :meth:`Roc.made`, which judges the matcher alone (FMR and
-FNMR of ISO/IEC 19795-1). With the fraction f of failures on a side, FAR = FMR (1 - f) and FRR = f + FNMR (1 - f).
+NaN stands for a comparison that gave no score, a *failure to acquire*. It is a rejection, as a user
+at the door sees it (FAR and FRR = 1 - GAR, over all attempts), or is left out by :meth:`Roc.made`,
+which judges the matcher alone (FMR and FNMR of ISO/IEC 19795-1). With the fraction f of failures on
+a side, FAR = FMR (1 - f) and FRR = f + FNMR (1 - f).
 """
 
 from __future__ import annotations
@@ -51,15 +52,18 @@ class OperatingPoint:
     threshold: float | None  # lowest score that is accepted there; None if none is
     false_accepts: int
     resolved: bool  # whether there are impostors enough for one false accept at the target
-    far_upper: float | None  # where no impostor was accepted: what the FAR may still be, at 95 % (rule of three)
+    # where no impostor was accepted: what the FAR may still be, at 95 % (rule of three)
+    far_upper: float | None
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Ranked:
-    """Scores of both classes in falling order, failures last, so that weights make a ROC without sorting."""
+    """Scores of both classes in falling order, failures last, so that weights make a ROC without
+    sorting."""
 
     order: tuple[Indices, Indices]  # (N,) and (M,) places of genuine and impostor comparisons
-    scaled: tuple[Values, Values]  # scores that there are, falling, from the lowest (0) to the highest of all (1)
+    # scores that there are, falling, from the lowest (0) to the highest of all (1)
+    scaled: tuple[Values, Values]
     threshold: Values  # (K,) falling; the first is infinite: nobody is accepted
     accepted: Indices  # (K, 2) how many genuine and impostor comparisons each threshold accepts
     corners: Indices  # thresholds that accept more genuine comparisons than the one before
@@ -72,11 +76,13 @@ class Ranked:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Roc:
-    """What each threshold accepts. From each to the next FAR rises, or GAR, or both where scores tie."""
+    """What each threshold accepts. From each to the next FAR rises, or GAR, or both where scores
+    tie."""
 
     ranked: Ranked
     weights: Sequence[Values]  # (N,) and (M,)
-    sums: tuple[Values, Values]  # (N + 1,) and (M + 1,) weight of the highest 0, 1, 2 ... comparisons of each class
+    # (N + 1,) and (M + 1,) weight of the highest 0, 1, 2 ... comparisons of each class
+    sums: tuple[Values, Values]
     tried: tuple[float, float]  # genuine and impostor comparisons that a rate is relative to
 
     def accepted(self, side: int, places: Any = slice(None)) -> Any:
@@ -100,14 +106,16 @@ class Roc:
     def equal_error(self) -> EqualError:
         """Equal error rate.
 
-        The two thresholds beside the crossing of FAR and FRR are compared, and that where FAR + FRR is smaller is
-        taken; where rates meet, it is that threshold. Source: D. Maio et al., "FVC2000: Fingerprint Verification
-        Competition", IEEE Transactions on Pattern Analysis and Machine Intelligence 24(3), 2002, section 3.2.
+        The two thresholds beside the crossing of FAR and FRR are compared, and that where FAR + FRR
+        is smaller is taken; where rates meet, it is that threshold. Source: D. Maio et al.,
+        "FVC2000: Fingerprint Verification Competition", IEEE Transactions on Pattern Analysis and
+        Machine Intelligence 24(3), 2002, section 3.2.
 
         >>> roc([0.9, 0.8, 0.7, 0.3], [0.1, 0.2, 0.4, 0.5]).equal_error().value
         0.25
         """
-        genuine, impostor = self.tried  # rates are compared as products of whole numbers, which are exact
+        # rates are compared as products of whole numbers, which are exact
+        genuine, impostor = self.tried
 
         def errors(place: int) -> tuple[float, float]:
             return self.accepted(1, place) * genuine, (genuine - self.accepted(0, place)) * impostor
@@ -127,7 +135,8 @@ class Roc:
         return EqualError(value, float(far / whole), float(frr / whole), self._threshold(place))
 
     def places(self, targets: Sequence[float] | Values) -> Indices:
-        """Last threshold whose FAR is not above each target. Ties are accepted together or not at all."""
+        """Last threshold whose FAR is not above each target. Ties are accepted together or not at
+        all."""
         allowed = np.array(targets) * self.tried[1] * (1 + SLACK)
         most = np.searchsorted(self.sums[1], allowed, side="right") - 1
         return np.searchsorted(self.ranked.accepted[:, 1], most, side="right") - 1
@@ -147,7 +156,9 @@ class Roc:
         >>> roc([3, 5, 5, 6], [0, 1, 2, 5]).at_far(0.5).gar
         1.0
         """
-        require(0 < target <= 1, f"a FAR target must lie above 0 and not above 1, but it is {target}.")
+        require(
+            0 < target <= 1, f"a FAR target must lie above 0 and not above 1, but it is {target}."
+        )
         place = int(self.places([target])[0])
         accepted = int(self.accepted(1, place))
         return OperatingPoint(
@@ -164,7 +175,8 @@ class Roc:
         return float(self.ranked.threshold[place]) if place else None
 
     def auc(self) -> float:
-        """Area under the ROC of the comparisons made: how likely a genuine score exceeds an impostor one, ties half."""
+        """Area under the ROC of the comparisons made: how likely a genuine score exceeds an
+        impostor one, ties half."""
         at, before = self.ranked.corners, self.ranked.corners - 1
         more = self.accepted(0, at) - self.accepted(0, before)
         above = self.accepted(1, at) + self.accepted(1, before)
@@ -172,7 +184,8 @@ class Roc:
         return float(np.sum(more * (2 * impostor - above)) / (2 * genuine * impostor))
 
     def d_prime(self) -> float:
-        """Distance of the means over the root mean square of the standard deviations; NaN if no score varies.
+        """Distance of the means over the root mean square of the standard deviations; NaN if no
+        score varies.
 
         d' = (m_g - m_i) / sqrt((s_g^2 + s_i^2) / 2), of the comparisons made. Unlike the other
         figures it depends on the scores' scale. Source: J. Daugman, "Biometric decision
@@ -182,7 +195,8 @@ class Roc:
         for weight, scores in zip(self.weights, self.ranked.scaled, strict=True):
             times = weight[: scores.size]
             total = times.sum()
-            means.append(np.einsum("n,n->", times, scores) / total)  # in one thread: the same for any number of cores
+            # in one thread: the same for any number of cores
+            means.append(np.einsum("n,n->", times, scores) / total)
             variances.append(np.einsum("n,n->", times, (scores - means[-1]) ** 2) / total)
         spread = float(np.sqrt(sum(variances) / 2))
         return float(means[0] - means[1]) / spread if spread > 1e-9 else float("nan")
@@ -211,16 +225,24 @@ def roc(genuine: Any, impostor: Any) -> Roc:
     sides = [np.asarray(side, dtype=float) for side in (genuine, impostor)]
     for side, name in zip(sides, ("genuine", "impostor"), strict=True):
         sound = not np.isnan(side).all() and not np.isinf(side).any()
-        require(sound, f"{name} scores must be finite numbers, or NaN where there is none; one is needed at least.")
+        require(
+            sound,
+            f"{name} scores must be finite numbers, or NaN where there is none; one is needed at"
+            " least.",
+        )
     return rank(*sides).roc([np.ones(side.size) for side in sides])
 
 
 def error_bound(rate: float, trials: int) -> float:
-    """95 % upper bound of a rate from ``rate * trials`` errors in independent trials: of none 3 / n (the rule of
-    three), else that of C. J. Clopper and E. S. Pearson, "The use of confidence or fiducial limits illustrated in the
-    case of the binomial", Biometrika 26(4), 1934.
+    """95 % upper bound of a rate from ``rate * trials`` errors in independent trials: of none 3 / n
+    (the rule of three), else that of C. J. Clopper and E. S. Pearson, "The use of confidence or
+    fiducial limits illustrated in the case of the binomial", Biometrika 26(4), 1934.
     """
     errors = rate * trials
     if errors >= trials:
         return 1.0
-    return min(1.0, 3.0 / trials) if errors == 0 else float(betaincinv(errors + 1, trials - errors, CONFIDENCE))
+    return (
+        min(1.0, 3.0 / trials)
+        if errors == 0
+        else float(betaincinv(errors + 1, trials - errors, CONFIDENCE))
+    )

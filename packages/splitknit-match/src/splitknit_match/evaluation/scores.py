@@ -1,4 +1,5 @@
-"""Comparisons and what is known of them, and their files: label, score, and whose finger of which session each side is.
+"""Comparisons and what is known of them, and their files: label, score, and whose finger of which
+session each side is.
 
 A score file is CSV of anybody's matcher, one comparison a line. ``label`` (1 genuine, 0 impostor)
 and ``score`` are needed; a blank score is a failure to acquire. ``finger_a``, ``finger_b``,
@@ -64,15 +65,24 @@ class Scores:
 
     label: BoolArray  # (N,) true where genuine: both sides are one finger
     score: Array  # (N,) NaN where a comparison gave none (failure to acquire)
-    finger: Ids | None = None  # fingers of the world: the index fingers of two people have two names
+    # fingers of the world: the index fingers of two people have two names
+    finger: Ids | None = None
     subject: Ids | None = None
     session: Ids | None = None
     name: str = "scores"
 
     def __post_init__(self) -> None:
-        require(not np.isinf(self.score).any(), f"{self.name}: scores must be finite, or NaN where there is none.")
-        for words, scores in (("genuine (label 1)", self.genuine), ("impostor (label 0)", self.impostor)):
-            require(scores.size > 0, f"{self.name} holds no {words} comparison: both kinds are needed.")
+        require(
+            not np.isinf(self.score).any(),
+            f"{self.name}: scores must be finite, or NaN where there is none.",
+        )
+        for words, scores in (
+            ("genuine (label 1)", self.genuine),
+            ("impostor (label 0)", self.impostor),
+        ):
+            require(
+                scores.size > 0, f"{self.name} holds no {words} comparison: both kinds are needed."
+            )
             require(
                 not np.isnan(scores).all(),
                 f"{self.name} holds no {words} score: all {scores.size} are failures to acquire.",
@@ -80,7 +90,8 @@ class Scores:
         wrong = contradictions(self.label, self.finger, self.subject)
         require(
             not wrong.any(),
-            f"{self.name}: comparison {int(np.argmax(wrong))} and its label contradict each other: check its ids.",
+            f"{self.name}: comparison {int(np.argmax(wrong))} and its label contradict each other:"
+            " check its ids.",
         )
 
     @property
@@ -95,13 +106,17 @@ class Scores:
 
     def taken(self, index: Any) -> Scores:
         """Some of the comparisons, by a mask or by their places."""
-        ids = {kind: getattr(self, kind).taken(index) for kind in KINDS if getattr(self, kind) is not None}
+        ids = {
+            kind: getattr(self, kind).taken(index)
+            for kind in KINDS
+            if getattr(self, kind) is not None
+        }
         return replace(self, label=self.label[index], score=self.score[index], **ids)
 
 
 def contradictions(label: BoolArray, finger: Ids | None, subject: Ids | None) -> BoolArray:
-    """(N,) whether a comparison's ids and label cannot both be right. Genuine: one finger (and subject) on both sides;
-    impostor: two fingers, perhaps of one subject.
+    """(N,) whether a comparison's ids and label cannot both be right. Genuine: one finger (and
+    subject) on both sides; impostor: two fingers, perhaps of one subject.
     """
     wrong = np.zeros(label.shape, dtype=bool)
     if finger is not None:
@@ -116,13 +131,17 @@ def score_table(
     names: Mapping[str, tuple[Sequence[str], Sequence[str]]],
     scores: Mapping[str, Sequence[float]],
 ) -> bytes:
-    """A score file: label, ``score`` first of the columns of scores (NaN is blank, else the shortest exact text), the
-    names of both sides by their kind, and the other scores.
+    """A score file: label, ``score`` first of the columns of scores (NaN is blank, else the
+    shortest exact text), the names of both sides by their kind, and the other scores.
     """
     texts = {
-        key: ["" if math.isnan(value) else repr(float(value)) for value in column] for key, column in scores.items()
+        key: ["" if math.isnan(value) else repr(float(value)) for value in column]
+        for key, column in scores.items()
     }
-    columns: dict[str, Sequence[Any]] = {"label": [int(genuine) for genuine in label], "score": texts.pop("score")}
+    columns: dict[str, Sequence[Any]] = {
+        "label": [int(genuine) for genuine in label],
+        "score": texts.pop("score"),
+    }
     for kind, sides in names.items():
         columns |= {f"{kind}_a": sides[0], f"{kind}_b": sides[1]}
     columns |= texts
@@ -139,9 +158,10 @@ class ScoreFile:
 
 
 def read_scores(path: str | os.PathLike[str], *, dissimilarity: bool = False) -> ScoreFile:
-    """Read a score file; `dissimilarity`: lower means more similar, and scores are negated. Raises BadInput naming file
-    and line: not a CSV, a column missing or named twice, a line of another length, a label other than 0 and 1, a score
-    that is not a finite number, an id that is blank or contradicts its label.
+    """Read a score file; `dissimilarity`: lower means more similar, and scores are negated. Raises
+    BadInput naming file and line: not a CSV, a column missing or named twice, a line of another
+    length, a label other than 0 and 1, a score that is not a finite number, an id that is blank or
+    contradicts its label.
     """
     name, data = os.fspath(path), read_bytes(path, _MAX_BYTES)
     rows = _rows(data, name)
@@ -155,31 +175,49 @@ def read_scores(path: str | os.PathLike[str], *, dissimilarity: bool = False) ->
     codes = {kind: array("q") for kind in kinds}
     for line, row in rows:
         where = f"{name}, line {line}"
-        require(len(row) == len(header), f"{where}: {len(header)} fields are expected, but there are {len(row)}.")
+        require(
+            len(row) == len(header),
+            f"{where}: {len(header)} fields are expected, but there are {len(row)}.",
+        )
         lines.append(line)
         text = row[label_place].strip()
-        require(text in _LABELS, f"{where}: a label is 1 (genuine) or 0 (impostor), but it is '{_short(text)}'.")
+        require(
+            text in _LABELS,
+            f"{where}: a label is 1 (genuine) or 0 (impostor), but it is '{_short(text)}'.",
+        )
         label.append(_LABELS[text])
         score.append(_score(row[score_place].strip(), where))
         for kind, both in places.items():
             for place in both:
                 text = row[place].strip()
-                require(text, f"{where}: {header[place]} is blank; name it in every line or nowhere.")
+                require(
+                    text, f"{where}: {header[place]} is blank; name it in every line or nowhere."
+                )
                 codes[kind].append(names[kind].setdefault(text, len(names[kind])))
-    require(lines, f"{name} holds no comparison: a line of column names and a line for each are expected.")
+    require(
+        lines,
+        f"{name} holds no comparison: a line of column names and a line for each are expected.",
+    )
     ids = {kind: _in_order(names[kind], np.array(codes[kind])) for kind in kinds}
     if "finger" in ids and "subject" in ids:
         ids["finger"] = fingers_of_subjects(ids["finger"], ids["subject"])
-    genuine, values = np.array(label, dtype=bool), np.array(score) * (-1.0 if dissimilarity else 1.0)
+    genuine, values = (
+        np.array(label, dtype=bool),
+        np.array(score) * (-1.0 if dissimilarity else 1.0),
+    )
     wrong = contradictions(genuine, ids.get("finger"), ids.get("subject"))
     require(
         not wrong.any(),
-        f"{name}, line {lines[int(np.argmax(wrong))]}: label and ids of the comparison contradict each other; correct "
-        "one of them.",
+        f"{name}, line {lines[int(np.argmax(wrong))]}: label and ids of the comparison contradict"
+        " each other; correct one of them.",
     )
     scores = naming(name, lambda: Scores(genuine, values, **ids, name=Path(name).stem))
     read = {"label", "score", *(f"{kind}_{side}" for kind in kinds for side in "ab")}
-    return ScoreFile(scores, [column for column in header if column not in read], hashlib.sha256(data).hexdigest())
+    return ScoreFile(
+        scores,
+        [column for column in header if column not in read],
+        hashlib.sha256(data).hexdigest(),
+    )
 
 
 def _rows(data: bytes, name: str) -> Iterator[tuple[int, list[str]]]:
@@ -202,19 +240,25 @@ def _check_columns(header: list[str], where: str) -> list[str]:
     for column in ("label", "score"):
         require(
             column in header,
-            f"{where}: there is no column '{column}' in '{_short(','.join(header))}'; columns apart by commas, 'label' "
-            "(1 genuine, 0 impostor) and 'score' among them, are needed.",
+            f"{where}: there is no column '{column}' in '{_short(','.join(header))}'; columns apart"
+            " by commas, 'label' (1 genuine, 0 impostor) and 'score' among them, are needed.",
         )
-    require("system" not in header, f"{where}: there is a column 'system'; put each system into a file of its own.")
+    require(
+        "system" not in header,
+        f"{where}: there is a column 'system'; put each system into a file of its own.",
+    )
     twice = next((column for column in header if header.count(column) > 1), None)
-    require(twice is None, f"{where}: there are two columns '{_short(str(twice))}'; name each once.")
+    require(
+        twice is None, f"{where}: there are two columns '{_short(str(twice))}'; name each once."
+    )
     kinds = []
     for kind in KINDS:
         sides = [f"{kind}_{side}" for side in "ab"]
         present = [column for column in sides if column in header]
         require(
             len(present) != 1,
-            f"{where}: there is a column '{''.join(present)}' alone; both '{sides[0]}' and '{sides[1]}' are needed.",
+            f"{where}: there is a column '{''.join(present)}' alone; both '{sides[0]}' and"
+            f" '{sides[1]}' are needed.",
         )
         kinds += [kind] if present else []
     return kinds
@@ -227,22 +271,25 @@ def _score(text: str, where: str) -> float:
         value = float("nan")
     require(
         abs(value) <= LARGEST or not text,
-        f"{where}: a score is a finite number (of at most {LARGEST:g}), or blank for a failure to acquire, but it is "
-        f"'{_short(text)}'.",
+        f"{where}: a score is a finite number (of at most {LARGEST:g}), or blank for a failure to"
+        f" acquire, but it is '{_short(text)}'.",
     )
     return value
 
 
 def _in_order(places: Mapping[str, int], codes: Indices) -> Ids:
     """Ids whose names are in order, numbers by their size."""
-    names = sorted(places, key=lambda text: (0, text.zfill(20), text) if text.isdigit() else (1, text, text))
+    names = sorted(
+        places, key=lambda text: (0, text.zfill(20), text) if text.isdigit() else (1, text, text)
+    )
     order = np.empty(len(names), dtype=np.int64)
     order[[places[name] for name in names]] = np.arange(len(names))
     return Ids(order[codes.reshape(-1, 2)], tuple(names))
 
 
 def fingers_of_subjects(finger: Ids, subject: Ids) -> Ids:
-    """Fingers named with their subject, so that everybody's ``right_index`` is a finger of its own."""
+    """Fingers named with their subject, so that everybody's ``right_index`` is a finger of its
+    own."""
     count = len(finger.names)
     used, codes = np.unique(subject.codes * count + finger.codes, return_inverse=True)
     names = (f"{subject.names[key // count]}/{finger.names[key % count]}" for key in used)

@@ -39,8 +39,9 @@ def evaluate_files(
     Parameters
     ----------
     scores
-        CSV files with the columns label (1 genuine, 0 impostor) and score (blank = failure to acquire), and if known
-        finger_a, finger_b, subject_a, subject_b, session_a, session_b; several files are compared.
+        CSV files with the columns label (1 genuine, 0 impostor) and score (blank = failure to
+        acquire), and if known finger_a, finger_b, subject_a, subject_b, session_a, session_b;
+        several files are compared.
     gallery
         Instead: compare all sessions of a gallery with each other; scores.csv is written as well.
     out
@@ -48,8 +49,8 @@ def evaluate_files(
     dissimilarity
         The scores are distances: lower is more similar.
     cluster
-        What the bootstrap draws for the intervals (default: fingers where they are named, else subjects, else
-        comparisons).
+        What the bootstrap draws for the intervals (default: fingers where they are named, else
+        subjects, else comparisons).
     replicates
         Of the bootstrap.
     seed
@@ -57,15 +58,16 @@ def evaluate_files(
     average
         Give the figures of scores averaged over sessions as well.
     fuse
-        Score files of other traits (prints, finger vein, face ...), in place of `scores`: each alone, and fused after
-        min-max and z-score normalisation, cross-validated by subject, with intervals by subject; or, beside `scores`,
-        one of linear, minmax, trained: one more system.
+        Score files of other traits (prints, finger vein, face ...), in place of `scores`: each
+        alone, and fused after min-max and z-score normalisation, cross-validated by subject, with
+        intervals by subject; or, beside `scores`, one of linear, minmax, trained: one more system.
     calibrate
         Write the false match rates of one system here, for 'splitknit match --decision'.
     method
         With `calibrate` and `scores`: the method of 'splitknit match' that gave them.
     least_mm2
-        With `calibrate`: the smallest overlap among the prints compared; where less overlaps nothing is decided.
+        With `calibrate`: the smallest overlap among the prints compared; where less overlaps
+        nothing is decided.
 
     Returns
     -------
@@ -101,7 +103,8 @@ def evaluate_files(
         )
         files, fusion = [Path(name) for name in fuse], "all"
     require(
-        files or gallery is not None, "name what is evaluated: `scores` FILE, `gallery` GALLERY or `fuse` FILE FILE."
+        files or gallery is not None,
+        "name what is evaluated: `scores` FILE, `gallery` GALLERY or `fuse` FILE FILE.",
     )
     bootstrap = BootstrapSettings(replicates=replicates, seed=seed)
     rates_file = None if calibrate is None else Path(calibrate)
@@ -111,13 +114,18 @@ def evaluate_files(
     tables = {}
     if gallery is None:
         require(key_file is None, "`key_file` is for `gallery`.")
-        evaluation = evaluate(files, dissimilarity=dissimilarity, bootstrap=bootstrap, progress=progress, **settings)
+        evaluation = evaluate(
+            files, dissimilarity=dissimilarity, bootstrap=bootstrap, progress=progress, **settings
+        )
         measured_by: str = method
     else:
         from splitknit_match.evaluation.gallery_scores import gallery_scores
         from splitknit_match.gallery.file import key_of
 
-        require(not dissimilarity, "`dissimilarity` is for `scores`; a gallery's scores are similarities.")
+        require(
+            not dissimilarity,
+            "`dissimilarity` is for `scores`; a gallery's scores are similarities.",
+        )
         compared = gallery_scores(Path(gallery), key=key_of(key_file), progress=progress)
         evaluation = evaluate(compared.scores, bootstrap=bootstrap, progress=progress, **settings)
         notes = (*compared.notes, *evaluation.notes)
@@ -125,12 +133,21 @@ def evaluate_files(
         measured_by, tables = compared.method, {"scores.csv": compared.table}
     progress("report", 1.0)
     if rates_file is not None:
-        require(len(evaluation.results) == 1, "`calibrate` takes the scores of one system; name one file.")
-        require(not dissimilarity, "`calibrate` takes similarities, as 'splitknit match' gives them.")
+        require(
+            len(evaluation.results) == 1,
+            "`calibrate` takes the scores of one system; name one file.",
+        )
+        require(
+            not dissimilarity, "`calibrate` takes similarities, as 'splitknit match' gives them."
+        )
         system = evaluation.results[0].scores
-        document = own_rates_document(system.impostor, f"scores of {system.name}", measured_by, least_mm2)
+        document = own_rates_document(
+            system.impostor, f"scores of {system.name}", measured_by, least_mm2
+        )
         write_file(rates_file, json_text(document).encode())
-    facts = write_evaluation(evaluation, Path(out), tables, {**settings, "dissimilarity": dissimilarity})
+    facts = write_evaluation(
+        evaluation, Path(out), tables, {**settings, "dissimilarity": dissimilarity}
+    )
     return Report({"out": str(out), **facts}, tuple(_evaluation_lines(facts, Path(out))))
 
 
@@ -140,7 +157,9 @@ def _evaluation_lines(facts: Mapping[str, Any], out: Path) -> list[str]:
     lines = []
     for name, system in facts["systems"].items():
         counts = system["comparisons"]
-        lines.append(f"{name}: {counts['genuine']} genuine and {counts['impostor']} impostor comparisons.")
+        lines.append(
+            f"{name}: {counts['genuine']} genuine and {counts['impostor']} impostor comparisons."
+        )
         lines.append(f"  EER {interval(system['eer'])}")
         rates = system["gar_at_far"].items()
         lines += [f"  GAR at FAR {100 * float(far):g} %: {interval(gar)}" for far, gar in rates]
@@ -170,8 +189,8 @@ def compare(
     out
         Folder to write the report into.
     protocol
-        What B is (powder: its mean thickness in um): that protocol's simulated error is reported as well; skin on a gel
-        or of a cast may have shifted (`elastic`).
+        What B is (powder: its mean thickness in um): that protocol's simulated error is reported as
+        well; skin on a gel or of a cast may have shifted (`elastic`).
     elastic
         Let the skin shift smoothly; waves up to 2.5 mm alone.
     repeat
@@ -197,7 +216,9 @@ def compare(
     from splitknit_match.evaluation.pair_page import FORMAT, headline, write_comparison
 
     check_target(Path(out), "report.json", "an earlier comparison", form=FORMAT)
-    fit: Literal["elastic", "rigid"] = "elastic" if elastic or protocol in {"gel", "cast"} else "rigid"
+    fit: Literal["elastic", "rigid"] = (
+        "elastic" if elastic or protocol in {"gel", "cast"} else "rigid"
+    )
     progress("reading", 0.0)
     tested, reference = read_result(Path(a)), read_result(Path(b))
     again = None if repeat is None else read_result(Path(repeat))

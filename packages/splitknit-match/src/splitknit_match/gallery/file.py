@@ -1,7 +1,8 @@
 """The file of a gallery: SQLite, encrypted as a whole by SQLCipher where a key is given.
 
-One table of people, one of captures. Readers go on beside one writer (write-ahead log); each writer puts the log back
-into the file, so that a gallery at rest is one file. What a killed writer began SQLite takes back.
+One table of people, one of captures. Readers go on beside one writer (write-ahead log); each writer
+puts the log back into the file, so that a gallery at rest is one file. What a killed writer began
+SQLite takes back.
 """
 
 from __future__ import annotations
@@ -44,12 +45,17 @@ _WRITER_S = 2.0
 """How long a pipe may be without a program that writes into it."""
 _MAGIC = b"SQLite format 3\0"
 _SCHEMA = (
-    "CREATE TABLE about (settings_sha256 TEXT NOT NULL, template_version INTEGER NOT NULL, "
-    "changes INTEGER NOT NULL, erasing INTEGER NOT NULL) STRICT",
-    "CREATE TABLE capture (id INTEGER PRIMARY KEY, person INTEGER NOT NULL REFERENCES person, "
-    "finger TEXT NOT NULL, session TEXT NOT NULL, kind TEXT NOT NULL, source_sha256 TEXT NOT NULL, "
-    "area_mm2 REAL NOT NULL, failure TEXT NOT NULL, enrolled_at TEXT NOT NULL, "
-    "template_sha256 TEXT NOT NULL, template BLOB NOT NULL, UNIQUE (person, finger, session)) STRICT",
+    (
+        "CREATE TABLE about (settings_sha256 TEXT NOT NULL, template_version INTEGER NOT NULL, "
+        "changes INTEGER NOT NULL, erasing INTEGER NOT NULL) STRICT"
+    ),
+    (
+        "CREATE TABLE capture (id INTEGER PRIMARY KEY, person INTEGER NOT NULL REFERENCES person,"
+        " finger TEXT NOT NULL, session TEXT NOT NULL, kind TEXT NOT NULL, source_sha256 TEXT NOT"
+        " NULL, area_mm2 REAL NOT NULL, failure TEXT NOT NULL, enrolled_at TEXT NOT NULL,"
+        " template_sha256 TEXT NOT NULL, template BLOB NOT NULL, UNIQUE (person, finger, session))"
+        " STRICT"
+    ),
     "CREATE TABLE person (id INTEGER PRIMARY KEY, name TEXT NOT NULL UNIQUE) STRICT",
 )
 _FIELDS = ("kind", "source_sha256", "area_mm2", "failure", "enrolled_at", "template_sha256")
@@ -64,7 +70,8 @@ _PRAGMAS = (
 
 
 class Unavailable(BadInput):
-    """The file of a gallery cannot be used now, whatever is asked of it: gone, locked, on a full disk, damaged."""
+    """The file of a gallery cannot be used now, whatever is asked of it: gone, locked, on a full
+    disk, damaged."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -127,7 +134,10 @@ def check_person(text: str) -> str:
     name = unicodedata.normalize("NFC", text).strip()
     sound = 0 < len(name) <= MAX_NAME and name.isprintable()
     shown = text.encode("unicode_escape").decode("ascii")[:60]
-    require(sound, f"'{shown}' cannot be a person's name: 1 to {MAX_NAME} printable characters are expected.")
+    require(
+        sound,
+        f"'{shown}' cannot be a person's name: 1 to {MAX_NAME} printable characters are expected.",
+    )
     return name
 
 
@@ -159,7 +169,8 @@ class Key:
 
     @property
     def pragma(self) -> str:
-        """SQLCipher's statement that opens a gallery; a passphrase is stretched (PBKDF2, 256,000 rounds of SHA-512)."""
+        """SQLCipher's statement that opens a gallery; a passphrase is stretched (PBKDF2, 256,000
+        rounds of SHA-512)."""
         if re.fullmatch("[0-9A-Fa-f]{64}", self.text):
             return f"PRAGMA key = \"x'{self.text}'\""
         quoted = self.text.replace("'", "''")
@@ -178,7 +189,8 @@ def key_of(file: Key | AnyPath | None) -> Key | None:
         try:
             with open(file, "rb", opener=open_at_once) as stream:
                 select.select([stream], [], [], _WRITER_S)
-                os.set_blocking(stream.fileno(), True)  # a writer takes as long as it likes: it may ask for a password
+                # a writer takes as long as it likes: it may ask for a password
+                os.set_blocking(stream.fileno(), True)
                 content = stream.read(_MAX_KEY_BYTES + 1)
         except (OSError, ValueError) as error:
             reason = getattr(error, "strerror", None) or error
@@ -188,7 +200,12 @@ def key_of(file: Key | AnyPath | None) -> Key | None:
     else:
         return None
     text = unicodedata.normalize("NFC", content.decode("utf-8", "replace").rstrip("\r\n"))
-    sound = len(content) <= _MAX_KEY_BYTES and text.isprintable() and "\ufffd" not in text and len(text) >= 8
+    sound = (
+        len(content) <= _MAX_KEY_BYTES
+        and text.isprintable()
+        and "\ufffd" not in text
+        and len(text) >= 8
+    )
     expected = "a passphrase of 8 characters or more, or 64 hexadecimal digits, are expected."
     require(sound, f"{where} holds no key: {expected}")
     return Key(text)
@@ -197,12 +214,16 @@ def key_of(file: Key | AnyPath | None) -> Key | None:
 def warn_of_readers(file: Path, what: str, others: int = 0o077) -> None:
     """Log a warning of a secret file that others can read."""
     if os.name == "posix" and file.is_file() and file.stat().st_mode & others:
-        _LOG.warning("the %s '%s' can be read by others on this computer (chmod 600 ends that).", what, file)
+        _LOG.warning(
+            "the %s '%s' can be read by others on this computer (chmod 600 ends that).", what, file
+        )
 
 
 def warn_of_gallery(gallery: AnyPath, key_file: AnyPath | None) -> None:
     """Log a warning of a gallery, or the file of its key, that others can read."""
-    warn_of_readers(Path(gallery), "gallery", 0o007 if os.environ.get(GROUP_READABLE) == "1" else 0o077)
+    warn_of_readers(
+        Path(gallery), "gallery", 0o007 if os.environ.get(GROUP_READABLE) == "1" else 0o077
+    )
     if key_file is not None:
         warn_of_readers(Path(key_file), "key file")
 
@@ -235,14 +256,19 @@ class People:
             if person in (None, entry.person) and finger in (None, entry.finger)
         ]
         wanted = {"person": person, "finger": finger}
-        words = " and ".join(f"{name} '{value}'" for name, value in wanted.items() if value is not None)
-        missing = f"'{self.path}' holds nothing of {words}; 'splitknit gallery list' shows who is in it."
+        words = " and ".join(
+            f"{name} '{value}'" for name, value in wanted.items() if value is not None
+        )
+        missing = (
+            f"'{self.path}' holds nothing of {words}; 'splitknit gallery list' shows who is in it."
+        )
         require(entries or not words, missing)
         return entries
 
     def index(self) -> MinutiaIndex:
         """Index of the minutiae of all templates."""
-        from splitknit_match.gallery.minutia_index import MinutiaIndex  # a list of names needs none of it
+        # a list of names needs none of it
+        from splitknit_match.gallery.minutia_index import MinutiaIndex
 
         with self._lock:
             if self._index is None:
@@ -254,8 +280,8 @@ class People:
 class GalleryFile:
     """The file of a gallery; threads and forked processes may use one object.
 
-    Each call opens whichever file has the name then, and sees what other programs changed in it; what was read is kept.
-    One that was there and is gone is refused.
+    Each call opens whichever file has the name then, and sees what other programs changed in it;
+    what was read is kept. One that was there and is gone is refused.
     """
 
     def __init__(self, path: AnyPath, key: Key | AnyPath | None = None) -> None:
@@ -280,12 +306,18 @@ class GalleryFile:
 
     @property
     def there(self) -> bool:
-        """Whether there is one; an empty file is none yet. Raises Unavailable if it was there, and is gone."""
-        was_there = self._was_there  # before the file is looked for: another thread may make it meanwhile
+        """Whether there is one; an empty file is none yet. Raises Unavailable if it was there, and
+        is gone."""
+        # before the file is looked for: another thread may make it meanwhile
+        was_there = self._was_there
         stamp = _stamp_of(self.path)
         self._was_there |= stamp is not None
         gone = stamp is None and was_there
-        require(not gone, f"the gallery '{self.path}' is gone (moved or removed); put it back.", Unavailable)
+        require(
+            not gone,
+            f"the gallery '{self.path}' is gone (moved or removed); put it back.",
+            Unavailable,
+        )
         return stamp is not None and stamp[2] > 0
 
     # What it holds.
@@ -303,7 +335,9 @@ class GalleryFile:
         with self._reading() as database:
             return _settings_of(database)
 
-    def entries(self, person: str | None = None, finger: str | None = None, session: str | None = None) -> list[Entry]:
+    def entries(
+        self, person: str | None = None, finger: str | None = None, session: str | None = None
+    ) -> list[Entry]:
         """All captures in the order of enrolment, or those of a person, finger or session.
 
         Raises BadInput if one is damaged.
@@ -312,7 +346,8 @@ class GalleryFile:
             return self._entries(database, person, finger, session)
 
     def people(self, person: str | None = None) -> People:
-        """What it holds, kept in memory for the next call; of one person alone if the rest was not read yet."""
+        """What it holds, kept in memory for the next call; of one person alone if the rest was not
+        read yet."""
         with self._reading() as database:
             state = _stamp_of(self.path), database.execute("SELECT changes FROM about").fetchone()
             known_state, kept = self._kept
@@ -322,7 +357,11 @@ class GalleryFile:
             earlier = kept or People(self.path, "", [], {}, {})
             same = {entry.row for entry in entries if earlier.entries.get(entry.row) == entry}
             templates = {
-                entry.row: earlier.templates[entry.row] if entry.row in same else self._template(database, entry)
+                entry.row: (
+                    earlier.templates[entry.row]
+                    if entry.row in same
+                    else self._template(database, entry)
+                )
                 for entry in entries
             }
             minutiae = {row: sides for row, sides in earlier.minutiae.items() if row in same}
@@ -332,20 +371,31 @@ class GalleryFile:
             return people
 
     def _entries(
-        self, database: Any, person: str | None = None, finger: str | None = None, session: str | None = None
+        self,
+        database: Any,
+        person: str | None = None,
+        finger: str | None = None,
+        session: str | None = None,
     ) -> list[Entry]:
         wanted = {"name": person, "finger": finger, "session": session}
         wanted = {name: value for name, value in wanted.items() if value is not None}
-        columns = ", ".join(("name", "finger", "session", *_FIELDS, "length(template)", "capture.id"))
+        columns = ", ".join(
+            ("name", "finger", "session", *_FIELDS, "length(template)", "capture.id")
+        )
         where = " AND ".join(f"{name} = ?" for name in wanted) or "TRUE"
-        query = f"SELECT {columns} FROM capture JOIN person ON person = person.id WHERE {where} ORDER BY capture.id"
+        query = (
+            f"SELECT {columns} FROM capture JOIN person ON person = person.id WHERE {where} ORDER"
+            " BY capture.id"
+        )
         try:
             return [Entry(*values) for values in database.execute(query, tuple(wanted.values()))]
         except BadInput as error:
             raise Unavailable(self._damaged(str(error).rstrip("."))) from error
 
     def _template(self, database: Any, entry: Entry) -> bytes:
-        (template,) = database.execute("SELECT template FROM capture WHERE id = ?", (entry.row,)).fetchone()
+        (template,) = database.execute(
+            "SELECT template FROM capture WHERE id = ?", (entry.row,)
+        ).fetchone()
         sound = hashlib.sha256(template).hexdigest() == entry.template_sha256
         cure = "take it out with 'splitknit gallery remove', and enrol it again"
         require(sound, f"the template of {entry.words} in '{self.path}' is damaged; {cure}.")
@@ -362,13 +412,15 @@ class GalleryFile:
         first: Callable[[], object] = lambda: None,
         last: Callable[[], object] = lambda: None,
     ) -> list[bool]:
-        """Put captures in, all or none; of each, whether it is new (False: the very same is there already).
+        """Put captures in, all or none; of each, whether it is new (False: the very same is there
+        already).
 
-        A gallery that is not there is made, for templates of these settings. `first` and `last` are called while no
-        other program can change it, before anything is written, and before what was written is final: what they raise
-        undoes it.
+        A gallery that is not there is made, for templates of these settings. `first` and `last` are
+        called while no other program can change it, before anything is written, and before what was
+        written is final: what they raise undoes it.
 
-        Raises BadInput if another capture has these names (person, finger, session) and `replaces` is false.
+        Raises BadInput if another capture has these names (person, finger, session) and `replaces`
+        is false.
         """
         new = []
         with self._changing(settings_sha256) as database:
@@ -378,20 +430,27 @@ class GalleryFile:
                 entry = replace(capture.entry, template_sha256=digest)
                 earlier = self._entries(database, *entry.names)
                 same = [
-                    known.template_sha256 == digest and known.source_sha256 == entry.source_sha256 for known in earlier
+                    known.template_sha256 == digest and known.source_sha256 == entry.source_sha256
+                    for known in earlier
                 ]
                 new.append(not any(same))
                 if any(same):
                     continue
                 fault = f"{entry.words} is in '{self.path}' already, made from something else"
-                require(replaces or not earlier, f"{fault}; name another session, or give `replace`.")
+                require(
+                    replaces or not earlier, f"{fault}; name another session, or give `replace`."
+                )
                 if earlier:
                     _delete(database, *entry.names)
                 database.execute("INSERT OR IGNORE INTO person (name) VALUES (?)", (entry.person,))
-                (person,) = database.execute("SELECT id FROM person WHERE name = ?", (entry.person,)).fetchone()
+                (person,) = database.execute(
+                    "SELECT id FROM person WHERE name = ?", (entry.person,)
+                ).fetchone()
                 facts = [getattr(entry, name) for name in _FIELDS]
                 values = [None, person, entry.finger, entry.session, *facts, capture.template]
-                database.execute(f"INSERT INTO capture VALUES (?{', ?' * (len(values) - 1)})", values)
+                database.execute(
+                    f"INSERT INTO capture VALUES (?{', ?' * (len(values) - 1)})", values
+                )
                 database.execute("UPDATE about SET changes = changes + 1")
             last()
         return new
@@ -403,8 +462,13 @@ class GalleryFile:
         """
         with self._changing() as database:
             removed = _delete(database, check_person(person), finger, session)
-            words = ", ".join(word for word in (person, finger, session and f"session {session}") if word)
-            missing = f"'{self.path}' holds nothing of {words}; 'splitknit gallery list' shows who is in it."
+            words = ", ".join(
+                word for word in (person, finger, session and f"session {session}") if word
+            )
+            missing = (
+                f"'{self.path}' holds nothing of {words}; 'splitknit gallery list' shows who is"
+                " in it."
+            )
             require(removed > 0, missing)
         return removed
 
@@ -421,7 +485,8 @@ class GalleryFile:
 
     @contextlib.contextmanager
     def _changing(self, settings_sha256: str | None = None) -> Iterator[Any]:
-        """All or nothing; a writer waits for other writers first. With settings a missing gallery is made."""
+        """All or nothing; a writer waits for other writers first. With settings a missing gallery
+        is made."""
         there = self.there
         require(there or settings_sha256 is not None, f"there is no gallery '{self.path}'.")
         with self._refusing():
@@ -441,7 +506,9 @@ class GalleryFile:
                         yield database
                         now = _stamp_of(self.path)
                         same = now is not None and place is not None and now[:2] == place[:2]
-                        fault = f"'{self.path}' was replaced or removed meanwhile; run the same again."
+                        fault = (
+                            f"'{self.path}' was replaced or removed meanwhile; run the same again."
+                        )
                         require(same, fault, Unavailable)
                     with contextlib.suppress(self._driver.OperationalError):
                         database.execute("PRAGMA journal_mode=WAL")
@@ -452,8 +519,9 @@ class GalleryFile:
                 raise
 
     def _erase(self, database: Any) -> None:
-        """Write a file anew that captures were deleted from: SQLite zeroes what it frees, but a page that it divided
-        may hold a second copy of a row. A writer that was killed before leaves it to the next.
+        """Write a file anew that captures were deleted from: SQLite zeroes what it frees, but a
+        page that it divided may hold a second copy of a row. A writer that was killed before leaves
+        it to the next.
         """
         (erasing,) = database.execute("SELECT erasing FROM about").fetchone()
         if erasing:
@@ -464,16 +532,18 @@ class GalleryFile:
                 database.execute("UPDATE about SET erasing = 0")
             except (self._driver.Error, Unavailable) as error:
                 raise Unavailable(
-                    f"what was removed from '{self.path}' is no longer listed, but its bytes may still lie in the "
-                    f"file ({shown_path(str(error))}); run the same again."
+                    f"what was removed from '{self.path}' is no longer listed, but its bytes may"
+                    f" still lie in the file ({shown_path(str(error))}); run the same again."
                 ) from error
         database.execute("PRAGMA wal_checkpoint(TRUNCATE)")
 
     def require_comparable(self, own: str, settings_sha256: str | None) -> None:
-        """Raise BadInput if its templates (`own`) were made with other settings: nothing is mixed."""
+        """Raise BadInput if its templates (`own`) were made with other settings: nothing is
+        mixed."""
         require(
             settings_sha256 in (None, own),
-            f"the templates in '{self.path}' are of another version; enrol the fingers again in a new gallery.",
+            f"the templates in '{self.path}' are of another version; enrol the fingers again in a"
+            " new gallery.",
         )
 
     def _connect(self) -> Any:
@@ -485,7 +555,9 @@ class GalleryFile:
             f"{self.path.resolve().as_uri()}?{mode}", uri=True, timeout=WAIT_S, isolation_level=None
         )
         try:
-            for statement in () if self.key is None else ("PRAGMA cipher_log_level=NONE", self.key.pragma):
+            for statement in (
+                () if self.key is None else ("PRAGMA cipher_log_level=NONE", self.key.pragma)
+            ):
                 database.execute(statement)
             for pragma in _PRAGMAS:
                 database.execute(f"PRAGMA {pragma}")
@@ -503,23 +575,29 @@ class GalleryFile:
         """Raise BadInput if it is not a gallery, or of another version."""
         (application,) = database.execute("PRAGMA application_id").fetchone()
         (version,) = database.execute("PRAGMA user_version").fetchone()
-        require(_has_tables(database), f"there is no gallery '{self.path}'; 'splitknit enroll' makes one.")
+        require(
+            _has_tables(database),
+            f"there is no gallery '{self.path}'; 'splitknit enroll' makes one.",
+        )
         fault = f"'{self.path}' is another program's database, not a gallery; name another file."
         require(application == APPLICATION_ID, fault)
         require(
             version == VERSION,
-            f"'{self.path}' is a gallery of version {version}, but this program reads version {VERSION}; export it "
-            "with the program that wrote it and import that here, or enrol the fingers again.",
+            f"'{self.path}' is a gallery of version {version}, but this program reads version"
+            f" {VERSION}; export it with the program that wrote it and import that here, or enrol"
+            " the fingers again.",
         )
-        tables = database.execute("SELECT sql FROM sqlite_master WHERE sql IS NOT NULL ORDER BY name").fetchall()
+        tables = database.execute(
+            "SELECT sql FROM sqlite_master WHERE sql IS NOT NULL ORDER BY name"
+        ).fetchall()
         sound = [sql for (sql,) in tables] == [*_SCHEMA]
         require(sound, self._damaged("its tables are not a gallery's"), Unavailable)
         versions = database.execute("SELECT template_version FROM about").fetchall()
         require(len(versions) == 1, self._damaged("its own record is missing"), Unavailable)
         require(
             versions[0][0] == TEMPLATE_VERSION,
-            f"the templates in '{self.path}' are of version {versions[0][0]}, but this program makes version "
-            f"{TEMPLATE_VERSION}; enrol the fingers again in a new gallery.",
+            f"the templates in '{self.path}' are of version {versions[0][0]}, but this program"
+            f" makes version {TEMPLATE_VERSION}; enrol the fingers again in a new gallery.",
         )
 
     @contextlib.contextmanager
@@ -531,17 +609,31 @@ class GalleryFile:
         except UnicodeDecodeError as error:  # a name in its schema, or in SQLite's own message
             raise Unavailable(self._damaged("a text in it is not UTF-8")) from error
         except OSError as error:
-            fault = f"the gallery '{path}' cannot be written: {error.strerror}; choose another place."
+            fault = (
+                f"the gallery '{path}' cannot be written: {error.strerror}; choose another place."
+            )
             raise Unavailable(fault) from error
         except self._driver.Error as error:
             code = getattr(error, "sqlite_errorcode", 0) & 0xFF
-            busy = f"another program is writing the gallery '{path}'; nothing was changed: run the same again."
+            busy = (
+                f"another program is writing the gallery '{path}'; nothing was changed: run the"
+                " same again."
+            )
             faults = {
                 5: busy,
                 6: busy,
-                8: f"the gallery '{path}' may not be written here; change its permissions, or copy it.",
-                13: f"the disk of '{path}' is full; the gallery is as it was before: make room, run the same again.",
-                14: f"the gallery '{path}' cannot be opened, or its folder cannot be written; check the permissions.",
+                8: (
+                    f"the gallery '{path}' may not be written here; change its permissions, or"
+                    " copy it."
+                ),
+                13: (
+                    f"the disk of '{path}' is full; the gallery is as it was before: make room, run"
+                    " the same again."
+                ),
+                14: (
+                    f"the gallery '{path}' cannot be opened, or its folder cannot be written; check"
+                    " the permissions."
+                ),
             }
             fault = self._not_read() if code == 26 else self._damaged(shown_path(str(error)))
             raise Unavailable(faults.get(code, fault)) from error
@@ -558,7 +650,10 @@ class GalleryFile:
         if plain:
             cure = "leave the key out, or put an export of it into a new gallery with the key"
             return f"a key was given, but the gallery '{self.path}' is not encrypted; {cure}."
-        return f"the key is not that of the gallery '{self.path}', or the file is not a gallery or damaged."
+        return (
+            f"the key is not that of the gallery '{self.path}', or the file is not a gallery or"
+            " damaged."
+        )
 
     def _damaged(self, what: str) -> str:
         cure = "take a copy or an export of it, or enrol the fingers again"
@@ -597,7 +692,8 @@ def _settings_of(database: Any) -> str:
 
 
 def _delete(database: Any, person: str, finger: str | None, session: str | None) -> int:
-    """Delete captures of a person, and the person with the last of them; the file is to be erased then."""
+    """Delete captures of a person, and the person with the last of them; the file is to be erased
+    then."""
     removed = database.execute(
         "DELETE FROM capture WHERE person = (SELECT id FROM person WHERE name = ?) "
         "AND finger = coalesce(?, finger) AND session = coalesce(?, session)",

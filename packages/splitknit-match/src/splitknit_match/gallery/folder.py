@@ -1,4 +1,5 @@
-"""A gallery as a folder of plain files, and back: ``templates/0001.skt`` ..., ``gallery.csv`` and ``gallery.json``."""
+"""A gallery as a folder of plain files, and back: ``templates/0001.skt`` ..., ``gallery.csv`` and
+``gallery.json``."""
 
 from __future__ import annotations
 
@@ -24,17 +25,27 @@ from splitknit_match.records.templates import encode_template, read_template
 
 TABLE_FILE, FACTS_FILE = "gallery.csv", "gallery.json"
 _FORMAT, _VERSION = "splitknit-gallery-export", 1
-_FIELDS = ("person", "finger", "session", "kind", "source_sha256", "area_mm2", "failure", "enrolled_at")
+_FIELDS = (
+    "person",
+    "finger",
+    "session",
+    "kind",
+    "source_sha256",
+    "area_mm2",
+    "failure",
+    "enrolled_at",
+)
 _COLUMNS = ("template", *_FIELDS)
 _MAX_TABLE_BYTES = 50_000_000
 """A quarter of a million captures."""
 
 
 def export_gallery(gallery: GalleryFile, out: Path, *, person: str | None = None) -> dict[str, Any]:
-    """Write all of a gallery, or of a `person`, **not encrypted**, into a folder that only its owner may read.
+    """Write all of a gallery, or of a `person`, **not encrypted**, into a folder that only its
+    owner may read.
 
-    Returns facts. Raises BadInput if the gallery or a template of it cannot be read, or the folder not be written;
-    nothing is written then.
+    Returns facts. Raises BadInput if the gallery or a template of it cannot be read, or the folder
+    not be written; nothing is written then.
     """
     check_target(out, TABLE_FILE, "an earlier export of a gallery")
     name = None if person is None else check_person(person)
@@ -57,8 +68,8 @@ def export_gallery(gallery: GalleryFile, out: Path, *, person: str | None = None
 def import_gallery(gallery: GalleryFile, folder: Path, *, replaces: bool = False) -> dict[str, Any]:
     """Put what was exported into a gallery (made where there is none), all or none; return facts.
 
-    Raises BadInput if the folder is not an export, damaged or of another version, or its templates were made with other
-    settings than the gallery's.
+    Raises BadInput if the folder is not an export, damaged or of another version, or its templates
+    were made with other settings than the gallery's.
     """
     settings_sha256 = _read_settings(folder)
     captures = _read_table(folder)
@@ -78,14 +89,17 @@ def _read_settings(folder: Path) -> str:
     file = folder / FACTS_FILE
     require(file.is_file(), f"'{folder}' is not an export of a gallery: it holds no {FACTS_FILE}.")
     document, _ = read_json(file)
-    form, settings_sha256 = (text_of(document, key, str(file)) for key in ("format", "settings_sha256"))
+    form, settings_sha256 = (
+        text_of(document, key, str(file)) for key in ("format", "settings_sha256")
+    )
     sound = form == _FORMAT and re.fullmatch("[0-9a-f]{64}", settings_sha256) is not None
     require(sound, f"'{file}' is damaged, or not of an export; export the gallery again.")
     versions = document.get("version"), document.get("template_version")
     require(
         versions == (_VERSION, VERSION),
-        f"'{folder}' is an export of version {versions[0]!a} with templates of version {versions[1]!a}, but this "
-        f"program reads {_VERSION} and {VERSION}; enrol the fingers again.",
+        f"'{folder}' is an export of version {versions[0]!a} with templates of version"
+        f" {versions[1]!a}, but this program reads {_VERSION} and {VERSION}; enrol the fingers"
+        " again.",
     )
     return settings_sha256
 
@@ -99,13 +113,18 @@ def _read_table(folder: Path) -> list[NewCapture]:
     captures, lines = [], dict[tuple[str, ...], int]()
     for number, row in enumerate(rows, start=2):
         complete = all(isinstance(row.get(column), str) for column in _COLUMNS)
-        require(complete, f"'{file}', line {number}: the columns {', '.join(_COLUMNS)} are expected.")
+        require(
+            complete, f"'{file}', line {number}: the columns {', '.join(_COLUMNS)} are expected."
+        )
         try:
             capture = _capture(folder, {column: plain_text(row[column]) for column in _COLUMNS})
         except (BadInput, ValueError) as error:
             raise BadInput(f"'{file}', line {number}: {error}") from error
         first = lines.setdefault(capture.entry.names, number)
-        fault = f"'{file}', lines {first} and {number} are of the same finger and session; remove one of them."
+        fault = (
+            f"'{file}', lines {first} and {number} are of the same finger and session; remove one"
+            " of them."
+        )
         require(first == number, fault)
         captures.append(capture)
     return captures
@@ -117,7 +136,9 @@ def _capture(folder: Path, row: dict[str, str]) -> NewCapture:
     sound = re.fullmatch(r"templates/\d{1,9}\.skt", name) is not None
     require(sound, f"a template is named such as templates/0001.skt, not {name[:60]!a}.")
     template = read_template(folder / name, VERSION)
-    empty = unpack_minutiae(template).count == 0 if holds_minutiae(template) else unpack(template).empty
+    empty = (
+        unpack_minutiae(template).count == 0 if holds_minutiae(template) else unpack(template).empty
+    )
     values: dict[str, Any] = {column: row[column] for column in _FIELDS}
     values["area_mm2"] = 0.0 if empty else float(row["area_mm2"])
     return NewCapture(Entry(**values), template)

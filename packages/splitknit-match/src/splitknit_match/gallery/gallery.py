@@ -1,7 +1,9 @@
-"""A gallery to enrol into and to search: :class:`splitknit_match.Gallery`, :func:`splitknit_match.enroll`.
+"""A gallery to enrol into and to search: :class:`splitknit_match.Gallery`,
+:func:`splitknit_match.enroll`.
 
-Captures, results, templates, prints or records of minutiae go in. A gallery appears with its first finger, or not at
-all. It keeps templates of ridges, or, where a record of minutiae came first, minutiae: the two cannot be compared.
+Captures, results, templates, prints or records of minutiae go in. A gallery appears with its first
+finger, or not at all. It keeps templates of ridges, or, where a record of minutiae came first,
+minutiae: the two cannot be compared.
 """
 
 from __future__ import annotations
@@ -35,7 +37,15 @@ from splitknit_match.gallery.identify import (
     RankedCandidate,
     identify_finger,
 )
-from splitknit_match.matching.inputs import Held, Pixels, Side, held, is_of_minutiae, read_side, undoubted
+from splitknit_match.matching.inputs import (
+    Held,
+    Pixels,
+    Side,
+    held,
+    is_of_minutiae,
+    read_side,
+    undoubted,
+)
 from splitknit_match.matching.match import Finger
 from splitknit_match.matching.methods import side_minutiae
 from splitknit_match.matching.template import mirrored
@@ -44,7 +54,8 @@ from splitknit_match.prints.photo_finger import PhotoFinger
 
 Duplicates = Literal["refuse", "warn", "allow"]
 _DISSIMILAR_FMR = 0.01
-"""Of captures that are called dissimilar: so often other fingers are at least as similar, or more often."""
+"""Of captures that are called dissimilar: so often other fingers are at least as similar, or more
+often."""
 _NOT_INPUTS = ("truth.npz", ".splitknit")
 
 
@@ -95,7 +106,8 @@ class EnrolledCapture:
     new: bool
     """False: the very same source was there already."""
     note: str | None = None
-    """What was changed of a print on reading, and whether it differs from the finger's earlier captures."""
+    """What was changed of a print on reading, and whether it differs from the finger's earlier
+    captures."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -105,7 +117,8 @@ class Enrolment:
     content: GalleryContent
     enrolled: tuple[EnrolledCapture, ...]
     alike: tuple[RankedCandidate, ...] = ()
-    """Other fingers, also of the same person, that match what was enrolled, best first: is one of them named wrong?"""
+    """Other fingers, also of the same person, that match what was enrolled, best first: is one of
+    them named wrong?"""
 
 
 @dataclass(frozen=True, slots=True)
@@ -125,9 +138,10 @@ class Made:
 class Gallery(GalleryFile):
     """A gallery that stays open, in memory; threads and forked processes may use one object.
 
-    Each call sees what the file holds at that time, also what other programs changed, and whichever file has the name
-    then; one that was there and is gone is refused. One that is not there yet appears with its first finger. Iteration
-    gives what is known of each capture (:class:`splitknit_match.gallery.file.Entry`).
+    Each call sees what the file holds at that time, also what other programs changed, and whichever
+    file has the name then; one that was there and is gone is refused. One that is not there yet
+    appears with its first finger. Iteration gives what is known of each capture
+    (:class:`splitknit_match.gallery.file.Entry`).
 
     Examples
     --------
@@ -159,7 +173,14 @@ class Gallery(GalleryFile):
             return read_side(held(probe, resolution_ppi), preset, progress, input_ppi)
 
         return identify_finger(
-            self, read, top=top, person=person, finger=finger, fmr=fmr, merge=merge, progress=progress
+            self,
+            read,
+            top=top,
+            person=person,
+            finger=finger,
+            fmr=fmr,
+            merge=merge,
+            progress=progress,
         )
 
     def enroll(
@@ -177,12 +198,14 @@ class Gallery(GalleryFile):
     ) -> Enrolment:
         """Put a finger, or several sessions of one, in; as :func:`splitknit_match.enroll`.
 
-        `session`: by default that of the very same source if it is enrolled already, else the next number.
-        `put_down`: called before what was written is final, such as to write a line into a log; what it raises undoes
-        it. A source other than a template from which nothing was acquired is refused.
+        `session`: by default that of the very same source if it is enrolled already, else the next
+        number. `put_down`: called before what was written is final, such as to write a line into a
+        log; what it raises undoes it. A source other than a template from which nothing was
+        acquired is refused.
         """
         require(
-            duplicates in ("refuse", "warn", "allow"), f"`duplicates` is refuse, warn or allow, not '{duplicates}'."
+            duplicates in ("refuse", "warn", "allow"),
+            f"`duplicates` is refuse, warn or allow, not '{duplicates}'.",
         )
         how = how or Enrolling()
         given: Sequence[Any] = finger_of if isinstance(finger_of, list | tuple) else [finger_of]
@@ -195,7 +218,9 @@ class Gallery(GalleryFile):
         if session is not None:
             check_session(session)
         created = not self.there
-        settings_sha256 = settings_of(self, how, of_minutiae=any(is_of_minutiae(source) for source in sources))
+        settings_sha256 = settings_of(
+            self, how, of_minutiae=any(is_of_minutiae(source) for source in sources)
+        )
         made = []
         for number, source in enumerate(sources):
 
@@ -204,16 +229,24 @@ class Gallery(GalleryFile):
 
             one = made_of(source, how, settings_sha256 == MINUTIAE_HASH, part)
             name = f"'{source}'" if isinstance(source, Path) else "what was given"
-            fault = f"{name} holds {one.failure} (failure to acquire), so nothing was enrolled; capture it again."
+            fault = (
+                f"{name} holds {one.failure} (failure to acquire), so nothing was enrolled; capture"
+                " it again."
+            )
             require(not one.failure or one.kind == "template", fault)
             made.append(one)
         earlier = [] if created else self.entries(person, finger)
         sessions = _sessions(made, earlier, session)
-        captures = [new_capture(one, person, finger, its, how) for one, its in zip(made, sessions, strict=True)]
+        captures = [
+            new_capture(one, person, finger, its, how)
+            for one, its in zip(made, sessions, strict=True)
+        ]
         sides = [one.side for one in made if one.side is not None]
         review = _Review(self, sides, (person, finger), duplicates)
         review.look()  # the first look may take long, and holds nobody up
-        added = self.add(captures, settings_sha256, replaces=how.replace, first=review.look, last=put_down)
+        added = self.add(
+            captures, settings_sha256, replaces=how.replace, first=review.look, last=put_down
+        )
         progress("done", 1.0)
         notes = review.notes or [""] * len(made)
         enrolled = [
@@ -236,7 +269,8 @@ def enroll(
     how: Enrolling | None = None,
     progress: Progress = no_progress,
 ) -> Enrolment:
-    """Put a finger, or several sessions of one, into a gallery, which is made where there is none; all or none.
+    """Put a finger, or several sessions of one, into a gallery, which is made where there is none;
+    all or none.
 
     Parameters
     ----------
@@ -249,9 +283,10 @@ def enroll(
     resolution_ppi : float, optional
         Pixels per inch of arrays.
     duplicates : {"refuse", "warn", "allow"}
-        What to do about one that matches another person's (of the person's own fingers it is only said),
-        at a false match rate of 1 in 10,000 a comparison: refuse it, report it (the default), or not look. Of more
-        than 200 captures those whose minutiae agree best are compared, so that about 1 in 100 such fingers is missed.
+        What to do about one that matches another person's (of the person's own fingers it is only
+        said), at a false match rate of 1 in 10,000 a comparison: refuse it, report it (the
+        default), or not look. Of more than 200 captures those whose minutiae agree best are
+        compared, so that about 1 in 100 such fingers is missed.
     how : Enrolling, optional
         Preset, settings and what is kept.
     progress : callable, optional
@@ -281,7 +316,9 @@ def enroll(
 class _Review:
     """Looks for the same finger under another name, and for another finger under the same name."""
 
-    def __init__(self, gallery: Gallery, sides: list[Side], names: tuple[str, str], duplicates: Duplicates) -> None:
+    def __init__(
+        self, gallery: Gallery, sides: list[Side], names: tuple[str, str], duplicates: Duplicates
+    ) -> None:
         self.gallery, self.sides, self.names, self.duplicates = gallery, sides, names, duplicates
         self.alike: list[RankedCandidate] = []
         self.notes: list[str] = []
@@ -289,11 +326,19 @@ class _Review:
 
     def look(self) -> None:
         """Look, unless nobody changed the gallery since the last look; may refuse."""
-        if self.duplicates == "allow" or not self.gallery.there or self.gallery.people() is self._seen:
+        if (
+            self.duplicates == "allow"
+            or not self.gallery.there
+            or self.gallery.people() is self._seen
+        ):
             return
         people = self._seen = self.gallery.people()
         of_minutiae = people.settings_sha256 == MINUTIAE_HASH
-        owners = [(entry.person, entry.finger) for entry in people.entries.values() if entry.template_bytes]
+        owners = [
+            (entry.person, entry.finger)
+            for entry in people.entries.values()
+            if entry.template_bytes
+        ]
         earlier = owners.count(self.names)
         self.alike, self.notes = [], []
         for side in self.sides:
@@ -317,8 +362,8 @@ class _Review:
         if others and self.duplicates == "refuse":
             whose = f"{others[0].finger.replace('_', ' ')} of another person, '{others[0].person}'"
             raise BadInput(
-                f"{side.path} matches {whose}, at a false match rate of 1 in 10,000 a comparison; enrol it under that "
-                "name, or give `duplicates` allow."
+                f"{side.path} matches {whose}, at a false match rate of 1 in 10,000 a comparison;"
+                " enrol it under that name, or give `duplicates` allow."
             )
         return alike
 
@@ -333,7 +378,10 @@ class _Review:
         turned = replace(side, template=mirrored(side.template))
         mirror = identify_finger(self.gallery, lambda _: turned, person=person, finger=finger)
         if mirror.answer == "match":
-            return "it matches its earlier captures only in a mirror: the picture is mirrored; turn it round."
+            return (
+                "it matches its earlier captures only in a mirror: the picture is mirrored; turn it"
+                " round."
+            )
         return f"it is unlike the {count} earlier captures of this finger: is it another finger?"
 
 
@@ -352,15 +400,22 @@ def _sessions(made: Sequence[Made], earlier: Sequence[Entry], session: str | Non
 def _enrolled(capture: NewCapture, new: bool, note: str) -> EnrolledCapture:
     entry, size = capture.entry, len(capture.template)
     return EnrolledCapture(
-        *entry.names, entry.kind, entry.area_mm2, size > 0, size, entry.source_sha256, new, note or None
+        *entry.names,
+        entry.kind,
+        entry.area_mm2,
+        size > 0,
+        size,
+        entry.source_sha256,
+        new,
+        note or None,
     )
 
 
 def settings_of(gallery: GalleryFile, how: Enrolling, *, of_minutiae: bool = False) -> str:
     """Hash of the settings of templates to enrol, `of_minutiae` where a source is a record of them.
 
-    A gallery of minutiae takes everything, for minutiae can be found in it. Raises BadInput if the gallery is of other
-    settings, or its folder is missing.
+    A gallery of minutiae takes everything, for minutiae can be found in it. Raises BadInput if the
+    gallery is of other settings, or its folder is missing.
     """
     sha256 = MINUTIAE_HASH if of_minutiae else TEMPLATES_HASH
     if not gallery.there:
@@ -370,7 +425,10 @@ def settings_of(gallery: GalleryFile, how: Enrolling, *, of_minutiae: bool = Fal
     own = gallery.settings_sha256
     if own == MINUTIAE_HASH:
         return own
-    fault = f"'{gallery.path}' keeps templates of ridges, which records of minutiae cannot be compared with"
+    fault = (
+        f"'{gallery.path}' keeps templates of ridges, which records of minutiae cannot be compared"
+        " with"
+    )
     require(not of_minutiae, f"{fault}; enrol them into a gallery of their own.")
     gallery.require_comparable(own, sha256)
     return own
@@ -379,7 +437,9 @@ def settings_of(gallery: GalleryFile, how: Enrolling, *, of_minutiae: bool = Fal
 def new_capture(made: Made, person: str, finger: str, session: str, how: Enrolling) -> NewCapture:
     """Give what was made its names."""
     now = datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds") if how.with_time else ""
-    entry = Entry(person, finger, session, made.kind, made.source_sha256, made.area_mm2, made.failure, now)
+    entry = Entry(
+        person, finger, session, made.kind, made.source_sha256, made.area_mm2, made.failure, now
+    )
     return NewCapture(entry, made.template)
 
 
@@ -398,8 +458,11 @@ def content_of(gallery: GalleryFile, *, created: bool) -> GalleryContent:
     )
 
 
-def made_of(path: Path | Held, how: Enrolling, of_minutiae: bool = False, progress: Progress = no_progress) -> Made:
-    """Template and facts of one source. Raises BadInput if it cannot be read, or (a capture) not be reconstructed."""
+def made_of(
+    path: Path | Held, how: Enrolling, of_minutiae: bool = False, progress: Progress = no_progress
+) -> Made:
+    """Template and facts of one source. Raises BadInput if it cannot be read, or (a capture) not be
+    reconstructed."""
     side = undoubted(read_side(path, how.preset, progress, how.input_ppi, where=how.where))
     minutiae = side_minutiae(side) if of_minutiae else side.minutiae
     compared = replace(side, surface=None, picture=None, minutiae=minutiae)
@@ -410,15 +473,20 @@ def made_of(path: Path | Held, how: Enrolling, of_minutiae: bool = False, progre
         area_mm2 = 0.0
     elif side.template is not None:
         payload = side.payload
-        failure = (side.template.lacks or "too little skin with ridges") if side.template.empty else ""
+        failure = (
+            (side.template.lacks or "too little skin with ridges") if side.template.empty else ""
+        )
         area_mm2 = 0.0 if side.template.empty else round(side.template.area_mm2, 2)
     else:
-        raise BadInput(f"{side.path} holds minutiae, no ridges; enrol it into a gallery of minutiae.")
+        raise BadInput(
+            f"{side.path} holds minutiae, no ridges; enrol it into a gallery of minutiae."
+        )
     return Made(side.kind, payload, area_mm2, source_hash(path), failure, side.note, compared)
 
 
 def made_or_failed(path: Path, how: Enrolling) -> Made | str:
-    """As :func:`made_of`, for many: a capture that is sound but shows no finger is a failure to acquire.
+    """As :func:`made_of`, for many: a capture that is sound but shows no finger is a failure to
+    acquire.
 
     Returns a sentence, and no row, where the files themselves are unusable.
     """
@@ -436,9 +504,13 @@ def made_or_failed(path: Path, how: Enrolling) -> Made | str:
 
 
 def source_hash(path: Path | Held) -> str:
-    """SHA-256 of a source: of a file, or of names and hashes of the files of a capture (without its truth)."""
+    """SHA-256 of a source: of a file, or of names and hashes of the files of a capture (without its
+    truth)."""
     if isinstance(path, Capture | Reconstruction):
-        raise BadInput("a capture or a result is enrolled from its folder; give its path, or the bytes of a template.")
+        raise BadInput(
+            "a capture or a result is enrolled from its folder; give its path, or the bytes of a"
+            " template."
+        )
     if not isinstance(path, Path):
         return path.sha256 if isinstance(path, Pixels) else hashlib.sha256(path).hexdigest()
     if not path.is_dir():
@@ -446,6 +518,8 @@ def source_hash(path: Path | Held) -> str:
     if (path / "height.npz").is_file():
         files = [path / "height.npz"]
     else:
-        files = sorted(file for file in path.rglob("*") if file.is_file() and file.name not in _NOT_INPUTS)
+        files = sorted(
+            file for file in path.rglob("*") if file.is_file() and file.name not in _NOT_INPUTS
+        )
     lines = [f"{file_hash(file)}  {file.relative_to(path).as_posix()}\n" for file in files]
     return hashlib.sha256("".join(lines).encode("utf-8")).hexdigest()

@@ -1,4 +1,5 @@
-"""Identification: one finger against a gallery, or against what one person claims (verification)."""
+"""Identification: one finger against a gallery, or against what one person claims
+(verification)."""
 
 from __future__ import annotations
 
@@ -12,7 +13,14 @@ from splitknit.arguments import count, text_of
 from splitknit.errors import naming, require
 from splitknit.io.provenance import known_json, settings_hash
 from splitknit.model import Progress, no_progress
-from splitknit_match.gallery.file import Entry, GalleryFile, People, check_person, known_finger, session_order
+from splitknit_match.gallery.file import (
+    Entry,
+    GalleryFile,
+    People,
+    check_person,
+    known_finger,
+    session_order,
+)
 from splitknit_match.gallery.minutia_index import each, unpacked
 from splitknit_match.matching.fusion import fused_match, with_fusion
 from splitknit_match.matching.inputs import Side
@@ -42,8 +50,8 @@ from splitknit_match.prints.minutiae_record import MINUTIAE_VERSION, Minutiae, u
 ALL_PRINTS = 200
 """In a gallery of no more captures all are compared."""
 NEAREST = 0.001
-"""Of more as many as are to be reported, or this fraction, are: those whose minutiae agree best (what is lost:
-``validation/gallery/index.py``)."""
+"""Of more as many as are to be reported, or this fraction, are: those whose minutiae agree best
+(what is lost: ``validation/gallery/index.py``)."""
 TEMPLATES_HASH = "8c8ef4038286462ed584c0c8dcbfd7071a2498ada4a43b75c56c3e740069e7bc"
 """Of all that a template of ridges follows from; templates of one gallery agree in it."""
 MINUTIAE_HASH = settings_hash({"minutiae": MINUTIAE_VERSION})
@@ -157,7 +165,8 @@ def identify_finger(
     merge: Merge = "person",
     progress: Progress = no_progress,
 ) -> Identification:
-    """Who is it? That nobody is found is a result, no error. Raises BadInput as :func:`splitknit_match.identify`.
+    """Who is it? That nobody is found is a result, no error. Raises BadInput as
+    :func:`splitknit_match.identify`.
 
     `read`: reads the probe, once all else is known to be sound.
     """
@@ -168,7 +177,9 @@ def identify_finger(
     finger = None if finger is None else known_finger(finger)
     people = gallery.people(person)
     of_minutiae = people.settings_sha256 == MINUTIAE_HASH
-    gallery.require_comparable(people.settings_sha256, MINUTIAE_HASH if of_minutiae else TEMPLATES_HASH)
+    gallery.require_comparable(
+        people.settings_sha256, MINUTIAE_HASH if of_minutiae else TEMPLATES_HASH
+    )
     entries = people.of(person, finger)
     # refused here, before anything is made, where no such rate was measured
     similarity_at(fmr, "minutiae_of_prints" if of_minutiae else "ridge")
@@ -212,7 +223,9 @@ def identify_finger(
     progress("done", 1.0)
     return Identification(
         gallery=str(gallery.path),
-        probe=ComparedSide(str(side.path), side.kind, area_mm2, acquired, note=side.note, doubt=side.doubt),
+        probe=ComparedSide(
+            str(side.path), side.kind, area_mm2, acquired, note=side.note, doubt=side.doubt
+        ),
         mode="identification" if person is None else "verification",
         person=person,
         finger=finger,
@@ -227,7 +240,9 @@ def identify_finger(
     )
 
 
-def _decided(rated: Sequence[Rated], table: str, fmr: float, captures: int) -> tuple[SearchDecision | None, str | None]:
+def _decided(
+    rated: Sequence[Rated], table: str, fmr: float, captures: int
+) -> tuple[SearchDecision | None, str | None]:
     """Decision on the best candidate, or why there is none."""
     if rated and rated[0].decision is None:
         return None, rated[0].undecided
@@ -235,13 +250,19 @@ def _decided(rated: Sequence[Rated], table: str, fmr: float, captures: int) -> t
     decision = decision or MatchDecision(False, fmr, similarity_at(fmr, table))
     return (
         SearchDecision(
-            decision.match, decision.fmr, decision.threshold, decision.expected_fmr, captures * decision.fmr
+            decision.match,
+            decision.fmr,
+            decision.threshold,
+            decision.expected_fmr,
+            captures * decision.fmr,
         ),
         None,
     )
 
 
-def _candidate(rank: int, comparison: _Comparison, fmr: float | None, captures: int) -> RankedCandidate:
+def _candidate(
+    rank: int, comparison: _Comparison, fmr: float | None, captures: int
+) -> RankedCandidate:
     expected = None if fmr is None else captures * fmr
     return RankedCandidate(rank, *comparison.entry.names, comparison.similarity, fmr, expected)
 
@@ -265,11 +286,17 @@ def _search(
         prepared, chosen, support = Prepared(probe), acquired, None
         if len(acquired) > max(most, ALL_PRINTS) and prepared.cylinders is not None:
             index = people.index()
-            chosen = [people.entries[row] for row in (*index.nearest(prepared.cylinders, most), *index.others)]
+            chosen = [
+                people.entries[row]
+                for row in (*index.nearest(prepared.cylinders, most), *index.others)
+            ]
             # laid on the probe by minutiae alone where these propose how: four times as quick
             support = 0.0
         if len(chosen) < len(acquired):
-            best = f"of {len(acquired)} captures {len(chosen)} were compared, those whose minutiae agree best"
+            best = (
+                f"of {len(acquired)} captures {len(chosen)} were compared, those whose minutiae"
+                " agree best"
+            )
             notes.append(f"{best}; this shortcut misses about 1 match in 100")
         comparisons, note = _by_ridges(people, prepared, chosen, support, progress)
         notes += [note] if note else []
@@ -294,10 +321,17 @@ def _order(comparison: _Comparison) -> tuple[float, str, str, tuple[int, int, st
 
 
 def _by_ridges(
-    people: People, probe: Prepared, entries: Sequence[Entry], support: float | None, progress: Progress
+    people: People,
+    probe: Prepared,
+    entries: Sequence[Entry],
+    support: float | None,
+    progress: Progress,
 ) -> tuple[list[_Comparison], str | None]:
     """Compare by ridges, and by minutiae where both hold some; and a note."""
-    templates = {entry.row: unpacked(people.path, entry.row, people.templates[entry.row]) for entry in entries}
+    templates = {
+        entry.row: unpacked(people.path, entry.row, people.templates[entry.row])
+        for entry in entries
+    }
     fused, note = with_fusion(templates.values(), probe.template)
 
     def compare(entry: Entry) -> _Comparison:
@@ -336,8 +370,12 @@ def identification_lines(search: Identification, *, scores: bool = False) -> lis
     """Of an identification; `scores`: also the method's own, whose scale few know."""
     lines, basis, decision = [_verdict(search)], search.fmr_basis, search.decision
     for candidate in search.candidates:
-        who = f"{candidate.person}, {candidate.finger.replace('_', ' ')}, session {candidate.session}"
-        rate = "not known" if basis is None or candidate.fmr is None else one_in(candidate.fmr, basis)
+        who = (
+            f"{candidate.person}, {candidate.finger.replace('_', ' ')}, session {candidate.session}"
+        )
+        rate = (
+            "not known" if basis is None or candidate.fmr is None else one_in(candidate.fmr, basis)
+        )
         score = f", score {candidate.similarity:.5g}" if scores or basis is None else ""
         lines.append(f"{candidate.rank:>3}. {who}: estimated false match rate {rate}{score}")
     if search.candidates and basis is not None:
@@ -345,9 +383,16 @@ def identification_lines(search: Identification, *, scores: bool = False) -> lis
     if scores and decision is not None:
         lines.append(f"A match has a score of {decision.threshold:.5g} or more.")
     searched = search.searched
-    how = {"fusion": "by ridges and minutiae", "minutiae": "by minutiae"}.get(searched.compared_by, "ridge by ridge")
-    whose = f" ({count(searched.fingers, 'finger')} of {count(searched.people, 'person', 'people')})"
-    lines.append(f"Searched: {count(searched.captures, 'capture')}{whose}, {searched.compared} compared {how}.")
+    how = {"fusion": "by ridges and minutiae", "minutiae": "by minutiae"}.get(
+        searched.compared_by, "ridge by ridge"
+    )
+    whose = (
+        f" ({count(searched.fingers, 'finger')} of {count(searched.people, 'person', 'people')})"
+    )
+    lines.append(
+        f"Searched: {count(searched.captures, 'capture')}{whose}, {searched.compared} compared"
+        f" {how}."
+    )
     if search.candidates and decision is not None:
         first = search.candidates[0].expected_false_matches or 0.0
         lines.append(
@@ -360,7 +405,9 @@ def identification_lines(search: Identification, *, scores: bool = False) -> lis
     if searched.note:
         lines.append(f"Please note: {searched.note}")
     if searched.failures:
-        lines.append(f"Please note: {searched.failures} failures to acquire in the gallery match nobody.")
+        lines.append(
+            f"Please note: {searched.failures} failures to acquire in the gallery match nobody."
+        )
     return lines
 
 

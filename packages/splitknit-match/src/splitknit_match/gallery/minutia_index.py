@@ -1,4 +1,5 @@
-"""Which captures of a gallery may show a probe's finger: by their minutiae, looked up in hash tables.
+"""Which captures of a gallery may show a probe's finger: by their minutiae, looked up in hash
+tables.
 
 What lies around a minutia is a cylinder of numbers (:mod:`splitknit_match.matching.minutia_pairs`);
 the signs of its products with random vectors are its keys, one a table. Minutiae of gallery and
@@ -133,7 +134,9 @@ class MinutiaIndex:
         self.code = np.repeat(np.arange(len(self), dtype=np.int32), self.count) * (2 * _ROTATIONS)
         self.code += _steps(self.turn) + _ROTATIONS
         # of each table the minutiae in the order of their keys, and where those of a key end
-        self.lists = np.stack([np.argsort(table, kind="stable").astype(np.int32) for table in keys.T])
+        self.lists = np.stack(
+            [np.argsort(table, kind="stable").astype(np.int32) for table in keys.T]
+        )
         sizes = [np.bincount(table, minlength=1 << _BITS) for table in keys.T]
         self.ends = np.pad(np.cumsum(sizes, axis=1), ((0, 0), (1, 0)))
 
@@ -141,7 +144,8 @@ class MinutiaIndex:
         return len(self.rows)
 
     def nearest(self, probe: Cylinders, k: int) -> list[int]:
-        """Rows of the `k` captures that agree with the probe best, best first; equal ones by rows."""
+        """Rows of the `k` captures that agree with the probe best, best first; equal ones by
+        rows."""
         if not len(self.turn) or not len(probe.turn):
             return []
         hits = self._hits(probe)
@@ -162,7 +166,9 @@ class MinutiaIndex:
         start = rotated.ravel().take(minutia * _ROTATIONS + rotation)
         column = _cells(self.x.take(enrolled) - start.real)
         row = _cells(self.y.take(enrolled) - start.imag)
-        votes = np.bincount((slot * _CELLS + column) * _CELLS + row, weight, minlength=slots * _CELLS**2)
+        votes = np.bincount(
+            (slot * _CELLS + column) * _CELLS + row, weight, minlength=slots * _CELLS**2
+        )
         votes = votes.reshape(slots, _CELLS, _CELLS)
         votes = votes[:, 1:] + votes[:, :-1]
         votes = (votes[..., 1:] + votes[..., :-1]).reshape(len(captures), -1)
@@ -204,7 +210,8 @@ class MinutiaIndex:
         mean = len(self.turn) / (1 << _BITS)
         starts = self.ends[tables, keys]
         sizes = (self.ends[tables, keys + 1] - starts).ravel()
-        telling = np.flatnonzero(sizes <= max(_COMMON * mean, _RARE))  # the probe's minutiae by tables
+        # the probe's minutiae by tables
+        telling = np.flatnonzero(sizes <= max(_COMMON * mean, _RARE))
         sizes = sizes[telling]
         starts = (starts + tables * len(self.turn)).ravel()[telling]
         lists = self.lists.ravel()
@@ -258,7 +265,9 @@ class MinutiaIndex:
         of_probe = near // width
         capture = of_probe // len(probe.turn)
         of_capture = capture * width + near % width
-        angle = (np.angle(turns)[:, None] + probe.turn).ravel()[of_probe] - self.turn[at].ravel()[of_capture]
+        angle = (np.angle(turns)[:, None] + probe.turn).ravel()[of_probe] - self.turn[at].ravel()[
+            of_capture
+        ]
         angle -= 2 * np.pi * np.rint(angle / (2 * np.pi))
         likeness = np.exp(-distance.ravel()[near] / _DISTANCE_MM**2 - (angle / _ANGLE_RAD) ** 2)
         mutual = np.ones(len(near), dtype=bool)
@@ -309,9 +318,13 @@ def _box(place: Places) -> tuple[float, float, float, float]:
     return float(x.min() - 0.5), float(x.max() + 0.5), float(y.min() - 0.5), float(y.max() + 0.5)
 
 
-def _inside(place: NDArray[np.complexfloating[Any, Any]], box: NDArray[np.floating]) -> NDArray[np.bool_]:
+def _inside(
+    place: NDArray[np.complexfloating[Any, Any]], box: NDArray[np.floating]
+) -> NDArray[np.bool_]:
     left, right, lower, upper = box
-    return np.asarray((place.real > left) & (place.real < right) & (place.imag > lower) & (place.imag < upper))
+    return np.asarray(
+        (place.real > left) & (place.real < right) & (place.imag > lower) & (place.imag < upper)
+    )
 
 
 def each(work: Callable[[T], R], items: Sequence[T]) -> Iterator[R]:

@@ -1,8 +1,9 @@
-"""A gallery over HTTP, by Starlette: enrol, identify, verify and quality, one JSON document a request.
+"""A gallery over HTTP, by Starlette: enrol, identify, verify and quality, one JSON document a
+request.
 
-Every act needs the token, has a bounded body, and leaves one line in the audit file: time, act, whose finger it is said
-to be, what came out; nothing of the finger. The line of an enrolment is there before the finger is; if it then cannot
-be kept after all, a second line says so.
+Every act needs the token, has a bounded body, and leaves one line in the audit file: time, act,
+whose finger it is said to be, what came out; nothing of the finger. The line of an enrolment is
+there before the finger is; if it then cannot be kept after all, a second line says so.
 """
 
 from __future__ import annotations
@@ -43,23 +44,39 @@ WORK_S = 60.0
 """So long may the work of a request take, with its waiting for a free core."""
 MIN_TOKEN = 16
 _FINGER: dict[str, tuple[type, str]] = {
-    "print": (str, "file of a print or record (PNG, WSQ, ISO 19794, ISO 39794, ANSI/NIST-ITL ...), base64"),
+    "print": (
+        str,
+        "file of a print or record (PNG, WSQ, ISO 19794, ISO 39794, ANSI/NIST-ITL ...), base64",
+    ),
     "template": (str, "template, base64, instead of `print`"),
     "resolution_ppi": (float, "resolution of a picture that does not state its own"),
 }
 ACTS: dict[str, tuple[str, dict[str, tuple[type, str]], tuple[str, ...]]] = {
     "enroll": (
         "Put a finger into the gallery",
-        {"person": (str, "whose finger it is"), "finger": (str, "such as right_index"), "session": (str, "which one"),
-         "duplicates": (str, "refuse, warn (default) or allow"), **_FINGER},
+        {
+            "person": (str, "whose finger it is"),
+            "finger": (str, "such as right_index"),
+            "session": (str, "which one"),
+            "duplicates": (str, "refuse, warn (default) or allow"),
+            **_FINGER,
+        },
         ("person", "finger"),
     ),
-    "identify": ("Find a finger", {"top": (int, "candidates"), "fmr": (float, "false match rate"), **_FINGER}, ()),
-    "verify": ("Check whose finger it is said to be",
-               {"person": (str, "whose"), "fmr": (float, "false match rate"), **_FINGER}, ("person",)),
+    "identify": (
+        "Find a finger",
+        {"top": (int, "candidates"), "fmr": (float, "false match rate"), **_FINGER},
+        (),
+    ),
+    "verify": (
+        "Check whose finger it is said to be",
+        {"person": (str, "whose"), "fmr": (float, "false match rate"), **_FINGER},
+        ("person",),
+    ),
     "quality": ("How good a print is, and its template", _FINGER, ()),
-}  # fmt: skip
-"""What may be asked for: by its name a sentence, the fields of the request, and those that must be there."""
+}
+"""What may be asked for: by its name a sentence, the fields of the request, and those that must be
+there."""
 
 
 def openapi() -> dict[str, Any]:
@@ -76,20 +93,36 @@ def openapi() -> dict[str, Any]:
     responses = {code: {"description": text, **document} for code, text in answers.items()}
     paths = {}
     for name, (words, fields, needed) in ACTS.items():
-        known = {key: {"type": kinds[kind], "description": text} for key, (kind, text) in fields.items()}
-        schema = {"type": "object", "properties": known, "required": list(needed), "additionalProperties": False}
+        known = {
+            key: {"type": kinds[kind], "description": text} for key, (kind, text) in fields.items()
+        }
+        schema = {
+            "type": "object",
+            "properties": known,
+            "required": list(needed),
+            "additionalProperties": False,
+        }
         body = {"required": True, "content": {"application/json": {"schema": schema}}}
         act = {"operationId": name, "summary": words, "requestBody": body, "responses": responses}
         paths[f"/{name}"] = {"post": act}
     security = {"securitySchemes": {"token": {"type": "http", "scheme": "bearer"}}}
     about = {"title": "splitknit", "version": "1"}
-    return {"openapi": "3.1.0", "info": about, "paths": paths, "components": security, "security": [{"token": []}]}
+    return {
+        "openapi": "3.1.0",
+        "info": about,
+        "paths": paths,
+        "components": security,
+        "security": [{"token": []}],
+    }
 
 
-def make_app(gallery: Gallery, token: str, audit: Path | None = None, max_body: int = MAX_BODY) -> Any:
+def make_app(
+    gallery: Gallery, token: str, audit: Path | None = None, max_body: int = MAX_BODY
+) -> Any:
     """Make the ASGI application.
 
-    Raises BadInput if the token is short, the audit file cannot be written, or Starlette is not installed.
+    Raises BadInput if the token is short, the audit file cannot be written, or Starlette is not
+    installed.
     """
     sound = len(token) >= MIN_TOKEN and token.isascii()
     require(sound, f"the token must have {MIN_TOKEN} ASCII characters or more.")
@@ -119,15 +152,23 @@ def make_app(gallery: Gallery, token: str, audit: Path | None = None, max_body: 
             if not hmac.compare_digest(request.headers.get("authorization", "").encode(), expected):
                 raise _AnswerError(401, "give the token: Authorization: Bearer TOKEN")
             act.fields = _fields_of(act.name, await body_of(request))
-            limit_s = WORK_S if act.name != "enroll" else math.inf  # what is left alone would be written later
+            # what is left alone would be written later
+            limit_s = WORK_S if act.name != "enroll" else math.inf
             with move_on_after(limit_s) as scope:
-                facts = await to_thread.run_sync(_done, act, gallery, abandon_on_cancel=True, limiter=limiter)
+                facts = await to_thread.run_sync(
+                    _done, act, gallery, abandon_on_cancel=True, limiter=limiter
+                )
             if scope.cancelled_caught:
-                raise _AnswerError(503, f"the work took more than {WORK_S:g} s: try a smaller print, or later")
+                raise _AnswerError(
+                    503, f"the work took more than {WORK_S:g} s: try a smaller print, or later"
+                )
         except _AnswerError as error:
             code, facts = error.code, {"error": str(error)}
         except BadInput as error:
-            code, facts = 503 if isinstance(error, Unavailable) else 400, {"error": _shown(error, gallery)}
+            code, facts = (
+                503 if isinstance(error, Unavailable) else 400,
+                {"error": _shown(error, gallery)},
+            )
         except TimeoutError:
             code, facts = 408, {"error": f"the request took more than {PATIENCE_S:g} s to arrive"}
         except ClientDisconnect:
@@ -161,11 +202,17 @@ class _Act:
     """One act of a client, which leaves a line."""
 
     def __init__(self, name: str, audit: Path | None) -> None:
-        self.name, self.audit, self.fields, self.started = name, audit, dict[str, Any](), time.perf_counter()
+        self.name, self.audit, self.fields, self.started = (
+            name,
+            audit,
+            dict[str, Any](),
+            time.perf_counter(),
+        )
         self._logged = False
 
     def log(self, code: int, facts: Mapping[str, Any]) -> None:
-        """Add the line, unless it is there (:meth:`enrolled`); what was found is a name, never a score or a template.
+        """Add the line, unless it is there (:meth:`enrolled`); what was found is a name, never a
+        score or a template.
 
         Raises Unavailable if it cannot be written.
         """
@@ -181,7 +228,8 @@ class _Act:
         _write_line(self.audit, line)
 
     def enrolled(self) -> None:
-        """Add the line while what was written is not yet final, so that no finger is enrolled without it."""
+        """Add the line while what was written is not yet final, so that no finger is enrolled
+        without it."""
         self.log(200, {})
         self._logged = True
 
@@ -192,7 +240,9 @@ def _write_line(audit: Path | None, line: dict[str, Any]) -> None:
         if audit is not None:
             append_line(audit, {"time": now, **line})
     except OSError as error:
-        fault = f"the audit file '{audit.name if audit else ''}' cannot be written ({error.strerror})"
+        fault = (
+            f"the audit file '{audit.name if audit else ''}' cannot be written ({error.strerror})"
+        )
         raise Unavailable(f"{fault}, and without it nothing is done.") from error
 
 
@@ -208,7 +258,9 @@ def _fields_of(name: str, body: bytes) -> dict[str, Any]:
     for key, value in fields.items():
         require(key in known, f"'{key[:40]}' is not a field of {name}; it has {', '.join(known)}.")
         kind = known[key][0]
-        sound = isinstance(value, int | float if kind is float else kind) and not isinstance(value, bool)
+        sound = isinstance(value, int | float if kind is float else kind) and not isinstance(
+            value, bool
+        )
         sound = sound and (kind is not float or abs(value) <= sys.float_info.max)
         require(sound, f"'{key}' must be a {'number' if kind is not str else 'text'}.")
     for key in needed:
@@ -231,7 +283,10 @@ def _finger_of(fields: Mapping[str, Any]) -> Pixels | bytes:
     if not isinstance(prints[0], PrintFile):
         return pack_minutiae(minutiae_of(prints[0]))
     ppi = fields.get("resolution_ppi", prints[0].resolution_ppi)
-    require(ppi is not None and 200 <= ppi <= 5080, "give 'resolution_ppi', from 200 to 5080: the print states none.")
+    require(
+        ppi is not None and 200 <= ppi <= 5080,
+        "give 'resolution_ppi', from 200 to 5080: the print states none.",
+    )
     return Pixels(prints[0].image, float(ppi))
 
 
@@ -261,7 +316,12 @@ def _done(act: _Act, gallery: Gallery) -> dict[str, Any]:
             printed = pressed_print(PrintFile(finger.image, finger.resolution_ppi, {}))
             quality = round(measured(printed, enhance(printed)).score)
         template = base64.b64encode(made.payload or b"").decode("ascii")
-        return {"acquired": made.a.acquired, "area_mm2": made.a.area_mm2, "quality": quality, "template": template}
+        return {
+            "acquired": made.a.acquired,
+            "area_mm2": made.a.area_mm2,
+            "quality": quality,
+            "template": template,
+        }
     return dict(known_json(gallery.identify(finger, **fields))) | {"gallery": gallery.path.name}
 
 
@@ -269,6 +329,10 @@ def read_token(file: Path | None, variable: str = "SPLITKNIT_SERVE_TOKEN") -> st
     """Token from a file, else from the environment. Raises BadInput if there is none."""
     if file is None:
         text = os.environ.get(variable)
-        require(text, f"give the token that clients must send: `token_file` FILE, or the variable {variable}.")
+        require(
+            text,
+            "give the token that clients must send: `token_file` FILE, or the variable"
+            f" {variable}.",
+        )
         return str(text)
     return read_bytes(file, 10_000).decode("utf-8", "replace").strip()

@@ -1,4 +1,5 @@
-"""Verbs of a gallery: ``splitknit identify``, ``gallery list|info|remove|export|import``, ``serve``."""
+"""Verbs of a gallery: ``splitknit identify``, ``gallery list|info|remove|export|import``,
+``serve``."""
 
 from __future__ import annotations
 
@@ -40,8 +41,10 @@ else:
 KeyFile = Annotated[
     AnyPath | None,
     Parameter(
-        help="Key of an encrypted gallery: a passphrase, or 64 hexadecimal digits (or the variable "
-        "SPLITKNIT_GALLERY_KEY).",
+        help=(
+            "Key of an encrypted gallery: a passphrase, or 64 hexadecimal digits (or the variable "
+            "SPLITKNIT_GALLERY_KEY)."
+        ),
     ),
 ]
 LOCAL = ("127.0.0.1", "::1", "localhost")
@@ -88,21 +91,30 @@ def identify(
     Raises
     ------
     BadInput
-        If a file cannot be used, the gallery's templates were made otherwise, the claimed person or finger is not in
-        it, or the rate was not measured.
+        If a file cannot be used, the gallery's templates were made otherwise, the claimed person or
+        finger is not in it, or the rate was not measured.
 
     Examples
     --------
     >>> import splitknit_match
-    >>> splitknit_match.identify("people.skg", "captures/unknown", top=3).candidates  # doctest: +SKIP
+    >>> answer = splitknit_match.identify("people.skg", "captures/unknown", top=3)  # doctest: +SKIP
+    >>> answer.candidates  # doctest: +SKIP
     """
     from splitknit_match.gallery.gallery import Gallery
 
     with Gallery(gallery, key) as opened:
         return opened.identify(
-            probe, top=top, person=person, finger=finger, fmr=fmr, merge=merge, input_ppi=input_ppi,
-            resolution_ppi=resolution_ppi, preset=preset, progress=progress,
-        )  # fmt: skip
+            probe,
+            top=top,
+            person=person,
+            finger=finger,
+            fmr=fmr,
+            merge=merge,
+            input_ppi=input_ppi,
+            resolution_ppi=resolution_ppi,
+            preset=preset,
+            progress=progress,
+        )
 
 
 @checked
@@ -129,7 +141,8 @@ def identify_in_gallery(
     gallery
         File of the gallery.
     probe
-        Capture folder, result folder, template (.skt), print, record of minutiae, or photograph of a finger in colour.
+        Capture folder, result folder, template (.skt), print, record of minutiae, or photograph of
+        a finger in colour.
     top
         Candidates that are reported.
     person
@@ -158,7 +171,8 @@ def identify_in_gallery(
 
     Examples
     --------
-    >>> identify_in_gallery("people.skg", "captures/unknown", top=3).facts["answer"]  # doctest: +SKIP
+    >>> answer = identify_in_gallery("people.skg", "captures/unknown", top=3)  # doctest: +SKIP
+    >>> answer.facts["answer"]  # doctest: +SKIP
     'match'
     """
     from splitknit_match.gallery.file import warn_of_gallery
@@ -167,9 +181,18 @@ def identify_in_gallery(
 
     presentation = refuse_attacks(pad, [probe], preset, progress)
     identification = identify(
-        gallery, probe, key_file, top=top, person=person, finger=finger, fmr=fmr, merge=merge, input_ppi=input_ppi,
-        preset=preset, progress=progress,
-    )  # fmt: skip
+        gallery,
+        probe,
+        key_file,
+        top=top,
+        person=person,
+        finger=finger,
+        fmr=fmr,
+        merge=merge,
+        input_ppi=input_ppi,
+        preset=preset,
+        progress=progress,
+    )
     identification = replace(identification, presentation=presentation)
     warn_of_gallery(gallery, key_file)
     if not raw:
@@ -188,7 +211,9 @@ def _opened(gallery: AnyPath, key_file: AnyPath | None) -> Iterator[Gallery]:
     warn_of_gallery(gallery, key_file)
 
 
-def gallery_list(gallery: AnyPath, *, key_file: KeyFile = None, person: str | None = None) -> Report:
+def gallery_list(
+    gallery: AnyPath, *, key_file: KeyFile = None, person: str | None = None
+) -> Report:
     """List whose fingers are in it.
 
     Parameters
@@ -222,9 +247,15 @@ def gallery_list(gallery: AnyPath, *, key_file: KeyFile = None, person: str | No
     captures = []
     for entry in entries:
         acquired = entry.template_bytes > 0
-        skin = f"{entry.area_mm2:.0f} mm²" if acquired else f"failure to acquire ({entry.failure or 'unknown'})"
+        skin = (
+            f"{entry.area_mm2:.0f} mm²"
+            if acquired
+            else f"failure to acquire ({entry.failure or 'unknown'})"
+        )
         lines.append(f"{entry.person:24} {entry.finger:13} {entry.session:8} {entry.kind:9} {skin}")
-        captures.append({**asdict(entry), "acquired": acquired, "enrolled_at": entry.enrolled_at or None})
+        captures.append(
+            {**asdict(entry), "acquired": acquired, "enrolled_at": entry.enrolled_at or None}
+        )
     return Report({"gallery": str(gallery), "captures": captures}, tuple(lines))
 
 
@@ -268,7 +299,10 @@ def gallery_info(gallery: AnyPath, *, key_file: KeyFile = None) -> Report:
         facts,
         (
             f"{gallery}: a gallery of version {VERSION}, {locked}.",
-            f"{count(facts['captures'], 'capture')} of {count(facts['fingers'], 'finger')} of {people}.",
+            (
+                f"{count(facts['captures'], 'capture')} of {count(facts['fingers'], 'finger')} of"
+                f" {people}."
+            ),
             f"{templates}, {file_bytes / 1e6:.2f} MB in all.",
             f"{facts['failures']} of them are failures to acquire.",
         ),
@@ -317,7 +351,9 @@ def gallery_remove(
     return Report(facts, (f"Removed {count(removed, 'capture')} from {gallery}; {left} are left.",))
 
 
-def gallery_export(gallery: AnyPath, *, key_file: KeyFile = None, out: AnyPath, person: str | None = None) -> Report:
+def gallery_export(
+    gallery: AnyPath, *, key_file: KeyFile = None, out: AnyPath, person: str | None = None
+) -> Report:
     """Write all of it, not encrypted, into a folder of templates and a table.
 
     Parameters
@@ -356,7 +392,9 @@ def gallery_export(gallery: AnyPath, *, key_file: KeyFile = None, out: AnyPath, 
     )
 
 
-def gallery_import(gallery: AnyPath, folder: AnyPath, *, key_file: KeyFile = None, replace: bool = False) -> Report:
+def gallery_import(
+    gallery: AnyPath, folder: AnyPath, *, key_file: KeyFile = None, replace: bool = False
+) -> Report:
     """Put an exported folder into a gallery, which is made where there is none.
 
     Parameters
@@ -375,7 +413,8 @@ def gallery_import(gallery: AnyPath, folder: AnyPath, *, key_file: KeyFile = Non
     Raises
     ------
     BadInput
-        If the folder is no export, or a capture of the same names is there already; the gallery is then as before.
+        If the folder is no export, or a capture of the same names is there already; the gallery is
+        then as before.
 
     Examples
     --------
@@ -467,11 +506,14 @@ def _listening(host: str, port: int) -> socket.socket:
         ) from error
 
 
-def server_of(app: Any, certificate: AnyPath | None = None, certificate_key: AnyPath | None = None) -> Any:
-    """A server of an ASGI application, over TLS with a certificate chain and its private key. Raises BadInput if these
-    do not fit.
+def server_of(
+    app: Any, certificate: AnyPath | None = None, certificate_key: AnyPath | None = None
+) -> Any:
+    """A server of an ASGI application, over TLS with a certificate chain and its private key.
+    Raises BadInput if these do not fit.
 
-    Connections that bring no whole request for 20 to 40 s are closed, and more than 64 at a time are refused.
+    Connections that bring no whole request for 20 to 40 s are closed, and more than 64 at a time
+    are refused.
     """
     with importing("serving needs uvicorn: pip install 'splitknit-match[serve]'."):
         import uvicorn
@@ -486,7 +528,8 @@ def server_of(app: Any, certificate: AnyPath | None = None, certificate_key: Any
 
         def shutdown(self) -> None:
             cycle: Any = self.cycle
-            if cycle is not None and cycle.more_body and not cycle.response_complete:  # it has not come as a whole
+            # it has not come as a whole
+            if cycle is not None and cycle.more_body and not cycle.response_complete:
                 self.transport.abort()
             else:
                 super().shutdown()
@@ -499,14 +542,24 @@ def server_of(app: Any, certificate: AnyPath | None = None, certificate_key: Any
                 self.loop.call_later(serve.PATIENCE_S, self._look, cycle)
 
     config = uvicorn.Config(
-        app, log_level="warning", access_log=False, server_header=False, limit_concurrency=64, http=Impatient,
-        timeout_keep_alive=5, timeout_graceful_shutdown=10, h11_max_incomplete_event_size=65_536,
-        ssl_certfile=certificate, ssl_keyfile=certificate_key,
+        app,
+        log_level="warning",
+        access_log=False,
+        server_header=False,
+        limit_concurrency=64,
+        http=Impatient,
+        timeout_keep_alive=5,
+        timeout_graceful_shutdown=10,
+        h11_max_incomplete_event_size=65_536,
+        ssl_certfile=certificate,
+        ssl_keyfile=certificate_key,
         ssl_keyfile_password="none",  # else OpenSSL asks at the terminal
-    )  # fmt: skip
+    )
     try:
         config.load()
     except (OSError, ValueError) as error:  # OpenSSL's are OSErrors
         reason = f"'{certificate}' and '{certificate_key}' cannot be used for TLS ({error})"
-        raise BadInput(f"{reason}; name PEM files that belong together, of a key without a passphrase.") from error
+        raise BadInput(
+            f"{reason}; name PEM files that belong together, of a key without a passphrase."
+        ) from error
     return uvicorn.Server(config)

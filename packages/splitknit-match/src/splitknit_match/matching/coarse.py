@@ -1,7 +1,8 @@
-"""Where one ridge band may lie on another: correlations of both on a coarse grid, under many rotations.
+"""Where one ridge band may lie on another: correlations of both on a coarse grid, under many
+rotations.
 
-Source: Kuglin and Hines 1975, The phase correlation image alignment method; Ito et al. 2004, A fingerprint matching
-algorithm using phase-only correlation (band limit, rotation search).
+Source: Kuglin and Hines 1975, The phase correlation image alignment method; Ito et al. 2004, A
+fingerprint matching algorithm using phase-only correlation (band limit, rotation search).
 """
 
 from __future__ import annotations
@@ -27,13 +28,14 @@ _GRID_PX = (216, 216)
 _STEP_DEG = 5.0
 """Between two rotations whose directions of ridges are compared."""
 _HALF_TURN = round(180 / _STEP_DEG)
-"""Steps of half a turn. What is turned by half a turn more is the same upside down: its spectrum is conjugate, and the
-peak of a correlation with it lies one pixel further on both axes."""
+"""Steps of half a turn. What is turned by half a turn more is the same upside down: its spectrum is
+conjugate, and the peak of a correlation with it lies one pixel further on both axes."""
 _ROTATIONS = 6
-"""How many of all are tried on the ridges, each there and half a step on, to the side of the better neighbour."""
+"""How many of all are tried on the ridges, each there and half a step on, to the side of the better
+neighbour."""
 _UPRIGHT_ROTATIONS = 3
-"""So many upright ones are tried in any case: most fingers lie upright, and where little overlaps, directions alone
-find them too seldom."""
+"""So many upright ones are tried in any case: most fingers lie upright, and where little overlaps,
+directions alone find them too seldom."""
 _UPRIGHT_STEPS = 6
 """Steps to each side of no rotation that are upright."""
 _BLOCK_MM = 1.5
@@ -45,8 +47,8 @@ _WINDOW_MM = 1.05
 _CANDIDATES = 2
 """Peaks that are looked at closely."""
 _MIN_HEIGHT = 0.7
-"""Peaks lower than this fraction of the highest are not: of 2,024 pairs tried, ten of those led to another score, by at
-most 0.04, and none changed a rate."""
+"""Peaks lower than this fraction of the highest are not: of 2,024 pairs tried, ten of those led to
+another score, by at most 0.04, and none changed a rate."""
 _WHITENING = 0.5
 """Power of the magnitude that each spectrum is divided by: 0 correlates, 1 keeps phase alone."""
 _CYCLES_PER_MM = (1.2, min(3.8, 0.5 / _PITCH_MM))
@@ -103,7 +105,8 @@ class CoarseViews:
 
     @cached_property
     def poses(self) -> FloatArray:
-        """(2, A, side, side) ridges and where there are any, turned by the steps of a small print."""
+        """(2, A, side, side) ridges and where there are any, turned by the steps of a small
+        print."""
         side = int(np.ceil(np.hypot(*self.band.valid.shape) / self._step)) + 2
         angles = np.deg2rad(_POSE_STEP_DEG) * np.arange(round(360 / _POSE_STEP_DEG))
         return self._pictures(angles, (side, side))
@@ -125,13 +128,16 @@ class CoarseViews:
 
     def _pictures(self, angles_rad: Array, size: tuple[int, int]) -> FloatArray:
         pictures = self._soft, self.band.valid.astype(np.float32)
-        return np.stack([[_turned(part, angle, self._step, size) for angle in angles_rad] for part in pictures])
+        return np.stack(
+            [[_turned(part, angle, self._step, size) for angle in angles_rad] for part in pictures]
+        )
 
     @cached_property
     def directions(self) -> Spectra:
         """Spectra (3, A, rows, columns // 2 + 1) of blocks, turned by the steps of half a turn.
 
-        Cosine and sine of the doubled directions, of length at most about one, and the fraction that is valid.
+        Cosine and sine of the doubled directions, of length at most about one, and the fraction
+        that is valid.
         """
         value, valid = self.band.value, self.band.valid
         across = cv2.Sobel(value, cv2.CV_32F, 1, 0)
@@ -143,18 +149,22 @@ class CoarseViews:
         )
         power = (xx + yy)[valid]
         middle = (len(power) - 1) // 2, len(power) // 2
-        typical = float(np.partition(power, middle)[list(middle)].mean())  # np.median loads numpy.ma: 20 ms
+        # np.median loads numpy.ma: 20 ms
+        typical = float(np.partition(power, middle)[list(middle)].mean())
         total = np.maximum(xx + yy, max(0.3 * typical, 1e-12))
         field = np.stack([(xx - yy) / total, 2 * xy / total, fraction], axis=-1, dtype=np.float32)
         turned = np.empty((_HALF_TURN, *_BLOCKS, 3), dtype=np.float32)
-        for blocks, angle in zip(turned, np.deg2rad(_STEP_DEG * np.arange(_HALF_TURN, dtype=float)), strict=True):
+        for blocks, angle in zip(
+            turned, np.deg2rad(_STEP_DEG * np.arange(_HALF_TURN, dtype=float)), strict=True
+        ):
             cos, sin = np.cos(2 * angle), np.sin(2 * angle)
             view = _turned(field, angle, _BLOCK_MM / self.band.pitch_mm, _BLOCKS)
             blocks[:] = cv2.transform(view, np.array([[cos, -sin, 0], [sin, cos, 0], [0, 0, 1]]))
         return spectrum_of(np.moveaxis(turned, -1, 0))
 
     def _ridge_view(self, angle_deg: float) -> Spectra:
-        """Whitened spectrum (rows, columns // 2 + 1) of the band, turned; its centre is the grid's centre.
+        """Whitened spectrum (rows, columns // 2 + 1) of the band, turned; its centre is the grid's
+        centre.
 
         Correlated with itself, it has a peak of 1.
         """
@@ -169,7 +179,8 @@ class CoarseViews:
 
 
 def likely_alignments(a: CoarseViews, b: CoarseViews) -> list[Affine]:
-    """Best alignments of A on B, best first, at most one a rotation: by directions, then by correlation."""
+    """Best alignments of A on B, best first, at most one a rotation: by directions, then by
+    correlation."""
     upright_b = b.directions[:, :1]
     products = a.directions.conj() * upright_b, a.directions * upright_b
     scores = np.concatenate([_direction_agreement(product) for product in products])
@@ -181,9 +192,17 @@ def likely_alignments(a: CoarseViews, b: CoarseViews) -> list[Affine]:
         ]
     )
     better_side = np.where(np.roll(scores, -1)[best] >= np.roll(scores, 1)[best], 1, -1)
-    half_steps = sorted({*(2 * best).tolist(), *((2 * best + better_side) % (2 * len(scores))).tolist()})
-    peaks = sorted((_peak(a, b.ridges(), number) for number in half_steps), key=lambda peak: -peak.height)
-    return [peak.affine(a.band, b.band) for peak in peaks[:_CANDIDATES] if peak.height >= _MIN_HEIGHT * peaks[0].height]
+    half_steps = sorted(
+        {*(2 * best).tolist(), *((2 * best + better_side) % (2 * len(scores))).tolist()}
+    )
+    peaks = sorted(
+        (_peak(a, b.ridges(), number) for number in half_steps), key=lambda peak: -peak.height
+    )
+    return [
+        peak.affine(a.band, b.band)
+        for peak in peaks[:_CANDIDATES]
+        if peak.height >= _MIN_HEIGHT * peaks[0].height
+    ]
 
 
 def _angle_deg(number: int) -> float:
@@ -200,25 +219,35 @@ def _peak(a: CoarseViews, ridges: Spectra, number: int) -> _Peak:
     # of what is not upside down the spectrum is conjugate: its correlation is mirrored
     centre = np.array(_GRID_PX) // 2
     down, right = ((place + 1 if upside_down else -place) + centre) % _GRID_PX - centre
-    return _Peak(float(correlation.max()), _angle_deg(number), float(right * _PITCH_MM), float(down * _PITCH_MM))
+    return _Peak(
+        float(correlation.max()),
+        _angle_deg(number),
+        float(right * _PITCH_MM),
+        float(down * _PITCH_MM),
+    )
 
 
 def _direction_agreement(products: Spectra) -> FloatArray:
-    """(A,) largest agreement of directions over all shifts, over the root of the overlap; from (3, A, ...)."""
-    agreement, overlap = np.fft.irfft2(np.stack([products[0] + products[1], products[2]]), s=_BLOCKS)
+    """(A,) largest agreement of directions over all shifts, over the root of the overlap; from (3,
+    A, ...)."""
+    agreement, overlap = np.fft.irfft2(
+        np.stack([products[0] + products[1], products[2]]), s=_BLOCKS
+    )
     overlap = np.maximum(overlap, 0.2 * overlap.max())
     return np.asarray((agreement / np.sqrt(overlap)).reshape(len(overlap), -1).max(axis=1))
 
 
 def every_pose(a: CoarseViews, b: CoarseViews) -> list[Affine]:
-    """Alignments of a small B on A: every rotation and shift, by correlation over the root of the overlap."""
+    """Alignments of a small B on A: every rotation and shift, by correlation over the root of the
+    overlap."""
     poses, still = b.poses, a.upright
     size = (
         cv2.getOptimalDFTSize(poses.shape[2] + still.shape[1]),
         cv2.getOptimalDFTSize(poses.shape[3] + still.shape[2]),
     )
     target = spectrum_of(still, size).conj()
-    # both grids have their centres at (side - 1) / 2: where the centres fall together is not a shift
+    # both grids have their centres at (side - 1) / 2: where the centres fall together is not a
+    # shift
     offset = (np.array(still.shape[1:]) - poses.shape[2:]) / 2
     scale = (size[0] * size[1]) ** 0.5
 
@@ -237,7 +266,11 @@ def every_pose(a: CoarseViews, b: CoarseViews) -> list[Affine]:
             # shifts of B's grid beyond its own size lie to the left and above
             place = np.where(place >= poses.shape[2:], place - size, place)
             down, right = (place + offset) * _PITCH_MM
-            peaks.append(_Peak(float(height[row, column]), number * _POSE_STEP_DEG, -float(right), -float(down)))
+            peaks.append(
+                _Peak(
+                    float(height[row, column]), number * _POSE_STEP_DEG, -float(right), -float(down)
+                )
+            )
             height[max(0, row - 2) : row + 3, max(0, column - 2) : column + 3] = -np.inf
     kept: list[_Peak] = []
     for peak in sorted(peaks, key=lambda peak: -peak.height):
@@ -254,8 +287,11 @@ def inverse(affine: Affine) -> Affine:
     return np.hstack([back, -(back @ affine[:, 2])[:, None]])
 
 
-def _turned(picture: FloatArray, angle_rad: float, step_px: float, size: tuple[int, int]) -> FloatArray:
-    """`picture`, turned counter-clockwise about its centre, on a grid of `size` whose steps are `step_px`."""
+def _turned(
+    picture: FloatArray, angle_rad: float, step_px: float, size: tuple[int, int]
+) -> FloatArray:
+    """`picture`, turned counter-clockwise about its centre, on a grid of `size` whose steps are
+    `step_px`."""
     # the content turns counter-clockwise as seen (rows run down): fetch from the clockwise place
     cos, sin = step_px * np.cos(angle_rad), step_px * np.sin(angle_rad)
     x, y = (size[1] - 1) / 2, (size[0] - 1) / 2
@@ -265,7 +301,9 @@ def _turned(picture: FloatArray, angle_rad: float, step_px: float, size: tuple[i
             [sin, cos, (picture.shape[0] - 1) / 2 - sin * x - cos * y],
         ]
     )
-    return np.asarray(cv2.warpAffine(picture, source, size[::-1], flags=cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP))
+    return np.asarray(
+        cv2.warpAffine(picture, source, size[::-1], flags=cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP)
+    )
 
 
 @cache

@@ -1,7 +1,9 @@
-"""Local comparison of two ridge bands that lie about on each other: patches, each with its own small shift.
+"""Local comparison of two ridge bands that lie about on each other: patches, each with its own
+small shift.
 
-Patches lie on a grid on B. The warped A is searched around each; a shift counts only as far as the patches around agree
-with it, because skin stretches smoothly, while ridges of different fingers fit better anywhere by chance.
+Patches lie on a grid on B. The warped A is searched around each; a shift counts only as far as the
+patches around agree with it, because skin stretches smoothly, while ridges of different fingers fit
+better anywhere by chance.
 """
 
 from __future__ import annotations
@@ -46,14 +48,16 @@ _STILL = 0.05
 _ONE_MAP = np.empty(0, dtype=np.float32)
 """In place of cv2.remap's second map, where columns and rows are together in the first."""
 np.empty(1 << 21)
-"""16 MB that are never touched, freed at once: from then on glibc keeps freed memory up to this size for the next pair
-instead of returning it. Without it a pair spends half its time on the pages of its own arrays (no effect elsewhere)."""
+"""16 MB that are never touched, freed at once: from then on glibc keeps freed memory up to this
+size for the next pair instead of returning it. Without it a pair spends half its time on the pages
+of its own arrays (no effect elsewhere)."""
 
 
 def spectrum_of(values: NDArray[Any], size: tuple[int, int] | None = None) -> NDArray[np.complex64]:
     """Transform (..., rows, columns // 2 + 1) of the last two axes, over the root of their number.
 
-    numpy's transforms load a fifth of a second sooner than scipy's; without a factor they run in double precision.
+    numpy's transforms load a fifth of a second sooner than scipy's; without a factor they run in
+    double precision.
     """
     return np.asarray(np.fft.rfft2(values, s=size, norm="ortho"), dtype=np.complex64)
 
@@ -123,7 +127,9 @@ class Agreement:
         return np.asarray(np.maximum(self.correlation - _MIN_CORRELATION, 0.0) ** 2 * self.weight)
 
 
-def patch_grid(band: RidgeBand, step_mm: float = STEP_MM, search_mm: float = SEARCH_MM) -> PatchGrid:
+def patch_grid(
+    band: RidgeBand, step_mm: float = STEP_MM, search_mm: float = SEARCH_MM
+) -> PatchGrid:
     """Cut the band (H, W) into patches; those with too little valid skin are left out."""
     side = max(4, round(PATCH_MM / band.pitch_mm))
     step = max(1, round(step_mm / band.pitch_mm))
@@ -134,7 +140,9 @@ def patch_grid(band: RidgeBand, step_mm: float = STEP_MM, search_mm: float = SEA
     cell = np.indices(grid).reshape(2, -1).T
     corner = first + step * cell
     border = [(0, max(0, -int(missing))) for missing in spare]
-    fraction = _sums(np.pad(band.valid.view(np.uint8), border), side)[tuple(corner.T)] / (side * side)
+    fraction = _sums(np.pad(band.valid.view(np.uint8), border), side)[tuple(corner.T)] / (
+        side * side
+    )
     kept = fraction >= _MIN_OVERLAP
     patches = sliding_window_view(np.pad(band.value, border), (side, side))[tuple(corner[kept].T)]
     window = side + 2 * reach
@@ -153,17 +161,23 @@ def patch_grid(band: RidgeBand, step_mm: float = STEP_MM, search_mm: float = SEA
     )
 
 
-def compare_patches(patches: PatchGrid, a: RidgeBand, b_from: Affine, bend: FloatArray | None = None) -> Agreement:
-    """Lay A (H, W) on B's patches by `b_from`, bent by what :func:`bent` adds, and search around each."""
+def compare_patches(
+    patches: PatchGrid, a: RidgeBand, b_from: Affine, bend: FloatArray | None = None
+) -> Agreement:
+    """Lay A (H, W) on B's patches by `b_from`, bent by what :func:`bent` adds, and search around
+    each."""
     side, reach = patches.side, patches.reach
     window = side + 2 * reach
     height, width = (patches.corner.max(axis=0, initial=0) + window).tolist()
     moved = b_from.copy()
-    moved[:, 2] -= b_from[:, :2] @ np.array([reach, reach])  # a border of the search's reach around B
+    # a border of the search's reach around B
+    moved[:, 2] -= b_from[:, :2] @ np.array([reach, reach])
     if bend is None:
         inverse = cv2.WARP_INVERSE_MAP
         value = cv2.warpAffine(a.value, moved, (width, height), flags=cv2.INTER_LINEAR | inverse)
-        valid = cv2.warpAffine(a.valid.view(np.uint8), moved, (width, height), flags=cv2.INTER_NEAREST | inverse)
+        valid = cv2.warpAffine(
+            a.valid.view(np.uint8), moved, (width, height), flags=cv2.INTER_NEAREST | inverse
+        )
     else:
         source = bent_places(patches, (height, width), moved, bend, reach)
         value = cv2.remap(a.value, source, _ONE_MAP, cv2.INTER_LINEAR)
@@ -182,14 +196,17 @@ def compare_patches(patches: PatchGrid, a: RidgeBand, b_from: Affine, bend: Floa
     surface = np.fft.irfft(np.fft.ifft(product, axis=1)[:, :count], n=window, axis=2)[:, :, :count]
     energy = sliding_window_view(_sums(value * value, side), (count, count))[corner]
     floor = 0.05 * side * side
-    surface = surface / np.sqrt(np.maximum(energy, floor) * np.maximum(patches.energy[used], floor)[:, None, None])
+    surface = surface / np.sqrt(
+        np.maximum(energy, floor) * np.maximum(patches.energy[used], floor)[:, None, None]
+    )
     support = _supported(surface, patches.cell[used], patches.grid, common[used])
     shift, correlation = _peak(support, surface)
     return Agreement(used, correlation, shift, common[used].astype(np.float32))
 
 
 def better_affine(patches: PatchGrid, agreement: Agreement, b_from: Affine) -> Affine:
-    """Affine map that follows the patches' shifts, robustly; patches that correlate weakly count little."""
+    """Affine map that follows the patches' shifts, robustly; patches that correlate weakly count
+    little."""
     weight = agreement.firmness
     if int((weight > 0.01).sum()) < 6:
         return b_from
@@ -203,21 +220,28 @@ def better_affine(patches: PatchGrid, agreement: Agreement, b_from: Affine) -> A
     ridge_penalty = np.diag([0.09, 0.09, 0.0])
     for _ in range(4):
         weighted = design.T * robust
-        solution = np.linalg.solve(weighted @ design + robust.sum() * ridge_penalty, weighted @ agreement.shift)
+        solution = np.linalg.solve(
+            weighted @ design + robust.sum() * ridge_penalty, weighted @ agreement.shift
+        )
         residual = np.linalg.norm(design @ solution - agreement.shift, axis=1)
         robust = weight / (1.0 + (residual / near) ** 2)
     # A's content must move by s(p): B's position p then shows A at b_from(p - s(p))
     linear = solution[:2].T / span
     offset = solution[2] - linear @ centre
-    return np.hstack([b_from[:, :2] @ (np.eye(2) - linear), (b_from[:, 2] - b_from[:, :2] @ offset)[:, None]])
+    return np.hstack(
+        [b_from[:, :2] @ (np.eye(2) - linear), (b_from[:, 2] - b_from[:, :2] @ offset)[:, None]]
+    )
 
 
 def bent(patches: PatchGrid, agreement: Agreement, bend: FloatArray | None = None) -> FloatArray:
-    """Smooth shifts (rows, columns, 2) of the grid's patches, columns and rows in pixels, added to those before.
+    """Smooth shifts (rows, columns, 2) of the grid's patches, columns and rows in pixels, added to
+    those before.
 
     Patches that correlate weakly count little; where none is near, the shift fades out.
     """
-    step = _smoothed(patches.grid, tuple(patches.cell[agreement.used].T), agreement.shift, agreement.firmness)
+    step = _smoothed(
+        patches.grid, tuple(patches.cell[agreement.used].T), agreement.shift, agreement.firmness
+    )
     return step if bend is None else bend + step
 
 
@@ -227,7 +251,9 @@ def bent_by(patches: PatchGrid, position: Positions, shift: Positions) -> FloatA
     return _smoothed(patches.grid, patches.nearest(position), shift, firm)
 
 
-def _smoothed(grid: tuple[int, int], cell: tuple[Indices, ...], shift: Positions, weight: FloatArray) -> FloatArray:
+def _smoothed(
+    grid: tuple[int, int], cell: tuple[Indices, ...], shift: Positions, weight: FloatArray
+) -> FloatArray:
     total = np.zeros((*grid, 3), dtype=np.float32)
     np.add.at(total, cell, np.column_stack([shift * weight[:, None], weight]).astype(np.float32))
     total = np.asarray(cv2.GaussianBlur(total, (0, 0), _SMOOTH, borderType=cv2.BORDER_CONSTANT))
@@ -244,11 +270,15 @@ def bent_places(
     scale = 1 / patches.step
     to_grid = np.column_stack([scale * np.eye(2), -(patches.origin + border) * scale])
     flags = cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
-    places -= cv2.warpAffine(bend, to_grid, size[::-1], flags=flags, borderMode=cv2.BORDER_REPLICATE)
+    places -= cv2.warpAffine(
+        bend, to_grid, size[::-1], flags=flags, borderMode=cv2.BORDER_REPLICATE
+    )
     return np.asarray(cv2.transform(places, b_from))
 
 
-def shown_in_a(patches: PatchGrid, b_from: Affine, bend: FloatArray | None, position: Positions) -> Positions:
+def shown_in_a(
+    patches: PatchGrid, b_from: Affine, bend: FloatArray | None, position: Positions
+) -> Positions:
     """(N, 2) column and row in A of positions (N, 2) in B."""
     if bend is not None:
         position = position - bend[patches.nearest(position)]
@@ -258,7 +288,8 @@ def shown_in_a(patches: PatchGrid, b_from: Affine, bend: FloatArray | None, posi
 def overlap_correlation(
     patches: PatchGrid, a: RidgeBand, b: RidgeBand, b_from: Affine, bend: FloatArray
 ) -> tuple[float, float]:
-    """Correlation of all that both show where A, bent, is laid on B, without any further search; and its area, mm2."""
+    """Correlation of all that both show where A, bent, is laid on B, without any further search;
+    and its area, mm2."""
     source = bent_places(patches, (b.valid.shape[0], b.valid.shape[1]), b_from, bend)
     common = (cv2.remap(a.valid.view(np.uint8), source, _ONE_MAP, cv2.INTER_NEAREST) > 0) & b.valid
     in_a = cv2.remap(a.value, source, _ONE_MAP, cv2.INTER_LINEAR)[common]
@@ -268,15 +299,21 @@ def overlap_correlation(
 
 
 def rigid(a: RidgeBand, b: RidgeBand, angle_rad: float, right_mm: float, down_mm: float) -> Affine:
-    """B's position to A's, when A is turned counter-clockwise about its centre, which then lies so far from B's."""
+    """B's position to A's, when A is turned counter-clockwise about its centre, which then lies so
+    far from B's."""
     centre_a = (np.array(a.valid.shape[::-1]) - 1) / 2
-    centre_b = (np.array(b.valid.shape[::-1]) - 1) / 2 + (right_mm / a.pitch_mm, down_mm / a.pitch_mm)
+    centre_b = (np.array(b.valid.shape[::-1]) - 1) / 2 + (
+        right_mm / a.pitch_mm,
+        down_mm / a.pitch_mm,
+    )
     cos, sin = np.cos(angle_rad), np.sin(angle_rad)
     turn = np.array([[cos, -sin], [sin, cos]])
     return np.hstack([turn, (centre_a - turn @ centre_b)[:, None]])
 
 
-def _supported(surface: FloatArray, cell: Indices, grid: tuple[int, int], weight: FloatArray) -> FloatArray:
+def _supported(
+    surface: FloatArray, cell: Indices, grid: tuple[int, int], weight: FloatArray
+) -> FloatArray:
     """Correlation of each patch and, half as much, of its eight neighbours, for each shift."""
     board = np.zeros((grid[0] + 2, grid[1] + 2, *surface.shape[1:]), dtype=np.float32)
     board[cell[:, 0] + 1, cell[:, 1] + 1] = surface * weight[:, None, None]
@@ -286,7 +323,8 @@ def _supported(surface: FloatArray, cell: Indices, grid: tuple[int, int], weight
 
 
 def _peak(support: FloatArray, surface: FloatArray) -> tuple[Positions, FloatArray]:
-    """Shift (columns, rows) of the best support, by parabolas to a fraction of a pixel, and the correlation there."""
+    """Shift (columns, rows) of the best support, by parabolas to a fraction of a pixel, and the
+    correlation there."""
     count = surface.shape[1]
     best = support.reshape(len(support), -1).argmax(axis=1)
     row, column = np.divmod(best, count)
@@ -312,6 +350,11 @@ def _peak(support: FloatArray, surface: FloatArray) -> tuple[Positions, FloatArr
 def _sums(image: NDArray[Any], side: int) -> FloatArray:
     """Sum over the square of `side` pixels that begins at each pixel."""
     total = cv2.boxFilter(
-        image, cv2.CV_32F, (side, side), anchor=(0, 0), normalize=False, borderType=cv2.BORDER_CONSTANT
+        image,
+        cv2.CV_32F,
+        (side, side),
+        anchor=(0, 0),
+        normalize=False,
+        borderType=cv2.BORDER_CONSTANT,
     )
     return np.asarray(total, dtype=np.float32)

@@ -1,7 +1,8 @@
 """Ridges and minutiae of two prints as one score: a log-likelihood ratio.
 
-Its constants come of simulated presses; those of small prints, of windows of real ones. Both propose how one print lies
-on the other; the best alignment is bent until the ridges agree, smoothly as skin stretches, and what agrees is counted.
+Its constants come of simulated presses; those of small prints, of windows of real ones. Both
+propose how one print lies on the other; the best alignment is bent until the ridges agree, smoothly
+as skin stretches, and what agrees is counted.
 """
 
 from __future__ import annotations
@@ -27,38 +28,51 @@ from splitknit_match.matching.elastic import (
     shown_in_a,
 )
 from splitknit_match.matching.minutia_pairs import Pairing, agreeing, on_ridges, pair_minutiae
-from splitknit_match.matching.ridge import Prepared, RidgeMatch, placed, prepared, refined, ridge_match, scored
+from splitknit_match.matching.ridge import (
+    Prepared,
+    RidgeMatch,
+    placed,
+    prepared,
+    refined,
+    ridge_match,
+    scored,
+)
 from splitknit_match.matching.template import Template, scaled
 from splitknit_match.prints.minutiae_record import pack_minutiae
 
 _BENDS = 2
 """Times that the shifts of patches are smoothed and followed."""
 _PER_MINUTIA = 0.1
-"""What an agreeing minutia counts when alignments are compared, beside correlation times the root of the patches."""
-# Slopes and offsets of logistic regressions, both classes of equal weight, on simulated presses alone: `fitted` in
-# validation/match/fvc.json, made by validation/match/fvc.py --fit.
+"""What an agreeing minutia counts when alignments are compared, beside correlation times the root
+of the patches."""
+# Slopes and offsets of logistic regressions, both classes of equal weight, on simulated presses
+# alone: `fitted` in validation/match/fvc.json, made by validation/match/fvc.py --fit.
 BY_BOTH = (3.7198, 18.8171, -9.6266)
-"""Of agreeing minutiae, correlation, offset; the offset is also the score where nothing was compared."""
+"""Of agreeing minutiae, correlation, offset; the offset is also the score where nothing was
+compared."""
 BY_MINUTIAE = (0.9498, -4.6929)
 """Of the support of an alignment by minutiae alone, offset."""
 BY_OVERLAP = (8.4813, 0.5001, -5.6423)
 """Of correlation, that times the root of the area, offset."""
 BY_OVERLAP_AND_MINUTIAE = (4.8715, 8.1117, 0.5104, -6.1373)
-"""Of agreeing minutiae, and the same. Both on windows of real prints: `fitted` in validation/match/windows.json."""
+"""Of agreeing minutiae, and the same. Both on windows of real prints: `fitted` in
+validation/match/windows.json."""
 SMALL_MM2 = 100.0
 """A print that shows less is small: tried in every pose, and rated by what overlaps."""
 _POSES_BENT = 3
 """Poses of a small print that are bent."""
 SURE = 9.0
-"""Support of an alignment from which ridges propose none: 429 of 544 matching pairs of real prints have it, none of the
-14,000 pairs of other fingers that are most similar by minutiae (``validation/gallery/index.py``)."""
+"""Support of an alignment from which ridges propose none: 429 of 544 matching pairs of real prints
+have it, none of the 14,000 pairs of other fingers that are most similar by minutiae
+(``validation/gallery/index.py``)."""
 SCALES = (1.0, 0.94, 1.06, 0.88, 1.12)
-"""Of a photograph, relative to that at which its ridges lie as far apart as the other side's do, which is wrong by 7 %
-(standard deviation)."""
+"""Of a photograph, relative to that at which its ridges lie as far apart as the other side's do,
+which is wrong by 7 % (standard deviation)."""
 _MAX_LOG_SCALE = 0.15
 """Natural logarithm of what is believed of that scale, at most."""
 _ONE_LOG_SCALE = 0.06
-"""Natural logarithm of a difference in the distance of ridges that says nothing: pairs of one finger have 0.03."""
+"""Natural logarithm of a difference in the distance of ridges that says nothing: pairs of one
+finger have 0.03."""
 _LOG_FREQUENCIES = np.linspace(np.log(1 / 0.9), np.log(1 / 0.28), 41)
 """Logarithms of the ridges that lie in a millimetre."""
 _FEW = 9.0
@@ -70,14 +84,15 @@ class _FusedMatch:
     """How similar two prints are."""
 
     similarity: float
-    """Natural logarithm of the likelihood ratio; that of the lowest scores where neither method could compare."""
+    """Natural logarithm of the likelihood ratio; that of the lowest scores where neither method
+    could compare."""
     minutiae: float | None
     """About how many pairs of minutiae support each other; None where a side has fewer than ten."""
     ridge: RidgeMatch
     evidence: tuple[float, float, float, float]
-    """What the score is made of: agreeing minutiae over the root of those that could agree and nine more, correlation
-    of the bent ridges, `minutiae`; of a small print or one without minutiae also the area that overlaps, mm2; NaN where
-    there is none."""
+    """What the score is made of: agreeing minutiae over the root of those that could agree and nine
+    more, correlation of the bent ridges, `minutiae`; of a small print or one without minutiae also
+    the area that overlaps, mm2; NaN where there is none."""
 
     @property
     def compared(self) -> bool:
@@ -90,29 +105,37 @@ def can_fuse(*templates: Template) -> bool:
     return all(template.minutiae is not None for template in templates)
 
 
-def with_fusion(templates: Iterable[Template], probe: Template | None = None) -> tuple[bool, str | None]:
-    """Whether some templates (with each other, or with a probe) are compared by :func:`fused_match`, and a note.
+def with_fusion(
+    templates: Iterable[Template], probe: Template | None = None
+) -> tuple[bool, str | None]:
+    """Whether some templates (with each other, or with a probe) are compared by
+    :func:`fused_match`, and a note.
 
-    They are if one of them (and the probe) holds minutiae. What holds none is compared by its ridges, on the same
-    scale; the note counts such templates.
+    They are if one of them (and the probe) holds minutiae. What holds none is compared by its
+    ridges, on the same scale; the note counts such templates.
     """
     held = [can_fuse(template) for template in templates]
     fused = any(held) and (probe is None or can_fuse(probe))
     if not fused or all(held):
         return fused, None
-    return True, (
-        f"{held.count(False)} of {len(held)} templates hold no minutiae of this version; they were compared by their "
-        "ridges alone, on the same scale."
+    return (
+        True,
+        (
+            f"{held.count(False)} of {len(held)} templates hold no minutiae of this version; they"
+            " were compared by their ridges alone, on the same scale."
+        ),
     )
 
 
-def fused_match(a: Template | Prepared, b: Template | Prepared, sure: float | None = None) -> _FusedMatch:
+def fused_match(
+    a: Template | Prepared, b: Template | Prepared, sure: float | None = None
+) -> _FusedMatch:
     """Compare two prints by their ridges and their minutiae.
 
     Raises BadInput as :func:`splitknit_match.matching.ridge.ridge_match`.
 
-    `a`, `b`: with minutiae, as :func:`splitknit_match.matching.inputs.print_template` makes them; `sure`: support of an
-    alignment by minutiae from which ridges propose none (default: SURE).
+    `a`, `b`: with minutiae, as :func:`splitknit_match.matching.inputs.print_template` makes them;
+    `sure`: support of an alignment by minutiae from which ridges propose none (default: SURE).
     """
     a, b = prepared(a), prepared(b)
     areas_mm2 = a.template.area_mm2, b.template.area_mm2
@@ -120,7 +143,9 @@ def fused_match(a: Template | Prepared, b: Template | Prepared, sure: float | No
     by_area = small and areas_mm2[0] != areas_mm2[1]
     swapped = areas_mm2[0] < areas_mm2[1] if by_area else _order(a) > _order(b)
     left, right = (b, a) if swapped else (a, b)
-    many = all(side.template.minutiae is not None and side.template.minutiae.acquired for side in (a, b))
+    many = all(
+        side.template.minutiae is not None and side.template.minutiae.acquired for side in (a, b)
+    )
     pairings: list[Pairing] = []
     minutiae = None
     if (many or small) and left.cylinders is not None and right.cylinders is not None:
@@ -141,15 +166,17 @@ def fused_match(a: Template | Prepared, b: Template | Prepared, sure: float | No
         count, possible = _agreeing_minutiae(left, right, best.patches, best.affine, best.bend)
         fraction = count / math.sqrt(possible + _FEW)
     elif not small:
-        correlation, overlap_mm2 = overlap_correlation(best.patches, left.band, right.band, best.affine, best.bend)
+        correlation, overlap_mm2 = overlap_correlation(
+            best.patches, left.band, right.band, best.affine, best.bend
+        )
     evidence = fraction, correlation, support, overlap_mm2
     ridge = placed(best.ridge, inverse(best.affine) if swapped else best.affine, a, b)
     return _FusedMatch(fused_score(*evidence), minutiae, ridge, evidence)
 
 
 def fused_photo(a: Prepared, b: Prepared, photos: Sequence[bool]) -> tuple[_FusedMatch, float, int]:
-    """Compare a photograph of assumed scale at several, about that at which both have the same distance of ridges; the
-    best match, its scale, and which side (0, 1) has it.
+    """Compare a photograph of assumed scale at several, about that at which both have the same
+    distance of ridges; the best match, its scale, and which side (0, 1) has it.
 
     `photos`: which sides are photographs; of two, one is scaled.
     """
@@ -168,8 +195,8 @@ def fused_photo(a: Prepared, b: Prepared, photos: Sequence[bool]) -> tuple[_Fuse
 
 
 def at_one_scale(a: Template, b: Template) -> tuple[Template, Template, float] | None:
-    """Two prints, the one with the finer ridges enlarged until those of both lie equally far apart, and by how much;
-    None where they do as they are, within 6 %."""
+    """Two prints, the one with the finer ridges enlarged until those of both lie equally far apart,
+    and by how much; None where they do as they are, within 6 %."""
     finer = _log_frequency(a) - _log_frequency(b)
     if abs(finer) < _ONE_LOG_SCALE:
         return None
@@ -178,7 +205,8 @@ def at_one_scale(a: Template, b: Template) -> tuple[Template, Template, float] |
 
 
 def _log_frequency(template: Template) -> float:
-    """Logarithm of the usual number of ridges in a millimetre, by the power spectrum; 0 of an empty template."""
+    """Logarithm of the usual number of ridges in a millimetre, by the power spectrum; 0 of an empty
+    template."""
     if template.empty:
         return 0.0
     value = template.value()
@@ -191,7 +219,9 @@ def _log_frequency(template: Template) -> float:
     return float(peak @ middles / max(float(peak.sum()), 1e-30))
 
 
-def fused_score(agreeing_minutiae: float, correlation: float, support: float, overlap_mm2: float) -> float:
+def fused_score(
+    agreeing_minutiae: float, correlation: float, support: float, overlap_mm2: float
+) -> float:
     """Log-likelihood ratio by both kinds of evidence, or by what is not NaN."""
     if math.isnan(correlation):
         return BY_MINUTIAE[0] * support + BY_MINUTIAE[1] if support > 0 else BY_BOTH[2]
@@ -201,7 +231,12 @@ def fused_score(agreeing_minutiae: float, correlation: float, support: float, ov
     if math.isnan(agreeing_minutiae):
         return BY_OVERLAP[0] * correlation + BY_OVERLAP[1] * over_area + BY_OVERLAP[2]
     weights = BY_OVERLAP_AND_MINUTIAE
-    return weights[0] * agreeing_minutiae + weights[1] * correlation + weights[2] * over_area + weights[3]
+    return (
+        weights[0] * agreeing_minutiae
+        + weights[1] * correlation
+        + weights[2] * over_area
+        + weights[3]
+    )
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -218,7 +253,9 @@ class _Alignment:
 
 def _best_alignment(a: Prepared, b: Prepared, pairings: list[Pairing], sure: float) -> _Alignment:
     """The alignment that ridges and minutiae agree on best."""
-    starts: list[tuple[Affine, Pairing | None]] = [(pairing.affine(a.band, b.band), pairing) for pairing in pairings]
+    starts: list[tuple[Affine, Pairing | None]] = [
+        (pairing.affine(a.band, b.band), pairing) for pairing in pairings
+    ]
     if not pairings or pairings[0].support < sure:
         starts = [(affine, None) for affine in likely_alignments(a.views, b.views)] + starts
     tried = []
@@ -240,7 +277,8 @@ def _best_alignment(a: Prepared, b: Prepared, pairings: list[Pairing], sure: flo
 
 
 def _best_pose(a: Prepared, b: Prepared, pairings: list[Pairing]) -> _Alignment:
-    """How a small B lies on A: the bent pose whose ridges agree best, for the area that they cover."""
+    """How a small B lies on A: the bent pose whose ridges agree best, for the area that they
+    cover."""
     starts = every_pose(a.views, b.views) + [pairing.affine(a.band, b.band) for pairing in pairings]
     agreements = [(compare_patches(b.close, a.band, start), start) for start in starts]
     agreements.sort(key=lambda pose: -pose[0].evidence)
@@ -254,7 +292,11 @@ def _best_pose(a: Prepared, b: Prepared, pairings: list[Pairing]) -> _Alignment:
 
 
 def _followed(
-    a: Prepared, patches: PatchGrid, affine: Affine, agreement: Agreement, bend: FloatArray | None = None
+    a: Prepared,
+    patches: PatchGrid,
+    affine: Affine,
+    agreement: Agreement,
+    bend: FloatArray | None = None,
 ) -> tuple[Agreement, FloatArray]:
     """Patches after their shifts were smoothed and followed, and these shifts."""
     for _ in range(_BENDS):
@@ -278,7 +320,8 @@ def _order(side: Prepared) -> tuple[bytes, bytes]:
 def _agreeing_minutiae(
     a: Prepared, b: Prepared, patches: PatchGrid, affine: Affine, bend: FloatArray | None
 ) -> tuple[float, float]:
-    """How many minutiae agree where B lies so on A, and of how many (geometric mean of both sides)."""
+    """How many minutiae agree where B lies so on A, and of how many (geometric mean of both
+    sides)."""
     assert a.cylinders is not None
     assert b.cylinders is not None
     in_a: Positions = shown_in_a(patches, affine, bend, b.pixels(b.cylinders.place))
@@ -288,5 +331,7 @@ def _agreeing_minutiae(
     offset_mm = (in_a - (np.array(a.template.valid.shape[::-1]) - 1) / 2) * a.template.pitch_mm
     place = (offset_mm[:, 0] - 1j * offset_mm[:, 1])[shown_by_a]
     angle = math.atan2(affine[1, 0] - affine[0, 1], affine[0, 0] + affine[1, 1])
-    count = agreeing((place, (b.cylinders.turn - angle)[shown_by_a]), (a.cylinders.place, a.cylinders.turn))
+    count = agreeing(
+        (place, (b.cylinders.turn - angle)[shown_by_a]), (a.cylinders.place, a.cylinders.turn)
+    )
     return count, math.sqrt(float(shown_by_a.sum()) * float(shown_by_b.sum()))

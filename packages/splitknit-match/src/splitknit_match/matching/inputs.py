@@ -1,4 +1,5 @@
-"""What is matched, as it comes: captures, results, templates, prints, and minutiae of other systems."""
+"""What is matched, as it comes: captures, results, templates, prints, and minutiae of other
+systems."""
 
 from __future__ import annotations
 
@@ -49,7 +50,8 @@ _MINUTIAE_PER_MM2 = (0.015, 1.0)
 _JUDGED_MM2 = 100.0
 """Area from which on they are counted."""
 _LEAST_OF_PRINTS_MM2 = LEAST_MM2 / 3
-"""Of a print a third of the area suffices that surfaces need: small sensors show little, and show it sharply."""
+"""Of a print a third of the area suffices that surfaces need: small sensors show little, and show
+it sharply."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -102,7 +104,8 @@ Held = Reconstruction | Capture | Pixels | bytes
 
 
 def held(finger: Any, resolution_ppi: float | None = None) -> Path | Held:
-    """A finger as a caller has it: a path, other objects, or the pixels (H, W) of a print, of a known resolution.
+    """A finger as a caller has it: a path, other objects, or the pixels (H, W) of a print, of a
+    known resolution.
 
     Raises BadInput if it is nothing of these, or pixels come without their resolution.
     """
@@ -111,17 +114,23 @@ def held(finger: Any, resolution_ppi: float | None = None) -> Path | Held:
     if not isinstance(finger, np.ndarray):
         require(
             isinstance(finger, Held),
-            "a finger is a path, a Reconstruction, a Capture, an array (H, W) uint8 with `resolution_ppi`, or bytes of "
-            f"a template, not {type(finger).__name__}.",
+            "a finger is a path, a Reconstruction, a Capture, an array (H, W) uint8 with"
+            f" `resolution_ppi`, or bytes of a template, not {type(finger).__name__}.",
         )
         return finger  # type: ignore[no-any-return]
     require(
         finger.ndim == 2 and finger.dtype == np.uint8,
-        f"the array of a print must be (H, W) uint8, ridges dark, but it is {finger.shape} {finger.dtype}.",
+        f"the array of a print must be (H, W) uint8, ridges dark, but it is {finger.shape}"
+        f" {finger.dtype}.",
     )
     if resolution_ppi is None:
-        raise BadInput("an array of pixels does not state its resolution; give it: `resolution_ppi` 500.")
-    require(200 <= resolution_ppi <= 5080, f"`resolution_ppi` must lie in 200 to 5080, but it is {resolution_ppi:g}.")
+        raise BadInput(
+            "an array of pixels does not state its resolution; give it: `resolution_ppi` 500."
+        )
+    require(
+        200 <= resolution_ppi <= 5080,
+        f"`resolution_ppi` must lie in 200 to 5080, but it is {resolution_ppi:g}.",
+    )
     return Pixels(np.ascontiguousarray(finger), float(resolution_ppi))
 
 
@@ -133,14 +142,18 @@ def read_side(  # noqa: PLR0911 - one for each kind
     *,
     where: PhotoFinger | None = None,
 ) -> Side:
-    """Read one side, whatever it is, and make its template; `input_ppi` as for prints in ``prints.from_file``.
+    """Read one side, whatever it is, and make its template; `input_ppi` as for prints in
+    ``prints.from_file``.
 
-    `where`: which finger of a photograph. Raises BadInput if it is none of these, or cannot be read, or no photograph
-    though `where` chooses.
+    `where`: which finger of a photograph. Raises BadInput if it is none of these, or cannot be
+    read, or no photograph though `where` chooses.
     """
     if where is not None and where.given:
         name = f"'{finger}'" if isinstance(finger, Path) else "what is not a file"
-        require(is_photo(finger), f"`mask` and `box` choose the finger of a photograph in colour; {name} is none.")
+        require(
+            is_photo(finger),
+            f"`mask` and `box` choose the finger of a photograph in colour; {name} is none.",
+        )
     if isinstance(finger, bytes):
         return _template_side(Path("template"), finger)
     if isinstance(finger, Pixels):
@@ -156,8 +169,8 @@ def read_side(  # noqa: PLR0911 - one for each kind
     progress(f"reading {finger.name}", 0.1)
     require(
         os.path.exists(finger),  # noqa: PTH110 - false, no error, where no file can have such a name
-        f"there is no '{finger}'; name a capture folder, a result folder, a template (.skt), a print "
-        "or a record of minutiae.",
+        f"there is no '{finger}'; name a capture folder, a result folder, a template (.skt), a"
+        " print or a record of minutiae.",
     )
     if finger.is_dir():
         return _folder_side(finger, preset, progress)
@@ -172,9 +185,13 @@ def read_side(  # noqa: PLR0911 - one for each kind
 
     photo = fingerphoto(finger)
     if photo is not None:
-        source = read_fingerphoto(finger, None if input_ppi is None else input_ppi / 25.4, where, photo)
+        source = read_fingerphoto(
+            finger, None if input_ppi is None else input_ppi / 25.4, where, photo
+        )
         template = print_template(source.flat, pressed=source.pressed)
-        return Side(finger, "photo", None, template, source.flat, note=source.scale, quality=source.quality)
+        return Side(
+            finger, "photo", None, template, source.flat, note=source.scale, quality=source.quality
+        )
     record = read_one_finger(finger, input_ppi)
     if isinstance(record, FingerView):
         return naming(finger, lambda: Side(finger, "minutiae", minutiae=minutiae_of(record)))
@@ -184,12 +201,17 @@ def read_side(  # noqa: PLR0911 - one for each kind
 def _folder_side(folder: Path, preset: str, progress: Progress) -> Side:
     """What ``splitknit print`` or ``reconstruct`` wrote, or a capture."""
     if (folder / "map.npz").is_file() and (folder / "print.png").is_file():
-        from splitknit_match.prints.from_file import minutiae_of, read_print_folder, resolution_doubt
+        from splitknit_match.prints.from_file import (
+            minutiae_of,
+            read_print_folder,
+            resolution_doubt,
+        )
 
         picture, view = read_print_folder(folder)
         report = folder / "report.json"
         about = read_json(report)[0] if report.is_file() else {}
-        measured = about.get("method", "file") != "file" and about.get("scale") is None  # by a calibrated camera
+        # by a calibrated camera
+        measured = about.get("method", "file") != "file" and about.get("scale") is None
         doubt = "" if measured else resolution_doubt(picture)
         return _print_side(folder, picture, doubt, None if view is None else minutiae_of(view))
     if (folder / "height.npz").is_file():
@@ -199,8 +221,8 @@ def _folder_side(folder: Path, preset: str, progress: Progress) -> Side:
 
     require(
         (folder / "capture.json").is_file(),
-        f"'{folder}' is neither a result (height.npz), a capture (capture.json) nor a print (print.png); name one "
-        f"{photographs_hint(folder)}.",
+        f"'{folder}' is neither a result (height.npz), a capture (capture.json) nor a print"
+        f" (print.png); name one {photographs_hint(folder)}.",
     )
     capture = read_capture(folder)
     result = naming(folder, lambda: _reconstructed(capture, preset, progress))
@@ -222,12 +244,17 @@ def _print_side(path: Path, item: PrintFile, doubt: str, minutiae: Minutiae | No
 
     image = naming(path, lambda: print_at_500_ppi(item)).image
     template = naming(path, lambda: print_template(image))
-    return Side(path, "print", None, template, image, minutiae, note=item.note or None, doubt=doubt or None)
+    return Side(
+        path, "print", None, template, image, minutiae, note=item.note or None, doubt=doubt or None
+    )
 
 
 def undoubted(side: Side) -> Side:
     """The side, whose template is to be kept. Raises BadInput if its resolution cannot be right."""
-    require(side.doubt is None, f"{side.path}: {side.doubt} Nothing is kept of it; give the true resolution.")
+    require(
+        side.doubt is None,
+        f"{side.path}: {side.doubt} Nothing is kept of it; give the true resolution.",
+    )
     return side
 
 
@@ -248,14 +275,19 @@ def is_of_minutiae(path: Path | Held) -> bool:
         return False
     with open_file(path, 1 << 50) as (stream, _):
         first = stream.read(HEADER_BYTES + 4)
-    return first[:4] == b"FMR\0" or (first.startswith(MAGIC) and holds_minutiae(first[HEADER_BYTES:]))
+    return first[:4] == b"FMR\0" or (
+        first.startswith(MAGIC) and holds_minutiae(first[HEADER_BYTES:])
+    )
 
 
-def print_template(image: NDArray[np.uint8], ppi: float = PPI, *, pressed: PressedRidges | None = None) -> Template:
-    """Template of a print (H, W), ridges dark, with its minutiae, as ``splitknit print`` finds them.
+def print_template(
+    image: NDArray[np.uint8], ppi: float = PPI, *, pressed: PressedRidges | None = None
+) -> Template:
+    """Template of a print (H, W), ridges dark, with its minutiae, as ``splitknit print`` finds
+    them.
 
-    `pressed`: ridges of a photograph, which are taken in place of the picture: its noise is as strong as they are.
-    Raises BadInput as :func:`splitknit_match.matching.ridge_band.print_band`.
+    `pressed`: ridges of a photograph, which are taken in place of the picture: its noise is as
+    strong as they are. Raises BadInput as :func:`splitknit_match.matching.ridge_band.print_band`.
     """
     from splitknit.io.prints import PrintFile  # templates of others need none of these
     from splitknit_match.prints.from_file import pressed_print
@@ -263,7 +295,11 @@ def print_template(image: NDArray[np.uint8], ppi: float = PPI, *, pressed: Press
     from splitknit_match.prints.pressed import pressed_ridges
 
     image = at_500_ppi(image, ppi)
-    inside, minutiae, lacks = np.zeros(image.shape, dtype=bool), no_minutiae((image.shape[0], image.shape[1])), ""
+    inside, minutiae, lacks = (
+        np.zeros(image.shape, dtype=bool),
+        no_minutiae((image.shape[0], image.shape[1])),
+        "",
+    )
     with contextlib.suppress(BadInput):  # no ridges: a failure to acquire
         ridges = pressed or pressed_ridges(image)
         lacks = ridges.lacks
@@ -273,7 +309,9 @@ def print_template(image: NDArray[np.uint8], ppi: float = PPI, *, pressed: Press
         area_mm2 = float(inside.sum()) * (25.4 / PPI) ** 2
         low, high = (rate * area_mm2 for rate in _MINUTIAE_PER_MM2)
         if area_mm2 >= _JUDGED_MM2 and not low < minutiae.count < high:
-            lacks = f"no print of a finger: {minutiae.count} lines end or fork on {area_mm2:.0f} mm²"
+            lacks = (
+                f"no print of a finger: {minutiae.count} lines end or fork on {area_mm2:.0f} mm²"
+            )
         image = image if pressed is None else pressed.image
     if lacks:
         return replace(failed_template(), minutiae=no_minutiae(minutiae.size), lacks=lacks)
@@ -282,7 +320,8 @@ def print_template(image: NDArray[np.uint8], ppi: float = PPI, *, pressed: Press
 
 
 def read_surface(path: Path) -> Surface:
-    """Read a result's ``height.npz``. Raises BadInput if it is damaged, or an array is missing or of another shape."""
+    """Read a result's ``height.npz``. Raises BadInput if it is damaged, or an array is missing or
+    of another shape."""
     from splitknit.io.results import read_fields  # a template needs none of it
 
     return Surface(**read_fields(path, ("ridge_mm", "shape_mm", "normals"), ("whole",)))
@@ -291,4 +330,6 @@ def read_surface(path: Path) -> Surface:
 def _reconstructed(capture: Capture, preset: str, progress: Progress) -> Reconstruction:
     from splitknit import reconstruct  # a template needs none of it
 
-    return reconstruct(capture, preset, progress=lambda stage, fraction: progress(stage, 0.1 + 0.7 * fraction))
+    return reconstruct(
+        capture, preset, progress=lambda stage, fraction: progress(stage, 0.1 + 0.7 * fraction)
+    )

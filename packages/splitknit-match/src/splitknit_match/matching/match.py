@@ -6,7 +6,17 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
-from splitknit.arguments import AnyPath, InputPpi, Preset, Progress, Report, Settings, checked, refuse_given, silent
+from splitknit.arguments import (
+    AnyPath,
+    InputPpi,
+    Preset,
+    Progress,
+    Report,
+    Settings,
+    checked,
+    refuse_given,
+    silent,
+)
 from splitknit.errors import BadInput, require
 
 if TYPE_CHECKING:  # a comparison of templates loads neither
@@ -53,7 +63,8 @@ def match(
     settings : mapping, optional
         From ``stage.field`` to a value: changed settings.
     fmr : float, optional
-        False match rate at which is decided; by default 1e-4, or the smallest that the method's rates can state.
+        False match rate at which is decided; by default 1e-4, or the smallest that the method's
+        rates can state.
     decision : path, optional
         False match rates of your own prints, as ``splitknit evaluate --calibrate`` writes them.
     template : path, optional
@@ -71,8 +82,9 @@ def match(
     Returns
     -------
     Match
-        ``similarity`` (the method's score; higher is more similar), ``fmr`` (false match rate at this similarity, where
-        it was measured) with ``fmr_basis``, ``decision`` (``match``, ``fmr``, ``threshold``), ``alignment`` and others.
+        ``similarity`` (the method's score; higher is more similar), ``fmr`` (false match rate at
+        this similarity, where it was measured) with ``fmr_basis``, ``decision`` (``match``,
+        ``fmr``, ``threshold``), ``alignment`` and others.
 
     Raises
     ------
@@ -87,7 +99,12 @@ def match(
     """
     from splitknit.settings import override
     from splitknit_match.matching.inputs import Side, held, is_photo, read_side
-    from splitknit_match.matching.methods import auto_method, check_template_file, compare_sides, write_template_file
+    from splitknit_match.matching.methods import (
+        auto_method,
+        check_template_file,
+        compare_sides,
+        write_template_file,
+    )
     from splitknit_match.matching.score import read_own_rates
     from splitknit_match.matching.surface import MatchingSettings
     from splitknit_match.prints.photo_finger import PhotoFinger
@@ -105,11 +122,15 @@ def match(
     def read(number: int) -> Side:
         return read_side(
             fingers[number], preset, silent if number else progress,
-            input_ppi if photos[number] or not any(photos) else None,  # beside a print it is the photograph's
+            # beside a print it is the photograph's
+            input_ppi if photos[number] or not any(photos) else None,
             where=where if number == chosen else None,
         )  # fmt: skip
 
-    if all(isinstance(finger, Path) and finger.is_file() and finger.suffix != ".skt" for finger in fingers):
+    if all(
+        isinstance(finger, Path) and finger.is_file() and finger.suffix != ".skt"
+        for finger in fingers
+    ):
         from concurrent.futures import ThreadPoolExecutor  # 20 ms, more than templates take
 
         with ThreadPoolExecutor(2) as pool:
@@ -120,7 +141,9 @@ def match(
     if own is not None and own.method != by:
         raise BadInput(f"'{decision}' is for the method {own.method}, but {by} compares these.")
     progress("comparing", 0.9)
-    result = compare_sides(by, left, right, fmr=fmr, own=own, thesis=thesis, known_scale=input_ppi is not None)
+    result = compare_sides(
+        by, left, right, fmr=fmr, own=own, thesis=thesis, known_scale=input_ppi is not None
+    )
     written = write_template_file(target, left)
     progress("done", 1.0)
     return replace(result, template=written)
@@ -166,7 +189,11 @@ def make_template(
     """
     from splitknit.settings import override
     from splitknit_match.matching.inputs import held, read_side, undoubted
-    from splitknit_match.matching.methods import check_template_file, compared_side, write_template_file
+    from splitknit_match.matching.methods import (
+        check_template_file,
+        compared_side,
+        write_template_file,
+    )
     from splitknit_match.matching.results import TemplateMade
     from splitknit_match.matching.surface import MatchingSettings
     from splitknit_match.prints.photo_finger import PhotoFinger
@@ -202,19 +229,21 @@ def match_or_make_template(
     Parameters
     ----------
     a
-        Capture folder, result folder, template (.skt), print (PNG, TIFF, JPEG, BMP, WSQ, ISO 19794-4, ANSI/NIST-ITL)
-        or record of minutiae (ISO 19794-2, ANSI 378), or photograph of a finger in colour.
+        Capture folder, result folder, template (.skt), print (PNG, TIFF, JPEG, BMP, WSQ, ISO
+        19794-4, ANSI/NIST-ITL) or record of minutiae (ISO 19794-2, ANSI 378), or photograph of a
+        finger in colour.
     b
         The same; not needed for `template`.
     method
-        auto (the default: fusion of two prints, minutiae where one holds minutiae only, else ridge), ridge, fusion (of
-        ridges and minutiae of two prints), thesis (local binary patterns; needs captures or results), thesis-code (as
-        the author's program has them), minutiae (of the prints, compared by NIST's bozorth3; needs the extra minutiae,
-        on x86-64 Linux).
+        auto (the default: fusion of two prints, minutiae where one holds minutiae only, else
+        ridge), ridge, fusion (of ridges and minutiae of two prints), thesis (local binary patterns;
+        needs captures or results), thesis-code (as the author's program has them), minutiae (of the
+        prints, compared by NIST's bozorth3; needs the extra minutiae, on x86-64 Linux).
     preset
         How captures are reconstructed.
     fmr
-        False match rate at which is decided (default: 1e-4, or the smallest that the method's rates can state).
+        False match rate at which is decided (default: 1e-4, or the smallest that the method's rates
+        can state).
     decision
         False match rates of your own prints, as 'splitknit evaluate --calibrate' writes them.
     template
@@ -222,7 +251,8 @@ def match_or_make_template(
     mask
         The finger of a photograph: an image of its size, white on the finger; of two, A's.
     box
-        The part X,Y,W,H of a photograph in which the finger lies, pixels from its upper left; of two, A's.
+        The part X,Y,W,H of a photograph in which the finger lies, pixels from its upper left; of
+        two, A's.
     raw
         Print the method's own scores too (--json always has them).
 
@@ -240,10 +270,17 @@ def match_or_make_template(
     >>> match_or_make_template("capture", template="finger.skt").template.bytes  # doctest: +SKIP
     14321
     """
-    finger: dict[str, Any] = {"input_ppi": input_ppi, "mask": mask, "box": box, "template": template}
+    finger: dict[str, Any] = {
+        "input_ppi": input_ppi,
+        "mask": mask,
+        "box": box,
+        "template": template,
+    }
     how: dict[str, Any] = {"preset": preset, "settings": settings, "progress": progress}
     if b is None:
-        require(template is not None, "name a second finger to compare with, or `template` to write.")
+        require(
+            template is not None, "name a second finger to compare with, or `template` to write."
+        )
         refuse_given("is of a comparison; name a second finger.", fmr=fmr, decision=decision)
         return make_template(a, **finger, **how)
     comparison = match(a, b, method, fmr=fmr, decision=decision, **finger, **how)

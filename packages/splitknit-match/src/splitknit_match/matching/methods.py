@@ -1,4 +1,5 @@
-"""Matching of files by one of five methods: captures, results, templates and prints in, similarity out."""
+"""Matching of files by one of five methods: captures, results, templates and prints in, similarity
+out."""
 
 from __future__ import annotations
 
@@ -14,7 +15,13 @@ from numpy.typing import NDArray
 
 from splitknit import BadInput
 from splitknit.errors import naming, require
-from splitknit_match.matching.fusion import SMALL_MM2, at_one_scale, can_fuse, fused_match, fused_photo
+from splitknit_match.matching.fusion import (
+    SMALL_MM2,
+    at_one_scale,
+    can_fuse,
+    fused_match,
+    fused_photo,
+)
 from splitknit_match.matching.inputs import Side, undoubted
 from splitknit_match.matching.results import (
     ComparedSide,
@@ -49,20 +56,29 @@ TABLES = {
     "minutiae": "match_fmr_minutiae.json",
     "minutiae_of_prints": "match_fmr_minutiae_prints.json",
 }
-"""Impostor scores, made by validation/match/impostors.py of simulated fingers and by windows.py of real prints."""
+"""Impostor scores, made by validation/match/impostors.py of simulated fingers and by windows.py of
+real prints."""
 REAL_PRINTS = "match_fmr_real_prints.json"
-"""The fusion's impostor scores of real prints, which state the rates that are not too small for them."""
+"""The fusion's impostor scores of real prints, which state the rates that are not too small for
+them."""
 DECIDED_AT = 1e-4
 """False match rate at which is decided whether it is one finger."""
 
 
 def compare_sides(
-    method: str, a: Side, b: Side, *, fmr: float | None, own: FmrTable | None, thesis: ThesisSettings, known_scale: bool
+    method: str,
+    a: Side,
+    b: Side,
+    *,
+    fmr: float | None,
+    own: FmrTable | None,
+    thesis: ThesisSettings,
+    known_scale: bool,
 ) -> Match:
     """Compare two fingers by a method, with false match rate and decision.
 
-    `known_scale`: photographs of fingers are not tried at several. Raises BadInput, naming the file at fault, or if
-    `fmr` is below what was measured.
+    `known_scale`: photographs of fingers are not tried at several. Raises BadInput, naming the file
+    at fault, or if `fmr` is below what was measured.
     """
     photos = [side.kind == "photo" for side in (a, b)]
     scores = method
@@ -75,9 +91,13 @@ def compare_sides(
     if method == "ridge":
         ridge = ridge_match(_template(a), _template(b))
         match: Match = MatchOfRidges(
-            method="ridge", a=compared_side(a), b=compared_side(b), similarity=ridge.similarity,
-            compared=ridge.compared, **_alignment(ridge),
-        )  # fmt: skip
+            method="ridge",
+            a=compared_side(a),
+            b=compared_side(b),
+            similarity=ridge.similarity,
+            compared=ridge.compared,
+            **_alignment(ridge),
+        )
     elif method == "fusion":
         match = _by_ridges_and_minutiae(a, b, photos if any(photos) and not known_scale else None)
     elif method == "minutiae":
@@ -93,7 +113,9 @@ def compare_sides(
             and match.answer == "no match"
             and _prints_match(mirrored(templates[0]), templates[1], fmr, own)
         ):
-            doubt = "one seen in a mirror, both match: one of the pictures is mirrored; turn it round"
+            doubt = (
+                "one seen in a mirror, both match: one of the pictures is mirrored; turn it round"
+            )
         if doubt is not None:
             return replace(match, answer="undecided", undecided=doubt, decision=None)
     return match
@@ -115,7 +137,10 @@ def check_template_file(template: Path | None, *inputs: Any) -> None:
     empty = template.suffix == ".skt"  # is a failure to acquire
     check_file(template, "a template", lambda data: is_template(data) if data else empty)
     sources = [path.expanduser().resolve() for path in inputs if isinstance(path, Path)]
-    require(template.expanduser().resolve() not in sources, f"'{template}' is one of the inputs; name another file.")
+    require(
+        template.expanduser().resolve() not in sources,
+        f"'{template}' is one of the inputs; name another file.",
+    )
 
 
 def write_template_file(template: Path | None, side: Side) -> TemplateFile | None:
@@ -129,9 +154,10 @@ def write_template_file(template: Path | None, side: Side) -> TemplateFile | Non
 def _alignment(ridge: RidgeMatch) -> dict[str, Any]:
     """What comparisons by ridges have in common."""
     return {
-        "overlap_mm2": ridge.overlap_mm2, "correlation": ridge.correlation,
+        "overlap_mm2": ridge.overlap_mm2,
+        "correlation": ridge.correlation,
         "alignment": PlaneAlignment(ridge.rotation_deg, ridge.right_mm, ridge.up_mm),
-    }  # fmt: skip
+    }
 
 
 def _by_ridges_and_minutiae(a: Side, b: Side, photos: Sequence[bool] | None) -> MatchOfPrints:
@@ -144,8 +170,8 @@ def _by_ridges_and_minutiae(a: Side, b: Side, photos: Sequence[bool] | None) -> 
         minutiae = _template(side).minutiae
         if minutiae is None:
             raise BadInput(
-                f"{side.path} is a {side.kind} without minutiae of a print; the method fusion compares prints: name "
-                "one, or a template (.skt) that was made of one."
+                f"{side.path} is a {side.kind} without minutiae of a print; the method fusion"
+                " compares prints: name one, or a template (.skt) that was made of one."
             )
         acquired = minutiae.acquired or not _template(side).empty
         sides.append(replace(compared_side(side), minutiae=minutiae.count, acquired=acquired))
@@ -156,15 +182,24 @@ def _by_ridges_and_minutiae(a: Side, b: Side, photos: Sequence[bool] | None) -> 
         fused, scale, number = fused_photo(left, right, photos)
         if abs(scale - 1) >= 0.01:
             larger = f"{100 * abs(scale - 1):.0f} % {'larger' if scale > 1 else 'smaller'}"
-            sides[number] = replace(sides[number], note=f"{sides[number].note} It fits best {larger}.")
+            sides[number] = replace(
+                sides[number], note=f"{sides[number].note} It fits best {larger}."
+            )
     return MatchOfPrints(
-        method="fusion", a=sides[0], b=sides[1], similarity=fused.similarity, compared=fused.compared,
-        similarity_of_ridges=fused.ridge.similarity, similarity_of_minutiae=fused.minutiae, **_alignment(fused.ridge),
-    )  # fmt: skip
+        method="fusion",
+        a=sides[0],
+        b=sides[1],
+        similarity=fused.similarity,
+        compared=fused.compared,
+        similarity_of_ridges=fused.ridge.similarity,
+        similarity_of_minutiae=fused.minutiae,
+        **_alignment(fused.ridge),
+    )
 
 
 def _by_minutiae(a: Side, b: Side) -> Match:
-    """Compare by minutiae: surfaces by their relief prints as they are, prints from files after enhancement.
+    """Compare by minutiae: surfaces by their relief prints as they are, prints from files after
+    enhancement.
 
     Raises BadInput if a side is a template of ridges, or nbis-py is not installed.
     """
@@ -174,12 +209,21 @@ def _by_minutiae(a: Side, b: Side) -> Match:
         quality = NFIQ2_FAILED if side.template is None else nfiq2(_print_of(side), PPI)
         sides.append(
             replace(
-                compared_side(side), minutiae=own.count, acquired=own.acquired,
-                nfiq2=None if quality == NFIQ2_FAILED else quality, enhanced=side.picture is not None,
+                compared_side(side),
+                minutiae=own.count,
+                acquired=own.acquired,
+                nfiq2=None if quality == NFIQ2_FAILED else quality,
+                enhanced=side.picture is not None,
             )
-        )  # fmt: skip
+        )
     compared = all(own.acquired for own in minutiae)
-    return Match(method="minutiae", a=sides[0], b=sides[1], similarity=minutiae_match(*minutiae), compared=compared)
+    return Match(
+        method="minutiae",
+        a=sides[0],
+        b=sides[1],
+        similarity=minutiae_match(*minutiae),
+        compared=compared,
+    )
 
 
 def _by_images(method: str, settings: ThesisSettings, a: Side, b: Side) -> MatchOfImages:
@@ -190,15 +234,26 @@ def _by_images(method: str, settings: ThesisSettings, a: Side, b: Side) -> Match
     for side in (a, b):
         if side.surface is None:
             raise BadInput(
-                f"{side.path} is a {side.kind}; the method {method} compares surfaces: name a capture or a result."
+                f"{side.path} is a {side.kind}; the method {method} compares surfaces: name a"
+                " capture or a result."
             )
         images.append(naming(side.path, partial(surface_images, side.surface)))
-    match = thesis_match(images[0], images[1], settings) if method == "thesis" else code_match(*map(code_side, images))
+    match = (
+        thesis_match(images[0], images[1], settings)
+        if method == "thesis"
+        else code_match(*map(code_side, images))
+    )
     return MatchOfImages(
-        method=method, a=compared_side(a), b=compared_side(b), similarity=match.similarity, compared=match.compared,
-        overlap=match.ratio, distances=match.distances, dissimilarity=match.dissimilarity or None,
+        method=method,
+        a=compared_side(a),
+        b=compared_side(b),
+        similarity=match.similarity,
+        compared=match.compared,
+        overlap=match.ratio,
+        distances=match.distances,
+        dissimilarity=match.dissimilarity or None,
         alignment=PlaneAlignment(right_mm=match.shift_px / images[0].px_per_mm),
-    )  # fmt: skip
+    )
 
 
 def _template(side: Side) -> Template:
@@ -214,16 +269,21 @@ def compared_side(side: Side) -> ComparedSide:
         assert side.minutiae is not None
         return ComparedSide(str(side.path), side.kind, 0.0, side.minutiae.acquired)
     return ComparedSide(
-        str(side.path), side.kind, template.area_mm2, not template.empty, note=template.lacks or side.note,
-        quality=side.quality, doubt=side.doubt,
-    )  # fmt: skip
+        str(side.path),
+        side.kind,
+        template.area_mm2,
+        not template.empty,
+        note=template.lacks or side.note,
+        quality=side.quality,
+        doubt=side.doubt,
+    )
 
 
 def side_minutiae(side: Side) -> Minutiae:
     """Minutiae of a side: those of its record, or of its print, as ``splitknit print`` finds them.
 
-    Those of a surface are mindtct's, of its relief seen from above. Raises BadInput if it is a template of ridges, or
-    nbis-py is not installed.
+    Those of a surface are mindtct's, of its relief seen from above. Raises BadInput if it is a
+    template of ridges, or nbis-py is not installed.
     """
     if side.minutiae is not None:
         return side.minutiae
@@ -243,13 +303,15 @@ def _print_of(side: Side) -> NDArray[np.uint8]:
         return naming(side.path, partial(surface_print, side.surface, PPI))
     if side.picture is None:
         raise BadInput(
-            f"{side.path} is a {side.kind} of ridges, which keeps no minutiae; name a capture, a result or a print."
+            f"{side.path} is a {side.kind} of ridges, which keeps no minutiae; name a capture, a"
+            " result or a print."
         )
     return side.picture
 
 
 def doubt_of(side: Side | ComparedSide) -> str | None:
-    """Why the resolution of a side's print cannot be right, with its path; None where nothing speaks against it."""
+    """Why the resolution of a side's print cannot be right, with its path; None where nothing
+    speaks against it."""
     return None if side.doubt is None else f"{side.path}: {side.doubt}".rstrip(".")
 
 
@@ -260,20 +322,32 @@ def _prints_match(a: Template, b: Template, fmr: float | None, own: FmrTable | N
     return rate(fused.similarity, scores, fused.ridge.overlap_mm2, fmr, own).answer == "match"
 
 
-def scale_doubt(a: Template, b: Template, fmr: float | None, own: FmrTable | None = None) -> str | None:
-    """Why two prints that do not match are not shown to be of two fingers: at one scale of their ridges they match."""
+def scale_doubt(
+    a: Template, b: Template, fmr: float | None, own: FmrTable | None = None
+) -> str | None:
+    """Why two prints that do not match are not shown to be of two fingers: at one scale of their
+    ridges they match."""
     sides = at_one_scale(a, b)
     if sides is None or not _prints_match(*sides[:2], fmr, own):
         return None
     apart = 100 * (sides[2] - 1)
-    return f"the ridges of one lie {apart:.0f} % farther apart, and at one scale both match: check their resolutions"
+    return (
+        f"the ridges of one lie {apart:.0f} % farther apart, and at one scale both match: check"
+        " their resolutions"
+    )
 
 
 def _rated(match: Match, scores: str, fmr: float | None, own: FmrTable | None) -> Match:
-    """With the false match rate and its basis, or why there is none, and the decision at a rate, by own rates."""
+    """With the false match rate and its basis, or why there is none, and the decision at a rate, by
+    own rates."""
     doubts = [doubt for doubt in map(doubt_of, (match.a, match.b)) if doubt is not None]
     if not doubts and not (match.a.acquired and match.b.acquired):
-        return replace(match, fmr_missing="nothing was compared", answer="not acquired", undecided="failure to acquire")
+        return replace(
+            match,
+            fmr_missing="nothing was compared",
+            answer="not acquired",
+            undecided="failure to acquire",
+        )
     if not match.compared:
         rated = _unknown("nothing was compared")
     else:
@@ -281,7 +355,8 @@ def _rated(match: Match, scores: str, fmr: float | None, own: FmrTable | None) -
         overlap_mm2 = match.overlap_mm2 if isinstance(match, MatchOfRidges) else None
         scores = scores_of(scores, (match.a.area_mm2, match.b.area_mm2), minutiae)
         rated = rate(match.similarity, scores, overlap_mm2, fmr, own)
-    if doubts and not (len(doubts) == 1 and rated.answer == "match"):  # one resolution confirms the other
+    # one resolution confirms the other
+    if doubts and not (len(doubts) == 1 and rated.answer == "match"):
         rated = _unknown(doubts[0])
     return replace(match, **{field.name: getattr(rated, field.name) for field in fields(Rated)})
 
@@ -298,23 +373,38 @@ def scores_of(method: str, areas_mm2: tuple[float, float], minutiae: float | Non
     small = min(areas_mm2) < SMALL_MM2
     if method == "fusion":
         return "windows" if small or minutiae is None else method
-    return f"{method} small" if small and (method == "ridge" or "fingerphotos" in method) else method
+    return (
+        f"{method} small" if small and (method == "ridge" or "fingerphotos" in method) else method
+    )
 
 
 def rate(
-    similarity: float, scores: str, overlap_mm2: float | None, fmr: float | None = None, own: FmrTable | None = None
+    similarity: float,
+    scores: str,
+    overlap_mm2: float | None,
+    fmr: float | None = None,
+    own: FmrTable | None = None,
 ) -> Rated:
-    """Answer and false match rate of a similarity by `scores` (:func:`scores_of`) or `own` rates, decided at `fmr`.
+    """Answer and false match rate of a similarity by `scores` (:func:`scores_of`) or `own` rates,
+    decided at `fmr`.
 
-    Raises BadInput if no rate as small as `fmr` was measured (but of small prints, which are undecided).
+    Raises BadInput if no rate as small as `fmr` was measured (but of small prints, which are
+    undecided).
     """
     if own is None and scores not in TABLES:
         method = scores.removesuffix(" small")
-        where = "not measured" if method == scores else f"measured on {SMALL_MM2:.0f} mm² of skin or more"
+        where = (
+            "not measured"
+            if method == scores
+            else f"measured on {SMALL_MM2:.0f} mm² of skin or more"
+        )
         return _unknown(f"false match rates of the method {method} were {where}")
     table = own or _fmr_table(scores)
     if overlap_mm2 is not None and overlap_mm2 < table.rated_mm2:
-        return _unknown(f"only {overlap_mm2:.0f} mm² of skin overlap; it takes {table.rated_mm2:.0f} mm² or more")
+        return _unknown(
+            f"only {overlap_mm2:.0f} mm² of skin overlap; it takes {table.rated_mm2:.0f} mm² or"
+            " more"
+        )
     rated = Rated(fmr=table(similarity - table.rounding), fmr_basis=table.basis)
     at = max(DECIDED_AT, table.smallest) if fmr is None else fmr
     if at < table.smallest and scores == "windows":
@@ -324,8 +414,8 @@ def rate(
     match = similarity >= threshold
     if not match and overlap_mm2 is not None and overlap_mm2 < table.excluded_mm2:
         why = (
-            f"the ridges agree too little for a match, but {overlap_mm2:.0f} mm² are too few to exclude one: it takes "
-            f"{table.excluded_mm2:.0f} mm² or more"
+            f"the ridges agree too little for a match, but {overlap_mm2:.0f} mm² are too few to"
+            f" exclude one: it takes {table.excluded_mm2:.0f} mm² or more"
         )
         return replace(rated, undecided=why)
     expected = table.beyond(at)[1] if at < table.smallest else None
@@ -334,12 +424,14 @@ def rate(
 
 
 def fmr_basis(method: str = "ridge") -> FmrBasis:
-    """Return what false match rates were measured on: impostor comparisons, and among which fingers."""
+    """Return what false match rates were measured on: impostor comparisons, and among which
+    fingers."""
     return _fmr_table(method).basis
 
 
 def similarity_at(fmr: float, method: str = "ridge") -> float:
-    """Smallest similarity at which the rate of false matches is `fmr` or less, as :meth:`FmrTable.threshold`."""
+    """Smallest similarity at which the rate of false matches is `fmr` or less, as
+    :meth:`FmrTable.threshold`."""
     return _fmr_table(method).threshold(fmr)
 
 
@@ -349,20 +441,29 @@ def _document(file: str) -> dict[str, Any]:
 
 @cache
 def _fmr_table(method: str) -> FmrTable:
-    """Impostor scores of a method of :data:`TABLES`; of the fusion real ones, and simulated ones where those end."""
+    """Impostor scores of a method of :data:`TABLES`; of the fusion real ones, and simulated ones
+    where those end."""
     document = _document(TABLES[method])
     similarity, fmr = np.array(document["similarity"]), np.array(document["fmr"])
     impostors, population = document["impostors"], document["what"]
     if method == "fusion":
         real = _document(REAL_PRINTS)
         beyond = fmr < min(real["fmr"])  # reached by no real impostor either
-        similarity = np.append(real["similarity"], np.maximum(similarity[beyond], max(real["similarity"])))
+        similarity = np.append(
+            real["similarity"], np.maximum(similarity[beyond], max(real["similarity"]))
+        )
         fmr = np.append(real["fmr"], fmr[beyond])
         population = (
-            f"of them {real['impostors']:,} {real['what']}, which state the larger rates; the others {population}"
+            f"of them {real['impostors']:,} {real['what']}, which state the larger rates; the"
+            f" others {population}"
         )
         impostors += real["impostors"]
     return FmrTable(
-        similarity, fmr, impostors, population, document.get("rated_mm2", 0.0), document.get("excluded_mm2", 0.0),
+        similarity,
+        fmr,
+        impostors,
+        population,
+        document.get("rated_mm2", 0.0),
+        document.get("excluded_mm2", 0.0),
         method,
-    )  # fmt: skip
+    )

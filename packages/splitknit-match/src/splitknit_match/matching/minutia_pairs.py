@@ -1,9 +1,11 @@
-"""Which minutiae of two prints may be the same: cylinder codes, relaxed by how the pairs lie to each other.
+"""Which minutiae of two prints may be the same: cylinder codes, relaxed by how the pairs lie to
+each other.
 
-Source: R. Cappelli, M. Ferrara and D. Maltoni, "Minutia Cylinder-Code: a new representation and matching technique for
-fingerprint recognition", IEEE TPAMI 32(12), 2010. Different from it: what the print does not show is known from its
-ridges instead of the minutiae's hull, any turn is allowed, two pairs may not share a minutia, and distances may
-differ by a fraction of themselves, as skin stretches.
+Source: R. Cappelli, M. Ferrara and D. Maltoni, "Minutia Cylinder-Code: a new representation and
+matching technique for fingerprint recognition", IEEE TPAMI 32(12), 2010. Different from it: what
+the print does not show is known from its ridges instead of the minutiae's hull, any turn is
+allowed, two pairs may not share a minutia, and distances may differ by a fraction of themselves, as
+skin stretches.
 """
 
 from __future__ import annotations
@@ -67,7 +69,8 @@ class Cylinders:
     """Minutiae of one print with what lies around each."""
 
     place: Places
-    """(N,) mm to the right, and up times i, of the centre of the print's template, as a camera sees it."""
+    """(N,) mm to the right, and up times i, of the centre of the print's template, as a camera sees
+    it."""
     turn: Array
     """(N,) radians, counter-clockwise."""
     value: FloatArray
@@ -78,7 +81,8 @@ class Cylinders:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Pairing:
-    """How A lies on B: turned about its centre, then moved; and the pairs of minutiae that show it."""
+    """How A lies on B: turned about its centre, then moved; and the pairs of minutiae that show
+    it."""
 
     angle_rad: float
     right_mm: float
@@ -98,7 +102,9 @@ class Pairing:
 
 
 _LINE_MM = (2 * _RADIUS_MM / _CELLS * (np.arange(_CELLS) - (_CELLS - 1) / 2)).astype(np.float32)
-_LEVEL_RAD = ((2 * np.pi / _LEVELS * np.arange(_LEVELS) + np.pi) % (2 * np.pi) - np.pi).astype(np.float32)
+_LEVEL_RAD = ((2 * np.pi / _LEVELS * np.arange(_LEVELS) + np.pi) % (2 * np.pi) - np.pi).astype(
+    np.float32
+)
 _ROUND = np.hypot(_LINE_MM[:, None], _LINE_MM) <= _RADIUS_MM
 """Which cells of the square are a cylinder's."""
 CYLINDER = int(_ROUND.sum()) * _LEVELS
@@ -106,7 +112,8 @@ CYLINDER = int(_ROUND.sum()) * _LEVELS
 
 
 def minutia_cylinders(minutiae: Minutiae, valid: BoolArray, pitch_mm: float) -> Cylinders:
-    """Cylinders of a print's minutiae; `valid` (H, W) are its ridges, mirrored as a template has them."""
+    """Cylinders of a print's minutiae; `valid` (H, W) are its ridges, mirrored as a template has
+    them."""
     if minutiae.count > _MAX_MINUTIAE:
         best = np.argsort(-minutiae.quality.astype(np.int64), kind="stable")[:_MAX_MINUTIAE]
         minutiae = minutiae.taken(np.sort(best))
@@ -115,24 +122,35 @@ def minutia_cylinders(minutiae: Minutiae, valid: BoolArray, pitch_mm: float) -> 
     turn = np.pi - minutiae.direction_rad
     ahead = np.exp(1j * turn)[:, None]
     offset = ((place - place[:, None]) * ahead.conj()).astype(np.complex64)[:, None]
-    # the Gaussian around a minutia is the product of one to the right and one up; each (N, cells, N)
+    # the Gaussian around a minutia is the product of one to the right and one up; each (N, cells,
+    # N)
     line = _LINE_MM[:, None]
-    far = -35  # less makes numbers so small (subnormal) that sums of their products take ten times as long
+    # less makes numbers so small (subnormal) that sums of their products take ten times as long
+    far = -35
     right, up = (
-        np.exp(np.maximum((line - part) ** 2 / (-2 * _SIGMA_MM**2), far)) for part in (offset.real, offset.imag)
+        np.exp(np.maximum((line - part) ** 2 / (-2 * _SIGMA_MM**2), far))
+        for part in (offset.real, offset.imag)
     )
     right[range(count), :, range(count)] = 0.0
     turned = _wrapped(turn - turn[:, None]).astype(np.float32)[:, None]
     angle = np.pi - np.abs(np.pi - np.abs(_LEVEL_RAD[:, None] - turned))
     by_direction = np.exp(-0.5 * (angle / _SIGMA_RAD) ** 2)  # (N, levels, N)
-    up_by_direction = (up[:, :, None] * by_direction[:, None]).reshape(count, _CELLS * _LEVELS, count)
-    near = (right @ up_by_direction.swapaxes(1, 2)).reshape(count, _CELLS, _CELLS, _LEVELS)[:, _ROUND]
+    up_by_direction = (up[:, :, None] * by_direction[:, None]).reshape(
+        count, _CELLS * _LEVELS, count
+    )
+    near = (right @ up_by_direction.swapaxes(1, 2)).reshape(count, _CELLS, _CELLS, _LEVELS)[
+        :, _ROUND
+    ]
     value = 1 / (1 + np.exp(_SIGMOID_SLOPE * (_SIGMOID_CENTRE - near)))
     cells = place[:, None] + (_LINE_MM[:, None] + 1j * _LINE_MM)[_ROUND] * ahead
     reach = round(_MARGIN_MM / pitch_mm)
-    print_area = cv2.dilate(np.pad(valid.view(np.uint8), reach), np.ones((2 * reach + 1,) * 2, np.uint8))
+    print_area = cv2.dilate(
+        np.pad(valid.view(np.uint8), reach), np.ones((2 * reach + 1,) * 2, np.uint8)
+    )
     centre = (np.array(print_area.shape) - 1) / 2
-    pixels = np.stack([centre[1] + cells.real / pitch_mm, centre[0] - cells.imag / pitch_mm], axis=-1)
+    pixels = np.stack(
+        [centre[1] + cells.real / pitch_mm, centre[0] - cells.imag / pitch_mm], axis=-1
+    )
     known = on_ridges(print_area > 0, pixels).astype(np.float32)
     value *= known[..., None]
     return Cylinders(place, turn, value.reshape(count, -1), np.repeat(known, _LEVELS, axis=1))
@@ -140,12 +158,15 @@ def minutia_cylinders(minutiae: Minutiae, valid: BoolArray, pitch_mm: float) -> 
 
 def on_ridges(valid: BoolArray, place: FloatArray) -> BoolArray:
     """(...) whether columns and rows (..., 2) lie on a template's ridges."""
-    rows, columns = (np.clip(np.rint(place[..., 1 - k]), -1, valid.shape[k]).astype(np.int64) + 1 for k in (0, 1))
+    rows, columns = (
+        np.clip(np.rint(place[..., 1 - k]), -1, valid.shape[k]).astype(np.int64) + 1 for k in (0, 1)
+    )
     return np.pad(valid, 1)[rows, columns]
 
 
 def pair_minutiae(a: Cylinders, b: Cylinders) -> list[Pairing]:
-    """At most two alignments of `a` on `b` by pairs of minutiae that support each other, the best first."""
+    """At most two alignments of `a` on `b` by pairs of minutiae that support each other, the best
+    first."""
     if min(len(a.turn), len(b.turn)) < 2:
         return []
     similarity = _similarity(a, b)
@@ -168,12 +189,18 @@ def pair_minutiae(a: Cylinders, b: Cylinders) -> list[Pairing]:
         for k in np.argsort(-near, kind="stable").tolist():
             if member[k] and i[k] not in i[company] and j[k] not in j[company]:
                 company.append(k)
-        if len(company) < 3 or not value[top] > 0:  # cylinders that share too little are not similar at all
+        # cylinders that share too little are not similar at all
+        if len(company) < 3 or not value[top] > 0:
             break
         support = float(np.sqrt(first[company] @ fits[np.ix_(company, company)] @ first[company]))
         own, matched = i[company], j[company]
         pairings.append(
-            _aligned((a.place[own], a.turn[own]), (b.place[matched], b.turn[matched]), near[company], support)
+            _aligned(
+                (a.place[own], a.turn[own]),
+                (b.place[matched], b.turn[matched]),
+                near[company],
+                support,
+            )
         )
         free[(fits[top] > _MIN_FIT) | (np.arange(count) == top)] = 0.0
     return sorted(pairings, key=lambda pairing: -pairing.support)
@@ -202,7 +229,8 @@ def _similarity(a: Cylinders, b: Cylinders) -> FloatArray:
 
 
 def _compatible(a: Directed, b: Directed) -> Array:
-    """(K, K) how well each pair fits the others, 0 to 1: distances, directions, and where one sees the other."""
+    """(K, K) how well each pair fits the others, 0 to 1: distances, directions, and where one sees
+    the other."""
     (to_a, turn_a), (to_b, turn_b) = (
         ((place[None] - place[:, None]) * np.exp(-1j * turn)[:, None], turn[None] - turn[:, None])
         for place, turn in (a, b)
@@ -218,7 +246,9 @@ def _aligned(a: Directed, b: Directed, weight: Array, support: float) -> Pairing
     """Least squares of places and directions."""
     weight = weight / weight.sum()
     centre_a, centre_b = weight @ a[0], weight @ b[0]
-    turned = weight @ ((b[0] - centre_b) * np.conj(a[0] - centre_a) + _ARM_MM**2 * np.exp(1j * (b[1] - a[1])))
+    turned = weight @ (
+        (b[0] - centre_b) * np.conj(a[0] - centre_a) + _ARM_MM**2 * np.exp(1j * (b[1] - a[1]))
+    )
     angle = float(np.angle(turned))
     shift = centre_b - centre_a * np.exp(1j * angle)
     return Pairing(angle, float(shift.real), float(shift.imag), support, a[0], b[0])

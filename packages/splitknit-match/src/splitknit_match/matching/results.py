@@ -35,7 +35,8 @@ class ComparedSide:
     minutiae: int | None = None
     """How many were compared, by methods of minutiae."""
     nfiq2: int | None = None
-    """Quality of its print, 0 to 100, of the method ``minutiae``; None where NFIQ 2 sees no print."""
+    """Quality of its print, 0 to 100, of the method ``minutiae``; None where NFIQ 2 sees no
+    print."""
     enhanced: bool | None = None
     """Whether its print was enhanced first."""
     note: str | None = None
@@ -76,7 +77,8 @@ class MatchDecision:
     threshold: float
     """Similarity from which on it is a match."""
     expected_fmr: float | None = None
-    """Where so small a rate was not measured: what is to be expected; `fmr` is then its upper limit of 95 %."""
+    """Where so small a rate was not measured: what is to be expected; `fmr` is then its upper limit
+    of 95 %."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -122,7 +124,14 @@ class Match(Rated):
     @property
     def facts(self) -> dict[str, Any]:
         """The same as plain JSON."""
-        kept = ("fmr", "fmr_missing", "fmr_basis", "decision", "undecided", "similarity_of_minutiae")
+        kept = (
+            "fmr",
+            "fmr_missing",
+            "fmr_basis",
+            "decision",
+            "undecided",
+            "similarity_of_minutiae",
+        )
         return dict(known_json(self, (*kept, "nfiq2") if self.method == "minutiae" else kept))
 
     def __str__(self) -> str:
@@ -168,7 +177,8 @@ class TemplateMade:
     template: TemplateFile | None
     """The file, where one was written."""
     payload: bytes | None = None
-    """The template itself, which `match`, `identify` and `enroll` take; no bytes for a failure to acquire."""
+    """The template itself, which `match`, `identify` and `enroll` take; no bytes for a failure to
+    acquire."""
 
     @property
     def facts(self) -> dict[str, Any]:
@@ -181,7 +191,8 @@ class TemplateMade:
 
 
 def one_in(rate: float, basis: FmrBasis | None = None) -> str:
-    """Write a false match rate for people, rounded up; "below" where no impostor of its `basis` is as similar.
+    """Write a false match rate for people, rounded up; "below" where no impostor of its `basis` is
+    as similar.
 
     >>> one_in(1e-4), one_in(0.0359), one_in(0.7), one_in(0.5)
     ('1 in 10,000', '1 in 27', 'more than 1 in 2', '1 in 2')
@@ -199,7 +210,10 @@ def decided_at(decision: MatchDecision) -> str:
     words = f"decided at a false match rate of {one_in(decision.fmr)}"
     if decision.expected_fmr is None:
         return words
-    return f"{words} (beyond what was measured: extrapolated; expected is {one_in(decision.expected_fmr)})"
+    return (
+        f"{words} (beyond what was measured: extrapolated; expected is"
+        f" {one_in(decision.expected_fmr)})"
+    )
 
 
 def basis_words(basis: FmrBasis) -> str:
@@ -212,9 +226,15 @@ def match_lines(match: Match, *, scores: bool = False) -> list[str]:
     lines = [_verdict(match)]
     if match.fmr is not None and match.fmr_basis is not None:
         rate = one_in(match.fmr, match.fmr_basis)
-        lines.append(f"Estimated false match rate: {rate} (measured on {basis_words(match.fmr_basis)}).")
+        lines.append(
+            f"Estimated false match rate: {rate} (measured on {basis_words(match.fmr_basis)})."
+        )
     if scores:
-        threshold = "" if match.decision is None else f", a match from {_number(match, match.decision.threshold)} on"
+        threshold = (
+            ""
+            if match.decision is None
+            else f", a match from {_number(match, match.decision.threshold)} on"
+        )
         lines.append(f"Score {_score(match)}{threshold}.")
         if isinstance(match, MatchOfPrints) and match.compared:
             minutiae = match.similarity_of_minutiae
@@ -227,7 +247,10 @@ def match_lines(match: Match, *, scores: bool = False) -> list[str]:
 
 def template_line(template: TemplateFile) -> str:
     """Of a template that was written."""
-    return f"Template of {template.bytes} bytes (version {template.version}) written to {template.file}."
+    return (
+        f"Template of {template.bytes} bytes (version {template.version}) written to"
+        f" {template.file}."
+    )
 
 
 def _verdict(match: Match) -> str:
@@ -235,7 +258,9 @@ def _verdict(match: Match) -> str:
         if not (match.a.acquired and match.b.acquired):
             return "Not acquired, not compared: failure to acquire."
         little = match.method in ("thesis", "fusion")
-        return f"Undecided, not compared: {'too little overlap' if little else 'failure to acquire'}."
+        return (
+            f"Undecided, not compared: {'too little overlap' if little else 'failure to acquire'}."
+        )
     if match.decision is None:
         score = f"; its score is {_score(match)}" if match.fmr is None else ""
         return f"Undecided: {match.undecided}{score}."
@@ -260,8 +285,12 @@ def _how(match: Match) -> list[str]:
         return [f"{overlap}, B shifted {abs(right_mm):.2f} mm to the {way}"]
     if isinstance(match, MatchOfRidges):
         laid = match.alignment
-        turned = f"overlap {match.overlap_mm2:.0f} mm² of skin; A turned by {laid.rotation_deg:.1f} deg"
-        line = f"{turned}, its middle {laid.right_mm:+.2f} mm right and {laid.up_mm:+.2f} mm up of B's"
+        turned = (
+            f"overlap {match.overlap_mm2:.0f} mm² of skin; A turned by {laid.rotation_deg:.1f} deg"
+        )
+        line = (
+            f"{turned}, its middle {laid.right_mm:+.2f} mm right and {laid.up_mm:+.2f} mm up of B's"
+        )
         return [line] if match.compared else []
     lines = []
     for side in (match.a, match.b):
@@ -282,6 +311,10 @@ def failure_notes(method: str, *sides: ComparedSide) -> list[str]:
         elif method == "minutiae":
             lacks = "fewer than ten minutiae"
         else:
-            lacks = "less than 10 mm² of ridges, which a print must show" if side.kind == "print" else "no ridges"
+            lacks = (
+                "less than 10 mm² of ridges, which a print must show"
+                if side.kind == "print"
+                else "no ridges"
+            )
         notes.append(f"Please note: {side.path} holds {lacks} (failure to acquire).")
     return notes

@@ -1,6 +1,8 @@
-"""Comparison of two ridge templates: coarse alignment, an affine refinement, local correlation, one similarity.
+"""Comparison of two ridge templates: coarse alignment, an affine refinement, local correlation, one
+similarity.
 
-A higher similarity means more similar fingers; 1 is the same picture. Comparing A with B gives what B with A gives.
+A higher similarity means more similar fingers; 1 is the same picture. Comparing A with B gives what
+B with A gives.
 """
 
 from __future__ import annotations
@@ -31,7 +33,8 @@ from splitknit_match.matching.template import Template, pack
 _REFINEMENTS = 2
 """Affine fits to the patches' shifts."""
 _MIN_OVERLAP_MM2 = 60.0
-"""Where less skin overlaps, and it is not all that the smaller template has, the similarity is lowered."""
+"""Where less skin overlaps, and it is not all that the smaller template has, the similarity is
+lowered."""
 _FIRST_STEP_MM = 2.4
 """Step of the patches that refine the coarse alignment."""
 _FIRST_SEARCH_MM = 0.8
@@ -65,13 +68,15 @@ class RidgeMatch:
 
 @dataclass(frozen=True, eq=False)
 class Prepared:
-    """A template with all that comparisons need and that does not depend on the other side, made when first used."""
+    """A template with all that comparisons need and that does not depend on the other side, made
+    when first used."""
 
     template: Template
 
     @cached_property
     def key(self) -> bytes:
-        """By which sides are ordered, so that the result does not depend on the order of arguments."""
+        """By which sides are ordered, so that the result does not depend on the order of
+        arguments."""
         return hashlib.sha256(pack(replace(self.template, minutiae=None))).digest()
 
     @cached_property
@@ -113,7 +118,10 @@ class Prepared:
         """(N, 2) column and row in the template of places, mm from its centre."""
         rows, columns = self.template.valid.shape
         pitch_mm = self.template.pitch_mm
-        return np.stack([(columns - 1) / 2 + place.real / pitch_mm, (rows - 1) / 2 - place.imag / pitch_mm], axis=1)
+        return np.stack(
+            [(columns - 1) / 2 + place.real / pitch_mm, (rows - 1) / 2 - place.imag / pitch_mm],
+            axis=1,
+        )
 
 
 def prepared(side: Template | Prepared) -> Prepared:
@@ -124,9 +132,10 @@ def prepared(side: Template | Prepared) -> Prepared:
 def ridge_match(a: Template | Prepared, b: Template | Prepared) -> RidgeMatch:
     """Compare two templates; prepare one that is compared more than once.
 
-    The `similarity` is the mean, over the patches of the overlap, of the local correlation at the shift that the
-    neighbouring patches support, times sqrt(min(1, overlap / limit)) with limit = min(60 mm2, half of the smaller
-    template). Raises BadInput if the templates have different pitches.
+    The `similarity` is the mean, over the patches of the overlap, of the local correlation at the
+    shift that the neighbouring patches support, times sqrt(min(1, overlap / limit)) with limit =
+    min(60 mm2, half of the smaller template). Raises BadInput if the templates have different
+    pitches.
 
     Source: Bazen et al. 2000, A correlation-based fingerprint verification system (local patches).
     """
@@ -152,7 +161,9 @@ def placed(result: RidgeMatch, affine: Affine, a: Prepared, b: Prepared) -> Ridg
     centre_a, centre_b = ((np.array(side.template.valid.shape[::-1]) - 1) / 2 for side in (a, b))
     seen_in_b = np.linalg.solve(affine[:, :2], centre_a - affine[:, 2])
     right, down = (seen_in_b - centre_b) * a.template.pitch_mm
-    return replace(result, rotation_deg=float(np.rad2deg(angle)), right_mm=float(right), up_mm=float(-down))
+    return replace(
+        result, rotation_deg=float(np.rad2deg(angle)), right_mm=float(right), up_mm=float(-down)
+    )
 
 
 def lay(a: Prepared, b: Prepared) -> tuple[RidgeMatch, Affine]:

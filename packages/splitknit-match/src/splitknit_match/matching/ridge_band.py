@@ -1,7 +1,9 @@
-"""The ridge band: what two impressions of one finger have in common, on a grid of fixed pitch, lying flat.
+"""The ridge band: what two impressions of one finger have in common, on a grid of fixed pitch,
+lying flat.
 
-The relief is brought upright, unrolled across the finger (a step along a row is a step along the skin), low-passed,
-freed from everything wider than a ridge, and made even in contrast. Roll then shifts ridges more than it bends them.
+The relief is brought upright, unrolled across the finger (a step along a row is a step along the
+skin), low-passed, freed from everything wider than a ridge, and made even in contrast. Roll then
+shifts ridges more than it bends them.
 """
 
 from __future__ import annotations
@@ -23,7 +25,8 @@ MM_PER_INCH = 25.4
 _FINEST_MM = 1e-3
 _COARSEST_MM = 10.0
 _LONGEST_MM = 500.0
-"""Pixels and surfaces beyond these are not a finger's, and need grids and windows that fill the memory."""
+"""Pixels and surfaces beyond these are not a finger's, and need grids and windows that fill the
+memory."""
 _LARGEST_PX = 4_000_000
 """Largest ridge band with its margins, 200 x 200 mm; it takes 100 bytes a pixel."""
 PITCH_MM = 0.1
@@ -35,7 +38,8 @@ NOISE_MM = 0.05
 WINDOW_MM = 0.6
 """Sigma of the window over which contrast is made even and ridges are tested for one direction."""
 FLOOR = 0.3
-"""Contrast below this fraction of the finger's median is not raised further; half of it is not a ridge at all."""
+"""Contrast below this fraction of the finger's median is not raised further; half of it is not a
+ridge at all."""
 COHERENCE = 0.2
 """Skin whose ridges have less coherence (0 no direction, 1 parallel) is left out."""
 SLANT_DEG = 60.0
@@ -70,29 +74,38 @@ def ridge_band(  # noqa: PLR0917 - as the guide calls it
 ) -> RidgeBand:
     """Return the ridge band of a relief.
 
-    `ridge_mm`: (H, W) ridges up, of any unit, ignored outside `mask`; `pitch_mm`: of the input on the finger plane;
-    `shape_mm`: (H, W) finger without its ridges: without it nothing is unrolled and no slant is known;
-    `input_from_upright`: (3, 3), takes (column, row, 1) of the upright frame, of `upright_size` rows and columns, to
-    the input; without it the input is upright; `band_mm`: pitch of the band. `valid` of the result may be empty
-    (failure to acquire). Raises BadInput if shapes disagree, the mask is empty, or the pitch is not positive.
+    `ridge_mm`: (H, W) ridges up, of any unit, ignored outside `mask`; `pitch_mm`: of the input on
+    the finger plane; `shape_mm`: (H, W) finger without its ridges: without it nothing is unrolled
+    and no slant is known; `input_from_upright`: (3, 3), takes (column, row, 1) of the upright
+    frame, of `upright_size` rows and columns, to the input; without it the input is upright;
+    `band_mm`: pitch of the band. `valid` of the result may be empty (failure to acquire). Raises
+    BadInput if shapes disagree, the mask is empty, or the pitch is not positive.
 
-    Source: Hong, Wan and Jain 1998, Fingerprint image enhancement (normalisation, orientation by the structure tensor);
-    Chen, Parziale, Diaz-Santana and Jain 2006, 3D touchless fingerprints: compatibility with legacy rolled images
-    (unrolling by arc length).
+    Source: Hong, Wan and Jain 1998, Fingerprint image enhancement (normalisation, orientation by
+    the structure tensor); Chen, Parziale, Diaz-Santana and Jain 2006, 3D touchless fingerprints:
+    compatibility with legacy rolled images (unrolling by arc length).
     """
     require(
         _FINEST_MM <= pitch_mm <= _COARSEST_MM,
         f"pitch_mm must be a number from {_FINEST_MM:g} to {_COARSEST_MM:g}, but it is {pitch_mm}.",
     )
-    require(ridge_mm.ndim == 2, f"ridge_mm must have the shape (H, W), but it has {ridge_mm.shape}.")
+    require(
+        ridge_mm.ndim == 2, f"ridge_mm must have the shape (H, W), but it has {ridge_mm.shape}."
+    )
     mask = check_mask(mask, (ridge_mm.shape[0], ridge_mm.shape[1]))
     for name, field in (("ridge_mm", ridge_mm), ("shape_mm", shape_mm)):
         if field is not None:
-            require(field.shape == mask.shape, f"{name} must have the shape {mask.shape}, but it has {field.shape}.")
+            require(
+                field.shape == mask.shape,
+                f"{name} must have the shape {mask.shape}, but it has {field.shape}.",
+            )
             mask = mask & np.isfinite(field)
             require(mask.any(), f"{name} is NaN all over the mask.")
             deep = bool((np.abs(field[mask]) > _LONGEST_MM).any())
-            require(not deep, f"{name} holds heights beyond {_LONGEST_MM:g} mm, which are not a finger's.")
+            require(
+                not deep,
+                f"{name} holds heights beyond {_LONGEST_MM:g} mm, which are not a finger's.",
+            )
     transform = np.eye(3) if input_from_upright is None else input_from_upright
     size = upright_size or (mask.shape[0], mask.shape[1])
     area_mm2 = float(mask.sum()) * pitch_mm**2
@@ -100,14 +113,18 @@ def ridge_band(  # noqa: PLR0917 - as the guide calls it
         max(size) * pitch_mm <= _LONGEST_MM
         and size[0] * size[1] * (pitch_mm / band_mm) ** 2 <= _LARGEST_PX
         and area_mm2 <= LARGEST_MM2,
-        f"the surface is {max(size) * pitch_mm:.0f} mm long and shows {area_mm2:.0f} mm², more than a finger's "
-        f"{LARGEST_MM2:.0f}; check its pitch ({pitch_mm:g} mm).",
+        f"the surface is {max(size) * pitch_mm:.0f} mm long and shows {area_mm2:.0f} mm², more than"
+        f" a finger's {LARGEST_MM2:.0f}; check its pitch ({pitch_mm:g} mm).",
     )
-    columns, rows, slant_cos = band_places(mask, shape_mm, transform, size, pitch_mm=pitch_mm, band_mm=band_mm)
+    columns, rows, slant_cos = band_places(
+        mask, shape_mm, transform, size, pitch_mm=pitch_mm, band_mm=band_mm
+    )
     # low-pass, then sample
     sigma = NOISE_MM / pitch_mm
     weight = gaussian_mean(mask.astype(np.float32), sigma)
-    smooth = gaussian_mean(np.where(mask, ridge_mm, 0.0).astype(np.float32), sigma) / np.maximum(weight, 1e-3)
+    smooth = gaussian_mean(np.where(mask, ridge_mm, 0.0).astype(np.float32), sigma) / np.maximum(
+        weight, 1e-3
+    )
     value = sampled_at(smooth, columns, rows, outside=0.0)
     inside = sampled_at(weight, columns, rows, outside=0.0) > 0.5
     inside &= slant_cos >= np.cos(np.deg2rad(SLANT_DEG))
@@ -124,9 +141,12 @@ def ridge_band(  # noqa: PLR0917 - as the guide calls it
     if typical <= 0.0:
         return RidgeBand(np.zeros_like(ridges), np.zeros_like(inside), band_mm)
     flat = ridges / np.maximum(spread, FLOOR * typical)
-    # coherence of the structure tensor. Source: Bigun and Granlund 1987, Optimal orientation detection
+    # coherence of the structure tensor. Source: Bigun and Granlund 1987, Optimal orientation
+    # detection
     across, down = cv2.Sobel(flat, cv2.CV_32F, 1, 0), cv2.Sobel(flat, cv2.CV_32F, 0, 1)
-    xx, yy, xy = (gaussian_mean(part, window) for part in (across * across, down * down, across * down))
+    xx, yy, xy = (
+        gaussian_mean(part, window) for part in (across * across, down * down, across * down)
+    )
     total = xx + yy
     coherence = np.hypot(xx - yy, 2 * xy) / np.maximum(total, 1e-6 * max(float(total.max()), 1e-30))
     valid = inside & (spread > 0.5 * FLOOR * typical) & (coherence >= COHERENCE)
@@ -136,12 +156,15 @@ def ridge_band(  # noqa: PLR0917 - as the guide calls it
     return RidgeBand(np.where(valid, flat, 0.0), valid, band_mm)
 
 
-def print_band(image: NDArray[np.uint8], ppi: float = 500.0, inside: BoolArray | None = None) -> RidgeBand:
-    """Return the ridge band of a print: mirrored back to what a camera sees, ridges (dark) positive.
+def print_band(
+    image: NDArray[np.uint8], ppi: float = 500.0, inside: BoolArray | None = None
+) -> RidgeBand:
+    """Return the ridge band of a print: mirrored back to what a camera sees, ridges (dark)
+    positive.
 
-    `image`: (H, W) uint8, ridges dark, upright, as ink on paper; `inside`: (H, W) bool, where there are ridges, by
-    default wherever there is contrast; without any, nothing is valid. Raises BadInput if it is not a grey image or the
-    resolution is not positive.
+    `image`: (H, W) uint8, ridges dark, upright, as ink on paper; `inside`: (H, W) bool, where there
+    are ridges, by default wherever there is contrast; without any, nothing is valid. Raises
+    BadInput if it is not a grey image or the resolution is not positive.
     """
     require(
         image.ndim == 2 and image.dtype == np.uint8 and image.size > 0,
@@ -156,7 +179,8 @@ def print_band(image: NDArray[np.uint8], ppi: float = 500.0, inside: BoolArray |
     if inside is not None:
         finger &= inside[:, ::-1]
     if not finger.any():
-        finger, ink = np.ones(image.shape, dtype=bool), np.zeros_like(ink)  # a band without any valid skin
+        # a band without any valid skin
+        finger, ink = np.ones(image.shape, dtype=bool), np.zeros_like(ink)
     return ridge_band(ink, finger, pitch)
 
 
@@ -169,7 +193,8 @@ def band_places(
     pitch_mm: float,
     band_mm: float = PITCH_MM,
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Where each pixel of the band lies in the input (columns, rows), and the cosine of the slant there."""
+    """Where each pixel of the band lies in the input (columns, rows), and the cosine of the slant
+    there."""
     step = band_mm / pitch_mm
     grid = max(1, int(np.ceil(size[0] / step))), max(1, int(np.ceil(size[1] / step)))
     row, column = (np.arange(length, dtype=float) * step for length in grid)
@@ -180,7 +205,9 @@ def band_places(
     reduced = max(1, int(0.25 / pitch_mm))
     small = max(1, mask.shape[1] // reduced), max(1, mask.shape[0] // reduced)
     weight: AnyArray = cv2.resize(mask.astype(np.float32), small, interpolation=cv2.INTER_AREA)
-    height: AnyArray = cv2.resize(np.where(mask, shape_mm, 0.0), small, interpolation=cv2.INTER_AREA)
+    height: AnyArray = cv2.resize(
+        np.where(mask, shape_mm, 0.0), small, interpolation=cv2.INTER_AREA
+    )
     factor = mask.shape[1] / small[0]
     inside = weight > 0.5
     height = np.where(inside, height / np.maximum(weight, 0.5), np.nan).astype(np.float32)
@@ -192,7 +219,9 @@ def band_places(
     place = (x + 0.5) / factor - 0.5, (y + 0.5) / factor - 0.5
     known = sampled_at(fraction, *place, outside=0.0) > 0.5
     right, up = (
-        sampled_at(gaussian_mean(np.clip(slope, -2 * limit, 2 * limit), sigma) / total, *place, outside=0.0)
+        sampled_at(
+            gaussian_mean(np.clip(slope, -2 * limit, 2 * limit), sigma) / total, *place, outside=0.0
+        )
         for slope in height_gradients(height, pitch_mm * factor)
     )
     across = np.where(known, transform[0, 0] * right - transform[1, 0] * up, 0.0)

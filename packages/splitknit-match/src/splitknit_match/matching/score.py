@@ -1,7 +1,7 @@
 """From distances to scores, and from scores to rates.
 
-The thesis's score (5.2) grows with distance; here it is called what it is, a dissimilarity, and turned round at the
-edge: everywhere else a higher score means more similar.
+The thesis's score (5.2) grows with distance; here it is called what it is, a dissimilarity, and
+turned round at the edge: everywhere else a higher score means more similar.
 """
 
 from __future__ import annotations
@@ -61,7 +61,8 @@ class FmrTable:
 
     @property
     def rounding(self) -> float:
-        """By this much similarities are rounded so that no rate comes out too low; bozorth3's are whole numbers."""
+        """By this much similarities are rounded so that no rate comes out too low; bozorth3's are
+        whole numbers."""
         return 0.0 if self.method.startswith("minutiae") else _FMR_ROUNDING
 
     @property
@@ -70,25 +71,33 @@ class FmrTable:
         return FmrBasis(self.impostors, self.population, self.smallest)
 
     def threshold(self, fmr: float) -> float:
-        """Smallest similarity (in steps of 1e-5) at which the rate of false matches is `fmr` or less.
+        """Smallest similarity (in steps of 1e-5) at which the rate of false matches is `fmr` or
+        less.
 
-        A smaller one than was measured is extrapolated. Raises BadInput if it is less than a hundredth of that.
+        A smaller one than was measured is extrapolated. Raises BadInput if it is less than a
+        hundredth of that.
         """
         limit = 0.01 * self.smallest
         require(
             fmr >= limit,
-            f"rates below {limit:.2g} cannot be estimated from {self.impostors} impostors; choose `fmr` >= {limit:.2g} "
-            f"(you gave {fmr:g}).",
+            f"rates below {limit:.2g} cannot be estimated from {self.impostors} impostors; choose"
+            f" `fmr` >= {limit:.2g} (you gave {fmr:g}).",
         )
         measured = float(self.similarity[np.argmax(self.fmr <= fmr)])
         exact = measured if fmr >= self.smallest else self.beyond(fmr)[0]
-        return (math.ceil(exact / self.rounding) + 1) * self.rounding if self.rounding else math.ceil(exact)
+        return (
+            (math.ceil(exact / self.rounding) + 1) * self.rounding
+            if self.rounding
+            else math.ceil(exact)
+        )
 
     def beyond(self, fmr: float) -> tuple[float, float]:
-        """Similarity at which a smaller rate than was measured is reached, and the rate that is to be expected there.
+        """Similarity at which a smaller rate than was measured is reached, and the rate that is to
+        be expected there.
 
-        Beyond the most similar impostor the tail goes on as an exponential, whose mean is that of the `_TAIL` impostors
-        before. `fmr` is the upper limit of 95 %, of this mean and of the number of impostors there.
+        Beyond the most similar impostor the tail goes on as an exponential, whose mean is that of
+        the `_TAIL` impostors before. `fmr` is the upper limit of 95 %, of this mean and of the
+        number of impostors there.
         """
         from scipy.stats import chi2  # measured rates need none of it
 
@@ -103,7 +112,8 @@ class FmrTable:
         return similarity, self.smallest * math.exp((last - similarity) / mean)
 
     def __call__(self, similarity: float) -> float:
-        """False match rate if this similarity were the threshold; never below what the table was measured on."""
+        """False match rate if this similarity were the threshold; never below what the table was
+        measured on."""
         place = int(np.searchsorted(self.similarity, similarity, side="right")) - 1
         return float(self.fmr[place]) if place >= 0 else 1.0
 
@@ -111,13 +121,17 @@ class FmrTable:
 def calibrate_scores(impostor: ArrayLike) -> FmrTable:
     """Table of false match rates from impostor similarities (N,).
 
-    The rate at s is (k + 1) / (N + 1) with k scores at or above s: an upper estimate that is never zero. Raises
-    BadInput if there are fewer than 100 scores or one is not finite.
+    The rate at s is (k + 1) / (N + 1) with k scores at or above s: an upper estimate that is never
+    zero. Raises BadInput if there are fewer than 100 scores or one is not finite.
 
-    Source: ISO/IEC 19795-1 (false match rate); Phipson and Smyth 2010, Permutation p-values should never be zero.
+    Source: ISO/IEC 19795-1 (false match rate); Phipson and Smyth 2010, Permutation p-values should
+    never be zero.
     """
     scores = np.sort(np.asarray(impostor, dtype=float).ravel())
-    require(scores.size >= 100, f"a calibration needs at least 100 impostor scores, but there are {scores.size}.")
+    require(
+        scores.size >= 100,
+        f"a calibration needs at least 100 impostor scores, but there are {scores.size}.",
+    )
     require(np.isfinite(scores).all(), "impostor scores contain NaN or infinite values.")
     # thresholds whose rates are evenly spaced in their logarithm, and just above the largest score
     above = np.unique(np.round(np.geomspace(1, scores.size, _ENTRIES)).astype(np.int64))[::-1]
@@ -131,30 +145,53 @@ def calibrate_scores(impostor: ArrayLike) -> FmrTable:
 DECISION_FORMAT = "splitknit-decision"
 
 
-def own_rates_document(impostor: ArrayLike, what: str, method: str, least_mm2: float) -> dict[str, Any]:
-    """Content of a file of own rates; failures (NaN) are left out. Raises BadInput as :func:`calibrate_scores`."""
+def own_rates_document(
+    impostor: ArrayLike, what: str, method: str, least_mm2: float
+) -> dict[str, Any]:
+    """Content of a file of own rates; failures (NaN) are left out. Raises BadInput as
+    :func:`calibrate_scores`."""
     scores = np.asarray(impostor, dtype=float)
     table = calibrate_scores(scores[~np.isnan(scores)])
     return {
-        "format": DECISION_FORMAT, "version": 1, "method": method, "what": what, "least_mm2": least_mm2,
-        "impostors": table.impostors, "similarity": table.similarity.tolist(), "fmr": table.fmr.tolist(),
-    }  # fmt: skip
+        "format": DECISION_FORMAT,
+        "version": 1,
+        "method": method,
+        "what": what,
+        "least_mm2": least_mm2,
+        "impostors": table.impostors,
+        "similarity": table.similarity.tolist(),
+        "fmr": table.fmr.tolist(),
+    }
 
 
 def read_own_rates(path: Path) -> FmrTable:
-    """Rates of own prints, as ``evaluate --calibrate`` wrote them. Raises BadInput if it is something else."""
-    wrong = f"'{path}' is not a file of false match rates; name one that 'splitknit evaluate --calibrate' wrote."
+    """Rates of own prints, as ``evaluate --calibrate`` wrote them. Raises BadInput if it is
+    something else."""
+    wrong = (
+        f"'{path}' is not a file of false match rates; name one that 'splitknit evaluate"
+        " --calibrate' wrote."
+    )
     document, _ = read_json(path)
     require(document.get("format") == DECISION_FORMAT, wrong)
-    require(document.get("version") == 1, f"'{path}' is of a version that this program does not know; make it anew.")
+    require(
+        document.get("version") == 1,
+        f"'{path}' is of a version that this program does not know; make it anew.",
+    )
     with refusing(wrong):  # also integers beyond all floats
         scores, rates = (np.array(document[name], dtype=float) for name in ("similarity", "fmr"))
         table = FmrTable(
-            scores, rates, int(float(document["impostors"])), str(document["what"]), float(document["least_mm2"]),
+            scores,
+            rates,
+            int(float(document["impostors"])),
+            str(document["what"]),
+            float(document["least_mm2"]),
             method=str(document["method"]),
-        )  # fmt: skip
+        )
     require(scores.ndim == 1 and scores.shape == rates.shape and scores.size > 1, wrong)
     require(table.rated_mm2 >= 0 and table.impostors < 1e12, wrong)
     require((np.diff(scores) > 0).all() and (np.diff(rates) <= 0).all(), wrong)
-    require(((rates > 0) & (rates <= 1)).all() and table.smallest * (table.impostors + 1) >= 1 - 1e-9, wrong)
+    require(
+        ((rates > 0) & (rates <= 1)).all() and table.smallest * (table.impostors + 1) >= 1 - 1e-9,
+        wrong,
+    )
     return table

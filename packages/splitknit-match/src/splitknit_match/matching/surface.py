@@ -21,17 +21,27 @@ class MatchingSettings:
 def surface_template(surface: Surface) -> Template:
     """Template of a reconstruction."""
     band = ridge_band(
-        surface.ridge_mm, surface.mask, surface.pitch_mm, surface.shape_mm, surface.input_from_upright,
+        surface.ridge_mm,
+        surface.mask,
+        surface.pitch_mm,
+        surface.shape_mm,
+        surface.input_from_upright,
         upright_size=surface.upright_size,
-    )  # fmt: skip
+    )
     return make_template(band)
 
 
 def surface_images(surface: Surface) -> FingerImages:
-    """Channels for the thesis's matcher; where the surface is not split, its height is its relief."""
+    """Channels for the thesis's matcher; where the surface is not split, its height is its
+    relief."""
     across, up = height_gradients(surface.shape_mm, surface.pitch_mm)
     relief = surface.ridge_mm + surface.shape_mm if surface.whole else surface.ridge_mm
     return finger_images(
-        surface.normals, relief, surface.mask, surface.pitch_mm, surface.input_from_upright,
-        upright_size=surface.upright_size, shape_normals=normals_from_gradients(across, up),
-    )  # fmt: skip
+        surface.normals,
+        relief,
+        surface.mask,
+        surface.pitch_mm,
+        surface.input_from_upright,
+        upright_size=surface.upright_size,
+        shape_normals=normals_from_gradients(across, up),
+    )

@@ -1,10 +1,11 @@
 """The compact template of one finger: the ridge band in four levels, and where it is valid.
 
-A template is what a gallery keeps. Its payload, little-endian: rows and columns (uint16 each), number of runs (uint32),
-pitch in micrometres (uint16); the lengths of alternating runs of missing and valid pixels in row order (uint16 each, or
-65535 and a uint32 for longer ones); two bits for each valid pixel, the first pixel in the lowest bits; and of a print,
-where they were found, its minutiae (:func:`splitknit_match.prints.minutiae_record.pack_minutiae`, with a version of
-their own). A finger that could not be acquired is a payload of zero bytes.
+A template is what a gallery keeps. Its payload, little-endian: rows and columns (uint16 each),
+number of runs (uint32), pitch in micrometres (uint16); the lengths of alternating runs of missing
+and valid pixels in row order (uint16 each, or 65535 and a uint32 for longer ones); two bits for
+each valid pixel, the first pixel in the lowest bits; and of a print, where they were found, its
+minutiae (:func:`splitknit_match.prints.minutiae_record.pack_minutiae`, with a version of their
+own). A finger that could not be acquired is a payload of zero bytes.
 """
 
 from __future__ import annotations
@@ -82,8 +83,8 @@ class Template:
 def make_template(band: RidgeBand, least_mm2: float = LEAST_MM2) -> Template:
     """Return the template of a ridge band, cut to what is valid.
 
-    It is empty where less than `least_mm2` is valid: a failure to acquire. Raises BadInput if the band is larger
-    than the format allows: larger than any finger.
+    It is empty where less than `least_mm2` is valid: a failure to acquire. Raises BadInput if the
+    band is larger than the format allows: larger than any finger.
 
     >>> import numpy as np
     >>> from splitknit_match.matching.ridge_band import ridge_band
@@ -97,7 +98,8 @@ def make_template(band: RidgeBand, least_mm2: float = LEAST_MM2) -> Template:
     valid = np.ascontiguousarray(band.valid[box])
     require(
         _is_a_fingers(valid.shape, round(1000 * band.pitch_mm)),
-        f"the ridge band has {valid.shape} pixels, more than a finger's; check the pitch ({band.pitch_mm:g} mm).",
+        f"the ridge band has {valid.shape} pixels, more than a finger's; check the pitch"
+        f" ({band.pitch_mm:g} mm).",
     )
     return leveled(band.value[box], valid, band.pitch_mm)
 
@@ -131,7 +133,9 @@ def scaled(template: Template, scale: float) -> Template:
         return replace(larger, minutiae=no_minutiae(size))
     x, y = (
         np.minimum(np.rint((place + 0.5) * (new / old) - 0.5).astype(np.int32), new - 1)
-        for place, new, old in zip((minutiae.x_px, minutiae.y_px), size[::-1], minutiae.size[::-1], strict=True)
+        for place, new, old in zip(
+            (minutiae.x_px, minutiae.y_px), size[::-1], minutiae.size[::-1], strict=True
+        )
     )
     return replace(larger, minutiae=replace(minutiae, x_px=x, y_px=y, size=size))
 
@@ -141,18 +145,23 @@ def mirrored(template: Template) -> Template:
     minutiae = template.minutiae
     if minutiae is not None and minutiae.count:
         x = (minutiae.size[1] - 1 - minutiae.x_px).astype(np.int32)
-        minutiae = replace(minutiae, x_px=x, direction_rad=(np.pi - minutiae.direction_rad) % (2 * np.pi))
+        minutiae = replace(
+            minutiae, x_px=x, direction_rad=(np.pi - minutiae.direction_rad) % (2 * np.pi)
+        )
     level = np.ascontiguousarray(template.level[:, ::-1])
     valid = np.ascontiguousarray(template.valid[:, ::-1])
     return replace(template, level=level, valid=valid, minutiae=minutiae)
 
 
 def with_minutiae(template: Template, valid: BoolArray, minutiae: Minutiae) -> Template:
-    """`template` with the minutiae of its print, on a grid of 500 ppi whose middle is the template's, as they are kept.
+    """`template` with the minutiae of its print, on a grid of 500 ppi whose middle is the
+    template's, as they are kept.
 
-    `valid`: (H, W) of the whole band that the template was cut from. Those beyond the template's border are left out.
+    `valid`: (H, W) of the whole band that the template was cut from. Those beyond the template's
+    border are left out.
     """
-    minutiae = unpack_minutiae(pack_minutiae(minutiae))  # directions in steps: the same before and after
+    # directions in steps: the same before and after
+    minutiae = unpack_minutiae(pack_minutiae(minutiae))
     if template.empty:
         return replace(template, minutiae=minutiae)
     step = template.pitch_mm * PPI / 25.4
@@ -189,11 +198,16 @@ def pack(template: Template) -> bytes:
     if runs.max() < _LONG:
         lengths = runs.astype("<u2").tobytes()
     else:
-        lengths = b"".join(struct.pack("<H", n) if n < _LONG else struct.pack("<HI", _LONG, n) for n in runs.tolist())
+        lengths = b"".join(
+            struct.pack("<H", n) if n < _LONG else struct.pack("<HI", _LONG, n)
+            for n in runs.tolist()
+        )
     level = template.level.ravel()[flat]
     quads = np.pad(level, (0, -len(level) % 4)).reshape(-1, 4)
     packed: NDArray[np.uint8] = (quads << _SHIFTS).sum(axis=1, dtype=np.uint8)
-    minutiae = b"" if template.minutiae is None else pack_minutiae(template.minutiae) or _NO_MINUTIAE
+    minutiae = (
+        b"" if template.minutiae is None else pack_minutiae(template.minutiae) or _NO_MINUTIAE
+    )
     return head + lengths + packed.tobytes() + minutiae
 
 
@@ -201,7 +215,10 @@ def unpack(payload: bytes) -> Template:
     """Read what :func:`pack` wrote. Raises BadInput if the payload is damaged."""
     if not payload:
         return failed_template()
-    require(not holds_minutiae(payload), "the template holds minutiae, no ridges; compare it by the method minutiae.")
+    require(
+        not holds_minutiae(payload),
+        "the template holds minutiae, no ridges; compare it by the method minutiae.",
+    )
     wrong = "the template's content contradicts itself; enroll the finger again."
     require(len(payload) >= _HEAD.size, wrong)
     height, width, count, pitch_um = _HEAD.unpack_from(payload)
@@ -221,8 +238,8 @@ def unpack(payload: bytes) -> Template:
     require(sum(runs) == height * width and all(runs[1:]), wrong)
     require(
         _is_a_fingers((height, width), pitch_um),
-        f"the template shows {height * width * pitch_um**2 / 1e6:.0f} mm² in {height} x {width} pixels, more than a "
-        f"finger's {LARGEST_MM2:.0f} mm²; enroll one finger.",
+        f"the template shows {height * width * pitch_um**2 / 1e6:.0f} mm² in {height} x {width}"
+        f" pixels, more than a finger's {LARGEST_MM2:.0f} mm²; enroll one finger.",
     )
     flat = np.repeat(np.arange(count) % 2 == 1, runs)
     known = int(flat.sum())
@@ -236,6 +253,7 @@ def unpack(payload: bytes) -> Template:
     level[flat] = (packed[:, None] >> _SHIFTS & 3).ravel()[:known]
     shape = height, width
     template = Template(level.reshape(shape), flat.reshape(shape), pitch_um / 1000, minutiae)
-    if minutiae and minutiae.count and minutiae.size != print_size(template):  # an earlier version's grid
+    # an earlier version's grid
+    if minutiae and minutiae.count and minutiae.size != print_size(template):
         return replace(template, minutiae=None)
     return template

@@ -1,4 +1,5 @@
-"""The thesis's matcher: masks aligned, boxes made equal in size, features of every channel, the score (5.2)."""
+"""The thesis's matcher: masks aligned, boxes made equal in size, features of every channel, the
+score (5.2)."""
 
 from __future__ import annotations
 
@@ -21,24 +22,30 @@ from splitknit_match.matching.score import dissimilarity
 
 
 def align_masks(database: BoolArray, query: BoolArray) -> tuple[int, float]:
-    """Lay the query's mask on the database's: tip on tip (row 0), then sideways to the largest overlap.
+    """Lay the query's mask on the database's: tip on tip (row 0), then sideways to the largest
+    overlap.
 
-    Returns the columns by which the query's box is shifted to the right against the database's, and the intersection
-    over union of the two masks, (5.1). Raises BadInput if a mask is empty. The lateral shift is found on masks reduced
-    to about 128 rows, then to the pixel.
+    Returns the columns by which the query's box is shifted to the right against the database's, and
+    the intersection over union of the two masks, (5.1). Raises BadInput if a mask is empty. The
+    lateral shift is found on masks reduced to about 128 rows, then to the pixel.
 
-    `database`, `query`: (H, W) and (h, w) bool; upright (tip at row 0), cut to their bounding boxes, of one scale.
+    `database`, `query`: (H, W) and (h, w) bool; upright (tip at row 0), cut to their bounding
+    boxes, of one scale.
 
-    Source: the thesis, section 5.3.1, steps 1 and 2. Where the first row of a tip starts depends on a pixel or two; the
-    search removes that chance.
+    Source: the thesis, section 5.3.1, steps 1 and 2. Where the first row of a tip starts depends on
+    a pixel or two; the search removes that chance.
     """
     factor = max(1, max(database.shape[0], query.shape[0]) // 128)
     start = tip_column(database) - tip_column(query)
-    small_database, small_query = (mask[factor // 2 :: factor, factor // 2 :: factor] for mask in (database, query))
+    small_database, small_query = (
+        mask[factor // 2 :: factor, factor // 2 :: factor] for mask in (database, query)
+    )
     reach = max(database.shape[1], query.shape[1]) // (4 * factor) + 1
     middle = round(start / factor)
     coarse, _ = best_shift(small_database, small_query, range(middle - reach, middle + reach + 1))
-    best, both = best_shift(database, query, range((coarse - 1) * factor, (coarse + 1) * factor + 1))
+    best, both = best_shift(
+        database, query, range((coarse - 1) * factor, (coarse + 1) * factor + 1)
+    )
     union = np.count_nonzero(database) + np.count_nonzero(query) - both
     return best, float(both / union)
 
@@ -50,8 +57,8 @@ def tip_column(mask: BoolArray) -> int:
 
 
 def best_shift(a: BoolArray, b: BoolArray, shifts: range, middle: int = 0) -> tuple[int, int]:
-    """The one of `shifts` of `b` to the right with the largest overlap, of equal ones that nearest to the middle; and
-    the overlap.
+    """The one of `shifts` of `b` to the right with the largest overlap, of equal ones that nearest
+    to the middle; and the overlap.
     """
     rows = min(len(a), len(b))
     best, most = middle, -1
@@ -74,7 +81,11 @@ def to_box(image: FloatArray, size: tuple[int, int]) -> FloatArray:
 
 NORMALS = ("normal_x", "normal_y", "normal_z")
 ATTRIBUTES: Mapping[str, tuple[str, ...]] = MappingProxyType(
-    {"normals": NORMALS, "relief": ("relief",), "shape_normals": tuple(f"shape_{name}" for name in NORMALS)}
+    {
+        "normals": NORMALS,
+        "relief": ("relief",),
+        "shape_normals": tuple(f"shape_{name}" for name in NORMALS),
+    }
 )
 """What is matched, and the channels of each."""
 
@@ -91,7 +102,10 @@ class ThesisSettings(Checked):
     def __post_init__(self) -> None:
         check_fields(self)
         unknown = [name for name in self.attributes if name not in ATTRIBUTES]
-        require(not unknown and len(self.attributes) > 0, f"thesis.attributes must be of {', '.join(ATTRIBUTES)}.")
+        require(
+            not unknown and len(self.attributes) > 0,
+            f"thesis.attributes must be of {', '.join(ATTRIBUTES)}.",
+        )
 
 
 DEFAULTS = ThesisSettings()
@@ -115,13 +129,15 @@ class ImageMatch:
     similarity: float
     """1 for equal fingers; below -1.7 where the thesis's matcher compared nothing."""
     distances: Mapping[str, float]
-    """Of each channel (``thesis``), empty where the pair was not compared, or attribute (``thesis-code``)."""
+    """Of each channel (``thesis``), empty where the pair was not compared, or attribute
+    (``thesis-code``)."""
     ratio: float
     """Intersection over union of the masks."""
     shift_px: int
     """Columns by which the query's box was shifted."""
     dissimilarity: Mapping[str, float] = field(default_factory=dict)
-    """(5.2) of each attribute; exp(2 - ratio) where the pair was not compared; of the matcher ``thesis``."""
+    """(5.2) of each attribute; exp(2 - ratio) where the pair was not compared; of the matcher
+    ``thesis``."""
     compared: bool = True
 
 
@@ -137,10 +153,11 @@ def finger_images(
 ) -> FingerImages:
     """Bring normals and relief upright and cut them to the finger.
 
-    `normals`: (H, W, 3) of the fingerprint's surface, in the frame of the images, turned with the picture; `ridge_mm`,
-    `mask`: (H, W); `input_from_upright`: (3, 3), takes (column, row, 1) of the upright frame, of `upright_size` rows
-    and columns, to the input, which is upright where it is missing; `shape_normals`: of the finger without ridges.
-    Raises BadInput if shapes disagree, the mask is empty, or the pitch is not positive.
+    `normals`: (H, W, 3) of the fingerprint's surface, in the frame of the images, turned with the
+    picture; `ridge_mm`, `mask`: (H, W); `input_from_upright`: (3, 3), takes (column, row, 1) of the
+    upright frame, of `upright_size` rows and columns, to the input, which is upright where it is
+    missing; `shape_normals`: of the finger without ridges. Raises BadInput if shapes disagree, the
+    mask is empty, or the pitch is not positive.
     """
     mask = check_mask(mask, (ridge_mm.shape[0], ridge_mm.shape[1]))
     channels = {"relief": ridge_mm}
@@ -153,7 +170,9 @@ def finger_images(
         size = upright_size or (mask.shape[0], mask.shape[1])
         mask = warp(mask.astype(np.float32), input_from_upright, size) > 0.5
         require(mask.any(), "the mask lies outside the upright frame.")
-        channels = {name: warp(channel, input_from_upright, size) for name, channel in channels.items()}
+        channels = {
+            name: warp(channel, input_from_upright, size) for name, channel in channels.items()
+        }
         back = np.linalg.inv(input_from_upright[:2, :2])
         turn = back / np.sqrt(abs(np.linalg.det(back)))
         for name_x, name_y in (("normal_x", "normal_y"), ("shape_normal_x", "shape_normal_y")):
@@ -171,17 +190,24 @@ def check_scales(database: float, query: float) -> None:
     """Raise BadInput where two fingers differ in pixels per mm."""
     require(
         abs(database / query - 1.0) < 0.02,
-        f"the fingers have {database:.1f} and {query:.1f} px/mm; the thesis's matchers need one scale.",
+        f"the fingers have {database:.1f} and {query:.1f} px/mm; the thesis's matchers need one"
+        " scale.",
     )
 
 
-def finger_features(images: FingerImages, settings: ThesisSettings = DEFAULTS) -> dict[str, FloatArray]:
-    """Feature vector of each channel that `settings` name, for a finger of the database that is compared often.
+def finger_features(
+    images: FingerImages, settings: ThesisSettings = DEFAULTS
+) -> dict[str, FloatArray]:
+    """Feature vector of each channel that `settings` name, for a finger of the database that is
+    compared often.
 
     Raises BadInput if a channel is missing, or smaller than a cell. Returns (n,) float32 by
     channel, for :func:`thesis_match`.
     """
-    return {name: lbp_features(images.channels[name], images.px_per_mm) for name in _needed(images, settings)}
+    return {
+        name: lbp_features(images.channels[name], images.px_per_mm)
+        for name in _needed(images, settings)
+    }
 
 
 def thesis_match(
@@ -192,20 +218,23 @@ def thesis_match(
 ) -> ImageMatch:
     """Compare a query with a finger of the database, as the thesis does.
 
-    The query is resampled to the database's box, so that the order of the two matters a little. Raises BadInput if the
-    two have different scales, or one lacks a channel. The similarity is 1 - the mean dissimilarity (5.2):
-    1 for equal fingers, below -1.7 where the gate left the pair out.
+    The query is resampled to the database's box, so that the order of the two matters a little.
+    Raises BadInput if the two have different scales, or one lacks a channel. The similarity is 1 -
+    the mean dissimilarity (5.2): 1 for equal fingers, below -1.7 where the gate left the pair out.
 
-    Source: the thesis, section 5.3.1, steps 1 to 8, (5.1) and (5.2). The three distances of (5.2) are those of the
-    channels of one attribute; relief has one. `features`: what :func:`finger_features` made of the database's finger
-    with the same settings, whose channels are not needed then.
+    Source: the thesis, section 5.3.1, steps 1 to 8, (5.1) and (5.2). The three distances of (5.2)
+    are those of the channels of one attribute; relief has one. `features`: what
+    :func:`finger_features` made of the database's finger with the same settings, whose channels are
+    not needed then.
     """
     check_scales(database.px_per_mm, query.px_per_mm)
     needed = _needed(query, settings)
     right, ratio = align_masks(database.mask, query.mask)
     if ratio < settings.gate or ratio <= 0.0:
         gated = float(np.exp(2.0 - ratio))  # above e: worse than any pair that is compared
-        return ImageMatch(1.0 - gated, {}, ratio, right, dict.fromkeys(settings.attributes, gated), compared=False)
+        return ImageMatch(
+            1.0 - gated, {}, ratio, right, dict.fromkeys(settings.attributes, gated), compared=False
+        )
     features = finger_features(database, settings) if features is None else features
     box = database.mask.shape[0], database.mask.shape[1]
     distances = {}

@@ -1,7 +1,8 @@
-"""The matcher that the thesis's author ran (``thesis-code``), where his program differs from his text.
+"""The matcher that the thesis's author ran (``thesis-code``), where his program differs from his
+text.
 
-By the facts of his public MATLAB program (ICVGIP 2022, DOI 10.1145/3571600.3571618); no code of it is here. What the
-differences change: docs/experiments/authors-program.md.
+By the facts of his public MATLAB program (ICVGIP 2022, DOI 10.1145/3571600.3571618); no code of it
+is here. What the differences change: docs/experiments/authors-program.md.
 """
 
 from __future__ import annotations
@@ -15,7 +16,14 @@ from numpy.typing import NDArray
 from splitknit.errors import require
 from splitknit.model import BoolArray, FloatArray
 from splitknit_match.matching.features import REFERENCE_PX_PER_MM, uniform_bins
-from splitknit_match.matching.thesis import ATTRIBUTES, FingerImages, ImageMatch, best_shift, check_scales, tip_column
+from splitknit_match.matching.thesis import (
+    ATTRIBUTES,
+    FingerImages,
+    ImageMatch,
+    best_shift,
+    check_scales,
+    tip_column,
+)
 
 NEIGHBOURS = {"normals": 15, "relief": 15, "shape_normals": 4}
 """Pixels around the circle of a local binary pattern, of radius one pixel."""
@@ -46,11 +54,12 @@ def code_side(images: FingerImages) -> CodeSide:
 
 
 def pattern_labels(image: FloatArray, neighbours: int) -> Labels:
-    """Labels (H, W) of the uniform local binary patterns of `neighbours` pixels at radius 1, bilinear, not turned.
+    """Labels (H, W) of the uniform local binary patterns of `neighbours` pixels at radius 1,
+    bilinear, not turned.
 
-    Patterns with at most two changes around the circle have labels of their own, all others share the last one:
-    n (n - 1) + 3 labels. Pixels beyond the border repeat its edge. Source: Ojala, Pietikainen and Maenpaa 2002,
-    section 2.1.
+    Patterns with at most two changes around the circle have labels of their own, all others share
+    the last one: n (n - 1) + 3 labels. Pixels beyond the border repeat its edge. Source: Ojala,
+    Pietikainen and Maenpaa 2002, section 2.1.
     """
     padded = np.pad(image, 2, mode="edge")
     rows, columns = image.shape
@@ -77,11 +86,11 @@ def _bins(neighbours: int) -> int:
 def code_match(database: CodeSide, query: CodeSide) -> ImageMatch:
     """Compare a query with a finger of the database, as the author's program does.
 
-    The tips are laid on each other, then the query is moved sideways to the largest overlap of the masks; it is neither
-    turned nor brought to the database's size. Histograms are counts; the score of an attribute is 1 - the mean over its
-    channels of the L1 distance, divided by the number of features: 1 for equal fingers, negative for most others; there
-    is no gate. Raises BadInput if the scales differ, a mask is
-    smaller than a cell, or one side lacks a channel of the other.
+    The tips are laid on each other, then the query is moved sideways to the largest overlap of the
+    masks; it is neither turned nor brought to the database's size. Histograms are counts; the score
+    of an attribute is 1 - the mean over its channels of the L1 distance, divided by the number of
+    features: 1 for equal fingers, negative for most others; there is no gate. Raises BadInput if
+    the scales differ, a mask is smaller than a cell, or one side lacks a channel of the other.
     """
     scale = database.px_per_mm / REFERENCE_PX_PER_MM
     check_scales(database.px_per_mm, query.px_per_mm)
@@ -113,13 +122,19 @@ def code_match(database: CodeSide, query: CodeSide) -> ImageMatch:
     return ImageMatch(similarity, distances, both / union, shift)
 
 
-def _counts(labels: Labels, right: int, cell: int, cells: tuple[int, int], bins: int) -> NDArray[np.int64]:
-    """(cells, bins) how often each label occurs, after a shift by `right` columns; nothing is the flat pattern."""
+def _counts(
+    labels: Labels, right: int, cell: int, cells: tuple[int, int], bins: int
+) -> NDArray[np.int64]:
+    """(cells, bins) how often each label occurs, after a shift by `right` columns; nothing is the
+    flat pattern."""
     rows, columns = cells[0] * cell, cells[1] * cell
-    laid = np.full((rows, columns), bins - 2, dtype=np.int64)  # all bits set: neighbours as large as the pixel
+    # all bits set: neighbours as large as the pixel
+    laid = np.full((rows, columns), bins - 2, dtype=np.int64)
     first, last = max(0, right), min(columns, labels.shape[1] + right)
     height = min(rows, labels.shape[0])
     if last > first:
         laid[:height, first:last] = labels[:height, first - right : last - right]
-    laid += bins * (np.arange(rows)[:, None] // cell * cells[1] + np.arange(columns)[None, :] // cell)
+    laid += bins * (
+        np.arange(rows)[:, None] // cell * cells[1] + np.arange(columns)[None, :] // cell
+    )
     return np.bincount(laid.ravel(), minlength=bins * cells[0] * cells[1])

@@ -127,7 +127,10 @@ def windowed(image: FloatArray, across: Array, down: Array) -> FloatArray:
 
 
 def normal_matrices(
-    weight: FloatArray, taps: list[Array], powers: list[tuple[int, int]], at: tuple[NDArray[np.intp], ...]
+    weight: FloatArray,
+    taps: list[Array],
+    powers: list[tuple[int, int]],
+    at: tuple[NDArray[np.intp], ...],
 ) -> Array:
     """(N, P, P) normal matrices of local polynomials, fitted at pixels `at` to what has weight (H,
     W).
@@ -140,7 +143,9 @@ def normal_matrices(
     return np.moveaxis(np.array(matrices, dtype=float), 2, 0)
 
 
-def _principal(x: Sequence[Any], y: Sequence[Any], z: Sequence[Any]) -> tuple[FloatArray, FloatArray, FloatArray]:
+def _principal(
+    x: Sequence[Any], y: Sequence[Any], z: Sequence[Any]
+) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Principal curvatures (larger, smaller) and the shape index of (5.3), of the derivatives that
     a fit gives."""
     e, f, g = (x[a] * x[b] + y[a] * y[b] + z[a] * z[b] for a, b in ((0, 0), (0, 1), (1, 1)))

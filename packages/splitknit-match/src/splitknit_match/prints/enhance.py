@@ -43,7 +43,9 @@ class Enhanced:
     field: RidgeField
 
 
-def gabor_enhance(image: GreyArray, ppi: float = 500.0, inside: BoolArray | None = None) -> Enhanced:
+def gabor_enhance(
+    image: GreyArray, ppi: float = 500.0, inside: BoolArray | None = None
+) -> Enhanced:
     """Enhance a print (h, w) uint8, ridges dark; nothing is printed beside `inside` (h, w), where
     that is known.
 
@@ -62,7 +64,9 @@ def gabor_enhance(image: GreyArray, ppi: float = 500.0, inside: BoolArray | None
     rows, columns = image.shape
     wave = _plane_waves(coefficients, field)[:rows, :columns]
     size = field.mask.shape[1] * field.step_px, field.mask.shape[0] * field.step_px
-    smooth = cv2.GaussianBlur(field.mask.astype(np.float32), (0, 0), 1.5, borderType=cv2.BORDER_REPLICATE)
+    smooth = cv2.GaussianBlur(
+        field.mask.astype(np.float32), (0, 0), 1.5, borderType=cv2.BORDER_REPLICATE
+    )
     soft = cv2.resize(smooth, size, interpolation=cv2.INTER_LINEAR)[:rows, :columns]
     if inside is not None:
         soft = soft * cv2.GaussianBlur(inside.astype(np.float32), (0, 0), 1.0)
@@ -79,7 +83,9 @@ def _wave_vectors(field: RidgeField) -> tuple[FloatArray, FloatArray]:
     return turn * np.cos(across), -turn * np.sin(across)  # rows run downwards
 
 
-def node_amplitudes(image: GreyArray | FloatArray, field: RidgeField, sigma_periods: float) -> NDArray[np.complex64]:
+def node_amplitudes(
+    image: GreyArray | FloatArray, field: RidgeField, sigma_periods: float
+) -> NDArray[np.complex64]:
     """Fit one plane wave, with a node's own direction and frequency, at every node of an image (h,
     w).
 
@@ -95,8 +101,12 @@ def node_amplitudes(image: GreyArray | FloatArray, field: RidgeField, sigma_peri
     offset = np.arange(-reach, reach + 2 - step % 2, dtype=np.float32) - (middle - int(middle))
     size = offset.size
     first = reach - int(middle)
-    below, beside = (count * step + size - side for count, side in zip((n, m), image.shape, strict=True))
-    padded = cv2.copyMakeBorder(image, first, below, first, beside, cv2.BORDER_REFLECT).astype(np.float32)
+    below, beside = (
+        count * step + size - side for count, side in zip((n, m), image.shape, strict=True)
+    )
+    padded = cv2.copyMakeBorder(image, first, below, first, beside, cv2.BORDER_REFLECT).astype(
+        np.float32
+    )
     windows = sliding_window_view(padded, (size, size))[::step, ::step]
     kx, ky = (part[field.mask] for part in _wave_vectors(field))
     rows, columns = np.nonzero(field.mask)
@@ -111,12 +121,15 @@ def node_amplitudes(image: GreyArray | FloatArray, field: RidgeField, sigma_peri
         # (N, s)
         wave = np.stack([envelope * np.cos(across), -envelope * np.sin(across)], axis=2)
         plain = envelope / envelope.sum(axis=1, keepdims=True)
-        mean = np.einsum("nis,ni->ns", np.matmul(patch, plain[..., None]), plain)  # takes out the local mean
+        # takes out the local mean
+        mean = np.einsum("nis,ni->ns", np.matmul(patch, plain[..., None]), plain)
         along = np.matmul(patch, wave) - mean[:, None] * wave.sum(axis=1)[:, None]
         cos = envelope * np.cos(down)
         sin = -envelope * np.sin(down)
         real = np.einsum("ni,ni->n", along[..., 0], cos) - np.einsum("ni,ni->n", along[..., 1], sin)
-        imaginary = np.einsum("ni,ni->n", along[..., 0], sin) + np.einsum("ni,ni->n", along[..., 1], cos)
+        imaginary = np.einsum("ni,ni->n", along[..., 0], sin) + np.einsum(
+            "ni,ni->n", along[..., 1], cos
+        )
         norm = 2.0 / envelope.sum(axis=1) ** 2
         result[rows[part], columns[part]] = (real + 1j * imaginary) * norm
 
@@ -131,7 +144,10 @@ def _plane_waves(coefficients: NDArray[np.complex64], field: RidgeField) -> Floa
     # a node's wave covers the two cells beside it along each axis
     offset = np.arange(2 * step, dtype=np.float32) - (step - 0.5)
     tent = 1.0 - np.abs(offset) / step
-    x, y = ((tent * np.exp(1j * k[..., None] * offset)).astype(np.complex64) for k in _wave_vectors(field))
+    x, y = (
+        (tent * np.exp(1j * k[..., None] * offset)).astype(np.complex64)
+        for k in _wave_vectors(field)
+    )
     y *= coefficients[..., None]
     # real part of the outer product, (n, 2 s, m, 2 s)
     tiles = np.einsum("nmi,nmj->nimj", y.real, x.real) - np.einsum("nmi,nmj->nimj", y.imag, x.imag)

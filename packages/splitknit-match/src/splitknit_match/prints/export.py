@@ -38,7 +38,12 @@ from splitknit_match.prints.make import Print, enhance, make_print, measured, mi
 from splitknit_match.prints.minutiae import extract
 from splitknit_match.prints.minutiae_record import PPI, no_minutiae
 from splitknit_match.prints.sources import read_source
-from splitknit_match.records.minutiae_record import FINGER_CODES, IMPRESSIONS, VENDOR_UNKNOWN, FingerView
+from splitknit_match.records.minutiae_record import (
+    FINGER_CODES,
+    IMPRESSIONS,
+    VENDOR_UNKNOWN,
+    FingerView,
+)
 from splitknit_match.records.print_formats import FORMATS, WSQ_PPI, PrintFormat, Writing
 
 FACTS_FILE = "export.json"
@@ -86,12 +91,24 @@ def export_records(
     Raises BadInput, naming the source at fault: it cannot be read, holds no picture where one is
     needed, or nothing at all.
     """
-    for value, known, noun in ((finger, FINGER_CODES, "a finger"), (impression, IMPRESSIONS, "an impression type")):
-        require(value is None or value in known, f"'{value}' is not {noun}; choose one of {', '.join(known)}.")
+    for value, known, noun in (
+        (finger, FINGER_CODES, "a finger"),
+        (impression, IMPRESSIONS, "an impression type"),
+    ):
+        require(
+            value is None or value in known,
+            f"'{value}' is not {noun}; choose one of {', '.join(known)}.",
+        )
     parameters = {
-        "to": to, "finger": finger, "impression": impression, "compression": compression, "owner": owner,
-        "minutiae": minutiae, "input_ppi": input_ppi, "preset": preset,
-    }  # fmt: skip
+        "to": to,
+        "finger": finger,
+        "impression": impression,
+        "compression": compression,
+        "owner": owner,
+        "minutiae": minutiae,
+        "input_ppi": input_ppi,
+        "preset": preset,
+    }
 
     def files(source: Path, hashes: dict[str, str]) -> Iterator[File]:
         for item in _fingers(source, hashes, input_ppi, preset):
@@ -107,15 +124,21 @@ def export_records(
             facts: Facts = {"kind": item.kind, **label}
             if picture is not None and (picture.doubt or picture.note):
                 facts["note"] = f"{picture.doubt} {picture.note}".strip()
-            writing = Writing(compression, provenance_texts(provenance({"to": form.name}, hashes)), owner=owner)
-            encode = partial(_encoded, picture, view, form, writing, how=minutiae, printed=item.printed)
+            writing = Writing(
+                compression, provenance_texts(provenance({"to": form.name}, hashes)), owner=owner
+            )
+            encode = partial(
+                _encoded, picture, view, form, writing, how=minutiae, printed=item.printed
+            )
             data, more = naming(source, encode)
             yield item.name, form.suffix, partial(Path.write_bytes, data=data), facts | more
 
     return _exported(sources, out, files, parameters, progress)
 
 
-def export_meshes(sources: Sequence[Path], out: Path, to: str, preset: str, progress: Progress = no_progress) -> Facts:
+def export_meshes(
+    sources: Sequence[Path], out: Path, to: str, preset: str, progress: Progress = no_progress
+) -> Facts:
     """Write the surfaces of captures and results, or the lights of captures (`to` lp); as
     :func:`export_records`."""
 
@@ -133,7 +156,8 @@ def _exported(
     parameters: Facts,
     progress: Progress,
 ) -> Facts:
-    """Write the files of all sources and ``export.json``; `files` adds the hashes of what it reads."""
+    """Write the files of all sources and ``export.json``; `files` adds the hashes of what it
+    reads."""
     require(sources, "name what is to be exported: captures, results, prints or records.")
     for source in sources:
         check_target(out, FACTS_FILE, "an earlier export", keep=source)
@@ -166,8 +190,13 @@ def _exported(
 # What a source holds.
 
 
-def _fingers(source: Path, hashes: dict[str, str], input_ppi: float | None, preset: str) -> Iterator[_Finger]:
-    require(os.path.exists(source), f"there is no '{source}'; name a capture, a result, a print or a record.")  # noqa: PTH110
+def _fingers(
+    source: Path, hashes: dict[str, str], input_ppi: float | None, preset: str
+) -> Iterator[_Finger]:
+    require(
+        os.path.exists(source),  # noqa: PTH110
+        f"there is no '{source}'; name a capture, a result, a print or a record.",
+    )
     folder = source.is_dir()
     name = _name_of(source)
     if folder and (source / "print.png").is_file() and (source / "map.npz").is_file():
@@ -187,20 +216,28 @@ def _fingers(source: Path, hashes: dict[str, str], input_ppi: float | None, pres
 
 def _of_surface(source: Path, name: str, preset: str, hashes: dict[str, str]) -> _Finger:
     """Print of a capture or a result, as ``splitknit print`` makes it."""
-    known = not source.is_dir() or any((source / file).is_file() for file in ("capture.json", "height.npz"))
+    known = not source.is_dir() or any(
+        (source / file).is_file() for file in ("capture.json", "height.npz")
+    )
     kinds = "a capture (capture.json), result (height.npz) or print (print.png)"
     require(known, f"'{source}' is not {kinds}; name one {photographs_hint(source)}.")
     surface = read_source(source, photo=False, surface=True, preset=preset)
     hashes.update(surface.hashes)
     printed = naming(source, lambda: make_print(surface, "unroll"))
     finger = coded_finger(surface.subject.get("finger"))
-    return _Finger(name, surface.kind, PrintFile(printed.image, PPI, {}, finger, "contactless"), printed=printed)
+    return _Finger(
+        name,
+        surface.kind,
+        PrintFile(printed.image, PPI, {}, finger, "contactless"),
+        printed=printed,
+    )
 
 
 def _of_print_folder(source: Path, name: str, hashes: dict[str, str]) -> _Finger:
     picture, view = read_print_folder(source)
     method = text_of(read_json(source / "report.json")[0], "method", f"{source}: report.json")
-    impression = "live_plain" if method == "file" else "contactless"  # of a print of a finger's contact
+    # of a print of a finger's contact
+    impression = "live_plain" if method == "file" else "contactless"
     if view is not None:
         view = replace(view, impression=impression)
         hashes[f"{source.name}/minutiae.iso"] = file_hash(source / "minutiae.iso")
@@ -223,7 +260,9 @@ def _lights(source: Path, hashes: dict[str, str]) -> tuple[Callable[[Path], obje
     return lambda file: write_light_list(leds, file, photographs), facts
 
 
-def _mesh(source: Path, to: str, preset: str, hashes: dict[str, str]) -> tuple[Callable[[Path], object], Facts]:
+def _mesh(
+    source: Path, to: str, preset: str, hashes: dict[str, str]
+) -> tuple[Callable[[Path], object], Facts]:
     arrays = source / "height.npz" if source.is_dir() else source
     if not arrays.is_file() and (source / "capture.json").is_file():
         capture = read_capture(source)
@@ -232,7 +271,11 @@ def _mesh(source: Path, to: str, preset: str, hashes: dict[str, str]) -> tuple[C
         result = naming(source, lambda: reconstruct(capture, preset))
     else:
         named = arrays.suffix.lower() == ".npz" and arrays.is_file()
-        require(named, f"'{source}' has no surface to export; name a result (height.npz) or a capture (capture.json).")
+        require(
+            named,
+            f"'{source}' has no surface to export; name a result (height.npz) or a capture"
+            " (capture.json).",
+        )
         hashes[f"{source.name}/{arrays.name}"] = file_hash(arrays)
         kind = "result"
         result = read_result(source)
@@ -251,20 +294,31 @@ def _name_of(source: Path) -> str:
 
 
 def _encoded(
-    picture: PrintFile | None, view: FingerView | None, form: PrintFormat, writing: Writing, *, how: str,
+    picture: PrintFile | None,
+    view: FingerView | None,
+    form: PrintFormat,
+    writing: Writing,
+    *,
+    how: str,
     printed: Print | None,
-) -> tuple[bytes, Facts]:  # fmt: skip
+) -> tuple[bytes, Facts]:
     """Bytes of a finger, and facts of them; `how` minutiae are found."""
     assert form.encode is not None
     if form.holds == "minutiae":
         if view is None:
             assert picture is not None
             view = _minutiae_in(picture, how, printed)
-        facts: Facts = {"size": list(view.size), "minutiae": view.count, "quality": view.finger_quality}
+        facts: Facts = {
+            "size": list(view.size),
+            "minutiae": view.count,
+            "quality": view.finger_quality,
+        }
         return form.encode(view, writing), facts
     if picture is None:
         cure = "write iso-19794-2 or ansi-378"
-        raise BadInput(f"it holds minutiae and no picture, but {form.words} is for pictures; {cure}.")
+        raise BadInput(
+            f"it holds minutiae and no picture, but {form.words} is for pictures; {cure}."
+        )
     picture = _fitting(picture, form)
     facts = {"size": list(picture.image.shape), "ppi": round(picture.resolution_ppi or 0.0, 2)}
     if form.name == "iso-39794-4":
@@ -286,7 +340,9 @@ def _fitting(picture: PrintFile, form: PrintFormat) -> PrintFile:
 def _minutiae_in(picture: PrintFile, how: str, printed: Print | None) -> FingerView:
     """Minutiae and quality of a print, at 500 ppi; none where it has no ridges (failure to
     acquire)."""
-    minutiae = no_minutiae(print_at_500_ppi(picture).image.shape if printed is None else printed.image.shape)
+    minutiae = no_minutiae(
+        print_at_500_ppi(picture).image.shape if printed is None else printed.image.shape
+    )
     quality = 0.0
     try:
         printed = printed or pressed_print(picture)

@@ -129,7 +129,9 @@ def read_fingerphoto(
     """
     photo = photo or read_photo(path)
     where = where or PhotoFinger()
-    finger = naming(path, lambda: finger_of_photo(photo.pixels, px_per_mm, where.pixels(), where.corners()))
+    finger = naming(
+        path, lambda: finger_of_photo(photo.pixels, px_per_mm, where.pixels(), where.corners())
+    )
     return replace(finger, hashes={Path(path).name: photo.sha256})
 
 
@@ -149,11 +151,17 @@ def finger_of_photo(
     "Fingerphoto recognition with smartphone cameras", BIOSIG 2012.
     """
     require(is_coloured(pixels), "a photograph of a finger has to be in colour, of 8 or 16 bits.")
-    require(px_per_mm is None or px_per_mm > 0, f"`px_per_mm` must be positive, but it is {px_per_mm}.")
-    require(min(pixels.shape[:2]) >= _MIN_WIDTH_PX, "the photograph is too small to show the ridges of a finger.")
+    require(
+        px_per_mm is None or px_per_mm > 0, f"`px_per_mm` must be positive, but it is {px_per_mm}."
+    )
+    require(
+        min(pixels.shape[:2]) >= _MIN_WIDTH_PX,
+        "the photograph is too small to show the ridges of a finger.",
+    )
     mask, direction_deg, width, note = _segmented(pixels, mask, box)
     require(
-        width >= _MIN_WIDTH_PX, f"the finger is {width:.0f} pixels wide, too few for ridges; photograph it from nearer."
+        width >= _MIN_WIDTH_PX,
+        f"the finger is {width:.0f} pixels wide, too few for ridges; photograph it from nearer.",
     )
     # the finger alone, reduced, turned upright, and cut at the first crease
     reduction = min(1.0, _MAX_WIDTH_PX / width)
@@ -163,7 +171,10 @@ def finger_of_photo(
     upright = find_upright(inside, direction_deg)
     row, column = (np.arange(side, dtype=np.float32) for side in inside.shape)
     across, along, offset = upright.upright_from_input[1]
-    inside &= across * column + (along * row + offset)[:, None] < upright.tip_row + _LENGTH * upright.width_px
+    inside &= (
+        across * column + (along * row + offset)[:, None]
+        < upright.tip_row + _LENGTH * upright.width_px
+    )
 
     # its print at the usual width, and how much of it shows ridges
     by_width = _NEARER * upright.width_px / USUAL_WIDTH_MM
@@ -171,7 +182,9 @@ def finger_of_photo(
     values, weight = resample(light, inside, 1.0 / by_width, unrolled)
     image, finger_px = _even(values, weight)
     ridges = pressed_ridges(image, USUAL_RIDGES)
-    field = ridge_field(*((ridges.image, PPI, ridges.inside) if ridges.inside.any() else (image, PPI, finger_px)))
+    field = ridge_field(
+        *((ridges.image, PPI, ridges.inside) if ridges.inside.any() else (image, PPI, finger_px))
+    )
     amplitude = np.abs(node_amplitudes(values, field, 0.75))
     clear = field.mask & _at_nodes(ridges.confidence > _CLEAR, field)
     clear &= amplitude > _FAINT * _at_nodes(values, field)
@@ -181,7 +194,8 @@ def finger_of_photo(
     change = _to_change(clear & finger, finger, field, amplitude, width_px=width, light=brightness)
     require(
         quality >= MIN_QUALITY,
-        f"the photograph's quality is {quality:.0f} of 100, below {MIN_QUALITY}; {change}, and photograph it again.",
+        f"the photograph's quality is {quality:.0f} of 100, below {MIN_QUALITY}; {change}, and"
+        " photograph it again.",
     )
 
     # its scale
@@ -199,14 +213,20 @@ def finger_of_photo(
 
     # the last phalanx at 500 ppi
     phalange = phalange_mask(inside, find_crease(light, inside, upright, scale), upright)
-    visible = cv2.remap(phalange.view(np.uint8), unrolled.columns, unrolled.rows, cv2.INTER_NEAREST) > 0
+    visible = (
+        cv2.remap(phalange.view(np.uint8), unrolled.columns, unrolled.rows, cv2.INTER_NEAREST) > 0
+    )
 
     def scaled(values: NDArray[Any], beyond: int = 0) -> NDArray[Any]:
         factor = by_width / scale
-        return cv2.resize(np.where(visible, values, values.dtype.type(beyond)), None, fx=factor, fy=factor)
+        return cv2.resize(
+            np.where(visible, values, values.dtype.type(beyond)), None, fx=factor, fy=factor
+        )
 
     pressed = PressedRidges(
-        scaled(ridges.image, 255), scaled(ridges.inside.view(np.uint8)) > 0, scaled(ridges.confidence)
+        scaled(ridges.image, 255),
+        scaled(ridges.inside.view(np.uint8)) > 0,
+        scaled(ridges.confidence),
     )
     size = pressed.image.shape[::-1]
     columns, rows = (
@@ -238,7 +258,12 @@ def _even(values: FloatArray, weight: FloatArray) -> tuple[GreyArray, BoolArray]
     so that blocks of JPEG that lost their ridges stay flat.
     """
     rim = disc(_RIM_PX)
-    whole = cv2.erode((weight > 0.5).astype(np.uint8), rim, borderType=cv2.BORDER_CONSTANT, borderValue=0) > 0
+    whole = (
+        cv2.erode(
+            (weight > 0.5).astype(np.uint8), rim, borderType=cv2.BORDER_CONSTANT, borderValue=0
+        )
+        > 0
+    )
     known = whole.astype(np.float32)
     detail, _ = without_shading(np.log(np.maximum(values, 1.0)) * known, known, _SHADING_PX)
     usual = 1.48 * float(np.median(np.abs(detail[whole]))) if whole.any() else 1.0
@@ -247,7 +272,13 @@ def _even(values: FloatArray, weight: FloatArray) -> tuple[GreyArray, BoolArray]
 
 
 def _to_change(
-    clear: BoolArray, finger: BoolArray, field: RidgeField, amplitude: FloatArray, *, width_px: float, light: FloatArray
+    clear: BoolArray,
+    finger: BoolArray,
+    field: RidgeField,
+    amplitude: FloatArray,
+    *,
+    width_px: float,
+    light: FloatArray,
 ) -> str:
     """The one thing to change in a photograph.
 
@@ -259,7 +290,9 @@ def _to_change(
         "focus on the finger": 0.3,
         "come nearer, until it is 400 pixels wide (distance)": 400.0 / width_px - 1.0,
         "use more light": 4.0 * (0.3 - float(np.median(light))),
-        "turn finger or light so that nothing shines (glare)": 10.0 * float((light > 0.97).mean()) - 0.2,
+        "turn finger or light so that nothing shines (glare)": (
+            10.0 * float((light > 0.97).mean()) - 0.2
+        ),
     }
     if 100 * clear.sum() >= MIN_QUALITY * finger.sum() > 0:
         offset = abs(np.nonzero(clear)[1].mean() - np.nonzero(finger)[1].mean())
@@ -286,7 +319,9 @@ def _unrolled(inside: BoolArray, upright: Upright, step: float) -> PrintMap:
     """
     # middle and half width of the smoothed outline in the upright frame
     rows, columns = upright.size
-    turned = cv2.warpAffine(inside.view(np.uint8), upright.upright_from_input[:2], (columns, rows)) > 0
+    turned = (
+        cv2.warpAffine(inside.view(np.uint8), upright.upright_from_input[:2], (columns, rows)) > 0
+    )
     known = np.flatnonzero(turned.any(axis=1))
     ends = turned[known].argmax(axis=1), columns - 1 - turned[known, ::-1].argmax(axis=1)
     lines = np.stack([np.interp(np.arange(rows), known, side) for side in ends])
@@ -297,22 +332,34 @@ def _unrolled(inside: BoolArray, upright: Upright, step: float) -> PrintMap:
     half = np.maximum(0.5 * (right - left), 1.0)
 
     along = np.concatenate([[0.0], np.cumsum(np.hypot(1.0, _THICKNESS * np.diff(half)))])
-    turn = np.linspace(0.0, 0.5 * np.pi, 200)  # of an ellipse, whose point lies at sin(turn) from the middle
+    # of an ellipse, whose point lies at sin(turn) from the middle
+    turn = np.linspace(0.0, 0.5 * np.pi, 200)
     slope = np.hypot(np.cos(turn), _THICKNESS * np.sin(turn))
     arc = np.concatenate([[0.0], np.cumsum(0.5 * (slope[1:] + slope[:-1]) * np.diff(turn))])
     steepest = np.arctan(np.tan(np.radians(_MAX_SLANT_DEG)) / _THICKNESS)
-    size = int(along[-1] / step) + 1, 2 * int(half.max() * np.interp(steepest, turn, arc) / step) + 1
+    size = (
+        int(along[-1] / step) + 1,
+        2 * int(half.max() * np.interp(steepest, turn, arc) / step) + 1,
+    )
     row = np.interp(np.arange(size[0]) * step, along, np.arange(len(along)))[:, None]
     centre, radius = (np.interp(row, np.arange(len(along)), part) for part in (middle, half))
     across = (size[1] // 2 - np.arange(size[1])) * step / radius  # mirrored, as paper shows it
     at = np.sign(across) * np.interp(np.abs(across), arc, turn)
     places = np.stack(np.broadcast_arrays(centre + radius * np.sin(at), row + known[0]), axis=-1)
-    places = cv2.transform(places.astype(np.float32), upright.input_from_upright[:2]).astype(np.float32)
-    print_columns, print_rows = np.where(np.abs(at) < steepest, np.moveaxis(places, -1, 0), np.float32(NOWHERE))
-    return PrintMap("arc", PPI, print_columns, print_rows, upright.input_from_upright, np.zeros((0, 0, 2)))
+    places = cv2.transform(places.astype(np.float32), upright.input_from_upright[:2]).astype(
+        np.float32
+    )
+    print_columns, print_rows = np.where(
+        np.abs(at) < steepest, np.moveaxis(places, -1, 0), np.float32(NOWHERE)
+    )
+    return PrintMap(
+        "arc", PPI, print_columns, print_rows, upright.input_from_upright, np.zeros((0, 0, 2))
+    )
 
 
-def _usual_scale(field: RidgeField, clear: BoolArray, by_width: float, width_px: float) -> tuple[float, str]:
+def _usual_scale(
+    field: RidgeField, clear: BoolArray, by_width: float, width_px: float
+) -> tuple[float, str]:
     """Pixels a millimetre by which width and ridges are as usual as they can be together, and how
     well it is known.
 
@@ -325,13 +372,14 @@ def _usual_scale(field: RidgeField, clear: BoolArray, by_width: float, width_px:
     by_ridges = by_width * float(np.median(periods)) / USUAL_PERIOD_MM
     require(
         abs(np.log(by_ridges / by_width)) < 3.0 * SCALE_SPREAD,
-        "what was found is not a finger, or its scale is wrong: its lines are too far apart or close for its width; "
-        "mark the finger by `box` or `mask`, or give the scale of the photograph.",
+        "what was found is not a finger, or its scale is wrong: its lines are too far apart or"
+        " close for its width; mark the finger by `box` or `mask`, or give the scale of the"
+        " photograph.",
     )
     weight = PEOPLE**-2 / (PEOPLE**-2 + _WIDTH_SPREAD**-2)
     scale = by_ridges**weight * by_width ** (1.0 - weight)
     note = (
-        f"its scale is assumed, to about {100 * PEOPLE:.0f} %: {_NEARER * width_px / scale:.1f} mm wide, ridges "
-        f"on its pad {USUAL_PERIOD_MM * by_ridges / scale:.2f} mm apart."
+        f"its scale is assumed, to about {100 * PEOPLE:.0f} %: {_NEARER * width_px / scale:.1f} mm"
+        f" wide, ridges on its pad {USUAL_PERIOD_MM * by_ridges / scale:.2f} mm apart."
     )
     return scale, note

@@ -19,7 +19,12 @@ from splitknit.io.prints import PrintFile, write_print_png
 from splitknit.io.provenance import canonical_json, file_hash, json_text, provenance
 from splitknit.model import GreyArray, Progress, no_progress
 from splitknit_match.prints.fingerphoto import FingerPhoto
-from splitknit_match.prints.from_file import contact_print, finger_view, pressed_print, read_one_finger
+from splitknit_match.prints.from_file import (
+    contact_print,
+    finger_view,
+    pressed_print,
+    read_one_finger,
+)
 from splitknit_match.prints.make import Print, enhance, measured, minutiae_by_phase
 from splitknit_match.prints.minutiae_record import PPI, Minutiae
 from splitknit_match.prints.print_quality import PrintQuality
@@ -52,7 +57,9 @@ def write_print(
     mm2 = (25.4 / ppi) ** 2
     with atomic_folder(out) as target:
         chart = {} if around is None else {"rolled": {"pitch_mm": round(around.chart.pitch_mm, 6)}}
-        origin = provenance({"method": method, **chart, "surface": place, "ppi": ppi}, source.hashes)
+        origin = provenance(
+            {"method": method, **chart, "surface": place, "ppi": ppi}, source.hashes
+        )
         progress("enhancing", 0.85)
         enhanced = naming(path, lambda: enhance(printed))
         progress("writing", 0.92)
@@ -60,9 +67,16 @@ def write_print(
         pictures = {"print": printed.image, "enhanced": enhanced.image}
         for name, picture in pictures.items():
             write_print_png(target / f"{name}.png", picture, ppi, texts)
-        arrays = {name: getattr(printed.map, name) for name in ("columns", "rows", "input_from_grid", "print_of_grid")}
-        write_npz(target / "map.npz", {**arrays, "ppi": np.float64(ppi), "surface": np.array(place)})
-        p5, median, p95 = np.percentile(enhanced.field.period_mm(ppi)[enhanced.field.mask], [5, 50, 95]).round(4)
+        arrays = {
+            name: getattr(printed.map, name)
+            for name in ("columns", "rows", "input_from_grid", "print_of_grid")
+        }
+        write_npz(
+            target / "map.npz", {**arrays, "ppi": np.float64(ppi), "surface": np.array(place)}
+        )
+        p5, median, p95 = np.percentile(
+            enhanced.field.period_mm(ppi)[enhanced.field.mask], [5, 50, 95]
+        ).round(4)
         quality = measured(printed, enhanced)
         score = quality.score if source.quality is None else source.quality
         minutiae = minutiae_by_phase(printed, enhanced)
@@ -72,7 +86,12 @@ def write_print(
         facts: Facts = {
             "method": method,
             "surface": place,
-            "source": {"path": str(path), "kind": source.kind, "preset": source.preset, "pitch_mm": source.pitch_mm},
+            "source": {
+                "path": str(path),
+                "kind": source.kind,
+                "preset": source.preset,
+                "pitch_mm": source.pitch_mm,
+            },
             "ppi": ppi,
             "size": list(printed.image.shape),
             "mirrored": True,
@@ -102,15 +121,23 @@ def write_print(
 
 
 def print_of_file(path: Path, input_ppi: float | None) -> tuple[Source, Print]:
-    """The only print of a file. Raises BadInput, naming it, if it holds minutiae or has no ridges."""
+    """The only print of a file. Raises BadInput, naming it, if it holds minutiae or has no
+    ridges."""
     item = read_one_finger(path, input_ppi)
     if not isinstance(item, PrintFile):
-        raise BadInput(f"'{path}' holds minutiae and no picture to print; name a print, a result or a capture.")
+        raise BadInput(
+            f"'{path}' holds minutiae and no picture to print; name a print, a result or a capture."
+        )
     source = Source(
-        "print", np.ones(item.image.shape, dtype=bool), 25.4 / (item.resolution_ppi or PPI), np.eye(3),
-        item.image.shape, hashes={path.name: file_hash(path)}, subject={"finger": item.finger},
+        "print",
+        np.ones(item.image.shape, dtype=bool),
+        25.4 / (item.resolution_ppi or PPI),
+        np.eye(3),
+        item.image.shape,
+        hashes={path.name: file_hash(path)},
+        subject={"finger": item.finger},
         scale=" ".join(filter(None, (item.doubt, item.note))),
-    )  # fmt: skip
+    )
     return source, naming(path, lambda: pressed_print(item))
 
 
@@ -118,13 +145,25 @@ def print_of_photo(photo: FingerPhoto) -> tuple[Source, Print]:
     """The print of a photograph of a finger."""
     ridges = photo.pressed
     source = Source(
-        "photo", ridges.inside, photo.pitch_mm, np.eye(3), photo.flat.shape, hashes=photo.hashes, scale=photo.scale,
+        "photo",
+        ridges.inside,
+        photo.pitch_mm,
+        np.eye(3),
+        photo.flat.shape,
+        hashes=photo.hashes,
+        scale=photo.scale,
         quality=photo.quality,
-    )  # fmt: skip
+    )
     return source, contact_print(photo.flat, ridges.inside, ridges, photo.map)
 
 
-def _page(source: Source, printed: Print, minutiae: Minutiae, pictures: Mapping[str, GreyArray], words: Facts) -> str:
+def _page(
+    source: Source,
+    printed: Print,
+    minutiae: Minutiae,
+    pictures: Mapping[str, GreyArray],
+    words: Facts,
+) -> str:
     """The surface in three dimensions with the print's minutiae on it, and the print; `words`: of
     the template."""
     from splitknit.report import template
@@ -134,19 +173,32 @@ def _page(source: Source, printed: Print, minutiae: Minutiae, pictures: Mapping[
     assert source.height_mm is not None and source.ridge_mm is not None
     known = source.mask & np.isfinite(source.height_mm)
     surface = upright_surface(
-        (source.height_mm, source.ridge_mm), known, source.pitch_mm, source.input_from_upright, xy_mm=source.xy_mm
+        (source.height_mm, source.ridge_mm),
+        known,
+        source.pitch_mm,
+        source.input_from_upright,
+        xy_mm=source.xy_mm,
     )
     places = np.stack([minutiae.x_px, minutiae.y_px], axis=1).astype(np.float64)
     turn = minutiae.direction_rad
     beyond = places + 4.0 * np.stack([np.cos(turn), -np.sin(turn)], axis=1)  # rows run downwards
-    start, end = (surface.places_mm(printed.map.input_from_print(each)) for each in (places, beyond))
+    start, end = (
+        surface.places_mm(printed.map.input_from_print(each)) for each in (places, beyond)
+    )
     circles = np.stack([*start, np.arctan2(*(end - start)[::-1])], axis=1)
     circles = circles[np.isfinite(circles).all(axis=1)]
-    captions = "As ink on paper: ridges dark, mirrored against the camera image.", "Ridges made even."
+    captions = (
+        "As ink on paper: ridges dark, mirrored against the camera image.",
+        "Ridges made even.",
+    )
     figures = zip(pictures.items(), captions, strict=True)
     page: str = template(Path(__file__).with_name("print.html")).render(
-        scene=scene([PageSurface("Minutiae: circles, with a line along the ridge", surface, None, circles)]),
-        pictures=[captioned(name.capitalize(), picture, caption) for (name, picture), caption in figures],
+        scene=scene(
+            [PageSurface("Minutiae: circles, with a line along the ridge", surface, None, circles)]
+        ),
+        pictures=[
+            captioned(name.capitalize(), picture, caption) for (name, picture), caption in figures
+        ],
         count=minutiae.count,
         **words,
     )
@@ -164,7 +216,11 @@ FULL_RATING = 0.95
 
 
 def _quality_facts(
-    quality: PrintQuality, method: str, photo: float | None, pictures: Mapping[str, GreyArray], ppi: float
+    quality: PrintQuality,
+    method: str,
+    photo: float | None,
+    pictures: Mapping[str, GreyArray],
+    ppi: float,
 ) -> Facts:
     """What ``report.json`` holds under ``quality``: plain numbers and sentences; `photo`: quality
     of a photograph."""
@@ -174,17 +230,22 @@ def _quality_facts(
     facts: Facts = {
         "nfiq2": None,
         "ours": round(quality.score, 1),
-        "figures": {name: None if value is None else round(value, 3) for name, value in figures.items()},
+        "figures": {
+            name: None if value is None else round(value, 3) for name, value in figures.items()
+        },
         "worth": {name: round(rating, 3) for name, rating in quality.worth.items()},
         "advice": [],
     }
     if photo is not None:  # NFIQ 2 is not for photographs
         return {**facts, "photo": photo}
-    if method not in ("file", "specular"):  # nobody captures a file again; flanks that shine are not edges
+    # nobody captures a file again; flanks that shine are not edges
+    if method not in ("file", "specular"):
         facts["advice"] = list(advice(quality))
     with contextlib.suppress(BadInput):  # the package for it is missing
         values = {name: nfiq2(picture, ppi) for name, picture in pictures.items()}
-        facts["nfiq2"] = {name: None if value == NFIQ2_FAILED else value for name, value in values.items()}
+        facts["nfiq2"] = {
+            name: None if value == NFIQ2_FAILED else value for name, value in values.items()
+        }
     return facts
 
 
@@ -206,26 +267,38 @@ def advice(quality: PrintQuality) -> tuple[str, ...]:
 
 
 _NOISE = (
-    "The picture is noisy or the finger dusty (directions or distances of ridges disagree); wipe it, lengthen the "
-    "exposure, keep the finger still, and capture again."
+    "The picture is noisy or the finger dusty (directions or distances of ridges disagree); wipe"
+    " it, lengthen the exposure, keep the finger still, and capture again."
 )
 _PARTIAL = (
-    "Only {ridge_length_mm:.0f} mm of ridges ({ridge_area_mm2:.0f} mm2) are in view; push the finger further in, its "
-    "pad to the camera, and capture again."
+    "Only {ridge_length_mm:.0f} mm of ridges ({ridge_area_mm2:.0f} mm2) are in view; push the"
+    " finger further in, its pad to the camera, and capture again."
 )
 _ADVICE = {
-    "ridge_height_um": "Ridges are weak ({ridge_height_um:.0f} um), missing over {lost:.0f} % of the area: dry, worn, "
-    "wet or out of focus; moisten the finger if it is dry, dry it if it is wet, check the focus, and capture again.",
-    "ridge_share": "Ridges are missing over {lost:.0f} % of the finger's area; check focus and exposure, clean finger "
-    "and lens, and capture again.",
-    "gap_share": "{gaps:.0f} % of the skin between ridges shows none: glare, a crease, a scar, water, dirt or blur; "
-    "wipe the finger and the lens, check the focus, and capture again.",
+    "ridge_height_um": (
+        "Ridges are weak ({ridge_height_um:.0f} um), missing over {lost:.0f} % of the area: dry,"
+        " worn, wet or out of focus; moisten the finger if it is dry, dry it if it is wet, check"
+        " the focus, and capture again."
+    ),
+    "ridge_share": (
+        "Ridges are missing over {lost:.0f} % of the finger's area; check focus and exposure, clean"
+        " finger and lens, and capture again."
+    ),
+    "gap_share": (
+        "{gaps:.0f} % of the skin between ridges shows none: glare, a crease, a scar, water, dirt"
+        " or blur; wipe the finger and the lens, check the focus, and capture again."
+    ),
     "coherence": _NOISE,
     "plausible_share": _NOISE,
-    "sharpness": "The ridges' edges are soft; focus the camera on the finger, keep it still, and capture again.",
+    "sharpness": (
+        "The ridges' edges are soft; focus the camera on the finger, keep it still, and capture"
+        " again."
+    ),
     "ridge_area_mm2": _PARTIAL,
     "ridge_length_mm": _PARTIAL,
-    "centre_offset_mm": "The ridges lie {centre_offset_mm:.0f} mm beside the finger's middle; turn its pad to the "
-    "camera and capture again.",
+    "centre_offset_mm": (
+        "The ridges lie {centre_offset_mm:.0f} mm beside the finger's middle; turn its pad to the "
+        "camera and capture again."
+    ),
 }
 """Sentences by the figure that is rated low."""

@@ -1,4 +1,5 @@
-"""Prints and minutiae from files: at which resolution they are, and brought to 500 pixels per inch."""
+"""Prints and minutiae from files: at which resolution they are, and brought to 500 pixels per
+inch."""
 
 from __future__ import annotations
 
@@ -61,10 +62,14 @@ _DARK = 0.15
 """From which on ridges are dark."""
 _WHITE = -0.2
 """Up to which they are white."""
-_DOUBT = "nothing beside it shows whether its ridges are dark: if they are white, invert the picture."
+_DOUBT = (
+    "nothing beside it shows whether its ridges are dark: if they are white, invert the picture."
+)
 
 
-def read_print_file(path: str | os.PathLike[str], input_ppi: float | None = None) -> tuple[PrintFile | FingerView, ...]:
+def read_print_file(
+    path: str | os.PathLike[str], input_ppi: float | None = None
+) -> tuple[PrintFile | FingerView, ...]:
     """Read the prints of a file, of known resolution, or its minutiae.
 
     White ridges are turned dark, which the print's `note` says.
@@ -79,7 +84,11 @@ def read_print_file(path: str | os.PathLike[str], input_ppi: float | None = None
         f"`input_ppi` must be a number from {MIN_PPI:g} to {MAX_PPI:g}, but it is {input_ppi}.",
     )
     return tuple(
-        prepared(_resolved(item, os.fspath(path), input_ppi)) if isinstance(item, PrintFile) else item
+        (
+            prepared(_resolved(item, os.fspath(path), input_ppi))
+            if isinstance(item, PrintFile)
+            else item
+        )
         for item in read_prints(path)
     )
 
@@ -90,7 +99,10 @@ def read_one_finger(path: Path, input_ppi: float | None = None) -> PrintFile | F
     Raises BadInput as :func:`read_print_file`, or if the file holds several.
     """
     prints = read_print_file(path, input_ppi)
-    require(len(prints) == 1, f"{path} holds {len(prints)} prints; take them apart with 'splitknit import'.")
+    require(
+        len(prints) == 1,
+        f"{path} holds {len(prints)} prints; take them apart with 'splitknit import'.",
+    )
     return prints[0]
 
 
@@ -100,7 +112,10 @@ def read_print_folder(folder: Path) -> tuple[PrintFile, FingerView | None]:
     Raises BadInput if a file is damaged, or the print states no resolution.
     """
     picture, record = read_print_png(folder / "print.png"), folder / "minutiae.iso"
-    require(picture.resolution_ppi is not None, f"'{folder}' states no resolution; make the print again.")
+    require(
+        picture.resolution_ppi is not None,
+        f"'{folder}' states no resolution; make the print again.",
+    )
     return picture, read_minutiae_record(record)[0] if record.is_file() else None
 
 
@@ -112,17 +127,25 @@ def print_at_500_ppi(item: PrintFile) -> PrintFile:
     """
     ppi = item.resolution_ppi or PPI
     image = at_500_ppi(item.image, ppi)
-    return item if image.shape == item.image.shape else replace(item, image=image, resolution_ppi=PPI)
+    return (
+        item if image.shape == item.image.shape else replace(item, image=image, resolution_ppi=PPI)
+    )
 
 
 def _resolved(item: PrintFile, name: str, input_ppi: float | None) -> PrintFile:
     stated = item.resolution_ppi
     if input_ppi is None and (stated is None or stated < MIN_PPI):
-        fault = "does not state its resolution" if stated is None else f"states {stated:.0f} ppi, too few for ridges"
+        fault = (
+            "does not state its resolution"
+            if stated is None
+            else f"states {stated:.0f} ppi, too few for ridges"
+        )
         raise BadInput(f"{name} {fault}; {_suggestion(item.image)}.")
     ppi = input_ppi or stated or 0.0
     require(
-        ppi <= MAX_PPI, f"{name} states {ppi:.0f} ppi, more than {MAX_PPI:g}; give the true value: `input_ppi` 500."
+        ppi <= MAX_PPI,
+        f"{name} states {ppi:.0f} ppi, more than {MAX_PPI:g}; give the true value: `input_ppi`"
+        " 500.",
     )
     return replace(item, resolution_ppi=float(ppi))
 
@@ -130,11 +153,14 @@ def _resolved(item: PrintFile, name: str, input_ppi: float | None) -> PrintFile:
 def _suggestion(image: GreyArray) -> str:
     period = _ridge_period_px(image)
     if period is None:
-        return "it shows no ridges to measure it by: give it in pixels per inch, such as `input_ppi` 500"
+        return (
+            "it shows no ridges to measure it by: give it in pixels per inch, such as"
+            " `input_ppi` 500"
+        )
     low, high = (10 * round(period * 2.54 / (USUAL_PERIOD_MM * times)) for times in _PERIODS[::-1])
     return (
-        f"its ridges lie {period:.1f} pixels apart, which fits {low} to {high} pixels per inch: give the value of the "
-        "scanner's data sheet, such as `input_ppi` 500"
+        f"its ridges lie {period:.1f} pixels apart, which fits {low} to {high} pixels per inch:"
+        " give the value of the scanner's data sheet, such as `input_ppi` 500"
     )
 
 
@@ -155,7 +181,9 @@ def _waves(image: NDArray[Any], step: int) -> tuple[FloatArray, FloatArray, Bool
     return np.where(strong, purity * agreement, 0.0), period, strong
 
 
-def _tile_waves(tiles: NDArray[Any]) -> tuple[FloatArray, FloatArray, NDArray[np.complex64], FloatArray]:
+def _tile_waves(
+    tiles: NDArray[Any],
+) -> tuple[FloatArray, FloatArray, NDArray[np.complex64], FloatArray]:
     """Of N tiles: part of the power in the strongest wave, its period, its direction doubled, times
     that part, and the standard deviation.
     """
@@ -166,17 +194,23 @@ def _tile_waves(tiles: NDArray[Any]) -> tuple[FloatArray, FloatArray, NDArray[np
     mean = np.tensordot(tiles, taper, 2) / taper.sum()
     power = np.abs(np.fft.rfft2((tiles - mean[:, None, None]) * taper)).astype(np.float32) ** 2
     power *= radius >= 1.5 / _TILE_PX
-    power[..., 1:] *= 2.0  # each wave is there twice, but those of the first column, which are halved
+    # each wave is there twice, but those of the first column, which are halved
+    power[..., 1:] *= 2.0
     total = power.sum(axis=(1, 2)) + 1e-6
     power = np.moveaxis(power, 0, -1)
     near = cv2.blur(power, (3, 3), borderType=cv2.BORDER_REFLECT_101) * 9.0
     near = near.reshape(radius.size, -1)
     down, right, radius = down.ravel(), right.ravel(), radius.ravel()
     best = near.argmax(axis=0)
-    close = np.maximum(np.abs(down[:, None] - down[best]), np.abs(right[:, None] - right[best])) < 1.5 / _TILE_PX
+    close = (
+        np.maximum(np.abs(down[:, None] - down[best]), np.abs(right[:, None] - right[best]))
+        < 1.5 / _TILE_PX
+    )
     weight = np.where(close, power.reshape(near.shape), 0.0)
     weight /= weight.sum(axis=0) + 1e-9
-    frequency = np.hypot((weight * down[:, None]).sum(axis=0), (weight * right[:, None]).sum(axis=0))
+    frequency = np.hypot(
+        (weight * down[:, None]).sum(axis=0), (weight * right[:, None]).sum(axis=0)
+    )
     in_band = (radius[best] >= 1 / 11.5) & (radius[best] <= 1 / 4.9) & (frequency > 1 / 11.5)
     purity = np.where(in_band, np.minimum(near.max(axis=0) / total, 1), 0).astype(np.float32)
     turn = (np.exp(2j * np.arctan2(down[best], right[best])) * purity).astype(np.complex64)
@@ -209,16 +243,23 @@ def resolution_doubt(item: PrintFile) -> str:
         small = cv2.resize(item.image, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA)
         purity, periods, strong = _waves(small, _TILE_PX // 2)
         ridges = purity > _MIN_PURITY
-        if ridges.sum() >= max(_RIDGES * strong.sum(), _PART_MM2 / (_TILE_PX // 2 * 25.4 / 380.0) ** 2):
+        if ridges.sum() >= max(
+            _RIDGES * strong.sum(), _PART_MM2 / (_TILE_PX // 2 * 25.4 / 380.0) ** 2
+        ):
             period = float(np.median(periods[ridges])) / scale
     period = period or _ridge_period_px(item.image)
     period_mm = USUAL_PERIOD_MM if period is None else period * 25.4 / ppi
     if 0.9 * _PERIODS[0] < period_mm / USUAL_PERIOD_MM < 1.1 * _PERIODS[1]:
         return ""
-    return f"at {ppi:.0f} ppi its ridges are {period_mm:.2f} mm apart, which is unusual: check the resolution."
+    return (
+        f"at {ppi:.0f} ppi its ridges are {period_mm:.2f} mm apart, which is unusual: check the"
+        " resolution."
+    )
 
 
-def pressed_print(item: PrintFile, inside: BoolArray | None = None, pressed: PressedRidges | None = None) -> Print:
+def pressed_print(
+    item: PrintFile, inside: BoolArray | None = None, pressed: PressedRidges | None = None
+) -> Print:
     """Print of 500 ppi from a file, where its ridges are, and the same with even contrast.
 
     `inside`: (H, W) bool at 500 ppi, where there may be ridges; by default everywhere; `pressed`:
@@ -238,11 +279,21 @@ def pressed_print(item: PrintFile, inside: BoolArray | None = None, pressed: Pre
     return contact_print(image, ridges, pressed, paper)
 
 
-def contact_print(image: GreyArray, inside: BoolArray, pressed: PressedRidges, print_map: PrintMap) -> Print:
+def contact_print(
+    image: GreyArray, inside: BoolArray, pressed: PressedRidges, print_map: PrintMap
+) -> Print:
     """Print of what shows light (H, W), where it has ridges."""
     light = (255.0 - image).astype(np.float32)
     weight = inside.astype(np.float32)
-    return Print(image, weight, print_map, light, in_mm=False, even=pressed.image, confidence=pressed.confidence)
+    return Print(
+        image,
+        weight,
+        print_map,
+        light,
+        in_mm=False,
+        even=pressed.image,
+        confidence=pressed.confidence,
+    )
 
 
 def _dark_ridges(item: PrintFile) -> PrintFile:
@@ -263,7 +314,10 @@ def _dark_ridges(item: PrintFile) -> PrintFile:
         return _noted(item, _DOUBT)
     framed = frame(image)[: rows * side, : columns * side]
     image = image[: rows * side, : columns * side].astype(np.float32)
-    mean, square = (cv2.resize(part, (columns, rows), interpolation=cv2.INTER_AREA) for part in (image, image * image))
+    mean, square = (
+        cv2.resize(part, (columns, rows), interpolation=cv2.INTER_AREA)
+        for part in (image, image * image)
+    )
     usable = ~framed.reshape(rows, side, columns, side).any(axis=(1, 3))
     deviation = np.sqrt(np.maximum(square - mean * mean, 0)) * usable
     strong = deviation > max(_FAINT, 0.35 * usual_contrast(deviation))
@@ -273,7 +327,12 @@ def _dark_ridges(item: PrintFile) -> PrintFile:
     whole = fill_holes(largest_component(whole))
 
     def grown(area: BoolArray, radius: int) -> BoolArray:
-        return cv2.dilate(area.view(np.uint8), disc(radius), borderType=cv2.BORDER_CONSTANT, borderValue=0) > 0
+        return (
+            cv2.dilate(
+                area.view(np.uint8), disc(radius), borderType=cv2.BORDER_CONSTANT, borderValue=0
+            )
+            > 0
+        )
 
     middle = ~grown(~whole, 4)
     rim = whole & grown(~whole, 1) & usable
@@ -308,7 +367,9 @@ def _ridge_period_px(image: GreyArray) -> float | None:
             continue
         kind = cv2.INTER_AREA if scale < 1 else cv2.INTER_CUBIC
         small = cv2.resize(image, None, fx=scale, fy=scale, interpolation=kind)
-        purity, periods, strong = _waves(small, _TILE_PX // 2 if small.size < 1_000_000 else 2 * _TILE_PX)
+        purity, periods, strong = _waves(
+            small, _TILE_PX // 2 if small.size < 1_000_000 else 2 * _TILE_PX
+        )
         count = max(int(strong.sum()) // 8, 12)
         if purity.size < count:
             continue
@@ -326,9 +387,16 @@ def finger_view(
     """Minutiae of 500 ppi as a record has them; a finger that records have no code for is
     ``unknown``."""
     return FingerView(
-        minutiae.x_px, minutiae.y_px, minutiae.direction_rad, minutiae.type, minutiae.quality, minutiae.size,
-        finger_quality=round(quality), finger=coded_finger(finger), impression=impression,
-    )  # fmt: skip
+        minutiae.x_px,
+        minutiae.y_px,
+        minutiae.direction_rad,
+        minutiae.type,
+        minutiae.quality,
+        minutiae.size,
+        finger_quality=round(quality),
+        finger=coded_finger(finger),
+        impression=impression,
+    )
 
 
 def print_minutiae(image: GreyArray) -> Minutiae:

@@ -49,7 +49,9 @@ class Print:
         return self.image if self.even is None else self.even
 
 
-def make_print(source: Source, method: str, surface: str | None = None, ppi: float = 500.0) -> Print:
+def make_print(
+    source: Source, method: str, surface: str | None = None, ppi: float = 500.0
+) -> Print:
     """Make a print of a finger by a method other than ``rolled``.
 
     `surface`: ``plane``, or one of :data:`splitknit_match.prints.unroll.KINDS`; by default the
@@ -63,7 +65,9 @@ def make_print(source: Source, method: str, surface: str | None = None, ppi: flo
         print_map = plane_map(source.pitch_mm, *frame, ppi)
     else:
         shape_mm = _needed(source.shape_mm)
-        unrolled = unroll(surface_grid(shape_mm, source.mask, source.pitch_mm, *frame, xy_mm=source.xy_mm), place)
+        unrolled = unroll(
+            surface_grid(shape_mm, source.mask, source.pitch_mm, *frame, xy_mm=source.xy_mm), place
+        )
         print_map = unrolled_map(unrolled, place, ppi)
         distortion = unrolled.distortion
 
@@ -71,7 +75,9 @@ def make_print(source: Source, method: str, surface: str | None = None, ppi: flo
         return resample(values, source.mask & np.isfinite(values), source.pitch_mm, print_map)
 
     if method == "curvature":
-        index = curvature(_needed(source.height_mm), source.mask, source.pitch_mm, source.xy_mm).shape_index
+        index = curvature(
+            _needed(source.height_mm), source.mask, source.pitch_mm, source.xy_mm
+        ).shape_index
         require(np.isfinite(index).any(), "the finger is too small for a curvature map.")
         values, weight = read(index)
         ink(values, weight, ppi)  # refuses what has no ridges
@@ -81,7 +87,8 @@ def make_print(source: Source, method: str, surface: str | None = None, ppi: flo
     else:
         require(
             method != "specular" or source.specular is not None,
-            "there is no specular image: it needs a capture through polarising films; print with `method` unroll.",
+            "there is no specular image: it needs a capture through polarising films; print with"
+            " `method` unroll.",
         )
         fields = {"photo": source.photo, "specular": source.specular}
         inked, weight = read(_needed(fields.get(method, source.ridge_mm)))
@@ -108,7 +115,9 @@ def enhance(printed: Print) -> Enhanced:
 def measured(printed: Print, enhanced: Enhanced) -> PrintQuality:
     """How good a print is; `enhanced` is what :func:`enhance` made of it."""
     values = (1000.0 * printed.values).astype(np.float32) if printed.in_mm else printed.values
-    return print_quality(values, printed.weight, enhanced.field, printed.map.ppi, in_um=printed.in_mm)
+    return print_quality(
+        values, printed.weight, enhanced.field, printed.map.ppi, in_um=printed.in_mm
+    )
 
 
 def minutiae_by_phase(printed: Print, enhanced: Enhanced) -> Minutiae:
@@ -118,5 +127,8 @@ def minutiae_by_phase(printed: Print, enhanced: Enhanced) -> Minutiae:
 
 def _needed(values: FloatArray | None) -> FloatArray:
     if values is None:
-        raise BadInput("this kind of print needs a reconstruction or a photograph that the input does not hold.")
+        raise BadInput(
+            "this kind of print needs a reconstruction or a photograph that the input does not"
+            " hold."
+        )
     return values

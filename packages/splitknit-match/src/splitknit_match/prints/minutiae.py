@@ -90,7 +90,8 @@ def extract(
         return no_minutiae(image.shape)
     pressed = None
     if enhance:
-        from splitknit_match.prints.pressed import pressed_ridges  # a comparison of templates needs none of it
+        # a comparison of templates needs none of it
+        from splitknit_match.prints.pressed import pressed_ridges
 
         pressed = pressed_ridges(image)
         image = pressed.image
@@ -104,13 +105,17 @@ def extract(
         x.astype(np.int32),
         y.astype(np.int32),
         np.deg2rad(angle % 360.0),
-        np.where(kind == _module().MinutiaKind.BIFURCATION.value, BIFURCATION, ENDING).astype(np.uint8),
+        np.where(kind == _module().MinutiaKind.BIFURCATION.value, BIFURCATION, ENDING).astype(
+            np.uint8
+        ),
         np.clip(np.round(100 * reliability), 0, 100).astype(np.uint8),
         image.shape,
     )
     if edge_mm is None:
         edge_mm = EDGE_MM if pressed is None else _PRESSED_EDGE_MM
-    distance_mm = edge_distance_mm(image) if pressed is None else outline_distance_mm(pressed.inside, PPI)
+    distance_mm = (
+        edge_distance_mm(image) if pressed is None else outline_distance_mm(pressed.inside, PPI)
+    )
     return every.taken(distance_mm[every.y_px, every.x_px] >= edge_mm)
 
 
@@ -162,9 +167,15 @@ def _exchanged(minutiae: Minutiae) -> bytes:
     best = best.taken(np.lexsort((best.y_px, best.x_px)))
     x = best.x_px | (np.where(best.type == BIFURCATION, 2, 1) << 14)
     angle = np.round(best.direction_rad * (128 / np.pi)).astype(np.int64) % 256
-    body = np.rec.fromarrays([x, best.y_px, angle, np.full(best.count, 50)], ">u2, >u2, u1, u1").tobytes()
+    body = np.rec.fromarrays(
+        [x, best.y_px, angle, np.full(best.count, 50)], ">u2, >u2, u1, u1"
+    ).tobytes()
     rows, columns = best.size
-    return b"FMR\0 20\0" + struct.pack(">IxxHHxxxxxxxB", 26 + len(body), columns, rows, best.count) + body
+    return (
+        b"FMR\0 20\0"
+        + struct.pack(">IxxHHxxxxxxxB", 26 + len(body), columns, rows, best.count)
+        + body
+    )
 
 
 def is_a_fingers(print_image: GreyArray, ppi: float) -> bool:
@@ -183,13 +194,16 @@ def at_500_ppi(print_image: GreyArray, ppi: float) -> GreyArray:
         image.ndim == 2 and image.size > 0 and image.dtype == np.uint8,
         f"a print must be (H, W) uint8, ridges dark, but it is {image.shape} {image.dtype}.",
     )
-    require(np.isfinite(ppi) and 100 <= ppi <= 5000, f"ppi must lie between 100 and 5000, but it is {ppi}.")
+    require(
+        np.isfinite(ppi) and 100 <= ppi <= 5000,
+        f"ppi must lie between 100 and 5000, but it is {ppi}.",
+    )
     rows, columns = (round(side * PPI / ppi) for side in image.shape)
     height_mm, width_mm = (side * 25.4 / ppi for side in image.shape)
     require(
         is_a_fingers(image, ppi),
-        f"a print of {width_mm:.0f} x {height_mm:.0f} mm is larger than a finger's ({LARGEST_MM2:.0f} mm²); crop one "
-        "finger, or correct the resolution.",
+        f"a print of {width_mm:.0f} x {height_mm:.0f} mm is larger than a finger's"
+        f" ({LARGEST_MM2:.0f} mm²); crop one finger, or correct the resolution.",
     )
     if (rows, columns) == image.shape or min(rows, columns) < 1:
         return np.ascontiguousarray(image)
@@ -203,8 +217,8 @@ def _png(image: GreyArray) -> bytes:
 
 def _module() -> Any:
     with importing(
-        "minutiae need nbis-py, which exists for x86-64 Linux: pip install 'splitknit-match[minutiae]' there; "
-        "elsewhere compare with the method ridge."
+        "minutiae need nbis-py, which exists for x86-64 Linux: pip install"
+        " 'splitknit-match[minutiae]' there; elsewhere compare with the method ridge."
     ):
         import nbis  # type: ignore[import-untyped,import-not-found,unused-ignore]  # 40 MB
     return nbis
@@ -215,6 +229,10 @@ def _extractor(quality: bool) -> Any:
     nbis = _module()
     return nbis.new_nbis_extractor(
         nbis.NbisExtractorSettings(
-            min_quality=0.0, get_center=False, check_fingerprint=False, compute_nfiq2=quality, ppi=PPI
+            min_quality=0.0,
+            get_center=False,
+            check_fingerprint=False,
+            compute_nfiq2=quality,
+            ppi=PPI,
         )
     )

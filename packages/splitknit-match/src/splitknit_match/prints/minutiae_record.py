@@ -15,7 +15,14 @@ from typing import Any
 import numpy as np
 
 from splitknit.errors import require
-from splitknit_match.records.minutiae_record import BIFURCATION, ENDING, MIN_MINUTIAE, PPI, Minutiae, no_minutiae
+from splitknit_match.records.minutiae_record import (
+    BIFURCATION,
+    ENDING,
+    MIN_MINUTIAE,
+    PPI,
+    Minutiae,
+    no_minutiae,
+)
 
 __all__ = [
     "BIFURCATION",
@@ -41,7 +48,9 @@ LARGEST_MM2 = 3600.0
 has 1,600 (40 x 40 mm); four fingers side by side have 6,200 and are no print of one. Work and
 memory (0.4 GB) grow with it."""
 _MAGIC, _HEAD = b"SKMI", struct.Struct("<4sHHHHI")
-_ROW = np.dtype([("x", "<u2"), ("y", "<u2"), ("direction", "u1"), ("type", "u1"), ("quality", "u1")])
+_ROW = np.dtype(
+    [("x", "<u2"), ("y", "<u2"), ("direction", "u1"), ("type", "u1"), ("quality", "u1")]
+)
 _STEP_RAD = 2 * np.pi / 256
 
 
@@ -55,7 +64,10 @@ def pack_minutiae(minutiae: Minutiae) -> bytes:
     steps = np.round(minutiae.direction_rad / _STEP_RAD).astype(np.int64) % 256
     columns: list[Any] = [minutiae.x_px, minutiae.y_px, steps, minutiae.type, minutiae.quality]
     body = np.rec.fromarrays(columns, _ROW).tobytes()
-    return _HEAD.pack(_MAGIC, MINUTIAE_VERSION, *minutiae.size, minutiae.count, zlib.crc32(body)) + body
+    return (
+        _HEAD.pack(_MAGIC, MINUTIAE_VERSION, *minutiae.size, minutiae.count, zlib.crc32(body))
+        + body
+    )
 
 
 def holds_minutiae(data: bytes) -> bool:
@@ -75,11 +87,14 @@ def unpack_minutiae(data: bytes) -> Minutiae:
         return no_minutiae()
     remedy = "extract them from the print again."
     sound = len(data) > _HEAD.size and holds_minutiae(data)
-    require(sound, f"these {len(data)} bytes are no packed minutiae (they begin with 'SKMI'); {remedy}")
+    require(
+        sound, f"these {len(data)} bytes are no packed minutiae (they begin with 'SKMI'); {remedy}"
+    )
     _, version, rows, columns, count, checksum = _HEAD.unpack_from(data)
     require(
         version == MINUTIAE_VERSION,
-        f"the minutiae are of version {version}, but this program reads version {MINUTIAE_VERSION}; {remedy}",
+        f"the minutiae are of version {version}, but this program reads version {MINUTIAE_VERSION};"
+        f" {remedy}",
     )
     body = data[_HEAD.size :]
     require(
@@ -88,4 +103,6 @@ def unpack_minutiae(data: bytes) -> Minutiae:
     )
     table = np.frombuffer(body, dtype=_ROW)
     x, y = (table[name].astype(np.int32) for name in "xy")
-    return Minutiae(x, y, table["direction"] * _STEP_RAD, table["type"], table["quality"], (rows, columns))
+    return Minutiae(
+        x, y, table["direction"] * _STEP_RAD, table["type"], table["quality"], (rows, columns)
+    )

@@ -66,7 +66,9 @@ def by_phase(
     kept = (distance >= _EDGE_MM) & (np.round(100 * like) >= 100 * _MIN_LIKENESS)
     rows = rows[kept]
     columns = columns[kept]
-    place = np.stack([columns + 0.5, rows + 0.5], axis=1) + _zeros(ridges, quadratures, rows, columns)
+    place = np.stack([columns + 0.5, rows + 0.5], axis=1) + _zeros(
+        ridges, quadratures, rows, columns
+    )
     towards = along[rows, columns] + np.where(turns[rows, columns] > 0, 0.0, np.pi)
     kind = _kinds(ridges, place, towards, wave_number[rows, columns])
     quality = _quality(like[kept], distance[kept], place * (25.4 / ppi), towards)
@@ -84,7 +86,9 @@ def _quality(like: FloatArray, edge_mm: FloatArray, place_mm: Array, towards: Ar
         opposite = place_mm[np.cos(towards - turn) < _OPPOSITE]
         apart[k] = min([_APART_MM, *np.hypot(*(opposite - place).T)])
     missing = np.log(np.maximum(1 - like.astype(float), _MIN_MISSING))
-    return _probability(np.stack([np.ones(len(like)), missing, np.minimum(edge_mm, _FAR_MM), apart], axis=1))
+    return _probability(
+        np.stack([np.ones(len(like)), missing, np.minimum(edge_mm, _FAR_MM), apart], axis=1)
+    )
 
 
 def _probability(terms: Array) -> GreyArray:
@@ -97,9 +101,13 @@ def _field(enhanced: Enhanced) -> tuple[Array, Array]:
     rows, columns = enhanced.wave.shape
     typical = np.median(field.frequency_px[field.mask])
     frequency = np.where(field.mask, field.frequency_px, typical)
-    parts = np.dstack([np.cos(2 * field.orientation_rad), np.sin(2 * field.orientation_rad), frequency])
+    parts = np.dstack(
+        [np.cos(2 * field.orientation_rad), np.sin(2 * field.orientation_rad), frequency]
+    )
     size = field.mask.shape[1] * field.step_px, field.mask.shape[0] * field.step_px
-    fine = cv2.resize(parts.astype(np.float32), size, interpolation=cv2.INTER_LINEAR)[:rows, :columns]
+    fine = cv2.resize(parts.astype(np.float32), size, interpolation=cv2.INTER_LINEAR)[
+        :rows, :columns
+    ]
     cosine, sine, frequency = cv2.split(fine)
     return 0.5 * np.arctan2(sine, cosine).astype(float), 2 * np.pi * frequency.astype(float)
 
@@ -111,7 +119,8 @@ def _turns(ridges: Array, along: Array, wave_number: Array) -> tuple[Array, list
     And the wave a quarter turn on, (h - 1, w - 1) at each of the four corners.
     """
     down, right = np.gradient(ridges)
-    across = np.stack([-np.sin(along), np.cos(along)])  # a quarter turn on from the ridges: right, up
+    # a quarter turn on from the ridges: right, up
+    across = np.stack([-np.sin(along), np.cos(along)])
     quadrature = -(right * across[0] - down * across[1]) / wave_number
     height, width = ridges.shape
 
@@ -132,7 +141,9 @@ def _turns(ridges: Array, along: Array, wave_number: Array) -> tuple[Array, list
     return np.round(total / (2 * np.pi)), quadratures
 
 
-def _zeros(ridges: Array, quadratures: list[Array], rows: NDArray[np.intp], columns: NDArray[np.intp]) -> Array:
+def _zeros(
+    ridges: Array, quadratures: list[Array], rows: NDArray[np.intp], columns: NDArray[np.intp]
+) -> Array:
     """(N, 2) how far right and down of a square's middle the wave and its quadrature vanish, each
     fitted by a plane."""
     values = np.stack(
@@ -146,7 +157,10 @@ def _zeros(ridges: Array, quadratures: list[Array], rows: NDArray[np.intp], colu
     determinant = (right * down.conj()).imag
     flat = np.abs(determinant) < 1e-12  # no direction in which both grow
     determinant = np.where(flat, 1.0, determinant)
-    offset = np.stack([-(middle * down.conj()).imag, (middle * right.conj()).imag], axis=1) / determinant[:, None]
+    offset = (
+        np.stack([-(middle * down.conj()).imag, (middle * right.conj()).imag], axis=1)
+        / determinant[:, None]
+    )
     return np.where(flat[:, None], 0.0, np.clip(offset, -0.5, 0.5))
 
 
@@ -164,5 +178,7 @@ def _likeness(image: GreyArray, ridges: Array, sigma_px: float = 4.0) -> FloatAr
     smooth = cv2.GaussianBlur(image.astype(np.float32), (0, 0), 1.0)
     ink = cv2.GaussianBlur(smooth, (0, 0), 2.5 * sigma_px) - smooth
     wave = ridges.astype(np.float32)
-    both, of_wave, of_ink = (cv2.GaussianBlur(part, (0, 0), sigma_px) for part in (ink * wave, wave * wave, ink * ink))
+    both, of_wave, of_ink = (
+        cv2.GaussianBlur(part, (0, 0), sigma_px) for part in (ink * wave, wave * wave, ink * ink)
+    )
     return np.asarray(both / np.sqrt(of_wave * of_ink + 1e-6))

@@ -39,8 +39,13 @@ class PhotoFinger:
         if self.box is None:
             return None
         require(self.mask is None, "give `mask` or `box`, not both.")
-        numbers = re.fullmatch(r"(\d{1,6}),(\d{1,6}),(\d{1,6}),(\d{1,6})", self.box.replace(" ", ""))
+        numbers = re.fullmatch(
+            r"(\d{1,6}),(\d{1,6}),(\d{1,6}),(\d{1,6})", self.box.replace(" ", "")
+        )
         if numbers is None:
-            raise BadInput(f"`box` must be four whole numbers X,Y,W,H, such as 400,300,800,1200, not '{self.box}'.")
+            raise BadInput(
+                "`box` must be four whole numbers X,Y,W,H, such as 400,300,800,1200, not"
+                f" '{self.box}'."
+            )
         x, y, w, h = map(int, numbers.groups())
         return x, y, w, h

@@ -134,7 +134,9 @@ class PhotographedFinger:
     """Further fingers in the picture."""
 
 
-def finger_in_photo(pixels: PixelArray, box: tuple[int, int, int, int] | None = None) -> PhotographedFinger:
+def finger_in_photo(
+    pixels: PixelArray, box: tuple[int, int, int, int] | None = None
+) -> PhotographedFinger:
     """Find the clearest finger of a photograph (H, W, 3) of 8 or 16 bits; raises BadInput where
     there is none.
 
@@ -147,7 +149,8 @@ def finger_in_photo(pixels: PixelArray, box: tuple[int, int, int, int] | None = 
         f"`box` must lie in the picture of {columns} x {rows} pixels, {_BLOCK} or more wide and "
         f"high, but it is {left},{top},{width},{height}.",
     )
-    margin = 0 if box is None else max(width, height) // 8  # what lies beside it shows where it ends
+    # what lies beside it shows where it ends
+    margin = 0 if box is None else max(width, height) // 8
     first_column = max(left - margin, 0)
     first_row = max(top - margin, 0)
     part = pixels[first_row : top + height + margin, first_column : left + width + margin]
@@ -177,13 +180,21 @@ def finger_in_photo(pixels: PixelArray, box: tuple[int, int, int, int] | None = 
     best_likeness, best = rated[0]
     require(
         box is not None or best.in_view(0.4, _BESIDE, shape).any(),
-        "the finger fills the picture from side to side; photograph it from farther, sides and its tip in view.",
+        "the finger fills the picture from side to side; photograph it from farther, sides and its"
+        " tip in view.",
     )
     fingers = [best]
     for likeness, outline in rated[1:]:
-        apart = all(np.linalg.norm(outline.middle - each.middle) > 0.8 * best.width for each in fingers)
+        apart = all(
+            np.linalg.norm(outline.middle - each.middle) > 0.8 * best.width for each in fingers
+        )
         beside = abs((outline.middle - best.middle) @ best.right) > 0.6 * best.width
-        if likeness > 0.5 * best_likeness and apart and beside and 0.5 < outline.width / best.width < 1.6:
+        if (
+            likeness > 0.5 * best_likeness
+            and apart
+            and beside
+            and 0.5 < outline.width / best.width < 1.6
+        ):
             fingers.append(outline)
 
     colours = _colour_bins(fine)
@@ -266,22 +277,33 @@ def _votes(width: float, tensor: FloatArray, skin: FloatArray) -> Iterator[tuple
     step = max(1, int(0.08 * px))
     sigma = max(0.06 * px, 0.3)
     border = pad, pad, pad, pad, cv2.BORDER_CONSTANT, None
-    smooth = cv2.copyMakeBorder(cv2.GaussianBlur(tensor, (0, 0), sigma), *border, (0.2, 0.0, 0.2, 0.0))
+    smooth = cv2.copyMakeBorder(
+        cv2.GaussianBlur(tensor, (0, 0), sigma), *border, (0.2, 0.0, 0.2, 0.0)
+    )
     plain = 0.5 * skin - cv2.GaussianBlur(tensor[..., 0] + tensor[..., 2], (0, 0), 2 * sigma)
     angle = np.pi * np.arange(_EDGE_TURNS) / _EDGE_TURNS
-    weights = np.stack([np.cos(angle) ** 2, 2 * np.cos(angle) * np.sin(angle), np.sin(angle) ** 2], axis=1)
+    weights = np.stack(
+        [np.cos(angle) ** 2, 2 * np.cos(angle) * np.sin(angle), np.sin(angle) ** 2], axis=1
+    )
     edges = np.tensordot(weights.astype(np.float32), smooth, (1, 2))
     maps = [*edges, cv2.copyMakeBorder(plain, *border, -0.25)]
 
     # seven places about the tip, six on each side, eight on the skin
     tip = _tip_model(np.radians([-75.0, -50, -25, 0, 25, 50, 75]))
     back = np.linspace(_CAP + 0.1, 1.6, 6)
-    points, normals = map(np.vstack, zip(tip, _side_model(-0.5, back), _side_model(0.5, back), strict=True))
+    points, normals = map(
+        np.vstack, zip(tip, _side_model(-0.5, back), _side_model(0.5, back), strict=True)
+    )
     inner = np.array([[x, y] for y in (0.35, 0.65, 0.95, 1.25) for x in (-0.2, 0.2)])
     for turn in 2 * np.pi * np.arange(_TURNS) / _TURNS:
-        outline = Outline(np.zeros(2), np.array([np.sin(turn), -np.cos(turn)]), width, np.zeros((0, 2)))
+        outline = Outline(
+            np.zeros(2), np.array([np.sin(turn), -np.cos(turn)]), width, np.zeros((0, 2))
+        )
         across = outline.turned(normals)
-        numbers = np.rint(np.arctan2(across[:, 1], across[:, 0]) / np.pi * _EDGE_TURNS).astype(int) % _EDGE_TURNS
+        numbers = (
+            np.rint(np.arctan2(across[:, 1], across[:, 0]) / np.pi * _EDGE_TURNS).astype(int)
+            % _EDGE_TURNS
+        )
         places = np.rint(outline.turned(np.vstack([points, inner])) * px).astype(int) + pad
         values = [
             maps[number][y : y + rows : step, x : x + columns : step]
@@ -309,7 +331,9 @@ def _skin_likeness(lab: FloatArray) -> FloatArray:
     return np.asarray(likeness * np.clip((60.0 - chroma) / 20.0, 0, 1), np.float32)
 
 
-def _fitted(outline: Outline, lab: FloatArray, colours: NDArray[np.intp], length: float, reach: float) -> Outline:
+def _fitted(
+    outline: Outline, lab: FloatArray, colours: NDArray[np.intp], length: float, reach: float
+) -> Outline:
     """The smooth outline that follows edges and parts colours best, within `reach` widths of where
     it was expected.
 
@@ -332,7 +356,9 @@ def _fitted(outline: Outline, lab: FloatArray, colours: NDArray[np.intp], length
     change = np.linalg.norm(np.gradient(values[..., :3], step, axis=1), axis=-1)
     edge = np.where(visible, change / (change + 1.5), 0.0)
     inside = np.cumsum(np.where(visible, values[..., 3], 0.0), axis=1) * step / px
-    gain = edge + (inside - inside.mean(axis=1, keepdims=True)) - 0.3 * (offsets / (reach * px)) ** 2
+    gain = (
+        edge + (inside - inside.mean(axis=1, keepdims=True)) - 0.3 * (offsets / (reach * px)) ** 2
+    )
     came = np.zeros(gain.shape, np.intp)
     index = np.arange(_ACROSS)
     best = gain[0]
@@ -384,11 +410,15 @@ def _colour_bins(lab: FloatArray) -> NDArray[np.intp]:
     return np.asarray((bins[..., 0] * 32 + bins[..., 1]) * 32 + bins[..., 2])
 
 
-def _resemblance(outline: Outline, colours: NDArray[np.intp], length: float, reach: float) -> FloatArray:
+def _resemblance(
+    outline: Outline, colours: NDArray[np.intp], length: float, reach: float
+) -> FloatArray:
     """(H, W) log-likelihood ratio of each colour, by its bin: inside over around the outline."""
 
     def within(wider: float, longer: float = 0.0) -> BoolArray:
-        vectors = _model(length)[0] * np.array([wider, 1.0]) + np.array([0.0, 0.5 * (1 - wider) - longer])
+        vectors = _model(length)[0] * np.array([wider, 1.0]) + np.array(
+            [0.0, 0.5 * (1 - wider) - longer]
+        )
         return filled(outline.places(vectors) * max(colours.shape), colours.shape)
 
     def density(region: BoolArray) -> Array:
@@ -414,7 +444,9 @@ def _likeness(outline: Outline, lab: FloatArray) -> float:
     within, beyond = values.reshape(2, len(tip), 3)
     contrast = float(np.clip(np.linalg.norm(within - beyond, axis=1) / 12.0, 0, 1).mean())
     spread = float(np.linalg.norm(lab[inside].std(axis=0)[1:]))
-    likeness = np.clip((outline.edges - 0.4) / 0.45, 0, 1) * contrast**2 * np.exp(-((spread / 8.0) ** 2))
+    likeness = (
+        np.clip((outline.edges - 0.4) / 0.45, 0, 1) * contrast**2 * np.exp(-((spread / 8.0) ** 2))
+    )
     return float(likeness * _skin_likeness(lab[inside]).mean())
 
 
@@ -426,24 +458,33 @@ def _ridge_likeness(pixels: PixelArray, outline: Outline) -> float:
     side = max(pixels.shape)
     scale = min(1.0, _MAX_WIDTH_PX / (outline.width * side))
     coarsest, finest = (count / (scale * outline.width * side) for count in _RIDGE_COUNTS)
-    near = outline.points[(outline.tip - outline.points) @ outline.ahead < 1.4 * outline.width] * side
+    near = (
+        outline.points[(outline.tip - outline.points) @ outline.ahead < 1.4 * outline.width] * side
+    )
     low = np.maximum(near.min(axis=0).astype(int), 0)
     high = near.max(axis=0).astype(int) + 1
     green = pixels[low[1] : high[1], low[0] : high[0], 1].astype(np.float32)
     light = cv2.resize(green, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA)
     light = np.log(light + 8 * np.iinfo(pixels.dtype).max / 255)
     inside = filled((near - low) * scale, light.shape).astype(np.float32)
-    whole = cv2.boxFilter(inside, -1, (_BLOCK, _BLOCK), anchor=(0, 0), borderType=cv2.BORDER_CONSTANT) > 0.9
+    whole = (
+        cv2.boxFilter(inside, -1, (_BLOCK, _BLOCK), anchor=(0, 0), borderType=cv2.BORDER_CONSTANT)
+        > 0.9
+    )
     rows, columns = (max(size - _BLOCK, 0) for size in light.shape)
     places = np.argwhere(whole[:rows:_BLOCK_STEP, :columns:_BLOCK_STEP]) * _BLOCK_STEP
     if not len(places):
         return _NO_RIDGES
     places = places[np.linspace(0, len(places) - 1, min(len(places), _MAX_BLOCKS)).astype(np.intp)]
-    blocks = np.stack([light[row : row + _BLOCK, column : column + _BLOCK] for row, column in places])
+    blocks = np.stack(
+        [light[row : row + _BLOCK, column : column + _BLOCK] for row, column in places]
+    )
     blocks -= blocks.mean(axis=(1, 2), keepdims=True)
     ramp = np.arange(_BLOCK, dtype=np.float32) - (_BLOCK - 1) / 2
     for slope in (ramp[:, None], ramp):  # shading is not detail
-        blocks -= (blocks * slope).sum(axis=(1, 2), keepdims=True) / (_BLOCK * (ramp**2).sum()) * slope
+        blocks -= (
+            (blocks * slope).sum(axis=(1, 2), keepdims=True) / (_BLOCK * (ramp**2).sum()) * slope
+        )
     if np.median(blocks.std(axis=(1, 2))) > _MAX_CONTRAST:
         return 0.0
     power = np.abs(np.fft.rfft2(blocks * np.hanning(_BLOCK)[:, None] * np.hanning(_BLOCK))) ** 2
@@ -454,7 +495,9 @@ def _ridge_likeness(pixels: PixelArray, outline: Outline) -> float:
     row, column = np.unravel_index(ridges.reshape(len(blocks), -1).argmax(axis=1), frequency.shape)
     peak_down = down[row, 0]
     peak_right = right[0, column]
-    wave = np.hypot(down - peak_down[:, None, None], right - peak_right[:, None, None]) < 2.2 / _BLOCK
+    wave = (
+        np.hypot(down - peak_down[:, None, None], right - peak_right[:, None, None]) < 2.2 / _BLOCK
+    )
     detail = (power * (frequency > 0.5 * coarsest)).sum(axis=(1, 2))
     part = (ridges * wave).sum(axis=(1, 2)) / np.maximum(detail, 1e-12)
     turn = np.exp(2j * np.arctan2(peak_down, peak_right))

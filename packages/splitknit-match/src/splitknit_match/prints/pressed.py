@@ -150,12 +150,19 @@ def pressed_ridges(image: GreyArray, usual: tuple[float, float] | None = None) -
     weighed = (power @ bank).reshape(rows, columns, _DIRECTIONS, _PERIODS)
     total = (power @ np.ones(power.shape[1], dtype=np.float32)).reshape(rows, columns, 1, 1) + 1e-6
     unit = 0.5 * _WINDOW_PX**2 * float(np.square(_TAPER).sum())  # power of noise of variance one
-    direction, frequency, agreement, purity = _field(weighed / total, total / (total + _WEAK * unit), usual)
+    direction, frequency, agreement, purity = _field(
+        weighed / total, total / (total + _WEAK * unit), usual
+    )
     wave = _filtered(spectra, direction, frequency, agreement)[: even.shape[0], : even.shape[1]]
     wave /= np.sqrt(_mean(wave * wave, 0.7 * sigma)) + 0.02
-    y, x = ((np.arange(side, dtype=np.float32) + (_WINDOW_PX / 2 - _STEP_PX + 0.5)) / _STEP_PX for side in even.shape)
+    y, x = (
+        (np.arange(side, dtype=np.float32) + (_WINDOW_PX / 2 - _STEP_PX + 0.5)) / _STEP_PX
+        for side in even.shape
+    )
     sure = np.clip((blur(purity, 1.0) / _PURE - _NOISE) / (1 - _NOISE), 0, 1)
-    confidence = cv2.remap(sure, *np.meshgrid(x, y), cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+    confidence = cv2.remap(
+        sure, *np.meshgrid(x, y), cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE
+    )
     clear_contrast = usual_contrast(contrast[confidence >= 0.5 * _clearest(confidence)])
     faint = (_PHOTO_FAINT if is_photo else _FAINT) * clear_contrast + 1e-6
     confidence = confidence * np.minimum(contrast / faint, 1) ** 2
@@ -163,14 +170,18 @@ def pressed_ridges(image: GreyArray, usual: tuple[float, float] | None = None) -
     soft = cv2.GaussianBlur(inside.astype(np.float32), (0, 0), 2.0, borderType=cv2.BORDER_REPLICATE)
     grey = 1.0 - soft * (0.5 - 0.5 * np.tanh(_STEEPNESS * wave))
     even_ridges = np.round(255.0 * grey).astype(np.uint8)
-    return PressedRidges(even_ridges, inside, np.where(inside, confidence, 0), _lacks(direction, inside))
+    return PressedRidges(
+        even_ridges, inside, np.where(inside, confidence, 0), _lacks(direction, inside)
+    )
 
 
 def _lacks(direction: FloatArray, inside: BoolArray) -> str:
     """What lines lack to be ridges, by the turn of their direction (n, m) from window to window
     `inside` (H, W)."""
     at = inside[_STEP_PX::_STEP_PX, _STEP_PX::_STEP_PX].astype(np.uint8)
-    known = cv2.erode(at, np.ones((3, 3), np.uint8), borderType=cv2.BORDER_CONSTANT, borderValue=0) > 0
+    known = (
+        cv2.erode(at, np.ones((3, 3), np.uint8), borderType=cv2.BORDER_CONSTANT, borderValue=0) > 0
+    )
     here = direction[2 : 2 + known.shape[0], 2 : 2 + known.shape[1]]
     right = _apart(here[:, 1:], here[:, :-1])[known[:, 1:] & known[:, :-1]]
     down = _apart(here[1:], here[:-1])[known[1:] & known[:-1]]
@@ -184,11 +195,14 @@ def _lacks(direction: FloatArray, inside: BoolArray) -> str:
 
 
 def _mean(image: FloatArray, sigma: float) -> FloatArray:
-    """(H, W) mean in a Gaussian window of `sigma` px; wide ones, of photographs, on a smaller copy."""
+    """(H, W) mean in a Gaussian window of `sigma` px; wide ones, of photographs, on a smaller
+    copy."""
     return blur(image, sigma) if sigma < 1.1 * _CONTRAST_PX else wide_blur(image, sigma)
 
 
-def without_shading(values: FloatArray, known: FloatArray, sigma: float) -> tuple[FloatArray, FloatArray]:
+def without_shading(
+    values: FloatArray, known: FloatArray, sigma: float
+) -> tuple[FloatArray, FloatArray]:
     """(H, W) values less their mean in a Gaussian window of `sigma` px where `known` is 1, else 0;
     and the window's weight, above 0.
     """
@@ -256,7 +270,9 @@ def _bank() -> tuple[BoolArray, FloatArray, FloatArray, FloatArray]:
 
     The filters are (fans, directions, window, half window) and (periods, window, half window).
     """
-    down, right = np.meshgrid(np.fft.fftfreq(_WINDOW_PX), np.fft.rfftfreq(_WINDOW_PX), indexing="ij")
+    down, right = np.meshgrid(
+        np.fft.fftfreq(_WINDOW_PX), np.fft.rfftfreq(_WINDOW_PX), indexing="ij"
+    )
     frequency = np.hypot(down, right)
     angle = np.arctan2(-down, right)
     inner = (frequency > 0.8 / _LONGEST_PX) & (frequency < 1.15 / _SHORTEST_PX)
@@ -292,7 +308,8 @@ def _field(
     votes = np.einsum("nmf,nm->f", evidence.max(axis=2), clear**3)
     if expected is not None:
         votes *= np.exp(-0.5 * ((_LOGS + np.log(expected[0])) / expected[1]) ** 2)
-    own = float((votes**4 * _LOGS).sum() / max(float((votes**4).sum()), 1e-30))  # logarithm of the print's frequency
+    # logarithm of the print's frequency
+    own = float((votes**4 * _LOGS).sum() / max(float((votes**4).sum()), 1e-30))
     spread = _PERIOD_SPREAD if expected is None else _PHOTO_PERIOD_SPREAD
     usual = (np.exp(-0.5 * ((_LOGS - own) / spread) ** 2) + 0.05).astype(np.float32)
     evidence = evidence @ usual
@@ -319,7 +336,10 @@ def _field(
 
 
 def _filtered(
-    spectra: NDArray[np.complex64], direction: FloatArray, frequency: FloatArray, agreement: FloatArray
+    spectra: NDArray[np.complex64],
+    direction: FloatArray,
+    frequency: FloatArray,
+    agreement: FloatArray,
 ) -> FloatArray:
     """What runs along the ridges and has their period, from windows added up."""
     _, _, fans, bands = _bank()
@@ -328,11 +348,15 @@ def _filtered(
     lowest, highest = np.log([1 / _LONGEST_PX, 1 / _SHORTEST_PX])
     place = np.rint((frequency - lowest) / (highest - lowest) * (len(bands) - 1))
     band = np.clip(place, 0, len(bands) - 1).astype(np.intp)
-    lines = zip(spectra, fan, turn, band, strict=True)  # one after the other: they stay in the cache
+    # one after the other: they stay in the cache
+    lines = zip(spectra, fan, turn, band, strict=True)
     waves = [
-        np.fft.irfft2(line * fans[f, t] * bands[b], s=(_WINDOW_PX, _WINDOW_PX)) * _TAPER for line, f, t, b in lines
+        np.fft.irfft2(line * fans[f, t] * bands[b], s=(_WINDOW_PX, _WINDOW_PX)) * _TAPER
+        for line, f, t, b in lines
     ]
-    return overlap_added(np.stack(waves), _STEP_PX)[_WINDOW_PX - _STEP_PX :, _WINDOW_PX - _STEP_PX :]
+    return overlap_added(np.stack(waves), _STEP_PX)[
+        _WINDOW_PX - _STEP_PX :, _WINDOW_PX - _STEP_PX :
+    ]
 
 
 def _clearest(confidence: NDArray[Any]) -> float:

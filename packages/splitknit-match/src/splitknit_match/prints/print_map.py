@@ -47,7 +47,9 @@ _CATMULL_ROM = np.array([[0, -1, 2, -1], [2, 0, -5, 3], [0, 1, 4, -3], [0, 0, -1
 term first."""
 
 
-def _dense(values: NDArray[Any], size: tuple[int, ...], step: float, *, linear: bool = False) -> FloatArray:
+def _dense(
+    values: NDArray[Any], size: tuple[int, ...], step: float, *, linear: bool = False
+) -> FloatArray:
     """Read a coarse grid, its first pixel two steps before the fine one's, at every pixel of a fine
     grid."""
 
@@ -77,7 +79,10 @@ def _cubic(values: Array, places: Array) -> tuple[Array, Array]:
     first = np.minimum(np.floor(where).astype(np.intp), [m - 3, n - 3])
     rest = (where - first).T
     around = np.arange(-1, 3)
-    patch = values[(first[:, 1, None] + around)[:, :, None], (first[:, 0, None] + around)[:, None, :]]  # (N, 4, 4, 2)
+    # (N, 4, 4, 2)
+    patch = values[
+        (first[:, 1, None] + around)[:, :, None], (first[:, 0, None] + around)[:, None, :]
+    ]
     across, down = polyval(rest, _CATMULL_ROM.T).swapaxes(0, 1)  # (4, N) each
     across_slope, down_slope = polyval(rest, polyder(_CATMULL_ROM.T)).swapaxes(0, 1)
     result[good] = np.einsum("nijk,jn,in->nk", patch, across, down)
@@ -131,7 +136,9 @@ class PrintMap:
         columns, rows = np.nan_to_num(points, nan=-1.0).T.astype(np.float32)
         known = self.columns > 0.5 * NOWHERE
         fields = (np.where(known, field, np.float32(np.nan)) for field in (self.columns, self.rows))
-        return np.stack([sampled_at(field, columns, rows, outside=np.nan) for field in fields], axis=1).astype(float)
+        return np.stack(
+            [sampled_at(field, columns, rows, outside=np.nan) for field in fields], axis=1
+        ).astype(float)
 
 
 def plane_map(
@@ -150,15 +157,23 @@ def plane_map(
     columns, rows = (line[0] * column + line[1] * row + line[2] for line in input_from_print[:2])
     # a grid of nodes wider than any input: straight lines are read exactly
     reach = 4.0 * max(size)
-    print_from_grid = np.array([[reach, 0.0, -2.0 * reach], [0.0, reach, -2.0 * reach], [0.0, 0.0, 1.0]])
+    print_from_grid = np.array(
+        [[reach, 0.0, -2.0 * reach], [0.0, reach, -2.0 * reach], [0.0, 0.0, 1.0]]
+    )
     node = np.stack(np.meshgrid(np.arange(6.0), np.arange(6.0)), axis=2)
     return PrintMap(
-        "plane", ppi, columns.astype(np.float32), rows.astype(np.float32), input_from_print @ print_from_grid,
+        "plane",
+        ppi,
+        columns.astype(np.float32),
+        rows.astype(np.float32),
+        input_from_print @ print_from_grid,
         moved(print_from_grid, node),
-    )  # fmt: skip
+    )
 
 
-def unrolled_map(unrolled: Unrolled, kind: str, ppi: float = 500.0, slant_deg: float | None = SLANT_DEG) -> PrintMap:
+def unrolled_map(
+    unrolled: Unrolled, kind: str, ppi: float = 500.0, slant_deg: float | None = SLANT_DEG
+) -> PrintMap:
     """Return the map of skin that was laid flat; the print holds all that is less steep than
     `slant_deg`, and a margin.
 
@@ -169,8 +184,15 @@ def unrolled_map(unrolled: Unrolled, kind: str, ppi: float = 500.0, slant_deg: f
     px_per_mm = ppi / MM_PER_INCH
     flat = unrolled.flat_mm
     grid = unrolled.grid
-    facing = grid.inside if slant_deg is None else grid.inside & (_facing(grid) > np.cos(np.deg2rad(slant_deg)))
-    require(facing.any(), "the finger hardly faces the camera; capture it again with its pad towards it.")
+    facing = (
+        grid.inside
+        if slant_deg is None
+        else grid.inside & (_facing(grid) > np.cos(np.deg2rad(slant_deg)))
+    )
+    require(
+        facing.any(),
+        "the finger hardly faces the camera; capture it again with its pad towards it.",
+    )
     low = flat[facing].min(axis=0) - _MARGIN_MM
     high = flat[facing].max(axis=0) + _MARGIN_MM
     size = _checked_size(*(int(np.ceil(length)) for length in (high - low)[::-1] * px_per_mm))
@@ -183,17 +205,25 @@ def unrolled_map(unrolled: Unrolled, kind: str, ppi: float = 500.0, slant_deg: f
 def _checked_size(rows: int, columns: int) -> tuple[int, int]:
     require(
         rows * columns <= _LARGEST_PX,
-        f"the print would have {rows} x {columns} pixels, more than any finger's; check the scale of its input.",
+        f"the print would have {rows} x {columns} pixels, more than any finger's; check the scale"
+        " of its input.",
     )
     return rows, columns
 
 
 def _check_ppi(ppi: float) -> None:
-    require(np.isfinite(ppi) and 10 <= ppi <= 10_000, f"ppi must lie between 10 and 10000, but it is {ppi}.")
+    require(
+        np.isfinite(ppi) and 10 <= ppi <= 10_000,
+        f"ppi must lie between 10 and 10000, but it is {ppi}.",
+    )
 
 
 def _dense_inverse(
-    print_of_grid: Array, grid: SurfaceGrid, size: tuple[int, int], step: float, slant_deg: float | None
+    print_of_grid: Array,
+    grid: SurfaceGrid,
+    size: tuple[int, int],
+    step: float,
+    slant_deg: float | None,
 ) -> tuple[FloatArray, FloatArray]:
     """Columns and rows of the input for every pixel of the print."""
     lines = [np.arange(-2, int(np.ceil((n - 1) / step)) + 3) * step for n in size]
@@ -209,8 +239,12 @@ def _dense_inverse(
     trusted = _dense(np.isfinite(nodes[..., 0]), size, step, linear=True) > 0.999
     if slant_deg is not None:
         column, row = np.moveaxis(np.nan_to_num(nodes, nan=-1.0).astype(np.float32), 2, 0)
-        cosine = cv2.remap(_facing(grid), column, row, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
-        trusted &= _dense(cosine, size, step, linear=True) > np.float32(np.cos(np.deg2rad(slant_deg)))
+        cosine = cv2.remap(
+            _facing(grid), column, row, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE
+        )
+        trusted &= _dense(cosine, size, step, linear=True) > np.float32(
+            np.cos(np.deg2rad(slant_deg))
+        )
     columns, rows = (
         np.where(trusted, _dense(part, size, step), NOWHERE).astype(np.float32)
         for part in np.moveaxis(input_of_coarse, 2, 0)
@@ -229,7 +263,9 @@ def _facing(grid: SurfaceGrid) -> FloatArray:
 # A field of the input, read at a print's pixels.
 
 
-def resample(field: FloatArray, mask: BoolArray, pitch_mm: float, print_map: PrintMap) -> tuple[FloatArray, FloatArray]:
+def resample(
+    field: FloatArray, mask: BoolArray, pitch_mm: float, print_map: PrintMap
+) -> tuple[FloatArray, FloatArray]:
     """Read `field` (H, W), ignored outside `mask`, on a print: values (h, w), and how much of a
     pixel is on the finger.
 
@@ -250,5 +286,7 @@ def resample(field: FloatArray, mask: BoolArray, pitch_mm: float, print_map: Pri
         values = gaussian_mean(values, sigma) / np.maximum(weight, 1e-3) * (weight > 1e-3)
     x = (print_map.columns - columns.start + 0.5) / factor - 0.5
     y = (print_map.rows - rows.start + 0.5) / factor - 0.5
-    read, fraction = (sampled_at(part, x, y, cv2.INTER_CUBIC, outside=0.0) for part in (values, weight))
+    read, fraction = (
+        sampled_at(part, x, y, cv2.INTER_CUBIC, outside=0.0) for part in (values, weight)
+    )
     return read, np.clip(fraction, 0.0, 1.0)

@@ -71,7 +71,8 @@ def _waves(
     inside = np.clip(weight, 0.0, 1.0).astype(np.float32)
     around = np.maximum(gaussian_mean(inside, _SMOOTH_MM * px), 1e-3)
     centred = np.where(inside > 0, values, 0.0).astype(np.float32)
-    for _ in range(2):  # the second pass takes out what a one-sided window leaves of a slope at the outline
+    # the second pass takes out what a one-sided window leaves of a slope at the outline
+    for _ in range(2):
         mean = gaussian_mean(centred * inside, _SMOOTH_MM * px) / around
         centred = np.where(inside > 0, centred - mean, 0.0).astype(np.float32)
     centred = (centred * inside).astype(np.float32)
@@ -80,7 +81,9 @@ def _waves(
     second = node_amplitudes(centred, twice, 2.0 * _SIGMA_PERIODS)
     width = _SIGMA_PERIODS / float(np.median(sampled.frequency_px[sampled.mask]))
     covered = np.maximum(gaussian_mean(inside, width), 0.3)
-    variance = _at_nodes((gaussian_mean(centred * centred, width) / covered).astype(np.float32), sampled)
+    variance = _at_nodes(
+        (gaussian_mean(centred * centred, width) / covered).astype(np.float32), sampled
+    )
     fraction = _at_nodes(covered, sampled)
     first = (first / fraction).astype(np.complex64)
     second = (second / fraction).astype(np.complex64)
@@ -157,7 +160,12 @@ class PrintQuality:
 
 
 def print_quality(
-    values: FloatArray, weight: FloatArray, field: RidgeField, ppi: float = 500.0, *, in_um: bool = True
+    values: FloatArray,
+    weight: FloatArray,
+    field: RidgeField,
+    ppi: float = 500.0,
+    *,
+    in_um: bool = True,
 ) -> PrintQuality:
     """Measure how good a print is. Raises BadInput if the shapes disagree or nothing lies on the
     finger.
@@ -190,7 +198,9 @@ def print_quality(
         strong &= height > _MIN_HEIGHT_UM
     period = 1.0 / (field.frequency_px * px)
     typical = float(np.median(period[sampled.mask]))
-    near = (period > typical * (1.0 - _PERIOD_TOLERANCE)) & (period < typical * (1.0 + _PERIOD_TOLERANCE))
+    near = (period > typical * (1.0 - _PERIOD_TOLERANCE)) & (
+        period < typical * (1.0 + _PERIOD_TOLERANCE)
+    )
     middle = float(np.nonzero(finger)[1].mean())
     figures = QualityFigures(
         ridge_share=float(strong.sum() / finger.sum()),
@@ -203,7 +213,9 @@ def print_quality(
         finger_area_mm2=area_mm2,
         ridge_length_mm=_length(strong, finger, cell_mm),
         gap_share=_gaps(strong[::2, ::2], finger[::2, ::2], cell_mm),
-        centre_offset_mm=abs(float(np.nonzero(strong)[1].mean()) - middle) * step_mm if strong.any() else 0.0,
+        centre_offset_mm=abs(float(np.nonzero(strong)[1].mean()) - middle) * step_mm
+        if strong.any()
+        else 0.0,
     )
     return PrintQuality(*score_of(figures), figures)
 
@@ -222,4 +234,6 @@ def score_of(figures: QualityFigures) -> tuple[float, dict[str, float]]:
     }
     if figures.ridge_area_mm2 <= 0.0:
         return 0.0, ratings
-    return 100.0 * float(np.prod([rating ** PARTS[name][2] for name, rating in ratings.items()])), ratings
+    return 100.0 * float(
+        np.prod([rating ** PARTS[name][2] for name, rating in ratings.items()])
+    ), ratings

@@ -57,7 +57,9 @@ class RidgeField:
         return np.where(self.mask, 25.4 / ppi / self.frequency_px, np.nan).astype(np.float32)
 
 
-def ridge_field(image: GreyArray, ppi: float = 500.0, inside: BoolArray | None = None) -> RidgeField:
+def ridge_field(
+    image: GreyArray, ppi: float = 500.0, inside: BoolArray | None = None
+) -> RidgeField:
     """Find direction, frequency and extent of the ridges of a print (h, w) uint8, ridges dark.
 
     `inside`: (h, w) bool, where the finger is, if it is known. Raises BadInput if it has no ridges.
@@ -82,7 +84,9 @@ def ridge_field(image: GreyArray, ppi: float = 500.0, inside: BoolArray | None =
         for product in (right * right, right * down, down * down)
     )
     tensor = xx + yy, xx - yy, 2.0 * xy
-    narrow, wide = ([_blur(part, length * px / step) for part in tensor] for length in (_NARROW_MM, _WIDE_MM))
+    narrow, wide = (
+        [_blur(part, length * px / step) for part in tensor] for length in (_NARROW_MM, _WIDE_MM)
+    )
     mask = _extent(np.sqrt(np.maximum(wide[0], 0.0)), px / step)
     if inside is not None:
         nodes = np.pad(inside, ((0, below), (0, beside))).reshape(n, step, m, step)
@@ -91,7 +95,8 @@ def ridge_field(image: GreyArray, ppi: float = 500.0, inside: BoolArray | None =
     coherence = np.hypot(narrow[1], narrow[2]) / np.maximum(narrow[0], 1e-6)
     trust = coherence**4
     cosine, sine = (
-        trust * fine / np.maximum(narrow[0], 1e-6) + (1 - trust) * coarse / np.maximum(wide[0], 1e-6)
+        trust * fine / np.maximum(narrow[0], 1e-6)
+        + (1 - trust) * coarse / np.maximum(wide[0], 1e-6)
         for fine, coarse in zip(narrow[1:], wide[1:], strict=True)
     )
     # the gradient's angle (rows down), turned by a quarter: along the ridge; then counter-clockwise
@@ -101,7 +106,11 @@ def ridge_field(image: GreyArray, ppi: float = 500.0, inside: BoolArray | None =
     mask = mask & peaked
     require(mask.any(), NO_RIDGES)
     return RidgeField(
-        step, orientation.astype(np.float32), np.clip(coherence, 0, 1).astype(np.float32), frequency, mask
+        step,
+        orientation.astype(np.float32),
+        np.clip(coherence, 0, 1).astype(np.float32),
+        frequency,
+        mask,
     )
 
 
@@ -121,8 +130,12 @@ def overlap_added(tiles: FloatArray, step: int) -> FloatArray:
     (n, m), times = tiles.shape[:2], tiles.shape[2] // step
     total = np.zeros(((n + times - 1) * step, (m + times - 1) * step), dtype=np.float32)
     for i, j in product(range(times), repeat=2):
-        part = tiles[:, :, i * step : (i + 1) * step, j * step : (j + 1) * step].transpose(0, 2, 1, 3)
-        total[i * step : (i + n) * step, j * step : (j + m) * step] += part.reshape(n * step, m * step)
+        part = tiles[:, :, i * step : (i + 1) * step, j * step : (j + 1) * step].transpose(
+            0, 2, 1, 3
+        )
+        total[i * step : (i + n) * step, j * step : (j + m) * step] += part.reshape(
+            n * step, m * step
+        )
     return total
 
 
@@ -139,7 +152,9 @@ def closed_opened(
 
 def _larger(area: BoolArray, min_px: float, connectivity: int) -> BoolArray:
     """The components of an area (H, W) that have more pixels."""
-    _, labels, stats, _ = cv2.connectedComponentsWithStats(area.view(np.uint8), connectivity=connectivity)
+    _, labels, stats, _ = cv2.connectedComponentsWithStats(
+        area.view(np.uint8), connectivity=connectivity
+    )
     large = stats[:, cv2.CC_STAT_AREA] > min_px
     large[0] = False
     return np.asarray(large[labels])
@@ -149,7 +164,9 @@ def outline_distance_mm(area: BoolArray, ppi: float) -> FloatArray:
     """(H, W) distance of every pixel of a print's area to its outline or the image's border; 0
     outside."""
     padded = np.pad(area.view(np.uint8), 1)  # beyond the image is not print
-    return cv2.distanceTransform(padded, cv2.DIST_L2, cv2.DIST_MASK_PRECISE)[1:-1, 1:-1] * (25.4 / ppi)
+    return cv2.distanceTransform(padded, cv2.DIST_L2, cv2.DIST_MASK_PRECISE)[1:-1, 1:-1] * (
+        25.4 / ppi
+    )
 
 
 def _extent(strength: FloatArray, nodes_per_mm: float) -> BoolArray:
@@ -158,7 +175,9 @@ def _extent(strength: FloatArray, nodes_per_mm: float) -> BoolArray:
     if high < 1.0:  # less than a grey level
         return np.zeros(strength.shape, dtype=bool)
     radius = max(1, round(0.8 * nodes_per_mm))
-    closed = closed_opened(strength > _MIN_STRENGTH * high, radius, radius, 2 * radius + 1, cv2.BORDER_CONSTANT)
+    closed = closed_opened(
+        strength > _MIN_STRENGTH * high, radius, radius, 2 * radius + 1, cv2.BORDER_CONSTANT
+    )
     mask = _larger(closed > 0, 4 * nodes_per_mm**2, 8)
     return ~_larger(~mask, 4 * nodes_per_mm**2, 4)
 
@@ -173,16 +192,21 @@ def _frequencies(
     between the bins a wave lies.
     """
     least = max(16, round(_WINDOW_MM * px))
-    side = next(n for n in range(least, 2 * least) if 30**12 % n == 0)  # of small prime factors: quick to transform
+    # of small prime factors: quick to transform
+    side = next(n for n in range(least, 2 * least) if 30**12 % n == 0)
     pad = side // 2
     wide = cv2.copyMakeBorder(grey, pad, pad + 2 * step, pad, pad + 2 * step, cv2.BORDER_REFLECT)
     rows, columns = (-(-size // 2) for size in mask.shape)
-    windows = sliding_window_view(wide, (side, side))[step :: 2 * step, step :: 2 * step][:rows, :columns]
+    windows = sliding_window_view(wide, (side, side))[step :: 2 * step, step :: 2 * step][
+        :rows, :columns
+    ]
     padded = np.pad(mask, ((0, 2 * rows - mask.shape[0]), (0, 2 * columns - mask.shape[1])))
     wanted = padded.reshape(rows, 2, columns, 2).any(axis=(1, 3))
     patches = windows[wanted]
     hann = np.hanning(side + 2)[1:-1].astype(np.float32)
-    spectrum = spectra_of((patches - patches.mean(axis=(1, 2), keepdims=True)) * (hann[:, None] * hann))
+    spectrum = spectra_of(
+        (patches - patches.mean(axis=(1, 2), keepdims=True)) * (hann[:, None] * hann)
+    )
     power = spectrum.real**2 + spectrum.imag**2
     total = power.sum(axis=(1, 2))
     # columns -3 to the end: a wave near column 0 has half of its peak on the other side
@@ -215,7 +239,13 @@ def _frequencies(
     around = _blur(trust, 1.5)
     smooth = _blur(trust * value, 1.5) / np.maximum(around, 1e-9)
     smooth = np.where(around > 0.01, smooth, np.median(frequency[sure])).astype(np.float32)
-    large = cv2.resize(smooth, (2 * columns, 2 * rows), interpolation=cv2.INTER_LINEAR).astype(np.float32)
-    near = cv2.dilate((around > 0.02).astype(np.uint8), np.ones((3, 3), np.uint8)).repeat(2, axis=0).repeat(2, axis=1)
+    large = cv2.resize(smooth, (2 * columns, 2 * rows), interpolation=cv2.INTER_LINEAR).astype(
+        np.float32
+    )
+    near = (
+        cv2.dilate((around > 0.02).astype(np.uint8), np.ones((3, 3), np.uint8))
+        .repeat(2, axis=0)
+        .repeat(2, axis=1)
+    )
     inside = slice(mask.shape[0]), slice(mask.shape[1])
     return np.ascontiguousarray(large[inside]), near[inside] > 0

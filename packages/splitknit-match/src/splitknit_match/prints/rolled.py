@@ -16,7 +16,14 @@ from splitknit.model import Array, BoolArray, FloatArray, Progress
 from splitknit_match.prints.make import Print
 from splitknit_match.prints.print_map import PrintMap, resample, unrolled_map
 from splitknit_match.prints.sources import Source
-from splitknit_match.prints.unroll import NODES_MM, RINGS, SurfaceGrid, extrapolated, longest_run, unroll
+from splitknit_match.prints.unroll import (
+    NODES_MM,
+    RINGS,
+    SurfaceGrid,
+    extrapolated,
+    longest_run,
+    unroll,
+)
 from splitknit_match.rolled.chart import Chart
 from splitknit_match.rolled.finger import Rolled, rolled_finger
 from splitknit_match.rolled.views import find_mirror_views
@@ -25,7 +32,9 @@ SIDE_MM = 14.0
 """Coverage is reported for the rows from the tip's cap downwards, as far as this."""
 
 
-def print_around(path: Path, preset: str, place: str, ppi: float, progress: Progress) -> tuple[Source, Print, Rolled]:
+def print_around(
+    path: Path, preset: str, place: str, ppi: float, progress: Progress
+) -> tuple[Source, Print, Rolled]:
     """A capture folder as one finger around its front, laid flat as `place`: what is printed, the
     print, the finger.
 
@@ -34,7 +43,8 @@ def print_around(path: Path, preset: str, place: str, ppi: float, progress: Prog
     """
     require(
         (path / "capture.json").is_file(),
-        f"'{path}' is not a capture folder (capture.json); a rolled finger is made from a capture with mirrors.",
+        f"'{path}' is not a capture folder (capture.json); a rolled finger is made from a capture"
+        " with mirrors.",
     )
 
     def make() -> tuple[Source, Print, Rolled]:
@@ -43,18 +53,31 @@ def print_around(path: Path, preset: str, place: str, ppi: float, progress: Prog
         progress("views", 0.08)
         views = find_mirror_views(capture, chosen, chosen.shape.mirror)
         rolled = rolled_finger(
-            capture, views, chosen.metric,
+            capture,
+            views,
+            chosen.metric,
             lambda stage, fraction: progress(stage, 0.15 + 0.55 * fraction),
-        )  # fmt: skip
+        )
         # the chart takes the part of the input's pixels
         source = Source(
-            "capture", rolled.blended.known, rolled.chart.pitch_mm, np.eye(3), rolled.chart.shape,
-            ridge_mm=rolled.blended.relief_mm, preset=preset, hashes=capture.hashes, subject=capture.subject,
-        )  # fmt: skip
+            "capture",
+            rolled.blended.known,
+            rolled.chart.pitch_mm,
+            np.eye(3),
+            rolled.chart.shape,
+            ridge_mm=rolled.blended.relief_mm,
+            preset=preset,
+            hashes=capture.hashes,
+            subject=capture.subject,
+        )
         progress("printing", 0.75)
         print_map, distortion = _laid_flat(rolled, place, ppi)
         inked, weight = resample(rolled.blended.relief_mm, source.mask, source.pitch_mm, print_map)
-        return source, Print(ink(inked, weight, ppi), weight, print_map, inked, True, distortion), rolled
+        return (
+            source,
+            Print(ink(inked, weight, ppi), weight, print_map, inked, True, distortion),
+            rolled,
+        )
 
     return naming(path, make)
 
@@ -95,13 +118,17 @@ def write_rolled(target: Path, rolled: Rolled) -> dict[str, Any]:
     camera; return the facts.
     """
     relief = rolled.blended.relief_mm
-    points = _skin_points(rolled, rolled.points_mm.astype(float) + relief[..., None] * rolled.normals)
+    points = _skin_points(
+        rolled, rolled.points_mm.astype(float) + relief[..., None] * rolled.normals
+    )
     used = rolled.blended.known & np.isfinite(points[..., 2])
     faces, _ = triangulate(used)
     vertices = points[used].astype(np.float32)
     normals = (rolled.normals.astype(float) @ rolled.chart.axes.T)[used].astype(np.float32)
     relief = relief[used]
-    shade = np.clip(0.5 + relief / (6.0 * max(float(relief.std()), 1e-6)), 0.0, 1.0).astype(np.float32)
+    shade = np.clip(0.5 + relief / (6.0 * max(float(relief.std()), 1e-6)), 0.0, 1.0).astype(
+        np.float32
+    )
     words = ["rolled-equivalent finger, mm; quality is the relief"]
     write_ply(target / "rolled.ply", (vertices, normals, shade), faces, words)
     return {**rolled_facts(rolled), "mesh_points": len(vertices)}

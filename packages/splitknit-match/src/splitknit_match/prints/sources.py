@@ -74,33 +74,51 @@ def read_source(
     from splitknit.pipeline import with_scale  # photographs of fingers need none of them
 
     progress("reading", 0.05)
-    require(os.path.exists(path), f"there is no '{path}'; name a capture folder or a result folder.")  # noqa: PTH110
+    require(
+        os.path.exists(path),  # noqa: PTH110
+        f"there is no '{path}'; name a capture folder or a result folder.",
+    )
     if (path / "capture.json").is_file():
-        capture, note = naming(path, lambda: with_scale(read_capture(path), px_per_mm, ridge_period_mm))
+        capture, note = naming(
+            path, lambda: with_scale(read_capture(path), px_per_mm, ridge_period_mm)
+        )
         source = naming(path, lambda: source_of_capture(capture, photo, surface, preset, progress))
         return replace(source, scale=note)
     result = path / "height.npz" if path.is_dir() else path
     require(
         result.is_file() and result.suffix.lower() == ".npz",
-        f"'{path}' is neither a capture (capture.json) nor a result (height.npz); name one {photographs_hint(path)}.",
+        f"'{path}' is neither a capture (capture.json) nor a result (height.npz); name one"
+        f" {photographs_hint(path)}.",
     )
     require(
         not photo,
-        f"'{path}' is a result, which holds no photograph of the finger; name the capture folder for `method` photo.",
+        f"'{path}' is a result, which holds no photograph of the finger; name the capture folder"
+        " for `method` photo.",
     )
     return _of_result(result, px_per_mm, ridge_period_mm)
 
 
 def source_of(result: Reconstruction) -> Source:
-    """What prints need of a reconstruction in memory. Raises BadInput where its scale is unknown."""
+    """What prints need of a reconstruction in memory. Raises BadInput where its scale is
+    unknown."""
     from splitknit.model import require_scale
 
     require_scale(result)
     return Source(
-        "result", result.mask, result.pitch_mm, result.input_from_upright, result.upright_size, result.height_mm,
-        result.ridge_mm, result.shape_mm, result.x_mm, result.y_mm, specular=result.specular,
-        preset=result.preset or None, hashes=result.hashes,
-    )  # fmt: skip
+        "result",
+        result.mask,
+        result.pitch_mm,
+        result.input_from_upright,
+        result.upright_size,
+        result.height_mm,
+        result.ridge_mm,
+        result.shape_mm,
+        result.x_mm,
+        result.y_mm,
+        specular=result.specular,
+        preset=result.preset or None,
+        hashes=result.hashes,
+    )
 
 
 def _of_result(path: Path, px_per_mm: float | None, ridge_period_mm: float | None) -> Source:
@@ -111,22 +129,34 @@ def _of_result(path: Path, px_per_mm: float | None, ridge_period_mm: float | Non
     result = read_result(path)
     note = ""
     if px_per_mm is not None or ridge_period_mm is not None:
-        require(not result.scale_known, f"{path} has a scale already: {1 / result.pitch_mm:g} px/mm.")
+        require(
+            not result.scale_known, f"{path} has a scale already: {1 / result.pitch_mm:g} px/mm."
+        )
         if ridge_period_mm is not None:
-            ridges = partial(scale_of_ridges, result.normals, result.mask, px_per_mm, ridge_period_mm)
+            ridges = partial(
+                scale_of_ridges, result.normals, result.mask, px_per_mm, ridge_period_mm
+            )
             px_per_mm, note = naming(path, ridges)
         pitch_mm = 1.0 / float(px_per_mm or 1.0)
         factor = np.float32(pitch_mm / result.pitch_mm)
         result = replace(
-            result, pitch_mm=pitch_mm, scale_known=True, height_mm=result.height_mm * factor,
-            ridge_mm=result.ridge_mm * factor, shape_mm=result.shape_mm * factor,
-        )  # fmt: skip
+            result,
+            pitch_mm=pitch_mm,
+            scale_known=True,
+            height_mm=result.height_mm * factor,
+            ridge_mm=result.ridge_mm * factor,
+            shape_mm=result.shape_mm * factor,
+        )
     source = naming(path, lambda: source_of(result))
     return replace(source, hashes={path.name: file_hash(path)}, scale=note)
 
 
 def source_of_capture(
-    capture: Capture, photo: bool, surface: bool, preset: str = "metric", progress: Progress = no_progress
+    capture: Capture,
+    photo: bool,
+    surface: bool,
+    preset: str = "metric",
+    progress: Progress = no_progress,
 ) -> Source:
     """What prints need of a capture, see :func:`read_source`."""
     from splitknit import preset_settings, reconstruct
@@ -136,24 +166,42 @@ def source_of_capture(
     require_scale(capture.rig.camera)
     light = _photograph(capture) if photo else None
     if surface:
-        result = reconstruct(capture, preset, progress=lambda stage, fraction: progress(stage, 0.1 + 0.6 * fraction))
+        result = reconstruct(
+            capture, preset, progress=lambda stage, fraction: progress(stage, 0.1 + 0.6 * fraction)
+        )
         return replace(
-            source_of(result), kind="capture", photo=light, preset=preset, hashes=capture.hashes,
+            source_of(result),
+            kind="capture",
+            photo=light,
+            preset=preset,
+            hashes=capture.hashes,
             subject=capture.subject,
-        )  # fmt: skip
+        )
     finger = find_finger(capture, preset_settings(preset))
     return Source(
-        "capture", finger.mask, capture.rig.camera.pitch_mm, finger.upright.input_from_upright, finger.upright.size,
-        photo=light, hashes=capture.hashes, subject=capture.subject,
-    )  # fmt: skip
+        "capture",
+        finger.mask,
+        capture.rig.camera.pitch_mm,
+        finger.upright.input_from_upright,
+        finger.upright.size,
+        photo=light,
+        hashes=capture.hashes,
+        subject=capture.subject,
+    )
 
 
 def _photograph(capture: Capture) -> FloatArray:
-    """(H, W) mean of the white images; of colours the blue one, which enters the skin least deeply."""
+    """(H, W) mean of the white images; of colours the blue one, which enters the skin least
+    deeply."""
     from splitknit.imaging.band import has_colour, linear_channels
     from splitknit.imaging.polarised import without_films
 
-    require("white" in capture.bands, "the capture has no band 'white', in which fingers are photographed.")
+    require(
+        "white" in capture.bands,
+        "the capture has no band 'white', in which fingers are photographed.",
+    )
     band = without_films(capture).bands["white"]
     channel = "blue" if has_colour(band) else "grey"
-    return np.asarray(linear_channels(band, capture.encoding, [channel])[0].mean(axis=0), dtype=np.float32)
+    return np.asarray(
+        linear_channels(band, capture.encoding, [channel])[0].mean(axis=0), dtype=np.float32
+    )

@@ -91,7 +91,10 @@ def surface_grid(
     mask = check_mask(mask, shape_mm.shape)
     fields = [shape_mm, *(xy_mm or ())]
     mask = mask & (np.abs(fields) < _FARTHEST_MM).all(axis=0)  # nor where it is NaN
-    require(mask.any(), "the surface has no finite height inside its mask; reconstruct the capture again.")
+    require(
+        mask.any(),
+        "the surface has no finite height inside its mask; reconstruct the capture again.",
+    )
     step = node_mm / pitch_mm
     upright_from_input = np.linalg.inv(input_from_upright)
     # left and top, right and bottom in the upright frame, from every fourth pixel; clipped to the
@@ -102,10 +105,15 @@ def surface_grid(
     low = np.maximum(places.min(axis=0) - 4.0, -beyond)
     high = np.minimum(places.max(axis=0) + 4.0, np.array(upright_size[::-1]) - 1 + beyond)
     longest = float((high - low).max()) * pitch_mm
-    require(longest < _LONGEST_MM, f"the surface is {longest:.0f} mm long, more than any finger; check its scale.")
+    require(
+        longest < _LONGEST_MM,
+        f"the surface is {longest:.0f} mm long, more than any finger; check its scale.",
+    )
     margin = (RINGS + 1) * step
     size = np.ceil((high - low + 2 * margin) / step) + 1
-    upright_from_grid = np.array([[step, 0.0, low[0] - margin], [0.0, step, low[1] - margin], [0.0, 0.0, 1.0]])
+    upright_from_grid = np.array(
+        [[step, 0.0, low[0] - margin], [0.0, step, low[1] - margin], [0.0, 0.0, 1.0]]
+    )
     input_from_grid = input_from_upright @ upright_from_grid
     node = np.stack(np.meshgrid(*map(np.arange, size)), axis=2)
     place = moved(input_from_grid, node)
@@ -158,7 +166,9 @@ def extrapolated(values: Array, rings: int) -> Array:
     return result
 
 
-def _fits(fields: list[FloatArray], mask: BoolArray, pitch_mm: float, place: Array) -> tuple[list[Array], BoolArray]:
+def _fits(
+    fields: list[FloatArray], mask: BoolArray, pitch_mm: float, place: Array
+) -> tuple[list[Array], BoolArray]:
     """Local quadratic fits of the fields at places (n, m, 2), and where the mask supports them (n,
     m)."""
     factor = max(1, int(0.1 / pitch_mm))
@@ -168,7 +178,8 @@ def _fits(fields: list[FloatArray], mask: BoolArray, pitch_mm: float, place: Arr
     )
     inside = mask[rows, columns]
     require(min(inside.shape) >= factor, _TOO_SMALL)
-    weight = bin_mean(inside.astype(np.float32), factor) > 0.99  # whole blocks only: no shifted means
+    # whole blocks only: no shifted means
+    weight = bin_mean(inside.astype(np.float32), factor) > 0.99
     sigma = _WINDOW_MM / (pitch_mm * factor)
     reach = int(np.ceil(3.0 * sigma))
     offset = np.arange(-reach, reach + 1) / sigma
@@ -189,7 +200,11 @@ def _fits(fields: list[FloatArray], mask: BoolArray, pitch_mm: float, place: Arr
     supported[usable] = support > 0.25
     results = []
     for field in fields:
-        values = np.where(weight, bin_mean(np.where(inside, field[rows, columns], 0.0).astype(np.float32), factor), 0.0)
+        values = np.where(
+            weight,
+            bin_mean(np.where(inside, field[rows, columns], 0.0).astype(np.float32), factor),
+            0.0,
+        )
         middle = float(values[weight].mean()) if weight.any() else 0.0
         values = np.where(weight, values - middle, 0.0)
         right = np.stack([windowed(values, taps[i], taps[j])[at] for i, j in _POWERS], axis=1)
@@ -213,7 +228,11 @@ def distortion(points_mm: Array, flat_mm: Array, inside: BoolArray) -> dict[str,
     parameterization, section 2).
     """
     jacobian, skin = _derivatives(flat_mm), _derivatives(points_mm)
-    cell = _whole_cells(inside) & np.isfinite(jacobian).all(axis=(2, 3)) & np.isfinite(skin).all(axis=(2, 3))
+    cell = (
+        _whole_cells(inside)
+        & np.isfinite(jacobian).all(axis=(2, 3))
+        & np.isfinite(skin).all(axis=(2, 3))
+    )
     if not cell.any():
         return {}
     skin = skin[cell]
@@ -264,14 +283,18 @@ def _arc_lengths(grid: SurfaceGrid) -> Array:
     points = grid.points_mm
     known = grid.known
     rows = np.flatnonzero(grid.inside.any(axis=1))
-    middle = round(float(np.median([0.5 * (np.flatnonzero(grid.inside[row])[[0, -1]]).sum() for row in rows])))
+    middle = round(
+        float(np.median([0.5 * (np.flatnonzero(grid.inside[row])[[0, -1]]).sum() for row in rows]))
+    )
     across = _lengths(points, known)
     u = across - across[:, middle : middle + 1]
     # rows whose line lies outside the sheet are anchored at their own middle below
     along = _lengths(points.swapaxes(0, 1), known.T)[middle]
     v = -(along - along[round(float(rows.mean()))])
     good = np.isfinite(v)
-    require(int(good.sum()) >= 4, "the finger's central line is not on its mask; mark the whole finger.")
+    require(
+        int(good.sum()) >= 4, "the finger's central line is not on its mask; mark the whole finger."
+    )
     place = np.arange(len(points))
     v = np.where(good, v, np.polyval(np.polyfit(place[good], v[good], 1), place))
     for row in np.flatnonzero(~np.isfinite(u).any(axis=1) & known.any(axis=1)):
@@ -363,7 +386,9 @@ def _relaxed(grid: SurfaceGrid, start: Array, centre_weight: float) -> Array:
     return np.stack([result.real, result.imag], axis=2)
 
 
-def _triangles(grid: SurfaceGrid, start: Array, centre_weight: float) -> tuple[NDArray[np.intp], Array]:
+def _triangles(
+    grid: SurfaceGrid, start: Array, centre_weight: float
+) -> tuple[NDArray[np.intp], Array]:
     """Both ways to cut each cell of four known nodes into triangles (T, 3), and the weights of the
     triangles (T,)."""
     number = np.arange(grid.inside.size).reshape(grid.inside.shape)
@@ -373,7 +398,9 @@ def _triangles(grid: SurfaceGrid, start: Array, centre_weight: float) -> tuple[N
     c = number[1:, :-1][cell]
     d = number[1:, 1:][cell]
     # counter-clockwise as seen from the camera (rows run down)
-    triangles = np.concatenate([np.stack(t, axis=1) for t in ((a, c, b), (b, c, d), (a, c, d), (a, d, b))])
+    triangles = np.concatenate(
+        [np.stack(t, axis=1) for t in ((a, c, b), (b, c, d), (a, c, d), (a, d, b))]
+    )
     corners = grid.points_mm.reshape(-1, 3)[triangles]
     normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     cosine = np.abs(normal[:, 2]) / np.maximum(np.linalg.norm(normal, axis=1), 1e-12)
@@ -388,7 +415,9 @@ def _laid_flat(corners: Array) -> NDArray[np.complex128]:
     second = corners[:, 2] - corners[:, 0]
     length = np.linalg.norm(first, axis=1)
     area = np.linalg.norm(np.cross(first, second), axis=1)
-    return np.stack([0.0 * length, length, ((first * second).sum(axis=1) + 1j * area) / length], axis=1)
+    return np.stack(
+        [0.0 * length, length, ((first * second).sum(axis=1) + 1j * area) / length], axis=1
+    )
 
 
 @dataclass(frozen=True, slots=True, eq=False)

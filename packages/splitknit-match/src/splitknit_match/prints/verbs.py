@@ -8,7 +8,17 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from cyclopts import Parameter
 
-from splitknit.arguments import AnyPath, InputPpi, Preset, Progress, Report, checked, count, refuse_given, silent
+from splitknit.arguments import (
+    AnyPath,
+    InputPpi,
+    Preset,
+    Progress,
+    Report,
+    checked,
+    count,
+    refuse_given,
+    silent,
+)
 from splitknit.errors import BadInput, naming, require
 from splitknit.settings import Limits
 
@@ -23,9 +33,19 @@ else:
 
 Method = Literal["relief", "unroll", "curvature", "photo", "specular", "rolled"]
 PrintFormat = Literal[
-    "iso-19794-2", "ansi-378", "ansi-378-2009", "iso-19794-4", "iso-39794-4", "wsq", "png", "tiff", "stl", "obj", "glb",
+    "iso-19794-2",
+    "ansi-378",
+    "ansi-378-2009",
+    "iso-19794-4",
+    "iso-39794-4",
+    "wsq",
+    "png",
+    "tiff",
+    "stl",
+    "obj",
+    "glb",
     "lp",
-]  # fmt: skip
+]
 
 
 @checked
@@ -98,24 +118,27 @@ def print_finger(
     Parameters
     ----------
     finger
-        Result folder, or capture folder (reconstructed first); or a print (PNG, TIFF, JPEG, BMP, WSQ, ISO 19794-4,
-        ANSI/NIST-ITL), which is brought to 500 ppi, enhanced and searched for minutiae; or a photograph of a finger in
-        colour, which is unrolled by a mean shape.
+        Result folder, or capture folder (reconstructed first); or a print (PNG, TIFF, JPEG, BMP,
+        WSQ, ISO 19794-4, ANSI/NIST-ITL), which is brought to 500 ppi, enhanced and searched for
+        minutiae; or a photograph of a finger in colour, which is unrolled by a mean shape.
     out
         Folder to write the print into.
     method
-        unroll: the relief on the skin laid flat (the default); relief: seen straight from above (the thesis's);
-        curvature: the shape index; photo: the photograph (needs a capture); specular: what the surface reflects (needs
-        polarising films); rolled: around the finger, by front and its mirrors (needs a capture with mirrors).
+        unroll: the relief on the skin laid flat (the default); relief: seen straight from above
+        (the thesis's); curvature: the shape index; photo: the photograph (needs a capture);
+        specular: what the surface reflects (needs polarising films); rolled: around the finger, by
+        front and its mirrors (needs a capture with mirrors).
     surface
-        Where it is printed: the finger plane (default, except for unroll), or the skin laid flat: free (least
-        distortion, default for unroll) or arc (row by row, as photographs of fingers are).
+        Where it is printed: the finger plane (default, except for unroll), or the skin laid flat:
+        free (least distortion, default for unroll) or arc (row by row, as photographs of fingers
+        are).
     ppi
         Pixels per inch.
     px_per_mm
         Scale on the object, where the input has none.
     ridge_period_mm
-        Take the scale from a finger's ridges, which lie so many mm apart: 0.45 is usual, people differ by 8 %.
+        Take the scale from a finger's ridges, which lie so many mm apart: 0.45 is usual, people
+        differ by 8 %.
     mask
         The finger of a photograph: an image of its size, white on the finger.
     box
@@ -144,26 +167,39 @@ def print_finger(
     from splitknit_match.prints.photo_finger import PhotoFinger
     from splitknit_match.prints.sources import read_source
 
-    require(px_per_mm is None or ridge_period_mm is None, "`px_per_mm` and `ridge_period_mm` both give the scale.")
+    require(
+        px_per_mm is None or ridge_period_mm is None,
+        "`px_per_mm` and `ridge_period_mm` both give the scale.",
+    )
     path, target, fine = Path(finger), Path(out), None if ppi == 500 else ppi
     is_file = path.is_file() and path.suffix.lower() != ".npz"
     photo = fingerphoto(path) if is_file else None
     scales = {"px_per_mm": px_per_mm, "ridge_period_mm": ridge_period_mm}
     if photo is None:
-        refuse_given(f"chooses the finger of a photograph in colour, and '{path}' is none.", mask=mask, box=box)
+        refuse_given(
+            f"chooses the finger of a photograph in colour, and '{path}' is none.",
+            mask=mask,
+            box=box,
+        )
     if is_file and photo is None:
         refuse_given(
-            f"is for a finger in space: '{path}' is a print already, to be made one of 500 ppi; leave out `method`, "
-            "`surface`, `ppi` and scales.",
-            method=method, surface=surface, ppi=fine, **scales,
-        )  # fmt: skip
+            f"is for a finger in space: '{path}' is a print already, to be made one of 500 ppi; "
+            "leave out `method`, `surface`, `ppi` and scales.",
+            method=method,
+            surface=surface,
+            ppi=fine,
+            **scales,
+        )
     if photo is not None:
         refuse_given(
-            f"is not for '{path}', a photograph of a finger: its `method` is photo, its `surface` arc, its `ppi` 500, "
-            "its scale `px_per_mm`.",
-            method=None if method == "photo" else method, surface=None if surface == "arc" else surface, ppi=fine,
-            ridge_period_mm=ridge_period_mm, input_ppi=input_ppi,
-        )  # fmt: skip
+            f"is not for '{path}', a photograph of a finger: its `method` is photo, "
+            "its `surface` arc, its `ppi` 500, its scale `px_per_mm`.",
+            method=None if method == "photo" else method,
+            surface=None if surface == "arc" else surface,
+            ppi=fine,
+            ridge_period_mm=ridge_period_mm,
+            input_ppi=input_ppi,
+        )
         method, surface = "photo", "arc"
     method = method or "unroll"
     place = "paper" if is_file and photo is None else make.checked_surface(method, surface)
@@ -177,17 +213,26 @@ def print_finger(
         refuse_given("is measured in a rig with mirrors; leave it out.", **scales)
         source, printed, around = print_around(path, preset, place, ppi, progress)
     elif photo is not None:
-        source, printed = folder.print_of_photo(read_fingerphoto(path, px_per_mm, PhotoFinger(mask, box), photo))
+        source, printed = folder.print_of_photo(
+            read_fingerphoto(path, px_per_mm, PhotoFinger(mask, box), photo)
+        )
     else:
         of_photo = method == "photo"
         source = read_source(
-            path, photo=of_photo, surface=not of_photo or place != "plane", preset=preset, progress=progress,
-            px_per_mm=px_per_mm, ridge_period_mm=ridge_period_mm,
-        )  # fmt: skip
+            path,
+            photo=of_photo,
+            surface=not of_photo or place != "plane",
+            preset=preset,
+            progress=progress,
+            px_per_mm=px_per_mm,
+            ridge_period_mm=ridge_period_mm,
+        )
         progress("printing", 0.75)
         printed = naming(path, lambda: make.make_print(source, method, place, ppi))
     named = "file" if place == "paper" else method
-    facts = folder.write_print(target, path, source, printed, method=named, around=around, progress=progress)
+    facts = folder.write_print(
+        target, path, source, printed, method=named, around=around, progress=progress
+    )
     facts["out"] = str(target)
     return Report(facts, tuple(_print_lines(facts)))
 
@@ -219,19 +264,20 @@ def export(
     Parameters
     ----------
     sources
-        Prints (PNG, TIFF, JPEG, BMP, WSQ, ISO 19794-4, ANSI/NIST-ITL), records of minutiae (ISO 19794-2, ANSI 378),
-        captures, results and folders of 'splitknit print'.
+        Prints (PNG, TIFF, JPEG, BMP, WSQ, ISO 19794-4, ANSI/NIST-ITL), records of minutiae (ISO
+        19794-2, ANSI 378), captures, results and folders of 'splitknit print'.
     to
-        Minutiae: iso-19794-2 (of 2005), ansi-378 (of 2004), ansi-378-2009; pictures: iso-19794-4 (of 2005),
-        iso-39794-4 (of 2019, with the print's quality), wsq, png, tiff; surfaces of captures and results: stl, obj (mm;
-        obj and glb need the extra mesh), glb (metres); the lights of captures, for RTI: lp.
+        Minutiae: iso-19794-2 (of 2005), ansi-378 (of 2004), ansi-378-2009; pictures: iso-19794-4
+        (of 2005), iso-39794-4 (of 2019, with the print's quality), wsq, png, tiff; surfaces of
+        captures and results: stl, obj (mm; obj and glb need the extra mesh), glb (metres); the
+        lights of captures, for RTI: lp.
     out
         Folder to write, one file a finger.
     finger
         Such as right_index, for all sources (default: as they state).
     impression
-        Such as live_rolled or nonlive_plain (default: as they state, else contactless for surfaces, live_plain for
-        prints).
+        Such as live_rolled or nonlive_plain (default: as they state, else contactless for surfaces,
+        live_plain for prints).
     compression
         Of iso-19794-4 and iso-39794-4 (jp2: JPEG 2000 without loss; wsq loses a little).
     owner
@@ -262,13 +308,24 @@ def export(
         facts = export_meshes(places, Path(out), to, preset, progress)
     else:
         facts = export_records(
-            places, Path(out), to=to, finger=finger, impression=impression, compression=compression, owner=owner,
-            minutiae=minutiae, input_ppi=input_ppi, preset=preset, progress=progress,
-        )  # fmt: skip
+            places,
+            Path(out),
+            to=to,
+            finger=finger,
+            impression=impression,
+            compression=compression,
+            owner=owner,
+            minutiae=minutiae,
+            input_ppi=input_ppi,
+            preset=preset,
+            progress=progress,
+        )
     return Report(facts, tuple(_export_lines(facts)))
 
 
-def import_prints(files: Sequence[AnyPath], out: AnyPath, input_ppi: float | None, progress: Progress) -> Report:
+def import_prints(
+    files: Sequence[AnyPath], out: AnyPath, input_ppi: float | None, progress: Progress
+) -> Report:
     """Write prints of other systems as PNG, their minutiae as ISO/IEC 19794-2: a part of
     ``splitknit import``.
 
@@ -301,7 +358,9 @@ def _print_lines(facts: Mapping[str, Any]) -> list[str]:
     if "rolled" in facts:
         rolled = facts["rolled"]
         reach = rolled["coverage_deg"]["median"]
-        lines.append(f"It reaches {reach:.0f} deg around the finger, from {len(rolled['views'])} views.")
+        lines.append(
+            f"It reaches {reach:.0f} deg around the finger, from {len(rolled['views'])} views."
+        )
         lines += [f"Please note: {warning}" for warning in rolled["warnings"]]
     if facts.get("distortion"):
         median, p95 = facts["distortion"].values()
@@ -312,7 +371,9 @@ def _print_lines(facts: Mapping[str, Any]) -> list[str]:
     if "photo" not in quality:  # a photograph's note states it
         scores = f"Quality: {quality['ours']:.0f} of 100"
         if quality["nfiq2"] is not None:
-            of_print, of_enhanced = ("none" if value is None else value for value in quality["nfiq2"].values())
+            of_print, of_enhanced = (
+                "none" if value is None else value for value in quality["nfiq2"].values()
+            )
             scores += f"; NFIQ 2 is {of_print} (print) and {of_enhanced} (enhanced)"
         lines += [f"{scores}.", *quality["advice"]]
     lines.append(f"Written to {facts['out']}: {', '.join(facts['files'])}.")

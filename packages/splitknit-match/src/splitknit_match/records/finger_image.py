@@ -59,18 +59,26 @@ def encode_finger_image(item: PrintFile, compression: str = "none") -> bytes:
     246
     """
     ppi = round(item.resolution_ppi or 0)
-    require(ppi in _LEVELS, "the image of a finger image record has 500 or 1000 ppi; resample the print.")
+    require(
+        ppi in _LEVELS,
+        "the image of a finger image record has 500 or 1000 ppi; resample the print.",
+    )
     rows, columns = item.image.shape
     require(
         item.image.dtype == np.uint8 and min(rows, columns) > 0 and max(rows, columns) <= 65535,
-        f"a print must be (H, W) uint8, at most 65535 pixels each way, not {item.image.shape} {item.image.dtype}.",
+        f"a print must be (H, W) uint8, at most 65535 pixels each way, not {item.image.shape}"
+        f" {item.image.dtype}.",
     )
     finger = standard_code(item.finger, FINGER_CODES, "finger")
     impression = _NEAREST.get(item.impression, item.impression)
     kind = standard_code(impression, ANSI_2004_IMPRESSIONS, "impression type")
     data = encode_print(item.image, float(ppi), compression)
-    view = _VIEW.pack(_VIEW.size + len(data), finger, 1, 1, _NO_QUALITY, kind, columns, rows, 0) + data
-    parameters = _PARAMETERS.pack(0, _LEVELS[ppi], 1, 1, ppi, ppi, ppi, ppi, 8, _CODES[compression], 0)
+    view = (
+        _VIEW.pack(_VIEW.size + len(data), finger, 1, 1, _NO_QUALITY, kind, columns, rows, 0) + data
+    )
+    parameters = _PARAMETERS.pack(
+        0, _LEVELS[ppi], 1, 1, ppi, ppi, ppi, ppi, 8, _CODES[compression], 0
+    )
     return MAGIC + _V2005 + (_HEADER_BYTES + len(view)).to_bytes(6, "big") + parameters + view
 
 
@@ -81,14 +89,24 @@ def decode_finger_images(data: bytes, name: str = "the record") -> tuple[PrintFi
     64 million pixels, or an image is not 8-bit grey, has no square pixels, or is compressed
     otherwise than by WSQ, JPEG, JPEG 2000 or PNG.
     """
-    require(data[:4] == MAGIC, f"{name} is not a finger image record (they begin with 'FIR'); name another file.")
-    fault = f"{name} is a finger image record of an unknown version {data[4:8]!r}; 010 (of 2005) is read: convert it."
+    require(
+        data[:4] == MAGIC,
+        f"{name} is not a finger image record (they begin with 'FIR'); name another file.",
+    )
+    fault = (
+        f"{name} is a finger image record of an unknown version {data[4:8]!r}; 010 (of 2005) is"
+        " read: convert it."
+    )
     require(data[4:8] == _V2005, fault)
     cursor = Cursor(data, name, 8)
     check_length(data, int.from_bytes(cursor.take(6, "its header"), "big"), name)
     _, _, _, unit, _, _, x, y, bits, code, _ = cursor.unpack(_PARAMETERS, "its header")
     ppi = ppi_of(unit, x, y, name)
-    usual = (float(level) for level in _LEVELS if round(level / _CM_PER_INCH) == round(ppi / _CM_PER_INCH))
+    usual = (
+        float(level)
+        for level in _LEVELS
+        if round(level / _CM_PER_INCH) == round(ppi / _CM_PER_INCH)
+    )
     ppi = next(usual, ppi)
     require(bits == 8, f"{name} has {bits} bits a pixel; 8-bit grey is read.")
     compression = compression_of(code, {number: words for words, number in _CODES.items()}, name)
@@ -96,8 +114,13 @@ def decode_finger_images(data: bytes, name: str = "the record") -> tuple[PrintFi
     left = MAX_PIXELS
     while cursor.place < len(data) and len(prints) < _MAX_VIEWS:
         what = f"image {len(prints) + 1}"
-        length, finger, _, _, _, impression, columns, rows, _ = cursor.unpack(_VIEW, f"the header of {what}")
-        require(length >= _VIEW.size, f"{name} is damaged: {what} states a length of {length} bytes; copy it again.")
+        length, finger, _, _, _, impression, columns, rows, _ = cursor.unpack(
+            _VIEW, f"the header of {what}"
+        )
+        require(
+            length >= _VIEW.size,
+            f"{name} is damaged: {what} states a length of {length} bytes; copy it again.",
+        )
         stored = cursor.take(length - _VIEW.size, f"the pixels of {what}")
         where = f"{what} of {name}"
         image = decode_print(stored, compression, where, size=(rows, columns), limit=left)
@@ -112,7 +135,10 @@ def decode_finger_images(data: bytes, name: str = "the record") -> tuple[PrintFi
 def ppi_of(unit: int, x: int, y: int, name: str) -> float:
     """Resolution as records state it, in pixels per inch (`unit` 1) or centimetre (2), along
     columns and rows."""
-    require(unit in (1, 2) and x > 0, f"{name} gives no resolution (scale units {unit}; 1 or 2 is expected).")
+    require(
+        unit in (1, 2) and x > 0,
+        f"{name} gives no resolution (scale units {unit}; 1 or 2 is expected).",
+    )
     require(x == y, f"{name} has {x} pixels along and {y} across; square pixels are expected.")
     return float(x) if unit == 1 else x * _CM_PER_INCH
 
@@ -120,12 +146,20 @@ def ppi_of(unit: int, x: int, y: int, name: str) -> float:
 def compression_of(code: int, codes: Mapping[int, str], name: str) -> str:
     """Compression, as :func:`decode_print` names it, of a record's code."""
     if code not in codes:
-        raise BadInput(f"{name} is compressed by code {code}; none, WSQ, JPEG 2000, PNG and some JPEG are read.")
+        raise BadInput(
+            f"{name} is compressed by code {code}; none, WSQ, JPEG 2000, PNG and some JPEG are"
+            " read."
+        )
     return codes[code]
 
 
 def decode_print(
-    stored: bytes, compression: str, name: str, *, size: tuple[int, int] | None = None, limit: int = MAX_PIXELS
+    stored: bytes,
+    compression: str,
+    name: str,
+    *,
+    size: tuple[int, int] | None = None,
+    limit: int = MAX_PIXELS,
 ) -> GreyArray:
     """Decode a print as records hold it: ``none``, ``wsq``, ``jp2`` or a picture file, of at most
     `limit` pixels.
@@ -149,24 +183,38 @@ def decode_print(
         image = decode_jpeg2000(stored, name, limit)
     else:
         pixels = decode_image(stored, name, max_pixels=limit)
-        require(pixels.shape[2] == 1 and pixels.dtype == np.uint8, f"{name} is not 8-bit grey; convert it.")
+        require(
+            pixels.shape[2] == 1 and pixels.dtype == np.uint8,
+            f"{name} is not 8-bit grey; convert it.",
+        )
         image = pixels[..., 0].astype(np.uint8)
-    require(size in (None, image.shape), f"{name} holds {image.shape[0]} x {image.shape[1]} pixels{expected}.")
+    require(
+        size in (None, image.shape),
+        f"{name} holds {image.shape[0]} x {image.shape[1]} pixels{expected}.",
+    )
     require(image.size <= limit, fault)
     return image
 
 
 def impression_of(code: int, codes: Mapping[str, int]) -> str:
     """Name of an impression type, ``unknown`` where `codes` have none."""
-    return next((words for words, known in codes.items() if known == code), "unknown")  # latent ones, for example
+    # latent ones, for example
+    return next((words for words, known in codes.items() if known == code), "unknown")
 
 
 def encode_print(image: GreyArray, ppi: float, compression: str) -> bytes:
     """Encode a print (H, W) for a record, by one of `WRITTEN`. Raises BadInput if WSQ cannot hold
     it."""
-    require(compression in WRITTEN, f"'{compression}' is not a compression method; choose one of {', '.join(WRITTEN)}.")
+    require(
+        compression in WRITTEN,
+        f"'{compression}' is not a compression method; choose one of {', '.join(WRITTEN)}.",
+    )
     if compression == "wsq":
         return encode_wsq(image, ppi)
     if compression == "jp2":
         return encode_jpeg2000(image)
-    return encode_print_png(image, ppi) if compression == "png" else np.ascontiguousarray(image).tobytes()
+    return (
+        encode_print_png(image, ppi)
+        if compression == "png"
+        else np.ascontiguousarray(image).tobytes()
+    )

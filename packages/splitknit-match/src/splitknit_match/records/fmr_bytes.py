@@ -26,8 +26,8 @@ class Cursor:
         end = self.place + count
         require(
             end <= len(self.data),
-            f"{self.name} is truncated: it ends after {len(self.data)} bytes, within {what} (to byte {end}); copy it "
-            "again.",
+            f"{self.name} is truncated: it ends after {len(self.data)} bytes, within {what} (to"
+            f" byte {end}); copy it again.",
         )
         taken = self.data[self.place : end]
         self.place = end
@@ -42,7 +42,10 @@ def check_length(data: bytes, stated: int, name: str) -> None:
     """Require that a record has the length that its header states."""
     cure = "copy it again" if len(data) < stated else "cut off what does not belong to the record"
     fault = "is truncated: it " if len(data) < stated else ""
-    require(len(data) == stated, f"{name} {fault}has {len(data)} bytes, but its header states {stated}; {cure}.")
+    require(
+        len(data) == stated,
+        f"{name} {fault}has {len(data)} bytes, but its header states {stated}; {cure}.",
+    )
 
 
 # Which standard's record a file is: minutiae records of several standards begin with the same eight
@@ -94,14 +97,18 @@ def standard_of(data: bytes) -> str | None:
     whole = int.from_bytes(data[8:12], "big")
     if whole == len(data):
         return ISO_2005
-    if len(data) in (short, int.from_bytes(data[10:14], "big")) and (short > 0 or len(data) > 65535):
+    if len(data) in (short, int.from_bytes(data[10:14], "big")) and (
+        short > 0 or len(data) > 65535
+    ):
         return ANSI_2004
     if short:  # 26 and more would be a record of 1.7 MB by ISO
         return ANSI_2004 if short >= 26 else ISO_2005
     return ANSI_2004 if whole < 24 else ISO_2005  # the first bytes of a length in six
 
 
-def what_bytes_are(data: bytes, otherwise: str = "no minutiae record (it does not begin with 'FMR')") -> str:
+def what_bytes_are(
+    data: bytes, otherwise: str = "no minutiae record (it does not begin with 'FMR')"
+) -> str:
     """Name what a file is by its bytes, for messages; `otherwise` where they are not known."""
     if not data:
         return "empty"

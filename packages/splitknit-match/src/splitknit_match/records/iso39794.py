@@ -24,7 +24,12 @@ from splitknit_match.records.finger_image import (
     impression_of,
     ppi_of,
 )
-from splitknit_match.records.minutiae_record import FINGER_CODES, VENDOR_UNKNOWN, name_of, standard_code
+from splitknit_match.records.minutiae_record import (
+    FINGER_CODES,
+    VENDOR_UNKNOWN,
+    name_of,
+    standard_code,
+)
 
 TAG = b"\x64"
 """First byte: application tag 4, constructed."""
@@ -37,7 +42,8 @@ RepresentationBlock ::= SEQUENCE {
   position Code, impression Code, imageDataFormat Code, imageData OCTET STRING,
   captureDateTimeBlock SEQUENCE { ... } OPTIONAL, captureDeviceBlock SEQUENCE { ... } OPTIONAL,
   qualityBlocks SEQUENCE OF QualityBlock OPTIONAL,
-  spatialSamplingRateBlock SEQUENCE { samplesPerUnit INTEGER, unitDimension INTEGER } OPTIONAL, ... }
+  spatialSamplingRateBlock SEQUENCE {
+    samplesPerUnit INTEGER, unitDimension INTEGER } OPTIONAL, ... }
 QualityBlock ::= SEQUENCE {
   algorithmIdBlock SEQUENCE { organization INTEGER, id INTEGER },
   scoreOrError CHOICE { score INTEGER, error SEQUENCE { ... } }, ... }
@@ -45,9 +51,16 @@ Code ::= CHOICE { code INTEGER, extensionBlock SEQUENCE { fallback INTEGER, ... 
 END
 """
 _IMPRESSIONS = {
-    "live_plain": 0, "live_rolled": 1, "swipe": 8, "contactless": 24, "contactless_rolled": 25, "other": 28,
-    "unknown": 29, "contactless_moving": 41, "contactless_rolled_moving": 42,
-}  # fmt: skip
+    "live_plain": 0,
+    "live_rolled": 1,
+    "swipe": 8,
+    "contactless": 24,
+    "contactless_rolled": 25,
+    "other": 28,
+    "unknown": 29,
+    "contactless_moving": 41,
+    "contactless_rolled_moving": 42,
+}
 """Moving fingers have the codes 42 and 41 in ANSI/NIST-ITL."""
 _FORMATS = {"none": 0, "wsq": 1, "jp2": 3, "png": 4}
 _READ = {0: "none", 1: "wsq", 2: "jp2", 3: "jp2", 4: "png"}
@@ -60,13 +73,19 @@ _INCH = 0
 
 @cache
 def _codec(rules: str) -> Any:
-    with importing("ISO/IEC 39794 needs the package asn1tools: pip install 'splitknit-match[records]'."):
+    with importing(
+        "ISO/IEC 39794 needs the package asn1tools: pip install 'splitknit-match[records]'."
+    ):
         import asn1tools  # type: ignore[import-untyped,import-not-found,unused-ignore]  # an extra
     return asn1tools.compile_string(_MODULE, rules)
 
 
 def encode_finger_image_block(
-    item: PrintFile, compression: str = "none", *, quality: int | None = None, owner: int = VENDOR_UNKNOWN
+    item: PrintFile,
+    compression: str = "none",
+    *,
+    quality: int | None = None,
+    owner: int = VENDOR_UNKNOWN,
 ) -> bytes:
     """Bytes of a FingerImageDataBlock of one print; `compression` as of 19794-4, where ``none`` is
     a PGM file inside.
@@ -85,9 +104,15 @@ def encode_finger_image_block(
         "spatialSamplingRateBlock": {"samplesPerUnit": round(ppi), "unitDimension": _INCH},
     }
     if quality is not None:
-        score = {"algorithmIdBlock": {"organization": owner, "id": 1}, "scoreOrError": ("score", quality)}
+        score = {
+            "algorithmIdBlock": {"organization": owner, "id": 1},
+            "scoreOrError": ("score", quality),
+        }
         block["qualityBlocks"] = [score]
-    document = {"versionBlock": {"generation": _GENERATION, "year": _YEAR}, "representationBlocks": [block]}
+    document = {
+        "versionBlock": {"generation": _GENERATION, "year": _YEAR},
+        "representationBlocks": [block],
+    }
     return bytes(_codec("der").encode("FingerImageDataBlock", document))
 
 
@@ -97,7 +122,10 @@ def decode_finger_image_block(data: bytes, name: str = "the record") -> tuple[Pr
     Raises BadInput, with `name`, if it is none, truncated or damaged, claims more than 64 million
     pixels, or an image is not 8-bit grey or states no resolution.
     """
-    damaged = f"{name} is not a finger image of ISO/IEC 39794-4 in tagged binary encoding, or damaged; copy it again."
+    damaged = (
+        f"{name} is not a finger image of ISO/IEC 39794-4 in tagged binary encoding, or damaged;"
+        " copy it again."
+    )
     require(data[:1] == TAG, damaged)
     codec = _codec("ber")
     with refusing(damaged):
@@ -112,7 +140,9 @@ def decode_finger_image_block(data: bytes, name: str = "the record") -> tuple[Pr
     for number, block in enumerate(blocks, start=1):
         what = f"image {number} of {name}"
         rate = block.get("spatialSamplingRateBlock", {"samplesPerUnit": 0, "unitDimension": _INCH})
-        ppi = ppi_of(rate["unitDimension"] + 1, rate["samplesPerUnit"], rate["samplesPerUnit"], what)
+        ppi = ppi_of(
+            rate["unitDimension"] + 1, rate["samplesPerUnit"], rate["samplesPerUnit"], what
+        )
         stored = bytes(block["imageData"])
         size = None
         compression = compression_of(_code(block["imageDataFormat"]), _READ, what)

@@ -16,7 +16,13 @@ from collections.abc import Iterator, Mapping
 from splitknit import BadInput
 from splitknit.errors import naming, require
 from splitknit.io.prints import PrintFile
-from splitknit_match.records.finger_image import MAX_PIXELS, compression_of, decode_print, impression_of, ppi_of
+from splitknit_match.records.finger_image import (
+    MAX_PIXELS,
+    compression_of,
+    decode_print,
+    impression_of,
+    ppi_of,
+)
 from splitknit_match.records.minutiae_record import FINGER_CODES, ITL_IMPRESSIONS, name_of
 
 _START = re.compile(rb"([0-9]{1,2})\.0{0,2}1:([0-9]{1,10})\x1d")
@@ -27,7 +33,17 @@ _BINARY = (3, 4, 5, 6, 7, 8)
 """Types whose records begin with their length in four bytes; which they are, only 1.003 states."""
 _CONTENT, _NATIVE_RESOLUTION = 3, 11
 """Fields of Type-1."""
-_IMPRESSION, _COLUMNS, _ROWS, _UNIT, _PPI_X, _PPI_Y, _COMPRESSION, _BITS, _FINGER = 3, 6, 7, 8, 9, 10, 11, 12, 13
+_IMPRESSION, _COLUMNS, _ROWS, _UNIT, _PPI_X, _PPI_Y, _COMPRESSION, _BITS, _FINGER = (
+    3,
+    6,
+    7,
+    8,
+    9,
+    10,
+    11,
+    12,
+    13,
+)
 """Fields of Type-13 and -14."""
 _IMAGE = 999
 _COMPRESSIONS = {"NONE": "none", "WSQ20": "wsq", "PNG": "png", "JP2L": "jp2", "JP2": "jp2"}
@@ -66,7 +82,10 @@ def decode_transaction(data: bytes, name: str = "the transaction") -> tuple[Prin
 
 def _records(data: bytes, name: str) -> Iterator[tuple[int, bytes]]:
     """Type and bytes of each record, by the lengths that they state."""
-    fault = f"{name} is not an ANSI/NIST-ITL transaction (it does not begin with '1.001:'); name another file."
+    fault = (
+        f"{name} is not an ANSI/NIST-ITL transaction (it does not begin with '1.001:'); name"
+        " another file."
+    )
     require(_START.match(data) is not None, fault)
     kinds: list[int] = []
     place = 0
@@ -79,7 +98,10 @@ def _records(data: bytes, name: str) -> Iterator[tuple[int, bytes]]:
         binary = kind in _BINARY
         if binary:
             length = int.from_bytes(data[place : place + 4], "big")
-            require(length > _TYPE4.size or kind != 4, f"a Type-4 record of {name} holds no image; it is damaged.")
+            require(
+                length > _TYPE4.size or kind != 4,
+                f"a Type-4 record of {name} holds no image; it is damaged.",
+            )
             least = 5
         elif start is not None:
             kind = int(start[1])
@@ -87,13 +109,19 @@ def _records(data: bytes, name: str) -> Iterator[tuple[int, bytes]]:
             least = len(start[0]) + 1
         else:
             raise BadInput(f"{name} is damaged: no record begins at byte {place}; copy it again.")
-        require((kind == 1) == (place == 0), f"{name} must begin with its only Type-1 record; it is damaged.")
+        require(
+            (kind == 1) == (place == 0),
+            f"{name} must begin with its only Type-1 record; it is damaged.",
+        )
         rest = len(data) - place
         fault = f"its Type-{kind} record has {length} bytes, but {rest} are left; copy it again."
         require(least <= length <= rest, f"{name} is truncated: {fault}")
         record = data[place : place + length]
         fault = "does not end where its length field has it; copy it again."
-        require(binary or record.endswith(_RECORD_END), f"{name} is damaged: its Type-{kind} record {fault}")
+        require(
+            binary or record.endswith(_RECORD_END),
+            f"{name} is damaged: its Type-{kind} record {fault}",
+        )
         if kind == 1:
             content = _fields(record).get(_CONTENT, b"").split(_ITEM_END)
             types = [item.split(_PART_END)[0] for item in content[: _MAX_RECORDS + 1]]
@@ -121,14 +149,20 @@ def _fields(record: bytes) -> dict[int, bytes]:
 def _type14(fields: _Fields, left: int, name: str, note: str) -> PrintFile:
     compression = _text(fields, _COMPRESSION, name)
     read = ", ".join(_COMPRESSIONS)
-    require(compression in _COMPRESSIONS, f"{name} is compressed as {compression[:20]!a}; {read} are read: convert it.")
+    require(
+        compression in _COMPRESSIONS,
+        f"{name} is compressed as {compression[:20]!a}; {read} are read: convert it.",
+    )
     require(_number(fields, _BITS, name) == 8, f"{name} is not 8-bit grey; convert it.")
     require(fields.get(_IMAGE), f"{name} holds no image (field {_IMAGE}).")
     unit, x, y, rows, columns, position, code = (
-        _number(fields, field, name) for field in (_UNIT, _PPI_X, _PPI_Y, _ROWS, _COLUMNS, _FINGER, _IMPRESSION)
+        _number(fields, field, name)
+        for field in (_UNIT, _PPI_X, _PPI_Y, _ROWS, _COLUMNS, _FINGER, _IMPRESSION)
     )
     ppi = ppi_of(unit, x, y, name)
-    image = decode_print(fields[_IMAGE], _COMPRESSIONS[compression], name, size=(rows, columns), limit=left)
+    image = decode_print(
+        fields[_IMAGE], _COMPRESSIONS[compression], name, size=(rows, columns), limit=left
+    )
     finger = naming(name, lambda: name_of(position, FINGER_CODES, "finger position"))
     impression = naming(name, lambda: name_of(code, ITL_IMPRESSIONS, "impression type"))
     return _checked(PrintFile(image, ppi, {}, finger, impression, note), name)
@@ -143,7 +177,10 @@ def _type4(record: bytes, first: _Fields, left: int, name: str) -> list[PrintFil
     ppi = 500.0
     if scale != 0:
         text = first.get(_NATIVE_RESOLUTION, b"").decode("ascii", "replace")
-        require(re.fullmatch(r"[0-9]{1,3}\.[0-9]{1,2}", text) is not None, f"{name} states no resolution (1.011).")
+        require(
+            re.fullmatch(r"[0-9]{1,3}\.[0-9]{1,2}", text) is not None,
+            f"{name} states no resolution (1.011).",
+        )
         ppi = float(text) * _INCH_MM
     kind = compression_of(compression, _TYPE4_COMPRESSIONS, name)
     image = decode_print(record[_TYPE4.size :], kind, name, size=(rows, columns), limit=left)
@@ -154,9 +191,15 @@ def _type4(record: bytes, first: _Fields, left: int, name: str) -> list[PrintFil
 def _checked(item: PrintFile, name: str) -> PrintFile:
     """Refuse a picture that is no print."""
     rows, columns = item.image.shape
-    require(min(rows, columns) >= 10, f"{name} has {rows} x {columns} pixels; a print has 10 each way at least.")
+    require(
+        min(rows, columns) >= 10,
+        f"{name} has {rows} x {columns} pixels; a print has 10 each way at least.",
+    )
     ppi = item.resolution_ppi or 0.0
-    fault = f"{name}: a print of a transaction has {_MIN_PPI:g} to {_MAX_PPI:g} ppi, not {ppi:g}; resample it."
+    fault = (
+        f"{name}: a print of a transaction has {_MIN_PPI:g} to {_MAX_PPI:g} ppi, not {ppi:g};"
+        " resample it."
+    )
     require(_MIN_PPI <= ppi <= _MAX_PPI, fault)
     return item
 
@@ -169,6 +212,9 @@ def _text(fields: _Fields, field: int, name: str) -> str:
 
 def _number(fields: _Fields, field: int, name: str) -> int:
     text = _text(fields, field, name)
-    fault = f"{name} has {text[:20]!a} for the field {field}, where a whole number of at most 5 digits is expected."
+    fault = (
+        f"{name} has {text[:20]!a} for the field {field}, where a whole number of at most 5 digits"
+        " is expected."
+    )
     require(text.isascii() and text.isdecimal() and len(text) <= 5, fault)
     return int(text)

@@ -61,7 +61,9 @@ _IMITATED = {
 """Impression types without a code, and what is written for them."""
 
 
-def encode_minutiae_record(view: FingerView, standard: str = ISO_2005, owner: int = VENDOR_UNKNOWN) -> bytes:
+def encode_minutiae_record(
+    view: FingerView, standard: str = ISO_2005, owner: int = VENDOR_UNKNOWN
+) -> bytes:
     """Bytes of a record, directions rounded to the standard's steps (1.40625 deg, or 2 deg in
     ANSI/INCITS 378).
 
@@ -75,16 +77,23 @@ def encode_minutiae_record(view: FingerView, standard: str = ISO_2005, owner: in
     rows, columns = view.size
     resolution = view.resolution_ppcm
     impression = _IMITATED.get(standard, {}).get(view.impression, view.impression)
-    code = standard_code(impression, _IMPRESSIONS.get(standard, ANSI_2009_IMPRESSIONS), "impression type")
+    code = standard_code(
+        impression, _IMPRESSIONS.get(standard, ANSI_2009_IMPRESSIONS), "impression type"
+    )
     minutiae = _encode_minutiae(view, _STEPS.get(standard, _ANSI_STEPS))
     finger = FINGER_CODES[view.finger]
     head = b"" if standard == ISO_2005 else _PRODUCT.pack(owner, 0)
     if standard == ANSI_2009:
         image = columns, rows, *resolution
         head += _DEVICE.pack(0, 0)
-        view_head = _VIEW_2009.pack(finger, 0, code, view.finger_quality, owner, 1, *image, view.count)
+        view_head = _VIEW_2009.pack(
+            finger, 0, code, view.finger_quality, owner, 1, *image, view.count
+        )
     else:
-        fault = f"{standard} needs at least {_MIN_RESOLUTION} pixels per cm, but the image has {min(resolution)}."
+        fault = (
+            f"{standard} needs at least {_MIN_RESOLUTION} pixels per cm, but the image has"
+            f" {min(resolution)}."
+        )
         require(standard != ISO_2005 or min(resolution) >= _MIN_RESOLUTION, fault)
         head += _IMAGE.pack(0, columns, rows, *resolution)
         view_head = _VIEW.pack(finger, code, view.finger_quality, view.count)
@@ -108,26 +117,48 @@ def decode_minutiae_record(data: bytes, name: str = "the record") -> tuple[Finge
     (length,) = cursor.unpack(_SHORT if standard == ANSI_2004 else _LONG, what)
     if standard == ANSI_2004 and length == 0:
         (length,) = cursor.unpack(_LONG, what)
-        require(length > _SHORT_LIMIT, f"{name} gives its length ({length}) in six bytes where two would do.")
+        require(
+            length > _SHORT_LIMIT,
+            f"{name} gives its length ({length}) in six bytes where two would do.",
+        )
     if standard != ISO_2005:
         owner, _ = cursor.unpack(_PRODUCT, what)
-        require(owner != 0, f"{name}: the owner of its product is 0, which {standard} does not allow.")
+        require(
+            owner != 0, f"{name}: the owner of its product is 0, which {standard} does not allow."
+        )
     image = None
     if standard == ANSI_2009:
         cursor.unpack(_DEVICE, what)
     else:
         _, *image = cursor.unpack(_IMAGE, what)
-        fault = f"{name}: the resolution is {image[2]} x {image[3]} pixels per cm, but {standard} requires"
+        fault = (
+            f"{name}: the resolution is {image[2]} x {image[3]} pixels per cm, but {standard}"
+            " requires"
+        )
         sound = standard != ISO_2005 or min(image[2:]) >= _MIN_RESOLUTION
-        require(sound, f"{fault} {_MIN_RESOLUTION} at least; its producer does not keep to the standard.")
+        require(
+            sound,
+            f"{fault} {_MIN_RESOLUTION} at least; its producer does not keep to the standard.",
+        )
     count, reserved = cursor.unpack(_COUNTS, what)
     check_length(data, length, name)
     later = ", or it is of ISO/IEC 19794-2:2011, which is not read" if standard == ANSI_2009 else ""
-    require(reserved == 0, f"{name}: the reserved byte of its header is {reserved}, but it must be 0{later}.")
-    require(0 < count <= _MAX_VIEWS, f"{name}: a record holds 1 to {_MAX_VIEWS} views, but this one has {count}.")
-    views = tuple(_decode_view(cursor, f"view {number}", standard, image) for number in range(1, count + 1))
+    require(
+        reserved == 0,
+        f"{name}: the reserved byte of its header is {reserved}, but it must be 0{later}.",
+    )
+    require(
+        0 < count <= _MAX_VIEWS,
+        f"{name}: a record holds 1 to {_MAX_VIEWS} views, but this one has {count}.",
+    )
+    views = tuple(
+        _decode_view(cursor, f"view {number}", standard, image) for number in range(1, count + 1)
+    )
     rest = len(data) - cursor.place
-    require(rest == 0, f"{name} holds {rest} bytes behind its {count} views; its counts or lengths do not fit.")
+    require(
+        rest == 0,
+        f"{name} holds {rest} bytes behind its {count} views; its counts or lengths do not fit.",
+    )
     return views
 
 
@@ -153,8 +184,14 @@ def _decode_view(cursor: Cursor, what: str, standard: str, image: list[int] | No
     if standard == ANSI_2009:  # 254: nobody computed it, 255: that failed
         quality = 0 if quality >= 254 else quality
         table["quality"][table["quality"] >= 254] = 0
-    require(min(image) > 0, f"{name}: the image of {what} has no size or no resolution; correct the record.")
-    require(quality <= 100, f"{name}: the quality of {what} does not lie between 0 and 100; correct the record.")
+    require(
+        min(image) > 0,
+        f"{name}: the image of {what} has no size or no resolution; correct the record.",
+    )
+    require(
+        quality <= 100,
+        f"{name}: the quality of {what} does not lie between 0 and 100; correct the record.",
+    )
     impressions = _IMPRESSIONS.get(standard, ANSI_2009_IMPRESSIONS)
     label: dict[str, Any] = {
         "finger": name_of(finger, FINGER_CODES, f"finger position of {what} of {name}"),
@@ -162,7 +199,9 @@ def _decode_view(cursor: Cursor, what: str, standard: str, image: list[int] | No
         "resolution_ppcm": tuple(resolution),
     }
     size = rows, columns
-    return naming(f"{what} of {name}", lambda: FingerView(**table, size=size, finger_quality=quality, **label))
+    return naming(
+        f"{what} of {name}", lambda: FingerView(**table, size=size, finger_quality=quality, **label)
+    )
 
 
 def _decode_minutiae(cursor: Cursor, count: int, steps: int, what: str) -> dict[str, Any]:
@@ -170,9 +209,14 @@ def _decode_minutiae(cursor: Cursor, count: int, steps: int, what: str) -> dict[
     messages. Two bits of type and 14 of column, two reserved and 14 of row (all big-endian), a byte
     of direction, one of quality.
     """
-    table = np.frombuffer(cursor.take(count * _MINUTIA.itemsize, f"the {count} minutiae of {what}"), _MINUTIA)
+    table = np.frombuffer(
+        cursor.take(count * _MINUTIA.itemsize, f"the {count} minutiae of {what}"), _MINUTIA
+    )
     name = cursor.name
-    require(not (table["y"] >> 14).any(), f"{name}: the reserved bits of a minutia of {what} are not zero.")
+    require(
+        not (table["y"] >> 14).any(),
+        f"{name}: the reserved bits of a minutia of {what} are not zero.",
+    )
     sound = int(table["direction"].max(initial=0)) < steps
     require(sound, f"{name}: the direction of a minutia of {what} is not one of {steps} steps.")
     return {

@@ -30,7 +30,12 @@ FINGER_CODES = {
 """Finger positions in all the standards here: ISO/IEC 19794-2 table 2, ANSI/INCITS 378,
 ANSI/NIST-ITL table 8."""
 
-LATENT_IMPRESSIONS = {"latent_impression": 4, "latent_tracing": 5, "latent_photo": 6, "latent_lift": 7}
+LATENT_IMPRESSIONS = {
+    "latent_impression": 4,
+    "latent_tracing": 5,
+    "latent_photo": 6,
+    "latent_lift": 7,
+}
 FINGER_IMPRESSIONS = {
     "live_plain": 0,
     "live_rolled": 1,
@@ -57,7 +62,13 @@ contactless of a finger at rest; older editions call it live-scan, optical, cont
 ANSI_2009_IMPRESSIONS = {name: code for name, code in FINGER_IMPRESSIONS.items() if code <= 29}
 """ANSI/INCITS 378-2009."""
 
-ISO_2005_IMPRESSIONS = {"live_plain": 0, "live_rolled": 1, "nonlive_plain": 2, "nonlive_rolled": 3, "swipe": 8}
+ISO_2005_IMPRESSIONS = {
+    "live_plain": 0,
+    "live_rolled": 1,
+    "nonlive_plain": 2,
+    "nonlive_rolled": 3,
+    "swipe": 8,
+}
 """ISO/IEC 19794-2:2005, table 3. It has no code for contactless prints."""
 
 ANSI_2004_IMPRESSIONS = {**ISO_2005_IMPRESSIONS, "contactless": 9}
@@ -75,13 +86,19 @@ def name_of(code: int, codes: Mapping[str, int], what: str) -> str:
     """
     names = [name for name, known in codes.items() if known == code]
     known = ", ".join(str(value) for value in sorted(codes.values()))
-    require(names, f"the {what} {code} is not one of the standard's codes ({known}); correct the record.")
+    require(
+        names,
+        f"the {what} {code} is not one of the standard's codes ({known}); correct the record.",
+    )
     return names[0]
 
 
 def standard_code(name: str, codes: Mapping[str, int], what: str) -> int:
-    """Code of a `name` in the table `codes`, BadInput if there is none; `what` it is, for messages."""
-    require(name in codes, f"the {what} '{name}' has no code here; choose one of {', '.join(codes)}.")
+    """Code of a `name` in the table `codes`, BadInput if there is none; `what` it is, for
+    messages."""
+    require(
+        name in codes, f"the {what} '{name}' has no code here; choose one of {', '.join(codes)}."
+    )
     return codes[name]
 
 
@@ -128,18 +145,23 @@ class Minutiae:
         columns = (self.x_px, self.y_px, self.direction_rad, self.type, self.quality)
         require(
             all(column.shape == (len(self.x_px),) for column in columns),
-            f"minutiae must be lists of one length, but they have the shapes {[column.shape for column in columns]}.",
+            "minutiae must be lists of one length, but they have the shapes"
+            f" {[column.shape for column in columns]}.",
         )
         rows, width = self.size
         require(
             0 <= rows <= self.largest_px and 0 <= width <= self.largest_px,
-            f"a print of {rows} x {width} pixels at 500 ppi is larger than {self.largest_px}; check its resolution.",
+            f"a print of {rows} x {width} pixels at 500 ppi is larger than {self.largest_px}; check"
+            " its resolution.",
         )
         inside = (self.x_px >= 0) & (self.y_px >= 0) & (self.x_px < width) & (self.y_px < rows)
         require(inside.all(), f"minutiae must lie inside their print of {rows} x {width} pixels.")
         require(np.isfinite(self.direction_rad).all(), "directions of minutiae must be finite.")
         require((self.quality <= 100).all(), "qualities of minutiae must lie between 0 and 100.")
-        require((self.type <= BIFURCATION).all(), "types of minutiae are 0, 1 (ending) and 2 (bifurcation).")
+        require(
+            (self.type <= BIFURCATION).all(),
+            "types of minutiae are 0, 1 (ending) and 2 (bifurcation).",
+        )
 
     @property
     def count(self) -> int:
@@ -168,7 +190,9 @@ class Minutiae:
 
     def best(self, count: int) -> Self:
         """The `count` minutiae of the highest quality, in the order they have here."""
-        return self.taken(np.sort(np.argsort(-self.quality.astype(np.int64), kind="stable")[:count]))
+        return self.taken(
+            np.sort(np.argsort(-self.quality.astype(np.int64), kind="stable")[:count])
+        )
 
 
 def no_minutiae(size: tuple[int, int] = (0, 0)) -> Minutiae:

@@ -14,7 +14,13 @@ from splitknit.errors import open_file, require
 from splitknit.io.images import BMP, JPEG, PNG, TIFFS
 from splitknit.io.prints import PrintFile, decode_print_image, encode_print_png, encode_print_tiff
 from splitknit_match.records import finger_image, iso39794
-from splitknit_match.records.fmr_bytes import ANSI_2004, ANSI_2009, ISO_2005, MAX_RECORD_BYTES, what_bytes_are
+from splitknit_match.records.fmr_bytes import (
+    ANSI_2004,
+    ANSI_2009,
+    ISO_2005,
+    MAX_RECORD_BYTES,
+    what_bytes_are,
+)
 from splitknit_match.records.itl import decode_transaction
 from splitknit_match.records.minutiae_files import decode_minutiae_record, encode_minutiae_record
 from splitknit_match.records.minutiae_record import VENDOR_UNKNOWN, FingerView
@@ -81,10 +87,12 @@ def _format_of(first: bytes, size: int, name: str) -> PrintFormat:
     form = next((form for form in FORMATS.values() if first.startswith(form.starts)), None)
     if form is None:
         raise BadInput(
-            f"{name} is {what_bytes_are(first, 'of another kind')}; prints and minutiae are read from {READ}."
+            f"{name} is {what_bytes_are(first, 'of another kind')}; prints and minutiae are read"
+            f" from {READ}."
         )
     require(
-        size <= form.max_bytes, f"{name} is too large: {size} bytes, at most {form.max_bytes} are read of its kind."
+        size <= form.max_bytes,
+        f"{name} is too large: {size} bytes, at most {form.max_bytes} are read of its kind.",
     )
     return form
 
@@ -107,46 +115,85 @@ def _from_wsq(data: bytes, name: str) -> tuple[PrintFile, ...]:
 def _minutiae(name: str, suffix: str, words: str, standard: str) -> PrintFormat:
     """A format of minutiae; which standard's a record is, shows when it is read."""
     return PrintFormat(
-        name, suffix, "minutiae", words, (b"FMR\0",), decode_minutiae_record,
-        lambda view, how: encode_minutiae_record(view, standard, how.owner), MAX_RECORD_BYTES,
-    )  # fmt: skip
+        name,
+        suffix,
+        "minutiae",
+        words,
+        (b"FMR\0",),
+        decode_minutiae_record,
+        lambda view, how: encode_minutiae_record(view, standard, how.owner),
+        MAX_RECORD_BYTES,
+    )
 
 
 _MAX_WSQ, _MAX_RECORD = 100_000_000, 200_000_000
 _ALL = (
     PrintFormat(
-        "png", ".png", "image", "PNG", (PNG[:4],), _from_picture,
+        "png",
+        ".png",
+        "image",
+        "PNG",
+        (PNG[:4],),
+        _from_picture,
         lambda item, how: encode_print_png(item.image, _ppi(item), how.text),
     ),
     PrintFormat(
-        "tiff", ".tiff", "image", "TIFF", TIFFS, _from_picture,
+        "tiff",
+        ".tiff",
+        "image",
+        "TIFF",
+        TIFFS,
+        _from_picture,
         lambda item, how: encode_print_tiff(item.image, _ppi(item), how.text),
     ),
     PrintFormat("jpeg", ".jpg", "image", "JPEG", (JPEG,), _from_picture),
     PrintFormat("bmp", ".bmp", "image", "BMP", (BMP,), _from_picture),
     PrintFormat(
-        "wsq", ".wsq", "image", "WSQ", (SIGNATURE,), _from_wsq, lambda item, how: encode_wsq(item.image, _ppi(item)),
+        "wsq",
+        ".wsq",
+        "image",
+        "WSQ",
+        (SIGNATURE,),
+        _from_wsq,
+        lambda item, how: encode_wsq(item.image, _ppi(item)),
         _MAX_WSQ,
     ),
     PrintFormat(
-        "iso-19794-4", ".fir", "image", "ISO/IEC 19794-4", (finger_image.MAGIC,), finger_image.decode_finger_images,
-        lambda item, how: finger_image.encode_finger_image(item, how.compression), _MAX_RECORD,
+        "iso-19794-4",
+        ".fir",
+        "image",
+        "ISO/IEC 19794-4",
+        (finger_image.MAGIC,),
+        finger_image.decode_finger_images,
+        lambda item, how: finger_image.encode_finger_image(item, how.compression),
+        _MAX_RECORD,
     ),
     PrintFormat(
-        "iso-39794-4", ".fim", "image", "ISO/IEC 39794-4", (iso39794.TAG,), iso39794.decode_finger_image_block,
+        "iso-39794-4",
+        ".fim",
+        "image",
+        "ISO/IEC 39794-4",
+        (iso39794.TAG,),
+        iso39794.decode_finger_image_block,
         lambda item, how: iso39794.encode_finger_image_block(
             item, how.compression, quality=how.quality, owner=how.owner
         ),
         _MAX_RECORD,
     ),
     PrintFormat(
-        "ansi-nist-itl", ".an2", "image", "ANSI/NIST-ITL", (b"1.001:", b"1.01:", b"1.1:"), decode_transaction, None,
+        "ansi-nist-itl",
+        ".an2",
+        "image",
+        "ANSI/NIST-ITL",
+        (b"1.001:", b"1.01:", b"1.1:"),
+        decode_transaction,
+        None,
         _MAX_RECORD,
     ),
     _minutiae("iso-19794-2", ".iso", "ISO/IEC 19794-2", ISO_2005),
     _minutiae("ansi-378", ".fmr", "ANSI/INCITS 378", ANSI_2004),
     _minutiae("ansi-378-2009", ".fmr", "ANSI/INCITS 378", ANSI_2009),
-)  # fmt: skip
+)
 FORMATS = {form.name: form for form in _ALL}
 """All formats, in the order in which help lists them."""
 READ = ", ".join(dict.fromkeys(form.words for form in _ALL))

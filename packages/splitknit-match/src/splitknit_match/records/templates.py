@@ -25,8 +25,13 @@ _LARGEST = 16_000_000
 def encode_template(payload: bytes, version: int) -> bytes:
     """Content of a template file: header and `payload`, of `version` (0 to 65535); nothing for an
     empty payload."""
-    require(0 <= version <= 65535, f"a template's version must lie between 0 and 65535, but it is {version}.")
-    require(len(payload) <= _LARGEST, f"a template of {len(payload)} bytes is larger than any finger's.")
+    require(
+        0 <= version <= 65535,
+        f"a template's version must lie between 0 and 65535, but it is {version}.",
+    )
+    require(
+        len(payload) <= _LARGEST, f"a template of {len(payload)} bytes is larger than any finger's."
+    )
     if not payload:
         return b""
     return _HEAD.pack(MAGIC, version, 0, len(payload), hashlib.sha256(payload).digest()) + payload
@@ -49,7 +54,8 @@ def _decode_template(data: bytes, version: int, name: str = "the template") -> b
     remedy = "make the template again"
     require(
         data[: len(MAGIC)] == MAGIC[: len(data)],
-        f"{name} is not a template of splitknit (it does not begin with 'SKTMPL'); name a .skt file.",
+        f"{name} is not a template of splitknit (it does not begin with 'SKTMPL'); name a .skt"
+        " file.",
     )
     require(
         len(data) >= HEADER_BYTES,
@@ -58,16 +64,25 @@ def _decode_template(data: bytes, version: int, name: str = "the template") -> b
     _, own, reserved, size, digest = _HEAD.unpack_from(data)
     require(
         own == version,
-        f"{name} is a template of version {own}, but this program reads version {version}; {remedy}.",
+        f"{name} is a template of version {own}, but this program reads version {version};"
+        f" {remedy}.",
     )
     require(reserved == 0, f"{name} has a damaged header; {remedy}.")
     payload = data[HEADER_BYTES:]
     require(
         len(payload) == size,
-        f"{name} holds {len(payload)} bytes after its header, but the header states {size}; {remedy}.",
+        f"{name} holds {len(payload)} bytes after its header, but the header states {size};"
+        f" {remedy}.",
     )
-    require(hashlib.sha256(payload).digest() == digest, f"{name} is damaged (its hash does not fit); {remedy}.")
-    require(size > 0, f"{name} has a header but no content; {remedy}, or leave a failure to acquire a file of 0 bytes.")
+    require(
+        hashlib.sha256(payload).digest() == digest,
+        f"{name} is damaged (its hash does not fit); {remedy}.",
+    )
+    require(
+        size > 0,
+        f"{name} has a header but no content; {remedy}, or leave a failure to acquire a file of 0"
+        " bytes.",
+    )
     return payload
 
 

@@ -44,8 +44,16 @@ def what(file: AnyPath) -> Report:
     with open_file(path, 1 << 50) as (stream, size):
         first = stream.read(_FIRST_BYTES)
     form = next((known for known in FORMATS.values() if first.startswith(known.starts)), None)
-    kind = standard_of(first) or (form.words if form else what_bytes_are(first, "of an unknown kind"))
-    facts: dict[str, Any] = {"file": str(path), "bytes": size, "sha256": file_hash(path), "what": kind, "holds": []}
+    kind = standard_of(first) or (
+        form.words if form else what_bytes_are(first, "of an unknown kind")
+    )
+    facts: dict[str, Any] = {
+        "file": str(path),
+        "bytes": size,
+        "sha256": file_hash(path),
+        "what": kind,
+        "holds": [],
+    }
     lines = [f"{path}: {kind}, {size:,} bytes."]
     try:
         prints = read_prints(path) if form is not None else ()
@@ -59,7 +67,11 @@ def what(file: AnyPath) -> Report:
             words = "resolution unknown" if ppi is None else f"{ppi:.0f} ppi"
         else:
             rows, columns = item.size
-            about |= {"ppcm": list(item.resolution_ppcm), "minutiae": item.count, "quality": item.finger_quality}
+            about |= {
+                "ppcm": list(item.resolution_ppcm),
+                "minutiae": item.count,
+                "quality": item.finger_quality,
+            }
             words = f"{count(item.count, 'minutia', 'minutiae')}, quality {item.finger_quality}"
         facts["holds"].append(about | {"rows": rows, "columns": columns})
         finger = item.finger.replace("_", " ")

@@ -52,7 +52,8 @@ sys.path.insert(0, sys.argv[1])
 import _wsq
 data = sys.stdin.buffer.read()
 if sys.argv[2] == "encode":
-    sys.stdout.buffer.write(_wsq.compress(data[8:], int.from_bytes(data[:4]), int.from_bytes(data[4:8]), {BIT_RATE}))
+    width, height = int.from_bytes(data[:4]), int.from_bytes(data[4:8])
+    sys.stdout.buffer.write(_wsq.compress(data[8:], width, height, {BIT_RATE}))
 else:
     pixels, columns, rows, _ = _wsq.decompress(data)
     sys.stdout.buffer.write(rows.to_bytes(4) + columns.to_bytes(4) + pixels)
@@ -66,16 +67,22 @@ def encode_wsq(image: GreyArray, ppi: float = 500.0) -> bytes:
     """
     array = np.asarray(image)
     require(
-        array.ndim == 2 and array.dtype == np.uint8, f"a print must be (H, W) uint8, not {array.shape} {array.dtype}."
+        array.ndim == 2 and array.dtype == np.uint8,
+        f"a print must be (H, W) uint8, not {array.shape} {array.dtype}.",
     )
     require(
         min(array.shape) >= MIN_SIDE_PX and max(array.shape) <= LARGEST_SIDE_PX,
-        f"WSQ takes images of {MIN_SIDE_PX} to {LARGEST_SIDE_PX} pixels each way, not {array.shape[0]} x "
-        f"{array.shape[1]}; pad or crop the print, or write PNG.",
+        f"WSQ takes images of {MIN_SIDE_PX} to {LARGEST_SIDE_PX} pixels each way, not"
+        f" {array.shape[0]} x {array.shape[1]}; pad or crop the print, or write PNG.",
     )
-    require(495 <= ppi <= 505, f"WSQ is for 500 ppi, but the print has {ppi:g}; resample it, or write PNG.")
+    require(
+        495 <= ppi <= 505,
+        f"WSQ is for 500 ppi, but the print has {ppi:g}; resample it, or write PNG.",
+    )
     rows, columns = array.shape
-    data = _run("encode", array.size, rows.to_bytes(4, "big") + columns.to_bytes(4, "big") + array.tobytes())
+    data = _run(
+        "encode", array.size, rows.to_bytes(4, "big") + columns.to_bytes(4, "big") + array.tobytes()
+    )
     if data is None or _wsq_header(data, "the compressed print")[0] != rows:
         raise BadInput("the print cannot be compressed as WSQ; write it as PNG.")
     return data
@@ -100,21 +107,42 @@ def _run(task: str, pixels: int, data: bytes) -> bytes | None:
     ended."""
     package = importlib.util.find_spec("_wsq")
     if package is None or package.origin is None:
-        raise BadInput("WSQ needs the package wsq: pip install 'splitknit-match[records]'; or write PNG.")
-    limits = _MEMORY_BYTES + _MEMORY_PER_PIXEL * pixels + 4 * len(data), _CPU_S + pixels // _PIXELS_PER_S
+        raise BadInput(
+            "WSQ needs the package wsq: pip install 'splitknit-match[records]'; or write PNG."
+        )
+    limits = (
+        _MEMORY_BYTES + _MEMORY_PER_PIXEL * pixels + 4 * len(data),
+        _CPU_S + pixels // _PIXELS_PER_S,
+    )
     try:
         done = subprocess.run(
-            [sys.executable, "-I", "-S", "-c", _CHILD, str(Path(package.origin).parent), task, *map(str, limits)],
+            [
+                sys.executable,
+                "-I",
+                "-S",
+                "-c",
+                _CHILD,
+                str(Path(package.origin).parent),
+                task,
+                *map(str, limits),
+            ],
             input=data,
             capture_output=True,
             timeout=TIMEOUT_S,
             check=False,
-            env={name: value for name, value in os.environ.items() if not name.startswith("SPLITKNIT_")},  # no keys
+            # no keys
+            env={
+                name: value
+                for name, value in os.environ.items()
+                if not name.startswith("SPLITKNIT_")
+            },
         )
     except subprocess.TimeoutExpired:
         return None
     except OSError as error:
-        raise BadInput(f"WSQ needs a Python process of its own, which could not be started: {error}.") from error
+        raise BadInput(
+            f"WSQ needs a Python process of its own, which could not be started: {error}."
+        ) from error
     return done.stdout if done.returncode == 0 else None
 
 
@@ -139,7 +167,10 @@ def _wsq_header(data: bytes, name: str) -> tuple[int, int, int | None]:
     """Rows and columns of a WSQ file, and the resolution in ppi if its comment states it. Raises
     BadInput if it is not a WSQ file, ends early, or claims no or more than 25 million pixels.
     """
-    require(data[:2] == SIGNATURE, f"{name} is not a WSQ file (they begin with FF A0); name another file.")
+    require(
+        data[:2] == SIGNATURE,
+        f"{name} is not a WSQ file (they begin with FF A0); name another file.",
+    )
     frame, block = data.find(_FRAME), data.find(_BLOCK)
     whole = 0 < frame < block < data.rfind(_END)
     require(whole, f"{name} is truncated or damaged: its WSQ image is not whole; copy it again.")

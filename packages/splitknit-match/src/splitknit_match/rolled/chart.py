@@ -26,9 +26,11 @@ class Chart:
     """Rays around a finger."""
 
     centre_mm: Array  # (3,) on the axis, where the fan of the tip starts; rig's frame
-    axes: Array  # (3, 3) rows: to the right, towards the tip, to the camera; unit length, right-handed
+    # (3, 3) rows: to the right, towards the tip, to the camera; unit length, right-handed
+    axes: Array
     angle_rad: Array  # (m,) two at least, ascending; 0 faces the camera, positive to the right
-    length_mm: Array  # (n,) falling, two at least: negative below the centre, above it the fan's angle times `cap_mm`
+    # (n,) falling, two at least: negative below the centre, above it the fan's angle times `cap_mm`
+    length_mm: Array
     cap_mm: float  # typical distance of the skin from the centre at the tip
 
     @property
@@ -52,7 +54,9 @@ class Chart:
     def points(self, radius_mm: Any) -> Array:
         """(n, m, 3) points at distances (n, m) along the rays."""
         start, directions = self.rays()
-        return np.asarray(start[:, None] + np.asarray(radius_mm, dtype=float)[..., None] * directions)
+        return np.asarray(
+            start[:, None] + np.asarray(radius_mm, dtype=float)[..., None] * directions
+        )
 
     def locate(self, points_mm: Array) -> tuple[Array, Array, Array]:
         """Angle, length and distance (...) of points (..., 3)."""
@@ -64,7 +68,11 @@ class Chart:
 
     def places(self, angle_rad: Array, length_mm: Array) -> tuple[FloatArray, FloatArray]:
         """Columns and rows (...) of angles and lengths (...)."""
-        columns = (angle_rad - self.angle_rad[0]) / (self.angle_rad[-1] - self.angle_rad[0]) * (self.shape[1] - 1)
+        columns = (
+            (angle_rad - self.angle_rad[0])
+            / (self.angle_rad[-1] - self.angle_rad[0])
+            * (self.shape[1] - 1)
+        )
         rows = (self.length_mm[0] - length_mm) / self.pitch_mm
         return columns.astype(np.float32), rows.astype(np.float32)
 
@@ -79,7 +87,12 @@ def surface_normals(points_mm: Array) -> Array:
 
 
 def read(
-    field: FloatArray, columns: FloatArray, rows: FloatArray, *, cubic: bool = False, empty: float = float("nan")
+    field: FloatArray,
+    columns: FloatArray,
+    rows: FloatArray,
+    *,
+    cubic: bool = False,
+    empty: float = float("nan"),
 ) -> FloatArray:
     """Values of a field (H, W) at places of any shape, `empty` outside; beside NaN they are NaN."""
     return sampled_at(field, columns, rows, cv2.INTER_CUBIC if cubic else cv2.INTER_LINEAR, empty)
@@ -95,7 +108,9 @@ def heights(sight: Sight, chart: Chart, radius_mm: Array, view: View) -> FloatAr
     """(h, w) z, in the view's frame, of the surface `radius_mm` (n, m) on the chart at the pixels
     of `view`, or NaN."""
     surface = radius_mm.astype(np.float32)
-    middle = sight.to_view(chart.centre_mm + 0.5 * min(float(chart.length_mm[-1]), 0.0) * chart.axes[1])
+    middle = sight.to_view(
+        chart.centre_mm + 0.5 * min(float(chart.length_mm[-1]), 0.0) * chart.axes[1]
+    )
     x = view.x_mm
     y = view.y_mm if view.y_mm.ndim == 2 else view.y_mm[:, None]
     shape = y.shape[0], x.shape[-1]
@@ -116,7 +131,9 @@ def heights(sight: Sight, chart: Chart, radius_mm: Array, view: View) -> FloatAr
     plane = lifted(np.full(shape, middle[2]))
     axis = sight.turned(chart.axes[1])
     beside = np.hypot(axis[0], axis[1])
-    along = ((plane[..., 0] - middle[0]) * axis[0] + (plane[..., 1] - middle[1]) * axis[1]) / max(beside, 1e-6) ** 2
+    along = ((plane[..., 0] - middle[0]) * axis[0] + (plane[..., 1] - middle[1]) * axis[1]) / max(
+        beside, 1e-6
+    ) ** 2
     low = np.broadcast_to(middle[2] + (along * axis[2] if beside > 0.5 else 0.0), shape)
     height = crossing(lambda height: above(height)[0] > 0, low, low + BEYOND_MM, 20)
     met = (above(low)[0] < 0) & above(height)[1]
@@ -124,7 +141,8 @@ def heights(sight: Sight, chart: Chart, radius_mm: Array, view: View) -> FloatAr
 
 
 def crossing(outside: Callable[[Array], BoolArray], low: Array, high: Array, rounds: int) -> Array:
-    """Where rays that are inside at `low` and outside at `high` (n, m) leave a body, by bisection."""
+    """Where rays that are inside at `low` and outside at `high` (n, m) leave a body, by
+    bisection."""
     for _ in range(rounds):
         middle = 0.5 * (low + high)
         out = outside(middle)

@@ -18,7 +18,14 @@ from splitknit.model import Array, BoolArray, FloatArray
 from splitknit.skin.grid import smooth_step
 from splitknit.skin.images import MetricSettings
 from splitknit_match.rolled.chart import Chart, crossing, surface_normals
-from splitknit_match.rolled.register import MIN_CORRELATION, ViewRidges, align, gaussian_over, ridges_of, search
+from splitknit_match.rolled.register import (
+    MIN_CORRELATION,
+    ViewRidges,
+    align,
+    gaussian_over,
+    ridges_of,
+    search,
+)
 from splitknit_match.rolled.views import MirrorViews, ViewRelief, view_relief
 
 ROLL_OF_SHEAR = -3.1
@@ -79,7 +86,9 @@ def _shape_of(body: Body) -> Shape:
     centre = np.array([*body.origin_mm, float(np.median(sections.z))])
     centre = centre + (body.tip_mm - cap) * along + float(np.median(sections.t)) * right
     angles = _angles(AROUND_DEG, cap, SHAPE_PITCH_MM)
-    lengths = _lengths(cap - body.length_mm - BELOW_MM, float(cap * np.deg2rad(FAN_DEG)), SHAPE_PITCH_MM)
+    lengths = _lengths(
+        cap - body.length_mm - BELOW_MM, float(cap * np.deg2rad(FAN_DEG)), SHAPE_PITCH_MM
+    )
     chart = Chart(centre, np.stack([right, along, [0.0, 0.0, 1.0]]), angles, lengths, cap)
     radius = _radius_of(body, chart)
     return Shape(chart, radius + _rolled_pad(body, chart, radius), half)
@@ -100,7 +109,15 @@ class Work:
         lit = sorted(glasses.values(), key=lambda glass: glass.name not in masks)
         shape = self.shape
         self.reliefs: dict[str, ViewRelief] = {
-            name: view_relief(capture, sight, masks[name], shape.chart, shape.radius_mm, glasses=lit, settings=settings)
+            name: view_relief(
+                capture,
+                sight,
+                masks[name],
+                shape.chart,
+                shape.radius_mm,
+                glasses=lit,
+                settings=settings,
+            )
             for name, sight in self.sights().items()
         }
 
@@ -111,7 +128,8 @@ class Work:
         return {"front": Sight("front", camera), **mirrors}
 
     def surface(self, pitch_mm: float) -> tuple[Chart, Array, Array, Array]:
-        """The finger's chart, as far around as a print reaches; radius, points and normals on it."""
+        """The finger's chart, as far around as a print reaches; radius, points and normals on
+        it."""
         whole = self.shape.chart
         angles = _angles(AROUND_SKIN_DEG, self.shape.half_mm, pitch_mm)
         lengths = _lengths(float(whole.length_mm[-1]), float(whole.length_mm[0]), pitch_mm)
@@ -120,7 +138,9 @@ class Work:
         points = chart.points(radius)
         return chart, radius, points, surface_normals(points)
 
-    def seen(self, name: str, points: Array, normals: Array) -> tuple[FloatArray, FloatArray, FloatArray, BoolArray]:
+    def seen(
+        self, name: str, points: Array, normals: Array
+    ) -> tuple[FloatArray, FloatArray, FloatArray, BoolArray]:
         """Relief, deviation and trust of a view at points; and where it shows them."""
         sight = self.sights()[name]
         fields = np.stack(self.reliefs[name].sampled(sight, points))
@@ -137,7 +157,9 @@ class Work:
             relief, _, _, known = self.seen(name, points, normals)
             views[name] = ViewRidges(sight, ridges_of(relief, known, chart.pitch_mm), known)
         front = views.pop("front")
-        mirrors = {name: replace(view, known=view.known & front.known) for name, view in views.items()}
+        mirrors = {
+            name: replace(view, known=view.known & front.known) for name, view in views.items()
+        }
         if coarse:
             matches = []
             for name, mirror in mirrors.items():
@@ -153,7 +175,10 @@ class Work:
         else:
             met = {name: values[0] >= MIN_CORRELATION for name, values in self.correlation.items()}
             correction = align(
-                chart, radius, front, [replace(view, known=view.known & met[name]) for name, view in mirrors.items()]
+                chart,
+                radius,
+                front,
+                [replace(view, known=view.known & met[name]) for name, view in mirrors.items()],
             )
             added = correction.radius_mm
             poses = list(correction.poses)
@@ -164,7 +189,9 @@ class Work:
             self.glasses[name] = replace(self.glasses[name], plane=plane)
         # the correction of a part of the finger, on the chart all around it
         whole = self.shape.chart
-        beyond = np.maximum(np.abs(whole.angle_rad) - float(chart.angle_rad[-1]), 0.0) / np.deg2rad(30.0)
+        beyond = np.maximum(np.abs(whole.angle_rad) - float(chart.angle_rad[-1]), 0.0) / np.deg2rad(
+            30.0
+        )
         spread = _sampled(chart, added, whole) * np.exp(-0.5 * beyond**2)
         self.shape = replace(self.shape, radius_mm=self.shape.radius_mm + spread)
 
@@ -183,7 +210,11 @@ def blend(reliefs: FloatArray, weights: FloatArray) -> Blended:
     total = weights.sum(axis=0)
     known = total > 1e-6
     fractions = weights / np.where(known, total, 1.0)
-    return Blended((fractions * np.where(fractions > 0, reliefs, 0.0)).sum(axis=0), known, fractions.astype(np.float32))
+    return Blended(
+        (fractions * np.where(fractions > 0, reliefs, 0.0)).sum(axis=0),
+        known,
+        fractions.astype(np.float32),
+    )
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -195,8 +226,10 @@ class Rolled:
     normals: FloatArray  # (n, m, 3)
     blended: Blended
     names: tuple[str, ...]  # names of the views, in the order of ``blended.fractions``
-    view_reliefs: FloatArray  # (V, n, m) relief of each view, along the skin's normal; zero where it shows nothing
-    places: FloatArray  # (V, n, m, 2) column and row of the image at which each view shows each point
+    # (V, n, m) relief of each view, along the skin's normal; zero where it shows nothing
+    view_reliefs: FloatArray
+    # (V, n, m, 2) column and row of the image at which each view shows each point
+    places: FloatArray
     glasses: tuple[Glass, ...]  # mirrors where the ridges have them
     facts: Mapping[str, object]
 
@@ -223,17 +256,20 @@ def rolled_finger(
     for name, sight in sights.items():
         relief, deviation, trust, known = work.seen(name, points, normals)
         reliefs.append(relief)
-        weights.append(_view_weight(sight.cosine(normals, points), known, deviation, chart.pitch_mm) * trust)
+        weights.append(
+            _view_weight(sight.cosine(normals, points), known, deviation, chart.pitch_mm) * trust
+        )
     weighed = np.stack(weights).astype(np.float32)
     stacked = np.stack(reliefs).astype(np.float32)
     breadth = (weighed[0] > 0).sum(axis=1)
-    if breadth.any():  # all views end where the front shows less than nine tenths of its usual breadth
+    # all views end where the front shows less than nine tenths of its usual breadth
+    if breadth.any():
         last = np.flatnonzero(breadth >= 0.9 * np.median(breadth[breadth > 0]))[-1]
         weighed[:, last + 1 :] = 0.0
     warnings = [
-        f"ridges of the {name} mirror's view {'do' if values[-1] < MIN_MEETING else 'may'} not lie on the front's "
-        f"(correlation {values[-1]:.2f}), so that they may be kinked where the views meet: check the mirror's pose in "
-        "rig.json, and that ridges are seen in it."
+        f"ridges of the {name} mirror's view {'do' if values[-1] < MIN_MEETING else 'may'} not lie"
+        f" on the front's (correlation {values[-1]:.2f}), so that they may be kinked where the"
+        " views meet: check the mirror's pose in rig.json, and that ridges are seen in it."
         for name, values in work.correlation.items()
         if values[-1] < SURE_MEETING
     ]
@@ -245,12 +281,21 @@ def rolled_finger(
     }
     places = np.stack([np.stack(sight.pixels(points), axis=-1) for sight in sights.values()])
     return Rolled(
-        chart, points.astype(np.float32), normals.astype(np.float32), blend(stacked, weighed), tuple(sights), stacked,
-        places, tuple(work.glasses.values()), facts,
-    )  # fmt: skip
+        chart,
+        points.astype(np.float32),
+        normals.astype(np.float32),
+        blend(stacked, weighed),
+        tuple(sights),
+        stacked,
+        places,
+        tuple(work.glasses.values()),
+        facts,
+    )
 
 
-def _view_weight(cosine: Array, known: BoolArray, deviation_mm: FloatArray, pitch_mm: float) -> FloatArray:
+def _view_weight(
+    cosine: Array, known: BoolArray, deviation_mm: FloatArray, pitch_mm: float
+) -> FloatArray:
     """(n, m) weight of a view on the chart, zero where it shows nothing. `cosine`: of the slant as
     the view sees it; `known`: where it shows the finger; `deviation_mm`: of its relief, along the
     skin's normal; all (n, m).
@@ -281,7 +326,9 @@ def _lengths(base_mm: float, tip_mm: float, pitch_mm: float) -> Array:
 def _sampled(chart: Chart, radius_mm: Array, target: Chart) -> Array:
     """(n, m) a surface of one chart on the rays of another with the same axis; held beyond the
     first's ends."""
-    spline = scipy.interpolate.RectBivariateSpline(-chart.length_mm, chart.angle_rad, radius_mm, kx=3, ky=3)
+    spline = scipy.interpolate.RectBivariateSpline(
+        -chart.length_mm, chart.angle_rad, radius_mm, kx=3, ky=3
+    )
     rows = np.clip(target.length_mm, chart.length_mm[-1], chart.length_mm[0])
     return spline(-rows, np.clip(target.angle_rad, chart.angle_rad[0], chart.angle_rad[-1]))
 

@@ -70,11 +70,14 @@ class Correction:
     """What moves the surface and the mirrors."""
 
     radius_mm: Array  # (n, m) to be added to the surface on the chart
-    poses: tuple[tuple[float, ...], ...]  # turns (rad) and shift (mm) of each mirror, see :meth:`Plane.moved`
+    # turns (rad) and shift (mm) of each mirror, see :meth:`Plane.moved`
+    poses: tuple[tuple[float, ...], ...]
     correlations: tuple[float, ...]  # of each mirror's ridges with the front's where both see them
 
 
-def _shifts_by(sight: Sight, points: Array, rays: Array, steps: tuple[Array, Array]) -> tuple[Array, Array]:
+def _shifts_by(
+    sight: Sight, points: Array, rays: Array, steps: tuple[Array, Array]
+) -> tuple[Array, Array]:
     """How a view's ridges move on the chart when the surface or the mirror does: (K, 2) columns and
     rows for each mm of the surface, and (K, 2, 3) for the mirror's turns (rad) and shift (mm), zero
     for the front. `points`: (K, 3) on the surface; `rays`: (K, 3) along which it moves; `steps`:
@@ -96,7 +99,9 @@ def _shifts_by(sight: Sight, points: Array, rays: Array, steps: tuple[Array, Arr
             change = np.zeros(3)
             change[k] = 1e-3
             moved = replace(sight, plane=sight.plane.moved((change[0], change[1]), change[2]))
-            by_pose[:, :, k] = np.einsum("kij,kj->ki", inverse, (pixels(points, moved) - here) / 1e-3)
+            by_pose[:, :, k] = np.einsum(
+                "kij,kj->ki", inverse, (pixels(points, moved) - here) / 1e-3
+            )
     return by_radius, by_pose
 
 
@@ -109,7 +114,9 @@ class ViewRidges:
     known: BoolArray  # (n, m) where it does; of a mirror, where the front does, too
 
 
-def align(chart: Chart, radius_mm: Array, front: ViewRidges, mirrors: Sequence[ViewRidges]) -> Correction:
+def align(
+    chart: Chart, radius_mm: Array, front: ViewRidges, mirrors: Sequence[ViewRidges]
+) -> Correction:
     """Bend the surface and move the mirrors until their ridges lie on the front's, all of them at
     once.
 
@@ -133,10 +140,16 @@ def align(chart: Chart, radius_mm: Array, front: ViewRidges, mirrors: Sequence[V
         right = -prior @ values
         scores = np.zeros(len(mirrors))
         for k, part in parts.items():
-            matrix, residual, scores[k] = part.linearised(values[:count], values[count + 3 * k : count + 3 * k + 3])
+            matrix, residual, scores[k] = part.linearised(
+                values[:count], values[count + 3 * k : count + 3 * k + 3]
+            )
             # poses before and after its own
-            before, after = (scipy.sparse.csr_array((len(residual), 3 * n)) for n in (k, len(mirrors) - k - 1))
-            matrix = scipy.sparse.hstack([matrix[:, :count], before, matrix[:, count:], after]).tocsr()
+            before, after = (
+                scipy.sparse.csr_array((len(residual), 3 * n)) for n in (k, len(mirrors) - k - 1)
+            )
+            matrix = scipy.sparse.hstack(
+                [matrix[:, :count], before, matrix[:, count:], after]
+            ).tocsr()
             trust = scipy.sparse.diags_array(weight / (1.0 + (residual / ROBUST) ** 2))
             normal = normal + matrix.T @ trust @ matrix
             right = right + matrix.T @ (trust @ residual)
@@ -156,9 +169,13 @@ def align(chart: Chart, radius_mm: Array, front: ViewRidges, mirrors: Sequence[V
 class _Part:
     """One mirror's fraction in the equations."""
 
-    def __init__(self, chart: Chart, radius_mm: Array, front: ViewRidges, mirror: ViewRidges) -> None:
+    def __init__(
+        self, chart: Chart, radius_mm: Array, front: ViewRidges, mirror: ViewRidges
+    ) -> None:
         self.rows, self.columns = np.nonzero(mirror.known)
-        self.modes = _ridge_moves(chart, radius_mm, (front.sight, mirror.sight), (self.rows, self.columns))
+        self.modes = _ridge_moves(
+            chart, radius_mm, (front.sight, mirror.sight), (self.rows, self.columns)
+        )
         every, knots = _knots(chart)
         self.spread = _hats(self.columns / every, self.rows / every, knots)
         band = _evened(mirror.band, mirror.known, chart.pitch_mm)
@@ -171,24 +188,32 @@ class _Part:
         moved = self.modes[..., 0] * (self.spread @ depths)[:, None] + self.modes[..., 1:] @ pose
         place = [self.rows + moved[:, 1], self.columns + moved[:, 0]]
         seen, across, down = (
-            scipy.ndimage.map_coordinates(field, place, order=1).astype(float) for field in self.fields
+            scipy.ndimage.map_coordinates(field, place, order=1).astype(float)
+            for field in self.fields
         )
         score = float(np.corrcoef(seen, self.target)[0, 1]) if seen.std() > 0 else 0.0
         jacobian = across[:, None] * self.modes[:, 0] + down[:, None] * self.modes[:, 1]  # (K, 4)
         by_knots = scipy.sparse.diags_array(jacobian[:, 0]) @ self.spread
-        matrix: Any = scipy.sparse.hstack([by_knots, scipy.sparse.csr_array(jacobian[:, 1:])]).tocsr()
+        matrix: Any = scipy.sparse.hstack(
+            [by_knots, scipy.sparse.csr_array(jacobian[:, 1:])]
+        ).tocsr()
         return matrix, self.target - seen, score
 
 
 def _ridge_moves(
-    chart: Chart, radius_mm: Array, sights: tuple[Sight, Sight], at: tuple[NDArray[np.intp], NDArray[np.intp]]
+    chart: Chart,
+    radius_mm: Array,
+    sights: tuple[Sight, Sight],
+    at: tuple[NDArray[np.intp], NDArray[np.intp]],
 ) -> Array:
     """(K, 2, 4) columns and rows by which the mirror's ridges move against the front's: by mm of
     surface, by pose."""
     points = chart.points(radius_mm)
     rays = chart.rays()[1][at]
     steps = np.gradient(points, axis=1)[at], np.gradient(points, axis=0)[at]
-    (of_front, _), (of_mirror, by_pose) = (_shifts_by(sight, points[at], rays, steps) for sight in sights)
+    (of_front, _), (of_mirror, by_pose) = (
+        _shifts_by(sight, points[at], rays, steps) for sight in sights
+    )
     return np.concatenate([(of_mirror - of_front)[..., None], by_pose], axis=-1)
 
 
@@ -202,7 +227,9 @@ def _hats(columns: Array, rows: Array, knots: tuple[int, int]) -> scipy.sparse.c
     first = row0 * knots[1] + column0
     places = np.r_[first, first + 1, first + knots[1], first + knots[1] + 1]
     shape = (len(columns), knots[0] * knots[1])
-    return scipy.sparse.coo_array((weights, (np.tile(np.arange(len(columns)), 4), places)), shape=shape).tocsr()
+    return scipy.sparse.coo_array(
+        (weights, (np.tile(np.arange(len(columns)), 4), places)), shape=shape
+    ).tocsr()
 
 
 def _knots(chart: Chart) -> tuple[int, tuple[int, int]]:
@@ -291,11 +318,16 @@ def search(  # noqa: PLR0915
     outer = (np.abs(angle) - np.pi / 4) / np.deg2rad(20.0)
     bulge = ridge_moves[..., 0] * (np.sin(2 * angle) ** 2)[:, None]
     bulges = bulge, bulge * along[:, None], bulge * outer[:, None]
-    modes = np.stack([*np.moveaxis(ridge_moves[..., 1:], 2, 0), *bulges], axis=-1).astype(np.float32)  # (K, 2, 6)
+    # (K, 2, 6)
+    modes = np.stack([*np.moveaxis(ridge_moves[..., 1:], 2, 0), *bulges], axis=-1).astype(
+        np.float32
+    )
     target = front.band[rows, columns]
     place = np.stack([columns, rows], axis=1).astype(np.float32)
     turn = float(np.deg2rad(TURN_CUT_DEG if cut else TURN_DEG))
-    spread = np.array([turn, turn, SHIFT_CUT_MM if cut else SHIFT_MM, BULGE_MM, BULGE_MM, OUTER * BULGE_MM])
+    spread = np.array(
+        [turn, turn, SHIFT_CUT_MM if cut else SHIFT_MM, BULGE_MM, BULGE_MM, OUTER * BULGE_MM]
+    )
     few = slice(None, None, max(1, rows.size // _SEARCHED))
     every = slice(None)
 
@@ -318,7 +350,12 @@ def search(  # noqa: PLR0915
         minimum = minimize(loss, np.zeros(6), method="Nelder-Mead", options=options)
         return -float(minimum.fun), start + minimum.x * _SIMPLEX
 
-    options: Any = {"initial_simplex": np.eye(7, 6, -1), "maxfev": 200, "xatol": 0.02, "fatol": 1e-4}
+    options: Any = {
+        "initial_simplex": np.eye(7, 6, -1),
+        "maxfev": 200,
+        "xatol": 0.02,
+        "fatol": 1e-4,
+    }
     minimize: Any = scipy.optimize.minimize
     # what the outlines may be wrong by, as one move of all ridges
     typical = np.sqrt(((np.median(modes, axis=0) * spread) ** 2).sum(axis=1)) + 1e-9
@@ -326,7 +363,9 @@ def search(  # noqa: PLR0915
     reaches = ACROSS_CUT_MM if cut else ACROSS_MM, ALONG_MM
     for move in itertools.product(*(_range(reach) / chart.pitch_mm for reach in reaches)):
         far = float(((np.array(move) / typical) ** 2).sum())
-        guesses.append((score(np.array([move], dtype=np.float32), few) - _DOUBT * far, np.array(move)))
+        guesses.append(
+            (score(np.array([move], dtype=np.float32), few) - _DOUBT * far, np.array(move))
+        )
     # turns, shift and bulges that move all ridges by about so much, as likely as they can be
     count = len(modes[few])
     weight = LIKE_PLACES / count / (MOVE_MM / chart.pitch_mm) ** 2
@@ -334,7 +373,9 @@ def search(  # noqa: PLR0915
     matrix = weight * flat.T @ flat + np.diag(1.0 / spread**2)
     starts: list[Array] = []  # the best moves of which no two are nearly the same
     for _, guess in sorted(guesses, key=itemgetter(0), reverse=True):
-        apart = all(float(np.abs(guess - start).max()) * chart.pitch_mm > APART_MM for start in starts)
+        apart = all(
+            float(np.abs(guess - start).max()) * chart.pitch_mm > APART_MM for start in starts
+        )
         if apart and len(starts) < CANDIDATES:
             starts.append(guess)
     solved = [np.linalg.solve(matrix, weight * flat.T @ np.tile(start, count)) for start in starts]

@@ -34,21 +34,44 @@ from splitknit.integration.shapelets import REFERENCE_PX_PER_MM, ShapeletSetting
 from splitknit.mirrors.body import Body
 from splitknit.mirrors.captured import skin_slopes
 from splitknit.mirrors.mirror import mirror_shape
-from splitknit.mirrors.reflection import Glass, Sight, facing_fraction, glass_in, led_image, mirrored_fraction, shade_of
+from splitknit.mirrors.reflection import (
+    Glass,
+    Sight,
+    facing_fraction,
+    glass_in,
+    led_image,
+    mirrored_fraction,
+    shade_of,
+)
 from splitknit.mirrors.settings import MirrorShapeSettings
 from splitknit.mirrors.views import view_binning, views_in
 from splitknit.model import Array, BoolArray, FloatArray
 from splitknit.photometric.near_light import pseudo_normals
-from splitknit.skin.grid import COARSE_PITCH_MM, WORKING_PITCH_MM, BandImages, Grid, coarsen, refine, smooth_step
-from splitknit.skin.images import FACTOR, MetricSettings, coarser, finer_grid, finer_images, shipped_networks
+from splitknit.skin.grid import (
+    COARSE_PITCH_MM,
+    WORKING_PITCH_MM,
+    BandImages,
+    Grid,
+    coarsen,
+    refine,
+    smooth_step,
+)
+from splitknit.skin.images import (
+    FACTOR,
+    MetricSettings,
+    coarser,
+    finer_grid,
+    finer_images,
+    shipped_networks,
+)
 from splitknit.skin.learned import can_learn, features, relief_by_network
 from splitknit.skin.light import Lighting, fine_lighting, slant_of, trust_of
 from splitknit_match.rolled.chart import Chart, heights, read
 
 SIDES = ("left", "right")
 NO_MIRRORS = (
-    "the capture has no mirrors beside the finger, so that it shows the finger from the front only; name them in its "
-    "rig.json (docs/guide/rolled.md), or print with `method` unroll."
+    "the capture has no mirrors beside the finger, so that it shows the finger from the front only;"
+    " name them in its rig.json (docs/guide/rolled.md), or print with `method` unroll."
 )
 
 
@@ -57,9 +80,11 @@ class MirrorView:
     """What a capture with mirrors shows once."""
 
     name: str  # ``front``, ``left``, ``right`` or ``tip``
-    mask: BoolArray | None  # (H, W) where the view shows the finger; None for a mirror whose light alone counts
+    # (H, W) where the view shows the finger; None for a mirror whose light alone counts
+    mask: BoolArray | None
     glass: Glass | None = None  # the mirror; None for the front
-    cut: bool = False  # whether the border of picture or mirror cuts the view, so that the mirror's pose is less sure
+    # whether the border of picture or mirror cuts the view, so that the mirror's pose is less sure
+    cut: bool = False
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -74,7 +99,9 @@ class MirrorViews:
         return iter(self.views)
 
 
-def find_mirror_views(capture: Capture, settings: FingerSettings, mirror: MirrorShapeSettings) -> MirrorViews:
+def find_mirror_views(
+    capture: Capture, settings: FingerSettings, mirror: MirrorShapeSettings
+) -> MirrorViews:
     """Views of the finger in one picture, and mirrors where the views' outlines have them. Raises
     BadInput if there are no mirrors beside the finger, or fewer than two views can be used.
     """
@@ -86,7 +113,10 @@ def find_mirror_views(capture: Capture, settings: FingerSettings, mirror: Mirror
     views = views_in(mean, capture.rig, binning)
     visible = {name: views.mirrors[name] for name in SIDES if name in views.mirrors}
     cure = "turn the mirrors towards the finger, or print with `method` unroll."
-    require(visible, f"only the front view of the finger can be used: no mirror beside it shows it; {cure}")
+    require(
+        visible,
+        f"only the front view of the finger can be used: no mirror beside it shows it; {cure}",
+    )
     shape = mirror_shape(
         replace(views, mirrors=visible),
         capture.rig,
@@ -105,20 +135,36 @@ def find_mirror_views(capture: Capture, settings: FingerSettings, mirror: Mirror
     for name, glass in mirrors.items():
         mask = enlarged_mask(visible[name], capture.shape, binning) if name in used else None
         all_views.append(MirrorView(name, mask, glass_in(glass, shape.plane(glass)), name in cut))
-    remarks = {
-        "the view in the {} mirror is cut off at the picture's border or the mirror's, so that its outline shows less "
-        "of where the mirror lies: lay the finger in the middle, so that the mirror shows all of its pad.": cut,
-        "the view in the {} mirror is cut off so much that it is left out, and that side of the finger is missing from "
-        "the print: lay the finger in the middle.": shape.facts["views_useless"],
-        "no finger was found in the {} mirror, so that that side of it is missing from the print: check the mirror's "
-        "pose in rig.json, and the light on that side.": [n for n in SIDES if n in mirrors and n not in visible],
-        "the {} mirror gives light only: its view is not used for the print.": [n for n in mirrors if n not in SIDES],
-    }
-    notes = [remark.format(name) for remark, names in remarks.items() for name in names]
+    not_found = [n for n in SIDES if n in mirrors and n not in visible]
+    light_only = [n for n in mirrors if n not in SIDES]
+    notes = [
+        *(
+            f"the view in the {name} mirror is cut off at the picture's border or the mirror's, "
+            "so that its outline shows less of where the mirror lies: lay the finger in the "
+            "middle, so that the mirror shows all of its pad."
+            for name in cut
+        ),
+        *(
+            f"the view in the {name} mirror is cut off so much that it is left out, and that side "
+            "of the finger is missing from the print: lay the finger in the middle."
+            for name in shape.facts["views_useless"]
+        ),
+        *(
+            f"no finger was found in the {name} mirror, so that that side of it is missing from "
+            "the print: check the mirror's pose in rig.json, and the light on that side."
+            for name in not_found
+        ),
+        *(
+            f"the {name} mirror gives light only: its view is not used for the print."
+            for name in light_only
+        ),
+    ]
     return MirrorViews(tuple(all_views), shape.model, (*map(str, shape.findings), *notes))
 
 
-def _above_crease(mask: BoolArray, small: BoolArray, mean: FloatArray, capture: Capture, binning: int) -> BoolArray:
+def _above_crease(
+    mask: BoolArray, small: BoolArray, mean: FloatArray, capture: Capture, binning: int
+) -> BoolArray:
     """The front's mask without what lies beyond the finger's first crease."""
     upright = find_upright(small, capture.tip_direction_deg or 0.0)
     px_per_mm = capture.rig.camera.px_per_mm / binning
@@ -126,16 +172,24 @@ def _above_crease(mask: BoolArray, small: BoolArray, mean: FloatArray, capture: 
     if not crease.found:
         return mask
     across, along, offset = upright.upright_from_input[1]
-    rows, columns = ((np.arange(side, dtype=np.float32) + 0.5) / binning - 0.5 for side in mask.shape)
+    rows, columns = (
+        (np.arange(side, dtype=np.float32) + 0.5) / binning - 0.5 for side in mask.shape
+    )
     beyond = np.float32(crease.row + BEYOND_CREASE_MM * px_per_mm)
     return np.asarray(mask & (columns * across + rows[:, None] * along + offset < beyond))
 
 
-EDGE_BAND_MM = 0.3  # beside a light's edge it counts for nothing; as far again until it counts in full
+# beside a light's edge it counts for nothing; as far again until it counts in full
+EDGE_BAND_MM = 0.3
 
 
 def view_light(  # noqa: PLR0917
-    rig: Rig, glasses: Sequence[Glass], sight: Sight, heights_mm: FloatArray, grid: Grid, origin_mm: Array
+    rig: Rig,
+    glasses: Sequence[Glass],
+    sight: Sight,
+    heights_mm: FloatArray,
+    grid: Grid,
+    origin_mm: Array,
 ) -> tuple[Rig, FloatArray]:
     """The lights as one view has them: in the frame of the view, its origin moved to that of the
     skin's grid. Light that meets two mirrors one after the other is left out. `rig`: `rig.leds[k]`
@@ -147,8 +201,12 @@ def view_light(  # noqa: PLR0917
     look like a ridge.
     """
     slopes = height_gradients(heights_mm, grid.pitch_mm)
-    normals = sight.turned(np.asarray(grid.view.in_rig(normals_from_gradients(*slopes)), dtype=float))
-    points = sight.to_view(np.stack(grid.view.points(heights_mm), axis=-1).astype(float) + origin_mm)
+    normals = sight.turned(
+        np.asarray(grid.view.in_rig(normals_from_gradients(*slopes)), dtype=float)
+    )
+    points = sight.to_view(
+        np.stack(grid.view.points(heights_mm), axis=-1).astype(float) + origin_mm
+    )
 
     def in_view(led: Led, lit: FloatArray) -> Led:
         """A light of the rig's frame in the view's moved frame, with its shade."""
@@ -219,7 +277,8 @@ class ViewRelief:
     binning: int
     relief_mm: FloatArray  # (h, w) along the skin's normal, NaN outside the finger
     deviation_mm: FloatArray  # (h, w) its standard deviation, NaN outside
-    trust: FloatArray  # (h, w) in [0, 1]: fades out towards grazing slopes and the outline, NaN outside
+    # (h, w) in [0, 1]: fades out towards grazing slopes and the outline, NaN outside
+    trust: FloatArray
     how: str
 
     def sampled(self, sight: Sight, points_mm: Array) -> tuple[FloatArray, FloatArray, FloatArray]:
@@ -240,7 +299,14 @@ _SHAPELET_SCALES = 4
 
 
 def _grid_of(
-    capture: Capture, sight: Sight, mask: BoolArray, chart: Chart, radius_mm: Array, *, view: View, binning: int
+    capture: Capture,
+    sight: Sight,
+    mask: BoolArray,
+    chart: Chart,
+    radius_mm: Array,
+    *,
+    view: View,
+    binning: int,
 ) -> tuple[Grid, Array, float]:
     """The grid of a window's blocks, on the plane of the finger, or of its image in the mirror; its
     origin (3,) in the frame of the view; and the scale of that plane over the pixels'.
@@ -249,7 +315,9 @@ def _grid_of(
     whole = mask[: height * binning, : width * binning].reshape(height, binning, width, binning)
     blocks = largest_component(np.asarray(whole.all(axis=(1, 3))))
     few = (slice(None, None, 4),) * view.x_mm.ndim
-    coarse = heights(sight, chart, radius_mm, replace(view, x_mm=view.x_mm[few], y_mm=view.y_mm[few]))
+    coarse = heights(
+        sight, chart, radius_mm, replace(view, x_mm=view.x_mm[few], y_mm=view.y_mm[few])
+    )
     level = float(np.nanmean(coarse)) if np.isfinite(coarse).any() else 0.0
     origin = np.array([view.x_mm.mean(), view.y_mm.mean(), level])
     nearer = 1.0
@@ -258,7 +326,12 @@ def _grid_of(
         origin = np.array([0.0, 0.0, level])
         nearer = 1.0 - level / view.apex_mm
         apex = view.apex_mm - level
-    cut = bool(blocks[0].any()), bool(blocks[-1].any()), bool(blocks[:, 0].any()), bool(blocks[:, -1].any())
+    cut = (
+        bool(blocks[0].any()),
+        bool(blocks[-1].any()),
+        bool(blocks[:, 0].any()),
+        bool(blocks[:, -1].any()),
+    )
     pitch_mm = capture.rig.camera.pitch_mm * binning * nearer
     x = view.x_mm * nearer - origin[0]
     y = view.y_mm * nearer - origin[1]
@@ -283,12 +356,16 @@ def view_relief(
     binning = max(1, round(WORKING_PITCH_MM / camera.pitch_mm))
     window = bounding_box(mask, round(0.5 * camera.px_per_mm))
     view = view_of(camera, *window, binning=binning)
-    grid, origin, nearer = _grid_of(capture, sight, mask[window], chart, radius_mm, view=view, binning=binning)
+    grid, origin, nearer = _grid_of(
+        capture, sight, mask[window], chart, radius_mm, view=view, binning=binning
+    )
 
     # the smooth finger as the view sees it, and its lights
     factor = max(1, round(COARSE_PITCH_MM / grid.pitch_mm))
     low = coarsen(grid, factor)
-    on_plane = replace(view, x_mm=(low.x_mm + origin[0]) / nearer, y_mm=(low.y_mm + origin[1]) / nearer)
+    on_plane = replace(
+        view, x_mm=(low.x_mm + origin[0]) / nearer, y_mm=(low.y_mm + origin[1]) / nearer
+    )
     height = low.view.along(heights(sight, chart, radius_mm, on_plane) - np.float32(origin[2]))
     known = low.mask & np.isfinite(height)
     low = replace(low, mask=known)
@@ -305,11 +382,15 @@ def view_relief(
 
     # the photographs, on a finer grid where the network needs it
     names = ("red", "green", "blue") if has_colour(white) else ("grey",)
-    images = BandImages(names, linear_channels(white, capture.encoding, names, window, binning), rig)
+    images = BandImages(
+        names, linear_channels(white, capture.encoding, names, window, binning), rig
+    )
     inside = grid.mask
     skin = capture.material == "skin"
     finer = settings.relief == "network" and skin
-    finer = finer and not can_learn(images, grid.pitch_mm) and can_learn(images, grid.pitch_mm / FACTOR)
+    finer = (
+        finer and not can_learn(images, grid.pitch_mm) and can_learn(images, grid.pitch_mm / FACTOR)
+    )
     if finer:
         grid = finer_grid(grid)
         images = finer_images(images)
@@ -329,23 +410,35 @@ def view_relief(
         fields = relief, np.full(grid.shape, UNKNOWN_MM, dtype=np.float32), trust
     else:
         g = _held_normals(images.stack / light.entering, light, smooth, grid, SLOPE_PRIOR)
-        estimate = relief_by_network(features(images, grid, smooth, light, g), grid, smooth, networks.relief)
+        estimate = relief_by_network(
+            features(images, grid, smooth, light, g), grid, smooth, networks.relief
+        )
         fields = estimate.relief_mm, estimate.deviation_mm, estimate.trust * lit
     relief, deviation, trust = map(coarser, fields) if finer else fields
     relief, deviation, trust = (
-        np.where(inside, values, np.nan).astype(np.float32) for values in (relief * facing, deviation * facing, trust)
+        np.where(inside, values, np.nan).astype(np.float32)
+        for values in (relief * facing, deviation * facing, trust)
     )
-    return ViewRelief(window, binning, relief, deviation, trust, "network" if networks else "shapelets")
+    return ViewRelief(
+        window, binning, relief, deviation, trust, "network" if networks else "shapelets"
+    )
 
 
 def _by_shapelets(
-    images: BandImages, grid: Grid, smooth: FloatArray, light: Lighting, trust: FloatArray, *,
+    images: BandImages,
+    grid: Grid,
+    smooth: FloatArray,
+    light: Lighting,
+    trust: FloatArray,
+    *,
     skin: bool,
-) -> FloatArray:  # fmt: skip
+) -> FloatArray:
     """Relief along the line of sight without a network."""
     entering = light.entering if skin else None
     stack = images.stack.mean(axis=0)
-    g = pseudo_normals(stack, images.rig, smooth, grid.mask, light.trust, view=grid.view, entering=entering)
+    g = pseudo_normals(
+        stack, images.rig, smooth, grid.mask, light.trust, view=grid.view, entering=entering
+    )
     normals = g / np.maximum(np.linalg.norm(g, axis=-1, keepdims=True), 1e-9)
     slopes = gradients_from_normals(normals, grid.mask, _MAX_SLOPE)
     shape = height_gradients(smooth, grid.pitch_mm)
@@ -362,7 +455,9 @@ def _by_shapelets(
 # the shape's.
 
 
-def _held_normals(stack: FloatArray, light: Lighting, smooth_mm: FloatArray, grid: Grid, prior: float) -> FloatArray:
+def _held_normals(
+    stack: FloatArray, light: Lighting, smooth_mm: FloatArray, grid: Grid, prior: float
+) -> FloatArray:
     """(C, h, w, 3) brightness times normal: least squares over the lights, slopes held near the
     shape's.
 
@@ -386,7 +481,11 @@ def _held_normals(stack: FloatArray, light: Lighting, smooth_mm: FloatArray, gri
         n = normals[:, rows][:, here].astype(float)  # (3, n)
         across = np.eye(3)[:, :, None] - n[:, None] * n[None]
         hold = prior * np.maximum(w.sum(axis=0), 1e-3) / count
-        matrix = np.einsum("ln,lin,ljn->nij", w, v, v) + np.moveaxis(hold * across, -1, 0) + 1e-6 * np.eye(3)
+        matrix = (
+            np.einsum("ln,lin,ljn->nij", w, v, v)
+            + np.moveaxis(hold * across, -1, 0)
+            + 1e-6 * np.eye(3)
+        )
         right = np.einsum("ln,cln,lin->nic", w, stack[:, :, rows][:, :, here].astype(float), v)
         solved = np.linalg.solve(matrix, right)  # (n, 3, C)
         for c in range(channels):

@@ -22,7 +22,9 @@ FRONT = Sight("front", CAMERA)
 
 
 def capsule_chart(pitch: float = 0.25) -> Chart:
-    return Chart(np.zeros(3), np.eye(3), _angles(170.0, A, pitch), _lengths(-14.0, 10.0, pitch), CAP)
+    return Chart(
+        np.zeros(3), np.eye(3), _angles(170.0, A, pitch), _lengths(-14.0, 10.0, pitch), CAP
+    )
 
 
 def capsule_radius(chart: Chart) -> np.ndarray:
@@ -35,7 +37,9 @@ def capsule_radius(chart: Chart) -> np.ndarray:
 def test_points_are_found_where_they_were_put() -> None:
     turn = np.linalg.qr(np.random.default_rng(1).normal(size=(3, 3)))[0]
     axes = turn * np.sign(np.linalg.det(turn))
-    chart = Chart(np.array([3.0, -2.0, 1.0]), axes, _angles(120.0, 8.0, 0.5), _lengths(-12.0, 9.0, 0.5), 8.0)
+    chart = Chart(
+        np.array([3.0, -2.0, 1.0]), axes, _angles(120.0, 8.0, 0.5), _lengths(-12.0, 9.0, 0.5), 8.0
+    )
     radius = np.random.default_rng(0).uniform(5, 8, chart.shape)
     angle, length, distance = chart.locate(chart.points(radius))
     assert np.allclose(angle, chart.angle_rad[None], atol=1e-9)
@@ -49,7 +53,11 @@ def test_points_are_found_where_they_were_put() -> None:
 def test_normals_point_outwards() -> None:
     chart = capsule_chart()
     points = chart.points(capsule_radius(chart))
-    expected = points / np.array([A, CAP, B]) ** 2 * np.where(points[..., 1:2] > 0, 1.0, np.array([1.0, 0.0, 1.0]))
+    expected = (
+        points
+        / np.array([A, CAP, B]) ** 2
+        * np.where(points[..., 1:2] > 0, 1.0, np.array([1.0, 0.0, 1.0]))
+    )
     expected /= np.linalg.norm(expected, axis=-1, keepdims=True)
     assert np.abs(surface_normals(points) - expected)[2:-2, 2:-2].max() < 0.02
 
@@ -86,13 +94,18 @@ def test_the_front_sees_the_top_and_the_mirror_the_side() -> None:
 
 
 @pytest.mark.parametrize("distortion", [(0.0,) * 5, (-0.15, 0.0, 0.0, 0.0, 0.0)])
-def test_spreading_rays_meet_the_finger_where_their_pixels_show_it(distortion: tuple[float, ...]) -> None:
+def test_spreading_rays_meet_the_finger_where_their_pixels_show_it(
+    distortion: tuple[float, ...],
+) -> None:
     chart = capsule_chart()
     radius = capsule_radius(chart)
     focal = 12.0 * 140.0
     matrix = np.array([[focal, 0.0, 449.5], [0.0, focal, 209.5], [0.0, 0.0, 1.0]])
     camera = Camera(12.0, (420, 900), 140.0, "perspective", matrix, distortion)
-    for sight, columns in ((replace(FRONT, camera=camera), (380, 520)), (replace(RIGHT, camera=camera), (690, 802))):
+    for sight, columns in (
+        (replace(FRONT, camera=camera), (380, 520)),
+        (replace(RIGHT, camera=camera), (690, 802)),
+    ):
         window = slice(180, 300), slice(*columns)
         view = view_of(camera, *window, binning=4)
         z = heights(sight, chart, radius, view)
@@ -100,7 +113,12 @@ def test_spreading_rays_meet_the_finger_where_their_pixels_show_it(distortion: t
         assert met.mean() > 0.7
         points = sight.to_view(np.stack(view.points(np.nan_to_num(z)), axis=-1).astype(np.float64))
         x, y, depth = np.moveaxis(points[met], -1, 0)
-        assert np.abs(np.sqrt((x / A) ** 2 + (np.maximum(y, 0) / CAP) ** 2 + (depth / B) ** 2) - 1).max() < 0.01
+        assert (
+            np.abs(
+                np.sqrt((x / A) ** 2 + (np.maximum(y, 0) / CAP) ** 2 + (depth / B) ** 2) - 1
+            ).max()
+            < 0.01
+        )
         column, row = sight.pixels(points)
         at = np.meshgrid(np.arange(columns[0], columns[1], 4) + 1.5, np.arange(180, 300, 4) + 1.5)
         assert np.abs(column - at[0])[met].max() < 0.02
@@ -126,6 +144,7 @@ def test_a_shade_is_read_along_the_rays_of_a_lens() -> None:
     led = Led("white", position_mm=(0.0, 0.0, 140.0))
     points = view.points(z.astype(np.float32))
     bare, shaded = (
-        light_vectors_at(Rig(camera, (one,), {}), *points) for one in (led, replace(led, shade=shade_of(lit, view)))
+        light_vectors_at(Rig(camera, (one,), {}), *points)
+        for one in (led, replace(led, shade=shade_of(lit, view)))
     )
     assert np.abs(shaded - lit * bare)[..., 2:-2, 2:-2].max() < 0.01

@@ -33,19 +33,28 @@ def test_the_ridge_band_has_no_mean() -> None:
 
 
 def cylinder(radius: float) -> tuple[Chart, np.ndarray]:
-    chart = Chart(np.array([0.0, 0.0, -7.0]), np.eye(3), _angles(100.0, 7.0, 0.1), _lengths(-14.0, 0.0, 0.1), 7.0)
+    chart = Chart(
+        np.array([0.0, 0.0, -7.0]),
+        np.eye(3),
+        _angles(100.0, 7.0, 0.1),
+        _lengths(-14.0, 0.0, 0.1),
+        7.0,
+    )
     return chart, np.full(chart.shape, radius)
 
 
 def bulged(chart: Chart, more: float, texture_seed: int = 3) -> tuple[np.ndarray, ...]:
-    """Ridges of front and mirror on a chart of radius 7, of a finger that bulges by `more` between front and side."""
+    """Ridges of front and mirror on a chart of radius 7, of a finger that bulges by `more` between
+    front and side."""
     fine = np.linspace(0.0, np.pi / 2, 4001)
     radius = 7.0 + more * np.sin(2 * fine) ** 2
     angle = np.clip(chart.angle_rad, 0.0, np.pi / 2)
     in_front = np.interp(7.0 * np.sin(angle), radius * np.sin(fine), fine)
     in_mirror = np.interp(-7.0 * np.cos(angle), -radius * np.cos(fine), fine)
     texture = ridges((chart.shape[0], 600), texture_seed)
-    column, row = np.meshgrid(np.arange(chart.shape[1]), np.arange(chart.shape[0], dtype=np.float32))
+    column, row = np.meshgrid(
+        np.arange(chart.shape[1]), np.arange(chart.shape[0], dtype=np.float32)
+    )
     views = []
     for seen in (in_front, in_mirror):
         place = (seen * 7.0 / 0.1)[column].astype(np.float32)
@@ -55,6 +64,7 @@ def bulged(chart: Chart, more: float, texture_seed: int = 3) -> tuple[np.ndarray
     return views[0] * both, views[1] * both, both, np.interp(angle, fine, radius) - 7.0
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("more", [0.3, -0.25])
 def test_a_bulge_is_told_from_the_ridges(more: float) -> None:
     chart, radius = cylinder(7.0)
@@ -75,7 +85,8 @@ def test_a_bulge_is_told_from_the_ridges(more: float) -> None:
 def test_what_the_search_leaves_is_taken_up_smoothly() -> None:
     chart, radius = cylinder(7.0)
     first, second, both, truth = bulged(chart, 0.04)
-    # a left mirror's ridges lie where they should: what bends the right side must leave that side alone
+    # a left mirror's ridges lie where they should: what bends the right side must leave that side
+    # alone
     left = Sight("left", CAMERA, Plane(PLANE.point_mm * [-1, 1, 1], LEAN * [-1, 1, 1]))
     there = np.ascontiguousarray(both[:, ::-1])
     calm = ridges(chart.shape, 11) * there
@@ -93,7 +104,8 @@ def test_what_the_search_leaves_is_taken_up_smoothly() -> None:
     # with one mirror the side that it does not show stays as it is
     alone = align(chart, radius, ViewRidges(FRONT, first, both), (ViewRidges(RIGHT, second, both),))
     assert np.abs(alone.radius_mm[:, np.rad2deg(chart.angle_rad) < -25]).max() < 0.003
-    # ridges that lie along the finger beside the front's are the mirror's turn, of that mirror alone
+    # ridges that lie along the finger beside the front's are the mirror's turn, of that mirror
+    # alone
     lower = np.roll(second, 1, axis=0) * both
     turned = align(
         chart,
@@ -104,7 +116,10 @@ def test_what_the_search_leaves_is_taken_up_smoothly() -> None:
     assert abs(turned.poses[1][1]) > 5 * abs(turned.poses[0][1])
     few = np.zeros_like(both)
     assert (
-        align(chart, radius, ViewRidges(FRONT, first, both), (ViewRidges(RIGHT, second, few),)).radius_mm.max() == 0.0
+        align(
+            chart, radius, ViewRidges(FRONT, first, both), (ViewRidges(RIGHT, second, few),)
+        ).radius_mm.max()
+        == 0.0
     )
 
 
@@ -117,7 +132,8 @@ def test_ridges_move_as_surface_and_mirror_do() -> None:
     front, no_pose = _shifts_by(FRONT, points[at], rays[at], steps)
     mirror, by_pose = _shifts_by(RIGHT, points[at], rays[at], steps)
     column_mm = np.linalg.norm(steps[0])
-    # at 45 deg a surface that rises by 1 mm moves what the front shows by 1 mm towards the side, the mirror's back
+    # at 45 deg a surface that rises by 1 mm moves what the front shows by 1 mm towards the side,
+    # the mirror's back
     assert front[0] * column_mm == pytest.approx([1.0, 0.0], abs=0.02)
     assert mirror[0] * column_mm == pytest.approx([-1.0, 0.0], abs=0.02)
     assert not no_pose.any()
@@ -130,7 +146,12 @@ def test_views_fade_into_each_other() -> None:
     normals = surface_normals(points)
     known = np.ones(chart.shape, dtype=bool)
     deviation = np.full(chart.shape, 0.004, np.float32)
-    weights = np.stack([_view_weight(sight.cosine(normals, points), known, deviation, 0.1) for sight in (FRONT, RIGHT)])
+    weights = np.stack(
+        [
+            _view_weight(sight.cosine(normals, points), known, deviation, 0.1)
+            for sight in (FRONT, RIGHT)
+        ]
+    )
     degrees = np.rad2deg(chart.angle_rad)
     assert not weights[0][:, np.abs(degrees) > STEEPEST_DEG].any()
     assert not weights[1][:, degrees < 90 - STEEPEST_DEG].any()

@@ -1,4 +1,5 @@
-"""Camera calibration from views of one checkerboard: what is fitted, what is rejected, what views cannot determine."""
+"""Camera calibration from views of one checkerboard: what is fitted, what is rejected, what views
+cannot determine."""
 
 from __future__ import annotations
 
@@ -18,15 +19,19 @@ TERMS = ("k1", "k2", "p1", "p2", "k3")  # coefficients of the distortion, in Ope
 _STEPS: tuple[tuple[str, ...], ...] = (("k1",), ("k2",), ("p1", "p2"), ("k3",))
 """Terms are tried in this order, each beside those that were kept; k3 only beside k2."""
 _UNDETERMINED = (
-    "the photographs do not determine the camera (no camera fits them, as when all boards lie parallel to the sensor); "
-    "tilt the board by 20 to 40 deg to several sides, and let it fill the picture."
+    "the photographs do not determine the camera (no camera fits them, as when all boards lie"
+    " parallel to the sensor); tilt the board by 20 to 40 deg to several sides, and let it fill the"
+    " picture."
 )
 _LONGEST = 40.0  # focal lengths above this many image sides are the sign of a fit that ran away
-_SIGNIFICANCE = 4.0  # a term is kept where it differs from nothing by more than this many standard deviations
+# a term is kept where it differs from nothing by more than this many standard deviations
+_SIGNIFICANCE = 4.0
 _PRINCIPAL_LIMIT = 0.05
-"""The principal point is held in the image's middle where its standard deviation exceeds this part of the image."""
+"""The principal point is held in the image's middle where its standard deviation exceeds this part
+of the image."""
 _GROSS_ASPECT = 0.015
-"""A ratio of the focal lengths that differs by more from one is kept before any distortion is tried."""
+"""A ratio of the focal lengths that differs by more from one is kept before any distortion is
+tried."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -39,7 +44,8 @@ class _LensFit:
     deviations: dict[str, float]
     rms_px: float  # root of the mean squared distance between corners and their prediction
     view_rms_px: Array  # (V,) the same for each view
-    # (V, 3) unit normals of the boards in the camera's frame (x right, y down, z away), towards the camera
+    # (V, 3) unit normals of the boards in the camera's frame (x right, y down, z away), towards the
+    # camera
     normals: Array
     fitted: tuple[str, ...]  # what was fitted beside the focal length
     fixed: Mapping[str, str] = field(default_factory=dict)  # what was held, and why
@@ -53,13 +59,14 @@ class _Views:
 
 
 def fit_lens(board_mm: Any, corner_sets: Sequence[Any], image_size: tuple[int, int]) -> _LensFit:
-    """Fit matrix and distortion to `corner_sets`, V arrays (N, 2) of columns and rows of the corners `board_mm` (N, 2).
-    Square pixels and no distortion come first; k1, k2, (p1, p2), k3 and the ratio of the focal lengths are added in
-    turn, each kept only if it differs from zero by more than `_SIGNIFICANCE` of its standard deviations. An
-    undetermined principal point is held at the image's middle. The focal length's standard deviation is the larger one
-    of the fit's and of fits with other lengths held. Raises BadInput if the views determine no camera. Source: Z.
-    Zhang, "A flexible new technique for camera calibration", IEEE TPAMI 22(11), 2000; terms and deviations as in
-    OpenCV's ``calibrateCameraExtended``.
+    """Fit matrix and distortion to `corner_sets`, V arrays (N, 2) of columns and rows of the
+    corners `board_mm` (N, 2). Square pixels and no distortion come first; k1, k2, (p1, p2), k3 and
+    the ratio of the focal lengths are added in turn, each kept only if it differs from zero by more
+    than `_SIGNIFICANCE` of its standard deviations. An undetermined principal point is held at the
+    image's middle. The focal length's standard deviation is the larger one of the fit's and of fits
+    with other lengths held. Raises BadInput if the views determine no camera. Source: Z. Zhang, "A
+    flexible new technique for camera calibration", IEEE TPAMI 22(11), 2000; terms and deviations as
+    in OpenCV's ``calibrateCameraExtended``.
     """
     board = np.asarray(board_mm, dtype=np.float64)
     flat = np.column_stack([board, np.zeros(len(board))]).astype(np.float32)
@@ -68,8 +75,13 @@ def fit_lens(board_mm: Any, corner_sets: Sequence[Any], image_size: tuple[int, i
     kept: tuple[str, ...] = ("cx", "cy")
     fixed: dict[str, str] = {}
     best = _fit(views, kept)
-    if (off := max(best.deviations["cx"], best.deviations["cy"])) > _PRINCIPAL_LIMIT * max(image_size):
-        words = f"{off:.0f} px of standard deviation are too much; it was held in the middle of the image"
+    if (off := max(best.deviations["cx"], best.deviations["cy"])) > _PRINCIPAL_LIMIT * max(
+        image_size
+    ):
+        words = (
+            f"{off:.0f} px of standard deviation are too much; it was held in the middle of the"
+            " image"
+        )
         fixed["principal point"], kept = words, ()
         best = _fit(views, kept)
     for step in (("aspect",), *_STEPS, ("aspect",)):
@@ -86,19 +98,35 @@ def fit_lens(board_mm: Any, corner_sets: Sequence[Any], image_size: tuple[int, i
         values = dict(zip(TERMS, trial.distortion, strict=True))
         values["aspect"] = trial.matrix[0, 0] / trial.matrix[1, 1] - 1
         # a fit with it lowers the sum of squares by variance * (value / deviation)^2
-        deviations = {**trial.deviations, "aspect": abs(values["aspect"]) / _root_rise(best, trial, views)}
+        deviations = {
+            **trial.deviations,
+            "aspect": abs(values["aspect"]) / _root_rise(best, trial, views),
+        }
         ratio = max(abs(values[term]) / max(deviations[term], 1e-300) for term in step)
-        gross = step != ("aspect",) or abs(values["aspect"]) > _GROSS_ASPECT or "k1" in fixed or "k1" in kept
+        gross = (
+            step != ("aspect",)
+            or abs(values["aspect"]) > _GROSS_ASPECT
+            or "k1" in fixed
+            or "k1" in kept
+        )
         if ratio > _SIGNIFICANCE and gross:
             kept, best = kept + step, trial
             fixed.pop(_called(step), None)
         elif step == ("aspect",):
-            fixed[_called(step)] = f"1: it differs by {values['aspect']:.1e} +- {deviations['aspect']:.1e} only"
+            fixed[_called(step)] = (
+                f"1: it differs by {values['aspect']:.1e} +- {deviations['aspect']:.1e} only"
+            )
         else:
-            estimate = " and ".join(f"{values[term]:.2g} +- {deviations[term]:.2g}" for term in step)
+            estimate = " and ".join(
+                f"{values[term]:.2g} +- {deviations[term]:.2g}" for term in step
+            )
             fixed[_called(step)] = f"0: the photographs give {estimate}"
     best.deviations.update(_focal_deviations(views, kept, best))
-    return replace(best, fitted=tuple(term for term in (*TERMS, "cx", "cy", "aspect") if term in kept), fixed=fixed)
+    return replace(
+        best,
+        fitted=tuple(term for term in (*TERMS, "cx", "cy", "aspect") if term in kept),
+        fixed=fixed,
+    )
 
 
 def _fit(views: _Views, kept: tuple[str, ...], start: _LensFit | None = None) -> _LensFit:
@@ -107,7 +135,9 @@ def _fit(views: _Views, kept: tuple[str, ...], start: _LensFit | None = None) ->
     columns, rows = views.size
     matrix = np.eye(3) if start is None else start.matrix.copy()
     if start is None and "cx" not in kept:
-        matrix = np.asarray(cv2.initCameraMatrix2D(views.boards, views.corners, views.size, 1.0), dtype=np.float64)
+        matrix = np.asarray(
+            cv2.initCameraMatrix2D(views.boards, views.corners, views.size, 1.0), dtype=np.float64
+        )
         if not (np.isfinite(matrix).all() and matrix[0, 0] > 0):
             matrix = np.diag([2.0 * max(views.size)] * 2 + [1.0])
     if start is not None or "cx" not in kept:
@@ -118,14 +148,23 @@ def _fit(views: _Views, kept: tuple[str, ...], start: _LensFit | None = None) ->
     criteria = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 60, 1e-7)
     try:
         rms, fitted, lens, turns, _, deviations, _, view_rms = cv2.calibrateCameraExtended(
-            views.boards, views.corners, views.size, matrix, distortion, flags=flags, criteria=criteria
+            views.boards,
+            views.corners,
+            views.size,
+            matrix,
+            distortion,
+            flags=flags,
+            criteria=criteria,
         )
     except cv2.error as error:
         raise BadInput(_UNDETERMINED) from error
     matrix = np.asarray(fitted, dtype=np.float64)
     focal_px = np.diag(matrix)[:2]
     sound = np.isfinite(matrix).all() and np.isfinite(deviations).all()
-    require(bool(sound and focal_px.min() > 0 and focal_px.max() < _LONGEST * max(views.size)), _UNDETERMINED)
+    require(
+        bool(sound and focal_px.min() > 0 and focal_px.max() < _LONGEST * max(views.size)),
+        _UNDETERMINED,
+    )
     names = ("fx", "fy", "cx", "cy", *TERMS)
     spread = dict(zip(names, deviations.ravel()[: len(names)].tolist(), strict=True))
     if "aspect" not in kept:
@@ -134,13 +173,23 @@ def _fit(views: _Views, kept: tuple[str, ...], start: _LensFit | None = None) ->
     normals *= np.where(normals[:, 2:] > 0, -1.0, 1.0)
     spread = {name: value for name, value in spread.items() if name in (*kept, "fx", "fy")}
     terms = tuple(lens.ravel()[:5].tolist())
-    return _LensFit(matrix, terms, spread, float(rms), np.asarray(view_rms, dtype=np.float64).ravel(), normals, kept)
+    return _LensFit(
+        matrix,
+        terms,
+        spread,
+        float(rms),
+        np.asarray(view_rms, dtype=np.float64).ravel(),
+        normals,
+        kept,
+    )
 
 
 def _root_rise(held: _LensFit, free: _LensFit, views: _Views) -> float:
     """Root of what holding a value adds to the sum of squares, in variances of a coordinate."""
     coordinates = 2 * len(views.corners) * len(views.boards[0])
-    return float(np.sqrt(coordinates * max(held.rms_px**2 / max(free.rms_px, 1e-12) ** 2 - 1, 1e-12)))
+    return float(
+        np.sqrt(coordinates * max(held.rms_px**2 / max(free.rms_px, 1e-12) ** 2 - 1, 1e-12))
+    )
 
 
 def _focal_deviations(views: _Views, kept: tuple[str, ...], best: _LensFit) -> dict[str, float]:
@@ -178,8 +227,10 @@ _OUTLIER_RATIO = 1.6
 """A view is rejected if its error exceeds the median by this factor ..."""
 _OUTLIER_SPREAD = 5.0
 """... and by this many times the robust spread of all errors."""
-_SAME_PX = 0.3  # views whose corners differ by less than this (rms) are one view, photographed twice
-_MAX_FOCAL_ERROR = 0.01  # relative standard deviation of the focal length from which views are refused
+# views whose corners differ by less than this (rms) are one view, photographed twice
+_SAME_PX = 0.3
+# relative standard deviation of the focal length from which views are refused
+_MAX_FOCAL_ERROR = 0.01
 _FOCAL_WARNED = 0.003  # the same, from which there is a warning
 _MAX_ASPECT = 0.02  # difference of fx / fy from one that is refused: sensors have square pixels
 _MIN_VARIETY_DEG = 10.0  # views should hold boards whose normals differ by more than this
@@ -192,8 +243,10 @@ class CameraCalibration:
 
     lens: _LensFit
     image_size: tuple[int, int]  # rows, columns
-    used: tuple[str, ...]  # names of the views that were fitted; `lens.view_rms_px` is in their order
-    rejected: dict[str, float]  # views with too large an error: that error in pixels, when it was rejected
+    # names of the views that were fitted; `lens.view_rms_px` is in their order
+    used: tuple[str, ...]
+    # views with too large an error: that error in pixels, when it was rejected
+    rejected: dict[str, float]
     repeated: dict[str, str]  # views that show the same as another, and that other
     tilts_deg: Array  # (V,) angle between each board and the sensor
     variety_deg: float  # largest angle between two boards
@@ -202,13 +255,17 @@ class CameraCalibration:
 
 
 def fit_camera(
-    corner_sets: Sequence[Any], board: Board, image_size: tuple[int, int], names: Sequence[str] | None = None
+    corner_sets: Sequence[Any],
+    board: Board,
+    image_size: tuple[int, int],
+    names: Sequence[str] | None = None,
 ) -> CameraCalibration:
-    """Calibrate a camera by Zhang's method from `corner_sets`: V arrays (N, 2), column and row of the board's corners
-    in the order of `board.points_mm`; `names` are for messages. Views whose error is 5 robust standard deviations
-    (1.4826 times the median absolute deviation) above the median, and 1.6 times it, are taken out, the worst first.
-    Raises BadInput if too few views remain, or they do not determine the focal length, as boards parallel to the sensor
-    do not (section 4).
+    """Calibrate a camera by Zhang's method from `corner_sets`: V arrays (N, 2), column and row of
+    the board's corners in the order of `board.points_mm`; `names` are for messages. Views whose
+    error is 5 robust standard deviations (1.4826 times the median absolute deviation) above the
+    median, and 1.6 times it, are taken out, the worst first. Raises BadInput if too few views
+    remain, or they do not determine the focal length, as boards parallel to the sensor do not
+    (section 4).
     """
     views = [np.asarray(corners, dtype=np.float64) for corners in corner_sets]
     names = list(names) if names is not None else [f"view {k}" for k in range(len(views))]
@@ -219,23 +276,34 @@ def fit_camera(
         lens = fit_lens(board.points_mm, [views[k] for k in kept], image_size)
         worst, middle = int(np.argmax(lens.view_rms_px)), float(np.median(lens.view_rms_px))
         spread = 1.4826 * float(np.median(np.abs(lens.view_rms_px - middle)))
-        if not lens.view_rms_px[worst] > max(middle + _OUTLIER_SPREAD * spread, _OUTLIER_RATIO * middle):
+        if not lens.view_rms_px[worst] > max(
+            middle + _OUTLIER_SPREAD * spread, _OUTLIER_RATIO * middle
+        ):
             break
         rejected[names[kept[worst]]] = float(lens.view_rms_px[worst])
         del kept[worst]
         removed = ", ".join(f"{name} ({error:.2f} px)" for name, error in rejected.items())
-        _require_enough(len(kept), len(views), f" (the error of {removed} is far above the others')")
+        _require_enough(
+            len(kept), len(views), f" (the error of {removed} is far above the others')"
+        )
     tilts = np.degrees(np.arccos(np.clip(-lens.normals[:, 2], -1, 1)))
     variety = float(np.degrees(np.arccos(np.clip(lens.normals @ lens.normals.T, -1, 1)).max()))
     # Part of the picture, in an 8 x 8 grid, that holds a corner or lies between ones that do
-    places = np.clip(np.concatenate([views[k] for k in kept])[:, ::-1] * 8 / image_size, 0, 7).astype(int)
+    places = np.clip(
+        np.concatenate([views[k] for k in kept])[:, ::-1] * 8 / image_size, 0, 7
+    ).astype(int)
     cells = np.zeros((8, 8), dtype=bool)
     cells[tuple(places.T)] = True
-    across = np.maximum.accumulate(cells, axis=1) & np.maximum.accumulate(cells[:, ::-1], axis=1)[:, ::-1]
+    across = (
+        np.maximum.accumulate(cells, axis=1)
+        & np.maximum.accumulate(cells[:, ::-1], axis=1)[:, ::-1]
+    )
     coverage = float(across.mean())
     warnings = _judged(lens, tilts, variety, coverage)
     used = tuple(names[k] for k in kept)
-    return CameraCalibration(lens, image_size, used, rejected, repeated, tilts, variety, coverage, warnings)
+    return CameraCalibration(
+        lens, image_size, used, rejected, repeated, tilts, variety, coverage, warnings
+    )
 
 
 def _without_repeats(views: list[Array], names: list[str]) -> tuple[list[int], dict[str, str]]:
@@ -257,8 +325,8 @@ def _without_repeats(views: list[Array], names: list[str]) -> tuple[list[int], d
 def _require_enough(count: int, total: int, why: str) -> None:
     require(
         count >= _MIN_VIEWS,
-        f"only {count} of {total} photographs of the board can be used{why}, but {_MIN_VIEWS} are needed "
-        "and 15 are advised; take more, the board tilted differently in each.",
+        f"only {count} of {total} photographs of the board can be used{why}, but {_MIN_VIEWS} are"
+        " needed and 15 are advised; take more, the board tilted differently in each.",
     )
 
 
@@ -267,32 +335,40 @@ def _judged(lens: _LensFit, tilts: Array, variety: float, coverage: float) -> tu
     ratio = float(lens.matrix[0, 0] / lens.matrix[1, 1])
     require(
         abs(ratio - 1) < _MAX_ASPECT,
-        f"the pixels come out as no squares (fx / fy = {ratio:.3f}): the photographs were stretched, or the printed "
-        "squares are none; measure the print along both sides, and use the camera's own images.",
+        f"the pixels come out as no squares (fx / fy = {ratio:.3f}): the photographs were"
+        " stretched, or the printed squares are none; measure the print along both sides, and use"
+        " the camera's own images.",
     )
     relative = lens.deviations["fx"] / lens.matrix[0, 0]
-    tilted = f"the boards' tilts are {tilts.min():.0f} to {tilts.max():.0f} deg, {variety:.0f} deg apart at most"
+    tilted = (
+        f"the boards' tilts are {tilts.min():.0f} to {tilts.max():.0f} deg, {variety:.0f} deg apart"
+        " at most"
+    )
     remedy = "tilt the board by 20 to 40 deg to several sides"
     if relative > _MAX_FOCAL_ERROR:
         if variety < _MIN_VARIETY_DEG:
             raise BadInput(
-                f"the boards all lie nearly parallel ({tilted}); then focal length and distance cannot be separated "
-                f"(the focal length is uncertain by {100 * relative:.1f} %); {remedy}."
+                f"the boards all lie nearly parallel ({tilted}); then focal length and distance"
+                f" cannot be separated (the focal length is uncertain by {100 * relative:.1f} %);"
+                f" {remedy}."
             )
         raise BadInput(
-            f"the photographs leave the focal length uncertain by {100 * relative:.1f} % ({tilted}; the corners miss "
-            f"their places by {lens.rms_px:.2f} px); {remedy}, let it fill the picture, and hold it still."
+            f"the photographs leave the focal length uncertain by {100 * relative:.1f} % ({tilted};"
+            f" the corners miss their places by {lens.rms_px:.2f} px); {remedy}, let it fill the"
+            " picture, and hold it still."
         )
     warnings = []
     if relative > _FOCAL_WARNED:
-        warnings.append(f"the focal length is uncertain by {100 * relative:.2f} % ({tilted}); {remedy}.")
+        warnings.append(
+            f"the focal length is uncertain by {100 * relative:.2f} % ({tilted}); {remedy}."
+        )
     elif variety < _MIN_VARIETY_DEG:
         warnings.append(f"the boards lie nearly parallel ({tilted}); {remedy}.")
     if "principal point" in lens.fixed:
         warnings.append(f"the principal point is not determined ({lens.fixed['principal point']}).")
     if coverage < _MIN_COVERAGE:
         warnings.append(
-            f"the boards cover {100 * coverage:.0f} % of the picture; outside them the distortion is a guess: "
-            "let the board reach into every corner."
+            f"the boards cover {100 * coverage:.0f} % of the picture; outside them the distortion"
+            " is a guess: let the board reach into every corner."
         )
     return tuple(warnings)

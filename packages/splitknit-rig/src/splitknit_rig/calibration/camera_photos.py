@@ -57,7 +57,11 @@ class MeasuredCamera:
     def facts(self) -> dict[str, Any]:
         """All that was measured, as plain JSON."""
         camera = self.camera
-        lens = ["camera.matrix", "camera.distortion", "camera.image_size"] if self.fit is not None else []
+        lens = (
+            ["camera.matrix", "camera.distortion", "camera.image_size"]
+            if self.fit is not None
+            else []
+        )
         plane = ["camera.px_per_mm", "camera.height_mm"]
         leds = ["leds"] if self.leds_nominal else []
         return {
@@ -92,10 +96,12 @@ def calibrate_to_rig(
     calibrated_at: str | None = None,
     progress: Progress = no_progress,
 ) -> MeasuredCamera:
-    """Calibrate, and write the rig file; BadInput names the file or argument at fault, and nothing is written then."""
+    """Calibrate, and write the rig file; BadInput names the file or argument at fault, and nothing
+    is written then."""
     require(
         folder is not None or len(plane) > 0,
-        "give a FOLDER of photographs of a checkerboard, or `plane`: there is nothing to calibrate from.",
+        "give a FOLDER of photographs of a checkerboard, or `plane`: there is nothing to calibrate"
+        " from.",
     )
     check_rig_file(out)
     base = read_rig(rig) if rig is not None else None
@@ -108,14 +114,16 @@ def calibrate_to_rig(
             photos, folder, files, board, lambda part: progress("finding corners", 0.85 * part)
         )
         progress("fitting", 0.86)
-        fit = naming(folder, partial(fit_camera, list(corners.values()), board, photos.size, list(corners)))
+        fit = naming(
+            folder, partial(fit_camera, list(corners.values()), board, photos.size, list(corners))
+        )
     marks = {file.name: _plane_marks(photos, file, board) for file in plane}
     progress("measuring the plane", 0.95)
     nominal = Camera(75.7, photos.size) if base is None else base.camera
     require(
         fit is not None or nominal.model == "perspective",
-        "`plane` alone measures the height of a camera whose lens is known; give FOLDER too, or a `rig` with its "
-        "matrix.",
+        "`plane` alone measures the height of a camera whose lens is known; give FOLDER too, or a"
+        " `rig` with its matrix.",
     )
     lens: dict[str, Any] = {}
     warnings: list[str] = []
@@ -123,7 +131,10 @@ def calibrate_to_rig(
         lens = {"matrix": fit.lens.matrix, "distortion": fit.lens.distortion}
         warnings += fit.warnings
     camera = replace(nominal, model="perspective", image_size=photos.size, **lens)
-    poses = {name: plane_pose(board.points_mm, px, camera.matrix, camera.distortion) for name, px in marks.items()}
+    poses = {
+        name: plane_pose(board.points_mm, px, camera.matrix, camera.distortion)
+        for name, px in marks.items()
+    }
     assert camera.matrix is not None
     focal_px = float(np.sqrt(camera.matrix[0, 0] * camera.matrix[1, 1]))
     pose = mean_pose(list(poses.values()), focal_px) if poses else None
@@ -133,20 +144,29 @@ def calibrate_to_rig(
         remedy = "check the side of the board's squares (`square_mm`)"
         warnings += map(str, CAMERA_HEIGHT.notes(height, remedy))
         if base is not None and not 0.6 < height / nominal.height_mm < 1.6:
-            warnings.append(f"the camera is {height:.0f} mm high, by {rig} {nominal.height_mm:.0f} mm: {remedy}.")
+            warnings.append(
+                f"the camera is {height:.0f} mm high, by {rig} {nominal.height_mm:.0f} mm:"
+                f" {remedy}."
+            )
         warnings += _plane_warnings(camera, poses, pose)
     elif fit is not None:
         warnings.append(
-            f"px_per_mm rests on a height of {height:g} mm that was not measured; photograph the board flat on the "
-            "finger plane (`plane`)."
+            f"px_per_mm rests on a height of {height:g} mm that was not measured; photograph the"
+            " board flat on the finger plane (`plane`)."
         )
     now = calibrated_at or datetime.now(UTC).isoformat(timespec="seconds").replace("+00:00", "Z")
-    measured = MeasuredCamera(out, board, camera, fit, poses, pose, tuple(warnings), now, base is None, boardless)
+    measured = MeasuredCamera(
+        out, board, camera, fit, poses, pose, tuple(warnings), now, base is None, boardless
+    )
     progress("writing", 0.97)
     facts = measured.facts
     stored = {name: facts[name] for name in ("calibrated_at", "measured", "nominal", "warnings")}
     residuals = {"fit": facts["fit"], "plane": facts["plane"]}
-    origin = {**stored, "residuals": residuals, **provenance({"board": facts["board"]}, photos.hashes)}
+    origin = {
+        **stored,
+        "residuals": residuals,
+        **provenance({"board": facts["board"]}, photos.hashes),
+    }
     start = base or Rig(camera, default_rig().leds, {"source": "nominal: the thesis's drawing"})
     write_rig(replace(start, camera=camera, provenance={**start.provenance, "camera": origin}), out)
     return measured
@@ -159,10 +179,15 @@ LEAST = 5
 
 
 def _image_files(folder: Path, pattern: str | None = None) -> list[Path]:
-    """Images in `folder`, in the order that people count, or of its capture folders by a glob `pattern`."""
-    require(folder.is_dir(), f"'{folder}' is not a folder; name the folder of checkerboard photographs.")
+    """Images in `folder`, in the order that people count, or of its capture folders by a glob
+    `pattern`."""
+    require(
+        folder.is_dir(), f"'{folder}' is not a folder; name the folder of checkerboard photographs."
+    )
     levels = "/".join("*" * (1 if pattern is None else 1 + pattern.count("/")))
-    files = [file for file in folder.glob(levels) if file.is_file() and file.suffix.lower() in SUFFIXES]
+    files = [
+        file for file in folder.glob(levels) if file.is_file() and file.suffix.lower() in SUFFIXES
+    ]
     files = [file for file in files if not file.name.startswith(".")]
     count = len(files)
     if pattern is not None:
@@ -172,7 +197,10 @@ def _image_files(folder: Path, pattern: str | None = None) -> list[Path]:
             f"no image in '{folder}' fits the pattern '{pattern}' ({count} images are there); "
             "quote the pattern and compare it with the files' names.",
         )
-    require(bool(files), f"'{folder}' holds no images (PNG, JPEG or TIFF); put the checkerboard photographs there.")
+    require(
+        bool(files),
+        f"'{folder}' holds no images (PNG, JPEG or TIFF); put the checkerboard photographs there.",
+    )
     return sorted(files, key=lambda file: natural_order(_label(file, folder)))
 
 
@@ -203,17 +231,22 @@ class _Photos:
         size, reference = self._expected = self._expected or ((rows, columns), name or file.name)
         require(
             (rows, columns) == size,
-            f"{file} has {rows} x {columns} pixels (rows x columns), but {reference} has {size[0]} x {size[1]}; "
-            "photograph everything with the camera's one setting.",
+            f"{file} has {rows} x {columns} pixels (rows x columns), but {reference} has {size[0]}"
+            f" x {size[1]}; photograph everything with the camera's one setting.",
         )
         self.hashes[name or file.name] = hashlib.sha256(data).hexdigest()
         return pixels
 
 
 def _board_photos(
-    photos: _Photos, folder: Path, files: Sequence[Path], board: Board, progress: Callable[[float], None]
+    photos: _Photos,
+    folder: Path,
+    files: Sequence[Path],
+    board: Board,
+    progress: Callable[[float], None],
 ) -> tuple[dict[str, Array], tuple[str, ...]]:
-    """Corners by name, and photographs without the board; where it is on too few, BadInput names the size they show."""
+    """Corners by name, and photographs without the board; where it is on too few, BadInput names
+    the size they show."""
     corners: dict[str, Array] = {}
     boardless: list[str] = []
     for k, file in enumerate(files):
@@ -228,9 +261,10 @@ def _board_photos(
         named = ", ".join(boardless[:4]) + (" and more" if len(boardless) > 4 else "")
         missing = f" (not in {named})" if boardless else ""
         raise BadInput(
-            f"{folder}: a checkerboard of {board.name} inner corners is in full view in "
-            f"{len(corners)} of {len(files)} photographs{missing}, but {LEAST} are needed and 15 are advised; "
-            "compare `board` with the print (corners where four squares meet), or take more, each tilted differently."
+            f"{folder}: a checkerboard of {board.name} inner corners is in full view in"
+            f" {len(corners)} of {len(files)} photographs{missing}, but {LEAST} are needed and 15"
+            " are advised; compare `board` with the print (corners where four squares meet), or"
+            " take more, each tilted differently."
         )
     return corners, tuple(boardless)
 
@@ -240,18 +274,20 @@ def _plane_marks(photos: _Photos, file: Path, board: Board) -> Array:
     corners = naming(file, partial(find_board, photos.read(file), board))
     if corners is None:
         raise BadInput(
-            f"{file} shows no checkerboard of {board.name} inner corners in full view; "
-            "compare `board` with the print (corners where four squares meet), or lay it flat and evenly lit, and "
-            "photograph it again."
+            f"{file} shows no checkerboard of {board.name} inner corners in full view; compare"
+            " `board` with the print (corners where four squares meet), or lay it flat and evenly"
+            " lit, and photograph it again."
         )
     return corners
 
 
-# What a camera's calibration measured, as facts for programs and as provenance for the rig file; its warnings.
+# What a camera's calibration measured, as facts for programs and as provenance for the rig file;
+# its warnings.
 
 _TILT_LIMIT_DEG = 1.0
 _FINGER_MM = 8.0  # depth of the finger that the camera sees
-_POSES_HEIGHT = 0.003  # photographs of one plane whose heights differ by more (relative) are warned about
+# photographs of one plane whose heights differ by more (relative) are warned about
+_POSES_HEIGHT = 0.003
 _POSES_TILT_DEG = 0.3  # the same of their tilts
 
 
@@ -275,11 +311,15 @@ def _fit_facts(fit: CameraCalibration, boardless: Sequence[str]) -> dict[str, An
     }
 
 
-def _plane_facts(pose: PlanePose, poses: Mapping[str, PlanePose], fit: CameraCalibration | None) -> dict[str, Any]:
+def _plane_facts(
+    pose: PlanePose, poses: Mapping[str, PlanePose], fit: CameraCalibration | None
+) -> dict[str, Any]:
     tilt_deviation = pose.deviations["tilt_deg"]
     if fit is not None:  # an axis that is off by one pixel is off by 1 / f
         axis_px = max(fit.lens.deviations.get("cx", 0.0), fit.lens.deviations.get("cy", 0.0))
-        tilt_deviation = float(np.hypot(tilt_deviation, np.degrees(axis_px / float(fit.lens.matrix[0, 0]))))
+        tilt_deviation = float(
+            np.hypot(tilt_deviation, np.degrees(axis_px / float(fit.lens.matrix[0, 0])))
+        )
     return {
         "height_mm": pose.height_mm,
         "height_mm_deviation": pose.deviations["height_mm"],
@@ -291,7 +331,11 @@ def _plane_facts(pose: PlanePose, poses: Mapping[str, PlanePose], fit: CameraCal
         "normal": pose.normal.tolist(),
         "rms_px": pose.rms_px,
         "per_image": {
-            name: {"height_mm": single.height_mm, "tilt_deg": single.tilt_deg, "rms_px": single.rms_px}
+            name: {
+                "height_mm": single.height_mm,
+                "tilt_deg": single.tilt_deg,
+                "rms_px": single.rms_px,
+            }
             for name, single in poses.items()
         },
     }
@@ -303,22 +347,26 @@ def _plane_warnings(camera: Camera, poses: Mapping[str, PlanePose], pose: PlaneP
         slope = math.tan(math.radians(pose.tilt_deg))
         reach = math.hypot(*camera.image_size) / 2 / camera.px_per_mm
         warnings.append(
-            f"the camera looks on the base obliquely by {pose.tilt_deg:.2f} deg: the picture's corners lie up to "
-            f"{reach * slope:.2f} mm nearer or farther than its middle, which displaces them by "
-            f"{reach**2 * slope / pose.height_mm:.2f} mm, and what stands {_FINGER_MM:g} mm high leans "
-            f"by {_FINGER_MM * slope:.2f} mm; straighten the camera, or put something thin under the base."
+            f"the camera looks on the base obliquely by {pose.tilt_deg:.2f} deg: the picture's"
+            f" corners lie up to {reach * slope:.2f} mm nearer or farther than its middle, which"
+            f" displaces them by {reach**2 * slope / pose.height_mm:.2f} mm, and what stands"
+            f" {_FINGER_MM:g} mm high leans by {_FINGER_MM * slope:.2f} mm; straighten the camera,"
+            " or put something thin under the base."
         )
     heights = [single.height_mm for single in poses.values()]
     turns = [min(1.0, float(single.normal @ pose.normal)) for single in poses.values()]
     apart = float(np.degrees(np.arccos(turns)).max())
     if max(heights) - min(heights) > _POSES_HEIGHT * pose.height_mm or apart > _POSES_TILT_DEG:
-        each = ", ".join(f"{name} {p.height_mm:.2f} mm, {p.tilt_deg:.2f} deg" for name, p in poses.items())
+        each = ", ".join(
+            f"{name} {p.height_mm:.2f} mm, {p.tilt_deg:.2f} deg" for name, p in poses.items()
+        )
         warnings.append(
-            f"the photographs of the finger plane disagree ({each}); the print lay uneven, or its scale is off."
+            f"the photographs of the finger plane disagree ({each}); the print lay uneven, or its"
+            " scale is off."
         )
     if pose.rms_px > max(1.0, 0.01 * camera.px_per_mm):
         warnings.append(
-            f"the marks on the finger plane miss their places by {pose.rms_px:.2f} px: the print is not flat, or its "
-            "marks are not where they should be."
+            f"the marks on the finger plane miss their places by {pose.rms_px:.2f} px: the print is"
+            " not flat, or its marks are not where they should be."
         )
     return warnings

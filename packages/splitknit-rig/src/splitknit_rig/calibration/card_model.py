@@ -1,19 +1,22 @@
-"""A white Lambertian card under a calibrated rig, at any height: as a model, and as one least-squares problem.
+"""A white Lambertian card under a calibrated rig, at any height: as a model, and as one
+least-squares problem.
 
 Pixel p of the image under LED k sees, on a card that lies near the finger plane,
 
     I_k(p) = c S(p) E_k(x) / pi,    E_k(x) = 10^4 i_k cos(theta) cos(beta)^n / d^2,
 
-with the fall-off S of the lens, the card's brightness c, and, from LED k to the point x that the pixel sees, the
-distance d, the angle theta to the card's normal and the angle beta to the LED's axis.
+with the fall-off S of the lens, the card's brightness c, and, from LED k to the point x that the
+pixel sees, the distance d, the angle theta to the card's normal and the angle beta to the LED's
+axis.
 
 In logarithms the model of :mod:`splitknit_rig.calibration.card_model` is a sum,
 
     ln I_k = ln c_k + [place of LED k, known] + n_k ln cos(beta_k) + ln(1 + a r^2 + b r^4),
 
-so that it is linear in the logarithms of the brightnesses c_k and in the exponents n_k. The axis of LED k is its
-direction to the origin, moved by u and v along two vectors across it; the parameters are n u and n v, the slopes of the
-brightness that it makes, in which the model is nearly linear too.
+so that it is linear in the logarithms of the brightnesses c_k and in the exponents n_k. The axis of
+LED k is its direction to the origin, moved by u and v along two vectors across it; the parameters
+are n u and n v, the slopes of the brightness that it makes, in which the model is nearly linear
+too.
 """
 
 from __future__ import annotations
@@ -37,12 +40,20 @@ UNIT_MM2 = 1e4  # an LED of intensity one gives the irradiance one at 100 mm
 class CardPlane:
     """Where a card lies."""
 
-    height_mm: float = 0.0  # z of its surface on the camera's axis: its thickness, if it lies on the finger plane
-    tilt_deg: tuple[float, float] = (0.0, 0.0)  # parts along x and y of its turn against the finger plane, right-handed
+    # z of its surface on the camera's axis: its thickness, if it lies on the finger plane
+    height_mm: float = 0.0
+    # parts along x and y of its turn against the finger plane, right-handed
+    tilt_deg: tuple[float, float] = (0.0, 0.0)
 
     def __post_init__(self) -> None:
-        require(abs(self.height_mm) <= 1000, f"the card's height must be in mm, but it is {self.height_mm:g}.")
-        require(max(abs(t) for t in self.tilt_deg) <= 10, f"the card's tilt is {self.tilt_deg} deg, more than 10.")
+        require(
+            abs(self.height_mm) <= 1000,
+            f"the card's height must be in mm, but it is {self.height_mm:g}.",
+        )
+        require(
+            max(abs(t) for t in self.tilt_deg) <= 10,
+            f"the card's tilt is {self.tilt_deg} deg, more than 10.",
+        )
 
     @property
     def normal(self) -> Array:
@@ -53,19 +64,23 @@ class CardPlane:
         return np.array([fraction * b, -fraction * a, np.cos(angle)])
 
     def points(self, camera: Camera, pixels: Any) -> Array:
-        """Points (N, 3) in mm that `pixels` (N, 2; column, row) see on the card; BadInput unless below the camera."""
+        """Points (N, 3) in mm that `pixels` (N, 2; column, row) see on the card; BadInput unless
+        below the camera."""
         high = f"the card's height, {self.height_mm:g} mm, is not below the camera."
         require(self.height_mm < camera.height_mm, high)
         places = plane_points(camera, pixels)
         x, y, z = self.normal
         if camera.model == "perspective":
-            fraction = z * (camera.height_mm - self.height_mm) / (z * camera.height_mm - places @ (x, y))
+            fraction = (
+                z * (camera.height_mm - self.height_mm) / (z * camera.height_mm - places @ (x, y))
+            )
             return np.column_stack([places * fraction[:, None], camera.height_mm * (1 - fraction)])
         return np.column_stack([places, self.height_mm - places @ (x, y) / z])
 
 
 def _squared_radius(image_size: Sequence[int], pixels: Any) -> Array:
-    """(N,) squared distance of `pixels` from the image's centre over half its diagonal: r^2 of ``Camera.shading``."""
+    """(N,) squared distance of `pixels` from the image's centre over half its diagonal: r^2 of
+    ``Camera.shading``."""
     places = np.asarray(pixels, dtype=np.float64)
     rows, columns = int(image_size[0]), int(image_size[1])
     x, y = places[:, 0] - 0.5 * (columns - 1), places[:, 1] - 0.5 * (rows - 1)
@@ -73,16 +88,21 @@ def _squared_radius(image_size: Sequence[int], pixels: Any) -> Array:
 
 
 def rays_to_led(led: Led, points_mm: Any) -> tuple[Array, Array]:
-    """Unit vectors (N, 3) from points to a near LED, and their distances (N,) in mm; BadInput if the LED is distant."""
-    require(led.position_mm is not None, "a flat field needs LEDs with position_mm; this rig has distant ones.")
+    """Unit vectors (N, 3) from points to a near LED, and their distances (N,) in mm; BadInput if
+    the LED is distant."""
+    require(
+        led.position_mm is not None,
+        "a flat field needs LEDs with position_mm; this rig has distant ones.",
+    )
     away = np.asarray(led.position_mm, dtype=np.float64) - np.asarray(points_mm, dtype=np.float64)
     distance = np.linalg.norm(away, axis=1)
     return away / distance[:, None], distance
 
 
 def card_light(camera: Camera, led: Led, pixels: Any, card: CardPlane | None = None) -> Array:
-    """(N,) brightness at `pixels` (N, 2) of an ideal white card under a near LED, lens included: the flat field. In
-    units of the rig: an LED of intensity one at 100 mm gives a facing card 1 / pi. `card`: on the finger plane if None.
+    """(N,) brightness at `pixels` (N, 2) of an ideal white card under a near LED, lens included:
+    the flat field. In units of the rig: an LED of intensity one at 100 mm gives a facing card 1 /
+    pi. `card`: on the finger plane if None.
     """
     plane = card or CardPlane()
     points = plane.points(camera, pixels)
@@ -107,15 +127,22 @@ class Order:
 
     name: str
     lens: int = 0  # coefficients of the lens's fall-off
-    beam: str = "none"  # exponents of the beams: ``none`` (all zero), ``band`` (one for the LEDs of a band) or ``led``
-    aims: bool = False  # whether every LED has an axis of its own; all point to the origin otherwise
+    # exponents of the beams: ``none`` (all zero), ``band`` (one for the LEDs of a band) or ``led``
+    beam: str = "none"
+    # whether every LED has an axis of its own; all point to the origin otherwise
+    aims: bool = False
 
 
 LADDER = (
     Order("brightness of every LED"),
     Order("brightness of every LED, lens", lens=2),
     Order("brightness of every LED, lens, one beam for each band", lens=2, beam="band"),
-    Order("brightness and aim of every LED, lens, one beam for each band", lens=2, beam="band", aims=True),
+    Order(
+        "brightness and aim of every LED, lens, one beam for each band",
+        lens=2,
+        beam="band",
+        aims=True,
+    ),
     Order("brightness, aim and beam of every LED, lens", lens=2, beam="led", aims=True),
 )
 """From the simplest to the richest; each contains the one before."""
@@ -132,7 +159,8 @@ class Answer:
 
 
 class CardModel:
-    """Geometry of a card under `leds`, seen at `pixels`: everything that does not change while fitting."""
+    """Geometry of a card under `leds`, seen at `pixels`: everything that does not change while
+    fitting."""
 
     def __init__(self, camera: Camera, leds: Sequence[Led], pixels: Array, card: CardPlane) -> None:
         """Prepare what does not depend on the parameters."""
@@ -143,7 +171,8 @@ class CardModel:
         self.band = np.array([names.index(led.band) for led in leds])
         self.frames = np.stack([_frame(led) for led in leds])  # (L, 3, 3): axis, across, across
         self.known = np.empty((self.count, len(pixels)))
-        self.seen = np.empty((self.count, 3, len(pixels)))  # direction from the LED to the point, in its frame
+        # direction from the LED to the point, in its frame
+        self.seen = np.empty((self.count, 3, len(pixels)))
         for k, led in enumerate(leds):
             towards, distance = rays_to_led(led, points)
             self.known[k] = np.log(UNIT_MM2 / np.pi * (towards @ card.normal) / distance**2)
@@ -160,11 +189,14 @@ class CardModel:
         return tuple(range(int(a), int(b)) for a, b in itertools.pairwise(ends))  # type: ignore[return-value]
 
     def vector(self, answer: Answer, order: Order) -> Array:
-        """Parameters of `order` that come closest to `answer`; a beam that is aimed for the first time is not flat."""
+        """Parameters of `order` that come closest to `answer`; a beam that is aimed for the first
+        time is not flat."""
         exponent = np.maximum(answer.exponent, _MIN_EXPONENT if answer.tilt.any() else 1.0)
         parts = [np.log(answer.brightness), answer.lens[: order.lens]]
         if order.beam == "band":
-            parts.append(np.array([exponent[self.band == b].mean() for b in range(self.band.max() + 1)]))
+            parts.append(
+                np.array([exponent[self.band == b].mean() for b in range(self.band.max() + 1)])
+            )
         elif order.beam == "led":
             parts.append(exponent)
         if order.aims:
@@ -174,9 +206,17 @@ class CardModel:
     def answer(self, vector: Array, order: Order) -> Answer:
         """Parameters written out for every LED."""
         light, lens, beams, tilts = (vector[list(part)] for part in self._places(order))
-        exponent = np.zeros(self.count) if order.beam == "none" else beams[self.band] if order.beam == "band" else beams
+        exponent = (
+            np.zeros(self.count)
+            if order.beam == "none"
+            else beams[self.band]
+            if order.beam == "band"
+            else beams
+        )
         tilt = tilts.reshape(-1, 2) / exponent[:, None] if order.aims else np.zeros((self.count, 2))
-        return Answer(np.exp(light), exponent, tilt, np.concatenate([lens, np.zeros(2 - len(lens))]))
+        return Answer(
+            np.exp(light), exponent, tilt, np.concatenate([lens, np.zeros(2 - len(lens))])
+        )
 
     def bounds(self, order: Order) -> tuple[Array, Array]:
         """Least and greatest values: a lens that keeps some light, beams from flat to narrow."""
@@ -187,7 +227,8 @@ class CardModel:
         return low, high
 
     def project(self, vector: Array, order: Order) -> Array:
-        """Nearest parameters that can be: within bounds, and beams narrow enough to be aimed within 35 deg."""
+        """Nearest parameters that can be: within bounds, and beams narrow enough to be aimed within
+        35 deg."""
         moved = np.clip(vector, *self.bounds(order))
         if order.aims:
             _, _, beams, tilts = self._places(order)
@@ -229,12 +270,20 @@ class CardModel:
         return jacobian
 
     def exponents(self, values: Array, order: Order) -> Array:
-        """(L,) what a vector of parameters (or of their errors) implies for each LED's exponent; NaN where nothing."""
+        """(L,) what a vector of parameters (or of their errors) implies for each LED's exponent;
+        NaN where nothing."""
         own = values[list(self._places(order)[2])]
-        return np.full(self.count, np.nan) if order.beam == "none" else own[self.band] if order.beam == "band" else own
+        return (
+            np.full(self.count, np.nan)
+            if order.beam == "none"
+            else own[self.band]
+            if order.beam == "band"
+            else own
+        )
 
     def prior(self, order: Order) -> tuple[Array, Array]:
-        """Middle and inverse width of the prior of every parameter: exponents 5 +- 20, slopes 0 +- 4."""
+        """Middle and inverse width of the prior of every parameter: exponents 5 +- 20, slopes 0 +-
+        4."""
         middle, inverse = np.zeros(self.size(order)), np.zeros(self.size(order))
         _, _, beams, tilts = self._places(order)
         middle[list(beams)], inverse[list(beams)] = 5.0, 1 / 20.0
@@ -257,7 +306,10 @@ class CardModel:
 
 def _frame(led: Led) -> Array:
     """Rows: direction from the LED to the origin, and two unit vectors across it."""
-    require(led.position_mm is not None, "a flat field needs LEDs with position_mm; this rig has distant ones.")
+    require(
+        led.position_mm is not None,
+        "a flat field needs LEDs with position_mm; this rig has distant ones.",
+    )
     axis = -np.asarray(led.position_mm, dtype=np.float64)
     axis /= np.linalg.norm(axis)
     first = np.cross(axis, [0.0, 1.0, 0.0] if abs(axis[1]) < 0.9 else [1.0, 0.0, 0.0])

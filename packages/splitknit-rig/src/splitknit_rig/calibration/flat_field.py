@@ -1,9 +1,11 @@
-"""Flat field: the lens's fall-off and every LED's brightness, beam and aim, from a white card under each LED.
+"""Flat field: the lens's fall-off and every LED's brightness, beam and aim, from a white card under
+each LED.
 
-An image of a card, divided into the images of a finger, is a flat field for the plane of the card alone: a finger's pad
-lies up to a centimetre above it. A model of the light holds at every height and does not carry the card's dust into
-every finger. The lens's fall-off is the same in all images and lies about the image's centre; the inverse square and
-the card's cosine follow from the LEDs' places, which are known; what is left is the beam, which moves with the LED.
+An image of a card, divided into the images of a finger, is a flat field for the plane of the card
+alone: a finger's pad lies up to a centimetre above it. A model of the light holds at every height
+and does not carry the card's dust into every finger. The lens's fall-off is the same in all images
+and lies about the image's centre; the inverse square and the card's cosine follow from the LEDs'
+places, which are known; what is left is the beam, which moves with the LED.
 """
 
 from __future__ import annotations
@@ -18,12 +20,21 @@ from scipy.optimize import least_squares
 from splitknit import Camera, Led
 from splitknit.errors import require
 from splitknit.model import Array, BoolArray
-from splitknit_rig.calibration.card_model import LADDER, Answer, CardModel, CardPlane, Order, rays_to_led
+from splitknit_rig.calibration.card_model import (
+    LADDER,
+    Answer,
+    CardModel,
+    CardPlane,
+    Order,
+    rays_to_led,
+)
 
 # Robust least squares for the model of a white card, by scipy with weights of the card's places.
 #
-# Dust lies on the card: it darkens a place under every LED. What departs under one LED alone is not dust but that LED,
-# and must be fitted, or show in its residuals. So a place is trusted by the median of its residuals over all LEDs.
+# Dust lies on the card: it darkens a place under every LED. What departs under one LED alone is not
+# dust but that LED, and must be fitted, or show in its residuals. So a place is trusted by the
+# median of its residuals
+# over all LEDs.
 
 _STAGES = 10
 
@@ -37,8 +48,11 @@ class _CardFit:
     normal: Array  # (P, P) weighted normal matrix, in units of the robust scale
 
 
-def _fit_order(model: CardModel, start: Answer, order: Order, logarithm: Array, scale: float) -> _CardFit:
-    """Fit `order` to ln (L, N) of the images; `scale`: residual beyond which a place counts less (Cauchy's weights)."""
+def _fit_order(
+    model: CardModel, start: Answer, order: Order, logarithm: Array, scale: float
+) -> _CardFit:
+    """Fit `order` to ln (L, N) of the images; `scale`: residual beyond which a place counts less
+    (Cauchy's weights)."""
     vector, weight = model.project(model.vector(start, order), order), np.ones(logarithm.shape[1])
     middle, inverse = model.prior(order)
 
@@ -52,7 +66,9 @@ def _fit_order(model: CardModel, start: Answer, order: Order, logarithm: Array, 
 
     for _ in range(_STAGES):
         root = np.sqrt(weight) / scale
-        fitted = least_squares(residuals, vector, slopes, model.bounds(order), args=(root,), ftol=1e-7)
+        fitted = least_squares(
+            residuals, vector, slopes, model.bounds(order), args=(root,), ftol=1e-7
+        )
         vector = model.project(fitted.x, order)
         common = np.median(logarithm - model.logarithm(model.answer(vector, order)), axis=0)
         width = max(scale, 3.0 * 1.4826 * float(np.median(np.abs(common))))
@@ -63,14 +79,17 @@ def _fit_order(model: CardModel, start: Answer, order: Order, logarithm: Array, 
     return _CardFit(order, model.answer(vector, order), jacobian.T @ jacobian)
 
 
-# Whether a card shines: a bright spot that stands where a mirror would show the LED, and moves with it.
+# Whether a card shines: a bright spot that stands where a mirror would show the LED, and moves with
+# it.
 
 WIDTHS_DEG = (3.0, 6.0)
-"""Widths of the spot: standard deviation of the angle from the card's normal to the half vector of LED and camera."""
+"""Widths of the spot: standard deviation of the angle from the card's normal to the half vector of
+LED and camera."""
 
 
 def _half_angles(camera: Camera, led: Led, pixels: Array, card: CardPlane) -> Array:
-    """(N,) angle in deg between the card's normal and the direction half way between LED and camera."""
+    """(N,) angle in deg between the card's normal and the direction half way between LED and
+    camera."""
     points = card.points(camera, pixels)
     towards, _ = rays_to_led(led, points)
     sight = np.array([0.0, 0.0, camera.height_mm]) - points
@@ -81,10 +100,12 @@ def _half_angles(camera: Camera, led: Led, pixels: Array, card: CardPlane) -> Ar
     return np.asarray(np.rad2deg(np.arccos(np.clip(cosine, -1.0, 1.0))))
 
 
-def _card_gloss(model: CardModel, half_angles_deg: Array, fit: _CardFit, rest: Array) -> tuple[float, float]:
-    """Brightness of the spot at the mirror's angle relative to the card's own, and its standard error. Least squares of
-    the residuals (L, N), NaN where dust is, on a narrow and a wide spot and on all slopes of the model; the greater
-    spot, in its errors, is returned.
+def _card_gloss(
+    model: CardModel, half_angles_deg: Array, fit: _CardFit, rest: Array
+) -> tuple[float, float]:
+    """Brightness of the spot at the mirror's angle relative to the card's own, and its standard
+    error. Least squares of the residuals (L, N), NaN where dust is, on a narrow and a wide spot and
+    on all slopes of the model; the greater spot, in its errors, is returned.
     """
     used = np.isfinite(rest)
     left, rows = rest[used], model.jacobian(fit.answer, fit.order)[used]
@@ -97,20 +118,26 @@ def _card_gloss(model: CardModel, half_angles_deg: Array, fit: _CardFit, rest: A
         own = whole - float(shared @ inverse @ shared)
         if own >= 1e-6 * whole + 1e-9:
             value = float((spot @ left - shared @ inverse @ slope) / own)
-            gloss = max(gloss, (value, float(noise / np.sqrt(own))), key=lambda spot: spot[0] / spot[1])
+            gloss = max(
+                gloss, (value, float(noise / np.sqrt(own))), key=lambda spot: spot[0] / spot[1]
+            )
     return gloss
 
 
 _ROBUST_PERCENT = 0.5
-"""Places whose residuals under all LEDs (in the median) lie beyond this many per cent count less and less: dust."""
+"""Places whose residuals under all LEDs (in the median) lie beyond this many per cent count less
+and less: dust."""
 _ENOUGH_PERCENT = 0.05
-"""The simplest model is taken whose rms exceeds the best one's by no more than this (added in squares) ..."""
+"""The simplest model is taken whose rms exceeds the best one's by no more than this (added in
+squares) ..."""
 _ENOUGH_FRACTION = 0.05
 """... or by no more than this fraction of it."""
-_MIN_FIELD = 0.3  # a cell that is darker than this fraction of the model's brightness does not show the card
+# a cell that is darker than this fraction of the model's brightness does not show the card
+_MIN_FIELD = 0.3
 _MAX_EMPTY = 0.005  # fraction of the cells that may be so
 MAX_DUST = 0.05  # largest fraction of dust; beyond it the card is not uniform
-DUST_PERCENT = 2.0  # a cell that departs further under all LEDs is counted as dust and left out of the residuals
+# a cell that departs further under all LEDs is counted as dust and left out of the residuals
+DUST_PERCENT = 2.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -127,10 +154,13 @@ class FlatField:
     orders: tuple[tuple[str, int, float], ...]
     residual: Array  # (L, N) image over model, less one
     dust: BoolArray  # (N,) cells that were left out
-    exponent_error: Array  # (L,) standard errors of the beams' exponents; NaN where they were not fitted
-    # rms over the cells of the residuals' mean over all LEDs: what the card (or the lens) does, not the LEDs
+    # (L,) standard errors of the beams' exponents; NaN where they were not fitted
+    exponent_error: Array
+    # rms over the cells of the residuals' mean over all LEDs: what the card (or the lens) does, not
+    # the LEDs
     common_percent: float
-    # brightness of a spot where a mirror would show the LEDs, relative to the card's own; 0 for a matt card
+    # brightness of a spot where a mirror would show the LEDs, relative to the card's own; 0 for a
+    # matt card
     gloss_percent: float
     gloss_error: float
     card: CardPlane  # where it lay
@@ -141,19 +171,26 @@ class FlatField:
 def fit_flat_field(
     camera: Camera, leds: Sequence[Led], pixels: Any, light: Any, card: CardPlane | None = None
 ) -> FlatField:
-    """Fit lens, brightnesses, beams and aims to images of a white card, all images of all bands together.
+    """Fit lens, brightnesses, beams and aims to images of a white card, all images of all bands
+    together.
 
-    `light` (L, N) is linear, at `pixels` (N, 2; column, row), under LED k alone, the lens's fall-off in it; `card` lies
-    on the finger plane by default. The camera's `shading` and the LEDs' intensities, exponents and aims are replaced.
-    Models of :data:`splitknit_rig.calibration.card_model.LADDER` are fitted one after the other, each from the one
-    before, and the simplest is taken that explains the images about as well as the richest. Two weak priors (exponents
-    5 +- 20, slopes by the aims 0 +- 4, each worth one cell of thousands) settle what the images leave open: the aim of
-    a beam that is wide. Raises BadInput if an LED did not light, the card does not fill the field or is not uniform. A
-    tilt of the card is indistinguishable from aims and brightnesses: it must be known (as the camera's tilt against the
-    base is) or small. An unknown degree makes LEDs up to 0.7 % brighter or darker, and surfaces lean by one degree.
+    `light` (L, N) is linear, at `pixels` (N, 2; column, row), under LED k alone, the lens's
+    fall-off in it; `card` lies on the finger plane by default. The camera's `shading` and the LEDs'
+    intensities, exponents and aims are replaced. Models of
+    :data:`splitknit_rig.calibration.card_model.LADDER` are fitted one after the other, each from
+    the one before, and the simplest is taken that explains the images about as well as the richest.
+    Two weak priors (exponents 5 +- 20, slopes by the aims 0 +- 4, each worth one cell of thousands)
+    settle what the images leave open: the aim of a beam that is wide. Raises BadInput if an LED did
+    not light, the card does not fill the field or is not uniform. A tilt of the card is
+    indistinguishable from aims and brightnesses: it must be known (as the camera's tilt against the
+    base is) or small. An unknown degree makes LEDs up to 0.7 % brighter or darker, and surfaces
+    lean by one degree.
     """
     places, images = np.asarray(pixels, dtype=np.float64), np.asarray(light, dtype=np.float64)
-    require(float(np.median(images)) > 0, "the images of the card are black; check the LEDs and the black level.")
+    require(
+        float(np.median(images)) > 0,
+        "the images of the card are black; check the LEDs and the black level.",
+    )
     plane = card or CardPlane()
     model = CardModel(camera, leds, places, plane)
     floor = 1e-4 * float(np.median(images))
@@ -164,8 +201,8 @@ def fit_flat_field(
         usual = float(np.median([level[j] for j in range(len(leds)) if leds[j].band == led.band]))
         require(
             level[k] > 0.1 * usual,
-            f"LED {k} ({led.band}) shows the card at {100 * level[k] / usual:.0f} % of the brightness of "
-            f"its band: it did not light; check its wire and take the card again.",
+            f"LED {k} ({led.band}) shows the card at {100 * level[k] / usual:.0f} % of the"
+            " brightness of its band: it did not light; check its wire and take the card again.",
         )
     scale = 0.01 * _ROBUST_PERCENT
     fits: list[_CardFit] = []
@@ -176,7 +213,9 @@ def fit_flat_field(
             _check_field(np.exp(logarithm - model.logarithm(start)))
     residuals = [images / np.exp(model.logarithm(fit.answer)) - 1.0 for fit in fits]
     dust = np.abs(np.median(residuals[-1], axis=0)) > 0.01 * DUST_PERCENT
-    require(not dust.all(), "the card is not uniform: no part of the picture looks like an even card.")
+    require(
+        not dust.all(), "the card is not uniform: no part of the picture looks like an even card."
+    )
     rms = [100 * float(np.sqrt(np.mean(residual[:, ~dust] ** 2))) for residual in residuals]
     enough = max(float(np.hypot(min(rms), _ENOUGH_PERCENT)), (1 + _ENOUGH_FRACTION) * min(rms))
     best = next(k for k, value in enumerate(rms) if value <= enough)
@@ -185,7 +224,9 @@ def fit_flat_field(
     angles = np.stack([_half_angles(camera, led, places, plane) for led in leds])
     gloss, gloss_error = _card_gloss(model, angles, fits[-1], rest)
     # the residuals taken as independent between cells
-    errors = np.sqrt(np.maximum(np.diag(np.linalg.pinv(fit.normal)), 0.0)) * (0.01 * rms[best] / scale)
+    errors = np.sqrt(np.maximum(np.diag(np.linalg.pinv(fit.normal)), 0.0)) * (
+        0.01 * rms[best] / scale
+    )
     lens, lit = _result(camera, leds, model, fit.answer, fit.order)
     clean = residuals[best][:, ~dust]
     return FlatField(
@@ -193,7 +234,9 @@ def fit_flat_field(
         leds=lit,
         card_level=float(fit.answer.brightness.mean()),
         order=fit.order,
-        orders=tuple((order.name, model.size(order), value) for order, value in zip(LADDER, rms, strict=True)),
+        orders=tuple(
+            (order.name, model.size(order), value) for order, value in zip(LADDER, rms, strict=True)
+        ),
         residual=residuals[best],
         dust=dust,
         exponent_error=model.exponents(errors, fit.order),
@@ -207,19 +250,21 @@ def fit_flat_field(
 
 
 def _check_field(ratio: Array) -> None:
-    """Refuse a card that ends inside the picture: cells that are far darker than the rest under most LEDs."""
+    """Refuse a card that ends inside the picture: cells that are far darker than the rest under
+    most LEDs."""
     usual = np.median(ratio, axis=0)
     fraction = float((usual < _MIN_FIELD).mean())
     require(
         fraction <= _MAX_EMPTY,
-        f"the card does not fill the field: {100 * fraction:.0f} % of the picture is far darker than the rest; take a "
-        f"larger card, or move it until it reaches over all borders.",
+        f"the card does not fill the field: {100 * fraction:.0f} % of the picture is far darker"
+        " than the rest; take a larger card, or move it until it reaches over all borders.",
     )
     strange = float((np.abs(usual - 1) > 0.05).mean())
     require(
         strange <= 2 * MAX_DUST,
-        f"the card is not uniform: {100 * strange:.0f} % of the picture departs by more than 5 % from an even card "
-        f"under all LEDs; use a clean matt white card that reaches over all borders.",
+        f"the card is not uniform: {100 * strange:.0f} % of the picture departs by more than 5 %"
+        " from an even card under all LEDs; use a clean matt white card that reaches over all"
+        " borders.",
     )
 
 
@@ -231,7 +276,10 @@ def _result(
     lit = []
     for k, led in enumerate(leds):
         x, y, z = (round(float(value), 6) for value in model.aim(answer, k))
-        intensity, exponent = round(float(answer.brightness[k]) / mean, 6), round(float(answer.exponent[k]), 5)
+        intensity, exponent = (
+            round(float(answer.brightness[k]) / mean, 6),
+            round(float(answer.exponent[k]), 5),
+        )
         aim = (x, y, z) if order.aims and answer.exponent[k] > 0 else None
         lit.append(replace(led, intensity=intensity, lobe_exponent=exponent, aim=aim))
     return replace(camera, shading=shading), tuple(lit)

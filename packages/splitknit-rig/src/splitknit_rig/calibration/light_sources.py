@@ -20,7 +20,14 @@ from splitknit.io.photograph_files import natural_order
 from splitknit.io.photos import FORMATS, SUFFIXES, encoding_of, read_photo
 from splitknit.io.provenance import file_hash, plain_json, provenance
 from splitknit.io.targets import check_file, check_rig_file
-from splitknit.model import Array, FloatArray, Progress, camera_without_scale, no_progress, side_lights
+from splitknit.model import (
+    Array,
+    FloatArray,
+    Progress,
+    camera_without_scale,
+    no_progress,
+    side_lights,
+)
 from splitknit_rig.calibration.lights import (
     BANDS,
     LEDS_PER_BAND,
@@ -52,8 +59,8 @@ from splitknit_rig.calibration.sphere import (
 )
 
 _RIM_AGREED = 0.5
-"""Fraction of all rays that must agree on a ball's rim: 0.53 on a photographed chrome ball that is half dark on dark,
-0.55 and more on drawn ones, up to 0.40 where there is nothing but noise."""
+"""Fraction of all rays that must agree on a ball's rim: 0.53 on a photographed chrome ball that is
+half dark on dark, 0.55 and more on drawn ones, up to 0.40 where there is nothing but noise."""
 _RIM_OFF = 0.005  # fraction of the radius by which the rim must lie off the mask to replace it
 
 
@@ -65,7 +72,9 @@ def check_lights_file(out: Path | None) -> None:
         check_rig_file(out)
 
 
-def rig_without_leds(px_per_cm: float | None, image_size: str | None, led_height_cm: float | None) -> Rig:
+def rig_without_leds(
+    px_per_cm: float | None, image_size: str | None, led_height_cm: float | None
+) -> Rig:
     """An orthographic camera of a scale and size, without LEDs."""
     values = {"px_per_cm": px_per_cm, "image_size": image_size, "led_height_cm": led_height_cm}
     missing = " and ".join(f"`{name}`" for name, value in values.items() if value is None)
@@ -73,7 +82,12 @@ def rig_without_leds(px_per_cm: float | None, image_size: str | None, led_height
     assert px_per_cm is not None and image_size is not None and led_height_cm is not None
     expected = "two positive whole numbers, rows,columns, such as 2200,3200"
     rows, columns = pair_of(image_size, f"`image_size` must be {expected}")
-    whole = rows == int(rows) and columns == int(columns) and min(rows, columns) >= 1 and rows * columns <= 2e8
+    whole = (
+        rows == int(rows)
+        and columns == int(columns)
+        and min(rows, columns) >= 1
+        and rows * columns <= 2e8
+    )
     require(whole, f"`image_size` must be {expected}, but it is '{image_size}'.")
     height_mm = led_height_cm * 10.0  # the thesis's camera sits at the height of its LEDs
     return Rig(Camera(px_per_cm / 10.0, (int(rows), int(columns)), height_mm=height_mm), ())
@@ -87,12 +101,20 @@ def pair_of(text: str, expected: str) -> tuple[float, float]:
     return x, y
 
 
-def led_circle(rig: Rig, radius_cm: float | None, height_cm: float | None, centre_px: str | None) -> Circle:
+def led_circle(
+    rig: Rig, radius_cm: float | None, height_cm: float | None, centre_px: str | None
+) -> Circle:
     """The circle of the LEDs as it is measured, or as the rig has it."""
     side = side_lights(rig.leds)  # they stand on no circle with the others
-    places = [led.position_mm for k, led in enumerate(rig.leds) if led.position_mm is not None and k not in side]
+    places = [
+        led.position_mm
+        for k, led in enumerate(rig.leds)
+        if led.position_mm is not None and k not in side
+    ]
     sizes = {"led_radius_cm": radius_cm, "led_height_cm": height_cm}
-    missing = " and ".join(f"`{name}`" for name, value in sizes.items() if value is None and not places)
+    missing = " and ".join(
+        f"`{name}`" for name, value in sizes.items() if value is None and not places
+    )
     require(not missing, f"calibrate lights needs {missing}, because no LED's position is known.")
     centre = (0.0, 0.0)
     if centre_px is not None:
@@ -101,25 +123,36 @@ def led_circle(rig: Rig, radius_cm: float | None, height_cm: float | None, centr
         centre = (x, y)
     array = np.array(places).reshape(-1, 3)
     return Circle(
-        radius_mm=float(np.hypot(array[:, 0], array[:, 1]).mean()) if radius_cm is None else 10.0 * radius_cm,
+        radius_mm=(
+            float(np.hypot(array[:, 0], array[:, 1]).mean())
+            if radius_cm is None
+            else 10.0 * radius_cm
+        ),
         height_mm=float(array[:, 2].mean()) if height_cm is None else 10.0 * height_cm,
         centre_mm=centre,
     )
 
 
-def lights_as_drawn(rig: Rig, circle: Circle, out: Path, *, first_azimuth_deg: float) -> CalibratedLights:
-    """Write a rig whose LEDs are where the drawing has them: white and NIR in turn on the circle, 14 in equal steps."""
+def lights_as_drawn(
+    rig: Rig, circle: Circle, out: Path, *, first_azimuth_deg: float
+) -> CalibratedLights:
+    """Write a rig whose LEDs are where the drawing has them: white and NIR in turn on the circle,
+    14 in equal steps."""
     estimates = {}
     leds = []
     for nir, band in enumerate(BANDS):
         for led in range(LEDS_PER_BAND):
-            azimuth = math.radians(first_azimuth_deg) + 2.0 * math.pi * (led + 0.5 * nir) / LEDS_PER_BAND
+            azimuth = (
+                math.radians(first_azimuth_deg) + 2.0 * math.pi * (led + 0.5 * nir) / LEDS_PER_BAND
+            )
             x = circle.centre_mm[0] + circle.radius_mm * math.cos(azimuth)
             y = circle.centre_mm[1] + circle.radius_mm * math.sin(azimuth)
             place = (x, y, circle.height_mm)
             estimate = combine(band, led, np.array([place]), circle)
             estimates[band, led] = estimate
-            leds.append(CalibratedLed(band, led, point_of(estimate.direction), place, verdict="nominal"))
+            leds.append(
+                CalibratedLed(band, led, point_of(estimate.direction), place, verdict="nominal")
+            )
     origin = plain_json(provenance({"circle": circle, "first_azimuth_deg": first_azimuth_deg}))
     rig = rig_of(estimates, rig, {"method": "geometry", "provenance": origin})
     lights = CalibratedLights("geometry", tuple(leds), rig, out=out)
@@ -137,15 +170,19 @@ def _write(lights: CalibratedLights) -> None:
         bands = {led.band for led in lights.rig.leds}
         require(
             len(bands) == 1,
-            f"'{out}' would hold lights of {len(bands)} bands, and a list is for photographs of one; name a rig file, "
-            "such as rig.json.",
+            f"'{out}' would hold lights of {len(bands)} bands, and a list is for photographs of"
+            " one; name a rig file, such as rig.json.",
         )
-        write_light_list(lights.rig.leds, out, [led.image or f"LED {led.led}" for led in lights.leds])
+        write_light_list(
+            lights.rig.leds, out, [led.image or f"LED {led.led}" for led in lights.leds]
+        )
     elif out is not None:
         write_rig(lights.rig, out)
 
 
-def lights_of_table(table: Path, rig: Rig, circle: Circle, rules: Rules, out: Path | None) -> LightsOfNail:
+def lights_of_table(
+    table: Path, rig: Rig, circle: Circle, rules: Rules, out: Path | None
+) -> LightsOfNail:
     """LEDs by a table of nail and shadow tips."""
     data = read_bytes(table, 16_000_000)
     with refusing(f"{table} is not a text file; export the table as CSV in UTF-8."):
@@ -169,7 +206,8 @@ def lights_of_nail(
     tips_out: Path | None,
     progress: Progress = no_progress,
 ) -> LightsOfNail:
-    """LEDs by photographs of a nail; picture and table of the tips are written even if LEDs are refused."""
+    """LEDs by photographs of a nail; picture and table of the tips are written even if LEDs are
+    refused."""
     if out is not None:
         show = show or out.with_name(f"{out.stem}_tips.png")
         tips_out = tips_out or out.with_name(f"{out.stem}_tips.csv")
@@ -182,9 +220,13 @@ def lights_of_nail(
         lights = lights_of_tips(tips, rig, circle, rules, hashes, name=str(folder))
     except Refused as error:
         pictured = "" if show is None else f" ({show} shows the tips)"
-        files: Any = plain_json({"show": show, "tips_out": tips_out, "shadows_out_of_the_picture": lost})
+        files: Any = plain_json(
+            {"show": show, "tips_out": tips_out, "shadows_out_of_the_picture": lost}
+        )
         raise Refused(f"{str(error).rstrip('.')}{pictured}.", {**error.facts, **files}) from error
-    lights = replace(lights, out=out, show=show, tips_out=tips_out, shadows_out_of_the_picture=tuple(lost))
+    lights = replace(
+        lights, out=out, show=show, tips_out=tips_out, shadows_out_of_the_picture=tuple(lost)
+    )
     _write(lights)
     return lights
 
@@ -206,7 +248,9 @@ class LightsOfBall(CalibratedLights):
         lines += [f"Please note: {note}" for note in self.notes]
         lines.append(self.written_line())
         if self.out is not None:
-            lines.append(f"Next: splitknit reconstruct --images PHOTOS --lights {self.out} --out RESULT")
+            lines.append(
+                f"Next: splitknit reconstruct --images PHOTOS --lights {self.out} --out RESULT"
+            )
         return lines
 
 
@@ -220,10 +264,11 @@ def lights_of_ball(
     mask: Path | None,
     led_height_cm: float | None,
 ) -> LightsOfBall:
-    """Find the light's direction of every photograph of a ball, ``chrome`` or ``grey`` (`kind`), within the white part
-    of the image `mask`. With `led_height_cm` LEDs are placed at that height, side lights of the rig `base` as far away
-    as drawn; with a `base` the ball lies on the finger plane, camera and LEDs near. `encoding`: as the files state it
-    if None, else linear, or sRGB by the ball's shading.
+    """Find the light's direction of every photograph of a ball, ``chrome`` or ``grey`` (`kind`),
+    within the white part of the image `mask`. With `led_height_cm` LEDs are placed at that height,
+    side lights of the rig `base` as far away as drawn; with a `base` the ball lies on the finger
+    plane, camera and LEDs near. `encoding`: as the files state it if None, else linear, or sRGB by
+    the ball's shading.
     """
     photographs = _photographs(folder)
     paths = [file for _, _, file in photographs]
@@ -231,12 +276,14 @@ def lights_of_ball(
     near = led_height_cm is not None
     require(
         base is not None or not near or out is None or _is_list(out),
-        "`led_height_cm` gives places in mm, and a rig file with places needs the scale: give `px_per_cm` and "
-        "`image_size`, or `rig`, or write a list of lights (`out` lights.txt).",
+        "`led_height_cm` gives places in mm, and a rig file with places needs the scale: give"
+        " `px_per_cm` and `image_size`, or `rig`, or write a list of lights (`out` lights.txt).",
     )
     lies_on_plane = base is not None and near
     if base is None:
-        base = Rig(Camera(1.0, (rows, columns)) if near else camera_without_scale((rows, columns)), ())
+        base = Rig(
+            Camera(1.0, (rows, columns)) if near else camera_without_scale((rows, columns)), ()
+        )
     stack, digests = read_stack(paths, base.camera.image_size, encoding or "linear", upright=True)
     hashes = {file.relative_to(folder).as_posix(): digest for file, digest in digests.items()}
     notes: list[str] = []
@@ -261,28 +308,43 @@ def lights_of_ball(
         directions, shading = grey_directions(stack, ball, eye=place.eye, away=place.distances)
         strengths = (shading / shading.mean()).tolist()
     low = [str(file) for file, unit in zip(paths, directions, strict=True) if unit[2] <= 0.05]
-    require(not low, f"{' and '.join(low)}: the light stands beside or behind the ball; correct the mask or the image.")
+    require(
+        not low,
+        f"{' and '.join(low)}: the light stands beside or behind the ball; correct the mask or the"
+        " image.",
+    )
     leds = []
     calibrated = []
     for k, ((band, number, file), unit) in enumerate(zip(photographs, directions, strict=True)):
         position = None if led_height_cm is None else place.of_led(k, unit, 10.0 * led_height_cm)
         require(
             position is None or place.is_side_light(k) or not side_lights([Led(band, position)]),
-            f"{file} shows a side light, {math.degrees(math.acos(unit[2])):.0f} deg off the axis, for which "
-            "`led_height_cm` does not hold; give `rig`, in which it is drawn.",
+            f"{file} shows a side light, {math.degrees(math.acos(unit[2])):.0f} deg off the axis,"
+            " for which `led_height_cm` does not hold; give `rig`, in which it is drawn.",
         )
         strength = None if strengths is None else strengths[k]
         intensity = strength or 1.0
         if position is not None:  # a near light's strength falls with the square of its distance
             intensity *= (float(np.linalg.norm(position)) / 100.0) ** 2
         direction = point_of(unit)
-        leds.append(Led(band, position, None if position is not None else direction, intensity=intensity))
-        calibrated.append(CalibratedLed(band, number, direction, position, image=file.name, strength=strength))
+        leds.append(
+            Led(band, position, None if position is not None else direction, intensity=intensity)
+        )
+        calibrated.append(
+            CalibratedLed(band, number, direction, position, image=file.name, strength=strength)
+        )
     origin = provenance({"sphere": kind, "ball": ball}, hashes)
     lights = {"method": kind, "provenance": plain_json(origin)}
     rig = Rig(base.camera, tuple(leds), {**base.provenance, "lights": lights}, base.mirrors)
     result = LightsOfBall(
-        kind, tuple(calibrated), rig, tuple(notes), out=out, ball=ball, encoding=assumed, notes=tuple(notes)
+        kind,
+        tuple(calibrated),
+        rig,
+        tuple(notes),
+        out=out,
+        ball=ball,
+        encoding=assumed,
+        notes=tuple(notes),
     )
     _write(result)
     return result
@@ -295,7 +357,8 @@ class _BallPlace:
     middle_mm: Array
     radius_mm: float = 1.0
     eye: Array | None = None
-    distances: Array | None = None  # of the LEDs as drawn: `away` of :mod:`splitknit_rig.calibration.sphere`
+    # of the LEDs as drawn: `away` of :mod:`splitknit_rig.calibration.sphere`
+    distances: Array | None = None
     drawn: tuple[Led | None, ...] = ()
 
     def is_side_light(self, k: int) -> bool:
@@ -331,7 +394,8 @@ def _place_on_plane(rig: Rig, ball: Ball, names: Sequence[str]) -> _BallPlace:
 
 
 def _ball_is_srgb(codes: FloatArray, ball: Ball) -> bool | None:
-    """Whether the shading of a matt ball of known normals is that of sRGB values: its pixels are the lights here."""
+    """Whether the shading of a matt ball of known normals is that of sRGB values: its pixels are
+    the lights here."""
     normals = ball.normals(codes.shape[1:])
     inner = np.argwhere(np.nan_to_num(normals[..., 2]) > 0.3)
     rows, columns = inner[:: max(1, len(inner) // 2000)].T
@@ -339,17 +403,28 @@ def _ball_is_srgb(codes: FloatArray, ball: Ball) -> bool | None:
 
 
 def _photographs(folder: Path) -> list[tuple[str, int, Path]]:
-    """Band, LED, file of images: ``white_3.png`` names them; others are white ones in the order of their numbers."""
-    require(folder.is_dir(), f"{folder} is not a folder; name the folder with the photographs of the ball.")
-    files = [file for file in folder.iterdir() if file.suffix.lower() in SUFFIXES and file.is_file()]
+    """Band, LED, file of images: ``white_3.png`` names them; others are white ones in the order of
+    their numbers."""
+    require(
+        folder.is_dir(),
+        f"{folder} is not a folder; name the folder with the photographs of the ball.",
+    )
     files = [
-        file for file in files if "mask" not in file.stem.lower() and not file.name.lower().startswith((".", "ambient"))
+        file for file in folder.iterdir() if file.suffix.lower() in SUFFIXES and file.is_file()
+    ]
+    files = [
+        file
+        for file in files
+        if "mask" not in file.stem.lower() and not file.name.lower().startswith((".", "ambient"))
     ]
     require(bool(files), f"{folder} holds no photographs ({FORMATS}).")
     named = [(*led, file) for file in files if (led := led_of_file(file)) is not None]
     if len(named) == len(files):
         return sorted(named, key=lambda photograph: (BANDS.index(photograph[0]), photograph[1]))
-    return [("white", k, file) for k, file in enumerate(sorted(files, key=lambda file: natural_order(file.name)))]
+    return [
+        ("white", k, file)
+        for k, file in enumerate(sorted(files, key=lambda file: natural_order(file.name)))
+    ]
 
 
 def _ball_within(mask: Path, stack: FloatArray, kind: str) -> tuple[Ball, list[str]]:
@@ -358,18 +433,21 @@ def _ball_within(mask: Path, stack: FloatArray, kind: str) -> tuple[Ball, list[s
     rows, columns = stack.shape[1:]
     require(
         pixels.shape[:2] == (rows, columns),
-        f"{mask} has {pixels.shape[0]} x {pixels.shape[1]} pixels (rows x columns), but the photographs have "
-        f"{rows} x {columns}.",
+        f"{mask} has {pixels.shape[0]} x {pixels.shape[1]} pixels (rows x columns), but the"
+        f" photographs have {rows} x {columns}.",
     )
     ball = ball_of_mask(pixels.mean(axis=2) > np.iinfo(pixels.dtype).max / 2)
     rim, agreed = rim_of(stack, ball)
     per_radius = 2.0 if kind == "chrome" else 1.0  # a mirror doubles what its normal turns by
     if agreed < _RIM_AGREED:
-        small = f", as the ball is smaller than {2 * RIM_PX:g} px" if ball.radius_px < RIM_PX else ""
+        small = (
+            f", as the ball is smaller than {2 * RIM_PX:g} px" if ball.radius_px < RIM_PX else ""
+        )
         return ball, [
-            f"the ball's rim is not found in the photographs near its mask{small}, so that nothing checks it: each "
-            f"pixel of error turns the lights by {math.degrees(per_radius / ball.radius_px):.1f} deg; see that the "
-            "mask ends at the rim."
+            f"the ball's rim is not found in the photographs near its mask{small}, so that nothing"
+            " checks it: each pixel of error turns the lights by"
+            f" {math.degrees(per_radius / ball.radius_px):.1f} deg; see that the mask ends at the"
+            " rim."
         ]
     offset = math.hypot(ball.column - rim.column, ball.row - rim.row)
     larger = ball.radius_px - rim.radius_px
@@ -377,7 +455,7 @@ def _ball_within(mask: Path, stack: FloatArray, kind: str) -> tuple[Ball, list[s
         return ball, []
     turned = math.degrees((per_radius * offset + 0.6 * abs(larger)) / rim.radius_px)
     return rim, [
-        f"the mask lies {offset:.1f} px beside the ball's rim in the photographs, and its radius is "
-        f"{100.0 * larger / rim.radius_px:+.1f} % off: the rim is used; by the mask the lights would be some "
-        f"{turned:.1f} deg off."
+        f"the mask lies {offset:.1f} px beside the ball's rim in the photographs, and its radius is"
+        f" {100.0 * larger / rim.radius_px:+.1f} % off: the rim is used; by the mask the lights"
+        f" would be some {turned:.1f} deg off."
     ]

@@ -1,16 +1,18 @@
-"""Where the LEDs are, from a nail and the tips of its shadows: the thesis's construction, and what it can be held to.
+"""Where the LEDs are, from a nail and the tips of its shadows: the thesis's construction, and what
+it can be held to.
 
-The ray from the tip of the shadow through the nail, seen from above, meets the circle on which the LEDs sit on the far
-side of the nail; the LED is there, at the height of the circle. Its direction is that of its position seen from the
-centre of the circle on the finger plane. Every position of the nail gives one direction; the thesis takes the mean of
-two. How far apart they are is the only sign of a bad table, and it is reported for each LED.
+The ray from the tip of the shadow through the nail, seen from above, meets the circle on which the
+LEDs sit on the far side of the nail; the LED is there, at the height of the circle. Its direction
+is that of its position seen from the centre of the circle on the finger plane. Every position of
+the nail gives one direction; the thesis takes the mean of two. How far apart they are is the only
+sign of a bad table, and it is reported for each LED.
 
-The table has one row a photograph: which LED was lit (`band`, and `led`, 0 to 6 within it), which place the nail stood
-at (`nail`, any whole number), the nail's pixel and that of its shadow's tip (x along the columns, y down the rows, as
-image viewers show them).
+The table has one row a photograph: which LED was lit (`band`, and `led`, 0 to 6 within it), which
+place the nail stood at (`nail`, any whole number), the nail's pixel and that of its shadow's tip (x
+along the columns, y down the rows, as image viewers show them).
 
-Source: the thesis, section 4.3.2 and figure 5.1, with step 5 corrected: the ray runs through the nail and the tip, not
-through the centre.
+Source: the thesis, section 4.3.2 and figure 5.1, with step 5 corrected: the ray runs through the
+nail and the tip, not through the centre.
 """
 
 from __future__ import annotations
@@ -73,13 +75,18 @@ def led_of_file(path: Path) -> tuple[str, int] | None:
 
 
 def read_tips(text: str, name: str = "the table") -> tuple[Tip, ...]:
-    """Read the rows of a table in CSV, in the order white before NIR, LED, nail; ``#`` starts a comment. Raises
-    BadInput naming the row: a column is missing, something is not a number, a band or LED is not known, or a row comes
-    twice.
+    """Read the rows of a table in CSV, in the order white before NIR, LED, nail; ``#`` starts a
+    comment. Raises BadInput naming the row: a column is missing, something is not a number, a band
+    or LED is not known, or a row comes twice.
     """
-    lines = [line for line in text.lstrip("\ufeff").splitlines() if line.strip(" \t,") and line.lstrip()[0] != "#"]
+    lines = [
+        line
+        for line in text.lstrip("\ufeff").splitlines()
+        if line.strip(" \t,") and line.lstrip()[0] != "#"
+    ]
     require(bool(lines), f"{name} is empty; its first line must be {','.join(COLUMNS)}.")
-    with refusing(f"{name} is not a table in CSV."):  # such as a line of a hundred thousand characters without a comma
+    # such as a line of a hundred thousand characters without a comma
+    with refusing(f"{name} is not a table in CSV."):
         header, *rows = ([cell.strip() for cell in row] for row in csv.reader(lines))
     header = [cell.lower() for cell in header]
     missing = ", ".join(column for column in COLUMNS if column not in header)
@@ -87,12 +94,20 @@ def read_tips(text: str, name: str = "the table") -> tuple[Tip, ...]:
     tips: dict[tuple[str, int, int], Tip] = {}
     for number, row in enumerate(rows, start=1):
         where = f"{name}, row {number}"
-        require(len(row) == len(header), f"{where} has {len(row)} fields, but the first line names {len(header)}.")
+        require(
+            len(row) == len(header),
+            f"{where} has {len(row)} fields, but the first line names {len(header)}.",
+        )
         tip = _tip(dict(zip(header, row, strict=True)), where)
         key = (tip.band, tip.led, tip.nail)
-        require(key not in tips, f"{where} is for {tip.name}, as an earlier row is; keep one of them.")
+        require(
+            key not in tips, f"{where} is for {tip.name}, as an earlier row is; keep one of them."
+        )
         tips[key] = tip
-    require(bool(tips), f"{name} has no rows below its first line; add one for every LED and nail position.")
+    require(
+        bool(tips),
+        f"{name} has no rows below its first line; add one for every LED and nail position.",
+    )
     return tuple(sorted(tips.values(), key=lambda tip: (BANDS.index(tip.band), tip.led, tip.nail)))
 
 
@@ -114,19 +129,31 @@ def pixels(tips: Sequence[Tip]) -> tuple[Array, Array]:
 
 def _tip(row: Mapping[str, str], where: str) -> Tip:
     band = row["band"].lower()
-    require(band in BANDS, f"{where}: the band must be white or nir, but it is {row['band'][:60]!a}.")
+    require(
+        band in BANDS, f"{where}: the band must be white or nir, but it is {row['band'][:60]!a}."
+    )
     led = _whole(row["led"], where, "led")
     require(
         led < LEDS_PER_BAND,
-        f"{where}: led must be 0 to {LEDS_PER_BAND - 1}, counted within its band, but it is {row['led'][:60]!a}.",
+        f"{where}: led must be 0 to {LEDS_PER_BAND - 1}, counted within its band, but it is"
+        f" {row['led'][:60]!a}.",
     )
     numbers = [_number(row[column], where, column) for column in COLUMNS[3:]]
-    return Tip(band, led, _whole(row["nail"], where, "nail"), (numbers[0], numbers[1]), (numbers[2], numbers[3]))
+    return Tip(
+        band,
+        led,
+        _whole(row["nail"], where, "nail"),
+        (numbers[0], numbers[1]),
+        (numbers[2], numbers[3]),
+    )
 
 
 def _whole(text: str, where: str, column: str) -> int:
     sound = text.isascii() and text.isdigit() and len(text) <= 9
-    require(sound, f"{where}: {column} must be a whole number that is not negative, but it is {text[:60]!a}.")
+    require(
+        sound,
+        f"{where}: {column} must be a whole number that is not negative, but it is {text[:60]!a}.",
+    )
     return int(text)
 
 
@@ -147,11 +174,18 @@ class Circle:
 
     radius_mm: float
     height_mm: float  # height of the LEDs above the finger plane
-    centre_mm: tuple[float, float] = (0.0, 0.0)  # its centre on the finger plane, in the rig's frame
+    # its centre on the finger plane, in the rig's frame
+    centre_mm: tuple[float, float] = (0.0, 0.0)
 
     def __post_init__(self) -> None:
-        require(1.0 <= self.radius_mm <= 1e4, f"the LED circle's radius must be 0.1 to 1000 cm, not {self.radius_mm}.")
-        require(1.0 <= self.height_mm <= 1e4, f"the LEDs' height must be 0.1 to 1000 cm, not {self.height_mm / 10}.")
+        require(
+            1.0 <= self.radius_mm <= 1e4,
+            f"the LED circle's radius must be 0.1 to 1000 cm, not {self.radius_mm}.",
+        )
+        require(
+            1.0 <= self.height_mm <= 1e4,
+            f"the LEDs' height must be 0.1 to 1000 cm, not {self.height_mm / 10}.",
+        )
         require(bool(np.isfinite(self.centre_mm).all()), "the LED circle's centre must be finite.")
 
     @property
@@ -168,13 +202,14 @@ class LedEstimate:
     led: int
     position_mm: Array  # (3,) in the rig's frame
     direction: Array  # (3,) unit, from the circle's centre on the finger plane towards the LED
-    disagreement_deg: float | None  # largest angle between the directions of two nail positions; None with one position
+    # largest angle between the directions of two nail positions; None with one position
+    disagreement_deg: float | None
     singles: Array  # (K, 3) positions, one for each of the nail's
 
 
 def nail_points(camera: Camera, nail_px: Array, height_mm: float) -> Array:
-    """Where the nail stands on the finger plane, (N, 2), by the pixel of its tip, which a perspective camera sees
-    further out by the nail's `height_mm`.
+    """Where the nail stands on the finger plane, (N, 2), by the pixel of its tip, which a
+    perspective camera sees further out by the nail's `height_mm`.
     """
     points = plane_points(camera, nail_px)
     if camera.model == "perspective":
@@ -185,14 +220,15 @@ def nail_points(camera: Camera, nail_px: Array, height_mm: float) -> Array:
 def by_circle(
     tips: Sequence[Tip], camera: Camera, circle: Circle, *, known_height_mm: float | None = None
 ) -> tuple[tuple[LedEstimate, ...], float]:
-    """Find every LED by the thesis's construction, in the order of the rows, and the nail's height in mm, by the
-    lengths of the shadows unless known. Raises BadInput naming LED and nail position without a shadow, or with the nail
-    outside the circle.
+    """Find every LED by the thesis's construction, in the order of the rows, and the nail's height
+    in mm, by the lengths of the shadows unless known. Raises BadInput naming LED and nail position
+    without a shadow, or with the nail outside the circle.
     """
     nail_px, tip_px = pixels(tips)
     ends = plane_points(camera, tip_px)
     height = known_height_mm or 0.0
-    for _ in range(12):  # the height matters to where a perspective camera sees the nail, and follows from it
+    # the height matters to where a perspective camera sees the nail, and follows from it
+    for _ in range(12):
         nails = nail_points(camera, nail_px, height)
         _check_shadows(tips, nails, ends, circle)
         along = nails - ends
@@ -201,12 +237,18 @@ def by_circle(
         half = (along * out).sum(axis=1)
         inside = circle.radius_mm**2 - (out * out).sum(axis=1)
         step = np.sqrt(half * half + inside) - half
-        positions = np.column_stack([nails + step[:, None] * along, np.full(len(along), circle.height_mm)])
+        positions = np.column_stack(
+            [nails + step[:, None] * along, np.full(len(along), circle.height_mm)]
+        )
         # The nail's height, by similar triangles from the lengths of its shadows
         shadow = np.linalg.norm(ends - nails, axis=1)
         ratio = shadow / np.maximum(np.linalg.norm(positions[:, :2] - nails, axis=1), 1e-9)
         measured = float(np.median(positions[:, 2] * ratio / (1.0 + ratio)))
-        if camera.model != "perspective" or known_height_mm is not None or abs(measured - height) < 1e-6:
+        if (
+            camera.model != "perspective"
+            or known_height_mm is not None
+            or abs(measured - height) < 1e-6
+        ):
             break
         height = min(measured, 0.6 * circle.height_mm)
     estimates = []
@@ -217,7 +259,8 @@ def by_circle(
 
 
 def combine(band: str, led: int, singles: Array, circle: Circle) -> LedEstimate:
-    """Put the positions (K, 3) that single nail positions give together: the mean, and how far apart they are."""
+    """Put the positions (K, 3) that single nail positions give together: the mean, and how far
+    apart they are."""
     arms = singles - circle.foot_mm
     units = arms / np.linalg.norm(arms, axis=1, keepdims=True)
     mean = units.mean(axis=0)
@@ -236,12 +279,12 @@ def _check_shadows(tips: Sequence[Tip], nails: Array, ends: Array, circle: Circl
     for k, tip in enumerate(tips):
         require(
             shadow[k] >= SHADOW_MM,
-            f"{tip.name}: there is no shadow, for its tip lies {shadow[k]:.2f} mm from the nail; correct the row, or "
-            f"photograph a longer nail.",
+            f"{tip.name}: there is no shadow, for its tip lies {shadow[k]:.2f} mm from the nail;"
+            " correct the row, or photograph a longer nail.",
         )
         require(
             away[k] < circle.radius_mm,
-            f"{tip.name}: the line from the shadow to the LED does not start inside the LED circle: the nail stands "
-            f"{away[k]:.1f} mm from the circle's centre and its radius is {circle.radius_mm:g} mm; correct the row, "
-            f"the centre, the radius or px-per-cm.",
+            f"{tip.name}: the line from the shadow to the LED does not start inside the LED circle:"
+            f" the nail stands {away[k]:.1f} mm from the circle's centre and its radius is"
+            f" {circle.radius_mm:g} mm; correct the row, the centre, the radius or px-per-cm.",
         )

@@ -33,11 +33,19 @@ from splitknit_rig.calibration.nail import STRAY_MM, JointFit, Nail, by_joint_fi
 LedName = tuple[str, int]
 """Band, and number in it."""
 Point = tuple[float, float, float]
-OK, DISAGREES, COPIED, UNCHECKED, STRAYS = "ok", "disagrees", "copied", "unchecked", "off the circle"
+OK, DISAGREES, COPIED, UNCHECKED, STRAYS = (
+    "ok",
+    "disagrees",
+    "copied",
+    "unchecked",
+    "off the circle",
+)
 _BEYOND = 0.02
-"""Part of the image's size by which a pixel may lie beyond its border: clicked beside the last pixel, not elsewhere."""
+"""Part of the image's size by which a pixel may lie beyond its border: clicked beside the last
+pixel, not elsewhere."""
 _COPY_MM = 0.4
-"""Shadow tips of two nail positions nearer than this on the finger plane repeat; the thesis's copies lie up to 0.22."""
+"""Shadow tips of two nail positions nearer than this on the finger plane repeat; the thesis's
+copies lie up to 0.22."""
 _MOVE_MM = 1.0  # nail positions that are nearer than this are one position
 _SAME_NAIL_MM = 1.0  # the nail's pixel may differ so much between the rows of one position
 
@@ -55,7 +63,8 @@ class CalibratedLed:
     disagreement_deg: float | None = None
     """Largest angle between the directions of two nail positions; None where one was measured."""
     verdict: str = UNCHECKED
-    """``ok``, ``disagrees``, ``copied``, ``off the circle``, ``unchecked``, or ``nominal`` for the drawing's."""
+    """``ok``, ``disagrees``, ``copied``, ``off the circle``, ``unchecked``, or ``nominal`` for the
+    drawing's."""
     kept: bool = True
     interval_deg: float | None = None
     """Half of the 95 % interval, of the joint fit; so `interval_mm`."""
@@ -71,7 +80,8 @@ class CalibratedLights:
     """Where the lights of a rig are."""
 
     method: str
-    """``circle`` or ``joint`` (a nail's shadows), ``chrome`` or ``grey`` (a ball), or ``geometry`` (the drawing)."""
+    """``circle`` or ``joint`` (a nail's shadows), ``chrome`` or ``grey`` (a ball), or ``geometry``
+    (the drawing)."""
     leds: tuple[CalibratedLed, ...]
     rig: Rig
     """With these lights, as it is written."""
@@ -87,13 +97,19 @@ class CalibratedLights:
 
     def lines(self) -> list[str]:
         """What the method found, for people."""
-        return [f"{len(self.leds)} LEDs where the drawing has them, not measured; written to {self.out}."]
+        return [
+            f"{len(self.leds)} LEDs where the drawing has them, not measured; written to"
+            f" {self.out}."
+        ]
 
     def written_line(self) -> str:
         """The file that was written, or how to have one."""
         if self.out is not None:
             return f"Written to {self.out}."
-        return "Nothing was written; name a rig file (.json) or a list of lights (.txt) with `out` FILE."
+        return (
+            "Nothing was written; name a rig file (.json) or a list of lights (.txt) with `out`"
+            " FILE."
+        )
 
     def __str__(self) -> str:
         return text_of(self.lines())
@@ -117,14 +133,18 @@ class LightsOfNail(CalibratedLights):
 
     def lines(self) -> list[str]:
         """See :meth:`CalibratedLights.lines`."""
-        lines = [f"{len(self.leds)} LEDs from {self.nail_positions} nail position(s), method {self.method}:"]
+        lines = [
+            f"{len(self.leds)} LEDs from {self.nail_positions} nail position(s), method"
+            f" {self.method}:"
+        ]
         for led in self.leds:
             x, y, z = led.direction
             apart = "      -" if led.disagreement_deg is None else f"{led.disagreement_deg:7.2f}"
             bound = "" if led.interval_deg is None else f" +-{led.interval_deg:.2f} deg"
             lines.append(
-                f"  {led.band:5s} {led.led}  towards ({x:+.4f}, {y:+.4f}, {z:+.4f}){bound}, positions disagree by "
-                f"{apart} deg: {led.verdict}{'' if led.kept else ', left out'}"
+                f"  {led.band:5s} {led.led}  towards ({x:+.4f}, {y:+.4f}, {z:+.4f}){bound},"
+                f" positions disagree by {apart} deg:"
+                f" {led.verdict}{'' if led.kept else ', left out'}"
             )
         if self.nail_height_mm is not None:
             lines.append(f"The nail is {self.nail_height_mm:.1f} mm high, from its shadows.")
@@ -134,7 +154,10 @@ class LightsOfNail(CalibratedLights):
             names = ", ".join(self.shadows_out_of_the_picture)
             lines.append(f"Please note: the shadow leaves the picture for {names}.")
         if self.show:
-            lines.append(f"Please look at {self.show}: nail (cross), shadow tip (ring), ray to the LED (line).")
+            lines.append(
+                f"Please look at {self.show}: nail (cross), shadow tip (ring), ray to the LED"
+                " (line)."
+            )
         if self.tips_out:
             lines.append(f"Correct {self.tips_out} where it is wrong, and give it to `table`.")
         return lines
@@ -152,10 +175,17 @@ class Rules:
 
 
 def lights_of_tips(
-    tips: Sequence[Tip], base: Rig, circle: Circle, rules: Rules, hashes: Mapping[str, str], *, name: str
+    tips: Sequence[Tip],
+    base: Rig,
+    circle: Circle,
+    rules: Rules,
+    hashes: Mapping[str, str],
+    *,
+    name: str,
 ) -> LightsOfNail:
-    """Find and judge every LED of a table, of SHA-256 `hashes` by file. LEDs whose tips are copies keep the
-    construction's place. Raises BadInput if the table is incomplete or impossible; Refused if LEDs are not to be kept.
+    """Find and judge every LED of a table, of SHA-256 `hashes` by file. LEDs whose tips are copies
+    keep the construction's place. Raises BadInput if the table is incomplete or impossible; Refused
+    if LEDs are not to be kept.
     """
     camera = base.camera
     check_tips(tips, camera.image_size, name)
@@ -168,7 +198,9 @@ def lights_of_tips(
         copied = copied_leds(tips, camera)
         sound = [tip for tip in tips if (tip.band, tip.led) not in copied]
         if method == "joint":
-            require(positions > 1, "one nail position is there, but the joint fit needs two at least.")
+            require(
+                positions > 1, "one nail position is there, but the joint fit needs two at least."
+            )
             joint = by_joint_fit(sound, camera, circle, rules.nail) if sound else None
     except BadInput as error:
         raise BadInput(f"{name}: {error}") from error
@@ -201,13 +233,19 @@ def lights_of_tips(
     warnings = _warnings(verdicts, joint, sound)
     if rules.keep and sentence:
         warnings.append(f"kept although {sentence}")
-    origin = provenance({"method": method, "circle": circle, "limit_deg": rules.limit_deg, "nail": rules.nail}, hashes)
+    origin = provenance(
+        {"method": method, "circle": circle, "limit_deg": rules.limit_deg, "nail": rules.nail},
+        hashes,
+    )
     stored = ("band", "led", "verdict", "disagreement_deg", "interval_deg", "interval_mm")
     judged = [{field: asdict(led)[field] for field in stored} for led in leds]
     rig = rig_of(estimates, base, {"leds": plain_json(judged), "provenance": plain_json(origin)})
     beside = [led_name(rig.leds, k) for k in side_lights(rig.leds)]
     if beside:
-        note = f"the side lights {listed(beside)} keep the places that the rig file had; a ball measures them"
+        note = (
+            f"the side lights {listed(beside)} keep the places that the rig file had; a ball"
+            " measures them"
+        )
         warnings.append(note)
     lights = LightsOfNail(
         method,
@@ -231,8 +269,11 @@ def point_of(place: Array) -> Point:
     return x, y, z
 
 
-def rig_of(estimates: Mapping[LedName, LedEstimate], base: Rig, provenance: Mapping[str, Any]) -> Rig:
-    """Return `base` with the LEDs where they are estimated; what it knows beside their places is kept."""
+def rig_of(
+    estimates: Mapping[LedName, LedEstimate], base: Rig, provenance: Mapping[str, Any]
+) -> Rig:
+    """Return `base` with the LEDs where they are estimated; what it knows beside their places is
+    kept."""
     places = {name: point_of(estimate.position_mm) for name, estimate in estimates.items()}
     leds: list[Led] = []
     for led in base.leds:
@@ -241,20 +282,28 @@ def rig_of(estimates: Mapping[LedName, LedEstimate], base: Rig, provenance: Mapp
         leds.append(led if place is None else replace(led, position_mm=place, direction=None))
     ordered = sorted(places.items(), key=lambda item: (BANDS.index(item[0][0]), item[0][1]))
     leds += [Led(band=band, position_mm=place) for (band, _), place in ordered]
-    return replace(base, leds=tuple(leds), provenance={**base.provenance, "lights": dict(provenance)})
+    return replace(
+        base, leds=tuple(leds), provenance={**base.provenance, "lights": dict(provenance)}
+    )
 
 
-def _warnings(verdicts: Mapping[LedName, str], joint: JointFit | None, tips: Sequence[Tip]) -> list[str]:
+def _warnings(
+    verdicts: Mapping[LedName, str], joint: JointFit | None, tips: Sequence[Tip]
+) -> list[str]:
     warnings = []
     if UNCHECKED in verdicts.values():
         warnings.append(
-            "the nail stood in one place only, so that nothing checks the directions; photograph it in a second place."
+            "the nail stood in one place only, so that nothing checks the directions; photograph it"
+            " in a second place."
         )
     if joint is not None and joint.outliers:
-        astray = [f"{tips[row].name} ({np.linalg.norm(joint.residual_px[row]):.0f} px)" for row in joint.outliers]
+        astray = [
+            f"{tips[row].name} ({np.linalg.norm(joint.residual_px[row]):.0f} px)"
+            for row in joint.outliers
+        ]
         warnings.append(
-            f"these shadow tips lie far from where all others put them and were given little weight: "
-            f"{', '.join(astray)}."
+            "these shadow tips lie far from where all others put them and were given little"
+            f" weight: {', '.join(astray)}."
         )
     bands = {band for band, _ in verdicts}
     if len(bands) == 1:
@@ -263,33 +312,37 @@ def _warnings(verdicts: Mapping[LedName, str], joint: JointFit | None, tips: Seq
 
 
 def check_tips(tips: Sequence[Tip], image_size: tuple[int, int], name: str = "the table") -> None:
-    """Check that each band has all seven LEDs, each at two nail positions (or the only one), pixels in the image."""
+    """Check that each band has all seven LEDs, each at two nail positions (or the only one), pixels
+    in the image."""
     rows, columns = image_size
     for tip in tips:
         for what, (x, y) in (("nail", tip.nail_px), ("shadow's tip", tip.tip_px)):
             inside = -_BEYOND <= x / columns <= 1 + _BEYOND and -_BEYOND <= y / rows <= 1 + _BEYOND
             require(
                 inside,
-                f"{name}: {tip.name}: the {what} at x = {x:g}, y = {y:g} lies outside the image of {columns} columns "
-                f"and {rows} rows; correct the row, or the image size (rows, columns).",
+                f"{name}: {tip.name}: the {what} at x = {x:g}, y = {y:g} lies outside the image of"
+                f" {columns} columns and {rows} rows; correct the row, or the image size (rows,"
+                " columns).",
             )
     nails = sorted({tip.nail for tip in tips})
     for band in dict.fromkeys(tip.band for tip in tips):
         absent = [
-            name_of_led(band, k) for k in range(LEDS_PER_BAND) if (band, k) not in {(t.band, t.led) for t in tips}
+            name_of_led(band, k)
+            for k in range(LEDS_PER_BAND)
+            if (band, k) not in {(t.band, t.led) for t in tips}
         ]
         require(
             not absent,
-            f"{name} has no row for {' and '.join(absent)}; every LED from 0 to {LEDS_PER_BAND - 1} of a band that "
-            "occurs needs its rows.",
+            f"{name} has no row for {' and '.join(absent)}; every LED from 0 to {LEDS_PER_BAND - 1}"
+            " of a band that occurs needs its rows.",
         )
         for led in range(LEDS_PER_BAND):
             present = [tip.nail for tip in tips if (tip.band, tip.led) == (band, led)]
             lost = [str(nail) for nail in nails if nail not in present]
             require(
                 len(present) >= min(2, len(nails)),
-                f"{name} has {name_of_led(band, led)} at nail {present[0]} only, and not at nail {' and '.join(lost)}; "
-                f"add the row, because one position cannot be checked.",
+                f"{name} has {name_of_led(band, led)} at nail {present[0]} only, and not at nail"
+                f" {' and '.join(lost)}; add the row, because one position cannot be checked.",
             )
 
 
@@ -315,23 +368,29 @@ def check_nails(tips: Sequence[Tip], camera: Camera) -> None:
         spread = float(np.linalg.norm(places - middle, axis=1).max())
         require(
             spread <= _SAME_NAIL_MM,
-            f"nail {nail} of the {band} LEDs stands at places {spread:.1f} mm from each other; a nail number is one "
-            f"position, so correct its pixels or give each position a number of its own.",
+            f"nail {nail} of the {band} LEDs stands at places {spread:.1f} mm from each other; a"
+            " nail number is one position, so correct its pixels or give each position a number of"
+            " its own.",
         )
         middles[band, nail] = middle
     for first, second in combinations(sorted(middles), 2):
         distance = float(np.linalg.norm(middles[first] - middles[second]))
         require(
             first[0] != second[0] or distance > _MOVE_MM,
-            f"nails {first[1]} and {second[1]} of the {first[0]} LEDs stand {distance:.2f} mm from each other, which "
-            f"is one position; move the nail by a centimetre between them, or correct its pixels.",
+            f"nails {first[1]} and {second[1]} of the {first[0]} LEDs stand {distance:.2f} mm from"
+            " each other, which is one position; move the nail by a centimetre between them, or"
+            " correct its pixels.",
         )
 
 
 def judge(
-    estimates: Mapping[LedName, LedEstimate], copied: Set[LedName], strays: Set[LedName], limit_deg: float
+    estimates: Mapping[LedName, LedEstimate],
+    copied: Set[LedName],
+    strays: Set[LedName],
+    limit_deg: float,
 ) -> dict[LedName, str]:
-    """Verdict of every LED, the first that holds; ``unchecked`` is an LED that one position of the nail shows."""
+    """Verdict of every LED, the first that holds; ``unchecked`` is an LED that one position of the
+    nail shows."""
     verdicts = {}
     for name, estimate in estimates.items():
         apart_deg = estimate.disagreement_deg
@@ -346,8 +405,11 @@ def judge(
     return verdicts
 
 
-def refusal(verdicts: Mapping[LedName, str], estimates: Mapping[LedName, LedEstimate], limit_deg: float) -> str | None:
-    """One sentence that names every LED that is refused and what to do; None where there is none."""
+def refusal(
+    verdicts: Mapping[LedName, str], estimates: Mapping[LedName, LedEstimate], limit_deg: float
+) -> str | None:
+    """One sentence that names every LED that is refused and what to do; None where there is
+    none."""
     named: dict[str, list[str]] = {}
     for name, verdict in verdicts.items():
         apart = f" ({estimates[name].disagreement_deg:.1f} deg)" if verdict == DISAGREES else ""
@@ -357,6 +419,13 @@ def refusal(verdicts: Mapping[LedName, str], estimates: Mapping[LedName, LedEsti
         COPIED: "the shadow tips of {} are copies: they repeat although the nail moved",
         STRAYS: f"{{}} would stand more than {STRAY_MM:g} mm outside or inside the LED circle",
     }
-    parts = [text.format(listed(named[verdict])) for verdict, text in sentences.items() if verdict in named]
-    remedy = "correct the pixels or photograph the nail again under these LEDs, or keep them as they are (`keep`)."
+    parts = [
+        text.format(listed(named[verdict]))
+        for verdict, text in sentences.items()
+        if verdict in named
+    ]
+    remedy = (
+        "correct the pixels or photograph the nail again under these LEDs, or keep them as they are"
+        " (`keep`)."
+    )
     return f"{', and '.join(parts)}; {remedy}" if parts else None

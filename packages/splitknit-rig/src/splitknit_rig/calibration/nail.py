@@ -1,20 +1,23 @@
 """The LEDs from nail and shadow tips by least squares: all rows at once, the nail's height unknown.
 
-Seen from above, an LED at (p, z), a nail that stands at n with its tip at the height h, and the tip t of its shadow on
-the finger plane obey
+Seen from above, an LED at (p, z), a nail that stands at n with its tip at the height h, and the tip
+t of its shadow on the finger plane obey
 
     t = n + (n - p) h / (z - h).
 
-Unknown are every LED's p and z (L, 3), where the nail stood (P, 2), its height (one for all positions), and by how much
-the circle's centre (2), radius and height are other than measured, all in mm. Known are the tips and the nail in
-pixels, which the calibrated camera turns into places, and, softly, that the LEDs sit on the circle. The height of the
-nail and that of the LEDs cannot both be found from shadows (a nail and a rig of twice the height cast the same ones):
-the measured height of the circle sets the scale, or that of the nail where it is known.
+Unknown are every LED's p and z (L, 3), where the nail stood (P, 2), its height (one for all
+positions), and by how much the circle's centre (2), radius and height are other than measured, all
+in mm. Known are the tips and the nail in pixels, which the calibrated camera turns into places,
+and, softly, that the LEDs sit on the circle. The height of the nail and that of the LEDs cannot
+both be found from shadows (a nail and a rig of twice the height cast the same ones): the measured
+height of the circle sets the scale, or that of the nail where it is known.
 
-Tips that lie far from where all others put them lose their weight (Geman and McClure's) and are named.
+Tips that lie far from where all others put them lose their weight (Geman and McClure's) and are
+named.
 
-Source: the thesis, 4.3.2, for the set-up. D. Geman and S. Geman's redescending weights in the form of S. Geman and D.
-E. McClure, "Statistical methods for tomographic image reconstruction", Bulletin of the ISI 52(4), 1987.
+Source: the thesis, 4.3.2, for the set-up. D. Geman and S. Geman's redescending weights in the form
+of S. Geman and D. E. McClure, "Statistical methods for tomographic image reconstruction", Bulletin
+of the ISI 52(4), 1987.
 """
 
 from __future__ import annotations
@@ -31,14 +34,25 @@ from splitknit import Camera
 from splitknit.errors import require
 from splitknit.imaging.view import pixels_of, plane_points
 from splitknit.model import Array
-from splitknit_rig.calibration.lights import Circle, LedEstimate, Tip, by_circle, combine, nail_points, pixels
+from splitknit_rig.calibration.lights import (
+    Circle,
+    LedEstimate,
+    Tip,
+    by_circle,
+    combine,
+    nail_points,
+    pixels,
+)
 
 _NAIL_HEIGHT_SD_MM = 1.0  # standard deviation of the known height
-_CIRCLE_SD_MM = 1.0  # standard deviation of the circle's centre (each way), radius and height from the drawing's values
-_FREE_SD_MM = 30.0  # takes the place of all deviations of LEDs and circle where the nail's height is known
+# standard deviation of the circle's centre (each way), radius and height from the drawing's values
+_CIRCLE_SD_MM = 1.0
+# takes the place of all deviations of LEDs and circle where the nail's height is known
+_FREE_SD_MM = 30.0
 _TIP_SD_PX = 1.0  # standard deviation of a shadow tip in the image, along each axis
 _LED_SD_MM = 1.0  # of each LED's distance from the circle, radially and in height
-_OUTLIER = 4.0  # a tip this many standard deviations from its place is named, and has lost most of its weight
+# a tip this many standard deviations from its place is named, and has lost most of its weight
+_OUTLIER = 4.0
 STRAY_MM = 10.0  # an LED further than this off the fitted circle is refused
 
 
@@ -49,7 +63,8 @@ class Nail:
     height_mm: float | None = None
     """If known: the LED positions then follow from it, and the circle is only a check."""
     sd_mm: float = 0.1
-    """Standard deviation of its position on the finger plane, along each axis, shared by one position's rows."""
+    """Standard deviation of its position on the finger plane, along each axis, shared by one
+    position's rows."""
 
     def __post_init__(self) -> None:
         height = self.height_mm
@@ -81,7 +96,8 @@ class _NailModel:
         """LEDs (L, 3), nail places (P, 2), nail height, and the circle's four offsets."""
         count = 3 * len(self.names)
         leds = x[:count].reshape(-1, 3)
-        leds = np.column_stack([leds[:, :2], np.maximum(leds[:, 2], 1.1 * self.top)])  # above the nail, it the plane
+        # above the nail, it the plane
+        leds = np.column_stack([leds[:, :2], np.maximum(leds[:, 2], 1.1 * self.top)])
         height = float(np.clip(x[self.at_height], 0.5, self.top))
         return leds, x[count : self.at_height].reshape(-1, 2), height, x[-4:]
 
@@ -109,13 +125,20 @@ class _NailModel:
 
 
 def _places(tips: Sequence[Tip], camera: Camera, nail_px: Array) -> tuple[NDArray[np.intp], Array]:
-    """Place of the nail in each row (N,), and the mean pixels (P, 2); moved over 1 mm between bands, it is two."""
+    """Place of the nail in each row (N,), and the mean pixels (P, 2); moved over 1 mm between
+    bands, it is two."""
     positions = [(tip.nail, tip.band) for tip in tips]
-    middles = {key: nail_px[[position == key for position in positions]].mean(axis=0) for key in positions}
+    middles = {
+        key: nail_px[[position == key for position in positions]].mean(axis=0) for key in positions
+    }
 
     def first_beside(key: tuple[int, str]) -> tuple[int, str]:
         beside = (name for name in middles if name[0] == key[0])
-        return next(name for name in beside if np.linalg.norm(middles[name] - middles[key]) <= camera.px_per_mm)
+        return next(
+            name
+            for name in beside
+            if np.linalg.norm(middles[name] - middles[key]) <= camera.px_per_mm
+        )
 
     keys = [first_beside(key) for key in positions]
     names = list(dict.fromkeys(keys))
@@ -134,26 +157,38 @@ class JointFit:
     interval_deg: Array  # (L,) the true direction lies within this angle with 95 % probability
     interval_mm: Array  # (L,) the same of the position
     nail_height_mm: float
-    residual_px: Array  # (N, 2) tips found minus expected, columns and rows, in the order of the rows
+    # (N, 2) tips found minus expected, columns and rows, in the order of the rows
+    residual_px: Array
     outliers: tuple[int, ...]  # rows whose tip lies astray
     strays: frozenset[tuple[str, int]]  # LEDs, band and number, off the circle
     rms_px: float  # residual of the tips that are not outliers, each way
 
 
-def by_joint_fit(tips: Sequence[Tip], camera: Camera, circle: Circle, nail: Nail | None = None) -> JointFit:
-    """Every LED from all rows together; BadInput for one position, a row without shadow, a nail outside the circle."""
+def by_joint_fit(
+    tips: Sequence[Tip], camera: Camera, circle: Circle, nail: Nail | None = None
+) -> JointFit:
+    """Every LED from all rows together; BadInput for one position, a row without shadow, a nail
+    outside the circle."""
     model = _NailModel(tips, camera, circle, nail or Nail())
-    require(len(model.places_px) >= 2, "the joint fit needs two nail positions at least, but there is one.")
+    require(
+        len(model.places_px) >= 2,
+        "the joint fit needs two nail positions at least, but there is one.",
+    )
     return _result(model, _solve(model))
 
 
 def _solve(model: _NailModel) -> OptimizeResult:
-    first, height = by_circle(model.tips, model.camera, model.circle, known_height_mm=model.nail.height_mm)
+    first, height = by_circle(
+        model.tips, model.camera, model.circle, known_height_mm=model.nail.height_mm
+    )
     height = float(np.clip(height, 0.6, model.top))
     places = nail_points(model.camera, model.places_px, height)
-    x = np.concatenate([np.ravel([led.position_mm for led in first]), places.ravel(), [height], np.zeros(4)])
+    x = np.concatenate(
+        [np.ravel([led.position_mm for led in first]), places.ravel(), [height], np.zeros(4)]
+    )
     weights = np.ones(len(model.tips))
-    # the weights sharpen step by step, so that a tip astray does not pull its neighbours' away first
+    # the weights sharpen step by step, so that a tip astray does not pull its neighbours' away
+    # first
     for sharpness in (64.0, 32.0, 16.0, 8.0, 4.0, 2.0, *(1.0,) * 10):
         fit = least_squares(model.residuals, x, method="lm", xtol=1e-7, args=(weights,))
         before, x = x, fit.x
@@ -170,7 +205,8 @@ def _result(model: _NailModel, fit: OptimizeResult) -> JointFit:
     residual_px = model.tip_residuals(fit.x)
     astray = np.linalg.norm(residual_px, axis=1) > _OUTLIER * _TIP_SD_PX
     freedom = max(fit.fun.size - fit.x.size, 1)
-    wider = max(1.0, 2.0 * float(fit.cost) / freedom)  # where the residuals exceed their stated deviation
+    # where the residuals exceed their stated deviation
+    wider = max(1.0, 2.0 * float(fit.cost) / freedom)
     covariance = np.asarray(np.linalg.pinv(fit.jac.T @ fit.jac, hermitian=True) * wider)
     estimates, degrees, sizes = [], [], []
     ends = plane_points(model.camera, model.tip_px)
@@ -178,7 +214,9 @@ def _result(model: _NailModel, fit: OptimizeResult) -> JointFit:
         rows = np.flatnonzero(model.led_of == k)
         nail = places[model.place_of[rows]]
         reach = (leds[k, 2] - height) / height
-        singles = np.column_stack([nail + (nail - ends[rows]) * reach, np.full(len(rows), leds[k, 2])])
+        singles = np.column_stack(
+            [nail + (nail - ends[rows]) * reach, np.full(len(rows), leds[k, 2])]
+        )
         alone = combine(band, led, singles, circle)
         arm = leds[k] - circle.foot_mm
         unit = arm / np.linalg.norm(arm)
@@ -197,7 +235,9 @@ def _result(model: _NailModel, fit: OptimizeResult) -> JointFit:
         residual_px=residual_px,
         outliers=tuple(int(row) for row in np.flatnonzero(astray)),
         strays=frozenset(name for name, far in zip(model.names, off, strict=True) if far),
-        rms_px=float(np.sqrt(np.mean(residual_px[~astray] ** 2))) if not astray.all() else float("nan"),
+        rms_px=float(np.sqrt(np.mean(residual_px[~astray] ** 2)))
+        if not astray.all()
+        else float("nan"),
     )
 
 
@@ -205,7 +245,8 @@ def _result(model: _NailModel, fit: OptimizeResult) -> JointFit:
 
 
 def _radius_95(covariance: Array) -> float:
-    """95 % radius of a normal error of covariance (D, D), by its first two moments (Satterthwaite 1946), within 4 %."""
+    """95 % radius of a normal error of covariance (D, D), by its first two moments (Satterthwaite
+    1946), within 4 %."""
     values = np.clip(np.linalg.eigvalsh(covariance), 0.0, None)
     total = float(values.sum())
     if total <= 0:

@@ -1,4 +1,5 @@
-"""Photographs of the nail that calibrates lights: reading them, finding the tips, and a picture of what was found."""
+"""Photographs of the nail that calibrates lights: reading them, finding the tips, and a picture of
+what was found."""
 
 from __future__ import annotations
 
@@ -24,7 +25,8 @@ from splitknit_rig.calibration.lights import BANDS, LEDS_PER_BAND, Tip, led_of_f
 from splitknit_rig.calibration.shadow import NailView, find_nail
 
 NAIL_SD_MM = 0.05
-"""Standard deviation of the nail's place in photographs; 0.01 mm in the twin, but nails stand a little askew."""
+"""Standard deviation of the nail's place in photographs; 0.01 mm in the twin, but nails stand a
+little askew."""
 SUFFIXES = (".png", ".tif", ".tiff", ".jpg", ".jpeg")
 _TILE_COLUMNS = 400
 Files = dict[tuple[int, str], list[Path]]
@@ -42,14 +44,19 @@ def tips_of_photos(
     table: Path | None = None,
     progress: Progress = no_progress,
 ) -> tuple[list[Tip], dict[str, str], list[str]]:
-    """Find nail and shadow tips in the photographs of a folder; write the picture and the table of them. Returns the
-    tips by LED and place, SHA-256s by name, and files whose shadow leaves the picture.
+    """Find nail and shadow tips in the photographs of a folder; write the picture and the table of
+    them. Returns the tips by LED and place, SHA-256s by name, and files whose shadow leaves the
+    picture.
     """
     check_picture(show, folder)
-    check_file(table, "a table of tips", lambda data: data.startswith(write_tips([]).encode("ascii")))
+    check_file(
+        table, "a table of tips", lambda data: data.startswith(write_tips([]).encode("ascii"))
+    )
     files = _nail_files(folder)
     if encoding is None:  # a shadow's tip lies where it lies; nothing else decides
-        encoding, _ = encoding_of([path for paths in files.values() for path in paths], lambda: False)
+        encoding, _ = encoding_of(
+            [path for paths in files.values() for path in paths], lambda: False
+        )
     tips: list[Tip] = []
     tiles: list[_Tile] = []
     hashes: dict[str, str] = {}
@@ -62,7 +69,14 @@ def tips_of_photos(
         view = find_nail(stack, camera.px_per_mm, names)
         step = max(1, -(-max(camera.image_size) // 480))
         for led, tip in enumerate(view.tips_px):
-            tiles.append((f"{band} {led}, nail {nail}", np.ascontiguousarray(stack[led, ::step, ::step]), view, led))
+            tiles.append(
+                (
+                    f"{band} {led}, nail {nail}",
+                    np.ascontiguousarray(stack[led, ::step, ::step]),
+                    view,
+                    led,
+                )
+            )
             if np.isfinite(tip).all():
                 nail_px = (float(view.nail_px[0]), float(view.nail_px[1]))
                 tips.append(Tip(band, led, nail, nail_px, (float(tip[0]), float(tip[1]))))
@@ -73,29 +87,41 @@ def tips_of_photos(
         write_image(show, _nail_overview(tiles, camera.image_size))
     if table is not None:
         write_file(table, write_tips(tips).encode("ascii"))
-    require(bool(tips), f"{folder}: all shadows leave the picture; use a shorter nail or move it to the middle.")
+    require(
+        bool(tips),
+        f"{folder}: all shadows leave the picture; use a shorter nail or move it to the middle.",
+    )
     return tips, hashes, lost
 
 
 def _nail_files(folder: Path) -> Files:
-    """Images of a folder: white_0.png ... nir_6.png in it, or in a subfolder for each nail position. BadInput if
-    one is missing.
+    """Images of a folder: white_0.png ... nir_6.png in it, or in a subfolder for each nail
+    position. BadInput if one is missing.
     """
-    require(folder.is_dir(), f"{folder} is not a folder; name the folder with the photographs of the nail.")
-    places = sorted((path for path in folder.iterdir() if path.is_dir()), key=lambda path: natural_order(path.name))
+    require(
+        folder.is_dir(),
+        f"{folder} is not a folder; name the folder with the photographs of the nail.",
+    )
+    places = sorted(
+        (path for path in folder.iterdir() if path.is_dir()),
+        key=lambda path: natural_order(path.name),
+    )
     places = [place for place in places if _bands(place)] or [folder]
     files: Files = {}
     for nail, place in enumerate(places, start=1):
         bands = _bands(place)
         require(
             bool(bands),
-            f"{place} holds no photographs of the nail; they are named white_0.png to white_6.png and nir_0.png to "
-            f"nir_6.png, in a subfolder for each position of the nail.",
+            f"{place} holds no photographs of the nail; they are named white_0.png to white_6.png"
+            " and nir_0.png to nir_6.png, in a subfolder for each position of the nail.",
         )
         for band in [band for band in BANDS if band in bands]:
             absent = [led for led in range(LEDS_PER_BAND) if led not in bands[band]]
             names = " and ".join(f"{band}_{led}" for led in absent)
-            require(not absent, f"{place} lacks the image {names}; every LED of a band that occurs needs one.")
+            require(
+                not absent,
+                f"{place} lacks the image {names}; every LED of a band that occurs needs one.",
+            )
             files[nail, band] = [bands[band][led] for led in range(LEDS_PER_BAND)]
     return files
 
@@ -103,7 +129,8 @@ def _nail_files(folder: Path) -> Files:
 def read_stack(
     paths: Sequence[Path], size: tuple[int, int], encoding: str, *, upright: bool = False
 ) -> tuple[FloatArray, dict[Path, str]]:
-    """Grey linear light (L, H, W) of images, less the ambient one beside them, `upright` by EXIF; and all SHA-256s."""
+    """Grey linear light (L, H, W) of images, less the ambient one beside them, `upright` by EXIF;
+    and all SHA-256s."""
     hashes: dict[Path, str] = {}
     images = []
     for path in paths:
@@ -119,13 +146,16 @@ def read_stack(
     return np.stack(images), hashes
 
 
-def _read(path: Path, size: tuple[int, int], encoding: str, *, upright: bool) -> tuple[FloatArray, str]:
+def _read(
+    path: Path, size: tuple[int, int], encoding: str, *, upright: bool
+) -> tuple[FloatArray, str]:
     data = read_bytes(path, MAX_BYTES)
     pixels = decode_photo(data, str(path)).pixels if upright else decode_image(data, str(path))
     require(
         pixels.shape[:2] == size,
-        f"{path} has {pixels.shape[0]} x {pixels.shape[1]} pixels (rows x columns), but the rig's camera has "
-        f"{size[0]} x {size[1]}; give the rig or `image_size` that belongs to the photographs.",
+        f"{path} has {pixels.shape[0]} x {pixels.shape[1]} pixels (rows x columns), but the rig's"
+        f" camera has {size[0]} x {size[1]}; give the rig or `image_size` that belongs to the"
+        " photographs.",
     )
     require(pixels.dtype.kind == "u", f"{path} holds floats; save it as 16-bit PNG or TIFF.")
     image = np.asarray(linear_image(pixels, encoding).mean(axis=2), dtype=np.float32)
@@ -140,8 +170,14 @@ def _bands(place: Path) -> Mapping[str, dict[int, Path]]:
         if name is not None and path.suffix.lower() in SUFFIXES and path.is_file():
             band, led = name
             leds = bands.setdefault(band, {})
-            require(led < LEDS_PER_BAND, f"{path}: the LED must be 0 to {LEDS_PER_BAND - 1}, counted in its band.")
-            require(led not in leds, f"{path} and {leds.get(led)} are both for one LED; keep one of them.")
+            require(
+                led < LEDS_PER_BAND,
+                f"{path}: the LED must be 0 to {LEDS_PER_BAND - 1}, counted in its band.",
+            )
+            require(
+                led not in leds,
+                f"{path} and {leds.get(led)} are both for one LED; keep one of them.",
+            )
             leds[led] = path
     return bands
 
@@ -150,23 +186,30 @@ def _bands(place: Path) -> Mapping[str, dict[int, Path]]:
 
 
 def _nail_overview(tiles: Sequence[_Tile], image_size: tuple[int, int]) -> ColourArray:
-    """Photographs of the nail, small, seven a row: nail tip (cross), shadow tip (ring), ray to the LED (line)."""
+    """Photographs of the nail, small, seven a row: nail tip (cross), shadow tip (ring), ray to the
+    LED (line)."""
     drawn = [_nail_tile(tile, image_size) for tile in tiles]
     drawn += [np.full_like(drawn[0], 255)] * (-len(drawn) % 7)
-    return np.concatenate([np.concatenate(drawn[k : k + 7], axis=1) for k in range(0, len(drawn), 7)], axis=0)
+    return np.concatenate(
+        [np.concatenate(drawn[k : k + 7], axis=1) for k in range(0, len(drawn), 7)], axis=0
+    )
 
 
 def _nail_tile(tile: _Tile, image_size: tuple[int, int]) -> ColourArray:
     name, image, view, led = tile
     scale = _TILE_COLUMNS / image_size[1]
-    grey = cv2.resize(image, (_TILE_COLUMNS, max(1, round(image_size[0] * scale))), interpolation=cv2.INTER_AREA)
+    grey = cv2.resize(
+        image, (_TILE_COLUMNS, max(1, round(image_size[0] * scale))), interpolation=cv2.INTER_AREA
+    )
     top = max(float(np.percentile(grey, 99.5)), 1e-6)
     shade = np.rint(255.0 * np.clip(grey / top, 0, 1) ** (1 / 2.2)).astype(np.uint8)
     picture = np.ascontiguousarray(np.repeat(shade[..., None], 3, axis=2))
     tip_px = view.tips_px[led]
     nail = _at(view.nail_px, scale)
     if np.isfinite(tip_px).all():
-        towards_led = (view.nail_px - tip_px) / max(float(np.linalg.norm(view.nail_px - tip_px)), 1e-9)
+        towards_led = (view.nail_px - tip_px) / max(
+            float(np.linalg.norm(view.nail_px - tip_px)), 1e-9
+        )
         beyond = view.nail_px + towards_led * float(sum(image_size))
         cv2.line(picture, _at(tip_px, scale), _at(beyond, scale), SKY, 1, cv2.LINE_AA)
         cv2.circle(picture, _at(tip_px, scale), 6, ORANGE, 1, cv2.LINE_AA)
@@ -174,7 +217,9 @@ def _nail_tile(tile: _Tile, image_size: tuple[int, int]) -> ColourArray:
         name += ": out of the picture"
     cv2.drawMarker(picture, nail, PAPER, cv2.MARKER_CROSS, 13)
     for colour, thickness in (((255, 255, 255), 3), ((0, 0, 0), 1)):
-        cv2.putText(picture, name, (6, 16), cv2.FONT_HERSHEY_SIMPLEX, 0.45, colour, thickness, cv2.LINE_AA)
+        cv2.putText(
+            picture, name, (6, 16), cv2.FONT_HERSHEY_SIMPLEX, 0.45, colour, thickness, cv2.LINE_AA
+        )
     picture[-1] = 255
     picture[:, -1] = 255
     return picture

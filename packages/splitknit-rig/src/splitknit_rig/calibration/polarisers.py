@@ -1,8 +1,10 @@
-"""The polarising films of a rig, from a printed matt card and a glossy black ball (or a sheet of glass) behind them.
+"""The polarising films of a rig, from a printed matt card and a glossy black ball (or a sheet of
+glass) behind them.
 
-The card returns depolarised light, of which both positions of the analyser should pass the same: it shows how much
-darker the crossed images are, their tint, and by how much the turned analyser moves the image. The ball mirrors the
-lights: what is left of them in the crossed images has passed the films although it should not.
+The card returns depolarised light, of which both positions of the analyser should pass the same: it
+shows how much darker the crossed images are, their tint, and by how much the turned analyser moves
+the image. The ball mirrors the lights: what is left of them in the crossed images has passed the
+films although it should not.
 """
 
 from __future__ import annotations
@@ -29,10 +31,12 @@ from splitknit_rig.calibration.radiometry_folder import residual_tile, rounded
 
 _CLIPPED = 0.985
 _LEVELS_PX = (8.0, 4.0, 2.0)
-"""Standard deviations of the blur under which both images of the card are brought onto each other."""
+"""Standard deviations of the blur under which both images of the card are brought onto each
+other."""
 _MIN_LIKENESS = 0.5  # correlation of their details; a card without print has none
 _ACROSS = 60  # cells along the longer side of the card's picture
-_STEADY = 0.004  # relative deviation of an LED's light from one photograph to the next, with its shot noise
+# relative deviation of an LED's light from one photograph to the next, with its shot noise
+_STEADY = 0.004
 _NEIGHBOUR_MM = 1.0  # how far apart on the ball LEDs beside each other are mirrored
 _MATT_PERCENT, _MAX_LEAK = 1.0, 0.05
 _LEAK_ERROR = 2.5e-4  # half of the largest error of what is left, on simulated rigs
@@ -56,13 +60,14 @@ def films_to_file(
         captures[name] = capture if rig is None else with_rig(capture, rig)
         require(
             "white_crossed" in capture.bands,
-            f"{folder / name} holds no crossed series; photograph the {name} with the analyser parallel (white) and "
-            "crossed (white_crossed).",
+            f"{folder / name} holds no crossed series; photograph the {name} with the analyser"
+            " parallel (white) and crossed (white_crossed).",
         )
     card, ball = captures["card"], captures["ball"]
     require(
         ball.bands["white"].leds == card.bands["white"].leds and ball.shape == card.shape,
-        f"{folder / 'ball'} has other LEDs or another size than {folder / 'card'}; use the same for both.",
+        f"{folder / 'ball'} has other LEDs or another size than {folder / 'card'}; use the same for"
+        " both.",
     )
     films, facts, residual_maps = naming(folder / "card", lambda: measure_card(card))
     progress("ball", 0.4)
@@ -74,18 +79,29 @@ def films_to_file(
         [rounded(max(a - 2 * b, 0.0)), rounded(a + 2 * b)] for a, b in zip(leak, error, strict=True)
     ]
     facts["warnings"] += [
-        f"light {k}: {100 * part:.1f} % of the specular light is left in the crossed image; turn its film or the "
-        "analyser."
+        f"light {k}: {100 * part:.1f} % of the specular light is left in the crossed image; turn"
+        " its film or the analyser."
         for k, part in enumerate(leak)
         if part > _MAX_LEAK
     ]
     films = replace(films, leak=tuple(rounded(float(part)) for part in np.clip(leak, 0.0, 0.499)))
-    hashes = {f"{name}/{file}": digest for name, capture in captures.items() for file, digest in capture.hashes.items()}
+    hashes = {
+        f"{name}/{file}": digest
+        for name, capture in captures.items()
+        for file, digest in capture.hashes.items()
+    }
     facts |= provenance({}, hashes)
     if residuals is not None:
         tiles = [residual_tile(100 * part, np.isnan(part), part.shape) for part in residual_maps]
         write_image(residuals, np.concatenate(tiles, axis=1))
-    write_rig(replace(card.rig, films=films, provenance={**card.rig.provenance, "polarisers": plain_json(facts)}), out)
+    write_rig(
+        replace(
+            card.rig,
+            films=films,
+            provenance={**card.rig.provenance, "polarisers": plain_json(facts)},
+        ),
+        out,
+    )
     progress("done", 1.0)
     files = [str(file) for file in (out, residuals) if file is not None]
     return {**facts, "films": plain_json(asdict(films)), "out": str(out), "files": files}
@@ -93,7 +109,10 @@ def films_to_file(
 
 def _image(band: Band, k: int, encoding: str) -> FloatArray:
     """(h, w, 3) linear light of one image."""
-    parts = {name: getattr(band, name)[k : k + 1] for name in ("pixels", "leds", "exposure", "black_level")}
+    parts = {
+        name: getattr(band, name)[k : k + 1]
+        for name in ("pixels", "leds", "exposure", "black_level")
+    }
     channels = linear_channels(replace(band, **parts), encoding, ("red", "green", "blue"))[:, 0]
     return np.ascontiguousarray(np.moveaxis(channels, 0, 2))
 
@@ -112,8 +131,9 @@ def _clipped(band: Band, k: int) -> BoolArray:
 
 
 def measure_card(card: Capture) -> tuple[Films, dict[str, Any], list[Array]]:
-    """Films (image shift and brightness, no leak yet) by a printed matt card; errors and residuals; and L arrays (h, w)
-    of what is left of crossed over parallel, NaN in the dark. BadInput if the card has no print, is clipped, or moved.
+    """Films (image shift and brightness, no leak yet) by a printed matt card; errors and residuals;
+    and L arrays (h, w) of what is left of crossed over parallel, NaN in the dark. BadInput if the
+    card has no print, is clipped, or moved.
     """
     near, far = card.bands["white"], card.bands["white_crossed"]
     some = (0, len(near.leds) // 2)
@@ -134,7 +154,8 @@ def measure_card(card: Capture) -> tuple[Films, dict[str, Any], list[Array]]:
         used = (whole > 0.999) & (bright > max(0.4 * float(np.percentile(bright, 95)), 0.0))
         require(
             int(used.sum()) >= 50,
-            f"image {k}: too little of the card is bright and not clipped; expose it to about 70 % of full scale.",
+            f"image {k}: too little of the card is bright and not clipped; expose it to about 70 %"
+            " of full scale.",
         )
         ratio = np.full((*cells, 3), np.nan)
         ratio[used] = c[used].astype(np.float64) / p[used]
@@ -142,8 +163,8 @@ def measure_card(card: Capture) -> tuple[Films, dict[str, Any], list[Array]]:
         least, most = brightness[-1].min(), brightness[-1].max()
         require(
             least > 0.2 and most < 5.0,
-            f"image {k}: the card is {least:.2g} to {most:.2g} times as bright in the crossed image as in the parallel "
-            "one; state exposure_s of every image, and compare the films.",
+            f"image {k}: the card is {least:.2g} to {most:.2g} times as bright in the crossed image"
+            " as in the parallel one; state exposure_s of every image, and compare the films.",
         )
         residuals.append((ratio / brightness[-1]) @ GREY_WEIGHTS.astype(np.float64) - 1.0)
     rms = [100 * float(np.sqrt(np.nanmean(residual**2))) for residual in residuals]
@@ -151,28 +172,42 @@ def measure_card(card: Capture) -> tuple[Films, dict[str, Any], list[Array]]:
     facts = {
         "shift_interval_px": [rounded(2.0 * part) for part in deviation[:2]],
         "scale_interval": rounded(2.0 * deviation[2]),
-        "brightness_interval": [rounded(2.5 * 0.01 * part / np.sqrt(n)) for part, n in zip(rms, count, strict=True)],
+        "brightness_interval": [
+            rounded(2.5 * 0.01 * part / np.sqrt(n)) for part, n in zip(rms, count, strict=True)
+        ],
         "residual_rms_percent": list(map(rounded, rms)),
-        "residual_largest_percent": [rounded(100 * float(np.nanmax(np.abs(residual)))) for residual in residuals],
+        "residual_largest_percent": [
+            rounded(100 * float(np.nanmax(np.abs(residual)))) for residual in residuals
+        ],
         "warnings": [
-            f"the card's crossed image {k} departs by {departure:.1f} % (rms) from a parallel one of other brightness; "
-            "use a matt card."
+            f"the card's crossed image {k} departs by {departure:.1f} % (rms) from a parallel one"
+            " of other brightness; use a matt card."
             for k, departure in enumerate(rms)
             if departure > _MATT_PERCENT and near.leds[k] == far.leds[k]
         ],
     }
     rows = tuple(tuple(map(rounded, row.tolist())) for row in brightness)
-    return replace(films, leds=tuple(group[0] for group in near.leds), brightness=rows), facts, residuals
+    return (
+        replace(films, leds=tuple(group[0] for group in near.leds), brightness=rows),
+        facts,
+        residuals,
+    )
 
 
 def _shift(parallel: FloatArray, crossed: FloatArray) -> tuple[Films, Array]:
-    """Bring the crossed image (h, w) onto the parallel one by least squares, coarse to fine; with deviations (3,)."""
+    """Bring the crossed image (h, w) onto the parallel one by least squares, coarse to fine; with
+    deviations (3,)."""
     crossed = crossed * np.float32(parallel.mean() / max(float(crossed.mean()), 1e-9))
     films = Films((), (), ())
     for sigma in _LEVELS_PX:
         blurs = (sigma, 4.0 * sigma)  # what is finer than the second and coarser than the first
         fixed, moving = (
-            np.subtract(*(cv2.GaussianBlur(image, (0, 0), s, borderType=cv2.BORDER_REPLICATE) for s in blurs))
+            np.subtract(
+                *(
+                    cv2.GaussianBlur(image, (0, 0), s, borderType=cv2.BORDER_REPLICATE)
+                    for s in blurs
+                )
+            )
             for image in (parallel, crossed)
         )
         fields = [spline_filter(part, mode="nearest") for part in (moving, *np.gradient(moving))]
@@ -185,24 +220,38 @@ def _shift(parallel: FloatArray, crossed: FloatArray) -> tuple[Films, Array]:
         for _ in range(10):  # OpenCV would round places to 1/32 pixel
             at = crossed_place(films, parallel.shape) @ (columns, rows, np.ones(len(rows)))
             here, slope_y, slope_x = (
-                map_coordinates(field, at[::-1], prefilter=False, mode="nearest") for field in fields
+                map_coordinates(field, at[::-1], prefilter=False, mode="nearest")
+                for field in fields
             )
             jacobian = np.stack([slope_x, slope_y, slope_x * across + slope_y * down, here])
             normal = jacobian @ jacobian.T
             step = np.linalg.lstsq(normal, jacobian @ (seen - here), rcond=None)[0]
-            x, y, s = (films.shift_px[0] + step[0], films.shift_px[1] + step[1], films.scale + step[2])
+            x, y, s = (
+                films.shift_px[0] + step[0],
+                films.shift_px[1] + step[1],
+                films.scale + step[2],
+            )
             films = replace(films, shift_px=(float(x), float(y)), scale=float(s))
             if float(np.abs(step[:2]).max()) < 1e-4:
                 break
         rest = seen - here - step @ jacobian
-        likeness = float(np.corrcoef(seen, here)[0, 1]) if float(seen.std() * here.std()) > 0 else 0.0
+        likeness = (
+            float(np.corrcoef(seen, here)[0, 1]) if float(seen.std() * here.std()) > 0 else 0.0
+        )
     require(
         likeness >= _MIN_LIKENESS,
-        "the parallel and the crossed image of the card show no common details; photograph a matt card with print on "
-        "it, such as the board of 'splitknit rig target', and leave it in place while the analyser is turned.",
+        "the parallel and the crossed image of the card show no common details; photograph a matt"
+        " card with print on it, such as the board of 'splitknit rig target', and leave it in place"
+        " while the analyser is turned.",
     )
     # blurred noise is alike over 4 pi sigma^2 pixels
-    variance = np.diag(np.linalg.pinv(normal)) * float((rest**2).mean()) * 4.0 * np.pi * (sigma / every) ** 2
+    variance = (
+        np.diag(np.linalg.pinv(normal))
+        * float((rest**2).mean())
+        * 4.0
+        * np.pi
+        * (sigma / every) ** 2
+    )
     x, y = map(rounded, films.shift_px)
     return replace(films, shift_px=(x, y), scale=round(films.scale, 7)), np.sqrt(variance[:3])
 
@@ -221,12 +270,14 @@ class Spot:
     def disc(self, shape: tuple[int, ...], times: float = 1.0) -> BoolArray:
         """(h, w) pixels within so many times the radius."""
         rows, columns = np.ogrid[: shape[0], : shape[1]]
-        return np.asarray((rows - self.row) ** 2 + (columns - self.column) ** 2 <= (times * self.radius_px) ** 2)
+        return np.asarray(
+            (rows - self.row) ** 2 + (columns - self.column) ** 2 <= (times * self.radius_px) ** 2
+        )
 
 
 def measure_ball(ball: Capture, films: Films) -> Array:
-    """(L, 2, 2) light of the parallel and crossed highlights of L lights in a glossy black ball, and its deviation.
-    BadInput if a highlight is missing or clipped, or series are swapped.
+    """(L, 2, 2) light of the parallel and crossed highlights of L lights in a glossy black ball,
+    and its deviation. BadInput if a highlight is missing or clipped, or series are swapped.
     """
     near, far = ball.bands["white"], ball.bands["white_crossed"]
     matrix = crossed_place(films, ball.shape)
@@ -238,7 +289,9 @@ def measure_ball(ball: Capture, films: Films) -> Array:
         place = Spot(round(float(column)), round(float(row)), spot.radius_px)
         if led != crossed_led:  # films at right angles on LEDs beside each other
             grey = cv2.GaussianBlur(_grey(far, k, ball.encoding), (0, 0), 1.0)
-            around = replace(place, radius_px=_NEIGHBOUR_MM * ball.rig.camera.px_per_mm).disc(grey.shape)
+            around = replace(place, radius_px=_NEIGHBOUR_MM * ball.rig.camera.px_per_mm).disc(
+                grey.shape
+            )
             at = np.unravel_index(int(np.argmax(np.where(around, grey, -np.inf))), grey.shape)
             place = Spot(int(at[1]), int(at[0]), spot.radius_px)
         crossed = _flux(far, k, ball.encoding, place) / (films.brightness[k] @ GREY_WEIGHTS)
@@ -246,7 +299,8 @@ def measure_ball(ball: Capture, films: Films) -> Array:
     values = np.array(light)
     require(
         float(np.median(values[:, 1, 0] / values[:, 0, 0])) < 1.0,
-        "the highlights are brighter in the crossed series than in the parallel one; exchange white and white_crossed.",
+        "the highlights are brighter in the crossed series than in the parallel one; exchange white"
+        " and white_crossed.",
     )
     return values
 
@@ -260,8 +314,8 @@ def _spot(grey: NDArray[Any], k: int) -> Spot:
     noise = 1.4826 * float(np.median(np.abs(grey - beside)))
     require(
         peak > max(10.0 * noise, 3.0 * beside) and area < 0.01 * grey.size,
-        f"image {k}: no highlight stands out; photograph a glossy black ball or a sheet of glass that mirrors the "
-        "light.",
+        f"image {k}: no highlight stands out; photograph a glossy black ball or a sheet of glass"
+        " that mirrors the light.",
     )
     return Spot(int(column), int(row), 3.0 * float(np.sqrt(area / np.pi)) + 5.0)
 
@@ -272,7 +326,8 @@ def _flux(band: Band, k: int, encoding: str, spot: Spot) -> Array:
     disc = spot.disc(grey.shape)
     require(
         not (_clipped(band, k) & disc).any(),
-        f"image {k} of the band '{band.name}': the highlight is clipped; photograph the ball with a shorter exposure.",
+        f"image {k} of the band '{band.name}': the highlight is clipped; photograph the ball with a"
+        " shorter exposure.",
     )
     ring = grey[spot.disc(grey.shape, 1.8) & ~spot.disc(grey.shape, 1.1)]
     beside = float(np.median(ring))

@@ -1,7 +1,8 @@
-"""Radiometric calibration: a rig's lens, the brightness and beams of its LEDs; and the check of a later card.
+"""Radiometric calibration: a rig's lens, the brightness and beams of its LEDs; and the check of a
+later card.
 
-A capture of a white card is condensed to a few hundred numbers an LED: robust means over cells, which dust and noise
-hardly touch.
+A capture of a white card is condensed to a few hundred numbers an LED: robust means over cells,
+which dust and noise hardly touch.
 """
 
 from __future__ import annotations
@@ -27,26 +28,33 @@ _INNER = 5  # a cell's brightness is the median of the means of this many blocks
 
 
 def _cells_of(band: Band, encoding: str) -> tuple[Array, Array]:
-    """Middles of the cells, (rows, columns, 2) columns and rows, and a band's linear grey light (L, rows, columns) in
-    them: black level and ambient light removed, the lens's fall-off left in.
+    """Middles of the cells, (rows, columns, 2) columns and rows, and a band's linear grey light (L,
+    rows, columns) in them: black level and ambient light removed, the lens's fall-off left in.
     """
     size = band.pixels.shape[1:3]
     require(
         min(size) >= 16 and max(size) >= _ACROSS,
-        f"the images have {size[0]} x {size[1]} pixels, too few for a calibration; use at least {_ACROSS}.",
+        f"the images have {size[0]} x {size[1]} pixels, too few for a calibration; use at least"
+        f" {_ACROSS}.",
     )
     binning = max(1, round(max(size) / (_ACROSS * _INNER)))
     stack = linear_stack(band, encoding, "grey", binning=binning)
     inner = min(_INNER, max(1, max(size) // (binning * _ACROSS)))
-    rows, columns = stack.shape[1] // inner, stack.shape[2] // inner  # what fills no cell is dropped
-    cells = stack[:, : rows * inner, : columns * inner].reshape(-1, rows, inner, columns, inner).swapaxes(2, 3)
+    # what fills no cell is dropped
+    rows, columns = stack.shape[1] // inner, stack.shape[2] // inner
+    cells = (
+        stack[:, : rows * inner, : columns * inner]
+        .reshape(-1, rows, inner, columns, inner)
+        .swapaxes(2, 3)
+    )
     light = np.median(cells.reshape(-1, rows, columns, inner * inner), axis=-1).astype(np.float64)
     side = binning * inner
     row, column = np.mgrid[:rows, :columns] * side + (side - 1) / 2
     return np.stack([column, row], axis=-1), light
 
 
-_MAX_CLIPPED_PERCENT = 0.5  # an image is refused if more than this fraction of its pixels is at full scale
+# an image is refused if more than this fraction of its pixels is at full scale
+_MAX_CLIPPED_PERCENT = 0.5
 _FULL_SCALE = 0.985  # a value from here on is at full scale
 _MIN_LIGHT = 0.02  # an image whose median is below this fraction of full scale is black
 
@@ -58,16 +66,18 @@ class CardImages:
     pixels: Array  # (N, 2) column and row of the cells' middles
     light: Array  # (L, N) linear light of the LED alone, the lens's fall-off in it, by the exposure
     shape: tuple[int, int]  # rows and columns of cells
-    # light with all LEDs off, by band, relative to the mean image; None where there is no such image
+    # light with all LEDs off, by band, relative to the mean image; None where there is no such
+    # image
     ambient_percent: dict[str, float | None]
-    # whether the capture states how long it exposed, so that brightness can be compared with another day's
+    # whether the capture states how long it exposed, so that brightness can be compared with
+    # another day's
     exposures_given: bool
     brightest: Array  # (L,) 99th percentile of each image's values, as a part of full scale
 
 
 def card_images(capture: Capture, rig: Rig) -> CardImages:
-    """Condense a capture of a white card, each LED of the rig alone in one image. Raises BadInput if capture and rig do
-    not fit, or an image is missing, double, black or clipped.
+    """Condense a capture of a white card, each LED of the rig alone in one image. Raises BadInput
+    if capture and rig do not fit, or an image is missing, double, black or clipped.
     """
     _check_fit(capture, rig)
     bands = list(capture.bands.values())
@@ -78,7 +88,10 @@ def card_images(capture: Capture, rig: Rig) -> CardImages:
     cells = [_cells_of(replace(band, shading=()), capture.encoding) for band in bands]
     places = cells[0][0]
     stored = [
-        [float(np.percentile(image[::4, ::4].max(axis=2), 99)) / np.iinfo(image.dtype).max for image in band.pixels]
+        [
+            float(np.percentile(image[::4, ::4].max(axis=2), 99)) / np.iinfo(image.dtype).max
+            for image in band.pixels
+        ]
         for band in bands
     ]
     return CardImages(
@@ -98,16 +111,19 @@ def _check_fit(capture: Capture, rig: Rig) -> None:
     own = capture.rig
     require(
         own.camera.image_size == rig.camera.image_size,
-        f"the card's images have {own.camera.image_size[0]} x {own.camera.image_size[1]} pixels, but the rig's camera "
-        f"has {rig.camera.image_size[0]} x {rig.camera.image_size[1]}; give the rig that took them.",
+        f"the card's images have {own.camera.image_size[0]} x {own.camera.image_size[1]} pixels,"
+        f" but the rig's camera has {rig.camera.image_size[0]} x {rig.camera.image_size[1]}; give"
+        " the rig that took them.",
     )
     require(
         [led.band for led in own.leds] == [led.band for led in rig.leds],
-        f"the card was taken with a rig of {len(own.leds)} LEDs, but the rig to calibrate has {len(rig.leds)} (or "
-        f"orders its bands otherwise); give the rig that took them.",
+        f"the card was taken with a rig of {len(own.leds)} LEDs, but the rig to calibrate has"
+        f" {len(rig.leds)} (or orders its bands otherwise); give the rig that took them.",
     )
     for k, led in enumerate(rig.leds):
-        words = f"LED {k} of the rig has a direction, but no position_mm; calibrate the lights first."
+        words = (
+            f"LED {k} of the rig has a direction, but no position_mm; calibrate the lights first."
+        )
         require(led.position_mm is not None, words)
 
 
@@ -117,18 +133,21 @@ def _images_of_leds(bands: Sequence[Band], rig: Rig) -> list[tuple[int, int]]:
         for k, group in enumerate(band.leds):
             require(
                 len(group) == 1,
-                f"image {k} of the band '{band.name}' is lit by {len(group)} LEDs; each LED must light the card alone.",
+                f"image {k} of the band '{band.name}' is lit by {len(group)} LEDs; each LED must"
+                " light the card alone.",
             )
             require(
                 group[0] not in images,
-                f"LED {group[0]} ({led_name(rig.leds, group[0])}) lights two images of the card; keep one.",
+                f"LED {group[0]} ({led_name(rig.leds, group[0])}) lights two images of the card;"
+                " keep one.",
             )
             images[group[0]] = (b, k)
     missing = [f"{k} ({led_name(rig.leds, k)})" for k in range(len(rig.leds)) if k not in images]
     require(
         not missing,
-        f"the card has {len(images)} images for the rig's {len(rig.leds)} LEDs: LED {', '.join(missing)} "
-        f"{'is' if len(missing) == 1 else 'are'} missing; take the card under every LED.",
+        f"the card has {len(images)} images for the rig's {len(rig.leds)} LEDs: LED"
+        f" {', '.join(missing)} {'is' if len(missing) == 1 else 'are'} missing; take the card under"
+        " every LED.",
     )
     return [images[k] for k in range(len(rig.leds))]
 
@@ -139,32 +158,36 @@ def _check_image(band: Band, k: int, rig: Rig) -> None:
     clipped = 100 * float((pixels.max(axis=2) >= _FULL_SCALE * full).mean())
     require(
         clipped <= _MAX_CLIPPED_PERCENT,
-        f"{name} is clipped: {clipped:.1f} % of its pixels are at full scale (at most {_MAX_CLIPPED_PERCENT:g} % "
-        f"may be); take the card with a shorter exposure.",
+        f"{name} is clipped: {clipped:.1f} % of its pixels are at full scale (at most"
+        f" {_MAX_CLIPPED_PERCENT:g} % may be); take the card with a shorter exposure.",
     )
     middle = (float(np.median(pixels[::4, ::4])) - float(band.black_level[k])) / full
     led = band.leds[k][0]
     require(
         middle > _MIN_LIGHT,
-        f"{name} is black ({100 * middle:.1f} % of full scale): LED {led} ({led_name(rig.leds, led)}) did not light, "
-        f"or the exposure is far too short.",
+        f"{name} is black ({100 * middle:.1f} % of full scale): LED {led}"
+        f" ({led_name(rig.leds, led)}) did not light, or the exposure is far too short.",
     )
 
 
 def _ambient_percent(band: Band, encoding: str, light: Array) -> float | None:
     if band.ambient is None:
         return None
-    image = linear_image(band.ambient, encoding, band.ambient_exposure, band.ambient_black_level, binning=2)
+    image = linear_image(
+        band.ambient, encoding, band.ambient_exposure, band.ambient_black_level, binning=2
+    )
     return _round(100 * float(np.mean(pick_channel(image, "grey"))) / float(np.mean(light)))
 
 
 PROVENANCE = "radiometry"  # where a rig's provenance holds what is found here
-_GLOSS_PERCENT = 2.0  # a card whose mirror spot is brighter than this (and five of its errors) shines
+# a card whose mirror spot is brighter than this (and five of its errors) shines
+_GLOSS_PERCENT = 2.0
 _AMBIENT_PERCENT = 5.0  # light from elsewhere above which there is a warning, relative to the LEDs'
 LIMIT_PERCENT = 1.0  # largest rms of an LED's residuals
 DRIFT_PERCENT = 3.0  # departure of an LED from the calibration above which there is a warning
 _PATTERN_PERCENT = 1.0
-"""Departure of an LED's pattern on the card (robust deviation) above which it has moved or turned."""
+"""Departure of an LED's pattern on the card (robust deviation) above which it has moved or
+turned."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -172,11 +195,13 @@ class RadiometricCalibration:
     """A rig's radiometry as a white card shows it."""
 
     rig: Rig
-    """With the lens's fall-off, intensities, beams and aims; its provenance has the rest under `PROVENANCE`."""
+    """With the lens's fall-off, intensities, beams and aims; its provenance has the rest under
+    `PROVENANCE`."""
     flat_field: FlatField
     images: CardImages
     facts: Mapping[str, Any]
-    """What is stored in the rig's provenance: plain JSON; of a rig that was written also ``out`` and ``files``."""
+    """What is stored in the rig's provenance: plain JSON; of a rig that was written also ``out``
+    and ``files``."""
     warnings: tuple[str, ...]
     base_tilt: bool = False
     """Whether the card was taken to lie as the rig's base does."""
@@ -191,8 +216,9 @@ def fit_radiometry(
     card: CardPlane | None = None,
     limit_percent: float = LIMIT_PERCENT,
 ) -> RadiometricCalibration:
-    """Calibrate the light of a rig with calibrated camera and LEDs' places from a white card (on the finger plane by
-    default) under each LED. Raises BadInput, naming what and where, if the images show no even, matt card.
+    """Calibrate the light of a rig with calibrated camera and LEDs' places from a white card (on
+    the finger plane by default) under each LED. Raises BadInput, naming what and where, if the
+    images show no even, matt card.
     """
     plane = card or CardPlane()
     images = card_images(capture, rig)
@@ -211,10 +237,16 @@ def fit_radiometry(
             "dust_percent": _round(100 * float(flat.dust.mean())),
         },
         "leds": leds,
-        "lens": {"shading": list(flat.camera.shading), "corner": _round(1.0 + sum(flat.camera.shading))},
+        "lens": {
+            "shading": list(flat.camera.shading),
+            "corner": _round(1.0 + sum(flat.camera.shading)),
+        },
         "model": {
             "chosen": flat.order.name,
-            "tried": [{"name": n, "parameters": p, "rms_percent": _round(rms)} for n, p, rms in flat.orders],
+            "tried": [
+                {"name": n, "parameters": p, "rms_percent": _round(rms)}
+                for n, p, rms in flat.orders
+            ],
         },
         "ambient_percent": images.ambient_percent,
     }
@@ -232,30 +264,34 @@ def _check(flat: FlatField, rig: Rig, limit_percent: float) -> None:
     dust = float(flat.dust.mean())
     require(
         dust <= MAX_DUST,
-        f"the card is not uniform: {100 * dust:.0f} % of the picture departs by more than {DUST_PERCENT:g} % from an "
-        "even card; clean or change it, and see that it reaches over all borders.",
+        f"the card is not uniform: {100 * dust:.0f} % of the picture departs by more than"
+        f" {DUST_PERCENT:g} % from an even card; clean or change it, and see that it reaches over"
+        " all borders.",
     )
     worst, rms = int(np.argmax(flat.rms_percent)), float(flat.rms_percent.max())
     require(
         rms <= limit_percent or flat.common_percent < 0.7 * rms,
-        f"the card is not uniform: it differs by {flat.common_percent:.1f} % from place to place under all LEDs; "
-        f"use a clean matt white card.",
+        f"the card is not uniform: it differs by {flat.common_percent:.1f} % from place to place"
+        " under all LEDs; use a clean matt white card.",
     )
     require(
         rms <= limit_percent,
-        f"LED {worst} ({led_name(rig.leds, worst)}) lights the card otherwise than its place allows: the residuals' "
-        f"rms is {rms:.1f} % (at most {limit_percent:g} %), the largest {flat.largest_percent[worst]:.1f} %; "
-        f"check its calibrated position, that nothing shadows the card, and that its beam is smooth (a frosted LED's "
-        f"is).",
+        f"LED {worst} ({led_name(rig.leds, worst)}) lights the card otherwise than its place"
+        f" allows: the residuals' rms is {rms:.1f} % (at most {limit_percent:g} %), the largest"
+        f" {flat.largest_percent[worst]:.1f} %; check its calibrated position, that nothing shadows"
+        " the card, and that its beam is smooth (a frosted LED's is).",
     )
     require(
         flat.gloss_percent <= max(_GLOSS_PERCENT, 5 * flat.gloss_error),
-        f"the card shines: it is {flat.gloss_percent:.1f} % brighter where a mirror would show the LEDs (at most "
-        f"{_GLOSS_PERCENT:g} % may be); use a matt card, such as uncoated paper or a sheet of PTFE.",
+        f"the card shines: it is {flat.gloss_percent:.1f} % brighter where a mirror would show the"
+        f" LEDs (at most {_GLOSS_PERCENT:g} % may be); use a matt card, such as uncoated paper or a"
+        " sheet of PTFE.",
     )
 
 
-def _led_facts(rig: Rig, flat: FlatField, images: CardImages, k: int, limit_percent: float) -> dict[str, Any]:
+def _led_facts(
+    rig: Rig, flat: FlatField, images: CardImages, k: int, limit_percent: float
+) -> dict[str, Any]:
     led = flat.leds[k]
     origin = -np.asarray(led.position_mm) / np.linalg.norm(np.asarray(led.position_mm))
     rms, error = float(flat.rms_percent[k]), float(flat.exponent_error[k])
@@ -274,29 +310,38 @@ def _led_facts(rig: Rig, flat: FlatField, images: CardImages, k: int, limit_perc
     }
 
 
-def _warnings(rig: Rig, images: CardImages, flat: FlatField, limit_percent: float) -> tuple[str, ...]:
+def _warnings(
+    rig: Rig, images: CardImages, flat: FlatField, limit_percent: float
+) -> tuple[str, ...]:
     words = []
     for band, fraction in images.ambient_percent.items():
         if fraction is None:
             words.append(
-                f"there is no ambient image of the band {band}: ambient light and black level counted as the LEDs'."
+                f"there is no ambient image of the band {band}: ambient light and black level"
+                " counted as the LEDs'."
             )
         elif fraction > _AMBIENT_PERCENT:
             words.append(
-                f"light from elsewhere is {fraction:.1f} % of the {band} LEDs' (limit {_AMBIENT_PERCENT:g} %); "
-                f"close the lid, for it changes from image to image."
+                f"light from elsewhere is {fraction:.1f} % of the {band} LEDs' (limit"
+                f" {_AMBIENT_PERCENT:g} %); close the lid, for it changes from image to image."
             )
     for k, largest in enumerate(flat.largest_percent):
         if largest > 3 * limit_percent:
             words.append(
-                f"LED {led_name(rig.leds, k)} departs from the model by up to {largest:.1f} %: its beam is not smooth, "
-                f"or something shadows it."
+                f"LED {led_name(rig.leds, k)} departs from the model by up to {largest:.1f} %: its"
+                " beam is not smooth, or something shadows it."
             )
     dim = float(images.brightest.min())
     if dim < 0.25:
-        words.append(f"the darkest image reaches {100 * dim:.0f} % of full scale only; expose longer for less noise.")
+        words.append(
+            f"the darkest image reaches {100 * dim:.0f} % of full scale only; expose longer for"
+            " less noise."
+        )
     if flat.gloss_percent > 0.5 * _GLOSS_PERCENT and flat.gloss_percent > 5 * flat.gloss_error:
-        words.append(f"the card shines a little: {flat.gloss_percent:.1f} % where a mirror would show the LEDs.")
+        words.append(
+            f"the card shines a little: {flat.gloss_percent:.1f} % where a mirror would show the"
+            " LEDs."
+        )
     return tuple(words)
 
 
@@ -309,17 +354,23 @@ class CardCheck:
     """How a rig's light departs from its calibration."""
 
     facts: dict[str, Any]
-    """``verdict``; of ``leds`` the ``ratio`` of brightness now to then, the ``own_ratio`` without the median of its
-    band, and the ``pattern_percent``, robust deviation over the picture; ``common_ratio`` of each band, None where
-    exposures are not known; ``ambient_percent``; ``warnings``."""
+    """``verdict``; of ``leds`` the ``ratio`` of brightness now to then, the ``own_ratio`` without
+    the median of its band, and the ``pattern_percent``, robust deviation over the picture;
+    ``common_ratio`` of each band, None where exposures are not known; ``ambient_percent``;
+    ``warnings``."""
     warnings: tuple[str, ...]
     limit_percent: float
 
     def __str__(self) -> str:
         own = [100 * led["own_ratio"] for led in self.facts["leds"]]
-        lines = [f"The LEDs show the card at {min(own):.1f} to {max(own):.1f} % of their calibrated brightness."]
+        lines = [
+            f"The LEDs show the card at {min(own):.1f} to {max(own):.1f} % of their calibrated"
+            " brightness."
+        ]
         if None in self.facts["common_ratio"].values():
-            lines.append("Only LEDs of one band are compared: the exposures are not known on both days.")
+            lines.append(
+                "Only LEDs of one band are compared: the exposures are not known on both days."
+            )
         lines += [f"Please note: {warning}" for warning in self.warnings]
         if not self.warnings:
             lines.append(f"All LEDs are as calibrated, within {self.limit_percent:g} %.")
@@ -341,14 +392,21 @@ def check_card(capture: Capture, rig: Rig, limit_percent: float = DRIFT_PERCENT)
         exposures_given = bool(stored["card"]["exposures_given"])
         assert len(levels) == len(rig.leds) and bool((levels > 0).all())
     images = card_images(capture, rig)
-    expected = np.stack([card_light(rig.camera, led, images.pixels, plane) for led in rig.leds]) * levels[:, None]
+    expected = (
+        np.stack([card_light(rig.camera, led, images.pixels, plane) for led in rig.leds])
+        * levels[:, None]
+    )
     now = images.light / expected
     ratio = np.median(now, axis=1)
-    require(bool((ratio > 0).all()), f"LED {int(np.argmin(ratio))} did not light; take the card again.")
+    require(
+        bool((ratio > 0).all()), f"LED {int(np.argmin(ratio))} did not light; take the card again."
+    )
     # of an LED that moved or turned
     pattern = 100 * 1.4826 * np.median(np.abs(now / ratio[:, None] - 1.0), axis=1)
     bands = np.array([led.band for led in rig.leds])
-    middle = {band: float(np.median(ratio[bands == band])) for band in dict.fromkeys(bands.tolist())}
+    middle = {
+        band: float(np.median(ratio[bands == band])) for band in dict.fromkeys(bands.tolist())
+    }
     own = ratio / np.array([middle[band] for band in bands])
     # else exposure, gain, lens and card are not known to be the same
     comparable = exposures_given and images.exposures_given
@@ -360,16 +418,20 @@ def check_card(capture: Capture, rig: Rig, limit_percent: float = DRIFT_PERCENT)
             warnings.append(f"LED {name} is {_change(float(value))} than at the calibration.")
         if pattern[k] > _PATTERN_PERCENT:
             warnings.append(
-                f"LED {name} lights the card otherwise than at the calibration ({pattern[k]:.1f} % across "
-                f"the picture): it moved or turned."
+                f"LED {name} lights the card otherwise than at the calibration ({pattern[k]:.1f} %"
+                " across the picture): it moved or turned."
             )
-        ratios = {"ratio": _round(ratio[k]), "own_ratio": _round(value), "pattern_percent": _round(pattern[k])}
+        ratios = {
+            "ratio": _round(ratio[k]),
+            "own_ratio": _round(value),
+            "pattern_percent": _round(pattern[k]),
+        }
         leds.append({"led": k, "name": name, **ratios})
     for band, value in middle.items():
         if comparable and abs(value - 1) > 0.01 * limit_percent:
             warnings.append(
-                f"all {band} LEDs together are {_change(value)} than at the calibration: exposure, gain, supply, lens "
-                f"or card changed."
+                f"all {band} LEDs together are {_change(value)} than at the calibration: exposure,"
+                " gain, supply, lens or card changed."
             )
     for band, fraction in images.ambient_percent.items():
         if fraction is not None and fraction > _AMBIENT_PERCENT:
@@ -377,7 +439,9 @@ def check_card(capture: Capture, rig: Rig, limit_percent: float = DRIFT_PERCENT)
     facts = {
         "verdict": "drifted" if warnings else "as calibrated",
         "leds": leds,
-        "common_ratio": {band: _round(value) if comparable else None for band, value in middle.items()},
+        "common_ratio": {
+            band: _round(value) if comparable else None for band, value in middle.items()
+        },
         "ambient_percent": images.ambient_percent,
         "warnings": warnings,
         "limit_percent": limit_percent,

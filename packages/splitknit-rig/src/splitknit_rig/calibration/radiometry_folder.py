@@ -47,7 +47,8 @@ def calibrate_to_file(
     residuals: Path | None = None,
     progress: Progress = no_progress,
 ) -> RadiometricCalibration:
-    """Calibrate a rig with a card, and write it; BadInput names the folder or file at fault, and nothing is written."""
+    """Calibrate a rig with a card, and write it; BadInput names the folder or file at fault, and
+    nothing is written."""
     check_rig_file(out)
     check_picture(residuals, folder)
     progress("reading", 0.0)
@@ -74,12 +75,16 @@ def calibrate_to_file(
     progress("done", 1.0)
     files = [str(file) for file in (out, residuals) if file is not None]
     return replace(
-        calibration, rig=rig, facts={**facts, "out": str(out), "files": files}, base_tilt=card_tilt_deg is None
+        calibration,
+        rig=rig,
+        facts={**facts, "out": str(out), "files": files},
+        base_tilt=card_tilt_deg is None,
     )
 
 
 def _base_tilt_deg(rig: Rig) -> tuple[float, float]:
-    """Turn of the base about x and y as ``splitknit calibrate camera`` left it; zero below twice its deviation."""
+    """Turn of the base about x and y as ``splitknit calibrate camera`` left it; zero below twice
+    its deviation."""
     try:
         plane: Any = rig.provenance["camera"]["residuals"]["plane"]
         x, y = (float(value) for value in plane["tilt_xy_deg"])
@@ -90,45 +95,64 @@ def _base_tilt_deg(rig: Rig) -> tuple[float, float]:
 
 
 def check_folder(
-    folder: Path, rig_file: Path, *, limit_percent: float | None = None, progress: Progress = no_progress
+    folder: Path,
+    rig_file: Path,
+    *,
+    limit_percent: float | None = None,
+    progress: Progress = no_progress,
 ) -> CardCheck:
     """Compare the card in `folder` with the calibration in `rig_file`."""
     progress("reading", 0.0)
     rig, capture = read_rig(rig_file), read_capture(folder)
     progress("comparing", 0.7)
-    return naming(f"{rig_file} and {folder}", lambda: check_card(capture, rig, limit_percent or DRIFT_PERCENT))
+    return naming(
+        f"{rig_file} and {folder}", lambda: check_card(capture, rig, limit_percent or DRIFT_PERCENT)
+    )
 
 
 def _residual_picture(calibration: RadiometricCalibration) -> ColourArray:
-    """Residuals of every LED, a band a row: blue 2 % darker than the model, orange 2 % brighter, black left out."""
+    """Residuals of every LED, a band a row: blue 2 % darker than the model, orange 2 % brighter,
+    black left out."""
     flat = calibration.flat_field
     rows: dict[str, list[ColourArray]] = {}
     for led, residual in zip(flat.leds, flat.residual, strict=True):
-        rows.setdefault(led.band, []).append(residual_tile(100 * residual, flat.dust, calibration.images.shape))
+        rows.setdefault(led.band, []).append(
+            residual_tile(100 * residual, flat.dust, calibration.images.shape)
+        )
     widest = max(map(len, rows.values()))
     blank = np.full_like(rows[flat.leds[0].band][0], 255)
-    bands = [np.concatenate(tiles + [blank] * (widest - len(tiles)), axis=1) for tiles in rows.values()]
+    bands = [
+        np.concatenate(tiles + [blank] * (widest - len(tiles)), axis=1) for tiles in rows.values()
+    ]
     return np.concatenate(bands, axis=0)
 
 
 def residual_tile(residual: Any, dust: Any, shape: tuple[int, int]) -> ColourArray:
-    """Residuals of one light in per cent, as a picture: blue too dark, orange too bright by 2 %, black where unused."""
+    """Residuals of one light in per cent, as a picture: blue too dark, orange too bright by 2 %,
+    black where unused."""
     values: FloatArray = np.asarray(residual, dtype=np.float32).reshape(shape)
     small = colour(values, -_SCALE_PERCENT, _SCALE_PERCENT, diverging=True)
     small[np.asarray(dust).reshape(shape)] = 0
     size = (_TILE_PX, round(_TILE_PX * shape[0] / shape[1]))
     tile = np.asarray(cv2.resize(small, size, interpolation=cv2.INTER_NEAREST), dtype=np.uint8)
-    return np.asarray(cv2.copyMakeBorder(tile, 4, 4, 4, 4, cv2.BORDER_CONSTANT, value=(255, 255, 255)), dtype=np.uint8)
+    return np.asarray(
+        cv2.copyMakeBorder(tile, 4, 4, 4, 4, cv2.BORDER_CONSTANT, value=(255, 255, 255)),
+        dtype=np.uint8,
+    )
 
 
 # The camera's response, measured on the images that ``radiometry.json`` names.
 
 _PATCHES_ACROSS = 40
-_MAX_TEXTURE = 0.04  # deviation within a patch, as a part of full scale, up to which it counts as even
+# deviation within a patch, as a part of full scale, up to which it counts as even
+_MAX_TEXTURE = 0.04
 
 
-def _measured_response(folder: Path, capture: Capture, hashes: dict[str, str]) -> dict[str, Any] | None:
-    """The camera's response by its exposures, compared with what the capture states of its images; None without."""
+def _measured_response(
+    folder: Path, capture: Capture, hashes: dict[str, str]
+) -> dict[str, Any] | None:
+    """The camera's response by its exposures, compared with what the capture states of its images;
+    None without."""
     exposures = read_exposures(folder)
     if not exposures:
         return None
@@ -137,12 +161,15 @@ def _measured_response(folder: Path, capture: Capture, hashes: dict[str, str]) -
     rows = [_patches(_image(path, capture, hashes)) for path, _ in exposures]
     values, spread = map(np.stack, zip(*rows, strict=True))
     even = spread.max(axis=0) <= _MAX_TEXTURE
-    values = values[:, even] if int(even.sum()) >= 100 else values  # all, if few are even in all images
+    # all, if few are even in all images
+    values = values[:, even] if int(even.sum()) >= 100 else values
     response = fit_response(values, [time for _, time in exposures], name=str(document))
     require(
         response.encoding == capture.encoding,
-        f"the exposures in {document} are {response.encoding.replace('srgb', 'sRGB')}, but capture.json "
-        f'states "encoding": "{capture.encoding}"; write "encoding": "{response.encoding}" there and in all '
+        f"the exposures in {document} are {response.encoding.replace('srgb', 'sRGB')}, but"
+        " capture.json "
+        f'states "encoding": "{capture.encoding}"; write "encoding": "{response.encoding}" there'
+        " and in all "
         f"captures of this camera.",
     )
     hashes[DOCUMENT] = file_hash(document)
@@ -156,26 +183,33 @@ def _measured_response(folder: Path, capture: Capture, hashes: dict[str, str]) -
 
 
 def _image(path: Path, capture: Capture, hashes: dict[str, str]) -> PixelArray:
-    require(path.is_file(), f"{path}, which {DOCUMENT} names, does not exist; add it or remove its entry.")
+    require(
+        path.is_file(),
+        f"{path}, which {DOCUMENT} names, does not exist; add it or remove its entry.",
+    )
     pixels = read_image(path)
     like = capture.bands["white"].pixels
     require(
         pixels.shape == like.shape[1:] and pixels.dtype == like.dtype,
-        f"{path} has {pixels.shape[0]} x {pixels.shape[1]} pixels, {pixels.shape[2]} channels of "
-        f"{pixels.dtype.itemsize * 8} bits, but the card's images have {like.shape[1]} x {like.shape[2]}, "
-        f"{like.shape[3]} of {like.dtype.itemsize * 8}; take all with the same settings.",
+        f"{path} has {pixels.shape[0]} x {pixels.shape[1]} pixels, {pixels.shape[2]} channels of"
+        f" {pixels.dtype.itemsize * 8} bits, but the card's images have {like.shape[1]} x"
+        f" {like.shape[2]}, {like.shape[3]} of {like.dtype.itemsize * 8}; take all with the same"
+        " settings.",
     )
     hashes[path.name] = file_hash(path)
     return pixels
 
 
 def _patches(frame: PixelArray) -> tuple[Array, Array]:
-    """Means (n * C,) of small squares as parts of full scale, NaN where clipped at either end, and their deviation."""
+    """Means (n * C,) of small squares as parts of full scale, NaN where clipped at either end, and
+    their deviation."""
     full = np.float32(np.iinfo(frame.dtype).max)
     side = max(2, max(frame.shape[:2]) // _PATCHES_ACROSS)
     rows, columns = (size // side for size in frame.shape[:2])
     cut = frame[: rows * side, : columns * side].astype(np.float32) / full
-    squares = cut.reshape(rows, side, columns, side, -1).transpose(0, 2, 4, 1, 3).reshape(-1, side * side)
+    squares = (
+        cut.reshape(rows, side, columns, side, -1).transpose(0, 2, 4, 1, 3).reshape(-1, side * side)
+    )
     mean = squares.mean(axis=1).astype(np.float64)
     clipped = (squares.max(axis=1) >= 0.985) | ((squares == 0).mean(axis=1) > 0.02)
     return np.where(clipped, np.nan, mean), squares.std(axis=1).astype(np.float64)
@@ -202,8 +236,8 @@ class _Document(Struct, forbid_unknown_fields=True):
 
 
 def read_exposures(folder: Path) -> tuple[tuple[Path, float], ...]:
-    """Images of the series in ``radiometry.json``, and time times gain of each; none where there is no such file.
-    Raises BadInput naming the file and the field.
+    """Images of the series in ``radiometry.json``, and time times gain of each; none where there is
+    no such file. Raises BadInput naming the file and the field.
     """
     file = folder / DOCUMENT
     if not file.is_file():
@@ -212,8 +246,13 @@ def read_exposures(folder: Path) -> tuple[tuple[Path, float], ...]:
     exposures: dict[Path, float] = {}
     for k, entry in enumerate(document.exposures):
         image = inside(folder, entry.file, str(file), f"exposures[{k}].file")
-        require(image not in exposures, f"{file} names {image.name} twice; every image serves once.")
+        require(
+            image not in exposures, f"{file} names {image.name} twice; every image serves once."
+        )
         exposures[image] = entry.exposure_s * entry.gain
-    few = f"{file}: exposures names {len(exposures)} images, but at least {MIN_EXPOSURES} different ones are needed."
+    few = (
+        f"{file}: exposures names {len(exposures)} images, but at least {MIN_EXPOSURES} different"
+        " ones are needed."
+    )
     require(len(exposures) == 0 or len(exposures) >= MIN_EXPOSURES, few)
     return tuple(exposures.items())

@@ -1,9 +1,10 @@
 """The sensor: whether its values are linear in the light.
 
-With exposure times t_j, light L_i and stored values v_ij the inverse response f obeys f(v_ij) = t_j L_i. A polynomial f
-is linear in its coefficients, and so is the best L_i in f: what is left is one small linear system (Mitsunaga and Nayar
-1999, with known instead of estimated ratios of the exposures). How far f is from a straight line is the answer; the
-sRGB curve is tried by taking it off first.
+With exposure times t_j, light L_i and stored values v_ij the inverse response f obeys f(v_ij) = t_j
+L_i. A polynomial f is linear in its coefficients, and so is the best L_i in f: what is left is one
+small linear system (Mitsunaga and Nayar 1999, with known instead of estimated ratios of the
+exposures). How far f is from a straight line is the answer; the sRGB curve is tried by taking it
+off first.
 """
 
 from __future__ import annotations
@@ -17,9 +18,11 @@ from splitknit.errors import require
 from splitknit.model import Array
 
 _DEGREE = 5  # degree of the polynomial
-_LIMIT_PERCENT = 1.0  # values are linear if they depart from a line by no more than this many per cent of full scale
+# values are linear if they depart from a line by no more than this many per cent of full scale
+_LIMIT_PERCENT = 1.0
 _INCONSISTENT_PERCENT = 1.0
-"""Residuals (median over images of their rms) that no response explains: the scene moved or the light changed."""
+"""Residuals (median over images of their rms) that no response explains: the scene moved or the
+light changed."""
 _CLIP = 0.98  # values from here on (of full scale) are left out
 MIN_EXPOSURES = 4  # different exposure times that are needed
 _MIN_RATIO = 3.0  # longest over shortest exposure
@@ -34,21 +37,28 @@ class Response:
     linear_percent: float  # largest departure of the values from a line, in per cent of full scale
     srgb_percent: float  # the same after the sRGB curve was taken off
     residual_percent: float  # rms of what no response explains, in per cent of full scale
-    # least and greatest values that were seen, as parts of full scale: the answer holds between them
+    # least and greatest values that were seen, as parts of full scale: the answer holds between
+    # them
     span: tuple[float, float]
 
 
 def fit_response(
-    values: Any, exposure_s: Any, limit_percent: float = _LIMIT_PERCENT, *, name: str = "the exposure series"
+    values: Any,
+    exposure_s: Any,
+    limit_percent: float = _LIMIT_PERCENT,
+    *,
+    name: str = "the exposure series",
 ) -> Response:
     """Judge the response of a camera.
 
-    Raises BadInput if the exposures are too few or too similar, the values do not grow with them, no response explains
-    them, or the response is neither linear nor sRGB. `values`: (J, N) of N unchanging places (means of small even
-    patches) at J exposures, of full scale; NaN clipped; `exposure_s`: (J,) exposure times (times gain), any unit;
-    `limit_percent`: values are linear if they depart from a line by no more, in per cent of full scale; `name`: of the
-    series, for messages. Source: T. Mitsunaga and S. K. Nayar, "Radiometric self calibration", CVPR 1999, eq. 9; P.
-    Debevec and J. Malik, "Recovering high dynamic range radiance maps from photographs", SIGGRAPH 1997, section 2.
+    Raises BadInput if the exposures are too few or too similar, the values do not grow with them,
+    no response explains them, or the response is neither linear nor sRGB. `values`: (J, N) of N
+    unchanging places (means of small even patches) at J exposures, of full scale; NaN clipped;
+    `exposure_s`: (J,) exposure times (times gain), any unit; `limit_percent`: values are linear if
+    they depart from a line by no more, in per cent of full scale; `name`: of the series, for
+    messages. Source: T. Mitsunaga and S. K. Nayar, "Radiometric self calibration", CVPR 1999, eq.
+    9; P. Debevec and J. Malik, "Recovering high dynamic range radiance maps from photographs",
+    SIGGRAPH 1997, section 2.
 
     >>> import numpy as np
     >>> light, times = np.linspace(0.01, 0.1, 200), np.array([1.0, 2.0, 4.0, 8.0])
@@ -62,15 +72,16 @@ def fit_response(
     residual = min(residual, decoded_residual)
     require(
         residual <= 0.01 * _INCONSISTENT_PERCENT,
-        f"{name} contradicts itself by {100 * residual:.1f} % of full scale: the scene moved, the light changed, or "
-        f"exposure or gain were not what the file states; take the series again with everything fixed.",
+        f"{name} contradicts itself by {100 * residual:.1f} % of full scale: the scene moved, the"
+        " light changed, or exposure or gain were not what the file states; take the series again"
+        " with everything fixed.",
     )
     srgb = departure > 0.01 * limit_percent
     require(
         not srgb or decoded_departure <= 0.01 * limit_percent,
-        f"{name} is neither linear (it departs by {100 * departure:.1f} % of full scale) nor sRGB "
-        f"({100 * decoded_departure:.1f} %); switch off the camera's picture processing (contrast, tone curves, local "
-        "adjustments) or store RAW.",
+        f"{name} is neither linear (it departs by {100 * departure:.1f} % of full scale) nor sRGB"
+        f" ({100 * decoded_departure:.1f} %); switch off the camera's picture processing (contrast,"
+        " tone curves, local adjustments) or store RAW.",
     )
     return Response(
         encoding="srgb" if srgb else "linear",
@@ -90,21 +101,24 @@ def _checked(values: Any, exposure_s: Any, name: str) -> tuple[Array, Array]:
     )
     ratio = float(times.max() / times.min())
     require(
-        ratio >= _MIN_RATIO, f"{name} spans a ratio of {ratio:.1f} in exposure, but {_MIN_RATIO:g} at least is needed."
+        ratio >= _MIN_RATIO,
+        f"{name} spans a ratio of {ratio:.1f} in exposure, but {_MIN_RATIO:g} at least is needed.",
     )
     stored[~(stored < _CLIP)] = np.nan
     seen = np.isfinite(stored).sum(axis=0) >= 3
     require(
         int(seen.sum()) >= 30,
-        f"{name} shows {int(seen.sum())} places that are unclipped in three exposures, but 30 are needed; expose less.",
+        f"{name} shows {int(seen.sum())} places that are unclipped in three exposures, but 30 are"
+        " needed; expose less.",
     )
     stored = stored[:, seen]
     _check_growth(stored, times, name)
     span = float(np.nanmax(stored) - np.nanmin(stored))
     require(
         span >= _MIN_RANGE,
-        f"{name} covers {100 * span:.0f} % of full scale, but {100 * _MIN_RANGE:.0f} % is needed to distinguish "
-        f"a curve from a line; expose longer, or take a scene with bright and dark parts.",
+        f"{name} covers {100 * span:.0f} % of full scale, but {100 * _MIN_RANGE:.0f} % is needed to"
+        " distinguish a curve from a line; expose longer, or take a scene with bright and dark"
+        " parts.",
     )
     return stored, times
 
@@ -114,17 +128,23 @@ def _check_growth(stored: Array, times: Array, name: str) -> None:
     finite = np.isfinite(stored[order])
     first, last = order[finite.argmax(axis=0)], order[len(times) - 1 - finite[::-1].argmax(axis=0)]
     places = np.arange(stored.shape[1])
-    grown, asked = stored[last, places] / np.maximum(stored[first, places], 1e-6), times[last] / times[first]
-    fraction = float(np.median(np.log(np.maximum(grown, 1e-6)) / np.log(np.maximum(asked, 1.0 + 1e-9))))
+    grown, asked = (
+        stored[last, places] / np.maximum(stored[first, places], 1e-6),
+        times[last] / times[first],
+    )
+    fraction = float(
+        np.median(np.log(np.maximum(grown, 1e-6)) / np.log(np.maximum(asked, 1.0 + 1e-9)))
+    )
     require(
         fraction > 0.15,
-        f"{name} does not grow brighter with the exposure: the camera's automatic exposure or gain is on; lock it.",
+        f"{name} does not grow brighter with the exposure: the camera's automatic exposure or gain"
+        " is on; lock it.",
     )
 
 
 def _straightness(stored: Array, times: Array) -> tuple[float, float]:
-    """Fit f(v) t = light, of the highest degree that grows everywhere: departure from a line, and residual, parts of
-    full scale.
+    """Fit f(v) t = light, of the highest degree that grows everywhere: departure from a line, and
+    residual, parts of full scale.
     """
     low, high = float(np.nanmin(stored)), float(np.nanmax(stored))
     grid = np.linspace(low, high, 201)
@@ -141,16 +161,19 @@ def _straightness(stored: Array, times: Array) -> tuple[float, float]:
 def _polynomial(
     stored: Array, times: Array, degree: int, span: tuple[float, float]
 ) -> tuple[np.polynomial.Chebyshev, float]:
-    """Inverse response that is `span`'s end at the greatest value, and the rms of f(v_ij) - t_j L_i."""
+    """Inverse response that is `span`'s end at the greatest value, and the rms of f(v_ij) - t_j
+    L_i."""
     used = np.isfinite(stored)
     filled = np.where(used, stored, span[0])
     scaled = (2 * filled - span[0] - span[1]) / (span[1] - span[0])
-    basis = np.polynomial.chebyshev.chebvander(scaled, degree) * used[..., None]  # (J, N, degree + 1)
+    # (J, N, degree + 1)
+    basis = np.polynomial.chebyshev.chebvander(scaled, degree) * used[..., None]
     # noise grows with the signal, and so does its weight's inverse
     weight = used / (filled + 0.05)
     time = np.where(used, times[:, None], 0.0)
     norm = (weight * time * time).sum(axis=0)
-    light = np.einsum("jn,jnd->nd", weight * time, basis) / norm[:, None]  # L_i as a linear map of the coefficients
+    # L_i as a linear map of the coefficients
+    light = np.einsum("jn,jnd->nd", weight * time, basis) / norm[:, None]
     left = basis - time[..., None] * light[None]
     normal = np.einsum("jnd,jne,jn->de", left, left, weight)
     # f(greatest) = greatest: every Chebyshev polynomial is one there

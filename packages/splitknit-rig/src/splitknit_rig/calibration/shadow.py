@@ -1,9 +1,10 @@
 """The tips of a nail and of its shadows in photographs: one image under each LED of a band.
 
-What is dark whatever LED is lit is the nail; what is dark under one LED only is a shadow. The ratio of an image to the
-median of all takes the ground's texture, the lens and half of the light's fall-off away; a smooth surface takes the
-rest. The shadow of a cone is the hull of its base and of the tip's shadow, with a penumbra that widens towards the tip;
-that shape is fitted to every shadow, so that the blunt tip and the penumbra do not draw the tip out or in.
+What is dark whatever LED is lit is the nail; what is dark under one LED only is a shadow. The ratio
+of an image to the median of all takes the ground's texture, the lens and half of the light's
+fall-off away; a smooth surface takes the rest. The shadow of a cone is the hull of its base and of
+the tip's shadow, with a penumbra that widens towards the tip; that shape is fitted to every shadow,
+so that the blunt tip and the penumbra do not draw the tip out or in.
 """
 
 from __future__ import annotations
@@ -41,13 +42,16 @@ class _Shape:
         """Fraction of the light that is missing at places (N, 2), column and row."""
         total = np.zeros(len(places))
         for tip in self.tip + self.penumbra * _LIGHT:
-            away = _hull_distance(places - self.base, tip - self.base, self.base_radius, self.tip_radius)
+            away = _hull_distance(
+                places - self.base, tip - self.base, self.base_radius, self.tip_radius
+            )
             total += ndtr(-away / _EDGE_PX)
         return self.depth * total / len(_LIGHT)
 
 
 def _hull_distance(places: Array, far_end: Array, radius: float, far_radius: float) -> Array:
-    """Distance (N,), negative inside, to the hull of a circle about the origin and another about `far_end` (2,)."""
+    """Distance (N,), negative inside, to the hull of a circle about the origin and another about
+    `far_end` (2,)."""
     length = max(float(np.linalg.norm(far_end)), 1e-9)
     along = places @ far_end / length
     beside = np.abs(places[:, 0] * far_end[1] - places[:, 1] * far_end[0]) / length
@@ -62,10 +66,15 @@ def _hull_distance(places: Array, far_end: Array, radius: float, far_radius: flo
 
 
 def _fit_shape(
-    darkness: FloatArray, usable: BoolArray, start: _Shape, px_per_mm: float, common: tuple[float, float] | None = None
+    darkness: FloatArray,
+    usable: BoolArray,
+    start: _Shape,
+    px_per_mm: float,
+    common: tuple[float, float] | None = None,
 ) -> _Shape:
-    """Fit the shape to the darkness (H, W), the missing fraction of the light, about its outer part. `usable`: (H, W),
-    off the nail; `common`: radius of the tip's shadow and of the penumbra, where known.
+    """Fit the shape to the darkness (H, W), the missing fraction of the light, about its outer
+    part. `usable`: (H, W), off the nail; `common`: radius of the tip's shadow and of the penumbra,
+    where known.
     """
 
     def shape_of(v: Array) -> _Shape:
@@ -83,32 +92,57 @@ def _fit_shape(
     shape = start
     sizes = np.array([1.0, 1.0, 5.0, 5.0, 5.0, 0.05, 1.0, 1.0])
     free = 8 if common is None else 6
-    for _ in range(2 if common is None else 1):  # the pixels are chosen again once the outline is better known
+    # the pixels are chosen again once the outline is better known
+    for _ in range(2 if common is None else 1):
         pixels = _pixels_about(darkness, usable, shape, px_per_mm)
         if len(pixels[0]) < 20:
             return shape
-        x = np.array([*shape.tip, *shape.base, shape.base_radius, shape.depth, shape.tip_radius, shape.penumbra])
+        x = np.array(
+            [
+                *shape.tip,
+                *shape.base,
+                shape.base_radius,
+                shape.depth,
+                shape.tip_radius,
+                shape.penumbra,
+            ]
+        )
         fit = least_squares(
-            residuals, x[:free], x_scale=sizes[:free], loss="soft_l1", f_scale=0.15, max_nfev=20, args=pixels
+            residuals,
+            x[:free],
+            x_scale=sizes[:free],
+            loss="soft_l1",
+            f_scale=0.15,
+            max_nfev=20,
+            args=pixels,
         )
         shape = shape_of(np.asarray(fit.x))
     return shape
 
 
-def _pixels_about(darkness: FloatArray, usable: BoolArray, shape: _Shape, px_per_mm: float) -> tuple[Array, Array]:
-    """Columns and rows (N, 2) of pixels near the outline of the outer shadow, and their darkness (N,)."""
+def _pixels_about(
+    darkness: FloatArray, usable: BoolArray, shape: _Shape, px_per_mm: float
+) -> tuple[Array, Array]:
+    """Columns and rows (N, 2) of pixels near the outline of the outer shadow, and their darkness
+    (N,)."""
     arm, margin = shape.tip - shape.base, 0.7 * px_per_mm + shape.penumbra
     length, reach = float(np.linalg.norm(arm)), margin + shape.base_radius
     box = np.stack([shape.tip, shape.base + 0.25 * arm])
     low = np.maximum(np.floor(box.min(axis=0) - reach).astype(int), 0)
-    high = np.minimum(np.ceil(box.max(axis=0) + reach).astype(int) + 1, np.array(darkness.shape[::-1]))
+    high = np.minimum(
+        np.ceil(box.max(axis=0) + reach).astype(int) + 1, np.array(darkness.shape[::-1])
+    )
     if np.any(high - low < 2):
         return np.empty((0, 2)), np.empty(0)
     columns, rows = np.meshgrid(np.arange(low[0], high[0]), np.arange(low[1], high[1]))
     places = np.stack([columns.ravel(), rows.ravel()], axis=1).astype(np.float64)
     distance = _hull_distance(places - shape.base, arm, shape.base_radius, shape.tip_radius)
     along = (places - shape.base) @ arm / length
-    chosen = (np.abs(distance) < margin) & (along > 0.25 * length) & usable[rows.ravel(), columns.ravel()]
+    chosen = (
+        (np.abs(distance) < margin)
+        & (along > 0.25 * length)
+        & usable[rows.ravel(), columns.ravel()]
+    )
     index = np.flatnonzero(chosen)
     # near the tip all pixels count, along the sides as many as there is room for
     near = np.linalg.norm(places[index] - shape.tip, axis=1) < 1.5 * px_per_mm
@@ -122,7 +156,8 @@ def _thin(index: NDArray[np.intp], most: int) -> NDArray[np.intp]:
 
 
 _STRETCH = 1.12
-"""A tip's shadow against the tip: for a nail of an eighth to a tenth of the LEDs' height. It hardly matters."""
+"""A tip's shadow against the tip: for a nail of an eighth to a tenth of the LEDs' height. It hardly
+matters."""
 _NAIL_LEVEL = 0.45  # the nail is darker than this part of the ground around it under every LED
 _SHADOW_LEVEL = 0.5  # a shadow is darker than this part of the same place under the other LEDs
 _MIN_NAIL_MM2 = 0.3  # area of the nail that is seen
@@ -141,8 +176,8 @@ class NailView:
 
 
 def find_nail(stack: FloatArray, px_per_mm: float, names: Sequence[str]) -> NailView:
-    """Tips of the nail and its shadows in `stack` (L, H, W), L >= 3, linear, an LED an image. Raises BadInput if there
-    is no nail, or an image without its shadow (named).
+    """Tips of the nail and its shadows in `stack` (L, H, W), L >= 3, linear, an LED an image.
+    Raises BadInput if there is no nail, or an image without its shadow (named).
     """
     images = check_stack(stack, least=3, name="the photographs of the nail")
     usual = np.median(images, axis=0).astype(np.float32)
@@ -164,8 +199,8 @@ def find_nail(stack: FloatArray, px_per_mm: float, names: Sequence[str]) -> Nail
         reach = float(np.linalg.norm(end - middle)) - size
         require(
             reach >= _MIN_SHADOW_MM * px_per_mm,
-            f"{name} shows no shadow of the nail; check that its LED was lit, and alone, and that the nail stands in "
-            f"the picture.",
+            f"{name} shows no shadow of the nail; check that its LED was lit, and alone, and that"
+            " the nail stands in the picture.",
         )
         if part[border:-border, border:-border].sum() == part.sum():  # else it leaves the picture
             start = _Shape(end, 0.1 * px_per_mm, 0.1 * px_per_mm, middle, size, depth=0.95)
@@ -178,7 +213,8 @@ def find_nail(stack: FloatArray, px_per_mm: float, names: Sequence[str]) -> Nail
     tips = np.full((len(images), 2), np.nan)
     for led, shape in shapes.items():
         tips[led] = shape.tip
-    # the faces meet where a sharp tip would be; the blunt one lies lower, and so is seen nearer to the base
+    # the faces meet where a sharp tip would be; the blunt one lies lower, and so is seen nearer to
+    # the base
     blunt = float(np.median([shape.tip_radius for shape in shapes.values()] or [0.0])) / _STRETCH
     tip = middle + (_nail_tip(images, nail, px_per_mm) - middle) * (1.0 - min(blunt / size, 0.5))
     return NailView(tip, tips, nail)
@@ -191,7 +227,8 @@ def _ratio(image: FloatArray, usual: FloatArray, dark: BoolArray) -> FloatArray:
 
 
 def _smooth(image: FloatArray, usable: BoolArray) -> FloatArray:
-    """A surface of the second degree through most of an image's pixels, whatever few are much darker, (H, W)."""
+    """A surface of the second degree through most of an image's pixels, whatever few are much
+    darker, (H, W)."""
     height, width = image.shape
     step = max(1, int(np.sqrt(image.size / 20_000)))
     rows, columns = np.mgrid[0:height:step, 0:width:step]
@@ -207,12 +244,18 @@ def _smooth(image: FloatArray, usable: BoolArray) -> FloatArray:
         good = np.abs(off) < 3.0 * spread
     r, c = np.arange(height)[:, None] / height - 0.5, np.arange(width)[None, :] / width - 0.5
     a, by_r, by_c, rr, rc, cc = weights
-    return np.asarray(a + by_r * r + by_c * c + rr * r * r + rc * r * c + cc * c * c, dtype=np.float32)
+    return np.asarray(
+        a + by_r * r + by_c * c + rr * r * r + rc * r * c + cc * c * c, dtype=np.float32
+    )
 
 
-def _nail_among(dark: BoolArray, shadows: BoolArray, px_per_mm: float, names: Sequence[str]) -> BoolArray:
+def _nail_among(
+    dark: BoolArray, shadows: BoolArray, px_per_mm: float, names: Sequence[str]
+) -> BoolArray:
     """The dark thing from which most shadows start: dots on the ground have none."""
-    count, labels, stats, _ = cv2.connectedComponentsWithStats(dark.astype(np.uint8), connectivity=8)
+    count, labels, stats, _ = cv2.connectedComponentsWithStats(
+        dark.astype(np.uint8), connectivity=8
+    )
     area = _MIN_NAIL_MM2 * px_per_mm**2
     best, most = 0, 0
     for label in range(1, count):
@@ -223,17 +266,21 @@ def _nail_among(dark: BoolArray, shadows: BoolArray, px_per_mm: float, names: Se
             best, most = (label, touched) if touched > most else (best, most)
     require(
         best > 0,
-        f"no nail with shadows was found in {names[0]} and the images beside it; it must be darker than the ground, "
-        f"upright, and wholly in the picture, and nothing else may move.",
+        f"no nail with shadows was found in {names[0]} and the images beside it; it must be darker"
+        " than the ground, upright, and wholly in the picture, and nothing else may move.",
     )
-    filled = cv2.morphologyEx((labels == best).astype(np.uint8), cv2.MORPH_CLOSE, _disc(0.3 * px_per_mm))
+    filled = cv2.morphologyEx(
+        (labels == best).astype(np.uint8), cv2.MORPH_CLOSE, _disc(0.3 * px_per_mm)
+    )
     return filled > 0
 
 
 def _shadow_of(shadow: BoolArray, near: BoolArray) -> BoolArray:
     """The part of a shadow's pixels that hangs together with the nail."""
     opened = cv2.medianBlur(shadow.astype(np.uint8), 3)
-    _, labels = cv2.connectedComponents((opened > 0).astype(np.uint8) | near.astype(np.uint8), connectivity=8)
+    _, labels = cv2.connectedComponents(
+        (opened > 0).astype(np.uint8) | near.astype(np.uint8), connectivity=8
+    )
     touching = np.unique(labels[near])
     return np.isin(labels, touching[touching > 0]) & (opened > 0) & ~near
 
@@ -257,9 +304,10 @@ def _disc(radius_px: float) -> NDArray[np.uint8]:
 
 
 def _nail_tip(stack: FloatArray, nail: BoolArray, px_per_mm: float) -> Array:
-    """Image (2,) of a cone's tip in `stack` (L, H, W), linear. Lines from a cone's tip to its base are lit equally
-    along their length: the gradient g of brightness (over the LEDs' mean) at p obeys g . (p - tip) = 0, by robust least
-    squares over all pixels and images (turned by 90 deg: R. Parthasarathy, Nature Methods 9, 2012).
+    """Image (2,) of a cone's tip in `stack` (L, H, W), linear. Lines from a cone's tip to its base
+    are lit equally along their length: the gradient g of brightness (over the LEDs' mean) at p
+    obeys g . (p - tip) = 0, by robust least squares over all pixels and images (turned by 90 deg:
+    R. Parthasarathy, Nature Methods 9, 2012).
     """
     sigma = max(0.08 * px_per_mm, 0.7)
     margin = round(3.0 * sigma) + 1
@@ -268,21 +316,33 @@ def _nail_tip(stack: FloatArray, nail: BoolArray, px_per_mm: float) -> Array:
     part = (slice(top, int(rows.max()) + margin + 1), slice(left, int(columns.max()) + margin + 1))
     inner = cv2.erode(nail[part].astype(np.uint8), _disc(margin), borderValue=0)
     places = np.argwhere(inner > 0)[:, ::-1].astype(np.float64)
-    require(len(places) >= 30, "the nail is too small in the picture for its tip to be found; type the table instead.")
-    soft = [cv2.GaussianBlur(np.asarray(image[part], dtype=np.float32), (0, 0), sigma) for image in stack]
-    # against the mean of all images, so that the fall-off from the tip, which is nearer to the light, cancels
+    require(
+        len(places) >= 30,
+        "the nail is too small in the picture for its tip to be found; type the table instead.",
+    )
+    soft = [
+        cv2.GaussianBlur(np.asarray(image[part], dtype=np.float32), (0, 0), sigma)
+        for image in stack
+    ]
+    # against the mean of all images, so that the fall-off from the tip, which is nearer to the
+    # light, cancels
     mean = np.maximum(np.mean(soft, axis=0), np.float32(1e-6))
     slopes = []
     for image in soft:
         ratio = image / mean
-        gradient = np.stack([cv2.Sobel(ratio, cv2.CV_32F, 1, 0), cv2.Sobel(ratio, cv2.CV_32F, 0, 1)], axis=-1)
+        gradient = np.stack(
+            [cv2.Sobel(ratio, cv2.CV_32F, 1, 0), cv2.Sobel(ratio, cv2.CV_32F, 0, 1)], axis=-1
+        )
         slopes.append(gradient[inner > 0])
     g = np.concatenate(slopes).astype(np.float64)  # (L N, 2)
     p = np.tile(places, (len(stack), 1))
     tip = places.mean(axis=0)
     weights = np.ones(len(g))
     scale = float(np.sqrt((g * g).sum(axis=1).mean()))
-    require(scale > 0, "the nail shows no shading, so that its tip cannot be found; type the table instead.")
+    require(
+        scale > 0,
+        "the nail shows no shading, so that its tip cannot be found; type the table instead.",
+    )
     for _ in range(12):
         # a gradient far from the tip has a longer lever for the same error of its direction
         lever = np.linalg.norm(p - tip, axis=1) + 2.0 * sigma
@@ -295,6 +355,13 @@ def _nail_tip(stack: FloatArray, nail: BoolArray, px_per_mm: float) -> Array:
         if float(np.abs(tip - before).max()) < 1e-3:
             break
     column, row = tip + np.array([left, top])
-    inside = 0 <= row < nail.shape[0] and 0 <= column < nail.shape[1] and bool(nail[int(row), int(column)])
-    require(inside, "the nail's faces do not show where its tip is; type the table, or photograph a matt cone.")
+    inside = (
+        0 <= row < nail.shape[0]
+        and 0 <= column < nail.shape[1]
+        and bool(nail[int(row), int(column)])
+    )
+    require(
+        inside,
+        "the nail's faces do not show where its tip is; type the table, or photograph a matt cone.",
+    )
     return np.array([column, row])

@@ -1,8 +1,10 @@
-"""Directions of lights from photographs of a ball: of its highlight on chrome, of its shading on matt grey.
+"""Directions of lights from photographs of a ball: of its highlight on chrome, of its shading on
+matt grey.
 
-Directions point from the ball's middle to the light, x right, y up, z to the camera. Without a scale the view is taken
-as parallel (along z) and the light as distant. With it `eye` (3,) is the camera's centre, and `away` (L,) the distances
-of the lights as drawn, both from the ball's middle, in radii of the ball: then nearness is not an error.
+Directions point from the ball's middle to the light, x right, y up, z to the camera. Without a
+scale the view is taken as parallel (along z) and the light as distant. With it `eye` (3,) is the
+camera's centre, and `away` (L,) the distances of the lights as drawn, both from the ball's middle,
+in radii of the ball: then nearness is not an error.
 """
 
 from __future__ import annotations
@@ -17,9 +19,11 @@ from splitknit.errors import check_mask, check_stack, require
 from splitknit.model import Array, BoolArray, FloatArray
 
 _RAYS, _REACH, _AGREE = 360, 0.1, 0.007
-"""Rays from a ball's middle; parts of its radius by which its rim may lie off the outline, and rays off each other."""
+"""Rays from a ball's middle; parts of its radius by which its rim may lie off the outline, and rays
+off each other."""
 RIM_PX = 40.0
-"""Least radius whose rim is looked for: of 12 smaller drawn balls on textures 5 came out 3 to 12 % beside."""
+"""Least radius whose rim is looked for: of 12 smaller drawn balls on textures 5 came out 3 to 12 %
+beside."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -36,7 +40,8 @@ class Ball:
         return self.seen(columns, rows, eye)[0]
 
     def seen(self, column: Any, row: Any, eye: Array | None = None) -> tuple[Array, Array]:
-        """Unit normals (..., 3) where lines of sight meet the ball, NaN where none does, and unit vectors back."""
+        """Unit normals (..., 3) where lines of sight meet the ball, NaN where none does, and unit
+        vectors back."""
         x, y = (column - self.column) / self.radius_px, (self.row - row) / self.radius_px
         level = np.stack(np.broadcast_arrays(x, y, 0.0), axis=-1)
         view = np.array([0.0, 0.0, 1.0]) if eye is None else eye - level
@@ -48,20 +53,27 @@ class Ball:
 
 
 def ball_of_mask(mask: Any) -> Ball:
-    """Ball whose image is the true part of `mask` (H, W): a circle through its border; BadInput if it is none."""
+    """Ball whose image is the true part of `mask` (H, W): a circle through its border; BadInput if
+    it is none."""
     array = np.asarray(mask)
-    require(array.ndim == 2, f"the ball's mask must have the shape (H, W), but it has {array.shape}.")
+    require(
+        array.ndim == 2, f"the ball's mask must have the shape (H, W), but it has {array.shape}."
+    )
     inside = check_mask(array, (array.shape[0], array.shape[1]), name="the ball's mask")
-    ball, off = _ball_in(inside, "the ball's mask is too small; it must be white where the ball is.")
+    ball, off = _ball_in(
+        inside, "the ball's mask is too small; it must be white where the ball is."
+    )
     require(
         float(off.mean()) < 0.05 * (ball.radius_px - 0.5),
-        "the ball's mask is not a disc; it must be white where the whole ball is and black elsewhere.",
+        "the ball's mask is not a disc; it must be white where the whole ball is and black"
+        " elsewhere.",
     )
     return ball
 
 
 def find_ball(stack: Any) -> Ball:
-    """Find the ball's outline in photographs (L, H, W) against a dark background, or raise BadInput."""
+    """Find the ball's outline in photographs (L, H, W) against a dark background, or raise
+    BadInput."""
     images = check_stack(stack, least=1, name="the photographs of the ball")
     bright = images.max(axis=0)
     top = float(np.percentile(bright, 99.5))
@@ -72,17 +84,22 @@ def find_ball(stack: Any) -> Ball:
     count, labels, stats, _ = cv2.connectedComponentsWithStats(split, connectivity=8)
     require(count > 1, "no ball was found in the photographs; give its outline with `mask`.")
     largest = 1 + int(np.argmax(stats[1:, cv2.CC_STAT_AREA]))
-    ball, off = _ball_in(labels == largest, "no ball was found in the photographs; give its outline with `mask`.")
+    ball, off = _ball_in(
+        labels == largest, "no ball was found in the photographs; give its outline with `mask`."
+    )
     round_enough = float(np.median(off)) < 0.03 * (ball.radius_px - 0.5) and ball.radius_px >= 8.5
-    require(round_enough, "nothing round stands out in the photographs; give the ball's outline with `mask`.")
+    require(
+        round_enough,
+        "nothing round stands out in the photographs; give the ball's outline with `mask`.",
+    )
     return ball
 
 
 def rim_of(stack: Any, ball: Ball) -> tuple[Ball, float]:
-    """Ball whose rim stands out in photographs (L, H, W) near a given one, and the part of rays from its middle that
-    agree on it, 0 where the ball is small. A ray's edge is where sqrt(I) is steepest, squares added over photographs
-    (Di Zenzo 1986), so that what moves with the light counts little; the circle is the one through three of them on
-    which most lie.
+    """Ball whose rim stands out in photographs (L, H, W) near a given one, and the part of rays
+    from its middle that agree on it, 0 where the ball is small. A ray's edge is where sqrt(I) is
+    steepest, squares added over photographs (Di Zenzo 1986), so that what moves with the light
+    counts little; the circle is the one through three of them on which most lie.
     """
     images = check_stack(stack, least=1, name="the photographs of the ball")
     rows, columns = images.shape[1:]
@@ -98,14 +115,25 @@ def rim_of(stack: Any, ball: Ball) -> tuple[Ball, float]:
         for image in images:
             root = np.sqrt(np.maximum(image, 0.0)).astype(np.float32)
             drawn = cv2.remap(root, x.astype(np.float32), y.astype(np.float32), cv2.INTER_LINEAR)
-            energy += np.gradient(cv2.GaussianBlur(drawn, (0, 0), sigmaX=1.0 / min(step, 1.0), sigmaY=1.0), axis=1) ** 2
+            energy += (
+                np.gradient(
+                    cv2.GaussianBlur(drawn, (0, 0), sigmaX=1.0 / min(step, 1.0), sigmaY=1.0), axis=1
+                )
+                ** 2
+            )
         ray, best = np.arange(_RAYS), np.clip(energy.argmax(axis=1), 1, len(radii) - 2)
         low, top, high = (energy[ray, best + k] for k in (-1, 0, 1))
         bent = np.minimum(low - 2.0 * top + high, -1e-12)
         edge = radii[best] + step * np.clip(0.5 * (low - high) / bent, -0.5, 0.5)
-        points = np.stack([ball.column + np.cos(angle[:, 0]) * edge, ball.row + np.sin(angle[:, 0]) * edge], axis=1)
+        points = np.stack(
+            [ball.column + np.cos(angle[:, 0]) * edge, ball.row + np.sin(angle[:, 0]) * edge],
+            axis=1,
+        )
         seen = ((x > 0) & (x < columns - 1) & (y > 0) & (y < rows - 1)).all(axis=1)
-        triples = np.array([(k, k + s, k + 2 * s) for s in (45, 60, 75, 90, 120) for k in range(_RAYS)]) % _RAYS
+        triples = (
+            np.array([(k, k + s, k + 2 * s) for s in (45, 60, 75, 90, 120) for k in range(_RAYS)])
+            % _RAYS
+        )
         triples = triples[seen[triples].all(axis=1)]
         if not len(triples):
             return ball, 0.0
@@ -116,7 +144,9 @@ def rim_of(stack: Any, ball: Ball) -> tuple[Ball, float]:
         near = np.abs(circles - (ball.column, ball.row, ball.radius_px)).max(axis=1) <= reach
         if not near.any():
             return ball, 0.0
-        off = np.linalg.norm(points[seen] - circles[near, None, :2], axis=2) - circles[near, None, 2]
+        off = (
+            np.linalg.norm(points[seen] - circles[near, None, :2], axis=2) - circles[near, None, 2]
+        )
         on = np.abs(off) < max(_AGREE * ball.radius_px, 1.0)
         most = on[int(on.sum(axis=1).argmax())]
         ball, agreed = Ball(*_circle(points[seen][most])), float(most.mean())
@@ -124,18 +154,24 @@ def rim_of(stack: Any, ball: Ball) -> tuple[Ball, float]:
 
 
 def _ball_in(mask: BoolArray, small: str) -> tuple[Ball, Array]:
-    """Circle by the longest outline of a mask, and how far its pixels (N,) lie off; `small` refuses short ones."""
+    """Circle by the longest outline of a mask, and how far its pixels (N,) lie off; `small` refuses
+    short ones."""
     outlines, _ = cv2.findContours(mask.astype(np.uint8), cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
     outline = max(outlines, key=len)[:, 0].astype(np.float64)
     require(len(outline) >= 20, small)
     column, row, radius = _circle(outline)
     # the contour runs through the centres of the outermost pixels, half a pixel inside the outline
-    return Ball(column, row, radius + 0.5), np.abs(np.hypot(outline[:, 0] - column, outline[:, 1] - row) - radius)
+    return Ball(column, row, radius + 0.5), np.abs(
+        np.hypot(outline[:, 0] - column, outline[:, 1] - row) - radius
+    )
 
 
-def chrome_directions(stack: Any, ball: Ball, eye: Array | None = None, away: Array | None = None) -> Array:
-    """Directions (L, 3), l = 2 (n . v) n - v, from the highlights on a chrome ball in `stack` (L, H, W), linear: there
-    the normal n halves the angle between light and view v. Raises BadInput if an image (numbered) has none.
+def chrome_directions(
+    stack: Any, ball: Ball, eye: Array | None = None, away: Array | None = None
+) -> Array:
+    """Directions (L, 3), l = 2 (n . v) n - v, from the highlights on a chrome ball in `stack` (L,
+    H, W), linear: there the normal n halves the angle between light and view v. Raises BadInput if
+    an image (numbered) has none.
     """
     images = check_stack(stack, name="the photographs of the ball")
     inside = np.isfinite(ball.normals(images.shape[1:])[..., 2])
@@ -146,20 +182,29 @@ def chrome_directions(stack: Any, ball: Ball, eye: Array | None = None, away: Ar
         ray = 2.0 * float(normal @ view) * normal - view
         if away is not None:  # the ray leaves the highlight, the direction the ball's middle
             along = float(normal @ ray)
-            ray = (normal + (np.sqrt(along**2 + away[number] ** 2 - 1.0) - along) * ray) / away[number]
+            ray = (normal + (np.sqrt(along**2 + away[number] ** 2 - 1.0) - along) * ray) / away[
+                number
+            ]
         directions.append(ray)
     return np.array(directions)
 
 
 def grey_directions(
-    stack: Any, ball: Ball, clip_level: float = 0.98, *, eye: Array | None = None, away: Array | None = None
+    stack: Any,
+    ball: Ball,
+    clip_level: float = 0.98,
+    *,
+    eye: Array | None = None,
+    away: Array | None = None,
 ) -> tuple[Array, Array]:
-    """Directions (L, 3) and strengths (L,) of lights from the shading of a matt ball, I = l . n by least squares.
+    """Directions (L, 3) and strengths (L,) of lights from the shading of a matt ball, I = l . n by
+    least squares.
 
-    `stack` (L, H, W): linear, ambient light removed. Taken as distant, a near light seems to stand further out (by 2.4
-    deg in the twin, a ball of 8 mm radius under LEDs 132 mm above its middle); with `away` each pixel has its own
-    distance. Pixels count that the light reaches, away from the ball's edge and below `clip_level`, evaluated again
-    with every estimate. Raises BadInput if too little of the ball is lit in an image (numbered).
+    `stack` (L, H, W): linear, ambient light removed. Taken as distant, a near light seems to stand
+    further out (by 2.4 deg in the twin, a ball of 8 mm radius under LEDs 132 mm above its middle);
+    with `away` each pixel has its own distance. Pixels count that the light reaches, away from the
+    ball's edge and below `clip_level`, evaluated again with every estimate. Raises BadInput if too
+    little of the ball is lit in an image (numbered).
     """
     images = check_stack(stack, name="the photographs of the ball")
     normals = ball.normals(images.shape[1:], eye)
@@ -175,13 +220,21 @@ def grey_directions(
         for _ in range(20):
             require(
                 int(lit.sum()) >= 30,
-                f"image {number}: too little of the ball is lit and not clipped to determine the light's direction.",
+                f"image {number}: too little of the ball is lit and not clipped to determine the"
+                " light's direction.",
             )
-            far = np.ones(len(n)), 0.0  # I d^3 = strength (n . l - 1 / d0), in distances d0 of the ball's middle
+            # I d^3 = strength (n . l - 1 / d0), in distances d0 of the ball's middle
+            far = np.ones(len(n)), 0.0
             if away is not None and light.any():
                 unit = light / np.linalg.norm(light)
-                far = np.linalg.norm(unit - n / away[number], axis=1) ** 3, float(np.linalg.norm(light)) / away[number]
-            before, light = light, np.linalg.lstsq(n[lit], (values * far[0] + far[1])[lit], rcond=None)[0]
+                far = (
+                    np.linalg.norm(unit - n / away[number], axis=1) ** 3,
+                    float(np.linalg.norm(light)) / away[number],
+                )
+            before, light = (
+                light,
+                np.linalg.lstsq(n[lit], (values * far[0] + far[1])[lit], rcond=None)[0],
+            )
             expected = (n @ light - far[1]) / far[0]
             strength = float(np.linalg.norm(light))
             spread = 1.4826 * float(np.median(np.abs(values[lit] - expected[lit]))) + 1e-9
@@ -196,7 +249,8 @@ def grey_directions(
 
 
 def _circle(points: Array) -> tuple[float, float, float]:
-    """Centre and radius of a circle through points (N, 2), least squares, points far from it left out in turn."""
+    """Centre and radius of a circle through points (N, 2), least squares, points far from it left
+    out in turn."""
     kept = np.ones(len(points), dtype=np.bool_)
     for _ in range(10):
         x, y = points[kept].T
@@ -211,10 +265,14 @@ def _circle(points: Array) -> tuple[float, float, float]:
 def _highlight(image: FloatArray, inside: BoolArray, number: int) -> tuple[float, float]:
     values = np.where(inside, image, 0.0).astype(np.float64)
     top, usual = float(values.max()), float(np.median(values[inside]))
-    require(top > max(3.0 * usual, 0.05), f"image {number}: no highlight stands out on the chrome ball.")
+    require(
+        top > max(3.0 * usual, 0.05), f"image {number}: no highlight stands out on the chrome ball."
+    )
     level = usual + 0.5 * (top - usual)
     _, labels = cv2.connectedComponents((values >= level).astype(np.uint8), connectivity=8)
-    sums = np.bincount(labels.ravel(), weights=np.maximum(values - level, 0).ravel() + (values >= level).ravel())
+    sums = np.bincount(
+        labels.ravel(), weights=np.maximum(values - level, 0).ravel() + (values >= level).ravel()
+    )
     sums[0] = 0.0
     rows, columns = np.nonzero(labels == int(np.argmax(sums)))
     weights = np.maximum(values[rows, columns] - level, 0.0) + 1e-9

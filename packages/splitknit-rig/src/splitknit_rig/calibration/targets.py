@@ -24,8 +24,8 @@ class Board:
     def __post_init__(self) -> None:
         require(
             3 <= self.columns <= 200 and 3 <= self.rows <= 200,
-            f"a checkerboard must have 3 to 200 inner corners each way, but it is {self.columns} x {self.rows}; "
-            "count the corners at which four squares meet.",
+            f"a checkerboard must have 3 to 200 inner corners each way, but it is {self.columns} x"
+            f" {self.rows}; count the corners at which four squares meet.",
         )
         require(
             0.01 <= self.square_mm <= 10_000,
@@ -38,7 +38,8 @@ class Board:
         size = re.fullmatch(r"\s*(\d{1,4})\s*[xX×]\s*(\d{1,4})\s*", text)
         if size is None:
             raise BadInput(
-                f"'{text}' is not the size of a checkerboard; write the inner corners each way, such as 9x6."
+                f"'{text}' is not the size of a checkerboard; write the inner corners each way,"
+                " such as 9x6."
             )
         return cls(int(size[1]), int(size[2]), square_mm)
 
@@ -49,26 +50,36 @@ class Board:
 
     @property
     def points_mm(self) -> Array:
-        """(columns * rows, 2) places of the corners on the board, x first, in the order of :func:`find_board`."""
+        """(columns * rows, 2) places of the corners on the board, x first, in the order of
+        :func:`find_board`."""
         y, x = np.mgrid[: self.rows, : self.columns]
         return np.stack([x.ravel(), y.ravel()], axis=1) * float(self.square_mm)
 
 
-_SEARCH_PX = 1200  # longer side of the image in which the board is sought; corners are then refined in the full image
-_WINDOW = 0.3  # half the window in which a corner is refined, as a part of the shortest side of a square in the image
+# longer side of the image in which the board is sought; corners are then refined in the full image
+_SEARCH_PX = 1200
+# half the window in which a corner is refined, as a part of the shortest side of a square in the
+# image
+_WINDOW = 0.3
 _BY_QUADS = cv2.CALIB_CB_ADAPTIVE_THRESH | cv2.CALIB_CB_NORMALIZE_IMAGE | cv2.CALIB_CB_FAST_CHECK
 _BY_SECTOR = cv2.CALIB_CB_NORMALIZE_IMAGE | cv2.CALIB_CB_EXHAUSTIVE | cv2.CALIB_CB_ACCURACY
 _WINDOW_PX = (3, 40)  # smallest and largest half window
 _SMOOTH_PX = 1.5
-"""Blur (sigma, at most 5 % of a side) before corners are refined: edges sharp as a pixel draw corners to its middle."""
+"""Blur (sigma, at most 5 % of a side) before corners are refined: edges sharp as a pixel draw
+corners to its middle."""
 _CONTRAST = 0.4
-"""Contrast, relative to the board's corners, from which a place one square further is a corner of the board too."""
+"""Contrast, relative to the board's corners, from which a place one square further is a corner of
+the board too."""
 
 
 def _grey(pixels: Any) -> FloatArray:
-    """(H, W) float32 from 0 to 255 of an image (H, W) or (H, W, C): its darkest and brightest 0.5 % are cut off."""
+    """(H, W) float32 from 0 to 255 of an image (H, W) or (H, W, C): its darkest and brightest 0.5 %
+    are cut off."""
     array = np.asarray(pixels)
-    require(array.ndim in (2, 3) and array.size > 0, f"an image must be (H, W) or (H, W, C), but it is {array.shape}.")
+    require(
+        array.ndim in (2, 3) and array.size > 0,
+        f"an image must be (H, W) or (H, W, C), but it is {array.shape}.",
+    )
     image = array.astype(np.float32) if array.ndim == 2 else array.mean(axis=2, dtype=np.float32)
     require(bool(np.isfinite(image).all()), "an image contains NaN or infinite values.")
     low, high = np.percentile(image[:: max(1, len(image) // 1000)], (0.5, 99.5))
@@ -77,12 +88,13 @@ def _grey(pixels: Any) -> FloatArray:
 
 
 def find_board(pixels: Any, board: Board, search_px: int = _SEARCH_PX) -> Array | None:
-    """Inner corners of a checkerboard in an image (H, W) or (H, W, C): (columns * rows, 2) column and row in the order
-    of `board.points_mm`, or None where no board of just this size (c x r and r x c are the same) is in full view. It is
-    sought with the longer side reduced to `search_px`, and refined in the full image. Source: A. Duda, U. Frese,
-    "Accurate detection and localization of checkerboard corners for calibration", BMVC 2018
-    (``findChessboardCornersSB``); W. Foerstner, E. Guelch, "A fast operator for detection and precise location of
-    distinct points, corners and centres of circular features", 1987 (``cornerSubPix``).
+    """Inner corners of a checkerboard in an image (H, W) or (H, W, C): (columns * rows, 2) column
+    and row in the order of `board.points_mm`, or None where no board of just this size (c x r and r
+    x c are the same) is in full view. It is sought with the longer side reduced to `search_px`, and
+    refined in the full image. Source: A. Duda, U. Frese, "Accurate detection and localization of
+    checkerboard corners for calibration", BMVC 2018 (``findChessboardCornersSB``); W. Foerstner, E.
+    Guelch, "A fast operator for detection and precise location of distinct points, corners and
+    centres of circular features", 1987 (``cornerSubPix``).
     """
     image = _grey(pixels)
     size = (board.columns, board.rows)
@@ -90,10 +102,15 @@ def find_board(pixels: Any, board: Board, search_px: int = _SEARCH_PX) -> Array 
     for scale in [factor] if factor > 0.5 else [factor, min(1.0, 2 * factor)]:
         small = image
         if scale != 1.0:
-            small = np.asarray(cv2.resize(image, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA))
+            small = np.asarray(
+                cv2.resize(image, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA)
+            )
         codes = np.asarray(np.round(small), dtype=np.uint8)
         # the quick search first; what either finds is checked and refined
-        for search, flags in ((cv2.findChessboardCorners, _BY_QUADS), (cv2.findChessboardCornersSB, _BY_SECTOR)):
+        for search, flags in (
+            (cv2.findChessboardCorners, _BY_QUADS),
+            (cv2.findChessboardCornersSB, _BY_SECTOR),
+        ):
             complete, corners = search(codes, size, flags=flags)
             if not complete:
                 continue
@@ -105,7 +122,8 @@ def find_board(pixels: Any, board: Board, search_px: int = _SEARCH_PX) -> Array 
 
 
 def _refined(image: FloatArray, grid: Array) -> Array:
-    """Corners (rows, columns, 2) to a small part of a pixel, with windows that stay within the four squares around."""
+    """Corners (rows, columns, 2) to a small part of a pixel, with windows that stay within the four
+    squares around."""
     side = min(float(np.linalg.norm(np.diff(grid, axis=axis), axis=2).min()) for axis in (0, 1))
     half = int(np.clip(round(_WINDOW * side), *_WINDOW_PX))
     blur = min(_SMOOTH_PX, 0.05 * side)
@@ -136,9 +154,15 @@ def _goes_on(image: FloatArray, grid: Array) -> bool:
 
 
 def _contrast(image: FloatArray, grid: Array) -> Array:
-    """(rows, columns) contrast of the four squares that meet at each place: the smallest of four steps around it."""
+    """(rows, columns) contrast of the four squares that meet at each place: the smallest of four
+    steps around it."""
     along, across = np.gradient(grid, axis=1) * 0.25, np.gradient(grid, axis=0) * 0.25
-    around = [grid + along + across, grid - along + across, grid - along - across, grid + along - across]
+    around = [
+        grid + along + across,
+        grid - along + across,
+        grid - along - across,
+        grid + along - across,
+    ]
     places = np.stack(around).astype(np.float32)  # (4, rows, columns, 2)
     x, y = np.moveaxis(places.reshape(4, -1, 2), -1, 0).copy()
     light = cv2.remap(image, x, y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)

@@ -1,1 +1,2 @@
-"""Taking pictures: a session of ambient and lit frames with checks, on a Raspberry Pi or on the digital twin."""
+"""Taking pictures: a session of ambient and lit frames with checks, on a Raspberry Pi or on the
+digital twin."""

@@ -1,4 +1,5 @@
-"""Auto-exposure, found on the brightest LED of a band and locked; and focus, a number that is largest when sharp."""
+"""Auto-exposure, found on the brightest LED of a band and locked; and focus, a number that is
+largest when sharp."""
 
 from __future__ import annotations
 
@@ -19,13 +20,15 @@ Look = Callable[[int, float, float], Frame]
 """Preview under an LED, with an exposure time and a gain."""
 MEDIAN = 50.0
 BRIGHT = 99.5  # percentile that stands for a target's light: most of its picture may be black
-_PERCENTILE = 99.9  # percentile of the finger's pixels, in the brightest channel, that measures its brightness
+# percentile of the finger's pixels, in the brightest channel, that measures its brightness
+_PERCENTILE = 99.9
 _START_S = 0.01  # exposure time of the first preview, at gain 1; above 0
 _CLIPPED = 0.97  # from this fraction of full scale on a preview only shows that less is needed
 _TOLERANCE = 0.06  # the search ends when the level is as near to the target as this, relative
 _STEPS = 12  # previews of the brightest LED at most
 _MIN_LEVEL = 0.3
-"""The finger is too dark if it does not even reach this fraction of the target with all that the camera can."""
+"""The finger is too dark if it does not even reach this fraction of the target with all that the
+camera can."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -33,7 +36,8 @@ class ExposureSettings(Checked):
     """How bright the brightest image shall be."""
 
     target: Annotated[float, Limits(0.05, 0.95)] = 0.7
-    """Fraction of full scale that the finger's 99.9th percentile reaches, brightest channel and LED."""
+    """Fraction of full scale that the finger's 99.9th percentile reaches, brightest channel and
+    LED."""
     longest_s: Annotated[float, Limits(0, above=True)] = 0.066
     """Above this the gain is raised: longer times would spoil the seven seconds."""
 
@@ -59,21 +63,28 @@ class Exposure:
     expected: Mapping[int, float] = field(default_factory=dict)
 
     def promising(self, seen: Survey, lit: Mapping[int, float]) -> Exposure:
-        """With what the previews promise: `lit` is LED to the finger's level in the survey, less the ambient light."""
+        """With what the previews promise: `lit` is LED to the finger's level in the survey, less
+        the ambient light."""
         ratio = self.exposure_s * self.gain / (seen.exposure_s * seen.gain)
         return replace(self, expected={led: ratio * max(level, 0.0) for led, level in lit.items()})
 
 
-def _split(product_s: float, camera: ExposureRange, settings: ExposureSettings) -> tuple[float, float]:
-    """Exposure time and gain whose product is `product_s`, or as near as the camera can: time first, then gain."""
+def _split(
+    product_s: float, camera: ExposureRange, settings: ExposureSettings
+) -> tuple[float, float]:
+    """Exposure time and gain whose product is `product_s`, or as near as the camera can: time
+    first, then gain."""
     longest = min(max(settings.longest_s, camera.shortest_s), camera.longest_s)
     time_s = float(np.clip(product_s / camera.lowest_gain, camera.shortest_s, longest))
     return time_s, float(np.clip(product_s / time_s, camera.lowest_gain, camera.highest_gain))
 
 
 def _level_of(frame: Frame, region: BoolArray | None = None) -> float:
-    """How bright the finger is in the brightest channel, as a fraction of full scale above the black level."""
-    pixels = frame.pixels.reshape(-1, frame.pixels.shape[2]) if region is None else frame.pixels[region]
+    """How bright the finger is in the brightest channel, as a fraction of full scale above the
+    black level."""
+    pixels = (
+        frame.pixels.reshape(-1, frame.pixels.shape[2]) if region is None else frame.pixels[region]
+    )
     return max(_above_black(frame, np.max(np.percentile(pixels, _PERCENTILE, axis=0))), 0.0)
 
 
@@ -83,12 +94,16 @@ def typical_level(frame: Frame, region: BoolArray, percentile: float = MEDIAN) -
 
 
 def _above_black(frame: Frame, stored: np.floating) -> float:
-    return (float(stored) - frame.black_level) / (float(np.iinfo(frame.pixels.dtype).max) - frame.black_level)
+    return (float(stored) - frame.black_level) / (
+        float(np.iinfo(frame.pixels.dtype).max) - frame.black_level
+    )
 
 
-def survey(look: Look, leds: Sequence[int], camera: ExposureRange, settings: ExposureSettings) -> Survey:
-    """Look at a band under each LED with one exposure at which none clips and the brightest is not dark. Raises
-    BadInput if it is too bright or too dark at every exposure.
+def survey(
+    look: Look, leds: Sequence[int], camera: ExposureRange, settings: ExposureSettings
+) -> Survey:
+    """Look at a band under each LED with one exposure at which none clips and the brightest is not
+    dark. Raises BadInput if it is too bright or too dark at every exposure.
     """
     product = _START_S
     while True:
@@ -103,14 +118,15 @@ def survey(look: Look, leds: Sequence[int], camera: ExposureRange, settings: Exp
             product /= 4
             require(
                 _split(product, camera, settings) != (time_s, gain),
-                "the picture is overexposed even with the shortest exposure: another light is on; close the lid, or "
-                "lower the LEDs' current.",
+                "the picture is overexposed even with the shortest exposure: another light is on;"
+                " close the lid, or lower the LEDs' current.",
             )
             continue
         at_limit = _split(2 * product, camera, settings) == (time_s, gain)
         require(
             not at_limit or max(levels) >= 0.01,
-            "nothing is seen under any LED, even with the longest exposure; check the LEDs' supply and the lens.",
+            "nothing is seen under any LED, even with the longest exposure; check the LEDs' supply"
+            " and the lens.",
         )
         if max(levels) >= 0.08 or at_limit:
             return Survey(frames, time_s, gain)
@@ -120,8 +136,8 @@ def survey(look: Look, leds: Sequence[int], camera: ExposureRange, settings: Exp
 def find_exposure(
     look: Look, seen: Survey, region: BoolArray, camera: ExposureRange, settings: ExposureSettings
 ) -> Exposure:
-    """The exposure of a band, before :meth:`Exposure.promising`, by previews `look` of the finger in `region` (h, w).
-    Raises BadInput if it stays too dark or too bright.
+    """The exposure of a band, before :meth:`Exposure.promising`, by previews `look` of the finger
+    in `region` (h, w). Raises BadInput if it stays too dark or too bright.
     """
     levels = {led: _level_of(frame, region) for led, frame in seen.frames.items()}
     brightest = max(levels, key=lambda led: levels[led])
@@ -129,7 +145,11 @@ def find_exposure(
     for _ in range(_STEPS):
         if abs(level / settings.target - 1.0) <= _TOLERANCE:
             break
-        factor = 0.3 if level >= _CLIPPED else float(np.clip(settings.target / max(level, 1e-3), 0.1, 8.0))
+        factor = (
+            0.3
+            if level >= _CLIPPED
+            else float(np.clip(settings.target / max(level, 1e-3), 0.1, 8.0))
+        )
         wanted = _split(time_s * gain * factor, camera, settings)
         if np.allclose(wanted, (time_s, gain), rtol=1e-6):
             break  # the camera's limit
@@ -139,21 +159,27 @@ def find_exposure(
         level = _level_of(frame, region)
     require(
         level >= _MIN_LEVEL * settings.target,
-        f"the finger is too dark: with {1e3 * time_s:.0f} ms at gain {gain:.1f} its brightest LED brings it to "
-        f"{100 * level:.0f} % of full scale; check the LEDs' supply.",
+        f"the finger is too dark: with {1e3 * time_s:.0f} ms at gain {gain:.1f} its brightest LED"
+        f" brings it to {100 * level:.0f} % of full scale; check the LEDs' supply.",
     )
     tried = f"{1e3 * time_s:.2f} ms at gain {gain:.1f}"
-    words = f"the finger is overexposed even with {tried}; close the lid, or lower the LEDs' current."
+    words = (
+        f"the finger is overexposed even with {tried}; close the lid, or lower the LEDs' current."
+    )
     require(level < _CLIPPED, words)
     return Exposure(time_s, gain, brightest, level)
 
 
 _DETAIL_MM = 0.02
-"""Smoothing before the Laplacian (sigma, at least 0.7 px): 1.5 px of the full frame; finer shows focus, and noise."""
-MIN_SNR = 0.1  # below this the finger shows no detail above the noise: the picture is refused as out of focus
-MIN_PX_PER_MM = 18.0  # coarser pictures are not refused: ridges are so small in them that they pass for noise
+"""Smoothing before the Laplacian (sigma, at least 0.7 px): 1.5 px of the full frame; finer shows
+focus, and noise."""
+# below this the finger shows no detail above the noise: the picture is refused as out of focus
+MIN_SNR = 0.1
+# coarser pictures are not refused: ridges are so small in them that they pass for noise
+MIN_PX_PER_MM = 18.0
 _PATIENCE, _RISE = 8, 0.02
-"""A live measurement ends after so many in a row that do not rise above the best so far by this fraction of it."""
+"""A live measurement ends after so many in a row that do not rise above the best so far by this
+fraction of it."""
 _MOST = 400  # live measurements at most
 
 
@@ -161,17 +187,18 @@ _MOST = 400  # live measurements at most
 class Focus:
     """One measurement."""
 
-    # standard deviation of the detail, relative to brightness, in per cent; the noise's part is taken off
+    # standard deviation of the detail, relative to brightness, in per cent; the noise's part is
+    # taken off
     sharpness: float
     snr: float  # variance of the detail over that of the noise
 
 
 def measure_focus(image: NDArray[np.floating], region: BoolArray, px_per_mm: float) -> Focus:
-    """Focus of one picture (H, W) of linear light in the finger's `region` (H, W), without its outline: the variance of
-    the Laplacian of Gaussian of the relative brightness, less the noise's, found at the finest scale, where blurred
-    skin shows next to nothing. Source: Pech-Pacheco, J. L. et al., "Diatom autofocusing in brightfield microscopy",
-    ICPR 2000. Immerkaer, J., "Fast noise variance estimation", Computer Vision and Image Understanding 64, 1996 (the
-    mask of the noise).
+    """Focus of one picture (H, W) of linear light in the finger's `region` (H, W), without its
+    outline: the variance of the Laplacian of Gaussian of the relative brightness, less the noise's,
+    found at the finest scale, where blurred skin shows next to nothing. Source: Pech-Pacheco, J. L.
+    et al., "Diatom autofocusing in brightfield microscopy", ICPR 2000. Immerkaer, J., "Fast noise
+    variance estimation", Computer Vision and Image Understanding 64, 1996 (the mask of the noise).
     """
     light = check_image(image)
     inside = check_mask(region, (light.shape[0], light.shape[1]))
@@ -182,7 +209,9 @@ def measure_focus(image: NDArray[np.floating], region: BoolArray, px_per_mm: flo
     inside = inside & (local > 2 * floor)  # the finger's unlit flank is noise alone
     if not inside.any():
         return Focus(0.0, 0.0)
-    detail = cv2.Laplacian(cv2.GaussianBlur(relative, (0, 0), sigma), cv2.CV_32F) * np.float32(sigma**2)
+    detail = cv2.Laplacian(cv2.GaussianBlur(relative, (0, 0), sigma), cv2.CV_32F) * np.float32(
+        sigma**2
+    )
     finest = cv2.filter2D(relative, cv2.CV_32F, _NOISE_MASK)
     # robust, because specular reflections and hairs are sharp at every scale
     noise = (1.4826 * float(np.median(np.abs(finest[inside])))) ** 2 / float((_NOISE_MASK**2).sum())
@@ -190,7 +219,9 @@ def measure_focus(image: NDArray[np.floating], region: BoolArray, px_per_mm: flo
     size = int(np.ceil(6 * sigma)) * 2 + 9
     impulse = np.zeros((size, size), dtype=np.float32)
     impulse[size // 2, size // 2] = 1.0
-    kernel = cv2.Laplacian(cv2.GaussianBlur(impulse, (0, 0), sigma), cv2.CV_32F) * np.float32(sigma**2)
+    kernel = cv2.Laplacian(cv2.GaussianBlur(impulse, (0, 0), sigma), cv2.CV_32F) * np.float32(
+        sigma**2
+    )
     response_to_noise = float((kernel.astype(np.float64) ** 2).sum())
     of_noise = noise * response_to_noise
     total = (1.4826 * float(np.median(np.abs(detail[inside] - np.median(detail[inside]))))) ** 2

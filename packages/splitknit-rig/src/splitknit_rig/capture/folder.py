@@ -1,5 +1,6 @@
-"""A capture session on the devices, and a capture folder where its verdict is good; ``session.json`` beside it holds
-exposure, focus, what was checked of every shot, times and settings.
+"""A capture session on the devices, and a capture folder where its verdict is good;
+``session.json`` beside it holds exposure, focus, what was checked of every shot, times and
+settings.
 """
 
 from __future__ import annotations
@@ -23,7 +24,8 @@ from splitknit_rig.capture.session import Session, SessionSettings, WatchFocus, 
 
 MARKER = "session.json"
 Ask = Callable[[PlannedCapture, str | None], str]
-"""Asks for a finger, with the reason where it is asked for again; answers ``go``, ``skip`` or ``stop``."""
+"""Asks for a finger, with the reason where it is asked for again; answers ``go``, ``skip`` or
+``stop``."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -35,20 +37,30 @@ class CaptureOptions:
     keep: bool = False  # write a capture although it must be taken again
     overwrite: bool = False  # replace an earlier capture
     watch_focus: WatchFocus | None = None
-    turn: Turn | None = None  # has the analyser turned by hand, where the devices do not turn it; None: nobody is there
+    # has the analyser turned by hand, where the devices do not turn it; None: nobody is there
+    turn: Turn | None = None
     # enrolment: asks for each finger, and again after a verdict; None: stops at the first verdict
     ask: Ask | None = None
 
 
 def capture_to_folder(
-    devices: Opened, out: Path, options: CaptureOptions, *, subject: Mapping[str, Any], progress: Progress = no_progress
+    devices: Opened,
+    out: Path,
+    options: CaptureOptions,
+    *,
+    subject: Mapping[str, Any],
+    progress: Progress = no_progress,
 ) -> dict[str, Any]:
-    """Capture a finger into the folder `out`; return the facts of ``session.json`` and more. Raises BadInput with the
-    verdict, nothing written (but `options.keep`), if the finger must be captured again.
+    """Capture a finger into the folder `out`; return the facts of ``session.json`` and more. Raises
+    BadInput with the verdict, nothing written (but `options.keep`), if the finger must be captured
+    again.
     """
     check_capture(out, overwrite=options.overwrite)
     with atomic_folder(out, overwrite=options.overwrite) as target:
-        how: dict[str, Any] = {"watch_focus": options.watch_focus, "turn": devices.turn or options.turn}
+        how: dict[str, Any] = {
+            "watch_focus": options.watch_focus,
+            "turn": devices.turn or options.turn,
+        }
         how["progress"] = lambda stage, fraction: progress(stage, 0.8 * fraction)
         session = run_session(devices.camera, devices.lights, devices.rig, options.settings, **how)
         verdict = "; ".join(session.verdict)
@@ -56,7 +68,9 @@ def capture_to_folder(
         if verdict and not options.keep:
             raise Refused(f"{verdict}.", facts)
         progress("writing", 0.8)
-        capture = replace(session.capture(devices.rig, material=options.material), subject=dict(subject))
+        capture = replace(
+            session.capture(devices.rig, material=options.material), subject=dict(subject)
+        )
         if devices.name == "pi":
             capture = replace(capture, captured_at=datetime.now(UTC).strftime("%Y-%m-%dT%H:%M:%SZ"))
         write_capture(capture, target, devices.truth, overwrite=True)
@@ -77,11 +91,20 @@ def _facts(devices: Opened, session: Session, options: CaptureOptions) -> dict[s
         "bands": {name: len(band.leds) for name, band in session.bands.items()},
         "images": sum(shot.led is not None for shot in session.shots),
         "exposure": {
-            band: {"exposure_s": e.exposure_s, "gain": e.gain, "brightest_led": e.brightest, "level": e.level}
+            band: {
+                "exposure_s": e.exposure_s,
+                "gain": e.gain,
+                "brightest_led": e.brightest,
+                "level": e.level,
+            }
             for band, e in session.exposures.items()
         },
         "focus": asdict(session.focus),
-        **({} if session.crossed_over_parallel is None else {"crossed_over_parallel": session.crossed_over_parallel}),
+        **(
+            {}
+            if session.crossed_over_parallel is None
+            else {"crossed_over_parallel": session.crossed_over_parallel}
+        ),
         "shots": [asdict(shot) for shot in session.shots],
         "frames_taken": session.frames_taken,
         "seconds": session.seconds,
@@ -98,8 +121,9 @@ def capture_enrolment(
     options: CaptureOptions,
     progress: Progress = no_progress,
 ) -> dict[str, Any]:
-    """Capture the waiting fingers `places` of an enrolment, each with devices of its own; return what was captured and
-    skipped, how many are finished, and what is next. BadInput with finger and verdict; what was finished is kept.
+    """Capture the waiting fingers `places` of an enrolment, each with devices of its own; return
+    what was captured and skipped, how many are finished, and what is next. BadInput with finger and
+    verdict; what was finished is kept.
     """
     captured: list[str] = []
     skipped: list[str] = []
@@ -145,10 +169,16 @@ def _one_finger(
         subject = {"id": place.subject, "finger": place.finger, "session": place.session}
         try:
             with open_devices(place) as devices:
-                facts = capture_to_folder(devices, enrolment.path(place), options, subject=subject, progress=progress)
+                facts = capture_to_folder(
+                    devices, enrolment.path(place), options, subject=subject, progress=progress
+                )
             return "go", facts
         except BadInput as error:
             if ask is None:
                 message = f"{place.words}: {error}"
-                raise (Refused(message, error.facts) if isinstance(error, Refused) else BadInput(message)) from error
+                raise (
+                    Refused(message, error.facts)
+                    if isinstance(error, Refused)
+                    else BadInput(message)
+                ) from error
             why = str(error)

@@ -1,9 +1,11 @@
-"""The Raspberry Pi: its camera modules by picamera2, LEDs by gpiozero; both are imported here alone.
+"""The Raspberry Pi: its camera modules by picamera2, LEDs by gpiozero; both are imported here
+alone.
 
-What makes a frame trustworthy is its metadata. A new exposure takes effect some frames after it was asked for, and
-frames that were exposed before an LED was switched may still wait in the pipeline. So frames are thrown away until one
-says that it was taken with the locked exposure time, gain and colour gains, *and* that its exposure began after the
-call: its sensor timestamp less its exposure time lies after it. (A sensor exposes its first row before the timestamp.)
+What makes a frame trustworthy is its metadata. A new exposure takes effect some frames after it was
+asked for, and frames that were exposed before an LED was switched may still wait in the pipeline.
+So frames are thrown away until one says that it was taken with the locked exposure time, gain and
+colour gains, *and* that its exposure began after the call: its sensor timestamp less its exposure
+time lies after it. (A sensor exposes its first row before the timestamp.)
 """
 
 from __future__ import annotations
@@ -38,11 +40,13 @@ class _Sensor:
     bits: int
     black: int  # stored value of no light, of 2 ** bits - 1
     mono: bool
-    line_s: float  # time in which the sensor reads one row at full resolution: exposures are whole numbers of it
+    # time in which the sensor reads one row at full resolution: exposures are whole numbers of it
+    line_s: float
     frame_s: float  # shortest time from frame to frame
     global_shutter: bool  # all rows are exposed at once; else one after the other
     max_gain: float  # largest analogue gain
-    # largest step between two gains near a gain g: the first, plus the second times g, plus the third times g * g
+    # largest step between two gains near a gain g: the first, plus the second times g, plus the
+    # third times g * g
     gain_step: tuple[float, float, float]
     tuning: str  # libcamera's tuning of it, by file name; what would bend light is left out of it
     full_well_e: float  # electrons of a pixel at full scale and gain 1
@@ -56,42 +60,113 @@ class _Sensor:
 
 SENSORS: Mapping[str, _Sensor] = {
     "imx219": _Sensor(
-        "camera module 2, NoIR", (2464, 3280), (2200, 3200), 1.12, 10, 64, False, 18.904e-6, 0.0477, False, 10.6,
-        (0.0, 0.0, 1 / 256), "imx219_noir.json", 4700.0, 2.5,
+        "camera module 2, NoIR",
+        (2464, 3280),
+        (2200, 3200),
+        1.12,
+        10,
+        64,
+        False,
+        18.904e-6,
+        0.0477,
+        False,
+        10.6,
+        (0.0, 0.0, 1 / 256),
+        "imx219_noir.json",
+        4700.0,
+        2.5,
     ),
     "imx477": _Sensor(
-        "HQ camera, its infrared filter taken out", (3040, 4056), (3040, 4032), 1.55, 12, 256, False, 28.572e-6, 0.1001,
-        False, 22.2, (0.0, 0.0, 1 / 1024), "imx477_noir.json", 8000.0, 3.0,
+        "HQ camera, its infrared filter taken out",
+        (3040, 4056),
+        (3040, 4032),
+        1.55,
+        12,
+        256,
+        False,
+        28.572e-6,
+        0.1001,
+        False,
+        22.2,
+        (0.0, 0.0, 1 / 1024),
+        "imx477_noir.json",
+        8000.0,
+        3.0,
     ),
     "imx708": _Sensor(
-        "camera module 3, NoIR", (2592, 4608), (2592, 4608), 1.4, 10, 64, False, 26.0e-6, 0.0698, False, 16.0,
-        (0.0, 0.0, 1 / 1024), "imx708_noir.json", 6000.0, 2.5,
+        "camera module 3, NoIR",
+        (2592, 4608),
+        (2592, 4608),
+        1.4,
+        10,
+        64,
+        False,
+        26.0e-6,
+        0.0698,
+        False,
+        16.0,
+        (0.0, 0.0, 1 / 1024),
+        "imx708_noir.json",
+        6000.0,
+        2.5,
     ),
     "ov9281": _Sensor(
-        "OV9281 module, mono, no infrared filter", (800, 1280), (800, 1280), 3.0, 10, 64, True, 9.1e-6, 0.0083, True,
-        15.9, (1 / 16, 0.0, 0.0), "ov9281_mono.json", 7000.0, 4.0,
+        "OV9281 module, mono, no infrared filter",
+        (800, 1280),
+        (800, 1280),
+        3.0,
+        10,
+        64,
+        True,
+        9.1e-6,
+        0.0083,
+        True,
+        15.9,
+        (1 / 16, 0.0, 0.0),
+        "ov9281_mono.json",
+        7000.0,
+        4.0,
     ),
     "imx296": _Sensor(
-        "Global Shutter camera, its infrared filter taken out", (1088, 1456), (1088, 1440), 3.45, 10, 60, False,
-        14.815e-6, 0.0166, True, 15.8, (0.0, 0.0116, 0.0), "imx296.json", 10_700.0, 2.2,
+        "Global Shutter camera, its infrared filter taken out",
+        (1088, 1456),
+        (1088, 1440),
+        3.45,
+        10,
+        60,
+        False,
+        14.815e-6,
+        0.0166,
+        True,
+        15.8,
+        (0.0, 0.0116, 0.0),
+        "imx296.json",
+        10_700.0,
+        2.2,
     ),
-}  # fmt: skip
-"""By the name that libcamera lists them under. Modes, times and gains are those of the sensors' drivers in Linux and
-libcamera. Electrons are of published measurements and makers' sheets of the same sensor, rounded, for simulations
-(``sensor.full_well_e``); none of these modules has been run by this program.
+}
+"""By the name that libcamera lists them under. Modes, times and gains are those of the sensors'
+drivers in Linux and libcamera. Electrons are of published measurements and makers' sheets of the
+same sensor, rounded, for simulations (``sensor.full_well_e``); none of these modules has been run
+by this program.
 """
 SETTLE_S = 0.02
-"""Far above what an LED (microseconds), its phosphor (under a millisecond) and its supply (milliseconds) need."""
+"""Far above what an LED (microseconds), its phosphor (under a millisecond) and its supply
+(milliseconds) need."""
 
 
 class PiLightBank(LightBank):
     """LEDs on GPIO lines, active high, off from the moment on which the lines become outputs."""
 
     def __init__(
-        self, pins: Sequence[int], make_line: Callable[..., Any], *, sleep: Callable[[float], None] = time.sleep
+        self,
+        pins: Sequence[int],
+        make_line: Callable[..., Any],
+        *,
+        sleep: Callable[[float], None] = time.sleep,
     ) -> None:
-        """Take the lines `pins`, BCM numbers in the order of the rig file's LEDs, by `make_line`, as
-        ``gpiozero.DigitalOutputDevice``.
+        """Take the lines `pins`, BCM numbers in the order of the rig file's LEDs, by `make_line`,
+        as ``gpiozero.DigitalOutputDevice``.
         """
         self._lines: list[Any] = []
         self._sleep = sleep
@@ -114,19 +189,26 @@ class PiLightBank(LightBank):
 
     def _release(self) -> None:
         while self._lines:
-            self._lines.pop(0).close()  # gpiozero makes it an input: the base resistor's pull-down holds the LED off
+            # gpiozero makes it an input: the base resistor's pull-down holds the LED off
+            self._lines.pop(0).close()
 
 
-_TURN_S = 0.4  # twice what a small servo needs for a quarter turn without load (0.1 s for 60 degrees at 4.8 V)
+# twice what a small servo needs for a quarter turn without load (0.1 s for 60 degrees at 4.8 V)
+_TURN_S = 0.4
 
 
 class PiAnalyser(Closing):
-    """The film before the camera on a servo; without pulses between its turns, so that it does not tremble."""
+    """The film before the camera on a servo; without pulses between its turns, so that it does not
+    tremble."""
 
     def __init__(
-        self, films: RigFilms, make_servo: Callable[..., Any], sleep: Callable[[float], None] = time.sleep
+        self,
+        films: RigFilms,
+        make_servo: Callable[..., Any],
+        sleep: Callable[[float], None] = time.sleep,
     ) -> None:
-        """Take the servo's line; `make_servo`: ``gpiozero.Servo``, or what behaves like it; `sleep`: lets time pass."""
+        """Take the servo's line; `make_servo`: ``gpiozero.Servo``, or what behaves like it;
+        `sleep`: lets time pass."""
         short, long = sorted(films.pulses_ms)
         self._sleep = sleep
         self._crossed = 1.0 if films.pulses_ms[1] == long else -1.0
@@ -144,13 +226,20 @@ class PiAnalyser(Closing):
         self._servo.close()
 
 
-_WHITE_GAINS = (1.11, 2.13)  # gains of red and blue that make a white card white under the white LEDs (5000 K)
+# gains of red and blue that make a white card white under the white LEDs (5000 K)
+_WHITE_GAINS = (1.11, 2.13)
 _NIR_GAINS = (1.0, 1.0)  # the same under NIR, where the colour filters are transparent
 _LONGEST_S = 0.2  # longest exposure time that the camera is asked for, 0.001 to 5 s
 _PREVIEW_COLUMNS = 800  # width of a preview, about
 _MAX_FRAMES = 30  # frames that are thrown away, at most, while waiting for a good one
-NOMINAL = "no rig file was given: the LEDs' nominal positions are assumed; calibrate the rig and name its file by `rig`"
-UNTESTED = "not tested on hardware, only on substitutes of cameras and GPIO lines; look at the first frames"
+NOMINAL = (
+    "no rig file was given: the LEDs' nominal positions are assumed; calibrate the rig and name its"
+    " file by `rig`"
+)
+UNTESTED = (
+    "not tested on hardware, only on substitutes of cameras and GPIO lines; look at the first"
+    " frames"
+)
 """Printed and stored with every capture until somebody has run it."""
 
 
@@ -163,10 +252,11 @@ class PiCameraSettings(Checked):
     camera: Literal["imx219", "imx477", "imx708", "ov9281", "imx296"] = "imx219"
     """A camera module by its sensor."""
     image_size: tuple[int, int] | None = None
-    """Rows, columns: the middle of the sensor, one to one. Even numbers; columns a multiple of 32. None: 2200 x 3200 of
-    the imx219, as good as all of the others."""
+    """Rows, columns: the middle of the sensor, one to one. Even numbers; columns a multiple of 32.
+    None: 2200 x 3200 of the imx219, as good as all of the others."""
     raw: bool = False
-    """Raw images of a module's own bits, demosaiced here to 16 bits, instead of the processor's 8-bit ones."""
+    """Raw images of a module's own bits, demosaiced here to 16 bits, instead of the processor's
+    8-bit ones."""
 
     def __post_init__(self) -> None:
         check_fields(self)
@@ -176,8 +266,8 @@ class PiCameraSettings(Checked):
         most = self.sensor.size
         require(
             0 < rows <= most[0] and 0 < columns <= most[1] and rows % 2 == 0 and columns % 32 == 0,
-            f"pi.image_size must be even rows up to {most[0]} and columns up to {most[1]} that are a "
-            f"multiple of 32, but it is {list(self.image_size)}.",
+            f"pi.image_size must be even rows up to {most[0]} and columns up to {most[1]} that are"
+            f" a multiple of 32, but it is {list(self.image_size)}.",
         )
 
     @property
@@ -190,25 +280,33 @@ class PiCamera(CameraDevice):
     """A :class:`splitknit.devices.CameraDevice` on picamera2."""
 
     def __init__(
-        self, picamera2: Any, settings: PiCameraSettings | None = None, *, now_ns: Callable[[], int] | None = None
+        self,
+        picamera2: Any,
+        settings: PiCameraSettings | None = None,
+        *,
+        now_ns: Callable[[], int] | None = None,
     ) -> None:
-        """Open and start a camera of the class ``picamera2.Picamera2``; BadInput if there is none, or it is in use."""
+        """Open and start a camera of the class ``picamera2.Picamera2``; BadInput if there is none,
+        or it is in use."""
         self._settings = settings or PiCameraSettings()
         self._sensor = self._settings.sensor
         self.image_size = self._settings.image_size or self._sensor.image_size
-        self.exposures = ExposureRange(4 * self._sensor.line_s, _LONGEST_S, 1.0, self._sensor.max_gain)
+        self.exposures = ExposureRange(
+            4 * self._sensor.line_s, _LONGEST_S, 1.0, self._sensor.max_gain
+        )
         self._now_ns = now_ns or (lambda: time.clock_gettime_ns(time.CLOCK_BOOTTIME))
         self._wanted = 0, 0.0, _NIR_GAINS
         self._camera: Any = None
         models = [str(info.get("Model", "")) for info in picamera2.global_camera_info()]
         require(
             len(models) > 0,
-            "no camera was found; switch the Pi off, reseat the camera's ribbon cable, and look for the camera with "
-            "'rpicam-hello --list-cameras'.",
+            "no camera was found; switch the Pi off, reseat the camera's ribbon cable, and look for"
+            " the camera with 'rpicam-hello --list-cameras'.",
         )
         require(
             any(model.startswith(self._settings.camera) for model in models),
-            f"the camera is a {', '.join(models)}, not the {self._settings.camera} that was asked for; set pi.camera.",
+            f"the camera is a {', '.join(models)}, not the {self._settings.camera} that was asked"
+            " for; set pi.camera.",
         )
         try:
             tuning = _linear_tuning(picamera2.load_tuning_file(self._sensor.tuning))
@@ -220,7 +318,8 @@ class PiCamera(CameraDevice):
             if isinstance(error, (BadInput, MemoryError)):
                 raise
             raise BadInput(
-                f"the camera could not be started ({' '.join(str(error).split())}); close other programs that use it."
+                f"the camera could not be started ({' '.join(str(error).split())}); close other"
+                " programs that use it."
             ) from error
         self.lock(0.01, 1.0)
 
@@ -248,7 +347,8 @@ class PiCamera(CameraDevice):
         rows, columns, channels = frame.pixels.shape
         factor = max(1, round(columns / _PREVIEW_COLUMNS))
         size = (columns // factor, rows // factor)
-        small: Any = cv2.resize(frame.pixels, size, interpolation=cv2.INTER_AREA)  # means of whole blocks
+        # means of whole blocks
+        small: Any = cv2.resize(frame.pixels, size, interpolation=cv2.INTER_AREA)
         return replace(frame, pixels=small.reshape(*size[::-1], channels))
 
     def close(self) -> None:
@@ -270,7 +370,10 @@ class PiCamera(CameraDevice):
         return self._camera.create_still_configuration(
             # "BGR888" of libcamera lies in memory as red, green, blue
             main={"size": (columns, rows), "format": "BGR888"},
-            raw={"size": whole[::-1], "format": f"R{bits}" if self._sensor.mono else f"SBGGR{bits}"},
+            raw={
+                "size": whole[::-1],
+                "format": f"R{bits}" if self._sensor.mono else f"SBGGR{bits}",
+            },
             buffer_count=3,
             queue=False,  # a request that waits in a queue is stale
             display=None,
@@ -288,22 +391,26 @@ class PiCamera(CameraDevice):
         )
 
     def capture(self) -> Frame:
-        """See :class:`splitknit.devices.CameraDevice`: wait for a frame that was exposed after now and as locked."""
+        """See :class:`splitknit.devices.CameraDevice`: wait for a frame that was exposed after now
+        and as locked."""
         camera, since_ns = self._opened(), self._now_ns()
         metadata: Mapping[str, Any] = {}
         for discarded in range(_MAX_FRAMES):
             request = camera.capture_request()
             try:
                 metadata = request.get_metadata()
-                began_ns = int(metadata.get("SensorTimestamp", 0)) - 1000 * int(metadata.get("ExposureTime", 0))
+                began_ns = int(metadata.get("SensorTimestamp", 0)) - 1000 * int(
+                    metadata.get("ExposureTime", 0)
+                )
                 if self._as_locked(metadata) and began_ns >= since_ns:
                     return self._read(request, metadata, discarded)
             finally:
                 request.release()
         raise BadInput(
-            f"the camera did not take its settings: {self._wanted[0]} us at gain {self._wanted[1]:g} were asked for, "
-            f"but after {_MAX_FRAMES} frames it reports {metadata.get('ExposureTime')} us at gain "
-            f"{metadata.get('AnalogueGain')}; restart the Pi, and see that its camera is the {self._settings.camera}."
+            f"the camera did not take its settings: {self._wanted[0]} us at gain"
+            f" {self._wanted[1]:g} were asked for, but after {_MAX_FRAMES} frames it reports"
+            f" {metadata.get('ExposureTime')} us at gain {metadata.get('AnalogueGain')}; restart"
+            f" the Pi, and see that its camera is the {self._settings.camera}."
         )
 
     def _as_locked(self, metadata: Mapping[str, Any]) -> bool:
@@ -314,10 +421,13 @@ class PiCamera(CameraDevice):
         line_us = 1e6 * self._sensor.line_s
         step = constant + (linear + 0.005) * gain + square * gain**2
         return (
-            abs(float(metadata.get("ExposureTime", 0)) - exposure_us) <= max(1.5 * line_us, 0.005 * exposure_us)
+            abs(float(metadata.get("ExposureTime", 0)) - exposure_us)
+            <= max(1.5 * line_us, 0.005 * exposure_us)
             and abs(float(metadata.get("AnalogueGain", 0.0)) - gain) <= step
             and abs(float(metadata.get("DigitalGain", 1.0)) - 1.0) <= 0.02
-            and all(abs(float(a) - b) <= 0.01 * b + 0.005 for a, b in zip(colours, gains, strict=True))
+            and all(
+                abs(float(a) - b) <= 0.01 * b + 0.005 for a, b in zip(colours, gains, strict=True)
+            )
         )
 
     def _read(self, request: Any, metadata: Mapping[str, Any], discarded: int) -> Frame:
@@ -339,7 +449,8 @@ class PiCamera(CameraDevice):
         )
 
     def _raw(self, request: Any) -> tuple[NDArray[np.uint16], str, int]:
-        """(H, W) raw values of the sensor's middle, order of colours, and bits: 16 of the Pi 5, else the sensor's."""
+        """(H, W) raw values of the sensor's middle, order of colours, and bits: 16 of the Pi 5,
+        else the sensor's."""
         (rows, columns), whole = self.image_size, self._sensor.size
         name = str(self._camera.camera_configuration()["raw"]["format"])
         order, bits = name.lstrip("S").rstrip("0123456789"), name.lstrip("SRGBrgb")
@@ -349,12 +460,18 @@ class PiCamera(CameraDevice):
         )
         values = np.ascontiguousarray(request.make_array("raw")).view(np.uint16)
         top, left = (whole[0] - rows) // 4 * 2, (whole[1] - columns) // 4 * 2
-        return np.asarray(values[top : top + rows, left : left + columns], dtype=np.uint16), order, int(bits)
+        return (
+            np.asarray(values[top : top + rows, left : left + columns], dtype=np.uint16),
+            order,
+            int(bits),
+        )
 
 
-# Pictures in proportion to light: the Pi's image processor straightened, or its sensor's raw values developed.
+# Pictures in proportion to light: the Pi's image processor straightened, or its sensor's raw values
+# developed.
 
-# OpenCV names a pattern by its second row and column: blue green / green red is "BayerRG", and RGB its order
+# OpenCV names a pattern by its second row and column: blue green / green red is "BayerRG", and RGB
+# its order
 _BAYER: Mapping[str, int] = {
     "BGGR": cv2.COLOR_BayerRG2RGB,
     "GBRG": cv2.COLOR_BayerGR2RGB,
@@ -365,10 +482,15 @@ _BAYER: Mapping[str, int] = {
 
 
 def developed(
-    raw: NDArray[np.uint16], bits: int, black: int, order: str, gains: tuple[float, float] = (1.0, 1.0)
+    raw: NDArray[np.uint16],
+    bits: int,
+    black: int,
+    order: str,
+    gains: tuple[float, float] = (1.0, 1.0),
 ) -> NDArray[np.uint16]:
-    """White-balanced linear colours (H, W, 3) uint16, or grey (H, W, 1), of `raw` values (H, W) of `bits`. `black`:
-    value of no light, of 16 bits, which stays; `order`: one of :data:`_BAYER`, else grey; `gains`: of red, blue.
+    """White-balanced linear colours (H, W, 3) uint16, or grey (H, W, 1), of `raw` values (H, W) of
+    `bits`. `black`: value of no light, of 16 bits, which stays; `order`: one of :data:`_BAYER`,
+    else grey; `gains`: of red, blue.
     """
     shift = 16 - bits
     if order not in _BAYER:
@@ -385,8 +507,8 @@ def developed(
 
 
 def _linear_tuning(tuning: Mapping[str, Any]) -> dict[str, Any]:
-    """A tuning (version 2) of the Pi's image processor with identities for tone curve and colour matrix, and without
-    the correction of lens shading, which would differ between captures.
+    """A tuning (version 2) of the Pi's image processor with identities for tone curve and colour
+    matrix, and without the correction of lens shading, which would differ between captures.
     """
     straight = {
         "rpi.contrast": {"ce_enable": 0, "gamma_curve": [0, 0, 65535, 65535]},
@@ -394,7 +516,11 @@ def _linear_tuning(tuning: Mapping[str, Any]) -> dict[str, Any]:
     }
     algorithms = []
     for algorithm in tuning.get("algorithms", []):
-        algorithms += [{name: straight.get(name, value)} for name, value in algorithm.items() if name != "rpi.alsc"]
+        algorithms += [
+            {name: straight.get(name, value)}
+            for name, value in algorithm.items()
+            if name != "rpi.alsc"
+        ]
     require(
         any("rpi.contrast" in algorithm for algorithm in algorithms),
         "the camera's tuning file is of an unknown version; update libcamera (apt full-upgrade).",
@@ -403,8 +529,8 @@ def _linear_tuning(tuning: Mapping[str, Any]) -> dict[str, Any]:
 
 
 INSTALL = (
-    "on the Raspberry Pi: sudo apt install python3-picamera2 python3-gpiozero, and make the virtual environment with "
-    "--system-site-packages"
+    "on the Raspberry Pi: sudo apt install python3-picamera2 python3-gpiozero, and make the virtual"
+    " environment with --system-site-packages"
 )
 
 
@@ -414,14 +540,15 @@ def _gpio(what: str) -> Iterator[Any]:
     with importing(f"gpiozero, which switches the LEDs, is not installed; {INSTALL}."):
         import gpiozero  # type: ignore[import-untyped]  # only a Pi has it
     try:
-        with warnings.catch_warnings():  # of every library that it tries, and of pulses that tremble in some releases
+        # of every library that it tries, and of pulses that tremble in some releases
+        with warnings.catch_warnings():
             warnings.simplefilter("ignore", gpiozero.PinFactoryFallback)
             warnings.simplefilter("ignore", gpiozero.PWMSoftwareFallback)
             yield gpiozero
     except gpiozero.BadPinFactory as error:
         raise BadInput(
-            f"{what}: this computer has no GPIO lines that gpiozero can use; run this on the Raspberry Pi, or take "
-            "`device` twin."
+            f"{what}: this computer has no GPIO lines that gpiozero can use; run this on the"
+            " Raspberry Pi, or take `device` twin."
         ) from error
     except (gpiozero.GPIOZeroError, OSError) as error:
         reason = " ".join(str(error).split())
@@ -435,22 +562,27 @@ def _open_lights(rig: Rig) -> PiLightBank:
 
 
 def _open_camera(settings: PiCameraSettings | None = None) -> PiCamera:
-    """Open and start the camera. Raises BadInput if picamera2 cannot be imported or there is no camera."""
+    """Open and start the camera. Raises BadInput if picamera2 cannot be imported or there is no
+    camera."""
     try:
         import picamera2  # type: ignore[import-not-found]  # only a Pi has it
     except (ImportError, ValueError) as error:
         reason = " ".join(str(error).split())
         if "numpy" in reason:  # what was compiled for numpy 1 raises either of them
             raise BadInput(
-                "picamera2, which drives the camera, uses packages that were compiled for numpy 1 and cannot run with "
-                f"numpy {np.__version__}; take Raspberry Pi OS Trixie or later (Bookworm: docs/guide/capture.md)."
+                "picamera2, which drives the camera, uses packages that were compiled for numpy 1"
+                f" and cannot run with numpy {np.__version__}; take Raspberry Pi OS Trixie or later"
+                " (Bookworm: docs/guide/capture.md)."
             ) from error
-        raise BadInput(f"picamera2, which drives the camera, cannot be imported ({reason}); {INSTALL}.") from error
+        raise BadInput(
+            f"picamera2, which drives the camera, cannot be imported ({reason}); {INSTALL}."
+        ) from error
     return PiCamera(picamera2.Picamera2, settings)
 
 
 def _open_analyser(rig: Rig) -> PiAnalyser | None:
-    """Take the line of the servo that turns the rig's analyser, after its LEDs' lines; None where it has no servo."""
+    """Take the line of the servo that turns the rig's analyser, after its LEDs' lines; None where
+    it has no servo."""
     films = rig_films(rig)
     if films is None or films.kind != "servo":
         return None
@@ -460,7 +592,8 @@ def _open_analyser(rig: Rig) -> PiAnalyser | None:
 
 @contextmanager
 def opened_pi(rig: Rig | None, settings: PiCameraSettings) -> Iterator[Opened]:
-    """Open LEDs, which go dark, and the camera of the settings, and close them; BadInput if there is none."""
+    """Open LEDs, which go dark, and the camera of the settings, and close them; BadInput if there
+    is none."""
     untested = f"the {settings.camera} camera was {UNTESTED}"
     notes = (untested,) if rig is not None else (NOMINAL, untested)
     chosen = rig or replace(nominal_rig(), provenance={"source": "as drawn, not calibrated"})

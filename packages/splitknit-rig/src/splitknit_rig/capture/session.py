@@ -1,10 +1,11 @@
-"""One capture: focus, exposure, an ambient frame and the lit frames of every band, each checked while there is time.
+"""One capture: focus, exposure, an ambient frame and the lit frames of every band, each checked
+while there is time.
 
-A rig with polarising films has a parallel and a crossed series of white frames, with one exposure: it is found on the
-parallel one, where specular reflections saturate first.
+A rig with polarising films has a parallel and a crossed series of white frames, with one exposure:
+it is found on the parallel one, where specular reflections saturate first.
 
-Pictures are kept in memory and written after the last shot: while the finger lies there nothing but light, camera and
-checks takes time. All LEDs are off when a session ends, in whatever way.
+Pictures are kept in memory and written after the last shot: while the finger lies there nothing but
+light, camera and checks takes time. All LEDs are off when a session ends, in whatever way.
 """
 
 from __future__ import annotations
@@ -39,7 +40,15 @@ from splitknit_rig.capture.exposure import (
     typical_level,
 )
 from splitknit_rig.capture.pins import led_names, rig_films
-from splitknit_rig.capture.shots import MAX_AMBIENT, MIN_RELATIVE, CheckSettings, Devices, Examiner, Shooting, Shot
+from splitknit_rig.capture.shots import (
+    MAX_AMBIENT,
+    MIN_RELATIVE,
+    CheckSettings,
+    Devices,
+    Examiner,
+    Shooting,
+    Shot,
+)
 
 WatchFocus = Callable[[Focus, FocusWatch], bool]
 """Shown every measurement; true ends the live measurement."""
@@ -54,7 +63,8 @@ class SessionSettings:
     exposure: ExposureSettings = field(default_factory=ExposureSettings)
     checks: CheckSettings = field(default_factory=CheckSettings)
     find_finger: bool = True
-    """False for calibration targets: the whole picture counts, and motion and focus are not judged."""
+    """False for calibration targets: the whole picture counts, and motion and focus are not
+    judged."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -67,7 +77,8 @@ class Session:
     focus: Focus
     verdict: tuple[str, ...]  # why the finger must be captured again; empty if it need not
     frames_taken: int  # full-size frames of the shots, retries included
-    # light of the crossed images over that of the parallel ones where the finger shines; None without films
+    # light of the crossed images over that of the parallel ones where the finger shines; None
+    # without films
     crossed_over_parallel: float | None = None
 
     @property
@@ -81,31 +92,42 @@ class Session:
 
 
 def _check_fit(camera: CameraDevice, lights: LightBank, rig: Rig) -> dict[str, tuple[int, ...]]:
-    """Band to LEDs, white first, then ``white_crossed`` of a rig with films; refuse a rig file that does not fit."""
+    """Band to LEDs, white first, then ``white_crossed`` of a rig with films; refuse a rig file that
+    does not fit."""
     rows, columns = camera.image_size
     require(
         rig.camera.image_size == (rows, columns),
-        f"the rig file is for another camera: its images have {rig.camera.image_size[0]} x "
-        f"{rig.camera.image_size[1]} pixels (rows x columns), this camera's have {rows} x {columns}.",
+        f"the rig file is for another camera: its images have {rig.camera.image_size[0]} x"
+        f" {rig.camera.image_size[1]} pixels (rows x columns), this camera's have {rows} x"
+        f" {columns}.",
     )
     require(
         lights.count == len(rig.leds),
-        f"the rig file has {len(rig.leds)} LEDs, but {lights.count} are connected; correct one of them.",
+        f"the rig file has {len(rig.leds)} LEDs, but {lights.count} are connected; correct one of"
+        " them.",
     )
     bands = {band: tuple(k for k, led in enumerate(rig.leds) if led.band == band) for band in BANDS}
     for k, led in enumerate(rig.leds):
-        require(led.band in BANDS, f"LED {k} of the rig is of the band '{led.band}'; bands are white and nir.")
+        require(
+            led.band in BANDS,
+            f"LED {k} of the rig is of the band '{led.band}'; bands are white and nir.",
+        )
     for band, leds in bands.items():
         require(
             len(leds) >= 3 or (band == "nir" and not leds),
-            f"the rig file has {len(leds)} {band} LEDs, but photometric stereo needs three at least; add the missing "
-            "ones.",
+            f"the rig file has {len(leds)} {band} LEDs, but photometric stereo needs three at"
+            " least; add the missing ones.",
         )
     films = rig_films(rig)
     if films is not None:
-        parallel = [k for k in bands["white"] if k not in films.crossed or films.kind != "neighbours"]
+        parallel = [
+            k for k in bands["white"] if k not in films.crossed or films.kind != "neighbours"
+        ]
         bands = {"white": tuple(parallel), "white_crossed": films.crossed, "nir": bands["nir"]}
-        require(len(parallel) >= 3, f"the rig file has {len(parallel)} white LEDs a series, but needs three at least.")
+        require(
+            len(parallel) >= 3,
+            f"the rig file has {len(parallel)} white LEDs a series, but needs three at least.",
+        )
     return {band: leds for band, leds in bands.items() if leds}
 
 
@@ -119,9 +141,10 @@ def run_session(
     turn: Turn | None = None,
     progress: Progress = no_progress,
 ) -> Session:
-    """Photograph one finger under all LEDs; look at the verdict first. `watch_focus`: shown live measurements until it
-    returns stop; `turn`: of the analyser. Raises BadInput if nothing can be captured: wrong rig, no finger, a dead LED,
-    no exposure that fits, nothing that turns the analyser.
+    """Photograph one finger under all LEDs; look at the verdict first. `watch_focus`: shown live
+    measurements until it returns stop; `turn`: of the analyser. Raises BadInput if nothing can be
+    captured: wrong rig, no finger, a dead LED, no exposure that fits, nothing that turns the
+    analyser.
     """
     settings = settings or SessionSettings()
     bands = _check_fit(camera, lights, rig)
@@ -129,37 +152,50 @@ def run_session(
     turn = turn if bands.get("white_crossed") == bands["white"] else None
     require(
         turn is not None or bands.get("white_crossed") != bands["white"],
-        "the rig file has an analyser that turns between the two series, but nothing turns it here: run this on the "
-        "Raspberry Pi, and on a terminal if it is turned by hand.",
+        "the rig file has an analyser that turns between the two series, but nothing turns it here:"
+        " run this on the Raspberry Pi, and on a terminal if it is turned by hand.",
     )
     try:
         lights.off()
         if turn is not None:
             turn("parallel")
         progress("finding the exposure", 0.0)
-        region, exposures = _meter(devices, bands, settings, lambda part: progress("finding the exposure", 0.3 * part))
+        region, exposures = _meter(
+            devices, bands, settings, lambda part: progress("finding the exposure", 0.3 * part)
+        )
         progress("focus", 0.3)
         focus = _focus(devices, region, exposures["white"], watch_focus)
         shooting = Shooting(
             devices,
-            Examiner(region, px_per_mm, settings.checks, MEDIAN if settings.find_finger else BRIGHT),
+            Examiner(
+                region, px_per_mm, settings.checks, MEDIAN if settings.find_finger else BRIGHT
+            ),
             watch_motion=settings.find_finger,
             progress=lambda name, fraction: progress(name, 0.4 + 0.6 * fraction),
         )
         for band, leds in bands.items():
             if band == "white_crossed" and turn is not None:
                 turn("crossed")
-            shooting.band(band, leds, exposures[band], total=sum(map(len, bands.values())) + len(bands))
+            shooting.band(
+                band, leds, exposures[band], total=sum(map(len, bands.values())) + len(bands)
+            )
     finally:
         lights.off()
     shooting.check_drift()
-    crossed_over_parallel = shooting.check_films() if settings.find_finger and "white_crossed" in bands else None
+    crossed_over_parallel = (
+        shooting.check_films() if settings.find_finger and "white_crossed" in bands else None
+    )
     verdict = list(shooting.verdict)
     judged = settings.find_finger and px_per_mm >= MIN_PX_PER_MM
     if judged and focus.snr < MIN_SNR:
-        verdict.append("the finger is out of focus (nothing on it is sharper than the noise): focus and capture again")
+        verdict.append(
+            "the finger is out of focus (nothing on it is sharper than the noise): focus and"
+            " capture again"
+        )
     return Session(
-        bands={name: replace(band, shading=rig.camera.shading) for name, band in shooting.bands.items()},
+        bands={
+            name: replace(band, shading=rig.camera.shading) for name, band in shooting.bands.items()
+        },
         shots=tuple(shooting.shots),
         exposures=exposures,
         focus=focus,
@@ -169,7 +205,9 @@ def run_session(
     )
 
 
-def _focus(devices: Devices, region: BoolArray, exposure: Exposure, watch_focus: WatchFocus | None) -> Focus:
+def _focus(
+    devices: Devices, region: BoolArray, exposure: Exposure, watch_focus: WatchFocus | None
+) -> Focus:
     """Measure the focus under the brightest white LED, live if somebody watches."""
     camera, lights, px_per_mm = devices.camera, devices.lights, devices.rig.camera.px_per_mm
     camera.lock(exposure.exposure_s, exposure.gain, "white")
@@ -182,9 +220,15 @@ def _focus(devices: Devices, region: BoolArray, exposure: Exposure, watch_focus:
     preview_pixels = []
     for extent, small, full in zip(bounding_box(inner), inner.shape, (rows, columns), strict=True):
         middle = 0.5 * (extent.start + extent.stop) * full / small
-        half = min(0.5 * (extent.stop - extent.start) * full / small, 0.5 * _FOCUS_FIELD_MM * px_per_mm)
-        part.append(slice(max(int(middle - half), 0), max(int(middle + half), int(middle - half) + 8)))
-        preview_pixels.append(np.minimum((np.arange(full)[part[-1]] * small / full).astype(np.intp), small - 1))
+        half = min(
+            0.5 * (extent.stop - extent.start) * full / small, 0.5 * _FOCUS_FIELD_MM * px_per_mm
+        )
+        part.append(
+            slice(max(int(middle - half), 0), max(int(middle + half), int(middle - half) + 8))
+        )
+        preview_pixels.append(
+            np.minimum((np.arange(full)[part[-1]] * small / full).astype(np.intp), small - 1)
+        )
     visible = inner[np.ix_(*preview_pixels)]
     watch = FocusWatch()
     while True:
@@ -198,13 +242,18 @@ def _focus(devices: Devices, region: BoolArray, exposure: Exposure, watch_focus:
             return focus
 
 
-# Before the shots: where the finger is, whether every LED lights, and which exposure each band gets. Previews only.
+# Before the shots: where the finger is, whether every LED lights, and which exposure each band
+# gets. Previews only.
 
 
 def _meter(
-    devices: Devices, bands: Mapping[str, Sequence[int]], settings: SessionSettings, progress: Callable[[float], None]
+    devices: Devices,
+    bands: Mapping[str, Sequence[int]],
+    settings: SessionSettings,
+    progress: Callable[[float], None],
 ) -> tuple[BoolArray, dict[str, Exposure]]:
-    """Preview the finger under every LED; find where it is on the previews' grid, and every band's exposure."""
+    """Preview the finger under every LED; find where it is on the previews' grid, and every band's
+    exposure."""
     camera, lights = devices.camera, devices.lights
     typical = MEDIAN if settings.find_finger else BRIGHT
     region: BoolArray | None = None
@@ -214,7 +263,9 @@ def _meter(
             exposures[band] = exposures["white"]
             continue
 
-        def look(led: int, exposure_s: float, gain: float, band: str = spectral_band(band)) -> Frame:
+        def look(
+            led: int, exposure_s: float, gain: float, band: str = spectral_band(band)
+        ) -> Frame:
             camera.lock(exposure_s, gain, band)
             lights.on(led)
             return camera.preview()
@@ -224,18 +275,29 @@ def _meter(
         camera.lock(seen.exposure_s, seen.gain, spectral_band(band))
         room = camera.preview()
         added = max(
-            float(np.percentile(frame.pixels - np.float32(room.pixels), 99.9)) for frame in seen.frames.values()
+            float(np.percentile(frame.pixels - np.float32(room.pixels), 99.9))
+            for frame in seen.frames.values()
         )
-        words = f"nothing is seen under any {band.replace('_', ' ')} LED that is not seen without it; check the LEDs' "
-        require(added > 0.02 * float(np.iinfo(room.pixels.dtype).max), f"{words}supply and the lens.")
+        words = (
+            f"nothing is seen under any {band.replace('_', ' ')} LED that is not seen without it;"
+            " check the LEDs' "
+        )
+        require(
+            added > 0.02 * float(np.iinfo(room.pixels.dtype).max), f"{words}supply and the lens."
+        )
         if region is None:
             everything = np.ones(room.pixels.shape[:2], dtype=np.bool_)
             region = _region(seen, room, devices) if settings.find_finger else everything
         dark = typical_level(room, region, typical)
-        lit = {led: typical_level(frame, region, typical) - dark for led, frame in seen.frames.items()}
+        lit = {
+            led: typical_level(frame, region, typical) - dark for led, frame in seen.frames.items()
+        }
         _check_lit(lit, dark, led_names(devices.rig))
-        exposure = exposures.get(band.removesuffix("_crossed"))  # both series have the parallel one's
-        exposure = exposure or find_exposure(look, seen, region, camera.exposures, settings.exposure)
+        # both series have the parallel one's
+        exposure = exposures.get(band.removesuffix("_crossed"))
+        exposure = exposure or find_exposure(
+            look, seen, region, camera.exposures, settings.exposure
+        )
         exposures[band] = exposure.promising(seen, lit)
         lights.off()
         progress((done + 1) / len(bands))
@@ -244,25 +306,34 @@ def _meter(
 
 
 def _region(seen: Survey, room: Frame, devices: Devices) -> BoolArray:
-    mean: FloatArray = np.mean([frame.pixels for frame in seen.frames.values()], axis=0, dtype=np.float32)
+    mean: FloatArray = np.mean(
+        [frame.pixels for frame in seen.frames.values()], axis=0, dtype=np.float32
+    )
     mean -= room.pixels
     mean *= np.float32(1.0 / np.iinfo(room.pixels.dtype).max)
     try:
         image = mean if mean.shape[2] == 3 else mean[..., 0]
-        return finger_mask(image, devices.rig.camera.px_per_mm * mean.shape[1] / devices.camera.image_size[1])
+        return finger_mask(
+            image, devices.rig.camera.px_per_mm * mean.shape[1] / devices.camera.image_size[1]
+        )
     except BadInput as error:
-        raise BadInput(f"no finger is seen under the white LEDs ({str(error).rstrip('.')}); lay one down.") from error
+        raise BadInput(
+            f"no finger is seen under the white LEDs ({str(error).rstrip('.')}); lay one down."
+        ) from error
 
 
 def _check_lit(levels: Mapping[int, float], dark: float, names: Sequence[str]) -> None:
     typical = float(np.median(list(levels.values())))
-    unlit = [names[led] for led, level in levels.items() if level < max(MIN_RELATIVE * typical, 0.002)]
+    unlit = [
+        names[led] for led, level in levels.items() if level < max(MIN_RELATIVE * typical, 0.002)
+    ]
     require(
         not unlit,
-        f"{listed(unlit)} did not light; check {'its' if len(unlit) == 1 else 'their'} wiring and capture again.",
+        f"{listed(unlit)} did not light; check {'its' if len(unlit) == 1 else 'their'} wiring and"
+        " capture again.",
     )
     require(
         dark <= MAX_AMBIENT * typical,
-        f"there is light although all LEDs are off ({100 * dark / max(typical, 1e-9):.0f} % of an LED's): close the "
-        "lid, or look for an LED that stays on.",
+        f"there is light although all LEDs are off ({100 * dark / max(typical, 1e-9):.0f} % of an"
+        " LED's): close the lid, or look for an LED that stays on.",
     )

@@ -1,4 +1,5 @@
-"""The shots of a capture: light, photograph, check while the finger still lies there, again if it went wrong."""
+"""The shots of a capture: light, photograph, check while the finger still lies there, again if it
+went wrong."""
 
 from __future__ import annotations
 
@@ -18,16 +19,22 @@ from splitknit.settings import Checked, Limits
 from splitknit_rig.capture.exposure import MEDIAN, Exposure, grey_light
 from splitknit_rig.capture.pins import led_names
 
-_MAX_SATURATED = 0.05  # a shot is overexposed if more of the finger is at full scale (in two channels)
+# a shot is overexposed if more of the finger is at full scale (in two channels)
+_MAX_SATURATED = 0.05
 _DRIFTED_MM = 0.12
-"""A finger that moved by more against all shots of its band, where the light's part is taken off, has drifted."""
-_MIN_LIGHT = 0.4  # an LED did not light if the finger gets less than this fraction of what the preview promised
+"""A finger that moved by more against all shots of its band, where the light's part is taken off,
+has drifted."""
+# an LED did not light if the finger gets less than this fraction of what the preview promised
+_MIN_LIGHT = 0.4
 MIN_RELATIVE = 0.12
-"""An LED did not light if, in the previews, it gives less than this fraction of the median LED of its band."""
-MAX_AMBIENT = 0.3  # light with all LEDs off, relative to the median lit shot, above which the lid is open
+"""An LED did not light if, in the previews, it gives less than this fraction of the median LED of
+its band."""
+# light with all LEDs off, relative to the median lit shot, above which the lid is open
+MAX_AMBIENT = 0.3
 _MAX_CROSSED = 0.93
-"""Crossed images have at most this fraction of the parallel ones' light where the finger shines. Simulated fingers
-behind films have 0.47 (wet) to 0.91 (matt), a path-traced one 0.76; 1 is a film that is missing or did not turn."""
+"""Crossed images have at most this fraction of the parallel ones' light where the finger shines.
+Simulated fingers behind films have 0.47 (wet) to 0.91 (matt), a path-traced one 0.76; 1 is a film
+that is missing or did not turn."""
 _SHINE = 99.5  # percentile of the finger's pixels that its specular reflections reach
 
 
@@ -38,8 +45,8 @@ class CheckSettings(Checked):
     _group = "checks"
 
     moved_mm: Annotated[float, Limits(0, above=True)] = 0.13
-    """A finger that moved by more between two shots has moved. A changing light looks like up to 0.07 mm of motion.
-    Coarse pictures measure less well: at least 1.5 pixels are allowed."""
+    """A finger that moved by more between two shots has moved. A changing light looks like up to
+    0.07 mm of motion. Coarse pictures measure less well: at least 1.5 pixels are allowed."""
     retries: Annotated[int, Limits(0, 20)] = 2
     """How often a bad shot is taken again."""
 
@@ -49,7 +56,8 @@ class Look:
     """What the checks keep of a shot: small copies."""
 
     grey: FloatArray  # (h, w) light at the working scale, 1 = full scale
-    details: FloatArray  # (h, w) its ridges: band-passed relative brightness, zero beside the finger
+    # (h, w) its ridges: band-passed relative brightness, zero beside the finger
+    details: FloatArray
     level: float  # median of the finger (or another percentile), 1 = full scale
     saturated: float  # fraction of the finger at full scale
 
@@ -57,16 +65,23 @@ class Look:
 class Examiner:
     """Looks at shots: knows where the finger is and how dark it is without LEDs."""
 
-    def __init__(self, region: BoolArray, px_per_mm: float, settings: CheckSettings, typical: float = MEDIAN) -> None:
-        """Prepare for the finger's `region` (h, w), on a grid of any size that covers the whole picture; `px_per_mm` of
-        full-size shots; `typical`: percentile of the finger's pixels that is its level.
+    def __init__(
+        self, region: BoolArray, px_per_mm: float, settings: CheckSettings, typical: float = MEDIAN
+    ) -> None:
+        """Prepare for the finger's `region` (h, w), on a grid of any size that covers the whole
+        picture; `px_per_mm` of full-size shots; `typical`: percentile of the finger's pixels that
+        is its level.
         """
         self.settings, self._typical = settings, typical
         self.region = region
         self._px_per_mm = px_per_mm
         measurable = 1.5 / px_per_mm
-        self.moved_mm, self.drifted_mm = max(settings.moved_mm, measurable), max(_DRIFTED_MM, measurable)
-        """Motion between two shots, and against all shots of a band, from which on the finger has moved or drifted."""
+        self.moved_mm, self.drifted_mm = (
+            max(settings.moved_mm, measurable),
+            max(_DRIFTED_MM, measurable),
+        )
+        """Motion between two shots, and against all shots of a band, from which on the finger has
+        moved or drifted."""
         self._masks: dict[tuple[int, int], tuple[BoolArray, FloatArray]] = {}
 
     def look(self, frame: Frame) -> Look:
@@ -80,15 +95,22 @@ class Examiner:
         px = self._px_per_mm * grey.shape[1] / frame.pixels.shape[1]
         local = np.maximum(blur(grey, 1.2 * px), np.float32(max(0.1 * level, 1e-6)))
         relative = np.asarray(grey / local, dtype=np.float32)
-        details = np.asarray((blur(relative, 0.08 * px) - blur(relative, 0.3 * px)) * window, dtype=np.float32)
-        region = cv2.resize(self.region.astype(np.uint8), full.shape[1::-1], interpolation=cv2.INTER_NEAREST)
+        details = np.asarray(
+            (blur(relative, 0.08 * px) - blur(relative, 0.3 * px)) * window, dtype=np.float32
+        )
+        region = cv2.resize(
+            self.region.astype(np.uint8), full.shape[1::-1], interpolation=cv2.INTER_NEAREST
+        )
         clipped = full[region > 0] >= 0.995 * float(np.iinfo(full.dtype).max)
         # at full scale in two channels, or the one
-        saturated = float(np.mean(clipped.sum(axis=1) >= min(2, full.shape[2]))) if clipped.size else 0.0
+        saturated = (
+            float(np.mean(clipped.sum(axis=1) >= min(2, full.shape[2]))) if clipped.size else 0.0
+        )
         return Look(grey, details, level, saturated)
 
     def shine(self, look: Look, dark: Look) -> float:
-        """Level of the finger's specular reflections in a shot, less that without LEDs, 1 = full scale."""
+        """Level of the finger's specular reflections in a shot, less that without LEDs, 1 = full
+        scale."""
         inside, _ = self._mask((look.grey.shape[0], look.grey.shape[1]))
         return float(np.percentile((look.grey - dark.grey)[inside], _SHINE))
 
@@ -99,7 +121,8 @@ class Examiner:
         return float(np.hypot(*np.divide(shift, px))) if response >= 0.2 else None
 
     def drift(self, looks: Sequence[Look], dark: Look, full_columns: int) -> Array:
-        """(L,) distance in mm of the finger in each shot of a band from its place in all of them."""
+        """(L,) distance in mm of the finger in each shot of a band from its place in all of
+        them."""
         stack = np.stack([look.grey - dark.grey for look in looks])
         inside, _ = self._mask((stack.shape[1], stack.shape[2]))
         px = self._px_per_mm * stack.shape[2] / full_columns
@@ -111,11 +134,16 @@ class Examiner:
     def _mask(self, shape: tuple[int, int]) -> tuple[BoolArray, FloatArray]:
         """The finger on a copy of `shape`, and the window that fades out beside it."""
         if shape not in self._masks:
-            fraction = cv2.resize(self.region.astype(np.float32), shape[::-1], interpolation=cv2.INTER_AREA)
+            fraction = cv2.resize(
+                self.region.astype(np.float32), shape[::-1], interpolation=cv2.INTER_AREA
+            )
             inside = np.asarray(fraction > 0.5)
             px = WORKING_PX_PER_MM
             window = blur(dilate(inside, 0.7 * px).astype(np.float32), 0.5 * px)
-            self._masks[shape] = (inside if inside.any() else np.ones(shape, dtype=np.bool_)), window
+            self._masks[shape] = (
+                (inside if inside.any() else np.ones(shape, dtype=np.bool_)),
+                window,
+            )
         return self._masks[shape]
 
 
@@ -127,7 +155,8 @@ class Shot:
     led: int | None
     level: float  # median of the finger, fraction of full scale
     saturated: float  # fraction of the finger at full scale
-    # against the shot before; None for the first, for ambient frames, and where the two show different things
+    # against the shot before; None for the first, for ambient frames, and where the two show
+    # different things
     moved_mm: float | None
     at_s: float  # when its exposure ended, by the camera's clock
     exposure_s: float
@@ -149,7 +178,12 @@ class Shooting:
     """Takes the shots of all bands, one band after the other."""
 
     def __init__(
-        self, devices: Devices, examiner: Examiner, *, watch_motion: bool, progress: Callable[[str, float], None]
+        self,
+        devices: Devices,
+        examiner: Examiner,
+        *,
+        watch_motion: bool,
+        progress: Callable[[str, float], None],
     ) -> None:
         """Prepare; nothing is lit yet."""
         self._camera, self._lights, self._examiner = devices.camera, devices.lights, examiner
@@ -157,7 +191,11 @@ class Shooting:
         self._intensities = [led.intensity for led in devices.rig.leds]
         self._side = side_lights(devices.rig.leds)
         self._series = ""
-        self._settings, self._watch_motion, self._progress = examiner.settings, watch_motion, progress
+        self._settings, self._watch_motion, self._progress = (
+            examiner.settings,
+            watch_motion,
+            progress,
+        )
         self.bands: dict[str, Band] = {}
         self.shots: list[Shot] = []
         self.verdict: list[str] = []
@@ -169,7 +207,8 @@ class Shooting:
         self._looks: dict[str, tuple[Sequence[int], list[Look], Look]] = {}
 
     def band(self, band: str, leds: Sequence[int], exposure: Exposure, total: int) -> None:
-        """Take a band's ambient frame and its lit ones; `total` is the number of frames of all bands."""
+        """Take a band's ambient frame and its lit ones; `total` is the number of frames of all
+        bands."""
         self._camera.lock(exposure.exposure_s, exposure.gain, spectral_band(band))
         self._lights.off()
         self._series = " crossed" if band == "white_crossed" else ""
@@ -230,7 +269,9 @@ class Shooting:
         self.taken += 1
         return frame, self._examiner.look(frame)
 
-    def _examine(self, led: int, look: Look, dark: Look, expected: float) -> tuple[float | None, list[tuple[str, str]]]:
+    def _examine(
+        self, led: int, look: Look, dark: Look, expected: float
+    ) -> tuple[float | None, list[tuple[str, str]]]:
         """Motion in mm, and what is wrong: kinds, and words."""
         name = self._name(led)
         if look.level - dark.level < _MIN_LIGHT * expected:
@@ -238,55 +279,86 @@ class Shooting:
         troubles = []
         moved = None
         if look.saturated > _MAX_SATURATED:
-            words = f"{name} is overexposed on {100 * look.saturated:.0f} % of the finger: capture again"
+            words = (
+                f"{name} is overexposed on {100 * look.saturated:.0f} % of the finger: capture"
+                " again"
+            )
             troubles.append(("saturated", words))
-        # the latest shot under a light from about there, or the same side light: others' shadows differ too much
+        # the latest shot under a light from about there, or the same side light: others' shadows
+        # differ too much
         near = 0.98 if led in self._side else 0.7
-        beside = [shot for shot in self._before if self._towards[shot[0]] @ self._towards[led] > near]
+        beside = [
+            shot for shot in self._before if self._towards[shot[0]] @ self._towards[led] > near
+        ]
         if self._watch_motion and beside:
             _, earlier, before = beside[-1]
             between = f"between {earlier} and {name}"
             moved = self._examiner.shift_mm(before, look, self._camera.image_size[1])
             if moved is None:
-                words = f"the picture changed {between}: keep the finger in its place and capture again"
+                words = (
+                    f"the picture changed {between}: keep the finger in its place and capture again"
+                )
                 troubles.append(("moved", words))
             elif moved > self._examiner.moved_mm:
-                words = f"the finger moved by {moved:.1f} mm {between}: hold still and capture again"
+                words = (
+                    f"the finger moved by {moved:.1f} mm {between}: hold still and capture again"
+                )
                 troubles.append(("moved", words))
         return moved, troubles
 
     def check_drift(self) -> None:
-        """Look for slow motion after the last shot. Not under side lights, whose shadows pass for motion."""
+        """Look for slow motion after the last shot. Not under side lights, whose shadows pass for
+        motion."""
         if not self._watch_motion or not self._steady:
             return
         for band, (leds, looks, dark) in self._looks.items():
-            ring = [(led, look) for led, look in zip(leds, looks, strict=True) if led not in self._side]
-            away = self._examiner.drift([look for _, look in ring], dark, self._camera.image_size[1])
+            ring = [
+                (led, look) for led, look in zip(leds, looks, strict=True) if led not in self._side
+            ]
+            away = self._examiner.drift(
+                [look for _, look in ring], dark, self._camera.image_size[1]
+            )
             worst = int(np.argmax(away))
             if away[worst] > self._examiner.drifted_mm:
                 series = ", crossed" if band == "white_crossed" else ""
-                where = f"under the {spectral_band(band)} LEDs{series} (most at {self._names[ring[worst][0]]})"
-                self.verdict.append(f"the finger drifted by {away[worst]:.1f} mm {where}: hold still and capture again")
+                where = (
+                    f"under the {spectral_band(band)} LEDs{series} (most at"
+                    f" {self._names[ring[worst][0]]})"
+                )
+                self.verdict.append(
+                    f"the finger drifted by {away[worst]:.1f} mm {where}: hold still and capture"
+                    " again"
+                )
 
     def check_films(self) -> float:
-        """Ratio of crossed to parallel light where the finger shines; too high a ratio adds a verdict."""
+        """Ratio of crossed to parallel light where the finger shines; too high a ratio adds a
+        verdict."""
 
         def light(band: str) -> float:
             leds, looks, dark = self._looks[band]
             shines = [self._examiner.shine(look, dark) for look in looks]
-            return sum(shine / self._intensities[led] for shine, led in zip(shines, leds, strict=True))
+            return sum(
+                shine / self._intensities[led] for shine, led in zip(shines, leds, strict=True)
+            )
 
         ratio = light("white_crossed") / max(light("white"), 1e-9)
         if ratio > _MAX_CROSSED:
             self.verdict.append(
-                f"where the finger shines, the crossed images have {100 * ratio:.0f} % of the parallel ones' light, "
-                f"not {100 * _MAX_CROSSED:.0f} % or less: the analyser did not turn, or a film is missing or swapped; "
-                "check them and capture again"
+                f"where the finger shines, the crossed images have {100 * ratio:.0f} % of the"
+                f" parallel ones' light, not {100 * _MAX_CROSSED:.0f} % or less: the analyser did"
+                " not turn, or a film is missing or swapped; check them and capture again"
             )
         return ratio
 
     def _note(
-        self, name: str, led: int | None, frame: Frame, look: Look, *, moved_mm: float | None = None, retries: int = 0
+        self,
+        name: str,
+        led: int | None,
+        frame: Frame,
+        look: Look,
+        *,
+        moved_mm: float | None = None,
+        retries: int = 0,
     ) -> None:
         self.shots.append(
             Shot(

@@ -1,1 +1,2 @@
-"""What a person puts under the rig to calibrate it: cards, boards, nail and ball, photographed by the simulator."""
+"""What a person puts under the rig to calibrate it: cards, boards, nail and ball, photographed by
+the simulator."""

@@ -1,7 +1,8 @@
-"""The bench: things under the rig to calibrate it, as the simulated camera sees and photographs them.
+"""The bench: things under the rig to calibrate it, as the simulated camera sees and photographs
+them.
 
-A scene has a `camera`, its `leds`, and `light(lit)`: what reaches the sensor with those LEDs on. See
-docs/explain/simulator.md, "The bench".
+A scene has a `camera`, its `leds`, and `light(lit)`: what reaches the sensor with those LEDs on.
+See docs/explain/simulator.md, "The bench".
 """
 
 from __future__ import annotations
@@ -39,37 +40,52 @@ class SightLines(NamedTuple):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PlaneFrame:
-    """A flat thing: its middle, and its own axes u (right), v (up) and n (towards the viewer) in the rig's frame."""
+    """A flat thing: its middle, and its own axes u (right), v (up) and n (towards the viewer) in
+    the rig's frame."""
 
     middle: Array  # (3,) mm
     axes: Array  # (3, 3): the columns are u, v and n
 
     def hit(self, sight: SightLines) -> tuple[Array, Array, Array]:
-        """u and v at which the lines of sight meet the plane, and the height z there, (h, w) each."""
+        """u and v at which the lines of sight meet the plane, and the height z there, (h, w)
+        each."""
         normal = self.axes[:, 2]
         steepness = normal[2] - normal[0] * sight.slope_x - normal[1] * sight.slope_y
         require(
-            float(steepness.min()) > 0.05, "the camera sees the plane edge-on or from behind; tilt it less than 80 deg."
+            float(steepness.min()) > 0.05,
+            "the camera sees the plane edge-on or from behind; tilt it less than 80 deg.",
         )
         z = (float(normal @ self.middle) - normal[0] * sight.x - normal[1] * sight.y) / steepness
-        x, y = sight.x - sight.slope_x * z - self.middle[0], sight.y - sight.slope_y * z - self.middle[1]
+        x, y = (
+            sight.x - sight.slope_x * z - self.middle[0],
+            sight.y - sight.slope_y * z - self.middle[1],
+        )
         lift = z - self.middle[2]
-        u, v = (x * axis[0] + y * axis[1] + lift * axis[2] for axis in (self.axes[:, 0], self.axes[:, 1]))
+        u, v = (
+            x * axis[0] + y * axis[1] + lift * axis[2]
+            for axis in (self.axes[:, 0], self.axes[:, 1])
+        )
         return u, v, z
 
     def points(self, u: Any, v: Any, w: Any = 0.0) -> Array:
         """Points (..., 3) of the rig's frame at u, v and w above the plane, all in mm."""
-        own = np.stack(np.broadcast_arrays(*(np.asarray(a, dtype=np.float64) for a in (u, v, w))), axis=-1)
+        own = np.stack(
+            np.broadcast_arrays(*(np.asarray(a, dtype=np.float64) for a in (u, v, w))), axis=-1
+        )
         return own @ self.axes.T + self.middle
 
     def own(self, points: Any) -> Array:
-        """Points (..., 3) of the rig's frame in the plane's own u, v and height above it: inverse of :meth:`points`."""
+        """Points (..., 3) of the rig's frame in the plane's own u, v and height above it: inverse
+        of :meth:`points`."""
         return (np.asarray(points, dtype=np.float64) - self.middle) @ self.axes
 
 
 def facing_plane(rotation_vector: Any, middle_mm: Any) -> PlaneFrame:
-    """Return a plane that faces the camera, turned by `rotation_vector` (rad, right-handed) about `middle_mm`."""
-    rotation, middle = (np.asarray(vector, dtype=np.float64) for vector in (rotation_vector, middle_mm))
+    """Return a plane that faces the camera, turned by `rotation_vector` (rad, right-handed) about
+    `middle_mm`."""
+    rotation, middle = (
+        np.asarray(vector, dtype=np.float64) for vector in (rotation_vector, middle_mm)
+    )
     return PlaneFrame(middle, np.asarray(cv2.Rodrigues(rotation)[0], dtype=np.float64))
 
 
@@ -84,13 +100,15 @@ def steps(length: Array) -> tuple[Array, Array]:
     return np.asarray(row), np.asarray(column)
 
 
-def edge_coverage(distance: Array, step: tuple[Array, Array] | None = None, blur: float = 0.0) -> Array:
-    """Fraction of each pixel that lies inside a straight edge, whose `distance` (h, w) inwards from the pixel's middle
-    is given, with its :func:`steps` where it was measured, and the standard deviation `blur` of the edge itself in its
-    unit.
+def edge_coverage(
+    distance: Array, step: tuple[Array, Array] | None = None, blur: float = 0.0
+) -> Array:
+    """Fraction of each pixel that lies inside a straight edge, whose `distance` (h, w) inwards from
+    the pixel's middle is given, with its :func:`steps` where it was measured, and the standard
+    deviation `blur` of the edge itself in its unit.
 
-    The edge is averaged over the square pixel: the longer of the pixel's two steps exactly and the shorter one as a
-    Gaussian of the same variance, so that edges along rows or columns are exact.
+    The edge is averaged over the square pixel: the longer of the pixel's two steps exactly and the
+    shorter one as a Gaussian of the same variance, so that edges along rows or columns are exact.
     """
     row, column = np.abs(step or steps(distance))
     half = np.maximum(np.maximum(column, row), 1e-9) / 2.0
@@ -98,18 +116,23 @@ def edge_coverage(distance: Array, step: tuple[Array, Array] | None = None, blur
     fraction = np.asarray(distance > 0.0, dtype=np.float64)
     near = np.abs(distance) < half + 6.0 * spread
     distance, half, spread = distance[near], half[near], spread[near]
-    fraction[near] = (_ramp(distance + half, spread) - _ramp(distance - half, spread)) / (2.0 * half)
+    fraction[near] = (_ramp(distance + half, spread) - _ramp(distance - half, spread)) / (
+        2.0 * half
+    )
     return fraction
 
 
 def _ramp(distance: Array, spread: Array) -> Array:
     """Integral of the normal distribution function."""
     along = distance / spread
-    return np.asarray(distance * ndtr(along) + spread * np.exp(-0.5 * along * along) / np.sqrt(2.0 * np.pi))
+    return np.asarray(
+        distance * ndtr(along) + spread * np.exp(-0.5 * along * along) / np.sqrt(2.0 * np.pi)
+    )
 
 
 def seen_at(camera: Camera, points: Array) -> Array:
-    """Column and row (..., 2) at which points (..., 3) of the rig's frame appear, in the picture or outside it."""
+    """Column and row (..., 2) at which points (..., 3) of the rig's frame appear, in the picture or
+    outside it."""
     return np.stack(lens.pixels_of_points(camera, *np.moveaxis(points, -1, 0)), axis=-1)
 
 
@@ -125,11 +148,13 @@ class BenchSettings(Checked):
     """What surrounds the things that are photographed."""
 
     ambient: Annotated[float, Limits(0.0, 1.0)] = 0.002
-    """Ambient light: radiance of a white card relative to the same card at the origin under one LED (mean of all)."""
+    """Ambient light: radiance of a white card relative to the same card at the origin under one LED
+    (mean of all)."""
     led_radius_mm: Annotated[float, Limits(0.0, 10.0)] = 1.5
     """Radius of the LEDs' bright faces: a 5 mm LED's die and cup fill about 3 mm of its lens."""
     aperture_mm: Annotated[float, Limits(0.0, 20.0)] = 0.0
-    """Diameter of the camera's pupil, in focus on the finger plane; 0 is a pinhole, sharp at every depth."""
+    """Diameter of the camera's pupil, in focus on the finger plane; 0 is a pinhole, sharp at every
+    depth."""
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -154,10 +179,11 @@ class GroundScene(ABC):
         return 1.0
 
     def light(self, lit: Sequence[int]) -> FloatArray:
-        """Noise-free linear light (H, W, 3) at the sensor with the LEDs `lit` on, the lens's fall-off included.
+        """Noise-free linear light (H, W, 3) at the sensor with the LEDs `lit` on, the lens's
+        fall-off included.
 
-        White-balanced, in the rig's units: a facing white card 100 mm from an LED of intensity one is 1/pi. Raises
-        BadInput if `lit` names an LED that the rig does not have.
+        White-balanced, in the rig's units: a facing white card 100 mm from an LED of intensity one
+        is 1/pi. Raises BadInput if `lit` names an LED that the rig does not have.
         """
         grey = self._grey(tuple(_switched_on(self.leds, lit)))
         image = np.repeat(grey.astype(np.float32)[..., None], 3, axis=2)
@@ -169,7 +195,9 @@ class GroundScene(ABC):
         """(H, W) radiance before lens and sensor."""
         received = np.zeros(self.camera.image_size)
         for led in leds:
-            received += irradiance(led, self._points, self.plane.axes[:, 2]) * self.fraction_lit(led)
+            received += irradiance(led, self._points, self.plane.axes[:, 2]) * self.fraction_lit(
+                led
+            )
         return self.albedo(*self._hit[:2]) * (received / np.pi + self.ambient_light)
 
     @property
@@ -178,10 +206,16 @@ class GroundScene(ABC):
         return self.bench.ambient * float(np.mean([card_radiance(led) for led in self.leds]))
 
     def pixels_between(self, low: Array, high: Array) -> Window | None:
-        """Rows and columns that see the ground between two (u, v), with six pixels to spare; None if none do."""
+        """Rows and columns that see the ground between two (u, v), with six pixels to spare; None
+        if none do."""
         spare = 6.0 / self.camera.px_per_mm
         u, v, _ = self._hit
-        near = (u > low[0] - spare) & (u < high[0] + spare) & (v > low[1] - spare) & (v < high[1] + spare)
+        near = (
+            (u > low[0] - spare)
+            & (u < high[0] + spare)
+            & (v > low[1] - spare)
+            & (v < high[1] + spare)
+        )
         rows, columns = np.flatnonzero(near.any(axis=1)), np.flatnonzero(near.any(axis=0))
         if rows.size < 2 or columns.size < 2:
             return None
@@ -191,9 +225,15 @@ class GroundScene(ABC):
     def _sight(self) -> SightLines:
         camera = self.camera
         height, width = camera.image_size
-        columns, rows = np.arange(width, dtype=np.float64)[None, :], np.arange(height, dtype=np.float64)[:, None]
+        columns, rows = (
+            np.arange(width, dtype=np.float64)[None, :],
+            np.arange(height, dtype=np.float64)[:, None],
+        )
         if camera.model == "orthographic":
-            x, y = (columns - (width - 1) / 2) / camera.px_per_mm, ((height - 1) / 2 - rows) / camera.px_per_mm
+            x, y = (
+                (columns - (width - 1) / 2) / camera.px_per_mm,
+                ((height - 1) / 2 - rows) / camera.px_per_mm,
+            )
             return SightLines(*np.broadcast_arrays(x, y, *np.zeros((2, height, width))))
         slope_x, slope_y = lens.slopes_of_pixels(camera, columns, rows)
         return SightLines(slope_x * camera.height_mm, slope_y * camera.height_mm, slope_x, slope_y)
@@ -215,7 +255,9 @@ class GroundScene(ABC):
     @cached_property
     def _blur(self) -> FloatArray:
         camera, depth = self.camera, self._depth.astype(np.float32)
-        return blur_sigma_px(depth, 0.0, camera.height_mm, self.bench.aperture_mm, px_per_mm_at(camera, 0.0))
+        return blur_sigma_px(
+            depth, 0.0, camera.height_mm, self.bench.aperture_mm, px_per_mm_at(camera, 0.0)
+        )
 
     @property
     def _depth(self) -> Array:
@@ -227,7 +269,8 @@ class GroundScene(ABC):
 class BaseScene(GroundScene):
     """The rig's base and what lies or stands on it."""
 
-    tilt_deg: tuple[float, float] = (0.0, 0.0)  # tilt of the base against the camera, about x, then y
+    # tilt of the base against the camera, about x, then y
+    tilt_deg: tuple[float, float] = (0.0, 0.0)
 
     @property
     def plane(self) -> PlaneFrame:
@@ -238,7 +281,8 @@ class BaseScene(GroundScene):
 def _switched_on(leds: Sequence[Led], lit: Sequence[int]) -> Iterator[Led]:
     for index in lit:
         require(
-            0 <= index < len(leds), f"LED {index} is not in the rig, which has {len(leds)} LEDs (0 to {len(leds) - 1})."
+            0 <= index < len(leds),
+            f"LED {index} is not in the rig, which has {len(leds)} LEDs (0 to {len(leds) - 1}).",
         )
         yield leds[index]
         yield from leds[index].also
@@ -251,7 +295,8 @@ def card_radiance(led: Led) -> float:
 
 
 def well_exposed(scene: LitScene, lit: Sequence[Sequence[int]], level: float = 0.7) -> float:
-    """Exposure at which the 99.9th percentile of the brightest of some images is at `level` of full scale."""
+    """Exposure at which the 99.9th percentile of the brightest of some images is at `level` of full
+    scale."""
     brightest = max(float(np.percentile(scene.light(leds)[::4, ::4], 99.9)) for leds in lit)
     require(brightest > 0.0, "exposing needs some light, but all images are black.")
     return level / brightest
@@ -266,11 +311,14 @@ def photograph_bench(
     sensor: SensorSettings | None = None,
     band: str = "white",
 ) -> PixelArray:
-    """Photograph a scene, (H, W, 3) uint8 or uint16, with the LEDs `lit` on; `sensor.exposure` is not used.
+    """Photograph a scene, (H, W, 3) uint8 or uint16, with the LEDs `lit` on; `sensor.exposure` is
+    not used.
 
-    `exposure`: full scales per unit of light, see :func:`well_exposed`; `band`: how the sensor responds. Raises
-    BadInput if `exposure`, `band` or `lit` cannot be.
+    `exposure`: full scales per unit of light, see :func:`well_exposed`; `band`: how the sensor
+    responds. Raises BadInput if `exposure`, `band` or `lit` cannot be.
     """
-    seeds = seed if isinstance(seed, np.random.SeedSequence) else np.random.SeedSequence([seed, 0xB2])
+    seeds = (
+        seed if isinstance(seed, np.random.SeedSequence) else np.random.SeedSequence([seed, 0xB2])
+    )
     light = scene.light(lit) * np.float32(exposure)
     return record(light, band, seeds, sensor, binning_scale(scene.camera))

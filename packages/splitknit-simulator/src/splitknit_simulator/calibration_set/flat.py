@@ -65,7 +65,8 @@ class PrintedBoard:
         return (self.columns + 1) * self.square_mm, (self.rows + 1) * self.square_mm
 
     def corners_mm(self) -> Array:
-        """(rows * columns, 3) inner corners on the board, row by row from its top left; the middle is the origin."""
+        """(rows * columns, 3) inner corners on the board, row by row from its top left; the middle
+        is the origin."""
         across = (np.arange(self.columns) - (self.columns - 1) / 2) * self.square_mm
         up = ((self.rows - 1) / 2 - np.arange(self.rows)) * self.square_mm
         u, v = np.meshgrid(across, up)
@@ -90,7 +91,8 @@ class BoardScene(GroundScene):
         top = float(reach[..., 2].max())
         require(
             top < self.camera.height_mm,
-            f"the board reaches {top:.0f} mm up, but the camera is at {self.camera.height_mm:g} mm; hold it lower.",
+            f"the board reaches {top:.0f} mm up, but the camera is at {self.camera.height_mm:g} mm;"
+            " hold it lower.",
         )
 
     @property
@@ -99,7 +101,8 @@ class BoardScene(GroundScene):
         return facing_plane(self.rotation_vector, self.translation_mm)
 
     def truth_corners(self) -> Array:
-        """(rows * columns, 2) column and row of the inner corners, in the order of :meth:`PrintedBoard.corners_mm`."""
+        """(rows * columns, 2) column and row of the inner corners, in the order of
+        :meth:`PrintedBoard.corners_mm`."""
         return seen_at(self.camera, self.plane.points(*self.board.corners_mm().T))
 
     def albedo(self, u: Array, v: Array) -> Array:
@@ -121,7 +124,8 @@ class BoardScene(GroundScene):
             place = along / square + (lines + 1) / 2  # 0 at the outer edge of the first square
             line = np.clip(np.round(place), 1, lines)
             flank = 2.0 * edge_coverage((place - line) * square, step, blur) - 1.0
-            waves = waves * np.where(line % 2 == 1, -flank, flank)  # between +1 in the first square and -1 in the next
+            # between +1 in the first square and -1 in the next
+            waves = waves * np.where(line % 2 == 1, -flank, flank)
         black = inside(0.0, blur) * 0.5 * (1.0 + waves)  # the square at the top left is black
         paper = inside(board.margin_mm)
         return self.cloth + paper * (board.paper - self.cloth + black * (board.ink - board.paper))
@@ -129,7 +133,8 @@ class BoardScene(GroundScene):
 
 _TRIES = 200
 _TILT_DEG = (10.0, 35.0)
-"""Range of the board's tilt against the finger plane, about any axis in it; this and the next are drawn evenly."""
+"""Range of the board's tilt against the finger plane, about any axis in it; this and the next are
+drawn evenly."""
 _TURN_DEG = (-15.0, 15.0)  # range of its turn about its own normal
 _MIDDLE_MM = (-5.0, 5.0)  # range of its centre's z
 _EDGE = 0.02  # fraction of the picture's height that stays free around the outer squares
@@ -141,8 +146,11 @@ _Pose = dict[str, Any]
 """`rotation_vector` and `translation_mm` of a :class:`BoardScene`."""
 
 
-def board_poses(seed: int, count: int, camera: Camera, board: PrintedBoard | None = None) -> list[_Pose]:
-    """Draw poses of a board, all of its squares in the picture, or BadInput; more poses begin with the same ones."""
+def board_poses(
+    seed: int, count: int, camera: Camera, board: PrintedBoard | None = None
+) -> list[_Pose]:
+    """Draw poses of a board, all of its squares in the picture, or BadInput; more poses begin with
+    the same ones."""
     board = board or PrintedBoard()
     rng = np.random.default_rng(np.random.SeedSequence([seed, 0xB0]))
     poses: list[_Pose] = []
@@ -154,14 +162,16 @@ def board_poses(seed: int, count: int, camera: Camera, board: PrintedBoard | Non
                 return poses
     field = [side / camera.px_per_mm for side in camera.image_size[::-1]]
     raise BadInput(
-        f"a board of {board.size_mm[0]:g} x {board.size_mm[1]:g} mm does not fit at such tilts into the picture of "
-        f"{field[0]:.0f} x {field[1]:.0f} mm; print a smaller one."
+        f"a board of {board.size_mm[0]:g} x {board.size_mm[1]:g} mm does not fit at such tilts into"
+        f" the picture of {field[0]:.0f} x {field[1]:.0f} mm; print a smaller one."
     )
 
 
 def _draw(rng: np.random.Generator, camera: Camera, board: PrintedBoard) -> _Pose | None:
     """One pose, or None where so turned a board does not fit."""
-    tilt, turn, height = (low + (high - low) * rng.random() for low, high in (_TILT_DEG, _TURN_DEG, _MIDDLE_MM))
+    tilt, turn, height = (
+        low + (high - low) * rng.random() for low, high in (_TILT_DEG, _TURN_DEG, _MIDDLE_MM)
+    )
     axis = 2.0 * np.pi * rng.random()
     beside = rng.random(2)
     lean = cv2.Rodrigues(np.deg2rad(tilt) * np.array([np.cos(axis), np.sin(axis), 0.0]))[0]
@@ -178,7 +188,10 @@ def _draw(rng: np.random.Generator, camera: Camera, board: PrintedBoard) -> _Pos
     places = _outer_corners(rotation, middle, camera, board)
     if (places < free).any() or (places > last).any():
         return None
-    return {"rotation_vector": tuple(map(float, rotation)), "translation_mm": tuple(map(float, middle))}
+    return {
+        "rotation_vector": tuple(map(float, rotation)),
+        "translation_mm": tuple(map(float, middle)),
+    }
 
 
 def _outer_corners(rotation: Array, middle: Array, camera: Camera, board: PrintedBoard) -> Array:

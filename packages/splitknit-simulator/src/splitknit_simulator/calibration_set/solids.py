@@ -1,4 +1,5 @@
-"""What stands on the rig's base: the nail, whose shadows show where the LEDs are, and a chrome or grey ball."""
+"""What stands on the rig's base: the nail, whose shadows show where the LEDs are, and a chrome or
+grey ball."""
 
 from __future__ import annotations
 
@@ -34,13 +35,15 @@ Lines = tuple[Array, Array]
 class _SolidScene(BaseScene):
     """Something that stands on the base; its kinds define where it is seen and how bright it is."""
 
-    position_mm: tuple[float, float] = (0.0, 0.0)  # where it stands on the base (x and y, before the base's tilt)
+    # where it stands on the base (x and y, before the base's tilt)
+    position_mm: tuple[float, float] = (0.0, 0.0)
     ground: float = 0.85  # reflectance of the base
 
     @property
     @abstractmethod
     def _solid(self) -> tuple[Window, Array, Lines] | None:
-        """Pixels that may see it, the fraction of each that does, and its points and normals there; None: outside."""
+        """Pixels that may see it, the fraction of each that does, and its points and normals there;
+        None: outside."""
 
     @abstractmethod
     def _radiance(self, leds: tuple[Led, ...], seen: Lines) -> Array:
@@ -65,11 +68,15 @@ class _SolidScene(BaseScene):
             depth[window] = np.where(fraction > 0.5, points[..., 2], depth[window])
         return depth
 
-    def _matt(self, leds: tuple[Led, ...], points: Array, normals: Array, reflectance: float) -> Array:
+    def _matt(
+        self, leds: tuple[Led, ...], points: Array, normals: Array, reflectance: float
+    ) -> Array:
         """Radiance (h, w) of a matt surface (h, w, 3) under the LEDs and the ambient light."""
         received = np.zeros(points.shape[:2])
         for led in leds:
-            received += irradiance(led, np.moveaxis(points, -1, 0).astype(np.float32), np.moveaxis(normals, -1, 0))
+            received += irradiance(
+                led, np.moveaxis(points, -1, 0).astype(np.float32), np.moveaxis(normals, -1, 0)
+            )
         return reflectance * (received / np.pi + self.ambient_light)
 
 
@@ -89,8 +96,8 @@ class NailScene(_SolidScene):
         lowest = float(self.plane.own(_positions_of(self.leds, "a nail"))[:, 2].min())
         require(
             self.nail_mm < lowest - 10.0,
-            f"the nail of {self.nail_mm:g} mm leaves less than 10 mm below the LEDs (the lowest is at {lowest:.0f} mm) "
-            "and throws no useful shadow; take a shorter one.",
+            f"the nail of {self.nail_mm:g} mm leaves less than 10 mm below the LEDs (the lowest is"
+            f" at {lowest:.0f} mm) and throws no useful shadow; take a shorter one.",
         )
         require(
             self.nail_mm < self.camera.height_mm - 10.0,
@@ -104,7 +111,8 @@ class NailScene(_SolidScene):
         return self.plane.points(*self.position_mm, self.nail_mm)
 
     def shadow_tips_mm(self) -> Array:
-        """(L, 3) where the rays from the LEDs' middles through the tip's middle meet the base, in the rig's frame."""
+        """(L, 3) where the rays from the LEDs' middles through the tip's middle meet the base, in
+        the rig's frame."""
         places = self.plane.own(_positions_of(self.leds, "a nail"))
         return self.plane.points(*np.array([self._cast(place)[0] for place in places]).T)
 
@@ -117,9 +125,13 @@ class NailScene(_SolidScene):
         return seen_at(self.camera, self.shadow_tips_mm())
 
     def fraction_lit(self, led: Led) -> Array:
-        """Fraction (H, W) of the LED's face that the base sees past the nail: 0 in the core shadow, soft at its rim."""
+        """Fraction (H, W) of the LED's face that the base sees past the nail: 0 in the core shadow,
+        soft at its rim."""
         fraction = np.ones(self.camera.image_size)
-        casts = [self._cast(place) for place in self.plane.own(_disc_points(led, self.bench.led_radius_mm))]
+        casts = [
+            self._cast(place)
+            for place in self.plane.own(_disc_points(led, self.bench.led_radius_mm))
+        ]
         window = self._window(casts)
         if window is not None:
             fraction[window] -= sum(self._inside(window, cast) for cast in casts) / len(casts)
@@ -129,13 +141,18 @@ class NailScene(_SolidScene):
     def _solid(self) -> tuple[Window, Array, Lines] | None:
         outline = self._outline()
         window = self._window([outline])
-        return None if window is None else (window, self._inside(window, outline), self._surface(window))
+        return (
+            None
+            if window is None
+            else (window, self._inside(window, outline), self._surface(window))
+        )
 
     def _radiance(self, leds: tuple[Led, ...], seen: Lines) -> Array:
         return self._matt(leds, *seen, self.reflectance)
 
     def _cast(self, place: Array) -> tuple[Array, float]:
-        """Middle and radius of the tip's shadow on the base, from a light at `place` (the base's own frame)."""
+        """Middle and radius of the tip's shadow on the base, from a light at `place` (the base's
+        own frame)."""
         foot = np.asarray(self.position_mm, dtype=np.float64)
         stretch = self.nail_mm / (place[2] - self.nail_mm)
         return foot + (foot - place[:2]) * stretch, self.tip_radius_mm * (1.0 + stretch)
@@ -155,24 +172,36 @@ class NailScene(_SolidScene):
         return self.pixels_between(ends.min(axis=0) - widest, ends.max(axis=0) + widest)
 
     def _inside(self, window: Window, cast: tuple[Array, float]) -> Array:
-        """Fraction of each pixel of the window in the cone's shadow: the hull of the nail's foot and its tip's."""
+        """Fraction of each pixel of the window in the cone's shadow: the hull of the nail's foot
+        and its tip's."""
         u, v = self._hit[0][window], self._hit[1][window]
         foot = np.asarray(self.position_mm, dtype=np.float64)
-        return edge_coverage(-_hull_distance(u - foot[0], v - foot[1], self.base_radius_mm, cast[0] - foot, cast[1]))
+        return edge_coverage(
+            -_hull_distance(u - foot[0], v - foot[1], self.base_radius_mm, cast[0] - foot, cast[1])
+        )
 
     def _surface(self, window: Window) -> Lines:
-        """Points (h, w, 3) and unit normals of the cone where the pixels of the window see it, in the rig's frame."""
+        """Points (h, w, 3) and unit normals of the cone where the pixels of the window see it, in
+        the rig's frame."""
         lines = _cut(self._sight, window)
-        up = np.stack([lines.slope_x, lines.slope_y, np.full_like(lines.x, -1.0)], axis=-1) @ self.plane.axes
+        up = (
+            np.stack([lines.slope_x, lines.slope_y, np.full_like(lines.x, -1.0)], axis=-1)
+            @ self.plane.axes
+        )
         up /= up[..., 2:]
-        du, dv = self._hit[0][window] - self.position_mm[0], self._hit[1][window] - self.position_mm[1]
-        # a line of sight is (du + w up_u, dv + w up_v) at the height w over the base; the cone's radius is R - g w
+        du, dv = (
+            self._hit[0][window] - self.position_mm[0],
+            self._hit[1][window] - self.position_mm[1],
+        )
+        # a line of sight is (du + w up_u, dv + w up_v) at the height w over the base; the cone's
+        # radius is R - g w
         g = (self.base_radius_mm - self.tip_radius_mm) / self.nail_mm
         a = up[..., 0] ** 2 + up[..., 1] ** 2 - g * g
         b = du * up[..., 0] + dv * up[..., 1] + g * self.base_radius_mm
         c = du * du + dv * dv - self.base_radius_mm**2
         root = np.sqrt(np.maximum(b * b - a * c, 0.0))
-        # of a w^2 + 2 b w + c = 0 the solution (root - b) / a, where the line leaves the cone upwards; a may vanish
+        # of a w^2 + 2 b w + c = 0 the solution (root - b) / a, where the line leaves the cone
+        # upwards; a may vanish
         w = np.clip(-c / np.where(np.abs(b + root) > 1e-12, b + root, 1e-12), 0.0, self.nail_mm)
         u, v = du + w * up[..., 0], dv + w * up[..., 1]
         top_u, top_v = du + self.nail_mm * up[..., 0], dv + self.nail_mm * up[..., 1]
@@ -188,9 +217,12 @@ class NailScene(_SolidScene):
 
 
 def _hull_distance(u: Array, v: Array, radius: float, second: Array, second_radius: float) -> Array:
-    """Distance (negative inside) to the hull of a circle about the origin and a circle about `other`."""
+    """Distance (negative inside) to the hull of a circle about the origin and a circle about
+    `other`."""
     length = float(np.hypot(*second))
-    slope = (radius - second_radius) / length if length > 0.0 else 2.0 * np.sign(radius - second_radius)
+    slope = (
+        (radius - second_radius) / length if length > 0.0 else 2.0 * np.sign(radius - second_radius)
+    )
     if abs(slope) >= 1.0:  # one circle contains the other
         inner = slope > 0 or length == 0.0
         first = np.hypot(u, v) - radius
@@ -205,7 +237,8 @@ def _hull_distance(u: Array, v: Array, radius: float, second: Array, second_radi
     return np.where(place < 0.0, near, np.where(place > across * length, far, straight))
 
 
-# A ball on the rig's base: chrome, in which the LEDs are seen reflected, or grey and matt, which they shade.
+# A ball on the rig's base: chrome, in which the LEDs are seen reflected, or grey and matt, which
+# they shade.
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -220,15 +253,15 @@ class SphereScene(_SolidScene):
     ground: float = 0.05
     """Reflectance of the base: dark, so that the ball's outline and the mirrored LEDs stand out."""
     surround: float = 0.01
-    """Radiance of the rig's inner walls relative to a white card's at the origin under the LEDs that are on: what
-    chrome mirrors beside the LEDs and the base."""
+    """Radiance of the rig's inner walls relative to a white card's at the origin under the LEDs
+    that are on: what chrome mirrors beside the LEDs and the base."""
 
     def __post_init__(self) -> None:
         room = min(float(_positions_of(self.leds, "a ball")[:, 2].min()), self.camera.height_mm)
         require(
             2.0 * self.radius_mm < 0.5 * room,
-            f"a ball of {2 * self.radius_mm:g} mm reaches more than half way to the LEDs and the camera ({room:.0f} mm "
-            "up); take a smaller one.",
+            f"a ball of {2 * self.radius_mm:g} mm reaches more than half way to the LEDs and the"
+            f" camera ({room:.0f} mm up); take a smaller one.",
         )
 
     @property
@@ -245,7 +278,8 @@ class SphereScene(_SolidScene):
         """(L, 3) points of the ball that mirror the LEDs' middles to the camera."""
         places = _positions_of(self.leds, "a ball")
         normals = np.tile((0.0, 0.0, 1.0), (len(places), 1))
-        for _ in range(60):  # the ball is small beside the distances: each turn shrinks the error by their ratio
+        # the ball is small beside the distances: each turn shrinks the error by their ratio
+        for _ in range(60):
             points = self.middle_mm + self.radius_mm * normals
             normals = unit(unit(places - points) + unit(self._towards_camera(points)))
         return self.middle_mm + self.radius_mm * normals
@@ -264,21 +298,27 @@ class SphereScene(_SolidScene):
         points = np.stack([axis[window] for axis in self._points], axis=-1).astype(np.float64)
         depth = self._depth_in_shadow(points, places[0])
         step = steps(depth)
-        # lines to the rest of the face pass the ball less than the face's radius beside the line to its middle
+        # lines to the rest of the face pass the ball less than the face's radius beside the line to
+        # its middle
         rim = np.abs(depth) < self.bench.led_radius_mm + 2.0 * np.hypot(*step)
         step, points = (step[0][rim], step[1][rim]), points[rim]
-        hidden = np.mean([edge_coverage(self._depth_in_shadow(points, place), step) for place in places], axis=0)
+        hidden = np.mean(
+            [edge_coverage(self._depth_in_shadow(points, place), step) for place in places], axis=0
+        )
         part = np.where(depth > 0.0, 0.0, 1.0)
         part[rim] = 1.0 - hidden
         fraction[window] = part
         return fraction
 
     def _depth_in_shadow(self, points: Array, place: Array) -> Array:
-        """By how much (mm) the lines from points (..., 3) of the base to the point `place` pass inside the ball."""
+        """By how much (mm) the lines from points (..., 3) of the base to the point `place` pass
+        inside the ball."""
         away = points - self.middle_mm
         towards = unit(place - points)
         nearest = np.sum(away * towards, axis=-1)
-        return np.asarray(self.radius_mm - np.sqrt(np.maximum(np.sum(away * away, axis=-1) - nearest**2, 0.0)))
+        return np.asarray(
+            self.radius_mm - np.sqrt(np.maximum(np.sum(away * away, axis=-1) - nearest**2, 0.0))
+        )
 
     def _shadow(self, places: Array) -> Window | None:
         """Pixels that the ball's shadow from points (N, 3) may reach."""
@@ -289,7 +329,8 @@ class SphereScene(_SolidScene):
         return self.pixels_between(casts.min(axis=(0, 1)), casts.max(axis=(0, 1)))
 
     def _rim(self, towards: Array, near: bool) -> Array:
-        """(360, 3) points where lines from its middle plus `towards` (3,), or parallel to that, touch the ball."""
+        """(360, 3) points where lines from its middle plus `towards` (3,), or parallel to that,
+        touch the ball."""
         distance = float(np.linalg.norm(towards))
         view, nearer = towards / distance, self.radius_mm / distance if near else 0.0
         ring = np.sqrt(1.0 - nearer**2) * _ring(view, 360)
@@ -306,9 +347,14 @@ class SphereScene(_SolidScene):
         places, (height, width) = self.outline_px(), self.camera.image_size
         left, top = (max(int(v) - 3, 0) for v in np.floor(places.min(axis=0)))
         right, bottom = (
-            min(int(v) + 4, most) for v, most in zip(np.ceil(places.max(axis=0)), (width, height), strict=True)
+            min(int(v) + 4, most)
+            for v, most in zip(np.ceil(places.max(axis=0)), (width, height), strict=True)
         )
-        return (slice(top, bottom), slice(left, right)) if bottom - top >= 2 and right - left >= 2 else None
+        return (
+            (slice(top, bottom), slice(left, right))
+            if bottom - top >= 2 and right - left >= 2
+            else None
+        )
 
     @cached_property
     def _solid(self) -> tuple[Window, Array, Lines] | None:
@@ -318,14 +364,18 @@ class SphereScene(_SolidScene):
         return self._ball, edge_coverage(inwards), seen
 
     def _seen(self, sight: SightLines) -> tuple[Lines, Array]:
-        """Where lines of sight meet the ball or touch it, its normals there, and by how much (mm) they pass inside."""
+        """Where lines of sight meet the ball or touch it, its normals there, and by how much (mm)
+        they pass inside."""
         down = directions(sight)
         away = np.stack([sight.x, sight.y, np.zeros_like(sight.x)], axis=-1) - self.middle_mm
-        nearest = away - np.sum(away * down, axis=-1, keepdims=True) * down  # of the line to the ball's middle
+        # of the line to the ball's middle
+        nearest = away - np.sum(away * down, axis=-1, keepdims=True) * down
         beside2 = np.sum(nearest * nearest, axis=-1)
         depth = np.sqrt(np.maximum(self.radius_mm**2 - beside2, 0.0))
         normals = unit(nearest - depth[..., None] * down)
-        return (self.middle_mm + self.radius_mm * normals, normals), self.radius_mm - np.sqrt(beside2)
+        return (self.middle_mm + self.radius_mm * normals, normals), self.radius_mm - np.sqrt(
+            beside2
+        )
 
     def _radiance(self, leds: tuple[Led, ...], seen: Lines) -> Array:
         default = 0.6 if self.chrome else 0.5
@@ -335,14 +385,18 @@ class SphereScene(_SolidScene):
         assert self._ball is not None
         return self._mirrored(leds, _cut(self._sight, self._ball), seen, reflectance)
 
-    def _mirrored(self, leds: tuple[Led, ...], lines: SightLines, seen: Lines, reflectance: float) -> Array:
+    def _mirrored(
+        self, leds: tuple[Led, ...], lines: SightLines, seen: Lines, reflectance: float
+    ) -> Array:
         """Radiance (h, w) of the chrome ball: the base, the walls and the LEDs in it."""
         rays = mirrored(lines, seen)
         walls = self.surround * sum(card_radiance(led) for led in leds) + self.ambient_light
         start, way = self.plane.own(rays[0]), rays[1] @ self.plane.axes
         falls = way[..., 2] < -1e-3
         reach = np.where(falls, -start[..., 2] / np.where(falls, way[..., 2], -1.0), 0.0)
-        ground = self._matt(leds, rays[0] + reach[..., None] * rays[1], self.plane.axes[:, 2], self.ground)
+        ground = self._matt(
+            leds, rays[0] + reach[..., None] * rays[1], self.plane.axes[:, 2], self.ground
+        )
         scene = np.where(falls, ground, walls)
         for led in leds:
             scene = scene + self._led_in_mirror(led, lines, rays)
@@ -351,13 +405,16 @@ class SphereScene(_SolidScene):
     def _led_in_mirror(self, led: Led, lines: SightLines, rays: Lines) -> Array:
         """Radiance (h, w) of an LED's face in the chrome, averaged over each pixel near its rim."""
         inwards, radiance = _led_face(led, self.bench.led_radius_mm, rays)
-        # in the very middle of the face the distance from its rim has no slope: the neighbours' counts
+        # in the very middle of the face the distance from its rim has no slope: the neighbours'
+        # counts
         pixel = cv2.dilate(np.hypot(*steps(inwards)), np.ones((3, 3), np.uint8))
         light = np.where(inwards > 0.0, radiance, 0.0)
         at = np.nonzero(np.abs(inwards) < 2.0 * pixel)
         if at[0].size:
             finer = _finer_lines(lines, at)
-            hit, value = _led_face(led, self.bench.led_radius_mm, mirrored(finer, self._seen(finer)[0]))
+            hit, value = _led_face(
+                led, self.bench.led_radius_mm, mirrored(finer, self._seen(finer)[0])
+            )
             light[at] = np.mean(np.where(hit > 0.0, value, 0.0), axis=0)
         return light
 
@@ -389,10 +446,11 @@ def mirrored(sight: SightLines, mirror: Lines) -> Lines:
 
 
 def _led_face(led: Led, radius_mm: float, rays: Lines) -> tuple[Array, Array]:
-    """By how much (mm) rays pass inside the rim of the LED's face, and the radiance of that face towards them.
+    """By how much (mm) rays pass inside the rim of the LED's face, and the radiance of that face
+    towards them.
 
-    A face of radius r that sends the intensity I straight ahead has the radiance I / (pi r^2) there; seen from beside
-    its axis, its lobe's fraction over the cosine of its own foreshortening.
+    A face of radius r that sends the intensity I straight ahead has the radiance I / (pi r^2)
+    there; seen from beside its axis, its lobe's fraction over the cosine of its own foreshortening.
     """
     start, way = rays
     middle = np.asarray(led.position_mm, dtype=np.float64)
@@ -420,14 +478,19 @@ def _finer_lines(sight: SightLines, at: tuple[NDArray[Any], ...]) -> SightLines:
 def _positions_of(leds: Sequence[Led], what: str) -> Array:
     """(L, 3) positions in mm of LEDs that all have one, or BadInput: `what` needs them."""
     for index, led in enumerate(leds):
-        require(led.position_mm is not None, f"{what} needs LEDs with positions, but LED {index} is distant light.")
+        require(
+            led.position_mm is not None,
+            f"{what} needs LEDs with positions, but LED {index} is distant light.",
+        )
     return np.array([led.position_mm for led in leds], dtype=np.float64)
 
 
 def _disc_points(led: Led, radius_mm: float) -> Array:
-    """(N, 3) points in mm that stand for equal parts of an LED's bright face: its middle and rings of 6 and of 12.
+    """(N, 3) points in mm that stand for equal parts of an LED's bright face: its middle and rings
+    of 6 and of 12.
 
-    Each ring has the mean squared radius of its part of the disc, so that the points have the disc's own spread.
+    Each ring has the mean squared radius of its part of the disc, so that the points have the
+    disc's own spread.
     """
     middle = np.asarray(led.position_mm, dtype=np.float64)
     if radius_mm == 0.0:

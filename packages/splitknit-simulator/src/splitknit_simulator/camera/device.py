@@ -1,8 +1,10 @@
-"""The simulated camera and LEDs: they implement :mod:`splitknit.devices`, on a clock that costs no time.
+"""The simulated camera and LEDs: they implement :mod:`splitknit.devices`, on a clock that costs no
+time.
 
-The camera is timed like the Raspberry Pi's: it runs freely at its frame rate, a new exposure takes effect some frames
-after it was asked for, and a frame is there when it was read out and carried over. So the times that a capture session
-reports from the simulator are those of the design, without the computer's own.
+The camera is timed like the Raspberry Pi's: it runs freely at its frame rate, a new exposure takes
+effect some frames after it was asked for, and a frame is there when it was read out and carried
+over. So the times that a capture session reports from the simulator are those of the design,
+without the computer's own.
 """
 
 from __future__ import annotations
@@ -73,7 +75,8 @@ class TwinLightBank(LightBank):
         super().__init__(len(scene.leds), SETTLE_S)
 
     def brightness(self, at_s: float) -> float:
-        """Fraction of its full light that the last LED that was switched on gives at a time: it rises evenly."""
+        """Fraction of its full light that the last LED that was switched on gives at a time: it
+        rises evenly."""
         if not self._since:
             return 1.0
         return float(np.clip((at_s - max(self._since.values())) / self.settle_s, 0.0, 1.0))
@@ -104,11 +107,18 @@ class TwinCamera(CameraDevice):
         sensor_scale: float | None = None,
         seed: int = 0,
     ) -> None:
-        """Start the camera that looks at the scene of `lights`; what was locked replaces `sensor.exposure`."""
+        """Start the camera that looks at the scene of `lights`; what was locked replaces
+        `sensor.exposure`."""
         self._scene, self._lights, self._clock = scene, lights, clock
         self._sensor = sensor or SensorSettings()
-        require(self._sensor.encoding == "linear", "the twin's camera gives linear images; leave sensor.encoding so.")
-        require(lights.count == len(scene.leds), "scene and bank of LEDs differ in their number of LEDs.")
+        require(
+            self._sensor.encoding == "linear",
+            "the twin's camera gives linear images; leave sensor.encoding so.",
+        )
+        require(
+            lights.count == len(scene.leds),
+            "scene and bank of LEDs differ in their number of LEDs.",
+        )
         require(seed >= 0, "seed must not be negative.")
         self._scale = sensor_scale or binning_scale(scene.camera)
         self._seed, self._exposed, self._photographs = seed, 0, 0
@@ -144,13 +154,18 @@ class TwinCamera(CameraDevice):
         require(not self._closed, "the camera is closed; open it again.")
         frame_s = max(self._exposure_s + 0.001, _FRAME_S)
         begins_s = np.ceil(self._clock.now_s / frame_s - 1e-9) * frame_s + self._fresh * frame_s
-        discarded, self._fresh = 1 + self._fresh, 0  # the one that was being exposed when we were called
+        # the one that was being exposed when we were called
+        discarded, self._fresh = 1 + self._fresh, 0
         light = self._light(begins_s)
         if reduction > 1:
             size = (light.shape[1] // reduction, light.shape[0] // reduction)
-            light = np.asarray(cv2.resize(light, size, interpolation=cv2.INTER_AREA), dtype=np.float32)
+            light = np.asarray(
+                cv2.resize(light, size, interpolation=cv2.INTER_AREA), dtype=np.float32
+            )
         fraction = np.float32(self._exposure_s * self._gain * SENSITIVITY_PER_S)
-        sensor = replace(self._sensor, full_well_e=max(self._sensor.full_well_e / self._gain, 100.0))
+        sensor = replace(
+            self._sensor, full_well_e=max(self._sensor.full_well_e / self._gain, 100.0)
+        )
         seed = np.random.SeedSequence([self._seed, 0xCA, self._exposed])
         pixels = record(light * fraction, self._band, seed, sensor, self._scale / reduction)
         self._exposed += 1

@@ -1,7 +1,8 @@
 """The simulated lens: which way every pixel looks, where a point appears, and depth of field.
 
-Written apart from the code that undoes it (:mod:`splitknit.imaging.view`). The distortion is the usual one of five
-coefficients k1, k2, p1, p2, k3 on normalised coordinates (Brown 1966; OpenCV's order), rows running down.
+Written apart from the code that undoes it (:mod:`splitknit.imaging.view`). The distortion is the
+usual one of five coefficients k1, k2, p1, p2, k3 on normalised coordinates (Brown 1966; OpenCV's
+order), rows running down.
 """
 
 from __future__ import annotations
@@ -21,7 +22,8 @@ Numbers = NDArray[np.float64] | NDArray[np.intp]
 
 
 def slopes_of_pixels(camera: Camera, columns: Numbers, rows: Numbers) -> tuple[Array, Array]:
-    """Direction of a perspective camera's rays: (x, y) in mm that they move sideways per mm downwards.
+    """Direction of a perspective camera's rays: (x, y) in mm that they move sideways per mm
+    downwards.
 
     x right, y up; `columns` and `rows` broadcast. The ray of a pixel starts at (0, 0, height_mm).
     """
@@ -32,23 +34,27 @@ def slopes_of_pixels(camera: Camera, columns: Numbers, rows: Numbers) -> tuple[A
     x, y = u.copy(), v.copy()
     miss = 0.0
     with np.errstate(over="ignore", invalid="ignore"):
-        for _ in range(60 if any(camera.distortion or ()) else 0):  # a contraction wherever a lens is invertible
+        # a contraction wherever a lens is invertible
+        for _ in range(60 if any(camera.distortion or ()) else 0):
             moved_x, moved_y = _distorted(camera, x, y)
             step_x, step_y = u - moved_x, v - moved_y
             x, y = x + step_x, y + step_y
-            miss = max(float(np.abs(step_x).max(initial=0.0)), float(np.abs(step_y).max(initial=0.0)))
+            miss = max(
+                float(np.abs(step_x).max(initial=0.0)), float(np.abs(step_y).max(initial=0.0))
+            )
             if not 1e-12 <= miss < 1e3:
                 break
     require(
         miss < 1e-8,
-        f"the lens distortion {list(camera.distortion or ())} folds the picture over itself; give coefficients that "
-        "can be undone all over the picture.",
+        f"the lens distortion {list(camera.distortion or ())} folds the picture over itself; give"
+        " coefficients that can be undone all over the picture.",
     )
     return x, -y
 
 
 def picture_on_plane(camera: Camera) -> tuple[float, float, float]:
-    """Where the picture lies on the finger plane: x of its middle, y of its lower and of its upper border, in mm."""
+    """Where the picture lies on the finger plane: x of its middle, y of its lower and of its upper
+    border, in mm."""
     rows, columns = camera.image_size
     if camera.model == "orthographic":
         return 0.0, -0.5 * rows / camera.px_per_mm, 0.5 * rows / camera.px_per_mm
@@ -66,7 +72,8 @@ def px_per_mm_at(camera: Camera, z_mm: float) -> float:
 
 
 def fall_off(camera: Camera) -> FloatArray:
-    """(H, W) fraction of the light that the lens lets through: 1 + a r^2 + b r^4 + ... of `camera.shading`.
+    """(H, W) fraction of the light that the lens lets through: 1 + a r^2 + b r^4 + ... of
+    `camera.shading`.
 
     r is the distance from the picture's centre over half its diagonal.
     """
@@ -81,7 +88,8 @@ def fall_off(camera: Camera) -> FloatArray:
 
 
 def pixels_of_points(camera: Camera, x: Array, y: Array, z: Array) -> tuple[Array, Array]:
-    """Column and row at which points (mm, the rig's frame) appear to any camera; arrays broadcast."""
+    """Column and row at which points (mm, the rig's frame) appear to any camera; arrays
+    broadcast."""
     height, width = camera.image_size
     if camera.model == "orthographic":
         column = x * camera.px_per_mm + (width - 1) / 2 + 0.0 * z
@@ -101,7 +109,9 @@ def _matrix(camera: Camera) -> tuple[float, float, float, float, float]:
 
 def _distorted(camera: Camera, x: Array, y: Array) -> tuple[Array, Array]:
     coefficients = tuple(camera.distortion or ())
-    require(len(coefficients) <= 5, "the twin's lens knows the five coefficients k1, k2, p1, p2, k3.")
+    require(
+        len(coefficients) <= 5, "the twin's lens knows the five coefficients k1, k2, p1, p2, k3."
+    )
     k1, k2, p1, p2, k3 = (*coefficients, *(0.0,) * (5 - len(coefficients)))
     r2 = x * x + y * y
     radial = 1.0 + r2 * (k1 + r2 * (k2 + r2 * k3))
@@ -118,12 +128,18 @@ LEVELS_PER_DOUBLING = 2
 
 
 def blur_sigma_px(
-    depth_mm: FloatArray, focus_mm: float, camera_height_mm: float, aperture_mm: float, px_per_mm: float
+    depth_mm: FloatArray,
+    focus_mm: float,
+    camera_height_mm: float,
+    aperture_mm: float,
+    px_per_mm: float,
 ) -> FloatArray:
-    """Standard deviation, per axis, of the disc that a point at height `depth_mm` becomes on the plane in focus.
+    """Standard deviation, per axis, of the disc that a point at height `depth_mm` becomes on the
+    plane in focus.
 
-    A point d below the plane in focus, which is D from the pupil, becomes a disc of the diameter aperture d / (D + d)
-    there (similar triangles); a disc of diameter c has the standard deviation c / 4 per axis.
+    A point d below the plane in focus, which is D from the pupil, becomes a disc of the diameter
+    aperture d / (D + d) there (similar triangles); a disc of diameter c has the standard deviation
+    c / 4 per axis.
     """
     distance = camera_height_mm - focus_mm
     below = focus_mm - depth_mm
@@ -132,9 +148,11 @@ def blur_sigma_px(
 
 
 def defocus(image: FloatArray, sigma_px: FloatArray) -> FloatArray:
-    """Blur (H, W, C) `image` by a Gaussian whose width `sigma_px` (H, W) changes from pixel to pixel.
+    """Blur (H, W, C) `image` by a Gaussian whose width `sigma_px` (H, W) changes from pixel to
+    pixel.
 
-    Each pixel interpolates, linearly in the variance, between the two nearest of a ladder of evenly blurred images.
+    Each pixel interpolates, linearly in the variance, between the two nearest of a ladder of evenly
+    blurred images.
     """
     largest = float(sigma_px.max())
     if largest < 0.1:

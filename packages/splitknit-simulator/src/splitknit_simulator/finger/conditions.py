@@ -26,7 +26,8 @@ KERATIN = 1.55  # refractive index of the dry horny layer (Duck 1990, Physical P
 MAX_PLATES = 4  # horny plates with air between them in the thickest scale
 
 
-# Dry and scarred skin: what becomes of its relief, its pigment and its roughness, on the map of the skin.
+# Dry and scarred skin: what becomes of its relief, its pigment and its roughness, on the map of the
+# skin.
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -39,15 +40,17 @@ class _Weathered:
 
 
 def _scale_reflectance(plates: Array) -> Array:
-    """Reflectance of a pile of transparent plates with air between them, light falling straight on. Source: Stokes
-    1862, On the intensity of the light reflected from or transmitted through a pile of plates.
+    """Reflectance of a pile of transparent plates with air between them, light falling straight on.
+    Source: Stokes 1862, On the intensity of the light reflected from or transmitted through a pile
+    of plates.
     """
     single = ((KERATIN - 1.0) / (KERATIN + 1.0)) ** 2
     return 2.0 * plates * single / (1.0 + (2.0 * plates - 1.0) * single)
 
 
 def _ridge_angle(ridge: NDArray[np.float32], sigma_px: float) -> Array:
-    """(H, W) direction of the ridges from u towards v, rad, from the gradient's structure tensor."""
+    """(H, W) direction of the ridges from u towards v, rad, from the gradient's structure
+    tensor."""
     smooth = cv2.GaussianBlur(ridge, (0, 0), 1.0)
     du = cv2.Sobel(smooth, cv2.CV_64F, 1, 0, scale=0.125)
     dv = -cv2.Sobel(smooth, cv2.CV_64F, 0, 1, scale=0.125)
@@ -55,12 +58,15 @@ def _ridge_angle(ridge: NDArray[np.float32], sigma_px: float) -> Array:
     return np.asarray(0.5 * np.arctan2(2.0 * uv, uu - vv) + 0.5 * np.pi, dtype=np.float64)
 
 
-def _dried(displacement: Array, master: MasterPrint, severity: float, rng: np.random.Generator) -> _Weathered:
+def _dried(
+    displacement: Array, master: MasterPrint, severity: float, rng: np.random.Generator
+) -> _Weathered:
     """Lower the ridges, break them, roughen them and let scales come off.
 
-    Ours, at severity 1: ridges have shrunk by a quarter, 0.5 fissures a square millimetre run across them (0.5 to
-    1.6 mm long, 25 to 70 um deep), skin is rough by 5 um, scales stand 8 um above a third of the ridges. Sources: the
-    horny layer comes off in clumps (Velthuizen et al. 2008), and drier skin is rougher (Dabrowska et al. 2016).
+    Ours, at severity 1: ridges have shrunk by a quarter, 0.5 fissures a square millimetre run
+    across them (0.5 to 1.6 mm long, 25 to 70 um deep), skin is rough by 5 um, scales stand 8 um
+    above a third of the ridges. Sources: the horny layer comes off in clumps (Velthuizen et al.
+    2008), and drier skin is rougher (Dabrowska et al. 2016).
     """
     pitch = float(master.u_mm[1] - master.u_mm[0])
     smooth = cv2.GaussianBlur(displacement, (0, 0), 0.32 / pitch)
@@ -92,7 +98,9 @@ def _fissures(rng: np.random.Generator, angle: Array, pitch: float, per_mm2: flo
     turns = rng.normal(0.0, np.deg2rad(20.0), count) + 0.5 * np.pi
     widths = rng.uniform(0.025, 0.05, count) / pitch
     depths = 1e-3 * rng.uniform(25.0, 70.0, count)
-    for (row, column), length, turn, width, depth in zip(places.T, lengths, turns, widths, depths, strict=True):
+    for (row, column), length, turn, width, depth in zip(
+        places.T, lengths, turns, widths, depths, strict=True
+    ):
         way = angle[int(row), int(column)] + turn
         window, dv, du = around(angle.shape, row, column, int(0.5 * length + 3.0 * width) + 1)
         along = du * np.cos(way) - dv * np.sin(way)
@@ -103,12 +111,16 @@ def _fissures(rng: np.random.Generator, angle: Array, pitch: float, per_mm2: flo
     return canvas
 
 
-def _scarred(displacement: Array, master: MasterPrint, severity: float, rng: np.random.Generator) -> _Weathered:
-    """Draw up to three scars across the pad: strips without ridges or pores, sunken or raised, with soft edges.
+def _scarred(
+    displacement: Array, master: MasterPrint, severity: float, rng: np.random.Generator
+) -> _Weathered:
+    """Draw up to three scars across the pad: strips without ridges or pores, sunken or raised, with
+    soft edges.
 
-    At severity 1 there are three, about 1.1 mm wide (0.1 mm at severity 0: a healed scratch), 6 to 14 mm long; three in
-    four are sunken by up to 60 um, the others raised as much. Skin does not grow ridges again where the dermis was cut
-    (Maceo 2011, in The Fingerprint Sourcebook, chapter 2). Ridges that were sewn together out of line are not modelled.
+    At severity 1 there are three, about 1.1 mm wide (0.1 mm at severity 0: a healed scratch), 6 to
+    14 mm long; three in four are sunken by up to 60 um, the others raised as much. Skin does not
+    grow ridges again where the dermis was cut (Maceo 2011, in The Fingerprint Sourcebook, chapter
+    2). Ridges that were sewn together out of line are not modelled.
     """
     pitch = float(master.u_mm[1] - master.u_mm[0])
     u, v = master.u_mm[None, :], master.v_mm[:, None]
@@ -139,31 +151,39 @@ def _scarred(displacement: Array, master: MasterPrint, severity: float, rng: np.
 
 
 def _water_surface(displacement: Array, pitch_mm: float, severity: float) -> Array:
-    """(H, W) displacement of the water's surface, mm, if all skin is wet: from sweat in the valleys' corners to a hand
-    that comes out of water.
+    """(H, W) displacement of the water's surface, mm, if all skin is wet: from sweat in the
+    valleys' corners to a hand that comes out of water.
 
-    Water that wets the skin (contact angle zero) meets it in menisci of one curvature: the closing of the relief by a
-    ball of that radius, here by the paraboloid that osculates it, along rows and columns in turn. The body's own
-    curvature (a radius of 8 mm) is left out. Sources: Orchard 1962, On surface levelling in viscous liquids and gels;
-    de Gennes, Brochard-Wyart and Quere 2004, Capillarity and Wetting Phenomena, sections 1.1.3 and 2.2; van den
-    Boomgaard et al. 1996, Quadratic structuring functions in mathematical morphology.
+    Water that wets the skin (contact angle zero) meets it in menisci of one curvature: the closing
+    of the relief by a ball of that radius, here by the paraboloid that osculates it, along rows and
+    columns in turn. The body's own curvature (a radius of 8 mm) is left out. Sources: Orchard 1962,
+    On surface levelling in viscous liquids and gels; de Gennes, Brochard-Wyart and Quere 2004,
+    Capillarity and Wetting Phenomena, sections 1.1.3 and 2.2; van den Boomgaard et al. 1996,
+    Quadratic structuring functions in mathematical morphology.
     """
-    # from 0.05 mm (only sharp corners are rounded) to 2 mm (valleys are full; water's capillary length is 2.7 mm)
+    # from 0.05 mm (only sharp corners are rounded) to 2 mm (valleys are full; water's capillary
+    # length is 2.7 mm)
     meniscus_mm = 0.05 * 40.0**severity
     filled = _closed(displacement, pitch_mm, meniscus_mm)
-    closed = max(0.0, 2.0 * severity - 1.0)  # above one half a film of up to 15 um closes over the ridges
+    # above one half a film of up to 15 um closes over the ridges
+    closed = max(0.0, 2.0 * severity - 1.0)
     if closed > 0.0:  # 20 um level out over 5 mm in seconds: such a film shows no ridges
         level = cv2.GaussianBlur(filled, (0, 0), 0.6 * closed / pitch_mm)
-        filled = _closed(np.maximum(level + 1e-3 * (15.0 * closed), displacement), pitch_mm, meniscus_mm)
+        filled = _closed(
+            np.maximum(level + 1e-3 * (15.0 * closed), displacement), pitch_mm, meniscus_mm
+        )
     return filled
 
 
-def _water_level(displacement: Array, pitch_mm: float, severity: float, rng: np.random.Generator) -> Array:
+def _water_level(
+    displacement: Array, pitch_mm: float, severity: float, rng: np.random.Generator
+) -> Array:
     """(H, W) displacement of skin and water, mm: below one half, part of the skin is dry."""
     filled = _water_surface(displacement, pitch_mm, severity)
     if severity >= 0.5:
         return filled
-    # patches of 2 mm with soft edges; a normal variable lies below the threshold over the wanted fraction
+    # patches of 2 mm with soft edges; a normal variable lies below the threshold over the wanted
+    # fraction
     noise = smooth_noise(rng, displacement.shape, 1.0 / pitch_mm)
     threshold = float(np.quantile(noise, 2.0 * severity))
     patch = np.clip(0.5 + (threshold - noise) / 0.3, 0.0, 1.0)
@@ -182,14 +202,18 @@ def _closed(values: Array, pitch_mm: float, radius_mm: float) -> Array:
     return np.maximum(result, values)
 
 
-# From the map of the skin to the picture: values at the points that the camera sees, and directions in space.
+# From the map of the skin to the picture: values at the points that the camera sees, and directions
+# in space.
 
 
 def _on_chart(values: Array, surface: SimulatedSurface, laid: SkinMap) -> Array:
     """(H, W) values of the skin's map at the points of the picture, zero beside the finger."""
     assert surface.chart is not None
     chart = np.nan_to_num(surface.chart).astype(np.float64)
-    rows, columns = (laid.v0_mm - chart[..., 1]) / laid.pitch_mm, (chart[..., 0] - laid.u0_mm) / laid.pitch_mm
+    rows, columns = (
+        (laid.v0_mm - chart[..., 1]) / laid.pitch_mm,
+        (chart[..., 0] - laid.u0_mm) / laid.pitch_mm,
+    )
     sampled = ndimage.map_coordinates(values, [rows, columns], order=1, mode="mirror")
     return np.where(surface.mask, sampled, 0.0)
 
@@ -197,12 +221,15 @@ def _on_chart(values: Array, surface: SimulatedSurface, laid: SkinMap) -> Array:
 def _ridges_in_space(angle_rad: Array, surface: SimulatedSurface, laid: SkinMap) -> FloatArray:
     """(H, W, 3) unit vectors along the ridges, in the skin's surface.
 
-    A step in the picture moves the point on the chart by the chart's Jacobian; the inverse takes the ridges' direction
-    to the picture, and z follows from the normal.
+    A step in the picture moves the point on the chart by the chart's Jacobian; the inverse takes
+    the ridges' direction to the picture, and z follows from the normal.
     """
     assert surface.chart is not None
     u, v = np.moveaxis(surface.chart.astype(np.float64), -1, 0)
-    cosine, sine = (_on_chart(part, surface, laid) for part in (np.cos(2.0 * angle_rad), np.sin(2.0 * angle_rad)))
+    cosine, sine = (
+        _on_chart(part, surface, laid)
+        for part in (np.cos(2.0 * angle_rad), np.sin(2.0 * angle_rad))
+    )
     angle = 0.5 * np.arctan2(sine, cosine)
     wanted_u, wanted_v = np.cos(angle), np.sin(angle)
     u_row, u_x = np.gradient(u)
@@ -222,13 +249,15 @@ def _ridges_in_space(angle_rad: Array, surface: SimulatedSurface, laid: SkinMap)
 
 Kind = Literal["none", "wet", "dry", "dusty", "scarred", "glossy"]
 KINDS: tuple[Kind, ...] = get_args(Kind)
-_WATER_ROUGHNESS = 0.05  # GGX alpha of a water surface at rest on skin: smooth but for what floats on it
+# GGX alpha of a water surface at rest on skin: smooth but for what floats on it
+_WATER_ROUGHNESS = 0.05
 _MOIST_ROUGHNESS = 0.18
-"""Roughness of hydrated skin between drops of water, as in moist sessions (Dabrowska et al. 2016: smoother)."""
+"""Roughness of hydrated skin between drops of water, as in moist sessions (Dabrowska et al. 2016:
+smoother)."""
 _DRY_ROUGHNESS, _SCAR_ROUGHNESS = 0.5, 0.15
 _SCAR = {"blood": (2.0, 0.1), "scattering_factor": (1.3, 3.0), "melanin": (0.5, 0.05)}
-"""A young scar beside its skin, as a factor and a limit: more blood and collagen, less pigment (Tseng et al. 2012
-measured that they differ; how far is our choice)."""
+"""A young scar beside its skin, as a factor and a limit: more blood and collagen, less pigment
+(Tseng et al. 2012 measured that they differ; how far is our choice)."""
 _TOP_MM = 0.006  # the skin is sought from 8 um above the body on: nothing may stand higher
 
 
@@ -259,9 +288,9 @@ def conditioned_surface(  # noqa: PLR0917
 ) -> SimulatedSurface:
     """Show a posed finger whose skin is in some condition, with its coat.
 
-    `seed`: of what changes from one capture to the next; scars follow from the finger instead. Dry and scarred skin
-    *is* different: the truth's relief is that of the changed skin. Water and dust lie on the skin: the truth stays the
-    skin below them.
+    `seed`: of what changes from one capture to the next; scars follow from the finger instead. Dry
+    and scarred skin *is* different: the truth's relief is that of the changed skin. Water and dust
+    lie on the skin: the truth stays the skin below them.
     """
     master = finger.master()
     finger = replace(finger, printed=master)
@@ -279,10 +308,16 @@ def conditioned_surface(  # noqa: PLR0917
     skin_relief = relief if weathered is None else weathered.displacement
     highest = float((skin_relief if level is None else np.maximum(skin_relief, level)).max())
     lower = max(0.0, highest - _TOP_MM)
-    laid = plain if weathered is None and lower == 0.0 else _with_relief(plain, skin_relief - lower, weathered)
+    laid = (
+        plain
+        if weathered is None and lower == 0.0
+        else _with_relief(plain, skin_relief - lower, weathered)
+    )
     surface = finger_surface(finger, pose, camera, workers=workers, skin=laid)
     if level is not None:
-        water = finger_surface(finger, pose, camera, workers=workers, skin=_with_relief(plain, level - lower, None))
+        water = finger_surface(
+            finger, pose, camera, workers=workers, skin=_with_relief(plain, level - lower, None)
+        )
         coat = _wet(surface, water, skin, severity)
     elif weathered is not None:
         coat = _weathered(surface, laid, weathered, skin, condition)
@@ -295,24 +330,36 @@ def conditioned_surface(  # noqa: PLR0917
         # Sebum that was wiped along the ridges
         along = _ridges_in_space(_ridge_angle(master.ridge, 0.4 / laid.pitch_mm), surface, laid)
         shape = surface.mask.shape
-        across = np.full(shape, max(skin.roughness * (1.0 - 0.4 * severity), 0.05), dtype=np.float32)
-        lengthwise = np.full(shape, skin.roughness + severity * (0.05 - skin.roughness), dtype=np.float32)
+        across = np.full(
+            shape, max(skin.roughness * (1.0 - 0.4 * severity), 0.05), dtype=np.float32
+        )
+        lengthwise = np.full(
+            shape, skin.roughness + severity * (0.05 - skin.roughness), dtype=np.float32
+        )
         coat = Coat("glossy", severity, surface.mask.astype(np.float32), across, lengthwise, along)
     return replace(surface, coat=coat, chart=None)
 
 
 def _with_relief(skin: SkinMap, displacement: Array, weathered: _Weathered | None) -> SkinMap:
-    """The map with another displacement; pores and creases of a scar are no darker than the rest."""
+    """The map with another displacement; pores and creases of a scar are no darker than the
+    rest."""
     pigment = skin.pigment
     if weathered is not None and weathered.reflectance is None:
         pigment = (pigment + weathered.fraction * (1.0 - pigment)).astype(np.float32)
-    return replace(skin, coefficients=ndimage.spline_filter(displacement, order=3, mode="mirror"), pigment=pigment)
+    return replace(
+        skin,
+        coefficients=ndimage.spline_filter(displacement, order=3, mode="mirror"),
+        pigment=pigment,
+    )
 
 
-def _wet(surface: SimulatedSurface, water: SimulatedSurface, skin: SkinOptics, severity: float) -> Coat:
+def _wet(
+    surface: SimulatedSurface, water: SimulatedSurface, skin: SkinOptics, severity: float
+) -> Coat:
     mask = surface.mask & water.mask
     thickness = np.where(mask, water.relief_um - surface.relief_um, 0.0)
-    fraction = np.clip(thickness / 1.0, 0.0, 1.0).astype(np.float32)  # a micrometre covers skin's own roughness
+    # a micrometre covers skin's own roughness
+    fraction = np.clip(thickness / 1.0, 0.0, 1.0).astype(np.float32)
     normals = np.where(mask[..., None], water.normals, surface.normals)
     # (H, W) variance of the slope inside a pixel, one direction's
     nz = np.where(mask, np.maximum(normals[..., 2], 0.2), 1.0)
@@ -323,21 +370,36 @@ def _wet(surface: SimulatedSurface, water: SimulatedSurface, skin: SkinOptics, s
     bend = np.asarray(np.minimum(0.5 * total, 0.25))
     roughness = np.clip(np.sqrt(_WATER_ROUGHNESS**2 + 2.0 * bend), 0.0, 1.0).astype(np.float32)
     moist = min(skin.roughness, _MOIST_ROUGHNESS)
-    bare = np.full(mask.shape, skin.roughness + severity * (moist - skin.roughness), dtype=np.float32)
+    bare = np.full(
+        mask.shape, skin.roughness + severity * (moist - skin.roughness), dtype=np.float32
+    )
     return Coat("wet", severity, fraction, roughness=bare, film=Film(fraction, normals, roughness))
 
 
 def _weathered(
-    surface: SimulatedSurface, laid: SkinMap, weathered: _Weathered, skin: SkinOptics, condition: Condition
+    surface: SimulatedSurface,
+    laid: SkinMap,
+    weathered: _Weathered,
+    skin: SkinOptics,
+    condition: Condition,
 ) -> Coat:
     fraction = _on_chart(weathered.fraction, surface, laid).astype(np.float32)
     if weathered.reflectance is not None:
-        rough = max(skin.roughness, skin.roughness + condition.severity * (_DRY_ROUGHNESS - skin.roughness))
+        rough = max(
+            skin.roughness, skin.roughness + condition.severity * (_DRY_ROUGHNESS - skin.roughness)
+        )
         scales = _on_chart(weathered.reflectance, surface, laid).astype(np.float32)
-        return Coat("dry", condition.severity, fraction, np.full(fraction.shape, rough, np.float32), scales=scales)
+        return Coat(
+            "dry",
+            condition.severity,
+            fraction,
+            np.full(fraction.shape, rough, np.float32),
+            scales=scales,
+        )
     smooth = skin.roughness + fraction * (min(_SCAR_ROUGHNESS, skin.roughness) - skin.roughness)
     scar: dict[str, Any] = {
-        name: min(factor * float(getattr(skin, name)), most) for name, (factor, most) in _SCAR.items()
+        name: min(factor * float(getattr(skin, name)), most)
+        for name, (factor, most) in _SCAR.items()
     }
     tint = _tint(skin, replace(skin, **scar))
     return Coat("scarred", condition.severity, fraction, smooth.astype(np.float32), tint=tint)

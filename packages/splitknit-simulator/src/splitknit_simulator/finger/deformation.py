@@ -14,14 +14,17 @@ from splitknit.errors import require
 from splitknit_simulator.finger.master_print import MasterPrint
 from splitknit_simulator.surface import Array
 
-SAMPLES_PER_SMOOTH = 4  # grid points per length of smoothing: a cubic spline of them misses less than a thousandth
+# grid points per length of smoothing: a cubic spline of them misses less than a thousandth
+SAMPLES_PER_SMOOTH = 4
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Deformation:
-    """Where points of the skin go: p becomes (1 + stretch) p + shift((1 + stretch) p), in the chart, about its origin.
+    """Where points of the skin go: p becomes (1 + stretch) p + shift((1 + stretch) p), in the
+    chart, about its origin.
 
-    The shift is given where the skin arrives, so that a map of the ridges is pulled back without solving anything.
+    The shift is given where the skin arrives, so that a map of the ridges is pulled back without
+    solving anything.
     """
 
     u_mm: Array  # (W,) grid, rising
@@ -35,18 +38,22 @@ class Deformation:
         object.__setattr__(self, "_splines", splines)
 
     def shift_at(self, u: Array, v: Array) -> tuple[Array, Array]:
-        """(N,) shifts along u and v at points (N,) where the skin arrives; beyond the grid as on its border."""
+        """(N,) shifts along u and v at points (N,) where the skin arrives; beyond the grid as on
+        its border."""
         u, v = np.clip(u, self.u_mm[0], self.u_mm[-1]), np.clip(v, self.v_mm[0], self.v_mm[-1])
         return np.asarray(self._splines[0].ev(v, u)), np.asarray(self._splines[1].ev(v, u))
 
     def shift_on(self, u: Array, v: Array) -> tuple[Array, Array]:
-        """(H, W) shifts along u and v on the grid of columns `u` (W,) and rows `v` (H,), in any order."""
+        """(H, W) shifts along u and v on the grid of columns `u` (W,) and rows `v` (H,), in any
+        order."""
         rows, columns = np.argsort(v), np.argsort(u)
         shifts = []
         for spline in self._splines:
             values = np.empty((v.size, u.size))
             low, high = self.v_mm[[0, -1]], self.u_mm[[0, -1]]
-            values[np.ix_(rows, columns)] = spline(np.clip(v[rows], *low), np.clip(u[columns], *high))
+            values[np.ix_(rows, columns)] = spline(
+                np.clip(v[rows], *low), np.clip(u[columns], *high)
+            )
             shifts.append(values)
         return shifts[0], shifts[1]
 
@@ -54,34 +61,49 @@ class Deformation:
         """(N, 2) places of the skin's points (N, 2) after the deformation."""
         start = (1.0 + self.stretch) * points
         here = start.copy()
-        for _ in range(12):  # a contraction: the shift changes by less than a third over its own length
+        # a contraction: the shift changes by less than a third over its own length
+        for _ in range(12):
             here = start + np.stack(self.shift_at(here[:, 0], here[:, 1]), 1)
         return here
 
 
 def draw_deformation(
-    rng: np.random.Generator, master: MasterPrint, amplitude_mm: float, smooth_mm: float = 5.0, stretch: float = 0.0
+    rng: np.random.Generator,
+    master: MasterPrint,
+    amplitude_mm: float,
+    smooth_mm: float = 5.0,
+    stretch: float = 0.0,
 ) -> Deformation:
-    """Draw a smooth shift over the whole map of a print, of `amplitude_mm` at most; BadInput if it could fold the skin.
+    """Draw a smooth shift over the whole map of a print, of `amplitude_mm` at most; BadInput if it
+    could fold the skin.
 
-    `smooth_mm`: standard deviation of its Gaussian; the shift's correlation falls to exp(-1/4) over that length.
+    `smooth_mm`: standard deviation of its Gaussian; the shift's correlation falls to exp(-1/4) over
+    that length.
     """
     require(
         0 <= amplitude_mm <= 0.15 * smooth_mm,
-        f"a shift of {amplitude_mm} mm that is smooth over {smooth_mm} mm could fold the skin; at most "
-        f"{0.15 * smooth_mm:.2f} mm go.",
+        f"a shift of {amplitude_mm} mm that is smooth over {smooth_mm} mm could fold the skin; at"
+        f" most {0.15 * smooth_mm:.2f} mm go.",
     )
     step = smooth_mm / SAMPLES_PER_SMOOTH
-    u, v = (np.arange(axis.min() - step, axis.max() + 2 * step, step) for axis in (master.u_mm, master.v_mm))
-    white = rng.standard_normal((2, v.size + 8 * SAMPLES_PER_SMOOTH, u.size + 8 * SAMPLES_PER_SMOOTH))
+    u, v = (
+        np.arange(axis.min() - step, axis.max() + 2 * step, step)
+        for axis in (master.u_mm, master.v_mm)
+    )
+    white = rng.standard_normal(
+        (2, v.size + 8 * SAMPLES_PER_SMOOTH, u.size + 8 * SAMPLES_PER_SMOOTH)
+    )
     inner = slice(4 * SAMPLES_PER_SMOOTH, -4 * SAMPLES_PER_SMOOTH)
-    shift = np.stack([ndimage.gaussian_filter(part, SAMPLES_PER_SMOOTH)[inner, inner] for part in white])
+    shift = np.stack(
+        [ndimage.gaussian_filter(part, SAMPLES_PER_SMOOTH)[inner, inner] for part in white]
+    )
     shift *= amplitude_mm / float(np.hypot(*shift).max())
     return Deformation(u, v, shift, stretch)
 
 
 def deformed(master: MasterPrint, deformation: Deformation) -> MasterPrint:
-    """Return the print as it lies on the body after the deformation: ridges, pores, cores, deltas and minutiae."""
+    """Return the print as it lies on the body after the deformation: ridges, pores, cores, deltas
+    and minutiae."""
     du, dv = deformation.shift_on(master.u_mm, master.v_mm)
     grown = 1.0 + deformation.stretch
     pitch = float(master.u_mm[1] - master.u_mm[0])
@@ -103,7 +125,9 @@ def deformed(master: MasterPrint, deformation: Deformation) -> MasterPrint:
     )
 
 
-def _points(deformation: Deformation, points: tuple[tuple[float, float], ...]) -> tuple[tuple[float, float], ...]:
+def _points(
+    deformation: Deformation, points: tuple[tuple[float, float], ...]
+) -> tuple[tuple[float, float], ...]:
     moved = deformation.moved(np.asarray(points, dtype=np.float64).reshape(-1, 2))
     return tuple((float(u), float(v)) for u, v in moved)
 

@@ -30,7 +30,8 @@ FREQUENCIES = {
     "whorl": 0.229,
     "twin_loop": 0.05,
 }
-"""Natural frequencies of the classes (Wilson, Candela and Watson 1994; twin loops from the whorls)."""
+"""Natural frequencies of the classes (Wilson, Candela and Watson 1994; twin loops from the
+whorls)."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -55,7 +56,8 @@ class SimulatedFinger:
 class FingerPose(Checked):
     """How a finger lies under the camera. It enters from the lower image border, tip towards row 0.
 
-    The finger turns about its axis (roll), then about x (pitch), then about the camera's axis (yaw).
+    The finger turns about its axis (roll), then about x (pitch), then about the camera's axis
+    (yaw).
     """
 
     yaw_rad: Annotated[float, Limits(-0.6, 0.6)] = 0.0
@@ -69,7 +71,8 @@ class FingerPose(Checked):
     insertion_mm: Annotated[float, Limits(0.0, above=True)] = 32.0
     """From the lower image border to the tip, along the rows, as measured on the finger plane."""
     height_mm: Annotated[float, Limits()] = 0.0
-    """z of the highest point of the pad (shape without ridges): at 0 the finger plane touches the pad."""
+    """z of the highest point of the pad (shape without ridges): at 0 the finger plane touches the
+    pad."""
 
     def rotation(self) -> Array:
         """(3, 3) from the finger's frame to the camera's."""
@@ -82,7 +85,8 @@ class FingerPose(Checked):
         return np.asarray(yaw @ pitch @ roll, dtype=np.float64)
 
 
-# What makes fingers look like their owner's: forms of the pad, creases and ridge depths, with their spread.
+# What makes fingers look like their owner's: forms of the pad, creases and ridge depths, with their
+# spread.
 
 
 @dataclass(frozen=True, slots=True)
@@ -126,13 +130,25 @@ TRAITS: Mapping[str, _Trait] = {
     "second_reach": _Trait(11.5, 1.2, 8.0, 14.0),
     "second_darkening": _Trait(0.25, 0.06, 0.08, 0.4),
 }
-"""Those of :func:`draw_finger` and of people; the tip's drop (for a finger 13.5 mm thick) is our choice: a fingertip
-ends near its nail, not half-way down."""
+"""Those of :func:`draw_finger` and of people; the tip's drop (for a finger 13.5 mm thick) is our
+choice: a fingertip ends near its nail, not half-way down."""
 
 
-def shape_of(trait: Callable[[str], float], length_mm: float, width_mm: float, flatter: float = 1.0) -> FingerShape:
-    """The form of a pad of this size from its traits; its thickness is `flatter` times the trait's."""
-    as_drawn = ("tip_squareness", "taper", "pad_bulge", "pad_center", "neck", "arching_per_mm", "sideways_mm", "skew")
+def shape_of(
+    trait: Callable[[str], float], length_mm: float, width_mm: float, flatter: float = 1.0
+) -> FingerShape:
+    """The form of a pad of this size from its traits; its thickness is `flatter` times the
+    trait's."""
+    as_drawn = (
+        "tip_squareness",
+        "taper",
+        "pad_bulge",
+        "pad_center",
+        "neck",
+        "arching_per_mm",
+        "sideways_mm",
+        "skew",
+    )
     return FingerShape(
         length_mm=length_mm,
         width_mm=width_mm,
@@ -144,7 +160,11 @@ def shape_of(trait: Callable[[str], float], length_mm: float, width_mm: float, f
 
 
 def crease_of(
-    trait: Callable[[str], float], which: str, v_mm: float, side_lines: Callable[[], int], broad: float = 1.0
+    trait: Callable[[str], float],
+    which: str,
+    v_mm: float,
+    side_lines: Callable[[], int],
+    broad: float = 1.0,
 ) -> FlexionCrease:
     """The ``first`` or ``second`` crease of a finger that is `broad` times as broad as the mean."""
     return FlexionCrease(
@@ -173,13 +193,16 @@ def relief_of(trait: Callable[[str], float], creases: tuple[FlexionCrease, ...])
 def draw_finger(
     seed: int, pattern: str | None = None, *, print_settings: MasterPrintSettings | None = None
 ) -> SimulatedFinger:
-    """Draw one finger of the population; `pattern` as in :func:`splitknit_simulator.finger.master_print.master_print`,
-    None draws it with its natural frequency.
+    """Draw one finger of the population; `pattern` as in
+    :func:`splitknit_simulator.finger.master_print.master_print`, None draws it with its natural
+    frequency.
 
-    Greiner 1991, Hand anthropometry of US Army personnel (breadth and length of the distal phalanx). Maeno et al. 1998;
-    Misumi and Akiyoshi 1984 (ridge height).
+    Greiner 1991, Hand anthropometry of US Army personnel (breadth and length of the distal
+    phalanx). Maeno et al. 1998; Misumi and Akiyoshi 1984 (ridge height).
     """
-    draws = [np.random.default_rng(child) for child in np.random.SeedSequence([seed, 0xF1]).spawn(3)]
+    draws = [
+        np.random.default_rng(child) for child in np.random.SeedSequence([seed, 0xF1]).spawn(3)
+    ]
     if pattern is None:
         pattern = str(draws[0].choice(list(FREQUENCIES), p=list(FREQUENCIES.values())))
     if pattern == "loop":
@@ -189,13 +212,17 @@ def draw_finger(
 
     def around(mean: float, spread: float, low: float, high: float, shared: float = 0.0) -> float:
         own = float(rng.standard_normal())
-        return float(np.clip(mean + spread * (shared * size + np.sqrt(1 - shared**2) * own), low, high))
+        return float(
+            np.clip(mean + spread * (shared * size + np.sqrt(1 - shared**2) * own), low, high)
+        )
 
     width = around(16.8, 1.4, 14.0, 20.0, shared=0.8)
 
     def trait(name: str) -> float:
         kind = TRAITS[name]
-        return around(kind.mean, kind.spread, kind.low, 100.0 if name == "ridge_depth" else kind.high)
+        return around(
+            kind.mean, kind.spread, kind.low, 100.0 if name == "ridge_depth" else kind.high
+        )
 
     shape = shape_of(trait, around(25.0, 1.5, 22.0, 28.0, shared=0.7), width)
     rng = draws[2]
@@ -207,17 +234,24 @@ def draw_finger(
 
 
 def finger_surface(
-    finger: SimulatedFinger, pose: FingerPose, camera: Camera, *, workers: int = 2, skin: SkinMap | None = None
+    finger: SimulatedFinger,
+    pose: FingerPose,
+    camera: Camera,
+    *,
+    workers: int = 2,
+    skin: SkinMap | None = None,
 ) -> SimulatedSurface:
-    """Show one posed finger to a camera, with `skin` over the body instead of the finger's own where it is given.
+    """Show one posed finger to a camera, with `skin` over the body instead of the finger's own
+    where it is given.
 
-    The rays of an orthographic camera are parallel; those of a perspective one start at (0, 0, height_mm) and go
-    through the pixels, lens distortion included. Every pixel's ray is intersected with the smooth body and then with
-    the displaced skin (distance from the body equal to the displacement at that point of the chart); normals are the
-    gradient of that implicit skin, so they are those of the heights, exact at steep slants too, not differences of
-    neighbours. The result does not depend on `workers`, threads. A print made of this finger is the mirror image of
-    what the camera sees. Raises BadInput if the camera sees nothing of the finger, or a perspective camera does not
-    stand above it.
+    The rays of an orthographic camera are parallel; those of a perspective one start at (0, 0,
+    height_mm) and go through the pixels, lens distortion included. Every pixel's ray is intersected
+    with the smooth body and then with the displaced skin (distance from the body equal to the
+    displacement at that point of the chart); normals are the gradient of that implicit skin, so
+    they are those of the heights, exact at steep slants too, not differences of neighbours. The
+    result does not depend on `workers`, threads. A print made of this finger is the mirror image of
+    what the camera sees. Raises BadInput if the camera sees nothing of the finger, or a perspective
+    camera does not stand above it.
     """
     body = FingerBody(finger.shape)
     finger = replace(finger, printed=finger.master())
@@ -226,18 +260,21 @@ def finger_surface(
     top = above(body, placement)
     require(
         camera.model == "orthographic" or camera.height_mm > top + 5.0,
-        f"the camera stands {camera.height_mm:.1f} mm above the finger plane, but the finger needs {top + 5.0:.1f} mm; "
-        "raise camera.height_mm.",
+        f"the camera stands {camera.height_mm:.1f} mm above the finger plane, but the finger needs"
+        f" {top + 5.0:.1f} mm; raise camera.height_mm.",
     )
     surface = finger_in_view(PlacedFinger(body, skin, placement), camera, workers)
     return replace(surface, landmarks=_find_landmarks(finger, pose, surface, skin))
 
 
 def placement_of(body: FingerBody, pose: FingerPose, camera: Camera) -> Placement:
-    """Turn and shift a finger: its tip at the insertion length, the pad's highest point at the pose's height."""
+    """Turn and shift a finger: its tip at the insertion length, the pad's highest point at the
+    pose's height."""
     shape = body.shape
     rotation = pose.rotation()
-    y, side = np.meshgrid(np.linspace(1.0, shape.length_mm, 121), np.linspace(-1.0, 1.0, 81), indexing="ij")
+    y, side = np.meshgrid(
+        np.linspace(1.0, shape.length_mm, 121), np.linspace(-1.0, 1.0, 81), indexing="ij"
+    )
     x = side * 0.55 * shape.width_mm
     z = body.top(x, y)
     seen = np.isfinite(z)
@@ -276,7 +313,9 @@ def _find_landmarks(
     creases = [visible(line[::8]) for line in skin.crease_lines]
     minutiae = pixels(master.minutiae[:, :2]) if len(master.minutiae) else np.zeros((0, 2))
     # (N, 2) places of the pores on the chart
-    rows, columns = np.nonzero((master.pores > 0.25) & (master.pores >= cv2.dilate(master.pores, np.ones((3, 3)))))
+    rows, columns = np.nonzero(
+        (master.pores > 0.25) & (master.pores >= cv2.dilate(master.pores, np.ones((3, 3))))
+    )
     pores_mm = np.stack([master.u_mm[columns], master.v_mm[rows]], axis=1)
     return {
         "tip_px": _tip(mask, pose),
@@ -299,10 +338,13 @@ class _Lattice:
         rows, columns = np.nonzero(mask[::step, ::step])
         self.seeds = np.stack([columns, rows], 1).astype(np.float64) * step
         self.chart = chart
-        self.tree = cKDTree(chart[rows * step, columns * step].astype(np.float64)) if len(rows) else None
+        self.tree = (
+            cKDTree(chart[rows * step, columns * step].astype(np.float64)) if len(rows) else None
+        )
 
     def find(self, points: Array) -> Array:
-        """Return (N, 2) columns and rows by Newton steps from the nearest seed; NaN where nothing shows the point."""
+        """Return (N, 2) columns and rows by Newton steps from the nearest seed; NaN where nothing
+        shows the point."""
         if self.tree is None or not len(points):
             return np.full(points.shape, np.nan)
         guess = self.seeds[self.tree.query(points)[1]]
@@ -319,10 +361,13 @@ class _Lattice:
         return np.where(good[:, None], guess, np.nan)
 
     def _sample(self, pixels: Array) -> tuple[Array, Array, Array]:
-        """Chart and its steps per column and per row at (N, 2) positions; NaN outside the finger."""
+        """Chart and its steps per column and per row at (N, 2) positions; NaN outside the
+        finger."""
         rows, columns = self.chart.shape[:2]
         inside = np.isfinite(pixels).all(axis=1)
-        inside &= (pixels >= 0).all(axis=1) & (pixels[:, 0] <= columns - 1) & (pixels[:, 1] <= rows - 1)
+        inside &= (
+            (pixels >= 0).all(axis=1) & (pixels[:, 0] <= columns - 1) & (pixels[:, 1] <= rows - 1)
+        )
         safe = np.where(inside[:, None], pixels, 0.0)
         j = np.clip(safe[:, 0].astype(np.intp), 0, max(columns - 2, 0))
         i = np.clip(safe[:, 1].astype(np.intp), 0, max(rows - 2, 0))
@@ -354,7 +399,8 @@ class PoseRanges:
     """Ranges from which a finger's pose is drawn, evenly."""
 
     yaw_deg: tuple[float, float] = (-10.0, 10.0)
-    """Turn about the camera's axis, counter-clockwise in the image (the tip turns to the left); 34 deg at most."""
+    """Turn about the camera's axis, counter-clockwise in the image (the tip turns to the left); 34
+    deg at most."""
     pitch_deg: tuple[float, float] = (-4.0, 4.0)
     """Turn about the x axis, positive lifts the tip towards the camera; 34 deg at most."""
     roll_deg: tuple[float, float] = (-8.0, 8.0)
@@ -368,12 +414,24 @@ class PoseRanges:
 
     def __post_init__(self) -> None:
         for name, (low, high) in asdict(self).items():
-            require(bool(np.isfinite([low, high]).all()) and low <= high, f"pose range {name} must be (low, high).")
+            require(
+                bool(np.isfinite([low, high]).all()) and low <= high,
+                f"pose range {name} must be (low, high).",
+            )
 
     def draw(self, rng: np.random.Generator, camera: Camera) -> FingerPose:
         """Return one pose; every range takes one number from `rng`, in a fixed order."""
-        ranges = (self.yaw_deg, self.pitch_deg, self.roll_deg, self.x_mm, self.insertion_mm, self.height_mm)
-        yaw, pitch, roll, x, insertion, height = (float(low + (high - low) * rng.random()) for low, high in ranges)
+        ranges = (
+            self.yaw_deg,
+            self.pitch_deg,
+            self.roll_deg,
+            self.x_mm,
+            self.insertion_mm,
+            self.height_mm,
+        )
+        yaw, pitch, roll, x, insertion, height = (
+            float(low + (high - low) * rng.random()) for low, high in ranges
+        )
         yaw, pitch, roll = (float(np.deg2rad(turn)) for turn in (yaw, pitch, roll))
         _, lower, upper = picture_on_plane(camera)
         return FingerPose(yaw, pitch, roll, x, min(insertion, upper - lower - 0.6), height)

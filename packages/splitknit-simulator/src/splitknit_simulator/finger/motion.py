@@ -1,7 +1,9 @@
-"""A finger that does not lie still while it is photographed: drift, tremor, small turns, and skin that slips.
+"""A finger that does not lie still while it is photographed: drift, tremor, small turns, and skin
+that slips.
 
-A hand that holds still for seconds drifts slowly, as a random walk, and trembles at 8 to 12 Hz by a small part of that.
-The finger turns a little with it (yaw and roll), and where it rests on something its skin slips over the bone.
+A hand that holds still for seconds drifts slowly, as a random walk, and trembles at 8 to 12 Hz by a
+small part of that. The finger turns a little with it (yaw and roll), and where it rests on
+something its skin slips over the bone.
 """
 
 from __future__ import annotations
@@ -17,7 +19,12 @@ from splitknit import Camera
 from splitknit.settings import Checked, Limits
 from splitknit_simulator.camera.lens import pixels_of_points
 from splitknit_simulator.finger.deformation import Deformation, deformed, draw_deformation
-from splitknit_simulator.finger.finger import FingerPose, SimulatedFinger, finger_surface, placement_of
+from splitknit_simulator.finger.finger import (
+    FingerPose,
+    SimulatedFinger,
+    finger_surface,
+    placement_of,
+)
 from splitknit_simulator.finger.master_print import MasterPrint
 from splitknit_simulator.finger.shape import FingerBody
 from splitknit_simulator.surface import Array, SimulatedSurface
@@ -26,14 +33,16 @@ _SHOT_S = 0.5  # time from shot to shot; the thesis takes 14 in 7 s
 EXPOSURE_S = 0.02  # time that a shot takes; tremor blurs it
 _TREMOR_HZ = (8.0, 12.0)  # physiological tremor (Elble and Koller 1990)
 _TREMOR_SHARE = 0.05  # standard deviation of the tremor relative to the drift's amplitude
-_TURN_DEG_PER_MM = 1.5  # largest difference of yaw, and of roll, between two shots, for each mm of amplitude
+# largest difference of yaw, and of roll, between two shots, for each mm of amplitude
+_TURN_DEG_PER_MM = 1.5
 _SLIP = 0.1  # largest slip of the skin between two shots, over the amplitude
 _SLIP_SMOOTH_MM = 5.0  # length over which the slip is smooth
 
 
 @dataclass(frozen=True, slots=True)
 class HandMotion(Checked):
-    """How far and how a finger moves during a capture. Numbers are our choice where no source is named."""
+    """How far and how a finger moves during a capture. Numbers are our choice where no source is
+    named."""
 
     _group = "motion"
 
@@ -54,7 +63,9 @@ class _MotionPath:
     reference: int
 
 
-def draw_path(rng: np.random.Generator, shots: int, settings: HandMotion, reference: int) -> _MotionPath:
+def draw_path(
+    rng: np.random.Generator, shots: int, settings: HandMotion, reference: int
+) -> _MotionPath:
     """Draw a path of N shots that is zero in the shot `reference`."""
     time: Array = np.asarray(np.arange(shots) * _SHOT_S, dtype=np.float64)
     drift = _walk(rng, shots, 2)
@@ -62,10 +73,14 @@ def draw_path(rng: np.random.Generator, shots: int, settings: HandMotion, refere
     phase = rng.uniform(0.0, 2.0 * np.pi, (3, 2))
     angle = 2.0 * np.pi * frequency * time[:, None, None] + phase
     tremor = np.sin(angle).sum(axis=1) * (_TREMOR_SHARE * np.sqrt(2.0 / 3.0))
-    speed = (2.0 * np.pi * frequency * np.cos(angle)).sum(axis=1) * (_TREMOR_SHARE * np.sqrt(2.0 / 3.0))
+    speed = (2.0 * np.pi * frequency * np.cos(angle)).sum(axis=1) * (
+        _TREMOR_SHARE * np.sqrt(2.0 / 3.0)
+    )
     path = drift / _spread(drift) + tremor
     scale = settings.amplitude_mm / _spread(path)
-    yaw, roll = (walk[:, 0] / _spread(walk) for walk in (_walk(rng, shots, 1), _walk(rng, shots, 1)))
+    yaw, roll = (
+        walk[:, 0] / _spread(walk) for walk in (_walk(rng, shots, 1), _walk(rng, shots, 1))
+    )
     slip = _walk(rng, shots, 2)
 
     def against(values: Array) -> Array:
@@ -129,7 +144,8 @@ class _MovingFinger:
         return Deformation(first.u_mm, first.v_mm, shift)
 
     def surfaces(self, workers: int = 2) -> Iterator[SimulatedSurface]:
-        """Yield the surface of every shot, in the order in which they are taken; the threads do not change them."""
+        """Yield the surface of every shot, in the order in which they are taken; the threads do not
+        change them."""
         for shot in range(len(self.path.time_s)):
             master = self.master
             if self.path.slip[shot].any():
@@ -138,10 +154,12 @@ class _MovingFinger:
             yield finger_surface(worn, self.pose_of(shot), self.camera, workers=workers)
 
     def truth(self, reference: SimulatedSurface) -> dict[str, NDArray[Any]]:
-        """Arrays by name: the path, and where the skin of the reference shot lies in every other picture.
+        """Arrays by name: the path, and where the skin of the reference shot lies in every other
+        picture.
 
-        ``motion_flow_px`` (N, 2, h, w): columns and rows by which the skin that the reference shows at the pixels
-        ``motion_rows`` (h,) x ``motion_columns`` (w,) lies elsewhere in shot k; NaN beside the finger.
+        ``motion_flow_px`` (N, 2, h, w): columns and rows by which the skin that the reference shows
+        at the pixels ``motion_rows`` (h,) x ``motion_columns`` (w,) lies elsewhere in shot k; NaN
+        beside the finger.
         """
         path = self.path
         step = max(1, round(TRUTH_STEP_MM * self.camera.px_per_mm))
@@ -149,7 +167,9 @@ class _MovingFinger:
         grid = np.ix_(rows, columns)
         inside = reference.mask[grid]
         flow = np.full((len(path.time_s), 2, *inside.shape), np.nan, dtype=np.float32)
-        here = np.stack([at[inside] for at in np.meshgrid(columns.astype(np.float64), rows.astype(np.float64))])
+        here = np.stack(
+            [at[inside] for at in np.meshgrid(columns.astype(np.float64), rows.astype(np.float64))]
+        )
         points = _points(reference, grid, inside, here)
         body = FingerBody(self.finger.shape)
         on_finger = np.stack(placement_of(body, self.pose, self.camera).to_finger(*points))
@@ -171,21 +191,34 @@ class _MovingFinger:
 
 
 def moving_finger(
-    finger: SimulatedFinger, pose: FingerPose, camera: Camera, path: _MotionPath, seed: np.random.SeedSequence
+    finger: SimulatedFinger,
+    pose: FingerPose,
+    camera: Camera,
+    path: _MotionPath,
+    seed: np.random.SeedSequence,
 ) -> _MovingFinger:
-    """Draw the motion of a finger that lies in `pose` in its reference shot; `seed`: of the slip."""
+    """Draw the motion of a finger that lies in `pose` in its reference shot; `seed`: of the
+    slip."""
     master = finger.master()
     rng = np.random.default_rng(seed)
     unit_mm = 0.1 * _SLIP_SMOOTH_MM
     fields = [draw_deformation(rng, master, unit_mm, _SLIP_SMOOTH_MM) for _ in "12"]
-    first, second = (Deformation(drawn.u_mm, drawn.v_mm, drawn.shift_mm * (1 / unit_mm)) for drawn in fields)
+    first, second = (
+        Deformation(drawn.u_mm, drawn.v_mm, drawn.shift_mm * (1 / unit_mm)) for drawn in fields
+    )
     return _MovingFinger(finger, pose, camera, master, path, (first, second))
 
 
-def _points(surface: SimulatedSurface, grid: Any, inside: NDArray[np.bool_], here: Array) -> tuple[Array, Array, Array]:
-    """x, y and z (N,) of the smooth skin at some pixels; of a perspective camera, of the skin itself."""
+def _points(
+    surface: SimulatedSurface, grid: Any, inside: NDArray[np.bool_], here: Array
+) -> tuple[Array, Array, Array]:
+    """x, y and z (N,) of the smooth skin at some pixels; of a perspective camera, of the skin
+    itself."""
     if surface.x_mm is not None and surface.y_mm is not None:
-        x, y, z = (part[grid][inside].astype(np.float64) for part in (surface.x_mm, surface.y_mm, surface.height_mm))
+        x, y, z = (
+            part[grid][inside].astype(np.float64)
+            for part in (surface.x_mm, surface.y_mm, surface.height_mm)
+        )
         return x, y, z
     (height, width), pitch = surface.mask.shape, surface.camera.pitch_mm
     x, y = (here[0] - (width - 1) / 2) * pitch, ((height - 1) / 2 - here[1]) * pitch

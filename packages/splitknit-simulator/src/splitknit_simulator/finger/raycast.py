@@ -26,7 +26,8 @@ Triple = tuple[Array, Array, Array]
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Rays:
-    """Lines of sight, parametrised by their height: at z a ray passes (x - z slope_x, y - z slope_y, z), in mm."""
+    """Lines of sight, parametrised by their height: at z a ray passes (x - z slope_x, y - z
+    slope_y, z), in mm."""
 
     x: Array  # (N,) where they meet the finger plane
     y: Array
@@ -45,7 +46,8 @@ class _Rays:
         return self.x - self.slopes[0] * z, self.y - self.slopes[1] * z, z
 
     def rise(self, rotation: Array, gx: Array, gy: Array, gz: Array) -> Array:
-        """(N,) change of a function per mm of height along the rays, from its gradient in the finger's frame."""
+        """(N,) change of a function per mm of height along the rays, from its gradient in the
+        finger's frame."""
         up = gx * rotation[2, 0] + gy * rotation[2, 1] + gz * rotation[2, 2]
         if self.slopes is None:
             return np.asarray(up)
@@ -53,23 +55,30 @@ class _Rays:
         return np.asarray(up - self.slopes[0] * along_x - self.slopes[1] * along_y)
 
     def along(self, vectors: Array) -> Array:
-        """(N,) change per mm of height along the rays, from the gradient (N, 3) in the camera's frame."""
+        """(N,) change per mm of height along the rays, from the gradient (N, 3) in the camera's
+        frame."""
         if self.slopes is None:
             return vectors[:, 2]
         return vectors[:, 2] - self.slopes[0] * vectors[:, 0] - self.slopes[1] * vectors[:, 1]
 
     def length(self) -> Array | float:
         """(N,) mm of the rays per mm of height."""
-        return 1.0 if self.slopes is None else np.sqrt(1.0 + self.slopes[0] ** 2 + self.slopes[1] ** 2)
+        return (
+            1.0 if self.slopes is None else np.sqrt(1.0 + self.slopes[0] ** 2 + self.slopes[1] ** 2)
+        )
 
     def turn_to_view(self, normals: Array, least: float = 1e-3) -> None:
-        """Turn unit vectors (N, 3) whose cosine with the direction to the viewer is below `least`, in place."""
+        """Turn unit vectors (N, 3) whose cosine with the direction to the viewer is below `least`,
+        in place."""
         cosine = self.along(normals) / self.length()
         away = cosine < least
         if self.slopes is None:
             normals[away, 2] = least
         else:
-            view = np.stack([-self.slopes[0][away], -self.slopes[1][away], np.ones(np.count_nonzero(away))], axis=1)
+            view = np.stack(
+                [-self.slopes[0][away], -self.slopes[1][away], np.ones(np.count_nonzero(away))],
+                axis=1,
+            )
             view /= np.linalg.norm(view, axis=1, keepdims=True)
             normals[away] += (least - cosine[away])[:, None] * view
         normals[away] /= np.sqrt((normals[away] ** 2).sum(axis=1, keepdims=True))
@@ -94,10 +103,11 @@ Gap = Callable[[NDArray[np.intp], Array], Array]
 def _first_root(gap: Gap, start: Array, bound: Array, *, careful: int) -> tuple[Array, BoolArray]:
     """Find where `gap` (positive at `start`) first falls to zero with growing depth.
 
-    `careful` steps of gap / bound come first, then secants, never shorter than a growing micrometre, so that a ridge
-    that is only touched is passed. Once the sign has changed: regula falsi and, every third time, bisection. `gap`:
-    function to search, for (N,) rays; `start`: (N,) depths outside; `bound`: (N,) how fast the gap can fall, per depth.
-    Returns (N,) depths, and where a root was found.
+    `careful` steps of gap / bound come first, then secants, never shorter than a growing
+    micrometre, so that a ridge that is only touched is passed. Once the sign has changed: regula
+    falsi and, every third time, bisection. `gap`: function to search, for (N,) rays; `start`: (N,)
+    depths outside; `bound`: (N,) how fast the gap can fall, per depth. Returns (N,) depths, and
+    where a root was found.
     """
     result, met = start.copy(), np.zeros(start.size, dtype=np.bool_)
     active = np.arange(start.size)
@@ -106,8 +116,14 @@ def _first_root(gap: Gap, start: Array, bound: Array, *, careful: int) -> tuple[
     for k in range(64):
         outer, outer_gap, inner, inner_gap, slope, limit = state
         bracketed = np.isfinite(inner)
-        inside = 0.5 * (inner - outer) if k % 3 == 2 else (inner - outer) * outer_gap / (outer_gap - inner_gap)
-        trial = outer + np.where(bracketed, inside, np.clip(outer_gap / slope, np.minimum(1e-3 * 1.15**k, 0.3), 0.3))
+        inside = (
+            0.5 * (inner - outer)
+            if k % 3 == 2
+            else (inner - outer) * outer_gap / (outer_gap - inner_gap)
+        )
+        trial = outer + np.where(
+            bracketed, inside, np.clip(outer_gap / slope, np.minimum(1e-3 * 1.15**k, 0.3), 0.3)
+        )
         now = gap(active, trial)
         done = np.abs(now) < 1e-6
         result[active[done]], met[active[done]] = trial[done], True
@@ -129,8 +145,9 @@ def _first_root(gap: Gap, start: Array, bound: Array, *, careful: int) -> tuple[
 
 
 def _polish(gap: Gap, depth: Array, facing: Array, met: BoolArray) -> tuple[Array, BoolArray]:
-    """Refine roots by up to three secants on `gap`; returns (N,) depths and where they settled. `facing`: (N,) typical
-    slope of the gap, for the first step; `met`: (N,) which entries of `depth` to refine.
+    """Refine roots by up to three secants on `gap`; returns (N,) depths and where they settled.
+    `facing`: (N,) typical slope of the gap, for the first step; `met`: (N,) which entries of
+    `depth` to refine.
     """
     result, close = depth.copy(), np.zeros(depth.size, dtype=np.bool_)
     active = np.nonzero(met)[0]
@@ -197,7 +214,8 @@ class CoarseHits(NamedTuple):
 def coarse_hits(
     body: FingerBody, placement: Placement, camera: Camera, box: tuple[slice, slice], top: float
 ) -> CoarseHits:
-    """Where rays of the rows and columns `box`, 0.4 mm apart, meet the smooth finger below the height `top`."""
+    """Where rays of the rows and columns `box`, 0.4 mm apart, meet the smooth finger below the
+    height `top`."""
     step = max(1, int(0.4 * camera.px_per_mm))
     rows, columns = (np.arange(part.start, part.stop + step, step) for part in box)
     rays = rays_of(camera, rows, columns)
@@ -215,24 +233,31 @@ def _hits(body: FingerBody, placement: Placement, camera: Camera) -> tuple[slice
         hits[1:3], (hits.seen.any(axis=1), hits.seen.any(axis=0)), camera.image_size, strict=True
     ):
         first, last = places[seen][[0, -1]]
-        parts.append(slice(max(0, int(first) - 2 * hits.step), min(length, int(last) + 2 * hits.step)))
+        parts.append(
+            slice(max(0, int(first) - 2 * hits.step), min(length, int(last) + 2 * hits.step))
+        )
     return parts[0], parts[1]
 
 
 _SHAPES: tuple[tuple[int, ...], ...] = ((), (), (3,), (3,), (), (), (2,), (), ())
 _EMPTY = (np.nan, np.nan, 0.0, 0.0, 0.0, 1.0, np.nan, np.nan, np.nan)
-"""What :func:`cast_rays` returns: the shape of a ray's values, and what stands where a ray meets nothing."""
+"""What :func:`cast_rays` returns: the shape of a ray's values, and what stands where a ray meets
+nothing."""
 Cast = Callable[[NDArray[np.intp]], tuple[NDArray[np.intp], Sequence[Array | FloatArray]]]
 
 
-def fill_surface(camera: Camera, box: tuple[slice, slice], cast: Cast, workers: int) -> SimulatedSurface:
+def fill_surface(
+    camera: Camera, box: tuple[slice, slice], cast: Cast, workers: int
+) -> SimulatedSurface:
     """Show what the rays of the rows and columns `box` of the camera's pixels meet, with its chart.
 
-    `cast` takes rows; it gives the places, among their pixels of the box, whose rays meet skin, and for those what
-    :func:`cast_rays` returns. The result does not depend on `workers`, threads.
+    `cast` takes rows; it gives the places, among their pixels of the box, whose rays meet skin, and
+    for those what :func:`cast_rays` returns. The result does not depend on `workers`, threads.
     """
     kinds = list(zip(_SHAPES, _EMPTY, strict=True))[: 9 if camera.model == "perspective" else 7]
-    arrays = [np.full((*camera.image_size, *shape), empty, dtype=np.float32) for shape, empty in kinds]
+    arrays = [
+        np.full((*camera.image_size, *shape), empty, dtype=np.float32) for shape, empty in kinds
+    ]
     across = _range(box[1])
     tall = 4 * max(4, 6000 // across.size)  # about 24000 pixels fit the cache
 
@@ -254,7 +279,8 @@ def fill_surface(camera: Camera, box: tuple[slice, slice], cast: Cast, workers: 
 
 
 def finger_in_view(finger: PlacedFinger, camera: Camera, workers: int) -> SimulatedSurface:
-    """The first points of a placed finger on the rays of all pixels; BadInput if the camera sees nothing of it."""
+    """The first points of a placed finger on the rays of all pixels; BadInput if the camera sees
+    nothing of it."""
     body, placement = finger.body, finger.placement
     box = _hits(body, placement, camera)
 
@@ -271,12 +297,13 @@ def finger_in_view(finger: PlacedFinger, camera: Camera, workers: int) -> Simula
 def cast_rays(
     finger: PlacedFinger, rays: _Rays, start: Array, *, bottom: float | None = None
 ) -> tuple[NDArray[np.intp], tuple[Array | FloatArray, ...]]:
-    """Which of the rays meet the skin, and for those height, shape height, normals, shape normals, relief (um), pigment
-    and chart; of a perspective camera also x and y of the skin (mm), which do not follow from the grid.
+    """Which of the rays meet the skin, and for those height, shape height, normals, shape normals,
+    relief (um), pigment and chart; of a perspective camera also x and y of the skin (mm), which do
+    not follow from the grid.
 
-    The search goes down from the heights `start`, which must lie above the finger. The placement may be left-handed:
-    a finger behind a mirror. Rays that run along the finger, where it is not convex, are followed down to `bottom`
-    where it is given.
+    The search goes down from the heights `start`, which must lie above the finger. The placement
+    may be left-handed: a finger behind a mirror. Rays that run along the finger, where it is not
+    convex, are followed down to `bottom` where it is given.
     """
     body, placement = finger.body, finger.placement
     z_shape, hit = meet_body(body, placement, rays, start)
@@ -308,8 +335,11 @@ def above(body: FingerBody, placement: Placement) -> float:
     return float(placement.shift[2]) + 0.62 * body.shape.thickness_mm + 2.0
 
 
-def _first_guess(body: FingerBody, placement: Placement, camera: Camera, block: tuple[slice, slice]) -> Array:
-    """Heights to start from, (N,): the body met on every fourth pixel, interpolated; from above near the outline."""
+def _first_guess(
+    body: FingerBody, placement: Placement, camera: Camera, block: tuple[slice, slice]
+) -> Array:
+    """Heights to start from, (N,): the body met on every fourth pixel, interpolated; from above
+    near the outline."""
     step = 4
     rows, columns = _range(block[0]), _range(block[1])
     some_rows = np.arange(rows[0], rows[-1] + step + 1, step)
@@ -329,8 +359,11 @@ def _first_guess(body: FingerBody, placement: Placement, camera: Camera, block: 
     return np.asarray(guess.ravel(), dtype=np.float64)
 
 
-def meet_body(body: FingerBody, placement: Placement, rays: _Rays, start: Array) -> tuple[Array, BoolArray]:
-    """Newton from above: heights of the front intersection with a body that is convex along every ray."""
+def meet_body(
+    body: FingerBody, placement: Placement, rays: _Rays, start: Array
+) -> tuple[Array, BoolArray]:
+    """Newton from above: heights of the front intersection with a body that is convex along every
+    ray."""
     z = start.copy()
     settled = np.zeros(z.shape, dtype=np.bool_)
     active = np.arange(z.size)
@@ -350,9 +383,14 @@ def meet_body(body: FingerBody, placement: Placement, rays: _Rays, start: Array)
 
 
 def _meet_along(
-    body: FingerBody, placement: Placement, rays: _Rays, heights: tuple[Array, float], hits: tuple[Array, BoolArray]
+    body: FingerBody,
+    placement: Placement,
+    rays: _Rays,
+    heights: tuple[Array, float],
+    hits: tuple[Array, BoolArray],
 ) -> None:
-    """Follow the rays that Newton's steps lost, in small steps; heights and hits of `found` are changed in place."""
+    """Follow the rays that Newton's steps lost, in small steps; heights and hits of `found` are
+    changed in place."""
     (start, bottom), (z, settled) = heights, hits
     which = np.nonzero(~settled)[0]
     here = start[which].copy()
@@ -365,19 +403,26 @@ def _meet_along(
             low, high = here[inside], here[inside] + 0.5
             for _ in range(20):
                 middle = 0.5 * (low + high)
-                within = body.value_and_gradient(*placement.to_finger(*rays.some(entered).at(middle)))[0] < 0
+                within = (
+                    body.value_and_gradient(*placement.to_finger(*rays.some(entered).at(middle)))[0]
+                    < 0
+                )
                 low, high = np.where(within, middle, low), np.where(within, high, middle)
             z[entered], settled[entered] = 0.5 * (low + high), True
         going = ~inside & (here > bottom)
         which, here = which[going], here[going]
 
 
-def _meet_skin(finger: PlacedFinger, rays: _Rays, z0: Array, facing: Array) -> tuple[Array, BoolArray]:
-    """Go down every ray from the smooth skin to the displaced one: (N,) heights, and which rays met it.
+def _meet_skin(
+    finger: PlacedFinger, rays: _Rays, z0: Array, facing: Array
+) -> tuple[Array, BoolArray]:
+    """Go down every ray from the smooth skin to the displaced one: (N,) heights, and which rays met
+    it.
 
-    The search for the first intersection runs on a quadratic model of distance and chart along the ray; a last
-    iteration uses the exact ones. Where the skin is steep, the first steps are too short to pass an intersection.
-    `z0` are the heights of the smooth skin; `facing` is how fast the distance from it grows per mm of height.
+    The search for the first intersection runs on a quadratic model of distance and chart along the
+    ray; a last iteration uses the exact ones. Where the skin is steep, the first steps are too
+    short to pass an intersection. `z0` are the heights of the smooth skin; `facing` is how fast the
+    distance from it grows per mm of height.
     """
     body, skin, placement = finger.body, finger.skin, finger.placement
     model = _ray_model(body, placement, rays, z0, facing)
@@ -390,7 +435,9 @@ def _meet_skin(finger: PlacedFinger, rays: _Rays, z0: Array, facing: Array) -> t
         return d - skin.displacement(u, v)
 
     def exact(which: NDArray[np.intp], depth: Array) -> Array:
-        d, u, v = body.distance_and_chart(*placement.to_finger(*rays.some(which).at(z0[which] - depth)))
+        d, u, v = body.distance_and_chart(
+            *placement.to_finger(*rays.some(which).at(z0[which] - depth))
+        )
         return d - skin.displacement(u, v)
 
     clearance = -0.008 / np.maximum(facing, 0.02)
@@ -409,7 +456,9 @@ def _ray_model(
 ) -> list[tuple[Array, Array, Array]]:
     """Quadratics in the depth under the smooth skin for distance, u and v along every ray."""
     step = 0.05 / np.maximum(facing, 0.2)
-    samples = [body.distance_and_chart(*placement.to_finger(*rays.at(z0 - k * step))) for k in range(3)]
+    samples = [
+        body.distance_and_chart(*placement.to_finger(*rays.at(z0 - k * step))) for k in range(3)
+    ]
     model = []
     for first, second, third in zip(*samples, strict=True):
         curve = (0.5 * (third - 2.0 * second + first)) / (step * step)
@@ -418,7 +467,8 @@ def _ray_model(
 
 
 def _skin_normals(finger: PlacedFinger, points: Triple) -> tuple[Array, Array, Array, Array]:
-    """Unit normals (N, 3) in the camera's frame, displacement (mm) and chart at points of the displaced skin."""
+    """Unit normals (N, 3) in the camera's frame, displacement (mm) and chart at points of the
+    displaced skin."""
     body, skin, placement = finger.body, finger.skin, finger.placement
     x, y, z = placement.to_finger(*points)
     distance, u, v = body.distance_and_chart(x, y, z)
@@ -428,5 +478,7 @@ def _skin_normals(finger: PlacedFinger, points: Triple) -> tuple[Array, Array, A
     step = 1e-4
     for dx, dy, dz in step * np.eye(3):
         there, there_u, there_v = body.distance_and_chart(x + dx, y + dy, z + dz)
-        gradient.append(((there - distance) - along_u * (there_u - u) - along_v * (there_v - v)) / step)
+        gradient.append(
+            ((there - distance) - along_u * (there_u - u) - along_v * (there_v - v)) / step
+        )
     return placement.normal_to_camera(*gradient), relief, u, v

@@ -48,8 +48,12 @@ class SkinRelief:
     pore_darkening: float = 0.06
     """Loss of diffuse reflectance at a pore."""
     undulation_mm: float = 0.0
-    """Standard deviation of bumps and dents below the ridges, some 5 mm wide: no finger is as even as its model."""
-    creases: tuple[FlexionCrease, ...] = (FlexionCrease(), FlexionCrease(v_mm=-23.0, depth_mm=0.5, side_lines=3))
+    """Standard deviation of bumps and dents below the ridges, some 5 mm wide: no finger is as even
+    as its model."""
+    creases: tuple[FlexionCrease, ...] = (
+        FlexionCrease(),
+        FlexionCrease(v_mm=-23.0, depth_mm=0.5, side_lines=3),
+    )
     """From the first crease towards the palm."""
 
 
@@ -57,7 +61,8 @@ class SkinRelief:
 class SkinMap:
     """Displacement over the chart as a cubic spline, and pigment."""
 
-    # (H, W) cubic B-spline coefficients of the displacement along the shape's normal, mm; 0 on ridge tops
+    # (H, W) cubic B-spline coefficients of the displacement along the shape's normal, mm; 0 on
+    # ridge tops
     coefficients: Array
     pigment: FloatArray  # (H, W) multiplier of the diffuse reflectance
     u0_mm: float
@@ -68,39 +73,56 @@ class SkinMap:
     def displacement(self, u: Array, v: Array) -> Array:
         """Displacement (mm, negative inwards) at chart points; the map continues by reflection."""
         places = (self.v0_mm - v) / self.pitch_mm, (u - self.u0_mm) / self.pitch_mm
-        return ndimage.map_coordinates(self.coefficients, places, order=3, prefilter=False, mode="mirror")
+        return ndimage.map_coordinates(
+            self.coefficients, places, order=3, prefilter=False, mode="mirror"
+        )
 
     def displacement_gradient(self, u: Array, v: Array, here: Array) -> tuple[Array, Array]:
         """Slopes along u and v, given the displacement `here`; one-sided over 0.1 um."""
         step = 1e-4
-        return ((self.displacement(u + step, v) - here) / step, (self.displacement(u, v + step) - here) / step)
+        return (
+            (self.displacement(u + step, v) - here) / step,
+            (self.displacement(u, v + step) - here) / step,
+        )
 
     def pigment_at(self, u: Array, v: Array) -> FloatArray:
         """Pigment at chart points."""
         places = (self.v0_mm - v) / self.pitch_mm, (u - self.u0_mm) / self.pitch_mm
-        return np.asarray(ndimage.map_coordinates(self.pigment, places, order=1, mode="mirror"), dtype=np.float32)
+        return np.asarray(
+            ndimage.map_coordinates(self.pigment, places, order=1, mode="mirror"), dtype=np.float32
+        )
 
 
-_UNDULATION_MM = 1.6  # standard deviation of the Gaussian mean behind :attr:`SkinRelief.undulation_mm`
+# standard deviation of the Gaussian mean behind :attr:`SkinRelief.undulation_mm`
+_UNDULATION_MM = 1.6
 
 
 def skin_map(master: MasterPrint, settings: SkinRelief | None = None) -> SkinMap:
     """Lay ridges, pores and creases over the chart.
 
-    Ridges flatten inside the grooves. All draws (depths, lines beside creases) follow from the master print's seed.
+    Ridges flatten inside the grooves. All draws (depths, lines beside creases) follow from the
+    master print's seed.
     """
     settings = settings or SkinRelief()
-    draws = [np.random.default_rng(child) for child in np.random.SeedSequence([master.seed, 0x5C1]).spawn(2)]
+    draws = [
+        np.random.default_rng(child)
+        for child in np.random.SeedSequence([master.seed, 0x5C1]).spawn(2)
+    ]
     pitch = float(master.u_mm[1] - master.u_mm[0])
     depth = 1.0 + settings.depth_variation * smooth_noise(draws[0], master.ridge.shape, 4.0 / pitch)
     depth = np.clip(depth, 0.5, 1.5) * settings.ridge_depth_um * 1e-3
     groove, shade = np.zeros((2, *master.ridge.shape))
-    lines = [_cut(draws[1], crease, (master.u_mm, master.v_mm), groove, shade) for crease in settings.creases]
+    lines = [
+        _cut(draws[1], crease, (master.u_mm, master.v_mm), groove, shade)
+        for crease in settings.creases
+    ]
     flatten = np.exp(-((groove / 0.15) ** 2))
     displacement = -groove - depth * (1.0 - master.ridge) * (0.25 + 0.75 * flatten)
     displacement -= 1e-3 * settings.pore_depth_um * master.pores * flatten
     if settings.undulation_mm > 0:
-        soft = smooth_noise(np.random.default_rng([master.seed, 0x5C2]), master.ridge.shape, _UNDULATION_MM / pitch)
+        soft = smooth_noise(
+            np.random.default_rng([master.seed, 0x5C2]), master.ridge.shape, _UNDULATION_MM / pitch
+        )
         displacement += settings.undulation_mm * (soft - soft.max())
     pigment = (1.0 - shade) * (1.0 - settings.pore_darkening * master.pores * flatten)
     return SkinMap(
@@ -114,11 +136,18 @@ def skin_map(master: MasterPrint, settings: SkinRelief | None = None) -> SkinMap
 
 
 def _cut(
-    rng: np.random.Generator, crease: FlexionCrease, axes: tuple[Array, Array], groove: Array, shade: Array
+    rng: np.random.Generator,
+    crease: FlexionCrease,
+    axes: tuple[Array, Array],
+    groove: Array,
+    shade: Array,
 ) -> Array:
     """Add one crease to `groove` (depth, mm) and `shade` in place; return its main line (N, 2)."""
     u, v = axes
-    waves = [(rng.uniform(0.05, 0.2), rng.uniform(5.0, 12.0), rng.uniform(0, 2 * np.pi)) for _ in range(2)]
+    waves = [
+        (rng.uniform(0.05, 0.2), rng.uniform(5.0, 12.0), rng.uniform(0, 2 * np.pi))
+        for _ in range(2)
+    ]
     main = crease.v_mm + crease.tilt * u + crease.bow_per_mm * u * u
     main = main + sum(a * np.sin(2 * np.pi * u / length + phase) for a, length, phase in waves)
     lines = [(main, crease.depth_mm, crease.width_mm, 0.0, crease.reach_mm)]
@@ -135,13 +164,21 @@ def _cut(
             )
         )
     reach = np.abs(v - crease.v_mm) < 8.0
-    rows = slice(int(np.argmax(reach)), int(v.size - np.argmax(reach[::-1]))) if reach.any() else slice(0, 0)
+    rows = (
+        slice(int(np.argmax(reach)), int(v.size - np.argmax(reach[::-1])))
+        if reach.any()
+        else slice(0, 0)
+    )
     for line, depth, width, middle, half in lines:
         slope = np.gradient(line, u)
         across = (v[rows, None] - line[None, :]) / np.sqrt(1.0 + slope * slope)[None, :]
         fade = 1.0 / (1.0 + np.exp((np.abs(u - middle) - half) / 0.9))
         cut = depth * np.exp(-0.5 * (across / width) ** 2) * fade[None, :]
         groove[rows] = np.sqrt(groove[rows] ** 2 + cut**2)
-        dark = crease.darkening * (depth / max(crease.depth_mm, 1e-9)) * np.exp(-0.5 * (across / (1.3 * width)) ** 2)
+        dark = (
+            crease.darkening
+            * (depth / max(crease.depth_mm, 1e-9))
+            * np.exp(-0.5 * (across / (1.3 * width)) ** 2)
+        )
         shade[rows] = np.maximum(shade[rows], dark * fade[None, :])
     return np.stack([u, main], 1)

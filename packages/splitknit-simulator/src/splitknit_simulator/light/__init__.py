@@ -1,1 +1,2 @@
-"""Light on skin: optics, LEDs, coats, rendering, and its separation into direct and global light."""
+"""Light on skin: optics, LEDs, coats, rendering, and its separation into direct and global
+light."""

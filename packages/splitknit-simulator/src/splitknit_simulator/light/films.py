@@ -1,8 +1,10 @@
-"""Linear polarising films before the LEDs and the camera: how much of each kind of light passes both.
+"""Linear polarising films before the LEDs and the camera: how much of each kind of light passes
+both.
 
-A film lets pass the field along its axis, projected across the ray. Light that the surface reflects at a facet keeps
-its polarisation but for Fresnel's two reflectances, across (s) and along (p) the plane of incidence, which are signed:
-they turn a field that lies between them. Light that was scattered once keeps a part of it, all other light none.
+A film lets pass the field along its axis, projected across the ray. Light that the surface reflects
+at a facet keeps its polarisation but for Fresnel's two reflectances, across (s) and along (p) the
+plane of incidence, which are signed: they turn a field that lies between them. Light that was
+scattered once keeps a part of it, all other light none.
 """
 
 from __future__ import annotations
@@ -26,13 +28,15 @@ Vectors = Any
 """x, y and z, arrays or numbers that broadcast together."""
 
 SERIES = ("parallel", "crossed")
-_NEIGHBOUR_MM = 6.0  # distance of the LEDs of the crossed series from the first ones, where they have their own
+# distance of the LEDs of the crossed series from the first ones, where they have their own
+_NEIGHBOUR_MM = 6.0
 
 
 def turned_film_rad(place: Sequence[float], analyser_rad: float = 0.0) -> float:
-    """Axis, as the camera sees it, of the film before a side light: what a facet mirrors to the camera then lies along
-    the analyser. A facet reflects less along the plane of incidence than across it, so film along the analyser itself
-    would leak up to half of the reflection of a light at 72 deg into the crossed images.
+    """Axis, as the camera sees it, of the film before a side light: what a facet mirrors to the
+    camera then lies along the analyser. A facet reflects less along the plane of incidence than
+    across it, so film along the analyser itself would leak up to half of the reflection of a light
+    at 72 deg into the crossed images.
     """
     x, y, z = place
     azimuth, height = np.arctan2(y, x) - analyser_rad, np.arctan2(z, np.hypot(x, y))
@@ -43,21 +47,29 @@ def turned_film_rad(place: Sequence[float], analyser_rad: float = 0.0) -> float:
 
 @dataclass(frozen=True, slots=True)
 class FilmSettings(Checked):
-    """Films before the white LEDs and the camera, and what of the skin's light keeps its polarisation."""
+    """Films before the white LEDs and the camera, and what of the skin's light keeps its
+    polarisation."""
 
     _group = "films"
 
     kind: Literal["none", "analyser", "leds"] = "none"
-    """``none``; ``analyser``: the camera's film turns between the two series; ``leds``: it stays, and the crossed
-    series has white LEDs of its own beside the first ones."""
+    """``none``; ``analyser``: the camera's film turns between the two series; ``leds``: it stays,
+    and the crossed series has white LEDs of its own beside the first ones."""
     axis_deg: Annotated[float, Limits(-180.0, 180.0)] = 0.0
-    """Axis of the LEDs' films of the parallel series as the camera sees it, counter-clockwise from x."""
+    """Axis of the LEDs' films of the parallel series as the camera sees it, counter-clockwise from
+    x."""
     misalignment_deg: Annotated[float, Limits(0.0, 10.0)] = 0.0
-    """Rotation error of the camera's film; each LED's film is off by a random fraction of it, either way."""
+    """Rotation error of the camera's film; each LED's film is off by a random fraction of it,
+    either way."""
     extinction: Annotated[float, Limits(1.0)] = 1000.0
     """Ratio of a film's transmission along its axis to that across it."""
-    transmission: Annotated[tuple[float, float, float], Limits(0.0, 1.0, above=True)] = (0.85, 0.85, 0.85)
-    """Transmission of light that is polarised along a film's axis: red, green, blue. Different numbers tint."""
+    transmission: Annotated[tuple[float, float, float], Limits(0.0, 1.0, above=True)] = (
+        0.85,
+        0.85,
+        0.85,
+    )
+    """Transmission of light that is polarised along a film's axis: red, green, blue. Different
+    numbers tint."""
     kept: Annotated[float, Limits(0.0, 1.0)] = 0.25
     """Fraction of the light scattered once in the skin that keeps its polarisation."""
     shift_px: Annotated[float, Limits(0.0, 2.0)] = 0.0
@@ -72,14 +84,17 @@ class Films:
     polariser_rad: Array  # (2, L) axes of the LEDs' films in both series, as the camera sees them
     analyser_rad: Array  # (2,) axes of the camera's film
     shift_px: Array  # (2,) columns and rows by which the crossed series is shifted
-    # by series and LED: axes (x, y, z) of the films before side lights, which face the finger, not the camera
+    # by series and LED: axes (x, y, z) of the films before side lights, which face the finger, not
+    # the camera
     side_axes: Mapping[tuple[int, int], Vectors]
 
     def specular(self, series: int, k: int, light: Vectors, view: Vectors) -> Array:
-        """What passes of the light that the surface reflects, over what it reflects of unpolarised light.
+        """What passes of the light that the surface reflects, over what it reflects of unpolarised
+        light.
 
-        Without films' absorption along their axis, see :meth:`transmitted`. `series`: 0 parallel, 1 crossed; `k`: LED;
-        `light`, `view`: unit vectors from the surface to the LED and to the camera.
+        Without films' absorption along their axis, see :meth:`transmitted`. `series`: 0 parallel, 1
+        crossed; `k`: LED; `light`, `view`: unit vectors from the surface to the LED and to the
+        camera.
         """
         leak = 1.0 / self.settings.extinction
         polariser = self.side_axes.get((series, k), float(self.polariser_rad[series, k]))
@@ -87,7 +102,8 @@ class Films:
         return 0.5 * passed / fresnel(np.sqrt(0.5 + 0.5 * _dot(light, view)))
 
     def once_scattered(self, series: int, k: int, light: Vectors, view: Vectors) -> Array:
-        """What light scattered once adds, over itself, to what would pass had it lost its polarisation."""
+        """What light scattered once adds, over itself, to what would pass had it lost its
+        polarisation."""
         leak, kept = 1.0 / self.settings.extinction, self.settings.kept
         polariser = self.side_axes.get((series, k), float(self.polariser_rad[series, k]))
         analyser = float(self.analyser_rad[series])
@@ -101,11 +117,13 @@ class Films:
 
     @property
     def ambient(self) -> NDArray[np.float32]:
-        """(3,) what passes of light that meets the camera's film only, over what two films leave; no :meth:`on_camera`
-        tint.
+        """(3,) what passes of light that meets the camera's film only, over what two films leave;
+        no :meth:`on_camera` tint.
         """
         leak = 1.0 / self.settings.extinction
-        return np.asarray(2.0 / (1.0 + leak) / np.array(self.settings.transmission), dtype=np.float32)
+        return np.asarray(
+            2.0 / (1.0 + leak) / np.array(self.settings.transmission), dtype=np.float32
+        )
 
     def on_camera(self, frame: FloatArray, crossed: bool) -> FloatArray:
         """(H, W, 3) a frame with the films' tint, shifted where the camera's film is turned."""
@@ -114,7 +132,8 @@ class Films:
 
     @property
     def depolarised(self) -> float:
-        """What passes of light that has lost its polarisation, without films' absorption along their axis."""
+        """What passes of light that has lost its polarisation, without films' absorption along
+        their axis."""
         return float(0.25 * (1.0 + 1.0 / self.settings.extinction) ** 2)
 
     def transmitted(self) -> NDArray[np.float32]:
@@ -123,7 +142,8 @@ class Films:
 
 
 def mounted_films(settings: FilmSettings, leds: Sequence[Led], rng: np.random.Generator) -> Films:
-    """Mount films before the white LEDs (of each series) and the camera; `rng` draws how far they are off.
+    """Mount films before the white LEDs (of each series) and the camera; `rng` draws how far they
+    are off.
 
     Those before side lights are turned, see :func:`turned_film_rad`.
     """
@@ -142,17 +162,24 @@ def mounted_films(settings: FilmSettings, leds: Sequence[Led], rng: np.random.Ge
             polariser[series, k] += turned_film_rad(place, along) - along
             side_axes[series, k] = _fields(float(polariser[series, k]), _unit(place))[0]
     direction = rng.uniform(0.0, 2.0 * np.pi)
-    shift = settings.shift_px * np.array([np.cos(direction), np.sin(direction)]) * (settings.kind == "analyser")
+    shift = (
+        settings.shift_px
+        * np.array([np.cos(direction), np.sin(direction)])
+        * (settings.kind == "analyser")
+    )
     return Films(settings, polariser, analyser, shift, side_axes)
 
 
 def with_crossed_leds(rig: Rig) -> Rig:
-    """The rig with as many further white LEDs, each beside one of its own, farther around the camera's axis."""
+    """The rig with as many further white LEDs, each beside one of its own, farther around the
+    camera's axis."""
     added = []
     for led in rig.leds:
         if led.band == "white":
             if led.position_mm is None:
-                raise BadInput("films.kind 'leds' needs near LEDs, but the rig's have no position_mm.")
+                raise BadInput(
+                    "films.kind 'leds' needs near LEDs, but the rig's have no position_mm."
+                )
             x, y, z = led.position_mm
             turn = _NEIGHBOUR_MM / max(float(np.hypot(x, y)), _NEIGHBOUR_MM)
             place = x * np.cos(turn) - y * np.sin(turn), x * np.sin(turn) + y * np.cos(turn), z
@@ -161,41 +188,52 @@ def with_crossed_leds(rig: Rig) -> Rig:
 
 
 def once_scattered(patch: Patch, led: Led, optics: Sequence[ChannelOptics]) -> Iterator[FloatArray]:
-    """Yield for each channel the (h, w) radiance of light that the skin scattered once, refracted in and out.
+    """Yield for each channel the (h, w) radiance of light that the skin scattered once, refracted
+    in and out.
 
-    It is blurred by half a mean free path, about as far as this light goes sideways (Chandrasekhar 1960, Radiative
-    Transfer, section 47: a half-space that scatters once, evenly in all directions).
+    It is blurred by half a mean free path, about as far as this light goes sideways (Chandrasekhar
+    1960, Radiative Transfer, section 47: a half-space that scatters once, evenly in all
+    directions).
     """
     lx, ly, lz, strength = arriving(patch, led)
     cosine = np.maximum(lx * patch.nx + ly * patch.ny + lz * patch.nz, 0.0)
     seen = np.clip(patch.nv, 0.0, 1.0)
     before, behind = (np.sqrt(1.0 - (1.0 - c * c) / REFRACTIVE_INDEX**2) for c in (cosine, seen))
-    passed = strength * cosine * (1.0 - fresnel(cosine)) * (1.0 - fresnel(seen)) / REFRACTIVE_INDEX**2
+    passed = (
+        strength * cosine * (1.0 - fresnel(cosine)) * (1.0 - fresnel(seen)) / REFRACTIVE_INDEX**2
+    )
     light = np.where(patch.mask, passed / (before + behind) / (4.0 * np.pi), 0.0).astype(np.float32)
     for medium in optics:
         extinction = medium.scattering_per_mm + medium.absorption_per_mm
         blurred = cv2.GaussianBlur(light, (0, 0), max(0.5 * patch.px_per_mm / extinction, 0.1))
-        yield np.asarray(blurred * np.float32(medium.scattering_per_mm / extinction) * patch.mask, dtype=np.float32)
+        yield np.asarray(
+            blurred * np.float32(medium.scattering_per_mm / extinction) * patch.mask,
+            dtype=np.float32,
+        )
 
 
 def moved(frame: FloatArray, shift_px: Array) -> FloatArray:
-    """(H, W, C) a frame whose content has moved by so many columns and rows; beyond its border the border goes on."""
+    """(H, W, C) a frame whose content has moved by so many columns and rows; beyond its border the
+    border goes on."""
     if not shift_px.any():
         return frame
     matrix, how = np.column_stack([np.eye(2), shift_px]), cv2.INTER_LANCZOS4
-    moved = cv2.warpAffine(frame, matrix, frame.shape[1::-1], flags=how, borderMode=cv2.BORDER_REPLICATE)
+    moved = cv2.warpAffine(
+        frame, matrix, frame.shape[1::-1], flags=how, borderMode=cv2.BORDER_REPLICATE
+    )
     return np.asarray(np.maximum(moved, 0.0), dtype=np.float32)
 
 
 def reflected_through(
     light: Vectors, view: Vectors, polariser: float | Vectors, analyser_rad: float, leak: float
 ) -> Array:
-    """What a facet that mirrors the LED to the camera reflects through both films, of light polarised by the first.
+    """What a facet that mirrors the LED to the camera reflects through both films, of light
+    polarised by the first.
 
-    `light`, `view`: unit vectors from the facet to the LED and to the camera; the films' axes are angles as the camera
-    sees them, or a vector; `leak`: transmission across a film's axis over that along it. Summed over both fields behind
-    the first film (of weight 1 and `leak`) and both axes of the second. Born and Wolf, Principles of Optics, 1.5.2,
-    equation (21): the signed amplitudes.
+    `light`, `view`: unit vectors from the facet to the LED and to the camera; the films' axes are
+    angles as the camera sees them, or a vector; `leak`: transmission across a film's axis over that
+    along it. Summed over both fields behind the first film (of weight 1 and `leak`) and both axes
+    of the second. Born and Wolf, Principles of Optics, 1.5.2, equation (21): the signed amplitudes.
     """
     cosine = np.sqrt(0.5 + 0.5 * _dot(light, view))
     across, along = fresnel_amplitudes(cosine)
@@ -215,8 +253,11 @@ def reflected_through(
     return np.asarray(passed)
 
 
-def fresnel_amplitudes(cosine: NDArray[np.floating], ratio: float = REFRACTIVE_INDEX) -> tuple[Array, Array]:
-    """Signed amplitudes of the field across (s) and along (p) the plane of incidence, light from the thinner medium."""
+def fresnel_amplitudes(
+    cosine: NDArray[np.floating], ratio: float = REFRACTIVE_INDEX
+) -> tuple[Array, Array]:
+    """Signed amplitudes of the field across (s) and along (p) the plane of incidence, light from
+    the thinner medium."""
     c = np.asarray(cosine, dtype=np.float64)
     t = np.sqrt(1.0 - (1.0 - c * c) / ratio**2)
     return (c - ratio * t) / (c + ratio * t), (ratio * c - t) / (ratio * c + t)
@@ -224,7 +265,9 @@ def fresnel_amplitudes(cosine: NDArray[np.floating], ratio: float = REFRACTIVE_I
 
 def _fields(axis: float | Vectors, ray: Vectors) -> tuple[Vectors, Vectors]:
     """Unit vectors across a ray: along the film's axis, and square to it."""
-    first = _unit(_across((np.cos(axis), np.sin(axis), 0.0) if isinstance(axis, float) else axis, ray))
+    first = _unit(
+        _across((np.cos(axis), np.sin(axis), 0.0) if isinstance(axis, float) else axis, ray)
+    )
     return first, _cross(ray, first)
 
 

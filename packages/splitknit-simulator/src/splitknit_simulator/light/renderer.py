@@ -1,7 +1,8 @@
 """Light from the LEDs through the skin and off it: noise-free linear radiance of every image.
 
-See ``docs/explain/simulator.md``: irradiance of near LEDs times Fresnel transmittance, convolved along the skin with
-the Monte Carlo diffusion profile of each channel, times a term for the relief, plus the GGX reflection of the surface.
+See ``docs/explain/simulator.md``: irradiance of near LEDs times Fresnel transmittance, convolved
+along the skin with the Monte Carlo diffusion profile of each channel, times a term for the relief,
+plus the GGX reflection of the surface.
 """
 
 from __future__ import annotations
@@ -21,8 +22,22 @@ from splitknit import Led
 from splitknit.model import FloatArray
 from splitknit.settings import Checked, Limits
 from splitknit_simulator.light.coat import CoatedPatch
-from splitknit_simulator.light.lighting import LED_RADIUS_MM, Patch, arriving, cut_out, light_on, towards
-from splitknit_simulator.light.skin import CHANNELS, Channel, Medium, diffuse_transmittance, diffusion_profile, fresnel
+from splitknit_simulator.light.lighting import (
+    LED_RADIUS_MM,
+    Patch,
+    arriving,
+    cut_out,
+    light_on,
+    towards,
+)
+from splitknit_simulator.light.skin import (
+    CHANNELS,
+    Channel,
+    Medium,
+    diffuse_transmittance,
+    diffusion_profile,
+    fresnel,
+)
 from splitknit_simulator.surface import SimulatedSurface
 
 BLOOD: dict[Channel, float] = {"red": 0.15, "green": 1.0, "blue": 0.8, "nir": 0.05}
@@ -38,13 +53,15 @@ class RenderSettings(Checked):
     reach_mm: Annotated[float, Limits(0, 30, above=True)] = 6.0
     """Diffusion over longer distances may wrap around the image; larger costs time."""
     aperture_mm: Annotated[float, Limits(0, 50)] = 0.0
-    """Diameter of the lens's entrance pupil; 0 switches defocus off. f/2 at 11 mm of focal length is 5.5 mm."""
+    """Diameter of the lens's entrance pupil; 0 switches defocus off. f/2 at 11 mm of focal length
+    is 5.5 mm."""
     focus_depth_mm: float = 1.5
     """Depth of the plane in focus below the finger's highest point."""
     rim_exponent: Annotated[float, Limits(0, 1)] = 0.75
-    """Near the outline, part of the diffusion profile falls beside the picture of the finger; the light is divided by
-    the fraction inside to this power. Between 0 (no light there) and 1 (the same light there): 0.75 follows a random
-    walk in an elliptic cylinder best (``validation/twin/volume.py``)."""
+    """Near the outline, part of the diffusion profile falls beside the picture of the finger; the
+    light is divided by the fraction inside to this power. Between 0 (no light there) and 1 (the
+    same light there): 0.75 follows a random walk in an elliptic cylinder best
+    (``validation/twin/volume.py``)."""
     workers: Annotated[int, Limits(1)] = 2
     """Threads; the result does not depend on it."""
 
@@ -59,18 +76,26 @@ class BandLight:
 
 
 def render_band(
-    surface: SimulatedSurface, leds: Sequence[Led], skin: Medium, settings: RenderSettings | None = None
+    surface: SimulatedSurface,
+    leds: Sequence[Led],
+    skin: Medium,
+    settings: RenderSettings | None = None,
 ) -> BandLight:
     """Render the finger under each of `leds`, one image a light.
 
-    Jensen et al. 2001, equation (5) (subsurface term); Walter et al. 2007, equations (20), (33), (34) (reflection).
+    Jensen et al. 2001, equation (5) (subsurface term); Walter et al. 2007, equations (20), (33),
+    (34) (reflection).
     """
     settings = settings or RenderSettings()
     if any(led.also for led in leds):
         groups = [(replace(led, also=()), *led.also) for led in leds]
         each = render_band(surface, [led for group in groups for led in group], skin, settings)
         starts = np.cumsum([0, *(len(group) for group in groups[:-1])])
-        return replace(each, diffuse=np.add.reduceat(each.diffuse, starts), glare=np.add.reduceat(each.glare, starts))
+        return replace(
+            each,
+            diffuse=np.add.reduceat(each.diffuse, starts),
+            glare=np.add.reduceat(each.glare, starts),
+        )
     patch = cut_out(surface, shadows=True)
     relief = Relief(surface, patch, skin)
     blur = SubsurfaceScattering(patch, skin, settings, blurred=skin.boundary.blurred)
@@ -78,7 +103,9 @@ def render_band(
         blood, grain = surface.texture.blood[patch.window], surface.texture.grain
         relief.colour(lambda pigment, name: pigment * np.exp(-BLOOD[name] * blood))
         if grain is not None:
-            relief.colour(lambda pigment, name: pigment * grain[(CHANNELS.index(name), *patch.window)])
+            relief.colour(
+                lambda pigment, name: pigment * grain[(CHANNELS.index(name), *patch.window)]
+            )
     if surface.coat is not None:
         coat = CoatedPatch(surface.coat, patch, surface.shape_normals[patch.window], skin.roughness)
         relief.colour(coat.over)
@@ -102,7 +129,8 @@ def render_band(
 
 
 Shine = tuple[FloatArray, FloatArray, FloatArray | None]
-"""(h, w) light that enters the skin, that the surface reflects, and that what lies on it scatters (None: nothing)."""
+"""(h, w) light that enters the skin, that the surface reflects, and that what lies on it scatters
+(None: nothing)."""
 
 
 def render_lights(
@@ -112,7 +140,8 @@ def render_lights(
     blur: SubsurfaceScattering,
     gains: Callable[[int], Iterable[FloatArray]],
 ) -> BandLight:
-    """Render `count` images of a patch of skin, whatever lights each of them; `gains`: factors of its channels."""
+    """Render `count` images of a patch of skin, whatever lights each of them; `gains`: factors of
+    its channels."""
     diffuse = np.empty((count, len(blur.out), *patch.mask.shape), dtype=np.float32)
     gloss = np.empty((count, *patch.mask.shape), dtype=np.float32)
 
@@ -135,60 +164,93 @@ def render_ambient(
     settings: RenderSettings | None = None,
     up: NDArray[np.float64] | None = None,
 ) -> FloatArray:
-    """(C, h, w) radiance of the finger in the window under a uniform hemisphere that gives a white card `level`.
+    """(C, h, w) radiance of the finger in the window under a uniform hemisphere that gives a white
+    card `level`.
 
-    A facet tilted by t against the hemisphere's middle, `up` (3,) or the z axis, sees the fraction (1 + cos t) / 2.
+    A facet tilted by t against the hemisphere's middle, `up` (3,) or the z axis, sees the fraction
+    (1 + cos t) / 2.
     """
     settings = settings or RenderSettings()
     patch = cut_out(surface)
     facing = patch.nz
     if up is not None:
-        facing = patch.nx * np.float32(up[0]) + patch.ny * np.float32(up[1]) + patch.nz * np.float32(up[2])
-    entering = np.where(patch.mask, np.float32(0.5 * np.pi * level * diffuse_transmittance()) * (1 + facing), 0)
+        facing = (
+            patch.nx * np.float32(up[0])
+            + patch.ny * np.float32(up[1])
+            + patch.nz * np.float32(up[2])
+        )
+    entering = np.where(
+        patch.mask, np.float32(0.5 * np.pi * level * diffuse_transmittance()) * (1 + facing), 0
+    )
     blur, gains = SubsurfaceScattering(patch, skin, settings), Relief(surface, patch, skin).gains()
-    return np.stack([light * gain for light, gain in zip(blur(entering.astype(np.float32)), gains, strict=True)])
+    return np.stack(
+        [light * gain for light, gain in zip(blur(entering.astype(np.float32)), gains, strict=True)]
+    )
 
 
 class SubsurfaceScattering:
-    """Convolution of entering light with the diffusion profile of each channel, and Fresnel out to the viewer.
+    """Convolution of entering light with the diffusion profile of each channel, and Fresnel out to
+    the viewer.
 
-    At grazing view the facets of a rough surface that the viewer sees are turned towards him: the cosine of emergence
-    does not fall below about half the roughness.
+    At grazing view the facets of a rough surface that the viewer sees are turned towards him: the
+    cosine of emergence does not fall below about half the roughness.
     """
 
-    def __init__(self, patch: Patch, skin: Medium, settings: RenderSettings, *, blurred: bool = False) -> None:
+    def __init__(
+        self, patch: Patch, skin: Medium, settings: RenderSettings, *, blurred: bool = False
+    ) -> None:
         """Prepare the transfer of every medium, and what of the light leaves towards the viewer.
 
-        `blurred`: light spreads across the picture, see :class:`splitknit_simulator.light.skin.Boundary`.
+        `blurred`: light spreads across the picture, see
+        :class:`splitknit_simulator.light.skin.Boundary`.
         """
         self.settings, self.patch, pitch_mm = settings, patch, patch.pitch_mm
         self._entering: Callable[[int], Iterator[FloatArray]] | None = None
-        profiles = [diffusion_profile(o.scattering_per_mm, o.absorption_per_mm) for o in skin.optics]
-        reach = int(np.ceil(min(settings.reach_mm, max(p.radius_mm(0.99) for p in profiles)) / pitch_mm))
+        profiles = [
+            diffusion_profile(o.scattering_per_mm, o.absorption_per_mm) for o in skin.optics
+        ]
+        reach = int(
+            np.ceil(min(settings.reach_mm, max(p.radius_mm(0.99) for p in profiles)) / pitch_mm)
+        )
         mask = patch.mask
-        # where the finger runs out of the picture, its skin goes on: repeat the border's light over the reach
+        # where the finger runs out of the picture, its skin goes on: repeat the border's light over
+        # the reach
         self.before = tuple(reach if side.any() else 0 for side in (mask[0], mask[:, 0]))
         self.after = tuple(reach if side.any() else 0 for side in (mask[-1], mask[:, -1]))
-        self.inner = tuple(slice(before, before + n) for before, n in zip(self.before, mask.shape, strict=True))
+        self.inner = tuple(
+            slice(before, before + n) for before, n in zip(self.before, mask.shape, strict=True)
+        )
         self._area = None if blurred else patch.area
         along_x, along_y = (self._continued(slope) for slope in patch.slopes)
-        self._sheet = None if blurred else _Sheet(along_x, along_y, self._continued(mask), self.inner)
+        self._sheet = (
+            None if blurred else _Sheet(along_x, along_y, self._continued(mask), self.inner)
+        )
         spread_over = self._continued(mask).shape if self._sheet is None else self._sheet.shape
-        self.fft_shape = tuple(scipy.fft.next_fast_len(length + reach, True) for length in spread_over)
-        self.transfers = [p.transfer_grid((self.fft_shape[0], self.fft_shape[1]), pitch_mm) for p in profiles]
+        self.fft_shape = tuple(
+            scipy.fft.next_fast_len(length + reach, True) for length in spread_over
+        )
+        self.transfers = [
+            p.transfer_grid((self.fft_shape[0], self.fft_shape[1]), pitch_mm) for p in profiles
+        ]
         emergence = np.sqrt(patch.nv**2 + (0.5 * skin.roughness) ** 2 * (1.0 - patch.nv**2))
         out = (1.0 - fresnel(emergence)) / (np.pi * diffuse_transmittance())
         inside = mask.astype(np.float32)
-        # as much area as lets light in lets it out again: evenly lit skin is evenly bright, whatever its ridges
-        covered = zip(self.spread(self._continued(inside)), self.spread(self.pad(inside)), strict=True)
+        # as much area as lets light in lets it out again: evenly lit skin is evenly bright,
+        # whatever its ridges
+        covered = zip(
+            self.spread(self._continued(inside)), self.spread(self.pad(inside)), strict=True
+        )
         self.out = []
         for profile, (cover, area) in zip(profiles, covered, strict=True):
             seen = np.clip(cover / np.float32(profile.albedo), 0.05, 1.0)
-            lost = seen ** np.float32(settings.rim_exponent) * np.clip(area / np.maximum(cover, 1e-6), 0.5, 8.0)
+            lost = seen ** np.float32(settings.rim_exponent) * np.clip(
+                area / np.maximum(cover, 1e-6), 0.5, 8.0
+            )
             self.out.append(np.where(mask, out / lost, 0.0).astype(np.float32))
 
     def enter_by(self, skin: Medium, shape_normals: FloatArray, leds: Sequence[Led]) -> None:
-        """Let light enter as the skin's boundary lets it, not as given: each of `leds`, by its image's number."""
+        """Let light enter as the skin's boundary lets it, not as given: each of `leds`, by its
+        image's number."""
         boundary = skin.boundary
         signals = [boundary.slope_signal(name) for name in skin.channels]
         facets = np.stack([self.patch.nx, self.patch.ny, self.patch.nz], axis=-1)
@@ -199,47 +261,67 @@ class SubsurfaceScattering:
             if boundary.refraction == 0:
                 yield from ridged
                 return
-            smooth = self.spread(self._continued(_light_below(self.patch, shape_normals, leds[k], power)))
+            smooth = self.spread(
+                self._continued(_light_below(self.patch, shape_normals, leds[k], power))
+            )
             for light, below, signal in zip(ridged, smooth, signals, strict=True):
                 yield np.asarray(below + np.float32(signal) * (light - below))
 
         self._entering = entering
 
     def __call__(self, entering: FloatArray, k: int = 0) -> Iterator[FloatArray]:
-        """Yield the (h, w) radiance of each channel under the (h, w) light that enters, of image `k`."""
+        """Yield the (h, w) radiance of each channel under the (h, w) light that enters, of image
+        `k`."""
         lights = self.spread(self.pad(entering)) if self._entering is None else self._entering(k)
         for light, out in zip(lights, self.out, strict=True):
             yield np.maximum(light, 0.0) * out
 
     def pad(self, entering: FloatArray) -> FloatArray:
-        """(h', w') light that enters by the area of the skin's facets, repeated where the skin goes on."""
+        """(h', w') light that enters by the area of the skin's facets, repeated where the skin goes
+        on."""
         return self._continued(entering if self._area is None else entering * self._area)
 
     def _continued(self, field: NDArray[Any]) -> NDArray[Any]:
-        """(h', w') a field, its border repeated over the reach where the skin goes on beyond the picture."""
+        """(h', w') a field, its border repeated over the reach where the skin goes on beyond the
+        picture."""
         return np.pad(field, tuple(zip(self.before, self.after, strict=True)), mode="edge")
 
-    def spread(self, padded: FloatArray, transfers: Sequence[NDArray[Any]] | None = None) -> Iterator[FloatArray]:
+    def spread(
+        self, padded: FloatArray, transfers: Sequence[NDArray[Any]] | None = None
+    ) -> Iterator[FloatArray]:
         """(h, w) light that leaves, a channel at a time, from the (h', w') light that enters.
 
         `transfers` on the grid of the FFT replace those of the channels.
         """
-        spectrum = scipy.fft.rfft2(padded if self._sheet is None else self._sheet.laid_out(padded), self.fft_shape)
+        spectrum = scipy.fft.rfft2(
+            padded if self._sheet is None else self._sheet.laid_out(padded), self.fft_shape
+        )
         for transfer in self.transfers if transfers is None else transfers:
-            light = np.asarray(scipy.fft.irfft2(spectrum * transfer, self.fft_shape), dtype=np.float32)
-            yield np.ascontiguousarray(light[self.inner]) if self._sheet is None else self._sheet.laid_back(light)
+            light = np.asarray(
+                scipy.fft.irfft2(spectrum * transfer, self.fft_shape), dtype=np.float32
+            )
+            yield (
+                np.ascontiguousarray(light[self.inner])
+                if self._sheet is None
+                else self._sheet.laid_back(light)
+            )
 
 
 class _Sheet:
     """Skin laid out on a plane: distances there are those along the skin.
 
-    Rows of the picture are laid out to their length from its middle column, and what they then show is laid out along
-    the columns from its middle row. This is exact for a surface that curves in one of the two directions, such as a
-    cylinder; where it curves in both, at the tip, distances across are a little too long or short.
+    Rows of the picture are laid out to their length from its middle column, and what they then show
+    is laid out along the columns from its middle row. This is exact for a surface that curves in
+    one of the two directions, such as a cylinder; where it curves in both, at the tip, distances
+    across are a little too long or short.
     """
 
     def __init__(
-        self, slope_x: FloatArray, slope_y: FloatArray, mask: NDArray[np.bool_], inner: tuple[slice, ...]
+        self,
+        slope_x: FloatArray,
+        slope_y: FloatArray,
+        mask: NDArray[np.bool_],
+        inner: tuple[slice, ...],
     ) -> None:
         """Lay out skin (h', w') by its slopes; what is laid back is the part `inner` of it."""
         rows, columns = mask.shape
@@ -247,15 +329,22 @@ class _Sheet:
         across = np.cumsum(along_x, axis=1) - 0.5 * along_x
         across -= across[:, columns // 2, None]
         places = np.arange(np.floor(across[mask].min()), np.ceil(across[mask].max()) + 1)
-        column = np.stack([np.interp(places, line, np.arange(columns)) for line in across]).astype(np.float32)
+        column = np.stack([np.interp(places, line, np.arange(columns)) for line in across]).astype(
+            np.float32
+        )
         row = np.broadcast_to(np.arange(rows, dtype=np.float32)[:, None], column.shape)
-        lengths = _sampled(along_y.astype(np.float32), row, column, cv2.INTER_LINEAR).astype(np.float64)
+        lengths = _sampled(along_y.astype(np.float32), row, column, cv2.INTER_LINEAR).astype(
+            np.float64
+        )
         down = np.cumsum(lengths, axis=0) - 0.5 * lengths
         down -= down[rows // 2]
         here = _sampled(mask.astype(np.float32), row, column, cv2.INTER_NEAREST) > 0
         steps = np.arange(np.floor(down[here].min()), np.ceil(down[here].max()) + 1)
-        self._row = np.stack([np.interp(steps, line, np.arange(rows)) for line in down.T], axis=1).astype(np.float32)
-        self.shape = self._row.shape  # rows and columns of the plane, in pixels as large as those of the picture
+        self._row = np.stack(
+            [np.interp(steps, line, np.arange(rows)) for line in down.T], axis=1
+        ).astype(np.float32)
+        # rows and columns of the plane, in pixels as large as those of the picture
+        self.shape = self._row.shape
         u = np.broadcast_to(np.arange(places.size, dtype=np.float32), self.shape)
         self._column = _sampled(column, self._row, u, cv2.INTER_LINEAR)
         self._there = _sampled(mask.astype(np.float32), self._row, self._column, cv2.INTER_NEAREST)
@@ -277,7 +366,9 @@ class _Sheet:
 
 def _sampled(field: FloatArray, row: FloatArray, column: FloatArray, how: int) -> FloatArray:
     """`field` at places in between its pixels; beyond its border the border goes on."""
-    found = cv2.remap(field, column, np.ascontiguousarray(row), how, borderMode=cv2.BORDER_REPLICATE)
+    found = cv2.remap(
+        field, column, np.ascontiguousarray(row), how, borderMode=cv2.BORDER_REPLICATE
+    )
     return np.asarray(found, dtype=np.float32)
 
 
@@ -319,7 +410,8 @@ class Relief:
 
 
 def _light_below(patch: Patch, normals: FloatArray, led: Led, entry_power: float) -> FloatArray:
-    """(h, w) light that enters skin with these `normals` (h, w, 3), with Fresnel's transmittance to a power."""
+    """(h, w) light that enters skin with these `normals` (h, w, 3), with Fresnel's transmittance to
+    a power."""
     total = np.zeros(patch.mask.shape, dtype=np.float32)
     for lamp in (led, *led.also):
         lx, ly, lz, strength = arriving(patch, lamp)
@@ -329,7 +421,8 @@ def _light_below(patch: Patch, normals: FloatArray, led: Led, entry_power: float
 
 
 def _obliquity(patch: Patch, normals: FloatArray, led: Led) -> FloatArray:
-    """(h, w) ln(1 / cos t), t the angle between skin's normals (h, w, 3) and an LED; at most ln 10."""
+    """(h, w) ln(1 / cos t), t the angle between skin's normals (h, w, 3) and an LED; at most ln
+    10."""
     lx, ly, lz, _ = towards(led, patch.x, patch.y, patch.z)
     cosine = lx * normals[..., 0] + ly * normals[..., 1] + lz * normals[..., 2]
     return np.where(patch.mask, -np.log(np.clip(cosine, 0.1, 1.0)), 0.0).astype(np.float32)

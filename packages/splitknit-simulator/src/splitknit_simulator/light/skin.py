@@ -1,13 +1,16 @@
-"""Optics of skin: coefficients in the camera's channels, and where light that enters at one point leaves it.
+"""Optics of skin: coefficients in the camera's channels, and where light that enters at one point
+leaves it.
 
-Coefficients: reduced scattering by the power law of Jacques 2013 (skin: 46 /cm at 500 nm, exponent 1.42); absorption as
-a mixture of blood, melanosomes, water and a bloodless baseline (Jacques 1998, 2013). Each channel is represented by one
-effective wavelength, as ``docs/explain/simulator.md`` explains.
+Coefficients: reduced scattering by the power law of Jacques 2013 (skin: 46 /cm at 500 nm, exponent
+1.42); absorption as a mixture of blood, melanosomes, water and a bloodless baseline (Jacques 1998,
+2013). Each channel is represented by one effective wavelength, as ``docs/explain/simulator.md``
+explains.
 
-Diffusion: searchlight profiles of a semi-infinite medium. One set of random walks serves all optics. Lengths scale with
-the mean free path 1/s between scattering events, and absorption a weights a walk of length l by exp(-a l / s)
-(Beer-Lambert along the path), so a histogram of the walks' exit radius and length, both in mean free paths, holds every
-pair of coefficients. The histogram is shipped (``data/walks.npz``, made by ``tools/make_walk_table.py``).
+Diffusion: searchlight profiles of a semi-infinite medium. One set of random walks serves all
+optics. Lengths scale with the mean free path 1/s between scattering events, and absorption a
+weights a walk of length l by exp(-a l / s) (Beer-Lambert along the path), so a histogram of the
+walks' exit radius and length, both in mean free paths, holds every pair of coefficients. The
+histogram is shipped (``data/walks.npz``, made by ``tools/make_walk_table.py``).
 """
 
 from __future__ import annotations
@@ -30,16 +33,21 @@ from splitknit.settings import Checked, Limits
 
 Channel = Literal["red", "green", "blue", "nir"]
 CHANNELS: tuple[Channel, ...] = get_args(Channel)
-BAND_CHANNELS: Mapping[str, tuple[Channel, ...]] = {"white": ("red", "green", "blue"), "nir": ("nir",)}
+BAND_CHANNELS: Mapping[str, tuple[Channel, ...]] = {
+    "white": ("red", "green", "blue"),
+    "nir": ("nir",),
+}
 """The media that the camera's channels see: under NIR all three see the same."""
 
 
 @dataclass(frozen=True, slots=True)
 class _EffectiveBand:
-    """What one channel sees: wavelengths in nm and absorption in 1/mm of the pure substances there."""
+    """What one channel sees: wavelengths in nm and absorption in 1/mm of the pure substances
+    there."""
 
     scattering_nm: float  # centroid of the channel under the LED: scattering varies slowly
-    # where the channel's light is absorbed: the peak of a white LED's blue line for the blue channel
+    # where the channel's light is absorbed: the peak of a white LED's blue line for the blue
+    # channel
     absorption_nm: float
     oxygenated: float  # whole blood of 150 g/l haemoglobin, all of it oxygenated
     deoxygenated: float  # whole blood of 150 g/l haemoglobin, none of it oxygenated
@@ -47,12 +55,14 @@ class _EffectiveBand:
 
     @property
     def melanosome(self) -> float:
-        """Absorption of the inside of a melanosome, 519 /cm (wavelength / 500 nm)^-3.5 (Jacques 2013)."""
+        """Absorption of the inside of a melanosome, 519 /cm (wavelength / 500 nm)^-3.5 (Jacques
+        2013)."""
         return float(51.9 * (self.absorption_nm / 500.0) ** -3.5)
 
     @property
     def bloodless(self) -> float:
-        """Wavelength-dependent part of bloodless skin, 8.53 /cm exp(-(wavelength - 154) / 66.2 nm) (Jacques 1998)."""
+        """Wavelength-dependent part of bloodless skin, 8.53 /cm exp(-(wavelength - 154) / 66.2 nm)
+        (Jacques 1998)."""
         return float(0.853 * np.exp(-(self.absorption_nm - 154.0) / 66.2))
 
 
@@ -62,7 +72,8 @@ EFFECTIVE: Mapping[Channel, _EffectiveBand] = {
     "blue": _EffectiveBand(460.0, 450.0, 33.7, 55.3, 0.00003),
     "nir": _EffectiveBand(850.0, 850.0, 0.57, 0.37, 0.0043),
 }
-"""Absorption of blood from Prahl's compilation (2.303 x molar extinction x 150 g/l / 64,500 g/mol), rounded."""
+"""Absorption of blood from Prahl's compilation (2.303 x molar extinction x 150 g/l / 64,500 g/mol),
+rounded."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -71,9 +82,11 @@ class ChannelOptics:
 
     scattering_per_mm: float  # reduced scattering coefficient
     absorption_per_mm: float
-    # relative change of the diffuse light per micrometre of relief, under light along the skin's normal
+    # relative change of the diffuse light per micrometre of relief, under light along the skin's
+    # normal
     relief_gain_per_um: float
-    oblique_gain_per_um: float = 0.0  # what is added to it under light at the angle t to the normal, over ln(1 / cos t)
+    # what is added to it under light at the angle t to the normal, over ln(1 / cos t)
+    oblique_gain_per_um: float = 0.0
 
     @property
     def attenuation_per_mm(self) -> float:
@@ -87,14 +100,15 @@ class Boundary(Checked):
     """How light enters the skin. The defaults are a matt boundary."""
 
     refraction: Annotated[float, Limits(0.0, 1.0)] = 0.0
-    """Strength of the reversed slope shading caused by refraction: 0 a matt boundary, 1 a smooth one above
-    isotropic scattering; forward scattering (anisotropy 0.8) leaves about a quarter of it."""
+    """Strength of the reversed slope shading caused by refraction: 0 a matt boundary, 1 a smooth
+    one above isotropic scattering; forward scattering (anisotropy 0.8) leaves about a quarter of
+    it."""
     entry_power: Annotated[float, Limits(-1.0, 2.0)] = 1.0
-    """Exponent of Fresnel's transmittance for entering light: 1 for a clean flat boundary, less for a
-    rough one and where light scatters soon after a slanted entry."""
+    """Exponent of Fresnel's transmittance for entering light: 1 for a clean flat boundary, less for
+    a rough one and where light scatters soon after a slanted entry."""
     blurred: bool = False
-    """Count and spread light across the picture, as in an image that is blurred, instead of along the skin: ridges
-    then flatten the slopes on which they lie, which they do not do on skin."""
+    """Count and spread light across the picture, as in an image that is blurred, instead of along
+    the skin: ridges then flatten the slopes on which they lie, which they do not do on skin."""
 
     def slope_signal(self, channel: Channel) -> float:
         """Shading by ridge slopes over that behind a matt boundary."""
@@ -103,27 +117,31 @@ class Boundary(Checked):
     def height_signal(self, scattering_per_mm: float) -> float:
         """Brightness of heights over that behind a matt boundary above strong scattering.
 
-        Behind a matt boundary, light whose mean free path is longer than a ridge is wide carries no signal of its
-        height; refracted light brightens heights the more, the deeper it goes. Both follow our own reference walks
-        (docs/experiments/simulator-reference.md, ridges of 75 um, scattering of 1 to 10 per mm).
+        Behind a matt boundary, light whose mean free path is longer than a ridge is wide carries no
+        signal of its height; refracted light brightens heights the more, the deeper it goes. Both
+        follow our own reference walks (docs/experiments/simulator-reference.md, ridges of 75 um,
+        scattering of 1 to 10 per mm).
         """
         matt = max(1.0 - math.exp((1.0 - scattering_per_mm) / 0.65), 0.0)
         smooth = min(3.8 / scattering_per_mm, 1.5)
         return (1.0 - self.refraction) * matt + self.refraction * smooth
 
     def oblique_signal(self, attenuation_per_mm: float) -> float:
-        """Brightness of heights that slanted light adds, per mm and ln(1 / cos t), t the angle to the skin's normal.
+        """Brightness of heights that slanted light adds, per mm and ln(1 / cos t), t the angle to
+        the skin's normal.
 
-        With these factors of the square root of the effective attenuation (1/mm), heights on our captures are as bright
-        as on those of our own walks in whole fingers, beside what heights have under upright light: 0.4 to 1 times that
-        behind a matt boundary, 1 to 1.8 times where two thirds are refracted.
+        With these factors of the square root of the effective attenuation (1/mm), heights on our
+        captures are as bright as on those of our own walks in whole fingers, beside what heights
+        have under upright light: 0.4 to 1 times that behind a matt boundary, 1 to 1.8 times where
+        two thirds are refracted.
         """
         return (0.7 + 1.1 * self.refraction) * math.sqrt(attenuation_per_mm)
 
 
 SLOPE_LOSS: Mapping[Channel, float] = {"red": 2.3, "green": 1.65, "blue": 1.0, "nir": 4.8}
-"""What a smooth boundary takes from the shading by slopes, over that of a matt one: our own reference walks
-(docs/experiments/simulator-reference.md, ridges of 75 um; 1: none is left, above 1: it is reversed)."""
+"""What a smooth boundary takes from the shading by slopes, over that of a matt one: our own
+reference walks (docs/experiments/simulator-reference.md, ridges of 75 um; 1: none is left, above 1:
+it is reversed)."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -133,7 +151,8 @@ class SkinOptics(Checked):
     scattering_factor: Annotated[float, Limits(0.15, 3.0)] = 1.0
     """Multiplies the reduced scattering of the power law; 0.15 to 3."""
     melanin: Annotated[float, Limits(0.0, 0.05)] = 0.00056
-    """Volume fraction of melanosomes in the medium: 0.0002 very light, 0.004 dark, 0.02 very dark skin."""
+    """Volume fraction of melanosomes in the medium: 0.0002 very light, 0.004 dark, 0.02 very dark
+    skin."""
     blood: Annotated[float, Limits(0.0, 0.1)] = 0.006
     """Volume fraction of whole blood (150 g/l haemoglobin)."""
     oxygenation: Annotated[float, Limits(0.0, 1.0)] = 0.75
@@ -143,19 +162,21 @@ class SkinOptics(Checked):
     baseline_per_mm: Annotated[float, Limits(0.004, 1.0)] = 0.008
     """Grey absorption of bloodless skin; the part that depends on wavelength is Jacques's."""
     yellow_per_mm: Annotated[float, Limits(0.0, 1.0)] = 0.105
-    """Absorption in the blue channel by carotenoids, bilirubin and the thick horny layer of the finger pad."""
+    """Absorption in the blue channel by carotenoids, bilirubin and the thick horny layer of the
+    finger pad."""
     roughness: Annotated[float, Limits(0.05, 1.0)] = 0.25
     """GGX alpha of the skin's surface."""
     glare: Annotated[float, Limits(0.0, 5.0)] = 1.0
     """Weight of the surface reflection: 1 bare skin (Fresnel), 0 polarised away, above 1 oily."""
     relief_gain: Annotated[float, Limits(0.0, 3.0)] = 0.78
-    """Brightness signal of heights behind a matt boundary: in each channel this times its effective attenuation
-    and :meth:`Boundary.height_signal`."""
+    """Brightness signal of heights behind a matt boundary: in each channel this times its effective
+    attenuation and :meth:`Boundary.height_signal`."""
     scattering_power: Annotated[float, Limits(0.0, 3.0)] = 1.42
-    """Exponent of the wavelength in the reduced scattering: 1.42 Jacques's skin, 0.5 large scatterers."""
+    """Exponent of the wavelength in the reduced scattering: 1.42 Jacques's skin, 0.5 large
+    scatterers."""
     layers: tuple[float, float, float, float] = (1.0, 1.0, 1.0, 1.0)
-    """Absorption of red, green, blue and near-infrared light relative to a homogeneous medium: melanin
-    above and blood below act as other absorptions than a mixture would."""
+    """Absorption of red, green, blue and near-infrared light relative to a homogeneous medium:
+    melanin above and blood below act as other absorptions than a mixture would."""
     boundary: Boundary = field(default_factory=Boundary)
 
     def medium(self, band: str) -> Medium:
@@ -164,11 +185,15 @@ class SkinOptics(Checked):
         return Medium(optics, self.roughness, self.glare, self.boundary)
 
     def channel(self, name: Channel) -> ChannelOptics:
-        """Return the coefficients of the channel `name`: ``red``, ``green``, ``blue`` or ``nir``."""
+        """Return the coefficients of the channel `name`: ``red``, ``green``, ``blue`` or
+        ``nir``."""
         band = EFFECTIVE[name]
-        scattering = self.scattering_factor * 4.6 * (band.scattering_nm / 500.0) ** -self.scattering_power
+        scattering = (
+            self.scattering_factor * 4.6 * (band.scattering_nm / 500.0) ** -self.scattering_power
+        )
         absorption = (
-            self.blood * (self.oxygenation * band.oxygenated + (1.0 - self.oxygenation) * band.deoxygenated)
+            self.blood
+            * (self.oxygenation * band.oxygenated + (1.0 - self.oxygenation) * band.deoxygenated)
             + self.melanin * band.melanosome
             + self.water * band.water
             + self.baseline_per_mm
@@ -180,8 +205,14 @@ class SkinOptics(Checked):
         attenuation = optics.attenuation_per_mm
         return replace(
             optics,
-            relief_gain_per_um=1e-3 * self.relief_gain * self.boundary.height_signal(scattering) * attenuation,
-            oblique_gain_per_um=1e-3 * self.relief_gain / 0.78 * self.boundary.oblique_signal(attenuation),
+            relief_gain_per_um=1e-3
+            * self.relief_gain
+            * self.boundary.height_signal(scattering)
+            * attenuation,
+            oblique_gain_per_um=1e-3
+            * self.relief_gain
+            / 0.78
+            * self.boundary.oblique_signal(attenuation),
         )
 
 
@@ -192,7 +223,8 @@ class Medium:
     optics: Sequence[ChannelOptics]  # C media, one a channel: red, green and blue, or near infrared
     roughness: float  # GGX alpha of the surface
     glare: float = 1.0  # weight of the surface reflection, 1 = Fresnel
-    boundary: Boundary = field(default_factory=Boundary)  # how light enters, where nothing lies on the skin
+    # how light enters, where nothing lies on the skin
+    boundary: Boundary = field(default_factory=Boundary)
 
     @property
     def channels(self) -> tuple[Channel, ...]:
@@ -222,24 +254,31 @@ class SkinRanges:
     roughness: tuple[float, float] = (0.18, 0.35)
     """GGX alpha of the skin's surface, 0.05 (polished) to 1 (matt); even."""
     glare: tuple[float, float] = (0.5, 1.3)
-    """Weight of the surface reflection, 0 to 5: 1 bare skin, 0 polarised away, above 1 oily; even."""
+    """Weight of the surface reflection, 0 to 5: 1 bare skin, 0 polarised away, above 1 oily;
+    even."""
     relief_gain: tuple[float, float] = (0.55, 1.55)
     """Log-uniform: the boundary model changes this term by 0.7 to 2 times."""
 
     def __post_init__(self) -> None:
         for name in DRAWN:
             low, high = getattr(self, name)
-            require(0.0 <= low <= high, f"skin range {name} must be (low, high), but it is ({low}, {high}).")
+            require(
+                0.0 <= low <= high,
+                f"skin range {name} must be (low, high), but it is ({low}, {high}).",
+            )
             for value in (low, high):
                 replace(self.base, **{name: value})
 
     def draw(self, rng: np.random.Generator) -> SkinOptics:
-        """Return the skin of one finger; every range takes one number from `rng`, in a fixed order."""
+        """Return the skin of one finger; every range takes one number from `rng`, in a fixed
+        order."""
         drawn: dict[str, Any] = {}
         for name in DRAWN:
             low, high = getattr(self, name)
             fraction, even = float(rng.random()), name in EVEN or low == 0.0
-            drawn[name] = float(low + (high - low) * fraction if even else low * (high / low) ** fraction)
+            drawn[name] = float(
+                low + (high - low) * fraction if even else low * (high / low) ** fraction
+            )
         return replace(self.base, **drawn)
 
 
@@ -251,21 +290,26 @@ RADIUS_EDGES = np.concatenate([[0.0], np.geomspace(1e-3, 250.0, 101)])
 
 
 def fresnel(cosine: NDArray[np.floating], ratio: float = REFRACTIVE_INDEX) -> NDArray[np.floating]:
-    """Unpolarised Fresnel reflectance at `cosine` of incidence in [0, 1]; `ratio` is n behind / n before the surface.
+    """Unpolarised Fresnel reflectance at `cosine` of incidence in [0, 1]; `ratio` is n behind / n
+    before the surface.
 
     Born and Wolf, Principles of Optics, section 1.5.2, equation (21).
     """
     c = np.clip(cosine, 0.0, 1.0)
     inside = 1.0 - (1.0 - c * c) * (1.0 / ratio**2)
     t = np.sqrt(np.clip(inside, 0.0, 1.0))
-    tiny = 1e-12  # total reflection at grazing incidence: zero over zero, which the last line replaces by one
+    # total reflection at grazing incidence: zero over zero, which the last line replaces by one
+    tiny = 1e-12
     across = (c - ratio * t) / (c + ratio * t + tiny)
     along = (ratio * c - t) / (ratio * c + t + tiny)
-    return np.asarray(np.where(inside <= 0.0, np.ones_like(c), 0.5 * (across * across + along * along)))
+    return np.asarray(
+        np.where(inside <= 0.0, np.ones_like(c), 0.5 * (across * across + along * along))
+    )
 
 
 def diffuse_transmittance(ratio: float = REFRACTIVE_INDEX) -> float:
-    """Fraction of diffuse (cosine-weighted) light that enters the medium: 1 - int 2 c F(c) dc over [0, 1]."""
+    """Fraction of diffuse (cosine-weighted) light that enters the medium: 1 - int 2 c F(c) dc over
+    [0, 1]."""
     c = (np.arange(4000) + 0.5) / 4000.0
     return float(1.0 - np.mean(2.0 * c * fresnel(c, ratio)))
 
@@ -273,7 +317,8 @@ def diffuse_transmittance(ratio: float = REFRACTIVE_INDEX) -> float:
 class WalkTable(NamedTuple):
     """Histogram of random walks without absorption, in mean free paths."""
 
-    # (radii, lengths): fraction of all walks that leave at a radius and after a length within the bins
+    # (radii, lengths): fraction of all walks that leave at a radius and after a length within the
+    # bins
     counts: NDArray[np.float64]
     lengths: NDArray[np.float64]  # (lengths,) mean length of the walks in each bin of lengths
 
@@ -289,7 +334,8 @@ def load_walks() -> WalkTable:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Profile:
-    """The diffusion profile of one medium: light leaves ring k, between two radii, with weight `weights[k]`."""
+    """The diffusion profile of one medium: light leaves ring k, between two radii, with weight
+    `weights[k]`."""
 
     radii_mm: NDArray[np.float64]  # (rings + 1,) edges of the rings
     weights: NDArray[np.float64]  # (rings,) their sum is the albedo
@@ -307,8 +353,8 @@ class Profile:
     def transfer(self, cycles_per_mm: NDArray[np.floating]) -> NDArray[np.float64]:
         """Fourier (Hankel) transform of the profile at a frequency, evenly spread within each ring.
 
-        One ring between radii p and q has the transform 2 (q J1(kq) - p J1(kp)) / (k (q^2 - p^2)), k = 2 pi f.
-        The value at zero is the albedo.
+        One ring between radii p and q has the transform 2 (q J1(kq) - p J1(kp)) / (k (q^2 - p^2)),
+        k = 2 pi f. The value at zero is the albedo.
         """
         k = 2.0 * np.pi * np.maximum(np.asarray(cycles_per_mm, dtype=np.float64), 1e-6)[..., None]
         r = self.radii_mm
@@ -323,21 +369,31 @@ class Profile:
         longest = float(np.hypot(rows.max() + 1.0 / (shape[0] * pitch_mm), columns.max()))
         knots = longest * (np.arange(601) / 600.0) ** 2
         values = self.transfer(knots)
-        # knots are spaced with the square of their index: the index itself is the coordinate to interpolate in
+        # knots are spaced with the square of their index: the index itself is the coordinate to
+        # interpolate in
         index = np.sqrt(np.hypot(rows[:, None], columns[None, :]) / longest) * 600.0
         return np.interp(index, np.arange(601), values).astype(np.float32)
 
 
-def diffusion_profile(scattering_per_mm: float, absorption_per_mm: float, walks: WalkTable | None = None) -> Profile:
-    """Return the profile of a medium with reduced scattering and absorption in 1/mm, by the shipped table of walks or
-    by another one.
+def diffusion_profile(
+    scattering_per_mm: float, absorption_per_mm: float, walks: WalkTable | None = None
+) -> Profile:
+    """Return the profile of a medium with reduced scattering and absorption in 1/mm, by the shipped
+    table of walks or by another one.
 
-    Raises BadInput if scattering is not positive, absorption is negative, or absorption is so weak (below 0.2 % of
-    scattering) that walks longer than the table would matter. Wang, Jacques and Zheng 1995, MCML; Zijp and ten Bosch
-    1998 on the scaling of one simulation to other optics.
+    Raises BadInput if scattering is not positive, absorption is negative, or absorption is so weak
+    (below 0.2 % of scattering) that walks longer than the table would matter. Wang, Jacques and
+    Zheng 1995, MCML; Zijp and ten Bosch 1998 on the scaling of one simulation to other optics.
     """
-    require(scattering_per_mm > 0, f"scattering must be positive, but it is {scattering_per_mm} per mm.")
+    require(
+        scattering_per_mm > 0, f"scattering must be positive, but it is {scattering_per_mm} per mm."
+    )
     ratio = absorption_per_mm / scattering_per_mm
-    require(ratio >= 0.002, f"absorption must be at least 0.2 % of scattering, but it is {100 * ratio:.3g} %.")
+    require(
+        ratio >= 0.002,
+        f"absorption must be at least 0.2 % of scattering, but it is {100 * ratio:.3g} %.",
+    )
     counts, lengths = walks or load_walks()
-    return Profile(RADIUS_EDGES / scattering_per_mm, np.sum(counts * np.exp(-ratio * lengths), axis=1))
+    return Profile(
+        RADIUS_EDGES / scattering_per_mm, np.sum(counts * np.exp(-ratio * lengths), axis=1)
+    )

@@ -1,8 +1,10 @@
-"""What ``splitknit simulate population`` does: a population in a folder, resumable, by several workers.
+"""What ``splitknit simulate population`` does: a population in a folder, resumable, by several
+workers.
 
-The folder is laid out as an enrolment by the devices: ``enrolment.json`` (the plan), ``population.json`` (settings and
-their hash) and ``S01/session_1/right_index/``, a capture folder with truth and ``impression.json`` each. Capture
-folders appear whole or not at all; what is finished is read off them.
+The folder is laid out as an enrolment by the devices: ``enrolment.json`` (the plan),
+``population.json`` (settings and their hash) and ``S01/session_1/right_index/``, a capture folder
+with truth and ``impression.json`` each. Capture folders appear whole or not at all; what is
+finished is read off them.
 """
 
 from __future__ import annotations
@@ -20,7 +22,13 @@ from splitknit import write_capture
 from splitknit.errors import naming, refusing, require
 from splitknit.io.atomic import atomic_folder, hold, sweep, write_file
 from splitknit.io.csv_table import csv_text
-from splitknit.io.enrolment import PLAN_FILE, Enrolment, PlannedCapture, open_enrolment, plan_enrolment
+from splitknit.io.enrolment import (
+    PLAN_FILE,
+    Enrolment,
+    PlannedCapture,
+    open_enrolment,
+    plan_enrolment,
+)
 from splitknit.io.fields import read_json
 from splitknit.io.provenance import file_hash, json_text, plain_json, provenance, settings_hash
 from splitknit.io.targets import check_file
@@ -32,7 +40,11 @@ from splitknit_simulator.finger.master_print import MasterPrint
 from splitknit_simulator.population.sessions import DRAWS, PopulationSettings, population_capture
 from splitknit_simulator.twin import master_of_print_file
 
-POPULATION_FILE, IMPRESSION_FILE, TABLE_FILE = "population.json", "impression.json", "population.csv"
+POPULATION_FILE, IMPRESSION_FILE, TABLE_FILE = (
+    "population.json",
+    "impression.json",
+    "population.csv",
+)
 _FORMAT, _VERSION = "splitknit-population", 1
 
 _Job = tuple[PlannedCapture, ...]
@@ -50,25 +62,33 @@ def simulate_population(
     workers: int = 2,
     progress: Progress = no_progress,
 ) -> dict[str, Any]:
-    """Simulate what is not there yet; return the facts. Raises BadInput if the folder holds something else or a
-    population with other settings, another run writes it, the plan would shrink, or `prints` holds no usable prints or
-    not those that the population began with.
+    """Simulate what is not there yet; return the facts. Raises BadInput if the folder holds
+    something else or a population with other settings, another run writes it, the plan would
+    shrink, or `prints` holds no usable prints or not those that the population began with.
 
-    subjects, sessions, fingers : how many and which; None as planned earlier, else as in the thesis (17, 4, all ten)
-    prints : folder of real prints, of whose ridges :func:`choose_prints` gives a third of the fingers; fingers that are
+    subjects, sessions, fingers : how many and which; None as planned earlier, else as in the thesis
+    (17, 4, all ten)
+    prints : folder of real prints, of whose ridges :func:`choose_prints` gives a third of the
+    fingers; fingers that are
         planned later have none
     """
     started = time.perf_counter()
     require(1 <= workers <= 256, f"workers must be 1 to 256, but it is {workers}.")
-    check_file(out / TABLE_FILE, "the table of a population", lambda data: data.startswith(b"folder,"))
+    check_file(
+        out / TABLE_FILE, "the table of a population", lambda data: data.startswith(b"folder,")
+    )
     earlier = _earlier(out)
     plan = plan_enrolment(out, subjects=subjects, sessions=sessions, fingers=fingers).plan
     real = RealPrints()
     if prints is not None:
-        dealt: dict[str, RealPrint] | None = None  # prints of the population's fingers, as it was begun
+        # prints of the population's fingers, as it was begun
+        dealt: dict[str, RealPrint] | None = None
         if earlier is not None:
             with refusing(_DAMAGED.format(out / POPULATION_FILE)):
-                dealt = {finger: RealPrint(**values) for finger, values in earlier.get("prints", {}).items()}
+                dealt = {
+                    finger: RealPrint(**values)
+                    for finger, values in earlier.get("prints", {}).items()
+                }
                 require(all(real_print.sound() for real_print in dealt.values()), "")
         real = choose_prints(prints, settings.seed, plan.subject_ids(), plan.fingers, dealt)
     document = {
@@ -91,7 +111,9 @@ def simulate_population(
         before = enrolment.plan.total - len(waiting)
         progress("simulating", 0.0)
         work, done = partial(_simulate_job, settings=settings, real=real, folder=out), 0
-        for job, captures in run_jobs(work, _jobs_of(waiting), workers, f"what is finished in '{out}'"):
+        for job, captures in run_jobs(
+            work, _jobs_of(waiting), workers, f"what is finished in '{out}'"
+        ):
             done += captures
             progress(f"{job[0].subject} {job[0].finger}", done / max(len(waiting), 1))
         _write_table(enrolment)
@@ -148,13 +170,15 @@ def _jobs_of(waiting: Sequence[PlannedCapture]) -> list[_Job]:
 
 
 def _earlier(out: Path) -> dict[str, Any] | None:
-    """What the population in `out` was begun with; None if none was. Raises BadInput where it holds something else."""
+    """What the population in `out` was begun with; None if none was. Raises BadInput where it holds
+    something else."""
     file = out / POPULATION_FILE
     if not file.is_file():
         taken = out.is_dir() and any(out.glob("S*/session_*/*"))
         require(
             not taken or not (out / PLAN_FILE).is_file(),
-            f"'{out}' holds captures of something else than a simulated population; name another folder.",
+            f"'{out}' holds captures of something else than a simulated population; name another"
+            " folder.",
         )
         return None
     damaged = _DAMAGED.format(file)
@@ -176,7 +200,8 @@ def _check_settings(out: Path, earlier: dict[str, Any], document: dict[str, Any]
     where = f" ({', '.join(names[:4])})" if names else ""
     require(
         same,
-        f"the population in '{out}' was simulated with other settings{where}; use the same, or name another folder.",
+        f"the population in '{out}' was simulated with other settings{where}; use the same, or name"
+        " another folder.",
     )
 
 
@@ -191,14 +216,17 @@ def _write_table(enrolment: Enrolment) -> None:
             require(isinstance(facts, dict), damaged)
             rows.append({"folder": place.folder} | facts)
     names = list(rows[0]) if rows else []
-    text = csv_text([names, *([row.get(name, "") for name in names] for row in rows)] if rows else [])
+    text = csv_text(
+        [names, *([row.get(name, "") for name in names] for row in rows)] if rows else []
+    )
     write_file(enrolment.folder / TABLE_FILE, text.encode("utf-8"))
 
 
 # Ridges of real prints for a third of a population's fingers.
 
 
-FRACTION = 1 / 3  # fraction of the fingers with ridges of a real print, where there are prints enough
+# fraction of the fingers with ridges of a real print, where there are prints enough
+FRACTION = 1 / 3
 _SUFFIXES = (".png", ".tif", ".tiff", ".jpg", ".jpeg")
 
 
@@ -230,13 +258,20 @@ class RealPrints:
     """By the finger's name in the world, such as ``S01/right_index``."""
 
     def master(self, name: str, finger: SimulatedFinger) -> tuple[MasterPrint, str]:
-        """A finger's master print, and the real print that it is from, '' where it is drawn; BadInput if it changed."""
+        """A finger's master print, and the real print that it is from, '' where it is drawn;
+        BadInput if it changed."""
         if name not in self.of_finger:
             return finger.master(), ""
         real_print = self.of_finger[name]
         self.check(real_print)
         path = self.folder / real_print.file
-        laid = partial(master_of_print_file, path, finger.seed, finger.print_settings, mirrored=real_print.mirrored)
+        laid = partial(
+            master_of_print_file,
+            path,
+            finger.seed,
+            finger.print_settings,
+            mirrored=real_print.mirrored,
+        )
         return naming(path, laid), real_print.words
 
     def check(self, real_print: RealPrint) -> None:
@@ -244,7 +279,8 @@ class RealPrints:
         path = self.folder / real_print.file
         require(
             path.is_file() and file_hash(path) == real_print.sha256,
-            f"'{path}' is not the print that the population was begun with; name the folder that holds it.",
+            f"'{path}' is not the print that the population was begun with; name the folder that"
+            " holds it.",
         )
 
 
@@ -255,19 +291,25 @@ def choose_prints(
     fingers: Sequence[str],
     dealt: Mapping[str, RealPrint] | None = None,
 ) -> RealPrints:
-    """Deal real prints out to a third of a population's fingers, as evenly over people as their number allows.
+    """Deal real prints out to a third of a population's fingers, as evenly over people as their
+    number allows.
 
     Files of `folder` (PNG, TIFF or JPEG of 500 pixels an inch, tip up, ridges dark) are named
-    ``FINGER_IMPRESSION.png``: what stands before the last underscore is one real finger, and it becomes one finger of
-    the population, in all sessions, by the first of its impressions in the order of names. Where there are fewer real
-    fingers than a third, their mirror images are others (no matcher mirrors); where these are too few as well, fewer
-    fingers than a third have a real print's ridges.
+    ``FINGER_IMPRESSION.png``: what stands before the last underscore is one real finger, and it
+    becomes one finger of the population, in all sessions, by the first of its impressions in the
+    order of names. Where there are fewer real fingers than a third, their mirror images are others
+    (no matcher mirrors); where these are too few as well, fewer fingers than a third have a real
+    print's ridges.
 
-    `dealt`: what was dealt out when the population was begun; then that is kept, and the files are compared. Raises
-    BadInput if the folder holds no prints, one of those chosen shows no ridges, or one is not what it was.
+    `dealt`: what was dealt out when the population was begun; then that is kept, and the files are
+    compared. Raises BadInput if the folder holds no prints, one of those chosen shows no ridges, or
+    one is not what it was.
     """
     if dealt is not None:
-        require(len(dealt) > 0, "the population was begun without real prints; leave them out, or name another folder.")
+        require(
+            len(dealt) > 0,
+            "the population was begun without real prints; leave them out, or name another folder.",
+        )
         kept = RealPrints(folder, dealt)
         for real_print in dealt.values():
             kept.check(real_print)
@@ -275,7 +317,9 @@ def choose_prints(
     firsts = _first_impressions(folder)
     wanted = max(1, round(FRACTION * len(subjects) * len(fingers)))
     rng = np.random.default_rng(np.random.SeedSequence([seed, 0xB0D4]))
-    identities = [(firsts[k], mirrored) for mirrored in (False, True) for k in rng.permutation(len(firsts))][:wanted]
+    identities = [
+        (firsts[k], mirrored) for mirrored in (False, True) for k in rng.permutation(len(firsts))
+    ][:wanted]
     for path, mirrored in identities:
         naming(path, partial(master_of_print_file, path, mirrored=mirrored))
     own = {subject: rng.permutation(len(fingers)) for subject in subjects}
@@ -291,7 +335,9 @@ def choose_prints(
 def _first_impressions(folder: Path) -> list[Path]:
     """One file of each real finger, by name."""
     require(folder.is_dir(), f"'{folder}' is not a folder of prints.")
-    files = sorted(path for path in folder.iterdir() if path.suffix.lower() in _SUFFIXES and path.is_file())
+    files = sorted(
+        path for path in folder.iterdir() if path.suffix.lower() in _SUFFIXES and path.is_file()
+    )
     require(len(files) > 0, f"'{folder}' holds no prints (PNG, TIFF or JPEG).")
     firsts: dict[str, Path] = {}
     for path in files:

@@ -1,6 +1,8 @@
-"""People: hands whose ten fingers are similar in size, shape and skin, each with a print of its own.
+"""People: hands whose ten fingers are similar in size, shape and skin, each with a print of its
+own.
 
-Everything is drawn from a person's number, so that a person does not depend on how many others there are.
+Everything is drawn from a person's number, so that a person does not depend on how many others
+there are.
 """
 
 from __future__ import annotations
@@ -15,7 +17,13 @@ from scipy.special import ndtr
 
 from splitknit.errors import require
 from splitknit.settings import Checked, Limits
-from splitknit_simulator.finger.finger import TRAITS, SimulatedFinger, crease_of, relief_of, shape_of
+from splitknit_simulator.finger.finger import (
+    TRAITS,
+    SimulatedFinger,
+    crease_of,
+    relief_of,
+    shape_of,
+)
 from splitknit_simulator.finger.master_print import MasterPrintSettings
 from splitknit_simulator.finger.shape import FingerShape
 from splitknit_simulator.finger.skin_map import SkinRelief as ReliefSettings
@@ -24,14 +32,23 @@ from splitknit_simulator.light.skin import SkinOptics, SkinRanges
 Five = tuple[float, float, float, float, float]
 DIGITS, SIDES = ("thumb", "index", "middle", "ring", "little"), ("right", "left")
 
-ARCHES: Mapping[str, Five] = {"right": (0.03, 0.17, 0.07, 0.02, 0.01), "left": (0.05, 0.17, 0.08, 0.03, 0.02)}
-"""Fraction of arches by digit, thumb to little finger (Galton 1892, chapter VIII, 5000 digits of 500 persons)."""
-WHORLS: Mapping[str, Five] = {"right": (0.44, 0.30, 0.15, 0.45, 0.13), "left": (0.30, 0.28, 0.16, 0.31, 0.08)}
+ARCHES: Mapping[str, Five] = {
+    "right": (0.03, 0.17, 0.07, 0.02, 0.01),
+    "left": (0.05, 0.17, 0.08, 0.03, 0.02),
+}
+"""Fraction of arches by digit, thumb to little finger (Galton 1892, chapter VIII, 5000 digits of
+500 persons)."""
+WHORLS: Mapping[str, Five] = {
+    "right": (0.44, 0.30, 0.15, 0.45, 0.13),
+    "left": (0.30, 0.28, 0.16, 0.31, 0.08),
+}
 """Fraction of whorls; the rest are loops (the same table)."""
 RADIAL: Five = (0.01, 0.39, 0.04, 0.02, 0.01)
-"""Fraction of the loops that open to the thumb's side: 39 % on fore-fingers (Galton), rare elsewhere."""
+"""Fraction of the loops that open to the thumb's side: 39 % on fore-fingers (Galton), rare
+elsewhere."""
 TENTED, TWIN = 0.44, 0.18
-"""Tented ones among arches and twin loops among whorls, as in :data:`splitknit_simulator.finger.finger.FREQUENCIES`."""
+"""Tented ones among arches and twin loops among whorls, as in
+:data:`splitknit_simulator.finger.finger.FREQUENCIES`."""
 
 
 # Classes of prints by digit and hand, in the frequencies that people have.
@@ -54,10 +71,12 @@ def class_fractions(side: str, digit: str) -> dict[str, float]:
 
 
 def _pattern_class(rng: np.random.Generator, score: float, side: str, digit: str) -> str:
-    """Class of a print in the digit's frequencies: arches where a standard normal `score` is low, whorls where high.
+    """Class of a print in the digit's frequencies: arches where a standard normal `score` is low,
+    whorls where high.
 
-    Scores that are similar in a person's fingers make their classes similar. On the print of a right hand the little
-    finger's side is to the right: ulnar loops open there. Source: Galton 1892, Finger prints, chapter VIII, table I.
+    Scores that are similar in a person's fingers make their classes similar. On the print of a
+    right hand the little finger's side is to the right: ulnar loops open there. Source: Galton
+    1892, Finger prints, chapter VIII, table I.
     """
     k = DIGITS.index(digit)
     quantile = float(ndtr(score))
@@ -73,20 +92,26 @@ def _pattern_class(rng: np.random.Generator, score: float, side: str, digit: str
 # From what hands are drawn.
 
 _LENGTH_SEX_RATIO, _LENGTH_SPREAD = 1.09, 0.05
-"""Of the length from tip to first crease: men's over women's; relative standard deviation between people of one sex."""
+"""Of the length from tip to first crease: men's over women's; relative standard deviation between
+people of one sex."""
 _WIDTH_SEX_RATIO, _WIDTH_SPREAD = 1.14, 0.055  # the same of the pad's breadth
 _PERIOD_SEX_RATIO, _PERIOD_SPREAD = 1.10, 0.045  # the same of the ridge period
 PERIOD_DIGIT: Five = (1.05, 1.02, 1.0, 0.98, 0.95)  # relative ridge period of each digit
-WIDTH_MM: Five = (20.2, 16.8, 17.0, 16.0, 14.3)  # mean breadth of the pad by digit, thumb to little finger, both sexes
+# mean breadth of the pad by digit, thumb to little finger, both sexes
+WIDTH_MM: Five = (20.2, 16.8, 17.0, 16.0, 14.3)
 LENGTH_MM: Five = (30.5, 25.0, 26.0, 25.5, 22.8)  # mean length from tip to first crease
 PERIOD_MM = 0.435  # mean ridge period, both sexes: 23 ridges per cm, as in the thesis
 _HABIT_ROLL_SD_DEG = 3.0  # standard deviation of each finger's habitual roll
-_PERSON_SHARE = 0.8  # fraction of the variance of breadth and length, within a sex, that all ten fingers have in common
-_PERIOD_OWN_SPREAD = 0.02  # relative standard deviation of the ridge period between the fingers of a hand
+# fraction of the variance of breadth and length, within a sex, that all ten fingers have in common
+_PERSON_SHARE = 0.8
+# relative standard deviation of the ridge period between the fingers of a hand
+_PERIOD_OWN_SPREAD = 0.02
 _PATTERN_SHARES = 0.35, 0.25
-"""How far a person's fingers, and the two fingers of one name, tend to one class of print: of the latent variance."""
+"""How far a person's fingers, and the two fingers of one name, tend to one class of print: of the
+latent variance."""
 _BLOOD_OWN_SPREAD, _GAIN_OWN_SPREAD = 0.10, 0.05
-"""Logarithmic standard deviations of blood content and relief gain between the fingers of a person."""
+"""Logarithmic standard deviations of blood content and relief gain between the fingers of a
+person."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -126,7 +151,10 @@ class Person:
 def draw_person(seed: int, number: int, ranges: PeopleRanges | None = None) -> Person:
     """Draw person `number`, from 1, of the population `seed`; the others are not drawn for it."""
     ranges = ranges or PeopleRanges()
-    require(seed >= 0 and number >= 1, "seeds of populations are not negative, and people are numbered from 1.")
+    require(
+        seed >= 0 and number >= 1,
+        "seeds of populations are not negative, and people are numbered from 1.",
+    )
     rng = np.random.default_rng(np.random.SeedSequence([seed, 0xB0D1, number]))
     man = bool(rng.random() < ranges.men)
     optics = ranges.optics.draw(rng)
@@ -136,7 +164,9 @@ def draw_person(seed: int, number: int, ranges: PeopleRanges | None = None) -> P
     for place, name in enumerate(FINGERS):
         own = np.random.default_rng(np.random.SeedSequence([seed, 0xB0D3, number, place]))
         side, digit = divmod(place, len(DIGITS))
-        pattern = _pattern_class(own, hand.score("pattern", place, *_PATTERN_SHARES), SIDES[side], DIGITS[digit])
+        pattern = _pattern_class(
+            own, hand.score("pattern", place, *_PATTERN_SHARES), SIDES[side], DIGITS[digit]
+        )
         settings = _print_settings(own, hand, place, man)
         shape, relief = _shape_and_relief(own, hand, place, man)
         print_seed = int(print_seeds[place].generate_state(1, np.uint32)[0])
@@ -150,7 +180,8 @@ def draw_person(seed: int, number: int, ranges: PeopleRanges | None = None) -> P
 
 
 class _Hand:
-    """Standard normal scores that describe how a person's fingers differ from the mean, similar among themselves."""
+    """Standard normal scores that describe how a person's fingers differ from the mean, similar
+    among themselves."""
 
     EXTRA = ("width", "length", "period", "pattern")
 
@@ -162,14 +193,17 @@ class _Hand:
         self._own = rng.standard_normal((len(FINGERS), len(names)))
 
     def score(self, name: str, place: int, person: float, digit: float) -> float:
-        """Score of the finger `place`; `person` and `digit` are the fractions of the variance that are common."""
+        """Score of the finger `place`; `person` and `digit` are the fractions of the variance that
+        are common."""
         k = self._column[name]
         z = np.sqrt(person) * self._person[k] + np.sqrt(digit) * self._digit[place % len(DIGITS), k]
         return float(z + np.sqrt(max(1.0 - person - digit, 0.0)) * self._own[place, k])
 
     def size(self, name: str, place: int) -> float:
         """Score of breadth or length; most of what is not the person's is common to both hands."""
-        return float(np.clip(self.score(name, place, _PERSON_SHARE, 0.7 * (1.0 - _PERSON_SHARE)), -2.2, 2.2))
+        return float(
+            np.clip(self.score(name, place, _PERSON_SHARE, 0.7 * (1.0 - _PERSON_SHARE)), -2.2, 2.2)
+        )
 
     def trait(self, name: str, place: int) -> float:
         """Value of a trait, mirrored on the left hand where it has a side."""
@@ -179,7 +213,9 @@ class _Hand:
         return -value if trait.sided and place >= len(DIGITS) else value
 
 
-def _print_settings(rng: np.random.Generator, hand: _Hand, place: int, man: bool) -> MasterPrintSettings:
+def _print_settings(
+    rng: np.random.Generator, hand: _Hand, place: int, man: bool
+) -> MasterPrintSettings:
     sex = (0.5 if man else -0.5) * np.log(_PERIOD_SEX_RATIO)
     person = hand.score("period", place, 1.0, 0.0)
     own = _PERIOD_OWN_SPREAD * np.clip(rng.standard_normal(), -2.2, 2.2)

@@ -1,7 +1,8 @@
-"""A population: people, their ten fingers, and captures of them in several sessions, with the truth.
+"""A population: people, their ten fingers, and captures of them in several sessions, with the
+truth.
 
-Every capture follows from the settings and its own place (person, finger, session) alone: it is the same whatever else
-is simulated, in whatever order and by however many workers.
+Every capture follows from the settings and its own place (person, finger, session) alone: it is the
+same whatever else is simulated, in whatever order and by however many workers.
 """
 
 from __future__ import annotations
@@ -26,44 +27,61 @@ from splitknit_simulator.finger.master_print import MasterPrint
 from splitknit_simulator.light.films import FilmSettings
 from splitknit_simulator.light.renderer import RenderSettings
 from splitknit_simulator.light.skin import SkinOptics
-from splitknit_simulator.population.people import FINGERS, OwnFinger, PeopleRanges, Person, draw_person
+from splitknit_simulator.population.people import (
+    FINGERS,
+    OwnFinger,
+    PeopleRanges,
+    Person,
+    draw_person,
+)
 from splitknit_simulator.scene import BackgroundSettings, TwinSettings
 from splitknit_simulator.twin import photograph
 
-# What changes from one session to the next: how a finger is laid down, its skin, the camera and the lights.
+# What changes from one session to the next: how a finger is laid down, its skin, the camera and the
+# lights.
 
 Range = tuple[float, float]
 _EVEN: Mapping[str, Range] = {
     "x_mm": (-3.0, 3.0),  # where the middle of the finger lies beside the image centre
     "height_mm": (-0.5, 0.5),  # z of the pad's highest point
-    "flattening": (0.0, 0.02),  # relative gain in breadth, and loss in thickness, of a resting finger
+    # relative gain in breadth, and loss in thickness, of a resting finger
+    "flattening": (0.0, 0.02),
     "exposure": (0.5, 0.8),  # fraction of full scale that the brightest skin reaches
     "ambient": (0.0005, 0.004),  # ambient light relative to one LED
-    "hand_shadow": (0.0, 0.15),  # fraction of the light that the hand takes away at the finger's base
+    # fraction of the light that the hand takes away at the finger's base
+    "hand_shadow": (0.0, 0.15),
     "dust_per_cm2": (0.0, 0.6),  # bright specks on the background, for each square centimetre
 }
 """What is drawn evenly between two values."""
 _BY_MOISTURE: Mapping[str, Range] = {
     "glare": (0.5, 1.3),  # weight of the surface reflection of dry and of moist skin
     "roughness": (0.35, 0.18),  # GGX alpha of dry and of moist skin
-    "ridge_contrast": (0.88, 1.08),  # depth of ridges and pores relative to the finger's own, dry and moist
+    # depth of ridges and pores relative to the finger's own, dry and moist
+    "ridge_contrast": (0.88, 1.08),
 }
 """What lies between its value on dry and on moist skin."""
-_INSERTION_MM: Range = (26.0, 28.4)  # from the lower image border to the tip; cut to what the picture holds
-_OXYGENATION: Range = (0.6, 0.85)  # oxygenated fraction of the haemoglobin, one for all of a person's fingers
+# from the lower image border to the tip; cut to what the picture holds
+_INSERTION_MM: Range = (26.0, 28.4)
+# oxygenated fraction of the haemoglobin, one for all of a person's fingers
+_OXYGENATION: Range = (0.6, 0.85)
 _FULL_WELL_E: Range = (2500.0, 4700.0)  # electrons at full scale: fewer with a higher gain
 _READ_NOISE_E: Range = (2.5, 4.0)  # standard deviation of the noise of reading out, electrons
-_PARTIAL_INSERTION_MM = (18.0, 22.0)  # from the lower image border to the tip of a finger that is laid down too short
+# from the lower image border to the tip of a finger that is laid down too short
+_PARTIAL_INSERTION_MM = (18.0, 22.0)
 _SWELLING_COMMON, _MOISTURE_COMMON, _BLOOD_COMMON = 0.8, 0.6, 0.8
 """Fractions of the variances that a person's fingers have in common in a session."""
 _YAW_SD_DEG, _PITCH_SD_DEG = 5.0, 2.0
-"""Standard deviations of the turn about the camera's axis and of the lift of the tip; at most twice as much."""
+"""Standard deviations of the turn about the camera's axis and of the lift of the tip; at most twice
+as much."""
 SWELLING_SD = 0.015
-"""Standard deviation of the change of breadth and thickness (water, warmth, weight); at most twice as much."""
+"""Standard deviation of the change of breadth and thickness (water, warmth, weight); at most twice
+as much."""
 DEFORMATION_MM: Range = (0.2, 0.5)  # largest shift of the skin against the body
 _BLOOD_SD = 0.25  # logarithmic standard deviation of the blood content (warmth, pressure)
 _LED_DRIFT_SD = (
-    0.007  # relative change of each LED's intensity since it was calibrated, which the rig file does not know
+    # relative change of each LED's intensity since it was calibrated, which the rig file does not
+    # know
+    0.007
 )
 
 
@@ -74,8 +92,8 @@ class SessionRanges(Checked):
     _group = "sessions"
 
     roll_sd_deg: Annotated[float, Limits(0.0, 12.0)] = 6.0
-    """Standard deviation of the finger's turn about its own axis, on top of its habit; no turn is beyond twice that.
-    0 to 12."""
+    """Standard deviation of the finger's turn about its own axis, on top of its habit; no turn is
+    beyond twice that. 0 to 12."""
     partial_share: Annotated[float, Limits(0.0, 1.0)] = 0.1
     """Fraction of impressions that show too little of the finger."""
 
@@ -109,14 +127,20 @@ class _Impression:
 
     def pose(self) -> FingerPose:
         """How the finger lies."""
-        yaw, pitch, roll = (float(np.deg2rad(angle)) for angle in (self.yaw_deg, self.pitch_deg, self.roll_deg))
+        yaw, pitch, roll = (
+            float(np.deg2rad(angle)) for angle in (self.yaw_deg, self.pitch_deg, self.roll_deg)
+        )
         return FingerPose(yaw, pitch, roll, self.x_mm, self.insertion_mm, self.height_mm)
 
 
-def draw_impression(own: OwnFinger, ranges: SessionRanges, camera: Camera, place: tuple[int, int, int]) -> _Impression:
-    """Draw how a finger is laid down; `place`: seed of the population, number of the person, session from 1.
+def draw_impression(
+    own: OwnFinger, ranges: SessionRanges, camera: Camera, place: tuple[int, int, int]
+) -> _Impression:
+    """Draw how a finger is laid down; `place`: seed of the population, number of the person,
+    session from 1.
 
-    What a person's fingers share in a session (swelling, moisture, gain of the camera) is drawn for the person.
+    What a person's fingers share in a session (swelling, moisture, gain of the camera) is drawn for
+    the person.
     """
     seed, number, session = place
     require(session >= 1, f"sessions are numbered from 1, but this is {session}.")
@@ -134,12 +158,16 @@ def draw_impression(own: OwnFinger, ranges: SessionRanges, camera: Camera, place
         return between(limits, rng.random())
 
     def shared(common: float) -> float:
-        both = np.sqrt(common) * day.standard_normal() + np.sqrt(1.0 - common) * rng.standard_normal()
+        both = (
+            np.sqrt(common) * day.standard_normal() + np.sqrt(1.0 - common) * rng.standard_normal()
+        )
         return float(np.clip(both, -2.0, 2.0))
 
     swelling = SWELLING_SD * shared(_SWELLING_COMMON)
     moisture = float(ndtr(shared(_MOISTURE_COMMON)))
-    full_well, read_noise = (between(limits, day.random()) for limits in (_FULL_WELL_E, _READ_NOISE_E))
+    full_well, read_noise = (
+        between(limits, day.random()) for limits in (_FULL_WELL_E, _READ_NOISE_E)
+    )
     partial = bool(rng.random() < ranges.partial_share)
     full, short = even(_INSERTION_MM), even(_PARTIAL_INSERTION_MM)
     _, lower, upper = picture_on_plane(camera)
@@ -158,17 +186,22 @@ def draw_impression(own: OwnFinger, ranges: SessionRanges, camera: Camera, place
         oxygenation=between(_OXYGENATION, day.random()),
         full_well_e=full_well,
         read_noise_e=read_noise,
-        **{name: even(_EVEN[name]) for name in ("exposure", "ambient", "hand_shadow", "dust_per_cm2")},
+        **{
+            name: even(_EVEN[name])
+            for name in ("exposure", "ambient", "hand_shadow", "dust_per_cm2")
+        },
     )
 
 
 DRAWS = 1  # version of the draws: it rises when the same settings give other captures
-LARGE = ("normals", "glare_white", "glare_nir")  # arrays of the truth that only ``truth = "full"`` keeps
+# arrays of the truth that only ``truth = "full"`` keeps
+LARGE = ("normals", "glare_white", "glare_nir")
 
 
 @dataclass(frozen=True, slots=True)
 class PopulationSettings(Checked):
-    """A whole population; how many people, fingers and sessions of it are simulated is not part of it."""
+    """A whole population; how many people, fingers and sessions of it are simulated is not part of
+    it."""
 
     seed: Annotated[int, Limits(0)] = 0
     """Seed of all people, fingers and captures: the same seed gives the same bytes. 0 or more."""
@@ -182,7 +215,8 @@ class PopulationSettings(Checked):
     films: FilmSettings = field(default_factory=FilmSettings)
     """Polarising films: none unless `films.kind` is analyser or leds."""
     truth: Literal["surface", "full"] = "surface"
-    """``surface``: heights, shape, relief, mask, landmarks; ``full``: normals and glare, too (five times as large)."""
+    """``surface``: heights, shape, relief, mask, landmarks; ``full``: normals and glare, too (five
+    times as large)."""
 
     def rig(self) -> Rig:
         """The rig as it was calibrated."""
@@ -199,22 +233,35 @@ class _Shown:
 
     capture: Capture
     truth: dict[str, NDArray[Any]]
-    facts: dict[str, Any]  # who, which finger and session, how it lay, how its skin was: plain numbers and words
+    # who, which finger and session, how it lay, how its skin was: plain numbers and words
+    facts: dict[str, Any]
 
 
 def population_capture(
-    settings: PopulationSettings, person: Person, finger: str, session: int, *, master: MasterPrint | None = None
+    settings: PopulationSettings,
+    person: Person,
+    finger: str,
+    session: int,
+    *,
+    master: MasterPrint | None = None,
 ) -> _Shown:
-    """Simulate one capture; `session` from 1, `master` of this finger where it was drawn already."""
-    require(finger in person.fingers, f"'{finger}' is not a finger; fingers are {', '.join(FINGERS)}.")
+    """Simulate one capture; `session` from 1, `master` of this finger where it was drawn
+    already."""
+    require(
+        finger in person.fingers, f"'{finger}' is not a finger; fingers are {', '.join(FINGERS)}."
+    )
     own = person.fingers[finger]
     rig = settings.rig()
-    impression = draw_impression(own, settings.sessions, rig.camera, (settings.seed, person.number, session))
+    impression = draw_impression(
+        own, settings.sessions, rig.camera, (settings.seed, person.number, session)
+    )
     place = [settings.seed, 0x5E53, person.number, FINGERS.index(finger), session]
     skin_seed, drift_seed, photo_seed = np.random.SeedSequence(place).spawn(3)
     master = master or own.finger.master()
     rng = np.random.default_rng(skin_seed)
-    deformation = draw_deformation(rng, master, impression.deformation_mm, stretch=impression.swelling)
+    deformation = draw_deformation(
+        rng, master, impression.deformation_mm, stretch=impression.swelling
+    )
     today = finger_of_today(own.finger, impression)
     worn = replace(today, printed=deformed(master, deformation))
     surface = finger_surface(worn, impression.pose(), rig.camera, workers=settings.render.workers)
@@ -234,13 +281,18 @@ def population_capture(
 
 
 def finger_of_today(finger: SimulatedFinger, impression: _Impression) -> SimulatedFinger:
-    """The finger, swollen and pressed as in this impression, its ridges as deep as its moisture makes them."""
+    """The finger, swollen and pressed as in this impression, its ridges as deep as its moisture
+    makes them."""
     shape, skin = finger.shape, finger.skin
     width_mm = shape.width_mm * (1.0 + impression.swelling + impression.flattening)
     thickness_mm = shape.thickness_mm * (1.0 + impression.swelling - impression.flattening)
-    ridge_um, pore_um = (depth * impression.ridge_contrast for depth in (skin.ridge_depth_um, skin.pore_depth_um))
+    ridge_um, pore_um = (
+        depth * impression.ridge_contrast for depth in (skin.ridge_depth_um, skin.pore_depth_um)
+    )
     shape = replace(shape, width_mm=width_mm, thickness_mm=thickness_mm)
-    return replace(finger, shape=shape, skin=replace(skin, ridge_depth_um=ridge_um, pore_depth_um=pore_um))
+    return replace(
+        finger, shape=shape, skin=replace(skin, ridge_depth_um=ridge_um, pore_depth_um=pore_um)
+    )
 
 
 def _skin_of_today(own: OwnFinger, impression: _Impression) -> SkinOptics:
@@ -258,7 +310,10 @@ def _drifted(rig: Rig, rng: np.random.Generator, spread: float) -> Rig:
     """The rig as it is: LEDs a little brighter or darker than when they were calibrated."""
     changes = 1.0 + spread * np.clip(rng.standard_normal(len(rig.leds)), -2.5, 2.5)
     lit = zip(rig.leds, changes, strict=True)
-    return replace(rig, leds=tuple(replace(led, intensity=float(led.intensity * change)) for led, change in lit))
+    return replace(
+        rig,
+        leds=tuple(replace(led, intensity=float(led.intensity * change)) for led, change in lit),
+    )
 
 
 def _twin_settings(settings: PopulationSettings, impression: _Impression) -> TwinSettings:
@@ -266,16 +321,24 @@ def _twin_settings(settings: PopulationSettings, impression: _Impression) -> Twi
         render=settings.render,
         films=settings.films,
         background=BackgroundSettings(
-            ambient=impression.ambient, hand_shadow=impression.hand_shadow, dust_per_cm2=impression.dust_per_cm2
+            ambient=impression.ambient,
+            hand_shadow=impression.hand_shadow,
+            dust_per_cm2=impression.dust_per_cm2,
         ),
         sensor=SensorSettings(
-            exposure=impression.exposure, full_well_e=impression.full_well_e, read_noise_e=impression.read_noise_e
+            exposure=impression.exposure,
+            full_well_e=impression.full_well_e,
+            read_noise_e=impression.read_noise_e,
         ),
     )
 
 
 def _facts(
-    person: Person, own: OwnFinger, today: SimulatedFinger, master: MasterPrint, impression: _Impression
+    person: Person,
+    own: OwnFinger,
+    today: SimulatedFinger,
+    master: MasterPrint,
+    impression: _Impression,
 ) -> dict[str, Any]:
     return {
         "sex": person.sex,

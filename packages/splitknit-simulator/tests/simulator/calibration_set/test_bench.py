@@ -19,12 +19,20 @@ PLACES = [(40, 30), (160, 110), (300, 200), (5, 215)]
 
 
 def card_light(led, point, normal=(0, 0, 1), albedo=0.9):
-    """Radiance of a card by hand: inverse square, cosine of incidence, cosine to the lobe's power, Lambert."""
+    """Radiance of a card by hand: inverse square, cosine of incidence, cosine to the lobe's power,
+    Lambert."""
     towards = np.array(led.position_mm) - point
     r = np.linalg.norm(towards)
     beam = np.array(led.aim if led.aim is not None else -np.array(led.position_mm))
     along = np.dot(-towards / r, beam / np.linalg.norm(beam))
-    return albedo / np.pi * led.intensity * (100 / r) ** 2 * np.dot(towards / r, normal) * along**led.lobe_exponent
+    return (
+        albedo
+        / np.pi
+        * led.intensity
+        * (100 / r) ** 2
+        * np.dot(towards / r, normal)
+        * along**led.lobe_exponent
+    )
 
 
 @pytest.mark.parametrize("z", [0.0, 6.0])
@@ -35,7 +43,9 @@ def test_a_card_under_a_near_led_is_as_bright_as_its_closed_form(z):
     for column, row in PLACES:
         x = (column - 159.5) / camera.matrix[0, 0] * (140 - z)
         y = (109.5 - row) / camera.matrix[0, 0] * (140 - z)
-        assert light[row, column] == pytest.approx(card_light(things["leds"][4], (x, y, z)), rel=1e-5)
+        assert light[row, column] == pytest.approx(
+            card_light(things["leds"][4], (x, y, z)), rel=1e-5
+        )
 
 
 def test_a_built_rigs_lens_and_aims_and_a_tilted_card():
@@ -50,7 +60,9 @@ def test_a_built_rigs_lens_and_aims_and_a_tilted_card():
     for u, v in [(0, 0), (-14, 9), (17, -11)]:
         point = turn @ (u, v, 0) + (0, 0, 1.5)
         column, row = np.round(seen(things["camera"], point)[0]).astype(int)
-        assert light[row, column] == pytest.approx(card_light(things["leds"][0], point, turn[:, 2]), rel=2e-3)
+        assert light[row, column] == pytest.approx(
+            card_light(things["leds"][0], point, turn[:, 2]), rel=2e-3
+        )
 
 
 def scenes(**things):
@@ -67,7 +79,9 @@ def scenes(**things):
 def test_leds_add_and_the_room_stays(name):
     scene = scenes(**built())[name]
     room, one, other, both = (scene.light(lit) for lit in ([], [0], [9], [0, 9]))
-    assert np.allclose(both - room, one + other - 2 * room, atol=1e-5 * max(float(both.max()), 1e-6))
+    assert np.allclose(
+        both - room, one + other - 2 * room, atol=1e-5 * max(float(both.max()), 1e-6)
+    )
     assert (one >= room - 1e-7).all()
     assert 0 < room.max() < 0.03 * float(np.percentile(one, 99.9))
 
@@ -99,13 +113,16 @@ def test_out_of_focus_edges_are_as_wide_as_a_thin_lens_makes_them():
     width = np.sqrt(np.average((reach - middle) ** 2, weights=slope))
     disc_mm = 8.0 * 6 / 146
     expected = disc_mm / 4 * things["camera"].matrix[0, 0] / 140
-    assert width == pytest.approx(np.sqrt(expected**2 + 0.8), rel=0.12)  # gradient and pixel widen it by 0.9 px
+    # gradient and pixel widen it by 0.9 px
+    assert width == pytest.approx(np.sqrt(expected**2 + 0.8), rel=0.12)
 
 
 def test_photographs_repeat_with_their_seed_and_only_with_it():
     scene = CardScene(**built())
     exposure = well_exposed(scene, [[0], [3]])
-    first, again, other = (photograph_bench(scene, [0], seed, exposure=exposure) for seed in (1, 1, 2))
+    first, again, other = (
+        photograph_bench(scene, [0], seed, exposure=exposure) for seed in (1, 1, 2)
+    )
     assert first.dtype == np.uint8
     assert first.shape == (220, 320, 3)
     assert np.array_equal(first, again)

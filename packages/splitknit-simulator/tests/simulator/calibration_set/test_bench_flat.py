@@ -1,4 +1,5 @@
-"""Checkerboards and dots: where OpenCV finds them, how their edges are averaged, how a person holds a board."""
+"""Checkerboards and dots: where OpenCV finds them, how their edges are averaged, how a person holds
+a board."""
 
 from __future__ import annotations
 
@@ -42,7 +43,8 @@ def test_an_edge_is_averaged_over_its_pixels(turn_deg, blur):
     moved = distance[..., None, None] + 0.7 * (c * places[:, None] + s * places)
     exact = np.mean(ndtr(moved / 0.7 / blur) if blur else moved > 0, axis=(-1, -2))
     fraction = edge_coverage(distance, blur=0.7 * blur)
-    # what is least exact is an edge at 45 deg, whose triangle becomes half a box and half a Gaussian
+    # what is least exact is an edge at 45 deg, whose triangle becomes half a box and half a
+    # Gaussian
     assert np.abs(fraction - exact).max() < (0.014 if turn_deg % 90 == 0 else 0.03)
     assert abs(np.sum(fraction - exact, axis=1 if turn_deg <= 45 else 0)).max() < 0.02
     if turn_deg == 45 and not blur:
@@ -96,7 +98,9 @@ def test_boards_are_held_as_people_hold_them(make):
     assert poses == board_poses(11, 12, camera)
     assert poses[:5] == board_poses(11, 5, camera)
     assert poses[0] != board_poses(12, 1, camera)[0]
-    tilts = [np.rad2deg(np.arccos(cv2.Rodrigues(np.array(p["rotation_vector"]))[0][2, 2])) for p in poses]
+    tilts = [
+        np.rad2deg(np.arccos(cv2.Rodrigues(np.array(p["rotation_vector"]))[0][2, 2])) for p in poses
+    ]
     assert 10 <= min(tilts) < 18
     assert 25 < max(tilts) <= 35
     squares = np.array([(u, v, 0.0) for u in (-16.5, 16.5) for v in (-12.0, 12.0)])
@@ -116,7 +120,10 @@ def test_boards_are_held_as_people_hold_them(make):
             lambda: board_poses(0, 3, drawn()["camera"], PrintedBoard(square_mm=6.0)),
             "not fit .* print a smaller one",
         ),
-        (lambda: BoardScene(**drawn(), rotation_vector=(3.1, 0, 0)).light([0]), "edge-on or from behind"),
+        (
+            lambda: BoardScene(**drawn(), rotation_vector=(3.1, 0, 0)).light([0]),
+            "edge-on or from behind",
+        ),
         (lambda: BoardScene(**drawn(), translation_mm=(0, 0, 150)), "hold it lower"),
     ],
 )

@@ -1,4 +1,5 @@
-"""The nail's shadows: on the rays from the LEDs through its tip, soft by the LEDs' size, and nothing else darkened."""
+"""The nail's shadows: on the rays from the LEDs through its tip, soft by the LEDs' size, and
+nothing else darkened."""
 
 from __future__ import annotations
 
@@ -16,7 +17,11 @@ from splitknit_simulator.calibration_set.solids import NailScene
 def fraction_lit(scene, led):
     """Light with the nail over light without it."""
     card = CardScene(
-        camera=scene.camera, leds=scene.leds, bench=scene.bench, reflectance=scene.ground, tilt_deg=scene.tilt_deg
+        camera=scene.camera,
+        leds=scene.leds,
+        bench=scene.bench,
+        reflectance=scene.ground,
+        tilt_deg=scene.tilt_deg,
     )
     return grey(scene, [led]) / grey(card, [led])
 
@@ -33,7 +38,9 @@ def test_light_tip_and_shadow_lie_on_one_ray(make):
         assert abs(normal @ shadow) < 1e-9
         ray, rest = tip - led.position_mm, shadow - tip
         assert np.linalg.norm(np.cross(ray, rest)) < 1e-9 * np.linalg.norm(ray)
-    assert np.abs(seen(things["camera"], scene.shadow_tips_mm()) - scene.shadow_tips_px()).max() < 1e-6
+    assert (
+        np.abs(seen(things["camera"], scene.shadow_tips_mm()) - scene.shadow_tips_px()).max() < 1e-6
+    )
     assert np.abs(seen(things["camera"], tip)[0] - scene.tip_px()).max() < 1e-6
 
 
@@ -41,21 +48,27 @@ def test_light_tip_and_shadow_lie_on_one_ray(make):
 @pytest.mark.parametrize("led", [0, 3, 12])
 def test_the_picture_shows_the_shadows_tip_where_geometry_has_it(make, led):
     things = make(scale=0.3)
-    scene = NailScene(**things, position_mm=(-2.0, 1.5), nail_mm=12.0, tilt_deg=(0.3, 0.2), bench=POINTS)
+    scene = NailScene(
+        **things, position_mm=(-2.0, 1.5), nail_mm=12.0, tilt_deg=(0.3, 0.2), bench=POINTS
+    )
     tip = scene.shadow_tips_mm()[led]
     foot = scene.plane.points(*scene.position_mm)
     along = (tip - foot) / np.linalg.norm(tip - foot)
     reach = np.linspace(-0.5, 1.5, 401)
     image = fraction_lit(scene, led)
     profile = sample(image, seen(things["camera"], tip + reach[:, None] * along))
-    # the tip is a disc of 0.15 mm: its shadow's end lies that far behind its middle, a little magnified
-    assert crossing(profile, reach, 0.5) == pytest.approx(0.15 * (1 + 12 / 128), abs=0.5 / things["camera"].px_per_mm)
+    # the tip is a disc of 0.15 mm: its shadow's end lies that far behind its middle, a little
+    # magnified
+    assert crossing(profile, reach, 0.5) == pytest.approx(
+        0.15 * (1 + 12 / 128), abs=0.5 / things["camera"].px_per_mm
+    )
     assert sample(image, scene.shadow_tips_px()[led : led + 1])[0] < 0.02
     across = np.cross(scene.plane.axes[:, 2], along)
     for side in (-1, 1):
         beside = np.linspace(0.0, 0.6, 121)
         profile = sample(image, seen(things["camera"], tip + side * beside[:, None] * across))
-        # the shadow's flanks spread towards the nail, so that they are a little wider at the tip's middle
+        # the shadow's flanks spread towards the nail, so that they are a little wider at the tip's
+        # middle
         wide = crossing(profile, beside, 0.5)
         assert 0.15 < wide < 0.25
 
@@ -79,7 +92,8 @@ def test_shadows_are_soft_by_the_size_of_the_led():
     rims = np.array([52.5, 140.0]) + radius * np.array([[cosine, -sine], [-cosine, sine]])
     ends = -rims[:, 0] * 14 / (rims[:, 1] - 14)
     assert abs(middle) < 0.01
-    assert width == pytest.approx(abs(np.diff(ends)[0]) / 4, rel=0.06)  # of a disc's chords: a quarter of its width
+    # of a disc's chords: a quarter of its width
+    assert width == pytest.approx(abs(np.diff(ends)[0]) / 4, rel=0.06)
 
 
 def test_the_cone_is_shaded_as_its_slope_says():
@@ -96,13 +110,18 @@ def test_the_cone_is_shaded_as_its_slope_says():
         along = np.dot(-towards / r, led.axis)
         facing = max(float(np.dot(towards / r, normal)), 0.0)
         expected = 0.15 / np.pi * (100 / r) ** 2 * facing * along**led.lobe_exponent
-        assert sample(image, seen(scene.camera, point))[0] == pytest.approx(expected, rel=0.02, abs=1e-6)
+        assert sample(image, seen(scene.camera, point))[0] == pytest.approx(
+            expected, rel=0.02, abs=1e-6
+        )
 
 
 @pytest.mark.parametrize(
     ("changes", "words"),
     [
-        ({"nail_mm": 150.0}, "the nail of 150 mm leaves less than 10 mm below the LEDs .* take a shorter one"),
+        (
+            {"nail_mm": 150.0},
+            "the nail of 150 mm leaves less than 10 mm below the LEDs .* take a shorter one",
+        ),
         ({"leds": (Led(band="white", direction=(0.3, 0.1, 1.0)),)}, "LED 0 is distant light"),
     ],
 )

@@ -1,4 +1,5 @@
-"""Balls under the rig: highlights where light is mirrored, shading by Lambert's law, shadows, outlines."""
+"""Balls under the rig: highlights where light is mirrored, shading by Lambert's law, shadows,
+outlines."""
 
 from __future__ import annotations
 
@@ -24,8 +25,13 @@ def test_highlights_are_where_the_normal_halves_the_angle(make):
     for led, point in zip(things["leds"], points, strict=True):
         normal = (point - scene.middle_mm) / 8.0
         assert np.linalg.norm(normal) == pytest.approx(1)
-        eye = (0, 0, 1) if make is parallel else np.array([0, 0, things["camera"].height_mm]) - point
-        eye, light = eye / np.linalg.norm(eye), (led.position_mm - point) / np.linalg.norm(led.position_mm - point)
+        eye = (
+            (0, 0, 1) if make is parallel else np.array([0, 0, things["camera"].height_mm]) - point
+        )
+        eye, light = (
+            eye / np.linalg.norm(eye),
+            (led.position_mm - point) / np.linalg.norm(led.position_mm - point),
+        )
         assert np.allclose(2 * (normal @ eye) * normal - eye, light, atol=1e-9)
     assert np.abs(seen(things["camera"], points) - scene.highlights_px()).max() < 1e-6
 
@@ -35,6 +41,7 @@ def upright(scale):
     return drawn(scale, aim=(0.0, 0.0, -1.0))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("make", [drawn, built, parallel, upright])
 def test_chrome_shows_every_led_at_its_place_and_in_its_strength(make):
     things = make(scale=0.2)
@@ -45,19 +52,26 @@ def test_chrome_shows_every_led_at_its_place_and_in_its_strength(make):
         weight = image / image.sum()
         centroid = np.array([(weight * column).sum(), (weight * row).sum()])
         assert np.abs(centroid - scene.highlights_px()[index]).max() < 0.05
-        # a small mirror ball sends what it receives evenly into all directions, E R^2 / 4; at the distances d and D of
-        # LED and camera (none for parallel rays) its picture is smaller by 1 + R / 2d + R / 2D
+        # a small mirror ball sends what it receives evenly into all directions, E R^2 / 4; at the
+        # distances d and D of LED and camera (none for parallel rays) its picture is smaller by 1 +
+        # R / 2d + R / 2D
         led, point = scene.leds[index], scene.highlights_mm()[index]
         d = np.linalg.norm(led.position_mm - point)
         along = np.dot((point - led.position_mm) / d, led.axis)
         smaller = 1 + 4 / d + (0 if make is parallel else 4 / (scene.camera.height_mm - point[2]))
-        expected = 0.6 * led.intensity * 1e4 * along**led.lobe_exponent * (8.0 / (2 * d) / smaller) ** 2
-        assert image.sum() / px_per_mm_at(scene.camera, point[2]) ** 2 == pytest.approx(expected, rel=0.03)
+        expected = (
+            0.6 * led.intensity * 1e4 * along**led.lobe_exponent * (8.0 / (2 * d) / smaller) ** 2
+        )
+        assert image.sum() / px_per_mm_at(scene.camera, point[2]) ** 2 == pytest.approx(
+            expected, rel=0.03
+        )
 
 
 def test_a_matt_ball_is_shaded_by_lamberts_law():
     things = parallel(0.2)
-    scene = SphereScene(**things, chrome=False, position_mm=(2.0, 1.0), radius_mm=9.0, bench=DARK_ROOM)
+    scene = SphereScene(
+        **things, chrome=False, position_mm=(2.0, 1.0), radius_mm=9.0, bench=DARK_ROOM
+    )
     image = grey(scene, [5])
     led = things["leds"][5]
     pitch = things["camera"].pitch_mm
@@ -68,22 +82,34 @@ def test_a_matt_ball_is_shaded_by_lamberts_law():
         towards = np.array(led.position_mm) - (x, y, 9 + rise)
         r = np.linalg.norm(towards)
         along = np.dot(-towards / r, led.axis)
-        expected = 0.5 / np.pi * (100 / r) ** 2 * max(towards @ normal / r, 0) * along**led.lobe_exponent
+        expected = (
+            0.5 / np.pi * (100 / r) ** 2 * max(towards @ normal / r, 0) * along**led.lobe_exponent
+        )
         assert image[row, column] == pytest.approx(expected, rel=1e-4, abs=1e-7)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("make", [drawn, built, parallel])
 @pytest.mark.parametrize("chrome", [True, False])
 def test_the_outline_bounds_the_ball(make, chrome):
     """In the room's light a ball differs from its base by its reflectance alone."""
     things = make(scale=0.2)
-    changes = {"surround": 0.0, "ground": 0.9, "reflectance": 0.1, "position_mm": (4.0, 3.0), "tilt_deg": (0.3, 0.1)}
+    changes = {
+        "surround": 0.0,
+        "ground": 0.9,
+        "reflectance": 0.1,
+        "position_mm": (4.0, 3.0),
+        "tilt_deg": (0.3, 0.1),
+    }
     scene = SphereScene(**things, chrome=chrome, **changes)
     image = grey(scene, []) / scene.ambient_light
     outline = scene.outline_px().astype(np.float32)
     row, column = np.indices(image.shape)
     signed = np.array(
-        [cv2.pointPolygonTest(outline, (float(c), float(r)), True) for r, c in zip(row.flat, column.flat, strict=True)]
+        [
+            cv2.pointPolygonTest(outline, (float(c), float(r)), True)
+            for r, c in zip(row.flat, column.flat, strict=True)
+        ]
     ).reshape(image.shape)
     assert image[signed > 1.0].max() < 0.11
     assert image[signed < -1.0].min() > 0.899
@@ -104,7 +130,9 @@ def test_the_shadow_is_where_the_ball_hides_the_led(make):
     eye = np.array([0, 0, camera.height_mm])
 
     def angle(a, b):
-        return np.arccos(np.sum(a * b, axis=-1) / np.linalg.norm(a, axis=-1) / np.linalg.norm(b, axis=-1))
+        return np.arccos(
+            np.sum(a * b, axis=-1) / np.linalg.norm(a, axis=-1) / np.linalg.norm(b, axis=-1)
+        )
 
     middle = scene.middle_mm - ground
     half = np.arcsin(8 / np.linalg.norm(middle, axis=-1))

@@ -29,7 +29,8 @@ def devices(scene, **camera):
 
 
 def test_a_scene_is_the_finger_that_simulate_capture_photographs(finger):
-    """Light of each LED against the twin's own capture of the same finger, exact but for half floats."""
+    """Light of each LED against the twin's own capture of the same finger, exact but for half
+    floats."""
     exact = TwinSettings(scale=0.08, sensor=QUIET)
     capture, truth = simulate_capture(5, None, exact)
     assert np.array_equal(np.isfinite(truth["height_mm"]), finger.surface.mask)
@@ -47,7 +48,9 @@ def test_leds_add_and_the_room_is_there_without_them(finger):
     assert room.min() >= 0
     assert room[finger.surface.mask].mean() > 0
     both = finger.light([2, 9])
-    np.testing.assert_allclose(both - room, finger.light([2]) + finger.light([9]) - 2 * room, atol=1e-5)
+    np.testing.assert_allclose(
+        both - room, finger.light([2]) + finger.light([9]) - 2 * room, atol=1e-5
+    )
     assert finger.light([2])[finger.surface.mask].mean() > 50 * room[finger.surface.mask].mean()
     np.testing.assert_array_equal(finger.light([]), room)  # asking changes nothing
     with pytest.raises(BadInput, match="no LED 14"):
@@ -76,7 +79,9 @@ def test_exposure_time_and_gain_scale_the_picture(finger):
         for exposure_s, gain in ((0.002, 1.0), (0.004, 1.0), (0.002, 3.0)):
             camera.lock(exposure_s, gain)
             frame = camera.capture()
-            levels.append(frame.pixels[finger.surface.mask].mean() / (frame.exposure_s * frame.gain))
+            levels.append(
+                frame.pixels[finger.surface.mask].mean() / (frame.exposure_s * frame.gain)
+            )
         assert levels == pytest.approx([levels[0]] * 3, rel=2e-3)
 
 

@@ -9,7 +9,12 @@ import pytest
 from splitknit.errors import BadInput
 from splitknit.imaging.view import lens_shading
 from splitknit.model import Camera
-from splitknit_simulator.camera.lens import fall_off, picture_on_plane, pixels_of_points, slopes_of_pixels
+from splitknit_simulator.camera.lens import (
+    fall_off,
+    picture_on_plane,
+    pixels_of_points,
+    slopes_of_pixels,
+)
 
 MATRIX = np.array([[2650.0, 0.0, 412.3], [0.0, 2610.0, 266.8], [0.0, 0.0, 1.0]])
 DISTORTION = (0.3, -2.0, 4e-3, -3e-3, 5.0)
@@ -18,7 +23,9 @@ CAMERA = Camera(18.9, (550, 800), 140.0, "perspective", MATRIX, DISTORTION)
 
 def _grid(camera: Camera) -> tuple[np.ndarray, np.ndarray]:
     rows, columns = camera.image_size
-    across, down = np.meshgrid(np.linspace(0.0, columns - 1.0, 23), np.linspace(0.0, rows - 1.0, 17))
+    across, down = np.meshgrid(
+        np.linspace(0.0, columns - 1.0, 23), np.linspace(0.0, rows - 1.0, 17)
+    )
     return across.ravel(), down.ravel()
 
 
@@ -36,17 +43,24 @@ def test_rays_and_pixels_are_opencvs() -> None:
     columns, rows = _grid(CAMERA)
     pixels = np.stack([columns, rows], 1)[:, None]
     criteria = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 100, 1e-12)
-    rays = cv2.undistortPointsIter(pixels, MATRIX, np.array(DISTORTION), np.eye(3), np.eye(3), criteria)[:, 0]
+    rays = cv2.undistortPointsIter(
+        pixels, MATRIX, np.array(DISTORTION), np.eye(3), np.eye(3), criteria
+    )[:, 0]
     across, up = slopes_of_pixels(CAMERA, columns, rows)
     np.testing.assert_allclose(np.stack([across, -up], 1), rays, atol=1e-8)
     points = np.random.default_rng(0).uniform((-18, -12, -15), (18, 12, 5), (200, 3))
-    seen = np.stack([points[:, 0], -points[:, 1], 140.0 - points[:, 2]], 1)  # OpenCV: y down, z away from the camera
+    # OpenCV: y down, z away from the camera
+    seen = np.stack([points[:, 0], -points[:, 1], 140.0 - points[:, 2]], 1)
     expected, _ = cv2.projectPoints(seen, np.zeros(3), np.zeros(3), MATRIX, np.array(DISTORTION))
-    np.testing.assert_allclose(np.stack(pixels_of_points(CAMERA, *points.T), 1), expected[:, 0], atol=1e-8)
+    np.testing.assert_allclose(
+        np.stack(pixels_of_points(CAMERA, *points.T), 1), expected[:, 0], atol=1e-8
+    )
 
 
 def test_x_goes_right_and_y_up() -> None:
-    across, up = slopes_of_pixels(CAMERA, np.array([412.3, 500.0, 412.3]), np.array([266.8, 266.8, 100.0]))
+    across, up = slopes_of_pixels(
+        CAMERA, np.array([412.3, 500.0, 412.3]), np.array([266.8, 266.8, 100.0])
+    )
     np.testing.assert_allclose([across[0], up[0]], 0.0, atol=1e-12)
     assert across[1] > 0.03
     assert up[2] > 0.05
@@ -66,7 +80,9 @@ def test_the_fall_off_is_what_reconstruction_divides_by() -> None:
     np.testing.assert_allclose(fraction, lens_shading(camera.shading, camera.image_size), rtol=1e-6)
     assert fraction[27, 39] == pytest.approx(1.0, abs=1e-3)
     corner = (27.0**2 + 39.5**2) / (27.5**2 + 40.0**2)  # of half the diagonal, squared
-    assert fraction[0, 0] == pytest.approx(1 - 0.3 * corner + 0.12 * corner**2 - 0.05 * corner**3, rel=1e-6)
+    assert fraction[0, 0] == pytest.approx(
+        1 - 0.3 * corner + 0.12 * corner**2 - 0.05 * corner**3, rel=1e-6
+    )
     np.testing.assert_array_equal(fall_off(Camera(18.9, (5, 8))), 1.0)
 
 

@@ -15,11 +15,15 @@ def _grey(value: float, size: int = 128) -> np.ndarray:
 
 
 def test_without_noise_the_light_is_quantised_and_nothing_else():
-    ramp = np.linspace(0, 1, 256, dtype=np.float32)[None, :, None].repeat(4, axis=0).repeat(3, axis=2)
+    ramp = (
+        np.linspace(0, 1, 256, dtype=np.float32)[None, :, None].repeat(4, axis=0).repeat(3, axis=2)
+    )
     stored = record(ramp, "white", np.random.SeedSequence(0), SensorSettings(noise=False))
     assert stored.dtype == np.uint8
     assert np.abs(stored.astype(int) - np.arange(256)[None, :, None]).max() <= 1
-    levels = np.unique(record(ramp, "white", np.random.SeedSequence(0), SensorSettings(noise=False, bits=16)))
+    levels = np.unique(
+        record(ramp, "white", np.random.SeedSequence(0), SensorSettings(noise=False, bits=16))
+    )
     assert levels.size > 256
 
 
@@ -59,7 +63,9 @@ def test_overexposure_clips_to_white():
 def test_srgb_decodes_to_the_same_light():
     light = _grey(0.2)
     linear = record(light, "white", np.random.SeedSequence(3), SensorSettings(bits=16))
-    srgb = record(light, "white", np.random.SeedSequence(3), SensorSettings(bits=16, encoding="srgb"))
+    srgb = record(
+        light, "white", np.random.SeedSequence(3), SensorSettings(bits=16, encoding="srgb")
+    )
     table = decode_table(srgb.dtype, "srgb")
     np.testing.assert_allclose(table[srgb], linear / 65535.0, atol=2e-5)
 

@@ -76,7 +76,9 @@ def test_conditions_are_checked():
         Condition("muddy")
     with pytest.raises(BadInput, match=r"severity must be from 0 to 1, but it is 1\.5"):
         Condition("wet", 1.5)
-    assert not Condition("wet", 0.0).active and not Condition().active and Condition("dry", 0.1).active
+    assert (
+        not Condition("wet", 0.0).active and not Condition().active and Condition("dry", 0.1).active
+    )
 
 
 def test_light_bends_towards_the_normal_under_water(egg):
@@ -132,6 +134,7 @@ def test_scales_scatter_white_light(egg):
     assert (gain[inside] > 0).all()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", KINDS[1:])
 def test_a_finger_in_every_condition(finger, kind):
     seed = np.random.SeedSequence(9)

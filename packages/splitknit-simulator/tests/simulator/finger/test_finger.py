@@ -22,7 +22,9 @@ from splitknit_simulator.finger.skin_map import FlexionCrease, SkinRelief
 from splitknit_simulator.surface import SimulatedSurface
 
 SHORT = MasterPrintSettings(proximal_mm=12.0)
-POSE = FingerPose(yaw_rad=0.2, pitch_rad=-0.1, roll_rad=0.25, x_mm=1.5, insertion_mm=33.0, height_mm=0.5)
+POSE = FingerPose(
+    yaw_rad=0.2, pitch_rad=-0.1, roll_rad=0.25, x_mm=1.5, insertion_mm=33.0, height_mm=0.5
+)
 CAMERA = Camera(20.0, (840, 580))
 SMALL = Camera(10.0, (420, 290))
 
@@ -42,8 +44,11 @@ def seen(finger: SimulatedFinger, master: MasterPrint) -> SimulatedSurface:
     return finger_surface(replace(finger, printed=master), POSE, CAMERA)
 
 
-def window(camera: Camera, row: int, column: int, factor: int, size: int) -> tuple[Camera, float, float]:
-    """A camera of `factor` times the scale for `size` pixels, and where the old pixel lies in its frame."""
+def window(
+    camera: Camera, row: int, column: int, factor: int, size: int
+) -> tuple[Camera, float, float]:
+    """A camera of `factor` times the scale for `size` pixels, and where the old pixel lies in its
+    frame."""
     x = (column - (camera.image_size[1] - 1) / 2) / camera.px_per_mm
     y = ((camera.image_size[0] - 1) / 2 - row) / camera.px_per_mm
     return Camera(camera.px_per_mm * factor, (size, size)), x, y
@@ -63,13 +68,16 @@ def test_the_gradient_of_the_body_is_its_derivative() -> None:
 
 
 def test_the_chart_keeps_lengths_to_sixty_degrees() -> None:
-    """Small steps on the skin against steps in the chart: within 3 % around the finger, 14 % on the cap's shoulders."""
+    """Small steps on the skin against steps in the chart: within 3 % around the finger, 14 % on the
+    cap's shoulders."""
     body = FingerBody(FingerShape())
     x, y = np.meshgrid(np.linspace(-8, 8, 81), np.linspace(-12, 24.5, 180))
 
     def at(x: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         points = np.stack([x, y, body.top(x, y)], -1)
-        return points, np.stack(body.distance_and_chart(*(points[..., k] for k in range(3)))[1:], -1)
+        return points, np.stack(
+            body.distance_and_chart(*(points[..., k] for k in range(3)))[1:], -1
+        )
 
     step = 1e-4
     points, chart = at(x, y)
@@ -83,7 +91,10 @@ def test_the_chart_keeps_lengths_to_sixty_degrees() -> None:
         way = way + np.sin(angle) * tangent_y / np.linalg.norm(tangent_y, axis=-1, keepdims=True)
         cx = np.cos(angle) / np.linalg.norm(tangent_x, axis=-1)
         cy = np.sin(angle) / np.linalg.norm(tangent_y, axis=-1)
-        laid = cx[..., None] * (chart_beside - chart) / step + cy[..., None] * (chart_above - chart) / step
+        laid = (
+            cx[..., None] * (chart_beside - chart) / step
+            + cy[..., None] * (chart_above - chart) / step
+        )
         stretch = np.linalg.norm(laid, axis=-1) / np.linalg.norm(way, axis=-1)
         straight = (slant < 60) & (y < 13)
         cap = (slant < 60) & (y >= 13)
@@ -95,7 +106,8 @@ def test_the_chart_keeps_lengths_to_sixty_degrees() -> None:
 
 
 def test_every_pixel_lies_on_the_skin(seen: SimulatedSurface, finger: SimulatedFinger) -> None:
-    """Relief is the distance from the smooth shape: on flat parts, the difference of heights times the cosine."""
+    """Relief is the distance from the smooth shape: on flat parts, the difference of heights times
+    the cosine."""
     assert not (ndimage.binary_fill_holes(seen.mask) & ~seen.mask).any()
     assert np.array_equal(np.isfinite(seen.height_mm), seen.mask)
     assert np.array_equal(np.isfinite(seen.shape_mm), seen.mask)
@@ -111,11 +123,19 @@ def test_every_pixel_lies_on_the_skin(seen: SimulatedSurface, finger: SimulatedF
     np.testing.assert_allclose(1e3 * distance, seen.relief_um[rows, columns], atol=0.02)
     ridges = seen.relief_um[facing]
     assert ridges.max() < 2.0
-    assert -1.4 * finger.skin.ridge_depth_um < np.percentile(ridges, 3) < -0.6 * finger.skin.ridge_depth_um
+    assert (
+        -1.4 * finger.skin.ridge_depth_um
+        < np.percentile(ridges, 3)
+        < -0.6 * finger.skin.ridge_depth_um
+    )
 
 
-def test_normals_are_those_of_the_heights(seen: SimulatedSurface, finger: SimulatedFinger, master: MasterPrint) -> None:
-    """A camera of 100 times the scale looks at single spots: finite differences of its heights give the normals.
+@pytest.mark.slow
+def test_normals_are_those_of_the_heights(
+    seen: SimulatedSurface, finger: SimulatedFinger, master: MasterPrint
+) -> None:
+    """A camera of 100 times the scale looks at single spots: finite differences of its heights give
+    the normals.
 
     The finger is shifted so that the spot lies on the small camera's axis.
     """
@@ -138,6 +158,7 @@ def test_normals_are_those_of_the_heights(seen: SimulatedSurface, finger: Simula
             assert angle < 0.6, (row, column, angle)
 
 
+@pytest.mark.slow
 def test_the_pose_is_where_it_says(finger: SimulatedFinger, master: MasterPrint) -> None:
     for pose in (FingerPose(), FingerPose(roll_rad=-0.3, height_mm=-0.7, insertion_mm=28.0)):
         surface = finger_surface(replace(finger, printed=master), pose, SMALL)
@@ -156,24 +177,39 @@ def test_the_pose_is_where_it_says(finger: SimulatedFinger, master: MasterPrint)
 
     straight = lean(finger_surface(replace(finger, printed=master), FingerPose(), SMALL))
     turned = lean(finger_surface(replace(finger, printed=master), FingerPose(yaw_rad=0.2), SMALL))
-    assert turned - straight == pytest.approx(0.2, abs=0.02)  # the tip turns left: columns grow with the row
+    # the tip turns left: columns grow with the row
+    assert turned - straight == pytest.approx(0.2, abs=0.02)
 
 
-def test_the_creases_are_grooves_where_the_landmarks_say(finger: SimulatedFinger, master: MasterPrint) -> None:
+def test_the_creases_are_grooves_where_the_landmarks_say(
+    finger: SimulatedFinger, master: MasterPrint
+) -> None:
     pose = FingerPose(insertion_mm=58.0)
     camera = Camera(12.0, (744, 360))
-    settings = SkinRelief(creases=(FlexionCrease(side_lines=0), FlexionCrease(v_mm=-11.5, depth_mm=0.5, side_lines=0)))
+    settings = SkinRelief(
+        creases=(FlexionCrease(side_lines=0), FlexionCrease(v_mm=-11.5, depth_mm=0.5, side_lines=0))
+    )
     surface = finger_surface(replace(finger, skin=settings, printed=master), pose, camera)
     for line, crease in zip(surface.landmarks["crease_px"], settings.creases, strict=True):
         near = line[np.abs(line[:, 0] - 180) < 40]
         columns, rows = np.rint(near).astype(int).T
-        assert surface.relief_um[rows, columns].mean() == pytest.approx(-1e3 * crease.depth_mm, rel=0.2)
-        assert surface.pigment[rows, columns].mean() == pytest.approx(1 - crease.darkening, abs=0.05)
+        assert surface.relief_um[rows, columns].mean() == pytest.approx(
+            -1e3 * crease.depth_mm, rel=0.2
+        )
+        assert surface.pigment[rows, columns].mean() == pytest.approx(
+            1 - crease.darkening, abs=0.05
+        )
         assert np.abs(surface.relief_um[rows - 18, columns]).max() < 150
-    assert surface.landmarks["crease_px"][0][:, 1].mean() < surface.landmarks["crease_px"][1][:, 1].mean()
+    assert (
+        surface.landmarks["crease_px"][0][:, 1].mean()
+        < surface.landmarks["crease_px"][1][:, 1].mean()
+    )
 
 
-def test_workers_do_not_change_the_result(finger: SimulatedFinger, master: MasterPrint, seen: SimulatedSurface) -> None:
+@pytest.mark.slow
+def test_workers_do_not_change_the_result(
+    finger: SimulatedFinger, master: MasterPrint, seen: SimulatedSurface
+) -> None:
     again = finger_surface(replace(finger, printed=master), POSE, CAMERA, workers=1)
     assert again.height_mm.tobytes() == seen.height_mm.tobytes()
     assert again.normals.tobytes() == seen.normals.tobytes()

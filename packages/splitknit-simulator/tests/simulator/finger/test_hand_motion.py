@@ -1,4 +1,5 @@
-"""A finger that moves from shot to shot: its path, its pictures, and the truth of where its skin went."""
+"""A finger that moves from shot to shot: its path, its pictures, and the truth of where its skin
+went."""
 
 from __future__ import annotations
 
@@ -38,7 +39,11 @@ def test_the_amplitude_is_the_largest_distance_between_shots(seed):
     between = np.linalg.norm(path.shift_mm[:, None] - path.shift_mm[None], axis=-1)
     assert between.max() == pytest.approx(0.4)
     assert path.reference == 3
-    assert not path.shift_mm[3].any() and not path.slip[3].any() and path.yaw_rad[3] == path.roll_rad[3] == 0
+    assert (
+        not path.shift_mm[3].any()
+        and not path.slip[3].any()
+        and path.yaw_rad[3] == path.roll_rad[3] == 0
+    )
     assert np.rad2deg(np.ptp(path.yaw_rad)) == pytest.approx(0.6)
     slips = np.linalg.norm(path.slip[:, None] - path.slip[None], axis=-1)
     assert slips.max() == pytest.approx(0.04)
@@ -50,7 +55,8 @@ def test_the_reference_shot_shows_what_a_still_finger_shows(still, moved):
     np.testing.assert_array_equal(moved_truth["height_mm"], truth["height_mm"])
     ratio = float(moved_truth["exposure_white"] / truth["exposure_white"])
     one, two = (c.bands["white"].pixels[3].astype(float) for c in (capture, other))
-    assert np.abs(two - ratio * one)[truth["mask"]].mean() < 2.0  # noise, and the blur of the tremor
+    # noise, and the blur of the tremor
+    assert np.abs(two - ratio * one)[truth["mask"]].mean() < 2.0
     one, two = (c.bands["white"].pixels[6].astype(float) for c in (capture, other))
     assert np.abs(two - ratio * one)[truth["mask"]].mean() > 3.0
 
@@ -62,11 +68,15 @@ def test_the_truth_tells_where_the_skin_went(moved):
     assert flow.shape == (14, 2, len(rows), len(columns))
     inside = np.isfinite(flow[3, 0])
     assert np.abs(flow[3][:, inside]).max() < 1e-3
-    # undone, a shot with about the same light as the reference looks like it: by far more than it does as it is
+    # undone, a shot with about the same light as the reference looks like it: by far more than it
+    # does as it is
     height, width = truth["mask"].shape
     at = np.meshgrid(np.arange(width), np.arange(height))
     step = rows[1] - rows[0]
-    grid = [((a - first) / step).astype(np.float32) for a, first in zip(at, (columns[0], rows[0]), strict=True)]
+    grid = [
+        ((a - first) / step).astype(np.float32)
+        for a, first in zip(at, (columns[0], rows[0]), strict=True)
+    ]
     shots = capture.bands["white"].pixels[..., 1].astype(np.float32)
     mean = np.zeros((2, height, width), dtype=np.float32)
     for k, shot in enumerate(shots):
@@ -90,14 +100,17 @@ def test_workers_change_nothing(moved):
 def test_coloured_leds_that_share_an_exposure_show_the_finger_at_one_place():
     rig = coloured_rig(0.12, 0)
     rig = replace(rig, leds=rig.leds[:6])
-    (still, _), (moved, truth) = (simulate_capture(5, None, replace(twin(amplitude_mm=a), rig=rig)) for a in (0.0, 0.5))
+    (still, _), (moved, truth) = (
+        simulate_capture(5, None, replace(twin(amplitude_mm=a), rig=rig)) for a in (0.0, 0.5)
+    )
     assert truth["motion_shift_mm"].shape == (2, 2) and int(truth["motion_reference"]) == 1
     assert np.hypot(*truth["motion_shift_mm"][0]) == pytest.approx(0.5)
     first, second = still.bands["white"], moved.bands["white"]
     assert second.leds == first.leds and second.colours == first.colours
     inside = cv2.erode(truth["mask"].astype(np.uint8), np.ones((5, 5))) > 0
     changed = [
-        np.abs(b.astype(float) - a)[inside].mean(axis=0) for a, b in zip(first.pixels, second.pixels, strict=True)
+        np.abs(b.astype(float) - a)[inside].mean(axis=0)
+        for a, b in zip(first.pixels, second.pixels, strict=True)
     ]
     assert changed[1].max() < 2.0  # the reference: noise and tremor
     assert changed[0].min() > 5 * changed[1].max()  # every colour has moved
@@ -105,4 +118,6 @@ def test_coloured_leds_that_share_an_exposure_show_the_finger_at_one_place():
 
 def test_mirrors_are_refused():
     with pytest.raises(BadInput, match="mirrors"):
-        simulate_capture(5, None, replace(twin(amplitude_mm=0.2), mirrors=MirrorSettings(names=("left",))))
+        simulate_capture(
+            5, None, replace(twin(amplitude_mm=0.2), mirrors=MirrorSettings(names=("left",)))
+        )

@@ -25,7 +25,8 @@ def prints() -> list[MasterPrint]:
 
 
 def turn(angle: np.ndarray, row: int, column: int, reach: int) -> float:
-    """How often the direction turns by pi around a square path, counter-clockwise (rows point down)."""
+    """How often the direction turns by pi around a square path, counter-clockwise (rows point
+    down)."""
     side = np.arange(-reach, reach)
     path = [(row + reach, column + k) for k in side] + [(row - k, column + reach) for k in side]
     path += [(row - reach, column - k) for k in side] + [(row + k, column - reach) for k in side]
@@ -70,7 +71,9 @@ def test_an_ink_print_is_mirrored_and_dark_on_ridges(prints: list[MasterPrint]) 
 @pytest.mark.slow
 def test_the_mean_period_is_23_ridges_a_centimetre() -> None:
     periods = [
-        master_print("arch", seed, MasterPrintSettings(half_width_mm=2, distal_mm=3, proximal_mm=1)).period_mm
+        master_print(
+            "arch", seed, MasterPrintSettings(half_width_mm=2, distal_mm=3, proximal_mm=1)
+        ).period_mm
         for seed in range(60)
     ]
     assert np.mean(periods) == pytest.approx(0.43, abs=0.012)
@@ -94,7 +97,11 @@ def test_minutiae_sit_on_broken_ridges_at_the_density_of_people() -> None:
     densities = []
     for seed, pattern in enumerate(PATTERNS):
         print_ = master_print(pattern, seed, SMALL)
-        inside = (np.abs(print_.minutiae[:, 0]) < 7) & (print_.minutiae[:, 1] > 3) & (print_.minutiae[:, 1] < 24)
+        inside = (
+            (np.abs(print_.minutiae[:, 0]) < 7)
+            & (print_.minutiae[:, 1] > 3)
+            & (print_.minutiae[:, 1] < 24)
+        )
         densities.append(inside.sum() / (14 * 21))
     assert 0.13 < np.mean(densities) < 0.32
 
@@ -104,12 +111,15 @@ def test_a_dislocation_is_found_with_its_side() -> None:
 
     rows, columns = np.mgrid[0:200, 0:200].astype(float)
     phase = 2 * np.pi * columns / 10 + np.arctan2(100.5 - rows, columns - 100.5)
-    wave = (np.cos(phase) * np.exp(-(((rows - 100) / 60) ** 2) - ((columns - 100) / 60) ** 2)).astype(np.float32)
+    wave = (
+        np.cos(phase) * np.exp(-(((rows - 100) / 60) ** 2) - ((columns - 100) / 60) ** 2)
+    ).astype(np.float32)
     found = phase_singularities(wave, np.full((200, 200), np.pi / 2))
     near = found[np.hypot(found[:, 0] - 100.5, found[:, 1] - 100.5) < 60]
     assert len(near) == 1
     assert np.hypot(near[0, 0] - 100.5, near[0, 1] - 100.5) < 3
-    # The phase grows along the columns; a turn of +2 pi counter-clockwise leaves more ridges below (rows down).
+    # The phase grows along the columns; a turn of +2 pi counter-clockwise leaves more ridges below
+    # (rows down).
     above = np.ptp(np.unwrap(phase[20]))
     below = np.ptp(np.unwrap(phase[180]))
     assert np.sign(np.sin(near[0, 2])) == (1 if above > below else -1)
@@ -145,18 +155,22 @@ def test_bad_input_is_refused() -> None:
 
 
 def test_the_finger_that_left_a_print_has_its_ridges(prints: list[MasterPrint]) -> None:
-    """Ink on paper and back: mirrored twice, at the print's scale, its middle 13.5 mm above the first crease."""
+    """Ink on paper and back: mirrored twice, at the print's scale, its middle 13.5 mm above the
+    first crease."""
     first = prints[0]
     found = master_of_print(ink_print(first), settings=SMALL)
     pad = (slice(None), np.abs(found.u_mm) < 4.0), (np.abs(found.v_mm - 13.5) < 6.0, slice(None))
     one, other = (m.ridge[pad[1]][pad[0]] for m in (first, found))
     best = max(
-        np.corrcoef(np.roll(other, (r, c), (0, 1))[8:-8, 8:-8].ravel(), one[8:-8, 8:-8].ravel())[0, 1]
+        np.corrcoef(np.roll(other, (r, c), (0, 1))[8:-8, 8:-8].ravel(), one[8:-8, 8:-8].ravel())[
+            0, 1
+        ]
         for r in range(-6, 7, 2)
         for c in range(-6, 7, 2)
     )
     assert best > 0.85
-    assert found.ridge[np.abs(found.v_mm - 1.0) < 1.0].std() < 1e-6  # beyond the print the skin is smooth
+    # beyond the print the skin is smooth
+    assert found.ridge[np.abs(found.v_mm - 1.0) < 1.0].std() < 1e-6
     assert found.pattern == "print" and not found.cores_mm and len(found.minutiae) == 0
 
 

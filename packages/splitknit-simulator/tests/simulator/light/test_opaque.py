@@ -10,7 +10,13 @@ from splitknit_simulator.light.lighting import render_opaque, white_card
 from splitknit_simulator.surface import SimulatedSurface
 
 CAMERA = Camera(px_per_mm=2.0, image_size=(40, 60))
-LED = Led("white", position_mm=(52.5, 10.0, 140.0), intensity=0.8, lobe_exponent=4.8, aim=(-0.3, 0.0, -1.0))
+LED = Led(
+    "white",
+    position_mm=(52.5, 10.0, 140.0),
+    intensity=0.8,
+    lobe_exponent=4.8,
+    aim=(-0.3, 0.0, -1.0),
+)
 
 
 def _plane(normal=(0.0, 0.0, 1.0), mask=None):
@@ -18,7 +24,9 @@ def _plane(normal=(0.0, 0.0, 1.0), mask=None):
     flat = np.zeros(shape, np.float32)
     normals = np.broadcast_to(np.asarray(normal, np.float32), (*shape, 3)).copy()
     seen = np.ones(shape, bool) if mask is None else mask
-    return SimulatedSurface(CAMERA, flat, flat, normals, normals, flat, seen, np.ones(shape, np.float32))
+    return SimulatedSurface(
+        CAMERA, flat, flat, normals, normals, flat, seen, np.ones(shape, np.float32)
+    )
 
 
 def test_a_flat_card_is_the_twins_white_card():

@@ -26,7 +26,12 @@ from splitknit_simulator.surface import SimulatedSurface, Texture
 from surfaces import plane, ridged_egg
 
 OVERHEAD = Led("white", position_mm=(0.0, 0.0, 1e5), intensity=1e6)
-CONTRAST = {"red": (0.013, 0.039), "green": (0.034, 0.067), "blue": (0.052, 0.087), "nir": (0.007, 0.033)}
+CONTRAST = {
+    "red": (0.013, 0.039),
+    "green": (0.034, 0.067),
+    "blue": (0.052, 0.087),
+    "nir": (0.007, 0.033),
+}
 """Local standard deviation over mean, volume only and with glare (measurements.md)."""
 
 
@@ -51,7 +56,8 @@ def test_flat_even_skin_reflects_its_albedo():
 
 
 def test_dense_scattering_gives_lambert(egg):
-    """Where light leaves where it entered, the picture is the irradiance times the Fresnel transmittances."""
+    """Where light leaves where it entered, the picture is the irradiance times the Fresnel
+    transmittances."""
     dense = ChannelOptics(scattering_per_mm=3000.0, absorption_per_mm=60.0, relief_gain_per_um=0.0)
     led = default_rig().leds[0]
     image = render_band(egg, [led], Medium([dense], 0.25, 0.0))
@@ -60,7 +66,10 @@ def test_dense_scattering_gives_lambert(egg):
     x = ((np.arange(480) - 239.5) * egg.camera.pitch_mm)[None, columns]
     y = ((274.5 - np.arange(550)) * egg.camera.pitch_mm)[rows, None]
     z = np.nan_to_num(egg.height_mm[rows, columns])
-    to = np.stack(np.broadcast_arrays(led.position_mm[0] - x, led.position_mm[1] - y, led.position_mm[2] - z), -1)
+    to = np.stack(
+        np.broadcast_arrays(led.position_mm[0] - x, led.position_mm[1] - y, led.position_mm[2] - z),
+        -1,
+    )
     squared = np.sum(to**2, -1)
     cosine = np.maximum(np.sum(to * n, -1) / np.sqrt(squared), 0)
     irradiance = 1e4 * cosine / squared * (1 - fresnel(cosine)) * (1 - fresnel(n[..., 2]))
@@ -71,16 +80,22 @@ def test_dense_scattering_gives_lambert(egg):
     assert error.mean() < 0.004 * expected[inner].mean()
 
 
+@pytest.mark.slow
 def test_ridge_contrast_follows_the_measurements(egg):
-    """Relative contrast of 75 um ridges over the same finger without them, within what the boundary model allows."""
+    """Relative contrast of 75 um ridges over the same finger without them, within what the boundary
+    model allows."""
     leds = default_rig().leds[:7]
     smooth = ridged_egg(depth_um=0.0)
-    with_ridges, without = (render_band(one, leds, Medium(_all_channels(), 0.25, 1.0)) for one in (egg, smooth))
+    with_ridges, without = (
+        render_band(one, leds, Medium(_all_channels(), 0.25, 1.0)) for one in (egg, smooth)
+    )
     flat = egg.shape_normals[with_ridges.window][..., 2] > 0.8
 
     def contrast(light, base):
         ratio = np.where(base > 0.05 * base.max(), light / np.maximum(base, 1e-9), 1.0)
-        return float((ratio - cv2.GaussianBlur(ratio, (0, 0), 0.32 * egg.camera.px_per_mm))[flat].std())
+        return float(
+            (ratio - cv2.GaussianBlur(ratio, (0, 0), 0.32 * egg.camera.px_per_mm))[flat].std()
+        )
 
     inside, outside = {}, {}
     for c, channel in enumerate(CHANNELS):
@@ -88,7 +103,10 @@ def test_ridge_contrast_follows_the_measurements(egg):
         volume, glossy = CONTRAST[channel]
         inside[channel] = np.mean([contrast(light[k], base[k]) for k in range(7)])
         outside[channel] = np.mean(
-            [contrast(light[k] + with_ridges.glare[k], base[k] + without.glare[k]) for k in range(7)]
+            [
+                contrast(light[k] + with_ridges.glare[k], base[k] + without.glare[k])
+                for k in range(7)
+            ]
         )
         assert volume / 1.6 < inside[channel] < volume * 1.6
         assert glossy / 1.6 < outside[channel] < glossy * 1.6
@@ -111,14 +129,19 @@ def test_relief_term_brightens_ridges(egg):
     inside = with_term[0] > 0
     ratio = (with_term[0][inside] / without[0][inside]) - 1.0
     relief = egg.relief_um[40:-40, 40:-40]
-    assert ratio.std() == pytest.approx(medium.relief_gain_per_um * relief[relief < 0].std(), rel=0.35)
+    assert ratio.std() == pytest.approx(
+        medium.relief_gain_per_um * relief[relief < 0].std(), rel=0.35
+    )
     assert np.corrcoef(ratio, egg.relief_um[14:-14, 16:-16][inside])[0, 1] > 0.8
     assert with_term.max() < 1.2
 
 
 def test_workers_do_not_change_the_bytes(egg):
     leds = default_rig().leds[:3]
-    one, three = (render_band(egg, leds, Medium(_all_channels(), 0.25, 1.0), RenderSettings(workers=w)) for w in (1, 3))
+    one, three = (
+        render_band(egg, leds, Medium(_all_channels(), 0.25, 1.0), RenderSettings(workers=w))
+        for w in (1, 3)
+    )
     assert one.diffuse.tobytes() == three.diffuse.tobytes()
     assert one.glare.tobytes() == three.glare.tobytes()
 
@@ -131,8 +154,11 @@ def test_a_finger_outside_the_picture_is_refused():
         RenderSettings(workers=0)
 
 
-def _wave(slope: float, height: float = 0.02, size: int = 240, pitch_mm: float = 0.0264) -> SimulatedSurface:
-    """A plane that is tilted about y by its slope along x, with a wave of `height` (mm) every 0.45 mm across x."""
+def _wave(
+    slope: float, height: float = 0.02, size: int = 240, pitch_mm: float = 0.0264
+) -> SimulatedSurface:
+    """A plane that is tilted about y by its slope along x, with a wave of `height` (mm) every 0.45
+    mm across x."""
     x = (np.arange(size) - size / 2) * pitch_mm
     period = 0.45
     relief = height * np.sin(2 * np.pi * x / period)
@@ -166,7 +192,8 @@ def _diffuse(surface: SimulatedSurface, led: Led, boundary: Boundary | None) -> 
 
 @pytest.mark.parametrize("slope", [0.8, 1.5])
 def test_ridges_flatten_a_slope_in_a_blurred_image_only(slope):
-    """As much light enters and leaves a ridged slope as a smooth one: facets that look small are large."""
+    """As much light enters and leaves a ridged slope as a smooth one: facets that look small are
+    large."""
     leds = [Led("white", direction=(side, 0.0, 0.95)) for side in (-0.3, 0.3)]
     ridged = _wave(slope)
     smooth = replace(ridged, normals=ridged.shape_normals, height_mm=ridged.shape_mm)
@@ -204,7 +231,9 @@ def test_texture_is_seen_by_colour_and_gloss_by_place():
     grain = np.ones((4, *blood.shape), dtype=np.float32)
     grain[1, :, :60] = 1.2
     marked = replace(wave, texture=Texture(gloss=gloss, blood=blood, grain=grain))
-    plain, other = (render_band(s, [OVERHEAD], Medium(_all_channels()[:3], 0.3, 1.0)) for s in (wave, marked))
+    plain, other = (
+        render_band(s, [OVERHEAD], Medium(_all_channels()[:3], 0.3, 1.0)) for s in (wave, marked)
+    )
     np.testing.assert_allclose(other.glare, plain.glare * gloss, rtol=1e-5)
     ratio = (other.diffuse / plain.diffuse)[0, :, 0, :]
     np.testing.assert_allclose(ratio[:, 60:120], 1.0, rtol=1e-5)
@@ -212,8 +241,10 @@ def test_texture_is_seen_by_colour_and_gloss_by_place():
     np.testing.assert_allclose(-np.log(ratio[:, 130]), [0.015, 0.1, 0.08], rtol=1e-3)
 
 
+@pytest.mark.slow
 def test_light_beside_a_cylinder_is_that_of_random_walks_in_it():
-    """On the side away from the LED, where a blurred image has a third too much; the walks share no code with it."""
+    """On the side away from the LED, where a blurred image has a third too much; the walks share no
+    code with it."""
     with scripts_of(VALIDATION / "twin") as script:
         volume = script("volume")
         optics = SkinOptics().channel("red")
@@ -221,14 +252,17 @@ def test_light_beside_a_cylinder_is_that_of_random_walks_in_it():
         settings = RenderSettings(reach_mm=20.0)
 
         def at(boundary: Boundary) -> np.ndarray:
-            image = render_band(volume.cylinder(), [led], Medium([optics], 0.25, 0.0, boundary), settings)  # fmt: skip
+            image = render_band(
+                volume.cylinder(), [led], Medium([optics], 0.25, 0.0, boundary), settings
+            )
             x = (np.arange(*image.window[1].indices(221)[:2]) - 110.0) / 10.0
             dark, top = np.interp([-7.4, 0.0], x, image.diffuse[0, 0, 100])
             return dark / top
 
         rng = np.random.default_rng(0)
         dark, top = (
-            volume.volume_radiance(x, optics.scattering_per_mm, optics.absorption_per_mm, rng)[0] for x in (-7.4, 0.0)
+            volume.volume_radiance(x, optics.scattering_per_mm, optics.absorption_per_mm, rng)[0]
+            for x in (-7.4, 0.0)
         )
     assert at(Boundary()) == pytest.approx(dark / top, rel=0.08)
     assert at(Boundary(blurred=True)) > 1.2 * dark / top

@@ -39,7 +39,9 @@ SHORT = RenderSettings(reach_mm=3.0)
 @pytest.fixture(scope="module")
 def pad():
     """6 x 5 mm of a finger's pad."""
-    return finger_surface(draw_finger(11, "whorl"), FingerPose(insertion_mm=11.0), Camera(20.0, (100, 120)), workers=1)
+    return finger_surface(
+        draw_finger(11, "whorl"), FingerPose(insertion_mm=11.0), Camera(20.0, (100, 120)), workers=1
+    )
 
 
 def _truth(surface, led, skin=SKIN, **options):
@@ -56,7 +58,9 @@ def test_direct_and_global_add_up_to_what_the_renderer_makes(pad, phases):
     np.testing.assert_allclose(truth.direct + truth.global_, truth.white, rtol=1e-6)
     assert truth.window == light.window and truth.check_mm == 0.4
     assert (truth.direct >= truth.glare * (1 - 1e-5)).all() and (truth.global_ >= 0).all()
-    assert {a.dtype for a in (truth.direct, truth.global_, truth.glare, truth.white)} == {np.dtype(np.float32)}
+    assert {a.dtype for a in (truth.direct, truth.global_, truth.glare, truth.white)} == {
+        np.dtype(np.float32)
+    }
 
 
 def test_the_truth_is_the_largest_minus_the_smallest_image_over_all_phases(pad):
@@ -71,7 +75,8 @@ def test_the_truth_is_the_largest_minus_the_smallest_image_over_all_phases(pad):
 
 
 def test_the_fast_truth_agrees_with_all_phases(pad):
-    """Within 1.5 % rms where the checks lie straight, as in the projector's axis; 3 % where they lie askew."""
+    """Within 1.5 % rms where the checks lie straight, as in the projector's axis; 3 % where they
+    lie askew."""
     for led, rms, mean in ((COAXIAL, 0.015, 0.01), (LED, 0.03, 0.02)):
         full, fast = (_truth(pad, led, phases=phases) for phases in ("all", "centred"))
         inside = np.s_[:, 8:-8, 8:-8]
@@ -81,11 +86,14 @@ def test_the_fast_truth_agrees_with_all_phases(pad):
     # on a flat sheet no phase is brighter than the centred one
     sheet = plane((64, 72), 20.0)
     full, fast = (_truth(sheet, LED, phases=phases) for phases in ("all", "centred"))
-    np.testing.assert_allclose(fast.direct[:, 10:-10, 10:-10], full.direct[:, 10:-10, 10:-10], rtol=2e-3)
+    np.testing.assert_allclose(
+        fast.direct[:, 10:-10, 10:-10], full.direct[:, 10:-10, 10:-10], rtol=2e-3
+    )
 
 
 def test_direct_light_of_a_flat_sheet_is_the_profile_times_the_checkerboard():
-    """The sum of the kernel over lit minus dark checks about its middle, without the transform of the code."""
+    """The sum of the kernel over lit minus dark checks about its middle, without the transform of
+    the code."""
     sheet, pitch, check = plane((120, 120), 20.0), 0.05, 0.4
     truth = _truth(sheet, COAXIAL, check_mm=check)
     for c, name in enumerate(BAND_CHANNELS["white"]):
@@ -98,8 +106,11 @@ def test_direct_light_of_a_flat_sheet_is_the_profile_times_the_checkerboard():
         fraction = float((kernel * np.outer(sign, sign)).sum() / kernel.sum())
         middle = (c, 60, 60)
         through = truth.direct[middle] - truth.glare[60, 60]
-        # the transform's pixels are samples, the kernel's are areas: its peak at the middle differs a little
-        assert through / (truth.white[middle] - truth.glare[60, 60]) == pytest.approx(fraction, rel=0.04)
+        # the transform's pixels are samples, the kernel's are areas: its peak at the middle differs
+        # a little
+        assert through / (truth.white[middle] - truth.glare[60, 60]) == pytest.approx(
+            fraction, rel=0.04
+        )
 
 
 def test_opaque_skin_has_no_global_light(pad):

@@ -13,14 +13,20 @@ from splitknit_simulator.scene import TwinSettings, films_of
 
 @pytest.mark.parametrize("analyser", [0.0, 0.6])
 def test_turned_film_keeps_the_reflection_out_of_the_crossed_image(analyser: float) -> None:
-    """Film along the analyser would leak up to half of what a facet half way between light and camera mirrors."""
+    """Film along the analyser would leak up to half of what a facet half way between light and
+    camera mirrors."""
     leaks = []
     for led in with_side_lights(default_rig(), 7).leds[14:]:
         light = np.array(led.position_mm) / np.linalg.norm(led.position_mm)
         turned = turned_film_rad(led.position_mm, analyser)
-        ways = [(axis, analyser + quarter) for axis in (turned, analyser) for quarter in (0.0, np.pi / 2)]
+        ways = [
+            (axis, analyser + quarter)
+            for axis in (turned, analyser)
+            for quarter in (0.0, np.pi / 2)
+        ]
         parallel, crossed, plain, leaked = (
-            float(reflected_through(light, (0.0, 0.0, 1.0), film, camera, 0.0)) for film, camera in ways
+            float(reflected_through(light, (0.0, 0.0, 1.0), film, camera, 0.0))
+            for film, camera in ways
         )
         assert crossed < 1e-9 * parallel
         leaks.append(leaked / (plain + leaked))

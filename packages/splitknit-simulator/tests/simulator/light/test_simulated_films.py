@@ -1,4 +1,5 @@
-"""Films before LEDs and camera: Fresnel's published values, Malus's law, energy, and captures of the twin."""
+"""Films before LEDs and camera: Fresnel's published values, Malus's law, energy, and captures of
+the twin."""
 
 from __future__ import annotations
 
@@ -17,12 +18,20 @@ from splitknit_simulator.scene import TwinSettings
 from splitknit_simulator.twin import lay_down
 
 UP = (0.0, 0.0, 1.0)
-EXACT = {"scale": 0.08, "sensor.noise": False, "sensor.bits": 16, "sensor.raw_bits": 16, "background.ambient": 0.0}
+EXACT = {
+    "scale": 0.08,
+    "sensor.noise": False,
+    "sensor.bits": 16,
+    "sensor.raw_bits": 16,
+    "background.ambient": 0.0,
+}
 
 
 def ray(slant_deg: float, azimuth_deg: float = 0.0) -> tuple[float, float, float]:
     slant, azimuth = np.deg2rad([slant_deg, azimuth_deg])
-    return tuple(np.array([np.sin(slant) * np.cos(azimuth), np.sin(slant) * np.sin(azimuth), np.cos(slant)]))
+    return tuple(
+        np.array([np.sin(slant) * np.cos(azimuth), np.sin(slant) * np.sin(azimuth), np.cos(slant)])
+    )
 
 
 def mounted(**settings: float):
@@ -32,14 +41,19 @@ def mounted(**settings: float):
 
 @pytest.mark.parametrize(
     ("angle_deg", "across", "along"),
-    # glass of 1.52 in air (Born and Wolf, Principles of Optics, section 1.5.3): 4.3 % along the normal; nothing along
-    # the plane of incidence at 56 deg 40', where it is ((n n - 1) / (n n + 1))^2 across; at 45 deg the one is the
-    # square of the other; all at grazing incidence
+    # glass of 1.52 in air (Born and Wolf, Principles of Optics, section 1.5.3): 4.3 % along the
+    # normal; nothing along the plane of incidence at 56 deg 40', where it is ((n n - 1) / (n n +
+    # 1))^2 across; at 45 deg the one is the square of the other; all at grazing incidence
     [(0.0, 0.0426, 0.0426), (56.667, 0.1568, 0.0), (45.0, 0.0967, 0.0967**2), (89.9999, 1.0, 1.0)],
 )
-def test_reflectances_across_and_along_the_plane_of_incidence_are_the_published_ones(angle_deg, across, along):
+def test_reflectances_across_and_along_the_plane_of_incidence_are_the_published_ones(
+    angle_deg, across, along
+):
     s, p = fresnel_amplitudes(np.cos(np.deg2rad(angle_deg)), 1.52)
-    assert (float(s**2), float(p**2)) == (pytest.approx(across, abs=2e-4), pytest.approx(along, abs=2e-4))
+    assert (float(s**2), float(p**2)) == (
+        pytest.approx(across, abs=2e-4),
+        pytest.approx(along, abs=2e-4),
+    )
     assert s < 0
     assert 0.5 * (s**2 + p**2) == pytest.approx(float(fresnel(np.cos(np.deg2rad(angle_deg)), 1.52)))
 
@@ -51,7 +65,9 @@ def test_a_mirror_vanishes_in_crossed_images_and_misalignment_leaks_by_sin_squar
     for off in (1.0, 3.0):
         films = mounted(misalignment_deg=off)
         angle = films.analyser_rad[1] - films.polariser_rad[1, 2]
-        assert float(films.specular(1, 2, UP, UP)) == pytest.approx(0.5 * np.cos(angle) ** 2, rel=1e-5)
+        assert float(films.specular(1, 2, UP, UP)) == pytest.approx(
+            0.5 * np.cos(angle) ** 2, rel=1e-5
+        )
         assert np.rad2deg(np.abs(films.polariser_rad)).max() <= off
         assert films.analyser_rad[0] == pytest.approx(np.deg2rad(off))
     assert float(mounted(extinction=100.0).specular(1, 0, UP, UP)) == pytest.approx(0.01, rel=1e-6)
@@ -59,7 +75,11 @@ def test_a_mirror_vanishes_in_crossed_images_and_misalignment_leaks_by_sin_squar
 
 def pixels(settings, seed=1):
     capture, truth = splitknit_simulator.simulate_capture(seed, "whorl", EXACT | settings)
-    return {name: band.pixels.astype(np.float64) for name, band in capture.bands.items()}, capture, truth
+    return (
+        {name: band.pixels.astype(np.float64) for name, band in capture.bands.items()},
+        capture,
+        truth,
+    )
 
 
 @pytest.fixture(scope="module")
@@ -69,10 +89,13 @@ def unpolarised():
 
 @pytest.mark.parametrize("kind", ["analyser", "leds"])
 def test_the_mean_of_both_series_is_the_unpolarised_capture(unpolarised, kind):
-    found, capture, truth = pixels({"films.kind": kind, "films.kept": 0.3, "films.transmission": (0.8, 0.8, 0.6)})
+    found, capture, truth = pixels(
+        {"films.kind": kind, "films.kept": 0.3, "films.transmission": (0.8, 0.8, 0.6)}
+    )
     plain, inside = unpolarised[0]["white"], truth["mask"]
     mean = (found["white"] + found["white_crossed"]) / 2 / [1.0, 1.0, (0.6 / 0.8) ** 2]
-    # s and p reflectance are not the same: a few per cent of the specular reflection; neighbours stand elsewhere
+    # s and p reflectance are not the same: a few per cent of the specular reflection; neighbours
+    # stand elsewhere
     ratio = (mean / np.maximum(plain, 1.0))[:, inside & (plain.min(axis=(0, 3)) > 1000)]
     np.testing.assert_allclose(np.median(ratio, axis=(0, 1)), 1.0, atol=2e-3)
     assert np.percentile(np.abs(ratio - 1), 95) < (0.02 if kind == "analyser" else 0.06)
@@ -102,6 +125,7 @@ def test_neighbouring_leds_are_leds_of_the_rig():
     assert np.linalg.norm(places[1] - places[0]) == pytest.approx(6.0, rel=0.01)
 
 
+@pytest.mark.slow
 def test_a_turned_film_shifts_the_crossed_series_only():
     plain, _, _ = pixels({"films.kind": "analyser"})
     shifted, _, _ = pixels({"films.kind": "analyser", "films.shift_px": 2.0})
@@ -128,7 +152,9 @@ def test_a_polarised_capture_is_written_and_read_back(tmp_path: Path):
 
 def test_what_films_do_not_go_with_is_refused():
     with pytest.raises(BadInput, match=r"without films; leave out mirrors"):
-        splitknit_simulator.simulate_capture(1, settings={"films.kind": "leds", "mirrors.names": ("left",)})
+        splitknit_simulator.simulate_capture(
+            1, settings={"films.kind": "leds", "mirrors.names": ("left",)}
+        )
     with pytest.raises(BadInput, match=r"films\.kept must be from 0 to 1"):
         FilmSettings(kept=1.5)
     from splitknit_simulator.rigs import coloured_rig

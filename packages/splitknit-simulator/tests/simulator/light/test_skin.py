@@ -22,7 +22,12 @@ from splitknit_simulator.light.skin import (
     fresnel,
 )
 
-REFERENCE = {"red": (3.39, 0.030), "green": (4.12, 0.20), "blue": (5.18, 0.40), "nir": (2.16, 0.020)}
+REFERENCE = {
+    "red": (3.39, 0.030),
+    "green": (4.12, 0.20),
+    "blue": (5.18, 0.40),
+    "nir": (2.16, 0.020),
+}
 RELIEF_GAIN = {"red": 0.043, "green": 0.130, "blue": 0.211, "nir": 0.022}
 
 
@@ -42,21 +47,34 @@ def test_defaults_give_the_measured_coefficients(channel):
 
 
 def test_brightness_of_heights_follows_the_reference_walks():
-    """Gain over attenuation of ridges of 75 um in our own walks, by scattering; their errors are 0.04 to 0.12."""
+    """Gain over attenuation of ridges of 75 um in our own walks, by scattering; their errors are
+    0.04 to 0.12."""
     matt, smooth = Boundary(), Boundary(refraction=1.0)
     for scattering, gain in ((1.08, 0.09), (1.7, 0.51), (2.38, 0.70), (3.39, 0.78), (5.18, 0.82)):
         assert 0.78 * matt.height_signal(scattering) == pytest.approx(gain, abs=0.12)
-    for scattering, gain in ((2.59, 1.24), (2.88, 1.05), (4.12, 0.72), (5.18, 0.68), (7.25, 0.42), (10.4, 0.37)):
+    for scattering, gain in (
+        (2.59, 1.24),
+        (2.88, 1.05),
+        (4.12, 0.72),
+        (5.18, 0.68),
+        (7.25, 0.42),
+        (10.4, 0.37),
+    ):
         assert 0.78 * smooth.height_signal(scattering) == pytest.approx(gain, abs=0.12)
     assert matt.height_signal(0.5) == 0.0
 
 
 def test_melanin_and_blood_absorb_where_they_should():
     light, dark = SkinOptics(melanin=0.0002), SkinOptics(melanin=0.02)
-    rise = {c: dark.channel(c).absorption_per_mm - light.channel(c).absorption_per_mm for c in CHANNELS}
+    rise = {
+        c: dark.channel(c).absorption_per_mm - light.channel(c).absorption_per_mm for c in CHANNELS
+    }
     assert rise["blue"] > rise["green"] > rise["red"] > rise["nir"] > 0
     pale, flushed = SkinOptics(blood=0.003), SkinOptics(blood=0.012)
-    ratio = {c: flushed.channel(c).absorption_per_mm / pale.channel(c).absorption_per_mm for c in CHANNELS}
+    ratio = {
+        c: flushed.channel(c).absorption_per_mm / pale.channel(c).absorption_per_mm
+        for c in CHANNELS
+    }
     assert ratio["green"] > 2 > ratio["red"] > 1
 
 
@@ -80,17 +98,22 @@ def test_ranges_draw_inside_and_repeat():
 def test_fresnel_at_known_angles():
     brewster = np.cos(np.arctan(1.42))
     assert float(fresnel(np.array(1.0))) == pytest.approx((0.42 / 2.42) ** 2, rel=1e-6)
-    across = ((brewster - 1.42 * np.sin(np.arctan(1.42))) / (brewster + 1.42 * np.sin(np.arctan(1.42)))) ** 2
+    across = (
+        (brewster - 1.42 * np.sin(np.arctan(1.42))) / (brewster + 1.42 * np.sin(np.arctan(1.42)))
+    ) ** 2
     assert float(fresnel(np.array(brewster))) == pytest.approx(across / 2, rel=1e-6)
     assert float(fresnel(np.array(0.5), 1 / 1.42)) == 1.0
     assert float(fresnel(np.array(0.0), 1 / 1.42)) == 1.0
     assert float(fresnel(np.array(0.0))) == pytest.approx(1.0)
     # reciprocity of diffuse light: n^2 (1 - F inside) = 1 - F outside
-    assert diffuse_transmittance(1 / 1.42) * 1.42**2 == pytest.approx(diffuse_transmittance(), rel=2e-3)
+    assert diffuse_transmittance(1 / 1.42) * 1.42**2 == pytest.approx(
+        diffuse_transmittance(), rel=2e-3
+    )
 
 
 def test_reweighted_walks_equal_walks_that_absorb(maker):
-    """A walk that dies with the probability of absorption gives the same albedo as the reweighted table."""
+    """A walk that dies with the probability of absorption gives the same albedo as the reweighted
+    table."""
     rng = np.random.default_rng(2)
     _, lengths = maker["_walk_batch"](20_000, rng)
     survives = rng.standard_exponential(lengths.size) > lengths * (0.4 / 5.18)
@@ -103,7 +126,9 @@ def test_modulation_left_at_the_ridge_period(channel):
     scattering, absorption = REFERENCE[channel]
     profile = diffusion_profile(scattering, absorption)
     left = float(profile.transfer(np.array([75.7 / 33]))[0]) / profile.albedo
-    assert left == pytest.approx({"red": 0.08, "green": 0.15, "blue": 0.22, "nir": 0.05}[channel], abs=0.006)
+    assert left == pytest.approx(
+        {"red": 0.08, "green": 0.15, "blue": 0.22, "nir": 0.05}[channel], abs=0.006
+    )
 
 
 @pytest.mark.parametrize("pitch_mm", [1 / 75.7, 1 / 20])
@@ -117,13 +142,20 @@ def test_kernel_conserves_energy_and_follows_the_profile(pitch_mm):
     distance = np.hypot(*np.meshgrid(np.arange(-n, n + 1), np.arange(-n, n + 1))) * pitch_mm
     inside = np.concatenate([[0.0], np.cumsum(profile.weights)])
     for radius in (0.2, 0.5, 1.0):
-        fraction = float(np.interp(radius, profile.radii_mm, inside)) / float(np.interp(2.0, profile.radii_mm, inside))
-        assert kernel[distance < radius].sum() / kernel.sum() == pytest.approx(fraction, abs=max(0.02, 0.7 * pitch_mm))
+        fraction = float(np.interp(radius, profile.radii_mm, inside)) / float(
+            np.interp(2.0, profile.radii_mm, inside)
+        )
+        assert kernel[distance < radius].sum() / kernel.sum() == pytest.approx(
+            fraction, abs=max(0.02, 0.7 * pitch_mm)
+        )
     # the centre pixel against samples of the profile
     rng = np.random.default_rng(0)
     ring = rng.choice(profile.weights.size, 200_000, p=profile.weights / profile.albedo)
     low, high = profile.radii_mm[ring] ** 2, profile.radii_mm[ring + 1] ** 2
-    radius, turn = np.sqrt(low + (high - low) * rng.random(ring.size)), 2 * np.pi * rng.random(ring.size)
+    radius, turn = (
+        np.sqrt(low + (high - low) * rng.random(ring.size)),
+        2 * np.pi * rng.random(ring.size),
+    )
     centre = np.maximum(abs(radius * np.cos(turn)), abs(radius * np.sin(turn))) < pitch_mm / 2
     assert kernel[n, n] == pytest.approx(centre.mean() * profile.albedo, rel=0.05)
 

@@ -1,4 +1,5 @@
-"""People whose fingers are similar, sessions that differ, and captures that follow from their place alone."""
+"""People whose fingers are similar, sessions that differ, and captures that follow from their place
+alone."""
 
 from __future__ import annotations
 
@@ -74,13 +75,21 @@ def test_classes_have_the_frequencies_of_their_digit(people):
 def test_loops_open_to_the_little_finger_of_either_hand(people):
     for side, ulnar in (("right", "right_loop"), ("left", "left_loop")):
         loops = [p.fingers[f"{side}_little"].finger.pattern for p in people]
-        loops = [pattern for pattern in loops if pattern.endswith("_loop") and pattern != "twin_loop"]
+        loops = [
+            pattern for pattern in loops if pattern.endswith("_loop") and pattern != "twin_loop"
+        ]
         assert loops.count(ulnar) > 0.95 * len(loops)
 
 
 def test_classes_of_a_person_are_alike(people):
     whorls = np.array(
-        [[p.fingers[f].finger.pattern in ("whorl", "twin_loop") for f in ("right_ring", "left_thumb")] for p in people]
+        [
+            [
+                p.fingers[f].finger.pattern in ("whorl", "twin_loop")
+                for f in ("right_ring", "left_thumb")
+            ]
+            for p in people
+        ]
     )
     assert _correlation(whorls[:, 0], whorls[:, 1]) > 0.1
 
@@ -89,9 +98,24 @@ def test_a_hand_mirrors_the_other(people):
     for field in ("sideways_mm", "skew"):
         right, left = _shapes(people, "right_middle", field), _shapes(people, "left_middle", field)
         assert _correlation(right, left) < -0.75
-    for field, least in (("width_mm", 0.9), ("length_mm", 0.85), ("pad_bulge", 0.75), ("tip_drop_mm", 0.7)):
-        assert _correlation(_shapes(people, "right_middle", field), _shapes(people, "left_middle", field)) > least
-    tilts = np.array([[p.fingers[f"{s}_index"].finger.skin.creases[0].tilt for s in ("right", "left")] for p in people])
+    for field, least in (
+        ("width_mm", 0.9),
+        ("length_mm", 0.85),
+        ("pad_bulge", 0.75),
+        ("tip_drop_mm", 0.7),
+    ):
+        assert (
+            _correlation(
+                _shapes(people, "right_middle", field), _shapes(people, "left_middle", field)
+            )
+            > least
+        )
+    tilts = np.array(
+        [
+            [p.fingers[f"{s}_index"].finger.skin.creases[0].tilt for s in ("right", "left")]
+            for p in people
+        ]
+    )
     assert _correlation(tilts[:, 0], tilts[:, 1]) < -0.75
 
 
@@ -103,7 +127,10 @@ def test_impressions_keep_to_their_ranges(impressions):
     swelling = np.array([[one.swelling for one in both] for both in impressions])
     assert 0.02 < np.abs(swelling).max() <= 2 * SWELLING_SD
     assert _correlation(*swelling.T) > 0.65
-    moist, rough = (np.array([getattr(both[0], name) for both in impressions]) for name in ("moisture", "roughness"))
+    moist, rough = (
+        np.array([getattr(both[0], name) for both in impressions])
+        for name in ("moisture", "roughness")
+    )
     assert _correlation(moist, rough) < -0.99
     partial = np.array([one.partial for both in impressions for one in both])
     assert 0.06 < partial.mean() < 0.14
@@ -117,15 +144,23 @@ def test_impressions_keep_to_their_ranges(impressions):
 def test_the_finger_of_today_is_swollen_flat_and_moist(people, impressions):
     own, today = people[0].fingers["right_index"], impressions[0][0]
     finger = finger_of_today(own.finger, today)
-    assert finger.shape.width_mm == own.finger.shape.width_mm * (1 + today.swelling + today.flattening)
-    assert finger.shape.thickness_mm == own.finger.shape.thickness_mm * (1 + today.swelling - today.flattening)
+    assert finger.shape.width_mm == own.finger.shape.width_mm * (
+        1 + today.swelling + today.flattening
+    )
+    assert finger.shape.thickness_mm == own.finger.shape.thickness_mm * (
+        1 + today.swelling - today.flattening
+    )
     assert finger.skin.ridge_depth_um == own.finger.skin.ridge_depth_um * today.ridge_contrast
 
 
+@pytest.mark.slow
 def test_a_capture_follows_from_its_place_alone():
     def digest(shown):
         parts = [band.pixels.tobytes() for band in shown.capture.bands.values()]
-        parts += [key.encode() + np.ascontiguousarray(shown.truth[key]).tobytes() for key in sorted(shown.truth)]
+        parts += [
+            key.encode() + np.ascontiguousarray(shown.truth[key]).tobytes()
+            for key in sorted(shown.truth)
+        ]
         return hashlib.sha256(b"".join(parts)).hexdigest()
 
     person = SMALL.person(2)
@@ -133,14 +168,18 @@ def test_a_capture_follows_from_its_place_alone():
     first = population_capture(SMALL, person, "left_little", 2)
     population_capture(SMALL, person, "left_little", 1, master=master)
     threads = replace(SMALL, render=replace(SMALL.render, workers=2))
-    assert digest(population_capture(threads, SMALL.person(2), "left_little", 2, master=master)) == digest(first)
+    assert digest(
+        population_capture(threads, SMALL.person(2), "left_little", 2, master=master)
+    ) == digest(first)
     assert first.capture.subject == {"id": "S02", "finger": "left_little", "session": 2}
     films = replace(SMALL, films=replace(SMALL.films, kind="analyser"))
     polarised = population_capture(films, person, "left_little", 2, master=master).capture
     assert "white_crossed" in polarised.bands
     assert polarised.bands["white_crossed"].pixels.mean() < polarised.bands["white"].pixels.mean()
     assert first.facts["sex"] == person.sex
-    assert first.truth["impression_roll_deg"] == pytest.approx(np.rad2deg(first.truth["landmark_roll_rad"]))
+    assert first.truth["impression_roll_deg"] == pytest.approx(
+        np.rad2deg(first.truth["landmark_roll_rad"])
+    )
     assert first.truth["master_minutiae_mm"].shape == (first.facts["minutiae"], 3)
     assert not set(LARGE) & first.truth.keys()
     told = np.array([led.intensity for led in first.capture.rig.leds])

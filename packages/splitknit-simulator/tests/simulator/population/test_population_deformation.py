@@ -1,4 +1,5 @@
-"""Skin that moves over the body: bounded, smooth, the same for ridges and landmarks, and really in the pictures."""
+"""Skin that moves over the body: bounded, smooth, the same for ridges and landmarks, and really in
+the pictures."""
 
 from __future__ import annotations
 
@@ -14,7 +15,9 @@ from splitknit_simulator.finger.master_print import MasterPrintSettings, master_
 
 @pytest.fixture(scope="module")
 def master():
-    return master_print("left_loop", 3, MasterPrintSettings(half_width_mm=9, distal_mm=24, proximal_mm=3))
+    return master_print(
+        "left_loop", 3, MasterPrintSettings(half_width_mm=9, distal_mm=24, proximal_mm=3)
+    )
 
 
 def _deformation(master, amplitude=0.4, stretch=0.0, seed=1):
@@ -44,7 +47,9 @@ def test_landmarks_move_with_the_ridges(master):
     places = np.array([[-4.0, 6.0], [0.5, 12.0], [5.0, 17.0]])
     bumps = np.zeros_like(master.ridge)
     for u, v in places:
-        bumps += np.exp(-0.5 * ((master.u_mm - u) ** 2 + (master.v_mm[:, None] - v) ** 2) / 0.3**2).astype(np.float32)
+        bumps += np.exp(
+            -0.5 * ((master.u_mm - u) ** 2 + (master.v_mm[:, None] - v) ** 2) / 0.3**2
+        ).astype(np.float32)
     heads = np.column_stack([places, np.zeros(3)])
     print_ = replace(master, ridge=bumps, minutiae=heads, cores_mm=((0.5, 12.0),))
     d = _deformation(master, stretch=0.03)
@@ -53,7 +58,10 @@ def test_landmarks_move_with_the_ridges(master):
     for u, v in moved.minutiae[:, :2]:
         near = (np.abs(master.u_mm - u) < 1.0) & (np.abs(master.v_mm - v) < 1.0)[:, None]
         weight = np.where(near, moved.ridge, 0.0)
-        found = [(weight * axis).sum() / weight.sum() for axis in (master.u_mm[None, :], master.v_mm[:, None])]
+        found = [
+            (weight * axis).sum() / weight.sum()
+            for axis in (master.u_mm[None, :], master.v_mm[:, None])
+        ]
         np.testing.assert_allclose(found, [u, v], atol=0.03)
     np.testing.assert_allclose(moved.cores_mm[0], moved.minutiae[1, :2], atol=1e-12)
     assert 0.0 < np.abs(moved.minutiae[:, 2]).max() < 0.2

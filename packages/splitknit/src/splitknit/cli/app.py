@@ -1,7 +1,8 @@
-"""The verbs as one app: cyclopts makes options of each function's signature, and what it returns is printed here.
+"""The verbs as one app: cyclopts makes options of each function's signature, and what it returns is
+printed here.
 
-A result is printed as its ``str``, or with ``--json`` as the document of its ``facts`` if it has any, else of its
-fields.
+A result is printed as its ``str``, or with ``--json`` as the document of its ``facts`` if it has
+any, else of its fields.
 """
 
 from __future__ import annotations
@@ -34,11 +35,11 @@ from splitknit.registry import VERBS, objects_of, verbs_known
 
 _ABOUT = "Metric 3D fingerprints from photographs of a finger under one light after another."
 _ENDING = (
-    "Of every verb: --json prints one JSON object on stdout and nothing else; --traceback shows where an error came "
-    "from; --group-readable lets your group read what is written (0640, 0750), where by default only you can (0600, "
-    "0700); --exit-code answers by the exit code: 0 a match or live, 10 no match or an attack, 11 undecided or "
-    "unknown, 12 not acquired.\n\n"
-    "Exit code: 0 done, 2 the input cannot be used, 1 internal error. See also 'splitknit VERB --help'."
+    "Of every verb: --json prints one JSON object on stdout and nothing else; --traceback shows"
+    " where an error came from; --group-readable lets your group read what is written (0640, 0750),"
+    " where by default only you can (0600, 0700); --exit-code answers by the exit code: 0 a match"
+    " or live, 10 no match or an attack, 11 undecided or unknown, 12 not acquired.\n\nExit code: 0"
+    " done, 2 the input cannot be used, 1 internal error. See also 'splitknit VERB --help'."
 )
 _FLAG = Parameter(show=False)
 _HELP = {"--help", "-h"}
@@ -55,7 +56,8 @@ class How:
 
 
 def build_app(verb: str | None = None) -> App:
-    """Return the app with all verbs, or with the functions of `verb` alone, for which less is loaded."""
+    """Return the app with all verbs, or with the functions of `verb` alone, for which less is
+    loaded."""
     app = App(
         name="splitknit",
         help=_ABOUT,
@@ -82,7 +84,8 @@ def build_app(verb: str | None = None) -> App:
 
 
 class _Panels(DefaultFormatter):
-    """Tables of options whose descriptions are filled anew: docstrings break lines where they end."""
+    """Tables of options whose descriptions are filled anew: docstrings break lines where they
+    end."""
 
     def __call__(self, console: Any, options: Any, panel: HelpPanel) -> None:
         for entry in panel.entries:
@@ -187,9 +190,15 @@ def _reported(error: Exception, options: Mapping[str, str]) -> tuple[str, int]:
     if isinstance(error, CycloptsError | BadInput):
         return f"error: {line}", BAD_INPUT
     if isinstance(error, PermissionError):
-        return f"error: '{one_line(error.filename, {})}' cannot be reached: {error.strerror}.", BAD_INPUT
+        return (
+            f"error: '{one_line(error.filename, {})}' cannot be reached: {error.strerror}.",
+            BAD_INPUT,
+        )
     if isinstance(error, MemoryError):
-        return "error: not enough memory for this capture; use smaller images or more memory.", INTERNAL_ERROR
+        return (
+            "error: not enough memory for this capture; use smaller images or more memory.",
+            INTERNAL_ERROR,
+        )
     advice = "internal error, please report it; --traceback shows where"
     return f"{type(error).__name__}: {line} ({advice})", INTERNAL_ERROR
 

@@ -15,9 +15,11 @@ from splitknit.registry import MEMBERS
 
 
 def one_line(error: object, options: Mapping[str, str]) -> str:
-    """Return an error's text on one line that moves no cursor: what it quotes may hold any character.
+    """Return an error's text on one line that moves no cursor: what it quotes may hold any
+    character.
 
-    Arguments of Python functions, which stand between backticks, become the options of the verb that ran.
+    Arguments of Python functions, which stand between backticks, become the options of the verb
+    that ran.
 
     >>> one_line("give `px_per_mm` 20, or `max_megapixels`.", {"max_megapixels": "--max-size"})
     'give px_per_mm 20, or --max-size.'
@@ -26,7 +28,8 @@ def one_line(error: object, options: Mapping[str, str]) -> str:
 
 
 def with_options(text: str, options: Mapping[str, str]) -> str:
-    """Return `text` with the options of the arguments that stand between backticks; other names stay as words."""
+    """Return `text` with the options of the arguments that stand between backticks; other names
+    stay as words."""
     return re.sub("`([a-z_0-9]+)`", lambda name: options.get(name[1], name[1]), text)
 
 
@@ -51,8 +54,8 @@ def warnings_shown(options: Mapping[str, str]) -> Iterator[None]:
 
 @contextmanager
 def progress_bar() -> Iterator[Callable[[str, float], None]]:
-    """Yield what reports a stage and the fraction (0 to 1) of everything that is done, as a bar on stderr; the bar goes
-    with the block.
+    """Yield what reports a stage and the fraction (0 to 1) of everything that is done, as a bar on
+    stderr; the bar goes with the block.
     """
     began = time.monotonic()
     drawn = ""
@@ -63,7 +66,10 @@ def progress_bar() -> Iterator[Callable[[str, float], None]]:
         width = max(4, min(80, shutil.get_terminal_size().columns - 45))
         minutes, seconds = divmod(int(time.monotonic() - began), 60)
         bar = "#" * round(width * done)
-        line = f"{printable(stage):24.24s} |{bar:{width}s}| {100.0 * done:3.0f} % {minutes:02d}:{seconds:02d}"
+        line = (
+            f"{printable(stage):24.24s} |{bar:{width}s}| {100.0 * done:3.0f} %"
+            f" {minutes:02d}:{seconds:02d}"
+        )
         if line != drawn:
             drawn = line
             print(f"\r{line}\x1b[K", end="", file=sys.stderr, flush=True)

@@ -15,21 +15,26 @@ INTERRUPTS: list[int] = []
 
 
 def say(text: str, code: int) -> int:
-    """Write to stdout, and return the exit code: `code`, or that of bad input where stdout takes nothing."""
+    """Write to stdout, and return the exit code: `code`, or that of bad input where stdout takes
+    nothing."""
     try:
         print(text, end="", flush=True)
     except OSError as error:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         if not isinstance(error, BrokenPipeError):  # `splitknit ... | head` is not an error
             reason = "what was to be written to files or changed in them is done"
-            print(f"splitknit: error: stdout cannot be written: {error.strerror}; {reason}.", file=sys.stderr)
+            print(
+                f"splitknit: error: stdout cannot be written: {error.strerror}; {reason}.",
+                file=sys.stderr,
+            )
             return BAD_INPUT
     return code
 
 
 def fail(message: str, code: int) -> int:
     """Write the one line of an error to stderr, and return the exit code."""
-    if INTERRUPTS:  # an interrupt in the import of a compiled module comes out of it as an ImportError
+    # an interrupt in the import of a compiled module comes out of it as an ImportError
+    if INTERRUPTS:
         message, code = INTERRUPTION, INTERRUPTED
     print(message, file=sys.stderr)
     return code

@@ -1,9 +1,11 @@
 """The command line: ``splitknit VERB``.
 
-Exit code 0: done; 2: the input cannot be used (one sentence on stderr gives the reason and the remedy); 1: an internal
-error; 130: interrupted. Results go to files, facts to stdout, everything else to stderr.
+Exit code 0: done; 2: the input cannot be used (one sentence on stderr gives the reason and the
+remedy); 1: an internal error; 130: interrupted. Results go to files, facts to stdout, everything
+else to stderr.
 
-The module imports next to nothing and the rest within :func:`main`, which can then end an interrupt at any time.
+The module imports next to nothing and the rest within :func:`main`, which can then end an interrupt
+at any time.
 """
 
 from __future__ import annotations
@@ -25,7 +27,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """Run one verb and return the exit code."""
     program = arguments is None
     if program:
-        os.environ["OPENBLAS_NUM_THREADS"] = "1"  # on most processors its threads round sums otherwise
+        # on most processors its threads round sums otherwise
+        os.environ["OPENBLAS_NUM_THREADS"] = "1"
         for stream in (sys.stdout, sys.stderr):
             if isinstance(stream, io.TextIOWrapper):  # None where it is closed
                 stream.reconfigure(errors="backslashreplace")
@@ -76,7 +79,8 @@ def _interrupt(number: int, _: object) -> None:
 
 
 def _leave(*unused: object) -> NoReturn:
-    """End at once: during import and exit, Python prints an exception's traceback, or drops the exception."""
+    """End at once: during import and exit, Python prints an exception's traceback, or drops the
+    exception."""
     try:
         os.write(2, f"{INTERRUPTION}\n".encode())
     finally:

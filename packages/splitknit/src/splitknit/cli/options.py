@@ -11,13 +11,14 @@ from splitknit.errors import BadInput, read_bytes, refusing, require
 from splitknit.io.fields import parse_json
 from splitknit.settings import flatten
 
-_MAX_BYTES = 64_000  # settings documents here have 2 kB; the parser's time grows with the square of a name's length
+# settings documents here have 2 kB; the parser's time grows with the square of a name's length
+_MAX_BYTES = 64_000
 
 
 def read_changes(changed: Sequence[tuple[str, str]]) -> dict[str, Any]:
-    """Return all changed settings as ``stage.field`` and value, of pairs of option (``--set``, ``--settings``) and
-    word; assignments win over files. Raises BadInput if a file cannot be read or an assignment is not
-    ``stage.field=value``.
+    """Return all changed settings as ``stage.field`` and value, of pairs of option (``--set``,
+    ``--settings``) and word; assignments win over files. Raises BadInput if a file cannot be read
+    or an assignment is not ``stage.field=value``.
     """
     changes: dict[str, Any] = {}
     for option, file in changed:
@@ -38,12 +39,17 @@ def parse_assignment(text: str) -> tuple[str, Any]:
     name = name.strip()
     parts = name.split(".")
     sound = bool(equals) and all(part.isidentifier() for part in parts)
-    require(sound, f"--set {text[:100]!a} is not of the form stage.field=value, for example normals.method=robust.")
+    require(
+        sound,
+        f"--set {text[:100]!a} is not of the form stage.field=value, for example"
+        " normals.method=robust.",
+    )
     return name, _scalar(value.strip())
 
 
 def _scalar(text: str) -> Any:
-    """Return the value that `text` stands for; NaN and infinity are left to the settings to refuse."""
+    """Return the value that `text` stands for; NaN and infinity are left to the settings to
+    refuse."""
     try:
         return json.loads(text)
     except (ValueError, RecursionError):
@@ -57,7 +63,8 @@ def _scalar(text: str) -> Any:
 
 
 def _read_settings_file(path: Path) -> dict[str, Any]:
-    """Read a JSON (``.json``) or TOML file of settings: ``{"stage": {"field": value}}`` or dotted names."""
+    """Read a JSON (``.json``) or TOML file of settings: ``{"stage": {"field": value}}`` or dotted
+    names."""
     data = read_bytes(path, _MAX_BYTES)
     if path.suffix.lower() == ".json":
         tree = parse_json(data, f"the settings file '{path}'")
@@ -67,8 +74,17 @@ def _read_settings_file(path: Path) -> dict[str, Any]:
         try:
             tree = tomllib.loads(data.decode("utf-8"))
         except (ValueError, RecursionError) as error:
-            words = "it is not a text file" if isinstance(error, UnicodeDecodeError) else ascii(str(error)[:200])[1:-1]
+            words = (
+                "it is not a text file"
+                if isinstance(error, UnicodeDecodeError)
+                else ascii(str(error)[:200])[1:-1]
+            )
             raise BadInput(f"the settings file '{path}' is not sound TOML: {words}.") from error
-    require(isinstance(tree, dict), f"the settings file '{path}' must hold a table of settings by stage.")
-    with refusing(f"the settings file '{path}' is nested too deeply; name settings as stage.field."):
+    require(
+        isinstance(tree, dict),
+        f"the settings file '{path}' must hold a table of settings by stage.",
+    )
+    with refusing(
+        f"the settings file '{path}' is nested too deeply; name settings as stage.field."
+    ):
         return flatten(tree)

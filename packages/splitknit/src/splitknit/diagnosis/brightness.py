@@ -19,12 +19,14 @@ from splitknit.photometric.uncalibrated import bas_relief_of
 _EQUAL = 0.02
 """Spread (standard deviation of the logarithm) up to which lights are equal."""
 _CLEARLY = 2.5
-"""Spread over the light left unexplained from which the estimate is better than equal lights: gloss looks like a spread
-of up to 2.0 times that (a glazed bear; 1.5 on 24 rendered objects of three glosses)."""
+"""Spread over the light left unexplained from which the estimate is better than equal lights: gloss
+looks like a spread of up to 2.0 times that (a glazed bear; 1.5 on 24 rendered objects of three
+glosses)."""
 _SURELY_UNEQUAL = 0.18
 """Spread from which they surely differ."""
 _EXPLAINED = 0.7
-"""Unequal lights leave less than this fraction of the residual: 0.66 where they differ by 6 %, equal ones 0.77."""
+"""Unequal lights leave less than this fraction of the residual: 0.66 where they differ by 6 %,
+equal ones 0.77."""
 _WEAK_COLOUR = 0.1
 """Below this fraction of the mean, a colour channel is too dark to judge a light's brightness."""
 
@@ -32,16 +34,20 @@ _WEAK_COLOUR = 0.1
 def with_equal_lights(
     capture: Capture, band: Band, finger: Finger, binning: int, inside: BoolArray
 ) -> tuple[Band, dict[str, Any], list[Finding]]:
-    """The white band of an opaque object whose images are divided by the brightness of their lights, in each colour,
-    where nobody stated it and it is clearly unequal; facts and notes.
+    """The white band of an opaque object whose images are divided by the brightness of their
+    lights, in each colour, where nobody stated it and it is clearly unequal; facts and notes.
     """
-    free = capture.rig.intensities_assumed and band.flat is None and bas_relief_of(capture.rig) is None
+    free = (
+        capture.rig.intensities_assumed and band.flat is None and bas_relief_of(capture.rig) is None
+    )
     if not free or len(band.lights) <= LEAST:
         return band, {}, []
     lights = capture.rig.select(band.lights).light_vectors()
     levels = saturation_levels(band, capture.encoding)
     channels = ("red", "green", "blue") if band.pixels.shape[3] == 3 else ("grey",)
-    grey, *colours = linear_channels(band, capture.encoding, ("grey", *channels), finger.window, binning)
+    grey, *colours = linear_channels(
+        band, capture.encoding, ("grey", *channels), finger.window, binning
+    )
     gains = light_gains(grey, lights, inside, levels)
     scaled = lights * gains[:, None]
     before = light_left(grey, lights, inside, levels)
@@ -56,18 +62,26 @@ def with_equal_lights(
     effect = f"which turns the surface by {turned_deg:.1f} deg (median)"
     if not (asked or spread > _CLEARLY * after or (spread > _SURELY_UNEQUAL and len(lights) > 5)):
         words = (
-            f"the lights may differ in brightness, by {100 * spread:.0f} %, {effect}, or shine and shadow look so: "
-            "they are taken as equal; if they do, give `brightness` estimate, or as fourth numbers of the list, in "
-            f"its order: {' '.join(f'{gain:.3f}' for gain in relative)}."
+            f"the lights may differ in brightness, by {100 * spread:.0f} %, {effect}, or shine and"
+            " shadow look so: they are taken as equal; if they do, give `brightness` estimate, or"
+            " as fourth numbers of the list, in its order:"
+            f" {' '.join(f'{gain:.3f}' for gain in relative)}."
         )
         return band, {}, [Finding("unequal-lights", words, effect_deg=turned_deg)]
     transmission = np.repeat(gains[:, None], len(channels), axis=1)
     means = np.stack([stack[:, inside].mean(axis=1) for stack in colours], axis=1)
     if len(channels) == 3 and (means >= _WEAK_COLOUR * means.mean()).all():
-        of_colours = np.stack([light_gains(stack, lights, inside, levels) for stack in colours], axis=1)
+        of_colours = np.stack(
+            [light_gains(stack, lights, inside, levels) for stack in colours], axis=1
+        )
         transmission = of_colours * np.exp(np.log(gains).mean() - np.log(of_colours).mean(axis=0))
-    each = "; ".join(f"{name} {gain:.2f}" for name, gain in zip(band.image_names, relative, strict=True))
-    words = f"the lights differ in brightness, {effect}; that was estimated with the surface and taken out: {each}."
+    each = "; ".join(
+        f"{name} {gain:.2f}" for name, gain in zip(band.image_names, relative, strict=True)
+    )
+    words = (
+        f"the lights differ in brightness, {effect}; that was estimated with the surface and taken"
+        f" out: {each}."
+    )
     facts = {"light_brightness": [round(float(gain), 3) for gain in relative]}
     finding = Finding("estimated-brightness", words, effect_deg=turned_deg)
     return replace(band, transmission=transmission), facts, [finding]

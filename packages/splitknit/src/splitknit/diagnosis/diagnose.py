@@ -1,4 +1,5 @@
-"""What is wrong with the photographs of a finger, or a thing, that was found in them: all questions, in order."""
+"""What is wrong with the photographs of a finger, or a thing, that was found in them: all
+questions, in order."""
 
 from __future__ import annotations
 
@@ -24,12 +25,14 @@ from splitknit.model import Band, Capture
 from splitknit.steps import shared, step
 
 _CURVED = 0.05
-"""Light left unexplained from which the other encoding is tried: of linear photographs declared sRGB 0.07 to 0.1."""
+"""Light left unexplained from which the other encoding is tried: of linear photographs declared
+sRGB 0.07 to 0.1."""
 _DISTANT = 0.15
-"""Light left unexplained from which the lights are not distant, so that no photograph is compared with the others."""
+"""Light left unexplained from which the lights are not distant, so that no photograph is compared
+with the others."""
 TILTED = (
-    "the lights differ in brightness by {:.0f} %, which was estimated from the photographs and taken out: that gives "
-    "the ridges, but leaves open by some degrees how the finger is tilted."
+    "the lights differ in brightness by {:.0f} %, which was estimated from the photographs and"
+    " taken out: that gives the ridges, but leaves open by some degrees how the finger is tilted."
 )
 
 
@@ -37,7 +40,8 @@ class Diagnosis(NamedTuple):
     """Photographs, and what is wrong with them."""
 
     capture: Capture
-    """Without photographs that do not fit the others, and as bright as the lights turned out to be."""
+    """Without photographs that do not fit the others, and as bright as the lights turned out to
+    be."""
     finger: Finger
     """With facts of the lights."""
     findings: tuple[Finding, ...]
@@ -46,7 +50,8 @@ class Diagnosis(NamedTuple):
 @shared
 @step("finger")
 def diagnose(capture: Capture, finger: Finger) -> Diagnosis:
-    """Ask all questions. Raises BadInput if the white photographs are too few, or their lights lie in a plane."""
+    """Ask all questions. Raises BadInput if the white photographs are too few, or their lights lie
+    in a plane."""
     skin = capture.material == "skin"
     white = capture.bands["white"]
     fit = None
@@ -68,10 +73,12 @@ def diagnose(capture: Capture, finger: Finger) -> Diagnosis:
 def _judged_object(
     capture: Capture, finger: Finger, fit: LightFit | None
 ) -> tuple[Capture, dict[str, Any], list[Finding]]:
-    """An opaque object without the photographs that do not fit the others, under equal lights; facts, and findings."""
+    """An opaque object without the photographs that do not fit the others, under equal lights;
+    facts, and findings."""
     facts: dict[str, Any] = {}
     findings: list[Finding] = []
-    if fit is None or fit.in_order or fit.frame == TURNED:  # in another order, none of them is at fault
+    # in another order, none of them is at fault
+    if fit is None or fit.in_order or fit.frame == TURNED:
         bands = dict(capture.bands)
         for name, band in capture.bands.items():
             pixels = compared_pixels(band, finger)
@@ -80,7 +87,9 @@ def _judged_object(
             bands[name], notes = left_out(capture, band, finger, *pixels)
             findings += notes
             if name == "white":
-                bands[name], of_lights, notes = with_equal_lights(capture, bands[name], finger, *pixels)
+                bands[name], of_lights, notes = with_equal_lights(
+                    capture, bands[name], finger, *pixels
+                )
                 findings += notes
                 facts |= of_lights
         capture = replace(capture, bands=bands)
@@ -105,9 +114,13 @@ def _judged_skin(
         of_band, doubt = _judged_lights(capture, name, finger, fit, response)
         facts |= of_band
         gains = of_band.get(f"light_brightness{_suffix(name)}", ())
-        if gains and len({led.intensity for led in capture.rig.select(band.lights).leds}) == 1:  # nobody measured it
+        # nobody measured it
+        if gains and len({led.intensity for led in capture.rig.select(band.lights).leds}) == 1:
             bright = np.repeat(np.array(gains)[:, None], band.pixels.shape[3], axis=1)
-            equal = replace(band, transmission=bright * (1.0 if band.transmission is None else band.transmission))
+            equal = replace(
+                band,
+                transmission=bright * (1.0 if band.transmission is None else band.transmission),
+            )
             capture = replace(capture, bands={**capture.bands, name: equal})
             words = TILTED.format(100 * float(np.std(np.log(gains))))
             findings.append(Finding("estimated-brightness", words).of_band(name))
@@ -123,7 +136,11 @@ def _judged_skin(
 
 
 def _judged_bands(capture: Capture) -> list[str]:
-    return [name for name in ("white", "nir") if name in capture.bands and not capture.bands[name].colours]
+    return [
+        name
+        for name in ("white", "nir")
+        if name in capture.bands and not capture.bands[name].colours
+    ]
 
 
 def _suffix(name: str) -> str:
@@ -141,10 +158,14 @@ def _fit(capture: Capture, band: Band, finger: Finger) -> LightFit:
 
 
 def _judged_lights(
-    capture: Capture, name: str, finger: Finger, white_fit: LightFit | None, response: ResponseDoubt | None
+    capture: Capture,
+    name: str,
+    finger: Finger,
+    white_fit: LightFit | None,
+    response: ResponseDoubt | None,
 ) -> tuple[dict[str, Any], list[Finding]]:
-    """How well a band's photographs fit their lights, and what is wrong where another order or frame fits better, one
-    does not belong to the others, or the camera's response is wrong.
+    """How well a band's photographs fit their lights, and what is wrong where another order or
+    frame fits better, one does not belong to the others, or the camera's response is wrong.
     """
     band = capture.bands[name]
     white = name == "white"
@@ -164,17 +185,21 @@ def _judged_lights(
     doubt = doubt_of_lights(fit, band.image_names, capture.material)
     in_order = fit.frame == "right-up" and fit.in_order
     strange = fit.strange is not None
-    worse = strange or (doubt is not None and doubt.severity == Severity.SPOILS and not fit.brightness)
+    worse = strange or (
+        doubt is not None and doubt.severity == Severity.SPOILS and not fit.brightness
+    )
     if in_order and response is not None and (response.sure or not worse):  # it explains the rest
         return facts, [response.finding] if white and not response.sure else []
     skin = capture.material == "skin"
     if skin and in_order and not strange and (doubt is not None or fit.residual > _CURVED):
         encoding = other_encoding(capture)
-        stored = _fit(replace(capture, encoding=encoding), band, finger)  # unequal lights stay so, a wrong curve not
+        # unequal lights stay so, a wrong curve not
+        stored = _fit(replace(capture, encoding=encoding), band, finger)
         explained = doubt is not None and doubt_of_lights(stored, band.image_names) is None
         if explained or stored.residual < 0.5 * fit.residual:
             severity = Severity.SPOILS if fit.spoils_skin else Severity.DOUBT
             doubt = Finding("other-encoding", ENCODING.format(capture.encoding, encoding), severity)
-    if doubt is None and skin and fit.residual < _DISTANT:  # LEDs beside the finger are not such lights
+    # LEDs beside the finger are not such lights
+    if doubt is None and skin and fit.residual < _DISTANT:
         doubt = faulty_photograph(capture, band, finger)
     return facts, [] if doubt is None else [doubt.of_band(name)]

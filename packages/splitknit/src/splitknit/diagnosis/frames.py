@@ -1,9 +1,11 @@
-"""Whether photographs and lights go together: the light left unexplained, the lights' order, and their frame.
+"""Whether photographs and lights go together: the light left unexplained, the lights' order, and
+their frame.
 
-A matt surface under L distant lights gives photographs of rank three: what least squares leaves of them is small if
-each photograph is given its own light. Where lights lie evenly on a ring, a cyclic shift or a reversal of their order
-explains the photographs as well, by a surface whose normals are turned or mirrored about the camera's axis; so does a
-list of directions in another frame. The true surface is integrable and convex.
+A matt surface under L distant lights gives photographs of rank three: what least squares leaves of
+them is small if each photograph is given its own light. Where lights lie evenly on a ring, a cyclic
+shift or a reversal of their order explains the photographs as well, by a surface whose normals are
+turned or mirrored about the camera's axis; so does a list of directions in another frame. The true
+surface is integrable and convex.
 """
 
 from __future__ import annotations
@@ -34,14 +36,16 @@ FRAMES: dict[str, tuple[tuple[int, int], tuple[int, int]]] = {
     "up-right": ((0, 1), (1, 0)),
     "down-left": ((0, -1), (-1, 0)),
 }
-"""Where x and y point in the image, and the matrix that turns such a vector's x and y to x right, y up."""
+"""Where x and y point in the image, and the matrix that turns such a vector's x and y to x right, y
+up."""
 _BLUR = 0.02
-"""Blur (sigma) of the slopes, as a fraction of the mask's longer side: shape is judged, not noise and texture."""
+"""Blur (sigma) of the slopes, as a fraction of the mask's longer side: shape is judged, not noise
+and texture."""
 _RELIEF_BLUR = 0.006
 """The same of a relief: text of a coin, hairs of a carving."""
 _CURL = 0.15
-"""Curl as a fraction of the slopes' change from which lights are doubted: up to 0.03 on sound objects, 0.3 to 0.6 in a
-mirrored or turned frame."""
+"""Curl as a fraction of the slopes' change from which lights are doubted: up to 0.03 on sound
+objects, 0.3 to 0.6 in a mirrored or turned frame."""
 _CURL_LEFT = 0.25
 """Fraction of that curl that another frame or order may leave."""
 _FALLS_OFF = 0.1
@@ -49,84 +53,98 @@ _FALLS_OFF = 0.1
 _STEEPEST = 1.5
 """Normals beyond this slope, often in shadow, are shortened to it and left out of the curl."""
 _WORSE = 2.0
-"""Another frame must be more integrable by this factor to be named; where only there the surface is wholly convex, it
-need not be less integrable."""
+"""Another frame must be more integrable by this factor to be named; where only there the surface is
+wholly convex, it need not be less integrable."""
 _CONVEX = 0.4
-"""Net divergence over its absolute sum from which a surface counts as one convex object: 0.6 to 1 on objects and
-fingers, 0.07 on a field of balls."""
+"""Net divergence over its absolute sum from which a surface counts as one convex object: 0.6 to 1
+on objects and fingers, 0.07 on a field of balls."""
 _WHOLLY_CONVEX = 0.8
 _COARSE = 0.4
-"""Fraction of the slopes that a blur over an eighth of the object leaves, below which it is not one convex object: 0.6
-to 0.9 on objects and fingers, 0.07 to 0.23 on a field of balls."""
+"""Fraction of the slopes that a blur over an eighth of the object leaves, below which it is not one
+convex object: 0.6 to 0.9 on objects and fingers, 0.07 to 0.23 on a field of balls."""
 HIGH_RESIDUAL = 0.2
-"""Light left unexplained, as a fraction, from which photographs do not fit their lights: 0.01 to 0.15 on objects and
-fingers under their own lights (docs/experiments/objects.md)."""
+"""Light left unexplained, as a fraction, from which photographs do not fit their lights: 0.01 to
+0.15 on objects and fingers under their own lights (docs/experiments/objects.md)."""
 _NO_RESIDUAL = 0.03
 """Up to here no other order is looked for."""
 _FEWEST = 5
-"""Lights from which the residual determines an order; with five another order must be better still."""
+"""Lights from which the residual determines an order; with five another order must be better
+still."""
 _BETTER = (0.8, 0.6)
-"""Residual in another order over the stated one, from which the order is named: with the photographs' brightness free,
-and of the photographs that change their light. Real objects with brightness wrong by 20 % or directions by 2 deg stay
-above."""
+"""Residual in another order over the stated one, from which the order is named: with the
+photographs' brightness free, and of the photographs that change their light. Real objects with
+brightness wrong by 20 % or directions by 2 deg stay above."""
 _BETTER_OF_FIVE = (0.4, 0.4)
 _LESS = 0.9
-"""An order that leaves less than this fraction of the residual is not merely a turn of the lights."""
+"""An order that leaves less than this fraction of the residual is not merely a turn of the
+lights."""
 _STRANGE = 0.7
-"""A photograph does not belong to the rest where without it less than this fraction of the residual is left that would
-be for one light less: at least 0.99 on simulated, path-traced and polarised fingers, 0.2 to 0.65 where a photograph is
-noise, turned, a copy of a second one or of a second finger."""
+"""A photograph does not belong to the rest where without it less than this fraction of the residual
+is left that would be for one light less: at least 0.99 on simulated, path-traced and polarised
+fingers, 0.2 to 0.65 where a photograph is noise, turned, a copy of a second one or of a second
+finger."""
 _FEWEST_OF_STRANGE = 6
 _UNEQUAL = 0.5
-"""Brightness is at fault where less than this fraction of the residual is left once every photograph has its own: 0.96
-and more under lights of known brightness, 0.25 where that is 10 to 20 % off."""
+"""Brightness is at fault where less than this fraction of the residual is left once every
+photograph has its own: 0.96 and more under lights of known brightness, 0.25 where that is 10 to 20
+% off."""
 _TURNS_DEG = 0.5
 """A strange photograph of an object is named where it turns the surface by more."""
 TURNED = "left-down"
 HOLLOW = (
-    "the object comes out hollow; if it is a hill, its lights were measured with x pointing left and y down in the "
-    "image: then give `light_frame` left-down, or leave out the one that was given."
+    "the object comes out hollow; if it is a hill, its lights were measured with x pointing left"
+    " and y down in the image: then give `light_frame` left-down, or leave out the one that was"
+    " given."
 )
-"""Photographs of a hollow are those of a hill whose lights are turned by 180 deg: both are possible of an object."""
+"""Photographs of a hollow are those of a hill whose lights are turned by 180 deg: both are possible
+of an object."""
 _ONE_LIGHT = 0.03
-"""Photographs of a finger that differ by less than this are under one light: 0.13 and more under their own."""
+"""Photographs of a finger that differ by less than this are under one light: 0.13 and more under
+their own."""
 SPOILT_DEG = 3.0
-"""From this turn of the normals on a surface is not worth having: on a simulated finger photographs that turn them by 3
-to 11 deg cost up to 0.7 mm (``validation/damaged``)."""
+"""From this turn of the normals on a surface is not worth having: on a simulated finger photographs
+that turn them by 3 to 11 deg cost up to 0.7 mm (``validation/damaged``)."""
 _SPOILT_RESIDUAL = 0.3
 _NO_SURFACE = (
-    "{:.0f} % of the change of the slopes belongs to no surface (up to 3 % is usual), and no other order or frame of "
-    "the lights mends that: heights are wrong; check their directions, photograph by photograph."
+    "{:.0f} % of the change of the slopes belongs to no surface (up to 3 % is usual), and no other"
+    " order or frame of the lights mends that: heights are wrong; check their directions,"
+    " photograph by photograph."
 )
 _SEEDS = 300
 _LARGEST_SEARCH = 48
 """With more lights the search starts from the stated order and its shifts alone."""
 _PIXELS = 20_000
 _ON_A_LIGHT = 0.2
-"""A turned light falls on another within this fraction of the distance of the two closest lights."""
+"""A turned light falls on another within this fraction of the distance of the two closest
+lights."""
 _SAME_TURN = 2.0 * np.cos(np.deg2rad(20.0))
 
 
 @dataclass(frozen=True, slots=True)
 class LightFit:
-    """How well photographs fit the lights that they are given, and which order or frame fits better."""
+    """How well photographs fit the lights that they are given, and which order or frame fits
+    better."""
 
     residual: float
     """Root of the fraction of the photographs' squared light that least squares leaves, 0 to 1."""
     residual_per_image: tuple[float, ...]
     """The same of every photograph."""
     order: tuple[int, ...]
-    """The light, from 0, that every photograph seems to be under; its own where nothing speaks against it."""
+    """The light, from 0, that every photograph seems to be under; its own where nothing speaks
+    against it."""
     residual_in_order: float
     """What would be left in that order."""
     frame: str
-    """Name in :data:`FRAMES`; ``right-up`` while the residual is high or an order is clearly better."""
+    """Name in :data:`FRAMES`; ``right-up`` while the residual is high or an order is clearly
+    better."""
     strange: int | None = None
     """The photograph that does not belong to the rest."""
     brightness: tuple[float, ...] = ()
-    """Of every light over what is stated of it, mean 1, where that explains the photographs far better."""
+    """Of every light over what is stated of it, mean 1, where that explains the photographs far
+    better."""
     turned_deg: float = 0.0
-    """Median angle by which another order, brightness, or the strange photograph turns the normals."""
+    """Median angle by which another order, brightness, or the strange photograph turns the
+    normals."""
     variety: float = 1.0
     """How much the photographs differ, but for their brightness: 0 to 1."""
     curl: float = 0.0
@@ -140,25 +158,30 @@ class LightFit:
     @property
     def spoils_skin(self) -> bool:
         """Whether what is wrong of skin makes its surface worthless."""
-        turned = self.turned_deg > SPOILT_DEG and (self.strange is not None or bool(self.brightness))
+        turned = self.turned_deg > SPOILT_DEG and (
+            self.strange is not None or bool(self.brightness)
+        )
         contradicted = self.residual > _SPOILT_RESIDUAL or self.variety < _ONE_LIGHT
         return not self.in_order or self.frame != "right-up" or contradicted or turned
 
 
 def fit_lights(stack: Any, lights: Any, mask: Any = None, *, relief: bool = False) -> LightFit:
-    """Compare photographs with the lights that they are given, in this and in every other order and frame.
+    """Compare photographs with the lights that they are given, in this and in every other order and
+    frame.
 
-    Raises BadInput as :func:`splitknit.photometric.lambertian.lambertian`, whose parameters these are; `mask` is the
-    whole object, and a few hundred pixels a side are enough. `relief`: the object is matt, so that what is fine on it
-    shows the frame too, be it convex or not.
+    Raises BadInput as :func:`splitknit.photometric.lambertian.lambertian`, whose parameters these
+    are; `mask` is the whole object, and a few hundred pixels a side are enough. `relief`: the
+    object is matt, so that what is fine on it shows the frame too, be it convex or not.
 
-    Sources: rank three, A. Shashua, "On photometric issues in 3D visual recognition from a single 2D image", IJCV 21
-    (1997). The best order is a quadratic assignment of the photographs' inner products to the lights', searched by
-    exchanges of two: R. E. Burkard, M. Dell'Amico and S. Martello, "Assignment Problems" (2009), section 8.2.
+    Sources: rank three, A. Shashua, "On photometric issues in 3D visual recognition from a single
+    2D image", IJCV 21 (1997). The best order is a quadratic assignment of the photographs' inner
+    products to the lights', searched by exchanges of two: R. E. Burkard, M. Dell'Amico and S.
+    Martello, "Assignment Problems" (2009), section 8.2.
 
     >>> import numpy as np
     >>> y, x = np.mgrid[30:-31:-1, -30:31] / 40.0
-    >>> ball, inside = np.dstack([x, y, np.sqrt(np.maximum(1 - x**2 - y**2, 0.01))]), x**2 + y**2 < 0.5
+    >>> ball = np.dstack([x, y, np.sqrt(np.maximum(1 - x**2 - y**2, 0.01))])
+    >>> inside = x**2 + y**2 < 0.5
     >>> angles = 2 * np.pi * np.arange(7) / 7
     >>> lights = np.column_stack([0.4 * np.cos(angles), 0.4 * np.sin(angles), np.full(7, 0.9)])
     >>> stack = np.clip(np.moveaxis(ball @ lights.T, -1, 0), 0, None)
@@ -178,7 +201,8 @@ def fit_lights(stack: Any, lights: Any, mask: Any = None, *, relief: bool = Fals
     gains = np.ones(len(vectors))
     strange = None
     if in_order:
-        if residual > _NO_RESIDUAL and len(vectors) >= _FEWEST_OF_STRANGE:  # fewer fit any brightness
+        # fewer fit any brightness
+        if residual > _NO_RESIDUAL and len(vectors) >= _FEWEST_OF_STRANGE:
             gains = _explained_gains(gram, vectors, residual)
         strange = _strange(gram, vectors) if (gains == 1.0).all() else None
     unequal = bool((gains != 1.0).any())
@@ -210,7 +234,11 @@ def _order_and_frame(  # noqa: PLR0917
     """The light of every photograph, the frame in which they were measured, and a relief's curl."""
 
     def turn_of_relief(order: NDArray[np.int64]) -> tuple[Array | None, float]:
-        return _relief_turn(lambertian(images, lights[order], inside)[0], inside) if relief else (None, 0.0)
+        return (
+            _relief_turn(lambertian(images, lights[order], inside)[0], inside)
+            if relief
+            else (None, 0.0)
+        )
 
     own = order = np.arange(len(lights))
     if len(lights) >= _FEWEST and residual > _NO_RESIDUAL:
@@ -233,7 +261,8 @@ def _order_and_frame(  # noqa: PLR0917
         if _residual(gram, lights[turned])[0] < _residual(gram, lights[order])[0] / _LESS:
             order = turned
     if curl > _CURL and frame == "right-up" and (order == own).all():
-        best = _best_order(gram, lights)  # of lights that lie unevenly; brightness may explain the stated one
+        # of lights that lie unevenly; brightness may explain the stated one
+        best = _best_order(gram, lights)
         order = best if turn_of_relief(best)[1] < _CURL_LEFT * curl else order
     clearly_better = _residual(gram, lights[order])[0] < _LESS * residual
     return order, "right-up" if clearly_better else frame, curl
@@ -242,7 +271,10 @@ def _order_and_frame(  # noqa: PLR0917
 def _explained_gains(gram: Array, lights: Array, residual: float) -> Array:
     """(L,) brightness of the lights where that explains the photographs far better, else ones."""
     gains, equalised = _equalised(gram, lights)
-    explains = _residual(equalised, lights)[0] < _UNEQUAL * residual and _strange(equalised, lights) is None
+    explains = (
+        _residual(equalised, lights)[0] < _UNEQUAL * residual
+        and _strange(equalised, lights) is None
+    )
     return gains if explains else np.ones(len(gram))
 
 
@@ -258,11 +290,14 @@ def _strange(gram: Array, lights: Array) -> int | None:
     return k if residuals[k] < _STRANGE * expected else None
 
 
-def doubt_of_lights(fit: LightFit, names: Sequence[str] = (), material: str = "skin") -> Finding | None:
-    """What is wrong with photographs that do not fit their lights or each other, or fit in another order or frame.
+def doubt_of_lights(
+    fit: LightFit, names: Sequence[str] = (), material: str = "skin"
+) -> Finding | None:
+    """What is wrong with photographs that do not fit their lights or each other, or fit in another
+    order or frame.
 
-    `names` are the photographs', by default ``image 0`` and so on. Of skin it may spoil the surface; of an opaque
-    object it is a doubt, and that it may be a hollow a note.
+    `names` are the photographs', by default ``image 0`` and so on. Of skin it may spoil the
+    surface; of an opaque object it is a doubt, and that it may be a hollow a note.
     """
     names = names or [f"image {k}" for k in range(len(fit.order))]
     code, words = _fault_of_lights(fit, names, material)
@@ -271,46 +306,70 @@ def doubt_of_lights(fit: LightFit, names: Sequence[str] = (), material: str = "s
     severity = Severity.SPOILS if material == "skin" and fit.spoils_skin else Severity.DOUBT
     if code == "hollow":
         severity = Severity.NOTE
-    files = (names[fit.strange],) if code == "strange-photograph" and fit.strange is not None else ()
+    files = (
+        (names[fit.strange],) if code == "strange-photograph" and fit.strange is not None else ()
+    )
     return Finding(code, words, severity, files, fit.turned_deg or None)
 
 
 def _fault_of_lights(fit: LightFit, names: Sequence[str], material: str) -> tuple[str, str]:  # noqa: PLR0911
     """Code and sentence of :func:`doubt_of_lights`, empty where nothing is wrong."""
     if material == "skin" and fit.variety < _ONE_LIGHT:
-        return "one-light", f"the photographs {names[0]} to {names[-1]} are all under one light: light each LED alone."
+        return (
+            "one-light",
+            (
+                f"the photographs {names[0]} to {names[-1]} are all under one light: light each LED"
+                " alone."
+            ),
+        )
     turned = f"that turns the surface by {fit.turned_deg:.1f} deg (median)"
     if fit.brightness:
         logs = np.log(fit.brightness)
         most = int(np.argmax(np.abs(logs)))
-        return "unequal-lights", (
-            f"the lights are not as bright as is stated of them: they seem to differ by {100 * logs.std():.0f} % (most "
-            f"that of {names[most]}, {fit.brightness[most]:.2f} of the mean), and {turned}; calibrate their brightness."
+        return (
+            "unequal-lights",
+            (
+                "the lights are not as bright as is stated of them: they seem to differ by"
+                f" {100 * logs.std():.0f} % (most that of {names[most]}, {fit.brightness[most]:.2f}"
+                f" of the mean), and {turned}; calibrate their brightness."
+            ),
         )
     if fit.strange is not None and (material == "skin" or fit.turned_deg > _TURNS_DEG):
-        return "strange-photograph", (
-            f"{names[fit.strange]} does not belong to the other photographs: {turned}; check that it is of the same "
-            "thing in the same place, under its own light, or capture it again."
+        return (
+            "strange-photograph",
+            (
+                f"{names[fit.strange]} does not belong to the other photographs: {turned}; check"
+                " that it is of the same thing in the same place, under its own light, or capture"
+                " it again."
+            ),
         )
     if material == "opaque" and fit.frame == TURNED:
         return "hollow", HOLLOW
     residual = f"{100 * fit.residual:.0f} % of the light"
     across, along = fit.frame.split("-")
-    opposite = next(name for name, axes in FRAMES.items() if not (np.array(axes) + FRAMES[fit.frame]).any())
+    opposite = next(
+        name for name, axes in FRAMES.items() if not (np.array(axes) + FRAMES[fit.frame]).any()
+    )
     hollow = f" ({opposite} if what is raised comes out hollow)" if material == "opaque" else ""
     frame_words = (
-        f"the directions of the lights seem to be measured with x pointing {across} and y {along} in the image, not "
-        "right and up: only so do the slopes that were found belong to one surface; if they are, give "
-        f"`light_frame` {fit.frame}{hollow}, or leave out the one that was given"
+        f"the directions of the lights seem to be measured with x pointing {across} and y {along}"
+        " in the image, not right and up: only so do the slopes that were found belong to one"
+        f" surface; if they are, give `light_frame` {fit.frame}{hollow}, or leave out the one that"
+        " was given"
     )
     if not fit.in_order:
         moved = [k for k, light in enumerate(fit.order) if light != k]
-        remedy = "give the lights, counted from 1, in the order " + " ".join(str(light + 1) for light in fit.order)
+        remedy = "give the lights, counted from 1, in the order " + " ".join(
+            str(light + 1) for light in fit.order
+        )
         if len(moved) == 2:
             remedy = f"exchange the lights of {names[moved[0]]} and {names[moved[1]]}"
         if fit.frame != "right-up":
             return "light-order", f"{frame_words}; or their order is another: {remedy}."
-        reason = "shifted or reversed along the ring: only in another order do one surface's slopes follow from them"
+        reason = (
+            "shifted or reversed along the ring: only in another order do one surface's slopes"
+            " follow from them"
+        )
         if fit.residual_in_order < _LESS * fit.residual:
             better = f"{100 * fit.residual_in_order:.0f} % would in another order"
             reason = f"as {residual} does not fit them, {better}, and {turned}"
@@ -323,20 +382,33 @@ def _fault_of_lights(fit: LightFit, names: Sequence[str], material: str) -> tupl
     if fit.residual < HIGH_RESIDUAL:
         return "", ""
     limit = 1.4 * float(np.median(fit.residual_per_image))
-    worst = [names[k] for k in np.argsort(fit.residual_per_image)[::-1] if fit.residual_per_image[k] > limit][:4]
-    return "light-residual", (
-        f"the photographs do not fit the lights they are given: {residual} does not fit a matt surface under these "
-        f"lights (1 to 15 % is usual){'; most in ' + ', '.join(worst) if worst else ''}; check the order and directions of the "
-        "lights, their brightness, `encoding` and `background`; shine and deep shadows leave much too."
+    worst = [
+        names[k]
+        for k in np.argsort(fit.residual_per_image)[::-1]
+        if fit.residual_per_image[k] > limit
+    ][:4]
+    return (
+        "light-residual",
+        (
+            f"the photographs do not fit the lights they are given: {residual} does not fit a matt"
+            " surface under these lights (1 to 15 % is"
+            f" usual){'; most in ' + ', '.join(worst) if worst else ''}; check the order and"
+            " directions of the lights, their brightness, `encoding` and `background`; shine and"
+            " deep shadows leave much too."
+        ),
     )
 
 
 def rig_of_frame(rig: Rig, frame: str) -> Rig:
-    """The rig whose LEDs (directions, positions, aims) were measured in `frame`, with x right and y up.
+    """The rig whose LEDs (directions, positions, aims) were measured in `frame`, with x right and y
+    up.
 
     Raises BadInput if the frame is none of :data:`FRAMES`.
     """
-    require(frame in FRAMES, f"the frame of the lights must be one of {', '.join(FRAMES)}, but it is '{frame}'.")
+    require(
+        frame in FRAMES,
+        f"the frame of the lights must be one of {', '.join(FRAMES)}, but it is '{frame}'.",
+    )
     (a, b), (c, d) = FRAMES[frame]
 
     def turned(led: Led) -> Led:
@@ -351,11 +423,13 @@ def rig_of_frame(rig: Rig, frame: str) -> Rig:
 
 
 def _fit_turn(normals: FloatArray, inside: BoolArray) -> Array | None:
-    """The turn or mirroring (2, 2) of x and y that makes normals those of one convex, integrable surface.
+    """The turn or mirroring (2, 2) of x and y that makes normals those of one convex, integrable
+    surface.
 
-    Only in the right frame, and that turned by 180 deg, have the slopes no curl (R. T. Frankot and R. Chellappa, IEEE
-    Trans. PAMI 10, 1988); of the two, the right one is convex (P. N. Belhumeur, D. J. Kriegman and A. L. Yuille, "The
-    bas-relief ambiguity", IJCV 35, 1999). None where the normals are such already, or of no single convex surface.
+    Only in the right frame, and that turned by 180 deg, have the slopes no curl (R. T. Frankot and
+    R. Chellappa, IEEE Trans. PAMI 10, 1988); of the two, the right one is convex (P. N. Belhumeur,
+    D. J. Kriegman and A. L. Yuille, "The bas-relief ambiguity", IJCV 35, 1999). None where the
+    normals are such already, or of no single convex surface.
     """
     p, q, weight = _smooth_slopes(normals, inside, _BLUR)
     if _coarse_fraction(p, q, inside) < _COARSE:
@@ -366,18 +440,19 @@ def _fit_turn(normals: FloatArray, inside: BoolArray) -> Array | None:
         return None
     least = min(turns, key=lambda each: each.curl)
     turn = least.turn * (1.0 if least.convex > 0 else -1.0)
-    half_turn = float(np.trace(turn)) < -_SAME_TURN  # no curl either; only the outline distinguishes it
+    # no curl either; only the outline distinguishes it
+    half_turn = float(np.trace(turn)) < -_SAME_TURN
     ratio = stated.curl / max(least.curl, 1e-12)
     worse = 1.0 if stated.convex < _CONVEX and abs(least.convex) > _WHOLLY_CONVEX else _WORSE
     return turn if half_turn or ratio > worse else None
 
 
 def _relief_turn(normals: FloatArray, inside: BoolArray) -> tuple[Array | None, float]:
-    """The turn or mirroring (2, 2) of x and y that leaves the relief's slopes without curl, None where none does or
-    they have none; and how much of their change is curl now.
+    """The turn or mirroring (2, 2) of x and y that leaves the relief's slopes without curl, None
+    where none does or they have none; and how much of their change is curl now.
 
-    A hollow is as free of curl as a hill: of the two the one that falls off towards its outline is returned, and where
-    neither does, the one that leaves x to the right.
+    A hollow is as free of curl as a hill: of the two the one that falls off towards its outline is
+    returned, and where neither does, the one that leaves x to the right.
     """
     stated, turns = _least_curls(*_smooth_slopes(normals, inside, _RELIEF_BLUR))
     least = min(turns, key=lambda each: each.curl)
@@ -391,15 +466,16 @@ class _Curl(NamedTuple):
     """What slopes have after a turn."""
 
     curl: float
-    """Sum of squares over that of curl and divergence: 0.5 of noise, and of a relief whose frame is mirrored."""
+    """Sum of squares over that of curl and divergence: 0.5 of noise, and of a relief whose frame is
+    mirrored."""
     convex: float
     """Net divergence over its absolute sum, positive where the surface falls off outwards."""
     turn: Array
 
 
 def _least_curls(p: FloatArray, q: FloatArray, weight: FloatArray) -> tuple[_Curl, list[_Curl]]:
-    """Slopes as they are, and after the best turn of each hand: turned by an angle t, they have the curl
-    cos t * curl - sin t * divergence, whose least sum of squares is an eigenvalue.
+    """Slopes as they are, and after the best turn of each hand: turned by an angle t, they have the
+    curl cos t * curl - sin t * divergence, whose least sum of squares is an eigenvalue.
     """
     p_down, p_right = np.gradient(p.astype(np.float64))
     q_down, q_right = np.gradient(q.astype(np.float64))
@@ -409,8 +485,14 @@ def _least_curls(p: FloatArray, q: FloatArray, weight: FloatArray) -> tuple[_Cur
         curl, divergence = cosine * curl - sine * divergence, cosine * divergence + sine * curl
         power = float(np.sum(weight * curl**2))
         total = power + float(np.sum(weight * divergence**2))
-        convex = -float(np.sum(weight * divergence)) / max(float(np.sum(weight * np.abs(divergence))), 1e-12)
-        return _Curl(power / max(total, 1e-12), convex, np.array([[cosine, -hand * sine], [sine, hand * cosine]]))
+        convex = -float(np.sum(weight * divergence)) / max(
+            float(np.sum(weight * np.abs(divergence))), 1e-12
+        )
+        return _Curl(
+            power / max(total, 1e-12),
+            convex,
+            np.array([[cosine, -hand * sine], [sine, hand * cosine]]),
+        )
 
     def curl_and_divergence(hand: float) -> tuple[Array, Array]:
         return np.asarray(-p_down - hand * q_right), np.asarray(p_right - hand * q_down)
@@ -426,25 +508,32 @@ def _least_curls(p: FloatArray, q: FloatArray, weight: FloatArray) -> tuple[_Cur
 
 
 def _coarse_fraction(p: FloatArray, q: FloatArray, inside: BoolArray) -> float:
-    """Rms of slopes (h, w) blurred over an eighth of the object, over their own; the same in every frame."""
+    """Rms of slopes (h, w) blurred over an eighth of the object, over their own; the same in every
+    frame."""
     within = inside[bounding_box(inside)]
     cover = within.astype(np.float32)
     sigma = 0.12 * max(cover.shape)
     mean = np.maximum(gaussian_mean(cover, sigma), 1e-6)
     slopes = np.stack([p, q])
     coarse = np.stack([gaussian_mean(slope * cover, sigma) / mean for slope in slopes])
-    return float(np.linalg.norm(coarse[:, within]) / max(float(np.linalg.norm(slopes[:, within])), 1e-6))
+    return float(
+        np.linalg.norm(coarse[:, within]) / max(float(np.linalg.norm(slopes[:, within])), 1e-6)
+    )
 
 
 def _turned_order(lights: Array, turn: Array) -> NDArray[np.int64]:
-    """The light that each light falls on when all are turned; each itself where they fall on none."""
+    """The light that each light falls on when all are turned; each itself where they fall on
+    none."""
     units = lights / np.linalg.norm(lights, axis=1, keepdims=True)
     turned = np.column_stack([units[:, :2] @ turn.T, units[:, 2]])
     apart = np.linalg.norm(units[:, None] - units, axis=2)
     closest = float(apart[~np.eye(len(units), dtype=bool)].min())
     away = np.linalg.norm(turned[:, None] - units, axis=2)
     nearest = np.argmin(away, axis=1)
-    falls = len(np.unique(nearest)) == len(units) and float(away.min(axis=1).max()) < _ON_A_LIGHT * closest
+    falls = (
+        len(np.unique(nearest)) == len(units)
+        and float(away.min(axis=1).max()) < _ON_A_LIGHT * closest
+    )
     return np.asarray(nearest) if falls else np.arange(len(units))
 
 
@@ -467,7 +556,8 @@ def _residual(gram: Array, lights: Array) -> tuple[float, Array]:
 
 
 def _equalised(gram: Array, lights: Array) -> tuple[Array, Array]:
-    """(L,) brightness of every photograph over that of its light, mean 1, by alternation; and `gram` without it."""
+    """(L,) brightness of every photograph over that of its light, mean 1, by alternation; and
+    `gram` without it."""
     explaining = _explaining(lights)
     scale = np.ones(len(gram))
     for _ in range(30):
@@ -478,7 +568,8 @@ def _equalised(gram: Array, lights: Array) -> tuple[Array, Array]:
 
 
 def _better_order(gram: Array, lights: Array) -> NDArray[np.int64]:
-    """The light of every photograph in the order that explains them best; their own unless that is clearly worse."""
+    """The light of every photograph in the order that explains them best; their own unless that is
+    clearly worse."""
     own = np.arange(len(lights))
     best = _best_order(gram, lights)
     order = np.argsort(best)
@@ -487,9 +578,13 @@ def _better_order(gram: Array, lights: Array) -> NDArray[np.int64]:
         return own
     ordered = gram[np.ix_(order, order)]
     before, after = (_unexplained(each, lights)[moved].sum() for each in (gram, ordered))
-    before_free, after_free = (_residual(_equalised(each, lights)[1], lights)[0] for each in (gram, ordered))
+    before_free, after_free = (
+        _residual(_equalised(each, lights)[1], lights)[0] for each in (gram, ordered)
+    )
     free, own_fraction = _BETTER if len(lights) > _FEWEST else _BETTER_OF_FIVE
-    clearly = np.sqrt(after / max(before, 1e-300)) < own_fraction and after_free < free * before_free
+    clearly = (
+        np.sqrt(after / max(before, 1e-300)) < own_fraction and after_free < free * before_free
+    )
     return best if clearly else own
 
 
@@ -497,7 +592,8 @@ def _best_order(gram: Array, lights: Array) -> NDArray[np.int64]:
     """The light of every photograph in the order that explains them best."""
     count = len(lights)
     own = np.arange(count)
-    # a start says which photograph belongs to every light: the stated one, shifts and reversals of it, and any
+    # a start says which photograph belongs to every light: the stated one, shifts and reversals of
+    # it, and any
     starts = [np.roll(line, step) for line in (own, own[::-1]) for step in range(count)]
     explaining = _explaining(lights)
     score = [float(np.sum(explaining * gram[np.ix_(start, start)])) for start in starts]
@@ -510,8 +606,11 @@ def _best_order(gram: Array, lights: Array) -> NDArray[np.int64]:
     return np.argsort(order)
 
 
-def _climbed(explaining: Array, gram: Array, start: NDArray[np.int64]) -> tuple[NDArray[np.int64], float]:
-    """The best order that exchanges of two photographs lead to, each the best one, and the light that it explains."""
+def _climbed(
+    explaining: Array, gram: Array, start: NDArray[np.int64]
+) -> tuple[NDArray[np.int64], float]:
+    """The best order that exchanges of two photographs lead to, each the best one, and the light
+    that it explains."""
     order = start.copy()
     own = np.diag(explaining)
     while True:
@@ -528,8 +627,11 @@ def _climbed(explaining: Array, gram: Array, start: NDArray[np.int64]) -> tuple[
         order[[first, second]] = order[[second, first]]
 
 
-def _smooth_slopes(normals: FloatArray, inside: BoolArray, blur: float) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Slopes (h, w) of the object, y up, blurred inside the mask, and the weight that is left of every pixel."""
+def _smooth_slopes(
+    normals: FloatArray, inside: BoolArray, blur: float
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Slopes (h, w) of the object, y up, blurred inside the mask, and the weight that is left of
+    every pixel."""
     window = bounding_box(inside)
     part = normals[window]
     cover = inside[window].astype(np.float32)

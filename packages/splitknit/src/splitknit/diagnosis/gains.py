@@ -19,19 +19,23 @@ PIXELS = 8_000
 
 
 def light_gains(stack: Any, lights: Any, mask: Any = None, ceilings: Any = None) -> Array:
-    """Brightness (L,) of each photograph's light over what `lights` promise, one in the geometric mean.
+    """Brightness (L,) of each photograph's light over what `lights` promise, one in the geometric
+    mean.
 
-    Minimises sum |I_k / a_k - l_k . g|^2 over the surface's g at every pixel and the gains a: with the surface
-    eliminated, 1 / a is the eigenvector of the smallest eigenvalue of an L x L matrix. Lights in shadow and clipped
-    values are left out, gloss loses weight. Ones where four lights or more do not reach enough pixels.
+    Minimises sum |I_k / a_k - l_k . g|^2 over the surface's g at every pixel and the gains a: with
+    the surface eliminated, 1 / a is the eigenvector of the smallest eigenvalue of an L x L matrix.
+    Lights in shadow and clipped values are left out, gloss loses weight. Ones where four lights or
+    more do not reach enough pixels.
 
-    Source: G. Golub and V. Pereyra, "Separable nonlinear least squares: the variable projection method", Inverse
-    Problems 19 (2003). Parameters as of :func:`faulty_photographs`.
+    Source: G. Golub and V. Pereyra, "Separable nonlinear least squares: the variable projection
+    method", Inverse Problems 19 (2003). Parameters as of :func:`faulty_photographs`.
 
-    >>> lights = np.array([[0.0, 0.6, 0.8], [0.6, 0.0, 0.8], [-0.6, 0.0, 0.8], [0.0, -0.6, 0.8], [0.0, 0.0, 1.0]])
+    >>> across = [[0.6, 0.0, 0.8], [-0.6, 0.0, 0.8]]
+    >>> lights = np.array([[0.0, 0.6, 0.8], *across, [0.0, -0.6, 0.8], [0.0, 0.0, 1.0]])
     >>> y, x = np.mgrid[-9:10, -9:10] / 24.0
     >>> stack = np.einsum("ki,yxi->kyx", lights, np.dstack([x, y, np.sqrt(1 - x**2 - y**2)]))
-    >>> np.round(light_gains(stack * np.array([1, 2, 1, 1, 0.5])[:, None, None], lights), 2).tolist()
+    >>> stack *= np.array([1, 2, 1, 1, 0.5])[:, None, None]
+    >>> np.round(light_gains(stack, lights), 2).tolist()
     [1.0, 2.0, 1.0, 1.0, 0.5]
     """
     images, vectors, inside, levels = checked(stack, lights, mask, ceilings)
@@ -52,14 +56,21 @@ def light_gains(stack: Any, lights: Any, mask: Any = None, ceilings: Any = None)
         weights = lit.astype(np.float64)
         g = back_substitute(factorise(products @ weights), vectors.T @ (weights * equal))
         residual = equal - vectors @ g
-        weights = lit / (1.0 + (residual / max(3.0 * float(np.median(np.abs(residual[lit]))), 1e-6)) ** 2)
+        weights = lit / (
+            1.0 + (residual / max(3.0 * float(np.median(np.abs(residual[lit]))), 1e-6)) ** 2
+        )
         factors = factorise(products @ weights)
         weighted = weights * equal
         power = np.diag((weighted * equal).sum(axis=1))
         pulls = [back_substitute(factors, towards[:, None] * ones) for towards in vectors]
-        explained = [(weighted * (vectors @ pull)) @ image for pull, image in zip(pulls, weighted, strict=True)]
+        explained = [
+            (weighted * (vectors @ pull)) @ image
+            for pull, image in zip(pulls, weighted, strict=True)
+        ]
         root = 1.0 / np.sqrt(np.diag(power))
-        inverse = np.linalg.eigh(root[:, None] * (power - np.stack(explained)) * root)[1][:, 0] * root
+        inverse = (
+            np.linalg.eigh(root[:, None] * (power - np.stack(explained)) * root)[1][:, 0] * root
+        )
         step = np.clip(np.abs(inverse) / np.abs(inverse).max(), 1e-3, None)
         gains /= step
         gains /= np.exp(np.log(gains).mean())
@@ -74,11 +85,16 @@ def median_angle_deg(normals: FloatArray, changed: FloatArray) -> float:
     return float(np.rad2deg(np.arccos(np.clip(cosine, -1.0, 1.0))))
 
 
-def checked(stack: Any, lights: Any, mask: Any, ceilings: Any) -> tuple[FloatArray, Array, BoolArray, FloatArray]:
-    """Images (L, H, W), lights (L, 3), the object (H, W), and the value from which each image is clipped (L,)."""
+def checked(
+    stack: Any, lights: Any, mask: Any, ceilings: Any
+) -> tuple[FloatArray, Array, BoolArray, FloatArray]:
+    """Images (L, H, W), lights (L, 3), the object (H, W), and the value from which each image is
+    clipped (L,)."""
     images = check_stack(stack, least=3)
     inside = check_mask(mask, (images.shape[1], images.shape[2]))
-    levels = np.broadcast_to(np.float32(np.inf if ceilings is None else ceilings), (len(images),)).astype(np.float32)
+    levels = np.broadcast_to(
+        np.float32(np.inf if ceilings is None else ceilings), (len(images),)
+    ).astype(np.float32)
     return images, check_lights(lights, len(images)), inside, levels
 
 

@@ -11,20 +11,24 @@ from splitknit.imaging.band import pick_channel
 from splitknit.model import Band, Capture
 
 JPEG = (
-    "the photographs were saved as JPEG, which loses fine detail: ridges of simulated fingers came out up to 18 % too "
-    "low above 15 px/mm, and 61 to 89 % at 11; save PNG, TIFF or RAW."
+    "the photographs were saved as JPEG, which loses fine detail: ridges of simulated fingers came"
+    " out up to 18 % too low above 15 px/mm, and 61 to 89 % at 11; save PNG, TIFF or RAW."
 )
 _JPEG_GRID = 0.92
-"""High frequencies in blocks of 8 pixels on JPEG's grid, of those on the next best of 64 grids, below which it was
-JPEG: 0.66 to 0.85 at quality 97, 0.54 to 0.66 at 95, less below; 0.99 and more without JPEG, and from 99 on."""
+"""High frequencies in blocks of 8 pixels on JPEG's grid, of those on the next best of 64 grids,
+below which it was JPEG: 0.66 to 0.85 at quality 97, 0.54 to 0.66 at 95, less below; 0.99 and more
+without JPEG, and from 99 on."""
 _JPEG_SIDE = 1024
 
 
 def jpeg(capture: Capture, finger: Finger) -> tuple[dict[str, bool], list[Finding]]:
-    """A fact where photographs are JPEG files, or show JPEG's blocks of 8 pixels; of skin a doubt as well."""
+    """A fact where photographs are JPEG files, or show JPEG's blocks of 8 pixels; of skin a doubt
+    as well."""
     if not any(_was_jpeg(band, finger) for band in capture.bands.values()):
         return {}, []
-    return {"jpeg": True}, [Finding("jpeg", JPEG, Severity.DOUBT)] if capture.material == "skin" else []
+    return {"jpeg": True}, (
+        [Finding("jpeg", JPEG, Severity.DOUBT)] if capture.material == "skin" else []
+    )
 
 
 def _was_jpeg(band: Band, finger: Finger) -> bool:
@@ -34,12 +38,15 @@ def _was_jpeg(band: Band, finger: Finger) -> bool:
     stored = band.pixels[0][finger.window][:_JPEG_SIDE, :_JPEG_SIDE].astype(np.float32)
     if band.pixels.dtype != np.uint8 or min(stored.shape[:2]) < 64:
         return False
-    image, k = pick_channel(stored, "grey"), np.arange(4, 8)  # the upper half of a block's frequencies
+    # the upper half of a block's frequencies
+    image, k = pick_channel(stored, "grey"), np.arange(4, 8)
     waves = 0.5 * np.cos(np.pi / 16 * k[:, None] * (2 * np.arange(8) + 1)).astype(np.float32)
     total = np.zeros_like(image)
     for across in waves:
         rows = cv2.filter2D(image, cv2.CV_32F, across[None], anchor=(0, 0))
         for down in waves:
-            total += np.minimum(np.abs(cv2.filter2D(rows, cv2.CV_32F, down[:, None], anchor=(0, 0))), 4.0)
+            total += np.minimum(
+                np.abs(cv2.filter2D(rows, cv2.CV_32F, down[:, None], anchor=(0, 0))), 4.0
+            )
     grids = sorted(float(total[i:-8:8, j:-8:8].mean()) for i in range(8) for j in range(8))
     return grids[0] < _JPEG_GRID * grids[1]

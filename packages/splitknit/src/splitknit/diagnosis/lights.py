@@ -1,4 +1,5 @@
-"""Whether the LEDs stand where the rig states: their height and the middle of their ring, fitted with the surface."""
+"""Whether the LEDs stand where the rig states: their height and the middle of their ring, fitted
+with the surface."""
 
 from __future__ import annotations
 
@@ -18,7 +19,8 @@ from splitknit.model import Array, BoolArray, Capture, FloatArray, Led, Rig
 from splitknit.skin.light import fresnel_transmission
 
 _SAMPLED_MM, PLACES_MM = 0.1, 0.8
-"""Distance of the pixels, and side of their blocks, in which the lights' places are looked for: ridges are smaller."""
+"""Distance of the pixels, and side of their blocks, in which the lights' places are looked for:
+ridges are smaller."""
 _FEWEST = 6
 """Lights from which three of each pixel's values are spare."""
 _PLANE_MM = 1.0
@@ -26,11 +28,13 @@ _PLANE_MM = 1.0
 _STEEPEST_NZ = (0.5, 0.65)
 """z component of the normals between which a pixel comes to count."""
 _CURVE = 0.15
-"""Exponent of the cosine by which skin darkens beside Fresnel's law: 0.1 to 0.4 fit sound fingers."""
+"""Exponent of the cosine by which skin darkens beside Fresnel's law: 0.1 to 0.4 fit sound
+fingers."""
 _DARKENING = 0.3
 """Fall of the logarithm of the albedo over 1 - n_z on sound fingers."""
 _DARKENING_SD = 0.04
-"""Its weight: of 0.015, 0.04 and 0.12 the one with the narrowest heights on 80 simulated fingers."""
+"""Its weight: of 0.015, 0.04 and 0.12 the one with the narrowest heights on 80 simulated
+fingers."""
 _NOISE = 0.005
 """Relative residual on sound fingers."""
 _INDEPENDENT = 60.0
@@ -41,16 +45,18 @@ _STEPS = np.array([0.02, 0.5, 0.5])
 _OF_SOUND = np.array([0.0, 0.0, -1.5])
 """What is fitted to sound fingers (mean), which scattering and the finger's shape leave."""
 _UNFIT = 0.025
-"""Residual from which places do not follow: 0.003 to 0.023 on dry fingers, up to 0.13 on wet ones."""
+"""Residual from which places do not follow: 0.003 to 0.023 on dry fingers, up to 0.13 on wet
+ones."""
 _HEIGHT = 0.18
-"""Logarithm of the height's factor that is noted: sound fingers have -0.09 to 0.15, glossy ones 0.19."""
+"""Logarithm of the height's factor that is noted: sound fingers have -0.09 to 0.15, glossy ones
+0.19."""
 _SHIFT_MM = 6.0
 """Shift that is noted: sound fingers have up to 5.8 mm."""
 _CLEAN = 0.012
 """Both limits grow with a residual above this."""
 _SURE_HEIGHT = 0.4
-"""The same that is doubted: of some 230 sound fingers in all conditions and tones of skin one had 0.35, five others up
-to 0.22 and 11 mm."""
+"""The same that is doubted: of some 230 sound fingers in all conditions and tones of skin one had
+0.35, five others up to 0.22 and 11 mm."""
 _SURE_SHIFT_MM = 13.0
 
 
@@ -58,7 +64,8 @@ class LightPlaces(NamedTuple):
     """Where a ring of lights seems to stand."""
 
     height: float
-    """Height of the lights over the stated one. A ring of another radius looks the same, by the inverse factor."""
+    """Height of the lights over the stated one. A ring of another radius looks the same, by the
+    inverse factor."""
     shift_mm: tuple[float, float]
     """x and y of the ring's middle beyond the stated one."""
     residual: float
@@ -70,16 +77,18 @@ def fitted_places(  # noqa: PLR0917
 ) -> LightPlaces | None:
     """Fit the height and the middle of the lights together with the surface that they show.
 
-    Each pixel's albedo and normal follow by least squares (variable projection: G. H. Golub and V. Pereyra, Inverse
-    Problems 19, 2003), three Gauss-Newton unknowns are around them. Lights that are nearer to one side of the finger
-    leave there what no normal explains; at a wrong height all slopes are off by one factor, and the albedo, the length
-    of the least-squares solution, then changes with the slant (P. N. Belhumeur, D. J. Kriegman and A. L. Yuille, "The
-    bas-relief ambiguity", IJCV 35, 1999).
+    Each pixel's albedo and normal follow by least squares (variable projection: G. H. Golub and V.
+    Pereyra, Inverse Problems 19, 2003), three Gauss-Newton unknowns are around them. Lights that
+    are nearer to one side of the finger leave there what no normal explains; at a wrong height all
+    slopes are off by one factor, and the albedo, the length of the least-squares solution, then
+    changes with the slant (P. N. Belhumeur, D. J. Kriegman and A. L. Yuille, "The bas-relief
+    ambiguity", IJCV 35, 1999).
 
     Parameters
     ----------
     stack : (L, h, w)
-        Linear light on a coarse grid (0.5 to 1 mm), ridges smoothed away; `rig.leds[k]` lights image k.
+        Linear light on a coarse grid (0.5 to 1 mm), ridges smoothed away; `rig.leds[k]` lights
+        image k.
     rig : Rig
         With near LEDs, all on one ring about the finger.
     mask, depth_mm : (h, w)
@@ -89,10 +98,12 @@ def fitted_places(  # noqa: PLR0917
 
     Returns
     -------
-    LightPlaces, or None where the lights are too few, distant or in mirrors, or too little of the finger is seen.
+    LightPlaces, or None where the lights are too few, distant or in mirrors, or too little of the
+    finger is seen.
     """
     near = all(
-        led.position_mm and led.shade is None and not any(each.reflected for each in led.also) for led in rig.leds
+        led.position_mm and led.shade is None and not any(each.reflected for each in led.also)
+        for led in rig.leds
     )
     if len(rig.leds) < _FEWEST or not near:
         return None
@@ -115,24 +126,36 @@ def fitted_places(  # noqa: PLR0917
         residual, albedo, n = _solved(stack, rig, view, height_mm, chosen, unknowns)
         columns = np.column_stack([weight, (1 - n[:, 2]) * weight])
         fall = np.linalg.lstsq(columns, np.log(albedo) * weight, rcond=None)[0][1]
-        return np.concatenate([(residual * scale).ravel(), [(fall + _DARKENING) / _DARKENING_SD], unknowns / _PRIOR])
+        return np.concatenate(
+            [(residual * scale).ravel(), [(fall + _DARKENING) / _DARKENING_SD], unknowns / _PRIOR]
+        )
 
     def jacobian(unknowns: Array) -> Array:
         now = residuals(unknowns)
-        return np.column_stack([(residuals(unknowns + step) - now) / step.sum() for step in np.diag(_STEPS)])
+        return np.column_stack(
+            [(residuals(unknowns + step) - now) / step.sum() for step in np.diag(_STEPS)]
+        )
 
     from scipy.optimize import least_squares  # slow to load
 
     fit = least_squares(residuals, np.zeros(3), jacobian, x_scale=_STEPS, xtol=1e-3, max_nfev=12)
     residual = _solved(stack, rig, view, height_mm, chosen, fit.x)[0]
     height, x_mm, y_mm = (float(each) for each in fit.x - _OF_SOUND)
-    return LightPlaces(float(np.exp(height)), (x_mm, y_mm), float(np.sqrt((residual**2 * weight**2).mean())))
+    return LightPlaces(
+        float(np.exp(height)), (x_mm, y_mm), float(np.sqrt((residual**2 * weight**2).mean()))
+    )
 
 
 def _solved(  # noqa: PLR0917
-    stack: FloatArray, rig: Rig, view: View, height_mm: FloatArray, where: BoolArray, unknowns: Array
+    stack: FloatArray,
+    rig: Rig,
+    view: View,
+    height_mm: FloatArray,
+    where: BoolArray,
+    unknowns: Array,
 ) -> tuple[Array, Array, Array]:
-    """Relative residual (L, n), albedo (n,) and normals (n, 3) at the pixels `where`, under moved lights."""
+    """Relative residual (L, n), albedo (n,) and normals (n, 3) at the pixels `where`, under moved
+    lights."""
     height = float(np.exp(unknowns[0]))
 
     def moved(led: Led) -> Led:
@@ -155,7 +178,9 @@ def _solved(  # noqa: PLR0917
         normals = g / albedo[:, None]
         cosine = np.maximum(np.einsum("kan,na->kn", vectors, normals) / length, 0.05)
         entering = fresnel_transmission(cosine) * cosine**_CURVE
-    residual = (images - np.einsum("kan,na->kn", lights, g)) / np.maximum(images.mean(axis=0), 1e-12)
+    residual = (images - np.einsum("kan,na->kn", lights, g)) / np.maximum(
+        images.mean(axis=0), 1e-12
+    )
     return residual, albedo, normals
 
 
@@ -173,9 +198,14 @@ def findings_on_places(capture: Capture, finger: Finger) -> list[Finding]:
     images, inside = images[..., :rows, :columns], inside[:rows, :columns]
     if not inside.any():
         return []
-    stack = (images / np.maximum(images[..., inside].mean(axis=(1, 2)), 1e-9)[:, None, None, None]).sum(axis=0)
+    stack = (
+        images / np.maximum(images[..., inside].mean(axis=(1, 2)), 1e-9)[:, None, None, None]
+    ).sum(axis=0)
     pitch_mm = every * binning * camera.pitch_mm
-    depth_mm = cv2.distanceTransform(np.pad(inside, 1).astype(np.uint8), cv2.DIST_L2, 5)[1:-1, 1:-1] * pitch_mm
+    depth_mm = (
+        cv2.distanceTransform(np.pad(inside, 1).astype(np.uint8), cv2.DIST_L2, 5)[1:-1, 1:-1]
+        * pitch_mm
+    )
     view = view_of(camera, binning=every * binning, along_rays=True)
     rig = capture.rig.select(band.lights)
     places = fitted_places(stack, rig, inside, depth_mm, view, pitch_mm)
@@ -184,7 +214,8 @@ def findings_on_places(capture: Capture, finger: Finger) -> list[Finding]:
 
 
 def doubt_of_places(places: LightPlaces, rig: Rig) -> Finding | None:
-    """A note where the fitted places clearly differ from the stated ones, a doubt where no sound finger's do so."""
+    """A note where the fitted places clearly differ from the stated ones, a doubt where no sound
+    finger's do so."""
     if places.residual > _UNFIT:
         return None
     x, y = places.shift_mm
@@ -199,16 +230,21 @@ def doubt_of_places(places: LightPlaces, rig: Rig) -> Finding | None:
         up = height_mm * (places.height - 1)
         wide = radius_mm * (1 / places.height - 1)
         words.append(
-            f"the LEDs seem to be {abs(up):.0f} mm {'higher' if up > 0 else 'lower'} than the rig states, or their "
-            f"ring {abs(wide):.0f} mm {'narrower' if up > 0 else 'wider'} in radius (all heights are then "
-            f"{100 / places.height:.0f} % of the true ones)"
+            f"the LEDs seem to be {abs(up):.0f} mm {'higher' if up > 0 else 'lower'} than the rig"
+            f" states, or their ring {abs(wide):.0f} mm {'narrower' if up > 0 else 'wider'} in"
+            f" radius (all heights are then {100 / places.height:.0f} % of the true ones)"
         )
     if shift_mm > _SHIFT_MM * unsure:
         words.append(
-            f"the middle of the LEDs' ring seems to lie {shift_mm:.0f} mm from where the rig states (x {x:+.0f}, "
-            f"y {y:+.0f} mm), which tilts the surface by {np.rad2deg(np.arctan(shift_mm / height_mm)):.0f} deg"
+            f"the middle of the LEDs' ring seems to lie {shift_mm:.0f} mm from where the rig states"
+            f" (x {x:+.0f}, y {y:+.0f} mm), which tilts the surface by"
+            f" {np.rad2deg(np.arctan(shift_mm / height_mm)):.0f} deg"
         )
     if not words:
         return None
-    severity = Severity.DOUBT if factor > _SURE_HEIGHT or shift_mm > _SURE_SHIFT_MM else Severity.NOTE
-    return Finding("led-places", f"{'; '.join(words)}: measure position_mm, or calibrate the lights.", severity)
+    severity = (
+        Severity.DOUBT if factor > _SURE_HEIGHT or shift_mm > _SURE_SHIFT_MM else Severity.NOTE
+    )
+    return Finding(
+        "led-places", f"{'; '.join(words)}: measure position_mm, or calibrate the lights.", severity
+    )

@@ -14,12 +14,13 @@ from splitknit.finger.regions import erode
 from splitknit.model import Capture
 
 INVERTED = (
-    "the mask looks inverted: it runs around the picture, and what it leaves out turns more with the light than "
-    "what it holds, so that the table is measured; paint the object white and all else black."
+    "the mask looks inverted: it runs around the picture, and what it leaves out turns more with"
+    " the light than what it holds, so that the table is measured; paint the object white and all"
+    " else black."
 )
 _DARK_RIM = 0.03
-"""Fraction of the rim that is darker in near infrared than in white from which the outlines differ: below 0 on
-simulated and path-traced fingers, 0.04 and 0.24 where the NIR images were of another."""
+"""Fraction of the rim that is darker in near infrared than in white from which the outlines differ:
+below 0 on simulated and path-traced fingers, 0.04 and 0.24 where the NIR images were of another."""
 _DARK_RIM_SPOILS = 0.15
 _BORDER = 0.7
 """A mask may be inverted that holds the picture's corners and this fraction of its border ..."""
@@ -28,14 +29,16 @@ _LEFT_OUT = 0.02
 _LIT = 0.1
 """Lit is what is brighter than this fraction of the brightest pixels."""
 _TURNS = 2.5
-"""Spread of directions (70 % of pixels) of what an inverted mask leaves out, over that of what it holds."""
+"""Spread of directions (70 % of pixels) of what an inverted mask leaves out, over that of what it
+holds."""
 _TURNS_DEG = 5.0
 """The same spread itself."""
 
 
 def leaves_out_object(stack: Any, lights: Any, mask: Any) -> bool:
-    """Whether a mask (H, W) looks inverted: it runs around the picture, and what it leaves out, lit, changes more in
-    direction than what it holds. Directions are those of pinv(lights) @ stack, one vector a pixel.
+    """Whether a mask (H, W) looks inverted: it runs around the picture, and what it leaves out,
+    lit, changes more in direction than what it holds. Directions are those of pinv(lights) @ stack,
+    one vector a pixel.
     """
     images, vectors, inside, _ = checked(stack, lights, mask, None)
     border = np.concatenate([inside[0], inside[-1], inside[:, 0], inside[:, -1]])
@@ -71,7 +74,8 @@ def findings_on_mask(capture: Capture, finger: Finger) -> list[Finding]:
 
 
 def findings_on_outline(capture: Capture, finger: Finger) -> list[Finding]:
-    """A doubt where the finger of the near-infrared photographs has another outline than that of the white ones."""
+    """A doubt where the finger of the near-infrared photographs has another outline than that of
+    the white ones."""
     white, _, pixels = sampled_light(capture, capture.bands["white"])
     nir, _, _ = sampled_light(capture, capture.bands["nir"])
     inside = finger.mask[pixels]
@@ -80,12 +84,14 @@ def findings_on_outline(capture: Capture, finger: Finger) -> list[Finding]:
     if not core.any():
         return []
     means = (stack.mean(axis=0) for stack in (white, nir))
-    dark_white, dark_nir = (float((mean[rim] < 0.15 * np.median(mean[core])).mean()) for mean in means)
+    dark_white, dark_nir = (
+        float((mean[rim] < 0.15 * np.median(mean[core])).mean()) for mean in means
+    )
     if dark_nir - dark_white <= _DARK_RIM:
         return []
     words = (
-        f"{100 * dark_nir:.0f} % of the finger's rim (1.5 mm) is dark in it, and {100 * dark_white:.0f} % in white: "
-        "check that both bands are of one finger in one place."
+        f"{100 * dark_nir:.0f} % of the finger's rim (1.5 mm) is dark in it, and"
+        f" {100 * dark_white:.0f} % in white: check that both bands are of one finger in one place."
     )
     severity = Severity.SPOILS if dark_nir - dark_white > _DARK_RIM_SPOILS else Severity.DOUBT
     return [Finding("other-outline", words, severity).of_band("nir")]

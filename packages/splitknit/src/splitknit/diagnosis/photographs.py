@@ -1,8 +1,9 @@
 """Photographs against each other: which of them does not fit the others.
 
-Each photograph is predicted from the others, by least squares of the lights that reach a pixel. A sound one differs
-from that by gloss and noise; a shift, a blur and a double image differ by derivatives of the prediction, which gives
-them a size in pixels. The photograph that such a fault explains best is left out, and the rest compared again.
+Each photograph is predicted from the others, by least squares of the lights that reach a pixel. A
+sound one differs from that by gloss and noise; a shift, a blur and a double image differ by
+derivatives of the prediction, which gives them a size in pixels. The photograph that such a fault
+explains best is left out, and the rest compared again.
 """
 
 from __future__ import annotations
@@ -16,7 +17,14 @@ import cv2
 import numpy as np
 
 from splitknit.diagnosis.frames import SPOILT_DEG
-from splitknit.diagnosis.gains import LEAST, PIXELS, checked, light_gains, lit_values, median_angle_deg
+from splitknit.diagnosis.gains import (
+    LEAST,
+    PIXELS,
+    checked,
+    light_gains,
+    lit_values,
+    median_angle_deg,
+)
 from splitknit.diagnosis.samples import sampled_light
 from splitknit.errors import BadInput, check_lights
 from splitknit.findings import Finding, Severity
@@ -33,8 +41,8 @@ from splitknit.photometric.equations import (
 )
 
 OVEREXPOSED = (
-    "{:.1f} % of the surface is overexposed in all photographs but two or fewer: its slopes there are unknown; "
-    "photograph it again with a shorter exposure."
+    "{:.1f} % of the surface is overexposed in all photographs but two or fewer: its slopes there"
+    " are unknown; photograph it again with a shorter exposure."
 )
 Fault = Literal["moved", "blurred", "double", "overexposed", "underexposed", "unlike"]
 _MOST_LEVERAGE = 0.9
@@ -46,22 +54,25 @@ _SMOOTH_PX = 1.0
 _SQUARE = np.ones((7, 7), np.uint8)
 """It must be lit and inside the mask around a pixel that is compared."""
 _LOCAL_PX = 31
-"""Side of the square over which the prediction's brightness is that of the photograph: near lights and gloss."""
+"""Side of the square over which the prediction's brightness is that of the photograph: near lights
+and gloss."""
 _PX = 0.5
-"""Pixels times the fraction that they explain from which a photograph is moved, blurred or double: up to 0.35 on sound
-photographs of a bear and a sphere, 0.8 on rendered objects."""
+"""Pixels times the fraction that they explain from which a photograph is moved, blurred or double:
+up to 0.35 on sound photographs of a bear and a sphere, 0.8 on rendered objects."""
 _STANDS_OUT = 3.5
 """That times the light explained, over the median's, from which it is."""
 _GLOSS_PX = 1.5
 """Gloss on ribs changes their contrast as a blur of up to this sigma would."""
 _UNLIKE = 0.6
-"""Fraction of all residuals that goes with one photograph, beyond its even part, from which it is unlike the rest."""
+"""Fraction of all residuals that goes with one photograph, beyond its even part, from which it is
+unlike the rest."""
 _UNLIKE_LIGHT = 0.1
 """Its residual over the light, at least."""
 _UNLIKE_DEG = 0.5
 """The turn of the normals by it, at least."""
 _EXPLAINS = 0.85
-"""Fraction of the mean difference that a named fault may leave; else the photograph is unlike the rest."""
+"""Fraction of the mean difference that a named fault may leave; else the photograph is unlike the
+rest."""
 _CLIPPED = 0.01
 _FAINT = 0.12
 """Brightness over the median photograph's below which noise and the steps of the numbers count."""
@@ -81,17 +92,23 @@ class PhotographFault:
     size: float
     """Pixels of the given stack (of a blur its sigma); of exposures and ``unlike`` a fraction."""
     effect_deg: float
-    """By how much the photograph turns the normals, median; 0 of clipped values, which are not used."""
+    """By how much the photograph turns the normals, median; 0 of clipped values, which are not
+    used."""
 
 
 def light_left(images: FloatArray, lights: Array, inside: BoolArray, ceilings: FloatArray) -> float:
-    """Light that a matt surface under these lights leaves unexplained at 80 % of the values, at most, as a fraction."""
+    """Light that a matt surface under these lights leaves unexplained at 80 % of the values, at
+    most, as a fraction."""
     fit = _Comparison(images, lights, inside, ceilings)
     mean = float(images[:, inside][fit.good].mean()) if fit.good.any() else 0.0
-    return float(np.quantile(np.abs(fit.residual[fit.good]), 0.8) / max(mean, 1e-12)) if mean else 1.0
+    return (
+        float(np.quantile(np.abs(fit.residual[fit.good]), 0.8) / max(mean, 1e-12)) if mean else 1.0
+    )
 
 
-def faulty_photographs(stack: Any, lights: Any, mask: Any = None, ceilings: Any = None) -> tuple[PhotographFault, ...]:
+def faulty_photographs(
+    stack: Any, lights: Any, mask: Any = None, ceilings: Any = None
+) -> tuple[PhotographFault, ...]:
     """Photographs that do not fit the others, the worst first; an overexposed one may come twice.
 
     Parameters
@@ -112,8 +129,9 @@ def faulty_photographs(stack: Any, lights: Any, mask: Any = None, ceilings: Any 
 
     References
     ----------
-    R. D. Cook, "Detection of influential observation in linear regression", Technometrics 19 (1977), for the residual
-    of what is left out; B. D. Lucas and T. Kanade, "An iterative image registration technique", IJCAI 1981, for shifts.
+    R. D. Cook, "Detection of influential observation in linear regression", Technometrics 19
+    (1977), for the residual of what is left out; B. D. Lucas and T. Kanade, "An iterative image
+    registration technique", IJCAI 1981, for shifts.
     """
     images, vectors, inside, levels = checked(stack, lights, mask, ceilings)
     if len(images) <= LEAST or inside.sum() < _FEWEST:
@@ -124,7 +142,9 @@ def faulty_photographs(stack: Any, lights: Any, mask: Any = None, ceilings: Any 
 
     clipped = (images >= levels[:, None, None])[:, inside].mean(axis=1)
     faults = [
-        PhotographFault(k, "overexposed", float(clipped[k]), 0.0) for k in range(len(images)) if clipped[k] > _CLIPPED
+        PhotographFault(k, "overexposed", float(clipped[k]), 0.0)
+        for k in range(len(images))
+        if clipped[k] > _CLIPPED
     ]
     gains = light_gains(images, vectors, inside, levels)
     dim = gains / np.median(gains)
@@ -151,7 +171,9 @@ def faulty_photographs(stack: Any, lights: Any, mask: Any = None, ceilings: Any 
 class _Comparison:
     """K photographs (K, H, W), and what the rest predict of each at the n pixels of the object."""
 
-    def __init__(self, images: FloatArray, lights: Array, inside: BoolArray, ceilings: FloatArray) -> None:
+    def __init__(
+        self, images: FloatArray, lights: Array, inside: BoolArray, ceilings: FloatArray
+    ) -> None:
         self.images = np.minimum(images, ceilings[:, None, None])
         self.inside = inside
         light = images[:, inside]
@@ -159,16 +181,26 @@ class _Comparison:
         lit = lit_values(light, vectors, ceilings)
         weights = lit.astype(np.float32)
         factors = factorise(moment_matrix(vectors, weights))
-        self.g = back_substitute(factors, moment_vector(np.where(lit, light, 0.0), vectors, weights))
+        self.g = back_substitute(
+            factors, moment_vector(np.where(lit, light, 0.0), vectors, weights)
+        )
         self.residual = (np.where(lit, light, 0.0) - shading(self.g, vectors)) * weights
         ones = np.ones(light.shape[1], dtype=np.float32)
-        self.pull = np.stack([back_substitute(factors, vector[:, None] * ones) for vector in vectors])
-        leverage = np.stack([vector @ pull for vector, pull in zip(vectors, self.pull, strict=True)]) * weights
+        self.pull = np.stack(
+            [back_substitute(factors, vector[:, None] * ones) for vector in vectors]
+        )
+        leverage = (
+            np.stack([vector @ pull for vector, pull in zip(vectors, self.pull, strict=True)])
+            * weights
+        )
         self.count = weights.sum(axis=0)
         self.good = lit & (leverage < _MOST_LEVERAGE) & (self.count >= LEAST)
         # difference of each photograph to its prediction by the rest (Cook 1977)
-        self.deleted = np.where(self.good, self.residual / np.maximum(1 - leverage, 1 - _MOST_LEVERAGE), 0.0)
-        self.steady = np.ones(inside.shape, dtype=bool)  # where a light ends, the prediction has a step
+        self.deleted = np.where(
+            self.good, self.residual / np.maximum(1 - leverage, 1 - _MOST_LEVERAGE), 0.0
+        )
+        # where a light ends, the prediction has a step
+        self.steady = np.ones(inside.shape, dtype=bool)
         for each in lit:
             plane = np.zeros(inside.shape, dtype=np.uint8)
             plane[inside] = each
@@ -205,20 +237,23 @@ class _Comparison:
         return PhotographFault(k, "unlike", level, turned_deg) if unlike else None
 
     def _pair(self, k: int) -> tuple[FloatArray, FloatArray, BoolArray]:
-        """A photograph, smoothed, what the rest predict, at its brightness, and where both are known."""
+        """A photograph, smoothed, what the rest predict, at its brightness, and where both are
+        known."""
         image = self.images[k]
         valid = np.zeros(self.inside.shape, dtype=np.uint8)
         valid[self.inside] = self.good[k]
         predicted = image.copy()
         predicted[self.inside] -= self.deleted[k]
-        near, near_predicted = (cv2.stackBlur(each * valid, (_LOCAL_PX, _LOCAL_PX)) for each in (image, predicted))
+        near, near_predicted = (
+            cv2.stackBlur(each * valid, (_LOCAL_PX, _LOCAL_PX)) for each in (image, predicted)
+        )
         ratio = np.where(valid > 0, near / np.maximum(near_predicted, 1e-9), 1.0)
         known = (cv2.erode(valid, _SQUARE, borderValue=0) > 0) & self.steady
         return _smooth(image), predicted * np.clip(ratio, 0.2, 5.0), known
 
     def _derivatives(self, k: int) -> tuple[float, float]:
-        """Pixels of shift and blur in a photograph's difference to its prediction, times the fraction that they
-        explain; and the squared light that they explain, over the squared light.
+        """Pixels of shift and blur in a photograph's difference to its prediction, times the
+        fraction that they explain; and the squared light that they explain, over the squared light.
         """
         target, predicted, known = self._pair(k)
         if int(known.sum()) < _FEWEST:
@@ -227,12 +262,16 @@ class _Comparison:
         dy, dx = np.gradient(model)
         laplacian = np.gradient(dy, axis=0) + np.gradient(dx, axis=1)
         pixels = np.flatnonzero(known)[:: max(1, int(known.sum()) // PIXELS)]
-        terms = np.stack([part.ravel()[pixels] for part in (model, dx, dy, laplacian)]).astype(np.float64)
+        terms = np.stack([part.ravel()[pixels] for part in (model, dx, dy, laplacian)]).astype(
+            np.float64
+        )
         difference = (target - model).ravel()[pixels].astype(np.float64)
         weights = np.ones(pixels.size)
         for _ in range(6):  # robust: weights of Cauchy
             normal = (terms * weights) @ terms.T
-            solution = np.linalg.solve(normal + 1e-12 * np.trace(normal) * np.eye(4), (terms * weights) @ difference)
+            solution = np.linalg.solve(
+                normal + 1e-12 * np.trace(normal) * np.eye(4), (terms * weights) @ difference
+            )
             error = difference - solution @ terms
             weights = 1.0 / (1.0 + (error / max(3.0 * float(np.median(np.abs(error))), 1e-9)) ** 2)
         gain = float(weights @ (terms[0] * difference)) / max(float(weights @ terms[0] ** 2), 1e-30)
@@ -243,7 +282,8 @@ class _Comparison:
         return max(1.0 - after / max(before, 1e-30), 0.0) * size, (before - after) / level
 
     def _named(self, k: int) -> tuple[Fault, float]:
-        """What explains photograph k best: its prediction moved, blurred, or seen twice; and by how many pixels."""
+        """What explains photograph k best: its prediction moved, blurred, or seen twice; and by how
+        many pixels."""
         target, predicted, known = self._pair(k)
 
         def misfit(model: Any) -> float:
@@ -252,18 +292,25 @@ class _Comparison:
         def moved(x: float, y: float) -> FloatArray:
             matrix = np.array([[1.0, 0.0, x], [0.0, 1.0, y]])
             size = predicted.shape[::-1]
-            return np.asarray(cv2.warpAffine(predicted, matrix, size, borderMode=cv2.BORDER_REPLICATE))
+            return np.asarray(
+                cv2.warpAffine(predicted, matrix, size, borderMode=cv2.BORDER_REPLICATE)
+            )
 
         def best(model: Callable[[float, float], FloatArray]) -> tuple[float, float]:
             coarse = product(range(-8, 9, 2), repeat=2)
             _, _, x, y = min((misfit(model(x, y)), float(np.hypot(x, y)), x, y) for x, y in coarse)
-            fine = ((x + right, y + down) for right, down in product((-1.0, -0.5, 0.0, 0.5, 1.0), repeat=2))
+            fine = (
+                (x + right, y + down)
+                for right, down in product((-1.0, -0.5, 0.0, 0.5, 1.0), repeat=2)
+            )
             return min((misfit(model(*shift)), float(np.hypot(*shift))) for shift in fine)
 
         sigmas = (1.0, 1.5, 2.0, 2.5, 3.0, 4.0, 5.0, 6.0)
         misfits: dict[Fault, tuple[float, float]] = {
             "moved": best(moved),
-            "blurred": min((misfit(cv2.GaussianBlur(predicted, (0, 0), sigma)), sigma) for sigma in sigmas),
+            "blurred": min(
+                (misfit(cv2.GaussianBlur(predicted, (0, 0), sigma)), sigma) for sigma in sigmas
+            ),
             "double": best(lambda x, y: 0.5 * (predicted + moved(x, y))),
         }
         kind = min(misfits, key=lambda each: misfits[each])
@@ -279,18 +326,22 @@ def _smooth(image: FloatArray) -> FloatArray:
 
 
 def compared_pixels(band: Band, finger: Finger) -> tuple[int, BoolArray] | None:
-    """By how much photographs are reduced to be compared, and the object there; None where they are not comparable."""
+    """By how much photographs are reduced to be compared, and the object there; None where they are
+    not comparable."""
     values = len(band.pixels) * finger.inside.size
     binning = max(1, int(np.ceil(np.sqrt(values / _COMPARED_VALUES))))
     inside = bin_mean(finger.inside.astype(np.float32), binning) > 0.99
-    comparable = len(band.lights) == len(band.pixels) and band.crossed is None and not band.polarisation
+    comparable = (
+        len(band.lights) == len(band.pixels) and band.crossed is None and not band.polarisation
+    )
     return (binning, inside) if comparable and inside.any() else None
 
 
 def left_out(
     capture: Capture, band: Band, finger: Finger, binning: int, inside: BoolArray
 ) -> tuple[Band, list[Finding]]:
-    """A band of an opaque object without the photographs that do not fit the others, and notes on them."""
+    """A band of an opaque object without the photographs that do not fit the others, and notes on
+    them."""
     stack = linear_stack(band, capture.encoding, "grey", finger.window, binning)
     levels = saturation_levels(band, capture.encoding)
     lights = capture.rig.select(band.lights).light_vectors()
@@ -307,9 +358,13 @@ def left_out(
 def faulty_photograph(capture: Capture, band: Band, finger: Finger) -> Finding | None:
     """The photograph of skin that fits the others least, if it turns the surface."""
     stack, vectors, pixels = sampled_light(capture, band)
-    faults = faulty_photographs(stack, vectors, finger.wider[pixels], saturation_levels(band, capture.encoding))
+    faults = faulty_photographs(
+        stack, vectors, finger.wider[pixels], saturation_levels(band, capture.encoding)
+    )
     # highlights are overexposed, and no method takes them for skin
-    bad = [fault for fault in faults if fault.kind != "overexposed" and fault.effect_deg > _NOTED_DEG]
+    bad = [
+        fault for fault in faults if fault.kind != "overexposed" and fault.effect_deg > _NOTED_DEG
+    ]
     if not bad:
         return None
     fault = max(bad, key=lambda each: each.effect_deg)
@@ -333,4 +388,9 @@ def _fault_finding(band: Band, fault: PhotographFault, binning: int, effect: str
     }[fault.kind]
     if fault.kind != "overexposed":
         words += f"; {effect.format(fault.effect_deg)}"
-    return Finding(f"{fault.kind}-photograph", f"{name} {words}.", files=(name,), effect_deg=fault.effect_deg or None)
+    return Finding(
+        f"{fault.kind}-photograph",
+        f"{name} {words}.",
+        files=(name,),
+        effect_deg=fault.effect_deg or None,
+    )

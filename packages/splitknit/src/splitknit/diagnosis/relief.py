@@ -1,4 +1,5 @@
-"""Whether the relief is the skin's: places without ridges, as under a plaster; ridges that one image alone shows."""
+"""Whether the relief is the skin's: places without ridges, as under a plaster; ridges that one
+image alone shows."""
 
 from __future__ import annotations
 
@@ -12,16 +13,16 @@ from splitknit.imaging.geometry import smoothed
 from splitknit.model import Array, BoolArray, Capture, FloatArray
 
 BARE = (
-    "{:.0f} % of the finger (about {:.0f} mm2 in one place) shows no ridges although it is lit: heights there are not "
-    "the skin's; take off what covers it, such as a plaster or dirt."
+    "{:.0f} % of the finger (about {:.0f} mm2 in one place) shows no ridges although it is lit:"
+    " heights there are not the skin's; take off what covers it, such as a plaster or dirt."
 )
 OTHER_RIDGES = (
-    "{} does not show the ridges that all other photographs show (moved, double, or another finger's): the relief "
-    "mixes both; capture it again."
+    "{} does not show the ridges that all other photographs show (moved, double, or another"
+    " finger's): the relief mixes both; capture it again."
 )
 _MUCH_BARE = 0.15
-"""Part of the finger without ridges that is doubted and not merely noted: one of some 40 sound fingers in all
-conditions had 0.11."""
+"""Part of the finger without ridges that is doubted and not merely noted: one of some 40 sound
+fingers in all conditions had 0.11."""
 LEAST_PX_PER_MM = 6.0
 """Scale below which ridges are not seen: three pixels from one to the next."""
 _FINE_MM, _LEVEL_MM = 0.06, 0.35
@@ -33,29 +34,31 @@ _RIM_MM, _EDGE_MM = 1.5, 0.4
 _LIT, _BRIGHT = 0.35, 0.5
 """Part of the finger's median light that lit skin has; for ridges of single images."""
 _RIDGED, _CAP = 0.75, 0.3
-"""Quantile of the skin that surely has ridges (a plaster may cover half), and the part of its energy at which a pixel
-counts as part of a ridge."""
+"""Quantile of the skin that surely has ridges (a plaster may cover half), and the part of its
+energy at which a pixel counts as part of a ridge."""
 _BARE = 0.45
-"""Part of the ridged skin's contrast below which skin is bare. With 0.5 one of 185 sound fingers, a glossy one, had a
-patch of 8 mm2; with 0.45 the largest has 2.5 mm2, and that of four path-traced fingers 3.5."""
+"""Part of the ridged skin's contrast below which skin is bare. With 0.5 one of 185 sound fingers, a
+glossy one, had a patch of 8 mm2; with 0.45 the largest has 2.5 mm2, and that of four path-traced
+fingers 3.5."""
 _LEAST_MM2, _HIDDEN_MM = 4.0, 1.0
-"""Smallest bare patch that counts, and how far beyond it skin is bare as well: the window reaches over its edge (92
-plasters: the patch so grown had 0.78 to 1.02 of their area)."""
+"""Smallest bare patch that counts, and how far beyond it skin is bare as well: the window reaches
+over its edge (92 plasters: the patch so grown had 0.78 to 1.02 of their area)."""
 
 _FEWEST = 6
 """Lights of which each is judged by the others."""
 _UNLIKE = 1.8
-"""Error of an image's ridges, as the others predict them, over the images' median: 1.01 to 1.44 on 196 sound simulated
-fingers and 1.61, 1.74 on two of 190 others (glossy, wet); 2.1 and more with an image of another finger, 1.4 to 3.6
-with one that shows everything twice."""
+"""Error of an image's ridges, as the others predict them, over the images' median: 1.01 to 1.44 on
+196 sound simulated fingers and 1.61, 1.74 on two of 190 others (glossy, wet); 2.1 and more with an
+image of another finger, 1.4 to 3.6 with one that shows everything twice."""
 
 
 def bare_patch(stack: FloatArray, mask: BoolArray, px_per_mm: float) -> tuple[float, float]:
-    """Area of the largest lit patch of a finger without ridges: in mm2, and as a part of the skin that is judged;
-    zeros where none is large enough to be more than a flaw of the skin.
+    """Area of the largest lit patch of a finger without ridges: in mm2, and as a part of the skin
+    that is judged; zeros where none is large enough to be more than a flaw of the skin.
 
-    Ridges are what the light, relative to its surroundings, changes within a fraction of a millimetre, under each
-    light alone: the mean square of its gradient, capped, so that an edge does not count as ridges all around.
+    Ridges are what the light, relative to its surroundings, changes within a fraction of a
+    millimetre, under each light alone: the mean square of its gradient, capped, so that an edge
+    does not count as ridges all around.
 
     Parameters
     ----------
@@ -89,8 +92,9 @@ def bare_patch(stack: FloatArray, mask: BoolArray, px_per_mm: float) -> tuple[fl
 
 
 def findings_on_relief(capture: Capture, finger: Finger, *, fits: bool) -> list[Finding]:
-    """A doubt where a large part of the finger shows no ridges, a note on a smaller one, which gloss may hide; a doubt
-    where a white photograph shows other ridges than the rest, if it is not known that they do not fit their lights.
+    """A doubt where a large part of the finger shows no ridges, a note on a smaller one, which
+    gloss may hide; a doubt where a white photograph shows other ridges than the rest, if it is not
+    known that they do not fit their lights.
     """
     band, px_per_mm = capture.bands["white"], capture.rig.camera.px_per_mm
     binning = max(1, int(px_per_mm / (2 * LEAST_PX_PER_MM)))
@@ -100,22 +104,28 @@ def findings_on_relief(capture: Capture, finger: Finger, *, fits: bool) -> list[
     findings = []
     if area_mm2:
         words = BARE.format(100 * part, area_mm2)
-        findings.append(Finding("bare-patch", words, Severity.DOUBT if part > _MUCH_BARE else Severity.NOTE))
+        findings.append(
+            Finding("bare-patch", words, Severity.DOUBT if part > _MUCH_BARE else Severity.NOTE)
+        )
     if fits and len(band.lights) == len(stack):
         lights = capture.rig.select(band.lights).light_vectors()
         unlike = unlike_image(stack, lights, inside, px_per_mm / binning)
         if unlike is not None:
             name = band.image_names[unlike]
-            findings.append(Finding("other-ridges", OTHER_RIDGES.format(name), Severity.DOUBT, (name,)))
+            findings.append(
+                Finding("other-ridges", OTHER_RIDGES.format(name), Severity.DOUBT, (name,))
+            )
     return findings
 
 
 def unlike_image(stack: FloatArray, lights: Array, mask: BoolArray, px_per_mm: float) -> int | None:
-    """The image whose ridges are not those that all others show; None where there is none, or too few lights.
+    """The image whose ridges are not those that all others show; None where there is none, or too
+    few lights.
 
-    Each image's ridge band is predicted from all others by least squares (light is linear in the albedo times the
-    normal: R. J. Woodham, Optical Engineering 19, 1980), by the leverages of the whole fit (R. D. Cook and S. Weisberg,
-    Residuals and influence in regression, 1982, equation 2.2.4).
+    Each image's ridge band is predicted from all others by least squares (light is linear in the
+    albedo times the normal: R. J. Woodham, Optical Engineering 19, 1980), by the leverages of the
+    whole fit (R. D. Cook and S. Weisberg, Residuals and influence in regression, 1982, equation
+    2.2.4).
 
     Parameters
     ----------
@@ -135,7 +145,10 @@ def unlike_image(stack: FloatArray, lights: Array, mask: BoolArray, px_per_mm: f
         return None
     judged &= light > _BRIGHT * quantile(light[judged])
     level = smoothed(light, mask, _LEVEL_MM * px_per_mm)[judged]
-    fine, wide = ([smoothed(image, mask, mm * px_per_mm)[judged] for image in stack] for mm in (_FINE_MM, _LEVEL_MM))
+    fine, wide = (
+        [smoothed(image, mask, mm * px_per_mm)[judged] for image in stack]
+        for mm in (_FINE_MM, _LEVEL_MM)
+    )
     ridges = (np.array(fine) - np.array(wide)) / level
     predicted = lights @ np.linalg.pinv(lights)
     error = np.median(np.abs(ridges - predicted @ ridges), axis=1) / (1 - np.diag(predicted))

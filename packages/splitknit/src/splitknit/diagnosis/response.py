@@ -1,10 +1,11 @@
 """Whether the camera answered in proportion to the light: colours, tone, local contrast, clipping.
 
-Under L lights a matt pixel obeys I_k = l_k . b with its albedo times normal b (3 numbers); what is left over is the
-same for all pixels where it is a gain of an image. Gains that differ between colours are the camera's white balance.
-Gains that follow the stated brightness of the lights are its tone: where a light twice as bright gives 2^p times the
-value, the gain of light k is (p - 1) log(brightness). Under lights of equal brightness the shading of the flanks shows
-p; values that are not in proportion to the light also flatten or steepen the whole surface, as the outline shows.
+Under L lights a matt pixel obeys I_k = l_k . b with its albedo times normal b (3 numbers); what is
+left over is the same for all pixels where it is a gain of an image. Gains that differ between
+colours are the camera's white balance. Gains that follow the stated brightness of the lights are
+its tone: where a light twice as bright gives 2^p times the value, the gain of light k is (p - 1)
+log(brightness). Under lights of equal brightness the shading of the flanks shows p; values that are
+not in proportion to the light also flatten or steepen the whole surface, as the outline shows.
 """
 
 from __future__ import annotations
@@ -28,53 +29,58 @@ from splitknit.photometric.near_light import pseudo_normals
 from splitknit.photometric.uncalibrated import bas_relief_of
 
 SWAPPED = (
-    "the skin is {:.1f} times as bright in blue as in red, but blood makes it 0.4 to 0.7: the files seem to hold blue, "
-    "green, red in this order; swap them, as ridges are hardly measured otherwise."
+    "the skin is {:.1f} times as bright in blue as in red, but blood makes it 0.4 to 0.7: the files"
+    " seem to hold blue, green, red in this order; swap them, as ridges are hardly measured"
+    " otherwise."
 )
 CLIPPED = (
-    "{:.0f} % of the finger is clipped in {} ({}): the surface comes out wrong there and ridges too low; photograph it "
-    "again with a shorter exposure."
+    "{:.0f} % of the finger is clipped in {} ({}): the surface comes out wrong there and ridges too"
+    " low; photograph it again with a shorter exposure."
 )
 WHITE_BALANCE = (
-    "the colour of the light differs from image to image by {:.0f} %, where LEDs of one kind do by 1 %: the camera "
-    "seems to have balanced white anew for each, which spoils shape and ridges; fix its white balance and exposure."
+    "the colour of the light differs from image to image by {:.0f} %, where LEDs of one kind do by"
+    " 1 %: the camera seems to have balanced white anew for each, which spoils shape and ridges;"
+    " fix its white balance and exposure."
 )
 ENCODING = (
-    "the photographs do not fit their lights as they are declared, {} (`encoding`), but as {}: check how they were "
-    "stored (a tone curve or local contrast of the camera looks alike); heights are wrong otherwise."
+    "the photographs do not fit their lights as they are declared, {} (`encoding`), but as {}:"
+    " check how they were stored (a tone curve or local contrast of the camera looks alike);"
+    " heights are wrong otherwise."
 )
 TONE = (
-    "the photographs are not in proportion to the light, value = light^{:.2f}: a gamma, tone curve, night mode or "
-    "local contrast of the camera, or haze or light of the room in all images; heights are wrong; store RAW or linear "
-    "images, and add an ambient one."
+    "the photographs are not in proportion to the light, value = light^{:.2f}: a gamma, tone curve,"
+    " night mode or local contrast of the camera, or haze or light of the room in all images;"
+    " heights are wrong; store RAW or linear images, and add an ambient one."
 )
 FLAT = (
-    "the finger comes out {:.2f} times as high as it is half wide (0.6 to 1 is usual): local contrast, a tone curve or "
-    "night mode of the camera, light of the room or haze has flattened it, or the LEDs stand elsewhere than stated; "
-    "store RAW or linear images, and add an ambient one."
+    "the finger comes out {:.2f} times as high as it is half wide (0.6 to 1 is usual): local"
+    " contrast, a tone curve or night mode of the camera, light of the room or haze has flattened"
+    " it, or the LEDs stand elsewhere than stated; store RAW or linear images, and add an ambient"
+    " one."
 )
 DRIFTED = (
-    "{}: its LED is {:.0f} % {} than at the calibration, by this capture; photograph the white card again (splitknit "
-    "calibrate radiometry)."
+    "{}: its LED is {:.0f} % {} than at the calibration, by this capture; photograph the white card"
+    " again (splitknit calibrate radiometry)."
 )
 # Limits beyond what 180 sound fingers in all conditions (dry, wet, scarred, glossy ...) show.
 _BLUE = 1.3
 """Blue over red light: at most 0.63; from 1.6 where the colours are swapped."""
 _CLIPPED = 0.2
-"""Fraction of the finger that is clipped in one colour of an image: at most 0.06 (once 0.13); from 0.27 where it is."""
+"""Fraction of the finger that is clipped in one colour of an image: at most 0.06 (once 0.13); from
+0.27 where it is."""
 _COLOURS = 0.02
 """Standard deviation of the colours' gains: at most 0.001; from 0.037 where white was balanced."""
 _TONE = 0.07
-"""Departure of the exponent from one that is doubted: 0.03 at most on 126 sound fingers under unequal lights, 0.12 to
-0.75 where a curve or light of 30 % was added."""
+"""Departure of the exponent from one that is doubted: 0.03 at most on 126 sound fingers under
+unequal lights, 0.12 to 0.75 where a curve or light of 30 % was added."""
 _TONE_SPOILS = 0.1
 _SURE = 7.0
 """Least t value of that departure."""
 _SHADED = (0.85, 1.22)
 """Exponents between which shading under equal lights is sound."""
 _FLAT = 0.5
-"""Height over half width below which a finger is too flat: 0.61 to 1.06 on 144 sound fingers, 0.63 to 0.75 on
-path-traced ones, 0.34 to 0.45 with local contrast."""
+"""Height over half width below which a finger is too flat: 0.61 to 1.06 on 144 sound fingers, 0.63
+to 0.75 on path-traced ones, 0.34 to 0.45 with local contrast."""
 _HOLLOW = 0.1
 """... and below which it is none: lights in another order."""
 _SIDE = 300
@@ -89,12 +95,13 @@ _FEWEST = 1000
 _LIT = 0.3
 """Fraction of a pixel's brightest light from which a light counts in its fit."""
 _WELL_LIT = 0.5
-"""... and from which its gain is judged: below, attached shadows and light scattered in the skin matter more."""
+"""... and from which its gain is judged: below, attached shadows and light scattered in the skin
+matter more."""
 _FEWEST_LIT = 100
 """Pixels, at least, of which a gain is the median."""
 _SPREAD = 0.01
-"""Sum of squares of the lights' log brightness, beside a tilt's, from which it shows the tone: 0.03 to 0.2 of LEDs that
-differ by 10 %."""
+"""Sum of squares of the lights' log brightness, beside a tilt's, from which it shows the tone: 0.03
+to 0.2 of LEDs that differ by 10 %."""
 _STATED = 0.002
 """Standard deviation of brightness as it is stated, at best, in the logarithm."""
 _EXPONENTS = np.geomspace(0.55, 1.8, 9)
@@ -104,7 +111,8 @@ _FLANK_PIXELS = 700
 _DRIFT = 0.03
 """Change of a light's brightness from which it has drifted."""
 _ALONE = 0.6
-"""Fraction of all gains that it explains alone, at least: gloss, shadows and scattering move several a little."""
+"""Fraction of all gains that it explains alone, at least: gloss, shadows and scattering move
+several a little."""
 _DRIFT_ERRORS = 3.0
 """Its own standard errors, at least."""
 _AWAY = 0.9
@@ -133,8 +141,11 @@ class _Response(NamedTuple):
     """Over half width, in colours."""
 
 
-def doubt_of_response(capture: Capture, finger: Finger, encodings: bool = True) -> ResponseDoubt | None:
-    """What is wrong with a camera's response to light, the surest; `encodings`: whether to try another encoding."""
+def doubt_of_response(
+    capture: Capture, finger: Finger, encodings: bool = True
+) -> ResponseDoubt | None:
+    """What is wrong with a camera's response to light, the surest; `encodings`: whether to try
+    another encoding."""
     every = max(1, max(capture.shape) // _SIDE)
     inside = np.zeros(capture.shape, dtype=np.bool_)
     inside[finger.window] = finger.inside
@@ -143,34 +154,51 @@ def doubt_of_response(capture: Capture, finger: Finger, encodings: bool = True) 
     responses = []
     for name in ("white", "nir"):
         band = capture.bands.get(name)
-        if band is None or band.colours or len(band.lights) < _FEWEST_LIGHTS or core.sum() < _FEWEST:
+        if (
+            band is None
+            or band.colours
+            or len(band.lights) < _FEWEST_LIGHTS
+            or core.sum() < _FEWEST
+        ):
             continue
         response = _response(capture, band, inside, core, every)
         if isinstance(response, ResponseDoubt):
             return response
         responses.append(response)
-    if not responses or bas_relief_of(capture.rig) is not None:  # lights that were estimated fit any tone
+    # lights that were estimated fit any tone
+    if not responses or bas_relief_of(capture.rig) is not None:
         return None
     doubt = _doubt_of_tone(responses, encodings)
     if doubt is not None and encodings:
         encoding = other_encoding(capture)
         if doubt_of_response(replace(capture, encoding=encoding), finger, encodings=False) is None:
             words = ENCODING.format(capture.encoding, encoding)
-            return doubt._replace(finding=replace(doubt.finding, code="other-encoding", message=words))
+            return doubt._replace(
+                finding=replace(doubt.finding, code="other-encoding", message=words)
+            )
     if doubt is None and "radiometry" in capture.rig.provenance:
         for response in responses:
-            drift = drifted_light(response.gains, response.directions) if np.isfinite(response.gains).all() else None
+            drift = (
+                drifted_light(response.gains, response.directions)
+                if np.isfinite(response.gains).all()
+                else None
+            )
             if drift is not None:
                 file = response.files[drift[0]]
-                words = DRIFTED.format(file, 100 * abs(drift[1] - 1), "darker" if drift[1] < 1 else "brighter")
-                return ResponseDoubt(Finding("drifted-led", words, Severity.DOUBT, files=(file,)), False)
+                words = DRIFTED.format(
+                    file, 100 * abs(drift[1] - 1), "darker" if drift[1] < 1 else "brighter"
+                )
+                return ResponseDoubt(
+                    Finding("drifted-led", words, Severity.DOUBT, files=(file,)), False
+                )
     return doubt
 
 
 def _response(
     capture: Capture, band: Band, inside: BoolArray, core: BoolArray, every: int
 ) -> _Response | ResponseDoubt:
-    """How a band's images answer to the light; a doubt where their colours or clipping show that they do not."""
+    """How a band's images answer to the light; a doubt where their colours or clipping show that
+    they do not."""
     coloured = band.name == "white" and has_colour(band)
     channels = ("red", "green", "blue") if coloured else ("grey",)
     sampled = band.sampled(every)
@@ -199,21 +227,29 @@ def _response(
         strength * (band.exposure if len(band.exposure) == len(strength) else 1.0),
         band.image_names,
         shading_exponent(light[1:], towards) if coloured else float("nan"),
-        height_over_half_width(surface, inside, every * capture.rig.camera.pitch_mm) if coloured else float("nan"),
+        (
+            height_over_half_width(surface, inside, every * capture.rig.camera.pitch_mm)
+            if coloured
+            else float("nan")
+        ),
     )
 
 
 def _doubt_of_tone(responses: Sequence[_Response], encodings: bool) -> ResponseDoubt | None:
-    """What contradicts a linear response: the lights' stated brightness, else shading, else the finger's height."""
+    """What contradicts a linear response: the lights' stated brightness, else shading, else the
+    finger's height."""
     tone, sure = tone_exponent([response[:3] for response in responses])
-    if abs(tone - 1) > _TONE and (abs(sure) > _SURE or not encodings):  # another encoding must fit well
+    # another encoding must fit well
+    if abs(tone - 1) > _TONE and (abs(sure) > _SURE or not encodings):
         severity = Severity.SPOILS if abs(tone - 1) > _TONE_SPOILS else Severity.DOUBT
         return ResponseDoubt(Finding("tone-curve", TONE.format(tone), severity))
     exponent = responses[0].exponent
     if np.isnan(tone) and (exponent < _SHADED[0] or exponent > _SHADED[1]):
         return ResponseDoubt(Finding("tone-curve", TONE.format(exponent), Severity.DOUBT), False)
     if _HOLLOW < responses[0].height < _FLAT:
-        return ResponseDoubt(Finding("flat-finger", FLAT.format(responses[0].height), Severity.DOUBT), False)
+        return ResponseDoubt(
+            Finding("flat-finger", FLAT.format(responses[0].height), Severity.DOUBT), False
+        )
     return None
 
 
@@ -225,7 +261,8 @@ def other_encoding(capture: Capture) -> Literal["linear", "srgb"]:
 def _coarse_surface(
     stack: FloatArray, capture: Capture, band: Band, inside: BoolArray, every: int
 ) -> tuple[FloatArray, FloatArray]:
-    """Height (h, w) in mm by near-light photometric stereo, and light vectors (L, 3, h, w) on it."""
+    """Height (h, w) in mm by near-light photometric stereo, and light vectors (L, 3, h, w) on
+    it."""
     camera, rig = capture.rig.camera, capture.rig.select(band.lights)
     view = view_of(camera, along_rays=True)
     pixels = (np.s_[::every],) * view.x_mm.ndim
@@ -241,23 +278,27 @@ def _coarse_surface(
 
 
 def image_gains(stack: FloatArray, vectors: FloatArray) -> Array:
-    """Logarithm (C, L) of each image's gain, in each colour, over what least squares predicts of it; mean 0 by colour.
+    """Logarithm (C, L) of each image's gain, in each colour, over what least squares predicts of
+    it; mean 0 by colour.
 
     Parameters
     ----------
     stack : (C, L, n)
         Linear light of n pixels in C colours under L lights.
     vectors : (L, 3, n)
-        Direction to each light times its irradiance, at each pixel (near lights on a coarse surface will do).
+        Direction to each light times its irradiance, at each pixel (near lights on a coarse surface
+        will do).
 
     Returns
     -------
     (C, L)
-        NaN where too few pixels are lit. A pattern as the lights' x and y is seen as a tilt of the surface, not here.
+        NaN where too few pixels are lit. A pattern as the lights' x and y is seen as a tilt of the
+        surface, not here.
 
     References
     ----------
-    Y. Queau et al., "LED-based photometric stereo", JMIV 60 (2018), eq. 2.5, for the pixel's equations.
+    Y. Queau et al., "LED-based photometric stereo", JMIV 60 (2018), eq. 2.5, for the pixel's
+    equations.
     """
     gains = np.full((len(stack), len(vectors)), np.nan)
     for row, light in zip(gains, stack, strict=True):
@@ -275,7 +316,8 @@ def _fitted(light: FloatArray, vectors: FloatArray) -> tuple[FloatArray, BoolArr
 
 
 def colour_spread(gains: Array) -> float:
-    """Standard deviation by which the gains (C, L) of :func:`image_gains` differ between colours; 0 of one colour."""
+    """Standard deviation by which the gains (C, L) of :func:`image_gains` differ between colours; 0
+    of one colour."""
     return float(np.std(gains - gains.mean(axis=0))) if np.isfinite(gains).all() else 0.0
 
 
@@ -285,14 +327,14 @@ def tone_exponent(bands: Sequence[tuple[Array, Array, Array]]) -> tuple[float, f
     Parameters
     ----------
     bands : of (gains, directions, brightness)
-        (L,) gains as of :func:`image_gains`; (L, 3) directions to the lights; (L,) brightness of their images as it is
-        stated: intensity times exposure. One p is fitted to all bands.
+        (L,) gains as of :func:`image_gains`; (L, 3) directions to the lights; (L,) brightness of
+        their images as it is stated: intensity times exposure. One p is fitted to all bands.
 
     Returns
     -------
     p, t
-        Its t value against p = 1, where brightness is stated to 0.2 % at best; NaN and 0 where the lights are
-        too nearly equal.
+        Its t value against p = 1, where brightness is stated to 0.2 % at best; NaN and 0 where the
+        lights are too nearly equal.
     """
     levels = [np.zeros(0)]
     rests = [np.zeros(0)]
@@ -310,19 +352,24 @@ def tone_exponent(bands: Sequence[tuple[Array, Array, Array]]) -> tuple[float, f
         return float("nan"), 0.0
     slope = float(level @ rest) / square
     residual = rest - slope * level
-    return 1.0 + slope, slope / float(np.sqrt((residual @ residual / freedom + _STATED**2) / square))
+    return 1.0 + slope, slope / float(
+        np.sqrt((residual @ residual / freedom + _STATED**2) / square)
+    )
 
 
 def _beside_tilt(directions: Array) -> Array:
-    """(L, L) projection that takes off what a tilt of the surface, or its albedo, does to gains under L lights."""
+    """(L, L) projection that takes off what a tilt of the surface, or its albedo, does to gains
+    under L lights."""
     basis = np.linalg.qr(np.column_stack([np.ones(len(directions)), directions[:, :2]]))[0]
     return np.asarray(np.eye(len(directions)) - basis @ basis.T)
 
 
 def drifted_light(gains: Array, directions: Array) -> tuple[int, float] | None:
-    """The light (L,) whose brightness alone explains the `gains` of :func:`image_gains`, and its relative brightness.
+    """The light (L,) whose brightness alone explains the `gains` of :func:`image_gains`, and its
+    relative brightness.
 
-    Beside the patterns of `directions` (L, 3) that a tilt of the surface makes; None where no single light has changed.
+    Beside the patterns of `directions` (L, 3) that a tilt of the surface makes; None where no
+    single light has changed.
     """
     beside = _beside_tilt(directions)
     rest = beside @ gains
@@ -337,10 +384,12 @@ def drifted_light(gains: Array, directions: Array) -> tuple[int, float] | None:
 
 
 def shading_exponent(stack: FloatArray, vectors: FloatArray) -> float:
-    """The exponent p, value = light^p, at which shading fits matt surfaces best, under equal lights.
+    """The exponent p, value = light^p, at which shading fits matt surfaces best, under equal
+    lights.
 
-    Small errors of their brightness are taken out. Parameters as of :func:`image_gains`, in colours that scatter
-    little in the skin. Light that is added to all images does not show: it looks like a surface that faces the camera.
+    Small errors of their brightness are taken out. Parameters as of :func:`image_gains`, in colours
+    that scatter little in the skin. Light that is added to all images does not show: it looks like
+    a surface that faces the camera.
     """
     logs = np.log(_EXPONENTS)
     best = []
@@ -348,7 +397,10 @@ def shading_exponent(stack: FloatArray, vectors: FloatArray) -> float:
         varied = light.std(axis=0) / light.mean(axis=0)
         flanks = np.flatnonzero(varied > np.quantile(varied, _FLANKS))
         flanks = flanks[:: max(1, len(flanks) // _FLANK_PIXELS)]
-        residuals = [_residual(light[:, flanks] ** np.float32(1 / p), vectors[..., flanks]) * p for p in _EXPONENTS]
+        residuals = [
+            _residual(light[:, flanks] ** np.float32(1 / p), vectors[..., flanks]) * p
+            for p in _EXPONENTS
+        ]
         k = int(np.clip(np.argmin(residuals), 1, len(residuals) - 2))
         bend, slope, _ = np.polyfit(logs[k - 1 : k + 2], residuals[k - 1 : k + 2], 2)
         best.append(float(np.clip(-slope / (2 * bend), logs[0], logs[-1])) if bend > 0 else 0.0)
@@ -365,7 +417,8 @@ def _residual(light: FloatArray, vectors: FloatArray) -> float:
 
 
 def height_over_half_width(height_mm: FloatArray, mask: BoolArray, pitch_mm: float) -> float:
-    """How high a finger's surface (h, w) rises over half its width, as half an ellipse across: median over its rows.
+    """How high a finger's surface (h, w) rises over half its width, as half an ellipse across:
+    median over its rows.
 
     NaN where it has no ten rows that are nearly as wide as the widest and end inside the image.
     """
@@ -378,7 +431,9 @@ def height_over_half_width(height_mm: FloatArray, mask: BoolArray, pitch_mm: flo
         across = (columns - 0.5 * (columns[0] + columns[-1])) / half
         near = np.abs(across) < _AWAY
         terms = np.column_stack([np.ones(near.sum()), across[near], np.sqrt(1 - across[near] ** 2)])
-        fit = np.linalg.lstsq(terms, height_mm[row, columns[near]].astype(np.float64), rcond=None)[0]
+        fit = np.linalg.lstsq(terms, height_mm[row, columns[near]].astype(np.float64), rcond=None)[
+            0
+        ]
         ratios.append(fit[2] / (half * pitch_mm))
     return float(np.median(ratios)) if len(ratios) >= 10 else float("nan")
 
@@ -390,10 +445,11 @@ def blue_over_red(stack: FloatArray) -> float:
 
 
 def clipped_part(pixels: PixelArray) -> tuple[float, int, int]:
-    """Largest part of n pixels at the highest stored value of its colour, in an image; the image, and the colour.
+    """Largest part of n pixels at the highest stored value of its colour, in an image; the image,
+    and the colour.
 
-    `pixels`: (L, n, C) as stored. The highest value is that of all images of a colour: clipped images may have been
-    darkened later.
+    `pixels`: (L, n, C) as stored. The highest value is that of all images of a colour: clipped
+    images may have been darkened later.
     """
     top = pixels.max(axis=(0, 1))
     part = (pixels >= top - top // 100).mean(axis=1)

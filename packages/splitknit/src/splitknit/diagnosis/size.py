@@ -17,24 +17,30 @@ USUAL_PERIOD_MM = 0.45
 _PERIOD_PX_PER_MM = 20.0
 """Scale that is enough to measure it."""
 _SEEN_PX, _COVERED = 5.0, 0.5
-"""Where usual ridges are closer than this, they may not be seen, and films' gloss or dry skin looks like wider ones: a
-doubt needs a wave in so many of the places, as fingers have in 0.6 to 0.8."""
+"""Where usual ridges are closer than this, they may not be seen, and films' gloss or dry skin looks
+like wider ones: a doubt needs a wave in so many of the places, as fingers have in 0.6 to 0.8."""
 
 
 def doubt_of_size(capture: Capture, result: Reconstruction, metric: bool) -> tuple[Finding, ...]:
-    """Doubts where the skin is oddly deep, or its ridges lie oddly far apart. Raises BadInput if no finger is so deep.
+    """Doubts where the skin is oddly deep, or its ridges lie oddly far apart. Raises BadInput if no
+    finger is so deep.
 
-    `metric`: whether it is the method `metric`, whose normals show the ridges' distance also at a rig's scale.
+    `metric`: whether it is the method `metric`, whose normals show the ridges' distance also at a
+    rig's scale.
     """
     if capture.material != "skin":
         return ()
     depth_mm = float(np.ptp(result.height_mm[result.mask]))
-    deep = DEPTH.notes(depth_mm, "check the images, the order and directions of the lights, and the scale")
+    deep = DEPTH.notes(
+        depth_mm, "check the images, the order and directions of the lights, and the scale"
+    )
     odd = (*deep, *_odd_ridge_period(capture, result, metric))
     return tuple(replace(finding, severity=Severity.DOUBT) for finding in odd)
 
 
-def _odd_ridge_period(capture: Capture, result: Reconstruction, metric: bool) -> tuple[Finding, ...]:
+def _odd_ridge_period(
+    capture: Capture, result: Reconstruction, metric: bool
+) -> tuple[Finding, ...]:
     camera = capture.rig.camera
     stated = all(led.position_mm is None for led in capture.rig.leds)
     if not camera.scale_known or "scale" in capture.rig.provenance or not (stated or metric):
@@ -42,12 +48,19 @@ def _odd_ridge_period(capture: Capture, result: Reconstruction, metric: bool) ->
     every = max(1, int(camera.px_per_mm / _PERIOD_PX_PER_MM))
     try:
         # a doubt needs few blocks
-        ridges = ridge_period(result.normals[::every, ::every], result.mask[::every, ::every], step=32)
+        ridges = ridge_period(
+            result.normals[::every, ::every], result.mask[::every, ::every], step=32
+        )
     except BadInput:  # too coarse to show any
         return ()
     if ridges.part < _COVERED and USUAL_PERIOD_MM * camera.px_per_mm < _SEEN_PX:
         return ()
     period_mm, (low, high) = ridges.period_px * every * result.pitch_mm, RIDGE_PERIOD.possible
-    factor = f"{period_mm / USUAL_PERIOD_MM:.2g} of the true ones if the ridges lie {USUAL_PERIOD_MM:g} mm apart"
-    remedy = f"check the scale of {camera.px_per_mm:g} px/mm (`px_per_mm`), as all lengths are {factor}"
+    factor = (
+        f"{period_mm / USUAL_PERIOD_MM:.2g} of the true ones if the ridges lie {USUAL_PERIOD_MM:g}"
+        " mm apart"
+    )
+    remedy = (
+        f"check the scale of {camera.px_per_mm:g} px/mm (`px_per_mm`), as all lengths are {factor}"
+    )
     return RIDGE_PERIOD.notes(float(np.clip(period_mm, low, high)), remedy)

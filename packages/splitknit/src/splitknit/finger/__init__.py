@@ -1,1 +1,2 @@
-"""From linear images to the pixels that are the finger: mask, orientation, phalange, contrast, quality, motion."""
+"""From linear images to the pixels that are the finger: mask, orientation, phalange, contrast,
+quality, motion."""

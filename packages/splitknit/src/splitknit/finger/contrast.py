@@ -1,8 +1,9 @@
 """Contrast-limited adaptive histogram equalisation of float images of linear light.
 
-At full resolution, inside the mask's bounding box. OpenCV's CLAHE has 256 grey levels on 8-bit images (visible steps in
-a relief) and no usable clip limit on 16-bit ones (65,536 bins for 4,096 pixels), and it lets the black background into
-the histograms; so the equalisation is done here, with mappings that are continuous in the grey value.
+At full resolution, inside the mask's bounding box. OpenCV's CLAHE has 256 grey levels on 8-bit
+images (visible steps in a relief) and no usable clip limit on 16-bit ones (65,536 bins for 4,096
+pixels), and it lets the black background into the histograms; so the equalisation is done here,
+with mappings that are continuous in the grey value.
 """
 
 from __future__ import annotations
@@ -37,20 +38,28 @@ class ClaheSettings(Checked):
     grey: Literal["srgb", "linear"] = "srgb"
     """What is equalised: light in its ``srgb`` code, as pictures store it, or ``linear`` light."""
     tiles: Annotated[int, Limits(0, 512)] = 0
-    """Number of cells across the finger, and along it. 0: cells of 64 x 64 pixels at 75.7 px/mm, as in the thesis."""
+    """Number of cells across the finger, and along it. 0: cells of 64 x 64 pixels at 75.7 px/mm, as
+    in the thesis."""
     clip_limit: Annotated[float, Limits(1)] = 3.0
-    """Bins are clipped at this multiple of the mean bin (thesis: 2 to 4); contrast grows by at most this plus one."""
+    """Bins are clipped at this multiple of the mean bin (thesis: 2 to 4); contrast grows by at most
+    this plus one."""
 
 
 def clahe(
-    image: FloatArray, px_per_mm: float, settings: ClaheSettings | None = None, *, mask: BoolArray | None = None
+    image: FloatArray,
+    px_per_mm: float,
+    settings: ClaheSettings | None = None,
+    *,
+    mask: BoolArray | None = None,
 ) -> FloatArray:
-    """Equalise `image` (H, W), linear, in cells of 64 x 64 pixels (at 75.7 px/mm), or as the settings say, to [0, 1].
+    """Equalise `image` (H, W), linear, in cells of 64 x 64 pixels (at 75.7 px/mm), or as the
+    settings say, to [0, 1].
 
-    Every cell's histogram, taken over the pixels of `mask` (H, W), all where None, is clipped, the excess spread
-    evenly, and summed to a grey-value mapping; a pixel takes the bilinear mean of the mappings of the four cells around
-    it. Cells with little finger in them borrow from their neighbours. Outside the mask the result is zero. Source:
-    Zuiderveld, K., "Contrast limited adaptive histogram equalization", Graphics Gems IV, 1994; the thesis, 3.3.1.3.
+    Every cell's histogram, taken over the pixels of `mask` (H, W), all where None, is clipped, the
+    excess spread evenly, and summed to a grey-value mapping; a pixel takes the bilinear mean of the
+    mappings of the four cells around it. Cells with little finger in them borrow from their
+    neighbours. Outside the mask the result is zero. Source: Zuiderveld, K., "Contrast limited
+    adaptive histogram equalization", Graphics Gems IV, 1994; the thesis, 3.3.1.3.
     """
     from scipy.ndimage import map_coordinates  # half a second, for those who need it
 
@@ -91,7 +100,8 @@ def _histograms(level: FloatArray, inside: BoolArray, cell: _Cell) -> Array:
 
 
 def _borrow(counts: Array, least: float) -> Array:
-    """Add the neighbours' histograms to cells with fewer than `least` pixels, again until every cell has enough."""
+    """Add the neighbours' histograms to cells with fewer than `least` pixels, again until every
+    cell has enough."""
     for _ in range(sum(counts.shape[:2])):
         poor = counts.sum(axis=2) < least
         if not poor.any() or counts.sum() == 0:

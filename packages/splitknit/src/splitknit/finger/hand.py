@@ -26,27 +26,38 @@ _SHORTER_MM = 3.0
 """The little finger's tip lies at least this far behind the tip of the index finger."""
 
 
-def fingers_apart(capture: Capture, names: str | Sequence[str] = "auto", *, keep: bool = False) -> dict[str, Capture]:
-    """Cut a view of several fingers of one hand, side by side, into a capture of each, by name, from left to right.
+def fingers_apart(
+    capture: Capture, names: str | Sequence[str] = "auto", *, keep: bool = False
+) -> dict[str, Capture]:
+    """Cut a view of several fingers of one hand, side by side, into a capture of each, by name,
+    from left to right.
 
-    Each finger is what stands out from the background in one piece. It gets its bounding box with 4 mm around it; what
-    is nearer to another finger there is filled with the background's brightness. Images, lights and camera are
-    otherwise those of the view, in the frame of the part (:func:`splitknit.imaging.crop.cropped`). Raises BadInput if
-    another number of fingers stands apart, the hand cannot be told by the tips, or the scale is unknown; without `keep`
-    also if the tips are those of the other hand. `capture`: pads to the camera, tips up (or as `tip_direction_deg`
-    says), background between them. `names`: of the fingers from left to right in the picture; or ``right``, ``left``:
-    index to little finger of that hand; or ``auto``: the hand follows from which end of the four has the shorter
-    finger, the little one.
+    Each finger is what stands out from the background in one piece. It gets its bounding box with 4
+    mm around it; what is nearer to another finger there is filled with the background's brightness.
+    Images, lights and camera are otherwise those of the view, in the frame of the part
+    (:func:`splitknit.imaging.crop.cropped`). Raises BadInput if another number of fingers stands
+    apart, the hand cannot be told by the tips, or the scale is unknown; without `keep` also if the
+    tips are those of the other hand. `capture`: pads to the camera, tips up (or as
+    `tip_direction_deg` says), background between them. `names`: of the fingers from left to right
+    in the picture; or ``right``, ``left``: index to little finger of that hand; or ``auto``: the
+    hand follows from which end of the four has the shorter finger, the little one.
     """
     scale = capture.rig.camera.px_per_mm
-    require(capture.rig.camera.scale_known, "fingers are told apart by their size: give the scale, `px_per_mm`.")
+    require(
+        capture.rig.camera.scale_known,
+        "fingers are told apart by their size: give the scale, `px_per_mm`.",
+    )
     VIEW.notes(max(capture.shape) / scale, f"check the scale of {scale:g} px/mm (`px_per_mm`)")
     binning = max(1, int(scale / _SURVEY_PX_PER_MM))
     mean, _ = linear_survey(capture.bands["white"], capture.encoding, binning)
     parts = finger_masks(mean, scale / binning)
     turn = np.deg2rad(capture.tip_direction_deg or 0.0)
-    frame = np.array([[-np.sin(turn), -np.cos(turn)], [np.cos(turn), -np.sin(turn)]])  # of rows, columns: right, up
-    places = sorted(((np.argwhere(part) @ frame, part) for part in parts), key=lambda one: float(one[0][:, 0].mean()))
+    # of rows, columns: right, up
+    frame = np.array([[-np.sin(turn), -np.cos(turn)], [np.cos(turn), -np.sin(turn)]])
+    places = sorted(
+        ((np.argwhere(part) @ frame, part) for part in parts),
+        key=lambda one: float(one[0][:, 0].mean()),
+    )
     named = _named(names, [float(place[:, 1].max()) * binning / scale for place, _ in places], keep)
     beside = (~np.logical_or.reduce(parts)).astype(np.uint8)
     _, nearest = cv2.distanceTransformWithLabels(beside, cv2.DIST_L2, cv2.DIST_MASK_5)
@@ -58,7 +69,9 @@ def fingers_apart(capture: Capture, names: str | Sequence[str] = "auto", *, keep
         inside = cv2.resize(near, own.shape[::-1], interpolation=cv2.INTER_NEAREST) > 0
         bands = {key: _alone(band, inside, scale) for key, band in own.bands.items()}
         mask = None if own.mask is None else own.mask & inside
-        found[name] = replace(own, bands=bands, mask=mask, subject={**capture.subject, "finger": name})
+        found[name] = replace(
+            own, bands=bands, mask=mask, subject={**capture.subject, "finger": name}
+        )
     return found
 
 
@@ -67,8 +80,9 @@ def _named(names: str | Sequence[str], tips_mm: Sequence[float], keep: bool) -> 
     wanted = len(_DIGITS) if isinstance(names, str) else len({*names})
     require(
         len(tips_mm) == wanted,
-        f"fingers that stand apart in the view: {len(tips_mm)}; named by `fingers`: {wanted}. "
-        "Name all in view, from left to right, and spread them so that the background shows between them.",
+        f"fingers that stand apart in the view: {len(tips_mm)}; named by `fingers`: {wanted}. Name"
+        " all in view, from left to right, and spread them so that the background shows between"
+        " them.",
     )
     if isinstance(names, str):
         lower = tips_mm[0] - tips_mm[-1]
@@ -80,12 +94,15 @@ def _named(names: str | Sequence[str], tips_mm: Sequence[float], keep: bool) -> 
             hand = seen
         require(
             keep or not clear or hand == seen,
-            f"the tips are those of a {seen} hand (the outer ones differ by {abs(lower):.0f} mm), not of a {hand}"
-            " one; correct `fingers`, or give `keep`.",
+            f"the tips are those of a {seen} hand (the outer ones differ by {abs(lower):.0f} mm),"
+            f" not of a {hand} one; correct `fingers`, or give `keep`.",
         )
         # pads to the camera: a right hand's thumb lies to the right
         return [f"{hand}_{digit}" for digit in (_DIGITS[::-1] if hand == "right" else _DIGITS)]
-    require(all(one.isidentifier() for one in names), "`fingers` must be names of letters, digits and _, or a hand.")
+    require(
+        all(one.isidentifier() for one in names),
+        "`fingers` must be names of letters, digits and _, or a hand.",
+    )
     return names
 
 

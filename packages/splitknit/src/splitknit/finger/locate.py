@@ -48,9 +48,11 @@ SURVEY_PX_PER_MM = 26.0
 SURVEY_SIDE = 64
 """... with so many pixels a side, where the image has them, whatever scale was stated."""
 _BESIDE_MM = 3.0
-"""Background around the finger that quality is measured with: so far reaches the widest filter that finds motion."""
+"""Background around the finger that quality is measured with: so far reaches the widest filter that
+finds motion."""
 BEYOND_CREASE_MM = 2.5
-"""Skin beyond the crease is reconstructed too, and then cut: light from it reaches the phalange under the skin."""
+"""Skin beyond the crease is reconstructed too, and then cut: light from it reaches the phalange
+under the skin."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -59,16 +61,20 @@ class FingerSettings(Checked):
 
     _group = ""
     camera: Literal["calibrated", "orthographic"] = "calibrated"
-    """``calibrated``: rays run as in the rig file's camera model; ``orthographic``: parallel, whatever the model is."""
+    """``calibrated``: rays run as in the rig file's camera model; ``orthographic``: parallel,
+    whatever the model is."""
     lights: LightsSettings = field(default_factory=LightsSettings)
     mask: MaskSettings = field(default_factory=MaskSettings)
     yaw: Literal["full_width", "all_rows"] = "full_width"
-    """Which rows' middles give the finger's yaw: those of full width, robustly, or the thesis's, all of them."""
+    """Which rows' middles give the finger's yaw: those of full width, robustly, or the thesis's,
+    all of them."""
     cut_at_crease: bool | Literal["equalised"] = True
-    """Keep the first phalange alone; ``equalised``: cut at the thesis's row with the fewest light pixels."""
+    """Keep the first phalange alone; ``equalised``: cut at the thesis's row with the fewest light
+    pixels."""
     motion: MotionSettings = field(default_factory=MotionSettings)
     keep: bool = False
-    """Go on where the photographs of skin contradict each other or their lights so much that the surface is spoilt."""
+    """Go on where the photographs of skin contradict each other or their lights so much that the
+    surface is spoilt."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -92,8 +98,11 @@ class Finger:
         return self.wider[self.window]
 
 
-def prepared_capture(capture: Capture, settings: FingerSettings) -> tuple[Capture, tuple[Finding, ...]]:
-    """The capture under the settings' camera model and lights, and notes. Raises BadInput as :func:`as_lit`."""
+def prepared_capture(
+    capture: Capture, settings: FingerSettings
+) -> tuple[Capture, tuple[Finding, ...]]:
+    """The capture under the settings' camera model and lights, and notes. Raises BadInput as
+    :func:`as_lit`."""
     bands = {name: grey_as_grey(band) for name, band in capture.bands.items()}
     if any(band is not capture.bands[name] for name, band in bands.items()):
         capture = replace(capture, bands=bands)
@@ -107,14 +116,18 @@ def prepared_capture(capture: Capture, settings: FingerSettings) -> tuple[Captur
 def find_finger(capture: Capture, settings: FingerSettings) -> Finger:
     """Mask, orientation, crease and quality, on images of about 26 px/mm.
 
-    An opaque thing is not a finger: it is not cut at a crease, may touch every border, and stays as it lies unless the
-    capture gives a `tip_direction_deg`. Raises BadInput if there is no finger, or it touches three borders.
+    An opaque thing is not a finger: it is not cut at a crease, may touch every border, and stays as
+    it lies unless the capture gives a `tip_direction_deg`. Raises BadInput if there is no finger,
+    or it touches three borders.
     """
     px_per_mm = capture.rig.camera.px_per_mm
     white = capture.bands["white"]
     rows, columns = capture.shape
-    fits = math.ceil(math.sqrt(4.0 * len(white.lights) * rows * columns / IN_MEMORY))  # 200 photographs are many
-    binning = max(1, min(int(px_per_mm / SURVEY_PX_PER_MM), min(rows, columns) // SURVEY_SIDE), fits)
+    # 200 photographs are many
+    fits = math.ceil(math.sqrt(4.0 * len(white.lights) * rows * columns / IN_MEMORY))
+    binning = max(
+        1, min(int(px_per_mm / SURVEY_PX_PER_MM), min(rows, columns) // SURVEY_SIDE), fits
+    )
     mean, stack = linear_survey(white, capture.encoding, binning)
     grey = pick_channel(mean, "grey")
     image = mean if has_colour(white) else grey
@@ -123,7 +136,10 @@ def find_finger(capture: Capture, settings: FingerSettings) -> Finger:
     stated_mask = capture.mask is not None
     if capture.mask is not None:
         outline = reduced(capture.mask, grey.shape)
-        require(outline.any(), "the given mask is too small: not one block of pixels lies inside it; mark all of it.")
+        require(
+            outline.any(),
+            "the given mask is too small: not one block of pixels lies inside it; mark all of it.",
+        )
     else:
         outline = _outline(capture, image, binning, settings.mask.method)
     quality, of_quality = _quality(capture, stack, outline, binning)
@@ -142,7 +158,9 @@ def find_finger(capture: Capture, settings: FingerSettings) -> Finger:
     if capture.mask is not None:
         mask = wide = np.asarray(capture.mask)
     else:
-        usable = photometric_mask(stack, kept, small_px, saturation=saturation_levels(white, capture.encoding))
+        usable = photometric_mask(
+            stack, kept, small_px, saturation=saturation_levels(white, capture.encoding)
+        )
         beyond = crease._replace(row=crease.row + BEYOND_CREASE_MM * small_px)
         wider = phalange_mask(outline, beyond, upright) if cut else outline
         wide = enlarged_mask(wider & (usable | ~kept), capture.shape, binning)
@@ -158,14 +176,22 @@ def find_finger(capture: Capture, settings: FingerSettings) -> Finger:
         findings.append(crease.verdict)
     facts = {
         "yaw_deg": float(np.rad2deg(upright.yaw_rad)),
-        "tip_direction": "given" if stated else "found" if searched and upright.clear else "assumed",
+        "tip_direction": (
+            "given" if stated else "found" if searched and upright.clear else "assumed"
+        ),
         "mask": "given" if stated_mask else "found",
         "crease_found": bool(crease.found and cut),
         "crease_distance_mm": float(crease.distance_mm) if crease.found else None,
-        "crease_line": [[(v + 0.5) * binning - 0.5 for v in end] for end in crease.line] if crease.line else None,
+        "crease_line": (
+            [[(v + 0.5) * binning - 0.5 for v in end] for end in crease.line]
+            if crease.line
+            else None
+        ),
     }
     window = bounding_box(wide, round(0.5 * px_per_mm))
-    return Finger(mask, wide, window, _scaled(upright, binning), facts, quality, (*findings, *of_quality))
+    return Finger(
+        mask, wide, window, _scaled(upright, binning), facts, quality, (*findings, *of_quality)
+    )
 
 
 def _other_fingers(image: FloatArray, px_per_mm: float) -> tuple[Finding, ...]:
@@ -176,13 +202,15 @@ def _other_fingers(image: FloatArray, px_per_mm: float) -> tuple[Finding, ...]:
     except BadInput:
         return ()
     words = (
-        f"the view shows {count} fingers, of which one is reconstructed: cut them apart with 'splitknit import CAPTURE "
-        "--fingers auto --out HAND'."
+        f"the view shows {count} fingers, of which one is reconstructed: cut them apart with"
+        " 'splitknit import CAPTURE --fingers auto --out HAND'."
     )
     return (Finding("several-fingers", words, Severity.DOUBT),) if count > 1 else ()
 
 
-def _outline(capture: Capture, image: FloatArray, binning: int, method: Literal["grown", "kmeans"]) -> BoolArray:
+def _outline(
+    capture: Capture, image: FloatArray, binning: int, method: Literal["grown", "kmeans"]
+) -> BoolArray:
     """Mask of the finger itself, not of its mirror images, in the mean of the white images."""
     camera = capture.rig.camera
     if capture.rig.mirrors:
@@ -195,11 +223,16 @@ def _outline(capture: Capture, image: FloatArray, binning: int, method: Literal[
         if capture.material == "opaque":
             words = words.replace("no finger", "no object").replace("the finger", "the object")
             words = words.replace("its tip and both sides are", "all of it is")
-            words = words.replace("or give a mask", "or give a mask (`mask` all, where the object fills the view)")
+            words = words.replace(
+                "or give a mask", "or give a mask (`mask` all, where the object fills the view)"
+            )
         if not camera.scale_known or not isinstance(error, NoFinger):
             raise type(error)(words) from error
         rows_mm, columns_mm = (side / camera.px_per_mm for side in capture.shape)
-        shows = f"by whose {camera.px_per_mm:g} px/mm the images show {columns_mm:.3g} x {rows_mm:.3g} mm"
+        shows = (
+            f"by whose {camera.px_per_mm:g} px/mm the images show {columns_mm:.3g} x"
+            f" {rows_mm:.3g} mm"
+        )
         raise BadInput(words.replace(" or give", f" and the scale, {shows}, or give")) from error
     if capture.material == "skin":
         check_borders(outline)
@@ -207,21 +240,28 @@ def _outline(capture: Capture, image: FloatArray, binning: int, method: Literal[
 
 
 def _check_width(mask: BoolArray, px_per_mm: float, stated: bool) -> tuple[Finding, ...]:
-    """Refuse a mask that is nowhere wide enough to hold a surface, or wider than a finger; note an odd one."""
+    """Refuse a mask that is nowhere wide enough to hold a surface, or wider than a finger; note an
+    odd one."""
     padded = np.pad(mask[bounding_box(mask)].astype(np.uint8), 1)
-    width_mm = 2.0 * float(cv2.distanceTransform(padded, cv2.DIST_L2, cv2.DIST_MASK_PRECISE).max()) / px_per_mm
+    width_mm = (
+        2.0
+        * float(cv2.distanceTransform(padded, cv2.DIST_L2, cv2.DIST_MASK_PRECISE).max())
+        / px_per_mm
+    )
     least_mm = FINGER_WIDTH.possible[0]
     narrow = (
-        f"only a strip of {width_mm:.1f} mm of the finger is bright enough in all images; capture it again with more "
-        "light, or give a mask."
+        f"only a strip of {width_mm:.1f} mm of the finger is bright enough in all images; capture"
+        " it again with more light, or give a mask."
     )
     if stated:
         narrow = (
-            f"the given mask is too small: it is nowhere wider than {width_mm:.1f} mm, and {least_mm:g} mm are needed; "
-            "mark the whole finger, or check the rig's px_per_mm."
+            f"the given mask is too small: it is nowhere wider than {width_mm:.1f} mm, and"
+            f" {least_mm:g} mm are needed; mark the whole finger, or check the rig's px_per_mm."
         )
     require(width_mm >= least_mm, narrow)
-    odd = FINGER_WIDTH.notes(width_mm, "check the scale (`px_per_mm`) that all lengths come from, or the mask")
+    odd = FINGER_WIDTH.notes(
+        width_mm, "check the scale (`px_per_mm`) that all lengths come from, or the mask"
+    )
     return tuple(replace(finding, severity=Severity.DOUBT) for finding in odd)
 
 
@@ -231,7 +271,10 @@ def _quality(
     """Quality figures and findings of every band, on images reduced by `binning`."""
     px_per_mm = capture.rig.camera.px_per_mm / binning
     rows, columns = bounding_box(outline, round(_BESIDE_MM * px_per_mm))
-    window = (slice(rows.start * binning, rows.stop * binning), slice(columns.start * binning, columns.stop * binning))
+    window = (
+        slice(rows.start * binning, rows.stop * binning),
+        slice(columns.start * binning, columns.stop * binning),
+    )
     inside = outline[rows, columns]
     skin = capture.material == "skin"
     promised = skin or not capture.rig.intensities_assumed
@@ -256,13 +299,18 @@ def _quality(
         )
         figures |= outline_figures(outline, px_per_mm)
         names = band.image_names
-        findings = [*few_lights(lights), *quality_findings(figures, finger=skin, names=names, promised=promised)]
+        findings = [
+            *few_lights(lights),
+            *quality_findings(figures, finger=skin, names=names, promised=promised),
+        ]
         if len(stack) >= 4 and skin:
             motion = shot_motion(stack, inside, px_per_mm)
             figures["motion_mm"] = np.hypot(*motion.shift_mm.T).tolist()
             figures["motion_reliability"] = motion.reliability.tolist()
             findings += motion_findings(motion, names)
-        return figures, [replace(finding, message=f"{name} band: {finding.message}") for finding in findings]
+        return figures, [
+            replace(finding, message=f"{name} band: {finding.message}") for finding in findings
+        ]
 
     with ThreadPoolExecutor(2) as pool:
         bands = dict(zip(capture.bands, pool.map(of_band, capture.bands), strict=True))
@@ -272,16 +320,23 @@ def _quality(
 
 def reduced(mask: BoolArray, shape: tuple[int, ...]) -> BoolArray:
     """A mask on a smaller grid: pixels that lie in it by more than half."""
-    return np.asarray(cv2.resize(mask.astype(np.float32), (shape[1], shape[0]), interpolation=cv2.INTER_AREA) > 0.5)
+    return np.asarray(
+        cv2.resize(mask.astype(np.float32), (shape[1], shape[0]), interpolation=cv2.INTER_AREA)
+        > 0.5
+    )
 
 
 def enlarged_mask(mask: BoolArray, shape: tuple[int, int], factor: int) -> BoolArray:
     """A mask of blocks on the full grid, its outline smooth."""
-    return mask if factor == 1 else np.asarray(enlarged(mask.astype(np.float32), factor, shape) > 0.5)
+    return (
+        mask if factor == 1 else np.asarray(enlarged(mask.astype(np.float32), factor, shape) > 0.5)
+    )
 
 
 def _scaled(upright: Upright, factor: int) -> Upright:
-    grow = np.array([[factor, 0, (factor - 1) / 2], [0, factor, (factor - 1) / 2], [0, 0, 1]], dtype=np.float64)
+    grow = np.array(
+        [[factor, 0, (factor - 1) / 2], [0, factor, (factor - 1) / 2], [0, 0, 1]], dtype=np.float64
+    )
     column, row = upright.tip
     return replace(
         upright,

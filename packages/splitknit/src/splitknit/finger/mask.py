@@ -1,7 +1,7 @@
 """Which pixels are the finger.
 
-The coarse decision (k-means) is taken at about 10 px/mm, the outline at about 20 px/mm with sub-pixel interpolation to
-the full grid: finer than the skin's own blur, and a tenth of the work.
+The coarse decision (k-means) is taken at about 10 px/mm, the outline at about 20 px/mm with
+sub-pixel interpolation to the full grid: finer than the skin's own blur, and a tenth of the work.
 """
 
 from __future__ import annotations
@@ -43,26 +43,32 @@ _FINE_BLUR_MM = 0.06
 _SAMPLES = 8000
 """The background is fitted to about so many pixels."""
 _EDGE_FRACTION = 0.12
-"""A pixel is finger if it rises from the background by this fraction of the finger's median rise."""
+"""A pixel is finger if it rises from the background by this fraction of the finger's median
+rise."""
 _NOISE_FACTOR = 5.0
 """A pixel is finger if it also rises by this many standard deviations of the background's noise."""
 _SPUR_FRACTION = 0.4
 """Parts narrower than this fraction of the finger's own width are cut off."""
 _SPECK_MM = 1.0
-"""Bumps of the outline narrower than twice this (dust on the background beside the finger) are cut off."""
+"""Bumps of the outline narrower than twice this (dust on the background beside the finger) are cut
+off."""
 _EDGE_MARGIN_MM = 1.0
-"""Width of the zone along the outline that counts neither as finger nor as background while either is measured."""
+"""Width of the zone along the outline that counts neither as finger nor as background while either
+is measured."""
 _MIN_WIDTH_MM = 4.0
 """A region nowhere as wide as this is not a finger."""
 _BRIGHT = 0.1
-"""A background at least this bright against the brightest of the image may be darker than skin in some places only."""
+"""A background at least this bright against the brightest of the image may be darker than skin in
+some places only."""
 _COLOURED = 0.3
-"""A bright background whose channels differ by more than this fraction is distinguished by its colour."""
+"""A bright background whose channels differ by more than this fraction is distinguished by its
+colour."""
 _MIN_STEP = 0.15
-"""A region across whose outline neither brightness nor colour changes by this fraction is not a finger."""
+"""A region across whose outline neither brightness nor colour changes by this fraction is not a
+finger."""
 _NO_FINGER = (
-    "no finger was found in the white images: nothing stands out from the background in colour or brightness; "
-    "check the exposure, the LEDs and the dark background, or give a mask."
+    "no finger was found in the white images: nothing stands out from the background in colour or"
+    " brightness; check the exposure, the LEDs and the dark background, or give a mask."
 )
 
 # In two steps, where time counts: roughly where the finger is, and its outline around that.
@@ -83,22 +89,26 @@ class MaskSettings(Checked):
     """How the finger is separated from the background."""
 
     method: Literal["grown", "kmeans"] = "grown"
-    """``grown``: from a seed by k-means to whatever rises from the background; ``kmeans``: the thesis's two clusters of
-    the chromaticity alone."""
+    """``grown``: from a seed by k-means to whatever rises from the background; ``kmeans``: the
+    thesis's two clusters of the chromaticity alone."""
 
 
-def finger_mask(mean_image: FloatArray, px_per_mm: float, method: Literal["grown", "kmeans"] = "grown") -> BoolArray:
-    """Find the finger, (H, W) bool, one component without holes, on a dark background, or on an even, coloured one.
+def finger_mask(
+    mean_image: FloatArray, px_per_mm: float, method: Literal["grown", "kmeans"] = "grown"
+) -> BoolArray:
+    """Find the finger, (H, W) bool, one component without holes, on a dark background, or on an
+    even, coloured one.
 
-    `mean_image`: (H, W, 3) or (H, W), mean of the white frames, linear, ambient removed, at any scale. Seed: k-means (k
-    = 2) on the blurred chromaticity of the modified specular-free image, or on brightness where that separates better
-    (grey images, strong infra-red leakage). The finger is the cluster that holds less of the image's border. Then the
-    background is fitted outside the seed and the seed grows to whatever rises from it, so that a shadowed part is not
-    lost; spurs are cut, the largest component kept and its holes (specular reflection) filled. Before a bright,
-    coloured background all this is done on the sum of the channels in which the background's own colour vanishes.
-    `method`: as in :class:`MaskSettings`.
-    Raises BadInput if there is no finger, or it touches three borders of the image. Source: the thesis, section
-    3.3.1.1, eqs. 3.58-3.63 (3.61 corrected).
+    `mean_image`: (H, W, 3) or (H, W), mean of the white frames, linear, ambient removed, at any
+    scale. Seed: k-means (k = 2) on the blurred chromaticity of the modified specular-free image, or
+    on brightness where that separates better (grey images, strong infra-red leakage). The finger is
+    the cluster that holds less of the image's border. Then the background is fitted outside the
+    seed and the seed grows to whatever rises from it, so that a shadowed part is not lost; spurs
+    are cut, the largest component kept and its holes (specular reflection) filled. Before a bright,
+    coloured background all this is done on the sum of the channels in which the background's own
+    colour vanishes. `method`: as in :class:`MaskSettings`. Raises BadInput if there is no finger,
+    or it touches three borders of the image. Source: the thesis, section 3.3.1.1, eqs. 3.58-3.63
+    (3.61 corrected).
     """
     image = _checked(mean_image)
     size = image.shape[:2]
@@ -121,7 +131,8 @@ def finger_mask(mean_image: FloatArray, px_per_mm: float, method: Literal["grown
     try:
         rough = _coarse_mask(coarse, coarse_px, _SAMPLES)
     except BadInput:
-        check_borders(_bright_side(bright))  # so close that there is more finger than background along the border
+        # so close that there is more finger than background along the border
+        check_borders(_bright_side(bright))
         raise
     mask = _fine_outline(fine, rough, size, fine_px, _SAMPLES)
     check_borders(mask)
@@ -129,7 +140,8 @@ def finger_mask(mean_image: FloatArray, px_per_mm: float, method: Literal["grown
 
 
 def finger_region(mean_image: FloatArray, px_per_mm: float) -> BoolArray:
-    """Roughly where the finger is, to a pixel of the coarse copy: the first step of :func:`finger_mask`, which see."""
+    """Roughly where the finger is, to a pixel of the coarse copy: the first step of
+    :func:`finger_mask`, which see."""
     image = _checked(mean_image)
     scale = reduction(image.shape[:2], px_per_mm, _ROUGH_PX_PER_MM, 600)
     coarse = blur(reduce_image(image, scale), 0.5 * _BLUR_MM * px_per_mm * scale)
@@ -139,18 +151,22 @@ def finger_region(mean_image: FloatArray, px_per_mm: float) -> BoolArray:
 
 
 def finger_outline(mean_image: FloatArray, rough: BoolArray, px_per_mm: float) -> BoolArray:
-    """Refine a mask `rough` (h, w) of the same view, at any scale, to the finger's outline (H, W): the last step of
-    :func:`finger_mask`. `mean_image`: with 3 mm of background around it. BadInput if nothing stands out.
+    """Refine a mask `rough` (h, w) of the same view, at any scale, to the finger's outline (H, W):
+    the last step of :func:`finger_mask`. `mean_image`: with 3 mm of background around it. BadInput
+    if nothing stands out.
     """
     image = _checked(mean_image)
     require(rough.any(), _NO_FINGER, NoFinger)
     scale = reduction(image.shape[:2], px_per_mm, _OUTLINE_PX_PER_MM, 1200)
-    return _fine_outline(reduce_image(image, scale), rough, image.shape[:2], px_per_mm * scale, _FEW_SAMPLES)
+    return _fine_outline(
+        reduce_image(image, scale), rough, image.shape[:2], px_per_mm * scale, _FEW_SAMPLES
+    )
 
 
 def finger_masks(mean_image: FloatArray, px_per_mm: float) -> list[BoolArray]:
-    """Roughly where several fingers are between which the background shows: a mask (H, W) each, by the clusters of
-    :func:`finger_mask`, of 4 mm and a fifth of the largest one's area at least. Raises BadInput if there is none.
+    """Roughly where several fingers are between which the background shows: a mask (H, W) each, by
+    the clusters of :func:`finger_mask`, of 4 mm and a fifth of the largest one's area at least.
+    Raises BadInput if there is none.
     """
     image = blur(_checked(mean_image), 0.5 * _BLUR_MM * px_per_mm)
     weights = _colour_filter(image)
@@ -160,7 +176,9 @@ def finger_masks(mean_image: FloatArray, px_per_mm: float) -> list[BoolArray]:
         filled = fill_holes(cluster)
         return filled & dilate(erode(filled, radius), 1.15 * radius)
 
-    mask = _seed(image if weights is None else _filtered(image, weights), _BLUR_MM * px_per_mm, wide)
+    mask = _seed(
+        image if weights is None else _filtered(image, weights), _BLUR_MM * px_per_mm, wide
+    )
     _, labels, stats, _ = cv2.connectedComponentsWithStats(mask.astype(np.uint8), connectivity=4)
     areas = stats[1:, cv2.CC_STAT_AREA]
     return [labels == 1 + k for k in np.flatnonzero(areas >= _SMALLEST_PART * areas.max())]
@@ -169,11 +187,14 @@ def finger_masks(mean_image: FloatArray, px_per_mm: float) -> list[BoolArray]:
 def touched_borders(mask: BoolArray) -> tuple[str, ...]:
     """Names of the image borders that `mask` reaches along at least 1 % of their length."""
     sides = {"top": mask[0], "bottom": mask[-1], "left": mask[:, 0], "right": mask[:, -1]}
-    return tuple(name for name, line in sides.items() if int(line.sum()) >= max(3, 0.01 * line.size))
+    return tuple(
+        name for name, line in sides.items() if int(line.sum()) >= max(3, 0.01 * line.size)
+    )
 
 
 def check_borders(mask: BoolArray) -> tuple[str, ...]:
-    """The borders that `mask` touches: one where the finger enters, or two across a corner. BadInput for more."""
+    """The borders that `mask` touches: one where the finger enters, or two across a corner.
+    BadInput for more."""
     touched = touched_borders(mask)
     require(
         len(touched) < 3,
@@ -188,10 +209,12 @@ def _checked(image: FloatArray) -> FloatArray:
     rows, columns = image.shape[:2]
     require(
         min(rows, columns) >= 16,
-        f"the picture is too small for a finger: {rows} x {columns} pixels where it is looked for, and 16 each way are "
-        "needed; check the rig's px_per_mm, or take larger images.",
+        f"the picture is too small for a finger: {rows} x {columns} pixels where it is looked for,"
+        " and 16 each way are needed; check the rig's px_per_mm, or take larger images.",
     )
-    return np.ascontiguousarray(image[..., 0] if image.ndim == 3 and image.shape[2] == 1 else image, dtype=np.float32)
+    return np.ascontiguousarray(
+        image[..., 0] if image.ndim == 3 and image.shape[2] == 1 else image, dtype=np.float32
+    )
 
 
 def _enlarged(mask: BoolArray, size: tuple[int, ...]) -> BoolArray:
@@ -203,14 +226,20 @@ def _enlarged(mask: BoolArray, size: tuple[int, ...]) -> BoolArray:
 
 
 def _seed(
-    image: FloatArray, sigma: float, tidy: Callable[[BoolArray], BoolArray], *, colour_alone: bool = False
+    image: FloatArray,
+    sigma: float,
+    tidy: Callable[[BoolArray], BoolArray],
+    *,
+    colour_alone: bool = False,
 ) -> BoolArray:
-    """Cluster by chromaticity and by brightness, keep the clearer split; `tidy` leaves what of it may be a finger.
-    `colour_alone`: by chromaticity, where there is any.
+    """Cluster by chromaticity and by brightness, keep the clearer split; `tidy` leaves what of it
+    may be a finger. `colour_alone`: by chromaticity, where there is any.
     """
     brightness = _brightness(image)
     ceiling = max(float(np.percentile(brightness, 99.5)), 1e-12)
-    candidates = [blur(np.sqrt(np.clip(brightness / ceiling, 0.0, 1.0)).astype(np.float32), sigma)[..., None]]
+    candidates = [
+        blur(np.sqrt(np.clip(brightness / ceiling, 0.0, 1.0)).astype(np.float32), sigma)[..., None]
+    ]
     if image.ndim == 3:
         candidates.append(blur(_chromaticity(image), sigma))
     best = np.zeros(brightness.shape, dtype=np.bool_)
@@ -232,13 +261,16 @@ def _without_spurs(cluster: BoolArray) -> BoolArray:
 
 
 def _finger_cluster(second: BoolArray, brightness: FloatArray) -> BoolArray:
-    """Whichever side holds less of the image's border; the brighter one where both hold about as much."""
+    """Whichever side holds less of the image's border; the brighter one where both hold about as
+    much."""
     fraction = float(_border(second).mean())
     if abs(fraction - 0.5) > 0.1:
         return second if fraction < 0.5 else ~second
     if not second.any() or second.all():
         return second
-    return second if float(brightness[second].mean()) > float(brightness[~second].mean()) else ~second
+    return (
+        second if float(brightness[second].mean()) > float(brightness[~second].mean()) else ~second
+    )
 
 
 def _border(image: NDArray[Any]) -> NDArray[Any]:
@@ -252,13 +284,18 @@ def _bright_side(image: FloatArray) -> BoolArray:
     second = _two_means(brightness.reshape(-1, 1))[0].reshape(brightness.shape)
     levels = [float(brightness[part].mean()) if part.any() else 0.0 for part in (second, ~second)]
     bright = second if levels[0] > levels[1] else ~second
-    return largest_component(bright) if max(levels) > 3.0 * max(min(levels), 0.0) else np.zeros_like(bright)
+    return (
+        largest_component(bright)
+        if max(levels) > 3.0 * max(min(levels), 0.0)
+        else np.zeros_like(bright)
+    )
 
 
 def _two_means(features: FloatArray) -> tuple[BoolArray, float]:
-    """Membership (N,) of the second of two clusters of features (N, D), by Lloyd's algorithm (IEEE Trans. IT 28(2),
-    1982) from a split at the middle of the direction of greatest variance; and the distance of the two means over the
-    pooled standard deviation along it. The same answer every time.
+    """Membership (N,) of the second of two clusters of features (N, D), by Lloyd's algorithm (IEEE
+    Trans. IT 28(2), 1982) from a split at the middle of the direction of greatest variance; and the
+    distance of the two means over the pooled standard deviation along it. The same answer every
+    time.
     """
     values = np.ascontiguousarray(features.T, dtype=np.float64)
     centred = values - values.mean(axis=1)[:, None]
@@ -269,7 +306,8 @@ def _two_means(features: FloatArray) -> tuple[BoolArray, float]:
         count = int(np.count_nonzero(second))
         if count in {0, second.size}:
             return second, 0.0
-        mean = np.einsum("in,n->i", centred, second.astype(np.float64)) / count  # of the first: what makes the sum zero
+        # of the first: what makes the sum zero
+        mean = np.einsum("in,n->i", centred, second.astype(np.float64)) / count
         axis = mean * (second.size / (second.size - count))
         along = np.einsum("in,i->n", centred, axis)
         updated = along > float(np.sum(axis * mean)) - 0.5 * float(np.sum(axis * axis))
@@ -295,9 +333,10 @@ def _least(image: FloatArray) -> FloatArray:
 
 
 def _chromaticity(image: FloatArray) -> FloatArray:
-    """Chromaticity (H, W, 3) in [0, 1] of the modified specular-free image I - I_min + mean(I_min), I_min a pixel's
-    least channel. The mean settles the colour of the unlit background too: noise does not turn into colour there.
-    Source: the thesis, eqs. 3.58-3.63, (3.61) corrected as the sources of the dichromatic model have it.
+    """Chromaticity (H, W, 3) in [0, 1] of the modified specular-free image I - I_min + mean(I_min),
+    I_min a pixel's least channel. The mean settles the colour of the unlit background too: noise
+    does not turn into colour there. Source: the thesis, eqs. 3.58-3.63, (3.61) corrected as the
+    sources of the dichromatic model have it.
     """
     least = _least(image)
     average = max(float(np.maximum(least, 0.0).mean()), 1e-3 * float(np.abs(image).max()), 1e-12)
@@ -306,15 +345,16 @@ def _chromaticity(image: FloatArray) -> FloatArray:
 
 
 def _signals(image: FloatArray) -> list[FloatArray]:
-    """Brightness, and the sum of I - I_min, which ignores neutral light: reflection, white dust, leaked infra-red."""
+    """Brightness, and the sum of I - I_min, which ignores neutral light: reflection, white dust,
+    leaked infra-red."""
     brightness = _brightness(image)
     return [brightness] if image.ndim == 2 else [brightness, brightness - 3.0 * _least(image)]
 
 
 def _colour_filter(image: FloatArray) -> FloatArray | None:
-    """(3,) weights of the channels in whose sum a bright, coloured background vanishes; None before any other. They are
-    orthogonal to its colour, the median along the image's border (skin along most of it is none), towards the direction
-    in which the rest of the image is strongest.
+    """(3,) weights of the channels in whose sum a bright, coloured background vanishes; None before
+    any other. They are orthogonal to its colour, the median along the image's border (skin along
+    most of it is none), towards the direction in which the rest of the image is strongest.
     """
     if image.ndim == 2:
         return None
@@ -354,11 +394,12 @@ def _region(mask: BoolArray, reach: float) -> _Region:
 def _skin_evidence(
     image: FloatArray, seed: _Region, margin: float, samples: int, *, local: bool = False
 ) -> tuple[FloatArray, bool]:
-    """Evidence map (H, W): above one where a pixel rises from the background by enough to be skin; and whether any
-    signal distinguishes the seed. The background is a quadratic surface fitted robustly outside the seed, the threshold
-    `_EDGE_FRACTION` of the rise inside it nearby (at most of its median), at least `_NOISE_FACTOR` times the noise: a
-    shadow on the finger stays finger. `margin`: pixels around the seed that belong to neither side; `local`: the
-    background may follow a shadow's edge beside a complete seed; `samples`: pixels fitted.
+    """Evidence map (H, W): above one where a pixel rises from the background by enough to be skin;
+    and whether any signal distinguishes the seed. The background is a quadratic surface fitted
+    robustly outside the seed, the threshold `_EDGE_FRACTION` of the rise inside it nearby (at most
+    of its median), at least `_NOISE_FACTOR` times the noise: a shadow on the finger stays finger.
+    `margin`: pixels around the seed that belong to neither side; `local`: the background may follow
+    a shadow's edge beside a complete seed; `samples`: pixels fitted.
     """
     outside = seed.away > margin
     inside = seed.depth > 0.5 * margin
@@ -378,22 +419,28 @@ def _skin_evidence(
         if level < 3.0 * _NOISE_FACTOR * noise or level <= 0.0:
             continue
         usable = True
-        near, cover = _local_mean(np.maximum(rise, 0.0), inside, 2.0 * margin)  # a shaded part is darker
+        # a shaded part is darker
+        near, cover = _local_mean(np.maximum(rise, 0.0), inside, 2.0 * margin)
         expected = np.minimum(np.where(cover > 1e-2, near, level), level)
         threshold = np.maximum(_EDGE_FRACTION * expected, _NOISE_FACTOR * noise)
         np.maximum(evidence, rise / threshold.astype(np.float32), out=evidence)
     return evidence, usable
 
 
-def _local_mean(values: FloatArray, where: BoolArray, sigma: float) -> tuple[FloatArray, FloatArray]:
+def _local_mean(
+    values: FloatArray, where: BoolArray, sigma: float
+) -> tuple[FloatArray, FloatArray]:
     """Mean of values near every pixel over those of a region, and how much of it is near."""
     weight = where.astype(np.float32)
     cover = wide_blur(weight, sigma)
     return wide_blur(values * weight, sigma) / np.maximum(cover, 1e-3), cover
 
 
-def _fit_background(signal: FloatArray, outside: BoolArray, samples: int) -> tuple[FloatArray, float]:
-    """Robust quadratic surface through `signal` outside the finger, and the noise about it, from the darker pixels."""
+def _fit_background(
+    signal: FloatArray, outside: BoolArray, samples: int
+) -> tuple[FloatArray, float]:
+    """Robust quadratic surface through `signal` outside the finger, and the noise about it, from
+    the darker pixels."""
     height, width = signal.shape
     x = np.linspace(-1.0, 1.0, width)
     y = np.linspace(-1.0, 1.0, height)
@@ -417,13 +464,16 @@ def _fit_background(signal: FloatArray, outside: BoolArray, samples: int) -> tup
         if np.array_equal(keep, kept):
             break
     level, right, down, right_right, down_down, twist = solution
-    surface = (level + right * x + right_right * x * x)[None, :] + (down * y + down_down * y * y)[:, None]
+    surface = (level + right * x + right_right * x * x)[None, :] + (down * y + down_down * y * y)[
+        :, None
+    ]
     surface += (twist * y)[:, None] * x[None, :]
     return surface.astype(np.float32), noise
 
 
 def _below(residual: Array) -> tuple[BoolArray, float]:
-    """Those of the background, and the scatter below it: robust or plain deviation, which counts a shadow's edge."""
+    """Those of the background, and the scatter below it: robust or plain deviation, which counts a
+    shadow's edge."""
     negative = -residual[residual <= 0.0]
     if negative.size == 0:
         return residual <= 1e-12, 0.0
@@ -442,7 +492,8 @@ def _coarse_mask(image: FloatArray, px_per_mm: float, samples: int) -> BoolArray
         evidence, usable = _skin_evidence(image, seed, margin, samples)
         require(usable, _NO_FINGER, NoFinger)
         grown = fill_holes((evidence > 1.0) | (seed.depth > 0.5 * float(seed.depth.max())))
-        cleaned = remove_spurs(largest_component(grown), _SPUR_FRACTION)  # it holds the middle of the seed
+        # it holds the middle of the seed
+        cleaned = remove_spurs(largest_component(grown), _SPUR_FRACTION)
         require(cleaned.any(), _NO_FINGER, NoFinger)
         mask = fill_holes(cleaned)
     finger = _region(mask, 1.3 * margin)
@@ -452,29 +503,39 @@ def _coarse_mask(image: FloatArray, px_per_mm: float, samples: int) -> BoolArray
 
 
 def _step_at_edge(image: FloatArray, region: _Region, reach: float) -> float:
-    """Relative step of brightness or colour across the outline: (inside - outside) / inside, the larger."""
+    """Relative step of brightness or colour across the outline: (inside - outside) / inside, the
+    larger."""
     inside = region.mask & (region.depth <= reach)
     outside = (region.away <= 1.3 * reach) & (region.away > 0.3 * reach)
     if not outside.any() or not inside.any():
         return 0.0
-    levels = [(float(np.median(signal[inside])), float(np.median(signal[outside]))) for signal in _signals(image)]
+    levels = [
+        (float(np.median(signal[inside])), float(np.median(signal[outside])))
+        for signal in _signals(image)
+    ]
     return max((within - without) / within if within > 0.0 else 0.0 for within, without in levels)
 
 
 def _fine_outline(
     fine: FloatArray, rough: BoolArray, size: tuple[int, ...], px_per_mm: float, samples: int
 ) -> BoolArray:
-    """Find the edge of the mask `rough` on the `fine` copy and interpolate it to `size` (rows, columns)."""
+    """Find the edge of the mask `rough` on the `fine` copy and interpolate it to `size` (rows,
+    columns)."""
     guess = _enlarged(rough, fine.shape)
     margin = _EDGE_MARGIN_MM * px_per_mm
     region = _region(guess, margin)
-    evidence, _ = _skin_evidence(blur(fine, _FINE_BLUR_MM * px_per_mm), region, margin, samples, local=True)
+    evidence, _ = _skin_evidence(
+        blur(fine, _FINE_BLUR_MM * px_per_mm), region, margin, samples, local=True
+    )
     near = (region.away <= 0.7 * margin) & (region.depth <= margin)
     skin = np.where(near, evidence > 1.0, guess)
     cleaned = remove_spurs(largest_component(fill_holes(skin)), _SPUR_FRACTION)
     cleaned = fill_holes(remove_specks(cleaned, _SPECK_MM * px_per_mm))
     require(cleaned.any(), _NO_FINGER, NoFinger)
-    # above one exactly on `cleaned`; between the grid points the evidence itself gives where one is crossed
+    # above one exactly on `cleaned`; between the grid points the evidence itself gives where one is
+    # crossed
     field = np.where(cleaned, np.clip(evidence, 1.001, 2.0), np.clip(evidence, 0.0, 0.999))
-    field = np.where(erode(cleaned, 1.5), 2.0, np.where(dilate(cleaned, 1.5), field, 0.0)).astype(np.float32)
+    field = np.where(erode(cleaned, 1.5), 2.0, np.where(dilate(cleaned, 1.5), field, 0.0)).astype(
+        np.float32
+    )
     return largest_component(cv2.resize(field, (size[1], size[0])) > 1.0)

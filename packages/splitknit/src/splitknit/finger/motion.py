@@ -1,8 +1,10 @@
-"""Whether the finger moved between the shots. Measured and warned of; :mod:`.registration` undoes it.
+"""Whether the finger moved between the shots. Measured and warned of; :mod:`.registration` undoes
+it.
 
-On copies of at most 10 px/mm, coarser for the coarse bands. Shots differ in illumination, and a moving light looks like
-a moving finger: a ridge lit from the left seems shifted against the same ridge lit from the right by up to a tenth of a
-millimetre. That apparent shift follows the light's direction, so it is fitted and taken off.
+On copies of at most 10 px/mm, coarser for the coarse bands. Shots differ in illumination, and a
+moving light looks like a moving finger: a ridge lit from the left seems shifted against the same
+ridge lit from the right by up to a tenth of a millimetre. That apparent shift follows the light's
+direction, so it is fitted and taken off.
 """
 
 from __future__ import annotations
@@ -22,7 +24,8 @@ from splitknit.model import Array, BoolArray, FloatArray
 from splitknit.settings import Checked, Limits
 
 _BANDS_MM = (0.3, 0.15, 0.08)
-"""Fine ends (sigma) of the band-pass filters, coarse to fine; a finger may move by about twice the first."""
+"""Fine ends (sigma) of the band-pass filters, coarse to fine; a finger may move by about twice the
+first."""
 _ITERATIONS = 6
 """Maximum refinements in each band."""
 _SAMPLES = 20_000
@@ -34,7 +37,8 @@ WARN_MM = 0.05
 CORRECT_MM = 0.02
 """Motion from here on is undone. Still simulated fingers show at most 0.014 mm."""
 MOST_LEFT = 0.35
-"""Fraction of the details that may be left over once the motion is undone, before the shots are refused."""
+"""Fraction of the details that may be left over once the motion is undone, before the shots are
+refused."""
 MIN_RELIABILITY = 0.8
 """Motion of a shot with less reliability than this is ignored."""
 
@@ -44,7 +48,8 @@ class MotionSettings(Checked):
     """How motion between shots is measured, and undone."""
 
     correct: Literal["auto", "on", "off"] = "auto"
-    """``auto``: motion of skin above 0.02 mm is undone; ``on``: any motion is; ``off``: motion only gives a warning."""
+    """``auto``: motion of skin above 0.02 mm is undone; ``on``: any motion is; ``off``: motion only
+    gives a warning."""
     most_mm: Annotated[float, Limits(0, above=True)] = 0.8
     """More motion is refused, because ridges may be mistaken for their neighbours."""
 
@@ -53,15 +58,17 @@ class _ShotMotion(NamedTuple):
     shift_mm: Array
     """(L, 2): x right, y up."""
     reliability: Array
-    """(L,) in [0, 1]: correlation of the shot's details with those of the other shots, after alignment."""
+    """(L,) in [0, 1]: correlation of the shot's details with those of the other shots, after
+    alignment."""
 
 
 def shot_motion(stack: FloatArray, mask: BoolArray, px_per_mm: float) -> _ShotMotion:
-    """By how much the finger shifted in each shot of `stack` (L, H, W), linear, against the others. Each shot, over its
-    local brightness and band-passed, is registered to the others' mean (Lucas-Kanade with a gain, robustly weighted),
-    coarse to fine; what of the shifts is a linear function of the light's centroid is illumination, the rest motion.
-    All is zero below five shots, and a drift that follows the lights around is underestimated. Source: Lucas, B. and
-    Kanade, T., "An iterative image registration technique", IJCAI 1981.
+    """By how much the finger shifted in each shot of `stack` (L, H, W), linear, against the others.
+    Each shot, over its local brightness and band-passed, is registered to the others' mean
+    (Lucas-Kanade with a gain, robustly weighted), coarse to fine; what of the shifts is a linear
+    function of the light's centroid is illumination, the rest motion. All is zero below five shots,
+    and a drift that follows the lights around is underestimated. Source: Lucas, B. and Kanade, T.,
+    "An iterative image registration technique", IJCAI 1981.
     """
     box = bounding_box(mask, int((2.0 * SURROUND_MM + 2.0 * BAND_RATIO * _BANDS_MM[0]) * px_per_mm))
     count = len(stack)
@@ -75,7 +82,9 @@ def shot_motion(stack: FloatArray, mask: BoolArray, px_per_mm: float) -> _ShotMo
     agreement = np.zeros(count)
     for band in _BANDS_MM:
         bands, region, light, px = _details(stack, mask, px_per_mm, band)
-        aligned = np.stack([_shifted(image, shift * px) for image, shift in zip(bands, shifts, strict=True)])
+        aligned = np.stack(
+            [_shifted(image, shift * px) for image, shift in zip(bands, shifts, strict=True)]
+        )
         total = aligned.sum(axis=0)
         shifts_px = np.zeros_like(shifts)
         for k in range(count):
@@ -86,7 +95,8 @@ def shot_motion(stack: FloatArray, mask: BoolArray, px_per_mm: float) -> _ShotMo
 
 
 def motion_findings(motion: _ShotMotion, names: Sequence[str] = ()) -> tuple[Finding, ...]:
-    """A finding of shots in which the finger moved by more than `WARN_MM`; `names`: of the photographs' files."""
+    """A finding of shots in which the finger moved by more than `WARN_MM`; `names`: of the
+    photographs' files."""
     length = np.hypot(motion.shift_mm[:, 0], motion.shift_mm[:, 1])
     moved = np.flatnonzero((length > WARN_MM) & (motion.reliability >= MIN_RELIABILITY))
     if len(moved) == 0:
@@ -94,8 +104,8 @@ def motion_findings(motion: _ShotMotion, names: Sequence[str] = ()) -> tuple[Fin
     files = tuple(names[int(k)] if names else f"image {k}" for k in moved)
     which = ", ".join(f"{escaped(file)} by {{:.2f mm}}" for file in files)
     words = (
-        f"the finger moved between the shots ({which}): the relief is blurred there; rest the finger on its support "
-        "and capture again."
+        f"the finger moved between the shots ({which}): the relief is blurred there; rest the"
+        " finger on its support and capture again."
     )
     return (Finding("moved-finger", words, files=files, lengths_mm=tuple(length[moved].tolist())),)
 
@@ -108,7 +118,8 @@ def _reduced(mask: BoolArray, scale: float) -> BoolArray:
 def _details(
     stack: FloatArray, mask: BoolArray, px_per_mm: float, band_mm: float
 ) -> tuple[FloatArray, BoolArray, Array, float]:
-    """Band-passed copies (L, h, w), pixels used, where the light falls in each (L, 2), and their scale."""
+    """Band-passed copies (L, h, w), pixels used, where the light falls in each (L, 2), and their
+    scale."""
     scale = min(1.0, 0.8 / band_mm / px_per_mm)
     px = px_per_mm * scale
     inside = _reduced(mask, scale)
@@ -127,7 +138,9 @@ def _details(
         small = reduce_image(image, scale)[box]
         on_finger = np.maximum(small[inside], 0.0)
         power = max(float(on_finger.sum(dtype=np.float64)), 1e-12)
-        light.append(tuple(float(np.einsum("n,n->", on_finger, place)) / power for place in (columns, rows)))
+        light.append(
+            tuple(float(np.einsum("n,n->", on_finger, place)) / power for place in (columns, rows))
+        )
         floor = max(0.1 * quantile(on_finger[::8]), 1e-12)
         local = np.maximum(blur(small, 1.2 * px), floor)
         relative: FloatArray = np.divide(small, local, dtype=np.float32)
@@ -136,13 +149,17 @@ def _details(
 
 
 def _shifted(image: FloatArray, shift: Array) -> FloatArray:
-    """The image with a shift of (columns, rows) undone: cubic interpolation, between pixels at any place."""
+    """The image with a shift of (columns, rows) undone: cubic interpolation, between pixels at any
+    place."""
     across, down = (_cubic(float(along)) for along in shift)
-    return np.asarray(cv2.sepFilter2D(image, cv2.CV_32F, across, down, borderType=cv2.BORDER_REPLICATE))
+    return np.asarray(
+        cv2.sepFilter2D(image, cv2.CV_32F, across, down, borderType=cv2.BORDER_REPLICATE)
+    )
 
 
 def _cubic(shift: float) -> Array:
-    """Weights of the pixels around one for the value at a distance of `shift`; Keys' kernel with a = -0.75."""
+    """Weights of the pixels around one for the value at a distance of `shift`; Keys' kernel with a
+    = -0.75."""
     reach = int(np.ceil(abs(shift))) + 1
     away = np.abs(np.arange(-reach, reach + 1) - shift)
     near = (1.25 * away - 2.25) * away * away + 1.0
@@ -150,13 +167,23 @@ def _cubic(shift: float) -> Array:
     return np.where(away < 1.0, near, np.where(away < 2.0, far, 0.0))
 
 
-def _register(reference: FloatArray, image: FloatArray, start: Array, region: BoolArray) -> tuple[Array, float]:
-    """Shift of `image` against `reference` (columns, rows; pixels), and their correlation when aligned."""
+def _register(
+    reference: FloatArray, image: FloatArray, start: Array, region: BoolArray
+) -> tuple[Array, float]:
+    """Shift of `image` against `reference` (columns, rows; pixels), and their correlation when
+    aligned."""
     places = np.flatnonzero(region)
     places = places[:: max(1, len(places) // _SAMPLES)]
     every = max(1, len(places) // 4_000)  # a median needs no more
     down, right = np.gradient(reference)
-    rows = np.stack([-right.ravel()[places], -down.ravel()[places], reference.ravel()[places], np.zeros(len(places))])
+    rows = np.stack(
+        [
+            -right.ravel()[places],
+            -down.ravel()[places],
+            reference.ravel()[places],
+            np.zeros(len(places)),
+        ]
+    )
     rows = rows.astype(np.float32)
     values = rows[3]
     shift = start.astype(np.float64)
@@ -174,11 +201,14 @@ def _register(reference: FloatArray, image: FloatArray, start: Array, region: Bo
         if float(np.abs(step).max()) < 0.01:
             break
     products = _products(rows[2:] * root)
-    return shift, float(products[0, 1]) / max(float(np.sqrt(products[0, 0] * products[1, 1])), 1e-30)
+    return shift, float(products[0, 1]) / max(
+        float(np.sqrt(products[0, 0] * products[1, 1])), 1e-30
+    )
 
 
 def _without_illumination(shifts: Array, light: Array) -> Array:
-    """What of the shifts (L, 2) is not a linear function of the light's place (L, 2): least absolute deviations."""
+    """What of the shifts (L, 2) is not a linear function of the light's place (L, 2): least
+    absolute deviations."""
     place = light - light.mean(axis=0)
     place = place / max(float(np.abs(place).max()), 1e-9)
     design = np.concatenate([place, np.ones((len(place), 1))], axis=1)
@@ -199,7 +229,8 @@ def _products(rows: FloatArray) -> Array:
 
 
 def _least_squares(products: Array) -> Array:
-    """(K,) weights of K rows that come nearest to a last one, by the inner products (K + 1, K + 1) of all."""
+    """(K,) weights of K rows that come nearest to a last one, by the inner products (K + 1, K + 1)
+    of all."""
     normal = products[:-1, :-1]
     target = products[:-1, -1]
     scale = np.sqrt(np.maximum(np.diag(normal), 1e-30))

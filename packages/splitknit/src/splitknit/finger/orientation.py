@@ -1,7 +1,7 @@
 """Which way the finger points, and the frame in which it is upright (tip up).
 
-All on a copy of the mask whose longer side has 512 pixels: the centroid of each of its rows is exact to a small
-fraction of a pixel, and the angle follows from hundreds of them.
+All on a copy of the mask whose longer side has 512 pixels: the centroid of each of its rows is
+exact to a small fraction of a pixel, and the angle follows from hundreds of them.
 """
 
 from __future__ import annotations
@@ -33,7 +33,8 @@ _CAPS = (0.45, 0.65, 0.9)
 _HIDDEN = (0.0, 0.5, 1.5)
 """How much of the tip may lie beyond the image's border, in widths."""
 _CLEAR = 0.03
-"""The direction is clear if all others, more than 60 deg away, differ from the mask by so many squared widths more."""
+"""The direction is clear if all others, more than 60 deg away, differ from the mask by so many
+squared widths more."""
 _UNLIKE = 0.3
 """A mask that differs from every finger by this many squared widths shows no direction."""
 _MARGIN_FRACTION = 0.02
@@ -72,15 +73,20 @@ class Upright:
         return float((self.upright_from_input @ np.array([*self.tip, 1.0]))[1])
 
 
-def find_upright(mask: BoolArray, tip_direction_deg: float | None = None, *, all_rows: bool = False) -> Upright:
-    """The yaw of the finger `mask` (H, W) and the frame in which it is upright; nothing is resampled. A line is fitted
-    robustly (Tukey's biweight) to the midpoints of full-width rows, without the tip and rows cut by the border, again
-    in the frame turned by its angle until that stays. `tip_direction_deg`: of the tip within 75 deg, 0 = up,
-    counter-clockwise; None: found by the outline; `all_rows`: a plain line through the middles of all rows, as the
-    thesis has it. Source: the thesis, 3.3.1.1, "Orientation Correction".
+def find_upright(
+    mask: BoolArray, tip_direction_deg: float | None = None, *, all_rows: bool = False
+) -> Upright:
+    """The yaw of the finger `mask` (H, W) and the frame in which it is upright; nothing is
+    resampled. A line is fitted robustly (Tukey's biweight) to the midpoints of full-width rows,
+    without the tip and rows cut by the border, again in the frame turned by its angle until that
+    stays. `tip_direction_deg`: of the tip within 75 deg, 0 = up, counter-clockwise; None: found by
+    the outline; `all_rows`: a plain line through the middles of all rows, as the thesis has it.
+    Source: the thesis, 3.3.1.1, "Orientation Correction".
     """
     stated = tip_direction_deg is not None
-    expected, clear = _tip_direction(mask) if tip_direction_deg is None else (np.deg2rad(tip_direction_deg), True)
+    expected, clear = (
+        _tip_direction(mask) if tip_direction_deg is None else (np.deg2rad(tip_direction_deg), True)
+    )
     scale = min(1.0, _LONGEST_SIDE / max(mask.shape))
     small = reduce_mask(mask, scale)
     visible = np.zeros(small.shape, dtype=np.float32)
@@ -99,11 +105,14 @@ def find_upright(mask: BoolArray, tip_direction_deg: float | None = None, *, all
     note = ""
     turn = _between(angle, expected)
     if not reliable:
-        note = "the outline shows no axis (too little of the finger is in view); it was taken as upright."
+        note = (
+            "the outline shows no axis (too little of the finger is in view); it was taken as"
+            " upright."
+        )
     elif abs(turn) > np.deg2rad(_LIMIT_DEG):
         note = (
-            f"the outline's axis is turned by {np.rad2deg(turn):.0f} deg from where the tip was expected; it was not "
-            "believed (set tip_direction_deg)."
+            f"the outline's axis is turned by {np.rad2deg(turn):.0f} deg from where the tip was"
+            " expected; it was not believed (set tip_direction_deg)."
         )
         reliable = False
     yaw = float(expected + turn if reliable else expected)
@@ -111,9 +120,9 @@ def find_upright(mask: BoolArray, tip_direction_deg: float | None = None, *, all
         yaw = _between(angle if reliable else expected, 0.0)
     if not clear and not note:
         note = (
-            "the outline does not show which way the finger's tip points; it was taken to point "
-            f"{round(float(np.rad2deg(yaw)))} deg from up, counter-clockwise. If it does not, give `tip_direction_deg` "
-            "(tip_direction_deg in capture.json)."
+            "the outline does not show which way the finger's tip points; it was taken to point"
+            f" {round(float(np.rad2deg(yaw)))} deg from up, counter-clockwise. If it does not, give"
+            " `tip_direction_deg` (tip_direction_deg in capture.json)."
         )
     return replace(_frame(mask, yaw), reliable=reliable, clear=clear, note=note)
 
@@ -129,7 +138,8 @@ def _between(angle: float, reference: float) -> float:
 
 
 def _tip_direction(mask: BoolArray) -> tuple[float, bool]:
-    """Direction of the tip by the outline, and whether it is clear; of several that fit, that nearest to up."""
+    """Direction of the tip by the outline, and whether it is clear; of several that fit, that
+    nearest to up."""
     directions = _tip_directions(mask)
     best, least = min(directions, key=itemgetter(1))
     close = [angle for angle, difference in directions if difference < least + _CLEAR]
@@ -139,9 +149,10 @@ def _tip_direction(mask: BoolArray) -> tuple[float, bool]:
 
 
 def _tip_directions(mask: BoolArray) -> list[tuple[float, float]]:
-    """How well a finger that points in each direction covers the mask: pairs of direction (rad, counter-clockwise from
-    up) and area by which they differ (squared widths). The finger is a strip of the mask's width with one round end;
-    only what the image shows of it is compared, so that a cut by the border, at whatever slant, is not evidence.
+    """How well a finger that points in each direction covers the mask: pairs of direction (rad,
+    counter-clockwise from up) and area by which they differ (squared widths). The finger is a strip
+    of the mask's width with one round end; only what the image shows of it is compared, so that a
+    cut by the border, at whatever slant, is not evidence.
     """
     scale = min(1.0, _SEARCHED_SIDE / max(mask.shape))
     small = reduce_mask(mask, scale) > 0.5
@@ -159,7 +170,8 @@ def _tip_directions(mask: BoolArray) -> list[tuple[float, float]]:
 
 
 def _difference(across: Array, down: Array, inside: BoolArray) -> tuple[int, float]:
-    """In how many pixels the mask `inside` (N,) differs from an upright finger at best, and the finger's width."""
+    """In how many pixels the mask `inside` (N,) differs from an upright finger at best, and the
+    finger's width."""
     first = float(down[inside].min())
     last = float(down[inside].max())
     strip = np.floor(down[inside] - first).astype(np.intp)
@@ -185,11 +197,17 @@ def _difference(across: Array, down: Array, inside: BoolArray) -> tuple[int, flo
 
 
 def _start(small: FloatArray, expected: float) -> float:
-    """First guess: from the middle of the finger's entry at the image's border to the middle of the mask."""
+    """First guess: from the middle of the finger's entry at the image's border to the middle of the
+    mask."""
     rows, columns = np.nonzero(small > 0.5)
     if len(rows) == 0:
         return expected
-    edge = (rows <= 1) | (columns <= 1) | (rows >= small.shape[0] - 2) | (columns >= small.shape[1] - 2)
+    edge = (
+        (rows <= 1)
+        | (columns <= 1)
+        | (rows >= small.shape[0] - 2)
+        | (columns >= small.shape[1] - 2)
+    )
     up = np.array([-np.sin(expected), -np.cos(expected)])  # (column, row) of the expected direction
     centre = np.array([columns.mean(), rows.mean()])
     if int(edge.sum()) >= 6:
@@ -210,11 +228,20 @@ def _direction(axis: Array) -> float:
     return float(np.arctan2(-axis[0], -axis[1]))
 
 
-def _tilt(small: FloatArray, visible: FloatArray, angle: float, *, all_rows: bool = False) -> tuple[float, bool]:
-    """Angle by which the midline leans (counter-clockwise) in the frame turned by `angle`, and whether it exists."""
+def _tilt(
+    small: FloatArray, visible: FloatArray, angle: float, *, all_rows: bool = False
+) -> tuple[float, bool]:
+    """Angle by which the midline leans (counter-clockwise) in the frame turned by `angle`, and
+    whether it exists."""
     side = int(np.ceil(np.hypot(*small.shape))) + 2
     middle = ((small.shape[1] - 1) / 2, (small.shape[0] - 1) / 2)
-    shift = np.array([[1.0, 0.0, middle[0] - (side - 1) / 2], [0.0, 1.0, middle[1] - (side - 1) / 2], [0, 0, 1.0]])
+    shift = np.array(
+        [
+            [1.0, 0.0, middle[0] - (side - 1) / 2],
+            [0.0, 1.0, middle[1] - (side - 1) / 2],
+            [0, 0, 1.0],
+        ]
+    )
     transform = rotation_about(middle, angle) @ shift
     turned = np.clip(warp(small, transform, (side, side)), 0.0, 1.0)
     inside = warp(visible, transform, (side, side)) > 0.5
@@ -247,7 +274,10 @@ def _robust_slope(rows: Array, columns: Array) -> float:
         total = weights.sum()
         mean_x = (weights * x).sum() / total
         mean_y = (weights * columns).sum() / total
-        slope = float((weights * (x - mean_x) * (columns - mean_y)).sum() / (weights * (x - mean_x) ** 2).sum())
+        slope = float(
+            (weights * (x - mean_x) * (columns - mean_y)).sum()
+            / (weights * (x - mean_x) ** 2).sum()
+        )
         intercept = float(mean_y - slope * mean_x)
         residual = columns - intercept - slope * x
         spread = max(1.4826 * float(np.median(np.abs(residual))), 0.05)
@@ -259,7 +289,8 @@ def _robust_slope(rows: Array, columns: Array) -> float:
 
 
 def _frame(mask: BoolArray, yaw: float) -> Upright:
-    """Bounding box of the turned mask, its tip and its width, from the outline's pixels at full resolution."""
+    """Bounding box of the turned mask, its tip and its width, from the outline's pixels at full
+    resolution."""
     rows, columns = _outline(mask)
     turn = rotation_about((0.0, 0.0), -yaw)  # input to turned, both about the first pixel
     turned = turn[:2, :2] @ np.stack([columns, rows]).astype(np.float64)
@@ -279,12 +310,17 @@ def _frame(mask: BoolArray, yaw: float) -> Upright:
     widths = np.where(np.isfinite(left), right - left + 1.0, 0.0)
     width = float(np.median(widths[widths >= 0.8 * widths.max()]))
     top = lines <= max(1.0, 0.03 * width)
-    tip = input_from_upright @ np.array([float(turned[0][top].mean()) - origin[0], float(low[1] - origin[1]), 1.0])
-    return Upright(yaw, input_from_upright, (int(size[1]), int(size[0])), (float(tip[0]), float(tip[1])), width)
+    tip = input_from_upright @ np.array(
+        [float(turned[0][top].mean()) - origin[0], float(low[1] - origin[1]), 1.0]
+    )
+    return Upright(
+        yaw, input_from_upright, (int(size[1]), int(size[0])), (float(tip[0]), float(tip[1])), width
+    )
 
 
 def _outline(mask: BoolArray) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Rows and columns of the first and last mask pixel of every row and every column: enough for any extent."""
+    """Rows and columns of the first and last mask pixel of every row and every column: enough for
+    any extent."""
     any_row = np.flatnonzero(mask.any(axis=1))
     any_column = np.flatnonzero(mask.any(axis=0))
     left = mask[any_row].argmax(axis=1)

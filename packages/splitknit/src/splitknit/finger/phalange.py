@@ -1,7 +1,7 @@
 """Where the first phalange ends: the first flexion crease below the tip.
 
-Searched in the upright frame at about 8 px/mm: a crease is half a millimetre wide and more, ridges must be gone. The
-cut itself is a straight line on the full grid.
+Searched in the upright frame at about 8 px/mm: a crease is half a millimetre wide and more, ridges
+must be gone. The cut itself is a straight line on the full grid.
 """
 
 from __future__ import annotations
@@ -29,7 +29,8 @@ _MIN_DEPTH = 0.025
 _MIN_COVERAGE = 0.6
 """Fraction of the finger's width along which the valley must be seen."""
 _MIN_PROMINENCE = 2.5
-"""Minimum depth in units of what lines across this finger usually show (80th percentile of the profile)."""
+"""Minimum depth in units of what lines across this finger usually show (80th percentile of the
+profile)."""
 _MAX_TILT_DEG = 15.0
 """Creases may lean by this much against the finger's axis."""
 _RATIO_RANGE = (0.95, 2.4)
@@ -49,7 +50,8 @@ _MIN_PROMINENT = 0.2
 _DOUBLET_MM = 5.0
 """Two creases nearer than this are the two lines of one joint."""
 _DOUBLET_FRACTION = 0.75
-"""Least depth of the upper of two such lines, over that of the lower one, for the upper to be taken."""
+"""Least depth of the upper of two such lines, over that of the lower one, for the upper to be
+taken."""
 
 
 class Crease(NamedTuple):
@@ -67,28 +69,40 @@ class Crease(NamedTuple):
 
 
 def find_crease(
-    mean_grey: FloatArray, mask: BoolArray, upright: Upright, px_per_mm: float, *, equalised: bool = False
+    mean_grey: FloatArray,
+    mask: BoolArray,
+    upright: Upright,
+    px_per_mm: float,
+    *,
+    equalised: bool = False,
 ) -> Crease:
     """Find the first flexion crease below the tip; where none is in view, the verdict says why.
 
-    The thesis equalises and blurs the mean grey image, binarises it and takes the row with the most dark pixels. Here a
-    logarithm equalises, which removes tone and brightness. A place counts as dark if it is darker than the skin on
-    *both* sides of it along the finger; the edge of a shadow and a smooth gradient are not. Rows may lean, and a crease
-    must cross most of the finger's width. Of several candidates, the clearest at a usual distance from the tip is
-    taken. Two lines of one joint are one crease, cut at the upper line unless that is the fainter. Source: the thesis,
-    section 3.3.1.1, "Phalange Segmentation", steps 1-5. `mean_grey`: (H, W) float32 linear; `mask`: (H, W) bool;
-    `equalised`: the thesis's way instead: the row with the fewest light pixels. It gives neither the number of rounds
-    nor the width of the blur; three and 0.5 mm here..
+    The thesis equalises and blurs the mean grey image, binarises it and takes the row with the most
+    dark pixels. Here a logarithm equalises, which removes tone and brightness. A place counts as
+    dark if it is darker than the skin on *both* sides of it along the finger; the edge of a shadow
+    and a smooth gradient are not. Rows may lean, and a crease must cross most of the finger's
+    width. Of several candidates, the clearest at a usual distance from the tip is taken. Two lines
+    of one joint are one crease, cut at the upper line unless that is the fainter. Source: the
+    thesis, section 3.3.1.1, "Phalange Segmentation", steps 1-5. `mean_grey`: (H, W) float32 linear;
+    `mask`: (H, W) bool; `equalised`: the thesis's way instead: the row with the fewest light
+    pixels. It gives neither the number of rounds nor the width of the blur; three and 0.5 mm here..
     """
     scale = min(1.0, _WORKING_PX_PER_MM / px_per_mm, 700 / max(upright.size))
     small, inside = _upright_copy(mean_grey, mask, upright, scale)
-    valleys = (_darkest_rows if equalised else _transverse_valleys)(small, inside, px_per_mm * scale)
+    valleys = (_darkest_rows if equalised else _transverse_valleys)(
+        small, inside, px_per_mm * scale
+    )
     tip_row = upright.tip_row
     at_full_scale = []
     for valley in valleys:
-        row, left, right = ((place + 0.5) / scale - 0.5 for place in (valley.row, valley.left, valley.right))
+        row, left, right = (
+            (place + 0.5) / scale - 0.5 for place in (valley.row, valley.left, valley.right)
+        )
         distance_mm = (row - tip_row) / px_per_mm
-        at_full_scale.append(valley._replace(row=row, left=left, right=right, distance_mm=distance_mm))
+        at_full_scale.append(
+            valley._replace(row=row, left=left, right=right, distance_mm=distance_mm)
+        )
     length_mm = (upright.size[0] - tip_row) / px_per_mm
     chosen, verdict = _judge(at_full_scale, upright.width_px / px_per_mm, length_mm)
     if chosen is None:
@@ -100,18 +114,22 @@ def find_crease(
 
 
 def phalange_mask(mask: BoolArray, crease: Crease, upright: Upright) -> BoolArray:
-    """The part of `mask` (H, W) on the tip's side of the crease, if any, cut normal to the finger's axis."""
+    """The part of `mask` (H, W) on the tip's side of the crease, if any, cut normal to the finger's
+    axis."""
     if not crease.found:
         return mask
     across, along, offset = upright.upright_from_input[1]
     columns = np.arange(mask.shape[1], dtype=np.float32) * np.float32(across)
-    rows = np.arange(mask.shape[0], dtype=np.float32) * np.float32(along) + np.float32(offset - crease.row)
+    rows = np.arange(mask.shape[0], dtype=np.float32) * np.float32(along) + np.float32(
+        offset - crease.row
+    )
     kept = mask & (columns[None, :] + rows[:, None] < 0.0)
     return largest_component(kept) if kept.any() else mask
 
 
 class _Valley(NamedTuple):
-    """A line across the finger that is darker than the skin above and below it (rows, columns: upright frame)."""
+    """A line across the finger that is darker than the skin above and below it (rows, columns:
+    upright frame)."""
 
     row: float
     """At the middle of the finger."""
@@ -129,19 +147,29 @@ class _Valley(NamedTuple):
     """From the tip."""
 
 
-def _upright_copy(grey: FloatArray, mask: BoolArray, upright: Upright, scale: float) -> tuple[FloatArray, BoolArray]:
+def _upright_copy(
+    grey: FloatArray, mask: BoolArray, upright: Upright, scale: float
+) -> tuple[FloatArray, BoolArray]:
     small = reduce_image(grey, scale)
     size = (max(8, round(upright.size[0] * scale)), max(8, round(upright.size[1] * scale)))
-    half = np.array([[1.0, 0.0, 0.5], [0.0, 1.0, 0.5], [0.0, 0.0, 1.0]])  # pixel centres to pixel corners
+    # pixel centres to pixel corners
+    half = np.array([[1.0, 0.0, 0.5], [0.0, 1.0, 0.5], [0.0, 0.0, 1.0]])
     ratios = small.shape[1] / grey.shape[1], small.shape[0] / grey.shape[0]
     shrink = np.linalg.inv(half) @ np.diag([*ratios, 1.0]) @ half
-    grow = np.linalg.inv(half) @ np.diag([upright.size[1] / size[1], upright.size[0] / size[0], 1.0]) @ half
+    grow = (
+        np.linalg.inv(half)
+        @ np.diag([upright.size[1] / size[1], upright.size[0] / size[0], 1.0])
+        @ half
+    )
     transform = shrink @ upright.input_from_upright @ grow
     return warp(small, transform, size), warp(reduce_mask(mask, scale), transform, size) > 0.9
 
 
-def _judge(candidates: Sequence[_Valley], width_mm: float, length_mm: float) -> tuple[_Valley | None, Finding]:
-    """Thesis step 4: choose among the candidates by clearness and by where a first crease usually lies."""
+def _judge(
+    candidates: Sequence[_Valley], width_mm: float, length_mm: float
+) -> tuple[_Valley | None, Finding]:
+    """Thesis step 4: choose among the candidates by clearness and by where a first crease usually
+    lies."""
     keep = "the whole visible finger is kept."
     if not candidates:
         words = f"no flexion crease is fully in view ({{:.0f mm}} of the finger are); {keep}"
@@ -152,8 +180,8 @@ def _judge(candidates: Sequence[_Valley], width_mm: float, length_mm: float) -> 
     if not plausible:
         places = "{:.1f mm-}, " * (len(candidates) - 1) + "{:.1f mm}"
         words = (
-            f"dark lines lie {places} below the tip, none where the first flexion crease of a finger {{:.1f mm}} wide "
-            f"can be; {keep}"
+            f"dark lines lie {places} below the tip, none where the first flexion crease of a"
+            f" finger {{:.1f mm}} wide can be; {keep}"
         )
         lengths_mm = (*(valley.distance_mm for valley in candidates), width_mm)
         return None, Finding("no-crease", words, lengths_mm=lengths_mm)
@@ -170,7 +198,11 @@ def _judge(candidates: Sequence[_Valley], width_mm: float, length_mm: float) -> 
 
     chosen = next(filter(upper_line, plausible), lower)
     further = len(candidates) - 1
-    extra = f" ({further} further dark line{'s' if further > 1 else ''} weighed against it)" if further else ""
+    extra = (
+        f" ({further} further dark line{'s' if further > 1 else ''} weighed against it)"
+        if further
+        else ""
+    )
     words = f"cut at the first flexion crease, {{:.1f mm}} below the tip{extra}."
     return chosen, Finding("crease", words, lengths_mm=(chosen.distance_mm,))
 
@@ -179,17 +211,24 @@ def _judge(candidates: Sequence[_Valley], width_mm: float, length_mm: float) -> 
 
 
 def _darkest_rows(image: FloatArray, inside: BoolArray, px_per_mm: float) -> list[_Valley]:
-    """Rows with fewer light pixels than those above and below, from the tip down: thesis, 3.3.1.1, steps 2 and 3."""
+    """Rows with fewer light pixels than those above and below, from the tip down: thesis, 3.3.1.1,
+    steps 2 and 3."""
     from scipy.signal import find_peaks  # slow to load, and needed here alone
 
     smooth = image
     for _ in range(_ROUNDS):  # histogram equalisation of the finger alone, then Gaussian blur
         level = np.zeros_like(image)
-        level[inside] = np.searchsorted(np.sort(smooth[inside]), smooth[inside]) / max(int(inside.sum()), 1)
+        level[inside] = np.searchsorted(np.sort(smooth[inside]), smooth[inside]) / max(
+            int(inside.sum()), 1
+        )
         smooth = smoothed(level, inside, _EQUALISED_MM * px_per_mm)
     width = inside.sum(axis=1)
-    dark = np.where(width > 0, 1.0 - (inside & (smooth > 0.5)).sum(axis=1) / np.maximum(width, 1), 1.0)
-    rows, peaks = find_peaks(dark, prominence=_MIN_PROMINENT, distance=max(1, round(_SIDE_MM * px_per_mm)))
+    dark = np.where(
+        width > 0, 1.0 - (inside & (smooth > 0.5)).sum(axis=1) / np.maximum(width, 1), 1.0
+    )
+    rows, peaks = find_peaks(
+        dark, prominence=_MIN_PROMINENT, distance=max(1, round(_SIDE_MM * px_per_mm))
+    )
     valleys = []
     for row, prominence in zip(rows, peaks["prominences"], strict=True):
         columns = np.flatnonzero(inside[row])
@@ -199,8 +238,9 @@ def _darkest_rows(image: FloatArray, inside: BoolArray, px_per_mm: float) -> lis
 
 
 def _transverse_valleys(image: FloatArray, inside: BoolArray, px_per_mm: float) -> list[_Valley]:
-    """All dark lines across an upright finger, from the tip down: places of the blurred image darker than the skin
-    `_SIDE_MM` above and below, averaged along lines that lean by up to `_MAX_TILT_DEG`.
+    """All dark lines across an upright finger, from the tip down: places of the blurred image
+    darker than the skin `_SIDE_MM` above and below, averaged along lines that lean by up to
+    `_MAX_TILT_DEG`.
     """
     response, valid = _response(image, inside, px_per_mm)
     widths = inside.sum(axis=1)
@@ -215,10 +255,13 @@ def _transverse_valleys(image: FloatArray, inside: BoolArray, px_per_mm: float) 
     coverage = coverages[best, rows]
     tilt = tilts[best].astype(np.float32)
     known = depth[depth != 0.0]
-    usual = max(float(np.percentile(known, 80.0)), 0.0) if known.size else 0.0  # depth of other lines
+    # depth of other lines
+    usual = max(float(np.percentile(known, 80.0)), 0.0) if known.size else 0.0
     reach = max(1, round(_SIDE_MM * px_per_mm))
     peaks = depth >= cv2.dilate(depth[:, None], np.ones((2 * reach + 1, 1), dtype=np.uint8))[:, 0]
-    strong = peaks & (depth >= max(_MIN_DEPTH, _MIN_PROMINENCE * usual)) & (coverage >= _MIN_COVERAGE)
+    strong = (
+        peaks & (depth >= max(_MIN_DEPTH, _MIN_PROMINENCE * usual)) & (coverage >= _MIN_COVERAGE)
+    )
     valleys: list[_Valley] = []
     for row in np.flatnonzero(strong & inside.any(axis=1)).tolist():
         if valleys and row - valleys[-1].row <= reach:
@@ -229,11 +272,13 @@ def _transverse_valleys(image: FloatArray, inside: BoolArray, px_per_mm: float) 
     return valleys
 
 
-def _response(image: FloatArray, inside: BoolArray, px_per_mm: float) -> tuple[FloatArray, BoolArray]:
-    """Relative darkness against the lesser of the two sides (H, W), and where it is known. It is of logarithms, free of
-    tone and brightness. Each side is continued to the centre with the slope that *both* share (the lesser, none of
-    opposite ones), so that no smooth gradient hides a crease; but a place must be darker than both sides as they are: a
-    shadow's edge or foot is not.
+def _response(
+    image: FloatArray, inside: BoolArray, px_per_mm: float
+) -> tuple[FloatArray, BoolArray]:
+    """Relative darkness against the lesser of the two sides (H, W), and where it is known. It is of
+    logarithms, free of tone and brightness. Each side is continued to the centre with the slope
+    that *both* share (the lesser, none of opposite ones), so that no smooth gradient hides a
+    crease; but a place must be darker than both sides as they are: a shadow's edge or foot is not.
     """
     weight = inside.astype(np.float32)
     sigma = max(_SMOOTHING_MM * px_per_mm, 0.3)
@@ -253,7 +298,9 @@ def _response(image: FloatArray, inside: BoolArray, px_per_mm: float) -> tuple[F
     lesser = np.sign(slope_above) * np.minimum(np.abs(slope_above), np.abs(slope_below))
     slope = np.where(agree, lesser, 0.0)
     plain = np.minimum(above, below) - level
-    response = np.minimum(np.minimum(above + slope, below - slope) - level, 3.0 * np.maximum(plain, 0.0))
+    response = np.minimum(
+        np.minimum(above + slope, below - slope) - level, 3.0 * np.maximum(plain, 0.0)
+    )
     response = np.where(plain > 0.0, response, np.minimum(plain, 0.0))
     known = inside & has_above & has_below
     return np.where(known, response, 0.0).astype(np.float32), known
@@ -264,7 +311,9 @@ def _moved_down(level: FloatArray, inside: BoolArray, step: int) -> tuple[FloatA
     moved = np.zeros_like(level)
     known = np.zeros_like(inside)
     if abs(step) < level.shape[0]:
-        target, source = (np.s_[step:], np.s_[:-step]) if step > 0 else (np.s_[:step], np.s_[-step:])
+        target, source = (
+            (np.s_[step:], np.s_[:-step]) if step > 0 else (np.s_[:step], np.s_[-step:])
+        )
         moved[target], known[target] = level[source], inside[source]
     return moved, known
 
@@ -272,7 +321,8 @@ def _moved_down(level: FloatArray, inside: BoolArray, step: int) -> tuple[FloatA
 def _along_lines(
     response: FloatArray, core: BoolArray, inside: BoolArray, finger_width: float, tilt: float
 ) -> tuple[FloatArray, FloatArray]:
-    """Mean response and fraction of responding columns for every line of one lean; zero where too little is known."""
+    """Mean response and fraction of responding columns for every line of one lean; zero where too
+    little is known."""
     height, width = response.shape
     occupied = np.flatnonzero(inside.any(axis=0))
     centre = float(occupied.mean()) if len(occupied) else 0.5 * width
@@ -287,7 +337,9 @@ def _along_lines(
     known = valid > 0.99
     count = known.sum(axis=1).astype(np.float32)
     enough = count > 0.6 * finger_width
-    depth = np.where(enough, (np.clip(values, -0.2, 0.2) * known).sum(axis=1) / np.maximum(count, 1.0), 0.0)
+    depth = np.where(
+        enough, (np.clip(values, -0.2, 0.2) * known).sum(axis=1) / np.maximum(count, 1.0), 0.0
+    )
     hits = ((values > 0.4 * _MIN_DEPTH) & known).sum(axis=1)
     coverage = np.where(enough, hits / np.maximum(count, 1.0), 0.0)
     return depth.astype(np.float32), coverage.astype(np.float32)

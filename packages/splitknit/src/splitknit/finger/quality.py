@@ -1,7 +1,7 @@
 """How good a capture is, in numbers and sentences.
 
-Ridge contrast is measured on a copy of about 24 px/mm, specks on one of 12 px/mm, everything else on whatever stack is
-given (a reduced one will do; saturation is best counted at full resolution).
+Ridge contrast is measured on a copy of about 24 px/mm, specks on one of 12 px/mm, everything else
+on whatever stack is given (a reduced one will do; saturation is best counted at full resolution).
 """
 
 from __future__ import annotations
@@ -31,10 +31,13 @@ from splitknit.model import Array, BoolArray, FloatArray
 
 # Specks on the skin: dark ones as dust makes them, bright ones as the scales of dry skin do.
 #
-# A speck is dark, or bright, under every light, and short in every direction. Valleys, wrinkles, hairs and scars are
-# long in one direction; shading and specular reflection change from light to light; pores are too small and too weak
-# to count much. Everything is measured on a copy of one scale, 12 px/mm, so that finer cameras see no other specks;
-# lines are laid over it at twice that scale, so that a thin hair does not fall into beads.
+# A speck is dark, or bright, under every light, and short in every direction. Valleys, wrinkles,
+# hairs and scars are long in one direction; shading and specular reflection change from light to
+# light; pores are too small and too weak to count much. Everything is measured on a copy of one
+# scale, 12 px/mm, so that finer cameras see no other specks; lines are laid over it at twice that
+# scale, so that a thin hair
+# does not fall
+# into beads.
 
 DIRECTIONS = 16
 _FINER = 2
@@ -62,11 +65,14 @@ _MAX_BRIGHT = 0.005
 """The same of bright ones."""
 
 
-def _speck_fractions(stack: FloatArray, mask: BoolArray, px_per_mm: float) -> tuple[float | None, float | None]:
-    """Fractions of the finger, but its edge, under dark and under bright specks; None below 12 px/mm (less a
-    twentieth). Images (L, H, W) are divided by their surroundings; a pixel is dark by its brighter half of the images,
-    bright by its darker half. The least of closings by lines in all directions fills marks that hold no line; openings
-    find bright ones. Source: P. Soille, H. Talbot, Directional morphological filtering, IEEE PAMI 23(11), 2001.
+def _speck_fractions(
+    stack: FloatArray, mask: BoolArray, px_per_mm: float
+) -> tuple[float | None, float | None]:
+    """Fractions of the finger, but its edge, under dark and under bright specks; None below 12
+    px/mm (less a twentieth). Images (L, H, W) are divided by their surroundings; a pixel is dark by
+    its brighter half of the images, bright by its darker half. The least of closings by lines in
+    all directions fills marks that hold no line; openings find bright ones. Source: P. Soille, H.
+    Talbot, Directional morphological filtering, IEEE PAMI 23(11), 2001.
     """
     if px_per_mm < 0.95 * _SPECK_PX_PER_MM:
         return None, None
@@ -93,7 +99,8 @@ def _speck_fractions(stack: FloatArray, mask: BoolArray, px_per_mm: float) -> tu
 
 
 def _core(mask: BoolArray, scale: float, px: float) -> tuple[tuple[slice, slice], BoolArray]:
-    """Box of the finger on a reduced copy of `px` pixels a millimetre, and what of it there is not near its outline."""
+    """Box of the finger on a reduced copy of `px` pixels a millimetre, and what of it there is not
+    near its outline."""
     inside = reduce_mask(mask, scale) > 0.99
     depth = depth_inside(inside)
     box = bounding_box(inside) if inside.any() else (slice(0), slice(0))
@@ -101,7 +108,8 @@ def _core(mask: BoolArray, scale: float, px: float) -> tuple[tuple[slice, slice]
 
 
 def _short_marks_filled(image: FloatArray, length_px: float) -> FloatArray:
-    """Fill the dark marks of an (H, W) image that hold no straight line of `length_px` in any direction."""
+    """Fill the dark marks of an (H, W) image that hold no straight line of `length_px` in any
+    direction."""
     filled = np.full_like(image, np.inf)
     reach = int(np.ceil(0.5 * length_px))
     along = np.linspace(-0.5 * length_px, 0.5 * length_px, 4 * reach + 1)
@@ -149,24 +157,29 @@ def capture_quality(
 ) -> dict[str, Any]:
     """Measure focus, exposure, ambient light, coverage and the brightness of every LED.
 
-    Returns what JSON can hold: ``ridge_contrast`` (relative, mean of the images), ``ridge_contrast_per_image``,
-    ``sharpness`` (mean modified Laplacian over mean brightness), ``dark_specks`` and ``bright_specks`` (fractions of
-    the finger; None where the stack is too coarse), ``saturated_per_image``, ``brightness`` (median of the mean image),
-    ``ambient_share`` (or None), ``area_mm2``, ``length_mm``, ``width_mm``, ``frame_share``, ``borders``,
-    ``led_relative`` (measured over promised brightness, median one; or None). Source: Nayar, S. K. and Nakagawa, Y.,
-    "Shape from focus", IEEE PAMI 16(8), 1994 (modified Laplacian). `stack`: (L, H, W) float32 linear grey, ambient
-    removed; `mask`: (H, W) bool, the finger; `px_per_mm`: of the stack that is given; `lights`: (L, 3) vectors whose
-    length is the relative irradiance the rig promises (``Rig.light_vectors``); `ambient`: (H, W) linear image with all
-    LEDs off; `saturation`: value at which all images saturate, or (L,) at which each does.
+    Returns what JSON can hold: ``ridge_contrast`` (relative, mean of the images),
+    ``ridge_contrast_per_image``, ``sharpness`` (mean modified Laplacian over mean brightness),
+    ``dark_specks`` and ``bright_specks`` (fractions of the finger; None where the stack is too
+    coarse), ``saturated_per_image``, ``brightness`` (median of the mean image), ``ambient_share``
+    (or None), ``area_mm2``, ``length_mm``, ``width_mm``, ``frame_share``, ``borders``,
+    ``led_relative`` (measured over promised brightness, median one; or None). Source: Nayar, S. K.
+    and Nakagawa, Y., "Shape from focus", IEEE PAMI 16(8), 1994 (modified Laplacian). `stack`: (L,
+    H, W) float32 linear grey, ambient removed; `mask`: (H, W) bool, the finger; `px_per_mm`: of the
+    stack that is given; `lights`: (L, 3) vectors whose length is the relative irradiance the rig
+    promises (``Rig.light_vectors``); `ambient`: (H, W) linear image with all LEDs off;
+    `saturation`: value at which all images saturate, or (L,) at which each does.
     """
-    stride = max(1, round(float(np.sqrt(mask.sum() / 200_000))))  # a median needs no more pixels than that
+    # a median needs no more pixels than that
+    stride = max(1, round(float(np.sqrt(mask.sum() / 200_000))))
     grid = np.s_[::stride, ::stride]
     grid = grid if mask[grid].any() else np.s_[::1, ::1]
     light = [image[grid][mask[grid]] for image in stack]
     medians = np.array([quantile(image) for image in light])
     brightness = quantile(np.mean(light, axis=0))
     limits = np.broadcast_to(saturation, (len(stack),))
-    saturated = [float((image[mask] >= limit).mean()) for image, limit in zip(stack, limits, strict=True)]
+    saturated = [
+        float((image[mask] >= limit).mean()) for image, limit in zip(stack, limits, strict=True)
+    ]
     figures, sharpness = _ridge_contrast(stack, mask, px_per_mm, finger=finger)
     if finger:
         figures["dark_specks"], figures["bright_specks"] = _speck_fractions(stack, mask, px_per_mm)
@@ -181,7 +194,9 @@ def capture_quality(
         "saturated_per_image": saturated,
         "brightness": brightness,
         "brightness_per_image": medians.tolist(),
-        "ambient_share": None if ambient is None else quantile(ambient[mask]) / max(brightness, 1e-12),
+        "ambient_share": (
+            None if ambient is None else quantile(ambient[mask]) / max(brightness, 1e-12)
+        ),
         **outline_figures(mask, px_per_mm),
         "led_relative": led_relative,
     }
@@ -206,31 +221,43 @@ def quality_findings(
     names: Sequence[str] = (),
     promised: bool = True,
 ) -> Iterator[Finding]:
-    """What is wrong with a capture, by its :func:`capture_quality`, and what to do. Without `finger`
-    ridges, skin and tip are left out, without `promised` the lights' brightness. `names`: of the photographs' files.
+    """What is wrong with a capture, by its :func:`capture_quality`, and what to do. Without
+    `finger` ridges, skin and tip are left out, without `promised` the lights' brightness. `names`:
+    of the photographs' files.
     """
     names = names or [f"image {k}" for k in range(len(quality["saturated_per_image"]))]
     if quality["brightness"] < _MIN_BRIGHTNESS:
-        words = f"the images are dark (median {quality['brightness']:.3f} of full scale): lengthen the exposure."
+        words = (
+            f"the images are dark (median {quality['brightness']:.3f} of full scale): lengthen the"
+            " exposure."
+        )
         yield Finding("dark-photographs", words)
     worst = int(np.argmax(quality["saturated_per_image"]))
     saturated = quality["saturated_per_image"][worst]
     if saturated > _MAX_SATURATED:
         what, remedy = ("finger", " or dry the finger") if finger else ("surface", "")
-        words = f"{100 * saturated:.0f} % of the {what} is saturated in {names[worst]}: shorten the exposure{remedy}."
+        words = (
+            f"{100 * saturated:.0f} % of the {what} is saturated in {names[worst]}: shorten the"
+            f" exposure{remedy}."
+        )
         yield Finding("saturated-photograph", words, files=(names[worst],))
     ambient = quality["ambient_share"] or 0.0
     if ambient > _MAX_AMBIENT:
-        words = f"ambient light is {100 * ambient:.0f} % of the LEDs' light: close the box, dim the room."
+        words = (
+            f"ambient light is {100 * ambient:.0f} % of the LEDs' light: close the box, dim the"
+            " room."
+        )
         yield Finding("ambient-light", words)
-    for name, relative in zip(names, quality["led_relative"] or () if promised else (), strict=False):
+    for name, relative in zip(
+        names, quality["led_relative"] or () if promised else (), strict=False
+    ):
         if relative < _DEAD_LED:
             words = f"{name} is almost black: its LED seems dead; check its wiring."
             yield Finding("dead-led", words, files=(name,))
         elif not _LED_RANGE[0] <= relative <= _LED_RANGE[1]:
             words = (
-                f"{name} is {relative:.2f} times as bright as the rig file promises: check the LED, or calibrate the "
-                "rig again."
+                f"{name} is {relative:.2f} times as bright as the rig file promises: check the LED,"
+                " or calibrate the rig again."
             )
             yield Finding("led-brightness", words, files=(name,))
     if finger:
@@ -241,18 +268,23 @@ def _findings_on_skin(quality: Mapping[str, Any]) -> Iterator[Finding]:
     """Those on ridges, skin and tip."""
     if quality["ridge_contrast"] < _MIN_RIDGE_CONTRAST:
         words = (
-            f"ridges hardly show (contrast {100 * quality['ridge_contrast']:.2f} %): focus the camera on the finger, "
-            "clean the lens, dry a wet finger, or moisten a worn one."
+            f"ridges hardly show (contrast {100 * quality['ridge_contrast']:.2f} %): focus the"
+            " camera on the finger, clean the lens, dry a wet finger, or moisten a worn one."
         )
         yield Finding("faint-ridges", words)
     dark = quality.get("dark_specks") or 0.0
     bright = quality.get("bright_specks") or 0.0
     if dark > _MAX_DARK:  # at most one sentence: dust has bright grains too
-        words = f"dark specks cover {100 * dark:.1f} % of the finger: wipe the finger, and the lens or its cover."
+        words = (
+            f"dark specks cover {100 * dark:.1f} % of the finger: wipe the finger, and the lens or"
+            " its cover."
+        )
         yield Finding("dark-specks", words)
     elif bright > _MAX_BRIGHT:
         remedy = "wipe it if it is dusty, moisten it if its skin is dry."
-        yield Finding("bright-specks", f"bright specks cover {100 * bright:.1f} % of the finger: {remedy}")
+        yield Finding(
+            "bright-specks", f"bright specks cover {100 * bright:.1f} % of the finger: {remedy}"
+        )
     if quality["length_mm"] < _MIN_LENGTH_MM:
         words = "only {:.0f mm} of the finger are in view: push it further in, or check px_per_mm."
         yield Finding("short-finger", words, lengths_mm=(quality["length_mm"],))
@@ -265,7 +297,8 @@ def _findings_on_skin(quality: Mapping[str, Any]) -> Iterator[Finding]:
 def _ridge_contrast(
     stack: FloatArray, mask: BoolArray, px_per_mm: float, *, finger: bool
 ) -> tuple[dict[str, Any], float]:
-    """Of a finger the relative standard deviation of the ridge band; and the mean modified Laplacian of the mean."""
+    """Of a finger the relative standard deviation of the ridge band; and the mean modified
+    Laplacian of the mean."""
     scale = reduction(mask.shape, px_per_mm, 24.0, 1200)
     px = px_per_mm * scale
     box, core = _core(mask, scale, px)
@@ -278,13 +311,20 @@ def _ridge_contrast(
             fine = blur(small, 0.06 * px)[core]
             wide = blur(small, 0.2 * px)[core]
             level = np.maximum(wide, 0.05 * max(quantile(wide[::8]), 1e-12))
-            contrast.append(quantile(np.abs((fine - wide) / level), 0.683))  # robust deviation: glints do not count
+            # robust deviation: glints do not count
+            contrast.append(quantile(np.abs((fine - wide) / level), 0.683))
     contrast = contrast or [0.0] * len(stack)
-    figures = {"ridge_contrast": float(np.mean(contrast)), "ridge_contrast_per_image": contrast} if finger else {}
+    figures = (
+        {"ridge_contrast": float(np.mean(contrast)), "ridge_contrast_per_image": contrast}
+        if finger
+        else {}
+    )
     if not core.any():
         return figures, 0.0
     smooth = blur(total, 0.06 * px)
-    laplacian = np.abs(cv2.filter2D(smooth, -1, _SECOND)) + np.abs(cv2.filter2D(smooth, -1, _SECOND.T))
+    laplacian = np.abs(cv2.filter2D(smooth, -1, _SECOND)) + np.abs(
+        cv2.filter2D(smooth, -1, _SECOND.T)
+    )
     return figures, float(laplacian[core].mean()) / max(float(total[core].mean()), 1e-12)
 
 
@@ -294,20 +334,26 @@ _SECOND = np.array([[-1.0, 2.0, -1.0]], dtype=np.float32)
 # Which of the finger's pixels carry enough light for photometric stereo.
 
 _DARK_FRACTION = 0.03
-"""A light reaches a pixel if it is brighter than this fraction of the finger's median brightness."""
+"""A light reaches a pixel if it is brighter than this fraction of the finger's median
+brightness."""
 _MIN_LIGHTS = 3
 """Lights that must reach a pixel unsaturated; three determine a normal."""
 _PINHOLE_MM2 = 1.0
-"""Holes up to this area are filled: a few unreliable pixels harm less than a hole in the surface."""
+"""Holes up to this area are filled: a few unreliable pixels harm less than a hole in the
+surface."""
 
 
 def photometric_mask(
-    stack: FloatArray, finger: BoolArray, px_per_mm: float, *, saturation: float | Array = _SATURATION
+    stack: FloatArray,
+    finger: BoolArray,
+    px_per_mm: float,
+    *,
+    saturation: float | Array = _SATURATION,
 ) -> BoolArray:
-    """Drop pixels that too few lights reach: (H, W) inside `finger`, one component without pinholes, at full
-    resolution. The thesis's threshold (3.3.1.5, refined mask) follows the finger's own brightness here, and three
-    lights must pass it. `saturation`: at which each image of `stack` (L, H, W) saturates, or (L,). Raises BadInput if
-    nothing is left.
+    """Drop pixels that too few lights reach: (H, W) inside `finger`, one component without
+    pinholes, at full resolution. The thesis's threshold (3.3.1.5, refined mask) follows the
+    finger's own brightness here, and three lights must pass it. `saturation`: at which each image
+    of `stack` (L, H, W) saturates, or (L,). Raises BadInput if nothing is left.
     """
     box = bounding_box(finger)
     inside = finger[box]
@@ -320,9 +366,13 @@ def photometric_mask(
     for image, ceiling in zip(stack[:, box[0], box[1]], ceilings, strict=True):
         count += (image > floor) & (image < np.float32(ceiling))
     good = fill_holes(inside & (count >= least), _PINHOLE_MM2 * px_per_mm**2)
-    # an isolated dark pixel at the outline would leave a bay one pixel wide, and a bridge as thin is not a surface
+    # an isolated dark pixel at the outline would leave a bay one pixel wide, and a bridge as thin
+    # is not a surface
     good = largest_component(good & inside)
-    dark = f"hardly any pixel of the mask is reached by {least} lights without saturating: correct the exposure."
+    dark = (
+        f"hardly any pixel of the mask is reached by {least} lights without saturating: correct the"
+        " exposure."
+    )
     require(erode(good, 2.0).any(), dark)
     result = np.zeros(finger.shape, dtype=np.bool_)
     result[box] = good

@@ -10,8 +10,11 @@ from splitknit.imaging.geometry import bounding_box
 from splitknit.model import BoolArray, FloatArray
 
 
-def reduction(shape: tuple[int, int], px_per_mm: float, working_px_per_mm: float, longest: int) -> float:
-    """Scale (at most one) of a working copy with `working_px_per_mm` and no side above `longest` pixels."""
+def reduction(
+    shape: tuple[int, int], px_per_mm: float, working_px_per_mm: float, longest: int
+) -> float:
+    """Scale (at most one) of a working copy with `working_px_per_mm` and no side above `longest`
+    pixels."""
     return float(min(1.0, working_px_per_mm / px_per_mm, longest / max(shape)))
 
 
@@ -38,13 +41,15 @@ def blur(image: FloatArray, sigma: float) -> FloatArray:
 
 
 def quantile(values: FloatArray, fraction: float = 0.5) -> float:
-    """The value that a fraction of the values lie below, one of them: sooner than `numpy.quantile`, which means two."""
+    """The value that a fraction of the values lie below, one of them: sooner than `numpy.quantile`,
+    which means two."""
     place = int(fraction * values.size)
     return float(np.partition(values, place, axis=None)[place])
 
 
 def dilate(mask: BoolArray, radius: float) -> BoolArray:
-    """Grow `mask` by `radius` pixels; by the distance transform, so large radii cost no more than small ones."""
+    """Grow `mask` by `radius` pixels; by the distance transform, so large radii cost no more than
+    small ones."""
     if radius < 1.0 or not mask.any():
         return mask
     if radius <= _SMALL_PX:
@@ -71,7 +76,8 @@ def _disc(radius: float) -> NDArray[np.uint8]:
 
 
 def depth_inside(mask: BoolArray) -> FloatArray:
-    """Distance of every pixel of `mask` to the nearest pixel outside; the image's border does not count as outside."""
+    """Distance of every pixel of `mask` to the nearest pixel outside; the image's border does not
+    count as outside."""
     if mask.all():
         return np.full(mask.shape, float(max(mask.shape)), dtype=np.float32)
     depth = np.zeros(mask.shape, dtype=np.float32)
@@ -82,7 +88,8 @@ def depth_inside(mask: BoolArray) -> FloatArray:
 
 
 def distance_outside(mask: BoolArray, reach: float) -> FloatArray:
-    """Distance of every pixel outside `mask` to the nearest one inside; infinite well beyond `reach`."""
+    """Distance of every pixel outside `mask` to the nearest one inside; infinite well beyond
+    `reach`."""
     away = np.full(mask.shape, np.inf, dtype=np.float32)
     if mask.any():
         box = bounding_box(mask, int(reach) + 1)
@@ -100,7 +107,9 @@ def largest_component(mask: BoolArray) -> BoolArray:
     if not mask.any():
         return mask
     box = bounding_box(mask)
-    count, labels, stats, _ = cv2.connectedComponentsWithStats(mask[box].astype(np.uint8), connectivity=4)
+    count, labels, stats, _ = cv2.connectedComponentsWithStats(
+        mask[box].astype(np.uint8), connectivity=4
+    )
     if count <= 2:
         return mask
     best = 1 + int(np.argmax(stats[1:, cv2.CC_STAT_AREA]))
@@ -110,12 +119,15 @@ def largest_component(mask: BoolArray) -> BoolArray:
 
 
 def fill_holes(mask: BoolArray, largest_area: float = np.inf) -> BoolArray:
-    """Fill holes of `mask` up to `largest_area` pixels; a gap open to the image's border is not a hole."""
+    """Fill holes of `mask` up to `largest_area` pixels; a gap open to the image's border is not a
+    hole."""
     if not mask.any():
         return mask
     box = bounding_box(mask, 1)
     part = mask[box]
-    count, labels, stats, _ = cv2.connectedComponentsWithStats(np.logical_not(part).view(np.uint8), connectivity=4)
+    count, labels, stats, _ = cv2.connectedComponentsWithStats(
+        np.logical_not(part).view(np.uint8), connectivity=4
+    )
     rows, columns = part.shape
     left = stats[:, cv2.CC_STAT_LEFT]
     top = stats[:, cv2.CC_STAT_TOP]
@@ -132,8 +144,9 @@ def fill_holes(mask: BoolArray, largest_area: float = np.inf) -> BoolArray:
 
 
 def remove_spurs(mask: BoolArray, fraction: float) -> BoolArray:
-    """Cut away what is thinner than `fraction` of the region's own width, keep the largest rest: an opening with a
-    disc, the region going on beyond the image's border; what it shaves off the outline itself is put back.
+    """Cut away what is thinner than `fraction` of the region's own width, keep the largest rest: an
+    opening with a disc, the region going on beyond the image's border; what it shaves off the
+    outline itself is put back.
     """
     depth = depth_inside(mask)
     radius = fraction * float(depth.max())

@@ -1,10 +1,11 @@
 """The shots of a moving finger, brought onto one of them: shift and turn.
 
-Every shot is lit from elsewhere, so two shots of a still finger differ, and a method that compares them takes light for
-motion. But what all shots of a matt surface may show together is known: at every pixel their brightnesses are a
-combination of the three components of the light vectors, whatever the surface is. What is left after the best such
-combination has been taken off is motion (or specular reflection, which colours separate before). All shots are moved
-at once until the rest is minimal: the surface itself is never needed, it is eliminated pixel by pixel.
+Every shot is lit from elsewhere, so two shots of a still finger differ, and a method that compares
+them takes light for motion. But what all shots of a matt surface may show together is known: at
+every pixel their brightnesses are a combination of the three components of the light vectors,
+whatever the surface is. What is left after the best such combination has been taken off is motion
+(or specular reflection, which colours separate before). All shots are moved at once until the rest
+is minimal: the surface itself is never needed, it is eliminated pixel by pixel.
 """
 
 from __future__ import annotations
@@ -25,7 +26,8 @@ TURN_MM = 8.0
 """A turn's parameter is the shift that it causes at this distance."""
 SETTLED_MM = 5e-4
 SETTLED_PX = 0.02
-"""Shots that move by less than the larger of the two are settled; images are resampled to 1/32 px."""
+"""Shots that move by less than the larger of the two are settled; images are resampled to 1/32
+px."""
 ITERATIONS = 20
 """Maximum refinements in each band."""
 COARSE_MM = (0.5, 0.3, 0.15)
@@ -44,7 +46,8 @@ BLOCK_MM = 0.6
 """Pitch at which the light of near LEDs is computed."""
 
 
-# Where the skin of one shot lies in the others: shifts and turns, and the details of images that show them.
+# Where the skin of one shot lies in the others: shifts and turns, and the details of images that
+# show them.
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -57,7 +60,8 @@ class Flow:
     """Place about which the shots turn, right of and below the first pixel."""
 
     def basis(self, x_mm: Array, y_mm: Array) -> Array:
-        """(N, 2, 3) shift at places (N,), right of and below the first pixel, for a unit of every move."""
+        """(N, 2, 3) shift at places (N,), right of and below the first pixel, for a unit of every
+        move."""
         unit = np.ones_like(x_mm)
         zero = np.zeros_like(x_mm)
         right = [unit, zero, -(y_mm - self.centre_mm[1]) / TURN_MM]
@@ -76,7 +80,8 @@ class Flow:
 
 
 def still(count: int, mask: BoolArray, px_per_mm: float) -> Flow:
-    """No move of any of `count` shots of the finger under `mask` (H, W), about whose middle they turn."""
+    """No move of any of `count` shots of the finger under `mask` (H, W), about whose middle they
+    turn."""
     rows, columns = bounding_box(mask)
     middle = (columns.start + columns.stop - 1, rows.start + rows.stop - 1)
     return Flow(np.zeros((count, 3)), (0.5 * middle[0] / px_per_mm, 0.5 * middle[1] / px_per_mm))
@@ -89,9 +94,11 @@ SAMPLES = 16_000
 SAME_SCALE = 1.1
 """Copies are not reduced by less than this: it would blur some pixels more than others."""
 STEPS = 32.0
-"""Places within a pixel at which OpenCV interpolates; a shift in steps of these would not settle."""
+"""Places within a pixel at which OpenCV interpolates; a shift in steps of these would not
+settle."""
 FLOPS = 200_000
-"""Size of the products that sums are made of; below what libraries divide among threads, so that bytes are the same."""
+"""Size of the products that sums are made of; below what libraries divide among threads, so that
+bytes are the same."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -110,10 +117,13 @@ class Level:
 
     def places(self) -> tuple[Array, Array]:
         """x and y (N,) of the pixels in mm from the first pixel."""
-        return self.columns.astype(np.float64) / self.px_per_mm, self.rows.astype(np.float64) / self.px_per_mm
+        return self.columns.astype(np.float64) / self.px_per_mm, self.rows.astype(
+            np.float64
+        ) / self.px_per_mm
 
     def sampled(self, shifts_mm: FloatArray) -> FloatArray:
-        """(L, 3, N) details and derivatives of image l at the pixels shifted by `shifts_mm[l]`, of (L, 2, N)."""
+        """(L, 3, N) details and derivatives of image l at the pixels shifted by `shifts_mm[l]`, of
+        (L, 2, N)."""
         count = self.columns.size
         values = np.empty((len(self.images), 3, count), dtype=np.float32)
         size = self.px_per_mm
@@ -123,13 +133,15 @@ class Level:
             near = [np.rint(places * STEPS) / STEPS for places in (columns, rows)]
             values[k] = sampled_at(image, near[0], near[1], cv2.INTER_CUBIC).T
             # details vary with the shift without steps: what lies between follows from the slopes
-            values[k, 0] += (values[k, 1] * (columns - near[0]) + values[k, 2] * (rows - near[1])) / size
+            values[k, 0] += (
+                values[k, 1] * (columns - near[0]) + values[k, 2] * (rows - near[1])
+            ) / size
         return values
 
 
 def details_of(stack: FloatArray, region: BoolArray, px_per_mm: float, sigma_mm: float) -> Level:
-    """Band-passed copies of (L, H, W), fine end `sigma_mm`, weighted by one over the square of the brightness in
-    `region` (H, W).
+    """Band-passed copies of (L, H, W), fine end `sigma_mm`, weighted by one over the square of the
+    brightness in `region` (H, W).
     """
     finest = min(px_per_mm, WORKING_PX_PER_MM, 1.0 / sigma_mm)
     finest = px_per_mm if finest * SAME_SCALE > px_per_mm else finest
@@ -146,7 +158,9 @@ def details_of(stack: FloatArray, region: BoolArray, px_per_mm: float, sigma_mm:
     weight = 1.0 / np.maximum(level[rows, columns], max(floor, 1e-9)) ** 2
     fine = (blur(image, sigma_mm * px) - blur(image, BAND_RATIO * sigma_mm * px) for image in small)
     images = tuple(_with_slopes(image, px) for image in fine)
-    return Level(images, columns.astype(np.float32), rows.astype(np.float32), weight.astype(np.float32), px)
+    return Level(
+        images, columns.astype(np.float32), rows.astype(np.float32), weight.astype(np.float32), px
+    )
 
 
 def _with_slopes(image: FloatArray, px_per_mm: float) -> FloatArray:
@@ -158,8 +172,8 @@ def _with_slopes(image: FloatArray, px_per_mm: float) -> FloatArray:
 
 
 def bands_of(mask: BoolArray, px_per_mm: float) -> Iterator[tuple[float, BoolArray, bool]]:
-    """Bands in which the shots of the finger under `mask` are compared, coarse to fine: fine end (sigma, mm), pixels,
-    and whether turns are sought.
+    """Bands in which the shots of the finger under `mask` are compared, coarse to fine: fine end
+    (sigma, mm), pixels, and whether turns are sought.
     """
     around = dilate(mask, SURROUND_MM * px_per_mm)
     skin = erode(mask, RIM_MM * px_per_mm)
@@ -178,8 +192,8 @@ def settled(  # noqa: PLR0917
 ) -> Flow:
     """Move the shots `free` by Gauss-Newton steps until they hardly move.
 
-    `step_of`: change (F, M) of their parameters, from details and their derivatives (L, 3, N) as they lie now and the
-    shift (N, 2, M) for a unit of each parameter.
+    `step_of`: change (F, M) of their parameters, from details and their derivatives (L, 3, N) as
+    they lie now and the shift (N, 2, M) for a unit of each parameter.
     """
     places = level.places()
     basis = flow.basis(*places)[..., : 3 if turns else 2]
@@ -225,7 +239,8 @@ def lights_on(lights: Array, level: Level, shape: tuple[int, ...], px_per_mm: fl
 
 
 def surface_axes(lights: FloatArray) -> FloatArray:
-    """Orthonormal brightnesses (L, 3, N) that span what matt surfaces may show under `lights` (L, 3, N)."""
+    """Orthonormal brightnesses (L, 3, N) that span what matt surfaces may show under `lights` (L,
+    3, N)."""
     axes = lights.astype(np.float64)
     for k in range(3):
         for earlier in range(k):
@@ -248,7 +263,8 @@ class Registration(NamedTuple):
 
     flow: Flow
     before: Array
-    """(L,) details of each image that no matt surface explains, as they are, over its details (rms)."""
+    """(L,) details of each image that no matt surface explains, as they are, over its details
+    (rms)."""
     after: Array
     """(L,) the same with the motion undone."""
 
@@ -264,11 +280,12 @@ def register_shots(
 ) -> Registration:
     """Find where the skin of shot `reference` lies in every other shot.
 
-    Source: Golub, G. and Pereyra, V., "The differentiation of pseudo-inverses and nonlinear least squares problems
-    whose variables separate", SIAM J. Numer. Anal. 10(2), 1973 (the surface is eliminated from the least squares).
-    `stack`: (L, H, W) float32 linear, at least five images, best without glare (:func:`without_glare`); `lights`: (L,
-    3, h, w) towards the light, its length the relative strength, on nodes that lie evenly over the image, first and
-    last pixel included; `mask`: (H, W) bool, the finger, roughly; `reference`: shot onto which the others are brought;
+    Source: Golub, G. and Pereyra, V., "The differentiation of pseudo-inverses and nonlinear least
+    squares problems whose variables separate", SIAM J. Numer. Anal. 10(2), 1973 (the surface is
+    eliminated from the least squares). `stack`: (L, H, W) float32 linear, at least five images,
+    best without glare (:func:`without_glare`); `lights`: (L, 3, h, w) towards the light, its length
+    the relative strength, on nodes that lie evenly over the image, first and last pixel included;
+    `mask`: (H, W) bool, the finger, roughly; `reference`: shot onto which the others are brought;
     `shots`: (L,) shot of every image, where several lights share one; None = every image is a shot.
     """
     shots = np.arange(len(stack)) if shots is None else shots
@@ -278,7 +295,9 @@ def register_shots(
         level = details_of(stack, region, px_per_mm, sigma_mm)
         axes = surface_axes(lights_on(lights, level, mask.shape, px_per_mm))
 
-        def step_of(sampled: FloatArray, basis: Array, level: Level = level, axes: FloatArray = axes) -> Array:
+        def step_of(
+            sampled: FloatArray, basis: Array, level: Level = level, axes: FloatArray = axes
+        ) -> Array:
             return _step(level, axes, shots, free, sampled, basis)
 
         flow = settled(level, flow, shots, free, step_of, turns)
@@ -286,19 +305,28 @@ def register_shots(
     def unexplained(flow: Flow) -> Array:
         images = level.sampled(flow.at(*level.places())[shots].astype(np.float32))[:, 0]
         residual = beyond_surface(images, axes)
-        error, power = ((part * part * level.weight).sum(axis=1, dtype=np.float64) for part in (residual, images))
+        error, power = (
+            (part * part * level.weight).sum(axis=1, dtype=np.float64)
+            for part in (residual, images)
+        )
         return np.asarray(np.sqrt(error / np.maximum(power, 1e-30)))
 
     return Registration(flow, unexplained(unmoved), unexplained(flow))
 
 
 def without_glare(colours: FloatArray) -> FloatArray:
-    """(L, H, W) light that came through the skin, from linear colours (3, L, H, W): specular light is white."""
+    """(L, H, W) light that came through the skin, from linear colours (3, L, H, W): specular light
+    is white."""
     return np.asarray(colours[0] - colours[2])
 
 
 def _step(  # noqa: PLR0917
-    level: Level, axes: FloatArray, shots: NDArray[np.intp], free: list[int], sampled: FloatArray, basis: Array
+    level: Level,
+    axes: FloatArray,
+    shots: NDArray[np.intp],
+    free: list[int],
+    sampled: FloatArray,
+    basis: Array,
 ) -> Array:
     """(F, M) change of the parameters of the free shots: the normal equations."""
     residual = beyond_surface(sampled[:, 0], axes)

@@ -12,9 +12,9 @@ from splitknit.model import Array, BoolArray, FloatArray
 from splitknit.plausible import RIDGE_PERIOD
 
 PEOPLE = 0.08
-"""Standard deviation of the ridge distance between fingers, relative: sexes, people and digits, as the simulator's
-population has them (Cummins, Waits and McQuitty, Am. J. Anat. 68, 1941: 20.7 ridges a centimetre in men, 23.4 in
-women)."""
+"""Standard deviation of the ridge distance between fingers, relative: sexes, people and digits, as
+the simulator's population has them (Cummins, Waits and McQuitty, Am. J. Anat. 68, 1941: 20.7 ridges
+a centimetre in men, 23.4 in women)."""
 _BLOCK, _STEP = 64, 16
 """Side of a block of the reduced picture, and the usual distance of the blocks, pixels."""
 _SHORTEST, _LONGEST = 4.0, 10.0
@@ -25,7 +25,8 @@ _FACING = 0.7
 _CONCENTRATED = 0.4
 """Part of a block's power, of all periods around, that one wave of ridges has at least."""
 _MIN_BLOCKS, _MIN_FRACTION = 6, 0.25
-"""Blocks with one wave: that many, and part of all (fingers 0.6 to 0.8, DiLiGenT's bear 0.08, a ball none)."""
+"""Blocks with one wave: that many, and part of all (fingers 0.6 to 0.8, DiLiGenT's bear 0.08, a
+ball none)."""
 
 
 class _RidgePeriod(NamedTuple):
@@ -41,11 +42,11 @@ class _RidgePeriod(NamedTuple):
 def ridge_period(normals: FloatArray, mask: BoolArray, step: int = _STEP) -> _RidgePeriod:
     """Measure the distance of the ridges in a map of normals whose scale is unknown.
 
-    The slopes are reduced by 1, 2, 4, ...; in blocks of 64 pixels one wave of 4 to 10 pixels must hold most of the
-    power. The size in which such waves cover most of the surface counts. Periods are corrected for the surface's slant.
-    `normals`: (H, W, 3) unit normals, x right, y up, z to the camera; `mask`: (H, W) bool; `step`: distance of the
-    blocks, pixels. Raises BadInput if no ridges
-    are found.
+    The slopes are reduced by 1, 2, 4, ...; in blocks of 64 pixels one wave of 4 to 10 pixels must
+    hold most of the power. The size in which such waves cover most of the surface counts. Periods
+    are corrected for the surface's slant. `normals`: (H, W, 3) unit normals, x right, y up, z to
+    the camera; `mask`: (H, W) bool; `step`: distance of the blocks, pixels. Raises BadInput if no
+    ridges are found.
 
     >>> x = np.tile(np.arange(400.0), (400, 1))
     >>> slope = 0.2 * np.cos(2 * np.pi * x / 12.0)
@@ -67,13 +68,16 @@ def ridge_period(normals: FloatArray, mask: BoolArray, step: int = _STEP) -> _Ri
         small = fields if level == 0 else cv2.resize(fields, size, interpolation=cv2.INTER_AREA)
         periods, blocks = _periods(np.asarray(small), step)
         area = float(len(periods) * factor**2)
-        if len(periods) >= max(_MIN_BLOCKS * (_STEP / step) ** 2, _MIN_FRACTION * blocks) and area > best[0]:
+        if (
+            len(periods) >= max(_MIN_BLOCKS * (_STEP / step) ** 2, _MIN_FRACTION * blocks)
+            and area > best[0]
+        ):
             best = area, periods * factor, len(periods) / blocks
     periods = best[1]
     require(
         len(periods) > 0,
-        "no ridges were found to take the scale from: they need 4 pixels from one to the next and good focus"
-        "; give `px_per_mm`.",
+        "no ridges were found to take the scale from: they need 4 pixels from one to the next and"
+        " good focus; give `px_per_mm`.",
     )
     middle = float(np.median(periods))
     spread = 1.4826 * float(np.median(np.abs(periods - middle)))
@@ -84,8 +88,8 @@ def ridge_period(normals: FloatArray, mask: BoolArray, step: int = _STEP) -> _Ri
 def scale_of_ridges(
     normals: FloatArray, mask: BoolArray, px_per_mm: float | None, period_mm: float
 ) -> tuple[float, str]:
-    """Pixels a millimetre at which ridges lie `period_mm` apart, and how well known. BadInput if `px_per_mm` is given
-    too, `period_mm` is not a distance of ridges, or none are found.
+    """Pixels a millimetre at which ridges lie `period_mm` apart, and how well known. BadInput if
+    `px_per_mm` is given too, `period_mm` is not a distance of ridges, or none are found.
     """
     require(px_per_mm is None, "`px_per_mm` and `ridge_period_mm` both give the scale; choose one.")
     odd = RIDGE_PERIOD.notes(period_mm, "check `ridge_period_mm`")
@@ -93,15 +97,20 @@ def scale_of_ridges(
     error = float(np.hypot(ridges.error_px / ridges.period_px, PEOPLE))
     px_per_mm = ridges.period_px / period_mm
     also = "".join(f" Also, {note}" for note in odd)
-    return px_per_mm, (
-        f"scale from the ridges: {ridges.period_px:.1f} px from one to the next (standard deviation "
-        f"{ridges.error_px:.2f}, {ridges.blocks} places) are {period_mm:g} mm, so {px_per_mm:.2f} px/mm; people "
-        f"differ, so that it is known to {100 * error:.0f} %.{also}"
+    return (
+        px_per_mm,
+        (
+            f"scale from the ridges: {ridges.period_px:.1f} px from one to the next (standard"
+            f" deviation {ridges.error_px:.2f}, {ridges.blocks} places) are {period_mm:g} mm, so"
+            f" {px_per_mm:.2f} px/mm; people differ, so that it is known to {100 * error:.0f}"
+            f" %.{also}"
+        ),
     )
 
 
 def _periods(fields: FloatArray, step: int) -> tuple[Array, int]:
-    """Periods (px, on the surface) of blocks of slopes and mask (h, w, 3) with one wave, and the number of blocks."""
+    """Periods (px, on the surface) of blocks of slopes and mask (h, w, 3) with one wave, and the
+    number of blocks."""
     window = np.outer(np.hanning(_BLOCK), np.hanning(_BLOCK)).astype(np.float32)
     v, u = np.meshgrid(np.fft.fftfreq(_BLOCK), np.fft.rfftfreq(_BLOCK), indexing="ij")
     u = u.astype(np.float32).ravel()
@@ -109,7 +118,8 @@ def _periods(fields: FloatArray, step: int) -> tuple[Array, int]:
     frequency = np.hypot(u, v)
     around = (frequency > 0.5 / _LONGEST) & (frequency < 0.45)
     sought = (frequency >= 1.0 / _LONGEST) & (frequency <= 1.0 / _SHORTEST)
-    weight = np.where(u > 0, np.float32(2.0), np.float32(1.0)) * around  # the other half plane is the same, mirrored
+    # the other half plane is the same, mirrored
+    weight = np.where(u > 0, np.float32(2.0), np.float32(1.0)) * around
     back = -np.arange(_BLOCK) % _BLOCK
     mirrored = np.ix_(back, back[: _BLOCK // 2 + 1])
     lattice = tuple(slice(0, length - _BLOCK + 1, step) for length in fields.shape[:2])
@@ -122,7 +132,8 @@ def _periods(fields: FloatArray, step: int) -> tuple[Array, int]:
     for row, column in np.argwhere(usable):
         tilt, (top, left) = tilts[row, column], (row * step, column * step)
         block = (fields[top : top + _BLOCK, left : left + _BLOCK, :2] - tilt) * window[..., None]
-        real, imaginary = cv2.split(cv2.dft(block, flags=cv2.DFT_COMPLEX_OUTPUT))  # of x slope + i y slope
+        # of x slope + i y slope
+        real, imaginary = cv2.split(cv2.dft(block, flags=cv2.DFT_COMPLEX_OUTPUT))
         both = real * real + imaginary * imaginary
         power = (both[:, : _BLOCK // 2 + 1] + both[mirrored]).ravel() * weight
         peak = int(np.argmax(power * sought))

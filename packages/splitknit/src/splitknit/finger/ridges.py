@@ -1,7 +1,8 @@
 """The relief as a print: what ink on paper would show, seen straight from above.
 
-The relief is brought upright (tip up), low-passed for the coarser grid, sampled at the print's resolution, mirrored,
-and evened out so that ridges are equally dark from the middle to the edge. Nothing is unrolled here.
+The relief is brought upright (tip up), low-passed for the coarser grid, sampled at the print's
+resolution, mirrored, and evened out so that ridges are equally dark from the middle to the edge.
+Nothing is unrolled here.
 """
 
 from __future__ import annotations
@@ -16,7 +17,8 @@ from splitknit.model import Array, BoolArray, FloatArray, Reconstruction, Surfac
 MM_PER_INCH = 25.4
 
 CONTRAST_FLOOR = 0.3
-"""Contrast below this fraction of the finger's median is not raised further, so flat skin stays flat."""
+"""Contrast below this fraction of the finger's median is not raised further, so flat skin stays
+flat."""
 
 
 _WINDOW_MM = 0.6
@@ -36,11 +38,12 @@ def relief_print(
 ) -> NDArray[np.uint8]:
     """Return the relief as an upright, mirrored print: ridges dark, valleys and background white.
 
-    Raises BadInput if shapes disagree, the mask is empty, or the scale is not positive. Returns (h, w) uint8: one pixel
-    is exactly ``25.4 / ppi`` mm; the middle of the print is the middle of the upright frame. Column 0 shows the right
-    edge of the upright camera image, as paper does. `ridge_mm`: (H, W) height of the relief, ridges up, on the input's
-    pixel grid, ignored outside `mask`; `px_per_mm`: of the input; `input_from_upright`: (3, 3), takes (column, row, 1)
-    of the upright frame to the input; `upright_size`: its rows and columns.
+    Raises BadInput if shapes disagree, the mask is empty, or the scale is not positive. Returns (h,
+    w) uint8: one pixel is exactly ``25.4 / ppi`` mm; the middle of the print is the middle of the
+    upright frame. Column 0 shows the right edge of the upright camera image, as paper does.
+    `ridge_mm`: (H, W) height of the relief, ridges up, on the input's pixel grid, ignored outside
+    `mask`; `px_per_mm`: of the input; `input_from_upright`: (3, 3), takes (column, row, 1) of the
+    upright frame to the input; `upright_size`: its rows and columns.
 
     >>> import numpy as np
     >>> relief = np.zeros((40, 60), np.float32)
@@ -50,12 +53,16 @@ def relief_print(
     require(np.isfinite(px_per_mm) and px_per_mm > 0, "px_per_mm must be a positive number.")
     mask = check_mask(mask, (ridge_mm.shape[0], ridge_mm.shape[1]))
     input_per_print = px_per_mm * MM_PER_INCH / ppi
-    size = (max(1, round(upright_size[0] / input_per_print)), max(1, round(upright_size[1] / input_per_print)))
+    size = (
+        max(1, round(upright_size[0] / input_per_print)),
+        max(1, round(upright_size[1] / input_per_print)),
+    )
 
     rows, columns = bounding_box(mask, int(4 * input_per_print) + 2)
     inside = mask[rows, columns].astype(np.float32)
     relief = np.where(mask[rows, columns], ridge_mm[rows, columns], 0.0)
-    # A Gaussian of half the print's pixel: 0.3 % of the contrast is left at the print's sampling frequency.
+    # A Gaussian of half the print's pixel: 0.3 % of the contrast is left at the print's sampling
+    # frequency.
     sigma = 0.5 * input_per_print if input_per_print > 1 else 0.0
     weight = gaussian_mean(inside, sigma)
     relief = gaussian_mean(relief, sigma) / np.maximum(weight, 1e-3) * (weight > 1e-3)
@@ -69,11 +76,16 @@ def relief_print(
     centred, deviation = _centred(relief, weight, _WINDOW_MM * ppi / MM_PER_INCH)
     known = deviation[weight > 0.5]
     typical = float(np.median(known)) if known.size else 0.0
-    return _ink(centred, deviation, typical, weight) if typical > 0 else np.full(size, 255, dtype=np.uint8)
+    return (
+        _ink(centred, deviation, typical, weight)
+        if typical > 0
+        else np.full(size, 255, dtype=np.uint8)
+    )
 
 
 def upright_from_print(size: tuple[int, int], upright_size: tuple[int, int], step: float) -> Array:
-    """(3, 3) from (column, row, 1) of the print to the upright frame: centre on centre, left and right exchanged."""
+    """(3, 3) from (column, row, 1) of the print to the upright frame: centre on centre, left and
+    right exchanged."""
     across = (upright_size[1] - 1) / 2
     down = (upright_size[0] - 1) / 2
     right = step * (size[1] - 1) / 2
@@ -81,52 +93,70 @@ def upright_from_print(size: tuple[int, int], upright_size: tuple[int, int], ste
     return np.array([[-step, 0.0, across + right], [0.0, step, down - bottom], [0.0, 0.0, 1.0]])
 
 
-def _ink(centred: FloatArray, deviation: FloatArray, typical: float, weight: FloatArray) -> NDArray[np.uint8]:
-    """Grey values of a relief as of :func:`_centred`; `weight` in [0, 1] is how much of a pixel is inked."""
+def _ink(
+    centred: FloatArray, deviation: FloatArray, typical: float, weight: FloatArray
+) -> NDArray[np.uint8]:
+    """Grey values of a relief as of :func:`_centred`; `weight` in [0, 1] is how much of a pixel is
+    inked."""
     score = centred / np.maximum(deviation, CONTRAST_FLOOR * typical)
     dark = 0.5 + 0.5 * np.tanh(_CONTRAST * score)
     return np.round(255.0 * (1.0 - weight * dark)).astype(np.uint8)
 
 
 def _centred(values: FloatArray, weight: FloatArray, sigma: float) -> tuple[FloatArray, FloatArray]:
-    """Values (h, w) less their weighted Gaussian mean, zero without weight, and their standard deviation about it."""
+    """Values (h, w) less their weighted Gaussian mean, zero without weight, and their standard
+    deviation about it."""
     total: FloatArray = np.maximum(gaussian_mean(weight, sigma), 1e-3)
     centred: FloatArray = values
-    for _ in range(2):  # the second pass takes out what a one-sided window leaves of a slope near the edge
+    # the second pass takes out what a one-sided window leaves of a slope near the edge
+    for _ in range(2):
         centred = (centred - gaussian_mean(centred * weight, sigma) / total) * (weight > 0)
-    return centred, np.sqrt(np.maximum(gaussian_mean(centred * centred * weight, sigma) / total, 0.0))
+    return centred, np.sqrt(
+        np.maximum(gaussian_mean(centred * centred * weight, sigma) / total, 0.0)
+    )
 
 
 def surface_print(surface: Surface | Reconstruction, ppi: float = 500.0) -> NDArray[np.uint8]:
     """Relief of a reconstruction as ink on paper: what ``print.png`` shows."""
     return relief_print(
-        surface.ridge_mm, surface.mask, 1.0 / surface.pitch_mm, surface.input_from_upright, surface.upright_size,
+        surface.ridge_mm,
+        surface.mask,
+        1.0 / surface.pitch_mm,
+        surface.input_from_upright,
+        surface.upright_size,
         ppi=ppi,
-    )  # fmt: skip
+    )
 
 
-# Grey values of a print: ridges dark, contrast even up to the edges, paper white where there are no ridges.
+# Grey values of a print: ridges dark, contrast even up to the edges, paper white where there are no
+# ridges.
 
 
 _EMPTY, _FULL = 0.1, 0.3
-"""Local contrast, as a fraction of the finger's median, below which skin is paper and above which it is all ink."""
+"""Local contrast, as a fraction of the finger's median, below which skin is paper and above which
+it is all ink."""
 _NARROW = 0.4
-"""The window of that contrast, as a fraction of the other: blank skin at the outline is paper up to the last ridge."""
+"""The window of that contrast, as a fraction of the other: blank skin at the outline is paper up to
+the last ridge."""
 
 
 def ink(values: FloatArray, weight: FloatArray, ppi: float = 500.0) -> NDArray[np.uint8]:
     """Print a field that is high on ridges and low in valleys.
 
-    The local mean is taken out twice (the second pass removes what a one-sided window leaves of a slope at the edge),
-    the rest is divided by its local standard deviation and pressed into grey values by a soft step. Raises BadInput if
-    the shapes disagree, nothing lies on the finger, or nothing varies: a print without ridges. Returns (h, w) uint8:
-    ridges dark, valleys and background white. `values`: (h, w) float32; such as the relief; any unit. `weight`: (h, w)
-    float32; fraction of the pixel that lies on the finger, 0 to 1. Source: L. Hong, Y. Wan and A. Jain 1998,
-    Fingerprint image enhancement: algorithm and performance evaluation, section 2.3 (mean and variance made even; here
-    locally).
+    The local mean is taken out twice (the second pass removes what a one-sided window leaves of a
+    slope at the edge), the rest is divided by its local standard deviation and pressed into grey
+    values by a soft step. Raises BadInput if the shapes disagree, nothing lies on the finger, or
+    nothing varies: a print without ridges. Returns (h, w) uint8: ridges dark, valleys and
+    background white. `values`: (h, w) float32; such as the relief; any unit. `weight`: (h, w)
+    float32; fraction of the pixel that lies on the finger, 0 to 1. Source: L. Hong, Y. Wan and A.
+    Jain 1998, Fingerprint image enhancement: algorithm and performance evaluation, section 2.3
+    (mean and variance made even; here locally).
     """
     if values.ndim != 2 or values.shape != weight.shape:
-        raise BadInput(f"values and weight must have one shape (h, w), but they have {values.shape}, {weight.shape}.")
+        raise BadInput(
+            f"values and weight must have one shape (h, w), but they have {values.shape},"
+            f" {weight.shape}."
+        )
     inside = weight > 0.5
     require(inside.any(), "nothing of the finger lies on the print.")
     sigma = _WINDOW_MM * ppi / MM_PER_INCH
@@ -134,7 +164,8 @@ def ink(values: FloatArray, weight: FloatArray, ppi: float = 500.0) -> NDArray[n
     typical = float(np.median(deviation[inside]))
     scale = float(np.abs(values[inside]).max())
     require(
-        typical > 1e-6 * scale, "the print has no ridges: its relief is flat; check focus and light of the capture."
+        typical > 1e-6 * scale,
+        "the print has no ridges: its relief is flat; check focus and light of the capture.",
     )
     around = np.maximum(gaussian_mean(weight, _NARROW * sigma), 1e-3)
     near = np.sqrt(gaussian_mean(centred * centred * weight, _NARROW * sigma) / around)

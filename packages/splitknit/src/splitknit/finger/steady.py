@@ -1,10 +1,12 @@
-"""A finger that moved between the shots, undone: every image brought onto the middle shot of the white band.
+"""A finger that moved between the shots, undone: every image brought onto the middle shot of the
+white band.
 
-The shots of another band are brought onto the finger whose surface the white band has shown. Under near-infrared light
-skin hardly shows its ridges: what is seen of them is reflected at the surface, and that looks the same in both bands.
-So each shot is compared with what the first band's surface and specular reflection, both taken as one matt surface,
-would look like under its light, and with the finger's outline. Of a crossed series only light from within the skin is
-compared, in which nothing is reflected at the surface; where each of the two polarised series lies still, only the
+The shots of another band are brought onto the finger whose surface the white band has shown. Under
+near-infrared light skin hardly shows its ridges: what is seen of them is reflected at the surface,
+and that looks the same in both bands. So each shot is compared with what the first band's surface
+and specular reflection, both taken as one matt surface, would look like under its light, and with
+the finger's outline. Of a crossed series only light from within the skin is compared, in which
+nothing is reflected at the surface; where each of the two polarised series lies still, only the
 crossed one is brought back.
 """
 
@@ -48,33 +50,38 @@ _MARGIN_MM = 2.0
 _HELPS = 0.95
 """Undoing motion must bring what no surface explains below this fraction of what it was."""
 _SERIES_MM = 0.01
-"""Motion between polarised series in colour from which it is undone; a still path-traced finger shows 0.004."""
+"""Motion between polarised series in colour from which it is undone; a still path-traced finger
+shows 0.004."""
 _BY_SHADING = 0.1
-"""Variance of the shots' shifts beside those along their lights below which shading moved the ridges, and not the
-finger; a steady drift has two thirds."""
+"""Variance of the shots' shifts beside those along their lights below which shading moved the
+ridges, and not the finger; a steady drift has two thirds."""
 _MEASURED = 3
-"""Side images whose shift is known: with fewer, one that all share is not told from one along each light."""
+"""Side images whose shift is known: with fewer, one that all share is not told from one along each
+light."""
 _SURE = 3.0
-"""Standard errors of the shift of all side images above which they moved: gloss shifts each by up to 60 um."""
+"""Standard errors of the shift of all side images above which they moved: gloss shifts each by up
+to 60 um."""
 _ALONE_MM = 0.08
 """Shift of one of them against the others beyond which it moved."""
 SOME_MOVED = (
-    "the finger moved during {} of the images lit from the side, left out; rest it on its support and capture again."
+    "the finger moved during {} of the images lit from the side, left out; rest it on its support"
+    " and capture again."
 )
 SIDE_MOVED = (
-    "the finger moved between the images lit from the front and from the side, and those from the side are left out; "
-    "rest it on its support and capture again."
+    "the finger moved between the images lit from the front and from the side, and those from the"
+    " side are left out; rest it on its support and capture again."
 )
 _REMEDY = (
-    "rest the finger on its support and capture again, or leave the images as they are with `settings` "
-    "motion.correct=off (what is not a finger is imported with `material` opaque)."
+    "rest the finger on its support and capture again, or leave the images as they are with"
+    " `settings` motion.correct=off (what is not a finger is imported with `material` opaque)."
 )
 
 
 def find_steady_finger(capture: Capture, settings: FingerSettings) -> tuple[Capture, Finger]:
-    """Find the finger; where it moved between the shots, undo that first: images are then resampled, once, onto the
-    pixels of the reference shot (the middle one of the white band). Where it lay still the capture is the same object.
-    Raises BadInput if there is no finger, or it moved by more than can be undone.
+    """Find the finger; where it moved between the shots, undo that first: images are then
+    resampled, once, onto the pixels of the reference shot (the middle one of the white band). Where
+    it lay still the capture is the same object. Raises BadInput if there is no finger, or it moved
+    by more than can be undone.
     """
     finger = find_finger(capture, settings)
     motion = settings.motion
@@ -89,37 +96,54 @@ def find_steady_finger(capture: Capture, settings: FingerSettings) -> tuple[Capt
     wanted = motion.correct == "on" or (motion.correct == "auto" and suspect)
     enough = len(white.lights) >= 5 and len(white.pixels) >= 2
     registered = register(capture, finger) if wanted and enough else None
-    if registered is not None and motion.correct == "auto" and not _worth_undoing(registered, max(measured_mm)):
+    if (
+        registered is not None
+        and motion.correct == "auto"
+        and not _worth_undoing(registered, max(measured_mm))
+    ):
         registered = None
     between = "shots"
     if registered is None and skin and "white_crossed" in capture.bands:
         registered = register(capture, finger, still_white=True)
         between = "parallel and the crossed series"
-        # a crossed series looks clearly more like the parallel one once its motion is undone; gloss does not
+        # a crossed series looks clearly more like the parallel one once its motion is undone; gloss
+        # does not
         figures = registered.facts["motion_white_crossed"]
-        before, after = (1.0 - np.square(figures[f"likeness_{when}"]).mean() for when in ("before", "after"))
+        before, after = (
+            1.0 - np.square(figures[f"likeness_{when}"]).mean() for when in ("before", "after")
+        )
         helps = bool(after < _HELPS**2 * before)
         least_mm = _SERIES_MM if has_colour(white) else CORRECT_MM
         if motion.correct == "off" or registered.most_mm < least_mm or not helps:
             words = f"the finger moved by {{:.2f mm}} between the {between}."
             moved = Finding("moved-finger", words, lengths_mm=(registered.most_mm,))
-            findings = (*finger.findings, moved) if helps and registered.most_mm >= WARN_MM else finger.findings
-            return capture, replace(finger, facts={**finger.facts, **registered.facts}, findings=findings)
+            findings = (
+                (*finger.findings, moved)
+                if helps and registered.most_mm >= WARN_MM
+                else finger.findings
+            )
+            return capture, replace(
+                finger, facts={**finger.facts, **registered.facts}, findings=findings
+            )
     if registered is None:
         return capture, finger
     require(
         registered.most_mm <= motion.most_mm,
-        f"the finger moved by {registered.most_mm:.2f} mm between the shots, and at most {motion.most_mm:g} mm can be "
-        f"undone; {_REMEDY}",
+        f"the finger moved by {registered.most_mm:.2f} mm between the shots, and at most"
+        f" {motion.most_mm:g} mm can be undone; {_REMEDY}",
     )
     require(
         registered.after <= MOST_LEFT,
-        f"the shots do not fit together: {100 * registered.after:.0f} % of their details are left over when the motion "
-        f"between them is undone, and at most {100 * MOST_LEFT:.0f} % may be; {_REMEDY}",
+        f"the shots do not fit together: {100 * registered.after:.0f} % of their details are left"
+        f" over when the motion between them is undone, and at most {100 * MOST_LEFT:.0f} % may be;"
+        f" {_REMEDY}",
     )
     capture = _resampled(capture, finger, registered.flows)
     finger = find_finger(capture, settings)
-    words = f"the finger moved by {{:.2f mm}} between the {between}; that was undone, and the images resampled."
+    words = (
+        f"the finger moved by {{:.2f mm}} between the {between}; that was undone, and the images"
+        " resampled."
+    )
     note = Finding("undone-motion", words, lengths_mm=(registered.most_mm,))
     facts = {**finger.facts, **registered.facts}
     return capture, replace(finger, facts=facts, findings=(note, *finger.findings))
@@ -135,28 +159,35 @@ class _Registered(NamedTuple):
     """The same with the motion undone."""
     facts: dict[str, Any]
     apart: float
-    """Variance of the white shots' shifts that is left without shifts along their lights, over all of it."""
+    """Variance of the white shots' shifts that is left without shifts along their lights, over all
+    of it."""
 
 
 def _worth_undoing(registered: _Registered, measured_mm: float) -> bool:
-    """Whether motion was found that is to be undone, or refused; else the images are left as they are."""
+    """Whether motion was found that is to be undone, or refused; else the images are left as they
+    are."""
     if registered.most_mm < CORRECT_MM or registered.apart < _BY_SHADING:
         return False
     if registered.after > MOST_LEFT and measured_mm < WARN_MM:  # no skin, wet skin
         return False
-    return registered.after < _HELPS * registered.before  # nothing helps where nothing moved, however much is left
+    # nothing helps where nothing moved, however much is left
+    return registered.after < _HELPS * registered.before
 
 
 def without_moved_side(capture: Capture, finger: Finger) -> tuple[Capture, tuple[Finding, ...]]:
-    """The capture, without images lit from the side (as of :func:`without_side_lights`, the white band not yet a mean)
-    where the finger lay elsewhere than a matt surface like the others shows, all or some of them, and a warning then.
+    """The capture, without images lit from the side (as of :func:`without_side_lights`, the white
+    band not yet a mean) where the finger lay elsewhere than a matt surface like the others shows,
+    all or some of them, and a warning then.
     """
     shifts = np.zeros((0, 2))
     towards = np.zeros((0, 2))
     numbers = []
     for band in capture.bands.values():
         if band.side is not None:
-            pair = {"white": replace(band, name="white"), "white_crossed": replace(band.side, name="white_crossed")}
+            pair = {
+                "white": replace(band, name="white"),
+                "white_crossed": replace(band.side, name="white_crossed"),
+            }
             registered = register(replace(capture, bands=pair), finger, still_white=True)
             measured = np.array(registered.facts["motion_white_crossed"]["shift_mm"])
             known = measured.any(axis=1)  # a shot that went astray has none
@@ -189,13 +220,17 @@ def _towards(capture: Capture, leds: Sequence[Sequence[int]]) -> Array:
 
 
 def _apart_from_lights(shifts: Array, towards: Array) -> Array:
-    """(L, 2) shifts of images less what they have in common along their lights: shading seems to shift ridges so."""
+    """(L, 2) shifts of images less what they have in common along their lights: shading seems to
+    shift ridges so."""
     centred = towards - towards.mean(axis=0)
-    return np.asarray(shifts - (centred * shifts).sum() / max(float((centred * centred).sum()), 1e-9) * towards)
+    return np.asarray(
+        shifts - (centred * shifts).sum() / max(float((centred * centred).sum()), 1e-9) * towards
+    )
 
 
 def register(capture: Capture, finger: Finger, *, still_white: bool = False) -> _Registered:
-    """Registration of the white band, unless `still_white`, of the others to it, and the report's facts on them."""
+    """Registration of the white band, unless `still_white`, of the others to it, and the report's
+    facts on them."""
     px_per_mm = capture.rig.camera.px_per_mm
     binning = max(1, int(px_per_mm / WORKING_PX_PER_MM))
     px = px_per_mm / binning
@@ -217,7 +252,8 @@ def register(capture: Capture, finger: Finger, *, still_white: bool = False) -> 
     facts: dict[str, Any] = {"motion": {"reference": f"white {reference}"}}
 
     def report(name: str, moves_mm: Array, **figures: Array) -> Array:
-        """Keep a band's flow and its facts; the shifts (L, 2) of the finger's middle, x right and y up."""
+        """Keep a band's flow and its facts; the shifts (L, 2) of the finger's middle, x right and y
+        up."""
         flows[name] = Flow(moves_mm, centre_mm)
         shifts = flows[name].at(*np.reshape(middle_mm, (2, 1)))[..., 0]
         figures = {
@@ -227,13 +263,19 @@ def register(capture: Capture, finger: Finger, *, still_white: bool = False) -> 
         }
         rounded = {key: [round(float(v), 5) for v in values] for key, values in figures.items()}
         shifts = shifts * [1.0, -1.0]
-        facts[f"motion_{name}"] = {**rounded, "shift_mm": shifts.tolist(), "centre_mm": list(middle_mm)}
+        facts[f"motion_{name}"] = {
+            **rounded,
+            "shift_mm": shifts.tolist(),
+            "centre_mm": list(middle_mm),
+        }
         return shifts
 
     before = after = np.zeros(1)
     apart = 1.0
     if not still_white:
-        flow, before, after = register_shots(skin, lights, mask, px, reference=reference, shots=shots)
+        flow, before, after = register_shots(
+            skin, lights, mask, px, reference=reference, shots=shots
+        )
         shifts = report("white", flow.moves_mm, unexplained_before=before, unexplained_after=after)
         if not white.colours:  # one light a shot
             beside = _apart_from_lights(shifts, _towards(capture, white.lights))
@@ -271,8 +313,9 @@ class _FirstBand(NamedTuple):
 def _register_band(
     first: _FirstBand, stack: FloatArray, lights: Array, mask: BoolArray, px_per_mm: float
 ) -> tuple[Array, Array, Array]:
-    """Moves (L, 3) of another band's `stack` (L, H, W), each image a shot, onto the registered band `first`, and the
-    correlation (L,) of details with the expected ones with the motion undone, and as they are.
+    """Moves (L, 3) of another band's `stack` (L, H, W), each image a shot, onto the registered band
+    `first`, and the correlation (L,) of details with the expected ones with the motion undone, and
+    as they are.
     """
     shots = np.arange(len(stack))
     flow = unmoved = still(len(stack), mask, px_per_mm)
@@ -281,9 +324,15 @@ def _register_band(
         first_level = details_of(first.stack, region, px_per_mm, sigma_mm)
         expected = _expected(first, level, first_level, lights, mask.shape, px_per_mm)
         moves = []
-        for k in shots:  # each by itself, towards the details that are expected of it, whatever their strength
+        # each by itself, towards the details that are expected of it, whatever their strength
+        for k in shots:
 
-            def step_of(sampled: FloatArray, basis: Array, level: Level = level, details: Array = expected[k]) -> Array:
+            def step_of(
+                sampled: FloatArray,
+                basis: Array,
+                level: Level = level,
+                details: Array = expected[k],
+            ) -> Array:
                 return _step(level, details, sampled[0], basis)
 
             alone = replace(level, images=level.images[k : k + 1])
@@ -306,7 +355,12 @@ def _register_band(
 
 
 def _expected(  # noqa: PLR0917
-    first: _FirstBand, level: Level, first_level: Level, lights: Array, shape: tuple[int, ...], px_per_mm: float
+    first: _FirstBand,
+    level: Level,
+    first_level: Level,
+    lights: Array,
+    shape: tuple[int, ...],
+    px_per_mm: float,
 ) -> FloatArray:
     """(L, N) details under `lights` of the surface that the details of the first band give."""
     at_level = replace(first_level, columns=level.columns, rows=level.rows, weight=level.weight)
@@ -318,18 +372,25 @@ def _expected(  # noqa: PLR0917
     normal = before.transpose(0, 2, 1) @ before
     normal += 1e-9 * np.trace(normal, axis1=1, axis2=2)[:, None, None] * np.eye(3)
     observed = (before * details.T[:, :, None]).sum(axis=1)
-    surface = np.linalg.solve(np.broadcast_to(normal, (len(observed), 3, 3)), observed[..., None])[..., 0].T
+    surface = np.linalg.solve(np.broadcast_to(normal, (len(observed), 3, 3)), observed[..., None])[
+        ..., 0
+    ].T
     return np.asarray((now * surface).sum(axis=1), dtype=np.float32)
 
 
 def _step(level: Level, expected: FloatArray, sampled: FloatArray, basis: Array) -> Array:
-    """(1, M) change of one shot's parameters; `sampled` (3, N) are its details and their derivatives."""
+    """(1, M) change of one shot's parameters; `sampled` (3, N) are its details and their
+    derivatives."""
     power = float((expected * expected * level.weight).sum(dtype=np.float64))
     gain = float((expected * sampled[0] * level.weight).sum(dtype=np.float64)) / max(power, 1e-30)
     residual = sampled[0] - gain * expected
     root = np.sqrt(robust_weight(level, np.sqrt(residual * residual * level.weight)))
     shifts = sampled[1] * basis[:, 0].T + sampled[2] * basis[:, 1].T
-    products = gram(np.asarray(np.concatenate([shifts, -expected[None], residual[None]]) * root, dtype=np.float32))
+    products = gram(
+        np.asarray(
+            np.concatenate([shifts, -expected[None], residual[None]]) * root, dtype=np.float32
+        )
+    )
     normal = products[:-1, :-1]
     normal = normal + np.diag(1e-6 * np.diag(normal) + 1e-30)
     return np.asarray(-np.linalg.solve(normal, products[:-1, -1])[None, :-1])
@@ -338,16 +399,20 @@ def _step(level: Level, expected: FloatArray, sampled: FloatArray, basis: Array)
 def _light_of(
     capture: Capture, band: Band, window: Window, binning: int, coloured: bool
 ) -> tuple[FloatArray, FloatArray]:
-    """(L, h, w) images in grey, and the light in them that came through the skin where colours show it."""
+    """(L, h, w) images in grey, and the light in them that came through the skin where colours show
+    it."""
     if not coloured:
         grey = linear_stack(band, capture.encoding, "grey", window, binning)
         return grey, grey
-    channels = linear_channels(band, capture.encoding, ("grey", "red", "green", "blue"), window, binning)
+    channels = linear_channels(
+        band, capture.encoding, ("grey", "red", "green", "blue"), window, binning
+    )
     return channels[0], without_glare(channels[1:])
 
 
 def _resampled(capture: Capture, finger: Finger, flows: dict[str, Flow]) -> Capture:
-    """The capture with every image taken from where its skin is, once, in the values that are stored."""
+    """The capture with every image taken from where its skin is, once, in the values that are
+    stored."""
     window = _window(capture, finger)
     bands = dict(capture.bands)
     for name, flow in flows.items():
@@ -361,13 +426,16 @@ def _resampled(capture: Capture, finger: Finger, flows: dict[str, Flow]) -> Capt
 def take(  # noqa: PLR0917
     image: NDArray[Any], flow: Flow, shot: int, px_per_mm: float, window: Window, out: NDArray[Any]
 ) -> None:
-    """Write a shot's image where a window of the reference has its skin, by cubic interpolation, into `out`."""
+    """Write a shot's image where a window of the reference has its skin, by cubic interpolation,
+    into `out`."""
     place = out[window]
     affine = flow.affine(shot, px_per_mm)
     affine[:, 2] += affine[:, :2] @ np.array([window[1].start, window[0].start], dtype=np.float64)
     flags = cv2.INTER_CUBIC | cv2.WARP_INVERSE_MAP
     size = (place.shape[1], place.shape[0])
-    place[...] = cv2.warpAffine(image, affine, size, flags=flags, borderMode=cv2.BORDER_REPLICATE).reshape(place.shape)
+    place[...] = cv2.warpAffine(
+        image, affine, size, flags=flags, borderMode=cv2.BORDER_REPLICATE
+    ).reshape(place.shape)
 
 
 def _window(capture: Capture, finger: Finger) -> Window:
@@ -381,10 +449,15 @@ def _window(capture: Capture, finger: Finger) -> Window:
 
 
 def _lights_over(capture: Capture, band: Band, window: Window) -> Array:
-    """(L, 3, h, w) light vectors on the finger plane, on nodes about 0.6 mm apart evenly over a window."""
+    """(L, 3, h, w) light vectors on the finger plane, on nodes about 0.6 mm apart evenly over a
+    window."""
     camera = capture.rig.camera
     rows, columns = (
-        np.linspace(part.start, part.stop - 1, max(2, round((part.stop - part.start) * camera.pitch_mm / BLOCK_MM) + 1))
+        np.linspace(
+            part.start,
+            part.stop - 1,
+            max(2, round((part.stop - part.start) * camera.pitch_mm / BLOCK_MM) + 1),
+        )
         for part in window
     )
     pixels = np.stack(np.meshgrid(columns, rows), axis=-1)

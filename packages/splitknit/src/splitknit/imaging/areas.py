@@ -1,4 +1,5 @@
-"""Areas of a picture: outlines filled, grown and shrunk, the boxes around them, and what is left out of them."""
+"""Areas of a picture: outlines filled, grown and shrunk, the boxes around them, and what is left
+out of them."""
 
 from __future__ import annotations
 
@@ -22,8 +23,12 @@ def disc(radius: int) -> NDArray[np.uint8]:
 def enlarged_box(
     cells: tuple[slice, slice], factor: int, small: tuple[int, ...], large: tuple[int, ...]
 ) -> tuple[slice, slice]:
-    """Rows and columns of an image that blocks of `factor` pixels cover; the last ones take what fills no block."""
-    ends = [n if c.stop == k else c.stop * factor for c, k, n in zip(cells, small, large[:2], strict=True)]
+    """Rows and columns of an image that blocks of `factor` pixels cover; the last ones take what
+    fills no block."""
+    ends = [
+        n if c.stop == k else c.stop * factor
+        for c, k, n in zip(cells, small, large[:2], strict=True)
+    ]
     return slice(cells[0].start * factor, ends[0]), slice(cells[1].start * factor, ends[1])
 
 
@@ -47,7 +52,9 @@ def filled(outline: Array, shape: tuple[int, int]) -> BoolArray:
 def grown(mask: BoolArray, radius: float) -> BoolArray:
     """A mask and what lies within `radius` pixels of it along rows and columns."""
     size = 2 * max(1, round(radius)) + 1
-    return np.asarray(cv2.dilate(mask.astype(np.uint8), np.ones((size, size), np.uint8)), dtype=np.bool_)
+    return np.asarray(
+        cv2.dilate(mask.astype(np.uint8), np.ones((size, size), np.uint8)), dtype=np.bool_
+    )
 
 
 def shrunk(mask: BoolArray, radius: float) -> BoolArray:
@@ -56,13 +63,19 @@ def shrunk(mask: BoolArray, radius: float) -> BoolArray:
 
 
 def mirror_outline(mirror: Mirror, camera: Camera, binning: int = 1) -> Array:
-    """(n, 2) column and row of a mirror's nominal outline in an image of blocks of `binning` pixels a side."""
+    """(n, 2) column and row of a mirror's nominal outline in an image of blocks of `binning` pixels
+    a side."""
     full = pixels_of(camera, np.asarray(mirror.corners_mm, dtype=np.float64))
     return (full - 0.5 * (binning - 1)) / binning
 
 
-def without_mirrors(image: FloatArray, camera: Camera, mirrors: Mapping[str, Mirror], binning: int) -> FloatArray:
-    """The image (h, w) or (h, w, C) with the mirrors' nominal outlines filled with the background beside them."""
+def without_mirrors(
+    image: FloatArray, camera: Camera, mirrors: Mapping[str, Mirror], binning: int
+) -> FloatArray:
+    """The image (h, w) or (h, w, C) with the mirrors' nominal outlines filled with the background
+    beside them."""
     shape = (image.shape[0], image.shape[1])
-    outlines = [filled(mirror_outline(mirror, camera, binning), shape) for mirror in mirrors.values()]
+    outlines = [
+        filled(mirror_outline(mirror, camera, binning), shape) for mirror in mirrors.values()
+    ]
     return blanked(image, ~np.logical_or.reduce(outlines), camera.px_per_mm / binning)

@@ -1,4 +1,5 @@
-"""Linear light of all images of a band: ambient removed, exposures made equal, colours separated."""
+"""Linear light of all images of a band: ambient removed, exposures made equal, colours
+separated."""
 
 from __future__ import annotations
 
@@ -30,8 +31,12 @@ CHUNK_ROWS = 64
 
 @lru_cache(maxsize=4)
 def decode_table(dtype: np.dtype[Any], encoding: str) -> FloatArray:
-    """Read-only table from stored integer to linear light in [0, 1]: ``linear`` or ``srgb`` (IEC 61966-2-1)."""
-    require(encoding in ("linear", "srgb"), f"encoding must be 'linear' or 'srgb', but it is '{encoding}'.")
+    """Read-only table from stored integer to linear light in [0, 1]: ``linear`` or ``srgb`` (IEC
+    61966-2-1)."""
+    require(
+        encoding in ("linear", "srgb"),
+        f"encoding must be 'linear' or 'srgb', but it is '{encoding}'.",
+    )
     full_scale = int(np.iinfo(dtype).max)
     values = np.arange(full_scale + 1, dtype=np.float64) / full_scale
     table = (_srgb_light(values) if encoding == "srgb" else values).astype(np.float32)
@@ -50,13 +55,18 @@ def srgb_code(light: FloatArray) -> FloatArray:
 
 
 def linear_image(
-    pixels: PixelArray, encoding: str, exposure: float = 1.0, black_level: float = 0.0, binning: float = 1
+    pixels: PixelArray,
+    encoding: str,
+    exposure: float = 1.0,
+    black_level: float = 0.0,
+    binning: float = 1,
 ) -> FloatArray:
-    """Linear light (H // binning, W // binning, C) float32 of one stored image (H, W, C) uint8 or uint16.
+    """Linear light (H // binning, W // binning, C) float32 of one stored image (H, W, C) uint8 or
+    uint16.
 
-    `exposure`: relative (time times gain), by which the light is divided; `black_level`: stored value of no light;
-    `binning`: average blocks of this many pixels a side, a multiple of 1/8 from 1 upwards; rows and columns that fill
-    no block are dropped.
+    `exposure`: relative (time times gain), by which the light is divided; `black_level`: stored
+    value of no light; `binning`: average blocks of this many pixels a side, a multiple of 1/8 from
+    1 upwards; rows and columns that fill no block are dropped.
     """
     height, width = (int(n // binning) for n in pixels.shape[:2])
     table = decode_table(pixels.dtype, encoding)
@@ -104,7 +114,8 @@ def pick_channel(light: FloatArray, channel: str) -> FloatArray:
 
 
 def bin_mean(image: FloatArray, factor: float) -> FloatArray:
-    """Mean over blocks of `factor` x `factor` pixels of the last two axes; what fills no block is dropped."""
+    """Mean over blocks of `factor` x `factor` pixels of the last two axes; what fills no block is
+    dropped."""
     if factor == 1:
         return image
     height, width = (int(n // factor) for n in image.shape[-2:])
@@ -118,20 +129,27 @@ Window = tuple[slice, slice]
 
 
 def linear_channels(
-    band: Band, encoding: str, channels: Sequence[str], window: Window | None = None, binning: float = 1
+    band: Band,
+    encoding: str,
+    channels: Sequence[str],
+    window: Window | None = None,
+    binning: float = 1,
 ) -> FloatArray:
-    """Linear light (C, L, h, w) of a band inside `window`: black level and ambient removed, exposures made equal.
+    """Linear light (C, L, h, w) of a band inside `window`: black level and ambient removed,
+    exposures made equal.
 
-    `channels`: names out of ``grey``, ``red``, ``green``, ``blue``; a grey file gives its one channel for all of them.
-    L is the number of `band.lights`: where coloured LEDs share an exposure, each colour has an image of its own,
-    without what the other colours leave in its pixels; it is had as ``grey`` alone. Negative values, which noise gives
-    where there is no light, are kept: clipping would bias dark pixels upwards. `binning`: as of :func:`linear_image`.
+    `channels`: names out of ``grey``, ``red``, ``green``, ``blue``; a grey file gives its one
+    channel for all of them. L is the number of `band.lights`: where coloured LEDs share an
+    exposure, each colour has an image of its own, without what the other colours leave in its
+    pixels; it is had as ``grey`` alone. Negative values, which noise gives where there is no light,
+    are kept: clipping would bias dark pixels upwards. `binning`: as of :func:`linear_image`.
     """
     unknown = set(channels) - {"grey", *CHANNELS}
     require(not unknown, f"channel '{', '.join(unknown)}' is not known.")
     require(
         not band.colours or set(channels) <= {"grey"},
-        f"the band '{band.name}' was lit by coloured LEDs, one colour an image; it has no channels of one light.",
+        f"the band '{band.name}' was lit by coloured LEDs, one colour an image; it has no channels"
+        " of one light.",
     )
     where = window or (slice(None), slice(None))
     ambient = ambient_light(band, encoding, where, binning)
@@ -163,8 +181,9 @@ def linear_stack(
 
 
 def linear_survey(band: Band, encoding: str, binning: int = 1) -> tuple[FloatArray, FloatArray]:
-    """Mean (h, w, C) float32 over all images with all channels (grey for coloured LEDs, which light different sides),
-    and every image in grey, (L, h, w) as :func:`linear_stack`, never all of both in memory.
+    """Mean (h, w, C) float32 over all images with all channels (grey for coloured LEDs, which light
+    different sides), and every image in grey, (L, h, w) as :func:`linear_stack`, never all of both
+    in memory.
     """
     if band.colours:
         grey = linear_stack(band, encoding, "grey", binning=binning)
@@ -195,14 +214,17 @@ def ambient_light(band: Band, encoding: str, window: Window, binning: float) -> 
     """Linear light (h, w, C) of the ambient image inside a window; None where there is none."""
     if band.ambient is None:
         return None
-    return linear_image(band.ambient[window], encoding, band.ambient_exposure, band.ambient_black_level, binning)
+    return linear_image(
+        band.ambient[window], encoding, band.ambient_exposure, band.ambient_black_level, binning
+    )
 
 
 def _lit_light(  # noqa: PLR0917
     band: Band, k: int, encoding: str, window: Window, binning: float, ambient: FloatArray | None
 ) -> FloatArray:
-    """Linear light (h, w, C) of image k without the ambient light; of two polarised series their mean. Where either
-    clips in two channels, all have the light at which the parallel one does, so that it counts as clipped.
+    """Linear light (h, w, C) of image k without the ambient light; of two polarised series their
+    mean. Where either clips in two channels, all have the light at which the parallel one does, so
+    that it counts as clipped.
     """
     if band.crossed is None:
         return _series_light(band, k, encoding, window, binning, ambient)
@@ -216,7 +238,9 @@ def _lit_light(  # noqa: PLR0917
     return np.where(clipped, np.maximum(parallel, level), 0.5 * (parallel + crossed))
 
 
-def _clipped(band: Band, k: int, encoding: str, light: FloatArray, ambient: FloatArray | None) -> BoolArray:
+def _clipped(
+    band: Band, k: int, encoding: str, light: FloatArray, ambient: FloatArray | None
+) -> BoolArray:
     """(h, w, 1) where the light of image k clips in two channels."""
     stored = light if band.transmission is None else light * band.transmission[k].astype(np.float32)
     stored = stored if ambient is None else stored + ambient
@@ -227,8 +251,8 @@ def _clipped(band: Band, k: int, encoding: str, light: FloatArray, ambient: Floa
 def _series_light(  # noqa: PLR0917
     band: Band, k: int, encoding: str, window: Window, binning: float, ambient: FloatArray | None
 ) -> FloatArray:
-    """Linear light (h, w, C) of image k of one series without the ambient light, the lens's fall-off and the films'
-    tint."""
+    """Linear light (h, w, C) of image k of one series without the ambient light, the lens's
+    fall-off and the films' tint."""
     image = band.pixels[k]
     exposure = float(band.exposure[k])
     black = float(band.black_level[k])
@@ -251,13 +275,20 @@ def _series_light(  # noqa: PLR0917
 
 
 def flat_light(band: Band, encoding: str) -> FloatArray:
-    """(L, h, w) linear light of a band's flat images. Raises BadInput if they are black in places."""
+    """(L, h, w) linear light of a band's flat images. Raises BadInput if they are black in
+    places."""
     assert band.flat is not None
     scale = float(np.iinfo(band.flat.dtype).max) / float(np.iinfo(band.pixels.dtype).max)
     return np.stack(
         [
-            _lit(linear_image(image[..., None], encoding, float(exposure), scale * float(black))[..., 0])
-            for image, exposure, black in zip(band.flat, band.exposure, band.black_level, strict=True)
+            _lit(
+                linear_image(image[..., None], encoding, float(exposure), scale * float(black))[
+                    ..., 0
+                ]
+            )
+            for image, exposure, black in zip(
+                band.flat, band.exposure, band.black_level, strict=True
+            )
         ]
     )
 
@@ -265,31 +296,42 @@ def flat_light(band: Band, encoding: str) -> FloatArray:
 def _lit(flat: FloatArray) -> FloatArray:
     require(
         float(flat.min()) > 1e-4 * float(flat.max()) > 0.0,
-        "the flat photographs are black in places; light the whole field, and check their black level.",
+        "the flat photographs are black in places; light the whole field, and check their black"
+        " level.",
     )
     return flat
 
 
 def coarse_flat(image: FloatArray) -> FloatArray:
-    """A flat surface's image (H, W) on a coarse grid, smoothed over its pixels; BadInput if it is black in places."""
+    """A flat surface's image (H, W) on a coarse grid, smoothed over its pixels; BadInput if it is
+    black in places."""
     return _lit(np.asarray(coarse_grid(image), dtype=np.float32))
 
 
 def flat_at(
-    flat: FloatArray, size: tuple[int, ...], corner: tuple[int, ...], binning: float, shape: tuple[int, ...]
+    flat: FloatArray,
+    size: tuple[int, ...],
+    corner: tuple[int, ...],
+    binning: float,
+    shape: tuple[int, ...],
 ) -> FloatArray:
-    """A coarse flat image (h, w) of images of `size` on the pixels of a window that begins at `corner`."""
+    """A coarse flat image (h, w) of images of `size` on the pixels of a window that begins at
+    `corner`."""
     y_step, x_step = np.array(flat.shape) / size
     x = (corner[1] + 0.5 * binning) * x_step - 0.5
     y = (corner[0] + 0.5 * binning) * y_step - 0.5
     matrix = np.array([[binning * x_step, 0.0, x], [0.0, binning * y_step, y]])
     flags = cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
-    return np.asarray(cv2.warpAffine(flat, matrix, shape[1::-1], flags=flags, borderMode=cv2.BORDER_REPLICATE))
+    return np.asarray(
+        cv2.warpAffine(flat, matrix, shape[1::-1], flags=flags, borderMode=cv2.BORDER_REPLICATE)
+    )
 
 
-def _colours_apart(light: FloatArray, colours: Sequence[str], crosstalk: Array | None, clips_at: float) -> FloatArray:
-    """(n, h, w) light of each of the `colours` in an exposure (h, w, C), in the order red, green, blue. Light that
-    clips in a channel is kept as stored, so that it still counts as clipped.
+def _colours_apart(
+    light: FloatArray, colours: Sequence[str], crosstalk: Array | None, clips_at: float
+) -> FloatArray:
+    """(n, h, w) light of each of the `colours` in an exposure (h, w, C), in the order red, green,
+    blue. Light that clips in a channel is kept as stored, so that it still counts as clipped.
     """
     present = [c for name, c in CHANNELS.items() if name in colours]
     if light.shape[2] == 1:
@@ -304,12 +346,15 @@ def _colours_apart(light: FloatArray, colours: Sequence[str], crosstalk: Array |
 
 def _first_lights(band: Band) -> list[int]:
     """For each exposure the first of its images in the stack."""
-    counts = [len(set(names)) for names in band.colours] if band.colours else [1] * band.pixels.shape[0]
+    counts = (
+        [len(set(names)) for names in band.colours] if band.colours else [1] * band.pixels.shape[0]
+    )
     return [sum(counts[:k]) for k in range(len(counts))]
 
 
 def saturation_levels(band: Band, encoding: str) -> Array:
-    """Linear light (L,) at which each image clips, on the scale of :func:`linear_channels` with ambient left in."""
+    """Linear light (L,) at which each image clips, on the scale of :func:`linear_channels` with
+    ambient left in."""
     count = np.diff([*_first_lights(band), len(band.lights)])
     levels = _clip_levels(band, encoding)
     if band.transmission is not None and not band.polarisation:
@@ -325,13 +370,15 @@ def _clip_levels(band: Band, encoding: str) -> Array:
 
 
 def grey_as_grey(band: Band) -> Band:
-    """The band in one channel where its three are equal: a grey camera's images that were stored as colour."""
+    """The band in one channel where its three are equal: a grey camera's images that were stored as
+    colour."""
 
     def equal(pixels: PixelArray) -> bool:
         least = pixels.min(axis=-1)
         return bool((pixels.max(axis=-1) - least <= np.iinfo(pixels.dtype).max // 255).all())
 
-    def grey(pixels: PixelArray) -> bool:  # a coarse look first, which nearly all coloured images end at
+    # a coarse look first, which nearly all coloured images end at
+    def grey(pixels: PixelArray) -> bool:
         return equal(pixels[:, ::16, ::16]) and all(equal(image) for image in pixels)
 
     if not has_colour(band) or not grey(band.pixels):

@@ -1,4 +1,5 @@
-"""Captures under coloured LEDs: where they come from, and how their colours are brought to one brightness."""
+"""Captures under coloured LEDs: where they come from, and how their colours are brought to one
+brightness."""
 
 from __future__ import annotations
 
@@ -25,37 +26,43 @@ class LightsSettings(Checked):
     """Coloured LEDs: Lin's case only."""
 
     compose: Annotated[int, Limits(0, 3)] = 0
-    """Number of coloured exposures to compose, each of up to three white images; 0: images as they are."""
+    """Number of coloured exposures to compose, each of up to three white images; 0: images as they
+    are."""
     balance: bool = False
     """Divide the images of each colour by the finger's mean brightness in that colour."""
 
 
 def as_lit(capture: Capture, settings: LightsSettings) -> tuple[Capture, tuple[Finding, ...]]:
-    """The capture under the lights that the settings require, and notes; BadInput as :func:`composed`."""
+    """The capture under the lights that the settings require, and notes; BadInput as
+    :func:`composed`."""
     white = capture.bands["white"]
     if settings.compose == 0 or white.colours:
         return capture, ()
     require(
         not white.polarisation,
-        "coloured exposures are put together from images without polarising films; this capture is polarised"
-        "; choose another preset, or `settings` lights.compose=0.",
+        "coloured exposures are put together from images without polarising films; this capture is"
+        " polarised; choose another preset, or `settings` lights.compose=0.",
     )
     exposures = max(1, min(settings.compose, len(white.leds) // len(COLOURS)))
-    words = "one coloured exposure was" if exposures == 1 else f"{exposures} coloured exposures were"
+    words = (
+        "one coloured exposure was" if exposures == 1 else f"{exposures} coloured exposures were"
+    )
     return composed(capture, exposures), (Finding("composed-colours", f"{words} {COMPOSED}"),)
 
 
 def balanced(stack: FloatArray, rig: Rig, band: Band, mask: BoolArray) -> FloatArray:
     """Images (L, h, w) of coloured LEDs divided by how bright the finger is in each colour.
 
-    One factor a colour: the skin's colour is taken to be the same everywhere, its brightness and shape are not. Factors
-    and Lambertian surface are fitted to each other in turns, and the geometric mean of the factors is one.
+    One factor a colour: the skin's colour is taken to be the same everywhere, its brightness and
+    shape are not. Factors and Lambertian surface are fitted to each other in turns, and the
+    geometric mean of the factors is one.
     """
     return stack / colour_factors_of(stack, rig, band, mask).astype(np.float32)[:, None, None]
 
 
 def colour_factors_of(stack: FloatArray, rig: Rig, band: Band, mask: BoolArray) -> Array:
-    """(L,) brightness of the finger in the colour of each image of a `stack` (L, h, w), by least squares."""
+    """(L,) brightness of the finger in the colour of each image of a `stack` (L, h, w), by least
+    squares."""
     lights = rig.select(band.lights).light_vectors()
     colour = np.array([rig.leds[group[0]].colour for group in band.lights])
     seen = stack.reshape(len(stack), -1)[:, mask.ravel()].astype(np.float64)
@@ -71,18 +78,21 @@ def colour_factors_of(stack: FloatArray, rig: Rig, band: Band, mask: BoolArray) 
         shading = lights @ (np.linalg.pinv(factors[:, None] * lights) @ seen)
         for name in names:
             own = colour == name
-            factors[own] = float((seen[own] * shading[own]).sum() / max((shading[own] ** 2).sum(), 1e-12))
+            factors[own] = float(
+                (seen[own] * shading[own]).sum() / max((shading[own] ** 2).sum(), 1e-12)
+            )
         if float(np.abs(factors / before - 1.0).max()) < _SETTLED:
             break
     factors = np.maximum(factors, 1e-6)
     return np.asarray(factors / np.exp(np.mean(np.log(factors))))
 
 
-# A coloured capture put together from a white one: what three coloured LEDs in one exposure would about have given.
+# A coloured capture put together from a white one: what three coloured LEDs in one exposure would
+# about have given.
 
 COMPOSED = (
-    "put together from images under white LEDs: broad bands instead of lines, and shots that were taken one after the "
-    "other share an exposure."
+    "put together from images under white LEDs: broad bands instead of lines, and shots that were"
+    " taken one after the other share an exposure."
 )
 """Note of every result that does not come from coloured LEDs."""
 _BLACK = 0.02
@@ -90,27 +100,31 @@ _BLACK = 0.02
 
 
 def composed(capture: Capture, exposures: int = 2) -> Capture:
-    """Put a capture under coloured LEDs together from one of at least 3 x `exposures` (1 to 3) white images in colour.
+    """Put a capture under coloured LEDs together from one of at least 3 x `exposures` (1 to 3)
+    white images in colour.
 
-    The red channel of image i, the green one of image j and the blue one of image k become one exposure (16 bits),
-    mixed as the IMX219's pixels mix coloured LEDs (:data:`splitknit.model.CROSSTALK`). Three things are not as they
-    would be: a channel under a white LED sees a broad band where a coloured LED is a line; what a finger moved between
-    the white shots is within an exposure; and each channel has the noise of its own shot. Raises BadInput if the white
-    images are grey or too few.
+    The red channel of image i, the green one of image j and the blue one of image k become one
+    exposure (16 bits), mixed as the IMX219's pixels mix coloured LEDs
+    (:data:`splitknit.model.CROSSTALK`). Three things are not as they would be: a channel under a
+    white LED sees a broad band where a coloured LED is a line; what a finger moved between the
+    white shots is within an exposure; and each channel has the noise of its own shot. Raises
+    BadInput if the white images are grey or too few.
     """
     from splitknit.model import CROSSTALK, shared_exposures  # the twin's sensor
 
     white = capture.bands["white"]
     require(
         white.pixels.shape[3] == 3,
-        "coloured exposures are put together from colour images only, but the white band is grey; capture in colour.",
+        "coloured exposures are put together from colour images only, but the white band is grey;"
+        " capture in colour.",
     )
     count = 3 * exposures
     x, y, _ = capture.rig.select(white.leds).light_vectors().T
     around = np.argsort(np.arctan2(y, x) % (2 * np.pi), kind="stable").tolist()
     require(
         len(around) >= count,
-        f"{exposures} exposures of three colours need {count} white images, but there are {len(around)}.",
+        f"{exposures} exposures of three colours need {count} white images, but there are"
+        f" {len(around)}.",
     )
     chosen = [around[round(k * len(around) / count)] for k in range(count)]
     mixing = np.asarray(CROSSTALK)
@@ -141,7 +155,9 @@ def composed(capture: Capture, exposures: int = 2) -> Capture:
 
 def _exposure(white: Band, encoding: str, shots: list[int], mixing: Array) -> NDArray[np.uint16]:
     """(H, W, 3) stored values of one exposure, clipped where one of its channels was."""
-    chosen: dict[str, Any] = {name: getattr(white, name)[shots] for name in ("pixels", "exposure", "black_level")}
+    chosen: dict[str, Any] = {
+        name: getattr(white, name)[shots] for name in ("pixels", "exposure", "black_level")
+    }
     part = replace(white, leds=tuple(white.leds[k] for k in shots), files=(), **chosen)
     light = linear_channels(part, encoding, COLOURS)
     shortest = np.float32(white.exposure.min())

@@ -1,4 +1,5 @@
-"""A part of a capture's picture as a capture of its own, with the camera and the lights in that part's frame."""
+"""A part of a capture's picture as a capture of its own, with the camera and the lights in that
+part's frame."""
 
 from __future__ import annotations
 
@@ -15,20 +16,30 @@ _BRIGHTEST = 0.9  # of a flat image, in full scale
 
 
 def cropped(capture: Capture, window: Window) -> Capture:
-    """The capture as if its camera had only the rows and columns of a window (slices with both ends).
+    """The capture as if its camera had only the rows and columns of a window (slices with both
+    ends).
 
-    Under parallel rays the origin moves to the window's middle, and near LEDs move against it; a perspective camera
-    keeps its axis, and its principal point moves. The lens's fall-off, which has its middle in the whole picture,
-    becomes a flat image. `rig.provenance` gets ``cut_from``; the truth stays behind. Raises BadInput beside mirrors.
+    Under parallel rays the origin moves to the window's middle, and near LEDs move against it; a
+    perspective camera keeps its axis, and its principal point moves. The lens's fall-off, which has
+    its middle in the whole picture, becomes a flat image. `rig.provenance` gets ``cut_from``; the
+    truth stays behind. Raises BadInput beside mirrors.
     """
     require(not capture.rig.mirrors, "captures between mirrors cannot be cut.")
     bands = {}
     for name, band in capture.bands.items():
         ambient = None if band.ambient is None else band.ambient[window]
-        flat = None if band.flat is None and not band.shading else _flat(band, capture.encoding, window)
-        bands[name] = replace(band, pixels=band.pixels[:, *window], ambient=ambient, flat=flat, shading=())
+        flat = (
+            None
+            if band.flat is None and not band.shading
+            else _flat(band, capture.encoding, window)
+        )
+        bands[name] = replace(
+            band, pixels=band.pixels[:, *window], ambient=ambient, flat=flat, shading=()
+        )
     mask = None if capture.mask is None else capture.mask[window]
-    return replace(capture, rig=_rig(capture.rig, window), bands=bands, mask=mask, truth=None, hashes={})
+    return replace(
+        capture, rig=_rig(capture.rig, window), bands=bands, mask=mask, truth=None, hashes={}
+    )
 
 
 def _rig(rig: Rig, window: Window) -> Rig:
@@ -36,7 +47,8 @@ def _rig(rig: Rig, window: Window) -> Rig:
     films = rig.films
     matrix = camera.matrix
     (top, bottom), (left, right) = ends = [(part.start, part.stop) for part in window]
-    away = (np.array([left + right, top + bottom]) - camera.image_size[::-1]) / 2  # middle from middle: columns, rows
+    # middle from middle: columns, rows
+    away = (np.array([left + right, top + bottom]) - camera.image_size[::-1]) / 2
     x_mm, y_mm = away * camera.pitch_mm * (1, -1) if camera.model == "orthographic" else (0.0, 0.0)
     if matrix is not None:
         matrix = matrix - np.array([[0, 0, left], [0, 0, top], [0, 0, 0]])
@@ -64,10 +76,19 @@ def _flat(band: Band, encoding: str, window: Window) -> PixelArray:
     corner = (window[0].start, window[1].start)
     shape = (window[0].stop - corner[0], window[1].stop - corner[1])
     lens = lens_shading(band.shading, size, *corner, shape=shape)
-    light = np.ones((len(band.pixels), 2, 2), np.float32) if band.flat is None else flat_light(band, encoding)
-    exposed = np.stack([coarse_grid(flat_at(image, size, corner, 1, shape) * lens) for image in light])
+    light = (
+        np.ones((len(band.pixels), 2, 2), np.float32)
+        if band.flat is None
+        else flat_light(band, encoding)
+    )
+    exposed = np.stack(
+        [coarse_grid(flat_at(image, size, corner, 1, shape) * lens) for image in light]
+    )
     exposed *= band.exposure[:, None, None].astype(np.float32)
     table = decode_table(np.dtype(np.uint16), encoding)
     full = np.iinfo(band.pixels.dtype).max
     black = np.interp(65535 / full * band.black_level, np.arange(table.size), table)[:, None, None]
-    return np.asarray(np.searchsorted(table, black + (_BRIGHTEST - black) * exposed / exposed.max()), dtype=np.uint16)
+    return np.asarray(
+        np.searchsorted(table, black + (_BRIGHTEST - black) * exposed / exposed.max()),
+        dtype=np.uint16,
+    )

@@ -1,4 +1,5 @@
-"""Frames, poses, finite differences and resampling, with one convention: x right, y up, z towards the camera.
+"""Frames, poses, finite differences and resampling, with one convention: x right, y up, z towards
+the camera.
 
 Rows run downwards, so a derivative along y is minus the derivative along the rows.
 """
@@ -16,7 +17,8 @@ from splitknit.model import Array, BoolArray, FloatArray
 
 
 def bounding_box(mask: BoolArray, margin: int = 0) -> tuple[slice, slice]:
-    """Rows and columns that hold `mask`, which must not be empty, and `margin` pixels around it, inside the image."""
+    """Rows and columns that hold `mask`, which must not be empty, and `margin` pixels around it,
+    inside the image."""
     rows, columns = (
         slice(max(0, int(inside[0]) - margin), min(int(inside[-1]) + 1 + margin, size))
         for inside, size in (
@@ -30,7 +32,8 @@ def bounding_box(mask: BoolArray, margin: int = 0) -> tuple[slice, slice]:
 def gradients_from_normals(
     normals: FloatArray, mask: BoolArray | None = None, max_slope: float = 10.0
 ) -> tuple[FloatArray, FloatArray]:
-    """dz/dx and dz/dy (y up) of normals (H, W, 3), zero outside `mask`; beyond `max_slope` cut, direction kept."""
+    """dz/dx and dz/dy (y up) of normals (H, W, 3), zero outside `mask`; beyond `max_slope` cut,
+    direction kept."""
     nz = np.maximum(normals[..., 2], 1e-6)
     gradient_x = -normals[..., 0] / nz
     gradient_y = -normals[..., 1] / nz
@@ -52,8 +55,8 @@ def normals_from_gradients(gradient_x: FloatArray, gradient_y: FloatArray) -> Fl
 
 
 def height_gradients(height: FloatArray, pitch: float) -> tuple[FloatArray, FloatArray]:
-    """Slopes dz/dx and dz/dy (y up) of `height` (H, W), NaN outside the surface, in units of `pitch` a pixel: central
-    differences, one-sided beside a missing neighbour, zero without both.
+    """Slopes dz/dx and dz/dy (y up) of `height` (H, W), NaN outside the surface, in units of
+    `pitch` a pixel: central differences, one-sided beside a missing neighbour, zero without both.
     """
     return _difference(height, 1) / pitch, -_difference(height, 0) / pitch
 
@@ -71,18 +74,21 @@ def _difference(height: FloatArray, axis: int) -> FloatArray:
 
 
 def warp(image: FloatArray, source_from_target: Array, size: tuple[int, int]) -> FloatArray:
-    """Resample `image` (H, W) or (H, W, C) to `size` (rows, columns), bicubic, zero from outside; `source_from_target`
-    (3 x 3) takes (column, row, 1) of the target to the source.
+    """Resample `image` (H, W) or (H, W, C) to `size` (rows, columns), bicubic, zero from outside;
+    `source_from_target` (3 x 3) takes (column, row, 1) of the target to the source.
     """
     if abs(float(np.linalg.det(source_from_target[:2, :2]))) < 1e-12:
         raise BadInput("the transform between two frames is singular.")
     pixels = np.ascontiguousarray(image, dtype=np.float32)
     flags = cv2.INTER_CUBIC | cv2.WARP_INVERSE_MAP
-    return np.asarray(cv2.warpAffine(pixels, source_from_target[:2], (size[1], size[0]), flags=flags))
+    return np.asarray(
+        cv2.warpAffine(pixels, source_from_target[:2], (size[1], size[0]), flags=flags)
+    )
 
 
 def rotation_about(centre: tuple[float, float], angle_rad: float) -> Array:
-    """3 x 3 matrix on (column, row, 1) that turns by `angle_rad` counter-clockwise, as seen, about `centre`."""
+    """3 x 3 matrix on (column, row, 1) that turns by `angle_rad` counter-clockwise, as seen, about
+    `centre`."""
     cos = np.cos(angle_rad)
     sin = np.sin(angle_rad)
     turn = np.array([[cos, sin, 0.0], [-sin, cos, 0.0], [0.0, 0.0, 1.0]])
@@ -95,11 +101,14 @@ def gaussian_mean(image: NDArray[Any], sigma: float) -> FloatArray:
     """Gaussian mean (H, W) with zeros beyond the border; `sigma` in pixels, none below 0.2."""
     if sigma < 0.2:
         return image
-    return np.asarray(cv2.GaussianBlur(image.astype(np.float32), (0, 0), sigma, borderType=cv2.BORDER_CONSTANT))
+    return np.asarray(
+        cv2.GaussianBlur(image.astype(np.float32), (0, 0), sigma, borderType=cv2.BORDER_CONSTANT)
+    )
 
 
 def smoothed(values: FloatArray, mask: BoolArray, sigma_px: float) -> FloatArray:
-    """Gaussian mean (H, W) of `values` (H, W) float32 over what lies inside the mask (H, W); zero outside it."""
+    """Gaussian mean (H, W) of `values` (H, W) float32 over what lies inside the mask (H, W); zero
+    outside it."""
     # about the mean, so that float32 keeps what matters
     middle = values[mask].mean() if mask.any() else 0.0
     total = gaussian_mean(np.where(mask, values - middle, 0.0), sigma_px)
@@ -115,7 +124,11 @@ def wide_blur(image: FloatArray, sigma: float) -> FloatArray:
     size = (image.shape[1], image.shape[0])
     reduced = (-(-size[0] // factor), -(-size[1] // factor))
     small = cv2.resize(image, reduced, interpolation=cv2.INTER_AREA)
-    return np.asarray(cv2.resize(cv2.GaussianBlur(small, (0, 0), sigma / factor), size, interpolation=cv2.INTER_LINEAR))
+    return np.asarray(
+        cv2.resize(
+            cv2.GaussianBlur(small, (0, 0), sigma / factor), size, interpolation=cv2.INTER_LINEAR
+        )
+    )
 
 
 _LINE = 128
@@ -129,29 +142,39 @@ def sampled_at(
     how: int = cv2.INTER_LINEAR,
     outside: float | None = None,
 ) -> FloatArray:
-    """Values (...) or (..., C) of a field (H, W) or (H, W, C) at places (...) between its pixels, by OpenCV's
-    interpolation `how`; `outside`: value beside the field, by default the nearest pixel's.
+    """Values (...) or (..., C) of a field (H, W) or (H, W, C) at places (...) between its pixels,
+    by OpenCV's interpolation `how`; `outside`: value beside the field, by default the nearest
+    pixel's.
     """
     missing = -columns.size % _LINE
     shape = (*columns.shape, *field.shape[2:])
     padded = (np.append(part, np.zeros(missing)).astype(np.float32) for part in (columns, rows))
     x, y = (part.reshape(-1, _LINE) for part in padded)
     border = cv2.BORDER_REPLICATE if outside is None else cv2.BORDER_CONSTANT
-    taken = cv2.remap(field, x, y, how, borderMode=border, borderValue=(outside or 0.0,) * 4) if x.size else np.zeros(0)
+    taken = (
+        cv2.remap(field, x, y, how, borderMode=border, borderValue=(outside or 0.0,) * 4)
+        if x.size
+        else np.zeros(0)
+    )
     return taken.reshape(-1, *field.shape[2:])[: columns.size].reshape(shape)
 
 
 def enlarged(field: FloatArray, factor: int, shape: tuple[int, ...]) -> FloatArray:
-    """A field of blocks of `factor` pixels a side, interpolated at the pixels of an image of `shape`."""
+    """A field of blocks of `factor` pixels a side, interpolated at the pixels of an image of
+    `shape`."""
     size = (field.shape[1] * factor, field.shape[0] * factor)
     large = cv2.resize(field, size, interpolation=cv2.INTER_LINEAR)
-    return np.pad(large, [(0, side - own) for side, own in zip(shape, large.shape, strict=True)], mode="edge")
+    return np.pad(
+        large, [(0, side - own) for side, own in zip(shape, large.shape, strict=True)], mode="edge"
+    )
 
 
 def nearest_known(values: FloatArray, known: BoolArray) -> FloatArray:
     """`values` (h, w), where they are not `known` those of the nearest place where they are."""
     away = (~known).astype(np.uint8)
-    _, labels = cv2.distanceTransformWithLabels(away, cv2.DIST_L2, 5, labelType=cv2.DIST_LABEL_PIXEL)
+    _, labels = cv2.distanceTransformWithLabels(
+        away, cv2.DIST_L2, 5, labelType=cv2.DIST_LABEL_PIXEL
+    )
     table = np.zeros(int(labels.max()) + 1, dtype=np.float32)
     table[labels[known]] = values[known]
     return np.asarray(table[labels])

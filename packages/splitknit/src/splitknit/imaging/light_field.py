@@ -17,18 +17,21 @@ _UNIT_MM2 = 1e4
 SIDE_DEG = (30.0, 45.0)
 SIDE_RATIO = 1.5
 _AROUND = 6
-"""Angle off the camera's axis beyond which a light stands to the side of a finger: `SIDE_RATIO` times that of the light
-with the sixth smallest angle, within these bounds. One more light at 38 deg beside a ring at 20 took the surface error
-of two simulated fingers from 0.06 and 0.07 to 0.10 mm."""
+"""Angle off the camera's axis beyond which a light stands to the side of a finger: `SIDE_RATIO`
+times that of the light with the sixth smallest angle, within these bounds. One more light at 38 deg
+beside a ring at 20 took the surface error of two simulated fingers from 0.06 and 0.07 to 0.10
+mm."""
 FEW_LIGHTS = 4
 """So many lights, or fewer, are warned of."""
 
 
 def light_vectors_at(rig: Rig, x: FloatArray, y: FloatArray, z: FloatArray) -> FloatArray:
-    """Light vectors (L, 3, ...) at points in mm: direction towards the light times its relative irradiance.
+    """Light vectors (L, 3, ...) at points in mm: direction towards the light times its relative
+    irradiance.
 
-    Near LEDs follow the inverse square of the distance and the cosine lobe about their axes. LEDs that share an
-    exposure add. As in :meth:`splitknit.model.Rig.light_vectors`, the mean length at the origin is one.
+    Near LEDs follow the inverse square of the distance and the cosine lobe about their axes. LEDs
+    that share an exposure add. As in :meth:`splitknit.model.Rig.light_vectors`, the mean length at
+    the origin is one.
 
     Parameters
     ----------
@@ -43,7 +46,9 @@ def light_vectors_at(rig: Rig, x: FloatArray, y: FloatArray, z: FloatArray) -> F
         Without a unit.
     """
     origin = np.zeros(1, dtype=np.float32)
-    at_origin = np.stack([_sum(_alone(led), origin, origin, origin) for led in rig.leds]).astype(np.float64)
+    at_origin = np.stack([_sum(_alone(led), origin, origin, origin) for led in rig.leds]).astype(
+        np.float64
+    )
     scale = np.float32(1 / np.sqrt((at_origin**2).sum(axis=1)).mean())
     field = np.empty((len(rig.leds), 3, *z.shape), dtype=np.float32)
     for k, led in enumerate(rig.leds):
@@ -54,13 +59,16 @@ def light_vectors_at(rig: Rig, x: FloatArray, y: FloatArray, z: FloatArray) -> F
 def lights_in_front(rig: Rig) -> BoolArray:
     """(L,) whether each of the rig's lights stands in front of the finger, not to its side."""
     towards = rig.light_vectors()
-    off_deg = np.degrees(np.arccos(np.clip(towards[:, 2] / np.linalg.norm(towards, axis=1), -1.0, 1.0)))
+    off_deg = np.degrees(
+        np.arccos(np.clip(towards[:, 2] / np.linalg.norm(towards, axis=1), -1.0, 1.0))
+    )
     limit = SIDE_RATIO * np.sort(off_deg)[_AROUND - 1] if len(off_deg) >= _AROUND else SIDE_DEG[1]
     return np.asarray(off_deg <= np.clip(limit, *SIDE_DEG))
 
 
 def flat_promised(rig: Rig, shape: tuple[int, ...]) -> FloatArray:
-    """(L, h, w) light of a flat matt surface in the finger plane by the rig: what flat photographs are brought to."""
+    """(L, h, w) light of a flat matt surface in the finger plane by the rig: what flat photographs
+    are brought to."""
     _, rows, columns = shape
     step = rig.camera.image_size[1] / columns / rig.camera.px_per_mm
     x, y = np.meshgrid(np.arange(columns) - 0.5 * (columns - 1), 0.5 * (rows - 1) - np.arange(rows))
@@ -98,7 +106,9 @@ def _vectors(led: Led, x: FloatArray, y: FloatArray, z: FloatArray) -> FloatArra
     strength = np.float32(led.intensity) * _UNIT_MM2 / (square * distance)
     if led.lobe_exponent > 0:
         axis_unit = -led.axis.astype(np.float32)
-        cosine = (result[0] * axis_unit[0] + result[1] * axis_unit[1] + result[2] * axis_unit[2]) / distance
+        cosine = (
+            result[0] * axis_unit[0] + result[1] * axis_unit[1] + result[2] * axis_unit[2]
+        ) / distance
         strength *= np.maximum(cosine, 0.0) ** np.float32(led.lobe_exponent)
     result *= strength if led.shade is None else strength * _fraction(led.shade, x, y, z)
     return result
@@ -125,22 +135,26 @@ def surface_array(surface_mm: Any, shape: tuple[int, int]) -> FloatArray:
     array = np.asarray(surface_mm, dtype=np.float32)
     require(
         array.ndim == 0 or array.shape == shape,
-        f"surface_mm must be a number or have the shape {shape}, but it has the shape {array.shape}.",
+        f"surface_mm must be a number or have the shape {shape}, but it has the shape"
+        f" {array.shape}.",
     )
     return np.broadcast_to(array, shape)
 
 
 def few_lights(vectors: Array) -> list[Finding]:
-    """A warning where three or four lights leave little to check, with the error that noise then causes: by the
-    covariance s^2 (L'L)^-1 of normal times albedo, for a surface that faces the camera. `vectors`: (L, 3), mean length
-    one.
+    """A warning where three or four lights leave little to check, with the error that noise then
+    causes: by the covariance s^2 (L'L)^-1 of normal times albedo, for a surface that faces the
+    camera. `vectors`: (L, 3), mean length one.
     """
     if len(vectors) > FEW_LIGHTS:
         return []
     units = vectors / np.linalg.norm(vectors, axis=1, keepdims=True)
     spread = np.linalg.inv(units.T @ units)
     tilt_deg = float(np.rad2deg(0.01 * np.sqrt(spread[0, 0] + spread[1, 1])))
-    spare = "one is spare, so that one shadow or highlight at a pixel shows, but not which light it is of"
+    spare = (
+        "one is spare, so that one shadow or highlight at a pixel shows, but not which light it"
+        " is of"
+    )
     if len(vectors) == 3:
         spare = "none is spare, so that shadows and highlights bend the surface unnoticed"
     return [

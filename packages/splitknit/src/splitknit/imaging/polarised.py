@@ -1,4 +1,5 @@
-"""Photographs behind linear films: light as without them, and the light that the surface itself reflects."""
+"""Photographs behind linear films: light as without them, and the light that the surface itself
+reflects."""
 
 from __future__ import annotations
 
@@ -17,20 +18,22 @@ from splitknit.imaging.light_field import lights_in_front
 from splitknit.model import Array, Band, BoolArray, Capture, Films, FloatArray
 
 NOT_SPECULAR = (
-    "the crossed photographs are as bright as the parallel ones: were their folders exchanged, or did the camera "
-    "change its exposure between the series?"
+    "the crossed photographs are as bright as the parallel ones: were their folders exchanged, or"
+    " did the camera change its exposure between the series?"
 )
 _EVEN_MM = 0.5
 """Size over which a specular picture is made even: a ridge's period."""
 _AS_ALIKE = 0.1
-"""Difference of two correlations below which they count as equal: an LED halfway between two others matches both."""
+"""Difference of two correlations below which they count as equal: an LED halfway between two others
+matches both."""
 _FILMS_DEG = ((90, 45), (135, 0))
 """Directions of the films on each 2 x 2 pixels of Sony's IMX250MZR and IMX250MYR."""
 
 
 def without_films(capture: Capture) -> Capture:
-    """The capture whose white light is the mean of its parallel and crossed series, where it has both; taken where
-    images are made linear. It has half the brightness of light without films, and its shading.
+    """The capture whose white light is the mean of its parallel and crossed series, where it has
+    both; taken where images are made linear. It has half the brightness of light without films, and
+    its shading.
     """
     crossed = capture.bands.get("white_crossed")
     if crossed is None:
@@ -46,10 +49,12 @@ IN_FRONT = 4
 
 
 def without_side_lights(capture: Capture) -> Capture:
-    """The capture whose white bands have the lights in front of the finger, and the others as their `side`.
+    """The capture whose white bands have the lights in front of the finger, and the others as their
+    `side`.
 
-    A light from the side leaves half of a finger, and valleys between ridges, in shadow: skin under it looks like no
-    surface under the lights in front. What is not skin, coloured lights, and lights in mirrors stay as they are.
+    A light from the side leaves half of a finger, and valleys between ridges, in shadow: skin under
+    it looks like no surface under the lights in front. What is not skin, coloured lights, and
+    lights in mirrors stay as they are.
     """
     white = capture.bands["white"]
     if capture.material != "skin" or capture.rig.mirrors or white.colours:
@@ -67,27 +72,34 @@ def without_side_lights(capture: Capture) -> Capture:
     return replace(capture, bands={**capture.bands, **parts})
 
 
-def split_mosaic(mosaic: NDArray[Any], film_deg: float, *, colour: bool = False) -> tuple[NDArray[Any], NDArray[Any]]:
+def split_mosaic(
+    mosaic: NDArray[Any], film_deg: float, *, colour: bool = False
+) -> tuple[NDArray[Any], NDArray[Any]]:
     """The parallel and the crossed image in one frame of a camera that has films on its pixels.
 
-    The light behind films of four directions gives its Stokes parameters, and they the light behind a film of any
-    direction: I(a) = (S0 + S1 cos 2a + S2 sin 2a) / 2. Light of each direction is interpolated to the middle of its
-    block of 2 x 2 pixels first: an edge would seem polarised otherwise. Raises BadInput if the frame has several
-    channels or sides that hold no whole blocks. Source: E. Collett, "Field Guide to Polarization", 2005: Stokes
-    parameters, Malus's law. `mosaic`: (H, W) or (H, W, 1) uint8 or uint16, linear, blocks of 90, 45 / 135, 0 degrees
-    (Sony IMX250MZR); `film_deg`: direction of the film before the LEDs, as the camera states its own: 0 along the rows;
-    `colour`: whether the blocks lie behind a Bayer pattern (red, green / green, blue; Sony IMX250MYR). Returns (H / 2,
-    W / 2, C) of the mosaic's type, the parallel image clipped where one of a block's pixels is.
+    The light behind films of four directions gives its Stokes parameters, and they the light behind
+    a film of any direction: I(a) = (S0 + S1 cos 2a + S2 sin 2a) / 2. Light of each direction is
+    interpolated to the middle of its block of 2 x 2 pixels first: an edge would seem polarised
+    otherwise. Raises BadInput if the frame has several channels or sides that hold no whole blocks.
+    Source: E. Collett, "Field Guide to Polarization", 2005: Stokes parameters, Malus's law.
+    `mosaic`: (H, W) or (H, W, 1) uint8 or uint16, linear, blocks of 90, 45 / 135, 0 degrees (Sony
+    IMX250MZR); `film_deg`: direction of the film before the LEDs, as the camera states its own: 0
+    along the rows; `colour`: whether the blocks lie behind a Bayer pattern (red, green / green,
+    blue; Sony IMX250MYR). Returns (H / 2, W / 2, C) of the mosaic's type, the parallel image
+    clipped where one of a block's pixels is.
 
     >>> import numpy as np
-    >>> mirrored = np.tile(np.array([[200, 100], [100, 0]], np.uint8), (4, 4))  # polarised along 90 degrees
+    >>> tile = np.array([[200, 100], [100, 0]], np.uint8)  # polarised along 90 degrees
+    >>> mirrored = np.tile(tile, (4, 4))
     >>> [int(image[2, 2, 0]) for image in split_mosaic(mirrored, film_deg=90.0)]
     [200, 0]
     """
     rows, columns = mosaic.shape[:2]
     block = 4 if colour else 2
     require(
-        mosaic.size == rows * columns and mosaic.dtype.kind == "u" and rows % block == columns % block == 0,
+        mosaic.size == rows * columns
+        and mosaic.dtype.kind == "u"
+        and rows % block == columns % block == 0,
         f"a mosaic of films has one channel of integers and sides that are multiples of {block}"
         f", but it is {mosaic.shape} {mosaic.dtype}.",
     )
@@ -102,12 +114,19 @@ def split_mosaic(mosaic: NDArray[Any], film_deg: float, *, colour: bool = False)
         shift = np.array([[1, 0, 0.25 - 0.5 * column], [0, 1, 0.25 - 0.5 * row]])
         flags = cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
         light[_FILMS_DEG[row][column]] = cv2.warpAffine(
-            part.astype(np.float32), shift, part.shape[1::-1], flags=flags, borderMode=cv2.BORDER_REPLICATE
+            part.astype(np.float32),
+            shift,
+            part.shape[1::-1],
+            flags=flags,
+            borderMode=cv2.BORDER_REPLICATE,
         ).reshape(rows // 2, columns // 2, -1)
-    clips = cv2.dilate(clips.astype(np.uint8), np.ones((3, 3), np.uint8)) > 0  # as far as light was interpolated
+    # as far as light was interpolated
+    clips = cv2.dilate(clips.astype(np.uint8), np.ones((3, 3), np.uint8)) > 0
     total = (light[0] + light[45] + light[90] + light[135]) / 2
     angle = np.deg2rad(2 * film_deg)
-    part = (light[0] - light[90]) * np.float32(np.cos(angle)) + (light[45] - light[135]) * np.float32(np.sin(angle))
+    part = (light[0] - light[90]) * np.float32(np.cos(angle)) + (
+        light[45] - light[135]
+    ) * np.float32(np.sin(angle))
     parallel, crossed = (np.clip(np.rint((total + sign * part) / 2), 0, full) for sign in (1, -1))
     parallel[clips] = full
     return parallel.astype(mosaic.dtype), crossed.astype(mosaic.dtype)
@@ -116,11 +135,12 @@ def split_mosaic(mosaic: NDArray[Any], film_deg: float, *, colour: bool = False)
 def separate_polarised(parallel: FloatArray, crossed: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Specular and diffuse light of linear images through a parallel and a crossed analyser.
 
-    What the surface reflects keeps its polarisation and passes the parallel analyser alone; half of what the skin has
-    depolarised passes either. Light that was scattered once or twice stays in part with the specular light. `parallel`
-    and `crossed`: (..., H, W) or (..., H, W, C) linear light of one exposure. Returns the difference, zero where noise
-    makes it negative, and the crossed images as they are. Source: S. L.
-    Jacques, J. C. Ramella-Roman and K. Lee, "Imaging skin pathology with polarized light", 2002.
+    What the surface reflects keeps its polarisation and passes the parallel analyser alone; half of
+    what the skin has depolarised passes either. Light that was scattered once or twice stays in
+    part with the specular light. `parallel` and `crossed`: (..., H, W) or (..., H, W, C) linear
+    light of one exposure. Returns the difference, zero where noise makes it negative, and the
+    crossed images as they are. Source: S. L. Jacques, J. C. Ramella-Roman and K. Lee, "Imaging skin
+    pathology with polarized light", 2002.
 
     >>> specular, diffuse = separate_polarised(np.full((1, 4, 4), 0.5), np.full((1, 4, 4), 0.3))
     >>> float(specular[0, 0, 0].round(3)), float(diffuse[0, 0, 0])
@@ -129,12 +149,16 @@ def separate_polarised(parallel: FloatArray, crossed: FloatArray) -> tuple[Float
     return np.maximum(parallel - crossed, 0.0), crossed
 
 
-def findings_on_series(parallel: FloatArray, crossed: FloatArray, mask: BoolArray) -> tuple[Finding, ...]:
-    """A finding where two series (L, H, W) are exchanged, or images of theirs were not lit from the same sides."""
+def findings_on_series(
+    parallel: FloatArray, crossed: FloatArray, mask: BoolArray
+) -> tuple[Finding, ...]:
+    """A finding where two series (L, H, W) are exchanged, or images of theirs were not lit from the
+    same sides."""
     series = [np.maximum(stack[:, mask], 1e-6) for stack in (parallel, crossed)]
     if series[1].mean() >= series[0].mean():
         return (Finding("not-specular", NOT_SPECULAR),)
-    shading = [light / light.mean(axis=0) for light in series]  # shows from where each image was lit
+    # shows from where each image was lit
+    shading = [light / light.mean(axis=0) for light in series]
     likeness = np.corrcoef(*shading)[: len(parallel), len(parallel) :]
     wrong = np.flatnonzero(np.diag(likeness) < likeness.max(axis=0) - _AS_ALIKE)
     if wrong.size == 0:
@@ -151,15 +175,18 @@ def findings_on_series(parallel: FloatArray, crossed: FloatArray, mask: BoolArra
 
 
 def specular_picture(specular: FloatArray, mask: BoolArray, sigma_px: float) -> FloatArray:
-    """One specular image of all lights, of even brightness and contrast: the most legible picture of a finger.
+    """One specular image of all lights, of even brightness and contrast: the most legible picture
+    of a finger.
 
-    Returns (H, W) float32, standard deviations from the local mean, NaN outside the mask. Bright is skin that is turned
-    towards half the angle between camera and a light: where it faces the camera, both flanks of a ridge; elsewhere one
-    of them. `specular`: (L, H, W) specular light, or (1, H, W) its mean; `mask`: (H, W) where it is looked at;
-    `sigma_px`: standard deviation, in pixels, of the Gaussian over which brightness and contrast are made even; about a
-    ridge's period.
+    Returns (H, W) float32, standard deviations from the local mean, NaN outside the mask. Bright is
+    skin that is turned towards half the angle between camera and a light: where it faces the
+    camera, both flanks of a ridge; elsewhere one of them. `specular`: (L, H, W) specular light, or
+    (1, H, W) its mean; `mask`: (H, W) where it is looked at; `sigma_px`: standard deviation, in
+    pixels, of the Gaussian over which brightness and contrast are made even; about a ridge's
+    period.
 
-    >>> specular_picture(np.random.default_rng(0).random((7, 40, 40)), np.ones((40, 40), bool), 5.0).shape
+    >>> stack = np.random.default_rng(0).random((7, 40, 40))
+    >>> specular_picture(stack, np.ones((40, 40), bool), 5.0).shape
     (40, 40)
     """
     light = specular.mean(axis=0)
@@ -176,7 +203,8 @@ def specular_picture(specular: FloatArray, mask: BoolArray, sigma_px: float) -> 
 
 
 def specular_of(capture: Capture, mask: BoolArray) -> FloatArray | None:
-    """The :func:`specular_picture` (H, W) of a capture of :func:`without_films` inside `mask`; None without films."""
+    """The :func:`specular_picture` (H, W) of a capture of :func:`without_films` inside `mask`; None
+    without films."""
     white = capture.bands["white"]
     if white.crossed is None:
         return None
@@ -186,7 +214,9 @@ def specular_of(capture: Capture, mask: BoolArray) -> FloatArray | None:
         window = (slice(top, min(top + CHUNK_ROWS, rows.stop)), columns)
         both = replace(white, crossed=None), white.crossed
         series = (linear_stack(band, capture.encoding, "grey", window) for band in both)
-        specular[top - rows.start : window[0].stop - rows.start] = separate_polarised(*series)[0].mean(axis=0)
+        specular[top - rows.start : window[0].stop - rows.start] = separate_polarised(*series)[
+            0
+        ].mean(axis=0)
     picture = np.full(mask.shape, np.nan, dtype=np.float32)
     sigma_px = _EVEN_MM * capture.rig.camera.px_per_mm
     picture[rows, columns] = specular_picture(specular[None], mask[rows, columns], sigma_px)
@@ -194,21 +224,26 @@ def specular_of(capture: Capture, mask: BoolArray) -> FloatArray | None:
 
 
 def picture_bytes(picture: FloatArray) -> NDArray[np.uint8]:
-    """A specular picture (H, W) in 8 bits: its local mean 102, a standard deviation 51, 0 where it is not known."""
-    return np.where(np.isfinite(picture), np.clip(np.nan_to_num(51 * picture + 102), 1, 255), 0).astype(np.uint8)
+    """A specular picture (H, W) in 8 bits: its local mean 102, a standard deviation 51, 0 where it
+    is not known."""
+    return np.where(
+        np.isfinite(picture), np.clip(np.nan_to_num(51 * picture + 102), 1, 255), 0
+    ).astype(np.uint8)
 
 
-# What a rig's polarising films do to its captures, undone: image shift, brightness and tint, light that they leak.
+# What a rig's polarising films do to its captures, undone: image shift, brightness and tint, light
+# that they leak.
 
 
 def aligned(capture: Capture) -> tuple[Capture, dict[str, Any]]:
-    """The capture whose crossed series has the place and the brightness of the parallel one, and facts on its films.
+    """The capture whose crossed series has the place and the brightness of the parallel one, and
+    facts on its films.
 
-    The rig's films give both (:class:`splitknit.model.Films`). Without them the crossed series stays as it is: skin
-    does not show its brightness, because light that is scattered once keeps its polarisation. In a path-traced finger
-    behind films that pass the same, the crossed images have 0.89 of the parallel ones' red light, and 0.83 of the
-    green, even under the light that the surface reflects least. Raises BadInput if the rig's films were measured under
-    other LEDs.
+    The rig's films give both (:class:`splitknit.model.Films`). Without them the crossed series
+    stays as it is: skin does not show its brightness, because light that is scattered once keeps
+    its polarisation. In a path-traced finger behind films that pass the same, the crossed images
+    have 0.89 of the parallel ones' red light, and 0.83 of the green, even under the light that the
+    surface reflects least. Raises BadInput if the rig's films were measured under other LEDs.
     """
     parallel = capture.bands["white"]
     crossed = capture.bands.get("white_crossed")
@@ -226,8 +261,9 @@ def aligned(capture: Capture) -> tuple[Capture, dict[str, Any]]:
 
 
 def contrast(capture: Capture, band: Band) -> Array:
-    """(P - C) / (P + C) of parallel and crossed image (L,), for light that the surface reflects: the films leave `leak`
-    of it (about 1 / extinction ratio + sin^2(angle error)) in the crossed one, P - C = (1 - 2 leak) M. Ideal films: 1.
+    """(P - C) / (P + C) of parallel and crossed image (L,), for light that the surface reflects:
+    the films leave `leak` of it (about 1 / extinction ratio + sin^2(angle error)) in the crossed
+    one, P - C = (1 - 2 leak) M. Ideal films: 1.
     """
     films = capture.rig.films
     if films is None:
@@ -236,7 +272,8 @@ def contrast(capture: Capture, band: Band) -> Array:
 
 
 def crossed_place(films: Films, shape: tuple[int, ...]) -> Array:
-    """(2, 3) from columns and rows of the parallel image to where the crossed one shows the same."""
+    """(2, 3) from columns and rows of the parallel image to where the crossed one shows the
+    same."""
     scale = films.scale
     x = (1.0 - scale) * ((shape[1] - 1) / 2) + films.shift_px[0]
     y = (1.0 - scale) * ((shape[0] - 1) / 2) + films.shift_px[1]
@@ -244,11 +281,14 @@ def crossed_place(films: Films, shape: tuple[int, ...]) -> Array:
 
 
 def undone(image: FloatArray, films: Films) -> FloatArray:
-    """A crossed image (h, w) or (h, w, C), of floats or as stored, resampled onto the parallel one's pixels."""
+    """A crossed image (h, w) or (h, w, C), of floats or as stored, resampled onto the parallel
+    one's pixels."""
     matrix = crossed_place(films, image.shape)
     size = (image.shape[1], image.shape[0])
     flags = cv2.INTER_CUBIC | cv2.WARP_INVERSE_MAP
-    return np.asarray(cv2.warpAffine(image, matrix, size, flags=flags, borderMode=cv2.BORDER_REPLICATE))
+    return np.asarray(
+        cv2.warpAffine(image, matrix, size, flags=flags, borderMode=cv2.BORDER_REPLICATE)
+    )
 
 
 def _lights(films: Films, parallel: Band) -> list[int]:

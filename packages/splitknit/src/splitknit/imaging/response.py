@@ -1,4 +1,5 @@
-"""Whether stored values are linear light or sRGB code: told by how they shade, where a photograph does not state it."""
+"""Whether stored values are linear light or sRGB code: told by how they shade, where a photograph
+does not state it."""
 
 from __future__ import annotations
 
@@ -12,26 +13,29 @@ _EXPONENTS = np.array([0.30, 0.36, 0.45, 0.55, 0.67, 0.82, 1.0, 1.22])
 _SRGB = 2
 _LINEAR = 6
 _CURVED_UP_TO = 0.7
-"""Best exponent up to which values are sRGB: 0.45 to 0.7 of sRGB photographs, 0.82 and more of linear ones."""
+"""Best exponent up to which values are sRGB: 0.45 to 0.7 of sRGB photographs, 0.82 and more of
+linear ones."""
 _CLEARLY = 1.15
 _CLEARLY_FREE = 2.5
-"""Loss as sRGB over that as linear from which values may be linear, and from which they are where the brightness of the
-lights is estimated: 1.25 and more of linear photographs of DiLiGenT's bear, of Washington's grey ball and of renders by
-others. Gloss on a shallow relief hides the curve, so that the pixels that fit best must agree; it is up to 2.3 with
-estimated brightness on 26 objects stored as sRGB, but for one glossy pillow (3.6)."""
+"""Loss as sRGB over that as linear from which values may be linear, and from which they are where
+the brightness of the lights is estimated: 1.25 and more of linear photographs of DiLiGenT's bear,
+of Washington's grey ball and of renders by others. Gloss on a shallow relief hides the curve, so
+that the pixels that fit best must agree; it is up to 2.3 with estimated brightness on 26 objects
+stored as sRGB, but for one glossy pillow (3.6)."""
 _BEST = 0.25
 _BEST_RATIO = 0.98
-"""Part of the pixels, those that fit best, and their residual as sRGB over that as linear from which values are linear:
-1.01 to 1.72 of those photographs, 0.56 to 0.94 of the same as sRGB."""
+"""Part of the pixels, those that fit best, and their residual as sRGB over that as linear from
+which values are linear: 1.01 to 1.72 of those photographs, 0.56 to 0.94 of the same as sRGB."""
 _CODE_NOISE = 0.003
 """Residual of 8 bits, below which no two models differ."""
 _UNEQUAL = 0.25
-"""Loss with the brightness estimated over that of equal lights, below which they differ: 0.18 and less where they do by
-15 %, 0.36 and more where they are equal."""
+"""Loss with the brightness estimated over that of equal lights, below which they differ: 0.18 and
+less where they do by 15 %, 0.36 and more where they are equal."""
 _SURE = 5.0
 """Standard errors by which one of the two fits better, where it decides."""
 _WIDTH = 0.02
-"""Differences to the model that count in full, of the full scale: gloss and shadow differ by more."""
+"""Differences to the model that count in full, of the full scale: gloss and shadow differ by
+more."""
 FEWEST = 5
 """Lights of known brightness from which shading shows the curve; one more where it is estimated."""
 _FEWEST_VALUES = 1000
@@ -41,13 +45,14 @@ _MOST_PIXELS = 1500
 def shading_is_srgb(codes: FloatArray, vectors: Array, *, known: bool) -> bool | None:
     """Whether stored values are sRGB, by their shading; None where that decides nothing.
 
-    The model of values (L, n) in [0, 1] is (a_k v_k . g)^e: g by least squares at each pixel, over the vectors (L, 3)
-    that light it without clipping, for each of some exponents e. `known`: the vectors' lengths are how bright the
-    lights are; else their brightness a is estimated with each exponent where that explains far more than equal lights,
-    as unequal ones look like a wrong curve. Cauchy's loss decides, which gloss and cast shadows bend least.
+    The model of values (L, n) in [0, 1] is (a_k v_k . g)^e: g by least squares at each pixel, over
+    the vectors (L, 3) that light it without clipping, for each of some exponents e. `known`: the
+    vectors' lengths are how bright the lights are; else their brightness a is estimated with each
+    exponent where that explains far more than equal lights, as unequal ones look like a wrong
+    curve. Cauchy's loss decides, which gloss and cast shadows bend least.
 
-    Source: S. Lin, J. Gu, S. Yamazaki and H.-Y. Shum, "Radiometric calibration from a single image", CVPR 2004, for
-    curves from what must be linear; here that is Lambert's law.
+    Source: S. Lin, J. Gu, S. Yamazaki and H.-Y. Shum, "Radiometric calibration from a single
+    image", CVPR 2004, for curves from what must be linear; here that is Lambert's law.
     """
     top = codes.max(axis=0)
     lit = (codes > 0.25 * top) & (codes < 0.97) & (top > 0.15) & (top - codes.min(axis=0) > 0.03)
@@ -59,9 +64,13 @@ def shading_is_srgb(codes: FloatArray, vectors: Array, *, known: bool) -> bool |
     vectors = vectors[used]
     if int(weights.sum()) < _FEWEST_VALUES or len(vectors) < (FEWEST if known else FEWEST + 1):
         return None
-    costs = np.array([_cost(values, weights, vectors, exponent, known=True) for exponent in _EXPONENTS])
+    costs = np.array(
+        [_cost(values, weights, vectors, exponent, known=True) for exponent in _EXPONENTS]
+    )
     if not known:
-        free = np.array([_cost(values, weights, vectors, exponent, known=False) for exponent in _EXPONENTS])
+        free = np.array(
+            [_cost(values, weights, vectors, exponent, known=False) for exponent in _EXPONENTS]
+        )
         known = bool(free.sum(axis=(1, 2)).min() > _UNEQUAL * costs.sum(axis=(1, 2)).min())
         costs = costs if known else free
     apart = (costs[_SRGB] - costs[_LINEAR])[weights > 0]
@@ -72,24 +81,31 @@ def shading_is_srgb(codes: FloatArray, vectors: Array, *, known: bool) -> bool |
         return True
     if not known:
         return False if total[_SRGB] > _CLEARLY_FREE * total[_LINEAR] else None
-    linear = total[_SRGB] > _CLEARLY * total[_LINEAR] and _ratio_where_best(values, weights, vectors) > _BEST_RATIO
+    linear = (
+        total[_SRGB] > _CLEARLY * total[_LINEAR]
+        and _ratio_where_best(values, weights, vectors) > _BEST_RATIO
+    )
     return False if linear else None
 
 
 def _ratio_where_best(values: Array, lit: Array, vectors: Array) -> float:
-    """Residual (rms) as sRGB over that as linear, of the pixels that gloss, shadows and scattering bend least."""
+    """Residual (rms) as sRGB over that as linear, of the pixels that gloss, shadows and scattering
+    bend least."""
     residuals = []
     for light, code in ((values, np.asarray), (_srgb_light(values), srgb_code)):
         g = _lambertian(light, lit, vectors)
         rest = (values - code(np.clip(vectors @ g.T, 0.0, 1.0))) * lit
-        residuals.append(np.sqrt((rest**2).sum(axis=0) / np.maximum(lit.sum(axis=0) - 3.0, 1.0)) + _CODE_NOISE)
+        residuals.append(
+            np.sqrt((rest**2).sum(axis=0) / np.maximum(lit.sum(axis=0) - 3.0, 1.0)) + _CODE_NOISE
+        )
     linear, srgb = residuals
     best = linear * srgb <= np.quantile(linear * srgb, _BEST)
     return float(np.exp(np.log(srgb[best] / linear[best]).mean()))
 
 
 def _cost(values: Array, lit: Array, vectors: Array, exponent: float, *, known: bool) -> Array:
-    """(L, n) Cauchy's loss of what light = values^(1 / exponent) leaves of the values, zero where no light falls."""
+    """(L, n) Cauchy's loss of what light = values^(1 / exponent) leaves of the values, zero where
+    no light falls."""
     light = values ** (1.0 / exponent)
     weights = lit
     scaled = vectors
@@ -111,8 +127,11 @@ def _lambertian(light: FloatArray, weights: Array, vectors: Array) -> Array:
 
 
 def _brightness(light: Array, weights: Array, vectors: Array) -> Array:
-    """(L,) brightness of the lights, as :func:`splitknit.diagnosis.gains.light_gains` finds it, in one step."""
-    inverse = np.linalg.inv(np.einsum("ln,li,lj->nij", weights, vectors, vectors) + 1e-9 * np.eye(3))
+    """(L,) brightness of the lights, as :func:`splitknit.diagnosis.gains.light_gains` finds it, in
+    one step."""
+    inverse = np.linalg.inv(
+        np.einsum("ln,li,lj->nij", weights, vectors, vectors) + 1e-9 * np.eye(3)
+    )
     own = weights * light
     each = 1.0 / np.maximum((weights * light**2).sum(axis=0), 1e-12)
     power = (own * light * each).sum(axis=1)

@@ -9,16 +9,21 @@ from splitknit.errors import require
 from splitknit.model import Array
 
 _SIGMA = float(np.sqrt(np.log(2.0) / 2.0) / np.pi)
-"""Standard deviation over the cut-off of the Gaussian that passes half of a wave as long as the cut-off."""
+"""Standard deviation over the cut-off of the Gaussian that passes half of a wave as long as the
+cut-off."""
 
 
-def profile_roughness(height_mm: Array, step_mm: float, cutoff_mm: float) -> tuple[Array, dict[str, float]]:
-    """Roughness profile in um, NaN in the run-up and run-out of half a cut-off each, and its parameters.
+def profile_roughness(
+    height_mm: Array, step_mm: float, cutoff_mm: float
+) -> tuple[Array, dict[str, float]]:
+    """Roughness profile in um, NaN in the run-up and run-out of half a cut-off each, and its
+    parameters.
 
-    ``Ra_um`` (mean absolute height), ``Rq_um`` (root mean square), ``Rz_um`` (highest peak to lowest pit, mean over the
-    sampling lengths of one cut-off), ``Rt_um`` (the same over all) and ``sampling_lengths``, of which ISO 4288 wants
-    five. `height_mm`: (N,), every `step_mm`. Raises BadInput if a height is missing, or less than two cut-offs or eight
-    heights a cut-off are known. Source: ISO 4287:1997, sections 3.1 and 4; ISO 16610-21:2011, the filter.
+    ``Ra_um`` (mean absolute height), ``Rq_um`` (root mean square), ``Rz_um`` (highest peak to
+    lowest pit, mean over the sampling lengths of one cut-off), ``Rt_um`` (the same over all) and
+    ``sampling_lengths``, of which ISO 4288 wants five. `height_mm`: (N,), every `step_mm`. Raises
+    BadInput if a height is missing, or less than two cut-offs or eight heights a cut-off are known.
+    Source: ISO 4287:1997, sections 3.1 and 4; ISO 16610-21:2011, the filter.
 
     >>> wave = 0.01 * np.sin(2 * np.pi * np.arange(4000) * 0.001 / 0.1)
     >>> _, figures = profile_roughness(wave, 0.001, 0.8)
@@ -26,15 +31,19 @@ def profile_roughness(height_mm: Array, step_mm: float, cutoff_mm: float) -> tup
     (6.4, 20.0, 3)
     """
     length_mm = step_mm * (len(height_mm) - 1)
-    require(np.isfinite(height_mm).all(), "the profile has a gap; choose points between which the surface is whole.")
+    require(
+        np.isfinite(height_mm).all(),
+        "the profile has a gap; choose points between which the surface is whole.",
+    )
     require(
         length_mm >= 2.0 * cutoff_mm - 1e-9,
-        f"the profile is {length_mm:.3g} mm long, and roughness needs two cut-offs of {cutoff_mm:g} mm"
-        "; choose points farther apart, or a smaller `cutoff`.",
+        f"the profile is {length_mm:.3g} mm long, and roughness needs two cut-offs of {cutoff_mm:g}"
+        " mm; choose points farther apart, or a smaller `cutoff`.",
     )
     require(
         step_mm <= cutoff_mm / 8.0,
-        f"heights lie {1000 * step_mm:.3g} um apart, too far for a `cutoff` of {cutoff_mm:g} mm; give a larger one.",
+        f"heights lie {1000 * step_mm:.3g} um apart, too far for a `cutoff` of {cutoff_mm:g} mm;"
+        " give a larger one.",
     )
     along = np.arange(len(height_mm)) * step_mm
     level = height_mm - np.polyval(np.polyfit(along, height_mm, 1), along)
@@ -44,8 +53,19 @@ def profile_roughness(height_mm: Array, step_mm: float, cutoff_mm: float) -> tup
     kept = (along >= cutoff_mm / 2 - 1e-9) & (along <= length_mm - cutoff_mm / 2 + 1e-9)
     used = rough[kept] - rough[kept].mean()
     count = int(length_mm / cutoff_mm - 1 + 1e-6)
-    parts = [np.ptp(part) for part in np.array_split(used[: round(count * cutoff_mm / step_mm) + 1], count)]
-    figures = {"Ra_um": np.abs(used).mean(), "Rq_um": used.std(), "Rz_um": np.mean(parts), "Rt_um": np.ptp(used)}
+    parts = [
+        np.ptp(part)
+        for part in np.array_split(used[: round(count * cutoff_mm / step_mm) + 1], count)
+    ]
+    figures = {
+        "Ra_um": np.abs(used).mean(),
+        "Rq_um": used.std(),
+        "Rz_um": np.mean(parts),
+        "Rt_um": np.ptp(used),
+    }
     profile = np.full(len(height_mm), np.nan)
     profile[kept] = used
-    return profile, {**{name: float(value) for name, value in figures.items()}, "sampling_lengths": count}
+    return profile, {
+        **{name: float(value) for name, value in figures.items()},
+        "sampling_lengths": count,
+    }

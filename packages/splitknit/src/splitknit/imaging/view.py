@@ -1,13 +1,14 @@
 """Where every pixel of a calibrated camera looks, and surfaces along its rays.
 
-A camera stands at (0, 0, height) of the rig's frame and looks down. An orthographic camera's rays are parallel; a
-perspective camera's pass through its centre, lens distortion taken off, and meet the finger plane (z = 0) where this
-module says.
+A camera stands at (0, 0, height) of the rig's frame and looks down. An orthographic camera's rays
+are parallel; a perspective camera's pass through its centre, lens distortion taken off, and meet
+the finger plane (z = 0) where this module says.
 
-Surfaces *along the rays*: with D the camera's height and r the distance of a surface point from the camera's centre,
-h = D log(D / r) plays the part that the height plays under parallel rays. In the frame that is turned so that the
-pixel's ray is its z axis, the slopes of the surface are the derivatives of h by the angle times D. So everything that
-is known about slopes and light under parallel rays holds, each pixel in its own frame.
+Surfaces *along the rays*: with D the camera's height and r the distance of a surface point from the
+camera's centre, h = D log(D / r) plays the part that the height plays under parallel rays. In the
+frame that is turned so that the pixel's ray is its z axis, the slopes of the surface are the
+derivatives of h by the angle times D. So everything that is known about slopes and light under
+parallel rays holds, each pixel in its own frame.
 """
 
 from __future__ import annotations
@@ -37,7 +38,8 @@ class View:
     apex_mm: float | None = None
     """Height of the camera's centre, through which all rays pass; None for parallel rays."""
     along_rays: bool = False
-    """Whether heights run along the rays and vectors are in each pixel's frame; else both in the rig's frame."""
+    """Whether heights run along the rays and vectors are in each pixel's frame; else both in the
+    rig's frame."""
 
     def on_plane(self, chunk: slice = slice(None)) -> tuple[FloatArray, FloatArray]:
         """x and y on the finger plane of the pixels of some rows, to be broadcast to (h, W)."""
@@ -45,11 +47,17 @@ class View:
         y = (self.y_mm[chunk, None] if self.y_mm.ndim == 1 else self.y_mm[chunk]).astype(np.float32)
         return x, y
 
-    def points(self, height_mm: FloatArray, chunk: slice = slice(None)) -> tuple[FloatArray, FloatArray, FloatArray]:
+    def points(
+        self, height_mm: FloatArray, chunk: slice = slice(None)
+    ) -> tuple[FloatArray, FloatArray, FloatArray]:
         """x, y and z (h, W) of the surface points that the pixels of some rows see."""
         x, y = self.on_plane(chunk)
         if self.apex_mm is None:
-            return np.broadcast_to(x, height_mm.shape), np.broadcast_to(y, height_mm.shape), height_mm
+            return (
+                np.broadcast_to(x, height_mm.shape),
+                np.broadcast_to(y, height_mm.shape),
+                height_mm,
+            )
         apex = np.float32(self.apex_mm)
         if not self.along_rays:
             nearer = 1.0 - height_mm / apex
@@ -59,7 +67,8 @@ class View:
         return x * nearer, y * nearer, apex * (1.0 - nearer)
 
     def along(self, z_mm: FloatArray) -> FloatArray:
-        """Heights along the rays (H, W) of surface points at `z_mm` (H, W): what :meth:`points` takes back to them."""
+        """Heights along the rays (H, W) of surface points at `z_mm` (H, W): what :meth:`points`
+        takes back to them."""
         if self.apex_mm is None:
             return z_mm
         x, y = self.on_plane()
@@ -72,8 +81,11 @@ class View:
         x = self.x_mm if self.x_mm.ndim == 1 else self.x_mm[chunk]
         return View(x, self.y_mm[chunk], self.apex_mm, self.along_rays)
 
-    def turned(self, vectors: FloatArray, chunk: slice = slice(None), where: Any = None) -> FloatArray:
-        """Vectors (L, 3, h, W), or (L, 3, n) at the pixels `where` (h, W) of some rows, in the pixels' own frames."""
+    def turned(
+        self, vectors: FloatArray, chunk: slice = slice(None), where: Any = None
+    ) -> FloatArray:
+        """Vectors (L, 3, h, W), or (L, 3, n) at the pixels `where` (h, W) of some rows, in the
+        pixels' own frames."""
         if not self._spread:
             return vectors
         a, b, c = self._towards(chunk, where)
@@ -83,7 +95,8 @@ class View:
         return np.stack([vx - a * common, vy - b * common, sideways + c * vz], axis=1)
 
     def in_rig(self, vectors: FloatArray) -> FloatArray:
-        """Vectors (H, W, 3) of the pixels' own frames in the rig's frame: the inverse of :meth:`turned`."""
+        """Vectors (H, W, 3) of the pixels' own frames in the rig's frame: the inverse of
+        :meth:`turned`."""
         if not self._spread:
             return vectors
         a, b, c = self._towards()
@@ -92,11 +105,14 @@ class View:
         common = rz - sideways / (1.0 + c)
         return np.stack([rx + a * common, ry + b * common, c * rz - sideways], axis=-1)
 
-    def stretch(self, pitch_mm: float, shape: tuple[int, int]) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
-        """Movements (x_x, x_y, y_x, y_y), (H, W) each, in the pixel's frame, over `pitch_mm`, on an image of `shape`.
+    def stretch(
+        self, pitch_mm: float, shape: tuple[int, int]
+    ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+        """Movements (x_x, x_y, y_x, y_y), (H, W) each, in the pixel's frame, over `pitch_mm`, on an
+        image of `shape`.
 
-        Along the frame's x by a step of a pixel to the right (``x_x``) and up (``x_y``), and along its y. Under
-        parallel rays on a regular grid: 1, 0, 0, 1.
+        Along the frame's x by a step of a pixel to the right (``x_x``) and up (``x_y``), and along
+        its y. Under parallel rays on a regular grid: 1, 0, 0, 1.
         """
         x, y = (np.broadcast_to(v, shape) for v in self.on_plane())
         x_right = np.gradient(x, axis=1) / pitch_mm
@@ -121,8 +137,11 @@ class View:
     def _spread(self) -> bool:
         return self.along_rays and self.apex_mm is not None
 
-    def _towards(self, chunk: slice = slice(None), where: Any = None) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Unit vectors from the plane towards the camera, at the pixels `where` (h, W) of some rows."""
+    def _towards(
+        self, chunk: slice = slice(None), where: Any = None
+    ) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Unit vectors from the plane towards the camera, at the pixels `where` (h, W) of some
+        rows."""
         assert self.apex_mm is not None
         x, y = np.broadcast_arrays(*self.on_plane(chunk))
         if where is not None:
@@ -141,7 +160,8 @@ def view_of(
     binning: float = 1,
     along_rays: bool = False,
 ) -> View:
-    """View of a window of the camera's image, of blocks of `binning` pixels a side (what fills no block is dropped)."""
+    """View of a window of the camera's image, of blocks of `binning` pixels a side (what fills no
+    block is dropped)."""
     places = []
     for part, size in zip((rows, columns), camera.image_size, strict=True):
         start, stop, _ = (part or slice(None)).indices(size)
@@ -153,9 +173,13 @@ def view_of(
     some_rows, some_columns = (_lattice(axis) for axis in places)
     grid = np.stack(np.meshgrid(some_columns, some_rows), axis=-1).reshape(-1, 2)
     points = plane_points(camera, grid).reshape(some_rows.size, some_columns.size, 2)
-    from scipy.interpolate import RectBivariateSpline  # slow to import; lenses with distortion alone
+    # slow to import; lenses with distortion alone
+    from scipy.interpolate import RectBivariateSpline
 
-    x, y = (RectBivariateSpline(some_rows, some_columns, points[..., axis])(row, column) for axis in range(2))
+    x, y = (
+        RectBivariateSpline(some_rows, some_columns, points[..., axis])(row, column)
+        for axis in range(2)
+    )
     return View(x, y, camera.height_mm, along_rays)
 
 
@@ -178,24 +202,26 @@ def _distortion(camera: Camera) -> Array:
 
 
 def plane_points(camera: Camera, pixels: Any) -> Array:
-    """(N, 2) x and y in mm on the plane z = 0 that `pixels` (N, 2; column, row, the first pixel's centre is (0, 0))
-    look at."""
+    """(N, 2) x and y in mm on the plane z = 0 that `pixels` (N, 2; column, row, the first pixel's
+    centre is (0, 0)) look at."""
     places = np.asarray(pixels, dtype=np.float64)
     if camera.model == "orthographic":
         return np.stack(_pixel_axes_mm(camera, places[:, 1], places[:, 0]), axis=1)
     matrix = camera.matrix
     assert matrix is not None
     criteria = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 40, 1e-10)
-    rays = cv2.undistortPointsIter(places[:, None], matrix, _distortion(camera), np.eye(3), matrix, criteria)[:, 0]
+    rays = cv2.undistortPointsIter(
+        places[:, None], matrix, _distortion(camera), np.eye(3), matrix, criteria
+    )[:, 0]
     rays = (rays - matrix[:2, 2]) / np.diag(matrix)[:2]
     rays[:, 0] -= matrix[0, 1] / matrix[0, 0] * rays[:, 1]
     return rays * (camera.height_mm, -camera.height_mm)
 
 
 def pixels_of(camera: Camera, points_mm: Any) -> Array:
-    """Pixels (N, 2), column and row, at which the camera sees points (N, 3) in mm, or places (N, 2) on the finger
-    plane: the inverse of `plane_points`.
-    Raises BadInput for points at or beyond a perspective camera's height.
+    """Pixels (N, 2), column and row, at which the camera sees points (N, 3) in mm, or places (N, 2)
+    on the finger plane: the inverse of `plane_points`. Raises BadInput for points at or beyond a
+    perspective camera's height.
     """
     points = np.asarray(points_mm, dtype=np.float64)
     points = np.pad(points, ((0, 0), (0, 3 - points.shape[1])))
@@ -224,9 +250,10 @@ def lens_shading(  # noqa: PLR0917
 ) -> FloatArray:
     """(h, w) brightness of the lens relative to the image's centre: 1 + a r^2 + b r^4 + ...
 
-    `shading`: a, b, ... of :class:`splitknit.model.Camera`; `image_size`: rows, columns of the whole image, half whose
-    diagonal is r = 1; `first_row`, `first_column`: where the window starts; `binning`: pixels a side of its blocks;
-    `shape`: of the window in blocks, by default that of the image, for blocks of one pixel.
+    `shading`: a, b, ... of :class:`splitknit.model.Camera`; `image_size`: rows, columns of the
+    whole image, half whose diagonal is r = 1; `first_row`, `first_column`: where the window starts;
+    `binning`: pixels a side of its blocks; `shape`: of the window in blocks, by default that of the
+    image, for blocks of one pixel.
     """
     rows, columns = image_size
     height, width = (shape or image_size)[:2]
@@ -238,7 +265,8 @@ def lens_shading(  # noqa: PLR0917
 
 
 def shading_at(shading: Sequence[float], squared: Array) -> Array:
-    """1 + a r^2 + b r^4 + ... at `squared` distances r^2 (any shape), see :class:`splitknit.model.Camera`."""
+    """1 + a r^2 + b r^4 + ... at `squared` distances r^2 (any shape), see
+    :class:`splitknit.model.Camera`."""
     brightness = np.ones_like(squared)
     for k, coefficient in enumerate(shading):
         brightness += coefficient * squared ** (k + 1)

@@ -1,4 +1,5 @@
-"""Least-squares integration over any mask: the height whose differences are nearest to the integrated gradients."""
+"""Least-squares integration over any mask: the height whose differences are nearest to the
+integrated gradients."""
 
 from __future__ import annotations
 
@@ -20,25 +21,25 @@ _LOG = logging.getLogger(__name__)
 
 # Geometric multigrid for the graph Laplacian of a masked, weighted pixel grid.
 #
-# A pixel of a coarse grid stands for 2 x 2 finer ones and belongs to the surface if one of them does. The weight of a
-# coarse edge is half the sum of the fine edges that it replaces, which keeps the Dirichlet energy of a smooth surface.
-# Heights are carried to the finer grid by bilinear interpolation that ignores what lies outside the mask; where edges
-# are weighted, by blocks of pixels and one Jacobi step (smoothed aggregation: P. Vanek, J. Mandel and M. Brezina,
-# Computing 56, 1996), which carries no height across a weak edge. Residuals go to the coarser grid by the exact
-# adjoint; the smoother is a Chebyshev polynomial of degree two in damped Jacobi steps.
-# One V-cycle is therefore a symmetric operator, as the conjugate gradients around it need.
-#
-# Where parts of the surface lie closer to each other than a coarse pixel and are not joined there (a comb, a spiral), a
-# coarser grid would weld them together: such a grid is solved directly instead, once it is small enough.
-#
-# Source: U. Trottenberg, C. Oosterlee and A. Schueller, "Multigrid", Academic Press 2001, chapters 2 and 5
-# (cell-centred grids).
+# A pixel of a coarse grid stands for 2 x 2 finer ones and belongs to the surface if one of them
+# does. The weight of a coarse edge is half the sum of the fine edges that it replaces, which keeps
+# the Dirichlet energy of a smooth surface. Heights are carried to the finer grid by bilinear
+# interpolation that ignores what lies outside the mask; where edges are weighted, by blocks of
+# pixels and one Jacobi step (smoothed aggregation: P. Vanek, J. Mandel and M. Brezina, Computing
+# 56, 1996), which carries no height across a weak edge. Residuals go to the coarser grid by the
+# exact adjoint; the smoother is a Chebyshev polynomial of degree two in damped Jacobi steps. One
+# V-cycle is therefore a symmetric operator, as the conjugate gradients around it need. Where parts
+# of the surface lie closer to each other than a coarse pixel and are not joined there (a comb, a
+# spiral), a coarser grid would weld them together: such a grid is solved directly instead, once it
+# is small enough. Source: U. Trottenberg, C. Oosterlee and A. Schueller, "Multigrid", Academic
+# Press 2001, chapters 2 and 5 (cell-centred grids).
 
 
-# Differences between neighbouring pixels, their adjoint, and the difference that a gradient field predicts.
-#
-# Edges are stored at their upper or left pixel in arrays (H, W): `right[i, j]` joins (i, j) and (i, j + 1), `down[i,
-# j]` joins (i, j) and (i + 1, j). The last column of `right` and the last row of `down` are zero.
+# Differences between neighbouring pixels, their adjoint, and the difference that a gradient field
+# predicts. Edges are stored at their upper or left pixel in arrays (H, W): `right[i, j]` joins (i,
+# j) and (i, j + 1), `down[i, j]` joins (i, j) and (i + 1, j). The last column of `right` and the
+# last row of
+# `down` are zero.
 
 Floats = TypeVar("Floats", FloatArray, Array)
 
@@ -74,8 +75,9 @@ def _predicted_differences(
 ) -> tuple[FloatArray, FloatArray]:
     """Integral of the slopes (y up) along every edge, by the trapezoidal rule.
 
-    It is the mean of the two pixels' slopes; a slope of weight zero is not used. Weights do not shift the mean: where
-    they fall with the slope, as trust does, steep sides would come out too low.
+    It is the mean of the two pixels' slopes; a slope of weight zero is not used. Weights do not
+    shift the mean: where they fall with the slope, as trust does, steep sides would come out too
+    low.
     """
     right, down = np.zeros_like(slope_x), np.zeros_like(slope_x)
     right[:, :-1] = _edge_integral(slope_x.T, None if weights is None else weights.T).T
@@ -95,8 +97,9 @@ def _edge_integral(slope: FloatArray, weights: FloatArray | None) -> FloatArray:
 _CROSS = np.array([[0, 1, 0], [1, 0, 1], [0, 1, 0]], dtype=np.float32)
 _SPREAD = np.array([0.25, 0.75, 0.75, 0.25], dtype=np.float32)
 _STEPS = (0.5618, 1.3894)
-"""Damping of the two Jacobi steps: the reciprocal Chebyshev roots on [0.5, 2], the upper end of the spectrum;
-as polynomials of one operator the steps commute, so that the same order before and after stays symmetric."""
+"""Damping of the two Jacobi steps: the reciprocal Chebyshev roots on [0.5, 2], the upper end of the
+spectrum; as polynomials of one operator the steps commute, so that the same order before and after
+stays symmetric."""
 _SMOOTHED = 2.0 / 3.0
 """Damping of the Jacobi step of interpolation: 4 / 3 over the upper end of the spectrum."""
 _COARSEST = 4
@@ -108,15 +111,16 @@ _WELDED = 0.02
 _DIRECT = 100_000
 """Unknowns that a direct solver is trusted with."""
 _GROUND = 1e-9
-"""Added to the diagonal of the direct system, relative to its mean: it fixes the free constant of every part."""
+"""Added to the diagonal of the direct system, relative to its mean: it fixes the free constant of
+every part."""
 
 
 class _Grid:
     """One level: edge weights, and the operators on heights that are zero outside the surface."""
 
     def __init__(self, right: FloatArray, down: FloatArray, unit: bool, even: bool) -> None:
-        """Take the edge weights (H, W); `unit` states that they are zero or one, and one inside the mask; `even` that
-        they are so on the finest grid."""
+        """Take the edge weights (H, W); `unit` states that they are zero or one, and one inside the
+        mask; `even` that they are so on the finest grid."""
         self.right, self.down, self.unit, self.even = right, down, unit, even
         degree = right + down
         degree[:, 1:] += right[:, :-1]
@@ -143,8 +147,9 @@ class _Grid:
     def apply(self, height: Floats) -> Floats:
         """Laplacian (positive semidefinite) of `height`, in the precision of `height`.
 
-        Unequal weights act on differences: a degree less weighted neighbours has a rounding error that grows with the
-        height, and makes the operator indefinite once weights differ by a thousand.
+        Unequal weights act on differences: a degree less weighted neighbours has a rounding error
+        that grows with the height, and makes the operator indefinite once weights differ by a
+        thousand.
         """
         if self.unit:
             return self.degree * height - self.neighbours(height) * self.inside
@@ -209,13 +214,19 @@ class _Grid:
             pairs = smooth[::2] + smooth[1::2]
             return (pairs[:, ::2] + pairs[:, 1::2]) * self.coarser.inside
         spread = cv2.sepFilter2D(
-            residual * self.fraction, -1, _SPREAD, _SPREAD, anchor=(1, 1), borderType=cv2.BORDER_REPLICATE
+            residual * self.fraction,
+            -1,
+            _SPREAD,
+            _SPREAD,
+            anchor=(1, 1),
+            borderType=cv2.BORDER_REPLICATE,
         )
         return np.ascontiguousarray(spread[::2, ::2]) * self.coarser.inside
 
 
 class _DirectSolver:
-    """Pseudo-inverse of one grid's Laplacian by sparse factorisation: every connected part keeps a zero mean."""
+    """Pseudo-inverse of one grid's Laplacian by sparse factorisation: every connected part keeps a
+    zero mean."""
 
     def __init__(self, grid: _Grid) -> None:
         """Factorise."""
@@ -230,7 +241,9 @@ class _DirectSolver:
             values.append(weight.ravel()[start].astype(np.float64))
         first, second = np.concatenate([e[0] for e in ends]), np.concatenate([e[1] for e in ends])
         value = -np.concatenate(values)
-        degree = -np.bincount(np.concatenate([first, second]), np.tile(value, 2), minlength=self.pixels.size)
+        degree = -np.bincount(
+            np.concatenate([first, second]), np.tile(value, 2), minlength=self.pixels.size
+        )
         own = np.arange(self.pixels.size)
         from scipy.sparse.csgraph import connected_components  # slow to import
         from scipy.sparse.linalg import splu  # slow to import
@@ -258,10 +271,13 @@ class _DirectSolver:
 
 
 def _build_grids(right: FloatArray, down: FloatArray, unit: bool) -> _Grid:
-    """Finest grid with all coarser ones; both sides must be divisible by two as often as :func:`_padded_size` gives."""
+    """Finest grid with all coarser ones; both sides must be divisible by two as often as
+    :func:`_padded_size` gives."""
     finest = _Grid(right, down, unit, even=unit)
     grid = finest
-    while min(grid.inside.shape) > _COARSEST and not (grid.inside.shape[0] % 2 or grid.inside.shape[1] % 2):
+    while min(grid.inside.shape) > _COARSEST and not (
+        grid.inside.shape[0] % 2 or grid.inside.shape[1] % 2
+    ):
         coarse = _Grid(
             0.5 * (grid.right[::2, 1::2] + grid.right[1::2, 1::2]),
             0.5 * (grid.down[1::2, ::2] + grid.down[1::2, 1::2]),
@@ -272,7 +288,9 @@ def _build_grids(right: FloatArray, down: FloatArray, unit: bool) -> _Grid:
         if small and max(_welded_fraction(grid), _welded_fraction(coarse)) > _WELDED:
             break
         cover = cv2.resize(coarse.inside, grid.inside.shape[::-1], interpolation=cv2.INTER_LINEAR)
-        grid.fraction = np.where(cover > 0, grid.inside / np.maximum(cover, 1e-6), 0).astype(np.float32)
+        grid.fraction = np.where(cover > 0, grid.inside / np.maximum(cover, 1e-6), 0).astype(
+            np.float32
+        )
         grid.coarser = coarse
         grid = coarse
     if max(grid.inside.shape) > _LONG and np.count_nonzero(grid.inside) <= _DIRECT:
@@ -281,7 +299,8 @@ def _build_grids(right: FloatArray, down: FloatArray, unit: bool) -> _Grid:
 
 
 def _welded_fraction(grid: _Grid) -> float:
-    """Fraction of the 2 x 2 blocks whose pixels the edges inside the block do not join (a path needs n - 1 edges)."""
+    """Fraction of the 2 x 2 blocks whose pixels the edges inside the block do not join (a path
+    needs n - 1 edges)."""
     rows, columns = (side // 2 * 2 for side in grid.inside.shape)
     inside = grid.inside[:rows, :columns]
     members = inside[::2, ::2] + inside[::2, 1::2] + inside[1::2, ::2] + inside[1::2, 1::2]
@@ -304,13 +323,16 @@ def _padded_size(rows: int, columns: int) -> tuple[int, int]:
 _TOLERANCE = 1e-5
 """Stop when the estimated rms error of the solver falls below this part of the rms height."""
 _EXCESS, _ROUNDING = 1e-4, 1e-12
-"""The energy of a weighted solution may exceed its minimum by this part of itself, or of the gradients' own energy."""
+"""The energy of a weighted solution may exceed its minimum by this part of itself, or of the
+gradients' own energy."""
 _SMALL = 30_000
 """Unknowns up to which factorising weighted equations takes less time than iterating."""
 _RESTARTS = 3
-"""Runs of conjugate gradients at most: each starts from the true residual, from which its own drifts."""
+"""Runs of conjugate gradients at most: each starts from the true residual, from which its own
+drifts."""
 _WEIGHT_FLOOR = 1e-3
-"""Smaller weights are raised to this, so that a hole in the data is bridged smoothly and not cut out."""
+"""Smaller weights are raised to this, so that a hole in the data is bridged smoothly and not cut
+out."""
 
 
 MAX_ITERATIONS = 300
@@ -318,11 +340,13 @@ MAX_ITERATIONS = 300
 
 
 def poisson(gradient_x: Any, gradient_y: Any, mask: Any = None, weights: Any = None) -> FloatArray:
-    """Height whose neighbour differences are nearest, in the (weighted) least-squares sense, to the gradients.
+    """Height whose neighbour differences are nearest, in the (weighted) least-squares sense, to the
+    gradients.
 
-    Only differences between pixels of the mask count, so that the surface may end steeply, be cut by the image border,
-    have holes, or fall into several parts. A whole rectangle without weights is solved directly by cosine transforms;
-    everything else by conjugate gradients with a multigrid preconditioner.
+    Only differences between pixels of the mask count, so that the surface may end steeply, be cut
+    by the image border, have holes, or fall into several parts. A whole rectangle without weights
+    is solved directly by cosine transforms; everything else by conjugate gradients with a multigrid
+    preconditioner.
 
     Parameters
     ----------
@@ -334,19 +358,20 @@ def poisson(gradient_x: Any, gradient_y: Any, mask: Any = None, weights: Any = N
     Returns
     -------
     (H, W) float32
-        Height in pixels, NaN outside the mask. The mean is zero over every 4-connected part of the mask: gradients fix
-        nothing about the height of one part over another.
+        Height in pixels, NaN outside the mask. The mean is zero over every 4-connected part of the
+        mask: gradients fix nothing about the height of one part over another.
 
     Raises
     ------
     BadInput
-        If shapes differ, the mask is empty, or a gradient or weight inside the mask is not finite or out of range.
+        If shapes differ, the mask is empty, or a gradient or weight inside the mask is not finite
+        or out of range.
 
     References
     ----------
-    B. K. P. Horn and M. J. Brooks, "The variational approach to shape from shading", CVGIP 33 (1986); Y. Queau,
-    J.-D. Durou and J.-F. Aujol, "Normal integration: a survey", JMIV 60 (2018), section 3; the thesis, (3.35) to
-    (3.39).
+    B. K. P. Horn and M. J. Brooks, "The variational approach to shape from shading", CVGIP 33
+    (1986); Y. Queau, J.-D. Durou and J.-F. Aujol, "Normal integration: a survey", JMIV 60 (2018),
+    section 3; the thesis, (3.35) to (3.39).
 
     Examples
     --------
@@ -354,8 +379,10 @@ def poisson(gradient_x: Any, gradient_y: Any, mask: Any = None, weights: Any = N
     >>> rows, columns = np.mgrid[0:40, 0:60]
     >>> inside = np.hypot(rows - 20, columns - 30) < 18
     >>> height = poisson(np.full((40, 60), 0.5), np.full((40, 60), -0.25), inside)
-    >>> round(float(height[20, 40] - height[20, 20]), 3), round(float(height[10, 30] - height[30, 30]), 3)
-    (10.0, -5.0)
+    >>> round(float(height[20, 40] - height[20, 20]), 3)
+    10.0
+    >>> round(float(height[10, 30] - height[30, 30]), 3)
+    -5.0
     """
     slope_x, slope_y, inside = check_fields(gradient_x, gradient_y, mask)
     trust = None if weights is None else _check_weights(weights, inside)
@@ -363,7 +390,9 @@ def poisson(gradient_x: Any, gradient_y: Any, mask: Any = None, weights: Any = N
         right, down = _predicted_differences(slope_x, slope_y, None)
         return zero_mean(_solve_rectangle(_difference_adjoint(right, down)), inside)
     window = bounding_box(inside)
-    height = _solve_masked(slope_x[window], slope_y[window], inside[window], None if trust is None else trust[window])
+    height = _solve_masked(
+        slope_x[window], slope_y[window], inside[window], None if trust is None else trust[window]
+    )
     result = np.full(inside.shape, np.nan, dtype=np.float32)
     result[window] = _zero_mean_by_component(height, np.ascontiguousarray(inside[window]))
     return result
@@ -371,7 +400,10 @@ def poisson(gradient_x: Any, gradient_y: Any, mask: Any = None, weights: Any = N
 
 def _check_weights(weights: Any, mask: BoolArray) -> FloatArray:
     array = np.asarray(weights)
-    require(array.shape == mask.shape, f"weights must have the shape {mask.shape}, but it has {array.shape}.")
+    require(
+        array.shape == mask.shape,
+        f"weights must have the shape {mask.shape}, but it has {array.shape}.",
+    )
     trust = np.where(mask, array, 0.0).astype(np.float32)
     require(
         np.isfinite(trust).all() and float(trust.min()) >= 0 and float(trust.max()) <= 1,
@@ -381,7 +413,8 @@ def _check_weights(weights: Any, mask: BoolArray) -> FloatArray:
 
 
 def _zero_mean_by_component(height: FloatArray, mask: BoolArray) -> FloatArray:
-    """Return `height` with a zero mean over every 4-connected component of the mask, NaN outside it."""
+    """Return `height` with a zero mean over every 4-connected component of the mask, NaN outside
+    it."""
     count, labels = cv2.connectedComponents(mask.view(np.uint8), connectivity=4, ltype=cv2.CV_32S)
     if count <= 2:
         return zero_mean(height, mask)
@@ -402,22 +435,32 @@ def _solve_rectangle(right_side: FloatArray) -> FloatArray:
     spectrum = scipy.fft.dctn(right_side, type=2, workers=WORKERS)
     spectrum /= eigenvalues
     spectrum[0, 0] = 0.0
-    return np.asarray(scipy.fft.idctn(spectrum, type=2, workers=WORKERS, overwrite_x=True), dtype=np.float32)
+    return np.asarray(
+        scipy.fft.idctn(spectrum, type=2, workers=WORKERS, overwrite_x=True), dtype=np.float32
+    )
 
 
-def _solve_masked(slope_x: FloatArray, slope_y: FloatArray, mask: BoolArray, weights: FloatArray | None) -> FloatArray:
+def _solve_masked(
+    slope_x: FloatArray, slope_y: FloatArray, mask: BoolArray, weights: FloatArray | None
+) -> FloatArray:
     rows, columns = mask.shape
     size = _padded_size(rows, columns)
     frame = ((0, size[0] - rows), (0, size[1] - columns))
     inside = np.pad(mask, frame)
     trust = None if weights is None else np.pad(weights, frame)
     weight_right, weight_down = _edge_weights(inside, trust)
-    target_right, target_down = _predicted_differences(np.pad(slope_x, frame), np.pad(slope_y, frame), trust)
+    target_right, target_down = _predicted_differences(
+        np.pad(slope_x, frame), np.pad(slope_y, frame), trust
+    )
     edges = _Edges(weight_right, weight_down, target_right, target_down)
     if weights is not None and np.count_nonzero(mask) <= _SMALL:
-        return _factorised(_Grid(weight_right, weight_down, unit=False, even=False), edges)[:rows, :columns]
+        return _factorised(_Grid(weight_right, weight_down, unit=False, even=False), edges)[
+            :rows, :columns
+        ]
     grid = _build_grids(weight_right, weight_down, unit=weights is None)
-    height = grid.solve_nested(_difference_adjoint(weight_right * target_right, weight_down * target_down))
+    height = grid.solve_nested(
+        _difference_adjoint(weight_right * target_right, weight_down * target_down)
+    )
     if weights is None:
         height += _conjugate_gradients(grid, edges, height)[0].astype(np.float32)
         return height[:rows, :columns]
@@ -431,7 +474,9 @@ def _solve_masked(slope_x: FloatArray, slope_y: FloatArray, mask: BoolArray, wei
             return exact[:rows, :columns].astype(np.float32)
     if np.count_nonzero(mask) <= _DIRECT:
         return _factorised(grid, edges)[:rows, :columns]
-    _LOG.warning("the weighted integration has not converged; heights may be off where the surface is steep.")
+    _LOG.warning(
+        "the weighted integration has not converged; heights may be off where the surface is steep."
+    )
     return exact[:rows, :columns].astype(np.float32)
 
 
@@ -444,7 +489,8 @@ def _factorised(grid: _Grid, edges: _Edges) -> FloatArray:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Edges:
-    """Weights of the edges, and the differences of height that the gradients predict along them; (H, W) each."""
+    """Weights of the edges, and the differences of height that the gradients predict along them;
+    (H, W) each."""
 
     weight_right: FloatArray
     weight_down: FloatArray
@@ -452,9 +498,11 @@ class _Edges:
     target_down: FloatArray
 
     def residual(self, height: NDArray[Any]) -> tuple[Array, float]:
-        """Half the negative gradient of the energy, and the energy: the weighted sum of squared residuals of edges.
+        """Half the negative gradient of the energy, and the energy: the weighted sum of squared
+        residuals of edges.
 
-        Differences of neighbouring heights are exact in single precision, differences of their Laplacian are not.
+        Differences of neighbouring heights are exact in single precision, differences of their
+        Laplacian are not.
         """
         step_right, step_down = _difference(height)
         left_right, left_down = self.target_right - step_right, self.target_down - step_down
@@ -464,19 +512,24 @@ class _Edges:
         return _difference_adjoint(flow_right, flow_down), energy
 
     def tolerated(self, energy: float) -> float:
-        """How far an energy may lie above its minimum: a part of it, or what the targets' precision makes of zero."""
-        power = _dot(self.weight_right, self.target_right**2) + _dot(self.weight_down, self.target_down**2)
+        """How far an energy may lie above its minimum: a part of it, or what the targets' precision
+        makes of zero."""
+        power = _dot(self.weight_right, self.target_right**2) + _dot(
+            self.weight_down, self.target_down**2
+        )
         return _EXCESS * energy + _ROUNDING * power
 
 
 def _conjugate_gradients(grid: _Grid, edges: _Edges, height: NDArray[Any]) -> tuple[Array, float]:
-    """Correction of the height, until its rms error and the excess of the energy are small; the smallest eigenvalue.
+    """Correction of the height, until its rms error and the excess of the energy are small; the
+    smallest eigenvalue.
 
-    Double precision around a single-precision preconditioner: two halves of a surface that hang together by a few
-    pixels shift against each other by the rounding of the residual, divided by a very small stiffness. For the same
-    reason the preconditioned residual is divided by the smallest eigenvalue of the preconditioned operator that the
-    iteration has met (Lanczos). With the residual r and the preconditioner M the energy exceeds its minimum by
-    r^T A^-1 r, at most r^T M^-1 r over that eigenvalue.
+    Double precision around a single-precision preconditioner: two halves of a surface that hang
+    together by a few pixels shift against each other by the rounding of the residual, divided by a
+    very small stiffness. For the same reason the preconditioned residual is divided by the smallest
+    eigenvalue of the preconditioned operator that the iteration has met (Lanczos). With the
+    residual r and the preconditioner M the energy exceeds its minimum by r^T A^-1 r, at most r^T
+    M^-1 r over that eigenvalue.
     """
     residual, left = edges.residual(height)
     small, tolerated = _TOLERANCE * _rms(height), edges.tolerated(left)
@@ -510,20 +563,24 @@ def _conjugate_gradients(grid: _Grid, edges: _Edges, height: NDArray[Any]) -> tu
 
 
 def _smallest_eigenvalue(lengths: list[float], ratios: list[float]) -> float:
-    """Smallest Ritz value of the preconditioned operator, from the coefficients of conjugate gradients so far.
+    """Smallest Ritz value of the preconditioned operator, from the coefficients of conjugate
+    gradients so far.
 
-    The tridiagonal Lanczos matrix has 1 / a_k + b_k / a_(k-1) on its diagonal and sqrt(b_k) / a_(k-1) beside it (Y.
-    Saad, "Iterative methods for sparse linear systems", 2nd edition, eq. 6.82).
+    The tridiagonal Lanczos matrix has 1 / a_k + b_k / a_(k-1) on its diagonal and sqrt(b_k) /
+    a_(k-1) beside it (Y. Saad, "Iterative methods for sparse linear systems", 2nd edition, eq.
+    6.82).
     """
     step, ratio = np.array(lengths), np.array(ratios[1 : len(lengths)])
     diagonal = 1 / step
     diagonal[1:] += ratio / step[:-1]
     beside = np.sqrt(ratio) / step[:-1]
-    return float(np.linalg.eigvalsh(np.diag(diagonal) + np.diag(beside, -1))[0])  # it reads the lower triangle
+    # it reads the lower triangle
+    return float(np.linalg.eigvalsh(np.diag(diagonal) + np.diag(beside, -1))[0])
 
 
 def _dot(a: NDArray[Any], b: NDArray[Any]) -> float:
-    """Inner product whose bytes do not depend on threads: along the rows, then their sum in double precision."""
+    """Inner product whose bytes do not depend on threads: along the rows, then their sum in double
+    precision."""
     return float(np.sum(np.einsum("ij,ij->i", a, b), dtype=np.float64))
 
 

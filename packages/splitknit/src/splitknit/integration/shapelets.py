@@ -1,9 +1,10 @@
 """Shapelets: heights as a sum of correlations with a bank of Gaussian bumps (Kovesi 2003, 2005).
 
-With z the surface and f_s = exp(-r^2 / (2 sigma_s^2)) the bump of scale s, its response is the correlation of their
-gradients (slant and tilt both known); the responses of all scales are summed and divided by the plateau of the bank,
-4 pi / ln(factor^2). All scales together are one transfer function of the height, 2 pi sum_s x_s exp(-x_s / 2) with
-x_s = (sigma_s w)^2: three transforms whatever the number of scales.
+With z the surface and f_s = exp(-r^2 / (2 sigma_s^2)) the bump of scale s, its response is the
+correlation of their gradients (slant and tilt both known); the responses of all scales are summed
+and divided by the plateau of the bank, 4 pi / ln(factor^2). All scales together are one transfer
+function of the height, 2 pi sum_s x_s exp(-x_s / 2) with x_s = (sigma_s w)^2: three transforms
+whatever the number of scales.
 """
 
 from __future__ import annotations
@@ -30,7 +31,8 @@ class ShapeletSettings(Checked):
     scales: Annotated[int, Limits(1, 32)] = 3
     """Number of Gaussians."""
     sigma_px: Annotated[float, Limits(0, above=True)] = 1.0
-    """Standard deviation of the smallest Gaussian, in pixels (at 75.7 px/mm; scale it with the pitch)."""
+    """Standard deviation of the smallest Gaussian, in pixels (at 75.7 px/mm; scale it with the
+    pitch)."""
     factor: Annotated[float, Limits(1, above=True)] = 2.0
     """Ratio of successive standard deviations."""
 
@@ -43,8 +45,9 @@ class ShapeletSettings(Checked):
 def shapelet_response(omega: Any, settings: ShapeletSettings | None = None) -> Array:
     """Gain of the height at the radial frequency `omega` (rad/px, any shape), one in the pass band.
 
-    (ln(m^2) / 2) sum_s x_s exp(-x_s / 2), x_s = (sigma_s omega)^2, m the factor between scales: an infinite bank has a
-    mean gain of exactly one over the logarithm of the frequency (its ripple is 1 % for m = 2).
+    (ln(m^2) / 2) sum_s x_s exp(-x_s / 2), x_s = (sigma_s omega)^2, m the factor between scales: an
+    infinite bank has a mean gain of exactly one over the logarithm of the frequency (its ripple is
+    1 % for m = 2).
 
     Parameters
     ----------
@@ -74,7 +77,8 @@ def shapelet_response(omega: Any, settings: ShapeletSettings | None = None) -> A
 def shapelets(
     gradient_x: Any, gradient_y: Any, mask: Any = None, settings: ShapeletSettings | None = None
 ) -> FloatArray:
-    """Height inside the pass band of a bank of shapelets; beyond the rectangle the surface is mirrored.
+    """Height inside the pass band of a bank of shapelets; beyond the rectangle the surface is
+    mirrored.
 
     Parameters
     ----------
@@ -94,8 +98,8 @@ def shapelets(
 
     References
     ----------
-    P. Kovesi, "Shapelets correlated with surface normals produce surfaces", ICCV 2005 (Technical Report 03-003, The
-    University of Western Australia, 2003).
+    P. Kovesi, "Shapelets correlated with surface normals produce surfaces", ICCV 2005 (Technical
+    Report 03-003, The University of Western Australia, 2003).
 
     Examples
     --------
@@ -110,4 +114,6 @@ def shapelets(
     """
     chosen = settings if settings is not None else ShapeletSettings()
     slope_x, slope_y, inside = check_fields(gradient_x, gradient_y, mask)
-    return zero_mean(integrate_mirrored(slope_x, slope_y, partial(shapelet_response, settings=chosen)), inside)
+    return zero_mean(
+        integrate_mirrored(slope_x, slope_y, partial(shapelet_response, settings=chosen)), inside
+    )

@@ -1,1 +1,2 @@
-"""Files in and out: captures, rigs, images, meshes, height maps, prints, and where they came from."""
+"""Files in and out: captures, rigs, images, meshes, height maps, prints, and where they came
+from."""

@@ -1,12 +1,14 @@
 """Files and folders that appear whole or not at all.
 
-Everything is written into a temporary folder beside the target and renamed at the end, so that an exception, an
-interrupt or a full disk leaves neither a half-written result nor a damaged earlier one. The temporary folder holds a
-mark of ours, what is made (``new``) and, for the moment of the exchange, what it replaces (``old``). What a killed
-program left beside a target is removed by the next one that writes into the same folder: only what carries the mark.
+Everything is written into a temporary folder beside the target and renamed at the end, so that an
+exception, an interrupt or a full disk leaves neither a half-written result nor a damaged earlier
+one. The temporary folder holds a mark of ours, what is made (``new``) and, for the moment of the
+exchange, what it replaces (``old``). What a killed program left beside a target is removed by the
+next one that writes into the same folder: only what carries the mark.
 
-Fingerprints are personal data: whatever is written is readable by its owner alone (files 0600, folders 0700), or by
-the group too (0640, 0750) where the environment variable :data:`GROUP_READABLE` is 1, which worker processes inherit.
+Fingerprints are personal data: whatever is written is readable by its owner alone (files 0600,
+folders 0700), or by the group too (0640, 0750) where the environment variable
+:data:`GROUP_READABLE` is 1, which worker processes inherit.
 """
 
 from __future__ import annotations
@@ -33,18 +35,21 @@ GROUP_READABLE = "SPLITKNIT_GROUP_READABLE"
 _STRAY = frozenset({MANIFEST, ".DS_Store", "Thumbs.db", "desktop.ini"})
 _TEMPORARY = re.compile(r"\.splitknit-[0-9a-f]{12}\.tmp")
 _MARK, _MARK_FORMAT = "mark.json", "splitknit-temporary"
-"""File in a temporary folder that names the target: what has none is not ours, whatever it is called."""
+"""File in a temporary folder that names the target: what has none is not ours, whatever it is
+called."""
 _AT_WORK: set[Path] = set()  # folders that this process is filling
 
 
 @contextlib.contextmanager
 def atomic_folder(out: str | os.PathLike[str], *, overwrite: bool = True) -> Iterator[Path]:
-    """Yield a temporary folder beside `out` that becomes `out` when the block ends without an exception.
+    """Yield a temporary folder beside `out` that becomes `out` when the block ends without an
+    exception.
 
-    An existing `out` is replaced as a whole, but only if it is empty or if every file in it was written by splitknit
-    (its manifest, ``.splitknit``, lists them). Parent folders are created. Where `out` is itself such a temporary
-    folder, it is yielded as it is. Raises BadInput if `out` is a file, holds files not written here, exists while
-    `overwrite` is false, lies behind a link inside a folder that the user named, or cannot be written.
+    An existing `out` is replaced as a whole, but only if it is empty or if every file in it was
+    written by splitknit (its manifest, ``.splitknit``, lists them). Parent folders are created.
+    Where `out` is itself such a temporary folder, it is yielded as it is. Raises BadInput if `out`
+    is a file, holds files not written here, exists while `overwrite` is false, lies behind a link
+    inside a folder that the user named, or cannot be written.
     """
     target = _resolved(out)
     if target in _AT_WORK:
@@ -69,15 +74,18 @@ def atomic_folder(out: str | os.PathLike[str], *, overwrite: bool = True) -> Ite
 
 @contextlib.contextmanager
 def atomic_file(path: str | os.PathLike[str]) -> Iterator[BinaryIO]:
-    """Yield a binary file that becomes `path`, replacing a file of that name, when the block ends without exception.
-    Parent folders are created. Raises BadInput if `path` is a folder or a device, is or lies behind a link inside a
-    folder that the user named, or cannot be written.
+    """Yield a binary file that becomes `path`, replacing a file of that name, when the block ends
+    without exception. Parent folders are created. Raises BadInput if `path` is a folder or a
+    device, is or lies behind a link inside a folder that the user named, or cannot be written.
     """
     target = _resolved(path)
     with _refuse_os_errors(target):
         require(not target.is_dir(), f"'{target}' is a folder; name a file to write.")
         # the renaming would take the place of /dev/null, where one may do that
-        require(target.is_file() or not target.exists(), f"'{target}' is a device or a pipe; name a file to write.")
+        require(
+            target.is_file() or not target.exists(),
+            f"'{target}' is a device or a pipe; name a file to write.",
+        )
     within = any(folder in _AT_WORK for folder in target.parents)  # it appears with its folder
     place = _in_place(target) if within else _temporary(target)
     with _parents(target), _refuse_os_errors(target), place as new, new.open("wb") as stream:
@@ -99,7 +107,8 @@ def private_modes() -> tuple[int, int]:
 
 
 def make_folder(folder: Path) -> None:
-    """Create a private folder and its missing parents where missing; OSError as :meth:`pathlib.Path.mkdir`."""
+    """Create a private folder and its missing parents where missing; OSError as
+    :meth:`pathlib.Path.mkdir`."""
     mode = private_modes()[1]
     for path in [*(path for path in reversed(folder.parents) if not path.exists()), folder]:
         path.mkdir(mode, exist_ok=True)
@@ -117,7 +126,8 @@ def _resolved(path: str | os.PathLike[str]) -> Path:
 
 @contextlib.contextmanager
 def _temporary(target: Path) -> Iterator[Path]:
-    """Yield the path, in a marked temporary folder beside `target`. A mark without a lock is left over."""
+    """Yield the path, in a marked temporary folder beside `target`. A mark without a lock is left
+    over."""
     import secrets  # who only reads needs none of it
 
     _sweep_once(target.parent)
@@ -162,7 +172,8 @@ def _in_place(target: Path) -> Iterator[Path]:
 
 
 def _discard(folder: Path) -> None:
-    """Remove a temporary folder, its mark last, unless what an exchange, cut short, was to replace lies in it."""
+    """Remove a temporary folder, its mark last, unless what an exchange, cut short, was to replace
+    lies in it."""
     new = folder / "new"
     old = folder / "old"
     if os.path.lexists(new) and os.path.lexists(old):
@@ -186,7 +197,8 @@ def _release(descriptor: int | None) -> None:
 
 
 def hold(stream: IO[Any], busy: str) -> None:
-    """Keep other programs out until `stream` is closed. Raises BadInput, `busy`, if one holds it."""
+    """Keep other programs out until `stream` is closed. Raises BadInput, `busy`, if one holds
+    it."""
     try:
         fcntl.flock(stream, fcntl.LOCK_EX | fcntl.LOCK_NB)
     except OSError as error:
@@ -194,7 +206,8 @@ def hold(stream: IO[Any], busy: str) -> None:
 
 
 def _lock(descriptor: int, flags: int = 0) -> bool:
-    """Lock; False where the disk has no locks, or with the flag LOCK_NB if another program holds it."""
+    """Lock; False where the disk has no locks, or with the flag LOCK_NB if another program holds
+    it."""
     try:
         fcntl.flock(descriptor, fcntl.LOCK_EX | flags)
     except OSError:
@@ -203,7 +216,8 @@ def _lock(descriptor: int, flags: int = 0) -> bool:
 
 
 def sweep(folder: Path) -> None:
-    """Remove what killed programs left in a folder and in those below it; see :func:`_sweep_one`."""
+    """Remove what killed programs left in a folder and in those below it; see
+    :func:`_sweep_one`."""
     for parent, _, _ in os.walk(folder, followlinks=False):
         _sweep_folder(Path(parent))
 
@@ -221,7 +235,8 @@ _sweep_once = functools.lru_cache(maxsize=4096)(_sweep_folder)
 
 
 def _sweep_one(left: Path) -> None:
-    """Remove this user's left-over temporary folder; put an earlier result whose replacement was cut short back."""
+    """Remove this user's left-over temporary folder; put an earlier result whose replacement was
+    cut short back."""
     if not _is_own(left.lstat()):
         return
     lock = _open_folder(left)
@@ -232,7 +247,11 @@ def _sweep_one(left: Path) -> None:
         if name is None:
             return
         target = left.with_name(name or left.name)
-        if os.path.lexists(left / "new") and os.path.lexists(left / "old") and not os.path.lexists(target):
+        if (
+            os.path.lexists(left / "new")
+            and os.path.lexists(left / "old")
+            and not os.path.lexists(target)
+        ):
             (left / "old").rename(target)
         _discard(left)
     finally:
@@ -244,8 +263,8 @@ def _is_own(status: os.stat_result) -> bool:
 
 
 def _marked_target(folder: Path) -> str | None:
-    """Name of the target that a temporary folder's mark states: "" where its program was killed before or after there
-    was one, so that it holds nothing; None where it is not one of ours.
+    """Name of the target that a temporary folder's mark states: "" where its program was killed
+    before or after there was one, so that it holds nothing; None where it is not one of ours.
     """
     mark = folder / _MARK
     names = set(os.listdir(folder))  # noqa: PTH208
@@ -291,15 +310,22 @@ def _check_replaceable(target: Path, overwrite: bool) -> None:
         if not target.exists():
             return
         require(target.is_dir(), f"'{target}' is a file; name a folder to write into.")
-        require(not os.path.ismount(target), f"'{target}' is a mounted disk; name a folder inside it.")
+        require(
+            not os.path.ismount(target), f"'{target}' is a mounted disk; name a folder inside it."
+        )
         names = _files(target)
     if not names:
         return
     require(overwrite, f"'{target}' exists and is not empty; remove it or name another folder.")
     own = manifest_of(target)
     for name in names:
-        ours = name in own or (Path(name).name in _STRAY and stat.S_ISREG((target / name).lstat().st_mode))
-        require(ours, f"'{target}' holds '{name}', which splitknit did not write there; name another folder.")
+        ours = name in own or (
+            Path(name).name in _STRAY and stat.S_ISREG((target / name).lstat().st_mode)
+        )
+        require(
+            ours,
+            f"'{target}' holds '{name}', which splitknit did not write there; name another folder.",
+        )
 
 
 def _files(folder: Path) -> list[str]:
@@ -309,7 +335,8 @@ def _files(folder: Path) -> list[str]:
 
 
 def manifest_of(folder: Path) -> frozenset[str]:
-    """The files that we wrote into a folder; none where it was not written whole, or its list is not a plain file."""
+    """The files that we wrote into a folder; none where it was not written whole, or its list is
+    not a plain file."""
     manifest = folder / MANIFEST
     with contextlib.suppress(OSError, ValueError, TypeError, KeyError, RecursionError):
         document = {} if manifest.is_symlink() else json.loads(read_bytes(manifest, _MAX_MANIFEST))
@@ -336,8 +363,8 @@ def _swap(new: Path, target: Path, overwrite: bool) -> None:
 
 
 def append_line(path: Path, line: Mapping[str, Any]) -> None:
-    """Add a line of JSON to a log, made where there is none, whole or not at all: a regular file, no link. Raises
-    OSError.
+    """Add a line of JSON to a log, made where there is none, whole or not at all: a regular file,
+    no link. Raises OSError.
     """
     flags = os.O_CREAT | os.O_WRONLY | os.O_APPEND | os.O_NOFOLLOW | os.O_NONBLOCK
     with os.fdopen(os.open(path, flags, 0o600), "ab", buffering=0) as stream:

@@ -1,4 +1,5 @@
-"""Capture folders, format ``splitknit-capture`` version 1: read with every check, written whole or not at all."""
+"""Capture folders, format ``splitknit-capture`` version 1: read with every check, written whole or
+not at all."""
 
 from __future__ import annotations
 
@@ -46,7 +47,9 @@ class _Image(Struct):
         """Exposure time times gain, None where neither is stated."""
         if self.exposure_s is None and self.gain is None:
             return None
-        return (1.0 if self.exposure_s is None else self.exposure_s) * (1.0 if self.gain is None else self.gain)
+        return (1.0 if self.exposure_s is None else self.exposure_s) * (
+            1.0 if self.gain is None else self.gain
+        )
 
 
 class _BandFields(Struct):
@@ -97,15 +100,16 @@ def _stated_bands(bands: _BandsFields, folder: Path, rig: Rig, name: str) -> dic
             continue
         stated[key] = _stated_band(fields, folder, rig, key, name)
         for image, file in zip(stated[key].band.files, stated[key].files, strict=True):
-            place = file.resolve()  # a file takes memory each time that it is named, by whatever spelling
+            # a file takes memory each time that it is named, by whatever spelling
+            place = file.resolve()
             require(place not in places, f"{name}: bands.{key}.images names {image!a} twice.")
             places.add(place)
     if bands.white_crossed is not None:
         _check_pair(stated["white"].band, stated["white_crossed"].band, name, rig)
         require(
             _exposed(bands.white) == _exposed(bands.white_crossed),
-            f"{name}: bands.white and bands.white_crossed must state exposure_s for every image, both or neither"
-            " (then it is the same).",
+            f"{name}: bands.white and bands.white_crossed must state exposure_s for every image,"
+            " both or neither (then it is the same).",
         )
     return stated
 
@@ -124,8 +128,8 @@ def _check_pair(parallel: Band, crossed: Band, name: str, rig: Rig) -> None:
     )
     require(
         len(parallel.leds) == len(crossed.leds),
-        f"{name}: bands.white has {len(parallel.leds)} images but bands.white_crossed {len(crossed.leds)}"
-        "; both series need one image a light, in the same order.",
+        f"{name}: bands.white has {len(parallel.leds)} images but bands.white_crossed"
+        f" {len(crossed.leds)}; both series need one image a light, in the same order.",
     )
     white = not any(rig.colours_of(band.leds) for band in (parallel, crossed))
     require(white, f"{name}: polarised series are lit by white LEDs, but the rig's are coloured.")
@@ -135,8 +139,8 @@ def _check_pair(parallel: Band, crossed: Band, name: str, rig: Rig) -> None:
     same = np.diag(near) >= near.max(axis=1) - _AS_NEAR
     require(
         same.all(),
-        f"{name}: image {np.argmin(same)} of bands.white_crossed is lit from another side than that of bands.white"
-        "; list both series in the same order of lights.",
+        f"{name}: image {np.argmin(same)} of bands.white_crossed is lit from another side than that"
+        " of bands.white; list both series in the same order of lights.",
     )
 
 
@@ -149,11 +153,16 @@ def _stated_band(fields: _BandFields, folder: Path, rig: Rig, key: str, name: st
     require(enough, f"{where}.images names {count} images, but at least three are needed.")
     leds = tuple((group,) if isinstance(group, int) else group for group in fields.leds)
     require(
-        len(leds) == count, f"{where} has {count} images but {len(leds)} entries in leds; name the LEDs of every image."
+        len(leds) == count,
+        f"{where} has {count} images but {len(leds)} entries in leds; name the LEDs of every"
+        " image.",
     )
     _check_leds(rig, spectral_band(key), leds, f"{where}.leds")
     flat = fields.flat or []
-    require(len(flat) in (0, count), f"{where}.flat names {len(flat)} images; it needs one for each of the {count}.")
+    require(
+        len(flat) in (0, count),
+        f"{where}.flat names {len(flat)} images; it needs one for each of the {count}.",
+    )
     exposures = [image.exposure for image in images]
     levels = [image.black_level for image in images]
     ambient = _Image(fields.ambient) if isinstance(fields.ambient, str) else fields.ambient
@@ -174,24 +183,33 @@ def _stated_band(fields: _BandFields, folder: Path, rig: Rig, key: str, name: st
         files=tuple(image.file for image in images),
         polarisation=fields.polarisation,
     )
-    files = tuple(inside(folder, image.file, name, f"bands.{key}.images[{k}]") for k, image in enumerate(images))
-    flats = tuple(inside(folder, file, name, f"bands.{key}.flat[{k}]") for k, file in enumerate(flat))
+    files = tuple(
+        inside(folder, image.file, name, f"bands.{key}.images[{k}]")
+        for k, image in enumerate(images)
+    )
+    flats = tuple(
+        inside(folder, file, name, f"bands.{key}.flat[{k}]") for k, file in enumerate(flat)
+    )
     return _StatedBand(band, files, dark, flats)
 
 
-def _of_ambient(own: float | None, images: Sequence[float | None], where: str, key: str) -> float | None:
+def _of_ambient(
+    own: float | None, images: Sequence[float | None], where: str, key: str
+) -> float | None:
     """The ambient image's `own`, else what all images of the band have."""
     if own is not None or None in images:
         return own
     require(
         len(set(images)) == 1,
-        f'{where} needs its own {key}, as the images of the band differ in theirs: {{"file": ..., "{key}": ...}}.',
+        f'{where} needs its own {key}, as the images of the band differ in theirs: {{"file": ...,'
+        f' "{key}": ...}}.',
     )
     return images[0]
 
 
 def _check_leds(rig: Rig, band: str, leds: tuple[tuple[int, ...], ...], where: str) -> None:
-    """Refuse LEDs (of every image) that are not in the rig, are of another band, or do not determine a normal."""
+    """Refuse LEDs (of every image) that are not in the rig, are of another band, or do not
+    determine a normal."""
     naming(where, lambda: rig.select(leds))
     for k, group in enumerate(leds):
         require(len(set(group)) == len(group), f"{where}[{k}] names an LED twice.")
@@ -205,13 +223,16 @@ def _check_leds(rig: Rig, band: str, leds: tuple[tuple[int, ...], ...], where: s
     for k, names in enumerate(rig.colours_of(leds)):
         require(
             all(names) or not any(names),
-            f"{where}[{k}] names coloured and white LEDs for one exposure, which cannot be separated; use one kind.",
+            f"{where}[{k}] names coloured and white LEDs for one exposure, which cannot be"
+            " separated; use one kind.",
         )
     lights = rig.lights_of(leds)
     naming(where, lambda: check_lights(rig.select(lights).light_vectors(), len(lights)))
 
 
-def read_capture(path: str | os.PathLike[str], *, may_be_dark: bool = False, threads: int = 0) -> Capture:
+def read_capture(
+    path: str | os.PathLike[str], *, may_be_dark: bool = False, threads: int = 0
+) -> Capture:
     """Read a capture folder.
 
     Parameters
@@ -223,15 +244,16 @@ def read_capture(path: str | os.PathLike[str], *, may_be_dark: bool = False, thr
     Returns
     -------
     Capture
-        Pixels as stored, (L, H, W, C) integers per band; :func:`splitknit.imaging.band.linear_stack` makes light of
-        them.
+        Pixels as stored, (L, H, W, C) integers per band;
+        :func:`splitknit.imaging.band.linear_stack` makes light of them.
 
     Raises
     ------
     BadInput
-        With one sentence that names the file and the remedy: missing, truncated or damaged files, images that differ
-        in size from each other or from the rig's camera, black or overexposed images, too few images, LEDs that are
-        missing, of the wrong band, coplanar or duplicate, broken JSON, and paths that leave the folder.
+        With one sentence that names the file and the remedy: missing, truncated or damaged files,
+        images that differ in size from each other or from the rig's camera, black or overexposed
+        images, too few images, LEDs that are missing, of the wrong band, coplanar or duplicate,
+        broken JSON, and paths that leave the folder.
 
     Examples
     --------
@@ -242,7 +264,10 @@ def read_capture(path: str | os.PathLike[str], *, may_be_dark: bool = False, thr
     folder = document.parent
     name = str(document)
     fields, _ = read_document(document, _CaptureFields)
-    require(fields.shading is None, f"{name} names a calibrated shading, by which this version reads no heights.")
+    require(
+        fields.shading is None,
+        f"{name} names a calibrated shading, by which this version reads no heights.",
+    )
     rig_file = inside(folder, fields.rig, name, "rig")
     rig = read_rig(rig_file)
     truth = None if fields.truth is None else inside(folder, fields.truth, name, "truth")
@@ -265,7 +290,10 @@ def read_capture(path: str | os.PathLike[str], *, may_be_dark: bool = False, thr
     for key, each in stated.items():
         full = int(np.iinfo(stacks[key].dtype).max)
         for image, black in zip(each.band.files, each.band.black_level, strict=True):
-            require(black < full, f"{image} has the black level {black:g}, but its full scale is {full}.")
+            require(
+                black < full,
+                f"{image} has the black level {black:g}, but its full scale is {full}.",
+            )
         band = replace(each.band, pixels=stacks[key], ambient=ambients.get(key))
         if each.flat:
             band = replace(band, flat=np.stack([_flat_image(file) for file in each.flat]))
@@ -292,12 +320,15 @@ def _flat_image(file: Path) -> NDArray[np.uint16]:
     """A photograph of a flat surface on the coarse grid, as stored."""
     pixels = read_image(file)
     scale = 65535.0 / float(np.iinfo(pixels.dtype).max)
-    return np.asarray(np.rint(scale * coarse_grid(pixels.mean(axis=2, dtype=np.float32))), dtype=np.uint16)
+    return np.asarray(
+        np.rint(scale * coarse_grid(pixels.mean(axis=2, dtype=np.float32))), dtype=np.uint16
+    )
 
 
 def with_rig(capture: Capture, path: str | os.PathLike[str]) -> Capture:
-    """The capture as taken by another file's rig, such as a later calibration of it. Raises BadInput if the file is not
-    a rig's, its camera has another image size, or it lacks LEDs or has other bands.
+    """The capture as taken by another file's rig, such as a later calibration of it. Raises
+    BadInput if the file is not a rig's, its camera has another image size, or it lacks LEDs or has
+    other bands.
     """
     rig = read_rig(path)
     name = os.fspath(path)
@@ -305,16 +336,20 @@ def with_rig(capture: Capture, path: str | os.PathLike[str]) -> Capture:
     own = rig.camera.image_size
     require(
         own == capture.shape,
-        f"{name} is the rig of another camera: its images have {own[0]} x {own[1]} pixels (rows x columns)"
-        f", the capture's have {rows} x {columns}.",
+        f"{name} is the rig of another camera: its images have {own[0]} x {own[1]} pixels (rows x"
+        f" columns), the capture's have {rows} x {columns}.",
     )
     for band in capture.bands.values():
         for index in sorted({k for group in band.leds for k in group}):
-            there = f"of the band '{rig.leds[index].band}' there" if index < len(rig.leds) else "not in it"
+            there = (
+                f"of the band '{rig.leds[index].band}' there"
+                if index < len(rig.leds)
+                else "not in it"
+            )
             require(
                 there == f"of the band '{band.spectral}' there",
-                f"{name} does not fit the capture: LED {index}, which lit images of the band '{band.name}', "
-                f"is {there}.",
+                f"{name} does not fit the capture: LED {index}, which lit images of the band"
+                f" '{band.name}', is {there}.",
             )
     bands = {key: _seen_by(rig, band) for key, band in capture.bands.items()}
     if "white_crossed" in bands:
@@ -331,13 +366,15 @@ def write_capture(
 ) -> None:
     """Write `capture` as a folder that :func:`read_capture` reads back, pixel for pixel.
 
-    Files are named ``white_0.png``, ``ambient_white.png``, ``mask.png``, ``rig.json``, ``truth.npz``, whatever the
-    capture's own files were called. The folder appears when it is complete.
+    Files are named ``white_0.png``, ``ambient_white.png``, ``mask.png``, ``rig.json``,
+    ``truth.npz``, whatever the capture's own files were called. The folder appears when it is
+    complete.
 
     Parameters
     ----------
     truth : arrays for ``truth.npz``; where None, a truth file that the capture names is copied
-    overwrite : replace an earlier capture that splitknit wrote; any other folder that is not empty is refused
+    overwrite : replace an earlier capture that splitknit wrote; any other folder that is not empty
+    is refused
 
     Raises
     ------
@@ -363,7 +400,9 @@ def write_capture(
             "format": CAPTURE_FORMAT,
             "version": CAPTURE_VERSION,
             "rig": "rig.json",
-            "bands": {key: _band_json(capture.bands[key], images, plain=plain[key]) for key in listed},
+            "bands": {
+                key: _band_json(capture.bands[key], images, plain=plain[key]) for key in listed
+            },
             "encoding": capture.encoding,
             "material": capture.material,
         }
@@ -379,7 +418,10 @@ def write_capture(
         if truth is not None:
             write_npz(target / "truth.npz", truth)
         elif capture.truth is not None:
-            require(capture.truth.is_file(), f"{capture.truth}, the truth of the capture, does not exist.")
+            require(
+                capture.truth.is_file(),
+                f"{capture.truth}, the truth of the capture, does not exist.",
+            )
             shutil.copyfile(capture.truth, target / "truth.npz")
         if written:
             document["truth"] = "truth.npz"
@@ -398,8 +440,8 @@ def write_capture(
 def photographs_hint(folder: Path) -> str:
     """What to do with a folder of photographs where a capture is wanted, in brackets."""
     return (
-        f"(photographs: splitknit reconstruct --images {shlex.quote(str(folder))} --lights FILE --out RESULT"
-        ", or splitknit import)"
+        f"(photographs: splitknit reconstruct --images {shlex.quote(str(folder))} --lights FILE"
+        " --out RESULT, or splitknit import)"
     )
 
 
@@ -416,19 +458,23 @@ def _document(path: str | os.PathLike[str]) -> Path:
         require(exists, f"{file} is not a capture folder: it holds no capture.json {hint}.")
         return document
     require(exists, f"{file} does not exist; name a capture folder.")
-    require(file.suffix == ".json", f"{file} is not a capture; name its folder or the capture.json in it.")
+    require(
+        file.suffix == ".json",
+        f"{file} is not a capture; name its folder or the capture.json in it.",
+    )
     return file
 
 
 def _seen_by(rig: Rig, band: Band) -> Band:
-    """The band with lens and LEDs' colours by the rig; BadInput if LEDs of several colours light a grey image."""
+    """The band with lens and LEDs' colours by the rig; BadInput if LEDs of several colours light a
+    grey image."""
     colours = rig.colours_of(band.leds)
     for k, names in enumerate(colours):
         count = len(set(names))
         require(
             band.pixels.shape[3] == 3 or count == 1,
-            f"{image_name(band, k)} is grey, but LEDs of {count} colours lit it; their light can be separated in "
-            "colour images only.",
+            f"{image_name(band, k)} is grey, but LEDs of {count} colours lit it; their light can be"
+            " separated in colour images only.",
         )
     crosstalk = rig.camera.crosstalk if colours else None
     return replace(band, shading=rig.camera.shading, colours=colours, crosstalk=crosstalk)
@@ -438,20 +484,28 @@ def _check_parts(capture: Capture) -> None:
     size = capture.rig.camera.image_size
     require("white" in capture.bands, "a capture needs a band 'white'.")
     for key, band in capture.bands.items():
-        require(key in BANDS, f"a capture's bands are 'white', 'white_crossed' and 'nir', not '{key}'.")
+        require(
+            key in BANDS, f"a capture's bands are 'white', 'white_crossed' and 'nir', not '{key}'."
+        )
         count, *image_size, channels = shape = band.pixels.shape
         require(
-            tuple(image_size) == size and channels in (1, 3) and count >= (1 if band.colours else 3),
+            tuple(image_size) == size
+            and channels in (1, 3)
+            and count >= (1 if band.colours else 3),
             f"the pixels of the band '{key}' have the shape {shape}; "
             f"(L, {size[0]}, {size[1]}, 1 or 3) with three images at least is expected.",
         )
         fits = band.ambient is None or band.ambient.shape[:2] == size
-        require(fits, f"the ambient image of the band '{key}' has another size than the rig's camera.")
+        require(
+            fits, f"the ambient image of the band '{key}' has another size than the rig's camera."
+        )
         counts = [len(band.leds), len(band.exposure), len(band.black_level)]
         words = "{} LEDs, {} exposures and {} black levels".format(*counts)
         require(counts == [count] * 3, f"the band '{key}' has {count} images but {words}.")
     if "white_crossed" in capture.bands:
-        _check_pair(capture.bands["white"], capture.bands["white_crossed"], "the capture", capture.rig)
+        _check_pair(
+            capture.bands["white"], capture.bands["white_crossed"], "the capture", capture.rig
+        )
     if capture.mask is not None:
         check_mask(capture.mask, size)
 
@@ -479,7 +533,9 @@ def _band_json(band: Band, images: list[tuple[str, PixelArray]], *, plain: bool)
         result["polarisation"] = band.polarisation
     if band.ambient is not None:
         name = f"ambient_{band.name}.png"
-        result["ambient"] = entry(name, band.ambient, band.ambient_exposure, band.ambient_black_level)
+        result["ambient"] = entry(
+            name, band.ambient, band.ambient_exposure, band.ambient_black_level
+        )
     if band.flat is not None:
         result["flat"] = [f"flat_{name}" for name in names]
         images += zip(result["flat"], band.flat[..., None], strict=True)

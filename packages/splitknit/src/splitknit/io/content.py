@@ -1,4 +1,5 @@
-"""What the pictures themselves must show: light, not too much of it, and directions that determine a normal."""
+"""What the pictures themselves must show: light, not too much of it, and directions that determine
+a normal."""
 
 from __future__ import annotations
 
@@ -14,27 +15,38 @@ from splitknit.errors import BadExposure, require
 from splitknit.model import Band, BoolArray, PixelArray
 from splitknit.steps import let_go
 
-# When an image is refused as black or as overexposed; fractions of the full scale (255 or 65535) as stored.
+# When an image is refused as black or as overexposed; fractions of the full scale (255 or 65535) as
+# stored.
 _DARK_FRACTION = 0.01
-"""Black: bright pixels, black level and ambient light off, stay below 2 of 255 levels, where 8 bits hold no shading."""
+"""Black: bright pixels, black level and ambient light off, stay below 2 of 255 levels, where 8 bits
+hold no shading."""
 _RELATIVE_DARK = 0.03
-"""Unlit: bright pixels below this part of the band's median image; LEDs of a rig differ by a factor of 3 at most."""
-_BRIGHT_QUANTILE = 0.999  # which pixels are "bright": all but the brightest thousandth; hot pixels are not light
-_FULL_SCALE = 0.995  # stored values from here on are clipped (254 of 255; 10- and 12-bit data in 16 bits end above)
-_LIT_FRACTION = 0.02  # pixels above this (black level taken off) are lit: the finger, not its black background
+"""Unlit: bright pixels below this part of the band's median image; LEDs of a rig differ by a factor
+of 3 at most."""
+# which pixels are "bright": all but the brightest thousandth; hot pixels are not light
+_BRIGHT_QUANTILE = 0.999
+# stored values from here on are clipped (254 of 255; 10- and 12-bit data in 16 bits end above)
+_FULL_SCALE = 0.995
+# pixels above this (black level taken off) are lit: the finger, not its black background
+_LIT_FRACTION = 0.02
 _SATURATED_FRACTION = 0.2
-"""Overexposed: more of the lit pixels is clipped; glare on wet skin clips a few per cent, which robust weights take."""
+"""Overexposed: more of the lit pixels is clipped; glare on wet skin clips a few per cent, which
+robust weights take."""
 _SATURATED_AREA = 0.005
-"""It must be more than this part of the whole image too: a dark object with a small highlight is not overexposure."""
+"""It must be more than this part of the whole image too: a dark object with a small highlight is
+not overexposure."""
 _GREY = 0.7
-"""Part of what is not black that is not white either, from which a mask is a picture: up to 0.12 of 360 drawn masks
-sharp, of JPEG or noisy; 5 of 240 feathered or enlarged ones are above it; 0.72 and more of 272 photographs."""
+"""Part of what is not black that is not white either, from which a mask is a picture: up to 0.12 of
+360 drawn masks sharp, of JPEG or noisy; 5 of 240 feathered or enlarged ones are above it; 0.72 and
+more of 272 photographs."""
 _SAMPLE_PIXELS = 200_000
-"""About so many pixels are looked at in an image, on a regular grid; enough for a thousandth to be 200 pixels."""
+"""About so many pixels are looked at in an image, on a regular grid; enough for a thousandth to be
+200 pixels."""
 
 
 def check_contents(bands: Collection[Band]) -> None:
-    """Refuse bands as :func:`check_content`, and images with the same pixels (noise differs); BadInput names both."""
+    """Refuse bands as :func:`check_content`, and images with the same pixels (noise differs);
+    BadInput names both."""
     with ThreadPoolExecutor(2) as pool:
         list(pool.map(check_content, bands))
     seen: dict[bytes, tuple[Band, int]] = {}
@@ -53,19 +65,21 @@ def check_contents(bands: Collection[Band]) -> None:
 def check_content(band: Band) -> None:
     """Refuse a band in which an image is black, unlit, without any structure, or overexposed.
 
-    An overexposed pixel is one in which two of the three channels are clipped: with one channel clipped (red, on light
-    skin) the others still carry the shading. Raises BadExposure naming the file and its LED.
+    An overexposed pixel is one in which two of the three channels are clipped: with one channel
+    clipped (red, on light skin) the others still carry the shading. Raises BadExposure naming the
+    file and its LED.
     """
     ambient = _ambient_light(band)
     peaks = np.array([_check_image(band, k, ambient) for k in range(len(band.pixels))])
     scaled = peaks / band.exposure
-    fraction = np.maximum(peaks / np.median(peaks), scaled / np.median(scaled))  # a short exposure is dark, but lit
+    # a short exposure is dark, but lit
+    fraction = np.maximum(peaks / np.median(peaks), scaled / np.median(scaled))
     for k, part in enumerate(fraction):
         require(
             part >= _RELATIVE_DARK,
-            f"{image_name(band, k)} is almost black beside the other images "
-            f"(its bright pixels reach {100 * part:.1f} % of theirs): {_leds(band, k)} did not light; "
-            "capture it again.",
+            f"{image_name(band, k)} is almost black beside the other images (its bright pixels"
+            f" reach {100 * part:.1f} % of theirs): {_leds(band, k)} did not light; capture it"
+            " again.",
             BadExposure,
         )
 
@@ -86,19 +100,22 @@ def _check_image(band: Band, k: int, ambient: NDArray[np.float32] | None) -> flo
         few = fraction <= _SATURATED_FRACTION or float(clipped.mean()) <= _SATURATED_AREA
         require(
             few,
-            f"{name} is overexposed: {100 * fraction:.0f} % of its lit pixels are at the full scale; capture it"
-            " again with a shorter exposure or a lower gain.",
+            f"{name} is overexposed: {100 * fraction:.0f} % of its lit pixels are at the full"
+            " scale; capture it again with a shorter exposure or a lower gain.",
             BadExposure,
         )
     light = sample.max(axis=0) - black
     if ambient is not None:
-        light = np.maximum.reduce(sample - (black + ambient * np.float32(scale * float(band.exposure[k]))))
+        light = np.maximum.reduce(
+            sample - (black + ambient * np.float32(scale * float(band.exposure[k])))
+        )
     peak = float(np.quantile(light, _BRIGHT_QUANTILE)) / scale
     above = " above the ambient image" if band.ambient is not None else ""
     require(
         peak > _DARK_FRACTION,
-        f"{name} is black: its bright pixels reach {100 * max(peak, 0.0):.1f} % of the full scale{above}; check "
-        f"{_leds(band, k)} and capture it again (or, if data of fewer bits were stored unscaled, scale them).",
+        f"{name} is black: its bright pixels reach {100 * max(peak, 0.0):.1f} % of the full"
+        f" scale{above}; check {_leds(band, k)} and capture it again (or, if data of fewer bits"
+        " were stored unscaled, scale them).",
         BadExposure,
     )
     require(
@@ -110,7 +127,8 @@ def _check_image(band: Band, k: int, ambient: NDArray[np.float32] | None) -> flo
 
 
 def _ambient_light(band: Band) -> NDArray[np.float32] | None:
-    """Sample (C, n) of the ambient light as a fraction of the full scale at exposure 1, in the images' channels."""
+    """Sample (C, n) of the ambient light as a fraction of the full scale at exposure 1, in the
+    images' channels."""
     if band.ambient is None:
         return None
     ambient = _sample(band.ambient) - np.float32(band.ambient_black_level)
@@ -119,19 +137,22 @@ def _ambient_light(band: Band) -> NDArray[np.float32] | None:
 
 
 def mask_from_image(pixels: PixelArray, name: str) -> BoolArray:
-    """Mask (H, W) of an image (H, W, C): above half the scale, or 1 in an image of 0, 1; BadInput if none is, or if it
-    is a picture, most of whose pixels are neither dark nor bright."""
+    """Mask (H, W) of an image (H, W, C): above half the scale, or 1 in an image of 0, 1; BadInput
+    if none is, or if it is a picture, most of whose pixels are neither dark nor bright."""
     bright = pixels.max(axis=2)
     top = int(bright.max())
     half = 0 if top == 1 else int(np.iinfo(pixels.dtype).max) // 2
     mask: BoolArray = np.asarray(bright > half)
-    require(bool(mask.any()), f"{name} is an empty mask: not one pixel is white; white marks the finger.")
+    require(
+        bool(mask.any()),
+        f"{name} is an empty mask: not one pixel is white; white marks the finger.",
+    )
     drawn = bright > 0.1 * top
     part = float((drawn & (bright < 0.9 * top)).sum()) / float(drawn.sum())
     require(
         part < _GREY,
-        f"{name} is a picture and no mask: {100 * part:.0f} % of what is not black in it is not white either; "
-        "paint the object white and all else black.",
+        f"{name} is a picture and no mask: {100 * part:.0f} % of what is not black in it is not"
+        " white either; paint the object white and all else black.",
     )
     return mask
 
@@ -139,7 +160,9 @@ def mask_from_image(pixels: PixelArray, name: str) -> BoolArray:
 def _sample(image: PixelArray) -> NDArray[Any]:
     """Pixels (C, n) on a regular grid."""
     step = max(1, round(sqrt(image.shape[0] * image.shape[1] / _SAMPLE_PIXELS)))
-    return np.ascontiguousarray(np.moveaxis(image[::step, ::step], 2, 0)).reshape(image.shape[2], -1)
+    return np.ascontiguousarray(np.moveaxis(image[::step, ::step], 2, 0)).reshape(
+        image.shape[2], -1
+    )
 
 
 def image_name(band: Band, k: int) -> str:

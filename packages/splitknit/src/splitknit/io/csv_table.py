@@ -1,4 +1,5 @@
-"""Tables as CSV: what a spreadsheet would run as a formula is written as text, and read back as it was.
+"""Tables as CSV: what a spreadsheet would run as a formula is written as text, and read back as it
+was.
 
 Source: RFC 4180, Common Format and MIME Type for CSV Files; OWASP, CSV Injection.
 """
@@ -10,18 +11,21 @@ import io
 from collections.abc import Iterable
 from typing import Any
 
-_FORMULA = frozenset("=+-@\t\r\n＝＋－＠")  # what a formula begins with; signs of full width count in East Asian sheets
+# what a formula begins with; signs of full width count in East Asian sheets
+_FORMULA = frozenset("=+-@\t\r\n＝＋－＠")
 
 
 def csv_text(rows: Iterable[Iterable[Any]]) -> str:
-    """Rows as the text of a CSV file. A text that a spreadsheet would run begins with an apostrophe, which spreadsheets
-    do not show and :func:`plain_text` takes off.
+    """Rows as the text of a CSV file. A text that a spreadsheet would run begins with an
+    apostrophe, which spreadsheets do not show and :func:`plain_text` takes off.
 
     >>> csv_text([["name", "height"], ['=HYPERLINK("x")', -0.5], ["-0.5", "@a"]]).splitlines()
     ['name,height', '"\\'=HYPERLINK(""x"")",-0.5', "-0.5,'@a"]
     """
     stream = io.StringIO()
-    csv.writer(stream, lineterminator="\n").writerows([[_defused(cell) for cell in row] for row in rows])
+    csv.writer(stream, lineterminator="\n").writerows(
+        [[_defused(cell) for cell in row] for row in rows]
+    )
     return stream.getvalue()
 
 

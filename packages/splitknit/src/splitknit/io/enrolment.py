@@ -1,8 +1,8 @@
 """Many fingers, one after the other, over days: which are captured, and which is next.
 
-The folder holds ``enrolment.json`` (the plan) and ``S01/session_1/right_index/`` (a capture folder each). What is
-finished is read off the folders, which appear whole or not at all: stopping at any moment loses nothing. Subjects have
-numbers, no names; who S01 is, is nobody's business here.
+The folder holds ``enrolment.json`` (the plan) and ``S01/session_1/right_index/`` (a capture folder
+each). What is finished is read off the folders, which appear whole or not at all: stopping at any
+moment loses nothing. Subjects have numbers, no names; who S01 is, is nobody's business here.
 """
 
 from __future__ import annotations
@@ -80,9 +80,12 @@ class Enrolment:
     plan: EnrolmentPlan
 
     def places(self) -> Iterator[PlannedCapture]:
-        """Yield all captures in their order: session by session, subject by subject, finger by finger."""
+        """Yield all captures in their order: session by session, subject by subject, finger by
+        finger."""
         days = range(1, self.plan.sessions + 1)
-        for session, subject, finger in itertools.product(days, self.plan.subject_ids(), self.plan.fingers):
+        for session, subject, finger in itertools.product(
+            days, self.plan.subject_ids(), self.plan.fingers
+        ):
             yield PlannedCapture(subject, session, finger)
 
     def path(self, place: PlannedCapture) -> Path:
@@ -96,7 +99,8 @@ class Enrolment:
     def waiting(
         self, *, subject: str | None = None, session: int | None = None, finger: str | None = None
     ) -> list[PlannedCapture]:
-        """What is not captured yet, in its order; of one subject, session or finger of the plan where named."""
+        """What is not captured yet, in its order; of one subject, session or finger of the plan
+        where named."""
         plan = self.plan
         days = range(1, plan.sessions + 1)
         planned = {"subject": plan.subject_ids(), "session": tuple(days), "finger": plan.fingers}
@@ -104,36 +108,49 @@ class Enrolment:
         chosen = {name: value for name, value in wanted.items() if value is not None}
         for name, value in chosen.items():
             known = some_of([str(each) for each in planned[name]])
-            require(value in planned[name], f"{name} '{value}' is not in the plan of '{self.folder}'; it has {known}.")
+            require(
+                value in planned[name],
+                f"{name} '{value}' is not in the plan of '{self.folder}'; it has {known}.",
+            )
         return [
             place
             for place in self.places()
-            if all(getattr(place, name) == value for name, value in chosen.items()) and not self.finished(place)
+            if all(getattr(place, name) == value for name, value in chosen.items())
+            and not self.finished(place)
         ]
 
     def seeds(self, place: PlannedCapture, seed: int) -> tuple[int, int]:
-        """Seed and impression of a simulated finger: every finger has its own, every session is another impression."""
+        """Seed and impression of a simulated finger: every finger has its own, every session is
+        another impression."""
         person = int(place.subject.removeprefix("S"))
         key = [seed, 0xE7, person, FINGERS.index(place.finger)]
         return int(np.random.SeedSequence(key).generate_state(1, np.uint32)[0]), place.session - 1
 
 
 def open_enrolment(
-    folder: Path, *, subjects: int | None = None, sessions: int | None = None, fingers: Sequence[str] | None = None
+    folder: Path,
+    *,
+    subjects: int | None = None,
+    sessions: int | None = None,
+    fingers: Sequence[str] | None = None,
 ) -> Enrolment:
-    """Open an enrolment, or start one; what is not given is as planned, or as in the thesis. Raises BadInput if the
-    folder holds something else, its plan is damaged, or it would shrink: what was planned may be captured.
+    """Open an enrolment, or start one; what is not given is as planned, or as in the thesis. Raises
+    BadInput if the folder holds something else, its plan is damaged, or it would shrink: what was
+    planned may be captured.
     """
     planned = plan_enrolment(folder, subjects=subjects, sessions=sessions, fingers=fingers)
     file = folder / PLAN_FILE
     if not file.is_file() or _read(file) != planned.plan:
         names = ("format", "version", "subjects", "sessions", "fingers")
-        write_file(file, json_text({name: getattr(planned.plan, name) for name in names}).encode("ascii"))
+        write_file(
+            file, json_text({name: getattr(planned.plan, name) for name in names}).encode("ascii")
+        )
     return planned
 
 
 def fingers_named(words: str | None) -> tuple[str, ...] | None:
-    """The fingers of an option: all of them, or those with commas between; None where it was not given.
+    """The fingers of an option: all of them, or those with commas between; None where it was not
+    given.
 
     >>> fingers_named("right_index,left_thumb"), len(fingers_named("all") or ())
     (('right_index', 'left_thumb'), 10)
@@ -144,7 +161,11 @@ def fingers_named(words: str | None) -> tuple[str, ...] | None:
 
 
 def plan_enrolment(
-    folder: Path, *, subjects: int | None = None, sessions: int | None = None, fingers: Sequence[str] | None = None
+    folder: Path,
+    *,
+    subjects: int | None = None,
+    sessions: int | None = None,
+    fingers: Sequence[str] | None = None,
 ) -> Enrolment:
     """What :func:`open_enrolment` would open; nothing is written."""
     file = folder / PLAN_FILE
@@ -153,7 +174,8 @@ def plan_enrolment(
         require(folder.is_dir(), f"'{folder}' is a file; name a folder for the enrolment.")
         require(
             not any(folder.iterdir()),
-            f"'{folder}' is not an enrolment: it holds other files and no {PLAN_FILE}; name another folder.",
+            f"'{folder}' is not an enrolment: it holds other files and no {PLAN_FILE}; name another"
+            " folder.",
         )
     wishes = {"subjects": subjects, "sessions": sessions, "fingers": fingers}
     changes = {name: value for name, value in wishes.items() if value is not None}
@@ -163,18 +185,20 @@ def plan_enrolment(
         grown = plan.subjects >= earlier.subjects and plan.sessions >= earlier.sessions
         require(
             grown and set(plan.fingers) >= set(earlier.fingers),
-            f"the enrolment in '{folder}' is planned for {earlier.subjects} subjects, {earlier.sessions} sessions and "
-            f"{len(earlier.fingers)} fingers; a plan may grow but not shrink: leave out `subjects`, `sessions` and "
-            "`fingers`, or name another folder.",
+            f"the enrolment in '{folder}' is planned for {earlier.subjects} subjects,"
+            f" {earlier.sessions} sessions and {len(earlier.fingers)} fingers; a plan may grow but"
+            " not shrink: leave out `subjects`, `sessions` and `fingers`, or name another folder.",
         )
     return Enrolment(folder, plan)
 
 
 def check_subject_id(text: str) -> str:
-    """Return `text` if it can be a subject's id: letters, digits, - and _ only; it is safe in paths and files."""
+    """Return `text` if it can be a subject's id: letters, digits, - and _ only; it is safe in paths
+    and files."""
     require(
         re.fullmatch(r"[A-Za-z0-9_-]{1,32}", text) is not None,
-        f"'{text}' cannot be a subject's id: use up to 32 letters, digits, - and _ (such as S01), never a name.",
+        f"'{text}' cannot be a subject's id: use up to 32 letters, digits, - and _ (such as S01),"
+        " never a name.",
     )
     return text
 
@@ -184,6 +208,6 @@ def _read(file: Path) -> EnrolmentPlan:
         return read_document(file, EnrolmentPlan)[0]
     except BadInput as error:
         raise BadInput(
-            f"the plan '{file}' cannot be read ({str(error).rstrip('.')}); put it right, or remove it and "
-            "give `subjects`, `sessions` and `fingers` again: no capture is lost by that."
+            f"the plan '{file}' cannot be read ({str(error).rstrip('.')}); put it right, or remove"
+            " it and give `subjects`, `sessions` and `fingers` again: no capture is lost by that."
         ) from error

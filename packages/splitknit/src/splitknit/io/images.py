@@ -1,7 +1,7 @@
 """Pictures in and out: 8- or 16-bit PNG, TIFF and JPEG, grey or RGB, as (H, W, C) integers.
 
-Pillow and tifffile read what a file states, so that sizes are known before memory is taken; OpenCV decodes the pixels,
-but for those of uncompressed TIFF files.
+Pillow and tifffile read what a file states, so that sizes are known before memory is taken; OpenCV
+decodes the pixels, but for those of uncompressed TIFF files.
 """
 
 from __future__ import annotations
@@ -36,21 +36,33 @@ from splitknit.model import PixelArray
 from splitknit.steps import large_array, let_go
 
 MAX_PIXELS, MAX_BYTES = 200_000_000, 600_000_000
-"""Pixels of one image, and bytes of its file, at most: nothing of a rig is larger, and a small file can claim any."""
+"""Pixels of one image, and bytes of its file, at most: nothing of a rig is larger, and a small file
+can claim any."""
 _DECODED_BYTES = 400_000_000
-"""Bytes of one decoded image, at most: 130 million pixels of 8-bit RGB. Decoders of C hold a second copy beside it."""
-_LARGEST_RATIO = 50_000  # bytes that one of the file can become: of a WEBP or a palette of one bit, the densest
+"""Bytes of one decoded image, at most: 130 million pixels of 8-bit RGB. Decoders of C hold a second
+copy beside it."""
+# bytes that one of the file can become: of a WEBP or a palette of one bit, the densest
+_LARGEST_RATIO = 50_000
 _MAPPED_BYTES = 1_000_000_000
-"""Beyond so many the images of a capture lie on disk while they are worked on; a full frame of 16 bits takes 0.7 GB."""
-STACK_BYTES = 4_000_000_000  # bytes of all images of a capture once decoded: 80 of the rig's camera in 16-bit colour
-_MAX_SCANS = 100  # of a JPEG file: each costs a pass through the whole image; a progressive image has about ten
+"""Beyond so many the images of a capture lie on disk while they are worked on; a full frame of 16
+bits takes 0.7 GB."""
+# bytes of all images of a capture once decoded: 80 of the rig's camera in 16-bit colour
+STACK_BYTES = 4_000_000_000
+# of a JPEG file: each costs a pass through the whole image; a progressive image has about ten
+_MAX_SCANS = 100
 
 PNG, JPEG, WEBP, BMP = b"\x89PNG", b"\xff\xd8\xff", b"RIFF", b"BM"
 """First bytes of files."""
 TIFFS = (b"II*\0", b"MM\0*", b"II+\0", b"MM\0+")
-_OPENERS: dict[bytes, Any] = {PNG: PngImageFile, JPEG: JpegImageFile, WEBP: WebPImageFile, BMP: BmpImageFile}
+_OPENERS: dict[bytes, Any] = {
+    PNG: PngImageFile,
+    JPEG: JpegImageFile,
+    WEBP: WebPImageFile,
+    BMP: BmpImageFile,
+}
 _GREY, _COLOUR = {"1", "L", "LA", "I;16"}, {"P", "PA", "RGB", "RGBA", "RGBX"}  # Pillow's modes
-_ORIENTATION, _X_RESOLUTION, _Y_RESOLUTION, _RESOLUTION_UNIT = 274, 282, 283, 296  # tags of TIFF and EXIF
+# tags of TIFF and EXIF
+_ORIENTATION, _X_RESOLUTION, _Y_RESOLUTION, _RESOLUTION_UNIT = 274, 282, 283, 296
 _ALPHA = (1, 2)  # associated or not, of the tag ExtraSamples
 _CM_PER_INCH = 2.54
 _TEXT_BYTES = 1_000_000
@@ -60,7 +72,8 @@ logging.getLogger("tifffile").addHandler(logging.NullHandler())  # else it write
 
 @dataclass(frozen=True, slots=True)
 class Header:
-    """What an image file states; headers are equal where the decoded images have one shape and type."""
+    """What an image file states; headers are equal where the decoded images have one shape and
+    type."""
 
     rows: int
     columns: int
@@ -85,8 +98,8 @@ class Header:
 
 
 class _Quiet:
-    """While any thread is inside, nothing reaches the process's stderr: libpng and libjpeg print what they refuse, and
-    Pillow warns of it.
+    """While any thread is inside, nothing reaches the process's stderr: libpng and libjpeg print
+    what they refuse, and Pillow warns of it.
     """
 
     def __init__(self) -> None:
@@ -117,11 +130,13 @@ _QUIET = _Quiet()
 def read_header(data: bytes, name: str, max_pixels: int = MAX_PIXELS) -> Header:
     """What a PNG, TIFF, JPEG, WEBP or BMP file states, before memory is taken.
 
-    Raises BadInput, with `name`, if the header is damaged, the file of another kind, or the image larger than
-    `max_pixels` or 400 MB once decoded.
+    Raises BadInput, with `name`, if the header is damaged, the file of another kind, or the image
+    larger than `max_pixels` or 400 MB once decoded.
     """
     header = _tiff_header(data, name) if data.startswith(TIFFS) else _pillow_header(data, name)
-    decoded = check_size(header.rows, header.columns, header.channels * header.dtype.itemsize, name, max_pixels)
+    decoded = check_size(
+        header.rows, header.columns, header.channels * header.dtype.itemsize, name, max_pixels
+    )
     require(
         decoded <= _LARGEST_RATIO * len(data),
         f"{name} is damaged: it claims {header.rows} x {header.columns} pixels"
@@ -130,24 +145,33 @@ def read_header(data: bytes, name: str, max_pixels: int = MAX_PIXELS) -> Header:
     return header
 
 
-def check_size(rows: int, columns: int, bytes_each: int, name: str, max_pixels: int = MAX_PIXELS) -> int:
-    """The bytes of an image once decoded, refused if it has too many, or no pixel; `bytes_each`: of a pixel."""
+def check_size(
+    rows: int, columns: int, bytes_each: int, name: str, max_pixels: int = MAX_PIXELS
+) -> int:
+    """The bytes of an image once decoded, refused if it has too many, or no pixel; `bytes_each`: of
+    a pixel."""
     size = f"{name} claims {rows} x {columns} pixels"
     require(0 < rows * columns <= max_pixels, f"{size}, more than the {max_pixels} that are read.")
     decoded = rows * columns * bytes_each
     require(
         decoded <= _DECODED_BYTES,
-        f"{size}, {decoded} bytes once decoded, more than the {_DECODED_BYTES} that are read; reduce the image.",
+        f"{size}, {decoded} bytes once decoded, more than the {_DECODED_BYTES} that are read;"
+        " reduce the image.",
     )
     return decoded
 
 
 def _pillow_header(data: bytes, name: str) -> Header:
-    opener: Any = next((opener for start, opener in _OPENERS.items() if data.startswith(start)), None)
+    opener: Any = next(
+        (opener for start, opener in _OPENERS.items() if data.startswith(start)), None
+    )
     what = "is not a PNG, TIFF or JPEG image" if data else "is empty"
     require(opener is not None, f"{name} {what}; export it again as 8- or 16-bit PNG.")
     with (
-        refusing(f"{name} is damaged, or of a kind that is not read: its header makes no sense; copy it again."),
+        refusing(
+            f"{name} is damaged, or of a kind that is not read: its header makes no sense; copy it"
+            " again."
+        ),
         _QUIET,
     ):
         picture = opener(io.BytesIO(data))
@@ -160,7 +184,8 @@ def _pillow_header(data: bytes, name: str) -> Header:
     dtype = np.dtype("u1")
     encoding = ""
     require(
-        grey or picture.mode in _COLOUR, f"{name} is neither grey nor RGB ({picture.mode}); save it as one of both."
+        grey or picture.mode in _COLOUR,
+        f"{name} is neither grey nor RGB ({picture.mode}); save it as one of both.",
     )
     if data.startswith(PNG):  # Pillow has no modes of 16 bits but grey
         grey = data[25] in (0, 4)
@@ -188,7 +213,8 @@ def _encoding(info: Mapping[Any, Any]) -> str:
 
 
 def _tiff_header(data: bytes, name: str) -> Header:
-    """Of a flat grey or RGB image of 8 or 16 bits or floats, whose strips or tiles lie in the file, side by side."""
+    """Of a flat grey or RGB image of 8 or 16 bits or floats, whose strips or tiles lie in the file,
+    side by side."""
     import tifffile  # slow
 
     damaged = f"{name} is not a sound TIFF file: its tags are damaged; export it again."
@@ -206,7 +232,10 @@ def _tiff_header(data: bytes, name: str) -> Header:
         photometric = int(page.photometric)
         planes = int(page.planarconfig or 1)
         text = page.description[:_TEXT_BYTES]
-    require(page.imagedepth == 1 and min(rows, columns) > 0, f"{name} is not a single flat image; save it as PNG.")
+    require(
+        page.imagedepth == 1 and min(rows, columns) > 0,
+        f"{name} is not a single flat image; save it as PNG.",
+    )
     known = dtype is not None and dtype.name in ("uint8", "uint16", "float32", "float64")
     require(
         known,
@@ -217,17 +246,24 @@ def _tiff_header(data: bytes, name: str) -> Header:
     colour = photometric == 2 and samples in (3, 4)
     require(
         (grey or colour) and (samples == 1 or planes == 1),
-        f"{name} is neither grey nor RGB (CMYK, palette, grey with alpha?); save it as grey or RGB.",
+        f"{name} is neither grey nor RGB (CMYK, palette, grey with alpha?); save it as grey or"
+        " RGB.",
     )
     require(counted and sum(length for _, length in stored) <= len(data), damaged)
-    require(ends <= len(data), f"{name} is truncated: the TIFF file ends within the image; copy it again.")
+    require(
+        ends <= len(data),
+        f"{name} is truncated: the TIFF file ends within the image; copy it again.",
+    )
     orientation = orientation if orientation in range(1, 9) else 1
     channels = 1 if grey else 3
-    return Header(rows, columns, channels, dtype.newbyteorder("="), orientation, ppi, "", {"": text}, page)
+    return Header(
+        rows, columns, channels, dtype.newbyteorder("="), orientation, ppi, "", {"": text}, page
+    )
 
 
 def _tiff_ppi(page: Any) -> tuple[float, float] | None:
-    """Resolution along columns and rows by the tags; None where it is not stated, or not soundly."""
+    """Resolution along columns and rows by the tags; None where it is not stated, or not
+    soundly."""
     with contextlib.suppress(ValueError, TypeError, ZeroDivisionError, OSError, struct.error):
         (x, x_of), (y, y_of) = page.tags.valueof(_X_RESOLUTION), page.tags.valueof(_Y_RESOLUTION)
         scale = {2: 1.0, 3: _CM_PER_INCH}.get(int(page.tags.valueof(_RESOLUTION_UNIT, 2)), 0.0)
@@ -237,8 +273,8 @@ def _tiff_ppi(page: Any) -> tuple[float, float] | None:
 
 
 def decode_pixels(data: bytes, header: Header, name: str) -> NDArray[Any]:
-    """Pixels (H, W, C) as stored, in the order red, green, blue, with alpha behind them where there is some; BadInput
-    where a part is missing or damaged.
+    """Pixels (H, W, C) as stored, in the order red, green, blue, with alpha behind them where there
+    is some; BadInput where a part is missing or damaged.
     """
     page = header.page
     if page is None:
@@ -258,10 +294,14 @@ def decode_pixels(data: bytes, header: Header, name: str) -> NDArray[Any]:
 
 
 def _check_whole(data: bytes, name: str) -> None:
-    """Refuse PNG and JPEG files of which a part is missing, or damaged where there are checksums."""
+    """Refuse PNG and JPEG files of which a part is missing, or damaged where there are
+    checksums."""
     if data.startswith(PNG):
         with (
-            refusing(f"{name} is truncated or damaged: the checksums of the PNG file do not match; copy it again."),
+            refusing(
+                f"{name} is truncated or damaged: the checksums of the PNG file do not match; copy"
+                " it again."
+            ),
             _QUIET,
         ):
             PngImageFile(io.BytesIO(data)).verify()
@@ -278,11 +318,14 @@ def _check_whole(data: bytes, name: str) -> None:
 
 
 def decoded(data: bytes, name: str) -> NDArray[Any]:
-    """Pixels (H, W, C) that OpenCV decodes of a file whose header was checked, in the order red, green, blue, alpha.
-    Raises BadInput where it cannot.
+    """Pixels (H, W, C) that OpenCV decodes of a file whose header was checked, in the order red,
+    green, blue, alpha. Raises BadInput where it cannot.
     """
-    cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_SILENT)  # what it would print is refused here
-    damaged = f"{name} is damaged: its image data cannot be decoded; copy it again, or save it as PNG."
+    # what it would print is refused here
+    cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_SILENT)
+    damaged = (
+        f"{name} is damaged: its image data cannot be decoded; copy it again, or save it as PNG."
+    )
     image: Any = None
     with refusing(damaged), _QUIET:
         image = cv2.imdecode(np.frombuffer(data, dtype=np.uint8), cv2.IMREAD_UNCHANGED)
@@ -291,14 +334,17 @@ def decoded(data: bytes, name: str) -> NDArray[Any]:
         return np.asarray(image[..., None])
     if image.dtype == np.float64:
         return np.asarray(image[..., [2, 1, 0, 3][: image.shape[2]]])
-    return np.asarray(cv2.cvtColor(image, cv2.COLOR_BGR2RGB if image.shape[2] == 3 else cv2.COLOR_BGRA2RGBA))
+    return np.asarray(
+        cv2.cvtColor(image, cv2.COLOR_BGR2RGB if image.shape[2] == 3 else cv2.COLOR_BGRA2RGBA)
+    )
 
 
 def read_image(path: str | os.PathLike[str]) -> PixelArray:
     """Read a PNG, TIFF or JPEG file as (H, W, C) uint8 or uint16 in RGB order, C = 1 (grey) or 3.
 
-    Pixels come as stored: no colour profile is applied, EXIF orientation is ignored, alpha is dropped, a PNG palette is
-    expanded. Raises BadInput if the file is missing, truncated, damaged, too large, or not 8- or 16-bit grey or RGB.
+    Pixels come as stored: no colour profile is applied, EXIF orientation is ignored, alpha is
+    dropped, a PNG palette is expanded. Raises BadInput if the file is missing, truncated, damaged,
+    too large, or not 8- or 16-bit grey or RGB.
 
     >>> import numpy as np, tempfile, pathlib
     >>> path = pathlib.Path(tempfile.mkdtemp()) / "grey.png"
@@ -322,10 +368,19 @@ def decode_image(data: bytes, name: str, max_pixels: int = MAX_PIXELS) -> PixelA
 
 def _plain_pixels(data: bytes, header: Header, name: str) -> PixelArray:
     """(H, W, C) without alpha, as the header states."""
-    require(header.dtype.kind == "u", f"{name} holds {header.dtype}; save it as 8- or 16-bit unsigned integers.")
+    require(
+        header.dtype.kind == "u",
+        f"{name} holds {header.dtype}; save it as 8- or 16-bit unsigned integers.",
+    )
     image = decode_pixels(data, header, name)[..., : header.channels]
-    same = image.shape == (header.rows, header.columns, header.channels) and image.dtype == header.dtype
-    require(same, f"{name} is stored in a way that is not read; save it as 8- or 16-bit PNG, grey or RGB.")
+    same = (
+        image.shape == (header.rows, header.columns, header.channels)
+        and image.dtype == header.dtype
+    )
+    require(
+        same,
+        f"{name} is stored in a way that is not read; save it as 8- or 16-bit PNG, grey or RGB.",
+    )
     return np.ascontiguousarray(image)
 
 
@@ -335,8 +390,8 @@ def cores() -> int:
 
 
 class StackReader:
-    """Decodes many files at once, each into its place in a stack. A context manager; call :meth:`start` for each stack,
-    then :meth:`finish`: all share the threads.
+    """Decodes many files at once, each into its place in a stack. A context manager; call
+    :meth:`start` for each stack, then :meth:`finish`: all share the threads.
     """
 
     def __init__(self, threads: int = 0) -> None:
@@ -352,17 +407,22 @@ class StackReader:
         self._pool.shutdown(wait=True, cancel_futures=True)
 
     def start(self, files: Sequence[Path], size: tuple[int, int], expected_by: str) -> PixelArray:
-        """The stack (L, H, W, C) that :meth:`finish` fills; `expected_by`: who wants `size` (rows, columns)."""
+        """The stack (L, H, W, C) that :meth:`finish` fills; `expected_by`: who wants `size` (rows,
+        columns)."""
         like = read_header(read_bytes(files[0], MAX_BYTES), str(files[0]))
         _check_size(like, size, str(files[0]), expected_by)
         self._bytes += len(files) * size[0] * size[1] * like.channels * like.dtype.itemsize
         require(
             self._bytes <= STACK_BYTES,
-            f"{files[0]} and the images with it take {self._bytes} bytes once decoded, more than the {STACK_BYTES}"
-            " that are read at once; reduce them, or name fewer.",
+            f"{files[0]} and the images with it take {self._bytes} bytes once decoded, more than"
+            f" the {STACK_BYTES} that are read at once; reduce them, or name fewer.",
         )
         shape = (len(files), *size, like.channels)
-        stack = large_array(shape, like.dtype) if self._bytes > _MAPPED_BYTES else np.empty(shape, dtype=like.dtype)
+        stack = (
+            large_array(shape, like.dtype)
+            if self._bytes > _MAPPED_BYTES
+            else np.empty(shape, dtype=like.dtype)
+        )
 
         def read(k: int) -> str:
             name = str(files[k])
@@ -371,7 +431,8 @@ class StackReader:
             _check_size(header, size, name, expected_by)
             require(
                 header == like,
-                f"{name} is {header.words}, but {files[0]} is {like.words}; all images of a band must agree.",
+                f"{name} is {header.words}, but {files[0]} is {like.words}; all images of a band"
+                " must agree.",
             )
             stack[k] = _plain_pixels(data, header, name)
             let_go(stack)
@@ -381,7 +442,8 @@ class StackReader:
         return stack
 
     def finish(self) -> dict[str, str]:
-        """Wait for all files; return the SHA-256 of each by its path. The first file at fault is the one reported."""
+        """Wait for all files; return the SHA-256 of each by its path. The first file at fault is
+        the one reported."""
         return {name: job.result() for name, job in self._jobs}
 
 
@@ -394,8 +456,8 @@ def _check_size(header: Header, size: tuple[int, int], name: str, expected_by: s
 
 
 def write_image(path: str | os.PathLike[str], pixels: PixelArray) -> None:
-    """Write (H, W), (H, W, 1) or (H, W, 3) uint8 or uint16, RGB, losslessly as PNG or TIFF (by the suffix). Raises
-    BadInput if array or suffix is of another kind, or on writing.
+    """Write (H, W), (H, W, 1) or (H, W, 3) uint8 or uint16, RGB, losslessly as PNG or TIFF (by the
+    suffix). Raises BadInput if array or suffix is of another kind, or on writing.
     """
     write_file(path, encode_image(pixels, Path(path).suffix.lower()))
 
@@ -403,7 +465,9 @@ def write_image(path: str | os.PathLike[str], pixels: PixelArray) -> None:
 def encode_image(pixels: PixelArray, suffix: str) -> bytes:
     """Return the bytes of a ``.png`` or ``.tif``/``.tiff`` file; see :func:`write_image`."""
     array: NDArray[Any] = np.asarray(pixels)
-    good = array.dtype in (np.uint8, np.uint16) and (array.ndim == 2 or (array.ndim == 3 and array.shape[2] in (1, 3)))
+    good = array.dtype in (np.uint8, np.uint16) and (
+        array.ndim == 2 or (array.ndim == 3 and array.shape[2] in (1, 3))
+    )
     require(
         good and array.size > 0,
         "an image to write must be (H, W), (H, W, 1) or (H, W, 3) of uint8 or uint16"
@@ -412,20 +476,36 @@ def encode_image(pixels: PixelArray, suffix: str) -> bytes:
     if array.ndim == 3 and array.shape[2] == 1:
         array = array[..., 0]
     if suffix == ".png":
-        # Runs alone, as small as the default on noisy photographs, and one row filter: to choose among all five saves
-        # 1 % of 16 bits and 10 % of 8 bits, and takes as long again. Both are read faster so.
+        # Runs alone, as small as the default on noisy photographs, and one row filter: to choose
+        # among all five saves 1 % of 16 bits and 10 % of 8 bits, and takes as long again. Both are
+        # read faster so.
         return png_bytes(array, cv2.IMWRITE_PNG_STRATEGY_RLE, cv2.IMWRITE_PNG_FILTER_UP)
-    require(suffix in (".tif", ".tiff"), f"images are written as .png, .tif or .tiff, not as '{suffix}'.")
+    require(
+        suffix in (".tif", ".tiff"),
+        f"images are written as .png, .tif or .tiff, not as '{suffix}'.",
+    )
     return encode_tiff(array)
 
 
 def png_bytes(image: NDArray[Any], strategy: int, row_filter: int) -> bytes:
-    """A PNG file of (H, W) or (H, W, 3) integers, packed quickly by a strategy and a row filter of OpenCV."""
-    how = [cv2.IMWRITE_PNG_COMPRESSION, 1, cv2.IMWRITE_PNG_STRATEGY, strategy, cv2.IMWRITE_PNG_FILTER, row_filter]
-    return cv2.imencode(".png", image if image.ndim == 2 else cv2.cvtColor(image, cv2.COLOR_RGB2BGR), how)[1].tobytes()
+    """A PNG file of (H, W) or (H, W, 3) integers, packed quickly by a strategy and a row filter of
+    OpenCV."""
+    how = [
+        cv2.IMWRITE_PNG_COMPRESSION,
+        1,
+        cv2.IMWRITE_PNG_STRATEGY,
+        strategy,
+        cv2.IMWRITE_PNG_FILTER,
+        row_filter,
+    ]
+    return cv2.imencode(
+        ".png", image if image.ndim == 2 else cv2.cvtColor(image, cv2.COLOR_RGB2BGR), how
+    )[1].tobytes()
 
 
-def encode_tiff(image: NDArray[Any], description: str | None = None, ppi: float | None = None) -> bytes:
+def encode_tiff(
+    image: NDArray[Any], description: str | None = None, ppi: float | None = None
+) -> bytes:
     """Uncompressed TIFF of (H, W) or (H, W, 3); equal input gives equal bytes."""
     import tifffile  # slow
 
@@ -451,19 +531,26 @@ def write_float_tiff(
     metadata: Mapping[str, Any] | None = None,
     pitch_mm: float | None = None,
 ) -> None:
-    """Write floats (H, W) or (H, W, 3), NaN where nothing is known, as an uncompressed float32 TIFF.
+    """Write floats (H, W) or (H, W, 3), NaN where nothing is known, as an uncompressed float32
+    TIFF.
 
-    The description tag is a JSON object with ``unit`` (such as ``mm``, ``pixel`` or ``linear light, 1 = full scale``),
-    ``pitch_mm`` (exact; None where unknown: no resolution is stated then), and everything in `metadata`, what JSON can
-    hold; pixels per inch are in the resolution tags. Equal input gives equal bytes. Raises BadInput if the array
-    or the pitch is of another kind, or the file cannot be written.
+    The description tag is a JSON object with ``unit`` (such as ``mm``, ``pixel`` or ``linear light,
+    1 = full scale``), ``pitch_mm`` (exact; None where unknown: no resolution is stated then), and
+    everything in `metadata`, what JSON can hold; pixels per inch are in the resolution tags. Equal
+    input gives equal bytes. Raises BadInput if the array or the pitch is of another kind, or the
+    file cannot be written.
     """
     image = np.ascontiguousarray(values, dtype=np.float32)
     good = image.size > 0 and (image.ndim == 2 or (image.ndim == 3 and image.shape[2] == 3))
-    require(good, f"a field to write must have the shape (H, W) or (H, W, 3), but it has {image.shape}.")
+    require(
+        good, f"a field to write must have the shape (H, W) or (H, W, 3), but it has {image.shape}."
+    )
     description = {**(metadata or {}), "unit": unit}
     if pitch_mm is not None:
-        require(bool(np.isfinite(pitch_mm)) and pitch_mm > 0, f"pitch_mm must be a positive number, not {pitch_mm}.")
+        require(
+            bool(np.isfinite(pitch_mm)) and pitch_mm > 0,
+            f"pitch_mm must be a positive number, not {pitch_mm}.",
+        )
         description["pitch_mm"] = float(pitch_mm)
     ppi = None if pitch_mm is None else 10.0 * _CM_PER_INCH / float(pitch_mm)
     write_file(path, encode_tiff(image, canonical_json(description), ppi))

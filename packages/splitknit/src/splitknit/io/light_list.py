@@ -1,4 +1,5 @@
-"""Lists of lights for photographs: text files of directions or places, one a line, and ``.lp`` files of RTI."""
+"""Lists of lights for photographs: text files of directions or places, one a line, and ``.lp``
+files of RTI."""
 
 from __future__ import annotations
 
@@ -18,9 +19,12 @@ from splitknit.io.atomic import write_file
 from splitknit.io.photos import SUFFIXES
 from splitknit.model import Led
 
-LIST_TITLE = "# splitknit: lights of photographs in the order of their names: x right, y up, z to the camera"
+LIST_TITLE = (
+    "# splitknit: lights of photographs in the order of their names: x right, y up, z to the camera"
+)
 PLACES = "x_mm y_mm z_mm"
-"""First line of a list of places in mm instead of directions: from the picture's middle, z above the object."""
+"""First line of a list of places in mm instead of directions: from the picture's middle, z above
+the object."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -31,14 +35,21 @@ class LightList:
     names: tuple[str, ...]
     places: bool  # whether the lights are places in mm
     intensities: NDArray[np.float64] | None = None
-    """(L, 1) or (L, 3) brightness of the lights, or of their red, green and blue; None where the list has none."""
+    """(L, 1) or (L, 3) brightness of the lights, or of their red, green and blue; None where the
+    list has none."""
 
 
 def read_intensities(path: Path, count: int) -> NDArray[np.float64]:
-    """Brightness (L, 1) or (L, 3) of `count` lights, a line each. Raises BadInput naming the file and the line."""
-    wanted = f"{path}: one positive number for each light, or three (red, green, blue), on a line each are expected"
+    """Brightness (L, 1) or (L, 3) of `count` lights, a line each. Raises BadInput naming the file
+    and the line."""
+    wanted = (
+        f"{path}: one positive number for each light, or three (red, green, blue), on a line each"
+        " are expected"
+    )
     with refusing(f"{wanted}."):
-        lines = [line.split("#")[0].split() for line in re.sub("[,;]", " ", _text_of(path)).splitlines()]
+        lines = [
+            line.split("#")[0].split() for line in re.sub("[,;]", " ", _text_of(path)).splitlines()
+        ]
         table = np.array([words for words in lines if words], dtype=np.float64)
         require(table.shape[1:] in ((1,), (3,)), f"{wanted}.")
     require(len(table) == count, f"{wanted}; there are {len(table)} for {count} lights.")
@@ -56,13 +67,14 @@ def _text_of(path: str | os.PathLike[str]) -> str:
 
 
 def read_light_list(path: str | os.PathLike[str]) -> LightList:
-    """Read light directions and the photographs' names from a text file: x, y, z a line, apart by spaces, semicolons or
-    commas.
+    """Read light directions and the photographs' names from a text file: x, y, z a line, apart by
+    spaces, semicolons or commas.
 
-    A fourth number of a line, or a fourth to sixth, is the light's brightness. A line may begin or end with the name of
-    its photograph. A first line with a single number is the count of the lights, as in ``.lp`` files of RTI; ``#``
-    starts a comment; lights are places in mm where the first line is :data:`PLACES`. Decimal commas are understood
-    where spaces or semicolons stand between the numbers. Raises BadInput naming the file and the line.
+    A fourth number of a line, or a fourth to sixth, is the light's brightness. A line may begin or
+    end with the name of its photograph. A first line with a single number is the count of the
+    lights, as in ``.lp`` files of RTI; ``#`` starts a comment; lights are places in mm where the
+    first line is :data:`PLACES`. Decimal commas are understood where spaces or semicolons stand
+    between the numbers. Raises BadInput naming the file and the line.
     """
     name = os.fspath(path)
     count = None
@@ -78,33 +90,49 @@ def read_light_list(path: str | os.PathLike[str]) -> LightList:
             count = int(words[0][:9])
         elif words:
             values, photograph = _numbers_of(words)
-            sound = len(values) in ({3} if doubtful else {3, 4, 6}) and all(abs(value) <= 1e6 for value in values)
-            cure = "; write decimals with a point, or put spaces or semicolons between numbers" if doubtful else ""
+            sound = len(values) in ({3} if doubtful else {3, 4, 6}) and all(
+                abs(value) <= 1e6 for value in values
+            )
+            cure = (
+                "; write decimals with a point, or put spaces or semicolons between numbers"
+                if doubtful
+                else ""
+            )
             require(
                 sound,
-                f"{name}, line {number}: three finite numbers x y z are expected, perhaps a brightness and the name of "
-                f"a file, but it is {line.strip()[:60]!a}{cure}.",
+                f"{name}, line {number}: three finite numbers x y z are expected, perhaps a"
+                f" brightness and the name of a file, but it is {line.strip()[:60]!a}{cure}.",
             )
             rows.append(values)
             names += [photograph] if photograph else []
     require(len(rows) > 0, f"{name} holds no lights: a line x y z for each image is expected.")
-    require(count in (None, len(rows)), f"{name} states {count} lights in its first line, but {len(rows)} follow.")
-    require(len(names) in (0, len(rows)), f"{name} names a file in some of its lines only; name one in all or in none.")
+    require(
+        count in (None, len(rows)),
+        f"{name} states {count} lights in its first line, but {len(rows)} follow.",
+    )
+    require(
+        len(names) in (0, len(rows)),
+        f"{name} names a file in some of its lines only; name one in all or in none.",
+    )
     photograph, times = Counter(names).most_common(1)[0] if names else ("", 1)
     require(times == 1, f"{name} names {photograph!a} twice.")
     require(
         len({len(row) for row in rows}) == 1,
-        f"{name}: brightness stands in some lines only, or in one column here and three there; give it in all.",
+        f"{name}: brightness stands in some lines only, or in one column here and three there; give"
+        " it in all.",
     )
     table = np.array(rows, dtype=np.float64)
     bright = (
-        _positive(table[:, 3:], f"{name}: the brightness of a light must be positive") if table.shape[1] > 3 else None
+        _positive(table[:, 3:], f"{name}: the brightness of a light must be positive")
+        if table.shape[1] > 3
+        else None
     )
     return LightList(table[:, :3], tuple(names), places, bright)
 
 
 def _numbers_of(words: Sequence[str]) -> tuple[list[float], str]:
-    """The numbers at the beginning of a line, or at its end, and the name beside them, without folders."""
+    """The numbers at the beginning of a line, or at its end, and the name beside them, without
+    folders."""
     numeric = [_is_number(word) for word in words]
     count = len(list(itertools.takewhile(bool, numeric)))
     if count >= 3:
@@ -132,16 +160,23 @@ def _words_of(line: str) -> tuple[list[str], bool]:
     parts = [part for part in (word.strip(",") for word in re.split(r"[;\s]+", line)) if part]
     if len(parts) >= 3:
         return [re.sub(r"^([-+]?\d+),(\d+)$", r"\1.\2", part) for part in parts], False
-    return re.split(r"[,;\s]+", line.strip(" ,;\t")) if parts else [], "," in line and "." not in line
+    return (
+        re.split(r"[,;\s]+", line.strip(" ,;\t")) if parts else []
+    ), "," in line and "." not in line
 
 
 def write_light_list(leds: Sequence[Led], path: Path, photographs: Sequence[str]) -> None:
-    """Write lights as :func:`read_light_list` reads them. `photographs` show where each light was found; they are
-    comments. A `path` that ends in ``.lp`` is a file of RTI instead: the count, then photograph and unit direction.
+    """Write lights as :func:`read_light_list` reads them. `photographs` show where each light was
+    found; they are comments. A `path` that ends in ``.lp`` is a file of RTI instead: the count,
+    then photograph and unit direction.
     """
     near = leds[0].position_mm is not None
     if path.suffix.lower() == ".lp":
-        require(not near, "an .lp file holds directions, and these lights have places; write a .txt or a rig file.")
+        require(
+            not near,
+            "an .lp file holds directions, and these lights have places; write a .txt or a rig"
+            " file.",
+        )
         lines = [str(len(leds))]
         for led, photograph in zip(leds, photographs, strict=True):
             lines.append(f"{photograph} {_written(led.towards / np.linalg.norm(led.towards))}")
@@ -149,7 +184,10 @@ def write_light_list(leds: Sequence[Led], path: Path, photographs: Sequence[str]
         lines = [LIST_TITLE, f"# {PLACES if near else 'x y z'}"]
         for led, photograph in zip(leds, photographs, strict=True):
             alike = (led.position_mm is not None) == near
-            require(alike, "a list of lights holds directions or places in mm, not both; write a rig file.")
+            require(
+                alike,
+                "a list of lights holds directions or places in mm, not both; write a rig file.",
+            )
             comment = "".join(c if c.isprintable() else "?" for c in photograph)
             lines.append(f"{_written(led.towards)}  # {comment}")
     write_file(path, "\n".join([*lines, ""]).encode("utf-8"))

@@ -17,10 +17,11 @@ _FACE = np.dtype([("count", "u1"), ("corners", "<i4", (3,))])
 
 
 def triangulate(valid: BoolArray) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
-    """Triangles between the valid pixels of a grid (H, W) whose rows run down: counter-clockwise seen from +z.
+    """Triangles between the valid pixels of a grid (H, W) whose rows run down: counter-clockwise
+    seen from +z.
 
-    Four valid neighbours give two triangles, three give one. Returns faces (M, 3), and the index (H, W) of each
-    pixel's vertex, -1 without: ``values[valid]`` are in the order of the vertices.
+    Four valid neighbours give two triangles, three give one. Returns faces (M, 3), and the index
+    (H, W) of each pixel's vertex, -1 without: ``values[valid]`` are in the order of the vertices.
     """
     index: NDArray[np.int32] = np.full(valid.shape, -1, dtype=np.int32)
     index[valid] = np.arange(np.count_nonzero(valid), dtype=np.int32)
@@ -42,10 +43,10 @@ def write_ply(
 ) -> None:
     """Write a surface as binary little-endian PLY (G. Turk, The PLY Polygon File Format, 1994).
 
-    `vertices`: places (N, 3) in mm, unit normals (N, 3) and intensity (N,) from 0 (black) to 1 (white), which MeshLab,
-    CloudCompare and trimesh know as ``quality``; `faces`: (M, 3) indices of vertices, counter-clockwise seen from
-    outside; `comments`: single lines of ASCII for the header (units, provenance). Raises BadInput if the file cannot
-    be written.
+    `vertices`: places (N, 3) in mm, unit normals (N, 3) and intensity (N,) from 0 (black) to 1
+    (white), which MeshLab, CloudCompare and trimesh know as ``quality``; `faces`: (M, 3) indices of
+    vertices, counter-clockwise seen from outside; `comments`: single lines of ASCII for the header
+    (units, provenance). Raises BadInput if the file cannot be written.
     """
     header = [
         "ply",

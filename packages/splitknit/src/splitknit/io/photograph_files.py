@@ -33,13 +33,19 @@ def home_of(folder: Path) -> Path:
 
 
 def photographs_in(
-    folder: Path, table: Path, names: Sequence[str] = (), used: Sequence[Path] = (), *, find_mask: bool = True
+    folder: Path,
+    table: Path,
+    names: Sequence[str] = (),
+    used: Sequence[Path] = (),
+    *,
+    find_mask: bool = True,
 ) -> FolderContent:
     """Photographs of a folder, of a pattern of names, or of one file.
 
-    `table`: file of the lights, for messages; `names`: of photographs, from that file; empty: all, photo_2 before
-    photo_10; `used`: files with another use; `find_mask`: whether a ``mask.png`` (or another format) is looked for.
-    Raises BadInput if the folder cannot be read, holds more than 1000 photographs, or lacks one that is named.
+    `table`: file of the lights, for messages; `names`: of photographs, from that file; empty: all,
+    photo_2 before photo_10; `used`: files with another use; `find_mask`: whether a ``mask.png`` (or
+    another format) is looked for. Raises BadInput if the folder cannot be read, holds more than
+    1000 photographs, or lacks one that is named.
     """
     skipped: list[str] = []
     if folder.is_file():
@@ -48,14 +54,19 @@ def photographs_in(
         files = _of_pattern(folder)
     else:
         files, skipped = _listed(folder, used)
-    require(len(files) <= _MAX_PHOTOGRAPHS, f"{folder} holds {len(files)} photographs; at most 1000 are read.")
+    require(
+        len(files) <= _MAX_PHOTOGRAPHS,
+        f"{folder} holds {len(files)} photographs; at most 1000 are read.",
+    )
     masks = [file for file in files if find_mask and file.stem.lower() == "mask"]
     doubtful = [file for file in files if "mask" in file.stem.lower() and file not in masks]
     skipped += [f"{file.name} (a mask? name it with `mask`)" for file in doubtful]
     photographs = [file for file in files if file not in (*masks, *doubtful)]
     if names:
         named = [_named(photographs, name, table) for name in names]
-        skipped += [f"{file.name} (not in {table.name})" for file in photographs if file not in named]
+        skipped += [
+            f"{file.name} (not in {table.name})" for file in photographs if file not in named
+        ]
         photographs = named
     return FolderContent(photographs, masks, skipped)
 
@@ -88,22 +99,33 @@ def _of_pattern(pattern: Path) -> list[Path]:
         if match and file.is_file():
             number = int(match[1])
             first = files.setdefault(number, file)
-            require(first == file, f"{first} and {file.name} are both of light {number}; keep one of them.")
+            require(
+                first == file,
+                f"{first} and {file.name} are both of light {number}; keep one of them.",
+            )
     return [files[number] for number in sorted(files)]
 
 
 def natural_order(name: str) -> list[tuple[int, str]]:
     """Key by which photo_2 comes before photo_10."""
-    return [(int(part), "") if part.isdecimal() else (-1, part) for part in re.split(r"(\d+)", name[:300])]
+    return [
+        (int(part), "") if part.isdecimal() else (-1, part)
+        for part in re.split(r"(\d+)", name[:300])
+    ]
 
 
 def _named(files: Sequence[Path], name: str, table: Path) -> Path:
     """The photograph that the lights' file names; suffixes and capitals need not agree."""
     fits: list[Path] = []
     for form in (str, str.lower, lambda word: Path(word.lower()).stem):
-        fits = fits or [file for file in files if name == file.stem or form(name) == form(file.name)]
+        fits = fits or [
+            file for file in files if name == file.stem or form(name) == form(file.name)
+        ]
     require(len(fits) > 0, f"{table} names {name!a}, but there is no such photograph.")
-    require(len(fits) == 1, f"{table} names {name!a}, which fits {some_of([file.name for file in fits])}.")
+    require(
+        len(fits) == 1,
+        f"{table} names {name!a}, which fits {some_of([file.name for file in fits])}.",
+    )
     return fits[0]
 
 

@@ -39,57 +39,68 @@ def _value_or_file(kind: Any, tokens: Sequence[Any]) -> float | Path:
 
 @dataclass(frozen=True, slots=True)
 class GivenPhotographs:
-    """Photographs of one object under one light after the other, and all that is known of them. Raises BadInput where
-    two facts do not agree.
+    """Photographs of one object under one light after the other, and all that is known of them.
+    Raises BadInput where two facts do not agree.
     """
 
     images: AnyPath | None = None
-    """Folder of photographs, one for each light, in the order of their names (or a pattern of names, such as
-    'photos/white_{light}.jpg'): JPEG, PNG, TIFF, WEBP, BMP; with the extra 'photos' HEIC and camera RAW."""
+    """Folder of photographs, one for each light, in the order of their names (or a pattern of
+    names, such as 'photos/white_{light}.jpg'): JPEG, PNG, TIFF, WEBP, BMP; with the extra 'photos'
+    HEIC and camera RAW."""
     lights: Lights | None = None
-    """Directions towards the lights, a line 'x y z' or 'NAME x y z' for each photograph: x right, y up, z to the
-    camera; a fourth number is its brightness (a fourth to sixth: red, green, blue), else light_intensities.txt beside
-    the list has it; places in mm where the first line is 'x_mm y_mm z_mm'; also .lp files of RTI and rig files;
-    unknown: they are estimated (default: lights.txt beside the images)."""
+    """Directions towards the lights, a line 'x y z' or 'NAME x y z' for each photograph: x right, y
+    up, z to the camera; a fourth number is its brightness (a fourth to sixth: red, green, blue),
+    else light_intensities.txt beside the list has it; places in mm where the first line is 'x_mm
+    y_mm z_mm'; also .lp files of RTI and rig files; unknown: they are estimated (default:
+    lights.txt beside the images)."""
     px_per_mm: Annotated[float | None, SCALES] = None
     """Scale on the object, where the input has none; without it heights are in pixels."""
     _: KW_ONLY
     mask: AnyPath | None = None
-    """Image, white = object, or transparent elsewhere; all: it fills the photographs (default: mask.png beside the
-    images, or their transparency, if any)."""
+    """Image, white = object, or transparent elsewhere; all: it fills the photographs (default:
+    mask.png beside the images, or their transparency, if any)."""
     material: Literal["skin", "opaque"] | None = None
-    """skin: a finger, whose blur of light is undone; opaque (default): any other thing, left as it lies."""
+    """skin: a finger, whose blur of light is undone; opaque (default): any other thing, left as it
+    lies."""
     tip_direction_deg: Annotated[float | None, _ANGLE, Parameter("--tip-direction")] = None
-    """Where a finger's tip points, within 75 degrees: 0 = up, counter-clockwise; left out, it is found."""
+    """Where a finger's tip points, within 75 degrees: 0 = up, counter-clockwise; left out, it is
+    found."""
     encoding: Encoding | None = None
-    """Of the photographs (default: srgb for JPEG, WEBP, HEIC and PNG that states it; linear for RAW and 16 bits; else
-    by their shading)."""
+    """Of the photographs (default: srgb for JPEG, WEBP, HEIC and PNG that states it; linear for RAW
+    and 16 bits; else by their shading)."""
     brightness: Literal["estimate", "equal"] | None = None
-    """Of the lights of an opaque thing: estimated with its surface, or equal, whatever the list states (default: as
-    the list states it, else estimated where that explains the photographs clearly better)."""
-    max_megapixels: Annotated[float | None, Limits(0, 1000, above=True), Parameter("--max-size")] = None
-    """Reduce larger photographs to so many megapixels, by means over areas (default: they stay as they are)."""
-    background: Annotated[float | AnyPath | None, Parameter(converter=_value_or_file, n_tokens=1)] = None
+    """Of the lights of an opaque thing: estimated with its surface, or equal, whatever the list
+    states (default: as the list states it, else estimated where that explains the photographs
+    clearly better)."""
+    max_megapixels: Annotated[
+        float | None, Limits(0, 1000, above=True), Parameter("--max-size")
+    ] = None
+    """Reduce larger photographs to so many megapixels, by means over areas (default: they stay as
+    they are)."""
+    background: Annotated[
+        float | AnyPath | None, Parameter(converter=_value_or_file, n_tokens=1)
+    ] = None
     """Stored value that every pixel has without light, or a photograph with all lights off."""
     crossed: AnyPath | None = None
-    """Folder of the same photographs in the same order through crossed polarising films; the others are then the ones
-    through parallel films; one exposure for all."""
+    """Folder of the same photographs in the same order through crossed polarising films; the others
+    are then the ones through parallel films; one exposure for all."""
     mosaic: Literal["mono", "colour"] | None = None
-    """The photographs are raw frames of a camera with films on its pixels (90, 45 / 135, 0 degrees; mono: Sony
-    IMX250MZR, colour: IMX250MYR); each holds the parallel and the crossed image."""
+    """The photographs are raw frames of a camera with films on its pixels (90, 45 / 135, 0 degrees;
+    mono: Sony IMX250MZR, colour: IMX250MYR); each holds the parallel and the crossed image."""
     film_deg: Annotated[float, _ANGLE, Parameter("--film-angle")] = 90.0
     """Of `mosaic`: direction of the film before the LEDs, 0 along the rows."""
     flat: AnyPath | None = None
-    """Photographs of a flat matt surface, one for each light in the same order and exposure: those of the object are
-    divided by them."""
+    """Photographs of a flat matt surface, one for each light in the same order and exposure: those
+    of the object are divided by them."""
     nir: Annotated[AnyPath | None, PYTHON_ONLY] = None
-    """Near-infrared photographs, a folder or a pattern: the band ``nir``; their lights are the NIR LEDs of the rig, or
-    those of a list in their own folder."""
+    """Near-infrared photographs, a folder or a pattern: the band ``nir``; their lights are the NIR
+    LEDs of the rig, or those of a list in their own folder."""
     light_frame: str | None = None
-    """Where x and y of the lights' directions point in the image, where not right-up: right-down (y down), left-up
-    (mirrored), left-down, up-left, up-right, down-left, down-right."""
+    """Where x and y of the lights' directions point in the image, where not right-up: right-down (y
+    down), left-up (mirrored), left-down, up-left, up-right, down-left, down-right."""
     ridge_period_mm: Annotated[float | None, Parameter("--ridge-period")] = None
-    """Take the scale from a finger's ridges, which lie so many mm apart: 0.45 is usual, people differ by 8 %."""
+    """Take the scale from a finger's ridges, which lie so many mm apart: 0.45 is usual, people
+    differ by 8 %."""
 
     def __post_init__(self) -> None:
         for name, rule in rules_of(type(self)):  # type: ignore[arg-type]  # a class is hashable
@@ -99,8 +110,8 @@ class GivenPhotographs:
         others = self.encoding == "srgb", self.max_megapixels, self.background_image, self.crossed
         require(
             self.mosaic is None or not any(others),
-            "a mosaic of films is linear and holds both series in each frame: "
-            "leave out `encoding` srgb, `max_megapixels`, `crossed` and a `background` that is a photograph.",
+            "a mosaic of films is linear and holds both series in each frame: leave out `encoding`"
+            " srgb, `max_megapixels`, `crossed` and a `background` that is a photograph.",
         )
         require(self.nir is None or self.mosaic is None, "`nir` does not go with `mosaic`.")
 
@@ -110,10 +121,15 @@ class GivenPhotographs:
         return None if isinstance(self.background, float | int) else self.background
 
     def refuse_without_images(self, *others: str) -> None:
-        """Refuse what only photographs have where there are none, but for `others`. Raises BadInput."""
+        """Refuse what only photographs have where there are none, but for `others`. Raises
+        BadInput."""
         if self.images is None:
             kept = (*others, "film_deg", "nir")
-            stated = {field.name: getattr(self, field.name) for field in fields(self) if field.name not in kept}
+            stated = {
+                field.name: getattr(self, field.name)
+                for field in fields(self)
+                if field.name not in kept
+            }
             refuse_given("goes with `images`.", **stated)
 
 

@@ -1,7 +1,9 @@
-"""Photographs of any camera: the formats of :mod:`splitknit.io.images`, and WEBP, BMP, float TIFF, HEIC, camera RAW.
+"""Photographs of any camera: the formats of :mod:`splitknit.io.images`, and WEBP, BMP, float TIFF,
+HEIC, camera RAW.
 
-The first bytes show the format, the suffix that of RAW files (most are TIFF files inside). Headers are checked
-before memory is taken. HEIC and RAW are decoded by the packages of the extra ``photos``.
+The first bytes show the format, the suffix that of RAW files (most are TIFF files inside). Headers
+are checked before memory is taken. HEIC and RAW are decoded by the packages of the extra
+``photos``.
 """
 
 from __future__ import annotations
@@ -21,12 +23,17 @@ from splitknit.errors import BadInput, read_bytes, refusing, require
 from splitknit.io.images import MAX_BYTES, Header, check_size, decode_pixels, read_header
 from splitknit.model import BoolArray
 
-RAW_SUFFIXES = frozenset({".dng", ".nef", ".cr2", ".cr3", ".arw", ".raf", ".orf", ".rw2", ".pef", ".srw"})
+RAW_SUFFIXES = frozenset(
+    {".dng", ".nef", ".cr2", ".cr3", ".arw", ".raf", ".orf", ".rw2", ".pef", ".srw"}
+)
 SRGB_SUFFIXES = frozenset({".jpg", ".jpeg", ".webp", ".heic", ".heif"})
 """What cameras and telephones write with a tone curve."""
 SUFFIXES = RAW_SUFFIXES | SRGB_SUFFIXES | {".png", ".tif", ".tiff", ".bmp"}
 FORMATS = "JPEG, PNG, TIFF, WEBP, BMP, HEIC and camera RAW"
-_EXTRA = "{} needs a package that is not installed: pip install 'splitknit[photos]', or export it as PNG or TIFF."
+_EXTRA = (
+    "{} needs a package that is not installed: pip install 'splitknit[photos]', or export it as PNG"
+    " or TIFF."
+)
 _UNREADABLE = "{} cannot be decoded; export it as PNG or TIFF."
 _RAW_TURNS = {0: 1, 3: 3, 5: 8, 6: 6}  # LibRaw's ``flip`` as EXIF's orientation
 
@@ -36,7 +43,8 @@ class Photo:
     """One photograph, upright."""
 
     pixels: NDArray[Any]
-    """(H, W, C) uint8, uint16, or float32 as it stands in the file; C = 1 or 3, red, green, blue."""
+    """(H, W, C) uint8, uint16, or float32 as it stands in the file; C = 1 or 3, red, green,
+    blue."""
     orientation: int
     """EXIF's, 1 to 8, which has been obeyed: 1 = stored as it is seen."""
     sha256: str
@@ -48,10 +56,10 @@ class Photo:
 def read_photo(path: str | os.PathLike[str]) -> Photo:
     """Read a photograph, turned upright as its EXIF data say.
 
-    RAW is demosaiced to linear 16-bit light in the camera's own colours, black level taken off: no white balance, no
-    tone curve, no automatic brightness. `path`: JPEG, PNG, TIFF (8- or 16-bit or float), WEBP, BMP, HEIC or RAW file.
-    Raises BadInput if the file is missing, damaged, larger than 400 MB once decoded, of another kind, or of a kind
-    whose package is not installed.
+    RAW is demosaiced to linear 16-bit light in the camera's own colours, black level taken off: no
+    white balance, no tone curve, no automatic brightness. `path`: JPEG, PNG, TIFF (8- or 16-bit or
+    float), WEBP, BMP, HEIC or RAW file. Raises BadInput if the file is missing, damaged, larger
+    than 400 MB once decoded, of another kind, or of a kind whose package is not installed.
 
     >>> read_photo("photos/IMG_1.HEIC").pixels.shape  # doctest: +SKIP
     (3024, 4032, 3)
@@ -60,7 +68,8 @@ def read_photo(path: str | os.PathLike[str]) -> Photo:
 
 
 def decode_photo(data: bytes, name: str) -> Photo:
-    """Decode the bytes of a photograph, as :func:`read_photo`; `name`: for messages; its suffix shows camera RAW."""
+    """Decode the bytes of a photograph, as :func:`read_photo`; `name`: for messages; its suffix
+    shows camera RAW."""
     if Path(name).suffix.lower() in RAW_SUFFIXES:
         pixels, orientation = _raw(data, name)
     elif data[4:8] == b"ftyp":
@@ -79,26 +88,30 @@ def decode_photo(data: bytes, name: str) -> Photo:
     pixels = _upright(pixels, orientation)
     opaque = None
     if pixels.shape[2] in (2, 4):  # with alpha
-        clear = pixels[..., -1] > (0.5 if pixels.dtype.kind == "f" else np.iinfo(pixels.dtype).max // 2)
+        clear = pixels[..., -1] > (
+            0.5 if pixels.dtype.kind == "f" else np.iinfo(pixels.dtype).max // 2
+        )
         opaque = None if clear.all() else np.asarray(clear)
     colours = np.ascontiguousarray(pixels[..., : 1 if pixels.shape[2] < 3 else 3])
     return Photo(colours, orientation, hashlib.sha256(data).hexdigest(), opaque)
 
 
 def encoding_of(files: Sequence[Path], by_shading: Callable[[], bool | None]) -> tuple[str, str]:
-    """Encoding of photographs whose encoding nobody has given, and a note on it; the same rule for every verb.
+    """Encoding of photographs whose encoding nobody has given, and a note on it; the same rule for
+    every verb.
 
-    Camera RAW is linear; JPEG, WEBP and HEIC are sRGB; PNG is what its chunks sRGB, gAMA and iCCP state. Of other files
-    those of 16 bits and of floats are linear, and those of 8 bits what fits their shading better, sRGB where that
-    decides nothing. `files`: photographs; `by_shading`: whether it is sRGB that fits, None where nothing decides, see
-    :func:`splitknit.imaging.response.shading_is_srgb`; called where it decides. Raises BadInput if some have a tone
-    curve and some have none.
+    Camera RAW is linear; JPEG, WEBP and HEIC are sRGB; PNG is what its chunks sRGB, gAMA and iCCP
+    state. Of other files those of 16 bits and of floats are linear, and those of 8 bits what fits
+    their shading better, sRGB where that decides nothing. `files`: photographs; `by_shading`:
+    whether it is sRGB that fits, None where nothing decides, see
+    :func:`splitknit.imaging.response.shading_is_srgb`; called where it decides. Raises BadInput if
+    some have a tone curve and some have none.
     """
     encodings = {_stated_encoding(file) for file in files}
     require(
         len(encodings) == 1,
-        "the photographs are of several kinds, "
-        "some with a tone curve (JPEG, WEBP, HEIC, PNG that states sRGB) and some without; give `encoding`.",
+        "the photographs are of several kinds, some with a tone curve (JPEG, WEBP, HEIC, PNG that"
+        " states sRGB) and some without; give `encoding`.",
     )
     suffix = files[0].suffix.lower()
     stated = encodings.pop()
@@ -109,8 +122,17 @@ def encoding_of(files: Sequence[Path], by_shading: Callable[[], bool | None]) ->
     if curved is not False and _header_of(files[0]).dtype == np.uint8:
         if curved is None:
             remedy = "give `encoding` linear if an industrial camera or a renderer saved them."
-            return "srgb", f"encoding srgb is assumed of the {suffix} files of 8 bits, which state none; {remedy}"
-        note = f"encoding srgb fits the shading in the {suffix} files better than linear (`encoding` changes it)."
+            return (
+                "srgb",
+                (
+                    f"encoding srgb is assumed of the {suffix} files of 8 bits, which state none;"
+                    f" {remedy}"
+                ),
+            )
+        note = (
+            f"encoding srgb fits the shading in the {suffix} files better than linear (`encoding`"
+            " changes it)."
+        )
         return "srgb", note
     remedy = "give `encoding` srgb if a program for pictures or a telephone saved them."
     return "linear", f"encoding linear is assumed of the {suffix} files, which state none; {remedy}"

@@ -22,7 +22,9 @@ BLUE = (0, 114, 178)
 SKY = (86, 180, 233)
 """Colours that stay apart for colour-blind readers (Okabe and Ito 2008)."""
 
-_DIVERGING = np.array([(5, 48, 97), (67, 147, 195), (247, 247, 247), (253, 174, 97), (165, 60, 10)], dtype=np.float64)
+_DIVERGING = np.array(
+    [(5, 48, 97), (67, 147, 195), (247, 247, 247), (253, 174, 97), (165, 60, 10)], dtype=np.float64
+)
 """Blue for low, white for zero, orange for high."""
 
 
@@ -36,12 +38,17 @@ class PictureFrame:
 
 
 def upright_frame(result: Reconstruction, longest: int, margin_mm: float = 0.8) -> PictureFrame:
-    """Return the upright frame that holds the mask with a margin and has at most `longest` pixels a side."""
+    """Return the upright frame that holds the mask with a margin and has at most `longest` pixels a
+    side."""
     margin = margin_mm / result.pitch_mm + 4.0
-    (left, top), (right, bottom) = np.add(upright_limits(result), ((-margin, -margin), (margin, margin))).tolist()
+    (left, top), (right, bottom) = np.add(
+        upright_limits(result), ((-margin, -margin), (margin, margin))
+    ).tolist()
     step = max(1.0, max(right - left, bottom - top) / longest)
     size = (int((bottom - top) / step), int((right - left) / step))
-    to_upright = np.array([[step, 0.0, left + (step - 1) / 2], [0.0, step, top + (step - 1) / 2], [0.0, 0.0, 1.0]])
+    to_upright = np.array(
+        [[step, 0.0, left + (step - 1) / 2], [0.0, step, top + (step - 1) / 2], [0.0, 0.0, 1.0]]
+    )
     return PictureFrame(result.input_from_upright @ to_upright, size, result.pitch_mm * step)
 
 
@@ -57,16 +64,20 @@ def upright_limits(result: Reconstruction) -> NDArray[np.float64]:
 
 
 def upright_turn(input_from_upright: NDArray[np.floating]) -> NDArray[np.float64]:
-    """Rotation (2, 2) that takes (x, y) of the rig's frame to the upright finger's (x right, y to the tip)."""
+    """Rotation (2, 2) that takes (x, y) of the rig's frame to the upright finger's (x right, y to
+    the tip)."""
     turn = np.linalg.inv(input_from_upright[:2, :2])
     turn = turn / np.sqrt(abs(np.linalg.det(turn)))
     flip = np.diag([1.0, -1.0])  # rows run down, y runs up
     return np.asarray(flip @ turn @ flip)
 
 
-def to_frame(field: NDArray[np.generic], mask: BoolArray, frame: PictureFrame) -> tuple[FloatArray, FloatArray]:
-    """Average `field` (H, W) or (H, W, C) over the picture's pixels inside `mask`. Returns (h, w) or (h, w, C) float32,
-    zero where nothing is inside; and (h, w), the fraction of each pixel inside the mask.
+def to_frame(
+    field: NDArray[np.generic], mask: BoolArray, frame: PictureFrame
+) -> tuple[FloatArray, FloatArray]:
+    """Average `field` (H, W) or (H, W, C) over the picture's pixels inside `mask`. Returns (h, w)
+    or (h, w, C) float32, zero where nothing is inside; and (h, w), the fraction of each pixel
+    inside the mask.
     """
     (values,), weight = fields_to_frame([field], mask, frame)
     return values, weight
@@ -102,30 +113,40 @@ def fields_to_frame(
 def _block_means(field: NDArray[np.generic], inside: NDArray[np.uint8], factor: int) -> FloatArray:
     """Mean of a field over blocks, zero outside the mask."""
     rows, columns = inside.shape
-    values = np.zeros((rows + -rows % factor, columns + -columns % factor, *field.shape[2:]), dtype=np.float32)
+    values = np.zeros(
+        (rows + -rows % factor, columns + -columns % factor, *field.shape[2:]), dtype=np.float32
+    )
     cv2.copyTo(field.astype(np.float32, copy=False), inside, values[:rows, :columns])
     small = (values.shape[1] // factor, values.shape[0] // factor)
     return np.asarray(cv2.resize(values, small, interpolation=cv2.INTER_AREA))
 
 
 def colour(values: FloatArray, low: float, high: float, *, diverging: bool = False) -> ColourArray:
-    """Colour `values` between `low` and `high`: cividis, or blue-white-orange where zero matters."""
-    index = np.clip(np.nan_to_num((values - low) / max(high - low, 1e-12) * 255.0), 0, 255).astype(np.uint8)
+    """Colour `values` between `low` and `high`: cividis, or blue-white-orange where zero
+    matters."""
+    index = np.clip(np.nan_to_num((values - low) / max(high - low, 1e-12) * 255.0), 0, 255).astype(
+        np.uint8
+    )
     if not diverging:
         return np.asarray(cv2.applyColorMap(index, cv2.COLORMAP_CIVIDIS)[..., ::-1], dtype=np.uint8)
     positions = np.linspace(0.0, 255.0, len(_DIVERGING))
-    table = np.stack([np.interp(np.arange(256), positions, _DIVERGING[:, c]) for c in range(3)], axis=1)
+    table = np.stack(
+        [np.interp(np.arange(256), positions, _DIVERGING[:, c]) for c in range(3)], axis=1
+    )
     return np.asarray(np.round(table).astype(np.uint8)[index])
 
 
 def on_paper(picture: ColourArray, weight: FloatArray) -> ColourArray:
     """Blend `picture` into a plain background where `weight` is below one."""
     alpha = weight[..., None]
-    return np.round(picture * alpha + np.asarray(PAPER, dtype=np.float32) * (1.0 - alpha)).astype(np.uint8)
+    return np.round(picture * alpha + np.asarray(PAPER, dtype=np.float32) * (1.0 - alpha)).astype(
+        np.uint8
+    )
 
 
 def normal_colours(normals: FloatArray) -> ColourArray:
-    """Colour unit normals the usual way: red = x right, green = y up, blue = z towards the camera."""
+    """Colour unit normals the usual way: red = x right, green = y up, blue = z towards the
+    camera."""
     return np.clip(np.round((normals + 1.0) * 127.5), 0, 255).astype(np.uint8)
 
 
@@ -134,7 +155,9 @@ def data_uri(picture: ColourArray | NDArray[np.uint8], *, photo: bool = False) -
     if photo:
         kind = "jpeg"
         data = cv2.imencode(".jpg", picture[..., ::-1], [cv2.IMWRITE_JPEG_QUALITY, 88])[1].tobytes()
-    else:  # maps repeat few colours: without row filters they are smaller than at level 6, in a fifth of the time
+    # maps repeat few colours: without row filters they are smaller than at level 6, in a fifth of
+    # the time
+    else:
         kind = "png"
         data = png_bytes(picture, cv2.IMWRITE_PNG_STRATEGY_DEFAULT, cv2.IMWRITE_PNG_FILTER_NONE)
     return f"data:image/{kind};base64,{base64.b64encode(data).decode('ascii')}"

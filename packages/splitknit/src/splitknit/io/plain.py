@@ -92,9 +92,10 @@ class _Lights:
 def capture_from_photographs(photographs: GivenPhotographs) -> Photographs:
     """Make a capture of a folder of photographs, one for each light.
 
-    Photographs of floats are brought to 16 bits by one factor. Raises BadInput if files are missing, damaged, of
-    different sizes or turned differently by their EXIF data, their number is not that of the lights, the lights do
-    not determine a normal or their file names a photograph that is not there, an image is black or overexposed.
+    Photographs of floats are brought to 16 bits by one factor. Raises BadInput if files are
+    missing, damaged, of different sizes or turned differently by their EXIF data, their number is
+    not that of the lights, the lights do not determine a normal or their file names a photograph
+    that is not there, an image is black or overexposed.
     """
     root = Path(photographs.images or "")
     home = home_of(root)
@@ -153,16 +154,21 @@ def _with_nir(white: Photographs, photographs: GivenPhotographs) -> Photographs:
     has_rig = isinstance(rig, Rig)
     require(
         has_rig or home_of(folder) != home,
-        f"white and near-infrared photographs lie in one folder, {home}, but have lights of their own: give them by a "
-        "rig file, or put each series into a folder with its list.",
+        f"white and near-infrared photographs lie in one folder, {home}, but have lights of their"
+        " own: give them by a rig file, or put each series into a folder with its list.",
     )
     encoding: Any = photographs.encoding
     if encoding is None and photographs.max_megapixels is None:
         encoding = capture.encoding
     lights = _of_band(rig, "nir", "the rig") if has_rig else None
-    near = replace(photographs, images=folder, lights=lights, nir=None, crossed=None, flat=None, mask=None)
+    near = replace(
+        photographs, images=folder, lights=lights, nir=None, crossed=None, flat=None, mask=None
+    )
     infrared = capture_from_photographs(replace(near, encoding=encoding))
-    kinds = [f"{each.shape[0]} x {each.shape[1]} pixels, {each.encoding}" for each in (infrared.capture, capture)]
+    kinds = [
+        f"{each.shape[0]} x {each.shape[1]} pixels, {each.encoding}"
+        for each in (infrared.capture, capture)
+    ]
     require(
         kinds[0] == kinds[1],
         f"the photographs of {folder} are of {kinds[0]}, and the white ones of {kinds[1]}"
@@ -221,7 +227,8 @@ def _with_brightness(lights: _Lights, brightness: str) -> _Lights:
     leds = tuple(replace(led, intensity=1.0) for led in lights.rig.leds)
     require(
         brightness == "equal" or len(leds) >= 5 or lights.source == Path(UNKNOWN),
-        f"brightness is estimated of five lights or more, but there are {len(leds)}: state it in the list.",
+        f"brightness is estimated of five lights or more, but there are {len(leds)}: state it in"
+        " the list.",
     )
     origin = {**lights.rig.provenance, "intensities": brightness}
     return replace(lights, rig=replace(lights.rig, leds=leds, provenance=origin), colours=None)
@@ -313,7 +320,10 @@ def capture_of_arrays(
     count = len(stack)
     stack = stack.reshape(*shape[:3], -1)
     brightness = None
-    with refusing("`lights` must be numbers of the shape (L, 3), `intensities` of (L,) or (L, 3), `px_per_mm` one."):
+    with refusing(
+        "`lights` must be numbers of the shape (L, 3), `intensities` of (L,) or (L, 3), `px_per_mm`"
+        " one."
+    ):
         scale = None if px_per_mm is None else float(px_per_mm)
         if intensities is not None:
             brightness = np.asarray(intensities, dtype=np.float64).reshape(count, -1)
@@ -379,7 +389,8 @@ def _assembled(
     camera = _camera_of(rig.camera, form, photographs.px_per_mm)
     require(
         camera.scale_known or all(led.position_mm is None for led in rig.leds),
-        "lights at places in mm need the scale of the photographs; give `px_per_mm`, or directions of the lights.",
+        "lights at places in mm need the scale of the photographs; give `px_per_mm`, or directions"
+        " of the lights.",
     )
     read = _read_stack(different, form, first, photographs)
     hashes = read.hashes
@@ -435,15 +446,17 @@ def _notes_on(form: _Form, camera: Camera, orientation: int) -> Iterator[Finding
         rows, columns = form.small
         yield Finding(
             "reduced-photographs",
-            f"the photographs of {form.megapixels:.3g} megapixels were reduced to {rows * columns / 1e6:.3g} "
-            f"(`max_megapixels`), by means over {form.factor:g} x {form.factor:g} pixels.",
+            f"the photographs of {form.megapixels:.3g} megapixels were reduced to"
+            f" {rows * columns / 1e6:.3g} (`max_megapixels`), by means over {form.factor:g} x"
+            f" {form.factor:g} pixels.",
         )
     if not camera.scale_known:
         yield Finding("scale-unknown", UNKNOWN_SCALE)
     if orientation != 1:
         yield Finding(
             "turned-photographs",
-            f"photographs are turned as their EXIF data say (orientation {orientation}); lights are for them upright.",
+            f"photographs are turned as their EXIF data say (orientation {orientation}); lights are"
+            " for them upright.",
         )
 
 
@@ -468,12 +481,16 @@ def _each_once(files: Sequence[Path], photographs: GivenPhotographs) -> Sequence
     return files
 
 
-def _encoding(files: Sequence[Path], rig: Rig, photographs: GivenPhotographs) -> tuple[str, list[Finding]]:
+def _encoding(
+    files: Sequence[Path], rig: Rig, photographs: GivenPhotographs
+) -> tuple[str, list[Finding]]:
     """The encoding that is stated, or by :func:`splitknit.io.photos.encoding_of`; and notes."""
     if photographs.mosaic is not None:
         return "linear", []
     if photographs.encoding is None:
-        encoding, note = encoding_of(files, lambda: _shading_is_srgb(files, rig, photographs, np.uint8))
+        encoding, note = encoding_of(
+            files, lambda: _shading_is_srgb(files, rig, photographs, np.uint8)
+        )
         return encoding, [Finding("assumed-encoding", note)]
     if photographs.material == "skin" or photographs.flat is not None:
         return photographs.encoding, []
@@ -607,7 +624,9 @@ class _Stack:
     hashes: dict[str, str]
 
 
-def _read_stack(files: Sequence[Path], form: _Form, first: list[Photo], photographs: GivenPhotographs) -> _Stack:
+def _read_stack(
+    files: Sequence[Path], form: _Form, first: list[Photo], photographs: GivenPhotographs
+) -> _Stack:
     """Read all photographs; `first`: those of the first file."""
     shape = (len(first) * len(files), *form.small, form.shape[2])
     dtype = np.dtype(np.uint16) if form.becomes_linear else form.dtype
@@ -647,7 +666,9 @@ def _kind(pixels: NDArray[Any]) -> str:
     return f"{'RGB' if pixels.shape[2] == 3 else 'grey'} of {pixels.dtype}"
 
 
-def _mask_of(mask: str | os.PathLike[str] | None, form: _Form, read: _Stack) -> tuple[BoolArray | None, list[Finding]]:
+def _mask_of(
+    mask: str | os.PathLike[str] | None, form: _Form, read: _Stack
+) -> tuple[BoolArray | None, list[Finding]]:
     """Mask (h, w) of a file, of the word ``all``, or of the photographs' own transparency, None
     without any; and a note where it was found in a picture. The file's SHA-256 joins the others.
     """
@@ -728,7 +749,8 @@ def _camera_of(camera: Camera, form: _Form, px_per_mm: float | None) -> Camera:
     )
     require(
         stated is None or not camera.scale_known,
-        f"`px_per_mm` and the rig file ({camera.px_per_mm:g} px/mm) both give the scale; leave out the first.",
+        f"`px_per_mm` and the rig file ({camera.px_per_mm:g} px/mm) both give the scale; leave out"
+        " the first.",
     )
     if stated is None and not camera.scale_known:
         return camera_without_scale(form.small)
@@ -741,22 +763,30 @@ def _camera_of(camera: Camera, form: _Form, px_per_mm: float | None) -> Camera:
 
 
 def _under_even_light(
-    stack: NDArray[Any], form: _Form, colours: NDArray[np.float64] | None, photographs: GivenPhotographs
+    stack: NDArray[Any],
+    form: _Form,
+    colours: NDArray[np.float64] | None,
+    photographs: GivenPhotographs,
 ) -> tuple[NDArray[Any], str]:
-    """Photographs (L, H, W, 3) as even white light gives them, linear, clipping kept; of one photograph its channels;
-    others as they are. And their encoding.
+    """Photographs (L, H, W, 3) as even white light gives them, linear, clipping kept; of one
+    photograph its channels; others as they are. And their encoding.
     """
     encoding = form.encoding_after
     if len(stack) == 1:
         require(
-            stack.shape[3] == 3, f"{form.name} is grey; one photograph under three lights at once must be in colour."
+            stack.shape[3] == 3,
+            f"{form.name} is grey; one photograph under three lights at once must be in colour.",
         )
         return np.ascontiguousarray(np.moveaxis(stack[0], -1, 0)[..., None]), encoding
     if colours is None or stack.shape[3] == 1:
         return stack, encoding
     others = (photographs.background, photographs.crossed, photographs.mosaic, photographs.flat)
     alone = all(value is None for value in others)
-    require(alone, "lights with a brightness for each colour go without `background`, `crossed`, `mosaic`, `flat`.")
+    require(
+        alone,
+        "lights with a brightness for each colour go without `background`, `crossed`, `mosaic`,"
+        " `flat`.",
+    )
     factors = (colours.min() / colours).astype(np.float32)
     if stack.dtype.kind == "f":
         return np.asarray(stack * factors[:, None, None]), "linear"
@@ -776,7 +806,8 @@ def _as_integers(
     floats = stack.dtype.kind == "f"
     require(
         ambient is None or (ambient.dtype.kind == "f") == floats,
-        "the background image is of floats and the photographs are not, or the reverse; save both in one format.",
+        "the background image is of floats and the photographs are not, or the reverse; save both"
+        " in one format.",
     )
     top = float(stack.max()) if floats else float(np.iinfo(stack.dtype).max)
     require(top > 0, "the photographs are black: not one value is above zero.")

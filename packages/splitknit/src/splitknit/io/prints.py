@@ -1,4 +1,5 @@
-"""Prints as pictures: PNG, TIFF, JPEG and BMP read with the resolution that they state; PNG and TIFF written."""
+"""Prints as pictures: PNG, TIFF, JPEG and BMP read with the resolution that they state; PNG and
+TIFF written."""
 
 from __future__ import annotations
 
@@ -29,7 +30,8 @@ KINDS = "PNG, TIFF, JPEG and BMP"
 _MAX_PIXELS = 64_000_000
 """Of a print or a page of prints at most: A4 at 1000 ppi, nearly; larger ones fill the memory."""
 _COLOUR_LEVELS, _COLOURED = 12, 0.01
-"""Grey levels by which channels of grey RGB may differ (JPEG rounds), and the fraction that may differ more."""
+"""Grey levels by which channels of grey RGB may differ (JPEG rounds), and the fraction that may
+differ more."""
 _SMALLEST_JPEG2000 = 32  # pixels that five halvings need
 
 
@@ -47,35 +49,57 @@ class PrintFile:
     impression: str = "unknown"
     """One of :data:`splitknit_match.records.minutiae_record.IMPRESSIONS`."""
     note: str = ""
-    """What was changed on reading (pixels made square, white ridges turned dark), or is in doubt; sentences."""
+    """What was changed on reading (pixels made square, white ridges turned dark), or is in doubt;
+    sentences."""
     doubt: str = ""
     """Why its resolution cannot be right; a sentence."""
 
 
 def write_print_png(
-    path: str | os.PathLike[str], image: NDArray[np.uint8], ppi: float = 500.0, text: Mapping[str, str] | None = None
+    path: str | os.PathLike[str],
+    image: NDArray[np.uint8],
+    ppi: float = 500.0,
+    text: Mapping[str, str] | None = None,
 ) -> None:
-    """Write a print (H, W) uint8 as PNG. `ppi` is stored in whole pixels per metre (500 ppi: 19685); `text`: keyword (1
-    to 79 printable ASCII characters) to text. Raises BadInput if one of them is of another kind, or on writing.
+    """Write a print (H, W) uint8 as PNG. `ppi` is stored in whole pixels per metre (500 ppi:
+    19685); `text`: keyword (1 to 79 printable ASCII characters) to text. Raises BadInput if one of
+    them is of another kind, or on writing.
     """
     write_file(path, encode_print_png(image, ppi, text))
 
 
-def encode_print_png(image: NDArray[np.uint8], ppi: float = 500.0, text: Mapping[str, str] | None = None) -> bytes:
+def encode_print_png(
+    image: NDArray[np.uint8], ppi: float = 500.0, text: Mapping[str, str] | None = None
+) -> bytes:
     """Return the bytes that :func:`write_print_png` writes."""
     return encode_png(_checked(image, ppi), text or {}, ppi)
 
 
-def encode_png(image: NDArray[np.uint8], text: Mapping[str, str], ppi: float | None = None) -> bytes:
+def encode_png(
+    image: NDArray[np.uint8], text: Mapping[str, str], ppi: float | None = None
+) -> bytes:
     """A PNG file of (H, W) or (H, W, 3) with its resolution and with texts by their keywords.
 
-    Raises BadInput for a keyword other than 1 to 79 printable ASCII characters, and a text with a NUL character.
+    Raises BadInput for a keyword other than 1 to 79 printable ASCII characters, and a text with a
+    NUL character.
     """
     chunks = PngInfo()
     for keyword, value in sorted(text.items()):
-        plain = keyword.strip() == keyword and 1 <= len(keyword) <= 79 and keyword.isascii() and keyword.isprintable()
-        require(plain, f"a text in a PNG file cannot be called {keyword!r}: 1 to 79 printable ASCII characters.")
-        require("\0" not in value, f"the text '{keyword}' holds a NUL character, which PNG cannot store.")
+        plain = (
+            keyword.strip() == keyword
+            and 1 <= len(keyword) <= 79
+            and keyword.isascii()
+            and keyword.isprintable()
+        )
+        require(
+            plain,
+            f"a text in a PNG file cannot be called {keyword!r}: 1 to 79 printable ASCII"
+            " characters.",
+        )
+        require(
+            "\0" not in value,
+            f"the text '{keyword}' holds a NUL character, which PNG cannot store.",
+        )
         chunks.add_text(keyword, value)
     stream = io.BytesIO()
     resolution = {} if ppi is None else {"dpi": (ppi, ppi)}
@@ -89,38 +113,54 @@ def read_print_png(path: str | os.PathLike[str]) -> PrintFile:
 
 
 def encode_jpeg2000(image: NDArray[np.uint8]) -> bytes:
-    """Compress a print (H, W) uint8 as JPEG 2000 (a JP2 file) without loss; BadInput below 32 pixels a side."""
+    """Compress a print (H, W) uint8 as JPEG 2000 (a JP2 file) without loss; BadInput below 32
+    pixels a side."""
     require(
         min(image.shape) >= _SMALLEST_JPEG2000,
-        f"a print of {image.shape[0]} x {image.shape[1]} pixels is too small for JPEG 2000; choose PNG.",
+        f"a print of {image.shape[0]} x {image.shape[1]} pixels is too small for JPEG 2000; choose"
+        " PNG.",
     )
     return cv2.imencode(".jp2", image, [cv2.IMWRITE_JPEG2000_COMPRESSION_X1000, 1000])[1].tobytes()
 
 
 def decode_jpeg2000(data: bytes, name: str, max_pixels: int) -> NDArray[np.uint8]:
-    """Decode a print (H, W) of JP2 or its code stream. BadInput if damaged, not 8-bit grey, or above `max_pixels`."""
+    """Decode a print (H, W) of JP2 or its code stream. BadInput if damaged, not 8-bit grey, or
+    above `max_pixels`."""
     start = data.find(b"\xff\x4f\xff\x51")  # the code stream begins with its sizes
     head = data[start + 8 : start + 43]
-    require(start >= 0 and len(head) == 35, f"{name} is not a JPEG 2000 image, or truncated; copy it again.")
+    require(
+        start >= 0 and len(head) == 35,
+        f"{name} is not a JPEG 2000 image, or truncated; copy it again.",
+    )
     right, down, left, up, *_, components = struct.unpack_from(">IIIIIIIIH", head)
     rows = down - up
     columns = right - left
-    require(rows > 0 and columns > 0 and rows * columns <= max_pixels, f"{name} claims {rows} x {columns} pixels.")
+    require(
+        rows > 0 and columns > 0 and rows * columns <= max_pixels,
+        f"{name} claims {rows} x {columns} pixels.",
+    )
     require(components == 1 and head[34] == 7, f"{name} is not 8-bit grey; convert it.")
     image = decoded(data, name)
-    require(image.shape == (rows, columns, 1) and image.dtype == np.uint8, f"{name} is damaged; copy it again.")
+    require(
+        image.shape == (rows, columns, 1) and image.dtype == np.uint8,
+        f"{name} is damaged; copy it again.",
+    )
     return image[..., 0]
 
 
 def decode_print_image(data: bytes, name: str) -> PrintFile:
-    """A PNG, TIFF, JPEG or BMP file, 8 or 16 bits, grey or grey as RGB, as a print, upright by EXIF, with the
-    resolution that it states, or None; pixels not square are resampled to the finer side. Raises BadInput, with `name`,
-    if the file is damaged, too large, of colour or of another kind.
+    """A PNG, TIFF, JPEG or BMP file, 8 or 16 bits, grey or grey as RGB, as a print, upright by
+    EXIF, with the resolution that it states, or None; pixels not square are resampled to the finer
+    side. Raises BadInput, with `name`, if the file is damaged, too large, of colour or of another
+    kind.
     """
     require(data.startswith(SIGNATURES), f"{name} is none of {KINDS}; export the print as PNG.")
     photo = decode_photo(data, name)
     rows, columns = photo.pixels.shape[:2]
-    large = f"{name} has {rows} x {columns} pixels, more than the {_MAX_PIXELS} that are read of prints; reduce it."
+    large = (
+        f"{name} has {rows} x {columns} pixels, more than the {_MAX_PIXELS} that are read of"
+        " prints; reduce it."
+    )
     require(rows * columns <= _MAX_PIXELS, large)
     header = read_header(data, name)
     stated = header.ppi
@@ -128,10 +168,14 @@ def decode_print_image(data: bytes, name: str) -> PrintFile:
     grey = _grey(photo.pixels, name)
     if stated is None or abs(stated[0] - stated[1]) <= 0.01 * stated[0]:
         return PrintFile(grey, None if stated is None else stated[0], text)
-    x, y = stated if photo.orientation < 5 else (stated[1], stated[0])  # from 5 on the picture lies on its side
+    # from 5 on the picture lies on its side
+    x, y = stated if photo.orientation < 5 else (stated[1], stated[0])
     ppi = max(x, y)
     size = (round(grey.shape[1] * ppi / x), round(grey.shape[0] * ppi / y))
-    require(max(size) <= 4 * max(grey.shape), f"{name} states {x:g} by {y:g} ppi, which no scanner has; correct it.")
+    require(
+        max(size) <= 4 * max(grey.shape),
+        f"{name} states {x:g} by {y:g} ppi, which no scanner has; correct it.",
+    )
     require(size[0] * size[1] <= _MAX_PIXELS, large)
     square = np.asarray(cv2.resize(grey, size, interpolation=cv2.INTER_CUBIC), dtype=np.uint8)
     note = f"its pixels of {x:.0f} by {y:.0f} ppi were made square, of {ppi:.0f} ppi."
@@ -140,10 +184,18 @@ def decode_print_image(data: bytes, name: str) -> PrintFile:
 
 def _grey(pixels: NDArray[Any], name: str) -> NDArray[np.uint8]:
     """(H, W) of (H, W, 1 or 3)."""
-    require(pixels.dtype in (np.uint8, np.uint16), f"{name} holds {pixels.dtype}; save the print with 8 bits.")
-    require(not is_coloured(pixels), f"{name} is a colour image, not an 8-bit grey image; save the print as one.")
+    require(
+        pixels.dtype in (np.uint8, np.uint16),
+        f"{name} holds {pixels.dtype}; save the print with 8 bits.",
+    )
+    require(
+        not is_coloured(pixels),
+        f"{name} is a colour image, not an 8-bit grey image; save the print as one.",
+    )
     grey = pixels[..., pixels.shape[2] // 2]
-    return np.ascontiguousarray(grey if grey.dtype == np.uint8 else grey // 257 + (grey % 257 > 128), np.uint8)
+    return np.ascontiguousarray(
+        grey if grey.dtype == np.uint8 else grey // 257 + (grey % 257 > 128), np.uint8
+    )
 
 
 def is_coloured(pixels: NDArray[Any]) -> bool:
@@ -152,22 +204,29 @@ def is_coloured(pixels: NDArray[Any]) -> bool:
         return False
     limit = _COLOUR_LEVELS if pixels.dtype == np.uint8 else _COLOUR_LEVELS * 257
     step = 1 + int((pixels[..., 0].size / 2e5) ** 0.5)  # of large pictures a part is enough
-    red, green, blue = (pixels[::step, ::step, k] for k in range(3))  # 15 times as quick as along the last axis
+    # 15 times as quick as along the last axis
+    red, green, blue = (pixels[::step, ::step, k] for k in range(3))
     spread = np.maximum(np.maximum(red, green), blue) - np.minimum(np.minimum(red, green), blue)
     return float((spread > limit).mean()) > _COLOURED
 
 
 def provenance_texts(origin: Mapping[str, Any]) -> dict[str, str]:
-    """Texts of a PNG that state where it comes from; `origin` is that of :func:`splitknit.io.provenance`."""
+    """Texts of a PNG that state where it comes from; `origin` is that of
+    :func:`splitknit.io.provenance`."""
     return {"Software": f"splitknit {origin['version']}", "Comment": canonical_json(origin)}
 
 
 # Prints as 8-bit grey TIFF with their resolution in the tags and their texts in the description.
 
 
-def encode_print_tiff(image: NDArray[np.uint8], ppi: float = 500.0, text: Mapping[str, str] | None = None) -> bytes:
-    """A print (H, W) uint8 as uncompressed TIFF, `text` as JSON in its description; BadInput if of another kind."""
-    return encode_tiff(_checked(image, ppi), canonical_json(dict(text)) if text else None, float(ppi))
+def encode_print_tiff(
+    image: NDArray[np.uint8], ppi: float = 500.0, text: Mapping[str, str] | None = None
+) -> bytes:
+    """A print (H, W) uint8 as uncompressed TIFF, `text` as JSON in its description; BadInput if of
+    another kind."""
+    return encode_tiff(
+        _checked(image, ppi), canonical_json(dict(text)) if text else None, float(ppi)
+    )
 
 
 def _checked(image: NDArray[np.uint8], ppi: float) -> NDArray[np.uint8]:

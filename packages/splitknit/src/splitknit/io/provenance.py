@@ -1,4 +1,5 @@
-"""Where a file came from: software, version, parameters, input hashes; and the JSON in which that is written."""
+"""Where a file came from: software, version, parameters, input hashes; and the JSON in which that
+is written."""
 
 from __future__ import annotations
 
@@ -17,10 +18,12 @@ from splitknit.errors import BadInput, open_file
 JsonValue = None | bool | int | float | str | list["JsonValue"] | dict[str, "JsonValue"]
 
 
-def provenance(settings: Any = None, hashes: Mapping[str, str] | None = None) -> dict[str, JsonValue]:
-    """Facts of every written file: ``software``, ``version``, ``settings``, ``settings_sha256`` and ``inputs``; no
-    date, no host. `settings`: dataclass or mapping that shaped the result; `hashes`: SHA-256 of every input file by
-    name.
+def provenance(
+    settings: Any = None, hashes: Mapping[str, str] | None = None
+) -> dict[str, JsonValue]:
+    """Facts of every written file: ``software``, ``version``, ``settings``, ``settings_sha256`` and
+    ``inputs``; no date, no host. `settings`: dataclass or mapping that shaped the result; `hashes`:
+    SHA-256 of every input file by name.
     """
     from importlib import metadata  # slow to import
 
@@ -35,7 +38,8 @@ def provenance(settings: Any = None, hashes: Mapping[str, str] | None = None) ->
 
 
 def file_hash(path: str | os.PathLike[str]) -> str:
-    """SHA-256 (hex) of a file, read in pieces; BadInput if it is missing, no regular file, or cannot be read."""
+    """SHA-256 (hex) of a file, read in pieces; BadInput if it is missing, no regular file, or
+    cannot be read."""
     with open_file(path, 1 << 50) as (stream, _):  # nothing is kept of it
         return hashlib.file_digest(stream, "sha256").hexdigest()
 
@@ -46,20 +50,24 @@ def settings_hash(settings: Any) -> str:
 
 
 def canonical_json(value: Any) -> str:
-    """ASCII JSON of `value` with sorted keys, no spaces, floats in their shortest exact form; dataclasses, mappings,
-    sequences, numpy and paths are converted. Raises BadInput for NaN or infinity, keys other than strings, or no JSON
-    form.
+    """ASCII JSON of `value` with sorted keys, no spaces, floats in their shortest exact form;
+    dataclasses, mappings, sequences, numpy and paths are converted. Raises BadInput for NaN or
+    infinity, keys other than strings, or no JSON form.
     """
-    return json.dumps(plain_json(value), sort_keys=True, separators=(",", ":"), ensure_ascii=True, allow_nan=False)
+    return json.dumps(
+        plain_json(value), sort_keys=True, separators=(",", ":"), ensure_ascii=True, allow_nan=False
+    )
 
 
 def json_text(value: Any) -> str:
-    """Return `value` as the ASCII JSON of the files that we write, an item a line; see :func:`canonical_json`."""
+    """Return `value` as the ASCII JSON of the files that we write, an item a line; see
+    :func:`canonical_json`."""
     return json.dumps(plain_json(value), indent=1, allow_nan=False) + "\n"
 
 
 def known_json(value: Any, nulls: Container[str] = ()) -> Any:
-    """`value` as of :func:`plain_json`, without dataclass fields still None by default, but for those of `nulls`."""
+    """`value` as of :func:`plain_json`, without dataclass fields still None by default, but for
+    those of `nulls`."""
     if dataclasses.is_dataclass(value) and not isinstance(value, type):
         known = {}
         for item in dataclasses.fields(value):
@@ -67,11 +75,16 @@ def known_json(value: Any, nulls: Container[str] = ()) -> Any:
             if content is not None or item.default is not None or item.name in nulls:
                 known[item.name] = known_json(content, nulls)
         return known
-    return [known_json(item, nulls) for item in value] if isinstance(value, (list, tuple)) else plain_json(value)
+    return (
+        [known_json(item, nulls) for item in value]
+        if isinstance(value, (list, tuple))
+        else plain_json(value)
+    )
 
 
 def plain_json(value: Any, where: str = "value") -> JsonValue:
-    """Return `value` rebuilt from dict, list, str, int, float, bool and None alone; see :func:`canonical_json`."""
+    """Return `value` rebuilt from dict, list, str, int, float, bool and None alone; see
+    :func:`canonical_json`."""
     try:
         plain: JsonValue = json.loads(json.dumps(value, default=_builtin, allow_nan=False))
     except (TypeError, ValueError) as error:

@@ -1,5 +1,5 @@
-"""The fields of a reconstruction as files, and back: fields on the input's pixel grid, the mesh upright
-(``docs/explain/conventions.md``, frames of the results).
+"""The fields of a reconstruction as files, and back: fields on the input's pixel grid, the mesh
+upright (``docs/explain/conventions.md``, frames of the results).
 """
 
 from __future__ import annotations
@@ -28,7 +28,9 @@ from splitknit.model import NO_SCALE, FloatArray, Reconstruction, require_scale
 
 Origin = dict[str, JsonValue]
 LARGEST_MM = 1000.0  # longest side of a result's frame
-_NEEDS_TRIMESH = "Surfaces of other programs need the package trimesh: pip install 'splitknit[mesh]' ({error})."
+_NEEDS_TRIMESH = (
+    "Surfaces of other programs need the package trimesh: pip install 'splitknit[mesh]' ({error})."
+)
 _FRAME = ("mask", "pitch_mm", "input_from_upright", "upright_size")
 _AGAIN = "reconstruct the capture again"
 
@@ -47,7 +49,8 @@ class _Report(Struct):
 
 
 def read_result(path: str | os.PathLike[str]) -> Reconstruction:
-    """Read a result folder, as :func:`splitknit.reconstruct` and ``splitknit reconstruct`` leave it.
+    """Read a result folder, as :func:`splitknit.reconstruct` and ``splitknit reconstruct`` leave
+    it.
 
     Parameters
     ----------
@@ -57,8 +60,8 @@ def read_result(path: str | os.PathLike[str]) -> Reconstruction:
     Returns
     -------
     Reconstruction
-        The albedo is relative, in 255 steps. Where its scale is unknown, `scale_known` is false and 1 px/mm is assumed,
-        as the file has heights in pixels.
+        The albedo is relative, in 255 steps. Where its scale is unknown, `scale_known` is false and
+        1 px/mm is assumed, as the file has heights in pixels.
 
     Raises
     ------
@@ -77,7 +80,15 @@ def read_result(path: str | os.PathLike[str]) -> Reconstruction:
     folder = Path(path)
     file = folder / "height.npz" if folder.is_dir() else folder
     names = ("height_mm", "ridge_mm", "shape_mm", "normals")
-    optional = ("x_mm", "y_mm", "uncertainty_um", "normals_measured", "specular", "whole", "provenance")
+    optional = (
+        "x_mm",
+        "y_mm",
+        "uncertainty_um",
+        "normals_measured",
+        "specular",
+        "whole",
+        "provenance",
+    )
     arrays = read_fields(file, names, optional, unscaled=True)
     stated = parse_json(str(arrays.pop("provenance", "{}")).encode("utf-8", "replace"), str(file))
     origin = converted(stated, _Origin, f"{file}: provenance")
@@ -87,7 +98,10 @@ def read_result(path: str | os.PathLike[str]) -> Reconstruction:
         report, _ = read_document(folder / "report.json", _Report)
     if (folder / "albedo.png").is_file():
         grey = read_image(folder / "albedo.png")
-        require(grey.shape[:2] == albedo.shape, f"{folder}: albedo.png has another size than height.npz; {_AGAIN}.")
+        require(
+            grey.shape[:2] == albedo.shape,
+            f"{folder}: albedo.png has another size than height.npz; {_AGAIN}.",
+        )
         level = grey.reshape(*albedo.shape, -1)[..., 0].astype(np.float32) / 255.0
         albedo = np.where(arrays["mask"], level, np.nan)
     stated_facts = {name: getattr(report, name) for name in report.__struct_fields__}
@@ -97,10 +111,10 @@ def read_result(path: str | os.PathLike[str]) -> Reconstruction:
 def read_fields(
     path: Path, names: Sequence[str], optional: Sequence[str] = (), *, unscaled: bool = False
 ) -> dict[str, Any]:
-    """Fields of a result's ``height.npz``, those of `names` and, where there, `optional`, with its frame (``mask``,
-    ``pitch_mm``, ``input_from_upright``, ``upright_size``), checked. `unscaled`: take unknown scales, as 1 px/mm with a
-    false ``scale_known``. Raises BadInput if the file is damaged, an array is missing, of another shape, or impossible,
-    or the scale is unknown.
+    """Fields of a result's ``height.npz``, those of `names` and, where there, `optional`, with its
+    frame (``mask``, ``pitch_mm``, ``input_from_upright``, ``upright_size``), checked. `unscaled`:
+    take unknown scales, as 1 px/mm with a false ``scale_known``. Raises BadInput if the file is
+    damaged, an array is missing, of another shape, or impossible, or the scale is unknown.
     """
     pixel_names = {f"{name.removesuffix('_mm')}_px": name for name in names if name.endswith("_mm")}
     arrays: dict[str, Any] = dict(read_npz(path, (*_FRAME, *names, *optional, *pixel_names)))
@@ -110,14 +124,28 @@ def read_fields(
     if not known:
         arrays |= {**lengths_px, "pitch_mm": np.array(1.0)}
     for name in (*names, *_FRAME):
-        remedy = f"it has no scale, so calibrate the camera and {_AGAIN}" if name == "pitch_mm" else _AGAIN
+        remedy = (
+            f"it has no scale, so calibrate the camera and {_AGAIN}"
+            if name == "pitch_mm"
+            else _AGAIN
+        )
         require(name in arrays, f"{path} holds no '{name}'; {remedy}.")
     shape = arrays["mask"].shape
-    sizes = {"pitch_mm": (), "provenance": (), "whole": (), "input_from_upright": (3, 3), "upright_size": (2,)}
+    sizes = {
+        "pitch_mm": (),
+        "provenance": (),
+        "whole": (),
+        "input_from_upright": (3, 3),
+        "upright_size": (2,),
+    }
     sizes["normals"] = sizes["normals_measured"] = (*shape, 3)
     kinds = {"provenance": "U", "upright_size": "iu"}
     for name, array in arrays.items():
-        fits = array.shape == sizes.get(name, shape) and array.dtype.kind in kinds.get(name, "fiub") and len(shape) == 2
+        fits = (
+            array.shape == sizes.get(name, shape)
+            and array.dtype.kind in kinds.get(name, "fiub")
+            and len(shape) == 2
+        )
         require(fits, f"{path}: '{name}' has another shape than a result's; {_AGAIN}.")
     matrix = arrays.pop("input_from_upright").astype(np.float64)
     rows, columns = arrays.pop("upright_size").tolist()
@@ -134,7 +162,11 @@ def read_fields(
         not known or 0 < pitch * max(rows, columns) <= LARGEST_MM,
         f"{path} has no scale (pitch_mm is {pitch}): calibrate the camera and {_AGAIN}.",
     )
-    fields: dict[str, Any] = {"pitch_mm": pitch, "input_from_upright": matrix, "upright_size": (rows, columns)}
+    fields: dict[str, Any] = {
+        "pitch_mm": pitch,
+        "input_from_upright": matrix,
+        "upright_size": (rows, columns),
+    }
     if unscaled:
         fields["scale_known"] = known
     if "whole" in arrays:
@@ -146,7 +178,8 @@ def read_fields(
 
 
 def write_arrays(path: Path, result: Reconstruction, origin: Origin) -> None:
-    """Write ``height.npz``: all fields on the input's pixel grid; in pixels, and named so, without a scale."""
+    """Write ``height.npz``: all fields on the input's pixel grid; in pixels, and named so, without
+    a scale."""
     unit = result.unit
     arrays: dict[str, Any] = {
         f"height_{unit.name}": unit.heights(result.height_mm),
@@ -174,8 +207,8 @@ def axes_of(material: Any) -> str:
 def _mesh_of(
     result: Reconstruction,
 ) -> tuple[tuple[FloatArray, FloatArray, FloatArray], NDArray[np.int32]]:
-    """One vertex for each pixel of the mask, row by row, tip along +y: places (N, 3) in the shown unit, normals (N, 3)
-    and intensity (N,); and faces (M, 3).
+    """One vertex for each pixel of the mask, row by row, tip along +y: places (N, 3) in the shown
+    unit, normals (N, 3) and intensity (N,); and faces (M, 3).
     """
     box = bounding_box(result.mask)
     valid = result.mask[box] & np.isfinite(result.height_mm[box])
@@ -213,8 +246,9 @@ def write_mesh(path: Path, result: Reconstruction, origin: Origin) -> None:
 def surface_bytes(result: Reconstruction, kind: str, title: str) -> tuple[dict[str, Any], bytes]:
     """Return facts of a file of the surface, and the bytes of the file.
 
-    `title`: one line, stated in the file; `kind`: ``stl``, ``obj`` (in mm) or ``glb`` (in metres, as glTF wants it),
-    meshes as ``phalange.ply``. Raises BadInput if the result has no scale or no surface, or trimesh is missing.
+    `title`: one line, stated in the file; `kind`: ``stl``, ``obj`` (in mm) or ``glb`` (in metres,
+    as glTF wants it), meshes as ``phalange.ply``. Raises BadInput if the result has no scale or no
+    surface, or trimesh is missing.
     """
     require_scale(result)
     (vertices, normals, intensity), faces = _mesh_of(result)
@@ -227,18 +261,28 @@ def surface_bytes(result: Reconstruction, kind: str, title: str) -> tuple[dict[s
     words = {"title": title, "axes": axes_of(result.facts.get("material"))}
     scale = 0.001 if kind == "glb" else 1.0
     mesh: Any = trimesh.Trimesh(
-        vertices * scale, faces, vertex_normals=normals, vertex_colors=grey, metadata=words, process=False
+        vertices * scale,
+        faces,
+        vertex_normals=normals,
+        vertex_colors=grey,
+        metadata=words,
+        process=False,
     )
     header = {"header": f"unit mm, {', '.join(words.values())}"} if kind == "obj" else {}
     written = mesh.export(file_type=kind, **header)
     written = written if isinstance(written, bytes) else written.encode("ascii")
     if kind == "stl":  # whose header is free
-        written = f"splitknit, unit mm {title}".encode("ascii", "replace")[:80].ljust(80) + written[80:]
+        written = (
+            f"splitknit, unit mm {title}".encode("ascii", "replace")[:80].ljust(80) + written[80:]
+        )
     return facts, written
 
 
-def write_normals(path: Path, result: Reconstruction, origin: Origin, normals: FloatArray | None = None) -> None:
-    """Write the normals (by default those of the surface) as a colour picture on the input's pixel grid."""
+def write_normals(
+    path: Path, result: Reconstruction, origin: Origin, normals: FloatArray | None = None
+) -> None:
+    """Write the normals (by default those of the surface) as a colour picture on the input's pixel
+    grid."""
     picture = np.zeros((*result.mask.shape, 3), dtype=np.uint8)
     box = bounding_box(result.mask)
     colours = normal_colours((result.normals if normals is None else normals)[box])

@@ -57,7 +57,8 @@ def read_rig(path: str | os.PathLike[str]) -> Rig:
     Raises
     ------
     BadInput
-        Naming the file and the field, if anything in it is missing, of the wrong type or impossible.
+        Naming the file and the field, if anything in it is missing, of the wrong type or
+        impossible.
 
     Examples
     --------
@@ -89,7 +90,8 @@ def write_rig(rig: Rig, path: str | os.PathLike[str]) -> None:
 
 
 def rig_to_json(rig: Rig) -> dict[str, JsonValue]:
-    """The document of :func:`rig_from_json`. Raises BadInput if LEDs are grouped (`also`), as by :meth:`Rig.select`."""
+    """The document of :func:`rig_from_json`. Raises BadInput if LEDs are grouped (`also`), as by
+    :meth:`Rig.select`."""
     camera = rig.camera
     distortion = camera.distortion
     if camera.model == "perspective" and distortion is None:
@@ -108,8 +110,15 @@ def rig_to_json(rig: Rig) -> dict[str, JsonValue]:
         lens["crosstalk"] = camera.crosstalk
     leds = []
     for index, led in enumerate(rig.leds):
-        require(not led.also, f"LED {index} of the rig is a group of LEDs; write the rig from which it was selected.")
-        place = {"position_mm": led.position_mm} if led.position_mm is not None else {"direction": led.direction}
+        require(
+            not led.also,
+            f"LED {index} of the rig is a group of LEDs; write the rig from which it was selected.",
+        )
+        place = (
+            {"position_mm": led.position_mm}
+            if led.position_mm is not None
+            else {"direction": led.direction}
+        )
         rare = {"lobe_exponent": led.lobe_exponent, "aim": led.aim, "colour": led.colour}
         stated = {key: value for key, value in rare.items() if value}
         leds.append({**place, "intensity": led.intensity, "band": led.band, **stated})
@@ -124,10 +133,10 @@ def rig_to_json(rig: Rig) -> dict[str, JsonValue]:
 def rig_from_json(document: Any, name: str = "rig.json") -> Rig:
     """Build a rig from its JSON document; `name` is the file's name for messages.
 
-    ``camera.model`` may be left out (orthographic), and so may ``height_mm`` of an orthographic camera (140),
-    ``intensity`` (1), ``lobe_exponent`` (0), ``mirrors`` (none) and ``films`` (ideal). A ``px_per_mm`` of null is a
-    scale that nobody has measured. Fields that the format does not know are ignored. Raises BadInput naming the file
-    and the field.
+    ``camera.model`` may be left out (orthographic), and so may ``height_mm`` of an orthographic
+    camera (140), ``intensity`` (1), ``lobe_exponent`` (0), ``mirrors`` (none) and ``films``
+    (ideal). A ``px_per_mm`` of null is a scale that nobody has measured. Fields that the format
+    does not know are ignored. Raises BadInput naming the file and the field.
     """
     fields = converted(document, _RigFields, name)
     return naming(name, lambda: _rig(fields))
@@ -149,7 +158,8 @@ def _camera(fields: _CameraFields) -> Camera:
     rows, columns = fields.image_size
     require(
         rows * columns <= _MAX_PIXELS,
-        f"camera.image_size is {rows} x {columns}, more than the {_MAX_PIXELS} pixels that are read.",
+        f"camera.image_size is {rows} x {columns}, more than the {_MAX_PIXELS} pixels that are"
+        " read.",
     )
     require(
         fields.distortion is None or len(fields.distortion) in _DISTORTION_COUNTS,
@@ -158,7 +168,9 @@ def _camera(fields: _CameraFields) -> Camera:
     matrix = None if fields.matrix is None else np.array(fields.matrix, dtype=np.float64)
     if matrix is not None:
         sound = matrix[0, 0] > 0 and matrix[1, 1] > 0 and np.array_equal(matrix[2], [0.0, 0.0, 1.0])
-        require(sound, "camera.matrix must be a camera matrix: positive focal lengths, last row 0 0 1.")
+        require(
+            sound, "camera.matrix must be a camera matrix: positive focal lengths, last row 0 0 1."
+        )
     height_mm = fields.height_mm
     px_per_mm = fields.px_per_mm
     if fields.model == "perspective":
@@ -169,10 +181,14 @@ def _camera(fields: _CameraFields) -> Camera:
         by_matrix = math.sqrt(matrix[0, 0] * matrix[1, 1]) / height_mm  # on the finger plane
         require(
             0.5 <= by_matrix / px_per_mm <= 2.0,
-            f"camera.px_per_mm is {px_per_mm:g}, but camera.matrix and camera.height_mm make it {by_matrix:.4g} on the"
-            " finger plane; correct one of them, or calibrate the camera.",
+            f"camera.px_per_mm is {px_per_mm:g}, but camera.matrix and camera.height_mm make it"
+            f" {by_matrix:.4g} on the finger plane; correct one of them, or calibrate the camera.",
         )
-    camera = camera_without_scale((rows, columns)) if px_per_mm is None else Camera(px_per_mm, (rows, columns))
+    camera = (
+        camera_without_scale((rows, columns))
+        if px_per_mm is None
+        else Camera(px_per_mm, (rows, columns))
+    )
     return replace(
         camera,
         height_mm=height_mm or camera.height_mm,
@@ -180,23 +196,35 @@ def _camera(fields: _CameraFields) -> Camera:
         matrix=matrix,
         distortion=fields.distortion,
         shading=fields.shading,
-        crosstalk=None if fields.crosstalk is None else np.array(fields.crosstalk, dtype=np.float64),
+        crosstalk=(
+            None if fields.crosstalk is None else np.array(fields.crosstalk, dtype=np.float64)
+        ),
     )
 
 
 def _of_unit_direction(led: Led, name: str) -> Led:
     """The LED; 2 % of rounding in a hand-written unit vector are forgiven and taken off."""
     alone = not led.also and not led.reflected and led.shade is None
-    require(alone, f"{name} states also, reflected or shade, which are not read from files; leave them out.")
+    require(
+        alone,
+        f"{name} states also, reflected or shade, which are not read from files; leave them out.",
+    )
     if led.direction is None:
         return led
     x, y, z = led.direction
     length = math.sqrt(x * x + y * y + z * z)
     require(
         0.98 <= length <= 1.02,
-        f"{name}.direction must be a unit vector towards the light, but its length is {length:.4g}; divide it by its"
-        " length, or use position_mm for a place in mm.",
+        f"{name}.direction must be a unit vector towards the light, but its length is {length:.4g};"
+        " divide it by its length, or use position_mm for a place in mm.",
     )
-    away = f"{name}.direction points away from the camera's side (z = {z:g}); it must point towards the light."
+    away = (
+        f"{name}.direction points away from the camera's side (z = {z:g}); it must point towards"
+        " the light."
+    )
     require(z > 0, away)
-    return led if abs(length - 1.0) <= 1e-9 else replace(led, direction=(x / length, y / length, z / length))
+    return (
+        led
+        if abs(length - 1.0) <= 1e-9
+        else replace(led, direction=(x / length, y / length, z / length))
+    )

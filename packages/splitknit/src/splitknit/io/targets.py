@@ -1,4 +1,5 @@
-"""Folders and files that verbs write: an earlier one of the same kind may be replaced, nothing else."""
+"""Folders and files that verbs write: an earlier one of the same kind may be replaced, nothing
+else."""
 
 from __future__ import annotations
 
@@ -16,25 +17,33 @@ from splitknit.io.rig import RIG_FORMAT
 _HEAD_BYTES = 16_000_000  # by which the kind of a file is known
 
 
-def check_target(out: Path, marker: str, words: str, *, keep: Path | None = None, form: str | None = None) -> None:
-    """Refuse to replace a folder that is not empty and not of this kind, or that is read from (`keep`).
+def check_target(
+    out: Path, marker: str, words: str, *, keep: Path | None = None, form: str | None = None
+) -> None:
+    """Refuse to replace a folder that is not empty and not of this kind, or that is read from
+    (`keep`).
 
-    :func:`splitknit.io.atomic.atomic_folder` refuses files of other programs; this keeps one kind of folder from
-    replacing another, such as a result a capture. `marker`: file that every folder of the kind holds; `words`: for the
-    kind, such as "an earlier result"; `form`: the field "format" of `marker`, where that is a JSON file that folders of
-    other kinds have as well. Raises BadInput if `out` must not be replaced, or cannot be looked into.
+    :func:`splitknit.io.atomic.atomic_folder` refuses files of other programs; this keeps one kind
+    of folder from replacing another, such as a result a capture. `marker`: file that every folder
+    of the kind holds; `words`: for the kind, such as "an earlier result"; `form`: the field
+    "format" of `marker`, where that is a JSON file that folders of other kinds have as well. Raises
+    BadInput if `out` must not be replaced, or cannot be looked into.
     """
     out = out.expanduser()
     try:
         if keep is not None and out.exists():
             source = keep.expanduser().resolve()
             inside = out.resolve() in (source, *source.parents)
-            require(not inside, f"'{out}' holds the input itself; name another folder to write into.")
+            require(
+                not inside, f"'{out}' holds the input itself; name another folder to write into."
+            )
         if out.is_dir() and any(out.iterdir()):
             known = (out / marker).is_file() and (form is None or _format_of(out / marker) == form)
             require(known, f"'{out}' is not empty and is not {words}; name another folder.")
     except OSError as error:
-        raise BadInput(f"'{out}' cannot be written ({error.strerror}); name another folder.") from error
+        raise BadInput(
+            f"'{out}' cannot be written ({error.strerror}); name another folder."
+        ) from error
 
 
 def check_capture(
@@ -45,23 +54,30 @@ def check_capture(
     words: str = "an earlier capture",
     keep: Path | None = None,
 ) -> None:
-    """Refuse a folder for photographs that holds anything, or, with `overwrite`, anything but ours: they cannot be made
-    again. Arguments and BadInput as :func:`check_target`.
+    """Refuse a folder for photographs that holds anything, or, with `overwrite`, anything but ours:
+    they cannot be made again. Arguments and BadInput as :func:`check_target`.
     """
-    check_target(out, marker, words, keep=keep, form=CAPTURE_FORMAT if marker == "capture.json" else None)
+    check_target(
+        out, marker, words, keep=keep, form=CAPTURE_FORMAT if marker == "capture.json" else None
+    )
     taken = (out.expanduser() / marker).exists()
     require(
         overwrite or not taken,
-        f"'{out}' exists and is not empty: it is {words}; name another folder, or give `overwrite`.",
+        f"'{out}' exists and is not empty: it is {words}; name another folder, or give"
+        " `overwrite`.",
     )
 
 
-def check_file(out: Path | None, words: str, is_own: Callable[[bytes], bool] | None = None, *, form: str = "") -> None:
-    """Refuse to replace a file that is not of this kind; called before the work, so that none is done in vain.
+def check_file(
+    out: Path | None, words: str, is_own: Callable[[bytes], bool] | None = None, *, form: str = ""
+) -> None:
+    """Refuse to replace a file that is not of this kind; called before the work, so that none is
+    done in vain.
 
-    `out`: file to write, unchecked if None; `words`: for the kind, such as "a template"; `is_own`: whether a file that
-    begins with these bytes, at most 16 MB of it, is of the kind; `form`: the field "format" of a JSON file of the kind,
-    instead. Raises BadInput if `out` exists and is a folder or of another kind, or cannot be looked into.
+    `out`: file to write, unchecked if None; `words`: for the kind, such as "a template"; `is_own`:
+    whether a file that begins with these bytes, at most 16 MB of it, is of the kind; `form`: the
+    field "format" of a JSON file of the kind, instead. Raises BadInput if `out` exists and is a
+    folder or of another kind, or cannot be looked into.
     """
     if out is None or not os.path.lexists(out := out.expanduser()):
         return
@@ -80,15 +96,21 @@ def check_rig_file(out: Path | None) -> None:
 
 
 def check_picture(out: Path | None, photographs: Path | None = None) -> None:
-    """Refuse to replace a file that is not a PNG or TIFF picture, or is one of the photographs that are read."""
+    """Refuse to replace a file that is not a PNG or TIFF picture, or is one of the photographs that
+    are read."""
     require(
         out is None or out.suffix.lower() in (".png", ".tif", ".tiff"),
         f"'{out}' must end in .png or .tif: it is a picture.",
     )
     check_file(out, "a picture", lambda data: data.startswith((PNG, *TIFFS)))
     if out is not None and photographs is not None:
-        inside = photographs.expanduser().resolve() in out.expanduser().resolve().parents and out.expanduser().exists()
-        require(not inside, f"'{out}' is one of the photographs in '{photographs}'; name another file.")
+        inside = (
+            photographs.expanduser().resolve() in out.expanduser().resolve().parents
+            and out.expanduser().exists()
+        )
+        require(
+            not inside, f"'{out}' is one of the photographs in '{photographs}'; name another file."
+        )
 
 
 def _format_of(file: Path) -> object:

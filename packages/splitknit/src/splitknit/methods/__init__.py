@@ -1,4 +1,5 @@
-"""The algorithm: photographs of a finger in, its surface out; one function a method, and one table of them all."""
+"""The algorithm: photographs of a finger in, its surface out; one function a method, and one table
+of them all."""
 
 from __future__ import annotations
 
@@ -14,8 +15,8 @@ METHODS: dict[str, Callable[[FingerPhotographs, PipelineSettings], FingerSurface
     "opaque": opaque_surface,
     "skin": skin_surface,
 }
-"""The surface of what was photographed, by the settings. A shape from mirrors replaces that of any of them
-(:func:`splitknit.methods.photographs.on_mirror_shape`)."""
+"""The surface of what was photographed, by the settings. A shape from mirrors replaces that of any
+of them (:func:`splitknit.methods.photographs.on_mirror_shape`)."""
 
 
 def method_for(photographs: FingerPhotographs, settings: PipelineSettings) -> str:

@@ -46,7 +46,14 @@ from splitknit.skin.learned import (
 from splitknit.skin.light import slant_of
 from splitknit.skin.polarised import polarised_heights, specular_images
 from splitknit.skin.relief import KNIT_MM, ReliefEstimate, detail_of, measure, relief_by_colour
-from splitknit.skin.shape import CoarseImages, Shape, coarse_images, coarse_shape, on_fine_grid, white_light_on
+from splitknit.skin.shape import (
+    CoarseImages,
+    Shape,
+    coarse_images,
+    coarse_shape,
+    on_fine_grid,
+    white_light_on,
+)
 from splitknit.steps import step
 
 TURNED = (5, 6)
@@ -69,18 +76,22 @@ JPEG_LOSS_COARSE = 0.9
 """The same below `JPEG_COARSE` px/mm: 0.75 and more at 11."""
 JPEG_COARSE = 14.0
 COLOURED = (
-    "the skin blurs the light of each coloured LED differently, which this preset does not undo; use lin, ea or "
-    "another of the published cases."
+    "the skin blurs the light of each coloured LED differently, which this preset does not undo;"
+    " use lin, ea or another of the published cases."
 )
 NO_SPECULAR = (
-    "the difference of the parallel and the crossed series shows hardly any specular reflection (matt or wet skin, or "
-    "films that are not crossed): ridge heights are modelled, as without films."
+    "the difference of the parallel and the crossed series shows hardly any specular reflection"
+    " (matt or wet skin, or films that are not crossed): ridge heights are modelled, as without"
+    " films."
 )
 SIDE_MISFIT = (
-    "{} of the white images lit from the side do not fit the others and are left out: check these LEDs' places and "
-    "their films, if any, which must let the skin's mirror reflection pass the camera's film."
+    "{} of the white images lit from the side do not fit the others and are left out: check these"
+    " LEDs' places and their films, if any, which must let the skin's mirror reflection pass the"
+    " camera's film."
 )
-HARDLY_MEASURED = "the ridges are hardly measured: {:.0f} um rms with an expected error of {:.0f} um."
+HARDLY_MEASURED = (
+    "the ridges are hardly measured: {:.0f} um rms with an expected error of {:.0f} um."
+)
 LITTLE_GLOSS_NOTE = (
     "the skin shows hardly any specular reflection: ridge heights follow from its brightness, and "
     "may all be off by a common factor (standard deviation {:.0f} %)."
@@ -90,8 +101,8 @@ ODD_RELIEF = (
     "and take colour photographs, as grey ones leave glare in the relief"
 )
 NO_WHITE = (
-    "the images lit from the side are not used: the skin is too dry or too matt for its specular reflection to be "
-    "separated by colour (films separate it)."
+    "the images lit from the side are not used: the skin is too dry or too matt for its specular"
+    " reflection to be separated by colour (films separate it)."
 )
 WHITE_ROUGHNESS = 0.45
 """Roughness up to which white light shows ridges better than the front lights alone."""
@@ -101,8 +112,8 @@ RED_PART = 0.5
 """Part of the red light, in the colour of the skin, that is taken from the blue to leave white
 light. Between 0.3 and 0.65 ridges hardly change (``validation/path_traced/polarised.py``)."""
 SHAPE_MM = 2.0
-"""Standard deviation of the Gaussian mean of the heights that white light does not show: it follows from how much of
-the light is scattered, which colours show only roughly."""
+"""Standard deviation of the Gaussian mean of the heights that white light does not show: it follows
+from how much of the light is scattered, which colours show only roughly."""
 COLOUR_MM = 1.0
 """Standard deviation of the Gaussian mean whose colour is that of the skin."""
 WALL_PART = 0.002
@@ -115,7 +126,8 @@ ROUNDS = 3
 
 
 def metric_opaque(white: FingerBand, nir: FingerBand, p: Parameters) -> FingerSurface:
-    """The `metric` method for what does not scatter light inside: near lights, robust weights, masked integration.
+    """The `metric` method for what does not scatter light inside: near lights, robust weights,
+    masked integration.
 
     A near-infrared band, where there is one, gives the shape by a crossover of frequencies.
     """
@@ -145,37 +157,46 @@ def doubt_of_walls(
     if cut < WALL_PART * inside.sum() or cut < WALL_OF_STEEP * steep:
         return ()
     message = (
-        f"the object has steep walls: {100 * cut / steepness.size:.1f} % of the surface is steeper than "
-        f"{np.rad2deg(np.arctan(MAX_SLOPE)):.0f} deg, where slopes are cut, so that heights drop too "
-        "little there; give a `mask` that ends inside a rim, or photograph walls from another side."
+        f"the object has steep walls: {100 * cut / steepness.size:.1f} % of the surface is steeper"
+        f" than {np.rad2deg(np.arctan(MAX_SLOPE)):.0f} deg, where slopes are cut, so that heights"
+        " drop too little there; give a `mask` that ends inside a rim, or photograph walls from"
+        " another side."
     )
     return (Finding("steep-walls", message),)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SkinSurface:
-    """Reconstructed skin on the working grid; heights are finite everywhere and valid inside the mask."""
+    """Reconstructed skin on the working grid; heights are finite everywhere and valid inside the
+    mask."""
 
     shape_mm: FloatArray
     relief_mm: FloatArray
     deviation_mm: FloatArray
-    """Standard deviation of the relief: noise, what denoising removed, unknown scattering, and model error."""
+    """Standard deviation of the relief: noise, what denoising removed, unknown scattering, and
+    model error."""
     albedo: FloatArray  # diffuse brightness of the first channel, relative
     facts: Mapping[str, Any]
 
 
 def metric_skin(
-    bands: tuple[BandImages, ...], grid: Grid, skin: SkinSettings, p: MetricSettings, networks: Networks | None = None
+    bands: tuple[BandImages, ...],
+    grid: Grid,
+    skin: SkinSettings,
+    p: MetricSettings,
+    networks: Networks | None = None,
 ) -> SkinSurface:
     """The `metric` method for skin: analysis by synthesis.
 
-    The current surface predicts what photometric stereo measures on it behind the skin's scattering; the residual
-    corrects it: first the shape on a coarse grid, from all bands, then the relief on a fine grid, from the white band.
+    The current surface predicts what photometric stereo measures on it behind the skin's
+    scattering; the residual corrects it: first the shape on a coarse grid, from all bands, then the
+    relief on a fine grid, from the white band.
 
-    `bands`: the white band first (red, green, blue, or one channel called ``green``), then near-infrared if there is
-    one; `grid`: fine grid of the images; `skin`: assumed optics; `p`: grids and iterations; `networks`: that estimate
-    the relief and refine the shape (:mod:`splitknit.skin.learned`); without them, relief and specular reflection are
-    separated by their colours.
+    `bands`: the white band first (red, green, blue, or one channel called ``green``), then
+    near-infrared if there is one; `grid`: fine grid of the images; `skin`: assumed optics; `p`:
+    grids and iterations; `networks`: that estimate the relief and refine the shape
+    (:mod:`splitknit.skin.learned`); without them, relief and specular reflection are separated by
+    their colours.
     """
     images = coarse_images(bands, grid, p.plane_mm)
     shape = coarse_shape(images, skin.optics(images.channels), p.coarse_steps)
@@ -198,7 +219,9 @@ def metric_skin(
         "glare": {name: {"roughness": r, "strength": s} for name, (r, s) in shape.glare.items()},
         **estimate.facts,
     }
-    return SkinSurface(smooth - detail, estimate.relief_mm + detail, estimate.deviation_mm, estimate.albedo, facts)
+    return SkinSurface(
+        smooth - detail, estimate.relief_mm + detail, estimate.deviation_mm, estimate.albedo, facts
+    )
 
 
 def metric_polarised(
@@ -206,12 +229,12 @@ def metric_polarised(
 ) -> SkinSurface:
     """The `metric` method behind films.
 
-    The crossed series gives the shape, without specular reflection, and both together a first relief; from there their
-    difference, the specular image, measures the heights. Where there is hardly any specular reflection (matt or wet
-    skin), the result is that of :func:`metric_skin`.
+    The crossed series gives the shape, without specular reflection, and both together a first
+    relief; from there their difference, the specular image, measures the heights. Where there is
+    hardly any specular reflection (matt or wet skin), the result is that of :func:`metric_skin`.
 
-    `images`: whose `bands` are as without films, and whose `crossed` is not None. `skin`, `p`, `networks`: as for
-    :func:`metric_skin`.
+    `images`: whose `bands` are as without films, and whose `crossed` is not None. `skin`, `p`,
+    `networks`: as for :func:`metric_skin`.
     """
     crossed, grid, side = images.crossed, images.grid, images.side
     assert crossed is not None
@@ -219,8 +242,14 @@ def metric_polarised(
     first = metric_skin((white, *images.bands[1:]), grid, skin, p, networks)
     start = first
     if networks is None:  # a relief by colour alone would lead astray
-        start = replace(first, relief_mm=0 * first.relief_mm, deviation_mm=np.full_like(first.deviation_mm, UNKNOWN_MM))
-    height_mm, error_mm, fit = _specular_heights(images, (crossed, side and side[1]), start, films=True)
+        start = replace(
+            first,
+            relief_mm=0 * first.relief_mm,
+            deviation_mm=np.full_like(first.deviation_mm, UNKNOWN_MM),
+        )
+    height_mm, error_mm, fit = _specular_heights(
+        images, (crossed, side and side[1]), start, films=True
+    )
     if fit["specular_over_noise"] < FAINT:
         modelled = metric_skin(images.bands, grid, skin, p, networks)
         return replace(modelled, facts={**modelled.facts, "specular": fit})
@@ -233,8 +262,8 @@ def metric_side(
 ) -> SkinSurface:
     """The `metric` method under lights to the side, without films.
 
-    As :func:`metric_polarised`, but the specular image is what is white in the photographs, with light of short paths
-    in the skin, and gives of the shape only what is finer than `SHAPE_MM`.
+    As :func:`metric_polarised`, but the specular image is what is white in the photographs, with
+    light of short paths in the skin, and gives of the shape only what is finer than `SHAPE_MM`.
 
     `images`: whose `side` is not None, and `crossed` None.
     """
@@ -258,17 +287,21 @@ def metric_side(
     return _with_heights(first, rest, error_mm, grid, relief_by="side", specular=fit)
 
 
-def _with_heights(first: SkinSurface, rest: FloatArray, error_mm: FloatArray, grid: Grid, **facts: Any) -> SkinSurface:
+def _with_heights(
+    first: SkinSurface, rest: FloatArray, error_mm: FloatArray, grid: Grid, **facts: Any
+) -> SkinSurface:
     """The first surface with what heights measured by the specular image have beyond its shape."""
     slow = grid.smooth(rest, grid.mask, KNIT_MM)
-    return SkinSurface(first.shape_mm + slow, rest - slow, error_mm, first.albedo, {**first.facts, **facts})
+    return SkinSurface(
+        first.shape_mm + slow, rest - slow, error_mm, first.albedo, {**first.facts, **facts}
+    )
 
 
 def _specular_heights(
     images: SkinImages, matt: tuple[BandImages, BandImages | None], start: SkinSurface, films: bool
 ) -> tuple[FloatArray, FloatArray, dict[str, float]]:
-    """What :func:`polarised_heights` finds from `start`; `matt`: the white band, and that under lights to the side,
-    without specular reflection."""
+    """What :func:`polarised_heights` finds from `start`; `matt`: the white band, and that under
+    lights to the side, without specular reflection."""
     grid = images.grid
     shape_mm = start.shape_mm
     specular = specular_images(images.bands[0], matt[0], images.parallel, grid, shape_mm)
@@ -286,20 +319,25 @@ def _specular_heights(
 
 
 def without_white(band: BandImages, part: FloatArray) -> BandImages:
-    """Images (red, green, blue) less what is white in them, blue less `part` (h, w) of the red: about as behind
-    crossed films."""
+    """Images (red, green, blue) less what is white in them, blue less `part` (h, w) of the red:
+    about as behind crossed films."""
     return replace(band, stack=band.stack - (band.stack[2] - part * band.stack[0]) / 2)
 
 
 def relief_and_shape(
-    images: CoarseImages, shape: Shape, optics: Mapping[str, Diffusion], networks: Networks, rounds: int
+    images: CoarseImages,
+    shape: Shape,
+    optics: Mapping[str, Diffusion],
+    networks: Networks,
+    rounds: int,
 ) -> tuple[FloatArray, ReliefEstimate]:
     """Smooth shape (h, w) on the fine grid and the relief on it by networks, each from the other.
 
-    The relief network sees the images on the first shape, upright for the shape network, then in two more orientations
-    for the mean that counts; on the refined shape, only what follows from its output changes. A
-    minimum-mean-square-error estimate shrinks, so its variance is restored. Where the images are crossed, the last
-    relief is estimated from the images without films instead, which is another estimate than the first.
+    The relief network sees the images on the first shape, upright for the shape network, then in
+    two more orientations for the mean that counts; on the refined shape, only what follows from its
+    output changes. A minimum-mean-square-error estimate shrinks, so its variance is restored. Where
+    the images are crossed, the last relief is estimated from the images without films instead,
+    which is another estimate than the first.
     """
     grid, network, films = images.fine, networks.relief, images.white.unpolarised
     refinements = rounds - 1 if networks.shape is not None else 0
@@ -308,7 +346,9 @@ def relief_and_shape(
     smooth = on_fine_grid(shape.height_mm, images)
     light = features(images.white, grid, smooth, white_light_on(shape.height_mm, images))
     upright, levels = network(light.fields), light.level[:2] * grid.mask
-    output = upright if films is not None else relief_network(network, TURNED, upright)(light.fields)
+    output = (
+        upright if films is not None else relief_network(network, TURNED, upright)(light.fields)
+    )
     del light
     first = relief_of_output(upright, levels, grid, smooth)
     for _ in range(refinements):
@@ -317,7 +357,9 @@ def relief_and_shape(
         smooth = on_fine_grid(shape.height_mm, images)
     if films is None:
         return smooth, variance_restored(relief_of_output(output, levels, grid, smooth))
-    light = features(films, grid, smooth, white_light_on(shape.height_mm, replace(images, white=films)))
+    light = features(
+        films, grid, smooth, white_light_on(shape.height_mm, replace(images, white=films))
+    )
     relief = relief_by_network(light, grid, smooth, relief_network(network, TURNED))
     relief = variance_restored(relief)
     of_crossed = variance_restored(first).relief_mm - relief.relief_mm
@@ -328,9 +370,15 @@ def relief_and_shape(
 def opaque_surface(photographs: FingerPhotographs, settings: PipelineSettings) -> FingerSurface:
     """The surface of a thing that scatters no light inside."""
     white, nir = photographs.white_and_nir(settings.metric.plane_mm)
-    surface = metric_opaque(white, nir, settings.parameters(bool(white.band.colours), white.capture.material))
+    surface = metric_opaque(
+        white, nir, settings.parameters(bool(white.band.colours), white.capture.material)
+    )
     shape_source = "white" if nir == white else "nir"
-    facts: dict[str, Any] = {"shape_source": shape_source, "separation": OPAQUE, "heights": "measured"}
+    facts: dict[str, Any] = {
+        "shape_source": shape_source,
+        "separation": OPAQUE,
+        "heights": "measured",
+    }
     if (unsure := bas_relief_of(white.rig)) is None:
         return replace(surface, facts=facts)
     deviation_um = bas_relief_um(surface.height_mm, white.inside, white.pitch_mm, unsure)
@@ -355,7 +403,8 @@ def skin_surface(photographs: FingerPhotographs, settings: PipelineSettings) -> 
 
 
 def undoes_blur(material: str, skin: SkinSettings) -> bool:
-    """Whether subsurface scattering is undone: as the settings say, else where the capture's material is skin."""
+    """Whether subsurface scattering is undone: as the settings say, else where the capture's
+    material is skin."""
     return material == "skin" if skin.invert_blur is None else skin.invert_blur
 
 
@@ -435,15 +484,17 @@ def _findings_on(images: SkinImages, surface: SkinSurface) -> tuple[Finding, ...
             little = LITTLE_GLOSS_NOTE.format(100 * facts["gain_uncertainty"])
             notes.append(Finding("little-gloss", little))
     heights = surface.relief_mm[images.grid.mask]
-    relief_um = 1000.0 * float(np.subtract(*np.percentile(heights, (95, 5)))) if heights.size else 0.0
+    relief_um = (
+        1000.0 * float(np.subtract(*np.percentile(heights, (95, 5)))) if heights.size else 0.0
+    )
     return (*notes, *RELIEF.notes(relief_um, ODD_RELIEF))
 
 
 def near_slopes(
     photographs: FingerBand, p: NormalsSettings, height: HeightSettings
 ) -> tuple[Slopes, FloatArray, FloatArray]:
-    """Slopes, albedo and normals of one band of an opaque thing: near lights and the surface that they reach, in
-    turns."""
+    """Slopes, albedo and normals of one band of an opaque thing: near lights and the surface that
+    they reach, in turns."""
     rig, inside = photographs.rig, photographs.inside
     if p.method != "near_light":
         lights = rig.light_vectors()

@@ -1,4 +1,5 @@
-"""What a method works on, photographs of a finger that was found; and what it returns, the surface in its window."""
+"""What a method works on, photographs of a finger that was found; and what it returns, the surface
+in its window."""
 
 from __future__ import annotations
 
@@ -27,12 +28,13 @@ if TYPE_CHECKING:
     from splitknit.mirrors.captured import SeenInMirrors
 
 NO_NIR = (
-    "there is no near-infrared band: the shape comes from the white band, in which ridges, scattering and specular "
-    "reflection bend it."
+    "there is no near-infrared band: the shape comes from the white band, in which ridges,"
+    " scattering and specular reflection bend it."
 )
 _SIDE_UNUSED = (
-    "the {} white images lit far more from the side than the others are not used: by the published cases, and where no "
-    "network estimates the ridges, the shadows in them would be taken for the skin's shape."
+    "the {} white images lit far more from the side than the others are not used: by the published"
+    " cases, and where no network estimates the ridges, the shadows in them would be taken for the"
+    " skin's shape."
 )
 
 
@@ -78,7 +80,8 @@ class FingerPhotographs:
 
     capture: Capture
     finger: Finger
-    bands: tuple[Band, ...]  # the white band, and the near-infrared one if the shape is to come from it
+    # the white band, and the near-infrared one if the shape is to come from it
+    bands: tuple[Band, ...]
     findings: tuple[Finding, ...] = ()
     specular: FloatArray | None = None
     """(H, W) picture of the specular reflection, of a polarised capture."""
@@ -98,14 +101,16 @@ class FingerPhotographs:
 
 
 def prepared(capture: Capture, settings: PipelineSettings) -> FingerPhotographs:
-    """Photographs in which the finger was found; where it moved between the shots, that is undone, so that they show
-    it in one place. Raises BadInput if there is none.
+    """Photographs in which the finger was found; where it moved between the shots, that is undone,
+    so that they show it in one place. Raises BadInput if there is none.
     """
     capture, finger = locate_finger(_with_promised_light(capture), settings.finding())
     names = ["white"]
     if settings.shape.source == "nir" and not settings.visible_alone and "nir" in capture.bands:
         names.append("nir")
-    return FingerPhotographs(capture, finger, tuple(capture.bands[name] for name in names), finger.findings)
+    return FingerPhotographs(
+        capture, finger, tuple(capture.bands[name] for name in names), finger.findings
+    )
 
 
 @shared
@@ -113,7 +118,8 @@ def prepared(capture: Capture, settings: PipelineSettings) -> FingerPhotographs:
 def locate_finger(capture: Capture, settings: FingerSettings) -> tuple[Capture, Finger]:
     """Segmentation mask, pose, crease and quality, in aligned photographs."""
     lit, of_colours = prepared_capture(capture, settings)
-    lit, films = aligned(lit)  # before motion is measured, which would take the shift of the image for one
+    # before motion is measured, which would take the shift of the image for one
+    lit, films = aligned(lit)
     steady, finger = find_steady_finger(without_side_lights(lit), settings)
     steady, of_side = without_moved_side(steady, finger)
     saved_as_jpeg, of_files = jpeg(lit, finger)
@@ -123,12 +129,15 @@ def locate_finger(capture: Capture, settings: FingerSettings) -> tuple[Capture, 
 
 
 def diagnosed(photographs: FingerPhotographs, settings: PipelineSettings) -> FingerPhotographs:
-    """The photographs without those that do not fit the others, and what is wrong with them, the worst first."""
+    """The photographs without those that do not fit the others, and what is wrong with them, the
+    worst first."""
     capture, finger, diagnosis = diagnose(photographs.capture, photographs.finger)
     bands = tuple(capture.bands[band.name] for band in photographs.bands)
     findings = [*diagnosis, *photographs.findings]
     if len(bands) == 1:  # what is wrong with a band that is not used spoils nothing
-        findings = [each for each in findings if each.severity == Severity.NOTE or each.band == "white"]
+        findings = [
+            each for each in findings if each.severity == Severity.NOTE or each.band == "white"
+        ]
     side = bands[0].side
     if side is not None and settings.method == "thesis":
         findings.append(side_unused(len(side.leds)))
@@ -137,12 +146,17 @@ def diagnosed(photographs: FingerPhotographs, settings: PipelineSettings) -> Fin
         findings.append(Finding("no-nir", NO_NIR))
     if (unsure := bas_relief_of(capture.rig)) is not None:
         findings.insert(0, Finding("bas-relief", bas_relief_note(unsure)))
-    return FingerPhotographs(capture, finger, bands, worst_first(findings), specular_of(capture, finger.mask))
+    return FingerPhotographs(
+        capture, finger, bands, worst_first(findings), specular_of(capture, finger.mask)
+    )
 
 
 def _with_promised_light(capture: Capture) -> Capture:
-    """Where images are divided by flat ones: with the brightness that the rig's lights have on a flat surface."""
-    flat = {name: (band, band.flat) for name, band in capture.bands.items() if band.flat is not None}
+    """Where images are divided by flat ones: with the brightness that the rig's lights have on a
+    flat surface."""
+    flat = {
+        name: (band, band.flat) for name, band in capture.bands.items() if band.flat is not None
+    }
     promised = {
         name: replace(band, promised=flat_promised(capture.rig.select(band.lights), image.shape))
         for name, (band, image) in flat.items()
@@ -159,17 +173,20 @@ class FingerSurface:
     shape_mm: FloatArray
     albedo: FloatArray
     normals: FloatArray | None = None
-    """(h, w, 3) measured by photometric stereo, in the rig's frame; None where the method measures none."""
+    """(h, w, 3) measured by photometric stereo, in the rig's frame; None where the method measures
+    none."""
     uncertainty_um: FloatArray | None = None
     whole: bool = False
-    """Whether the surface is not split into relief and shape: its height is what the thesis's matcher takes."""
+    """Whether the surface is not split into relief and shape: its height is what the thesis's
+    matcher takes."""
     facts: Mapping[str, Any] = field(default_factory=dict)
     findings: tuple[Finding, ...] = ()
 
 
 @step("result")
 def placed(photographs: FingerPhotographs, surface: FingerSurface, top_mm: float) -> Reconstruction:
-    """The window's surface in the full image, cut to the mask, with the normals of the knitted height.
+    """The window's surface in the full image, cut to the mask, with the normals of the knitted
+    height.
 
     `top_mm`: assumed height of the highest point above the finger plane.
     """
@@ -187,7 +204,8 @@ def placed(photographs: FingerPhotographs, surface: FingerSurface, top_mm: float
 
     def whole_normals(part: FloatArray) -> FloatArray:
         image = np.zeros((*mask.shape, 3), dtype=np.float32)
-        np.copyto(image[window], part, where=inside[..., None])  # no negative zeros, which pack badly
+        # no negative zeros, which pack badly
+        np.copyto(image[window], part, where=inside[..., None])
         return image
 
     return Reconstruction(
@@ -215,22 +233,27 @@ def placed(photographs: FingerPhotographs, surface: FingerSurface, top_mm: float
 
 
 NOT_SPLIT = (
-    "this preset keeps the visible surface whole, so that a shape from mirrors has no place in it: take `preset` "
-    "metric or snk."
+    "this preset keeps the visible surface whole, so that a shape from mirrors has no place in it:"
+    " take `preset` metric or snk."
 )
 
 
 @step("finger")
 def mirror_views(capture: Capture, settings: PipelineSettings) -> SeenInMirrors:
-    """The finger as mirrors show it. Raises BadInput if there are none, or the settings keep the surface whole."""
-    from splitknit.mirrors.captured import seen_in_mirrors  # large, and needed where there are mirrors
+    """The finger as mirrors show it. Raises BadInput if there are none, or the settings keep the
+    surface whole."""
+    # large, and needed where there are mirrors
+    from splitknit.mirrors.captured import seen_in_mirrors
 
     require(not settings.visible_alone, NOT_SPLIT)
     return seen_in_mirrors(capture, settings.shape.mirror)
 
 
 def on_mirror_shape(
-    photographs: FingerPhotographs, surface: FingerSurface, seen: SeenInMirrors, settings: PipelineSettings
+    photographs: FingerPhotographs,
+    surface: FingerSurface,
+    seen: SeenInMirrors,
+    settings: PipelineSettings,
 ) -> FingerSurface:
     """The surface's relief on the mirrors' shape; the finger ends where no mirror shows it.
 
@@ -243,4 +266,10 @@ def on_mirror_shape(
     photographs.finger = replace(photographs.finger, mask=mask)
     facts = {**surface.facts, **facts}
     findings = (*surface.findings, *seen.shape.findings)
-    return replace(surface, height_mm=shape_mm + surface.ridge_mm, shape_mm=shape_mm, facts=facts, findings=findings)
+    return replace(
+        surface,
+        height_mm=shape_mm + surface.ridge_mm,
+        shape_mm=shape_mm,
+        facts=facts,
+        findings=findings,
+    )

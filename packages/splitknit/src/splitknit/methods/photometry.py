@@ -1,4 +1,5 @@
-"""From linear images to slopes and heights: what the thesis's cases and the `metric` method of opaque things share."""
+"""From linear images to slopes and heights: what the thesis's cases and the `metric` method of
+opaque things share."""
 
 from __future__ import annotations
 
@@ -14,7 +15,12 @@ from splitknit.imaging.geometry import gradients_from_normals, smoothed
 from splitknit.imaging.view import view_of
 from splitknit.integration.frankot_chellappa import frankot_chellappa
 from splitknit.integration.poisson import poisson
-from splitknit.integration.shapelets import REFERENCE_PX_PER_MM, ShapeletSettings, shapelet_response, shapelets
+from splitknit.integration.shapelets import (
+    REFERENCE_PX_PER_MM,
+    ShapeletSettings,
+    shapelet_response,
+    shapelets,
+)
 from splitknit.methods.photographs import FingerBand
 from splitknit.model import Array, BoolArray, FloatArray
 from splitknit.photometric.lambertian import lambertian
@@ -26,14 +32,16 @@ from splitknit.steps import IN_MEMORY, step
 MAX_SLOPE = 6.0
 """Steeper slopes are shortened to this."""
 SLOW_MM = 0.32
-"""Standard deviation of the Gaussian whose mean is the slow part of a surface that is not split: the ridge band's."""
+"""Standard deviation of the Gaussian whose mean is the slow part of a surface that is not split:
+the ridge band's."""
 LEAST_CERTAINTY = 0.003
-"""Certainty of slopes beyond 4 (76 deg), which shadows and the longest slope bend more than noise does. Simulated coins
-(rims of 60 to 89 deg) have the same heights from 1e-4 to 0.01; photographed balls in a gel 1.62 um at 0.01, 1.48 at
-0.003, 1.36 at 0.001, where the integration takes four times as long as at 0.01."""
+"""Certainty of slopes beyond 4 (76 deg), which shadows and the longest slope bend more than noise
+does. Simulated coins (rims of 60 to 89 deg) have the same heights from 1e-4 to 0.01; photographed
+balls in a gel 1.62 um at 0.01, 1.48 at 0.003, 1.36 at 0.001, where the integration takes four times
+as long as at 0.01."""
 IMPOSSIBLE = (
-    "the integrated heights exceed what the slopes allow over the width of the surface; give a `mask` that ends inside "
-    "the steep rim."
+    "the integrated heights exceed what the slopes allow over the width of the surface; give a"
+    " `mask` that ends inside the steep rim."
 )
 OPAQUE = "none (opaque material)"
 
@@ -50,11 +58,17 @@ def by_rows(
 ) -> tuple[FloatArray, FloatArray]:
     """Normals and albedo by a method that works pixel by pixel on the linear images of some rows.
 
-    `without_clipped`: a clipped value of an opaque thing becomes zero, which robust weights take for shadow.
-    All rows at once, or strips of rows where the images take more than :data:`splitknit.steps.IN_MEMORY`.
+    `without_clipped`: a clipped value of an opaque thing becomes zero, which robust weights take
+    for shadow. All rows at once, or strips of rows where the images take more than
+    :data:`splitknit.steps.IN_MEMORY`.
     """
     band, inside, encoding = photographs.band, photographs.inside, photographs.capture.encoding
-    drop = without_clipped and photographs.capture.material == "opaque" and band.crossed is None and not band.colours
+    drop = (
+        without_clipped
+        and photographs.capture.material == "opaque"
+        and band.crossed is None
+        and not band.colours
+    )
     rows, columns = photographs.finger.window
     height, width = inside.shape
     strip = max(1, IN_MEMORY // (4 * len(band.lights) * width))
@@ -101,25 +115,32 @@ def integrated(slopes: Slopes, photographs: FingerBand, p: HeightSettings) -> Fl
     if p.method == "frankot_chellappa":
         return frankot_chellappa(*slopes, photographs.inside) * photographs.pitch_mm
     inside = photographs.inside
-    certainty = 1.0 / np.square(1.0 + slopes[0] ** 2 + slopes[1] ** 2)  # 1 / variance of a slope, of a normal's noise
+    # 1 / variance of a slope, of a normal's noise
+    certainty = 1.0 / np.square(1.0 + slopes[0] ** 2 + slopes[1] ** 2)
     height = poisson(*slopes, inside, np.maximum(certainty, LEAST_CERTAINTY))
     steepest = float(np.hypot(*slopes).max())
-    depth, across = np.nanmax(height) - np.nanmin(height), sum(inside.any(axis=k).sum() for k in (0, 1))
+    depth, across = (
+        np.nanmax(height) - np.nanmin(height),
+        sum(inside.any(axis=k).sum() for k in (0, 1)),
+    )
     require(depth <= max(steepest * across, 1.0), IMPOSSIBLE)
     return height * photographs.pitch_mm
 
 
 @step("surface")
 def ridge_relief(slopes: Slopes, photographs: FingerBand, p: ShapeletSettings) -> FloatArray:
-    """(h, w) relief in mm that a bank of shapelets extracts from slopes (thesis, section 3.3.1.3)."""
+    """(h, w) relief in mm that a bank of shapelets extracts from slopes (thesis, section
+    3.3.1.3)."""
     return shapelets(*slopes, photographs.inside, _bank(photographs, p)) * photographs.pitch_mm
 
 
 @step("surface")
 def fast_part(height_mm: FloatArray, photographs: FingerBand) -> FloatArray:
-    """(h, w) relief in mm of a surface that is not split: its height less its slow part, for pictures and prints.
+    """(h, w) relief in mm of a surface that is not split: its height less its slow part, for
+    pictures and prints.
 
-    The slow part is a Gaussian mean, taken twice: the second finds what the first missed at the outline and on curves.
+    The slow part is a Gaussian mean, taken twice: the second finds what the first missed at the
+    outline and on curves.
     """
     sigma_px = SLOW_MM * photographs.px_per_mm
     rest = height_mm - smoothed(height_mm, photographs.inside, sigma_px)
@@ -127,7 +148,8 @@ def fast_part(height_mm: FloatArray, photographs: FingerBand) -> FloatArray:
 
 
 def ridge_response(photographs: FingerBand, p: ShapeletSettings) -> Callable[[Array], Any]:
-    """Gain of the shapelets by frequency; beyond their finest scale it stays, so that a crossover keeps all detail."""
+    """Gain of the shapelets by frequency; beyond their finest scale it stays, so that a crossover
+    keeps all detail."""
     bank = _bank(photographs, p)
     return lambda omega: shapelet_response(np.minimum(omega, np.sqrt(2.0) / bank.sigma_px), bank)
 

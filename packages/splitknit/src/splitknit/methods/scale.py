@@ -22,17 +22,21 @@ def with_scale(
 ) -> tuple[Capture, str]:
     """Give a capture the scale that nobody has measured yet.
 
-    `px_per_mm`: pixels a millimetre on the object; `ridge_period_mm`: instead, the distance of the finger's ridges on
-    the skin; 0.45 is usual, people differ by 8 % (standard deviation), and heights with the scale. Raises BadInput if
-    the capture has a scale, both ways are given, a number is no scale or ridge period, or no ridges are found.
+    `px_per_mm`: pixels a millimetre on the object; `ridge_period_mm`: instead, the distance of the
+    finger's ridges on the skin; 0.45 is usual, people differ by 8 % (standard deviation), and
+    heights with the scale. Raises BadInput if the capture has a scale, both ways are given, a
+    number is no scale or ridge period, or no ridges are found.
 
-    Returns the capture with the scale (the same one where neither is given), and how the scale was found in the ridges
-    and how well it is known, else an empty text.
+    Returns the capture with the scale (the same one where neither is given), and how the scale was
+    found in the ridges and how well it is known, else an empty text.
     """
     if px_per_mm is None and ridge_period_mm is None:
         return capture, ""
     camera, note = capture.rig.camera, ""
-    require(not camera.scale_known, f"it has a scale already: {camera.px_per_mm:g} px/mm in its rig file.")
+    require(
+        not camera.scale_known,
+        f"it has a scale already: {camera.px_per_mm:g} px/mm in its rig file.",
+    )
     if ridge_period_mm is not None:
         normals, mask = _plain_normals(capture)
         px_per_mm, note = scale_of_ridges(normals, mask, px_per_mm, ridge_period_mm)
@@ -42,7 +46,8 @@ def with_scale(
 
 
 def _plain_normals(capture: Capture) -> tuple[FloatArray, BoolArray]:
-    """Normals of the white band by plain photometric stereo, where nothing of a finger is looked for."""
+    """Normals of the white band by plain photometric stereo, where nothing of a finger is looked
+    for."""
     plain = PRESETS["ea"]
     photographs = diagnosed(prepared(replace(capture, material="opaque"), plain), plain)
     result = placed(photographs, thesis_surface(photographs, plain), plain.top_mm)
@@ -50,16 +55,24 @@ def _plain_normals(capture: Capture) -> tuple[FloatArray, BoolArray]:
 
 
 def with_working_scale(capture: Capture) -> tuple[Capture, tuple[Finding, ...]]:
-    """Skin at a plausible scale, and a note where the scale is odd, also an object's: methods for skin work in mm.
+    """Skin at a plausible scale, and a note where the scale is odd, also an object's: methods for
+    skin work in mm.
 
-    Where the scale of skin is unknown, that at which the ridges lie as usual; it is still marked as unknown.
+    Where the scale of skin is unknown, that at which the ridges lie as usual; it is still marked as
+    unknown.
     """
     camera = capture.rig.camera
     view_mm = max(capture.shape) / camera.px_per_mm
     check = f"check the scale of {camera.px_per_mm:g} px/mm (`px_per_mm`)"
     if capture.material != "skin":
-        return capture, OBJECT_VIEW.notes(view_mm, f"{check}, as all lengths follow it") if camera.scale_known else ()
-    away = [float(np.linalg.norm(led.position_mm)) for led in capture.rig.leds if led.position_mm is not None]
+        return capture, OBJECT_VIEW.notes(
+            view_mm, f"{check}, as all lengths follow it"
+        ) if camera.scale_known else ()
+    away = [
+        float(np.linalg.norm(led.position_mm))
+        for led in capture.rig.leds
+        if led.position_mm is not None
+    ]
     remedy = "check the unit of position_mm, millimetres, in the rig file"
     notes: tuple[Finding, ...] = ()
     if away:

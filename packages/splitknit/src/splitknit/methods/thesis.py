@@ -2,7 +2,8 @@
 
 References
 ----------
-A. Srivastava, "Split and Knit Algorithm for 3D fingerprint reconstruction using Single Camera", chapters 3 and 5.
+A. Srivastava, "Split and Knit Algorithm for 3D fingerprint reconstruction using Single Camera",
+chapters 3 and 5.
 """
 
 from __future__ import annotations
@@ -27,7 +28,13 @@ from splitknit.methods.photometry import (
     slopes_of,
 )
 from splitknit.model import Array, FloatArray
-from splitknit.presets import DirectSettings, EnhanceSettings, Parameters, Photometry, PipelineSettings
+from splitknit.presets import (
+    DirectSettings,
+    EnhanceSettings,
+    Parameters,
+    Photometry,
+    PipelineSettings,
+)
 from splitknit.separation.direct import direct_light, direct_of_enhanced
 from splitknit.skin.grid import Slopes
 from splitknit.steps import shared, step
@@ -36,8 +43,8 @@ from splitknit.steps import shared, step
 def ea(white: FingerBand, _: FingerBand, p: Parameters) -> FingerSurface:
     """EA and PR (thesis, section 5.4): the visible surface, whole.
 
-    EA is photometric stereo and integration; PR adds contrast enhancement and direct light. The systems of Kumar,
-    Zheng and Lin are EA with other parameters (:mod:`splitknit.presets`).
+    EA is photometric stereo and integration; PR adds contrast enhancement and direct light. The
+    systems of Kumar, Zheng and Lin are EA with other parameters (:mod:`splitknit.presets`).
     """
     normals, albedo = visible_normals(white, p.photometry)
     height_mm = integrated(slopes_of(normals, white), white, p.height)
@@ -46,7 +53,8 @@ def ea(white: FingerBand, _: FingerBand, p: Parameters) -> FingerSurface:
 
 
 def ea_split(white: FingerBand, _: FingerBand, p: Parameters) -> FingerSurface:
-    """EA or PR with the relief that shapelets extract from the visible surface, as in Split and Knit."""
+    """EA or PR with the relief that shapelets extract from the visible surface, as in Split and
+    Knit."""
     normals, albedo = visible_normals(white, p.photometry)
     slopes = slopes_of(normals, white)
     height_mm = integrated(slopes, white, p.height)
@@ -55,7 +63,8 @@ def ea_split(white: FingerBand, _: FingerBand, p: Parameters) -> FingerSurface:
 
 
 def snk(white: FingerBand, nir: FingerBand, p: Parameters) -> FingerSurface:
-    """Split and Knit (thesis, chapter 3): relief from direct white light, shape from near-infrared light."""
+    """Split and Knit (thesis, chapter 3): relief from direct white light, shape from near-infrared
+    light."""
     normals, albedo = visible_normals(white, p.photometry)  # 3.3.1
     relief = ridge_relief(slopes_of(normals, white), white, p.shapelets)  # 3.3.1.3
     shape = integrated(shape_slopes(nir, p.photometry), nir, p.height)  # 3.3.2
@@ -63,7 +72,8 @@ def snk(white: FingerBand, nir: FingerBand, p: Parameters) -> FingerSurface:
 
 
 def snk_by_crossover(white: FingerBand, nir: FingerBand, p: Parameters) -> FingerSurface:
-    """Split and Knit by a crossover of frequencies: H visible + (1 - H) shape, H the gain of the shapelets."""
+    """Split and Knit by a crossover of frequencies: H visible + (1 - H) shape, H the gain of the
+    shapelets."""
     normals, albedo = visible_normals(white, p.photometry)
     shape = integrated(shape_slopes(nir, p.photometry), nir, p.height)
     visible = integrated(slopes_of(normals, white), white, p.height)
@@ -90,11 +100,14 @@ def thesis_surface(photographs: FingerPhotographs, settings: PipelineSettings) -
 
 @step("surface")
 def smoothed_surface(surface: FingerSurface, white: FingerBand, sigma_mm: float) -> FingerSurface:
-    """Kumar's system: a Gaussian over the finished surface; the same surface for a sigma of zero."""
+    """Kumar's system: a Gaussian over the finished surface; the same surface for a sigma of
+    zero."""
     if sigma_mm == 0:
         return surface
     sigma_px = sigma_mm * white.px_per_mm
-    height_mm, ridge_mm = (smoothed(part, white.inside, sigma_px) for part in (surface.height_mm, surface.ridge_mm))
+    height_mm, ridge_mm = (
+        smoothed(part, white.inside, sigma_px) for part in (surface.height_mm, surface.ridge_mm)
+    )
     return replace(surface, height_mm=height_mm, ridge_mm=ridge_mm, shape_mm=height_mm - ridge_mm)
 
 
@@ -110,7 +123,9 @@ def visible_normals(white: FingerBand, p: Photometry) -> tuple[FloatArray, Float
         return by_rows(white, solve)
     images = _grey_images(white)
     if p.balance:
-        images = balanced(images, white.capture.rig, white.band, white.finger.mask[white.finger.window])
+        images = balanced(
+            images, white.capture.rig, white.band, white.finger.mask[white.finger.window]
+        )
     if p.enhance.clahe:
         images = _equalised(images, white, p.enhance)
     if p.direct.method == "network":
@@ -125,7 +140,8 @@ def shape_slopes(nir: FingerBand, p: Photometry) -> Slopes:
 
 
 def _lights(photographs: FingerBand, enhance: EnhanceSettings) -> Array:
-    """(L, 3) distant lights; of unit length beside equalised images, which have no common scale of brightness."""
+    """(L, 3) distant lights; of unit length beside equalised images, which have no common scale of
+    brightness."""
     lights = photographs.rig.light_vectors()
     return lights / np.linalg.norm(lights, axis=1, keepdims=True) if enhance.clahe else lights
 
@@ -151,7 +167,9 @@ def _direct_images(images: FloatArray, white: FingerBand, direct: DirectSettings
     if not (direct.from_colours and has_colour(white.band)):
         return direct_light(inside, direct.network)
     encoding, window = white.capture.encoding, white.finger.window
-    colours = np.moveaxis(linear_channels(white.band, encoding, ("red", "green", "blue"), window), 0, 1)
+    colours = np.moveaxis(
+        linear_channels(white.band, encoding, ("red", "green", "blue"), window), 0, 1
+    )
     return direct_of_enhanced(inside, colours * (inside > 0)[:, None], direct.network)
 
 

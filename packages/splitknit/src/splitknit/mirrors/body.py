@@ -1,10 +1,12 @@
-"""The finger as a body: oval sections along a bent axis, with smooth half axes, that end in a rounded tip.
+"""The finger as a body: oval sections along a bent axis, with smooth half axes, that end in a
+rounded tip.
 
-Finger frame, mm: u level along the finger, growing to the tip; t to the right of it; z to the camera. The section at u
-is the oval of points (t + a X + sigma b Z, z + b Z) with X = sin w, Z = cos w (1 + kappa sin^2 w): an ellipse for
-kappa = 0, with a flatter pad and rounder shoulders above; it is smooth, and upright at its sides. The shear sigma
-stands for roll and for pads that lie to a side. Half axes are a = s A(s), b = s B(s) with s^2 the distance from the tip
-over the length: near its tip any smooth body is like that. Centre lines, A and B are cubic splines.
+Finger frame, mm: u level along the finger, growing to the tip; t to the right of it; z to the
+camera. The section at u is the oval of points (t + a X + sigma b Z, z + b Z) with X = sin w, Z =
+cos w (1 + kappa sin^2 w): an ellipse for kappa = 0, with a flatter pad and rounder shoulders above;
+it is smooth, and upright at its sides. The shear sigma stands for roll and for pads that lie to a
+side. Half axes are a = s A(s), b = s B(s) with s^2 the distance from the tip over the length: near
+its tip any smooth body is like that. Centre lines, A and B are cubic splines.
 """
 
 from __future__ import annotations
@@ -25,8 +27,8 @@ MAX_SQUARE = 0.45  # beyond, the oval is no longer convex
 
 
 SeenHeights = tuple[FloatArray, FloatArray, FloatArray, BoolArray, BoolArray]
-"""x, y and z (h, w), mm, finite everywhere, of the surface on the rays of a window's pixels; whether they meet it; and
-which lie in rows of the finger that the outlines reach."""
+"""x, y and z (h, w), mm, finite everywhere, of the surface on the rays of a window's pixels;
+whether they meet it; and which lie in rows of the finger that the outlines reach."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -50,7 +52,8 @@ class Body:
     shear_slope: float = 0.0
     """Its growth from the tip to the base."""
     _lines: tuple[Array, Array] = field(init=False, repr=False)
-    """The splines of the centre and of the half axes, (N, 2) each, at the nodes of the table of their basis."""
+    """The splines of the centre and of the half axes, (N, 2) each, at the nodes of the table of
+    their basis."""
 
     def __post_init__(self) -> None:
         table = _basis_table(self.coefficients.shape[1])
@@ -83,7 +86,8 @@ class Body:
         return _Sections(t, z, a, b, shear, self.squareness)
 
     def heights(self, camera: Camera, rows: slice, columns: slice, binning: int = 1) -> SeenHeights:
-        """Where the rays of a window's pixels or blocks meet the body; beside it its outline's z goes on."""
+        """Where the rays of a window's pixels or blocks meet the body; beside it its outline's z
+        goes on."""
         view = view_of(camera, rows, columns, binning=binning)
         plane_x, plane_y = np.broadcast_arrays(*view.on_plane())
         table = _table_of(self)
@@ -112,7 +116,8 @@ class _Sections:
     squareness: float
 
     def support(self, normal_t: Array, normal_z: Array) -> tuple[Array, Array, Array]:
-        """How far the section reaches along (normal_t, normal_z), and its derivatives by a and b."""
+        """How far the section reaches along (normal_t, normal_z), and its derivatives by a and
+        b."""
         x, rise, turned = self._touched(normal_t, normal_z)
         by_a = normal_t * x
         by_b = turned * rise
@@ -124,7 +129,8 @@ class _Sections:
         return self.t + self.a * x + self.shear * self.b * rise, self.z + self.b * rise
 
     def _touched(self, normal_t: Array, normal_z: Array) -> tuple[Array, Array, Array]:
-        """X and Z where a line of that normal touches, and the normal's second part after the shear."""
+        """X and Z where a line of that normal touches, and the normal's second part after the
+        shear."""
         turned = normal_z + self.shear * normal_t
         steepness = np.arctan2(np.abs(self.a * normal_t), np.abs(self.b * turned))
         angle = np.interp(steepness, *_oval_table(self.squareness))
@@ -135,7 +141,8 @@ class _Sections:
 
 @lru_cache(maxsize=64)
 def _oval_table(squareness: float) -> tuple[Array, Array]:
-    """Steepness, away from Z, of the normal of the oval X = sin w, Z = cos w (1 + k sin^2 w) at nodes w, and these."""
+    """Steepness, away from Z, of the normal of the oval X = sin w, Z = cos w (1 + k sin^2 w) at
+    nodes w, and these."""
     node = np.linspace(0.0, 0.5 * np.pi, OVAL_NODES)
     sine = np.sin(node)
     cosine = np.cos(node)
@@ -149,11 +156,14 @@ def basis(x: Array, count: int) -> Array:
 
 
 def _between(table: Array, x: Array) -> Array:
-    """(..., K) columns of a table (N, K) of values at evenly spaced places on [0, 1], at places `x` (...)."""
+    """(..., K) columns of a table (N, K) of values at evenly spaced places on [0, 1], at places `x`
+    (...)."""
     place = np.minimum(np.maximum(x, 0.0), 1.0) * (len(table) - 1)
     below = np.minimum(place.astype(np.intp), len(table) - 2)
     fraction = (place - below)[..., None]
-    return np.asarray(table.take(below, axis=0) * (1.0 - fraction) + table.take(below + 1, axis=0) * fraction)
+    return np.asarray(
+        table.take(below, axis=0) * (1.0 - fraction) + table.take(below + 1, axis=0) * fraction
+    )
 
 
 @cache
@@ -171,8 +181,9 @@ STEEPEST_DEG = 24.0  # slopes of the skin are used up to here: steeper skin look
 
 
 def _table_of(body: Body) -> tuple[FloatArray, FloatArray]:
-    """The side of `body` that faces the camera, tabled evenly over s: t (2, S) of its outline on the left and right,
-    and z (S, NODES), evenly over the arc sine of the place across, -pi/2 to pi/2.
+    """The side of `body` that faces the camera, tabled evenly over s: t (2, S) of its outline on
+    the left and right, and z (S, NODES), evenly over the arc sine of the place across, -pi/2 to
+    pi/2.
     """
     s = np.linspace(0.0, 1.0, _DENSE_STATIONS)
     s[0] = 1e-3
@@ -209,7 +220,9 @@ def _looked_up(
 
 
 def _remapped(table: FloatArray, columns: FloatArray, rows: FloatArray) -> FloatArray:
-    return np.asarray(cv2.remap(table, columns, rows, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE))
+    return np.asarray(
+        cv2.remap(table, columns, rows, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+    )
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -222,7 +235,8 @@ class Slopes:
 
 
 def slopes_across(body: Body, slopes: Slopes) -> Array:
-    """Slope of the body across its axis minus the measured one (n,); NaN where it is steep or beside the body."""
+    """Slope of the body across its axis minus the measured one (n,); NaN where it is steep or
+    beside the body."""
     level = slopes.places_mm - body.origin_mm
     t = level @ body.across
     u = level @ body.axis

@@ -1,4 +1,5 @@
-"""The shape from mirrors: views, slopes of the skin in white light, the fit, and the shape on the finger's window."""
+"""The shape from mirrors: views, slopes of the skin in white light, the fit, and the shape on the
+finger's window."""
 
 from __future__ import annotations
 
@@ -20,13 +21,21 @@ from splitknit.integration.knit import crossover, unevenness
 from splitknit.mirrors.body import Slopes
 from splitknit.mirrors.mirror import MirrorShape, mirror_shape
 from splitknit.mirrors.outline import medial_line
-from splitknit.mirrors.reflection import Glass, facing_fraction, glass_in, led_image, mirrored_fraction, shade_of
+from splitknit.mirrors.reflection import (
+    Glass,
+    facing_fraction,
+    glass_in,
+    led_image,
+    mirrored_fraction,
+    shade_of,
+)
 from splitknit.mirrors.settings import MirrorShapeSettings
 from splitknit.mirrors.views import Views, view_binning, views_in
 from splitknit.model import Array, BoolArray, Capture, FloatArray, Rig
 from splitknit.photometric.near_light import pseudo_normals
 
-DETAIL_MM = 1.5  # what is finer is taken from white light: creases; light by way of the mirrors bends what is wider
+# what is finer is taken from white light: creases; light by way of the mirrors bends what is wider
+DETAIL_MM = 1.5
 SLOPES_MM = 0.25  # pitch of the images from which slopes are measured
 APART_MM = 1.0  # distance of the places whose slopes are used
 RIM_MM = 1.2  # skin nearer to the outline than this is not used: light is lost there
@@ -44,10 +53,11 @@ class SeenInMirrors:
 def mirror_shape_of(
     finger: Finger, seen: SeenInMirrors, detail_mm: FloatArray | None
 ) -> tuple[FloatArray, BoolArray, dict[str, Any]]:
-    """The shape (h, w) from mirrors on the finger's window, in mm; the finger's mask (H, W) as far as the mirrors show
-    it; and facts for the result. Every pixel of the front view has its own z of the shape, so that relief and shape
-    need no other mapping. `detail_mm`: (h, w) a shape from light, of which what is finer than `DETAIL_MM`
-    is kept: creases, and what no smooth section has; None: nothing is.
+    """The shape (h, w) from mirrors on the finger's window, in mm; the finger's mask (H, W) as far
+    as the mirrors show it; and facts for the result. Every pixel of the front view has its own z of
+    the shape, so that relief and shape need no other mapping. `detail_mm`: (h, w) a shape from
+    light, of which what is finer than `DETAIL_MM` is kept: creases, and what no smooth section has;
+    None: nothing is.
     """
     camera = seen.capture.rig.camera
     window = finger.window
@@ -63,19 +73,28 @@ def mirror_shape_of(
         shape = np.where(inside, finer, shape)
     kept = finger.mask.copy()
     kept[window] &= known
-    require(kept.any(), "the mirrors show another part of the finger than the front view; check the rig file.")
-    facts = {"shape_source": "mirror", "mirror_shape": seen.shape.facts, "mirror_drawing": _drawing(seen)}
+    require(
+        kept.any(),
+        "the mirrors show another part of the finger than the front view; check the rig file.",
+    )
+    facts = {
+        "shape_source": "mirror",
+        "mirror_shape": seen.shape.facts,
+        "mirror_drawing": _drawing(seen),
+    }
     return shape, kept, facts
 
 
 def _drawing(seen: SeenInMirrors) -> dict[str, Any]:
-    """Masks' outlines, medial lines and the fitted body's outlines of all views, columns and rows of
-    the image."""
+    """Masks' outlines, medial lines and the fitted body's outlines of all views, columns and rows
+    of the image."""
     rig = seen.capture.rig
     binning = seen.views.binning
     masks = {}
     for name, mask in {"front": seen.views.front, **seen.views.mirrors}.items():
-        contours, _ = cv2.findContours(mask.astype(np.uint8), cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_SIMPLE)
+        contours, _ = cv2.findContours(
+            mask.astype(np.uint8), cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_SIMPLE
+        )
         outline = cv2.approxPolyDP(max(contours, key=cv2.contourArea), 0.7, True)[:, 0]
         masks[name] = (outline + 0.5) * binning - 0.5
     medial_lines = {}
@@ -90,7 +109,10 @@ def _drawing(seen: SeenInMirrors) -> dict[str, Any]:
         "mirrors": {mirror.name: mirror_outline(mirror, rig.camera) for mirror in rig.mirrors},
         "fitted": {name: line[::4] for name, line in seen.shape.drawn().items()},
     }
-    return {kind: {name: np.round(line, 1).tolist() for name, line in views.items()} for kind, views in lines.items()}
+    return {
+        kind: {name: np.round(line, 1).tolist() for name, line in views.items()}
+        for kind, views in lines.items()
+    }
 
 
 def require_mirrors(rig: Rig) -> None:
@@ -100,7 +122,8 @@ def require_mirrors(rig: Rig) -> None:
 
 
 def seen_in_mirrors(capture: Capture, settings: MirrorShapeSettings) -> SeenInMirrors:
-    """Views and shape of a capture; BadInput if the rig has no mirrors, or they do not show one finger."""
+    """Views and shape of a capture; BadInput if the rig has no mirrors, or they do not show one
+    finger."""
     views, grey = found_views(capture)
     tip = capture.tip_direction_deg or 0.0
     slopes_on = partial(skin_slopes, capture, grey, views)
@@ -109,8 +132,8 @@ def seen_in_mirrors(capture: Capture, settings: MirrorShapeSettings) -> SeenInMi
 
 
 def found_views(capture: Capture) -> tuple[Views, FloatArray]:
-    """Which part of a capture's images shows the finger and which shows it in mirrors; its white images (L, h, w).
-    Raises BadInput as :func:`splitknit.mirrors.views.views_in`.
+    """Which part of a capture's images shows the finger and which shows it in mirrors; its white
+    images (L, h, w). Raises BadInput as :func:`splitknit.mirrors.views.views_in`.
     """
     rig = capture.rig
     binning = view_binning(rig.camera.px_per_mm)
@@ -118,15 +141,22 @@ def found_views(capture: Capture) -> tuple[Views, FloatArray]:
     return views_in(mean, rig, binning), grey
 
 
-def skin_slopes(capture: Capture, grey: FloatArray, views: Views, shape: MirrorShape) -> Slopes | None:
-    """Slopes of the skin in the front view, by photometric stereo with the LEDs and their images in the mirrors.
-    `grey`: (L, h, w) white images on the views' grid; `shape`: a first one: it gives where each light reaches the skin.
+def skin_slopes(
+    capture: Capture, grey: FloatArray, views: Views, shape: MirrorShape
+) -> Slopes | None:
+    """Slopes of the skin in the front view, by photometric stereo with the LEDs and their images in
+    the mirrors. `grey`: (L, h, w) white images on the views' grid; `shape`: a first one: it gives
+    where each light reaches the skin.
     """
     camera = capture.rig.camera
     pitch = camera.pitch_mm * views.binning
     factor = max(1, round(SLOPES_MM / pitch))
     inside: BoolArray = bin_mean(views.front.astype(np.float32), factor) > 0.999
-    depth = cv2.distanceTransform(np.pad(inside, 1).astype(np.uint8), cv2.DIST_L2, 5)[1:-1, 1:-1] * pitch * factor
+    depth = (
+        cv2.distanceTransform(np.pad(inside, 1).astype(np.uint8), cv2.DIST_L2, 5)[1:-1, 1:-1]
+        * pitch
+        * factor
+    )
     if len(grey) < 3 or not (depth > RIM_MM).any():
         return None
     block = factor * views.binning
@@ -140,7 +170,9 @@ def skin_slopes(capture: Capture, grey: FloatArray, views: Views, shape: MirrorS
         capture.rig.select(capture.bands["white"].lights),
         [glass_in(mirror, shape.plane(mirror)) for mirror in capture.rig.mirrors],
         np.stack([x, y, surface], axis=-1).astype(np.float64),
-        normals_from_gradients(*height_gradients(np.where(inside, z, np.nan), block_mm)).astype(np.float64),
+        normals_from_gradients(*height_gradients(np.where(inside, z, np.nan), block_mm)).astype(
+            np.float64
+        ),
         view,
     )
     normals = pseudo_normals(bin_mean(grey, factor), rig, surface, inside, view=view)
@@ -150,18 +182,25 @@ def skin_slopes(capture: Capture, grey: FloatArray, views: Views, shape: MirrorS
     known = (inside & (normals[..., 2] > 0.3 * length)).astype(np.float32)
     sigma = 0.5 / block_mm
     fraction = np.maximum(cv2.GaussianBlur(known, (0, 0), sigma), 1e-3)
-    smooth = [cv2.GaussianBlur(-normals[..., k] / upward * known, (0, 0), sigma) / fraction for k in range(2)]
+    smooth = [
+        cv2.GaussianBlur(-normals[..., k] / upward * known, (0, 0), sigma) / fraction
+        for k in range(2)
+    ]
     step = max(1, round(APART_MM / block_mm))
     chosen = np.zeros_like(inside)
     chosen[step // 2 :: step, step // 2 :: step] = True
     chosen &= (depth > RIM_MM) & (known > 0)
     places = np.column_stack([x[chosen], y[chosen]]).astype(np.float64)
-    return Slopes(places, smooth[0][chosen].astype(np.float64), smooth[1][chosen].astype(np.float64))
+    return Slopes(
+        places, smooth[0][chosen].astype(np.float64), smooth[1][chosen].astype(np.float64)
+    )
 
 
-def _with_images(rig: Rig, glasses: Sequence[Glass], points_mm: Array, normals: Array, view: View) -> Rig:
-    """The rig (`rig.leds[k]` lights image k) with the LEDs' images in mirrors `glasses`, each where it reaches the
-    skin. `points_mm`, `normals`: (h, w, 3) of the skin at the pixels of `view`.
+def _with_images(
+    rig: Rig, glasses: Sequence[Glass], points_mm: Array, normals: Array, view: View
+) -> Rig:
+    """The rig (`rig.leds[k]` lights image k) with the LEDs' images in mirrors `glasses`, each where
+    it reaches the skin. `points_mm`, `normals`: (h, w, 3) of the skin at the pixels of `view`.
     """
 
     exposures = []

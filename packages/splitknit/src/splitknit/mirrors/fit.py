@@ -1,9 +1,9 @@
 """A body and mirrors that agree with all outlines: Gauss-Newton on planes that touch the finger.
 
 Every point of every outline implies that a plane touches the body: the support of the section where
-it touches, along the plane's normal, equals the plane's offset. These equations are linear in centre
-lines, nearly linear in the half axes, and hold for any pose of the mirrors; the poses, the tip, the
-sections' squareness and shear are estimated with them.
+it touches, along the plane's normal, equals the plane's offset. These equations are linear in
+centre lines, nearly linear in the half axes, and hold for any pose of the mirrors; the poses, the
+tip, the sections' squareness and shear are estimated with them.
 """
 
 from __future__ import annotations
@@ -22,7 +22,8 @@ from splitknit.mirrors.settings import ANGLE_DEG, OFFSET_MM, OUTLINE_MM, ROW_MM,
 from splitknit.model import Array, BoolArray
 
 Parameter = tuple[str, str]
-"""A parameter that all sections share: its name, and the mirror whose pose it is of ('': the body)."""
+"""A parameter that all sections share: its name, and the mirror whose pose it is of ('': the
+body)."""
 _FORM: list[Parameter] = [("squareness", ""), ("shear", ""), ("shear_slope", "")]
 _DIFFERENCE = {
     "tip_mm": 1e-3,
@@ -77,7 +78,9 @@ class Estimate:
         kind, mirror = parameter
         change: dict[str, Any] = {kind: self.value(parameter) + by}
         if mirror:
-            return Estimate(self.body, {**self.poses, mirror: self.poses[mirror]._replace(**change)})
+            return Estimate(
+                self.body, {**self.poses, mirror: self.poses[mirror]._replace(**change)}
+            )
         return Estimate(replace(self.body, **change), self.poses)
 
     def planes(self, name: str, outline: ViewOutline) -> Touching:
@@ -88,7 +91,10 @@ class Estimate:
 
     def residuals(self, outlines: Outlines) -> dict[str, Array]:
         """(n,) distance of the body beyond the planes of each view, in mm."""
-        return {name: _contacts(self.body, self.planes(name, outline)).residual for name, outline in outlines.items()}
+        return {
+            name: _contacts(self.body, self.planes(name, outline)).residual
+            for name, outline in outlines.items()
+        }
 
     def all_residuals(self, outlines: Outlines) -> Array:
         """Residuals of all views, one after the other."""
@@ -107,7 +113,12 @@ class Fit(Estimate):
     def rms_mm(self) -> dict[str, float]:
         """Weighted root mean square of each view's misfit."""
         return {
-            name: float(np.sqrt(float(np.sum(weight * self.misfit_mm[name] ** 2)) / max(float(weight.sum()), 1e-9)))
+            name: float(
+                np.sqrt(
+                    float(np.sum(weight * self.misfit_mm[name] ** 2))
+                    / max(float(weight.sum()), 1e-9)
+                )
+            )
             for name, weight in self.weights.items()
         }
 
@@ -147,7 +158,8 @@ def touched(body: Body, planes: Touching) -> Array:
 
 # What is expected without outlines, what slopes of the skin add, and the weights of the outlines.
 
-_SLOPE_ERROR = 0.1  # standard deviation of a measured slope of the skin, which looks flatter than it is
+# standard deviation of a measured slope of the skin, which looks flatter than it is
+_SLOPE_ERROR = 0.1
 SHEAR_SD = 0.05  # standard deviation of the shear: a roll by 8 deg gives about 0.045
 # Slopes err together: at specular reflections, and where light by way of a mirror ends.
 INDEPENDENT_SLOPES = 20.0
@@ -170,7 +182,9 @@ def _prefer_smooth(normal: Array, right: Array, body: Body) -> None:
     right[of_b] -= body.coefficients[3] - ratio * body.coefficients[2]
 
 
-def _expected(body: Body, outlines: Outlines, *, with_shear: bool) -> dict[Parameter, tuple[float, float]]:
+def _expected(
+    body: Body, outlines: Outlines, *, with_shear: bool
+) -> dict[Parameter, tuple[float, float]]:
     """Expected value and standard deviation of every shared parameter."""
     expected = {
         ("tip_mm", ""): (body.tip_mm, TIP_SD_MM),
@@ -211,7 +225,8 @@ def _slope_equations(estimate: Estimate, slopes: Slopes) -> tuple[Array, Array]:
 
 
 def _robust_weight(residual: Array, *, settled: bool) -> Array:
-    """Weights (n,) of one view's points, by its own scale; milder ones before the fit is settled."""
+    """Weights (n,) of one view's points, by its own scale; milder ones before the fit is
+    settled."""
     size = np.abs(residual)
     scale = max(OUTLINE_MM, 1.4826 * float(np.median(size)))
     if settled:
@@ -234,12 +249,15 @@ ROUNDS = 9  # corrections
 SURE_FROM = 4  # corrections before points of an outline may be left out altogether
 _HELD_ROUNDS = 3
 _HELD = {"lean_rad": (0.0, 1e-3), "shift_mm": (0.0, 0.05)}
-"""Mirrors keep their nominal place for the first corrections, in which the body's size is estimated:
-under spreading rays a wrong size is otherwise taken for another height, and mirrors follow it."""
+"""Mirrors keep their nominal place for the first corrections, in which the body's size is
+estimated: under spreading rays a wrong size is otherwise taken for another height, and mirrors
+follow it."""
 SETTLED = 0.01  # a correction of the splines (mm) below this is the last one
 
 
-def fit_body(start: Estimate, outlines: Outlines, slopes: Slopes | None = None, rounds: int = ROUNDS) -> Fit:
+def fit_body(
+    start: Estimate, outlines: Outlines, slopes: Slopes | None = None, rounds: int = ROUNDS
+) -> Fit:
     """Fit body and poses from a first guess `start`, the `outlines` of all views and, if given,
     `slopes` of the skin, in so many `rounds` of corrections.
     """
@@ -274,7 +292,9 @@ def fit_body(start: Estimate, outlines: Outlines, slopes: Slopes | None = None, 
             normal[form, form] += form_normal
             right[form] += form_right
         step = np.linalg.solve(normal + 1e-9 * np.diag(np.diag(normal) + 1e-9), right)
-        estimate = _corrected(estimate, step[:splines], dict(zip(expected, step[splines:free], strict=True)))
+        estimate = _corrected(
+            estimate, step[:splines], dict(zip(expected, step[splines:free], strict=True))
+        )
         if turn > SURE_FROM and float(np.abs(step[:splines]).max()) < SETTLED:
             break
     misfit = estimate.residuals(outlines)
@@ -294,10 +314,13 @@ def _corrected(estimate: Estimate, splines: Array, shared: Mapping[Parameter, fl
     return Estimate(replace(estimate.body, squareness=squareness), estimate.poses)
 
 
-APART_MM = 0.12  # views that agree no better than this (rms) have a wrong edge; usual are 0.02 to 0.07
+# views that agree no better than this (rms) have a wrong edge; usual are 0.02 to 0.07
+APART_MM = 0.12
 
 
-def fit_views(start: Estimate, outlines: Outlines, slopes: Slopes | None = None, rounds: int = ROUNDS) -> Fit:
+def fit_views(
+    start: Estimate, outlines: Outlines, slopes: Slopes | None = None, rounds: int = ROUNDS
+) -> Fit:
     """:func:`fit_body`; where the views do not agree, without the one edge of a mirror's view that
     explains it: a dim edge of the finger is sometimes taken to end at the holder behind it.
     """
@@ -324,7 +347,8 @@ def fit_views(start: Estimate, outlines: Outlines, slopes: Slopes | None = None,
 
 
 def _common_errors(estimate: Estimate, outlines: Outlines) -> Array:
-    """Effect of one error of each edge on the residuals (n, 4 a view): even, and linear along it."""
+    """Effect of one error of each edge on the residuals (n, 4 a view): even, and linear along
+    it."""
     body = estimate.body
     views = []
     for name, outline in outlines.items():
@@ -357,7 +381,9 @@ def _linearised(estimate: Estimate, outlines: Outlines) -> tuple[list[Array], Ar
         root = basis(s, count)
         by_t = normal[:, :1] * along
         by_z = normal[:, 2:] * along
-        rows.append(np.column_stack([by_t, by_z, (by_a * s)[:, None] * root, (by_b * s)[:, None] * root]))
+        rows.append(
+            np.column_stack([by_t, by_z, (by_a * s)[:, None] * root, (by_b * s)[:, None] * root])
+        )
         residuals.append(residual)
     return residuals, np.concatenate(rows)
 
@@ -383,7 +409,8 @@ def refuse_misfit(fit: Fit) -> None:
     thickness = float(np.median(fit.body.coefficients[3] / fit.body.coefficients[2]))
     require(
         THICKNESS[0] < thickness < THICKNESS[1],
-        f"{fault}: in the mirrors it would be {thickness:.2f} times as thick as it is broad in front; {alone}.",
+        f"{fault}: in the mirrors it would be {thickness:.2f} times as thick as it is broad in"
+        f" front; {alone}.",
     )
     for name, pose in fit.poses.items():
         off_deg = float(np.rad2deg(max(abs(pose.turn_rad), abs(pose.lean_rad))))

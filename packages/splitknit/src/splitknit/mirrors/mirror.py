@@ -1,4 +1,5 @@
-"""From views to a shape: outlines, a first guess, the fit, and heights on the pixels of the front view."""
+"""From views to a shape: outlines, a first guess, the fit, and heights on the pixels of the front
+view."""
 
 from __future__ import annotations
 
@@ -47,9 +48,12 @@ _KNOTS = 11  # spans of the splines along the finger
 _MAX_TURN_RAD = 0.12  # mirrors are not turned by more
 
 
-def turn_of_tips(views: Views, name: str, camera: Camera, plane: Plane, axis: Array) -> float | None:
-    """Turn of mirror `name`, nominally in `plane`, about the camera's axis, by the tips of two views; None if beyond
-    reason. The line that joins a point with its mirror image touches both outlines at the tip (a frontier point).
+def turn_of_tips(
+    views: Views, name: str, camera: Camera, plane: Plane, axis: Array
+) -> float | None:
+    """Turn of mirror `name`, nominally in `plane`, about the camera's axis, by the tips of two
+    views; None if beyond reason. The line that joins a point with its mirror image touches both
+    outlines at the tip (a frontier point).
     """
     across = np.array([axis[1], -axis[0]])
     front, side = (
@@ -74,11 +78,16 @@ def turn_of_tips(views: Views, name: str, camera: Camera, plane: Plane, axis: Ar
     return float(brentq(apart, -_MAX_TURN_RAD, _MAX_TURN_RAD, xtol=1e-11))
 
 
-def first_body(front: OutlineRows, lateral: Mapping[str, OutlineRows], rays: Touching, squareness: float) -> Body:
+def first_body(
+    front: OutlineRows, lateral: Mapping[str, OutlineRows], rays: Touching, squareness: float
+) -> Body:
     """Ellipses from the front view's rows, and heights from the `rays` that touch the finger in the
     first mirror's view."""
     known = np.isfinite(front.width_mm)
-    seen_mm = max(rows.tip_mm - float(rows.along_mm[np.isfinite(rows.width_mm)][0]) for rows in lateral.values())
+    seen_mm = max(
+        rows.tip_mm - float(rows.along_mm[np.isfinite(rows.width_mm)][0])
+        for rows in lateral.values()
+    )
     length = min(front.tip_mm - float(front.along_mm[known][0]), seen_mm) + 0.3
     origin = float(np.mean(0.5 * (front.left_mm + front.right_mm)[known])) * front.across
     coefficients = np.zeros((4, _KNOTS + 3))
@@ -94,7 +103,8 @@ def first_body(front: OutlineRows, lateral: Mapping[str, OutlineRows], rays: Tou
     return replace(body, coefficients=coefficients)
 
 
-# The thesis's method: lateral and frontal masks aligned row by row, one ellipse a row; mirrors at exactly 45 deg.
+# The thesis's method: lateral and frontal masks aligned row by row, one ellipse a row; mirrors at
+# exactly 45 deg.
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -120,18 +130,22 @@ class _Ellipses:
             return np.asarray(np.interp(back, self.from_tip_mm, values))
 
         place = (q - at(self.middle_mm)) / np.maximum(at(self.half_width_mm), 1e-9)
-        z = at(self.centre_mm) + at(self.half_height_mm) * np.sqrt(np.clip(1.0 - place**2, 0.0, None))
-        inside = (np.abs(place) <= 1) & (back >= self.from_tip_mm[0]) & (back <= self.from_tip_mm[-1])
+        z = at(self.centre_mm) + at(self.half_height_mm) * np.sqrt(
+            np.clip(1.0 - place**2, 0.0, None)
+        )
+        inside = (
+            (np.abs(place) <= 1) & (back >= self.from_tip_mm[0]) & (back <= self.from_tip_mm[-1])
+        )
         return x, y, nearest_known(z.astype(np.float32), inside), inside, inside
 
 
 def _ellipses(front: OutlineRows, lateral: OutlineRows, tip_is_outward: float) -> _Ellipses:
     """Align the views as the thesis does, and pair their rows.
 
-    Medial lines are turned to one direction, tips put into one row, and each row's half-widths become half axes of an
-    ellipse; a plane mirror keeps lengths. `front`, `lateral`: outlines across their medial lines; `tip_is_outward`: +1
-    where the pad is on the right of the lateral view's axis, -1 on its left. Source: the thesis, section 3.3.2.3, steps
-    2 to 7.
+    Medial lines are turned to one direction, tips put into one row, and each row's half-widths
+    become half axes of an ellipse; a plane mirror keeps lengths. `front`, `lateral`: outlines
+    across their medial lines; `tip_is_outward`: +1 where the pad is on the right of the lateral
+    view's axis, -1 on its left. Source: the thesis, section 3.3.2.3, steps 2 to 7.
     """
     front_back, middle, _, half_width = _rows_from_tip(front)
     back, lateral_middle, line, half_height = _rows_from_tip(lateral)
@@ -170,8 +184,8 @@ _FEW = 20  # a view with fewer points of its outline is not used
 _MAX_MISSING = 0.4  # of the pad's outline; the rest may be the mirror's edge
 _NEAR_EDGE_MM = 3.0  # a straight outline this near to the mirror's nominal edge is that edge
 _CUT = (
-    "cut off at the mirror's edge or the picture's: lay the finger in the middle, so that the mirror "
-    "shows all of its pad."
+    "cut off at the mirror's edge or the picture's: lay the finger in the middle, so that the"
+    " mirror shows all of its pad."
 )
 _CUT_ROUNDS = 20  # corrections of the fit where views are cut: the first guess is further off
 
@@ -207,20 +221,23 @@ class MirrorShape:
             if rms > APART_MM
         )
 
-    def points(self, rows: slice, columns: slice, binning: int = 1) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """x, y, z (h, w), mm, of the surface that a window's pixels see, in blocks of `binning`; NaN
-        beside it."""
+    def points(
+        self, rows: slice, columns: slice, binning: int = 1
+    ) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """x, y, z (h, w), mm, of the surface that a window's pixels see, in blocks of `binning`;
+        NaN beside it."""
         x, y, z, inside, _ = self.model.heights(self.camera, rows, columns, binning)
         return x, y, np.where(inside, z, np.nan)
 
     def continued(self, rows: slice, columns: slice) -> tuple[FloatArray, BoolArray]:
-        """z (h, w) of a window's pixels, finite: beside the finger its outline's z goes on; and which
-        are known."""
+        """z (h, w) of a window's pixels, finite: beside the finger its outline's z goes on; and
+        which are known."""
         _, _, z, _, known = self.model.heights(self.camera, rows, columns)
         return z, known
 
     def drawn(self) -> dict[str, Array]:
-        """Outline (n, 2) of the fitted body in each view, columns and rows of the camera's image."""
+        """Outline (n, 2) of the fitted body in each view, columns and rows of the camera's
+        image."""
         lines = {}
         for name, outline in self.outlines.items():
             assert self.fit is not None
@@ -300,7 +317,9 @@ def mirror_shape(
     return MirrorShape(camera, fit.body, facts, {"front": front, **rows}, fit, outlines)
 
 
-def _by_thesis(views: Views, camera: Camera, mirror: Mirror, axis: Array, front: OutlineRows) -> MirrorShape:
+def _by_thesis(
+    views: Views, camera: Camera, mirror: Mirror, axis: Array, front: OutlineRows
+) -> MirrorShape:
     """The thesis's method on one lateral view."""
     name = mirror.name
     _, lateral = finger_axis(views.mirrors[name], camera, views.binning, axis)
@@ -338,18 +357,25 @@ def _mirror_outlines(
         turn = turn_of_tips(views, name, camera, plane, axis)
         require(
             turn is not None or name in cut,
-            f"the views do not fit one finger: the fingertip in the {name} mirror is not beside the "
-            "one in front; check that the rig file's mirrors are those in the picture and that one "
-            "finger alone is in view.",
+            f"the views do not fit one finger: the fingertip in the {name} mirror is not beside the"
+            " one in front; check that the rig file's mirrors are those in the picture and that"
+            " one finger alone is in view.",
         )
         turn_sd = float(np.deg2rad(_CUT_TURN_DEG if name in cut else _TURN_DEG))
-        outlines[name] = ViewOutline(touching, plane) if turn is None else ViewOutline(touching, plane, turn, turn_sd)
+        outlines[name] = (
+            ViewOutline(touching, plane)
+            if turn is None
+            else ViewOutline(touching, plane, turn, turn_sd)
+        )
     return all_rows, outlines, cut
 
 
-def _visible_part(rows: OutlineRows, side: str, mirror: Mirror, camera: Camera) -> OutlineRows | None:
+def _visible_part(
+    rows: OutlineRows, side: str, mirror: Mirror, camera: Camera
+) -> OutlineRows | None:
     """Outline of a cut view without the mirror's edge, which takes the place of the pad's outline;
-    None if that is straight, but not by the mirror's edge. The picture's border leaves a part of it.
+    None if that is straight, but not by the mirror's edge. The picture's border leaves a part of
+    it.
     """
     edge = rows.edge(side)
     if float(np.isfinite(edge[rows.lower_part()]).mean()) < 1.0 - _MAX_MISSING:
@@ -357,7 +383,10 @@ def _visible_part(rows: OutlineRows, side: str, mirror: Mirror, camera: Camera) 
     places = rows.places(side)[0]
     pixels = pixels_of(camera, places).astype(np.float32)
     border = mirror_outline(mirror, camera).astype(np.float32)
-    away = [cv2.pointPolygonTest(border, (float(x), float(y)), True) for x, y in pixels[:: max(1, len(pixels) // 20)]]
+    away = [
+        cv2.pointPolygonTest(border, (float(x), float(y)), True)
+        for x, y in pixels[:: max(1, len(pixels) // 20)]
+    ]
     if float(np.median(np.abs(away))) > _NEAR_EDGE_MM * camera.px_per_mm:
         return None
     return replace(rows, **{f"{side}_mm": np.full_like(edge, np.nan)})

@@ -1,4 +1,5 @@
-"""Outlines of a view's mask: where each row across the finger enters and leaves it, on the finger plane, in mm."""
+"""Outlines of a view's mask: where each row across the finger enters and leaves it, on the finger
+plane, in mm."""
 
 from __future__ import annotations
 
@@ -26,7 +27,8 @@ class OutlineRows:
 
     axis: Array  # (2,) unit vector on the finger plane along which rows follow each other
     along_mm: Array  # (n,) place of each row on the axis, growing
-    left_mm: Array  # (n,) where the row enters the finger, towards the right; NaN where it does not or is cut
+    # (n,) where the row enters the finger, towards the right; NaN where it does not or is cut
+    left_mm: Array
     right_mm: Array  # (n,) where it leaves
 
     @property
@@ -65,8 +67,8 @@ class OutlineRows:
         return slice(int(known[0] + 0.1 * length), int(known[0] + 0.6 * length))
 
     def places(self, side: str) -> tuple[Array, Array, Array]:
-        """Of one side: `places_mm` on the finger plane, directions `along` it and `outward`, off the
-        finger, (m, 2) each."""
+        """Of one side: `places_mm` on the finger plane, directions `along` it and `outward`, off
+        the finger, (m, 2) each."""
         edge = self.edge(side)
         row = np.flatnonzero(np.isfinite(edge))
         if row.size < 3:
@@ -78,10 +80,13 @@ class OutlineRows:
         return places, along, outward
 
 
-def rows_of(mask: BoolArray, camera: Camera, binning: int, axis: Array, *, trust_ends: bool = False) -> OutlineRows:
-    """Measure the outline of `mask` (h, w) of one view, in blocks of `binning` pixels a side of the camera's image.
-    `axis`: (2,) direction on the finger plane from row to row, towards the fingertip; `trust_ends`: keep what looks
-    like the straight end of a cut finger. Raises BadInput if the mask is empty.
+def rows_of(
+    mask: BoolArray, camera: Camera, binning: int, axis: Array, *, trust_ends: bool = False
+) -> OutlineRows:
+    """Measure the outline of `mask` (h, w) of one view, in blocks of `binning` pixels a side of the
+    camera's image. `axis`: (2,) direction on the finger plane from row to row, towards the
+    fingertip; `trust_ends`: keep what looks like the straight end of a cut finger. Raises BadInput
+    if the mask is empty.
     """
     require(mask.any(), "a view of the finger is empty.")
     axis = axis / float(np.hypot(*axis))
@@ -111,14 +116,17 @@ def rows_of(mask: BoolArray, camera: Camera, binning: int, axis: Array, *, trust
 
 def touching_planes(rows: OutlineRows, camera: Camera) -> Touching:
     """Planes that touch the finger along both sides of a view's outline."""
-    left, right = (touching(camera, *(part[::_EVERY] for part in rows.places(side))) for side in ("left", "right"))
+    left, right = (
+        touching(camera, *(part[::_EVERY] for part in rows.places(side)))
+        for side in ("left", "right")
+    )
     return Touching(*map(np.concatenate, zip(left, right, strict=True)))
 
 
 def medial_line(rows: OutlineRows) -> tuple[float, float]:
-    """Slope (to the right, per mm along the axis) and offset in mm of the straight line through the rows' middles, by
-    Tukey's biweight, over rows of full width, so that tip and base do not turn it. Source: the thesis, sections 3.3.1.1
-    and 3.3.2.3, step 3; reading notes 2.
+    """Slope (to the right, per mm along the axis) and offset in mm of the straight line through the
+    rows' middles, by Tukey's biweight, over rows of full width, so that tip and base do not turn
+    it. Source: the thesis, sections 3.3.1.1 and 3.3.2.3, step 3; reading notes 2.
     """
     width = rows.width_mm
     known = np.isfinite(width)
@@ -143,8 +151,8 @@ def pad_side(mirror: Mirror, rows: OutlineRows) -> str:
 
 
 def is_cut(rows: OutlineRows, side: str) -> bool:
-    """Whether a view ends at its mirror's edge rather than at the pad on that `side`: its outline is
-    a straight line, or missing.
+    """Whether a view ends at its mirror's edge rather than at the pad on that `side`: its outline
+    is a straight line, or missing.
     """
     part = rows.lower_part()
     along = rows.along_mm[part]
@@ -156,8 +164,11 @@ def is_cut(rows: OutlineRows, side: str) -> bool:
     return bool(float(np.std(edge[known] - np.polyval(line, along[known]))) < STRAIGHT_MM)
 
 
-def finger_axis(mask: BoolArray, camera: Camera, binning: int, hint: Array) -> tuple[Array, OutlineRows]:
-    """Direction (2,) of the finger towards its tip, within about 75 deg of `hint` (2,), and its outline across it."""
+def finger_axis(
+    mask: BoolArray, camera: Camera, binning: int, hint: Array
+) -> tuple[Array, OutlineRows]:
+    """Direction (2,) of the finger towards its tip, within about 75 deg of `hint` (2,), and its
+    outline across it."""
     axis = hint / float(np.hypot(*hint))
     rows = rows_of(mask, camera, binning, axis)
     for _ in range(4):
@@ -241,5 +252,7 @@ def _without_cuts(
 def _smooth(values: Array) -> Array:
     """Values smoothed over a few neighbours, for their slopes."""
     kernel = np.array([1.0, 4.0, 6.0, 4.0, 1.0]) / 16.0
-    padded = np.concatenate([2 * values[0] - values[2:0:-1], values, 2 * values[-1] - values[-2:-4:-1]])
+    padded = np.concatenate(
+        [2 * values[0] - values[2:0:-1], values, 2 * values[-1] - values[-2:-4:-1]]
+    )
     return np.convolve(padded, kernel, mode="valid")

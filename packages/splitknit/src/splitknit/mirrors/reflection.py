@@ -1,8 +1,10 @@
-"""A plane mirror shows the camera the reflected finger, in the same frame of the rig, lit by the reflected lights.
+"""A plane mirror shows the camera the reflected finger, in the same frame of the rig, lit by the
+reflected lights.
 
-To reflect the camera's rays instead gives a second camera that sees the finger itself. A point of an outline is a ray
-that touches the finger, and ray and outline together span a plane that touches it: normal N out of the finger,
-N . X = c. Both hold for parallel and for spreading rays, and for any pose of a mirror.
+To reflect the camera's rays instead gives a second camera that sees the finger itself. A point of
+an outline is a ray that touches the finger, and ray and outline together span a plane that touches
+it: normal N out of the finger, N . X = c. Both hold for parallel and for spreading rays, and for
+any pose of a mirror.
 """
 
 from __future__ import annotations
@@ -31,8 +33,9 @@ class Touching(NamedTuple):
 
 
 def touching(camera: Camera, places_mm: Array, along: Array, outward: Array) -> Touching:
-    """Rays and planes of points of an outline, by their `places_mm` (n, 2) on the finger plane. `along`: (n, 2)
-    direction of the outline there; `outward`: (n, 2) any direction on that plane that leaves the finger.
+    """Rays and planes of points of an outline, by their `places_mm` (n, 2) on the finger plane.
+    `along`: (n, 2) direction of the outline there; `outward`: (n, 2) any direction on that plane
+    that leaves the finger.
     """
     n = len(places_mm)
     point = np.column_stack([places_mm, np.zeros(n)])
@@ -71,7 +74,8 @@ class Plane:
         return float(np.dot(self.point_mm, self.normal))
 
     def moved(self, turn_rad: tuple[float, float], shift_mm: float) -> Plane:
-        """The plane turned about its point by two small angles (about :meth:`axes`), and shifted along its normal."""
+        """The plane turned about its point by two small angles (about :meth:`axes`), and shifted
+        along its normal."""
         first, second = self.axes()
         normal = self.normal + turn_rad[0] * second - turn_rad[1] * first
         normal = normal / np.linalg.norm(normal)
@@ -97,20 +101,23 @@ class Plane:
         )
 
     def axes(self) -> tuple[Array, Array]:
-        """Two unit vectors in the plane, at right angles: the first lies as nearly along y as it can."""
+        """Two unit vectors in the plane, at right angles: the first lies as nearly along y as it
+        can."""
         start = np.eye(3)[1 if abs(self.normal[1]) < 0.9 else 0]
         first = start - np.dot(start, self.normal) * self.normal
         first = first / np.linalg.norm(first)
         return first, np.cross(self.normal, first)
 
     def image_axis(self, axis: Array) -> Array:
-        """(2,) unit direction in which a level direction (2,) of the finger runs in the mirror's picture."""
+        """(2,) unit direction in which a level direction (2,) of the finger runs in the mirror's
+        picture."""
         level = self.normal[:2]
         reflected = axis - 2.0 * float(axis @ level) * level
         return reflected / np.linalg.norm(reflected)
 
     def epipole(self, camera: Camera) -> Array | None:
-        """(2,) where on the finger plane the joints of all points with their mirror images meet; None: parallel."""
+        """(2,) where on the finger plane the joints of all points with their mirror images meet;
+        None: parallel."""
         if camera.model == "orthographic":
             return None
         return np.asarray(-camera.height_mm * self.normal[:2] / self.normal[2])
@@ -139,9 +146,11 @@ def led_image(led: Led, plane: Plane, strength: float = 1.0) -> Led:
     return replace(image, position_mm=(x, y, z), aim=(aim_x, aim_y, aim_z))
 
 
-# Which of an LED's images reach the skin: shadows that a finger throws on itself, and the outlines of mirrors.
+# Which of an LED's images reach the skin: shadows that a finger throws on itself, and the outlines
+# of mirrors.
 
-GRAZING = 0.04  # cosine of incidence up to which a light fades in: the ridges of skin catch it here and there
+# cosine of incidence up to which a light fades in: the ridges of skin catch it here and there
+GRAZING = 0.04
 EDGE_MM = 0.4  # width over which light by way of a mirror fades out at the mirror's edge
 
 
@@ -153,7 +162,8 @@ def _towards(points_mm: Array, led: Led) -> Array:
 
 
 def facing_fraction(points_mm: Array, normals: Array, led: Led) -> FloatArray:
-    """Fraction (...) of a light that skin (..., 3) faces: a finger, being convex, is the only obstacle."""
+    """Fraction (...) of a light that skin (..., 3) faces: a finger, being convex, is the only
+    obstacle."""
     towards = _towards(points_mm, led)
     length = np.maximum(np.linalg.norm(towards, axis=-1), 1e-12)
     cosine = np.einsum("...i,...i->...", towards, normals) / length
@@ -161,7 +171,8 @@ def facing_fraction(points_mm: Array, normals: Array, led: Led) -> FloatArray:
 
 
 def mirrored_fraction(points_mm: Array, image: Led, plane: Plane, corners_mm: Array) -> FloatArray:
-    """Fraction (...) of an LED's `image` that points (..., 3) see within a mirror's convex outline (K, 3)."""
+    """Fraction (...) of an LED's `image` that points (..., 3) see within a mirror's convex outline
+    (K, 3)."""
     towards = _towards(points_mm, image)
     above = points_mm @ plane.normal - plane.offset_mm
     falling = towards @ plane.normal
@@ -182,7 +193,8 @@ def mirrored_fraction(points_mm: Array, image: Led, plane: Plane, corners_mm: Ar
 
 
 def shade_of(fraction: FloatArray, view: View) -> Shade:
-    """What reaches the places that the pixels of a view see: `fraction` (h, w), on even steps over the finger plane."""
+    """What reaches the places that the pixels of a view see: `fraction` (h, w), on even steps over
+    the finger plane."""
     x, y = view.x_mm, view.y_mm
     if x.ndim == 2:
         h, w = x.shape
@@ -213,7 +225,9 @@ def glass_in(mirror: Mirror, plane: Plane) -> Glass:
     """A mirror in the plane that was found; its outline is the drawn one, laid into that plane."""
     corners = np.asarray(mirror.corners_mm, dtype=np.float64)
     corners = corners - (corners @ plane.normal - plane.offset_mm)[:, None] * plane.normal
-    return Glass(mirror.name, Plane(corners.mean(axis=0), plane.normal), corners, mirror.reflectance)
+    return Glass(
+        mirror.name, Plane(corners.mean(axis=0), plane.normal), corners, mirror.reflectance
+    )
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -227,7 +241,8 @@ class Sight:
     """Plane of the mirror; None: the camera sees the finger itself."""
 
     def to_view(self, points_mm: Array) -> Array:
-        """Points (..., 3) of the rig's frame where the camera seems to see them; the same function takes them back."""
+        """Points (..., 3) of the rig's frame where the camera seems to see them; the same function
+        takes them back."""
         return points_mm if self.plane is None else reflect_points(points_mm, self.plane)
 
     def turned(self, vectors: Array) -> Array:
@@ -241,8 +256,8 @@ class Sight:
         return column, row
 
     def cosine(self, normals: Array, points_mm: Array) -> Array:
-        """Cosine (...) of the angle between normals (..., 3) at points (..., 3) of the rig's frame and the line of
-        sight."""
+        """Cosine (...) of the angle between normals (..., 3) at points (..., 3) of the rig's frame
+        and the line of sight."""
         if self.camera.model == "orthographic":
             return normals @ self.turned(np.array([0.0, 0.0, 1.0]))
         towards = np.array([0.0, 0.0, self.camera.height_mm]) - self.to_view(points_mm)

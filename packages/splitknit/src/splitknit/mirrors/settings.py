@@ -20,6 +20,7 @@ class MirrorShapeSettings(Checked):
 
     _group = "shape.mirror"
     method: Literal["outlines", "thesis"] = "outlines"
-    """``outlines`` (the `metric` method), or ``thesis``: mirrors at exactly 45 deg, one ellipse a row."""
+    """``outlines`` (the `metric` method), or ``thesis``: mirrors at exactly 45 deg, one ellipse a
+    row."""
     squareness: Annotated[float, Limits(-0.2, 0.45)] = 0.16
     """Flatness of the pad that is expected; the fit finds its own. 0 is an ellipse."""

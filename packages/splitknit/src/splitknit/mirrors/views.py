@@ -19,12 +19,15 @@ from splitknit.model import Array, BoolArray, FloatArray, Rig
 _PX_PER_MM = 22.0  # scale of the copy on which the outlines are found
 _REACH_MM = 3.0  # a mirror's picture is looked for this far beyond its nominal outline
 
-_NO_FINGER = "no finger was found beside the mirrors: check the exposure, the LEDs and the finger's place."
+_NO_FINGER = (
+    "no finger was found beside the mirrors: check the exposure, the LEDs and the finger's place."
+)
 _NO_MIRROR = (
     "no mirror shows the finger: check that the rig file's mirrors are the ones in the picture, or "
     "take the shape from light (`shape` nir or white)."
 )
-SEARCH_PX_PER_MM = 4.0  # views are looked for on a copy of about this scale where their outlines are found apart
+# views are looked for on a copy of about this scale where their outlines are found apart
+SEARCH_PX_PER_MM = 4.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -32,7 +35,8 @@ class Views:
     """Masks of one finger's views in one image, on blocks of `binning` pixels a side."""
 
     front: BoolArray  # (h, w)
-    mirrors: Mapping[str, BoolArray]  # (h, w) by the mirrors' names; those that show no finger are left out
+    # (h, w) by the mirrors' names; those that show no finger are left out
+    mirrors: Mapping[str, BoolArray]
     binning: int
 
 
@@ -44,16 +48,19 @@ def view_binning(px_per_mm: float) -> int:
 def views_in(image: FloatArray, rig: Rig, binning: int) -> Views:
     """Find the finger itself and its mirror images.
 
-    The front view is the finger in the image without the mirrors' nominal outlines; each mirror's view is the finger
-    around that mirror's outline, without the front view. A mirror's frame, second reflections and the finger's far
-    parts are left out because one piece of skin is wanted from each. It is looked for on a small copy of the image, and
-    the outlines are found in the image around what was seen there. Raises BadInput if there are no
-    mirrors, none shows a finger, a view is cut by a mirror's edge, or there are two fingers.
+    The front view is the finger in the image without the mirrors' nominal outlines; each mirror's
+    view is the finger around that mirror's outline, without the front view. A mirror's frame,
+    second reflections and the finger's far parts are left out because one piece of skin is wanted
+    from each. It is looked for on a small copy of the image, and the outlines are found in the
+    image around what was seen there. Raises BadInput if there are no mirrors, none shows a finger,
+    a view is cut by a mirror's edge, or there are two fingers.
 
     image : (h, w, C) float32, linear, in blocks of `binning` pixels a side of the camera's image
     rig : its camera, and where its mirrors nominally are
     """
-    require(rig.mirrors, "the rig has no mirrors: name them in rig.json, or take the shape from light.")
+    require(
+        rig.mirrors, "the rig has no mirrors: name them in rig.json, or take the shape from light."
+    )
     px_per_mm = rig.camera.px_per_mm / binning
     factor = max(1, int(px_per_mm / SEARCH_PX_PER_MM))
     small_size = (image.shape[0] // factor, image.shape[1] // factor)
@@ -74,7 +81,8 @@ def views_in(image: FloatArray, rig: Rig, binning: int) -> Views:
             overlap_px = int((grown(front, 0.6 * px_per_mm) & view).sum())
             require(
                 overlap_px < px_per_mm**2,
-                f"the finger touches the edge of the {name} mirror: lay it in the middle between the mirrors.",
+                f"the finger touches the edge of the {name} mirror: lay it in the middle between"
+                " the mirrors.",
             )
     require(views, _NO_MIRROR)
     return Views(front, views, binning)
@@ -84,7 +92,9 @@ def _mirror_outlines(rig: Rig, binning: int) -> dict[str, Array]:
     return {mirror.name: mirror_outline(mirror, rig.camera, binning) for mirror in rig.mirrors}
 
 
-def _rough_views(image: FloatArray, rig: Rig, binning: int) -> tuple[BoolArray, dict[str, BoolArray]]:
+def _rough_views(
+    image: FloatArray, rig: Rig, binning: int
+) -> tuple[BoolArray, dict[str, BoolArray]]:
     """Front view and mirrors' views, to a pixel of a small copy."""
     px_per_mm = rig.camera.px_per_mm / binning
     outlines = _mirror_outlines(rig, binning)
@@ -166,14 +176,18 @@ def _largest_in(image: FloatArray, allowed: BoolArray, px_per_mm: float) -> Bool
     return _on_image(mask & inside, window, image.shape)
 
 
-def _on_image(part: BoolArray, box: tuple[slice, slice], shape: tuple[int, ...]) -> BoolArray | None:
+def _on_image(
+    part: BoolArray, box: tuple[slice, slice], shape: tuple[int, ...]
+) -> BoolArray | None:
     """A mask of a part of an image on the whole image; None if it is empty."""
     whole = np.zeros(shape[:2], dtype=np.bool_)
     whole[box] = part
     return whole if part.any() else None
 
 
-def _refuse_second(image: FloatArray, front: BoolArray, beside: BoolArray, px_per_mm: float) -> None:
+def _refuse_second(
+    image: FloatArray, front: BoolArray, beside: BoolArray, px_per_mm: float
+) -> None:
     """Refuse another finger beside the first: about as bright, and nearly as large."""
     light = image if image.ndim == 2 else image.sum(axis=2)
     bright = light > 0.5 * float(np.median(light[front]))
@@ -182,6 +196,6 @@ def _refuse_second(image: FloatArray, front: BoolArray, beside: BoolArray, px_pe
     largest = max((int(area) for area in stats[1:, cv2.CC_STAT_AREA]), default=0)
     require(
         largest < 0.25 * float(front.sum()),
-        "there are two fingers in the picture, or a mirror that the rig file does not name: lay one "
-        "finger there at a time, and name all mirrors.",
+        "there are two fingers in the picture, or a mirror that the rig file does not name: lay one"
+        " finger there at a time, and name all mirrors.",
     )

@@ -1,4 +1,5 @@
-"""Test-time augmentation: a network runs on several orientations of its input, and the mean of what it gives counts."""
+"""Test-time augmentation: a network runs on several orientations of its input, and the mean of what
+it gives counts."""
 
 from __future__ import annotations
 
@@ -18,7 +19,8 @@ _Pairs = tuple[tuple[int, int], ...]
 
 @dataclass(frozen=True, slots=True)
 class Symmetry:
-    """How fields (n, h, w) change when the image is turned or mirrored; those that are not named are scalars."""
+    """How fields (n, h, w) change when the image is turned or mirrored; those that are not named
+    are scalars."""
 
     vectors: _Pairs
     """Pairs of fields that are a vector's x and y (up), or cos a and sin a of its azimuth."""
@@ -39,7 +41,8 @@ class Symmetry:
         return turned
 
     def transposed(self, fields: FloatArray) -> FloatArray:
-        """Swap rows and columns: (x, y) becomes (-y, -x), for y points up against the rows; a becomes 3 pi / 2 - a."""
+        """Swap rows and columns: (x, y) becomes (-y, -x), for y points up against the rows; a
+        becomes 3 pi / 2 - a."""
         old = fields.swapaxes(1, 2)
         turned = old.copy()
         for x, y in self.vectors:
@@ -56,7 +59,8 @@ class Symmetry:
 
     def oriented_in_place(self, fields: FloatArray, orientation: int) -> FloatArray:
         """The same in the memory of `fields` (contiguous), which are lost."""
-        marks = np.arange(1, len(fields) + 1, dtype=np.float32)[:, None, None]  # numbered, to see where each goes
+        # numbered, to see where each goes
+        marks = np.arange(1, len(fields) + 1, dtype=np.float32)[:, None, None]
         if orientation & 1:
             marks = self.flipped(marks)
         if orientation & 2:
@@ -87,10 +91,12 @@ def mean_over_orientations(
     orientations: Sequence[int],
     earlier: FloatArray | None = None,
 ) -> FloatArray:
-    """Mean of a network's output (m, h, w) over `orientations` (of the eight, 0 to 7) of its input `fields` (n, h, w).
+    """Mean of a network's output (m, h, w) over `orientations` (of the eight, 0 to 7) of its input
+    `fields` (n, h, w).
 
-    `fields`, contiguous float32, is turned in place: beside the network, which needs most memory, there is no copy.
-    `symmetries`: of the network's input and of its output; `earlier`: output in one more orientation.
+    `fields`, contiguous float32, is turned in place: beside the network, which needs most memory,
+    there is no copy. `symmetries`: of the network's input and of its output; `earlier`: output in
+    one more orientation.
     """
     outputs = [] if earlier is None else [earlier]
     for orientation in orientations:
@@ -104,7 +110,8 @@ MAX_MISSING = 0.25  # most power that is restored, over the estimate's own
 
 
 def shrinkage_gain(rms: float, error: float) -> float:
-    """Factor sqrt(1 + error^2 / rms^2), at most sqrt(1 + :data:`MAX_MISSING`), that restores the variance lost by a
-    minimum-mean-square-error estimate, a mean over all that is possible. `rms`: of the estimate; `error`: expected.
+    """Factor sqrt(1 + error^2 / rms^2), at most sqrt(1 + :data:`MAX_MISSING`), that restores the
+    variance lost by a minimum-mean-square-error estimate, a mean over all that is possible. `rms`:
+    of the estimate; `error`: expected.
     """
     return float(np.sqrt(1 + min((error / max(rms, 1e-6)) ** 2, MAX_MISSING)))

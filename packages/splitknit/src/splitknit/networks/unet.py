@@ -1,9 +1,11 @@
-"""Trained networks: their files, and running them on images of any size, the same for any number of threads.
+"""Trained networks: their files, and running them on images of any size, the same for any number of
+threads.
 
-``NAME.onnx`` holds the weights, and ``NAME.json``, the card, states what goes in and out, where the weights come from
-(data, seed, metrics, licence, the command that makes them again), and their SHA-256, which is checked whenever they are
-read. Every network that turns an image of C channels into one of D channels and the same size can be run: the U-Net
-that separates direct light (thesis, section 3.3.1.4), and others of the library.
+``NAME.onnx`` holds the weights, and ``NAME.json``, the card, states what goes in and out, where the
+weights come from (data, seed, metrics, licence, the command that makes them again), and their
+SHA-256, which is checked whenever they are read. Every network that turns an image of C channels
+into one of D channels and the same size can be run: the U-Net that separates direct light (thesis,
+section 3.3.1.4), and others of the library.
 """
 
 from __future__ import annotations
@@ -27,7 +29,8 @@ from splitknit.errors import BadInput, importing, read_bytes, refusing, require
 from splitknit.model import FloatArray
 
 FORMAT = "splitknit-network"
-_MAX_BYTES, _MAX_CARD_BYTES = 500_000_000, 1_000_000  # the shipped networks have less than 1 MB, their cards 3 kB
+# the shipped networks have less than 1 MB, their cards 3 kB
+_MAX_BYTES, _MAX_CARD_BYTES = 500_000_000, 1_000_000
 REINSTALL = "reinstall splitknit, or name another network"
 
 
@@ -40,11 +43,18 @@ class Card:
     channels_in: int
     channels_out: int
     stride: int  # both sides of an image must be multiples of this; :func:`run_network` sees to it
-    reach: int  # a pixel further than this from a tile on the stride's grid does not change the tile's result
-    facts: Mapping[str, Any] = field(default_factory=dict)  # data, training, metrics, licence, command
+    # a pixel further than this from a tile on the stride's grid does not change the tile's result
+    reach: int
+    # data, training, metrics, licence, command
+    facts: Mapping[str, Any] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        limits = ("channels_in", 1, 4096), ("channels_out", 1, 4096), ("stride", 1, 256), ("reach", 0, 4096)
+        limits = (
+            ("channels_in", 1, 4096),
+            ("channels_out", 1, 4096),
+            ("stride", 1, 256),
+            ("reach", 0, 4096),
+        )
         for name, low, high in limits:
             value = getattr(self, name)
             require(
@@ -55,9 +65,9 @@ class Card:
 
 
 def read_network(name: str | os.PathLike[str]) -> tuple[Card, bytes]:
-    """A network's card and the bytes of its ONNX file, checked. `name`: of a network in the package, or an ``.onnx``
-    file with its card, a ``.json``, beside it. Raises BadInput if one is missing or damaged, or they do not belong
-    together.
+    """A network's card and the bytes of its ONNX file, checked. `name`: of a network in the
+    package, or an ``.onnx`` file with its card, a ``.json``, beside it. Raises BadInput if one is
+    missing or damaged, or they do not belong together.
     """
     weights_file, card_file, remedy = _files(name)
     weights = _read(weights_file, f"the weights '{weights_file}'", remedy)
@@ -72,8 +82,14 @@ def read_network(name: str | os.PathLike[str]) -> tuple[Card, bytes]:
 
 
 def card_bytes(name: str, weights: bytes, facts: Mapping[str, Any]) -> bytes:
-    """The card of `weights` as stored, of `facts` with ``channels_in``, ``channels_out``, ``stride``, ``reach``."""
-    head = {"format": FORMAT, "version": 1, "name": name, "sha256": hashlib.sha256(weights).hexdigest()}
+    """The card of `weights` as stored, of `facts` with ``channels_in``, ``channels_out``,
+    ``stride``, ``reach``."""
+    head = {
+        "format": FORMAT,
+        "version": 1,
+        "name": name,
+        "sha256": hashlib.sha256(weights).hexdigest(),
+    }
     data = (json.dumps({**head, **facts}, indent=1, allow_nan=False) + "\n").encode()
     _parse(data, Path(f"{name}.json"), "correct the facts")
     return data
@@ -84,9 +100,15 @@ def _files(name: str | os.PathLike[str]) -> tuple[Traversable, Traversable, str]
     text = os.fspath(name)
     if text.endswith(".onnx"):
         path = Path(text).expanduser()
-        return path, path.with_suffix(".json"), "copy the network again or train it again (training/README.md)"
+        return (
+            path,
+            path.with_suffix(".json"),
+            "copy the network again or train it again (training/README.md)",
+        )
     shipped = resources.files("splitknit.networks") / "shipped"
-    known = sorted(Path(file.name).stem for file in shipped.iterdir() if file.name.endswith(".onnx"))
+    known = sorted(
+        Path(file.name).stem for file in shipped.iterdir() if file.name.endswith(".onnx")
+    )
     require(
         text in known,
         f"there is no network '{text}' in this installation; name one of {', '.join(known)}, or "
@@ -105,7 +127,10 @@ def _read(file: Traversable, words: str, remedy: str) -> bytes:
 
 def _parse(data: bytes, file: Traversable, remedy: str) -> Card:
     with refusing(f"the card '{file}' is damaged; {remedy}."):
-        require(len(data) <= _MAX_CARD_BYTES, f"the card '{file}' has {len(data)} bytes, too many; {remedy}.")
+        require(
+            len(data) <= _MAX_CARD_BYTES,
+            f"the card '{file}' has {len(data)} bytes, too many; {remedy}.",
+        )
         document = json.loads(data)
         require(
             document["format"] == FORMAT and document["version"] == 1,
@@ -115,16 +140,22 @@ def _parse(data: bytes, file: Traversable, remedy: str) -> Card:
         return Card(str(document["name"]), str(document["sha256"]), **sizes, facts=document)
 
 
-TILE = 724  # side in pixels of a tile's square; a network of width 12 then needs 0.4 GB, of width 64 2 GB
+# side in pixels of a tile's square; a network of width 12 then needs 0.4 GB, of width 64 2 GB
+TILE = 724
 _THREADS = min(8, os.cpu_count() or 1)  # threads of a network by default
 
-NO_TELEMETRY = "ORT_DISABLE_TELEMETRY"  # variable of onnxruntime; ``1`` stops files, look-ups, uploads of telemetry
+# variable of onnxruntime; ``1`` stops files, look-ups, uploads of telemetry
+NO_TELEMETRY = "ORT_DISABLE_TELEMETRY"
 
 DEVICES = ("cpu", "cuda", "auto")
 CUDA_TOLERANCE = 1e-3
-"""Between cpu and cuda, of a result's largest value (sums in another order, TF32 off). Set without a GPU at hand."""
+"""Between cpu and cuda, of a result's largest value (sums in another order, TF32 off). Set without
+a GPU at hand."""
 _CUDA = ("CUDAExecutionProvider", {"use_tf32": "0", "cudnn_conv_algo_search": "DEFAULT"})
-_PROVIDERS: Mapping[str, list[Any]] = {"cpu": ["CPUExecutionProvider"], "cuda": [_CUDA, "CPUExecutionProvider"]}
+_PROVIDERS: Mapping[str, list[Any]] = {
+    "cpu": ["CPUExecutionProvider"],
+    "cuda": [_CUDA, "CPUExecutionProvider"],
+}
 
 
 @dataclass(frozen=True, slots=True)
@@ -146,9 +177,10 @@ def running() -> Running:
 def use_device(device: str = "cpu", threads: int = _THREADS) -> str:
     """Choose how networks of this process are loaded, and so run, from now on.
 
-    Returns ``cpu``, whose results are always the same, whatever the `threads` of a network; or ``cuda``, the same
-    within :data:`CUDA_TOLERANCE` of the largest value. `device`: one of :data:`DEVICES`; ``auto`` is ``cuda`` where
-    onnxruntime offers it, and else ``cpu``. Raises BadInput if there is no such device, or no provider for it.
+    Returns ``cpu``, whose results are always the same, whatever the `threads` of a network; or
+    ``cuda``, the same within :data:`CUDA_TOLERANCE` of the largest value. `device`: one of
+    :data:`DEVICES`; ``auto`` is ``cuda`` where onnxruntime offers it, and else ``cpu``. Raises
+    BadInput if there is no such device, or no provider for it.
 
     >>> use_device("auto") in ("cpu", "cuda")
     True
@@ -177,8 +209,9 @@ class Network:
 
 
 def load_network(name: str | os.PathLike[str]) -> Network:
-    """Load a network (of the package: once while in use), or an ``.onnx`` file with its card beside it, and check its
-    hash. Raises BadInput if one is missing or damaged, or onnxruntime is not installed.
+    """Load a network (of the package: once while in use), or an ``.onnx`` file with its card beside
+    it, and check its hash. Raises BadInput if one is missing or damaged, or onnxruntime is not
+    installed.
     """
     text = os.fspath(name)
     if text.endswith(".onnx"):
@@ -190,13 +223,15 @@ def load_network(name: str | os.PathLike[str]) -> Network:
 
 
 _IN_USE: WeakValueDictionary[tuple[str, Running], Network] = WeakValueDictionary()
-"""Networks of the package in use, by name and how they run: their 0.3 GB go when nobody holds them."""
+"""Networks of the package in use, by name and how they run: their 0.3 GB go when nobody holds
+them."""
 
 
 def network_of(card: Card, weights: bytes) -> Network:
-    """Prepare weights in memory. Raises BadInput if they are none of such a network, or may lie in part outside
-    `weights`, in a file that no hash covers: ONNX keeps that place under the key ``location`` (onnx.proto,
-    TensorProto.external_data), a string stored as it is; ONNX Runtime's own format (``ORTM``) has further ways.
+    """Prepare weights in memory. Raises BadInput if they are none of such a network, or may lie in
+    part outside `weights`, in a file that no hash covers: ONNX keeps that place under the key
+    ``location`` (onnx.proto, TensorProto.external_data), a string stored as it is; ONNX Runtime's
+    own format (``ORTM``) has further ways.
     """
     require(
         b"location" not in weights and weights[4:8] != b"ORTM",
@@ -205,35 +240,41 @@ def network_of(card: Card, weights: bytes) -> Network:
     )
     onnxruntime = _onnxruntime()
     options = onnxruntime.SessionOptions()
-    # its threads share the values of a result, never the terms of a sum: the same bits for any number of them
+    # its threads share the values of a result, never the terms of a sum: the same bits for any
+    # number of them
     options.intra_op_num_threads = _running.threads
     options.inter_op_num_threads = 1
-    options.add_session_config_entry("session.intra_op.allow_spinning", "0")  # waiting costs no processor time
-    # it plans memory anew for every shape of a tile and keeps all the plans' memory: 0.5 GB more, and no faster
+    # waiting costs no processor time
+    options.add_session_config_entry("session.intra_op.allow_spinning", "0")
+    # it plans memory anew for every shape of a tile and keeps all the plans' memory: 0.5 GB more,
+    # and no faster
     options.enable_mem_pattern = False
     options.log_severity_level = 3
     try:
         # without enable_fallback=0 it prints what it could not load, and tries the same once more
         providers = _PROVIDERS[_running.device]
-        session = onnxruntime.InferenceSession(weights, options, providers=providers, enable_fallback=0)
+        session = onnxruntime.InferenceSession(
+            weights, options, providers=providers, enable_fallback=0
+        )
         (_,), (_,) = session.get_inputs(), session.get_outputs()
-    except Exception as error:  # onnxruntime has a dozen exceptions of its own, without a common base
+    # onnxruntime has a dozen exceptions of its own, without a common base
+    except Exception as error:
         raise BadInput(
             f"the weights of network '{card.name}' are not a network from one image to one image "
             f"that onnxruntime can run ({_first_line(error)}); train it again."
         ) from error
     require(  # it goes on without a provider whose libraries are missing
         _running.device == "cpu" or "CUDAExecutionProvider" in session.get_providers(),
-        "onnxruntime cannot start cuda on this computer (driver, CUDA or cuDNN are missing or of another version); put "
-        "that right, or take `device` cpu.",
+        "onnxruntime cannot start cuda on this computer (driver, CUDA or cuDNN are missing or of"
+        " another version); put that right, or take `device` cpu.",
     )
     return Network(card, session)
 
 
 def _onnxruntime() -> Any:
-    """Import onnxruntime with its telemetry off; every use goes through here. Version 1.31 sends a device id and events
-    from the user's cache folder. The variable is read when loaded; ``disable_telemetry_events()`` comes too late for
-    the files.
+    """Import onnxruntime with its telemetry off; every use goes through here. Version 1.31 sends a
+    device id and events from the user's cache folder. The variable is read when loaded;
+    ``disable_telemetry_events()`` comes too late for the files.
     """
     require(
         sys.modules.get("onnxruntime") is None or os.environ.get(NO_TELEMETRY) == "1",
@@ -241,19 +282,23 @@ def _onnxruntime() -> Any:
         f"the environment variable {NO_TELEMETRY}=1 before that import.",
     )
     os.environ[NO_TELEMETRY] = "1"  # also over 0, with which it is on
-    with importing("networks need onnxruntime, which cannot be imported ({error}); pip install onnxruntime."):
+    with importing(
+        "networks need onnxruntime, which cannot be imported ({error}); pip install onnxruntime."
+    ):
         import onnxruntime  # type: ignore[import-untyped]  # heavy, and only presets that need it pay
     return onnxruntime
 
 
 def run_network(network: Network, images: FloatArray, *, tile: int = TILE) -> FloatArray:
-    """Run `network` on every image, (N, H, W) or (N, C, H, W) float32; returns (N, D, H, W) float32.
+    """Run `network` on every image, (N, H, W) or (N, C, H, W) float32; returns (N, D, H, W)
+    float32.
 
-    One channel is repeated for a network that takes more. Sides that are not multiples of the stride are lengthened by
-    reflection at the lower and right borders, and the result is cut back; tiles overlap by the network's reach. `tile`:
-    side in pixels of a square as large as what is worked on at once; the memory needed grows with its square, the
-    result changes by rounding (about 1e-6). Raises BadInput if the images have the wrong number of channels, hold NaN,
-    or are smaller than the network's stride.
+    One channel is repeated for a network that takes more. Sides that are not multiples of the
+    stride are lengthened by reflection at the lower and right borders, and the result is cut back;
+    tiles overlap by the network's reach. `tile`: side in pixels of a square as large as what is
+    worked on at once; the memory needed grows with its square, the result changes by rounding
+    (about 1e-6). Raises BadInput if the images have the wrong number of channels, hold NaN, or are
+    smaller than the network's stride.
     """
     stack = _checked(images, network.card)
     count, channels, height, width = stack.shape
@@ -281,11 +326,14 @@ def _infer(network: Network, image: FloatArray) -> FloatArray:
         (source,) = network.session.get_inputs()
         (output,) = network.session.run(None, {source.name: image})
     except Exception as error:  # as above
-        raise BadInput(f"network '{card.name}' cannot be run ({_first_line(error)}); see its card.") from error
+        raise BadInput(
+            f"network '{card.name}' cannot be run ({_first_line(error)}); see its card."
+        ) from error
     expected = (1, card.channels_out, *image.shape[2:])
     require(
         output.shape == expected,
-        f"network '{card.name}' gave an array of the shape {output.shape} where its card promises {expected}.",
+        f"network '{card.name}' gave an array of the shape {output.shape} where its card promises"
+        f" {expected}.",
     )
     return np.asarray(output)
 
@@ -301,7 +349,8 @@ def _checked(images: Any, card: Card) -> FloatArray:
     _, channels, height, width = stack.shape
     require(
         channels in (1, card.channels_in),
-        f"network '{card.name}' takes images of {card.channels_in} channels, but these have {channels}.",
+        f"network '{card.name}' takes images of {card.channels_in} channels, but these have"
+        f" {channels}.",
     )
     require(
         min(height, width) >= card.stride,
@@ -317,17 +366,20 @@ def _first_line(error: BaseException) -> str:
     return lines[0][:200] if lines else type(error).__name__
 
 
-# Cutting an image into tiles that a convolutional network takes one at a time, with the same result as in one piece.
-#
-# A network that halves its images three times works on a grid of 8 pixels (its *stride*), and what it makes of a pixel
-# depends on the image up to some distance away (its *reach*). Tiles begin and end on that grid and carry a margin of at
-# least the reach on every side where the image goes on; the margin's result is thrown away.
+# Cutting an image into tiles that a convolutional network takes one at a time, with the same result
+# as in one piece. A network that halves its images three times works on a grid of 8 pixels (its
+# *stride*), and what it makes of a pixel depends on the image up to some distance away (its
+# *reach*). Tiles begin and end on that grid and carry a margin of at least the reach on every side
+# where the image goes on;
+# the margin's result is
+# thrown away.
 
 
 def _plan_tiles(shape: tuple[int, int], tile: int, *, reach: int, stride: int) -> list[_Tile]:
-    """Cut a padded image, `shape` in multiples of `stride`, into tiles of nearly one size, with their margins (`reach`,
-    px) as small as squares of side `tile`: of all regular cuts that with the fewest pixels computed. Returns, row by
-    row, rows and columns that the network sees, those of its result that count, and where they go.
+    """Cut a padded image, `shape` in multiples of `stride`, into tiles of nearly one size, with
+    their margins (`reach`, px) as small as squares of side `tile`: of all regular cuts that with
+    the fewest pixels computed. Returns, row by row, rows and columns that the network sees, those
+    of its result that count, and where they go.
     """
     require(tile >= 1, f"tile must be at least 1 pixel, but it is {tile}.")
     side = -(-tile // stride) * stride
@@ -357,7 +409,8 @@ def _length(span: _Span) -> int:
 
 
 def _spans(length: int, pieces: int, reach: int, stride: int) -> list[_Span]:
-    """Source, inner and target of each of so many pieces along one axis, as many as there are strides at most."""
+    """Source, inner and target of each of so many pieces along one axis, as many as there are
+    strides at most."""
     margin = -(-reach // stride) * stride
     pieces = min(pieces, length // stride)
     edges = [round(k * (length // stride) / pieces) * stride for k in range(pieces + 1)]

@@ -1,7 +1,8 @@
 """Weighted least squares for the albedo-scaled normal g of every pixel, in closed form.
 
-Minimise sum_k w_k (I_k - l_k . g)^2 with M = sum_k w_k l_k l_k^T and b = sum_k w_k I_k l_k: g = M^-1 b, by
-elimination. Arrays hold pixels along their last axis. Everything is elementwise, so that chunking changes no byte.
+Minimise sum_k w_k (I_k - l_k . g)^2 with M = sum_k w_k l_k l_k^T and b = sum_k w_k I_k l_k: g =
+M^-1 b, by elimination. Arrays hold pixels along their last axis. Everything is elementwise, so that
+chunking changes no byte.
 """
 
 from __future__ import annotations
@@ -35,7 +36,8 @@ def linear_map(matrix: FloatArray, images: FloatArray) -> FloatArray:
 
 
 def moment_matrix(lights: FloatArray, weights: FloatArray | None) -> FloatArray:
-    """Upper triangle of M, (6, n) in the order of `PAIRS`, from lights (L, 3) or (L, 3, n) and weights (L, n)."""
+    """Upper triangle of M, (6, n) in the order of `PAIRS`, from lights (L, 3) or (L, 3, n) and
+    weights (L, n)."""
     per_pixel = lights[..., None] if lights.ndim == 2 else lights
     weighted = per_pixel if weights is None else per_pixel * weights[:, None]
     result = np.empty((6, weighted.shape[2]), dtype=np.float32)
@@ -55,17 +57,19 @@ def moment_vector(images: FloatArray, lights: FloatArray, weights: FloatArray | 
 
 
 def _add_up(terms: FloatArray, total: FloatArray) -> None:
-    """Sum of terms (L, n), one after the other: numpy's own sum takes another order where n is small."""
+    """Sum of terms (L, n), one after the other: numpy's own sum takes another order where n is
+    small."""
     total[...] = terms[0]
     for term in terms[1:]:
         total += term
 
 
 def factorise(moments: NDArray[Any]) -> NDArray[Any]:
-    """M = U^T D U from its upper triangle (6, n), z first: [1/d_z, 1/d_y, 1/d_x, u_zy, u_zx, u_yx], (6, n).
+    """M = U^T D U from its upper triangle (6, n), z first: [1/d_z, 1/d_y, 1/d_x, u_zy, u_zx, u_yx],
+    (6, n).
 
-    Lights cluster about z, so that its pivot is large. Pivots are kept above `RIDGE` times the trace: what too few
-    lights determine stays finite.
+    Lights cluster about z, so that its pivot is large. Pivots are kept above `RIDGE` times the
+    trace: what too few lights determine stays finite.
     """
     xx, xy, xz, yy, yz, zz = moments
     least = RIDGE * (xx + yy + zz) + 1e-30
@@ -100,17 +104,21 @@ def conditioning(moments: FloatArray) -> FloatArray:
 
 def solve(images: FloatArray, lights: FloatArray, weights: FloatArray | None) -> FloatArray:
     """g (3, n) of `images` (L, n)."""
-    return back_substitute(factorise(moment_matrix(lights, weights)), moment_vector(images, lights, weights))
+    return back_substitute(
+        factorise(moment_matrix(lights, weights)), moment_vector(images, lights, weights)
+    )
 
 
 def shading(g: FloatArray, lights: FloatArray) -> FloatArray:
-    """l_k . g, (L, ...), from g (3, ...) and lights (L, 3) or (L, 3, ...): negative where the light is behind."""
+    """l_k . g, (L, ...), from g (3, ...) and lights (L, 3) or (L, 3, ...): negative where the light
+    is behind."""
     x, y, z = np.moveaxis(lights[..., None] if lights.ndim == 2 else lights, 1, 0)
     return np.asarray(x * g[0] + y * g[1] + z * g[2])
 
 
 def unit_normals(g: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Unit normals (3, n) and albedo (n,); a pixel without any light faces the camera and has albedo zero."""
+    """Unit normals (3, n) and albedo (n,); a pixel without any light faces the camera and has
+    albedo zero."""
     albedo = np.sqrt(g[0] * g[0] + g[1] * g[1] + g[2] * g[2])
     dark = albedo <= 0
     normals = g / np.where(dark, 1.0, albedo)
@@ -121,7 +129,8 @@ def unit_normals(g: FloatArray) -> tuple[FloatArray, FloatArray]:
 def surface_by_chunks(
     inside: BoolArray, lights: int, solve_chunk: Callable[[slice, BoolArray], FloatArray]
 ) -> tuple[FloatArray, FloatArray]:
-    """Normals (H, W, 3) and albedo (H, W) from g (3, n) of the pixels of each chunk of rows that are `inside`."""
+    """Normals (H, W, 3) and albedo (H, W) from g (3, n) of the pixels of each chunk of rows that
+    are `inside`."""
     normals = np.zeros((*inside.shape, 3), dtype=np.float32)
     albedo = np.full(inside.shape, np.nan, dtype=np.float32)
 

@@ -15,14 +15,16 @@ from splitknit.photometric.equations import linear_map, surface_by_chunks
 def lambertian(stack: Any, lights: Any, mask: Any = None) -> tuple[FloatArray, FloatArray]:
     """Normals and albedo of a matt surface under distant lights, by least squares over all images.
 
-    Shadows and highlights are taken for shading; :func:`splitknit.photometric.robust` leaves them out.
+    Shadows and highlights are taken for shading; :func:`splitknit.photometric.robust` leaves them
+    out.
 
     Parameters
     ----------
     stack : (L, H, W) float32
         Linear light, one image a light; three at least.
     lights : (L, 3)
-        Directions towards the lights (x right, y up, z to the camera); the length is the relative strength.
+        Directions towards the lights (x right, y up, z to the camera); the length is the relative
+        strength.
     mask : (H, W) bool, optional
         The surface; everything by default.
 
@@ -36,12 +38,13 @@ def lambertian(stack: Any, lights: Any, mask: Any = None) -> tuple[FloatArray, F
     Raises
     ------
     BadInput
-        If shapes or numbers disagree, values are not finite, or the lights are fewer than three, duplicate or coplanar.
+        If shapes or numbers disagree, values are not finite, or the lights are fewer than three,
+        duplicate or coplanar.
 
     References
     ----------
-    R. J. Woodham, "Photometric method for determining surface orientation from multiple images", Optical Engineering 19
-    (1980); the thesis, section 3.2.3.
+    R. J. Woodham, "Photometric method for determining surface orientation from multiple images",
+    Optical Engineering 19 (1980); the thesis, section 3.2.3.
 
     Examples
     --------
@@ -57,4 +60,6 @@ def lambertian(stack: Any, lights: Any, mask: Any = None) -> tuple[FloatArray, F
     vectors = check_lights(lights, count)
     inside = check_mask(mask, (rows, columns))
     inverse = np.linalg.pinv(vectors)  # (3, L)
-    return surface_by_chunks(inside, count, lambda chunk, here: linear_map(inverse, gather(images, chunk, here)))
+    return surface_by_chunks(
+        inside, count, lambda chunk, here: linear_map(inverse, gather(images, chunk, here))
+    )

@@ -12,7 +12,13 @@ from splitknit.imaging.chunks import for_each_chunk, gather
 from splitknit.imaging.light_field import light_vectors_at, surface_array
 from splitknit.imaging.view import View, view_of
 from splitknit.model import BoolArray, FloatArray, Rig
-from splitknit.photometric.equations import back_substitute, factorise, moment_matrix, moment_vector, surface_by_chunks
+from splitknit.photometric.equations import (
+    back_substitute,
+    factorise,
+    moment_matrix,
+    moment_vector,
+    surface_by_chunks,
+)
 from splitknit.photometric.robust import robust_fit
 
 
@@ -28,11 +34,14 @@ class _NearScene:
     view: View
 
     def cut(self, chunk: slice) -> tuple[BoolArray, FloatArray, FloatArray]:
-        """Mask (h, W) of some rows, and the light vectors (L, 3, n) and images (C, L, n) of its n pixels."""
+        """Mask (h, W) of some rows, and the light vectors (L, 3, n) and images (C, L, n) of its n
+        pixels."""
         here = self.mask[chunk]
         z = np.where(here, self.surface[chunk], 0.0)
         x, y, z = self.view.points(z, chunk)
-        lights = self.view.turned(light_vectors_at(self.rig, x[here], y[here], z[here]), chunk, here)
+        lights = self.view.turned(
+            light_vectors_at(self.rig, x[here], y[here], z[here]), chunk, here
+        )
         return here, lights, np.stack([gather(channel, chunk, here) for channel in self.images])
 
 
@@ -43,41 +52,44 @@ def near_light(
     mask: Any = None,
     view: View | None = None,
 ) -> tuple[FloatArray, FloatArray]:
-    """Normals and albedo with a light vector of its own for every pixel, from LED positions and the current surface.
+    """Normals and albedo with a light vector of its own for every pixel, from LED positions and the
+    current surface.
 
     Parameters
     ----------
     stack : (L, H, W) float32
         Linear light; image k is lit by `rig.leds[k]`.
     rig : Rig
-        LEDs at positions (inverse square, lobe) or at directions, several together where they share an exposure.
+        LEDs at positions (inverse square, lobe) or at directions, several together where they share
+        an exposure.
     surface_mm : (H, W) or a number
-        z of the current surface in mm; NaN is allowed outside the mask. The result depends on it weakly: 1 mm at
-        140 mm turns a light by less than 0.2 deg.
+        z of the current surface in mm; NaN is allowed outside the mask. The result depends on it
+        weakly: 1 mm at 140 mm turns a light by less than 0.2 deg.
     mask : (H, W) bool, optional
         The surface; by default where `surface_mm` is finite.
     view : View, optional
-        Where the pixels look, for a window or binned images; the camera's own by default. If it is one along the rays,
-        `surface_mm` is the height along them and the normals are those of the pixels' own frames
-        (:mod:`splitknit.imaging.view`).
+        Where the pixels look, for a window or binned images; the camera's own by default. If it is
+        one along the rays, `surface_mm` is the height along them and the normals are those of the
+        pixels' own frames (:mod:`splitknit.imaging.view`).
 
     Returns
     -------
     normals : (H, W, 3) float32
         Unit vectors; zero outside the mask, (0, 0, 1) where all images are black.
     albedo : (H, W) float32
-        In units of the images at a light of strength one (the mean LED at the origin); NaN outside the mask.
+        In units of the images at a light of strength one (the mean LED at the origin); NaN outside
+        the mask.
 
     Raises
     ------
     BadInput
-        If shapes or numbers disagree, values are not finite inside the mask, or the lights are fewer than three,
-        duplicate or coplanar.
+        If shapes or numbers disagree, values are not finite inside the mask, or the lights are
+        fewer than three, duplicate or coplanar.
 
     References
     ----------
-    Y. Queau, B. Durix, T. Wu, D. Cremers, F. Lauze and J.-D. Durou, "LED-based photometric stereo: modeling,
-    calibration and numerical solution", JMIV 60 (2018), eq. 2.5 and 3.1.
+    Y. Queau, B. Durix, T. Wu, D. Cremers, F. Lauze and J.-D. Durou, "LED-based photometric stereo:
+    modeling, calibration and numerical solution", JMIV 60 (2018), eq. 2.5 and 3.1.
     """
     scene = _near_scene(check_stack(stack, least=3)[None], rig, surface_mm, mask, view)
 
@@ -98,7 +110,8 @@ def pseudo_normals(
     view: View | None = None,
     entering: Any = None,
 ) -> FloatArray:
-    """Albedo times normal, (H, W, 3), zero outside the mask: linear in the images for given weights.
+    """Albedo times normal, (H, W, 3), zero outside the mask: linear in the images for given
+    weights.
 
     Parameters
     ----------
@@ -119,7 +132,8 @@ def pseudo_normals(
     Raises
     ------
     BadInput
-        As :func:`near_light`, and if weights or fractions have another shape, or are negative or not finite.
+        As :func:`near_light`, and if weights or fractions have another shape, or are negative or
+        not finite.
     """
     array = np.asarray(stack)
     channels = array.ndim == 4
@@ -131,7 +145,8 @@ def pseudo_normals(
     shape = count, rows, columns
     trusted = None if weights is None else _check_weights(weights, shape, "weights")
     let_in = None if entering is None else _check_weights(entering, shape, "entering")
-    planes = np.zeros((colours, 3, rows, columns), dtype=np.float32)  # a plane a component: faster to write and read
+    # a plane a component: faster to write and read
+    planes = np.zeros((colours, 3, rows, columns), dtype=np.float32)
 
     def work(chunk: slice) -> None:
         if not scene.mask[chunk].any():
@@ -151,7 +166,9 @@ def pseudo_normals(
     return result if channels else result[0]
 
 
-def _near_scene(images: FloatArray, rig: Rig, surface_mm: Any, mask: Any, view: View | None) -> _NearScene:
+def _near_scene(
+    images: FloatArray, rig: Rig, surface_mm: Any, mask: Any, view: View | None
+) -> _NearScene:
     """Check what near lights shine on; parameters and errors as for :func:`near_light`."""
     count, shape = images.shape[1], (images.shape[2], images.shape[3])
     check_lights(rig.light_vectors(), count, name="the rig's lights")
@@ -161,13 +178,15 @@ def _near_scene(images: FloatArray, rig: Rig, surface_mm: Any, mask: Any, view: 
     require(inside.any(), "surface_mm is NaN everywhere: there is no surface to light.")
     require(
         finite[inside].all(),
-        "surface_mm contains NaN or infinite values inside the mask; fill them or take those pixels out of the mask.",
+        "surface_mm contains NaN or infinite values inside the mask; fill them or take those pixels"
+        " out of the mask.",
     )
     view = view_of(rig.camera) if view is None else view
     pixels = np.broadcast_shapes(*(axis.shape for axis in view.on_plane()))
     require(
         pixels == shape,
-        f"the view is of {pixels} pixels, but the images have {shape}; give the `view` of a part of the image.",
+        f"the view is of {pixels} pixels, but the images have {shape}; give the `view` of a part of"
+        " the image.",
     )
     heights = [led.position_mm[2] for led in rig.leds if led.position_mm is not None]
     require(
@@ -179,6 +198,12 @@ def _near_scene(images: FloatArray, rig: Rig, surface_mm: Any, mask: Any, view: 
 
 def _check_weights(weights: Any, shape: tuple[int, int, int], name: str) -> FloatArray:
     array = np.asarray(weights, dtype=np.float32)
-    require(array.shape == shape, f"{name} must have the shape {shape}, but it has the shape {array.shape}.")
-    require(np.isfinite(array).all() and float(array.min()) >= 0, f"{name} must be finite and not negative.")
+    require(
+        array.shape == shape,
+        f"{name} must have the shape {shape}, but it has the shape {array.shape}.",
+    )
+    require(
+        np.isfinite(array).all() and float(array.min()) >= 0,
+        f"{name} must be finite and not negative.",
+    )
     return array

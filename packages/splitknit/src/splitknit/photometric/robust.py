@@ -10,14 +10,24 @@ from numpy.typing import NDArray
 from splitknit.errors import check_lights, check_mask, check_stack
 from splitknit.imaging.chunks import gather
 from splitknit.model import FloatArray
-from splitknit.photometric.equations import conditioning, linear_map, moment_matrix, shading, solve, surface_by_chunks
+from splitknit.photometric.equations import (
+    conditioning,
+    linear_map,
+    moment_matrix,
+    shading,
+    solve,
+    surface_by_chunks,
+)
 
 # Which lights to trust at a pixel: shadows are left out, highlights lose weight.
 #
-# A light counts as shadowed where its image is darker than a part of what the brightest light gives; the rest is fitted
-# by least squares, and each residual, relative to the albedo, sets a new weight (iteratively reweighted least squares,
-# Cauchy weights). Glare and interreflection only ever add light, and shadow has been left out already: a residual below
-# the fit is mostly the fit's own tilt towards a highlight and is forgiven more.
+# A light counts as shadowed where its image is darker than a part of what the brightest light
+# gives; the rest is fitted by least squares, and each residual, relative to the albedo, sets a new
+# weight (iteratively reweighted least squares, Cauchy weights). Glare and interreflection only ever
+# add light, and shadow has been left out already: a residual below the fit is mostly the fit's own
+# tilt towards a
+# highlight and is forgiven
+# more.
 
 _CLEAN = 0.5
 """A pixel whose residuals all lie within this part of the tolerance keeps its least-squares fit."""
@@ -26,11 +36,13 @@ _HOPELESS = 100.0
 """Larger misfits count as this: a pixel without light keeps weights that sum to something."""
 
 _FLAT = 5e-4
-"""Smallest pivot, relative to the trace, of lights that determine a normal; three neighbours on the rig give 4e-3."""
+"""Smallest pivot, relative to the trace, of lights that determine a normal; three neighbours on the
+rig give 4e-3."""
 _FAINT = 1e-2
 
 _SHADOW = 0.03
-"""A light is in shadow where its image, divided by its strength, is below this part of the brightest one's."""
+"""A light is in shadow where its image, divided by its strength, is below this part of the
+brightest one's."""
 _TOLERANCE = 0.03
 """Residual, relative to the albedo, at which a light's weight has fallen to one half."""
 _ITERATIONS = 20
@@ -38,20 +50,26 @@ _ITERATIONS = 20
 
 
 _FORGIVENESS = 2.0
-"""Residuals below the fit get this many times the tolerance: light adds, it does not subtract. Between 2 and 4 the
-error on DiLiGenT's bear hardly changes."""
+"""Residuals below the fit get this many times the tolerance: light adds, it does not subtract.
+Between 2 and 4 the error on DiLiGenT's bear hardly changes."""
 
 
-def _lit_weights(images: FloatArray, lights: FloatArray) -> tuple[FloatArray, NDArray[np.intp], NDArray[np.intp]]:
-    """One where a light reaches the pixel and zero in shadow, (L, n); the pixels with any shadow; the weak of these.
+def _lit_weights(
+    images: FloatArray, lights: FloatArray
+) -> tuple[FloatArray, NDArray[np.intp], NDArray[np.intp]]:
+    """One where a light reaches the pixel and zero in shadow, (L, n); the pixels with any shadow;
+    the weak of these.
 
-    A pixel is weak where its lit lights do not determine a normal (fewer than three, or all near one plane). It keeps
-    every light, weighted by the square of what it gives: the brightest decide, and the system stays solvable.
+    A pixel is weak where its lit lights do not determine a normal (fewer than three, or all near
+    one plane). It keeps every light, weighted by the square of what it gives: the brightest decide,
+    and the system stays solvable.
     """
     peak = np.maximum(images.max(axis=0), 1e-20)
     lit = images > _SHADOW * peak
     weights = lit.astype(np.float32)
-    shadowed = np.flatnonzero(np.add.reduce(lit.view(np.uint8), axis=0, dtype=np.uint16) < images.shape[0])
+    shadowed = np.flatnonzero(
+        np.add.reduce(lit.view(np.uint8), axis=0, dtype=np.uint16) < images.shape[0]
+    )
     weak = shadowed[:0]
     if shadowed.size:
         nearby = lights if lights.ndim == 2 else lights[:, :, shadowed]
@@ -64,8 +82,9 @@ def _lit_weights(images: FloatArray, lights: FloatArray) -> tuple[FloatArray, ND
 def robust_fit(images: FloatArray, lights: FloatArray) -> FloatArray:
     """Albedo-scaled normals (3, n) from images (L, n).
 
-    `lights` is (L, 3), or (L, 3, n) where they differ from pixel to pixel. Images are divided by the strengths of their
-    lights first: what a matt surface leaves unexplained grows with a light, and no light counts more for being bright.
+    `lights` is (L, 3), or (L, 3, n) where they differ from pixel to pixel. Images are divided by
+    the strengths of their lights first: what a matt surface leaves unexplained grows with a light,
+    and no light counts more for being bright.
     """
     strength = np.sqrt(lights[:, 0] ** 2 + lights[:, 1] ** 2 + lights[:, 2] ** 2)
     images = images / (strength[:, None] if lights.ndim == 2 else strength)
@@ -92,7 +111,8 @@ def _reweight(
     g: FloatArray,
     active: NDArray[np.intp],
 ) -> None:
-    """Iterate the pixels `active` in place; a pixel leaves when its g moves by less than `_SETTLED` of its length."""
+    """Iterate the pixels `active` in place; a pixel leaves when its g moves by less than `_SETTLED`
+    of its length."""
     part, usable, here = images[:, active], weights[:, active], g[:, active]
     nearby = lights if lights.ndim == 2 else lights[:, :, active]
     for _ in range(_ITERATIONS):
@@ -104,7 +124,12 @@ def _reweight(
         moving = np.flatnonzero(_square(step) > (_SETTLED**2) * _square(fresh))
         if not moving.size:
             return
-        active, part, usable, here = active[moving], part[:, moving], usable[:, moving], fresh[:, moving]
+        active, part, usable, here = (
+            active[moving],
+            part[:, moving],
+            usable[:, moving],
+            fresh[:, moving],
+        )
         if nearby.ndim == 3:
             nearby = nearby[:, :, moving]
 
@@ -113,7 +138,9 @@ def _square(vector: FloatArray) -> FloatArray:
     return np.asarray(vector[0] * vector[0] + vector[1] * vector[1] + vector[2] * vector[2])
 
 
-def _misfit(images: FloatArray, lights: FloatArray, usable: FloatArray, g: FloatArray) -> FloatArray:
+def _misfit(
+    images: FloatArray, lights: FloatArray, usable: FloatArray, g: FloatArray
+) -> FloatArray:
     """Size of every residual in units of its tolerance, (L, n); zero where a light is not used."""
     residual = images - shading(g, lights)
     albedo = np.maximum(np.sqrt(_square(g)), 1e-20)
@@ -124,12 +151,14 @@ def _misfit(images: FloatArray, lights: FloatArray, usable: FloatArray, g: Float
 
 
 def robust(stack: Any, lights: Any, mask: Any = None) -> tuple[FloatArray, FloatArray]:
-    """Normals and albedo under distant lights, from the lights that are neither shadowed nor glossy at a pixel.
+    """Normals and albedo under distant lights, from the lights that are neither shadowed nor glossy
+    at a pixel.
 
     Parameters
     ----------
     stack, lights, mask
-        As of :func:`splitknit.photometric.lambertian`; five images or more for an effect on highlights.
+        As of :func:`splitknit.photometric.lambertian`; five images or more for an effect on
+        highlights.
 
     Returns
     -------
@@ -143,9 +172,10 @@ def robust(stack: Any, lights: Any, mask: Any = None) -> tuple[FloatArray, Float
 
     References
     ----------
-    P. W. Holland and R. E. Welsch, "Robust regression using iteratively reweighted least-squares", Communications in
-    Statistics A6 (1977), for the weights; S. Ikehata, D. Wipf, Y. Matsushita and K. Aizawa, "Robust photometric stereo
-    using sparse regression", CVPR 2012, for the view of shadow and specular reflection as sparse errors.
+    P. W. Holland and R. E. Welsch, "Robust regression using iteratively reweighted least-squares",
+    Communications in Statistics A6 (1977), for the weights; S. Ikehata, D. Wipf, Y. Matsushita and
+    K. Aizawa, "Robust photometric stereo using sparse regression", CVPR 2012, for the view of
+    shadow and specular reflection as sparse errors.
     """
     images = check_stack(stack, least=3)
     count, rows, columns = images.shape

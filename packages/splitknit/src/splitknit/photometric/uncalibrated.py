@@ -1,14 +1,17 @@
-"""Distant lights that nobody listed: their directions follow from the photographs, but for how deep the surface is.
+"""Distant lights that nobody listed: their directions follow from the photographs, but for how deep
+the surface is.
 
-Photographs of a matt surface are I = S B: S (L, 3) lights, B (3, n) normals times albedo, both up to a matrix A. Slopes
-without curl leave of it the bas-relief transformation f' = a f + m x + k y of the heights. What chooses among these are
-lights of equal brightness, and albedo that does not depend on the slope; lights on a ring leave it to the albedo alone.
+Photographs of a matt surface are I = S B: S (L, 3) lights, B (3, n) normals times albedo, both up
+to a matrix A. Slopes without curl leave of it the bas-relief transformation f' = a f + m x + k y of
+the heights. What chooses among these are lights of equal brightness, and albedo that does not
+depend on the slope; lights on a ring leave it to the albedo alone.
 
 References
 ----------
-A. Yuille and D. Snow, "Shape and albedo from multiple images using integrability", CVPR 1997 (curl of B's slopes is
-zero); P. N. Belhumeur, D. J. Kriegman and A. L. Yuille, "The bas-relief ambiguity", IJCV 35 (1999), section 2 (the
-transformation); H. Hayakawa, "Photometric stereo under a light source with arbitrary motion", JOSA A 11 (1994), for
+A. Yuille and D. Snow, "Shape and albedo from multiple images using integrability", CVPR 1997 (curl
+of B's slopes is zero); P. N. Belhumeur, D. J. Kriegman and A. L. Yuille, "The bas-relief
+ambiguity", IJCV 35 (1999), section 2 (the transformation); H. Hayakawa, "Photometric stereo under a
+light source with arbitrary motion", JOSA A 11 (1994), for
 |s_k| = 1; N. Alldrin, S. Mallick and D. Kriegman, CVPR 2007, for the distribution of the albedo.
 """
 
@@ -31,27 +34,41 @@ _SIDE = 220
 _SHADOW = 0.15
 """A light is in shadow where its image is below this part of the brightest one's."""
 _UNEQUAL, _PATCHES, _UNEVEN = 0.05, 30.0, 0.15
-"""Standard deviation of the lights' brightness; independent places of the object's albedo, and its deviation."""
+"""Standard deviation of the lights' brightness; independent places of the object's albedo, and its
+deviation."""
 _CURLS, _CURL = 60.0, 0.05
-"""Independent places of the curl; the curl over the slopes' own change that blur and gloss leave."""
+"""Independent places of the curl; the curl over the slopes' own change that blur and gloss
+leave."""
 _RIVAL_DEG, _RIVAL = 10.0, 1.5
-"""Other lights that explain the photographs nearly as well: they differ by so much, and cost less than so much more."""
+"""Other lights that explain the photographs nearly as well: they differ by so much, and cost less
+than so much more."""
 _GLOSSY = 0.2
-"""Standard deviation of the factor a that is not noise: a glazed bear comes out 1.23 times too deep."""
+"""Standard deviation of the factor a that is not noise: a glazed bear comes out 1.23 times too
+deep."""
 _RANK = 2.0
-"""Third singular value of the photographs over the fourth, at least: 4 on a glazed bear, 1 of copies and of noise."""
-_UNDETERMINED = "the photographs do not determine their lights; give a list of directions as `lights`."
-_AMBIGUOUS = "other lights explain the photographs as well; give a list of their directions as `lights`."
+"""Third singular value of the photographs over the fourth, at least: 4 on a glazed bear, 1 of
+copies and of noise."""
+_UNDETERMINED = (
+    "the photographs do not determine their lights; give a list of directions as `lights`."
+)
+_AMBIGUOUS = (
+    "other lights explain the photographs as well; give a list of their directions as `lights`."
+)
 _SOME, _FEW = 1000, 500
 """Places of the object that the fit, and the search for its start, look at."""
 
 
 def with_estimated_lights(capture: Capture) -> Capture:
-    """The capture; where its lights are unknown, with their directions by :func:`unknown_lights`, which may refuse."""
+    """The capture; where its lights are unknown, with their directions by :func:`unknown_lights`,
+    which may refuse."""
     if capture.rig.provenance.get("lights") != "unknown":
         return capture
     alone = capture.material == "opaque" and len(capture.bands) == 1
-    require(alone, "unknown lights go with opaque things and white photographs alone; give a list of the lights.")
+    require(
+        alone,
+        "unknown lights go with opaque things and white photographs alone; give a list of the"
+        " lights.",
+    )
     band = capture.bands["white"]
     binning = max(1, max(capture.shape) // (2 * _SIDE))
     mask = None
@@ -71,10 +88,14 @@ def with_estimated_lights(capture: Capture) -> Capture:
 
 
 def bas_relief_of(rig: Rig) -> tuple[float, float, float] | None:
-    """The deviation of :func:`unknown_lights` in a rig with such lights. Raises BadInput if it is damaged."""
+    """The deviation of :func:`unknown_lights` in a rig with such lights. Raises BadInput if it is
+    damaged."""
     if "bas_relief" not in rig.provenance:
         return None
-    with refusing(damaged := "the rig's provenance names no three numbers as bas_relief; read the photographs again."):
+    with refusing(
+        damaged
+        := "the rig's provenance names no three numbers as bas_relief; read the photographs again."
+    ):
         a, m, k = map(float, rig.provenance["bas_relief"])
         require(min(a, m, k) >= 0 and max(a, m, k) < np.inf, damaged)
     return a, m, k
@@ -84,14 +105,17 @@ def bas_relief_note(deviation: tuple[float, float, float]) -> str:
     """What lights that were estimated leave open."""
     deep, tilt = 100 * deviation[0], float(np.rad2deg(np.hypot(*deviation[1:])))
     return (
-        f"the lights' directions were estimated from the photographs: all heights may be off by one factor, by "
-        f"{deep:.0f} % (standard deviation), and the whole tilted by {tilt:.1f} deg (bas-relief ambiguity); a hollow "
-        "comes out as a hill, unless `light_frame` is left-down."
+        "the lights' directions were estimated from the photographs: all heights may be off by one"
+        f" factor, by {deep:.0f} % (standard deviation), and the whole tilted by {tilt:.1f} deg"
+        " (bas-relief ambiguity); a hollow comes out as a hill, unless `light_frame` is left-down."
     )
 
 
-def bas_relief_um(height_mm: FloatArray, inside: BoolArray, pitch_mm: float, deviation: Any) -> FloatArray:
-    """(H, W) standard deviation in um of heights whose bas-relief transformation has a `deviation` (a, m, k)."""
+def bas_relief_um(
+    height_mm: FloatArray, inside: BoolArray, pitch_mm: float, deviation: Any
+) -> FloatArray:
+    """(H, W) standard deviation in um of heights whose bas-relief transformation has a `deviation`
+    (a, m, k)."""
     rows, columns = np.indices(height_mm.shape, dtype=np.float32)
     fields = np.stack([height_mm, pitch_mm * columns, pitch_mm * rows])
     fields -= fields[:, inside].mean(axis=1)[:, None, None]
@@ -99,20 +123,29 @@ def bas_relief_um(height_mm: FloatArray, inside: BoolArray, pitch_mm: float, dev
     return np.asarray(1000.0 * np.sqrt(variance), dtype=np.float32)
 
 
-def unknown_lights(stack: Any, mask: Any = None, ceilings: Any = np.inf) -> tuple[Array, tuple[float, float, float]]:
-    """Unit vectors (L, 3) towards distant lights of equal brightness, from photographs of a matt, mostly convex object;
-    and the standard deviation of the bas-relief transformation: of its factor a, and of its slopes m and k.
+def unknown_lights(
+    stack: Any, mask: Any = None, ceilings: Any = np.inf
+) -> tuple[Array, tuple[float, float, float]]:
+    """Unit vectors (L, 3) towards distant lights of equal brightness, from photographs of a matt,
+    mostly convex object; and the standard deviation of the bas-relief transformation: of its factor
+    a, and of its slopes m and k.
 
-    `stack`: (L, H, W) linear light, six images or more; `mask`: (H, W) the object, by default what is brighter than the
-    background; `ceilings`: value, or (L,), from which images are clipped. Raises BadInput if the photographs do not
-    determine the lights: there are fewer than six, too little is lit by four lights, or other lights explain them too.
+    `stack`: (L, H, W) linear light, six images or more; `mask`: (H, W) the object, by default what
+    is brighter than the background; `ceilings`: value, or (L,), from which images are clipped.
+    Raises BadInput if the photographs do not determine the lights: there are fewer than six, too
+    little is lit by four lights, or other lights explain them too.
     """
     images = check_stack(stack)
-    require(len(images) >= FEWEST, f"lights that nobody knows need {FEWEST} photographs, but there are {len(images)}.")
+    require(
+        len(images) >= FEWEST,
+        f"lights that nobody knows need {FEWEST} photographs, but there are {len(images)}.",
+    )
     inside = check_mask(mask, (images.shape[1], images.shape[2]))
     if mask is None:  # what is brighter than the background, by Otsu's threshold
         mean = images.mean(axis=0)
-        grey = np.rint(255 * np.clip(mean / max(float(np.quantile(mean, 0.99)), 1e-12), 0, 1)).astype(np.uint8)
+        grey = np.rint(
+            255 * np.clip(mean / max(float(np.quantile(mean, 0.99)), 1e-12), 0, 1)
+        ).astype(np.uint8)
         inside = np.asarray(cv2.threshold(grey, 0, 1, cv2.THRESH_BINARY + cv2.THRESH_OTSU)[1] > 0)
     with refusing(_UNDETERMINED):  # singular matrices
         lights, fields, places = _factors(images, inside, np.broadcast_to(ceilings, len(images)))
@@ -131,20 +164,32 @@ def unknown_lights(stack: Any, mask: Any = None, ceilings: Any = np.inf) -> tupl
     return unit, deviation
 
 
-def _factors(images: FloatArray, inside: BoolArray, ceilings: Any) -> tuple[Array, list[Array], Array]:
-    """S (L, 3); B, its derivatives to the right and upwards (n, 3) each; and places (n, 2), x right, y up: weighted
-    alternating least squares, without shadows, clipped values and gloss."""
+def _factors(
+    images: FloatArray, inside: BoolArray, ceilings: Any
+) -> tuple[Array, list[Array], Array]:
+    """S (L, 3); B, its derivatives to the right and upwards (n, 3) each; and places (n, 2), x
+    right, y up: weighted alternating least squares, without shadows, clipped values and gloss."""
     box = bounding_box(inside)
     binning = max(1, int(np.ceil(max(inside[box].shape) / _SIDE)))
     clipped = (images[:, box[0], box[1]] >= np.asarray(ceilings)[:, None, None]).astype(np.float32)
     small, over = (bin_mean(part, binning) for part in (images[:, box[0], box[1]], clipped))
     small = np.stack([cv2.GaussianBlur(image, (0, 0), 1.0) for image in small])
-    within = cv2.erode((bin_mean(inside[box].astype(np.float32), binning) > 0.99).astype(np.uint8), np.ones((7, 7))) > 0
+    within = (
+        cv2.erode(
+            (bin_mean(inside[box].astype(np.float32), binning) > 0.99).astype(np.uint8),
+            np.ones((7, 7)),
+        )
+        > 0
+    )
     light = small[:, within].astype(np.float64)
     lit = (light > _SHADOW * light.max(axis=0)) & (over[:, within] == 0)
     lit &= lit.sum(axis=0) >= 4
     enough = int((lit.sum(axis=0) >= 4).sum()) >= 4 * _FEW and bool(lit.any(axis=1).all())
-    require(enough, "too little of the object is lit in four photographs; give a list of the lights as `lights`.")
+    require(
+        enough,
+        "too little of the object is lit in four photographs; give a list of the lights as"
+        " `lights`.",
+    )
     light /= light[lit].mean()
     whole = lit.sum(axis=0) >= np.quantile(lit.sum(axis=0), 0.7)
     left, size, _ = np.linalg.svd(light[:, whole], full_matrices=False)
@@ -172,26 +217,38 @@ def _factors(images: FloatArray, inside: BoolArray, ceilings: Any) -> tuple[Arra
     rows, columns = rows[some], columns[some]
     across = 0.5 * (field[rows, columns + 1] - field[rows, columns - 1])
     up = 0.5 * (field[rows - 1, columns] - field[rows + 1, columns])
-    return lights, [field[rows, columns], across, up], np.column_stack([columns - columns.mean(), rows.mean() - rows])
+    return (
+        lights,
+        [field[rows, columns], across, up],
+        np.column_stack([columns - columns.mean(), rows.mean() - rows]),
+    )
 
 
 def _figures(matrix: Array, lights: Array, fields: list[Array]) -> tuple[Array, Array, Array]:
-    """ln of the brightness of lights (L,) and of the albedo (n,), and the curl (n,) of slopes over their own change,
-    where B is `matrix` times what was factored."""
+    """ln of the brightness of lights (L,) and of the albedo (n,), and the curl (n,) of slopes over
+    their own change, where B is `matrix` times what was factored."""
     surface, across, up = (part @ matrix.T for part in fields)
     strength = np.log(np.linalg.norm(lights @ np.linalg.inv(matrix), axis=1))
     albedo = np.log(np.linalg.norm(surface, axis=1))
     deep = surface[:, 2:]
     least = 0.05 * float(np.median(np.abs(deep)))
     deep = np.where(np.abs(deep) < least, least, deep)
-    slope_x, slope_y = ((part * deep - surface * part[:, 2:])[:, :2] / deep**2 for part in (across, up))
+    slope_x, slope_y = (
+        (part * deep - surface * part[:, 2:])[:, :2] / deep**2 for part in (across, up)
+    )
     change = float(np.median(np.hypot(np.hypot(*slope_x.T), np.hypot(*slope_y.T))))
-    return strength, albedo - np.median(albedo), (slope_y[:, 0] - slope_x[:, 1]) / max(change, 1e-12)
+    return (
+        strength,
+        albedo - np.median(albedo),
+        (slope_y[:, 0] - slope_x[:, 1]) / max(change, 1e-12),
+    )
 
 
-def _fitted(lights: Array, fields: list[Array], matrix: Array, curls: float = _CURLS) -> tuple[Any, Array]:
-    """Least squares of lights of one brightness, even albedo and slopes without curl (places as many as `curls`), by
-    Cauchy's loss that narrows; and the matrix."""
+def _fitted(
+    lights: Array, fields: list[Array], matrix: Array, curls: float = _CURLS
+) -> tuple[Any, Array]:
+    """Least squares of lights of one brightness, even albedo and slopes without curl (places as
+    many as `curls`), by Cauchy's loss that narrows; and the matrix."""
     from scipy.optimize import least_squares  # slow to import, and needed here alone
 
     def residuals(values: Array, wide: float) -> Array:
@@ -207,7 +264,8 @@ def _fitted(lights: Array, fields: list[Array], matrix: Array, curls: float = _C
 
 
 def _turns(fields: list[Array], matrix: Array, most: int = 3) -> list[Array]:
-    """The rotations, some of them with a mirroring, after which slopes have the least curl; the best first."""
+    """The rotations, some of them with a mirroring, after which slopes have the least curl; the
+    best first."""
     normals = fields[0] @ matrix.T
     mean = (normals / np.linalg.norm(normals, axis=1, keepdims=True)).mean(axis=0)
     facing = np.linalg.svd(mean[None])[2][[1, 2, 0]]
@@ -231,10 +289,12 @@ def _turns(fields: list[Array], matrix: Array, most: int = 3) -> list[Array]:
 
 
 def _deviation(solution: Any, matrix: Array) -> tuple[float, float, float]:
-    """Standard deviations of the bas-relief transformation of :func:`_fitted`: of its factor, and of its slopes."""
+    """Standard deviations of the bas-relief transformation of :func:`_fitted`: of its factor, and
+    of its slopes."""
     normal = solution.jac.T @ solution.jac
     covariance = np.linalg.inv(normal + 1e-9 * np.trace(normal) * np.eye(9))
-    turns = np.eye(9).reshape(9, 3, 3) @ np.linalg.inv(matrix)  # what changes of the matrix do to normals
+    # what changes of the matrix do to normals
+    turns = np.eye(9).reshape(9, 3, 3) @ np.linalg.inv(matrix)
     factor = 0.5 * (turns[:, 0, 0] + turns[:, 1, 1]) - turns[:, 2, 2]
     reads = np.stack([factor, turns[:, 0, 2], turns[:, 1, 2]])
     a, m, k = np.sqrt(np.diag(reads @ covariance @ reads.T)).tolist()

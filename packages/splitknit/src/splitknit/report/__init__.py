@@ -11,7 +11,8 @@ from splitknit.errors import printable
 
 @cache
 def template(page: str | Path) -> Any:
-    """A page to be rendered, of ``templates/`` or a file; a name that it does not get is an error."""
+    """A page to be rendered, of ``templates/`` or a file; a name that it does not get is an
+    error."""
     import jinja2  # pictures need none of it
 
     shared = Path(__file__).parent / "templates"
@@ -20,7 +21,8 @@ def template(page: str | Path) -> Any:
         loader=jinja2.FileSystemLoader([file.parent, shared]),
         autoescape=True,
         undefined=jinja2.StrictUndefined,
-        finalize=lambda value: printable(value) if type(value) is str else value,  # texts of files, as on a terminal
+        # texts of files, as on a terminal
+        finalize=lambda value: printable(value) if type(value) is str else value,
         trim_blocks=True,
         lstrip_blocks=True,
     )

@@ -1,4 +1,5 @@
-"""The pictures of the report, each with a caption that explains what is seen and what good looks like."""
+"""The pictures of the report, each with a caption that explains what is seen and what good looks
+like."""
 
 from __future__ import annotations
 
@@ -36,7 +37,8 @@ Truth = Mapping[str, NDArray[Any]]  # a simulator's arrays
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _SmallFields:
-    """A reconstruction's fields, averaged over a picture's pixels: what the pictures are drawn from."""
+    """A reconstruction's fields, averaged over a picture's pixels: what the pictures are drawn
+    from."""
 
     frame: PictureFrame
     weight: FloatArray  # (h, w) in [0, 1], fraction of the pixel inside the mask
@@ -73,13 +75,25 @@ def _normals_picture(result: Reconstruction, small: _SmallFields) -> Picture:
 
 
 def _field_picture(  # noqa: PLR0917
-    title: str, field: tuple[FloatArray, FloatArray], limits: tuple[float, float], unit: str, caption: str,
-    pitch_mm: float, *, diverging: bool = False,
-) -> Picture:  # fmt: skip
+    title: str,
+    field: tuple[FloatArray, FloatArray],
+    limits: tuple[float, float],
+    unit: str,
+    caption: str,
+    pitch_mm: float,
+    *,
+    diverging: bool = False,
+) -> Picture:
     """A field (h, w) with its weight in the colours of a scale between `limits`."""
     values, weight = field
     legend = colour_bar(*limits, unit, diverging=diverging)
-    return captioned(title, on_paper(colour(values, *limits, diverging=diverging), weight), caption, pitch_mm, legend)
+    return captioned(
+        title,
+        on_paper(colour(values, *limits, diverging=diverging), weight),
+        caption,
+        pitch_mm,
+        legend,
+    )
 
 
 def _relief_picture(result: Reconstruction, small: _SmallFields) -> Picture:
@@ -87,12 +101,14 @@ def _relief_picture(result: Reconstruction, small: _SmallFields) -> Picture:
     unit = result.unit
     weight = small.weight
     caption = (
-        "Height of the ridges above their surroundings, without the shape of the finger. Yellow is high. "
-        "Good: even, unbroken ridges from edge to edge, some 40 to 100 µm from valley to top."
+        "Height of the ridges above their surroundings, without the shape of the finger. Yellow is"
+        " high. Good: even, unbroken ridges from edge to edge, some 40 to 100 µm from valley to"
+        " top."
     )
     if not is_finger(result):
         caption = (
-            "Height of fine details above their surroundings, without the shape; the rim is left out. Yellow is high."
+            "Height of fine details above their surroundings, without the shape; the rim is left"
+            " out. Yellow is high."
         )
         weight = _without_rim(weight > 0, small.frame.pitch_mm) * weight
     relief = unit.small_per_mm * small.ridge_mm, weight
@@ -107,20 +123,27 @@ def _without_rim(inside: BoolArray, pitch_mm: float) -> BoolArray:
 
 
 def relief_limits(result: Reconstruction) -> tuple[float, float]:
-    """Limits of a colour scale for the relief in the result's small unit: what ridges span where the skin faces the
-    camera, in whole fives of um, or of a pixel's first figure that counts."""
+    """Limits of a colour scale for the relief in the result's small unit: what ridges span where
+    the skin faces the camera, in whole fives of um, or of a pixel's first figure that counts."""
     facing = facing_relief_mm(result)
-    relief = result.unit.small_per_mm * (facing if facing.size else result.ridge_mm[result.mask])[::3]
+    relief = (
+        result.unit.small_per_mm * (facing if facing.size else result.ridge_mm[result.mask])[::3]
+    )
     low, high = (float(v) for v in np.nanpercentile(relief, (3.0, 98.0)))
     margin = 0.1 * (high - low)
-    step = 5.0 if result.unit.known else 0.5 * 10.0 ** float(np.floor(np.log10(max(high - low, 1e-6))))
-    ends = step * float(np.floor((low - margin) / step)), step * float(np.ceil((high + margin) / step + 1e-9))
+    step = (
+        5.0 if result.unit.known else 0.5 * 10.0 ** float(np.floor(np.log10(max(high - low, 1e-6))))
+    )
+    ends = (
+        step * float(np.floor((low - margin) / step)),
+        step * float(np.ceil((high + margin) / step + 1e-9)),
+    )
     return float(f"{ends[0]:.6g}"), float(f"{ends[1]:.6g}")
 
 
 def facing_relief_mm(result: Reconstruction) -> FloatArray:
-    """The relief (N,) where it is known and the surface faces the camera, in the order of the rows; of an opaque thing
-    without its rim."""
+    """The relief (N,) where it is known and the surface faces the camera, in the order of the rows;
+    of an opaque thing without its rim."""
     box = bounding_box(result.mask)
     relief = result.ridge_mm[box]
     inside = result.mask[box]
@@ -153,10 +176,16 @@ def _shape_picture(result: Reconstruction, small: _SmallFields) -> Picture:
     return captioned(
         "Shape",
         on_paper(picture, weight),
-        f"Height of the finger without its ridges, below its highest point; a line every {step:g} {unit.name}. "
-        "Good: smooth, rounded contours that close towards the tip, with no dents and no waves at the edge."
-        if is_finger(result)
-        else f"Height without fine details, below the highest point; a line every {step:g} {unit.name}.",
+        (
+            "Height of the finger without its ridges, below its highest point; a line every"
+            f" {step:g} {unit.name}. Good: smooth, rounded contours that close towards the tip,"
+            " with no dents and no waves at the edge."
+            if is_finger(result)
+            else (
+                f"Height without fine details, below the highest point; a line every {step:g}"
+                f" {unit.name}."
+            )
+        ),
         small.frame.pitch_mm,
         colour_bar(round(low, 1), 0.0, unit.name),
     )
@@ -171,17 +200,21 @@ def _uncertainty_picture(result: Reconstruction, small: _SmallFields) -> Picture
         return None
     title = "Uncertainty of the relief"
     caption = (
-        "Skin blurs what light shows of the ridges, and specular reflection covers it; both are undone as far as "
-        "simulated skin teaches it. This is the standard deviation (one sigma) of what is left. Good: small against "
-        "the relief."
+        "Skin blurs what light shows of the ridges, and specular reflection covers it; both are"
+        " undone as far as simulated skin teaches it. This is the standard deviation (one sigma) of"
+        " what is left. Good: small against the relief."
     )
     if not is_finger(result):
         title = "Uncertainty of the heights"
-        caption = "Standard deviation (one sigma) of the heights, as far as it is known. Good: small against them."
+        caption = (
+            "Standard deviation (one sigma) of the heights, as far as it is known. Good: small"
+            " against them."
+        )
     elif result.facts.get("heights") == "measured":
         caption = (
-            "Ridges are measured by what the skin's surface reflects, which shows least where the finger turns away. "
-            "This is the standard deviation (one sigma) of their height. Good: small against the relief."
+            "Ridges are measured by what the skin's surface reflects, which shows least where the"
+            " finger turns away. This is the standard deviation (one sigma) of their height. Good:"
+            " small against the relief."
         )
     values, weight = to_frame(result.uncertainty_um, known, small.frame)
     high = float(np.percentile(values[weight > 0.5], 98))
@@ -194,18 +227,28 @@ def _specular_picture(result: Reconstruction, small: _SmallFields) -> Picture | 
     """Show what the surface reflects, of a polarised capture."""
     if result.specular is None:
         return None
-    values, weight = to_frame(result.specular, result.mask & np.isfinite(result.specular), small.frame)
+    values, weight = to_frame(
+        result.specular, result.mask & np.isfinite(result.specular), small.frame
+    )
     return captioned(
         "Specular image",
         on_paper(picture_bytes(values)[..., None].repeat(3, axis=2), weight),
-        "What the surface itself reflects, under all lights: the parallel less the crossed images, of even brightness. "
-        "Bright flanks face half-way between camera and lights. Good: sharp, unbroken ridges, pores as dots.",
+        "What the surface itself reflects, under all lights: the parallel less the crossed images,"
+        " of even brightness. Bright flanks face half-way between camera and lights. Good: sharp,"
+        " unbroken ridges, pores as dots.",
         small.frame.pitch_mm,
     )
 
 
-FIELD_PICTURES = (_specular_picture, _normals_picture, _relief_picture, _shape_picture, _uncertainty_picture)
-"""Each draws a picture of a result and its small fields, or None where the result has no such field."""
+FIELD_PICTURES = (
+    _specular_picture,
+    _normals_picture,
+    _relief_picture,
+    _shape_picture,
+    _uncertainty_picture,
+)
+"""Each draws a picture of a result and its small fields, or None where the result has no such
+field."""
 
 
 def view_from_above(small: _SmallFields) -> ColourArray:
@@ -220,7 +263,9 @@ def picture_from_above(view: ColourArray, pitch_mm: float, finger: bool) -> Pict
     good = "Good: rounded like a finger, ridges even from edge to edge, no bumps or waves."
     if not finger:
         good = "Good: no bumps or waves that the object does not have."
-    return captioned("From above", view, f"Measured surface, lit from the upper left. {good}", pitch_mm)
+    return captioned(
+        "From above", view, f"Measured surface, lit from the upper left. {good}", pitch_mm
+    )
 
 
 def print_picture(prints: NDArray[np.uint8]) -> Picture:
@@ -228,7 +273,10 @@ def print_picture(prints: NDArray[np.uint8]) -> Picture:
     dark = prints < 250
     if bool(dark.any()):
         prints = prints[bounding_box(dark, 8)]
-    caption = "The relief as ink on paper: ridges dark, mirrored against the camera image, 500 pixels an inch. "
+    caption = (
+        "The relief as ink on paper: ridges dark, mirrored against the camera image, 500 pixels an"
+        " inch. "
+    )
     caption += "Good: dark, separate ridges with clear endings and forks up to the edge."
     return captioned("Print", prints, caption, 25.4 / 500)
 
@@ -247,7 +295,8 @@ def error_pictures(
                 to_frame(surface_mm, np.isfinite(surface_mm), frame),
                 (-0.5, 0.5),
                 "mm",
-                "Measured minus true height, mean removed. Blue is too low, orange too high; white is right.",
+                "Measured minus true height, mean removed. Blue is too low, orange too high; white"
+                " is right.",
             )
         )
         errors.append(
@@ -256,8 +305,8 @@ def error_pictures(
                 to_frame(comparison.ridge_error_um, comparison.band, frame),
                 (-50.0, 50.0),
                 "µm",
-                "Measured minus true relief where the finger's slant is below 60 deg. Ridges that are seen here are "
-                "ridges of the wrong height; white is right.",
+                "Measured minus true relief where the finger's slant is below 60 deg. Ridges that"
+                " are seen here are ridges of the wrong height; white is right.",
             )
         )
     return errors
@@ -270,7 +319,8 @@ _BACKGROUND = 0.965
 
 
 def _shade(surface: _SmallFields) -> FloatArray:
-    """Light a height field like matt clay, (H, W, 3) float32 in [0, 1], for display; valleys are slightly darker."""
+    """Light a height field like matt clay, (H, W, 3) float32 in [0, 1], for display; valleys are
+    slightly darker."""
     inside = surface.weight > 0.5
     known = np.where(inside, surface.height_mm, np.nan)
     normals = normals_from_gradients(*height_gradients(known, surface.frame.pitch_mm))
@@ -278,7 +328,9 @@ def _shade(surface: _SmallFields) -> FloatArray:
     fill = np.clip(normals @ _unit(_FILL), 0.0, 1.0)
     halfway = _unit(_KEY) + np.array([0.0, 0.0, 1.0], dtype=np.float32)
     gloss = np.clip(normals @ _unit(halfway), 0.0, 1.0) ** 24
-    deviation = float(np.sqrt(np.mean(np.square(surface.ridge_mm[inside])))) if bool(inside.any()) else 0.0
+    deviation = (
+        float(np.sqrt(np.mean(np.square(surface.ridge_mm[inside])))) if bool(inside.any()) else 0.0
+    )
     depth = np.clip(surface.ridge_mm / max(2.0 * deviation, 1e-6), -1.0, 1.0)
     light = (0.10 + 0.74 * key + 0.20 * fill) * (1.0 + 0.14 * depth)
     shaded = light[..., None] * _CLAY + 0.10 * gloss[..., None]

@@ -1,4 +1,5 @@
-"""Pictures with captions, and what the camera saw: the mean white image with what was found in it."""
+"""Pictures with captions, and what the camera saw: the mean white image with what was found in
+it."""
 
 from __future__ import annotations
 
@@ -39,16 +40,25 @@ def is_finger(result: Reconstruction) -> bool:
 
 
 def captioned(
-    title: str, image: NDArray[np.uint8], caption: str, pitch_mm: float = 0.0, legend: Markup = _NO_LEGEND
+    title: str,
+    image: NDArray[np.uint8],
+    caption: str,
+    pitch_mm: float = 0.0,
+    legend: Markup = _NO_LEGEND,
 ) -> Picture:
-    """A picture as a data URI, with a bar of a round length where the size of a pixel is known. What a legend explains,
-    and prints, keep their exact values; all else is stored as a photograph.
+    """A picture as a data URI, with a bar of a round length where the size of a pixel is known.
+    What a legend explains, and prints, keep their exact values; all else is stored as a photograph.
     """
     height, width = image.shape[:2]
-    bar_mm = next((b for b in (10.0, 5.0, 2.0, 1.0, 0.5) if b < 0.45 * width * pitch_mm), 0.0) if pitch_mm else 0.0
+    bar_mm = (
+        next((b for b in (10.0, 5.0, 2.0, 1.0, 0.5) if b < 0.45 * width * pitch_mm), 0.0)
+        if pitch_mm
+        else 0.0
+    )
     return Picture(
         title=title,
-        uri=Markup(data_uri(image, photo=image.ndim == 3 and not legend)),  # HTML has to escape nothing in it
+        # HTML has to escape nothing in it
+        uri=Markup(data_uri(image, photo=image.ndim == 3 and not legend)),
         caption=caption,
         width=width,
         height=height,
@@ -60,13 +70,15 @@ def captioned(
 
 def colour_bar(low: float, high: float, unit: str, *, diverging: bool = False) -> Markup:
     """A bar that explains :func:`splitknit.io.pictures.colour`."""
-    shades = colour(np.linspace(0.0, 1.0, 17, dtype=np.float32)[None], 0.0, 1.0, diverging=diverging)[0]
+    shades = colour(
+        np.linspace(0.0, 1.0, 17, dtype=np.float32)[None], 0.0, 1.0, diverging=diverging
+    )[0]
     stops = ",".join(f"rgb({r},{g},{b})" for r, g, b in shades)
     return Markup(
-        f'<div style="max-width:220px"><div style="height:10px;background:linear-gradient(90deg,{stops})"></div>'
-        '<div style="display:flex;justify-content:space-between;font-size:11px">'
-        f"<span>{low:.3g}</span><span>{(low + high) / 2:.3g} {unit}</span><span>{high:.3g}</span>"
-        "</div></div>"
+        '<div style="max-width:220px"><div'
+        f' style="height:10px;background:linear-gradient(90deg,{stops})"></div><div'
+        f' style="display:flex;justify-content:space-between;font-size:11px"><span>{low:.3g}</span>'
+        f"<span>{(low + high) / 2:.3g} {unit}</span><span>{high:.3g}</span></div></div>"
     )
 
 
@@ -94,18 +106,24 @@ def _mean_image(capture: Capture, size: tuple[int, int]) -> ColourArray:
     """Mean of the white images for people, `size` (columns, rows)."""
     pixels = capture.bands["white"].pixels
     total = np.zeros((size[1], size[0], 3), dtype=np.float32)
-    for image in pixels:  # sampled linearly: the images' mean averages noise, and ridges are wider than a pixel of it
-        small = np.asarray(cv2.resize(image, size, interpolation=cv2.INTER_LINEAR), dtype=np.float32)
+    # sampled linearly: the images' mean averages noise, and ridges are wider than a pixel of it
+    for image in pixels:
+        small = np.asarray(
+            cv2.resize(image, size, interpolation=cv2.INTER_LINEAR), dtype=np.float32
+        )
         total += small.reshape(size[1], size[0], -1)
     total /= len(pixels) * float(np.iinfo(pixels.dtype).max)
     brightest = max(float(np.percentile(total, 99.7)), 1e-6)
     gamma = 1.0 / 2.2 if capture.encoding == "linear" else 1.0
-    picture: ColourArray = np.round(255 * np.clip(total / brightest, 0.0, 1.0) ** gamma).astype(np.uint8)
+    picture: ColourArray = np.round(255 * np.clip(total / brightest, 0.0, 1.0) ** gamma).astype(
+        np.uint8
+    )
     return np.ascontiguousarray(picture)
 
 
 def capture_pictures(result: Reconstruction, capture: Capture) -> list[Picture]:
-    """What was found in the images: the finger, and the mirrors' views where the shape came from them."""
+    """What was found in the images: the finger, and the mirrors' views where the shape came from
+    them."""
     pictures = [_mask_on_image(result, capture), _contact_sheet(capture)]
     drawing = result.facts.get("mirror_drawing")
     if drawing is not None:
@@ -114,7 +132,8 @@ def capture_pictures(result: Reconstruction, capture: Capture) -> list[Picture]:
 
 
 def _contact_sheet(capture: Capture) -> Picture:
-    """All photographs, small, in the order of their bands and lights, each as bright as its sensor saw it."""
+    """All photographs, small, in the order of their bands and lights, each as bright as its sensor
+    saw it."""
     images = [image for band in capture.bands.values() for image in band.pixels]
     gamma = 1.0 / 2.2 if capture.encoding == "linear" else 1.0
     across = min(4, len(images))
@@ -122,29 +141,43 @@ def _contact_sheet(capture: Capture) -> Picture:
     size = (width, max(1, width * images[0].shape[0] // images[0].shape[1]))
     sheet = np.full((-(-len(images) // across) * size[1], across * width, 3), 255, dtype=np.uint8)
     for number, image in enumerate(images):
-        level = cv2.resize(image, size, interpolation=cv2.INTER_AREA) / float(np.iinfo(image.dtype).max)
+        level = cv2.resize(image, size, interpolation=cv2.INTER_AREA) / float(
+            np.iinfo(image.dtype).max
+        )
         top = number // across * size[1]
         left = number % across * width
-        sheet[top : top + size[1], left : left + width] = np.round(255 * level.reshape(*size[::-1], -1) ** gamma)
+        sheet[top : top + size[1], left : left + width] = np.round(
+            255 * level.reshape(*size[::-1], -1) ** gamma
+        )
     named = "; ".join(f"{len(band.pixels)} {name}" for name, band in capture.bands.items())
     return captioned(
-        "Photographs", sheet, f"In the order of the capture, row by row: {named}. Good: sharp, none black, none white."
+        "Photographs",
+        sheet,
+        f"In the order of the capture, row by row: {named}. Good: sharp, none black, none white.",
     )
 
 
 def _mask_on_image(result: Reconstruction, capture: Capture) -> Picture:
-    """Show the mean white image as the camera saw it, with the mask's outline, the cut and the finger's axis."""
+    """Show the mean white image as the camera saw it, with the mask's outline, the cut and the
+    finger's axis."""
     size, scale = _fitting(result.mask.shape)
     picture = _mean_image(capture, size)
 
-    inside = cv2.resize(result.mask.astype(np.uint8) * 255, size, interpolation=cv2.INTER_AREA) > 127
-    outlines, _ = cv2.findContours(inside.astype(np.uint8), cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
+    inside = (
+        cv2.resize(result.mask.astype(np.uint8) * 255, size, interpolation=cv2.INTER_AREA) > 127
+    )
+    outlines, _ = cv2.findContours(
+        inside.astype(np.uint8), cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE
+    )
     cv2.drawContours(picture, outlines, -1, ORANGE, 2, cv2.LINE_AA)
     finger = is_finger(result)
     if finger:
         ends = upright_limits(result)
-        ends[:, 0] = ends[:, 0].mean()  # tip and base of the upright frame's middle line in the mask
-        ends = scale * (ends @ result.input_from_upright[:2, :2].T + result.input_from_upright[:2, 2])
+        # tip and base of the upright frame's middle line in the mask
+        ends[:, 0] = ends[:, 0].mean()
+        ends = scale * (
+            ends @ result.input_from_upright[:2, :2].T + result.input_from_upright[:2, 2]
+        )
         _line(picture, ends, SKY, 2)
         cv2.circle(picture, np.round(ends[0]).astype(int).tolist(), 5, SKY, -1, cv2.LINE_AA)
     crease = result.facts.get("crease_line")
@@ -153,8 +186,8 @@ def _mask_on_image(result: Reconstruction, capture: Capture) -> Picture:
     pitch_mm = result.pitch_mm / scale
     if not finger:
         caption = (
-            "Mean of the images, as the camera saw it. Orange: the outline of what was measured. Good: the outline "
-            "follows the object closely and holds neither background nor shadow."
+            "Mean of the images, as the camera saw it. Orange: the outline of what was measured."
+            " Good: the outline follows the object closely and holds neither background nor shadow."
         )
         return captioned("Outline", picture, caption, pitch_mm)
     cut = "No crease was cut. "
@@ -163,34 +196,48 @@ def _mask_on_image(result: Reconstruction, capture: Capture) -> Picture:
     return captioned(
         "Finger found",
         picture,
-        "Mean of the white-light images, as the camera saw it. Orange: the outline of the skin that was used. "
-        f"Pale blue: the finger's axis, with a dot at the tip. {cut}"
-        "Good: the outline follows the finger closely and holds neither background nor shadow.",
+        "Mean of the white-light images, as the camera saw it. Orange: the outline of the skin"
+        f" that was used. Pale blue: the finger's axis, with a dot at the tip. {cut}Good: the"
+        " outline follows the finger closely and holds neither background nor shadow.",
         pitch_mm,
     )
 
 
-def _mirror_picture(result: Reconstruction, capture: Capture, drawing: Mapping[str, Any]) -> Picture:
+def _mirror_picture(
+    result: Reconstruction, capture: Capture, drawing: Mapping[str, Any]
+) -> Picture:
     """The mean image with the outlines in every view, where the shape came from mirrors."""
     size, scale = _fitting(capture.shape)
     picture = _mean_image(capture, size)
     for name, shade in (("mirrors", (120, 120, 120)), ("masks", ORANGE), ("medial_lines", SKY)):
         for line in drawing[name].values():
-            _line(picture, scale * np.array(line, dtype=np.float64), shade, 1, closed=name != "medial_lines")
+            _line(
+                picture,
+                scale * np.array(line, dtype=np.float64),
+                shade,
+                1,
+                closed=name != "medial_lines",
+            )
     for outline in drawing["fitted"].values():
         for place in np.round(scale * np.array(outline, dtype=np.float64)).astype(int).tolist():
             cv2.circle(picture, place, 2, BLUE, -1, cv2.LINE_AA)
     return captioned(
         "Views in the mirrors",
         picture,
-        "The finger itself and its mirror images. Orange: the outline found in each view. Pale blue: medial lines. "
-        "Dark blue dots: the outline of the fitted finger, seen in the mirrors where they were found. Grey: where the "
-        "rig file has the mirrors. Good: the dots lie on the orange lines.",
+        "The finger itself and its mirror images. Orange: the outline found in each view. Pale"
+        " blue: medial lines. Dark blue dots: the outline of the fitted finger, seen in the mirrors"
+        " where they were found. Grey: where the rig file has the mirrors. Good: the dots lie on"
+        " the orange lines.",
         result.pitch_mm / scale,
     )
 
 
 def _line(
-    picture: ColourArray, points: NDArray[np.float64], shade: Sequence[int], width: int, *, closed: bool = False
+    picture: ColourArray,
+    points: NDArray[np.float64],
+    shade: Sequence[int],
+    width: int,
+    *,
+    closed: bool = False,
 ) -> None:
     cv2.polylines(picture, [np.round(points).astype(np.int32)], closed, shade, width, cv2.LINE_AA)

@@ -1,6 +1,8 @@
-"""The folder of a result: its files, and one page and one JSON document that report what was measured, and how well.
+"""The folder of a result: its files, and one page and one JSON document that report what was
+measured, and how well.
 
-Dates and timings are written here and nowhere else: all other files are the same bytes for the same input.
+Dates and timings are written here and nowhere else: all other files are the same bytes for the same
+input.
 """
 
 from __future__ import annotations
@@ -27,7 +29,13 @@ from splitknit.io.images import write_float_tiff
 from splitknit.io.pictures import ColourArray, data_uri, upright_frame, upright_limits
 from splitknit.io.prints import provenance_texts, write_print_png
 from splitknit.io.provenance import plain_json, provenance
-from splitknit.io.results import write_albedo, write_arrays, write_mesh, write_normals, write_picture
+from splitknit.io.results import (
+    write_albedo,
+    write_arrays,
+    write_mesh,
+    write_normals,
+    write_picture,
+)
 from splitknit.model import Capture, Reconstruction
 from splitknit.report import figures, template
 from splitknit.report.figures import Truth
@@ -64,13 +72,17 @@ class Report:
     html: str
     facts: Mapping[str, Any]
     above: ColourArray  # the shaded surface as the camera sees it, upright
-    prints: NDArray[np.uint8] | None  # the relief as a print; None if it is not a finger's, or its scale is unknown
+    # the relief as a print; None if it is not a finger's, or its scale is unknown
+    prints: NDArray[np.uint8] | None
 
     def write(self, folder: Path, files: Sequence[str]) -> dict[str, Any]:
         """Write ``report.html`` and ``report.json``, which lists `files`, and return the facts."""
         facts = {**self.facts, "files": list(files)}
         write_file(folder / "report.html", self.html.encode("utf-8"))
-        write_file(folder / "report.json", (json.dumps(facts, indent=1, allow_nan=False) + "\n").encode("utf-8"))
+        write_file(
+            folder / "report.json",
+            (json.dumps(facts, indent=1, allow_nan=False) + "\n").encode("utf-8"),
+        )
         return facts
 
 
@@ -81,9 +93,10 @@ def make_report(
     others: Sequence[Reconstruction] = (),
     title: str = "",
 ) -> Report:
-    """Build the report of `result`; its pictures are drawn side by side, in threads. `capture`: what it was made from,
-    whose previews enter the page; `truth`: a simulator's arrays, with which `result` and `others`, of the same capture
-    by other presets, are compared; `title`: by default "3D fingerprint", or "Surface" of what is not a finger.
+    """Build the report of `result`; its pictures are drawn side by side, in threads. `capture`:
+    what it was made from, whose previews enter the page; `truth`: a simulator's arrays, with which
+    `result` and `others`, of the same capture by other presets, are compared; `title`: by default
+    "3D fingerprint", or "Surface" of what is not a finger.
     """
     finger = is_finger(result)
     results = (result, *others)
@@ -122,37 +135,51 @@ def make_report(
         prints=None if prints is None else figures.print_picture(prints),
         maps=maps,
         quality=_tables(facts["quality"]),
-        assumed=_tables({name: fact for name, fact in facts["facts"].items() if name not in hidden}),
+        assumed=_tables(
+            {name: fact for name, fact in facts["facts"].items() if name not in hidden}
+        ),
         settings=_tables(facts["settings"]),
         capture=[(_label(key), _text(value)) for key, value in facts["capture"].items() if value],
         comparisons=comparisons,
-        compared=[row for row in _COMPARED if any(each.figures.get(row[0]) is not None for each in comparisons)],
+        compared=[
+            row
+            for row in _COMPARED
+            if any(each.figures.get(row[0]) is not None for each in comparisons)
+        ],
         errors=figures.error_pictures(results, comparisons, frame) if comparisons else [],
         total_s=sum(result.timings_s.values()),
     )
     return Report(html, facts, above, prints)
 
 
-def _facts(result: Reconstruction, capture: Capture | None, comparisons: Sequence[Comparison]) -> dict[str, Any]:
+def _facts(
+    result: Reconstruction, capture: Capture | None, comparisons: Sequence[Comparison]
+) -> dict[str, Any]:
     unit = result.unit
     area_px = int(np.count_nonzero(result.mask))
     return {
         "format": "splitknit-report",
         "version": 1,
-        "software": {"name": "splitknit", "version": provenance()["version"], "python": platform.python_version()},
+        "software": {
+            "name": "splitknit",
+            "version": provenance()["version"],
+            "python": platform.python_version(),
+        },
         "written_at": datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds"),
         "preset": result.preset,
-        "capture": {}
-        if capture is None
-        else {
-            "material": capture.material,
-            "encoding": capture.encoding,
-            "image_size": list(capture.shape),
-            "px_per_mm": capture.rig.camera.measured_px_per_mm,
-            "bands": {name: len(band.leds) for name, band in capture.bands.items()},
-            "captured_at": capture.captured_at,
-            "subject": _plain(capture.subject),
-        },
+        "capture": (
+            {}
+            if capture is None
+            else {
+                "material": capture.material,
+                "encoding": capture.encoding,
+                "image_size": list(capture.shape),
+                "px_per_mm": capture.rig.camera.measured_px_per_mm,
+                "bands": {name: len(band.leds) for name, band in capture.bands.items()},
+                "captured_at": capture.captured_at,
+                "subject": _plain(capture.subject),
+            }
+        ),
         "result": {
             "pitch_mm": result.pitch_mm if unit.known else None,
             "scale_known": unit.known,
@@ -173,14 +200,17 @@ def _facts(result: Reconstruction, capture: Capture | None, comparisons: Sequenc
 
 
 def _plain(value: Any) -> Any:
-    """As :func:`splitknit.io.provenance.plain_json`; what is not finite is None, and large arrays are described."""
+    """As :func:`splitknit.io.provenance.plain_json`; what is not finite is None, and large arrays
+    are described."""
     if isinstance(value, np.ndarray):
         return _plain(value.tolist()) if value.size <= 256 else f"array {value.shape} {value.dtype}"
     if isinstance(value, float | np.floating):
         return float(value) if np.isfinite(value) else None
     if isinstance(value, Mapping):
         return {str(key): _plain(item) for key, item in value.items()}
-    return [_plain(item) for item in value] if isinstance(value, list | tuple) else plain_json(value)
+    return (
+        [_plain(item) for item in value] if isinstance(value, list | tuple) else plain_json(value)
+    )
 
 
 def _summary(result: Reconstruction) -> list[tuple[str, str]]:
@@ -198,16 +228,25 @@ def _summary(result: Reconstruction) -> list[tuple[str, str]]:
     if not unit.known:
         return [
             ("Scale", "unknown, heights in pixels"),
-            ("Size seen from above", f"{width:.0f} px wide, {length:.0f} px long, {depth:.1f} px deep"),
+            (
+                "Size seen from above",
+                f"{width:.0f} px wide, {length:.0f} px long, {depth:.1f} px deep",
+            ),
             ("Area measured", f"{area_px} px in projection"),
             ("Relief of fine details", f"{swing:.2f} px {over}"),
         ]
     per_inch = f" ({25.4 / result.pitch_mm:.0f} per inch)" if finger else ""
     return [
         ("Size seen from above", f"{width:.1f} mm wide, {length:.1f} mm long, {depth:.1f} mm deep"),
-        ("Skin measured" if finger else "Area measured", f"{area_px * result.pitch_mm**2:.0f} mm² in projection"),
+        (
+            "Skin measured" if finger else "Area measured",
+            f"{area_px * result.pitch_mm**2:.0f} mm² in projection",
+        ),
         ("Sampling", f"one value every {1000 * result.pitch_mm:.1f} µm{per_inch}"),
-        ("Relief, valley to ridge" if finger else "Relief of fine details", f"{swing:.0f} µm {over}"),
+        (
+            "Relief, valley to ridge" if finger else "Relief of fine details",
+            f"{swing:.0f} µm {over}",
+        ),
     ]
 
 
@@ -218,7 +257,9 @@ def _tables(facts: Mapping[str, Any]) -> list[dict[str, Any]]:
     return [
         {
             "name": _label(name),
-            "rows": [(_label(key), _text(value), EXPLAINED.get(key, "")) for key, value in group.items()],
+            "rows": [
+                (_label(key), _text(value), EXPLAINED.get(key, "")) for key, value in group.items()
+            ],
         }
         for name, group in groups.items()
         if group
@@ -236,19 +277,35 @@ def _text(value: Any) -> str:
     if isinstance(value, Mapping):
         return "; ".join(f"{_label(str(key))}: {_text(item)}" for key, item in value.items())
     if isinstance(value, list):
-        return ", ".join(f"({_text(item)})" if isinstance(item, list) else _text(item) for item in value) or "none"
+        return (
+            ", ".join(
+                f"({_text(item)})" if isinstance(item, list) else _text(item) for item in value
+            )
+            or "none"
+        )
     return str(value)
 
 
 # What the names in a report mean, for readers who do not know the code.
 
 EXPLAINED = {
-    "ridge_contrast": "How much the ridges change the brightness, relative. Good: above 0.006; more is better.",
+    "ridge_contrast": (
+        "How much the ridges change the brightness, relative. Good: above 0.006; more is better."
+    ),
     "ridge_contrast_per_image": "The same for every image. Good: all similar.",
-    "sharpness": "Focus: fine detail relative to brightness. Compare it between captures of one rig.",
-    "dark_specks": "Fraction of the finger under dark specks, as dust makes them. Good: below 0.002.",
-    "bright_specks": "Fraction of the finger under bright specks, as scales of dry skin make them. Good: below 0.005.",
-    "saturated_per_image": "Fraction of the surface that is too bright to measure, for every image. Good: below 0.02.",
+    "sharpness": (
+        "Focus: fine detail relative to brightness. Compare it between captures of one rig."
+    ),
+    "dark_specks": (
+        "Fraction of the finger under dark specks, as dust makes them. Good: below 0.002."
+    ),
+    "bright_specks": (
+        "Fraction of the finger under bright specks, as scales of dry skin make them. Good: below"
+        " 0.005."
+    ),
+    "saturated_per_image": (
+        "Fraction of the surface that is too bright to measure, for every image. Good: below 0.02."
+    ),
     "brightness": "Median brightness of the surface, 1 = full scale. Good: 0.1 to 0.6.",
     "brightness_per_image": "The same for every image.",
     "ambient_share": "Ambient light, relative to that of the lamps. Good: below 0.3.",
@@ -257,35 +314,76 @@ EXPLAINED = {
     "width_mm": "Width in view.",
     "frame_share": "Fraction of the image that it fills.",
     "borders": "Borders of the image that it touches.",
-    "led_relative": "Brightness of every image relative to what its light should give. Good: all near 1.",
-    "light_residual": "Part of the white images that no matt surface under their lights explains. Good: below 0.15.",
-    "light_brightness": "Brightness of each light over the mean, estimated with the surface and taken out.",
-    "bas_relief": "Standard deviations that estimated lights leave: factor of all heights, slope to right and up.",
-    "level_removed_um": "Height of the field's own bend, which was removed: a polynomial of `level_order`.",
-    "faulty_white": "Photographs that do not fit the others: file, fault, and the turn of the normals in degrees.",
+    "led_relative": (
+        "Brightness of every image relative to what its light should give. Good: all near 1."
+    ),
+    "light_residual": (
+        "Part of the white images that no matt surface under their lights explains. Good: below"
+        " 0.15."
+    ),
+    "light_brightness": (
+        "Brightness of each light over the mean, estimated with the surface and taken out."
+    ),
+    "bas_relief": (
+        "Standard deviations that estimated lights leave: factor of all heights, slope to right"
+        " and up."
+    ),
+    "level_removed_um": (
+        "Height of the field's own bend, which was removed: a polynomial of `level_order`."
+    ),
+    "faulty_white": (
+        "Photographs that do not fit the others: file, fault, and the turn of the normals in"
+        " degrees."
+    ),
     "light_residual_per_image": "The same for every image. Good: all similar.",
     "yaw_deg": "Turn in the image, counter-clockwise; it is taken out.",
-    "tip_direction": "Where the tip's direction comes from: the capture, the outline, or an assumption.",
+    "tip_direction": (
+        "Where the tip's direction comes from: the capture, the outline, or an assumption."
+    ),
     "crease_line": "Ends of the flexion crease at which the finger was cut (column, row).",
-    "motion_mm": "How far the finger moved against the other shots, in every image. Good: below 0.05 mm.",
+    "motion_mm": (
+        "How far the finger moved against the other shots, in every image. Good: below 0.05 mm."
+    ),
     "motion_reliability": "How well that is known, for every image: 1 = certain.",
-    "moved_mm": "How far it moved against the reference image, for every image. A note says where it was undone.",
+    "moved_mm": (
+        "How far it moved against the reference image, for every image. A note says where it was"
+        " undone."
+    ),
     "shift_mm": "The same to the right and upwards.",
     "turn_deg": "By how much it turned, counter-clockwise.",
     "centre_mm": "About which point, to the right and downwards from the first pixel.",
-    "unexplained_before": "Details of every image that no matt surface explains, before the motion was undone.",
+    "unexplained_before": (
+        "Details of every image that no matt surface explains, before the motion was undone."
+    ),
     "unexplained_after": "The same afterwards. Good: below 0.2.",
-    "likeness_before": "Correlation of every image's details with the expected ones, before the motion was undone.",
+    "likeness_before": (
+        "Correlation of every image's details with the expected ones, before the motion was undone."
+    ),
     "likeness_after": "The same afterwards.",
-    "scattering_per_mm": "How often light is scattered in the skin, a millimetre; assumed for the shape.",
-    "relief_by": "network: ridges drawn by the trained network; colour: specular reflection removed by colour alone; "
-    "polarised: ridges from what the surface reflects, parallel less crossed images; side: from what is white in "
-    "images lit from the front and the side.",
-    "heights": "Of the ridges: measured in this finger's images, or modelled, as blurred by skin that was simulated.",
-    "roughness": "Of the skin's surface for the light that it reflects (GGX alpha): 0.1 oily, 0.5 dry.",
-    "specular_over_noise": "What the surface reflects, by the brightest light, over the noise. Good: above 10.",
-    "residual_over_noise": "What the specular image leaves unexplained, over the noise. Good: below 1.5.",
-    "separation": "What was done about specular reflection and about light that spreads below the surface.",
+    "scattering_per_mm": (
+        "How often light is scattered in the skin, a millimetre; assumed for the shape."
+    ),
+    "relief_by": (
+        "network: ridges drawn by the trained network; colour: specular reflection removed by"
+        " colour alone; polarised: ridges from what the surface reflects, parallel less crossed"
+        " images; side: from what is white in images lit from the front and the side."
+    ),
+    "heights": (
+        "Of the ridges: measured in this finger's images, or modelled, as blurred by skin that was"
+        " simulated."
+    ),
+    "roughness": (
+        "Of the skin's surface for the light that it reflects (GGX alpha): 0.1 oily, 0.5 dry."
+    ),
+    "specular_over_noise": (
+        "What the surface reflects, by the brightest light, over the noise. Good: above 10."
+    ),
+    "residual_over_noise": (
+        "What the specular image leaves unexplained, over the noise. Good: below 1.5."
+    ),
+    "separation": (
+        "What was done about specular reflection and about light that spreads below the surface."
+    ),
 }
 """Name in ``quality`` or ``facts`` to what it means and what good looks like."""
 
@@ -306,11 +404,15 @@ def is_printed(result: Reconstruction) -> bool:
 
 
 def write_results(
-    result: Reconstruction, capture: Capture | None, folder: str | os.PathLike[str], truth: Truth | None = None
+    result: Reconstruction,
+    capture: Capture | None,
+    folder: str | os.PathLike[str],
+    truth: Truth | None = None,
 ) -> dict[str, Any]:
-    """Write all files of a reconstruction into `folder`, which appears complete or not at all, in place of an earlier
-    result; return the facts of ``report.json``. The report shows the photographs of `capture`, and compares with
-    `truth`, a simulator's arrays. Raises BadInput if the folder holds files of others or cannot be written.
+    """Write all files of a reconstruction into `folder`, which appears complete or not at all, in
+    place of an earlier result; return the facts of ``report.json``. The report shows the
+    photographs of `capture`, and compares with `truth`, a simulator's arrays. Raises BadInput if
+    the folder holds files of others or cannot be written.
     """
     with atomic_folder(folder) as target:
         return write_files(result, capture, target, truth)
@@ -334,14 +436,24 @@ def write_files(
             pool.submit(write_float_tiff, target / "height.tiff", heights, unit, origin, pitch),
         ]
         if (measured := result.normals_measured) is not None:
-            jobs.append(pool.submit(write_normals, target / "normals_measured.png", result, origin, measured))
+            jobs.append(
+                pool.submit(
+                    write_normals, target / "normals_measured.png", result, origin, measured
+                )
+            )
             files.append("normals_measured.png")
         if result.specular is not None:
-            jobs.append(pool.submit(write_picture, target / "specular.png", picture_bytes(result.specular), origin))
+            jobs.append(
+                pool.submit(
+                    write_picture, target / "specular.png", picture_bytes(result.specular), origin
+                )
+            )
             files.append("specular.png")
         report = make_report(result, capture, truth)
         if report.prints is not None:
-            write_print_png(target / "print.png", report.prints, PRINT_PPI, provenance_texts(origin))
+            write_print_png(
+                target / "print.png", report.prints, PRINT_PPI, provenance_texts(origin)
+            )
         write_picture(target / "preview.png", report.above, origin)
         for job in jobs:
             job.result()

@@ -1,6 +1,8 @@
-"""A result's surface in the upright frame: sections between two points of it, and the surface inside a page.
+"""A result's surface in the upright frame: sections between two points of it, and the surface
+inside a page.
 
-Places are those of ``phalange.ply``: x right, y to the fingertip, z to the camera. All lengths are in mm.
+Places are those of ``phalange.ply``: x right, y to the fingertip, z to the camera. All lengths are
+in mm.
 """
 
 from __future__ import annotations
@@ -52,12 +54,14 @@ class ResultSurface:
     """Column and row of the first pixel in the input."""
 
     def places_mm(self, input_px: _Values) -> _Values:
-        """(2, N) x and y of places (N, 2), columns and rows of the input; NaN beside the surface."""
+        """(2, N) x and y of places (N, 2), columns and rows of the input; NaN beside the
+        surface."""
         place = np.asarray(input_px, dtype=np.float64).T - np.array(self.origin_px)[:, None]
         return np.stack([sample(self.x_mm, place), sample(self.y_mm, place)])
 
     def locate(self, x_mm: _Values, y_mm: _Values) -> _Values:
-        """Column and row (2, ...) where the surface has these x and y; iterated where the rays spread."""
+        """Column and row (2, ...) where the surface has these x and y; iterated where the rays
+        spread."""
         wanted = np.stack([x_mm, y_mm])
         corner = self.corner_mm.reshape(2, *(1,) * x_mm.ndim)
         place = self._steps(wanted - corner)
@@ -106,7 +110,8 @@ def upright_surface(
     xy_mm: tuple[FloatArray, FloatArray] | None,
     unit: LengthUnit = MILLIMETRES,
 ) -> ResultSurface:
-    """The surface of fields (H, W) on a camera's pixel grid: heights and relief; x and y of a perspective camera."""
+    """The surface of fields (H, W) on a camera's pixel grid: heights and relief; x and y of a
+    perspective camera."""
     box = bounding_box(known)
     height, width = known.shape
     turn = upright_turn(input_from_upright)
@@ -132,9 +137,11 @@ def upright_surface(
     )
 
 
-def section(surface: ResultSurface, start_mm: tuple[float, float], end_mm: tuple[float, float]) -> Section:
-    """Cut the surface between two points given by x and y. Raises BadInput if the points are not finite, far away,
-    equal, or neither lies on the surface.
+def section(
+    surface: ResultSurface, start_mm: tuple[float, float], end_mm: tuple[float, float]
+) -> Section:
+    """Cut the surface between two points given by x and y. Raises BadInput if the points are not
+    finite, far away, equal, or neither lies on the surface.
     """
     ends = np.array([start_mm, end_mm], dtype=np.float64)
     require(
@@ -148,7 +155,10 @@ def section(surface: ResultSurface, start_mm: tuple[float, float], end_mm: tuple
     x, y = ends[0][:, None] + fraction * (ends[1] - ends[0])[:, None]
     place = surface.locate(x, y)
     height = sample(surface.height_mm, place)
-    require(bool(np.isfinite(height).any()), "no surface lies between the two points; choose points on the surface.")
+    require(
+        bool(np.isfinite(height).any()),
+        "no surface lies between the two points; choose points on the surface.",
+    )
     along = fraction * flat_mm
     steps = np.hypot(np.diff(along), np.diff(height))  # NaN beside a gap
     rise = float(height[-1] - height[0])
@@ -157,13 +167,22 @@ def section(surface: ResultSurface, start_mm: tuple[float, float], end_mm: tuple
         "straight_mm": float(np.hypot(flat_mm, rise)),
         "along_surface_mm": float(steps.sum()),
         "height_difference_mm": rise,
-        "ridge_period_mm": _ridge_period_mm(along, sample(surface.ridge_mm, place)) if surface.unit.known else np.nan,
+        "ridge_period_mm": _ridge_period_mm(along, sample(surface.ridge_mm, place))
+        if surface.unit.known
+        else np.nan,
     }
-    return Section(along, x, y, height, {key: value if np.isfinite(value) else None for key, value in figures.items()})
+    return Section(
+        along,
+        x,
+        y,
+        height,
+        {key: value if np.isfinite(value) else None for key, value in figures.items()},
+    )
 
 
 def _ridge_period_mm(along: _Values, relief: _Values) -> float:
-    """Mean distance of ridges, counted where they cross the mean of their surroundings; NaN of fewer than two."""
+    """Mean distance of ridges, counted where they cross the mean of their surroundings; NaN of
+    fewer than two."""
     known = np.isfinite(relief)
     sigma = _RIDGE_SIGMA_MM / (along[1] - along[0])
     weight = np.maximum(_blur(known.astype(np.float64), sigma), 1e-3)
@@ -176,7 +195,9 @@ def _ridge_period_mm(along: _Values, relief: _Values) -> float:
 
 
 def _blur(values: _Values, sigma: float) -> _Values:
-    blurred: Any = cv2.GaussianBlur(values[None], (0, 0), max(sigma, 0.3), borderType=cv2.BORDER_CONSTANT)
+    blurred: Any = cv2.GaussianBlur(
+        values[None], (0, 0), max(sigma, 0.3), borderType=cv2.BORDER_CONSTANT
+    )
     return np.asarray(blurred[0], dtype=np.float64)
 
 
@@ -186,7 +207,8 @@ def sample(field: FloatArray, place: _Values) -> _Values:
     return sampled_at(field, column, row, outside=np.nan).astype(np.float64)
 
 
-# The surface inside a page: three fields on a regular grid, as pictures, drawn by `static/surface.js`.
+# The surface inside a page: three fields on a regular grid, as pictures, drawn by
+# `static/surface.js`.
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -203,7 +225,8 @@ class PageSurface:
 
 @dataclass(frozen=True, slots=True)
 class Scene:
-    """What a page needs to draw surfaces: texts of its scripts, and the source that its policy allows."""
+    """What a page needs to draw surfaces: texts of its scripts, and the source that its policy
+    allows."""
 
     titles: Sequence[str]
     data: Markup
@@ -213,7 +236,8 @@ class Scene:
 
 
 def scene(surfaces: Sequence[PageSurface]) -> Scene:
-    """Describe one surface, or two to be compared in one frame, for a page that shows them in three dimensions."""
+    """Describe one surface, or two to be compared in one frame, for a page that shows them in three
+    dimensions."""
     scripts = _scripts()
     hashes = (base64.b64encode(hashlib.sha256(script.encode()).digest()) for script in scripts)
     data = json.dumps([_encoded(surface) for surface in surfaces], allow_nan=False)
@@ -237,7 +261,10 @@ def scene_of(result: Reconstruction, title: str) -> Scene:
 def _scripts() -> list[Markup]:
     """three.js, and what draws with it."""
     files = ("three/three.min.js", "surface.js")
-    return [Markup((Path(__file__).parent / "static" / file).read_text(encoding="utf-8")) for file in files]
+    return [
+        Markup((Path(__file__).parent / "static" / file).read_text(encoding="utf-8"))
+        for file in files
+    ]
 
 
 def _encoded(page: PageSurface) -> dict[str, Any]:
@@ -266,7 +293,9 @@ def _encoded(page: PageSurface) -> dict[str, Any]:
         "pitch": pitch_mm * unit.per_mm,
         "unit": unit.name,
         "small": unit.small,
-        "shape": _in_16_bits(gridded(surface.height_mm - surface.ridge_mm) * unit.per_mm, _SHAPE_STEP),
+        "shape": _in_16_bits(
+            gridded(surface.height_mm - surface.ridge_mm) * unit.per_mm, _SHAPE_STEP
+        ),
         "ridge": _in_16_bits(gridded(surface.ridge_mm) * unit.per_mm, _RIDGE_STEP),
         "brightness": None if page.albedo is None else _jpeg(gridded(page.albedo)),
         "minutiae": np.round(page.minutiae, 4).tolist(),
@@ -294,7 +323,8 @@ def _averaged(field: FloatArray, known: NDArray[np.bool_], side: float) -> Float
 
 
 def _in_16_bits(values: _Values, step: float) -> dict[str, Any]:
-    """A field as PNG: red and green are the high and low byte of its level, zero where it is not known."""
+    """A field as PNG: red and green are the high and low byte of its level, zero where it is not
+    known."""
     known = np.isfinite(values)
     low = float(np.min(values, where=known, initial=np.inf)) if known.any() else 0.0
     high = float(np.max(values, where=known, initial=-np.inf)) if known.any() else 0.0

@@ -15,20 +15,24 @@ from splitknit.networks.unet import Network, load_network, run_network
 
 DEFAULT_NETWORK = "direct"
 LEVEL_BLOCK_PX = 8
-LEVEL_SIGMA_PX = 16.0  # standard deviation of the neighbourhood whose mean brightness the network takes as one
-MIN_LEVEL = 0.05  # it does not fall below this part of :func:`exposure_level`: in the dark there is noise alone
+# standard deviation of the neighbourhood whose mean brightness the network takes as one
+LEVEL_SIGMA_PX = 16.0
+# it does not fall below this part of :func:`exposure_level`: in the dark there is noise alone
+MIN_LEVEL = 0.05
 
 
 def exposure_level(image: FloatArray) -> float:
-    """An image's white: the 99.9th percentile of its positive values, all channels together, at every second pixel."""
+    """An image's white: the 99.9th percentile of its positive values, all channels together, at
+    every second pixel."""
     sample = image[..., ::2, ::2]
     sample = sample[sample > 0]
     return float(np.percentile(sample, 99.9)) if sample.size else 1.0
 
 
 def local_level(image: FloatArray) -> FloatArray:
-    """(h, w) mean brightness of the skin about each pixel, one for all channels: what the network takes as one. A
-    Gaussian mean over the pixels of `image`, (h, w) or (C, h, w), that are not black, by blocks of 8 x 8 pixels.
+    """(h, w) mean brightness of the skin about each pixel, one for all channels: what the network
+    takes as one. A Gaussian mean over the pixels of `image`, (h, w) or (C, h, w), that are not
+    black, by blocks of 8 x 8 pixels.
     """
     grey = np.maximum(image if image.ndim == 2 else image.mean(axis=0, dtype=np.float32), 0.0)
     height, width = grey.shape
@@ -41,27 +45,36 @@ def local_level(image: FloatArray) -> FloatArray:
 
     level = spread(grey) / np.maximum(spread((grey > 0).astype(np.float32)), 1e-3)
     least = max(MIN_LEVEL * exposure_level(image), 1e-12)
-    return np.asarray(cv2.resize(np.maximum(level, least), (width, height), interpolation=cv2.INTER_LINEAR))
+    return np.asarray(
+        cv2.resize(np.maximum(level, least), (width, height), interpolation=cv2.INTER_LINEAR)
+    )
 
 
-def direct_light(images: Any, network: Network | str | os.PathLike[str] = DEFAULT_NETWORK) -> FloatArray:
+def direct_light(
+    images: Any, network: Network | str | os.PathLike[str] = DEFAULT_NETWORK
+) -> FloatArray:
     """Direct light of every image; what is left, image minus direct, is global light.
 
-    Every image is divided by its :func:`local_level` and the result multiplied by it, so that neither exposure nor
-    shading matters. What "direct" is depends on the size of the checks that the network was trained with; its card
-    shows. The result, of the shape of `images`, lies between zero and the image; for enhanced images it is what
-    enhancement makes of the image times the direct fraction of its light. Raises BadInput if the images have the wrong
-    shape, hold NaN, or are smaller than the network's stride. Source: the thesis, 3.3.1.4; O. Ronneberger, P. Fischer
+    Every image is divided by its :func:`local_level` and the result multiplied by it, so that
+    neither exposure nor shading matters. What "direct" is depends on the size of the checks that
+    the network was trained with; its card shows. The result, of the shape of `images`, lies between
+    zero and the image; for enhanced images it is what enhancement makes of the image times the
+    direct fraction of its light. Raises BadInput if the images have the wrong shape, hold NaN, or
+    are smaller than the network's stride. Source: the thesis, 3.3.1.4; O. Ronneberger, P. Fischer
     and T. Brox, "U-Net", MICCAI 2015.
 
-    images : (N, H, W) grey (given to the network three times, as in the thesis) or (N, 3, H, W) red, green, blue;
+    images : (N, H, W) grey (given to the network three times, as in the thesis) or (N, 3, H, W)
+    red, green, blue;
         linear light, or enhanced by CLAHE; any scale, zero outside the skin
     network : Network, name of a shipped network, or path of an ``.onnx`` file
     """
     ready = network if isinstance(network, Network) else load_network(network)
     stack = np.asarray(images, dtype=np.float32)
     fault = "images must have the shape (N, H, W) or (N, 3, H, W),"
-    require(stack.ndim == 3 or (stack.ndim == 4 and stack.shape[1] == 3), f"{fault} but they have {stack.shape}.")
+    require(
+        stack.ndim == 3 or (stack.ndim == 4 and stack.shape[1] == 3),
+        f"{fault} but they have {stack.shape}.",
+    )
     require(stack.size > 0, f"images are empty: shape {stack.shape}.")
     levels = np.stack([local_level(image) for image in stack])
     if stack.ndim == 4:
@@ -76,15 +89,20 @@ def direct_light(images: Any, network: Network | str | os.PathLike[str] = DEFAUL
 def direct_of_enhanced(
     enhanced: Any, images: Any, network: Network | str | os.PathLike[str] = DEFAULT_NETWORK
 ) -> FloatArray:
-    """Direct part (N, H, W) of enhanced grey images, by the direct fraction of their colour images (N, 3, H, W).
+    """Direct part (N, H, W) of enhanced grey images, by the direct fraction of their colour images
+    (N, 3, H, W).
 
-    Grey images have lost the colours that show how much of skin's light is direct: here the network sees the colours,
-    and its fraction multiplies the enhanced image. The thesis gives it the enhanced image itself
-    (:func:`direct_light`).
+    Grey images have lost the colours that show how much of skin's light is direct: here the network
+    sees the colours, and its fraction multiplies the enhanced image. The thesis gives it the
+    enhanced image itself (:func:`direct_light`).
     """
     grey, colours = np.asarray(enhanced, dtype=np.float32), np.asarray(images, dtype=np.float32)
     good = grey.ndim == 3 and colours.shape == (grey.shape[0], 3, *grey.shape[1:])
-    require(good, f"enhanced images (N, H, W) and colours (N, 3, H, W) do not match: {grey.shape} and {colours.shape}.")
+    require(
+        good,
+        f"enhanced images (N, H, W) and colours (N, 3, H, W) do not match: {grey.shape} and"
+        f" {colours.shape}.",
+    )
     direct = direct_light(colours, network)
     weights = GREY_WEIGHTS[:, None, None]
     of_all = np.maximum((np.maximum(colours, 0.0) * weights).sum(axis=1), 1e-12)

@@ -1,10 +1,11 @@
-"""What ``splitknit separate`` does: a folder of images under patterns in, direct and global light out.
+"""What ``splitknit separate`` does: a folder of images under patterns in, direct and global light
+out.
 
-Into the result's folder go ``direct.tiff`` and ``global.tiff`` (float32, linear light, 1 = full scale of the files, NaN
-outside the mask), 8-bit previews of both, and ``report.json``.
+Into the result's folder go ``direct.tiff`` and ``global.tiff`` (float32, linear light, 1 = full
+scale of the files, NaN outside the mask), 8-bit previews of both, and ``report.json``.
 
-Of two folders of photographs through polarising films go ``specular_K.png`` and ``diffuse_K.png`` (16 bits, linear) of
-light K, ``specular.png`` of all lights, and ``report.json``.
+Of two folders of photographs through polarising films go ``specular_K.png`` and ``diffuse_K.png``
+(16 bits, linear) of light K, ``specular.png`` of all lights, and ``report.json``.
 """
 
 from __future__ import annotations
@@ -20,7 +21,12 @@ from numpy.typing import NDArray
 from splitknit.errors import BadInput, require
 from splitknit.findings import Finding
 from splitknit.imaging.band import decode_table, linear_image, pick_channel, srgb_code
-from splitknit.imaging.polarised import NOT_SPECULAR, picture_bytes, separate_polarised, specular_picture
+from splitknit.imaging.polarised import (
+    NOT_SPECULAR,
+    picture_bytes,
+    separate_polarised,
+    specular_picture,
+)
 from splitknit.io.atomic import atomic_folder
 from splitknit.io.content import mask_from_image
 from splitknit.io.images import StackReader, image_size, write_float_tiff, write_image
@@ -57,10 +63,12 @@ def separate_to_folder(
     check_px: float | None,
     progress: Progress,
 ) -> dict[str, Any]:
-    """Separate the images in `folder`, write all results into `out`, return the facts of ``report.json`` and more.
+    """Separate the images in `folder`, write all results into `out`, return the facts of
+    ``report.json`` and more.
 
-    `alpha`, `dark`, `check_px`: of :func:`checkerboard`; `patterns`: a folder of state images, or ``estimate``.
-    Raises BadInput naming the file or the folder at fault; nothing is left half-written.
+    `alpha`, `dark`, `check_px`: of :func:`checkerboard`; `patterns`: a folder of state images, or
+    ``estimate``. Raises BadInput naming the file or the folder at fault; nothing is left
+    half-written.
     """
     if patterns is None and check_px is not None:  # of use only with states
         patterns = ESTIMATE
@@ -83,7 +91,11 @@ def separate_to_folder(
                 states = estimate_patterns(light.stack, **common)
             parts = checkerboard(light.stack, patterns=states, **model, **common)
         except BadInput as error:  # checks know the images' numbers only
-            message = re.sub(r"image (\d+)", lambda match: f"{match[0]} ({light.names[int(match[1])]})", str(error))
+            message = re.sub(
+                r"image (\d+)",
+                lambda match: f"{match[0]} ({light.names[int(match[1])]})",
+                str(error),
+            )
             raise BadInput(f"{folder}: {message}") from error
         progress("writing", 0.8)
         choices = {
@@ -107,19 +119,23 @@ def separate_to_folder(
 def separate_polarised_folders(
     parallel: Path, crossed: Path, out: Path, *, encoding: str | None, progress: Progress
 ) -> dict[str, Any]:
-    """Separate photographs through parallel and crossed films, light by light; return the facts of ``report.json``.
-    Raises BadInput if the folders do not hold the same number of photographs of one kind, or are not to be read.
+    """Separate photographs through parallel and crossed films, light by light; return the facts of
+    ``report.json``. Raises BadInput if the folders do not hold the same number of photographs of
+    one kind, or are not to be read.
     """
     series = []
     for folder in (parallel, crossed):
-        require(folder.is_dir(), f"{folder} is not a folder; name the folders of the parallel and crossed photographs.")
+        require(
+            folder.is_dir(),
+            f"{folder} is not a folder; name the folders of the parallel and crossed photographs.",
+        )
         series.append(photographs_in(folder, folder / "lights.txt")[0])
         check_target(out, POLARISED_MARKER, "an earlier separation", keep=folder)
     count = len(series[0])
     require(
         0 < count == len(series[1]),
-        f"{parallel} holds {count} photographs and {crossed} {len(series[1])}; both series need one "
-        "photograph a light, in the same order.",
+        f"{parallel} holds {count} photographs and {crossed} {len(series[1])}; both series need one"
+        " photograph a light, in the same order.",
     )
     if encoding is None:
         encoding, _ = encoding_of(series[0], lambda: False)
@@ -136,7 +152,8 @@ def separate_polarised_folders(
                 kinds.add((photo.pixels.shape, photo.pixels.dtype))
                 require(
                     len(kinds) == 1 and photo.pixels.dtype.kind == "u",
-                    f"{files[k]} is not of the size and kind of {series[0][0]}; all must agree, in integers.",
+                    f"{files[k]} is not of the size and kind of {series[0][0]}; all must agree, in"
+                    " integers.",
                 )
                 light.append(linear_image(photo.pixels, encoding))
                 hashes[f"{folder.name}/{files[k].name}"] = photo.sha256
@@ -175,7 +192,8 @@ def _figures(parts: Separation, light: PatternLight) -> dict[str, Any]:
     negative = float((parts.global_[lit] < 0).mean())
     finding = Finding(
         "negative-light",
-        f"global light is negative in {100 * negative:.0f} % of the lit pixels: check alpha, dark and the black image.",
+        f"global light is negative in {100 * negative:.0f} % of the lit pixels: check alpha, dark"
+        " and the black image.",
     )
     return {
         "method": "checkerboard",
@@ -191,7 +209,8 @@ def _figures(parts: Separation, light: PatternLight) -> dict[str, Any]:
 
 
 def _light_picture(light: FloatArray) -> NDArray[np.uint8]:
-    """8 bits for people: black to the 99.9th percentile, sRGB curve; black where nothing is known."""
+    """8 bits for people: black to the 99.9th percentile, sRGB curve; black where nothing is
+    known."""
     top = max(float(np.nanquantile(light, 0.999)), 1e-12)
     scaled = np.clip(np.nan_to_num(light) / top, 0.0, 1.0)
     return np.asarray(np.round(255 * srgb_code(scaled)), dtype=np.uint8)
@@ -213,8 +232,9 @@ class PatternLight:
 
 
 def read_light(folder: Path, states: Path | None = None, encoding: str = "linear") -> PatternLight:
-    """Read all images of a folder, and of a folder of `states`, in the order of their names (``a_2`` before ``a_10``),
-    ``black`` and ``mask`` apart and without ``white``; hashes go by names relative to the folder, wherever that lies.
+    """Read all images of a folder, and of a folder of `states`, in the order of their names
+    (``a_2`` before ``a_10``), ``black`` and ``mask`` apart and without ``white``; hashes go by
+    names relative to the folder, wherever that lies.
     """
     for place in (folder, *([] if states is None else [states])):
         what = "of images" if place == folder else f"of patterns (nor the word '{ESTIMATE}')"
@@ -222,7 +242,9 @@ def read_light(folder: Path, states: Path | None = None, encoding: str = "linear
     files = _images_in(folder)
     roles = {file.stem.lower(): file for file in files if file.stem.lower() in ("black", "mask")}
     images = [file for file in files if file.stem.lower() not in ("black", "white", "mask")]
-    require(len(images) > 0, f"'{folder}' holds no PNG, TIFF or JPEG images; name the folder that does.")
+    require(
+        len(images) > 0, f"'{folder}' holds no PNG, TIFF or JPEG images; name the folder that does."
+    )
     with StackReader() as reader:
         size, by = image_size(images[0]), str(images[0])
         pixels = reader.start(images, size, by)
@@ -250,10 +272,15 @@ def read_light(folder: Path, states: Path | None = None, encoding: str = "linear
         patterns,
         mask_from_image(singles["mask"], str(roles["mask"])) if "mask" in singles else None,
         float(table[int(0.994 * (table.size - 1))]) - float(np.median(black)),
-        {(p.relative_to(folder).as_posix() if p.is_relative_to(folder) else p.name): v for p, v in named.items()},
+        {
+            (p.relative_to(folder).as_posix() if p.is_relative_to(folder) else p.name): v
+            for p, v in named.items()
+        },
     )
 
 
 def _images_in(folder: Path) -> list[Path]:
-    files = [file for file in folder.iterdir() if file.suffix.lower() in _SUFFIXES and file.is_file()]
+    files = [
+        file for file in folder.iterdir() if file.suffix.lower() in _SUFFIXES and file.is_file()
+    ]
     return sorted(files, key=lambda file: (natural_order(file.stem), file.name))

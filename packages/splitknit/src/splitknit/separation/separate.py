@@ -23,17 +23,23 @@ class Separated:
         notes = [f"Please note: {finding['message']}" for finding in facts["findings"]]
         if facts["method"] == "polarised":
             share = f"{100 * facts['specular_share']:.0f} % of the light through parallel films"
-            return text_of([
-                f"{facts['images']} pairs of photographs separated: {share} is specular in the median.",
-                f"Written to {facts['out']}: specular_K.png and diffuse_K.png of each light, specular.png of all.",
-                *notes,
-            ])  # fmt: skip
+            return text_of(
+                [
+                    f"{facts['images']} pairs of photographs separated: {share} is specular "
+                    "in the median.",
+                    f"Written to {facts['out']}: specular_K.png and diffuse_K.png of each light, "
+                    "specular.png of all.",
+                    *notes,
+                ]
+            )
         direct = f"{100 * facts['direct_share']:.0f} % of the light is direct in the median"
-        return text_of([
-            f"{len(facts['images'])} images separated by {facts['method']}: {direct}.",
-            f"Written to {facts['out']}: {', '.join(facts['files'])}.",
-            *notes,
-        ])  # fmt: skip
+        return text_of(
+            [
+                f"{len(facts['images'])} images separated by {facts['method']}: {direct}.",
+                f"Written to {facts['out']}: {', '.join(facts['files'])}.",
+                *notes,
+            ]
+        )
 
 
 @checked
@@ -53,8 +59,8 @@ def separate(
     Parameters
     ----------
     folders
-        Folder of images under patterns; or 'polarised PARALLEL CROSSED', two folders of the same photographs through
-        parallel and crossed films: specular and diffuse light.
+        Folder of images under patterns; or 'polarised PARALLEL CROSSED', two folders of the same
+        photographs through parallel and crossed films: specular and diffuse light.
     out
         Folder to write the results into.
     alpha
@@ -62,12 +68,13 @@ def separate(
     dark
         Brightness of its unlit part (default: 0).
     patterns
-        Folder of state images, white = lit, or 'estimate' to find the states in the images: no bias by noise.
+        Folder of state images, white = lit, or 'estimate' to find the states in the images: no bias
+        by noise.
     encoding
         Of the images (default: linear).
     check_px
-        Side of a check on the images, for noisy checkerboards on skin (whose states are found in the images unless
-        `patterns` gives them).
+        Side of a check on the images, for noisy checkerboards on skin (whose states are found in
+        the images unless `patterns` gives them).
 
     Returns
     -------
@@ -100,8 +107,13 @@ def separate(
         )
         return Separated(facts)
     require(
-        len(places) == 3 and str(places[0]) == "polarised" and {alpha, dark, patterns, check_px} == {None},
-        "name one folder of images under patterns, or 'polarised PARALLEL CROSSED', with `out` and `encoding` alone.",
+        len(places) == 3
+        and str(places[0]) == "polarised"
+        and {alpha, dark, patterns, check_px} == {None},
+        "name one folder of images under patterns, or 'polarised PARALLEL CROSSED', with `out` and"
+        " `encoding` alone.",
     )
-    facts = separate_polarised_folders(places[1], places[2], target, encoding=encoding, progress=progress)
+    facts = separate_polarised_folders(
+        places[1], places[2], target, encoding=encoding, progress=progress
+    )
     return Separated(facts)

@@ -1,12 +1,15 @@
-"""Stacks of one scene under changing patterns, and which pixel a pattern lights in which image: checked, named, found.
+"""Stacks of one scene under changing patterns, and which pixel a pattern lights in which image:
+checked, named, found.
 
-All methods of :mod:`splitknit.separation` share one model. A pixel whose surface point the pattern lights with
-brightness s (1 = lit, `dark` = unlit) records L = s L_direct + k L_global: direct light follows the pattern, global
-light (scattered in the skin or between surfaces) sees only the pattern's mean brightness k, because it gathers many
-checks. With a fraction `alpha` of the source lit, k = alpha + dark (1 - alpha).
+All methods of :mod:`splitknit.separation` share one model. A pixel whose surface point the pattern
+lights with brightness s (1 = lit, `dark` = unlit) records L = s L_direct + k L_global: direct light
+follows the pattern, global light (scattered in the skin or between surfaces) sees only the
+pattern's mean brightness k, because it gathers many checks. With a fraction `alpha` of the source
+lit, k = alpha + dark (1 - alpha).
 
-Source: S. K. Nayar, G. Krishnan, M. D. Grossberg and R. Raskar, "Fast separation of direct and global components of a
-scene using high frequency illumination", ACM Transactions on Graphics 25(3), 2006.
+Source: S. K. Nayar, G. Krishnan, M. D. Grossberg and R. Raskar, "Fast separation of direct and
+global components of a scene using high frequency illumination", ACM Transactions on Graphics 25(3),
+2006.
 """
 
 from __future__ import annotations
@@ -21,24 +24,31 @@ from numpy.typing import NDArray
 from splitknit.errors import BadInput, check_mask, require
 from splitknit.model import BoolArray, FloatArray
 
-_MAX_CLIPPED = 0.02  # a stack with more clipped pixels is refused: its maximum, so its direct light, is wrong
+# a stack with more clipped pixels is refused: its maximum, so its direct light, is wrong
+_MAX_CLIPPED = 0.02
 LIT_LEVEL = 0.1
-"""Only pixels brighter than this part of the brightest ones are checked: no black background, and nothing that 8 bits
-cannot resolve."""
-MIN_CONTRAST = 0.005  # a pixel that changes by less than this part of its maximum was never lit, or never dark
+"""Only pixels brighter than this part of the brightest ones are checked: no black background, and
+nothing that 8 bits cannot resolve."""
+# a pixel that changes by less than this part of its maximum was never lit, or never dark
+MIN_CONTRAST = 0.005
 _MAX_CONSTANT = 0.05  # more such pixels than this, among the bright ones, and the stack is refused
-_BLACK_IMAGE = 0.03  # an image whose bright pixels stay below this part of the other images' is black
+# an image whose bright pixels stay below this part of the other images' is black
+_BLACK_IMAGE = 0.03
 CLIP_LEVEL = 0.99  # linear light from which on a value of a file counts as clipped
-EDGE = 0.1  # where states are known: lit from 1 - `edge`, dark up to `edge`; the rim of a check is left out
+# where states are known: lit from 1 - `edge`, dark up to `edge`; the rim of a check is left out
+EDGE = 0.1
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Separation:
-    """Direct and global light under the whole source, NaN outside the mask: together the image that it gives."""
+    """Direct and global light under the whole source, NaN outside the mask: together the image that
+    it gives."""
 
     direct: FloatArray
-    """(H, W) or (H, W, C): single reflection at the surface, and all transport shorter than the pattern's period."""
-    global_: FloatArray  # (H, W) or (H, W, C): light that came round, through the skin or from other surfaces
+    """(H, W) or (H, W, C): single reflection at the surface, and all transport shorter than the
+    pattern's period."""
+    # (H, W) or (H, W, C): light that came round, through the skin or from other surfaces
+    global_: FloatArray
 
     @property
     def white(self) -> FloatArray:
@@ -55,16 +65,20 @@ class LightStack:
     grey: bool  # whether the images came without an axis for channels
 
     def shaped(self, values: NDArray[Any]) -> FloatArray:
-        """`values` (H, W, C) as a result: float32, NaN outside the mask, without the channel axis if grey."""
+        """`values` (H, W, C) as a result: float32, NaN outside the mask, without the channel axis
+        if grey."""
         result = np.array(values, dtype=np.float32)
         result[~self.mask] = np.nan
         return result[..., 0] if self.grey else result
 
-    def separation(self, low: NDArray[Any], high: NDArray[Any], alpha: float, dark: float) -> Separation:
+    def separation(
+        self, low: NDArray[Any], high: NDArray[Any], alpha: float, dark: float
+    ) -> Separation:
         """Direct and global light of the light recorded dark (`low`) and lit (`high`), shaped.
 
-        With k = alpha + dark (1 - alpha): direct = (high - low) / (1 - dark), global = (low - dark high) / (k (1 -
-        dark)). S. K. Nayar et al. 2006, eq. 7 and 8, for one fraction alpha in all images.
+        With k = alpha + dark (1 - alpha): direct = (high - low) / (1 - dark), global = (low - dark
+        high) / (k (1 - dark)). S. K. Nayar et al. 2006, eq. 7 and 8, for one fraction alpha in all
+        images.
         """
         k = mean_brightness(alpha, dark)
         lit, unlit = np.asarray(high, dtype=np.float64), np.asarray(low, dtype=np.float64)
@@ -73,11 +87,13 @@ class LightStack:
 
 
 def light_stack(stack: Any, mask: Any = None, clip_level: float | None = CLIP_LEVEL) -> LightStack:
-    """Check a stack of linear light, (N, H, W), (N, H, W, C) or a sequence of images, C = 1 or 3, and its mask (H, W).
+    """Check a stack of linear light, (N, H, W), (N, H, W, C) or a sequence of images, C = 1 or 3,
+    and its mask (H, W).
 
-    `clip_level`: linear light from which on a value counts as clipped; None where the images cannot clip. Values beyond
-    1 show that the stack is not a file's [0, 1] scale, and nothing is looked for. Raises BadInput if there are fewer
-    than two images, sizes differ, values are not finite, or an image is black or overexposed.
+    `clip_level`: linear light from which on a value counts as clipped; None where the images cannot
+    clip. Values beyond 1 show that the stack is not a file's [0, 1] scale, and nothing is looked
+    for. Raises BadInput if there are fewer than two images, sizes differ, values are not finite, or
+    an image is black or overexposed.
     """
     images = [np.asarray(image) for image in stack]
     require(len(images) >= 2, f"at least 2 images are needed, but there are {len(images)}.")
@@ -85,12 +101,14 @@ def light_stack(stack: Any, mask: Any = None, clip_level: float | None = CLIP_LE
     for k, image in enumerate(images):
         require(
             image.shape == first,
-            f"image {k} has the shape {image.shape}, but image 0 has {first}; all must be of one size and kind.",
+            f"image {k} has the shape {image.shape}, but image 0 has {first}; all must be of one"
+            " size and kind.",
         )
     grey = len(first) == 2
     require(
         (grey or (len(first) == 3 and first[2] in (1, 3))) and min(first) > 0,
-        f"an image must have the shape (H, W) or (H, W, C) with 1 or 3 channels, but it has {first}.",
+        "an image must have the shape (H, W) or (H, W, C) with 1 or 3 channels, but it has"
+        f" {first}.",
     )
     light = np.stack([np.atleast_3d(image) for image in images]).astype(np.float32)
     for k, image in enumerate(light):
@@ -122,7 +140,8 @@ def _check_exposure(light: FloatArray, mask: BoolArray, clip_level: float | None
 
 
 def mean_brightness(alpha: float, dark: float) -> float:
-    """Mean brightness k of a pattern of which a fraction `alpha` is lit and the rest has the brightness `dark`."""
+    """Mean brightness k of a pattern of which a fraction `alpha` is lit and the rest has the
+    brightness `dark`."""
     require(0 < alpha <= 1, f"alpha must lie in (0, 1], but it is {alpha:g}.")
     require(0 <= dark < 1, f"dark must lie in [0, 1), but it is {dark:g}.")
     return alpha + dark * (1.0 - alpha)
@@ -136,7 +155,11 @@ def _thinned(values: NDArray[Any], mask: BoolArray) -> NDArray[Any]:
 
 def percent(fraction: float) -> str:
     """`fraction` (0 to 1) as a percentage for people, never rounded to nothing."""
-    return f"{100 * fraction:.1f} %" if fraction >= 0.001 or fraction == 0 else f"{100 * fraction:.1g} %"
+    return (
+        f"{100 * fraction:.1f} %"
+        if fraction >= 0.001 or fraction == 0
+        else f"{100 * fraction:.1g} %"
+    )
 
 
 # Whether a stack can hold what its patterns are to show: pixels that change.
@@ -152,36 +175,44 @@ def check_contrast(low: FloatArray, high: FloatArray, mask: BoolArray) -> None:
         return
     row, column = np.argwhere(constant)[0]
     raise BadInput(
-        f"{percent(fraction)} of the bright pixels were never lit or never dark (first at row {row}, "
-        f"column {column}): they change by less than {100 * MIN_CONTRAST:g} % from image to image; "
-        "let the patterns reach every pixel, or give a mask."
+        f"{percent(fraction)} of the bright pixels were never lit or never dark (first at row"
+        f" {row}, column {column}): they change by less than {100 * MIN_CONTRAST:g} % from image to"
+        " image; let the patterns reach every pixel, or give a mask."
     )
 
 
 def check_change(light: FloatArray) -> None:
-    """Refuse a stack whose images differ by noise alone, which is independent from pixel to pixel."""
+    """Refuse a stack whose images differ by noise alone, which is independent from pixel to
+    pixel."""
     rows = light[:, :: max(1, light[0, ..., 0].size // 60_000)].mean(axis=-1, dtype=np.float64)
     change = rows - rows.mean(axis=0)
     power = float((change * change).mean())
-    covariance = max(abs(float((change[..., away:] * change[..., :-away]).mean())) for away in (1, 2))
+    covariance = max(
+        abs(float((change[..., away:] * change[..., :-away]).mean())) for away in (1, 2)
+    )
     require(
         covariance > 3.0 / np.sqrt(change[0].size) * power,
-        "the images differ by noise at most: the patterns never light the scene; check the projector, or whether "
-        "the direct light is too weak to be seen.",
+        "the images differ by noise at most: the patterns never light the scene; check the"
+        " projector, or whether the direct light is too weak to be seen.",
     )
 
 
-_DECIDED = 1 - 2 * 0.2  # part of half the range of its neighbours beyond which a pixel's state is decided
+# part of half the range of its neighbours beyond which a pixel's state is decided
+_DECIDED = 1 - 2 * 0.2
 
 
-def estimate_patterns(stack: Any, *, mask: Any = None, clip_level: float | None = CLIP_LEVEL) -> FloatArray:
-    """Find the states (N, H, W) of unknown patterns from the images themselves: 1 lit, 0 dark, 0.5 undecided.
+def estimate_patterns(
+    stack: Any, *, mask: Any = None, clip_level: float | None = CLIP_LEVEL
+) -> FloatArray:
+    """Find the states (N, H, W) of unknown patterns from the images themselves: 1 lit, 0 dark, 0.5
+    undecided.
 
-    A pixel's state is read from the mean of its *neighbours* (a Gaussian of one pixel without its centre), relative
-    to their own maximum and minimum over the images; in the middle three fifths of that range it is undecided. The
-    neighbours share its state and not its noise, so that least squares with these states is unbiased in all but the
-    faintest pixels; there it falls short, towards zero, where maximum and minimum would invent direct light. Checks
-    must be wider than about five pixels.
+    A pixel's state is read from the mean of its *neighbours* (a Gaussian of one pixel without its
+    centre), relative to their own maximum and minimum over the images; in the middle three fifths
+    of that range it is undecided. The neighbours share its state and not its noise, so that least
+    squares with these states is unbiased in all but the faintest pixels; there it falls short,
+    towards zero, where maximum and minimum would invent direct light. Checks must be wider than
+    about five pixels.
     """
     images = light_stack(stack, mask, clip_level)
     kernel = cv2.getGaussianKernel(9, 1.0, cv2.CV_64F)
@@ -189,7 +220,9 @@ def estimate_patterns(stack: Any, *, mask: Any = None, clip_level: float | None 
     around[4, 4] = 0.0
     around /= around.sum()
     greys = (np.ascontiguousarray(image.mean(axis=-1)) for image in images.light)
-    means = np.stack([cv2.filter2D(grey, cv2.CV_32F, around, borderType=cv2.BORDER_REFLECT) for grey in greys])
+    means = np.stack(
+        [cv2.filter2D(grey, cv2.CV_32F, around, borderType=cv2.BORDER_REFLECT) for grey in greys]
+    )
     low, high = means.min(axis=0), means.max(axis=0)
     middle = (high + low) / 2
     half = np.maximum((high - low) / 2, 1e-20)
@@ -203,7 +236,10 @@ def check_patterns(patterns: Any, images: LightStack) -> FloatArray:
     """Return known states (N, H, W), checked against the stack they belong to."""
     states = np.asarray(patterns, dtype=np.float32)
     shape = images.light.shape[:3]
-    require(states.shape == shape, f"patterns must have the shape {shape} of the images, but it has {states.shape}.")
+    require(
+        states.shape == shape,
+        f"patterns must have the shape {shape} of the images, but it has {states.shape}.",
+    )
     require(
         bool(np.isfinite(states).all()) and states.min() >= 0 and states.max() <= 1,
         "patterns must hold states from 0 (dark) to 1 (lit), without NaN.",
@@ -213,9 +249,9 @@ def check_patterns(patterns: Any, images: LightStack) -> FloatArray:
         if never.any():
             row, column = np.argwhere(never)[0]
             raise BadInput(
-                f"{percent(never.sum() / images.mask.sum())} of the pixels are never {word} by the "
-                f"patterns (first at row {row}, column {column}): a shift is missing; capture it, or "
-                "leave these pixels out with a mask."
+                f"{percent(never.sum() / images.mask.sum())} of the pixels are never {word} by the"
+                f" patterns (first at row {row}, column {column}): a shift is missing; capture it,"
+                " or leave these pixels out with a mask."
             )
     _check_order(images, states)
     return states
@@ -234,9 +270,11 @@ def _check_order(images: LightStack, states: FloatArray) -> None:
     for k, best in enumerate(np.argmax(correlation, axis=1)):
         require(
             correlation[k, k] > 0.02,
-            f"image {k} does not show its pattern at all; check that images and patterns belong together.",
+            f"image {k} does not show its pattern at all; check that images and patterns belong"
+            " together.",
         )
         require(
             correlation[k, best] < correlation[k, k] + 0.02,
-            f"image {k} shows pattern {best} instead of its own: a shift is repeated, missing or out of order.",
+            f"image {k} shows pattern {best} instead of its own: a shift is repeated, missing or"
+            " out of order.",
         )

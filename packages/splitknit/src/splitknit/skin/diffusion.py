@@ -1,9 +1,10 @@
 """How far light wanders under the skin: the transfer function of subsurface scattering.
 
-Light that enters a flat half space at one point leaves it around that point. The Fourier transform of this spot, over
-its value at zero, is what is left of a pattern of irradiance (and so of the shading of ridges) at each spatial
-frequency. By similarity it depends on the frequency over sigma_t' = sigma_s' + sigma_a and on the albedo sigma_s' /
-sigma_t' alone; a table of both, made by random walks (``validation/diffusion/make_table.py``), ships with the package.
+Light that enters a flat half space at one point leaves it around that point. The Fourier transform
+of this spot, over its value at zero, is what is left of a pattern of irradiance (and so of the
+shading of ridges) at each spatial frequency. By similarity it depends on the frequency over
+sigma_t' = sigma_s' + sigma_a and on the albedo sigma_s' / sigma_t' alone; a table of both, made by
+random walks (``validation/diffusion/make_table.py``), ships with the package.
 """
 
 from __future__ import annotations
@@ -23,7 +24,8 @@ CHANNELS = ("red", "green", "blue", "nir")
 SCATTERING_PER_MM = (3.39, 4.12, 5.18, 2.16)
 """Reduced scattering in the channels: 4.6 (wavelength / 500 nm)^-1.42 per mm (Jacques 2013)."""
 SCATTERING_SD = 0.3
-"""Relative standard deviation of the scattering between people; it enters the relief's uncertainty."""
+"""Relative standard deviation of the scattering between people; it enters the relief's
+uncertainty."""
 ABSORPTION_PER_MM = (0.030, 0.20, 0.40, 0.020)
 """Absorption in the channels, in light skin."""
 COLOUR_TRUST = 0.6
@@ -44,10 +46,12 @@ class SkinSettings(Checked):
         return SCATTERING_PER_MM[CHANNELS.index(channel)] * self.scattering_factor
 
     def absorption(self, channel: str, colour: float | None = None) -> float:
-        """Absorption per mm in `channel`, adapted to the finger's `colour` (over red, under white light) if given.
+        """Absorption per mm in `channel`, adapted to the finger's `colour` (over red, under white
+        light) if given.
 
-        The absorption in red is taken as it is; green and blue get what brings the ratio of the albedos of
-        :func:`diffusion` to the colour, as far as `COLOUR_TRUST` says (in the logarithm).
+        The absorption in red is taken as it is; green and blue get what brings the ratio of the
+        albedos of :func:`diffusion` to the colour, as far as `COLOUR_TRUST` says (in the
+        logarithm).
         """
         assumed = ABSORPTION_PER_MM[CHANNELS.index(channel)]
         if colour is None or channel not in ("green", "blue"):
@@ -61,14 +65,20 @@ class SkinSettings(Checked):
         return float(np.exp(np.interp(-wanted, -albedo, np.log(trial))))
 
     def optics(
-        self, channels: Iterable[str], colour: Mapping[str, float] | None = None, scattering: float = 1.0
+        self,
+        channels: Iterable[str],
+        colour: Mapping[str, float] | None = None,
+        scattering: float = 1.0,
     ) -> dict[str, Diffusion]:
-        """Transfer function of each channel; `scattering`: factor on the assumed scattering. `colour`: each white
-        channel's diffuse brightness over the first's; of several, the absorption follows it.
+        """Transfer function of each channel; `scattering`: factor on the assumed scattering.
+        `colour`: each white channel's diffuse brightness over the first's; of several, the
+        absorption follows it.
         """
         tint = colour if colour is not None and len(colour) > 1 else {}
         return {
-            name: diffusion(self.scattering(name) * scattering, self.absorption(name, tint.get(name)))
+            name: diffusion(
+                self.scattering(name) * scattering, self.absorption(name, tint.get(name))
+            )
             for name in channels
         }
 
@@ -85,14 +95,15 @@ class Diffusion:
     _transfer: Array
 
     def __call__(self, omega_per_mm: Any) -> Array:
-        """Gain of an irradiance pattern at radial frequencies in rad/mm (any shape), one at zero."""
+        """Gain of an irradiance pattern at radial frequencies in rad/mm (any shape), one at
+        zero."""
         return np.asarray(np.interp(omega_per_mm, self._omega, self._transfer))
 
 
 def diffusion(scattering_per_mm: float, absorption_per_mm: float) -> Diffusion:
-    """Transfer function of a half space with a refractive index of 1.42 and a rough boundary, by its reduced scattering
-    coefficient sigma_s', above zero, and its absorption coefficient sigma_a; S. Jacques, "Optical properties of
-    biological tissues: a review", Phys. Med. Biol. 58 (2013).
+    """Transfer function of a half space with a refractive index of 1.42 and a rough boundary, by
+    its reduced scattering coefficient sigma_s', above zero, and its absorption coefficient sigma_a;
+    S. Jacques, "Optical properties of biological tissues: a review", Phys. Med. Biol. 58 (2013).
 
     >>> blue = diffusion(5.18, 0.40)
     >>> float(blue(0.0)), bool(0.15 < blue(14.4) < 0.25)
@@ -102,16 +113,23 @@ def diffusion(scattering_per_mm: float, absorption_per_mm: float) -> Diffusion:
     total = scattering_per_mm + absorption_per_mm
     # between albedos the table is nearly linear in the logarithm of the absorbed part
     place = np.interp(
-        -np.log(1 - min(scattering_per_mm / total, albedos[-1])), -np.log(1 - albedos), np.arange(len(albedos))
+        -np.log(1 - min(scattering_per_mm / total, albedos[-1])),
+        -np.log(1 - albedos),
+        np.arange(len(albedos)),
     )
     low = min(int(place), len(albedos) - 2)
     row = table[low] + (place - low) * (table[low + 1] - table[low])
-    return Diffusion(scattering_per_mm, absorption_per_mm, float(row[0]), frequencies * total, row / row[0])
+    return Diffusion(
+        scattering_per_mm, absorption_per_mm, float(row[0]), frequencies * total, row / row[0]
+    )
 
 
 @lru_cache(maxsize=1)
 def _table() -> tuple[Array, Array, Array]:
-    with (resources.files("splitknit.skin") / "diffusion_table.npz").open("rb") as file, np.load(file) as data:
+    with (
+        (resources.files("splitknit.skin") / "diffusion_table.npz").open("rb") as file,
+        np.load(file) as data,
+    ):
         return (
             data["albedo"].astype(np.float64),
             data["frequency"].astype(np.float64),

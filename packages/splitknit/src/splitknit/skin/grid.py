@@ -20,7 +20,8 @@ Slopes = tuple[FloatArray, FloatArray]
 """dz/dx and dz/dy (h, w), y up."""
 
 WORKING_PITCH_MM = 0.0264
-"""Pitch of the fine grid; skin's blur leaves less than 2 % of any finer detail, and the networks have learned it."""
+"""Pitch of the fine grid; skin's blur leaves less than 2 % of any finer detail, and the networks
+have learned it."""
 COARSE_PITCH_MM = 0.106
 """Pitch of the coarse grid."""
 
@@ -33,9 +34,11 @@ class Grid:
     x_mm: Array  # (w,) or (h, w) on the finger plane
     y_mm: Array  # (h,) or (h, w)
     pitch_mm: float
-    cut: tuple[bool, bool, bool, bool]  # whether the finger goes on beyond the top, bottom, left and right side
+    # whether the finger goes on beyond the top, bottom, left and right side
+    cut: tuple[bool, bool, bool, bool]
     apex_mm: float | None = None
-    """Height of a perspective camera: heights are then those along its rays, see :mod:`splitknit.imaging.view`."""
+    """Height of a perspective camera: heights are then those along its rays, see
+    :mod:`splitknit.imaging.view`."""
 
     @property
     def view(self) -> View:
@@ -58,13 +61,19 @@ class Grid:
 
     @cached_property
     def omega(self) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Angular frequencies along x, along y (up), and their length, rad/mm, of :meth:`forward`."""
-        wx = (2 * np.pi / self.pitch_mm * np.fft.rfftfreq(self._size[1])[None, :]).astype(np.float32)
-        wy = (-2 * np.pi / self.pitch_mm * np.fft.fftfreq(self._size[0])[:, None]).astype(np.float32)
+        """Angular frequencies along x, along y (up), and their length, rad/mm, of
+        :meth:`forward`."""
+        wx = (2 * np.pi / self.pitch_mm * np.fft.rfftfreq(self._size[1])[None, :]).astype(
+            np.float32
+        )
+        wy = (-2 * np.pi / self.pitch_mm * np.fft.fftfreq(self._size[0])[:, None]).astype(
+            np.float32
+        )
         return wx, wy, np.hypot(wx, wy)
 
     def forward(self, field: FloatArray, extend: bool = False) -> NDArray[np.complex64]:
-        """Fourier transform of a field (..., h, w) with a margin of 3 mm: zero, or the border's values beyond a cut."""
+        """Fourier transform of a field (..., h, w) with a margin of 3 mm: zero, or the border's
+        values beyond a cut."""
         margins = self._margin * (np.reshape(self.cut, (2, 2)) & extend)
         whole = [(0, 0)] * (field.ndim - 2)
         field = np.pad(field, [*whole, *margins], mode="edge")
@@ -80,7 +89,8 @@ class Grid:
         return np.ascontiguousarray(field, dtype=np.float32)
 
     def radial(self, omega: Array, gain: Array) -> FloatArray:
-        """Sample a radial gain, given at increasing `omega`, on the frequencies of :meth:`forward`."""
+        """Sample a radial gain, given at increasing `omega`, on the frequencies of
+        :meth:`forward`."""
         return np.interp(self.omega[2], omega, gain).astype(np.float32)
 
     def sampled(self, gain: Callable[[Array], Array]) -> FloatArray:
@@ -88,8 +98,11 @@ class Grid:
         omega = np.linspace(0, float(self.omega[2].max()), 1024)
         return self.radial(omega, gain(omega))
 
-    def smooth(self, field: FloatArray, region: BoolArray | FloatArray, sigma_mm: float) -> FloatArray:
-        """Gaussian mean of (..., h, w) over `region` (h, w) only; wide Gaussians on a reduced copy."""
+    def smooth(
+        self, field: FloatArray, region: BoolArray | FloatArray, sigma_mm: float
+    ) -> FloatArray:
+        """Gaussian mean of (..., h, w) over `region` (h, w) only; wide Gaussians on a reduced
+        copy."""
         rows, columns = self.shape
         weight = region.astype(np.float32)
         sigma = sigma_mm / self.pitch_mm
@@ -118,10 +131,12 @@ class Grid:
 
 
 def coarsen(grid: Grid, factor: int) -> Grid:
-    """Grid of blocks of `factor` pixels a side, all of which belong to the mask; the largest part of it."""
+    """Grid of blocks of `factor` pixels a side, all of which belong to the mask; the largest part
+    of it."""
     rows, columns = (n // factor for n in grid.shape)
     blocks = grid.mask[: rows * factor, : columns * factor].reshape(rows, factor, columns, factor)
-    whole = np.pad(blocks.all(axis=(1, 3)).astype(np.uint8), 1)  # nothing belongs to the mask beyond the border
+    # nothing belongs to the mask beyond the border
+    whole = np.pad(blocks.all(axis=(1, 3)).astype(np.uint8), 1)
     cross = cv2.getStructuringElement(cv2.MORPH_CROSS, (3, 3))
     mask = largest_component(cv2.morphologyEx(whole, cv2.MORPH_OPEN, cross)[1:-1, 1:-1] > 0)
     if grid.x_mm.ndim == 1:
@@ -129,14 +144,17 @@ def coarsen(grid: Grid, factor: int) -> Grid:
         y = grid.y_mm[: rows * factor].reshape(rows, factor).mean(axis=1)
     else:
         x, y = (
-            axis[: rows * factor, : columns * factor].reshape(rows, factor, columns, factor).mean(axis=(1, 3))
+            axis[: rows * factor, : columns * factor]
+            .reshape(rows, factor, columns, factor)
+            .mean(axis=(1, 3))
             for axis in (grid.x_mm, grid.y_mm)
         )
     return Grid(mask, x, y, grid.pitch_mm * factor, grid.cut, grid.apex_mm)
 
 
 def refine(field: FloatArray, mask: BoolArray, factor: int, shape: tuple[int, int]) -> FloatArray:
-    """Smooth copy of a coarse field on the fine grid, continued beyond its mask by the nearest values."""
+    """Smooth copy of a coarse field on the fine grid, continued beyond its mask by the nearest
+    values."""
     filled = nearest_known(field, mask)
     rows, columns = filled.shape
     large = cv2.resize(filled, (columns * factor, rows * factor), interpolation=cv2.INTER_CUBIC)

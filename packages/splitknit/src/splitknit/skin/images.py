@@ -1,4 +1,5 @@
-"""Images of skin on the working grid of the `metric` method, the networks for them, and the way back."""
+"""Images of skin on the working grid of the `metric` method, the networks for them, and the way
+back."""
 
 from __future__ import annotations
 
@@ -34,8 +35,8 @@ class MetricSettings(Checked):
     coarse_steps: Annotated[int, Limits(1)] = 3
     """Gauss-Newton steps of the shape on the coarse grid."""
     relief: Literal["network", "colour"] = "network"
-    """``network``, or ``colour``: relief and glare separated by their colours alone. Grey images, and rigs with too
-    few lights for the network, are always reconstructed by colour."""
+    """``network``, or ``colour``: relief and glare separated by their colours alone. Grey images,
+    and rigs with too few lights for the network, are always reconstructed by colour."""
     network: str = "relief"
     """Name of a network in the package, or path of an ``.onnx`` file with its card beside it."""
     shape_network: str = "shape"
@@ -47,8 +48,8 @@ _TILE_PX = 704
 _MARGIN_MM = 0.1
 """Beside the finger's outline, on the working grid."""
 NO_NETWORK = (
-    "the network of the relief needs six white lights all around the finger and at least 12 pixels a millimetre; "
-    "relief and glare are separated by their colours alone."
+    "the network of the relief needs six white lights all around the finger and at least 12 pixels"
+    " a millimetre; relief and glare are separated by their colours alone."
 )
 GREY = "the white images are grey: glare is indistinguishable from skin by its colour."
 SEPARATED_BY = {
@@ -66,15 +67,17 @@ class SkinImages:
     grid: Grid
     bands: tuple[BandImages, ...]  # the white band first
     crossed: BandImages | None
-    """The white band behind crossed films, where it was photographed so too, without what films leak of specular light;
-    `bands` are as without films."""
-    parallel: Rig  # the rig of the white band's own LEDs; those of a crossed series may stand beside them
+    """The white band behind crossed films, where it was photographed so too, without what films
+    leak of specular light; `bands` are as without films."""
+    # the rig of the white band's own LEDs; those of a crossed series may stand beside them
+    parallel: Rig
     side: tuple[BandImages, BandImages | None, Rig] | None
-    """The same three for the lights to the side of the finger: both series' mean, crossed, rig of the parallel ones.
-    Without films only where the networks can read the images."""
+    """The same three for the lights to the side of the finger: both series' mean, crossed, rig of
+    the parallel ones. Without films only where the networks can read the images."""
     networks: Networks | None  # relief and shape network, where they can read the images
     binning: float  # pixels a side that make a block of the camera's grid
-    finer: bool  # whether the working grid has half the blocks' pitch, so that the networks can read it
+    # whether the working grid has half the blocks' pitch, so that the networks can read it
+    finer: bool
     place: Window  # rows and columns of the window that the grid covers: those of the finger
     size: tuple[int, int]  # rows, columns of the window
     findings: tuple[Finding, ...]
@@ -93,16 +96,23 @@ class SkinImages:
 
 
 def working_images(
-    capture: Capture, bands: tuple[Band, ...], window: Window, inside: BoolArray, settings: MetricSettings
+    capture: Capture,
+    bands: tuple[Band, ...],
+    window: Window,
+    inside: BoolArray,
+    settings: MetricSettings,
 ) -> SkinImages:
     """Linear images on a grid that the networks can read, where there is one; and the networks.
 
-    `bands`: the white one, and the near-infrared one if there is one; `window`: of the finger; `inside`: (h, w) pixels
-    of it that are reconstructed.
+    `bands`: the white one, and the near-infrared one if there is one; `window`: of the finger;
+    `inside`: (h, w) pixels of it that are reconstructed.
     """
     rows, columns = bounding_box(inside, round(_MARGIN_MM * capture.rig.camera.px_per_mm))
     top, left = window[0].start, window[1].start
-    of_finger = slice(top + rows.start, top + rows.stop), slice(left + columns.start, left + columns.stop)
+    of_finger = (
+        slice(top + rows.start, top + rows.stop),
+        slice(left + columns.start, left + columns.stop),
+    )
     grid, images, binning = skin_images(capture, bands, of_finger, inside[rows, columns])
     white = bands[0]
     crossed = _crossed(capture, white, images[0], of_finger, binning)
@@ -140,8 +150,11 @@ def working_images(
     )
 
 
-def _crossed(capture: Capture, band: Band, both: BandImages, window: Window, binning: float) -> BandImages | None:
-    """The crossed series beside the mean of `both`, where there is one, without the specular light that films leak."""
+def _crossed(
+    capture: Capture, band: Band, both: BandImages, window: Window, binning: float
+) -> BandImages | None:
+    """The crossed series beside the mean of `both`, where there is one, without the specular light
+    that films leak."""
     if band.crossed is None:
         return None
     light = linear_channels(band.crossed, capture.encoding, _names(band), window, binning)
@@ -157,14 +170,16 @@ def skin_images(
     inside: BoolArray,
     pitch_mm: float = WORKING_PITCH_MM,
 ) -> tuple[Grid, tuple[BandImages, ...], float]:
-    """Grid of about `pitch_mm`, linear images on it, and how many pixels a side make one of its blocks. Parameters as
-    for :func:`working_images`.
+    """Grid of about `pitch_mm`, linear images on it, and how many pixels a side make one of its
+    blocks. Parameters as for :func:`working_images`.
     """
     white, *others = bands
     binning = max(1.0, round(8 * pitch_mm / capture.rig.camera.pitch_mm) / 8)
     names = _names(white)
     light = linear_channels(white, capture.encoding, names, window, binning)
-    images = [BandImages(names if len(names) > 1 else ("green",), light, capture.rig.select(white.lights))]
+    images = [
+        BandImages(names if len(names) > 1 else ("green",), light, capture.rig.select(white.lights))
+    ]
     for nir in others:
         grey = linear_channels(nir, capture.encoding, ("grey",), window, binning)
         images.append(BandImages(("nir",), grey, capture.rig.select(nir.leds)))
@@ -185,7 +200,9 @@ def shipped_networks(settings: MetricSettings) -> Networks | None:
         network = load_network(name)
         return lambda fields: run_network(network, fields[None], tile=_TILE_PX)[0]
 
-    return Networks(runner(settings.network), runner(settings.shape_network) if settings.shape_network else None)
+    return Networks(
+        runner(settings.network), runner(settings.shape_network) if settings.shape_network else None
+    )
 
 
 def _grid(capture: Capture, window: Window, mask: BoolArray, binning: float) -> Grid:
@@ -203,13 +220,17 @@ def _grid(capture: Capture, window: Window, mask: BoolArray, binning: float) -> 
         columns.stop >= capture.shape[1] and bool(inside[:, -1].any()),
     )
     view = view_of(capture.rig.camera, rows, columns, binning=binning, along_rays=True)
-    return Grid(inside, view.x_mm, view.y_mm, capture.rig.camera.pitch_mm * binning, cut, view.apex_mm)
+    return Grid(
+        inside, view.x_mm, view.y_mm, capture.rig.camera.pitch_mm * binning, cut, view.apex_mm
+    )
 
 
 # Images of a coarse camera on a grid twice as fine.
 #
-# The networks were trained on pixels of 17 to 41 um. A camera of 12 to 25 pixels a millimetre shows ridges well enough
-# (6 to 11 pixels a period), in pixels that are too large for them: the images are interpolated to half the pitch.
+# The networks were trained on pixels of 17 to 41 um. A camera of 12 to 25 pixels a millimetre shows
+# ridges well enough (6 to 11 pixels a period), in pixels that are too large for them: the images
+# are interpolated to
+# half the pitch.
 
 FACTOR = 2
 
@@ -232,14 +253,16 @@ def finer_images(band: BandImages) -> BandImages:
 
 
 def coarser(field: FloatArray) -> FloatArray:
-    """Mean (h, w) of the 2 x 2 pixels of each pixel of the grid as it was; NaN where one of them is."""
+    """Mean (h, w) of the 2 x 2 pixels of each pixel of the grid as it was; NaN where one of them
+    is."""
     height, width = field.shape[0] // FACTOR, field.shape[1] // FACTOR
     blocks = field.reshape(height, FACTOR, width, FACTOR)
     return np.asarray(blocks.mean(axis=(1, 3), dtype=np.float64), dtype=np.float32)
 
 
 def _halved(values: Array, axis: int) -> Array:
-    """Values at the middles of both halves of each pixel along `axis`, straight between their neighbours."""
+    """Values at the middles of both halves of each pixel along `axis`, straight between their
+    neighbours."""
     if values.shape[axis] < 2:
         return np.repeat(values, FACTOR, axis=axis)
     quarter = np.gradient(values, axis=axis) / 4

@@ -1,4 +1,5 @@
-"""Relief, specular reflection and the shape's residual slopes by networks: their input, and what their output means."""
+"""Relief, specular reflection and the shape's residual slopes by networks: their input, and what
+their output means."""
 
 from __future__ import annotations
 
@@ -13,21 +14,34 @@ from splitknit.imaging.band import bin_mean
 from splitknit.imaging.chunks import for_each_chunk
 from splitknit.imaging.geometry import height_gradients, normals_from_gradients
 from splitknit.model import BoolArray, FloatArray, Rig
-from splitknit.networks.augmentation import QUARTER_TURNS, Symmetry, mean_over_orientations, shrinkage_gain
+from splitknit.networks.augmentation import (
+    QUARTER_TURNS,
+    Symmetry,
+    mean_over_orientations,
+    shrinkage_gain,
+)
 from splitknit.photometric.equations import shading
 from splitknit.photometric.near_light import pseudo_normals
 from splitknit.skin.diffusion import Diffusion
 from splitknit.skin.grid import BandImages, Grid
 from splitknit.skin.light import Lighting, lighting, predict, reached_by_all, slant_of, trust_of
 from splitknit.skin.relief import ReliefEstimate
-from splitknit.skin.shape import CoarseImages, Shape, above_plane, integrate, residual_slopes, slopes_inside
+from splitknit.skin.shape import (
+    CoarseImages,
+    Shape,
+    above_plane,
+    integrate,
+    residual_slopes,
+    slopes_inside,
+)
 
-# Input of the relief network: the white band's light, described independently of rig, finger and exposure.
-#
-# Every pixel's images are decomposed into harmonics of the light's azimuth. The constant is the brightness; the first
-# harmonic is the slope, as photometric stereo measures it; no matt surface has a second or third one: they are specular
-# reflection. All are relative to their neighbourhood, so that exposure, pigment and the finger's shape cancel, and they
-# turn with the image as scalars and vectors do.
+# Input of the relief network: the white band's light, described independently of rig, finger and
+# exposure. Every pixel's images are decomposed into harmonics of the light's azimuth. The constant
+# is the brightness; the first harmonic is the slope, as photometric stereo measures it; no matt
+# surface has a second or third one: they are specular reflection. All are relative to their
+# neighbourhood, so that exposure, pigment and the finger's shape cancel, and they turn with the
+# image as scalars
+# and vectors do.
 
 RIDGE_BAND_MM = 0.3
 """Standard deviation of the Gaussian mean that the relief is free of."""
@@ -48,42 +62,68 @@ class Features:
 
 
 def features(
-    band: BandImages, grid: Grid, surface_mm: FloatArray, light: Lighting, measured: FloatArray | None = None
+    band: BandImages,
+    grid: Grid,
+    surface_mm: FloatArray,
+    light: Lighting,
+    measured: FloatArray | None = None,
 ) -> Features:
-    """Rig-independent description of the white band's light on a finite smooth surface (h, w) of the fine grid.
+    """Rig-independent description of the white band's light on a finite smooth surface (h, w) of
+    the fine grid.
 
-    Three channels, six lights at least. `light`: of `band.rig` on that surface; `measured`: (C, h, w, 3) brightness
-    times normal of ``band.stack / light.entering``, by least squares over the lights where it is not given.
+    Three channels, six lights at least. `light`: of `band.rig` on that surface; `measured`: (C, h,
+    w, 3) brightness times normal of ``band.stack / light.entering``, by least squares over the
+    lights where it is not given.
     """
     g = measured
     if g is None:
         g = pseudo_normals(
-            band.stack, band.rig, surface_mm, grid.mask, light.trust, view=grid.view, entering=light.entering
+            band.stack,
+            band.rig,
+            surface_mm,
+            grid.mask,
+            light.trust,
+            view=grid.view,
+            entering=light.entering,
         )
-    slope_x, slope_y = grid.smooth(np.stack(height_gradients(surface_mm, grid.pitch_mm)), grid.mask, RIDGE_BAND_MM)
+    slope_x, slope_y = grid.smooth(
+        np.stack(height_gradients(surface_mm, grid.pitch_mm)), grid.mask, RIDGE_BAND_MM
+    )
     normals = normals_from_gradients(slope_x, slope_y)
     to_harmonics = _beyond_matt(band.rig)
     channels, lights = band.stack.shape[:2]
     fields = np.zeros((COUNT, *grid.shape), dtype=np.float32)
-    bright, slopes, beyond, geometry = np.split(fields, np.cumsum([channels, 2 * channels, 4 * channels]))
+    bright, slopes, beyond, geometry = np.split(
+        fields, np.cumsum([channels, 2 * channels, 4 * channels])
+    )
     levels = np.empty((channels, *grid.shape), dtype=np.float32)
 
     def brightness(chunk: slice) -> None:
-        bright[:, chunk] = shading(np.moveaxis(normals[chunk], -1, 0), np.moveaxis(g[:, chunk], -1, 1))
+        bright[:, chunk] = shading(
+            np.moveaxis(normals[chunk], -1, 0), np.moveaxis(g[:, chunk], -1, 1)
+        )
 
     def relative(chunk: slice) -> None:
         columns = np.flatnonzero(grid.mask[chunk].any(axis=0))
         if not len(columns):
             return
-        part = (chunk, slice(int(columns[0]), int(columns[-1]) + 1))  # the rest is not a finger, and left out below
-        vectors, trust, entering = light.vectors[:, :, *part], light.trust[:, *part], light.entering[:, *part]
+        # the rest is not a finger, and left out below
+        part = (chunk, slice(int(columns[0]), int(columns[-1]) + 1))
+        vectors, trust, entering = (
+            light.vectors[:, :, *part],
+            light.trust[:, *part],
+            light.entering[:, *part],
+        )
         size = np.sqrt((vectors * vectors).sum(axis=1))  # (L, h, w)
-        for c in range(channels):  # of all lights at once: threads wait for each other between operations
+        # of all lights at once: threads wait for each other between operations
+        for c in range(channels):
             level, here = levels[c, *part], np.moveaxis(g[c, *part], -1, 0)
             bright[c, *part] = np.clip(bright[c, *part] / level - 1, -1, 1)
             facing = level * normals[*part, 2]
             for axis, slope in enumerate((slope_x[part], slope_y[part])):
-                slopes[2 * c + axis, *part] = np.clip(-(here[axis] + slope * here[2]) / facing, -2, 2)
+                slopes[2 * c + axis, *part] = np.clip(
+                    -(here[axis] + slope * here[2]) / facing, -2, 2
+                )
             left = band.stack[c, :, *part] / entering
             left -= shading(here, vectors)  # what a matt surface shows
             left *= trust
@@ -95,7 +135,9 @@ def features(
     for_each_chunk(relative, *grid.shape, lights)
     slopes -= grid.smooth(slopes, grid.mask, RIDGE_BAND_MM)
     towards = band.rig.light_vectors()
-    tangent = float(np.mean(np.hypot(towards[:, 0], towards[:, 1]) / np.maximum(towards[:, 2], 1e-6)))
+    tangent = float(
+        np.mean(np.hypot(towards[:, 0], towards[:, 1]) / np.maximum(towards[:, 2], 1e-6))
+    )
     others = [
         np.clip(slope_x, -2, 2) / 2,
         np.clip(slope_y, -2, 2) / 2,
@@ -115,9 +157,9 @@ def features(
 
 
 def _statistics(slopes: FloatArray, beyond: FloatArray, lit: BoolArray) -> list[np.float32]:
-    """Three numbers of the whole finger, which depend on its scattering and specular reflection: logarithms of the rms
-    slope in all channels but the last over the last's, and of the rms of what no matt surface explains over the rms
-    slope.
+    """Three numbers of the whole finger, which depend on its scattering and specular reflection:
+    logarithms of the rms slope in all channels but the last over the last's, and of the rms of what
+    no matt surface explains over the rms slope.
     """
     region = (lit if lit.any() else np.ones_like(lit)).astype(np.uint8)
     size = cv2.countNonZero(region)
@@ -132,10 +174,14 @@ def _statistics(slopes: FloatArray, beyond: FloatArray, lit: BoolArray) -> list[
 
 
 def azimuth_waves(rig: Rig, highest: int) -> FloatArray:
-    """(L, 1 + 2 highest) the harmonics 1, cos n a, sin n a at the azimuths a of the rig's lights."""
+    """(L, 1 + 2 highest) the harmonics 1, cos n a, sin n a at the azimuths a of the rig's
+    lights."""
     towards = rig.light_vectors()
     azimuth = np.arctan2(towards[:, 1], towards[:, 0])
-    waves = [np.ones_like(azimuth), *(f(n * azimuth) for n in range(1, highest + 1) for f in (np.cos, np.sin))]
+    waves = [
+        np.ones_like(azimuth),
+        *(f(n * azimuth) for n in range(1, highest + 1) for f in (np.cos, np.sin)),
+    ]
     return np.stack(waves, axis=1).astype(np.float32)
 
 
@@ -145,8 +191,8 @@ def _beyond_matt(rig: Rig) -> FloatArray:
 
 
 Network = Callable[[FloatArray], FloatArray]
-"""From (32, h, w) features to (9, h, w): relief, seven harmonics of the specular reflection, logarithm of the relief's
-variance."""
+"""From (32, h, w) features to (9, h, w): relief, seven harmonics of the specular reflection,
+logarithm of the relief's variance."""
 
 SHAPE_SLOPE = 0.1
 """Unit of the slopes of the shape network."""
@@ -174,21 +220,27 @@ RELIEF_SYMMETRY = Symmetry(
 _RELIEF_OUTPUT = Symmetry(vectors=((2, 3),), second_harmonics=((4, 5),), third_harmonics=((6, 7),))
 
 
-def relief_network(network: Network, orientations: Sequence[int], earlier: FloatArray | None = None) -> Network:
-    """The relief network under test-time augmentation; parameters as for :func:`mean_over_orientations`."""
+def relief_network(
+    network: Network, orientations: Sequence[int], earlier: FloatArray | None = None
+) -> Network:
+    """The relief network under test-time augmentation; parameters as for
+    :func:`mean_over_orientations`."""
     symmetries = RELIEF_SYMMETRY, _RELIEF_OUTPUT
     return lambda fields: mean_over_orientations(network, fields, symmetries, orientations, earlier)
 
 
 LITTLE_GLOSS = 0.015
-"""Mean specular reflection over the diffuse light, as the network estimates it: below, there may be none."""
+"""Mean specular reflection over the diffuse light, as the network estimates it: below, there may be
+none."""
 GAIN_UNCERTAINTY = (0.2, 0.15)
-"""Standard deviation of the common factor of all heights with less and with more than that, on simulated skin whose
-boundary and brightness by height vary widely (a factor of seven), as skin's are not known."""
+"""Standard deviation of the common factor of all heights with less and with more than that, on
+simulated skin whose boundary and brightness by height vary widely (a factor of seven), as skin's
+are not known."""
 SLANT_DEG, SLANT_ERROR = (0, 15, 30, 45, 60, 70), (0.74, 0.84, 1.1, 1.12, 1.02, 2.3)
-"""Error of the relief over what the network states, by slant: the error is smallest where the skin faces lights
-and camera. Ten fingers of our simulator have 0.7 to 0.9 up to 60 degrees, 2.3 beyond; two path-traced ones 0.6 to 0.8
-below 15 degrees and 0.8 to 1.5 above (``validation/path_traced/score.py``)."""
+"""Error of the relief over what the network states, by slant: the error is smallest where the skin
+faces lights and camera. Ten fingers of our simulator have 0.7 to 0.9 up to 60 degrees, 2.3 beyond;
+two path-traced ones 0.6 to 0.8 below 15 degrees and 0.8 to 1.5 above
+(``validation/path_traced/score.py``)."""
 MAX_UNEVEN = 10.0
 """Condition of the harmonics up to the second at the lights' azimuths; one for a regular ring."""
 PITCH_MM = (0.017, 0.041)
@@ -196,14 +248,17 @@ PITCH_MM = (0.017, 0.041)
 
 
 def can_learn(band: BandImages, pitch_mm: float) -> bool:
-    """Whether the networks can be applied to a band: three colours, enough lights all around, and fine pixels."""
+    """Whether the networks can be applied to a band: three colours, enough lights all around, and
+    fine pixels."""
     if len(band.channels) != 3 or band.stack.shape[1] < MIN_LIGHTS:
         return False
     around = np.linalg.cond(azimuth_waves(band.rig, 2)) < MAX_UNEVEN
     return bool(around) and PITCH_MM[0] <= pitch_mm <= PITCH_MM[1]
 
 
-def relief_by_network(light: Features, grid: Grid, smooth_mm: FloatArray, network: Network) -> ReliefEstimate:
+def relief_by_network(
+    light: Features, grid: Grid, smooth_mm: FloatArray, network: Network
+) -> ReliefEstimate:
     """Relief as the network estimates it on the fine grid.
 
     `light`: of the white band on `smooth_mm` (h, w), the shape without the relief; its memory is
@@ -212,8 +267,11 @@ def relief_by_network(light: Features, grid: Grid, smooth_mm: FloatArray, networ
     return relief_of_output(network(light.fields), light.level[:2] * grid.mask, grid, smooth_mm)
 
 
-def relief_of_output(output: FloatArray, levels: FloatArray, grid: Grid, smooth_mm: FloatArray) -> ReliefEstimate:
-    """Relief on a smooth shape (h, w) from the network's `output` and the features' first two levels, masked."""
+def relief_of_output(
+    output: FloatArray, levels: FloatArray, grid: Grid, smooth_mm: FloatArray
+) -> ReliefEstimate:
+    """Relief on a smooth shape (h, w) from the network's `output` and the features' first two
+    levels, masked."""
     slant = slant_of(smooth_mm, grid.pitch_mm)
     trust = trust_of(slant, grid)
     relief = output[0] * RELIEF_MM
@@ -253,21 +311,30 @@ def variance_restored(estimate: ReliefEstimate) -> ReliefEstimate:
 
 
 def refined_shape(
-    shape: Shape, relief_mm: FloatArray, images: CoarseImages, optics: Mapping[str, Diffusion], network: Network
+    shape: Shape,
+    relief_mm: FloatArray,
+    images: CoarseImages,
+    optics: Mapping[str, Diffusion],
+    network: Network,
 ) -> Shape:
-    """The shape with the residual slopes that the shape network estimates from the images and the relief (H, W)."""
+    """The shape with the residual slopes that the shape network estimates from the images and the
+    relief (H, W)."""
     grid = images.grid
     ridges = _ridge_tensor(relief_mm, images.fine, images.factor, grid)
-    fields = _shape_features(images.bands, grid, above_plane(shape.height_mm, images) * grid.mask, optics, ridges)
+    fields = _shape_features(
+        images.bands, grid, above_plane(shape.height_mm, images) * grid.mask, optics, ridges
+    )
     symmetries = SHAPE_SYMMETRY, _SLOPES  # over quarter turns: mirroring changes < 1 %
-    slope_x, slope_y = mean_over_orientations(network, fields, symmetries, QUARTER_TURNS) * SHAPE_SLOPE
+    slope_x, slope_y = (
+        mean_over_orientations(network, fields, symmetries, QUARTER_TURNS) * SHAPE_SLOPE
+    )
     added = integrate(slope_x * grid.mask, slope_y * grid.mask, grid, shape.facing)
     return replace(shape, height_mm=shape.height_mm + added)
 
 
 def _ridge_tensor(relief_mm: FloatArray, grid: Grid, factor: int, low: Grid) -> FloatArray:
-    """(3, h, w) on the coarse grid: cosine and sine of twice the azimuth across the ridges, times the rms slope of the
-    relief (H, W) around, less where unclear; and that slope.
+    """(3, h, w) on the coarse grid: cosine and sine of twice the azimuth across the ridges, times
+    the rms slope of the relief (H, W) around, less where unclear; and that slope.
     """
     x, y = height_gradients(relief_mm, grid.pitch_mm)
     rows, columns = (length * factor for length in low.shape)
@@ -280,8 +347,10 @@ def _ridge_tensor(relief_mm: FloatArray, grid: Grid, factor: int, low: Grid) -> 
 
 # Input of the shape network: how images and prediction differ on the coarse grid, in all bands.
 #
-# Analysis by synthesis leaves errors with a pattern: where the finger turns away, towards its tip and its outline,
-# unresolved ridges, light that is lost at the rim and specular reflection at grazing angles bend the shape.
+# Analysis by synthesis leaves errors with a pattern: where the finger turns away, towards its tip
+# and its outline, unresolved ridges, light that is lost at the rim and specular reflection at
+# grazing angles bend
+# the shape.
 
 RIDGES_MM = 0.6
 """Standard deviation of the Gaussian mean of the ridges' slopes."""
@@ -293,16 +362,21 @@ SHAPE_SYMMETRY = Symmetry(
     second_harmonics=((12, 13), (16, 17), (24, 25)),
     third_harmonics=((14, 15), (18, 19)),
 )
-"""Symmetry of these fields; the direction across the ridges is given by cosine and sine of twice its azimuth."""
+"""Symmetry of these fields; the direction across the ridges is given by cosine and sine of twice
+its azimuth."""
 _SLOPES = Symmetry(vectors=((0, 1),), second_harmonics=(), third_harmonics=())
 
 
 def _shape_features(
-    bands: tuple[BandImages, ...], grid: Grid, height_mm: FloatArray, skin: Mapping[str, Diffusion], ridges: FloatArray
+    bands: tuple[BandImages, ...],
+    grid: Grid,
+    height_mm: FloatArray,
+    skin: Mapping[str, Diffusion],
+    ridges: FloatArray,
 ) -> FloatArray:
-    """(32, h, w) how coarse images differ from the shape's prediction; zero outside the mask, and of missing channels.
-    `height_mm`: above the finger plane, zero outside the mask; `skin`: transfer function of each channel; `ridges`: (3,
-    h, w) of :func:`_ridge_tensor`.
+    """(32, h, w) how coarse images differ from the shape's prediction; zero outside the mask, and
+    of missing channels. `height_mm`: above the finger plane, zero outside the mask; `skin`:
+    transfer function of each channel; `ridges`: (3, h, w) of :func:`_ridge_tensor`.
     """
     slope_x, slope_y = slopes_inside(height_mm, grid)
     normals = normals_from_gradients(slope_x, slope_y)
@@ -313,7 +387,9 @@ def _shape_features(
         light = lighting(band.rig, grid, height_mm, normals)
         trusted = light.trust.mean(axis=0)
         reached = reached_by_all(light, grid)
-        predicted_all = predict(light, grid, normals, [grid.sampled(skin[name]) for name in band.channels])
+        predicted_all = predict(
+            light, grid, normals, [grid.sampled(skin[name]) for name in band.channels]
+        )
         waves = _beyond_matt(band.rig)
         size = np.sqrt((light.vectors * light.vectors).sum(axis=1))
         for c, name in enumerate(band.channels):
@@ -322,7 +398,9 @@ def _shape_features(
             brightness[name] = float(np.median(ratio))
             expected *= brightness[name]
             both = np.stack([band.stack[c], expected]).astype(np.float32)
-            measured, predicted = pseudo_normals(both, band.rig, height_mm, grid.mask, light.trust, view=grid.view)
+            measured, predicted = pseudo_normals(
+                both, band.rig, height_mm, grid.mask, light.trust, view=grid.view
+            )
             x, y = residual_slopes(measured, predicted, grid)
             level = np.maximum(predicted[..., 2], 0.05 * brightness[name])
             fields[f"{name} x"], fields[f"{name} y"] = 4 * x, 4 * y
@@ -333,10 +411,14 @@ def _shape_features(
                 for n, wave in enumerate(np.clip(np.tensordot(waves, left, 1), -0.5, 0.5)):
                     fields[f"{name} {n}"] = 10 * wave
     nothing = np.zeros(grid.shape, dtype=np.float32)
-    names = [f"{name} {axis}" for name in CHANNELS for axis in "xy"] + [f"{name} level" for name in CHANNELS]
+    names = [f"{name} {axis}" for name in CHANNELS for axis in "xy"] + [
+        f"{name} level" for name in CHANNELS
+    ]
     names += [f"{name} {n}" for name in WITH_WAVES for n in range(4)]
     reference = max(brightness.get("red", next(iter(brightness.values()))), 1e-9)
-    tints = [np.log(max(brightness.get(name, reference), 1e-9) / reference) / 2 for name in CHANNELS[1:]]
+    tints = [
+        np.log(max(brightness.get(name, reference), 1e-9) / reference) / 2 for name in CHANNELS[1:]
+    ]
     known: list[Any] = [
         np.clip(slope_x, -4, 4) / 2,
         np.clip(slope_y, -4, 4) / 2,

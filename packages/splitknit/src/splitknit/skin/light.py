@@ -1,7 +1,8 @@
-"""Light on skin: glare of its surface, the lights on the current shape, and where what they show can be trusted.
+"""Light on skin: glare of its surface, the lights on the current shape, and where what they show
+can be trusted.
 
-Glare is light that the surface mirrors, as a rough dielectric boundary does. It has the colour of the light, not of the
-skin, and it moves with the light; both properties separate it.
+Glare is light that the surface mirrors, as a rough dielectric boundary does. It has the colour of
+the light, not of the skin, and it moves with the light; both properties separate it.
 """
 
 from __future__ import annotations
@@ -24,13 +25,15 @@ INDEX = 1.42
 
 
 def fresnel_transmission(cosine: Any, index: float = INDEX) -> FloatArray:
-    """Unpolarised light that enters a dielectric, relative to normal incidence, by the cosine (Born and Wolf 1.5)."""
+    """Unpolarised light that enters a dielectric, relative to normal incidence, by the cosine (Born
+    and Wolf 1.5)."""
     normal = 1.0 - ((index - 1.0) / (index + 1.0)) ** 2
     return ((1.0 - fresnel_reflectance(cosine, index)) / normal).astype(np.float32)
 
 
 def fresnel_reflectance(cosine: Any, index: float = INDEX) -> FloatArray:
-    """Part of unpolarised light that a dielectric reflects at an angle with this cosine (Born and Wolf, 1.5)."""
+    """Part of unpolarised light that a dielectric reflects at an angle with this cosine (Born and
+    Wolf, 1.5)."""
     c = np.clip(np.asarray(cosine, dtype=np.float32), 1e-3, 1.0)
     inside = np.sqrt(1.0 - (1.0 - c * c) / (index**2))
     s = (c - index * inside) / (c + index * inside)
@@ -39,10 +42,12 @@ def fresnel_reflectance(cosine: Any, index: float = INDEX) -> FloatArray:
 
 
 class MicrofacetGlare:
-    """Glare under each light, for a viewer along z and an irradiance of one at normal incidence, by its roughness.
+    """Glare under each light, for a viewer along z and an irradiance of one at normal incidence, by
+    its roughness.
 
-    `normals` (..., 3); `lights` (L, 3, ...): direction towards the light times its irradiance. B. Walter et al.,
-    "Microfacet models for refraction through rough surfaces", EGSR 2007, eq. 20, 33 and 34.
+    `normals` (..., 3); `lights` (L, 3, ...): direction towards the light times its irradiance. B.
+    Walter et al., "Microfacet models for refraction through rough surfaces", EGSR 2007, eq. 20, 33
+    and 34.
     """
 
     def __init__(self, normals: FloatArray, lights: FloatArray) -> None:
@@ -83,24 +88,31 @@ class GlareFit:
 ROUGHNESSES = (0.12, 0.16, 0.20, 0.25, 0.30, 0.36, 0.42)
 
 
-def fit_glare(stack: FloatArray, lights: FloatArray, model: Callable[[float], FloatArray]) -> GlareFit:
-    """Strength and roughness of the glare in `stack` (L, n) of one band, L >= 4, at n pixels that all lights reach.
+def fit_glare(
+    stack: FloatArray, lights: FloatArray, model: Callable[[float], FloatArray]
+) -> GlareFit:
+    """Strength and roughness of the glare in `stack` (L, n) of one band, L >= 4, at n pixels that
+    all lights reach.
 
-    `lights`: (L, 3, n); `model`: glare (L, n) of strength one, as of :class:`MicrofacetGlare`. Both images and glare
-    are taken without the space of matt images, which the pixel's light vectors span.
+    `lights`: (L, 3, n); `model`: glare (L, n) of strength one, as of :class:`MicrofacetGlare`. Both
+    images and glare are taken without the space of matt images, which the pixel's light vectors
+    span.
     """
     if stack.shape[0] < 4 or stack.shape[1] == 0:
         return GlareFit(ROUGHNESSES[0], 0.0, 0.0)
     matt = np.linalg.qr(np.moveaxis(lights, -1, 0))[0]  # (n, L, 3), orthonormal
 
     def beyond(images: FloatArray) -> FloatArray:
-        return np.asarray(images - np.einsum("nlk,nk->ln", matt, np.einsum("nlk,ln->nk", matt, images)))
+        return np.asarray(
+            images - np.einsum("nlk,nk->ln", matt, np.einsum("nlk,ln->nk", matt, images))
+        )
 
     return best_lobe(beyond(stack), lambda roughness: beyond(model(roughness)))
 
 
 def best_lobe(left: FloatArray, lobe_of: Callable[[float], FloatArray]) -> GlareFit:
-    """The lobe that explains most of what is `left` (L, n): roughness by search, strength by least squares."""
+    """The lobe that explains most of what is `left` (L, n): roughness by search, strength by least
+    squares."""
     best = GlareFit(ROUGHNESSES[0], 0.0, 0.0)
     total = float((left * left).sum(dtype=np.float64))
     for roughness in ROUGHNESSES:
@@ -108,7 +120,9 @@ def best_lobe(left: FloatArray, lobe_of: Callable[[float], FloatArray]) -> Glare
         power = float((lobe * lobe).sum(dtype=np.float64))
         product = max(float((lobe * left).sum(dtype=np.float64)), 0.0)
         if power > 0 and product * product / power > best.explained * total:
-            best = GlareFit(roughness, product / power, product * product / power / max(total, 1e-30))
+            best = GlareFit(
+                roughness, product / power, product * product / power / max(total, 1e-30)
+            )
     return best
 
 
@@ -118,7 +132,8 @@ class Lighting:
 
     vectors: FloatArray  # (L, 3, h, w) direction towards the light times its irradiance
     entering: FloatArray  # (L, h, w) light that enters the skin, over normal incidence (Fresnel)
-    trust: FloatArray  # (L, h, w) in [0, 1]: zero where the light only grazes the surface or does not reach it
+    # (L, h, w) in [0, 1]: zero where the light only grazes the surface or does not reach it
+    trust: FloatArray
 
 
 def lighting(rig: Rig, grid: Grid, height_mm: FloatArray, normals: FloatArray) -> Lighting:
@@ -131,13 +146,17 @@ def lighting(rig: Rig, grid: Grid, height_mm: FloatArray, normals: FloatArray) -
 
 
 def reached_by_all(light: Lighting, grid: Grid) -> BoolArray:
-    """(h, w) pixels away from the outline that every light reaches; the whole mask where there are none."""
+    """(h, w) pixels away from the outline that every light reaches; the whole mask where there are
+    none."""
     reached = grid.mask & (grid.depth_mm > 0.4) & (light.trust > 0.6).all(axis=0)
     return reached if reached.any() else grid.mask
 
 
-def predict(light: Lighting, grid: Grid, normals: FloatArray, transfers: Sequence[FloatArray]) -> FloatArray:
-    """Diffuse images (C, L, h, w) of an albedo of one, one channel for each of C transfer functions of the skin."""
+def predict(
+    light: Lighting, grid: Grid, normals: FloatArray, transfers: Sequence[FloatArray]
+) -> FloatArray:
+    """Diffuse images (C, L, h, w) of an albedo of one, one channel for each of C transfer functions
+    of the skin."""
     irradiance = np.maximum(shading(np.moveaxis(normals, -1, 0), light.vectors), 0) * light.entering
     spectrum = grid.forward((irradiance * grid.mask).astype(np.float32), extend=True)
     return np.stack([grid.inverse(spectrum * transfer) * grid.mask for transfer in transfers])

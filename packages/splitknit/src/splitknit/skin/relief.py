@@ -1,14 +1,16 @@
-"""The relief from the colours of the white band, behind scattering and specular reflection, on the fine grid.
+"""The relief from the colours of the white band, behind scattering and specular reflection, on the
+fine grid.
 
-In the slopes that photometric stereo finds in channel c, the true slope d of the relief arrives through the skin's
-transfer function M_c, and the glare's apparent slope s with a weight g_c, the same light divided by the channel's
-diffuse brightness:
+In the slopes that photometric stereo finds in channel c, the true slope d of the relief arrives
+through the skin's transfer function M_c, and the glare's apparent slope s with a weight g_c, the
+same light divided by the channel's diffuse brightness:
 
     p_c(w) = M_c(w) d(w) + g_c s(w) + noise.
 
-M falls with the frequency in a way of its own in every channel while g does not depend on the frequency, so that two
-channels or more separate d from s. The estimate of least mean-square error given the powers of d, s and the noise is
-linear; with a generous power for s it is blind to the glare and shrinks d by little.
+M falls with the frequency in a way of its own in every channel while g does not depend on the
+frequency, so that two channels or more separate d from s. The estimate of least mean-square error
+given the powers of d, s and the noise is linear; with a generous power for s it is blind to the
+glare and shrinks d by little.
 """
 
 from __future__ import annotations
@@ -33,18 +35,22 @@ from splitknit.skin.light import Lighting, slant_of, trust_of
 
 
 def unmixing_weights(transfer: Any, glare: Any, signal: Any, glare_power: Any, noise: Any) -> Array:
-    """Weights (C, n) by which the channels' slopes are summed to estimate the true slope at n frequencies.
+    """Weights (C, n) by which the channels' slopes are summed to estimate the true slope at n
+    frequencies.
 
-    signal M^T (signal M M^T + sum glare_power g g^T + noise)^-1 (N. Wiener 1949, "Extrapolation, Interpolation, and
-    Smoothing of Stationary Time Series", for several channels), of the `transfer` function M (C, n) of each channel,
-    the weights `glare` (C, G) of G independent glares in each channel, the expected powers `signal` (n,) of the true
-    slope and `glare_power` (n,) of each, and the `noise` (C,).
+    signal M^T (signal M M^T + sum glare_power g g^T + noise)^-1 (N. Wiener 1949, "Extrapolation,
+    Interpolation, and Smoothing of Stationary Time Series", for several channels), of the
+    `transfer` function M (C, n) of each channel, the weights `glare` (C, G) of G independent glares
+    in each channel, the expected powers `signal` (n,) of the true slope and `glare_power` (n,) of
+    each, and the `noise` (C,).
     """
     m = transfer.T  # (n, C)
     g = np.asarray(glare, dtype=np.float64).reshape(m.shape[1], -1)
     power = np.broadcast_to(glare_power[:, None], (m.shape[0], g.shape[1]))
     covariance = (
-        signal[:, None, None] * m[:, :, None] * m[:, None, :] + np.einsum("ng,cg,dg->ncd", power, g, g) + np.diag(noise)
+        signal[:, None, None] * m[:, :, None] * m[:, None, :]
+        + np.einsum("ng,cg,dg->ncd", power, g, g)
+        + np.diag(noise)
     )
     weights = np.linalg.solve(covariance, (signal[:, None] * m)[..., None])[..., 0]
     return weights.T
@@ -55,9 +61,10 @@ def cross_spectra(
 ) -> tuple[Array, Array, Array]:
     """Radially averaged cross-spectra between the slope fields (dz/dx, dz/dy), y up, of C channels.
 
-    `region` (H, W): smooth window, zero outside the reliable surface; `bands`: equal on a logarithmic scale from a
-    period of 1.25 mm to the finest. Returns omega_per_mm (n,), (n, C, C) of the slope along the wave vector: what a
-    surface has, and (n, C) the power across it: a surface has none, so this is noise (and glare).
+    `region` (H, W): smooth window, zero outside the reliable surface; `bands`: equal on a
+    logarithmic scale from a period of 1.25 mm to the finest. Returns omega_per_mm (n,), (n, C, C)
+    of the slope along the wave vector: what a surface has, and (n, C) the power across it: a
+    surface has none, so this is noise (and glare).
     """
     highest = 0.95 * np.pi / pitch_mm
     edges = np.geomspace(min(5.0, highest / 4), highest, bands + 1)
@@ -73,7 +80,10 @@ def cross_spectra(
     longitudinal = []
     transverse = []
     for channel in slopes:
-        fx, fy = (scipy.fft.rfft2((slope * region).astype(np.float32), size, workers=2) for slope in channel)
+        fx, fy = (
+            scipy.fft.rfft2((slope * region).astype(np.float32), size, workers=2)
+            for slope in channel
+        )
         longitudinal.append((ux * fx + uy * fy)[used])
         transverse.append((ux * fy - uy * fx)[used])
     scale = count * float((region.astype(np.float64) ** 2).sum())
@@ -86,13 +96,15 @@ def cross_spectra(
     return np.sqrt(edges[1:] * edges[:-1]), np.transpose(along), np.transpose(across)
 
 
-def fit_spectra(along: Array, across: Array, transfer: Any, glare: Any) -> tuple[Array, Array, Array]:
-    """Powers (n,) of relief and glare (correlated with it or not) per mode, not negative, and (C,) of the noise, from
-    measured :func:`cross_spectra`.
+def fit_spectra(
+    along: Array, across: Array, transfer: Any, glare: Any
+) -> tuple[Array, Array, Array]:
+    """Powers (n,) of relief and glare (correlated with it or not) per mode, not negative, and (C,)
+    of the noise, from measured :func:`cross_spectra`.
 
-    Per band, along = S M M^T + T g g^T + X (M g^T + g M^T) + noise in least squares over S, T and X, with the
-    `transfer` M (C, n) and the `glare` g (C,); the noise is white and taken from the finest bands of `across`. In a
-    single channel they are indistinguishable: all is relief.
+    Per band, along = S M M^T + T g g^T + X (M g^T + g M^T) + noise in least squares over S, T and
+    X, with the `transfer` M (C, n) and the `glare` g (C,); the noise is white and taken from the
+    finest bands of `across`. In a single channel they are indistinguishable: all is relief.
     """
     noise = np.median(across[-2:], axis=0)
     g = np.asarray(glare, dtype=np.float64)
@@ -119,9 +131,10 @@ def fit_spectra(along: Array, across: Array, transfer: Any, glare: Any) -> tuple
 
 # Removing noise of a known spectrum from the relief, patch by patch.
 #
-# Ridges are a local wave: in a small window nearly all their power lies in a few frequencies, while noise fills all of
-# them. Each window's own spectrum, less the noise's, says what to keep (an empirical Wiener filter); the gain never
-# exceeds one, so that nothing is added that was not measured.
+# Ridges are a local wave: in a small window nearly all their power lies in a few frequencies, while
+# noise fills all of them. Each window's own spectrum, less the noise's, says what to keep (an
+# empirical Wiener filter); the gain never exceeds one, so that nothing is added that was not
+# measured.
 
 
 _OVERLAP = 4
@@ -133,15 +146,17 @@ _CAUTION = 1.5
 
 
 def _window_power(image: FloatArray, side: int) -> FloatArray:
-    """Mean power spectrum (side, side // 2 + 1) of windows of `image` (H, W): what pure noise gives."""
+    """Mean power spectrum (side, side // 2 + 1) of windows of `image` (H, W): what pure noise
+    gives."""
     parts = sliding_window_view(image, (side, side))[:: side // 2, :: side // 2] * _window(side)
     power = np.mean(np.abs(scipy.fft.rfft2(parts)) ** 2, axis=(0, 1), dtype=np.float64)
     return np.asarray(power, dtype=np.float32)
 
 
 def _local_wiener(relief: FloatArray, noise_power: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Denoise `relief` (H, W); state what is left (J. S. Lim, "Two-Dimensional Signal and Image Processing", 1990,
-    9.2). `noise_power`: (side, side // 2 + 1), :func:`_window_power` of pure noise in windows of that side.
+    """Denoise `relief` (H, W); state what is left (J. S. Lim, "Two-Dimensional Signal and Image
+    Processing", 1990, 9.2). `noise_power`: (side, side // 2 + 1), :func:`_window_power` of pure
+    noise in windows of that side.
     """
     side = len(noise_power)
     hop = side // _OVERLAP
@@ -160,7 +175,9 @@ def _local_wiener(relief: FloatArray, noise_power: FloatArray) -> tuple[FloatArr
         gain = excess / (excess + noise_power + 1e-30)
         kept = scipy.fft.irfft2(spectrum * gain, (side, side), workers=2) * window
         # the error's power in each window: g^2 N + (1 - g)^2 S = g N for the Wiener gain
-        error = (gain * noise_power * double).sum(axis=(1, 2)) / (side**4) * (1 / (window**2).mean())
+        error = (
+            (gain * noise_power * double).sum(axis=(1, 2)) / (side**4) * (1 / (window**2).mean())
+        )
         for column, (denoised, residual) in enumerate(zip(kept, error, strict=True)):
             place = tuple(slice(k * hop, k * hop + side) for k in (row, column))
             total[place] += denoised
@@ -177,8 +194,9 @@ def _window(side: int) -> FloatArray:
 
 
 NOT_SKIN = (
-    "the images cannot be of skin under these lights: the brightness that follows from them is zero, negative or not "
-    "finite; check the images (values that wrapped round, a wrong order) and the lights."
+    "the images cannot be of skin under these lights: the brightness that follows from them is"
+    " zero, negative or not finite; check the images (values that wrapped round, a wrong order) and"
+    " the lights."
 )
 CROSSOVER_MM = 0.3
 """Standard deviation of the Gaussian that leaves the shape's frequencies to the coarse grid."""
@@ -187,7 +205,8 @@ RIDGE_PER_MM = (9.0, 24.0)
 KNIT_MM = 0.5
 """Standard deviation of the Gaussian that parts relief and shape in the result."""
 RIDGE_TRUST = 4.0
-"""Factor on the expected power of the ridges, so that the unmixing shrinks them less than the least-squares optimum."""
+"""Factor on the expected power of the ridges, so that the unmixing shrinks them less than the
+least-squares optimum."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -195,7 +214,8 @@ class Measured:
     """The white band's photometric stereo on the fine grid."""
 
     channels: tuple[str, ...]
-    pseudo_normals: FloatArray  # (C, h, w, 3) brightness times normal, blurred by the skin, with specular reflection
+    # (C, h, w, 3) brightness times normal, blurred by the skin, with specular reflection
+    pseudo_normals: FloatArray
     transfer: FloatArray  # (C, rows, columns) of the skin on the grid's frequencies
     brightness: FloatArray  # (C,) diffuse brightness over the prediction for an albedo of one
     trust: FloatArray  # (h, w) in [0, 1]: fades out towards grazing slopes and the outline
@@ -221,7 +241,13 @@ def measure(  # noqa: PLR0917
     """Photometric stereo of every channel with shared weights on the smooth surface."""
     # light that is reflected at the boundary does not enter
     g = pseudo_normals(
-        band.stack, band.rig, surface_mm, grid.mask, light.trust, view=grid.view, entering=light.entering
+        band.stack,
+        band.rig,
+        surface_mm,
+        grid.mask,
+        light.trust,
+        view=grid.view,
+        entering=light.entering,
     )
     slant_deg = slant_of(surface_mm, grid.pitch_mm)
     trust = trust_of(slant_deg, grid)
@@ -234,19 +260,26 @@ def measure(  # noqa: PLR0917
     return Measured(band.channels, g, transfer, levels, trust, region)
 
 
-def _relief_residual(measured: Measured, grid: Grid, surface_mm: FloatArray) -> tuple[list[Slopes], FloatArray]:
-    """Slopes that the measurement has beyond the current surface's, by channel, and (C,) weight of the specular
-    reflection in them, one in the first. Predicted are the normals blurred by the skin; the local albedo, and with it
-    the darkening of valleys (1 + k h), drops out; the specular part of the brightness is estimated by colour.
+def _relief_residual(
+    measured: Measured, grid: Grid, surface_mm: FloatArray
+) -> tuple[list[Slopes], FloatArray]:
+    """Slopes that the measurement has beyond the current surface's, by channel, and (C,) weight of
+    the specular reflection in them, one in the first. Predicted are the normals blurred by the
+    skin; the local albedo, and with it the darkening of valleys (1 + k h), drops out; the specular
+    part of the brightness is estimated by colour.
     """
-    own = normals_from_gradients(*height_gradients(surface_mm, grid.pitch_mm)) * grid.mask[..., None]
+    own = (
+        normals_from_gradients(*height_gradients(surface_mm, grid.pitch_mm)) * grid.mask[..., None]
+    )
     normals = grid.forward(np.moveaxis(own, -1, 0), extend=True)
     predicted = [
         np.moveaxis(grid.inverse(normals * measured.transfer[c]) * measured.brightness[c], 0, -1)
         for c in range(len(measured.channels))
     ]
     level = [grid.smooth(e[..., 2], grid.mask, 0.4) for e in predicted]
-    albedo = _diffuse_scale(level, [grid.smooth(g[..., 2], grid.mask, 0.4) for g in measured.pseudo_normals])
+    albedo = _diffuse_scale(
+        level, [grid.smooth(g[..., 2], grid.mask, 0.4) for g in measured.pseudo_normals]
+    )
     inner = measured.region > 0
     middle = np.median(albedo[inner])
     require(0.0 < middle < np.inf, NOT_SKIN)
@@ -259,17 +292,21 @@ def _relief_residual(measured: Measured, grid: Grid, surface_mm: FloatArray) -> 
         diffuse = np.maximum(albedo, 0.1 * middle) * np.maximum(z, 0.1 * measured.brightness[c])
         g = measured.pseudo_normals[c]
         x, y = (-(g[..., axis] - e[..., axis] / z * g[..., 2]) / diffuse for axis in range(2))
-        slopes.append((_ridge_band(x, grid) * measured.trust, _ridge_band(y, grid) * measured.trust))
+        slopes.append(
+            (_ridge_band(x, grid) * measured.trust, _ridge_band(y, grid) * measured.trust)
+        )
     return slopes, (glare / glare[0]).astype(np.float32)
 
 
 def _ridge_band(slope: FloatArray, grid: Grid, sigma_mm: float = CROSSOVER_MM) -> FloatArray:
-    """A slope less its local mean, so that what belongs to the coarse grid does not ring at the outline."""
+    """A slope less its local mean, so that what belongs to the coarse grid does not ring at the
+    outline."""
     return slope - grid.smooth(slope, grid.mask, sigma_mm)
 
 
 def _diffuse_scale(predicted: list[FloatArray], measured: list[FloatArray]) -> FloatArray:
-    """Local scale a of measured = a predicted + specular, equal in all channels; a single one has no such part."""
+    """Local scale a of measured = a predicted + specular, equal in all channels; a single one has
+    no such part."""
     if len(predicted) == 1:
         return measured[0] / np.maximum(predicted[0], 1e-6)
     of_predicted = np.stack(predicted) - np.mean(predicted, axis=0)
@@ -279,7 +316,8 @@ def _diffuse_scale(predicted: list[FloatArray], measured: list[FloatArray]) -> F
 
 
 def unmixing(measured: Measured, grid: Grid, slopes: list[Slopes], glare: FloatArray) -> Unmixing:
-    """Weights of the channels from the powers of relief, specular reflection and noise in this capture."""
+    """Weights of the channels from the powers of relief, specular reflection and noise in this
+    capture."""
     centres, along, across = cross_spectra(slopes, measured.region, grid.pitch_mm)
     omega = np.linspace(0, float(grid.omega[2].max()), 512)
     wx = np.asarray(grid.omega[0][0], dtype=np.float64)
@@ -287,10 +325,12 @@ def unmixing(measured: Measured, grid: Grid, slopes: list[Slopes], glare: FloatA
     transfer = np.stack([np.interp(centres, wx, row) for row in rows])
     signal, specular, noise = fit_spectra(along, across, transfer, glare)
     signal = _plausible(centres, signal)
-    # foreshortened ridges (slant up to 60 deg) have up to twice the frequency; a floor keeps smooth features
+    # foreshortened ridges (slant up to 60 deg) have up to twice the frequency; a floor keeps smooth
+    # features
     signal = np.array([signal[(centres >= w / 2) & (centres <= w * 1.0001)].max() for w in centres])
     signal = np.maximum(signal, (0.4 * np.minimum(1, 12 / centres) ** 2) ** 2)
-    # ridges are unmixed with little shrinkage: steep flanks shade less than linearly, and noise is removed later
+    # ridges are unmixed with little shrinkage: steep flanks shade less than linearly, and noise is
+    # removed later
     signal = signal * (1 + (RIDGE_TRUST - 1) * smooth_step(((centres - 7) / 4).astype(np.float32)))
     specular = np.maximum(4 * specular, 1e-5)
     log_omega = np.log(np.maximum(omega, 1e-3))
@@ -303,9 +343,10 @@ def unmixing(measured: Measured, grid: Grid, slopes: list[Slopes], glare: FloatA
 
 
 def _plausible(omega: Array, signal: Array) -> Array:
-    """The relief's power `signal` with that above the ridges' own frequency limited to the fall of a ridge's harmonics.
-    Where skin passes next to nothing, errors in the glare's colour look like relief. Slopes of flat ridges with narrow,
-    steep valleys fall off about as one over the frequency; nothing rougher is believed.
+    """The relief's power `signal` with that above the ridges' own frequency limited to the fall of
+    a ridge's harmonics. Where skin passes next to nothing, errors in the glare's colour look like
+    relief. Slopes of flat ridges with narrow, steep valleys fall off about as one over the
+    frequency; nothing rougher is believed.
     """
     ridges = np.flatnonzero((omega >= RIDGE_PER_MM[0]) & (omega <= RIDGE_PER_MM[1]))
     peak = int(ridges[np.argmax(signal[ridges])])
@@ -318,11 +359,13 @@ def high_pass(grid: Grid, sigma_mm: float = CROSSOVER_MM) -> FloatArray:
     return np.asarray(1 - np.exp(-0.5 * (grid.omega[2] * sigma_mm) ** 2))
 
 
-def update(measured: Measured, grid: Grid, slopes: list[Slopes], mix: Unmixing, relief_mm: FloatArray) -> FloatArray:
+def update(
+    measured: Measured, grid: Grid, slopes: list[Slopes], mix: Unmixing, relief_mm: FloatArray
+) -> FloatArray:
     """Relief (h, w) in mm that explains the residual slopes beside the current relief.
 
-    One step of z <- W (p - F(z) + M z): the regularised inverse W acts on everything that was measured, so that
-    repeating it settles and does not amplify noise.
+    One step of z <- W (p - F(z) + M z): the regularised inverse W acts on everything that was
+    measured, so that repeating it settles and does not amplify noise.
     """
     total = _integrated(grid, slopes, mix.weights)
     kept = sum(w * t for w, t in zip(mix.weights, measured.transfer, strict=True))
@@ -330,7 +373,9 @@ def update(measured: Measured, grid: Grid, slopes: list[Slopes], mix: Unmixing, 
     return grid.inverse(total * high_pass(grid)) * grid.mask
 
 
-def _integrated(grid: Grid, slopes: list[Slopes], weights: list[FloatArray]) -> NDArray[np.complex64]:
+def _integrated(
+    grid: Grid, slopes: list[Slopes], weights: list[FloatArray]
+) -> NDArray[np.complex64]:
     wx, wy, omega = grid.omega
     total = np.zeros(omega.shape, dtype=np.complex64)
     for w, (x, y) in zip(weights, slopes, strict=True):
@@ -341,23 +386,33 @@ def _integrated(grid: Grid, slopes: list[Slopes], weights: list[FloatArray]) -> 
 
 
 def detail_of(shape_mm: FloatArray, trust: FloatArray, grid: Grid) -> FloatArray:
-    """The ridge band (h, w) of the coarse shape: creases and what else is finer than the crossover. Taken from the
-    slopes less their local mean, so that the curvature at the outline is not taken for a ridge.
+    """The ridge band (h, w) of the coarse shape: creases and what else is finer than the crossover.
+    Taken from the slopes less their local mean, so that the curvature at the outline is not taken
+    for a ridge.
     """
-    x, y = (_ridge_band(s, grid, KNIT_MM) * trust for s in height_gradients(shape_mm, grid.pitch_mm))
+    x, y = (
+        _ridge_band(s, grid, KNIT_MM) * trust for s in height_gradients(shape_mm, grid.pitch_mm)
+    )
     whole = _integrated(grid, [(x, y)], [np.ones(1, dtype=np.float32)])
     return grid.inverse(whole * high_pass(grid, KNIT_MM)) * grid.mask
 
 
-def denoise(relief_mm: FloatArray, grid: Grid, mix: Unmixing, seed: int) -> tuple[FloatArray, FloatArray]:
-    """Relief without the noise that the unmixing let through, and the standard deviation of what is left, mm. The
-    noise's spectrum is that of white noise (seeded) sent through the same unmixing and integration.
+def denoise(
+    relief_mm: FloatArray, grid: Grid, mix: Unmixing, seed: int
+) -> tuple[FloatArray, FloatArray]:
+    """Relief without the noise that the unmixing let through, and the standard deviation of what is
+    left, mm. The noise's spectrum is that of white noise (seeded) sent through the same unmixing
+    and integration.
     """
     rng = np.random.default_rng(seed)
 
-    noise = [(rng.standard_normal((2, *grid.shape)) * np.sqrt(power)).astype(np.float32) for power in mix.noise]
+    noise = [
+        (rng.standard_normal((2, *grid.shape)) * np.sqrt(power)).astype(np.float32)
+        for power in mix.noise
+    ]
     pure = grid.inverse(_integrated(grid, noise, mix.weights) * high_pass(grid))
-    side = max(16, _OVERLAP * round(_WINDOW_MM / grid.pitch_mm / _OVERLAP))  # a multiple of the overlap
+    # a multiple of the overlap
+    side = max(16, _OVERLAP * round(_WINDOW_MM / grid.pitch_mm / _OVERLAP))
     if min(grid.shape) <= side:
         return relief_mm, np.full(grid.shape, float(pure.std()), dtype=np.float32)
     clean, deviation = _local_wiener(relief_mm, _window_power(pure, side))
@@ -365,7 +420,11 @@ def denoise(relief_mm: FloatArray, grid: Grid, mix: Unmixing, seed: int) -> tupl
 
 
 def _scattering_sensitivity(
-    measured: Measured, grid: Grid, mix: Unmixing, scattering_more: Mapping[str, Diffusion], relief_mm: FloatArray
+    measured: Measured,
+    grid: Grid,
+    mix: Unmixing,
+    scattering_more: Mapping[str, Diffusion],
+    relief_mm: FloatArray,
 ) -> float:
     """Relative change of the relief's gain if the skin scattered as `scattering_more` does."""
     gain = sum(
@@ -373,7 +432,9 @@ def _scattering_sensitivity(
         for w, t, name in zip(mix.weights, measured.transfer, measured.channels, strict=True)
     )
     power = np.abs(grid.forward(relief_mm * measured.region)) ** 2
-    return float((gain * power).sum(dtype=np.float64) / max(float(power.sum(dtype=np.float64)), 1e-30))
+    return float(
+        (gain * power).sum(dtype=np.float64) / max(float(power.sum(dtype=np.float64)), 1e-30)
+    )
 
 
 # Result of both methods: by network, and by colour.
@@ -383,12 +444,14 @@ def _scattering_sensitivity(
 class ReliefEstimate:
     """Ridges on the fine grid, beside a smooth shape."""
 
-    relief_mm: FloatArray  # (h, w) along the line of sight, free of its local mean, zero outside the mask
+    # (h, w) along the line of sight, free of its local mean, zero outside the mask
+    relief_mm: FloatArray
     deviation_mm: FloatArray  # (h, w) its standard deviation
     trust: FloatArray  # (h, w) in [0, 1]: fades out towards grazing slopes and the outline
     albedo: FloatArray  # (h, w) diffuse brightness of the first channel, relative
     level: FloatArray | None = None
-    """(h, w) brightness of the second channel, specular reflection included, where a network estimated the relief."""
+    """(h, w) brightness of the second channel, specular reflection included, where a network
+    estimated the relief."""
     output: FloatArray | None = None
     """(9, h, w) output of that network."""
     facts: Mapping[str, Any] = field(default_factory=dict)
@@ -401,12 +464,17 @@ _SEED = 0
 STEPS = 2
 """Corrections of the relief in each round."""
 MODEL_ERROR = 0.5
-"""Error of the relief that is not noise (glare taken for relief, flanks too steep to be resolved), over the relief's
-local rms height; measured on simulated fingers, see docs/experiments/accuracy.md."""
+"""Error of the relief that is not noise (glare taken for relief, flanks too steep to be resolved),
+over the relief's local rms height; measured on simulated fingers, see
+docs/experiments/accuracy.md."""
 
 
 def relief_by_colour(
-    measured: Measured, grid: Grid, smooth_mm: FloatArray, scattering_more: Mapping[str, Diffusion], rounds: int
+    measured: Measured,
+    grid: Grid,
+    smooth_mm: FloatArray,
+    scattering_more: Mapping[str, Diffusion],
+    rounds: int,
 ) -> ReliefEstimate:
     """Relief that explains the slopes of all channels behind scattering and specular reflection.
 
@@ -432,7 +500,9 @@ def relief_by_colour(
     )
 
 
-def _with_relief(slopes: list[Slopes], measured: Measured, grid: Grid, relief: FloatArray) -> list[Slopes]:
+def _with_relief(
+    slopes: list[Slopes], measured: Measured, grid: Grid, relief: FloatArray
+) -> list[Slopes]:
     """The residual slopes of the channels if there were no current relief."""
     if not relief.any():
         return slopes

@@ -1,4 +1,5 @@
-"""The finger's shape on a coarse grid by analysis and synthesis, behind scattering and specular reflection."""
+"""The finger's shape on a coarse grid by analysis and synthesis, behind scattering and specular
+reflection."""
 
 from __future__ import annotations
 
@@ -33,7 +34,8 @@ START_ROUNDS = 2
 _KNEE_PER_MM = 5.0
 """Angular frequency (rad/mm) from which the shape's slopes are expected to fall off."""
 _GLARE_RATIO, _NOISE_RATIO = 0.16, 0.1
-"""Apparent slope of the glare (in red), and noise of the slopes, over the shape's slopes at low frequencies."""
+"""Apparent slope of the glare (in red), and noise of the slopes, over the shape's slopes at low
+frequencies."""
 _CUTOFF_PER_MM = 8.0
 """Angular frequency beyond which slopes are left to the fine grid."""
 
@@ -61,7 +63,8 @@ class Shape:
 
     height_mm: FloatArray  # (h, w) along the line of sight; its mean is undefined
     facing: FloatArray  # (h, w) z component of the normals: weights of the integration
-    brightness: Mapping[str, float]  # diffuse brightness of each channel over the prediction for an albedo of one
+    # diffuse brightness of each channel over the prediction for an albedo of one
+    brightness: Mapping[str, float]
     glare: Mapping[str, tuple[float, float]]
     """Roughness and strength of the specular reflection by the last channel of each band."""
 
@@ -72,17 +75,21 @@ def coarse_images(bands: tuple[BandImages, ...], grid: Grid, plane_mm: float) ->
     low = coarsen(grid, factor)
     rows, columns = low.shape
     blocks = (..., slice(rows * factor), slice(columns * factor))
-    coarse = tuple(BandImages(b.channels, bin_mean(b.stack[blocks], factor) * low.mask, b.rig) for b in bands)
+    coarse = tuple(
+        BandImages(b.channels, bin_mean(b.stack[blocks], factor) * low.mask, b.rig) for b in bands
+    )
     return CoarseImages(coarse, low, bands[0], grid, factor, plane_mm)
 
 
 def coarse_shape(images: CoarseImages, optics: Mapping[str, Diffusion], steps: int) -> Shape:
-    """Analysis by synthesis: the surface whose images, behind scattering, agree with the photographs.
+    """Analysis by synthesis: the surface whose images, behind scattering, agree with the
+    photographs.
 
-    The regularised inverse W acts on everything that was measured, z <- W (p - F(z) + M z), so that repeating it
-    settles. The ridges need not be known: as much light enters a ridged patch of skin and scatters below it as enters a
-    smooth one, because facets that lean away from the light are larger as they are darker. `optics`: transfer function
-    of each channel; `steps`: comparisons of prediction and images, one at least.
+    The regularised inverse W acts on everything that was measured, z <- W (p - F(z) + M z), so that
+    repeating it settles. The ridges need not be known: as much light enters a ridged patch of skin
+    and scatters below it as enters a smooth one, because facets that lean away from the light are
+    larger as they are darker. `optics`: transfer function of each channel; `steps`: comparisons of
+    prediction and images, one at least.
     """
     grid = images.grid
     start = _start_shape(images.bands[-1], grid, images.plane_mm)
@@ -104,12 +111,16 @@ def above_plane(height_mm: FloatArray, images: CoarseImages) -> FloatArray:
 
 
 def on_fine_grid(height_mm: FloatArray, images: CoarseImages) -> FloatArray:
-    """(H, W) the shape at its height above the finger plane on the fine grid, continued beyond the mask."""
-    return refine(above_plane(height_mm, images), images.grid.mask, images.factor, images.fine.shape)
+    """(H, W) the shape at its height above the finger plane on the fine grid, continued beyond the
+    mask."""
+    return refine(
+        above_plane(height_mm, images), images.grid.mask, images.factor, images.fine.shape
+    )
 
 
 def white_light_on(height_mm: FloatArray, images: CoarseImages) -> Lighting:
-    """The white lights, on the fine grid, on the shape without what ridges leave on the coarse grid."""
+    """The white lights, on the fine grid, on the shape without what ridges leave on the coarse
+    grid."""
     low = images.grid
     height = refine(above_plane(height_mm, images), low.mask, 1, low.shape)
     smooth = np.asarray(cv2.GaussianBlur(height, (0, 0), 0.25 / low.pitch_mm), dtype=height.dtype)
@@ -117,7 +128,8 @@ def white_light_on(height_mm: FloatArray, images: CoarseImages) -> Lighting:
 
 
 def _start_shape(band: BandImages, grid: Grid, plane_mm: float) -> FloatArray:
-    """A first shape: near-light photometric stereo of one band with equal weights, integrated over the mask."""
+    """A first shape: near-light photometric stereo of one band with equal weights, integrated over
+    the mask."""
     height = np.zeros(grid.shape, dtype=np.float32)
     stack = band.stack.sum(axis=0)
     for _ in range(START_ROUNDS):
@@ -135,13 +147,16 @@ def slopes_inside(height_mm: FloatArray, grid: Grid) -> Slopes:
     return np.nan_to_num(x), np.nan_to_num(y)
 
 
-def integrate(slope_x: FloatArray, slope_y: FloatArray, grid: Grid, weights: FloatArray) -> FloatArray:
+def integrate(
+    slope_x: FloatArray, slope_y: FloatArray, grid: Grid, weights: FloatArray
+) -> FloatArray:
     """Height in mm (zero outside the mask, mean zero on it) by weighted masked least squares."""
     height = poisson(slope_x, slope_y, grid.mask, weights=np.clip(weights, 0, 1)) * grid.pitch_mm
     return np.asarray(np.nan_to_num(height, nan=0.0))
 
 
-# One comparison: predicted images, specular fit, residual slopes, and the Wiener estimate from them.
+# One comparison: predicted images, specular fit, residual slopes, and the Wiener estimate from
+# them.
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -157,8 +172,9 @@ class Residual:
 def residual_of(
     bands: Sequence[BandImages], grid: Grid, height_mm: FloatArray, optics: Mapping[str, Diffusion]
 ) -> Residual:
-    """Predict the images of all bands, the white one first, from a finite surface (h, w) on the coarse grid and the
-    transfer function of each channel; fit the specular reflection; measure the slopes left over.
+    """Predict the images of all bands, the white one first, from a finite surface (h, w) on the
+    coarse grid and the transfer function of each channel; fit the specular reflection; measure the
+    slopes left over.
     """
     normals = normals_from_gradients(*slopes_inside(height_mm, grid))
     slopes: dict[str, Slopes] = {}
@@ -167,24 +183,35 @@ def residual_of(
     specular: GlareFit | None = None
     for band in bands:
         light = lighting(band.rig, grid, height_mm, normals)
-        # predicted: I_c = a_c M_c * (T(n.l) max(s.n, 0)), its brightness a_c measured where the lobe is weakest
-        predicted = predict(light, grid, normals, [grid.sampled(optics[name]) for name in band.channels])
+        # predicted: I_c = a_c M_c * (T(n.l) max(s.n, 0)), its brightness a_c measured where the
+        # lobe is weakest
+        predicted = predict(
+            light, grid, normals, [grid.sampled(optics[name]) for name in band.channels]
+        )
         lobe = MicrofacetGlare(normals, light.vectors)
         reached = reached_by_all(light, grid)
-        weak = lobe(0.3)  # the third of lights and pixels with the weakest lobe, whatever its exact strength
+        # the third of lights and pixels with the weakest lobe, whatever its exact strength
+        weak = lobe(0.3)
         matt = (weak <= np.quantile(weak[:, reached], 1 / 3)) & reached
         level = _scaled_to(band.stack, predicted, matt)
         exposure = level[0] / optics[band.channels[0]].albedo
-        # specular: one surface reflects in all bands; their exposures differ, as their diffuse light shows
+        # specular: one surface reflects in all bands; their exposures differ, as their diffuse
+        # light shows
         if specular is None:
             if len(band.channels) > 1:
-                specular = _specular_by_colour(band.stack - predicted, level, light, normals, _some(reached))
+                specular = _specular_by_colour(
+                    band.stack - predicted, level, light, normals, _some(reached)
+                )
             else:
                 region = _some(reached)  # what no matt surface explains
                 vectors = light.vectors[:, :, region]
                 lit = vectors * light.entering[:, None][:, :, region]
-                specular = fit_glare(band.stack[-1][:, region], lit, MicrofacetGlare(normals[region], vectors))
-            specular = replace(specular, strength=min(specular.strength, MAX_SPECULAR * float(np.pi) * exposure))
+                specular = fit_glare(
+                    band.stack[-1][:, region], lit, MicrofacetGlare(normals[region], vectors)
+                )
+            specular = replace(
+                specular, strength=min(specular.strength, MAX_SPECULAR * float(np.pi) * exposure)
+            )
             exposure_of_white = exposure
         strength = specular.strength * exposure / exposure_of_white
         glare[band.channels[-1]] = (specular.roughness, strength)
@@ -200,10 +227,11 @@ def residual_of(
 
 
 def residual_slopes(measured: FloatArray, predicted: FloatArray, grid: Grid) -> Slopes:
-    """Slopes that `measured` (h, w, 3) has beyond `predicted`, to first order and whatever the local albedo.
+    """Slopes that `measured` (h, w, 3) has beyond `predicted`, to first order and whatever the
+    local albedo.
 
-    With p the predicted slope, -(G_x + p G_z) / D vanishes where G is parallel to the prediction; D is the predicted z
-    component times the smooth ratio of the two.
+    With p the predicted slope, -(G_x + p G_z) / D vanishes where G is parallel to the prediction; D
+    is the predicted z component times the smooth ratio of the two.
     """
     z = np.maximum(predicted[..., 2], 0.1 * np.sqrt((predicted * predicted).sum(axis=-1)) + 1e-6)
     inside = grid.mask & (z > 0.05 * np.median(z[grid.mask]))
@@ -214,9 +242,12 @@ def residual_slopes(measured: FloatArray, predicted: FloatArray, grid: Grid) -> 
     return slopes[..., 0], slopes[..., 1]
 
 
-def _wiener(residual: Residual, added: Slopes, optics: Mapping[str, Diffusion], grid: Grid) -> Slopes:
-    """Slopes (h, w) of the surface beyond its start: W (residual + M added), with the minimum-mean-square-error W.
-    `added`: slopes put in by earlier comparisons; `optics`: M of each channel.
+def _wiener(
+    residual: Residual, added: Slopes, optics: Mapping[str, Diffusion], grid: Grid
+) -> Slopes:
+    """Slopes (h, w) of the surface beyond its start: W (residual + M added), with the
+    minimum-mean-square-error W. `added`: slopes put in by earlier comparisons; `optics`: M of each
+    channel.
     """
     names = list(residual.slopes)
     omega = np.linspace(0, float(grid.omega[2].max()), 512)
@@ -245,7 +276,8 @@ def _wiener(residual: Residual, added: Slopes, optics: Mapping[str, Diffusion], 
 
 
 def _scaled_to(measured: FloatArray, predicted: FloatArray, where: BoolArray) -> list[float]:
-    """Bring each channel of the prediction (C, L, h, w), in place, to the images' median; return the factors."""
+    """Bring each channel of the prediction (C, L, h, w), in place, to the images' median; return
+    the factors."""
     factors = []
     for c, image in enumerate(measured):
         factors.append(float(np.median(image[where] / np.maximum(predicted[c][where], 1e-4))))
@@ -254,16 +286,22 @@ def _scaled_to(measured: FloatArray, predicted: FloatArray, where: BoolArray) ->
 
 
 MAX_SPECULAR = 1.0
-"""Largest specular reflection that is predicted, over that of a clean boundary with the skin's refractive index. What
-is left over is separated by its colour; what is predicted in excess becomes relief that is not there."""
+"""Largest specular reflection that is predicted, over that of a clean boundary with the skin's
+refractive index. What is left over is separated by its colour; what is predicted in excess becomes
+relief that is not there."""
 
 
 def _specular_by_colour(
-    excess: FloatArray, brightness: Sequence[float], light: Lighting, normals: FloatArray, region: BoolArray
+    excess: FloatArray,
+    brightness: Sequence[float],
+    light: Lighting,
+    normals: FloatArray,
+    region: BoolArray,
 ) -> GlareFit:
-    """Lobe of a colour band: the part of the `excess` (C, L, h, w) over the prediction that is equal in all channels.
-    By least squares over the channels, per pixel and light, the excess is a part with the skin's colour (the shape is
-    not right yet) and a white one, to which strength and roughness are fitted.
+    """Lobe of a colour band: the part of the `excess` (C, L, h, w) over the prediction that is
+    equal in all channels. By least squares over the channels, per pixel and light, the excess is a
+    part with the skin's colour (the shape is not right yet) and a white one, to which strength and
+    roughness are fitted.
     """
     excess = excess[:, :, region]
     skin = np.array(brightness, dtype=np.float32)

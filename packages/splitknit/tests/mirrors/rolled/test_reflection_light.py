@@ -17,7 +17,9 @@ from splitknit.model import Led, Mirror
 
 LEAN = np.array([-1.0, 0.0, 1.0]) / np.sqrt(2.0)
 RIGHT = Plane(np.array([20.0, 0.0, -8.0]), LEAN)
-CORNERS = np.array([[13.0, -10.0, -15.0], [27.0, -10.0, -1.0], [27.0, 10.0, -1.0], [13.0, 10.0, -15.0]])
+CORNERS = np.array(
+    [[13.0, -10.0, -15.0], [27.0, -10.0, -1.0], [27.0, 10.0, -1.0], [13.0, 10.0, -15.0]]
+)
 
 
 def test_reflecting_twice_changes_nothing_and_points_of_the_mirror_stay() -> None:
@@ -62,13 +64,15 @@ def test_light_by_way_of_a_mirror_ends_at_its_outline() -> None:
     image = led_image(led, RIGHT)
     points = np.stack([np.full(41, 7.0), np.linspace(-16, 16, 41), np.full(41, -8.0)], axis=-1)
     fraction = mirrored_fraction(points, image, RIGHT, CORNERS)
-    # from the image at distance D of the mirror, a point at d in front of it: the ray meets the mirror at y D / (D + d)
+    # from the image at distance D of the mirror, a point at d in front of it: the ray meets the
+    # mirror at y D / (D + d)
     towards = np.array(image.position_mm) - points
     way = (points @ LEAN - RIGHT.offset_mm) / -(towards @ LEAN)
     met = points[:, 1] + way * towards[:, 1]
     assert np.array_equal(fraction > 0.5, np.abs(met) < 10.0)
     assert fraction.max() == 1.0
-    assert mirrored_fraction(points - 100 * LEAN, image, RIGHT, CORNERS).max() == 0.0  # behind the mirror
+    # behind the mirror
+    assert mirrored_fraction(points - 100 * LEAN, image, RIGHT, CORNERS).max() == 0.0
     assert np.array_equal(fraction, mirrored_fraction(points, image, RIGHT, CORNERS[::-1]))
 
 
