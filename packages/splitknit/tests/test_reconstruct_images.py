@@ -61,6 +61,16 @@ def test_arrays_of_every_kind(kind, sound):
     assert turned(result, sound) < 0.5
 
 
+@pytest.mark.parametrize("bright", [(1.0, 1.0, 1.0), (1.0, 0.9, 0.8)])
+def test_lights_of_given_colours_over_grey_images(bright, sound):
+    """Images of three equal channels become one of grey only where the lights are as grey."""
+    stack, lights, mask = photographs()
+    grey = np.repeat(stack[..., None], 3, axis=3)
+    colours = np.tile(bright, (len(lights), 1))
+    result = splitknit.reconstruct_images(grey, lights, mask, 10.0, colours)
+    assert turned(result, sound) < 0.5
+
+
 @pytest.mark.parametrize(
     ("change", "words"),
     [

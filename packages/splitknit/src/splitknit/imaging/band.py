@@ -383,11 +383,17 @@ def grey_as_grey(band: Band) -> Band:
 
     if not has_colour(band) or not grey(band.pixels):
         return band
-    if band.ambient is None:
-        return replace(band, pixels=band.pixels[..., 1:2])
-    if not equal(band.ambient):
+    ambient, transmission = band.ambient, band.transmission
+    if ambient is not None and not equal(ambient):
         return band
-    return replace(band, pixels=band.pixels[..., 1:2], ambient=band.ambient[..., 1:2])
+    if transmission is not None and np.ptp(transmission, axis=1).any():
+        return band  # the images become coloured where they are divided by it
+    return replace(
+        band,
+        pixels=band.pixels[..., 1:2],
+        ambient=None if ambient is None else ambient[..., 1:2],
+        transmission=None if transmission is None else transmission[:, -1:],
+    )
 
 
 def has_colour(band: Band) -> bool:
