@@ -97,7 +97,7 @@ def test_the_right_camera_and_the_wrong_board(folder, tmp_path, capsys):
     assert main([*words, "--board", "8x5"]) == 2
     message = capsys.readouterr().err
     assert (
-        "a checkerboard of 8 x 5 inner corners is in full view in 0 of" in message
+        "a checkerboard of 8x5 inner corners is in full view in 0 of" in message
         and "compare --board" in message
     )
     assert not out.exists()
