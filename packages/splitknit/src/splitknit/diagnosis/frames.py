@@ -233,23 +233,22 @@ def _order_and_frame(  # noqa: PLR0917
 ) -> tuple[NDArray[np.int64], str, float]:
     """The light of every photograph, the frame in which they were measured, and a relief's curl."""
 
-    def turn_of_relief(order: NDArray[np.int64]) -> tuple[Array | None, float]:
-        return (
-            _relief_turn(lambertian(images, lights[order], inside)[0], inside)
-            if relief
-            else (None, 0.0)
-        )
+    def surface_in(order: NDArray[np.int64]) -> tuple[FloatArray, Array | None, float]:
+        normals = lambertian(images, lights[order], inside)[0]
+        return normals, *(_relief_turn(normals, inside) if relief else (None, 0.0))
 
     own = order = np.arange(len(lights))
+    normals, turn, curl = surface_in(own)
     if len(lights) >= _FEWEST and residual > _NO_RESIDUAL:
-        order = _better_order(gram, lights)
-        if (order != own).any() and turn_of_relief(order)[1] > turn_of_relief(own)[1]:
-            order = own  # one photograph may be of something else
+        better = _better_order(gram, lights)
+        if (better != own).any():
+            surface = surface_in(better)
+            if surface[2] <= curl:  # else one photograph may be of something else
+                order = better
+                normals, turn, curl = surface
     in_order = bool((order == own).all())
-    convex = residual < HIGH_RESIDUAL or not in_order  # gloss and deep shadows bend what is slow
-    turn, curl = turn_of_relief(order)
-    if convex:
-        turn_of_shape = _fit_turn(lambertian(images, lights[order], inside)[0], inside)
+    if residual < HIGH_RESIDUAL or not in_order:  # gloss and deep shadows bend what is slow
+        turn_of_shape = _fit_turn(normals, inside)
         turn = turn if turn_of_shape is None else turn_of_shape
     frame = "right-up"
     if turn is not None:
@@ -263,7 +262,7 @@ def _order_and_frame(  # noqa: PLR0917
     if curl > _CURL and frame == "right-up" and (order == own).all():
         # of lights that lie unevenly; brightness may explain the stated one
         best = _best_order(gram, lights)
-        order = best if turn_of_relief(best)[1] < _CURL_LEFT * curl else order
+        order = best if surface_in(best)[2] < _CURL_LEFT * curl else order
     clearly_better = _residual(gram, lights[order])[0] < _LESS * residual
     return order, "right-up" if clearly_better else frame, curl
 
