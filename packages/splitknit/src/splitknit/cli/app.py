@@ -84,15 +84,20 @@ def build_app(verb: str | None = None) -> App:
 
 
 class _Panels(DefaultFormatter):
-    """Tables of options whose descriptions are filled anew: docstrings break lines where they
-    end."""
+    """Tables of options whose descriptions are filled anew, as docstrings break lines where they
+    end; that a flag is off, or a list empty, by default goes without saying."""
 
     def __call__(self, console: Any, options: Any, panel: HelpPanel) -> None:
         for entry in panel.entries:
             text = getattr(entry.description, "primary_renderable", None)
             if isinstance(text, Text):
                 text.plain = " ".join(text.plain.split())
-        super().__call__(console, options, panel)
+        unstated = {"False", "()"}
+        entries = [
+            entry.copy(default=None) if entry.default in unstated else entry
+            for entry in panel.entries
+        ]
+        super().__call__(console, options, panel.copy(entries=entries))
 
 
 def words_of_verbs(app: App) -> list[list[str]]:
@@ -146,6 +151,10 @@ def _help(app: App, words: Sequence[str]) -> int:
 
 def help_of(app: App, words: Sequence[str]) -> str:
     """The help of a verb; names between backticks in its docstring become options."""
+    _, apps, _ = app.parse_commands(list(words))
+    if words:
+        for name in apps[-1]:
+            apps[-1][name]  # is imported, so that it is described among the others
     width = shutil.get_terminal_size().columns
     console = Console(file=io.StringIO(), width=width, force_terminal=False, color_system=None)
     app.meta.help_print(list(words), console=console)
