@@ -51,7 +51,8 @@ class Done:
 def run(example: Path, folder: Path) -> Done:
     """Run one example; its pictures go to `folder`."""
     source = example.read_text(encoding="utf-8")
-    title, _, words = (ast.get_docstring(ast.parse(source)) or "").partition("\n")
+    title, _, words = plain(ast.get_docstring(ast.parse(source)) or "").partition("\n\n")
+    title = " ".join(title.split())
     command = [sys.executable, str(example)]
     if "folder for pictures" in source:
         command += ["--out", str(folder)]
@@ -59,7 +60,7 @@ def run(example: Path, folder: Path) -> Done:
     if done.returncode != 0:
         raise SystemExit(f"{example.name} failed:\n{done.stderr}")
     pictures = tuple(sorted(path for path in folder.iterdir() if path.suffix in (".png", ".svg")))
-    return Done(example.stem, title, plain(words), done.stdout.rstrip(), pictures, digest(example))
+    return Done(example.stem, title, words, done.stdout.rstrip(), pictures, digest(example))
 
 
 def digest(example: Path) -> str:

@@ -226,7 +226,7 @@ def interval(values: np.ndarray, statistic: Callable[[np.ndarray], Any]) -> list
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
+    parser = argparse.ArgumentParser(description=__doc__.partition("\n\n")[0])
     parser.add_argument("--out", type=Path, default=Path("validation/out/calibration"))
     parser.add_argument("--rigs", type=int, default=6)
     parser.add_argument("--scale", type=float, default=0.5)

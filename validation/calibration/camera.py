@@ -1,8 +1,7 @@
 """How well ``splitknit calibrate camera`` finds a known camera: built rigs of the twin,
 photographed with noise.
 
-    python validation/calibration/camera.py [--seeds 8] [--scale 0.25] [--out
-    validation/calibration/camera.json]
+    python validation/calibration/camera.py [--seeds 8] [--scale 0.25] [--out validation/calibration/camera.json]
 
 Each seed is another rig as a person builds it (focal length, principal point, distortion, height
 and tilt off the drawing) and 15 other photographs of a checkerboard held by hand. Prints a table:
@@ -139,7 +138,7 @@ def summary(runs: list[dict[str, dict[str, float]]]) -> dict[str, dict[str, dict
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser = argparse.ArgumentParser(description=__doc__.partition("\n\n")[0])
     parser.add_argument("--seeds", type=int, default=8)
     parser.add_argument("--scale", type=float, default=0.25)
     parser.add_argument("--out", type=Path, default=None)

@@ -1,8 +1,8 @@
 """How well a rig's light is known after ``splitknit calibrate radiometry``, on rigs as people build
 them.
 
-    python validation/calibration/radiometry.py # 20 rigs: about six minutes of one core python
-    validation/calibration/radiometry.py --rigs 2 --fingers 1 --out FILE
+    python validation/calibration/radiometry.py  # 20 rigs: about six minutes of one core
+    python validation/calibration/radiometry.py --rigs 2 --fingers 1 --out FILE
 
 Each rig is drawn from the tolerances of ``simulate.built_rig``: camera, lens, places, aims, beams
 and brightness of 14 LEDs. The twin photographs a white card; the calibration knows the camera and
@@ -33,7 +33,7 @@ SCALE = 0.12
 def main(arguments: Sequence[str] | None = None) -> int:
     # before numpy is imported
     os.environ.update(dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"), "1"))
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser = argparse.ArgumentParser(description=__doc__.partition("\n\n")[0])
     parser.add_argument("--rigs", type=int, default=20, help="built rigs (default: 20)")
     parser.add_argument(
         "--fingers", type=int, default=8, help="simulated fingers for the drift (default: 8)"

@@ -95,7 +95,7 @@ def table(count, most, seed):
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser = argparse.ArgumentParser(description=__doc__.partition("\n\n")[0])
     parser.add_argument("--walks", type=int, default=400_000)
     parser.add_argument("--most", type=int, default=4000)
     parser.add_argument("--seed", type=int, default=1)

@@ -1,10 +1,9 @@
 """Which rig would the thesis's own experiment choose? Sweeps of height, radius, power, tilt and
 resolution.
 
-    python validation/thesis/rigs.py # all sweeps: 15 minutes of one core; may be interrupted python
-    validation/thesis/rigs.py --report # only the tables (some are kept in tables/rig) python
-    validation/thesis/rigs.py --heights 100 140 --radii 40 52.5 80 --method metric # a sweep of your
-    own
+    python validation/thesis/rigs.py  # all sweeps: 15 minutes of one core; may be interrupted
+    python validation/thesis/rigs.py --report  # only the tables (some are kept in tables/rig)
+    python validation/thesis/rigs.py --heights 100 140 --radii 40 52.5 80 --method metric  # a sweep of your own
 
 Every sweep grows in a folder of its own in ``validation/out/rig`` (one file a rig), so that a run
 that was stopped goes on where it was. ``rigs.json`` beside this script holds the figures that the
@@ -109,7 +108,7 @@ SWEEPS: dict[str, Sweep] = {
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser = argparse.ArgumentParser(description=__doc__.partition("\n\n")[0])
     parser.add_argument("--report", action="store_true", help="tables from rigs.json alone")
     parser.add_argument(
         "--sweeps", nargs="*", choices=SWEEPS, metavar="NAME", help=f"of {', '.join(SWEEPS)}"
