@@ -1,10 +1,10 @@
 """From a capture to a metric fingerprint in Python: simulate a small capture, reconstruct it,
 compare with the truth.
 
-python examples/plot_reconstruct.py                     # prints the figures, a few seconds
-python examples/plot_reconstruct.py --preset ea # the plain method of the thesis's comparison python
-examples/plot_reconstruct.py --out pictures # a photograph, relief and shaded surface as pictures
-python examples/plot_reconstruct.py --capture DIR # a capture folder of your own
+python examples/plot_reconstruct.py                # prints the figures, a few seconds
+python examples/plot_reconstruct.py --preset ea    # the plain method of the thesis's comparison
+python examples/plot_reconstruct.py --out pictures # photograph, relief, shaded surface
+python examples/plot_reconstruct.py --capture DIR  # a capture folder of your own
 """
 
 from __future__ import annotations

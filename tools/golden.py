@@ -1,8 +1,8 @@
 """Results of every preset, matcher, print and calibration, as hashes: a change of the code's
 structure keeps them.
 
-    python tools/golden.py compares with tools/golden.json (exit code 1: something differs) python
-    tools/golden.py --write after a change that is meant to change results: writes it anew
+    python tools/golden.py            compares with tools/golden.json (exit code 1: they differ)
+    python tools/golden.py --write    after a change that is meant to change results: writes it anew
 
 Everything goes through the command line, whose verbs stay while modules move. Arrays, pixels and
 scores are hashed, not files, since these carry settings and versions. Sums of floating-point

@@ -1,8 +1,8 @@
 """Bundle three.js into the one script that a report holds.
 
-    npm pack three@0.183.2 esbuild@0.28.2 ... # any folder with node_modules/three and
-    node_modules/.bin/esbuild python tools/vendor_three.py FOLDER/node_modules python
-    tools/vendor_three.py --check # is the script here the one that was made?
+    npm pack three@0.183.2 esbuild@0.28.2 ...    # any folder with both below node_modules
+    python tools/vendor_three.py FOLDER/node_modules
+    python tools/vendor_three.py --check        # is the script here the one that was made?
 
 The bundle holds what `report/static/surface.js` uses, as the global name ``THREE``.
 """

@@ -1,7 +1,7 @@
 """Train `direct`, the U-Net of the thesis that finds direct light (3.3.1.4).
 
-    python training/separation.py --out DIR # what ships: 42 minutes on two busy cores python
-    training/separation.py --out DIR --thesis --device cuda --threads 16 # the thesis's own recipe
+    python training/separation.py --out DIR  # what ships: 42 minutes on two busy cores
+    python training/separation.py --out DIR --thesis --device cuda --threads 16  # the thesis's own recipe
 
 The thesis trains on 72 x 72 patches of 50 palms whose direct light was measured with 25 shifted
 checkerboards; Adam on the mean squared error. Here the optics of the skin, the place of the light,

@@ -1,9 +1,8 @@
 """Stored figures may improve, not slip by more than 1 %.
 
-python validation/accuracy/ratchet.py # exit code 1 and a line for each figure that slipped python
-validation/accuracy/ratchet.py --update # keep the better of the stored figures and those of
-results.json python validation/accuracy/ratchet.py --reset # take those of results.json: the twin
-changed, say why in the commit
+python validation/accuracy/ratchet.py  # exit code 1 and a line for each figure that slipped
+python validation/accuracy/ratchet.py --update  # keep the better of the stored figures and those of results.json
+python validation/accuracy/ratchet.py --reset  # take those of results.json: the twin changed, say why in the commit
 """
 
 from __future__ import annotations

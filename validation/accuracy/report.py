@@ -2,8 +2,7 @@
 ``docs/experiments/accuracy.md``.
 
 python validation/accuracy/report.py            # writes
-python validation/accuracy/report.py --check # exit code 1 if page and tables do not show what
-results.json holds
+python validation/accuracy/report.py --check  # exit code 1 if page and tables do not show what results.json holds
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
 """How accurate are the presets on fingers of the digital twin?
 
     python validation/accuracy/run.py                          # 24 drawn fingers: metric, ea, snk
-    python validation/accuracy/report.py # docs/experiments/accuracy.md, tables/ from results.json
+    python validation/accuracy/report.py  # docs/experiments/accuracy.md, tables/ from results.json
 
 One JSON per finger lands in ``validation/out/accuracy`` under a hash of the package's sources, so
 that a run that was stopped goes on where it was, and results of other code are never mixed in. One

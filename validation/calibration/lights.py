@@ -1,7 +1,7 @@
 """How well the lights are found on the twin: tables with noise, and photographs from end to end.
 
-    python validation/calibration/lights.py # 50 rigs as tables, 5 as photographs: some minutes
-    python validation/calibration/lights.py --photographs 0 # tables only
+    python validation/calibration/lights.py  # 50 rigs as tables, 5 as photographs: some minutes
+    python validation/calibration/lights.py --photographs 0  # tables only
 
 Every rig is built anew (``simulate.built_rig``: LEDs 0.7 mm off each way, camera shifted, oblique
 and distorted, the base tilted); its camera is taken as calibrated, its LEDs are not known better

@@ -2,7 +2,7 @@
 sensors.
 
     python validation/match/contactless.py --work FOLDER                   # 24 fingers, a table
-    python validation/match/contactless.py --work FOLDER --fingers 3 # a quick look, three at least
+    python validation/match/contactless.py --work FOLDER --fingers 3  # a quick look, three at least
 
 Contactless: one capture of each finger in a pose of its own, and of it four prints: the relief of
 ``metric``, on the plane and unrolled, and the photograph, on the plane and unrolled. Contact: one

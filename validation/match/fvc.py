@@ -1,8 +1,8 @@
 """Real prints of seven sensors by FVC's protocol: every system on the same pairs, peers included.
 
-    python validation/match/fvc.py # the shipped matcher and its peers, a table python
-    validation/match/fvc.py --systems fusion nbis-py --sets fvc2004_db1b fvc2004_db2b python
-    validation/match/fvc.py --systems fusion --leave-one-set-out --turned
+    python validation/match/fvc.py  # the shipped matcher and its peers, a table
+    python validation/match/fvc.py --systems fusion nbis-py --sets fvc2004_db1b fvc2004_db2b
+    python validation/match/fvc.py --systems fusion --leave-one-set-out --turned
 
 Sets: ``../shared/data/fvc`` and ``fvc2002_db1b`` (fingers 101 to 105, eight impressions), and
 simulated presses (``pressed_prints.py``, 24 fingers, four presses, seeds from 95,000). *All pairs*:

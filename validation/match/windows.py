@@ -1,9 +1,9 @@
 """Small prints: square windows of real prints against whole prints and against each other, by what
 overlaps.
 
-    python validation/match/windows.py --compare 24000 # adds comparisons to the cache, in a fixed
-    order python validation/match/windows.py # fits, rates and tables from what was compared python
-    validation/match/windows.py --write # and writes what the matcher ships
+    python validation/match/windows.py --compare 24000  # adds comparisons to the cache, in a fixed order
+    python validation/match/windows.py  # fits, rates and tables from what was compared
+    python validation/match/windows.py --write                # and writes what the matcher ships
 
 Windows of 4 to 10 mm are cut from every print of ``fvc.py``'s seven real sets: one around the
 middle of its ridges, one where it is drawn. *Whole*: a window against a whole print of the same

@@ -1,7 +1,7 @@
 """What motion during the capture costs, and what is left of the loss when it is undone.
 
-    python validation/motion/run.py # resumable: simulates and measures what is missing python
-    validation/motion/run.py --summary # prints the tables of what is there
+    python validation/motion/run.py  # resumable: simulates and measures what is missing
+    python validation/motion/run.py --summary        # prints the tables of what is there
 
 writes ``results.json`` beside this file. The motion is the twin's (drift, tremor, turns, slip); the
 fingers are not those on which the settings were chosen. The truth is that of the reference shot.

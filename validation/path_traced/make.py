@@ -2,8 +2,7 @@
 
     python validation/path_traced/make.py --out DIR              # a run that was stopped goes on
     python validation/path_traced/make.py --out DIR --polarised  # behind linear films
-    python validation/path_traced/make.py --out DIR --names third_matt no_ridges # some of either
-    kind
+    python validation/path_traced/make.py --out DIR --names third_matt no_ridges  # some of either kind
 
 Needs the group ``reference`` (numba). Each finger becomes a capture folder with ``truth.npz`` and
 ``info.json``, which has all optics and the noise of the walks; of polarised fingers these lie

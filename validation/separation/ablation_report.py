@@ -3,8 +3,7 @@
 of them into ``docs/explain/reconstruction.md``.
 
 python validation/separation/ablation_report.py            # writes
-python validation/separation/ablation_report.py --check # exit code 1 if they do not show what the
-file holds
+python validation/separation/ablation_report.py --check  # exit code 1 if they do not show what the file holds
 """
 
 from __future__ import annotations

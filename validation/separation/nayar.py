@@ -1,7 +1,7 @@
 """The four ways to separate direct from global light that the thesis compares (3.2.5), on the same
 simulated skin.
 
-    python validation/separation/nayar.py # a minute; writes tables/nayar.csv beside this file
+    python validation/separation/nayar.py  # a minute; writes tables/nayar.csv beside this file
 
 Truth: maximum minus minimum over all phases of a checkerboard of 0.42 mm. PSNR in dB of the direct
 light, peak of the white image, without noise and with the sensor's.

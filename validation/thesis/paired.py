@@ -1,6 +1,6 @@
 """Claims 24 and 29 on new simulated fingers, by differences that are taken finger by finger.
 
-    python validation/thesis/paired.py # ten fingers, four minutes; writes tables/paired.csv
+    python validation/thesis/paired.py  # ten fingers, four minutes; writes tables/paired.csv
 
 - 3.2.4: Frankot and Chellappa's integral beside Poisson's on exact normals, on the rectangle around
   the finger, as the thesis does, with the same borders, and within the mask: rms error in mm inside

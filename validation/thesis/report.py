@@ -2,7 +2,7 @@
 ``docs/experiments/thesis-tables.md``.
 
     python validation/thesis/report.py            # tables/*.csv and the page
-    python validation/thesis/report.py --check # exit code 1 if either does not show what lies here
+    python validation/thesis/report.py --check  # exit code 1 if either does not show what lies here
 
 Cells of the tables are ``value [drawn by finger] (drawn by subject)``. The CSV files beside this
 file hold the same figures with more digits, one figure a column.
