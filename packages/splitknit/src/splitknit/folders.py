@@ -69,10 +69,10 @@ def read_photographs(
         By default ``lights.txt`` beside the images; ``unknown``: they are estimated.
     px_per_mm : float, optional
         Scale on the object; without it heights are in pixels.
-    light_frame, ridge_period_mm, mask, material, tip_direction_deg, encoding, brightness,
-    max_megapixels, background, \
-crossed, mosaic, film_deg, flat, nir : optional
+    light_frame, ridge_period_mm, mask, material, tip_direction_deg, encoding : optional
         See :class:`splitknit.io.photographs.GivenPhotographs`, whose fields they are.
+    brightness, max_megapixels, background, crossed, mosaic, film_deg, flat, nir : optional
+        Likewise.
 
     Returns
     -------

@@ -43,10 +43,9 @@ def reconstruct(
     capture : Capture, or the path of a capture folder
         From :func:`splitknit.read_capture` or a simulator.
     preset : a name of :data:`PRESETS`
-    settings : mapping from ``stage.field`` to a value (or nested mappings), or whole settings,
-    optional
-        Changes to the preset, of which the result says ``snk, changed``; whole settings instead of
-        a preset are named after the one that they are, or are nearest to.
+    settings : mapping from ``stage.field`` to a value, or whole settings, optional
+        Changes to the preset (mappings may be nested), of which the result says ``snk, changed``;
+        whole settings instead of a preset are named after the one that they are, or are nearest to.
     progress : called with the name of the stage and the fraction done, optional
     memory : what several cases of this very capture share, optional
         Saves time; changes nothing.

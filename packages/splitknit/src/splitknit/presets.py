@@ -212,8 +212,7 @@ def preset_settings(preset: str) -> PipelineSettings:
 
     Parameters
     ----------
-    preset : ``metric``, ``snk``, ``pr``, ``ea``, ``pr-split``, ``ea-split``, ``kumar``, ``zheng``
-    or ``lin``
+    preset : a name of :data:`PRESETS`
 
     Returns
     -------

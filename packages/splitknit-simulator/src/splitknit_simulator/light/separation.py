@@ -157,13 +157,13 @@ def separate_truth(
     skin : the finger's, or a medium of the light's band
     check_mm : side of the checks on the finger plane, at least two pixels
     settings : what of the light is modelled (defocus is not)
-    phases : ``all`` takes maximum minus minimum over all phases in steps of at most a pixel, each
-    rendered: c^2 images
-        for checks of c pixels, because shifts by a check only exchange lit and dark. ``centred``
-        takes, for each pixel, the difference between the checks centred on it and their complement:
-        one convolution with the diffusion profile times a checkerboard, c^2 times faster; it
-        neglects that checks lie askew on slanted skin, and that a light gradient can make another
-        phase the brightest one.
+    phases : ``all`` or ``centred``
+        ``all`` takes maximum minus minimum over all phases in steps of at most a pixel, each
+        rendered: c^2 images for checks of c pixels, because shifts by a check only exchange lit and
+        dark. ``centred`` takes, for each pixel, the difference between the checks centred on it and
+        their complement: one convolution with the diffusion profile times a checkerboard, c^2 times
+        faster; it neglects that checks lie askew on slanted skin, and that a light gradient can
+        make another phase the brightest one.
 
     Nayar, Krishnan, Grossberg and Raskar 2006, Fast separation of direct and global components of a
     scene using high frequency illumination, equations (3) and (4).

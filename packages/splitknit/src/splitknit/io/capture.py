@@ -373,8 +373,8 @@ def write_capture(
     Parameters
     ----------
     truth : arrays for ``truth.npz``; where None, a truth file that the capture names is copied
-    overwrite : replace an earlier capture that splitknit wrote; any other folder that is not empty
-    is refused
+    overwrite : replace an earlier capture that splitknit wrote
+        Any other folder that is not empty is refused.
 
     Raises
     ------
