@@ -94,15 +94,16 @@ def public_names() -> str:
     """One entry of the page for each public name."""
     parts = []
     doors = [f"{door}.{name}" for door in DOORS for name in importlib.import_module(door).__all__]
+    titles = {RESULTS[0]: "Results", ARRAYS[0]: "Functions on arrays"}
+    for door in DOORS[1:]:
+        titles[next(full for full in doors if full.startswith(f"{door}."))] = door
     for full in (*doors, *RESULTS, *ARRAYS):
         module, _, name = full.rpartition(".")
         value: Any = getattr(importlib.import_module(module), name)
-        if isinstance(value, str):
-            if module != "splitknit":
-                parts.append(f"## {module}")
+        if full in titles:
+            parts.append(f"## {titles[full]}")
+        if isinstance(value, str):  # the version
             continue
-        if full in (RESULTS[0], ARRAYS[0]):
-            parts.append("## Results" if full == RESULTS[0] else "## Functions on arrays")
         words = (value.__doc__ or "").strip()
         if not words or words.startswith(f"{name}("):  # what dataclasses write themselves
             LOG.warning("%s is public and has no docstring", full)

@@ -93,10 +93,11 @@ class PairComparison:
     fit: Fit
     similarity: float  # similarity of the ridges, -1 to 1
     scale: float  # length in A over length in B, by the ridges (unrolled)
-    rotation: Array  # (3, 3), and
+    rotation: Array
+    """(3, 3) of the rigid fit, whatever `fit`: A = rotation @ B + shift, both about the middle of
+    their image."""
     shift_mm: Array
-    """(3,): A = rotation @ B + shift, both about the middle of their image; of the rigid fit,
-    whatever `fit`."""
+    """(3,) of the rigid fit."""
     strain_mm: float  # rms of the shifts of single patches of skin that are left after a rigid fit
     figures: Mapping[str, Mapping[str, Mapping[str, Any]]]
     """By band and slant: ``correlation``, ``gain``, ``rms_um`` (each an interval, whose ends are
