@@ -13,6 +13,7 @@ from splitknit.diagnosis.codes import CODES
 from splitknit.diagnosis.photographs import Fault
 from splitknit.errors import BadInput
 from splitknit.findings import Finding, Severity, refuse, worst_first
+from splitknit.methods.metric import HARDLY_MEASURED
 
 WIDE = Finding(
     "odd-finger-width",
@@ -25,6 +26,11 @@ def test_lengths_are_in_pixels_where_the_scale_is_unknown() -> None:
     assert str(WIDE) == "it is 40.0 mm wide, where 6 to 30 mm is usual."
     assert str(WIDE.in_pixels(20.0)) == "it is 800 px wide, where 120 to 600 px is usual."
     assert str(Finding("jpeg", "a {name}").in_pixels(2.0)) == "a {name}"
+
+
+def test_hardly_measured_ridges_are_given_in_um() -> None:
+    finding = Finding("hardly-measured", HARDLY_MEASURED, lengths_mm=(0.012, 0.02))
+    assert str(finding).endswith(": 12 um rms with an expected error of 20 um.")
 
 
 def test_the_worst_come_first_and_each_once() -> None:

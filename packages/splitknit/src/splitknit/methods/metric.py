@@ -90,7 +90,7 @@ SIDE_MISFIT = (
     " camera's film."
 )
 HARDLY_MEASURED = (
-    "the ridges are hardly measured: {:.0f} um rms with an expected error of {:.0f} um."
+    "the ridges are hardly measured: {:.0f um} rms with an expected error of {:.0f um}."
 )
 LITTLE_GLOSS_NOTE = (
     "the skin shows hardly any specular reflection: ridge heights follow from its brightness, and "
