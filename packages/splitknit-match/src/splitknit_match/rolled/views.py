@@ -17,8 +17,9 @@ import numpy as np
 
 from splitknit import Capture, Led, Rig
 from splitknit.errors import require
-from splitknit.finger.locate import BEYOND_CREASE_MM, FingerSettings, enlarged_mask
+from splitknit.finger.locate import FingerSettings, enlarged_mask
 from splitknit.finger.orientation import find_upright
+from splitknit.finger.parameters import BEYOND_CREASE_MM
 from splitknit.finger.phalange import find_crease
 from splitknit.finger.regions import largest_component
 from splitknit.imaging.band import Window, has_colour, linear_channels, linear_survey, pick_channel
