@@ -48,15 +48,7 @@ from splitknit.mirrors.settings import MirrorShapeSettings
 from splitknit.mirrors.views import view_binning, views_in
 from splitknit.model import Array, BoolArray, FloatArray
 from splitknit.photometric.near_light import pseudo_normals
-from splitknit.skin.grid import (
-    COARSE_PITCH_MM,
-    WORKING_PITCH_MM,
-    BandImages,
-    Grid,
-    coarsen,
-    refine,
-    smooth_step,
-)
+from splitknit.skin.grid import BandImages, Grid, coarsen, refine, smooth_step
 from splitknit.skin.images import (
     FACTOR,
     MetricSettings,
@@ -67,6 +59,7 @@ from splitknit.skin.images import (
 )
 from splitknit.skin.learned import can_learn, features, relief_by_network
 from splitknit.skin.light import Lighting, fine_lighting, slant_of, trust_of
+from splitknit.skin.parameters import COARSE_PITCH_MM, WORKING_PITCH_MM
 from splitknit_match.rolled.chart import Chart, heights, read
 
 SIDES = ("left", "right")
