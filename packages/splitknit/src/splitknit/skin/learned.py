@@ -31,6 +31,7 @@ from splitknit.skin.parameters import (
     LITTLE_GLOSS,
     MAX_UNEVEN,
     MIN_LIGHTS,
+    NETWORK_PITCH_MM,
     RIDGE_BAND_MM,
     RIDGE_SLOPES_MM,
     SLANT_DEG,
@@ -235,17 +236,13 @@ def relief_network(
     return lambda fields: mean_over_orientations(network, fields, symmetries, orientations, earlier)
 
 
-PITCH_MM = (0.017, 0.041)
-"""Pixels that the networks were trained on, about. Source: ``training/scenes.py``."""
-
-
 def can_learn(band: BandImages, pitch_mm: float) -> bool:
     """Whether the networks can be applied to a band: three colours, enough lights all around, and
     fine pixels."""
     if len(band.channels) != 3 or band.stack.shape[1] < MIN_LIGHTS:
         return False
     around = np.linalg.cond(azimuth_waves(band.rig, 2)) < MAX_UNEVEN
-    return bool(around) and PITCH_MM[0] <= pitch_mm <= PITCH_MM[1]
+    return bool(around) and NETWORK_PITCH_MM[0] <= pitch_mm <= NETWORK_PITCH_MM[1]
 
 
 def relief_by_network(

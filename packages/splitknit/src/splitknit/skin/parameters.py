@@ -20,7 +20,7 @@ WORKING_PITCH_MM = 0.0264
 """Pitch of the fine grid. The skin's blur leaves less than 2 % of any finer detail, and the
 networks were trained near it.
 
-Unit: mm. Chosen on: judgement. Range: 0.017 to 0.041 (pixels that the networks were trained on).
+Unit: mm. Chosen on: judgement. Range: not known.
 """
 
 COARSE_PITCH_MM = 0.106
@@ -100,6 +100,13 @@ MAX_UNEVEN = 10.0
 """Condition of the harmonics up to the second at the lights' azimuths; one for a regular ring.
 
 Unit: none. Chosen on: judgement. Range: not known.
+"""
+
+NETWORK_PITCH_MM = (0.017, 0.041)
+"""Smallest and largest pixels that the networks are applied to: about those that they were trained
+on.
+
+Unit: mm. Chosen on: not known. Range: not known.
 """
 
 RIDGE_SLOPES_MM = 0.6
