@@ -20,13 +20,16 @@ from splitknit.mirrors.body import Body, Slopes, basis, slopes_across
 from splitknit.mirrors.parameters import (
     ANGLE_DEG,
     COMMON_MM,
+    DIFFERENCES,
     DISAGREEING_MM,
     EDGE_SD_MM,
     FIT_ROUNDS,
+    HELD_PRIORS,
     HELD_ROUNDS,
     INDEPENDENT_SLOPES,
     MAX_MIRROR_DEG,
     MAX_SQUARE,
+    MAX_STEPS,
     MIN_SLOPES,
     MISFIT_MM,
     OFFSET_MM,
@@ -47,26 +50,6 @@ Parameter = tuple[str, str]
 """A parameter that all sections share: its name, and the mirror whose pose it is of ('': the
 body)."""
 _FORM: list[Parameter] = [("squareness", ""), ("shear", ""), ("shear_slope", "")]
-_DIFFERENCE = {
-    "tip_mm": 1e-3,
-    "squareness": 1e-4,
-    "shear": 1e-4,
-    "shear_slope": 1e-4,
-    "turn_rad": 1e-5,
-    "lean_rad": 1e-5,
-    "shift_mm": 1e-3,
-}
-"""Step of the difference quotients."""
-_MAX_STEP = {
-    "tip_mm": 1.0,
-    "squareness": 0.15,
-    "shear": 0.2,
-    "shear_slope": 0.2,
-    "turn_rad": 0.04,
-    "lean_rad": 0.04,
-    "shift_mm": 2.0,
-}
-"""Largest steps of one correction."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -224,7 +207,7 @@ def _slope_equations(estimate: Estimate, slopes: Slopes) -> tuple[Array, Array]:
         [
             (slopes_across(estimate.moved(parameter, size).body, slopes) - residual) / size
             for parameter in _FORM
-            for size in [_DIFFERENCE[parameter[0]]]
+            for size in [DIFFERENCES[parameter[0]]]
         ]
     )
     known = np.isfinite(residual) & np.isfinite(jacobian).all(axis=1)
@@ -254,12 +237,6 @@ def _tukey(residual: Array, limit: float) -> Array:
     return np.clip(1.0 - (residual / limit) ** 2, 0.0, None) ** 2
 
 
-_HELD = {"lean_rad": (0.0, 1e-3), "shift_mm": (0.0, 0.05)}
-"""Mirrors keep their nominal place for the first corrections, in which the body's size is
-estimated: under spreading rays a wrong size is otherwise taken for another height, and mirrors
-follow it."""
-
-
 def fit_body(
     start: Estimate, outlines: Outlines, slopes: Slopes | None = None, rounds: int = FIT_ROUNDS
 ) -> Fit:
@@ -270,7 +247,7 @@ def fit_body(
     splines = start.body.coefficients.size
     common = _common_errors(estimate, outlines)
     expected = _expected(start.body, outlines, with_shear=slopes is not None)
-    held = {key: _HELD.get(key[0], prior) for key, prior in expected.items()}
+    held = {key: HELD_PRIORS.get(key[0], prior) for key, prior in expected.items()}
     free = splines + len(expected)
     for turn in range(rounds):
         views, by_splines = _linearised(estimate, outlines)
@@ -278,7 +255,7 @@ def fit_body(
         by_shared = [
             (estimate.moved(key, size).all_residuals(outlines) - residual) / size
             for key in expected
-            for size in [_DIFFERENCE[key[0]]]
+            for size in [DIFFERENCES[key[0]]]
         ]
         weight = np.concatenate([_robust_weight(view, settled=turn >= SURE_FROM) for view in views])
         weight *= 2.0 * ROW_MM / COMMON_MM / OUTLINE_MM**2
@@ -309,7 +286,7 @@ def fit_body(
 
 def _corrected(estimate: Estimate, splines: Array, shared: Mapping[Parameter, float]) -> Estimate:
     """After a correction, shortened as a whole beyond a limit, with sections that are convex."""
-    shorten = max(1.0, *(abs(float(by)) / _MAX_STEP[kind] for (kind, _), by in shared.items()))
+    shorten = max(1.0, *(abs(float(by)) / MAX_STEPS[kind] for (kind, _), by in shared.items()))
     body = estimate.body
     coefficients = body.coefficients + (splines / shorten).reshape(body.coefficients.shape)
     estimate = Estimate(replace(body, coefficients=coefficients), estimate.poses)

@@ -67,6 +67,34 @@ Unit: mm. Chosen on: not known. Range: not known.
 
 # --- fit
 
+DIFFERENCES = {
+    "tip_mm": 1e-3,
+    "squareness": 1e-4,
+    "shear": 1e-4,
+    "shear_slope": 1e-4,
+    "turn_rad": 1e-5,
+    "lean_rad": 1e-5,
+    "shift_mm": 1e-3,
+}
+"""Steps of the difference quotients, by parameter.
+
+Unit: that of the parameter. Chosen on: judgement. Range: not known.
+"""
+
+MAX_STEPS = {
+    "tip_mm": 1.0,
+    "squareness": 0.15,
+    "shear": 0.2,
+    "shear_slope": 0.2,
+    "turn_rad": 0.04,
+    "lean_rad": 0.04,
+    "shift_mm": 2.0,
+}
+"""Largest steps of one correction, by parameter.
+
+Unit: that of the parameter. Chosen on: not known. Range: not known.
+"""
+
 ANGLE_DEG = 1.5
 """Standard deviation of the mirrors' angles about their nominal ones.
 
@@ -152,6 +180,14 @@ HELD_ROUNDS = 3
 """Corrections in which mirrors keep their nominal place.
 
 Unit: none. Chosen on: not known. Range: not known.
+"""
+
+HELD_PRIORS = {"lean_rad": (0.0, 1e-3), "shift_mm": (0.0, 0.05)}
+"""Expected value and standard deviation that hold mirrors in their nominal place in these first
+corrections, in which the body's size is estimated: under spreading rays a wrong size is otherwise
+taken for another height, and mirrors follow it.
+
+Unit: that of the parameter. Chosen on: not known. Range: not known.
 """
 
 SETTLED_MM = 0.01
