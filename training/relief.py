@@ -41,17 +41,12 @@ from splitknit.finger.locate import find_finger
 from splitknit.imaging.band import bin_mean
 from splitknit.model import default_rig
 from splitknit.presets import preset_settings
-from splitknit.skin.grid import COARSE_PITCH_MM, BandImages, Grid, coarsen
+from splitknit.skin.grid import BandImages, Grid, coarsen
 from splitknit.skin.images import skin_images
 from splitknit.skin.learned import GLARE as GLARE_UNIT
-from splitknit.skin.learned import (
-    RELIEF_MM,
-    RELIEF_SYMMETRY,
-    RIDGE_BAND_MM,
-    azimuth_waves,
-    features,
-)
+from splitknit.skin.learned import RELIEF_MM, RELIEF_SYMMETRY, azimuth_waves, features
 from splitknit.skin.light import fine_lighting, slant_of, trust_of
+from splitknit.skin.parameters import COARSE_PITCH_MM, RIDGE_BAND_MM
 from splitknit.skin.shape import coarse_images, coarse_shape, on_fine_grid
 from splitknit_simulator.camera.sensor import record
 from splitknit_simulator.finger.finger import PoseRanges, finger_surface

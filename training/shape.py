@@ -39,16 +39,10 @@ from splitknit.imaging.band import bin_mean
 from splitknit.imaging.geometry import height_gradients
 from splitknit.methods.metric import metric_skin
 from splitknit.presets import preset_settings
-from splitknit.skin.grid import COARSE_PITCH_MM, coarsen
+from splitknit.skin.grid import coarsen
 from splitknit.skin.images import skin_images
-from splitknit.skin.learned import (
-    RELIEF_MM,
-    RIDGE_BAND_MM,
-    SHAPE_SLOPE,
-    SHAPE_SYMMETRY,
-    Networks,
-    can_learn,
-)
+from splitknit.skin.learned import RELIEF_MM, SHAPE_SLOPE, SHAPE_SYMMETRY, Networks, can_learn
+from splitknit.skin.parameters import COARSE_PITCH_MM, RIDGE_BAND_MM
 
 FINGERS, HELD_OUT, FIRST, ITERATIONS = 160, 8, 5000, 6000
 SCALE = (0.34, 0.43)  # size of the images

@@ -12,7 +12,8 @@ import numpy as np
 
 from splitknit import Band, Rig
 from splitknit.devices import CameraDevice, Frame, LightBank, relative_exposure
-from splitknit.finger.motion import MIN_RELIABILITY, WORKING_PX_PER_MM, shot_motion
+from splitknit.finger.motion import shot_motion
+from splitknit.finger.parameters import MIN_RELIABILITY, MOTION_PX_PER_MM
 from splitknit.finger.regions import blur, dilate, reduce_image
 from splitknit.model import Array, BoolArray, FloatArray, side_lights, spectral_band
 from splitknit.settings import Checked, Limits
@@ -86,9 +87,9 @@ class Examiner:
 
     def look(self, frame: Frame) -> Look:
         """Reduce a shot to what the checks need."""
-        step = max(1, int(self._px_per_mm / (2.5 * WORKING_PX_PER_MM)))
+        step = max(1, int(self._px_per_mm / (2.5 * MOTION_PX_PER_MM)))
         full = frame.pixels[::step, ::step]  # a sparse grid first: a Raspberry Pi has little time
-        scale = min(1.0, WORKING_PX_PER_MM * step / self._px_per_mm)
+        scale = min(1.0, MOTION_PX_PER_MM * step / self._px_per_mm)
         grey = reduce_image(grey_light(full, frame.black_level), scale)
         inside, window = self._mask((grey.shape[0], grey.shape[1]))
         level = float(np.percentile(grey[inside], self._typical))
@@ -138,7 +139,7 @@ class Examiner:
                 self.region.astype(np.float32), shape[::-1], interpolation=cv2.INTER_AREA
             )
             inside = np.asarray(fraction > 0.5)
-            px = WORKING_PX_PER_MM
+            px = MOTION_PX_PER_MM
             window = blur(dilate(inside, 0.7 * px).astype(np.float32), 0.5 * px)
             self._masks[shape] = (
                 (inside if inside.any() else np.ones(shape, dtype=np.bool_)),

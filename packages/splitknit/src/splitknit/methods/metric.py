@@ -30,11 +30,10 @@ from splitknit.photometric.near_light import near_light
 from splitknit.photometric.uncalibrated import bas_relief_of, bas_relief_um
 from splitknit.plausible import RELIEF
 from splitknit.presets import HeightSettings, NormalsSettings, Parameters, PipelineSettings
-from splitknit.skin.diffusion import SCATTERING_SD, Diffusion, SkinSettings
+from splitknit.skin.diffusion import Diffusion, SkinSettings
 from splitknit.skin.grid import BandImages, Grid, Slopes, smooth_step
 from splitknit.skin.images import SEPARATED_BY, MetricSettings, SkinImages, working_images
 from splitknit.skin.learned import (
-    LITTLE_GLOSS,
     Networks,
     features,
     refined_shape,
@@ -44,8 +43,9 @@ from splitknit.skin.learned import (
     variance_restored,
 )
 from splitknit.skin.light import slant_of
+from splitknit.skin.parameters import KNIT_MM, LITTLE_GLOSS, SCATTERING_SD
 from splitknit.skin.polarised import polarised_heights, specular_images
-from splitknit.skin.relief import KNIT_MM, ReliefEstimate, detail_of, measure, relief_by_colour
+from splitknit.skin.relief import ReliefEstimate, detail_of, measure, relief_by_colour
 from splitknit.skin.shape import (
     CoarseImages,
     Shape,
