@@ -4,12 +4,12 @@ validation/thesis/tables/claims.csv.
     python tools/make_claims_page.py            # writes
     python tools/make_claims_page.py --check    # exit code 1 if the page is out of date
 
-A row of the CSV file has a criterion in words and as a rule, and what was measured with its
-interval. The verdict follows from the rule alone: ``> 0`` is confirmed where the whole interval
-lies above 0, refuted where all of it lies below, and not decided otherwise. ``= 95`` is refuted
-where the interval excludes 95, ``= 19 21`` is confirmed where the interval lies within 19 to 21.
-With two bounds, ``> 1.4 2.5`` compares with a figure that has an interval itself. No rule: no
-figure decides.
+A row of the CSV file has a criterion in words and as a rule, what was measured with its interval,
+more that stands on the page, and figures beside them and a command that do not. The verdict follows
+from the rule alone: ``> 0`` is confirmed where the whole interval lies above 0, refuted where all
+of it lies below, and not decided otherwise. ``= 95`` is refuted where the interval excludes 95,
+``= 19 21`` is confirmed where the interval lies within 19 to 21. With two bounds, ``> 1.4 2.5``
+compares with a figure that has an interval itself. No rule: no figure decides.
 """
 
 from __future__ import annotations
@@ -89,21 +89,28 @@ def summary(rows: Sequence[Mapping[str, str]]) -> str:
 
 
 def table(rows: Sequence[Mapping[str, str]]) -> str:
-    """The table in Markdown."""
-    lines = ["| # | claim | criterion | measured | verdict | again by |", "| --- " * 6 + "|"]
+    """The table in Markdown: what was measured with one interval each, the widest."""
+    lines = ["| claim: criterion | measured | verdict |", "| --- " * 3 + "|"]
     for row in rows:
+        claim = ": ".join(filter(None, (row["claim"], row["criterion"])))
         measured = "; ".join(filter(None, (row["measured"].removesuffix(" exactly"), row["more"])))
-        again = row["again"] if "](" in row["again"] else f"`{row['again']}`"
-        cells = (
-            row["number"],
-            row["claim"],
-            row["criterion"] or "-",
-            f"{measured}, {row['page']}",
-            row["verdict"],
-            again,
-        )
+        cells = (f"{row['number']} {claim}", f"{joined(measured)}, {row['page']}", row["verdict"])
         lines.append(f"| {' | '.join(cells)} |")
     return "\n".join(lines)
+
+
+def joined(measured: str) -> str:
+    """Intervals drawn by finger and by subject, ``[1, 3] (2, 4)``, as one that holds both."""
+
+    def both(found: re.Match[str]) -> str:
+        ends = found.groups()
+        return f"[{min(ends[::2], key=float)}, {max(ends[1::2], key=float)}]"
+
+    return re.sub(
+        rf"\[({NUMBER}), ({NUMBER})\] \(({NUMBER}), ({NUMBER})\)",
+        both,
+        measured,
+    )
 
 
 def page() -> str:
