@@ -5,7 +5,7 @@ A simulated finger is measured bare and then, laid down anew, under powder, pres
 a cast. First the true surfaces alone are registered and compared: what they differ by is the
 protocol's own error, whatever measures them. Then the same is done with what ``metric`` makes of
 photographs of both. About two minutes of processor time a finger; a run goes on where it stopped.
-``--table`` prints the tables (as in ``tables/``) behind docs/experiments/pair-protocol.md.
+``--table`` prints the tables (as in ``tables/``) behind docs/experiments/real-skin.md.
 
 Powder, gel and cast are models, and not the reconstruction's: a map of thickness over the skin,
 waves that the gel follows the less the shorter they are, skin that shifts.

@@ -119,7 +119,7 @@ class Boundary(Checked):
 
         Behind a matt boundary, light whose mean free path is longer than a ridge is wide carries no
         signal of its height; refracted light brightens heights the more, the deeper it goes. Both
-        follow our own reference walks (docs/experiments/simulator-reference.md, ridges of 75 um,
+        follow our own reference walks (docs/experiments/simulator.md, ridges of 75 um,
         scattering of 1 to 10 per mm).
         """
         matt = max(1.0 - math.exp((1.0 - scattering_per_mm) / 0.65), 0.0)
@@ -140,7 +140,7 @@ class Boundary(Checked):
 
 SLOPE_LOSS: Mapping[Channel, float] = {"red": 2.3, "green": 1.65, "blue": 1.0, "nir": 4.8}
 """What a smooth boundary takes from the shading by slopes, over that of a matt one: our own
-reference walks (docs/experiments/simulator-reference.md, ridges of 75 um; 1: none is left, above 1:
+reference walks (docs/experiments/simulator.md, ridges of 75 um; 1: none is left, above 1:
 it is reversed)."""
 
 

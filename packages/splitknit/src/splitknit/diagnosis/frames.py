@@ -64,7 +64,7 @@ _COARSE = 0.4
 convex object: 0.6 to 0.9 on objects and fingers, 0.07 to 0.23 on a field of balls."""
 HIGH_RESIDUAL = 0.2
 """Light left unexplained, as a fraction, from which photographs do not fit their lights: 0.01 to
-0.15 on objects and fingers under their own lights (docs/experiments/objects.md)."""
+0.15 on objects and fingers under their own lights (docs/experiments/faults.md)."""
 _NO_RESIDUAL = 0.03
 """Up to here no other order is looked for."""
 _FEWEST = 5
