@@ -211,7 +211,7 @@ def capture(
         (
             f"{len(facts['captured'])} fingers captured now; {done}",
             *(f"Skipped: {name}" for name in facts["skipped"]),
-            *(f"Please note: {note}." for note in facts["notes"]),
+            *(f"Please note: {finding['message']}" for finding in facts["findings"]),
             "All fingers are captured." if facts["next"] is None else f"Next: {facts['next']}",
         ),
     )
@@ -276,7 +276,7 @@ def _lines(facts: Mapping[str, Any], out: Path, *, of_finger: bool) -> list[str]
             " light"
         )
     lines.append(f"  sharpness {facts['focus']['sharpness']:.2f} %")
-    lines += [f"Please note: {note}." for note in facts["notes"]]
+    lines += [f"Please note: {finding['message']}" for finding in facts["findings"]]
     if of_finger:
         lines.append(f"Next: splitknit reconstruct {out} --out RESULT")
     return lines

@@ -12,6 +12,7 @@ import numpy as np
 
 from splitknit import BadInput
 from splitknit.errors import require
+from splitknit.findings import Finding, Severity
 from splitknit.model import Array, FloatArray
 from splitknit_rig.calibration.targets import Board
 
@@ -251,7 +252,7 @@ class CameraCalibration:
     tilts_deg: Array  # (V,) angle between each board and the sensor
     variety_deg: float  # largest angle between two boards
     coverage: float  # part of the picture that the corners span
-    warnings: tuple[str, ...]
+    findings: tuple[Finding, ...]
 
 
 def fit_camera(
@@ -299,10 +300,10 @@ def fit_camera(
         & np.maximum.accumulate(cells[:, ::-1], axis=1)[:, ::-1]
     )
     coverage = float(across.mean())
-    warnings = _judged(lens, tilts, variety, coverage)
+    findings = _judged(lens, tilts, variety, coverage)
     used = tuple(names[k] for k in kept)
     return CameraCalibration(
-        lens, image_size, used, rejected, repeated, tilts, variety, coverage, warnings
+        lens, image_size, used, rejected, repeated, tilts, variety, coverage, findings
     )
 
 
@@ -330,8 +331,8 @@ def _require_enough(count: int, total: int, why: str) -> None:
     )
 
 
-def _judged(lens: _LensFit, tilts: Array, variety: float, coverage: float) -> tuple[str, ...]:
-    """Warnings, or the refusal of views that determine too little."""
+def _judged(lens: _LensFit, tilts: Array, variety: float, coverage: float) -> tuple[Finding, ...]:
+    """Findings, or the refusal of views that determine too little."""
     ratio = float(lens.matrix[0, 0] / lens.matrix[1, 1])
     require(
         abs(ratio - 1) < _MAX_ASPECT,
@@ -357,18 +358,20 @@ def _judged(lens: _LensFit, tilts: Array, variety: float, coverage: float) -> tu
             f" the corners miss their places by {lens.rms_px:.2f} px); {remedy}, let it fill the"
             " picture, and hold it still."
         )
-    warnings = []
+    findings = []
     if relative > _FOCAL_WARNED:
-        warnings.append(
-            f"the focal length is uncertain by {100 * relative:.2f} % ({tilted}); {remedy}."
-        )
+        words = f"the focal length is uncertain by {100 * relative:.2f} % ({tilted}); {remedy}."
+        findings.append(Finding("uncertain-focal-length", words, Severity.DOUBT))
     elif variety < _MIN_VARIETY_DEG:
-        warnings.append(f"the boards lie nearly parallel ({tilted}); {remedy}.")
+        words = f"the boards lie nearly parallel ({tilted}); {remedy}."
+        findings.append(Finding("parallel-boards", words))
     if "principal point" in lens.fixed:
-        warnings.append(f"the principal point is not determined ({lens.fixed['principal point']}).")
+        words = f"the principal point is not determined ({lens.fixed['principal point']})."
+        findings.append(Finding("held-principal-point", words))
     if coverage < _MIN_COVERAGE:
-        warnings.append(
+        words = (
             f"the boards cover {100 * coverage:.0f} % of the picture; outside them the distortion"
             " is a guess: let the board reach into every corner."
         )
-    return tuple(warnings)
+        findings.append(Finding("uncovered-picture", words, Severity.DOUBT))
+    return tuple(findings)

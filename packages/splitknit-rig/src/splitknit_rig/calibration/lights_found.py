@@ -13,6 +13,7 @@ import numpy as np
 from splitknit import BadInput, Camera, Led, Rig
 from splitknit.arguments import text_of
 from splitknit.errors import Refused, require
+from splitknit.findings import Finding, Severity, worst_first
 from splitknit.imaging.view import plane_points
 from splitknit.io.provenance import plain_json, provenance
 from splitknit.model import Array, side_lights
@@ -85,7 +86,7 @@ class CalibratedLights:
     leds: tuple[CalibratedLed, ...]
     rig: Rig
     """With these lights, as it is written."""
-    warnings: tuple[str, ...] = ()
+    findings: tuple[Finding, ...] = ()
     out: Path | None = None
     """The file that was written."""
 
@@ -93,7 +94,8 @@ class CalibratedLights:
     def facts(self) -> Any:
         """What ``splitknit calibrate lights`` prints as JSON."""
         document = {field: value for field, value in vars(self).items() if field != "rig"}
-        return plain_json({**document, "written": self.out is not None})
+        findings = [finding.facts for finding in self.findings]
+        return plain_json({**document, "findings": findings, "written": self.out is not None})
 
     def lines(self) -> list[str]:
         """What the method found, for people."""
@@ -148,11 +150,8 @@ class LightsOfNail(CalibratedLights):
             )
         if self.nail_height_mm is not None:
             lines.append(f"The nail is {self.nail_height_mm:.1f} mm high, from its shadows.")
-        lines += [f"Please note: {warning}" for warning in self.warnings]
+        lines += [f"Please note: {finding}" for finding in self.findings]
         lines.append(self.written_line())
-        if self.shadows_out_of_the_picture:
-            names = ", ".join(self.shadows_out_of_the_picture)
-            lines.append(f"Please note: the shadow leaves the picture for {names}.")
         if self.show:
             lines.append(
                 f"Please look at {self.show}: nail (cross), shadow tip (ring), ray to the LED"
@@ -230,9 +229,9 @@ def lights_of_tips(
                 *intervals.get((band, number), (None, None)),
             )
         )
-    warnings = _warnings(verdicts, joint, sound)
+    findings = _findings(verdicts, joint, sound)
     if rules.keep and sentence:
-        warnings.append(f"kept although {sentence}")
+        findings.append(Finding("kept-leds", f"kept although {sentence}", Severity.DOUBT))
     origin = provenance(
         {"method": method, "circle": circle, "limit_deg": rules.limit_deg, "nail": rules.nail},
         hashes,
@@ -246,12 +245,12 @@ def lights_of_tips(
             f"the side lights {listed(beside)} keep the places that the rig file had; a ball"
             " measures them"
         )
-        warnings.append(note)
+        findings.append(Finding("side-lights-kept", note))
     lights = LightsOfNail(
         method,
         tuple(leds),
         rig,
-        tuple(warnings),
+        worst_first(findings),
         limit_deg=rules.limit_deg,
         nail_positions=positions,
         nail_height_mm=height,
@@ -287,28 +286,30 @@ def rig_of(
     )
 
 
-def _warnings(
+def _findings(
     verdicts: Mapping[LedName, str], joint: JointFit | None, tips: Sequence[Tip]
-) -> list[str]:
-    warnings = []
+) -> list[Finding]:
+    findings = []
     if UNCHECKED in verdicts.values():
-        warnings.append(
+        words = (
             "the nail stood in one place only, so that nothing checks the directions; photograph it"
             " in a second place."
         )
+        findings.append(Finding("one-nail-position", words))
     if joint is not None and joint.outliers:
         astray = [
             f"{tips[row].name} ({np.linalg.norm(joint.residual_px[row]):.0f} px)"
             for row in joint.outliers
         ]
-        warnings.append(
+        words = (
             "these shadow tips lie far from where all others put them and were given little"
             f" weight: {', '.join(astray)}."
         )
+        findings.append(Finding("stray-tips", words))
     bands = {band for band, _ in verdicts}
     if len(bands) == 1:
-        warnings.append(f"the table has {min(bands)} LEDs only.")
-    return warnings
+        findings.append(Finding("one-band", f"the table has {min(bands)} LEDs only."))
+    return findings
 
 
 def check_tips(tips: Sequence[Tip], image_size: tuple[int, int], name: str = "the table") -> None:

@@ -20,6 +20,7 @@ from scipy.ndimage import map_coordinates, spline_filter
 
 from splitknit import Band, Capture, read_capture, write_rig
 from splitknit.errors import naming, require
+from splitknit.findings import Finding
 from splitknit.imaging.band import GREY_WEIGHTS, block_means, linear_channels, pick_channel
 from splitknit.imaging.polarised import crossed_place, undone
 from splitknit.io.capture import with_rig
@@ -78,12 +79,16 @@ def films_to_file(
     facts["leak_interval"] = [
         [rounded(max(a - 2 * b, 0.0)), rounded(a + 2 * b)] for a, b in zip(leak, error, strict=True)
     ]
-    facts["warnings"] += [
-        f"light {k}: {100 * part:.1f} % of the specular light is left in the crossed image; turn"
-        " its film or the analyser."
+    leaking = [
+        Finding(
+            "film-leak",
+            f"light {k}: {100 * part:.1f} % of the specular light is left in the crossed image;"
+            " turn its film or the analyser.",
+        )
         for k, part in enumerate(leak)
         if part > _MAX_LEAK
     ]
+    facts["findings"] += [finding.facts for finding in leaking]
     films = replace(films, leak=tuple(rounded(float(part)) for part in np.clip(leak, 0.0, 0.499)))
     hashes = {
         f"{name}/{file}": digest
@@ -179,9 +184,12 @@ def measure_card(card: Capture) -> tuple[Films, dict[str, Any], list[Array]]:
         "residual_largest_percent": [
             rounded(100 * float(np.nanmax(np.abs(residual)))) for residual in residuals
         ],
-        "warnings": [
-            f"the card's crossed image {k} departs by {departure:.1f} % (rms) from a parallel one"
-            " of other brightness; use a matt card."
+        "findings": [
+            Finding(
+                "glossy-card",
+                f"the card's crossed image {k} departs by {departure:.1f} % (rms) from a parallel"
+                " one of other brightness; use a matt card.",
+            ).facts
             for k, departure in enumerate(rms)
             if departure > _MATT_PERCENT and near.leds[k] == far.leds[k]
         ],

@@ -16,6 +16,7 @@ import numpy as np
 from splitknit import Band, Capture, Rig
 from splitknit.arguments import text_of
 from splitknit.errors import refusing, require
+from splitknit.findings import Finding, Severity, worst_first
 from splitknit.imaging.band import linear_image, linear_stack, pick_channel
 from splitknit.model import Array
 from splitknit_rig.calibration.card_model import CardPlane, card_light
@@ -202,7 +203,7 @@ class RadiometricCalibration:
     facts: Mapping[str, Any]
     """What is stored in the rig's provenance: plain JSON; of a rig that was written also ``out``
     and ``files``."""
-    warnings: tuple[str, ...]
+    findings: tuple[Finding, ...]
     base_tilt: bool = False
     """Whether the card was taken to lie as the rig's base does."""
 
@@ -256,7 +257,7 @@ def fit_radiometry(
         flat_field=flat,
         images=images,
         facts=facts,
-        warnings=_warnings(rig, images, flat, limit_percent),
+        findings=_findings(rig, images, flat, limit_percent),
     )
 
 
@@ -310,39 +311,44 @@ def _led_facts(
     }
 
 
-def _warnings(
+def _findings(
     rig: Rig, images: CardImages, flat: FlatField, limit_percent: float
-) -> tuple[str, ...]:
-    words = []
+) -> tuple[Finding, ...]:
+    findings = []
     for band, fraction in images.ambient_percent.items():
         if fraction is None:
-            words.append(
+            words = (
                 f"there is no ambient image of the band {band}: ambient light and black level"
                 " counted as the LEDs'."
             )
+            findings.append(Finding("no-ambient-image", words))
         elif fraction > _AMBIENT_PERCENT:
-            words.append(
+            words = (
                 f"light from elsewhere is {fraction:.1f} % of the {band} LEDs' (limit"
                 f" {_AMBIENT_PERCENT:g} %); close the lid, for it changes from image to image."
             )
+            findings.append(Finding("ambient-light", words))
     for k, largest in enumerate(flat.largest_percent):
         if largest > 3 * limit_percent:
-            words.append(
+            words = (
                 f"LED {led_name(rig.leds, k)} departs from the model by up to {largest:.1f} %: its"
                 " beam is not smooth, or something shadows it."
             )
+            findings.append(Finding("uneven-beam", words, Severity.DOUBT))
     dim = float(images.brightest.min())
     if dim < 0.25:
-        words.append(
+        words = (
             f"the darkest image reaches {100 * dim:.0f} % of full scale only; expose longer for"
             " less noise."
         )
+        findings.append(Finding("dark-photographs", words))
     if flat.gloss_percent > 0.5 * _GLOSS_PERCENT and flat.gloss_percent > 5 * flat.gloss_error:
-        words.append(
+        words = (
             f"the card shines a little: {flat.gloss_percent:.1f} % where a mirror would show the"
             " LEDs."
         )
-    return tuple(words)
+        findings.append(Finding("glossy-card", words))
+    return worst_first(findings)
 
 
 def _round(value: float) -> float:
@@ -357,8 +363,8 @@ class CardCheck:
     """``verdict``; of ``leds`` the ``ratio`` of brightness now to then, the ``own_ratio`` without
     the median of its band, and the ``pattern_percent``, robust deviation over the picture;
     ``common_ratio`` of each band, None where exposures are not known; ``ambient_percent``;
-    ``warnings``."""
-    warnings: tuple[str, ...]
+    ``findings``."""
+    findings: tuple[Finding, ...]
     limit_percent: float
 
     def __str__(self) -> str:
@@ -371,8 +377,8 @@ class CardCheck:
             lines.append(
                 "Only LEDs of one band are compared: the exposures are not known on both days."
             )
-        lines += [f"Please note: {warning}" for warning in self.warnings]
-        if not self.warnings:
+        lines += [f"Please note: {finding}" for finding in self.findings]
+        if not self.findings:
             lines.append(f"All LEDs are as calibrated, within {self.limit_percent:g} %.")
         return text_of(lines)
 
@@ -410,17 +416,19 @@ def check_card(capture: Capture, rig: Rig, limit_percent: float = DRIFT_PERCENT)
     own = ratio / np.array([middle[band] for band in bands])
     # else exposure, gain, lens and card are not known to be the same
     comparable = exposures_given and images.exposures_given
-    warnings: list[str] = []
+    findings: list[Finding] = []
     leds = []
     for k, value in enumerate(own):
         name = led_name(rig.leds, k)
         if abs(value - 1) > 0.01 * limit_percent:
-            warnings.append(f"LED {name} is {_change(float(value))} than at the calibration.")
+            words = f"LED {name} is {_change(float(value))} than at the calibration."
+            findings.append(Finding("drifted-led", words, Severity.DOUBT))
         if pattern[k] > _PATTERN_PERCENT:
-            warnings.append(
+            words = (
                 f"LED {name} lights the card otherwise than at the calibration ({pattern[k]:.1f} %"
                 " across the picture): it moved or turned."
             )
+            findings.append(Finding("moved-led", words, Severity.DOUBT))
         ratios = {
             "ratio": _round(ratio[k]),
             "own_ratio": _round(value),
@@ -429,25 +437,27 @@ def check_card(capture: Capture, rig: Rig, limit_percent: float = DRIFT_PERCENT)
         leds.append({"led": k, "name": name, **ratios})
     for band, value in middle.items():
         if comparable and abs(value - 1) > 0.01 * limit_percent:
-            warnings.append(
+            words = (
                 f"all {band} LEDs together are {_change(value)} than at the calibration: exposure,"
                 " gain, supply, lens or card changed."
             )
+            findings.append(Finding("drifted-band", words, Severity.DOUBT))
     for band, fraction in images.ambient_percent.items():
         if fraction is not None and fraction > _AMBIENT_PERCENT:
-            warnings.append(f"light from elsewhere is {fraction:.1f} % of the {band} LEDs'.")
+            words = f"light from elsewhere is {fraction:.1f} % of the {band} LEDs'."
+            findings.append(Finding("ambient-light", words))
     facts = {
-        "verdict": "drifted" if warnings else "as calibrated",
+        "verdict": "drifted" if findings else "as calibrated",
         "leds": leds,
         "common_ratio": {
             band: _round(value) if comparable else None for band, value in middle.items()
         },
         "ambient_percent": images.ambient_percent,
-        "warnings": warnings,
+        "findings": [finding.facts for finding in worst_first(findings)],
         "limit_percent": limit_percent,
         "inputs": dict(capture.hashes),
     }
-    return CardCheck(facts, tuple(warnings), limit_percent)
+    return CardCheck(facts, worst_first(findings), limit_percent)
 
 
 def _change(value: float) -> str:

@@ -64,7 +64,7 @@ def calibrate_to_file(
     facts = {
         **calibration.facts,
         "response": response,
-        "warnings": list(calibration.warnings),
+        "findings": [finding.facts for finding in calibration.findings],
         **provenance({"limit_percent": limit}, hashes),
     }
     progress("writing", 0.9)

@@ -24,6 +24,7 @@ from numpy.typing import NDArray
 from splitknit import BadInput, Rig
 from splitknit.devices import CameraDevice, Closing, ExposureRange, Frame, LightBank, Opened
 from splitknit.errors import importing, require
+from splitknit.findings import Finding
 from splitknit.model import nominal_rig
 from splitknit.settings import Checked, check_fields
 from splitknit_rig.capture.pins import RigFilms, pins_of, rig_films
@@ -232,13 +233,14 @@ _NIR_GAINS = (1.0, 1.0)  # the same under NIR, where the colour filters are tran
 _LONGEST_S = 0.2  # longest exposure time that the camera is asked for, 0.001 to 5 s
 _PREVIEW_COLUMNS = 800  # width of a preview, about
 _MAX_FRAMES = 30  # frames that are thrown away, at most, while waiting for a good one
-NOMINAL = (
+NOMINAL = Finding(
+    "nominal-leds",
     "no rig file was given: the LEDs' nominal positions are assumed; calibrate the rig and name its"
-    " file by `rig`"
+    " file by `rig`.",
 )
 UNTESTED = (
     "not tested on hardware, only on substitutes of cameras and GPIO lines; look at the first"
-    " frames"
+    " frames."
 )
 """Printed and stored with every capture until somebody has run it."""
 
@@ -594,8 +596,8 @@ def _open_analyser(rig: Rig) -> PiAnalyser | None:
 def opened_pi(rig: Rig | None, settings: PiCameraSettings) -> Iterator[Opened]:
     """Open LEDs, which go dark, and the camera of the settings, and close them; BadInput if there
     is none."""
-    untested = f"the {settings.camera} camera was {UNTESTED}"
-    notes = (untested,) if rig is not None else (NOMINAL, untested)
+    untested = Finding("untested-camera", f"the {settings.camera} camera was {UNTESTED}")
+    findings = (untested,) if rig is not None else (NOMINAL, untested)
     chosen = rig or replace(nominal_rig(), provenance={"source": "as drawn, not calibrated"})
     with ExitStack() as stack:
         lights = stack.enter_context(_open_lights(chosen))  # closed last
@@ -603,4 +605,6 @@ def opened_pi(rig: Rig | None, settings: PiCameraSettings) -> Iterator[Opened]:
         analyser = _open_analyser(chosen)
         if analyser is not None:
             stack.enter_context(analyser)
-        yield Opened("pi", camera, lights, chosen, {"pi": settings}, notes=notes, turn=analyser)
+        yield Opened(
+            "pi", camera, lights, chosen, {"pi": settings}, findings=findings, turn=analyser
+        )
