@@ -39,7 +39,6 @@ else:
         tuple[str, ...] | None,
         Parameter(consume_multiple=(0, 1), converter=lambda _, tokens: tokens[0].value),
     ]
-_BAR = 30
 _WHO = Parameter(group="Who (ids only, never names)")
 _MANY = Parameter(group="Many fingers")
 _TWIN = Parameter(group="Twin")
@@ -313,8 +312,9 @@ class _FocusBar:
     """Shows focus live on the terminal; Enter ends it."""
 
     def __call__(self, focus: Focus, watch: FocusWatch) -> bool:
-        full = round(_BAR * min(focus.sharpness / watch.best, 1.0)) if watch.best > 0 else 0
-        bar = "#" * full + "." * (_BAR - full)
+        width = 30
+        full = round(width * min(focus.sharpness / watch.best, 1.0)) if watch.best > 0 else 0
+        bar = "#" * full + "." * (width - full)
         text = f"focus |{bar}| {focus.sharpness:5.2f} %, best {watch.best:5.2f} (Enter: go on)"
         sys.stderr.write(f"\r{text}")
         sys.stderr.flush()

@@ -25,6 +25,13 @@ from splitknit.io.targets import check_rig_file
 from splitknit.model import Array, PixelArray, Progress, default_rig, no_progress
 from splitknit.plausible import CAMERA_HEIGHT
 from splitknit_rig.calibration.camera import CameraCalibration, fit_camera
+from splitknit_rig.calibration.parameters import (
+    FINGER_DEPTH_MM,
+    MAX_CAMERA_TILT_DEG,
+    MIN_VIEWS,
+    POSES_HEIGHT,
+    POSES_TILT_DEG,
+)
 from splitknit_rig.calibration.plane import PlanePose, mean_pose, plane_pose
 from splitknit_rig.calibration.targets import Board, find_board
 from splitknit_rig.calibration.words import camera_lines
@@ -178,7 +185,6 @@ def calibrate_to_rig(
 # Photographs of checkerboards: reading them, and finding what they show.
 
 SUFFIXES = (".png", ".jpg", ".jpeg", ".tif", ".tiff")
-LEAST = 5
 
 
 def _image_files(folder: Path, pattern: str | None = None) -> list[Path]:
@@ -260,13 +266,13 @@ def _board_photos(
             boardless.append(label)
         else:
             corners[label] = grid
-    if len(corners) < LEAST:
+    if len(corners) < MIN_VIEWS:
         named = ", ".join(boardless[:4]) + (" and more" if len(boardless) > 4 else "")
         missing = f" (not in {named})" if boardless else ""
         raise BadInput(
             f"{folder}: a checkerboard of {board.name} inner corners is in full view in"
-            f" {len(corners)} of {len(files)} photographs{missing}, but {LEAST} are needed and 15"
-            " are advised; compare `board` with the print (corners where four squares meet), or"
+            f" {len(corners)} of {len(files)} photographs{missing}, but {MIN_VIEWS} are needed and"
+            " 15 are advised; compare `board` with the print (corners where four squares meet), or"
             " take more, each tilted differently."
         )
     return corners, tuple(boardless)
@@ -286,12 +292,6 @@ def _plane_marks(photos: _Photos, file: Path, board: Board) -> Array:
 
 # What a camera's calibration measured, as facts for programs and as provenance for the rig file;
 # its findings.
-
-_TILT_LIMIT_DEG = 1.0
-_FINGER_MM = 8.0  # depth of the finger that the camera sees
-# photographs of one plane whose heights differ by more (relative) are warned about
-_POSES_HEIGHT = 0.003
-_POSES_TILT_DEG = 0.3  # the same of their tilts
 
 
 def _fit_facts(fit: CameraCalibration, boardless: Sequence[str]) -> dict[str, Any]:
@@ -348,21 +348,21 @@ def _plane_findings(
     camera: Camera, poses: Mapping[str, PlanePose], pose: PlanePose
 ) -> list[Finding]:
     findings = []
-    if pose.tilt_deg > _TILT_LIMIT_DEG:
+    if pose.tilt_deg > MAX_CAMERA_TILT_DEG:
         slope = math.tan(math.radians(pose.tilt_deg))
         reach = math.hypot(*camera.image_size) / 2 / camera.px_per_mm
         words = (
             f"the camera looks on the base obliquely by {pose.tilt_deg:.2f} deg: the picture's"
             f" corners lie up to {reach * slope:.2f} mm nearer or farther than its middle, which"
             f" displaces them by {reach**2 * slope / pose.height_mm:.2f} mm, and what stands"
-            f" {_FINGER_MM:g} mm high leans by {_FINGER_MM * slope:.2f} mm; straighten the camera,"
-            " or put something thin under the base."
+            f" {FINGER_DEPTH_MM:g} mm high leans by {FINGER_DEPTH_MM * slope:.2f} mm; straighten"
+            " the camera, or put something thin under the base."
         )
         findings.append(Finding("oblique-camera", words))
     heights = [single.height_mm for single in poses.values()]
     turns = [min(1.0, float(single.normal @ pose.normal)) for single in poses.values()]
     apart = float(np.degrees(np.arccos(turns)).max())
-    if max(heights) - min(heights) > _POSES_HEIGHT * pose.height_mm or apart > _POSES_TILT_DEG:
+    if max(heights) - min(heights) > POSES_HEIGHT * pose.height_mm or apart > POSES_TILT_DEG:
         each = ", ".join(
             f"{name} {p.height_mm:.2f} mm, {p.tilt_deg:.2f} deg" for name, p in poses.items()
         )

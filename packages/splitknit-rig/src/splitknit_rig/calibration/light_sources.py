@@ -48,9 +48,9 @@ from splitknit_rig.calibration.lights_found import (
     point_of,
     rig_of,
 )
-from splitknit_rig.calibration.nail_photos import NAIL_SD_MM, read_stack, tips_of_photos
+from splitknit_rig.calibration.nail_photos import read_stack, tips_of_photos
+from splitknit_rig.calibration.parameters import MIN_RIM_PX, NAIL_SD_MM, RIM_AGREED, RIM_OFF
 from splitknit_rig.calibration.sphere import (
-    RIM_PX,
     Ball,
     ball_of_mask,
     chrome_directions,
@@ -58,11 +58,6 @@ from splitknit_rig.calibration.sphere import (
     grey_directions,
     rim_of,
 )
-
-_RIM_AGREED = 0.5
-"""Fraction of all rays that must agree on a ball's rim: 0.53 on a photographed chrome ball that is
-half dark on dark, 0.55 and more on drawn ones, up to 0.40 where there is nothing but noise."""
-_RIM_OFF = 0.005  # fraction of the radius by which the rim must lie off the mask to replace it
 
 
 def check_lights_file(out: Path | None) -> None:
@@ -446,10 +441,9 @@ def _ball_within(mask: Path, stack: FloatArray, kind: str) -> tuple[Ball, list[F
     ball = ball_of_mask(pixels.mean(axis=2) > np.iinfo(pixels.dtype).max / 2)
     rim, agreed = rim_of(stack, ball)
     per_radius = 2.0 if kind == "chrome" else 1.0  # a mirror doubles what its normal turns by
-    if agreed < _RIM_AGREED:
-        small = (
-            f", as the ball is smaller than {2 * RIM_PX:g} px" if ball.radius_px < RIM_PX else ""
-        )
+    if agreed < RIM_AGREED:
+        is_small = ball.radius_px < MIN_RIM_PX
+        small = f", as the ball is smaller than {2 * MIN_RIM_PX:g} px" if is_small else ""
         words = (
             f"the ball's rim is not found in the photographs near its mask{small}, so that nothing"
             " checks it: each pixel of error turns the lights by"
@@ -459,7 +453,7 @@ def _ball_within(mask: Path, stack: FloatArray, kind: str) -> tuple[Ball, list[F
         return ball, [Finding("unchecked-mask", words)]
     offset = math.hypot(ball.column - rim.column, ball.row - rim.row)
     larger = ball.radius_px - rim.radius_px
-    if offset + abs(larger) < max(_RIM_OFF * rim.radius_px, 0.5):
+    if offset + abs(larger) < max(RIM_OFF * rim.radius_px, 0.5):
         return ball, []
     turned = math.degrees((per_radius * offset + 0.6 * abs(larger)) / rim.radius_px)
     words = (

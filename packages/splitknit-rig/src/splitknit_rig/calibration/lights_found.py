@@ -29,7 +29,14 @@ from splitknit_rig.calibration.lights import (
     name_of_led,
     pixels,
 )
-from splitknit_rig.calibration.nail import STRAY_MM, JointFit, Nail, by_joint_fit
+from splitknit_rig.calibration.nail import JointFit, Nail, by_joint_fit
+from splitknit_rig.calibration.parameters import (
+    BEYOND_BORDER,
+    COPY_MM,
+    MOVE_MM,
+    SAME_NAIL_MM,
+    STRAY_LED_MM,
+)
 
 LedName = tuple[str, int]
 """Band, and number in it."""
@@ -41,14 +48,6 @@ OK, DISAGREES, COPIED, UNCHECKED, STRAYS = (
     "unchecked",
     "off the circle",
 )
-_BEYOND = 0.02
-"""Part of the image's size by which a pixel may lie beyond its border: clicked beside the last
-pixel, not elsewhere."""
-_COPY_MM = 0.4
-"""Shadow tips of two nail positions nearer than this on the finger plane repeat; the thesis's
-copies lie up to 0.22."""
-_MOVE_MM = 1.0  # nail positions that are nearer than this are one position
-_SAME_NAIL_MM = 1.0  # the nail's pixel may differ so much between the rows of one position
 
 
 @dataclass(frozen=True, slots=True)
@@ -318,7 +317,10 @@ def check_tips(tips: Sequence[Tip], image_size: tuple[int, int], name: str = "th
     rows, columns = image_size
     for tip in tips:
         for what, (x, y) in (("nail", tip.nail_px), ("shadow's tip", tip.tip_px)):
-            inside = -_BEYOND <= x / columns <= 1 + _BEYOND and -_BEYOND <= y / rows <= 1 + _BEYOND
+            inside = (
+                -BEYOND_BORDER <= x / columns <= 1 + BEYOND_BORDER
+                and -BEYOND_BORDER <= y / rows <= 1 + BEYOND_BORDER
+            )
             require(
                 inside,
                 f"{name}: {tip.name}: the {what} at x = {x:g}, y = {y:g} lies outside the image of"
@@ -354,7 +356,7 @@ def copied_leds(tips: Sequence[Tip], camera: Camera) -> set[LedName]:
     for i, j in combinations(range(len(tips)), 2):
         moved, apart = (float(np.linalg.norm(places[i] - places[j])) for places in (nails, ends))
         same = (tips[i].band, tips[i].led) == (tips[j].band, tips[j].led)
-        if same and apart <= _COPY_MM and moved > _MOVE_MM:
+        if same and apart <= COPY_MM and moved > MOVE_MM:
             copied.add((tips[i].band, tips[i].led))
     return copied
 
@@ -368,7 +370,7 @@ def check_nails(tips: Sequence[Tip], camera: Camera) -> None:
         middle = np.median(places, axis=0)
         spread = float(np.linalg.norm(places - middle, axis=1).max())
         require(
-            spread <= _SAME_NAIL_MM,
+            spread <= SAME_NAIL_MM,
             f"nail {nail} of the {band} LEDs stands at places {spread:.1f} mm from each other; a"
             " nail number is one position, so correct its pixels or give each position a number of"
             " its own.",
@@ -377,7 +379,7 @@ def check_nails(tips: Sequence[Tip], camera: Camera) -> None:
     for first, second in combinations(sorted(middles), 2):
         distance = float(np.linalg.norm(middles[first] - middles[second]))
         require(
-            first[0] != second[0] or distance > _MOVE_MM,
+            first[0] != second[0] or distance > MOVE_MM,
             f"nails {first[1]} and {second[1]} of the {first[0]} LEDs stand {distance:.2f} mm from"
             " each other, which is one position; move the nail by a centimetre between them, or"
             " correct its pixels.",
@@ -418,7 +420,7 @@ def refusal(
     sentences = {
         DISAGREES: f"two nail positions disagree by more than {limit_deg:g} deg about {{}}",
         COPIED: "the shadow tips of {} are copies: they repeat although the nail moved",
-        STRAYS: f"{{}} would stand more than {STRAY_MM:g} mm outside or inside the LED circle",
+        STRAYS: f"{{}} would stand more than {STRAY_LED_MM:g} mm outside or inside the LED circle",
     }
     parts = [
         text.format(listed(named[verdict]))
