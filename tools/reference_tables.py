@@ -23,11 +23,12 @@ from itertools import groupby
 from pathlib import Path
 from typing import Any
 
-from splitknit.diagnosis.codes import CODES
+from splitknit.diagnosis.codes import CODES, Code
 from splitknit.presets import PRESETS
 from splitknit_match.matching.surface import MatchingSettings
 from splitknit_rig.capture.pi import PiCameraSettings
 from splitknit_rig.capture.session import SessionSettings
+from splitknit_rig.codes import CODES as RIG_CODES
 from splitknit_simulator.bench_photos import BenchPhotos
 from splitknit_simulator.population.sessions import PopulationSettings
 from splitknit_simulator.scene import TwinSettings
@@ -157,19 +158,38 @@ def settings_table() -> str:
     return "\n\n".join(parts)
 
 
-def findings_table() -> str:
-    """Every code."""
-    rows = [
-        f"| `{name}` | {code.meaning} | {code.remedy} | {code.wrong} |"
-        for name, code in sorted(CODES.items())
+MEMBERS: tuple[tuple[str, dict[str, Code], str], ...] = (
+    (
+        "splitknit-rig",
+        RIG_CODES,
+        "What `calibrate` and `capture` find, in `findings` of their results and of `--json`. A"
+        " `doubt` comes first; what was measured is written all the same. `ambient-light`,"
+        " `assumed-encoding`, `dark-photographs`, `drifted-led` and `odd-camera-height` are as"
+        " above.",
+    ),
+)
+"""Name, codes and words of each member that has codes of its own."""
+
+
+def code_table(codes: dict[str, Code]) -> str:
+    """One row a code, by name."""
+    lines = [
+        "| code | what it means | what to do | how often on sound captures |",
+        "| --- | --- | --- | --- |",
     ]
-    return "\n".join(
-        [
-            "| code | what it means | what to do | how often on sound captures |",
-            "| --- | --- | --- | --- |",
-            *rows,
-        ]
-    )
+    lines += [
+        f"| `{name}` | {code.meaning} | {code.remedy} | {code.wrong} |"
+        for name, code in sorted(codes.items())
+    ]
+    return "\n".join(lines)
+
+
+def findings_table() -> str:
+    """Every code, the core's first."""
+    parts = [code_table(CODES)]
+    for member, codes, words in MEMBERS:
+        parts += [f"## {member}", words, code_table(codes)]
+    return "\n\n".join(parts)
 
 
 @dataclass(frozen=True)

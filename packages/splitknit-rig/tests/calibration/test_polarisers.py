@@ -67,7 +67,7 @@ def check(folder: Path, films: Films, tmp_path: Path, capsys: pytest.CaptureFixt
     np.testing.assert_allclose(found.shift_px, films.shift_px, atol=0.1)
     assert found.scale == pytest.approx(films.scale, abs=1e-4)
     np.testing.assert_allclose(found.leak, films.leak, rtol=0.05, atol=1e-4)
-    assert facts["warnings"] == []
+    assert facts["findings"] == []
     assert max(facts["residual_rms_percent"]) < 1.0
     assert read_image(tmp_path / "left.png").shape[1] > 7 * 240
     return found
