@@ -29,7 +29,8 @@ from splitknit_simulator.finger.master_print import (
     MasterPrintSettings,
     master_of_print,
 )
-from splitknit_simulator.finger.motion import EXPOSURE_S, draw_path, moving_finger
+from splitknit_simulator.finger.motion import draw_path, moving_finger
+from splitknit_simulator.finger.parameters import SHOT_EXPOSURE_S
 from splitknit_simulator.finger.shape import shape_of_rolled_print
 from splitknit_simulator.light.films import FilmSettings, with_crossed_leds
 from splitknit_simulator.light.lighting import white_card
@@ -301,7 +302,7 @@ def _photograph_moving(
     background_seed, noise_seed = drawn.photo_seed.spawn(2)
     lit: dict[str, list[_Shot]] = {}
     truth: dict[str, NDArray[Any]] = {}
-    exposed_px = EXPOSURE_S * rig.camera.px_per_mm
+    exposed_px = SHOT_EXPOSURE_S * rig.camera.px_per_mm
     for number, ((name, leds), surface) in enumerate(
         zip(shots, moving.surfaces(settings.render.workers), strict=True)
     ):
