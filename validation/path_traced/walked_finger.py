@@ -31,10 +31,10 @@ from splitknit.settings import Checked, Limits
 from splitknit_simulator.camera.sensor import SensorSettings, record
 from splitknit_simulator.light.films import Films, FilmSettings, mounted_films, moved
 from splitknit_simulator.light.lighting import towards
+from splitknit_simulator.light.parameters import REFRACTIVE_INDEX
 from splitknit_simulator.light.skin import (
     BAND_CHANNELS,
     CHANNELS,
-    REFRACTIVE_INDEX,
     Channel,
     SkinOptics,
     diffuse_transmittance,

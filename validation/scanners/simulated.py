@@ -30,7 +30,8 @@ from splitknit_simulator.finger.raycast import (
 )
 from splitknit_simulator.finger.shape import FingerBody
 from splitknit_simulator.finger.skin_map import skin_map
-from splitknit_simulator.light.lighting import LED_RADIUS_MM, cut_out, light_on
+from splitknit_simulator.light.lighting import cut_out, light_on
+from splitknit_simulator.light.parameters import LED_RADIUS_MM
 from splitknit_simulator.light.renderer import Relief, RenderSettings, SubsurfaceScattering
 from splitknit_simulator.light.skin import Medium
 from splitknit_simulator.scene import TwinSettings

@@ -11,8 +11,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from splitknit_simulator.light.parameters import REFRACTIVE_INDEX
 from splitknit_simulator.light.skin import (
-    REFRACTIVE_INDEX,
     Channel,
     ChannelOptics,
     SkinOptics,

@@ -11,10 +11,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from splitknit.model import Camera, Led
+from splitknit_simulator.light.parameters import REFRACTIVE_INDEX
 from splitknit_simulator.light.renderer import RenderSettings, render_band
 from splitknit_simulator.light.skin import (
     CHANNELS,
-    REFRACTIVE_INDEX,
     Medium,
     SkinOptics,
     diffuse_transmittance,

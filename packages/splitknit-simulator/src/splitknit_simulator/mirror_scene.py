@@ -11,7 +11,6 @@ from splitknit import Camera, Led, Mirror, Rig
 from splitknit.errors import require
 from splitknit.model import BoolArray, FloatArray, PixelArray
 from splitknit_simulator.light.lighting import (
-    LED_RADIUS_MM,
     Patch,
     cut_out,
     finger_window,
@@ -19,6 +18,7 @@ from splitknit_simulator.light.lighting import (
     light_on,
     white_card,
 )
+from splitknit_simulator.light.parameters import LED_RADIUS_MM
 from splitknit_simulator.light.renderer import (
     BandLight,
     Relief,

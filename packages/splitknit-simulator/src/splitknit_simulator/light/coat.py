@@ -11,20 +11,21 @@ from numpy.typing import NDArray
 from splitknit import Camera, Led
 from splitknit.model import BoolArray, FloatArray
 from splitknit_simulator.light.lighting import Patch, angular_size, towards
-from splitknit_simulator.light.skin import REFRACTIVE_INDEX, diffuse_transmittance, fresnel
+from splitknit_simulator.light.parameters import (
+    DUST_DENSITY_MG_PER_MM3,
+    GRAIN_ALBEDO,
+    GRAIN_MEDIAN_UM,
+    GRAIN_SPREAD,
+    REFRACTIVE_INDEX,
+)
+from splitknit_simulator.light.skin import diffuse_transmittance, fresnel
 from splitknit_simulator.surface import WATER, Coat, Film, Grains
 
-MAX_MG_PER_CM2 = 0.64
-"""Most outdoor dust that adheres to the skin of young adults (Changchun, China; indoor dust:
-0.35)."""
-MEDIAN_UM = 20.0
-"""Median diameter of the grains, by number; with the spread below the mean by area is 47 um. Dust
-under 100 um sticks to skin, above 250 um it does not (Cao et al. 2012)."""
-SPREAD = 1.8  # geometric standard deviation of the diameters
-LARGEST_UM = 250.0
-DENSITY_MG_PER_MM3 = 2.0  # density of soil and house dust: 1.5 to 2.6
-# albedo of single grains, uniform between these: soot and soil to flour and skin scales
-ALBEDO = (0.08, 0.6)
+_MAX_DUST_MG_PER_CM2 = 0.64
+"""Largest mass of dust on skin. Source: outdoor dust that adheres to the skin of young adults in
+Changchun, China (indoor dust: 0.35)."""
+_LARGEST_GRAIN_UM = 250.0
+"""Diameter above which grains do not stick to skin. Source: Cao et al. 2012."""
 
 
 # Dust: how many grains of what size, and where they and their shadows lie in the picture.
@@ -33,13 +34,13 @@ ALBEDO = (0.08, 0.6)
 def draw_grains(
     rng: np.random.Generator, mask: BoolArray, nz: FloatArray, camera: Camera, severity: float
 ) -> Grains:
-    """Strew grains evenly over the skin that the camera sees, `severity` times `MAX_MG_PER_CM2`.
+    """Strew grains evenly over the skin that the camera sees, at severity 1 as much as skin holds.
 
     `nz` (H, W): z component of the shape's normals: a pixel on a slant shows more skin.
     """
-    spread = float(np.log(SPREAD))
-    volume = np.pi / 6.0 * (1e-3 * MEDIAN_UM) ** 3 * float(np.exp(4.5 * spread**2))
-    per_mm2 = severity * MAX_MG_PER_CM2 / 100.0 / (volume * DENSITY_MG_PER_MM3)
+    spread = float(np.log(GRAIN_SPREAD))
+    volume = np.pi / 6.0 * (1e-3 * GRAIN_MEDIAN_UM) ** 3 * float(np.exp(4.5 * spread**2))
+    per_mm2 = severity * _MAX_DUST_MG_PER_CM2 / 100.0 / (volume * DUST_DENSITY_MG_PER_MM3)
     rows, columns = mask.shape
     # drawn over the whole frame in mm and then thinned, so that every scale of the picture shows
     # the same dust
@@ -48,13 +49,13 @@ def draw_grains(
     count = int(rng.poisson(steep * per_mm2 * width * height))
     place = rng.random((2, count))
     column, row = place[0] * columns - 0.5, place[1] * rows - 0.5
-    diameter = 1e-3 * MEDIAN_UM * np.exp(spread * rng.standard_normal(count))
-    albedo = rng.uniform(*ALBEDO, count)
+    diameter = 1e-3 * GRAIN_MEDIAN_UM * np.exp(spread * rng.standard_normal(count))
+    albedo = rng.uniform(*GRAIN_ALBEDO, count)
     chance = rng.random(count)
     i = np.clip(np.rint(row).astype(np.intp), 0, rows - 1)
     j = np.clip(np.rint(column).astype(np.intp), 0, columns - 1)
     skin = mask[i, j] & (chance < 1.0 / (steep * np.maximum(nz[i, j], 1.0 / steep)))
-    keep = skin & (diameter < 1e-3 * LARGEST_UM)
+    keep = skin & (diameter < 1e-3 * _LARGEST_GRAIN_UM)
     return Grains(column[keep], row[keep], 0.5 * diameter[keep] * camera.px_per_mm, albedo[keep])
 
 
