@@ -42,9 +42,9 @@ from splitknit_simulator.mirror_twin import (
     poses_between_mirrors,
     rig_with_mirrors,
 )
+from splitknit_simulator.parameters import BACKGROUND_MM
 from splitknit_simulator.rigs import coloured_rig, with_side_lights
 from splitknit_simulator.scene import (
-    BACKGROUND_MM,
     Scene,
     Taken,
     TwinSettings,
@@ -95,7 +95,7 @@ def finger_of_print(path: Path, seed: int, *, rolled: bool) -> SimulatedFinger:
     finger = replace(draw_finger(seed), pattern="print", printed=master_of_print(grey, seed))
     if not rolled:
         return finger
-    return replace(finger, shape=shape_of_rolled_print(_inked(grey), _PRINT_MM, finger.shape))
+    return replace(finger, shape=shape_of_rolled_print(_inked(grey), _PRINT_PITCH_MM, finger.shape))
 
 
 def master_of_print_file(
@@ -130,7 +130,8 @@ def _inked(grey: NDArray[np.uint8]) -> BoolArray:
     return cv2.morphologyEx(closed, cv2.MORPH_OPEN, disc).astype(np.bool_)
 
 
-_PRINT_MM = 25.4 / 500
+_PRINT_PITCH_MM = 25.4 / 500
+"""Size of a pixel of a print. Source: definition, 500 pixels an inch."""
 
 
 def simulate_capture(

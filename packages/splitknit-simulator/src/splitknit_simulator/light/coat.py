@@ -19,7 +19,7 @@ from splitknit_simulator.light.parameters import (
     REFRACTIVE_INDEX,
 )
 from splitknit_simulator.light.skin import diffuse_transmittance, fresnel
-from splitknit_simulator.surface import WATER, Coat, Film, Grains
+from splitknit_simulator.surface import WATER_INDEX, Coat, Film, Grains
 
 _MAX_DUST_MG_PER_CM2 = 0.64
 """Largest mass of dust on skin. Source: outdoor dust that adheres to the skin of young adults in
@@ -162,7 +162,7 @@ class CoatedPatch:
             fraction = fraction * (1.0 - self.scales)
         if self.film is not None:
             cosine = np.clip(_dot(_apart(self.film.normals), self.view), 0.05, 1.0)
-            through = (1.0 - fresnel(cosine, WATER)) / diffuse_transmittance(WATER)
+            through = (1.0 - fresnel(cosine, WATER_INDEX)) / diffuse_transmittance(WATER_INDEX)
             bare = (1.0 - fresnel(np.clip(self.patch.nv, 0.05, 1.0))) / diffuse_transmittance()
             fraction = fraction * (1.0 + self.film.fraction * (through / bare - 1.0))
         return np.asarray(fraction, dtype=np.float32)
@@ -211,7 +211,7 @@ class CoatedPatch:
                 self._under_water(light, strength, normal) - entering
             )
             water = _reflected(
-                normal, light, self.view, np.minimum(film.roughness + size, 1.0), index=WATER
+                normal, light, self.view, np.minimum(film.roughness + size, 1.0), index=WATER_INDEX
             )
             gloss = gloss + film.fraction * (water - gloss)
         if self.scales is not None:
@@ -236,13 +236,13 @@ class CoatedPatch:
         cosine of it.
         """
         above = np.maximum(_dot(light, normal), 0.0)
-        below = np.sqrt(np.maximum(1.0 - (1.0 - above * above) / WATER**2, 0.0))
-        stretch = below - above / WATER
-        x, y, z = (part / WATER + stretch * n for part, n in zip(light, normal, strict=True))
+        below = np.sqrt(np.maximum(1.0 - (1.0 - above * above) / WATER_INDEX**2, 0.0))
+        stretch = below - above / WATER_INDEX
+        x, y, z = (part / WATER_INDEX + stretch * n for part, n in zip(light, normal, strict=True))
         bent = (x, y, z)
         on_skin = np.maximum(_dot(bent, self.normal), 0.0)
-        within = strength * above * (1.0 - fresnel(above, WATER)) / below
-        return within * on_skin * (1.0 - fresnel(on_skin, REFRACTIVE_INDEX / WATER))
+        within = strength * above * (1.0 - fresnel(above, WATER_INDEX)) / below
+        return within * on_skin * (1.0 - fresnel(on_skin, REFRACTIVE_INDEX / WATER_INDEX))
 
     def _shadow(self, light: Vectors) -> FloatArray:
         """(h, w) fraction of the skin's light that grains take: a ball on the ground shades a disc

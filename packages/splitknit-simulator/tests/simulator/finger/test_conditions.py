@@ -20,7 +20,7 @@ from splitknit_simulator.light.coat import draw_grains
 from splitknit_simulator.light.parameters import DUST_DENSITY_MG_PER_MM3
 from splitknit_simulator.light.renderer import RenderSettings, render_band
 from splitknit_simulator.light.skin import Medium, SkinOptics, fresnel
-from splitknit_simulator.surface import WATER, Coat, Film, Grains
+from splitknit_simulator.surface import WATER_INDEX, Coat, Film, Grains
 from surfaces import ridged_egg
 
 SMALL = MasterPrintSettings(half_width_mm=6, distal_mm=20, proximal_mm=2)
@@ -94,7 +94,7 @@ def test_light_bends_towards_the_normal_under_water(egg):
     assert 0.97 < ratio < 1.06  # a film over smooth skin is hardly darker
     assert contrast(wet_blue[0][None]) < contrast(bare_blue[0][None])
     top = float(wet.glare.max() / bare.glare.max())
-    mirrors = fresnel(np.ones(1), WATER)[0] / (0.8 * fresnel(np.ones(1), 1.42)[0])
+    mirrors = fresnel(np.ones(1), WATER_INDEX)[0] / (0.8 * fresnel(np.ones(1), 1.42)[0])
     assert top == pytest.approx(mirrors * (0.25 / 0.05) ** 2, rel=0.4)
 
 
