@@ -25,9 +25,11 @@ from splitknit_match.rolled.register import ridges_of
 from splitknit_match.rolled.views import find_mirror_views
 
 BANDS_DEG = ((0, 30), (30, 60), (60, 90), (90, 110))
-"""Of the angle between the skin and the camera's axis."""
-CAP_MM, BASE_MM = 0.0, 14.0
-"""Rows that are measured: from the tip's cap downwards, as far as this; creases lie below."""
+"""Bands of the angle between the skin and the camera's axis."""
+CAP_MM = 0.0
+"""Upper end of the rows that are measured: the tip's cap."""
+BASE_MM = 14.0
+"""How far down from the cap rows are measured; creases lie below."""
 BESIDE_MM = 1.5
 STEP = 2
 """Every so many of the chart's pixels."""

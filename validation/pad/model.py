@@ -38,16 +38,16 @@ VARIANTS: dict[str, Callable[[Row], bool]] = {
     "skin that is not clean": lambda row: row["state"] != "clean",
 }
 """Simulator's variants that are left out in turn."""
-BPCER, UNKNOWN = 0.01, 0.12
-"""Aims of the thresholds: live fingers called attacks, and live fingers called unknown because of
-their odds."""
+BPCER = 0.01
+"""Fraction of live fingers that the thresholds may call attacks."""
+UNKNOWN = 0.12
+"""Fraction of live fingers that the thresholds may call unknown because of their odds."""
 FAR = 1.5
 """By how much the log odds of what training did not cover must lie below those of an attack to be
 called one."""
 MODEL = (
     Path(__file__).parents[2] / "packages" / "splitknit" / "src" / "splitknit" / "pad_model.json"
 )
-TABLES = Path(__file__).parent / "tables"
 Row = dict
 Model = dict
 

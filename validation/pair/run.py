@@ -55,11 +55,14 @@ UNEVEN = ((0.4, 0.6), (0.3, 0.1))
 of the brush."""
 VALLEYS = 0.4
 """How much thicker than the mean powder lies in valleys, and thinner on ridges."""
-GEL_MM, GEL_REACH_MM, PRESSED = 0.03, 0.06, 0.85
-"""A gel follows the skin blurred by a Gaussian, into valleys down to a depth, and presses ridges
-flatter."""
+GEL_SIGMA_MM = 0.03
+"""Standard deviation of the Gaussian by which a gel blurs the skin."""
+GEL_REACH_MM = 0.06
+"""Depth down to which a gel follows valleys."""
+PRESSED = 0.85
+"""Height of ridges below a gel over their own: it presses them flatter."""
 PITCH_MM = 0.03
-"""Of the gel's picture."""
+"""Pitch of the gel's picture."""
 
 
 def truth_of(surface: SimulatedSurface, name: str) -> Reconstruction:
@@ -122,7 +125,7 @@ def on_gel(finger: SimulatedFinger, rng: np.random.Generator) -> Reconstruction:
     v = np.sin(turn) * x + np.cos(turn) * y[:, None] + 12.0 + rng.uniform(-1, 1)
     relief = PRESSED * skin.displacement(u, v)
     reached = GEL_REACH_MM * np.tanh(relief / GEL_REACH_MM)
-    relief = ndimage.gaussian_filter(reached, GEL_MM / PITCH_MM).astype(np.float32)
+    relief = ndimage.gaussian_filter(reached, GEL_SIGMA_MM / PITCH_MM).astype(np.float32)
     mask = np.hypot(x / 6.5, y[:, None] / 7.8) < 1.0
     seen = np.where(mask, np.float32(1), np.float32(np.nan))
     plane = (0.01 * x + 0.02 * y[:, None]).astype(np.float32)

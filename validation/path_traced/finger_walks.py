@@ -15,12 +15,14 @@ from typing import Any
 import numpy as np
 from numba import njit, prange
 
-_GOLD, _MIX_A, _MIX_B = (
-    np.uint64(0x9E3779B97F4A7C15),
-    np.uint64(0xBF58476D1CE4E5B9),
-    np.uint64(0x94D049BB133111EB),
-)
-_S11, _S27, _S30, _S31 = np.uint64(11), np.uint64(27), np.uint64(30), np.uint64(31)
+# constants of SplitMix64, of the type that numba needs beside a state
+_GAMMA = np.uint64(0x9E3779B97F4A7C15)
+_MIX_A = np.uint64(0xBF58476D1CE4E5B9)
+_MIX_B = np.uint64(0x94D049BB133111EB)
+_S11 = np.uint64(11)
+_S27 = np.uint64(27)
+_S30 = np.uint64(30)
+_S31 = np.uint64(31)
 
 FAINT = 0.3
 """A walk that will bring less than this back goes on with the chance of this part, and more
@@ -51,13 +53,13 @@ def _mixed(state: Any) -> Any:
 
 @njit(cache=True, fastmath=True, inline="always")
 def _random(state: Any) -> Any:
-    state = state + _GOLD
+    state = state + _GAMMA
     return state, float(_mixed(state) >> _S11) * (1.0 / 9007199254740992.0)
 
 
 @njit(cache=True, fastmath=True)
 def _stream(seed: Any, index: Any) -> Any:
-    return _mixed(_mixed(np.uint64(seed) + _GOLD) + np.uint64(index) * _GOLD)
+    return _mixed(_mixed(np.uint64(seed) + _GAMMA) + np.uint64(index) * _GAMMA)
 
 
 @njit(cache=True, fastmath=True)

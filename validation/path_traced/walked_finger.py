@@ -54,10 +54,11 @@ EXPOSURE = 0.7
 """Fraction of full scale that the brightest light from within the skin reaches."""
 LAYERS = 32
 """Layers that hold the light, five to a mean free path."""
-SCATTERED, STARTS = (0.05, 0.4), (0.15, 0.6)
-"""Gaussians that smooth a layer of fluence: their standard deviation over depth, and in pixels at
-least. For scattered light, and for unscattered light where walks begin; where it is seen, it is not
-smoothed."""
+SCATTERED_SMOOTHING = (0.05, 0.4)
+"""Gaussian that smooths a layer of scattered fluence: its standard deviation over the layer's
+depth, and in pixels at least."""
+STARTS_SMOOTHING = (0.15, 0.6)
+"""The same for unscattered light where walks begin; where it is seen, it is not smoothed."""
 MOST_PX = 3.0
 """Largest standard deviation of these Gaussians."""
 REGRESSION_MM = (0.3, 0.15)
@@ -361,7 +362,7 @@ def walk_solid(
     )
     _share_border(first, 2.0)
     starts = first.copy()
-    _smooth(starts, solid.sides, layer_px, STARTS)
+    _smooth(starts, solid.sides, layer_px, STARTS_SMOOTHING)
     progress("first light", 0.2)
     pixels = np.argwhere(surface.mask)
     _share_border(starts, 0.5)
@@ -378,7 +379,7 @@ def walk_solid(
     kernels.scatter(*optics, starts, layer_px, medium, density, seeds[1], fluence)
     del starts
     _share_border(fluence, 2.0)
-    _smooth(fluence, solid.sides, layer_px, SCATTERED)
+    _smooth(fluence, solid.sides, layer_px, SCATTERED_SMOOTHING)
     fluence += first
     progress("scattering", 0.7)
     sums, once = np.zeros((len(pixels), 2, count)), np.zeros((len(pixels), count))

@@ -31,8 +31,10 @@ from separation import photographs  # noqa: E402
 
 FIRST = HELD_OUT_FROM + 1000
 """Not those of the learning curve either."""
-FRACTION_FROM, FRACTION_COUNT = 100, 4
+FRACTION_FROM = 100
 """Photographs of palms and fingers from this number on (not judged) give the constant fraction."""
+FRACTION_COUNT = 4
+"""Number of these photographs."""
 PALMS = 6
 
 

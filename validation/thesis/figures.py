@@ -331,7 +331,8 @@ def accuracies(rows: Sequence[Mapping[str, str]]) -> list[Any]:
     return groups
 
 
-PATCH_MM, PATCH_PX = 5.0, 220
+PATCH_MM = 5.0
+PATCH_PX = 220
 
 
 def surfaces(capture: Capture) -> NDArray[np.uint8]:
