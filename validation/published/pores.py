@@ -41,13 +41,13 @@ DIRECTION_SIGMA_MM = 0.3
 """Sigma over which the ridges' direction is averaged."""
 CONTRAST_SIGMA_MM = 0.5
 """Sigma over which the ridges' amplitude is averaged."""
-CREST = 0.25
+MIN_CREST = 0.25
 """Height of a crest's sides, in amplitudes: pores lie above."""
 DIRECTIONS = 16
 MAX_PITCH_MM = 0.034
-REACH_MM = (0.4, 0.3, 0.2)
+ROUND_PAIR_MM = (0.4, 0.3, 0.2)
 """Within which pores are paired in each round of the alignment."""
-NEAR_MM = 0.12
+MAX_PAIR_MM = 0.12
 """At most between two pores that are the same: a pore's diameter."""
 
 
@@ -94,7 +94,7 @@ def find_pores(
     reach = 2 * round(DIAMETER_MM / pitch_mm / 2) + 1
     peak = depth >= cv2.dilate(depth, np.ones((reach, reach), np.uint8))
     edge = cv2.erode(mask.astype(np.uint8), np.ones((2 * reach + 1, 2 * reach + 1), np.uint8)) > 0
-    rows, columns = np.nonzero(peak & edge & (crest > CREST) & (depth > least))
+    rows, columns = np.nonzero(peak & edge & (crest > MIN_CREST) & (depth > least))
     found = np.stack([columns, rows, depth[rows, columns]], axis=1).astype(np.float32)
     return found[np.argsort(-found[:, 2], kind="stable")]
 
@@ -163,12 +163,12 @@ def pore_match(a: PoreTemplate, b: PoreTemplate) -> PoreMatch:
     valid, pitch = band.valid, band.pitch_mm
     found, affine = lay(left.ridges, right.ridges)
     bend, back = bent(grid, compare_patches(grid, band, affine)), np.linalg.inv(affine[:, :2]).T
-    for reach in REACH_MM:
+    for reach in ROUND_PAIR_MM:
         there = shown_in_a(grid, affine, bend, right.pores)
         one, other = _nearest(there, left.pores, reach / pitch)
         bend = bend + bent_by(grid, right.pores[one], (there[one] - left.pores[other]) @ back)
     there = shown_in_a(grid, affine, bend, right.pores)
-    pairs = len(_nearest(there, left.pores, NEAR_MM / pitch)[0])
+    pairs = len(_nearest(there, left.pores, MAX_PAIR_MM / pitch)[0])
     shown = (
         on_ridges(right.ridges.template.valid, (left.pores - affine[:, 2]) @ back),
         on_ridges(valid, there),

@@ -54,7 +54,7 @@ DERMIS_G = 0.81
 EPIDERMIS = 50.0, 3.8, 0.08
 """Scattering and absorption per mm, and thickness in mm: the prior of each pixel."""
 DERMIS_W = 21.7 / (21.7 + 0.3)
-BASE = 0.45
+BASE_ALBEDO = 0.45
 """Fraction of the light that the matt base gives back, of the median pixel."""
 NOISE_SD = 0.02
 """Standard deviation of an image's noise, relative to the albedo."""
@@ -74,12 +74,12 @@ DAMPING_UP = 8.0
 DAMPING_DOWN = 0.15
 """Factor of the damping after a step that lowered the cost."""
 MAX_STEPS = np.array([0.25, 0.25, 0.7, 2.0, 1.5], dtype=np.float32)[:, None]
-LOW = np.array([-np.inf, -np.inf, -4.0, -9.0, -6.0], dtype=np.float32)[:, None]
-HIGH = np.array([np.inf, np.inf, 4.0, 9.0, 5.0], dtype=np.float32)[:, None]
+LOWER_LIMITS = np.array([-np.inf, -np.inf, -4.0, -9.0, -6.0], dtype=np.float32)[:, None]
+UPPER_LIMITS = np.array([np.inf, np.inf, 4.0, 9.0, 5.0], dtype=np.float32)[:, None]
 STEEPEST = 0.97
 """Largest f^2 + g^2: 89 deg of slant."""
 MAX_SLOPE = 6.0
-AT_ONCE = 20_000
+PIXELS_AT_A_TIME = 20_000
 
 
 def refracted(cosine: Array) -> tuple[Array, Array]:
@@ -241,7 +241,7 @@ def moved(parameters: Array, step: Array) -> Array:
     """Parameters after a step, none further than its longest one, inside the hemisphere and the
     bounds."""
     shorter = np.minimum(1, (MAX_STEPS / np.maximum(np.abs(step), 1e-20)).min(axis=0))
-    result = np.clip(parameters + step * shorter, LOW, HIGH)
+    result = np.clip(parameters + step * shorter, LOWER_LIMITS, UPPER_LIMITS)
     square = result[0] ** 2 + result[1] ** 2
     result[:2] *= np.minimum(1, np.sqrt(STEEPEST / np.maximum(square, 1e-20)))
     return np.asarray(result, dtype=np.float32)
@@ -253,11 +253,11 @@ def layered_normals(
     """Normals (H, W, 3) and albedo (H, W) of images (L, H, W) under distant lights (L, 3)."""
     normals, albedo = lambertian(images, lights, inside)
     typical = float(np.median(albedo[inside]))
-    exposure = np.pi * typical / (BASE * INDEX**2)
+    exposure = np.pi * typical / (BASE_ALBEDO * INDEX**2)
     places = np.flatnonzero(inside)
     flat = images.reshape(len(images), -1)
     towards, bright = normals.reshape(-1, 3), albedo.ravel()
-    for part in np.array_split(places, max(1, len(places) // AT_ONCE)):
+    for part in np.array_split(places, max(1, len(places) // PIXELS_AT_A_TIME)):
         faint = np.maximum(bright[part], np.float32(1e-4 * typical))
         found = fit(flat[:, part], lights, towards[part].T, faint, exposure)
         towards[part] = directions(found[0], found[1])[0].T

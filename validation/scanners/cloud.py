@@ -28,7 +28,7 @@ VIEWS = {
     f"{sign}{axis}": (k, -1 if sign else 1) for k, axis in enumerate("xyz") for sign in ("", "-")
 }
 """Axis towards the viewer, and its sign, by name."""
-STEEPEST = (0.2, 0.4)
+FADE_COSINES = (0.2, 0.4)
 """Cosines of the slants between which the relief fades out: 78 and 66 degrees."""
 FINEST_MM = 0.015
 """Finest grid on which scattered points are fitted: 30 pixels a ridge."""
@@ -74,7 +74,9 @@ def result_of_points(
     normals = normals_from_gradients(*height_gradients(height, pitch)) * mask[..., None]
     normals[~mask] = 0.0
     rows, columns = (np.arange(side, dtype=np.float64) * np.float64(pitch) for side in mask.shape)
-    trust = np.clip((normals[..., 2] - STEEPEST[0]) / (STEEPEST[1] - STEEPEST[0]), 0.0, 1.0)
+    trust = np.clip(
+        (normals[..., 2] - FADE_COSINES[0]) / (FADE_COSINES[1] - FADE_COSINES[0]), 0.0, 1.0
+    )
     relief = detail_of(height, trust, Grid(mask, columns, -rows, pitch, (False,) * 4))
     relief[~mask] = np.nan
     upright = find_upright(mask, tip_direction_deg)

@@ -27,7 +27,7 @@ sys.path.append(str(Path(__file__).resolve().parents[2] / "training"))
 from palms import draw_palm, palm_surface
 
 PX_PER_MM = 37.85
-SIZE = (224, 240)
+PATCH_SIZE = (224, 240)
 LEDS = default_rig().leds
 FULL_WELL_E = 4700.0
 """Electrons at full scale, as in the twin's sensor; one colour channel of one pixel, exposed to 0.7
@@ -44,7 +44,7 @@ separation."""
 
 def draw_patches(smoke: bool) -> dict[str, Patch]:
     """Crops of palms and fingers with skins drawn from the population's ranges."""
-    size = (96, 104) if smoke else SIZE
+    size = (96, 104) if smoke else PATCH_SIZE
     camera = Camera(PX_PER_MM, size)
     result = {}
     for k in range(1 if smoke else 2):
