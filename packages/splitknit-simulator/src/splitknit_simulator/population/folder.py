@@ -45,12 +45,12 @@ from splitknit_simulator.population.sessions import (
 )
 from splitknit_simulator.twin import master_of_print_file
 
-POPULATION_FILE, IMPRESSION_FILE, TABLE_FILE = (
-    "population.json",
-    "impression.json",
-    "population.csv",
-)
-_FORMAT, _VERSION = "splitknit-population", 1
+POPULATION_FILE = "population.json"
+IMPRESSION_FILE = "impression.json"
+TABLE_FILE = "population.csv"
+_FORMAT = "splitknit-population"
+_VERSION = 1
+"""Version of the format of a population's folder. Source: definition."""
 
 _Job = tuple[PlannedCapture, ...]
 """The waiting captures of one finger: its print is drawn once for all of them."""

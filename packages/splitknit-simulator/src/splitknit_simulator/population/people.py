@@ -41,7 +41,8 @@ from splitknit_simulator.population.parameters import (
 )
 
 Five = tuple[float, float, float, float, float]
-DIGITS, SIDES = ("thumb", "index", "middle", "ring", "little"), ("right", "left")
+DIGITS = ("thumb", "index", "middle", "ring", "little")
+SIDES = ("right", "left")
 
 ARCHES: Mapping[str, Five] = {
     "right": (0.03, 0.17, 0.07, 0.02, 0.01),
