@@ -36,7 +36,7 @@ def photographed(folder: Path, seed: int, extinction: float) -> Films:
     films, ball = drawn_films(rig, np.random.SeedSequence(seed), BenchSettings(), extinction)
     with pytest.MonkeyPatch.context() as patch:
         # samples across a pixel of the LEDs' images: less than 12, for time
-        patch.setattr(solids, "FINER", 4)
+        patch.setattr(solids, "RIM_SAMPLES", 4)
         for _, job in behind_films(
             replace(rig, films=films), ball, np.random.SeedSequence(seed + 1)
         ):

@@ -30,6 +30,7 @@ from scipy.special import j1
 from splitknit.errors import require
 from splitknit.model import FloatArray
 from splitknit.settings import Checked, Limits
+from splitknit_simulator.light.parameters import REFRACTIVE_INDEX
 
 Channel = Literal["red", "green", "blue", "nir"]
 CHANNELS: tuple[Channel, ...] = get_args(Channel)
@@ -282,9 +283,9 @@ class SkinRanges:
         return replace(self.base, **drawn)
 
 
-REFRACTIVE_INDEX = 1.42
 RADIUS_EDGES = np.concatenate([[0.0], np.geomspace(1e-3, 250.0, 101)])
-"""Radii that bound the rings in which walks leave the skin, in mean free paths."""
+"""Radii that bound the rings in which walks leave the skin, in mean free paths. Source: definition
+of the shipped table of walks."""
 
 # Where light that enters skin at one point leaves it.
 
