@@ -24,11 +24,12 @@ from splitknit.integration.shapelets import (
 from splitknit.methods.parameters import CLIPPED, LEAST_CERTAINTY, MAX_SLOPE, SLOW_MM
 from splitknit.methods.photographs import FingerBand
 from splitknit.model import Array, BoolArray, FloatArray
+from splitknit.parameters import IN_MEMORY
 from splitknit.photometric.lambertian import lambertian
 from splitknit.photometric.robust import robust
 from splitknit.presets import HeightSettings, NormalsSettings
 from splitknit.skin.grid import Slopes
-from splitknit.steps import IN_MEMORY, step
+from splitknit.steps import step
 
 IMPOSSIBLE = (
     "the integrated heights exceed what the slopes allow over the width of the surface; give a"
@@ -49,7 +50,7 @@ def by_rows(
 
     `without_clipped`: a clipped value of an opaque thing becomes zero, which robust weights take
     for shadow. All rows at once, or strips of rows where the images take more than
-    :data:`splitknit.steps.IN_MEMORY`.
+    :data:`splitknit.parameters.IN_MEMORY`.
     """
     band, inside, encoding = photographs.band, photographs.inside, photographs.capture.encoding
     drop = (
