@@ -18,7 +18,7 @@ LEFT_BY_UNEQUAL = 0.7
 """Unequal lights leave less than this fraction of the residual: 0.66 where they differ by 6 %,
 equal ones 0.77.
 
-Unit: fraction. Chosen on: not known. Range: 0.66 to 0.77."""
+Unit: fraction. Chosen on: simulated objects (rendered, glossy or not). Range: 0.66 to 0.77."""
 WEAK_COLOUR = 0.1
 """Below this fraction of the mean, a colour channel is too dark to judge a light's brightness.
 
@@ -51,7 +51,7 @@ DOUBTED_CURL = 0.15
 """Curl as a fraction of the slopes' change from which lights are doubted: up to 0.03 on sound
 objects, 0.3 to 0.6 in a mirrored or turned frame.
 
-Unit: fraction. Chosen on: not known. Range: 0.03 to 0.3."""
+Unit: fraction. Chosen on: simulated objects (24 of eight kinds). Range: 0.03 to 0.3."""
 CURL_LEFT = 0.25
 """Fraction of the stated lights' curl that another frame or order may leave.
 
@@ -88,7 +88,7 @@ HIGH_RESIDUAL = 0.2
 """Light left unexplained, as a fraction, from which photographs do not fit their lights: 0.01 to
 0.15 on objects and fingers under their own lights (docs/experiments/objects.md).
 
-Unit: fraction. Chosen on: not known. Range: not known."""
+Unit: fraction. Chosen on: not known. Range: from 0.15."""
 NO_RESIDUAL = 0.03
 """Light left unexplained up to which no other order is looked for.
 
@@ -102,7 +102,8 @@ BETTER = (0.8, 0.6)
 photographs' brightness free, and of the photographs that change their light. Real objects with
 brightness wrong by 20 % or directions by 2 deg stay above.
 
-Unit: fraction. Chosen on: not known. Range: not known."""
+Unit: fraction. Chosen on: real photographs (objects, with brightness wrong by 20 % or directions
+by 2 deg). Range: not known."""
 BETTER_OF_FIVE = (0.4, 0.4)
 """The same two ratios of residuals under five lights.
 
@@ -218,7 +219,7 @@ Unit: none. Chosen on: not known. Range: not known."""
 DARKENING_EXPONENT = 0.15
 """Exponent of the cosine by which skin darkens beside Fresnel's law: 0.1 to 0.4 fit sound fingers.
 
-Unit: none. Chosen on: not known. Range: 0.1 to 0.4."""
+Unit: none. Chosen on: simulated fingers. Range: 0.1 to 0.4."""
 DARKENING = 0.3
 """Fall of the logarithm of the albedo over 1 - n_z on sound fingers.
 
@@ -304,11 +305,11 @@ INVERTED_TURNS = 2.5
 """Spread of directions (70 % of pixels) of what an inverted mask leaves out, over that of what it
 holds.
 
-Unit: none. Chosen on: not known. Range: not known."""
+Unit: none. Chosen on: simulated objects (drawn, on six kinds of tables). Range: not known."""
 INVERTED_TURNS_DEG = 5.0
 """Spread of directions of what an inverted mask leaves out, at least.
 
-Unit: deg. Chosen on: not known. Range: not known."""
+Unit: deg. Chosen on: simulated objects (drawn, on six kinds of tables). Range: not known."""
 
 # --- photographs
 MOST_LEVERAGE = 0.9
@@ -489,7 +490,7 @@ Unit: none. Chosen on: not known. Range: not known."""
 TONE_SURE = 7.0
 """Least t value of the exponent's departure from one.
 
-Unit: none. Chosen on: not known. Range: not known."""
+Unit: none. Chosen on: simulated fingers (126 under unequal lights). Range: not known."""
 SHADED_EXPONENTS = (0.85, 1.22)
 """Exponents between which shading under equal lights is sound.
 

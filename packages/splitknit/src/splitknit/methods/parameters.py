@@ -58,7 +58,8 @@ SHAPE_MM = 2.0
 """Standard deviation of the Gaussian mean of the heights that white light does not show: it follows
 from how much of the light is scattered, which colours show only roughly.
 
-Unit: mm. Chosen on: not known. Range: not known."""
+Unit: mm. Chosen on: simulated fingers (and path-traced ones, docs/explain/tried.md). Range: not
+known."""
 COLOUR_MM = 1.0
 """Standard deviation of the Gaussian mean whose colour is that of the skin.
 
