@@ -18,7 +18,8 @@ from splitknit import BadInput, Camera, Rig, read_rig, write_rig
 from splitknit.arguments import text_of
 from splitknit.errors import naming, read_bytes, require
 from splitknit.findings import Finding, Severity, worst_first
-from splitknit.io.images import MAX_BYTES, decode_image
+from splitknit.io.images import decode_image
+from splitknit.io.parameters import MAX_BYTES
 from splitknit.io.photograph_files import natural_order
 from splitknit.io.provenance import provenance
 from splitknit.io.targets import check_rig_file

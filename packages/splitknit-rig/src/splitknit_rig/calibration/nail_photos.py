@@ -15,7 +15,8 @@ from splitknit import Camera
 from splitknit.errors import read_bytes, require
 from splitknit.imaging.band import linear_image
 from splitknit.io.atomic import write_file
-from splitknit.io.images import MAX_BYTES, decode_image, write_image
+from splitknit.io.images import decode_image, write_image
+from splitknit.io.parameters import MAX_BYTES
 from splitknit.io.photograph_files import natural_order
 from splitknit.io.photos import decode_photo, encoding_of
 from splitknit.io.pictures import ORANGE, PAPER, SKY, ColourArray

@@ -45,9 +45,9 @@ from splitknit.imaging.coloured import LightsSettings, as_lit, colour_factors_of
 from splitknit.imaging.geometry import bounding_box, enlarged
 from splitknit.imaging.light_field import few_lights
 from splitknit.model import BoolArray, Capture, FloatArray
+from splitknit.parameters import IN_MEMORY
 from splitknit.plausible import FINGER_WIDTH
 from splitknit.settings import Checked
-from splitknit.steps import IN_MEMORY
 
 
 @dataclass(frozen=True, slots=True)
