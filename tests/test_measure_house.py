@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import json
+import runpy
 import subprocess
 import sys
 from pathlib import Path
@@ -62,3 +63,14 @@ def test_a_small_house_is_measured(tmp_path: Path) -> None:
     assert found["files_to_the_equations"] == 3 and found["files_to_the_ply"] == 0
     assert found["import_circles"] == 1
     assert found["one_importer_in_the_same_folder"] == 1  # steps.py, of pipeline.py alone
+
+
+def test_numbers_outside_of_parameters_name_their_source(tmp_path: Path) -> None:
+    unsourced = runpy.run_path(str(SCRIPT))["unsourced_constants"]
+    (tmp_path / "near.py").write_text(
+        'A, B = 1, 2\nINCH = 25.4\n"""Source: definition."""\n_C = 3\nNAME = "a"\n'
+    )
+    (tmp_path / "parameters.py").write_text("D = 1\n")
+    assert unsourced(tmp_path) == ["near.py: A, B", "near.py: _C"]
+    for source in SCRIPT.parents[1].glob("packages/*/src"):
+        assert unsourced(source) == []

@@ -24,6 +24,7 @@ What is counted:
 - files to the equations, and to the PLY: files on the shortest chain of imports (lazy ones
   included) from the verb ``reconstruct`` to the least squares of photometric stereo, and to the
   mesh writer;
+- unsourced constants: upper-case numbers outside ``parameters.py`` that name no ``Source:``;
 - circles: sets of modules that import each other, lazily or not;
 - one importer: files that one other file alone imports, in the same folder.
 """
@@ -33,6 +34,7 @@ from __future__ import annotations
 import argparse
 import ast
 import io
+import itertools
 import json
 import re
 import subprocess
@@ -48,6 +50,7 @@ EQUATIONS = ("splitknit.photometric.lambertian",)
 MESH = ("splitknit.io.mesh",)
 ENTRIES = ("reconstruct",)
 """Functions that may take whole settings: they pick a method and its parameters."""
+TUNED = "parameters.py"
 GENERATED = ("guide/examples.md",)
 ROOT = Path(__file__).resolve().parents[1]
 
@@ -234,6 +237,34 @@ def members(sources: Sequence[Path]) -> list[dict[str, str | int]]:
     return [*rows, {"member": "all", **every}]
 
 
+def unsourced_constants(source: Path) -> list[str]:
+    """Upper-case numeric constants outside ``parameters.py`` whose docstring names no ``Source:``,
+    or that share their line."""
+    unsourced = []
+    for path in sorted(file for file in source.rglob("*.py") if file.name != TUNED):
+        body = ast.parse(path.read_text(encoding="utf-8")).body
+        for line, following in itertools.zip_longest(body, body[1:], fillvalue=ast.Pass()):
+            if not isinstance(line, ast.Assign | ast.AnnAssign) or line.value is None:
+                continue
+            target = line.targets[0] if isinstance(line, ast.Assign) else line.target
+            names = [node.id for node in ast.walk(target) if isinstance(node, ast.Name)]
+            upper = bool(names) and all(name.lstrip("_").isupper() for name in names)
+            words = ast.get_docstring(ast.Module([following], [])) or ""
+            if upper and _numeric(line.value) and (len(names) > 1 or "Source:" not in words):
+                unsourced.append(f"{path.relative_to(source)}: {', '.join(names)}")
+    return unsourced
+
+
+def _numeric(value: ast.expr) -> bool:
+    nodes = list(ast.walk(value))
+    constants = [node.value for node in nodes if isinstance(node, ast.Constant)]
+    return (
+        any(isinstance(constant, int | float) for constant in constants if constant is not True)
+        and not any(isinstance(constant, str | bytes | bool) for constant in constants)
+        and not any(isinstance(node, ast.Lambda | ast.Dict) for node in nodes)
+    )
+
+
 def pages(docs: Path) -> dict[str, int]:
     """Words of every page, and ``all``: of those that are not generated."""
     words = {
@@ -289,6 +320,7 @@ def measure(sources: Sequence[Path]) -> dict[str, float | int | None]:
         "files_to_the_ply": len(house.chain(VERB, MESH)),
         "modules_of_pipeline": int(run.stdout) if run.returncode == 0 else None,
         "import_pipeline_s": round(seconds, 2) if run.returncode == 0 else None,
+        "unsourced_constants": sum(len(unsourced_constants(source)) for source in sources),
         "import_circles": len(house.circles()),
         "one_importer_in_the_same_folder": len(house.single_importer()),
     }
