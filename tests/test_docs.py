@@ -224,6 +224,7 @@ def work_through(page: Path, folder: Path) -> list[str]:
         ROOT / "README.md",
         *sorted(ROOT.glob("packages/*/README.md")),
         *sorted(ROOT.glob("docs/guide/tutorial-*.md")),
+        ROOT / "docs/guide/batch.md",
     ],
     ids=lambda page: f"{page.parent.name}/{page.stem}",
 )
