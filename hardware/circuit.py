@@ -70,17 +70,18 @@ _FUSES: Mapping[float, tuple[str, str, str, str]] = {
 }
 """Resettable fuses by the current in ampere that they carry at 20 degrees: Bel, Bourns, Littelfuse,
 footprint."""
-_FIRM_OHM = 4700.0
+_STRONG_PULL_DOWN_OHM = 4700.0
 """Against the 33 to 73 kohm that pull some lines up at power-on: 0.4 V at most, where a transistor
 needs 0.6 V."""
-_WEAK_A = 0.03
-_WEAK_WHITE = (
+_LOW_CURRENT_A = 0.03
+_LOW_CURRENT_WHITE = (
     "Cree LC513FWH1-60Q-A0",
     "RND 135-00123 (3000 K)",
     "Cree C513A-WSN",
     "5 mm, flange, not diffused, 20 mA, 2.8 to 3.6 V, half angle 30 deg, all of one bin",
 )
-"""What to order for white LEDs of at most `_WEAK_A`: part, two alternatives, what to check."""
+"""What to order for white LEDs of at most `_LOW_CURRENT_A`: part, two alternatives, what to
+check."""
 
 
 def design_circuit(rig: Rig, settings: SimpleNamespace) -> Circuit:
@@ -178,8 +179,8 @@ def _orders(circuit: Circuit) -> dict[str, tuple[str, ...]]:
             )
             others = f"TE LR1F{text.upper()}", f"Yageo MF0207FTE52-{text.upper()}"
             orders[_resistor_text(part)] = (f"Vishay MRS25000C{code}FCT00", *others, check)
-        if channel.stage.band == "white" and channel.stage.led.current_a <= _WEAK_A:
-            orders[f"{channel.stage.led.name} LED"] = _WEAK_WHITE
+        if channel.stage.band == "white" and channel.stage.led.current_a <= _LOW_CURRENT_A:
+            orders[f"{channel.stage.led.name} LED"] = _LOW_CURRENT_WHITE
     transistor = circuit.settings.transistor.name
     if transistor != "BC337-40":
         orders[transistor] = ("your own", "", "", f"as circuit.transistor.*: {transistor}")
@@ -259,7 +260,7 @@ def _second_board(rig: Rig, apart: Sequence[int], settings: SimpleNamespace) -> 
     channels = []
     for channel, led in zip(circuit.channels, apart, strict=True):
         low = [
-            replace(r, ohm=_FIRM_OHM) if r.role == "pull_down" else r
+            replace(r, ohm=_STRONG_PULL_DOWN_OHM) if r.role == "pull_down" else r
             for r in channel.stage.resistors
         ]
         stage = (

@@ -58,7 +58,8 @@ PARTS = {
     "side_lamp": Part("Lamp of a side light"),
 }
 # between a curved face and its triangles: below what a printer holds
-TOLERANCE_MM, TOLERANCE_RAD = 0.02, 0.2
+TOLERANCE_MM = 0.02
+TOLERANCE_RAD = 0.2
 # in the header of every STEP file, so that the same rig gives the same bytes
 _TIMESTAMP = "2000-01-01T00:00:00"
 

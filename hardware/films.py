@@ -116,10 +116,13 @@ def _neighbour(led: Led, leds: Sequence[Led]) -> Led:
     return replace(led, position_mm=turned(led.position_mm), aim=turned(led.aim))
 
 
-SIDE_RADIUS_MM, SIDE_HEIGHT_MM, SIDE_ARC_DEG = 90.0, 30.0, (-25.0, 205.0)
-"""Place of the side lights: from the axis, over the finger plane, and their first and last azimuth.
-The hand comes from -90 deg. Slopes of 45 to 60 deg are measured about eight times as well with
-seven of them (``docs/experiments/rig-optimise.md``)."""
+SIDE_RADIUS_MM = 90.0
+"""Distance of the side lights from the axis. Slopes of 45 to 60 deg are measured about eight times
+as well with seven of them (``docs/experiments/rig-optimise.md``)."""
+SIDE_HEIGHT_MM = 30.0
+"""Height of the side lights over the finger plane."""
+SIDE_ARC_DEG = (-25.0, 205.0)
+"""First and last azimuth of the side lights; the hand comes from -90 deg."""
 
 
 def with_side_lights(rig: Rig, count: int) -> Rig:
@@ -193,7 +196,8 @@ LINK_MM = 28.0
 PLATE_MM = 2.4  # thickness of the analyser's plate
 FLANGE_MM = 2.0  # thickness of the analyser's flange and lever, above the plate
 POST_MM = 3.5  # radius of the posts that screws through the frame's floor hold
-_PLATE_POSTS_DEG, _PLATE_POSTS_MM = (90.0, 215.0, 325.0), 21.5
+_PLATE_POSTS_DEG = (90.0, 215.0, 325.0)  # azimuths of the plate's posts
+_PLATE_POSTS_MM = 21.5  # distance of the plate's posts from the axis
 ROD_Y_MM = 0.85 * LEVER_MM
 """Place of the rod of an analyser that is turned by hand: half way between both ends of its
 turn."""

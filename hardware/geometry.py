@@ -20,7 +20,7 @@ from splitknit.model import Led, Rig
 from splitknit_rig.capture.pins import RigFilms, rig_films
 from splitknit_simulator.light.films import side_lights
 
-_STEP_MM = 0.5
+_NAIL_STEP_MM = 0.5  # nails are whole numbers of it high
 
 
 def shadow_tips(rig: Rig, nail_mm: float, place_mm: tuple[float, float] = (0.0, 0.0)) -> Array:
@@ -43,7 +43,7 @@ def _nail_height(rig: Rig, offset_mm: float, margin_mm: float, radius_mm: float)
         room = np.where(away >= 0, half - place, half + place)
         stretch = np.maximum((room / np.maximum(np.abs(away), 1e-9)).min(axis=1), 0.0)
         best = min(best, float((leds[:, 2] * stretch / (1 + stretch)).min()))
-    height = math.floor(best / _STEP_MM + 1e-9) * _STEP_MM
+    height = math.floor(best / _NAIL_STEP_MM + 1e-9) * _NAIL_STEP_MM
     require(
         height >= 4.0,
         f"the picture of {2 * (half[0] + margin_mm):.0f} x {2 * (half[1] + margin_mm):.0f} mm is"
@@ -135,7 +135,7 @@ parts fit one way."""
 SCREWS_B_DEG = (0.0, 90.0, 180.0, 280.0)
 """Azimuths between cylinder and frame, and between box and lid: out of the way of a screwdriver for
 the others."""
-_HALF = math.sqrt(0.5)
+_COS_45 = math.sqrt(0.5)  # mirrors and films lean by 45 deg
 # depth of the base's shallow pockets, which hold mirror holders and calibration disc in place
 POCKET_MM = 1.0
 _GROOVE_IN_FLOOR_MM = 0.4  # the groove's bottom lies this much below the base's upper face
@@ -296,9 +296,9 @@ def _mirror_front() -> tuple[float, float]:
     """Return the lower front edge of a mirror: distance from its holder's front, height over the
     holder's foot, mm."""
     slack = sizes.JOINT_CLEARANCE_MM
-    return (slack + _LIP_WALL_MM) * _HALF + 0.2, (
+    return (slack + _LIP_WALL_MM) * _COS_45 + 0.2, (
         sizes.MIRROR_THICK_MM + slack
-    ) * _HALF + _LIP_WALL_MM
+    ) * _COS_45 + _LIP_WALL_MM
 
 
 def mirror_profile(settings: SimpleNamespace) -> list[tuple[float, float]]:
@@ -307,7 +307,7 @@ def mirror_profile(settings: SimpleNamespace) -> list[tuple[float, float]]:
     lower edge.
     """
     slack, front = sizes.JOINT_CLEARANCE_MM, np.array(_mirror_front())
-    along, behind = np.array([_HALF, _HALF]), np.array([_HALF, -_HALF])
+    along, behind = np.array([_COS_45, _COS_45]), np.array([_COS_45, -_COS_45])
     low = front + (sizes.MIRROR_THICK_MM + slack) * behind
     high = low + settings.mirror.wide_mm * along
     lip, inside, outside = (
@@ -393,5 +393,5 @@ def side_lamp(d: RigDimensions) -> SideLamp:
     off = np.linalg.norm(ways + along[..., None] * back[:, None], axis=-1)
     radius = mouth * float((off / along).max()) + 0.8 * hole.radius_mm
     film = 2 * (hole.radius_mm + (radius - hole.radius_mm) * SIDE_FILM_AT_MM / mouth) + 1.2
-    body, plug = film * _HALF + 2 * sizes.MIN_WALL_MM, radius + sizes.MIN_WALL_MM
+    body, plug = film * _COS_45 + 2 * sizes.MIN_WALL_MM, radius + sizes.MIN_WALL_MM
     return SideLamp(wall, mouth, radius, film, body, plug, max(plug + 2.5, body))

@@ -35,7 +35,7 @@ _Point = Sequence[float] | Array
 _LEVER_HALF_MM = 2.2  # half the width of the analyser's lever
 _PEG_MM = 2.2  # radius of the pegs that stop it
 _FEET_DEG = (45.0, 135.0, 225.0, 315.0)
-_FAR_MM = 500.0
+_FAR_MM = 500.0  # beyond every part
 
 
 def _base_part(d: RigDimensions) -> Shape:
@@ -316,7 +316,7 @@ def _lid_part(d: RigDimensions) -> Shape:
     return _cut(body, [_groove(d, low), *_feet(d, high, -1.0), *_head_holes(d, low, SCREWS_B_DEG)])
 
 
-_BORDER_MM = 2.0
+_DOT_BORDER_MM = 2.0  # between the outermost dots and the wall
 _PEG_SLACK_MM = 0.1
 
 
@@ -324,7 +324,10 @@ def _disc_dots(d: RigDimensions) -> list[tuple[float, float]]:
     """Return x and y of the disc's dots: multiples of the spacing, one of them in the middle."""
     step = sizes.DOT_SPACING_MM
     reach = (
-        d.disc_radius_mm - d.settings.joint.wall_mm - d.settings.calibration.dot_mm / 2 - _BORDER_MM
+        d.disc_radius_mm
+        - d.settings.joint.wall_mm
+        - d.settings.calibration.dot_mm / 2
+        - _DOT_BORDER_MM
     )
     steps = range(-int(reach // step), int(reach // step) + 1)
     return [(i * step, j * step) for i in steps for j in steps if math.hypot(i, j) * step <= reach]

@@ -23,15 +23,25 @@ from splitknit.io.results import write_arrays
 from splitknit.model import FloatArray, Reconstruction
 
 PITCH_MM = 0.05
-PLATE_MM, THICK_MM = (20.0, 34.0), 2.0
-RADIUS_MM, STEEPEST_DEG, ENDS_MM = 8.5, 62.0, (-14.5, 6.0)
-"""Half cylinder: its radius, the steepest slope of its skirts, where it begins and where its round
-tip starts."""
-HEIGHTS_UM, PERIODS_MM, TURNS_DEG = (25.0, 50.0, 75.0, 100.0), (0.35, 0.45, 0.6), (0.0, 60.0, 120.0)
-"""Ridges from valley to top, a row of fields each; the periods, and directions across the ridges,
-take turns."""
-# side of a field of ridges, and between the middles of two, along the skin
-FIELD_MM, APART_MM = 4.6, 5.2
+PLATE_MM = (20.0, 34.0)
+"""Sides of the plate that carries the half cylinder."""
+PLATE_THICK_MM = 2.0
+RADIUS_MM = 8.5
+"""Radius of the half cylinder."""
+STEEPEST_DEG = 62.0
+"""Steepest slope of the half cylinder's skirts."""
+ENDS_MM = (-14.5, 6.0)
+"""Where the half cylinder begins, and where its round tip starts."""
+HEIGHTS_UM = (25.0, 50.0, 75.0, 100.0)
+"""Heights of ridges from valley to top, a row of fields each."""
+PERIODS_MM = (0.35, 0.45, 0.6)
+"""Ridge periods of the fields, in turn."""
+TURNS_DEG = (0.0, 60.0, 120.0)
+"""Directions across the ridges of the fields, in turn."""
+FIELD_MM = 4.6
+"""Side of a field of ridges, along the skin."""
+FIELD_SPACING_MM = 5.2
+"""From the middle of a field to that of the next, along the skin."""
 MARKS_MM = ((-3.5, 9.0), (0.6, 9.4), (3.0, 8.6), (-0.6, 10.8))
 """Across and along the skin: domes of 0.15 mm that no turn takes to each other."""
 
@@ -53,7 +63,7 @@ def phantom() -> tuple[Reconstruction, list[dict[str, Any]]]:
     fields = []
     for row, high in enumerate(HEIGHTS_UM):
         for column in range(3):
-            middle = APART_MM * (column - 1), ENDS_MM[0] + 3.0 + APART_MM * row
+            middle = FIELD_SPACING_MM * (column - 1), ENDS_MM[0] + 3.0 + FIELD_SPACING_MM * row
             period, turn = PERIODS_MM[(row + column) % 3], TURNS_DEG[(row + 2 * column) % 3]
             u, v = across - middle[0], along - middle[1]
             phase = (
@@ -100,13 +110,13 @@ def phantom_mesh(result: Reconstruction) -> tuple[FloatArray, NDArray[np.int32]]
     )
     # counter-clockwise
     rim = np.concatenate([index[-1, :-1], index[:0:-1, -1], index[0, :0:-1], index[:-1, 0]])
-    below = vertices[rim] * np.array([1, 1, 0]) - np.array([0, 0, THICK_MM])
+    below = vertices[rim] * np.array([1, 1, 0]) - np.array([0, 0, PLATE_THICK_MM])
     low = len(vertices) + np.arange(len(rim))
     after, low_after = np.roll(rim, -1), np.roll(low, -1)
     middle = np.full(len(rim), len(vertices) + len(rim))
     sides = [(low, low_after, after), (low, after, rim), (middle, low_after, low)]
     closing = np.concatenate([np.stack(side, axis=1) for side in sides]).astype(np.int32)
-    points = np.concatenate([vertices, below, [[0, 0, -THICK_MM]]])
+    points = np.concatenate([vertices, below, [[0, 0, -PLATE_THICK_MM]]])
     return points.astype(np.float32), np.concatenate([faces, closing])
 
 
@@ -118,7 +128,7 @@ def write_phantom(out: Path) -> dict[str, Any]:
         len(faces), np.dtype([("normal", "<3f4"), ("corners", "<(3,3)f4"), ("unused", "<u2")])
     )
     triangles["corners"] = vertices[faces]
-    size = [*PLATE_MM, round(float(vertices[:, 2].max()) + THICK_MM, 3)]
+    size = [*PLATE_MM, round(float(vertices[:, 2].max()) + PLATE_THICK_MM, 3)]
     facts = {
         "pitch_mm": PITCH_MM,
         "size_mm": size,

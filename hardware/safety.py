@@ -23,15 +23,15 @@ from splitknit.model import Rig
 from splitknit_simulator.light.films import side_lights
 
 # where lamps that light no rooms are judged (6.1); nearer where the drawing is nearer
-EYE_MM = 200.0
+EYE_DISTANCE_MM = 200.0
 # longest time that the skin's limit is stated for (4.3.8): after it, heat hurts and the hand
 # withdraws
-_SKIN_S = 10.0
+_SKIN_EXPOSURE_S = 10.0
 # largest angle of a source that counts, rad (4.2.2): larger ones heat the retina no more
 _ALPHA_MAX = 0.1
-_SMALL = 0.011  # angle that eye movements spread a point over within 10 to 100 s, rad (4.2.2)
+_ALPHA_EFF = 0.011  # angle that eye movements spread a point over within 10 to 100 s, rad (4.2.2)
 _KM = 683.0  # lumens of a watt at 555 nm
-_NM = np.arange(300.0, 3001.0)
+_WAVELENGTHS_NM = np.arange(300.0, 3001.0)
 # IEC 62471:2006, table 4.2: the blue-light hazard from 380 to 500 nm; the burn hazard is ten times
 # as large there
 _TABLE_NM = np.arange(380.0, 501.0, 5.0)
@@ -90,7 +90,7 @@ def burn_weight(nm: Array) -> Array:
 
 
 def _bell(middle_nm: float, sigma_nm: float) -> Array:
-    bell = np.exp(-0.5 * ((_NM - middle_nm) / sigma_nm) ** 2)
+    bell = np.exp(-0.5 * ((_WAVELENGTHS_NM - middle_nm) / sigma_nm) ** 2)
     return np.asarray(bell / bell.sum())
 
 
@@ -151,7 +151,7 @@ def radiant_intensity(part: SimpleNamespace, band: str) -> float:
         f" current positive, but they are {part.half_angle_deg:g} deg, {part.source_mm:g} mm and"
         f" {part.current_a:g} A.",
     )
-    intensity = w_sr or cd / (_KM * float(_SPECTRA[band] @ _luminous(_NM)))
+    intensity = w_sr or cd / (_KM * float(_SPECTRA[band] @ _luminous(_WAVELENGTHS_NM)))
     lobe = np.log(0.5) / np.log(np.cos(np.radians(part.half_angle_deg)))
     flux_w, power_w = float(2 * np.pi * intensity / (lobe + 1)), part.forward_v * part.current_a
     require(
@@ -178,16 +178,20 @@ def band_hazards(
     require(distance_mm > 0, "an exposure needs a distance.")
     irradiance = _irradiance(band, part, current_a, distance_mm)
     alpha = min(part.source_mm / distance_mm, _ALPHA_MAX)
-    thermal_alpha = max(alpha, _SMALL)
-    burn = irradiance * float(_SPECTRA[band] @ burn_weight(_NM)) / _solid_angle(thermal_alpha)
+    thermal_alpha = max(alpha, _ALPHA_EFF)
+    burn = (
+        irradiance
+        * float(_SPECTRA[band] @ burn_weight(_WAVELENGTHS_NM))
+        / _solid_angle(thermal_alpha)
+    )
     if band == "nir":
         return (
             Hazard(
                 band, "retina, heat, nothing seen", "4.3.6", burn, 6000.0 / thermal_alpha, "W/m2/sr"
             ),
         )
-    blue_irradiance = duty * irradiance * float(_SPECTRA[band] @ blue_weight(_NM))
-    if alpha < _SMALL:
+    blue_irradiance = duty * irradiance * float(_SPECTRA[band] @ blue_weight(_WAVELENGTHS_NM))
+    if alpha < _ALPHA_EFF:
         blue = Hazard(
             band,
             "retina, blue light, small source",
@@ -232,16 +236,18 @@ def rig_hazards(
             passed if band == "white" else 1.0
         )
         distances = np.linalg.norm(places, axis=1)
-        nearest = min(float(distances.min()), EYE_MM)
+        nearest = min(float(distances.min()), EYE_DISTANCE_MM)
         towards = places / distances[:, None]
         together = int((towards @ towards.T > np.cos(_ALPHA_MAX)).sum(axis=1).max())
         hazards = band_hazards(band, stage.led, current, nearest, together=together, duty=duty)
         found += [replace(hazard, band=name) for hazard in hazards]
         everywhere = len(places) * duty * _irradiance(band, stage.led, current, nearest)
-        infrared += everywhere * float(_SPECTRA[band][_NM >= 780].sum())
+        infrared += everywhere * float(_SPECTRA[band][_WAVELENGTHS_NM >= 780].sum())
         skin += everywhere
     found.append(Hazard("all", "cornea and lens, infrared", "4.3.7", infrared, 100.0, "W/m2"))
-    found.append(Hazard("all", "skin, heat, 10 s", "4.3.8", skin, 20000.0 * _SKIN_S**-0.75, "W/m2"))
+    found.append(
+        Hazard("all", "skin, heat, 10 s", "4.3.8", skin, 20000.0 * _SKIN_EXPOSURE_S**-0.75, "W/m2")
+    )
     return tuple(found)
 
 

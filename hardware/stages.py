@@ -29,9 +29,11 @@ E24 = (
 RATINGS_W = (0.25, 0.6, 1.0, 2.0, 3.0)  # powers that leaded resistors are sold for
 
 
-GPIO_HIGH_V, GPIO_LIMIT_A = (3.15, 3.40), 0.008
-"""An output of the Pi's processor: 3.3 V +-3 % less a driver's drop (about 40 ohms), and its
-largest current."""
+GPIO_HIGH_V = (3.15, 3.40)
+"""High level of an output of the Pi's processor: 3.3 V +-3 % less a driver's drop (about 40
+ohms)."""
+GPIO_LIMIT_A = 0.008
+"""Largest current of such an output."""
 
 
 def _preferred(ohm: float, *, up: bool = True) -> float:

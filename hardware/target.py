@@ -19,11 +19,12 @@ from splitknit.errors import require
 POINTS_PER_MM = 72.0 / 25.4
 A4_MM = (210.0, 297.0)
 PRODUCER = b"/Producer (splitknit)"
-_CIRCLE = 4.0 / 3.0 * (math.sqrt(2.0) - 1.0)
+_CIRCLE_HANDLE = 4.0 / 3.0 * (math.sqrt(2.0) - 1.0)
 """Length of the handles with which four cubic curves make a circle (to 2.7e-4 of its radius)."""
 RULER_MM = 100.0
 _RULER_BELOW_MM = 10.0  # from its line to the boards: strokes and numbers
-DOT_MM, SPACING_MM = 1.5, 10.0  # diameter of a dot of the disc, and from dot to dot
+DOT_MM = 1.5  # diameter of a dot of the disc
+DOT_SPACING_MM = 10.0  # from dot to dot
 DISC_RADIUS_MM = 45.0  # where the disc is cut out
 CARD_MARGIN_MM = 4.0  # white paper around a board, within the line along which it is cut out
 _PAGE_MARGIN_MM = 12.0  # which printers leave free
@@ -158,7 +159,7 @@ def _rectangles(corners: Sequence[tuple[float, float, float, float]]) -> str:
 
 def _circle(radius: float) -> str:
     """Path of a circle about the origin."""
-    r, h = radius, radius * _CIRCLE
+    r, h = radius, radius * _CIRCLE_HANDLE
     curves = [
         (r, h, h, r, 0, r),
         (-h, r, -r, h, -r, 0),
@@ -179,8 +180,8 @@ def _number(value: float) -> str:
 def dots_mm() -> list[tuple[float, float]]:
     """Centres of the disc's dots about its middle, those that lie wholly on it with 1 mm to
     spare."""
-    most = int(DISC_RADIUS_MM // SPACING_MM)
-    steps = [SPACING_MM * k for k in range(-most, most + 1)]
+    most = int(DISC_RADIUS_MM // DOT_SPACING_MM)
+    steps = [DOT_SPACING_MM * k for k in range(-most, most + 1)]
     reach = DISC_RADIUS_MM - DOT_MM / 2 - 1
     return [(x, y) for y in steps for x in steps if math.hypot(x, y) <= reach]
 
@@ -192,7 +193,7 @@ def _words(settings: TargetSettings) -> list[str]:
         f" {settings.square_mm:g} mm \\(board {settings.columns}x{settings.rows}, square"
         f" {settings.square_mm:g}\\)"
     )
-    disc = f"disc with dots of {DOT_MM:g} mm every {SPACING_MM:g} mm"
+    disc = f"disc with dots of {DOT_MM:g} mm every {DOT_SPACING_MM:g} mm"
     check = (
         f"Print at 100 % on matt paper. The ruler must measure {RULER_MM:g} mm: if not, multiply"
         f" the square and the dot spacing by what it measures / {RULER_MM:g}."

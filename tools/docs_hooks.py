@@ -1,5 +1,5 @@
 """What mkdocs needs beside the pages: links out of ``docs``, the help of every verb, public names,
-executed notebooks.
+tables made of the code, executed notebooks.
 
 ``mkdocs.yml`` names this file. A link to a file of the repository that is not a page becomes the
 file's path; one that leads nowhere ends a strict build, as does a public name without a docstring,
@@ -12,8 +12,10 @@ import importlib
 import logging
 import os
 import re
+import runpy
 import tempfile
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -21,6 +23,8 @@ ROOT = Path(__file__).resolve().parents[1]
 DOCS = ROOT / "docs"
 LOG = logging.getLogger("mkdocs.hooks.splitknit")
 """Warnings of this logger end a strict build."""
+TABLES = ("settings", "findings", "parameters")
+"""What ``reference_tables.py`` makes of the code."""
 DOORS = ("splitknit", "splitknit_simulator", "splitknit_rig", "splitknit_match")
 """What users import: ``__all__`` of each."""
 ARRAYS = (
@@ -111,6 +115,12 @@ def public_names() -> str:
     return "\n\n".join(parts)
 
 
+def table(name: str) -> str:
+    """One of :data:`TABLES`, as Markdown."""
+    text: str = runpy.run_path(str(ROOT / "tools" / "reference_tables.py"))["TABLES"][name]()
+    return text
+
+
 def executed(notebook: Path, files_folder: str) -> tuple[str, dict[str, bytes]]:
     """A notebook, run in a folder of its own, as Markdown, and the pictures it drew by their names
     from that page."""
@@ -158,6 +168,7 @@ def on_page_markdown(markdown: str, page: Any, config: Any, files: Any) -> str:
     for mark, make in (
         ("<!-- help of every verb -->", help_of_every_verb),
         ("<!-- public names -->", public_names),
+        *((f"<!-- {name} -->", partial(table, name)) for name in TABLES),
     ):
         if mark in markdown:
             markdown = markdown.replace(mark, make())

@@ -4,12 +4,13 @@ validation/thesis/tables/claims.csv.
     python tools/make_claims_page.py            # writes
     python tools/make_claims_page.py --check    # exit code 1 if the page is out of date
 
-A row of the CSV file has a criterion in words and as a rule, and what was measured with its
-interval. The verdict follows from the rule alone: ``> 0`` is confirmed where the whole interval
-lies above 0, refuted where all of it lies below, and not decided otherwise. ``= 95`` is refuted
-where the interval excludes 95, ``= 19 21`` is confirmed where the interval lies within 19 to 21.
-With two bounds, ``> 1.4 2.5`` compares with a figure that has an interval itself. No rule: no
-figure decides.
+A row of the CSV file has a criterion in words and as a rule, what was measured with its interval,
+more that stands on the page, figures beside them and a command that do not, and a short form that
+stands there if nothing is decided. The verdict follows from the rule alone: ``> 0`` is confirmed
+where the whole interval lies above 0, refuted where all of it lies below, and not decided
+otherwise. ``= 95`` is refuted where the interval excludes 95, ``= 19 21`` is confirmed where the
+interval lies within 19 to 21. With two bounds, ``> 1.4 2.5`` compares with a figure that has an
+interval itself. No rule: no figure decides.
 """
 
 from __future__ import annotations
@@ -18,14 +19,14 @@ import argparse
 import csv
 import re
 import sys
-import textwrap
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[1]
 PAGE = ROOT / "docs" / "experiments" / "claims.md"
 TABLE = ROOT / "validation" / "thesis" / "tables" / "claims.csv"
-VERDICTS = ("confirmed", "refuted", "not decided")
+UNDECIDED = "not decided"
+VERDICTS = ("confirmed", "refuted", UNDECIDED)
 NUMBER = r"[+-]?[\d.]+"
 
 
@@ -76,47 +77,55 @@ def read() -> list[dict[str, str]]:
 
 
 def summary(rows: Sequence[Mapping[str, str]]) -> str:
-    """How many criteria have each verdict, and the claims behind it that have a short form."""
-    lines = []
-    for one in VERDICTS:
-        found = [row for row in rows if row["verdict"] == one]
-        short = "; ".join(f"{row['short']} ({row['number']})" for row in found if row["short"])
-        line = (
-            f"- **{one.capitalize()}**, {len(found)} of {len(rows)} criteria, among them: {short}."
-        )
-        lines.append(textwrap.fill(line, 140, subsequent_indent="  ", break_on_hyphens=False))
-    return "\n".join(lines)
+    """How many criteria have each verdict."""
+    counts = ", ".join(f"{sum(row['verdict'] == one for row in rows)} {one}" for one in VERDICTS)
+    return f"Of {len(rows)} criteria: {counts}."
 
 
 def table(rows: Sequence[Mapping[str, str]]) -> str:
-    """The table in Markdown."""
-    lines = ["| # | claim | criterion | measured | verdict | again by |", "| --- " * 6 + "|"]
+    """What is decided, in Markdown: with one interval each, the widest."""
+    lines = ["| claim: criterion | measured | verdict |", "| --- " * 3 + "|"]
     for row in rows:
+        if row["verdict"] == UNDECIDED:
+            continue
+        claim = ": ".join(filter(None, (row["claim"], row["criterion"])))
         measured = "; ".join(filter(None, (row["measured"].removesuffix(" exactly"), row["more"])))
-        again = row["again"] if "](" in row["again"] else f"`{row['again']}`"
-        cells = (
-            row["number"],
-            row["claim"],
-            row["criterion"] or "-",
-            f"{measured}, {row['page']}",
-            row["verdict"],
-            again,
-        )
+        cells = (f"{row['number']} {claim}", f"{joined(measured)}, {row['page']}", row["verdict"])
         lines.append(f"| {' | '.join(cells)} |")
     return "\n".join(lines)
+
+
+def undecided(rows: Sequence[Mapping[str, str]]) -> str:
+    """What is not decided, in short, as a list in Markdown."""
+    return "\n".join(
+        f"- {row['number']} {row['short']}: {joined(row['measured'])}"
+        for row in rows
+        if row["verdict"] == UNDECIDED
+    )
+
+
+def joined(measured: str) -> str:
+    """Intervals drawn by finger and by subject, ``[1, 3] (2, 4)``, as one that holds both."""
+
+    def both(found: re.Match[str]) -> str:
+        ends = found.groups()
+        return f"[{min(ends[::2], key=float)}, {max(ends[1::2], key=float)}]"
+
+    return re.sub(
+        rf"\[({NUMBER}), ({NUMBER})\] \(({NUMBER}), ({NUMBER})\)",
+        both,
+        measured,
+    )
 
 
 def page() -> str:
     """The page with its table and summary written anew."""
     rows, text = read(), PAGE.read_text(encoding="utf-8")
-    for name, made in (("summary", summary(rows)), ("claims", table(rows))):
-        text, count = re.subn(
-            rf"(<!-- begin {name} -->\n\n).*?(\n\n<!-- end {name} -->)",
-            lambda found, made=made: found[1] + made + found[2],
-            text,
-            flags=re.DOTALL,
-        )
-        assert count == 1, name
+    parts = {"summary": summary(rows), "claims": table(rows), "undecided": undecided(rows)}
+    for name, made in parts.items():
+        first, last = f"<!-- begin {name} -->\n\n", f"\n\n<!-- end {name} -->"
+        before, rest = text.split(first)
+        text = f"{before}{first}{made}{last}{rest.split(last)[1]}"
     return text
 
 

@@ -48,7 +48,7 @@ EQUATIONS = ("splitknit.photometric.lambertian",)
 MESH = ("splitknit.io.mesh",)
 ENTRIES = ("reconstruct",)
 """Functions that may take whole settings: they pick a method and its parameters."""
-GENERATED = ("reference/settings.md", "reference/findings.md", "guide/examples.md")
+GENERATED = ("guide/examples.md",)
 ROOT = Path(__file__).resolve().parents[1]
 
 

@@ -28,7 +28,7 @@ from splitknit_simulator.surface import Array, SimulatedSurface
 
 STEP_MM = 0.25  # distance between the points of a line
 # exponent of the norm that joins grooves: deeper than each where they cross, less than their sum
-TOGETHER = 3.0
+JOIN_EXPONENT = 3.0
 
 
 # Lines of the palm: principal lines and wrinkles, wide, tapering and branching, as grooves on a
@@ -168,8 +168,8 @@ def _groove_map(lines: list[_PalmLine], x_mm: Array, y_mm: Array) -> Array:
         rows = slice(max(top, 0), min(top + size[0], y_mm.size))
         columns = slice(max(left, 0), min(left + size[1], x_mm.size))
         inside = own[rows.start - top : rows.stop - top, columns.start - left : columns.stop - left]
-        powers[rows, columns] += inside**TOGETHER
-    return np.asarray(powers ** (1.0 / TOGETHER))
+        powers[rows, columns] += inside**JOIN_EXPONENT
+    return np.asarray(powers ** (1.0 / JOIN_EXPONENT))
 
 
 def _dense(line: _PalmLine) -> tuple[Array, Array, Array, Array]:
@@ -244,15 +244,16 @@ SIZE_MM = (44.0, 34.0)  # width and height of the patch
 PITCH_MM = 0.05  # of the relief's grid
 _PERIOD_MM = (0.48, 0.62)  # mean ridge period
 _RIDGE_DEPTH_UM = (20.0, 60.0)  # mean height of ridges over valleys: flatter than on fingers
-_DELTA_SHARE = 0.15  # fraction of the patches that hold a triradius
-_PRINCIPAL, _WRINKLES = (0, 3), (10, 60)  # principal lines and finer ones in the patch, inclusive
+_DELTA_FRACTION = 0.15  # fraction of the patches that hold a triradius
+_PRINCIPAL_COUNT = (0, 3)  # principal lines in the patch, inclusive
+_WRINKLE_COUNT = (10, 60)  # finer lines in the patch, inclusive
 _RADIUS_MM = (35.0, 150.0)  # radii of curvature along the patch's two axes
 # relative standard deviation of the ridge period within a palm, over distances of about 5 mm
 _PERIOD_VARIATION = 0.06
-# standard deviation of the steady turn of the ridges' direction, rad/mm, along each axis
-_TURN_PER_MM = 0.02
-# depth of the principal lines and of the finer ones
-_PRINCIPAL_UM, _WRINKLE_UM = (90.0, 280.0), (18.0, 50.0)
+# standard deviation of the steady turn of the ridges' direction along each axis
+_TURN_RAD_PER_MM = 0.02
+_PRINCIPAL_DEPTH_UM = (90.0, 280.0)  # depth of the principal lines
+_WRINKLE_DEPTH_UM = (18.0, 50.0)  # depth of the finer lines
 _DARKENING = (0.05, 0.25)  # loss of diffuse reflectance at the bottom of a line of 0.2 mm
 # standard deviation of the blotches' diffuse reflectance, over distances of about 2 mm
 _MOTTLING = (0.01, 0.06)
@@ -304,10 +305,10 @@ def draw_palm(seed: int) -> _Palm:
     lines = _draw_lines(
         draws[4],
         half,
-        principal=int(draws[4].integers(*_PRINCIPAL, endpoint=True)),
-        wrinkles=int(draws[4].integers(*_WRINKLES, endpoint=True)),
-        principal_depth_mm=1e-3 * float(draws[4].uniform(*_PRINCIPAL_UM)),
-        wrinkle_depth_mm=1e-3 * float(draws[4].uniform(*_WRINKLE_UM)),
+        principal=int(draws[4].integers(*_PRINCIPAL_COUNT, endpoint=True)),
+        wrinkles=int(draws[4].integers(*_WRINKLE_COUNT, endpoint=True)),
+        principal_depth_mm=1e-3 * float(draws[4].uniform(*_PRINCIPAL_DEPTH_UM)),
+        wrinkle_depth_mm=1e-3 * float(draws[4].uniform(*_WRINKLE_DEPTH_UM)),
     )
     groove = _groove_map(lines, fine_x, fine_y)
     uneven = np.clip(1.0 + 0.15 * smooth_noise(draws[5], wave.shape, 4.0 / PITCH_MM), 0.5, 1.5)
@@ -385,12 +386,14 @@ def _direction(rng: np.random.Generator, x_mm: Array, y_mm: Array) -> Array:
     pitch = float(x_mm[1] - x_mm[0])
     shape = (y_mm.size, x_mm.size)
     x, y = np.meshgrid(x_mm, y_mm)
-    turn = np.clip(_TURN_PER_MM * rng.standard_normal(2), -2 * _TURN_PER_MM, 2 * _TURN_PER_MM)
+    turn = np.clip(
+        _TURN_RAD_PER_MM * rng.standard_normal(2), -2 * _TURN_RAD_PER_MM, 2 * _TURN_RAD_PER_MM
+    )
     angle = rng.uniform(0.0, np.pi) + turn[0] * x + turn[1] * y
     angle += rng.uniform(0.1, 0.3) * smooth_noise(rng, shape, 9.0 / pitch)
     angle += rng.uniform(0.03, 0.09) * smooth_noise(rng, shape, 2.5 / pitch)
     at = rng.uniform(-0.3, 0.3, 2) * SIZE_MM
-    if rng.random() < _DELTA_SHARE:
+    if rng.random() < _DELTA_FRACTION:
         angle -= 0.5 * np.arctan2(y - at[1], x - at[0])
     return angle
 

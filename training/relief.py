@@ -26,7 +26,7 @@ import numpy as np
 
 from scenes import (
     HELD_OUT_FROM,
-    OTHER_RIG,
+    OTHER_RIG_FRACTION,
     TruthOnGrid,
     draw_finger_of,
     draw_scene,
@@ -41,40 +41,41 @@ from splitknit.finger.locate import find_finger
 from splitknit.imaging.band import bin_mean
 from splitknit.model import default_rig
 from splitknit.presets import preset_settings
-from splitknit.skin.grid import COARSE_PITCH_MM, BandImages, Grid, coarsen
+from splitknit.skin.grid import BandImages, Grid, coarsen
 from splitknit.skin.images import skin_images
 from splitknit.skin.learned import GLARE as GLARE_UNIT
-from splitknit.skin.learned import (
-    RELIEF_MM,
-    RELIEF_SYMMETRY,
-    RIDGE_BAND_MM,
-    azimuth_waves,
-    features,
-)
+from splitknit.skin.learned import RELIEF_MM, RELIEF_SYMMETRY, azimuth_waves, features
 from splitknit.skin.light import fine_lighting, slant_of, trust_of
+from splitknit.skin.parameters import COARSE_PITCH_MM, RIDGE_BAND_MM
 from splitknit.skin.shape import coarse_images, coarse_shape, on_fine_grid
 from splitknit_simulator.camera.sensor import record
 from splitknit_simulator.finger.finger import PoseRanges, finger_surface
 from splitknit_simulator.light.renderer import RenderSettings, render_band
 
-FINGERS, FIRST = 160, 7000  # that pieces come from
-WHOLE, FIRST_WHOLE = 116, 5000
-HELD_OUT, ITERATIONS = 6, 7200
-# pieces of each finger, every one with its own skin, lights and exposure; side as rendered
-CROPS, CROP_PX = 5, 420
-SCALE, OTHER_SCALE = 0.5, (0.38, 0.62)  # size of the images, and of a part of them
-RELIEF, GLARE, WEIGHT = 32, slice(33, 40), 40
-"""In a sample, in the network's units: relief; glare, its waves over azimuth (1, cos a, ..., sin
-3a); weight."""
+CROPPED_FINGERS = 160  # fingers that pieces come from
+FIRST_CROPPED = 7000  # number of the first of them
+WHOLE_FINGERS = 116  # fingers that are trained on as a whole
+FIRST_WHOLE = 5000  # number of the first of them
+HELD_OUT_FINGERS = 6
+ITERATIONS = 7200
+CROPS = 5  # pieces of each finger, every one with its own skin, lights and exposure
+CROP_PX = 420  # side of a piece as rendered
+SCALE = 0.5  # size of the images
+OTHER_SCALE = (0.38, 0.62)  # size of a part of the images
+# in a sample, in the network's units
+RELIEF_CHANNEL = 32
+GLARE_CHANNELS = slice(33, 40)  # glare, its waves over azimuth: 1, cos a, ..., sin 3a
+WEIGHT_CHANNEL = 40
 MAX_RELIEF = np.float32(10.0)  # relief beyond this many units (0.2 mm) is none
 MAX_GLARE = np.float32(3.0)  # times the green level: more hides the skin, whatever it is
 # rim of a piece that is rendered but not kept: light from beyond the piece is missing there
 TRIM_PX = 60
-# pieces with less skin are not rendered, with less weight not kept
-MIN_SKIN, MIN_WEIGHT = 0.35, 0.2
-# brightest diffuse light of a piece over full scale, times a factor
-BRIGHTEST, EXPOSURE = 0.72, (0.55, 1.05)
-BLUR_PX, BLURRED = (0.3, 1.2), 0.25  # standard deviation of the defocus of a fraction of the pieces
+MIN_SKIN = 0.35  # pieces with a smaller fraction of skin are not rendered
+MIN_WEIGHT = 0.2  # pieces with a smaller mean weight are not kept
+BRIGHTEST_LEVEL = 0.72  # brightest diffuse light of a piece over full scale
+EXPOSURE_FACTOR = (0.55, 1.05)  # by which that is multiplied
+BLURRED_FRACTION = 0.25  # of the pieces: those that are out of focus
+BLUR_PX = (0.3, 1.2)  # standard deviation of their defocus
 # of a shift (mm), slopes along both axes, three bends (1/mm)
 SMOOTH_ERROR = (0.5, 0.06, 0.06, 0.01, 0.01, 0.01)
 JUDGED_PX = 512  # side of the middle part of a finger on which the network is evaluated
@@ -158,9 +159,9 @@ def training_crops(number, prints=None):
         skin = draw_skin(rng).draw(rng)
         rig = default_rig(scale, int(rng.integers(10_000)))
         rig = replace(rig, leds=tuple(led for led in rig.leds if led.band == "white"))
-        rig = moved_rig(rig, rng) if rng.random() < OTHER_RIG else rig
+        rig = moved_rig(rig, rng) if rng.random() < OTHER_RIG_FRACTION else rig
         sample = _piece(textured(surface, rng), window, skin, rig, scale, (number, piece), rng)
-        if sample[WEIGHT].mean(dtype=np.float32) >= MIN_WEIGHT:
+        if sample[WEIGHT_CHANNEL].mean(dtype=np.float32) >= MIN_WEIGHT:
             found.append(sample)
     require(
         len(found) > 0, f"not one piece of {CROP_PX} pixels of finger {number} holds enough skin."
@@ -177,8 +178,8 @@ def _piece(surface, window, skin, rig, scale, name, rng):  # noqa: PLR0917
     diffuse, glare = (_placed(part, light, window) for part in (light.diffuse, light.glare))
     inside = mask[window]
     brightest = max(float(np.percentile(diffuse[:, :, inside], 99.5)), 1e-12)
-    exposure = np.float32(BRIGHTEST / brightest * rng.uniform(*EXPOSURE))
-    blur_px = float(rng.uniform(*BLUR_PX)) if rng.random() < BLURRED else 0.0
+    exposure = np.float32(BRIGHTEST_LEVEL / brightest * rng.uniform(*EXPOSURE_FACTOR))
+    blur_px = float(rng.uniform(*BLUR_PX)) if rng.random() < BLURRED_FRACTION else 0.0
     images, sensor = [], draw_sensor(rng)
     for k in range(len(rig.leds)):
         frame = np.moveaxis((diffuse[k] + glare[k]) * exposure, 0, -1)
@@ -237,13 +238,13 @@ def relief_loss(made, batch):
     (fixed, so that no height gets worse) under the estimated variance; squared error of the glare's
     waves.
     """
-    weight = batch[:, WEIGHT]
+    weight = batch[:, WEIGHT_CHANNEL]
     count = weight.sum() + 1.0
-    error = made[:, 0] - batch[:, RELIEF]
+    error = made[:, 0] - batch[:, RELIEF_CHANNEL]
     along = (error[:, :, 1:] - error[:, :, :-1]) * weight[:, :, 1:]
     down = (error[:, 1:] - error[:, :-1]) * weight[:, 1:]
     logarithm = made[:, 8].clamp(*VARIANCE_LIMITS)
-    waves = made[:, 1:8] - batch[:, GLARE]
+    waves = made[:, 1:8] - batch[:, GLARE_CHANNELS]
     relief = (error**2 * weight).sum() / count
     slope = ((along**2).sum() + (down**2).sum()) / count
     likelihood = ((error.detach() ** 2 * (-logarithm).exp() + logarithm) * weight).sum() / count
@@ -261,15 +262,15 @@ def judge(run, sample, stride):
         slice(int(start), int(start + side)) for start, side in zip(starts, sides, strict=True)
     )
     sample = np.asarray(sample[:, rows, columns], dtype=np.float32)
-    made, counts = run(sample[:32]), sample[WEIGHT] > 0.5
+    made, counts = run(sample[:32]), sample[WEIGHT_CHANNEL] > 0.5
     if not counts.any():
         return dict.fromkeys(("correlation", "gain", "rms_um", "error_ratio", "glare_r2"), math.nan)
     drawn, truth = (
-        np.asarray(field[counts], dtype=np.float64) for field in (made[0], sample[RELIEF])
+        np.asarray(field[counts], dtype=np.float64) for field in (made[0], sample[RELIEF_CHANNEL])
     )
     square = float(((drawn - truth) ** 2).mean())
     expected = float(np.exp(np.clip(made[8][counts], *VARIANCE_LIMITS), dtype=np.float64).mean())
-    glare = np.asarray(sample[GLARE][:, counts], dtype=np.float64)
+    glare = np.asarray(sample[GLARE_CHANNELS][:, counts], dtype=np.float64)
     with np.errstate(invalid="ignore", divide="ignore"):
         return {
             "correlation": float(np.corrcoef(drawn, truth)[0, 1]),
@@ -347,10 +348,10 @@ def main():
     parser.add_argument("--device", choices=("cpu", "cuda"), default="cpu")
     given = parser.parse_args()
     whole = [
-        *range(FIRST_WHOLE, FIRST_WHOLE + WHOLE),
-        *range(HELD_OUT_FROM, HELD_OUT_FROM + HELD_OUT),
+        *range(FIRST_WHOLE, FIRST_WHOLE + WHOLE_FINGERS),
+        *range(HELD_OUT_FROM, HELD_OUT_FROM + HELD_OUT_FINGERS),
     ]
-    subjects = [("pieces", n) for n in range(FIRST, FIRST + FINGERS)] + [
+    subjects = [("pieces", n) for n in range(FIRST_CROPPED, FIRST_CROPPED + CROPPED_FINGERS)] + [
         ("finger", n) for n in whole
     ]
     data = make_data(given.out, subjects, partial(shoot, given.prints), given.threads)

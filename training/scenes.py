@@ -37,19 +37,23 @@ SKIN = {
     "relief_gain": (0.3, 2.2),
 }
 SCATTERING_POWER = (0.4, 1.6)  # exponent of the wavelength
-REFRACTION, ENTRY_POWER = (0.0, 1.0), (-0.3, 1.1)  # see `splitknit_simulator.light.skin.Boundary`
-YELLOW_PER_MM, BASELINE_PER_MM = (0.05, 0.2), (0.005, 0.02)
+REFRACTION = (0.0, 1.0)  # see `splitknit_simulator.light.skin.Boundary`
+ENTRY_POWER = (-0.3, 1.1)  # likewise
+YELLOW_PER_MM = (0.05, 0.2)  # see `splitknit_simulator.light.skin.SkinOptics`
+BASELINE_PER_MM = (0.005, 0.02)  # likewise
 # of the logarithm of each channel's absorption, by which layers depart from one medium
 LAYERS_SPREAD = 0.35
 # part of the fingers whose light spreads across the picture, as in an image that is blurred
-BLURRED = 0.15
-# parts of the fingers without any surface reflection, and without ridges
-MATT, RIDGELESS = 0.12, 0.08
+BLURRED_FRACTION = 0.15
+MATT_FRACTION = 0.12  # part of the fingers without any surface reflection
+RIDGELESS_FRACTION = 0.08  # part of the fingers without ridges
 RIDGE_DEPTH_UM = (25.0, 110.0)
-STEEPNESS, DUTY = (0.6, 2.4), (-0.2, 0.5)  # of the ridges' profile
-PRINTS_SHARE = 0.3  # part of the fingers that have the ridges of real prints, where there are any
+STEEPNESS = (0.6, 2.4)  # of the ridges' profile
+DUTY = (-0.2, 0.5)  # of the ridges' profile
+# part of the fingers that have the ridges of real prints, where there are any
+REAL_PRINT_FRACTION = 0.3
 # standard deviation of the logarithms of thickness and tip length beyond those of people
-FORM = 0.12
+FORM_SD = 0.12
 UNDULATION_MM = (0.0, 0.15)  # standard deviation of bumps and dents some 5 mm wide
 # standard deviation of the skin's brightness at the scale of ridges that is not relief
 PIGMENT = (0.0, 0.03)
@@ -57,10 +61,13 @@ MOTTLING = (0.0, 0.2)  # of the logarithm of green light under mottled blood, ov
 SWEAT = (0.0, 0.6)  # relative standard deviation of the surface reflection over 0.4 to 2 mm
 GRAIN = (0.0, 0.03)  # relative standard deviation, from pixel to pixel, of what all images share
 FULL_WELL_E = (500.0, 5000.0)  # electrons of a full-frame pixel: noise up to 2 % at half scale
-# of the cameras that are not sharp everywhere, and the part that is
-APERTURE_MM, SHARP = (1.0, 4.0), 0.7
-OTHER_RIG = 0.5  # part of the fingers whose lights stand elsewhere than on the thesis's rig
-LED_RADIUS_MM, LED_HEIGHT_MM, LED_TWIST_RAD = (42.0, 62.0), (120.0, 165.0), (-0.45, 0.45)
+SHARP_FRACTION = 0.7  # part of the cameras that are sharp everywhere
+APERTURE_MM = (1.0, 4.0)  # of the others
+# part of the fingers whose lights stand elsewhere than on the thesis's rig
+OTHER_RIG_FRACTION = 0.5
+RING_RADIUS_MM = (42.0, 62.0)  # of the circle on which these lights stand
+RING_HEIGHT_MM = (120.0, 165.0)
+RING_TURN_RAD = (-0.45, 0.45)
 LED_JITTER_MM = 1.0  # standard deviation of each light's place, every way
 # blocks of pixels of which a smaller fraction lies on the finger have no truth
 TRUTH_FRACTION = 0.999
@@ -74,7 +81,8 @@ def draw_skin(rng):
     """Ranges of a finger's skin, around parts that the simulator's own ranges do not draw."""
     layers = np.exp(np.clip(rng.normal(0.0, LAYERS_SPREAD, 4), -1.2, 1.2))
     boundary = Boundary(blurred=True)
-    if rng.random() >= BLURRED:  # small refractions more often, as forward scattering leaves
+    if rng.random() >= BLURRED_FRACTION:
+        # small refractions more often, as forward scattering leaves
         refraction = REFRACTION[0] + (REFRACTION[1] - REFRACTION[0]) * float(rng.random()) ** 2
         boundary = Boundary(refraction, float(rng.uniform(*ENTRY_POWER)))
     base = SkinOptics(
@@ -84,7 +92,7 @@ def draw_skin(rng):
         layers=tuple(float(layer) for layer in layers),
         boundary=boundary,
     )
-    matt = {"glare": (0.0, 0.0)} if rng.random() < MATT else {}
+    matt = {"glare": (0.0, 0.0)} if rng.random() < MATT_FRACTION else {}
     return SkinRanges(**{"base": replace(base, glare=0.0 if matt else 1.0), **SKIN, **matt})
 
 
@@ -123,8 +131,8 @@ def draw_finger_of(number, rng, prints=None):
     """The finger `number` with ridges of any depth; `prints`: folder of real prints of 500 pixels
     an inch (PNG)."""
     finger = draw_finger(number, print_settings=MasterPrintSettings(steepness=STEEPNESS, duty=DUTY))
-    depth_um = 0.0 if rng.random() < RIDGELESS else float(rng.uniform(*RIDGE_DEPTH_UM))
-    thick, long = np.exp(np.clip(rng.normal(0.0, FORM, 2), -0.3, 0.3))
+    depth_um = 0.0 if rng.random() < RIDGELESS_FRACTION else float(rng.uniform(*RIDGE_DEPTH_UM))
+    thick, long = np.exp(np.clip(rng.normal(0.0, FORM_SD, 2), -0.3, 0.3))
     shape = replace(
         finger.shape,
         thickness_mm=float(np.clip(finger.shape.thickness_mm * thick, 6.0, 30.0)),
@@ -135,7 +143,7 @@ def draw_finger_of(number, rng, prints=None):
         finger.skin, ridge_depth_um=depth_um, undulation_mm=float(chosen.uniform(*UNDULATION_MM))
     )
     finger = replace(finger, shape=shape, skin=skin)
-    if prints is None or chosen.random() >= PRINTS_SHARE:
+    if prints is None or chosen.random() >= REAL_PRINT_FRACTION:
         return finger
     files = sorted(Path(prints).glob("*.png"))
     master = master_of_print_file(
@@ -146,7 +154,7 @@ def draw_finger_of(number, rng, prints=None):
 
 def moved_rig(rig, rng):
     """The rig with its lights on another circle, each a little off it."""
-    limits = (LED_RADIUS_MM, LED_HEIGHT_MM, LED_TWIST_RAD)
+    limits = (RING_RADIUS_MM, RING_HEIGHT_MM, RING_TURN_RAD)
     radius, height, twist = (float(rng.uniform(*one)) for one in limits)
     leds = []
     for led in rig.leds:
@@ -166,12 +174,12 @@ def draw_scene(number, rng, scale, prints=None, rim_exponent=None):
     skin = draw_skin(rng)
     finger = draw_finger_of(number, rng, prints)
     render = RenderSettings(
-        aperture_mm=0.0 if rng.random() < SHARP else float(rng.uniform(*APERTURE_MM))
+        aperture_mm=0.0 if rng.random() < SHARP_FRACTION else float(rng.uniform(*APERTURE_MM))
     )
     if rim_exponent is not None:
         render = replace(render, rim_exponent=rim_exponent)
     rig = default_rig(scale, int(rng.integers(1000)))
-    if rng.random() < OTHER_RIG:
+    if rng.random() < OTHER_RIG_FRACTION:
         rig = moved_rig(rig, rng)
     return finger, rig, TwinSettings(scale=scale, skin=skin, render=render)
 

@@ -27,15 +27,14 @@ from splitknit.imaging.band import GREY_WEIGHTS
 from splitknit.model import Camera, Led, default_rig
 from splitknit.separation.binary import checkerboard
 from splitknit.separation.direct import exposure_level, local_level
-from splitknit_simulator.camera.sensor import SensorSettings, record
+from splitknit_simulator.camera.sensor import FULL_PX_PER_MM, SensorSettings, record
 from splitknit_simulator.finger.finger import PoseRanges, draw_finger, finger_surface
 from splitknit_simulator.light.separation import Checkerboard, checkerboard_stack, separate_truth
 from splitknit_simulator.light.skin import SkinRanges
 
-FULL_PX_PER_MM = 75.7
 IMAGE_SIZE = (1018, 768)  # rows and columns of a palm's photograph
-# size of a palm's pixels on the finger plane, and a finger's smallest
-PITCH_UM, FINGER_PITCH_UM = (13.0, 40.0), 20.0
+PITCH_UM = (13.0, 40.0)  # size of a palm's pixels on the finger plane
+FINGER_PITCH_UM = 20.0  # smallest size of a finger's pixels there
 LED_RADIUS_MM = (20.0, 75.0)  # distance of the light from the camera's axis, at the camera's height
 # side of the checks, about a ridge period: direct light is defined only together with it
 CHECK_MM = 0.42
@@ -46,10 +45,12 @@ PATCH_PX = 72  # the thesis
 MIN_SKIN = 0.25
 MAX_SHIFT_PX = 8  # random translation of a patch, each way
 # fraction of the patches turned by any angle, which smooths noise; the others by quarter turns
-TURNED = 0.5
+TURNED_FRACTION = 0.5
 # fraction of the patches that are given as grey, CLAHE-enhanced images, as by the thesis's presets
-ENHANCED = 0.5
-BATCH, LEARNING_RATE, HELD_OUT = 32, 1e-3, 4
+ENHANCED_FRACTION = 0.5
+BATCH_SIZE = 32
+LEARNING_RATE = 1e-3
+HELD_OUT_COUNT = 4  # palms, and fingers, that are held out
 
 
 @dataclass(frozen=True)
@@ -223,17 +224,17 @@ class Patches:
         """The batches of one epoch: every patch once, augmented; the last, smaller batch too."""
         rng = np.random.default_rng(np.random.SeedSequence([0, 0xBA, epoch]))
         order = rng.permutation(len(self))
-        for first in range(0, len(order), BATCH):
-            chosen = order[first : first + BATCH]
-            enhanced = rng.random(len(chosen)) < ENHANCED
+        for first in range(0, len(order), BATCH_SIZE):
+            chosen = order[first : first + BATCH_SIZE]
+            enhanced = rng.random(len(chosen)) < ENHANCED_FRACTION
             yield _stacked([self._augmented(k, rng) for k in chosen], enhanced)
 
     def fixed(self, enhanced):
         """All patches in their order as they are, linear or enhanced."""
-        for first in range(0, len(self), BATCH):
+        for first in range(0, len(self), BATCH_SIZE):
             pieces = [
                 self._piece(k, *self._corners[k])
-                for k in range(first, min(first + BATCH, len(self)))
+                for k in range(first, min(first + BATCH_SIZE, len(self)))
             ]
             yield _stacked(pieces, np.full(len(pieces), enhanced))
 
@@ -249,7 +250,7 @@ class Patches:
         shift = rng.integers(-MAX_SHIFT_PX, MAX_SHIFT_PX + 1, 2)
         height, width = pixels.shape[:2]
         row, column = np.clip(self._corners[k] + shift, 0, (height - PATCH_PX, width - PATCH_PX))
-        if rng.random() < TURNED:
+        if rng.random() < TURNED_FRACTION:
             piece = _turned(pixels, (int(row), int(column)), 360.0 * rng.random())
         else:
             piece = np.rot90(self._piece(k, row, column), int(rng.integers(4)))
@@ -318,7 +319,7 @@ def shoot(recipe, kind, index):
     return arrays
 
 
-def train(out, recipe, command, *, held_out=HELD_OUT, threads=2, device="cpu"):
+def train(out, recipe, command, *, held_out=HELD_OUT_COUNT, threads=2, device="cpu"):
     """Photograph palms and fingers, train, and write `direct.onnx` into `out`."""
     import torch
 
@@ -362,7 +363,7 @@ def train(out, recipe, command, *, held_out=HELD_OUT, threads=2, device="cpu"):
         training.network.train()
         losses = []
         for number, batch in enumerate(seen.shuffled(epoch)):
-            done = (epoch + number / math.ceil(len(seen) / BATCH)) / recipe.epochs
+            done = (epoch + number / math.ceil(len(seen) / BATCH_SIZE)) / recipe.epochs
             loss = loss_of(batch)
             training.step(loss, LEARNING_RATE * learning_factor(done, recipe.decay))
             losses.append(float(loss.detach()))

@@ -39,25 +39,23 @@ from splitknit.imaging.band import bin_mean
 from splitknit.imaging.geometry import height_gradients
 from splitknit.methods.metric import metric_skin
 from splitknit.presets import preset_settings
-from splitknit.skin.grid import COARSE_PITCH_MM, coarsen
+from splitknit.skin.grid import coarsen
 from splitknit.skin.images import skin_images
-from splitknit.skin.learned import (
-    RELIEF_MM,
-    RIDGE_BAND_MM,
-    SHAPE_SLOPE,
-    SHAPE_SYMMETRY,
-    Networks,
-    can_learn,
-)
+from splitknit.skin.learned import RELIEF_MM, SHAPE_SLOPE, SHAPE_SYMMETRY, Networks, can_learn
+from splitknit.skin.parameters import COARSE_PITCH_MM, RIDGE_BAND_MM
 
-FINGERS, HELD_OUT, FIRST, ITERATIONS = 160, 8, 5000, 6000
+FINGERS = 160
+FIRST_FINGER = 5000
+HELD_OUT_FINGERS = 8
+ITERATIONS = 6000
 SCALE = (0.34, 0.43)  # size of the images
 # of the light at the finger's outline: the simulator's least certain physics
 RIM_EXPONENT = (0.0, 1.0)
-# mean height of the relief that the reconstruction is given, over the true one
-GAIN, GAIN_SPREAD = 0.93, 0.12
-# residual slopes along x and y in the network's unit, and weight, in a sample
-SLOPES, WEIGHT = slice(32, 34), 34
+# height of the relief that the reconstruction is given, over the true one
+RELIEF_GAIN = 0.93
+RELIEF_GAIN_SD = 0.12
+SLOPE_CHANNELS = slice(32, 34)  # residual slopes along x and y of a sample, in the network's unit
+WEIGHT_CHANNEL = 34
 MAX_MISSING = 3.0  # slopes that are missing beyond this are cut off
 SEEN_SLOPES = slice(20, 22)  # the shape's own slopes among the fields, over two
 # side of the blocks over which the loss also compares mean slopes: wide errors become the shape's
@@ -73,7 +71,7 @@ def shape_sample(number, prints=None):
     rng = np.random.default_rng([number, 77])
     scale, rim = (float(rng.uniform(*limits)) for limits in (SCALE, RIM_EXPONENT))
     finger, rig, twin = draw_scene(number, rng, scale, prints, rim)
-    gain = max(float(rng.normal(GAIN, GAIN_SPREAD)), 0.1)
+    gain = max(float(rng.normal(RELIEF_GAIN, RELIEF_GAIN_SD)), 0.1)
     capture, truth = photograph_scene(number, finger, rig, replace(twin, sensor=draw_sensor(rng)))
     settings = preset_settings("metric")
     found = find_finger(capture, settings)
@@ -145,8 +143,8 @@ def shape_loss(made, batch):
     what is wrong."""
     from torch.nn.functional import avg_pool2d
 
-    weight = batch[:, WEIGHT : WEIGHT + 1]
-    error = made - batch[:, SLOPES]
+    weight = batch[:, WEIGHT_CHANNEL : WEIGHT_CHANNEL + 1]
+    error = made - batch[:, SLOPE_CHANNELS]
     count = weight.sum() + 1.0
     means = avg_pool2d(error * weight, WIDE_PX) ** 2 / (avg_pool2d(weight, WIDE_PX) + MIN_TRUST)
     return (error**2 * weight).sum() / count + means.sum() * WIDE_PX**2 / count
@@ -156,7 +154,9 @@ def judge(run, sample, stride):
     """Weighted rms error of a slope before and after, and of means over squares of 17 pixels."""
     rows, columns = (length // stride * stride for length in sample.shape[1:])
     sample = np.asarray(sample[:, :rows, :columns], dtype=np.float32)
-    weight, wanted = (np.asarray(sample[part], dtype=np.float64) for part in (WEIGHT, SLOPES))
+    weight, wanted = (
+        np.asarray(sample[part], dtype=np.float64) for part in (WEIGHT_CHANNEL, SLOPE_CHANNELS)
+    )
     figures = {}
     for name, error in (("before", wanted), ("after", wanted - run(sample[:32]))):
         wide = np.stack(
@@ -229,7 +229,10 @@ def main():
     )
     parser.add_argument("--device", choices=("cpu", "cuda"), default="cpu")
     given = parser.parse_args()
-    numbers = [*range(FIRST, FIRST + FINGERS), *range(HELD_OUT_FROM, HELD_OUT_FROM + HELD_OUT)]
+    numbers = [
+        *range(FIRST_FINGER, FIRST_FINGER + FINGERS),
+        *range(HELD_OUT_FROM, HELD_OUT_FROM + HELD_OUT_FINGERS),
+    ]
     data = make_data(
         given.out, [("finger", n) for n in numbers], partial(shoot, given.prints), given.threads
     )

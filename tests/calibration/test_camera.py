@@ -22,7 +22,7 @@ def test_a_long_lens_is_found_and_its_distortion_held():
     assert "+-" in lens.fixed["k2"]
     assert "not tried" in lens.fixed["k3"]
     assert lens.fitted == ("cx", "cy")
-    assert found.warnings == ()
+    assert found.findings == ()
     assert found.variety_deg > 30
     assert len(found.used) == len(lens.view_rms_px) == 10
 
@@ -104,7 +104,7 @@ def test_boards_in_one_corner_are_warned_about():
     sets = [0.5 * seen(marks, turned(10 + 3 * k, 70 * k), (0, 0, 140.0)) for k in range(8)]
     found = fit_camera(sets, BOARD, SIZE)
     assert found.coverage < 0.4
-    assert any("cover" in words for words in found.warnings)
+    assert "uncovered-picture" in [finding.code for finding in found.findings]
 
 
 def test_stretched_photographs_are_refused():

@@ -12,7 +12,7 @@ def rig_of(folder: Path) -> list[int]:
     )
     print(camera.camera.scale_known, sorted(camera.poses))
     lights = splitknit_rig.calibrate_lights(images=folder / "ball", sphere="chrome", rig=camera.out)
-    print(lights.method, len(lights.leds), lights.warnings)
+    print(lights.method, len(lights.leds), [finding.code for finding in lights.findings])
     card = splitknit_rig.calibrate_radiometry(
         folder / "card", rig=camera.out, out=folder / "rig.json"
     )

@@ -47,10 +47,10 @@ def test_samples_hold_fields_truth_and_weight(script) -> None:
     counts."""
     shape, relief = script("shape"), script("relief")
     sample = shape.shape_sample(5001)
-    assert sample.shape[0] == 35 and 0.2 < sample[shape.WEIGHT].mean(dtype=np.float32) < 1
+    assert sample.shape[0] == 35 and 0.2 < sample[shape.WEIGHT_CHANNEL].mean(dtype=np.float32) < 1
     relief.CROPS = 1
     piece = relief.training_crops(7000)[0]
-    assert piece.shape == (41, 300, 300) and np.abs(piece[relief.RELIEF]).max() > 0.3
+    assert piece.shape == (41, 300, 300) and np.abs(piece[relief.RELIEF_CHANNEL]).max() > 0.3
 
 
 def test_direct_is_trained_on_palms_and_fingers(script, loop, tmp_path: Path, monkeypatch) -> None:

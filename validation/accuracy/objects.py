@@ -7,7 +7,7 @@ the camera), ``mask`` (H, W) and ``normals`` (H, W, 3). A sphere's folder has ph
 ``*.N.png``, a mask ``*.mask.png`` and, in it or above it, ``lights.txt``; its normals follow from
 its outline. Without arguments: the objects of SPLITKNIT_DATA.
 
-It prints the table that ``tables/objects.csv`` holds and docs/experiments/objects.md quotes: mean
+It prints the table that ``tables/objects.csv`` holds and docs/experiments/real-things.md quotes: mean
 angular error in degrees of the normals as photometric stereo measured them, and of the integrated
 surface; with all lights, and with seven of them (mean, min to max of DRAWS draws).
 """
@@ -38,7 +38,7 @@ PRESETS = {
     "pr": ("pr", {}),
     "pr, linear contrast": ("pr", {"enhance.cells.grey": "linear"}),
 }
-FEW = 7
+FEW_LIGHTS = 7
 """Lights of a rig."""
 DRAWS = 5
 PX_PER_MM = 5.0
@@ -154,8 +154,8 @@ def table(objects: Sequence[Object]) -> Iterator[str]:
         count = len(one.lights)
         rng = np.random.default_rng(0)
         few = [
-            sorted(rng.choice(count, FEW, replace=False).tolist())
-            for _ in range(DRAWS if count > FEW else 0)
+            sorted(rng.choice(count, FEW_LIGHTS, replace=False).tolist())
+            for _ in range(DRAWS if count > FEW_LIGHTS else 0)
         ]
         for draws in [[list(range(count))], *([few] if few else [])]:
             for preset, (base, changes) in PRESETS.items():

@@ -17,8 +17,8 @@ from typing import Any
 from summary import ROWS
 
 HERE = Path(__file__).resolve().parent
-SLIP = 0.01
-SAME = ("scale", "fingers", "impressions", "first_seed")
+MAX_LOSS = 0.01
+COMPARED_SETTINGS = ("scale", "fingers", "impressions", "first_seed")
 """What must agree for figures to be comparable."""
 Tree = Mapping[str, Any]
 
@@ -33,15 +33,15 @@ def stored(results: Tree) -> dict[str, Any]:
         }
         for name, preset in population["presets"].items()
     }
-    return {**{key: population[key] for key in SAME}, "presets": presets}
+    return {**{key: population[key] for key in COMPARED_SETTINGS}, "presets": presets}
 
 
 def slipped(results: Tree, thresholds: Tree) -> list[str]:
-    """A sentence for each figure that is worse than the stored one by more than :data:`SLIP`."""
+    """A sentence for each figure that is worse than the stored one by more than :data:`MAX_LOSS`."""
     found = stored(results)
     worse = [
         f"{key} is {found[key]}, but the stored figures were made with {thresholds[key]}"
-        for key in SAME
+        for key in COMPARED_SETTINGS
         if found[key] != thresholds[key]
     ]
     for preset, figures in thresholds["presets"].items():
@@ -59,8 +59,8 @@ def _is_worse(key: str, now: float, before: float) -> bool:
         return now > before
     better = ROWS[key].better
     if better == "one":
-        return abs(now - 1.0) > abs(before - 1.0) + SLIP
-    return now > before * (1.0 + SLIP) if better == "low" else now < before * (1.0 - SLIP)
+        return abs(now - 1.0) > abs(before - 1.0) + MAX_LOSS
+    return now > before * (1.0 + MAX_LOSS) if better == "low" else now < before * (1.0 - MAX_LOSS)
 
 
 def tightened(results: Tree, thresholds: Tree) -> dict[str, Any]:

@@ -32,7 +32,6 @@ COLUMNS = {
     "ridge_gain": "gain",
     "ridge_rms_um": "rms, um",
     "ridge_good_area": "area > 0.8",
-    "uncertainty_ratio": "error over stated",
 }
 """Figures of the page's table."""
 POPULATION = (

@@ -34,7 +34,6 @@ class Row:
         return value if self.better == "low" else -value
 
 
-INFINITE = float("inf")
 ROWS: dict[str, Row] = {
     "surface_rms_mm": Row("whole surface, rms", "mm", 3, (0, 0.13), (0, 0.09)),
     "ridge_correlation": Row("ridge band, correlation", "", 3, (0.85, 1), (0.97, 1), "high"),

@@ -33,9 +33,12 @@ from splitknit_simulator.rigs import built_rig
 Points = NDArray[np.float64]
 HERE = Path(__file__).resolve().parent
 CIRCLE = Circle(52.5, 140.0)
-TWO = ((-6.0, -4.0), (6.0, 4.0))
-FOUR = ((-6.0, -4.0), (6.0, -4.0), (6.0, 4.0), (-6.0, 4.0))
-TIP_PX, NAIL_MM = 1.0, 0.1
+TWO_PLACES_MM = ((-6.0, -4.0), (6.0, 4.0))
+FOUR_PLACES_MM = ((-6.0, -4.0), (6.0, -4.0), (6.0, 4.0), (-6.0, 4.0))
+TIP_NOISE_PX = 1.0
+"""Standard deviation of a shadow tip's place."""
+NAIL_NOISE_MM = 0.1
+"""Standard deviation of the nail's place and of its height."""
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -57,8 +60,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--out", type=Path, default=HERE / "lights.json")
     chosen = parser.parse_args(arguments)
     results = {
-        "tip_px": TIP_PX,
-        "nail_mm": NAIL_MM,
+        "tip_px": TIP_NOISE_PX,
+        "nail_mm": NAIL_NOISE_MM,
         "nail_height_mm": chosen.nail_mm,
         "rigs": chosen.rigs,
     }
@@ -82,10 +85,12 @@ def tables(rigs: int, nail_mm: float) -> dict[str, Any]:
     for seed in range(rigs):
         rig = built_rig(seed)
         rng = np.random.default_rng([seed, 0x11])
-        two, four = (noisy_table(rig, places, nail_mm, rng) for places in (TWO, FOUR))
-        known = Nail(height_mm=nail_mm + float(rng.normal(0, NAIL_MM)))
+        two, four = (
+            noisy_table(rig, places, nail_mm, rng) for places in (TWO_PLACES_MM, FOUR_PLACES_MM)
+        )
+        known = Nail(height_mm=nail_mm + float(rng.normal(0, NAIL_NOISE_MM)))
         drawn = default_rig()
-        exact = noisy_table(drawn, TWO, nail_mm, rng)
+        exact = noisy_table(drawn, TWO_PLACES_MM, nail_mm, rng)
         plain, _ = by_circle(exact, drawn.camera, CIRCLE)
         _note(errors, "circle, two positions, LEDs as drawn, parallel view", _errors(plain, drawn))
         _note(errors, "nothing measured: LEDs as drawn", _drawn_errors(rig))
@@ -117,7 +122,7 @@ def photographs(rigs: int, scale: float, nail_mm: float) -> dict[str, Any]:
     for seed in range(rigs):
         rig = built_rig(seed, scale=scale)
         tips: list[Tip] = []
-        for nail, place in enumerate(FOUR, start=1):
+        for nail, place in enumerate(FOUR_PLACES_MM, start=1):
             scene = _scene(rig, place, nail_mm)
             for first, band in ((0, "white"), (7, "nir")):
                 leds = range(first, first + 7)
@@ -152,9 +157,11 @@ def noisy_table(
     tips = []
     for nail, place in enumerate(places, start=1):
         scene = _scene(rig, place, nail_mm)
-        seen = scene.tip_px() + rng.normal(0, NAIL_MM * rig.camera.px_per_mm, 2)
+        seen = scene.tip_px() + rng.normal(0, NAIL_NOISE_MM * rig.camera.px_per_mm, 2)
         for k, tip in enumerate(scene.shadow_tips_px()):
-            tips.append(_tip(BANDS[k // 7], k % 7, nail, seen, tip + rng.normal(0, TIP_PX, 2)))
+            tips.append(
+                _tip(BANDS[k // 7], k % 7, nail, seen, tip + rng.normal(0, TIP_NOISE_PX, 2))
+            )
     return _sorted(tips)
 
 

@@ -24,7 +24,7 @@ from typing import Any
 
 HERE = Path(__file__).resolve().parent
 HEIGHTS_MM = (0.0, 2.5, 5.0, 7.5, 10.0)
-STEP = 4
+PIXEL_STEP = 4
 FIRST_SEED = 100
 SCALE = 0.12
 """Of the images."""
@@ -219,7 +219,7 @@ def _pixels(rig: Any) -> Any:
     import numpy as np
 
     rows, columns = np.mgrid[
-        0 : rig.camera.image_size[0] : STEP, 0 : rig.camera.image_size[1] : STEP
+        0 : rig.camera.image_size[0] : PIXEL_STEP, 0 : rig.camera.image_size[1] : PIXEL_STEP
     ]
     return np.stack([columns.ravel(), rows.ravel()], axis=1).astype(np.float64)
 
@@ -229,7 +229,7 @@ def _light(card: Any) -> Any:
     import numpy as np
 
     return np.stack(
-        [card.light((k,))[::STEP, ::STEP, 0].ravel() for k in range(len(card.leds))]
+        [card.light((k,))[::PIXEL_STEP, ::PIXEL_STEP, 0].ravel() for k in range(len(card.leds))]
     ).astype(np.float64)
 
 

@@ -21,8 +21,9 @@ from summary import interval
 
 from splitknit.accuracy import compare
 from splitknit.errors import BadInput
-from splitknit.finger.locate import SURVEY_PX_PER_MM, enlarged_mask
+from splitknit.finger.locate import enlarged_mask
 from splitknit.finger.mask import finger_mask
+from splitknit.finger.parameters import SURVEY_PX_PER_MM
 from splitknit.imaging.band import linear_survey
 from splitknit.model import Capture
 from splitknit.pipeline import reconstruct

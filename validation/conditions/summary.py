@@ -204,12 +204,7 @@ def show(document: dict[str, Any], table: list[dict[str, Any]], preset: str) -> 
         values = []
         for figure in NAMES:
             row = chosen.get((kind, figure))
-            digits = {"nfiq2": 0, "normals_mean_deg": 1}.get(figure, 2)
-            three = (
-                []
-                if row is None
-                else [f"{row[end]:.{digits}f}" for end in ("median", "low", "high")]
-            )
+            three = [] if row is None else [f"{row[end]:.2f}" for end in ("median", "low", "high")]
             text = f"{three[0]} ({three[1]}-{three[2]})" if three else ""
             values.append(f"**{text}**" if row is not None and row["beyond"] > 0 else text)
         first = "" if kind == "none" else document["first"][preset][kind]["severity"]
@@ -222,8 +217,6 @@ def show(document: dict[str, Any], table: list[dict[str, Any]], preset: str) -> 
 NAMES = {
     "ridge_correlation": "ridge correlation",
     "ridge_gain": "ridge gain",
-    "normals_mean_deg": "normals, deg",
-    "nfiq2": "NFIQ 2",
     "similarity": "similarity",
 }
 """Columns of the page's table."""

@@ -27,20 +27,20 @@ from pathlib import Path
 import numpy as np
 from scipy.special import j0
 
-INDEX = 1.42
+REFRACTIVE_INDEX = 1.42
 ALBEDOS = np.array(
     [0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 0.85, 0.9, 0.93, 0.95, 0.965, 0.98, 0.99, 0.995, 0.998, 0.9995]
 )
 FREQUENCIES = np.concatenate([[0.0], np.geomspace(0.003, 60.0, 111)])
-TAIL = 8.0  # beyond it M x is constant within the noise
+TAIL_FREQUENCY = 8.0  # beyond it M x is constant within the noise
 
 
 def fresnel_inside(cosine):
     """Unpolarised reflectance for light that meets the boundary from within."""
-    sine2 = (1 - cosine**2) * INDEX**2
+    sine2 = (1 - cosine**2) * REFRACTIVE_INDEX**2
     outside = np.sqrt(np.clip(1 - sine2, 0, 1))
-    s = (INDEX * cosine - outside) / (INDEX * cosine + outside)
-    p = (cosine - INDEX * outside) / (cosine + INDEX * outside)
+    s = (REFRACTIVE_INDEX * cosine - outside) / (REFRACTIVE_INDEX * cosine + outside)
+    p = (cosine - REFRACTIVE_INDEX * outside) / (cosine + REFRACTIVE_INDEX * outside)
     return np.where(sine2 >= 1, 1.0, 0.5 * (s**2 + p**2))
 
 
@@ -87,9 +87,9 @@ def table(count, most, seed):
     radii, orders = walks(count, most, seed)
     weights = ALBEDOS[:, None] ** orders[None, :]
     result = np.stack([weights @ j0(x * radii) for x in FREQUENCIES], axis=1) / count
-    near = (FREQUENCIES > TAIL / 2) & (FREQUENCIES < TAIL * 2)
+    near = (FREQUENCIES > TAIL_FREQUENCY / 2) & (FREQUENCIES < TAIL_FREQUENCY * 2)
     constant = (result[:, near] * FREQUENCIES[near]).mean(axis=1)
-    far = FREQUENCIES >= TAIL
+    far = FREQUENCIES >= TAIL_FREQUENCY
     result[:, far] = constant[:, None] / FREQUENCIES[far]
     return result
 
@@ -116,7 +116,7 @@ def main() -> None:
         albedo=ALBEDOS,
         frequency=FREQUENCIES,
         transfer=result.astype(np.float32),
-        index=np.float64(INDEX),
+        index=np.float64(REFRACTIVE_INDEX),
     )
     print(f"{options.out}: {result.shape[0]} albedos x {result.shape[1]} frequencies")
 

@@ -46,10 +46,10 @@ PPI = {
     "fvc/fvc2004_db2b": 500, "fvc/fvc2004_db3b": 512, "fvc/fvc2000_db3b": 500,
 }  # fmt: skip
 FOLDS = tuple(PPI)[:4], tuple(PPI)[4:]
-SIZE = 10_000
-LIST = 50
-COMPARED = (1, 2, 6, 14, 30, LIST)
-SURE = 9.0
+GALLERY_SIZE = 10_000
+CANDIDATES = 50
+COMPARED = (1, 2, 6, 14, 30, CANDIDATES)
+MATCHING_SUPPORT = 9.0
 
 
 def main() -> None:
@@ -67,7 +67,10 @@ def main() -> None:
     for fold in (0, 1):
         mine = sorted(name for name in prints if name.rpartition("/")[0] in FOLDS[fold])
         others = [prints[name] for name in prints if name.rpartition("/")[0] in FOLDS[1 - fold]]
-        gallery = [*(payloads[name] for name in mine), *map(pack, joined(others, SIZE - len(mine)))]
+        gallery = [
+            *(payloads[name] for name in mine),
+            *map(pack, joined(others, GALLERY_SIZE - len(mine))),
+        ]
         started = time.process_time()
         index = MinutiaIndex(dict(enumerate(gallery)), HERE)
         built, started = time.process_time() - started, time.process_time()
@@ -76,15 +79,17 @@ def main() -> None:
             mates = [own[(own.index(n) + step) % len(own)] for step in (1, 3)]
             order = [
                 row
-                for row in index.nearest(ready[name].cylinders, 2 * LIST)
+                for row in index.nearest(ready[name].cylinders, 2 * CANDIDATES)
                 if row not in own or row in mates
             ]
             for mate in mates:
                 if fused_match(ready[name], ready[mine[mate]]).similarity >= limit:
                     before = [row for row in order if row not in mates or row == mate]
                     support[True].append(most(ready[name], ready[mine[mate]]))
-                    ranks.append((name[:-2], before.index(mate) if mate in before else SIZE))
-            others = [row for row in order if row not in own][:LIST]
+                    ranks.append(
+                        (name[:-2], before.index(mate) if mate in before else GALLERY_SIZE)
+                    )
+            others = [row for row in order if row not in own][:CANDIDATES]
             support[False] += [most(ready[name], Prepared(unpack(gallery[row]))) for row in others]
         seconds = time.process_time() - started
         print(
@@ -92,9 +97,9 @@ def main() -> None:
         )
         if fold == 0:
             times(mine, gallery)
-    sure = sum(one >= SURE for one in support[True]), len(support[True])
+    sure = sum(one >= MATCHING_SUPPORT for one in support[True]), len(support[True])
     print(
-        f"support of {SURE}: {sure} matching pairs; of {len(support[False])} others"
+        f"support of {MATCHING_SUPPORT}: {sure} matching pairs; of {len(support[False])} others"
         f" {max(support[False]):.1f} at most"
     )
     write(ranks)
@@ -113,7 +118,7 @@ def times(mine: list[str], templates: list[bytes]) -> None:
         probes = range(0, len(mine), 5)
         for case, kept in (
             ("present", set(range(len(templates))) - set(probes)),
-            ("absent", range(len(mine), SIZE)),
+            ("absent", range(len(mine), GALLERY_SIZE)),
         ):
             file = Path(folder) / f"{case}.skg"
             with Gallery(file) as made:
@@ -243,7 +248,9 @@ def write(ranks: list[tuple[str, int]]) -> None:
         ends = np.percentile(drawn[:, 0] / drawn[:, 1], (2.5, 97.5))
         low = beta.ppf(0.025, lost, n - lost + 1) if lost else 0.0
         high = beta.ppf(0.975, lost + 1, n - lost)
-        rows.append([SIZE, compared, n, lost, *(f"{value:.4f}" for value in (low, high, *ends))])
+        rows.append(
+            [GALLERY_SIZE, compared, n, lost, *(f"{value:.4f}" for value in (low, high, *ends))]
+        )
         print(*rows[-1])
     with (HERE / "tables" / "index.csv").open("w", encoding="utf-8", newline="") as stream:
         csv.writer(stream, lineterminator="\n").writerows(rows)

@@ -35,7 +35,10 @@ from splitknit_match.matching.inputs import print_template
 from splitknit_match.matching.ridge import Prepared
 from splitknit_match.matching.template import pack, unpack
 
-SIZE, WINDOW_MM, FMR = 1000, 6.0, 1e-4
+GALLERY_SIZE = 1000
+WINDOW_MM = 6.0
+"""Side of the windows that are cut from prints."""
+FMR = 1e-4
 
 
 def main() -> None:
@@ -52,12 +55,14 @@ def main() -> None:
         mine = sorted(name for name in prints if name.rpartition("/")[0] in FOLDS[fold])
         others = [prints[name] for name in prints if name.rpartition("/")[0] in FOLDS[1 - fold]]
         fingers = sorted({name[:-2] for name in mine})
-        fill = [pack(one) for one in joined(others, SIZE)]
+        fill = [pack(one) for one in joined(others, GALLERY_SIZE)]
         with tempfile.TemporaryDirectory() as folder:
             galleries = []
             for half in (0, 1):
                 held = [(name, payloads[f"{name}_1"]) for name in fingers[half::2]]
-                held += [(f"other {n}", one) for n, one in enumerate(fill[: SIZE - len(held)])]
+                held += [
+                    (f"other {n}", one) for n, one in enumerate(fill[: GALLERY_SIZE - len(held)])
+                ]
                 file = Path(folder) / f"{half}.skg"
                 captures = (
                     NewCapture(

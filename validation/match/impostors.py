@@ -85,8 +85,9 @@ def pressed(seed: int) -> Any:
     return press(finger(seed), 0)
 
 
-COARSE, FINE = partial(drawn_surface, scale=0.15), partial(drawn_surface, scale=0.27)
-"""Of the camera: the second has 20 pixels a millimetre, the resolution of a print."""
+COARSE = partial(drawn_surface, scale=0.15)
+FINE = partial(drawn_surface, scale=0.27)
+"""20 pixels a millimetre, the resolution of a print."""
 ROUTES = {
     "ridge": Route(
         COARSE,

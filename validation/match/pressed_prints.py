@@ -17,10 +17,10 @@ from splitknit_simulator.finger.finger import FREQUENCIES
 from splitknit_simulator.finger.master_print import MasterPrint, master_print
 from splitknit_simulator.finger.ridges import smooth_noise
 
-STEP_MM = 25.4 / 500
-SIZE = (380, 380)
+PITCH_MM = 25.4 / 500
+PRINT_SIZE = (380, 380)
 """Rows and columns of a print, pixels at 500 ppi."""
-MIDDLE_MM = 13.5
+PRESS_CENTRE_MM = 13.5
 """Above the first crease lies the middle of a press."""
 
 
@@ -81,14 +81,14 @@ def finger(seed: int) -> MasterPrint:
 def press(master: MasterPrint, seed: int, ranges: PressRanges | None = None) -> NDArray[np.uint8]:
     """One print (380, 380) uint8 of a finger."""
     r, rng = ranges or PressRanges(), np.random.default_rng([master.seed, seed, 22])
-    rows, columns = SIZE
+    rows, columns = PRINT_SIZE
     down, right = np.mgrid[0:rows, 0:columns].astype(np.float64)
-    x, y = (right - (columns - 1) / 2) * STEP_MM, ((rows - 1) / 2 - down) * STEP_MM
+    x, y = (right - (columns - 1) / 2) * PITCH_MM, ((rows - 1) / 2 - down) * PITCH_MM
     half = rng.uniform(*r.half_width_mm), rng.uniform(*r.half_height_mm)
-    edge = np.hypot(x / half[0], y / half[1]) + 0.04 * smooth_noise(rng, SIZE, 1.5 / STEP_MM)
+    edge = np.hypot(x / half[0], y / half[1]) + 0.04 * smooth_noise(rng, PRINT_SIZE, 1.5 / PITCH_MM)
     contact = 1 / (1 + np.exp((edge - 1) / 0.015))
     turn = np.deg2rad(np.clip(rng.normal(0, r.turn_deg), -25, 25))
-    bent = [r.stretch_mm * smooth_noise(rng, SIZE, 4 / STEP_MM) for _ in range(2)]
+    bent = [r.stretch_mm * smooth_noise(rng, PRINT_SIZE, 4 / PITCH_MM) for _ in range(2)]
     u = (
         -(np.cos(turn) * x - np.sin(turn) * y)
         + bent[0]
@@ -98,26 +98,30 @@ def press(master: MasterPrint, seed: int, ranges: PressRanges | None = None) -> 
         np.sin(turn) * x
         + np.cos(turn) * y
         + bent[1]
-        + MIDDLE_MM
+        + PRESS_CENTRE_MM
         + np.clip(rng.normal(0, r.along_mm), -6, 5)
     )
     pitch = float(master.u_mm[1] - master.u_mm[0])
     skin = cv2.GaussianBlur(
-        np.clip(master.ridge - 0.6 * master.pores, 0, 1), (0, 0), 0.4 * STEP_MM / pitch
+        np.clip(master.ridge - 0.6 * master.pores, 0, 1), (0, 0), 0.4 * PITCH_MM / pitch
     )
     place = (
         ((u - master.u_mm[0]) / pitch).astype(np.float32),
         ((master.v_mm[0] - v) / pitch).astype(np.float32),
     )
     height = cv2.remap(skin, *place, cv2.INTER_CUBIC, borderMode=cv2.BORDER_REPLICATE)
-    level = rng.uniform(*r.moisture) + r.patches * smooth_noise(rng, SIZE, 2.5 / STEP_MM)
-    dry = rng.uniform(*r.dropouts) * smooth_noise(rng, SIZE, 0.09 / STEP_MM)
+    level = rng.uniform(*r.moisture) + r.patches * smooth_noise(rng, PRINT_SIZE, 2.5 / PITCH_MM)
+    dry = rng.uniform(*r.dropouts) * smooth_noise(rng, PRINT_SIZE, 0.09 / PITCH_MM)
     ink = 1 / (1 + np.exp(-(height - level + dry) / 0.12))
     for _ in range(rng.integers(0, r.scratches + 1)):
         angle, offset = rng.uniform(0, np.pi), rng.uniform(-6, 6)
         away = np.abs(np.cos(angle) * x + np.sin(angle) * y - offset)
         ink *= 1 - np.exp(-((away / rng.uniform(0.08, 0.2)) ** 2))
     paper, dark = rng.uniform(215, 250), rng.uniform(20, 90)
-    grey = paper - (paper - dark) * contact * ink + rng.normal(0, rng.uniform(*r.noise_grey), SIZE)
+    grey = (
+        paper
+        - (paper - dark) * contact * ink
+        + rng.normal(0, rng.uniform(*r.noise_grey), PRINT_SIZE)
+    )
     soft = cv2.GaussianBlur(grey, (0, 0), 0.6)
     return np.asarray(np.clip(np.round(soft), 0, 255).astype(np.uint8))

@@ -40,12 +40,20 @@ OUT = HERE / "windows.json"
 SETS = (*REAL, KNOWN)
 SIZES_MM = (4, 5, 6, 8, 10)
 SEED = 48
-WHOLE, TOUCHES, PRINTS = 0, 1, 2
-RATED_MM2, EXCLUDED_MM2 = 6.0, 40.0
-"""Overlap from which on rates are stated, and from which on nine of ten genuine pairs pass (see
-``by_overlap``)."""
-FIRST, SECOND = 5600, 2800
-"""Comparisons of either kind of order."""
+WHOLE = 0
+"""Kind of a comparison: a window with a whole print."""
+TOUCHES = 1
+"""Kind of a comparison: a window with another window."""
+PRINTS = 2
+"""Kind of a comparison: whole prints."""
+RATED_MM2 = 6.0
+"""Overlap from which on rates are stated."""
+EXCLUDED_MM2 = 40.0
+"""Overlap from which on nine of ten genuine pairs pass (see ``by_overlap``)."""
+MIXED_COUNT = 5600
+"""Comparisons of all sets in turn, genuine and impostor."""
+IMPOSTOR_COUNT = 2800
+"""Further comparisons, of impostors alone."""
 
 
 def windows(images: list[Image], number: int) -> list[tuple[int, int, str, Image]]:
@@ -127,14 +135,14 @@ def tasks(number: int, owner: list[str], impression: list[int], count: int) -> l
 
 def first(todo: list[list[Task]]) -> list[Task]:
     """The tasks of all sets in turn."""
-    return [one for group in itertools.zip_longest(*todo) for one in group if one][:FIRST]
+    return [one for group in itertools.zip_longest(*todo) for one in group if one][:MIXED_COUNT]
 
 
 def second(owners: list[list[str]]) -> list[Task]:
     """More impostors: drawn windows, each against four whole prints of other fingers."""
     rng = np.random.default_rng([SEED, 2])
     found = []
-    for k in range(SECOND // 4):
+    for k in range(IMPOSTOR_COUNT // 4):
         number = k % len(owners)
         owner = np.array(owners[number])
         n, mm, which = (

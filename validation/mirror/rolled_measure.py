@@ -25,11 +25,13 @@ from splitknit_match.rolled.register import ridges_of
 from splitknit_match.rolled.views import find_mirror_views
 
 BANDS_DEG = ((0, 30), (30, 60), (60, 90), (90, 110))
-"""Of the angle between the skin and the camera's axis."""
-CAP_MM, BASE_MM = 0.0, 14.0
-"""Rows that are measured: from the tip's cap downwards, as far as this; creases lie below."""
+"""Bands of the angle between the skin and the camera's axis."""
+CAP_MM = 0.0
+"""Upper end of the rows that are measured: the tip's cap."""
+BASE_MM = 14.0
+"""How far down from the cap rows are measured; creases lie below."""
 BESIDE_MM = 1.5
-STEP = 2
+PIXEL_STEP = 2
 """Every so many of the chart's pixels."""
 
 
@@ -89,16 +91,18 @@ def _poses(rolled: Rolled, views: Any, truth: dict[str, Any]) -> dict[str, Any]:
 def against_truth(rolled: Rolled, front: Rolled, truth: dict[str, Any]) -> dict[str, Any]:
     """Every point of the print against the truth at the pixel of the image that it was taken
     from."""
-    pitch = rolled.chart.pitch_mm * STEP
-    slant = np.rad2deg(np.arccos(np.clip(rolled.normals[::STEP, ::STEP, 2], -1.0, 1.0)))
-    length = rolled.chart.length_mm[::STEP, None]
+    pitch = rolled.chart.pitch_mm * PIXEL_STEP
+    slant = np.rad2deg(np.arccos(np.clip(rolled.normals[::PIXEL_STEP, ::PIXEL_STEP, 2], -1.0, 1.0)))
+    length = rolled.chart.length_mm[::PIXEL_STEP, None]
     region = (length <= CAP_MM) & (length >= -BASE_MM)
     by_view = [_truth_of(rolled, k, truth) for k in range(len(rolled.names))]
-    best = np.argmax(rolled.blended.fractions[:, ::STEP, ::STEP], axis=0)
+    best = np.argmax(rolled.blended.fractions[:, ::PIXEL_STEP, ::PIXEL_STEP], axis=0)
     result: dict[str, Any] = {}
     for name, one in (("rolled", rolled), ("front", front)):
-        known = one.blended.known[::STEP, ::STEP]
-        seen = ridges_of(np.ascontiguousarray(one.blended.relief_mm[::STEP, ::STEP]), known, pitch)
+        known = one.blended.known[::PIXEL_STEP, ::PIXEL_STEP]
+        seen = ridges_of(
+            np.ascontiguousarray(one.blended.relief_mm[::PIXEL_STEP, ::PIXEL_STEP]), known, pitch
+        )
         # where two views are mixed, the truth is that of the one that counts more: ridges that do
         # not meet cost
         there = (
@@ -126,7 +130,7 @@ def _truth_of(rolled: Rolled, view: int, truth: dict[str, Any]) -> NDArray[np.fl
     field = np.where(truth[mask], truth[relief] * np.float32(1e-3), np.float32(np.nan)).astype(
         np.float32
     )
-    places = rolled.places[view, ::STEP, ::STEP]
+    places = rolled.places[view, ::PIXEL_STEP, ::PIXEL_STEP]
     return read(field, places[..., 0], places[..., 1])
 
 
@@ -143,13 +147,13 @@ def ridges_apart(rolled: Rolled, truth: dict[str, Any]) -> dict[str, float | Non
         field = np.where(truth[mask][..., None], truth[place], np.float32(np.nan)).astype(
             np.float32
         )
-        at = rolled.places[view, ::STEP, ::STEP]
+        at = rolled.places[view, ::PIXEL_STEP, ::PIXEL_STEP]
         parts = [
             read(np.ascontiguousarray(field[..., k]), at[..., 0], at[..., 1]) for k in range(2)
         ]
         skin.append(np.stack(parts, axis=-1))
-    length = rolled.chart.length_mm[::STEP, None]
-    fractions = rolled.blended.fractions[:, ::STEP, ::STEP]
+    length = rolled.chart.length_mm[::PIXEL_STEP, None]
+    fractions = rolled.blended.fractions[:, ::PIXEL_STEP, ::PIXEL_STEP]
     result: dict[str, float | None] = {}
     for view, name in enumerate(rolled.names[1:], start=1):
         apart = np.linalg.norm(skin[view] - skin[0], axis=-1)
@@ -229,10 +233,14 @@ def seam_steps(
 def _seams(rolled: Rolled, seen: Any, there: Any, known: Any, pitch: float) -> dict[str, Any]:
     """Steps of the relief's error (rms, um) across each seam: cross-faded, as a hard cut would have
     them, and 1.5 mm to either side, where there is no seam."""
-    fractions = rolled.blended.fractions[:, ::STEP, ::STEP]
+    fractions = rolled.blended.fractions[:, ::PIXEL_STEP, ::PIXEL_STEP]
     best = np.argmax(fractions, axis=0)
-    cut = np.take_along_axis(rolled.view_reliefs[:, ::STEP, ::STEP], best[None], axis=0)[0]
-    cut = ridges_of(np.ascontiguousarray(cut), rolled.blended.known[::STEP, ::STEP], pitch)
+    cut = np.take_along_axis(
+        rolled.view_reliefs[:, ::PIXEL_STEP, ::PIXEL_STEP], best[None], axis=0
+    )[0]
+    cut = ridges_of(
+        np.ascontiguousarray(cut), rolled.blended.known[::PIXEL_STEP, ::PIXEL_STEP], pitch
+    )
     result = {}
     for place, name in enumerate(rolled.names[1:], start=1):
         line = seam_lines(fractions, 0, place) & known

@@ -38,7 +38,8 @@ from splitknit_simulator.twin import simulate_capture
 OUT = Path(__file__).resolve().parent / "shape.json"
 SEEDS = tuple(range(9101, 9117))
 EDGE_MM = 0.33
-TURN_DEG, SHIFT_MM = 3.0, 2.0
+TURN_DEG = 3.0
+SHIFT_MM = 2.0
 
 CASES: dict[str, tuple[str, tuple[str, ...], bool, bool]] = {
     "thesis, left": ("thesis", ("left",), False, False),

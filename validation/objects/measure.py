@@ -22,7 +22,7 @@ import splitknit
 from splitknit.errors import BadInput
 
 TABLES = Path(__file__).with_name("tables")
-FIRST = 200
+FIRST_SEED = 200
 """Seeds below it served while thresholds were chosen."""
 
 
@@ -49,7 +49,7 @@ def spread(values: list[float]) -> dict[str, float]:
 def by_lights() -> dict[str, object]:
     """Accuracy by the number of lights: twelve objects, each under 24 lights, of which so many are
     taken evenly."""
-    objects = [rendered(FIRST + seed, lights=24) for seed in range(2 * len(SHAPES))]
+    objects = [rendered(FIRST_SEED + seed, lights=24) for seed in range(2 * len(SHAPES))]
     rows = {}
     for count in (3, 4, 5, 6, 8, 12, 24):
         taken = np.arange(count) * 24 // count
@@ -66,11 +66,11 @@ def faults() -> dict[str, object]:
     """One photograph in eight spoilt: whether it is named, and the height error over the good
     set's."""
     rows: dict[str, object] = {}
-    good = {seed: errors(rendered(FIRST + seed))[1] for seed in range(10)}
+    good = {seed: errors(rendered(FIRST_SEED + seed))[1] for seed in range(10)}
     for kind in ("blurred", "moved", "double", "overexposed"):
         named, others, ratios, refused = 0, 0, [], 0
         for seed in range(10):
-            one, rng = rendered(FIRST + seed), np.random.default_rng(seed)
+            one, rng = rendered(FIRST_SEED + seed), np.random.default_rng(seed)
             k = int(rng.integers(8))
             try:
                 _, height, result = errors(one, spoilt(one.images, k, kind, rng))
@@ -95,7 +95,7 @@ def sound() -> dict[str, object]:
     """Notes on good sets of eight photographs: none is due but on a dish, that it comes out
     hollow."""
     alarms, hollow = {}, []
-    seeds = (*range(FIRST, FIRST + 50), *range(2 * FIRST, 2 * FIRST + 50))
+    seeds = (*range(FIRST_SEED, FIRST_SEED + 50), *range(2 * FIRST_SEED, 2 * FIRST_SEED + 50))
     for seed in seeds:
         findings = errors(rendered(seed))[2].findings
         if SHAPES[seed % len(SHAPES)] == "dish":
@@ -119,7 +119,7 @@ def brightness() -> dict[str, object]:
         "eight_colours": [],
         "eight_colours_given": [],
     }
-    for seed in range(FIRST, FIRST + 12):
+    for seed in range(FIRST_SEED, FIRST_SEED + 12):
         equal, unequal = rendered(seed), rendered(seed, strengths=0.3)
         base = errors(equal)[0]
         rows["given"].append(errors(unequal, intensities=unequal.intensities)[0] - base)
@@ -143,7 +143,7 @@ def unknown() -> dict[str, object]:
         "um_over_stated": [],
     }
     refused, turned, covered = [], [], []
-    for seed in range(FIRST, FIRST + 30):
+    for seed in range(FIRST_SEED, FIRST_SEED + 30):
         one = rendered(seed)
         try:
             result = splitknit.reconstruct_images(one.images, None, one.mask, PX_PER_MM)

@@ -38,16 +38,16 @@ VARIANTS: dict[str, Callable[[Row], bool]] = {
     "skin that is not clean": lambda row: row["state"] != "clean",
 }
 """Simulator's variants that are left out in turn."""
-BPCER, UNKNOWN = 0.01, 0.12
-"""Aims of the thresholds: live fingers called attacks, and live fingers called unknown because of
-their odds."""
-FAR = 1.5
+BPCER = 0.01
+"""Fraction of live fingers that the thresholds may call attacks."""
+UNKNOWN_RATE = 0.12
+"""Fraction of live fingers that the thresholds may call unknown because of their odds."""
+UNCOVERED_MARGIN = 1.5
 """By how much the log odds of what training did not cover must lie below those of an attack to be
 called one."""
 MODEL = (
     Path(__file__).parents[2] / "packages" / "splitknit" / "src" / "splitknit" / "pad_model.json"
 )
-TABLES = Path(__file__).parent / "tables"
 Row = dict
 Model = dict
 
@@ -67,9 +67,9 @@ def fit(live: Sequence[Row], attacks: Sequence[Row]) -> Model:
     reached = float(np.quantile(far, 0.98)) * 1.1
     return model | {
         "covered": reached,
-        "live": float(np.quantile(odds, UNKNOWN)),
+        "live": float(np.quantile(odds, UNKNOWN_RATE)),
         "attack": low,
-        "far": low - FAR,
+        "far": low - UNCOVERED_MARGIN,
     }
 
 

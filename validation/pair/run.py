@@ -5,7 +5,7 @@ A simulated finger is measured bare and then, laid down anew, under powder, pres
 a cast. First the true surfaces alone are registered and compared: what they differ by is the
 protocol's own error, whatever measures them. Then the same is done with what ``metric`` makes of
 photographs of both. About two minutes of processor time a finger; a run goes on where it stopped.
-``--table`` prints the tables (as in ``tables/``) behind docs/experiments/pair-protocol.md.
+``--table`` prints the tables (as in ``tables/``) behind docs/experiments/real-skin.md.
 
 Powder, gel and cast are models, and not the reconstruction's: a map of thickness over the skin,
 waves that the gel follows the less the shorter they are, skin that shifts.
@@ -45,21 +45,24 @@ from splitknit_simulator.surface import SimulatedSurface
 from splitknit_simulator.twin import photograph
 
 RESULTS = Path(__file__).with_name("results.json")
-FINGERS = (8801, 8802, 8803, 8804, 8805)
+SEEDS = (8801, 8802, 8803, 8804, 8805)
 SCALE = 0.35
 """26 pixels a millimetre."""
 GRAIN_MM = 0.015
 """Over which grains of powder bridge what is narrower (standard deviation)."""
-UNEVEN = ((0.4, 0.6), (0.3, 0.1))
+POWDER_NOISE = ((0.4, 0.6), (0.3, 0.1))
 """Relative standard deviation of the powder's thickness, and its length in mm: clumps, and strokes
 of the brush."""
-VALLEYS = 0.4
+VALLEY_EXCESS = 0.4
 """How much thicker than the mean powder lies in valleys, and thinner on ridges."""
-GEL_MM, GEL_REACH_MM, PRESSED = 0.03, 0.06, 0.85
-"""A gel follows the skin blurred by a Gaussian, into valleys down to a depth, and presses ridges
-flatter."""
+GEL_SIGMA_MM = 0.03
+"""Standard deviation of the Gaussian by which a gel blurs the skin."""
+GEL_REACH_MM = 0.06
+"""Depth down to which a gel follows valleys."""
+GEL_RIDGE_GAIN = 0.85
+"""Height of ridges below a gel over their own: it presses them flatter."""
 PITCH_MM = 0.03
-"""Of the gel's picture."""
+"""Pitch of the gel's picture."""
 
 
 def truth_of(surface: SimulatedSurface, name: str) -> Reconstruction:
@@ -98,13 +101,14 @@ def powdered(skin: SkinMap, mean_um: float, rng: np.random.Generator) -> SkinMap
         local = height - ndimage.gaussian_filter(height, 0.3 / skin.pitch_mm)
         spread = max(float(np.std(local)), 1e-6)
         uneven = sum(
-            s * smooth_noise(rng, height.shape, length / skin.pitch_mm) for s, length in UNEVEN
+            s * smooth_noise(rng, height.shape, length / skin.pitch_mm)
+            for s, length in POWDER_NOISE
         )
         thickness = (
             1e-3
             * mean_um
             * np.clip(1.0 + uneven, 0.2, 2.5)
-            * (1.0 - VALLEYS * np.clip(local / spread, -2, 2))
+            * (1.0 - VALLEY_EXCESS * np.clip(local / spread, -2, 2))
         )
         return ndimage.gaussian_filter(height + thickness, GRAIN_MM / skin.pitch_mm)
 
@@ -120,9 +124,9 @@ def on_gel(finger: SimulatedFinger, rng: np.random.Generator) -> Reconstruction:
     turn = np.deg2rad(rng.uniform(-8, 8))
     u = np.cos(turn) * x - np.sin(turn) * y[:, None] + rng.uniform(-1, 1)
     v = np.sin(turn) * x + np.cos(turn) * y[:, None] + 12.0 + rng.uniform(-1, 1)
-    relief = PRESSED * skin.displacement(u, v)
+    relief = GEL_RIDGE_GAIN * skin.displacement(u, v)
     reached = GEL_REACH_MM * np.tanh(relief / GEL_REACH_MM)
-    relief = ndimage.gaussian_filter(reached, GEL_MM / PITCH_MM).astype(np.float32)
+    relief = ndimage.gaussian_filter(reached, GEL_SIGMA_MM / PITCH_MM).astype(np.float32)
     mask = np.hypot(x / 6.5, y[:, None] / 7.8) < 1.0
     seen = np.where(mask, np.float32(1), np.float32(np.nan))
     plane = (0.01 * x + 0.02 * y[:, None]).astype(np.float32)
@@ -262,7 +266,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
-    parser.add_argument("fingers", type=int, nargs="*", default=FINGERS)
+    parser.add_argument("fingers", type=int, nargs="*", default=SEEDS)
     parser.add_argument("--table", action="store_true", help="print the tables of an earlier run")
     parser.add_argument("--out", type=Path, default=RESULTS)
     options = parser.parse_args(arguments)

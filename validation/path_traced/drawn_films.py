@@ -41,7 +41,10 @@ from score import score
 from walked_finger import LENS_PX, pixel_means, pixel_places, reflected, specular
 
 Array = NDArray[np.floating[Any]]
-SIZE, SCALE, FINE = (420, 520), 0.5, 2
+IMAGE_SIZE = (420, 520)
+SCALE = 0.5
+OVERSAMPLING = 2
+"""Samples across a pixel of the images before noise."""
 RING = 7
 """Lights around the finger, the first ones; the others stand at its side."""
 CLASSES = ("_0_15", "_15_30", "_30_45", "_45_60", "")
@@ -116,7 +119,7 @@ def drawn(
     name: str, case: Case, lights: int
 ) -> tuple[SpecularImages, Grid, Array, Array, dict[str, NDArray[np.generic]]]:
     """Images that films leave, their grid, start and its deviation, and the truth."""
-    camera = replace(default_rig(SCALE).camera, image_size=SIZE)
+    camera = replace(default_rig(SCALE).camera, image_size=IMAGE_SIZE)
     ring = tuple(led for led in default_rig(SCALE, None).leds if led.band == "white")
     rig = with_side_lights(Rig(camera, ring), 7)
     finger = draw_finger(case.seed, case.pattern)
@@ -127,10 +130,12 @@ def drawn(
         skin=replace(finger.skin, ridge_depth_um=float(case.ridge_um)),
     )
     settings = TwinSettings(
-        rig=rig, pose=FingerPose(insertion_mm=round(SIZE[0] * camera.pitch_mm - 1.1, 1))
+        rig=rig, pose=FingerPose(insertion_mm=round(IMAGE_SIZE[0] * camera.pitch_mm - 1.1, 1))
     )
     closer = replace(
-        camera, px_per_mm=FINE * camera.px_per_mm, image_size=(FINE * SIZE[0], FINE * SIZE[1])
+        camera,
+        px_per_mm=OVERSAMPLING * camera.px_per_mm,
+        image_size=(OVERSAMPLING * IMAGE_SIZE[0], OVERSAMPLING * IMAGE_SIZE[1]),
     )
     surface, fine = (
         lay_down(case.seed, None, replace(settings, rig=replace(rig, camera=one)), finger=finger)[0]

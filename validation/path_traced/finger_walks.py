@@ -15,27 +15,29 @@ from typing import Any
 import numpy as np
 from numba import njit, prange
 
-_GOLD, _MIX_A, _MIX_B = (
-    np.uint64(0x9E3779B97F4A7C15),
-    np.uint64(0xBF58476D1CE4E5B9),
-    np.uint64(0x94D049BB133111EB),
-)
-_S11, _S27, _S30, _S31 = np.uint64(11), np.uint64(27), np.uint64(30), np.uint64(31)
+# constants of SplitMix64, of the type that numba needs beside a state
+_GAMMA = np.uint64(0x9E3779B97F4A7C15)
+_MIX_A = np.uint64(0xBF58476D1CE4E5B9)
+_MIX_B = np.uint64(0x94D049BB133111EB)
+_S11 = np.uint64(11)
+_S27 = np.uint64(27)
+_S30 = np.uint64(30)
+_S31 = np.uint64(31)
 
-FAINT = 0.3
-"""A walk that will bring less than this back goes on with the chance of this part, and more
-weight."""
-STEP = 0.5
+ROULETTE_WEIGHT = 0.3
+"""Russian roulette: a walk that will bring back less than this fraction goes on with a probability
+in proportion, and more weight."""
+STEP_FREE_PATHS = 0.5
 """Step along rays of unscattered light, in mean free paths."""
-PLACES = 3
+PLACES_PER_STEP = 3
 """Places on each of these steps where light is left or gathered."""
-TRACKS = 2
+PLACES_PER_PATH = 2
 """Places on each way of scattered light where it is left."""
-R2 = (0.8191725133961645, 0.6710436067037893, 0.5497004779019703)
+R3_STEPS = (0.8191725133961645, 0.6710436067037893, 0.5497004779019703)
 """Steps of a sequence that fills three dimensions evenly (Roberts 2018)."""
-EVENTS = 1_000_000
+MAX_EVENTS = 1_000_000
 """Longest walk, in scatterings and meetings with the boundary."""
-FINEST_PX = 0.6
+MIN_STEP_PX = 0.6
 """Smallest step in search of the surface."""
 
 
@@ -51,13 +53,13 @@ def _mixed(state: Any) -> Any:
 
 @njit(cache=True, fastmath=True, inline="always")
 def _random(state: Any) -> Any:
-    state = state + _GOLD
+    state = state + _GAMMA
     return state, float(_mixed(state) >> _S11) * (1.0 / 9007199254740992.0)
 
 
 @njit(cache=True, fastmath=True)
 def _stream(seed: Any, index: Any) -> Any:
-    return _mixed(_mixed(np.uint64(seed) + _GOLD) + np.uint64(index) * _GOLD)
+    return _mixed(_mixed(np.uint64(seed) + _GAMMA) + np.uint64(index) * _GAMMA)
 
 
 @njit(cache=True, fastmath=True)
@@ -251,7 +253,7 @@ def _flight(
     """
     t = 0.0
     while True:
-        step = max(FINEST_PX, 0.7 * room * lean)
+        step = max(MIN_STEP_PX, 0.7 * room * lean)
         last = t + step >= length
         end = length if last else t + step
         top, low = _sides(sides, x + dx * end, y + dy * end)
@@ -326,7 +328,7 @@ def _shine(
     """Add the fluence along a ray of the lights `first` to `last`, of `weights`, until little of it
     is left."""
     kept, room = 1.0, 0.0
-    full = STEP / medium[0]
+    full = STEP_FREE_PATHS / medium[0]
     while kept > 1e-3:
         state, u = _random(state)
         r, c = _nearest(lean, x, y)
@@ -339,9 +341,9 @@ def _shine(
         )
         passed *= math.exp(-medium[0] * length)
         if length > 1e-6:
-            way = kept * (1.0 - passed) / (-math.log(passed) * layer_px) * length / PLACES
-            for place in range(PLACES):
-                at = _within((place + u) / PLACES, length, medium[0])
+            way = kept * (1.0 - passed) / (-math.log(passed) * layer_px) * length / PLACES_PER_STEP
+            for place in range(PLACES_PER_STEP):
+                at = _within((place + u) / PLACES_PER_STEP, length, medium[0])
                 px, py = x + at * dx, y + at * dy
                 r, c = _nearest(lean, px, py)
                 layer = int(
@@ -515,7 +517,7 @@ def scatter(
                             continue
                         kept = 1.0
                         state, dx, dy, dz = _sphere(state)
-                        for _ in range(EVENTS):
+                        for _ in range(MAX_EVENTS):
                             state, u = _random(state)
                             length = -math.log(1.0 - u) / scattering
                             r, c = _nearest(lean, x, y)
@@ -536,9 +538,9 @@ def scatter(
                             # what is on its way for a length l in a volume v adds l / v to the
                             # fluence
                             state, u = _random(state)
-                            way = 0.5 * (before + kept) * length * scattering / TRACKS
-                            for place in range(TRACKS):
-                                at = (place + u) / TRACKS * length
+                            way = 0.5 * (before + kept) * length * scattering / PLACES_PER_PATH
+                            for place in range(PLACES_PER_PATH):
+                                at = (place + u) / PLACES_PER_PATH * length
                                 px, py = x + at * dx, y + at * dy
                                 r, c = _nearest(lean, px, py)
                                 layer = int(
@@ -559,7 +561,7 @@ def scatter(
                                 )
                                 kept *= blocked
                             # the deeper, the less of it comes back
-                            chance = kept * math.exp(-attenuation * room * slope) / FAINT
+                            chance = kept * math.exp(-attenuation * room * slope) / ROULETTE_WEIGHT
                             if chance < 1.0:
                                 state, u = _random(state)
                                 if u >= chance:
@@ -617,7 +619,7 @@ def gather(
         medium[7],
     )
     lobe = max((index - 1.0) * facets, 0.02)
-    full, passing_all = STEP / scattering, (1.0 - inside) * index * index
+    full, passing_all = STEP_FREE_PATHS / scattering, (1.0 - inside) * index * index
     for i in prange(pixels.shape[0]):
         state = _stream(seed, pixels[i, 0] * sides.shape[1] + pixels[i, 1])
         found, single = np.zeros((2, count)), np.zeros(count)
@@ -636,9 +638,12 @@ def gather(
             nx, ny, nz = _outward(sides, x, y, 0)
             weight = (1.0 - _fresnel(nz, index)) / (index * index)
             least = 1e-3 * weight
-            along, around = (start_a + number * R2[0]) % 1.0, (start_b + number * R2[1]) % 1.0
+            along, around = (
+                (start_a + number * R3_STEPS[0]) % 1.0,
+                (start_b + number * R3_STEPS[1]) % 1.0,
+            )
             refracted = 1.0 - spread
-            if (start_c + number * R2[2]) % 1.0 < spread:
+            if (start_c + number * R3_STEPS[2]) % 1.0 < spread:
                 refracted = 0.0
                 # evenly within the cone of what can leave, cosine-weighted
                 sine = math.sqrt(along) / index
@@ -681,10 +686,10 @@ def gather(
                         * length
                         * scattering
                         * (0.25 / math.pi)
-                        / PLACES
+                        / PLACES_PER_STEP
                     )
-                    for place in range(PLACES):
-                        at = _within((place + u) / PLACES, length, scattering)
+                    for place in range(PLACES_PER_STEP):
+                        at = _within((place + u) / PLACES_PER_STEP, length, scattering)
                         px, py = x + at * dx, y + at * dy
                         r, c = _nearest(lean, px, py)
                         layer = int(

@@ -216,7 +216,7 @@ POLARISED = (
     replace(_P01, name="p01_motion", moved_mm=(0.15, -0.13), as_walked="p01"),
     *(replace(case, name=f"{case.name}_side", side_lights=7) for case in _WITHOUT_SIDE_LIGHTS),
 )
-FINE = 3
+OVERSAMPLING = 3
 """Pixels of the reflecting skin along each side of one of the camera's."""
 
 
@@ -320,7 +320,9 @@ def make_polarised(
         rig=rig, pose=FingerPose(insertion_mm=round(size[0] * camera.pitch_mm - 1.1, 1))
     )
     closer = replace(
-        camera, px_per_mm=FINE * camera.px_per_mm, image_size=(FINE * size[0], FINE * size[1])
+        camera,
+        px_per_mm=OVERSAMPLING * camera.px_per_mm,
+        image_size=(OVERSAMPLING * size[0], OVERSAMPLING * size[1]),
     )
     surface, fine = (
         lay_down(case.seed, None, replace(settings, rig=replace(rig, camera=one)), finger=finger)[0]

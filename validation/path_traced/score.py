@@ -31,7 +31,7 @@ BORDER_MM = 0.33
 PERIOD_MM = 0.86
 """Two ridges: side of the square in which the truth is looked at for ridges."""
 CLASSES_DEG = (0, 15, 30, 45, 60)
-FEWEST = 2000
+MIN_PIXELS = 2000
 """Pixels below which a class is left out."""
 
 
@@ -90,9 +90,11 @@ def score(
     )
     for name, (low, high) in classes.items():
         where = (
-            (ridged if ridged.sum() >= FEWEST else inner) & (slant_deg >= low) & (slant_deg < high)
+            (ridged if ridged.sum() >= MIN_PIXELS else inner)
+            & (slant_deg >= low)
+            & (slant_deg < high)
         )
-        if where.sum() < FEWEST:
+        if where.sum() < MIN_PIXELS:
             continue
         a, b = estimate[where], relief[where]
         if (where & ridged).any():
@@ -106,7 +108,7 @@ def score(
             )
             result[f"within_one_sigma{name}"] = float(np.mean(off < stated[where]))
     where = inner & flat & (slant_deg < 45)
-    if where.sum() >= FEWEST:
+    if where.sum() >= MIN_PIXELS:
         result["false_relief_um"] = _rms_um((estimate - relief)[where])
     return result
 

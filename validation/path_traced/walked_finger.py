@@ -31,10 +31,10 @@ from splitknit.settings import Checked, Limits
 from splitknit_simulator.camera.sensor import SensorSettings, record
 from splitknit_simulator.light.films import Films, FilmSettings, mounted_films, moved
 from splitknit_simulator.light.lighting import towards
+from splitknit_simulator.light.parameters import REFRACTIVE_INDEX
 from splitknit_simulator.light.skin import (
     BAND_CHANNELS,
     CHANNELS,
-    REFRACTIVE_INDEX,
     Channel,
     SkinOptics,
     diffuse_transmittance,
@@ -50,20 +50,21 @@ LENS_PX = 0.6
 """Standard deviation of the lens's blur in pixels."""
 BACKGROUND = (0.006, -10.0)
 """Albedo and height in mm of the black background."""
-EXPOSURE = 0.7
+BRIGHTEST_LEVEL = 0.7
 """Fraction of full scale that the brightest light from within the skin reaches."""
 LAYERS = 32
 """Layers that hold the light, five to a mean free path."""
-SCATTERED, STARTS = (0.05, 0.4), (0.15, 0.6)
-"""Gaussians that smooth a layer of fluence: their standard deviation over depth, and in pixels at
-least. For scattered light, and for unscattered light where walks begin; where it is seen, it is not
-smoothed."""
-MOST_PX = 3.0
+SCATTERED_SMOOTHING = (0.05, 0.4)
+"""Gaussian that smooths a layer of scattered fluence: its standard deviation over the layer's
+depth, and in pixels at least."""
+STARTS_SMOOTHING = (0.15, 0.6)
+"""The same for unscattered light where walks begin; where it is seen, it is not smoothed."""
+MAX_SIGMA_PX = 3.0
 """Largest standard deviation of these Gaussians."""
 REGRESSION_MM = (0.3, 0.15)
 """Windows of :func:`without_walk_noise`: of what all lights have in common, and of what each has of
 its own."""
-FACE_MM = 1.5
+LED_FACE_MM = 1.5
 """Side of an LED's face, for the edge of its cast shadows."""
 RAYS = 2
 """Along each side of a cell: rays of unscattered light into it, diffused and of each light, in each
@@ -284,7 +285,7 @@ def _entering(sides: FloatArray, lights: Array, strength: Array, pitch: float) -
             cosine = np.maximum(facing / np.sqrt(squared * (1.0 + across**2 + down**2)), 0.0)
             result[side, ..., k] = power / squared * cosine * (1.0 - fresnel(cosine))
             if side == 0:
-                result[side, ..., k] *= _lit(middle, light - (0.5, 0.5, 0.0), FACE_MM / pitch)
+                result[side, ..., k] *= _lit(middle, light - (0.5, 0.5, 0.0), LED_FACE_MM / pitch)
     return result
 
 
@@ -361,7 +362,7 @@ def walk_solid(
     )
     _share_border(first, 2.0)
     starts = first.copy()
-    _smooth(starts, solid.sides, layer_px, STARTS)
+    _smooth(starts, solid.sides, layer_px, STARTS_SMOOTHING)
     progress("first light", 0.2)
     pixels = np.argwhere(surface.mask)
     _share_border(starts, 0.5)
@@ -378,7 +379,7 @@ def walk_solid(
     kernels.scatter(*optics, starts, layer_px, medium, density, seeds[1], fluence)
     del starts
     _share_border(fluence, 2.0)
-    _smooth(fluence, solid.sides, layer_px, SCATTERED)
+    _smooth(fluence, solid.sides, layer_px, SCATTERED_SMOOTHING)
     fluence += first
     progress("scattering", 0.7)
     sums, once = np.zeros((len(pixels), 2, count)), np.zeros((len(pixels), count))
@@ -418,7 +419,7 @@ def _smooth(
     """Smooth every layer of the fluence, within which light varies little."""
     inside = (sides[..., 0] - sides[..., 1] > 1e-2).astype(np.float32)
     for layer in range(fluence.shape[3]):
-        sigma = min(max(by[0] * (layer + 0.5) * layer_px, by[1]), MOST_PX)
+        sigma = min(max(by[0] * (layer + 0.5) * layer_px, by[1]), MAX_SIGMA_PX)
         size = 2 * int(np.ceil(2.5 * sigma)) + 1
 
         def blur(values: FloatArray, size: int = size, sigma: float = sigma) -> Any:
@@ -464,7 +465,7 @@ def specular(
     column, row = light[0] / pitch + (columns - 1) / 2, (rows - 1) / 2 - light[1] / pitch
     beside = float(surface.shape_mm[surface.mask].min()) - 6.0
     heights = np.where(surface.mask, surface.height_mm, beside) / pitch
-    total *= _lit(heights, np.array((column, row, light[2] / pitch)), FACE_MM / pitch)
+    total *= _lit(heights, np.array((column, row, light[2] / pitch)), LED_FACE_MM / pitch)
     return np.asarray(total, dtype=np.float32)
 
 
@@ -748,7 +749,7 @@ def photograph_finger(
                 frames[0, k] += _background_beside(surface, led)
             series, seeds, numbers = [name], noise_seeds, [members]
         level = diffuse if len(frames) == 1 else frames[0]
-        exposure = EXPOSURE / max(float(np.percentile(level[:, surface.mask], 99.9)), 1e-12)
+        exposure = BRIGHTEST_LEVEL / max(float(np.percentile(level[:, surface.mask], 99.9)), 1e-12)
         for key, shots, seeds_of in zip(series, frames, numbers, strict=True):
             shift = rig.camera.px_per_mm * np.array([moved_mm[0], -moved_mm[1]]) * (key != "white")
             images = []
@@ -857,5 +858,5 @@ def _sensor(optics: FingerOptics) -> SensorSettings:
     16."""
     if optics.shot_noise == 0.0:
         return SensorSettings(noise=False, bits=16, raw_bits=16)
-    full = 1.0 / (EXPOSURE * optics.shot_noise**2)
+    full = 1.0 / (BRIGHTEST_LEVEL * optics.shot_noise**2)
     return SensorSettings(full_well_e=full, binned=False, raw_bits=12, bits=16)

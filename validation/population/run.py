@@ -27,13 +27,11 @@ from numpy.typing import NDArray
 from splitknit_match.evaluation.rates import roc
 from splitknit_simulator.finger.finger import SimulatedFinger, finger_surface
 from splitknit_simulator.finger.master_print import MasterPrint, ink_print
+from splitknit_simulator.population.parameters import LENGTH_MM, PERIOD_DIGIT, WIDTH_MM
 from splitknit_simulator.population.people import (
     DIGITS,
     FINGERS,
-    LENGTH_MM,
-    PERIOD_DIGIT,
     PERIOD_MM,
-    WIDTH_MM,
     Person,
     class_fractions,
 )

@@ -29,7 +29,7 @@ from splitknit_simulator.population.sessions import (
 )
 
 Array = NDArray[np.float64]
-SAME_MM = 0.06
+MAX_DISTANCE_MM = 0.06
 """Within which the chart at a landmark's pixel is that of its minutia."""
 
 
@@ -88,7 +88,7 @@ def read_truth(folder: Path, subject: str, session: int, finger: str) -> Truth:
     here = charts.at(places, heights[0])
     apart, which = cKDTree(moved[:, :2]).query(np.nan_to_num(here, nan=1e6))
     directions = _in_picture(charts, shape, places, moved[which, 2])
-    directions[apart > SAME_MM] = np.nan
+    directions[apart > MAX_DISTANCE_MM] = np.nan
     down, right = np.gradient(shape.astype(np.float64), pitch)
     slant = np.rad2deg(np.arctan(np.hypot(down, right))).astype(np.float32)
     return Truth(places, directions, slant, float(arrays["landmark_period_mm"]), arrays)

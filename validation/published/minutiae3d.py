@@ -39,14 +39,26 @@ SLOPE_SIGMA_MM = 0.2
 period."""
 NEIGHBOURS = 6
 """Nearest minutiae with which each forms pairs."""
-LENGTH_MM, ANGLE_DEG = 0.25, 15.0
-"""Largest differences of two pairs that look similar: of their lengths, and of their directions."""
-PLANE_MM, HEIGHT_MM, THETA_DEG, PHI_DEG = 1.2, 1.2, 20.0, 20.0
-"""Tolerances of agreeing minutiae: along the finger's plane, across it, azimuth, elevation."""
-MOTIONS, ROUNDS = 4, 3
-"""Motions with the most votes that are tried on all minutiae, and refinements of each."""
-TURN_DEG, SHIFT_MM = 10.0, 1.2
-"""Cells of votes; they count in neighbouring cells too."""
+LENGTH_MM = 0.25
+"""Largest difference of the lengths of two similar pairs."""
+ANGLE_DEG = 15.0
+"""Largest difference of the directions of two similar pairs."""
+PLANE_MM = 1.2
+"""Tolerance of agreeing minutiae along the finger's plane."""
+HEIGHT_MM = 1.2
+"""Tolerance of agreeing minutiae across the finger's plane."""
+AZIMUTH_DEG = 20.0
+"""Tolerance of the azimuths of agreeing minutiae."""
+ELEVATION_DEG = 20.0
+"""Tolerance of the elevations of agreeing minutiae."""
+MOTIONS = 4
+"""Motions with the most votes that are tried on all minutiae."""
+REFINEMENTS = 3
+"""Refinements of each motion."""
+CELL_TURN_DEG = 10.0
+"""Turn that a cell of votes spans; votes count in neighbouring cells too."""
+CELL_SHIFT_MM = 1.2
+"""Shift that a cell of votes spans."""
 ARM_MM = 1.5
 """Directions count in a motion as a second point at this distance."""
 
@@ -193,7 +205,7 @@ def similarity(a: Framed, b: Framed) -> float:
     most = 0
     for chosen in voted(left, right, pairs):
         found = _moved(left, right, pairs[0][chosen].ravel(), pairs[1][chosen].ravel())
-        for _ in range(ROUNDS):
+        for _ in range(REFINEMENTS):
             if len(found[0]) < 3:
                 break
             again = _moved(left, right, *found)
@@ -213,8 +225,8 @@ def voted(a: Framed, b: Framed, pairs: tuple[Index, Index]) -> list[Index]:
     if not len(left):
         return []
     turn, shift = _plane_motions(a, b, left, right)
-    steps = round(2 * np.pi / np.deg2rad(TURN_DEG))
-    cell = np.floor(shift / SHIFT_MM).astype(np.intp)
+    steps = round(2 * np.pi / np.deg2rad(CELL_TURN_DEG))
+    cell = np.floor(shift / CELL_SHIFT_MM).astype(np.intp)
     cell -= cell.min(axis=0) - 1
     wide, high = (cell.max(axis=0) + 2).tolist()
     angle = np.floor(turn / (2 * np.pi) * steps).astype(np.intp) % steps
@@ -273,11 +285,11 @@ def agreeing(a: Framed, b: Framed, rotation: Array, shift_mm: Array) -> tuple[In
     plane2 = apart[..., 0] ** 2 + apart[..., 1] ** 2
     i, j = np.nonzero((plane2 <= PLANE_MM**2) & (np.abs(apart[..., 2]) <= HEIGHT_MM))
     turned = np.arctan2(ahead[i, 1], ahead[i, 0]) - np.arctan2(b.places[1][j, 1], b.places[1][j, 0])
-    turned = np.abs((turned + np.pi) % (2 * np.pi) - np.pi) / np.deg2rad(THETA_DEG)
+    turned = np.abs((turned + np.pi) % (2 * np.pi) - np.pi) / np.deg2rad(AZIMUTH_DEG)
     risen = np.abs(
         np.arcsin(np.clip(ahead[i, 2], -1, 1)) - np.arcsin(np.clip(b.places[1][j, 2], -1, 1))
     )
-    risen /= np.deg2rad(PHI_DEG)
+    risen /= np.deg2rad(ELEVATION_DEG)
     cost = plane2[i, j] / PLANE_MM**2 + (apart[i, j, 2] / HEIGHT_MM) ** 2 + turned**2 + risen**2
     cost[(turned > 1) | (risen > 1)] = np.inf
     kept: dict[int, int] = {}

@@ -35,16 +35,19 @@ from splitknit_match.matching.template import make_template
 
 DIAMETER_MM = 0.13
 """Diameter of a pore (0.06 to 0.25); the filter is a Gaussian of this width at half maximum."""
-ALONG_MM, DIRECTION_MM, CONTRAST_MM = 0.3, 0.3, 0.5
-"""Sigmas: along ridges, where one without pores is the same; of the ridges' direction; of their
-amplitude."""
-CREST = 0.25
+ALONG_SIGMA_MM = 0.3
+"""Sigma along ridges, over which a ridge without pores hardly changes."""
+DIRECTION_SIGMA_MM = 0.3
+"""Sigma over which the ridges' direction is averaged."""
+CONTRAST_SIGMA_MM = 0.5
+"""Sigma over which the ridges' amplitude is averaged."""
+MIN_CREST = 0.25
 """Height of a crest's sides, in amplitudes: pores lie above."""
 DIRECTIONS = 16
 MAX_PITCH_MM = 0.034
-REACH_MM = (0.4, 0.3, 0.2)
+ROUND_PAIR_MM = (0.4, 0.3, 0.2)
 """Within which pores are paired in each round of the alignment."""
-NEAR_MM = 0.12
+MAX_PAIR_MM = 0.12
 """At most between two pores that are the same: a pore's diameter."""
 
 
@@ -79,7 +82,7 @@ def find_pores(
             f"pores need pixels of at most {1000 * MAX_PITCH_MM:g} um; these have"
             f" {1000 * pitch_mm:.0f}."
         )
-    weight = blur(mask.astype(np.float32), CONTRAST_MM / pitch_mm) + np.float32(1e-6)
+    weight = blur(mask.astype(np.float32), CONTRAST_SIGMA_MM / pitch_mm) + np.float32(1e-6)
     ridges, values = (_ridges(plane, mask, weight, pitch_mm) for plane in (relief, image))
     turn = _directions(ridges, pitch_mm)
     crest = _along(ridges, turn, pitch_mm)
@@ -91,7 +94,7 @@ def find_pores(
     reach = 2 * round(DIAMETER_MM / pitch_mm / 2) + 1
     peak = depth >= cv2.dilate(depth, np.ones((reach, reach), np.uint8))
     edge = cv2.erode(mask.astype(np.uint8), np.ones((2 * reach + 1, 2 * reach + 1), np.uint8)) > 0
-    rows, columns = np.nonzero(peak & edge & (crest > CREST) & (depth > least))
+    rows, columns = np.nonzero(peak & edge & (crest > MIN_CREST) & (depth > least))
     found = np.stack([columns, rows, depth[rows, columns]], axis=1).astype(np.float32)
     return found[np.argsort(-found[:, 2], kind="stable")]
 
@@ -160,12 +163,12 @@ def pore_match(a: PoreTemplate, b: PoreTemplate) -> PoreMatch:
     valid, pitch = band.valid, band.pitch_mm
     found, affine = lay(left.ridges, right.ridges)
     bend, back = bent(grid, compare_patches(grid, band, affine)), np.linalg.inv(affine[:, :2]).T
-    for reach in REACH_MM:
+    for reach in ROUND_PAIR_MM:
         there = shown_in_a(grid, affine, bend, right.pores)
         one, other = _nearest(there, left.pores, reach / pitch)
         bend = bend + bent_by(grid, right.pores[one], (there[one] - left.pores[other]) @ back)
     there = shown_in_a(grid, affine, bend, right.pores)
-    pairs = len(_nearest(there, left.pores, NEAR_MM / pitch)[0])
+    pairs = len(_nearest(there, left.pores, MAX_PAIR_MM / pitch)[0])
     shown = (
         on_ridges(right.ridges.template.valid, (left.pores - affine[:, 2]) @ back),
         on_ridges(valid, there),
@@ -192,9 +195,9 @@ def _ridges(image: FloatArray, mask: BoolArray, weight: FloatArray, pitch_mm: fl
     """What is faster than ridges' surroundings, in local standard deviations; 0 outside."""
     inside = np.where(mask & np.isfinite(image), image, np.float32(0)).astype(np.float32)
     flat = np.where(
-        mask, inside - blur(inside, CONTRAST_MM / pitch_mm) / weight, np.float32(0)
+        mask, inside - blur(inside, CONTRAST_SIGMA_MM / pitch_mm) / weight, np.float32(0)
     ).astype(np.float32)
-    amplitude = np.sqrt(blur(flat * flat, 2 * CONTRAST_MM / pitch_mm)) + np.float32(1e-9)
+    amplitude = np.sqrt(blur(flat * flat, 2 * CONTRAST_SIGMA_MM / pitch_mm)) + np.float32(1e-9)
     return np.asarray(flat / amplitude, dtype=np.float32)
 
 
@@ -203,7 +206,7 @@ def _directions(ridges: FloatArray, pitch_mm: float) -> NDArray[np.intp]:
     running down."""
     smooth = blur(ridges, 0.06 / pitch_mm)
     right, down = (cv2.Sobel(smooth, cv2.CV_32F, *axes) for axes in ((1, 0), (0, 1)))
-    sigma = DIRECTION_MM / pitch_mm
+    sigma = DIRECTION_SIGMA_MM / pitch_mm
     twice = np.arctan2(2 * blur(right * down, sigma), blur(right * right - down * down, sigma))
     along = 0.5 * twice + np.pi / 2
     return np.asarray(np.rint(along * DIRECTIONS / np.pi).astype(np.intp) % DIRECTIONS)
@@ -211,7 +214,7 @@ def _directions(ridges: FloatArray, pitch_mm: float) -> NDArray[np.intp]:
 
 def _along(values: FloatArray, turn: NDArray[np.intp], pitch_mm: float) -> FloatArray:
     """Mean along the ridges, a Gaussian's: the ridge without its pores."""
-    sigma, width = ALONG_MM / pitch_mm, 0.02 / pitch_mm
+    sigma, width = ALONG_SIGMA_MM / pitch_mm, 0.02 / pitch_mm
     half = int(np.ceil(2.5 * sigma))
     down, right = np.mgrid[-half : half + 1, -half : half + 1].astype(np.float32)
     result = np.zeros_like(values)

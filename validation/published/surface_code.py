@@ -29,19 +29,28 @@ from splitknit.imaging.geometry import smoothed
 from splitknit.model import BoolArray, FloatArray, Surface
 from splitknit_match.prints.curvature import REFERENCE_PX_PER_MM, curvature
 
-ZONES, PLANES = 9, 4
-PITCH_MM, COARSE_MM = 0.1, 0.15
-"""Of the grid of places, and of the first level."""
-SMOOTH_MM, WINDOW_MM = 0.03, 0.25
-"""Sigma over the surface before its curvature is taken, and side of the window to which quadratics
-are fitted."""
-LEAST_MM2 = 30.0
+ZONES = 9
+"""Zones of the shape index."""
+PLANES = 4
+"""Bits of a code, one a plane."""
+PITCH_MM = 0.1
+"""Pitch of the grid of places."""
+COARSE_MM = 0.15
+"""Pitch of the first level of the search."""
+SMOOTH_MM = 0.03
+"""Sigma over the surface before its curvature is taken."""
+WINDOW_MM = 0.25
+"""Side of the window to which quadratics are fitted."""
+MIN_AREA_MM2 = 30.0
 """A smaller code is a failure to acquire."""
-TURN_DEG, TURN_STEP_DEG = 18.0, 3.0
-SHIFT_MM = (5.0, 3.0)
+MAX_TURN_DEG = 18.0
+TURN_STEP_DEG = 3.0
+MAX_SHIFT_MM = (5.0, 3.0)
 """Largest shifts along and across the finger."""
-CANDIDATES, MIN_OVERLAP = 2, 0.4
-"""Turns and shifts that are counted exactly; fraction of the smaller finger that must overlap."""
+CANDIDATES = 2
+"""Turns and shifts that are counted exactly."""
+MIN_OVERLAP = 0.4
+"""Fraction of the smaller finger that must overlap."""
 
 
 class Code:
@@ -93,7 +102,7 @@ def code_of(index: FloatArray, mask: BoolArray) -> Code | None:
         np.uint8
     )
     code = np.where(known, zone ^ (zone >> 1), 0).astype(np.uint8)
-    return Code(code, known) if np.count_nonzero(known) * PITCH_MM**2 >= LEAST_MM2 else None
+    return Code(code, known) if np.count_nonzero(known) * PITCH_MM**2 >= MIN_AREA_MM2 else None
 
 
 def surface_code(surface: Surface) -> Code | None:
@@ -136,7 +145,7 @@ def _candidates(a: Code, b: Code, least: float) -> list[tuple[float, float, floa
     The overlap is taken to be that of the outlines as they came, whatever the turn.
     """
     grids = a.grid(COARSE_MM), b.grid(COARSE_MM)
-    reach = [int(limit / COARSE_MM) for limit in SHIFT_MM]
+    reach = [int(limit / COARSE_MM) for limit in MAX_SHIFT_MM]
     sides = [
         max(one, other, (one + other + 1) // 2 + limit)
         for one, other, limit in zip(*grids, reach, strict=True)
@@ -153,7 +162,7 @@ def _candidates(a: Code, b: Code, least: float) -> list[tuple[float, float, floa
     if not bool(enough.any()):
         return []
     found = []
-    for turn in np.arange(-TURN_DEG, TURN_DEG + 0.1, TURN_STEP_DEG).tolist():
+    for turn in np.arange(-MAX_TURN_DEG, MAX_TURN_DEG + 0.1, TURN_STEP_DEG).tolist():
         equal = scipy.fft.irfft2((a.planes(turn, size)[0].conj() * planes).sum(axis=0), size)[
             chosen
         ]

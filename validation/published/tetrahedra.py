@@ -24,8 +24,10 @@ from scored import run
 
 NEIGHBOURS = 5
 """Nearest minutiae; any three of them make a tetrahedron with the minutia."""
-EDGE_MM, ANGLE_RAD = 0.35, np.deg2rad(25.0)
-"""Largest differences of edges, and of angles between directions and edges."""
+EDGE_MM = 0.35
+"""Largest difference of edges."""
+ANGLE_RAD = np.deg2rad(25.0)
+"""Largest difference of angles between directions and edges."""
 EDGES = ((0, 1), (0, 2), (0, 3), (1, 2), (1, 3), (2, 3))
 ORDERS = np.array([(0, *rest) for rest in permutations((1, 2, 3))])
 """Permutations that lay the corners of one tetrahedron on another's, the apex on the apex."""

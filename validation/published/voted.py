@@ -35,16 +35,17 @@ from splitknit_match.prints.minutiae import extract, minutiae_match
 from splitknit_match.prints.minutiae_record import PPI, Minutiae
 from splitknit_match.prints.print_map import plane_map, resample
 
-REACH_MM, TURN_DEG = 0.3, 40.0
-"""Minutiae of two pictures are the same if they lie no further apart, and their directions differ
-by no more."""
-LEAST_SHARE = 0.5
+MAX_DISTANCE_MM = 0.3
+"""Minutiae of two pictures that lie further apart are not the same."""
+MAX_TURN_DEG = 40.0
+"""Minutiae of two pictures whose directions differ by more are not the same."""
+MIN_FRACTION = 0.5
 """Fraction of the pictures in which a minutia must be found to be kept."""
 PICTURES = ("x", "y", "z", "albedo")
 """Components of the normals in the upright frame, and the albedo."""
 
 
-def vote(pictures: Sequence[Minutiae], least_share: float = LEAST_SHARE) -> Minutiae:
+def vote(pictures: Sequence[Minutiae], min_fraction: float = MIN_FRACTION) -> Minutiae:
     """Keep the minutiae that enough pictures show.
 
     Every picture has one vote for a place. The place with most votes is taken first, and the
@@ -55,7 +56,7 @@ def vote(pictures: Sequence[Minutiae], least_share: float = LEAST_SHARE) -> Minu
     pool = _pool(pictures)
     near = _same(pool)
     free = np.ones(len(pool), dtype=np.bool_)
-    least = max(1, int(np.ceil(least_share * len(pictures) - 1e-9)))
+    least = max(1, int(np.ceil(min_fraction * len(pictures) - 1e-9)))
     waiting = [(*_standing(pool, near[k]), k) for k in range(len(pool))]
     heapq.heapify(waiting)
     kept = []
@@ -104,11 +105,11 @@ def _same(pool: NDArray[np.void]) -> list[NDArray[np.intp]]:
     places = np.stack([pool["x"], pool["y"]], axis=1)
     found = []
     for k, around in enumerate(
-        cKDTree(places).query_ball_point(places, REACH_MM * PPI / 25.4, return_sorted=True)
+        cKDTree(places).query_ball_point(places, MAX_DISTANCE_MM * PPI / 25.4, return_sorted=True)
     ):
         index = np.array(around, dtype=np.intp)
         turn = np.abs(np.angle(np.exp(1j * (pool["direction"][index] - pool["direction"][k]))))
-        found.append(index[turn <= np.deg2rad(TURN_DEG)])
+        found.append(index[turn <= np.deg2rad(MAX_TURN_DEG)])
     return found
 
 

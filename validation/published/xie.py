@@ -46,27 +46,40 @@ from splitknit.report.result import write_results
 Array = NDArray[Any]
 INDEX = 1.5
 """Refractive index of both layers. Skin has 1.37 to 1.5; 1.5 was best on simulated fingers."""
-EPIDERMIS_G, DERMIS_G = 0.79, 0.81
-"""Mean cosine of the angle of scattering; these and the next from Hanrahan and Krueger's table."""
+EPIDERMIS_G = 0.79
+"""Mean cosine of the angle of scattering in the epidermis; this and the next three from Hanrahan
+and Krueger's table."""
+DERMIS_G = 0.81
+"""Mean cosine of the angle of scattering in the dermis."""
 EPIDERMIS = 50.0, 3.8, 0.08
 """Scattering and absorption per mm, and thickness in mm: the prior of each pixel."""
 DERMIS_W = 21.7 / (21.7 + 0.3)
-BASE = 0.45
+BASE_ALBEDO = 0.45
 """Fraction of the light that the matt base gives back, of the median pixel."""
-NOISE, SPREAD_W, SPREAD_DEPTH = 0.02, 1.0, 0.7
-"""Standard deviations: of an image, relative to the albedo; of W's logit and the depth's logarithm
-over the pixels."""
-ROUNDS, STEP, GAIN = 30, 1e-3, 1e-5
-"""Iterations at most; a pixel has converged when no parameter moves by more, or its cost falls by
-less."""
-DAMPING, STEEPER, FLATTER = 1e-3, 8.0, 0.15
-LONGEST = np.array([0.25, 0.25, 0.7, 2.0, 1.5], dtype=np.float32)[:, None]
-LOW = np.array([-np.inf, -np.inf, -4.0, -9.0, -6.0], dtype=np.float32)[:, None]
-HIGH = np.array([np.inf, np.inf, 4.0, 9.0, 5.0], dtype=np.float32)[:, None]
+NOISE_SD = 0.02
+"""Standard deviation of an image's noise, relative to the albedo."""
+W_SD = 1.0
+"""Standard deviation of W's logit over the pixels."""
+DEPTH_SD = 0.7
+"""Standard deviation of the depth's logarithm over the pixels."""
+MAX_ITERATIONS = 30
+MIN_STEP = 1e-3
+"""A pixel has converged when no parameter moves by more."""
+MIN_GAIN = 1e-5
+"""A pixel has converged when its cost falls by a smaller fraction."""
+DAMPING = 1e-3
+"""Damping of Levenberg and Marquardt at the start."""
+DAMPING_UP = 8.0
+"""Factor of the damping after a step that raised the cost."""
+DAMPING_DOWN = 0.15
+"""Factor of the damping after a step that lowered the cost."""
+MAX_STEPS = np.array([0.25, 0.25, 0.7, 2.0, 1.5], dtype=np.float32)[:, None]
+LOWER_LIMITS = np.array([-np.inf, -np.inf, -4.0, -9.0, -6.0], dtype=np.float32)[:, None]
+UPPER_LIMITS = np.array([np.inf, np.inf, 4.0, 9.0, 5.0], dtype=np.float32)[:, None]
 STEEPEST = 0.97
 """Largest f^2 + g^2: 89 deg of slant."""
 MAX_SLOPE = 6.0
-AT_ONCE = 20_000
+PIXELS_AT_A_TIME = 20_000
 
 
 def refracted(cosine: Array) -> tuple[Array, Array]:
@@ -164,7 +177,7 @@ def fit(images: Array, lights: Array, start: Array, albedo: Array, exposure: flo
     """
     strength = np.linalg.norm(lights, axis=1)[:, None].astype(np.float32)
     units = (lights / strength).astype(np.float32)
-    trust = np.float32(1 / NOISE) / albedo
+    trust = np.float32(1 / NOISE_SD) / albedo
     here = np.zeros((5, images.shape[1]), dtype=np.float32)
     here[:2] = start[:2] / (1 + np.maximum(start[2], 0))
     here[3], here[4] = prior()
@@ -193,7 +206,7 @@ def fit(images: Array, lights: Array, start: Array, albedo: Array, exposure: flo
             (slopes * residual).sum(axis=1),
             np.einsum("iln,jln->ijn", slopes, slopes),
         )
-        for row, spread, usual in zip((3, 4), (SPREAD_W, SPREAD_DEPTH), prior(), strict=True):
+        for row, spread, usual in zip((3, 4), (W_SD, DEPTH_SD), prior(), strict=True):
             away = (p[row] - usual) / spread
             cost += away**2
             gradient[row] += away / spread
@@ -202,20 +215,20 @@ def fit(images: Array, lights: Array, start: Array, albedo: Array, exposure: flo
 
     active, damping = np.arange(images.shape[1]), np.full(images.shape[1], DAMPING)
     cost, gradient, matrix = equations(here, active)
-    for _ in range(ROUNDS):
+    for _ in range(MAX_ITERATIONS):
         damped = matrix * (1 + damping * np.eye(5)[..., None]) + 1e-12 * np.eye(5)[..., None]
         step = np.linalg.solve(np.moveaxis(damped, -1, 0), -gradient.T[..., None])[..., 0].T
         trial = moved(here[:, active], step.astype(np.float32))
         new = equations(trial, active)
         better = new[0] < cost
-        still = (np.abs(trial - here[:, active]).max(axis=0) < STEP) | (
-            better & (cost - new[0] < GAIN * cost)
+        still = (np.abs(trial - here[:, active]).max(axis=0) < MIN_STEP) | (
+            better & (cost - new[0] < MIN_GAIN * cost)
         )
         here[:, active] = np.where(better, trial, here[:, active])
         cost, gradient, matrix = (
             np.where(better, n, k) for n, k in zip(new, (cost, gradient, matrix), strict=True)
         )
-        damping = np.clip(damping * np.where(better, FLATTER, STEEPER), 1e-7, 1e7)
+        damping = np.clip(damping * np.where(better, DAMPING_DOWN, DAMPING_UP), 1e-7, 1e7)
         on = ~still & (damping < 1e7)
         active, damping = active[on], damping[on]
         cost, gradient, matrix = cost[on], gradient[:, on], matrix[..., on]
@@ -227,8 +240,8 @@ def fit(images: Array, lights: Array, start: Array, albedo: Array, exposure: flo
 def moved(parameters: Array, step: Array) -> Array:
     """Parameters after a step, none further than its longest one, inside the hemisphere and the
     bounds."""
-    shorter = np.minimum(1, (LONGEST / np.maximum(np.abs(step), 1e-20)).min(axis=0))
-    result = np.clip(parameters + step * shorter, LOW, HIGH)
+    shorter = np.minimum(1, (MAX_STEPS / np.maximum(np.abs(step), 1e-20)).min(axis=0))
+    result = np.clip(parameters + step * shorter, LOWER_LIMITS, UPPER_LIMITS)
     square = result[0] ** 2 + result[1] ** 2
     result[:2] *= np.minimum(1, np.sqrt(STEEPEST / np.maximum(square, 1e-20)))
     return np.asarray(result, dtype=np.float32)
@@ -240,11 +253,11 @@ def layered_normals(
     """Normals (H, W, 3) and albedo (H, W) of images (L, H, W) under distant lights (L, 3)."""
     normals, albedo = lambertian(images, lights, inside)
     typical = float(np.median(albedo[inside]))
-    exposure = np.pi * typical / (BASE * INDEX**2)
+    exposure = np.pi * typical / (BASE_ALBEDO * INDEX**2)
     places = np.flatnonzero(inside)
     flat = images.reshape(len(images), -1)
     towards, bright = normals.reshape(-1, 3), albedo.ravel()
-    for part in np.array_split(places, max(1, len(places) // AT_ONCE)):
+    for part in np.array_split(places, max(1, len(places) // PIXELS_AT_A_TIME)):
         faint = np.maximum(bright[part], np.float32(1e-4 * typical))
         found = fit(flat[:, part], lights, towards[part].T, faint, exposure)
         towards[part] = directions(found[0], found[1])[0].T

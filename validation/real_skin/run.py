@@ -30,7 +30,7 @@ from splitknit.model import Capture
 from splitknit.presets import PipelineSettings, preset_settings
 from splitknit.settings import override
 
-FEW = 3
+FEW_LIGHTS = 3
 """White lights that are left out unless all are."""
 CLASSES = [f"rms_{low}_{high}" for low, high in pairwise(SLANTS_DEG)]
 PERCENT = ["rms", *CLASSES, "ridges", "change"]
@@ -58,7 +58,7 @@ def images_of(capture: Capture, everything: bool) -> list[tuple[str, int]]:
         "white" in capture.bands, "the capture has no band 'white'; every reconstruction needs it."
     )
     count = len(capture.bands["white"].leds)
-    return [("white", k) for k in sorted({k * count // FEW for k in range(FEW)})]
+    return [("white", k) for k in sorted({k * count // FEW_LIGHTS for k in range(FEW_LIGHTS)})]
 
 
 def table(captures: Mapping[str, Sequence[Mapping[str, Any]]]) -> list[list[str]]:

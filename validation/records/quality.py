@@ -37,7 +37,12 @@ SETS = (
     "fvc/fvc2004_db2b",
     "fvc/fvc2004_db3b",
 )
-NEAR_MM, NEAR_RAD, SURE = 0.75, 0.5, 5.0
+MAX_DISTANCE_MM = 0.75
+"""Distance within which a minutia is found again."""
+MAX_TURN_RAD = 0.5
+"""Difference of direction within which a minutia is found again."""
+MIN_SIMILARITY = 5.0
+"""Pairs that are less similar are left out: they may be laid on each other wrongly."""
 
 
 def found_again(a: Prepared, b: Prepared) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
@@ -50,7 +55,7 @@ def found_again(a: Prepared, b: Prepared) -> tuple[NDArray[np.bool_], NDArray[np
     gap = np.abs(there[:, None] - others)
     apart = np.angle(np.exp(1j * (turn[:, None] + laid.angle_rad - turns)))
     return on_ridges(b.template.valid, b.pixels(there)), (
-        (gap < NEAR_MM) & (np.abs(apart) < NEAR_RAD)
+        (gap < MAX_DISTANCE_MM) & (np.abs(apart) < MAX_TURN_RAD)
     ).any(axis=1)
 
 
@@ -89,7 +94,7 @@ def main() -> None:
             if ready.cylinders is not None and len(ready.cylinders.turn) == len(terms[-1]):
                 sides.append((file.stem[:3], ready, terms[-1]))
         for (x, a, of_a), (y, b, of_b) in itertools.combinations(sides, 2):
-            if x != y or fused_match(a, b).similarity < SURE:
+            if x != y or fused_match(a, b).similarity < MIN_SIMILARITY:
                 continue
             for one, other, design in ((a, b, of_a), (b, a, of_b)):
                 shown, there = found_again(one, other)

@@ -28,14 +28,16 @@ VIEWS = {
     f"{sign}{axis}": (k, -1 if sign else 1) for k, axis in enumerate("xyz") for sign in ("", "-")
 }
 """Axis towards the viewer, and its sign, by name."""
-STEEPEST = (0.2, 0.4)
+FADE_COSINES = (0.2, 0.4)
 """Cosines of the slants between which the relief fades out: 78 and 66 degrees."""
 FINEST_MM = 0.015
 """Finest grid on which scattered points are fitted: 30 pixels a ridge."""
-SCATTER_PITCHES, SCATTER_MM = 1.5, 0.06
-"""Scatter of points beside the fitted surface beyond which they are none: in pitches, and of a
-finger at least."""
-MOST_NODES, ROWS = 30_000_000, 1 << 18
+MAX_SCATTER_PITCHES = 1.5
+"""Scatter of points about the fitted surface beyond which they are no surface, in pitches."""
+MAX_SCATTER_MM = 0.06
+"""The same limit in mm, where it is the larger one."""
+MAX_NODES = 30_000_000
+POINTS_AT_A_TIME = 1 << 18
 
 
 def points_of(file: Path, up: str = "z", unit_mm: float = 1.0) -> FloatArray:
@@ -72,7 +74,9 @@ def result_of_points(
     normals = normals_from_gradients(*height_gradients(height, pitch)) * mask[..., None]
     normals[~mask] = 0.0
     rows, columns = (np.arange(side, dtype=np.float64) * np.float64(pitch) for side in mask.shape)
-    trust = np.clip((normals[..., 2] - STEEPEST[0]) / (STEEPEST[1] - STEEPEST[0]), 0.0, 1.0)
+    trust = np.clip(
+        (normals[..., 2] - FADE_COSINES[0]) / (FADE_COSINES[1] - FADE_COSINES[0]), 0.0, 1.0
+    )
     relief = detail_of(height, trust, Grid(mask, columns, -rows, pitch, (False,) * 4))
     relief[~mask] = np.nan
     upright = find_upright(mask, tip_direction_deg)
@@ -103,7 +107,7 @@ def fitted(points: FloatArray, pitch_mm: float | None) -> tuple[FloatArray, Bool
     pitch = pitch_mm or max(spacing(points), FINEST_MM)
     shape, column, row = nodes(points, pitch)
     moments = np.zeros((9, shape[0] * shape[1]), dtype=np.float32)
-    for part in (slice(k, k + ROWS) for k in range(0, len(points), ROWS)):
+    for part in (slice(k, k + POINTS_AT_A_TIME) for k in range(0, len(points), POINTS_AT_A_TIME)):
         u, v, z = np.rint(column[part]), np.rint(row[part]), points[part, 2]
         x, y, node = (
             column[part] - u,
@@ -131,7 +135,7 @@ def fitted(points: FloatArray, pitch_mm: float | None) -> tuple[FloatArray, Bool
     nearest = np.rint(row).astype(np.int64), np.rint(column).astype(np.int64)
     scatter = 1.4826 * float(np.median(np.abs(points[:, 2] - height[nearest])[mask[nearest]]))
     require(
-        scatter <= max(SCATTER_PITCHES * pitch, SCATTER_MM),
+        scatter <= max(MAX_SCATTER_PITCHES * pitch, MAX_SCATTER_MM),
         f"the points lie {scatter:.2g} mm (standard deviation) beside the surface through them,"
         f" where they are {pitch:.2g} mm apart: that is not a surface which the view sees once;"
         " check the view (--up) and the export.",
@@ -172,10 +176,10 @@ def nodes(points: FloatArray, pitch: float) -> tuple[tuple[int, int], FloatArray
     )
     shape = int(np.rint(row.max())) + 1, int(np.rint(column.max())) + 1
     fault = f"at {pitch:.3g} mm a pixel the cloud makes {shape[0]} x {shape[1]} pixels"
-    fits = min(shape) >= 3 and shape[0] * shape[1] <= MOST_NODES
+    fits = min(shape) >= 3 and shape[0] * shape[1] <= MAX_NODES
     require(
         fits,
-        f"{fault}, where 3 x 3 to {MOST_NODES} in all are possible; give another pitch or view.",
+        f"{fault}, where 3 x 3 to {MAX_NODES} in all are possible; give another pitch or view.",
     )
     return shape, column, row
 

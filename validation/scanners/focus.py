@@ -18,7 +18,7 @@ from splitknit.errors import require
 from splitknit.model import FloatArray
 
 # by which the peak of sharpness rises over its mean through the stack, as a fraction of the peak
-_LEAST = 0.2
+_MIN_RISE = 0.2
 
 
 def depth(stack: NDArray[np.floating], window_px: float) -> tuple[FloatArray, FloatArray]:
@@ -49,7 +49,7 @@ def depth(stack: NDArray[np.floating], window_px: float) -> tuple[FloatArray, Fl
     known = (
         (best == middle)
         & (np.abs(fraction) <= 1.0)
-        & (peak - sharpness.mean(axis=0) > _LEAST * peak)
+        & (peak - sharpness.mean(axis=0) > _MIN_RISE * peak)
     )
     sharp = np.take_along_axis(stack, best[None], 0)[0]
     return np.where(known, middle + fraction, np.nan).astype(np.float32), sharp.astype(np.float32)

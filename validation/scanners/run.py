@@ -28,7 +28,7 @@ import splitknit_simulator
 from splitknit.model import FloatArray
 from splitknit_simulator.light.skin import diffusion_profile
 
-FINE = 12.0
+FINE_PERIOD = 12.0
 """Period in projector rows, finer than ridges."""
 FRAME_S = 1 / 30
 
@@ -54,7 +54,7 @@ def colour_stripes(finger: sim.Fingers) -> sim.Scan:
 SYSTEMS: dict[str, tuple[Callable[[sim.Fingers], sim.Scan], str, int, int, float]] = {
     "stripes": (sim.stripes, "Structured light, 3 periods x 6 steps, blue", 3, 650, 18 * FRAME_S),
     "stripes-fine": (
-        lambda f: sim.stripes(f, "blue", (*sim.PERIODS, FINE)),
+        lambda f: sim.stripes(f, "blue", (*sim.PERIODS, FINE_PERIOD)),
         "Structured light, a fourth period of 0.36 mm, blue",
         3,
         650,
@@ -183,7 +183,7 @@ def fringe_table(out: Path) -> None:
         result = on_grid(cloud, truth["mask"].shape, float(truth["pitch_mm"]))
         figures = splitknit.compare(result, truth).figures
         facts[channel] = rows | {k: float(figures[k]) for k in KEEP if k in figures}
-        cloud, _, _ = sim.stripes(finger, channel, (*sim.PERIODS, FINE))
+        cloud, _, _ = sim.stripes(finger, channel, (*sim.PERIODS, FINE_PERIOD))
         figures = splitknit.compare(
             on_grid(cloud, truth["mask"].shape, float(truth["pitch_mm"])), truth
         ).figures

@@ -30,7 +30,8 @@ from splitknit_simulator.finger.raycast import (
 )
 from splitknit_simulator.finger.shape import FingerBody
 from splitknit_simulator.finger.skin_map import skin_map
-from splitknit_simulator.light.lighting import LED_RADIUS_MM, cut_out, light_on
+from splitknit_simulator.light.lighting import cut_out, light_on
+from splitknit_simulator.light.parameters import LED_RADIUS_MM
 from splitknit_simulator.light.renderer import Relief, RenderSettings, SubsurfaceScattering
 from splitknit_simulator.light.skin import Medium
 from splitknit_simulator.scene import TwinSettings
@@ -41,10 +42,14 @@ SCALE = 0.4
 PX_PER_MM = 75.7 * SCALE
 HEIGHT_MM = 140.0
 PIVOT = np.array([0.0, 0.0, -6.0])  # in the finger: cameras and projectors turn about it
-PROJECTOR_ROWS, PROJECTOR_PX_MM, PROJECTOR_DEG = 1300, 0.03, 25.0
-PROJECTOR_BLUR_MM, LASER_SIGMA_MM = 0.05, 0.05
+PROJECTOR_ROWS = 1300
+PROJECTOR_PX_MM = 0.03
+PROJECTOR_DEG = 25.0
+PROJECTOR_BLUR_MM = 0.05
+LASER_SIGMA_MM = 0.05
 APERTURE_MM = 28.0  # of the lens of depth from focus: f/2.5 at 70 mm
-PERIODS, STEPS = (1300.0, 200.0, 36.0), 6
+PERIODS = (1300.0, 200.0, 36.0)  # of the stripes, in the projector's rows
+STEPS = 6  # phase steps of each period
 Pattern = Callable[[FloatArray], NDArray[np.floating]]  # light by the projector's row
 # with the light on the skin (1: one evenly lit exposure), seconds of computing
 Scan = tuple[FloatArray, float, float]

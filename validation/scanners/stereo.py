@@ -24,7 +24,8 @@ from splitknit.errors import require
 from splitknit.model import BoolArray, FloatArray
 from splitknit_simulator.surface import Array
 
-_ROUNDS, _LARGEST_STEP_PX = 4, 0.5
+_ITERATIONS = 4
+_MAX_STEP_PX = 0.5
 
 
 def scan(
@@ -121,7 +122,7 @@ def _refined(fields: Sequence[FloatArray], disparity: FloatArray) -> tuple[Float
     )
     start, reference = disparity, fields[0]
     side = (9, 9)
-    for _ in range(_ROUNDS):
+    for _ in range(_ITERATIONS):
         other = np.asarray(
             cv2.remap(fields[1], columns - disparity, rows, cv2.INTER_CUBIC), dtype=np.float32
         )
@@ -129,7 +130,7 @@ def _refined(fields: Sequence[FloatArray], disparity: FloatArray) -> tuple[Float
             cv2.Sobel(other, cv2.CV_32F, 1, 0, ksize=3), dtype=np.float32
         ) / np.float32(8.0)
         step = cv2.blur(slope * (other - reference), side) / (cv2.blur(slope * slope, side) + 1e-3)
-        disparity = disparity + np.clip(step, -_LARGEST_STEP_PX, _LARGEST_STEP_PX)
+        disparity = disparity + np.clip(step, -_MAX_STEP_PX, _MAX_STEP_PX)
     other = np.asarray(
         cv2.remap(fields[1], columns - disparity, rows, cv2.INTER_CUBIC), dtype=np.float32
     )

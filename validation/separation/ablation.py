@@ -28,7 +28,7 @@ from typing import Any
 
 HERE = Path(__file__).resolve().parent
 OUT = HERE.parent / "out" / "ablation"
-FRACTION = 0.95
+CONFIDENCE = 0.95
 FIRST_SEED = 1000
 RECIPES = ("ablation_rows", "ablation_light")
 Found = Mapping[str, Mapping[str, Any]]
@@ -193,7 +193,7 @@ def statistics(values: Sequence[float]) -> dict[str, Any]:
     if len(values) < 2:
         return {"mean": mean, "interval": None}
     half = float(
-        t.ppf(0.5 + 0.5 * FRACTION, len(values) - 1) * np.std(values, ddof=1) / len(values) ** 0.5
+        t.ppf(0.5 + 0.5 * CONFIDENCE, len(values) - 1) * np.std(values, ddof=1) / len(values) ** 0.5
     )
     return {"mean": mean, "interval": [mean - half, mean + half]}
 

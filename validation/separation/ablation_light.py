@@ -18,8 +18,10 @@ from splitknit_simulator.scene import TwinSettings
 from splitknit_simulator.surface import SimulatedSurface
 from splitknit_simulator.twin import photograph
 
-BLACK, GAIN = 0.1, 0.85
-"""How changed light is stored in 16 bits, as parts of full scale: noise may fall below zero."""
+BLACK = 0.1
+"""Black level of the changed light in 16 bits, over full scale: noise may fall below zero."""
+GAIN = 0.85
+"""Fraction of full scale that light of one takes, above the black level."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -49,17 +49,10 @@ COLUMNS = {
     "normals_mean_deg": ("normals, deg", 1),
     "surface_rms_mm": ("surface rms, mm", 3),
 }
-PAGE_COLUMNS = tuple(key for key in COLUMNS if key != "ridge_good_area")
+PAGE_COLUMNS = ("ridge_correlation", "ridge_gain", "surface_rms_mm")
 PAGE_ROWS = {
     "ea-split": "`ea-split`",
-    "snk_plain_all": "`snk` without CLAHE and direct light",
-    "snk_plain_direct": "the same, true direct light",
-    "snk_plain_direct_matt": "the same, true direct light without its specular reflection",
-    "snk_plain_matt": "the same, all light without specular reflection",
-    "snk_clahe_all": "`snk` without direct light",
-    "snk_clahe_network": "`snk`: direct light by the network",
-    "snk_clahe_colours": "the same, from the colours",
-    "snk_clahe_direct": "the same, true direct light",
+    "snk_clahe_network": "`snk`",
     "near_in": "near lights",
     "near_truth": "near lights without specular reflection",
     "grey_in": "blur inverted, grey",
@@ -156,10 +149,8 @@ def section(results: Tree) -> str:
     return "\n".join(
         [
             (
-                f"{len(seeds)} fingers, seeds {seeds[0]} to {seeds[-1]}, images at"
-                f" {results['scale']:g} of the full scale; direct light through checks of"
-                f" {results['check_mm']:g} mm. Mean [95 % interval over fingers, Student's t, cut"
-                " at 1]; definitions in [accuracy.md](accuracy.md#definitions)."
+                f"{len(seeds)} fingers, images at {results['scale']:g} of the full scale; mean [95 %"
+                " interval over fingers, Student's t]; [definitions](accuracy.md#definitions)."
             ),
             "",
             rows_table(results),

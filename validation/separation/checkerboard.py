@@ -24,8 +24,8 @@ from typing import Any
 
 import numpy as np
 from patches import (
+    PATCH_SIZE,
     PX_PER_MM,
-    SIZE,
     Patch,
     decibels,
     draw_patches,
@@ -43,7 +43,7 @@ from splitknit_simulator.light.separation import Checkerboard, Separated
 
 HERE = Path(__file__).resolve().parent
 CHECKS_MM = (0.11, 0.21, 0.42, 0.85)
-STEPS = (5, 7, 9)
+SHIFT_COUNTS = (5, 7, 9)
 """Odd: an even number of shifts shows every checkerboard twice."""
 COAXIAL = Led("white", direction=(0.0, 0.0, 1.0))
 """Simulated radiance does not clip."""
@@ -192,8 +192,8 @@ def main() -> None:
     one = {name: patch for name, patch in patches.items() if name.endswith("0")}
     results: dict[str, Any] = {
         "px_per_mm": PX_PER_MM,
-        "size": list(SIZE),
-        "noise_free": noise_free(patches, CHECKS_MM, STEPS),
+        "size": list(PATCH_SIZE),
+        "noise_free": noise_free(patches, CHECKS_MM, SHIFT_COUNTS),
         "noise": noise(patches, 0.42),
         "centred": centred(one, CHECKS_MM[:3]),
         "psnr_peak": (

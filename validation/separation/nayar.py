@@ -20,8 +20,8 @@ from typing import Any
 import cv2
 import numpy as np
 from patches import (
+    PATCH_SIZE,
     PX_PER_MM,
-    SIZE,
     Patch,
     decibels,
     draw_patches,
@@ -36,7 +36,7 @@ from splitknit_simulator.light.separation import Checkerboard
 
 CHECK_MM = 0.42
 TABLE = Path(__file__).with_name("tables") / "nayar.csv"
-BLOCK = 32
+BLOCK_PX = 32
 """Pixels a side of a block of the single image: two checks."""
 
 
@@ -57,7 +57,7 @@ class Shifted:
         if self.kind == "sinusoid":
             along = 2 * self.check_mm * np.arange(3) / 3
         elif self.kind == "line":
-            reach = 0.75 * max(SIZE) / PX_PER_MM
+            reach = 0.75 * max(PATCH_SIZE) / PX_PER_MM
             along = np.arange(-reach, reach, 0.5 * self.check_mm)
         else:
             return Checkerboard(self.check_mm).shifts_mm()
@@ -116,8 +116,8 @@ def direct_of(kind: str, images: np.ndarray, mask: np.ndarray) -> np.ndarray:
     if kind == "sinusoid":
         return by_sinusoid(images)[0]
     if kind == "single image":
-        small = by_one_image(images[0], BLOCK, CHECK_MM * PX_PER_MM).astype(np.float32)
-        size = small.shape[1] * BLOCK, small.shape[0] * BLOCK
+        small = by_one_image(images[0], BLOCK_PX, CHECK_MM * PX_PER_MM).astype(np.float32)
+        size = small.shape[1] * BLOCK_PX, small.shape[0] * BLOCK_PX
         large: Any = cv2.resize(small, size, interpolation=cv2.INTER_CUBIC)
         down, right = images.shape[1] - size[1], images.shape[2] - size[0]
         return np.asarray(cv2.copyMakeBorder(large, 0, down, 0, right, cv2.BORDER_REPLICATE))

@@ -27,11 +27,13 @@ sys.path.append(str(Path(__file__).resolve().parents[2] / "training"))
 from palms import draw_palm, palm_surface
 
 PX_PER_MM = 37.85
-SIZE = (224, 240)
+PATCH_SIZE = (224, 240)
 LEDS = default_rig().leds
-WELL, READ_NOISE = 4700.0, 2.5
-"""Electrons, as in the twin's sensor; one colour channel of one pixel, exposed to 0.7 of full
-scale."""
+FULL_WELL_E = 4700.0
+"""Electrons at full scale, as in the twin's sensor; one colour channel of one pixel, exposed to 0.7
+of it."""
+READ_NOISE_E = 2.5
+"""Standard deviation of the noise of reading out, electrons, as in the twin's sensor."""
 RENDER: dict[str, Any] = {"settings": RenderSettings(reach_mm=3.0, workers=1)}
 """A shorter reach than the captures': of the light beyond 3 mm the checkerboard leaves nothing."""
 
@@ -42,7 +44,7 @@ separation."""
 
 def draw_patches(smoke: bool) -> dict[str, Patch]:
     """Crops of palms and fingers with skins drawn from the population's ranges."""
-    size = (96, 104) if smoke else SIZE
+    size = (96, 104) if smoke else PATCH_SIZE
     camera = Camera(PX_PER_MM, size)
     result = {}
     for k in range(1 if smoke else 2):
@@ -73,8 +75,8 @@ def photograph(patch: Patch, pattern: Any) -> np.ndarray:
 
 def noisy_images(clean: np.ndarray, truth: Separated, mask: np.ndarray) -> np.ndarray:
     """The images with shot and read noise of the twin's sensor."""
-    scale = WELL * 0.7 / np.percentile(truth.white[0][mask], 99.9)
-    spread = np.sqrt(np.maximum(clean * scale, 0) + READ_NOISE**2)
+    scale = FULL_WELL_E * 0.7 / np.percentile(truth.white[0][mask], 99.9)
+    spread = np.sqrt(np.maximum(clean * scale, 0) + READ_NOISE_E**2)
     drawn = np.random.default_rng(5).standard_normal(clean.shape)
     return np.asarray((clean * scale + spread * drawn) / scale, dtype=np.float32)
 

@@ -29,10 +29,12 @@ sys.path.append(str(HERE.parents[1] / "training"))
 from scenes import HELD_OUT_FROM  # noqa: E402
 from separation import photographs  # noqa: E402
 
-FIRST = HELD_OUT_FROM + 1000
+FIRST_NUMBER = HELD_OUT_FROM + 1000
 """Not those of the learning curve either."""
-FRACTION_FROM, FRACTION_COUNT = 100, 4
+FRACTION_FROM = 100
 """Photographs of palms and fingers from this number on (not judged) give the constant fraction."""
+FRACTION_COUNT = 4
+"""Number of these photographs."""
 PALMS = 6
 
 
@@ -59,7 +61,7 @@ def compared(
     """PSNR of each way and the paired difference from the constant, with 95 % intervals that draw
     photographs."""
     rows = []
-    for index in range(FIRST, FIRST + count):
+    for index in range(FIRST_NUMBER, FIRST_NUMBER + count):
         colours, image, truth = channels(kind, index, "stack")
         ways = {
             "network": direct_light(image[None], network)[0],

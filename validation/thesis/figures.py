@@ -46,11 +46,11 @@ from tables import Row, write_csv
 CASES = ("snk", "pr", "ea")
 BANDS = {"shape": (0.0, 2.0), "between": (2.0, 10.0), "ridges": (10.0, 1000.0)}
 """Cycles per cm: the shape has 0.7, ridges have 23."""
-STEP = 0.5
-FREQUENCIES = np.arange(1, 121) * STEP
-"""Cycles per cm: middles of the bins of :data:`STEP` in which power is summed."""
+BIN_PER_CM = 0.5
+FREQUENCIES = np.arange(1, 121) * BIN_PER_CM
+"""Cycles per cm: middles of the bins of :data:`BIN_PER_CM` in which power is summed."""
 PROFILE_STEP_MM = 0.05
-RESAMPLED = 1000
+RESAMPLES = 1000
 
 Values = NDArray[np.float64]
 
@@ -195,11 +195,13 @@ def _power(field: Values, mask: NDArray[np.bool_], pitch_mm: float) -> list[floa
     values = np.where(inside, field, 0.0)
     values = window * (values - np.sum(window * values) / np.sum(window))
     count = scipy.fft.next_fast_len(
-        max(3 * max(field.shape), int(np.ceil(20.0 / (STEP * pitch_mm))))
+        max(3 * max(field.shape), int(np.ceil(20.0 / (BIN_PER_CM * pitch_mm))))
     )
     power = np.abs(scipy.fft.fft2(values, s=(count, count))) ** 2
     waves = np.fft.fftfreq(count, 0.1 * pitch_mm)
-    number = np.round(np.hypot(waves[:, None], waves[None, :]) / STEP).astype(np.int64).ravel()
+    number = (
+        np.round(np.hypot(waves[:, None], waves[None, :]) / BIN_PER_CM).astype(np.int64).ravel()
+    )
     total = np.bincount(number, weights=power.ravel(), minlength=FREQUENCIES.size + 1)[
         1 : FREQUENCIES.size + 1
     ]
@@ -229,7 +231,7 @@ def _profiles(
 def summary(found: Sequence[Row], seed: int) -> list[Row]:
     """Mean of each figure over captures, with an interval of 95 % drawn by finger."""
     rng = np.random.default_rng([seed, 59])
-    picks = rng.integers(0, max(len(found), 1), (RESAMPLED, len(found)))
+    picks = rng.integers(0, max(len(found), 1), (RESAMPLES, len(found)))
     values = {
         f"3.1 {name}: {words}": [of(np.array(row["spectra"][name])) for row in found]
         for name in (found[0]["spectra"] if found else ())
@@ -331,7 +333,8 @@ def accuracies(rows: Sequence[Mapping[str, str]]) -> list[Any]:
     return groups
 
 
-PATCH_MM, PATCH_PX = 5.0, 220
+PATCH_MM = 5.0
+PATCH_PX = 220
 
 
 def surfaces(capture: Capture) -> NDArray[np.uint8]:

@@ -25,12 +25,11 @@ JUDGED = {
     ("passing", "single", "all"): "impostors that pass, single",
     ("passing", "single", "whole"): "impostors that pass, single, whole views",
 }
-THESIS, PLAIN, PASSING = (
-    ("gate", "averaged", "all"),
-    ("none", "single", "all"),
-    ("passing", "single", "all"),
-)
-THESIS_WHOLE, WHOLE = ("gate", "averaged", "whole"), ("none", "single", "whole")
+THESIS = ("gate", "averaged", "all")
+PLAIN = ("none", "single", "all")
+PASSING = ("passing", "single", "all")
+THESIS_WHOLE = ("gate", "averaged", "whole")
+WHOLE = ("none", "single", "whole")
 LIKE_ROLLS = ("gate", "averaged", "fingers")
 GATED = ("gate", "single", "all")
 UNDILUTED = (THESIS, LIKE_ROLLS, GATED, PLAIN, PASSING)

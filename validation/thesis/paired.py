@@ -30,9 +30,12 @@ from splitknit_simulator.surface import SimulatedSurface
 from splitknit_simulator.twin import lay_down, simulate_capture, twin_settings
 from tables import write_csv
 
-ZEROS, MIRRORED = "Frankot-Chellappa, zeros", "Frankot-Chellappa, mirrored"
-RECTANGLE, MASK = "Poisson, rectangle", "Poisson, mask"
-NIR, WHITE = "shape under NIR", "shape under white light"
+ZEROS = "Frankot-Chellappa, zeros"
+MIRRORED = "Frankot-Chellappa, mirrored"
+RECTANGLE = "Poisson, rectangle"
+MASK = "Poisson, mask"
+NIR = "shape under NIR"
+WHITE = "shape under white light"
 PAIRS = ((ZEROS, RECTANGLE), (MIRRORED, RECTANGLE), (MIRRORED, MASK), (NIR, WHITE))
 
 

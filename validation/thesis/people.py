@@ -35,7 +35,8 @@ from splitknit.io.photograph_files import some_of
 from splitknit.io.photographs import GivenPhotographs
 from splitknit.io.photos import SUFFIXES
 
-_SIDE, _DIGIT = "right|left|r|l", "thumb|index|fore|middle|ring|little|pinky|small|10|[1-9]"
+_SIDE = "right|left|r|l"
+_DIGIT = "thumb|index|fore|middle|ring|little|pinky|small|10|[1-9]"
 _FIELDS = {
     "subject": r"[^/]+?",
     "session": r"[a-z]*[ _-]?\d+(?:[.-]\d+)*",

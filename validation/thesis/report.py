@@ -91,13 +91,15 @@ def fill(page: str, made: Mapping[str, str]) -> str:
 
 
 def blocks(folder: Path) -> dict[str, str]:
-    """The generated part of the page, in Markdown."""
+    """The generated part of the page, in Markdown: figures that the thesis states."""
     head, *rows = thesis_table(
         {name: read(folder / f"{name}.csv") for name in ("scales", "fusion", "cases")}, SHOWN
     )
+    place = head.index("impostor pairs")
+    shown = [head, ["---"] * len(head), *(row for row in rows if row[head.index("thesis")] != "-")]
     return {
         "thesis": "\n".join(
-            f"| {' | '.join(cells)} |" for cells in [head, ["---"] * len(head), *rows]
+            f"| {' | '.join((*cells[:place], *cells[place + 1 :]))} |" for cells in shown
         )
     }
 

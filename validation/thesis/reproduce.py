@@ -40,7 +40,7 @@ CASES = ("snk", "pr", "ea", "ea-split", "metric")
 RIGHT_HAND = "right_thumb,right_index,right_middle,right_ring,right_little"
 SEED = 3170
 
-SIMULATE_S = 3.4  # processor time of a capture at scale 0.4, `docs/experiments/population.md`
+SIMULATE_S = 3.4  # processor time of a capture at scale 0.4, `docs/experiments/simulator.md`
 RECONSTRUCT_S = 11.0  # of a capture in all cases
 COMPARE_S = 0.28  # of a pair in all cases, three attributes each
 SPECTRA_S = 60.0  # of a capture of the part `figures`

@@ -70,8 +70,10 @@ _TREMOR_UM = 30.0
 _TREMOR_HZ = 9.0
 """Frequency of the tremor."""
 OPAQUE_ALBEDO = 0.5
-CLOTH_ALBEDO, CLOTH_DEPTH_MM = 0.006, 10.0
-"""Black cloth below the finger."""
+CLOTH_ALBEDO = 0.006
+"""Albedo of the black cloth below the finger."""
+CLOTH_DEPTH_MM = 10.0
+"""Distance of the cloth below the finger plane."""
 FOCUS_DEPTH_MM = 1.5
 """The lens is focused this far below the finger's highest point."""
 

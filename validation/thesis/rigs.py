@@ -30,9 +30,9 @@ HERE = Path(__file__).resolve().parent
 OUT = HERE.parent / "out" / "rig"
 RESULTS = HERE / "rigs.json"
 
-HEIGHTS = (100.0, 120.0, 140.0, 170.0, 200.0)
-RADII = (35.0, 45.0, 52.5, 65.0, 80.0, 100.0)
-PX = 10.0
+HEIGHTS_MM = (100.0, 120.0, 140.0, 170.0, 200.0)
+RADII_MM = (35.0, 45.0, 52.5, 65.0, 80.0, 100.0)
+PX_PER_MM = 10.0
 COMPARED = ("low", "high", "worse_by", "worse_low", "worse_high", "as_good")
 """What is kept of each comparison with the best, in this order."""
 
@@ -47,12 +47,15 @@ class Sweep:
 
 
 def _plane(
-    fingers: int, heights: Sequence[float] = HEIGHTS, radii: Sequence[float] = RADII, **study: Any
+    fingers: int,
+    heights: Sequence[float] = HEIGHTS_MM,
+    radii: Sequence[float] = RADII_MM,
+    **study: Any,
 ) -> Sweep:
     return Sweep(
         "height and radius",
         ThesisStudy(fingers=fingers, **study),
-        grid(heights, radii, (1.0,), (None,), (PX,)),
+        grid(heights, radii, (1.0,), (None,), (PX_PER_MM,)),
     )
 
 
@@ -60,14 +63,16 @@ def _powers(fingers: int, powers: Sequence[float], **study: Any) -> Sweep:
     return Sweep(
         "power",
         ThesisStudy(fingers=fingers, **study),
-        grid((140.0,), (52.5,), powers, (None,), (PX,)),
+        grid((140.0,), (52.5,), powers, (None,), (PX_PER_MM,)),
     )
 
 
 def _tilts(fingers: int, **study: Any) -> Sweep:
     tilts = (0.0, 10.0, 20.0, 30.0, None)
     return Sweep(
-        "tilt", ThesisStudy(fingers=fingers, **study), grid((140.0,), (52.5,), (1.0,), tilts, (PX,))
+        "tilt",
+        ThesisStudy(fingers=fingers, **study),
+        grid((140.0,), (52.5,), (1.0,), tilts, (PX_PER_MM,)),
     )
 
 
@@ -79,7 +84,7 @@ def _resolutions(fingers: int, values: Sequence[float], **study: Any) -> Sweep:
     )
 
 
-POWERS = (0.005, 0.01, 0.03, 0.1, 0.4, 1.0, 3.0)
+POWERS_W = (0.005, 0.01, 0.03, 0.1, 0.4, 1.0, 3.0)
 METRIC: dict[str, Any] = {"method": "metric", "material": "skin"}
 SWEEPS: dict[str, Sweep] = {
     "ea_opaque": _plane(8),
@@ -90,8 +95,8 @@ SWEEPS: dict[str, Sweep] = {
     "parallel_ea_opaque": _plane(
         8, (100.0, 140.0, 200.0), (52.5, 80.0), build=BuildSettings(view="orthographic")
     ),
-    "power_ea_opaque": _powers(4, POWERS),
-    "power_metric_skin": _powers(3, POWERS, **METRIC),
+    "power_ea_opaque": _powers(4, POWERS_W),
+    "power_metric_skin": _powers(3, POWERS_W, **METRIC),
     "tilt_ea_opaque": _tilts(4),
     "tilt_metric_skin": _tilts(3, **METRIC),
     "resolution_ea_opaque": _resolutions(4, (5.0, 7.5, 10.0, 15.0, 20.0)),
@@ -102,7 +107,7 @@ SWEEPS: dict[str, Sweep] = {
     "renderer": Sweep(
         "height, radius and power under one fixed exposure",
         ThesisStudy(fingers=3, camera="renderer"),
-        grid((100.0, 140.0, 180.0), (35.0, 52.5, 70.0), (0.3, 1.0, 3.0), (None,), (PX,)),
+        grid((100.0, 140.0, 180.0), (35.0, 52.5, 70.0), (0.3, 1.0, 3.0), (None,), (PX_PER_MM,)),
     ),
 }
 
@@ -137,7 +142,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
             material="skin" if chosen.method == "metric" else "opaque",
         )
         sweep = Sweep(
-            "own", study, grid(chosen.heights, chosen.radii, chosen.powers, (None,), (PX,))
+            "own", study, grid(chosen.heights, chosen.radii, chosen.powers, (None,), (PX_PER_MM,))
         )
         folder = chosen.scratch / f"own_{chosen.method}_{chosen.fingers}"
         print("\n".join(table("own", measured(sweep, folder, chosen.workers))))

@@ -11,8 +11,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from splitknit_simulator.light.parameters import REFRACTIVE_INDEX
 from splitknit_simulator.light.skin import (
-    REFRACTIVE_INDEX,
     Channel,
     ChannelOptics,
     SkinOptics,
@@ -25,9 +25,11 @@ PERIOD_MM = 0.43
 SAMPLES = 4096
 PLACES = 32
 WALKS = 30_000
-TILT = np.arcsin(52.5 / 149.5)
-LIGHTS = np.array([[np.sin(TILT), 0.0, np.cos(TILT)], [0.0, np.sin(TILT), np.cos(TILT)]])
-CHECKS = (np.arange(32) + 1) / 32.0
+TILT_RAD = np.arcsin(52.5 / 149.5)
+LIGHTS = np.array(
+    [[np.sin(TILT_RAD), 0.0, np.cos(TILT_RAD)], [0.0, np.sin(TILT_RAD), np.cos(TILT_RAD)]]
+)
+STEP_FRACTIONS = (np.arange(32) + 1) / 32.0
 """Where along a step the walk looks whether it has left the skin."""
 
 
@@ -79,13 +81,13 @@ def _first_exit(
     p, d = points[:, close], directions[:, close]
     rise = np.maximum(d[2], 1e-9)
     reach = np.where(d[2] > 1e-9, np.minimum(step[close], (1e-6 - p[2]) / rise), step[close])
-    along = reach[:, None] * CHECKS
+    along = reach[:, None] * STEP_FRACTIONS
     gap = p[2][:, None] + along * d[2][:, None] - _at(height, p[0][:, None] + along * d[0][:, None])
     left = np.flatnonzero((gap > 1e-7).any(axis=1))
     k = (gap[left] > 1e-7).argmax(axis=1)
     start = np.minimum(p[2, left] - _at(height, p[0, left]), -1e-9)
     before = np.where(k > 0, gap[left, np.maximum(k - 1, 0)], start)
-    fraction = (k + before / (before - gap[left, k])) / CHECKS.size
+    fraction = (k + before / (before - gap[left, k])) / STEP_FRACTIONS.size
     return close[left], np.maximum(reach[left] * fraction, 0.0)
 
 

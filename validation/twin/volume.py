@@ -11,10 +11,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from splitknit.model import Camera, Led
+from splitknit_simulator.light.parameters import REFRACTIVE_INDEX
 from splitknit_simulator.light.renderer import RenderSettings, render_band
 from splitknit_simulator.light.skin import (
     CHANNELS,
-    REFRACTIVE_INDEX,
     Medium,
     SkinOptics,
     diffuse_transmittance,
@@ -23,7 +23,8 @@ from splitknit_simulator.light.skin import (
 from splitknit_simulator.surface import SimulatedSurface
 
 Array = NDArray[np.float64]
-HALF_WIDTH_MM, HALF_HEIGHT_MM = 8.0, 5.5
+HALF_WIDTH_MM = 8.0
+HALF_HEIGHT_MM = 5.5
 LIGHTS = ((52.5, 0.0, 140.0), (0.0, 52.5, 140.0))
 WALKS = 20_000
 

@@ -80,7 +80,7 @@ def calibrate_camera(
     -------
     MeasuredCamera
         ``camera`` as it is in the rig file, ``fit`` of the lens, ``pose`` of the finger plane,
-        ``warnings``.
+        ``findings``.
 
     Raises
     ------
@@ -188,7 +188,7 @@ def calibrate_lights(
     Returns
     -------
     CalibratedLights
-        ``leds`` with directions, positions, intervals and verdicts; ``rig``; ``warnings``.
+        ``leds`` with directions, positions, intervals and verdicts; ``rig``; ``findings``.
 
     Raises
     ------
@@ -323,9 +323,9 @@ def calibrate_radiometry(
     Returns
     -------
     RadiometricCalibration, or CardCheck
-        ``rig`` with the lens's fall-off, intensities, beams and aims; ``flat_field``, ``warnings``,
+        ``rig`` with the lens's fall-off, intensities, beams and aims; ``flat_field``, ``findings``,
         and ``facts`` as they are in the rig file's provenance. With `check` the ``facts`` and
-        ``warnings`` of the comparison.
+        ``findings`` of the comparison.
 
     Raises
     ------

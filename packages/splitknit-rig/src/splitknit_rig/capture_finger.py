@@ -39,7 +39,6 @@ else:
         tuple[str, ...] | None,
         Parameter(consume_multiple=(0, 1), converter=lambda _, tokens: tokens[0].value),
     ]
-_BAR = 30
 _WHO = Parameter(group="Who (ids only, never names)")
 _MANY = Parameter(group="Many fingers")
 _TWIN = Parameter(group="Twin")
@@ -211,7 +210,7 @@ def capture(
         (
             f"{len(facts['captured'])} fingers captured now; {done}",
             *(f"Skipped: {name}" for name in facts["skipped"]),
-            *(f"Please note: {note}." for note in facts["notes"]),
+            *(f"Please note: {finding['message']}" for finding in facts["findings"]),
             "All fingers are captured." if facts["next"] is None else f"Next: {facts['next']}",
         ),
     )
@@ -276,7 +275,7 @@ def _lines(facts: Mapping[str, Any], out: Path, *, of_finger: bool) -> list[str]
             " light"
         )
     lines.append(f"  sharpness {facts['focus']['sharpness']:.2f} %")
-    lines += [f"Please note: {note}." for note in facts["notes"]]
+    lines += [f"Please note: {finding['message']}" for finding in facts["findings"]]
     if of_finger:
         lines.append(f"Next: splitknit reconstruct {out} --out RESULT")
     return lines
@@ -313,8 +312,9 @@ class _FocusBar:
     """Shows focus live on the terminal; Enter ends it."""
 
     def __call__(self, focus: Focus, watch: FocusWatch) -> bool:
-        full = round(_BAR * min(focus.sharpness / watch.best, 1.0)) if watch.best > 0 else 0
-        bar = "#" * full + "." * (_BAR - full)
+        width = 30
+        full = round(width * min(focus.sharpness / watch.best, 1.0)) if watch.best > 0 else 0
+        bar = "#" * full + "." * (width - full)
         text = f"focus |{bar}| {focus.sharpness:5.2f} %, best {watch.best:5.2f} (Enter: go on)"
         sys.stderr.write(f"\r{text}")
         sys.stderr.flush()

@@ -9,9 +9,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from splitknit.errors import BadInput
+from splitknit.errors import BadInput, Refused
 from splitknit.imaging.view import plane_points
-from splitknit.model import Camera
+from splitknit.model import Camera, Rig
+from splitknit_rig.calibration import light_sources
 from splitknit_rig.calibration.lights import (
     BANDS,
     COLUMNS,
@@ -22,12 +23,14 @@ from splitknit_rig.calibration.lights import (
     write_tips,
 )
 from splitknit_rig.calibration.lights_found import (
+    Rules,
     check_nails,
     check_tips,
     copied_leds,
     judge,
     refusal,
 )
+from splitknit_rig.calibration.nail import Nail
 
 THESIS = Path(__file__).resolve().parents[4] / "examples" / "thesis_tips.csv"
 CAMERA = Camera(px_per_mm=75.7, image_size=(2200, 3200))
@@ -233,3 +236,27 @@ def test_a_nail_number_is_one_place():
         check_nails([*tips[:4], replace(tips[4], nail_px=(x + 300, y)), *tips[5:]], CAMERA)
     with pytest.raises(BadInput, match=r"nails 1 and 2 .* one"):
         check_nails(cast([(-6, -4), (-6, -3.9)]), CAMERA)
+
+
+def test_a_shadow_that_leaves_the_picture_is_a_finding(monkeypatch):
+    """Of LEDs that are kept, the worst finding first, and of LEDs that are refused."""
+    tips, lost = [*cast([(-6, -4), (7, 5), (0, 2)])], ["white 0 at nail 3"]
+    first = tips[0]
+    tips[0] = replace(first, tip_px=(first.tip_px[0] + 400, first.tip_px[1] - 400))
+    monkeypatch.setattr(light_sources, "tips_of_photos", lambda *_, **__: (tips, {}, lost))
+
+    def found(*, keep):
+        rules = Rules(Nail(), "circle", keep=keep)
+        files = {"encoding": None, "show": None, "tips_out": None}
+        return light_sources.lights_of_nail(
+            Path("nail"), Rig(CAMERA, ()), CIRCLE, rules, None, **files
+        )
+
+    kept = found(keep=True)
+    codes = ["kept-leds", "one-band", "shadow-out-of-view"]
+    assert [finding.code for finding in kept.findings] == codes
+    assert "Please note: the shadow leaves the picture for white 0 at nail 3." in str(kept)
+    with pytest.raises(Refused) as refused:
+        found(keep=False)
+    assert [finding["code"] for finding in refused.value.facts["findings"]] == codes[1:]
+    assert refused.value.facts["shadows_out_of_the_picture"] == lost

@@ -36,7 +36,7 @@ def photographed(folder: Path, seed: int, extinction: float) -> Films:
     films, ball = drawn_films(rig, np.random.SeedSequence(seed), BenchSettings(), extinction)
     with pytest.MonkeyPatch.context() as patch:
         # samples across a pixel of the LEDs' images: less than 12, for time
-        patch.setattr(solids, "FINER", 4)
+        patch.setattr(solids, "RIM_SAMPLES", 4)
         for _, job in behind_films(
             replace(rig, films=films), ball, np.random.SeedSequence(seed + 1)
         ):
@@ -67,7 +67,7 @@ def check(folder: Path, films: Films, tmp_path: Path, capsys: pytest.CaptureFixt
     np.testing.assert_allclose(found.shift_px, films.shift_px, atol=0.1)
     assert found.scale == pytest.approx(films.scale, abs=1e-4)
     np.testing.assert_allclose(found.leak, films.leak, rtol=0.05, atol=1e-4)
-    assert facts["warnings"] == []
+    assert facts["findings"] == []
     assert max(facts["residual_rms_percent"]) < 1.0
     assert read_image(tmp_path / "left.png").shape[1] > 7 * 240
     return found

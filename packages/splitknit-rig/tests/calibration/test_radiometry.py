@@ -53,6 +53,11 @@ def worst(rig, calibrated, height_mm=0.0):
     return max(float(np.abs(half - 1).max()) for half in halves)
 
 
+def sentences(check):
+    """What a comparison's facts find."""
+    return [finding["message"] for finding in check["findings"]]
+
+
 @pytest.mark.slow
 def test_a_card_calibrates_side_lights(rig):
     """18 deg above the card: brightness, beam and aim of 21 LEDs, and one that moved by 3 mm is
@@ -77,7 +82,7 @@ def test_a_card_calibrates_side_lights(rig):
     later = check_card(
         photograph(replace(whole, leds=shifted), calibrated.rig, seed=1), calibrated.rig
     ).facts
-    assert later["warnings"] == ["LED white 9 is 7 % brighter than at the calibration."]
+    assert sentences(later) == ["LED white 9 is 7 % brighter than at the calibration."]
 
 
 def test_flat_field_within_one_per_cent(rig, found):
@@ -118,7 +123,7 @@ def test_what_is_written_down(rig, found):
     again = rig_from_json(rig_to_json(found.rig))
     assert canonical_json(again.provenance) == canonical_json(found.rig.provenance)
     assert again.leds == found.rig.leds
-    assert found.warnings == ()
+    assert found.findings == ()
 
 
 @pytest.mark.slow
@@ -126,20 +131,20 @@ def test_room_light(rig):
     placed = as_placed(rig)
     bright = photograph(rig, placed, scene=lambda own: scene_of(own, 0.08), exposures=EXPOSURES)
     lit = fit_radiometry(bright, placed)
-    assert any("light from elsewhere is 8" in warning for warning in lit.warnings)
+    assert {finding.code for finding in lit.findings} == {"ambient-light"}
+    assert str(lit.findings[0]).startswith("light from elsewhere is 8")
     assert worst(rig, lit.rig) < 0.004
     bands = {name: replace(band, ambient=None) for name, band in bright.bands.items()}
     without = fit_radiometry(replace(bright, bands=bands), placed, limit_percent=5)
-    assert any(
-        "there is no ambient image of the band white" in warning for warning in without.warnings
-    )
+    absent = [str(each) for each in without.findings if each.code == "no-ambient-image"]
+    assert absent[0].startswith("there is no ambient image of the band white")
     assert worst(rig, without.rig) > 0.005
 
 
 def test_an_led_that_drifted_is_named(rig, found):
     later = photograph(rig, as_placed(rig), seed=9, gains={3: 0.88, 12: 1.05}, exposures=EXPOSURES)
     check = check_card(later, found.rig).facts
-    assert check["warnings"] == [
+    assert sentences(check) == [
         "LED white 3 is 12 % darker than at the calibration.",
         "LED nir 5 is 5 % brighter than at the calibration.",
     ]
@@ -151,8 +156,9 @@ def test_all_leds_together_are_no_single_one(rig, found):
     gains = dict.fromkeys(range(7), 0.9)
     later = photograph(rig, as_placed(rig), gains=gains, exposures=EXPOSURES)
     check = check_card(later, found.rig).facts
-    assert len(check["warnings"]) == 1
-    assert check["warnings"][0].startswith(
+    (drifted,) = check["findings"]
+    assert (drifted["code"], drifted["severity"]) == ("drifted-band", "doubt")
+    assert drifted["message"].startswith(
         "all white LEDs together are 10 % darker than at the calibration"
     )
     assert check["common_ratio"]["nir"] == pytest.approx(1, abs=0.004)
@@ -160,13 +166,13 @@ def test_all_leds_together_are_no_single_one(rig, found):
 
 def test_another_exposure_is_no_drift(rig, found):
     later = photograph(rig, as_placed(rig), exposures=(4.5, 3.5))
-    assert check_card(later, found.rig).facts["warnings"] == []
+    assert check_card(later, found.rig).facts["findings"] == []
     unknown = {
         name: replace(band, exposure=np.ones(7), ambient_exposure=1.0)
         for name, band in later.bands.items()
     }
     check = check_card(replace(later, bands=unknown), found.rig).facts
-    assert check["warnings"] == [] and check["common_ratio"] == {"white": None, "nir": None}
+    assert check["findings"] == [] and check["common_ratio"] == {"white": None, "nir": None}
 
 
 def test_an_led_that_turned_is_named(rig, found):
@@ -174,8 +180,9 @@ def test_an_led_that_turned_is_named(rig, found):
     x, y, z = leds[8].axis + np.array([0.12, 0.0, 0.0])
     leds[8] = replace(leds[8], aim=(float(x), float(y), float(z)))
     later = photograph(Rig(rig.camera, tuple(leds)), as_placed(rig), exposures=EXPOSURES)
-    sentences = check_card(later, found.rig).facts["warnings"]
-    assert any(sentence.startswith("LED nir 1 lights the card otherwise") for sentence in sentences)
+    check = check_card(later, found.rig)
+    moved = [str(finding) for finding in check.findings if finding.code == "moved-led"]
+    assert moved[0].startswith("LED nir 1 lights the card otherwise")
 
 
 def test_a_rig_without_calibration_cannot_be_checked(rig, capture):

@@ -90,7 +90,9 @@ def test_a_session_from_the_command_to_the_folder(rig_of_pi, tmp_path, capsys):
     assert (world.now_ns - before) * 1e-9 < 20
     facts = json.loads(out)
     assert facts["seconds"] < 7  # stale frames, late settings and settling LEDs included
-    assert facts["notes"] == [f"the imx219 camera was {pi.UNTESTED}"]
+    (finding,) = facts["findings"]
+    assert finding["code"] == "untested-camera"
+    assert finding["message"] == f"the imx219 camera was {pi.UNTESTED}"
     assert all(shot["discarded"] >= 1 for shot in facts["shots"])
 
 

@@ -191,10 +191,9 @@ def test_an_oblique_camera_is_warned_about(photos, tmp_path, capsys):
     facts = json.loads(printed)
     assert facts["plane"]["tilt_xy_deg"] == pytest.approx([2.0, 0.0], abs=0.1)
     assert facts["plane"]["nearer_at"] == "top"
-    assert any(
-        "obliquely by 2.0" in words and "8 mm high leans by 0.28 mm" in words
-        for words in facts["warnings"]
-    )
+    oblique, words = facts["findings"][-1]["code"], facts["findings"][-1]["message"]
+    assert oblique == "oblique-camera"
+    assert "obliquely by 2.0" in words and "8 mm high leans by 0.28 mm" in words
     _, printed, _ = run(
         capsys,
         "--plane",
@@ -207,7 +206,9 @@ def test_an_oblique_camera_is_warned_about(photos, tmp_path, capsys):
         out,
         "--json",
     )
-    assert any("the finger plane disagree" in words for words in json.loads(printed)["warnings"])
+    findings = json.loads(printed)["findings"]
+    assert findings[0]["code"] == "planes-disagree"
+    assert findings[0]["severity"] == "doubt"
 
 
 def test_a_height_that_was_not_measured_is_said(photos, tmp_path, capsys):
@@ -218,7 +219,7 @@ def test_a_height_that_was_not_measured_is_said(photos, tmp_path, capsys):
     assert facts["nominal"] == ["camera.px_per_mm", "camera.height_mm", "leds"]
     assert facts["height_mm"] == 140.0
     assert facts["px_per_mm"] == pytest.approx(rig.camera.matrix[0, 0] / 140, rel=0.003)
-    assert any("was not measured" in words for words in facts["warnings"])
+    assert "unmeasured-height" in [finding["code"] for finding in facts["findings"]]
 
 
 def test_photographs_in_capture_folders_are_taken_by_their_pattern(photos, tmp_path, capsys):

@@ -402,8 +402,12 @@ def test_a_mask_beside_the_ball_gives_way_to_its_rim(capsys, tmp_path, ball):
     beside = np.roll(cv2.imread(str(mask), cv2.IMREAD_GRAYSCALE), 5, axis=1)
     write_image(tmp_path / "mask.png", beside)
     found = json.loads(run(capsys, *words, tmp_path / "mask.png", "--json")[1])
-    assert any("the mask lies 5" in note and "deg off" in note for note in found["notes"])
-    assert not any("the mask lies" in note for note in sound["notes"])
+    assert [finding["code"] for finding in sound["findings"]] == ["assumed-encoding"]
+    (mask_found,) = set(map(json.dumps, found["findings"])) - set(
+        map(json.dumps, sound["findings"])
+    )
+    assert json.loads(mask_found)["code"] == "corrected-mask"
+    assert "the mask lies 5" in mask_found and "deg off" in mask_found
     for led, known in zip(found["leds"], sound["leds"], strict=True):
         assert math.degrees(math.dist(led["direction"], known["direction"])) < 0.3
 

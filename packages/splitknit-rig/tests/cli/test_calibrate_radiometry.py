@@ -85,7 +85,7 @@ def test_a_rig_is_calibrated(
     assert stored["response"]["encoding"] == "linear" == facts["response"]["encoding"]
     assert set(stored["inputs"]) >= {"white_0.png", "nir_6.png", "step_3.png", "radiometry.json"}
     assert facts["files"] == [str(out), str(picture)]
-    assert facts["warnings"] == []
+    assert facts["findings"] == []
     shown = read_image(picture)
     assert shown.shape[2] == 3 and shown.shape[1] > 3 * shown.shape[0]
 

@@ -161,7 +161,8 @@ def test_targets_for_calibration(what, tmp_path: Path, capsys: Captured):
     )
     facts = json.loads(capsys.readouterr().out)
     assert facts["verdict"] == []
-    assert len(facts["notes"]) == 1  # what stood there, and where
+    (finding,) = facts["findings"]  # what stood there, and where
+    assert finding["code"] == "simulated-target"
     capture = read_capture(tmp_path / "c")
     assert capture.material == "opaque"
     assert capture.subject == {}

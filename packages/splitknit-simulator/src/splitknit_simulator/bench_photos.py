@@ -42,20 +42,20 @@ from splitknit_simulator.calibration_set.solids import (
 from splitknit_simulator.camera.device import LitScene
 from splitknit_simulator.camera.sensor import SensorSettings, binning_scale, record
 from splitknit_simulator.light.films import reflected_through
+from splitknit_simulator.parameters import (
+    BRIGHTEST_LEVEL,
+    CARD_EXPOSURES_S,
+    CROSSED_EXPOSURE_FACTOR,
+    NAIL_HEIGHT_MM,
+    NAIL_PLACES_MM,
+    PUPIL_MM,
+)
 from splitknit_simulator.rigs import built_rig
 from splitknit_simulator.surface import Array
 
 MARKER = "rig_true.json"
-NAIL_MM = 13.0
-NAIL_PLACES_MM = ((-5.0, -3.5), (5.5, -3.0), (4.5, 4.0), (-5.5, 3.5))
-"""Where the nail stands: all shadows stay in a picture of 42 x 29 mm."""
 BOARD = PrintedBoard(rows=6, columns=9, square_mm=3.0)
-EXPOSURES_S = (0.002, 0.004, 0.006, 0.008, 0.010, 0.012)
-# a lens of 12.8 mm at f/8: boards that are held obliquely are blurred by up to a few pixels
-PUPIL_MM = 1.6
-_LONGEST = EXPOSURES_S[-1]
-_EXPOSED = 0.9
-_LONGER = 64.0  # the ball behind a crossed analyser is exposed longer, up to so many times
+"""The checkerboard. Source: printed sheet of docs/guide/calibrate-camera.md."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -115,7 +115,7 @@ def bench_to_folder(
         "image_size": list(rig.camera.image_size),
         "board": f"{BOARD.columns}x{BOARD.rows}",
         "square_mm": BOARD.square_mm,
-        "nail_mm": NAIL_MM,
+        "nail_mm": NAIL_HEIGHT_MM,
         "boards": photos.boards,
         "nails": photos.nails,
     }
@@ -146,7 +146,7 @@ def _jobs(
     yield "plane", partial(_one, plane, white, of_plane.spawn(1)[0], Path("plane.png"))
     under["tilt_deg"] = tilt
     for n, place in enumerate(NAIL_PLACES_MM[: photos.nails]):
-        nail = NailScene(**under, position_mm=place, nail_mm=NAIL_MM)
+        nail = NailScene(**under, position_mm=place, nail_mm=NAIL_HEIGHT_MM)
         yield "nail", partial(_series, nail, of_nails.spawn(1)[0], Path("nail") / f"nail_{n}")
     yield "card", partial(_card, CardScene(**under), rig, of_card)
 
@@ -164,7 +164,9 @@ def behind_films(
     away, folder = behind_analyser(rig.camera, rig.films), Path("polarisers")
     series: dict[str, LitScene] = {"white": card, "white_crossed": replace(card, camera=away)}
     yield "card", partial(_polarised, series, rig, seed.spawn(1)[0], np.inf, folder / "card")
-    longest = _LONGER * _EXPOSED / float(ball.light([rig.films.leds[0]]).max())
+    longest = (
+        CROSSED_EXPOSURE_FACTOR * BRIGHTEST_LEVEL / float(ball.light([rig.films.leds[0]]).max())
+    )
     series = {"white": ball, "white_crossed": replace(ball, camera=away, analyser_deg=90.0)}
     yield "ball", partial(_polarised, series, rig, seed.spawn(1)[0], longest, folder / "ball")
 
@@ -247,10 +249,10 @@ def _card(scene: CardScene, rig: Rig, seed: np.random.SeedSequence, target: Path
     folder = target / "card"
     write_capture(Capture(rig=drawn, bands=bands, material="opaque"), folder, overwrite=True)
     steps = []
-    brightest = well_exposed(scene, [[0]], _EXPOSED)
-    for k, seconds in enumerate(EXPOSURES_S):
+    brightest = well_exposed(scene, [[0]], BRIGHTEST_LEVEL)
+    for k, seconds in enumerate(CARD_EXPOSURES_S):
         pixels = photograph_bench(
-            scene, [0], seed.spawn(1)[0], exposure=brightest * seconds / _LONGEST
+            scene, [0], seed.spawn(1)[0], exposure=brightest * seconds / CARD_EXPOSURES_S[-1]
         )
         write_image(folder / f"step_{k}.png", pixels)
         steps.append({"file": f"step_{k}.png", "exposure_s": seconds})

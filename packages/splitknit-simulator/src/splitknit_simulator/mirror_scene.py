@@ -11,7 +11,6 @@ from splitknit import Camera, Led, Mirror, Rig
 from splitknit.errors import require
 from splitknit.model import BoolArray, FloatArray, PixelArray
 from splitknit_simulator.light.lighting import (
-    LED_RADIUS_MM,
     Patch,
     cut_out,
     finger_window,
@@ -19,6 +18,7 @@ from splitknit_simulator.light.lighting import (
     light_on,
     white_card,
 )
+from splitknit_simulator.light.parameters import LED_RADIUS_MM
 from splitknit_simulator.light.renderer import (
     BandLight,
     Relief,
@@ -34,9 +34,16 @@ from splitknit_simulator.mirror_view import (
     lights_of,
     outline_coverage,
 )
+from splitknit_simulator.parameters import (
+    BACKGROUND_MM,
+    GLASS_ALBEDO,
+    LID_FRACTION,
+    PLASTIC_ALBEDO,
+    STRAY_FRACTION,
+    TUBE_RADIUS_MM,
+)
 from splitknit_simulator.rigs import holder_profile, holder_quad
 from splitknit_simulator.scene import (
-    BACKGROUND_MM,
     Scene,
     Taken,
     TwinSettings,
@@ -162,10 +169,10 @@ class MirrorScene:
             above = np.array([0.0, 0.0, 1.0])
             wall = plates.wall.radiance(
                 led
-            ) + _STRAY_SHARE * plates.wall.albedo / np.pi * _received(led, np.zeros(3), above)
+            ) + STRAY_FRACTION * plates.wall.albedo / np.pi * _received(led, np.zeros(3), above)
             content = np.full((*camera.image_size, 3), wall, dtype=np.float32)
             for cover in plates.opposite:
-                _blend(content, cover, np.float32(_LID_SHARE * wall))
+                _blend(content, cover, np.float32(LID_FRACTION * wall))
             inside = content
             _put(inside, view.surface, light.window, light.diffuse[k] + light.glare[k])
             self._over(
@@ -228,7 +235,7 @@ class MirrorScene:
             light = render_ambient(
                 view.surface, level, self.skin.medium(name), self.settings.render, up
             )
-            inside = np.full_like(frame, np.float32(0.5 * level * _PLASTIC_ALBEDO))
+            inside = np.full_like(frame, np.float32(0.5 * level * PLASTIC_ALBEDO))
             _put(inside, view.surface, finger_window(view.surface), light)
             self._over(frame, (view, plates), inside, lambda plate: level * plate.albedo)
         return frame
@@ -244,15 +251,6 @@ def _put(
 
 
 # What stands around the finger where there are mirrors: holders, glass, the tube behind it.
-
-
-_PLASTIC_ALBEDO = 0.04  # albedo of holders and tube: black print
-_GLASS_ALBEDO = 0.12  # albedo of the mirrors' ground upper edge
-_TUBE_MM = 52.0  # inner radius of the tube around the finger
-# light that comes to the tube by way of other things, against that of a white card under the LED
-_STRAY_SHARE = 0.1
-# light from what hangs above the finger, which a second mirror shows, against that from the tube
-_LID_SHARE = 0.2
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -294,7 +292,7 @@ def _mirror_frame(view: ReflectedView, mirrors: Sequence[Mirror], camera: Camera
     def quad(line: str) -> Array:
         return holder_quad(name, camera, *profile[line])
 
-    def plate(line: str, albedo: float = _PLASTIC_ALBEDO) -> _Plate:
+    def plate(line: str, albedo: float = PLASTIC_ALBEDO) -> _Plate:
         corners = quad(line)
         return _Plate(
             outline_coverage(camera, corners),
@@ -313,9 +311,9 @@ def _mirror_frame(view: ReflectedView, mirrors: Sequence[Mirror], camera: Camera
         for mirror in mirrors
         if mirror.name != name
     )
-    middle = np.append(_TUBE_MM * inwards[:2], -5.0)
-    wall = _Plate(view.coverage, middle, -inwards, _PLASTIC_ALBEDO)
-    holder = plate("glass", _GLASS_ALBEDO), plate("back")
+    middle = np.append(TUBE_RADIUS_MM * inwards[:2], -5.0)
+    wall = _Plate(view.coverage, middle, -inwards, PLASTIC_ALBEDO)
+    holder = plate("glass", GLASS_ALBEDO), plate("back")
     return _Frame(holder, lip, reflected, opposite, wall)
 
 

@@ -23,6 +23,13 @@ from splitknit_simulator.finger.raycast import (
     fill_surface,
     rays_of,
 )
+from splitknit_simulator.parameters import (
+    COVERAGE_SAMPLES,
+    MIRROR_SHIFT_MAX_MM,
+    MIRROR_TURN_MAX_DEG,
+    REFLECTION_MARGIN_MM,
+    SHOWN_PROXIMAL_MM,
+)
 from splitknit_simulator.rigs import SIDES, MirrorSettings
 from splitknit_simulator.surface import Array, SimulatedSurface
 
@@ -139,10 +146,6 @@ def lights_of(led: Led, mirrors: Sequence[Mirror]) -> list[Light]:
     return [Light(led), *(Light(image, _Gate(np.asarray(corners))) for image, corners in reflected)]
 
 
-# turns about any axis and shifts along any axis beyond this are cut off to it
-_TURN_MAX_DEG, _SHIFT_MAX_MM = 3.0, 2.0
-
-
 def as_built(mirrors: Sequence[Mirror], views: MirrorSettings, seed: int) -> tuple[Mirror, ...]:
     """Draw where the mirrors truly are: turned about their middle and shifted against the
     drawing."""
@@ -151,8 +154,12 @@ def as_built(mirrors: Sequence[Mirror], views: MirrorSettings, seed: int) -> tup
         rng = np.random.default_rng(
             np.random.SeedSequence([seed, 0x3117, SIDES.index(mirror.name)])
         )
-        turn = np.clip(views.turn_sd_deg * rng.standard_normal(3), -_TURN_MAX_DEG, _TURN_MAX_DEG)
-        shift = np.clip(views.shift_sd_mm * rng.standard_normal(3), -_SHIFT_MAX_MM, _SHIFT_MAX_MM)
+        turn = np.clip(
+            views.turn_sd_deg * rng.standard_normal(3), -MIRROR_TURN_MAX_DEG, MIRROR_TURN_MAX_DEG
+        )
+        shift = np.clip(
+            views.shift_sd_mm * rng.standard_normal(3), -MIRROR_SHIFT_MAX_MM, MIRROR_SHIFT_MAX_MM
+        )
         rotation = np.asarray(cv2.Rodrigues(np.deg2rad(turn))[0], dtype=np.float64)
         middle = mirror.point_mm
         corners = (np.asarray(mirror.corners_mm) - middle) @ rotation.T + middle + shift
@@ -165,14 +172,6 @@ def _triple(values: Array) -> tuple[float, float, float]:
 
 
 # What a camera sees in a mirror: the surface of the reflected finger.
-
-# how far beyond a mirror's outline the reflected skin is followed: light diffuses across the
-# outline
-BEYOND_MM = 3.0
-PROXIMAL_MM = 32.0
-"""What lies further than this from the first crease towards the palm is not shown: the hand's
-sleeve is there."""
-_FINE = 8
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -220,7 +219,7 @@ def mirror_view(
         f"the {mirror.name} mirror lies outside the picture; lower px_per_mm or make image_size"
         " larger.",
     )
-    margin = int(np.ceil(BEYOND_MM * camera.px_per_mm))
+    margin = int(np.ceil(REFLECTION_MARGIN_MM * camera.px_per_mm))
     rows, columns = (
         slice(max(part.start - margin, 0), min(part.stop + margin, length))
         for part, length in zip(coverage.window, camera.image_size, strict=True)
@@ -249,9 +248,9 @@ def outline_coverage(camera: Camera, corners: Array) -> Coverage:
     width, height = (int(size) for size in last - first)
     if width == 0 or height == 0:
         return Coverage(window, np.zeros((height, width), dtype=np.float32))
-    fine = np.zeros((height * _FINE, width * _FINE), dtype=np.uint8)
-    # pixel centres are whole numbers; the fine grid's are at (k + 0.5) / FINE - 0.5
-    points = (np.stack([column, row], axis=1) - first + 0.5) * _FINE - 0.5
+    fine = np.zeros((height * COVERAGE_SAMPLES, width * COVERAGE_SAMPLES), dtype=np.uint8)
+    # pixel centres are whole numbers; the fine grid's are at (k + 0.5) / COVERAGE_SAMPLES - 0.5
+    points = (np.stack([column, row], axis=1) - first + 0.5) * COVERAGE_SAMPLES - 0.5
     cv2.fillPoly(fine, [np.rint(points * 256).astype(np.int32)], 1, cv2.LINE_8, 8)
     covered = cv2.resize(fine.astype(np.float32), (width, height), interpolation=cv2.INTER_AREA)
     return Coverage(window, np.asarray(covered, dtype=np.float32))
@@ -268,7 +267,7 @@ def _surface(
         [
             (x, y, z)
             for x in (-half, half)
-            for y in (-PROXIMAL_MM, shape.length_mm + 2.0)
+            for y in (-SHOWN_PROXIMAL_MM, shape.length_mm + 2.0)
             for z in (-half, half)
         ]
     )
@@ -286,7 +285,7 @@ def _surface(
         _, along, _ = placement.to_finger(
             *rays.some(index).at(np.asarray(values[0], dtype=np.float64))
         )
-        bare = along > -PROXIMAL_MM
+        bare = along > -SHOWN_PROXIMAL_MM
         return wanted[index[bare]], [value[bare] for value in values]
 
     return fill_surface(camera, box, cast, workers)

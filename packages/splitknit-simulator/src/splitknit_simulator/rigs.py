@@ -26,12 +26,29 @@ from splitknit.model import (
     shared_exposures,
 )
 from splitknit.settings import Checked, Limits, check_fields
+from splitknit_simulator.parameters import (
+    CAMERA_HEIGHT_SD_MM,
+    CAMERA_SHIFT_SD_MM,
+    CAMERA_TILT_SD_DEG,
+    COLOURED_INTENSITY_SD,
+    CORNER_DISTORTION,
+    CORNER_VIGNETTING,
+    FOCAL_LENGTH_SD,
+    LED_BEAM_SD_DEG,
+    LED_HALF_ANGLE_SD,
+    LED_INTENSITY_SD,
+    LED_POSITION_SD_MM,
+    PRINCIPAL_POINT_SD,
+)
 
 Array = NDArray[np.float64]
 
-SIDE_ARC_DEG, SIDE_MM = (-25.0, 205.0), (90.0, 30.0)
-"""Azimuths of the first and the last light to the side; distance from the axis, and height above
-the finger plane."""
+_SIDE_ARC_DEG = (-25.0, 205.0)
+"""Azimuths of the first and the last light to the side. Source: drawing, hardware/films.py."""
+_SIDE_RADIUS_MM = 90.0
+"""Distance of the side lights from the axis. Source: drawing, hardware/films.py."""
+_SIDE_HEIGHT_MM = 30.0
+"""Height of the side lights above the finger plane. Source: drawing, hardware/films.py."""
 
 
 def with_side_lights(rig: Rig, count: int) -> Rig:
@@ -39,47 +56,16 @@ def with_side_lights(rig: Rig, count: int) -> Rig:
     a ring's."""
     if count == 0:
         return rig
-    (away, up), height = SIDE_MM, rig.camera.height_mm
-    intensity = round((away**2 + up**2) / height**2, 6)
+    radius, height = _SIDE_RADIUS_MM, _SIDE_HEIGHT_MM
+    intensity = round((radius**2 + height**2) / rig.camera.height_mm**2, 6)
     added = []
-    for azimuth in np.deg2rad(np.linspace(*SIDE_ARC_DEG, count) if count > 1 else [90.0] * count):
-        place = float(away * np.cos(azimuth)), float(away * np.sin(azimuth)), up
+    for azimuth in np.deg2rad(np.linspace(*_SIDE_ARC_DEG, count) if count > 1 else [90.0] * count):
+        place = float(radius * np.cos(azimuth)), float(radius * np.sin(azimuth)), height
         added.append(Led(band="white", position_mm=place, intensity=intensity))
     return replace(rig, leds=(*rig.leds, *added))
 
 
 # As a person builds it: printed parts, common LEDs, a small lens, nothing in place.
-
-
-# How far a built rig is from its drawing: standard deviations, cut at 2.5 of them, unless another
-# word is said.
-_LED_POSITION_MM = 0.7
-"""Per axis: a printed hole is 0.2 to 0.3 mm off, a 5 mm LED's collar rocks in its seat, and its die
-is up to 0.3 mm off its lens's axis and 1 mm along it from lot to lot."""
-_LED_BEAM_DEG = 2.0
-"""Per axis: data sheets allow the beam +-5 deg against the package (2 deg as a deviation); the seat
-adds 0.5."""
-_LED_HALF_ANGLE = 0.08
-"""Relative, of the angle at which an LED has half its light: lots of one type differ by 5 to 10
-%."""
-_LED_INTENSITY = 0.1
-"""Relative: one brightness bin of LEDs spans about a factor of 1.4, and 5 % resistors add to it."""
-_FOCAL_LENGTH = 0.01
-"""Relative: focal lengths of board lenses are stated to 1 or 2 %, and turning the lens for focus
-changes them."""
-_CAMERA_HEIGHT_MM = 0.5
-"""Of the pupil's height: 0.2 mm of the print, and the pupil's place in the lens, which its drawing
-lacks."""
-_CAMERA_TILT_DEG = 0.3  # per axis, of the camera against the base: 0.15 mm over a seat of 25 mm
-_CAMERA_SHIFT_MM = 0.3  # per axis, of the camera against the LEDs' circle: the play of its screws
-_PRINCIPAL_POINT = 0.005
-"""Per axis, of the image's width: a lens holder is glued within 0.02 mm on a sensor 3.7 mm wide."""
-_CORNER_DISTORTION = 0.005
-"""Largest relative shift of the corners by distortion (evenly drawn, either sign): long lenses' is
-below 1 %."""
-_CORNER_VIGNETTING = 0.10, 0.20
-"""Light lost at the corners beside the cosine law (evenly drawn): small lenses cut oblique
-beams."""
 
 
 def built_rig(seed: int, *, scale: float = 1.0) -> Rig:
@@ -94,8 +80,8 @@ def built_rig(seed: int, *, scale: float = 1.0) -> Rig:
     drawn = nominal_rig(scale)
     rng = np.random.default_rng(np.random.SeedSequence([seed, 0xB1]))
     camera = _built_camera(drawn.camera, rng)
-    shift = np.array([*(_CAMERA_SHIFT_MM * _normal(rng, 2)), 0.0])
-    tilt_deg = _CAMERA_TILT_DEG * _normal(rng, 2)
+    shift = np.array([*(CAMERA_SHIFT_SD_MM * _normal(rng, 2)), 0.0])
+    tilt_deg = CAMERA_TILT_SD_DEG * _normal(rng, 2)
     # seen from the camera, which is oblique in its seat beside the LEDs, all the rest is turned
     # about the camera
     turn = np.asarray(cv2.Rodrigues(np.array([*np.deg2rad(tilt_deg), 0.0]))[0], dtype=np.float64)
@@ -111,13 +97,13 @@ def _built_camera(drawn: Camera, rng: np.random.Generator) -> Camera:
     rows, columns = drawn.image_size
     focal, height, *offset = _normal(rng, 4)
     distortion, vignetting = rng.random(2)
-    focal_px = float(drawn.matrix[0, 0]) * (1.0 + _FOCAL_LENGTH * focal)
-    height_mm = drawn.height_mm + _CAMERA_HEIGHT_MM * height
-    middle = np.array([columns - 1, rows - 1]) / 2 + _PRINCIPAL_POINT * columns * np.array(offset)
+    focal_px = float(drawn.matrix[0, 0]) * (1.0 + FOCAL_LENGTH_SD * focal)
+    height_mm = drawn.height_mm + CAMERA_HEIGHT_SD_MM * height
+    middle = np.array([columns - 1, rows - 1]) / 2 + PRINCIPAL_POINT_SD * columns * np.array(offset)
     matrix = np.array([[focal_px, 0.0, middle[0]], [0.0, focal_px, middle[1]], [0.0, 0.0, 1.0]])
     # squared tangent of the field angle at the corners
     corner2 = (rows**2 + columns**2) / (4.0 * focal_px**2)
-    low, high = _CORNER_VIGNETTING
+    low, high = CORNER_VIGNETTING
     lost = low + (high - low) * vignetting
     return replace(
         drawn,
@@ -125,7 +111,7 @@ def _built_camera(drawn: Camera, rng: np.random.Generator) -> Camera:
         height_mm=float(height_mm),
         matrix=matrix,
         distortion=(
-            float(_CORNER_DISTORTION * (2.0 * distortion - 1.0) / corner2),
+            float(CORNER_DISTORTION * (2.0 * distortion - 1.0) / corner2),
             0.0,
             0.0,
             0.0,
@@ -140,22 +126,22 @@ def _built_led(
     drawn: Led, rng: np.random.Generator, seen_from_camera: tuple[Array, Array, Array]
 ) -> Led:
     turn, seat, shift = seen_from_camera
-    position = np.asarray(drawn.position_mm) + _LED_POSITION_MM * _normal(rng, 3) + shift
+    position = np.asarray(drawn.position_mm) + LED_POSITION_SD_MM * _normal(rng, 3) + shift
     position = turn @ (position - seat) + seat
-    first, second = np.tan(np.deg2rad(_LED_BEAM_DEG * _normal(rng, 2)))
+    first, second = np.tan(np.deg2rad(LED_BEAM_SD_DEG * _normal(rng, 2)))
     aim = turn @ drawn.axis
     across = np.cross(aim, (0.0, 0.0, 1.0))
     across /= np.linalg.norm(across)
     aim = aim + first * across + second * np.cross(aim, across)
     aim /= np.linalg.norm(aim)
     half_angle, intensity = _normal(rng, 2)
-    angle = HALF_ANGLE_DEG[drawn.band] * (1.0 + _LED_HALF_ANGLE * half_angle)
+    angle = HALF_ANGLE_DEG[drawn.band] * (1.0 + LED_HALF_ANGLE_SD * half_angle)
     return replace(
         drawn,
         position_mm=(float(position[0]), float(position[1]), float(position[2])),
         aim=(float(aim[0]), float(aim[1]), float(aim[2])),
         lobe_exponent=round(lobe_exponent(angle), 6),
-        intensity=round(float(1.0 + _LED_INTENSITY * intensity), 6),
+        intensity=round(float(1.0 + LED_INTENSITY_SD * intensity), 6),
     )
 
 
@@ -166,9 +152,6 @@ def _normal(rng: np.random.Generator, count: int) -> Array:
 
 CURRENTS = {"red": 1.0, "green": 1.6, "blue": 1.9}
 """Intensities by which light skin fills the three channels about equally."""
-
-# standard deviation of the coloured LEDs' intensities, as of default_rig's white ones
-_INTENSITY_SPREAD = 0.1
 
 
 # With coloured LEDs.
@@ -191,7 +174,9 @@ def coloured_rig(scale: float = 1.0, seed: int | None = None, exposures: int = 2
     for k, deviation in enumerate(deviations):
         azimuth = 2.0 * np.pi * k / count
         position = (float(52.5 * np.cos(azimuth)), float(52.5 * np.sin(azimuth)), 140.0)
-        intensity = round(float(CURRENTS[colours[k]] * (1.0 + _INTENSITY_SPREAD * deviation)), 6)
+        intensity = round(
+            float(CURRENTS[colours[k]] * (1.0 + COLOURED_INTENSITY_SD * deviation)), 6
+        )
         leds.append(Led(band="white", position_mm=position, intensity=intensity, colour=colours[k]))
     camera = replace(plain.camera, crosstalk=np.array(CROSSTALK))
     invisible = tuple(led for led in plain.leds if led.band == "nir")
@@ -200,23 +185,39 @@ def coloured_rig(scale: float = 1.0, seed: int | None = None, exposures: int = 2
 
 SIDES = ("left", "right", "tip")
 
-_CLEARANCE_MM = 0.2  # of all joints
-# between the widest finger and the walls of the groove, both sides together
-_FINGER_CLEARANCE_MM = 2.0
-# length of the last phalanx, tip to crease: in a large picture its centre is the picture's
-_PHALANX_MM = 30.0
-
 # The printed parts that carry the mirrors: those of a rig whose mirrors show the whole side of most
-# fingers, larger than the reference ones (``docs/guide/rig-build.md`` has their dimensions).
-# a mirror along its lower edge, up its slope, and its glass
-_LONG_MM, _WIDE_MM, _THICK_MM = 30.0, 30.0, 2.0
-_GAP_MM = 1.0  # between the groove's block and a holder
-_LIP_MM = 0.8  # how much of the mirror's lower edge the holder's lip covers
-# thickness of the printed walls: the groove's, the stop's, and the holder's top behind the mirror
+# fingers, larger than the reference ones.
+
+_CLEARANCE_MM = 0.2
+"""Clearance of all joints. Source: drawing, hardware/sizes.py."""
+_FINGER_CLEARANCE_MM = 2.0
+"""Between the widest finger and the walls of the groove, both sides together. Source: drawing,
+hardware/sizes.py."""
+_PHALANX_MM = 30.0
+"""Length of the last phalanx, tip to crease: in a large picture its centre is the picture's.
+Source: drawing, hardware/sizes.py."""
+_MIRROR_LONG_MM = 30.0
+"""Length of a mirror along its lower edge. Source: drawing, hardware/sizes.py."""
+_MIRROR_WIDE_MM = 30.0
+"""Length of a mirror up its slope. Source: drawing, docs/guide/rig-build.md, mirrors."""
+_MIRROR_THICK_MM = 2.0
+"""Thickness of a mirror's glass. Source: drawing, hardware/sizes.py."""
+_HOLDER_GAP_MM = 1.0
+"""Between the groove's block and a holder. Source: drawing, hardware/sizes.py."""
+_LIP_MM = 0.8
+"""How much of the mirror's lower edge the holder's lip covers. Source: drawing,
+hardware/sizes.py."""
 _WALL_MM = 2.4
-_PAD_HEIGHT_MM = 21.2  # height of the finger plane over the groove's bottom
-_WIDEST_MM = 22.0  # width of the widest finger
-_TIP_MARGIN_MM = 27.0  # from the fingertip's stop to the picture's upper border
+"""Thickness of the printed walls: the groove's, the stop's, and the holder's top behind the mirror.
+Source: drawing, hardware/dimensions.toml."""
+_PAD_HEIGHT_MM = 21.2
+"""Height of the finger plane over the groove's bottom. Source: drawing, docs/guide/rig-build.md,
+mirrors."""
+_WIDEST_FINGER_MM = 22.0
+"""Width of the widest finger. Source: drawing, docs/guide/rig-build.md, mirrors."""
+_TIP_MARGIN_MM = 27.0
+"""From the fingertip's stop to the picture's upper border. Source: drawing,
+docs/guide/rig-build.md, mirrors."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -265,8 +266,16 @@ class MirrorSettings(Checked):
 
 # With mirrors, as it is drawn.
 
-_HALF = math.sqrt(0.5)
-_LIP_WALL_MM, _GROOVE_IN_FLOOR_MM, _POCKET_MM = 1.2, 0.4, 1.0
+_COS_45 = math.sqrt(0.5)
+"""Cosine and sine of the mirrors' slope, 45 deg. Source: definition."""
+_LIP_WALL_MM = 1.2
+"""Thickness of the holder's lip. Source: drawing, hardware/geometry.py."""
+_GROOVE_IN_FLOOR_MM = 0.4
+"""How far the groove's bottom lies below the base's upper face. Source: drawing,
+hardware/geometry.py."""
+_POCKET_MM = 1.0
+"""Depth of the pockets of the base in which the holders stand. Source: drawing,
+hardware/geometry.py."""
 
 
 def mirror_rig(views: MirrorSettings, scale: float, seed: int | None = None) -> Rig:
@@ -310,22 +319,22 @@ def holder_profile() -> dict[str, tuple[Array, Array]]:
     what stands before the mirror below that edge, seen from the mirror, dark; ``back``: the
     holder's top behind the mirror.
     """
-    along, behind = np.array([_HALF, _HALF]), np.array([_HALF, -_HALF])
+    along, behind = np.array([_COS_45, _COS_45]), np.array([_COS_45, -_COS_45])
     front = np.array(
         [
-            (_CLEARANCE_MM + _LIP_WALL_MM) * _HALF + 0.2,
-            (_THICK_MM + _CLEARANCE_MM) * _HALF + _LIP_WALL_MM,
+            (_CLEARANCE_MM + _LIP_WALL_MM) * _COS_45 + 0.2,
+            (_MIRROR_THICK_MM + _CLEARANCE_MM) * _COS_45 + _LIP_WALL_MM,
         ]
     )
-    low, high = front + _LIP_MM * along, front + _WIDE_MM * along
+    low, high = front + _LIP_MM * along, front + _MIRROR_WIDE_MM * along
     inside = front - _CLEARANCE_MM * behind
     outside = inside - _LIP_WALL_MM * behind
     start = np.array([0.0, outside[1] - outside[0]])
     inside, outside = inside + _LIP_MM * along, outside + _LIP_MM * along
-    edge = high + (_THICK_MM + _CLEARANCE_MM) * behind
+    edge = high + (_MIRROR_THICK_MM + _CLEARANCE_MM) * behind
     return {
         "face": (low, high),
-        "glass": (high, high + _THICK_MM * behind),
+        "glass": (high, high + _MIRROR_THICK_MM * behind),
         "lip": (inside, outside),
         "lip_front": (outside, start),
         "shade": (outside - np.array([0.0, 8.0]), outside),
@@ -338,9 +347,9 @@ def holder_quad(name: str, camera: Camera, low: Array, high: Array) -> Array:
     rig's frame."""
     stop = stop_y_mm(camera)
     foot = -_PAD_HEIGHT_MM + _GROOVE_IN_FLOOR_MM - _POCKET_MM
-    half = _LONG_MM / 2
-    side = (_WIDEST_MM + _FINGER_CLEARANCE_MM) / 2 + _WALL_MM + _GAP_MM
-    middle, tip = stop + 1.0 - half, stop + _WALL_MM + _GAP_MM
+    half = _MIRROR_LONG_MM / 2
+    side = (_WIDEST_FINGER_MM + _FINGER_CLEARANCE_MM) / 2 + _WALL_MM + _HOLDER_GAP_MM
+    middle, tip = stop + 1.0 - half, stop + _WALL_MM + _HOLDER_GAP_MM
     corners = [(low, -half), (low, half), (high, half), (high, -half)]
     if name == "tip":
         return np.array([(along, tip + u, foot + v) for (u, v), along in corners])

@@ -39,12 +39,9 @@ from splitknit_simulator.light.renderer import (
     render_band,
 )
 from splitknit_simulator.light.skin import BAND_CHANNELS, CHANNELS, Channel, SkinOptics, SkinRanges
+from splitknit_simulator.parameters import BACKGROUND_MM, SHADED_ROWS, SPECK_ALBEDO
 from splitknit_simulator.rigs import MirrorSettings
 from splitknit_simulator.surface import SimulatedSurface
-
-BACKGROUND_MM = 10.0  # distance of the background below the finger plane
-_DUST_ALBEDO = 0.3  # largest albedo of a speck; they lie between a tenth of it and all of it
-_SHADED_ROWS = 0.25  # fraction of the frame, from its last row, that the hand's shadow covers
 
 
 @dataclass(frozen=True, slots=True)
@@ -73,7 +70,7 @@ def background_albedo(
     albedo = np.full((height, width), settings.albedo, dtype=np.float32)
     area_cm2 = height * width / (10.0 * camera.px_per_mm) ** 2
     for _ in range(int(rng.poisson(settings.dust_per_cm2 * area_cm2))):
-        _speck(albedo, camera.px_per_mm, _DUST_ALBEDO, rng)
+        _speck(albedo, camera.px_per_mm, SPECK_ALBEDO, rng)
     return albedo
 
 
@@ -234,7 +231,7 @@ class Scene:
         }
         # (H, 1) fraction of the light that reaches each row
         height = rig.camera.image_size[0]
-        below = (np.arange(height) / (height - 1) - (1.0 - _SHADED_ROWS)) / (0.3 * _SHADED_ROWS)
+        below = (np.arange(height) / (height - 1) - (1.0 - SHADED_ROWS)) / (0.3 * SHADED_ROWS)
         fraction = np.clip(below, 0.0, 1.0)
         smooth = fraction * fraction * (3.0 - 2.0 * fraction)
         self.shade = (1.0 - settings.background.hand_shadow * smooth).astype(np.float32)[:, None]

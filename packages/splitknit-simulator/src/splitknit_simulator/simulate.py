@@ -23,7 +23,6 @@ from splitknit.arguments import (
 )
 from splitknit.errors import require
 
-_WORKERS = 2
 _OF_POPULATIONS = Parameter(group="Population")
 
 
@@ -150,7 +149,7 @@ def simulate(
             fingers=fingers,
             sessions=sessions,
             prints=prints,
-            workers=_WORKERS if workers is None else workers,
+            workers=2 if workers is None else workers,
             progress=progress,
         )
     why = "is for 'splitknit simulate population'."

@@ -14,7 +14,8 @@ from splitknit.errors import require
 from splitknit.model import BoolArray, FloatArray
 
 Array = NDArray[np.float64]
-WATER = 1.333  # refractive index of water (Hale and Querry 1973)
+WATER_INDEX = 1.333
+"""Refractive index of water. Source: Hale and Querry 1973."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)

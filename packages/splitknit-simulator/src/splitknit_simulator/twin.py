@@ -29,7 +29,8 @@ from splitknit_simulator.finger.master_print import (
     MasterPrintSettings,
     master_of_print,
 )
-from splitknit_simulator.finger.motion import EXPOSURE_S, draw_path, moving_finger
+from splitknit_simulator.finger.motion import draw_path, moving_finger
+from splitknit_simulator.finger.parameters import SHOT_EXPOSURE_S
 from splitknit_simulator.finger.shape import shape_of_rolled_print
 from splitknit_simulator.light.films import FilmSettings, with_crossed_leds
 from splitknit_simulator.light.lighting import white_card
@@ -41,9 +42,9 @@ from splitknit_simulator.mirror_twin import (
     poses_between_mirrors,
     rig_with_mirrors,
 )
+from splitknit_simulator.parameters import BACKGROUND_MM
 from splitknit_simulator.rigs import coloured_rig, with_side_lights
 from splitknit_simulator.scene import (
-    BACKGROUND_MM,
     Scene,
     Taken,
     TwinSettings,
@@ -94,7 +95,7 @@ def finger_of_print(path: Path, seed: int, *, rolled: bool) -> SimulatedFinger:
     finger = replace(draw_finger(seed), pattern="print", printed=master_of_print(grey, seed))
     if not rolled:
         return finger
-    return replace(finger, shape=shape_of_rolled_print(_inked(grey), _PRINT_MM, finger.shape))
+    return replace(finger, shape=shape_of_rolled_print(_inked(grey), _PRINT_PITCH_MM, finger.shape))
 
 
 def master_of_print_file(
@@ -129,7 +130,8 @@ def _inked(grey: NDArray[np.uint8]) -> BoolArray:
     return cv2.morphologyEx(closed, cv2.MORPH_OPEN, disc).astype(np.bool_)
 
 
-_PRINT_MM = 25.4 / 500
+_PRINT_PITCH_MM = 25.4 / 500
+"""Size of a pixel of a print. Source: definition, 500 pixels an inch."""
 
 
 def simulate_capture(
@@ -301,7 +303,7 @@ def _photograph_moving(
     background_seed, noise_seed = drawn.photo_seed.spawn(2)
     lit: dict[str, list[_Shot]] = {}
     truth: dict[str, NDArray[Any]] = {}
-    exposed_px = EXPOSURE_S * rig.camera.px_per_mm
+    exposed_px = SHOT_EXPOSURE_S * rig.camera.px_per_mm
     for number, ((name, leds), surface) in enumerate(
         zip(shots, moving.surfaces(settings.render.workers), strict=True)
     ):

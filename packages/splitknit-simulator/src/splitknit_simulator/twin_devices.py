@@ -13,6 +13,7 @@ import numpy as np
 from splitknit import Rig
 from splitknit.devices import Opened
 from splitknit.errors import require
+from splitknit.findings import Finding
 from splitknit.model import default_rig
 from splitknit_simulator.bench_photos import BOARD
 from splitknit_simulator.calibration_set.flat import BoardScene, CardScene, board_poses
@@ -62,7 +63,7 @@ class Twin:
     ) -> Iterator[Opened]:
         """Open the devices around a simulated finger, or around a calibration target."""
         truth: Mapping[str, Any] | None = None
-        notes: tuple[str, ...] = ()
+        findings: tuple[Finding, ...] = ()
         twin, clock = self.settings, Clock()
         scene: LitScene
         if target is None:
@@ -71,7 +72,7 @@ class Twin:
         else:
             rig = twin.rig or default_rig(twin.scale, twin.rig_seed)
             scene, words = _target_scene(target, rig, seed)
-            notes = (words,)
+            findings = (Finding("simulated-target", f"{words}."),)
         noise = int(
             np.random.SeedSequence([seed, impression, 0xCA]).generate_state(1, np.uint32)[0]
         )
@@ -84,7 +85,9 @@ class Twin:
             TwinLightBank(scene, clock) as lights,
             TwinCamera(scene, lights, clock, **sensor) as camera,
         ):
-            yield Opened("twin", camera, lights, rig, {"twin": twin}, truth=truth, notes=notes)
+            yield Opened(
+                "twin", camera, lights, rig, {"twin": twin}, truth=truth, findings=findings
+            )
 
 
 def _target_scene(name: str, rig: Rig, seed: int) -> tuple[LitScene, str]:

@@ -35,15 +35,20 @@ from splitknit.model import BoolArray, Capture, FloatArray, Reconstruction
 TRUTH_ARRAYS = ("height_mm", "shape_mm", "mask", "normals")
 """What is compared."""
 EROSION_MM = 0.33
-"""Distance from the edge of the common mask from which on pixels count."""
+"""Distance from the edge of the common mask from which on pixels count. Source: definition of the
+figures (docs/explain/conventions.md)."""
 BAND_SIGMA_MM = 0.32
-"""Standard deviation of the Gaussian whose complement is the ridge band."""
+"""Standard deviation of the Gaussian whose complement is the ridge band. Source: definition of the
+figures (docs/explain/conventions.md)."""
 MAX_SLANT_DEG = 60.0
-"""Largest slant of the true shape at which the ridge band counts."""
+"""Largest slant of the true shape at which the ridge band counts. Source: definition of the figures
+(docs/explain/conventions.md)."""
 WINDOW_MM = 0.86
-"""Side of the windows of the local correlation."""
+"""Side of the windows of the local correlation. Source: definition of the figures
+(docs/explain/conventions.md)."""
 GOOD_CORRELATION = 0.8
-"""Local correlation from which on ridges count as recovered."""
+"""Local correlation from which on ridges count as recovered. Source: definition of the figures
+(docs/explain/conventions.md)."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -20,6 +20,7 @@ from typing import Any, Self
 import numpy as np
 
 from splitknit.errors import require
+from splitknit.findings import Finding
 from splitknit.model import PixelArray, Rig
 
 
@@ -222,7 +223,7 @@ class Opened:
     rig: Rig
     settings: Mapping[str, Any]  # of the devices, by their names, for ``session.json``
     truth: Mapping[str, Any] | None = None  # what the twin knows of the finger
-    notes: tuple[str, ...] = ()
+    findings: tuple[Finding, ...] = ()
     turn: Turn | None = None  # turns the analyser, where the devices can
 
 

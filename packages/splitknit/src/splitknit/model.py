@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 
 from splitknit.errors import require
 from splitknit.findings import Finding
+from splitknit.parameters import FLAT_SIDE, UNKNOWN_SIDE_MM
 from splitknit.units import MILLIMETRES, LengthUnit, pixels
 
 Array = NDArray[np.float64]
@@ -310,16 +311,13 @@ class Camera:
         return f"{self.px_per_mm:.4g} px/mm" if self.scale_known else "scale unknown"
 
 
-_UNKNOWN_SIDE_MM = 25.0
-
-
 def camera_without_scale(image_size: tuple[int, int]) -> Camera:
     """A camera with parallel rays whose scale nobody measured: its picture of `image_size` (rows,
     columns) is taken to be 25 mm along the shorter side. Sizes that a method has in mm follow that
     guess; slopes do not.
     """
     return Camera(
-        px_per_mm=min(image_size) / _UNKNOWN_SIDE_MM, image_size=image_size, scale_known=False
+        px_per_mm=min(image_size) / UNKNOWN_SIDE_MM, image_size=image_size, scale_known=False
     )
 
 
@@ -547,16 +545,11 @@ class Band:
         return replace(self, pixels=self.pixels[step], ambient=ambient, crossed=crossed)
 
 
-_FLAT_SIDE = 300
-"""Longer side of a coarse flat image: dust and a coat's grain, which move with the object, do not
-stay in it."""
-
-
 def coarse_grid(image: FloatArray) -> FloatArray:
     """A flat surface's image (H, W) on the coarse grid, smoothed over its pixels."""
     import cv2  # large
 
-    scale = min(1.0, _FLAT_SIDE / max(image.shape))
+    scale = min(1.0, FLAT_SIDE / max(image.shape))
     size = (max(2, round(image.shape[1] * scale)), max(2, round(image.shape[0] * scale)))
     small = cv2.resize(image, size, interpolation=cv2.INTER_AREA)
     return np.asarray(small if scale == 1.0 else cv2.GaussianBlur(small, (0, 0), 1.0))
@@ -764,6 +757,7 @@ def surface_of(result: Reconstruction) -> Surface:
 # The thesis's rig as it is drawn.
 
 _LEDS_PER_BAND = 7
+"""LEDs of white light, and of near infrared. Source: thesis."""
 HALF_ANGLE_DEG = {"white": 30.0, "nir": 20.0}
 """Where a data sheet's LED of 60 (40) deg viewing angle has half its light."""
 CROSSTALK: tuple[tuple[float, float, float], ...] = (
@@ -773,7 +767,7 @@ CROSSTALK: tuple[tuple[float, float, float], ...] = (
 )
 """Signal of the red, green and blue pixels (rows) under a red, a green and a blue LED (columns),
 each row relative to its own: the IMX219's quantum efficiency under Gaussian lines at 625, 525 and
-465 nm, 20, 33 and 24 nm wide."""
+465 nm, 20, 33 and 24 nm wide. Source: the sensor's quantum efficiency."""
 
 
 def default_rig(scale: float = 1.0, seed: int | None = None, intensity_spread: float = 0.1) -> Rig:

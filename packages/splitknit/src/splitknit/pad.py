@@ -23,20 +23,24 @@ from splitknit.errors import require
 from splitknit.imaging.band import linear_channels
 from splitknit.imaging.geometry import smoothed
 from splitknit.model import Array, BoolArray, Capture, FloatArray, Reconstruction
+from splitknit.parameters import (
+    LARGEST_DEVIATION,
+    PAD_FACING,
+    PAD_FINE_MM,
+    PAD_PX_PER_MM,
+    PAD_SLOW_MM,
+    USUAL_DEVIATION,
+)
 
 BASIS = (
     "the model was fitted to simulated fingers and attacks only; nobody has measured it on real"
     " ones."
 )
-PX_PER_MM = 15.0  # at which photographs and results are measured
-_FACING = 0.8  # cosine between the surface without ridges and the view: flanks are left out
-_SLOW_MM = 0.35  # standard deviations of the Gaussians around the band of ridges
-_FINE_MM = 0.06
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PadImages:
-    """What of a capture's images is measured, at `PX_PER_MM` or as coarse as the capture is."""
+    """What of a capture's images is measured, at `PAD_PX_PER_MM` or as coarse as the capture is."""
 
     binning: float
     # (L, h, w) linear, above zero: white (luma, which JPEG keeps), nir
@@ -49,8 +53,8 @@ def not_covered(capture: Capture) -> str:
     camera = capture.rig.camera
     if not camera.scale_known:
         return "its scale is not known"
-    if camera.px_per_mm <= 0.95 * PX_PER_MM:
-        return f"it has less than {0.95 * PX_PER_MM:.0f} pixels a millimetre"
+    if camera.px_per_mm <= 0.95 * PAD_PX_PER_MM:
+        return f"it has less than {0.95 * PAD_PX_PER_MM:.0f} pixels a millimetre"
     if capture.material != "skin":
         return "it is not of skin"
     return "" if "nir" in capture.bands else "it has no near-infrared images"
@@ -58,7 +62,9 @@ def not_covered(capture: Capture) -> str:
 
 def pad_images(capture: Capture) -> PadImages:
     """Bring a capture's images to the features' pixels."""
-    binning = min(max(round(8 * capture.rig.camera.px_per_mm / PX_PER_MM) / 8, 1.0), *capture.shape)
+    binning = min(
+        max(round(8 * capture.rig.camera.px_per_mm / PAD_PX_PER_MM) / 8, 1.0), *capture.shape
+    )
     light = {}
     for name in ("white", "nir"):
         if name in capture.bands:
@@ -106,14 +112,14 @@ def _facing(shape: FloatArray, mask: BoolArray, pitch: float) -> BoolArray:
     slow = smoothed(shape, mask, 0.5 / pitch)
     down, right = np.gradient(slow, pitch)
     far = eroded(mask, 1.0 / pitch)
-    facing = far & (1 / np.sqrt(1 + down**2 + right**2) > _FACING)
+    facing = far & (1 / np.sqrt(1 + down**2 + right**2) > PAD_FACING)
     return facing if facing.sum() * pitch**2 > 20.0 else far
 
 
 def _band_of(image: FloatArray, inside: BoolArray, pitch: float) -> FloatArray:
     """The band of ridges of an image, robustly limited."""
-    fine = smoothed(image, inside, _FINE_MM / pitch)
-    band = np.where(inside, fine - smoothed(image, inside, _SLOW_MM / pitch), 0)
+    fine = smoothed(image, inside, PAD_FINE_MM / pitch)
+    band = np.where(inside, fine - smoothed(image, inside, PAD_SLOW_MM / pitch), 0)
     limit = 6.0 * float(np.median(np.abs(band[inside]))) + 1e-12
     return np.clip(band, -limit, limit)
 
@@ -174,8 +180,6 @@ below it, none negative; ``offset`` of the log odds; ``kinds``: mean deviations 
 each species, and ``precision``: inverse covariance about them; ``covered``: largest distance to the
 nearest; ``live``, ``attack``, ``far``: log odds of live skin from which, up to which, and far from
 everything up to which an answer is given."""
-_USUAL = 0.5  # deviations, in standard deviations of live skin, that count from here on
-_LARGEST = 6.5  # and up to here
 
 
 @lru_cache(maxsize=1)
@@ -195,7 +199,10 @@ def deviations(model: Model, features: Mapping[str, float]) -> Array:
 
 def suspicious(away: Array) -> Array:
     """(..., 2) what counts of deviations (...), above and below."""
-    return np.clip(np.stack([away, -away], axis=-1), _USUAL, _LARGEST) - _USUAL
+    return (
+        np.clip(np.stack([away, -away], axis=-1), USUAL_DEVIATION, LARGEST_DEVIATION)
+        - USUAL_DEVIATION
+    )
 
 
 def distance(model: Model, away: Array) -> float:

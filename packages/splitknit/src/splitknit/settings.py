@@ -14,9 +14,9 @@ from functools import cache
 from typing import Annotated, Any, ClassVar, TypeVar
 
 from splitknit.errors import BadInput, require
+from splitknit.parameters import LONGEST_NAME
 
 Settings = TypeVar("Settings")
-_LONGEST_NAME = 100
 _KINDS = {"float": "a number", "int": "a whole number", "bool": "true or false", "str": "a text"}
 
 
@@ -175,10 +175,10 @@ def override(settings: Settings, changes: Mapping[str, Any]) -> Settings:
     """
     result = settings
     for name, value in flatten(changes).items():
-        sound = len(name) <= _LONGEST_NAME and name.isprintable()
+        sound = len(name) <= LONGEST_NAME and name.isprintable()
         require(
             sound,
-            f"there is no setting {name[:_LONGEST_NAME]!a}; settings are named as stage.field.",
+            f"there is no setting {name[:LONGEST_NAME]!a}; settings are named as stage.field.",
         )
         result = _replaced(result, name.split("."), value, name)
     return result

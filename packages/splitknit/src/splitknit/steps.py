@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 
 from splitknit.errors import BadInput, require
 from splitknit.model import Capture, Progress
+from splitknit.parameters import IN_MEMORY
 
 P = ParamSpec("P")
 T = TypeVar("T")
@@ -105,11 +106,6 @@ def one_heap() -> None:
             libc = ctypes.CDLL(None)
             for parameter, value in _HEAP.items():
                 libc.mallopt(parameter, value)
-
-
-IN_MEMORY = 250_000_000
-"""Bytes of photographs, or of a band's linear light, in memory at once; a full frame's band has 197
-million."""
 
 
 def large_array(shape: tuple[int, ...], dtype: np.dtype[Any]) -> NDArray[Any]:

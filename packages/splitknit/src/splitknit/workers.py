@@ -16,12 +16,11 @@ from itertools import islice
 from typing import TypeVar
 
 from splitknit.errors import UNFINISHED, BadInput, with_given_folders
+from splitknit.parameters import GRACE_S
 from splitknit.steps import one_heap
 
 Job = TypeVar("Job")
 Done = TypeVar("Done")
-_GRACE_S = 1.0
-"""Time for workers that are ended to remove what they have half written."""
 
 
 def run_jobs(
@@ -64,7 +63,7 @@ def run_jobs(
         ours = set(multiprocessing.active_children()) - earlier
         for process in ours:
             process.terminate()
-        end = time.monotonic() + _GRACE_S
+        end = time.monotonic() + GRACE_S
         for process in ours:
             process.join(max(0.0, end - time.monotonic()))
             process.kill()

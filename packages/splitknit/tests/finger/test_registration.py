@@ -20,7 +20,7 @@ PX = 14.0
 def quick():
     """Eight refinements in each band, for time."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(registration, "ITERATIONS", 8)
+        patch.setattr(registration, "REGISTRATION_ITERATIONS", 8)
         yield
 
 

@@ -97,7 +97,7 @@ def test_large_images_are_judged_by_a_sample(
     build_capture: Build, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     band = build_capture(channels=1, shape=(700, 600)).bands["white"]
-    monkeypatch.setattr(content, "_SAMPLE_PIXELS", 5000)
+    monkeypatch.setattr(content, "SAMPLE_PIXELS", 5000)
     check_content(band)
     with pytest.raises(BadInput, match="black"):
         check_content(changed(band, 0, 0))

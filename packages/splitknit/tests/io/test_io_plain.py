@@ -20,7 +20,8 @@ from splitknit.io.photos import encoding_of
 from splitknit.io.plain import capture_from_photographs
 from splitknit.io.rig import write_rig
 from splitknit.model import Camera, Led, Rig
-from splitknit.steps import IN_MEMORY, large_array
+from splitknit.parameters import IN_MEMORY
+from splitknit.steps import large_array
 
 
 @pytest.fixture

@@ -11,8 +11,8 @@ import numpy as np
 import pytest
 
 from splitknit.errors import BadInput
+from splitknit.networks.parameters import CUDA_TOLERANCE
 from splitknit.networks.unet import (
-    CUDA_TOLERANCE,
     NO_TELEMETRY,
     Network,
     load_network,

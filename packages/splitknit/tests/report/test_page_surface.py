@@ -128,7 +128,7 @@ def test_a_page_holds_the_surface(which: str) -> None:
 
 
 def test_a_large_surface_is_thinned(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(surface_module, "_MOST_POINTS", 10_000)
+    monkeypatch.setattr(surface_module, "MOST_POINTS", 10_000)
     result, _ = finger()
     (facts,) = json.loads(scene_of(result, "metric").data)
     assert 8000 < np.isfinite(decoded(facts["shape"])).sum() <= 10_500

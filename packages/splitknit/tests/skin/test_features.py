@@ -14,14 +14,13 @@ from splitknit.skin.grid import BandImages, Grid, coarsen
 from splitknit.skin.learned import (
     COUNT,
     RELIEF_MM,
-    SLANT_DEG,
-    SLANT_ERROR,
     azimuth_waves,
     can_learn,
     features,
     relief_by_network,
 )
 from splitknit.skin.light import fine_lighting, slant_of
+from splitknit.skin.parameters import SLANT_DEG, SLANT_ERROR
 
 FACTOR = 3
 SLOPES, WAVES = slice(3, 9), slice(9, 21)

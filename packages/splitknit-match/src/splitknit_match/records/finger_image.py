@@ -1,4 +1,4 @@
-"""Finger image records of ISO/IEC 19794-4:2005; the layout stands in ``docs/reference/records.md``.
+"""Finger image records of ISO/IEC 19794-4:2005; ``docs/reference/records.md`` has what is written.
 
 Source: ISO/IEC 19794-4:2005, clause 7.
 """

@@ -1,9 +1,11 @@
 """Records of minutiae in files: ISO/IEC 19794-2:2005, ANSI/INCITS 378-2004, -2009 and its amendment
 1.
 
-Big-endian. A file is recognised by what it holds, not by its name. The layouts stand in
-``docs/reference/records.md``. What identifies devices and products, and extended data, is passed
-over. Source: ISO/IEC 19794-2:2005 (with corrigendum 1:2009), clause 7; ISO/IEC 29109-2; ANSI/INCITS
+Big-endian. A file is recognised by what it holds, not by its name. What is written where the
+standards leave a choice stands in ``docs/reference/records.md``. What identifies devices and
+products, and extended data, is passed over.
+
+Source: ISO/IEC 19794-2:2005 (with corrigendum 1:2009), clause 7; ISO/IEC 29109-2; ANSI/INCITS
 378-2004, clause 6; ANSI/INCITS 378-2009; ANSI/INCITS 378-2009/AM 1-2010.
 """
 

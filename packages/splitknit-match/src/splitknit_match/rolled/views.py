@@ -17,8 +17,9 @@ import numpy as np
 
 from splitknit import Capture, Led, Rig
 from splitknit.errors import require
-from splitknit.finger.locate import BEYOND_CREASE_MM, FingerSettings, enlarged_mask
+from splitknit.finger.locate import FingerSettings, enlarged_mask
 from splitknit.finger.orientation import find_upright
+from splitknit.finger.parameters import BEYOND_CREASE_MM
 from splitknit.finger.phalange import find_crease
 from splitknit.finger.regions import largest_component
 from splitknit.imaging.band import Window, has_colour, linear_channels, linear_survey, pick_channel
@@ -47,15 +48,7 @@ from splitknit.mirrors.settings import MirrorShapeSettings
 from splitknit.mirrors.views import view_binning, views_in
 from splitknit.model import Array, BoolArray, FloatArray
 from splitknit.photometric.near_light import pseudo_normals
-from splitknit.skin.grid import (
-    COARSE_PITCH_MM,
-    WORKING_PITCH_MM,
-    BandImages,
-    Grid,
-    coarsen,
-    refine,
-    smooth_step,
-)
+from splitknit.skin.grid import BandImages, Grid, coarsen, refine, smooth_step
 from splitknit.skin.images import (
     FACTOR,
     MetricSettings,
@@ -66,6 +59,7 @@ from splitknit.skin.images import (
 )
 from splitknit.skin.learned import can_learn, features, relief_by_network
 from splitknit.skin.light import Lighting, fine_lighting, slant_of, trust_of
+from splitknit.skin.parameters import COARSE_PITCH_MM, WORKING_PITCH_MM
 from splitknit_match.rolled.chart import Chart, heights, read
 
 SIDES = ("left", "right")

@@ -12,7 +12,23 @@ import numpy as np
 
 from splitknit import BadInput
 from splitknit.errors import require
+from splitknit.findings import Finding, Severity
 from splitknit.model import Array, FloatArray
+from splitknit_rig.calibration.parameters import (
+    FOCAL_ERROR_NOTED,
+    GROSS_ASPECT,
+    MAX_ASPECT,
+    MAX_FOCAL_ERROR,
+    MAX_FOCAL_SIDES,
+    MIN_COVERAGE,
+    MIN_VARIETY_DEG,
+    MIN_VIEWS,
+    OUTLIER_RATIO,
+    OUTLIER_SPREAD,
+    PRINCIPAL_LIMIT,
+    SAME_VIEW_PX,
+    SIGNIFICANCE,
+)
 from splitknit_rig.calibration.targets import Board
 
 TERMS = ("k1", "k2", "p1", "p2", "k3")  # coefficients of the distortion, in OpenCV's order
@@ -23,15 +39,6 @@ _UNDETERMINED = (
     " parallel to the sensor); tilt the board by 20 to 40 deg to several sides, and let it fill the"
     " picture."
 )
-_LONGEST = 40.0  # focal lengths above this many image sides are the sign of a fit that ran away
-# a term is kept where it differs from nothing by more than this many standard deviations
-_SIGNIFICANCE = 4.0
-_PRINCIPAL_LIMIT = 0.05
-"""The principal point is held in the image's middle where its standard deviation exceeds this part
-of the image."""
-_GROSS_ASPECT = 0.015
-"""A ratio of the focal lengths that differs by more from one is kept before any distortion is
-tried."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -62,7 +69,7 @@ def fit_lens(board_mm: Any, corner_sets: Sequence[Any], image_size: tuple[int, i
     """Fit matrix and distortion to `corner_sets`, V arrays (N, 2) of columns and rows of the
     corners `board_mm` (N, 2). Square pixels and no distortion come first; k1, k2, (p1, p2), k3 and
     the ratio of the focal lengths are added in turn, each kept only if it differs from zero by more
-    than `_SIGNIFICANCE` of its standard deviations. An undetermined principal point is held at the
+    than `SIGNIFICANCE` of its standard deviations. An undetermined principal point is held at the
     image's middle. The focal length's standard deviation is the larger one of the fit's and of fits
     with other lengths held. Raises BadInput if the views determine no camera. Source: Z. Zhang, "A
     flexible new technique for camera calibration", IEEE TPAMI 22(11), 2000; terms and deviations as
@@ -75,7 +82,7 @@ def fit_lens(board_mm: Any, corner_sets: Sequence[Any], image_size: tuple[int, i
     kept: tuple[str, ...] = ("cx", "cy")
     fixed: dict[str, str] = {}
     best = _fit(views, kept)
-    if (off := max(best.deviations["cx"], best.deviations["cy"])) > _PRINCIPAL_LIMIT * max(
+    if (off := max(best.deviations["cx"], best.deviations["cy"])) > PRINCIPAL_LIMIT * max(
         image_size
     ):
         words = (
@@ -105,11 +112,11 @@ def fit_lens(board_mm: Any, corner_sets: Sequence[Any], image_size: tuple[int, i
         ratio = max(abs(values[term]) / max(deviations[term], 1e-300) for term in step)
         gross = (
             step != ("aspect",)
-            or abs(values["aspect"]) > _GROSS_ASPECT
+            or abs(values["aspect"]) > GROSS_ASPECT
             or "k1" in fixed
             or "k1" in kept
         )
-        if ratio > _SIGNIFICANCE and gross:
+        if ratio > SIGNIFICANCE and gross:
             kept, best = kept + step, trial
             fixed.pop(_called(step), None)
         elif step == ("aspect",):
@@ -162,7 +169,7 @@ def _fit(views: _Views, kept: tuple[str, ...], start: _LensFit | None = None) ->
     focal_px = np.diag(matrix)[:2]
     sound = np.isfinite(matrix).all() and np.isfinite(deviations).all()
     require(
-        bool(sound and focal_px.min() > 0 and focal_px.max() < _LONGEST * max(views.size)),
+        bool(sound and focal_px.min() > 0 and focal_px.max() < MAX_FOCAL_SIDES * max(views.size)),
         _UNDETERMINED,
     )
     names = ("fx", "fy", "cx", "cy", *TERMS)
@@ -222,21 +229,6 @@ _HOLDING = {
 }
 
 
-_MIN_VIEWS = 5  # views that must remain
-_OUTLIER_RATIO = 1.6
-"""A view is rejected if its error exceeds the median by this factor ..."""
-_OUTLIER_SPREAD = 5.0
-"""... and by this many times the robust spread of all errors."""
-# views whose corners differ by less than this (rms) are one view, photographed twice
-_SAME_PX = 0.3
-# relative standard deviation of the focal length from which views are refused
-_MAX_FOCAL_ERROR = 0.01
-_FOCAL_WARNED = 0.003  # the same, from which there is a warning
-_MAX_ASPECT = 0.02  # difference of fx / fy from one that is refused: sensors have square pixels
-_MIN_VARIETY_DEG = 10.0  # views should hold boards whose normals differ by more than this
-_MIN_COVERAGE = 0.5  # part of the picture that the corners of all views together should span
-
-
 @dataclass(frozen=True, slots=True, eq=False)
 class CameraCalibration:
     """A calibrated camera, with what it rests on."""
@@ -251,7 +243,7 @@ class CameraCalibration:
     tilts_deg: Array  # (V,) angle between each board and the sensor
     variety_deg: float  # largest angle between two boards
     coverage: float  # part of the picture that the corners span
-    warnings: tuple[str, ...]
+    findings: tuple[Finding, ...]
 
 
 def fit_camera(
@@ -277,7 +269,7 @@ def fit_camera(
         worst, middle = int(np.argmax(lens.view_rms_px)), float(np.median(lens.view_rms_px))
         spread = 1.4826 * float(np.median(np.abs(lens.view_rms_px - middle)))
         if not lens.view_rms_px[worst] > max(
-            middle + _OUTLIER_SPREAD * spread, _OUTLIER_RATIO * middle
+            middle + OUTLIER_SPREAD * spread, OUTLIER_RATIO * middle
         ):
             break
         rejected[names[kept[worst]]] = float(lens.view_rms_px[worst])
@@ -299,10 +291,10 @@ def fit_camera(
         & np.maximum.accumulate(cells[:, ::-1], axis=1)[:, ::-1]
     )
     coverage = float(across.mean())
-    warnings = _judged(lens, tilts, variety, coverage)
+    findings = _judged(lens, tilts, variety, coverage)
     used = tuple(names[k] for k in kept)
     return CameraCalibration(
-        lens, image_size, used, rejected, repeated, tilts, variety, coverage, warnings
+        lens, image_size, used, rejected, repeated, tilts, variety, coverage, findings
     )
 
 
@@ -314,7 +306,7 @@ def _without_repeats(views: list[Array], names: list[str]) -> tuple[list[int], d
             # a board that is named from its other end is the same one
             both = (views[earlier], views[earlier][::-1])
             apart = min(float(np.sqrt(((view - there) ** 2).sum(axis=1).mean())) for there in both)
-            if apart < _SAME_PX:
+            if apart < SAME_VIEW_PX:
                 repeated[names[k]] = names[earlier]
                 break
         else:
@@ -324,17 +316,17 @@ def _without_repeats(views: list[Array], names: list[str]) -> tuple[list[int], d
 
 def _require_enough(count: int, total: int, why: str) -> None:
     require(
-        count >= _MIN_VIEWS,
-        f"only {count} of {total} photographs of the board can be used{why}, but {_MIN_VIEWS} are"
+        count >= MIN_VIEWS,
+        f"only {count} of {total} photographs of the board can be used{why}, but {MIN_VIEWS} are"
         " needed and 15 are advised; take more, the board tilted differently in each.",
     )
 
 
-def _judged(lens: _LensFit, tilts: Array, variety: float, coverage: float) -> tuple[str, ...]:
-    """Warnings, or the refusal of views that determine too little."""
+def _judged(lens: _LensFit, tilts: Array, variety: float, coverage: float) -> tuple[Finding, ...]:
+    """Findings, or the refusal of views that determine too little."""
     ratio = float(lens.matrix[0, 0] / lens.matrix[1, 1])
     require(
-        abs(ratio - 1) < _MAX_ASPECT,
+        abs(ratio - 1) < MAX_ASPECT,
         f"the pixels come out as no squares (fx / fy = {ratio:.3f}): the photographs were"
         " stretched, or the printed squares are none; measure the print along both sides, and use"
         " the camera's own images.",
@@ -345,8 +337,8 @@ def _judged(lens: _LensFit, tilts: Array, variety: float, coverage: float) -> tu
         " at most"
     )
     remedy = "tilt the board by 20 to 40 deg to several sides"
-    if relative > _MAX_FOCAL_ERROR:
-        if variety < _MIN_VARIETY_DEG:
+    if relative > MAX_FOCAL_ERROR:
+        if variety < MIN_VARIETY_DEG:
             raise BadInput(
                 f"the boards all lie nearly parallel ({tilted}); then focal length and distance"
                 f" cannot be separated (the focal length is uncertain by {100 * relative:.1f} %);"
@@ -357,18 +349,20 @@ def _judged(lens: _LensFit, tilts: Array, variety: float, coverage: float) -> tu
             f" the corners miss their places by {lens.rms_px:.2f} px); {remedy}, let it fill the"
             " picture, and hold it still."
         )
-    warnings = []
-    if relative > _FOCAL_WARNED:
-        warnings.append(
-            f"the focal length is uncertain by {100 * relative:.2f} % ({tilted}); {remedy}."
-        )
-    elif variety < _MIN_VARIETY_DEG:
-        warnings.append(f"the boards lie nearly parallel ({tilted}); {remedy}.")
+    findings = []
+    if relative > FOCAL_ERROR_NOTED:
+        words = f"the focal length is uncertain by {100 * relative:.2f} % ({tilted}); {remedy}."
+        findings.append(Finding("uncertain-focal-length", words, Severity.DOUBT))
+    elif variety < MIN_VARIETY_DEG:
+        words = f"the boards lie nearly parallel ({tilted}); {remedy}."
+        findings.append(Finding("parallel-boards", words))
     if "principal point" in lens.fixed:
-        warnings.append(f"the principal point is not determined ({lens.fixed['principal point']}).")
-    if coverage < _MIN_COVERAGE:
-        warnings.append(
+        words = f"the principal point is not determined ({lens.fixed['principal point']})."
+        findings.append(Finding("held-principal-point", words))
+    if coverage < MIN_COVERAGE:
+        words = (
             f"the boards cover {100 * coverage:.0f} % of the picture; outside them the distortion"
             " is a guess: let the board reach into every corner."
         )
-    return tuple(warnings)
+        findings.append(Finding("uncovered-picture", words, Severity.DOUBT))
+    return tuple(findings)

@@ -17,13 +17,22 @@ import numpy as np
 from splitknit import BadInput, Camera, Rig, read_rig, write_rig
 from splitknit.arguments import text_of
 from splitknit.errors import naming, read_bytes, require
-from splitknit.io.images import MAX_BYTES, decode_image
+from splitknit.findings import Finding, Severity, worst_first
+from splitknit.io.images import decode_image
+from splitknit.io.parameters import MAX_BYTES
 from splitknit.io.photograph_files import natural_order
 from splitknit.io.provenance import provenance
 from splitknit.io.targets import check_rig_file
 from splitknit.model import Array, PixelArray, Progress, default_rig, no_progress
 from splitknit.plausible import CAMERA_HEIGHT
 from splitknit_rig.calibration.camera import CameraCalibration, fit_camera
+from splitknit_rig.calibration.parameters import (
+    FINGER_DEPTH_MM,
+    MAX_CAMERA_TILT_DEG,
+    MIN_VIEWS,
+    POSES_HEIGHT,
+    POSES_TILT_DEG,
+)
 from splitknit_rig.calibration.plane import PlanePose, mean_pose, plane_pose
 from splitknit_rig.calibration.targets import Board, find_board
 from splitknit_rig.calibration.words import camera_lines
@@ -45,7 +54,7 @@ class MeasuredCamera:
     """Pose of the finger plane by the image that shows it."""
     pose: PlanePose | None
     """Their mean."""
-    warnings: tuple[str, ...]
+    findings: tuple[Finding, ...]
     calibrated_at: str
     """ISO 8601."""
     leds_nominal: bool = False
@@ -78,7 +87,7 @@ class MeasuredCamera:
             "plane": None if self.pose is None else _plane_facts(self.pose, self.poses, self.fit),
             "measured": lens if self.pose is None else lens + plane,
             "nominal": plane + leds if self.pose is None else leds,
-            "warnings": list(self.warnings),
+            "findings": [finding.facts for finding in self.findings],
         }
 
     def __str__(self) -> str:
@@ -126,10 +135,10 @@ def calibrate_to_rig(
         " `rig` with its matrix.",
     )
     lens: dict[str, Any] = {}
-    warnings: list[str] = []
+    findings: list[Finding] = []
     if fit is not None:
         lens = {"matrix": fit.lens.matrix, "distortion": fit.lens.distortion}
-        warnings += fit.warnings
+        findings += fit.findings
     camera = replace(nominal, model="perspective", image_size=photos.size, **lens)
     poses = {
         name: plane_pose(board.points_mm, px, camera.matrix, camera.distortion)
@@ -142,25 +151,27 @@ def calibrate_to_rig(
     camera = replace(camera, height_mm=height, px_per_mm=focal_px / height)
     if pose is not None:
         remedy = "check the side of the board's squares (`square_mm`)"
-        warnings += map(str, CAMERA_HEIGHT.notes(height, remedy))
+        findings += CAMERA_HEIGHT.notes(height, remedy)
         if base is not None and not 0.6 < height / nominal.height_mm < 1.6:
-            warnings.append(
+            words = (
                 f"the camera is {height:.0f} mm high, by {rig} {nominal.height_mm:.0f} mm:"
                 f" {remedy}."
             )
-        warnings += _plane_warnings(camera, poses, pose)
+            findings.append(Finding("other-camera-height", words, Severity.DOUBT))
+        findings += _plane_findings(camera, poses, pose)
     elif fit is not None:
-        warnings.append(
+        words = (
             f"px_per_mm rests on a height of {height:g} mm that was not measured; photograph the"
             " board flat on the finger plane (`plane`)."
         )
+        findings.append(Finding("unmeasured-height", words))
     now = calibrated_at or datetime.now(UTC).isoformat(timespec="seconds").replace("+00:00", "Z")
     measured = MeasuredCamera(
-        out, board, camera, fit, poses, pose, tuple(warnings), now, base is None, boardless
+        out, board, camera, fit, poses, pose, worst_first(findings), now, base is None, boardless
     )
     progress("writing", 0.97)
     facts = measured.facts
-    stored = {name: facts[name] for name in ("calibrated_at", "measured", "nominal", "warnings")}
+    stored = {name: facts[name] for name in ("calibrated_at", "measured", "nominal", "findings")}
     residuals = {"fit": facts["fit"], "plane": facts["plane"]}
     origin = {
         **stored,
@@ -175,7 +186,6 @@ def calibrate_to_rig(
 # Photographs of checkerboards: reading them, and finding what they show.
 
 SUFFIXES = (".png", ".jpg", ".jpeg", ".tif", ".tiff")
-LEAST = 5
 
 
 def _image_files(folder: Path, pattern: str | None = None) -> list[Path]:
@@ -257,13 +267,13 @@ def _board_photos(
             boardless.append(label)
         else:
             corners[label] = grid
-    if len(corners) < LEAST:
+    if len(corners) < MIN_VIEWS:
         named = ", ".join(boardless[:4]) + (" and more" if len(boardless) > 4 else "")
         missing = f" (not in {named})" if boardless else ""
         raise BadInput(
             f"{folder}: a checkerboard of {board.name} inner corners is in full view in"
-            f" {len(corners)} of {len(files)} photographs{missing}, but {LEAST} are needed and 15"
-            " are advised; compare `board` with the print (corners where four squares meet), or"
+            f" {len(corners)} of {len(files)} photographs{missing}, but {MIN_VIEWS} are needed and"
+            " 15 are advised; compare `board` with the print (corners where four squares meet), or"
             " take more, each tilted differently."
         )
     return corners, tuple(boardless)
@@ -282,13 +292,7 @@ def _plane_marks(photos: _Photos, file: Path, board: Board) -> Array:
 
 
 # What a camera's calibration measured, as facts for programs and as provenance for the rig file;
-# its warnings.
-
-_TILT_LIMIT_DEG = 1.0
-_FINGER_MM = 8.0  # depth of the finger that the camera sees
-# photographs of one plane whose heights differ by more (relative) are warned about
-_POSES_HEIGHT = 0.003
-_POSES_TILT_DEG = 0.3  # the same of their tilts
+# its findings.
 
 
 def _fit_facts(fit: CameraCalibration, boardless: Sequence[str]) -> dict[str, Any]:
@@ -341,32 +345,37 @@ def _plane_facts(
     }
 
 
-def _plane_warnings(camera: Camera, poses: Mapping[str, PlanePose], pose: PlanePose) -> list[str]:
-    warnings = []
-    if pose.tilt_deg > _TILT_LIMIT_DEG:
+def _plane_findings(
+    camera: Camera, poses: Mapping[str, PlanePose], pose: PlanePose
+) -> list[Finding]:
+    findings = []
+    if pose.tilt_deg > MAX_CAMERA_TILT_DEG:
         slope = math.tan(math.radians(pose.tilt_deg))
         reach = math.hypot(*camera.image_size) / 2 / camera.px_per_mm
-        warnings.append(
+        words = (
             f"the camera looks on the base obliquely by {pose.tilt_deg:.2f} deg: the picture's"
             f" corners lie up to {reach * slope:.2f} mm nearer or farther than its middle, which"
             f" displaces them by {reach**2 * slope / pose.height_mm:.2f} mm, and what stands"
-            f" {_FINGER_MM:g} mm high leans by {_FINGER_MM * slope:.2f} mm; straighten the camera,"
-            " or put something thin under the base."
+            f" {FINGER_DEPTH_MM:g} mm high leans by {FINGER_DEPTH_MM * slope:.2f} mm; straighten"
+            " the camera, or put something thin under the base."
         )
+        findings.append(Finding("oblique-camera", words))
     heights = [single.height_mm for single in poses.values()]
     turns = [min(1.0, float(single.normal @ pose.normal)) for single in poses.values()]
     apart = float(np.degrees(np.arccos(turns)).max())
-    if max(heights) - min(heights) > _POSES_HEIGHT * pose.height_mm or apart > _POSES_TILT_DEG:
+    if max(heights) - min(heights) > POSES_HEIGHT * pose.height_mm or apart > POSES_TILT_DEG:
         each = ", ".join(
             f"{name} {p.height_mm:.2f} mm, {p.tilt_deg:.2f} deg" for name, p in poses.items()
         )
-        warnings.append(
+        words = (
             f"the photographs of the finger plane disagree ({each}); the print lay uneven, or its"
             " scale is off."
         )
+        findings.append(Finding("planes-disagree", words, Severity.DOUBT))
     if pose.rms_px > max(1.0, 0.01 * camera.px_per_mm):
-        warnings.append(
+        words = (
             f"the marks on the finger plane miss their places by {pose.rms_px:.2f} px: the print is"
             " not flat, or its marks are not where they should be."
         )
-    return warnings
+        findings.append(Finding("uneven-print", words, Severity.DOUBT))
+    return findings

@@ -32,8 +32,13 @@ from splitknit import Camera, Led
 from splitknit.errors import require
 from splitknit.imaging.view import plane_points, shading_at
 from splitknit.model import Array
+from splitknit_rig.calibration.parameters import MAX_AIM_TILT, MIN_LOBE_EXPONENT
 
-UNIT_MM2 = 1e4  # an LED of intensity one gives the irradiance one at 100 mm
+UNIT_MM2 = 1e4
+"""An LED of intensity one gives the irradiance one at 100 mm.
+
+Source: definition of `intensity` in the rig file.
+"""
 
 
 @dataclass(frozen=True, slots=True)
@@ -117,10 +122,6 @@ def card_light(camera: Camera, led: Led, pixels: Any, card: CardPlane | None = N
     )
 
 
-_MIN_EXPONENT = 0.02  # least exponent of a beam: below it an aim has no meaning
-_MAX_TILT = 0.7  # largest tilt of an aim from the direction to the origin: 35 deg
-
-
 @dataclass(frozen=True, slots=True)
 class Order:
     """Which parameters are free."""
@@ -191,7 +192,7 @@ class CardModel:
     def vector(self, answer: Answer, order: Order) -> Array:
         """Parameters of `order` that come closest to `answer`; a beam that is aimed for the first
         time is not flat."""
-        exponent = np.maximum(answer.exponent, _MIN_EXPONENT if answer.tilt.any() else 1.0)
+        exponent = np.maximum(answer.exponent, MIN_LOBE_EXPONENT if answer.tilt.any() else 1.0)
         parts = [np.log(answer.brightness), answer.lens[: order.lens]]
         if order.beam == "band":
             parts.append(
@@ -223,7 +224,7 @@ class CardModel:
         _, lens, beams, _ = self._places(order)
         low, high = np.full((2, self.size(order)), [[-np.inf], [np.inf]])
         low[list(lens)], high[list(lens)] = -0.95, 0.95
-        low[list(beams)], high[list(beams)] = _MIN_EXPONENT, 200.0
+        low[list(beams)], high[list(beams)] = MIN_LOBE_EXPONENT, 200.0
         return low, high
 
     def project(self, vector: Array, order: Order) -> Array:
@@ -232,7 +233,7 @@ class CardModel:
         moved = np.clip(vector, *self.bounds(order))
         if order.aims:
             _, _, beams, tilts = self._places(order)
-            needed = np.abs(moved[list(tilts)]).reshape(-1, 2).max(axis=1) / _MAX_TILT
+            needed = np.abs(moved[list(tilts)]).reshape(-1, 2).max(axis=1) / MAX_AIM_TILT
             own = self.band if order.beam == "band" else np.arange(self.count)
             np.maximum.at(moved, np.asarray(beams, dtype=np.intp)[own], needed)
         return np.asarray(moved)

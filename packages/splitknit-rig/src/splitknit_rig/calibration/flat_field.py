@@ -28,15 +28,23 @@ from splitknit_rig.calibration.card_model import (
     Order,
     rays_to_led,
 )
+from splitknit_rig.calibration.parameters import (
+    DUST_PERCENT,
+    ENOUGH_FRACTION,
+    ENOUGH_PERCENT,
+    FIT_STAGES,
+    GLOSS_WIDTHS_DEG,
+    MAX_DUST,
+    MAX_EMPTY,
+    MIN_FIELD,
+    ROBUST_PERCENT,
+)
 
 # Robust least squares for the model of a white card, by scipy with weights of the card's places.
 #
 # Dust lies on the card: it darkens a place under every LED. What departs under one LED alone is not
 # dust but that LED, and must be fitted, or show in its residuals. So a place is trusted by the
-# median of its residuals
-# over all LEDs.
-
-_STAGES = 10
+# median of its residuals over all LEDs.
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -64,7 +72,7 @@ def _fit_order(
         rows = model.jacobian(model.answer(vector, order), order) * root[:, None]
         return np.concatenate([rows.reshape(-1, len(vector)), np.diag(inverse)])
 
-    for _ in range(_STAGES):
+    for _ in range(FIT_STAGES):
         root = np.sqrt(weight) / scale
         fitted = least_squares(
             residuals, vector, slopes, model.bounds(order), args=(root,), ftol=1e-7
@@ -81,10 +89,6 @@ def _fit_order(
 
 # Whether a card shines: a bright spot that stands where a mirror would show the LED, and moves with
 # it.
-
-WIDTHS_DEG = (3.0, 6.0)
-"""Widths of the spot: standard deviation of the angle from the card's normal to the half vector of
-LED and camera."""
 
 
 def _half_angles(camera: Camera, led: Led, pixels: Array, card: CardPlane) -> Array:
@@ -112,7 +116,7 @@ def _card_gloss(
     inverse, slope = np.linalg.pinv(rows.T @ rows, rcond=1e-12), rows.T @ left
     noise = float(np.sqrt(np.mean(left**2)))
     gloss = (0.0, np.inf)
-    for width in WIDTHS_DEG:
+    for width in GLOSS_WIDTHS_DEG:
         spot = np.exp(-0.5 * (half_angles_deg[used] / width) ** 2)
         shared, whole = rows.T @ spot, float(spot @ spot)
         own = whole - float(shared @ inverse @ shared)
@@ -122,22 +126,6 @@ def _card_gloss(
                 gloss, (value, float(noise / np.sqrt(own))), key=lambda spot: spot[0] / spot[1]
             )
     return gloss
-
-
-_ROBUST_PERCENT = 0.5
-"""Places whose residuals under all LEDs (in the median) lie beyond this many per cent count less
-and less: dust."""
-_ENOUGH_PERCENT = 0.05
-"""The simplest model is taken whose rms exceeds the best one's by no more than this (added in
-squares) ..."""
-_ENOUGH_FRACTION = 0.05
-"""... or by no more than this fraction of it."""
-# a cell that is darker than this fraction of the model's brightness does not show the card
-_MIN_FIELD = 0.3
-_MAX_EMPTY = 0.005  # fraction of the cells that may be so
-MAX_DUST = 0.05  # largest fraction of dust; beyond it the card is not uniform
-# a cell that departs further under all LEDs is counted as dust and left out of the residuals
-DUST_PERCENT = 2.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -204,7 +192,7 @@ def fit_flat_field(
             f"LED {k} ({led.band}) shows the card at {100 * level[k] / usual:.0f} % of the"
             " brightness of its band: it did not light; check its wire and take the card again.",
         )
-    scale = 0.01 * _ROBUST_PERCENT
+    scale = 0.01 * ROBUST_PERCENT
     fits: list[_CardFit] = []
     for order in LADDER:
         fits.append(_fit_order(model, start, order, logarithm, scale))
@@ -217,7 +205,7 @@ def fit_flat_field(
         not dust.all(), "the card is not uniform: no part of the picture looks like an even card."
     )
     rms = [100 * float(np.sqrt(np.mean(residual[:, ~dust] ** 2))) for residual in residuals]
-    enough = max(float(np.hypot(min(rms), _ENOUGH_PERCENT)), (1 + _ENOUGH_FRACTION) * min(rms))
+    enough = max(float(np.hypot(min(rms), ENOUGH_PERCENT)), (1 + ENOUGH_FRACTION) * min(rms))
     best = next(k for k, value in enumerate(rms) if value <= enough)
     fit = fits[best]
     rest = np.where(dust, np.nan, residuals[-1])
@@ -253,9 +241,9 @@ def _check_field(ratio: Array) -> None:
     """Refuse a card that ends inside the picture: cells that are far darker than the rest under
     most LEDs."""
     usual = np.median(ratio, axis=0)
-    fraction = float((usual < _MIN_FIELD).mean())
+    fraction = float((usual < MIN_FIELD).mean())
     require(
-        fraction <= _MAX_EMPTY,
+        fraction <= MAX_EMPTY,
         f"the card does not fill the field: {100 * fraction:.0f} % of the picture is far darker"
         " than the rest; take a larger card, or move it until it reaches over all borders.",
     )

@@ -13,6 +13,7 @@ import numpy as np
 
 from splitknit import Camera, Led, Rig, write_rig
 from splitknit.errors import Refused, read_bytes, refusing, require
+from splitknit.findings import Finding, worst_first
 from splitknit.imaging.response import shading_is_srgb
 from splitknit.imaging.view import plane_points
 from splitknit.io.light_list import LIST_TITLE, write_light_list
@@ -47,9 +48,9 @@ from splitknit_rig.calibration.lights_found import (
     point_of,
     rig_of,
 )
-from splitknit_rig.calibration.nail_photos import NAIL_SD_MM, read_stack, tips_of_photos
+from splitknit_rig.calibration.nail_photos import read_stack, tips_of_photos
+from splitknit_rig.calibration.parameters import MIN_RIM_PX, NAIL_SD_MM, RIM_AGREED, RIM_OFF
 from splitknit_rig.calibration.sphere import (
-    RIM_PX,
     Ball,
     ball_of_mask,
     chrome_directions,
@@ -57,11 +58,6 @@ from splitknit_rig.calibration.sphere import (
     grey_directions,
     rim_of,
 )
-
-_RIM_AGREED = 0.5
-"""Fraction of all rays that must agree on a ball's rim: 0.53 on a photographed chrome ball that is
-half dark on dark, 0.55 and more on drawn ones, up to 0.40 where there is nothing but noise."""
-_RIM_OFF = 0.005  # fraction of the radius by which the rim must lie off the mask to replace it
 
 
 def check_lights_file(out: Path | None) -> None:
@@ -216,6 +212,8 @@ def lights_of_nail(
     )
     # a nail in photographs is located better than one that is clicked
     rules = replace(rules, nail=replace(rules.nail, sd_mm=NAIL_SD_MM))
+    gone = f"the shadow leaves the picture for {', '.join(lost)}."
+    findings = [Finding("shadow-out-of-view", gone)] if lost else []
     try:
         lights = lights_of_tips(tips, rig, circle, rules, hashes, name=str(folder))
     except Refused as error:
@@ -223,9 +221,15 @@ def lights_of_nail(
         files: Any = plain_json(
             {"show": show, "tips_out": tips_out, "shadows_out_of_the_picture": lost}
         )
+        files["findings"] = [*error.facts["findings"], *(finding.facts for finding in findings)]
         raise Refused(f"{str(error).rstrip('.')}{pictured}.", {**error.facts, **files}) from error
     lights = replace(
-        lights, out=out, show=show, tips_out=tips_out, shadows_out_of_the_picture=tuple(lost)
+        lights,
+        findings=worst_first([*lights.findings, *findings]),
+        out=out,
+        show=show,
+        tips_out=tips_out,
+        shadows_out_of_the_picture=tuple(lost),
     )
     _write(lights)
     return lights
@@ -237,7 +241,6 @@ class LightsOfBall(CalibratedLights):
 
     ball: Ball | None = None
     encoding: str = "linear"
-    notes: tuple[str, ...] = ()
 
     def lines(self) -> list[str]:
         """See :meth:`CalibratedLights.lines`."""
@@ -245,7 +248,7 @@ class LightsOfBall(CalibratedLights):
         for led in self.leds:
             x, y, z = led.direction
             lines.append(f"  {led.image}  towards ({x:+.4f}, {y:+.4f}, {z:+.4f})")
-        lines += [f"Please note: {note}" for note in self.notes]
+        lines += [f"Please note: {finding}" for finding in self.findings]
         lines.append(self.written_line())
         if self.out is not None:
             lines.append(
@@ -286,16 +289,16 @@ def lights_of_ball(
         )
     stack, digests = read_stack(paths, base.camera.image_size, encoding or "linear", upright=True)
     hashes = {file.relative_to(folder).as_posix(): digest for file, digest in digests.items()}
-    notes: list[str] = []
+    findings: list[Finding] = []
     if mask is None:
         ball = find_ball(stack)
     else:
-        ball, notes = _ball_within(mask, stack, kind)
+        ball, findings = _ball_within(mask, stack, kind)
         hashes[mask.name] = file_hash(mask)
-    assumed, note = encoding, ""
+    assumed = encoding
     if assumed is None:
         assumed, note = encoding_of(paths, lambda: kind == "grey" and _ball_is_srgb(stack, ball))
-        notes += [note] if note else []
+        findings.append(Finding("assumed-encoding", note))
         if assumed == "srgb":
             stack, _ = read_stack(paths, base.camera.image_size, assumed, upright=True)
     place = _BallPlace(np.zeros(3))
@@ -340,11 +343,10 @@ def lights_of_ball(
         kind,
         tuple(calibrated),
         rig,
-        tuple(notes),
+        worst_first(findings),
         out=out,
         ball=ball,
         encoding=assumed,
-        notes=tuple(notes),
     )
     _write(result)
     return result
@@ -427,8 +429,8 @@ def _photographs(folder: Path) -> list[tuple[str, int, Path]]:
     ]
 
 
-def _ball_within(mask: Path, stack: FloatArray, kind: str) -> tuple[Ball, list[str]]:
-    """The ball within the rim that the photographs (L, H, W) show near a mask, and notes."""
+def _ball_within(mask: Path, stack: FloatArray, kind: str) -> tuple[Ball, list[Finding]]:
+    """The ball within the rim that the photographs (L, H, W) show near a mask, and findings."""
     pixels = read_photo(mask).pixels
     rows, columns = stack.shape[1:]
     require(
@@ -439,23 +441,24 @@ def _ball_within(mask: Path, stack: FloatArray, kind: str) -> tuple[Ball, list[s
     ball = ball_of_mask(pixels.mean(axis=2) > np.iinfo(pixels.dtype).max / 2)
     rim, agreed = rim_of(stack, ball)
     per_radius = 2.0 if kind == "chrome" else 1.0  # a mirror doubles what its normal turns by
-    if agreed < _RIM_AGREED:
-        small = (
-            f", as the ball is smaller than {2 * RIM_PX:g} px" if ball.radius_px < RIM_PX else ""
-        )
-        return ball, [
+    if agreed < RIM_AGREED:
+        is_small = ball.radius_px < MIN_RIM_PX
+        small = f", as the ball is smaller than {2 * MIN_RIM_PX:g} px" if is_small else ""
+        words = (
             f"the ball's rim is not found in the photographs near its mask{small}, so that nothing"
             " checks it: each pixel of error turns the lights by"
             f" {math.degrees(per_radius / ball.radius_px):.1f} deg; see that the mask ends at the"
             " rim."
-        ]
+        )
+        return ball, [Finding("unchecked-mask", words)]
     offset = math.hypot(ball.column - rim.column, ball.row - rim.row)
     larger = ball.radius_px - rim.radius_px
-    if offset + abs(larger) < max(_RIM_OFF * rim.radius_px, 0.5):
+    if offset + abs(larger) < max(RIM_OFF * rim.radius_px, 0.5):
         return ball, []
     turned = math.degrees((per_radius * offset + 0.6 * abs(larger)) / rim.radius_px)
-    return rim, [
+    words = (
         f"the mask lies {offset:.1f} px beside the ball's rim in the photographs, and its radius is"
         f" {100.0 * larger / rim.radius_px:+.1f} % off: the rim is used; by the mask the lights"
         f" would be some {turned:.1f} deg off."
-    ]
+    )
+    return rim, [Finding("corrected-mask", words)]

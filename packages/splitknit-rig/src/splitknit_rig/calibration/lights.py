@@ -30,9 +30,11 @@ from splitknit.errors import refusing, require
 from splitknit.imaging.view import plane_points
 from splitknit.io.csv_table import csv_text
 from splitknit.model import Array
+from splitknit_rig.calibration.parameters import MIN_TIP_MM
 
 BANDS = ("white", "nir")
 LEDS_PER_BAND = 7
+"""Source: the thesis's rig of seven white and seven NIR LEDs."""
 COLUMNS = ("band", "led", "nail", "nail_x_px", "nail_y_px", "tip_x_px", "tip_y_px")
 
 
@@ -165,9 +167,6 @@ def _number(text: str, where: str, column: str) -> float:
     return value
 
 
-SHADOW_MM = 0.2  # a tip nearer to its nail than this shows no shadow
-
-
 @dataclass(frozen=True, slots=True)
 class Circle:
     """The circle on which the LEDs sit, as it is measured with a ruler."""
@@ -278,7 +277,7 @@ def _check_shadows(tips: Sequence[Tip], nails: Array, ends: Array, circle: Circl
     shadow = np.linalg.norm(nails - ends, axis=1)
     for k, tip in enumerate(tips):
         require(
-            shadow[k] >= SHADOW_MM,
+            shadow[k] >= MIN_TIP_MM,
             f"{tip.name}: there is no shadow, for its tip lies {shadow[k]:.2f} mm from the nail;"
             " correct the row, or photograph a longer nail.",
         )

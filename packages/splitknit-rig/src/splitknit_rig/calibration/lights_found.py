@@ -13,6 +13,7 @@ import numpy as np
 from splitknit import BadInput, Camera, Led, Rig
 from splitknit.arguments import text_of
 from splitknit.errors import Refused, require
+from splitknit.findings import Finding, Severity, worst_first
 from splitknit.imaging.view import plane_points
 from splitknit.io.provenance import plain_json, provenance
 from splitknit.model import Array, side_lights
@@ -28,7 +29,14 @@ from splitknit_rig.calibration.lights import (
     name_of_led,
     pixels,
 )
-from splitknit_rig.calibration.nail import STRAY_MM, JointFit, Nail, by_joint_fit
+from splitknit_rig.calibration.nail import JointFit, Nail, by_joint_fit
+from splitknit_rig.calibration.parameters import (
+    BEYOND_BORDER,
+    COPY_MM,
+    MOVE_MM,
+    SAME_NAIL_MM,
+    STRAY_LED_MM,
+)
 
 LedName = tuple[str, int]
 """Band, and number in it."""
@@ -40,14 +48,6 @@ OK, DISAGREES, COPIED, UNCHECKED, STRAYS = (
     "unchecked",
     "off the circle",
 )
-_BEYOND = 0.02
-"""Part of the image's size by which a pixel may lie beyond its border: clicked beside the last
-pixel, not elsewhere."""
-_COPY_MM = 0.4
-"""Shadow tips of two nail positions nearer than this on the finger plane repeat; the thesis's
-copies lie up to 0.22."""
-_MOVE_MM = 1.0  # nail positions that are nearer than this are one position
-_SAME_NAIL_MM = 1.0  # the nail's pixel may differ so much between the rows of one position
 
 
 @dataclass(frozen=True, slots=True)
@@ -85,7 +85,7 @@ class CalibratedLights:
     leds: tuple[CalibratedLed, ...]
     rig: Rig
     """With these lights, as it is written."""
-    warnings: tuple[str, ...] = ()
+    findings: tuple[Finding, ...] = ()
     out: Path | None = None
     """The file that was written."""
 
@@ -93,7 +93,8 @@ class CalibratedLights:
     def facts(self) -> Any:
         """What ``splitknit calibrate lights`` prints as JSON."""
         document = {field: value for field, value in vars(self).items() if field != "rig"}
-        return plain_json({**document, "written": self.out is not None})
+        findings = [finding.facts for finding in self.findings]
+        return plain_json({**document, "findings": findings, "written": self.out is not None})
 
     def lines(self) -> list[str]:
         """What the method found, for people."""
@@ -148,11 +149,8 @@ class LightsOfNail(CalibratedLights):
             )
         if self.nail_height_mm is not None:
             lines.append(f"The nail is {self.nail_height_mm:.1f} mm high, from its shadows.")
-        lines += [f"Please note: {warning}" for warning in self.warnings]
+        lines += [f"Please note: {finding}" for finding in self.findings]
         lines.append(self.written_line())
-        if self.shadows_out_of_the_picture:
-            names = ", ".join(self.shadows_out_of_the_picture)
-            lines.append(f"Please note: the shadow leaves the picture for {names}.")
         if self.show:
             lines.append(
                 f"Please look at {self.show}: nail (cross), shadow tip (ring), ray to the LED"
@@ -230,9 +228,9 @@ def lights_of_tips(
                 *intervals.get((band, number), (None, None)),
             )
         )
-    warnings = _warnings(verdicts, joint, sound)
+    findings = _findings(verdicts, joint, sound)
     if rules.keep and sentence:
-        warnings.append(f"kept although {sentence}")
+        findings.append(Finding("kept-leds", f"kept although {sentence}", Severity.DOUBT))
     origin = provenance(
         {"method": method, "circle": circle, "limit_deg": rules.limit_deg, "nail": rules.nail},
         hashes,
@@ -246,12 +244,12 @@ def lights_of_tips(
             f"the side lights {listed(beside)} keep the places that the rig file had; a ball"
             " measures them"
         )
-        warnings.append(note)
+        findings.append(Finding("side-lights-kept", note))
     lights = LightsOfNail(
         method,
         tuple(leds),
         rig,
-        tuple(warnings),
+        worst_first(findings),
         limit_deg=rules.limit_deg,
         nail_positions=positions,
         nail_height_mm=height,
@@ -287,28 +285,30 @@ def rig_of(
     )
 
 
-def _warnings(
+def _findings(
     verdicts: Mapping[LedName, str], joint: JointFit | None, tips: Sequence[Tip]
-) -> list[str]:
-    warnings = []
+) -> list[Finding]:
+    findings = []
     if UNCHECKED in verdicts.values():
-        warnings.append(
+        words = (
             "the nail stood in one place only, so that nothing checks the directions; photograph it"
             " in a second place."
         )
+        findings.append(Finding("one-nail-position", words))
     if joint is not None and joint.outliers:
         astray = [
             f"{tips[row].name} ({np.linalg.norm(joint.residual_px[row]):.0f} px)"
             for row in joint.outliers
         ]
-        warnings.append(
+        words = (
             "these shadow tips lie far from where all others put them and were given little"
             f" weight: {', '.join(astray)}."
         )
+        findings.append(Finding("stray-tips", words))
     bands = {band for band, _ in verdicts}
     if len(bands) == 1:
-        warnings.append(f"the table has {min(bands)} LEDs only.")
-    return warnings
+        findings.append(Finding("one-band", f"the table has {min(bands)} LEDs only."))
+    return findings
 
 
 def check_tips(tips: Sequence[Tip], image_size: tuple[int, int], name: str = "the table") -> None:
@@ -317,7 +317,10 @@ def check_tips(tips: Sequence[Tip], image_size: tuple[int, int], name: str = "th
     rows, columns = image_size
     for tip in tips:
         for what, (x, y) in (("nail", tip.nail_px), ("shadow's tip", tip.tip_px)):
-            inside = -_BEYOND <= x / columns <= 1 + _BEYOND and -_BEYOND <= y / rows <= 1 + _BEYOND
+            inside = (
+                -BEYOND_BORDER <= x / columns <= 1 + BEYOND_BORDER
+                and -BEYOND_BORDER <= y / rows <= 1 + BEYOND_BORDER
+            )
             require(
                 inside,
                 f"{name}: {tip.name}: the {what} at x = {x:g}, y = {y:g} lies outside the image of"
@@ -353,7 +356,7 @@ def copied_leds(tips: Sequence[Tip], camera: Camera) -> set[LedName]:
     for i, j in combinations(range(len(tips)), 2):
         moved, apart = (float(np.linalg.norm(places[i] - places[j])) for places in (nails, ends))
         same = (tips[i].band, tips[i].led) == (tips[j].band, tips[j].led)
-        if same and apart <= _COPY_MM and moved > _MOVE_MM:
+        if same and apart <= COPY_MM and moved > MOVE_MM:
             copied.add((tips[i].band, tips[i].led))
     return copied
 
@@ -367,7 +370,7 @@ def check_nails(tips: Sequence[Tip], camera: Camera) -> None:
         middle = np.median(places, axis=0)
         spread = float(np.linalg.norm(places - middle, axis=1).max())
         require(
-            spread <= _SAME_NAIL_MM,
+            spread <= SAME_NAIL_MM,
             f"nail {nail} of the {band} LEDs stands at places {spread:.1f} mm from each other; a"
             " nail number is one position, so correct its pixels or give each position a number of"
             " its own.",
@@ -376,7 +379,7 @@ def check_nails(tips: Sequence[Tip], camera: Camera) -> None:
     for first, second in combinations(sorted(middles), 2):
         distance = float(np.linalg.norm(middles[first] - middles[second]))
         require(
-            first[0] != second[0] or distance > _MOVE_MM,
+            first[0] != second[0] or distance > MOVE_MM,
             f"nails {first[1]} and {second[1]} of the {first[0]} LEDs stand {distance:.2f} mm from"
             " each other, which is one position; move the nail by a centimetre between them, or"
             " correct its pixels.",
@@ -417,7 +420,7 @@ def refusal(
     sentences = {
         DISAGREES: f"two nail positions disagree by more than {limit_deg:g} deg about {{}}",
         COPIED: "the shadow tips of {} are copies: they repeat although the nail moved",
-        STRAYS: f"{{}} would stand more than {STRAY_MM:g} mm outside or inside the LED circle",
+        STRAYS: f"{{}} would stand more than {STRAY_LED_MM:g} mm outside or inside the LED circle",
     }
     parts = [
         text.format(listed(named[verdict]))

@@ -43,17 +43,16 @@ from splitknit_rig.calibration.lights import (
     nail_points,
     pixels,
 )
-
-_NAIL_HEIGHT_SD_MM = 1.0  # standard deviation of the known height
-# standard deviation of the circle's centre (each way), radius and height from the drawing's values
-_CIRCLE_SD_MM = 1.0
-# takes the place of all deviations of LEDs and circle where the nail's height is known
-_FREE_SD_MM = 30.0
-_TIP_SD_PX = 1.0  # standard deviation of a shadow tip in the image, along each axis
-_LED_SD_MM = 1.0  # of each LED's distance from the circle, radially and in height
-# a tip this many standard deviations from its place is named, and has lost most of its weight
-_OUTLIER = 4.0
-STRAY_MM = 10.0  # an LED further than this off the fitted circle is refused
+from splitknit_rig.calibration.parameters import (
+    CIRCLE_SD_MM,
+    FREE_SD_MM,
+    LED_SD_MM,
+    MAX_NAIL_HEIGHT,
+    NAIL_HEIGHT_SD_MM,
+    STRAY_LED_MM,
+    STRAY_TIP,
+    TIP_SD_PX,
+)
 
 
 @dataclass(frozen=True, slots=True)
@@ -87,10 +86,10 @@ class _NailModel:
         self.known = nail.height_mm is not None
         self.at_height = 3 * len(self.names) + 2 * len(self.places_px)
         """Where in the vector the nail's height is."""
-        self.led_sd = _FREE_SD_MM if self.known else _LED_SD_MM
-        self.offset_sd = _FREE_SD_MM if self.known else _CIRCLE_SD_MM
+        self.led_sd = FREE_SD_MM if self.known else LED_SD_MM
+        self.offset_sd = FREE_SD_MM if self.known else CIRCLE_SD_MM
         self.nail_sd_px = nail.sd_mm * camera.px_per_mm
-        self.top = HIGHEST * min(circle.height_mm, camera.height_mm)
+        self.top = MAX_NAIL_HEIGHT * min(circle.height_mm, camera.height_mm)
 
     def parts(self, x: Array) -> tuple[Array, Array, float, Array]:
         """LEDs (L, 3), nail places (P, 2), nail height, and the circle's four offsets."""
@@ -112,12 +111,12 @@ class _NailModel:
         """All residuals in standard deviations; `weights` (N,) are the tips'."""
         circle = self.circle
         leds, places, height, offsets = self.parts(x)
-        tip = -self.tip_residuals(x) * np.sqrt(weights)[:, None] / _TIP_SD_PX
+        tip = -self.tip_residuals(x) * np.sqrt(weights)[:, None] / TIP_SD_PX
         nail = (self._pixels(places, height) - self.places_px) / self.nail_sd_px
         arms = leds[:, :2] - np.asarray(circle.centre_mm) - offsets[:2]
         out = (np.linalg.norm(arms, axis=1) - circle.radius_mm - offsets[2]) / self.led_sd
         up = (leds[:, 2] - circle.height_mm - offsets[3]) / self.led_sd
-        known = [(height - (self.nail.height_mm or 0.0)) / _NAIL_HEIGHT_SD_MM] if self.known else []
+        known = [(height - (self.nail.height_mm or 0.0)) / NAIL_HEIGHT_SD_MM] if self.known else []
         return np.concatenate([tip.ravel(), nail.ravel(), out, up, offsets / self.offset_sd, known])
 
     def _pixels(self, places: Array, height: float) -> Array:
@@ -144,9 +143,6 @@ def _places(tips: Sequence[Tip], camera: Camera, nail_px: Array) -> tuple[NDArra
     names = list(dict.fromkeys(keys))
     place_of = np.array([names.index(key) for key in keys], dtype=np.intp)
     return place_of, np.array([nail_px[place_of == k].mean(axis=0) for k in range(len(names))])
-
-
-HIGHEST = 0.6  # a nail is taken to be lower than this part of the LEDs' height
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -192,8 +188,8 @@ def _solve(model: _NailModel) -> OptimizeResult:
     for sharpness in (64.0, 32.0, 16.0, 8.0, 4.0, 2.0, *(1.0,) * 10):
         fit = least_squares(model.residuals, x, method="lm", xtol=1e-7, args=(weights,))
         before, x = x, fit.x
-        distance = np.linalg.norm(model.tip_residuals(x), axis=1) / _TIP_SD_PX
-        weights = 1.0 / (1.0 + (distance / (_OUTLIER * sharpness)) ** 2) ** 2
+        distance = np.linalg.norm(model.tip_residuals(x), axis=1) / TIP_SD_PX
+        weights = 1.0 / (1.0 + (distance / (STRAY_TIP * sharpness)) ** 2) ** 2
         if sharpness == 1.0 and float(np.abs(x - before).max()) < 1e-5:
             break
     return fit
@@ -203,7 +199,7 @@ def _result(model: _NailModel, fit: OptimizeResult) -> JointFit:
     circle = model.circle
     leds, places, height, offsets = model.parts(fit.x)
     residual_px = model.tip_residuals(fit.x)
-    astray = np.linalg.norm(residual_px, axis=1) > _OUTLIER * _TIP_SD_PX
+    astray = np.linalg.norm(residual_px, axis=1) > STRAY_TIP * TIP_SD_PX
     freedom = max(fit.fun.size - fit.x.size, 1)
     # where the residuals exceed their stated deviation
     wider = max(1.0, 2.0 * float(fit.cost) / freedom)
@@ -226,7 +222,7 @@ def _result(model: _NailModel, fit: OptimizeResult) -> JointFit:
         degrees.append(np.degrees(_radius_95(turn @ block @ turn.T)))
         sizes.append(_radius_95(block))
     arms = leds[:, :2] - np.asarray(circle.centre_mm) - offsets[:2]
-    off = np.abs(np.linalg.norm(arms, axis=1) - circle.radius_mm - offsets[2]) > STRAY_MM
+    off = np.abs(np.linalg.norm(arms, axis=1) - circle.radius_mm - offsets[2]) > STRAY_LED_MM
     return JointFit(
         leds=tuple(estimates),
         interval_deg=np.array(degrees),

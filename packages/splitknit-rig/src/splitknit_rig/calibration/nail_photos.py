@@ -15,20 +15,18 @@ from splitknit import Camera
 from splitknit.errors import read_bytes, require
 from splitknit.imaging.band import linear_image
 from splitknit.io.atomic import write_file
-from splitknit.io.images import MAX_BYTES, decode_image, write_image
+from splitknit.io.images import decode_image, write_image
+from splitknit.io.parameters import MAX_BYTES
 from splitknit.io.photograph_files import natural_order
 from splitknit.io.photos import decode_photo, encoding_of
 from splitknit.io.pictures import ORANGE, PAPER, SKY, ColourArray
 from splitknit.io.targets import check_file, check_picture
 from splitknit.model import Array, FloatArray, Progress, no_progress
 from splitknit_rig.calibration.lights import BANDS, LEDS_PER_BAND, Tip, led_of_file, write_tips
+from splitknit_rig.calibration.parameters import NAIL_TILE_PX
 from splitknit_rig.calibration.shadow import NailView, find_nail
 
-NAIL_SD_MM = 0.05
-"""Standard deviation of the nail's place in photographs; 0.01 mm in the twin, but nails stand a
-little askew."""
 SUFFIXES = (".png", ".tif", ".tiff", ".jpg", ".jpeg")
-_TILE_COLUMNS = 400
 Files = dict[tuple[int, str], list[Path]]
 """Files by nail position and band, in the order of the LEDs."""
 _Tile = tuple[str, FloatArray, NailView, int]
@@ -197,9 +195,9 @@ def _nail_overview(tiles: Sequence[_Tile], image_size: tuple[int, int]) -> Colou
 
 def _nail_tile(tile: _Tile, image_size: tuple[int, int]) -> ColourArray:
     name, image, view, led = tile
-    scale = _TILE_COLUMNS / image_size[1]
+    scale = NAIL_TILE_PX / image_size[1]
     grey = cv2.resize(
-        image, (_TILE_COLUMNS, max(1, round(image_size[0] * scale))), interpolation=cv2.INTER_AREA
+        image, (NAIL_TILE_PX, max(1, round(image_size[0] * scale))), interpolation=cv2.INTER_AREA
     )
     top = max(float(np.percentile(grey, 99.5)), 1e-6)
     shade = np.rint(255.0 * np.clip(grey / top, 0, 1) ** (1 / 2.2)).astype(np.uint8)

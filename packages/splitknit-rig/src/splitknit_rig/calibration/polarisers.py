@@ -20,6 +20,7 @@ from scipy.ndimage import map_coordinates, spline_filter
 
 from splitknit import Band, Capture, read_capture, write_rig
 from splitknit.errors import naming, require
+from splitknit.findings import Finding
 from splitknit.imaging.band import GREY_WEIGHTS, block_means, linear_channels, pick_channel
 from splitknit.imaging.polarised import crossed_place, undone
 from splitknit.io.capture import with_rig
@@ -27,19 +28,18 @@ from splitknit.io.images import write_image
 from splitknit.io.provenance import plain_json, provenance
 from splitknit.io.targets import check_picture, check_rig_file
 from splitknit.model import Array, BoolArray, Films, FloatArray, Progress, no_progress
+from splitknit_rig.calibration.parameters import (
+    FILM_CELLS,
+    FULL_SCALE,
+    LEAK_ERROR,
+    LED_STEADINESS,
+    MATT_PERCENT,
+    MAX_LEAK,
+    MIN_LIKENESS,
+    NEIGHBOUR_MM,
+    SHIFT_LEVELS_PX,
+)
 from splitknit_rig.calibration.radiometry_folder import residual_tile, rounded
-
-_CLIPPED = 0.985
-_LEVELS_PX = (8.0, 4.0, 2.0)
-"""Standard deviations of the blur under which both images of the card are brought onto each
-other."""
-_MIN_LIKENESS = 0.5  # correlation of their details; a card without print has none
-_ACROSS = 60  # cells along the longer side of the card's picture
-# relative deviation of an LED's light from one photograph to the next, with its shot noise
-_STEADY = 0.004
-_NEIGHBOUR_MM = 1.0  # how far apart on the ball LEDs beside each other are mirrored
-_MATT_PERCENT, _MAX_LEAK = 1.0, 0.05
-_LEAK_ERROR = 2.5e-4  # half of the largest error of what is left, on simulated rigs
 
 
 def films_to_file(
@@ -74,16 +74,20 @@ def films_to_file(
     light = naming(folder / "ball", lambda: measure_ball(ball, films))
     both = light[:, 0, 0] + light[:, 1, 0]
     leak = light[:, 1, 0] / both
-    error = np.hypot(np.hypot(light[:, 1, 1], leak * light[:, 0, 1]) / both, _LEAK_ERROR)
+    error = np.hypot(np.hypot(light[:, 1, 1], leak * light[:, 0, 1]) / both, LEAK_ERROR)
     facts["leak_interval"] = [
         [rounded(max(a - 2 * b, 0.0)), rounded(a + 2 * b)] for a, b in zip(leak, error, strict=True)
     ]
-    facts["warnings"] += [
-        f"light {k}: {100 * part:.1f} % of the specular light is left in the crossed image; turn"
-        " its film or the analyser."
+    leaking = [
+        Finding(
+            "film-leak",
+            f"light {k}: {100 * part:.1f} % of the specular light is left in the crossed image;"
+            " turn its film or the analyser.",
+        )
         for k, part in enumerate(leak)
-        if part > _MAX_LEAK
+        if part > MAX_LEAK
     ]
+    facts["findings"] += [finding.facts for finding in leaking]
     films = replace(films, leak=tuple(rounded(float(part)) for part in np.clip(leak, 0.0, 0.499)))
     hashes = {
         f"{name}/{file}": digest
@@ -123,7 +127,7 @@ def _grey(band: Band, k: int, encoding: str) -> FloatArray:
 
 
 def _clipped(band: Band, k: int) -> BoolArray:
-    top = _CLIPPED * float(np.iinfo(band.pixels.dtype).max)
+    top = FULL_SCALE * float(np.iinfo(band.pixels.dtype).max)
     return np.asarray((band.pixels[k] >= top).any(axis=-1))
 
 
@@ -142,7 +146,7 @@ def measure_card(card: Capture) -> tuple[Films, dict[str, Any], list[Array]]:
     inner = np.zeros(card.shape, dtype=np.float32)
     margin = 4 + int(np.hypot(*films.shift_px))
     inner[margin:-margin, margin:-margin] = 1.0
-    side = max(4, max(card.shape) // _ACROSS)
+    side = max(4, max(card.shape) // FILM_CELLS)
     cells = (card.shape[0] // side, card.shape[1] // side)
     brightness = []
     residuals = []
@@ -179,11 +183,14 @@ def measure_card(card: Capture) -> tuple[Films, dict[str, Any], list[Array]]:
         "residual_largest_percent": [
             rounded(100 * float(np.nanmax(np.abs(residual)))) for residual in residuals
         ],
-        "warnings": [
-            f"the card's crossed image {k} departs by {departure:.1f} % (rms) from a parallel one"
-            " of other brightness; use a matt card."
+        "findings": [
+            Finding(
+                "glossy-card",
+                f"the card's crossed image {k} departs by {departure:.1f} % (rms) from a parallel"
+                " one of other brightness; use a matt card.",
+            ).facts
             for k, departure in enumerate(rms)
-            if departure > _MATT_PERCENT and near.leds[k] == far.leds[k]
+            if departure > MATT_PERCENT and near.leds[k] == far.leds[k]
         ],
     }
     rows = tuple(tuple(map(rounded, row.tolist())) for row in brightness)
@@ -199,7 +206,7 @@ def _shift(parallel: FloatArray, crossed: FloatArray) -> tuple[Films, Array]:
     deviations (3,)."""
     crossed = crossed * np.float32(parallel.mean() / max(float(crossed.mean()), 1e-9))
     films = Films((), (), ())
-    for sigma in _LEVELS_PX:
+    for sigma in SHIFT_LEVELS_PX:
         blurs = (sigma, 4.0 * sigma)  # what is finer than the second and coarser than the first
         fixed, moving = (
             np.subtract(
@@ -239,7 +246,7 @@ def _shift(parallel: FloatArray, crossed: FloatArray) -> tuple[Films, Array]:
             float(np.corrcoef(seen, here)[0, 1]) if float(seen.std() * here.std()) > 0 else 0.0
         )
     require(
-        likeness >= _MIN_LIKENESS,
+        likeness >= MIN_LIKENESS,
         "the parallel and the crossed image of the card show no common details; photograph a matt"
         " card with print on it, such as the board of 'splitknit rig target', and leave it in place"
         " while the analyser is turned.",
@@ -289,7 +296,7 @@ def measure_ball(ball: Capture, films: Films) -> Array:
         place = Spot(round(float(column)), round(float(row)), spot.radius_px)
         if led != crossed_led:  # films at right angles on LEDs beside each other
             grey = cv2.GaussianBlur(_grey(far, k, ball.encoding), (0, 0), 1.0)
-            around = replace(place, radius_px=_NEIGHBOUR_MM * ball.rig.camera.px_per_mm).disc(
+            around = replace(place, radius_px=NEIGHBOUR_MM * ball.rig.camera.px_per_mm).disc(
                 grey.shape
             )
             at = np.unravel_index(int(np.argmax(np.where(around, grey, -np.inf))), grey.shape)
@@ -334,4 +341,4 @@ def _flux(band: Band, k: int, encoding: str, spot: Spot) -> Array:
     spread = 1.4826 * float(np.median(np.abs(ring - beside)))
     light = float((grey[disc] - beside).sum())
     pixels = disc.sum() * (1.0 + 1.57 * disc.sum() / max(ring.size, 1))
-    return np.array([light, np.sqrt(spread**2 * pixels + (_STEADY * light) ** 2)])
+    return np.array([light, np.sqrt(spread**2 * pixels + (LED_STEADINESS * light) ** 2)])

@@ -16,15 +16,27 @@ import numpy as np
 from splitknit import Band, Capture, Rig
 from splitknit.arguments import text_of
 from splitknit.errors import refusing, require
+from splitknit.findings import Finding, Severity, worst_first
 from splitknit.imaging.band import linear_image, linear_stack, pick_channel
 from splitknit.model import Array
 from splitknit_rig.calibration.card_model import CardPlane, card_light
-from splitknit_rig.calibration.flat_field import DUST_PERCENT, MAX_DUST, FlatField, fit_flat_field
+from splitknit_rig.calibration.flat_field import FlatField, fit_flat_field
 from splitknit_rig.calibration.lights import led_name
+from splitknit_rig.calibration.parameters import (
+    AMBIENT_PERCENT,
+    CARD_CELLS,
+    CELL_BLOCKS,
+    DRIFT_PERCENT,
+    DUST_PERCENT,
+    FULL_SCALE,
+    GLOSS_PERCENT,
+    MAX_CLIPPED_PERCENT,
+    MAX_DUST,
+    MAX_RESIDUAL_PERCENT,
+    MIN_CARD_LIGHT,
+    PATTERN_PERCENT,
+)
 from splitknit_rig.calibration.words import radiometry_lines
-
-_ACROSS = 40  # cells along the image's longer side
-_INNER = 5  # a cell's brightness is the median of the means of this many blocks a side
 
 
 def _cells_of(band: Band, encoding: str) -> tuple[Array, Array]:
@@ -33,13 +45,13 @@ def _cells_of(band: Band, encoding: str) -> tuple[Array, Array]:
     """
     size = band.pixels.shape[1:3]
     require(
-        min(size) >= 16 and max(size) >= _ACROSS,
+        min(size) >= 16 and max(size) >= CARD_CELLS,
         f"the images have {size[0]} x {size[1]} pixels, too few for a calibration; use at least"
-        f" {_ACROSS}.",
+        f" {CARD_CELLS}.",
     )
-    binning = max(1, round(max(size) / (_ACROSS * _INNER)))
+    binning = max(1, round(max(size) / (CARD_CELLS * CELL_BLOCKS)))
     stack = linear_stack(band, encoding, "grey", binning=binning)
-    inner = min(_INNER, max(1, max(size) // (binning * _ACROSS)))
+    inner = min(CELL_BLOCKS, max(1, max(size) // (binning * CARD_CELLS)))
     # what fills no cell is dropped
     rows, columns = stack.shape[1] // inner, stack.shape[2] // inner
     cells = (
@@ -51,12 +63,6 @@ def _cells_of(band: Band, encoding: str) -> tuple[Array, Array]:
     side = binning * inner
     row, column = np.mgrid[:rows, :columns] * side + (side - 1) / 2
     return np.stack([column, row], axis=-1), light
-
-
-# an image is refused if more than this fraction of its pixels is at full scale
-_MAX_CLIPPED_PERCENT = 0.5
-_FULL_SCALE = 0.985  # a value from here on is at full scale
-_MIN_LIGHT = 0.02  # an image whose median is below this fraction of full scale is black
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -155,16 +161,16 @@ def _images_of_leds(bands: Sequence[Band], rig: Rig) -> list[tuple[int, int]]:
 def _check_image(band: Band, k: int, rig: Rig) -> None:
     name = band.files[k] if band.files else f"image {k} of the band '{band.name}'"
     pixels, full = band.pixels[k], float(np.iinfo(band.pixels.dtype).max)
-    clipped = 100 * float((pixels.max(axis=2) >= _FULL_SCALE * full).mean())
+    clipped = 100 * float((pixels.max(axis=2) >= FULL_SCALE * full).mean())
     require(
-        clipped <= _MAX_CLIPPED_PERCENT,
+        clipped <= MAX_CLIPPED_PERCENT,
         f"{name} is clipped: {clipped:.1f} % of its pixels are at full scale (at most"
-        f" {_MAX_CLIPPED_PERCENT:g} % may be); take the card with a shorter exposure.",
+        f" {MAX_CLIPPED_PERCENT:g} % may be); take the card with a shorter exposure.",
     )
     middle = (float(np.median(pixels[::4, ::4])) - float(band.black_level[k])) / full
     led = band.leds[k][0]
     require(
-        middle > _MIN_LIGHT,
+        middle > MIN_CARD_LIGHT,
         f"{name} is black ({100 * middle:.1f} % of full scale): LED {led}"
         f" ({led_name(rig.leds, led)}) did not light, or the exposure is far too short.",
     )
@@ -180,14 +186,6 @@ def _ambient_percent(band: Band, encoding: str, light: Array) -> float | None:
 
 
 PROVENANCE = "radiometry"  # where a rig's provenance holds what is found here
-# a card whose mirror spot is brighter than this (and five of its errors) shines
-_GLOSS_PERCENT = 2.0
-_AMBIENT_PERCENT = 5.0  # light from elsewhere above which there is a warning, relative to the LEDs'
-LIMIT_PERCENT = 1.0  # largest rms of an LED's residuals
-DRIFT_PERCENT = 3.0  # departure of an LED from the calibration above which there is a warning
-_PATTERN_PERCENT = 1.0
-"""Departure of an LED's pattern on the card (robust deviation) above which it has moved or
-turned."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -202,7 +200,7 @@ class RadiometricCalibration:
     facts: Mapping[str, Any]
     """What is stored in the rig's provenance: plain JSON; of a rig that was written also ``out``
     and ``files``."""
-    warnings: tuple[str, ...]
+    findings: tuple[Finding, ...]
     base_tilt: bool = False
     """Whether the card was taken to lie as the rig's base does."""
 
@@ -214,7 +212,7 @@ def fit_radiometry(
     capture: Capture,
     rig: Rig,
     card: CardPlane | None = None,
-    limit_percent: float = LIMIT_PERCENT,
+    limit_percent: float = MAX_RESIDUAL_PERCENT,
 ) -> RadiometricCalibration:
     """Calibrate the light of a rig with calibrated camera and LEDs' places from a white card (on
     the finger plane by default) under each LED. Raises BadInput, naming what and where, if the
@@ -256,7 +254,7 @@ def fit_radiometry(
         flat_field=flat,
         images=images,
         facts=facts,
-        warnings=_warnings(rig, images, flat, limit_percent),
+        findings=_findings(rig, images, flat, limit_percent),
     )
 
 
@@ -282,9 +280,9 @@ def _check(flat: FlatField, rig: Rig, limit_percent: float) -> None:
         " the card, and that its beam is smooth (a frosted LED's is).",
     )
     require(
-        flat.gloss_percent <= max(_GLOSS_PERCENT, 5 * flat.gloss_error),
+        flat.gloss_percent <= max(GLOSS_PERCENT, 5 * flat.gloss_error),
         f"the card shines: it is {flat.gloss_percent:.1f} % brighter where a mirror would show the"
-        f" LEDs (at most {_GLOSS_PERCENT:g} % may be); use a matt card, such as uncoated paper or a"
+        f" LEDs (at most {GLOSS_PERCENT:g} % may be); use a matt card, such as uncoated paper or a"
         " sheet of PTFE.",
     )
 
@@ -310,39 +308,44 @@ def _led_facts(
     }
 
 
-def _warnings(
+def _findings(
     rig: Rig, images: CardImages, flat: FlatField, limit_percent: float
-) -> tuple[str, ...]:
-    words = []
+) -> tuple[Finding, ...]:
+    findings = []
     for band, fraction in images.ambient_percent.items():
         if fraction is None:
-            words.append(
+            words = (
                 f"there is no ambient image of the band {band}: ambient light and black level"
                 " counted as the LEDs'."
             )
-        elif fraction > _AMBIENT_PERCENT:
-            words.append(
+            findings.append(Finding("no-ambient-image", words))
+        elif fraction > AMBIENT_PERCENT:
+            words = (
                 f"light from elsewhere is {fraction:.1f} % of the {band} LEDs' (limit"
-                f" {_AMBIENT_PERCENT:g} %); close the lid, for it changes from image to image."
+                f" {AMBIENT_PERCENT:g} %); close the lid, for it changes from image to image."
             )
+            findings.append(Finding("ambient-light", words))
     for k, largest in enumerate(flat.largest_percent):
         if largest > 3 * limit_percent:
-            words.append(
+            words = (
                 f"LED {led_name(rig.leds, k)} departs from the model by up to {largest:.1f} %: its"
                 " beam is not smooth, or something shadows it."
             )
+            findings.append(Finding("uneven-beam", words, Severity.DOUBT))
     dim = float(images.brightest.min())
     if dim < 0.25:
-        words.append(
+        words = (
             f"the darkest image reaches {100 * dim:.0f} % of full scale only; expose longer for"
             " less noise."
         )
-    if flat.gloss_percent > 0.5 * _GLOSS_PERCENT and flat.gloss_percent > 5 * flat.gloss_error:
-        words.append(
+        findings.append(Finding("dark-photographs", words))
+    if flat.gloss_percent > 0.5 * GLOSS_PERCENT and flat.gloss_percent > 5 * flat.gloss_error:
+        words = (
             f"the card shines a little: {flat.gloss_percent:.1f} % where a mirror would show the"
             " LEDs."
         )
-    return tuple(words)
+        findings.append(Finding("glossy-card", words))
+    return worst_first(findings)
 
 
 def _round(value: float) -> float:
@@ -357,8 +360,8 @@ class CardCheck:
     """``verdict``; of ``leds`` the ``ratio`` of brightness now to then, the ``own_ratio`` without
     the median of its band, and the ``pattern_percent``, robust deviation over the picture;
     ``common_ratio`` of each band, None where exposures are not known; ``ambient_percent``;
-    ``warnings``."""
-    warnings: tuple[str, ...]
+    ``findings``."""
+    findings: tuple[Finding, ...]
     limit_percent: float
 
     def __str__(self) -> str:
@@ -371,8 +374,8 @@ class CardCheck:
             lines.append(
                 "Only LEDs of one band are compared: the exposures are not known on both days."
             )
-        lines += [f"Please note: {warning}" for warning in self.warnings]
-        if not self.warnings:
+        lines += [f"Please note: {finding}" for finding in self.findings]
+        if not self.findings:
             lines.append(f"All LEDs are as calibrated, within {self.limit_percent:g} %.")
         return text_of(lines)
 
@@ -410,17 +413,19 @@ def check_card(capture: Capture, rig: Rig, limit_percent: float = DRIFT_PERCENT)
     own = ratio / np.array([middle[band] for band in bands])
     # else exposure, gain, lens and card are not known to be the same
     comparable = exposures_given and images.exposures_given
-    warnings: list[str] = []
+    findings: list[Finding] = []
     leds = []
     for k, value in enumerate(own):
         name = led_name(rig.leds, k)
         if abs(value - 1) > 0.01 * limit_percent:
-            warnings.append(f"LED {name} is {_change(float(value))} than at the calibration.")
-        if pattern[k] > _PATTERN_PERCENT:
-            warnings.append(
+            words = f"LED {name} is {_change(float(value))} than at the calibration."
+            findings.append(Finding("drifted-led", words, Severity.DOUBT))
+        if pattern[k] > PATTERN_PERCENT:
+            words = (
                 f"LED {name} lights the card otherwise than at the calibration ({pattern[k]:.1f} %"
                 " across the picture): it moved or turned."
             )
+            findings.append(Finding("moved-led", words, Severity.DOUBT))
         ratios = {
             "ratio": _round(ratio[k]),
             "own_ratio": _round(value),
@@ -429,25 +434,27 @@ def check_card(capture: Capture, rig: Rig, limit_percent: float = DRIFT_PERCENT)
         leds.append({"led": k, "name": name, **ratios})
     for band, value in middle.items():
         if comparable and abs(value - 1) > 0.01 * limit_percent:
-            warnings.append(
+            words = (
                 f"all {band} LEDs together are {_change(value)} than at the calibration: exposure,"
                 " gain, supply, lens or card changed."
             )
+            findings.append(Finding("drifted-band", words, Severity.DOUBT))
     for band, fraction in images.ambient_percent.items():
-        if fraction is not None and fraction > _AMBIENT_PERCENT:
-            warnings.append(f"light from elsewhere is {fraction:.1f} % of the {band} LEDs'.")
+        if fraction is not None and fraction > AMBIENT_PERCENT:
+            words = f"light from elsewhere is {fraction:.1f} % of the {band} LEDs'."
+            findings.append(Finding("ambient-light", words))
     facts = {
-        "verdict": "drifted" if warnings else "as calibrated",
+        "verdict": "drifted" if findings else "as calibrated",
         "leds": leds,
         "common_ratio": {
             band: _round(value) if comparable else None for band, value in middle.items()
         },
         "ambient_percent": images.ambient_percent,
-        "warnings": warnings,
+        "findings": [finding.facts for finding in worst_first(findings)],
         "limit_percent": limit_percent,
         "inputs": dict(capture.hashes),
     }
-    return CardCheck(facts, tuple(warnings), limit_percent)
+    return CardCheck(facts, worst_first(findings), limit_percent)
 
 
 def _change(value: float) -> str:

@@ -20,20 +20,24 @@ from splitknit.io.provenance import file_hash, provenance
 from splitknit.io.targets import check_picture, check_rig_file
 from splitknit.model import Array, FloatArray, PixelArray, Progress, no_progress
 from splitknit_rig.calibration.card_model import CardPlane
-from splitknit_rig.calibration.radiometry import (
+from splitknit_rig.calibration.parameters import (
     DRIFT_PERCENT,
-    LIMIT_PERCENT,
+    MAX_BASE_TILT_DEG,
+    MAX_RESIDUAL_PERCENT,
+    MAX_TEXTURE,
+    MIN_EXPOSURES,
+    PATCHES_ACROSS,
+    RESIDUAL_SCALE_PERCENT,
+    RESIDUAL_TILE_PX,
+)
+from splitknit_rig.calibration.radiometry import (
     PROVENANCE,
     CardCheck,
     RadiometricCalibration,
     check_card,
     fit_radiometry,
 )
-from splitknit_rig.calibration.sensor import MIN_EXPOSURES, fit_response
-
-_MAX_TILT_DEG = 5.0
-_SCALE_PERCENT = 2.0  # ends of the colours in the picture of residuals
-_TILE_PX = 240
+from splitknit_rig.calibration.sensor import fit_response
 
 
 def calibrate_to_file(
@@ -58,13 +62,13 @@ def calibrate_to_file(
     progress("camera", 0.3)
     hashes = dict(capture.hashes)
     response = _measured_response(folder, capture, hashes)
-    limit = limit_percent or LIMIT_PERCENT
+    limit = limit_percent or MAX_RESIDUAL_PERCENT
     progress("flat field", 0.6)
     calibration = naming(folder, lambda: fit_radiometry(capture, rig, plane, limit))
     facts = {
         **calibration.facts,
         "response": response,
-        "warnings": list(calibration.warnings),
+        "findings": [finding.facts for finding in calibration.findings],
         **provenance({"limit_percent": limit}, hashes),
     }
     progress("writing", 0.9)
@@ -91,7 +95,7 @@ def _base_tilt_deg(rig: Rig) -> tuple[float, float]:
         deviation = float(plane["tilt_deg_deviation"])
     except (KeyError, TypeError, ValueError):
         return 0.0, 0.0
-    return (x, y) if 2.0 * deviation < math.hypot(x, y) <= _MAX_TILT_DEG else (0.0, 0.0)
+    return (x, y) if 2.0 * deviation < math.hypot(x, y) <= MAX_BASE_TILT_DEG else (0.0, 0.0)
 
 
 def check_folder(
@@ -131,9 +135,9 @@ def residual_tile(residual: Any, dust: Any, shape: tuple[int, int]) -> ColourArr
     """Residuals of one light in per cent, as a picture: blue too dark, orange too bright by 2 %,
     black where unused."""
     values: FloatArray = np.asarray(residual, dtype=np.float32).reshape(shape)
-    small = colour(values, -_SCALE_PERCENT, _SCALE_PERCENT, diverging=True)
+    small = colour(values, -RESIDUAL_SCALE_PERCENT, RESIDUAL_SCALE_PERCENT, diverging=True)
     small[np.asarray(dust).reshape(shape)] = 0
-    size = (_TILE_PX, round(_TILE_PX * shape[0] / shape[1]))
+    size = (RESIDUAL_TILE_PX, round(RESIDUAL_TILE_PX * shape[0] / shape[1]))
     tile = np.asarray(cv2.resize(small, size, interpolation=cv2.INTER_NEAREST), dtype=np.uint8)
     return np.asarray(
         cv2.copyMakeBorder(tile, 4, 4, 4, 4, cv2.BORDER_CONSTANT, value=(255, 255, 255)),
@@ -142,10 +146,6 @@ def residual_tile(residual: Any, dust: Any, shape: tuple[int, int]) -> ColourArr
 
 
 # The camera's response, measured on the images that ``radiometry.json`` names.
-
-_PATCHES_ACROSS = 40
-# deviation within a patch, as a part of full scale, up to which it counts as even
-_MAX_TEXTURE = 0.04
 
 
 def _measured_response(
@@ -160,7 +160,7 @@ def _measured_response(
     # one at a time: a series does not fit into a Raspberry Pi's memory
     rows = [_patches(_image(path, capture, hashes)) for path, _ in exposures]
     values, spread = map(np.stack, zip(*rows, strict=True))
-    even = spread.max(axis=0) <= _MAX_TEXTURE
+    even = spread.max(axis=0) <= MAX_TEXTURE
     # all, if few are even in all images
     values = values[:, even] if int(even.sum()) >= 100 else values
     response = fit_response(values, [time for _, time in exposures], name=str(document))
@@ -204,7 +204,7 @@ def _patches(frame: PixelArray) -> tuple[Array, Array]:
     """Means (n * C,) of small squares as parts of full scale, NaN where clipped at either end, and
     their deviation."""
     full = np.float32(np.iinfo(frame.dtype).max)
-    side = max(2, max(frame.shape[:2]) // _PATCHES_ACROSS)
+    side = max(2, max(frame.shape[:2]) // PATCHES_ACROSS)
     rows, columns = (size // side for size in frame.shape[:2])
     cut = frame[: rows * side, : columns * side].astype(np.float32) / full
     squares = (

@@ -16,17 +16,15 @@ import numpy as np
 
 from splitknit.errors import require
 from splitknit.model import Array
-
-_DEGREE = 5  # degree of the polynomial
-# values are linear if they depart from a line by no more than this many per cent of full scale
-_LIMIT_PERCENT = 1.0
-_INCONSISTENT_PERCENT = 1.0
-"""Residuals (median over images of their rms) that no response explains: the scene moved or the
-light changed."""
-_CLIP = 0.98  # values from here on (of full scale) are left out
-MIN_EXPOSURES = 4  # different exposure times that are needed
-_MIN_RATIO = 3.0  # longest over shortest exposure
-_MIN_RANGE = 0.3  # part of the full scale that the values must span
+from splitknit_rig.calibration.parameters import (
+    INCONSISTENT_PERCENT,
+    MAX_NONLINEAR_PERCENT,
+    MIN_EXPOSURE_RATIO,
+    MIN_EXPOSURES,
+    MIN_VALUE_RANGE,
+    RESPONSE_DEGREE,
+    SERIES_CLIP,
+)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -45,7 +43,7 @@ class Response:
 def fit_response(
     values: Any,
     exposure_s: Any,
-    limit_percent: float = _LIMIT_PERCENT,
+    limit_percent: float = MAX_NONLINEAR_PERCENT,
     *,
     name: str = "the exposure series",
 ) -> Response:
@@ -71,7 +69,7 @@ def fit_response(
     decoded_departure, decoded_residual = _straightness(linear_light, times)
     residual = min(residual, decoded_residual)
     require(
-        residual <= 0.01 * _INCONSISTENT_PERCENT,
+        residual <= 0.01 * INCONSISTENT_PERCENT,
         f"{name} contradicts itself by {100 * residual:.1f} % of full scale: the scene moved, the"
         " light changed, or exposure or gain were not what the file states; take the series again"
         " with everything fixed.",
@@ -101,10 +99,11 @@ def _checked(values: Any, exposure_s: Any, name: str) -> tuple[Array, Array]:
     )
     ratio = float(times.max() / times.min())
     require(
-        ratio >= _MIN_RATIO,
-        f"{name} spans a ratio of {ratio:.1f} in exposure, but {_MIN_RATIO:g} at least is needed.",
+        ratio >= MIN_EXPOSURE_RATIO,
+        f"{name} spans a ratio of {ratio:.1f} in exposure, but {MIN_EXPOSURE_RATIO:g} at least"
+        " is needed.",
     )
-    stored[~(stored < _CLIP)] = np.nan
+    stored[~(stored < SERIES_CLIP)] = np.nan
     seen = np.isfinite(stored).sum(axis=0) >= 3
     require(
         int(seen.sum()) >= 30,
@@ -115,10 +114,10 @@ def _checked(values: Any, exposure_s: Any, name: str) -> tuple[Array, Array]:
     _check_growth(stored, times, name)
     span = float(np.nanmax(stored) - np.nanmin(stored))
     require(
-        span >= _MIN_RANGE,
-        f"{name} covers {100 * span:.0f} % of full scale, but {100 * _MIN_RANGE:.0f} % is needed to"
-        " distinguish a curve from a line; expose longer, or take a scene with bright and dark"
-        " parts.",
+        span >= MIN_VALUE_RANGE,
+        f"{name} covers {100 * span:.0f} % of full scale, but {100 * MIN_VALUE_RANGE:.0f} % is"
+        " needed to distinguish a curve from a line; expose longer, or take a scene with bright and"
+        " dark parts.",
     )
     return stored, times
 
@@ -148,7 +147,7 @@ def _straightness(stored: Array, times: Array) -> tuple[float, float]:
     """
     low, high = float(np.nanmin(stored)), float(np.nanmax(stored))
     grid = np.linspace(low, high, 201)
-    for degree in range(_DEGREE, 0, -1):
+    for degree in range(RESPONSE_DEGREE, 0, -1):
         polynomial, residual = _polynomial(stored, times, degree, (low, high))
         light = polynomial(grid)
         if bool((np.diff(light) > 0).all()):

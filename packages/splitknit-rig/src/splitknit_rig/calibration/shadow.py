@@ -20,13 +20,26 @@ from scipy.special import ndtr
 
 from splitknit.errors import check_stack, require
 from splitknit.model import Array, BoolArray, FloatArray
+from splitknit_rig.calibration.parameters import (
+    BORDER_MM,
+    EDGE_PX,
+    MIN_NAIL_MM2,
+    MIN_SHADOW_MM,
+    NAIL_LEVEL,
+    OUTLINE_PIXELS,
+    SHADOW_LEVEL,
+    TIP_STRETCH,
+)
 
 # The shadow of a blunt cone as a shape: the hull of two circles, softened by the size of the light.
 
 _RING = 2.0 * np.pi * np.arange(8) / 8
+"""Source: definition of eight equal steps."""
 _LIGHT = np.concatenate([np.zeros((1, 2)), 0.75 * np.stack([np.cos(_RING), np.sin(_RING)], axis=1)])
-"""(9, 2) points that stand for equal parts of a disc of radius one and have its spread."""
-_EDGE_PX = 0.5  # softness of an edge by pixels and lens, as a standard deviation
+"""(9, 2) points that stand for equal parts of a disc of radius one and have its spread.
+
+Source: the variance of a disc, a quarter along each axis.
+"""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -45,7 +58,7 @@ class _Shape:
             away = _hull_distance(
                 places - self.base, tip - self.base, self.base_radius, self.tip_radius
             )
-            total += ndtr(-away / _EDGE_PX)
+            total += ndtr(-away / EDGE_PX)
         return self.depth * total / len(_LIGHT)
 
 
@@ -146,24 +159,15 @@ def _pixels_about(
     index = np.flatnonzero(chosen)
     # near the tip all pixels count, along the sides as many as there is room for
     near = np.linalg.norm(places[index] - shape.tip, axis=1) < 1.5 * px_per_mm
-    index = np.concatenate([_thin(index[near], _MAX_PIXELS), _thin(index[~near], _MAX_PIXELS // 2)])
+    index = np.concatenate(
+        [_thin(index[near], OUTLINE_PIXELS), _thin(index[~near], OUTLINE_PIXELS // 2)]
+    )
     values = darkness[rows.ravel()[index], columns.ravel()[index]].astype(np.float64)
     return places[index], np.clip(values, -0.5, 1.2)
 
 
 def _thin(index: NDArray[np.intp], most: int) -> NDArray[np.intp]:
     return index[:: max(1, -(-index.size // most))]
-
-
-_STRETCH = 1.12
-"""A tip's shadow against the tip: for a nail of an eighth to a tenth of the LEDs' height. It hardly
-matters."""
-_NAIL_LEVEL = 0.45  # the nail is darker than this part of the ground around it under every LED
-_SHADOW_LEVEL = 0.5  # a shadow is darker than this part of the same place under the other LEDs
-_MIN_NAIL_MM2 = 0.3  # area of the nail that is seen
-_MIN_SHADOW_MM = 0.7  # a shadow must reach this far beyond the nail
-_BORDER_MM = 0.3  # a shadow that comes nearer to the picture's border leaves it
-_MAX_PIXELS = 500  # pixels about one shadow's outline that the fit takes, evenly spread
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -183,22 +187,22 @@ def find_nail(stack: FloatArray, px_per_mm: float, names: Sequence[str]) -> Nail
     usual = np.median(images, axis=0).astype(np.float32)
     require(float(np.percentile(usual, 99)) > 0, f"{names[0]} and the images beside it are black.")
     ground = _smooth(usual, np.ones(usual.shape, dtype=np.bool_))
-    dark = usual < _NAIL_LEVEL * ground
+    dark = usual < NAIL_LEVEL * ground
     ratios = [_ratio(image, usual, dark) for image in images]
-    shadows = np.stack([(ratio < _SHADOW_LEVEL) & ~dark for ratio in ratios])
+    shadows = np.stack([(ratio < SHADOW_LEVEL) & ~dark for ratio in ratios])
     nail = _nail_among(dark, shadows, px_per_mm, names)
     rows, columns = np.nonzero(nail)
     middle = np.array([columns.mean(), rows.mean()])
     size = float(np.sqrt(rows.size / np.pi))
     near = cv2.dilate(nail.astype(np.uint8), _disc(0.25 * px_per_mm)) > 0
     shapes: dict[int, _Shape] = {}
-    border = max(round(_BORDER_MM * px_per_mm), 1)
+    border = max(round(BORDER_MM * px_per_mm), 1)
     for led, (shadow, name) in enumerate(zip(shadows, names, strict=True)):
         part = _shadow_of(shadow, near)
         end = _far_end(part, middle)
         reach = float(np.linalg.norm(end - middle)) - size
         require(
-            reach >= _MIN_SHADOW_MM * px_per_mm,
+            reach >= MIN_SHADOW_MM * px_per_mm,
             f"{name} shows no shadow of the nail; check that its LED was lit, and alone, and that"
             " the nail stands in the picture.",
         )
@@ -215,7 +219,7 @@ def find_nail(stack: FloatArray, px_per_mm: float, names: Sequence[str]) -> Nail
         tips[led] = shape.tip
     # the faces meet where a sharp tip would be; the blunt one lies lower, and so is seen nearer to
     # the base
-    blunt = float(np.median([shape.tip_radius for shape in shapes.values()] or [0.0])) / _STRETCH
+    blunt = float(np.median([shape.tip_radius for shape in shapes.values()] or [0.0])) / TIP_STRETCH
     tip = middle + (_nail_tip(images, nail, px_per_mm) - middle) * (1.0 - min(blunt / size, 0.5))
     return NailView(tip, tips, nail)
 
@@ -256,7 +260,7 @@ def _nail_among(
     count, labels, stats, _ = cv2.connectedComponentsWithStats(
         dark.astype(np.uint8), connectivity=8
     )
-    area = _MIN_NAIL_MM2 * px_per_mm**2
+    area = MIN_NAIL_MM2 * px_per_mm**2
     best, most = 0, 0
     for label in range(1, count):
         if stats[label, cv2.CC_STAT_AREA] >= area:

@@ -17,13 +17,7 @@ import numpy as np
 
 from splitknit.errors import check_mask, check_stack, require
 from splitknit.model import Array, BoolArray, FloatArray
-
-_RAYS, _REACH, _AGREE = 360, 0.1, 0.007
-"""Rays from a ball's middle; parts of its radius by which its rim may lie off the outline, and rays
-off each other."""
-RIM_PX = 40.0
-"""Least radius whose rim is looked for: of 12 smaller drawn balls on textures 5 came out 3 to 12 %
-beside."""
+from splitknit_rig.calibration.parameters import MIN_RIM_PX, RIM_AGREEMENT, RIM_RAYS, RIM_REACH
 
 
 @dataclass(frozen=True, slots=True)
@@ -104,11 +98,11 @@ def rim_of(stack: Any, ball: Ball) -> tuple[Ball, float]:
     images = check_stack(stack, least=1, name="the photographs of the ball")
     rows, columns = images.shape[1:]
     agreed = 0.0
-    if ball.radius_px < RIM_PX:
+    if ball.radius_px < MIN_RIM_PX:
         return ball, agreed
     for _ in range(2):  # from a better middle more rays meet the rim squarely
-        angle = 2.0 * np.pi * np.arange(_RAYS)[:, None] / _RAYS
-        reach, step = _REACH * ball.radius_px, max(0.5, ball.radius_px / 300.0)
+        angle = 2.0 * np.pi * np.arange(RIM_RAYS)[:, None] / RIM_RAYS
+        reach, step = RIM_REACH * ball.radius_px, max(0.5, ball.radius_px / 300.0)
         radii = np.arange(ball.radius_px - reach, ball.radius_px + reach, step)
         x, y = ball.column + np.cos(angle) * radii, ball.row + np.sin(angle) * radii
         energy = np.zeros(x.shape)
@@ -121,7 +115,7 @@ def rim_of(stack: Any, ball: Ball) -> tuple[Ball, float]:
                 )
                 ** 2
             )
-        ray, best = np.arange(_RAYS), np.clip(energy.argmax(axis=1), 1, len(radii) - 2)
+        ray, best = np.arange(RIM_RAYS), np.clip(energy.argmax(axis=1), 1, len(radii) - 2)
         low, top, high = (energy[ray, best + k] for k in (-1, 0, 1))
         bent = np.minimum(low - 2.0 * top + high, -1e-12)
         edge = radii[best] + step * np.clip(0.5 * (low - high) / bent, -0.5, 0.5)
@@ -131,8 +125,10 @@ def rim_of(stack: Any, ball: Ball) -> tuple[Ball, float]:
         )
         seen = ((x > 0) & (x < columns - 1) & (y > 0) & (y < rows - 1)).all(axis=1)
         triples = (
-            np.array([(k, k + s, k + 2 * s) for s in (45, 60, 75, 90, 120) for k in range(_RAYS)])
-            % _RAYS
+            np.array(
+                [(k, k + s, k + 2 * s) for s in (45, 60, 75, 90, 120) for k in range(RIM_RAYS)]
+            )
+            % RIM_RAYS
         )
         triples = triples[seen[triples].all(axis=1)]
         if not len(triples):
@@ -147,7 +143,7 @@ def rim_of(stack: Any, ball: Ball) -> tuple[Ball, float]:
         off = (
             np.linalg.norm(points[seen] - circles[near, None, :2], axis=2) - circles[near, None, 2]
         )
-        on = np.abs(off) < max(_AGREE * ball.radius_px, 1.0)
+        on = np.abs(off) < max(RIM_AGREEMENT * ball.radius_px, 1.0)
         most = on[int(on.sum(axis=1).argmax())]
         ball, agreed = Ball(*_circle(points[seen][most])), float(most.mean())
     return ball, agreed

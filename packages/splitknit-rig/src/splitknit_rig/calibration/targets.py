@@ -11,6 +11,14 @@ import numpy as np
 
 from splitknit.errors import BadInput, require
 from splitknit.model import Array, FloatArray
+from splitknit_rig.calibration.parameters import (
+    BOARD_CONTRAST,
+    CORNER_BLUR_PX,
+    CORNER_WINDOW,
+    MAX_WINDOW_PX,
+    MIN_WINDOW_PX,
+    SEARCH_PX,
+)
 
 
 @dataclass(frozen=True, slots=True)
@@ -56,20 +64,8 @@ class Board:
         return np.stack([x.ravel(), y.ravel()], axis=1) * float(self.square_mm)
 
 
-# longer side of the image in which the board is sought; corners are then refined in the full image
-_SEARCH_PX = 1200
-# half the window in which a corner is refined, as a part of the shortest side of a square in the
-# image
-_WINDOW = 0.3
 _BY_QUADS = cv2.CALIB_CB_ADAPTIVE_THRESH | cv2.CALIB_CB_NORMALIZE_IMAGE | cv2.CALIB_CB_FAST_CHECK
 _BY_SECTOR = cv2.CALIB_CB_NORMALIZE_IMAGE | cv2.CALIB_CB_EXHAUSTIVE | cv2.CALIB_CB_ACCURACY
-_WINDOW_PX = (3, 40)  # smallest and largest half window
-_SMOOTH_PX = 1.5
-"""Blur (sigma, at most 5 % of a side) before corners are refined: edges sharp as a pixel draw
-corners to its middle."""
-_CONTRAST = 0.4
-"""Contrast, relative to the board's corners, from which a place one square further is a corner of
-the board too."""
 
 
 def _grey(pixels: Any) -> FloatArray:
@@ -87,7 +83,7 @@ def _grey(pixels: Any) -> FloatArray:
     return np.asarray(np.clip((image - low) * (255.0 / (high - low)), 0, 255), dtype=np.float32)
 
 
-def find_board(pixels: Any, board: Board, search_px: int = _SEARCH_PX) -> Array | None:
+def find_board(pixels: Any, board: Board, search_px: int = SEARCH_PX) -> Array | None:
     """Inner corners of a checkerboard in an image (H, W) or (H, W, C): (columns * rows, 2) column
     and row in the order of `board.points_mm`, or None where no board of just this size (c x r and r
     x c are the same) is in full view. It is sought with the longer side reduced to `search_px`, and
@@ -125,8 +121,8 @@ def _refined(image: FloatArray, grid: Array) -> Array:
     """Corners (rows, columns, 2) to a small part of a pixel, with windows that stay within the four
     squares around."""
     side = min(float(np.linalg.norm(np.diff(grid, axis=axis), axis=2).min()) for axis in (0, 1))
-    half = int(np.clip(round(_WINDOW * side), *_WINDOW_PX))
-    blur = min(_SMOOTH_PX, 0.05 * side)
+    half = int(np.clip(round(CORNER_WINDOW * side), MIN_WINDOW_PX, MAX_WINDOW_PX))
+    blur = min(CORNER_BLUR_PX, 0.05 * side)
     if blur > 0.3:
         image = np.asarray(cv2.GaussianBlur(image, (0, 0), blur), dtype=np.float32)
     corners = np.ascontiguousarray(grid.reshape(-1, 1, 2), dtype=np.float32)
@@ -143,7 +139,7 @@ def _is_board(image: FloatArray, grid: Array) -> bool:
 
 def _goes_on(image: FloatArray, grid: Array) -> bool:
     """Whether the board has a further row or column of corners beyond the grid."""
-    least = _CONTRAST * float(np.median(_contrast(image, grid)))
+    least = BOARD_CONTRAST * float(np.median(_contrast(image, grid)))
     for side in (grid, grid[::-1], grid.swapaxes(0, 1), grid[:, ::-1].swapaxes(0, 1)):
         line = (2 * side[-1] - side[-2])[None]
         further = np.concatenate([side[-1:], line])

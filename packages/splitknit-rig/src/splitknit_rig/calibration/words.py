@@ -13,7 +13,7 @@ def camera_lines(facts: Mapping[str, Any]) -> list[str]:
     return [
         *(_fit_lines(facts) if facts["fit"] else []),
         *(_plane_lines(facts["plane"]) if facts["plane"] else []),
-        *(f"Please note: {words}" for words in facts["warnings"]),
+        *(f"Please note: {finding['message']}" for finding in facts["findings"]),
         (
             f"Measured: {', '.join(facts['measured'])}. Taken over:"
             f" {', '.join(facts['nominal']) or 'nothing'}."
@@ -115,7 +115,7 @@ def radiometry_lines(facts: Mapping[str, Any], *, base_tilt: bool) -> list[str]:
             f" {response[f'{kind}_departure_percent']:.2f} % of full scale at most, between"
             f" {low:.0f} and {high:.0f} % of it."
         )
-    lines += [f"Please note: {warning}" for warning in facts["warnings"]]
+    lines += [f"Please note: {finding['message']}" for finding in facts["findings"]]
     if base_tilt and any(facts["card"]["tilt_deg"]):
         x, y = facts["card"]["tilt_deg"]
         lines.append(
@@ -142,5 +142,5 @@ def film_lines(facts: Mapping[str, Any]) -> list[str]:
         f"The crossed image lies {x:+.3f} px right of and {y:+.3f} px below the parallel one (+- "
         f"{max(facts['shift_interval_px']):.3f} px), and is {films['scale']:.5f} times its size."
     )
-    lines += [f"Please note: {warning}" for warning in facts["warnings"]]
+    lines += [f"Please note: {finding['message']}" for finding in facts["findings"]]
     return [*lines, f"Written: {', '.join(facts['files'])}."]

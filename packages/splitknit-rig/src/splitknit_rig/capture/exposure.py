@@ -15,20 +15,23 @@ from splitknit.devices import ExposureRange, Frame
 from splitknit.errors import check_image, check_mask, require
 from splitknit.model import BoolArray, FloatArray
 from splitknit.settings import Checked, Limits
+from splitknit_rig.capture.parameters import (
+    CLIPPED_PREVIEW,
+    DETAIL_MM,
+    FINGER_PERCENTILE,
+    FOCUS_PATIENCE,
+    FOCUS_RISE,
+    LEVEL_TOLERANCE,
+    MAX_FOCUS_MEASUREMENTS,
+    MAX_PREVIEWS,
+    MIN_LEVEL,
+    START_S,
+)
 
 Look = Callable[[int, float, float], Frame]
 """Preview under an LED, with an exposure time and a gain."""
 MEDIAN = 50.0
-BRIGHT = 99.5  # percentile that stands for a target's light: most of its picture may be black
-# percentile of the finger's pixels, in the brightest channel, that measures its brightness
-_PERCENTILE = 99.9
-_START_S = 0.01  # exposure time of the first preview, at gain 1; above 0
-_CLIPPED = 0.97  # from this fraction of full scale on a preview only shows that less is needed
-_TOLERANCE = 0.06  # the search ends when the level is as near to the target as this, relative
-_STEPS = 12  # previews of the brightest LED at most
-_MIN_LEVEL = 0.3
-"""The finger is too dark if it does not even reach this fraction of the target with all that the
-camera can."""
+"""Percentile. Source: definition of the median."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -85,7 +88,7 @@ def _level_of(frame: Frame, region: BoolArray | None = None) -> float:
     pixels = (
         frame.pixels.reshape(-1, frame.pixels.shape[2]) if region is None else frame.pixels[region]
     )
-    return max(_above_black(frame, np.max(np.percentile(pixels, _PERCENTILE, axis=0))), 0.0)
+    return max(_above_black(frame, np.max(np.percentile(pixels, FINGER_PERCENTILE, axis=0))), 0.0)
 
 
 def typical_level(frame: Frame, region: BoolArray, percentile: float = MEDIAN) -> float:
@@ -105,16 +108,16 @@ def survey(
     """Look at a band under each LED with one exposure at which none clips and the brightest is not
     dark. Raises BadInput if it is too bright or too dark at every exposure.
     """
-    product = _START_S
+    product = START_S
     while True:
         time_s, gain = _split(product, camera, settings)
         frames, levels = {}, []
         for led in leds:
             frames[led] = look(led, time_s, gain)
             levels.append(_level_of(frames[led]))
-            if levels[-1] >= _CLIPPED:
+            if levels[-1] >= CLIPPED_PREVIEW:
                 break
-        if levels[-1] >= _CLIPPED:
+        if levels[-1] >= CLIPPED_PREVIEW:
             product /= 4
             require(
                 _split(product, camera, settings) != (time_s, gain),
@@ -142,12 +145,12 @@ def find_exposure(
     levels = {led: _level_of(frame, region) for led, frame in seen.frames.items()}
     brightest = max(levels, key=lambda led: levels[led])
     time_s, gain, level = seen.exposure_s, seen.gain, levels[brightest]
-    for _ in range(_STEPS):
-        if abs(level / settings.target - 1.0) <= _TOLERANCE:
+    for _ in range(MAX_PREVIEWS):
+        if abs(level / settings.target - 1.0) <= LEVEL_TOLERANCE:
             break
         factor = (
             0.3
-            if level >= _CLIPPED
+            if level >= CLIPPED_PREVIEW
             else float(np.clip(settings.target / max(level, 1e-3), 0.1, 8.0))
         )
         wanted = _split(time_s * gain * factor, camera, settings)
@@ -158,7 +161,7 @@ def find_exposure(
         time_s, gain = frame.exposure_s, frame.gain  # what the sensor made of it
         level = _level_of(frame, region)
     require(
-        level >= _MIN_LEVEL * settings.target,
+        level >= MIN_LEVEL * settings.target,
         f"the finger is too dark: with {1e3 * time_s:.0f} ms at gain {gain:.1f} its brightest LED"
         f" brings it to {100 * level:.0f} % of full scale; check the LEDs' supply.",
     )
@@ -166,21 +169,8 @@ def find_exposure(
     words = (
         f"the finger is overexposed even with {tried}; close the lid, or lower the LEDs' current."
     )
-    require(level < _CLIPPED, words)
+    require(level < CLIPPED_PREVIEW, words)
     return Exposure(time_s, gain, brightest, level)
-
-
-_DETAIL_MM = 0.02
-"""Smoothing before the Laplacian (sigma, at least 0.7 px): 1.5 px of the full frame; finer shows
-focus, and noise."""
-# below this the finger shows no detail above the noise: the picture is refused as out of focus
-MIN_SNR = 0.1
-# coarser pictures are not refused: ridges are so small in them that they pass for noise
-MIN_PX_PER_MM = 18.0
-_PATIENCE, _RISE = 8, 0.02
-"""A live measurement ends after so many in a row that do not rise above the best so far by this
-fraction of it."""
-_MOST = 400  # live measurements at most
 
 
 @dataclass(frozen=True, slots=True)
@@ -202,7 +192,7 @@ def measure_focus(image: NDArray[np.floating], region: BoolArray, px_per_mm: flo
     """
     light = check_image(image)
     inside = check_mask(region, (light.shape[0], light.shape[1]))
-    sigma = max(_DETAIL_MM * px_per_mm, 0.7)
+    sigma = max(DETAIL_MM * px_per_mm, 0.7)
     local = cv2.GaussianBlur(light, (0, 0), 6.0 * sigma)
     floor = np.float32(max(0.05 * float(np.mean(light[inside], dtype=np.float64)), 1e-9))
     relative = np.asarray(light / np.maximum(local, floor), dtype=np.float32)
@@ -230,7 +220,10 @@ def measure_focus(image: NDArray[np.floating], region: BoolArray, px_per_mm: flo
 
 
 _NOISE_MASK = np.array([[1, -2, 1], [-2, 4, -2], [1, -2, 1]], dtype=np.float32)
-"""Difference of two Laplacians: blind to planes, quadratics along the axes and edges along them."""
+"""Difference of two Laplacians: blind to planes, quadratics along the axes and edges along them.
+
+Source: Immerkaer 1996, see :func:`measure_focus`.
+"""
 
 
 @dataclass(slots=True)
@@ -245,9 +238,9 @@ class FocusWatch:
     def add(self, focus: Focus) -> bool:
         """Note a measurement; true when it is enough."""
         self.measured += 1
-        self._idle = 0 if focus.sharpness > self.best * (1.0 + _RISE) else self._idle + 1
+        self._idle = 0 if focus.sharpness > self.best * (1.0 + FOCUS_RISE) else self._idle + 1
         self.best = max(self.best, focus.sharpness)
-        self.ended = self._idle >= _PATIENCE or self.measured >= _MOST
+        self.ended = self._idle >= FOCUS_PATIENCE or self.measured >= MAX_FOCUS_MEASUREMENTS
         return self.ended
 
 

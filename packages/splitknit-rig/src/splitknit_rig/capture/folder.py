@@ -110,7 +110,7 @@ def _facts(devices: Opened, session: Session, options: CaptureOptions) -> dict[s
         "seconds": session.seconds,
         "seconds_per_frame": session.seconds / (len(session.shots) - 1),
         "verdict": list(session.verdict),
-        "notes": list(devices.notes),
+        "findings": [finding.facts for finding in devices.findings],
     }
 
 
@@ -127,7 +127,7 @@ def capture_enrolment(
     """
     captured: list[str] = []
     skipped: list[str] = []
-    notes: list[str] = []
+    findings: list[dict[str, Any]] = []
     for k, place in enumerate(places):
 
         def report(stage: str, fraction: float, k: int = k, place: PlannedCapture = place) -> None:
@@ -140,7 +140,7 @@ def capture_enrolment(
             skipped.append(place.folder)
         else:
             captured.append(place.folder)
-            notes += [note for note in facts["notes"] if note not in notes]
+            findings += [each for each in facts["findings"] if each not in findings]
     waiting = enrolment.waiting()
     return {
         "enrolment": str(enrolment.folder),
@@ -149,7 +149,7 @@ def capture_enrolment(
         "finished": enrolment.plan.total - len(waiting),
         "total": enrolment.plan.total,
         "next": waiting[0].folder if waiting else None,
-        "notes": notes,
+        "findings": findings,
     }
 
 

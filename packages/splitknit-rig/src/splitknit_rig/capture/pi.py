@@ -24,8 +24,18 @@ from numpy.typing import NDArray
 from splitknit import BadInput, Rig
 from splitknit.devices import CameraDevice, Closing, ExposureRange, Frame, LightBank, Opened
 from splitknit.errors import importing, require
+from splitknit.findings import Finding
 from splitknit.model import nominal_rig
 from splitknit.settings import Checked, check_fields
+from splitknit_rig.capture.parameters import (
+    LONGEST_S,
+    MAX_FRAMES,
+    NIR_GAINS,
+    PREVIEW_COLUMNS,
+    SETTLE_S,
+    TURN_S,
+    WHITE_GAINS,
+)
 from splitknit_rig.capture.pins import RigFilms, pins_of, rig_films
 
 
@@ -150,9 +160,6 @@ drivers in Linux and libcamera. Electrons are of published measurements and make
 same sensor, rounded, for simulations (``sensor.full_well_e``); none of these modules has been run
 by this program.
 """
-SETTLE_S = 0.02
-"""Far above what an LED (microseconds), its phosphor (under a millisecond) and its supply
-(milliseconds) need."""
 
 
 class PiLightBank(LightBank):
@@ -193,10 +200,6 @@ class PiLightBank(LightBank):
             self._lines.pop(0).close()
 
 
-# twice what a small servo needs for a quarter turn without load (0.1 s for 60 degrees at 4.8 V)
-_TURN_S = 0.4
-
-
 class PiAnalyser(Closing):
     """The film before the camera on a servo; without pulses between its turns, so that it does not
     tremble."""
@@ -218,7 +221,7 @@ class PiAnalyser(Closing):
     def __call__(self, position: str) -> None:
         """Turn to ``parallel`` or ``crossed`` and wait until it is there."""
         self._servo.value = self._crossed if position == "crossed" else -self._crossed
-        self._sleep(_TURN_S)
+        self._sleep(TURN_S)
         self._servo.detach()
 
     def close(self) -> None:
@@ -226,19 +229,14 @@ class PiAnalyser(Closing):
         self._servo.close()
 
 
-# gains of red and blue that make a white card white under the white LEDs (5000 K)
-_WHITE_GAINS = (1.11, 2.13)
-_NIR_GAINS = (1.0, 1.0)  # the same under NIR, where the colour filters are transparent
-_LONGEST_S = 0.2  # longest exposure time that the camera is asked for, 0.001 to 5 s
-_PREVIEW_COLUMNS = 800  # width of a preview, about
-_MAX_FRAMES = 30  # frames that are thrown away, at most, while waiting for a good one
-NOMINAL = (
+NOMINAL = Finding(
+    "nominal-leds",
     "no rig file was given: the LEDs' nominal positions are assumed; calibrate the rig and name its"
-    " file by `rig`"
+    " file by `rig`.",
 )
 UNTESTED = (
     "not tested on hardware, only on substitutes of cameras and GPIO lines; look at the first"
-    " frames"
+    " frames."
 )
 """Printed and stored with every capture until somebody has run it."""
 
@@ -292,10 +290,10 @@ class PiCamera(CameraDevice):
         self._sensor = self._settings.sensor
         self.image_size = self._settings.image_size or self._sensor.image_size
         self.exposures = ExposureRange(
-            4 * self._sensor.line_s, _LONGEST_S, 1.0, self._sensor.max_gain
+            4 * self._sensor.line_s, LONGEST_S, 1.0, self._sensor.max_gain
         )
         self._now_ns = now_ns or (lambda: time.clock_gettime_ns(time.CLOCK_BOOTTIME))
-        self._wanted = 0, 0.0, _NIR_GAINS
+        self._wanted = 0, 0.0, NIR_GAINS
         self._camera: Any = None
         models = [str(info.get("Model", "")) for info in picamera2.global_camera_info()]
         require(
@@ -327,7 +325,7 @@ class PiCamera(CameraDevice):
         """See :class:`splitknit.devices.CameraDevice`."""
         self.exposures.check(exposure_s, gain)
         require(band in ("white", "nir"), f"the bands are white and nir, not '{band}'.")
-        gains = _WHITE_GAINS if band == "white" else _NIR_GAINS
+        gains = WHITE_GAINS if band == "white" else NIR_GAINS
         exposure_us = round(exposure_s * 1e6)
         # as fast as exposure and reading of the sensor allow
         frame_us = max(exposure_us + 1000, round(self._sensor.frame_s * 1e6))
@@ -345,7 +343,7 @@ class PiCamera(CameraDevice):
         """See :class:`splitknit.devices.CameraDevice`."""
         frame = self.capture()
         rows, columns, channels = frame.pixels.shape
-        factor = max(1, round(columns / _PREVIEW_COLUMNS))
+        factor = max(1, round(columns / PREVIEW_COLUMNS))
         size = (columns // factor, rows // factor)
         # means of whole blocks
         small: Any = cv2.resize(frame.pixels, size, interpolation=cv2.INTER_AREA)
@@ -395,7 +393,7 @@ class PiCamera(CameraDevice):
         and as locked."""
         camera, since_ns = self._opened(), self._now_ns()
         metadata: Mapping[str, Any] = {}
-        for discarded in range(_MAX_FRAMES):
+        for discarded in range(MAX_FRAMES):
             request = camera.capture_request()
             try:
                 metadata = request.get_metadata()
@@ -408,7 +406,7 @@ class PiCamera(CameraDevice):
                 request.release()
         raise BadInput(
             f"the camera did not take its settings: {self._wanted[0]} us at gain"
-            f" {self._wanted[1]:g} were asked for, but after {_MAX_FRAMES} frames it reports"
+            f" {self._wanted[1]:g} were asked for, but after {MAX_FRAMES} frames it reports"
             f" {metadata.get('ExposureTime')} us at gain {metadata.get('AnalogueGain')}; restart"
             f" the Pi, and see that its camera is the {self._settings.camera}."
         )
@@ -594,8 +592,8 @@ def _open_analyser(rig: Rig) -> PiAnalyser | None:
 def opened_pi(rig: Rig | None, settings: PiCameraSettings) -> Iterator[Opened]:
     """Open LEDs, which go dark, and the camera of the settings, and close them; BadInput if there
     is none."""
-    untested = f"the {settings.camera} camera was {UNTESTED}"
-    notes = (untested,) if rig is not None else (NOMINAL, untested)
+    untested = Finding("untested-camera", f"the {settings.camera} camera was {UNTESTED}")
+    findings = (untested,) if rig is not None else (NOMINAL, untested)
     chosen = rig or replace(nominal_rig(), provenance={"source": "as drawn, not calibrated"})
     with ExitStack() as stack:
         lights = stack.enter_context(_open_lights(chosen))  # closed last
@@ -603,4 +601,6 @@ def opened_pi(rig: Rig | None, settings: PiCameraSettings) -> Iterator[Opened]:
         analyser = _open_analyser(chosen)
         if analyser is not None:
             stack.enter_context(analyser)
-        yield Opened("pi", camera, lights, chosen, {"pi": settings}, notes=notes, turn=analyser)
+        yield Opened(
+            "pi", camera, lights, chosen, {"pi": settings}, findings=findings, turn=analyser
+        )

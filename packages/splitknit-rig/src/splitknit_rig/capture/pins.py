@@ -26,24 +26,47 @@ from dataclasses import dataclass
 from splitknit import Rig
 from splitknit.errors import require
 
-# BCM lines of white LEDs 0 to 6 (header pins 11, 13, 15, 33, 35, 37, 40)
 WHITE_PINS = (17, 27, 22, 13, 19, 26, 21)
-# BCM lines of NIR LEDs 0 to 6 (header pins 12, 16, 18, 22, 32, 36, 38)
+"""BCM lines of white LEDs 0 to 6 (header pins 11, 13, 15, 33, 35, 37, 40).
+
+Source: definition of the LED board.
+"""
 NIR_PINS = (18, 23, 24, 25, 12, 16, 20)
+"""BCM lines of NIR LEDs 0 to 6 (header pins 12, 16, 18, 22, 32, 36, 38).
+
+Source: definition of the LED board.
+"""
 # lines of the first LED board
 DEFAULT_PINS: Mapping[str, tuple[int, ...]] = {"white": WHITE_PINS, "nir": NIR_PINS}
 SECOND_PINS = (9, 10, 11, 14, 15, 5, 6)
 """BCM lines of a second LED board, for side lights or for white LEDs with crossed film (header pins
 21, 19, 23, 8, 10, 29, 31): SPI, UART, and two that are pulled up and need a stronger pull-down. SPI
-and the serial console must be off."""
+and the serial console must be off.
+
+Source: definition of the LED board.
+"""
 SERVO_PIN = 4
 """BCM line of the analyser's servo (header pin 7). It is pulled up at power-on, which is not a
-pulse to a servo."""
+pulse to a servo.
+
+Source: definition of the LED board.
+"""
 PULSES_MS = (2.0, 1.0)
 """Pulses of the servo, parallel and crossed: a quarter turn to the left from above, where the shaft
-points down."""
-PULLED_UP = range(9)  # lines that are pulled up until a program takes them
-USABLE = range(2, 28)  # lines that a rig may use; 0 and 1 belong to the ID EEPROM
+points down.
+
+Source: usual pulses of small servos.
+"""
+PULLED_UP = range(9)
+"""Lines that are pulled up until a program takes them.
+
+Source: pulls of the Raspberry Pi's GPIO lines at power-on.
+"""
+USABLE = range(2, 28)
+"""Lines that a rig may use; 0 and 1 belong to the ID EEPROM.
+
+Source: the Raspberry Pi's header of 40 pins.
+"""
 
 
 def pins_of(rig: Rig) -> tuple[int, ...]:

@@ -24,10 +24,7 @@ from splitknit.imaging.geometry import bounding_box
 from splitknit.model import BoolArray, FloatArray, Progress, no_progress, spectral_band
 from splitknit_rig.calibration.lights import listed
 from splitknit_rig.capture.exposure import (
-    BRIGHT,
     MEDIAN,
-    MIN_PX_PER_MM,
-    MIN_SNR,
     Exposure,
     ExposureSettings,
     Focus,
@@ -39,10 +36,16 @@ from splitknit_rig.capture.exposure import (
     survey,
     typical_level,
 )
+from splitknit_rig.capture.parameters import (
+    BRIGHT_PERCENTILE,
+    FOCUS_FIELD_MM,
+    MAX_AMBIENT,
+    MIN_PX_PER_MM,
+    MIN_RELATIVE,
+    MIN_SNR,
+)
 from splitknit_rig.capture.pins import led_names, rig_films
 from splitknit_rig.capture.shots import (
-    MAX_AMBIENT,
-    MIN_RELATIVE,
     CheckSettings,
     Devices,
     Examiner,
@@ -53,7 +56,6 @@ from splitknit_rig.capture.shots import (
 WatchFocus = Callable[[Focus, FocusWatch], bool]
 """Shown every measurement; true ends the live measurement."""
 BANDS = ("white", "nir")
-_FOCUS_FIELD_MM = 10.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -168,7 +170,10 @@ def run_session(
         shooting = Shooting(
             devices,
             Examiner(
-                region, px_per_mm, settings.checks, MEDIAN if settings.find_finger else BRIGHT
+                region,
+                px_per_mm,
+                settings.checks,
+                MEDIAN if settings.find_finger else BRIGHT_PERCENTILE,
             ),
             watch_motion=settings.find_finger,
             progress=lambda name, fraction: progress(name, 0.4 + 0.6 * fraction),
@@ -221,7 +226,7 @@ def _focus(
     for extent, small, full in zip(bounding_box(inner), inner.shape, (rows, columns), strict=True):
         middle = 0.5 * (extent.start + extent.stop) * full / small
         half = min(
-            0.5 * (extent.stop - extent.start) * full / small, 0.5 * _FOCUS_FIELD_MM * px_per_mm
+            0.5 * (extent.stop - extent.start) * full / small, 0.5 * FOCUS_FIELD_MM * px_per_mm
         )
         part.append(
             slice(max(int(middle - half), 0), max(int(middle + half), int(middle - half) + 8))
@@ -255,7 +260,7 @@ def _meter(
     """Preview the finger under every LED; find where it is on the previews' grid, and every band's
     exposure."""
     camera, lights = devices.camera, devices.lights
-    typical = MEDIAN if settings.find_finger else BRIGHT
+    typical = MEDIAN if settings.find_finger else BRIGHT_PERCENTILE
     region: BoolArray | None = None
     exposures: dict[str, Exposure] = {}
     for done, (band, leds) in enumerate(bands.items()):

@@ -12,30 +12,20 @@ import numpy as np
 
 from splitknit import Band, Rig
 from splitknit.devices import CameraDevice, Frame, LightBank, relative_exposure
-from splitknit.finger.motion import MIN_RELIABILITY, WORKING_PX_PER_MM, shot_motion
+from splitknit.finger.motion import shot_motion
+from splitknit.finger.parameters import MIN_RELIABILITY, MOTION_PX_PER_MM
 from splitknit.finger.regions import blur, dilate, reduce_image
 from splitknit.model import Array, BoolArray, FloatArray, side_lights, spectral_band
 from splitknit.settings import Checked, Limits
 from splitknit_rig.capture.exposure import MEDIAN, Exposure, grey_light
+from splitknit_rig.capture.parameters import (
+    DRIFTED_MM,
+    MAX_CROSSED,
+    MAX_SATURATED,
+    MIN_PROMISED_LIGHT,
+    SHINE_PERCENTILE,
+)
 from splitknit_rig.capture.pins import led_names
-
-# a shot is overexposed if more of the finger is at full scale (in two channels)
-_MAX_SATURATED = 0.05
-_DRIFTED_MM = 0.12
-"""A finger that moved by more against all shots of its band, where the light's part is taken off,
-has drifted."""
-# an LED did not light if the finger gets less than this fraction of what the preview promised
-_MIN_LIGHT = 0.4
-MIN_RELATIVE = 0.12
-"""An LED did not light if, in the previews, it gives less than this fraction of the median LED of
-its band."""
-# light with all LEDs off, relative to the median lit shot, above which the lid is open
-MAX_AMBIENT = 0.3
-_MAX_CROSSED = 0.93
-"""Crossed images have at most this fraction of the parallel ones' light where the finger shines.
-Simulated fingers behind films have 0.47 (wet) to 0.91 (matt), a path-traced one 0.76; 1 is a film
-that is missing or did not turn."""
-_SHINE = 99.5  # percentile of the finger's pixels that its specular reflections reach
 
 
 @dataclass(frozen=True, slots=True)
@@ -78,7 +68,7 @@ class Examiner:
         measurable = 1.5 / px_per_mm
         self.moved_mm, self.drifted_mm = (
             max(settings.moved_mm, measurable),
-            max(_DRIFTED_MM, measurable),
+            max(DRIFTED_MM, measurable),
         )
         """Motion between two shots, and against all shots of a band, from which on the finger has
         moved or drifted."""
@@ -86,9 +76,9 @@ class Examiner:
 
     def look(self, frame: Frame) -> Look:
         """Reduce a shot to what the checks need."""
-        step = max(1, int(self._px_per_mm / (2.5 * WORKING_PX_PER_MM)))
+        step = max(1, int(self._px_per_mm / (2.5 * MOTION_PX_PER_MM)))
         full = frame.pixels[::step, ::step]  # a sparse grid first: a Raspberry Pi has little time
-        scale = min(1.0, WORKING_PX_PER_MM * step / self._px_per_mm)
+        scale = min(1.0, MOTION_PX_PER_MM * step / self._px_per_mm)
         grey = reduce_image(grey_light(full, frame.black_level), scale)
         inside, window = self._mask((grey.shape[0], grey.shape[1]))
         level = float(np.percentile(grey[inside], self._typical))
@@ -112,7 +102,7 @@ class Examiner:
         """Level of the finger's specular reflections in a shot, less that without LEDs, 1 = full
         scale."""
         inside, _ = self._mask((look.grey.shape[0], look.grey.shape[1]))
-        return float(np.percentile((look.grey - dark.grey)[inside], _SHINE))
+        return float(np.percentile((look.grey - dark.grey)[inside], SHINE_PERCENTILE))
 
     def shift_mm(self, before: Look, after: Look, full_columns: int) -> float | None:
         """How far the finger moved between two shots, or None if they show different things."""
@@ -138,7 +128,7 @@ class Examiner:
                 self.region.astype(np.float32), shape[::-1], interpolation=cv2.INTER_AREA
             )
             inside = np.asarray(fraction > 0.5)
-            px = WORKING_PX_PER_MM
+            px = MOTION_PX_PER_MM
             window = blur(dilate(inside, 0.7 * px).astype(np.float32), 0.5 * px)
             self._masks[shape] = (
                 (inside if inside.any() else np.ones(shape, dtype=np.bool_)),
@@ -274,11 +264,11 @@ class Shooting:
     ) -> tuple[float | None, list[tuple[str, str]]]:
         """Motion in mm, and what is wrong: kinds, and words."""
         name = self._name(led)
-        if look.level - dark.level < _MIN_LIGHT * expected:
+        if look.level - dark.level < MIN_PROMISED_LIGHT * expected:
             return None, [("unlit", f"{name} did not light: check its wiring and capture again")]
         troubles = []
         moved = None
-        if look.saturated > _MAX_SATURATED:
+        if look.saturated > MAX_SATURATED:
             words = (
                 f"{name} is overexposed on {100 * look.saturated:.0f} % of the finger: capture"
                 " again"
@@ -342,10 +332,10 @@ class Shooting:
             )
 
         ratio = light("white_crossed") / max(light("white"), 1e-9)
-        if ratio > _MAX_CROSSED:
+        if ratio > MAX_CROSSED:
             self.verdict.append(
                 f"where the finger shines, the crossed images have {100 * ratio:.0f} % of the"
-                f" parallel ones' light, not {100 * _MAX_CROSSED:.0f} % or less: the analyser did"
+                f" parallel ones' light, not {100 * MAX_CROSSED:.0f} % or less: the analyser did"
                 " not turn, or a film is missing or swapped; check them and capture again"
             )
         return ratio

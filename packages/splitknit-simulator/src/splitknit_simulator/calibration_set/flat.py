@@ -20,6 +20,13 @@ from splitknit_simulator.calibration_set.bench import (
     seen_at,
     steps,
 )
+from splitknit_simulator.calibration_set.parameters import (
+    BOARD_HEIGHT_MM,
+    BOARD_MARGIN,
+    BOARD_TILT_DEG,
+    BOARD_TRIES,
+    BOARD_TURN_DEG,
+)
 from splitknit_simulator.camera.lens import px_per_mm_at
 from splitknit_simulator.surface import Array
 
@@ -131,15 +138,6 @@ class BoardScene(GroundScene):
         return self.cloth + paper * (board.paper - self.cloth + black * (board.ink - board.paper))
 
 
-_TRIES = 200
-_TILT_DEG = (10.0, 35.0)
-"""Range of the board's tilt against the finger plane, about any axis in it; this and the next are
-drawn evenly."""
-_TURN_DEG = (-15.0, 15.0)  # range of its turn about its own normal
-_MIDDLE_MM = (-5.0, 5.0)  # range of its centre's z
-_EDGE = 0.02  # fraction of the picture's height that stays free around the outer squares
-
-
 # How a person holds a checkerboard under the rig.
 
 _Pose = dict[str, Any]
@@ -154,7 +152,7 @@ def board_poses(
     board = board or PrintedBoard()
     rng = np.random.default_rng(np.random.SeedSequence([seed, 0xB0]))
     poses: list[_Pose] = []
-    for _ in range(_TRIES * count):
+    for _ in range(BOARD_TRIES * count):
         pose = _draw(rng, camera, board)
         if pose is not None:
             poses.append(pose)
@@ -170,7 +168,8 @@ def board_poses(
 def _draw(rng: np.random.Generator, camera: Camera, board: PrintedBoard) -> _Pose | None:
     """One pose, or None where so turned a board does not fit."""
     tilt, turn, height = (
-        low + (high - low) * rng.random() for low, high in (_TILT_DEG, _TURN_DEG, _MIDDLE_MM)
+        low + (high - low) * rng.random()
+        for low, high in (BOARD_TILT_DEG, BOARD_TURN_DEG, BOARD_HEIGHT_MM)
     )
     axis = 2.0 * np.pi * rng.random()
     beside = rng.random(2)
@@ -178,7 +177,7 @@ def _draw(rng: np.random.Generator, camera: Camera, board: PrintedBoard) -> _Pos
     spin = cv2.Rodrigues(np.array([0.0, 0.0, np.deg2rad(turn)]))[0]
     rotation = cv2.Rodrigues(lean @ spin)[0].ravel()
     rows, columns = camera.image_size
-    free = _EDGE * rows
+    free = BOARD_MARGIN * rows
     # held under the camera's axis, how far could it be moved until it leaves the picture?
     last = (columns - 1 - free, rows - 1 - free)
     places = _outer_corners(rotation, np.array([0.0, 0.0, height]), camera, board)

@@ -24,6 +24,7 @@ from splitknit_simulator.calibration_set.bench import (
     seen_at,
     steps,
 )
+from splitknit_simulator.calibration_set.parameters import RIM_SAMPLES
 from splitknit_simulator.light.lighting import UNIT, irradiance
 from splitknit_simulator.surface import Array
 
@@ -425,8 +426,6 @@ def _cut(sight: SightLines, window: Window) -> SightLines:
 
 # LEDs in a mirror: where lines of sight go after it, and whether they end on an LED's bright face.
 
-FINER = 12  # a pixel near a mirrored LED's rim is this many samples wide
-
 
 def unit(vectors: Array) -> Array:
     """Vectors (..., 3) of length one."""
@@ -464,9 +463,9 @@ def _led_face(led: Led, radius_mm: float, rays: Lines) -> tuple[Array, Array]:
 
 
 def _finer_lines(sight: SightLines, at: tuple[NDArray[Any], ...]) -> SightLines:
-    """Lines of sight (FINER^2, N) of a square grid of points within the N pixels `at`."""
-    places = (np.arange(FINER) + 0.5) / FINER - 0.5
-    row, column = np.repeat(places, FINER)[:, None], np.tile(places, FINER)[:, None]
+    """Lines of sight (RIM_SAMPLES^2, N) of a square grid of points within the N pixels `at`."""
+    places = (np.arange(RIM_SAMPLES) + 0.5) / RIM_SAMPLES - 0.5
+    row, column = np.repeat(places, RIM_SAMPLES)[:, None], np.tile(places, RIM_SAMPLES)[:, None]
 
     def finer(value: Array) -> Array:
         down, right = steps(value)

@@ -20,6 +20,14 @@ from splitknit import Camera, Led
 from splitknit.devices import CameraDevice, ExposureRange, Frame, LightBank
 from splitknit.errors import require
 from splitknit.model import FloatArray
+from splitknit_simulator.camera.parameters import (
+    LAG_FRAMES,
+    LONGEST_EXPOSURE_S,
+    PREVIEW_COLUMNS,
+    SENSITIVITY_PER_S,
+    SETTLE_S,
+    TRANSFER_S,
+)
 from splitknit_simulator.camera.sensor import RESPONSE, SensorSettings, binning_scale, record
 
 
@@ -51,18 +59,16 @@ class Clock:
         self.now_s += seconds
 
 
-_SHORTEST_S = 4 * 18.904e-6  # shortest exposure time: four rows of the IMX219
-_LONGEST_S = 0.2  # longest exposure time
-_HIGHEST_GAIN = 10.6  # largest gain; the smallest is 1
-_LINE_S = 18.904e-6  # time to read a row; exposures are whole numbers of it
-_READOUT_S = 0.0466  # from the first row to the last
-_FRAME_S = 0.0477  # shortest time from frame to frame
-_TRANSFER_S = 0.07  # from the end of the readout until the program has the picture
-_LAG_FRAMES = 3  # frames until a new exposure takes effect
-_PREVIEW_COLUMNS = 800  # width of a preview in pixels, about: it is reduced by a whole number
-SENSITIVITY_PER_S = 500.0
-"""Fraction of full scale that light of radiance one (rig's units) gives in a second at gain one."""
-SETTLE_S = 0.02  # time until an LED reaches full brightness
+_LINE_S = 18.904e-6
+"""Time to read a row; exposures are whole numbers of it. Source: IMX219 driver in Linux."""
+_SHORTEST_EXPOSURE_S = 4 * _LINE_S
+"""Shortest exposure time: four rows. Source: IMX219 driver in Linux."""
+_LARGEST_GAIN = 10.6
+"""Largest gain; the smallest is 1. Source: IMX219 driver in Linux."""
+_READOUT_S = 0.0466
+"""Time from the first row to the last. Source: derived, 2464 rows of the IMX219."""
+_FRAME_S = 0.0477
+"""Shortest time from frame to frame. Source: IMX219 driver in Linux."""
 
 
 class TwinLightBank(LightBank):
@@ -124,7 +130,7 @@ class TwinCamera(CameraDevice):
         self._seed, self._exposed, self._photographs = seed, 0, 0
         self._closed = False
         self.image_size = scene.camera.image_size
-        self.exposures = ExposureRange(_SHORTEST_S, _LONGEST_S, 1.0, _HIGHEST_GAIN)
+        self.exposures = ExposureRange(_SHORTEST_EXPOSURE_S, LONGEST_EXPOSURE_S, 1.0, _LARGEST_GAIN)
         self.lock(0.01, 1.0)
 
     def lock(self, exposure_s: float, gain: float, band: str = "white") -> None:
@@ -133,7 +139,7 @@ class TwinCamera(CameraDevice):
         require(band in RESPONSE, f"the bands are white and nir, not '{band}'.")
         self._exposure_s = round(exposure_s / _LINE_S) * _LINE_S
         self._gain, self._band = float(gain), band
-        self._fresh = _LAG_FRAMES
+        self._fresh = LAG_FRAMES
 
     def capture(self) -> Frame:
         """See :class:`splitknit.devices.CameraDevice`."""
@@ -144,7 +150,7 @@ class TwinCamera(CameraDevice):
 
     def preview(self) -> Frame:
         """See :class:`splitknit.devices.CameraDevice`."""
-        return self._expose(max(1, round(self.image_size[1] / _PREVIEW_COLUMNS)))
+        return self._expose(max(1, round(self.image_size[1] / PREVIEW_COLUMNS)))
 
     def close(self) -> None:
         """See :class:`splitknit.devices.CameraDevice`."""
@@ -170,7 +176,7 @@ class TwinCamera(CameraDevice):
         pixels = record(light * fraction, self._band, seed, sensor, self._scale / reduction)
         self._exposed += 1
         ended_s = begins_s + self._exposure_s + _READOUT_S
-        self._clock.advance(float(ended_s) + _TRANSFER_S - self._clock.now_s)
+        self._clock.advance(float(ended_s) + TRANSFER_S - self._clock.now_s)
         return Frame(pixels, self._exposure_s, self._gain, 0.0, float(ended_s), discarded)
 
     def _light(self, at_s: float) -> FloatArray:

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from splitknit import Camera
 from splitknit.errors import require
 from splitknit.model import FloatArray
+from splitknit_simulator.camera.parameters import BLUR_LEVELS_PER_DOUBLING
 
 Array = NDArray[np.float64]
 
@@ -121,9 +122,6 @@ def _distorted(camera: Camera, x: Array, y: Array) -> tuple[Array, Array]:
     )
 
 
-LEVELS_PER_DOUBLING = 2
-
-
 # Depth of field of a thin lens, as blur that grows with the distance from the plane in focus.
 
 
@@ -157,8 +155,10 @@ def defocus(image: FloatArray, sigma_px: FloatArray) -> FloatArray:
     largest = float(sigma_px.max())
     if largest < 0.1:
         return image
-    steps = max(int(np.ceil(LEVELS_PER_DOUBLING * np.log2(max(largest / 0.5, 1.0)))), 1)
-    ladder = np.concatenate([[0.0], largest * 2.0 ** (np.arange(-steps, 1) / LEVELS_PER_DOUBLING)])
+    steps = max(int(np.ceil(BLUR_LEVELS_PER_DOUBLING * np.log2(max(largest / 0.5, 1.0)))), 1)
+    ladder = np.concatenate(
+        [[0.0], largest * 2.0 ** (np.arange(-steps, 1) / BLUR_LEVELS_PER_DOUBLING)]
+    )
     variance = sigma_px * sigma_px
     result = np.zeros_like(image)
     lower, low = image, 0.0

@@ -15,6 +15,7 @@ from splitknit import Camera
 from splitknit.errors import require
 from splitknit.model import FloatArray, PixelArray
 from splitknit.settings import Checked, Limits
+from splitknit_simulator.camera.parameters import ROWS_AT_A_TIME
 
 RESPONSE: Mapping[str, tuple[float, float, float]] = {
     "white": (0.90, 1.00, 0.47),
@@ -25,9 +26,10 @@ RESPONSE: Mapping[str, tuple[float, float, float]] = {
 LED-B3 through the IMX219's quantum efficiency), and under 850 nm, where the colour filters are
 transparent; and each under an LED of its own colour (625, 525 and 465 nm)."""
 
-FULL_SIZE = (2200, 3200)  # rows and columns of the full frame
-FULL_PX_PER_MM = 75.7  # scale of the thesis's rig, full frame
-ROWS_AT_A_TIME = 64
+FULL_SIZE = (2200, 3200)
+"""Rows and columns of the full frame. Source: thesis."""
+FULL_PX_PER_MM = 75.7
+"""Scale of the full frame of the thesis's rig. Source: thesis, 757 pixels per cm."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -16,14 +16,22 @@ from splitknit.model import FloatArray
 from splitknit.settings import Checked, Limits
 from splitknit_simulator.finger.finger import FingerPose, SimulatedFinger, finger_surface
 from splitknit_simulator.finger.master_print import MasterPrint
+from splitknit_simulator.finger.parameters import (
+    DRY_ROUGHNESS,
+    HIGHEST_SKIN_MM,
+    MAX_PLATES,
+    MOIST_ROUGHNESS,
+    SCAR_ROUGHNESS,
+    WATER_ROUGHNESS,
+)
 from splitknit_simulator.finger.ridges import around, smooth_noise
 from splitknit_simulator.finger.skin_map import SkinMap, skin_map
 from splitknit_simulator.light.coat import draw_grains, stamp
 from splitknit_simulator.light.skin import CHANNELS, SkinOptics, diffusion_profile
 from splitknit_simulator.surface import Array, Coat, Film, SimulatedSurface
 
-KERATIN = 1.55  # refractive index of the dry horny layer (Duck 1990, Physical Properties of Tissue)
-MAX_PLATES = 4  # horny plates with air between them in the thickest scale
+KERATIN_INDEX = 1.55
+"""Refractive index of the dry horny layer. Source: Duck 1990, Physical Properties of Tissue."""
 
 
 # Dry and scarred skin: what becomes of its relief, its pigment and its roughness, on the map of the
@@ -44,7 +52,7 @@ def _scale_reflectance(plates: Array) -> Array:
     Source: Stokes 1862, On the intensity of the light reflected from or transmitted through a pile
     of plates.
     """
-    single = ((KERATIN - 1.0) / (KERATIN + 1.0)) ** 2
+    single = ((KERATIN_INDEX - 1.0) / (KERATIN_INDEX + 1.0)) ** 2
     return 2.0 * plates * single / (1.0 + (2.0 * plates - 1.0) * single)
 
 
@@ -249,16 +257,9 @@ def _ridges_in_space(angle_rad: Array, surface: SimulatedSurface, laid: SkinMap)
 
 Kind = Literal["none", "wet", "dry", "dusty", "scarred", "glossy"]
 KINDS: tuple[Kind, ...] = get_args(Kind)
-# GGX alpha of a water surface at rest on skin: smooth but for what floats on it
-_WATER_ROUGHNESS = 0.05
-_MOIST_ROUGHNESS = 0.18
-"""Roughness of hydrated skin between drops of water, as in moist sessions (Dabrowska et al. 2016:
-smoother)."""
-_DRY_ROUGHNESS, _SCAR_ROUGHNESS = 0.5, 0.15
 _SCAR = {"blood": (2.0, 0.1), "scattering_factor": (1.3, 3.0), "melanin": (0.5, 0.05)}
 """A young scar beside its skin, as a factor and a limit: more blood and collagen, less pigment
 (Tseng et al. 2012 measured that they differ; how far is our choice)."""
-_TOP_MM = 0.006  # the skin is sought from 8 um above the body on: nothing may stand higher
 
 
 @dataclass(frozen=True, slots=True)
@@ -307,7 +308,7 @@ def conditioned_surface(  # noqa: PLR0917
         level = _water_level(relief, plain.pitch_mm, severity, rng)
     skin_relief = relief if weathered is None else weathered.displacement
     highest = float((skin_relief if level is None else np.maximum(skin_relief, level)).max())
-    lower = max(0.0, highest - _TOP_MM)
+    lower = max(0.0, highest - HIGHEST_SKIN_MM)
     laid = (
         plain
         if weathered is None and lower == 0.0
@@ -368,8 +369,8 @@ def _wet(
         down, right = np.gradient(np.where(mask, -normals[..., axis] / nz, 0.0))
         total += (down**2 + right**2) / 12.0
     bend = np.asarray(np.minimum(0.5 * total, 0.25))
-    roughness = np.clip(np.sqrt(_WATER_ROUGHNESS**2 + 2.0 * bend), 0.0, 1.0).astype(np.float32)
-    moist = min(skin.roughness, _MOIST_ROUGHNESS)
+    roughness = np.clip(np.sqrt(WATER_ROUGHNESS**2 + 2.0 * bend), 0.0, 1.0).astype(np.float32)
+    moist = min(skin.roughness, MOIST_ROUGHNESS)
     bare = np.full(
         mask.shape, skin.roughness + severity * (moist - skin.roughness), dtype=np.float32
     )
@@ -386,7 +387,7 @@ def _weathered(
     fraction = _on_chart(weathered.fraction, surface, laid).astype(np.float32)
     if weathered.reflectance is not None:
         rough = max(
-            skin.roughness, skin.roughness + condition.severity * (_DRY_ROUGHNESS - skin.roughness)
+            skin.roughness, skin.roughness + condition.severity * (DRY_ROUGHNESS - skin.roughness)
         )
         scales = _on_chart(weathered.reflectance, surface, laid).astype(np.float32)
         return Coat(
@@ -396,7 +397,7 @@ def _weathered(
             np.full(fraction.shape, rough, np.float32),
             scales=scales,
         )
-    smooth = skin.roughness + fraction * (min(_SCAR_ROUGHNESS, skin.roughness) - skin.roughness)
+    smooth = skin.roughness + fraction * (min(SCAR_ROUGHNESS, skin.roughness) - skin.roughness)
     scar: dict[str, Any] = {
         name: min(factor * float(getattr(skin, name)), most)
         for name, (factor, most) in _SCAR.items()

@@ -12,10 +12,8 @@ from scipy.interpolate import RectBivariateSpline
 
 from splitknit.errors import require
 from splitknit_simulator.finger.master_print import MasterPrint
+from splitknit_simulator.finger.parameters import SAMPLES_PER_SIGMA
 from splitknit_simulator.surface import Array
-
-# grid points per length of smoothing: a cubic spline of them misses less than a thousandth
-SAMPLES_PER_SMOOTH = 4
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -85,17 +83,15 @@ def draw_deformation(
         f"a shift of {amplitude_mm} mm that is smooth over {smooth_mm} mm could fold the skin; at"
         f" most {0.15 * smooth_mm:.2f} mm go.",
     )
-    step = smooth_mm / SAMPLES_PER_SMOOTH
+    step = smooth_mm / SAMPLES_PER_SIGMA
     u, v = (
         np.arange(axis.min() - step, axis.max() + 2 * step, step)
         for axis in (master.u_mm, master.v_mm)
     )
-    white = rng.standard_normal(
-        (2, v.size + 8 * SAMPLES_PER_SMOOTH, u.size + 8 * SAMPLES_PER_SMOOTH)
-    )
-    inner = slice(4 * SAMPLES_PER_SMOOTH, -4 * SAMPLES_PER_SMOOTH)
+    white = rng.standard_normal((2, v.size + 8 * SAMPLES_PER_SIGMA, u.size + 8 * SAMPLES_PER_SIGMA))
+    inner = slice(4 * SAMPLES_PER_SIGMA, -4 * SAMPLES_PER_SIGMA)
     shift = np.stack(
-        [ndimage.gaussian_filter(part, SAMPLES_PER_SMOOTH)[inner, inner] for part in white]
+        [ndimage.gaussian_filter(part, SAMPLES_PER_SIGMA)[inner, inner] for part in white]
     )
     shift *= amplitude_mm / float(np.hypot(*shift).max())
     return Deformation(u, v, shift, stretch)

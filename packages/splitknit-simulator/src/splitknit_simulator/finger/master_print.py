@@ -19,6 +19,13 @@ from scipy.spatial import cKDTree
 from splitknit.errors import require
 from splitknit.model import FloatArray
 from splitknit.settings import Checked, Limits, check_fields
+from splitknit_simulator.finger.parameters import (
+    FAN_WIDENING,
+    FLANK_ROUGHNESS,
+    MIN_PRINT_CONTRAST,
+    PERIOD_VARIATION,
+    PRINT_NOISE_SIGMA_MM,
+)
 from splitknit_simulator.finger.ridges import (
     PATTERNS,
     OrientationField,
@@ -111,19 +118,13 @@ def _stamp(shape: tuple[int, int], x: Array, y: Array, sigma: Array, depth: Arra
     return np.asarray(image[reach : reach + shape[0], reach : reach + shape[1]], dtype=np.float32)
 
 
-PERIOD_VARIATION = 0.05
-"""Standard deviation of the ridge period within a finger, relative, over distances of about 5
-mm."""
 PROXIMAL_WIDENING = 0.14
-"""How much wider ridges are at the first crease than at the core (Gutierrez-Redomero 2008: fewer
-per area)."""
-FAN_WIDENING = 0.8
-"""How far ridges that fan out grow wider before new ones start between them: 0 not at all, 1 as far
-as they can."""
-# standard deviation of the irregularity of the ridge flanks, relative to the ridge's amplitude
-_ROUGHNESS = 0.06
-_PORE_SPACING_MM = 0.65  # mean distance of the pores along a ridge (9 to 18 a centimetre)
-_PORE_DIAMETER_MM = 0.13  # mean full width at half depth of a pore
+"""How much wider ridges are at the first crease than at the core. Source: Gutierrez-Redomero 2008,
+where ridges there are fewer per area."""
+_PORE_SPACING_MM = 0.65
+"""Mean distance of the pores along a ridge. Source: Roddy and Stosz 1997, 9 to 18 a centimetre."""
+_PORE_DIAMETER_MM = 0.13
+"""Mean full width at half depth of a pore. Source: Roddy and Stosz 1997, 60 to 250 um across."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -323,7 +324,7 @@ def ridge_profile(
     steep = rng.uniform(*settings.steepness)
     wave = np.tanh(1.2 * wave) / np.tanh(1.2)  # evens out the amplitude
     flank = np.maximum(1.0 - wave * wave, 0.0)
-    level = steep * (wave + duty + _ROUGHNESS * flank * rough)
+    level = steep * (wave + duty + FLANK_ROUGHNESS * flank * rough)
     low = np.tanh(steep * (duty - 1.1))  # interpolation overshoots 1 a little
     ridge = ((np.tanh(level) - low) / (1.0 - low)).astype(np.float32)
     return np.asarray(cv2.GaussianBlur(ridge, (0, 0), 0.02 / pitch), dtype=np.float32)
@@ -370,10 +371,10 @@ def master_of_print(
             cv2.GaussianBlur(field, (0, 0), sigma_mm / settings.pitch_mm), dtype=np.float32
         )
 
-    band = mean(grey, _NOISE_MM) - mean(grey, settings.period_mm)
+    band = mean(grey, PRINT_NOISE_SIGMA_MM) - mean(grey, settings.period_mm)
     strength = np.sqrt(np.maximum(mean(band * band, 1.5 * settings.period_mm), 0))
     usual = float(np.quantile(strength, 0.9))
-    require(usual > _FAINTEST, "the image shows no ridges.")
+    require(usual > MIN_PRINT_CONTRAST, "the image shows no ridges.")
     faintest = np.float32(0.35 * usual)
     weight = (mean((strength > faintest).astype(np.float32), 2 * settings.period_mm) > 0.5).astype(
         np.float32
@@ -385,7 +386,7 @@ def master_of_print(
     ridge = ridge_profile(np.random.default_rng([seed, 0x9A18]), wave, settings)
     require(float(weight.max()) > 0.9, "the image shows hardly any ridges.")
     level = np.float32((ridge * weight).sum(dtype=np.float64) / weight.sum(dtype=np.float64))
-    middle = (np.argmin(np.abs(v_mm - _PAD_MM)), np.argmin(np.abs(u_mm)))
+    middle = (np.argmin(np.abs(v_mm - _PAD_CENTRE_MM)), np.argmin(np.abs(u_mm)))
     shift = [
         int(m - round(float(c)))
         for m, c in zip(middle, ndimage.center_of_mass(weight), strict=True)
@@ -406,10 +407,9 @@ def master_of_print(
     )
 
 
-_PAD_MM = 13.5  # height of the middle of a pressed pad above the first crease
-# standard deviation of the Gaussian mean that takes a scanner's noise from a print
-_NOISE_MM = 0.05
-_FAINTEST = 0.02  # contrast of ridges, relative to white, below which an image shows none
+_PAD_CENTRE_MM = 13.5
+"""Height of the middle of a pressed pad above the first crease. Source: derived, the middle of the
+contact of :func:`ink_print`, 3 to 24 mm."""
 
 
 def ink_print(master: MasterPrint, *, half_width_mm: float = 7.5) -> NDArray[np.uint8]:

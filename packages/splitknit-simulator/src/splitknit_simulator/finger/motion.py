@@ -26,17 +26,20 @@ from splitknit_simulator.finger.finger import (
     placement_of,
 )
 from splitknit_simulator.finger.master_print import MasterPrint
+from splitknit_simulator.finger.parameters import (
+    SLIP_FRACTION,
+    SLIP_SIGMA_MM,
+    TREMOR_FRACTION,
+    TRUTH_STEP_MM,
+    TURN_DEG_PER_MM,
+)
 from splitknit_simulator.finger.shape import FingerBody
 from splitknit_simulator.surface import Array, SimulatedSurface
 
-_SHOT_S = 0.5  # time from shot to shot; the thesis takes 14 in 7 s
-EXPOSURE_S = 0.02  # time that a shot takes; tremor blurs it
-_TREMOR_HZ = (8.0, 12.0)  # physiological tremor (Elble and Koller 1990)
-_TREMOR_SHARE = 0.05  # standard deviation of the tremor relative to the drift's amplitude
-# largest difference of yaw, and of roll, between two shots, for each mm of amplitude
-_TURN_DEG_PER_MM = 1.5
-_SLIP = 0.1  # largest slip of the skin between two shots, over the amplitude
-_SLIP_SMOOTH_MM = 5.0  # length over which the slip is smooth
+_SHOT_S = 0.5
+"""Time from shot to shot. Source: thesis, 14 photographs in 7 s."""
+_TREMOR_HZ = (8.0, 12.0)
+"""Frequencies of physiological tremor. Source: Elble and Koller 1990."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -72,9 +75,9 @@ def draw_path(
     frequency = rng.uniform(*_TREMOR_HZ, (3, 2))
     phase = rng.uniform(0.0, 2.0 * np.pi, (3, 2))
     angle = 2.0 * np.pi * frequency * time[:, None, None] + phase
-    tremor = np.sin(angle).sum(axis=1) * (_TREMOR_SHARE * np.sqrt(2.0 / 3.0))
+    tremor = np.sin(angle).sum(axis=1) * (TREMOR_FRACTION * np.sqrt(2.0 / 3.0))
     speed = (2.0 * np.pi * frequency * np.cos(angle)).sum(axis=1) * (
-        _TREMOR_SHARE * np.sqrt(2.0 / 3.0)
+        TREMOR_FRACTION * np.sqrt(2.0 / 3.0)
     )
     path = drift / _spread(drift) + tremor
     scale = settings.amplitude_mm / _spread(path)
@@ -91,9 +94,9 @@ def draw_path(
         time_s=time,
         shift_mm=against(path * scale),
         speed_mm_per_s=speed * scale,
-        yaw_rad=against(yaw * turned * _TURN_DEG_PER_MM),
-        roll_rad=against(roll * turned * _TURN_DEG_PER_MM),
-        slip=against(slip / _spread(slip) * settings.amplitude_mm * _SLIP),
+        yaw_rad=against(yaw * turned * TURN_DEG_PER_MM),
+        roll_rad=against(roll * turned * TURN_DEG_PER_MM),
+        slip=against(slip / _spread(slip) * settings.amplitude_mm * SLIP_FRACTION),
         reference=reference,
     )
 
@@ -106,9 +109,6 @@ def _walk(rng: np.random.Generator, steps: int, width: int) -> Array:
 def _spread(path: Array) -> float:
     """Largest distance between two of its points."""
     return float(np.linalg.norm(path[:, None] - path[None], axis=-1).max())
-
-
-TRUTH_STEP_MM = 0.5  # pitch of the grid on which the truth records where the skin went
 
 
 # The surfaces of a moving finger, one for each shot, and where its skin goes in the pictures.
@@ -201,8 +201,8 @@ def moving_finger(
     slip."""
     master = finger.master()
     rng = np.random.default_rng(seed)
-    unit_mm = 0.1 * _SLIP_SMOOTH_MM
-    fields = [draw_deformation(rng, master, unit_mm, _SLIP_SMOOTH_MM) for _ in "12"]
+    unit_mm = 0.1 * SLIP_SIGMA_MM
+    fields = [draw_deformation(rng, master, unit_mm, SLIP_SIGMA_MM) for _ in "12"]
     first, second = (
         Deformation(drawn.u_mm, drawn.v_mm, drawn.shift_mm * (1 / unit_mm)) for drawn in fields
     )

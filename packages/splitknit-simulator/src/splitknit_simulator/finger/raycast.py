@@ -240,9 +240,9 @@ def _hits(body: FingerBody, placement: Placement, camera: Camera) -> tuple[slice
 
 
 _SHAPES: tuple[tuple[int, ...], ...] = ((), (), (3,), (3,), (), (), (2,), (), ())
+"""Shapes of the values that :func:`cast_rays` returns for a ray. Source: definition."""
 _EMPTY = (np.nan, np.nan, 0.0, 0.0, 0.0, 1.0, np.nan, np.nan, np.nan)
-"""What :func:`cast_rays` returns: the shape of a ray's values, and what stands where a ray meets
-nothing."""
+"""The same values where a ray meets nothing. Source: definition."""
 Cast = Callable[[NDArray[np.intp]], tuple[NDArray[np.intp], Sequence[Array | FloatArray]]]
 
 

@@ -19,6 +19,12 @@ from scipy.sparse.linalg import spsolve
 
 from splitknit.errors import require
 from splitknit.model import FloatArray
+from splitknit_simulator.finger.parameters import (
+    PERIOD_STIFFNESS,
+    RING_BANDWIDTH,
+    RING_SPACING,
+    SMOOTHING_PERIODS,
+)
 from splitknit_simulator.surface import Array
 
 Point = tuple[float, float]
@@ -192,10 +198,6 @@ def _unwarp(point: Point, wu: Array, wv: Array, u_mm: Array, v_mm: Array) -> Poi
     return float(u_mm[column]), float(v_mm[row])
 
 
-# holds the logarithm of a ridge period small, against its fit to the divergence of the ridges
-_STIFFNESS = 0.02
-
-
 def fan_log_period(angle_rad: Array, pitch_mm: float) -> Array:
     """Logarithm of the ridge period that lets ridges fan out with the fewest new ones, smooth and
     zero on average.
@@ -224,7 +226,7 @@ def fan_log_period(angle_rad: Array, pitch_mm: float) -> Array:
     gradient_u, gradient_v = _difference_matrices(rows, columns, h)
     cosine, sine = (sparse.diags_array(part.ravel()) for part in (along.real, along.imag))
     streamwise = cosine @ gradient_u + sine @ gradient_v
-    system = streamwise.T @ streamwise + _STIFFNESS * sparse.eye_array(rows * columns)
+    system = streamwise.T @ streamwise + PERIOD_STIFFNESS * sparse.eye_array(rows * columns)
     system += 0.3 * (gradient_u.T @ gradient_u + gradient_v.T @ gradient_v)
     solution = spsolve(sparse.csc_array(system), streamwise.T @ divergence.ravel()).reshape(
         rows, columns
@@ -254,10 +256,6 @@ def _difference_matrices(
 
 # Ridges grown from noise: repeated filtering along a field of directions and periods.
 
-_BANDWIDTH = 0.2  # standard deviation of a ring filter over its frequency
-_SPACING = 1.16  # ratio between the frequencies of neighbouring ring filters, at most
-_REACH = 1.1  # standard deviation of the smoothing along ridges, in periods
-
 
 def grow_ridges(
     noise: FloatArray, angle_rad: Array, period_px: Array, *, iterations: int = 5
@@ -277,7 +275,7 @@ def grow_ridges(
     mean_period = float(np.median(period_px))
     # Passes of (3, 4, 3) / 10 at distances d, 2 d and 4 d make a bell along the streamline; d is
     # too short to alias.
-    distances = [factor * _REACH * mean_period for factor in (0.26, 0.52, 1.04)]
+    distances = [factor * SMOOTHING_PERIODS * mean_period for factor in (0.26, 0.52, 1.04)]
     maps = [_streamline_maps(angle_rad, distance, 2 + k) for k, distance in enumerate(distances)]
     bank = _ring_bank(noise.shape, period_px)
     ridges = wave = noise.astype(np.float32)
@@ -334,14 +332,14 @@ def _ring_bank(shape: tuple[int, ...], period_px: Array) -> list[tuple[FloatArra
     """Ring filters at geometrically spaced frequencies, each with the (H, W) weights that blend it
     with neighbours."""
     low, high = float(np.log(period_px.min())), float(np.log(period_px.max()))
-    count = max(2, int(np.ceil((high - low) / np.log(_SPACING))) + 1)
+    count = max(2, int(np.ceil((high - low) / np.log(RING_SPACING))) + 1)
     centers = np.linspace(low, high, count)
     frequency = np.hypot(np.fft.fftfreq(shape[0])[:, None], np.fft.rfftfreq(shape[1])[None, :])
     position = (np.log(period_px) - low) / max(high - low, 1e-9) * (count - 1)
     bank = []
     for k, center in enumerate(centers):
         f0 = float(np.exp(-center))
-        ring = np.exp(-0.5 * ((frequency - f0) / (_BANDWIDTH * f0)) ** 2).astype(np.float32)
+        ring = np.exp(-0.5 * ((frequency - f0) / (RING_BANDWIDTH * f0)) ** 2).astype(np.float32)
         bank.append((ring, np.clip(1.0 - np.abs(position - k), 0.0, 1.0).astype(np.float32)))
     return bank
 

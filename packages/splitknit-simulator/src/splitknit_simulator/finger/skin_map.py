@@ -9,6 +9,7 @@ from scipy import ndimage
 
 from splitknit.model import FloatArray
 from splitknit_simulator.finger.master_print import MasterPrint
+from splitknit_simulator.finger.parameters import UNDULATION_SIGMA_MM
 from splitknit_simulator.finger.ridges import smooth_noise
 from splitknit_simulator.surface import Array
 
@@ -93,10 +94,6 @@ class SkinMap:
         )
 
 
-# standard deviation of the Gaussian mean behind :attr:`SkinRelief.undulation_mm`
-_UNDULATION_MM = 1.6
-
-
 def skin_map(master: MasterPrint, settings: SkinRelief | None = None) -> SkinMap:
     """Lay ridges, pores and creases over the chart.
 
@@ -121,7 +118,9 @@ def skin_map(master: MasterPrint, settings: SkinRelief | None = None) -> SkinMap
     displacement -= 1e-3 * settings.pore_depth_um * master.pores * flatten
     if settings.undulation_mm > 0:
         soft = smooth_noise(
-            np.random.default_rng([master.seed, 0x5C2]), master.ridge.shape, _UNDULATION_MM / pitch
+            np.random.default_rng([master.seed, 0x5C2]),
+            master.ridge.shape,
+            UNDULATION_SIGMA_MM / pitch,
         )
         displacement += settings.undulation_mm * (soft - soft.max())
     pigment = (1.0 - shade) * (1.0 - settings.pore_darkening * master.pores * flatten)

@@ -11,20 +11,21 @@ from numpy.typing import NDArray
 from splitknit import Camera, Led
 from splitknit.model import BoolArray, FloatArray
 from splitknit_simulator.light.lighting import Patch, angular_size, towards
-from splitknit_simulator.light.skin import REFRACTIVE_INDEX, diffuse_transmittance, fresnel
-from splitknit_simulator.surface import WATER, Coat, Film, Grains
+from splitknit_simulator.light.parameters import (
+    DUST_DENSITY_MG_PER_MM3,
+    GRAIN_ALBEDO,
+    GRAIN_MEDIAN_UM,
+    GRAIN_SPREAD,
+    REFRACTIVE_INDEX,
+)
+from splitknit_simulator.light.skin import diffuse_transmittance, fresnel
+from splitknit_simulator.surface import WATER_INDEX, Coat, Film, Grains
 
-MAX_MG_PER_CM2 = 0.64
-"""Most outdoor dust that adheres to the skin of young adults (Changchun, China; indoor dust:
-0.35)."""
-MEDIAN_UM = 20.0
-"""Median diameter of the grains, by number; with the spread below the mean by area is 47 um. Dust
-under 100 um sticks to skin, above 250 um it does not (Cao et al. 2012)."""
-SPREAD = 1.8  # geometric standard deviation of the diameters
-LARGEST_UM = 250.0
-DENSITY_MG_PER_MM3 = 2.0  # density of soil and house dust: 1.5 to 2.6
-# albedo of single grains, uniform between these: soot and soil to flour and skin scales
-ALBEDO = (0.08, 0.6)
+_MAX_DUST_MG_PER_CM2 = 0.64
+"""Largest mass of dust on skin. Source: outdoor dust that adheres to the skin of young adults in
+Changchun, China (indoor dust: 0.35)."""
+_LARGEST_GRAIN_UM = 250.0
+"""Diameter above which grains do not stick to skin. Source: Cao et al. 2012."""
 
 
 # Dust: how many grains of what size, and where they and their shadows lie in the picture.
@@ -33,13 +34,13 @@ ALBEDO = (0.08, 0.6)
 def draw_grains(
     rng: np.random.Generator, mask: BoolArray, nz: FloatArray, camera: Camera, severity: float
 ) -> Grains:
-    """Strew grains evenly over the skin that the camera sees, `severity` times `MAX_MG_PER_CM2`.
+    """Strew grains evenly over the skin that the camera sees, at severity 1 as much as skin holds.
 
     `nz` (H, W): z component of the shape's normals: a pixel on a slant shows more skin.
     """
-    spread = float(np.log(SPREAD))
-    volume = np.pi / 6.0 * (1e-3 * MEDIAN_UM) ** 3 * float(np.exp(4.5 * spread**2))
-    per_mm2 = severity * MAX_MG_PER_CM2 / 100.0 / (volume * DENSITY_MG_PER_MM3)
+    spread = float(np.log(GRAIN_SPREAD))
+    volume = np.pi / 6.0 * (1e-3 * GRAIN_MEDIAN_UM) ** 3 * float(np.exp(4.5 * spread**2))
+    per_mm2 = severity * _MAX_DUST_MG_PER_CM2 / 100.0 / (volume * DUST_DENSITY_MG_PER_MM3)
     rows, columns = mask.shape
     # drawn over the whole frame in mm and then thinned, so that every scale of the picture shows
     # the same dust
@@ -48,13 +49,13 @@ def draw_grains(
     count = int(rng.poisson(steep * per_mm2 * width * height))
     place = rng.random((2, count))
     column, row = place[0] * columns - 0.5, place[1] * rows - 0.5
-    diameter = 1e-3 * MEDIAN_UM * np.exp(spread * rng.standard_normal(count))
-    albedo = rng.uniform(*ALBEDO, count)
+    diameter = 1e-3 * GRAIN_MEDIAN_UM * np.exp(spread * rng.standard_normal(count))
+    albedo = rng.uniform(*GRAIN_ALBEDO, count)
     chance = rng.random(count)
     i = np.clip(np.rint(row).astype(np.intp), 0, rows - 1)
     j = np.clip(np.rint(column).astype(np.intp), 0, columns - 1)
     skin = mask[i, j] & (chance < 1.0 / (steep * np.maximum(nz[i, j], 1.0 / steep)))
-    keep = skin & (diameter < 1e-3 * LARGEST_UM)
+    keep = skin & (diameter < 1e-3 * _LARGEST_GRAIN_UM)
     return Grains(column[keep], row[keep], 0.5 * diameter[keep] * camera.px_per_mm, albedo[keep])
 
 
@@ -161,7 +162,7 @@ class CoatedPatch:
             fraction = fraction * (1.0 - self.scales)
         if self.film is not None:
             cosine = np.clip(_dot(_apart(self.film.normals), self.view), 0.05, 1.0)
-            through = (1.0 - fresnel(cosine, WATER)) / diffuse_transmittance(WATER)
+            through = (1.0 - fresnel(cosine, WATER_INDEX)) / diffuse_transmittance(WATER_INDEX)
             bare = (1.0 - fresnel(np.clip(self.patch.nv, 0.05, 1.0))) / diffuse_transmittance()
             fraction = fraction * (1.0 + self.film.fraction * (through / bare - 1.0))
         return np.asarray(fraction, dtype=np.float32)
@@ -210,7 +211,7 @@ class CoatedPatch:
                 self._under_water(light, strength, normal) - entering
             )
             water = _reflected(
-                normal, light, self.view, np.minimum(film.roughness + size, 1.0), index=WATER
+                normal, light, self.view, np.minimum(film.roughness + size, 1.0), index=WATER_INDEX
             )
             gloss = gloss + film.fraction * (water - gloss)
         if self.scales is not None:
@@ -235,13 +236,13 @@ class CoatedPatch:
         cosine of it.
         """
         above = np.maximum(_dot(light, normal), 0.0)
-        below = np.sqrt(np.maximum(1.0 - (1.0 - above * above) / WATER**2, 0.0))
-        stretch = below - above / WATER
-        x, y, z = (part / WATER + stretch * n for part, n in zip(light, normal, strict=True))
+        below = np.sqrt(np.maximum(1.0 - (1.0 - above * above) / WATER_INDEX**2, 0.0))
+        stretch = below - above / WATER_INDEX
+        x, y, z = (part / WATER_INDEX + stretch * n for part, n in zip(light, normal, strict=True))
         bent = (x, y, z)
         on_skin = np.maximum(_dot(bent, self.normal), 0.0)
-        within = strength * above * (1.0 - fresnel(above, WATER)) / below
-        return within * on_skin * (1.0 - fresnel(on_skin, REFRACTIVE_INDEX / WATER))
+        within = strength * above * (1.0 - fresnel(above, WATER_INDEX)) / below
+        return within * on_skin * (1.0 - fresnel(on_skin, REFRACTIVE_INDEX / WATER_INDEX))
 
     def _shadow(self, light: Vectors) -> FloatArray:
         """(h, w) fraction of the skin's light that grains take: a ball on the ground shades a disc

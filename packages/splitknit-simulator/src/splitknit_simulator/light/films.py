@@ -21,15 +21,14 @@ from splitknit import BadInput, Led, Rig
 from splitknit.model import FloatArray, side_lights
 from splitknit.settings import Checked, Limits
 from splitknit_simulator.light.lighting import Patch, arriving
-from splitknit_simulator.light.skin import REFRACTIVE_INDEX, ChannelOptics, fresnel
+from splitknit_simulator.light.parameters import CROSSED_LED_DISTANCE_MM, REFRACTIVE_INDEX
+from splitknit_simulator.light.skin import ChannelOptics, fresnel
 from splitknit_simulator.surface import Array
 
 Vectors = Any
 """x, y and z, arrays or numbers that broadcast together."""
 
 SERIES = ("parallel", "crossed")
-# distance of the LEDs of the crossed series from the first ones, where they have their own
-_NEIGHBOUR_MM = 6.0
 
 
 def turned_film_rad(place: Sequence[float], analyser_rad: float = 0.0) -> float:
@@ -181,7 +180,7 @@ def with_crossed_leds(rig: Rig) -> Rig:
                     "films.kind 'leds' needs near LEDs, but the rig's have no position_mm."
                 )
             x, y, z = led.position_mm
-            turn = _NEIGHBOUR_MM / max(float(np.hypot(x, y)), _NEIGHBOUR_MM)
+            turn = CROSSED_LED_DISTANCE_MM / max(float(np.hypot(x, y)), CROSSED_LED_DISTANCE_MM)
             place = x * np.cos(turn) - y * np.sin(turn), x * np.sin(turn) + y * np.cos(turn), z
             added.append(replace(led, position_mm=(float(place[0]), float(place[1]), float(z))))
     return replace(rig, leds=(*rig.leds, *added))

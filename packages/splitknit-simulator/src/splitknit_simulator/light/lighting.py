@@ -15,10 +15,18 @@ from splitknit import Camera, Led
 from splitknit.errors import require
 from splitknit.model import FloatArray
 from splitknit_simulator.camera.lens import px_per_mm_at, slopes_of_pixels
+from splitknit_simulator.light.parameters import (
+    LED_RADIUS_MM,
+    MAX_FACET_AREA,
+    MIN_VIEW_COSINE,
+    SHADOW_MAX_SINE,
+)
 from splitknit_simulator.light.skin import fresnel
 from splitknit_simulator.surface import SimulatedSurface
 
-UNIT = 1e4  # irradiance of an LED of intensity one at 100 mm
+UNIT = 1e4
+"""Square of the distance, in mm, at which an LED of intensity one gives the irradiance one. Source:
+definition of an LED's intensity."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -81,13 +89,13 @@ def cut_out(surface: SimulatedSurface, *, shadows: bool = False) -> Patch:
         nv = nx * view[0] + ny * view[1] + nz * view[2]
         px_per_mm = px_per_mm_at(surface.camera, float(z[mask].mean(dtype=np.float64)))
         seen, tilt = sum(smooth[..., axis] * view[axis] for axis in range(3)), view[:2]
-    seen = np.maximum(seen, np.float32(_GRAZING))
+    seen = np.maximum(seen, np.float32(MIN_VIEW_COSINE))
     slopes = tuple(
         np.where(mask, tilt[axis] - smooth[..., axis] / seen, 0).astype(np.float32)
         for axis in range(2)
     )
     area = np.where(
-        mask, np.minimum(seen / np.maximum(nv, np.float32(_GRAZING)), _LARGEST), 1
+        mask, np.minimum(seen / np.maximum(nv, np.float32(MIN_VIEW_COSINE)), MAX_FACET_AREA), 1
     ).astype(np.float32)
     return Patch(
         window,
@@ -173,13 +181,8 @@ def light_on(
     return entering, gloss
 
 
-LED_RADIUS_MM = 1.5  # radius of an LED's emitting face; it widens the specular reflection
-LOW = 0.7
-"""Sine of the elevation below which a light casts shadows of the finger on itself: those of a ring
-do so in creases."""
-
-
 _NOTHING_MM = -1e3
+"""Height beside the finger, far below every light's path. Source: definition."""
 
 
 def arriving(
@@ -191,7 +194,11 @@ def arriving(
     is hidden, softly, as its face has a `radius_mm`.
     """
     lx, ly, lz, strength = towards(led, patch.x, patch.y, patch.z)
-    if not patch.shadows or led.position_mm is None or float(np.mean(lz[patch.mask])) > LOW:
+    if (
+        not patch.shadows
+        or led.position_mm is None
+        or float(np.mean(lz[patch.mask])) > SHADOW_MAX_SINE
+    ):
         return lx, ly, lz, strength
     flat = np.maximum(np.hypot(lx, ly), 1e-6)
     rows, columns = (np.asarray(axis, dtype=np.float32) for axis in np.indices(patch.z.shape))
@@ -225,13 +232,6 @@ def angular_size(led: Led, radius_mm: float) -> float:
         if led.position_mm is None
         else radius_mm / (2.0 * float(np.linalg.norm(led.position_mm)))
     )
-
-
-# cosine to the camera: facets that lean away further are not resolved by the picture's pixels
-_GRAZING = 0.12
-_LARGEST = 3.0
-"""Area of a facet over that of the smooth skin: larger ones are walls of pores, a small part of
-their pixel."""
 
 
 def _ggx(

@@ -23,12 +23,16 @@ from splitknit.model import FloatArray
 from splitknit.settings import Checked, Limits
 from splitknit_simulator.light.coat import CoatedPatch
 from splitknit_simulator.light.lighting import (
-    LED_RADIUS_MM,
     Patch,
     arriving,
     cut_out,
     light_on,
     towards,
+)
+from splitknit_simulator.light.parameters import (
+    LED_RADIUS_MM,
+    RELIEF_HIGH_PASS_MM,
+    RELIEF_SMOOTHING_MM,
 )
 from splitknit_simulator.light.skin import (
     CHANNELS,
@@ -42,8 +46,6 @@ from splitknit_simulator.surface import SimulatedSurface
 
 BLOOD: dict[Channel, float] = {"red": 0.15, "green": 1.0, "blue": 0.8, "nir": 0.05}
 """How strongly mottled blood darkens each channel, relative to green."""
-_RELIEF_LOW_MM, _RELIEF_HIGH_MM = 0.03, 0.32
-"""Standard deviations of the smoothing and of the high-pass of the relief in the relief term."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -390,7 +392,7 @@ class Relief:
             blurred = cv2.GaussianBlur(relief, (0, 0), sigma, borderType=cv2.BORDER_REPLICATE)
             return np.asarray(blurred / np.maximum(weight, 1e-3), dtype=np.float32)
 
-        self._band = smooth(_RELIEF_LOW_MM) - smooth(_RELIEF_HIGH_MM)
+        self._band = smooth(RELIEF_SMOOTHING_MM) - smooth(RELIEF_HIGH_PASS_MM)
         pigment = np.where(patch.mask, surface.pigment[patch.window], 0).astype(np.float32)
         self._pigments = [pigment] * len(skin.optics)
 

@@ -23,7 +23,8 @@ from splitknit import Led
 from splitknit.errors import require
 from splitknit.model import FloatArray
 from splitknit.settings import Checked, Limits
-from splitknit_simulator.light.lighting import LED_RADIUS_MM, Patch, cut_out, light_on
+from splitknit_simulator.light.lighting import Patch, cut_out, light_on
+from splitknit_simulator.light.parameters import LED_RADIUS_MM
 from splitknit_simulator.light.renderer import Relief, RenderSettings, SubsurfaceScattering
 from splitknit_simulator.light.skin import Medium, SkinOptics
 from splitknit_simulator.surface import Array, SimulatedSurface

@@ -30,6 +30,7 @@ from scipy.special import j1
 from splitknit.errors import require
 from splitknit.model import FloatArray
 from splitknit.settings import Checked, Limits
+from splitknit_simulator.light.parameters import REFRACTIVE_INDEX
 
 Channel = Literal["red", "green", "blue", "nir"]
 CHANNELS: tuple[Channel, ...] = get_args(Channel)
@@ -119,7 +120,7 @@ class Boundary(Checked):
 
         Behind a matt boundary, light whose mean free path is longer than a ridge is wide carries no
         signal of its height; refracted light brightens heights the more, the deeper it goes. Both
-        follow our own reference walks (docs/experiments/simulator-reference.md, ridges of 75 um,
+        follow our own reference walks (docs/experiments/simulator.md, ridges of 75 um,
         scattering of 1 to 10 per mm).
         """
         matt = max(1.0 - math.exp((1.0 - scattering_per_mm) / 0.65), 0.0)
@@ -140,7 +141,7 @@ class Boundary(Checked):
 
 SLOPE_LOSS: Mapping[Channel, float] = {"red": 2.3, "green": 1.65, "blue": 1.0, "nir": 4.8}
 """What a smooth boundary takes from the shading by slopes, over that of a matt one: our own
-reference walks (docs/experiments/simulator-reference.md, ridges of 75 um; 1: none is left, above 1:
+reference walks (docs/experiments/simulator.md, ridges of 75 um; 1: none is left, above 1:
 it is reversed)."""
 
 
@@ -282,9 +283,9 @@ class SkinRanges:
         return replace(self.base, **drawn)
 
 
-REFRACTIVE_INDEX = 1.42
 RADIUS_EDGES = np.concatenate([[0.0], np.geomspace(1e-3, 250.0, 101)])
-"""Radii that bound the rings in which walks leave the skin, in mean free paths."""
+"""Radii that bound the rings in which walks leave the skin, in mean free paths. Source: definition
+of the shipped table of walks."""
 
 # Where light that enters skin at one point leaves it.
 

@@ -37,15 +37,20 @@ from splitknit.settings import differing
 from splitknit.workers import run_jobs
 from splitknit_simulator.finger.finger import SimulatedFinger
 from splitknit_simulator.finger.master_print import MasterPrint
-from splitknit_simulator.population.sessions import DRAWS, PopulationSettings, population_capture
+from splitknit_simulator.population.parameters import REAL_PRINT_FRACTION
+from splitknit_simulator.population.sessions import (
+    DRAWS_VERSION,
+    PopulationSettings,
+    population_capture,
+)
 from splitknit_simulator.twin import master_of_print_file
 
-POPULATION_FILE, IMPRESSION_FILE, TABLE_FILE = (
-    "population.json",
-    "impression.json",
-    "population.csv",
-)
-_FORMAT, _VERSION = "splitknit-population", 1
+POPULATION_FILE = "population.json"
+IMPRESSION_FILE = "impression.json"
+TABLE_FILE = "population.csv"
+_FORMAT = "splitknit-population"
+_VERSION = 1
+"""Version of the format of a population's folder. Source: definition."""
 
 _Job = tuple[PlannedCapture, ...]
 """The waiting captures of one finger: its print is drawn once for all of them."""
@@ -94,7 +99,7 @@ def simulate_population(
     document = {
         "format": _FORMAT,
         "format_version": _VERSION,
-        "draws": DRAWS,
+        "draws": DRAWS_VERSION,
         **provenance(settings),
         **({"prints": plain_json(real.of_finger)} if real.of_finger else {}),
         "settings_sha256": _population_hash(settings, real),
@@ -142,7 +147,9 @@ def _population_hash(settings: PopulationSettings, real: RealPrints | None = Non
     """SHA-256 of everything that the captures follow from; the number of threads is not."""
     render = replace(settings.render, workers=1)
     prints = {"prints": real.of_finger} if real is not None and real.of_finger else {}
-    return settings_hash({"draws": DRAWS, "settings": replace(settings, render=render)} | prints)
+    return settings_hash(
+        {"draws": DRAWS_VERSION, "settings": replace(settings, render=render)} | prints
+    )
 
 
 def _simulate_job(job: _Job, settings: PopulationSettings, real: RealPrints, folder: Path) -> int:
@@ -225,8 +232,6 @@ def _write_table(enrolment: Enrolment) -> None:
 # Ridges of real prints for a third of a population's fingers.
 
 
-# fraction of the fingers with ridges of a real print, where there are prints enough
-FRACTION = 1 / 3
 _SUFFIXES = (".png", ".tif", ".tiff", ".jpg", ".jpeg")
 
 
@@ -315,7 +320,7 @@ def choose_prints(
             kept.check(real_print)
         return kept
     firsts = _first_impressions(folder)
-    wanted = max(1, round(FRACTION * len(subjects) * len(fingers)))
+    wanted = max(1, round(REAL_PRINT_FRACTION * len(subjects) * len(fingers)))
     rng = np.random.default_rng(np.random.SeedSequence([seed, 0xB0D4]))
     identities = [
         (firsts[k], mirrored) for mirrored in (False, True) for k in rng.permutation(len(firsts))

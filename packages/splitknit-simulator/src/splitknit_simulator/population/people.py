@@ -28,9 +28,21 @@ from splitknit_simulator.finger.master_print import MasterPrintSettings
 from splitknit_simulator.finger.shape import FingerShape
 from splitknit_simulator.finger.skin_map import SkinRelief as ReliefSettings
 from splitknit_simulator.light.skin import SkinOptics, SkinRanges
+from splitknit_simulator.population.parameters import (
+    BLOOD_FINGER_SD,
+    HABIT_ROLL_SD_DEG,
+    LENGTH_MM,
+    PATTERN_COMMON_TO_DIGIT,
+    PATTERN_COMMON_TO_PERSON,
+    PERIOD_DIGIT,
+    RELIEF_GAIN_FINGER_SD,
+    SIZE_COMMON_TO_PERSON,
+    WIDTH_MM,
+)
 
 Five = tuple[float, float, float, float, float]
-DIGITS, SIDES = ("thumb", "index", "middle", "ring", "little"), ("right", "left")
+DIGITS = ("thumb", "index", "middle", "ring", "little")
+SIDES = ("right", "left")
 
 ARCHES: Mapping[str, Five] = {
     "right": (0.03, 0.17, 0.07, 0.02, 0.01),
@@ -44,10 +56,13 @@ WHORLS: Mapping[str, Five] = {
 }
 """Fraction of whorls; the rest are loops (the same table)."""
 RADIAL: Five = (0.01, 0.39, 0.04, 0.02, 0.01)
-"""Fraction of the loops that open to the thumb's side: 39 % on fore-fingers (Galton), rare
-elsewhere."""
-TENTED, TWIN = 0.44, 0.18
-"""Tented ones among arches and twin loops among whorls, as in
+"""Fraction of the loops that open to the thumb's side, by digit: 39 % on fore-fingers, rare
+elsewhere. Source: Galton 1892."""
+TENTED = 0.44
+"""Fraction of tented ones among the arches. Source: derived from
+:data:`splitknit_simulator.finger.finger.FREQUENCIES`."""
+TWIN = 0.18
+"""Fraction of twin loops among the whorls. Source: derived from
 :data:`splitknit_simulator.finger.finger.FREQUENCIES`."""
 
 
@@ -91,27 +106,26 @@ def _pattern_class(rng: np.random.Generator, score: float, side: str, digit: str
 
 # From what hands are drawn.
 
-_LENGTH_SEX_RATIO, _LENGTH_SPREAD = 1.09, 0.05
-"""Of the length from tip to first crease: men's over women's; relative standard deviation between
-people of one sex."""
-_WIDTH_SEX_RATIO, _WIDTH_SPREAD = 1.14, 0.055  # the same of the pad's breadth
-_PERIOD_SEX_RATIO, _PERIOD_SPREAD = 1.10, 0.045  # the same of the ridge period
-PERIOD_DIGIT: Five = (1.05, 1.02, 1.0, 0.98, 0.95)  # relative ridge period of each digit
-# mean breadth of the pad by digit, thumb to little finger, both sexes
-WIDTH_MM: Five = (20.2, 16.8, 17.0, 16.0, 14.3)
-LENGTH_MM: Five = (30.5, 25.0, 26.0, 25.5, 22.8)  # mean length from tip to first crease
-PERIOD_MM = 0.435  # mean ridge period, both sexes: 23 ridges per cm, as in the thesis
-_HABIT_ROLL_SD_DEG = 3.0  # standard deviation of each finger's habitual roll
-# fraction of the variance of breadth and length, within a sex, that all ten fingers have in common
-_PERSON_SHARE = 0.8
-# relative standard deviation of the ridge period between the fingers of a hand
-_PERIOD_OWN_SPREAD = 0.02
-_PATTERN_SHARES = 0.35, 0.25
-"""How far a person's fingers, and the two fingers of one name, tend to one class of print: of the
-latent variance."""
-_BLOOD_OWN_SPREAD, _GAIN_OWN_SPREAD = 0.10, 0.05
-"""Logarithmic standard deviations of blood content and relief gain between the fingers of a
-person."""
+_LENGTH_SEX_RATIO = 1.09
+"""Length from tip to first crease, men's over women's. Source: Pheasant's tables of hands."""
+_LENGTH_SD = 0.05
+"""Standard deviation of that length between people of one sex, relative. Source: Pheasant's tables
+of hands."""
+_WIDTH_SEX_RATIO = 1.14
+"""Breadth of the pad, men's over women's. Source: Pheasant's tables of hands."""
+_WIDTH_SD = 0.055
+"""Standard deviation of that breadth between people of one sex, relative. Source: Pheasant's tables
+of hands."""
+_PERIOD_SEX_RATIO = 1.10
+"""Ridge period, men's over women's. Source: Cummins 1941, Acree 1999, Gutierrez-Redomero 2008."""
+_PERIOD_SD = 0.045
+"""Standard deviation of the ridge period between people of one sex, relative. Source: Cummins 1941,
+Acree 1999, Gutierrez-Redomero 2008."""
+_PERIOD_FINGER_SD = 0.02
+"""Standard deviation of the ridge period between the fingers of a hand, relative. Source: Cummins
+1941, Acree 1999, Gutierrez-Redomero 2008."""
+PERIOD_MM = 0.435
+"""Mean ridge period of both sexes. Source: thesis, 23 ridges per cm."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -164,9 +178,8 @@ def draw_person(seed: int, number: int, ranges: PeopleRanges | None = None) -> P
     for place, name in enumerate(FINGERS):
         own = np.random.default_rng(np.random.SeedSequence([seed, 0xB0D3, number, place]))
         side, digit = divmod(place, len(DIGITS))
-        pattern = _pattern_class(
-            own, hand.score("pattern", place, *_PATTERN_SHARES), SIDES[side], DIGITS[digit]
-        )
+        score = hand.score("pattern", place, PATTERN_COMMON_TO_PERSON, PATTERN_COMMON_TO_DIGIT)
+        pattern = _pattern_class(own, score, SIDES[side], DIGITS[digit])
         settings = _print_settings(own, hand, place, man)
         shape, relief = _shape_and_relief(own, hand, place, man)
         print_seed = int(print_seeds[place].generate_state(1, np.uint32)[0])
@@ -174,7 +187,7 @@ def draw_person(seed: int, number: int, ranges: PeopleRanges | None = None) -> P
             name,
             SimulatedFinger(print_seed, pattern, shape, relief, _large_enough(settings, shape)),
             _own_optics(own, optics, ranges),
-            float(np.clip(own.standard_normal(), -2, 2)) * _HABIT_ROLL_SD_DEG,
+            float(np.clip(own.standard_normal(), -2, 2)) * HABIT_ROLL_SD_DEG,
         )
     return Person(number, "man" if man else "woman", fingers)
 
@@ -201,9 +214,8 @@ class _Hand:
 
     def size(self, name: str, place: int) -> float:
         """Score of breadth or length; most of what is not the person's is common to both hands."""
-        return float(
-            np.clip(self.score(name, place, _PERSON_SHARE, 0.7 * (1.0 - _PERSON_SHARE)), -2.2, 2.2)
-        )
+        digit = 0.7 * (1.0 - SIZE_COMMON_TO_PERSON)
+        return float(np.clip(self.score(name, place, SIZE_COMMON_TO_PERSON, digit), -2.2, 2.2))
 
     def trait(self, name: str, place: int) -> float:
         """Value of a trait, mirrored on the left hand where it has a side."""
@@ -218,8 +230,8 @@ def _print_settings(
 ) -> MasterPrintSettings:
     sex = (0.5 if man else -0.5) * np.log(_PERIOD_SEX_RATIO)
     person = hand.score("period", place, 1.0, 0.0)
-    own = _PERIOD_OWN_SPREAD * np.clip(rng.standard_normal(), -2.2, 2.2)
-    logs = sex + _PERIOD_SPREAD * np.clip(person, -2.2, 2.2) + own
+    own = _PERIOD_FINGER_SD * np.clip(rng.standard_normal(), -2.2, 2.2)
+    logs = sex + _PERIOD_SD * np.clip(person, -2.2, 2.2) + own
     period = PERIOD_MM * PERIOD_DIGIT[place % len(DIGITS)] * float(np.exp(logs))
     return MasterPrintSettings(period_mm=max(period, 0.33), period_spread=0.0)
 
@@ -236,8 +248,8 @@ def _shape_and_relief(
     def trait(name: str) -> float:
         return hand.trait(name, place)
 
-    width = size("width", WIDTH_MM, _WIDTH_SEX_RATIO, _WIDTH_SPREAD)
-    length = size("length", LENGTH_MM, _LENGTH_SEX_RATIO, _LENGTH_SPREAD)
+    width = size("width", WIDTH_MM, _WIDTH_SEX_RATIO, _WIDTH_SD)
+    length = size("length", LENGTH_MM, _LENGTH_SEX_RATIO, _LENGTH_SD)
     shape = shape_of(trait, length, width, 0.93 if digit == 0 else 1.0)
     shape = replace(shape, tip_drop_mm=trait("tip_drop") * min(shape.thickness_mm / 13.5, 1.25))
     first, second = (
@@ -259,7 +271,7 @@ def _large_enough(settings: MasterPrintSettings, shape: FingerShape) -> MasterPr
 
 def _own_optics(rng: np.random.Generator, skin: SkinOptics, ranges: PeopleRanges) -> SkinOptics:
     draws: NDArray[np.float64] = np.clip(rng.standard_normal(2), -2, 2)
-    blood = skin.blood * float(np.exp(_BLOOD_OWN_SPREAD * draws[0]))
-    gain = skin.relief_gain * float(np.exp(_GAIN_OWN_SPREAD * draws[1]))
+    blood = skin.blood * float(np.exp(BLOOD_FINGER_SD * draws[0]))
+    gain = skin.relief_gain * float(np.exp(RELIEF_GAIN_FINGER_SD * draws[1]))
     low, high = ranges.optics.relief_gain
     return replace(skin, blood=blood, relief_gain=float(np.clip(gain, low, high)))

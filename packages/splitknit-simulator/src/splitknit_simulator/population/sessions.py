@@ -27,6 +27,22 @@ from splitknit_simulator.finger.master_print import MasterPrint
 from splitknit_simulator.light.films import FilmSettings
 from splitknit_simulator.light.renderer import RenderSettings
 from splitknit_simulator.light.skin import SkinOptics
+from splitknit_simulator.population.parameters import (
+    BLOOD_COMMON,
+    BLOOD_SD,
+    DEFORMATION_MM,
+    FULL_WELL_E,
+    INSERTION_MM,
+    LED_DRIFT_SD,
+    MOISTURE_COMMON,
+    OXYGENATION,
+    PARTIAL_INSERTION_MM,
+    PITCH_SD_DEG,
+    READ_NOISE_E,
+    SWELLING_COMMON,
+    SWELLING_SD,
+    YAW_SD_DEG,
+)
 from splitknit_simulator.population.people import (
     FINGERS,
     OwnFinger,
@@ -60,29 +76,6 @@ _BY_MOISTURE: Mapping[str, Range] = {
     "ridge_contrast": (0.88, 1.08),
 }
 """What lies between its value on dry and on moist skin."""
-# from the lower image border to the tip; cut to what the picture holds
-_INSERTION_MM: Range = (26.0, 28.4)
-# oxygenated fraction of the haemoglobin, one for all of a person's fingers
-_OXYGENATION: Range = (0.6, 0.85)
-_FULL_WELL_E: Range = (2500.0, 4700.0)  # electrons at full scale: fewer with a higher gain
-_READ_NOISE_E: Range = (2.5, 4.0)  # standard deviation of the noise of reading out, electrons
-# from the lower image border to the tip of a finger that is laid down too short
-_PARTIAL_INSERTION_MM = (18.0, 22.0)
-_SWELLING_COMMON, _MOISTURE_COMMON, _BLOOD_COMMON = 0.8, 0.6, 0.8
-"""Fractions of the variances that a person's fingers have in common in a session."""
-_YAW_SD_DEG, _PITCH_SD_DEG = 5.0, 2.0
-"""Standard deviations of the turn about the camera's axis and of the lift of the tip; at most twice
-as much."""
-SWELLING_SD = 0.015
-"""Standard deviation of the change of breadth and thickness (water, warmth, weight); at most twice
-as much."""
-DEFORMATION_MM: Range = (0.2, 0.5)  # largest shift of the skin against the body
-_BLOOD_SD = 0.25  # logarithmic standard deviation of the blood content (warmth, pressure)
-_LED_DRIFT_SD = (
-    # relative change of each LED's intensity since it was calibrated, which the rig file does not
-    # know
-    0.007
-)
 
 
 @dataclass(frozen=True, slots=True)
@@ -163,17 +156,17 @@ def draw_impression(
         )
         return float(np.clip(both, -2.0, 2.0))
 
-    swelling = SWELLING_SD * shared(_SWELLING_COMMON)
-    moisture = float(ndtr(shared(_MOISTURE_COMMON)))
+    swelling = SWELLING_SD * shared(SWELLING_COMMON)
+    moisture = float(ndtr(shared(MOISTURE_COMMON)))
     full_well, read_noise = (
-        between(limits, day.random()) for limits in (_FULL_WELL_E, _READ_NOISE_E)
+        between(limits, day.random()) for limits in (FULL_WELL_E, READ_NOISE_E)
     )
     partial = bool(rng.random() < ranges.partial_share)
-    full, short = even(_INSERTION_MM), even(_PARTIAL_INSERTION_MM)
+    full, short = even(INSERTION_MM), even(PARTIAL_INSERTION_MM)
     _, lower, upper = picture_on_plane(camera)
     return _Impression(
-        yaw_deg=_YAW_SD_DEG * normal(),
-        pitch_deg=_PITCH_SD_DEG * normal(),
+        yaw_deg=YAW_SD_DEG * normal(),
+        pitch_deg=PITCH_SD_DEG * normal(),
         roll_deg=own.habit_roll_deg + ranges.roll_sd_deg * normal(),
         insertion_mm=min(short if partial else full, upper - lower - 0.6),
         partial=partial,
@@ -182,8 +175,8 @@ def draw_impression(
         deformation_mm=even(DEFORMATION_MM),
         moisture=moisture,
         **{name: between(limits, moisture) for name, limits in _BY_MOISTURE.items()},
-        blood_factor=float(np.exp(_BLOOD_SD * shared(_BLOOD_COMMON))),
-        oxygenation=between(_OXYGENATION, day.random()),
+        blood_factor=float(np.exp(BLOOD_SD * shared(BLOOD_COMMON))),
+        oxygenation=between(OXYGENATION, day.random()),
         full_well_e=full_well,
         read_noise_e=read_noise,
         **{
@@ -193,7 +186,8 @@ def draw_impression(
     )
 
 
-DRAWS = 1  # version of the draws: it rises when the same settings give other captures
+DRAWS_VERSION = 1
+"""Version of the draws: it rises when the same settings give other captures. Source: definition."""
 # arrays of the truth that only ``truth = "full"`` keeps
 LARGE = ("normals", "glare_white", "glare_nir")
 
@@ -265,7 +259,7 @@ def population_capture(
     today = finger_of_today(own.finger, impression)
     worn = replace(today, printed=deformed(master, deformation))
     surface = finger_surface(worn, impression.pose(), rig.camera, workers=settings.render.workers)
-    lit = _drifted(rig, np.random.default_rng(drift_seed), _LED_DRIFT_SD)
+    lit = _drifted(rig, np.random.default_rng(drift_seed), LED_DRIFT_SD)
     skin, twin = _skin_of_today(own, impression), _twin_settings(settings, impression)
     capture, truth = photograph(surface, lit, skin, photo_seed, settings=twin)
     subject = {"id": f"S{person.number:02d}", "finger": finger, "session": session}

@@ -16,13 +16,11 @@ from splitknit_simulator.finger.conditions import (
 )
 from splitknit_simulator.finger.finger import FingerPose, draw_finger, finger_surface
 from splitknit_simulator.finger.master_print import MasterPrintSettings, master_print
-from splitknit_simulator.light.coat import (
-    DENSITY_MG_PER_MM3,
-    draw_grains,
-)
+from splitknit_simulator.light.coat import draw_grains
+from splitknit_simulator.light.parameters import DUST_DENSITY_MG_PER_MM3
 from splitknit_simulator.light.renderer import RenderSettings, render_band
 from splitknit_simulator.light.skin import Medium, SkinOptics, fresnel
-from splitknit_simulator.surface import WATER, Coat, Film, Grains
+from splitknit_simulator.surface import WATER_INDEX, Coat, Film, Grains
 from surfaces import ridged_egg
 
 SMALL = MasterPrintSettings(half_width_mm=6, distal_mm=20, proximal_mm=2)
@@ -96,7 +94,7 @@ def test_light_bends_towards_the_normal_under_water(egg):
     assert 0.97 < ratio < 1.06  # a film over smooth skin is hardly darker
     assert contrast(wet_blue[0][None]) < contrast(bare_blue[0][None])
     top = float(wet.glare.max() / bare.glare.max())
-    mirrors = fresnel(np.ones(1), WATER)[0] / (0.8 * fresnel(np.ones(1), 1.42)[0])
+    mirrors = fresnel(np.ones(1), WATER_INDEX)[0] / (0.8 * fresnel(np.ones(1), 1.42)[0])
     assert top == pytest.approx(mirrors * (0.25 / 0.05) ** 2, rel=0.4)
 
 
@@ -106,7 +104,7 @@ def test_grains_have_the_mass_that_was_asked_for():
     camera = Camera(40.0, mask.shape)
     grains = draw_grains(np.random.default_rng(4), mask, flat, camera, 0.5)
     volume = np.pi / 6 * np.sum((2 * grains.radius_px / 40.0) ** 3)
-    mg_per_cm2 = volume * DENSITY_MG_PER_MM3 / (mask.size / 40.0**2 / 100)
+    mg_per_cm2 = volume * DUST_DENSITY_MG_PER_MM3 / (mask.size / 40.0**2 / 100)
     assert mg_per_cm2 == pytest.approx(0.32, rel=0.12)  # what is larger than 0.25 mm does not stick
     twice = draw_grains(np.random.default_rng(4), mask, 0.5 * flat, camera, 0.5)
     assert len(twice.row) == pytest.approx(2 * len(grains.row), rel=0.05)

@@ -11,11 +11,10 @@ import pytest
 
 from splitknit.errors import BadInput
 from splitknit.model import default_rig
+from splitknit_simulator.population.parameters import DEFORMATION_MM, SWELLING_SD
 from splitknit_simulator.population.people import FINGERS, class_fractions, draw_person
 from splitknit_simulator.population.sessions import (
-    DEFORMATION_MM,
     LARGE,
-    SWELLING_SD,
     PopulationSettings,
     SessionRanges,
     draw_impression,

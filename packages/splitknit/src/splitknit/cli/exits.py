@@ -5,7 +5,14 @@ from __future__ import annotations
 import os
 import sys
 
-DONE, INTERNAL_ERROR, BAD_INPUT, INTERRUPTED = 0, 1, 2, 130
+DONE = 0
+"""Exit code. Source: definition."""
+INTERNAL_ERROR = 1
+"""Exit code. Source: definition."""
+BAD_INPUT = 2
+"""Exit code. Source: definition."""
+INTERRUPTED = 130
+"""Exit code of a program ended by SIGINT. Source: 128 and the signal's number."""
 _MATCHED = {"match": DONE, "no match": 10, "undecided": 11, "not acquired": 12}
 ANSWERS = {**_MATCHED, "live": DONE, "attack": 10, "unknown": 11}
 """How a verb with ``--exit-code`` ends, by the ``answer`` among its facts."""

@@ -9,10 +9,8 @@ from typing import Any
 
 from splitknit.errors import BadInput, read_bytes, refusing, require
 from splitknit.io.fields import parse_json
+from splitknit.parameters import SETTINGS_BYTES
 from splitknit.settings import flatten
-
-# settings documents here have 2 kB; the parser's time grows with the square of a name's length
-_MAX_BYTES = 64_000
 
 
 def read_changes(changed: Sequence[tuple[str, str]]) -> dict[str, Any]:
@@ -65,7 +63,7 @@ def _scalar(text: str) -> Any:
 def _read_settings_file(path: Path) -> dict[str, Any]:
     """Read a JSON (``.json``) or TOML file of settings: ``{"stage": {"field": value}}`` or dotted
     names."""
-    data = read_bytes(path, _MAX_BYTES)
+    data = read_bytes(path, SETTINGS_BYTES)
     if path.suffix.lower() == ".json":
         tree = parse_json(data, f"the settings file '{path}'")
     else:

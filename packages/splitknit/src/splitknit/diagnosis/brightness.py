@@ -7,7 +7,15 @@ from typing import Any
 
 import numpy as np
 
-from splitknit.diagnosis.gains import LEAST, light_gains, median_angle_deg
+from splitknit.diagnosis.gains import light_gains, median_angle_deg
+from splitknit.diagnosis.parameters import (
+    CLEAR_SPREAD,
+    EQUAL_SPREAD,
+    LEAST_PHOTOGRAPHS,
+    LEFT_BY_UNEQUAL,
+    SURELY_UNEQUAL,
+    WEAK_COLOUR,
+)
 from splitknit.diagnosis.photographs import light_left
 from splitknit.findings import Finding
 from splitknit.finger.locate import Finger
@@ -15,20 +23,6 @@ from splitknit.imaging.band import linear_channels, saturation_levels
 from splitknit.model import Band, BoolArray, Capture
 from splitknit.photometric.lambertian import lambertian
 from splitknit.photometric.uncalibrated import bas_relief_of
-
-_EQUAL = 0.02
-"""Spread (standard deviation of the logarithm) up to which lights are equal."""
-_CLEARLY = 2.5
-"""Spread over the light left unexplained from which the estimate is better than equal lights: gloss
-looks like a spread of up to 2.0 times that (a glazed bear; 1.5 on 24 rendered objects of three
-glosses)."""
-_SURELY_UNEQUAL = 0.18
-"""Spread from which they surely differ."""
-_EXPLAINED = 0.7
-"""Unequal lights leave less than this fraction of the residual: 0.66 where they differ by 6 %,
-equal ones 0.77."""
-_WEAK_COLOUR = 0.1
-"""Below this fraction of the mean, a colour channel is too dark to judge a light's brightness."""
 
 
 def with_equal_lights(
@@ -40,7 +34,7 @@ def with_equal_lights(
     free = (
         capture.rig.intensities_assumed and band.flat is None and bas_relief_of(capture.rig) is None
     )
-    if not free or len(band.lights) <= LEAST:
+    if not free or len(band.lights) <= LEAST_PHOTOGRAPHS:
         return band, {}, []
     lights = capture.rig.select(band.lights).light_vectors()
     levels = saturation_levels(band, capture.encoding)
@@ -54,13 +48,15 @@ def with_equal_lights(
     after = light_left(grey, scaled, inside, levels)
     spread = float(np.std(np.log(gains)))
     asked = capture.rig.provenance.get("intensities") == "estimate"
-    if not asked and (spread < _EQUAL or after > _EXPLAINED * before):
+    if not asked and (spread < EQUAL_SPREAD or after > LEFT_BY_UNEQUAL * before):
         return band, {}, []
     relative = gains / gains.mean()
     normals = lambertian(grey, lights, inside)[0][inside]
     turned_deg = median_angle_deg(normals, lambertian(grey, scaled, inside)[0][inside])
     effect = f"which turns the surface by {turned_deg:.1f} deg (median)"
-    if not (asked or spread > _CLEARLY * after or (spread > _SURELY_UNEQUAL and len(lights) > 5)):
+    if not (
+        asked or spread > CLEAR_SPREAD * after or (spread > SURELY_UNEQUAL and len(lights) > 5)
+    ):
         words = (
             f"the lights may differ in brightness, by {100 * spread:.0f} %, {effect}, or shine and"
             " shadow look so: they are taken as equal; if they do, give `brightness` estimate, or"
@@ -70,7 +66,7 @@ def with_equal_lights(
         return band, {}, [Finding("unequal-lights", words, effect_deg=turned_deg)]
     transmission = np.repeat(gains[:, None], len(channels), axis=1)
     means = np.stack([stack[:, inside].mean(axis=1) for stack in colours], axis=1)
-    if len(channels) == 3 and (means >= _WEAK_COLOUR * means.mean()).all():
+    if len(channels) == 3 and (means >= WEAK_COLOUR * means.mean()).all():
         of_colours = np.stack(
             [light_gains(stack, lights, inside, levels) for stack in colours], axis=1
         )

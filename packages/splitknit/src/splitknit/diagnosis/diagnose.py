@@ -10,9 +10,14 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from splitknit.diagnosis.brightness import with_equal_lights
-from splitknit.diagnosis.frames import HIGH_RESIDUAL, TURNED, LightFit, doubt_of_lights, fit_lights
+from splitknit.diagnosis.frames import TURNED, LightFit, doubt_of_lights, fit_lights
 from splitknit.diagnosis.lights import findings_on_places
 from splitknit.diagnosis.masks import findings_on_mask, findings_on_outline
+from splitknit.diagnosis.parameters import (
+    CURVED_RESIDUAL,
+    DISTANT_RESIDUAL,
+    HIGH_RESIDUAL,
+)
 from splitknit.diagnosis.photographs import compared_pixels, faulty_photograph, left_out
 from splitknit.diagnosis.relief import findings_on_relief
 from splitknit.diagnosis.response import ENCODING, ResponseDoubt, doubt_of_response, other_encoding
@@ -24,12 +29,6 @@ from splitknit.imaging.polarised import findings_on_series
 from splitknit.model import Band, Capture
 from splitknit.steps import shared, step
 
-_CURVED = 0.05
-"""Light left unexplained from which the other encoding is tried: of linear photographs declared
-sRGB 0.07 to 0.1."""
-_DISTANT = 0.15
-"""Light left unexplained from which the lights are not distant, so that no photograph is compared
-with the others."""
 TILTED = (
     "the lights differ in brightness by {:.0f} %, which was estimated from the photographs and"
     " taken out: that gives the ridges, but leaves open by some degrees how the finger is tilted."
@@ -191,7 +190,7 @@ def _judged_lights(
     if in_order and response is not None and (response.sure or not worse):  # it explains the rest
         return facts, [response.finding] if white and not response.sure else []
     skin = capture.material == "skin"
-    if skin and in_order and not strange and (doubt is not None or fit.residual > _CURVED):
+    if skin and in_order and not strange and (doubt is not None or fit.residual > CURVED_RESIDUAL):
         encoding = other_encoding(capture)
         # unequal lights stay so, a wrong curve not
         stored = _fit(replace(capture, encoding=encoding), band, finger)
@@ -200,6 +199,6 @@ def _judged_lights(
             severity = Severity.SPOILS if fit.spoils_skin else Severity.DOUBT
             doubt = Finding("other-encoding", ENCODING.format(capture.encoding, encoding), severity)
     # LEDs beside the finger are not such lights
-    if doubt is None and skin and fit.residual < _DISTANT:
+    if doubt is None and skin and fit.residual < DISTANT_RESIDUAL:
         doubt = faulty_photograph(capture, band, finger)
     return facts, [] if doubt is None else [doubt.of_band(name)]

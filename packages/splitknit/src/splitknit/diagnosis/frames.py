@@ -20,6 +20,36 @@ import numpy as np
 from numpy.typing import NDArray
 
 from splitknit.diagnosis.gains import median_angle_deg
+from splitknit.diagnosis.parameters import (
+    BETTER,
+    BETTER_OF_FIVE,
+    COARSE_FRACTION,
+    CONVEX,
+    CURL_LEFT,
+    DOUBTED_CURL,
+    FALLS_OFF,
+    FEWEST_OF_STRANGE,
+    FEWEST_ORDERED,
+    HIGH_RESIDUAL,
+    LARGEST_SEARCH,
+    LESS_RESIDUAL,
+    NO_RESIDUAL,
+    ON_A_LIGHT,
+    ONE_LIGHT,
+    ORDER_PIXELS,
+    RELIEF_BLUR,
+    SAME_TURN_DEG,
+    SEARCH_STARTS,
+    SHAPE_BLUR,
+    SPOILT_DEG,
+    SPOILT_RESIDUAL,
+    STEEPEST_SLOPE,
+    STRANGE,
+    STRANGE_TURN_DEG,
+    UNEQUAL_RESIDUAL,
+    WHOLLY_CONVEX,
+    WORSE_CURL,
+)
 from splitknit.errors import check_lights, check_mask, check_stack, require
 from splitknit.findings import Finding, Severity
 from splitknit.imaging.geometry import bounding_box, gaussian_mean
@@ -38,58 +68,6 @@ FRAMES: dict[str, tuple[tuple[int, int], tuple[int, int]]] = {
 }
 """Where x and y point in the image, and the matrix that turns such a vector's x and y to x right, y
 up."""
-_BLUR = 0.02
-"""Blur (sigma) of the slopes, as a fraction of the mask's longer side: shape is judged, not noise
-and texture."""
-_RELIEF_BLUR = 0.006
-"""The same of a relief: text of a coin, hairs of a carving."""
-_CURL = 0.15
-"""Curl as a fraction of the slopes' change from which lights are doubted: up to 0.03 on sound
-objects, 0.3 to 0.6 in a mirrored or turned frame."""
-_CURL_LEFT = 0.25
-"""Fraction of that curl that another frame or order may leave."""
-_FALLS_OFF = 0.1
-"""How clearly a relief must fall off outwards to be a hill."""
-_STEEPEST = 1.5
-"""Normals beyond this slope, often in shadow, are shortened to it and left out of the curl."""
-_WORSE = 2.0
-"""Another frame must be more integrable by this factor to be named; where only there the surface is
-wholly convex, it need not be less integrable."""
-_CONVEX = 0.4
-"""Net divergence over its absolute sum from which a surface counts as one convex object: 0.6 to 1
-on objects and fingers, 0.07 on a field of balls."""
-_WHOLLY_CONVEX = 0.8
-_COARSE = 0.4
-"""Fraction of the slopes that a blur over an eighth of the object leaves, below which it is not one
-convex object: 0.6 to 0.9 on objects and fingers, 0.07 to 0.23 on a field of balls."""
-HIGH_RESIDUAL = 0.2
-"""Light left unexplained, as a fraction, from which photographs do not fit their lights: 0.01 to
-0.15 on objects and fingers under their own lights (docs/experiments/objects.md)."""
-_NO_RESIDUAL = 0.03
-"""Up to here no other order is looked for."""
-_FEWEST = 5
-"""Lights from which the residual determines an order; with five another order must be better
-still."""
-_BETTER = (0.8, 0.6)
-"""Residual in another order over the stated one, from which the order is named: with the
-photographs' brightness free, and of the photographs that change their light. Real objects with
-brightness wrong by 20 % or directions by 2 deg stay above."""
-_BETTER_OF_FIVE = (0.4, 0.4)
-_LESS = 0.9
-"""An order that leaves less than this fraction of the residual is not merely a turn of the
-lights."""
-_STRANGE = 0.7
-"""A photograph does not belong to the rest where without it less than this fraction of the residual
-is left that would be for one light less: at least 0.99 on simulated, path-traced and polarised
-fingers, 0.2 to 0.65 where a photograph is noise, turned, a copy of a second one or of a second
-finger."""
-_FEWEST_OF_STRANGE = 6
-_UNEQUAL = 0.5
-"""Brightness is at fault where less than this fraction of the residual is left once every
-photograph has its own: 0.96 and more under lights of known brightness, 0.25 where that is 10 to 20
-% off."""
-_TURNS_DEG = 0.5
-"""A strange photograph of an object is named where it turns the surface by more."""
 TURNED = "left-down"
 HOLLOW = (
     "the object comes out hollow; if it is a hill, its lights were measured with x pointing left"
@@ -98,26 +76,13 @@ HOLLOW = (
 )
 """Photographs of a hollow are those of a hill whose lights are turned by 180 deg: both are possible
 of an object."""
-_ONE_LIGHT = 0.03
-"""Photographs of a finger that differ by less than this are under one light: 0.13 and more under
-their own."""
-SPOILT_DEG = 3.0
-"""From this turn of the normals on a surface is not worth having: on a simulated finger photographs
-that turn them by 3 to 11 deg cost up to 0.7 mm (``validation/damaged``)."""
-_SPOILT_RESIDUAL = 0.3
 _NO_SURFACE = (
     "{:.0f} % of the change of the slopes belongs to no surface (up to 3 % is usual), and no other"
     " order or frame of the lights mends that: heights are wrong; check their directions,"
     " photograph by photograph."
 )
-_SEEDS = 300
-_LARGEST_SEARCH = 48
-"""With more lights the search starts from the stated order and its shifts alone."""
-_PIXELS = 20_000
-_ON_A_LIGHT = 0.2
-"""A turned light falls on another within this fraction of the distance of the two closest
-lights."""
-_SAME_TURN = 2.0 * np.cos(np.deg2rad(20.0))
+_SAME_TURN = 2.0 * np.cos(np.deg2rad(SAME_TURN_DEG))
+"""Trace of the product of two turns that differ by `SAME_TURN_DEG`. Source: derived."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -161,7 +126,7 @@ class LightFit:
         turned = self.turned_deg > SPOILT_DEG and (
             self.strange is not None or bool(self.brightness)
         )
-        contradicted = self.residual > _SPOILT_RESIDUAL or self.variety < _ONE_LIGHT
+        contradicted = self.residual > SPOILT_RESIDUAL or self.variety < ONE_LIGHT
         return not self.in_order or self.frame != "right-up" or contradicted or turned
 
 
@@ -192,7 +157,7 @@ def fit_lights(stack: Any, lights: Any, mask: Any = None, *, relief: bool = Fals
     vectors = check_lights(lights, len(images))
     inside = check_mask(mask, (images.shape[1], images.shape[2]))
     values = images[:, inside]
-    values = values[:, :: max(1, values.shape[1] // _PIXELS)].astype(np.float64)
+    values = values[:, :: max(1, values.shape[1] // ORDER_PIXELS)].astype(np.float64)
     gram = np.einsum("kn,ln->kl", values, values)
     residual, residual_per_image = _residual(gram, vectors)
     order, frame, curl = _order_and_frame(images, vectors, inside, gram, residual, relief)
@@ -202,7 +167,7 @@ def fit_lights(stack: Any, lights: Any, mask: Any = None, *, relief: bool = Fals
     strange = None
     if in_order:
         # fewer fit any brightness
-        if residual > _NO_RESIDUAL and len(vectors) >= _FEWEST_OF_STRANGE:
+        if residual > NO_RESIDUAL and len(vectors) >= FEWEST_OF_STRANGE:
             gains = _explained_gains(gram, vectors, residual)
         strange = _strange(gram, vectors) if (gains == 1.0).all() else None
     unequal = bool((gains != 1.0).any())
@@ -239,7 +204,7 @@ def _order_and_frame(  # noqa: PLR0917
 
     own = order = np.arange(len(lights))
     normals, turn, curl = surface_in(own)
-    if len(lights) >= _FEWEST and residual > _NO_RESIDUAL:
+    if len(lights) >= FEWEST_ORDERED and residual > NO_RESIDUAL:
         better = _better_order(gram, lights)
         if (better != own).any():
             surface = surface_in(better)
@@ -257,13 +222,13 @@ def _order_and_frame(  # noqa: PLR0917
             nearest = max(FRAMES, key=lambda name: likeness[name])
             frame = nearest if likeness[nearest] > _SAME_TURN else frame  # 2 cos(difference)
         turned = _turned_order(lights, turn)[order]
-        if _residual(gram, lights[turned])[0] < _residual(gram, lights[order])[0] / _LESS:
+        if _residual(gram, lights[turned])[0] < _residual(gram, lights[order])[0] / LESS_RESIDUAL:
             order = turned
-    if curl > _CURL and frame == "right-up" and (order == own).all():
+    if curl > DOUBTED_CURL and frame == "right-up" and (order == own).all():
         # of lights that lie unevenly; brightness may explain the stated one
         best = _best_order(gram, lights)
-        order = best if surface_in(best)[2] < _CURL_LEFT * curl else order
-    clearly_better = _residual(gram, lights[order])[0] < _LESS * residual
+        order = best if surface_in(best)[2] < CURL_LEFT * curl else order
+    clearly_better = _residual(gram, lights[order])[0] < LESS_RESIDUAL * residual
     return order, "right-up" if clearly_better else frame, curl
 
 
@@ -271,7 +236,7 @@ def _explained_gains(gram: Array, lights: Array, residual: float) -> Array:
     """(L,) brightness of the lights where that explains the photographs far better, else ones."""
     gains, equalised = _equalised(gram, lights)
     explains = (
-        _residual(equalised, lights)[0] < _UNEQUAL * residual
+        _residual(equalised, lights)[0] < UNEQUAL_RESIDUAL * residual
         and _strange(equalised, lights) is None
     )
     return gains if explains else np.ones(len(gram))
@@ -280,13 +245,13 @@ def _explained_gains(gram: Array, lights: Array, residual: float) -> Array:
 def _strange(gram: Array, lights: Array) -> int | None:
     """The photograph without which the rest fit their lights far better."""
     count = len(lights)
-    if count < _FEWEST_OF_STRANGE:
+    if count < FEWEST_OF_STRANGE:
         return None
     kept = [np.delete(np.arange(count), k) for k in range(count)]
     residuals = [_residual(gram[np.ix_(rest, rest)], lights[rest])[0] for rest in kept]
     k = int(np.argmin(residuals))
     expected = float(np.sqrt((count - 4) / (count - 3))) * _residual(gram, lights)[0]
-    return k if residuals[k] < _STRANGE * expected else None
+    return k if residuals[k] < STRANGE * expected else None
 
 
 def doubt_of_lights(
@@ -313,7 +278,7 @@ def doubt_of_lights(
 
 def _fault_of_lights(fit: LightFit, names: Sequence[str], material: str) -> tuple[str, str]:  # noqa: PLR0911
     """Code and sentence of :func:`doubt_of_lights`, empty where nothing is wrong."""
-    if material == "skin" and fit.variety < _ONE_LIGHT:
+    if material == "skin" and fit.variety < ONE_LIGHT:
         return (
             "one-light",
             (
@@ -333,7 +298,7 @@ def _fault_of_lights(fit: LightFit, names: Sequence[str], material: str) -> tupl
                 f" of the mean), and {turned}; calibrate their brightness."
             ),
         )
-    if fit.strange is not None and (material == "skin" or fit.turned_deg > _TURNS_DEG):
+    if fit.strange is not None and (material == "skin" or fit.turned_deg > STRANGE_TURN_DEG):
         return (
             "strange-photograph",
             (
@@ -369,14 +334,14 @@ def _fault_of_lights(fit: LightFit, names: Sequence[str], material: str) -> tupl
             "shifted or reversed along the ring: only in another order do one surface's slopes"
             " follow from them"
         )
-        if fit.residual_in_order < _LESS * fit.residual:
+        if fit.residual_in_order < LESS_RESIDUAL * fit.residual:
             better = f"{100 * fit.residual_in_order:.0f} % would in another order"
             reason = f"as {residual} does not fit them, {better}, and {turned}"
         start = "the photographs seem to be under other lights than those they are given"
         return "light-order", f"{start}, {reason}: {remedy}."
     if fit.frame != "right-up":
         return "light-frame", f"{frame_words}."
-    if fit.curl > _CURL:
+    if fit.curl > DOUBTED_CURL:
         return "no-surface", _NO_SURFACE.format(100 * fit.curl)
     if fit.residual < HIGH_RESIDUAL:
         return "", ""
@@ -430,11 +395,11 @@ def _fit_turn(normals: FloatArray, inside: BoolArray) -> Array | None:
     D. J. Kriegman and A. L. Yuille, "The bas-relief ambiguity", IJCV 35, 1999). None where the
     normals are such already, or of no single convex surface.
     """
-    p, q, weight = _smooth_slopes(normals, inside, _BLUR)
-    if _coarse_fraction(p, q, inside) < _COARSE:
+    p, q, weight = _smooth_slopes(normals, inside, SHAPE_BLUR)
+    if _coarse_fraction(p, q, inside) < COARSE_FRACTION:
         return None  # a field of bumps: each is convex, and nothing is of the whole
     stated, turns = _least_curls(p, q, weight)
-    turns = [each for each in turns if abs(each.convex) > _CONVEX]
+    turns = [each for each in turns if abs(each.convex) > CONVEX]
     if not turns:
         return None
     least = min(turns, key=lambda each: each.curl)
@@ -442,7 +407,7 @@ def _fit_turn(normals: FloatArray, inside: BoolArray) -> Array | None:
     # no curl either; only the outline distinguishes it
     half_turn = float(np.trace(turn)) < -_SAME_TURN
     ratio = stated.curl / max(least.curl, 1e-12)
-    worse = 1.0 if stated.convex < _CONVEX and abs(least.convex) > _WHOLLY_CONVEX else _WORSE
+    worse = 1.0 if stated.convex < CONVEX and abs(least.convex) > WHOLLY_CONVEX else WORSE_CURL
     return turn if half_turn or ratio > worse else None
 
 
@@ -453,11 +418,11 @@ def _relief_turn(normals: FloatArray, inside: BoolArray) -> tuple[Array | None, 
     A hollow is as free of curl as a hill: of the two the one that falls off towards its outline is
     returned, and where neither does, the one that leaves x to the right.
     """
-    stated, turns = _least_curls(*_smooth_slopes(normals, inside, _RELIEF_BLUR))
+    stated, turns = _least_curls(*_smooth_slopes(normals, inside, RELIEF_BLUR))
     least = min(turns, key=lambda each: each.curl)
-    if stated.curl < _CURL or least.curl > _CURL_LEFT * stated.curl:
+    if stated.curl < DOUBTED_CURL or least.curl > CURL_LEFT * stated.curl:
         return None, stated.curl
-    outwards = least.convex if abs(least.convex) > _FALLS_OFF else float(least.turn[0, 0])
+    outwards = least.convex if abs(least.convex) > FALLS_OFF else float(least.turn[0, 0])
     return least.turn * (1.0 if outwards > 0 else -1.0), stated.curl
 
 
@@ -531,7 +496,7 @@ def _turned_order(lights: Array, turn: Array) -> NDArray[np.int64]:
     nearest = np.argmin(away, axis=1)
     falls = (
         len(np.unique(nearest)) == len(units)
-        and float(away.min(axis=1).max()) < _ON_A_LIGHT * closest
+        and float(away.min(axis=1).max()) < ON_A_LIGHT * closest
     )
     return np.asarray(nearest) if falls else np.arange(len(units))
 
@@ -580,7 +545,7 @@ def _better_order(gram: Array, lights: Array) -> NDArray[np.int64]:
     before_free, after_free = (
         _residual(_equalised(each, lights)[1], lights)[0] for each in (gram, ordered)
     )
-    free, own_fraction = _BETTER if len(lights) > _FEWEST else _BETTER_OF_FIVE
+    free, own_fraction = BETTER if len(lights) > FEWEST_ORDERED else BETTER_OF_FIVE
     clearly = (
         np.sqrt(after / max(before, 1e-300)) < own_fraction and after_free < free * before_free
     )
@@ -596,11 +561,11 @@ def _best_order(gram: Array, lights: Array) -> NDArray[np.int64]:
     starts = [np.roll(line, step) for line in (own, own[::-1]) for step in range(count)]
     explaining = _explaining(lights)
     score = [float(np.sum(explaining * gram[np.ix_(start, start)])) for start in starts]
-    few = count <= _LARGEST_SEARCH
+    few = count <= LARGEST_SEARCH
     starts = [own, *(starts[k] for k in np.argsort(score)[::-1][:8] if few or score[k] > score[0])]
     if few and (_climbed(explaining, gram, own)[0] != own).any():
         random = np.random.default_rng(0)
-        starts += [random.permutation(count) for _ in range(_SEEDS)]
+        starts += [random.permutation(count) for _ in range(SEARCH_STARTS)]
     order, _ = max((_climbed(explaining, gram, start) for start in starts), key=itemgetter(1))
     return np.argsort(order)
 
@@ -635,7 +600,7 @@ def _smooth_slopes(
     part = normals[window]
     cover = inside[window].astype(np.float32)
     slopes = -np.moveaxis(part[..., :2], -1, 0) / np.maximum(part[..., 2], 1e-3)
-    steep = np.maximum(np.hypot(*slopes) / _STEEPEST, 1.0)
+    steep = np.maximum(np.hypot(*slopes) / STEEPEST_SLOPE, 1.0)
     sigma = max(1.0, blur * max(cover.shape))
     mean = np.maximum(gaussian_mean(cover, sigma), 1e-3)
     p, q = (gaussian_mean(slope / steep * cover, sigma) / mean for slope in slopes)

@@ -6,16 +6,14 @@ from typing import Any
 
 import numpy as np
 
+from splitknit.diagnosis.parameters import (
+    GAINS_PIXELS,
+    GAINS_SHADOW,
+    LEAST_PHOTOGRAPHS,
+)
 from splitknit.errors import check_lights, check_mask, check_stack
 from splitknit.model import Array, BoolArray, FloatArray
 from splitknit.photometric.equations import PAIRS, back_substitute, factorise
-
-LEAST = 4
-"""Photographs that are left at least: with one less, nothing shows which does not fit."""
-_SHADOW = 0.1
-"""A light is in shadow where its image is below this part of the brightest one's."""
-PIXELS = 8_000
-"""Pixels of the object that gains and derivatives are fitted to."""
 
 
 def light_gains(stack: Any, lights: Any, mask: Any = None, ceilings: Any = None) -> Array:
@@ -40,7 +38,7 @@ def light_gains(stack: Any, lights: Any, mask: Any = None, ceilings: Any = None)
     """
     images, vectors, inside, levels = checked(stack, lights, mask, ceilings)
     light = images[:, inside]
-    light = light[:, :: max(1, light.shape[1] // PIXELS)]
+    light = light[:, :: max(1, light.shape[1] // GAINS_PIXELS)]
     values = light.astype(np.float64)
     gains = np.maximum(np.quantile(values, 0.9, axis=1) / np.linalg.norm(vectors, axis=1), 1e-9)
     gains /= np.exp(np.log(gains).mean())
@@ -48,7 +46,7 @@ def light_gains(stack: Any, lights: Any, mask: Any = None, ceilings: Any = None)
     ones = np.ones(light.shape[1])
     for _ in range(12):
         lit = lit_values(light, vectors * gains[:, None], levels)
-        lit &= lit.sum(axis=0) >= LEAST
+        lit &= lit.sum(axis=0) >= LEAST_PHOTOGRAPHS
         if lit.any(axis=0).sum() < 100 or not lit.any(axis=1).all():
             return np.ones(len(light))
         equal = values / gains[:, None]
@@ -103,4 +101,4 @@ def lit_values(light: FloatArray, lights: FloatArray, ceilings: FloatArray) -> B
     relative = light / np.linalg.norm(lights, axis=1).astype(np.float32)[:, None]
     usable = light < ceilings[:, None]
     peak = np.max(relative, axis=0, where=usable, initial=1e-20)
-    return np.asarray((relative > _SHADOW * peak) & usable)
+    return np.asarray((relative > GAINS_SHADOW * peak) & usable)

@@ -5,6 +5,10 @@ from __future__ import annotations
 import cv2
 import numpy as np
 
+from splitknit.diagnosis.parameters import (
+    JPEG_GRID,
+    JPEG_SIDE,
+)
 from splitknit.findings import Finding, Severity
 from splitknit.finger.locate import Finger
 from splitknit.imaging.band import pick_channel
@@ -14,11 +18,6 @@ JPEG = (
     "the photographs were saved as JPEG, which loses fine detail: ridges of simulated fingers came"
     " out up to 18 % too low above 15 px/mm, and 61 to 89 % at 11; save PNG, TIFF or RAW."
 )
-_JPEG_GRID = 0.92
-"""High frequencies in blocks of 8 pixels on JPEG's grid, of those on the next best of 64 grids,
-below which it was JPEG: 0.66 to 0.85 at quality 97, 0.54 to 0.66 at 95, less below; 0.99 and more
-without JPEG, and from 99 on."""
-_JPEG_SIDE = 1024
 
 
 def jpeg(capture: Capture, finger: Finger) -> tuple[dict[str, bool], list[Finding]]:
@@ -35,7 +34,7 @@ def _was_jpeg(band: Band, finger: Finger) -> bool:
     """Whether a band's photographs are JPEG files, or show JPEG's blocks of 8 pixels."""
     if any(file.lower().endswith((".jpg", ".jpeg")) for file in band.files):
         return True
-    stored = band.pixels[0][finger.window][:_JPEG_SIDE, :_JPEG_SIDE].astype(np.float32)
+    stored = band.pixels[0][finger.window][:JPEG_SIDE, :JPEG_SIDE].astype(np.float32)
     if band.pixels.dtype != np.uint8 or min(stored.shape[:2]) < 64:
         return False
     # the upper half of a block's frequencies
@@ -49,4 +48,4 @@ def _was_jpeg(band: Band, finger: Finger) -> bool:
                 np.abs(cv2.filter2D(rows, cv2.CV_32F, down[:, None], anchor=(0, 0))), 4.0
             )
     grids = sorted(float(total[i:-8:8, j:-8:8].mean()) for i in range(8) for j in range(8))
-    return grids[0] < _JPEG_GRID * grids[1]
+    return grids[0] < JPEG_GRID * grids[1]

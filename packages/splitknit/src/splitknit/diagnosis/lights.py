@@ -9,6 +9,27 @@ from typing import NamedTuple
 import cv2
 import numpy as np
 
+from splitknit.diagnosis.parameters import (
+    CLEAN_RESIDUAL,
+    DARKENING,
+    DARKENING_EXPONENT,
+    DARKENING_SD,
+    FEWEST_PLACED,
+    INDEPENDENT_PLACES,
+    NOTED_HEIGHT,
+    NOTED_SHIFT_MM,
+    PLACES_MM,
+    PLACES_NOISE,
+    PLACES_OF_SOUND,
+    PLACES_PLANE_MM,
+    PLACES_PRIOR,
+    PLACES_STEPS,
+    SAMPLED_MM,
+    STEEPEST_NZ,
+    SURE_HEIGHT,
+    SURE_SHIFT_MM,
+    UNFIT_RESIDUAL,
+)
 from splitknit.findings import Finding, Severity
 from splitknit.finger.locate import Finger
 from splitknit.imaging.band import bin_mean, has_colour, linear_channels
@@ -17,47 +38,6 @@ from splitknit.imaging.view import View, view_of
 from splitknit.integration.poisson import poisson
 from splitknit.model import Array, BoolArray, Capture, FloatArray, Led, Rig
 from splitknit.skin.light import fresnel_transmission
-
-_SAMPLED_MM, PLACES_MM = 0.1, 0.8
-"""Distance of the pixels, and side of their blocks, in which the lights' places are looked for:
-ridges are smaller."""
-_FEWEST = 6
-"""Lights from which three of each pixel's values are spare."""
-_PLANE_MM = 1.0
-"""Assumed mean height of the skin above the finger plane."""
-_STEEPEST_NZ = (0.5, 0.65)
-"""z component of the normals between which a pixel comes to count."""
-_CURVE = 0.15
-"""Exponent of the cosine by which skin darkens beside Fresnel's law: 0.1 to 0.4 fit sound
-fingers."""
-_DARKENING = 0.3
-"""Fall of the logarithm of the albedo over 1 - n_z on sound fingers."""
-_DARKENING_SD = 0.04
-"""Its weight: of 0.015, 0.04 and 0.12 the one with the narrowest heights on 80 simulated
-fingers."""
-_NOISE = 0.005
-"""Relative residual on sound fingers."""
-_INDEPENDENT = 60.0
-"""Number of places whose residuals do not depend on each other."""
-_PRIOR = np.array([0.7, 25.0, 25.0])
-"""Standard deviations of the three unknowns: logarithm of the height's factor, mm, mm."""
-_STEPS = np.array([0.02, 0.5, 0.5])
-_OF_SOUND = np.array([0.0, 0.0, -1.5])
-"""What is fitted to sound fingers (mean), which scattering and the finger's shape leave."""
-_UNFIT = 0.025
-"""Residual from which places do not follow: 0.003 to 0.023 on dry fingers, up to 0.13 on wet
-ones."""
-_HEIGHT = 0.18
-"""Logarithm of the height's factor that is noted: sound fingers have -0.09 to 0.15, glossy ones
-0.19."""
-_SHIFT_MM = 6.0
-"""Shift that is noted: sound fingers have up to 5.8 mm."""
-_CLEAN = 0.012
-"""Both limits grow with a residual above this."""
-_SURE_HEIGHT = 0.4
-"""The same that is doubted: of some 230 sound fingers in all conditions and tones of skin one had
-0.35, five others up to 0.22 and 11 mm."""
-_SURE_SHIFT_MM = 13.0
 
 
 class LightPlaces(NamedTuple):
@@ -105,7 +85,7 @@ def fitted_places(  # noqa: PLR0917
         led.position_mm and led.shade is None and not any(each.reflected for each in led.also)
         for led in rig.leds
     )
-    if len(rig.leds) < _FEWEST or not near:
+    if len(rig.leds) < FEWEST_PLACED or not near:
         return None
     height_mm = np.zeros(mask.shape, dtype=np.float32)
     nz = np.zeros(mask.shape, dtype=np.float32)
@@ -115,32 +95,38 @@ def fitted_places(  # noqa: PLR0917
         nz[mask] = np.maximum(normals[:, 2], 0.15)
         slopes[:, mask] = -normals[:, :2].T / nz[mask]
         height_mm = np.nan_to_num(poisson(slopes[0], slopes[1], mask, nz)) * pitch_mm
-    low, high = _STEEPEST_NZ
+    low, high = STEEPEST_NZ
     chosen = mask & (depth_mm > 1.0) & (nz > low)
-    if chosen.sum() < 2 * _INDEPENDENT:
+    if chosen.sum() < 2 * INDEPENDENT_PLACES:
         return None
     weight = np.sqrt(np.clip((nz[chosen] - low) / (high - low), 0.02, 1.0)).astype(np.float64)
-    scale = weight / (_NOISE * np.sqrt(weight.sum() / _INDEPENDENT))
+    scale = weight / (PLACES_NOISE * np.sqrt(weight.sum() / INDEPENDENT_PLACES))
 
     def residuals(unknowns: Array) -> Array:
         residual, albedo, n = _solved(stack, rig, view, height_mm, chosen, unknowns)
         columns = np.column_stack([weight, (1 - n[:, 2]) * weight])
         fall = np.linalg.lstsq(columns, np.log(albedo) * weight, rcond=None)[0][1]
         return np.concatenate(
-            [(residual * scale).ravel(), [(fall + _DARKENING) / _DARKENING_SD], unknowns / _PRIOR]
+            [
+                (residual * scale).ravel(),
+                [(fall + DARKENING) / DARKENING_SD],
+                unknowns / PLACES_PRIOR,
+            ]
         )
 
     def jacobian(unknowns: Array) -> Array:
         now = residuals(unknowns)
         return np.column_stack(
-            [(residuals(unknowns + step) - now) / step.sum() for step in np.diag(_STEPS)]
+            [(residuals(unknowns + step) - now) / step.sum() for step in np.diag(PLACES_STEPS)]
         )
 
     from scipy.optimize import least_squares  # slow to load
 
-    fit = least_squares(residuals, np.zeros(3), jacobian, x_scale=_STEPS, xtol=1e-3, max_nfev=12)
+    fit = least_squares(
+        residuals, np.zeros(3), jacobian, x_scale=PLACES_STEPS, xtol=1e-3, max_nfev=12
+    )
     residual = _solved(stack, rig, view, height_mm, chosen, fit.x)[0]
-    height, x_mm, y_mm = (float(each) for each in fit.x - _OF_SOUND)
+    height, x_mm, y_mm = (float(each) for each in fit.x - PLACES_OF_SOUND)
     return LightPlaces(
         float(np.exp(height)), (x_mm, y_mm), float(np.sqrt((residual**2 * weight**2).mean()))
     )
@@ -164,7 +150,7 @@ def _solved(  # noqa: PLR0917
         place = (x + unknowns[1], y + unknowns[2], z * height)
         return replace(led, position_mm=place, also=tuple(moved(each) for each in led.also))
 
-    surface = (height_mm * height + _PLANE_MM).astype(np.float32)  # slopes go with the height
+    surface = (height_mm * height + PLACES_PLANE_MM).astype(np.float32)  # slopes go with the height
     field = light_vectors_at(replace(rig, leds=tuple(map(moved, rig.leds))), *view.points(surface))
     vectors = view.turned(field)[:, :, where].astype(np.float64)
     images = stack[:, where].astype(np.float64)
@@ -177,7 +163,7 @@ def _solved(  # noqa: PLR0917
         albedo = np.maximum(np.sqrt((g * g).sum(axis=1)), 1e-12)
         normals = g / albedo[:, None]
         cosine = np.maximum(np.einsum("kan,na->kn", vectors, normals) / length, 0.05)
-        entering = fresnel_transmission(cosine) * cosine**_CURVE
+        entering = fresnel_transmission(cosine) * cosine**DARKENING_EXPONENT
     residual = (images - np.einsum("kan,na->kn", lights, g)) / np.maximum(
         images.mean(axis=0), 1e-12
     )
@@ -189,7 +175,7 @@ def findings_on_places(capture: Capture, finger: Finger) -> list[Finding]:
     band, camera = capture.bands["white"], capture.rig.camera
     if band.colours or any(led.position_mm is None for led in capture.rig.leds):
         return []
-    every = max(1, round(_SAMPLED_MM * camera.px_per_mm))
+    every = max(1, round(SAMPLED_MM * camera.px_per_mm))
     binning = max(1, round(PLACES_MM * camera.px_per_mm / every))
     names = ("red", "green", "blue") if has_colour(band) else ("grey",)
     images = bin_mean(linear_channels(band.sampled(every), capture.encoding, names), binning)
@@ -216,17 +202,17 @@ def findings_on_places(capture: Capture, finger: Finger) -> list[Finding]:
 def doubt_of_places(places: LightPlaces, rig: Rig) -> Finding | None:
     """A note where the fitted places clearly differ from the stated ones, a doubt where no sound
     finger's do so."""
-    if places.residual > _UNFIT:
+    if places.residual > UNFIT_RESIDUAL:
         return None
     x, y = places.shift_mm
     shift_mm = float(np.hypot(x, y))
     stated = np.array([led.position_mm for led in rig.leds], dtype=np.float64)
     height_mm = float(stated[:, 2].mean())
     radius_mm = float(np.linalg.norm(stated[:, :2] - stated[:, :2].mean(axis=0), axis=1).mean())
-    unsure = max(1.0, places.residual / _CLEAN)
+    unsure = max(1.0, places.residual / CLEAN_RESIDUAL)
     factor = abs(np.log(places.height))
     words = []
-    if factor > _HEIGHT * unsure:
+    if factor > NOTED_HEIGHT * unsure:
         up = height_mm * (places.height - 1)
         wide = radius_mm * (1 / places.height - 1)
         words.append(
@@ -234,7 +220,7 @@ def doubt_of_places(places: LightPlaces, rig: Rig) -> Finding | None:
             f" states, or their ring {abs(wide):.0f} mm {'narrower' if up > 0 else 'wider'} in"
             f" radius (all heights are then {100 / places.height:.0f} % of the true ones)"
         )
-    if shift_mm > _SHIFT_MM * unsure:
+    if shift_mm > NOTED_SHIFT_MM * unsure:
         words.append(
             f"the middle of the LEDs' ring seems to lie {shift_mm:.0f} mm from where the rig states"
             f" (x {x:+.0f}, y {y:+.0f} mm), which tilts the surface by"
@@ -242,9 +228,7 @@ def doubt_of_places(places: LightPlaces, rig: Rig) -> Finding | None:
         )
     if not words:
         return None
-    severity = (
-        Severity.DOUBT if factor > _SURE_HEIGHT or shift_mm > _SURE_SHIFT_MM else Severity.NOTE
-    )
+    severity = Severity.DOUBT if factor > SURE_HEIGHT or shift_mm > SURE_SHIFT_MM else Severity.NOTE
     return Finding(
         "led-places", f"{'; '.join(words)}: measure position_mm, or calibrate the lights.", severity
     )

@@ -7,6 +7,15 @@ from typing import Any
 import numpy as np
 
 from splitknit.diagnosis.gains import checked
+from splitknit.diagnosis.parameters import (
+    DARK_RIM,
+    DARK_RIM_SPOILS,
+    HELD_BORDER,
+    INVERTED_TURNS,
+    INVERTED_TURNS_DEG,
+    LEFT_OUT,
+    LIT_OBJECT,
+)
 from splitknit.diagnosis.samples import sampled_light
 from splitknit.findings import Finding, Severity
 from splitknit.finger.locate import Finger
@@ -18,21 +27,6 @@ INVERTED = (
     " the light than what it holds, so that the table is measured; paint the object white and all"
     " else black."
 )
-_DARK_RIM = 0.03
-"""Fraction of the rim that is darker in near infrared than in white from which the outlines differ:
-below 0 on simulated and path-traced fingers, 0.04 and 0.24 where the NIR images were of another."""
-_DARK_RIM_SPOILS = 0.15
-_BORDER = 0.7
-"""A mask may be inverted that holds the picture's corners and this fraction of its border ..."""
-_LEFT_OUT = 0.02
-"""... and leaves out this fraction of it, lit."""
-_LIT = 0.1
-"""Lit is what is brighter than this fraction of the brightest pixels."""
-_TURNS = 2.5
-"""Spread of directions (70 % of pixels) of what an inverted mask leaves out, over that of what it
-holds."""
-_TURNS_DEG = 5.0
-"""The same spread itself."""
 
 
 def leaves_out_object(stack: Any, lights: Any, mask: Any) -> bool:
@@ -43,12 +37,12 @@ def leaves_out_object(stack: Any, lights: Any, mask: Any) -> bool:
     images, vectors, inside, _ = checked(stack, lights, mask, None)
     border = np.concatenate([inside[0], inside[-1], inside[:, 0], inside[:, -1]])
     mean = images.mean(axis=0)
-    lit = mean > _LIT * np.quantile(mean, 0.995)
+    lit = mean > LIT_OBJECT * np.quantile(mean, 0.995)
     beside, held = lit & ~inside, lit & inside
     corners = inside[:: max(1, len(inside) - 1), :: max(1, inside.shape[1] - 1)]
-    if not corners.all() or border.mean() < _BORDER or beside.mean() < _LEFT_OUT:
+    if not corners.all() or border.mean() < HELD_BORDER or beside.mean() < LEFT_OUT:
         return False
-    if held.sum() < _LIT * inside.sum():
+    if held.sum() < LIT_OBJECT * inside.sum():
         return True
     rows, columns = np.nonzero(held)
     light = np.tensordot(np.linalg.pinv(vectors), images, 1)
@@ -60,7 +54,7 @@ def leaves_out_object(stack: Any, lights: Any, mask: Any) -> bool:
         float(np.degrees(np.quantile(np.linalg.norm(rest, axis=0), 0.7)))
         for rest in (unit[:, held] - trend.T, unit[:, beside] - level)
     ]
-    return spreads[1] > max(_TURNS * spreads[0], _TURNS_DEG)
+    return spreads[1] > max(INVERTED_TURNS * spreads[0], INVERTED_TURNS_DEG)
 
 
 def findings_on_mask(capture: Capture, finger: Finger) -> list[Finding]:
@@ -87,11 +81,11 @@ def findings_on_outline(capture: Capture, finger: Finger) -> list[Finding]:
     dark_white, dark_nir = (
         float((mean[rim] < 0.15 * np.median(mean[core])).mean()) for mean in means
     )
-    if dark_nir - dark_white <= _DARK_RIM:
+    if dark_nir - dark_white <= DARK_RIM:
         return []
     words = (
         f"{100 * dark_nir:.0f} % of the finger's rim (1.5 mm) is dark in it, and"
         f" {100 * dark_white:.0f} % in white: check that both bands are of one finger in one place."
     )
-    severity = Severity.SPOILS if dark_nir - dark_white > _DARK_RIM_SPOILS else Severity.DOUBT
+    severity = Severity.SPOILS if dark_nir - dark_white > DARK_RIM_SPOILS else Severity.DOUBT
     return [Finding("other-outline", words, severity).of_band("nir")]

@@ -16,14 +16,28 @@ from typing import Any, Literal
 import cv2
 import numpy as np
 
-from splitknit.diagnosis.frames import SPOILT_DEG
-from splitknit.diagnosis.gains import (
-    LEAST,
-    PIXELS,
-    checked,
-    light_gains,
-    lit_values,
-    median_angle_deg,
+from splitknit.diagnosis.gains import checked, light_gains, lit_values, median_angle_deg
+from splitknit.diagnosis.parameters import (
+    COMPARED_SQUARE_PX,
+    COMPARED_VALUES,
+    FAINT_PHOTOGRAPH,
+    FAULT_LEAVES,
+    FAULT_PX,
+    FEW_CLIPPED,
+    FEWEST_COMPARED,
+    GAINS_PIXELS,
+    GLOSS_PX,
+    LEAST_PHOTOGRAPHS,
+    LOCAL_PX,
+    MOST_LEVERAGE,
+    NOTED_DEG,
+    PHOTOGRAPH_CLIPPED,
+    SMOOTH_PX,
+    SPOILT_DEG,
+    STANDS_OUT,
+    UNLIKE_DEG,
+    UNLIKE_LIGHT,
+    UNLIKE_PART,
 )
 from splitknit.diagnosis.samples import sampled_light
 from splitknit.errors import BadInput, check_lights
@@ -44,43 +58,8 @@ OVEREXPOSED = (
     "{:.1f} % of the surface is overexposed in all photographs but two or fewer: its slopes there"
     " are unknown; photograph it again with a shorter exposure."
 )
+_SQUARE = np.ones((COMPARED_SQUARE_PX, COMPARED_SQUARE_PX), np.uint8)
 Fault = Literal["moved", "blurred", "double", "overexposed", "underexposed", "unlike"]
-_MOST_LEVERAGE = 0.9
-"""Above it the other lights hardly predict a light."""
-_FEWEST = 400
-"""Pixels that a comparison needs."""
-_SMOOTH_PX = 1.0
-"""Blur (sigma) before derivatives: noise is not to look like sharpness."""
-_SQUARE = np.ones((7, 7), np.uint8)
-"""It must be lit and inside the mask around a pixel that is compared."""
-_LOCAL_PX = 31
-"""Side of the square over which the prediction's brightness is that of the photograph: near lights
-and gloss."""
-_PX = 0.5
-"""Pixels times the fraction that they explain from which a photograph is moved, blurred or double:
-up to 0.35 on sound photographs of a bear and a sphere, 0.8 on rendered objects."""
-_STANDS_OUT = 3.5
-"""That times the light explained, over the median's, from which it is."""
-_GLOSS_PX = 1.5
-"""Gloss on ribs changes their contrast as a blur of up to this sigma would."""
-_UNLIKE = 0.6
-"""Fraction of all residuals that goes with one photograph, beyond its even part, from which it is
-unlike the rest."""
-_UNLIKE_LIGHT = 0.1
-"""Its residual over the light, at least."""
-_UNLIKE_DEG = 0.5
-"""The turn of the normals by it, at least."""
-_EXPLAINS = 0.85
-"""Fraction of the mean difference that a named fault may leave; else the photograph is unlike the
-rest."""
-_CLIPPED = 0.01
-_FAINT = 0.12
-"""Brightness over the median photograph's below which noise and the steps of the numbers count."""
-_COMPARED_VALUES = 4_000_000
-"""Values of all photographs that are compared with each other, at most; larger ones are binned."""
-_FEW_CLIPPED = 0.002
-_NOTED_DEG = 0.5
-"""A fault of one photograph of skin is noted if it turns the surface by more."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -134,7 +113,7 @@ def faulty_photographs(
     registration technique", IJCAI 1981, for shifts.
     """
     images, vectors, inside, levels = checked(stack, lights, mask, ceilings)
-    if len(images) <= LEAST or inside.sum() < _FEWEST:
+    if len(images) <= LEAST_PHOTOGRAPHS or inside.sum() < FEWEST_COMPARED:
         return ()
 
     def compared(kept: list[int]) -> _Comparison:
@@ -144,17 +123,17 @@ def faulty_photographs(
     faults = [
         PhotographFault(k, "overexposed", float(clipped[k]), 0.0)
         for k in range(len(images))
-        if clipped[k] > _CLIPPED
+        if clipped[k] > PHOTOGRAPH_CLIPPED
     ]
     gains = light_gains(images, vectors, inside, levels)
     dim = gains / np.median(gains)
     kept = list(range(len(images)))
-    for k in np.flatnonzero(dim < _FAINT).tolist():
-        if len(kept) > LEAST:
+    for k in np.flatnonzero(dim < FAINT_PHOTOGRAPH).tolist():
+        if len(kept) > LEAST_PHOTOGRAPHS:
             turned = compared(kept).turned_deg(kept.index(k))
             faults.append(PhotographFault(k, "underexposed", float(dim[k]), turned))
             kept.remove(k)
-    while len(kept) > LEAST:
+    while len(kept) > LEAST_PHOTOGRAPHS:
         fault = compared(kept).worst()
         if fault is None:
             break
@@ -194,10 +173,10 @@ class _Comparison:
             * weights
         )
         self.count = weights.sum(axis=0)
-        self.good = lit & (leverage < _MOST_LEVERAGE) & (self.count >= LEAST)
+        self.good = lit & (leverage < MOST_LEVERAGE) & (self.count >= LEAST_PHOTOGRAPHS)
         # difference of each photograph to its prediction by the rest (Cook 1977)
         self.deleted = np.where(
-            self.good, self.residual / np.maximum(1 - leverage, 1 - _MOST_LEVERAGE), 0.0
+            self.good, self.residual / np.maximum(1 - leverage, 1 - MOST_LEVERAGE), 0.0
         )
         # where a light ends, the prediction has a step
         self.steady = np.ones(inside.shape, dtype=bool)
@@ -218,11 +197,13 @@ class _Comparison:
         """The photograph that fits least, if any does not fit."""
         pixels, explained = np.array([self._derivatives(k) for k in range(len(self.images))]).T
         k = int(np.argmax(explained))
-        if pixels[k] > _PX and pixels[k] * explained[k] > _STANDS_OUT * float(np.median(explained)):
+        if pixels[k] > FAULT_PX and pixels[k] * explained[k] > STANDS_OUT * float(
+            np.median(explained)
+        ):
             kind, size = self._named(k)
             turned_deg = self.turned_deg(k)
-            unlike = size > 0.5 * _UNLIKE_LIGHT and turned_deg > _UNLIKE_DEG
-            if {"unlike": unlike, "blurred": size > _GLOSS_PX}.get(kind, True):
+            unlike = size > 0.5 * UNLIKE_LIGHT and turned_deg > UNLIKE_DEG
+            if {"unlike": unlike, "blurred": size > GLOSS_PX}.get(kind, True):
                 return PhotographFault(k, kind, size, turned_deg)
         influence = (self.deleted * self.residual).sum(axis=1, where=self.good)
         spare = np.maximum(self.count - 3, 1)
@@ -233,7 +214,7 @@ class _Comparison:
         rms = float(np.sqrt(total / max(float(spare.sum()), 1.0)))
         level = rms / max(float(np.mean(self.images[k], where=self.inside)), 1e-12)
         turned_deg = self.turned_deg(k)
-        unlike = beyond[k] > _UNLIKE and level > _UNLIKE_LIGHT and turned_deg > _UNLIKE_DEG
+        unlike = beyond[k] > UNLIKE_PART and level > UNLIKE_LIGHT and turned_deg > UNLIKE_DEG
         return PhotographFault(k, "unlike", level, turned_deg) if unlike else None
 
     def _pair(self, k: int) -> tuple[FloatArray, FloatArray, BoolArray]:
@@ -245,7 +226,7 @@ class _Comparison:
         predicted = image.copy()
         predicted[self.inside] -= self.deleted[k]
         near, near_predicted = (
-            cv2.stackBlur(each * valid, (_LOCAL_PX, _LOCAL_PX)) for each in (image, predicted)
+            cv2.stackBlur(each * valid, (LOCAL_PX, LOCAL_PX)) for each in (image, predicted)
         )
         ratio = np.where(valid > 0, near / np.maximum(near_predicted, 1e-9), 1.0)
         known = (cv2.erode(valid, _SQUARE, borderValue=0) > 0) & self.steady
@@ -256,12 +237,12 @@ class _Comparison:
         fraction that they explain; and the squared light that they explain, over the squared light.
         """
         target, predicted, known = self._pair(k)
-        if int(known.sum()) < _FEWEST:
+        if int(known.sum()) < FEWEST_COMPARED:
             return 0.0, 0.0
         model = _smooth(predicted)
         dy, dx = np.gradient(model)
         laplacian = np.gradient(dy, axis=0) + np.gradient(dx, axis=1)
-        pixels = np.flatnonzero(known)[:: max(1, int(known.sum()) // PIXELS)]
+        pixels = np.flatnonzero(known)[:: max(1, int(known.sum()) // GAINS_PIXELS)]
         terms = np.stack([part.ravel()[pixels] for part in (model, dx, dy, laplacian)]).astype(
             np.float64
         )
@@ -316,20 +297,20 @@ class _Comparison:
         kind = min(misfits, key=lambda each: misfits[each])
         least, size = misfits[kind]
         unexplained = misfit(predicted)
-        if least > _EXPLAINS * unexplained:
+        if least > FAULT_LEAVES * unexplained:
             return "unlike", unexplained / max(float(np.mean(target[known])), 1e-12)
         return kind, size
 
 
 def _smooth(image: FloatArray) -> FloatArray:
-    return np.asarray(cv2.GaussianBlur(image, (0, 0), _SMOOTH_PX))
+    return np.asarray(cv2.GaussianBlur(image, (0, 0), SMOOTH_PX))
 
 
 def compared_pixels(band: Band, finger: Finger) -> tuple[int, BoolArray] | None:
     """By how much photographs are reduced to be compared, and the object there; None where they are
     not comparable."""
     values = len(band.pixels) * finger.inside.size
-    binning = max(1, int(np.ceil(np.sqrt(values / _COMPARED_VALUES))))
+    binning = max(1, int(np.ceil(np.sqrt(values / COMPARED_VALUES))))
     inside = bin_mean(finger.inside.astype(np.float32), binning) > 0.99
     comparable = (
         len(band.lights) == len(band.pixels) and band.crossed is None and not band.polarisation
@@ -349,7 +330,7 @@ def left_out(
     effect = "it was left out, and would have turned the normals by {:.2g} deg (median)"
     notes = [_fault_finding(band, fault, binning, effect) for fault in faults]
     clipped = (stack >= levels[:, None, None]).sum(axis=0)[inside] > len(stack) - 3
-    if clipped.mean() > _FEW_CLIPPED:
+    if clipped.mean() > FEW_CLIPPED:
         notes.append(Finding("overexposed-surface", OVEREXPOSED.format(100 * clipped.mean())))
     out = {fault.photograph for fault in faults if fault.kind != "overexposed"}
     return band.of_images([k for k in range(len(stack)) if k not in out]) if out else band, notes
@@ -363,7 +344,7 @@ def faulty_photograph(capture: Capture, band: Band, finger: Finger) -> Finding |
     )
     # highlights are overexposed, and no method takes them for skin
     bad = [
-        fault for fault in faults if fault.kind != "overexposed" and fault.effect_deg > _NOTED_DEG
+        fault for fault in faults if fault.kind != "overexposed" and fault.effect_deg > NOTED_DEG
     ]
     if not bad:
         return None

@@ -5,6 +5,24 @@ from __future__ import annotations
 
 import numpy as np
 
+from splitknit.diagnosis.parameters import (
+    BARE_BEYOND_MM,
+    BARE_CONTRAST,
+    BRIGHT_SKIN,
+    CONTRAST_EDGE_MM,
+    CONTRAST_WINDOW_MM,
+    ENERGY_CAP,
+    FEWEST_RIDGED,
+    JUDGED_RIM_MM,
+    LEAST_BARE_MM2,
+    LEAST_PX_PER_MM,
+    LIT_SKIN,
+    MUCH_BARE,
+    RIDGED_QUANTILE,
+    RIDGES_FINE_MM,
+    RIDGES_LEVEL_MM,
+    UNLIKE_RIDGES,
+)
 from splitknit.findings import Finding, Severity
 from splitknit.finger.locate import Finger
 from splitknit.finger.regions import depth_inside, dilate, largest_component, quantile
@@ -20,36 +38,6 @@ OTHER_RIDGES = (
     "{} does not show the ridges that all other photographs show (moved, double, or another"
     " finger's): the relief mixes both; capture it again."
 )
-_MUCH_BARE = 0.15
-"""Part of the finger without ridges that is doubted and not merely noted: one of some 40 sound
-fingers in all conditions had 0.11."""
-LEAST_PX_PER_MM = 6.0
-"""Scale below which ridges are not seen: three pixels from one to the next."""
-_FINE_MM, _LEVEL_MM = 0.06, 0.35
-"""Standard deviations of the Gaussians between which ridges, 0.4 to 0.6 mm apart, lie."""
-_WINDOW_MM = 0.5
-"""Standard deviation of the Gaussian over which their contrast is a mean."""
-_RIM_MM, _EDGE_MM = 1.5, 0.4
-"""Skin nearer to the outline is not judged; what is nearer does not count at all."""
-_LIT, _BRIGHT = 0.35, 0.5
-"""Part of the finger's median light that lit skin has; for ridges of single images."""
-_RIDGED, _CAP = 0.75, 0.3
-"""Quantile of the skin that surely has ridges (a plaster may cover half), and the part of its
-energy at which a pixel counts as part of a ridge."""
-_BARE = 0.45
-"""Part of the ridged skin's contrast below which skin is bare. With 0.5 one of 185 sound fingers, a
-glossy one, had a patch of 8 mm2; with 0.45 the largest has 2.5 mm2, and that of four path-traced
-fingers 3.5."""
-_LEAST_MM2, _HIDDEN_MM = 4.0, 1.0
-"""Smallest bare patch that counts, and how far beyond it skin is bare as well: the window reaches
-over its edge (92 plasters: the patch so grown had 0.78 to 1.02 of their area)."""
-
-_FEWEST = 6
-"""Lights of which each is judged by the others."""
-_UNLIKE = 1.8
-"""Error of an image's ridges, as the others predict them, over the images' median: 1.01 to 1.44 on
-196 sound simulated fingers and 1.61, 1.74 on two of 190 others (glossy, wet); 2.1 and more with an
-image of another finger, 1.4 to 3.6 with one that shows everything twice."""
 
 
 def bare_patch(stack: FloatArray, mask: BoolArray, px_per_mm: float) -> tuple[float, float]:
@@ -70,24 +58,30 @@ def bare_patch(stack: FloatArray, mask: BoolArray, px_per_mm: float) -> tuple[fl
         Scale of the stack; below `LEAST_PX_PER_MM` no patch is found.
     """
     deep_mm = depth_inside(mask) / px_per_mm
-    light = smoothed(stack.mean(axis=0), mask, _LEVEL_MM * px_per_mm)
-    judged = mask & (deep_mm > _RIM_MM)
+    light = smoothed(stack.mean(axis=0), mask, RIDGES_LEVEL_MM * px_per_mm)
+    judged = mask & (deep_mm > JUDGED_RIM_MM)
     if px_per_mm < LEAST_PX_PER_MM or not judged.any():
         return 0.0, 0.0
-    judged &= light > _LIT * quantile(light[judged])
+    judged &= light > LIT_SKIN * quantile(light[judged])
     energy = np.zeros(mask.shape, dtype=np.float32)
     for image in stack:
-        level = smoothed(image, mask, _LEVEL_MM * px_per_mm)
+        level = smoothed(image, mask, RIDGES_LEVEL_MM * px_per_mm)
         floor = 0.05 * max(quantile(level[judged]), 1e-12)
-        relative = (smoothed(image, mask, _FINE_MM * px_per_mm) - level) / np.maximum(level, floor)
+        relative = (smoothed(image, mask, RIDGES_FINE_MM * px_per_mm) - level) / np.maximum(
+            level, floor
+        )
         down, across = np.gradient(relative)
         energy += down * down + across * across
-    most = _CAP * quantile(energy[judged], _RIDGED)
-    contrast = smoothed(np.minimum(energy, most), deep_mm > _EDGE_MM, _WINDOW_MM * px_per_mm)
-    bare = largest_component(judged & (contrast < _BARE**2 * quantile(contrast[judged], _RIDGED)))
-    if bare.sum() < _LEAST_MM2 * px_per_mm**2:
+    most = ENERGY_CAP * quantile(energy[judged], RIDGED_QUANTILE)
+    contrast = smoothed(
+        np.minimum(energy, most), deep_mm > CONTRAST_EDGE_MM, CONTRAST_WINDOW_MM * px_per_mm
+    )
+    bare = largest_component(
+        judged & (contrast < BARE_CONTRAST**2 * quantile(contrast[judged], RIDGED_QUANTILE))
+    )
+    if bare.sum() < LEAST_BARE_MM2 * px_per_mm**2:
         return 0.0, 0.0
-    pixels = int((dilate(bare, _HIDDEN_MM * px_per_mm) & judged).sum())
+    pixels = int((dilate(bare, BARE_BEYOND_MM * px_per_mm) & judged).sum())
     return pixels / px_per_mm**2, pixels / int(judged.sum())
 
 
@@ -105,7 +99,7 @@ def findings_on_relief(capture: Capture, finger: Finger, *, fits: bool) -> list[
     if area_mm2:
         words = BARE.format(100 * part, area_mm2)
         findings.append(
-            Finding("bare-patch", words, Severity.DOUBT if part > _MUCH_BARE else Severity.NOTE)
+            Finding("bare-patch", words, Severity.DOUBT if part > MUCH_BARE else Severity.NOTE)
         )
     if fits and len(band.lights) == len(stack):
         lights = capture.rig.select(band.lights).light_vectors()
@@ -140,17 +134,17 @@ def unlike_image(stack: FloatArray, lights: Array, mask: BoolArray, px_per_mm: f
     """
     light = stack.mean(axis=0)
     deep_mm = depth_inside(mask) / px_per_mm
-    judged = mask & (deep_mm > _RIM_MM)
-    if len(stack) < _FEWEST or px_per_mm < LEAST_PX_PER_MM or not judged.any():
+    judged = mask & (deep_mm > JUDGED_RIM_MM)
+    if len(stack) < FEWEST_RIDGED or px_per_mm < LEAST_PX_PER_MM or not judged.any():
         return None
-    judged &= light > _BRIGHT * quantile(light[judged])
-    level = smoothed(light, mask, _LEVEL_MM * px_per_mm)[judged]
+    judged &= light > BRIGHT_SKIN * quantile(light[judged])
+    level = smoothed(light, mask, RIDGES_LEVEL_MM * px_per_mm)[judged]
     fine, wide = (
         [smoothed(image, mask, mm * px_per_mm)[judged] for image in stack]
-        for mm in (_FINE_MM, _LEVEL_MM)
+        for mm in (RIDGES_FINE_MM, RIDGES_LEVEL_MM)
     )
     ridges = (np.array(fine) - np.array(wide)) / level
     predicted = lights @ np.linalg.pinv(lights)
     error = np.median(np.abs(ridges - predicted @ ridges), axis=1) / (1 - np.diag(predicted))
     worst = int(error.argmax())
-    return worst if error[worst] > _UNLIKE * np.median(error) else None
+    return worst if error[worst] > UNLIKE_RIDGES * np.median(error) else None

@@ -16,6 +16,34 @@ from typing import Literal, NamedTuple
 
 import numpy as np
 
+from splitknit.diagnosis.parameters import (
+    BLUE_OVER_RED,
+    BRIGHTNESS_SPREAD,
+    CLIPPED_FINGER,
+    COLOUR_SPREAD,
+    DRIFT_ALONE,
+    DRIFT_CHANGE,
+    DRIFT_ERRORS,
+    FEWEST_ANSWERING,
+    FEWEST_LIGHTS,
+    FEWEST_LIT,
+    FITTED_WIDTH,
+    FLANK_PIXELS,
+    FLANKS_QUANTILE,
+    FLAT_FINGER,
+    HOLLOW_FINGER,
+    LIT_RESPONSE,
+    RESPONSE_PLANE_MM,
+    RESPONSE_RIM_MM,
+    RESPONSE_SIDE,
+    SHADED_EXPONENTS,
+    STATED_SD,
+    TONE_DOUBTED,
+    TONE_SPOILS,
+    TONE_SURE,
+    TRIED_EXPONENTS,
+    WELL_LIT,
+)
 from splitknit.findings import Finding, Severity
 from splitknit.finger.locate import Finger
 from splitknit.finger.regions import erode
@@ -62,61 +90,7 @@ DRIFTED = (
     "{}: its LED is {:.0f} % {} than at the calibration, by this capture; photograph the white card"
     " again (splitknit calibrate radiometry)."
 )
-# Limits beyond what 180 sound fingers in all conditions (dry, wet, scarred, glossy ...) show.
-_BLUE = 1.3
-"""Blue over red light: at most 0.63; from 1.6 where the colours are swapped."""
-_CLIPPED = 0.2
-"""Fraction of the finger that is clipped in one colour of an image: at most 0.06 (once 0.13); from
-0.27 where it is."""
-_COLOURS = 0.02
-"""Standard deviation of the colours' gains: at most 0.001; from 0.037 where white was balanced."""
-_TONE = 0.07
-"""Departure of the exponent from one that is doubted: 0.03 at most on 126 sound fingers under
-unequal lights, 0.12 to 0.75 where a curve or light of 30 % was added."""
-_TONE_SPOILS = 0.1
-_SURE = 7.0
-"""Least t value of that departure."""
-_SHADED = (0.85, 1.22)
-"""Exponents between which shading under equal lights is sound."""
-_FLAT = 0.5
-"""Height over half width below which a finger is too flat: 0.61 to 1.06 on 144 sound fingers, 0.63
-to 0.75 on path-traced ones, 0.34 to 0.45 with local contrast."""
-_HOLLOW = 0.1
-"""... and below which it is none: lights in another order."""
-_SIDE = 300
-"""Pixels of the coarse images' longer side, at least."""
-_DEPTH_MM = 0.6
-"""Beside the outline, which is not used."""
-_PLANE_MM = 1.0
-"""Mean height of the skin above the finger plane, about."""
-_FEWEST_LIGHTS = 5
-_FEWEST = 1000
-"""Pixels of the coarse images from which the response shows."""
-_LIT = 0.3
-"""Fraction of a pixel's brightest light from which a light counts in its fit."""
-_WELL_LIT = 0.5
-"""... and from which its gain is judged: below, attached shadows and light scattered in the skin
-matter more."""
-_FEWEST_LIT = 100
-"""Pixels, at least, of which a gain is the median."""
-_SPREAD = 0.01
-"""Sum of squares of the lights' log brightness, beside a tilt's, from which it shows the tone: 0.03
-to 0.2 of LEDs that differ by 10 %."""
-_STATED = 0.002
-"""Standard deviation of brightness as it is stated, at best, in the logarithm."""
-_EXPONENTS = np.geomspace(0.55, 1.8, 9)
-_FLANKS = 0.6
-"""Quantile of the pixels, by how much they change with the light, from which they show the tone."""
-_FLANK_PIXELS = 700
-_DRIFT = 0.03
-"""Change of a light's brightness from which it has drifted."""
-_ALONE = 0.6
-"""Fraction of all gains that it explains alone, at least: gloss, shadows and scattering move
-several a little."""
-_DRIFT_ERRORS = 3.0
-"""Its own standard errors, at least."""
-_AWAY = 0.9
-"""Fraction of the half width of a finger, from its axis, on which its height is fitted."""
+_EXPONENTS = np.geomspace(*TRIED_EXPONENTS)
 
 
 class ResponseDoubt(NamedTuple):
@@ -146,19 +120,19 @@ def doubt_of_response(
 ) -> ResponseDoubt | None:
     """What is wrong with a camera's response to light, the surest; `encodings`: whether to try
     another encoding."""
-    every = max(1, max(capture.shape) // _SIDE)
+    every = max(1, max(capture.shape) // RESPONSE_SIDE)
     inside = np.zeros(capture.shape, dtype=np.bool_)
     inside[finger.window] = finger.inside
     inside = inside[::every, ::every]
-    core = erode(inside, _DEPTH_MM / (every * capture.rig.camera.pitch_mm))
+    core = erode(inside, RESPONSE_RIM_MM / (every * capture.rig.camera.pitch_mm))
     responses = []
     for name in ("white", "nir"):
         band = capture.bands.get(name)
         if (
             band is None
             or band.colours
-            or len(band.lights) < _FEWEST_LIGHTS
-            or core.sum() < _FEWEST
+            or len(band.lights) < FEWEST_LIGHTS
+            or core.sum() < FEWEST_ANSWERING
         ):
             continue
         response = _response(capture, band, inside, core, every)
@@ -204,21 +178,21 @@ def _response(
     sampled = band.sampled(every)
     stack = linear_channels(sampled, capture.encoding, channels)
     light = stack[..., core]
-    if coloured and (blue := blue_over_red(light)) > _BLUE:
+    if coloured and (blue := blue_over_red(light)) > BLUE_OVER_RED:
         return ResponseDoubt(Finding("swapped-colours", SWAPPED.format(blue), Severity.SPOILS))
     clipped, image, colour = clipped_part(sampled.pixels[:, inside])
-    if clipped > _CLIPPED:
+    if clipped > CLIPPED_FINGER:
         file = band.image_names[image]
         words = CLIPPED.format(100 * clipped, file, channels[colour] if coloured else "grey")
         return ResponseDoubt(Finding("clipped-photograph", words, Severity.DOUBT, files=(file,)))
     surface, vectors = _coarse_surface(stack.sum(axis=0), capture, band, inside, every)
     towards = vectors[..., core]
     gains = image_gains(light, towards)
-    if (spread := colour_spread(gains)) > _COLOURS:
+    if (spread := colour_spread(gains)) > COLOUR_SPREAD:
         odd = int(np.argmax(np.abs(gains - gains.mean(axis=0)).max(axis=0)))
         without = image_gains(np.delete(light, odd, axis=1), np.delete(towards, odd, axis=0))
         finding = Finding("white-balance", WHITE_BALANCE.format(100 * spread), Severity.SPOILS)
-        return ResponseDoubt(finding, colour_spread(without) > _COLOURS)
+        return ResponseDoubt(finding, colour_spread(without) > COLOUR_SPREAD)
     mean = towards.mean(axis=-1)
     strength = np.linalg.norm(mean, axis=1)
     return _Response(
@@ -240,13 +214,13 @@ def _doubt_of_tone(responses: Sequence[_Response], encodings: bool) -> ResponseD
     finger's height."""
     tone, sure = tone_exponent([response[:3] for response in responses])
     # another encoding must fit well
-    if abs(tone - 1) > _TONE and (abs(sure) > _SURE or not encodings):
-        severity = Severity.SPOILS if abs(tone - 1) > _TONE_SPOILS else Severity.DOUBT
+    if abs(tone - 1) > TONE_DOUBTED and (abs(sure) > TONE_SURE or not encodings):
+        severity = Severity.SPOILS if abs(tone - 1) > TONE_SPOILS else Severity.DOUBT
         return ResponseDoubt(Finding("tone-curve", TONE.format(tone), severity))
     exponent = responses[0].exponent
-    if np.isnan(tone) and (exponent < _SHADED[0] or exponent > _SHADED[1]):
+    if np.isnan(tone) and (exponent < SHADED_EXPONENTS[0] or exponent > SHADED_EXPONENTS[1]):
         return ResponseDoubt(Finding("tone-curve", TONE.format(exponent), Severity.DOUBT), False)
-    if _HOLLOW < responses[0].height < _FLAT:
+    if HOLLOW_FINGER < responses[0].height < FLAT_FINGER:
         return ResponseDoubt(
             Finding("flat-finger", FLAT.format(responses[0].height), Severity.DOUBT), False
         )
@@ -269,11 +243,11 @@ def _coarse_surface(
     view = View(view.x_mm[pixels], view.y_mm[pixels], view.apex_mm, view.along_rays)
     height_mm = np.zeros(inside.shape, dtype=np.float32)
     for _ in range(2):
-        g = pseudo_normals(stack, rig, height_mm + _PLANE_MM, inside, view=view)
+        g = pseudo_normals(stack, rig, height_mm + RESPONSE_PLANE_MM, inside, view=view)
         z = np.maximum(g[..., 2], 0.15 * np.sqrt((g * g).sum(axis=-1)) + 1e-9)
         height = poisson(-g[..., 0] / z, -g[..., 1] / z, inside) * (every * camera.pitch_mm)
         height_mm = np.nan_to_num(height).astype(np.float32)
-    points = view.points(height_mm + _PLANE_MM)
+    points = view.points(height_mm + RESPONSE_PLANE_MM)
     return height_mm, view.turned(light_vectors_at(rig, *points))
 
 
@@ -303,15 +277,15 @@ def image_gains(stack: FloatArray, vectors: FloatArray) -> Array:
     gains = np.full((len(stack), len(vectors)), np.nan)
     for row, light in zip(gains, stack, strict=True):
         predicted, lit = _fitted(light, vectors)
-        judged = lit & (predicted > _WELL_LIT * predicted.max(axis=0)) & (light > 0)
-        for k in np.flatnonzero(judged.sum(axis=1) >= _FEWEST_LIT):
+        judged = lit & (predicted > WELL_LIT * predicted.max(axis=0)) & (light > 0)
+        for k in np.flatnonzero(judged.sum(axis=1) >= FEWEST_LIT):
             row[k] = np.median(np.log(light[k, judged[k]] / predicted[k, judged[k]]))
     return np.asarray(gains - gains.mean(axis=1, keepdims=True))
 
 
 def _fitted(light: FloatArray, vectors: FloatArray) -> tuple[FloatArray, BoolArray]:
     """What least squares predicts of light (L, n), and where it counts."""
-    lit = light > _LIT * light.max(axis=0)
+    lit = light > LIT_RESPONSE * light.max(axis=0)
     return shading(solve(light, vectors, lit.astype(np.float32)), vectors), lit
 
 
@@ -348,12 +322,12 @@ def tone_exponent(bands: Sequence[tuple[Array, Array, Array]]) -> tuple[float, f
     level = np.concatenate(levels)
     rest = np.concatenate(rests)
     square = float(level @ level)
-    if square < _SPREAD or freedom < 2:
+    if square < BRIGHTNESS_SPREAD or freedom < 2:
         return float("nan"), 0.0
     slope = float(level @ rest) / square
     residual = rest - slope * level
     return 1.0 + slope, slope / float(
-        np.sqrt((residual @ residual / freedom + _STATED**2) / square)
+        np.sqrt((residual @ residual / freedom + STATED_SD**2) / square)
     )
 
 
@@ -379,8 +353,8 @@ def drifted_light(gains: Array, directions: Array) -> tuple[int, float] | None:
     change = float(rest[k] / freedom[k])
     total = float(rest @ rest)
     error = np.sqrt((total - explained[k]) / max(len(gains) - 4, 1) / freedom[k])
-    sure = explained[k] > _ALONE * total and abs(change) > _DRIFT_ERRORS * error
-    return (k, float(np.exp(change))) if sure and abs(np.expm1(change)) > _DRIFT else None
+    sure = explained[k] > DRIFT_ALONE * total and abs(change) > DRIFT_ERRORS * error
+    return (k, float(np.exp(change))) if sure and abs(np.expm1(change)) > DRIFT_CHANGE else None
 
 
 def shading_exponent(stack: FloatArray, vectors: FloatArray) -> float:
@@ -395,8 +369,8 @@ def shading_exponent(stack: FloatArray, vectors: FloatArray) -> float:
     best = []
     for light in np.maximum(stack, 1e-4):
         varied = light.std(axis=0) / light.mean(axis=0)
-        flanks = np.flatnonzero(varied > np.quantile(varied, _FLANKS))
-        flanks = flanks[:: max(1, len(flanks) // _FLANK_PIXELS)]
+        flanks = np.flatnonzero(varied > np.quantile(varied, FLANKS_QUANTILE))
+        flanks = flanks[:: max(1, len(flanks) // FLANK_PIXELS)]
         residuals = [
             _residual(light[:, flanks] ** np.float32(1 / p), vectors[..., flanks]) * p
             for p in _EXPONENTS
@@ -429,7 +403,7 @@ def height_over_half_width(height_mm: FloatArray, mask: BoolArray, pitch_mm: flo
         columns = np.flatnonzero(mask[row])
         half = 0.5 * (columns[-1] - columns[0] + 1)
         across = (columns - 0.5 * (columns[0] + columns[-1])) / half
-        near = np.abs(across) < _AWAY
+        near = np.abs(across) < FITTED_WIDTH
         terms = np.column_stack([np.ones(near.sum()), across[near], np.sqrt(1 - across[near] ** 2)])
         fit = np.linalg.lstsq(terms, height_mm[row, columns[near]].astype(np.float64), rcond=None)[
             0

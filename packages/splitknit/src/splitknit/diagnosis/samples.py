@@ -3,12 +3,11 @@ lights."""
 
 from __future__ import annotations
 
+from splitknit.diagnosis.parameters import (
+    FRAME_SIDE,
+)
 from splitknit.imaging.band import linear_stack
 from splitknit.model import Array, Band, Capture, FloatArray
-
-FRAME_SIDE = 300
-"""Images of at least so many pixels a side are enough to detect in which frame the lights were
-measured."""
 
 
 def sampled_light(capture: Capture, band: Band) -> tuple[FloatArray, Array, tuple[slice, slice]]:

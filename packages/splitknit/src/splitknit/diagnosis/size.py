@@ -6,19 +6,17 @@ from dataclasses import replace
 
 import numpy as np
 
+from splitknit.diagnosis.parameters import (
+    COVERED,
+    PERIOD_PX_PER_MM,
+    SEEN_PX,
+    USUAL_PERIOD_MM,
+)
 from splitknit.errors import BadInput
 from splitknit.findings import Finding, Severity
 from splitknit.finger.ridge_period import ridge_period
 from splitknit.model import Capture, Reconstruction
 from splitknit.plausible import DEPTH, RIDGE_PERIOD
-
-USUAL_PERIOD_MM = 0.45
-"""Distance of the ridges from which a scale is assumed."""
-_PERIOD_PX_PER_MM = 20.0
-"""Scale that is enough to measure it."""
-_SEEN_PX, _COVERED = 5.0, 0.5
-"""Where usual ridges are closer than this, they may not be seen, and films' gloss or dry skin looks
-like wider ones: a doubt needs a wave in so many of the places, as fingers have in 0.6 to 0.8."""
 
 
 def doubt_of_size(capture: Capture, result: Reconstruction, metric: bool) -> tuple[Finding, ...]:
@@ -45,7 +43,7 @@ def _odd_ridge_period(
     stated = all(led.position_mm is None for led in capture.rig.leds)
     if not camera.scale_known or "scale" in capture.rig.provenance or not (stated or metric):
         return ()
-    every = max(1, int(camera.px_per_mm / _PERIOD_PX_PER_MM))
+    every = max(1, int(camera.px_per_mm / PERIOD_PX_PER_MM))
     try:
         # a doubt needs few blocks
         ridges = ridge_period(
@@ -53,7 +51,7 @@ def _odd_ridge_period(
         )
     except BadInput:  # too coarse to show any
         return ()
-    if ridges.part < _COVERED and USUAL_PERIOD_MM * camera.px_per_mm < _SEEN_PX:
+    if ridges.part < COVERED and USUAL_PERIOD_MM * camera.px_per_mm < SEEN_PX:
         return ()
     period_mm, (low, high) = ridges.period_px * every * result.pitch_mm, RIDGE_PERIOD.possible
     factor = (

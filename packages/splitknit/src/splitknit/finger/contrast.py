@@ -14,19 +14,14 @@ from typing import Annotated, Literal
 import numpy as np
 
 from splitknit.errors import check_image, check_mask
+from splitknit.finger.parameters import HISTOGRAM_BINS, MIN_CELL_PX, WHITE_PERCENTILE
 from splitknit.imaging.band import srgb_code
 from splitknit.imaging.geometry import bounding_box
 from splitknit.model import Array, BoolArray, FloatArray
 from splitknit.settings import Checked, Limits
 
-_BINS = 256
-"""Bins of the histograms; the mapping between them is interpolated."""
-_LEAST_CELL_PX = 8
-"""Least side of a cell."""
 _CELL_PX = 64.0
-"""Side of a cell at 75.7 px/mm, as in the thesis."""
-_WHITE = 99.9
-"""This percentile of the finger becomes white before equalisation."""
+"""Side of a cell at 75.7 px/mm. Source: thesis, section 3.3.1.3."""
 _Cell = tuple[int, int]
 """Rows and columns of a cell."""
 
@@ -68,15 +63,15 @@ def clahe(
     mask = check_mask(mask, (image.shape[0], image.shape[1]))
     box = bounding_box(mask)
     inside = mask[box]
-    white = float(np.percentile(image[box][inside], _WHITE))
+    white = float(np.percentile(image[box][inside], WHITE_PERCENTILE))
     grey = np.clip(image[box] / max(white, 1e-12), 0.0, 1.0)
     if settings.grey == "srgb":
         grey = srgb_code(grey)
-    level = grey * (_BINS - 1)
-    side = max(_LEAST_CELL_PX, round(_CELL_PX * px_per_mm / 75.7))
+    level = grey * (HISTOGRAM_BINS - 1)
+    side = max(MIN_CELL_PX, round(_CELL_PX * px_per_mm / 75.7))
     cell = side, side
     if settings.tiles:
-        high, wide = (max(_LEAST_CELL_PX, -(-size // settings.tiles)) for size in grey.shape)
+        high, wide = (max(MIN_CELL_PX, -(-size // settings.tiles)) for size in grey.shape)
         cell = high, wide
     counts = _histograms(level, inside, cell)
     mappings = _mappings(_borrow(counts, 0.25 * cell[0] * cell[1]), settings.clip_limit)
@@ -88,14 +83,14 @@ def clahe(
 
 
 def _histograms(level: FloatArray, inside: BoolArray, cell: _Cell) -> Array:
-    """Counts (cell rows, cell columns, _BINS) over the finger's pixels."""
+    """Counts (cell rows, cell columns, HISTOGRAM_BINS) over the finger's pixels."""
     rows, columns = (-(-size // side) for size, side in zip(level.shape, cell, strict=True))
-    counts = np.empty((rows, columns, _BINS), dtype=np.float64)
+    counts = np.empty((rows, columns, HISTOGRAM_BINS), dtype=np.float64)
     nearest = (level + 0.5).astype(np.intp)
     for i in range(rows):
         for j in range(columns):
             part = np.s_[i * cell[0] : (i + 1) * cell[0], j * cell[1] : (j + 1) * cell[1]]
-            counts[i, j] = np.bincount(nearest[part][inside[part]], minlength=_BINS)
+            counts[i, j] = np.bincount(nearest[part][inside[part]], minlength=HISTOGRAM_BINS)
     return counts
 
 
@@ -117,7 +112,7 @@ def _borrow(counts: Array, least: float) -> Array:
 def _mappings(counts: Array, clip_limit: float) -> FloatArray:
     """Grey-value mappings in [0, 1], one per cell, from clipped histograms."""
     total = np.maximum(counts.sum(axis=2, keepdims=True), 1.0)
-    clipped = np.minimum(counts, clip_limit * total / _BINS)
-    clipped += (total - clipped.sum(axis=2, keepdims=True)) / _BINS
+    clipped = np.minimum(counts, clip_limit * total / HISTOGRAM_BINS)
+    clipped += (total - clipped.sum(axis=2, keepdims=True)) / HISTOGRAM_BINS
     summed = np.cumsum(clipped, axis=2)
     return np.asarray(summed / summed[..., -1:], dtype=np.float32)

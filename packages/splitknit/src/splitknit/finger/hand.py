@@ -11,6 +11,7 @@ import numpy as np
 
 from splitknit.errors import require
 from splitknit.finger.mask import finger_masks
+from splitknit.finger.parameters import CUT_MARGIN_MM, HAND_PX_PER_MM, LITTLE_SHORTER_MM
 from splitknit.imaging.areas import blanked, enlarged_box
 from splitknit.imaging.band import linear_survey
 from splitknit.imaging.crop import cropped
@@ -19,11 +20,6 @@ from splitknit.model import Band, BoolArray, Capture, PixelArray
 from splitknit.plausible import VIEW
 
 _DIGITS = ("index", "middle", "ring", "little")
-_SURVEY_PX_PER_MM = 10.0
-_BESIDE_MM = 4.0
-"""Background that is kept around each finger, where the view has it."""
-_SHORTER_MM = 3.0
-"""The little finger's tip lies at least this far behind the tip of the index finger."""
 
 
 def fingers_apart(
@@ -48,7 +44,7 @@ def fingers_apart(
         "fingers are told apart by their size: give the scale, `px_per_mm`.",
     )
     VIEW.notes(max(capture.shape) / scale, f"check the scale of {scale:g} px/mm (`px_per_mm`)")
-    binning = max(1, int(scale / _SURVEY_PX_PER_MM))
+    binning = max(1, int(scale / HAND_PX_PER_MM))
     mean, _ = linear_survey(capture.bands["white"], capture.encoding, binning)
     parts = finger_masks(mean, scale / binning)
     turn = np.deg2rad(capture.tip_direction_deg or 0.0)
@@ -63,7 +59,7 @@ def fingers_apart(
     _, nearest = cv2.distanceTransformWithLabels(beside, cv2.DIST_L2, cv2.DIST_MASK_5)
     found = {}
     for name, (_, part) in zip(named, places, strict=True):
-        box = bounding_box(part, ceil(_BESIDE_MM * scale / binning))
+        box = bounding_box(part, ceil(CUT_MARGIN_MM * scale / binning))
         own = cropped(capture, enlarged_box(box, binning, mean.shape[:2], capture.shape))
         near = np.isin(nearest[box], np.unique(nearest[part])).astype(np.uint8)
         inside = cv2.resize(near, own.shape[::-1], interpolation=cv2.INTER_NEAREST) > 0
@@ -87,7 +83,7 @@ def _named(names: str | Sequence[str], tips_mm: Sequence[float], keep: bool) -> 
     if isinstance(names, str):
         lower = tips_mm[0] - tips_mm[-1]
         hand = names
-        clear = abs(lower) >= _SHORTER_MM
+        clear = abs(lower) >= LITTLE_SHORTER_MM
         seen = "right" if lower < 0 else "left"
         if hand == "auto":
             require(clear, "the outer tips lie equally far up: give `fingers` left or right.")

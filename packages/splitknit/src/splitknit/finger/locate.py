@@ -16,6 +16,12 @@ from splitknit.findings import Finding, Severity
 from splitknit.finger.mask import MaskSettings, NoFinger, check_borders, finger_mask, finger_masks
 from splitknit.finger.motion import MotionSettings, motion_findings, shot_motion
 from splitknit.finger.orientation import Upright, as_it_lies, find_upright
+from splitknit.finger.parameters import (
+    BEYOND_CREASE_MM,
+    QUALITY_MARGIN_MM,
+    SURVEY_PX_PER_MM,
+    SURVEY_SIDE,
+)
 from splitknit.finger.phalange import Crease, find_crease, phalange_mask
 from splitknit.finger.quality import (
     capture_quality,
@@ -39,20 +45,9 @@ from splitknit.imaging.coloured import LightsSettings, as_lit, colour_factors_of
 from splitknit.imaging.geometry import bounding_box, enlarged
 from splitknit.imaging.light_field import few_lights
 from splitknit.model import BoolArray, Capture, FloatArray
+from splitknit.parameters import IN_MEMORY
 from splitknit.plausible import FINGER_WIDTH
 from splitknit.settings import Checked
-from splitknit.steps import IN_MEMORY
-
-SURVEY_PX_PER_MM = 26.0
-"""The finger is looked for on images reduced to about this scale."""
-SURVEY_SIDE = 64
-"""... with so many pixels a side, where the image has them, whatever scale was stated."""
-_BESIDE_MM = 3.0
-"""Background around the finger that quality is measured with: so far reaches the widest filter that
-finds motion."""
-BEYOND_CREASE_MM = 2.5
-"""Skin beyond the crease is reconstructed too, and then cut: light from it reaches the phalange
-under the skin."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -270,7 +265,7 @@ def _quality(
 ) -> tuple[dict[str, Any], tuple[Finding, ...]]:
     """Quality figures and findings of every band, on images reduced by `binning`."""
     px_per_mm = capture.rig.camera.px_per_mm / binning
-    rows, columns = bounding_box(outline, round(_BESIDE_MM * px_per_mm))
+    rows, columns = bounding_box(outline, round(QUALITY_MARGIN_MM * px_per_mm))
     window = (
         slice(rows.start * binning, rows.stop * binning),
         slice(columns.start * binning, columns.stop * binning),

@@ -15,6 +15,26 @@ import numpy as np
 from numpy.typing import NDArray
 
 from splitknit.errors import BadInput, require
+from splitknit.finger.parameters import (
+    BACKGROUND_SAMPLES,
+    BRIGHT_BACKGROUND,
+    COARSE_PX_PER_MM,
+    COLOURED_BACKGROUND,
+    EDGE_FRACTION,
+    EDGE_MARGIN_MM,
+    FEW_BACKGROUND_SAMPLES,
+    FINE_PX_PER_MM,
+    MIN_EDGE_STEP,
+    MIN_FINGER_AREA,
+    MIN_WIDTH_MM,
+    NOISE_FACTOR,
+    OUTLINE_BLUR_MM,
+    OUTLINE_PX_PER_MM,
+    OUTLINE_SPECK_MM,
+    ROUGH_PX_PER_MM,
+    SEED_BLUR_MM,
+    SPUR_FRACTION,
+)
 from splitknit.finger.regions import (
     blur,
     depth_inside,
@@ -32,52 +52,10 @@ from splitknit.imaging.geometry import wide_blur
 from splitknit.model import Array, BoolArray, FloatArray
 from splitknit.settings import Checked
 
-_COARSE_PX_PER_MM = 10.0
-"""Scale of the copy that is clustered."""
-_FINE_PX_PER_MM = 20.0
-"""Scale of the copy on which the outline is found."""
-_BLUR_MM = 0.25
-"""Gaussian blur (sigma) of the chromaticity before clustering."""
-_FINE_BLUR_MM = 0.06
-"""Gaussian blur (sigma) of the images on which the outline is found."""
-_SAMPLES = 8000
-"""The background is fitted to about so many pixels."""
-_EDGE_FRACTION = 0.12
-"""A pixel is finger if it rises from the background by this fraction of the finger's median
-rise."""
-_NOISE_FACTOR = 5.0
-"""A pixel is finger if it also rises by this many standard deviations of the background's noise."""
-_SPUR_FRACTION = 0.4
-"""Parts narrower than this fraction of the finger's own width are cut off."""
-_SPECK_MM = 1.0
-"""Bumps of the outline narrower than twice this (dust on the background beside the finger) are cut
-off."""
-_EDGE_MARGIN_MM = 1.0
-"""Width of the zone along the outline that counts neither as finger nor as background while either
-is measured."""
-_MIN_WIDTH_MM = 4.0
-"""A region nowhere as wide as this is not a finger."""
-_BRIGHT = 0.1
-"""A background at least this bright against the brightest of the image may be darker than skin in
-some places only."""
-_COLOURED = 0.3
-"""A bright background whose channels differ by more than this fraction is distinguished by its
-colour."""
-_MIN_STEP = 0.15
-"""A region across whose outline neither brightness nor colour changes by this fraction is not a
-finger."""
 _NO_FINGER = (
     "no finger was found in the white images: nothing stands out from the background in colour or"
     " brightness; check the exposure, the LEDs and the dark background, or give a mask."
 )
-
-# In two steps, where time counts: roughly where the finger is, and its outline around that.
-_ROUGH_PX_PER_MM = 5.5
-_OUTLINE_PX_PER_MM = 10.0
-_FEW_SAMPLES = 2000
-
-_SMALLEST_PART = 0.2
-"""Smallest area of a finger, over that of the largest finger in view."""
 
 
 class NoFinger(BadInput):
@@ -112,29 +90,29 @@ def finger_mask(
     """
     image = _checked(mean_image)
     size = image.shape[:2]
-    fine_scale = reduction(size, px_per_mm, _FINE_PX_PER_MM, 1200)
+    fine_scale = reduction(size, px_per_mm, FINE_PX_PER_MM, 1200)
     fine = reduce_image(image, fine_scale)
     fine_px = px_per_mm * fine_scale
     if method == "kmeans":
-        cluster = _seed(fine, _BLUR_MM * fine_px, _without_spurs, colour_alone=True)
+        cluster = _seed(fine, SEED_BLUR_MM * fine_px, _without_spurs, colour_alone=True)
         mask = largest_component(fill_holes(_enlarged(cluster, size)))
         check_borders(mask)
         return mask
-    coarse_scale = reduction(fine.shape[:2], fine_px, _COARSE_PX_PER_MM, 600)
+    coarse_scale = reduction(fine.shape[:2], fine_px, COARSE_PX_PER_MM, 600)
     coarse_px = fine_px * coarse_scale
-    coarse = blur(reduce_image(fine, coarse_scale), 0.5 * _BLUR_MM * coarse_px)
+    coarse = blur(reduce_image(fine, coarse_scale), 0.5 * SEED_BLUR_MM * coarse_px)
     bright = coarse
     weights = _colour_filter(coarse)
     if weights is not None:
         coarse = _filtered(coarse, weights)
         fine = _filtered(fine, weights)
     try:
-        rough = _coarse_mask(coarse, coarse_px, _SAMPLES)
+        rough = _coarse_mask(coarse, coarse_px, BACKGROUND_SAMPLES)
     except BadInput:
         # so close that there is more finger than background along the border
         check_borders(_bright_side(bright))
         raise
-    mask = _fine_outline(fine, rough, size, fine_px, _SAMPLES)
+    mask = _fine_outline(fine, rough, size, fine_px, BACKGROUND_SAMPLES)
     check_borders(mask)
     return mask
 
@@ -143,9 +121,9 @@ def finger_region(mean_image: FloatArray, px_per_mm: float) -> BoolArray:
     """Roughly where the finger is, to a pixel of the coarse copy: the first step of
     :func:`finger_mask`, which see."""
     image = _checked(mean_image)
-    scale = reduction(image.shape[:2], px_per_mm, _ROUGH_PX_PER_MM, 600)
-    coarse = blur(reduce_image(image, scale), 0.5 * _BLUR_MM * px_per_mm * scale)
-    mask = _coarse_mask(coarse, px_per_mm * scale, _FEW_SAMPLES)
+    scale = reduction(image.shape[:2], px_per_mm, ROUGH_PX_PER_MM, 600)
+    coarse = blur(reduce_image(image, scale), 0.5 * SEED_BLUR_MM * px_per_mm * scale)
+    mask = _coarse_mask(coarse, px_per_mm * scale, FEW_BACKGROUND_SAMPLES)
     check_borders(mask)
     return _enlarged(mask, image.shape[:2])
 
@@ -157,9 +135,13 @@ def finger_outline(mean_image: FloatArray, rough: BoolArray, px_per_mm: float) -
     """
     image = _checked(mean_image)
     require(rough.any(), _NO_FINGER, NoFinger)
-    scale = reduction(image.shape[:2], px_per_mm, _OUTLINE_PX_PER_MM, 1200)
+    scale = reduction(image.shape[:2], px_per_mm, OUTLINE_PX_PER_MM, 1200)
     return _fine_outline(
-        reduce_image(image, scale), rough, image.shape[:2], px_per_mm * scale, _FEW_SAMPLES
+        reduce_image(image, scale),
+        rough,
+        image.shape[:2],
+        px_per_mm * scale,
+        FEW_BACKGROUND_SAMPLES,
     )
 
 
@@ -168,20 +150,20 @@ def finger_masks(mean_image: FloatArray, px_per_mm: float) -> list[BoolArray]:
     the clusters of :func:`finger_mask`, of 4 mm and a fifth of the largest one's area at least.
     Raises BadInput if there is none.
     """
-    image = blur(_checked(mean_image), 0.5 * _BLUR_MM * px_per_mm)
+    image = blur(_checked(mean_image), 0.5 * SEED_BLUR_MM * px_per_mm)
     weights = _colour_filter(image)
-    radius = 0.5 * _MIN_WIDTH_MM * px_per_mm
+    radius = 0.5 * MIN_WIDTH_MM * px_per_mm
 
     def wide(cluster: BoolArray) -> BoolArray:
         filled = fill_holes(cluster)
         return filled & dilate(erode(filled, radius), 1.15 * radius)
 
     mask = _seed(
-        image if weights is None else _filtered(image, weights), _BLUR_MM * px_per_mm, wide
+        image if weights is None else _filtered(image, weights), SEED_BLUR_MM * px_per_mm, wide
     )
     _, labels, stats, _ = cv2.connectedComponentsWithStats(mask.astype(np.uint8), connectivity=4)
     areas = stats[1:, cv2.CC_STAT_AREA]
-    return [labels == 1 + k for k in np.flatnonzero(areas >= _SMALLEST_PART * areas.max())]
+    return [labels == 1 + k for k in np.flatnonzero(areas >= MIN_FINGER_AREA * areas.max())]
 
 
 def touched_borders(mask: BoolArray) -> tuple[str, ...]:
@@ -257,7 +239,7 @@ def _seed(
 
 
 def _without_spurs(cluster: BoolArray) -> BoolArray:
-    return remove_spurs(fill_holes(cluster), _SPUR_FRACTION)
+    return remove_spurs(fill_holes(cluster), SPUR_FRACTION)
 
 
 def _finger_cluster(second: BoolArray, brightness: FloatArray) -> BoolArray:
@@ -360,10 +342,12 @@ def _colour_filter(image: FloatArray) -> FloatArray | None:
         return None
     border = _border(image).astype(np.float64)
     light = border.sum(axis=1)
-    if float(np.median(light)) <= _BRIGHT * max(float(np.percentile(image.sum(axis=2), 99.0)), 0.0):
+    if float(np.median(light)) <= BRIGHT_BACKGROUND * max(
+        float(np.percentile(image.sum(axis=2), 99.0)), 0.0
+    ):
         return None
     colour = np.median(border[light > 0.0] / light[light > 0.0, None], axis=0)
-    if float(colour.min()) > (1.0 - _COLOURED) * float(colour.max()):
+    if float(colour.min()) > (1.0 - COLOURED_BACKGROUND) * float(colour.max()):
         return None
     colour /= np.sqrt(np.sum(colour * colour))
     pixels = image.reshape(-1, 3).astype(np.float64)
@@ -396,8 +380,8 @@ def _skin_evidence(
 ) -> tuple[FloatArray, bool]:
     """Evidence map (H, W): above one where a pixel rises from the background by enough to be skin;
     and whether any signal distinguishes the seed. The background is a quadratic surface fitted
-    robustly outside the seed, the threshold `_EDGE_FRACTION` of the rise inside it nearby (at most
-    of its median), at least `_NOISE_FACTOR` times the noise: a shadow on the finger stays finger.
+    robustly outside the seed, the threshold `EDGE_FRACTION` of the rise inside it nearby (at most
+    of its median), at least `NOISE_FACTOR` times the noise: a shadow on the finger stays finger.
     `margin`: pixels around the seed that belong to neither side; `local`: the background may follow
     a shadow's edge beside a complete seed; `samples`: pixels fitted.
     """
@@ -416,13 +400,13 @@ def _skin_evidence(
             offset, cover = _local_mean(dim, outside, 2.0 * margin)
             rise = rise - np.where(cover > 1e-3, offset, 0.0)
         level = float(np.median(rise[inside]))
-        if level < 3.0 * _NOISE_FACTOR * noise or level <= 0.0:
+        if level < 3.0 * NOISE_FACTOR * noise or level <= 0.0:
             continue
         usable = True
         # a shaded part is darker
         near, cover = _local_mean(np.maximum(rise, 0.0), inside, 2.0 * margin)
         expected = np.minimum(np.where(cover > 1e-2, near, level), level)
-        threshold = np.maximum(_EDGE_FRACTION * expected, _NOISE_FACTOR * noise)
+        threshold = np.maximum(EDGE_FRACTION * expected, NOISE_FACTOR * noise)
         np.maximum(evidence, rise / threshold.astype(np.float32), out=evidence)
     return evidence, usable
 
@@ -485,20 +469,20 @@ def _below(residual: Array) -> tuple[BoolArray, float]:
 
 
 def _coarse_mask(image: FloatArray, px_per_mm: float, samples: int) -> BoolArray:
-    margin = _EDGE_MARGIN_MM * px_per_mm
-    mask = _seed(image, _BLUR_MM * px_per_mm, _without_spurs)
+    margin = EDGE_MARGIN_MM * px_per_mm
+    mask = _seed(image, SEED_BLUR_MM * px_per_mm, _without_spurs)
     for _ in range(2):
         seed = _region(mask, margin)
         evidence, usable = _skin_evidence(image, seed, margin, samples)
         require(usable, _NO_FINGER, NoFinger)
         grown = fill_holes((evidence > 1.0) | (seed.depth > 0.5 * float(seed.depth.max())))
         # it holds the middle of the seed
-        cleaned = remove_spurs(largest_component(grown), _SPUR_FRACTION)
+        cleaned = remove_spurs(largest_component(grown), SPUR_FRACTION)
         require(cleaned.any(), _NO_FINGER, NoFinger)
         mask = fill_holes(cleaned)
     finger = _region(mask, 1.3 * margin)
-    wide = 2.0 * float(finger.depth.max()) >= _MIN_WIDTH_MM * px_per_mm
-    require(wide and _step_at_edge(image, finger, margin) >= _MIN_STEP, _NO_FINGER, NoFinger)
+    wide = 2.0 * float(finger.depth.max()) >= MIN_WIDTH_MM * px_per_mm
+    require(wide and _step_at_edge(image, finger, margin) >= MIN_EDGE_STEP, _NO_FINGER, NoFinger)
     return mask
 
 
@@ -522,15 +506,15 @@ def _fine_outline(
     """Find the edge of the mask `rough` on the `fine` copy and interpolate it to `size` (rows,
     columns)."""
     guess = _enlarged(rough, fine.shape)
-    margin = _EDGE_MARGIN_MM * px_per_mm
+    margin = EDGE_MARGIN_MM * px_per_mm
     region = _region(guess, margin)
     evidence, _ = _skin_evidence(
-        blur(fine, _FINE_BLUR_MM * px_per_mm), region, margin, samples, local=True
+        blur(fine, OUTLINE_BLUR_MM * px_per_mm), region, margin, samples, local=True
     )
     near = (region.away <= 0.7 * margin) & (region.depth <= margin)
     skin = np.where(near, evidence > 1.0, guess)
-    cleaned = remove_spurs(largest_component(fill_holes(skin)), _SPUR_FRACTION)
-    cleaned = fill_holes(remove_specks(cleaned, _SPECK_MM * px_per_mm))
+    cleaned = remove_spurs(largest_component(fill_holes(skin)), SPUR_FRACTION)
+    cleaned = fill_holes(remove_specks(cleaned, OUTLINE_SPECK_MM * px_per_mm))
     require(cleaned.any(), _NO_FINGER, NoFinger)
     # above one exactly on `cleaned`; between the grid points the evidence itself gives where one is
     # crossed

@@ -17,30 +17,20 @@ import cv2
 import numpy as np
 
 from splitknit.findings import Finding, escaped
+from splitknit.finger.parameters import (
+    BAND_RATIO,
+    MIN_RELIABILITY,
+    MOTION_BANDS_MM,
+    MOTION_ITERATIONS,
+    MOTION_PX_PER_MM,
+    MOTION_SAMPLES,
+    SURROUND_MM,
+    WARN_MM,
+)
 from splitknit.finger.regions import blur, dilate, quantile, reduce_image, reduce_mask, reduction
-from splitknit.finger.registration import BAND_RATIO, SURROUND_MM
 from splitknit.imaging.geometry import bounding_box
 from splitknit.model import Array, BoolArray, FloatArray
 from splitknit.settings import Checked, Limits
-
-_BANDS_MM = (0.3, 0.15, 0.08)
-"""Fine ends (sigma) of the band-pass filters, coarse to fine; a finger may move by about twice the
-first."""
-_ITERATIONS = 6
-"""Maximum refinements in each band."""
-_SAMPLES = 20_000
-"""Pixels that are compared in each band, at least, of those on the finger and around it."""
-WORKING_PX_PER_MM = 10.0
-"""Scale of the copies that are compared in the finest band."""
-WARN_MM = 0.05
-"""Motion from here on is warned of: a ninth of a ridge period blurs the combined relief visibly."""
-CORRECT_MM = 0.02
-"""Motion from here on is undone. Still simulated fingers show at most 0.014 mm."""
-MOST_LEFT = 0.35
-"""Fraction of the details that may be left over once the motion is undone, before the shots are
-refused."""
-MIN_RELIABILITY = 0.8
-"""Motion of a shot with less reliability than this is ignored."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -70,17 +60,19 @@ def shot_motion(stack: FloatArray, mask: BoolArray, px_per_mm: float) -> _ShotMo
     and a drift that follows the lights around is underestimated. Source: Lucas, B. and Kanade, T.,
     "An iterative image registration technique", IJCAI 1981.
     """
-    box = bounding_box(mask, int((2.0 * SURROUND_MM + 2.0 * BAND_RATIO * _BANDS_MM[0]) * px_per_mm))
+    box = bounding_box(
+        mask, int((2.0 * SURROUND_MM + 2.0 * BAND_RATIO * MOTION_BANDS_MM[0]) * px_per_mm)
+    )
     count = len(stack)
     if count < 5:
         return _ShotMotion(np.zeros((count, 2)), np.zeros(count))
-    scale = reduction(mask[box].shape, px_per_mm, WORKING_PX_PER_MM, 600)
+    scale = reduction(mask[box].shape, px_per_mm, MOTION_PX_PER_MM, 600)
     stack = np.stack([reduce_image(image[box], scale) for image in stack])
     mask = _reduced(mask[box], scale)
     px_per_mm = px_per_mm * scale
     shifts = np.zeros((count, 2))  # columns, rows; mm
     agreement = np.zeros(count)
-    for band in _BANDS_MM:
+    for band in MOTION_BANDS_MM:
         bands, region, light, px = _details(stack, mask, px_per_mm, band)
         aligned = np.stack(
             [_shifted(image, shift * px) for image, shift in zip(bands, shifts, strict=True)]
@@ -173,7 +165,7 @@ def _register(
     """Shift of `image` against `reference` (columns, rows; pixels), and their correlation when
     aligned."""
     places = np.flatnonzero(region)
-    places = places[:: max(1, len(places) // _SAMPLES)]
+    places = places[:: max(1, len(places) // MOTION_SAMPLES)]
     every = max(1, len(places) // 4_000)  # a median needs no more
     down, right = np.gradient(reference)
     rows = np.stack(
@@ -188,7 +180,7 @@ def _register(
     values = rows[3]
     shift = start.astype(np.float64)
     root = np.ones(len(places), dtype=np.float32)  # of the weights
-    for _ in range(_ITERATIONS):
+    for _ in range(MOTION_ITERATIONS):
         values[:] = _shifted(image, shift).ravel()[places]
         for _ in range(2):
             solution = _least_squares(_products(rows * root))

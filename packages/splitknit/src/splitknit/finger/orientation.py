@@ -12,33 +12,22 @@ from operator import itemgetter
 import numpy as np
 from numpy.typing import NDArray
 
+from splitknit.finger.parameters import (
+    CLEAR_TIP,
+    FULL_WIDTH,
+    HIDDEN_TIPS,
+    LONGEST_SIDE,
+    MAX_TURN_DEG,
+    SEARCHED_SIDE,
+    TIP_EXCLUSION,
+    TIP_LENGTHS,
+    TIP_STEP_DEG,
+    UNLIKE_FINGER,
+    UPRIGHT_MARGIN,
+)
 from splitknit.finger.regions import reduce_mask
 from splitknit.imaging.geometry import rotation_about, warp
 from splitknit.model import Array, BoolArray, FloatArray
-
-_LONGEST_SIDE = 512
-"""Longer side of the reduced mask, pixels."""
-_FULL_WIDTH = 0.85
-"""Rows at least this fraction as wide as the widest count as full width."""
-_TIP_EXCLUSION = 0.5
-"""Rows nearer to the tip than this fraction of the widest row are left out of the fit."""
-_LIMIT_DEG = 75.0
-"""Largest turn from the expected direction that is accepted (captures guarantee 60 deg)."""
-_SEARCHED_SIDE = 96
-"""Longer side of the copy on which the direction of the tip is searched, pixels."""
-_STEP_DEG = 5.0
-"""Between the directions that are tried."""
-_CAPS = (0.45, 0.65, 0.9)
-"""Lengths of the rounded tip that are tried, in widths of the finger: blunt to slender."""
-_HIDDEN = (0.0, 0.5, 1.5)
-"""How much of the tip may lie beyond the image's border, in widths."""
-_CLEAR = 0.03
-"""The direction is clear if all others, more than 60 deg away, differ from the mask by so many
-squared widths more."""
-_UNLIKE = 0.3
-"""A mask that differs from every finger by this many squared widths shows no direction."""
-_MARGIN_FRACTION = 0.02
-"""Margin around the finger in the upright frame, as a fraction of its longer side."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -87,7 +76,7 @@ def find_upright(
     expected, clear = (
         _tip_direction(mask) if tip_direction_deg is None else (np.deg2rad(tip_direction_deg), True)
     )
-    scale = min(1.0, _LONGEST_SIDE / max(mask.shape))
+    scale = min(1.0, LONGEST_SIDE / max(mask.shape))
     small = reduce_mask(mask, scale)
     visible = np.zeros(small.shape, dtype=np.float32)
     visible[1:-1, 1:-1] = 1.0
@@ -109,7 +98,7 @@ def find_upright(
             "the outline shows no axis (too little of the finger is in view); it was taken as"
             " upright."
         )
-    elif abs(turn) > np.deg2rad(_LIMIT_DEG):
+    elif abs(turn) > np.deg2rad(MAX_TURN_DEG):
         note = (
             f"the outline's axis is turned by {np.rad2deg(turn):.0f} deg from where the tip was"
             " expected; it was not believed (set tip_direction_deg)."
@@ -142,8 +131,10 @@ def _tip_direction(mask: BoolArray) -> tuple[float, bool]:
     nearest to up."""
     directions = _tip_directions(mask)
     best, least = min(directions, key=itemgetter(1))
-    close = [angle for angle, difference in directions if difference < least + _CLEAR]
-    if least < _UNLIKE and all(abs(_between(angle, best)) <= np.deg2rad(60.0) for angle in close):
+    close = [angle for angle, difference in directions if difference < least + CLEAR_TIP]
+    if least < UNLIKE_FINGER and all(
+        abs(_between(angle, best)) <= np.deg2rad(60.0) for angle in close
+    ):
         return best, True
     return min(close, key=lambda angle: (abs(angle), angle)), False
 
@@ -154,14 +145,14 @@ def _tip_directions(mask: BoolArray) -> list[tuple[float, float]]:
     of the mask's width with one round end; only what the image shows of it is compared, so that a
     cut by the border, at whatever slant, is not evidence.
     """
-    scale = min(1.0, _SEARCHED_SIDE / max(mask.shape))
+    scale = min(1.0, SEARCHED_SIDE / max(mask.shape))
     small = reduce_mask(mask, scale) > 0.5
     if not small.any():
         small = mask
     rows, columns = np.indices(small.shape, dtype=np.float64)
     inside = small.ravel()
     fits = []
-    for angle in np.deg2rad(np.arange(-180.0, 180.0, _STEP_DEG)):
+    for angle in np.deg2rad(np.arange(-180.0, 180.0, TIP_STEP_DEG)):
         across = (np.cos(angle) * columns - np.sin(angle) * rows).ravel()
         down = (np.sin(angle) * columns + np.cos(angle) * rows).ravel()
         fits.append((float(angle), *_difference(across, down, inside)))
@@ -182,15 +173,15 @@ def _difference(across: Array, down: Array, inside: BoolArray) -> tuple[int, flo
     off_axis = np.abs(across - middle) / max(0.5 * width, 0.5)
     off_axis *= off_axis
     drawn = (down <= last) & (off_axis < 1.0)  # what is drawn lies in it, whatever the tip is
-    tip = drawn & (down < first + max(_CAPS) * width)  # below, all of it is drawn
+    tip = drawn & (down < first + max(TIP_LENGTHS) * width)  # below, all of it is drawn
     outside = int(np.count_nonzero(inside & ~drawn) + np.count_nonzero(drawn & ~tip & ~inside))
     off_axis = off_axis[tip]
     down = down[tip] - first
     inside = inside[tip]
     best = inside.size
-    for hidden in _HIDDEN:
+    for hidden in HIDDEN_TIPS:
         below = down + hidden * width
-        for cap in _CAPS:
+        for cap in TIP_LENGTHS:
             left = np.maximum(1.0 - below / (cap * width), 0.0)
             best = min(best, int(np.count_nonzero((off_axis < 1.0 - left * left) != inside)))
     return outside + best, width
@@ -258,7 +249,7 @@ def _tilt(
         return float(np.arctan(np.polyfit(row[whole], middles[whole], 1)[0])), True
     first = int(np.argmax(widths > 2.0))
     widest = float(np.percentile(widths[whole], 95))
-    chosen = whole & (widths >= _FULL_WIDTH * widest) & (row >= first + _TIP_EXCLUSION * widest)
+    chosen = whole & (widths >= FULL_WIDTH * widest) & (row >= first + TIP_EXCLUSION * widest)
     if chosen.sum() < max(8.0, 0.12 * widest):
         chosen = whole & (row >= first + 0.3 * widest)
     if chosen.sum() < max(8.0, 0.12 * widest):
@@ -296,7 +287,7 @@ def _frame(mask: BoolArray, yaw: float) -> Upright:
     turned = turn[:2, :2] @ np.stack([columns, rows]).astype(np.float64)
     low = turned.min(axis=1)
     high = turned.max(axis=1)
-    margin = max(2.0, _MARGIN_FRACTION * float((high - low).max()))
+    margin = max(2.0, UPRIGHT_MARGIN * float((high - low).max()))
     origin = np.floor(low - margin)
     size = np.ceil(high + margin) - origin + 1.0
     shift = np.array([[1.0, 0.0, origin[0]], [0.0, 1.0, origin[1]], [0.0, 0.0, 1.0]])

@@ -14,44 +14,27 @@ import numpy as np
 
 from splitknit.findings import Finding
 from splitknit.finger.orientation import Upright
+from splitknit.finger.parameters import (
+    CREASE_BLUR_MM,
+    CREASE_DISTANCES_MM,
+    CREASE_PX_PER_MM,
+    CREASE_RATIO_SD,
+    CREASE_RATIOS,
+    CREASE_SIDE_MM,
+    DOUBLET_FRACTION,
+    DOUBLET_MM,
+    EQUALISED_BLUR_MM,
+    EQUALISED_ROUNDS,
+    EXPECTED_CREASE_RATIO,
+    MAX_CREASE_TILT_DEG,
+    MIN_CREASE_COVERAGE,
+    MIN_CREASE_DEPTH,
+    MIN_CREASE_PROMINENCE,
+    MIN_ROW_PROMINENCE,
+)
 from splitknit.finger.regions import depth_inside, largest_component, reduce_image, reduce_mask
 from splitknit.imaging.geometry import smoothed, warp
 from splitknit.model import BoolArray, FloatArray
-
-_WORKING_PX_PER_MM = 8.0
-"""Scale of the copy that is searched."""
-_SMOOTHING_MM = 0.3
-"""Blur (sigma) across the crease; takes out ridges of 0.43 mm period."""
-_SIDE_MM = 1.6
-"""A valley must be darker than the skin this far above and below it."""
-_MIN_DEPTH = 0.025
-"""Minimum relative darkening, averaged over the finger's width."""
-_MIN_COVERAGE = 0.6
-"""Fraction of the finger's width along which the valley must be seen."""
-_MIN_PROMINENCE = 2.5
-"""Minimum depth in units of what lines across this finger usually show (80th percentile of the
-profile)."""
-_MAX_TILT_DEG = 15.0
-"""Creases may lean by this much against the finger's axis."""
-_RATIO_RANGE = (0.95, 2.4)
-"""Where the first crease may lie: distance from the tip in finger widths."""
-_DISTANCE_RANGE_MM = (14.0, 38.0)
-"""Where it may lie in millimetres."""
-_EXPECTED_RATIO = 1.55
-"""Distance of the first crease in finger widths, on average."""
-_RATIO_SPREAD = 0.35
-"""Standard deviation of that ratio, with which two candidates are weighed against each other."""
-_ROUNDS = 3
-"""Rounds of equalisation and blur: the thesis gives no number."""
-_EQUALISED_MM = 0.5
-"""Sigma of that blur."""
-_MIN_PROMINENT = 0.2
-"""Fewer light pixels than beside a row, over the width."""
-_DOUBLET_MM = 5.0
-"""Two creases nearer than this are the two lines of one joint."""
-_DOUBLET_FRACTION = 0.75
-"""Least depth of the upper of two such lines, over that of the lower one, for the upper to be
-taken."""
 
 
 class Crease(NamedTuple):
@@ -88,7 +71,7 @@ def find_crease(
     `mask`: (H, W) bool; `equalised`: the thesis's way instead: the row with the fewest light
     pixels. It gives neither the number of rounds nor the width of the blur; three and 0.5 mm here..
     """
-    scale = min(1.0, _WORKING_PX_PER_MM / px_per_mm, 700 / max(upright.size))
+    scale = min(1.0, CREASE_PX_PER_MM / px_per_mm, 700 / max(upright.size))
     small, inside = _upright_copy(mean_grey, mask, upright, scale)
     valleys = (_darkest_rows if equalised else _transverse_valleys)(
         small, inside, px_per_mm * scale
@@ -174,8 +157,8 @@ def _judge(
     if not candidates:
         words = f"no flexion crease is fully in view ({{:.0f mm}} of the finger are); {keep}"
         return None, Finding("no-crease", words, lengths_mm=(length_mm,))
-    near = max(_DISTANCE_RANGE_MM[0], _RATIO_RANGE[0] * width_mm)
-    far = min(_DISTANCE_RANGE_MM[1], _RATIO_RANGE[1] * width_mm)
+    near = max(CREASE_DISTANCES_MM[0], CREASE_RATIOS[0] * width_mm)
+    far = min(CREASE_DISTANCES_MM[1], CREASE_RATIOS[1] * width_mm)
     plausible = [valley for valley in candidates if near <= valley.distance_mm <= far]
     if not plausible:
         places = "{:.1f mm-}, " * (len(candidates) - 1) + "{:.1f mm}"
@@ -187,14 +170,14 @@ def _judge(
         return None, Finding("no-crease", words, lengths_mm=lengths_mm)
 
     def weight(valley: _Valley) -> float:
-        offset = (valley.distance_mm / width_mm - _EXPECTED_RATIO) / _RATIO_SPREAD
+        offset = (valley.distance_mm / width_mm - EXPECTED_CREASE_RATIO) / CREASE_RATIO_SD
         return valley.depth * valley.coverage * float(np.exp(-0.5 * offset * offset))
 
     lower = max(plausible, key=weight)
 
     def upper_line(valley: _Valley) -> bool:
-        near = 0.0 < lower.distance_mm - valley.distance_mm <= _DOUBLET_MM
-        return near and valley.depth >= _DOUBLET_FRACTION * lower.depth
+        near = 0.0 < lower.distance_mm - valley.distance_mm <= DOUBLET_MM
+        return near and valley.depth >= DOUBLET_FRACTION * lower.depth
 
     chosen = next(filter(upper_line, plausible), lower)
     further = len(candidates) - 1
@@ -216,18 +199,20 @@ def _darkest_rows(image: FloatArray, inside: BoolArray, px_per_mm: float) -> lis
     from scipy.signal import find_peaks  # slow to load, and needed here alone
 
     smooth = image
-    for _ in range(_ROUNDS):  # histogram equalisation of the finger alone, then Gaussian blur
+    for _ in range(
+        EQUALISED_ROUNDS
+    ):  # histogram equalisation of the finger alone, then Gaussian blur
         level = np.zeros_like(image)
         level[inside] = np.searchsorted(np.sort(smooth[inside]), smooth[inside]) / max(
             int(inside.sum()), 1
         )
-        smooth = smoothed(level, inside, _EQUALISED_MM * px_per_mm)
+        smooth = smoothed(level, inside, EQUALISED_BLUR_MM * px_per_mm)
     width = inside.sum(axis=1)
     dark = np.where(
         width > 0, 1.0 - (inside & (smooth > 0.5)).sum(axis=1) / np.maximum(width, 1), 1.0
     )
     rows, peaks = find_peaks(
-        dark, prominence=_MIN_PROMINENT, distance=max(1, round(_SIDE_MM * px_per_mm))
+        dark, prominence=MIN_ROW_PROMINENCE, distance=max(1, round(CREASE_SIDE_MM * px_per_mm))
     )
     valleys = []
     for row, prominence in zip(rows, peaks["prominences"], strict=True):
@@ -239,14 +224,14 @@ def _darkest_rows(image: FloatArray, inside: BoolArray, px_per_mm: float) -> lis
 
 def _transverse_valleys(image: FloatArray, inside: BoolArray, px_per_mm: float) -> list[_Valley]:
     """All dark lines across an upright finger, from the tip down: places of the blurred image
-    darker than the skin `_SIDE_MM` above and below, averaged along lines that lean by up to
-    `_MAX_TILT_DEG`.
+    darker than the skin `CREASE_SIDE_MM` above and below, averaged along lines that lean by up to
+    `MAX_CREASE_TILT_DEG`.
     """
     response, valid = _response(image, inside, px_per_mm)
     widths = inside.sum(axis=1)
     width = float(np.percentile(widths[widths > 0], 80)) if (widths > 0).any() else 1.0
     core = valid & (depth_inside(inside) > 0.08 * width)
-    tilts = np.deg2rad(np.arange(-_MAX_TILT_DEG, _MAX_TILT_DEG + 0.1, 3.0))
+    tilts = np.deg2rad(np.arange(-MAX_CREASE_TILT_DEG, MAX_CREASE_TILT_DEG + 0.1, 3.0))
     lines = [_along_lines(response, core, inside, width, float(tilt)) for tilt in tilts]
     depths, coverages = (np.stack(part) for part in zip(*lines, strict=True))
     best = np.argmax(depths * coverages, axis=0)
@@ -257,10 +242,12 @@ def _transverse_valleys(image: FloatArray, inside: BoolArray, px_per_mm: float) 
     known = depth[depth != 0.0]
     # depth of other lines
     usual = max(float(np.percentile(known, 80.0)), 0.0) if known.size else 0.0
-    reach = max(1, round(_SIDE_MM * px_per_mm))
+    reach = max(1, round(CREASE_SIDE_MM * px_per_mm))
     peaks = depth >= cv2.dilate(depth[:, None], np.ones((2 * reach + 1, 1), dtype=np.uint8))[:, 0]
     strong = (
-        peaks & (depth >= max(_MIN_DEPTH, _MIN_PROMINENCE * usual)) & (coverage >= _MIN_COVERAGE)
+        peaks
+        & (depth >= max(MIN_CREASE_DEPTH, MIN_CREASE_PROMINENCE * usual))
+        & (coverage >= MIN_CREASE_COVERAGE)
     )
     valleys: list[_Valley] = []
     for row in np.flatnonzero(strong & inside.any(axis=1)).tolist():
@@ -281,13 +268,13 @@ def _response(
     crease; but a place must be darker than both sides as they are: a shadow's edge or foot is not.
     """
     weight = inside.astype(np.float32)
-    sigma = max(_SMOOTHING_MM * px_per_mm, 0.3)
+    sigma = max(CREASE_BLUR_MM * px_per_mm, 0.3)
     light = cv2.GaussianBlur(np.maximum(image, 0.0) * weight, (0, 0), 2.0 * sigma, sigmaY=sigma)
     cover = cv2.GaussianBlur(weight, (0, 0), 2.0 * sigma, sigmaY=sigma)
     smooth = light / np.maximum(cover, 1e-3)
     typical = float(np.median(smooth[inside])) if inside.any() else 1.0
     level = np.log(np.maximum(smooth, max(0.02 * typical, 1e-12)))
-    step = max(1, round(_SIDE_MM * px_per_mm))
+    step = max(1, round(CREASE_SIDE_MM * px_per_mm))
     above, has_above = _moved_down(level, inside, step)
     below, has_below = _moved_down(level, inside, -step)
     farther_above, has_slope_above = _moved_down(level, inside, 2 * step)
@@ -340,7 +327,7 @@ def _along_lines(
     depth = np.where(
         enough, (np.clip(values, -0.2, 0.2) * known).sum(axis=1) / np.maximum(count, 1.0), 0.0
     )
-    hits = ((values > 0.4 * _MIN_DEPTH) & known).sum(axis=1)
+    hits = ((values > 0.4 * MIN_CREASE_DEPTH) & known).sum(axis=1)
     coverage = np.where(enough, hits / np.maximum(count, 1.0), 0.0)
     return depth.astype(np.float32), coverage.astype(np.float32)
 

@@ -15,6 +15,30 @@ import numpy as np
 from splitknit.errors import require
 from splitknit.findings import Finding
 from splitknit.finger.mask import touched_borders
+from splitknit.finger.parameters import (
+    BRIGHT_SPECK_MM,
+    BRIGHT_SPECK_RISE,
+    DARK_SPECK_DEPTH,
+    DARK_SPECK_MM,
+    DEAD_LED,
+    LED_RANGE,
+    LIT_FRACTION,
+    MAX_AMBIENT,
+    MAX_BRIGHT_SPECKS,
+    MAX_DARK_SPECKS,
+    MAX_SATURATED,
+    MIN_BRIGHTNESS,
+    MIN_LENGTH_MM,
+    MIN_RIDGE_CONTRAST,
+    PINHOLE_MM2,
+    SATURATION,
+    SLANTED_EDGE_MM,
+    SPECK_BLUR_MM,
+    SPECK_DIRECTIONS,
+    SPECK_ENLARGEMENT,
+    SPECK_LEVEL_MM,
+    SPECK_PX_PER_MM,
+)
 from splitknit.finger.regions import (
     blur,
     depth_inside,
@@ -35,34 +59,7 @@ from splitknit.model import Array, BoolArray, FloatArray
 # hairs and scars are long in one direction; shading and specular reflection change from light to
 # light; pores are too small and too weak to count much. Everything is measured on a copy of one
 # scale, 12 px/mm, so that finer cameras see no other specks; lines are laid over it at twice that
-# scale, so that a thin hair
-# does not fall
-# into beads.
-
-DIRECTIONS = 16
-_FINER = 2
-_SMOOTH_MM = 0.04
-"""Sigma of a Gaussian before lines are laid: pixels of the copy leave no steps."""
-_LEVEL_MM = 0.3
-"""Brightness is relative to its surroundings, smoothed by a Gaussian of this sigma."""
-_EDGE_MM = 1.5
-"""Pixels nearer to the outline are left out: skin is slanted there."""
-_SPECK_PX_PER_MM = 12.0
-"""Scale of the copy on which specks are sought; coarser images are not measured."""
-_DARK_MM = 0.35
-"""Dark marks that are longer in any direction are valleys, wrinkles or hairs."""
-_DARKER = 0.08
-"""How much darker than what surrounds it a pixel of a dark speck is."""
-_BRIGHT_MM = 0.5
-"""Bright marks that are longer in any direction are ridges."""
-_BRIGHTER = 0.08
-"""How much brighter than what surrounds it a pixel of a bright speck is."""
-
-
-_MAX_DARK = 0.002
-"""Fraction of the finger that dark specks may cover."""
-_MAX_BRIGHT = 0.005
-"""The same of bright ones."""
+# scale, so that a thin hair does not fall into beads.
 
 
 def _speck_fractions(
@@ -74,9 +71,9 @@ def _speck_fractions(
     all directions fills marks that hold no line; openings find bright ones. Source: P. Soille, H.
     Talbot, Directional morphological filtering, IEEE PAMI 23(11), 2001.
     """
-    if px_per_mm < 0.95 * _SPECK_PX_PER_MM:
+    if px_per_mm < 0.95 * SPECK_PX_PER_MM:
         return None, None
-    scale = min(1.0, _SPECK_PX_PER_MM / px_per_mm)
+    scale = min(1.0, SPECK_PX_PER_MM / px_per_mm)
     px = px_per_mm * scale
     box, core = _core(mask, scale, px)
     if not core.any():
@@ -84,17 +81,17 @@ def _speck_fractions(
     relative = []
     for image in stack:
         small = reduce_image(image, scale)[box]
-        level = blur(small, _LEVEL_MM * px)
+        level = blur(small, SPECK_LEVEL_MM * px)
         relative.append(small / np.maximum(level, 0.05 * max(quantile(level[core][::4]), 1e-12)))
     images = np.sort(np.stack(relative), axis=0)
     half = max(1, len(images) // 2)
     lit = _finer(images[-half:].mean(axis=0), px)
     dim = _finer(images[:half].mean(axis=0), px)
-    core = np.repeat(np.repeat(core, _FINER, axis=0), _FINER, axis=1)
-    filled = _short_marks_filled(lit, _DARK_MM * px * _FINER)
-    levelled = -_short_marks_filled(-dim, _BRIGHT_MM * px * _FINER)
-    dark = lit[core] < (1.0 - _DARKER) * filled[core]
-    bright = dim[core] > (1.0 + _BRIGHTER) * levelled[core]
+    core = np.repeat(np.repeat(core, SPECK_ENLARGEMENT, axis=0), SPECK_ENLARGEMENT, axis=1)
+    filled = _short_marks_filled(lit, DARK_SPECK_MM * px * SPECK_ENLARGEMENT)
+    levelled = -_short_marks_filled(-dim, BRIGHT_SPECK_MM * px * SPECK_ENLARGEMENT)
+    dark = lit[core] < (1.0 - DARK_SPECK_DEPTH) * filled[core]
+    bright = dim[core] > (1.0 + BRIGHT_SPECK_RISE) * levelled[core]
     return float(dark.mean()), float(bright.mean())
 
 
@@ -104,7 +101,7 @@ def _core(mask: BoolArray, scale: float, px: float) -> tuple[tuple[slice, slice]
     inside = reduce_mask(mask, scale) > 0.99
     depth = depth_inside(inside)
     box = bounding_box(inside) if inside.any() else (slice(0), slice(0))
-    return box, depth[box] > min(_EDGE_MM * px, 0.4 * float(depth.max()))
+    return box, depth[box] > min(SLANTED_EDGE_MM * px, 0.4 * float(depth.max()))
 
 
 def _short_marks_filled(image: FloatArray, length_px: float) -> FloatArray:
@@ -113,7 +110,7 @@ def _short_marks_filled(image: FloatArray, length_px: float) -> FloatArray:
     filled = np.full_like(image, np.inf)
     reach = int(np.ceil(0.5 * length_px))
     along = np.linspace(-0.5 * length_px, 0.5 * length_px, 4 * reach + 1)
-    for angle in np.pi * np.arange(DIRECTIONS) / DIRECTIONS:
+    for angle in np.pi * np.arange(SPECK_DIRECTIONS) / SPECK_DIRECTIONS:
         line = np.zeros((2 * reach + 1, 2 * reach + 1), dtype=np.uint8)
         rows = np.rint(reach - along * np.sin(angle)).astype(np.intp)
         columns = np.rint(reach + along * np.cos(angle)).astype(np.intp)
@@ -123,26 +120,10 @@ def _short_marks_filled(image: FloatArray, length_px: float) -> FloatArray:
 
 
 def _finer(image: FloatArray, px: float) -> FloatArray:
-    large = cv2.resize(image, None, fx=_FINER, fy=_FINER, interpolation=cv2.INTER_LINEAR)
-    return blur(np.asarray(large), _SMOOTH_MM * px * _FINER)
-
-
-_SATURATION = 0.98
-"""Values from here on are saturated, unless the caller gives another level."""
-_MAX_SATURATED = 0.02
-"""Fraction of the finger that may be saturated in any image."""
-_MIN_RIDGE_CONTRAST = 0.006
-"""Minimum relative contrast (standard deviation over mean) of the ridge band."""
-_MAX_AMBIENT = 0.3
-"""Ambient light as a fraction of the median lit brightness."""
-_MIN_BRIGHTNESS = 0.02
-"""Median brightness of the mean image (full scale is one)."""
-_LED_RANGE = (0.5, 2.0)
-"""Brightness of an image relative to what its LED should give; outside, the LED is suspect."""
-_DEAD_LED = 0.1
-"""Relative brightness below which an LED is called dead."""
-_MIN_LENGTH_MM = 12.0
-"""Visible length of the finger."""
+    large = cv2.resize(
+        image, None, fx=SPECK_ENLARGEMENT, fy=SPECK_ENLARGEMENT, interpolation=cv2.INTER_LINEAR
+    )
+    return blur(np.asarray(large), SPECK_BLUR_MM * px * SPECK_ENLARGEMENT)
 
 
 def capture_quality(
@@ -153,7 +134,7 @@ def capture_quality(
     finger: bool = True,
     lights: Array | None = None,
     ambient: FloatArray | None = None,
-    saturation: float | Array = _SATURATION,
+    saturation: float | Array = SATURATION,
 ) -> dict[str, Any]:
     """Measure focus, exposure, ambient light, coverage and the brightness of every LED.
 
@@ -226,7 +207,7 @@ def quality_findings(
     of the photographs' files.
     """
     names = names or [f"image {k}" for k in range(len(quality["saturated_per_image"]))]
-    if quality["brightness"] < _MIN_BRIGHTNESS:
+    if quality["brightness"] < MIN_BRIGHTNESS:
         words = (
             f"the images are dark (median {quality['brightness']:.3f} of full scale): lengthen the"
             " exposure."
@@ -234,7 +215,7 @@ def quality_findings(
         yield Finding("dark-photographs", words)
     worst = int(np.argmax(quality["saturated_per_image"]))
     saturated = quality["saturated_per_image"][worst]
-    if saturated > _MAX_SATURATED:
+    if saturated > MAX_SATURATED:
         what, remedy = ("finger", " or dry the finger") if finger else ("surface", "")
         words = (
             f"{100 * saturated:.0f} % of the {what} is saturated in {names[worst]}: shorten the"
@@ -242,7 +223,7 @@ def quality_findings(
         )
         yield Finding("saturated-photograph", words, files=(names[worst],))
     ambient = quality["ambient_share"] or 0.0
-    if ambient > _MAX_AMBIENT:
+    if ambient > MAX_AMBIENT:
         words = (
             f"ambient light is {100 * ambient:.0f} % of the LEDs' light: close the box, dim the"
             " room."
@@ -251,10 +232,10 @@ def quality_findings(
     for name, relative in zip(
         names, quality["led_relative"] or () if promised else (), strict=False
     ):
-        if relative < _DEAD_LED:
+        if relative < DEAD_LED:
             words = f"{name} is almost black: its LED seems dead; check its wiring."
             yield Finding("dead-led", words, files=(name,))
-        elif not _LED_RANGE[0] <= relative <= _LED_RANGE[1]:
+        elif not LED_RANGE[0] <= relative <= LED_RANGE[1]:
             words = (
                 f"{name} is {relative:.2f} times as bright as the rig file promises: check the LED,"
                 " or calibrate the rig again."
@@ -266,7 +247,7 @@ def quality_findings(
 
 def _findings_on_skin(quality: Mapping[str, Any]) -> Iterator[Finding]:
     """Those on ridges, skin and tip."""
-    if quality["ridge_contrast"] < _MIN_RIDGE_CONTRAST:
+    if quality["ridge_contrast"] < MIN_RIDGE_CONTRAST:
         words = (
             f"ridges hardly show (contrast {100 * quality['ridge_contrast']:.2f} %): focus the"
             " camera on the finger, clean the lens, dry a wet finger, or moisten a worn one."
@@ -274,18 +255,18 @@ def _findings_on_skin(quality: Mapping[str, Any]) -> Iterator[Finding]:
         yield Finding("faint-ridges", words)
     dark = quality.get("dark_specks") or 0.0
     bright = quality.get("bright_specks") or 0.0
-    if dark > _MAX_DARK:  # at most one sentence: dust has bright grains too
+    if dark > MAX_DARK_SPECKS:  # at most one sentence: dust has bright grains too
         words = (
             f"dark specks cover {100 * dark:.1f} % of the finger: wipe the finger, and the lens or"
             " its cover."
         )
         yield Finding("dark-specks", words)
-    elif bright > _MAX_BRIGHT:
+    elif bright > MAX_BRIGHT_SPECKS:
         remedy = "wipe it if it is dusty, moisten it if its skin is dry."
         yield Finding(
             "bright-specks", f"bright specks cover {100 * bright:.1f} % of the finger: {remedy}"
         )
-    if quality["length_mm"] < _MIN_LENGTH_MM:
+    if quality["length_mm"] < MIN_LENGTH_MM:
         words = "only {:.0f mm} of the finger are in view: push it further in, or check px_per_mm."
         yield Finding("short-finger", words, lengths_mm=(quality["length_mm"],))
     borders = set(quality["borders"])
@@ -322,25 +303,20 @@ def _ridge_contrast(
     if not core.any():
         return figures, 0.0
     smooth = blur(total, 0.06 * px)
-    laplacian = np.abs(cv2.filter2D(smooth, -1, _SECOND)) + np.abs(
-        cv2.filter2D(smooth, -1, _SECOND.T)
+    laplacian = np.abs(cv2.filter2D(smooth, -1, _SECOND_DIFFERENCE)) + np.abs(
+        cv2.filter2D(smooth, -1, _SECOND_DIFFERENCE.T)
     )
     return figures, float(laplacian[core].mean()) / max(float(total[core].mean()), 1e-12)
 
 
-_SECOND = np.array([[-1.0, 2.0, -1.0]], dtype=np.float32)
+_SECOND_DIFFERENCE = np.array([[-1.0, 2.0, -1.0]], dtype=np.float32)
+"""Second difference along a row. Source: definition."""
 
 
 # Which of the finger's pixels carry enough light for photometric stereo.
 
-_DARK_FRACTION = 0.03
-"""A light reaches a pixel if it is brighter than this fraction of the finger's median
-brightness."""
 _MIN_LIGHTS = 3
-"""Lights that must reach a pixel unsaturated; three determine a normal."""
-_PINHOLE_MM2 = 1.0
-"""Holes up to this area are filled: a few unreliable pixels harm less than a hole in the
-surface."""
+"""Lights that must reach a pixel unsaturated. Source: definition (three determine a normal)."""
 
 
 def photometric_mask(
@@ -348,7 +324,7 @@ def photometric_mask(
     finger: BoolArray,
     px_per_mm: float,
     *,
-    saturation: float | Array = _SATURATION,
+    saturation: float | Array = SATURATION,
 ) -> BoolArray:
     """Drop pixels that too few lights reach: (H, W) inside `finger`, one component without
     pinholes, at full resolution. The thesis's threshold (3.3.1.5, refined mask) follows the
@@ -361,11 +337,11 @@ def photometric_mask(
     ceilings = np.broadcast_to(saturation, (len(stack),))
     sample = stack[:, box[0], box[1]][:, ::4, ::4][:, inside[::4, ::4]]
     sample = sample if sample.size else stack[:, finger]
-    floor = _DARK_FRACTION * float(np.median(sample))
+    floor = LIT_FRACTION * float(np.median(sample))
     count = np.zeros(inside.shape, dtype=np.uint8)
     for image, ceiling in zip(stack[:, box[0], box[1]], ceilings, strict=True):
         count += (image > floor) & (image < np.float32(ceiling))
-    good = fill_holes(inside & (count >= least), _PINHOLE_MM2 * px_per_mm**2)
+    good = fill_holes(inside & (count >= least), PINHOLE_MM2 * px_per_mm**2)
     # an isolated dark pixel at the outline would leave a bay one pixel wide, and a bridge as thin
     # is not a surface
     good = largest_component(good & inside)

@@ -6,6 +6,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from splitknit.finger.parameters import SMALL_DISC_PX
 from splitknit.imaging.geometry import bounding_box
 from splitknit.model import BoolArray, FloatArray
 
@@ -52,7 +53,7 @@ def dilate(mask: BoolArray, radius: float) -> BoolArray:
     small ones."""
     if radius < 1.0 or not mask.any():
         return mask
-    if radius <= _SMALL_PX:
+    if radius <= SMALL_DISC_PX:
         return cv2.dilate(mask.view(np.uint8), _disc(radius)).view(np.bool_)
     return distance_outside(mask, radius) <= radius
 
@@ -61,13 +62,9 @@ def erode(mask: BoolArray, radius: float) -> BoolArray:
     """Shrink `mask` by `radius` pixels; beyond the image's border the mask is taken to go on."""
     if radius < 1.0 or mask.all():
         return mask
-    if radius <= _SMALL_PX:
+    if radius <= SMALL_DISC_PX:
         return cv2.erode(mask.view(np.uint8), _disc(radius)).view(np.bool_)
     return depth_inside(mask) > radius
-
-
-_SMALL_PX = 2.0
-"""Up to this radius a disc is laid everywhere; the same pixels, sooner."""
 
 
 def _disc(radius: float) -> NDArray[np.uint8]:

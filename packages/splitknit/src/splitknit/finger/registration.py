@@ -18,33 +18,24 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from splitknit.finger.parameters import (
+    BAND_RATIO,
+    COARSE_BANDS_MM,
+    FINE_BANDS_MM,
+    PRODUCT_SIZE,
+    REGISTRATION_ITERATIONS,
+    REGISTRATION_PX_PER_MM,
+    REGISTRATION_SAMPLES,
+    RIM_MM,
+    SAME_SCALE,
+    SETTLED_MM,
+    SETTLED_PX,
+    SURROUND_MM,
+    TURN_MM,
+)
 from splitknit.finger.regions import blur, dilate, erode
 from splitknit.imaging.geometry import bounding_box, sampled_at
 from splitknit.model import Array, BoolArray, FloatArray
-
-TURN_MM = 8.0
-"""A turn's parameter is the shift that it causes at this distance."""
-SETTLED_MM = 5e-4
-SETTLED_PX = 0.02
-"""Shots that move by less than the larger of the two are settled; images are resampled to 1/32
-px."""
-ITERATIONS = 20
-"""Maximum refinements in each band."""
-COARSE_MM = (0.5, 0.3, 0.15)
-"""Fine ends (sigma) of the band-pass filters in which the outline counts too, coarse to fine."""
-FINE_MM = (0.08,)
-"""Fine ends of the filters in which only the skin counts."""
-BAND_RATIO = 3.2
-"""Coarse end of each filter over its fine end."""
-WORKING_PX_PER_MM = 12.5
-"""Scale of the copies that are compared in the finest band."""
-SURROUND_MM = 0.7
-"""Width of the background around the finger that is used, for the sake of its silhouette."""
-RIM_MM = 0.8
-"""Width of the finger's edge that is left out of the fine bands."""
-BLOCK_MM = 0.6
-"""Pitch at which the light of near LEDs is computed."""
-
 
 # Where the skin of one shot lies in the others: shifts and turns, and the details of images that
 # show them.
@@ -89,16 +80,9 @@ def still(count: int, mask: BoolArray, px_per_mm: float) -> Flow:
 
 # Details of one size in all shots, at the pixels that matter, and the shifts they imply.
 
-SAMPLES = 16_000
-"""Pixels of a level that are used, at least, evenly spread; all where it has fewer."""
-SAME_SCALE = 1.1
-"""Copies are not reduced by less than this: it would blur some pixels more than others."""
 STEPS = 32.0
-"""Places within a pixel at which OpenCV interpolates; a shift in steps of these would not
-settle."""
-FLOPS = 200_000
-"""Size of the products that sums are made of; below what libraries divide among threads, so that
-bytes are the same."""
+"""Places within a pixel at which OpenCV interpolates; a shift in steps of these would not settle.
+Source: OpenCV, ``INTER_TAB_SIZE``."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -143,7 +127,7 @@ def details_of(stack: FloatArray, region: BoolArray, px_per_mm: float, sigma_mm:
     """Band-passed copies of (L, H, W), fine end `sigma_mm`, weighted by one over the square of the
     brightness in `region` (H, W).
     """
-    finest = min(px_per_mm, WORKING_PX_PER_MM, 1.0 / sigma_mm)
+    finest = min(px_per_mm, REGISTRATION_PX_PER_MM, 1.0 / sigma_mm)
     finest = px_per_mm if finest * SAME_SCALE > px_per_mm else finest
     size = tuple(max(8, round(n * finest / px_per_mm)) for n in (region.shape[1], region.shape[0]))
     px = px_per_mm * size[0] / region.shape[1]
@@ -152,7 +136,7 @@ def details_of(stack: FloatArray, region: BoolArray, px_per_mm: float, sigma_mm:
     level = blur(np.mean(small, axis=0), 1.0 * px)
     floor = 0.15 * float(np.median(level[inside])) if inside.any() else 0.0
     rows, columns = np.nonzero(inside)
-    every = max(1, rows.size // SAMPLES)
+    every = max(1, rows.size // REGISTRATION_SAMPLES)
     rows = rows[every // 2 :: every]
     columns = columns[every // 2 :: every]
     weight = 1.0 / np.maximum(level[rows, columns], max(floor, 1e-9)) ** 2
@@ -177,8 +161,8 @@ def bands_of(mask: BoolArray, px_per_mm: float) -> Iterator[tuple[float, BoolArr
     """
     around = dilate(mask, SURROUND_MM * px_per_mm)
     skin = erode(mask, RIM_MM * px_per_mm)
-    for step, sigma_mm in enumerate((*COARSE_MM, *FINE_MM)):
-        fine = step >= len(COARSE_MM)
+    for step, sigma_mm in enumerate((*COARSE_BANDS_MM, *FINE_BANDS_MM)):
+        fine = step >= len(COARSE_BANDS_MM)
         yield sigma_mm, skin if fine and skin.any() else around, step > 0
 
 
@@ -200,7 +184,7 @@ def settled(  # noqa: PLR0917
     largest_mm = 1.0 / level.px_per_mm
     settled_mm = max(SETTLED_MM, SETTLED_PX / level.px_per_mm)
     moves = flow.moves_mm.copy()
-    for _ in range(ITERATIONS):
+    for _ in range(REGISTRATION_ITERATIONS):
         shifts = replace(flow, moves_mm=moves).at(*places)
         sampled = level.sampled(shifts[shots].astype(np.float32))
         step = np.clip(step_of(sampled, basis), -largest_mm, largest_mm)
@@ -219,7 +203,7 @@ def robust_weight(level: Level, error: FloatArray) -> FloatArray:
 def gram(columns: FloatArray) -> Array:
     """(K, K) inner products of `columns` (K, N), the same bytes whatever the number of threads."""
     count, total = columns.shape
-    part = int(np.clip(FLOPS // count**2, 16, 4096))
+    part = int(np.clip(PRODUCT_SIZE // count**2, 16, 4096))
     padded = np.pad(columns, ((0, 0), (0, -total % part)))
     parts = np.ascontiguousarray(padded.reshape(count, -1, part).transpose(1, 0, 2))
     return np.asarray((parts @ parts.transpose(0, 2, 1)).sum(axis=0, dtype=np.float64))

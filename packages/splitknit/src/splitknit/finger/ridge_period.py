@@ -8,25 +8,24 @@ import cv2
 import numpy as np
 
 from splitknit.errors import check_mask, require
+from splitknit.finger.parameters import (
+    BLOCK_PX,
+    LONGEST_PX,
+    MIN_BLOCKS,
+    MIN_CONCENTRATION,
+    MIN_FACING,
+    MIN_RIDGED,
+    PERIOD_LEVELS,
+    SHORTEST_PX,
+    STEP_PX,
+)
 from splitknit.model import Array, BoolArray, FloatArray
 from splitknit.plausible import RIDGE_PERIOD
 
 PEOPLE = 0.08
 """Standard deviation of the ridge distance between fingers, relative: sexes, people and digits, as
-the simulator's population has them (Cummins, Waits and McQuitty, Am. J. Anat. 68, 1941: 20.7 ridges
-a centimetre in men, 23.4 in women)."""
-_BLOCK, _STEP = 64, 16
-"""Side of a block of the reduced picture, and the usual distance of the blocks, pixels."""
-_SHORTEST, _LONGEST = 4.0, 10.0
-"""Periods that are sought in a reduced picture, pixels; the next picture has half the size."""
-_LEVELS = 6
-_FACING = 0.7
-"""Cosine of the slant up to which blocks are used."""
-_CONCENTRATED = 0.4
-"""Part of a block's power, of all periods around, that one wave of ridges has at least."""
-_MIN_BLOCKS, _MIN_FRACTION = 6, 0.25
-"""Blocks with one wave: that many, and part of all (fingers 0.6 to 0.8, DiLiGenT's bear 0.08, a
-ball none)."""
+the simulator's population has them. Source: Cummins, Waits and McQuitty, Am. J. Anat. 68, 1941
+(20.7 ridges a centimetre in men, 23.4 in women)."""
 
 
 class _RidgePeriod(NamedTuple):
@@ -39,7 +38,7 @@ class _RidgePeriod(NamedTuple):
     """Of the blocks that were looked at, those with one wave."""
 
 
-def ridge_period(normals: FloatArray, mask: BoolArray, step: int = _STEP) -> _RidgePeriod:
+def ridge_period(normals: FloatArray, mask: BoolArray, step: int = STEP_PX) -> _RidgePeriod:
     """Measure the distance of the ridges in a map of normals whose scale is unknown.
 
     The slopes are reduced by 1, 2, 4, ...; in blocks of 64 pixels one wave of 4 to 10 pixels must
@@ -60,16 +59,16 @@ def ridge_period(normals: FloatArray, mask: BoolArray, step: int = _STEP) -> _Ri
     slopes = np.stack([-normals[..., 0] / steep, -normals[..., 1] / steep], axis=-1)
     fields = np.dstack([np.where(mask[..., None], slopes, 0.0), mask.astype(np.float32)])
     best: tuple[float, Array, float] = (0.0, np.zeros(0), 0.0)
-    for level in range(_LEVELS):
+    for level in range(PERIOD_LEVELS):
         factor = 2**level
         size = (mask.shape[1] // factor, mask.shape[0] // factor)
-        if min(size) < _BLOCK:
+        if min(size) < BLOCK_PX:
             break
         small = fields if level == 0 else cv2.resize(fields, size, interpolation=cv2.INTER_AREA)
         periods, blocks = _periods(np.asarray(small), step)
         area = float(len(periods) * factor**2)
         if (
-            len(periods) >= max(_MIN_BLOCKS * (_STEP / step) ** 2, _MIN_FRACTION * blocks)
+            len(periods) >= max(MIN_BLOCKS * (STEP_PX / step) ** 2, MIN_RIDGED * blocks)
             and area > best[0]
         ):
             best = area, periods * factor, len(periods) / blocks
@@ -81,7 +80,7 @@ def ridge_period(normals: FloatArray, mask: BoolArray, step: int = _STEP) -> _Ri
     )
     middle = float(np.median(periods))
     spread = 1.4826 * float(np.median(np.abs(periods - middle)))
-    apart = max(1.0, len(periods) * (step / _BLOCK) ** 2)
+    apart = max(1.0, len(periods) * (step / BLOCK_PX) ** 2)
     return _RidgePeriod(middle, 1.25 * spread / float(np.sqrt(apart)), len(periods), best[2])
 
 
@@ -111,38 +110,43 @@ def scale_of_ridges(
 def _periods(fields: FloatArray, step: int) -> tuple[Array, int]:
     """Periods (px, on the surface) of blocks of slopes and mask (h, w, 3) with one wave, and the
     number of blocks."""
-    window = np.outer(np.hanning(_BLOCK), np.hanning(_BLOCK)).astype(np.float32)
-    v, u = np.meshgrid(np.fft.fftfreq(_BLOCK), np.fft.rfftfreq(_BLOCK), indexing="ij")
+    window = np.outer(np.hanning(BLOCK_PX), np.hanning(BLOCK_PX)).astype(np.float32)
+    v, u = np.meshgrid(np.fft.fftfreq(BLOCK_PX), np.fft.rfftfreq(BLOCK_PX), indexing="ij")
     u = u.astype(np.float32).ravel()
     v = v.astype(np.float32).ravel()
     frequency = np.hypot(u, v)
-    around = (frequency > 0.5 / _LONGEST) & (frequency < 0.45)
-    sought = (frequency >= 1.0 / _LONGEST) & (frequency <= 1.0 / _SHORTEST)
+    around = (frequency > 0.5 / LONGEST_PX) & (frequency < 0.45)
+    sought = (frequency >= 1.0 / LONGEST_PX) & (frequency <= 1.0 / SHORTEST_PX)
     # the other half plane is the same, mirrored
     weight = np.where(u > 0, np.float32(2.0), np.float32(1.0)) * around
-    back = -np.arange(_BLOCK) % _BLOCK
-    mirrored = np.ix_(back, back[: _BLOCK // 2 + 1])
-    lattice = tuple(slice(0, length - _BLOCK + 1, step) for length in fields.shape[:2])
-    side = (_BLOCK, _BLOCK)
+    back = -np.arange(BLOCK_PX) % BLOCK_PX
+    mirrored = np.ix_(back, back[: BLOCK_PX // 2 + 1])
+    lattice = tuple(slice(0, length - BLOCK_PX + 1, step) for length in fields.shape[:2])
+    side = (BLOCK_PX, BLOCK_PX)
     corner = (0, 0)
     tilts = cv2.blur(fields[..., :2], side, anchor=corner)[lattice]
     whole = cv2.erode(fields[..., 2], np.ones(side, np.uint8), anchor=corner)[lattice] >= 0.99
-    usable = whole & (1.0 / np.sqrt(1.0 + (tilts * tilts).sum(axis=-1)) >= _FACING)
+    usable = whole & (1.0 / np.sqrt(1.0 + (tilts * tilts).sum(axis=-1)) >= MIN_FACING)
     periods = []
     for row, column in np.argwhere(usable):
         tilt, (top, left) = tilts[row, column], (row * step, column * step)
-        block = (fields[top : top + _BLOCK, left : left + _BLOCK, :2] - tilt) * window[..., None]
+        block = (fields[top : top + BLOCK_PX, left : left + BLOCK_PX, :2] - tilt) * window[
+            ..., None
+        ]
         # of x slope + i y slope
         real, imaginary = cv2.split(cv2.dft(block, flags=cv2.DFT_COMPLEX_OUTPUT))
         both = real * real + imaginary * imaginary
-        power = (both[:, : _BLOCK // 2 + 1] + both[mirrored]).ravel() * weight
+        power = (both[:, : BLOCK_PX // 2 + 1] + both[mirrored]).ravel() * weight
         peak = int(np.argmax(power * sought))
         apart = [(u - s * u[peak]) ** 2 + (v - s * v[peak]) ** 2 for s in (1, -1)]
-        near = power * (np.minimum(*apart) < (2.5 / _BLOCK) ** 2)
+        near = power * (np.minimum(*apart) < (2.5 / BLOCK_PX) ** 2)
         held = near.sum()
         mean = (near @ frequency) / max(held, 1e-30)
         # else the flank of a wave that is sought in another size
-        if held >= _CONCENTRATED * power.sum() and 1.0 / _LONGEST <= mean <= 1.0 / _SHORTEST:
+        if (
+            held >= MIN_CONCENTRATION * power.sum()
+            and 1.0 / LONGEST_PX <= mean <= 1.0 / SHORTEST_PX
+        ):
             along = (u[peak] * tilt[0] - v[peak] * tilt[1]) / frequency[peak]
             periods.append(np.sqrt(1.0 + along**2) / mean)
     return np.array(periods), int(usable.sum())

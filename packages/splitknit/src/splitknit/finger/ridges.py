@@ -11,20 +11,19 @@ import numpy as np
 from numpy.typing import NDArray
 
 from splitknit.errors import BadInput, check_mask, require
+from splitknit.finger.parameters import (
+    CONTRAST_FLOOR,
+    CONTRAST_WINDOW_MM,
+    EMPTY_CONTRAST,
+    FULL_CONTRAST,
+    INK_STEEPNESS,
+    NARROW_WINDOW,
+)
 from splitknit.imaging.geometry import bounding_box, gaussian_mean, warp
 from splitknit.model import Array, BoolArray, FloatArray, Reconstruction, Surface
 
 MM_PER_INCH = 25.4
-
-CONTRAST_FLOOR = 0.3
-"""Contrast below this fraction of the finger's median is not raised further, so flat skin stays
-flat."""
-
-
-_WINDOW_MM = 0.6
-"""Standard deviation of the Gaussian window over which mean and contrast are made even."""
-_CONTRAST = 1.1
-"""Steepness of the grey curve; 0.5 is soft, 3 is nearly black and white."""
+"""Millimetres in an inch. Source: definition of the inch."""
 
 
 def relief_print(
@@ -73,7 +72,7 @@ def relief_print(
     window_from_print = window_from_input @ input_from_print
     weight = np.clip(warp(weight, window_from_print, size), 0.0, 1.0)
     relief = warp(relief.astype(np.float32), window_from_print, size)
-    centred, deviation = _centred(relief, weight, _WINDOW_MM * ppi / MM_PER_INCH)
+    centred, deviation = _centred(relief, weight, CONTRAST_WINDOW_MM * ppi / MM_PER_INCH)
     known = deviation[weight > 0.5]
     typical = float(np.median(known)) if known.size else 0.0
     return (
@@ -99,7 +98,7 @@ def _ink(
     """Grey values of a relief as of :func:`_centred`; `weight` in [0, 1] is how much of a pixel is
     inked."""
     score = centred / np.maximum(deviation, CONTRAST_FLOOR * typical)
-    dark = 0.5 + 0.5 * np.tanh(_CONTRAST * score)
+    dark = 0.5 + 0.5 * np.tanh(INK_STEEPNESS * score)
     return np.round(255.0 * (1.0 - weight * dark)).astype(np.uint8)
 
 
@@ -132,14 +131,6 @@ def surface_print(surface: Surface | Reconstruction, ppi: float = 500.0) -> NDAr
 # ridges.
 
 
-_EMPTY, _FULL = 0.1, 0.3
-"""Local contrast, as a fraction of the finger's median, below which skin is paper and above which
-it is all ink."""
-_NARROW = 0.4
-"""The window of that contrast, as a fraction of the other: blank skin at the outline is paper up to
-the last ridge."""
-
-
 def ink(values: FloatArray, weight: FloatArray, ppi: float = 500.0) -> NDArray[np.uint8]:
     """Print a field that is high on ridges and low in valleys.
 
@@ -159,7 +150,7 @@ def ink(values: FloatArray, weight: FloatArray, ppi: float = 500.0) -> NDArray[n
         )
     inside = weight > 0.5
     require(inside.any(), "nothing of the finger lies on the print.")
-    sigma = _WINDOW_MM * ppi / MM_PER_INCH
+    sigma = CONTRAST_WINDOW_MM * ppi / MM_PER_INCH
     centred, deviation = _centred(values, weight, sigma)
     typical = float(np.median(deviation[inside]))
     scale = float(np.abs(values[inside]).max())
@@ -167,7 +158,10 @@ def ink(values: FloatArray, weight: FloatArray, ppi: float = 500.0) -> NDArray[n
         typical > 1e-6 * scale,
         "the print has no ridges: its relief is flat; check focus and light of the capture.",
     )
-    around = np.maximum(gaussian_mean(weight, _NARROW * sigma), 1e-3)
-    near = np.sqrt(gaussian_mean(centred * centred * weight, _NARROW * sigma) / around)
-    shown = np.clip((near / typical - _EMPTY) / (_FULL - _EMPTY), 0.0, 1.0) * weight
+    around = np.maximum(gaussian_mean(weight, NARROW_WINDOW * sigma), 1e-3)
+    near = np.sqrt(gaussian_mean(centred * centred * weight, NARROW_WINDOW * sigma) / around)
+    shown = (
+        np.clip((near / typical - EMPTY_CONTRAST) / (FULL_CONTRAST - EMPTY_CONTRAST), 0.0, 1.0)
+        * weight
+    )
     return _ink(centred, deviation, typical, shown)

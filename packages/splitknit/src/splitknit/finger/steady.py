@@ -23,11 +23,23 @@ from numpy.typing import NDArray
 from splitknit.errors import require
 from splitknit.findings import Finding
 from splitknit.finger.locate import Finger, FingerSettings, find_finger, reduced
-from splitknit.finger.motion import CORRECT_MM, MIN_RELIABILITY, MOST_LEFT, WARN_MM
-from splitknit.finger.registration import (
-    BLOCK_MM,
+from splitknit.finger.parameters import (
+    ALONE_SHIFT_MM,
+    CORRECT_MM,
+    CORRECT_SERIES_MM,
+    LIGHT_PITCH_MM,
+    MAX_STILL_UNEXPLAINED,
+    MIN_BESIDE_LIGHTS,
+    MIN_RELIABILITY,
+    MIN_SIDE_SHIFTS,
+    MOST_LEFT,
+    REGISTRATION_PX_PER_MM,
+    RESAMPLED_MARGIN_MM,
+    SURE_SIDE_SHIFT,
     TURN_MM,
-    WORKING_PX_PER_MM,
+    WARN_MM,
+)
+from splitknit.finger.registration import (
     Flow,
     Level,
     bands_of,
@@ -45,24 +57,6 @@ from splitknit.imaging.light_field import light_vectors_at
 from splitknit.imaging.view import plane_points
 from splitknit.model import Array, Band, BoolArray, Capture, FloatArray
 
-_MARGIN_MM = 2.0
-"""Beyond the finger, images are left as they are."""
-_HELPS = 0.95
-"""Undoing motion must bring what no surface explains below this fraction of what it was."""
-_SERIES_MM = 0.01
-"""Motion between polarised series in colour from which it is undone; a still path-traced finger
-shows 0.004."""
-_BY_SHADING = 0.1
-"""Variance of the shots' shifts beside those along their lights below which shading moved the
-ridges, and not the finger; a steady drift has two thirds."""
-_MEASURED = 3
-"""Side images whose shift is known: with fewer, one that all share is not told from one along each
-light."""
-_SURE = 3.0
-"""Standard errors of the shift of all side images above which they moved: gloss shifts each by up
-to 60 um."""
-_ALONE_MM = 0.08
-"""Shift of one of them against the others beyond which it moved."""
 SOME_MOVED = (
     "the finger moved during {} of the images lit from the side, left out; rest it on its support"
     " and capture again."
@@ -112,8 +106,8 @@ def find_steady_finger(capture: Capture, settings: FingerSettings) -> tuple[Capt
         before, after = (
             1.0 - np.square(figures[f"likeness_{when}"]).mean() for when in ("before", "after")
         )
-        helps = bool(after < _HELPS**2 * before)
-        least_mm = _SERIES_MM if has_colour(white) else CORRECT_MM
+        helps = bool(after < MAX_STILL_UNEXPLAINED**2 * before)
+        least_mm = CORRECT_SERIES_MM if has_colour(white) else CORRECT_MM
         if motion.correct == "off" or registered.most_mm < least_mm or not helps:
             words = f"the finger moved by {{:.2f mm}} between the {between}."
             moved = Finding("moved-finger", words, lengths_mm=(registered.most_mm,))
@@ -166,12 +160,12 @@ class _Registered(NamedTuple):
 def _worth_undoing(registered: _Registered, measured_mm: float) -> bool:
     """Whether motion was found that is to be undone, or refused; else the images are left as they
     are."""
-    if registered.most_mm < CORRECT_MM or registered.apart < _BY_SHADING:
+    if registered.most_mm < CORRECT_MM or registered.apart < MIN_BESIDE_LIGHTS:
         return False
     if registered.after > MOST_LEFT and measured_mm < WARN_MM:  # no skin, wet skin
         return False
     # nothing helps where nothing moved, however much is left
-    return registered.after < _HELPS * registered.before
+    return registered.after < MAX_STILL_UNEXPLAINED * registered.before
 
 
 def without_moved_side(capture: Capture, finger: Finger) -> tuple[Capture, tuple[Finding, ...]]:
@@ -194,14 +188,14 @@ def without_moved_side(capture: Capture, finger: Finger) -> tuple[Capture, tuple
             numbers += np.flatnonzero(known).tolist()
             shifts = np.concatenate([shifts, measured[known]])
             towards = np.concatenate([towards, _towards(capture, band.side.leds)[known]])
-    if len(shifts) < _MEASURED:
+    if len(shifts) < MIN_SIDE_SHIFTS:
         return capture, ()
     apart = _apart_from_lights(shifts, towards)
     error_mm = float(np.linalg.norm(apart.std(axis=0, ddof=1))) / np.sqrt(len(apart))
-    if np.hypot(*apart.mean(axis=0)) >= max(CORRECT_MM, _SURE * error_mm):
+    if np.hypot(*apart.mean(axis=0)) >= max(CORRECT_MM, SURE_SIDE_SHIFT * error_mm):
         bands = {name: replace(band, side=None) for name, band in capture.bands.items()}
         return replace(capture, bands=bands), (Finding("side-moved", SIDE_MOVED),)
-    alone = np.hypot(*(apart - np.median(apart, axis=0)).T) > _ALONE_MM
+    alone = np.hypot(*(apart - np.median(apart, axis=0)).T) > ALONE_SHIFT_MM
     if not alone.any():
         return capture, ()
     out = {number for number, moved in zip(numbers, alone, strict=True) if moved}
@@ -232,7 +226,7 @@ def register(capture: Capture, finger: Finger, *, still_white: bool = False) -> 
     """Registration of the white band, unless `still_white`, of the others to it, and the report's
     facts on them."""
     px_per_mm = capture.rig.camera.px_per_mm
-    binning = max(1, int(px_per_mm / WORKING_PX_PER_MM))
+    binning = max(1, int(px_per_mm / REGISTRATION_PX_PER_MM))
     px = px_per_mm / binning
     window = _window(capture, finger)
     white = capture.bands["white"]
@@ -440,7 +434,7 @@ def take(  # noqa: PLR0917
 
 def _window(capture: Capture, finger: Finger) -> Window:
     """Rows and columns that hold the finger and what is beside it."""
-    margin = round(_MARGIN_MM * capture.rig.camera.px_per_mm)
+    margin = round(RESAMPLED_MARGIN_MM * capture.rig.camera.px_per_mm)
     rows, columns = (
         slice(max(0, part.start - margin), min(side, part.stop + margin))
         for part, side in zip(finger.window, capture.shape, strict=True)
@@ -456,7 +450,7 @@ def _lights_over(capture: Capture, band: Band, window: Window) -> Array:
         np.linspace(
             part.start,
             part.stop - 1,
-            max(2, round((part.stop - part.start) * camera.pitch_mm / BLOCK_MM) + 1),
+            max(2, round((part.stop - part.start) * camera.pitch_mm / LIGHT_PITCH_MM) + 1),
         )
         for part in window
     )

@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from splitknit.errors import require
+from splitknit.imaging.parameters import CHUNK_ROWS
 from splitknit.imaging.view import lens_shading
 from splitknit.model import Array, Band, BoolArray, FloatArray, PixelArray, coarse_grid
 from splitknit.steps import let_go
@@ -23,10 +24,8 @@ from splitknit.steps import let_go
 
 CHANNELS = {"red": 0, "green": 1, "blue": 2}
 GREY_WEIGHTS = np.array([0.299, 0.587, 0.114], dtype=np.float32)
-"""ITU-R BT.601 luma weights, the conversion behind the thesis's grey images."""
-
-CHUNK_ROWS = 64
-"""Rows of an image that are made at a time."""
+"""Weights of red, green and blue in luma, the conversion behind the thesis's grey images. Source:
+ITU-R BT.601."""
 
 
 @lru_cache(maxsize=4)

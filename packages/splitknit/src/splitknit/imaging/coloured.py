@@ -12,13 +12,14 @@ from numpy.typing import NDArray
 from splitknit.errors import require
 from splitknit.findings import Finding
 from splitknit.imaging.band import linear_channels, saturation_levels, srgb_code
+from splitknit.imaging.parameters import (
+    BALANCE_PIXELS,
+    BALANCE_ROUNDS,
+    BALANCE_SETTLED,
+    COMPOSED_BLACK,
+)
 from splitknit.model import COLOURS, Array, Band, BoolArray, Capture, FloatArray, Rig
 from splitknit.settings import Checked, Limits
-
-_ROUNDS = 200
-"""At most: with LEDs of each colour all around the finger a handful is enough."""
-_SETTLED = 1e-6
-_SAMPLE = 40_000
 
 
 @dataclass(frozen=True, slots=True)
@@ -66,13 +67,13 @@ def colour_factors_of(stack: FloatArray, rig: Rig, band: Band, mask: BoolArray) 
     lights = rig.select(band.lights).light_vectors()
     colour = np.array([rig.leds[group[0]].colour for group in band.lights])
     seen = stack.reshape(len(stack), -1)[:, mask.ravel()].astype(np.float64)
-    seen = seen[:, :: max(1, seen.shape[1] // _SAMPLE)]
+    seen = seen[:, :: max(1, seen.shape[1] // BALANCE_PIXELS)]
     names = np.unique(colour)
     factors = np.ones(len(lights))
     for name in names:
         own = colour == name
         factors[own] = seen[own].mean() / max(float(lights[own, 2].mean()), 1e-6)
-    for _ in range(_ROUNDS):
+    for _ in range(BALANCE_ROUNDS):
         factors /= np.exp(np.mean(np.log(np.maximum(factors, 1e-6))))
         before = factors.copy()
         shading = lights @ (np.linalg.pinv(factors[:, None] * lights) @ seen)
@@ -81,7 +82,7 @@ def colour_factors_of(stack: FloatArray, rig: Rig, band: Band, mask: BoolArray) 
             factors[own] = float(
                 (seen[own] * shading[own]).sum() / max((shading[own] ** 2).sum(), 1e-12)
             )
-        if float(np.abs(factors / before - 1.0).max()) < _SETTLED:
+        if float(np.abs(factors / before - 1.0).max()) < BALANCE_SETTLED:
             break
     factors = np.maximum(factors, 1e-6)
     return np.asarray(factors / np.exp(np.mean(np.log(factors))))
@@ -95,8 +96,6 @@ COMPOSED = (
     " taken one after the other share an exposure."
 )
 """Note of every result that does not come from coloured LEDs."""
-_BLACK = 0.02
-"""Stored level of no light, so that noise below it is kept."""
 
 
 def composed(capture: Capture, exposures: int = 2) -> Capture:
@@ -145,7 +144,7 @@ def composed(capture: Capture, exposures: int = 2) -> Capture:
         pixels=np.stack(images),
         leds=tuple(groups),
         exposure=np.full(exposures, float(white.exposure.min())),
-        black_level=np.full(exposures, float(_stored(np.array(_BLACK), capture.encoding))),
+        black_level=np.full(exposures, float(_stored(np.array(COMPOSED_BLACK), capture.encoding))),
         shading=(),
         colours=rig.colours_of(groups),
         crosstalk=mixing,
@@ -164,7 +163,7 @@ def _exposure(white: Band, encoding: str, shots: list[int], mixing: Array) -> ND
     own = np.stack([light[c, c] for c in range(3)]) * shortest
     levels = saturation_levels(part, encoding) * shortest
     mixed = np.moveaxis(np.tensordot(mixing.astype(np.float32), own, axes=1), 0, 2)
-    mixed += _BLACK
+    mixed += COMPOSED_BLACK
     for c in range(3):
         mixed[own[c] >= levels[c], c] = 1.0
     return _stored(mixed, encoding)

@@ -9,10 +9,9 @@ import numpy as np
 
 from splitknit.errors import require
 from splitknit.imaging.band import Window, decode_table, flat_at, flat_light
+from splitknit.imaging.parameters import FLAT_BRIGHTEST
 from splitknit.imaging.view import lens_shading
 from splitknit.model import Band, Capture, Led, PixelArray, Rig, coarse_grid
-
-_BRIGHTEST = 0.9  # of a flat image, in full scale
 
 
 def cropped(capture: Capture, window: Window) -> Capture:
@@ -89,6 +88,6 @@ def _flat(band: Band, encoding: str, window: Window) -> PixelArray:
     full = np.iinfo(band.pixels.dtype).max
     black = np.interp(65535 / full * band.black_level, np.arange(table.size), table)[:, None, None]
     return np.asarray(
-        np.searchsorted(table, black + (_BRIGHTEST - black) * exposed / exposed.max()),
+        np.searchsorted(table, black + (FLAT_BRIGHTEST - black) * exposed / exposed.max()),
         dtype=np.uint16,
     )

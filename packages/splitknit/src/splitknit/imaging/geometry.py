@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from splitknit.errors import BadInput
+from splitknit.imaging.parameters import PLACES_IN_LINE
 from splitknit.model import Array, BoolArray, FloatArray
 
 
@@ -131,10 +132,6 @@ def wide_blur(image: FloatArray, sigma: float) -> FloatArray:
     )
 
 
-_LINE = 128
-"""Places in one row of what OpenCV reads, which takes no long ones."""
-
-
 def sampled_at(
     field: FloatArray,
     columns: NDArray[Any],
@@ -146,10 +143,10 @@ def sampled_at(
     by OpenCV's interpolation `how`; `outside`: value beside the field, by default the nearest
     pixel's.
     """
-    missing = -columns.size % _LINE
+    missing = -columns.size % PLACES_IN_LINE
     shape = (*columns.shape, *field.shape[2:])
     padded = (np.append(part, np.zeros(missing)).astype(np.float32) for part in (columns, rows))
-    x, y = (part.reshape(-1, _LINE) for part in padded)
+    x, y = (part.reshape(-1, PLACES_IN_LINE) for part in padded)
     border = cv2.BORDER_REPLICATE if outside is None else cv2.BORDER_CONSTANT
     taken = (
         cv2.remap(field, x, y, how, borderMode=border, borderValue=(outside or 0.0,) * 4)

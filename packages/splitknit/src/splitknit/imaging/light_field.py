@@ -10,19 +10,12 @@ import numpy as np
 from splitknit.errors import require
 from splitknit.findings import Finding
 from splitknit.imaging.geometry import sampled_at
+from splitknit.imaging.parameters import FEW_LIGHTS, LIGHTS_AROUND, SIDE_DEG, SIDE_RATIO
 from splitknit.model import Array, BoolArray, FloatArray, Led, Rig, Shade
 
 _UNIT_MM2 = 1e4
-"""Irradiance of an LED is relative to a distance of 100 mm (it cancels in the normalisation)."""
-SIDE_DEG = (30.0, 45.0)
-SIDE_RATIO = 1.5
-_AROUND = 6
-"""Angle off the camera's axis beyond which a light stands to the side of a finger: `SIDE_RATIO`
-times that of the light with the sixth smallest angle, within these bounds. One more light at 38 deg
-beside a ring at 20 took the surface error of two simulated fingers from 0.06 and 0.07 to 0.10
-mm."""
-FEW_LIGHTS = 4
-"""So many lights, or fewer, are warned of."""
+"""Irradiance of an LED is relative to a distance of 100 mm; the square cancels in the
+normalisation. Source: definition."""
 
 
 def light_vectors_at(rig: Rig, x: FloatArray, y: FloatArray, z: FloatArray) -> FloatArray:
@@ -62,7 +55,11 @@ def lights_in_front(rig: Rig) -> BoolArray:
     off_deg = np.degrees(
         np.arccos(np.clip(towards[:, 2] / np.linalg.norm(towards, axis=1), -1.0, 1.0))
     )
-    limit = SIDE_RATIO * np.sort(off_deg)[_AROUND - 1] if len(off_deg) >= _AROUND else SIDE_DEG[1]
+    limit = (
+        SIDE_RATIO * np.sort(off_deg)[LIGHTS_AROUND - 1]
+        if len(off_deg) >= LIGHTS_AROUND
+        else SIDE_DEG[1]
+    )
     return np.asarray(off_deg <= np.clip(limit, *SIDE_DEG))
 
 

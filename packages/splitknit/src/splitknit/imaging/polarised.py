@@ -12,22 +12,19 @@ from numpy.typing import NDArray
 
 from splitknit.errors import require
 from splitknit.findings import Finding
-from splitknit.imaging.band import CHUNK_ROWS, GREY_WEIGHTS, linear_stack
+from splitknit.imaging.band import GREY_WEIGHTS, linear_stack
 from splitknit.imaging.geometry import bounding_box, wide_blur
 from splitknit.imaging.light_field import lights_in_front
+from splitknit.imaging.parameters import AS_ALIKE, CHUNK_ROWS, EVEN_MM, IN_FRONT
 from splitknit.model import Array, Band, BoolArray, Capture, Films, FloatArray
 
 NOT_SPECULAR = (
     "the crossed photographs are as bright as the parallel ones: were their folders exchanged, or"
     " did the camera change its exposure between the series?"
 )
-_EVEN_MM = 0.5
-"""Size over which a specular picture is made even: a ridge's period."""
-_AS_ALIKE = 0.1
-"""Difference of two correlations below which they count as equal: an LED halfway between two others
-matches both."""
 _FILMS_DEG = ((90, 45), (135, 0))
-"""Directions of the films on each 2 x 2 pixels of Sony's IMX250MZR and IMX250MYR."""
+"""Directions of the films on each 2 x 2 pixels of Sony's IMX250MZR and IMX250MYR. Source: data
+sheets of these sensors."""
 
 
 def without_films(capture: Capture) -> Capture:
@@ -42,10 +39,6 @@ def without_films(capture: Capture) -> Capture:
     if white.side is not None:
         white = replace(white, side=replace(white.side, crossed=crossed.side))
     return replace(capture, bands={**capture.bands, "white": white})
-
-
-IN_FRONT = 4
-"""So many lights in front do without those to the side."""
 
 
 def without_side_lights(capture: Capture) -> Capture:
@@ -160,7 +153,7 @@ def findings_on_series(
     # shows from where each image was lit
     shading = [light / light.mean(axis=0) for light in series]
     likeness = np.corrcoef(*shading)[: len(parallel), len(parallel) :]
-    wrong = np.flatnonzero(np.diag(likeness) < likeness.max(axis=0) - _AS_ALIKE)
+    wrong = np.flatnonzero(np.diag(likeness) < likeness.max(axis=0) - AS_ALIKE)
     if wrong.size == 0:
         return ()
     k = wrong[0]
@@ -218,7 +211,7 @@ def specular_of(capture: Capture, mask: BoolArray) -> FloatArray | None:
             0
         ].mean(axis=0)
     picture = np.full(mask.shape, np.nan, dtype=np.float32)
-    sigma_px = _EVEN_MM * capture.rig.camera.px_per_mm
+    sigma_px = EVEN_MM * capture.rig.camera.px_per_mm
     picture[rows, columns] = specular_picture(specular[None], mask[rows, columns], sigma_px)
     return picture
 

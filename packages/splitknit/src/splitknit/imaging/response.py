@@ -6,40 +6,28 @@ from __future__ import annotations
 import numpy as np
 
 from splitknit.imaging.band import _srgb_light, srgb_code
+from splitknit.imaging.parameters import (
+    BEST_PIXELS,
+    BEST_RATIO,
+    CLEARLY_FREE,
+    CLEARLY_LINEAR,
+    CODE_NOISE,
+    CURVED_UP_TO,
+    FEWEST_LIGHTS,
+    FEWEST_VALUES,
+    FULL_DIFFERENCE,
+    RESPONSE_EXPONENTS,
+    RESPONSE_PIXELS,
+    SURE_ERRORS,
+    UNEQUAL_LOSS,
+)
 from splitknit.model import Array, FloatArray
 
-_EXPONENTS = np.array([0.30, 0.36, 0.45, 0.55, 0.67, 0.82, 1.0, 1.22])
-"""Exponents that are tried: sRGB code is about the power 1 / 2.2 of light."""
+_EXPONENTS = np.array(RESPONSE_EXPONENTS)
 _SRGB = 2
+"""Place of the exponent of sRGB code among those that are tried. Source: derived."""
 _LINEAR = 6
-_CURVED_UP_TO = 0.7
-"""Best exponent up to which values are sRGB: 0.45 to 0.7 of sRGB photographs, 0.82 and more of
-linear ones."""
-_CLEARLY = 1.15
-_CLEARLY_FREE = 2.5
-"""Loss as sRGB over that as linear from which values may be linear, and from which they are where
-the brightness of the lights is estimated: 1.25 and more of linear photographs of DiLiGenT's bear,
-of Washington's grey ball and of renders by others. Gloss on a shallow relief hides the curve, so
-that the pixels that fit best must agree; it is up to 2.3 with estimated brightness on 26 objects
-stored as sRGB, but for one glossy pillow (3.6)."""
-_BEST = 0.25
-_BEST_RATIO = 0.98
-"""Part of the pixels, those that fit best, and their residual as sRGB over that as linear from
-which values are linear: 1.01 to 1.72 of those photographs, 0.56 to 0.94 of the same as sRGB."""
-_CODE_NOISE = 0.003
-"""Residual of 8 bits, below which no two models differ."""
-_UNEQUAL = 0.25
-"""Loss with the brightness estimated over that of equal lights, below which they differ: 0.18 and
-less where they do by 15 %, 0.36 and more where they are equal."""
-_SURE = 5.0
-"""Standard errors by which one of the two fits better, where it decides."""
-_WIDTH = 0.02
-"""Differences to the model that count in full, of the full scale: gloss and shadow differ by
-more."""
-FEWEST = 5
-"""Lights of known brightness from which shading shows the curve; one more where it is estimated."""
-_FEWEST_VALUES = 1000
-_MOST_PIXELS = 1500
+"""Place of the exponent of linear light. Source: derived."""
 
 
 def shading_is_srgb(codes: FloatArray, vectors: Array, *, known: bool) -> bool | None:
@@ -57,12 +45,14 @@ def shading_is_srgb(codes: FloatArray, vectors: Array, *, known: bool) -> bool |
     top = codes.max(axis=0)
     lit = (codes > 0.25 * top) & (codes < 0.97) & (top > 0.15) & (top - codes.min(axis=0) > 0.03)
     good = lit.sum(axis=0) >= (4 if known else 5)
-    good &= good.cumsum() % max(1, int(good.sum()) // _MOST_PIXELS) == 0
+    good &= good.cumsum() % max(1, int(good.sum()) // RESPONSE_PIXELS) == 0
     used = lit[:, good].any(axis=1)
     values = codes[used][:, good].astype(np.float64)
     weights = lit[used][:, good].astype(np.float64)
     vectors = vectors[used]
-    if int(weights.sum()) < _FEWEST_VALUES or len(vectors) < (FEWEST if known else FEWEST + 1):
+    if int(weights.sum()) < FEWEST_VALUES or len(vectors) < (
+        FEWEST_LIGHTS if known else FEWEST_LIGHTS + 1
+    ):
         return None
     costs = np.array(
         [_cost(values, weights, vectors, exponent, known=True) for exponent in _EXPONENTS]
@@ -71,19 +61,19 @@ def shading_is_srgb(codes: FloatArray, vectors: Array, *, known: bool) -> bool |
         free = np.array(
             [_cost(values, weights, vectors, exponent, known=False) for exponent in _EXPONENTS]
         )
-        known = bool(free.sum(axis=(1, 2)).min() > _UNEQUAL * costs.sum(axis=(1, 2)).min())
+        known = bool(free.sum(axis=(1, 2)).min() > UNEQUAL_LOSS * costs.sum(axis=(1, 2)).min())
         costs = costs if known else free
     apart = (costs[_SRGB] - costs[_LINEAR])[weights > 0]
     total = costs.sum(axis=(1, 2))
-    if abs(float(apart.mean())) < _SURE * float(apart.std()) / np.sqrt(apart.size):
+    if abs(float(apart.mean())) < SURE_ERRORS * float(apart.std()) / np.sqrt(apart.size):
         return None
-    if _EXPONENTS[np.argmin(total)] <= _CURVED_UP_TO:
+    if _EXPONENTS[np.argmin(total)] <= CURVED_UP_TO:
         return True
     if not known:
-        return False if total[_SRGB] > _CLEARLY_FREE * total[_LINEAR] else None
+        return False if total[_SRGB] > CLEARLY_FREE * total[_LINEAR] else None
     linear = (
-        total[_SRGB] > _CLEARLY * total[_LINEAR]
-        and _ratio_where_best(values, weights, vectors) > _BEST_RATIO
+        total[_SRGB] > CLEARLY_LINEAR * total[_LINEAR]
+        and _ratio_where_best(values, weights, vectors) > BEST_RATIO
     )
     return False if linear else None
 
@@ -96,10 +86,10 @@ def _ratio_where_best(values: Array, lit: Array, vectors: Array) -> float:
         g = _lambertian(light, lit, vectors)
         rest = (values - code(np.clip(vectors @ g.T, 0.0, 1.0))) * lit
         residuals.append(
-            np.sqrt((rest**2).sum(axis=0) / np.maximum(lit.sum(axis=0) - 3.0, 1.0)) + _CODE_NOISE
+            np.sqrt((rest**2).sum(axis=0) / np.maximum(lit.sum(axis=0) - 3.0, 1.0)) + CODE_NOISE
         )
     linear, srgb = residuals
-    best = linear * srgb <= np.quantile(linear * srgb, _BEST)
+    best = linear * srgb <= np.quantile(linear * srgb, BEST_PIXELS)
     return float(np.exp(np.log(srgb[best] / linear[best]).mean()))
 
 
@@ -116,7 +106,7 @@ def _cost(values: Array, lit: Array, vectors: Array, exponent: float, *, known: 
         rest = values - np.clip(scaled @ g.T, 1e-4, None) ** exponent
         wide = 3.0 * max(float(np.median(np.abs(rest[lit > 0]))), 1e-3)
         weights = lit / (1.0 + (rest / wide) ** 2)
-    return np.log1p((rest / _WIDTH) ** 2) * lit
+    return np.log1p((rest / FULL_DIFFERENCE) ** 2) * lit
 
 
 def _lambertian(light: FloatArray, weights: Array, vectors: Array) -> Array:

@@ -10,7 +10,7 @@ from splitknit.model import Array
 
 _SIGMA = float(np.sqrt(np.log(2.0) / 2.0) / np.pi)
 """Standard deviation over the cut-off of the Gaussian that passes half of a wave as long as the
-cut-off."""
+cut-off. Source: definition of the cut-off."""
 
 
 def profile_roughness(

@@ -21,10 +21,8 @@ import cv2
 import numpy as np
 
 from splitknit.errors import require
+from splitknit.imaging.parameters import LATTICE_PX
 from splitknit.model import Array, Camera, FloatArray
-
-LATTICE_PX = 16
-"""Distortion is computed at every so many pixels and interpolated by cubic splines."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -10,6 +10,7 @@ import numpy as np
 import scipy
 
 from splitknit.errors import check_mask, require
+from splitknit.integration.parameters import TRANSFER_SAMPLES, WORKERS
 from splitknit.model import Array, BoolArray, FloatArray
 
 
@@ -54,9 +55,6 @@ def zero_mean(height: FloatArray, mask: BoolArray) -> FloatArray:
 
 Transfer = Callable[[Array], Array]
 """Gain of the height as a function of the radial frequency in radians per pixel."""
-
-WORKERS = 2
-"""Threads of the transforms; the result does not depend on it."""
 
 
 def _integrate_padded(gradient_x: FloatArray, gradient_y: FloatArray) -> FloatArray:
@@ -105,11 +103,6 @@ def integrate_mirrored(
     )
 
 
-_SAMPLES = 8192
-"""Frequencies end at sqrt(2) pi: samples are 0.0005 rad/px apart, and a smooth transfer function is
-known to 1e-6."""
-
-
 def _radial_factor(
     row_frequency: Array, column_frequency: Array, transfer: Transfer | None
 ) -> FloatArray:
@@ -120,7 +113,7 @@ def _radial_factor(
     square[0, 0] = 1.0
     factor = 1.0 / square
     if transfer is not None:
-        radii = np.linspace(0.0, float(np.sqrt(2.0) * np.pi * 1.001), _SAMPLES)
+        radii = np.linspace(0.0, float(np.sqrt(2.0) * np.pi * 1.001), TRANSFER_SAMPLES)
         factor *= np.interp(np.sqrt(square), radii, transfer(radii))
     factor[0, 0] = 0.0
     return factor.astype(np.float32)

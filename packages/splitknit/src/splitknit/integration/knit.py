@@ -19,6 +19,7 @@ from splitknit.imaging.geometry import (
 )
 from splitknit.imaging.view import View, view_of
 from splitknit.integration.frankot_chellappa import check_fields
+from splitknit.integration.parameters import COARSE_MM, TOP_SHARE
 from splitknit.integration.poisson import poisson
 from splitknit.model import Array, BoolArray, Camera, FloatArray
 from splitknit.settings import Checked
@@ -79,13 +80,6 @@ def crossover(
     gain = np.asarray(response(np.hypot(wx, wy)), dtype=np.float32)
     detail = scipy.fft.irfft2(spectrum * gain, mirrored.shape, workers=2)[:rows, :columns]
     return np.where(inside, shape + detail, np.nan).astype(np.float32)
-
-
-COARSE_MM = 0.2
-"""Pitch at which the grid's unevenness, which is smooth, is accounted for."""
-
-TOP_SHARE = 0.998
-"""Quantile of the heights that is taken for the highest point."""
 
 
 def place(  # noqa: PLR0917

@@ -14,7 +14,23 @@ from numpy.typing import NDArray
 
 from splitknit.errors import require
 from splitknit.imaging.geometry import bounding_box
-from splitknit.integration.frankot_chellappa import WORKERS, check_fields, zero_mean
+from splitknit.integration.frankot_chellappa import check_fields, zero_mean
+from splitknit.integration.parameters import (
+    COARSEST,
+    COARSEST_SWEEPS,
+    ENERGY_EXCESS,
+    ENERGY_ROUNDING,
+    GROUND,
+    LONGEST_SWEPT,
+    MAX_ITERATIONS,
+    MOST_DIRECT,
+    MOST_FACTORISED,
+    RESTARTS,
+    TOLERANCE,
+    WEIGHT_FLOOR,
+    WELDED,
+    WORKERS,
+)
 from splitknit.model import Array, BoolArray, FloatArray
 
 _LOG = logging.getLogger(__name__)
@@ -88,31 +104,24 @@ def _predicted_differences(
 def _edge_integral(slope: FloatArray, weights: FloatArray | None) -> FloatArray:
     """Integral between successive rows, (H - 1, W)."""
     if weights is not None:
-        used = (weights > _WEIGHT_FLOOR).astype(np.float32)
+        used = (weights > WEIGHT_FLOOR).astype(np.float32)
         kept = slope * used
         return np.asarray((kept[1:] + kept[:-1]) / np.maximum(used[1:] + used[:-1], 1))
     return 0.5 * (slope[1:] + slope[:-1])
 
 
 _CROSS = np.array([[0, 1, 0], [1, 0, 1], [0, 1, 0]], dtype=np.float32)
+"""Sum of the four neighbours. Source: definition."""
 _SPREAD = np.array([0.25, 0.75, 0.75, 0.25], dtype=np.float32)
+"""Weights of a coarse cell's height in the four finer cells along an axis. Source: bilinear
+interpolation between centres of cells."""
 _STEPS = (0.5618, 1.3894)
 """Damping of the two Jacobi steps: the reciprocal Chebyshev roots on [0.5, 2], the upper end of the
 spectrum; as polynomials of one operator the steps commute, so that the same order before and after
-stays symmetric."""
+stays symmetric. Source: derived."""
 _SMOOTHED = 2.0 / 3.0
-"""Damping of the Jacobi step of interpolation: 4 / 3 over the upper end of the spectrum."""
-_COARSEST = 4
-_COARSEST_SWEEPS = 48
-_LONG = 16
-"""A coarsest grid with a longer side is solved directly, not by sweeps."""
-_WELDED = 0.02
-"""Fraction of coarse pixels that may join what is not joined inside them."""
-_DIRECT = 100_000
-"""Unknowns that a direct solver is trusted with."""
-_GROUND = 1e-9
-"""Added to the diagonal of the direct system, relative to its mean: it fixes the free constant of
-every part."""
+"""Damping of the Jacobi step of interpolation: 4 / 3 over the upper end of the spectrum. Source:
+derived."""
 
 
 class _Grid:
@@ -177,7 +186,7 @@ class _Grid:
         height *= _STEPS[0]
         self._smooth(height, right_side, _STEPS[1])
         if self.coarser is None:
-            for _ in range(_COARSEST_SWEEPS):
+            for _ in range(COARSEST_SWEEPS):
                 for step in _STEPS:
                     self._smooth(height, right_side, step)
         else:
@@ -250,7 +259,7 @@ class _DirectSolver:
 
         matrix = scipy.sparse.csc_matrix(
             (
-                np.concatenate([value, value, degree + _GROUND * degree.mean()]),
+                np.concatenate([value, value, degree + GROUND * degree.mean()]),
                 (np.concatenate([first, second, own]), np.concatenate([second, first, own])),
             )
         )
@@ -275,7 +284,7 @@ def _build_grids(right: FloatArray, down: FloatArray, unit: bool) -> _Grid:
     :func:`_padded_size` gives."""
     finest = _Grid(right, down, unit, even=unit)
     grid = finest
-    while min(grid.inside.shape) > _COARSEST and not (
+    while min(grid.inside.shape) > COARSEST and not (
         grid.inside.shape[0] % 2 or grid.inside.shape[1] % 2
     ):
         coarse = _Grid(
@@ -284,8 +293,8 @@ def _build_grids(right: FloatArray, down: FloatArray, unit: bool) -> _Grid:
             unit=False,
             even=unit,
         )
-        small = np.count_nonzero(grid.inside) <= _DIRECT
-        if small and max(_welded_fraction(grid), _welded_fraction(coarse)) > _WELDED:
+        small = np.count_nonzero(grid.inside) <= MOST_DIRECT
+        if small and max(_welded_fraction(grid), _welded_fraction(coarse)) > WELDED:
             break
         cover = cv2.resize(coarse.inside, grid.inside.shape[::-1], interpolation=cv2.INTER_LINEAR)
         grid.fraction = np.where(cover > 0, grid.inside / np.maximum(cover, 1e-6), 0).astype(
@@ -293,7 +302,7 @@ def _build_grids(right: FloatArray, down: FloatArray, unit: bool) -> _Grid:
         )
         grid.coarser = coarse
         grid = coarse
-    if max(grid.inside.shape) > _LONG and np.count_nonzero(grid.inside) <= _DIRECT:
+    if max(grid.inside.shape) > LONGEST_SWEPT and np.count_nonzero(grid.inside) <= MOST_DIRECT:
         grid.direct = _DirectSolver(grid)
     return finest
 
@@ -314,29 +323,10 @@ def _welded_fraction(grid: _Grid) -> float:
 def _padded_size(rows: int, columns: int) -> tuple[int, int]:
     """Smallest size not below the given one that halves until its smaller side is at most four."""
     halvings = 0
-    while min(rows, columns) / 2**halvings > _COARSEST:
+    while min(rows, columns) / 2**halvings > COARSEST:
         halvings += 1
     block = 2**halvings
     return -(-rows // block) * block, -(-columns // block) * block
-
-
-_TOLERANCE = 1e-5
-"""Stop when the estimated rms error of the solver falls below this part of the rms height."""
-_EXCESS, _ROUNDING = 1e-4, 1e-12
-"""The energy of a weighted solution may exceed its minimum by this part of itself, or of the
-gradients' own energy."""
-_SMALL = 30_000
-"""Unknowns up to which factorising weighted equations takes less time than iterating."""
-_RESTARTS = 3
-"""Runs of conjugate gradients at most: each starts from the true residual, from which its own
-drifts."""
-_WEIGHT_FLOOR = 1e-3
-"""Smaller weights are raised to this, so that a hole in the data is bridged smoothly and not cut
-out."""
-
-
-MAX_ITERATIONS = 300
-"""Conjugate-gradient iterations at most; a finger needs three to five, a maze a few dozen."""
 
 
 def poisson(gradient_x: Any, gradient_y: Any, mask: Any = None, weights: Any = None) -> FloatArray:
@@ -409,7 +399,7 @@ def _check_weights(weights: Any, mask: BoolArray) -> FloatArray:
         np.isfinite(trust).all() and float(trust.min()) >= 0 and float(trust.max()) <= 1,
         "weights must lie between 0 and 1 inside the mask.",
     )
-    return np.maximum(trust, _WEIGHT_FLOOR)
+    return np.maximum(trust, WEIGHT_FLOOR)
 
 
 def _zero_mean_by_component(height: FloatArray, mask: BoolArray) -> FloatArray:
@@ -453,7 +443,7 @@ def _solve_masked(
         np.pad(slope_x, frame), np.pad(slope_y, frame), trust
     )
     edges = _Edges(weight_right, weight_down, target_right, target_down)
-    if weights is not None and np.count_nonzero(mask) <= _SMALL:
+    if weights is not None and np.count_nonzero(mask) <= MOST_FACTORISED:
         return _factorised(_Grid(weight_right, weight_down, unit=False, even=False), edges)[
             :rows, :columns
         ]
@@ -465,14 +455,14 @@ def _solve_masked(
         height += _conjugate_gradients(grid, edges, height)[0].astype(np.float32)
         return height[:rows, :columns]
     exact = height.astype(np.float64)
-    for _ in range(_RESTARTS):
+    for _ in range(RESTARTS):
         correction, eigenvalue = _conjugate_gradients(grid, edges, exact)
         exact += correction
         residual, energy = edges.residual(exact)
         excess = _dot(residual, grid.cycle(residual.astype(np.float32))) / eigenvalue
         if excess <= edges.tolerated(energy):
             return exact[:rows, :columns].astype(np.float32)
-    if np.count_nonzero(mask) <= _DIRECT:
+    if np.count_nonzero(mask) <= MOST_DIRECT:
         return _factorised(grid, edges)[:rows, :columns]
     _LOG.warning(
         "the weighted integration has not converged; heights may be off where the surface is steep."
@@ -517,7 +507,7 @@ class _Edges:
         power = _dot(self.weight_right, self.target_right**2) + _dot(
             self.weight_down, self.target_down**2
         )
-        return _EXCESS * energy + _ROUNDING * power
+        return ENERGY_EXCESS * energy + ENERGY_ROUNDING * power
 
 
 def _conjugate_gradients(grid: _Grid, edges: _Edges, height: NDArray[Any]) -> tuple[Array, float]:
@@ -532,7 +522,7 @@ def _conjugate_gradients(grid: _Grid, edges: _Edges, height: NDArray[Any]) -> tu
     M^-1 r over that eigenvalue.
     """
     residual, left = edges.residual(height)
-    small, tolerated = _TOLERANCE * _rms(height), edges.tolerated(left)
+    small, tolerated = TOLERANCE * _rms(height), edges.tolerated(left)
     correction = np.zeros_like(residual)
     direction = np.zeros_like(residual)
     lengths: list[float] = []

@@ -27,10 +27,10 @@ from pathlib import Path
 from typing import IO, Any, BinaryIO
 
 from splitknit.errors import UNFINISHED, BadInput, read_bytes, refuse_links, require
+from splitknit.io.parameters import MANIFEST_BYTES
 
 MANIFEST = ".splitknit"
 """File in every folder we write that lists what we wrote there: only that may be replaced."""
-_MAX_MANIFEST = 16_000_000  # bytes of it that are read: 300,000 names
 GROUP_READABLE = "SPLITKNIT_GROUP_READABLE"
 _STRAY = frozenset({MANIFEST, ".DS_Store", "Thumbs.db", "desktop.ini"})
 _TEMPORARY = re.compile(r"\.splitknit-[0-9a-f]{12}\.tmp")
@@ -339,7 +339,7 @@ def manifest_of(folder: Path) -> frozenset[str]:
     not a plain file."""
     manifest = folder / MANIFEST
     with contextlib.suppress(OSError, ValueError, TypeError, KeyError, RecursionError):
-        document = {} if manifest.is_symlink() else json.loads(read_bytes(manifest, _MAX_MANIFEST))
+        document = {} if manifest.is_symlink() else json.loads(read_bytes(manifest, MANIFEST_BYTES))
         if document["format"] == "splitknit-folder":
             return frozenset(map(str, document["files"]))
     return frozenset()

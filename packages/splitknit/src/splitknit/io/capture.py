@@ -23,6 +23,7 @@ from splitknit.io.content import check_contents, image_name, mask_from_image
 from splitknit.io.fields import Version1, inside, read_document
 from splitknit.io.images import StackReader, cores, encode_image, read_image
 from splitknit.io.npz import write_npz
+from splitknit.io.parameters import AS_NEAR
 from splitknit.io.provenance import JsonValue, file_hash, plain_json
 from splitknit.io.rig import read_rig, rig_to_json
 from splitknit.model import Band, Capture, PixelArray, Rig, coarse_grid, spectral_band
@@ -30,7 +31,6 @@ from splitknit.steps import let_go
 
 CAPTURE_FORMAT, CAPTURE_VERSION = "splitknit-capture", 1
 BANDS = ("white", "white_crossed", "nir")
-_AS_NEAR = 0.01  # difference of cosines below which a light is equally near to two others
 _Index = Annotated[int, Meta(ge=0, lt=1 << 31)]
 
 
@@ -136,7 +136,7 @@ def _check_pair(parallel: Band, crossed: Band, name: str, rig: Rig) -> None:
     own, others = (rig.select(band.leds).light_vectors() for band in (parallel, crossed))
     near = others @ (own / np.linalg.norm(own, axis=1, keepdims=True)).T
     near /= np.linalg.norm(others, axis=1, keepdims=True)
-    same = np.diag(near) >= near.max(axis=1) - _AS_NEAR
+    same = np.diag(near) >= near.max(axis=1) - AS_NEAR
     require(
         same.all(),
         f"{name}: image {np.argmin(same)} of bands.white_crossed is lit from another side than that"

@@ -12,36 +12,19 @@ import numpy as np
 from numpy.typing import NDArray
 
 from splitknit.errors import BadExposure, require
+from splitknit.io.parameters import (
+    BRIGHT_QUANTILE,
+    DARK_FRACTION,
+    FULL_SCALE,
+    GREY_PART,
+    LIT_FRACTION,
+    RELATIVE_DARK,
+    SAMPLE_PIXELS,
+    SATURATED_AREA,
+    SATURATED_FRACTION,
+)
 from splitknit.model import Band, BoolArray, PixelArray
 from splitknit.steps import let_go
-
-# When an image is refused as black or as overexposed; fractions of the full scale (255 or 65535) as
-# stored.
-_DARK_FRACTION = 0.01
-"""Black: bright pixels, black level and ambient light off, stay below 2 of 255 levels, where 8 bits
-hold no shading."""
-_RELATIVE_DARK = 0.03
-"""Unlit: bright pixels below this part of the band's median image; LEDs of a rig differ by a factor
-of 3 at most."""
-# which pixels are "bright": all but the brightest thousandth; hot pixels are not light
-_BRIGHT_QUANTILE = 0.999
-# stored values from here on are clipped (254 of 255; 10- and 12-bit data in 16 bits end above)
-_FULL_SCALE = 0.995
-# pixels above this (black level taken off) are lit: the finger, not its black background
-_LIT_FRACTION = 0.02
-_SATURATED_FRACTION = 0.2
-"""Overexposed: more of the lit pixels is clipped; glare on wet skin clips a few per cent, which
-robust weights take."""
-_SATURATED_AREA = 0.005
-"""It must be more than this part of the whole image too: a dark object with a small highlight is
-not overexposure."""
-_GREY = 0.7
-"""Part of what is not black that is not white either, from which a mask is a picture: up to 0.12 of
-360 drawn masks sharp, of JPEG or noisy; 5 of 240 feathered or enlarged ones are above it; 0.72 and
-more of 272 photographs."""
-_SAMPLE_PIXELS = 200_000
-"""About so many pixels are looked at in an image, on a regular grid; enough for a thousandth to be
-200 pixels."""
 
 
 def check_contents(bands: Collection[Band]) -> None:
@@ -76,7 +59,7 @@ def check_content(band: Band) -> None:
     fraction = np.maximum(peaks / np.median(peaks), scaled / np.median(scaled))
     for k, part in enumerate(fraction):
         require(
-            part >= _RELATIVE_DARK,
+            part >= RELATIVE_DARK,
             f"{image_name(band, k)} is almost black beside the other images (its bright pixels"
             f" reach {100 * part:.1f} % of theirs): {_leds(band, k)} did not light; capture it"
             " again.",
@@ -92,12 +75,12 @@ def _check_image(band: Band, k: int, ambient: NDArray[np.float32] | None) -> flo
     black = np.float32(band.black_level[k])
     most = int(sample.max())
     name = image_name(band, k)
-    clips_at = ceil(_FULL_SCALE * scale)
+    clips_at = ceil(FULL_SCALE * scale)
     if most >= clips_at:
         clipped = (sample >= clips_at).sum(axis=0) >= min(2, len(sample))
-        lit = sample.max(axis=0) > black + np.float32(_LIT_FRACTION * scale)
+        lit = sample.max(axis=0) > black + np.float32(LIT_FRACTION * scale)
         fraction = float(clipped.sum()) / max(1.0, float(lit.sum()))
-        few = fraction <= _SATURATED_FRACTION or float(clipped.mean()) <= _SATURATED_AREA
+        few = fraction <= SATURATED_FRACTION or float(clipped.mean()) <= SATURATED_AREA
         require(
             few,
             f"{name} is overexposed: {100 * fraction:.0f} % of its lit pixels are at the full"
@@ -109,10 +92,10 @@ def _check_image(band: Band, k: int, ambient: NDArray[np.float32] | None) -> flo
         light = np.maximum.reduce(
             sample - (black + ambient * np.float32(scale * float(band.exposure[k])))
         )
-    peak = float(np.quantile(light, _BRIGHT_QUANTILE)) / scale
+    peak = float(np.quantile(light, BRIGHT_QUANTILE)) / scale
     above = " above the ambient image" if band.ambient is not None else ""
     require(
-        peak > _DARK_FRACTION,
+        peak > DARK_FRACTION,
         f"{name} is black: its bright pixels reach {100 * max(peak, 0.0):.1f} % of the full"
         f" scale{above}; check {_leds(band, k)} and capture it again (or, if data of fewer bits"
         " were stored unscaled, scale them).",
@@ -150,7 +133,7 @@ def mask_from_image(pixels: PixelArray, name: str) -> BoolArray:
     drawn = bright > 0.1 * top
     part = float((drawn & (bright < 0.9 * top)).sum()) / float(drawn.sum())
     require(
-        part < _GREY,
+        part < GREY_PART,
         f"{name} is a picture and no mask: {100 * part:.0f} % of what is not black in it is not"
         " white either; paint the object white and all else black.",
     )
@@ -159,7 +142,7 @@ def mask_from_image(pixels: PixelArray, name: str) -> BoolArray:
 
 def _sample(image: PixelArray) -> NDArray[Any]:
     """Pixels (C, n) on a regular grid."""
-    step = max(1, round(sqrt(image.shape[0] * image.shape[1] / _SAMPLE_PIXELS)))
+    step = max(1, round(sqrt(image.shape[0] * image.shape[1] / SAMPLE_PIXELS)))
     return np.ascontiguousarray(np.moveaxis(image[::step, ::step], 2, 0)).reshape(
         image.shape[2], -1
     )

@@ -50,7 +50,7 @@ class EnrolmentPlan(Struct, frozen=True):
 
 
 THESIS = EnrolmentPlan(17, 4, FINGERS)
-"""17 people, all ten fingers, four sessions."""
+"""17 people, all ten fingers, four sessions. Source: thesis."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -14,12 +14,10 @@ from typing import Annotated, Any, TypeVar
 import msgspec
 
 from splitknit.errors import BadInput, read_bytes, refusing, require
+from splitknit.io.parameters import MAX_JSON_BYTES
 
 T = TypeVar("T")
 Version1 = Annotated[int, msgspec.Meta(ge=1, le=1)]
-MAX_JSON_BYTES = 16_000_000
-"""A document of 16 MB takes up to 0.5 GB once parsed; the largest written here, minutiae in space,
-have 10 MB."""
 
 
 def read_json(path: Path, damaged: str | None = None) -> tuple[dict[str, Any], bytes]:

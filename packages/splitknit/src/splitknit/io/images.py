@@ -31,25 +31,19 @@ from PIL.WebPImagePlugin import WebPImageFile
 
 from splitknit.errors import read_bytes, refusing, require
 from splitknit.io.atomic import write_file
+from splitknit.io.parameters import (
+    DECODED_BYTES,
+    LARGEST_RATIO,
+    MAPPED_BYTES,
+    MAX_BYTES,
+    MAX_PIXELS,
+    MAX_SCANS,
+    STACK_BYTES,
+    TEXT_BYTES,
+)
 from splitknit.io.provenance import canonical_json
 from splitknit.model import PixelArray
 from splitknit.steps import large_array, let_go
-
-MAX_PIXELS, MAX_BYTES = 200_000_000, 600_000_000
-"""Pixels of one image, and bytes of its file, at most: nothing of a rig is larger, and a small file
-can claim any."""
-_DECODED_BYTES = 400_000_000
-"""Bytes of one decoded image, at most: 130 million pixels of 8-bit RGB. Decoders of C hold a second
-copy beside it."""
-# bytes that one of the file can become: of a WEBP or a palette of one bit, the densest
-_LARGEST_RATIO = 50_000
-_MAPPED_BYTES = 1_000_000_000
-"""Beyond so many the images of a capture lie on disk while they are worked on; a full frame of 16
-bits takes 0.7 GB."""
-# bytes of all images of a capture once decoded: 80 of the rig's camera in 16-bit colour
-STACK_BYTES = 4_000_000_000
-# of a JPEG file: each costs a pass through the whole image; a progressive image has about ten
-_MAX_SCANS = 100
 
 PNG, JPEG, WEBP, BMP = b"\x89PNG", b"\xff\xd8\xff", b"RIFF", b"BM"
 """First bytes of files."""
@@ -61,11 +55,18 @@ _OPENERS: dict[bytes, Any] = {
     BMP: BmpImageFile,
 }
 _GREY, _COLOUR = {"1", "L", "LA", "I;16"}, {"P", "PA", "RGB", "RGBA", "RGBX"}  # Pillow's modes
-# tags of TIFF and EXIF
-_ORIENTATION, _X_RESOLUTION, _Y_RESOLUTION, _RESOLUTION_UNIT = 274, 282, 283, 296
-_ALPHA = (1, 2)  # associated or not, of the tag ExtraSamples
+_ORIENTATION = 274
+"""Tag of TIFF and EXIF. Source: TIFF 6.0."""
+_X_RESOLUTION = 282
+"""Tag of TIFF. Source: TIFF 6.0."""
+_Y_RESOLUTION = 283
+"""Tag of TIFF. Source: TIFF 6.0."""
+_RESOLUTION_UNIT = 296
+"""Tag of TIFF. Source: TIFF 6.0."""
+_ALPHA = (1, 2)
+"""Alpha, associated or not. Source: TIFF 6.0, tag ExtraSamples."""
 _CM_PER_INCH = 2.54
-_TEXT_BYTES = 1_000_000
+"""Centimetres in an inch. Source: definition of the inch."""
 
 logging.getLogger("tifffile").addHandler(logging.NullHandler())  # else it writes to stderr
 
@@ -138,7 +139,7 @@ def read_header(data: bytes, name: str, max_pixels: int = MAX_PIXELS) -> Header:
         header.rows, header.columns, header.channels * header.dtype.itemsize, name, max_pixels
     )
     require(
-        decoded <= _LARGEST_RATIO * len(data),
+        decoded <= LARGEST_RATIO * len(data),
         f"{name} is damaged: it claims {header.rows} x {header.columns} pixels"
         f", which cannot be in {len(data)} bytes; copy it again.",
     )
@@ -154,8 +155,8 @@ def check_size(
     require(0 < rows * columns <= max_pixels, f"{size}, more than the {max_pixels} that are read.")
     decoded = rows * columns * bytes_each
     require(
-        decoded <= _DECODED_BYTES,
-        f"{size}, {decoded} bytes once decoded, more than the {_DECODED_BYTES} that are read;"
+        decoded <= DECODED_BYTES,
+        f"{size}, {decoded} bytes once decoded, more than the {DECODED_BYTES} that are read;"
         " reduce the image.",
     )
     return decoded
@@ -231,7 +232,7 @@ def _tiff_header(data: bytes, name: str) -> Header:
         ppi = _tiff_ppi(page)
         photometric = int(page.photometric)
         planes = int(page.planarconfig or 1)
-        text = page.description[:_TEXT_BYTES]
+        text = page.description[:TEXT_BYTES]
     require(
         page.imagedepth == 1 and min(rows, columns) > 0,
         f"{name} is not a single flat image; save it as PNG.",
@@ -312,8 +313,8 @@ def _check_whole(data: bytes, name: str) -> None:
             f"{name} is truncated: the JPEG file ends within the image; copy it again.",
         )
         require(
-            data.count(b"\xff\xda") <= _MAX_SCANS,
-            f"{name} is damaged: it has more than {_MAX_SCANS} JPEG scans; copy it again.",
+            data.count(b"\xff\xda") <= MAX_SCANS,
+            f"{name} is damaged: it has more than {MAX_SCANS} JPEG scans; copy it again.",
         )
 
 
@@ -420,7 +421,7 @@ class StackReader:
         shape = (len(files), *size, like.channels)
         stack = (
             large_array(shape, like.dtype)
-            if self._bytes > _MAPPED_BYTES
+            if self._bytes > MAPPED_BYTES
             else np.empty(shape, dtype=like.dtype)
         )
 

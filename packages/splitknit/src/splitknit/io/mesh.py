@@ -9,10 +9,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from splitknit.io.atomic import atomic_file
+from splitknit.io.parameters import MESH_CHUNK
 from splitknit.model import BoolArray, FloatArray
 
 _VERTEX = np.dtype([("place", "<f4", (3,)), ("normal", "<f4", (3,)), ("quality", "<f4")])
-_CHUNK = 1 << 16  # vertices or triangles that fit into a core's cache
 _FACE = np.dtype([("count", "u1"), ("corners", "<i4", (3,))])
 
 
@@ -60,13 +60,13 @@ def write_ply(
     ]
     with atomic_file(path) as stream:
         stream.write("\n".join(header).encode("ascii"))
-        for start in range(0, len(vertices[0]), _CHUNK):
-            place, normal, quality = (values[start : start + _CHUNK] for values in vertices)
+        for start in range(0, len(vertices[0]), MESH_CHUNK):
+            place, normal, quality = (values[start : start + MESH_CHUNK] for values in vertices)
             points = np.empty(len(place), dtype=_VERTEX)
             points["place"], points["normal"], points["quality"] = place, normal, quality
             stream.write(points.data)
-        for start in range(0, len(faces), _CHUNK):
-            corners = faces[start : start + _CHUNK]
+        for start in range(0, len(faces), MESH_CHUNK):
+            corners = faces[start : start + MESH_CHUNK]
             triangles = np.empty(len(corners), dtype=_FACE)
             triangles["count"] = 3
             triangles["corners"] = corners

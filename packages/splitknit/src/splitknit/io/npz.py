@@ -17,11 +17,7 @@ from numpy.lib import format as npy
 
 from splitknit.errors import open_file, refusing, require
 from splitknit.io.atomic import atomic_file
-
-# arrays read at once, at most: a result of 25 million pixels, three times the rig's
-RESULT_BYTES = 600_000_000
-_FILE_BYTES = 1 << 32
-_LARGE = 1 << 30  # bytes of an array from which a ZIP archive needs its longer fields
+from splitknit.io.parameters import ARRAYS_FILE_BYTES, LONG_FIELDS_BYTES, RESULT_BYTES
 
 
 def write_npz(path: str | os.PathLike[str], arrays: Mapping[str, Any]) -> None:
@@ -42,7 +38,7 @@ def write_npz(path: str | os.PathLike[str], arrays: Mapping[str, Any]) -> None:
             member.compress_type = (
                 zipfile.ZIP_STORED if array.dtype == np.float32 else zipfile.ZIP_DEFLATED
             )
-            with archive.open(member, "w", force_zip64=array.nbytes > _LARGE) as content:
+            with archive.open(member, "w", force_zip64=array.nbytes > LONG_FIELDS_BYTES) as content:
                 npy.write_array(content, array, allow_pickle=False)
 
 
@@ -60,7 +56,7 @@ def read_npz(
         " again."
     )
     with (
-        open_file(path, _FILE_BYTES) as (stream, _),
+        open_file(path, ARRAYS_FILE_BYTES) as (stream, _),
         refusing(damaged),
         zipfile.ZipFile(stream) as archive,
     ):

@@ -9,12 +9,12 @@ from pathlib import Path
 from typing import NamedTuple
 
 from splitknit.errors import BadInput, require
+from splitknit.io.parameters import MAX_PHOTOGRAPHS
 from splitknit.io.photos import SUFFIXES
 
 LIGHT_LISTS = ("lights.txt", "light_directions.txt")
 INTENSITIES = "light_intensities.txt"
 """Names of lists beside photographs, DiLiGenT's among them."""
-_MAX_PHOTOGRAPHS = 1000
 
 
 class FolderContent(NamedTuple):
@@ -55,7 +55,7 @@ def photographs_in(
     else:
         files, skipped = _listed(folder, used)
     require(
-        len(files) <= _MAX_PHOTOGRAPHS,
+        len(files) <= MAX_PHOTOGRAPHS,
         f"{folder} holds {len(files)} photographs; at most 1000 are read.",
     )
     masks = [file for file in files if find_mask and file.stem.lower() == "mask"]

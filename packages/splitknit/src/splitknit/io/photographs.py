@@ -11,6 +11,7 @@ from cyclopts import Parameter
 
 from splitknit.arguments import PYTHON_ONLY, AnyPath, Encoding, refuse_given
 from splitknit.errors import require
+from splitknit.io.parameters import SCALE_LIMITS
 from splitknit.settings import Limits, check_value, rules_of
 
 if TYPE_CHECKING:
@@ -24,9 +25,10 @@ else:
     Lights = AnyPath
 
 
-SCALES = Limits(1e-3, 1e5)
+SCALES = Limits(*SCALE_LIMITS)
 """Of pixels a mm."""
-_ANGLE = Limits(-360, 360)  # degrees
+_ANGLE = Limits(-360, 360)
+"""Angles in degrees. Source: definition of a full turn."""
 
 
 def _value_or_file(kind: Any, tokens: Sequence[Any]) -> float | Path:

@@ -20,7 +20,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from splitknit.errors import BadInput, read_bytes, refusing, require
-from splitknit.io.images import MAX_BYTES, Header, check_size, decode_pixels, read_header
+from splitknit.io.images import Header, check_size, decode_pixels, read_header
+from splitknit.io.parameters import MAX_BYTES
 from splitknit.model import BoolArray
 
 RAW_SUFFIXES = frozenset(

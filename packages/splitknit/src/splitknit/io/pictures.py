@@ -11,21 +11,22 @@ import numpy as np
 from numpy.typing import NDArray
 
 from splitknit.io.images import png_bytes
+from splitknit.io.parameters import DIVERGING
 from splitknit.model import BoolArray, FloatArray, Reconstruction
 
 ColourArray = NDArray[np.uint8]
 """(H, W, 3) red, green, blue."""
 
 PAPER = (255, 255, 255)
+"""White. Source: definition."""
 ORANGE = (213, 94, 0)
+"""A colour that stays apart from `BLUE` and `SKY` for colour-blind readers. Source: Okabe and Ito
+2008."""
 BLUE = (0, 114, 178)
+"""As `ORANGE`. Source: Okabe and Ito 2008."""
 SKY = (86, 180, 233)
-"""Colours that stay apart for colour-blind readers (Okabe and Ito 2008)."""
-
-_DIVERGING = np.array(
-    [(5, 48, 97), (67, 147, 195), (247, 247, 247), (253, 174, 97), (165, 60, 10)], dtype=np.float64
-)
-"""Blue for low, white for zero, orange for high."""
+"""As `ORANGE`. Source: Okabe and Ito 2008."""
+_DIVERGING = np.array(DIVERGING, dtype=np.float64)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -23,11 +23,18 @@ from splitknit.imaging.band import (
     pick_channel,
     srgb_code,
 )
+from splitknit.imaging.parameters import FEWEST_LIGHTS
 from splitknit.imaging.polarised import NOT_SPECULAR, split_mosaic
-from splitknit.imaging.response import FEWEST, shading_is_srgb
+from splitknit.imaging.response import shading_is_srgb
 from splitknit.io.content import check_contents, mask_from_image
-from splitknit.io.images import STACK_BYTES
 from splitknit.io.light_list import read_intensities, read_light_list
+from splitknit.io.parameters import (
+    BRIGHTEST_FLOAT,
+    JUDGED_PHOTOGRAPHS,
+    JUDGED_PIXELS,
+    NEGATIVE,
+    STACK_BYTES,
+)
 from splitknit.io.photograph_files import (
     INTENSITIES,
     LIGHT_LISTS,
@@ -55,12 +62,7 @@ from splitknit.settings import check_value
 from splitknit.steps import large_array, let_go
 
 _NO_CAMERA = Camera(1.0, (1, 1))
-_JUDGED_PHOTOGRAPHS = 24  # that show the encoding
-_JUDGED_PIXELS = 20_000  # of each
-_NEGATIVE = 0.02
-"""Values below minus this part of the brightest are more than noise, if more than this part of all
-values are."""
-_BRIGHTEST = 0.9  # what the brightest of floats becomes, of the full scale of 16 bits
+"""Stands for a camera that is not known. Source: definition."""
 _MASK_ALL = "all"  # in place of a mask: the object fills the photographs
 UNKNOWN = "unknown"  # in place of the lights: they are estimated
 _OTHER_CURVE = (
@@ -509,9 +511,9 @@ def _shading_is_srgb(
     """
     if photographs.flat is not None:
         return False
-    if rig.provenance.get("lights") == UNKNOWN or len(files) < FEWEST:
+    if rig.provenance.get("lights") == UNKNOWN or len(files) < FEWEST_LIGHTS:
         return None
-    number = min(len(files), _JUDGED_PHOTOGRAPHS)
+    number = min(len(files), JUDGED_PHOTOGRAPHS)
     chosen = np.unique(np.linspace(0, len(files) - 1, number).astype(int))
     values = []
     for k in chosen:
@@ -526,7 +528,7 @@ def _shading_is_srgb(
 
 def _sampled(pixels: NDArray[Any]) -> FloatArray:
     """Some values in [0, 1] of the green channel of an image (H, W, C)."""
-    step = max(1, round((pixels[..., 0].size / _JUDGED_PIXELS) ** 0.5))
+    step = max(1, round((pixels[..., 0].size / JUDGED_PIXELS) ** 0.5))
     sample = pixels[::step, ::step, pixels.shape[2] // 2].ravel()
     return sample / np.float32(np.iinfo(pixels.dtype).max)
 
@@ -817,10 +819,10 @@ def _as_integers(
     )
     if not floats:
         return stack, ambient, black
-    below = float(np.mean(stack < -_NEGATIVE * top))
+    below = float(np.mean(stack < -NEGATIVE * top))
     words = f"{100 * below:.0f} % of the photographs' values are negative: subtract less from them."
-    require(below < _NEGATIVE, words)
-    factor = 65535.0 * _BRIGHTEST / top
+    require(below < NEGATIVE, words)
+    factor = 65535.0 * BRIGHTEST_FLOAT / top
 
     def scaled(values: NDArray[Any]) -> NDArray[np.uint16]:
         return np.clip(np.rint(values * factor), 0, 65535).astype(np.uint16)

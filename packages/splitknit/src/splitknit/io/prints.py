@@ -20,19 +20,16 @@ from PIL.PngImagePlugin import PngInfo
 from splitknit.errors import BadInput, read_bytes, require
 from splitknit.io.atomic import write_file
 from splitknit.io.fields import parse_json
-from splitknit.io.images import BMP, JPEG, MAX_BYTES, PNG, TIFFS, decoded, encode_tiff, read_header
+from splitknit.io.images import BMP, JPEG, PNG, TIFFS, decoded, encode_tiff, read_header
+from splitknit.io.parameters import COLOUR_LEVELS, COLOURED_PART, MAX_BYTES, PRINT_PIXELS
 from splitknit.io.photos import decode_photo
 from splitknit.io.provenance import canonical_json
 
 SIGNATURES = (PNG, JPEG, *TIFFS, BMP)
 """First bytes of the files that :func:`decode_print_image` reads."""
 KINDS = "PNG, TIFF, JPEG and BMP"
-_MAX_PIXELS = 64_000_000
-"""Of a print or a page of prints at most: A4 at 1000 ppi, nearly; larger ones fill the memory."""
-_COLOUR_LEVELS, _COLOURED = 12, 0.01
-"""Grey levels by which channels of grey RGB may differ (JPEG rounds), and the fraction that may
-differ more."""
-_SMALLEST_JPEG2000 = 32  # pixels that five halvings need
+_SMALLEST_JPEG2000 = 32
+"""Pixels of a print's shorter side at least. Source: JPEG 2000, five halvings."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -158,10 +155,10 @@ def decode_print_image(data: bytes, name: str) -> PrintFile:
     photo = decode_photo(data, name)
     rows, columns = photo.pixels.shape[:2]
     large = (
-        f"{name} has {rows} x {columns} pixels, more than the {_MAX_PIXELS} that are read of"
+        f"{name} has {rows} x {columns} pixels, more than the {PRINT_PIXELS} that are read of"
         " prints; reduce it."
     )
-    require(rows * columns <= _MAX_PIXELS, large)
+    require(rows * columns <= PRINT_PIXELS, large)
     header = read_header(data, name)
     stated = header.ppi
     text = _texts(header.text[""]) if "" in header.text else dict(header.text)
@@ -176,7 +173,7 @@ def decode_print_image(data: bytes, name: str) -> PrintFile:
         max(size) <= 4 * max(grey.shape),
         f"{name} states {x:g} by {y:g} ppi, which no scanner has; correct it.",
     )
-    require(size[0] * size[1] <= _MAX_PIXELS, large)
+    require(size[0] * size[1] <= PRINT_PIXELS, large)
     square = np.asarray(cv2.resize(grey, size, interpolation=cv2.INTER_CUBIC), dtype=np.uint8)
     note = f"its pixels of {x:.0f} by {y:.0f} ppi were made square, of {ppi:.0f} ppi."
     return PrintFile(square, ppi, text, note=note)
@@ -202,12 +199,12 @@ def is_coloured(pixels: NDArray[Any]) -> bool:
     """Whether a picture (H, W, 1 or 3) is more than grey stored in colour."""
     if pixels.shape[2] != 3 or pixels.dtype not in (np.uint8, np.uint16):
         return False
-    limit = _COLOUR_LEVELS if pixels.dtype == np.uint8 else _COLOUR_LEVELS * 257
+    limit = COLOUR_LEVELS if pixels.dtype == np.uint8 else COLOUR_LEVELS * 257
     step = 1 + int((pixels[..., 0].size / 2e5) ** 0.5)  # of large pictures a part is enough
     # 15 times as quick as along the last axis
     red, green, blue = (pixels[::step, ::step, k] for k in range(3))
     spread = np.maximum(np.maximum(red, green), blue) - np.minimum(np.minimum(red, green), blue)
-    return float((spread > limit).mean()) > _COLOURED
+    return float((spread > limit).mean()) > COLOURED_PART
 
 
 def provenance_texts(origin: Mapping[str, Any]) -> dict[str, str]:

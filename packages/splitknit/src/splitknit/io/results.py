@@ -21,13 +21,13 @@ from splitknit.io.fields import converted, parse_json, read_document
 from splitknit.io.images import read_image
 from splitknit.io.mesh import triangulate, write_ply
 from splitknit.io.npz import read_npz, write_npz
+from splitknit.io.parameters import LARGEST_MM
 from splitknit.io.pictures import normal_colours, upright_turn
 from splitknit.io.prints import encode_png, provenance_texts
 from splitknit.io.provenance import JsonValue, canonical_json, settings_hash
 from splitknit.model import NO_SCALE, FloatArray, Reconstruction, require_scale
 
 Origin = dict[str, JsonValue]
-LARGEST_MM = 1000.0  # longest side of a result's frame
 _NEEDS_TRIMESH = (
     "Surfaces of other programs need the package trimesh: pip install 'splitknit[mesh]' ({error})."
 )

@@ -15,12 +15,13 @@ from msgspec import Meta, Struct
 from splitknit.errors import naming, require
 from splitknit.io.atomic import write_file
 from splitknit.io.fields import Version1, converted, read_json
+from splitknit.io.parameters import MAX_PIXELS
 from splitknit.io.provenance import JsonValue, plain_json
 from splitknit.model import Camera, Coordinate, Films, Led, Mirror, Point, Rig, camera_without_scale
 
 RIG_FORMAT, RIG_VERSION = "splitknit-rig", 1
-_MAX_PIXELS = 200_000_000
 _DISTORTION_COUNTS = (4, 5, 8, 12, 14)
+"""Numbers of coefficients of a lens. Source: OpenCV, `calibrateCamera`."""
 
 _Matrix = tuple[Point, Point, Point]
 _Side = Annotated[int, Meta(ge=1, le=1_000_000)]
@@ -157,8 +158,8 @@ def _rig(fields: _RigFields) -> Rig:
 def _camera(fields: _CameraFields) -> Camera:
     rows, columns = fields.image_size
     require(
-        rows * columns <= _MAX_PIXELS,
-        f"camera.image_size is {rows} x {columns}, more than the {_MAX_PIXELS} pixels that are"
+        rows * columns <= MAX_PIXELS,
+        f"camera.image_size is {rows} x {columns}, more than the {MAX_PIXELS} pixels that are"
         " read.",
     )
     require(

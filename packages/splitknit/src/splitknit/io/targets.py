@@ -12,9 +12,8 @@ from splitknit.errors import BadInput, open_file, require
 from splitknit.io.capture import CAPTURE_FORMAT
 from splitknit.io.fields import read_json
 from splitknit.io.images import PNG, TIFFS
+from splitknit.io.parameters import HEAD_BYTES
 from splitknit.io.rig import RIG_FORMAT
-
-_HEAD_BYTES = 16_000_000  # by which the kind of a file is known
 
 
 def check_target(
@@ -85,7 +84,7 @@ def check_file(
     known = False
     with contextlib.suppress(BadInput):
         with open_file(out, 1 << 50) as (stream, _):
-            data = stream.read(_HEAD_BYTES)
+            data = stream.read(HEAD_BYTES)
         known = _format_of(out) == form if is_own is None else is_own(data)
     require(known, f"'{out}' exists and is not {words}; name another file.")
 

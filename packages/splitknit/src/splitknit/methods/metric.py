@@ -14,9 +14,28 @@ from splitknit.findings import Finding
 from splitknit.imaging.geometry import gradients_from_normals
 from splitknit.imaging.view import view_of
 from splitknit.integration.knit import crossover
+from splitknit.methods.parameters import (
+    BOTH_DEG,
+    BOTH_FROM_DEG,
+    COLOUR_MM,
+    DOUBTFUL,
+    FAINT,
+    JPEG_COARSE,
+    JPEG_LOSS,
+    JPEG_LOSS_COARSE,
+    MAX_SLOPE,
+    RED_PART,
+    ROUNDS,
+    SHAPE_MM,
+    TURNED,
+    UNKNOWN_MM,
+    WALL_OF_STEEP,
+    WALL_PART,
+    WHITE_ROUGHNESS,
+    WHITE_SCATTERED,
+)
 from splitknit.methods.photographs import FingerBand, FingerPhotographs, FingerSurface, side_unused
 from splitknit.methods.photometry import (
-    MAX_SLOPE,
     OPAQUE,
     by_rows,
     distant_normals,
@@ -30,11 +49,10 @@ from splitknit.photometric.near_light import near_light
 from splitknit.photometric.uncalibrated import bas_relief_of, bas_relief_um
 from splitknit.plausible import RELIEF
 from splitknit.presets import HeightSettings, NormalsSettings, Parameters, PipelineSettings
-from splitknit.skin.diffusion import SCATTERING_SD, Diffusion, SkinSettings
+from splitknit.skin.diffusion import Diffusion, SkinSettings
 from splitknit.skin.grid import BandImages, Grid, Slopes, smooth_step
 from splitknit.skin.images import SEPARATED_BY, MetricSettings, SkinImages, working_images
 from splitknit.skin.learned import (
-    LITTLE_GLOSS,
     Networks,
     features,
     refined_shape,
@@ -44,8 +62,9 @@ from splitknit.skin.learned import (
     variance_restored,
 )
 from splitknit.skin.light import slant_of
+from splitknit.skin.parameters import KNIT_MM, LITTLE_GLOSS, SCATTERING_SD
 from splitknit.skin.polarised import polarised_heights, specular_images
-from splitknit.skin.relief import KNIT_MM, ReliefEstimate, detail_of, measure, relief_by_colour
+from splitknit.skin.relief import ReliefEstimate, detail_of, measure, relief_by_colour
 from splitknit.skin.shape import (
     CoarseImages,
     Shape,
@@ -56,25 +75,6 @@ from splitknit.skin.shape import (
 )
 from splitknit.steps import step
 
-TURNED = (5, 6)
-"""Orientations (90 and 270 degrees) averaged with the upright one in the relief estimate."""
-BOTH_FROM_DEG = 30.0
-"""Slant of the skin from which the relief becomes the mean of two estimates, from both series of a
-polarised capture and from the crossed one: the first is too high there, the second too low."""
-BOTH_DEG = 10.0
-"""Further slant at which it is the mean."""
-UNKNOWN_MM = 0.02
-"""Standard deviation of the relief where no network gives a first one."""
-FAINT = 3.0
-"""Specular reflection over noise below which heights do not follow from it."""
-DOUBTFUL = 0.5
-"""Expected error of the relief, over the relief's rms height, from which a warning is due."""
-JPEG_LOSS = 0.3
-"""Fraction of the relief that JPEG may have taken, as a standard deviation: 0.06 to 0.31 at 15 to
-30 px/mm (two simulated fingers, qualities of 60 to 97)."""
-JPEG_LOSS_COARSE = 0.9
-"""The same below `JPEG_COARSE` px/mm: 0.75 and more at 11."""
-JPEG_COARSE = 14.0
 COLOURED = (
     "the skin blurs the light of each coloured LED differently, which this preset does not undo;"
     " use lin, ea or another of the published cases."
@@ -104,25 +104,6 @@ NO_WHITE = (
     "the images lit from the side are not used: the skin is too dry or too matt for its specular"
     " reflection to be separated by colour (films separate it)."
 )
-WHITE_ROUGHNESS = 0.45
-"""Roughness up to which white light shows ridges better than the front lights alone."""
-WHITE_SCATTERED = 10.0
-"""The same for scattered over specular light: of eight fingers one is worse beyond each."""
-RED_PART = 0.5
-"""Part of the red light, in the colour of the skin, that is taken from the blue to leave white
-light. Between 0.3 and 0.65 ridges hardly change (``validation/path_traced/polarised.py``)."""
-SHAPE_MM = 2.0
-"""Standard deviation of the Gaussian mean of the heights that white light does not show: it follows
-from how much of the light is scattered, which colours show only roughly."""
-COLOUR_MM = 1.0
-"""Standard deviation of the Gaussian mean whose colour is that of the skin."""
-WALL_PART = 0.002
-"""Fraction of a surface whose slopes are cut from which it has walls."""
-WALL_OF_STEEP = 0.25
-"""The same of its pixels steeper than a quarter of the longest slope: 0.09 on a ball, 0.6 to 0.8 on
-coins with rims of 80 to 89 deg (simulated)."""
-ROUNDS = 3
-"""Rounds of near-light photometric stereo and integration."""
 
 
 def metric_opaque(white: FingerBand, nir: FingerBand, p: Parameters) -> FingerSurface:

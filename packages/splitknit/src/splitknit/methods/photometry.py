@@ -21,32 +21,22 @@ from splitknit.integration.shapelets import (
     shapelet_response,
     shapelets,
 )
+from splitknit.methods.parameters import CLIPPED, LEAST_CERTAINTY, MAX_SLOPE, SLOW_MM
 from splitknit.methods.photographs import FingerBand
 from splitknit.model import Array, BoolArray, FloatArray
+from splitknit.parameters import IN_MEMORY
 from splitknit.photometric.lambertian import lambertian
 from splitknit.photometric.robust import robust
 from splitknit.presets import HeightSettings, NormalsSettings
 from splitknit.skin.grid import Slopes
-from splitknit.steps import IN_MEMORY, step
+from splitknit.steps import step
 
-MAX_SLOPE = 6.0
-"""Steeper slopes are shortened to this."""
-SLOW_MM = 0.32
-"""Standard deviation of the Gaussian whose mean is the slow part of a surface that is not split:
-the ridge band's."""
-LEAST_CERTAINTY = 0.003
-"""Certainty of slopes beyond 4 (76 deg), which shadows and the longest slope bend more than noise
-does. Simulated coins (rims of 60 to 89 deg) have the same heights from 1e-4 to 0.01; photographed
-balls in a gel 1.62 um at 0.01, 1.48 at 0.003, 1.36 at 0.001, where the integration takes four times
-as long as at 0.01."""
 IMPOSSIBLE = (
     "the integrated heights exceed what the slopes allow over the width of the surface; give a"
     " `mask` that ends inside the steep rim."
 )
 OPAQUE = "none (opaque material)"
 
-CLIPPED = 0.985
-"""Fraction of the full scale from which a stored value counts as clipped."""
 linear_grey = step("light")(linear_stack)
 
 
@@ -60,7 +50,7 @@ def by_rows(
 
     `without_clipped`: a clipped value of an opaque thing becomes zero, which robust weights take
     for shadow. All rows at once, or strips of rows where the images take more than
-    :data:`splitknit.steps.IN_MEMORY`.
+    :data:`splitknit.parameters.IN_MEMORY`.
     """
     band, inside, encoding = photographs.band, photographs.inside, photographs.capture.encoding
     drop = (

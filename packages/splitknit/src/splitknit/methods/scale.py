@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from splitknit.diagnosis.size import USUAL_PERIOD_MM
+from splitknit.diagnosis.parameters import USUAL_PERIOD_MM
 from splitknit.errors import require
 from splitknit.findings import Finding
 from splitknit.finger.ridge_period import ridge_period, scale_of_ridges

@@ -20,11 +20,14 @@ import numpy as np
 from scipy.interpolate import BSpline
 
 from splitknit.imaging.view import view_of
+from splitknit.mirrors.parameters import (
+    OVAL_NODES,
+    SECTION_ANGLES,
+    SECTION_NODES,
+    STATIONS,
+    STEEPEST_DEG,
+)
 from splitknit.model import Array, BoolArray, Camera, FloatArray
-
-OVAL_NODES = 400
-MAX_SQUARE = 0.45  # beyond, the oval is no longer convex
-
 
 SeenHeights = tuple[FloatArray, FloatArray, FloatArray, BoolArray, BoolArray]
 """x, y and z (h, w), mm, finite everywhere, of the surface on the rays of a window's pixels;
@@ -174,27 +177,22 @@ def _basis_table(count: int) -> Array:
 
 # A body as seen from above: z over every pixel, and slopes.
 
-_DENSE_STATIONS = 120
-ANGLES = 181
-NODES = 121
-STEEPEST_DEG = 24.0  # slopes of the skin are used up to here: steeper skin looks flatter than it is
-
 
 def _table_of(body: Body) -> tuple[FloatArray, FloatArray]:
     """The side of `body` that faces the camera, tabled evenly over s: t (2, S) of its outline on
-    the left and right, and z (S, NODES), evenly over the arc sine of the place across, -pi/2 to
-    pi/2.
+    the left and right, and z (S, SECTION_NODES), evenly over the arc sine of the place across,
+    -pi/2 to pi/2.
     """
-    s = np.linspace(0.0, 1.0, _DENSE_STATIONS)
+    s = np.linspace(0.0, 1.0, STATIONS)
     s[0] = 1e-3
     sections = body.sections(body.tip_mm - body.length_mm * s**2)
-    turn = np.linspace(-0.5 * np.pi, 0.5 * np.pi, ANGLES)[:, None]
-    t, z = sections.contact(np.sin(turn), np.cos(turn))  # (ANGLES, S), t grows with the angle
+    turn = np.linspace(-0.5 * np.pi, 0.5 * np.pi, SECTION_ANGLES)[:, None]
+    t, z = sections.contact(np.sin(turn), np.cos(turn))  # (angles, S), t grows with them
     middle = 0.5 * (t[0] + t[-1])
     half = np.maximum(0.5 * (t[-1] - t[0]), 1e-9)
     angle = np.arcsin(np.clip((t - middle) / half, -1.0, 1.0))
-    node = np.linspace(-0.5 * np.pi, 0.5 * np.pi, NODES)
-    tabled = np.stack([np.interp(node, angle[:, k], z[:, k]) for k in range(_DENSE_STATIONS)])
+    node = np.linspace(-0.5 * np.pi, 0.5 * np.pi, SECTION_NODES)
+    tabled = np.stack([np.interp(node, angle[:, k], z[:, k]) for k in range(STATIONS)])
     return t[[0, -1]].astype(np.float32), tabled.astype(np.float32)
 
 
@@ -210,12 +208,12 @@ def _looked_up(
     t = across[0] * dx + across[1] * dy
     u = axis[0] * dx + axis[1] * dy
     w = (body.tip_mm - u) / body.length_mm
-    s = np.sqrt(np.clip(w, 0.0, 1.0)) * (_DENSE_STATIONS - 1)
+    s = np.sqrt(np.clip(w, 0.0, 1.0)) * (STATIONS - 1)
     left, right = (_remapped(end[None], s, np.zeros_like(s)) for end in ends)
     half = np.maximum(0.5 * (right - left), 1e-6)
     place = (t - 0.5 * (left + right)) / half
     inside = (w > 0) & (w <= 1) & (np.abs(place) <= 1)
-    node = (np.arcsin(np.clip(place, -1, 1)) / np.pi + 0.5) * (NODES - 1)
+    node = (np.arcsin(np.clip(place, -1, 1)) / np.pi + 0.5) * (SECTION_NODES - 1)
     return _remapped(tabled, node, s), inside, w <= 1
 
 

@@ -21,6 +21,7 @@ from splitknit.integration.knit import crossover, unevenness
 from splitknit.mirrors.body import Slopes
 from splitknit.mirrors.mirror import MirrorShape, mirror_shape
 from splitknit.mirrors.outline import medial_line
+from splitknit.mirrors.parameters import DETAIL_MM, RIM_MM, SLOPES_APART_MM, SLOPES_MM
 from splitknit.mirrors.reflection import (
     Glass,
     facing_fraction,
@@ -33,12 +34,6 @@ from splitknit.mirrors.settings import MirrorShapeSettings
 from splitknit.mirrors.views import Views, view_binning, views_in
 from splitknit.model import Array, BoolArray, Capture, FloatArray, Rig
 from splitknit.photometric.near_light import pseudo_normals
-
-# what is finer is taken from white light: creases; light by way of the mirrors bends what is wider
-DETAIL_MM = 1.5
-SLOPES_MM = 0.25  # pitch of the images from which slopes are measured
-APART_MM = 1.0  # distance of the places whose slopes are used
-RIM_MM = 1.2  # skin nearer to the outline than this is not used: light is lost there
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -186,7 +181,7 @@ def skin_slopes(
         cv2.GaussianBlur(-normals[..., k] / upward * known, (0, 0), sigma) / fraction
         for k in range(2)
     ]
-    step = max(1, round(APART_MM / block_mm))
+    step = max(1, round(SLOPES_APART_MM / block_mm))
     chosen = np.zeros_like(inside)
     chosen[step // 2 :: step, step // 2 :: step] = True
     chosen &= (depth > RIM_MM) & (known > 0)

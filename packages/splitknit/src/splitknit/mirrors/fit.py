@@ -16,35 +16,40 @@ import numpy as np
 from scipy.linalg import block_diag
 
 from splitknit.errors import require
-from splitknit.mirrors.body import MAX_SQUARE, Body, Slopes, basis, slopes_across
+from splitknit.mirrors.body import Body, Slopes, basis, slopes_across
+from splitknit.mirrors.parameters import (
+    ANGLE_DEG,
+    COMMON_MM,
+    DIFFERENCES,
+    DISAGREEING_MM,
+    EDGE_SD_MM,
+    FIT_ROUNDS,
+    HELD_PRIORS,
+    HELD_ROUNDS,
+    INDEPENDENT_SLOPES,
+    MAX_MIRROR_DEG,
+    MAX_SQUARE,
+    MAX_STEPS,
+    MIN_SLOPES,
+    MISFIT_MM,
+    OFFSET_MM,
+    OUTLINE_MM,
+    ROW_MM,
+    SETTLED_MM,
+    SHEAR_SD,
+    SLOPE_ERROR,
+    SQUARENESS_SD,
+    SURE_FROM,
+    THICKNESS,
+    TIP_SD_MM,
+)
 from splitknit.mirrors.reflection import Plane, Pose, Touching
-from splitknit.mirrors.settings import ANGLE_DEG, OFFSET_MM, OUTLINE_MM, ROW_MM, SQUARENESS_SD
 from splitknit.model import Array, BoolArray
 
 Parameter = tuple[str, str]
 """A parameter that all sections share: its name, and the mirror whose pose it is of ('': the
 body)."""
 _FORM: list[Parameter] = [("squareness", ""), ("shear", ""), ("shear_slope", "")]
-_DIFFERENCE = {
-    "tip_mm": 1e-3,
-    "squareness": 1e-4,
-    "shear": 1e-4,
-    "shear_slope": 1e-4,
-    "turn_rad": 1e-5,
-    "lean_rad": 1e-5,
-    "shift_mm": 1e-3,
-}
-"""Step of the difference quotients."""
-_MAX_STEP = {
-    "tip_mm": 1.0,
-    "squareness": 0.15,
-    "shear": 0.2,
-    "shear_slope": 0.2,
-    "turn_rad": 0.04,
-    "lean_rad": 0.04,
-    "shift_mm": 2.0,
-}
-"""Largest steps of one correction."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -158,14 +163,6 @@ def touched(body: Body, planes: Touching) -> Array:
 
 # What is expected without outlines, what slopes of the skin add, and the weights of the outlines.
 
-# standard deviation of a measured slope of the skin, which looks flatter than it is
-_SLOPE_ERROR = 0.1
-SHEAR_SD = 0.05  # standard deviation of the shear: a roll by 8 deg gives about 0.045
-# Slopes err together: at specular reflections, and where light by way of a mirror ends.
-INDEPENDENT_SLOPES = 20.0
-_FEWEST_SLOPES = 20
-TIP_SD_MM = 0.05  # standard deviation of the tip's place by the front view's outline
-
 
 def _prefer_smooth(normal: Array, right: Array, body: Body) -> None:
     count = body.coefficients.shape[1]
@@ -210,16 +207,16 @@ def _slope_equations(estimate: Estimate, slopes: Slopes) -> tuple[Array, Array]:
         [
             (slopes_across(estimate.moved(parameter, size).body, slopes) - residual) / size
             for parameter in _FORM
-            for size in [_DIFFERENCE[parameter[0]]]
+            for size in [DIFFERENCES[parameter[0]]]
         ]
     )
     known = np.isfinite(residual) & np.isfinite(jacobian).all(axis=1)
     count = int(known.sum())
-    if count < _FEWEST_SLOPES:
+    if count < MIN_SLOPES:
         return np.zeros((3, 3)), np.zeros(3)
     residual = residual[known]
     jacobian = jacobian[known]
-    weight = _tukey(residual, 4.0 * _SLOPE_ERROR) / _SLOPE_ERROR**2
+    weight = _tukey(residual, 4.0 * SLOPE_ERROR) / SLOPE_ERROR**2
     weight *= INDEPENDENT_SLOPES / count
     return jacobian.T @ (weight[:, None] * jacobian), -(jacobian.T @ (weight * residual))
 
@@ -240,23 +237,8 @@ def _tukey(residual: Array, limit: float) -> Array:
     return np.clip(1.0 - (residual / limit) ** 2, 0.0, None) ** 2
 
 
-COMMON_MM = 4.0  # points of an outline that are nearer to each other than this err together
-EDGE_MM = 0.1
-"""Standard deviation of the error that a whole edge of a view has in common, at its middle and from
-there to its end: shading, blur and the threshold move it as a whole, which a mirror's pose would
-otherwise explain."""
-ROUNDS = 9  # corrections
-SURE_FROM = 4  # corrections before points of an outline may be left out altogether
-_HELD_ROUNDS = 3
-_HELD = {"lean_rad": (0.0, 1e-3), "shift_mm": (0.0, 0.05)}
-"""Mirrors keep their nominal place for the first corrections, in which the body's size is
-estimated: under spreading rays a wrong size is otherwise taken for another height, and mirrors
-follow it."""
-SETTLED = 0.01  # a correction of the splines (mm) below this is the last one
-
-
 def fit_body(
-    start: Estimate, outlines: Outlines, slopes: Slopes | None = None, rounds: int = ROUNDS
+    start: Estimate, outlines: Outlines, slopes: Slopes | None = None, rounds: int = FIT_ROUNDS
 ) -> Fit:
     """Fit body and poses from a first guess `start`, the `outlines` of all views and, if given,
     `slopes` of the skin, in so many `rounds` of corrections.
@@ -265,7 +247,7 @@ def fit_body(
     splines = start.body.coefficients.size
     common = _common_errors(estimate, outlines)
     expected = _expected(start.body, outlines, with_shear=slopes is not None)
-    held = {key: _HELD.get(key[0], prior) for key, prior in expected.items()}
+    held = {key: HELD_PRIORS.get(key[0], prior) for key, prior in expected.items()}
     free = splines + len(expected)
     for turn in range(rounds):
         views, by_splines = _linearised(estimate, outlines)
@@ -273,16 +255,16 @@ def fit_body(
         by_shared = [
             (estimate.moved(key, size).all_residuals(outlines) - residual) / size
             for key in expected
-            for size in [_DIFFERENCE[key[0]]]
+            for size in [DIFFERENCES[key[0]]]
         ]
         weight = np.concatenate([_robust_weight(view, settled=turn >= SURE_FROM) for view in views])
         weight *= 2.0 * ROW_MM / COMMON_MM / OUTLINE_MM**2
         jacobian = np.column_stack([by_splines, np.column_stack(by_shared), common])
         normal = jacobian.T @ (weight[:, None] * jacobian)
         right = -jacobian.T @ (weight * residual)
-        normal[free:, free:] += np.eye(common.shape[1]) / EDGE_MM**2
+        normal[free:, free:] += np.eye(common.shape[1]) / EDGE_SD_MM**2
         _prefer_smooth(normal, right, estimate.body)
-        priors = held if turn < _HELD_ROUNDS else expected
+        priors = held if turn < HELD_ROUNDS else expected
         for k, (key, (value, spread)) in enumerate(priors.items(), splines):
             normal[k, k] += 1.0 / spread**2
             right[k] += (value - estimate.value(key)) / spread**2
@@ -295,7 +277,7 @@ def fit_body(
         estimate = _corrected(
             estimate, step[:splines], dict(zip(expected, step[splines:free], strict=True))
         )
-        if turn > SURE_FROM and float(np.abs(step[:splines]).max()) < SETTLED:
+        if turn > SURE_FROM and float(np.abs(step[:splines]).max()) < SETTLED_MM:
             break
     misfit = estimate.residuals(outlines)
     weights = {name: _robust_weight(view, settled=True) for name, view in misfit.items()}
@@ -304,7 +286,7 @@ def fit_body(
 
 def _corrected(estimate: Estimate, splines: Array, shared: Mapping[Parameter, float]) -> Estimate:
     """After a correction, shortened as a whole beyond a limit, with sections that are convex."""
-    shorten = max(1.0, *(abs(float(by)) / _MAX_STEP[kind] for (kind, _), by in shared.items()))
+    shorten = max(1.0, *(abs(float(by)) / MAX_STEPS[kind] for (kind, _), by in shared.items()))
     body = estimate.body
     coefficients = body.coefficients + (splines / shorten).reshape(body.coefficients.shape)
     estimate = Estimate(replace(body, coefficients=coefficients), estimate.poses)
@@ -314,22 +296,18 @@ def _corrected(estimate: Estimate, splines: Array, shared: Mapping[Parameter, fl
     return Estimate(replace(estimate.body, squareness=squareness), estimate.poses)
 
 
-# views that agree no better than this (rms) have a wrong edge; usual are 0.02 to 0.07
-APART_MM = 0.12
-
-
 def fit_views(
-    start: Estimate, outlines: Outlines, slopes: Slopes | None = None, rounds: int = ROUNDS
+    start: Estimate, outlines: Outlines, slopes: Slopes | None = None, rounds: int = FIT_ROUNDS
 ) -> Fit:
     """:func:`fit_body`; where the views do not agree, without the one edge of a mirror's view that
     explains it: a dim edge of the finger is sometimes taken to end at the holder behind it.
     """
     first = fit_body(start, outlines, slopes, rounds)
-    if max(first.rms_mm.values()) < APART_MM:
+    if max(first.rms_mm.values()) < DISAGREEING_MM:
         return first
 
     def misfit(fit: Fit) -> float:
-        return float(np.minimum(np.abs(fit.all_residuals(outlines)), 3.0 * APART_MM).mean())
+        return float(np.minimum(np.abs(fit.all_residuals(outlines)), 3.0 * DISAGREEING_MM).mean())
 
     best = first
     for name, outline in outlines.items():
@@ -390,10 +368,6 @@ def _linearised(estimate: Estimate, outlines: Outlines) -> tuple[list[Array], Ar
 
 # Whether views are of one finger.
 
-_MISFIT_MM = 0.6  # views that agree no better than this (rms) are not of one finger
-THICKNESS = (0.4, 1.4)  # thickness of fingers over their breadth, from and to
-MAX_DEG = 7.0  # a mirror that would be further off than this is rejected
-
 
 def refuse_misfit(fit: Fit) -> None:
     """Refuse views that no finger explains."""
@@ -402,7 +376,7 @@ def refuse_misfit(fit: Fit) -> None:
     for name, misfit in fit.misfit_mm.items():
         size = float(np.median(np.abs(misfit)))
         require(
-            size < _MISFIT_MM,
+            size < MISFIT_MM,
             f"{fault}: the {name} view's outline lies {size:.1f} mm beside the others'; {alone}, "
             "and that the rig file's mirrors are the ones in the picture.",
         )
@@ -415,7 +389,7 @@ def refuse_misfit(fit: Fit) -> None:
     for name, pose in fit.poses.items():
         off_deg = float(np.rad2deg(max(abs(pose.turn_rad), abs(pose.lean_rad))))
         require(
-            off_deg < MAX_DEG,
+            off_deg < MAX_MIRROR_DEG,
             f"{fault}: the {name} mirror would be {off_deg:.0f} deg off its place in the rig file; "
             f"{alone}, or correct the rig file.",
         )

@@ -18,8 +18,6 @@ from splitknit.imaging.geometry import nearest_known
 from splitknit.imaging.view import pixels_of, view_of
 from splitknit.mirrors.body import Body, SeenHeights, Slopes
 from splitknit.mirrors.fit import (
-    APART_MM,
-    ROUNDS,
     Estimate,
     Fit,
     ViewOutline,
@@ -37,15 +35,24 @@ from splitknit.mirrors.outline import (
     rows_of,
     touching_planes,
 )
+from splitknit.mirrors.parameters import (
+    CUT_ROUNDS,
+    CUT_TURN_SD_DEG,
+    DISAGREEING_MM,
+    FIT_ROUNDS,
+    KNOTS,
+    MAX_MISSING,
+    MAX_TURN_RAD,
+    MIN_POINTS,
+    NEAR_EDGE_MM,
+    TURN_SD_DEG,
+)
 from splitknit.mirrors.reflection import Plane, Pose, Touching, reflect_points
 from splitknit.mirrors.settings import MirrorShapeSettings
 from splitknit.mirrors.views import Views
 from splitknit.model import Array, BoolArray, Camera, FloatArray, Mirror, Rig
 
 # A first guess: how far mirrors are turned, by the tips of two views, and a plain body.
-
-_KNOTS = 11  # spans of the splines along the finger
-_MAX_TURN_RAD = 0.12  # mirrors are not turned by more
 
 
 def turn_of_tips(
@@ -73,9 +80,9 @@ def turn_of_tips(
         far = [float(np.max((ray @ upward) / np.abs(ray @ joint))) for ray in rays]
         return (far[0] - far[1]) * float(np.hypot(*epipole))
 
-    if apart(-_MAX_TURN_RAD) * apart(_MAX_TURN_RAD) > 0:
+    if apart(-MAX_TURN_RAD) * apart(MAX_TURN_RAD) > 0:
         return None
-    return float(brentq(apart, -_MAX_TURN_RAD, _MAX_TURN_RAD, xtol=1e-11))
+    return float(brentq(apart, -MAX_TURN_RAD, MAX_TURN_RAD, xtol=1e-11))
 
 
 def first_body(
@@ -90,7 +97,7 @@ def first_body(
     )
     length = min(front.tip_mm - float(front.along_mm[known][0]), seen_mm) + 0.3
     origin = float(np.mean(0.5 * (front.left_mm + front.right_mm)[known])) * front.across
-    coefficients = np.zeros((4, _KNOTS + 3))
+    coefficients = np.zeros((4, KNOTS + 3))
     body = Body(origin, front.axis, front.tip_mm, length, coefficients, squareness)
     point = body.to_frame(rays.point, place=True)
     direction = body.to_frame(rays.direction, place=False)
@@ -178,16 +185,10 @@ def _rows_from_tip(rows: OutlineRows) -> tuple[Array, Array, Array, Array]:
     return back[known][::-1], middle[known][::-1], line[known][::-1], half[known][::-1]
 
 
-_TURN_DEG = 0.2  # standard deviation of a mirror's turn as the views' tips show it
-_CUT_TURN_DEG = 0.6  # the same where the view is cut
-_FEW = 20  # a view with fewer points of its outline is not used
-_MAX_MISSING = 0.4  # of the pad's outline; the rest may be the mirror's edge
-_NEAR_EDGE_MM = 3.0  # a straight outline this near to the mirror's nominal edge is that edge
 _CUT = (
     "cut off at the mirror's edge or the picture's: lay the finger in the middle, so that the"
     " mirror shows all of its pad."
 )
-_CUT_ROUNDS = 20  # corrections of the fit where views are cut: the first guess is further off
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -218,7 +219,7 @@ class MirrorShape:
                 "its outline in the report, and the light of the mirrors.",
             )
             for name, rms in (self.fit.rms_mm.items() if self.fit is not None else ())
-            if rms > APART_MM
+            if rms > DISAGREEING_MM
         )
 
     def points(
@@ -291,7 +292,7 @@ def mirror_shape(
     lateral = {
         name: rows[name]
         for name in sorted(outlines, key=lambda name: (name in cut, name))  # whole views first
-        if int(np.isfinite(rows[name].width_mm).sum()) >= _FEW
+        if int(np.isfinite(rows[name].width_mm).sum()) >= MIN_POINTS
     }
     require(
         lateral,
@@ -304,7 +305,7 @@ def mirror_shape(
     start = Estimate(first_body(front, lateral, rays, settings.squareness), poses)
     whole_front = front.beyond(start.body.tip_mm - start.body.length_mm)
     outlines = {"front": ViewOutline(touching_planes(whole_front, camera)), **outlines}
-    rounds = _CUT_ROUNDS if cut and cut_too else ROUNDS
+    rounds = CUT_ROUNDS if cut and cut_too else FIT_ROUNDS
     fit = fit_views(start, outlines, rounds=rounds)
     refuse_misfit(fit)
     if slopes_on is not None:
@@ -352,7 +353,7 @@ def _mirror_outlines(
                 continue
         all_rows[name] = rows
         touching = touching_planes(rows, camera)
-        if len(touching.point) < _FEW:
+        if len(touching.point) < MIN_POINTS:
             continue
         turn = turn_of_tips(views, name, camera, plane, axis)
         require(
@@ -361,7 +362,7 @@ def _mirror_outlines(
             " one in front; check that the rig file's mirrors are those in the picture and that"
             " one finger alone is in view.",
         )
-        turn_sd = float(np.deg2rad(_CUT_TURN_DEG if name in cut else _TURN_DEG))
+        turn_sd = float(np.deg2rad(CUT_TURN_SD_DEG if name in cut else TURN_SD_DEG))
         outlines[name] = (
             ViewOutline(touching, plane)
             if turn is None
@@ -378,7 +379,7 @@ def _visible_part(
     it.
     """
     edge = rows.edge(side)
-    if float(np.isfinite(edge[rows.lower_part()]).mean()) < 1.0 - _MAX_MISSING:
+    if float(np.isfinite(edge[rows.lower_part()]).mean()) < 1.0 - MAX_MISSING:
         return rows
     places = rows.places(side)[0]
     pixels = pixels_of(camera, places).astype(np.float32)
@@ -387,6 +388,6 @@ def _visible_part(
         cv2.pointPolygonTest(border, (float(x), float(y)), True)
         for x, y in pixels[:: max(1, len(pixels) // 20)]
     ]
-    if float(np.median(np.abs(away))) > _NEAR_EDGE_MM * camera.px_per_mm:
+    if float(np.median(np.abs(away))) > NEAR_EDGE_MM * camera.px_per_mm:
         return None
     return replace(rows, **{f"{side}_mm": np.full_like(edge, np.nan)})

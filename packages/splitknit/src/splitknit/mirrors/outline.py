@@ -12,13 +12,9 @@ import numpy as np
 from splitknit.errors import require
 from splitknit.imaging.geometry import bounding_box
 from splitknit.imaging.view import pixels_of, plane_points
+from splitknit.mirrors.parameters import BORDER_PX, MASK_BLUR_PX, ROW_MM, ROWS_A_POINT, STRAIGHT_MM
 from splitknit.mirrors.reflection import Touching, touching
-from splitknit.mirrors.settings import ROW_MM
 from splitknit.model import Array, BoolArray, Camera, FloatArray, Mirror
-
-_EVERY = 2  # rows that are averaged to one point of an outline in the fit
-STRAIGHT_MM = 0.012  # rms below which an outline is a mirror's edge: pads bulge
-BLUR_PX = 1.2  # a mask is smoothed by this much before its outline is measured between the pixels
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -102,7 +98,7 @@ def rows_of(
     along = np.arange(p.min(), p.max() + ROW_MM, ROW_MM)
     side = np.arange(q.min() - 2 * pitch, q.max() + 3 * pitch, pitch)
     part = np.pad(mask, 3)[low[1] + 3 : high[1] + 4, low[0] + 3 : high[0] + 4].astype(np.float32)
-    smooth = np.asarray(cv2.GaussianBlur(part, (0, 0), BLUR_PX), dtype=part.dtype)
+    smooth = np.asarray(cv2.GaussianBlur(part, (0, 0), MASK_BLUR_PX), dtype=part.dtype)
 
     def pixels(p: Array, q: Array) -> Array:
         places = np.outer(p, axis) + np.outer(q, across)
@@ -117,7 +113,7 @@ def rows_of(
 def touching_planes(rows: OutlineRows, camera: Camera) -> Touching:
     """Planes that touch the finger along both sides of a view's outline."""
     left, right = (
-        touching(camera, *(part[::_EVERY] for part in rows.places(side)))
+        touching(camera, *(part[::ROWS_A_POINT] for part in rows.places(side)))
         for side in ("left", "right")
     )
     return Touching(*map(np.concatenate, zip(left, right, strict=True)))
@@ -219,9 +215,6 @@ def _edges(field: FloatArray, side: Array) -> tuple[Array, Array]:
     return left, right
 
 
-_BORDER_PX = 3.0  # an outline this near to the image's border is cut by it
-
-
 def _without_cuts(
     rows: OutlineRows, shape: tuple[int, ...], camera: Camera, binning: int, *, trust_ends: bool
 ) -> OutlineRows:
@@ -237,8 +230,8 @@ def _without_cuts(
         along = rows.along_mm[row]
         places = np.outer(along, rows.axis) + np.outer(edge[row], rows.across)
         pixel = pixels_of(camera, places) / binning
-        last = np.array([shape[1], shape[0]]) - 1 - _BORDER_PX
-        cut = np.any((pixel < _BORDER_PX) | (pixel > last), axis=1)
+        last = np.array([shape[1], shape[0]]) - 1 - BORDER_PX
+        cut = np.any((pixel < BORDER_PX) | (pixel > last), axis=1)
         if not trust_ends and row.size > 4:
             low = along < middle
             steep = np.flatnonzero((np.abs(np.gradient(edge[row], along)) > 1.2) & low)

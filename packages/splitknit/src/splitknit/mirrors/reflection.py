@@ -16,6 +16,7 @@ import numpy as np
 
 from splitknit.imaging.geometry import sampled_at
 from splitknit.imaging.view import View, pixels_of
+from splitknit.mirrors.parameters import GRAZING, MIRROR_EDGE_MM
 from splitknit.model import Array, Camera, FloatArray, Led, Mirror, Shade
 
 
@@ -149,10 +150,6 @@ def led_image(led: Led, plane: Plane, strength: float = 1.0) -> Led:
 # Which of an LED's images reach the skin: shadows that a finger throws on itself, and the outlines
 # of mirrors.
 
-# cosine of incidence up to which a light fades in: the ridges of skin catch it here and there
-GRAZING = 0.04
-EDGE_MM = 0.4  # width over which light by way of a mirror fades out at the mirror's edge
-
 
 def _towards(points_mm: Array, led: Led) -> Array:
     """Vectors (..., 3) from points to a near LED, or the direction of a distant one."""
@@ -189,7 +186,7 @@ def mirrored_fraction(points_mm: Array, image: Led, plane: Plane, corners_mm: Ar
         edge = (stop - start) / max(float(np.linalg.norm(stop - start)), 1e-12)
         inner = np.array([-edge[1], edge[0]]) * np.sign(turning)
         within = np.minimum(within, (flat - start) @ inner)
-    return np.asarray(np.clip(0.5 + within / EDGE_MM, 0.0, 1.0) * meets, dtype=np.float32)
+    return np.asarray(np.clip(0.5 + within / MIRROR_EDGE_MM, 0.0, 1.0) * meets, dtype=np.float32)
 
 
 def shade_of(fraction: FloatArray, view: View) -> Shade:

@@ -7,12 +7,6 @@ from typing import Annotated, Literal
 
 from splitknit.settings import Checked, Limits
 
-ANGLE_DEG = 1.5  # standard deviation of the mirrors' angles about their nominal ones
-OFFSET_MM = 1.5  # standard deviation of the mirrors' places about their nominal ones
-OUTLINE_MM = 0.05  # standard deviation of a point of an outline
-SQUARENESS_SD = 0.08  # standard deviation of the expected squareness; slopes are stronger
-ROW_MM = 0.15  # distance of the rows in which the outlines are measured
-
 
 @dataclass(frozen=True, slots=True)
 class MirrorShapeSettings(Checked):

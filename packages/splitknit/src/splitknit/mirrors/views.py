@@ -14,10 +14,8 @@ from splitknit.finger.mask import finger_outline, finger_region
 from splitknit.imaging.areas import blanked, enlarged_box, filled, grown, mirror_outline
 from splitknit.imaging.band import block_means
 from splitknit.imaging.geometry import bounding_box
+from splitknit.mirrors.parameters import REACH_MM, SEARCH_PX_PER_MM, VIEWS_PX_PER_MM
 from splitknit.model import Array, BoolArray, FloatArray, Rig
-
-_PX_PER_MM = 22.0  # scale of the copy on which the outlines are found
-_REACH_MM = 3.0  # a mirror's picture is looked for this far beyond its nominal outline
 
 _NO_FINGER = (
     "no finger was found beside the mirrors: check the exposure, the LEDs and the finger's place."
@@ -26,8 +24,6 @@ _NO_MIRROR = (
     "no mirror shows the finger: check that the rig file's mirrors are the ones in the picture, or "
     "take the shape from light (`shape` nir or white)."
 )
-# views are looked for on a copy of about this scale where their outlines are found apart
-SEARCH_PX_PER_MM = 4.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -42,7 +38,7 @@ class Views:
 
 def view_binning(px_per_mm: float) -> int:
     """How many pixels a side are averaged before views are looked for."""
-    return max(1, round(px_per_mm / _PX_PER_MM))
+    return max(1, round(px_per_mm / VIEWS_PX_PER_MM))
 
 
 def views_in(image: FloatArray, rig: Rig, binning: int) -> Views:
@@ -124,7 +120,7 @@ def _outlined(  # noqa: PLR0917
     """A view whose outline is measured in `image`, around the rough one of a small copy; of the
     front where there is no `front` yet."""
     factor = image.shape[0] // rough.shape[0]
-    cells = bounding_box(rough, ceil(_REACH_MM * px_per_mm / factor))
+    cells = bounding_box(rough, ceil(REACH_MM * px_per_mm / factor))
     box = enlarged_box(cells, factor, rough.shape, image.shape)
     part = image[box]
     corner = np.array([box[1].start, box[0].start])
@@ -153,7 +149,7 @@ def _allowed(
     other mirrors; without a `front`, where that may be: beside all mirrors."""
     allowed = np.ones(shape, dtype=np.bool_)
     if front is not None:
-        allowed = grown(filled(outlines[name], shape), _REACH_MM * px_per_mm)
+        allowed = grown(filled(outlines[name], shape), REACH_MM * px_per_mm)
         allowed &= ~grown(front, 0.4 * px_per_mm)
     for mirror, outline in outlines.items():
         if mirror != name:

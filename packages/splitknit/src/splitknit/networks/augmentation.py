@@ -10,9 +10,12 @@ import cv2
 import numpy as np
 
 from splitknit.model import FloatArray
+from splitknit.networks.parameters import MAX_RESTORED
 
-QUARTER_TURNS = (0, 5, 3, 6)  # orientations turned by 0, 90, 180 and 270 degrees
-_INVERSE = (0, 1, 2, 3, 4, 6, 5, 7)  # the orientation that undoes each
+QUARTER_TURNS = (0, 5, 3, 6)
+"""Orientations turned by 0, 90, 180 and 270 degrees. Source: definition."""
+_INVERSE = (0, 1, 2, 3, 4, 6, 5, 7)
+"""The orientation that undoes each. Source: definition."""
 
 _Pairs = tuple[tuple[int, int], ...]
 
@@ -106,12 +109,9 @@ def mean_over_orientations(
     return np.asarray(sum(outputs) / len(outputs))
 
 
-MAX_MISSING = 0.25  # most power that is restored, over the estimate's own
-
-
 def shrinkage_gain(rms: float, error: float) -> float:
-    """Factor sqrt(1 + error^2 / rms^2), at most sqrt(1 + :data:`MAX_MISSING`), that restores the
+    """Factor sqrt(1 + error^2 / rms^2), at most sqrt(1 + `MAX_RESTORED`), that restores the
     variance lost by a minimum-mean-square-error estimate, a mean over all that is possible. `rms`:
     of the estimate; `error`: expected.
     """
-    return float(np.sqrt(1 + min((error / max(rms, 1e-6)) ** 2, MAX_MISSING)))
+    return float(np.sqrt(1 + min((error / max(rms, 1e-6)) ** 2, MAX_RESTORED)))

@@ -27,10 +27,14 @@ import numpy as np
 
 from splitknit.errors import BadInput, importing, read_bytes, refusing, require
 from splitknit.model import FloatArray
+from splitknit.networks.parameters import (
+    MAX_CARD_BYTES,
+    MAX_NETWORK_BYTES,
+    MAX_THREADS,
+    TILE_PX,
+)
 
 FORMAT = "splitknit-network"
-# the shipped networks have less than 1 MB, their cards 3 kB
-_MAX_BYTES, _MAX_CARD_BYTES = 500_000_000, 1_000_000
 REINSTALL = "reinstall splitknit, or name another network"
 
 
@@ -119,7 +123,7 @@ def _files(name: str | os.PathLike[str]) -> tuple[Traversable, Traversable, str]
 
 def _read(file: Traversable, words: str, remedy: str) -> bytes:
     try:
-        return read_bytes(file, _MAX_BYTES) if isinstance(file, Path) else file.read_bytes()
+        return read_bytes(file, MAX_NETWORK_BYTES) if isinstance(file, Path) else file.read_bytes()
     except (OSError, ValueError) as error:
         reason = getattr(error, "strerror", None) or str(error).rstrip(".")
         raise BadInput(f"{words} cannot be read ({reason}); {remedy}.") from error
@@ -128,7 +132,7 @@ def _read(file: Traversable, words: str, remedy: str) -> bytes:
 def _parse(data: bytes, file: Traversable, remedy: str) -> Card:
     with refusing(f"the card '{file}' is damaged; {remedy}."):
         require(
-            len(data) <= _MAX_CARD_BYTES,
+            len(data) <= MAX_CARD_BYTES,
             f"the card '{file}' has {len(data)} bytes, too many; {remedy}.",
         )
         document = json.loads(data)
@@ -140,17 +144,13 @@ def _parse(data: bytes, file: Traversable, remedy: str) -> Card:
         return Card(str(document["name"]), str(document["sha256"]), **sizes, facts=document)
 
 
-# side in pixels of a tile's square; a network of width 12 then needs 0.4 GB, of width 64 2 GB
-TILE = 724
-_THREADS = min(8, os.cpu_count() or 1)  # threads of a network by default
+_DEFAULT_THREADS = min(MAX_THREADS, os.cpu_count() or 1)
+"""Threads of a network by default. Source: derived."""
 
 # variable of onnxruntime; ``1`` stops files, look-ups, uploads of telemetry
 NO_TELEMETRY = "ORT_DISABLE_TELEMETRY"
 
 DEVICES = ("cpu", "cuda", "auto")
-CUDA_TOLERANCE = 1e-3
-"""Between cpu and cuda, of a result's largest value (sums in another order, TF32 off). Set without
-a GPU at hand."""
 _CUDA = ("CUDAExecutionProvider", {"use_tf32": "0", "cudnn_conv_algo_search": "DEFAULT"})
 _PROVIDERS: Mapping[str, list[Any]] = {
     "cpu": ["CPUExecutionProvider"],
@@ -163,7 +163,7 @@ class Running:
     """How this process runs networks."""
 
     device: str = "cpu"
-    threads: int = _THREADS
+    threads: int = _DEFAULT_THREADS
 
 
 _running = Running()
@@ -174,13 +174,13 @@ def running() -> Running:
     return _running
 
 
-def use_device(device: str = "cpu", threads: int = _THREADS) -> str:
+def use_device(device: str = "cpu", threads: int = _DEFAULT_THREADS) -> str:
     """Choose how networks of this process are loaded, and so run, from now on.
 
     Returns ``cpu``, whose results are always the same, whatever the `threads` of a network; or
-    ``cuda``, the same within :data:`CUDA_TOLERANCE` of the largest value. `device`: one of
-    :data:`DEVICES`; ``auto`` is ``cuda`` where onnxruntime offers it, and else ``cpu``. Raises
-    BadInput if there is no such device, or no provider for it.
+    ``cuda``, the same within :data:`splitknit.networks.parameters.CUDA_TOLERANCE` of the largest
+    value. `device`: one of :data:`DEVICES`; ``auto`` is ``cuda`` where onnxruntime offers it, and
+    else ``cpu``. Raises BadInput if there is no such device, or no provider for it.
 
     >>> use_device("auto") in ("cpu", "cuda")
     True
@@ -289,7 +289,7 @@ def _onnxruntime() -> Any:
     return onnxruntime
 
 
-def run_network(network: Network, images: FloatArray, *, tile: int = TILE) -> FloatArray:
+def run_network(network: Network, images: FloatArray, *, tile: int = TILE_PX) -> FloatArray:
     """Run `network` on every image, (N, H, W) or (N, C, H, W) float32; returns (N, D, H, W)
     float32.
 

@@ -15,11 +15,10 @@ from numpy.typing import NDArray
 
 from splitknit.imaging.chunks import for_each_chunk
 from splitknit.model import BoolArray, FloatArray
-
-RIDGE = 1e-6
-"""Minimum pivot of M relative to its trace."""
+from splitknit.photometric.parameters import RIDGE
 
 PAIRS = ((0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2))
+"""Rows and columns of the upper triangle of a 3 x 3 matrix. Source: definition."""
 
 
 def linear_map(matrix: FloatArray, images: FloatArray) -> FloatArray:

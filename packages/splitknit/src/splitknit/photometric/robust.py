@@ -18,6 +18,17 @@ from splitknit.photometric.equations import (
     solve,
     surface_by_chunks,
 )
+from splitknit.photometric.parameters import (
+    CLEAN,
+    FAINT,
+    FLATTEST_PIVOT,
+    FORGIVENESS,
+    ITERATIONS,
+    LARGEST_MISFIT,
+    SETTLED,
+    SHADOW,
+    TOLERANCE,
+)
 
 # Which lights to trust at a pixel: shadows are left out, highlights lose weight.
 #
@@ -25,33 +36,7 @@ from splitknit.photometric.equations import (
 # gives; the rest is fitted by least squares, and each residual, relative to the albedo, sets a new
 # weight (iteratively reweighted least squares, Cauchy weights). Glare and interreflection only ever
 # add light, and shadow has been left out already: a residual below the fit is mostly the fit's own
-# tilt towards a
-# highlight and is forgiven
-# more.
-
-_CLEAN = 0.5
-"""A pixel whose residuals all lie within this part of the tolerance keeps its least-squares fit."""
-_SETTLED = 1e-3
-_HOPELESS = 100.0
-"""Larger misfits count as this: a pixel without light keeps weights that sum to something."""
-
-_FLAT = 5e-4
-"""Smallest pivot, relative to the trace, of lights that determine a normal; three neighbours on the
-rig give 4e-3."""
-_FAINT = 1e-2
-
-_SHADOW = 0.03
-"""A light is in shadow where its image, divided by its strength, is below this part of the
-brightest one's."""
-_TOLERANCE = 0.03
-"""Residual, relative to the albedo, at which a light's weight has fallen to one half."""
-_ITERATIONS = 20
-"""Rounds of reweighting at most."""
-
-
-_FORGIVENESS = 2.0
-"""Residuals below the fit get this many times the tolerance: light adds, it does not subtract.
-Between 2 and 4 the error on DiLiGenT's bear hardly changes."""
+# tilt towards a highlight and is forgiven more.
 
 
 def _lit_weights(
@@ -65,7 +50,7 @@ def _lit_weights(
     and the system stays solvable.
     """
     peak = np.maximum(images.max(axis=0), 1e-20)
-    lit = images > _SHADOW * peak
+    lit = images > SHADOW * peak
     weights = lit.astype(np.float32)
     shadowed = np.flatnonzero(
         np.add.reduce(lit.view(np.uint8), axis=0, dtype=np.uint16) < images.shape[0]
@@ -73,8 +58,8 @@ def _lit_weights(
     weak = shadowed[:0]
     if shadowed.size:
         nearby = lights if lights.ndim == 2 else lights[:, :, shadowed]
-        weak = shadowed[conditioning(moment_matrix(nearby, weights[:, shadowed])) < _FLAT]
-        soft = np.maximum(images[:, weak] / peak[weak], _FAINT)
+        weak = shadowed[conditioning(moment_matrix(nearby, weights[:, shadowed])) < FLATTEST_PIVOT]
+        soft = np.maximum(images[:, weak] / peak[weak], FAINT)
         weights[:, weak] = soft * soft
     return weights, shadowed, weak
 
@@ -98,7 +83,7 @@ def robust_fit(images: FloatArray, lights: FloatArray) -> FloatArray:
         g = solve(images, lights, weights if shadowed.size else None)
     worst = _misfit(images, lights, weights, g).max(axis=0)
     worst[weak] = 0.0  # no light can be spared there
-    doubtful = np.flatnonzero(worst > _CLEAN)
+    doubtful = np.flatnonzero(worst > CLEAN)
     if doubtful.size:
         _reweight(images, lights, weights, g, doubtful)
     return g
@@ -111,17 +96,17 @@ def _reweight(
     g: FloatArray,
     active: NDArray[np.intp],
 ) -> None:
-    """Iterate the pixels `active` in place; a pixel leaves when its g moves by less than `_SETTLED`
+    """Iterate the pixels `active` in place; a pixel leaves when its g moves by less than `SETTLED`
     of its length."""
     part, usable, here = images[:, active], weights[:, active], g[:, active]
     nearby = lights if lights.ndim == 2 else lights[:, :, active]
-    for _ in range(_ITERATIONS):
+    for _ in range(ITERATIONS):
         misfit = _misfit(part, nearby, usable, here)
         current = usable / (1 + misfit * misfit)
         fresh = solve(part, nearby, current)
         g[:, active] = fresh
         step = fresh - here
-        moving = np.flatnonzero(_square(step) > (_SETTLED**2) * _square(fresh))
+        moving = np.flatnonzero(_square(step) > (SETTLED**2) * _square(fresh))
         if not moving.size:
             return
         active, part, usable, here = (
@@ -144,10 +129,10 @@ def _misfit(
     """Size of every residual in units of its tolerance, (L, n); zero where a light is not used."""
     residual = images - shading(g, lights)
     albedo = np.maximum(np.sqrt(_square(g)), 1e-20)
-    residual /= albedo * _TOLERANCE
+    residual /= albedo * TOLERANCE
     residual *= usable > 0
-    misfit = np.maximum(residual, residual * (-1 / _FORGIVENESS))
-    return np.minimum(misfit, _HOPELESS)
+    misfit = np.maximum(residual, residual * (-1 / FORGIVENESS))
+    return np.minimum(misfit, LARGEST_MISFIT)
 
 
 def robust(stack: Any, lights: Any, mask: Any = None) -> tuple[FloatArray, FloatArray]:

@@ -27,35 +27,29 @@ from splitknit.errors import check_mask, check_stack, refusing, require
 from splitknit.imaging.band import bin_mean, linear_stack, saturation_levels
 from splitknit.imaging.geometry import bounding_box
 from splitknit.model import Array, BoolArray, Capture, FloatArray, Rig
+from splitknit.photometric.parameters import (
+    ALBEDO_PLACES,
+    ALBEDO_SD,
+    CURL_LEFT,
+    CURL_PLACES,
+    FEWEST,
+    FITTED_PLACES,
+    GLOSSY_SD,
+    RANK,
+    REDUCED_SIDE,
+    RIVAL_COST,
+    RIVAL_DEG,
+    SEARCHED_PLACES,
+    STRENGTH_SD,
+    UNCALIBRATED_SHADOW,
+)
 
-FEWEST = 6
-_SIDE = 220
-"""Longest side of the reduced images."""
-_SHADOW = 0.15
-"""A light is in shadow where its image is below this part of the brightest one's."""
-_UNEQUAL, _PATCHES, _UNEVEN = 0.05, 30.0, 0.15
-"""Standard deviation of the lights' brightness; independent places of the object's albedo, and its
-deviation."""
-_CURLS, _CURL = 60.0, 0.05
-"""Independent places of the curl; the curl over the slopes' own change that blur and gloss
-leave."""
-_RIVAL_DEG, _RIVAL = 10.0, 1.5
-"""Other lights that explain the photographs nearly as well: they differ by so much, and cost less
-than so much more."""
-_GLOSSY = 0.2
-"""Standard deviation of the factor a that is not noise: a glazed bear comes out 1.23 times too
-deep."""
-_RANK = 2.0
-"""Third singular value of the photographs over the fourth, at least: 4 on a glazed bear, 1 of
-copies and of noise."""
 _UNDETERMINED = (
     "the photographs do not determine their lights; give a list of directions as `lights`."
 )
 _AMBIGUOUS = (
     "other lights explain the photographs as well; give a list of their directions as `lights`."
 )
-_SOME, _FEW = 1000, 500
-"""Places of the object that the fit, and the search for its start, look at."""
 
 
 def with_estimated_lights(capture: Capture) -> Capture:
@@ -70,7 +64,7 @@ def with_estimated_lights(capture: Capture) -> Capture:
         " lights.",
     )
     band = capture.bands["white"]
-    binning = max(1, max(capture.shape) // (2 * _SIDE))
+    binning = max(1, max(capture.shape) // (2 * REDUCED_SIDE))
     mask = None
     if capture.mask is not None:
         mask = bin_mean(capture.mask.astype(np.float32), binning) > 0.99
@@ -149,7 +143,7 @@ def unknown_lights(
         inside = np.asarray(cv2.threshold(grey, 0, 1, cv2.THRESH_BINARY + cv2.THRESH_OTSU)[1] > 0)
     with refusing(_UNDETERMINED):  # singular matrices
         lights, fields, places = _factors(images, inside, np.broadcast_to(ceilings, len(images)))
-        few = [field[:: max(1, len(field) // _FEW)] for field in fields]
+        few = [field[:: max(1, len(field) // SEARCHED_PLACES)] for field in fields]
         brightness = np.exp(np.log(np.linalg.norm(lights, axis=1)).mean())
         _, start = _fitted(lights, few, np.eye(3) * brightness, 0.0)
         solutions = [_fitted(lights, fields, turn @ start) for turn in _turns(few, start)]
@@ -158,8 +152,8 @@ def unknown_lights(
         unit = _directions(lights, matrix, fields[0], places)
     for rival, rival_matrix in solutions:
         cosine = (_directions(lights, rival_matrix, fields[0], places) * unit).sum(axis=1)
-        near = np.rad2deg(np.arccos(np.clip(cosine, -1.0, 1.0))).mean() < _RIVAL_DEG
-        require(near or rival.cost > _RIVAL + best.cost, _AMBIGUOUS)
+        near = np.rad2deg(np.arccos(np.clip(cosine, -1.0, 1.0))).mean() < RIVAL_DEG
+        require(near or rival.cost > RIVAL_COST + best.cost, _AMBIGUOUS)
     require((unit[:, 2] > 0).all(), _UNDETERMINED)
     return unit, deviation
 
@@ -170,7 +164,7 @@ def _factors(
     """S (L, 3); B, its derivatives to the right and upwards (n, 3) each; and places (n, 2), x
     right, y up: weighted alternating least squares, without shadows, clipped values and gloss."""
     box = bounding_box(inside)
-    binning = max(1, int(np.ceil(max(inside[box].shape) / _SIDE)))
+    binning = max(1, int(np.ceil(max(inside[box].shape) / REDUCED_SIDE)))
     clipped = (images[:, box[0], box[1]] >= np.asarray(ceilings)[:, None, None]).astype(np.float32)
     small, over = (bin_mean(part, binning) for part in (images[:, box[0], box[1]], clipped))
     small = np.stack([cv2.GaussianBlur(image, (0, 0), 1.0) for image in small])
@@ -182,9 +176,11 @@ def _factors(
         > 0
     )
     light = small[:, within].astype(np.float64)
-    lit = (light > _SHADOW * light.max(axis=0)) & (over[:, within] == 0)
+    lit = (light > UNCALIBRATED_SHADOW * light.max(axis=0)) & (over[:, within] == 0)
     lit &= lit.sum(axis=0) >= 4
-    enough = int((lit.sum(axis=0) >= 4).sum()) >= 4 * _FEW and bool(lit.any(axis=1).all())
+    enough = int((lit.sum(axis=0) >= 4).sum()) >= 4 * SEARCHED_PLACES and bool(
+        lit.any(axis=1).all()
+    )
     require(
         enough,
         "too little of the object is lit in four photographs; give a list of the lights as"
@@ -193,7 +189,7 @@ def _factors(
     light /= light[lit].mean()
     whole = lit.sum(axis=0) >= np.quantile(lit.sum(axis=0), 0.7)
     left, size, _ = np.linalg.svd(light[:, whole], full_matrices=False)
-    require(size[2] > _RANK * size[3] and size[2] > 1e-3 * size[0], _UNDETERMINED)
+    require(size[2] > RANK * size[3] and size[2] > 1e-3 * size[0], _UNDETERMINED)
     lights, weights = left[:, :3] * size[:3] / np.sqrt(whole.sum()), lit.astype(np.float64)
 
     def surface_of(lights: Array, weights: Array) -> Array:
@@ -213,7 +209,7 @@ def _factors(
     known = np.zeros(within.shape, np.uint8)
     known[within] = lit.any(axis=0)
     rows, columns = np.nonzero(cv2.erode(known, np.ones((3, 3)), borderValue=0))
-    some = slice(None, None, max(1, len(rows) // _SOME))
+    some = slice(None, None, max(1, len(rows) // FITTED_PLACES))
     rows, columns = rows[some], columns[some]
     across = 0.5 * (field[rows, columns + 1] - field[rows, columns - 1])
     up = 0.5 * (field[rows - 1, columns] - field[rows + 1, columns])
@@ -245,7 +241,7 @@ def _figures(matrix: Array, lights: Array, fields: list[Array]) -> tuple[Array, 
 
 
 def _fitted(
-    lights: Array, fields: list[Array], matrix: Array, curls: float = _CURLS
+    lights: Array, fields: list[Array], matrix: Array, curls: float = CURL_PLACES
 ) -> tuple[Any, Array]:
     """Least squares of lights of one brightness, even albedo and slopes without curl (places as
     many as `curls`), by Cauchy's loss that narrows; and the matrix."""
@@ -253,9 +249,9 @@ def _fitted(
 
     def residuals(values: Array, wide: float) -> Array:
         strength, albedo, curl = _figures(values.reshape(3, 3), lights, fields)
-        parts = (_PATCHES, albedo / (wide * _UNEVEN)), (curls, curl / (wide * _CURL))
+        parts = (ALBEDO_PLACES, albedo / (wide * ALBEDO_SD)), (curls, curl / (wide * CURL_LEFT))
         robust = [np.sqrt(n / len(r) * np.log1p(r**2)) * np.sign(r) for n, r in parts]
-        return np.concatenate([strength / _UNEQUAL, *robust])
+        return np.concatenate([strength / STRENGTH_SD, *robust])
 
     for wide in (6.0, 2.0, 1.0):
         solution = least_squares(residuals, matrix.ravel(), args=(wide,), max_nfev=40)
@@ -279,7 +275,7 @@ def _turns(fields: list[Array], matrix: Array, most: int = 3) -> list[Array]:
                 spin = cv2.Rodrigues(np.array([0.0, 0.0, angle]))[0]
                 turn = lean @ spin @ np.diag([1.0, side, 1.0]) @ facing
                 curl = _figures(turn @ matrix, none, fields)[2]
-                candidates.append((float(np.log1p((curl / _CURL) ** 2).mean()), turn))
+                candidates.append((float(np.log1p((curl / CURL_LEFT) ** 2).mean()), turn))
     candidates.sort(key=lambda candidate: candidate[0])
     chosen: list[Array] = []
     for _, turn in candidates:
@@ -298,7 +294,7 @@ def _deviation(solution: Any, matrix: Array) -> tuple[float, float, float]:
     factor = 0.5 * (turns[:, 0, 0] + turns[:, 1, 1]) - turns[:, 2, 2]
     reads = np.stack([factor, turns[:, 0, 2], turns[:, 1, 2]])
     a, m, k = np.sqrt(np.diag(reads @ covariance @ reads.T)).tolist()
-    return float(np.hypot(a, _GLOSSY)), m, k
+    return float(np.hypot(a, GLOSSY_SD)), m, k
 
 
 def _directions(lights: Array, matrix: Array, surface: Array, places: Array) -> Array:

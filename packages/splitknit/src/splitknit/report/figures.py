@@ -25,12 +25,12 @@ from splitknit.io.pictures import (
     upright_turn,
 )
 from splitknit.model import BoolArray, FloatArray, Reconstruction
+from splitknit.report.parameters import BACKGROUND_GREY, CLAY_COLOUR, FILL_LIGHT, KEY_LIGHT, RIM_MM
 from splitknit.report.photos import Picture, captioned, colour_bar, is_finger
 
 if TYPE_CHECKING:
     from splitknit.accuracy import Comparison
 
-RIM_MM = 0.4  # of an opaque thing: there its sides bend what separates fine details from the shape
 
 Truth = Mapping[str, NDArray[Any]]  # a simulator's arrays
 
@@ -254,7 +254,7 @@ field."""
 def view_from_above(small: _SmallFields) -> ColourArray:
     """The shaded surface as the camera sees it, upright."""
     covered = small.weight[..., None]
-    picture = _shade(small) * covered + _BACKGROUND * (1.0 - covered)
+    picture = _shade(small) * covered + BACKGROUND_GREY * (1.0 - covered)
     return np.round(np.clip(picture, 0.0, 1.0) * 255).astype(np.uint8)
 
 
@@ -312,10 +312,9 @@ def error_pictures(
     return errors
 
 
-_CLAY = np.array([0.90, 0.80, 0.70], dtype=np.float32)
-_KEY = np.array([-0.55, 0.55, 0.63], dtype=np.float32)
-_FILL = np.array([0.70, -0.15, 0.70], dtype=np.float32)
-_BACKGROUND = 0.965
+_CLAY = np.array(CLAY_COLOUR, dtype=np.float32)
+_KEY = np.array(KEY_LIGHT, dtype=np.float32)
+_FILL = np.array(FILL_LIGHT, dtype=np.float32)
 
 
 def _shade(surface: _SmallFields) -> FloatArray:

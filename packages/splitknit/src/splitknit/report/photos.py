@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from splitknit.io.pictures import BLUE, ORANGE, SKY, ColourArray, colour, data_uri, upright_limits
 from splitknit.model import Band, Capture, PixelArray, Reconstruction
+from splitknit.report.parameters import LONGEST_PX
 from splitknit.steps import let_go
 
 _NO_LEGEND = Markup("")
@@ -80,9 +81,6 @@ def colour_bar(low: float, high: float, unit: str, *, diverging: bool = False) -
         f' style="display:flex;justify-content:space-between;font-size:11px"><span>{low:.3g}</span>'
         f"<span>{(low + high) / 2:.3g} {unit}</span><span>{high:.3g}</span></div></div>"
     )
-
-
-LONGEST_PX = 700  # longer side of a picture
 
 
 def _fitting(shape: tuple[int, ...]) -> tuple[tuple[int, int], float]:

@@ -39,7 +39,8 @@ from splitknit.io.results import (
 from splitknit.model import Capture, Reconstruction
 from splitknit.report import figures, template
 from splitknit.report.figures import Truth
-from splitknit.report.photos import LONGEST_PX, capture_pictures, is_finger
+from splitknit.report.parameters import LONGEST_PX
+from splitknit.report.photos import capture_pictures, is_finger
 from splitknit.report.surface import scene_of
 
 if TYPE_CHECKING:
@@ -394,6 +395,7 @@ def _label(name: str) -> str:
 
 
 PRINT_PPI = 500.0
+"""Pixels an inch of ``print.png``. Source: ISO/IEC 19794-4, the usual resolution of prints."""
 _FIELDS = ("phalange.ply", "height.tiff", "height.npz", "normals.png", "albedo.png")
 FILES = (*_FIELDS, "print.png", "preview.png", "report.html", "report.json")
 

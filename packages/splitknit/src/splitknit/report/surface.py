@@ -25,14 +25,16 @@ from splitknit.errors import require
 from splitknit.imaging.geometry import bounding_box, sampled_at
 from splitknit.io.pictures import upright_turn
 from splitknit.model import BoolArray, FloatArray, Reconstruction
+from splitknit.report.parameters import (
+    FARTHEST,
+    MAX_SAMPLES,
+    MOST_POINTS,
+    RIDGE_SIGMA_MM,
+    RIDGE_STEP,
+    SHAPE_STEP,
+)
 from splitknit.units import MILLIMETRES, LengthUnit
 
-_FARTHEST = 40_000.0  # mm or pixels: no place of a surface is as far from the origin
-_RIDGE_SIGMA_MM = 0.32
-_MAX_SAMPLES = 20_000
-_MOST_POINTS = 400_000  # of a surface inside a page
-_SHAPE_STEP = 0.001  # mm, or pixels: of the shape's levels, which the relief is added to
-_RIDGE_STEP = 0.0002  # mm, or pixels
 _Values = NDArray[np.float64]
 
 
@@ -145,12 +147,12 @@ def section(
     """
     ends = np.array([start_mm, end_mm], dtype=np.float64)
     require(
-        bool(np.isfinite(ends).all()) and float(np.abs(ends).max()) <= _FARTHEST,
+        bool(np.isfinite(ends).all()) and float(np.abs(ends).max()) <= FARTHEST,
         "the two points must be finite and on the surface.",
     )
     flat_mm = float(np.hypot(*(ends[1] - ends[0])))
     require(flat_mm >= surface.pitch_mm, "the two points are the same; choose two that are apart.")
-    count = int(min(_MAX_SAMPLES, max(2.0, np.ceil(flat_mm / surface.pitch_mm)))) + 1
+    count = int(min(MAX_SAMPLES, max(2.0, np.ceil(flat_mm / surface.pitch_mm)))) + 1
     fraction = np.linspace(0.0, 1.0, count)
     x, y = ends[0][:, None] + fraction * (ends[1] - ends[0])[:, None]
     place = surface.locate(x, y)
@@ -184,7 +186,7 @@ def _ridge_period_mm(along: _Values, relief: _Values) -> float:
     """Mean distance of ridges, counted where they cross the mean of their surroundings; NaN of
     fewer than two."""
     known = np.isfinite(relief)
-    sigma = _RIDGE_SIGMA_MM / (along[1] - along[0])
+    sigma = RIDGE_SIGMA_MM / (along[1] - along[0])
     weight = np.maximum(_blur(known.astype(np.float64), sigma), 1e-3)
     band = np.where(known, relief, 0.0)
     band = np.where(known, band - _blur(band, sigma) / weight, 0.0)
@@ -272,7 +274,7 @@ def _encoded(page: PageSurface) -> dict[str, Any]:
     surface = page.surface
     unit = surface.unit
     known = np.isfinite(surface.height_mm)
-    thinning = max(1.0, float(np.sqrt(known.sum() / _MOST_POINTS)))
+    thinning = max(1.0, float(np.sqrt(known.sum() / MOST_POINTS)))
     pitch_mm = thinning * surface.pitch_mm
     left = float(np.nanmin(surface.x_mm))
     top = float(np.nanmax(surface.y_mm))
@@ -294,9 +296,9 @@ def _encoded(page: PageSurface) -> dict[str, Any]:
         "unit": unit.name,
         "small": unit.small,
         "shape": _in_16_bits(
-            gridded(surface.height_mm - surface.ridge_mm) * unit.per_mm, _SHAPE_STEP
+            gridded(surface.height_mm - surface.ridge_mm) * unit.per_mm, SHAPE_STEP
         ),
-        "ridge": _in_16_bits(gridded(surface.ridge_mm) * unit.per_mm, _RIDGE_STEP),
+        "ridge": _in_16_bits(gridded(surface.ridge_mm) * unit.per_mm, RIDGE_STEP),
         "brightness": None if page.albedo is None else _jpeg(gridded(page.albedo)),
         "minutiae": np.round(page.minutiae, 4).tolist(),
     }

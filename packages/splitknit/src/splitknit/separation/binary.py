@@ -21,9 +21,8 @@ import numpy as np
 from splitknit.errors import require
 from splitknit.imaging.chunks import for_each_chunk
 from splitknit.model import BoolArray, FloatArray
+from splitknit.separation.parameters import CLIP_LEVEL, STATE_EDGE
 from splitknit.separation.stacks import (
-    CLIP_LEVEL,
-    EDGE,
     Separation,
     check_change,
     check_contrast,
@@ -112,7 +111,7 @@ def _by_states(
 
     def work(rows: slice) -> None:
         state = states[:, rows].astype(np.float64)
-        used: BoolArray = (state <= EDGE) | (state >= 1 - EDGE)
+        used: BoolArray = (state <= STATE_EDGE) | (state >= 1 - STATE_EDGE)
         number = np.maximum(used.sum(axis=0), 1)[..., None]
         s = np.where(used, dark + (1 - dark) * state, 0.0)
         mean_s = s.sum(axis=0)[..., None] / number
@@ -136,7 +135,7 @@ def _in_the_middle(
     its rim, stands for the light from around, and weighs the images.
     """
     around = np.stack([_square_mean(state, 0.8 * check_px) for state in states])
-    used = (states <= EDGE) | (states >= 1 - EDGE)
+    used = (states <= STATE_EDGE) | (states >= 1 - STATE_EDGE)
     low = np.empty(light.shape[1:], dtype=np.float32)
     high = np.empty_like(low)
 

@@ -12,13 +12,9 @@ from splitknit.errors import require
 from splitknit.imaging.band import GREY_WEIGHTS
 from splitknit.model import FloatArray
 from splitknit.networks.unet import Network, load_network, run_network
+from splitknit.separation.parameters import LEVEL_BLOCK_PX, LEVEL_SIGMA_PX, MIN_LEVEL
 
 DEFAULT_NETWORK = "direct"
-LEVEL_BLOCK_PX = 8
-# standard deviation of the neighbourhood whose mean brightness the network takes as one
-LEVEL_SIGMA_PX = 16.0
-# it does not fall below this part of :func:`exposure_level`: in the dark there is noise alone
-MIN_LEVEL = 0.05
 
 
 def exposure_level(image: FloatArray) -> float:

@@ -36,20 +36,19 @@ from splitknit.io.provenance import json_text, provenance
 from splitknit.io.targets import check_target
 from splitknit.model import BoolArray, FloatArray, Progress
 from splitknit.separation.binary import checkerboard
+from splitknit.separation.parameters import REPORTED_LEVEL, RIDGES_A_FINGER
 from splitknit.separation.stacks import Separation, estimate_patterns
 
 ESTIMATE = "estimate"
 _SUFFIXES = {".png", ".tif", ".tiff", ".jpg", ".jpeg"}
 MARKER = "direct.tiff"
 POLARISED_MARKER = "specular.png"
-_RIDGES = 45  # periods of ridges that a picture of a finger is about long
 LINEAR = "linear light, 1 = full scale of the images"
 NO_CHECK_PX = Finding(
     "no-check-size",
     "global light was taken to be the same under all shifts; on skin it is not, and direct light "
     "comes out a quarter too low: give check_px for skin.",
 )
-_LIT = 0.1  # figures of the report are over pixels brighter than this part of the brightest
 
 
 def separate_to_folder(
@@ -164,9 +163,9 @@ def separate_polarised_folders(
                 write_image(target / f"{name}_{k}.png", np.round(part * 65535).astype(np.uint16))
         specular /= count
         diffuse /= count
-        lit = diffuse > _LIT * float(np.quantile(diffuse, 0.999))
+        lit = diffuse > REPORTED_LEVEL * float(np.quantile(diffuse, 0.999))
         require(lit.any(), "nothing is lit; the crossed images are black.")
-        picture = specular_picture(specular[None], lit, max(lit.shape) / _RIDGES)
+        picture = specular_picture(specular[None], lit, max(lit.shape) / RIDGES_A_FINGER)
         write_image(target / POLARISED_MARKER, picture_bytes(picture))
         share = float(np.median(specular[lit] / (specular + diffuse)[lit]))
         names = [f"{name}_{k}.png" for name in ("specular", "diffuse") for k in range(count)]
@@ -187,7 +186,7 @@ def separate_polarised_folders(
 def _figures(parts: Separation, light: PatternLight) -> dict[str, Any]:
     total = parts.white
     grey = total if total.ndim == 2 else total.mean(axis=-1)
-    lit = grey > _LIT * np.nanquantile(grey, 0.999)  # NaN is not
+    lit = grey > REPORTED_LEVEL * np.nanquantile(grey, 0.999)  # NaN is not
     require(lit.any(), "nothing is lit; the images are black.")
     negative = float((parts.global_[lit] < 0).mean())
     finding = Finding(

@@ -23,20 +23,16 @@ from numpy.typing import NDArray
 
 from splitknit.errors import BadInput, check_mask, require
 from splitknit.model import BoolArray, FloatArray
-
-# a stack with more clipped pixels is refused: its maximum, so its direct light, is wrong
-_MAX_CLIPPED = 0.02
-LIT_LEVEL = 0.1
-"""Only pixels brighter than this part of the brightest ones are checked: no black background, and
-nothing that 8 bits cannot resolve."""
-# a pixel that changes by less than this part of its maximum was never lit, or never dark
-MIN_CONTRAST = 0.005
-_MAX_CONSTANT = 0.05  # more such pixels than this, among the bright ones, and the stack is refused
-# an image whose bright pixels stay below this part of the other images' is black
-_BLACK_IMAGE = 0.03
-CLIP_LEVEL = 0.99  # linear light from which on a value of a file counts as clipped
-# where states are known: lit from 1 - `edge`, dark up to `edge`; the rim of a check is left out
-EDGE = 0.1
+from splitknit.separation.parameters import (
+    BLACK_IMAGE,
+    CLIP_LEVEL,
+    DECIDED_PART,
+    LIT_LEVEL,
+    MAX_CLIPPED,
+    MAX_CONSTANT,
+    MIN_CONTRAST,
+    STATE_EDGE,
+)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -124,7 +120,7 @@ def _check_exposure(light: FloatArray, mask: BoolArray, clip_level: float | None
     require(peaks.max() > 0, "every image is black; check the light source and capture again.")
     k = int(np.argmin(peaks))
     require(
-        peaks[k] > _BLACK_IMAGE * usual,
+        peaks[k] > BLACK_IMAGE * usual,
         f"image {k} is black: its bright pixels reach {peaks[k]:.3g}, those of the others "
         f"{usual:.3g}; its pattern lights nothing, capture it again or leave it out.",
     )
@@ -133,7 +129,7 @@ def _check_exposure(light: FloatArray, mask: BoolArray, clip_level: float | None
         return
     fraction = float((brightest[mask] >= clip_level).mean())
     require(
-        fraction <= _MAX_CLIPPED,
+        fraction <= MAX_CLIPPED,
         f"{percent(fraction)} of the pixels are saturated (linear value {clip_level:g} or more) in "
         "their brightest image; capture again with a shorter exposure.",
     )
@@ -171,7 +167,7 @@ def check_contrast(low: FloatArray, high: FloatArray, mask: BoolArray) -> None:
     looked_at = mask & (bright > LIT_LEVEL * float(np.quantile(_thinned(bright, mask), 0.999)))
     constant = looked_at & (bright - dark <= MIN_CONTRAST * bright)
     fraction = float(constant.sum()) / max(1.0, float(looked_at.sum()))
-    if fraction <= _MAX_CONSTANT:
+    if fraction <= MAX_CONSTANT:
         return
     row, column = np.argwhere(constant)[0]
     raise BadInput(
@@ -195,10 +191,6 @@ def check_change(light: FloatArray) -> None:
         "the images differ by noise at most: the patterns never light the scene; check the"
         " projector, or whether the direct light is too weak to be seen.",
     )
-
-
-# part of half the range of its neighbours beyond which a pixel's state is decided
-_DECIDED = 1 - 2 * 0.2
 
 
 def estimate_patterns(
@@ -227,8 +219,8 @@ def estimate_patterns(
     middle = (high + low) / 2
     half = np.maximum((high - low) / 2, 1e-20)
     states = np.full(means.shape, 0.5, dtype=np.float32)
-    states[means >= middle + _DECIDED * half] = 1.0
-    states[means <= middle - _DECIDED * half] = 0.0
+    states[means >= middle + DECIDED_PART * half] = 1.0
+    states[means <= middle - DECIDED_PART * half] = 0.0
     return states
 
 
@@ -244,7 +236,7 @@ def check_patterns(patterns: Any, images: LightStack) -> FloatArray:
         bool(np.isfinite(states).all()) and states.min() >= 0 and states.max() <= 1,
         "patterns must hold states from 0 (dark) to 1 (lit), without NaN.",
     )
-    for reached, word in ((states >= 1 - EDGE, "lit"), (states <= EDGE, "dark")):
+    for reached, word in ((states >= 1 - STATE_EDGE, "lit"), (states <= STATE_EDGE, "dark")):
         never = images.mask & ~reached.any(axis=0)
         if never.any():
             row, column = np.argwhere(never)[0]
@@ -262,7 +254,7 @@ def _check_order(images: LightStack, states: FloatArray) -> None:
     light = images.light.mean(axis=-1)[:, images.mask][:, ::step].astype(np.float64)
     light -= light.mean(axis=0)
     known = states[:, images.mask][:, ::step].astype(np.float64)
-    known = np.ma.masked_inside(known, EDGE, 1 - EDGE)  # undecided
+    known = np.ma.masked_inside(known, STATE_EDGE, 1 - STATE_EDGE)  # undecided
     decided = ~np.ma.getmaskarray(known)
     known = (known - known.mean(axis=0)).filled(0.0)
     power = (known * known).sum(axis=1) * ((light * light) @ decided.T)

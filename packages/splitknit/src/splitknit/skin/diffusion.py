@@ -19,17 +19,15 @@ import numpy as np
 
 from splitknit.model import Array
 from splitknit.settings import Checked, Limits
+from splitknit.skin.parameters import COLOUR_TRUST
 
 CHANNELS = ("red", "green", "blue", "nir")
 SCATTERING_PER_MM = (3.39, 4.12, 5.18, 2.16)
-"""Reduced scattering in the channels: 4.6 (wavelength / 500 nm)^-1.42 per mm (Jacques 2013)."""
-SCATTERING_SD = 0.3
-"""Relative standard deviation of the scattering between people; it enters the relief's
-uncertainty."""
+"""Reduced scattering in the channels: 4.6 (wavelength / 500 nm)^-1.42 per mm. Source: Jacques
+2013."""
 ABSORPTION_PER_MM = (0.030, 0.20, 0.40, 0.020)
-"""Absorption in the channels, in light skin."""
-COLOUR_TRUST = 0.6
-"""How much the absorption in green and blue follows this finger's colour: 0 not at all, 1 fully."""
+"""Absorption in the channels. Source: the simulator's light skin, docs/explain/simulator.md,
+"Optics"."""
 
 
 @dataclass(frozen=True, slots=True)

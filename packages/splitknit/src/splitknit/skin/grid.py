@@ -19,12 +19,6 @@ from splitknit.model import Array, BoolArray, FloatArray, Rig
 Slopes = tuple[FloatArray, FloatArray]
 """dz/dx and dz/dy (h, w), y up."""
 
-WORKING_PITCH_MM = 0.0264
-"""Pitch of the fine grid; skin's blur leaves less than 2 % of any finer detail, and the networks
-have learned it."""
-COARSE_PITCH_MM = 0.106
-"""Pitch of the coarse grid."""
-
 
 @dataclass(frozen=True, eq=False)
 class Grid:

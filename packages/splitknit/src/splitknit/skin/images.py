@@ -20,8 +20,9 @@ from splitknit.imaging.view import view_of
 from splitknit.model import Array, Band, BoolArray, Capture, FloatArray, Rig
 from splitknit.networks.unet import load_network, run_network
 from splitknit.settings import Checked, Limits
-from splitknit.skin.grid import WORKING_PITCH_MM, BandImages, Grid
+from splitknit.skin.grid import BandImages, Grid
 from splitknit.skin.learned import Networks, can_learn
+from splitknit.skin.parameters import GRID_MARGIN_MM, NETWORK_TILE_PX, WORKING_PITCH_MM
 
 
 @dataclass(frozen=True, slots=True)
@@ -43,10 +44,6 @@ class MetricSettings(Checked):
     """The same for the network that refines the shape in the last round; empty: none."""
 
 
-_TILE_PX = 704
-"""Side in pixels of a square as large as a tile of the networks; memory grows with its square."""
-_MARGIN_MM = 0.1
-"""Beside the finger's outline, on the working grid."""
 NO_NETWORK = (
     "the network of the relief needs six white lights all around the finger and at least 12 pixels"
     " a millimetre; relief and glare are separated by their colours alone."
@@ -107,7 +104,7 @@ def working_images(
     `bands`: the white one, and the near-infrared one if there is one; `window`: of the finger;
     `inside`: (h, w) pixels of it that are reconstructed.
     """
-    rows, columns = bounding_box(inside, round(_MARGIN_MM * capture.rig.camera.px_per_mm))
+    rows, columns = bounding_box(inside, round(GRID_MARGIN_MM * capture.rig.camera.px_per_mm))
     top, left = window[0].start, window[1].start
     of_finger = (
         slice(top + rows.start, top + rows.stop),
@@ -198,7 +195,7 @@ def shipped_networks(settings: MetricSettings) -> Networks | None:
 
     def runner(name: str) -> Callable[[FloatArray], FloatArray]:
         network = load_network(name)
-        return lambda fields: run_network(network, fields[None], tile=_TILE_PX)[0]
+        return lambda fields: run_network(network, fields[None], tile=NETWORK_TILE_PX)[0]
 
     return Networks(
         runner(settings.network), runner(settings.shape_network) if settings.shape_network else None
@@ -229,10 +226,10 @@ def _grid(capture: Capture, window: Window, mask: BoolArray, binning: float) -> 
 #
 # The networks were trained on pixels of 17 to 41 um. A camera of 12 to 25 pixels a millimetre shows
 # ridges well enough (6 to 11 pixels a period), in pixels that are too large for them: the images
-# are interpolated to
-# half the pitch.
+# are interpolated to half the pitch.
 
 FACTOR = 2
+"""Pixels of the finer grid on a side of a pixel. Source: definition."""
 
 
 def finer_grid(grid: Grid) -> Grid:

@@ -25,6 +25,18 @@ from splitknit.photometric.near_light import pseudo_normals
 from splitknit.skin.diffusion import Diffusion
 from splitknit.skin.grid import BandImages, Grid
 from splitknit.skin.light import Lighting, lighting, predict, reached_by_all, slant_of, trust_of
+from splitknit.skin.parameters import (
+    GAIN_UNCERTAINTY,
+    LEVEL_MM,
+    LITTLE_GLOSS,
+    MAX_UNEVEN,
+    MIN_LIGHTS,
+    NETWORK_PITCH_MM,
+    RIDGE_BAND_MM,
+    RIDGE_SLOPES_MM,
+    SLANT_DEG,
+    SLANT_ERROR,
+)
 from splitknit.skin.relief import ReliefEstimate
 from splitknit.skin.shape import (
     CoarseImages,
@@ -40,17 +52,10 @@ from splitknit.skin.shape import (
 # is the brightness; the first harmonic is the slope, as photometric stereo measures it; no matt
 # surface has a second or third one: they are specular reflection. All are relative to their
 # neighbourhood, so that exposure, pigment and the finger's shape cancel, and they turn with the
-# image as scalars
-# and vectors do.
+# image as scalars and vectors do.
 
-RIDGE_BAND_MM = 0.3
-"""Standard deviation of the Gaussian mean that the relief is free of."""
-LEVEL_MM = 0.6
-"""Standard deviation of the Gaussian mean that brightness is relative to."""
-MIN_LIGHTS = 6
-"""Fewer lights leave too little beside the slopes to measure specular reflection by."""
 COUNT = 32
-"""Fields of :func:`features`."""
+"""Fields of :func:`features`. Source: definition."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -195,11 +200,12 @@ Network = Callable[[FloatArray], FloatArray]
 logarithm of the relief's variance."""
 
 SHAPE_SLOPE = 0.1
-"""Unit of the slopes of the shape network."""
+"""Unit of the slopes of the shape network. Source: definition (``training/shape.py``)."""
 RELIEF_MM = 0.02
-"""Unit of the relief of the relief network."""
+"""Unit of the relief of the relief network. Source: definition (``training/relief.py``)."""
 GLARE = 0.05
-"""Unit of its specular reflection, over the green channel's brightness."""
+"""Unit of its specular reflection, over the green channel's brightness. Source: definition
+(``training/relief.py``)."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -216,8 +222,9 @@ RELIEF_SYMMETRY = Symmetry(
     second_harmonics=((9, 10), (13, 14), (17, 18)),
     third_harmonics=((11, 12), (15, 16), (19, 20)),
 )
-"""Symmetry of the fields of :func:`features`."""
+"""Symmetry of the fields of :func:`features`. Source: definition."""
 _RELIEF_OUTPUT = Symmetry(vectors=((2, 3),), second_harmonics=((4, 5),), third_harmonics=((6, 7),))
+"""Symmetry of the relief network's output. Source: definition."""
 
 
 def relief_network(
@@ -229,31 +236,13 @@ def relief_network(
     return lambda fields: mean_over_orientations(network, fields, symmetries, orientations, earlier)
 
 
-LITTLE_GLOSS = 0.015
-"""Mean specular reflection over the diffuse light, as the network estimates it: below, there may be
-none."""
-GAIN_UNCERTAINTY = (0.2, 0.15)
-"""Standard deviation of the common factor of all heights with less and with more than that, on
-simulated skin whose boundary and brightness by height vary widely (a factor of seven), as skin's
-are not known."""
-SLANT_DEG, SLANT_ERROR = (0, 15, 30, 45, 60, 70), (0.74, 0.84, 1.1, 1.12, 1.02, 2.3)
-"""Error of the relief over what the network states, by slant: the error is smallest where the skin
-faces lights and camera. Ten fingers of our simulator have 0.7 to 0.9 up to 60 degrees, 2.3 beyond;
-two path-traced ones 0.6 to 0.8 below 15 degrees and 0.8 to 1.5 above
-(``validation/path_traced/score.py``)."""
-MAX_UNEVEN = 10.0
-"""Condition of the harmonics up to the second at the lights' azimuths; one for a regular ring."""
-PITCH_MM = (0.017, 0.041)
-"""Pixels that the networks were trained on, about."""
-
-
 def can_learn(band: BandImages, pitch_mm: float) -> bool:
     """Whether the networks can be applied to a band: three colours, enough lights all around, and
     fine pixels."""
     if len(band.channels) != 3 or band.stack.shape[1] < MIN_LIGHTS:
         return False
     around = np.linalg.cond(azimuth_waves(band.rig, 2)) < MAX_UNEVEN
-    return bool(around) and PITCH_MM[0] <= pitch_mm <= PITCH_MM[1]
+    return bool(around) and NETWORK_PITCH_MM[0] <= pitch_mm <= NETWORK_PITCH_MM[1]
 
 
 def relief_by_network(
@@ -340,7 +329,7 @@ def _ridge_tensor(relief_mm: FloatArray, grid: Grid, factor: int, low: Grid) -> 
     rows, columns = (length * factor for length in low.shape)
     parts = [p[:rows, :columns] for p in (x * x - y * y, 2 * x * y, x * x + y * y)]
     coarse = bin_mean(np.ascontiguousarray(np.nan_to_num(np.stack(parts))), factor)
-    even, odd, power = low.smooth(coarse, low.mask, RIDGES_MM)
+    even, odd, power = low.smooth(coarse, low.mask, RIDGE_SLOPES_MM)
     slope = np.sqrt(np.maximum(power, 1e-8))
     return np.stack([even / slope, odd / slope, slope]) * low.mask
 
@@ -349,11 +338,8 @@ def _ridge_tensor(relief_mm: FloatArray, grid: Grid, factor: int, low: Grid) -> 
 #
 # Analysis by synthesis leaves errors with a pattern: where the finger turns away, towards its tip
 # and its outline, unresolved ridges, light that is lost at the rim and specular reflection at
-# grazing angles bend
-# the shape.
+# grazing angles bend the shape.
 
-RIDGES_MM = 0.6
-"""Standard deviation of the Gaussian mean of the ridges' slopes."""
 CHANNELS = ("red", "green", "blue", "nir")
 WITH_WAVES = ("green", "nir")
 """Channels whose second and third harmonics are given."""
@@ -363,8 +349,9 @@ SHAPE_SYMMETRY = Symmetry(
     third_harmonics=((14, 15), (18, 19)),
 )
 """Symmetry of these fields; the direction across the ridges is given by cosine and sine of twice
-its azimuth."""
+its azimuth. Source: definition."""
 _SLOPES = Symmetry(vectors=((0, 1),), second_harmonics=(), third_harmonics=())
+"""Symmetry of the shape network's output. Source: definition."""
 
 
 def _shape_features(

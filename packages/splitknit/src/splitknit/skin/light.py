@@ -19,19 +19,17 @@ from splitknit.imaging.light_field import light_vectors_at
 from splitknit.model import BoolArray, FloatArray, Rig
 from splitknit.photometric.equations import shading
 from splitknit.skin.grid import Grid, smooth_step
-
-INDEX = 1.42
-"""Refractive index of the stratum corneum, about."""
+from splitknit.skin.parameters import REFRACTIVE_INDEX, ROUGHNESSES
 
 
-def fresnel_transmission(cosine: Any, index: float = INDEX) -> FloatArray:
+def fresnel_transmission(cosine: Any, index: float = REFRACTIVE_INDEX) -> FloatArray:
     """Unpolarised light that enters a dielectric, relative to normal incidence, by the cosine (Born
     and Wolf 1.5)."""
     normal = 1.0 - ((index - 1.0) / (index + 1.0)) ** 2
     return ((1.0 - fresnel_reflectance(cosine, index)) / normal).astype(np.float32)
 
 
-def fresnel_reflectance(cosine: Any, index: float = INDEX) -> FloatArray:
+def fresnel_reflectance(cosine: Any, index: float = REFRACTIVE_INDEX) -> FloatArray:
     """Part of unpolarised light that a dielectric reflects at an angle with this cosine (Born and
     Wolf, 1.5)."""
     c = np.clip(np.asarray(cosine, dtype=np.float32), 1e-3, 1.0)
@@ -83,9 +81,6 @@ class GlareFit:
     roughness: float  # GGX alpha
     strength: float  # factor on :class:`MicrofacetGlare`, in the images' units; never negative
     explained: float  # part of the squared residual that it explains
-
-
-ROUGHNESSES = (0.12, 0.16, 0.20, 0.25, 0.30, 0.36, 0.42)
 
 
 def fit_glare(

@@ -38,128 +38,63 @@ from splitknit.model import Array, BoolArray, FloatArray, Rig
 from splitknit.photometric.equations import shading
 from splitknit.skin.grid import BandImages, Grid, Slopes
 from splitknit.skin.light import fresnel_reflectance, slant_of
-
-RIDGES_PER_MM = 14.0
-"""Angular frequency of ridges."""
-EDGE_PX = 3
-"""Pixels nearer to the outline are not fitted."""
-
-# The start: a shape of about the right height, and ridges of an unknown gain.
-
-START_ROUGHNESS = 0.25
-START_PATH_PX = 2.0
-START_BLUR_PX = 0.8
-SLOW_MM = 0.5
-"""Length over which the start's mean slope is known to `SLOW_SLOPE` (standard deviation)."""
-SLOW_SLOPE = 0.2
-PRIOR_FACTOR_FRONT = 5.0
-"""Weakens the start's relief, whose error is one of gain too: on its stated deviation."""
-PRIOR_FACTOR_SIDE = 20.0
-"""The same with lights to the side, which see the flanks."""
-STEEP = 1.0
-"""Strength, roughness, path and blur are fitted where the start is less steep than this."""
-LOCAL_RHO = 0.3
-"""Relative standard deviation of rho about its mean over `SLOW_MM`: valleys are darker."""
-
-# Error of the prediction, as a fraction of the image.
-
-MODEL_ERROR = 0.03
-SCATTERED_ERROR = 0.1
-"""Of the scattered part."""
-FIRST_ERROR = 0.8
-"""In the first step with lights to the side: facets far from their slope are no outliers."""
-ERROR_FACTOR = 0.66
-"""From step to step, down to `MODEL_ERROR`."""
-GRAZING = 0.004
-"""Square of the cosine of incidence at which half the light enters that is scattered once.
-
-Fresnel's transmittance and the longer path below the skin would give 0.01 on a smooth surface, but
-such light also comes from beside the facet.
-"""
-
-# Cosines from which a facet is used, and how much more gives it all its weight.
-
-LIT_FRONT = (0.1, 0.3)
-LIT_SIDE = (0.05, 0.2)
-SEEN_FRONT = (0.3, 0.2)
-SEEN_SIDE = (0.1, 0.2)
-
-# Gauss-Newton and its solver.
-
-STEPS = 10
-"""Gauss-Newton steps."""
-SOLVER_STEPS = 40
-"""Conjugate gradients in each step."""
-MAX_SLOPE_STEP = 0.6
-"""Largest change of a slope in one step, but for a few pixels."""
-LOWEST = (1e-9, 0.06, 0.3, 0.3, -8.0)
-"""Bounds of the fields of :class:`SpecularModel`."""
-HIGHEST = (1e9, 0.8, 8.0, 1.5, 8.0)
-PRIOR_WEIGHTS = (1e-6, 1e-6, 1.0, 1.0, 0.1)
-"""Weights of the priors on the model's change, relative to the images."""
-MAX_CHANGE = (0.25, 0.25, 0.25, 0.25, 1.5)
-"""Largest change of the model in one step."""
-RAISED_MM = 1.0
-"""Step of the derivative by the finger's lift."""
-STRIPES = 12
-"""Chunks of rows from which the model is fitted, about."""
-LIGHT_ROWS = 8
-"""Rows over which light changes little."""
-FACET_FIELDS = 2
-"""Chunks are smaller by this: a facet has many numbers."""
-
-# Lights to the side: their brightness and cast shadows.
-
-SHADOW_STEPS = 4
-"""Steps after which cast shadows are computed again."""
-PENUMBRA = 0.05
-"""Half the tangent over which shadows are soft: the LED's size, and the surface's error."""
-SHADOW_PX = (*range(1, 13), 14, 16, 19, 22, 26, 31, 38, 47, 60, 80, 110, 160)
-"""Distances at which the surface may stand in the way."""
-PRIOR_GAIN = 0.02
-"""Weight of a brightness of one, over that of the images."""
-GAINS = (0.15, 3.0)
-"""Bounds of a light's brightness."""
-FIRST_MISFIT = 0.8
-"""Residual of a light to the side, over its image (rms), from which it waits: glints of oily skin
-fit later. A path-traced finger's leave 0.36 at first and 0.09 at last; lights whose films are
-turned, so that what they reflect does not pass the camera's, leave 0.82 to 13."""
-LATE_MISFIT = 0.5
-"""The same in the second half of the steps."""
-
-# Errors of the resulting heights.
-
-AVERAGED_MM = 0.1
-"""Gaussian sigma: averaging the information matrix."""
-RIDGE_MM = 0.3
-"""Gaussian sigma: separating ridges from shape."""
-FILM_ERROR_DEG = (0, 15, 30, 45, 60, 75)
-FILM_ERROR = (0.03, 0.05, 0.1, 0.25, 0.5, 1.0)
-"""Error of the heights measured by films, as they are weighed, by slant: over the ridges' rms."""
-NOISE_ERROR_MM = 0.04
-"""The same over the standard deviation of a slope by noise, on skin that faces the camera."""
-START_ERROR = 0.9
-"""Error of the start's ridges over their stated one."""
-ERROR_CORRELATION = 0.6
-"""Correlation of the start's error with that of the films."""
-STATED_DEG = (7.5, 22.5, 37.5, 52.5, 75)
-"""Slants of the errors below, which are those that are stated."""
-BEND_ERROR = (0.8, 1.05, 1.5, 1.8, 3.5)
-"""Without lights to the side: over the variance of the lens's blur times the ridges' curvature."""
-GAIN_ERROR = 0.05
-"""Error of the gain, over the square of scattered over specular light."""
-MAX_GAIN_ERROR = 0.2
-GLINTS = 1.6
-"""Rms slope of the ridges over roughness from which the bend's error grows with it: glints hide
-what lies between them."""
-SIDE_ERROR = (0.03, 0.2, 0.32, 0.05, 0.3)
-"""With lights to the side and no films: over the ridges' height times their slope."""
-SIDE_ERROR_FILMS = (0.01, 0.09, 0.24, 0.04, 0.37)
-"""With films too."""
-SIDE_GAIN_ERROR = 0.1
-SIDE_GAIN_ERROR_FILMS = 0.035
-TYPICAL_CHI_SQUARE = 0.4
-"""Typical reduced chi-square. The stated variance scales with its power 3/4."""
+from splitknit.skin.parameters import (
+    AVERAGED_MM,
+    BEND_ERROR,
+    EDGE_PX,
+    ERROR_CORRELATION,
+    ERROR_FACTOR,
+    FACET_FIELDS,
+    FILM_ERROR,
+    FILM_ERROR_DEG,
+    FILMS_MODEL_ERROR,
+    FILMS_RIDGE_MM,
+    FILMS_STEPS,
+    FIRST_ERROR,
+    FIRST_MISFIT,
+    GAIN_ERROR,
+    GAINS,
+    GLINTS,
+    GRAZING,
+    HIGHEST,
+    LATE_MISFIT,
+    LIGHT_ROWS,
+    LIT_FRONT,
+    LIT_SIDE,
+    LOCAL_RHO,
+    LOWEST,
+    MAX_CHANGE,
+    MAX_GAIN_ERROR,
+    MAX_SLOPE_STEP,
+    NOISE_ERROR_MM,
+    PENUMBRA,
+    PRIOR_FACTOR_FRONT,
+    PRIOR_FACTOR_SIDE,
+    PRIOR_GAIN,
+    PRIOR_WEIGHTS,
+    RAISED_MM,
+    SCATTERED_ERROR,
+    SEEN_FRONT,
+    SEEN_SIDE,
+    SHADOW_PX,
+    SHADOW_STEPS,
+    SIDE_ERROR,
+    SIDE_ERROR_FILMS,
+    SIDE_GAIN_ERROR,
+    SIDE_GAIN_ERROR_FILMS,
+    SLOW_MM,
+    SLOW_SLOPE,
+    SOLVER_STEPS,
+    START_BLUR_PX,
+    START_ERROR,
+    START_PATH_PX,
+    START_ROUGHNESS,
+    STATED_DEG,
+    STEEP,
+    STRIPES,
+    TYPICAL_CHI_SQUARE,
+    TYPICAL_RIDGES_PER_MM,
+)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -222,14 +157,14 @@ def polarised_heights(
     start_slopes = _slopes(start_nodes, grid.pitch_mm)
     gentle = mask & (start_slopes[0] ** 2 + start_slopes[1] ** 2 < STEEP**2)
     factor = PRIOR_FACTOR_SIDE if side.size else PRIOR_FACTOR_FRONT
-    slope_deviation = factor * RIDGES_PER_MM * np.maximum(deviation_mm, 1e-3)
+    slope_deviation = factor * TYPICAL_RIDGES_PER_MM * np.maximum(deviation_mm, 1e-3)
     prior = (1 / np.minimum(slope_deviation, 1.0) ** 2).astype(np.float32)
-    first_error = FIRST_ERROR if side.size else MODEL_ERROR
+    first_error = FIRST_ERROR if side.size else FILMS_MODEL_ERROR
     visible = np.ones(images.stack.shape, dtype=np.float32)
     visible[side] = 0  # the brightness of lights to the side is fitted first
     weight = _inverse_variance(images, mask, slice(None), first_error) * visible
     fitting = side[:0]
-    for step in range(STEPS):
+    for step in range(FILMS_STEPS):
         raised = None
         if fitting.size:  # then the lights' brightness and the finger's height are fitted
             level = model.lift_mm
@@ -262,7 +197,7 @@ def polarised_heights(
             soft=soft,
             rho=rho,
             rho_mean=rho_mean,
-            error=max(MODEL_ERROR, first_error * ERROR_FACTOR**step),
+            error=max(FILMS_MODEL_ERROR, first_error * ERROR_FACTOR**step),
             visible=visible,
             side=side,
             fitting=fitting,
@@ -274,7 +209,9 @@ def polarised_heights(
         of_model, brightness = np.split(fraction * change, [change.size - 2 * fitting.size])
         model = fit.model.changed(of_model)
         gains[:, fitting] *= np.exp(brightness).reshape(2, -1)
-        fitting = _fitting_lights(fit, gains, FIRST_MISFIT if step <= STEPS // 2 else LATE_MISFIT)
+        fitting = _fitting_lights(
+            fit, gains, FIRST_MISFIT if step <= FILMS_STEPS // 2 else LATE_MISFIT
+        )
     information[0::2] -= prior
     specular = np.maximum(fit.specular(), 1e-9)
     scattered = fit.scattered()
@@ -365,14 +302,14 @@ class SpecularFit:
 
 
 def local_chi_square(fit: SpecularFit) -> FloatArray:
-    """Reduced chi-square of the residual over all lights, smoothed over `RIDGE_MM`, (h, w)."""
+    """Reduced chi-square of the residual over all lights, a mean over `FILMS_RIDGE_MM`, (h, w)."""
     scattered = fit.scattered()
     images = fit.images.stack
     residual = images - fit.specular() - scattered
-    variance = fit.images.noise**2 + (MODEL_ERROR * images) ** 2
+    variance = fit.images.noise**2 + (FILMS_MODEL_ERROR * images) ** 2
     variance += (SCATTERED_ERROR * scattered) ** 2
     chi_square = (fit.visible * residual**2 / variance).mean(axis=0)
-    return fit.grid.smooth(chi_square, fit.mask, RIDGE_MM)
+    return fit.grid.smooth(chi_square, fit.mask, FILMS_RIDGE_MM)
 
 
 def _joined(
@@ -392,7 +329,7 @@ def _joined(
     `information`: (3, h, w) inverse covariance of a slope (xx, xy, yy); `ratio`: of scattered over
     specular light; `chi_square`: (h, w) local one, with lights to the side.
     """
-    shape = grid.smooth(start_mm, grid.mask, RIDGE_MM)
+    shape = grid.smooth(start_mm, grid.mask, FILMS_RIDGE_MM)
     slant = slant_of(shape, grid.pitch_mm)
     facing = np.cos(np.deg2rad(slant))
     flat = grid.mask & (facing >= np.quantile(facing[grid.mask], 0.5))
@@ -417,9 +354,11 @@ def _joined(
         bend = np.interp(slant, STATED_DEG, BEND_ERROR).astype(np.float32) * curvature
         bend *= np.float32((model.blur_px * grid.pitch_mm) ** 2 * max(glints, 1))
         gain = min(GAIN_ERROR * ratio**2, MAX_GAIN_ERROR)
-        stated = noise + grid.smooth(bend * bend + (gain * ridges) ** 2, grid.mask, RIDGE_MM)
+        stated = noise + grid.smooth(bend * bend + (gain * ridges) ** 2, grid.mask, FILMS_RIDGE_MM)
     else:
-        steep, power = grid.smooth(np.stack([slope_square, ridges * ridges]), grid.mask, RIDGE_MM)
+        steep, power = grid.smooth(
+            np.stack([slope_square, ridges * ridges]), grid.mask, FILMS_RIDGE_MM
+        )
         error = np.interp(slant, STATED_DEG, SIDE_ERROR_FILMS if films else SIDE_ERROR)
         relative = error.astype(np.float32) ** 2 * steep
         relative += (SIDE_GAIN_ERROR_FILMS if films else SIDE_GAIN_ERROR) ** 2
@@ -430,7 +369,7 @@ def _joined(
 
 
 def _high_pass(field: FloatArray, grid: Grid) -> FloatArray:
-    return field - grid.smooth(field, grid.mask, RIDGE_MM)
+    return field - grid.smooth(field, grid.mask, FILMS_RIDGE_MM)
 
 
 # One prediction: both parts of the difference for strengths of one, and their derivatives.
@@ -719,7 +658,7 @@ def _columns(
     trust *= fit.visible[:, rows]
     error = SCATTERED_ERROR * scattered
     trust /= (1 + weight * error * error) * (1 + weight * residual * residual / 9)
-    ridge_px = RIDGES_PER_MM * fit.grid.pitch_mm
+    ridge_px = TYPICAL_RIDGES_PER_MM * fit.grid.pitch_mm
     damped = rho * np.float32(np.exp(-0.5 * (ridge_px * model.path_px) ** 2))
     by_slope = [
         model.strength * specular_by + damped * matt_by

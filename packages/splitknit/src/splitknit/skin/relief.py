@@ -32,6 +32,17 @@ from splitknit.photometric.near_light import pseudo_normals
 from splitknit.skin.diffusion import Diffusion
 from splitknit.skin.grid import BandImages, Grid, Slopes, smooth_step
 from splitknit.skin.light import Lighting, slant_of, trust_of
+from splitknit.skin.parameters import (
+    COLOUR_MODEL_ERROR,
+    COLOUR_STEPS,
+    CROSSOVER_MM,
+    DENOISE_WINDOW_MM,
+    KNIT_MM,
+    NOISE_CAUTION,
+    RIDGE_RANGE_PER_MM,
+    RIDGE_TRUST,
+    WINDOW_OVERLAP,
+)
 
 
 def unmixing_weights(transfer: Any, glare: Any, signal: Any, glare_power: Any, noise: Any) -> Array:
@@ -137,14 +148,6 @@ def fit_spectra(
 # measured.
 
 
-_OVERLAP = 4
-"""Windows advance by their side over this number."""
-_WINDOW_MM = 1.7
-"""Side of a window: about four ridges."""
-_CAUTION = 1.5
-"""Factor on the noise's power where a window's own power is estimated."""
-
-
 def _window_power(image: FloatArray, side: int) -> FloatArray:
     """Mean power spectrum (side, side // 2 + 1) of windows of `image` (H, W): what pure noise
     gives."""
@@ -159,7 +162,7 @@ def _local_wiener(relief: FloatArray, noise_power: FloatArray) -> tuple[FloatArr
     noise in windows of that side.
     """
     side = len(noise_power)
-    hop = side // _OVERLAP
+    hop = side // WINDOW_OVERLAP
     rows, columns = relief.shape
     margins = [(side, side + (-(n + 2 * side)) % hop) for n in relief.shape]
     padded = np.pad(relief, margins, mode="reflect").astype(np.float32)
@@ -171,7 +174,7 @@ def _local_wiener(relief: FloatArray, noise_power: FloatArray) -> tuple[FloatArr
         spectrum = scipy.fft.rfft2(strip * window, workers=2)
         raw = (spectrum.real**2 + spectrum.imag**2).astype(np.float32)
         power = scipy.ndimage.uniform_filter(raw, (1, 3, 3), mode=("wrap", "wrap", "nearest"))
-        excess = np.maximum(power - _CAUTION * noise_power, 0.0)
+        excess = np.maximum(power - NOISE_CAUTION * noise_power, 0.0)
         gain = excess / (excess + noise_power + 1e-30)
         kept = scipy.fft.irfft2(spectrum * gain, (side, side), workers=2) * window
         # the error's power in each window: g^2 N + (1 - g)^2 S = g N for the Wiener gain
@@ -198,15 +201,6 @@ NOT_SKIN = (
     " zero, negative or not finite; check the images (values that wrapped round, a wrong order) and"
     " the lights."
 )
-CROSSOVER_MM = 0.3
-"""Standard deviation of the Gaussian that leaves the shape's frequencies to the coarse grid."""
-RIDGE_PER_MM = (9.0, 24.0)
-"""Angular frequencies (rad/mm) of ridges: periods of 0.70 to 0.26 mm, as seen from above."""
-KNIT_MM = 0.5
-"""Standard deviation of the Gaussian that parts relief and shape in the result."""
-RIDGE_TRUST = 4.0
-"""Factor on the expected power of the ridges, so that the unmixing shrinks them less than the
-least-squares optimum."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -348,7 +342,7 @@ def _plausible(omega: Array, signal: Array) -> Array:
     relief. Slopes of flat ridges with narrow, steep valleys fall off about as one over the
     frequency; nothing rougher is believed.
     """
-    ridges = np.flatnonzero((omega >= RIDGE_PER_MM[0]) & (omega <= RIDGE_PER_MM[1]))
+    ridges = np.flatnonzero((omega >= RIDGE_RANGE_PER_MM[0]) & (omega <= RIDGE_RANGE_PER_MM[1]))
     peak = int(ridges[np.argmax(signal[ridges])])
     limit = signal[peak] * (omega[peak] / omega) ** 2
     return np.where(omega > omega[peak], np.minimum(signal, limit), signal)
@@ -412,7 +406,7 @@ def denoise(
     ]
     pure = grid.inverse(_integrated(grid, noise, mix.weights) * high_pass(grid))
     # a multiple of the overlap
-    side = max(16, _OVERLAP * round(_WINDOW_MM / grid.pitch_mm / _OVERLAP))
+    side = max(16, WINDOW_OVERLAP * round(DENOISE_WINDOW_MM / grid.pitch_mm / WINDOW_OVERLAP))
     if min(grid.shape) <= side:
         return relief_mm, np.full(grid.shape, float(pure.std()), dtype=np.float32)
     clean, deviation = _local_wiener(relief_mm, _window_power(pure, side))
@@ -460,13 +454,7 @@ class ReliefEstimate:
 # The relief by colour: a linear estimate, refined by prediction and comparison.
 
 _SEED = 0
-"""Seed of the noise that is filtered to measure its spectrum."""
-STEPS = 2
-"""Corrections of the relief in each round."""
-MODEL_ERROR = 0.5
-"""Error of the relief that is not noise (glare taken for relief, flanks too steep to be resolved),
-over the relief's local rms height; measured on simulated fingers, see
-docs/experiments/accuracy.md."""
+"""Seed of the noise that is filtered to measure its spectrum. Source: definition."""
 
 
 def relief_by_colour(
@@ -483,14 +471,14 @@ def relief_by_colour(
     scattering away.
     """
     relief = np.zeros(grid.shape, dtype=np.float32)
-    for _ in range(rounds * STEPS):
+    for _ in range(rounds * COLOUR_STEPS):
         slopes, glare = _relief_residual(measured, grid, smooth_mm + relief)
         mix = unmixing(measured, grid, _with_relief(slopes, measured, grid, relief), glare)
         relief = update(measured, grid, slopes, mix, relief)
         relief, noise = denoise(relief, grid, mix, _SEED)
     sensitivity = abs(_scattering_sensitivity(measured, grid, mix, scattering_more, relief))
     height = np.sqrt(np.maximum(grid.smooth(relief * relief, grid.mask, 0.6), 0.0))
-    model = np.float32(np.hypot(sensitivity, MODEL_ERROR)) * height
+    model = np.float32(np.hypot(sensitivity, COLOUR_MODEL_ERROR)) * height
     return ReliefEstimate(
         relief_mm=relief,
         deviation_mm=np.sqrt(noise**2 + model**2).astype(np.float32),

@@ -15,7 +15,7 @@ from splitknit.integration.poisson import poisson
 from splitknit.model import BoolArray, FloatArray
 from splitknit.photometric.near_light import pseudo_normals
 from splitknit.skin.diffusion import Diffusion
-from splitknit.skin.grid import COARSE_PITCH_MM, BandImages, Grid, Slopes, coarsen, refine
+from splitknit.skin.grid import BandImages, Grid, Slopes, coarsen, refine
 from splitknit.skin.light import (
     GlareFit,
     Lighting,
@@ -27,17 +27,16 @@ from splitknit.skin.light import (
     predict,
     reached_by_all,
 )
+from splitknit.skin.parameters import (
+    COARSE_PITCH_MM,
+    GLARE_RATIO,
+    MAX_SPECULAR,
+    NOISE_RATIO,
+    SHAPE_CUTOFF_PER_MM,
+    SHAPE_KNEE_PER_MM,
+    START_ROUNDS,
+)
 from splitknit.skin.relief import unmixing_weights
-
-START_ROUNDS = 2
-"""Turns of photometric stereo and integration for the first shape."""
-_KNEE_PER_MM = 5.0
-"""Angular frequency (rad/mm) from which the shape's slopes are expected to fall off."""
-_GLARE_RATIO, _NOISE_RATIO = 0.16, 0.1
-"""Apparent slope of the glare (in red), and noise of the slopes, over the shape's slopes at low
-frequencies."""
-_CUTOFF_PER_MM = 8.0
-"""Angular frequency beyond which slopes are left to the fine grid."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -259,11 +258,11 @@ def _wiener(
     weights = unmixing_weights(
         np.stack([optics[name](omega) for name in names]),
         glare,
-        1 / (1 + (omega / _KNEE_PER_MM) ** 2) ** 2,
-        np.full(omega.shape, _GLARE_RATIO**2),
-        np.full(len(names), _NOISE_RATIO**2),
+        1 / (1 + (omega / SHAPE_KNEE_PER_MM) ** 2) ** 2,
+        np.full(omega.shape, GLARE_RATIO**2),
+        np.full(len(names), NOISE_RATIO**2),
     )
-    weights = weights * np.exp(-0.5 * (omega / _CUTOFF_PER_MM) ** 2)
+    weights = weights * np.exp(-0.5 * (omega / SHAPE_CUTOFF_PER_MM) ** 2)
     gains = {name: grid.radial(omega, w) for name, w in zip(names, weights, strict=True)}
     kept = sum(gain * grid.sampled(optics[name]) for name, gain in gains.items())
 
@@ -283,12 +282,6 @@ def _scaled_to(measured: FloatArray, predicted: FloatArray, where: BoolArray) ->
         factors.append(float(np.median(image[where] / np.maximum(predicted[c][where], 1e-4))))
         predicted[c] *= factors[-1]
     return factors
-
-
-MAX_SPECULAR = 1.0
-"""Largest specular reflection that is predicted, over that of a clean boundary with the skin's
-refractive index. What is left over is separated by its colour; what is predicted in excess becomes
-relief that is not there."""
 
 
 def _specular_by_colour(

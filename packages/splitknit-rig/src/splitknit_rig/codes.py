@@ -1,0 +1,100 @@
+"""What each code of a finding of the rig's verbs means, and what to do."""
+
+from __future__ import annotations
+
+from splitknit.diagnosis.codes import Code
+
+CODES: dict[str, Code] = {
+    # calibrate camera
+    "uncertain-focal-length": Code(
+        "The photographs leave the focal length uncertain.",
+        "Tilt the board by 20 to 40 deg to several sides.",
+    ),
+    "parallel-boards": Code(
+        "The boards lie nearly parallel.", "Tilt the board by 20 to 40 deg to several sides."
+    ),
+    "held-principal-point": Code(
+        "The photographs do not determine the principal point; the image's middle was taken.",
+        "Take more photographs, the board tilted differently in each.",
+    ),
+    "uncovered-picture": Code(
+        "The boards cover little of the picture; outside them the distortion is a guess.",
+        "Let the board reach into every corner.",
+    ),
+    "other-camera-height": Code(
+        "The camera stands higher or lower than its rig file states.", "Check `--square-mm`."
+    ),
+    "unmeasured-height": Code(
+        "The scale rests on a height of the camera that was not measured.",
+        "Photograph the board flat on the finger plane (`--plane`).",
+    ),
+    "oblique-camera": Code(
+        "The camera looks on the base obliquely.",
+        "Straighten the camera, or put something thin under the base.",
+    ),
+    "planes-disagree": Code(
+        "The photographs of the finger plane disagree.", "Lay the print flat; measure its squares."
+    ),
+    "uneven-print": Code(
+        "Marks on the finger plane miss their places.", "Use a flat print; check `--board`."
+    ),
+    # calibrate lights
+    "one-nail-position": Code(
+        "The nail stood in one place only, so that nothing checks the directions.",
+        "Photograph it in a second place.",
+    ),
+    "stray-tips": Code(
+        "Shadow tips lie far from where all others put them, and got little weight.",
+        "Correct their pixels.",
+    ),
+    "one-band": Code("The table has LEDs of one band only.", "Add the rows of the other."),
+    "kept-leds": Code(
+        "LEDs that would be refused were kept (`--keep`).",
+        "Correct the pixels, or photograph the nail again under these LEDs.",
+    ),
+    "side-lights-kept": Code(
+        "The side lights keep the places that the rig file had.",
+        "Measure them with a ball (`--sphere`).",
+    ),
+    "shadow-out-of-view": Code(
+        "A shadow of the nail leaves the picture.", "Use a shorter nail or move it to the middle."
+    ),
+    "unchecked-mask": Code(
+        "The ball's rim is not found near its mask, so that nothing checks the mask.",
+        "See that the mask ends at the rim.",
+    ),
+    "corrected-mask": Code(
+        "The ball's mask lies beside its rim; the rim was used.", "Correct the mask."
+    ),
+    # calibrate radiometry
+    "no-ambient-image": Code(
+        "There is no ambient image: other light and the black level counted as the LEDs'.",
+        "Take one with all LEDs off.",
+    ),
+    "uneven-beam": Code(
+        "An LED departs from the model of its light.",
+        "Frost it, and look for what shadows the card.",
+    ),
+    "glossy-card": Code("The card shines.", "Use a matt card."),
+    "moved-led": Code(
+        "An LED lights the card otherwise than at the calibration.", "Calibrate the lights again."
+    ),
+    "drifted-band": Code(
+        "All LEDs of a band are darker or brighter than at the calibration.",
+        "Check exposure, gain, supply, lens and card.",
+    ),
+    # calibrate polarisers
+    "film-leak": Code(
+        "Much of the specular light is left in the crossed image.",
+        "Turn the LED's film or the analyser.",
+    ),
+    # capture
+    "nominal-leds": Code(
+        "No rig file was given, and the LEDs' nominal positions are assumed.",
+        "Calibrate the rig and name its file (`--rig`).",
+    ),
+    "untested-camera": Code("The camera was not tested on hardware.", "Look at the first frames."),
+    "simulated-target": Code("The twin photographed a target, not a finger.", "Nothing."),
+}
+"""Codes that the core has too, such as ``ambient-light``, stand in
+:data:`splitknit.diagnosis.codes.CODES`."""

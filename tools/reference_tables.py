@@ -1,0 +1,289 @@
+"""The tables of docs/reference that are made of the code when the site is built: every setting,
+every code of a finding, every tuned constant.
+
+    python tools/reference_tables.py settings      # prints one: settings, findings or parameters
+
+The words are the docstrings below the fields of the settings' dataclasses and below the constants
+of each ``parameters.py``, and the tables of codes.
+"""
+
+from __future__ import annotations
+
+import argparse
+import ast
+import inspect
+import json
+import re
+import sys
+import textwrap
+from collections import Counter
+from dataclasses import dataclass, fields, is_dataclass
+from functools import cache
+from itertools import groupby
+from pathlib import Path
+from typing import Any
+
+from splitknit.diagnosis.codes import CODES, Code
+from splitknit.presets import PRESETS
+from splitknit_match.matching.surface import MatchingSettings
+from splitknit_rig.capture.pi import PiCameraSettings
+from splitknit_rig.capture.session import SessionSettings
+from splitknit_rig.codes import CODES as RIG_CODES
+from splitknit_simulator.bench_photos import BenchPhotos
+from splitknit_simulator.population.sessions import PopulationSettings
+from splitknit_simulator.scene import TwinSettings
+
+PACKAGES = Path(__file__).resolve().parents[1] / "packages"
+FACTS = re.compile(r"(.*?) ?Unit: (.+?)\. Chosen on: (.+?)\. Range: (.+?)\.")
+"""How the docstring of a tuned constant ends."""
+SIMULATED = "simulated"
+UNKNOWN = "not known"
+LONGEST_VALUE = 60
+"""Characters; a longer value is a table."""
+
+
+@cache
+def field_words(settings: type) -> dict[str, str]:
+    """Docstrings below the fields of a dataclass and its bases, by field."""
+    words = {}
+    for kind in settings.__mro__[:-1]:
+        body = ast.parse(textwrap.dedent(inspect.getsource(kind))).body[0]
+        assert isinstance(body, ast.ClassDef)
+        for line, following in zip(body.body, [*body.body[1:], ast.Pass()], strict=True):
+            is_field = isinstance(line, ast.AnnAssign) and isinstance(line.target, ast.Name)
+            is_text = isinstance(following, ast.Expr) and isinstance(following.value, ast.Constant)
+            if is_field and is_text:
+                text = " ".join(str(following.value.value).split()).replace("``", "`")
+                words[line.target.id] = re.sub(r":\w+:`", "`", text)
+    return words
+
+
+def rows(settings: Any, prefix: str = "") -> list[tuple[str, Any, str]]:
+    """Name, value and words of every single setting, groups opened.
+
+    Raises
+    ------
+    ValueError
+        If a setting has no docstring below it.
+    """
+    words = field_words(type(settings))
+    found: list[tuple[str, Any, str]] = []
+    for field in fields(settings):
+        value = getattr(settings, field.name)
+        if is_dataclass(value):
+            found += rows(value, f"{prefix}{field.name}.")
+        else:
+            if not words.get(field.name):
+                raise ValueError(
+                    f"{type(settings).__qualname__}.{field.name} needs a docstring below it."
+                )
+            found.append((prefix + field.name, value, words[field.name]))
+    return found
+
+
+def shown(value: Any) -> str:
+    """A value as it is typed behind ``--set name=``."""
+    return value if isinstance(value, str) else json.dumps(value)
+
+
+def preset_table() -> str:
+    """Settings of ``metric`` with what other presets change."""
+    tables = {name: rows(settings) for name, settings in PRESETS.items()}
+    lines = ["| setting | default | what it does |", "| --- | --- | --- |"]
+    for k, (name, value, words) in enumerate(tables["metric"]):
+        others: dict[str, list[str]] = {}
+        for preset, table in tables.items():
+            if table[k][1] != value:
+                others.setdefault(shown(table[k][1]), []).append(f"`{preset}`")
+        changed = "; ".join(f"{', '.join(presets)}: {other}" for other, presets in others.items())
+        lines.append(
+            f"| `{name}` | {shown(value)}{f' ({changed})' if changed else ''} |"
+            f" {words.replace('|', ' or ')} |"
+        )
+    return "\n".join(lines)
+
+
+def plain_table(settings: Any, prefix: str = "") -> str:
+    """Settings of one dataclass, its groups opened."""
+    lines = ["| setting | default | what it does |", "| --- | --- | --- |"]
+    lines += [
+        f"| `{name}` | {shown(value)} | {words.replace('|', ' or ')} |"
+        for name, value, words in rows(settings, prefix)
+    ]
+    return "\n".join(lines)
+
+
+SECTIONS: tuple[tuple[str, str, tuple[tuple[str, Any], ...]], ...] = (
+    (
+        "`splitknit simulate`",
+        "Ranges (low, high) are drawn from, finger by finger.",
+        (("", TwinSettings()),),
+    ),
+    (
+        "`splitknit simulate population`",
+        "Where they come from: [population model](../explain/population.md).",
+        (("", PopulationSettings()),),
+    ),
+    ("`splitknit simulate --bench`", "How many photographs of what.", (("", BenchPhotos()),)),
+    (
+        "`splitknit capture`",
+        "With `--device twin` the settings of `simulate` as well.",
+        (("capture.", SessionSettings()), ("pi.", PiCameraSettings())),
+    ),
+    (
+        "`splitknit match`, `enroll` and `identify`",
+        (
+            "What each is: [matching](../guide/matching.md). Captures are reconstructed with"
+            " `--preset` as it is."
+        ),
+        (("", MatchingSettings()),),
+    ),
+)
+"""Heading, words, and what the names begin with, for every verb but ``reconstruct``."""
+
+
+def settings_table() -> str:
+    """Every setting of every verb."""
+    parts = [
+        "## `splitknit reconstruct`",
+        "Defaults are those of `metric`; in brackets, what other presets change.",
+        preset_table(),
+    ]
+    for heading, words, tables in SECTIONS:
+        parts += [
+            f"## {heading}",
+            words,
+            *(plain_table(settings, prefix) for prefix, settings in tables),
+        ]
+    return "\n\n".join(parts)
+
+
+MEMBERS: tuple[tuple[str, dict[str, Code], str], ...] = (
+    (
+        "splitknit-rig",
+        RIG_CODES,
+        "What `calibrate` and `capture` find, in `findings` of their results and of `--json`. A"
+        " `doubt` comes first; what was measured is written all the same. `ambient-light`,"
+        " `assumed-encoding`, `dark-photographs`, `drifted-led` and `odd-camera-height` are as"
+        " above.",
+    ),
+)
+"""Name, codes and words of each member that has codes of its own."""
+
+
+def code_table(codes: dict[str, Code]) -> str:
+    """One row a code, by name."""
+    lines = [
+        "| code | what it means | what to do | how often on sound captures |",
+        "| --- | --- | --- | --- |",
+    ]
+    lines += [
+        f"| `{name}` | {code.meaning} | {code.remedy} | {code.wrong} |"
+        for name, code in sorted(codes.items())
+    ]
+    return "\n".join(lines)
+
+
+def findings_table() -> str:
+    """Every code, the core's first."""
+    parts = [code_table(CODES)]
+    for member, codes, words in MEMBERS:
+        parts += [f"## {member}", words, code_table(codes)]
+    return "\n\n".join(parts)
+
+
+@dataclass(frozen=True)
+class Parameter:
+    """One tuned constant; `package` is the import path of its folder."""
+
+    package: str
+    name: str
+    value: str
+    words: str
+    unit: str
+    chosen_on: str
+    range: str
+
+
+def parameters() -> list[Parameter]:
+    """Every constant of the members' ``parameters.py``, by member and package.
+
+    Raises
+    ------
+    ValueError
+        If the docstring of one does not end with its unit, what it was chosen on, and its range.
+    """
+    tuned = []
+    for path in sorted(PACKAGES.glob("*/src/**/parameters.py")):
+        folders = path.parent.parts
+        package = ".".join(folders[folders.index("src") + 1 :])
+        body = ast.parse(path.read_text(encoding="utf-8")).body
+        for line, following in zip(body, [*body[1:], ast.Pass()], strict=True):
+            if not isinstance(line, ast.Assign | ast.AnnAssign) or line.value is None:
+                continue
+            name = ast.unparse(line.targets[0] if isinstance(line, ast.Assign) else line.target)
+            text = ast.get_docstring(ast.Module([following], [])) or ""
+            facts = FACTS.fullmatch(" ".join(text.split()))
+            if facts is None:
+                raise ValueError(f"{path}: {name} does not say unit, what it was chosen on, range.")
+            tuned.append(Parameter(package, name, ast.unparse(line.value), *facts.groups()))
+    return tuned
+
+
+def parameters_table() -> str:
+    """How many there are, and every one."""
+    tuned = parameters()
+    simulated = [each for each in tuned if each.chosen_on.startswith(SIMULATED)]
+    members = Counter(constant.package.partition(".")[0] for constant in tuned)
+    counts = [
+        f"**{len(tuned)} constants** ("
+        + ", ".join(f"`{member}` {count}" for member, count in members.items())
+        + f"). {len(simulated)} were chosen on this project's simulator alone. Not known: what"
+        f" {sum(constant.chosen_on == UNKNOWN for constant in tuned)} were chosen on, and the range"
+        f" of {sum(constant.range == UNKNOWN for constant in tuned)}.",
+    ]
+    for package, constants in groupby(tuned, key=lambda constant: constant.package):
+        counts += [
+            f"## {package}",
+            "\n".join(
+                [
+                    "| constant | value | unit | what it is | chosen on | hardly changes |",
+                    "| --- | --- | --- | --- | --- | --- |",
+                    *map(_row, constants),
+                ]
+            ),
+        ]
+    return "\n\n".join(counts)
+
+
+def _row(constant: Parameter) -> str:
+    value = constant.value if len(constant.value) <= LONGEST_VALUE else "a table"
+    cells = (
+        f"`{constant.name}`",
+        value,
+        constant.unit,
+        re.sub(r":\w+:`", "`", constant.words).replace("``", "`"),
+        constant.chosen_on,
+        constant.range,
+    )
+    return "| " + " | ".join(cell.replace("|", " or ") for cell in cells) + " |"
+
+
+TABLES = {
+    "settings": settings_table,
+    "findings": findings_table,
+    "parameters": parameters_table,
+}
+
+
+def main() -> None:
+    """Print one table."""
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("table", choices=TABLES)
+    sys.stdout.write(TABLES[parser.parse_args().table]() + "\n")
+
+
+if __name__ == "__main__":
+    main()
