@@ -13,7 +13,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from splitknit.errors import check_image, require
+from splitknit.checks import check_image
+from splitknit.errors import require
 from splitknit.model import FloatArray
 
 # Codes of local binary patterns are bytes: bit k is set where the neighbour at the angle 2 pi k /

@@ -14,7 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from splitknit import BadInput, Capture, Reconstruction
-from splitknit.errors import naming, open_file, require
+from splitknit.errors import naming, require
+from splitknit.files import open_file
 from splitknit.io.fields import read_json
 from splitknit.model import Progress, Surface, no_progress, surface_of
 from splitknit_match.matching.ridge_band import print_band

@@ -12,7 +12,8 @@ from typing import Any
 import numpy as np
 
 from splitknit import Camera, Led, Rig, write_rig
-from splitknit.errors import Refused, read_bytes, refusing, require
+from splitknit.errors import Refused, refusing, require
+from splitknit.files import read_bytes
 from splitknit.findings import Finding, worst_first
 from splitknit.imaging.response import shading_is_srgb
 from splitknit.imaging.view import plane_points

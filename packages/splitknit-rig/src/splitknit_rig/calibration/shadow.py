@@ -18,7 +18,8 @@ from numpy.typing import NDArray
 from scipy.optimize import least_squares
 from scipy.special import ndtr
 
-from splitknit.errors import check_stack, require
+from splitknit.checks import check_stack
+from splitknit.errors import require
 from splitknit.model import Array, BoolArray, FloatArray
 from splitknit_rig.calibration.parameters import (
     BORDER_MM,

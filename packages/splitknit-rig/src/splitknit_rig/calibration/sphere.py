@@ -15,7 +15,8 @@ from typing import Any
 import cv2
 import numpy as np
 
-from splitknit.errors import check_mask, check_stack, require
+from splitknit.checks import check_mask, check_stack
+from splitknit.errors import require
 from splitknit.model import Array, BoolArray, FloatArray
 from splitknit_rig.calibration.parameters import MIN_RIM_PX, RIM_AGREEMENT, RIM_RAYS, RIM_REACH
 

@@ -19,6 +19,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from splitknit.checks import check_lights, check_mask, check_stack
 from splitknit.diagnosis.gains import median_angle_deg
 from splitknit.diagnosis.parameters import (
     BETTER,
@@ -50,7 +51,7 @@ from splitknit.diagnosis.parameters import (
     WHOLLY_CONVEX,
     WORSE_CURL,
 )
-from splitknit.errors import check_lights, check_mask, check_stack, require
+from splitknit.errors import require
 from splitknit.findings import Finding, Severity
 from splitknit.imaging.geometry import bounding_box, gaussian_mean
 from splitknit.model import Array, BoolArray, FloatArray, Led, Rig

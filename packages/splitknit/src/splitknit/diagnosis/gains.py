@@ -6,12 +6,12 @@ from typing import Any
 
 import numpy as np
 
+from splitknit.checks import check_lights, check_mask, check_stack
 from splitknit.diagnosis.parameters import (
     GAINS_PIXELS,
     GAINS_SHADOW,
     LEAST_PHOTOGRAPHS,
 )
-from splitknit.errors import check_lights, check_mask, check_stack
 from splitknit.model import Array, BoolArray, FloatArray
 from splitknit.photometric.equations import PAIRS, back_substitute, factorise
 

@@ -16,6 +16,7 @@ from typing import Any, Literal
 import cv2
 import numpy as np
 
+from splitknit.checks import check_lights
 from splitknit.diagnosis.gains import checked, light_gains, lit_values, median_angle_deg
 from splitknit.diagnosis.parameters import (
     COMPARED_SQUARE_PX,
@@ -40,7 +41,7 @@ from splitknit.diagnosis.parameters import (
     UNLIKE_PART,
 )
 from splitknit.diagnosis.samples import sampled_light
-from splitknit.errors import BadInput, check_lights
+from splitknit.errors import BadInput
 from splitknit.findings import Finding, Severity
 from splitknit.finger.locate import Finger
 from splitknit.imaging.band import bin_mean, linear_stack, saturation_levels

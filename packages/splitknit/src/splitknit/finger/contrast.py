@@ -13,7 +13,7 @@ from typing import Annotated, Literal
 
 import numpy as np
 
-from splitknit.errors import check_image, check_mask
+from splitknit.checks import check_image, check_mask
 from splitknit.finger.parameters import HISTOGRAM_BINS, MIN_CELL_PX, WHITE_PERCENTILE
 from splitknit.imaging.band import srgb_code
 from splitknit.imaging.geometry import bounding_box

@@ -13,7 +13,8 @@ from typing import Annotated, Any, TypeVar
 
 import msgspec
 
-from splitknit.errors import BadInput, read_bytes, refusing, require
+from splitknit.errors import BadInput, refusing, require
+from splitknit.files import read_bytes
 from splitknit.io.parameters import MAX_JSON_BYTES
 
 T = TypeVar("T")

@@ -15,7 +15,8 @@ from typing import Any
 import numpy as np
 from numpy.lib import format as npy
 
-from splitknit.errors import open_file, refusing, require
+from splitknit.errors import refusing, require
+from splitknit.files import open_file
 from splitknit.io.atomic import atomic_file
 from splitknit.io.parameters import ARRAYS_FILE_BYTES, LONG_FIELDS_BYTES, RESULT_BYTES
 
