@@ -55,7 +55,7 @@ from splitknit_simulator.surface import Array
 
 MARKER = "rig_true.json"
 BOARD = PrintedBoard(rows=6, columns=9, square_mm=3.0)
-"""The checkerboard. Source: printed sheet of docs/guide/calibrate-camera.md."""
+"""The checkerboard. Source: printed sheet of docs/guide/calibration.md."""
 
 
 @dataclass(frozen=True, slots=True)

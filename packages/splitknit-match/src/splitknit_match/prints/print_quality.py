@@ -35,7 +35,7 @@ none."""
 
 @dataclass(frozen=True, slots=True)
 class QualityFigures:
-    """What was measured; ``docs/guide/prints.md`` has ranges."""
+    """What was measured of a print, before rating."""
 
     ridge_share: float
     """0 to 1: fraction of the finger's area on the print that has ridges, pure and high enough."""

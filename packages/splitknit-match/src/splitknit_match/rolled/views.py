@@ -65,7 +65,7 @@ from splitknit_match.rolled.chart import Chart, heights, read
 SIDES = ("left", "right")
 NO_MIRRORS = (
     "the capture has no mirrors beside the finger, so that it shows the finger from the front only;"
-    " name them in its rig.json (docs/guide/rolled.md), or print with `method` unroll."
+    " name them in its rig.json (docs/guide/mirrors.md), or print with `method` unroll."
 )
 
 
