@@ -128,13 +128,12 @@ def test_minutiae_of_another_grid_are_left_out(templates) -> None:
     assert unpack(pack(now)).minutiae is not None
     earlier = Template(templates[0].level, templates[0].valid, 0.1, some_minutiae(12))
     assert unpack(pack(earlier)).minutiae is None
-    assert with_fusion([now, now]) == (True, None)
-    assert with_fusion([templates[0]]) == (False, None)
-    assert with_fusion([now], templates[0]) == (False, None)
-    fused, note = with_fusion([now, templates[0]])
+    assert with_fusion([now, now]) == (True, ())
+    assert with_fusion([templates[0]]) == (False, ())
+    assert with_fusion([now], templates[0]) == (False, ())
+    fused, findings = with_fusion([now, templates[0]])
     assert fused
-    assert note is not None
-    assert note.startswith("1 of 2 templates hold no minutiae")
+    assert str(findings[0]).startswith("1 of 2 templates hold no minutiae")
 
 
 def test_nothing_to_compare_is_the_lowest_score(templates) -> None:

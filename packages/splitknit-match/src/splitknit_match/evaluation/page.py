@@ -96,7 +96,7 @@ def _facts(evaluation: Evaluation, settings: Mapping[str, Any]) -> dict[str, Any
             }
             for method, fused in evaluation.fused.items()
         },
-        "notes": list(evaluation.notes),
+        "findings": [finding.facts for finding in evaluation.findings],
         "settings": {**settings, "bootstrap": plain_json(bootstrap)},
         "inputs_sha256": dict(evaluation.inputs_sha256),
     }

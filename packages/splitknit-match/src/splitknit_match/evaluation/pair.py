@@ -32,6 +32,7 @@ from scipy.spatial.transform import Rotation
 from splitknit import Reconstruction, read_result
 from splitknit.accuracy import eroded
 from splitknit.errors import require
+from splitknit.findings import Finding, Severity, worst_first
 from splitknit.imaging.geometry import bounding_box, height_gradients, smoothed
 from splitknit.model import Array, BoolArray, FloatArray, require_scale
 from splitknit_match.evaluation.rates import CONFIDENCE
@@ -106,7 +107,8 @@ class PairComparison:
     # (2, H, W) of both in A's frame; where the fit is elastic, without their shape
     height_mm: FloatArray
     pitch_mm: float
-    notes: tuple[str, ...] = ()
+    findings: tuple[Finding, ...] = ()
+    """What a reader has to know, worst first."""
 
 
 def compare_results(
@@ -175,22 +177,23 @@ def compare_results(
         for height in detail.heights
     ]
     scale = float(np.sqrt(abs(np.linalg.det(affine[:, :2]))))
-    notes = []
+    findings = []
     if tested.mask.shape == reference.mask.shape and np.array_equal(
         tested.height, reference.height
     ):
-        notes.append(
-            "A and B are the same measurement, to the last digit: that it repeats is not shown."
-        )
+        words = "A and B are the same measurement, to the last digit: that it repeats is not shown."
+        findings.append(Finding("same-measurement", words, Severity.DOUBT))
     if abs(scale - 1.0) > 0.02:
-        notes.append(
+        words = (
             f"Lengths in A are {100 * (scale - 1):+.1f} % of those in B; check the scale of both."
         )
+        findings.append(Finding("unequal-scales", words, Severity.DOUBT))
     if fit == "rigid" and strain_mm > 0.012:
-        notes.append(
+        words = (
             f"Patches of skin have shifted by {1e3 * strain_mm:.0f} um; compare with the elastic"
             " fit as well."
         )
+        findings.append(Finding("shifted-skin", words))
     return PairComparison(
         fit,
         similarity,
@@ -202,7 +205,7 @@ def compare_results(
         relief_um=np.where(fields.valid, np.stack(relief), np.nan).astype(np.float32) * 1e3,
         height_mm=np.where(fields.valid, np.stack(fields.heights), np.nan).astype(np.float32),
         pitch_mm=step,
-        notes=tuple(notes),
+        findings=worst_first(findings),
     )
 
 

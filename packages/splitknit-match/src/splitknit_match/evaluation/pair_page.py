@@ -59,7 +59,7 @@ def write_comparison(
         "shifted_patches_um": 1e3 * pair.strain_mm,
         "bands": pair.figures,
         "own_error": _own_error(pair, protocol, repeat),
-        "notes": list(pair.notes),
+        "findings": [finding.facts for finding in pair.findings],
         "files": ["report.html", "report.json", "difference.png"],
     }
     surfaces = []  # both in A's frame, so that one section cuts them in one place

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import contextlib
 import hashlib
-import logging
 import os
 import re
 import select
@@ -24,6 +23,7 @@ from typing import TYPE_CHECKING, Any, Self
 from splitknit import BadInput
 from splitknit.arguments import AnyPath
 from splitknit.errors import UNFINISHED, importing, open_at_once, require, shown_path
+from splitknit.findings import Finding
 from splitknit.io.atomic import GROUP_READABLE, private_modes
 from splitknit.io.enrolment import FINGERS
 from splitknit_match.matching.template import VERSION as TEMPLATE_VERSION
@@ -31,7 +31,6 @@ from splitknit_match.matching.template import VERSION as TEMPLATE_VERSION
 if TYPE_CHECKING:
     from splitknit_match.gallery.minutia_index import CaptureMinutiae, MinutiaIndex
 
-_LOG = logging.getLogger(__name__)
 APPLICATION_ID = 0x534B4741
 """``SKGA``, in the header of the file."""
 VERSION = 4
@@ -211,21 +210,19 @@ def key_of(file: Key | AnyPath | None) -> Key | None:
     return Key(text)
 
 
-def warn_of_readers(file: Path, what: str, others: int = 0o077) -> None:
-    """Log a warning of a secret file that others can read."""
-    if os.name == "posix" and file.is_file() and file.stat().st_mode & others:
-        _LOG.warning(
-            "the %s '%s' can be read by others on this computer (chmod 600 ends that).", what, file
-        )
+def readable(file: Path, what: str, others: int = 0o077) -> tuple[Finding, ...]:
+    """A finding where others can read a secret file."""
+    if os.name != "posix" or not file.is_file() or not file.stat().st_mode & others:
+        return ()
+    words = f"the {what} '{file}' can be read by others on this computer (chmod 600 ends that)."
+    return (Finding("readable-by-others", words, files=(str(file),)),)
 
 
-def warn_of_gallery(gallery: AnyPath, key_file: AnyPath | None) -> None:
-    """Log a warning of a gallery, or the file of its key, that others can read."""
-    warn_of_readers(
-        Path(gallery), "gallery", 0o007 if os.environ.get(GROUP_READABLE) == "1" else 0o077
-    )
-    if key_file is not None:
-        warn_of_readers(Path(key_file), "key file")
+def readable_gallery(gallery: AnyPath, key_file: AnyPath | None) -> tuple[Finding, ...]:
+    """Findings where others can read a gallery, or the file of its key."""
+    others = 0o007 if os.environ.get(GROUP_READABLE) == "1" else 0o077
+    keys = () if key_file is None else readable(Path(key_file), "key file")
+    return (*readable(Path(gallery), "gallery", others), *keys)
 
 
 class People:

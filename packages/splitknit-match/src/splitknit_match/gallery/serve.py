@@ -308,7 +308,11 @@ def _done(act: _Act, gallery: Gallery) -> dict[str, Any]:
     if act.name == "enroll":
         person, which = fields.pop("person"), fields.pop("finger")
         enrolment = gallery.enroll(finger, person, which, put_down=act.enrolled, **fields)
-        return {"enrolled": known_json(enrolment.enrolled), "alike": known_json(enrolment.alike)}
+        return {
+            "enrolled": known_json(enrolment.enrolled),
+            "alike": known_json(enrolment.alike),
+            "findings": known_json(enrolment.findings),
+        }
     if act.name == "quality":
         made = make_template(finger)
         quality = None

@@ -14,6 +14,7 @@ from operator import itemgetter
 
 import numpy as np
 
+from splitknit.findings import Finding
 from splitknit.model import FloatArray
 from splitknit_match.matching.coarse import every_pose, inverse, likely_alignments
 from splitknit_match.matching.elastic import (
@@ -107,24 +108,22 @@ def can_fuse(*templates: Template) -> bool:
 
 def with_fusion(
     templates: Iterable[Template], probe: Template | None = None
-) -> tuple[bool, str | None]:
+) -> tuple[bool, tuple[Finding, ...]]:
     """Whether some templates (with each other, or with a probe) are compared by
-    :func:`fused_match`, and a note.
+    :func:`fused_match`, and findings.
 
     They are if one of them (and the probe) holds minutiae. What holds none is compared by its
-    ridges, on the same scale; the note counts such templates.
+    ridges, on the same scale; a finding counts such templates.
     """
     held = [can_fuse(template) for template in templates]
     fused = any(held) and (probe is None or can_fuse(probe))
     if not fused or all(held):
-        return fused, None
-    return (
-        True,
-        (
-            f"{held.count(False)} of {len(held)} templates hold no minutiae of this version; they"
-            " were compared by their ridges alone, on the same scale."
-        ),
+        return fused, ()
+    words = (
+        f"{held.count(False)} of {len(held)} templates hold no minutiae of this version; they"
+        " were compared by their ridges alone, on the same scale."
     )
+    return True, (Finding("no-minutiae", words),)
 
 
 def fused_match(

@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 
 from splitknit import BadInput
 from splitknit.errors import check_mask, naming, require
+from splitknit.findings import Finding
 from splitknit.finger.mask import check_borders
 from splitknit.finger.orientation import Upright, find_upright
 from splitknit.finger.phalange import find_crease, phalange_mask
@@ -39,6 +40,8 @@ from splitknit_match.prints.pressed import PressedRidges, pressed_ridges, withou
 from splitknit_match.prints.print_map import NOWHERE, PrintMap, resample
 from splitknit_match.prints.ridge_field import RidgeField, ridge_field
 
+PHOTOGRAPH = "fingerphoto"
+"""Code of the finding of every photograph of a finger."""
 PRINTS = frozenset({".png", ".jpg", ".jpeg", ".tif", ".tiff", ".bmp"})
 """Suffixes of pictures that may be prints."""
 USUAL_WIDTH_MM = 17.0
@@ -107,8 +110,8 @@ class FingerPhoto:
     """Where its pixels lie in the photograph, reduced where the finger is wide."""
     pitch_mm: float
     """Of that photograph."""
-    scale: str
-    """What was taken for what, and how well the scale is known; sentences."""
+    findings: tuple[Finding, ...]
+    """What was taken for what, how well the scale is known, and what to change."""
     quality: float
     """0 to 100."""
     hashes: Mapping[str, str] = field(default_factory=dict)
@@ -201,15 +204,18 @@ def finger_of_photo(
     # its scale
     if px_per_mm is None:
         scale, known = _usual_scale(field, clear, by_width, upright.width_px)
-        note += f" {known}"
+        odd: tuple[Finding, ...] = ()
     else:
         scale = px_per_mm * reduction
         width_mm = upright.width_px / scale
-        note += f" by the given scale it is {width_mm:.1f} mm wide."
-        note += "".join(f" {odd}" for odd in FINGER_WIDTH.notes(width_mm, "check the scale"))
+        known = f"by the given scale it is {width_mm:.1f} mm wide."
+        odd = FINGER_WIDTH.notes(width_mm, "check the scale")
+    findings = [Finding(PHOTOGRAPH, f"{note} {known}"), *odd]
     if not upright.clear:
-        note += " Which way its tip points is not clear; turn the photograph upright."
-    note += f" Quality {quality:.0f} of 100{f': {change}' if quality < _GOOD else ''}."
+        unclear = "which way its tip points is not clear; turn the photograph upright."
+        findings.append(Finding("unsure-tip", unclear))
+    cure = f": {change}" if quality < _GOOD else ""
+    findings.append(Finding("fingerphoto-quality", f"quality {quality:.0f} of 100{cure}."))
 
     # the last phalanx at 500 ppi
     phalange = phalange_mask(inside, find_crease(light, inside, upright, scale), upright)
@@ -234,7 +240,9 @@ def finger_of_photo(
         for part in (unrolled.columns, unrolled.rows)
     )
     print_map = replace(unrolled, columns=columns, rows=rows)
-    return FingerPhoto(scaled(image, 255), pressed, print_map, 1.0 / scale, note, round(quality, 1))
+    return FingerPhoto(
+        scaled(image, 255), pressed, print_map, 1.0 / scale, tuple(findings), round(quality, 1)
+    )
 
 
 def _segmented(

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from splitknit import BadInput
 from splitknit.errors import require
+from splitknit.findings import Finding, Severity
 from splitknit.finger.regions import fill_holes, largest_component
 from splitknit.imaging.areas import disc
 from splitknit.io.prints import PrintFile, read_print_png
@@ -62,9 +63,11 @@ _DARK = 0.15
 """From which on ridges are dark."""
 _WHITE = -0.2
 """Up to which they are white."""
-_DOUBT = (
-    "nothing beside it shows whether its ridges are dark: if they are white, invert the picture."
+_DOUBT = Finding(
+    "unknown-polarity",
+    "nothing beside it shows whether its ridges are dark: if they are white, invert the picture.",
 )
+_TURNED = Finding("white-ridges", "its ridges were white and have been turned dark.")
 
 
 def read_print_file(
@@ -72,7 +75,7 @@ def read_print_file(
 ) -> tuple[PrintFile | FingerView, ...]:
     """Read the prints of a file, of known resolution, or its minutiae.
 
-    White ridges are turned dark, which the print's `note` says.
+    White ridges are turned dark, which a finding of the print says.
 
     `path`: of any format of :data:`splitknit_match.records.print_formats.FORMATS`; `input_ppi`:
     resolution of pictures, whatever they state. Raises BadInput as
@@ -222,16 +225,17 @@ def prepared(item: PrintFile) -> PrintFile:
     """A print of known resolution with its ridges dark, and what is in doubt of it."""
     if not is_a_fingers(item.image, item.resolution_ppi or PPI):  # is refused where it is used
         return item
-    return _dark_ridges(replace(item, doubt=resolution_doubt(item)))
+    doubt = resolution_doubt(item)
+    return _dark_ridges(item if doubt is None else _noted(item, doubt))
 
 
-def _noted(item: PrintFile, note: str) -> PrintFile:
-    return replace(item, note=f"{item.note} {note}".strip())
+def _noted(item: PrintFile, finding: Finding) -> PrintFile:
+    return replace(item, findings=(*item.findings, finding))
 
 
-def resolution_doubt(item: PrintFile) -> str:
-    """Why a print's resolution cannot be right: its ridges would lie farther apart, or closer, than
-    in people; or "".
+def resolution_doubt(item: PrintFile) -> Finding | None:
+    """A doubt where a print's resolution cannot be right: its ridges would lie farther apart, or
+    closer, than in people.
 
     None of 280 real prints is doubted, at half or twice their resolution 259 and 261 are
     (validation/prints/any_print.py).
@@ -250,10 +254,12 @@ def resolution_doubt(item: PrintFile) -> str:
     period = period or _ridge_period_px(item.image)
     period_mm = USUAL_PERIOD_MM if period is None else period * 25.4 / ppi
     if 0.9 * _PERIODS[0] < period_mm / USUAL_PERIOD_MM < 1.1 * _PERIODS[1]:
-        return ""
-    return (
+        return None
+    return Finding(
+        "odd-resolution",
         f"at {ppi:.0f} ppi its ridges are {period_mm:.2f} mm apart, which is unusual: check the"
-        " resolution."
+        " resolution.",
+        Severity.DOUBT,
     )
 
 
@@ -347,8 +353,7 @@ def _dark_ridges(item: PrintFile) -> PrintFile:
     level = float(np.median(mean[middle]))
     levels = [(float(np.median(mean[region])) - level) / contrast for region in regions]
     if len(regions) == 3 and np.mean(levels) < _WHITE and max(levels) < 0:
-        inverted = replace(item, image=255 - item.image)
-        return _noted(inverted, "its ridges were white and have been turned dark.")
+        return _noted(replace(item, image=255 - item.image), _TURNED)
     return item if np.mean(levels) > _DARK else _noted(item, _DOUBT)
 
 

@@ -15,6 +15,7 @@ from collections.abc import Iterator, Mapping
 
 from splitknit import BadInput
 from splitknit.errors import naming, require
+from splitknit.findings import Finding
 from splitknit.io.prints import PrintFile
 from splitknit_match.records.finger_image import (
     MAX_PIXELS,
@@ -47,7 +48,10 @@ _IMPRESSION, _COLUMNS, _ROWS, _UNIT, _PPI_X, _PPI_Y, _COMPRESSION, _BITS, _FINGE
 """Fields of Type-13 and -14."""
 _IMAGE = 999
 _COMPRESSIONS = {"NONE": "none", "WSQ20": "wsq", "PNG": "png", "JP2L": "jp2", "JP2": "jp2"}
-_LATENT = "it is a latent print: false match rates were measured on prints of live fingers."
+_LATENT = Finding(
+    "latent-print",
+    "it is a latent print: false match rates were measured on prints of live fingers.",
+)
 _TYPE4 = struct.Struct(">5xB6sBHHB")
 _TYPE4_COMPRESSIONS = {0: "none", 1: "wsq", 4: "jp2", 5: "jp2", 6: "png"}
 _INCH_MM = 25.4
@@ -75,7 +79,7 @@ def decode_transaction(data: bytes, name: str = "the transaction") -> tuple[Prin
         elif kind == 4:
             prints += _type4(record, first, left, what)
         elif kind in (13, 14):
-            prints.append(_type14(_fields(record), left, what, _LATENT if kind == 13 else ""))
+            prints.append(_type14(_fields(record), left, what, (_LATENT,) * (kind == 13)))
     require(prints, f"{name} holds no print of a single finger (no record of Type-14, -13 or -4).")
     return tuple(prints)
 
@@ -146,7 +150,7 @@ def _fields(record: bytes) -> dict[int, bytes]:
     return fields
 
 
-def _type14(fields: _Fields, left: int, name: str, note: str) -> PrintFile:
+def _type14(fields: _Fields, left: int, name: str, findings: tuple[Finding, ...]) -> PrintFile:
     compression = _text(fields, _COMPRESSION, name)
     read = ", ".join(_COMPRESSIONS)
     require(
@@ -165,7 +169,7 @@ def _type14(fields: _Fields, left: int, name: str, note: str) -> PrintFile:
     )
     finger = naming(name, lambda: name_of(position, FINGER_CODES, "finger position"))
     impression = naming(name, lambda: name_of(code, ITL_IMPRESSIONS, "impression type"))
-    return _checked(PrintFile(image, ppi, {}, finger, impression, note), name)
+    return _checked(PrintFile(image, ppi, {}, finger, impression, findings), name)
 
 
 def _type4(record: bytes, first: _Fields, left: int, name: str) -> list[PrintFile]:

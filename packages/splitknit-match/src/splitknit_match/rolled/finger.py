@@ -11,6 +11,7 @@ import numpy as np
 import scipy
 
 from splitknit import Capture
+from splitknit.findings import Finding, Severity, worst_first
 from splitknit.mirrors.body import Body
 from splitknit.mirrors.reflection import Glass, Sight
 from splitknit.mirrors.settings import MirrorShapeSettings
@@ -99,7 +100,7 @@ class Work:
 
     def __init__(self, capture: Capture, views: MirrorViews, settings: MetricSettings) -> None:  # noqa: D107
         self.capture = capture
-        self.notes = views.notes
+        self.findings = views.findings
         self.cut = {view.name for view in views if view.cut}
         self.shape = _shape_of(views.body)
         self.correlation: dict[str, list[float]] = {}
@@ -232,6 +233,7 @@ class Rolled:
     places: FloatArray
     glasses: tuple[Glass, ...]  # mirrors where the ridges have them
     facts: Mapping[str, object]
+    findings: tuple[Finding, ...]  # of its views, worst first
 
 
 def rolled_finger(
@@ -266,10 +268,8 @@ def rolled_finger(
     if breadth.any():
         last = np.flatnonzero(breadth >= 0.9 * np.median(breadth[breadth > 0]))[-1]
         weighed[:, last + 1 :] = 0.0
-    warnings = [
-        f"ridges of the {name} mirror's view {'do' if values[-1] < MIN_MEETING else 'may'} not lie"
-        f" on the front's (correlation {values[-1]:.2f}), so that they may be kinked where the"
-        " views meet: check the mirror's pose in rig.json, and that ridges are seen in it."
+    apart = [
+        _apart(name, values[-1])
         for name, values in work.correlation.items()
         if values[-1] < SURE_MEETING
     ]
@@ -277,7 +277,6 @@ def rolled_finger(
         "views": list(sights),
         "relief_by": {name: relief.how for name, relief in work.reliefs.items()},
         "views_meet": work.correlation,
-        "warnings": [*work.notes, *warnings],
     }
     places = np.stack([np.stack(sight.pixels(points), axis=-1) for sight in sights.values()])
     return Rolled(
@@ -290,7 +289,19 @@ def rolled_finger(
         places,
         tuple(work.glasses.values()),
         facts,
+        worst_first([*work.findings, *apart]),
     )
+
+
+def _apart(name: str, correlation: float) -> Finding:
+    """That a mirror's ridges hardly lie on the front's."""
+    sure = correlation < MIN_MEETING
+    words = (
+        f"ridges of the {name} mirror's view {'do' if sure else 'may'} not lie on the front's"
+        f" (correlation {correlation:.2f}), so that they may be kinked where the views meet: check"
+        " the mirror's pose in rig.json, and that ridges are seen in it."
+    )
+    return Finding("views-do-not-meet", words, Severity.DOUBT if sure else Severity.NOTE)
 
 
 def _view_weight(

@@ -8,7 +8,7 @@ but for them.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 
@@ -17,6 +17,7 @@ import numpy as np
 
 from splitknit import Capture, Led, Rig
 from splitknit.errors import require
+from splitknit.findings import Finding
 from splitknit.finger.locate import BEYOND_CREASE_MM, FingerSettings, enlarged_mask
 from splitknit.finger.orientation import find_upright
 from splitknit.finger.phalange import find_crease
@@ -93,7 +94,7 @@ class MirrorViews:
 
     views: tuple[MirrorView, ...]
     body: Body  # the smooth finger
-    notes: tuple[str, ...] = ()  # what became of views that are not used, or not whole: sentences
+    findings: tuple[Finding, ...] = ()  # what became of views that are not used, or not whole
 
     def __iter__(self) -> Iterator[MirrorView]:
         return iter(self.views)
@@ -137,29 +138,38 @@ def find_mirror_views(
         all_views.append(MirrorView(name, mask, glass_in(glass, shape.plane(glass)), name in cut))
     not_found = [n for n in SIDES if n in mirrors and n not in visible]
     light_only = [n for n in mirrors if n not in SIDES]
-    notes = [
-        *(
-            f"the view in the {name} mirror is cut off at the picture's border or the mirror's, "
+    findings = [
+        *shape.findings,
+        *_of_views(
+            "view-cut-off",
+            "the view in the {} mirror is cut off at the picture's border or the mirror's, "
             "so that its outline shows less of where the mirror lies: lay the finger in the "
-            "middle, so that the mirror shows all of its pad."
-            for name in cut
+            "middle, so that the mirror shows all of its pad.",
+            cut,
         ),
-        *(
-            f"the view in the {name} mirror is cut off so much that it is left out, and that side "
-            "of the finger is missing from the print: lay the finger in the middle."
-            for name in shape.facts["views_useless"]
+        *_of_views(
+            "view-left-out",
+            "the view in the {} mirror is cut off so much that it is left out, and that side "
+            "of the finger is missing from the print: lay the finger in the middle.",
+            shape.facts["views_useless"],
         ),
-        *(
-            f"no finger was found in the {name} mirror, so that that side of it is missing from "
-            "the print: check the mirror's pose in rig.json, and the light on that side."
-            for name in not_found
+        *_of_views(
+            "no-finger-in-mirror",
+            "no finger was found in the {} mirror, so that that side of it is missing from "
+            "the print: check the mirror's pose in rig.json, and the light on that side.",
+            not_found,
         ),
-        *(
-            f"the {name} mirror gives light only: its view is not used for the print."
-            for name in light_only
+        *_of_views(
+            "light-only-mirror",
+            "the {} mirror gives light only: its view is not used for the print.",
+            light_only,
         ),
     ]
-    return MirrorViews(tuple(all_views), shape.model, (*map(str, shape.findings), *notes))
+    return MirrorViews(tuple(all_views), shape.model, tuple(findings))
+
+
+def _of_views(code: str, words: str, names: Iterable[str]) -> list[Finding]:
+    return [Finding(code, words.format(name)) for name in names]
 
 
 def _above_crease(
