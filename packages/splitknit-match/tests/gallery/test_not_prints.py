@@ -74,7 +74,7 @@ def test_what_is_no_print_is_not_enrolled_and_says_why(tmp_path: Path) -> None:
     assert not (tmp_path / "g.skg").exists()
     found = splitknit_match.match(stripes, press(1), resolution_ppi=500)
     assert found.answer == "not acquired"
-    assert [finding.code for finding in found.findings] == ["not-a-print"]
+    assert found.findings[-1].code == "not-a-print"
 
 
 @pytest.mark.parametrize("seed", range(4))
