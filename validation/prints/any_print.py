@@ -26,7 +26,8 @@ from splitknit.io.prints import PrintFile, read_print_png
 from splitknit_match.matching.fusion import fused_match
 from splitknit_match.matching.inputs import print_template
 from splitknit_match.matching.methods import rate, scale_doubt, scores_of
-from splitknit_match.prints.from_file import USUAL_PERIOD_MM, _ridge_period_px, prepared
+from splitknit_match.prints.from_file import _ridge_period_px, prepared
+from splitknit_match.prints.parameters import USUAL_PERIOD_MM
 
 PPI = {"fvc2002_db2b": 569.0, "fvc2004_db3b": 512.0}
 STATED = Path(__file__).parent / "tables" / "stated_resolution.csv"

@@ -78,7 +78,7 @@ def test_all_sessions_with_each_other(gallery: Path, tmp_path: Path, capsys) -> 
 
 def test_blocks_change_nothing(gallery: Path, monkeypatch) -> None:
     whole = evaluation_gallery.gallery_scores(gallery)
-    monkeypatch.setattr(evaluation_gallery, "_BLOCK", 1)
+    monkeypatch.setattr(evaluation_gallery, "KEPT_FINGERS", 1)
     assert evaluation_gallery.gallery_scores(gallery).table == whole.table
 
 

@@ -26,12 +26,11 @@ from splitknit_match.evaluation.intervals import (
     differences,
 )
 from splitknit_match.evaluation.intervals import bootstrap as resample
+from splitknit_match.evaluation.parameters import MAX_SYSTEMS
 from splitknit_match.evaluation.protocol import average_sessions, pair_up
 from splitknit_match.evaluation.rates import error_bound, roc
 from splitknit_match.evaluation.scores import Scores, read_scores
 
-MAX_SYSTEMS = 12
-"""On one page."""
 Cluster = Literal["auto", "plain", "finger", "subject"]
 Fusion = Literal["linear", "minmax", "trained", "all"]
 Source = str | os.PathLike[str] | Scores

@@ -15,6 +15,7 @@ from splitknit import BadInput
 from splitknit.findings import Finding
 from splitknit.io.provenance import file_hash
 from splitknit.model import Array, Progress, no_progress
+from splitknit_match.evaluation.parameters import KEPT_FINGERS
 from splitknit_match.evaluation.protocol import Comparisons, comparisons, scores_of_comparisons
 from splitknit_match.evaluation.scores import Scores, score_table
 from splitknit_match.gallery.file import GalleryFile, Key, session_order
@@ -23,9 +24,6 @@ from splitknit_match.matching.ridge import Prepared, ridge_match
 from splitknit_match.matching.template import unpack
 from splitknit_match.prints.minutiae import minutiae_match
 from splitknit_match.prints.minutiae_record import holds_minutiae, unpack_minutiae
-
-_BLOCK = 32
-"""Fingers kept ready at a time: 2 to 16 MB each."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -110,9 +108,9 @@ def _similarities(
     templates = [unpack(payload) for payload in payloads]
     fused, findings = with_fusion([template for template in templates if not template.empty])
     match = fused_match if fused else ridge_match
-    prepared = lru_cache(_BLOCK + 1)(lambda place: Prepared(templates[place]))
+    prepared = lru_cache(KEPT_FINGERS + 1)(lambda place: Prepared(templates[place]))
     score = np.full(pairs.a.size, np.nan)
-    for done, n in enumerate(np.lexsort((pairs.a, pairs.b // _BLOCK)).tolist()):
+    for done, n in enumerate(np.lexsort((pairs.a, pairs.b // KEPT_FINGERS)).tolist()):
         a, b = int(pairs.a[n]), int(pairs.b[n])
         if done % 256 == 0:
             progress("comparing", 0.9 * done / score.size)

@@ -26,22 +26,17 @@ from splitknit.errors import UNFINISHED, importing, open_at_once, require, shown
 from splitknit.findings import Finding
 from splitknit.io.atomic import GROUP_READABLE, private_modes
 from splitknit.io.enrolment import FINGERS
+from splitknit_match.gallery.parameters import MAX_KEY_BYTES, MAX_NAME, WAIT_S, WRITER_S
 from splitknit_match.matching.template import VERSION as TEMPLATE_VERSION
 
 if TYPE_CHECKING:
     from splitknit_match.gallery.minutia_index import CaptureMinutiae, MinutiaIndex
 
 APPLICATION_ID = 0x534B4741
-"""``SKGA``, in the header of the file."""
+"""``SKGA``, in the header of the file. Source: definition of the format."""
 VERSION = 4
-WAIT_S = 10.0
-"""How long one waits for another program's transaction."""
+"""Version of the file. Source: definition of the format."""
 KEY_VARIABLE = "SPLITKNIT_GALLERY_KEY"
-MAX_NAME = 100
-"""Characters of a person's name, at most."""
-_MAX_KEY_BYTES = 4096
-_WRITER_S = 2.0
-"""How long a pipe may be without a program that writes into it."""
 _MAGIC = b"SQLite format 3\0"
 _SCHEMA = (
     (
@@ -187,10 +182,10 @@ def key_of(file: Key | AnyPath | None) -> Key | None:
         content, where = b"", f"the key file {shown_path(file)}"
         try:
             with open(file, "rb", opener=open_at_once) as stream:
-                select.select([stream], [], [], _WRITER_S)
+                select.select([stream], [], [], WRITER_S)
                 # a writer takes as long as it likes: it may ask for a password
                 os.set_blocking(stream.fileno(), True)
-                content = stream.read(_MAX_KEY_BYTES + 1)
+                content = stream.read(MAX_KEY_BYTES + 1)
         except (OSError, ValueError) as error:
             reason = getattr(error, "strerror", None) or error
             raise BadInput(f"{where} cannot be read: {reason}.") from error
@@ -200,7 +195,7 @@ def key_of(file: Key | AnyPath | None) -> Key | None:
         return None
     text = unicodedata.normalize("NFC", content.decode("utf-8", "replace").rstrip("\r\n"))
     sound = (
-        len(content) <= _MAX_KEY_BYTES
+        len(content) <= MAX_KEY_BYTES
         and text.isprintable()
         and "\ufffd" not in text
         and len(text) >= 8

@@ -38,6 +38,7 @@ from splitknit_match.gallery.identify import (
     RankedCandidate,
     identify_finger,
 )
+from splitknit_match.gallery.parameters import DISSIMILAR_FMR
 from splitknit_match.matching.inputs import (
     Held,
     Pixels,
@@ -54,9 +55,6 @@ from splitknit_match.prints.minutiae_record import pack_minutiae
 from splitknit_match.prints.photo_finger import PhotoFinger
 
 Duplicates = Literal["refuse", "warn", "allow"]
-_DISSIMILAR_FMR = 0.01
-"""Of captures that are called dissimilar: so often other fingers are at least as similar, or more
-often."""
 _NOT_INPUTS = ("truth.npz", ".splitknit")
 
 
@@ -380,7 +378,7 @@ class _Review:
         person, finger = self.names
         own = identify_finger(self.gallery, lambda _: side, person=person, finger=finger)
         fmr = own.candidates[0].fmr if own.candidates else None
-        if own.answer != "no match" or fmr is None or fmr < _DISSIMILAR_FMR:
+        if own.answer != "no match" or fmr is None or fmr < DISSIMILAR_FMR:
             return []
         assert side.template is not None
         turned = replace(side, template=mirrored(side.template))

@@ -23,6 +23,7 @@ from splitknit_match.gallery.file import (
     session_order,
 )
 from splitknit_match.gallery.minutia_index import each, unpacked
+from splitknit_match.gallery.parameters import ALL_PRINTS, NEAREST
 from splitknit_match.matching.fusion import fused_match, with_fusion
 from splitknit_match.matching.inputs import Side
 from splitknit_match.matching.methods import (
@@ -49,11 +50,6 @@ from splitknit_match.matching.template import Template
 from splitknit_match.prints.minutiae import minutiae_match
 from splitknit_match.prints.minutiae_record import MINUTIAE_VERSION, Minutiae, unpack_minutiae
 
-ALL_PRINTS = 200
-"""In a gallery of no more captures all are compared."""
-NEAREST = 0.001
-"""Of more as many as are to be reported, or this fraction, are: those whose minutiae agree best
-(what is lost: ``validation/gallery/index.py``)."""
 TEMPLATES_HASH = "8c8ef4038286462ed584c0c8dcbfd7071a2498ada4a43b75c56c3e740069e7bc"
 """Of all that a template of ridges follows from; templates of one gallery agree in it."""
 MINUTIAE_HASH = settings_hash({"minutiae": MINUTIAE_VERSION})

@@ -27,6 +27,7 @@ from splitknit.arguments import (
 from splitknit.errors import BadInput, importing, printable, require
 from splitknit.findings import Finding, worst_first
 from splitknit.settings import Limits
+from splitknit_match.gallery.parameters import PATIENCE_S
 from splitknit_match.matching.match import Finger
 
 if TYPE_CHECKING:
@@ -531,12 +532,10 @@ def server_of(
         import uvicorn
         from uvicorn.protocols.http.h11_impl import H11Protocol
 
-    from splitknit_match.gallery import serve
-
     class Impatient(H11Protocol):
         def connection_made(self, transport: Any) -> None:
             super().connection_made(transport)
-            self.loop.call_later(serve.PATIENCE_S, self._look, None)
+            self.loop.call_later(PATIENCE_S, self._look, None)
 
         def shutdown(self) -> None:
             cycle: Any = self.cycle
@@ -551,7 +550,7 @@ def server_of(
             if cycle is last and (cycle is None or cycle.response_complete):
                 self.transport.close()
             if not self.transport.is_closing():
-                self.loop.call_later(serve.PATIENCE_S, self._look, cycle)
+                self.loop.call_later(PATIENCE_S, self._look, cycle)
 
     config = uvicorn.Config(
         app,

@@ -19,10 +19,10 @@ from splitknit.errors import naming, open_file, require
 from splitknit.findings import Finding, Severity
 from splitknit.io.fields import converted, read_json
 from splitknit.model import Progress, Surface, no_progress, surface_of
+from splitknit_match.matching.parameters import JUDGED_MM2, LEAST_MM2, MINUTIAE_PER_MM2
 from splitknit_match.matching.ridge_band import print_band
 from splitknit_match.matching.surface import surface_template
 from splitknit_match.matching.template import (
-    LEAST_MM2,
     VERSION,
     Template,
     failed_template,
@@ -47,13 +47,9 @@ if TYPE_CHECKING:
     from splitknit.io.prints import PrintFile
     from splitknit_match.prints.pressed import PressedRidges
 
-_MINUTIAE_PER_MM2 = (0.015, 1.0)
-"""On a finger: 280 real prints have 0.06 to 0.41, squares of 9 mm of them 0.025 to 0.72."""
-_JUDGED_MM2 = 100.0
-"""Area from which on they are counted."""
 _LEAST_OF_PRINTS_MM2 = LEAST_MM2 / 3
 """Of a print a third of the area suffices that surfaces need: small sensors show little, and show
-it sharply."""
+it sharply. Source: derived; a third is judgement."""
 
 
 class _PrintReport(Struct):
@@ -325,8 +321,8 @@ def print_template(
         inside = finger.weight > 0
         minutiae = minutiae_by_phase(finger, enhance(finger))
         area_mm2 = float(inside.sum()) * (25.4 / PPI) ** 2
-        low, high = (rate * area_mm2 for rate in _MINUTIAE_PER_MM2)
-        if area_mm2 >= _JUDGED_MM2 and not low < minutiae.count < high:
+        low, high = (rate * area_mm2 for rate in MINUTIAE_PER_MM2)
+        if area_mm2 >= JUDGED_MM2 and not low < minutiae.count < high:
             lacks = (
                 f"no print of a finger: {minutiae.count} lines end or fork on {area_mm2:.0f} mm²"
             )

@@ -16,14 +16,9 @@ from numpy.typing import NDArray
 from splitknit import BadInput
 from splitknit.errors import naming, require
 from splitknit.findings import Finding, Severity, worst_first
-from splitknit_match.matching.fusion import (
-    SMALL_MM2,
-    at_one_scale,
-    can_fuse,
-    fused_match,
-    fused_photo,
-)
+from splitknit_match.matching.fusion import at_one_scale, can_fuse, fused_match, fused_photo
 from splitknit_match.matching.inputs import Side, undoubted
+from splitknit_match.matching.parameters import DECIDED_AT, SMALL_MM2
 from splitknit_match.matching.results import (
     ComparedSide,
     FmrBasis,
@@ -62,8 +57,6 @@ real prints."""
 REAL_PRINTS = "match_fmr_real_prints.json"
 """The fusion's impostor scores of real prints, which state the rates that are not too small for
 them."""
-DECIDED_AT = 1e-4
-"""False match rate at which is decided whether it is one finger."""
 
 
 def compare_sides(

@@ -27,8 +27,12 @@ from splitknit_match.matching.thesis import (
 
 NEIGHBOURS = {"normals": 15, "relief": 15, "shape_normals": 4}
 """Pixels around the circle of a local binary pattern, of radius one pixel."""
-CELL_PX, REACH_PX, STEP_PX = 32, 100, 5
-"""Side of a cell, largest lateral shift and its step, at 75.7 px/mm."""
+CELL_PX = 32
+"""Side of a cell at 75.7 px/mm. Source: the author's program."""
+REACH_PX = 100
+"""Largest lateral shift at 75.7 px/mm. Source: the author's program."""
+STEP_PX = 5
+"""Step of the lateral shift at 75.7 px/mm. Source: the author's program."""
 
 Labels = NDArray[np.uint8]
 

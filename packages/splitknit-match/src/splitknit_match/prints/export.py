@@ -50,7 +50,8 @@ from splitknit_match.records.print_formats import FORMATS, WSQ_PPI, PrintFormat,
 
 FACTS_FILE = "export.json"
 _KEPT_PPI = (500, 1000)
-"""Resolutions that records have; prints of others are resampled to 500."""
+"""Resolutions that records have; prints of others are resampled to 500. Source: the resolutions
+that records of prints have."""
 
 Facts = dict[str, Any]
 File = tuple[str, str, Callable[[Path], object], Facts, tuple[Finding, ...]]

@@ -28,6 +28,7 @@ from splitknit_match.prints.from_file import (
 )
 from splitknit_match.prints.make import Print, enhance, measured, minutiae_by_phase
 from splitknit_match.prints.minutiae_record import PPI, Minutiae
+from splitknit_match.prints.parameters import FULL_RATING, MAX_SENTENCES, MIN_RATING
 from splitknit_match.prints.print_quality import PrintQuality
 from splitknit_match.prints.sources import Source
 from splitknit_match.records.minutiae_files import encode_minutiae_record
@@ -212,12 +213,6 @@ def _page(
 
 # Quality of a print in the report: NFIQ 2, the figures and score of `prints.print_quality`, and
 # advice.
-
-MAX_SENTENCES = 3
-MIN_RATING = 0.7
-"""A figure of a lower rating is mentioned."""
-FULL_RATING = 0.95
-"""Of the ridges' height, from which on soft edges are the finger's own."""
 
 
 def _quality_facts(

@@ -68,6 +68,17 @@ from splitknit.skin.images import (
 from splitknit.skin.learned import can_learn, features, relief_by_network
 from splitknit.skin.light import Lighting, fine_lighting, slant_of, trust_of
 from splitknit_match.rolled.chart import Chart, heights, read
+from splitknit_match.rolled.parameters import (
+    EDGE_BAND_MM,
+    FADE_LIT_MM,
+    LIT,
+    MAX_SLOPE,
+    MIN_LIT,
+    ROWS,
+    SHAPELET_SCALES,
+    SLOPE_PRIOR,
+    UNKNOWN_MM,
+)
 
 SIDES = ("left", "right")
 NO_MIRRORS = (
@@ -189,10 +200,6 @@ def _above_crease(
     return np.asarray(mask & (columns * across + rows[:, None] * along + offset < beyond))
 
 
-# beside a light's edge it counts for nothing; as far again until it counts in full
-EDGE_BAND_MM = 0.3
-
-
 def view_light(  # noqa: PLR0917
     rig: Rig,
     glasses: Sequence[Glass],
@@ -262,23 +269,6 @@ def _inner(facing: FloatArray, through: FloatArray, pitch_mm: float) -> FloatArr
     return smooth_step((away - EDGE_BAND_MM) / EDGE_BAND_MM).astype(np.float32)
 
 
-LIT = 0.5
-"""Trust from which a light counts."""
-MIN_LIT = 3
-"""Lights that a slope needs."""
-FADE_MM = 0.2
-"""Width over which skin with fewer fades out."""
-UNKNOWN_MM = 0.02
-"""Standard deviation of a relief that no network estimated."""
-SLOPE_PRIOR = 0.5
-"""Holds slopes which the lights hardly determine to those of the shape: variance of the images'
-relative error over that of the slopes."""
-_ROWS = 64
-"""Rows of the grid whose normals are computed at once."""
-_MAX_SLOPE = 6.0
-"""Steeper slopes are shortened to this."""
-
-
 @dataclass(frozen=True, slots=True, eq=False)
 class ViewRelief:
     """Ridges in one view, on a window of the image's pixels (or blocks of them)."""
@@ -302,10 +292,6 @@ class ViewRelief:
         relief = read(self.relief_mm, column, row, cubic=True)
         relief = np.where(np.isfinite(relief), relief, read(self.relief_mm, column, row))
         return relief, read(self.deviation_mm, column, row), read(self.trust, column, row)
-
-
-_SHAPELET_SCALES = 4
-"""Where no network estimates the relief."""
 
 
 def _grid_of(
@@ -409,7 +395,9 @@ def view_relief(
     light = fine_lighting(images.rig, low, filled, factor, grid)
     # zero where fewer than three exposures light the skin, which determine no slope
     enough = ((light.trust > LIT).sum(axis=0) >= MIN_LIT).astype(np.float32)
-    lit = np.clip(2.0 * cv2.GaussianBlur(enough, (0, 0), FADE_MM / grid.pitch_mm) - 1.0, 0.0, 1.0)
+    lit = np.clip(
+        2.0 * cv2.GaussianBlur(enough, (0, 0), FADE_LIT_MM / grid.pitch_mm) - 1.0, 0.0, 1.0
+    )
     within = np.stack([enlarged(each, factor, grid.shape) for each in inner])
     light = replace(light, trust=np.maximum(light.trust * within, 1e-3))
 
@@ -450,11 +438,11 @@ def _by_shapelets(
         stack, images.rig, smooth, grid.mask, light.trust, view=grid.view, entering=entering
     )
     normals = g / np.maximum(np.linalg.norm(g, axis=-1, keepdims=True), 1e-9)
-    slopes = gradients_from_normals(normals, grid.mask, _MAX_SLOPE)
+    slopes = gradients_from_normals(normals, grid.mask, MAX_SLOPE)
     shape = height_gradients(smooth, grid.pitch_mm)
     beyond = [(slope - base) * trust for slope, base in zip(slopes, shape, strict=True)]
     evened = [(b - grid.smooth(b, grid.mask, 0.3)).astype(np.float32) for b in beyond]
-    bank = ShapeletSettings(scales=_SHAPELET_SCALES)
+    bank = ShapeletSettings(scales=SHAPELET_SCALES)
     bank = replace(bank, sigma_px=bank.sigma_px / (REFERENCE_PX_PER_MM * grid.pitch_mm))
     relief = np.nan_to_num(shapelets(evened[0], evened[1], grid.mask, bank), nan=0.0)
     return relief * np.float32(grid.pitch_mm) * trust
@@ -481,8 +469,8 @@ def _held_normals(
     normals = np.moveaxis(normals_from_gradients(*slopes), -1, 0)  # (3, h, w)
     weights = light.trust * light.entering * light.entering
     result = np.zeros((channels, *grid.shape, 3), dtype=np.float32)
-    for start in range(0, grid.shape[0], _ROWS):
-        rows = slice(start, start + _ROWS)
+    for start in range(0, grid.shape[0], ROWS):
+        rows = slice(start, start + ROWS)
         here = grid.mask[rows]
         if not here.any():
             continue
