@@ -21,9 +21,9 @@ Unit: ridge periods. Chosen on: not known. Range: not known.
 """
 
 CONTRAST = 2.0
-"""Steepness of the grey curve of an enhanced print.
+"""Steepness of the grey curve of an enhanced print; 0.5 is soft, 3 is nearly black and white.
 
-Unit: none. Chosen on: not known. Range: 0.5 (soft) to 3 (nearly black and white) are usable.
+Unit: none. Chosen on: not known. Range: not known.
 """
 
 ENHANCED_FLOOR = 0.15
@@ -125,13 +125,13 @@ Unit: none. Chosen on: judgement. Range: not known.
 MIN_RATING = 0.7
 """A figure of a lower rating is mentioned.
 
-Unit: none. Chosen on: not known. Range: not known.
+Unit: none. Chosen on: simulated fingers (with and without a fault, scale 0.4). Range: not known.
 """
 
 FULL_RATING = 0.95
 """Rating of the ridges' height from which on soft edges are the finger's own.
 
-Unit: none. Chosen on: not known. Range: not known.
+Unit: none. Chosen on: simulated fingers (with and without a fault, scale 0.4). Range: not known.
 """
 
 # --- from_file
@@ -232,7 +232,7 @@ validation/prints/any_print.py). Range: not known.
 EDGE_MM = 0.6
 """Minutiae nearer to the outline are left out: about one and a third ridge periods.
 
-Unit: mm. Chosen on: not known. Range: not known.
+Unit: mm. Chosen on: simulated fingers (1,200 pairs of 20 fingers). Range: 0.4 and more.
 """
 
 PRESSED_EDGE_MM = 0.3
@@ -352,31 +352,36 @@ Unit: px. Chosen on: speed. Range: not known.
 WIDTHS = tuple(0.11 * 1.18**k for k in range(11))
 """Widths of fingers that are tried.
 
-Unit: longer sides of the picture. Chosen on: not known. Range: not known.
+Unit: longer sides of the picture. Chosen on: simulated fingers (100 drawn photographs over natural
+pictures, 16 pictures without a finger). Range: not known.
 """
 
 TIP_TURNS = 32
 """Directions of the tip that are tried.
 
-Unit: none. Chosen on: not known. Range: not known.
+Unit: none. Chosen on: simulated fingers (100 drawn photographs over natural pictures, 16 pictures
+without a finger). Range: not known.
 """
 
 EDGE_TURNS = 16
 """Directions of edges that are told apart.
 
-Unit: none. Chosen on: not known. Range: not known.
+Unit: none. Chosen on: simulated fingers (100 drawn photographs over natural pictures, 16 pictures
+without a finger). Range: not known.
 """
 
 LAB_WEIGHTS = np.array([0.6, 1.5, 1.5], np.float32)
 """Weights of L*, a* and b*: a finger's flanks and shadows differ in lightness alone.
 
-Unit: none. Chosen on: not known. Range: not known.
+Unit: none. Chosen on: simulated fingers (100 drawn photographs over natural pictures, 16 pictures
+without a finger). Range: not known.
 """
 
 CAP = 0.6
 """Length of the tip's half ellipse.
 
-Unit: widths of the finger. Chosen on: not known. Range: not known.
+Unit: widths of the finger. Chosen on: simulated fingers (100 drawn photographs over natural
+pictures, 16 pictures without a finger). Range: not known.
 """
 
 CANDIDATES = 7
@@ -388,44 +393,51 @@ Unit: none. Chosen on: speed. Range: not known.
 RATED_LENGTH = 2.2
 """Length of the outline that is rated.
 
-Unit: widths of the finger. Chosen on: not known. Range: not known.
+Unit: widths of the finger. Chosen on: simulated fingers (100 drawn photographs over natural
+pictures, 16 pictures without a finger). Range: not known.
 """
 
 MAX_LENGTH = 5.0
 """Greatest length of the outline.
 
-Unit: widths of the finger. Chosen on: not known. Range: not known.
+Unit: widths of the finger. Chosen on: simulated fingers (100 drawn photographs over natural
+pictures, 16 pictures without a finger). Range: not known.
 """
 
 OUTLINE_STEP = 0.05
 """Step along an outline.
 
-Unit: widths of the finger. Chosen on: not known. Range: not known.
+Unit: widths of the finger. Chosen on: simulated fingers (100 drawn photographs over natural
+pictures, 16 pictures without a finger). Range: not known.
 """
 
 ACROSS = 41
 """Places across an outline that are tried.
 
-Unit: none. Chosen on: not known. Range: not known.
+Unit: none. Chosen on: simulated fingers (100 drawn photographs over natural pictures, 16 pictures
+without a finger). Range: not known.
 """
 
 BESIDE = 0.8
 """How far one of both sides must be seen from the middle of the finger, or ridges may be taken for
 the outline.
 
-Unit: widths of the finger. Chosen on: not known. Range: not known.
+Unit: widths of the finger. Chosen on: simulated fingers (100 drawn photographs over natural
+pictures, 16 pictures without a finger). Range: not known.
 """
 
 BLOCK = 48
 """Side of the windows in which ridges are sought.
 
-Unit: px. Chosen on: not known. Range: not known.
+Unit: px. Chosen on: simulated fingers (100 drawn photographs over natural pictures, 16 pictures
+without a finger). Range: not known.
 """
 
 BLOCK_STEP = 24
 """Step from one of these windows to the next.
 
-Unit: px. Chosen on: not known. Range: not known.
+Unit: px. Chosen on: simulated fingers (100 drawn photographs over natural pictures, 16 pictures
+without a finger). Range: not known.
 """
 
 MAX_BLOCKS = 40
@@ -443,7 +455,8 @@ Unit: px. Chosen on: speed. Range: not known.
 RIDGE_COUNTS = (23.5, 61.0)
 """Fewest and most ridges to a finger's width; some 38 are usual.
 
-Unit: ridges. Chosen on: not known. Range: not known.
+Unit: ridges. Chosen on: simulated fingers (100 drawn photographs over natural pictures, 16 pictures
+without a finger). Range: not known.
 """
 
 MAX_CONTRAST = 0.6
@@ -455,7 +468,8 @@ Unit: none. Chosen on: simulated fingers (drawn photographs have up to 0.2). Ran
 NO_RIDGES = 0.2
 """What is left of the likeness of an outline without ridges.
 
-Unit: fraction. Chosen on: not known. Range: not known.
+Unit: fraction. Chosen on: simulated fingers (100 drawn photographs over natural pictures, 16
+pictures without a finger). Range: not known.
 """
 
 SEARCHED_LIKENESS = 0.01
@@ -474,7 +488,8 @@ Unit: none. Chosen on: simulated fingers (drawn photographs, validation/match/te
 MIN_IN_BOX = 0.01
 """Least likeness where somebody states that there is a finger.
 
-Unit: none. Chosen on: not known. Range: not known.
+Unit: none. Chosen on: simulated fingers (100 drawn photographs over natural pictures, 16 pictures
+without a finger). Range: not known.
 """
 
 # --- pressed
@@ -482,31 +497,31 @@ Unit: none. Chosen on: not known. Range: not known.
 PRESSED_WINDOW_PX = 32
 """Side of a window at 500 ppi: some four ridges.
 
-Unit: px. Chosen on: not known. Range: not known.
+Unit: px. Chosen on: simulated prints (validation/match/pressed_prints.py). Range: not known.
 """
 
 STEP_PX = 8
 """Step from window to window at 500 ppi.
 
-Unit: px. Chosen on: not known. Range: not known.
+Unit: px. Chosen on: simulated prints (validation/match/pressed_prints.py). Range: not known.
 """
 
 SHORTEST_PX = 4.5
 """Shortest period of ridges at 500 ppi: 0.23 mm.
 
-Unit: px. Chosen on: not known. Range: not known.
+Unit: px. Chosen on: simulated prints (validation/match/pressed_prints.py). Range: not known.
 """
 
 LONGEST_PX = 15.0
 """Longest period of ridges at 500 ppi: 0.76 mm.
 
-Unit: px. Chosen on: not known. Range: not known.
+Unit: px. Chosen on: simulated prints (validation/match/pressed_prints.py). Range: not known.
 """
 
 CONTRAST_PX = 11.0
 """Sigma over which a print's mean and contrast are made even.
 
-Unit: px. Chosen on: not known. Range: not known.
+Unit: px. Chosen on: simulated prints (validation/match/pressed_prints.py). Range: not known.
 """
 
 PHOTO_CONTRAST_PX = 20.0
@@ -518,49 +533,50 @@ Unit: px. Chosen on: not known. Range: not known.
 MIN_LEVEL = 8.0
 """Contrast of fewer grey levels is not raised further.
 
-Unit: grey levels. Chosen on: not known. Range: not known.
+Unit: grey levels. Chosen on: simulated prints (validation/match/pressed_prints.py). Range: not
+known.
 """
 
 RAISED = 0.3
 """Contrast below this fraction of the print's usual one is not raised further.
 
-Unit: fraction. Chosen on: not known. Range: not known.
+Unit: fraction. Chosen on: simulated prints (validation/match/pressed_prints.py). Range: not known.
 """
 
 DIRECTIONS = 24
 """Directions that a window may have; means between them are taken.
 
-Unit: none. Chosen on: not known. Range: not known.
+Unit: none. Chosen on: simulated prints (validation/match/pressed_prints.py). Range: not known.
 """
 
 WINDOW_PERIODS = 10
 """Periods that a window may have.
 
-Unit: none. Chosen on: not known. Range: not known.
+Unit: none. Chosen on: simulated prints (validation/match/pressed_prints.py). Range: not known.
 """
 
 DIRECTION_SIGMA = np.deg2rad(9.0)
 """Sigma of one of a window's directions.
 
-Unit: rad. Chosen on: not known. Range: not known.
+Unit: rad. Chosen on: simulated prints (validation/match/pressed_prints.py). Range: not known.
 """
 
 PERIOD_SIGMA = 0.11
 """Relative sigma of one of a window's periods.
 
-Unit: fraction. Chosen on: not known. Range: not known.
+Unit: fraction. Chosen on: simulated prints (validation/match/pressed_prints.py). Range: not known.
 """
 
 TURN_SIGMA = np.deg2rad(10.0)
 """Sigma of the turn of directions from a window to those about it.
 
-Unit: rad. Chosen on: not known. Range: not known.
+Unit: rad. Chosen on: simulated prints (validation/match/pressed_prints.py). Range: not known.
 """
 
 PERIOD_SPREAD = 0.3
 """Relative sigma of periods about the print's own.
 
-Unit: fraction. Chosen on: not known. Range: not known.
+Unit: fraction. Chosen on: simulated prints (validation/match/pressed_prints.py). Range: not known.
 """
 
 PHOTO_PERIOD_SPREAD = 0.2
@@ -572,69 +588,69 @@ Unit: fraction. Chosen on: not known. Range: not known.
 REACHES = (4.0, 3.0, 2.0, 1.5, 1.5, 1.5)
 """Sigma of the surroundings, one pass after the other.
 
-Unit: windows. Chosen on: not known. Range: not known.
+Unit: windows. Chosen on: simulated prints (validation/match/pressed_prints.py). Range: not known.
 """
 
 WEAK = 0.03
 """Power of a window, relative to noise of the evened print's variance, below which it counts for
 little.
 
-Unit: none. Chosen on: not known. Range: not known.
+Unit: none. Chosen on: simulated prints (validation/match/pressed_prints.py). Range: not known.
 """
 
 FANS = np.deg2rad([16.0, 22.0, 30.0, 42.0])
 """Sigmas of the filter across directions, from where the windows agree to where they do not.
 
-Unit: rad. Chosen on: not known. Range: not known.
+Unit: rad. Chosen on: simulated prints (validation/match/pressed_prints.py). Range: not known.
 """
 
 BAND_PER_PX = 0.035
 """Sigma of the filter across frequencies.
 
-Unit: 1/px. Chosen on: not known. Range: not known.
+Unit: 1/px. Chosen on: simulated prints (validation/match/pressed_prints.py). Range: not known.
 """
 
 FILTER_TURNS = 64
 """Directions of the filters.
 
-Unit: none. Chosen on: not known. Range: not known.
+Unit: none. Chosen on: simulated prints (validation/match/pressed_prints.py). Range: not known.
 """
 
 STEEPNESS = 1.6
 """Steepness of the grey curve of a print of even contrast.
 
-Unit: none. Chosen on: not known. Range: not known.
+Unit: none. Chosen on: simulated prints (validation/match/pressed_prints.py). Range: not known.
 """
 
 PURE = 0.42
 """Fraction of its power that a window of parallel ridges has near one direction and period.
 
-Unit: fraction. Chosen on: not known. Range: not known.
+Unit: fraction. Chosen on: simulated prints (validation/match/pressed_prints.py). Range: not known.
 """
 
 NOISE = 0.2
 """Part of that fraction that noise has.
 
-Unit: fraction. Chosen on: not known. Range: not known.
+Unit: fraction. Chosen on: simulated prints (validation/match/pressed_prints.py). Range: not known.
 """
 
 CLEAREST = 0.35
 """Confidence of a print's clearest ridges below which there is no print.
 
-Unit: none. Chosen on: not known. Range: not known.
+Unit: none. Chosen on: simulated prints (validation/match/pressed_prints.py). Range: not known.
 """
 
 CLEAREST_PX = 7750
 """Number of the clearest pixels that set this level: 20 mm2.
 
-Unit: px. Chosen on: not known. Range: not known.
+Unit: px. Chosen on: simulated prints (validation/match/pressed_prints.py). Range: not known.
 """
 
 CONFIDENCE_EDGE = 0.25
 """Ridges end where their confidence falls below this part of the way from noise to the clearest
 ones.
 
-Unit: fraction. Chosen on: not known. Range: not known.
+Unit: fraction. Chosen on: simulated prints (validation/match/pressed_prints.py). Range: not known.
 """
 
 PHOTO_EDGE = 0.4
@@ -647,7 +663,7 @@ FAINT_CONTRAST = 0.4
 """Contrast, relative to that of the clear ridges, below which confidence falls (what others left on
 the sensor).
 
-Unit: fraction. Chosen on: not known. Range: not known.
+Unit: fraction. Chosen on: simulated prints (validation/match/pressed_prints.py). Range: not known.
 """
 
 PHOTO_FAINT = 0.15
@@ -659,13 +675,13 @@ Unit: fraction. Chosen on: not known. Range: not known.
 CLOSED_PX = 14
 """Radius by which ridges are closed: gaps between them belong to them.
 
-Unit: px. Chosen on: not known. Range: not known.
+Unit: px. Chosen on: simulated prints (validation/match/pressed_prints.py). Range: not known.
 """
 
 OPENED_PX = 10
 """Radius by which ridges are opened: specks do not belong to them.
 
-Unit: px. Chosen on: not known. Range: not known.
+Unit: px. Chosen on: simulated prints (validation/match/pressed_prints.py). Range: not known.
 """
 
 MIN_BEND_DEG = 1.5
@@ -769,19 +785,21 @@ Unit: none. Chosen on: judgement. Range: not known.
 WAVE_PURITY = 0.3
 """Fraction of what varies around a place that one wave must explain, or there are no ridges.
 
-Unit: fraction. Chosen on: not known. Range: not known.
+Unit: fraction. Chosen on: simulated fingers (with and without a fault, scale 0.4). Range: not
+known.
 """
 
 MIN_HEIGHT_UM = 10.0
 """Ridges that rise less above their valleys count as none (prints of the relief).
 
-Unit: um. Chosen on: not known. Range: not known.
+Unit: um. Chosen on: simulated fingers (with and without a fault, scale 0.4). Range: not known.
 """
 
 PERIOD_TOLERANCE = 0.35
 """A ridge period further from the finger's median than this, relative, is not plausible.
 
-Unit: fraction. Chosen on: not known. Range: not known.
+Unit: fraction. Chosen on: simulated fingers (with and without a fault, scale 0.4). Range: not
+known.
 """
 
 # --- ridge_field
