@@ -203,7 +203,13 @@ def identify_finger(
     best = _merged(comparisons, merge)[:top]
     rated = [comparison.rated(table, area_mm2, fmr) for comparison in best]
     candidates = tuple(
-        _candidate(rank, comparison, rates.fmr, searched.captures)
+        RankedCandidate(
+            rank,
+            *comparison.entry.names,
+            comparison.similarity,
+            rates.fmr,
+            None if rates.fmr is None else searched.captures * rates.fmr,
+        )
         for rank, (comparison, rates) in enumerate(zip(best, rated, strict=True), start=1)
     )
 
@@ -257,13 +263,6 @@ def _decided(
         ),
         None,
     )
-
-
-def _candidate(
-    rank: int, comparison: _Comparison, fmr: float | None, captures: int
-) -> RankedCandidate:
-    expected = None if fmr is None else captures * fmr
-    return RankedCandidate(rank, *comparison.entry.names, comparison.similarity, fmr, expected)
 
 
 def _search(

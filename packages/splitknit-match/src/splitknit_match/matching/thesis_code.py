@@ -83,10 +83,6 @@ def pattern_labels(image: FloatArray, neighbours: int) -> Labels:
     return uniform_bins(neighbours)[codes]
 
 
-def _bins(neighbours: int) -> int:
-    return neighbours * (neighbours - 1) + 3
-
-
 def code_match(database: CodeSide, query: CodeSide) -> ImageMatch:
     """Compare a query with a finger of the database, as the author's program does.
 
@@ -111,7 +107,8 @@ def code_match(database: CodeSide, query: CodeSide) -> ImageMatch:
     area = (CELL_PX / cell) ** 2  # counts as at 75.7 px/mm
     distances = {}
     for attribute, names in ATTRIBUTES.items():
-        bins = _bins(NEIGHBOURS[attribute])
+        neighbours = NEIGHBOURS[attribute]
+        bins = neighbours * (neighbours - 1) + 3
         channels = [
             np.abs(
                 _counts(database.labels[name], 0, cell, (rows, columns), bins)
