@@ -48,7 +48,7 @@ def test_a_rolled_print_its_mesh_and_its_facts(drawn, tmp_path: Path, capsys, mo
     assert {"print.png", "rolled.ply", "report.json"} <= set(facts["files"])
     rolled = facts["rolled"]
     assert rolled["views"] == ["front", "right"]
-    assert [finding["code"] for finding in facts["findings"]] == ["view-cut-off"]
+    assert "view-cut-off" in [finding["code"] for finding in facts["findings"]]
     assert "Please note: the left view is cut off." in _print_lines(facts)
     assert 150 < rolled["coverage_deg"]["median"] < 200
     # the skin's true size: the width of the print is the length around the finger
