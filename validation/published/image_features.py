@@ -24,7 +24,7 @@ from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 from scored import run, surface_at
 
-from splitknit.errors import check_image
+from splitknit.checks import check_image
 from splitknit.imaging.geometry import gaussian_mean
 from splitknit.model import FloatArray
 from splitknit_match.matching.features import REFERENCE_PX_PER_MM, cells

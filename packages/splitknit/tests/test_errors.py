@@ -7,16 +7,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from splitknit.errors import (
-    BadInput,
-    check_image,
-    check_lights,
-    check_mask,
-    check_stack,
-    read_bytes,
-    refusing,
-    require,
-)
+from splitknit.checks import check_image, check_lights, check_mask, check_stack
+from splitknit.errors import BadInput, refusing, require
+from splitknit.files import read_bytes
 
 RING = np.array([[np.cos(a), np.sin(a), 2.0] for a in 2 * np.pi * np.arange(5) / 5])
 

@@ -15,7 +15,9 @@ from concurrent.futures.process import BrokenProcessPool
 from itertools import islice
 from typing import TypeVar
 
-from splitknit.errors import UNFINISHED, BadInput, with_given_folders
+from splitknit.errors import BadInput
+from splitknit.files import with_given_folders
+from splitknit.interrupts import UNFINISHED
 from splitknit.steps import one_heap
 
 Job = TypeVar("Job")

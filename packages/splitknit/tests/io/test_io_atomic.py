@@ -14,7 +14,9 @@ import pytest
 
 from splitknit.cli import main as cli
 from splitknit.cli.exits import INTERRUPTS
-from splitknit.errors import UNFINISHED, BadInput, given_folders, read_bytes
+from splitknit.errors import BadInput
+from splitknit.files import given_folders, read_bytes
+from splitknit.interrupts import UNFINISHED
 from splitknit.io import atomic
 from splitknit.io.atomic import GROUP_READABLE, MANIFEST, atomic_file, atomic_folder, manifest_of
 

@@ -13,7 +13,8 @@ from typing import Any
 import numpy as np
 
 from splitknit import BadInput
-from splitknit.errors import Refused, given_folders, require
+from splitknit.errors import Refused, require
+from splitknit.files import given_folders
 from splitknit.findings import Finding
 from splitknit.io.targets import check_file
 from splitknit.model import Progress, no_progress

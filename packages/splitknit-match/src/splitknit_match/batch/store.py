@@ -12,7 +12,8 @@ from typing import Any
 import numpy as np
 
 from splitknit import BadInput
-from splitknit.errors import naming, open_at_once, refusing, require
+from splitknit.errors import naming, refusing, require
+from splitknit.files import open_at_once
 from splitknit.io.atomic import hold, make_folder, private_modes, sweep, write_file
 from splitknit.io.fields import read_json
 from splitknit.io.provenance import json_text, plain_json, provenance, settings_hash

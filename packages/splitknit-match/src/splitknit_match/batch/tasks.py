@@ -20,7 +20,8 @@ from typing import Any, TypeVar
 from urllib.parse import urlsplit
 
 from splitknit import BadInput
-from splitknit.errors import importing, refusing, require, with_given_folders
+from splitknit.errors import importing, refusing, require
+from splitknit.files import with_given_folders
 from splitknit.io.provenance import provenance
 from splitknit.networks.unet import running, use_device
 from splitknit.steps import one_heap

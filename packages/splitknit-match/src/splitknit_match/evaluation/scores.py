@@ -23,7 +23,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from splitknit import BadInput
-from splitknit.errors import naming, read_bytes, require
+from splitknit.errors import naming, require
+from splitknit.files import read_bytes
 from splitknit.io.csv_table import csv_text, plain_text
 from splitknit.model import Array, BoolArray
 from splitknit_match.evaluation.parameters import MAX_BYTES

@@ -22,8 +22,10 @@ from typing import TYPE_CHECKING, Any, Self
 
 from splitknit import BadInput
 from splitknit.arguments import AnyPath
-from splitknit.errors import UNFINISHED, importing, open_at_once, require, shown_path
+from splitknit.errors import importing, require
+from splitknit.files import open_at_once, shown_path
 from splitknit.findings import Finding
+from splitknit.interrupts import UNFINISHED
 from splitknit.io.atomic import GROUP_READABLE, private_modes
 from splitknit.io.enrolment import FINGERS
 from splitknit_match.gallery.parameters import MAX_KEY_BYTES, MAX_NAME, WAIT_S, WRITER_S

@@ -11,7 +11,8 @@ from pathlib import Path
 from typing import Any
 
 from splitknit import BadInput
-from splitknit.errors import read_bytes, refusing, require
+from splitknit.errors import refusing, require
+from splitknit.files import read_bytes
 from splitknit.io.atomic import atomic_folder
 from splitknit.io.csv_table import csv_text, plain_text
 from splitknit.io.fields import read_json, text_of

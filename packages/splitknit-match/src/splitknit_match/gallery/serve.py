@@ -22,7 +22,8 @@ from pathlib import Path
 from typing import Any
 
 from splitknit import BadInput
-from splitknit.errors import importing, printable, read_bytes, require
+from splitknit.errors import importing, printable, require
+from splitknit.files import read_bytes
 from splitknit.io.atomic import append_line
 from splitknit.io.images import cores
 from splitknit.io.prints import PrintFile

@@ -13,7 +13,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from splitknit.errors import check_image, require
+from splitknit.checks import check_image
+from splitknit.errors import require
 from splitknit.model import FloatArray
 from splitknit_match.matching.parameters import STRIP
 

@@ -15,7 +15,8 @@ from msgspec import Struct
 from numpy.typing import NDArray
 
 from splitknit import BadInput, Capture, Reconstruction
-from splitknit.errors import naming, open_file, require
+from splitknit.errors import naming, require
+from splitknit.files import open_file
 from splitknit.findings import Finding, Severity
 from splitknit.io.fields import converted, read_json
 from splitknit.model import Progress, Surface, no_progress, surface_of

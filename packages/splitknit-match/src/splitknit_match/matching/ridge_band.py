@@ -15,7 +15,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from splitknit.errors import check_mask, require
+from splitknit.checks import check_mask
+from splitknit.errors import require
 from splitknit.imaging.geometry import gaussian_mean, height_gradients, sampled_at
 from splitknit.model import Array, BoolArray, FloatArray
 from splitknit_match.matching.parameters import (

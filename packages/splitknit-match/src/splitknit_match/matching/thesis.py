@@ -11,7 +11,8 @@ from typing import Annotated
 import cv2
 import numpy as np
 
-from splitknit.errors import check_mask, require
+from splitknit.checks import check_mask
+from splitknit.errors import require
 from splitknit.imaging.geometry import bounding_box, warp
 from splitknit.model import Array, BoolArray, FloatArray
 from splitknit.settings import Checked, Limits, check_fields

@@ -17,7 +17,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from splitknit.errors import check_mask
+from splitknit.checks import check_mask
 from splitknit.imaging.geometry import bounding_box
 from splitknit.model import Array, BoolArray, FloatArray
 from splitknit_match.prints.parameters import MIN_FRACTION

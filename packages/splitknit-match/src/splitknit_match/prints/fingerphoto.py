@@ -18,7 +18,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from splitknit import BadInput
-from splitknit.errors import check_mask, naming, require
+from splitknit.checks import check_mask
+from splitknit.errors import naming, require
 from splitknit.findings import Finding
 from splitknit.finger.mask import check_borders
 from splitknit.finger.orientation import Upright, find_upright

@@ -16,7 +16,8 @@ import scipy
 from numpy.polynomial.polynomial import polyder, polyval
 from numpy.typing import NDArray
 
-from splitknit.errors import check_mask, require
+from splitknit.checks import check_mask
+from splitknit.errors import require
 from splitknit.finger.ridges import MM_PER_INCH, upright_from_print
 from splitknit.imaging.band import bin_mean
 from splitknit.imaging.geometry import bounding_box, gaussian_mean, sampled_at

@@ -17,7 +17,8 @@ import numpy as np
 import scipy
 from numpy.typing import NDArray
 
-from splitknit.errors import check_mask, require
+from splitknit.checks import check_mask
+from splitknit.errors import require
 from splitknit.imaging.band import bin_mean
 from splitknit.imaging.geometry import bounding_box
 from splitknit.model import Array, BoolArray, FloatArray

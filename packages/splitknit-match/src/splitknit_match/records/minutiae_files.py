@@ -15,7 +15,8 @@ from typing import Any
 
 import numpy as np
 
-from splitknit.errors import BadInput, naming, read_bytes, require
+from splitknit.errors import BadInput, naming, require
+from splitknit.files import read_bytes
 from splitknit_match.records.fmr_bytes import (
     ANSI_2004,
     ANSI_2009,

@@ -10,7 +10,8 @@ from dataclasses import dataclass, field
 from typing import Any, Literal
 
 from splitknit import BadInput
-from splitknit.errors import open_file, require
+from splitknit.errors import require
+from splitknit.files import open_file
 from splitknit.io.images import BMP, JPEG, PNG, TIFFS
 from splitknit.io.prints import PrintFile, decode_print_image, encode_print_png, encode_print_tiff
 from splitknit_match.records import finger_image, iso39794

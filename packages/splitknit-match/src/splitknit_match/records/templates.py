@@ -13,7 +13,8 @@ import os
 import struct
 
 from splitknit import BadInput
-from splitknit.errors import read_bytes, require
+from splitknit.errors import require
+from splitknit.files import read_bytes
 from splitknit.io.atomic import write_file
 from splitknit_match.records.parameters import LARGEST_TEMPLATE_BYTES
 

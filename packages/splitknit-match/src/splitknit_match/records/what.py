@@ -33,7 +33,7 @@ def what(file: AnyPath) -> Report:
     >>> what("print.wsq").facts["what"]  # doctest: +SKIP
     'a picture (WSQ)'
     """
-    from splitknit.errors import open_file
+    from splitknit.files import open_file
     from splitknit.io.prints import PrintFile
     from splitknit.io.provenance import file_hash
     from splitknit_match.records.fmr_bytes import standard_of, what_bytes_are

@@ -16,7 +16,8 @@ import numpy as np
 
 from splitknit import BadInput, Camera, Rig, read_rig, write_rig
 from splitknit.arguments import text_of
-from splitknit.errors import naming, read_bytes, require
+from splitknit.errors import naming, require
+from splitknit.files import read_bytes
 from splitknit.io.images import MAX_BYTES, decode_image
 from splitknit.io.photograph_files import natural_order
 from splitknit.io.provenance import provenance

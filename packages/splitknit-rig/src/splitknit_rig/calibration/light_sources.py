@@ -12,7 +12,8 @@ from typing import Any
 import numpy as np
 
 from splitknit import Camera, Led, Rig, write_rig
-from splitknit.errors import Refused, read_bytes, refusing, require
+from splitknit.errors import Refused, refusing, require
+from splitknit.files import read_bytes
 from splitknit.imaging.response import shading_is_srgb
 from splitknit.imaging.view import plane_points
 from splitknit.io.light_list import LIST_TITLE, write_light_list

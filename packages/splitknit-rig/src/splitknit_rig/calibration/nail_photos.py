@@ -12,7 +12,8 @@ import cv2
 import numpy as np
 
 from splitknit import Camera
-from splitknit.errors import read_bytes, require
+from splitknit.errors import require
+from splitknit.files import read_bytes
 from splitknit.imaging.band import linear_image
 from splitknit.io.atomic import write_file
 from splitknit.io.images import MAX_BYTES, decode_image, write_image

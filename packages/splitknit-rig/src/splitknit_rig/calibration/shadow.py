@@ -18,7 +18,8 @@ from numpy.typing import NDArray
 from scipy.optimize import least_squares
 from scipy.special import ndtr
 
-from splitknit.errors import check_stack, require
+from splitknit.checks import check_stack
+from splitknit.errors import require
 from splitknit.model import Array, BoolArray, FloatArray
 
 # The shadow of a blunt cone as a shape: the hull of two circles, softened by the size of the light.

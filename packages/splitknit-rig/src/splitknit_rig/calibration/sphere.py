@@ -15,7 +15,8 @@ from typing import Any
 import cv2
 import numpy as np
 
-from splitknit.errors import check_mask, check_stack, require
+from splitknit.checks import check_mask, check_stack
+from splitknit.errors import require
 from splitknit.model import Array, BoolArray, FloatArray
 
 _RAYS, _REACH, _AGREE = 360, 0.1, 0.007

@@ -11,8 +11,9 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from splitknit.checks import check_image, check_mask
 from splitknit.devices import ExposureRange, Frame
-from splitknit.errors import check_image, check_mask, require
+from splitknit.errors import require
 from splitknit.model import BoolArray, FloatArray
 from splitknit.settings import Checked, Limits
 

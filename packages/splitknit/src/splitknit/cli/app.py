@@ -29,7 +29,8 @@ from rich.text import Text
 from splitknit.cli.console import one_line, progress_bar, warnings_shown, with_options
 from splitknit.cli.exits import ANSWERS, BAD_INPUT, DONE, INTERNAL_ERROR, fail, say
 from splitknit.cli.options import read_changes
-from splitknit.errors import BadInput, Refused, given_folders
+from splitknit.errors import BadInput, Refused
+from splitknit.files import given_folders
 from splitknit.io.atomic import GROUP_READABLE
 from splitknit.registry import VERBS, objects_of, verbs_known
 

@@ -16,6 +16,7 @@ import signal
 import sys
 
 from splitknit.cli.exits import BAD_INPUT, INTERRUPTED, INTERRUPTION, INTERRUPTS, fail
+from splitknit.interrupts import UNFINISHED
 
 TYPE_CHECKING = False  # typing itself takes longer to import than all of the above
 if TYPE_CHECKING:
@@ -70,9 +71,8 @@ def _on_interrupt(handler: Any) -> None:
 
 
 def _interrupt(number: int, _: object) -> None:
-    errors = sys.modules.get("splitknit.errors")
-    if errors is not None and hasattr(errors, "UNFINISHED") and errors.UNFINISHED.depth:
-        errors.UNFINISHED.signal = number
+    if UNFINISHED.depth:
+        UNFINISHED.signal = number
         return
     INTERRUPTS.append(number)
     raise KeyboardInterrupt

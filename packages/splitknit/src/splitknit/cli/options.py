@@ -7,7 +7,8 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from splitknit.errors import BadInput, read_bytes, refusing, require
+from splitknit.errors import BadInput, refusing, require
+from splitknit.files import read_bytes
 from splitknit.io.fields import parse_json
 from splitknit.settings import flatten
 

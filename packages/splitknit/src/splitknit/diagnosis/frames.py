@@ -19,8 +19,9 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from splitknit.checks import check_lights, check_mask, check_stack
 from splitknit.diagnosis.gains import median_angle_deg
-from splitknit.errors import check_lights, check_mask, check_stack, require
+from splitknit.errors import require
 from splitknit.findings import Finding, Severity
 from splitknit.imaging.geometry import bounding_box, gaussian_mean
 from splitknit.model import Array, BoolArray, FloatArray, Led, Rig

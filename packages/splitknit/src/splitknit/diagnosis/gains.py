@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from splitknit.errors import check_lights, check_mask, check_stack
+from splitknit.checks import check_lights, check_mask, check_stack
 from splitknit.model import Array, BoolArray, FloatArray
 from splitknit.photometric.equations import PAIRS, back_substitute, factorise
 

@@ -16,6 +16,7 @@ from typing import Any, Literal
 import cv2
 import numpy as np
 
+from splitknit.checks import check_lights
 from splitknit.diagnosis.frames import SPOILT_DEG
 from splitknit.diagnosis.gains import (
     LEAST,
@@ -26,7 +27,7 @@ from splitknit.diagnosis.gains import (
     median_angle_deg,
 )
 from splitknit.diagnosis.samples import sampled_light
-from splitknit.errors import BadInput, check_lights
+from splitknit.errors import BadInput
 from splitknit.findings import Finding, Severity
 from splitknit.finger.locate import Finger
 from splitknit.imaging.band import bin_mean, linear_stack, saturation_levels

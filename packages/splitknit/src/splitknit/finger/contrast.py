@@ -13,7 +13,7 @@ from typing import Annotated, Literal
 
 import numpy as np
 
-from splitknit.errors import check_image, check_mask
+from splitknit.checks import check_image, check_mask
 from splitknit.imaging.band import srgb_code
 from splitknit.imaging.geometry import bounding_box
 from splitknit.model import Array, BoolArray, FloatArray

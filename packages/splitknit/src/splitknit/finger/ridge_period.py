@@ -7,7 +7,8 @@ from typing import NamedTuple
 import cv2
 import numpy as np
 
-from splitknit.errors import check_mask, require
+from splitknit.checks import check_mask
+from splitknit.errors import require
 from splitknit.model import Array, BoolArray, FloatArray
 from splitknit.plausible import RIDGE_PERIOD
 

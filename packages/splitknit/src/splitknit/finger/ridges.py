@@ -10,7 +10,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from splitknit.errors import BadInput, check_mask, require
+from splitknit.checks import check_mask
+from splitknit.errors import BadInput, require
 from splitknit.imaging.geometry import bounding_box, gaussian_mean, warp
 from splitknit.model import Array, BoolArray, FloatArray, Reconstruction, Surface
 

@@ -9,7 +9,8 @@ from typing import Any
 import numpy as np
 import scipy
 
-from splitknit.errors import check_mask, require
+from splitknit.checks import check_mask
+from splitknit.errors import require
 from splitknit.model import Array, BoolArray, FloatArray
 
 

@@ -26,7 +26,9 @@ from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import IO, Any, BinaryIO
 
-from splitknit.errors import UNFINISHED, BadInput, read_bytes, refuse_links, require
+from splitknit.errors import BadInput, require
+from splitknit.files import read_bytes, refuse_links
+from splitknit.interrupts import UNFINISHED
 
 MANIFEST = ".splitknit"
 """File in every folder we write that lists what we wrote there: only that may be replaced."""

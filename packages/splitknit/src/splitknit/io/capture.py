@@ -17,7 +17,8 @@ import numpy as np
 from msgspec import Meta, Struct
 from numpy.typing import NDArray
 
-from splitknit.errors import BadInput, check_lights, check_mask, naming, require
+from splitknit.checks import check_lights, check_mask
+from splitknit.errors import BadInput, naming, require
 from splitknit.io.atomic import atomic_folder
 from splitknit.io.content import check_contents, image_name, mask_from_image
 from splitknit.io.fields import Version1, inside, read_document

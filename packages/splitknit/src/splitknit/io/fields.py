@@ -13,7 +13,8 @@ from typing import Annotated, Any, TypeVar
 
 import msgspec
 
-from splitknit.errors import BadInput, read_bytes, refusing, require
+from splitknit.errors import BadInput, refusing, require
+from splitknit.files import read_bytes
 
 T = TypeVar("T")
 Version1 = Annotated[int, msgspec.Meta(ge=1, le=1)]

@@ -29,7 +29,8 @@ from PIL.JpegImagePlugin import JpegImageFile
 from PIL.PngImagePlugin import PngImageFile
 from PIL.WebPImagePlugin import WebPImageFile
 
-from splitknit.errors import read_bytes, refusing, require
+from splitknit.errors import refusing, require
+from splitknit.files import read_bytes
 from splitknit.io.atomic import write_file
 from splitknit.io.provenance import canonical_json
 from splitknit.model import PixelArray

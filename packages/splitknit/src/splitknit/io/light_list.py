@@ -14,7 +14,8 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from splitknit.errors import read_bytes, refusing, require
+from splitknit.errors import refusing, require
+from splitknit.files import read_bytes
 from splitknit.io.atomic import write_file
 from splitknit.io.photos import SUFFIXES
 from splitknit.model import Led

@@ -15,7 +15,8 @@ from typing import Any
 import numpy as np
 from numpy.lib import format as npy
 
-from splitknit.errors import open_file, refusing, require
+from splitknit.errors import refusing, require
+from splitknit.files import open_file
 from splitknit.io.atomic import atomic_file
 
 # arrays read at once, at most: a result of 25 million pixels, three times the rig's

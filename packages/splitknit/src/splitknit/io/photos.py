@@ -19,7 +19,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from splitknit.errors import BadInput, read_bytes, refusing, require
+from splitknit.errors import BadInput, refusing, require
+from splitknit.files import read_bytes
 from splitknit.io.images import MAX_BYTES, Header, check_size, decode_pixels, read_header
 from splitknit.model import BoolArray
 

@@ -13,7 +13,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from splitknit.errors import check_lights, check_mask, naming, refusing, require
+from splitknit.checks import check_lights, check_mask
+from splitknit.errors import naming, refusing, require
 from splitknit.findings import Finding
 from splitknit.imaging.band import (
     block_means,

@@ -17,7 +17,8 @@ from numpy.typing import NDArray
 from PIL import Image
 from PIL.PngImagePlugin import PngInfo
 
-from splitknit.errors import BadInput, read_bytes, require
+from splitknit.errors import BadInput, require
+from splitknit.files import read_bytes
 from splitknit.findings import Finding
 from splitknit.io.atomic import write_file
 from splitknit.io.fields import parse_json

@@ -13,7 +13,8 @@ from typing import Any
 
 import numpy as np
 
-from splitknit.errors import BadInput, open_file
+from splitknit.errors import BadInput
+from splitknit.files import open_file
 from splitknit.findings import Finding
 
 JsonValue = None | bool | int | float | str | list["JsonValue"] | dict[str, "JsonValue"]

@@ -8,7 +8,8 @@ import os
 from collections.abc import Callable
 from pathlib import Path
 
-from splitknit.errors import BadInput, open_file, require
+from splitknit.errors import BadInput, require
+from splitknit.files import open_file
 from splitknit.io.capture import CAPTURE_FORMAT
 from splitknit.io.fields import read_json
 from splitknit.io.images import PNG, TIFFS

@@ -25,7 +25,8 @@ from weakref import WeakValueDictionary
 
 import numpy as np
 
-from splitknit.errors import BadInput, importing, read_bytes, refusing, require
+from splitknit.errors import BadInput, importing, refusing, require
+from splitknit.files import read_bytes
 from splitknit.model import FloatArray
 
 FORMAT = "splitknit-network"

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from splitknit.errors import check_lights, check_mask, check_stack
+from splitknit.checks import check_lights, check_mask, check_stack
 from splitknit.imaging.chunks import gather
 from splitknit.model import FloatArray
 from splitknit.photometric.equations import linear_map, surface_by_chunks

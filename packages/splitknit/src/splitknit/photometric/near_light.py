@@ -7,7 +7,8 @@ from typing import Any
 
 import numpy as np
 
-from splitknit.errors import check_lights, check_mask, check_stack, require
+from splitknit.checks import check_lights, check_mask, check_stack
+from splitknit.errors import require
 from splitknit.imaging.chunks import for_each_chunk, gather
 from splitknit.imaging.light_field import light_vectors_at, surface_array
 from splitknit.imaging.view import View, view_of

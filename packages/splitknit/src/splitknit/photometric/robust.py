@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from splitknit.errors import check_lights, check_mask, check_stack
+from splitknit.checks import check_lights, check_mask, check_stack
 from splitknit.imaging.chunks import gather
 from splitknit.model import FloatArray
 from splitknit.photometric.equations import (

@@ -23,7 +23,8 @@ from typing import Any
 import cv2
 import numpy as np
 
-from splitknit.errors import check_mask, check_stack, refusing, require
+from splitknit.checks import check_mask, check_stack
+from splitknit.errors import refusing, require
 from splitknit.imaging.band import bin_mean, linear_stack, saturation_levels
 from splitknit.imaging.geometry import bounding_box
 from splitknit.model import Array, BoolArray, Capture, FloatArray, Rig

@@ -21,7 +21,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from splitknit.errors import BadInput, check_mask, require
+from splitknit.checks import check_mask
+from splitknit.errors import BadInput, require
 from splitknit.model import BoolArray, FloatArray
 
 # a stack with more clipped pixels is refused: its maximum, so its direct light, is wrong
