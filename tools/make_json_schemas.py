@@ -14,6 +14,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, Literal, Union
 
+from splitknit.findings import Finding
 from splitknit.io.provenance import json_text
 from splitknit_match.gallery.gallery import Enrolment
 from splitknit_match.gallery.identify import Identification, RankedCandidate
@@ -41,7 +42,16 @@ def schema_of(kind: Any, known: dict[str, Any]) -> dict[str, Any]:
         return {"type": "array", "items": schema_of(inside[0], known)}
     if origin in (dict, Mapping):
         return {"type": "object", "additionalProperties": schema_of(inside[1], known)}
-    if kind.__name__ not in known:
+    if kind is Finding and kind.__name__ not in known:  # its facts
+        text = {"type": "string"}
+        fields = dict.fromkeys(("code", "severity", "message"), text)
+        more = {"files": {"type": "array", "items": text}, "effect_deg": {"type": "number"}}
+        known[kind.__name__] = {
+            "type": "object",
+            "properties": {**fields, **more},
+            "required": list(fields),
+        }
+    elif kind.__name__ not in known:
         known[kind.__name__] = {}
         hints = typing.get_type_hints(kind, localns={"RankedCandidate": RankedCandidate})
         fields = {one.name: schema_of(hints[one.name], known) for one in dataclasses.fields(kind)}

@@ -25,6 +25,7 @@ from typing import Any
 
 from splitknit.diagnosis.codes import CODES, Code
 from splitknit.presets import PRESETS
+from splitknit_match.codes import CODES as MATCH_CODES
 from splitknit_match.matching.surface import MatchingSettings
 from splitknit_rig.capture.pi import PiCameraSettings
 from splitknit_rig.capture.session import SessionSettings
@@ -166,6 +167,12 @@ MEMBERS: tuple[tuple[str, dict[str, Code], str], ...] = (
         " `doubt` comes first; what was measured is written all the same. `ambient-light`,"
         " `assumed-encoding`, `dark-photographs`, `drifted-led` and `odd-camera-height` are as"
         " above.",
+    ),
+    (
+        "splitknit-match",
+        MATCH_CODES,
+        "What the verbs of prints, comparisons, galleries and evaluations find, in the same way;"
+        " those of a capture or a photograph are the core's.",
     ),
 )
 """Name, codes and words of each member that has codes of its own."""

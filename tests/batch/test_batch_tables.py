@@ -111,7 +111,7 @@ def test_sizes_are_checked_before_a_table_is_read(
     table: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     write_table(table, [row | {"a": "x" * 1_000_000} for row in ROWS], {})
-    monkeypatch.setattr("splitknit_match.batch.tables._MAX_BYTES", 500_000)
+    monkeypatch.setattr("splitknit_match.batch.tables.MAX_BYTES", 500_000)
     assert table.stat().st_size < 100_000
     with pytest.raises(BadInput, match="damaged"):
         read_table(table)

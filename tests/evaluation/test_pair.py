@@ -104,7 +104,7 @@ def test_another_pose_is_found_to_the_micrometre_and_gains_are_reported() -> Non
 def test_a_surface_differs_from_itself_by_nothing(fit: Any) -> None:
     found = compare_results(laid_down(), laid_down(), fit=fit)
     assert found.figures["relief"][MAIN]["rms_um"]["value"] < 0.1
-    assert "same measurement, to the last digit" in found.notes[0]
+    assert "same measurement, to the last digit" in str(found.findings[0])
 
 
 def test_a_perspective_camera_sees_the_same_surface() -> None:
@@ -132,7 +132,7 @@ def test_skin_that_has_shifted_is_followed_by_the_elastic_fit() -> None:
     rms = [one.figures["relief"]["0 to 20"]["rms_um"]["value"] for one in (stiff, soft)]
     assert 3 * rms[1] < rms[0]
     assert rms[1] < 1.0
-    assert stiff.notes and "shifted" in stiff.notes[0]
+    assert [finding.code for finding in stiff.findings] == ["shifted-skin"]
     assert "above 8 mm" not in soft.figures
 
 

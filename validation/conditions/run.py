@@ -111,7 +111,7 @@ def print_facts(result: Reconstruction) -> dict[str, Any]:
         "print_quality": found.score,
         "print_figures": asdict(found.figures),
         "nfiq2": nfiq2(made.image),
-        "advice": list(advice(found)),
+        "advice": list(map(str, advice(found))),
     }
 
 

@@ -178,7 +178,7 @@ def advice_of(row: dict[str, Any]) -> tuple[str, ...]:
         return tuple(row["advice"])
     figures = QualityFigures(**row["print_figures"])
     score, worth = score_of(figures)
-    return advice(PrintQuality(score, worth, figures))
+    return tuple(map(str, advice(PrintQuality(score, worth, figures))))
 
 
 def plain(text: str) -> str:

@@ -36,7 +36,8 @@ from splitknit_match.matching.inputs import print_template
 from splitknit_match.matching.ridge import Prepared
 from splitknit_match.matching.score import FmrTable, calibrate_scores
 from splitknit_match.matching.template import Template
-from splitknit_match.prints.fingerphoto import MIN_QUALITY, finger_of_photo
+from splitknit_match.prints.fingerphoto import finger_of_photo
+from splitknit_match.prints.parameters import MIN_QUALITY
 from splitknit_simulator.finger.finger import draw_finger
 
 TABLES = Path(__file__).resolve().parent / "tables"

@@ -32,6 +32,7 @@ from scipy.stats import binomtest
 from splitknit_match.matching import fusion
 from splitknit_match.matching.fusion import fused_match
 from splitknit_match.matching.methods import REAL_PRINTS, TABLES
+from splitknit_match.matching.parameters import SMALL_MM2
 from splitknit_match.matching.ridge import Prepared
 from splitknit_match.matching.score import calibrate_scores
 
@@ -227,7 +228,7 @@ def fitted(rows: NDArray[np.float64]) -> Constants:
     """Logistic regressions on windows, both classes of equal weight."""
     rows = rows[(rows[:, 0] != PRINTS) & ~np.isnan(rows[:, 7])]
     fraction, correlation, overlap, same = rows[:, 6], rows[:, 7], rows[:, 9], rows[:, 3] == 1
-    grown = correlation * np.sqrt(np.minimum(overlap, fusion.SMALL_MM2))
+    grown = correlation * np.sqrt(np.minimum(overlap, SMALL_MM2))
     found = []
     for known, columns in (
         (np.isnan(fraction), [correlation, grown]),

@@ -15,12 +15,8 @@ from splitknit.presets import preset_settings
 from splitknit.skin.images import MetricSettings
 from splitknit_match.prints.rolled import rolled_facts
 from splitknit_match.rolled.chart import read
-from splitknit_match.rolled.finger import (
-    STEEPEST_DEG,
-    Blended,
-    Rolled,
-    rolled_finger,
-)
+from splitknit_match.rolled.finger import Blended, Rolled, rolled_finger
+from splitknit_match.rolled.parameters import STEEPEST_DEG
 from splitknit_match.rolled.register import ridges_of
 from splitknit_match.rolled.views import find_mirror_views
 

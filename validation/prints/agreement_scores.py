@@ -9,8 +9,9 @@ from typing import Any
 import numpy as np
 from agreement_compare import by_finger
 
-from splitknit_match.prints.minutiae import EDGE_MM, minutiae_match
+from splitknit_match.prints.minutiae import minutiae_match
 from splitknit_match.prints.minutiae_record import Minutiae, unpack_minutiae
+from splitknit_match.prints.parameters import EDGE_MM
 
 Records = dict[tuple[str, int], dict[str, Any]]
 

@@ -26,11 +26,17 @@ from splitknit.io.prints import PrintFile, read_print_png
 from splitknit_match.matching.fusion import fused_match
 from splitknit_match.matching.inputs import print_template
 from splitknit_match.matching.methods import rate, scale_doubt, scores_of
-from splitknit_match.prints.from_file import USUAL_PERIOD_MM, _ridge_period_px, prepared
+from splitknit_match.prints.from_file import _ridge_period_px, prepared
+from splitknit_match.prints.parameters import USUAL_PERIOD_MM
 
 PPI = {"fvc2002_db2b": 569.0, "fvc2004_db3b": 512.0}
 STATED = Path(__file__).parent / "tables" / "stated_resolution.csv"
 TABLE = Path(__file__).parent / "tables" / "any_print.csv"
+
+
+def codes_of(item: PrintFile) -> set[str]:
+    """Codes of what was found of a print."""
+    return {finding.code for finding in item.findings}
 
 
 def row(folder: Path) -> dict[str, object]:
@@ -42,21 +48,23 @@ def row(folder: Path) -> dict[str, object]:
     for file in sorted(folder.glob("*.png")):
         image = read_print_png(file).image
         for name, picture in (("dark", image), ("inverted", 255 - image)):
-            said[name].append(prepared(PrintFile(picture, ppi, {})).note)
+            said[name].append(codes_of(prepared(PrintFile(picture, ppi, {}))))
         for name, factor in zip(doubted, (1, 0.5, 2), strict=True):
-            doubted[name] += bool(prepared(PrintFile(image, factor * ppi, {})).doubt)
+            doubted[name] += "odd-resolution" in codes_of(
+                prepared(PrintFile(image, factor * ppi, {}))
+            )
         periods.append(_ridge_period_px(image))
     known = np.array([one for one in periods if one is not None]) * 25.4 / ppi / USUAL_PERIOD_MM
     return {
         "set": folder.name,
         "prints": len(periods),
         **{
-            f"{name}_turned": sum("turned dark" in one for one in notes)
-            for name, notes in said.items()
+            f"{name}_turned": sum("white-ridges" in codes for codes in findings)
+            for name, findings in said.items()
         },
         **{
-            f"{name}_in_doubt": sum("invert the picture" in one for one in notes)
-            for name, notes in said.items()
+            f"{name}_in_doubt": sum("unknown-polarity" in codes for codes in findings)
+            for name, findings in said.items()
         },
         **{f"doubted_{name.replace(' ', '_')}": count for name, count in doubted.items()},
         "no_period": periods.count(None),
@@ -78,7 +86,9 @@ def stated(folder: Path, factor: float) -> list[tuple[bool, str, bool]]:
             one = fused_match(wrong, right[n])
             by = scores_of("fusion", (wrong.area_mm2, right[n].area_mm2), one.minutiae)
             answer = rate(one.similarity, by, one.ridge.overlap_mm2).answer
-            answer = "undecided" if item.doubt and answer != "match" else answer
+            answer = (
+                "undecided" if "odd-resolution" in codes_of(item) and answer != "match" else answer
+            )
             found.append(
                 (
                     n == k ^ 1,

@@ -29,8 +29,9 @@ from splitknit.model import BoolArray, FloatArray, Surface, surface_of
 from splitknit.pipeline import reconstruct
 from splitknit_match.matching.elastic import bent, bent_by, compare_patches, shown_in_a
 from splitknit_match.matching.minutia_pairs import on_ridges
+from splitknit_match.matching.parameters import PITCH_MM
 from splitknit_match.matching.ridge import Prepared, lay
-from splitknit_match.matching.ridge_band import PITCH_MM, band_places, ridge_band
+from splitknit_match.matching.ridge_band import band_places, ridge_band
 from splitknit_match.matching.template import make_template
 
 DIAMETER_MM = 0.13

@@ -118,7 +118,7 @@ def test_the_verb_has_three_answers_and_three_exit_codes(photograph, tmp_path, c
     assert (
         facts["answer"] == "unknown"
         and "pixels a millimetre" in facts["reason"]
-        and "simulated" in facts["basis"]
+        and [finding["code"] for finding in facts["findings"]] == ["simulated-attacks"]
     )
     assert main([*words, "--exit-code"]) == 11
     assert "Unknown: " in capsys.readouterr().out

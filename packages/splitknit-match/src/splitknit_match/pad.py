@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import logging
 from collections.abc import Sequence
 from dataclasses import asdict
 from pathlib import Path
@@ -10,8 +9,7 @@ from typing import Any
 
 from splitknit.arguments import AnyPath, Preset, Progress, Report, checked, silent
 from splitknit.errors import BadInput, require
-
-_LOG = logging.getLogger(__name__)
+from splitknit.findings import Finding, Severity
 
 
 @checked
@@ -54,16 +52,17 @@ def pad(capture: AnyPath, *, preset: Preset = "metric", progress: Progress = sil
         live = f"Probability of live skin {facts['probability']:.3g}"
         lines.append(f"{live}; {distance}, covered up to {facts['covered']:.2f}.")
         lines.append(f"Unlike live skin: {', '.join(unlike) or 'nothing'}.")
-    return Report(facts, (*lines, f"Please note: {facts['basis']}"))
+    notes = [f"Please note: {finding['message']}" for finding in facts["findings"]]
+    return Report(facts, (*lines, *notes))
 
 
 def refuse_attacks(
     wanted: bool, paths: Sequence[Any], preset: str, progress: Progress
-) -> str | None:
+) -> tuple[str | None, tuple[Finding, ...]]:
     """Where it is `wanted`, raise BadInput if a capture is an attack; ``live``, ``unknown`` if one
-    is, or None."""
+    is, or None; and findings of those that are unknown."""
     require(not wanted or paths, "`pad` goes with captures that are named.")
-    answer = "live" if wanted else None
+    unknown = []
     for capture in paths if wanted else ():
         facts = _presented(Path(capture), preset, progress)
         attack = facts["answer"] == "attack"
@@ -73,9 +72,12 @@ def refuse_attacks(
             " anyway.",
         )
         if facts["answer"] == "unknown":
-            answer = "unknown"
-            _LOG.warning("whether '%s' is live skin is unknown: %s", capture, facts["reason"])
-    return answer
+            words = f"whether '{capture}' is live skin is unknown: {facts['reason']}"
+            unknown.append(
+                Finding("unknown-liveness", words, Severity.DOUBT, files=(str(capture),))
+            )
+    answer = ("unknown" if unknown else "live") if wanted else None
+    return answer, tuple(unknown)
 
 
 def _presented(folder: Path, preset: str, progress: Progress) -> dict[str, Any]:
@@ -102,4 +104,9 @@ def _presented(folder: Path, preset: str, progress: Progress) -> dict[str, Any]:
         presentation = Presentation(
             "unknown", f"it cannot be reconstructed ({str(error).rstrip('.')})."
         )
-    return {"capture": str(folder), **asdict(presentation), "features": features, "basis": BASIS}
+    return {
+        "capture": str(folder),
+        **asdict(presentation),
+        "features": features,
+        "findings": [Finding("simulated-attacks", BASIS).facts],
+    }

@@ -23,8 +23,9 @@ from splitknit.cli.main import main
 from splitknit.errors import BadInput
 from splitknit.networks.unet import running
 from splitknit_match.batch import tasks
+from splitknit_match.batch.parameters import AHEAD
 from splitknit_match.batch.store import Store
-from splitknit_match.batch.tasks import AHEAD, Done, Workers, connected, run_tasks
+from splitknit_match.batch.tasks import Done, Workers, connected, run_tasks
 
 HERE, TWO = Workers(1), Workers(2)
 

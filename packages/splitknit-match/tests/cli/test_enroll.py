@@ -275,7 +275,7 @@ def test_a_gallery_that_others_can_read_gets_a_note(
     for mode, noted in ((0o600, False), (0o644, True)):
         file.chmod(mode)
         assert main(["gallery", "info", str(file)]) == 0
-        assert ("the gallery" in capsys.readouterr().err) == noted
+        assert ("Please note: the gallery" in capsys.readouterr().out) == noted
 
 
 @pytest.mark.slow
@@ -287,9 +287,9 @@ def test_an_encrypted_gallery(people_folder: Path, tmp_path: Path, capsys, monke
     source = people_folder / "S01/session_1/left_thumb"
     arguments = ("enroll", file, source, "--person", "Ann Example", "--finger", "left_thumb")
     assert main([*map(str, arguments), "--key-file", str(key)]) == 0
-    out, notes = capsys.readouterr()
+    out = capsys.readouterr().out
     assert "encrypted" in out
-    assert "can be read by others" in notes
+    assert "can be read by others" in out
     assert b"Ann" not in file.read_bytes()
     assert "it is encrypted; give its key" in refusal_of(capsys, *arguments)
     monkeypatch.setenv("SPLITKNIT_GALLERY_KEY", "another phrase")

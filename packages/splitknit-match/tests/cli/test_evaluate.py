@@ -88,7 +88,7 @@ def test_a_file_of_labels_and_scores(folder: Path, tmp_path: Path, capsys: Captu
         one["operating_points"]["0.01"]["far_upper"] == 0.75
         and not one["operating_points"]["0.01"]["resolved"]
     )
-    assert any("cannot resolve a FAR of 1 %" in note for note in facts["notes"])
+    assert any("cannot resolve a FAR of 1 %" in finding["message"] for finding in facts["findings"])
     written = [path.name for path in sorted(out.iterdir())]
     assert written == [
         ".splitknit",
@@ -127,7 +127,10 @@ def test_figures_are_those_of_the_scores(folder: Path, tmp_path: Path, capsys: C
     assert [failures["genuine"], failures["impostor"]] == lost and sum(lost) == 48
     assert failures["rate"] == 0.02
     assert one["bootstrap"]["method"] == "finger" and one["bootstrap"]["drawn"] == 20
-    assert any("48 of 2400 comparisons gave no score" in note for note in facts["notes"])
+    assert any(
+        "48 of 2400 comparisons gave no score" in finding["message"]
+        for finding in facts["findings"]
+    )
 
 
 def test_the_page_needs_nothing_else(folder: Path, tmp_path: Path) -> None:
@@ -199,7 +202,9 @@ def test_systems_of_other_pairs_are_not_compared(folder: Path, tmp_path: Path) -
     assert main(["evaluate", "--scores", *files, "--out", str(tmp_path / "out"), *QUICK]) == 0
     facts = report(tmp_path / "out")
     assert facts["differences"] == []
-    assert any("did not score the same pairs" in note for note in facts["notes"])
+    assert any(
+        "did not score the same pairs" in finding["message"] for finding in facts["findings"]
+    )
 
 
 def test_files_of_one_name_are_distinguished(folder: Path, tmp_path: Path) -> None:
@@ -259,7 +264,7 @@ def test_distances_are_turned_round(folder: Path, tmp_path: Path) -> None:
     )
     assert turned["eer"] == right["eer"] and turned["gar_at_far"] == right["gar_at_far"]
     assert wrong["eer"]["value"] > 0.8
-    assert any("`dissimilarity`" in note for note in wrong["notes"])
+    assert any("`dissimilarity`" in finding["message"] for finding in wrong["findings"])
     assert "turned round" in (tmp_path / "distances1" / "report.html").read_text()
 
 

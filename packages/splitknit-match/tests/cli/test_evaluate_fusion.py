@@ -62,7 +62,7 @@ def test_the_fusion_stands_in_the_report(tmp_path: Path, capsys, method: str) ->
         ("s1", name),
         ("s2", name),
     }
-    assert any("saw nothing of the folds" in note for note in facts["notes"])
+    assert any("saw nothing of the folds" in finding["message"] for finding in facts["findings"])
     assert name in (tmp_path / "report" / "report.html").read_text()
 
 

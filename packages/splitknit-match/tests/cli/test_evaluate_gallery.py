@@ -78,7 +78,7 @@ def test_all_sessions_with_each_other(gallery: Path, tmp_path: Path, capsys) -> 
 
 def test_blocks_change_nothing(gallery: Path, monkeypatch) -> None:
     whole = evaluation_gallery.gallery_scores(gallery)
-    monkeypatch.setattr(evaluation_gallery, "_BLOCK", 1)
+    monkeypatch.setattr(evaluation_gallery, "KEPT_FINGERS", 1)
     assert evaluation_gallery.gallery_scores(gallery).table == whole.table
 
 
@@ -88,7 +88,9 @@ def test_failures_to_acquire_give_no_score(gallery: Path, tmp_path: Path, capsys
     finger = ("--person", "S02", "--finger", "right_index", "--session", "2")
     facts_of(capsys, "enroll", file, tmp_path / "none.skt", *finger, "--replace")
     facts = facts_of(capsys, "evaluate", "--gallery", file, "--out", tmp_path / "out", *QUICK)
-    assert "1 of 6 captures are failures to acquire." in facts["notes"]
+    assert "1 of 6 captures are failures to acquire." in [
+        finding["message"] for finding in facts["findings"]
+    ]
     blank = [row for row in table_of(tmp_path / "out") if row["score"] == ""]
     assert len(blank) == 5
     for row in blank:

@@ -229,7 +229,7 @@ def test_prints_are_imported(prints: Path, tmp_path: Path, capsys) -> None:
 def test_a_print_is_printed(prints: Path, tmp_path: Path, capsys) -> None:
     facts = facts_of(capsys, "print", prints / "fine.png", "--out", tmp_path / "out")
     assert (facts["method"], facts["size"], facts["ppi"]) == ("file", [500, 380], 500)
-    assert facts["quality"]["advice"] == []
+    assert facts["findings"] == []
     (view,) = read_minutiae_record(tmp_path / "out" / "minutiae.iso")
     assert abs(view.count - len(PLACES)) <= 4
     with np.load(tmp_path / "out" / "map.npz") as there:

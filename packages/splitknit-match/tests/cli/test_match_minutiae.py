@@ -199,7 +199,7 @@ def test_a_gallery_of_prints_is_searched_and_evaluated_by_both(
     # a template in which no minutiae were found counts by its ridges, on the same scale
     with monkeypatch.context() as patched:
         patched.setattr(
-            "splitknit_match.matching.inputs._MINUTIAE_PER_MM2", (-1.0, 1.0)
+            "splitknit_match.matching.inputs.MINUTIAE_PER_MM2", (-1.0, 1.0)
         )  # too few minutiae are no print otherwise
         patched.setattr(
             "splitknit_match.prints.make.minutiae_by_phase",

@@ -11,6 +11,7 @@ import pytest
 
 import rolled_scene as scene
 from splitknit.cli.main import main
+from splitknit.findings import Finding
 from splitknit.io.capture import write_capture
 from splitknit.model import Capture
 from splitknit_match.prints.verbs import _print_lines
@@ -35,7 +36,8 @@ def drawn() -> tuple[Capture, dict[str, np.ndarray]]:
 def test_a_rolled_print_its_mesh_and_its_facts(drawn, tmp_path: Path, capsys, monkeypatch) -> None:
     capture, masks = drawn
     write_capture(capture, tmp_path / "capture")
-    views = replace(scene.views_of(capture, masks), notes=("the left view is cut off.",))
+    findings = (Finding("view-cut-off", "the left view is cut off."),)
+    views = replace(scene.views_of(capture, masks), findings=findings)
     monkeypatch.setattr("splitknit_match.prints.rolled.find_mirror_views", lambda *_: views)
     monkeypatch.setattr("splitknit_match.rolled.finger.PITCH_MM", 0.07)  # quicker
     out = tmp_path / "out"
@@ -46,7 +48,7 @@ def test_a_rolled_print_its_mesh_and_its_facts(drawn, tmp_path: Path, capsys, mo
     assert {"print.png", "rolled.ply", "report.json"} <= set(facts["files"])
     rolled = facts["rolled"]
     assert rolled["views"] == ["front", "right"]
-    assert rolled["warnings"] == ["the left view is cut off."]
+    assert "view-cut-off" in [finding["code"] for finding in facts["findings"]]
     assert "Please note: the left view is cut off." in _print_lines(facts)
     assert 150 < rolled["coverage_deg"]["median"] < 200
     # the skin's true size: the width of the print is the length around the finger

@@ -9,7 +9,8 @@ import pytest
 from scipy.optimize import minimize
 
 from splitknit.errors import BadInput
-from splitknit_match.evaluation.fusion import PENALTY, fit_linear, fit_logistic, fit_minmax, fuse
+from splitknit_match.evaluation.fusion import fit_linear, fit_logistic, fit_minmax, fuse
+from splitknit_match.evaluation.parameters import PENALTY
 from splitknit_match.evaluation.protocol import comparisons, scores_of_comparisons
 from splitknit_match.evaluation.rates import roc
 from splitknit_match.evaluation.scores import Scores, ids_of

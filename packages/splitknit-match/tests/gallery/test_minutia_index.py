@@ -124,7 +124,7 @@ def test_of_many_those_are_compared_whose_minutiae_agree_best(
         opened.add(captures, TEMPLATES_HASH)
         absent = opened.identify(seen(4000), top=2)
         assert absent.answer != "match" and absent.searched.compared == 2
-        assert "misses about 1 match in 100" in absent.searched.note
+        assert "misses about 1 match in 100" in str(absent.findings[0])
         nearest = opened.identify(seen(7, 0.4, again=2), top=2)
         monkeypatch.setattr("splitknit_match.gallery.identify.ALL_PRINTS", 20)
         exhaustive = opened.identify(seen(7, 0.4, again=2), top=2)

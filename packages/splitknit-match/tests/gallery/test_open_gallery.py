@@ -294,7 +294,7 @@ def test_a_search_by_minutiae_says_what_it_left_out(prints, tmp_path: Path, monk
     found = splitknit_match.identify(file, probe, resolution_ppi=PPI, top=1)
     assert (found.searched.captures, found.searched.compared) == (2, 1)
     assert found.candidates[0].person == "bob"
-    assert "compared, those whose minutiae agree best" in found.searched.note
+    assert "compared, those whose minutiae agree best" in str(found.findings[0])
 
 
 def test_templates_of_arrays_are_those_of_files(prints) -> None:

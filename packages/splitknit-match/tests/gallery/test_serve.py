@@ -165,7 +165,8 @@ def test_faults_say_nothing(service, monkeypatch) -> None:
 
 @pytest.mark.slow
 def test_slow_clients_are_let_go_and_no_host_is_believed(service, monkeypatch) -> None:
-    monkeypatch.setattr(serve, "PATIENCE_S", 0.5)
+    for module in ("serve", "verbs"):
+        monkeypatch.setattr(f"splitknit_match.gallery.{module}.PATIENCE_S", 0.5)
     place = service.base_url.host, service.base_url.port
     head = (
         f"POST /quality HTTP/1.1\r\nHost: a\r\nAuthorization: Bearer {TOKEN}\r\nContent-Length:"

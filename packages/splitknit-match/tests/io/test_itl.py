@@ -36,7 +36,8 @@ def test_prints_are_read() -> None:
         "live_rolled",
         1000,
     )
-    assert latent.impression == "latent_lift" and "latent print: false match rates" in latent.note
+    assert latent.impression == "latent_lift"
+    assert [finding.code for finding in latent.findings] == ["latent-print"]
     for item, image in ((plain, SMALL), (rolled, LARGE), (latent, SMALL)):
         np.testing.assert_array_equal(item.image, image)
 

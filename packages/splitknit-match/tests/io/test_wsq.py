@@ -171,7 +171,7 @@ def test_the_codec_may_take_no_more_memory_and_time_than_an_image_needs(
     sound: bytes, monkeypatch: pytest.MonkeyPatch, work: str, signals: tuple[int, ...], words: bytes
 ) -> None:
     monkeypatch.setattr(wsq_image, "_CHILD", wsq_image._CHILD.replace("import _wsq", work))
-    monkeypatch.setattr(wsq_image, "_CPU_S", 1)
+    monkeypatch.setattr(wsq_image, "CODEC_S", 1)
     run, ended = subprocess.run, []
 
     def spy(*arguments: Any, **options: Any) -> Any:

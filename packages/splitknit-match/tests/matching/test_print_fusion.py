@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from splitknit.errors import BadInput
-from splitknit_match.matching import fusion
+from splitknit_match.matching import parameters
 from splitknit_match.matching.elastic import bent, compare_patches, patch_grid, shown_in_a
 from splitknit_match.matching.fusion import (
     can_fuse,
@@ -32,8 +32,8 @@ def test_constants_are_those_that_were_fitted() -> None:
     file = Path(__file__).resolve().parents[4] / "validation" / "match" / "fvc.json"
     fitted = json.loads(file.read_text())["fitted"]
     for name, used in (
-        ("both", fusion.BY_BOTH),
-        ("minutiae_alone", fusion.BY_MINUTIAE),
+        ("both", parameters.BY_BOTH),
+        ("minutiae_alone", parameters.BY_MINUTIAE),
     ):
         assert list(used) == fitted[name]
 
@@ -41,8 +41,8 @@ def test_constants_are_those_that_were_fitted() -> None:
 def test_constants_of_small_prints_are_those_that_were_fitted() -> None:
     file = Path(__file__).resolve().parents[4] / "validation" / "match" / "windows.json"
     fitted = json.loads(file.read_text())["fitted"]
-    assert list(fusion.BY_OVERLAP) == fitted["overlap"]
-    assert list(fusion.BY_OVERLAP_AND_MINUTIAE) == fitted["overlap_and_minutiae"]
+    assert list(parameters.BY_OVERLAP) == fitted["overlap"]
+    assert list(parameters.BY_OVERLAP_AND_MINUTIAE) == fitted["overlap_and_minutiae"]
 
 
 def test_either_method_alone_counts_where_the_other_failed() -> None:
@@ -59,13 +59,13 @@ def test_what_overlaps_counts() -> None:
     print."""
     none = math.nan
     scores = [
-        fused_score(none, 0.6, none, overlap) for overlap in (10, 30, 90, fusion.SMALL_MM2, 300)
+        fused_score(none, 0.6, none, overlap) for overlap in (10, 30, 90, parameters.SMALL_MM2, 300)
     ]
     assert scores[0] < scores[1] < scores[2] < scores[3] == scores[4]
     assert (
         fused_score(none, none, none, none)
         == fused_score(none, none, 0.0, none)
-        == fusion.BY_BOTH[2]
+        == parameters.BY_BOTH[2]
     )
 
 
@@ -128,13 +128,12 @@ def test_minutiae_of_another_grid_are_left_out(templates) -> None:
     assert unpack(pack(now)).minutiae is not None
     earlier = Template(templates[0].level, templates[0].valid, 0.1, some_minutiae(12))
     assert unpack(pack(earlier)).minutiae is None
-    assert with_fusion([now, now]) == (True, None)
-    assert with_fusion([templates[0]]) == (False, None)
-    assert with_fusion([now], templates[0]) == (False, None)
-    fused, note = with_fusion([now, templates[0]])
+    assert with_fusion([now, now]) == (True, ())
+    assert with_fusion([templates[0]]) == (False, ())
+    assert with_fusion([now], templates[0]) == (False, ())
+    fused, findings = with_fusion([now, templates[0]])
     assert fused
-    assert note is not None
-    assert note.startswith("1 of 2 templates hold no minutiae")
+    assert str(findings[0]).startswith("1 of 2 templates hold no minutiae")
 
 
 def test_nothing_to_compare_is_the_lowest_score(templates) -> None:

@@ -15,9 +15,10 @@ from splitknit.cli.main import main
 from splitknit.errors import BadInput
 from splitknit.io.prints import read_print_png, write_print_png
 from splitknit_match import match
-from splitknit_match.matching.fusion import SMALL_MM2, fused_match
+from splitknit_match.matching.fusion import fused_match
 from splitknit_match.matching.inputs import print_template
 from splitknit_match.matching.methods import fmr_basis, rate, scores_of, similarity_at
+from splitknit_match.matching.parameters import SMALL_MM2
 from splitknit_match.matching.score import own_rates_document, read_own_rates
 from splitknit_match.matching.template import VERSION, Template, leveled, pack, print_size, unpack
 from splitknit_match.prints.minutiae_record import Minutiae, no_minutiae, pack_minutiae

@@ -12,13 +12,8 @@ import rolled_scene as scene
 from rolled_scene import body_between_mirrors
 from splitknit.errors import BadInput
 from splitknit.mirrors.views import Views
-from splitknit_match.rolled.finger import (
-    ROLL_OF_SHEAR,
-    _outside,
-    _radius_of,
-    _rolled_pad,
-    _shape_of,
-)
+from splitknit_match.rolled.finger import _outside, _radius_of, _rolled_pad, _shape_of
+from splitknit_match.rolled.parameters import ROLL_OF_SHEAR
 
 RIG = scene.rig()
 MIRRORS = {mirror.name: mirror for mirror in RIG.mirrors}

@@ -64,7 +64,7 @@ def test_the_finger_is_found_and_turned_upright(turn_deg: float) -> None:
     frame = source.map.input_from_grid
     assert np.rad2deg(np.arctan2(frame[0, 1], frame[1, 1])) == pytest.approx(turn_deg, abs=2.0)
     assert PX_PER_MM * source.pitch_mm == pytest.approx(1.0)  # nothing was reduced
-    assert re.search("(16.9|17.0) mm wide", source.scale)
+    assert re.search("(16.9|17.0) mm wide", str(source.findings[0]))
 
 
 def test_unrolled_ridges_lie_as_far_apart_as_on_the_skin() -> None:
@@ -80,7 +80,7 @@ def test_an_unknown_scale_is_that_of_usual_widths_and_ridges() -> None:
     source = finger_of_photo(drawn(across=False)[0])
     # 17 mm wide is usual
     assert PX_PER_MM * source.pitch_mm == pytest.approx((0.46 / PERIOD_MM) ** 0.69, rel=0.03)
-    assert "assumed, to about 8 %" in source.scale
+    assert "assumed, to about 8 %" in str(source.findings[0])
 
 
 def test_skin_without_ridges_does_not_change_the_scale() -> None:
@@ -147,10 +147,13 @@ def test_files(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["print", str(photo), "--out", str(tmp_path / "out")]) == 0
     assert "on the skin laid flat" in capsys.readouterr().out
     assert (tmp_path / "out" / "minutiae.iso").is_file()
-    quality = json.loads((tmp_path / "out" / "report.json").read_text("utf-8"))["quality"]
+    report = json.loads((tmp_path / "out" / "report.json").read_text("utf-8"))
+    quality = report["quality"]
     assert quality["nfiq2"] is None  # it is not for contactless pictures
     assert quality["photo"] > 10
-    assert quality["advice"] == []  # the note has the one thing to change
+    # the last has the one thing to change
+    codes = [finding["code"] for finding in report["findings"]]
+    assert codes == ["fingerphoto", "fingerphoto-quality"]
 
 
 @pytest.mark.parametrize("turn_deg", [25.0, 35.0])

@@ -128,10 +128,9 @@ def test_pixels_that_are_not_square_are_made_so(tmp_path: Path) -> None:
         (tmp_path / "scan").write_bytes(stream.getvalue())
         one = read_one_finger(tmp_path / "scan")
         assert isinstance(one, PrintFile) and one.image.shape == (500, 380), kind
-        assert (
-            one.resolution_ppi == pytest.approx(500, rel=1e-3)
-            and "375 by 500 ppi were made square" in one.note
-        )
+        assert one.resolution_ppi == pytest.approx(
+            500, rel=1e-3
+        ) and "375 by 500 ppi were made square" in str(one.findings[0])
         known, others = found_in(one.image)
         assert known >= len(PLACES) - 1 and others <= 3
 
@@ -148,19 +147,22 @@ def test_white_ridges_are_turned_dark_and_reported(tmp_path: Path) -> None:
     )
     file.write_bytes(saved(255 - image, "PNG", 500))
     one = read_one_finger(file)
-    assert isinstance(one, PrintFile) and "were white and have been turned dark" in one.note
+    assert isinstance(one, PrintFile)
+    assert [finding.code for finding in one.findings] == ["white-ridges"]
     np.testing.assert_array_equal(one.image, image)
     window = spiral_print()[120:380, 90:290]
     for shown in (window, 255 - window, 255 - np.pad(spiral_print(), 60, constant_values=255)):
         file.write_bytes(saved(shown, "PNG", 500))
-        assert "if they are white, invert the picture" in read_one_finger(file).note
+        codes = [finding.code for finding in read_one_finger(file).findings]
+        assert codes == ["unknown-polarity"]
 
 
 def test_a_resolution_that_the_ridges_contradict_is_reported(tmp_path: Path) -> None:
     file = tmp_path / "scan.png"
     for ppi in (250, 1000):
         file.write_bytes(saved(spiral_print(), "PNG", ppi))
-        assert f"at {ppi} ppi its ridges are" in read_one_finger(file).doubt
+        doubts = [str(each) for each in read_one_finger(file).findings if each.severity == "doubt"]
+        assert len(doubts) == 1 and f"at {ppi} ppi its ridges are" in doubts[0]
 
 
 @pytest.mark.parametrize("ppi", [250, pytest.param(1000, marks=pytest.mark.slow)])
@@ -177,7 +179,7 @@ def test_a_resolution_that_the_ridges_contradict_gives_no_answer(ppi: int, tmp_p
     with pytest.raises(BadInput, match=said):
         match(file, sound, template=tmp_path / "scan.skt")
     array = match(spiral_print(), sound, resolution_ppi=ppi)
-    assert array.answer == "undecided" and array.a.doubt is not None
+    assert array.answer == "undecided" and array.findings[0].code == "odd-resolution"
     assert not (tmp_path / "scan.skt").exists() and match(sound, sound).answer == "match"
 
 

@@ -75,7 +75,7 @@ def test_quality_and_outline_leave_out(monkeypatch: pytest.MonkeyPatch) -> None:
     enhanced = gabor_enhance(image)
     every = by_phase(image, enhanced)
     assert len(every.type) == 2
-    for name, value in (("_EDGE_MM", 4.0), ("_MIN_LIKENESS", 1.0)):
+    for name, value in (("PHASE_EDGE_MM", 4.0), ("WAVE_LIKENESS", 1.0)):
         with monkeypatch.context() as patch:
             patch.setattr(f"splitknit_match.prints.phase_minutiae.{name}", value)
             assert len(by_phase(image, enhanced).type) == 0

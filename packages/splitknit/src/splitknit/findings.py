@@ -6,6 +6,7 @@ sentence.
 
 from __future__ import annotations
 
+import os
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from enum import StrEnum
@@ -75,6 +76,11 @@ class Finding:
             if name == "white"
             else replace(self, message=f"{name} band: {self.message}", band=name)
         )
+
+    def of_file(self, path: str | os.PathLike[str]) -> Finding:
+        """The finding of a file, which its sentence then names."""
+        name = os.fspath(path)
+        return replace(self, message=f"{name}: {self}", files=(name,), lengths_mm=())
 
     @property
     def facts(self) -> dict[str, Any]:

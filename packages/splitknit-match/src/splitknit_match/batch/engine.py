@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import time
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -15,6 +15,7 @@ import numpy as np
 from splitknit import BadInput
 from splitknit.errors import Refused, require
 from splitknit.files import given_folders
+from splitknit.findings import Finding
 from splitknit.io.targets import check_file
 from splitknit.model import Progress, no_progress
 from splitknit_match.batch.cases import Case, preset_cases
@@ -125,6 +126,7 @@ def run_batch(
         workers = Workers(jobs, client, device)
         run = _Run(store, captures, impostors, seed, workers, progress)
         facts = {"out": str(out), **_reconstruct(run, cases, surfaces)}
+        facts["findings"] = [finding.facts for finding in _findings(facts)]
         try:
             facts["scores"] = [_compare(run, case, name) for case, name in compared]
             for (case, name), file in zip(compared, files, strict=True):
@@ -174,6 +176,20 @@ def _reconstruct(run: _Run, cases: Sequence[Case], surfaces: bool) -> dict[str, 
         "unreadable": [{"capture": name, "reason": reason} for name, reason in unreadable],
         "reconstruction_s": time.perf_counter() - started,
     }
+
+
+def _findings(facts: Mapping[str, Any]) -> list[Finding]:
+    """What a reader of the scores has to know."""
+    findings = []
+    if waiting := facts["planned"] - facts["captures"]:
+        words = (
+            f"{waiting} captures of the plan are not there yet; run the same again when they are."
+        )
+        findings.append(Finding("captures-missing", words))
+    if failures := facts["failures"]:
+        words = f"{len(failures)} failures to acquire now; the first: {failures[0]}"
+        findings.append(Finding("failure-to-acquire", words))
+    return findings
 
 
 def _require_readable(facts: dict[str, Any], others: str) -> None:

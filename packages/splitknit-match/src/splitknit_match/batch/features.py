@@ -30,10 +30,13 @@ from splitknit_match.prints.minutiae import extract
 from splitknit_match.prints.minutiae_record import no_minutiae, pack_minutiae
 
 PRINT_PPI = 500.0
+"""Resolution of the prints that are kept. Source: definition."""
 _QUALITY = ("ridge_contrast", "sharpness", "brightness", "ambient_share", "length_mm", "width_mm")
 QUALITY = {f"{name}_{band}": (band, name) for band in ("white", "nir") for name in _QUALITY}
 """Columns of quality, and the band and figure of each."""
-_MINUTIAE_VERSION = 2  # minutiae of version 1 included ends at the outline
+_MINUTIAE_VERSION = 2
+"""Version of the minutiae that are kept; those of version 1 included ends at the outline. Source:
+definition."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -19,13 +19,16 @@ from splitknit_match.matching.thesis import (
     thesis_match,
 )
 from splitknit_match.matching.thesis_code import CodeSide, code_match, code_side
-from splitknit_match.prints.minutiae import EDGE_MM, minutiae_match
+from splitknit_match.prints.minutiae import minutiae_match
 from splitknit_match.prints.minutiae_record import Minutiae, unpack_minutiae
+from splitknit_match.prints.parameters import EDGE_MM
 
 Values = dict[str, float]
 _RIDGE = ("correlation", "overlap_mm2", "rotation_deg")
 _SHIFT = ("ratio", "shift_px")
 _THESIS = ThesisSettings(gate=0.0, attributes=tuple(ATTRIBUTES))
+"""All distances of the thesis, without a gate: what is reported is chosen later. Source:
+definition."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -12,10 +12,8 @@ import numpy as np
 from splitknit.errors import refusing, require
 from splitknit.io.enrolment import PLAN_FILE, PlannedCapture, open_enrolment
 from splitknit.io.fields import read_json, text_of
+from splitknit_match.batch.parameters import PAIRS
 from splitknit_match.evaluation.protocol import Comparisons, comparisons
-
-PAIRS = 2048
-"""Comparisons of a task at most: what a run that is killed loses, for each of its workers."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -19,16 +19,13 @@ from numpy.typing import NDArray
 from splitknit.errors import refusing, require
 from splitknit.imaging.geometry import bounding_box, height_gradients, normals_from_gradients
 from splitknit.model import BoolArray, FloatArray, Surface
+from splitknit_match.batch.parameters import MAX_MM, MAX_PIXELS
 
 _HEAD = struct.Struct("<4sII4IId9dII")
 """Magic; rows, columns; top, left, rows and columns of the box; 1 if normals are stored, and 2 more
 if the surface is not split; pitch in mm; matrix that takes the upright frame to the input; rows and
 columns of the upright frame."""
 _MAGIC = b"SKS1"
-_MAX_PIXELS = 40_000_000
-"""Pixels of a capture's images, at most: five times the rig's camera. A surface takes 21 bytes a
-pixel unpacked."""
-_MAX_MM = 1000.0  # largest height
 _DAMAGED = "a stored surface is damaged; remove its chunk and run the same again."
 
 
@@ -37,7 +34,7 @@ def pack_surface(surface: Surface, height_mm: FloatArray) -> bytes:
     mask = surface.mask
     require(mask.any(), "the mask of a surface is empty.")
     fault = f"a surface of {mask.size} pixels is too large to be kept; reduce the images."
-    require(mask.size <= _MAX_PIXELS, fault)
+    require(mask.size <= MAX_PIXELS, fault)
     box = bounding_box(mask)
     height, shape = height_mm[mask], surface.shape_mm[mask]
     normals = _normals(height_mm, mask, surface.pitch_mm)
@@ -64,9 +61,7 @@ def unpack_surface(payload: bytes) -> Surface:
         )
         matrix, upright_size = np.array(rest[:9]).reshape(3, 3), (rest[9], rest[10])
         largest = int(max(rows * columns, upright_size[0] * upright_size[1] // 2))
-        sound = (
-            magic == _MAGIC and kinds < 4 and bool(1e-6 < pitch < 1e3) and largest <= _MAX_PIXELS
-        )
+        sound = magic == _MAGIC and kinds < 4 and bool(1e-6 < pitch < 1e3) and largest <= MAX_PIXELS
         sound = sound and top + high <= rows and left + wide <= columns
         require(sound and np.isfinite(matrix).all(), _DAMAGED)
         bits = np.frombuffer(payload, np.uint8, (high * wide + 7) // 8, _HEAD.size)
@@ -82,7 +77,7 @@ def unpack_surface(payload: bytes) -> Surface:
     )
     with np.errstate(invalid="ignore", over="ignore"):
         ridge = _floats(_bits(height - shape) + words[2])
-    sound = all(bool((np.abs(part) <= _MAX_MM).all()) for part in (height, shape, ridge, *normal))
+    sound = all(bool((np.abs(part) <= MAX_MM).all()) for part in (height, shape, ridge, *normal))
     require(sound, _DAMAGED)
     mask = np.zeros((rows, columns), dtype=bool)
     mask[top : top + high, left : left + wide] = inside.reshape(high, wide)

@@ -20,13 +20,13 @@ from splitknit.errors import refusing, require
 from splitknit.io.fields import parse_json
 from splitknit.io.npz import read_npz, write_npz
 from splitknit.io.provenance import canonical_json
+from splitknit_match.batch.parameters import MAX_BYTES
 
 SUFFIX = ".npz"
 ORIGIN = "origin"
 Table = dict[str, NDArray[Any]]
 """Columns by their names; payloads are arrays of ``bytes``."""
 _ENDS = ".ends"
-_MAX_BYTES = 2_000_000_000  # columns of one file at most: surfaces of forty captures
 _TEXTS = (
     "capture",
     "subject",
@@ -82,7 +82,7 @@ def read_origin(path: Path) -> dict[str, Any]:
 
 def _arrays(path: Path, names: Sequence[str] | None) -> Table:
     try:
-        return read_npz(path, names, _MAX_BYTES)
+        return read_npz(path, names, MAX_BYTES)
     except BadInput as error:
         raise BadInput(_damaged(path)) from error
 

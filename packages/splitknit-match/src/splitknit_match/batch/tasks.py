@@ -26,12 +26,9 @@ from splitknit.io.provenance import provenance
 from splitknit.networks.unet import running, use_device
 from splitknit.steps import one_heap
 from splitknit.workers import run_jobs
+from splitknit_match.batch.parameters import AHEAD, PATIENCE_S, WORKER_BYTES
 
 Task = TypeVar("Task")
-WORKER_BYTES = 1_200_000_000
-"""Memory of one worker: a full frame by `metric` takes 0.9 GB."""
-AHEAD = 3  # tasks that a scheduler is given for each thread of its workers
-PATIENCE_S = 30.0  # how long a cluster is waited for
 
 
 @dataclass(frozen=True, slots=True)

@@ -25,13 +25,13 @@ from splitknit.arguments import (
     silent,
 )
 from splitknit.errors import BadInput, require
+from splitknit.findings import Finding, worst_first
 from splitknit_match.gallery.verbs import KeyFile
 
 if TYPE_CHECKING:
     from splitknit_match.batch.cases import Case
     from splitknit_match.gallery.file import Key
     from splitknit_match.gallery.gallery import EnrolledCapture, Enrolling
-    from splitknit_match.gallery.identify import RankedCandidate
 
 
 @checked
@@ -140,12 +140,7 @@ def _batch_lines(facts: Mapping[str, Any]) -> list[str]:
     work = f"{facts['reconstructed']} reconstructions made now, {facts['found']} were there"
     cases = f"{len(facts['cases'])} cases ({', '.join(facts['cases'])})"
     lines = [f"{work}: {facts['captures']} captures in {cases} in {facts['out']}."]
-    if waiting := facts["planned"] - facts["captures"]:
-        lines.append(
-            f"{waiting} captures of the plan are not there yet; run the same again when they are."
-        )
-    if failures := facts["failures"]:
-        lines.append(f"{len(failures)} failures to acquire now; the first: {failures[0]}")
+    lines += [f"Please note: {finding['message']}" for finding in facts["findings"]]
     for scores in facts["scores"]:
         each = scores["ms_per_comparison"]
         speed = "" if each is None else f" ({each:.1f} ms each on one core)"
@@ -232,14 +227,14 @@ def enroll(
     >>> added.facts["people"]  # doctest: +SKIP
     1
     """
-    from splitknit_match.gallery.file import key_of, warn_of_gallery
+    from splitknit_match.gallery.file import key_of, readable_gallery
     from splitknit_match.gallery.gallery import Enrolling
     from splitknit_match.pad import refuse_attacks
     from splitknit_match.prints.photo_finger import PhotoFinger
 
     how = Enrolling(preset, replace, with_time, input_ppi, PhotoFinger(mask, box))
     key = key_of(key_file)
-    presentation = refuse_attacks(pad, sources, preset, progress)
+    presentation, unknown = refuse_attacks(pad, sources, preset, progress)
     if population is None:
         require(workers is None, "`workers` is for `population`.")
         require(
@@ -251,7 +246,7 @@ def enroll(
                 "name whose finger it is: `person` NAME `finger` right_index (or `population`"
                 " FOLDER)."
             )
-        facts, lines = _enroll_sources(
+        facts, lines, findings = _enroll_sources(
             Path(gallery),
             sources,
             person,
@@ -269,7 +264,7 @@ def enroll(
             "goes with sources; people of a `population` are not compared.", duplicates=duplicates
         )
         require(not sources, "name sources or a `population`, not both.")
-        facts, lines = _enroll_population(
+        facts, lines, findings = _enroll_population(
             Path(gallery),
             Path(population),
             how,
@@ -282,8 +277,10 @@ def enroll(
     holds = (
         f"{count(facts['captures'], 'capture')} of {count(facts['fingers'], 'finger')} of {people}"
     )
+    found = worst_first([*findings, *unknown, *readable_gallery(gallery, key_file)])
+    lines += [f"Please note: {finding}" for finding in found]
     lines.append(f"{facts['gallery']} holds {holds}{locked}.")
-    warn_of_gallery(gallery, key_file)
+    facts["findings"] = [finding.facts for finding in found]
     if presentation is not None:
         facts = {**facts, "presentation": presentation}
     return Report(facts, tuple(lines))
@@ -300,7 +297,7 @@ def _enroll_sources(
     how: Enrolling,
     duplicates: Literal["refuse", "warn", "allow"],
     progress: Progress,
-) -> tuple[dict[str, Any], list[str]]:
+) -> tuple[dict[str, Any], list[str], tuple[Finding, ...]]:
     from splitknit.io.provenance import known_json
     from splitknit_match.gallery.gallery import enroll as enroll_finger
 
@@ -317,8 +314,12 @@ def _enroll_sources(
     )
     facts = dict(known_json(enrolment.content))
     facts |= {"enrolled": known_json(enrolment.enrolled), "alike": known_json(enrolment.alike)}
-    lines = [_enrolled_line(capture) for capture in enrolment.enrolled]
-    return facts, lines + [_alike_line(candidate, person) for candidate in enrolment.alike]
+    lines = [
+        _enrolled_line(capture)
+        for capture in enrolment.enrolled
+        if capture.acquired or not capture.new  # else a finding states it
+    ]
+    return facts, lines, enrolment.findings
 
 
 def _enroll_population(
@@ -329,35 +330,24 @@ def _enroll_population(
     key: Key | None,
     workers: int,
     progress: Progress,
-) -> tuple[dict[str, Any], list[str]]:
+) -> tuple[dict[str, Any], list[str], tuple[Finding, ...]]:
     from splitknit_match.batch.enrol import enroll_population
 
     facts = enroll_population(gallery, population, how, key=key, workers=workers, progress=progress)
     new = count(facts["new"], "capture")
     lines = [f"{new} enrolled, {facts['known']} of {facts['found']} were there already."]
     failed = facts["failures_to_acquire"]
-    if failed:
-        first = f"first: {failed[0]['path']}: {failed[0]['reason'].rstrip('.')}"
-        lines.append(
-            f"Please note: {count(len(failed), 'failure')} to acquire, kept as such ({first})."
-        )
-    return facts, lines
-
-
-def _alike_line(candidate: RankedCandidate, person: str) -> str:
-    who = f"{candidate.person}, {candidate.finger.replace('_', ' ')}, session {candidate.session}"
-    same = candidate.person == person
-    asked = "the same finger, named wrong" if same else "the same person under another name"
-    return f"Please note: it matches {who}; is that {asked}?"
+    if not failed:
+        return facts, lines, ()
+    first = f"first: {failed[0]['path']}: {failed[0]['reason'].rstrip('.')}"
+    words = f"{count(len(failed), 'failure')} to acquire, kept as such ({first})."
+    files = tuple(failure["path"] for failure in failed)
+    return facts, lines, (Finding("failure-to-acquire", words, files=files),)
 
 
 def _enrolled_line(capture: EnrolledCapture) -> str:
     who = f"{capture.person}, {capture.finger.replace('_', ' ')}, session {capture.session}"
     if not capture.new:
         return f"{who} was enrolled from the same source already."
-    if not capture.acquired:
-        lacks = "too few ridges or minutiae (failure to acquire)"
-        return f"Please note: {who} holds {lacks}; it is kept as such and will match nobody."
     holds = f"{capture.area_mm2:.0f} mm² of skin" if capture.area_mm2 else "minutiae"
-    enrolled = f"Enrolled {who}: {holds}, {capture.template_bytes / 1000:.1f} kB."
-    return f"{enrolled} Please note: {capture.note}" if capture.note else enrolled
+    return f"Enrolled {who}: {holds}, {capture.template_bytes / 1000:.1f} kB."

@@ -14,6 +14,7 @@ import numpy as np
 
 from splitknit import BadInput
 from splitknit.errors import require
+from splitknit.findings import Finding, Severity, worst_first
 from splitknit.model import Progress, no_progress
 from splitknit_match.evaluation.fusion import Fused
 from splitknit_match.evaluation.fusion import fuse as fuse_systems
@@ -25,12 +26,11 @@ from splitknit_match.evaluation.intervals import (
     differences,
 )
 from splitknit_match.evaluation.intervals import bootstrap as resample
+from splitknit_match.evaluation.parameters import MAX_SYSTEMS
 from splitknit_match.evaluation.protocol import average_sessions, pair_up
 from splitknit_match.evaluation.rates import error_bound, roc
 from splitknit_match.evaluation.scores import Scores, read_scores
 
-MAX_SYSTEMS = 12
-"""On one page."""
 Cluster = Literal["auto", "plain", "finger", "subject"]
 Fusion = Literal["linear", "minmax", "trained", "all"]
 Source = str | os.PathLike[str] | Scores
@@ -76,7 +76,7 @@ class Evaluation:
     # scores, error rates and their intervals for every system and variant
     results: tuple[Result, ...]
     differences: tuple[Difference, ...]
-    notes: tuple[str, ...]  # for the reader
+    findings: tuple[Finding, ...]  # what a reader has to know, worst first
     fused: Mapping[str, Fused]  # the systems' fusions that were asked for, by method
     bootstrap: BootstrapSettings
     inputs_sha256: Mapping[str, str]
@@ -119,7 +119,7 @@ def evaluate(
     -------
     Evaluation
         ``results``: of every system and variant ``eer``, ``gar_at(far)``, ``auc``, each with its
-        confidence interval; ``differences`` between systems; ``notes``.
+        confidence interval; ``differences`` between systems; ``findings``.
 
     Raises
     ------
@@ -147,7 +147,10 @@ def evaluate(
         )
         systems.append(replace(system, name=system.name + number))
     ignored = dict.fromkeys(column for table in tables.values() for column in table.ignored)
-    notes = [f"Columns that were not read: {', '.join(ignored)}."] if ignored else []
+    findings: list[Finding] = []
+    if ignored:
+        words = f"Columns that were not read: {', '.join(ignored)}."
+        findings.append(Finding("ignored-columns", words))
     if fuse == "all" and cluster == "auto":
         cluster = "subject"
     methods = ("minmax", "linear") if fuse == "all" else (fuse,) if fuse else ()
@@ -161,7 +164,8 @@ def evaluate(
         f"one report shows {MAX_SYSTEMS} systems and variants at most, but there are {count}; give"
         " fewer files.",
     )
-    notes += [note for method, fusion in fused.items() for note in _fusion_notes(fusion, method)]
+    for method, fusion in fused.items():
+        findings += _fusion_findings(fusion, method)
     results: list[Result] = []
     differing: list[Difference] = []
     for group in groups:
@@ -177,7 +181,7 @@ def evaluate(
             results.append(Result(system, resample(system, method, bootstrap)))
             if method == "finger" and "subject" in units:
                 by_subject = resample(system, "subject", replace(bootstrap, curve_points=0))
-                notes += _wider(results[-1], by_subject)
+                findings += _wider(results[-1], by_subject)
         pairs = (
             combinations(group, 2)
             if len(group) <= 4
@@ -191,11 +195,12 @@ def evaluate(
                 )
                 differing.append(Difference(first.name, second.name, method, figures))
             except BadInput as error:
-                notes.append(f"Not compared: {error}")
-    notes += [note for result in results for note in _notes(result)]
+                findings.append(Finding("not-compared", f"Not compared: {error}"))
+    for result in results:
+        findings += _findings(result)
     hashes = {path: tables[path].sha256 for path in sorted(tables)}
     return Evaluation(
-        tuple(results), tuple(differing), tuple(dict.fromkeys(notes)), fused, bootstrap, hashes
+        tuple(results), tuple(differing), worst_first(findings), fused, bootstrap, hashes
     )
 
 
@@ -209,7 +214,7 @@ def _units(scores: Scores) -> list[str]:
     return [*units, "plain"]
 
 
-def _wider(result: Result, by_subject: Intervals) -> list[str]:
+def _wider(result: Result, by_subject: Intervals) -> list[Finding]:
     """Whether fingers of one subject hang together, so that intervals drawn by finger are too
     narrow."""
     width, wide = (
@@ -218,15 +223,18 @@ def _wider(result: Result, by_subject: Intervals) -> list[str]:
     )
     if result.eer.value == 0 or not wide >= 1.3 * width > 0:
         return []
-    return [
+    words = (
         f"{result.scores.name}: drawn by subject the interval of the EER is {wide / width:.1f}"
         " times as wide, so that fingers of one subject are similarly hard; trust the wider one."
-    ]
+    )
+    return [Finding("narrow-intervals", words, Severity.DOUBT)]
 
 
-def _notes(result: Result) -> list[str]:
+def _findings(result: Result) -> list[Finding]:
     """What a reader of a system's figures has to know."""
-    scores, name, notes = result.scores, result.scores.name, []
+    scores = result.scores
+    name = scores.name
+    findings = []
     curve, impostors = roc(scores.genuine, scores.impostor), scores.impostor.size
     targets = [
         float(key[4:])
@@ -237,49 +245,54 @@ def _notes(result: Result) -> list[str]:
     if unresolved:
         fars = " or ".join(f"{100 * target:g} %" for target in unresolved)
         needed = " or ".join(f"{int(np.ceil(1 / target)):,}" for target in unresolved)
-        notes.append(
+        words = (
             f"{name}: {impostors} impostor comparisons cannot resolve a FAR of {fars} ({needed} are"
             " needed for one false accept). The GAR is that at FAR 0, where the FAR may in truth"
             f" be up to {100 * error_bound(0.0, impostors):.2g} % (95 %, rule of three)."
         )
+        findings.append(Finding("unresolved-far", words))
     missing = int(np.isnan(scores.score).sum())
     if missing:
-        notes.append(
+        words = (
             f"{name}: {missing} of {scores.score.size} comparisons gave no score. FAR and GAR count"
             " them as rejections, FMR and FNMR leave them out."
         )
+        findings.append(Finding("missing-scores", words))
     if curve.auc() < 0.5:
-        notes.append(
+        words = (
             f"{name}: genuine scores are lower than impostor ones; if they are distances, use"
             " `dissimilarity`."
         )
+        findings.append(Finding("reversed-scores", words, Severity.DOUBT))
     if result.intervals.drawn < 20:
-        notes.append(
+        words = (
             f"{name}: only {result.intervals.drawn} to draw from ({result.intervals.method}), so"
             " that its intervals are rough."
         )
-    return notes
+        findings.append(Finding("rough-intervals", words))
+    return findings
 
 
-def _fusion_notes(fused: Fused, method: str) -> list[str]:
+def _fusion_findings(fused: Fused, method: str) -> list[Finding]:
     weights = ", ".join(
         f"{name} {weight:.2f}" for name, weight in zip(fused.systems, fused.weights, strict=True)
     )
-    notes = [
+    words = (
         f"'{fused.scores.name}' joins {len(fused.systems)} systems. Each {fused.by} belongs to one"
         f" of {fused.folds} folds; every comparison was scored by a model that saw nothing of the"
         f" folds of its two sides. Mean weights of the normalised scores: {weights}."
-    ]
+    )
+    findings = [Finding("fused-systems", words)]
     if fused.by == "finger":
-        notes.append(
+        words = (
             "Subjects are not named, so that fusion may have learned from other fingers of who it"
             " was tested on."
         )
+        findings.append(Finding("unnamed-subjects", words, Severity.DOUBT))
     if any(fused.missing):
         instead = (
             "it counts as the mean" if method == "trained" else "its weight goes to the others"
         )
-        notes.append(
-            f"Scores are missing in the fusion ({sum(fused.missing)}): where one is, {instead}."
-        )
-    return notes
+        words = f"Scores are missing in the fusion ({sum(fused.missing)}): where one is, {instead}."
+        findings.append(Finding("missing-in-fusion", words))
+    return findings

@@ -24,14 +24,11 @@ from scipy.special import expit
 from splitknit import BadInput
 from splitknit.errors import require
 from splitknit.model import BoolArray
+from splitknit_match.evaluation.parameters import FOLDS, PENALTY
 from splitknit_match.evaluation.protocol import pair_up
 from splitknit_match.evaluation.rates import Values
 from splitknit_match.evaluation.scores import Scores
 
-FOLDS = 5
-"""Fewer where there are fewer subjects."""
-PENALTY = 1e-3
-"""Of the logistic regression: on half the sum of the squared weights, where the mean loss is 1."""
 Labels = BoolArray
 Model = Callable[[Values], Values]
 

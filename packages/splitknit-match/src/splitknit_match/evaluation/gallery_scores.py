@@ -12,8 +12,10 @@ from pathlib import Path
 import numpy as np
 
 from splitknit import BadInput
+from splitknit.findings import Finding
 from splitknit.io.provenance import file_hash
 from splitknit.model import Array, Progress, no_progress
+from splitknit_match.evaluation.parameters import KEPT_FINGERS
 from splitknit_match.evaluation.protocol import Comparisons, comparisons, scores_of_comparisons
 from splitknit_match.evaluation.scores import Scores, score_table
 from splitknit_match.gallery.file import GalleryFile, Key, session_order
@@ -23,9 +25,6 @@ from splitknit_match.matching.template import unpack
 from splitknit_match.prints.minutiae import minutiae_match
 from splitknit_match.prints.minutiae_record import holds_minutiae, unpack_minutiae
 
-_BLOCK = 32
-"""Fingers kept ready at a time: 2 to 16 MB each."""
-
 
 @dataclass(frozen=True, slots=True, eq=False)
 class GalleryScores:
@@ -34,7 +33,7 @@ class GalleryScores:
     scores: Scores
     table: bytes  # the same as a score file
     sha256: str  # hash of the gallery's file
-    notes: tuple[str, ...]
+    findings: tuple[Finding, ...]
     method: str  # of `match`, which gives such scores
 
 
@@ -66,16 +65,19 @@ def gallery_scores(
     try:
         pairs = comparisons(fingers, [order[session] for session in sessions], within=True)
         payloads = [people.templates[capture.row] for capture in captures]
-        score, note, method = _similarities(payloads, pairs, progress)
+        score, compared, method = _similarities(payloads, pairs, progress)
         scores = scores_of_comparisons(pairs, score, fingers, sessions, persons, name=path.stem)
     except BadInput as error:
         raise BadInput(f"the gallery '{path}' cannot be evaluated: {error}") from error
     failures = sum(capture.template_bytes == 0 for capture in captures)
-    notes = [f"{failures} of {len(captures)} captures are failures to acquire."] if failures else []
-    if note:
-        notes.append(note)
+    findings = []
+    if failures:
+        words = f"{failures} of {len(captures)} captures are failures to acquire."
+        findings.append(Finding("failures-in-gallery", words))
+    findings += compared
     if key is not None:
-        notes.append("The gallery is encrypted: its people are numbered in the order of enrolment.")
+        words = "The gallery is encrypted: its people are numbered in the order of enrolment."
+        findings.append(Finding("numbered-people", words))
     columns = {
         "finger": [capture.finger for capture in captures],
         "subject": persons,
@@ -86,14 +88,14 @@ def gallery_scores(
         for kind, column in columns.items()
     }
     table = score_table(pairs.genuine.tolist(), names, {"score": score.tolist()})
-    return GalleryScores(scores, table, file_hash(path), tuple(notes), method)
+    return GalleryScores(scores, table, file_hash(path), tuple(findings), method)
 
 
 def _similarities(
     payloads: Sequence[bytes], pairs: Comparisons, progress: Progress
-) -> tuple[Array, str | None, str]:
-    """(N,) similarity of each pair, NaN where a side is a failure to acquire, what is to be noted,
-    and the method.
+) -> tuple[Array, tuple[Finding, ...], str]:
+    """(N,) similarity of each pair, NaN where a side is a failure to acquire, what a reader has to
+    know, and the method.
 
     Pairs go in blocks of second sides, one first side after the other, so that what is kept ready
     is small.
@@ -102,16 +104,16 @@ def _similarities(
         minutiae = [unpack_minutiae(payload) for payload in payloads]
         sides = ((minutiae[a], minutiae[b]) for a, b in zip(pairs.a, pairs.b, strict=True))
         scores = [minutiae_match(a, b) if a.acquired and b.acquired else np.nan for a, b in sides]
-        return np.array(scores), None, "minutiae"
+        return np.array(scores), (), "minutiae"
     templates = [unpack(payload) for payload in payloads]
-    fused, note = with_fusion([template for template in templates if not template.empty])
+    fused, findings = with_fusion([template for template in templates if not template.empty])
     match = fused_match if fused else ridge_match
-    prepared = lru_cache(_BLOCK + 1)(lambda place: Prepared(templates[place]))
+    prepared = lru_cache(KEPT_FINGERS + 1)(lambda place: Prepared(templates[place]))
     score = np.full(pairs.a.size, np.nan)
-    for done, n in enumerate(np.lexsort((pairs.a, pairs.b // _BLOCK)).tolist()):
+    for done, n in enumerate(np.lexsort((pairs.a, pairs.b // KEPT_FINGERS)).tolist()):
         a, b = int(pairs.a[n]), int(pairs.b[n])
         if done % 256 == 0:
             progress("comparing", 0.9 * done / score.size)
         if not (templates[a].empty or templates[b].empty):
             score[n] = match(prepared(a), prepared(b)).similarity
-    return score, note, "fusion" if fused else "ridge"
+    return score, findings, "fusion" if fused else "ridge"

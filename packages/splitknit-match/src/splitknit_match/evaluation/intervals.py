@@ -30,13 +30,13 @@ from numpy.typing import NDArray
 from splitknit.errors import require
 from splitknit.model import BoolArray
 from splitknit.settings import Checked, Limits
-from splitknit_match.evaluation.rates import CONFIDENCE, Roc, Values, error_bound, rank, roc
+from splitknit_match.evaluation.parameters import CONFIDENCE, FEW
+from splitknit_match.evaluation.rates import Roc, Values, error_bound, rank, roc
 from splitknit_match.evaluation.scores import Scores
 
 TARGETS = (0.01, 0.001, 0.0001)
+"""FARs at which the GAR is given. Source: default of the setting `targets`."""
 METHODS = ("plain", "finger", "subject")
-FEW = 5
-"""Fingers (subjects, comparisons) below which percentiles of replicates are not trusted alone."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -55,6 +55,7 @@ class BootstrapSettings(Checked):
 
 DEFAULTS = BootstrapSettings()
 _NO_FARS: Values = np.zeros(0)
+"""No points of the band around the ROC. Source: definition."""
 
 
 @dataclass(frozen=True, slots=True)

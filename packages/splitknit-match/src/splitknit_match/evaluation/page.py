@@ -20,7 +20,8 @@ from splitknit.report import template
 from splitknit_match.evaluation import curves
 from splitknit_match.evaluation.evaluate import Evaluation, Result
 from splitknit_match.evaluation.intervals import BootstrapSettings, Interval
-from splitknit_match.evaluation.rates import CONFIDENCE, roc
+from splitknit_match.evaluation.parameters import CONFIDENCE
+from splitknit_match.evaluation.rates import roc
 
 FORMAT = "splitknit-evaluation"
 _DRAWN_BY = {"plain": "comparisons", "finger": "fingers", "subject": "subjects"}
@@ -96,7 +97,7 @@ def _facts(evaluation: Evaluation, settings: Mapping[str, Any]) -> dict[str, Any
             }
             for method, fused in evaluation.fused.items()
         },
-        "notes": list(evaluation.notes),
+        "findings": [finding.facts for finding in evaluation.findings],
         "settings": {**settings, "bootstrap": plain_json(bootstrap)},
         "inputs_sha256": dict(evaluation.inputs_sha256),
     }

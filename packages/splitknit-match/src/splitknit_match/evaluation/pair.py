@@ -32,16 +32,29 @@ from scipy.spatial.transform import Rotation
 from splitknit import Reconstruction, read_result
 from splitknit.accuracy import eroded
 from splitknit.errors import require
+from splitknit.findings import Finding, Severity, worst_first
 from splitknit.imaging.geometry import bounding_box, height_gradients, smoothed
 from splitknit.model import Array, BoolArray, FloatArray, require_scale
-from splitknit_match.evaluation.rates import CONFIDENCE
+from splitknit_match.evaluation.parameters import (
+    BLOCK_MM,
+    CONFIDENCE,
+    EDGE_MM,
+    ELASTIC_MM,
+    MIN_BLOCKS,
+    MIN_COSINE,
+    MIN_SIMILARITY,
+    ORDER,
+    REPLICATES,
+    SKIN_MM,
+    STEP_MM,
+    STEPS,
+    SWEEPS,
+)
 from splitknit_match.matching.elastic import Affine, better_affine, compare_patches, rigid
 from splitknit_match.matching.ridge import Prepared, ridge_match
 from splitknit_match.matching.ridge_band import band_places, ridge_band
 from splitknit_match.matching.template import make_template
 
-STEP_MM = 0.05
-"""Pixels on which is compared, at least."""
 BANDS_MM = {
     "relief": (0.0, 1.7),
     "below 0.25 mm": (0.0, 0.25),
@@ -57,28 +70,8 @@ SLANTS_DEG = {
     "20 to 40": (20.0, 40.0),
     "40 to 60": (40.0, 60.0),
 }
-ELASTIC_MM = 2.5
-"""Longest wavelength that is compared on skin that may shift."""
 _SIGMA = float(np.sqrt(np.log(2.0) / 2.0) / np.pi)
-"""Of a Gaussian that halves waves of length one (ISO 16610-61)."""
-_BLOCK_MM = 2.0
-"""Side of the blocks that are resampled."""
-_MIN_BLOCKS = 6
-"""Fewer have no interval."""
-_REPLICATES = 1000
-_MIN_SIMILARITY = 0.4
-"""Of the ridges of one finger; ridges of two fingers have about 0.2."""
-_MIN_COSINE = 0.5
-"""Surface seen at more than 60 deg is not compared."""
-_EDGE_MM = 0.4
-_SWEEPS = 6
-"""Steps of the elastic fit."""
-_SKIN_MM = 1.0
-"""Sigma over which skin's shifts are averaged."""
-_STEPS = 25
-"""Steps of the rigid fit, at most."""
-_ORDER = 9
-"""Of the polynomial for the slow shape."""
+"""Sigma of a Gaussian that halves waves of length one. Source: ISO 16610-61."""
 
 PROTOCOLS = json.loads(Path(__file__).with_name("protocols.json").read_text(encoding="ascii"))
 """The protocol's own error: rms in um and gain in each of the bands, of true surfaces alone
@@ -106,7 +99,8 @@ class PairComparison:
     # (2, H, W) of both in A's frame; where the fit is elastic, without their shape
     height_mm: FloatArray
     pitch_mm: float
-    notes: tuple[str, ...] = ()
+    findings: tuple[Finding, ...] = ()
+    """What a reader has to know, worst first."""
 
 
 def compare_results(
@@ -175,22 +169,23 @@ def compare_results(
         for height in detail.heights
     ]
     scale = float(np.sqrt(abs(np.linalg.det(affine[:, :2]))))
-    notes = []
+    findings = []
     if tested.mask.shape == reference.mask.shape and np.array_equal(
         tested.height, reference.height
     ):
-        notes.append(
-            "A and B are the same measurement, to the last digit: that it repeats is not shown."
-        )
+        words = "A and B are the same measurement, to the last digit: that it repeats is not shown."
+        findings.append(Finding("same-measurement", words, Severity.DOUBT))
     if abs(scale - 1.0) > 0.02:
-        notes.append(
+        words = (
             f"Lengths in A are {100 * (scale - 1):+.1f} % of those in B; check the scale of both."
         )
+        findings.append(Finding("unequal-scales", words, Severity.DOUBT))
     if fit == "rigid" and strain_mm > 0.012:
-        notes.append(
+        words = (
             f"Patches of skin have shifted by {1e3 * strain_mm:.0f} um; compare with the elastic"
             " fit as well."
         )
+        findings.append(Finding("shifted-skin", words))
     return PairComparison(
         fit,
         similarity,
@@ -202,7 +197,7 @@ def compare_results(
         relief_um=np.where(fields.valid, np.stack(relief), np.nan).astype(np.float32) * 1e3,
         height_mm=np.where(fields.valid, np.stack(fields.heights), np.nan).astype(np.float32),
         pitch_mm=step,
-        notes=tuple(notes),
+        findings=worst_first(findings),
     )
 
 
@@ -273,11 +268,11 @@ class _Side:
         relief = relief - smoothed(relief, self.known, _SIGMA * ELASTIC_MM / self.pixel)
         place = [self.rows, self.columns]
         # unrolling errs beside the edge
-        inside = _inside(eroded(self.known, 3 * _EDGE_MM / self.pixel), place)
+        inside = _inside(eroded(self.known, 3 * EDGE_MM / self.pixel), place)
         flat = _sampled(relief, self.known, place, self.step / self.pixel) * cosine
         return (
             flat,
-            inside & (cosine > _MIN_COSINE),
+            inside & (cosine > MIN_COSINE),
             np.rad2deg(np.arccos(np.clip(cosine, 0.0, 1.0))),
         )
 
@@ -310,7 +305,7 @@ def _form(height: FloatArray, known: BoolArray) -> FloatArray:
     """Polynomial of a surface's slow shape: what is left of it has no slope from which a filter
     errs at the edge."""
     across, along = (
-        np.polynomial.legendre.legvander(np.linspace(-1.0, 1.0, length), _ORDER)
+        np.polynomial.legendre.legvander(np.linspace(-1.0, 1.0, length), ORDER)
         for length in height.shape
     )
     rows, columns = np.nonzero(known)
@@ -318,7 +313,7 @@ def _form(height: FloatArray, known: BoolArray) -> FloatArray:
     rows, columns = rows[::every], columns[::every]
     design = np.einsum("ni,nj->nij", across[rows], along[columns]).reshape(len(rows), -1)
     factors = np.linalg.lstsq(design, height[rows, columns].astype(float), rcond=1e-8)[0]
-    return np.asarray(across @ factors.reshape(_ORDER + 1, -1) @ along.T, dtype=np.float32)
+    return np.asarray(across @ factors.reshape(ORDER + 1, -1) @ along.T, dtype=np.float32)
 
 
 def _inside(mask: BoolArray, place: Sequence[FloatArray]) -> BoolArray:
@@ -345,9 +340,9 @@ def _ridges_on_each_other(a: _Side, b: _Side) -> tuple[float, Affine]:
     A's."""
     match = ridge_match(a.ridges, b.ridges)
     require(
-        match.similarity >= _MIN_SIMILARITY,
+        match.similarity >= MIN_SIMILARITY,
         f"the ridges of A and B are not the same (similarity {match.similarity:.2f}, at least"
-        f" {_MIN_SIMILARITY:g} is needed); give two measurements of one finger, or of one phantom.",
+        f" {MIN_SIMILARITY:g} is needed); give two measurements of one finger, or of one phantom.",
     )
     affine = rigid(
         a.ridges.band, b.ridges.band, np.deg2rad(match.rotation_deg), match.right_mm, -match.up_mm
@@ -403,8 +398,8 @@ def _rigid_fields(a: _Side, b: _Side, points: Array, place: Sequence[Array]) -> 
     """A's heights where B's points lie, and those points' heights, in A's frame, on B's grid."""
     cosine = ndimage.map_coordinates(a.cosine, place, order=1, mode="nearest")
     height = _sampled(a.height, a.mask, place)
-    valid = eroded(_inside(a.mask, place) & b.mask, _EDGE_MM / a.step)
-    valid &= (cosine > _MIN_COSINE) & (b.cosine > _MIN_COSINE)
+    valid = eroded(_inside(a.mask, place) & b.mask, EDGE_MM / a.step)
+    valid &= (cosine > MIN_COSINE) & (b.cosine > MIN_COSINE)
     require(valid.any(), "A and B have no surface in common that is seen at less than 60 deg.")
     return _Fields(
         (height, points[..., 2].astype(np.float32)), valid, cosine, np.rad2deg(np.arccos(cosine))
@@ -415,7 +410,7 @@ def _rigid_fit(a: _Side, b: _Side, rotation: Array, shift: Array) -> tuple[Array
     """Gauss-Newton steps on the differences of height; slow and fast ones count by their own
     variance."""
     sigma = _SIGMA * BANDS_MM["relief"][1] / a.step
-    for _ in range(_STEPS):
+    for _ in range(STEPS):
         points, place = _moved(a, b, rotation, shift)
         fields = _rigid_fields(a, b, points, place)
         box = bounding_box(fields.valid)
@@ -459,12 +454,12 @@ def _elastic_fit(a: _Side, b: _Side, affine: Affine) -> tuple[_Fields, float]:
     (relief_a, known_a, slant), (relief_b, known_b, _) = a.flat(), b.flat()
     row, column = np.indices(relief_b.shape, dtype=float)
     shift = np.zeros((*relief_b.shape, 2), dtype=np.float32)
-    for sweep in range(_SWEEPS + 1):
+    for sweep in range(SWEEPS + 1):
         position = np.stack([column + shift[..., 0], row + shift[..., 1]], axis=-1).reshape(-1, 2).T
         place = (affine[:, :2] @ position + affine[:, 2:])[::-1].reshape(2, *relief_b.shape)
         moved = _sampled(relief_a, known_a, place)
         valid = _inside(known_a, place) & known_b
-        if sweep < _SWEEPS:
+        if sweep < SWEEPS:
             shift = shift + _shifts(moved, relief_b, valid, b.step)
     slant_deg = ndimage.map_coordinates(slant, place, order=1, mode="nearest")
     return (
@@ -486,7 +481,7 @@ def _shifts(
     still = np.zeros((*valid.shape, 2), dtype=np.float32)
     flow = cv2.DISOpticalFlow.create(cv2.DISOPTICAL_FLOW_PRESET_MEDIUM).calc(grey_b, grey_a, still)
     return np.stack(
-        [smoothed(part, valid, _SKIN_MM / step) for part in np.moveaxis(np.asarray(flow), -1, 0)],
+        [smoothed(part, valid, SKIN_MM / step) for part in np.moveaxis(np.asarray(flow), -1, 0)],
         axis=-1,
     )
 
@@ -515,13 +510,13 @@ def _by_slant(
     a, b = (
         1e3 * _band(height, fields.valid, limits, step) * fields.cosine for height in fields.heights
     )
-    side = max(_BLOCK_MM, limits[1] if np.isfinite(limits[1]) else limits[0]) / step
+    side = max(BLOCK_MM, limits[1] if np.isfinite(limits[1]) else limits[0]) / step
     rows, columns = (np.arange(length) // side for length in a.shape)
     block = (rows[:, None] * (columns[-1] + 1) + columns).astype(int)
     figures = {}
     for name, (low, high) in SLANTS_DEG.items():
         where = fields.valid & (fields.slant_deg >= low) & (fields.slant_deg < high)
-        if int(where.sum()) * step**2 >= _BLOCK_MM**2:
+        if int(where.sum()) * step**2 >= BLOCK_MM**2:
             x, y = a[where].astype(float), b[where].astype(float)
             moments = np.ones(x.shape), x, y, x * x, y * y, x * y
             sums = np.stack(
@@ -535,9 +530,9 @@ def _figures(sums: Array, step: float) -> dict[str, Any]:
     """Figures of sums (blocks, 6) of 1, a, b, a^2, b^2 and ab, with intervals."""
     value = _statistics(sums.sum(axis=0))
     ends = [[None, None]] * 4
-    if len(sums) >= _MIN_BLOCKS:
+    if len(sums) >= MIN_BLOCKS:
         drawn = np.random.default_rng(0).multinomial(
-            len(sums), np.full(len(sums), 1 / len(sums)), _REPLICATES
+            len(sums), np.full(len(sums), 1 / len(sums)), REPLICATES
         )
         tail = 50.0 * (1.0 - CONFIDENCE)
         ends = np.percentile(_statistics(drawn @ sums), (tail, 100.0 - tail), axis=1).T.tolist()

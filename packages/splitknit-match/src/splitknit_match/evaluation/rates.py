@@ -24,12 +24,10 @@ from scipy.special import betaincinv
 
 from splitknit.errors import require
 from splitknit.model import Array
+from splitknit_match.evaluation.parameters import CONFIDENCE, SLACK
 
 Values = Array
 Indices = NDArray[np.int64]
-SLACK = 1e-12
-"""Relative; 0.001 of 1000 impostors is one, whatever the last bit of 0.001 is."""
-CONFIDENCE = 0.95
 
 
 @dataclass(frozen=True, slots=True)

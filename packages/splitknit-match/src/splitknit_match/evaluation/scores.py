@@ -27,13 +27,12 @@ from splitknit.errors import naming, require
 from splitknit.files import read_bytes
 from splitknit.io.csv_table import csv_text, plain_text
 from splitknit.model import Array, BoolArray
+from splitknit_match.evaluation.parameters import MAX_BYTES
 
 Indices = NDArray[np.int64]
 KINDS = ("finger", "subject", "session")
 LARGEST = 1e150
-"""Largest score whose square is still a number."""
-_MAX_BYTES = 500_000_000
-"""Ten million comparisons."""
+"""Largest score whose square is still a number. Source: limit of double precision."""
 _LABELS = {"1": True, "0": False, "1.0": True, "0.0": False}
 
 
@@ -164,7 +163,7 @@ def read_scores(path: str | os.PathLike[str], *, dissimilarity: bool = False) ->
     length, a label other than 0 and 1, a score that is not a finite number, an id that is blank or
     contradicts its label.
     """
-    name, data = os.fspath(path), read_bytes(path, _MAX_BYTES)
+    name, data = os.fspath(path), read_bytes(path, MAX_BYTES)
     rows = _rows(data, name)
     first, header = next(rows, (1, []))
     header = [column.strip() for column in header]

@@ -11,6 +11,7 @@ from cyclopts import Parameter
 
 from splitknit.arguments import SEVERAL, AnyPath, Natural, Progress, Report, checked, silent
 from splitknit.errors import require
+from splitknit.findings import worst_first
 from splitknit_match.gallery.verbs import KeyFile
 
 _FUSIONS = ("linear", "minmax", "trained")
@@ -128,8 +129,11 @@ def evaluate_files(
         )
         compared = gallery_scores(Path(gallery), key=key_of(key_file), progress=progress)
         evaluation = evaluate(compared.scores, bootstrap=bootstrap, progress=progress, **settings)
-        notes = (*compared.notes, *evaluation.notes)
-        evaluation = replace(evaluation, inputs_sha256={str(gallery): compared.sha256}, notes=notes)
+        evaluation = replace(
+            evaluation,
+            inputs_sha256={str(gallery): compared.sha256},
+            findings=worst_first([*compared.findings, *evaluation.findings]),
+        )
         measured_by, tables = compared.method, {"scores.csv": compared.table}
     progress("report", 1.0)
     if rates_file is not None:
@@ -163,7 +167,7 @@ def _evaluation_lines(facts: Mapping[str, Any], out: Path) -> list[str]:
         lines.append(f"  EER {interval(system['eer'])}")
         rates = system["gar_at_far"].items()
         lines += [f"  GAR at FAR {100 * float(far):g} %: {interval(gar)}" for far, gar in rates]
-    lines += [f"Please note: {note}" for note in facts["notes"]]
+    lines += [f"Please note: {finding['message']}" for finding in facts["findings"]]
     return [*lines, f"Open {out / 'report.html'} in a browser."]
 
 
@@ -208,7 +212,7 @@ def compare(
 
     Examples
     --------
-    >>> compare("result", "profilometer", out="comparison").facts["notes"]  # doctest: +SKIP
+    >>> compare("result", "profilometer", out="comparison").facts["findings"]  # doctest: +SKIP
     """
     from splitknit import read_result
     from splitknit.io.targets import check_target
@@ -228,6 +232,6 @@ def compare(
     own = None if again is None else compare_results(reference, again, fit=fit)
     progress("report", 0.9)
     facts = write_comparison(pair, Path(out), (Path(a), Path(b)), protocol, own)
-    notes = [f"Please note: {note}" for note in facts["notes"]]
+    notes = [f"Please note: {finding['message']}" for finding in facts["findings"]]
     page = f"Open {Path(out) / 'report.html'} in a browser."
     return Report({"out": str(out), **facts}, (*headline(facts), *notes, page))

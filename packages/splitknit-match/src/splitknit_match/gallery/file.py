@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import contextlib
 import hashlib
-import logging
 import os
 import re
 import select
@@ -25,26 +24,21 @@ from splitknit import BadInput
 from splitknit.arguments import AnyPath
 from splitknit.errors import importing, require
 from splitknit.files import open_at_once, shown_path
+from splitknit.findings import Finding
 from splitknit.interrupts import UNFINISHED
 from splitknit.io.atomic import GROUP_READABLE, private_modes
 from splitknit.io.enrolment import FINGERS
+from splitknit_match.gallery.parameters import MAX_KEY_BYTES, MAX_NAME, WAIT_S, WRITER_S
 from splitknit_match.matching.template import VERSION as TEMPLATE_VERSION
 
 if TYPE_CHECKING:
     from splitknit_match.gallery.minutia_index import CaptureMinutiae, MinutiaIndex
 
-_LOG = logging.getLogger(__name__)
 APPLICATION_ID = 0x534B4741
-"""``SKGA``, in the header of the file."""
+"""``SKGA``, in the header of the file. Source: definition of the format."""
 VERSION = 4
-WAIT_S = 10.0
-"""How long one waits for another program's transaction."""
+"""Version of the file. Source: definition of the format."""
 KEY_VARIABLE = "SPLITKNIT_GALLERY_KEY"
-MAX_NAME = 100
-"""Characters of a person's name, at most."""
-_MAX_KEY_BYTES = 4096
-_WRITER_S = 2.0
-"""How long a pipe may be without a program that writes into it."""
 _MAGIC = b"SQLite format 3\0"
 _SCHEMA = (
     (
@@ -190,10 +184,10 @@ def key_of(file: Key | AnyPath | None) -> Key | None:
         content, where = b"", f"the key file {shown_path(file)}"
         try:
             with open(file, "rb", opener=open_at_once) as stream:
-                select.select([stream], [], [], _WRITER_S)
+                select.select([stream], [], [], WRITER_S)
                 # a writer takes as long as it likes: it may ask for a password
                 os.set_blocking(stream.fileno(), True)
-                content = stream.read(_MAX_KEY_BYTES + 1)
+                content = stream.read(MAX_KEY_BYTES + 1)
         except (OSError, ValueError) as error:
             reason = getattr(error, "strerror", None) or error
             raise BadInput(f"{where} cannot be read: {reason}.") from error
@@ -203,7 +197,7 @@ def key_of(file: Key | AnyPath | None) -> Key | None:
         return None
     text = unicodedata.normalize("NFC", content.decode("utf-8", "replace").rstrip("\r\n"))
     sound = (
-        len(content) <= _MAX_KEY_BYTES
+        len(content) <= MAX_KEY_BYTES
         and text.isprintable()
         and "\ufffd" not in text
         and len(text) >= 8
@@ -213,21 +207,19 @@ def key_of(file: Key | AnyPath | None) -> Key | None:
     return Key(text)
 
 
-def warn_of_readers(file: Path, what: str, others: int = 0o077) -> None:
-    """Log a warning of a secret file that others can read."""
-    if os.name == "posix" and file.is_file() and file.stat().st_mode & others:
-        _LOG.warning(
-            "the %s '%s' can be read by others on this computer (chmod 600 ends that).", what, file
-        )
+def readable(file: Path, what: str, others: int = 0o077) -> tuple[Finding, ...]:
+    """A finding where others can read a secret file."""
+    if os.name != "posix" or not file.is_file() or not file.stat().st_mode & others:
+        return ()
+    words = f"the {what} '{file}' can be read by others on this computer (chmod 600 ends that)."
+    return (Finding("readable-by-others", words, files=(str(file),)),)
 
 
-def warn_of_gallery(gallery: AnyPath, key_file: AnyPath | None) -> None:
-    """Log a warning of a gallery, or the file of its key, that others can read."""
-    warn_of_readers(
-        Path(gallery), "gallery", 0o007 if os.environ.get(GROUP_READABLE) == "1" else 0o077
-    )
-    if key_file is not None:
-        warn_of_readers(Path(key_file), "key file")
+def readable_gallery(gallery: AnyPath, key_file: AnyPath | None) -> tuple[Finding, ...]:
+    """Findings where others can read a gallery, or the file of its key."""
+    others = 0o007 if os.environ.get(GROUP_READABLE) == "1" else 0o077
+    keys = () if key_file is None else readable(Path(key_file), "key file")
+    return (*readable(Path(gallery), "gallery", others), *keys)
 
 
 class People:

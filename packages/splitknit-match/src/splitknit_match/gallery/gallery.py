@@ -18,6 +18,7 @@ from typing import Any, Literal
 from splitknit import BadInput, Capture, Reconstruction, read_capture
 from splitknit.arguments import AnyPath, Preset
 from splitknit.errors import require
+from splitknit.findings import Finding, Severity, worst_first
 from splitknit.io.provenance import file_hash
 from splitknit.model import Progress, no_progress
 from splitknit_match.gallery.file import (
@@ -37,6 +38,7 @@ from splitknit_match.gallery.identify import (
     RankedCandidate,
     identify_finger,
 )
+from splitknit_match.gallery.parameters import DISSIMILAR_FMR
 from splitknit_match.matching.inputs import (
     Held,
     Pixels,
@@ -53,9 +55,6 @@ from splitknit_match.prints.minutiae_record import pack_minutiae
 from splitknit_match.prints.photo_finger import PhotoFinger
 
 Duplicates = Literal["refuse", "warn", "allow"]
-_DISSIMILAR_FMR = 0.01
-"""Of captures that are called dissimilar: so often other fingers are at least as similar, or more
-often."""
 _NOT_INPUTS = ("truth.npz", ".splitknit")
 
 
@@ -105,9 +104,6 @@ class EnrolledCapture:
     source_sha256: str
     new: bool
     """False: the very same source was there already."""
-    note: str | None = None
-    """What was changed of a print on reading, and whether it differs from the finger's earlier
-    captures."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -119,6 +115,9 @@ class Enrolment:
     alike: tuple[RankedCandidate, ...] = ()
     """Other fingers, also of the same person, that match what was enrolled, best first: is one of
     them named wrong?"""
+    findings: tuple[Finding, ...] = ()
+    """What was changed of prints on reading, or is in doubt of them, failures to acquire, and
+    whether they differ from the finger's earlier captures, or match others; worst first."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -130,7 +129,7 @@ class Made:
     area_mm2: float
     source_sha256: str
     failure: str = ""
-    note: str | None = None
+    findings: tuple[Finding, ...] = ()
     side: Side | None = None
     """What is compared of it."""
 
@@ -248,12 +247,17 @@ class Gallery(GalleryFile):
             captures, settings_sha256, replaces=how.replace, first=review.look, last=put_down
         )
         progress("done", 1.0)
-        notes = review.notes or [""] * len(made)
         enrolled = [
-            _enrolled(capture, is_new, " ".join(filter(None, (one.note, note))))
-            for capture, is_new, one, note in zip(captures, added, made, notes, strict=True)
+            _enrolled(capture, is_new) for capture, is_new in zip(captures, added, strict=True)
         ]
-        return Enrolment(content_of(self, created=created), tuple(enrolled), tuple(review.alike))
+        findings = [finding for one in made for finding in one.findings]
+        findings += [_kept_failure(each) for each in enrolled if each.new and not each.acquired]
+        return Enrolment(
+            content_of(self, created=created),
+            tuple(enrolled),
+            tuple(review.alike),
+            worst_first([*findings, *review.findings]),
+        )
 
 
 def enroll(
@@ -321,7 +325,7 @@ class _Review:
     ) -> None:
         self.gallery, self.sides, self.names, self.duplicates = gallery, sides, names, duplicates
         self.alike: list[RankedCandidate] = []
-        self.notes: list[str] = []
+        self.findings: list[Finding] = []
         self._seen: object = None
 
     def look(self) -> None:
@@ -340,12 +344,14 @@ class _Review:
             if entry.template_bytes
         ]
         earlier = owners.count(self.names)
-        self.alike, self.notes = [], []
+        self.alike, self.findings = [], []
         for side in self.sides:
             if len(owners) > earlier and (of_minutiae or side.template is not None):
-                self.alike += self._duplicates(side)
-            compared = earlier and not of_minutiae and side.template is not None
-            self.notes.append(self._dissimilar(side, earlier) if compared else "")
+                alike = self._duplicates(side)
+                self.alike += alike
+                self.findings += [_alike(candidate, self.names[0]) for candidate in alike]
+            if earlier and not of_minutiae and side.template is not None:
+                self.findings += self._dissimilar(side, earlier)
 
     def _duplicates(self, side: Side) -> list[RankedCandidate]:
         """Candidates beyond the threshold that are other fingers."""
@@ -367,22 +373,42 @@ class _Review:
             )
         return alike
 
-    def _dissimilar(self, side: Side, count: int) -> str:
-        """A note where a finger matches none of its earlier captures."""
+    def _dissimilar(self, side: Side, count: int) -> list[Finding]:
+        """A finding where a finger matches none of its earlier captures."""
         person, finger = self.names
         own = identify_finger(self.gallery, lambda _: side, person=person, finger=finger)
         fmr = own.candidates[0].fmr if own.candidates else None
-        if own.answer != "no match" or fmr is None or fmr < _DISSIMILAR_FMR:
-            return ""
+        if own.answer != "no match" or fmr is None or fmr < DISSIMILAR_FMR:
+            return []
         assert side.template is not None
         turned = replace(side, template=mirrored(side.template))
         mirror = identify_finger(self.gallery, lambda _: turned, person=person, finger=finger)
-        if mirror.answer == "match":
-            return (
-                "it matches its earlier captures only in a mirror: the picture is mirrored; turn it"
-                " round."
+        code = "mirrored-print"
+        words = (
+            "it matches its earlier captures only in a mirror: the picture is mirrored; turn it"
+            " round."
+        )
+        if mirror.answer != "match":
+            code = "unlike-earlier"
+            words = (
+                f"it is unlike the {count} earlier captures of this finger: is it another finger?"
             )
-        return f"it is unlike the {count} earlier captures of this finger: is it another finger?"
+        return [Finding(code, words, Severity.DOUBT).of_file(side.path)]
+
+
+def _alike(candidate: RankedCandidate, person: str) -> Finding:
+    """That a finger of a person matches another one."""
+    who = f"{candidate.person}, {candidate.finger.replace('_', ' ')}, session {candidate.session}"
+    same = candidate.person == person
+    asked = "the same finger, named wrong" if same else "the same person under another name"
+    return Finding("matches-another", f"it matches {who}; is that {asked}?", Severity.DOUBT)
+
+
+def _kept_failure(capture: EnrolledCapture) -> Finding:
+    who = f"{capture.person}, {capture.finger.replace('_', ' ')}, session {capture.session}"
+    lacks = "too few ridges or minutiae (failure to acquire)"
+    words = f"{who} holds {lacks}; it is kept as such and will match nobody."
+    return Finding("failure-to-acquire", words)
 
 
 def _sessions(made: Sequence[Made], earlier: Sequence[Entry], session: str | None) -> list[str]:
@@ -397,7 +423,7 @@ def _sessions(made: Sequence[Made], earlier: Sequence[Entry], session: str | Non
     return chosen
 
 
-def _enrolled(capture: NewCapture, new: bool, note: str) -> EnrolledCapture:
+def _enrolled(capture: NewCapture, new: bool) -> EnrolledCapture:
     entry, size = capture.entry, len(capture.template)
     return EnrolledCapture(
         *entry.names,
@@ -407,7 +433,6 @@ def _enrolled(capture: NewCapture, new: bool, note: str) -> EnrolledCapture:
         size,
         entry.source_sha256,
         new,
-        note or None,
     )
 
 
@@ -481,7 +506,7 @@ def made_of(
         raise BadInput(
             f"{side.path} holds minutiae, no ridges; enrol it into a gallery of minutiae."
         )
-    return Made(side.kind, payload, area_mm2, source_hash(path), failure, side.note, compared)
+    return Made(side.kind, payload, area_mm2, source_hash(path), failure, side.findings, compared)
 
 
 def made_or_failed(path: Path, how: Enrolling) -> Made | str:

@@ -11,6 +11,7 @@ from typing import Any, Literal
 from splitknit import BadInput
 from splitknit.arguments import count, text_of
 from splitknit.errors import naming, require
+from splitknit.findings import Finding, worst_first
 from splitknit.io.provenance import known_json, settings_hash
 from splitknit.model import Progress, no_progress
 from splitknit_match.gallery.file import (
@@ -22,12 +23,13 @@ from splitknit_match.gallery.file import (
     session_order,
 )
 from splitknit_match.gallery.minutia_index import each, unpacked
+from splitknit_match.gallery.parameters import ALL_PRINTS, NEAREST
 from splitknit_match.matching.fusion import fused_match, with_fusion
 from splitknit_match.matching.inputs import Side
 from splitknit_match.matching.methods import (
-    doubt_of,
     fmr_basis,
     rate,
+    reason,
     scale_doubt,
     scores_of,
     side_minutiae,
@@ -40,6 +42,7 @@ from splitknit_match.matching.results import (
     Rated,
     basis_words,
     decided_at,
+    noted,
     one_in,
 )
 from splitknit_match.matching.ridge import Prepared, ridge_match
@@ -47,11 +50,6 @@ from splitknit_match.matching.template import Template
 from splitknit_match.prints.minutiae import minutiae_match
 from splitknit_match.prints.minutiae_record import MINUTIAE_VERSION, Minutiae, unpack_minutiae
 
-ALL_PRINTS = 200
-"""In a gallery of no more captures all are compared."""
-NEAREST = 0.001
-"""Of more as many as are to be reported, or this fraction, are: those whose minutiae agree best
-(what is lost: ``validation/gallery/index.py``)."""
 TEMPLATES_HASH = "8c8ef4038286462ed584c0c8dcbfd7071a2498ada4a43b75c56c3e740069e7bc"
 """Of all that a template of ridges follows from; templates of one gallery agree in it."""
 MINUTIAE_HASH = settings_hash({"minutiae": MINUTIAE_VERSION})
@@ -76,8 +74,6 @@ class Searched:
     captures: int
     compared: int
     """Fewer where those were chosen whose minutiae agree best."""
-    note: str | None = None
-    """Which were left out, or compared by less than the others."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -127,6 +123,9 @@ class Identification:
     """Why the answer is neither ``match`` nor ``no match``, and what it takes."""
     presentation: str | None = None
     """``live`` or ``unknown``, where attacks were to be refused."""
+    findings: tuple[Finding, ...] = ()
+    """What was assumed of the probe, which captures were left out, and what is in doubt: then the
+    answer is undecided."""
 
     @property
     def facts(self) -> dict[str, Any]:
@@ -197,35 +196,40 @@ def identify_finger(
 
     in_part = person is None and finger is None
     most = max(top, round(NEAREST * len(entries))) if in_part else len(entries)
-    comparisons, searched = _search(people, probe, entries, most=most, progress=progress)
+    comparisons, searched, findings = _search(people, probe, entries, most=most, progress=progress)
     table = {"minutiae": "minutiae_of_prints"}.get(searched.compared_by, searched.compared_by)
     if table == "fusion" and side.kind == "photo":
         table = "fingerphotos"
     best = _merged(comparisons, merge)[:top]
     rated = [comparison.rated(table, area_mm2, fmr) for comparison in best]
     candidates = tuple(
-        _candidate(rank, comparison, rates.fmr, searched.captures)
+        RankedCandidate(
+            rank,
+            *comparison.entry.names,
+            comparison.similarity,
+            rates.fmr,
+            None if rates.fmr is None else searched.captures * rates.fmr,
+        )
         for rank, (comparison, rates) in enumerate(zip(best, rated, strict=True), start=1)
     )
 
-    doubt = doubt_of(side)
+    doubt = side.doubt
     undoubted = doubt is None and searched.compared == searched.captures and table == "fusion"
     if isinstance(probe, Template) and undoubted and rated and rated[0].answer != "match":
         row = best[0].entry.row
         doubt = scale_doubt(probe, unpacked(people.path, row, people.templates[row]), fmr)
+        findings += [] if doubt is None else [doubt]
     decision, undecided = _decided(rated, table, fmr, searched.captures)
     if doubt is not None and not (decision and decision.match):  # a match confirms the scale
-        decision, undecided = None, doubt
+        decision, undecided = None, reason(doubt)
     answer = "undecided" if decision is None else "match" if decision.match else "no match"
-    if not acquired and not doubt:
+    if not acquired and doubt is None:
         answer, undecided = "not acquired", "failure to acquire"
     basis = rated[0].fmr_basis if rated else fmr_basis(table)
     progress("done", 1.0)
     return Identification(
         gallery=str(gallery.path),
-        probe=ComparedSide(
-            str(side.path), side.kind, area_mm2, acquired, note=side.note, doubt=side.doubt
-        ),
+        probe=ComparedSide(str(side.path), side.kind, area_mm2, acquired),
         mode="identification" if person is None else "verification",
         person=person,
         finger=finger,
@@ -237,6 +241,7 @@ def identify_finger(
         decision=decision,
         answer=answer,
         undecided=undecided,
+        findings=worst_first([*side.findings, *findings]),
     )
 
 
@@ -260,13 +265,6 @@ def _decided(
     )
 
 
-def _candidate(
-    rank: int, comparison: _Comparison, fmr: float | None, captures: int
-) -> RankedCandidate:
-    expected = None if fmr is None else captures * fmr
-    return RankedCandidate(rank, *comparison.entry.names, comparison.similarity, fmr, expected)
-
-
 def _search(
     people: People,
     probe: Template | Minutiae,
@@ -274,10 +272,11 @@ def _search(
     *,
     most: int,
     progress: Progress,
-) -> tuple[list[_Comparison], Searched]:
+) -> tuple[list[_Comparison], Searched, list[Finding]]:
     """Compare these, or of many the `most` whose minutiae agree best; best first."""
     acquired = [entry for entry in entries if entry.template_bytes > 0]
-    compared_by, notes = "ridge", []
+    compared_by = "ridge"
+    findings: list[Finding] = []
     comparisons: list[_Comparison] = []
     if isinstance(probe, Minutiae):
         compared_by = "minutiae"
@@ -293,13 +292,13 @@ def _search(
             # laid on the probe by minutiae alone where these propose how: four times as quick
             support = 0.0
         if len(chosen) < len(acquired):
-            best = (
+            words = (
                 f"of {len(acquired)} captures {len(chosen)} were compared, those whose minutiae"
-                " agree best"
+                " agree best; this shortcut misses about 1 match in 100."
             )
-            notes.append(f"{best}; this shortcut misses about 1 match in 100")
-        comparisons, note = _by_ridges(people, prepared, chosen, support, progress)
-        notes += [note] if note else []
+            findings.append(Finding("captures-left-out", words))
+        comparisons, others = _by_ridges(people, prepared, chosen, support, progress)
+        findings += others
         if any(one.minutiae is not None or one.overlap_mm2 is not None for one in comparisons):
             compared_by = "fusion"
     comparisons.sort(key=_order)
@@ -310,9 +309,11 @@ def _search(
         failures=len(entries) - len(acquired),
         captures=len(acquired),
         compared=len(comparisons),
-        note="; ".join(notes) or None,
     )
-    return comparisons, searched
+    if searched.failures:
+        words = f"{searched.failures} failures to acquire in the gallery match nobody."
+        findings.append(Finding("failures-in-gallery", words))
+    return comparisons, searched, findings
 
 
 def _order(comparison: _Comparison) -> tuple[float, str, str, tuple[int, int, str]]:
@@ -326,13 +327,13 @@ def _by_ridges(
     entries: Sequence[Entry],
     support: float | None,
     progress: Progress,
-) -> tuple[list[_Comparison], str | None]:
-    """Compare by ridges, and by minutiae where both hold some; and a note."""
+) -> tuple[list[_Comparison], tuple[Finding, ...]]:
+    """Compare by ridges, and by minutiae where both hold some; and findings."""
     templates = {
         entry.row: unpacked(people.path, entry.row, people.templates[entry.row])
         for entry in entries
     }
-    fused, note = with_fusion(templates.values(), probe.template)
+    fused, findings = with_fusion(templates.values(), probe.template)
 
     def compare(entry: Entry) -> _Comparison:
         enrolled = Prepared(templates[entry.row])
@@ -345,7 +346,7 @@ def _by_ridges(
     for comparison in each(compare, entries):
         progress("comparing", 0.5 + 0.5 * len(comparisons) / len(entries))
         comparisons.append(comparison)
-    return comparisons, note
+    return comparisons, findings
 
 
 def _by_minutiae(people: People, probe: Minutiae, entries: Sequence[Entry]) -> list[_Comparison]:
@@ -400,20 +401,12 @@ def identification_lines(search: Identification, *, scores: bool = False) -> lis
             "expected as similar as the first candidate, "
             f"and {decision.expected_false_matches:.2g} beyond the limit."
         )
-    if search.probe.note:
-        lines.append(f"Please note: {search.probe.path}: {search.probe.note}")
-    if searched.note:
-        lines.append(f"Please note: {searched.note}")
-    if searched.failures:
-        lines.append(
-            f"Please note: {searched.failures} failures to acquire in the gallery match nobody."
-        )
-    return lines
+    return lines + noted(search.findings)
 
 
 def _verdict(search: Identification) -> str:
     decision = search.decision
-    if not search.probe.acquired and not search.probe.doubt:
+    if search.answer == "not acquired":
         lacks = "too few minutiae" if search.by == "minutiae" else "no ridges"
         return f"Not acquired: {search.probe.path} holds {lacks} (failure to acquire)."
     if search.searched.captures == 0:

@@ -25,39 +25,27 @@ from numpy.typing import NDArray
 
 from splitknit.errors import naming
 from splitknit.io.images import cores
+from splitknit_match.gallery.parameters import (
+    AGREEMENT_WEIGHT,
+    ALIGNED,
+    ANGLE_RAD,
+    BITS,
+    CELL_MM,
+    CELLS,
+    COMMON,
+    DISTANCE_MM,
+    FEW,
+    MEAN,
+    PEAKS,
+    RARE,
+    REACH_MM2,
+    ROTATED_FRACTION,
+    ROTATIONS,
+    TABLES,
+)
 from splitknit_match.matching.minutia_pairs import CYLINDER, Cylinders, Places
 from splitknit_match.matching.ridge import Prepared
 from splitknit_match.matching.template import Template, unpack
-
-_TABLES = 80
-_BITS = 12
-"""Of a key."""
-_MEAN = 0.157
-"""Of a cylinder's numbers, in real prints (``validation/gallery/index.py``)."""
-_ROTATIONS = 32
-"""Steps of a full turn; votes of two neighbours are added."""
-_PEAKS = 2
-"""Rotations of a capture whose votes are counted by shift."""
-_CELL_MM = 2.0
-_CELLS = 15
-"""Shifts are counted in so many cells along x and y; votes of two neighbours are added."""
-_COMMON = 2.0
-"""A key that more minutiae have than so many times the mean is left out,"""
-_RARE = 8
-"""but not if it is of no more than these."""
-_ROTATED_FRACTION = 0.05
-"""Fraction of the captures whose shifts are counted."""
-_ALIGNED = 200
-"""Captures whose minutiae are laid on the probe's."""
-_AGREEMENT_WEIGHT = 20.0
-"""Of agreeing minutiae beside votes."""
-_DISTANCE_MM = 0.5
-"""At this distance, or the next angle, a minutia laid on another counts 1/e."""
-_ANGLE_RAD = 0.35
-_REACH_MM2 = 2.25
-"""Squared distance beyond which minutiae do not agree: they would count less than 0.0002 each."""
-_FEW = 9.0
-"""Minutiae that are added to those that could agree."""
 
 T = TypeVar("T")
 R = TypeVar("R")
@@ -122,7 +110,7 @@ class MinutiaIndex:
         sides = list(indexed.values())
         place = np.concatenate([np.zeros(0, np.complex128), *(side.place for side in sides)])
         turn = np.concatenate([np.zeros(0), *(side.turn for side in sides)])
-        keys = np.concatenate([np.zeros((0, _TABLES), np.uint16), *(side.keys for side in sides)])
+        keys = np.concatenate([np.zeros((0, TABLES), np.uint16), *(side.keys for side in sides)])
         self.rows = np.array(list(indexed), dtype=np.int64)
         self.count = np.array([len(side.turn) for side in sides], dtype=np.int64)
         self.boxes = np.array([_box(side.place) for side in sides], dtype=np.float32).reshape(-1, 4)
@@ -131,13 +119,13 @@ class MinutiaIndex:
         self.turn = turn.astype(np.float32)
         self.first = np.cumsum(self.count) - self.count
         # twice the steps, so that differences of rotation stay within the capture's own
-        self.code = np.repeat(np.arange(len(self), dtype=np.int32), self.count) * (2 * _ROTATIONS)
-        self.code += _steps(self.turn) + _ROTATIONS
+        self.code = np.repeat(np.arange(len(self), dtype=np.int32), self.count) * (2 * ROTATIONS)
+        self.code += _steps(self.turn) + ROTATIONS
         # of each table the minutiae in the order of their keys, and where those of a key end
         self.lists = np.stack(
             [np.argsort(table, kind="stable").astype(np.int32) for table in keys.T]
         )
-        sizes = [np.bincount(table, minlength=1 << _BITS) for table in keys.T]
+        sizes = [np.bincount(table, minlength=1 << BITS) for table in keys.T]
         self.ends = np.pad(np.cumsum(sizes, axis=1), ((0, 0), (1, 0)))
 
     def __len__(self) -> int:
@@ -150,36 +138,36 @@ class MinutiaIndex:
             return []
         hits = self._hits(probe)
         captures, slot = self._rotated(hits.bin)
-        slots = len(captures) * _PEAKS
+        slots = len(captures) * PEAKS
         slot = slot.take(hits.bin)
         voting = np.flatnonzero(slot >= 0)
         slot = slot.take(voting)
         enrolled = hits.enrolled.take(voting)
-        rotation = hits.bin.take(voting) % _ROTATIONS
+        rotation = hits.bin.take(voting) % ROTATIONS
         key = hits.key.take(voting)
         minutia = hits.probe.take(key)
         weight = hits.weight.take(key)
 
         # votes by shift
-        angles = 2j * np.pi / _ROTATIONS * np.arange(_ROTATIONS)
+        angles = 2j * np.pi / ROTATIONS * np.arange(ROTATIONS)
         rotated = (probe.place[:, None] * np.exp(angles)).astype(np.complex64)
-        start = rotated.ravel().take(minutia * _ROTATIONS + rotation)
+        start = rotated.ravel().take(minutia * ROTATIONS + rotation)
         column = _cells(self.x.take(enrolled) - start.real)
         row = _cells(self.y.take(enrolled) - start.imag)
         votes = np.bincount(
-            (slot * _CELLS + column) * _CELLS + row, weight, minlength=slots * _CELLS**2
+            (slot * CELLS + column) * CELLS + row, weight, minlength=slots * CELLS**2
         )
-        votes = votes.reshape(slots, _CELLS, _CELLS)
+        votes = votes.reshape(slots, CELLS, CELLS)
         votes = votes[:, 1:] + votes[:, :-1]
         votes = (votes[..., 1:] + votes[..., :-1]).reshape(len(captures), -1)
         most = votes.max(axis=1) / np.maximum(self.count[captures], 1) ** 0.25
-        kept = _largest(most, max(_ALIGNED, 2 * k))
+        kept = _largest(most, max(ALIGNED, 2 * k))
 
         # how these lie on the probe, by the hits that voted for it
-        shape = (_PEAKS, _CELLS - 1, _CELLS - 1)
+        shape = (PEAKS, CELLS - 1, CELLS - 1)
         peak, best_column, best_row = np.unravel_index(votes[kept].argmax(axis=1), shape)
         number = np.full(slots, -1)
-        number[kept * _PEAKS + peak] = np.arange(len(kept))
+        number[kept * PEAKS + peak] = np.arange(len(kept))
         aligned = number.take(slot)
         fits = aligned >= 0
         fits &= (column - best_column[aligned]) // 2 == 0
@@ -199,49 +187,49 @@ class MinutiaIndex:
         shifts = weighted_sum(place - probe.place[minutia] * turns[aligned])
         shifts /= np.maximum(weighted_sum(np.ones(len(aligned), dtype=np.complex128)), 1e-9)
         agreement = self._agreement(captures[kept], probe, turns, shifts)
-        score = most[kept] + _AGREEMENT_WEIGHT * agreement
+        score = most[kept] + AGREEMENT_WEIGHT * agreement
         rows = self.rows[captures[kept]]
         return [int(row) for row in rows[np.lexsort((rows, -score))[:k]]]
 
     def _hits(self, probe: Cylinders) -> _Hits:
         """Minutiae that share a key with the probe's which is not too common."""
         keys = _keys(probe)
-        tables = np.arange(_TABLES)
-        mean = len(self.turn) / (1 << _BITS)
+        tables = np.arange(TABLES)
+        mean = len(self.turn) / (1 << BITS)
         starts = self.ends[tables, keys]
         sizes = (self.ends[tables, keys + 1] - starts).ravel()
         # the probe's minutiae by tables
-        telling = np.flatnonzero(sizes <= max(_COMMON * mean, _RARE))
+        telling = np.flatnonzero(sizes <= max(COMMON * mean, RARE))
         sizes = sizes[telling]
         starts = (starts + tables * len(self.turn)).ravel()[telling]
         lists = self.lists.ravel()
         ranges = zip(starts.tolist(), (starts + sizes).tolist(), strict=True)
         enrolled = np.concatenate([lists[:0], *(lists[start:end] for start, end in ranges)])
-        minutia = telling // _TABLES
+        minutia = telling // TABLES
         key = np.repeat(np.arange(len(telling), dtype=np.int32), sizes)
         code = self.code.take(enrolled) - _steps(probe.turn.astype(np.float32))[minutia].take(key)
-        capture = code // (2 * _ROTATIONS)
-        rotation = code % _ROTATIONS
+        capture = code // (2 * ROTATIONS)
+        rotation = code % ROTATIONS
         weight = np.sqrt(mean / np.maximum(sizes, 1))
-        return _Hits(enrolled, key, capture * _ROTATIONS + rotation, minutia, weight)
+        return _Hits(enrolled, key, capture * ROTATIONS + rotation, minutia, weight)
 
     def _rotated(self, bins: NDArray[np.int32]) -> tuple[NDArray[np.int64], NDArray[np.int32]]:
         """Captures with most votes for some rotation; and by bin the number of a capture's best
         rotation among all best ones, -1 for other rotations.
         """
-        votes = np.bincount(bins, minlength=_ROTATIONS * len(self)).reshape(-1, _ROTATIONS)
+        votes = np.bincount(bins, minlength=ROTATIONS * len(self)).reshape(-1, ROTATIONS)
         votes += np.roll(votes, -1, axis=1)
         most = votes.max(axis=1) / np.sqrt(np.maximum(self.count, 1))
-        captures = _largest(most, max(_ALIGNED, round(_ROTATED_FRACTION * len(self))))
+        captures = _largest(most, max(ALIGNED, round(ROTATED_FRACTION * len(self))))
         number = np.arange(len(captures))
-        slot = np.full((len(self), _ROTATIONS), -1, dtype=np.int32)
+        slot = np.full((len(self), ROTATIONS), -1, dtype=np.int32)
         free = votes[captures]
-        for peak in range(_PEAKS):
+        for peak in range(PEAKS):
             best = free.argmax(axis=1)
             free[number, best - 1] = -1
-            for rotation in (best, (best + 1) % _ROTATIONS):
+            for rotation in (best, (best + 1) % ROTATIONS):
                 free[number, rotation] = -1
-                slot[captures, rotation] = number * _PEAKS + peak
+                slot[captures, rotation] = number * PEAKS + peak
         return captures, slot.ravel()
 
     def _agreement(
@@ -261,7 +249,7 @@ class MinutiaIndex:
         distance = laid.real[:, :, None] - np.where(present, x, np.inf)[:, None]
         distance *= distance
         distance += (laid.imag[:, :, None] - y[:, None]) ** 2
-        near = np.flatnonzero(distance < _REACH_MM2)  # of captures, the probe's minutiae, their own
+        near = np.flatnonzero(distance < REACH_MM2)  # of captures, the probe's minutiae, their own
         of_probe = near // width
         capture = of_probe // len(probe.turn)
         of_capture = capture * width + near % width
@@ -269,7 +257,7 @@ class MinutiaIndex:
             of_capture
         ]
         angle -= 2 * np.pi * np.rint(angle / (2 * np.pi))
-        likeness = np.exp(-distance.ravel()[near] / _DISTANCE_MM**2 - (angle / _ANGLE_RAD) ** 2)
+        likeness = np.exp(-distance.ravel()[near] / DISTANCE_MM**2 - (angle / ANGLE_RAD) ** 2)
         mutual = np.ones(len(near), dtype=bool)
         for minutia, size in ((of_probe, laid.size), (of_capture, x.size)):
             best = np.zeros(size)
@@ -279,27 +267,27 @@ class MinutiaIndex:
         back = (x + 1j * y - shifts[:, None]) * turns.conj()[:, None]
         enrolled_overlap = (_inside(back, np.array(_box(probe.place))) & present).sum(axis=1)
         probe_overlap = _inside(laid, self.boxes[captures].T[:, :, None]).sum(axis=1)
-        return np.asarray(agreeing / np.sqrt(np.sqrt(enrolled_overlap * probe_overlap) + _FEW))
+        return np.asarray(agreeing / np.sqrt(np.sqrt(enrolled_overlap * probe_overlap) + FEW))
 
 
 @cache
 def _vectors() -> NDArray[np.float32]:
     rng = np.random.default_rng(1)
-    return rng.standard_normal((CYLINDER, _TABLES * _BITS), dtype=np.float32)
+    return rng.standard_normal((CYLINDER, TABLES * BITS), dtype=np.float32)
 
 
 def _keys(side: Cylinders) -> NDArray[np.uint16]:
     """(N, tables) of cylinders."""
-    signs = (side.value - _MEAN * side.known) @ _vectors() > 0
-    return signs.reshape(-1, _TABLES, _BITS) @ (1 << np.arange(_BITS, dtype=np.uint16))
+    signs = (side.value - MEAN * side.known) @ _vectors() > 0
+    return signs.reshape(-1, TABLES, BITS) @ (1 << np.arange(BITS, dtype=np.uint16))
 
 
 def _steps(turn: NDArray[np.float32]) -> NDArray[np.int32]:
-    return np.asarray(np.floor(turn * (_ROTATIONS / (2 * np.pi))).astype(np.int32) % _ROTATIONS)
+    return np.asarray(np.floor(turn * (ROTATIONS / (2 * np.pi))).astype(np.int32) % ROTATIONS)
 
 
 def _cells(shift_mm: NDArray[np.float32]) -> NDArray[np.int32]:
-    return np.clip((shift_mm / _CELL_MM + _CELLS / 2).astype(np.int32), 0, _CELLS - 1)
+    return np.clip((shift_mm / CELL_MM + CELLS / 2).astype(np.int32), 0, CELLS - 1)
 
 
 def _largest(values: NDArray[np.float64], count: int) -> NDArray[np.int64]:

@@ -28,8 +28,9 @@ from splitknit.io.atomic import append_line
 from splitknit.io.images import cores
 from splitknit.io.prints import PrintFile
 from splitknit.io.provenance import known_json
-from splitknit_match.gallery.file import MAX_NAME, Unavailable
+from splitknit_match.gallery.file import Unavailable
 from splitknit_match.gallery.gallery import Gallery
+from splitknit_match.gallery.parameters import MAX_BODY, MAX_NAME, MIN_TOKEN, PATIENCE_S, WORK_S
 from splitknit_match.matching.inputs import Pixels
 from splitknit_match.matching.match import make_template
 from splitknit_match.prints.from_file import minutiae_of, pressed_print
@@ -37,13 +38,6 @@ from splitknit_match.prints.make import enhance, measured
 from splitknit_match.prints.minutiae_record import pack_minutiae
 from splitknit_match.records.print_formats import decode_prints
 
-MAX_BODY = 10_000_000
-"""Bytes of a request, at most: a print of 7 MB as base64."""
-PATIENCE_S = 20.0
-"""So long may a body take to arrive, and a connection wait without a request that is complete."""
-WORK_S = 60.0
-"""So long may the work of a request take, with its waiting for a free core."""
-MIN_TOKEN = 16
 _FINGER: dict[str, tuple[type, str]] = {
     "print": (
         str,
@@ -309,7 +303,11 @@ def _done(act: _Act, gallery: Gallery) -> dict[str, Any]:
     if act.name == "enroll":
         person, which = fields.pop("person"), fields.pop("finger")
         enrolment = gallery.enroll(finger, person, which, put_down=act.enrolled, **fields)
-        return {"enrolled": known_json(enrolment.enrolled), "alike": known_json(enrolment.alike)}
+        return {
+            "enrolled": known_json(enrolment.enrolled),
+            "alike": known_json(enrolment.alike),
+            "findings": known_json(enrolment.findings),
+        }
     if act.name == "quality":
         made = make_template(finger)
         quality = None

@@ -6,7 +6,7 @@ from __future__ import annotations
 import contextlib
 import socket
 import sys
-from collections.abc import Iterator
+from collections.abc import Sequence
 from dataclasses import asdict, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
@@ -25,7 +25,9 @@ from splitknit.arguments import (
     silent,
 )
 from splitknit.errors import BadInput, importing, printable, require
+from splitknit.findings import Finding, worst_first
 from splitknit.settings import Limits
+from splitknit_match.gallery.parameters import PATIENCE_S
 from splitknit_match.matching.match import Finger
 
 if TYPE_CHECKING:
@@ -175,11 +177,11 @@ def identify_in_gallery(
     >>> answer.facts["answer"]  # doctest: +SKIP
     'match'
     """
-    from splitknit_match.gallery.file import warn_of_gallery
+    from splitknit_match.gallery.file import readable_gallery
     from splitknit_match.gallery.identify import identification_lines
     from splitknit_match.pad import refuse_attacks
 
-    presentation = refuse_attacks(pad, [probe], preset, progress)
+    presentation, unknown = refuse_attacks(pad, [probe], preset, progress)
     identification = identify(
         gallery,
         probe,
@@ -193,22 +195,34 @@ def identify_in_gallery(
         preset=preset,
         progress=progress,
     )
-    identification = replace(identification, presentation=presentation)
-    warn_of_gallery(gallery, key_file)
+    findings = (*identification.findings, *unknown, *readable_gallery(gallery, key_file))
+    identification = replace(
+        identification, presentation=presentation, findings=worst_first(findings)
+    )
     if not raw:
         return identification
     return Report(identification.facts, tuple(identification_lines(identification, scores=True)))
 
 
-@contextlib.contextmanager
-def _opened(gallery: AnyPath, key_file: AnyPath | None) -> Iterator[Gallery]:
-    """The gallery, open; a note where others can read it, once all is done."""
-    from splitknit_match.gallery.file import warn_of_gallery
+def _opened(gallery: AnyPath, key_file: AnyPath | None) -> Gallery:
     from splitknit_match.gallery.gallery import Gallery
 
-    with Gallery(gallery, key_file) as opened:
-        yield opened
-    warn_of_gallery(gallery, key_file)
+    return Gallery(gallery, key_file)
+
+
+def _reported(
+    gallery: AnyPath,
+    key_file: AnyPath | None,
+    facts: dict[str, Any],
+    lines: Sequence[str],
+    findings: Sequence[Finding] = (),
+) -> Report:
+    """What a verb did with a gallery, `findings`, and one where others can read it."""
+    from splitknit_match.gallery.file import readable_gallery
+
+    found = worst_first([*findings, *readable_gallery(gallery, key_file)])
+    notes = [f"Please note: {finding}" for finding in found]
+    return Report({**facts, "findings": [finding.facts for finding in found]}, (*lines, *notes))
 
 
 def gallery_list(
@@ -256,7 +270,7 @@ def gallery_list(
         captures.append(
             {**asdict(entry), "acquired": acquired, "enrolled_at": entry.enrolled_at or None}
         )
-    return Report({"gallery": str(gallery), "captures": captures}, tuple(lines))
+    return _reported(gallery, key_file, {"gallery": str(gallery), "captures": captures}, lines)
 
 
 def gallery_info(gallery: AnyPath, *, key_file: KeyFile = None) -> Report:
@@ -295,7 +309,9 @@ def gallery_info(gallery: AnyPath, *, key_file: KeyFile = None) -> Report:
     locked = "encrypted" if facts["encrypted"] else "not encrypted"
     people = count(facts["people"], "person", "people")
     templates = f"{template_bytes / 1e6:.2f} MB of templates (version {TEMPLATE_VERSION})"
-    return Report(
+    return _reported(
+        gallery,
+        key_file,
         facts,
         (
             f"{gallery}: a gallery of version {VERSION}, {locked}.",
@@ -348,7 +364,8 @@ def gallery_remove(
         removed = opened.remove(person, finger, session)
         left = len(opened)
     facts = {"gallery": str(gallery), "removed": removed, "captures": left}
-    return Report(facts, (f"Removed {count(removed, 'capture')} from {gallery}; {left} are left.",))
+    line = f"Removed {count(removed, 'capture')} from {gallery}; {left} are left."
+    return _reported(gallery, key_file, facts, (line,))
 
 
 def gallery_export(
@@ -383,13 +400,9 @@ def gallery_export(
 
     with _opened(gallery, key_file) as opened:
         facts = export_gallery(opened, Path(out), person=person)
-    return Report(
-        facts,
-        (
-            f"Wrote {count(facts['captures'], 'template')} and gallery.csv to {facts['out']}.",
-            "Please note: they are personal data, and they are not encrypted there.",
-        ),
-    )
+    line = f"Wrote {count(facts['captures'], 'template')} and gallery.csv to {facts['out']}."
+    words = "they are personal data, and they are not encrypted there."
+    return _reported(gallery, key_file, facts, (line,), (Finding("not-encrypted", words),))
 
 
 def gallery_import(
@@ -427,7 +440,7 @@ def gallery_import(
         facts = import_gallery(opened, Path(folder), replaces=replace)
     known = facts["found"] - facts["new"]
     came = f"{facts['new']} captures came in, {known} were there already"
-    return Report(facts, (f"{came}; {facts['captures']} are in it now.",))
+    return _reported(gallery, key_file, facts, (f"{came}; {facts['captures']} are in it now.",))
 
 
 @checked
@@ -470,7 +483,7 @@ def serve(
     --------
     >>> serve(gallery="people.skg", token_file="token")  # doctest: +SKIP
     """
-    from splitknit_match.gallery.file import warn_of_readers
+    from splitknit_match.gallery.file import readable
     from splitknit_match.gallery.gallery import Gallery
     from splitknit_match.gallery.serve import make_app, read_token
 
@@ -486,8 +499,8 @@ def serve(
         app = make_app(opened, token, None if audit is None else Path(audit))
         server = server_of(app, certificate, certificate_key)
         for what, file in (("token", token_file), ("key", certificate_key)):
-            if file is not None:
-                warn_of_readers(Path(file), what)
+            for finding in () if file is None else readable(Path(file), what):
+                print(printable(f"Please note: {finding}"), file=sys.stderr, flush=True)
         with _listening(host, port) as door, contextlib.suppress(KeyboardInterrupt):
             words = f"Serving {gallery} at {scheme}://{host}:{port}; Ctrl-C ends it."
             print(printable(words), file=sys.stderr, flush=True)
@@ -519,12 +532,10 @@ def server_of(
         import uvicorn
         from uvicorn.protocols.http.h11_impl import H11Protocol
 
-    from splitknit_match.gallery import serve
-
     class Impatient(H11Protocol):
         def connection_made(self, transport: Any) -> None:
             super().connection_made(transport)
-            self.loop.call_later(serve.PATIENCE_S, self._look, None)
+            self.loop.call_later(PATIENCE_S, self._look, None)
 
         def shutdown(self) -> None:
             cycle: Any = self.cycle
@@ -539,7 +550,7 @@ def server_of(
             if cycle is last and (cycle is None or cycle.response_complete):
                 self.transport.close()
             if not self.transport.is_closing():
-                self.loop.call_later(serve.PATIENCE_S, self._look, cycle)
+                self.loop.call_later(PATIENCE_S, self._look, cycle)
 
     config = uvicorn.Config(
         app,

@@ -17,53 +17,34 @@ from numpy.typing import NDArray
 from splitknit.imaging.geometry import gaussian_mean
 from splitknit.model import Array, FloatArray
 from splitknit_match.matching.elastic import Affine, rigid, spectrum_of
+from splitknit_match.matching.parameters import (
+    APART_MM,
+    BLOCK_MM,
+    BLOCKS,
+    CANDIDATES,
+    COARSE_GRID_PX,
+    COARSE_PITCH_MM,
+    CYCLES_PER_MM,
+    DIRECTION_WINDOW_MM,
+    MIN_HEIGHT,
+    MIN_POSE_MM2,
+    OVERLAP_ROTATIONS,
+    POSE_STEP_DEG,
+    POSES,
+    ROTATION_STEP_DEG,
+    ROTATIONS,
+    UPRIGHT_ROTATIONS,
+    UPRIGHT_STEPS,
+    WHITENING,
+)
 from splitknit_match.matching.ridge_band import RidgeBand
 
 Spectra = NDArray[np.complex64]
 
-_PITCH_MM = 0.15
-"""Side of a pixel of the coarse grid."""
-_GRID_PX = (216, 216)
-"""Rows and columns of the coarse grid; of a finger that is larger the centre is used."""
-_STEP_DEG = 5.0
-"""Between two rotations whose directions of ridges are compared."""
-_HALF_TURN = round(180 / _STEP_DEG)
+_HALF_TURN = round(180 / ROTATION_STEP_DEG)
 """Steps of half a turn. What is turned by half a turn more is the same upside down: its spectrum is
-conjugate, and the peak of a correlation with it lies one pixel further on both axes."""
-_ROTATIONS = 6
-"""How many of all are tried on the ridges, each there and half a step on, to the side of the better
-neighbour."""
-_UPRIGHT_ROTATIONS = 3
-"""So many upright ones are tried in any case: most fingers lie upright, and where little overlaps,
-directions alone find them too seldom."""
-_UPRIGHT_STEPS = 6
-"""Steps to each side of no rotation that are upright."""
-_BLOCK_MM = 1.5
-"""Side of a block that has one direction."""
-_BLOCKS = (27, 24)
-"""Rows and columns of the grid of blocks."""
-_WINDOW_MM = 1.05
-"""Side of the square over which a direction is averaged."""
-_CANDIDATES = 2
-"""Peaks that are looked at closely."""
-_MIN_HEIGHT = 0.7
-"""Peaks lower than this fraction of the highest are not: of 2,024 pairs tried, ten of those led to
-another score, by at most 0.04, and none changed a rate."""
-_WHITENING = 0.5
-"""Power of the magnitude that each spectrum is divided by: 0 correlates, 1 keeps phase alone."""
-_CYCLES_PER_MM = (1.2, min(3.8, 0.5 / _PITCH_MM))
-"""Frequencies of ridges: periods of 0.3 (the grid's finest) to 0.83 mm."""
-
-_POSE_STEP_DEG = 4.0
-"""Of a small print: between two rotations."""
-_POSES = 8
-"""How many alignments of it are looked at closely."""
-_APART_MM = 0.6
-"""How far apart those of nearly one rotation lie."""
-_OVERLAP_ROTATIONS = 3
-"""Rotations that share what overlaps."""
-_MIN_POSE_MM2 = 6.0
-"""What overlaps less counts as if it were so much."""
+conjugate, and the peak of a correlation with it lies one pixel further on both axes. Source:
+derived."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -85,7 +66,7 @@ class _Peak:
         """Whether it is nearly the same alignment."""
         turn = abs((self.angle_deg - peak.angle_deg + 180) % 360 - 180)
         apart = np.hypot(self.right_mm - peak.right_mm, self.down_mm - peak.down_mm)
-        return bool(turn <= 1.5 * _POSE_STEP_DEG and apart <= _APART_MM)
+        return bool(turn <= 1.5 * POSE_STEP_DEG and apart <= APART_MM)
 
 
 class CoarseViews:
@@ -108,7 +89,7 @@ class CoarseViews:
         """(2, A, side, side) ridges and where there are any, turned by the steps of a small
         print."""
         side = int(np.ceil(np.hypot(*self.band.valid.shape) / self._step)) + 2
-        angles = np.deg2rad(_POSE_STEP_DEG) * np.arange(round(360 / _POSE_STEP_DEG))
+        angles = np.deg2rad(POSE_STEP_DEG) * np.arange(round(360 / POSE_STEP_DEG))
         return self._pictures(angles, (side, side))
 
     @cached_property
@@ -120,11 +101,11 @@ class CoarseViews:
     @cached_property
     def _soft(self) -> FloatArray:
         """The band with less of what the coarse grid cannot hold."""
-        return gaussian_mean(self.band.value, 0.4 * _PITCH_MM / self.band.pitch_mm)
+        return gaussian_mean(self.band.value, 0.4 * COARSE_PITCH_MM / self.band.pitch_mm)
 
     @property
     def _step(self) -> float:
-        return _PITCH_MM / self.band.pitch_mm
+        return COARSE_PITCH_MM / self.band.pitch_mm
 
     def _pictures(self, angles_rad: Array, size: tuple[int, int]) -> FloatArray:
         pictures = self._soft, self.band.valid.astype(np.float32)
@@ -142,7 +123,7 @@ class CoarseViews:
         value, valid = self.band.value, self.band.valid
         across = cv2.Sobel(value, cv2.CV_32F, 1, 0)
         up = -cv2.Sobel(value, cv2.CV_32F, 0, 1)
-        window = (round(_WINDOW_MM / self.band.pitch_mm),) * 2
+        window = (round(DIRECTION_WINDOW_MM / self.band.pitch_mm),) * 2
         xx, yy, xy, fraction = (
             np.asarray(cv2.blur(part, window, borderType=cv2.BORDER_CONSTANT))
             for part in (across * across, up * up, across * up, valid.astype(np.float32))
@@ -153,12 +134,12 @@ class CoarseViews:
         typical = float(np.partition(power, middle)[list(middle)].mean())
         total = np.maximum(xx + yy, max(0.3 * typical, 1e-12))
         field = np.stack([(xx - yy) / total, 2 * xy / total, fraction], axis=-1, dtype=np.float32)
-        turned = np.empty((_HALF_TURN, *_BLOCKS, 3), dtype=np.float32)
+        turned = np.empty((_HALF_TURN, *BLOCKS, 3), dtype=np.float32)
         for blocks, angle in zip(
-            turned, np.deg2rad(_STEP_DEG * np.arange(_HALF_TURN, dtype=float)), strict=True
+            turned, np.deg2rad(ROTATION_STEP_DEG * np.arange(_HALF_TURN, dtype=float)), strict=True
         ):
             cos, sin = np.cos(2 * angle), np.sin(2 * angle)
-            view = _turned(field, angle, _BLOCK_MM / self.band.pitch_mm, _BLOCKS)
+            view = _turned(field, angle, BLOCK_MM / self.band.pitch_mm, BLOCKS)
             blocks[:] = cv2.transform(view, np.array([[cos, -sin, 0], [sin, cos, 0], [0, 0, 1]]))
         return spectrum_of(np.moveaxis(turned, -1, 0))
 
@@ -168,13 +149,15 @@ class CoarseViews:
 
         Correlated with itself, it has a peak of 1.
         """
-        spectrum = spectrum_of(_turned(self._soft, np.deg2rad(angle_deg), self._step, _GRID_PX))
+        spectrum = spectrum_of(
+            _turned(self._soft, np.deg2rad(angle_deg), self._step, COARSE_GRID_PX)
+        )
         magnitude = np.abs(spectrum)
         floor = max(0.05 * float(magnitude.max()), 1e-12)
-        result = spectrum * (_ridge_pass() / np.maximum(magnitude, floor) ** _WHITENING)
+        result = spectrum * (_ridge_pass() / np.maximum(magnitude, floor) ** WHITENING)
         # twice the power of the half plane, but for its first column, where ridges have little
         power = 2 * float((np.abs(result) ** 2).sum())
-        result *= np.float32(np.sqrt(_GRID_PX[0] * _GRID_PX[1] / max(power, 1e-30)))
+        result *= np.float32(np.sqrt(COARSE_GRID_PX[0] * COARSE_GRID_PX[1] / max(power, 1e-30)))
         return result
 
 
@@ -184,11 +167,11 @@ def likely_alignments(a: CoarseViews, b: CoarseViews) -> list[Affine]:
     upright_b = b.directions[:, :1]
     products = a.directions.conj() * upright_b, a.directions * upright_b
     scores = np.concatenate([_direction_agreement(product) for product in products])
-    upright = np.arange(-_UPRIGHT_STEPS, _UPRIGHT_STEPS + 1)
+    upright = np.arange(-UPRIGHT_STEPS, UPRIGHT_STEPS + 1)
     best = np.concatenate(
         [
-            np.argsort(-scores, kind="stable")[:_ROTATIONS],
-            upright[np.argsort(-scores[upright], kind="stable")[:_UPRIGHT_ROTATIONS]] % len(scores),
+            np.argsort(-scores, kind="stable")[:ROTATIONS],
+            upright[np.argsort(-scores[upright], kind="stable")[:UPRIGHT_ROTATIONS]] % len(scores),
         ]
     )
     better_side = np.where(np.roll(scores, -1)[best] >= np.roll(scores, 1)[best], 1, -1)
@@ -200,39 +183,37 @@ def likely_alignments(a: CoarseViews, b: CoarseViews) -> list[Affine]:
     )
     return [
         peak.affine(a.band, b.band)
-        for peak in peaks[:_CANDIDATES]
-        if peak.height >= _MIN_HEIGHT * peaks[0].height
+        for peak in peaks[:CANDIDATES]
+        if peak.height >= MIN_HEIGHT * peaks[0].height
     ]
 
 
 def _angle_deg(number: int) -> float:
     """Rotation of a number of half steps."""
-    return number * _STEP_DEG / 2
+    return number * ROTATION_STEP_DEG / 2
 
 
 def _peak(a: CoarseViews, ridges: Spectra, number: int) -> _Peak:
     """Largest correlation of A, turned by `number` half steps, with B's spectrum."""
     upside_down = number >= 2 * _HALF_TURN
     product = a.ridges(number) * (ridges if upside_down else ridges.conj())
-    correlation = np.fft.irfft2(product, s=_GRID_PX)
-    place = np.array(np.unravel_index(correlation.argmax(), _GRID_PX))
+    correlation = np.fft.irfft2(product, s=COARSE_GRID_PX)
+    place = np.array(np.unravel_index(correlation.argmax(), COARSE_GRID_PX))
     # of what is not upside down the spectrum is conjugate: its correlation is mirrored
-    centre = np.array(_GRID_PX) // 2
-    down, right = ((place + 1 if upside_down else -place) + centre) % _GRID_PX - centre
+    centre = np.array(COARSE_GRID_PX) // 2
+    down, right = ((place + 1 if upside_down else -place) + centre) % COARSE_GRID_PX - centre
     return _Peak(
         float(correlation.max()),
         _angle_deg(number),
-        float(right * _PITCH_MM),
-        float(down * _PITCH_MM),
+        float(right * COARSE_PITCH_MM),
+        float(down * COARSE_PITCH_MM),
     )
 
 
 def _direction_agreement(products: Spectra) -> FloatArray:
     """(A,) largest agreement of directions over all shifts, over the root of the overlap; from (3,
     A, ...)."""
-    agreement, overlap = np.fft.irfft2(
-        np.stack([products[0] + products[1], products[2]]), s=_BLOCKS
-    )
+    agreement, overlap = np.fft.irfft2(np.stack([products[0] + products[1], products[2]]), s=BLOCKS)
     overlap = np.maximum(overlap, 0.2 * overlap.max())
     return np.asarray((agreement / np.sqrt(overlap)).reshape(len(overlap), -1).max(axis=1))
 
@@ -257,18 +238,18 @@ def every_pose(a: CoarseViews, b: CoarseViews) -> list[Affine]:
 
     peaks = []
     for number in range(poses.shape[1]):
-        if number % _OVERLAP_ROTATIONS == 0:
-            root = np.sqrt(np.maximum(correlation(1, number), _MIN_POSE_MM2 / _PITCH_MM**2))
+        if number % OVERLAP_ROTATIONS == 0:
+            root = np.sqrt(np.maximum(correlation(1, number), MIN_POSE_MM2 / COARSE_PITCH_MM**2))
         height = correlation(0, number) / root
         for _ in range(2):
             row, column = np.unravel_index(height.argmax(), size)
             place = np.array([row, column])
             # shifts of B's grid beyond its own size lie to the left and above
             place = np.where(place >= poses.shape[2:], place - size, place)
-            down, right = (place + offset) * _PITCH_MM
+            down, right = (place + offset) * COARSE_PITCH_MM
             peaks.append(
                 _Peak(
-                    float(height[row, column]), number * _POSE_STEP_DEG, -float(right), -float(down)
+                    float(height[row, column]), number * POSE_STEP_DEG, -float(right), -float(down)
                 )
             )
             height[max(0, row - 2) : row + 3, max(0, column - 2) : column + 3] = -np.inf
@@ -276,7 +257,7 @@ def every_pose(a: CoarseViews, b: CoarseViews) -> list[Affine]:
     for peak in sorted(peaks, key=lambda peak: -peak.height):
         if not any(peak.near(better) for better in kept):
             kept.append(peak)
-        if len(kept) == _POSES:
+        if len(kept) == POSES:
             break
     return [inverse(peak.affine(b.band, a.band)) for peak in kept]
 
@@ -309,6 +290,6 @@ def _turned(
 @cache
 def _ridge_pass() -> FloatArray:
     """(rows, columns // 2 + 1) 1 at the frequencies of ridges, 0 elsewhere."""
-    down = np.fft.fftfreq(_GRID_PX[0], _PITCH_MM)[:, None]
-    cycles = np.hypot(down, np.fft.rfftfreq(_GRID_PX[1], _PITCH_MM))
-    return np.asarray((cycles > _CYCLES_PER_MM[0]) & (cycles < _CYCLES_PER_MM[1]), dtype=np.float32)
+    down = np.fft.fftfreq(COARSE_GRID_PX[0], COARSE_PITCH_MM)[:, None]
+    cycles = np.hypot(down, np.fft.rfftfreq(COARSE_GRID_PX[1], COARSE_PITCH_MM))
+    return np.asarray((cycles > CYCLES_PER_MM[0]) & (cycles < CYCLES_PER_MM[1]), dtype=np.float32)

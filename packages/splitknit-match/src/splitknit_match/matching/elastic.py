@@ -17,6 +17,18 @@ from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 
 from splitknit.model import Array, FloatArray
+from splitknit_match.matching.parameters import (
+    AFFINE_NEAR_MM,
+    FIRM,
+    MIN_CORRELATION,
+    MIN_OVERLAP,
+    PATCH_MM,
+    SEARCH_MM,
+    SMOOTH,
+    SPAN_MM,
+    STEP_MM,
+    STILL,
+)
 from splitknit_match.matching.ridge_band import RidgeBand
 
 Affine = Array
@@ -25,28 +37,9 @@ Indices = NDArray[np.int64]
 Positions = FloatArray
 """(N, 2) columns and rows."""
 
-PATCH_MM = 2.4
-"""Side of a patch."""
-STEP_MM = 1.6
-"""Distance between the centres of two patches."""
-SEARCH_MM = 0.4
-"""Largest shift of a patch along either axis."""
-_MIN_OVERLAP = 0.6
-"""Fraction of a patch that must be valid on both sides."""
-_MIN_CORRELATION = 0.2
-"""Patches that correlate less do not count in a fit."""
-_SPAN_MM = 5.0
-"""Affine fit: length over which a linear part of 1 is penalised."""
-_NEAR_MM = 0.2
-"""Affine fit: residual at which a patch counts half."""
-_SMOOTH = 1.0
-"""Sigma, in steps of the grid, over which shifts are averaged: skin stretches smoothly."""
-_FIRM = 0.16
-"""Weight of a shift that two minutiae show; that of a patch whose correlation is 0.6."""
-_STILL = 0.05
-"""Weight of no shift among those, relative to `_FIRM`."""
 _ONE_MAP = np.empty(0, dtype=np.float32)
-"""In place of cv2.remap's second map, where columns and rows are together in the first."""
+"""In place of cv2.remap's second map, where columns and rows are together in the first. Source:
+definition."""
 np.empty(1 << 21)
 """16 MB that are never touched, freed at once: from then on glibc keeps freed memory up to this
 size for the next pair instead of returning it. Without it a pair spends half its time on the pages
@@ -124,7 +117,7 @@ class Agreement:
     @property
     def firmness(self) -> FloatArray:
         """(N,) weight of each shift in a fit."""
-        return np.asarray(np.maximum(self.correlation - _MIN_CORRELATION, 0.0) ** 2 * self.weight)
+        return np.asarray(np.maximum(self.correlation - MIN_CORRELATION, 0.0) ** 2 * self.weight)
 
 
 def patch_grid(
@@ -143,7 +136,7 @@ def patch_grid(
     fraction = _sums(np.pad(band.valid.view(np.uint8), border), side)[tuple(corner.T)] / (
         side * side
     )
-    kept = fraction >= _MIN_OVERLAP
+    kept = fraction >= MIN_OVERLAP
     patches = sliding_window_view(np.pad(band.value, border), (side, side))[tuple(corner[kept].T)]
     window = side + 2 * reach
     return PatchGrid(
@@ -184,7 +177,7 @@ def compare_patches(
         valid = cv2.remap(a.valid.view(np.uint8), source, _ONE_MAP, cv2.INTER_NEAREST)
     fraction = _sums(valid, side) / (side * side)
     common = np.minimum(fraction[tuple((patches.corner + reach).T)], patches.fraction)
-    used = np.flatnonzero(common >= _MIN_OVERLAP)
+    used = np.flatnonzero(common >= MIN_OVERLAP)
     if not len(used):
         none = np.zeros(0, dtype=np.float32)
         return Agreement(used, none, np.zeros((0, 2)), none)
@@ -212,8 +205,8 @@ def better_affine(patches: PatchGrid, agreement: Agreement, b_from: Affine) -> A
         return b_from
     position = patches.centres[agreement.used]
     centre = position.mean(axis=0)
-    span = _SPAN_MM / patches.pitch_mm
-    near = _NEAR_MM / patches.pitch_mm
+    span = SPAN_MM / patches.pitch_mm
+    near = AFFINE_NEAR_MM / patches.pitch_mm
     design = np.column_stack([(position - centre) / span, np.ones(len(position))])
     robust = weight.astype(float)
     # the linear part is held back: a few patches must not shear the finger
@@ -247,7 +240,7 @@ def bent(patches: PatchGrid, agreement: Agreement, bend: FloatArray | None = Non
 
 def bent_by(patches: PatchGrid, position: Positions, shift: Positions) -> FloatArray:
     """The same from shifts (N, 2) of positions (N, 2) in B."""
-    firm = np.full(len(position), _FIRM, dtype=np.float32)
+    firm = np.full(len(position), FIRM, dtype=np.float32)
     return _smoothed(patches.grid, patches.nearest(position), shift, firm)
 
 
@@ -256,8 +249,8 @@ def _smoothed(
 ) -> FloatArray:
     total = np.zeros((*grid, 3), dtype=np.float32)
     np.add.at(total, cell, np.column_stack([shift * weight[:, None], weight]).astype(np.float32))
-    total = np.asarray(cv2.GaussianBlur(total, (0, 0), _SMOOTH, borderType=cv2.BORDER_CONSTANT))
-    return total[..., :2] / (total[..., 2:] + (_STILL * _FIRM))
+    total = np.asarray(cv2.GaussianBlur(total, (0, 0), SMOOTH, borderType=cv2.BORDER_CONSTANT))
+    return total[..., :2] / (total[..., 2:] + (STILL * FIRM))
 
 
 def bent_places(

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from splitknit.checks import check_image
 from splitknit.errors import require
 from splitknit.model import FloatArray
+from splitknit_match.matching.parameters import STRIP
 
 # Codes of local binary patterns are bytes: bit k is set where the neighbour at the angle 2 pi k /
 # 8, counter-clockwise from the right, is at least as large as the pixel itself.
@@ -23,11 +24,9 @@ from splitknit.model import FloatArray
 Codes = NDArray[np.uint8]
 
 REFERENCE_PX_PER_MM = 75.7
-"""Scale at which the thesis's sizes in pixels hold."""
-_STRIP = 64
-"""Rows whose codes are found at once: few enough for the cache."""
+"""Scale at which the thesis's sizes in pixels hold. Source: thesis."""
 _DIAGONAL = float(np.sqrt(0.5))
-"""How far right and up a neighbour on the diagonal is."""
+"""How far right and up a neighbour on the diagonal is. Source: definition."""
 
 
 def lbp_codes(image: FloatArray) -> Codes:
@@ -46,7 +45,7 @@ def lbp_codes(image: FloatArray) -> Codes:
     """
     padded = np.pad(check_image(image), 1, mode="edge")
     return np.concatenate(
-        [_codes(padded[top : top + _STRIP + 2]) for top in range(0, image.shape[0], _STRIP)]
+        [_codes(padded[top : top + STRIP + 2]) for top in range(0, image.shape[0], STRIP)]
     )
 
 
@@ -100,7 +99,7 @@ def lbp_features(image: FloatArray, px_per_mm: float) -> FloatArray:
 
 
 _CELL_PX = 64.0
-"""Side of a cell at 75.7 px/mm."""
+"""Side of a cell at 75.7 px/mm. Source: thesis."""
 
 
 def cell_px(px_per_mm: float) -> int:

@@ -14,6 +14,7 @@ from operator import itemgetter
 
 import numpy as np
 
+from splitknit.findings import Finding
 from splitknit.model import FloatArray
 from splitknit_match.matching.coarse import every_pose, inverse, likely_alignments
 from splitknit_match.matching.elastic import (
@@ -28,6 +29,22 @@ from splitknit_match.matching.elastic import (
     shown_in_a,
 )
 from splitknit_match.matching.minutia_pairs import Pairing, agreeing, on_ridges, pair_minutiae
+from splitknit_match.matching.parameters import (
+    BENDS,
+    BY_BOTH,
+    BY_MINUTIAE,
+    BY_OVERLAP,
+    BY_OVERLAP_AND_MINUTIAE,
+    FEW,
+    LOG_FREQUENCIES,
+    MAX_LOG_SCALE,
+    ONE_LOG_SCALE,
+    PER_MINUTIA,
+    POSES_BENT,
+    SCALES,
+    SMALL_MM2,
+    SURE,
+)
 from splitknit_match.matching.ridge import (
     Prepared,
     RidgeMatch,
@@ -39,44 +56,6 @@ from splitknit_match.matching.ridge import (
 )
 from splitknit_match.matching.template import Template, scaled
 from splitknit_match.prints.minutiae_record import pack_minutiae
-
-_BENDS = 2
-"""Times that the shifts of patches are smoothed and followed."""
-_PER_MINUTIA = 0.1
-"""What an agreeing minutia counts when alignments are compared, beside correlation times the root
-of the patches."""
-# Slopes and offsets of logistic regressions, both classes of equal weight, on simulated presses
-# alone: `fitted` in validation/match/fvc.json, made by validation/match/fvc.py --fit.
-BY_BOTH = (3.7198, 18.8171, -9.6266)
-"""Of agreeing minutiae, correlation, offset; the offset is also the score where nothing was
-compared."""
-BY_MINUTIAE = (0.9498, -4.6929)
-"""Of the support of an alignment by minutiae alone, offset."""
-BY_OVERLAP = (8.4813, 0.5001, -5.6423)
-"""Of correlation, that times the root of the area, offset."""
-BY_OVERLAP_AND_MINUTIAE = (4.8715, 8.1117, 0.5104, -6.1373)
-"""Of agreeing minutiae, and the same. Both on windows of real prints: `fitted` in
-validation/match/windows.json."""
-SMALL_MM2 = 100.0
-"""A print that shows less is small: tried in every pose, and rated by what overlaps."""
-_POSES_BENT = 3
-"""Poses of a small print that are bent."""
-SURE = 9.0
-"""Support of an alignment from which ridges propose none: 429 of 544 matching pairs of real prints
-have it, none of the 14,000 pairs of other fingers that are most similar by minutiae
-(``validation/gallery/index.py``)."""
-SCALES = (1.0, 0.94, 1.06, 0.88, 1.12)
-"""Of a photograph, relative to that at which its ridges lie as far apart as the other side's do,
-which is wrong by 7 % (standard deviation)."""
-_MAX_LOG_SCALE = 0.15
-"""Natural logarithm of what is believed of that scale, at most."""
-_ONE_LOG_SCALE = 0.06
-"""Natural logarithm of a difference in the distance of ridges that says nothing: pairs of one
-finger have 0.03."""
-_LOG_FREQUENCIES = np.linspace(np.log(1 / 0.9), np.log(1 / 0.28), 41)
-"""Logarithms of the ridges that lie in a millimetre."""
-_FEW = 9.0
-"""Minutiae that are added to those that could agree, so that few of few count little."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -107,24 +86,22 @@ def can_fuse(*templates: Template) -> bool:
 
 def with_fusion(
     templates: Iterable[Template], probe: Template | None = None
-) -> tuple[bool, str | None]:
+) -> tuple[bool, tuple[Finding, ...]]:
     """Whether some templates (with each other, or with a probe) are compared by
-    :func:`fused_match`, and a note.
+    :func:`fused_match`, and findings.
 
     They are if one of them (and the probe) holds minutiae. What holds none is compared by its
-    ridges, on the same scale; the note counts such templates.
+    ridges, on the same scale; a finding counts such templates.
     """
     held = [can_fuse(template) for template in templates]
     fused = any(held) and (probe is None or can_fuse(probe))
     if not fused or all(held):
-        return fused, None
-    return (
-        True,
-        (
-            f"{held.count(False)} of {len(held)} templates hold no minutiae of this version; they"
-            " were compared by their ridges alone, on the same scale."
-        ),
+        return fused, ()
+    words = (
+        f"{held.count(False)} of {len(held)} templates hold no minutiae of this version; they"
+        " were compared by their ridges alone, on the same scale."
     )
+    return True, (Finding("no-minutiae", words),)
 
 
 def fused_match(
@@ -164,7 +141,7 @@ def fused_match(
     correlation = best.correlation
     if minutiae is not None:
         count, possible = _agreeing_minutiae(left, right, best.patches, best.affine, best.bend)
-        fraction = count / math.sqrt(possible + _FEW)
+        fraction = count / math.sqrt(possible + FEW)
     elif not small:
         correlation, overlap_mm2 = overlap_correlation(
             best.patches, left.band, right.band, best.affine, best.bend
@@ -183,7 +160,7 @@ def fused_photo(a: Prepared, b: Prepared, photos: Sequence[bool]) -> tuple[_Fuse
     number = int(_order(a) > _order(b)) if all(photos) else int(photos[1])
     photo, fixed = ((a, b), (b, a))[number]
     log_scale = _log_frequency(photo.template) - _log_frequency(fixed.template)
-    middle = math.exp(min(max(log_scale, -_MAX_LOG_SCALE), _MAX_LOG_SCALE))
+    middle = math.exp(min(max(log_scale, -MAX_LOG_SCALE), MAX_LOG_SCALE))
 
     def match_at(scale: float) -> _FusedMatch:
         larger = Prepared(scaled(photo.template, scale))
@@ -198,7 +175,7 @@ def at_one_scale(a: Template, b: Template) -> tuple[Template, Template, float] |
     """Two prints, the one with the finer ridges enlarged until those of both lie equally far apart,
     and by how much; None where they do as they are, within 6 %."""
     finer = _log_frequency(a) - _log_frequency(b)
-    if abs(finer) < _ONE_LOG_SCALE:
+    if abs(finer) < ONE_LOG_SCALE:
         return None
     scale = math.exp(abs(finer))
     return (scaled(a, scale), b, scale) if finer > 0 else (a, scaled(b, scale), scale)
@@ -213,9 +190,9 @@ def _log_frequency(template: Template) -> float:
     side = 1 << (max(value.shape) - 1).bit_length()
     power = np.square(np.abs(np.fft.rfft2(value - value.mean(), (side, side))))
     frequency = np.hypot(np.fft.fftfreq(side)[:, None], np.fft.rfftfreq(side)) / template.pitch_mm
-    spectrum = np.histogram(np.log(np.maximum(frequency, 1e-9)), _LOG_FREQUENCIES, weights=power)[0]
+    spectrum = np.histogram(np.log(np.maximum(frequency, 1e-9)), LOG_FREQUENCIES, weights=power)[0]
     peak = np.convolve(spectrum, (0.25, 0.5, 0.25), "same") ** 3
-    middles = 0.5 * (_LOG_FREQUENCIES[1:] + _LOG_FREQUENCIES[:-1])
+    middles = 0.5 * (LOG_FREQUENCIES[1:] + LOG_FREQUENCIES[:-1])
     return float(peak @ middles / max(float(peak.sum()), 1e-30))
 
 
@@ -263,7 +240,7 @@ def _best_alignment(a: Prepared, b: Prepared, pairings: list[Pairing], sure: flo
         bend = None if pairing is None else _bend(a, b, b.first, pairing)
         agreement = compare_patches(b.first, a.band, affine, bend)
         count = _agreeing_minutiae(a, b, b.first, affine, bend)[0] if pairings else 0.0
-        tried.append((agreement.evidence + _PER_MINUTIA * count, affine, pairing, agreement))
+        tried.append((agreement.evidence + PER_MINUTIA * count, affine, pairing, agreement))
     _, affine, pairing, agreement = max(tried, key=itemgetter(0))
     bend = None
     if pairing is None:
@@ -283,7 +260,7 @@ def _best_pose(a: Prepared, b: Prepared, pairings: list[Pairing]) -> _Alignment:
     agreements = [(compare_patches(b.close, a.band, start), start) for start in starts]
     agreements.sort(key=lambda pose: -pose[0].evidence)
     poses = []
-    for agreement, affine in agreements[:_POSES_BENT]:
+    for agreement, affine in agreements[:POSES_BENT]:
         bend = _followed(a, b.close, affine, agreement)[1]
         correlation, overlap_mm2 = overlap_correlation(b.close, a.band, b.band, affine, bend)
         ridge = RidgeMatch(correlation, correlation, overlap_mm2, compared=overlap_mm2 > 0)
@@ -299,7 +276,7 @@ def _followed(
     bend: FloatArray | None = None,
 ) -> tuple[Agreement, FloatArray]:
     """Patches after their shifts were smoothed and followed, and these shifts."""
-    for _ in range(_BENDS):
+    for _ in range(BENDS):
         bend = bent(patches, agreement, bend)
         agreement = compare_patches(patches, a.band, affine, bend)
     assert bend is not None

@@ -11,17 +11,19 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from msgspec import Struct
 from numpy.typing import NDArray
 
 from splitknit import BadInput, Capture, Reconstruction
 from splitknit.errors import naming, require
 from splitknit.files import open_file
-from splitknit.io.fields import read_json
+from splitknit.findings import Finding, Severity
+from splitknit.io.fields import converted, read_json
 from splitknit.model import Progress, Surface, no_progress, surface_of
+from splitknit_match.matching.parameters import JUDGED_MM2, LEAST_MM2, MINUTIAE_PER_MM2
 from splitknit_match.matching.ridge_band import print_band
 from splitknit_match.matching.surface import surface_template
 from splitknit_match.matching.template import (
-    LEAST_MM2,
     VERSION,
     Template,
     failed_template,
@@ -46,13 +48,16 @@ if TYPE_CHECKING:
     from splitknit.io.prints import PrintFile
     from splitknit_match.prints.pressed import PressedRidges
 
-_MINUTIAE_PER_MM2 = (0.015, 1.0)
-"""On a finger: 280 real prints have 0.06 to 0.41, squares of 9 mm of them 0.025 to 0.72."""
-_JUDGED_MM2 = 100.0
-"""Area from which on they are counted."""
 _LEAST_OF_PRINTS_MM2 = LEAST_MM2 / 3
 """Of a print a third of the area suffices that surfaces need: small sensors show little, and show
-it sharply."""
+it sharply. Source: derived; a third is judgement."""
+
+
+class _PrintReport(Struct):
+    """What counts of the report of a print's folder."""
+
+    method: str = "file"
+    findings: tuple[Finding, ...] = ()
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -69,12 +74,16 @@ class Side:
     """(H, W) of a print, at 500 ppi; of a photograph, unrolled."""
     minutiae: Minutiae | None = None
     """Minutiae of a record, a template, or a folder that ``splitknit print`` wrote."""
-    note: str | None = None
-    """What a photograph was taken for, or what was changed of a print on reading."""
+    findings: tuple[Finding, ...] = ()
+    """What a photograph was taken for, what was changed of a print on reading, and a doubt where
+    its resolution cannot be right; each names the path."""
     quality: float | None = None
     """Of a photograph, 0 to 100."""
-    doubt: str | None = None
-    """Why the resolution of a print cannot be right."""
+
+    @property
+    def doubt(self) -> Finding | None:
+        """Why the resolution of a print cannot be right."""
+        return next((each for each in self.findings if each.severity == Severity.DOUBT), None)
 
     @property
     def payload(self) -> bytes:
@@ -161,8 +170,8 @@ def read_side(  # noqa: PLR0911 - one for each kind
         from splitknit.io.prints import PrintFile
         from splitknit_match.prints.from_file import prepared  # a template needs none of it
 
-        item = prepared(PrintFile(finger.image, finger.resolution_ppi, {}))
-        return _print_side(Path("array"), item, item.doubt)
+        item = PrintFile(finger.image, finger.resolution_ppi, {})
+        return _print_side(Path("array"), prepared(item))
     if isinstance(finger, Capture):
         finger = _reconstructed(finger, preset, progress)
     if isinstance(finger, Reconstruction):
@@ -190,31 +199,40 @@ def read_side(  # noqa: PLR0911 - one for each kind
             finger, None if input_ppi is None else input_ppi / 25.4, where, photo
         )
         template = print_template(source.flat, pressed=source.pressed)
+        findings = tuple(each.of_file(finger) for each in source.findings)
         return Side(
-            finger, "photo", None, template, source.flat, note=source.scale, quality=source.quality
+            finger, "photo", None, template, source.flat, findings=findings, quality=source.quality
         )
     record = read_one_finger(finger, input_ppi)
     if isinstance(record, FingerView):
         return naming(finger, lambda: Side(finger, "minutiae", minutiae=minutiae_of(record)))
-    return _print_side(finger, record, record.doubt)
+    return _print_side(finger, record)
 
 
 def _folder_side(folder: Path, preset: str, progress: Progress) -> Side:
     """What ``splitknit print`` or ``reconstruct`` wrote, or a capture."""
     if (folder / "map.npz").is_file() and (folder / "print.png").is_file():
+        from splitknit_match.prints.fingerphoto import PHOTOGRAPH
         from splitknit_match.prints.from_file import (
             minutiae_of,
             read_print_folder,
             resolution_doubt,
         )
+        from splitknit_match.prints.sources import SCALE_OF_RIDGES
 
         picture, view = read_print_folder(folder)
         report = folder / "report.json"
-        about = read_json(report)[0] if report.is_file() else {}
-        # by a calibrated camera
-        measured = about.get("method", "file") != "file" and about.get("scale") is None
-        doubt = "" if measured else resolution_doubt(picture)
-        return _print_side(folder, picture, doubt, None if view is None else minutiae_of(view))
+        about = (
+            converted(read_json(report)[0], _PrintReport, str(report))
+            if report.is_file()
+            else _PrintReport()
+        )
+        assumed = {finding.code for finding in about.findings} & {PHOTOGRAPH, SCALE_OF_RIDGES}
+        # else it is measured by a calibrated camera
+        doubt = resolution_doubt(picture) if assumed or about.method == "file" else None
+        if doubt is not None:
+            picture = replace(picture, findings=(*picture.findings, doubt))
+        return _print_side(folder, picture, None if view is None else minutiae_of(view))
     if (folder / "height.npz").is_file():
         return _surface_side(folder, "result", read_surface(folder / "height.npz"))
     from splitknit import read_capture
@@ -240,22 +258,18 @@ def _template_side(path: Path, payload: bytes) -> Side:
     return Side(path, "template", template=unpack(payload))
 
 
-def _print_side(path: Path, item: PrintFile, doubt: str, minutiae: Minutiae | None = None) -> Side:
+def _print_side(path: Path, item: PrintFile, minutiae: Minutiae | None = None) -> Side:
     from splitknit_match.prints.from_file import print_at_500_ppi  # a template needs none of it
 
     image = naming(path, lambda: print_at_500_ppi(item)).image
     template = naming(path, lambda: print_template(image))
-    return Side(
-        path, "print", None, template, image, minutiae, note=item.note or None, doubt=doubt or None
-    )
+    findings = tuple(finding.of_file(path) for finding in item.findings)
+    return Side(path, "print", None, template, image, minutiae, findings)
 
 
 def undoubted(side: Side) -> Side:
     """The side, whose template is to be kept. Raises BadInput if its resolution cannot be right."""
-    require(
-        side.doubt is None,
-        f"{side.path}: {side.doubt} Nothing is kept of it; give the true resolution.",
-    )
+    require(side.doubt is None, f"{side.doubt} Nothing is kept of it; give the true resolution.")
     return side
 
 
@@ -308,8 +322,8 @@ def print_template(
         inside = finger.weight > 0
         minutiae = minutiae_by_phase(finger, enhance(finger))
         area_mm2 = float(inside.sum()) * (25.4 / PPI) ** 2
-        low, high = (rate * area_mm2 for rate in _MINUTIAE_PER_MM2)
-        if area_mm2 >= _JUDGED_MM2 and not low < minutiae.count < high:
+        low, high = (rate * area_mm2 for rate in MINUTIAE_PER_MM2)
+        if area_mm2 >= JUDGED_MM2 and not low < minutiae.count < high:
             lacks = (
                 f"no print of a finger: {minutiae.count} lines end or fork on {area_mm2:.0f} mm²"
             )

@@ -192,6 +192,7 @@ def make_template(
     from splitknit_match.matching.methods import (
         check_template_file,
         compared_side,
+        template_findings,
         write_template_file,
     )
     from splitknit_match.matching.results import TemplateMade
@@ -204,7 +205,8 @@ def make_template(
     side = read_side(source, preset, progress, input_ppi, where=PhotoFinger(mask, box))
     written = write_template_file(target, side)
     progress("done", 1.0)
-    return TemplateMade(compared_side(side), written, undoubted(side).payload)
+    payload = undoubted(side).payload
+    return TemplateMade(compared_side(side), written, payload, template_findings(side))
 
 
 @checked

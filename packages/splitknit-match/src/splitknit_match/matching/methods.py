@@ -15,14 +15,10 @@ from numpy.typing import NDArray
 
 from splitknit import BadInput
 from splitknit.errors import naming, require
-from splitknit_match.matching.fusion import (
-    SMALL_MM2,
-    at_one_scale,
-    can_fuse,
-    fused_match,
-    fused_photo,
-)
+from splitknit.findings import Finding, Severity, worst_first
+from splitknit_match.matching.fusion import at_one_scale, can_fuse, fused_match, fused_photo
 from splitknit_match.matching.inputs import Side, undoubted
+from splitknit_match.matching.parameters import DECIDED_AT, SMALL_MM2
 from splitknit_match.matching.results import (
     ComparedSide,
     FmrBasis,
@@ -61,8 +57,6 @@ real prints."""
 REAL_PRINTS = "match_fmr_real_prints.json"
 """The fusion's impostor scores of real prints, which state the rates that are not too small for
 them."""
-DECIDED_AT = 1e-4
-"""False match rate at which is decided whether it is one finger."""
 
 
 def compare_sides(
@@ -104,7 +98,11 @@ def compare_sides(
         match = _by_minutiae(a, b)
     else:
         match = _by_images(method, thesis, a, b)
-    match = _rated(match, scores, fmr, own)
+    doubts = [side.doubt for side in (a, b) if side.doubt is not None]
+    match = _rated(match, scores, fmr, own, doubts)
+    findings = [*a.findings, *b.findings, *match.findings]
+    findings += _failure(method, a, match.a) + _failure(method, b, match.b)
+    match = replace(match, findings=worst_first(findings))
     if method == "fusion" and not any(photos) and match.fmr is not None and match.answer != "match":
         templates = _template(a), _template(b)
         doubt = scale_doubt(*templates, fmr, own)
@@ -113,11 +111,19 @@ def compare_sides(
             and match.answer == "no match"
             and _prints_match(mirrored(templates[0]), templates[1], fmr, own)
         ):
-            doubt = (
-                "one seen in a mirror, both match: one of the pictures is mirrored; turn it round"
+            doubt = Finding(
+                "mirrored-print",
+                "one seen in a mirror, both match: one of the pictures is mirrored; turn it round.",
+                Severity.DOUBT,
             )
         if doubt is not None:
-            return replace(match, answer="undecided", undecided=doubt, decision=None)
+            return replace(
+                match,
+                answer="undecided",
+                undecided=reason(doubt),
+                decision=None,
+                findings=worst_first([*match.findings, doubt]),
+            )
     return match
 
 
@@ -176,15 +182,15 @@ def _by_ridges_and_minutiae(a: Side, b: Side, photos: Sequence[bool] | None) -> 
         acquired = minutiae.acquired or not _template(side).empty
         sides.append(replace(compared_side(side), minutiae=minutiae.count, acquired=acquired))
     left, right = Prepared(_template(a)), Prepared(_template(b))
+    findings = []
     if photos is None:
         fused = fused_match(left, right)
     else:
         fused, scale, number = fused_photo(left, right, photos)
         if abs(scale - 1) >= 0.01:
             larger = f"{100 * abs(scale - 1):.0f} % {'larger' if scale > 1 else 'smaller'}"
-            sides[number] = replace(
-                sides[number], note=f"{sides[number].note} It fits best {larger}."
-            )
+            fits = Finding("fingerphoto-scale", f"it fits best {larger}.")
+            findings.append(fits.of_file(sides[number].path))
     return MatchOfPrints(
         method="fusion",
         a=sides[0],
@@ -193,6 +199,7 @@ def _by_ridges_and_minutiae(a: Side, b: Side, photos: Sequence[bool] | None) -> 
         compared=fused.compared,
         similarity_of_ridges=fused.ridge.similarity,
         similarity_of_minutiae=fused.minutiae,
+        findings=tuple(findings),
         **_alignment(fused.ridge),
     )
 
@@ -273,10 +280,31 @@ def compared_side(side: Side) -> ComparedSide:
         side.kind,
         template.area_mm2,
         not template.empty,
-        note=template.lacks or side.note,
         quality=side.quality,
-        doubt=side.doubt,
     )
+
+
+def template_findings(side: Side) -> tuple[Finding, ...]:
+    """What is to be known of a side whose template is made."""
+    return worst_first([*side.findings, *_failure("ridge", side, compared_side(side))])
+
+
+def _failure(method: str, side: Side, compared: ComparedSide) -> list[Finding]:
+    """A finding where nothing was acquired from a side."""
+    if compared.acquired:
+        return []
+    code = "failure-to-acquire"
+    if side.template is not None and side.template.lacks:
+        code = "not-a-print"
+        lacks = side.template.lacks
+    elif method == "minutiae":
+        lacks = "fewer than ten minutiae"
+    elif side.kind == "print":
+        lacks = "less than 10 mm² of ridges, which a print must show"
+    else:
+        lacks = "no ridges"
+    path = compared.path
+    return [Finding(code, f"{path} holds {lacks} (failure to acquire).", files=(path,))]
 
 
 def side_minutiae(side: Side) -> Minutiae:
@@ -309,10 +337,9 @@ def _print_of(side: Side) -> NDArray[np.uint8]:
     return side.picture
 
 
-def doubt_of(side: Side | ComparedSide) -> str | None:
-    """Why the resolution of a side's print cannot be right, with its path; None where nothing
-    speaks against it."""
-    return None if side.doubt is None else f"{side.path}: {side.doubt}".rstrip(".")
+def reason(doubt: Finding) -> str:
+    """A doubt as the reason of an answer."""
+    return str(doubt).rstrip(".")
 
 
 def _prints_match(a: Template, b: Template, fmr: float | None, own: FmrTable | None) -> bool:
@@ -324,23 +351,26 @@ def _prints_match(a: Template, b: Template, fmr: float | None, own: FmrTable | N
 
 def scale_doubt(
     a: Template, b: Template, fmr: float | None, own: FmrTable | None = None
-) -> str | None:
+) -> Finding | None:
     """Why two prints that do not match are not shown to be of two fingers: at one scale of their
     ridges they match."""
     sides = at_one_scale(a, b)
     if sides is None or not _prints_match(*sides[:2], fmr, own):
         return None
     apart = 100 * (sides[2] - 1)
-    return (
+    return Finding(
+        "unequal-scales",
         f"the ridges of one lie {apart:.0f} % farther apart, and at one scale both match: check"
-        " their resolutions"
+        " their resolutions.",
+        Severity.DOUBT,
     )
 
 
-def _rated(match: Match, scores: str, fmr: float | None, own: FmrTable | None) -> Match:
+def _rated(
+    match: Match, scores: str, fmr: float | None, own: FmrTable | None, doubts: Sequence[Finding]
+) -> Match:
     """With the false match rate and its basis, or why there is none, and the decision at a rate, by
-    own rates."""
-    doubts = [doubt for doubt in map(doubt_of, (match.a, match.b)) if doubt is not None]
+    own rates; `doubts`: of the sides."""
     if not doubts and not (match.a.acquired and match.b.acquired):
         return replace(
             match,
@@ -357,7 +387,7 @@ def _rated(match: Match, scores: str, fmr: float | None, own: FmrTable | None) -
         rated = rate(match.similarity, scores, overlap_mm2, fmr, own)
     # one resolution confirms the other
     if doubts and not (len(doubts) == 1 and rated.answer == "match"):
-        rated = _unknown(doubts[0])
+        rated = _unknown(reason(doubts[0]))
     return replace(match, **{field.name: getattr(rated, field.name) for field in fields(Rated)})
 
 

@@ -18,6 +18,22 @@ from numpy.typing import NDArray
 
 from splitknit.model import Array, BoolArray, FloatArray
 from splitknit_match.matching.elastic import Affine, rigid
+from splitknit_match.matching.parameters import (
+    ARM_MM,
+    FITS_MM,
+    FITS_RAD,
+    MARGIN_MM,
+    MAX_COMPARED,
+    MIN_COMMON,
+    MIN_FIT,
+    PAIRS,
+    PAIRS_NEAR_MM,
+    RELAXATION_STEPS,
+    SIGMOID_CENTRE,
+    SIGMOID_SLOPE,
+    STRETCH,
+    TURN_RAD,
+)
 from splitknit_match.matching.ridge_band import RidgeBand
 from splitknit_match.prints.minutiae_record import Minutiae
 
@@ -26,42 +42,15 @@ Directed = tuple[Places, Array]
 """Places (N,) in mm and directions (N,) in radians of minutiae."""
 
 _RADIUS_MM = 3.556
-"""Radius of a cylinder."""
+"""Radius of a cylinder. Source: Cappelli et al. 2010 (70 pixels at 500 ppi)."""
 _CELLS = 8
-"""Its cells across."""
+"""Its cells across. Source: Cappelli et al. 2010."""
 _LEVELS = 6
-"""Its levels of direction."""
+"""Its levels of direction. Source: Cappelli et al. 2010."""
 _SIGMA_MM = 0.474
-"""Gaussian of a minutia's place."""
+"""Gaussian of a minutia's place. Source: Cappelli et al. 2010."""
 _SIGMA_RAD = 2 * np.pi / 9
-"""Gaussian of its direction."""
-_SIGMOID_CENTRE = 0.234
-"""The sigmoid lets many minutiae in a cell count little more than one."""
-_SIGMOID_SLOPE = 17.0
-_MARGIN_MM = 0.5
-"""So far beyond the ridges a print would still show its minutiae."""
-_MIN_COMMON = 0.5
-"""Fraction of a cylinder that both prints must show."""
-_MAX_MINUTIAE = 100
-"""Minutiae that are compared: the most reliable."""
-_PAIRS = 120
-"""Most similar pairs that are relaxed."""
-_NEAR_MM = 0.3
-"""Difference of a distance at which two pairs fit each other by 1/e."""
-_STRETCH = 0.08
-"""So much of the distance more."""
-_TURN_RAD = 0.3
-"""The same difference of an angle."""
-_STEPS = 5
-"""Of the relaxation."""
-_MIN_FIT = 0.2
-"""Pairs that fit the best one less do not go with it."""
-_ARM_MM = 3.0
-"""Direction of one minutia counts in an alignment as its place so far from the centre does."""
-_FITS_MM = 0.4
-"""Distance at which a minutia laid on another counts 1/e."""
-_FITS_RAD = 0.35
-"""The same of directions."""
+"""Gaussian of its direction. Source: Cappelli et al. 2010."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -102,9 +91,11 @@ class Pairing:
 
 
 _LINE_MM = (2 * _RADIUS_MM / _CELLS * (np.arange(_CELLS) - (_CELLS - 1) / 2)).astype(np.float32)
+"""Place of a cylinder's cells along one axis. Source: derived."""
 _LEVEL_RAD = ((2 * np.pi / _LEVELS * np.arange(_LEVELS) + np.pi) % (2 * np.pi) - np.pi).astype(
     np.float32
 )
+"""Directions of its levels. Source: derived."""
 _ROUND = np.hypot(_LINE_MM[:, None], _LINE_MM) <= _RADIUS_MM
 """Which cells of the square are a cylinder's."""
 CYLINDER = int(_ROUND.sum()) * _LEVELS
@@ -114,8 +105,8 @@ CYLINDER = int(_ROUND.sum()) * _LEVELS
 def minutia_cylinders(minutiae: Minutiae, valid: BoolArray, pitch_mm: float) -> Cylinders:
     """Cylinders of a print's minutiae; `valid` (H, W) are its ridges, mirrored as a template has
     them."""
-    if minutiae.count > _MAX_MINUTIAE:
-        best = np.argsort(-minutiae.quality.astype(np.int64), kind="stable")[:_MAX_MINUTIAE]
+    if minutiae.count > MAX_COMPARED:
+        best = np.argsort(-minutiae.quality.astype(np.int64), kind="stable")[:MAX_COMPARED]
         minutiae = minutiae.taken(np.sort(best))
     count = minutiae.count
     place = -minutiae.x_mm + 1j * minutiae.y_mm
@@ -141,9 +132,9 @@ def minutia_cylinders(minutiae: Minutiae, valid: BoolArray, pitch_mm: float) -> 
     near = (right @ up_by_direction.swapaxes(1, 2)).reshape(count, _CELLS, _CELLS, _LEVELS)[
         :, _ROUND
     ]
-    value = 1 / (1 + np.exp(_SIGMOID_SLOPE * (_SIGMOID_CENTRE - near)))
+    value = 1 / (1 + np.exp(SIGMOID_SLOPE * (SIGMOID_CENTRE - near)))
     cells = place[:, None] + (_LINE_MM[:, None] + 1j * _LINE_MM)[_ROUND] * ahead
-    reach = round(_MARGIN_MM / pitch_mm)
+    reach = round(MARGIN_MM / pitch_mm)
     print_area = cv2.dilate(
         np.pad(valid.view(np.uint8), reach), np.ones((2 * reach + 1,) * 2, np.uint8)
     )
@@ -170,20 +161,20 @@ def pair_minutiae(a: Cylinders, b: Cylinders) -> list[Pairing]:
     if min(len(a.turn), len(b.turn)) < 2:
         return []
     similarity = _similarity(a, b)
-    count = min(_PAIRS, similarity.size)
+    count = min(PAIRS, similarity.size)
     best = np.argpartition(-similarity, count - 1, axis=None)[:count]
     i, j = np.unravel_index(np.sort(best), similarity.shape)
     first = similarity[i, j].astype(float)
     fits = _compatible((a.place[i], a.turn[i]), (b.place[j], b.turn[j]))
     fits[(i[:, None] == i) | (j[:, None] == j)] = 0.0
     value = first
-    for _ in range(_STEPS):
+    for _ in range(RELAXATION_STEPS):
         value = 0.5 * value + 0.5 * (fits @ value) / (count - 1)
     pairings = []
     free = value.copy()
     for _ in range(2):
         top = int(np.argmax(free))
-        member = (fits[top] >= _MIN_FIT) | (np.arange(count) == top)
+        member = (fits[top] >= MIN_FIT) | (np.arange(count) == top)
         near = np.where(np.arange(count) == top, value, fits[top] * value)
         company: list[int] = []
         for k in np.argsort(-near, kind="stable").tolist():
@@ -202,7 +193,7 @@ def pair_minutiae(a: Cylinders, b: Cylinders) -> list[Pairing]:
                 support,
             )
         )
-        free[(fits[top] > _MIN_FIT) | (np.arange(count) == top)] = 0.0
+        free[(fits[top] > MIN_FIT) | (np.arange(count) == top)] = 0.0
     return sorted(pairings, key=lambda pairing: -pairing.support)
 
 
@@ -212,7 +203,7 @@ def agreeing(laid: Directed, minutiae: Directed) -> float:
         return 0.0
     distance = np.abs(laid[0][:, None] - minutiae[0])
     turn = _wrapped(laid[1][:, None] - minutiae[1])
-    fit = np.exp(-((distance / _FITS_MM) ** 2) - (turn / _FITS_RAD) ** 2)
+    fit = np.exp(-((distance / FITS_MM) ** 2) - (turn / FITS_RAD) ** 2)
     mutual = (fit == fit.max(axis=1, keepdims=True)) & (fit == fit.max(axis=0, keepdims=True))
     return float(fit[mutual].sum())
 
@@ -224,7 +215,7 @@ def _similarity(a: Cylinders, b: Cylinders) -> FloatArray:
     power_b = a.known @ (b.value * b.value).T
     distance = np.sqrt(np.maximum(power_a + power_b - 2 * cross, 0))
     total = np.sqrt(power_a) + np.sqrt(power_b)
-    enough = (a.known @ b.known.T >= _MIN_COMMON * a.known.shape[1]) & (total > 0)
+    enough = (a.known @ b.known.T >= MIN_COMMON * a.known.shape[1]) & (total > 0)
     return np.where(enough, 1 - distance / np.maximum(total, 1e-6), 0.0)
 
 
@@ -236,9 +227,11 @@ def _compatible(a: Directed, b: Directed) -> Array:
         for place, turn in (a, b)
     )
     distance_a, distance_b = np.abs(to_a), np.abs(to_b)
-    longer = (distance_a - distance_b) / (_NEAR_MM + _STRETCH * np.minimum(distance_a, distance_b))
+    longer = (distance_a - distance_b) / (
+        PAIRS_NEAR_MM + STRETCH * np.minimum(distance_a, distance_b)
+    )
     bearing = np.angle(to_a * np.conj(to_b))
-    misfit = longer**2 + (bearing**2 + _wrapped(turn_a - turn_b) ** 2) / _TURN_RAD**2
+    misfit = longer**2 + (bearing**2 + _wrapped(turn_a - turn_b) ** 2) / TURN_RAD**2
     return np.asarray(np.exp(-0.5 * (misfit + misfit.T)))
 
 
@@ -247,7 +240,7 @@ def _aligned(a: Directed, b: Directed, weight: Array, support: float) -> Pairing
     weight = weight / weight.sum()
     centre_a, centre_b = weight @ a[0], weight @ b[0]
     turned = weight @ (
-        (b[0] - centre_b) * np.conj(a[0] - centre_a) + _ARM_MM**2 * np.exp(1j * (b[1] - a[1]))
+        (b[0] - centre_b) * np.conj(a[0] - centre_a) + ARM_MM**2 * np.exp(1j * (b[1] - a[1]))
     )
     angle = float(np.angle(turned))
     shift = centre_b - centre_a * np.exp(1j * angle)

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
 from typing import Any
 
 from splitknit.arguments import text_of
+from splitknit.findings import Finding, Severity
 from splitknit.io.provenance import known_json
 from splitknit_match.matching.template import VERSION
 
@@ -39,12 +40,8 @@ class ComparedSide:
     print."""
     enhanced: bool | None = None
     """Whether its print was enhanced first."""
-    note: str | None = None
-    """What a photograph was taken for, and how its scale is known."""
     quality: float | None = None
     """Of a photograph, 0 to 100: percent of the finger with clear ridges."""
-    doubt: str | None = None
-    """Why the resolution of a print cannot be right; the answer is then undecided."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -120,6 +117,8 @@ class Match(Rated):
     """False: a failure to acquire, or too little overlap."""
     template: TemplateFile | None = None
     """Template of side A, where one was written."""
+    findings: tuple[Finding, ...] = ()
+    """What was assumed of both sides, or is in doubt: then the answer is undecided."""
 
     @property
     def facts(self) -> dict[str, Any]:
@@ -179,6 +178,8 @@ class TemplateMade:
     payload: bytes | None = None
     """The template itself, which `match`, `identify` and `enroll` take; no bytes for a failure to
     acquire."""
+    findings: tuple[Finding, ...] = ()
+    """What was assumed of the finger, worst first."""
 
     @property
     def facts(self) -> dict[str, Any]:
@@ -186,7 +187,7 @@ class TemplateMade:
         return dict(known_json(replace(self, payload=None)))
 
     def __str__(self) -> str:
-        lines = failure_notes("ridge", self.a)
+        lines = [f"Please note: {finding}" for finding in self.findings]
         return text_of(lines if self.template is None else [*lines, template_line(self.template)])
 
 
@@ -240,9 +241,13 @@ def match_lines(match: Match, *, scores: bool = False) -> list[str]:
             minutiae = match.similarity_of_minutiae
             words = "too few" if minutiae is None else f"{minutiae:.1f}"
             lines.append(f"Its parts: ridges {match.similarity_of_ridges:.4f}, minutiae {words}.")
-    lines += [f"{side.path}: {side.note}" for side in (match.a, match.b) if side.note]
-    lines += _how(match) + failure_notes(match.method, match.a, match.b)
+    lines += _how(match) + noted(match.findings)
     return lines if match.template is None else [*lines, template_line(match.template)]
+
+
+def noted(findings: Iterable[Finding]) -> list[str]:
+    """Lines of what is to be noted; a doubt is stated by the verdict."""
+    return [f"Please note: {each}" for each in findings if each.severity == Severity.NOTE]
 
 
 def template_line(template: TemplateFile) -> str:
@@ -254,7 +259,8 @@ def template_line(template: TemplateFile) -> str:
 
 
 def _verdict(match: Match) -> str:
-    if not match.compared and not (match.a.doubt or match.b.doubt):
+    doubted = any(finding.severity == Severity.DOUBT for finding in match.findings)
+    if not match.compared and not doubted:
         if not (match.a.acquired and match.b.acquired):
             return "Not acquired, not compared: failure to acquire."
         little = match.method in ("thesis", "fusion")
@@ -298,23 +304,3 @@ def _how(match: Match) -> list[str]:
         of_print = "" if side.kind == "minutiae" else f", quality (NFIQ 2) {quality}"
         lines.append(f"{side.path}: {side.minutiae} minutiae{of_print}")
     return lines
-
-
-def failure_notes(method: str, *sides: ComparedSide) -> list[str]:
-    """Of sides from which nothing was acquired."""
-    notes = []
-    for side in sides:
-        if side.acquired:
-            continue
-        if side.note is not None and side.note.startswith("no print of a finger"):
-            lacks = side.note
-        elif method == "minutiae":
-            lacks = "fewer than ten minutiae"
-        else:
-            lacks = (
-                "less than 10 mm² of ridges, which a print must show"
-                if side.kind == "print"
-                else "no ridges"
-            )
-        notes.append(f"Please note: {side.path} holds {lacks} (failure to acquire).")
-    return notes

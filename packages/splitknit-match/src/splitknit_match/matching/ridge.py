@@ -17,7 +17,6 @@ from splitknit.errors import require
 from splitknit.imaging.geometry import gaussian_mean
 from splitknit_match.matching.coarse import CoarseViews, inverse, likely_alignments
 from splitknit_match.matching.elastic import (
-    STEP_MM,
     Affine,
     Agreement,
     PatchGrid,
@@ -27,24 +26,18 @@ from splitknit_match.matching.elastic import (
     patch_grid,
 )
 from splitknit_match.matching.minutia_pairs import Cylinders, Places, minutia_cylinders
+from splitknit_match.matching.parameters import (
+    CLOSE_SEARCH_MM,
+    CLOSE_STEP_MM,
+    FIRST_SEARCH_MM,
+    FIRST_STEP_MM,
+    MIN_OVERLAP_MM2,
+    MIN_PAIRED,
+    REFINEMENTS,
+    STEP_MM,
+)
 from splitknit_match.matching.ridge_band import RidgeBand
 from splitknit_match.matching.template import Template, pack
-
-_REFINEMENTS = 2
-"""Affine fits to the patches' shifts."""
-_MIN_OVERLAP_MM2 = 60.0
-"""Where less skin overlaps, and it is not all that the smaller template has, the similarity is
-lowered."""
-_FIRST_STEP_MM = 2.4
-"""Step of the patches that refine the coarse alignment."""
-_FIRST_SEARCH_MM = 0.8
-"""Their search."""
-_CLOSE_STEP_MM = 1.2
-"""Step of the patches that bend a small print."""
-_CLOSE_SEARCH_MM = 0.4
-"""Their search."""
-_MIN_PAIRED = 3
-"""Minutiae of a small print that are compared; of others ten."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -94,12 +87,12 @@ class Prepared:
     @cached_property
     def first(self) -> PatchGrid:
         """Patches for the refinement."""
-        return patch_grid(self.band, _FIRST_STEP_MM, _FIRST_SEARCH_MM)
+        return patch_grid(self.band, FIRST_STEP_MM, FIRST_SEARCH_MM)
 
     @cached_property
     def close(self) -> PatchGrid:
         """Patches that bend a small print."""
-        return patch_grid(self.band, _CLOSE_STEP_MM, _CLOSE_SEARCH_MM)
+        return patch_grid(self.band, CLOSE_STEP_MM, CLOSE_SEARCH_MM)
 
     @cached_property
     def patches(self) -> PatchGrid:
@@ -110,7 +103,7 @@ class Prepared:
     def cylinders(self) -> Cylinders | None:
         """Cylinders of its minutiae; None where there are too few."""
         minutiae = self.template.minutiae
-        if minutiae is None or minutiae.count < _MIN_PAIRED:
+        if minutiae is None or minutiae.count < MIN_PAIRED:
             return None
         return minutia_cylinders(minutiae, self.template.valid, self.template.pitch_mm)
 
@@ -177,7 +170,7 @@ def lay(a: Prepared, b: Prepared) -> tuple[RidgeMatch, Affine]:
 def refined(a: Prepared, b: Prepared, start: Affine, agreement: Agreement) -> Affine:
     """Affine map that follows the shifts of large patches."""
     affine = better_affine(b.first, agreement, start)
-    for _ in range(_REFINEMENTS - 1):
+    for _ in range(REFINEMENTS - 1):
         affine = better_affine(b.first, compare_patches(b.first, a.band, affine), affine)
     return affine
 
@@ -186,6 +179,6 @@ def scored(a: Prepared, b: Prepared, agreement: Agreement) -> RidgeMatch:
     """Similarity by the patches of an alignment."""
     overlap_mm2 = float(agreement.weight.sum()) * STEP_MM**2
     smaller_mm2 = min(a.template.area_mm2, b.template.area_mm2)
-    limit_mm2 = max(min(_MIN_OVERLAP_MM2, 0.5 * smaller_mm2), 1e-9)
+    limit_mm2 = max(min(MIN_OVERLAP_MM2, 0.5 * smaller_mm2), 1e-9)
     similarity = agreement.mean * float(np.sqrt(min(1.0, overlap_mm2 / limit_mm2)))
     return RidgeMatch(similarity, agreement.mean, overlap_mm2, compared=True)

@@ -19,32 +19,24 @@ from splitknit.checks import check_mask
 from splitknit.errors import require
 from splitknit.imaging.geometry import gaussian_mean, height_gradients, sampled_at
 from splitknit.model import Array, BoolArray, FloatArray
-from splitknit_match.prints.minutiae_record import LARGEST_MM2
+from splitknit_match.matching.parameters import (
+    COARSEST_MM,
+    COHERENCE,
+    FINEST_MM,
+    FLOOR,
+    LARGEST_PX,
+    LONGEST_MM,
+    NOISE_MM,
+    PITCH_MM,
+    RIDGE_MM,
+    SLANT_DEG,
+    WINDOW_MM,
+)
+from splitknit_match.prints.parameters import LARGEST_MM2
 
 AnyArray = np.ndarray[Any, Any]
 MM_PER_INCH = 25.4
-_FINEST_MM = 1e-3
-_COARSEST_MM = 10.0
-_LONGEST_MM = 500.0
-"""Pixels and surfaces beyond these are not a finger's, and need grids and windows that fill the
-memory."""
-_LARGEST_PX = 4_000_000
-"""Largest ridge band with its margins, 200 x 200 mm; it takes 100 bytes a pixel."""
-PITCH_MM = 0.1
-"""Side of a pixel of the band."""
-RIDGE_MM = 0.32
-"""Sigma of the Gaussian mean that is subtracted, to remove what is wider than a ridge."""
-NOISE_MM = 0.05
-"""Sigma of the low-pass before sampling."""
-WINDOW_MM = 0.6
-"""Sigma of the window over which contrast is made even and ridges are tested for one direction."""
-FLOOR = 0.3
-"""Contrast below this fraction of the finger's median is not raised further; half of it is not a
-ridge at all."""
-COHERENCE = 0.2
-"""Skin whose ridges have less coherence (0 no direction, 1 parallel) is left out."""
-SLANT_DEG = 60.0
-"""Skin seen at a steeper slant is left out."""
+"""Source: definition of the inch."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -87,8 +79,8 @@ def ridge_band(  # noqa: PLR0917 - as the guide calls it
     compatibility with legacy rolled images (unrolling by arc length).
     """
     require(
-        _FINEST_MM <= pitch_mm <= _COARSEST_MM,
-        f"pitch_mm must be a number from {_FINEST_MM:g} to {_COARSEST_MM:g}, but it is {pitch_mm}.",
+        FINEST_MM <= pitch_mm <= COARSEST_MM,
+        f"pitch_mm must be a number from {FINEST_MM:g} to {COARSEST_MM:g}, but it is {pitch_mm}.",
     )
     require(
         ridge_mm.ndim == 2, f"ridge_mm must have the shape (H, W), but it has {ridge_mm.shape}."
@@ -102,17 +94,17 @@ def ridge_band(  # noqa: PLR0917 - as the guide calls it
             )
             mask = mask & np.isfinite(field)
             require(mask.any(), f"{name} is NaN all over the mask.")
-            deep = bool((np.abs(field[mask]) > _LONGEST_MM).any())
+            deep = bool((np.abs(field[mask]) > LONGEST_MM).any())
             require(
                 not deep,
-                f"{name} holds heights beyond {_LONGEST_MM:g} mm, which are not a finger's.",
+                f"{name} holds heights beyond {LONGEST_MM:g} mm, which are not a finger's.",
             )
     transform = np.eye(3) if input_from_upright is None else input_from_upright
     size = upright_size or (mask.shape[0], mask.shape[1])
     area_mm2 = float(mask.sum()) * pitch_mm**2
     require(
-        max(size) * pitch_mm <= _LONGEST_MM
-        and size[0] * size[1] * (pitch_mm / band_mm) ** 2 <= _LARGEST_PX
+        max(size) * pitch_mm <= LONGEST_MM
+        and size[0] * size[1] * (pitch_mm / band_mm) ** 2 <= LARGEST_PX
         and area_mm2 <= LARGEST_MM2,
         f"the surface is {max(size) * pitch_mm:.0f} mm long and shows {area_mm2:.0f} mm², more than"
         f" a finger's {LARGEST_MM2:.0f}; check its pitch ({pitch_mm:g} mm).",

@@ -17,13 +17,8 @@ from numpy.typing import ArrayLike
 from splitknit.errors import refusing, require
 from splitknit.io.fields import read_json
 from splitknit.model import Array
+from splitknit_match.matching.parameters import ENTRIES, FMR_ROUNDING, TAIL
 from splitknit_match.matching.results import FmrBasis
-
-_TAIL = 50
-"""Impostors by which rates are extrapolated."""
-_FMR_ROUNDING = 1e-5
-_ENTRIES = 64
-"""Entries of a table of false match rates, at most."""
 
 
 def dissimilarity(ratio: float, distances: ArrayLike) -> float:
@@ -63,7 +58,7 @@ class FmrTable:
     def rounding(self) -> float:
         """By this much similarities are rounded so that no rate comes out too low; bozorth3's are
         whole numbers."""
-        return 0.0 if self.method.startswith("minutiae") else _FMR_ROUNDING
+        return 0.0 if self.method.startswith("minutiae") else FMR_ROUNDING
 
     @property
     def basis(self) -> FmrBasis:
@@ -96,12 +91,12 @@ class FmrTable:
         be expected there.
 
         Beyond the most similar impostor the tail goes on as an exponential, whose mean is that of
-        the `_TAIL` impostors before. `fmr` is the upper limit of 95 %, of this mean and of the
+        the `TAIL` impostors before. `fmr` is the upper limit of 95 %, of this mean and of the
         number of impostors there.
         """
         from scipy.stats import chi2  # measured rates need none of it
 
-        first = int(np.searchsorted(-self.fmr * (self.impostors + 1), -(_TAIL + 1.0)))
+        first = int(np.searchsorted(-self.fmr * (self.impostors + 1), -(TAIL + 1.0)))
         first = min(first, len(self.fmr) - 2)
         count = max(float(self.fmr[first]) * (self.impostors + 1) - 1, 1.0)
         mean = float(self.fmr[first:-1] @ np.diff(self.similarity[first:])) / float(self.fmr[first])
@@ -134,7 +129,7 @@ def calibrate_scores(impostor: ArrayLike) -> FmrTable:
     )
     require(np.isfinite(scores).all(), "impostor scores contain NaN or infinite values.")
     # thresholds whose rates are evenly spaced in their logarithm, and just above the largest score
-    above = np.unique(np.round(np.geomspace(1, scores.size, _ENTRIES)).astype(np.int64))[::-1]
+    above = np.unique(np.round(np.geomspace(1, scores.size, ENTRIES)).astype(np.int64))[::-1]
     thresholds = np.concatenate([scores[scores.size - above], [np.nextafter(scores[-1], np.inf)]])
     thresholds = np.unique(thresholds)
     # between two entries the lower one's (larger) rate holds

@@ -20,9 +20,9 @@ from numpy.typing import NDArray
 from splitknit.errors import require
 from splitknit.imaging.geometry import bounding_box
 from splitknit.model import BoolArray, FloatArray
+from splitknit_match.matching.parameters import FINEST_UM, LARGEST_SIDE, LEAST_MM2
 from splitknit_match.matching.ridge_band import RidgeBand
 from splitknit_match.prints.minutiae_record import (
-    LARGEST_MM2,
     PPI,
     Minutiae,
     holds_minutiae,
@@ -30,25 +30,23 @@ from splitknit_match.prints.minutiae_record import (
     pack_minutiae,
     unpack_minutiae,
 )
+from splitknit_match.prints.parameters import LARGEST_MM2
 
 VERSION = 1
-"""Version of the payload; a reader refuses others."""
+"""Version of the payload; a reader refuses others. Source: definition of the payload."""
 _HEAD = struct.Struct("<HHIH")
 _THRESHOLD = 0.98
-"""Between a ridge and a high one, in standard deviations."""
+"""Between a ridge and a high one, in standard deviations. Source: best quantiser of a normal
+distribution with four levels (J. Max, 1960)."""
 _LEVELS = (-1.51, -0.45, 0.45, 1.51)
-"""Means of a normal distribution between these."""
+"""Values of the four levels, in standard deviations. Source: best quantiser of a normal
+distribution with four levels (J. Max, 1960)."""
 _SHIFTS = np.array([0, 2, 4, 6], dtype=np.uint8)
+"""Place of each of four pixels in a byte. Source: definition of the payload."""
 _LONG = 65535
-"""Announces a longer run."""
+"""Announces a longer run. Source: definition of the payload."""
 _NO_MINUTIAE = b"SKMI"
 """In place of the minutiae of a print that has none."""
-LEAST_MM2 = 30.0
-"""Smallest area of ridges; less is a failure to acquire."""
-_LARGEST_SIDE = 2048
-"""Rows or columns at most."""
-_FINEST_UM = 50
-"""Finer pixels count as if they were so large: work grows with their number."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -107,8 +105,8 @@ def make_template(band: RidgeBand, least_mm2: float = LEAST_MM2) -> Template:
 def _is_a_fingers(shape: tuple[int, ...], pitch_um: int) -> bool:
     """Whether a template of some rows and columns is no larger than one finger's."""
     rows, columns = shape
-    area_mm2 = rows * columns * max(pitch_um, _FINEST_UM) ** 2 / 1e6
-    return max(shape) <= _LARGEST_SIDE and 0 < area_mm2 <= LARGEST_MM2
+    area_mm2 = rows * columns * max(pitch_um, FINEST_UM) ** 2 / 1e6
+    return max(shape) <= LARGEST_SIDE and 0 < area_mm2 <= LARGEST_MM2
 
 
 def leveled(value: FloatArray, valid: BoolArray, pitch_mm: float) -> Template:

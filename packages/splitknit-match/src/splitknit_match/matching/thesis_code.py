@@ -27,8 +27,12 @@ from splitknit_match.matching.thesis import (
 
 NEIGHBOURS = {"normals": 15, "relief": 15, "shape_normals": 4}
 """Pixels around the circle of a local binary pattern, of radius one pixel."""
-CELL_PX, REACH_PX, STEP_PX = 32, 100, 5
-"""Side of a cell, largest lateral shift and its step, at 75.7 px/mm."""
+CELL_PX = 32
+"""Side of a cell at 75.7 px/mm. Source: the author's program."""
+REACH_PX = 100
+"""Largest lateral shift at 75.7 px/mm. Source: the author's program."""
+STEP_PX = 5
+"""Step of the lateral shift at 75.7 px/mm. Source: the author's program."""
 
 Labels = NDArray[np.uint8]
 
@@ -79,10 +83,6 @@ def pattern_labels(image: FloatArray, neighbours: int) -> Labels:
     return uniform_bins(neighbours)[codes]
 
 
-def _bins(neighbours: int) -> int:
-    return neighbours * (neighbours - 1) + 3
-
-
 def code_match(database: CodeSide, query: CodeSide) -> ImageMatch:
     """Compare a query with a finger of the database, as the author's program does.
 
@@ -107,7 +107,8 @@ def code_match(database: CodeSide, query: CodeSide) -> ImageMatch:
     area = (CELL_PX / cell) ** 2  # counts as at 75.7 px/mm
     distances = {}
     for attribute, names in ATTRIBUTES.items():
-        bins = _bins(NEIGHBOURS[attribute])
+        neighbours = NEIGHBOURS[attribute]
+        bins = neighbours * (neighbours - 1) + 3
         channels = [
             np.abs(
                 _counts(database.labels[name], 0, cell, (rows, columns), bins)

@@ -20,19 +20,19 @@ from numpy.typing import NDArray
 from splitknit.checks import check_mask
 from splitknit.imaging.geometry import bounding_box
 from splitknit.model import Array, BoolArray, FloatArray
+from splitknit_match.prints.parameters import MIN_FRACTION
 
 REFERENCE_PX_PER_MM = 75.7
-"""Scale at which the thesis gives the window."""
+"""Scale at which the thesis gives the window. Source: thesis."""
 WINDOW_PX = 15.0
-"""Its side there; rounded to an odd number of pixels, at least 5."""
-MIN_FRACTION = 0.75
-"""Of the window that must lie on the finger; elsewhere nothing is known."""
+"""Side of the window at that scale; rounded to an odd number of pixels, at least 5. Source: thesis.
+"""
 _AT_PITCH = ((1.0, 0.0, 0.0, 0.0, 0.0), (0.0, 1.0, 0.0, 0.0, 0.0))
-"""Derivatives of x and y where pixels lie at their pitch."""
+"""Derivatives of x and y where pixels lie at their pitch. Source: definition."""
 _POWERS = {2: [(1, 0), (0, 1), (2, 0), (1, 1), (0, 2), (0, 0)]}
 _POWERS[3] = [*_POWERS[2], (0, 3), (1, 2), (2, 1), (3, 0)]
 """Exponents (column, row) of the terms of a quadratic and a cubic; those of the derivatives come
-first."""
+first. Source: definition."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)

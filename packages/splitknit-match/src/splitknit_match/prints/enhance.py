@@ -19,14 +19,8 @@ from numpy.typing import NDArray
 
 from splitknit.errors import require
 from splitknit.model import BoolArray, FloatArray, GreyArray
+from splitknit_match.prints.parameters import CONTRAST, ENHANCED_FLOOR, GABOR_SIGMA_PERIODS
 from splitknit_match.prints.ridge_field import NO_RIDGES, RidgeField, overlap_added, ridge_field
-
-_SIGMA_PERIODS = 0.5
-"""Standard deviation of a Gabor filter, in local ridge periods."""
-_CONTRAST = 2.0
-"""Steepness of the grey curve; 0.5 is soft, 3 is nearly black and white."""
-_FLOOR = 0.15
-"""Ridges weaker than this fraction of the print's median are not raised further."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -53,11 +47,11 @@ def gabor_enhance(
     A. Jain 1998, Fingerprint image enhancement: algorithm and performance evaluation, section 2.6.
     """
     field = ridge_field(image, ppi, inside)
-    coefficients = node_amplitudes(image, field, _SIGMA_PERIODS)
+    coefficients = node_amplitudes(image, field, GABOR_SIGMA_PERIODS)
     around = cv2.GaussianBlur(np.abs(coefficients), (0, 0), 2.5)
     typical = float(np.median(around[field.mask]))
     require(typical > 0.05, NO_RIDGES)
-    floor = _FLOOR * typical
+    floor = ENHANCED_FLOOR * typical
     coefficients = (coefficients / np.maximum(around, floor)).astype(np.complex64)
     field = replace(field, mask=field.mask & (around > floor))
     require(field.mask.any(), NO_RIDGES)
@@ -71,7 +65,7 @@ def gabor_enhance(
     if inside is not None:
         soft = soft * cv2.GaussianBlur(inside.astype(np.float32), (0, 0), 1.0)
     mask = soft > 0.5
-    grey = 0.5 - 0.5 * np.tanh(_CONTRAST * wave)  # dark = 1 on ridges
+    grey = 0.5 - 0.5 * np.tanh(CONTRAST * wave)  # dark = 1 on ridges
     printed = np.round(255.0 * (1.0 - grey * np.clip(4.0 * soft - 1.5, 0.0, 1.0))).astype(np.uint8)
     return Enhanced(printed, np.where(mask, wave, 0.0).astype(np.float32), mask, field)
 

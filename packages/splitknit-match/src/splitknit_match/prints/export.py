@@ -16,7 +16,9 @@ from pathlib import Path
 from typing import Any
 
 from splitknit import BadInput, Led, read_capture, read_result, reconstruct
+from splitknit.arguments import count
 from splitknit.errors import naming, require
+from splitknit.findings import Finding, worst_first
 from splitknit.io.atomic import atomic_folder
 from splitknit.io.capture import photographs_hint
 from splitknit.io.fields import read_json, text_of
@@ -48,11 +50,12 @@ from splitknit_match.records.print_formats import FORMATS, WSQ_PPI, PrintFormat,
 
 FACTS_FILE = "export.json"
 _KEPT_PPI = (500, 1000)
-"""Resolutions that records have; prints of others are resampled to 500."""
+"""Resolutions that records have; prints of others are resampled to 500. Source: the resolutions
+that records of prints have."""
 
 Facts = dict[str, Any]
-File = tuple[str, str, Callable[[Path], object], Facts]
-"""Name and suffix of a file to write, what writes it, and its facts."""
+File = tuple[str, str, Callable[[Path], object], Facts, tuple[Finding, ...]]
+"""Name and suffix of a file to write, what writes it, its facts, and what is to be known of it."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -122,8 +125,7 @@ def export_records(
             view = item.view and replace(item.view, **label)
             form = FORMATS[to or ("iso-19794-2" if picture is None else "png")]
             facts: Facts = {"kind": item.kind, **label}
-            if picture is not None and (picture.doubt or picture.note):
-                facts["note"] = f"{picture.doubt} {picture.note}".strip()
+            findings = () if picture is None else picture.findings
             writing = Writing(
                 compression, provenance_texts(provenance({"to": form.name}, hashes)), owner=owner
             )
@@ -131,7 +133,8 @@ def export_records(
                 _encoded, picture, view, form, writing, how=minutiae, printed=item.printed
             )
             data, more = naming(source, encode)
-            yield item.name, form.suffix, partial(Path.write_bytes, data=data), facts | more
+            write = partial(Path.write_bytes, data=data)
+            yield item.name, form.suffix, write, facts | more, findings
 
     return _exported(sources, out, files, parameters, progress)
 
@@ -144,7 +147,7 @@ def export_meshes(
 
     def files(source: Path, hashes: dict[str, str]) -> Iterator[File]:
         write, facts = _lights(source, hashes) if to == "lp" else _mesh(source, to, preset, hashes)
-        yield _name_of(source), f".{to}", write, facts
+        yield _name_of(source), f".{to}", write, facts, ()
 
     return _exported(sources, out, files, {"to": to, "preset": preset}, progress)
 
@@ -162,12 +165,13 @@ def _exported(
     for source in sources:
         check_target(out, FACTS_FILE, "an earlier export", keep=source)
     rows: list[Facts] = []
+    findings: list[Finding] = []
     hashes: dict[str, str] = {}
     with atomic_folder(out) as folder:
         for number, source in enumerate(sources):
             progress(source.name, number / len(sources))
             own: dict[str, str] = {}
-            for stem, suffix, write, facts in files(source, own):
+            for stem, suffix, write, facts, of_file in files(source, own):
                 # a name that is not taken yet, on no system
                 taken = {row["file"].casefold() for row in rows}
                 ends = ["", *(f"-{k}" for k in range(2, len(rows) + 3))]
@@ -175,12 +179,19 @@ def _exported(
                 file = next(name for name in names if name.casefold() not in taken)
                 write(folder / file)
                 rows.append({"file": file, "source": str(source), **facts})
+                findings += [finding.of_file(file) for finding in of_file]
             hashes |= own
+        failed = [row["file"] for row in rows if row.get("minutiae") == 0]
+        if failed:
+            lacks = f"{count(len(failed), 'file')} without minutiae (failure to acquire)"
+            words = f"{lacks}: {failed[0]} ..."
+            findings.append(Finding("failure-to-acquire", words, files=tuple(failed)))
         facts = {
             "format": "splitknit-export",
             "to": parameters["to"],
             "files": rows,
-            "failures_to_acquire": [row["file"] for row in rows if row.get("minutiae") == 0],
+            "failures_to_acquire": failed,
+            "findings": [finding.facts for finding in worst_first(findings)],
             "provenance": provenance(parameters, hashes),
         }
         (folder / FACTS_FILE).write_text(json_text(facts), encoding="utf-8")

@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 from splitknit import BadInput
 from splitknit.checks import check_mask
 from splitknit.errors import naming, require
+from splitknit.findings import Finding
 from splitknit.finger.mask import check_borders
 from splitknit.finger.orientation import Upright, find_upright
 from splitknit.finger.phalange import find_crease, phalange_mask
@@ -32,53 +33,43 @@ from splitknit.io.prints import is_coloured
 from splitknit.model import BoolArray, FloatArray, GreyArray, PixelArray
 from splitknit.plausible import FINGER_WIDTH
 from splitknit_match.prints.enhance import node_amplitudes
-from splitknit_match.prints.from_file import USUAL_PERIOD_MM
 from splitknit_match.prints.minutiae_record import PPI
+from splitknit_match.prints.parameters import (
+    GOOD,
+    KEPT_WIDTH_PX,
+    MIN_QUALITY,
+    MIN_WIDTH_PX,
+    NEARER,
+    PAD,
+    PHOTO_CLEAR,
+    PHOTO_FAINT_WAVE,
+    PHOTO_LENGTH,
+    PHOTO_SLANT_DEG,
+    RIM_PX,
+    SHADING_PX,
+    THICKNESS,
+    USUAL_PERIOD_MM,
+)
 from splitknit_match.prints.photo_finger import PhotoFinger
 from splitknit_match.prints.photo_mask import finger_in_photo
 from splitknit_match.prints.pressed import PressedRidges, pressed_ridges, without_shading
 from splitknit_match.prints.print_map import NOWHERE, PrintMap, resample
 from splitknit_match.prints.ridge_field import RidgeField, ridge_field
 
+PHOTOGRAPH = "fingerphoto"
+"""Code of the finding of every photograph of a finger."""
 PRINTS = frozenset({".png", ".jpg", ".jpeg", ".tif", ".tiff", ".bmp"})
 """Suffixes of pictures that may be prints."""
 USUAL_WIDTH_MM = 17.0
-"""Most adults' fingers other than thumbs are 14 to 20 mm wide (T. M. Greiner, "Hand anthropometry
-of U.S. Army personnel", 1991)."""
+"""Usual width of a finger: most adults' fingers other than thumbs are 14 to 20 mm wide. Source: T.
+M. Greiner, "Hand anthropometry of U.S. Army personnel", 1991."""
 _WIDTH_SPREAD = 0.12
-"""Their relative standard deviation."""
+"""Relative standard deviation of the width of fingers. Source: T. M. Greiner, 1991."""
 SCALE_SPREAD = float(np.hypot(PEOPLE, _WIDTH_SPREAD))
 """Relative standard deviation of the distance of ridges where the width gives the scale."""
 USUAL_RIDGES = (USUAL_PERIOD_MM / 25.4 * PPI, SCALE_SPREAD)
-"""Distance of two ridges in pixels at 500 ppi, and its relative standard deviation."""
-_THICKNESS = 0.8
-"""Depth over breadth of a fingertip."""
-_MAX_SLANT_DEG = 70.0
-"""Skin that is steeper is left out of its print."""
-_LENGTH = 1.5
-"""From the tip, in widths, that is kept: about to the first crease."""
-_MIN_WIDTH_PX = 130
-"""Of the finger."""
-_MAX_WIDTH_PX = 700
-"""Of the finger in the picture that is kept."""
-_RIM_PX = 8
-"""Rim of a print that is left out."""
-_SHADING_PX = 9.0
-"""Sigma over which shading is taken out of it."""
-MIN_QUALITY = 10
-"""Of a photograph; without ridges in view it is 0 to 22 (validation/match/telephone.py)."""
-_GOOD = 50
-"""Quality from which on nothing has to be changed."""
-_CLEAR = 0.4
-"""Confidence from which on ridges are clear."""
-_FAINT = 0.003
-"""Height of a ridge's wave over the light around, at least: steps of 8 bits look like half as much.
-"""
-_NEARER = 1.04
-"""Scale of the pad over that of the outline, 7 mm behind it, for a camera about 18 cm away."""
-_PAD = (0.3, 1.1)
-"""From the tip along the skin, in widths: where ridges are as far apart as contact prints show
-them; wider below."""
+"""Distance of two ridges in pixels at 500 ppi, and its relative standard deviation. Source:
+derived."""
 
 
 def fingerphoto(path: str | os.PathLike[str]) -> Photo | None:
@@ -108,8 +99,8 @@ class FingerPhoto:
     """Where its pixels lie in the photograph, reduced where the finger is wide."""
     pitch_mm: float
     """Of that photograph."""
-    scale: str
-    """What was taken for what, and how well the scale is known; sentences."""
+    findings: tuple[Finding, ...]
+    """What was taken for what, how well the scale is known, and what to change."""
     quality: float
     """0 to 100."""
     hashes: Mapping[str, str] = field(default_factory=dict)
@@ -156,16 +147,16 @@ def finger_of_photo(
         px_per_mm is None or px_per_mm > 0, f"`px_per_mm` must be positive, but it is {px_per_mm}."
     )
     require(
-        min(pixels.shape[:2]) >= _MIN_WIDTH_PX,
+        min(pixels.shape[:2]) >= MIN_WIDTH_PX,
         "the photograph is too small to show the ridges of a finger.",
     )
     mask, direction_deg, width, note = _segmented(pixels, mask, box)
     require(
-        width >= _MIN_WIDTH_PX,
+        width >= MIN_WIDTH_PX,
         f"the finger is {width:.0f} pixels wide, too few for ridges; photograph it from nearer.",
     )
     # the finger alone, reduced, turned upright, and cut at the first crease
-    reduction = min(1.0, _MAX_WIDTH_PX / width)
+    reduction = min(1.0, KEPT_WIDTH_PX / width)
     part = bounding_box(mask, round(0.1 * width))
     light = reduce_image(pixels[(*part, 1)].astype(np.float32), reduction)
     inside = reduce_image(mask[part].astype(np.float32), reduction) > 0.5
@@ -174,11 +165,11 @@ def finger_of_photo(
     across, along, offset = upright.upright_from_input[1]
     inside &= (
         across * column + (along * row + offset)[:, None]
-        < upright.tip_row + _LENGTH * upright.width_px
+        < upright.tip_row + PHOTO_LENGTH * upright.width_px
     )
 
     # its print at the usual width, and how much of it shows ridges
-    by_width = _NEARER * upright.width_px / USUAL_WIDTH_MM
+    by_width = NEARER * upright.width_px / USUAL_WIDTH_MM
     unrolled = _unrolled(inside, upright, by_width * 25.4 / PPI)
     values, weight = resample(light, inside, 1.0 / by_width, unrolled)
     image, finger_px = _even(values, weight)
@@ -187,8 +178,8 @@ def finger_of_photo(
         *((ridges.image, PPI, ridges.inside) if ridges.inside.any() else (image, PPI, finger_px))
     )
     amplitude = np.abs(node_amplitudes(values, field, 0.75))
-    clear = field.mask & _at_nodes(ridges.confidence > _CLEAR, field)
-    clear &= amplitude > _FAINT * _at_nodes(values, field)
+    clear = field.mask & _at_nodes(ridges.confidence > PHOTO_CLEAR, field)
+    clear &= amplitude > PHOTO_FAINT_WAVE * _at_nodes(values, field)
     finger = _at_nodes(weight > 0.5, field)
     quality = 100.0 * float((clear & finger).sum()) / max(int(finger.sum()), 1)
     brightness = light[inside] / np.iinfo(pixels.dtype).max
@@ -202,15 +193,18 @@ def finger_of_photo(
     # its scale
     if px_per_mm is None:
         scale, known = _usual_scale(field, clear, by_width, upright.width_px)
-        note += f" {known}"
+        odd: tuple[Finding, ...] = ()
     else:
         scale = px_per_mm * reduction
         width_mm = upright.width_px / scale
-        note += f" by the given scale it is {width_mm:.1f} mm wide."
-        note += "".join(f" {odd}" for odd in FINGER_WIDTH.notes(width_mm, "check the scale"))
+        known = f"by the given scale it is {width_mm:.1f} mm wide."
+        odd = FINGER_WIDTH.notes(width_mm, "check the scale")
+    findings = [Finding(PHOTOGRAPH, f"{note} {known}"), *odd]
     if not upright.clear:
-        note += " Which way its tip points is not clear; turn the photograph upright."
-    note += f" Quality {quality:.0f} of 100{f': {change}' if quality < _GOOD else ''}."
+        unclear = "which way its tip points is not clear; turn the photograph upright."
+        findings.append(Finding("unsure-tip", unclear))
+    cure = f": {change}" if quality < GOOD else ""
+    findings.append(Finding("fingerphoto-quality", f"quality {quality:.0f} of 100{cure}."))
 
     # the last phalanx at 500 ppi
     phalange = phalange_mask(inside, find_crease(light, inside, upright, scale), upright)
@@ -235,7 +229,9 @@ def finger_of_photo(
         for part in (unrolled.columns, unrolled.rows)
     )
     print_map = replace(unrolled, columns=columns, rows=rows)
-    return FingerPhoto(scaled(image, 255), pressed, print_map, 1.0 / scale, note, round(quality, 1))
+    return FingerPhoto(
+        scaled(image, 255), pressed, print_map, 1.0 / scale, tuple(findings), round(quality, 1)
+    )
 
 
 def _segmented(
@@ -258,7 +254,7 @@ def _even(values: FloatArray, weight: FloatArray) -> tuple[GreyArray, BoolArray]
     """(h, w) a print of light without its shading, and where; contrast is raised alike everywhere,
     so that blocks of JPEG that lost their ridges stay flat.
     """
-    rim = disc(_RIM_PX)
+    rim = disc(RIM_PX)
     whole = (
         cv2.erode(
             (weight > 0.5).astype(np.uint8), rim, borderType=cv2.BORDER_CONSTANT, borderValue=0
@@ -266,7 +262,7 @@ def _even(values: FloatArray, weight: FloatArray) -> tuple[GreyArray, BoolArray]
         > 0
     )
     known = whole.astype(np.float32)
-    detail, _ = without_shading(np.log(np.maximum(values, 1.0)) * known, known, _SHADING_PX)
+    detail, _ = without_shading(np.log(np.maximum(values, 1.0)) * known, known, SHADING_PX)
     usual = 1.48 * float(np.median(np.abs(detail[whole]))) if whole.any() else 1.0
     grey = 127.5 - 127.5 * np.clip(detail / max(2.5 * usual, 1e-6), -1.0, 1.0)
     return np.round(grey).astype(np.uint8), whole
@@ -332,12 +328,12 @@ def _unrolled(inside: BoolArray, upright: Upright, step: float) -> PrintMap:
     middle = 0.5 * (left + right)
     half = np.maximum(0.5 * (right - left), 1.0)
 
-    along = np.concatenate([[0.0], np.cumsum(np.hypot(1.0, _THICKNESS * np.diff(half)))])
+    along = np.concatenate([[0.0], np.cumsum(np.hypot(1.0, THICKNESS * np.diff(half)))])
     # of an ellipse, whose point lies at sin(turn) from the middle
     turn = np.linspace(0.0, 0.5 * np.pi, 200)
-    slope = np.hypot(np.cos(turn), _THICKNESS * np.sin(turn))
+    slope = np.hypot(np.cos(turn), THICKNESS * np.sin(turn))
     arc = np.concatenate([[0.0], np.cumsum(0.5 * (slope[1:] + slope[:-1]) * np.diff(turn))])
-    steepest = np.arctan(np.tan(np.radians(_MAX_SLANT_DEG)) / _THICKNESS)
+    steepest = np.arctan(np.tan(np.radians(PHOTO_SLANT_DEG)) / THICKNESS)
     size = (
         int(along[-1] / step) + 1,
         2 * int(half.max() * np.interp(steepest, turn, arc) / step) + 1,
@@ -368,7 +364,7 @@ def _usual_scale(
     scale `by_width`, by which the width alone is usual; `clear`: (n, m) where they count.
     """
     back = (np.arange(len(clear)) + 0.5) * field.step_px * (25.4 / PPI / USUAL_WIDTH_MM)
-    on_pad = clear & ((back > _PAD[0]) & (back < _PAD[1]))[:, None]
+    on_pad = clear & ((back > PAD[0]) & (back < PAD[1]))[:, None]
     periods = field.period_mm(PPI)[on_pad if on_pad.any() else clear]
     by_ridges = by_width * float(np.median(periods)) / USUAL_PERIOD_MM
     require(
@@ -380,7 +376,7 @@ def _usual_scale(
     weight = PEOPLE**-2 / (PEOPLE**-2 + _WIDTH_SPREAD**-2)
     scale = by_ridges**weight * by_width ** (1.0 - weight)
     note = (
-        f"its scale is assumed, to about {100 * PEOPLE:.0f} %: {_NEARER * width_px / scale:.1f} mm"
+        f"its scale is assumed, to about {100 * PEOPLE:.0f} %: {NEARER * width_px / scale:.1f} mm"
         f" wide, ridges on its pad {USUAL_PERIOD_MM * by_ridges / scale:.2f} mm apart."
     )
     return scale, note

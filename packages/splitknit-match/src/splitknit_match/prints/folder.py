@@ -13,6 +13,7 @@ import numpy as np
 
 from splitknit import BadInput
 from splitknit.errors import naming
+from splitknit.findings import Finding, worst_first
 from splitknit.io.atomic import atomic_folder, write_file
 from splitknit.io.npz import write_npz
 from splitknit.io.prints import PrintFile, write_print_png
@@ -27,6 +28,7 @@ from splitknit_match.prints.from_file import (
 )
 from splitknit_match.prints.make import Print, enhance, measured, minutiae_by_phase
 from splitknit_match.prints.minutiae_record import PPI, Minutiae
+from splitknit_match.prints.parameters import FULL_RATING, MAX_SENTENCES, MIN_RATING
 from splitknit_match.prints.print_quality import PrintQuality
 from splitknit_match.prints.sources import Source
 from splitknit_match.records.minutiae_files import encode_minutiae_record
@@ -99,20 +101,24 @@ def write_print(
             "ridge_period_mm": {"p5": float(p5), "median": float(median), "p95": float(p95)},
             "area_mm2": round(float(printed.weight.sum()) * mm2, 1),
             "ridge_area_mm2": round(float(enhanced.mask.sum()) * mm2, 1),
-            "quality": _quality_facts(quality, method, source.quality, pictures, ppi),
+            "quality": _quality_facts(quality, source.quality, pictures, ppi),
             "minutiae": {"count": view.count, "finger": view.finger},
         }
-        if source.scale:
-            facts["scale"] = source.scale
+        findings = [*source.findings]
+        # nobody captures a file again; flanks that shine are not edges; a photograph has its own
+        if source.quality is None and method not in ("file", "specular"):
+            findings += advice(quality)
         if printed.distortion is not None:
             facts["distortion"] = printed.distortion
         if around is not None:
             from splitknit_match.prints.rolled import write_rolled  # slow to import
 
             facts["rolled"] = write_rolled(target, around)
+            findings += around.findings
         elif source.height_mm is not None:
             page = _page(source, printed, minutiae, pictures, {"facts": facts, "quality": score})
             write_file(target / "report.html", page.encode("utf-8"))
+        facts["findings"] = [finding.facts for finding in worst_first(findings)]
         facts["provenance"] = origin
         facts["files"] = sorted([file.name for file in target.iterdir()] + ["report.json"])
         write_file(target / "report.json", json_text(facts).encode("ascii"))
@@ -136,7 +142,7 @@ def print_of_file(path: Path, input_ppi: float | None) -> tuple[Source, Print]:
         item.image.shape,
         hashes={path.name: file_hash(path)},
         subject={"finger": item.finger},
-        scale=" ".join(filter(None, (item.doubt, item.note))),
+        findings=item.findings,
     )
     return source, naming(path, lambda: pressed_print(item))
 
@@ -151,7 +157,7 @@ def print_of_photo(photo: FingerPhoto) -> tuple[Source, Print]:
         np.eye(3),
         photo.flat.shape,
         hashes=photo.hashes,
-        scale=photo.scale,
+        findings=photo.findings,
         quality=photo.quality,
     )
     return source, contact_print(photo.flat, ridges.inside, ridges, photo.map)
@@ -208,22 +214,15 @@ def _page(
 # Quality of a print in the report: NFIQ 2, the figures and score of `prints.print_quality`, and
 # advice.
 
-MAX_SENTENCES = 3
-MIN_RATING = 0.7
-"""A figure of a lower rating is mentioned."""
-FULL_RATING = 0.95
-"""Of the ridges' height, from which on soft edges are the finger's own."""
-
 
 def _quality_facts(
     quality: PrintQuality,
-    method: str,
     photo: float | None,
     pictures: Mapping[str, GreyArray],
     ppi: float,
 ) -> Facts:
-    """What ``report.json`` holds under ``quality``: plain numbers and sentences; `photo`: quality
-    of a photograph."""
+    """What ``report.json`` holds under ``quality``: plain numbers; `photo`: quality of a
+    photograph."""
     from splitknit_match.prints.minutiae import NFIQ2_FAILED, nfiq2  # large, and not everywhere
 
     figures = asdict(quality.figures)
@@ -234,13 +233,9 @@ def _quality_facts(
             name: None if value is None else round(value, 3) for name, value in figures.items()
         },
         "worth": {name: round(rating, 3) for name, rating in quality.worth.items()},
-        "advice": [],
     }
     if photo is not None:  # NFIQ 2 is not for photographs
         return {**facts, "photo": photo}
-    # nobody captures a file again; flanks that shine are not edges
-    if method not in ("file", "specular"):
-        facts["advice"] = list(advice(quality))
     with contextlib.suppress(BadInput):  # the package for it is missing
         values = {name: nfiq2(picture, ppi) for name, picture in pictures.items()}
         facts["nfiq2"] = {
@@ -249,8 +244,8 @@ def _quality_facts(
     return facts
 
 
-def advice(quality: PrintQuality) -> tuple[str, ...]:
-    """What is wrong with a print and what to do, at most three sentences, the worst first; empty if
+def advice(quality: PrintQuality) -> tuple[Finding, ...]:
+    """What is wrong with a print and what to do, at most three findings, the worst first; empty if
     nothing is.
 
     Every figure rated below 0.7 is mentioned; of figures with one remedy only the worst.
@@ -258,47 +253,55 @@ def advice(quality: PrintQuality) -> tuple[str, ...]:
     figures = {name: value or 0.0 for name, value in asdict(quality.figures).items()}
     percent = {"lost": 100.0 * (1.0 - figures["ridge_share"]), "gaps": 100.0 * figures["gap_share"]}
     sharp = quality.worth.get("ridge_height_um", 0.0) >= FULL_RATING
-    sentences: dict[str, None] = {}
+    findings: dict[Finding, None] = {}
     for name, rating in sorted(quality.worth.items(), key=itemgetter(1)):
         # defocus lowers ridges as well; soft but high ones grew that way
         if rating < MIN_RATING and not (sharp and name == "sharpness"):
-            sentences[_ADVICE[name].format(**figures, **percent)] = None
-    return tuple(sentences)[:MAX_SENTENCES]
+            code, sentence = _ADVICE[name]
+            findings[Finding(code, sentence.format(**figures, **percent))] = None
+    return tuple(findings)[:MAX_SENTENCES]
 
 
 _NOISE = (
+    "noisy-ridges",
     "The picture is noisy or the finger dusty (directions or distances of ridges disagree); wipe"
-    " it, lengthen the exposure, keep the finger still, and capture again."
+    " it, lengthen the exposure, keep the finger still, and capture again.",
 )
 _PARTIAL = (
+    "few-ridges",
     "Only {ridge_length_mm:.0f} mm of ridges ({ridge_area_mm2:.0f} mm2) are in view; push the"
-    " finger further in, its pad to the camera, and capture again."
+    " finger further in, its pad to the camera, and capture again.",
 )
 _ADVICE = {
     "ridge_height_um": (
+        "weak-ridges",
         "Ridges are weak ({ridge_height_um:.0f} um), missing over {lost:.0f} % of the area: dry,"
         " worn, wet or out of focus; moisten the finger if it is dry, dry it if it is wet, check"
-        " the focus, and capture again."
+        " the focus, and capture again.",
     ),
     "ridge_share": (
+        "missing-ridges",
         "Ridges are missing over {lost:.0f} % of the finger's area; check focus and exposure, clean"
-        " finger and lens, and capture again."
+        " finger and lens, and capture again.",
     ),
     "gap_share": (
+        "gaps-in-ridges",
         "{gaps:.0f} % of the skin between ridges shows none: glare, a crease, a scar, water, dirt"
-        " or blur; wipe the finger and the lens, check the focus, and capture again."
+        " or blur; wipe the finger and the lens, check the focus, and capture again.",
     ),
     "coherence": _NOISE,
     "plausible_share": _NOISE,
     "sharpness": (
+        "soft-ridges",
         "The ridges' edges are soft; focus the camera on the finger, keep it still, and capture"
-        " again."
+        " again.",
     ),
     "ridge_area_mm2": _PARTIAL,
     "ridge_length_mm": _PARTIAL,
     "centre_offset_mm": (
+        "off-centre",
         "The ridges lie {centre_offset_mm:.0f} mm beside the finger's middle; turn its pad to the "
-        "camera and capture again."
+        "camera and capture again.",
     ),
 }
-"""Sentences by the figure that is rated low."""
+"""Codes and sentences by the figure that is rated low."""

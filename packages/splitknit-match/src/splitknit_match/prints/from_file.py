@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from splitknit import BadInput
 from splitknit.errors import require
+from splitknit.findings import Finding, Severity
 from splitknit.finger.regions import fill_holes, largest_component
 from splitknit.imaging.areas import disc
 from splitknit.io.prints import PrintFile, read_print_png
@@ -22,6 +23,22 @@ from splitknit.model import BoolArray, FloatArray, GreyArray
 from splitknit_match.prints.make import Print, enhance, minutiae_by_phase
 from splitknit_match.prints.minutiae import at_500_ppi, is_a_fingers
 from splitknit_match.prints.minutiae_record import PPI, Minutiae, no_minutiae
+from splitknit_match.prints.parameters import (
+    BLANK_LEVEL,
+    CLEAR_SCORE,
+    DARK,
+    FINE_PPI,
+    MAX_PPI,
+    MIN_PPI,
+    MIN_SIDE_PX,
+    PART_MM2,
+    RIDGES,
+    TILE_PURITY,
+    TILE_PX,
+    USUAL_PERIOD_MM,
+    USUAL_PERIODS,
+    WHITE,
+)
 from splitknit_match.prints.pressed import PressedRidges, frame, pressed_ridges, usual_contrast
 from splitknit_match.prints.print_map import PrintMap, plane_map
 from splitknit_match.prints.ridge_field import closed_opened
@@ -29,42 +46,11 @@ from splitknit_match.records.minutiae_files import read_minutiae_record
 from splitknit_match.records.minutiae_record import FINGER_CODES, RESOLUTION_500_PPI, FingerView
 from splitknit_match.records.print_formats import read_prints
 
-USUAL_PERIOD_MM = 0.46
-"""Between ridges of adults' fingers; people differ by 8 %."""
-MIN_PPI = 200.0
-"""Below there are no ridges (telephones and browsers state 72 and 96, of screens)."""
-MAX_PPI = 5080.0
-"""No scanner is above."""
-_FINE_PPI = 1000.0
-"""Above, the level of ridges is sought in a copy of 500 ppi."""
-_MIN_SIDE_PX = 40
-_TILE_PX = 32
-"""Side of a tile in whose spectrum ridges are sought."""
-_MIN_PURITY = 0.5
-"""Part of a tile's power that lies in one wave, where it shows ridges."""
-_PERIODS = 0.76, 1.47
-"""Of the usual period: those of 95 % of 280 real prints of seven sensors
-(validation/prints/any_print.py)."""
-_RIDGES = 0.4
-"""Of a picture's strong tiles, from which on ridges lie as its resolution has them; else they are
-sought at others."""
-_CLEAR = 0.2
-"""Score of a picture's ridges from which their distance is measured; 280 real prints have 0.25 or
-more."""
-_FAINT = 4.0
-"""Standard deviation in grey levels below which a picture is blank."""
-_PART_MM2 = 25.0
-"""Area of ridges from which on their distance is taken at the stated resolution."""
-# mean level beside a print, at its rim and at the picture's edge over that of its middle, in
-# contrasts of its ridges:
-# of 280 real prints -0.1 to 0.9 (validation/prints/any_print.py)
-_DARK = 0.15
-"""From which on ridges are dark."""
-_WHITE = -0.2
-"""Up to which they are white."""
-_DOUBT = (
-    "nothing beside it shows whether its ridges are dark: if they are white, invert the picture."
+_DOUBT = Finding(
+    "unknown-polarity",
+    "nothing beside it shows whether its ridges are dark: if they are white, invert the picture.",
 )
+_TURNED = Finding("white-ridges", "its ridges were white and have been turned dark.")
 
 
 def read_print_file(
@@ -72,7 +58,7 @@ def read_print_file(
 ) -> tuple[PrintFile | FingerView, ...]:
     """Read the prints of a file, of known resolution, or its minutiae.
 
-    White ridges are turned dark, which the print's `note` says.
+    White ridges are turned dark, which a finding of the print says.
 
     `path`: of any format of :data:`splitknit_match.records.print_formats.FORMATS`; `input_ppi`:
     resolution of pictures, whatever they state. Raises BadInput as
@@ -157,7 +143,9 @@ def _suggestion(image: GreyArray) -> str:
             "it shows no ridges to measure it by: give it in pixels per inch, such as"
             " `input_ppi` 500"
         )
-    low, high = (10 * round(period * 2.54 / (USUAL_PERIOD_MM * times)) for times in _PERIODS[::-1])
+    low, high = (
+        10 * round(period * 2.54 / (USUAL_PERIOD_MM * times)) for times in USUAL_PERIODS[::-1]
+    )
     return (
         f"its ridges lie {period:.1f} pixels apart, which fits {low} to {high} pixels per inch:"
         " give the value of the scanner's data sheet, such as `input_ppi` 500"
@@ -171,10 +159,10 @@ def _waves(image: NDArray[Any], step: int) -> tuple[FloatArray, FloatArray, Bool
 
     Waves of 5 to 11 pixels count; a tile whose power is largest at another period holds none.
     """
-    windows = sliding_window_view(image, (_TILE_PX, _TILE_PX))[::step, ::step]
+    windows = sliding_window_view(image, (TILE_PX, TILE_PX))[::step, ::step]
     rows = [_tile_waves(tiles) for tiles in windows]  # a row at a time bounds the memory
     purity, period, turn, contrast = (np.array(values) for values in zip(*rows, strict=True))
-    strong = contrast > max(_FAINT, 0.3 * usual_contrast(contrast))
+    strong = contrast > max(BLANK_LEVEL, 0.3 * usual_contrast(contrast))
     # ridges run on into the tiles beside
     cosine, sine, around = (cv2.blur(part, (3, 3)) for part in (turn.real, turn.imag, purity))
     agreement = np.hypot(cosine, sine) / np.maximum(around, 1e-6)
@@ -187,13 +175,13 @@ def _tile_waves(
     """Of N tiles: part of the power in the strongest wave, its period, its direction doubled, times
     that part, and the standard deviation.
     """
-    hann = np.hanning(_TILE_PX + 2)[1:-1].astype(np.float32)
+    hann = np.hanning(TILE_PX + 2)[1:-1].astype(np.float32)
     taper = np.outer(hann, hann)
-    down, right = np.meshgrid(np.fft.fftfreq(_TILE_PX), np.fft.rfftfreq(_TILE_PX), indexing="ij")
+    down, right = np.meshgrid(np.fft.fftfreq(TILE_PX), np.fft.rfftfreq(TILE_PX), indexing="ij")
     radius = np.hypot(down, right)
     mean = np.tensordot(tiles, taper, 2) / taper.sum()
     power = np.abs(np.fft.rfft2((tiles - mean[:, None, None]) * taper)).astype(np.float32) ** 2
-    power *= radius >= 1.5 / _TILE_PX
+    power *= radius >= 1.5 / TILE_PX
     # each wave is there twice, but those of the first column, which are halved
     power[..., 1:] *= 2.0
     total = power.sum(axis=(1, 2)) + 1e-6
@@ -204,7 +192,7 @@ def _tile_waves(
     best = near.argmax(axis=0)
     close = (
         np.maximum(np.abs(down[:, None] - down[best]), np.abs(right[:, None] - right[best]))
-        < 1.5 / _TILE_PX
+        < 1.5 / TILE_PX
     )
     weight = np.where(close, power.reshape(near.shape), 0.0)
     weight /= weight.sum(axis=0) + 1e-9
@@ -222,16 +210,17 @@ def prepared(item: PrintFile) -> PrintFile:
     """A print of known resolution with its ridges dark, and what is in doubt of it."""
     if not is_a_fingers(item.image, item.resolution_ppi or PPI):  # is refused where it is used
         return item
-    return _dark_ridges(replace(item, doubt=resolution_doubt(item)))
+    doubt = resolution_doubt(item)
+    return _dark_ridges(item if doubt is None else _noted(item, doubt))
 
 
-def _noted(item: PrintFile, note: str) -> PrintFile:
-    return replace(item, note=f"{item.note} {note}".strip())
+def _noted(item: PrintFile, finding: Finding) -> PrintFile:
+    return replace(item, findings=(*item.findings, finding))
 
 
-def resolution_doubt(item: PrintFile) -> str:
-    """Why a print's resolution cannot be right: its ridges would lie farther apart, or closer, than
-    in people; or "".
+def resolution_doubt(item: PrintFile) -> Finding | None:
+    """A doubt where a print's resolution cannot be right: its ridges would lie farther apart, or
+    closer, than in people.
 
     None of 280 real prints is doubted, at half or twice their resolution 259 and 261 are
     (validation/prints/any_print.py).
@@ -239,21 +228,23 @@ def resolution_doubt(item: PrintFile) -> str:
     ppi = item.resolution_ppi or PPI
     scale = 380.0 / ppi  # usual ridges lie 7 pixels apart
     period = None
-    if min(item.image.shape) * scale >= 3 * _TILE_PX:
+    if min(item.image.shape) * scale >= 3 * TILE_PX:
         small = cv2.resize(item.image, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA)
-        purity, periods, strong = _waves(small, _TILE_PX // 2)
-        ridges = purity > _MIN_PURITY
+        purity, periods, strong = _waves(small, TILE_PX // 2)
+        ridges = purity > TILE_PURITY
         if ridges.sum() >= max(
-            _RIDGES * strong.sum(), _PART_MM2 / (_TILE_PX // 2 * 25.4 / 380.0) ** 2
+            RIDGES * strong.sum(), PART_MM2 / (TILE_PX // 2 * 25.4 / 380.0) ** 2
         ):
             period = float(np.median(periods[ridges])) / scale
     period = period or _ridge_period_px(item.image)
     period_mm = USUAL_PERIOD_MM if period is None else period * 25.4 / ppi
-    if 0.9 * _PERIODS[0] < period_mm / USUAL_PERIOD_MM < 1.1 * _PERIODS[1]:
-        return ""
-    return (
+    if 0.9 * USUAL_PERIODS[0] < period_mm / USUAL_PERIOD_MM < 1.1 * USUAL_PERIODS[1]:
+        return None
+    return Finding(
+        "odd-resolution",
         f"at {ppi:.0f} ppi its ridges are {period_mm:.2f} mm apart, which is unusual: check the"
-        " resolution."
+        " resolution.",
+        Severity.DOUBT,
     )
 
 
@@ -267,7 +258,7 @@ def pressed_print(
     than 2 mm.
     """
     image = print_at_500_ppi(item).image
-    require(min(image.shape) >= _MIN_SIDE_PX, "the print must be at least 2 mm wide and high.")
+    require(min(image.shape) >= MIN_SIDE_PX, "the print must be at least 2 mm wide and high.")
     pressed = pressed or pressed_ridges(image)
     ridges = pressed.inside if inside is None else pressed.inside & inside
     require(ridges.any(), "the print has no ridges; check focus and light of the capture.")
@@ -305,7 +296,7 @@ def _dark_ridges(item: PrintFile) -> PrintFile:
     """
     ppi = item.resolution_ppi or PPI
     image = item.image
-    if ppi > _FINE_PPI:  # work grows with the pixels
+    if ppi > FINE_PPI:  # work grows with the pixels
         image = at_500_ppi(image, ppi)
         ppi = PPI
     side = max(2, round(8 * ppi / PPI))
@@ -320,7 +311,7 @@ def _dark_ridges(item: PrintFile) -> PrintFile:
     )
     usable = ~framed.reshape(rows, side, columns, side).any(axis=(1, 3))
     deviation = np.sqrt(np.maximum(square - mean * mean, 0)) * usable
-    strong = deviation > max(_FAINT, 0.35 * usual_contrast(deviation))
+    strong = deviation > max(BLANK_LEVEL, 0.35 * usual_contrast(deviation))
     whole = closed_opened(strong, 5, 2, 6) > 0
     if not whole.any():
         return item
@@ -346,10 +337,9 @@ def _dark_ridges(item: PrintFile) -> PrintFile:
     contrast = 2.6 * float(np.median(deviation[middle])) + 1e-6
     level = float(np.median(mean[middle]))
     levels = [(float(np.median(mean[region])) - level) / contrast for region in regions]
-    if len(regions) == 3 and np.mean(levels) < _WHITE and max(levels) < 0:
-        inverted = replace(item, image=255 - item.image)
-        return _noted(inverted, "its ridges were white and have been turned dark.")
-    return item if np.mean(levels) > _DARK else _noted(item, _DOUBT)
+    if len(regions) == 3 and np.mean(levels) < WHITE and max(levels) < 0:
+        return _noted(replace(item, image=255 - item.image), _TURNED)
+    return item if np.mean(levels) > DARK else _noted(item, _DOUBT)
 
 
 def _ridge_period_px(image: GreyArray) -> float | None:
@@ -363,19 +353,19 @@ def _ridge_period_px(image: GreyArray) -> float | None:
     period = None
     for k in range(-1, 9):
         scale = 2.0 ** (-k / 2)
-        if min(image.shape) * min(scale, 1) < 2 * _TILE_PX or (k < 0 and image.size > 4_000_000):
+        if min(image.shape) * min(scale, 1) < 2 * TILE_PX or (k < 0 and image.size > 4_000_000):
             continue
         kind = cv2.INTER_AREA if scale < 1 else cv2.INTER_CUBIC
         small = cv2.resize(image, None, fx=scale, fy=scale, interpolation=kind)
         purity, periods, strong = _waves(
-            small, _TILE_PX // 2 if small.size < 1_000_000 else 2 * _TILE_PX
+            small, TILE_PX // 2 if small.size < 1_000_000 else 2 * TILE_PX
         )
         count = max(int(strong.sum()) // 8, 12)
         if purity.size < count:
             continue
         score = float(np.sort(purity, axis=None)[-count:].mean())
-        score *= (float((purity > _MIN_PURITY).sum()) / max(int(strong.sum()), 1)) ** 0.25
-        if score > max(best, _CLEAR):
+        score *= (float((purity > TILE_PURITY).sum()) / max(int(strong.sum()), 1)) ** 0.25
+        if score > max(best, CLEAR_SCORE):
             best = score
             period = float(np.median(periods[purity >= 0.7 * score])) / scale
     return period

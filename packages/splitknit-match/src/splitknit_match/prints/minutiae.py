@@ -20,11 +20,19 @@ from splitknit.model import FloatArray, GreyArray
 from splitknit_match.prints.minutiae_record import (
     BIFURCATION,
     ENDING,
-    LARGEST_MM2,
     MAX_MINUTIAE,
     PPI,
     Minutiae,
     no_minutiae,
+)
+from splitknit_match.prints.parameters import (
+    CLOSED_MM,
+    EDGE_MM,
+    LARGEST_MM2,
+    MINDTCT_SIDE_PX,
+    OPENED_MM,
+    PAPER,
+    PRESSED_EDGE_MM,
 )
 from splitknit_match.prints.ridge_field import closed_opened, outline_distance_mm
 
@@ -35,17 +43,6 @@ from splitknit_match.prints.ridge_field import closed_opened, outline_distance_m
 # there, and mindtct leaves such places alone; the print of a reconstruction has full contrast up to
 # its outline.
 
-EDGE_MM = 0.6
-"""Minutiae nearer to the outline are left out: about one and a third ridge periods."""
-_PRESSED_EDGE_MM = 0.3
-"""The same of pressed prints, which fade out."""
-_PAPER = 235
-"""Brighter is paper (or the middle of a valley)."""
-_CLOSED_MM = 1.0
-"""Radius: valleys and small gaps belong to the print."""
-_OPENED_MM = 0.6
-"""Radius: thin lines beside it do not."""
-
 
 def edge_distance_mm(print_image: GreyArray) -> FloatArray:
     """(H, W) distance of every pixel to the print's outline, 0 on the paper.
@@ -53,16 +50,13 @@ def edge_distance_mm(print_image: GreyArray) -> FloatArray:
     `print_image`: (H, W) uint8 at 500 ppi, ridges dark on white paper. The image's border is an
     outline, too: the finger goes on beyond it.
     """
-    closed, opened = (round(radius * PPI / 25.4) for radius in (_CLOSED_MM, _OPENED_MM))
-    area = closed_opened(print_image < _PAPER, closed, opened, closed + 1, cv2.BORDER_CONSTANT)
+    closed, opened = (round(radius * PPI / 25.4) for radius in (CLOSED_MM, OPENED_MM))
+    area = closed_opened(print_image < PAPER, closed, opened, closed + 1, cv2.BORDER_CONSTANT)
     return outline_distance_mm(area > 0, PPI)
 
 
 NFIQ2_FAILED = 255
-"""What ISO/IEC 29794-1 gives for a quality that could not be computed."""
-MIN_SIDE_PX = 64
-"""A smaller image (3.3 mm at 500 ppi) holds no print; mindtct, given very small ones, ends the
-whole process."""
+"""What ISO/IEC 29794-1 gives for a quality that could not be computed. Source: ISO/IEC 29794-1."""
 _LOCK = threading.Lock()
 """mindtct and NFIQ 2 keep state of their own."""
 
@@ -78,7 +72,7 @@ def extract(
     resampled first. `enhance`: whether the print is enhanced first, or its enhancement, for prints
     pressed on glass or paper; relief prints of reconstructions, whose contrast is even, are taken
     as they are. Minutiae nearer to the print's outline than `edge_mm` are left out, for there every
-    ridge ends: by default :data:`splitknit_match.prints.minutiae.EDGE_MM`, and half of it after
+    ridge ends: by default :data:`splitknit_match.prints.parameters.EDGE_MM`, and half of it after
     `enhance`, as pressed prints fade out. Raises BadInput if the image or the resolution is of
     another kind, or `nbis-py` is not installed.
 
@@ -86,7 +80,7 @@ def extract(
     MINDTCT.
     """
     image = at_500_ppi(print_image, ppi)
-    if min(image.shape) < MIN_SIDE_PX:
+    if min(image.shape) < MINDTCT_SIDE_PX:
         return no_minutiae(image.shape)
     pressed = None
     if enhance:
@@ -112,7 +106,7 @@ def extract(
         image.shape,
     )
     if edge_mm is None:
-        edge_mm = EDGE_MM if pressed is None else _PRESSED_EDGE_MM
+        edge_mm = EDGE_MM if pressed is None else PRESSED_EDGE_MM
     distance_mm = (
         edge_distance_mm(image) if pressed is None else outline_distance_mm(pressed.inside, PPI)
     )
@@ -147,7 +141,7 @@ def nfiq2(print_image: GreyArray, ppi: float = PPI) -> int:
     8382, 2021.
     """
     image = at_500_ppi(print_image, ppi)
-    if min(image.shape) < MIN_SIDE_PX:
+    if min(image.shape) < MINDTCT_SIDE_PX:
         return NFIQ2_FAILED
     with _LOCK:
         try:

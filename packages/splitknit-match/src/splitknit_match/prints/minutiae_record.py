@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 
 from splitknit.errors import require
+from splitknit_match.prints.parameters import LARGEST_MM2
 from splitknit_match.records.minutiae_record import (
     BIFURCATION,
     ENDING,
@@ -40,18 +41,16 @@ __all__ = [
 ]
 
 MINUTIAE_VERSION = 1
-"""Version of the packed bytes; a reader refuses others."""
+"""Version of the packed bytes; a reader refuses others. Source: definition of the packed bytes."""
 MAX_MINUTIAE = 200
-"""bozorth3 compares no more (its MAX_BOZORTH_MINUTIAE)."""
-LARGEST_MM2 = 3600.0
-"""Of one finger: a print with what is white about it, a template's box, a surface. A rolled print
-has 1,600 (40 x 40 mm); four fingers side by side have 6,200 and are no print of one. Work and
-memory (0.4 GB) grow with it."""
+"""bozorth3 compares no more (its MAX_BOZORTH_MINUTIAE). Source: NBIS, bozorth3
+(MAX_BOZORTH_MINUTIAE)."""
 _MAGIC, _HEAD = b"SKMI", struct.Struct("<4sHHHHI")
 _ROW = np.dtype(
     [("x", "<u2"), ("y", "<u2"), ("direction", "u1"), ("type", "u1"), ("quality", "u1")]
 )
 _STEP_RAD = 2 * np.pi / 256
+"""Step of a minutia's direction. Source: definition of the packed bytes."""
 
 
 def pack_minutiae(minutiae: Minutiae) -> bytes:

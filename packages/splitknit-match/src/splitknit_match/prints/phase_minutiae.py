@@ -15,24 +15,21 @@ from splitknit.imaging.geometry import sampled_at
 from splitknit.model import Array, FloatArray, GreyArray
 from splitknit_match.prints.enhance import Enhanced
 from splitknit_match.prints.minutiae_record import BIFURCATION, ENDING, Minutiae
+from splitknit_match.prints.parameters import (
+    AGAIN,
+    APART_MM,
+    FAR_MM,
+    MIN_MISSING,
+    OPPOSITE,
+    PHASE_EDGE_MM,
+    SURE,
+    WAVE_LIKENESS,
+)
 from splitknit_match.prints.ridge_field import outline_distance_mm
 
 _CORNERS = ((1, 0), (1, 1), (0, 1), (0, 0))
-"""Corners of a square of pixels, row and column, counter-clockwise as displayed."""
-
-_EDGE_MM = 0.6
-"""Nearer to the print's outline none is taken: every ridge ends there."""
-_SURE = 0.25
-"""Confidence of ridges that do not lower the quality of minutiae."""
-_MIN_LIKENESS = 0.7
-"""Minutiae about which the print follows the wave less are left out."""
-_AGAIN = (-1.824, -0.332, 0.531, 0.814)
-"""Offset and weights of the logistic regression behind the quality: logarithm of what is missing to
-full likeness, distance to the outline and to the nearest opposite minutia. Fitted on 30 fingers of
-six sensors by ``validation/records/quality.py``."""
-_MIN_MISSING, _FAR_MM, _APART_MM, _OPPOSITE = 0.003, 4.0, 2.0, -0.5
-"""Beyond these, likeness and distances add nothing; opposite minutiae differ in direction by more
-than 120 deg."""
+"""Corners of a square of pixels, row and column, counter-clockwise as displayed. Source:
+definition."""
 
 
 def by_phase(
@@ -62,8 +59,8 @@ def by_phase(
     distance = outline_distance_mm(enhanced.mask, ppi)[rows, columns]
     like = np.clip(_likeness(image, ridges)[rows, columns], 0, 1)
     if confidence is not None:
-        like = like * np.sqrt(np.minimum(confidence[rows, columns] / _SURE, 1))
-    kept = (distance >= _EDGE_MM) & (np.round(100 * like) >= 100 * _MIN_LIKENESS)
+        like = like * np.sqrt(np.minimum(confidence[rows, columns] / SURE, 1))
+    kept = (distance >= PHASE_EDGE_MM) & (np.round(100 * like) >= 100 * WAVE_LIKENESS)
     rows = rows[kept]
     columns = columns[kept]
     place = np.stack([columns + 0.5, rows + 0.5], axis=1) + _zeros(
@@ -81,18 +78,18 @@ def by_phase(
 
 def _quality(like: FloatArray, edge_mm: FloatArray, place_mm: Array, towards: Array) -> GreyArray:
     """(N,) percent: how probably another print of the finger has these minutiae too."""
-    apart = np.full(len(like), _APART_MM)
+    apart = np.full(len(like), APART_MM)
     for k, (place, turn) in enumerate(zip(place_mm, towards, strict=True)):
-        opposite = place_mm[np.cos(towards - turn) < _OPPOSITE]
-        apart[k] = min([_APART_MM, *np.hypot(*(opposite - place).T)])
-    missing = np.log(np.maximum(1 - like.astype(float), _MIN_MISSING))
+        opposite = place_mm[np.cos(towards - turn) < OPPOSITE]
+        apart[k] = min([APART_MM, *np.hypot(*(opposite - place).T)])
+    missing = np.log(np.maximum(1 - like.astype(float), MIN_MISSING))
     return _probability(
-        np.stack([np.ones(len(like)), missing, np.minimum(edge_mm, _FAR_MM), apart], axis=1)
+        np.stack([np.ones(len(like)), missing, np.minimum(edge_mm, FAR_MM), apart], axis=1)
     )
 
 
 def _probability(terms: Array) -> GreyArray:
-    return np.asarray(np.round(100 / (1 + np.exp(-terms @ np.array(_AGAIN)))), dtype=np.uint8)
+    return np.asarray(np.round(100 / (1 + np.exp(-terms @ np.array(AGAIN)))), dtype=np.uint8)
 
 
 def _field(enhanced: Enhanced) -> tuple[Array, Array]:

@@ -22,21 +22,18 @@ from splitknit.finger.ridges import MM_PER_INCH, upright_from_print
 from splitknit.imaging.band import bin_mean
 from splitknit.imaging.geometry import bounding_box, gaussian_mean, sampled_at
 from splitknit.model import Array, BoolArray, FloatArray
+from splitknit_match.prints.parameters import (
+    LARGEST_PX,
+    MAP_STEP_MM,
+    MARGIN_MM,
+    NEWTON_STEPS,
+    SIGMA_PX,
+    SLANT_DEG,
+)
 from splitknit_match.prints.unroll import SurfaceGrid, Unrolled, extrapolated, moved, slant_cos
 
 NOWHERE = -1e6
-"""Where a print's pixel lies in the input if it shows nothing."""
-_STEP_MM = 0.25
-"""Spacing of the coarse grid on the print on which the inverse is computed."""
-_NEWTON_STEPS = 8
-_MARGIN_MM = 0.5
-"""Of a print, around all that it holds."""
-SLANT_DEG = 70.0
-"""Skin steeper than this is left out of a print: the camera hardly sees it."""
-_SIGMA_PX = 0.5
-"""Of the Gaussian before a print that is coarser than the input, pixels of the print."""
-_LARGEST_PX = 25_000_000
-"""Largest print: 250 x 250 mm at 500 ppi."""
+"""Where a print's pixel lies in the input if it shows nothing. Source: definition."""
 
 # Smooth functions on coarse grids: read anywhere, read densely, and inverted.
 #
@@ -45,7 +42,7 @@ _LARGEST_PX = 25_000_000
 
 _CATMULL_ROM = np.array([[0, -1, 2, -1], [2, 0, -5, 3], [0, 1, 4, -3], [0, 0, -1, 1]]) / 2
 """Weights of the four values around, as polynomials of the place between the middle two, constant
-term first."""
+term first. Source: E. Catmull and R. Rom, 1974."""
 
 
 def _dense(
@@ -96,7 +93,7 @@ def _inverted(values: Array, targets: Array, start: Array) -> Array:
     """Places (N, 2) at which the grid has the values `targets`, by Newton steps from `start`; NaN
     where none is."""
     places = start.copy()
-    for _ in range(_NEWTON_STEPS):
+    for _ in range(NEWTON_STEPS):
         here, slope = _cubic(values, places)
         miss = targets - here
         determinant = slope[:, 0, 0] * slope[:, 1, 1] - slope[:, 0, 1] * slope[:, 1, 0]
@@ -194,18 +191,18 @@ def unrolled_map(
         facing.any(),
         "the finger hardly faces the camera; capture it again with its pad towards it.",
     )
-    low = flat[facing].min(axis=0) - _MARGIN_MM
-    high = flat[facing].max(axis=0) + _MARGIN_MM
+    low = flat[facing].min(axis=0) - MARGIN_MM
+    high = flat[facing].max(axis=0) + MARGIN_MM
     size = _checked_size(*(int(np.ceil(length)) for length in (high - low)[::-1] * px_per_mm))
     # mirrored, as paper shows it
     print_of_grid = 0.5 * (np.array(size[::-1]) - 1) - (flat - 0.5 * (low + high)) * px_per_mm
-    columns, rows = _dense_inverse(print_of_grid, grid, size, _STEP_MM * px_per_mm, slant_deg)
+    columns, rows = _dense_inverse(print_of_grid, grid, size, MAP_STEP_MM * px_per_mm, slant_deg)
     return PrintMap(kind, ppi, columns, rows, grid.input_from_grid, print_of_grid)
 
 
 def _checked_size(rows: int, columns: int) -> tuple[int, int]:
     require(
-        rows * columns <= _LARGEST_PX,
+        rows * columns <= LARGEST_PX,
         f"the print would have {rows} x {columns} pixels, more than any finger's; check the scale"
         " of its input.",
     )
@@ -282,7 +279,7 @@ def resample(
     weight = bin_mean(inside.astype(np.float32), factor)
     values = bin_mean(np.where(inside, field[rows, columns], 0.0).astype(np.float32), factor)
     if step > 1.0:
-        sigma = float(np.sqrt(max((_SIGMA_PX * step) ** 2 - (factor**2 - 1) / 12, 0.01))) / factor
+        sigma = float(np.sqrt(max((SIGMA_PX * step) ** 2 - (factor**2 - 1) / 12, 0.01))) / factor
         weight = gaussian_mean(weight, sigma)
         values = gaussian_mean(values, sigma) / np.maximum(weight, 1e-3) * (weight > 1e-3)
     x = (print_map.columns - columns.start + 0.5) / factor - 0.5

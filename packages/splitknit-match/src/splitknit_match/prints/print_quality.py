@@ -14,6 +14,15 @@ from splitknit.imaging.areas import disc
 from splitknit.imaging.geometry import gaussian_mean
 from splitknit.model import BoolArray, FloatArray
 from splitknit_match.prints.enhance import node_amplitudes
+from splitknit_match.prints.parameters import (
+    CLOSE_MM,
+    MIN_HEIGHT_UM,
+    MIN_PART,
+    PERIOD_TOLERANCE,
+    SMOOTH_MM,
+    WAVE_PURITY,
+    WAVE_SIGMA_PERIODS,
+)
 from splitknit_match.prints.ridge_field import RidgeField
 
 # Figures of a print's quality: strength, direction, period, sharpness and extent of its ridges.
@@ -23,14 +32,6 @@ from splitknit_match.prints.ridge_field import RidgeField
 # values, whose contrast is made even. At nodes about 0.4 mm apart a plane wave is fitted: its
 # height, its fraction of
 # all that varies around it, and its second harmonic, which shows how sharp the ridges' edges are.
-
-_SIGMA_PERIODS = 0.75
-"""Standard deviation of the window in which a wave is fitted, in ridge periods."""
-_SMOOTH_MM = 0.6
-"""Values are taken relative to their Gaussian mean of this standard deviation."""
-_CLOSE_MM = 3.0
-"""Gaps up to about twice as wide, with ridges around, are distinguished from an outline that has
-none."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -69,17 +70,17 @@ def _waves(
     """Waves at the nodes (n, m), their second harmonics, and the fraction of the variance that a
     wave explains."""
     inside = np.clip(weight, 0.0, 1.0).astype(np.float32)
-    around = np.maximum(gaussian_mean(inside, _SMOOTH_MM * px), 1e-3)
+    around = np.maximum(gaussian_mean(inside, SMOOTH_MM * px), 1e-3)
     centred = np.where(inside > 0, values, 0.0).astype(np.float32)
     # the second pass takes out what a one-sided window leaves of a slope at the outline
     for _ in range(2):
-        mean = gaussian_mean(centred * inside, _SMOOTH_MM * px) / around
+        mean = gaussian_mean(centred * inside, SMOOTH_MM * px) / around
         centred = np.where(inside > 0, centred - mean, 0.0).astype(np.float32)
     centred = (centred * inside).astype(np.float32)
     twice = replace(sampled, frequency_px=2.0 * sampled.frequency_px)
-    first = node_amplitudes(centred, sampled, _SIGMA_PERIODS)
-    second = node_amplitudes(centred, twice, 2.0 * _SIGMA_PERIODS)
-    width = _SIGMA_PERIODS / float(np.median(sampled.frequency_px[sampled.mask]))
+    first = node_amplitudes(centred, sampled, WAVE_SIGMA_PERIODS)
+    second = node_amplitudes(centred, twice, 2.0 * WAVE_SIGMA_PERIODS)
+    width = WAVE_SIGMA_PERIODS / float(np.median(sampled.frequency_px[sampled.mask]))
     covered = np.maximum(gaussian_mean(inside, width), 0.3)
     variance = _at_nodes(
         (gaussian_mean(centred * centred, width) / covered).astype(np.float32), sampled
@@ -112,7 +113,7 @@ def _gaps(strong: BoolArray, finger: BoolArray, cell_mm: float) -> float:
     """Fraction of the closed area of the ridges (cells) that has none."""
     if not strong.any():
         return 1.0
-    reach = max(1, round(_CLOSE_MM / cell_mm))
+    reach = max(1, round(CLOSE_MM / cell_mm))
     closed = cv2.morphologyEx(np.pad(strong.view(np.uint8), reach), cv2.MORPH_CLOSE, disc(reach))
     return float(1.0 - strong[finger & (closed[reach:-reach, reach:-reach] > 0)].mean())
 
@@ -125,14 +126,6 @@ def _at_nodes(image: FloatArray, field: RidgeField) -> FloatArray:
     return np.asarray(cv2.resize(padded, (m, n), interpolation=cv2.INTER_AREA))
 
 
-_MIN_PART = 0.01
-"""Rating of the worst figure: no single one makes the score 0."""
-_MIN_PURITY = 0.3
-"""Fraction of what varies around a place that one wave must explain, or there are no ridges."""
-_MIN_HEIGHT_UM = 10.0
-"""Ridges that rise less above their valleys count as none (prints of the relief)."""
-_PERIOD_TOLERANCE = 0.35
-"""A ridge period further from the finger's median than this, relative, is not plausible."""
 PARTS = {
     "ridge_share": (0.2, 1.0, 0.3),
     "ridge_height_um": (5.0, 50.0, 0.3),
@@ -193,13 +186,13 @@ def print_quality(
         return PrintQuality(*score_of(nothing), nothing)
     first, second, purity = _waves(values, weight, sampled, px)
     height = 2.0 * np.abs(first)
-    strong = sampled.mask & (purity > _MIN_PURITY)
+    strong = sampled.mask & (purity > WAVE_PURITY)
     if in_um:
-        strong &= height > _MIN_HEIGHT_UM
+        strong &= height > MIN_HEIGHT_UM
     period = 1.0 / (field.frequency_px * px)
     typical = float(np.median(period[sampled.mask]))
-    near = (period > typical * (1.0 - _PERIOD_TOLERANCE)) & (
-        period < typical * (1.0 + _PERIOD_TOLERANCE)
+    near = (period > typical * (1.0 - PERIOD_TOLERANCE)) & (
+        period < typical * (1.0 + PERIOD_TOLERANCE)
     )
     middle = float(np.nonzero(finger)[1].mean())
     figures = QualityFigures(
@@ -228,7 +221,7 @@ def score_of(figures: QualityFigures) -> tuple[float, dict[str, float]]:
     ridges. Figures that are None are left out.
     """
     ratings = {
-        name: float(np.clip((figure - useless) / (good - useless), _MIN_PART, 1.0))
+        name: float(np.clip((figure - useless) / (good - useless), MIN_PART, 1.0))
         for name, (useless, good, _) in PARTS.items()
         if (figure := getattr(figures, name)) is not None
     }

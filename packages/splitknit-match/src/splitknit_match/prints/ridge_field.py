@@ -18,23 +18,17 @@ from numpy.typing import NDArray
 from splitknit.errors import require
 from splitknit.imaging.areas import disc
 from splitknit.model import BoolArray, FloatArray, GreyArray
+from splitknit_match.prints.parameters import (
+    LONGEST_PERIOD_MM,
+    MIN_STRENGTH,
+    NARROW_MM,
+    NODE_STEP_MM,
+    SHORTEST_MM,
+    SPECTRUM_WINDOW_MM,
+    WIDE_MM,
+)
 
-# lengths in mm on the print
-_STEP_MM = 0.2
-"""Between two nodes (rounded to whole pixels)."""
-_NARROW_MM = 0.3
-"""Standard deviation over which the narrow structure tensor is averaged."""
-_WIDE_MM = 0.8
-"""Standard deviation over which the wide one is averaged."""
-_WINDOW_MM = 1.63
-"""Side of the windows whose spectra give the frequency."""
-_SHORTEST_MM = 0.25
-"""Shortest ridge period that is accepted."""
-_LONGEST_MM = 0.9
-"""Longest ridge period that is accepted."""
 NO_RIDGES = "the print has no ridges; check focus and light of the capture."
-_MIN_STRENGTH = 0.2
-"""Contrast below this fraction of the print's strong parts is background."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -71,7 +65,7 @@ def ridge_field(
     """
     require(min(image.shape) * 25.4 / ppi >= 2.0, "the print must be at least 2 mm wide and high.")
     px = ppi / 25.4
-    step = max(2, round(_STEP_MM * px))
+    step = max(2, round(NODE_STEP_MM * px))
     n, m = (-(-size // step) for size in image.shape)
     below = n * step - image.shape[0]
     beside = m * step - image.shape[1]
@@ -85,7 +79,7 @@ def ridge_field(
     )
     tensor = xx + yy, xx - yy, 2.0 * xy
     narrow, wide = (
-        [_blur(part, length * px / step) for part in tensor] for length in (_NARROW_MM, _WIDE_MM)
+        [_blur(part, length * px / step) for part in tensor] for length in (NARROW_MM, WIDE_MM)
     )
     mask = _extent(np.sqrt(np.maximum(wide[0], 0.0)), px / step)
     if inside is not None:
@@ -176,7 +170,7 @@ def _extent(strength: FloatArray, nodes_per_mm: float) -> BoolArray:
         return np.zeros(strength.shape, dtype=bool)
     radius = max(1, round(0.8 * nodes_per_mm))
     closed = closed_opened(
-        strength > _MIN_STRENGTH * high, radius, radius, 2 * radius + 1, cv2.BORDER_CONSTANT
+        strength > MIN_STRENGTH * high, radius, radius, 2 * radius + 1, cv2.BORDER_CONSTANT
     )
     mask = _larger(closed > 0, 4 * nodes_per_mm**2, 8)
     return ~_larger(~mask, 4 * nodes_per_mm**2, 4)
@@ -191,7 +185,7 @@ def _frequencies(
     centroid of the power within two bins of it: under a Hann window that has no bias, wherever
     between the bins a wave lies.
     """
-    least = max(16, round(_WINDOW_MM * px))
+    least = max(16, round(SPECTRUM_WINDOW_MM * px))
     # of small prime factors: quick to transform
     side = next(n for n in range(least, 2 * least) if 30**12 % n == 0)
     pad = side // 2
@@ -215,8 +209,8 @@ def _frequencies(
     ky, kx = np.meshgrid(np.fft.fftfreq(side), np.arange(-3, side // 2 + 1) / side, indexing="ij")
     radius = np.hypot(kx, ky).ravel()
     reach = 2.5 / side
-    low = 1.0 / (_LONGEST_MM * px)
-    high = 1.0 / (_SHORTEST_MM * px)
+    low = 1.0 / (LONGEST_PERIOD_MM * px)
+    high = 1.0 / (SHORTEST_MM * px)
     band = (radius > low - reach) & (radius < high + reach)
     x, y = (k.ravel()[band].astype(np.float32) for k in (kx, ky))
     power = power[:, band]

@@ -14,22 +14,13 @@ from splitknit.imaging.polarised import without_films
 from splitknit.io.mesh import triangulate, write_ply
 from splitknit.model import Array, BoolArray, FloatArray, Progress
 from splitknit_match.prints.make import Print
+from splitknit_match.prints.parameters import NODES_MM, RINGS, SIDE_MM
 from splitknit_match.prints.print_map import PrintMap, resample, unrolled_map
 from splitknit_match.prints.sources import Source
-from splitknit_match.prints.unroll import (
-    NODES_MM,
-    RINGS,
-    SurfaceGrid,
-    extrapolated,
-    longest_run,
-    unroll,
-)
+from splitknit_match.prints.unroll import SurfaceGrid, extrapolated, longest_run, unroll
 from splitknit_match.rolled.chart import Chart
 from splitknit_match.rolled.finger import Rolled, rolled_finger
 from splitknit_match.rolled.views import find_mirror_views
-
-SIDE_MM = 14.0
-"""Coverage is reported for the rows from the tip's cap downwards, as far as this."""
 
 
 def print_around(

@@ -13,7 +13,11 @@ import numpy as np
 
 from splitknit import Capture, Reconstruction
 from splitknit.errors import naming, require
+from splitknit.findings import Finding
 from splitknit.model import Array, BoolArray, FloatArray, Progress, no_progress
+
+SCALE_OF_RIDGES = "scale-of-ridges"
+"""Code of the finding of a scale that was found in the ridges."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -39,8 +43,8 @@ class Source:
     preset: str | None = None
     hashes: Mapping[str, str] = field(default_factory=dict)
     subject: Mapping[str, Any] = field(default_factory=dict)
-    scale: str = ""
-    """How the scale was found in the ridges, where it was."""
+    findings: tuple[Finding, ...] = ()
+    """What was assumed of it: how the scale was found in the ridges, where it was."""
     quality: float | None = None
     """Of a photograph of a finger, 0 to 100."""
 
@@ -83,7 +87,7 @@ def read_source(
             path, lambda: with_scale(read_capture(path), px_per_mm, ridge_period_mm)
         )
         source = naming(path, lambda: source_of_capture(capture, photo, surface, preset, progress))
-        return replace(source, scale=note)
+        return replace(source, findings=_scale_findings(note))
     result = path / "height.npz" if path.is_dir() else path
     require(
         result.is_file() and result.suffix.lower() == ".npz",
@@ -148,7 +152,12 @@ def _of_result(path: Path, px_per_mm: float | None, ridge_period_mm: float | Non
             shape_mm=result.shape_mm * factor,
         )
     source = naming(path, lambda: source_of(result))
-    return replace(source, hashes={path.name: file_hash(path)}, scale=note)
+    hashes = {path.name: file_hash(path)}
+    return replace(source, hashes=hashes, findings=_scale_findings(note))
+
+
+def _scale_findings(note: str) -> tuple[Finding, ...]:
+    return (Finding(SCALE_OF_RIDGES, note),) if note else ()
 
 
 def source_of_capture(

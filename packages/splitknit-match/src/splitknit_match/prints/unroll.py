@@ -23,28 +23,21 @@ from splitknit.imaging.band import bin_mean
 from splitknit.imaging.geometry import bounding_box
 from splitknit.model import Array, BoolArray, FloatArray
 from splitknit_match.prints.curvature import normal_matrices, windowed
+from splitknit_match.prints.parameters import (
+    CENTRE_WEIGHT,
+    FARTHEST_MM,
+    FINEST_MM,
+    FIT_WINDOW_MM,
+    ITERATIONS,
+    LONGEST_SURFACE_MM,
+    NODES_MM,
+    RINGS,
+)
 
 KINDS = ("free", "arc")
-_ITERATIONS = 10
-"""Rounds of relaxation at most."""
-CENTRE_WEIGHT = 4.0
-"""Weight of the skin as a power of the cosine of its slant: 0 spreads the distortion evenly, larger
-values keep the middle undistorted at the cost of the sides."""
-NODES_MM = 0.5
-"""Distance of the nodes on the finger plane."""
 _POWERS = [(0, 0), (1, 0), (0, 1), (2, 0), (1, 1), (0, 2)]
-"""Exponents of x and y of the local quadratic."""
-_WINDOW_MM = 0.3
-"""Standard deviation of the Gaussian window of the local fits."""
-_FINEST_MM = 1e-3
-"""Pitch of a surface."""
-_LONGEST_MM = 200.0
-"""Length of a surface that can be a finger's."""
-_FARTHEST_MM = 1e6
-"""What can be a place of it."""
+"""Exponents of x and y of the local quadratic. Source: definition."""
 _TOO_SMALL = "the mask is too small to be unrolled: it must be some millimetres wide."
-RINGS = 3
-"""Nodes outside the mask that are extrapolated."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -86,12 +79,12 @@ def surface_grid(
     distance of the nodes. The upright frame has `upright_size` rows and columns.
     """
     require(
-        _FINEST_MM <= pitch_mm < _LONGEST_MM,
-        f"pitch_mm must be a number from {_FINEST_MM:g} to {_LONGEST_MM:g}, not {pitch_mm}.",
+        FINEST_MM <= pitch_mm < LONGEST_SURFACE_MM,
+        f"pitch_mm must be a number from {FINEST_MM:g} to {LONGEST_SURFACE_MM:g}, not {pitch_mm}.",
     )
     mask = check_mask(mask, shape_mm.shape)
     fields = [shape_mm, *(xy_mm or ())]
-    mask = mask & (np.abs(fields) < _FARTHEST_MM).all(axis=0)  # nor where it is NaN
+    mask = mask & (np.abs(fields) < FARTHEST_MM).all(axis=0)  # nor where it is NaN
     require(
         mask.any(),
         "the surface has no finite height inside its mask; reconstruct the capture again.",
@@ -107,7 +100,7 @@ def surface_grid(
     high = np.minimum(places.max(axis=0) + 4.0, np.array(upright_size[::-1]) - 1 + beyond)
     longest = float((high - low).max()) * pitch_mm
     require(
-        longest < _LONGEST_MM,
+        longest < LONGEST_SURFACE_MM,
         f"the surface is {longest:.0f} mm long, more than any finger; check its scale.",
     )
     margin = (RINGS + 1) * step
@@ -181,7 +174,7 @@ def _fits(
     require(min(inside.shape) >= factor, _TOO_SMALL)
     # whole blocks only: no shifted means
     weight = bin_mean(inside.astype(np.float32), factor) > 0.99
-    sigma = _WINDOW_MM / (pitch_mm * factor)
+    sigma = FIT_WINDOW_MM / (pitch_mm * factor)
     reach = int(np.ceil(3.0 * sigma))
     offset = np.arange(-reach, reach + 1) / sigma
     window = np.exp(-0.5 * offset**2)
@@ -365,7 +358,7 @@ def _relaxed(grid: SurfaceGrid, start: Array, centre_weight: float) -> Array:
         options={"SymmetricMode": True},
     )  # fmt: skip
     pull = laplacian[free][:, [pinned]].toarray() * flat[[pinned]]
-    for _ in range(_ITERATIONS):
+    for _ in range(ITERATIONS):
         turn = back @ plane  # of each triangle, as fits the nodes best
         turn /= np.maximum(np.abs(turn), 1e-12)
         right = (edges @ turn).view(float).reshape(-1, 2)

@@ -353,29 +353,27 @@ def _print_lines(facts: Mapping[str, Any]) -> list[str]:
     size = f"{columns} x {rows} pixels at {facts['ppi']:g} ppi"
     ridges = f"{facts['ridge_area_mm2']:.0f} mm² of ridges, {period:.2f} mm apart"
     lines = [f"Print ({facts['method']}) of {size}, {where}: {ridges}."]
-    if "scale" in facts:
-        lines.append(f"Please note: {facts['scale']}")
     if "rolled" in facts:
         rolled = facts["rolled"]
         reach = rolled["coverage_deg"]["median"]
         lines.append(
             f"It reaches {reach:.0f} deg around the finger, from {len(rolled['views'])} views."
         )
-        lines += [f"Please note: {warning}" for warning in rolled["warnings"]]
     if facts.get("distortion"):
         median, p95 = facts["distortion"].values()
         off = f"{median:.1f} % (median) and {p95:.1f} % (95th percentile)"
         lines.append(f"Lengths are off by {off}, whichever way is worse.")
     lines.append(f"{facts['minutiae']['count']} minutiae.")
     quality = facts["quality"]
-    if "photo" not in quality:  # a photograph's note states it
+    if "photo" not in quality:  # a photograph's finding states it
         scores = f"Quality: {quality['ours']:.0f} of 100"
         if quality["nfiq2"] is not None:
             of_print, of_enhanced = (
                 "none" if value is None else value for value in quality["nfiq2"].values()
             )
             scores += f"; NFIQ 2 is {of_print} (print) and {of_enhanced} (enhanced)"
-        lines += [f"{scores}.", *quality["advice"]]
+        lines.append(f"{scores}.")
+    lines += [f"Please note: {finding['message']}" for finding in facts["findings"]]
     lines.append(f"Written to {facts['out']}: {', '.join(facts['files'])}.")
     return lines
 
@@ -389,9 +387,4 @@ def _export_lines(facts: Mapping[str, Any]) -> list[str]:
     lines = [f"Wrote {count(len(files), 'file')} and export.json to {facts['out']}{first}{mean}."]
     if "vertices" in files[0]:
         lines.append(f"{files[0]['vertices']:,} vertices, {files[0]['faces']:,} triangles, in mm.")
-    lines += [f"Please note: {file['file']}: {file['note']}" for file in files if "note" in file]
-    failed = facts["failures_to_acquire"]
-    if failed:
-        failures = f"{count(len(failed), 'file')} without minutiae (failure to acquire)"
-        lines.append(f"Please note: {failures}: {failed[0]} ...")
-    return lines
+    return lines + [f"Please note: {finding['message']}" for finding in facts["findings"]]

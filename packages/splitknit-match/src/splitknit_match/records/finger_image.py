@@ -22,16 +22,16 @@ from splitknit_match.records.minutiae_record import (
     name_of,
     standard_code,
 )
+from splitknit_match.records.parameters import MAX_IMAGES, MAX_PIXELS
 from splitknit_match.records.wsq_image import decode_wsq, encode_wsq
 
 MAGIC = b"FIR\0"
-MAX_PIXELS = 64_000_000
-"""Pixels of all images of a file together, at most."""
 _V2005 = b"010\0"
 _PARAMETERS = struct.Struct(">HHBBHHHHBBH")
 """Layout of the header of 2005, from the capture device on."""
 _VIEW = struct.Struct(">IBBBBBHHB")
 _HEADER_BYTES = 14 + _PARAMETERS.size
+"""Bytes of the header. Source: ISO/IEC 19794-4:2005."""
 WRITTEN = ("none", "png", "wsq", "jp2")
 """Compressions; ``jp2`` is JPEG 2000 without loss."""
 _CODES = {"none": 0, "wsq": 2, "jpeg": 3, "jp2": 4, "png": 5}
@@ -39,9 +39,10 @@ _LEVELS = {500: 30, 1000: 40}
 """Acquisition levels of 8 bits, by pixels per inch, of devices that nobody certified (31 and 41:
 certified)."""
 _NO_QUALITY = 254
-"""The only value that ISO/IEC 19794-4:2005 has for the quality: not defined."""
+"""The only value that the standard has for the quality: not defined. Source: ISO/IEC 19794-4:2005.
+"""
 _CM_PER_INCH = 2.54
-_MAX_VIEWS = 1000
+"""Source: definition of the inch."""
 _IMPRESSIONS = {**ANSI_2004_IMPRESSIONS, "unknown": 29}
 _NEAREST = {"contactless_rolled": "contactless", "unknown": "live_plain", "other": "live_plain"}
 """Impression types without a code, and what is written for them."""
@@ -112,7 +113,7 @@ def decode_finger_images(data: bytes, name: str = "the record") -> tuple[PrintFi
     compression = compression_of(code, {number: words for words, number in _CODES.items()}, name)
     prints: list[PrintFile] = []
     left = MAX_PIXELS
-    while cursor.place < len(data) and len(prints) < _MAX_VIEWS:
+    while cursor.place < len(data) and len(prints) < MAX_IMAGES:
         what = f"image {len(prints) + 1}"
         length, finger, _, _, _, impression, columns, rows, _ = cursor.unpack(
             _VIEW, f"the header of {what}"
@@ -127,7 +128,7 @@ def decode_finger_images(data: bytes, name: str = "the record") -> tuple[PrintFi
         left -= image.size
         position = name_of(finger, FINGER_CODES, f"finger position of {where}")
         prints.append(PrintFile(image, ppi, {}, position, impression_of(impression, _IMPRESSIONS)))
-    more = f"{name} is damaged: it holds no image, or more than {_MAX_VIEWS}."
+    more = f"{name} is damaged: it holds no image, or more than {MAX_IMAGES}."
     require(prints and cursor.place == len(data), more)
     return tuple(prints)
 

@@ -7,9 +7,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from splitknit.errors import require
-
-MAX_RECORD_BYTES = 20_000_000
-"""176 full views with full extended data take 12 MB."""
+from splitknit_match.records.parameters import ENVELOPE_BYTES
 
 
 @dataclass(slots=True)
@@ -77,7 +75,6 @@ _OTHERS = (
     (b"SQLite format 3\0", "a database, such as a gallery"),
     (b"{", "a JSON file"),
 )
-_ENVELOPE_BYTES = 4096
 
 
 def standard_of(data: bytes) -> str | None:
@@ -117,6 +114,6 @@ def what_bytes_are(
         return known
     if data[:4] == b"FMR\0":
         return f"a minutiae record of an unknown version {data[4:8]!r}"
-    at = data.find(b"FMR\0", 1, _ENVELOPE_BYTES)
+    at = data.find(b"FMR\0", 1, ENVELOPE_BYTES)
     inner = f"an envelope (CBEFF?) with a minutiae record inside, {at} bytes from its beginning"
     return inner if at > 0 else otherwise

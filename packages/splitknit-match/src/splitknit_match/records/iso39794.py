@@ -17,7 +17,6 @@ from splitknit import BadInput
 from splitknit.errors import importing, refusing, require
 from splitknit.io.prints import PrintFile
 from splitknit_match.records.finger_image import (
-    MAX_PIXELS,
     compression_of,
     decode_print,
     encode_print,
@@ -30,6 +29,7 @@ from splitknit_match.records.minutiae_record import (
     name_of,
     standard_code,
 )
+from splitknit_match.records.parameters import MAX_PIXELS
 
 TAG = b"\x64"
 """First byte: application tag 4, constructed."""
@@ -66,9 +66,11 @@ _FORMATS = {"none": 0, "wsq": 1, "jp2": 3, "png": 4}
 _READ = {0: "none", 1: "wsq", 2: "jp2", 3: "jp2", 4: "png"}
 _PGM = re.compile(rb"P5\s+([0-9]{1,6})\s+([0-9]{1,6})\s+255\s")
 _GENERATION = 3
+"""Generation of the standard. Source: ISO/IEC 39794-4:2019."""
 _YEAR = 2019
+"""Year of the standard. Source: ISO/IEC 39794-4:2019."""
 _INCH = 0
-"""Unit of resolution; centimetres are 1."""
+"""Unit of resolution; centimetres are 1. Source: ISO/IEC 39794-4:2019."""
 
 
 @cache

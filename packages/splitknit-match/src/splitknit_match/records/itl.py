@@ -15,45 +15,54 @@ from collections.abc import Iterator, Mapping
 
 from splitknit import BadInput
 from splitknit.errors import naming, require
+from splitknit.findings import Finding
 from splitknit.io.prints import PrintFile
-from splitknit_match.records.finger_image import (
-    MAX_PIXELS,
-    compression_of,
-    decode_print,
-    impression_of,
-    ppi_of,
-)
+from splitknit_match.records.finger_image import compression_of, decode_print, impression_of, ppi_of
 from splitknit_match.records.minutiae_record import FINGER_CODES, ITL_IMPRESSIONS, name_of
+from splitknit_match.records.parameters import MAX_PIXELS, MAX_PPI, MAX_RECORDS
 
 _START = re.compile(rb"([0-9]{1,2})\.0{0,2}1:([0-9]{1,10})\x1d")
 _TAG = re.compile(rb"[0-9]{1,2}\.([0-9]{1,9}):")
-_MAX_RECORDS = 1000
 _RECORD_END, _FIELD_END, _ITEM_END, _PART_END = b"\x1c", b"\x1d", b"\x1e", b"\x1f"
 _BINARY = (3, 4, 5, 6, 7, 8)
-"""Types whose records begin with their length in four bytes; which they are, only 1.003 states."""
-_CONTENT, _NATIVE_RESOLUTION = 3, 11
-"""Fields of Type-1."""
-_IMPRESSION, _COLUMNS, _ROWS, _UNIT, _PPI_X, _PPI_Y, _COMPRESSION, _BITS, _FINGER = (
-    3,
-    6,
-    7,
-    8,
-    9,
-    10,
-    11,
-    12,
-    13,
-)
-"""Fields of Type-13 and -14."""
+"""Types whose records begin with their length in four bytes; which they are, only 1.003 states.
+Source: ANSI/NIST-ITL 1."""
+_CONTENT = 3
+"""Field of Type-1: the types of all records. Source: ANSI/NIST-ITL 1."""
+_NATIVE_RESOLUTION = 11
+"""Field of Type-1: the resolution of binary records. Source: ANSI/NIST-ITL 1."""
+_IMPRESSION = 3
+"""Field of Type-13 and -14: impression type. Source: ANSI/NIST-ITL 1."""
+_COLUMNS = 6
+"""Field of Type-13 and -14: pixels in a row. Source: ANSI/NIST-ITL 1."""
+_ROWS = 7
+"""Field of Type-13 and -14: rows. Source: ANSI/NIST-ITL 1."""
+_UNIT = 8
+"""Field of Type-13 and -14: unit of the resolution. Source: ANSI/NIST-ITL 1."""
+_PPI_X = 9
+"""Field of Type-13 and -14: resolution along a row. Source: ANSI/NIST-ITL 1."""
+_PPI_Y = 10
+"""Field of Type-13 and -14: resolution along a column. Source: ANSI/NIST-ITL 1."""
+_COMPRESSION = 11
+"""Field of Type-13 and -14: compression. Source: ANSI/NIST-ITL 1."""
+_BITS = 12
+"""Field of Type-13 and -14: bits of a pixel. Source: ANSI/NIST-ITL 1."""
+_FINGER = 13
+"""Field of Type-13 and -14: finger position. Source: ANSI/NIST-ITL 1."""
 _IMAGE = 999
+"""Field of Type-13 and -14: the image, the last field. Source: ANSI/NIST-ITL 1."""
 _COMPRESSIONS = {"NONE": "none", "WSQ20": "wsq", "PNG": "png", "JP2L": "jp2", "JP2": "jp2"}
-_LATENT = "it is a latent print: false match rates were measured on prints of live fingers."
+_LATENT = Finding(
+    "latent-print",
+    "it is a latent print: false match rates were measured on prints of live fingers.",
+)
 _TYPE4 = struct.Struct(">5xB6sBHHB")
 _TYPE4_COMPRESSIONS = {0: "none", 1: "wsq", 4: "jp2", 5: "jp2", 6: "png"}
 _INCH_MM = 25.4
+"""Source: definition of the inch."""
 _MIN_PPI = 490.0
-"""A print below the class of 500 ppi is not an exemplar."""
-_MAX_PPI = 5080.0
+"""Least resolution: a print below the class of 500 ppi is not an exemplar. Source: ANSI/NIST-ITL 1
+(class of 500 ppi)."""
 
 _Fields = Mapping[int, bytes]
 
@@ -75,7 +84,7 @@ def decode_transaction(data: bytes, name: str = "the transaction") -> tuple[Prin
         elif kind == 4:
             prints += _type4(record, first, left, what)
         elif kind in (13, 14):
-            prints.append(_type14(_fields(record), left, what, _LATENT if kind == 13 else ""))
+            prints.append(_type14(_fields(record), left, what, (_LATENT,) * (kind == 13)))
     require(prints, f"{name} holds no print of a single finger (no record of Type-14, -13 or -4).")
     return tuple(prints)
 
@@ -89,10 +98,10 @@ def _records(data: bytes, name: str) -> Iterator[tuple[int, bytes]]:
     require(_START.match(data) is not None, fault)
     kinds: list[int] = []
     place = 0
-    for count in range(_MAX_RECORDS + 1):
+    for count in range(MAX_RECORDS + 1):
         if place >= len(data):
             return
-        require(count < _MAX_RECORDS, f"{name} has more than {_MAX_RECORDS} records; split it.")
+        require(count < MAX_RECORDS, f"{name} has more than {MAX_RECORDS} records; split it.")
         start = _START.match(data, place)
         kind = kinds[count] if count < len(kinds) else 0
         binary = kind in _BINARY
@@ -124,7 +133,7 @@ def _records(data: bytes, name: str) -> Iterator[tuple[int, bytes]]:
         )
         if kind == 1:
             content = _fields(record).get(_CONTENT, b"").split(_ITEM_END)
-            types = [item.split(_PART_END)[0] for item in content[: _MAX_RECORDS + 1]]
+            types = [item.split(_PART_END)[0] for item in content[: MAX_RECORDS + 1]]
             kinds = [int(text) if text.isdigit() and len(text) <= 2 else 0 for text in types]
         yield kind, record
         place += length
@@ -146,7 +155,7 @@ def _fields(record: bytes) -> dict[int, bytes]:
     return fields
 
 
-def _type14(fields: _Fields, left: int, name: str, note: str) -> PrintFile:
+def _type14(fields: _Fields, left: int, name: str, findings: tuple[Finding, ...]) -> PrintFile:
     compression = _text(fields, _COMPRESSION, name)
     read = ", ".join(_COMPRESSIONS)
     require(
@@ -165,7 +174,7 @@ def _type14(fields: _Fields, left: int, name: str, note: str) -> PrintFile:
     )
     finger = naming(name, lambda: name_of(position, FINGER_CODES, "finger position"))
     impression = naming(name, lambda: name_of(code, ITL_IMPRESSIONS, "impression type"))
-    return _checked(PrintFile(image, ppi, {}, finger, impression, note), name)
+    return _checked(PrintFile(image, ppi, {}, finger, impression, findings), name)
 
 
 def _type4(record: bytes, first: _Fields, left: int, name: str) -> list[PrintFile]:
@@ -197,10 +206,10 @@ def _checked(item: PrintFile, name: str) -> PrintFile:
     )
     ppi = item.resolution_ppi or 0.0
     fault = (
-        f"{name}: a print of a transaction has {_MIN_PPI:g} to {_MAX_PPI:g} ppi, not {ppi:g};"
+        f"{name}: a print of a transaction has {_MIN_PPI:g} to {MAX_PPI:g} ppi, not {ppi:g};"
         " resample it."
     )
-    require(_MIN_PPI <= ppi <= _MAX_PPI, fault)
+    require(_MIN_PPI <= ppi <= MAX_PPI, fault)
     return item
 
 

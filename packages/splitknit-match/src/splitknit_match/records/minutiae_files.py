@@ -25,7 +25,6 @@ from splitknit_match.records.fmr_bytes import (
     ISO_2005,
     MAGIC_030,
     MAGIC_20,
-    MAX_RECORD_BYTES,
     Cursor,
     check_length,
     standard_of,
@@ -41,14 +40,18 @@ from splitknit_match.records.minutiae_record import (
     name_of,
     standard_code,
 )
+from splitknit_match.records.parameters import MAX_RECORD_BYTES
 
 _MIN_RESOLUTION = 99
-"""Pixels per cm; ISO/IEC 19794-2:2005 requires no less (250 ppi)."""
+"""Least resolution in pixels per cm. Source: ISO/IEC 19794-2:2005 (250 ppi)."""
 _SHORT_LIMIT = 65535
-"""A longer record of ANSI/INCITS 378-2004 gives its length in six bytes instead of two."""
+"""A longer record of ANSI/INCITS 378-2004 gives its length in six bytes instead of two. Source:
+ANSI/INCITS 378-2004."""
 _MAX_VIEWS = 176
+"""Views of a record, at most. Source: ISO/IEC 19794-2:2005."""
 _MAX_WRITTEN = 255
-"""Minutiae: a view of a record cannot count more; those of the highest quality are written."""
+"""Minutiae of a view: it cannot count more; those of the highest quality are written. Source:
+ISO/IEC 19794-2:2005."""
 _SHORT, _LONG, _COUNTS = struct.Struct(">H"), struct.Struct(">I"), struct.Struct(">BB")
 _PRODUCT, _IMAGE, _DEVICE = struct.Struct(">HH"), struct.Struct(">HHHHH"), struct.Struct(">BH")
 _VIEW, _VIEW_2009 = struct.Struct(">BBBB"), struct.Struct(">BBBBHHHHHHB")
@@ -56,6 +59,7 @@ _MINUTIA = np.dtype([("x", ">u2"), ("y", ">u2"), ("direction", "u1"), ("quality"
 _STEPS = {ISO_2005: 256}
 """Directions in a turn; in ANSI/INCITS 378 they are steps of 2 deg."""
 _ANSI_STEPS = 180
+"""Directions in a turn. Source: ANSI/INCITS 378 (2 deg)."""
 _IMPRESSIONS = {ISO_2005: ISO_2005_IMPRESSIONS, ANSI_2004: ANSI_2004_IMPRESSIONS}
 _IMITATED = {
     ISO_2005: {"contactless": "live_plain", "contactless_rolled": "live_rolled"},

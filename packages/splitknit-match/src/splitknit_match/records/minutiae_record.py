@@ -60,7 +60,7 @@ ITL_IMPRESSIONS = {**FINGER_IMPRESSIONS, **LATENT_IMPRESSIONS}
 contactless of a finger at rest; older editions call it live-scan, optical, contactless, plain."""
 
 ANSI_2009_IMPRESSIONS = {name: code for name, code in FINGER_IMPRESSIONS.items() if code <= 29}
-"""ANSI/INCITS 378-2009."""
+"""Impression types by name. Source: ANSI/INCITS 378-2009."""
 
 ISO_2005_IMPRESSIONS = {
     "live_plain": 0,
@@ -103,17 +103,21 @@ def standard_code(name: str, codes: Mapping[str, int], what: str) -> int:
 
 
 PPI = 500.0
-"""Resolution of the grid on which minutiae of prints lie, whatever the print's resolution was."""
+"""Resolution of the grid on which minutiae of prints lie, whatever the print's resolution was.
+Source: definition."""
 ENDING = 1
+"""Type of a minutia at which a ridge ends. Source: ISO/IEC 19794-2:2005."""
 BIFURCATION = 2
-"""Types of minutiae, with the codes that all the standards share; 0 is any other."""
+"""Type of a minutia at which a ridge forks; all the standards share these codes, 0 is any other.
+Source: ISO/IEC 19794-2:2005."""
 MIN_MINUTIAE = 10
-"""bozorth3 compares no fewer (its MIN_COMPUTABLE_BOZORTH_MINUTIAE); what has fewer is a failure to
-acquire."""
+"""Fewest minutiae that are compared; what has fewer is a failure to acquire. Source: NBIS, bozorth3
+(MIN_COMPUTABLE_BOZORTH_MINUTIAE)."""
 VENDOR_UNKNOWN = 0x0103
-"""IBIA's number for a producer that has not registered."""
+"""IBIA's number for a producer that has not registered. Source: IBIA."""
 RESOLUTION_500_PPI = (197, 197)
-"""500 pixels per inch in pixels per centimetre, rounded as the standards' whole numbers require."""
+"""500 pixels per inch in pixels per centimetre, rounded as the standards' whole numbers require.
+Source: derived."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -16,11 +16,11 @@ from splitknit import BadInput
 from splitknit.errors import require
 from splitknit.files import read_bytes
 from splitknit.io.atomic import write_file
+from splitknit_match.records.parameters import LARGEST_TEMPLATE_BYTES
 
 MAGIC = b"SKTMPL\r\n"
 _HEAD = struct.Struct("<8sHHI32s")
 HEADER_BYTES = _HEAD.size
-_LARGEST = 16_000_000
 
 
 def encode_template(payload: bytes, version: int) -> bytes:
@@ -31,7 +31,8 @@ def encode_template(payload: bytes, version: int) -> bytes:
         f"a template's version must lie between 0 and 65535, but it is {version}.",
     )
     require(
-        len(payload) <= _LARGEST, f"a template of {len(payload)} bytes is larger than any finger's."
+        len(payload) <= LARGEST_TEMPLATE_BYTES,
+        f"a template of {len(payload)} bytes is larger than any finger's.",
     )
     if not payload:
         return b""
@@ -89,7 +90,9 @@ def _decode_template(data: bytes, version: int, name: str = "the template") -> b
 
 def read_template(path: str | os.PathLike[str], version: int) -> bytes:
     """Payload of a template file; BadInput if it cannot be read, or as :func:`_decode_template`."""
-    return _decode_template(read_bytes(path, _LARGEST + HEADER_BYTES), version, os.fspath(path))
+    return _decode_template(
+        read_bytes(path, LARGEST_TEMPLATE_BYTES + HEADER_BYTES), version, os.fspath(path)
+    )
 
 
 def write_template(path: str | os.PathLike[str], payload: bytes, version: int) -> None:

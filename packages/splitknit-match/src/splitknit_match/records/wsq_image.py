@@ -27,19 +27,20 @@ from splitknit import BadInput
 from splitknit.errors import require
 from splitknit.io.prints import PrintFile
 from splitknit.model import GreyArray
+from splitknit_match.records.parameters import (
+    CODEC_BYTES,
+    CODEC_BYTES_PER_PIXEL,
+    CODEC_PIXELS_PER_S,
+    CODEC_S,
+    LARGEST_SIDE_PX,
+    MAX_WSQ_PIXELS,
+    TIMEOUT_S,
+    WSQ_SIDE_PX,
+)
 
 BIT_RATE = 0.75
-"""Bits a pixel that the encoder aims at. It is the only rate of `wsq` 0.9, which does not pass
-another one on; files come out smaller, about 1/15 of the pixels' bytes."""
-MIN_SIDE_PX = 96
-"""Five levels of wavelets need it: images below 81 pixels come back in another brightness, below 65
-as garbage."""
-LARGEST_SIDE_PX = 5000
-TIMEOUT_S = 60.0
-_MEMORY_BYTES, _MEMORY_PER_PIXEL = 200_000_000, 30
-"""The codec takes 10 bytes a pixel, beside the 13 MB of Python and the file."""
-_CPU_S, _PIXELS_PER_S = 2, 1_000_000
-"""A desktop's core decodes 18 million pixels a second."""
+"""Bits a pixel that the encoder aims at; files come out smaller, about 1/15 of the pixels' bytes.
+Source: wsq 0.9, which passes no other on."""
 _CHILD = f"""
 import sys
 try:
@@ -71,8 +72,8 @@ def encode_wsq(image: GreyArray, ppi: float = 500.0) -> bytes:
         f"a print must be (H, W) uint8, not {array.shape} {array.dtype}.",
     )
     require(
-        min(array.shape) >= MIN_SIDE_PX and max(array.shape) <= LARGEST_SIDE_PX,
-        f"WSQ takes images of {MIN_SIDE_PX} to {LARGEST_SIDE_PX} pixels each way, not"
+        min(array.shape) >= WSQ_SIDE_PX and max(array.shape) <= LARGEST_SIDE_PX,
+        f"WSQ takes images of {WSQ_SIDE_PX} to {LARGEST_SIDE_PX} pixels each way, not"
         f" {array.shape[0]} x {array.shape[1]}; pad or crop the print, or write PNG.",
     )
     require(
@@ -111,8 +112,8 @@ def _run(task: str, pixels: int, data: bytes) -> bytes | None:
             "WSQ needs the package wsq: pip install 'splitknit-match[records]'; or write PNG."
         )
     limits = (
-        _MEMORY_BYTES + _MEMORY_PER_PIXEL * pixels + 4 * len(data),
-        _CPU_S + pixels // _PIXELS_PER_S,
+        CODEC_BYTES + CODEC_BYTES_PER_PIXEL * pixels + 4 * len(data),
+        CODEC_S + pixels // CODEC_PIXELS_PER_S,
     )
     try:
         done = subprocess.run(
@@ -160,7 +161,6 @@ _FRAME, _BLOCK, _END = b"\xff\xa2\x00\x11", b"\xff\xa3", b"\xff\xa1"
 """Markers: of the frame, with its length, of the image data, and of the end."""
 _SIZE = struct.Struct(">6xHH")
 _PPI_LINE = re.compile(rb"\nPPI ([0-9]{1,5})(?=\n)")
-_MAX_PIXELS = 25_000_000
 
 
 def _wsq_header(data: bytes, name: str) -> tuple[int, int, int | None]:
@@ -175,7 +175,7 @@ def _wsq_header(data: bytes, name: str) -> tuple[int, int, int | None]:
     whole = 0 < frame < block < data.rfind(_END)
     require(whole, f"{name} is truncated or damaged: its WSQ image is not whole; copy it again.")
     rows, columns = _SIZE.unpack_from(data, frame)
-    fault = f"{name} claims {rows} x {columns} pixels; prints have up to {_MAX_PIXELS}."
-    require(0 < rows * columns <= _MAX_PIXELS, fault)
+    fault = f"{name} claims {rows} x {columns} pixels; prints have up to {MAX_WSQ_PIXELS}."
+    require(0 < rows * columns <= MAX_WSQ_PIXELS, fault)
     stated = _PPI_LINE.findall(data[:block])
     return rows, columns, int(stated[-1]) if stated else None

@@ -19,6 +19,7 @@ from splitknit.imaging.geometry import sampled_at
 from splitknit.imaging.view import View
 from splitknit.mirrors.reflection import Sight
 from splitknit.model import Array, BoolArray, FloatArray
+from splitknit_match.rolled.parameters import BEYOND_MM
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -100,8 +101,6 @@ def read(
 
 # A surface on a chart as a view sees it: heights on the view's pixels, and where on the chart they
 # lie.
-
-BEYOND_MM = 16.0  # the camera's rays are followed from this far above the finger's axis
 
 
 def heights(sight: Sight, chart: Chart, radius_mm: Array, view: View) -> FloatArray:

@@ -11,6 +11,7 @@ import numpy as np
 import scipy
 
 from splitknit import Capture
+from splitknit.findings import Finding, Severity, worst_first
 from splitknit.mirrors.body import Body
 from splitknit.mirrors.reflection import Glass, Sight
 from splitknit.mirrors.settings import MirrorShapeSettings
@@ -18,53 +19,29 @@ from splitknit.model import Array, BoolArray, FloatArray
 from splitknit.skin.grid import smooth_step
 from splitknit.skin.images import MetricSettings
 from splitknit_match.rolled.chart import Chart, crossing, surface_normals
-from splitknit_match.rolled.register import (
+from splitknit_match.rolled.parameters import (
+    AROUND_DEG,
+    AROUND_SKIN_DEG,
+    BELOW_MM,
+    DEVIATION_FLOOR_MM,
+    FADE_MM,
+    FAN_DEG,
+    MAX_DEVIATION_MM,
+    MAX_ROLL_RAD,
     MIN_CORRELATION,
-    ViewRidges,
-    align,
-    gaussian_over,
-    ridges_of,
-    search,
+    MIN_COSINE,
+    MIN_MEETING,
+    PITCH_MM,
+    POWER,
+    ROLL_OF_SHEAR,
+    SEARCH_PITCH_MM,
+    SHAPE_PITCH_MM,
+    STATIONS,
+    STEEPEST_DEG,
+    SURE_MEETING,
 )
+from splitknit_match.rolled.register import ViewRidges, align, gaussian_over, ridges_of, search
 from splitknit_match.rolled.views import MirrorViews, ViewRelief, view_relief
-
-ROLL_OF_SHEAR = -3.1
-"""Radians of roll to the right for each unit of a body's shear."""
-MAX_ROLL_RAD = 0.3
-PITCH_MM = 0.035
-"""Of the chart, finer than the camera resolves."""
-AROUND_SKIN_DEG = 105.0
-"""The chart reaches this far to either side of the front."""
-SHAPE_PITCH_MM = 0.25
-"""Pitch of the chart of the smooth finger."""
-FAN_DEG = 75.0
-"""How far the chart bends over the tip."""
-BELOW_MM = 4.0
-"""The chart goes on below what the outlines show: light from there matters."""
-AROUND_DEG = 172.0
-"""The chart of the smooth finger reaches this far."""
-STATIONS = 60
-"""Sections of a body of which the typical one is taken."""
-SEARCH_PITCH_MM = 0.1
-"""Pitch of the chart on which ridges are compared."""
-MIN_COSINE = 0.25
-"""Views are compared where both see the skin less steeply than this."""
-MIN_MEETING = 0.3
-"""Correlation of two views' ridges below which they do not lie on each other."""
-SURE_MEETING = 0.4
-"""Below which they may not."""
-STEEPEST_DEG = 72.0
-"""Slant, as a view sees it, from which it counts for nothing."""
-FADE_MM = 0.8
-"""Width over which a view fades in from the outline of what it shows."""
-MAX_DEVIATION_MM = 0.035
-"""Where the relief's standard deviation exceeds this, ridges are unknown; a view loses weight from
-three quarters of it on."""
-_POWER = 8.0
-"""Views weigh with this power of what their slant leaves: high hands over fast, low mixes over a
-wide zone."""
-_DEVIATION_FLOOR_MM = 0.004
-"""Added to the relief's standard deviation, so that no view is trusted without limit."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -99,7 +76,7 @@ class Work:
 
     def __init__(self, capture: Capture, views: MirrorViews, settings: MetricSettings) -> None:  # noqa: D107
         self.capture = capture
-        self.notes = views.notes
+        self.findings = views.findings
         self.cut = {view.name for view in views if view.cut}
         self.shape = _shape_of(views.body)
         self.correlation: dict[str, list[float]] = {}
@@ -232,6 +209,7 @@ class Rolled:
     places: FloatArray
     glasses: tuple[Glass, ...]  # mirrors where the ridges have them
     facts: Mapping[str, object]
+    findings: tuple[Finding, ...]  # of its views, worst first
 
 
 def rolled_finger(
@@ -266,10 +244,8 @@ def rolled_finger(
     if breadth.any():
         last = np.flatnonzero(breadth >= 0.9 * np.median(breadth[breadth > 0]))[-1]
         weighed[:, last + 1 :] = 0.0
-    warnings = [
-        f"ridges of the {name} mirror's view {'do' if values[-1] < MIN_MEETING else 'may'} not lie"
-        f" on the front's (correlation {values[-1]:.2f}), so that they may be kinked where the"
-        " views meet: check the mirror's pose in rig.json, and that ridges are seen in it."
+    apart = [
+        _apart(name, values[-1])
         for name, values in work.correlation.items()
         if values[-1] < SURE_MEETING
     ]
@@ -277,7 +253,6 @@ def rolled_finger(
         "views": list(sights),
         "relief_by": {name: relief.how for name, relief in work.reliefs.items()},
         "views_meet": work.correlation,
-        "warnings": [*work.notes, *warnings],
     }
     places = np.stack([np.stack(sight.pixels(points), axis=-1) for sight in sights.values()])
     return Rolled(
@@ -290,7 +265,19 @@ def rolled_finger(
         places,
         tuple(work.glasses.values()),
         facts,
+        worst_first([*work.findings, *apart]),
     )
+
+
+def _apart(name: str, correlation: float) -> Finding:
+    """That a mirror's ridges hardly lie on the front's."""
+    sure = correlation < MIN_MEETING
+    words = (
+        f"ridges of the {name} mirror's view {'do' if sure else 'may'} not lie on the front's"
+        f" (correlation {correlation:.2f}), so that they may be kinked where the views meet: check"
+        " the mirror's pose in rig.json, and that ridges are seen in it."
+    )
+    return Finding("views-do-not-meet", words, Severity.DOUBT if sure else Severity.NOTE)
 
 
 def _view_weight(
@@ -301,12 +288,12 @@ def _view_weight(
     skin's normal; all (n, m).
     """
     least = np.cos(np.deg2rad(STEEPEST_DEG))
-    facing = np.clip((cosine - least) / (1.0 - least), 0.0, 1.0) ** _POWER
+    facing = np.clip((cosine - least) / (1.0 - least), 0.0, 1.0) ** POWER
     inside = (known & (facing > 0)).astype(np.uint8)
     depth = cv2.distanceTransform(np.pad(inside, 1), cv2.DIST_L2, 5)[1:-1, 1:-1] * pitch_mm
     fade = smooth_step(depth / FADE_MM)
     deviation = gaussian_over(np.where(known, deviation_mm, 0.0), known, 0.5 / pitch_mm)
-    certain = _DEVIATION_FLOOR_MM**2 / (_DEVIATION_FLOOR_MM**2 + deviation**2)
+    certain = DEVIATION_FLOOR_MM**2 / (DEVIATION_FLOOR_MM**2 + deviation**2)
     sure = np.clip(4.0 * (1.0 - deviation / MAX_DEVIATION_MM), 0.0, 1.0)
     return np.asarray(facing * fade * certain * sure * inside, dtype=np.float32)
 

@@ -18,6 +18,37 @@ from splitknit.imaging.view import pixels_of
 from splitknit.mirrors.reflection import Sight
 from splitknit.model import Array, BoolArray, FloatArray
 from splitknit_match.rolled.chart import Chart, read
+from splitknit_match.rolled.parameters import (
+    ACROSS_CUT_MM,
+    ACROSS_MM,
+    ALONG_MM,
+    APART_MM,
+    BEND_PRIOR_MM,
+    BULGE_MM,
+    CANDIDATES,
+    CORRELATED_MM,
+    DEPTH_PRIOR_MM,
+    DOUBT,
+    FEW,
+    KNOT_MM,
+    LIKE_PLACES,
+    MIN_CORRELATION,
+    MOVE_MM,
+    OUTER,
+    OUTLINE_DEG,
+    OUTLINE_PRIOR_MM,
+    POSE_PRIOR,
+    ROBUST,
+    ROUNDS,
+    SEARCHED,
+    SHIFT_CUT_MM,
+    SHIFT_MM,
+    SIMPLEX,
+    STEP_MM,
+    TURN_CUT_DEG,
+    TURN_DEG,
+    UNSEEN_PRIOR_MM,
+)
 
 # Ridges by themselves: a relief without what is smooth in it.
 
@@ -40,29 +71,6 @@ def _evened(band: FloatArray, known: BoolArray, pitch_mm: float) -> FloatArray:
     power = gaussian_over(np.where(known, band * band, 0).astype(np.float32), known, 1.0 / pitch_mm)
     typical = float(np.median(power[known])) if known.any() else 1.0
     return np.asarray(band / np.sqrt(power + (0.1 * typical + 1e-20)), dtype=np.float32)
-
-
-KNOT_MM = 2.5
-"""Distance of the knots of the correction of the surface."""
-POSE_PRIOR = (0.004, 0.002, 0.05)
-"""Standard deviations of a mirror's two turns (rad) and its shift (mm)."""
-DEPTH_PRIOR_MM = 0.15
-"""Standard deviation of the surface against where it is taken to be."""
-UNSEEN_PRIOR_MM = 0.03
-"""The same where no two views show it."""
-OUTLINE_PRIOR_MM = 0.05
-"""The same where the front's outline determines the surface."""
-OUTLINE_DEG = 15.0
-"""So near to a right angle from the front that is."""
-BEND_PRIOR_MM = 0.04
-"""Standard deviation of the correction's second difference from knot to knot."""
-CORRELATED_MM = 0.3
-"""Ridges are independent at about this distance."""
-ROBUST = 1.0
-"""Difference of two views' ridges, of unit contrast, from which it counts less and less."""
-ROUNDS = 12
-FEW = 500
-"""Pixels that both views show; with fewer a mirror is left as it is."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -264,43 +272,6 @@ def _priors(chart: Chart, seen: BoolArray, mirrors: int) -> Any:
 # at once. Single
 # squares of ridges look the same a period on; the whole overlap does not.
 
-_SEARCHED = 6000
-"""So many pixels show which of many guesses is best."""
-APART_MM = 0.15
-"""Moves that differ by less than this lead to the same place."""
-OUTER = 0.9
-"""How much more the surface bulges for each 20 deg towards the side, over the bulge's standard
-deviation."""
-LIKE_PLACES = 20.0
-"""A move counts as so many measured ones."""
-MOVE_MM = 0.05
-"""Standard deviation of each of them."""
-_DOUBT = 0.01
-"""Correlation that a number must gain to be believed one standard deviation from what the outlines
-show."""
-MIN_CORRELATION = 0.2
-"""Below, nothing is changed."""
-ACROSS_MM = 1.6
-"""Offset of the mirror's ridges against the front's around the finger."""
-ACROSS_CUT_MM = 3.0
-"""The same of views that are cut: their mirrors' poses are known less well."""
-ALONG_MM = 0.3
-"""Offset along the finger."""
-STEP_MM = 0.05
-# standard deviations of what the outlines determine
-BULGE_MM = 0.2
-"""The surface's bulge half-way between front and side."""
-SHIFT_MM = 0.06
-"""The mirror's place along its normal."""
-TURN_DEG = 0.2
-"""Its turns."""
-SHIFT_CUT_MM = 0.6
-TURN_CUT_DEG = 0.6
-CANDIDATES = 6
-"""Best guesses that are refined."""
-_SIMPLEX = np.array([0.003, 0.001, 0.03, 0.03, 0.05, 0.03])
-"""First steps of the refinement: turns (rad), shift and bulges (mm)."""
-
 
 def search(  # noqa: PLR0915
     chart: Chart, radius_mm: Array, front: ViewRidges, mirror: ViewRidges, *, cut: bool = False
@@ -328,7 +299,7 @@ def search(  # noqa: PLR0915
     spread = np.array(
         [turn, turn, SHIFT_CUT_MM if cut else SHIFT_MM, BULGE_MM, BULGE_MM, OUTER * BULGE_MM]
     )
-    few = slice(None, None, max(1, rows.size // _SEARCHED))
+    few = slice(None, None, max(1, rows.size // SEARCHED))
     every = slice(None)
 
     def score(moves: FloatArray, some: slice) -> float:
@@ -343,12 +314,12 @@ def search(  # noqa: PLR0915
         """The best numbers near `start`, and their merit."""
 
         def loss(step: Array) -> float:
-            numbers = start + step * _SIMPLEX
+            numbers = start + step * SIMPLEX
             correlation = score(modes[some] @ numbers.astype(np.float32), some)
-            return _DOUBT * float(((numbers / spread) ** 2).sum()) - correlation
+            return DOUBT * float(((numbers / spread) ** 2).sum()) - correlation
 
         minimum = minimize(loss, np.zeros(6), method="Nelder-Mead", options=options)
-        return -float(minimum.fun), start + minimum.x * _SIMPLEX
+        return -float(minimum.fun), start + minimum.x * SIMPLEX
 
     options: Any = {
         "initial_simplex": np.eye(7, 6, -1),
@@ -364,7 +335,7 @@ def search(  # noqa: PLR0915
     for move in itertools.product(*(_range(reach) / chart.pitch_mm for reach in reaches)):
         far = float(((np.array(move) / typical) ** 2).sum())
         guesses.append(
-            (score(np.array([move], dtype=np.float32), few) - _DOUBT * far, np.array(move))
+            (score(np.array([move], dtype=np.float32), few) - DOUBT * far, np.array(move))
         )
     # turns, shift and bulges that move all ridges by about so much, as likely as they can be
     count = len(modes[few])

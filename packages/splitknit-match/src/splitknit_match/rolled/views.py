@@ -8,7 +8,7 @@ but for them.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 
@@ -17,6 +17,7 @@ import numpy as np
 
 from splitknit import Capture, Led, Rig
 from splitknit.errors import require
+from splitknit.findings import Finding
 from splitknit.finger.locate import FingerSettings, enlarged_mask
 from splitknit.finger.orientation import find_upright
 from splitknit.finger.parameters import BEYOND_CREASE_MM
@@ -61,6 +62,17 @@ from splitknit.skin.learned import can_learn, features, relief_by_network
 from splitknit.skin.light import Lighting, fine_lighting, slant_of, trust_of
 from splitknit.skin.parameters import COARSE_PITCH_MM, WORKING_PITCH_MM
 from splitknit_match.rolled.chart import Chart, heights, read
+from splitknit_match.rolled.parameters import (
+    EDGE_BAND_MM,
+    FADE_LIT_MM,
+    LIT,
+    MAX_SLOPE,
+    MIN_LIT,
+    ROWS,
+    SHAPELET_SCALES,
+    SLOPE_PRIOR,
+    UNKNOWN_MM,
+)
 
 SIDES = ("left", "right")
 NO_MIRRORS = (
@@ -87,7 +99,7 @@ class MirrorViews:
 
     views: tuple[MirrorView, ...]
     body: Body  # the smooth finger
-    notes: tuple[str, ...] = ()  # what became of views that are not used, or not whole: sentences
+    findings: tuple[Finding, ...] = ()  # what became of views that are not used, or not whole
 
     def __iter__(self) -> Iterator[MirrorView]:
         return iter(self.views)
@@ -131,29 +143,38 @@ def find_mirror_views(
         all_views.append(MirrorView(name, mask, glass_in(glass, shape.plane(glass)), name in cut))
     not_found = [n for n in SIDES if n in mirrors and n not in visible]
     light_only = [n for n in mirrors if n not in SIDES]
-    notes = [
-        *(
-            f"the view in the {name} mirror is cut off at the picture's border or the mirror's, "
+    findings = [
+        *shape.findings,
+        *_of_views(
+            "view-cut-off",
+            "the view in the {} mirror is cut off at the picture's border or the mirror's, "
             "so that its outline shows less of where the mirror lies: lay the finger in the "
-            "middle, so that the mirror shows all of its pad."
-            for name in cut
+            "middle, so that the mirror shows all of its pad.",
+            cut,
         ),
-        *(
-            f"the view in the {name} mirror is cut off so much that it is left out, and that side "
-            "of the finger is missing from the print: lay the finger in the middle."
-            for name in shape.facts["views_useless"]
+        *_of_views(
+            "view-left-out",
+            "the view in the {} mirror is cut off so much that it is left out, and that side "
+            "of the finger is missing from the print: lay the finger in the middle.",
+            shape.facts["views_useless"],
         ),
-        *(
-            f"no finger was found in the {name} mirror, so that that side of it is missing from "
-            "the print: check the mirror's pose in rig.json, and the light on that side."
-            for name in not_found
+        *_of_views(
+            "no-finger-in-mirror",
+            "no finger was found in the {} mirror, so that that side of it is missing from "
+            "the print: check the mirror's pose in rig.json, and the light on that side.",
+            not_found,
         ),
-        *(
-            f"the {name} mirror gives light only: its view is not used for the print."
-            for name in light_only
+        *_of_views(
+            "light-only-mirror",
+            "the {} mirror gives light only: its view is not used for the print.",
+            light_only,
         ),
     ]
-    return MirrorViews(tuple(all_views), shape.model, (*map(str, shape.findings), *notes))
+    return MirrorViews(tuple(all_views), shape.model, tuple(findings))
+
+
+def _of_views(code: str, words: str, names: Iterable[str]) -> list[Finding]:
+    return [Finding(code, words.format(name)) for name in names]
 
 
 def _above_crease(
@@ -171,10 +192,6 @@ def _above_crease(
     )
     beyond = np.float32(crease.row + BEYOND_CREASE_MM * px_per_mm)
     return np.asarray(mask & (columns * across + rows[:, None] * along + offset < beyond))
-
-
-# beside a light's edge it counts for nothing; as far again until it counts in full
-EDGE_BAND_MM = 0.3
 
 
 def view_light(  # noqa: PLR0917
@@ -246,23 +263,6 @@ def _inner(facing: FloatArray, through: FloatArray, pitch_mm: float) -> FloatArr
     return smooth_step((away - EDGE_BAND_MM) / EDGE_BAND_MM).astype(np.float32)
 
 
-LIT = 0.5
-"""Trust from which a light counts."""
-MIN_LIT = 3
-"""Lights that a slope needs."""
-FADE_MM = 0.2
-"""Width over which skin with fewer fades out."""
-UNKNOWN_MM = 0.02
-"""Standard deviation of a relief that no network estimated."""
-SLOPE_PRIOR = 0.5
-"""Holds slopes which the lights hardly determine to those of the shape: variance of the images'
-relative error over that of the slopes."""
-_ROWS = 64
-"""Rows of the grid whose normals are computed at once."""
-_MAX_SLOPE = 6.0
-"""Steeper slopes are shortened to this."""
-
-
 @dataclass(frozen=True, slots=True, eq=False)
 class ViewRelief:
     """Ridges in one view, on a window of the image's pixels (or blocks of them)."""
@@ -286,10 +286,6 @@ class ViewRelief:
         relief = read(self.relief_mm, column, row, cubic=True)
         relief = np.where(np.isfinite(relief), relief, read(self.relief_mm, column, row))
         return relief, read(self.deviation_mm, column, row), read(self.trust, column, row)
-
-
-_SHAPELET_SCALES = 4
-"""Where no network estimates the relief."""
 
 
 def _grid_of(
@@ -393,7 +389,9 @@ def view_relief(
     light = fine_lighting(images.rig, low, filled, factor, grid)
     # zero where fewer than three exposures light the skin, which determine no slope
     enough = ((light.trust > LIT).sum(axis=0) >= MIN_LIT).astype(np.float32)
-    lit = np.clip(2.0 * cv2.GaussianBlur(enough, (0, 0), FADE_MM / grid.pitch_mm) - 1.0, 0.0, 1.0)
+    lit = np.clip(
+        2.0 * cv2.GaussianBlur(enough, (0, 0), FADE_LIT_MM / grid.pitch_mm) - 1.0, 0.0, 1.0
+    )
     within = np.stack([enlarged(each, factor, grid.shape) for each in inner])
     light = replace(light, trust=np.maximum(light.trust * within, 1e-3))
 
@@ -434,11 +432,11 @@ def _by_shapelets(
         stack, images.rig, smooth, grid.mask, light.trust, view=grid.view, entering=entering
     )
     normals = g / np.maximum(np.linalg.norm(g, axis=-1, keepdims=True), 1e-9)
-    slopes = gradients_from_normals(normals, grid.mask, _MAX_SLOPE)
+    slopes = gradients_from_normals(normals, grid.mask, MAX_SLOPE)
     shape = height_gradients(smooth, grid.pitch_mm)
     beyond = [(slope - base) * trust for slope, base in zip(slopes, shape, strict=True)]
     evened = [(b - grid.smooth(b, grid.mask, 0.3)).astype(np.float32) for b in beyond]
-    bank = ShapeletSettings(scales=_SHAPELET_SCALES)
+    bank = ShapeletSettings(scales=SHAPELET_SCALES)
     bank = replace(bank, sigma_px=bank.sigma_px / (REFERENCE_PX_PER_MM * grid.pitch_mm))
     relief = np.nan_to_num(shapelets(evened[0], evened[1], grid.mask, bank), nan=0.0)
     return relief * np.float32(grid.pitch_mm) * trust
@@ -465,8 +463,8 @@ def _held_normals(
     normals = np.moveaxis(normals_from_gradients(*slopes), -1, 0)  # (3, h, w)
     weights = light.trust * light.entering * light.entering
     result = np.zeros((channels, *grid.shape, 3), dtype=np.float32)
-    for start in range(0, grid.shape[0], _ROWS):
-        rows = slice(start, start + _ROWS)
+    for start in range(0, grid.shape[0], ROWS):
+        rows = slice(start, start + ROWS)
         here = grid.mask[rows]
         if not here.any():
             continue

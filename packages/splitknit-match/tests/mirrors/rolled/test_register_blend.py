@@ -10,7 +10,8 @@ from splitknit.mirrors.reflection import Plane, Sight
 from splitknit.model import Camera
 from splitknit_match.prints.rolled import _coverage_deg
 from splitknit_match.rolled.chart import Chart, surface_normals
-from splitknit_match.rolled.finger import STEEPEST_DEG, _angles, _lengths, _view_weight, blend
+from splitknit_match.rolled.finger import _angles, _lengths, _view_weight, blend
+from splitknit_match.rolled.parameters import STEEPEST_DEG
 from splitknit_match.rolled.register import ViewRidges, _shifts_by, align, ridges_of, search
 
 CAMERA = Camera(12.0, (420, 900))

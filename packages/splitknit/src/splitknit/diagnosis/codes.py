@@ -193,6 +193,9 @@ CODES: dict[str, Code] = {
     "assumed-mask": Code(
         "The mask was found beside the photographs, or in them.", "Give it, or none (`--mask all`)."
     ),
+    "square-pixels": Code(
+        "Pixels of a print that were not square were made so.", "Nothing; or scan it again."
+    ),
     "skipped-files": Code("Files of the folder were not used.", "Look at their names."),
     "reduced-photographs": Code("The photographs were reduced.", "Give a larger `--max-size`."),
     "turned-photographs": Code(

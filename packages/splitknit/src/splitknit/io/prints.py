@@ -19,6 +19,7 @@ from PIL.PngImagePlugin import PngInfo
 
 from splitknit.errors import BadInput, require
 from splitknit.files import read_bytes
+from splitknit.findings import Finding
 from splitknit.io.atomic import write_file
 from splitknit.io.fields import parse_json
 from splitknit.io.images import BMP, JPEG, PNG, TIFFS, decoded, encode_tiff, read_header
@@ -46,11 +47,9 @@ class PrintFile:
     """``right_thumb`` to ``left_little``, or ``unknown``."""
     impression: str = "unknown"
     """One of :data:`splitknit_match.records.minutiae_record.IMPRESSIONS`."""
-    note: str = ""
-    """What was changed on reading (pixels made square, white ridges turned dark), or is in doubt;
-    sentences."""
-    doubt: str = ""
-    """Why its resolution cannot be right; a sentence."""
+    findings: tuple[Finding, ...] = ()
+    """What was changed on reading (pixels made square, white ridges turned dark), or is in doubt.
+    A doubt is why its resolution cannot be right."""
 
 
 def write_print_png(
@@ -177,7 +176,7 @@ def decode_print_image(data: bytes, name: str) -> PrintFile:
     require(size[0] * size[1] <= PRINT_PIXELS, large)
     square = np.asarray(cv2.resize(grey, size, interpolation=cv2.INTER_CUBIC), dtype=np.uint8)
     note = f"its pixels of {x:.0f} by {y:.0f} ppi were made square, of {ppi:.0f} ppi."
-    return PrintFile(square, ppi, text, note=note)
+    return PrintFile(square, ppi, text, findings=(Finding("square-pixels", note),))
 
 
 def _grey(pixels: NDArray[Any], name: str) -> NDArray[np.uint8]:

@@ -15,6 +15,7 @@ import numpy as np
 
 from splitknit.errors import BadInput
 from splitknit.files import open_file
+from splitknit.findings import Finding
 
 JsonValue = None | bool | int | float | str | list["JsonValue"] | dict[str, "JsonValue"]
 
@@ -68,7 +69,9 @@ def json_text(value: Any) -> str:
 
 def known_json(value: Any, nulls: Container[str] = ()) -> Any:
     """`value` as of :func:`plain_json`, without dataclass fields still None by default, but for
-    those of `nulls`."""
+    those of `nulls`; of findings their facts."""
+    if isinstance(value, Finding):
+        return value.facts
     if dataclasses.is_dataclass(value) and not isinstance(value, type):
         known = {}
         for item in dataclasses.fields(value):
