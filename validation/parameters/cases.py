@@ -274,12 +274,13 @@ def specular_heights(kind: str, lights: int) -> Measure:
         band = high_passed(np.where(inside, found - shape, 0), inside, sigma)
         e, t = band[counted], true_band[counted]
         figures = {
-            "surface_rms_mm": float(np.std((found - height)[counted])),
             "ridge_rms_um": 1000 * rms(e - t),
             "ridge_gain": float(e @ t / (t @ t)),
             "ridge_correlation": correlation(e, t),
             "error_over_stated": rms(e - t) / rms(stated[counted]),
         }
+        if separated:  # without films, the shape is not taken from here
+            figures["surface_rms_mm"] = float(np.std((found - height)[counted]))
         return outcome(figures, [found, stated])
 
     return measure
@@ -309,7 +310,10 @@ def on_grid(field: NDArray[Any], grid: Grid, capture: Capture) -> NDArray[np.flo
     x = (grid.x_mm / camera.pitch_mm + (columns - 1) / 2).astype(np.float32)
     y = ((rows - 1) / 2 - grid.y_mm / camera.pitch_mm).astype(np.float32)
     places = np.meshgrid(x, y)
-    return cv2.remap(field.astype(np.float32), *places, cv2.INTER_LINEAR, None, cv2.BORDER_REFLECT)
+    values = field.astype(np.float32)
+    return np.asarray(
+        cv2.remap(values, *places, cv2.INTER_LINEAR, None, cv2.BORDER_REFLECT), np.float32
+    )
 
 
 # The shape from mirrors, and the thesis's separation of light.

@@ -63,8 +63,10 @@ NOT_SCALED = {
     "HELD_PRIORS": "different kinds",
 }
 """Tables that are no longer what they are when they are multiplied."""
-COLUMNS = ("package", "constant", "value", "factor", "tried", "cases", "result", "change")
-COLUMNS += ("case", "figure", "before", "after")
+COLUMNS = [
+    *("package", "constant", "value", "factor", "tried", "cases"),
+    *("result", "change", "case", "figure", "before", "after"),
+]
 Row = dict[str, str]
 
 
@@ -196,7 +198,7 @@ def called_by(measure: Measure) -> tuple[Outcome, set[CodeType]]:
         result = measure()
     finally:
         sys.setprofile(None)
-        threading.setprofile(None)  # type: ignore[arg-type]
+        threading.setprofile(None)
     return result, codes
 
 
