@@ -43,7 +43,6 @@ FLOORS = {
     "surface_rms_mm": 0.005,
     "shape_rms_mm": 0.005,
     "ridge_rms_um": 0.3,
-    "ridge_correlation": 0.01,
     "yaw_error_deg": 0.5,
     "crease_error_mm": 0.2,
     "period_error": 0.01,
@@ -144,21 +143,27 @@ def functions_of(module: Any) -> Iterator[FunctionType]:
                 yield function
 
 
+def is_default(value: Any, function: FunctionType) -> bool:
+    """Whether a parameter of a function has this very object as its default."""
+    defaults = *(function.__defaults__ or ()), *(function.__kwdefaults__ or {}).values()
+    return any(part is value for part in defaults)
+
+
 @contextmanager
 def holding(constant: Constant, value: Any) -> Iterator[None]:
     """The constant has another value, in all modules that hold it and as a default of their
     functions."""
     holders = constant.holders
-    defaults = []
-    for module in holders:
-        for function in functions_of(module):
-            old = function.__defaults__, function.__kwdefaults__
-            if any(part is constant.value for part in (*(old[0] or ()), *(old[1] or {}).values())):
-                defaults.append((function, old))
+    defaults = [
+        (function, function.__defaults__, function.__kwdefaults__)
+        for module in holders
+        for function in functions_of(module)
+        if is_default(constant.value, function)
+    ]
     try:
         for module in holders:
             setattr(module, constant.name, value)
-        for function, (plain, by_name) in defaults:
+        for function, plain, by_name in defaults:
             function.__defaults__ = plain and tuple(
                 value if part is constant.value else part for part in plain
             )
@@ -170,7 +175,7 @@ def holding(constant: Constant, value: Any) -> Iterator[None]:
     finally:
         for module in holders:
             setattr(module, constant.name, constant.value)
-        for function, (plain, by_name) in defaults:
+        for function, plain, by_name in defaults:
             function.__defaults__, function.__kwdefaults__ = plain, by_name
         forget()
 
@@ -229,8 +234,7 @@ def cases_of(constant: Constant) -> list[str]:
                 for code in codes
             )
             held = any(
-                function.__code__ in codes
-                and any(part is constant.value for part in function.__defaults__ or ())
+                function.__code__ in codes and is_default(constant.value, function)
                 for function in functions_of(module)
             )
             if read or held:
