@@ -1,0 +1,95 @@
+"""The experiment on the constants, on arrays instead of captures."""
+
+from __future__ import annotations
+
+import csv
+
+import pytest
+
+from script_folder import VALIDATION, Script, scripts_of
+from splitknit.finger import parameters, regions, ridges
+
+
+@pytest.fixture(scope="module")
+def script():
+    with scripts_of(VALIDATION / "parameters") as found:
+        yield found
+
+
+def _rows(**results: str) -> dict[float, dict[str, str]]:
+    factors = {"half": 0.5, "less": 0.7, "more": 1.4, "twice": 2.0}
+    return {factors[name]: {"result": result} for name, result in results.items()}
+
+
+def test_a_range_has_no_gap_around_one(script: Script):
+    reach = script("sensitivity").hardly_from_to
+    assert reach(_rows(half="hardly", less="changes", more="hardly", twice="raises")) == (1.0, 1.4)
+    assert reach(_rows(half="hardly", less="same", more="hardly", twice="hardly")) == (0.5, 2.0)
+
+
+def test_a_constant_has_its_value_back(script: Script):
+    sensitivity = script("sensitivity")
+    (steepness,) = (
+        constant
+        for constant in sensitivity.constants_of(sensitivity.DEFAULT[0])
+        if constant.name == "INK_STEEPNESS"
+    )
+    with sensitivity.holding(steepness, 5.0):
+        assert (parameters.INK_STEEPNESS, ridges.INK_STEEPNESS) == (5.0, 5.0)
+        assert not hasattr(regions, "INK_STEEPNESS")
+    assert steepness.value == ridges.INK_STEEPNESS
+
+
+def test_defaults_of_functions_change_too_and_come_back(script: Script):
+    from splitknit.separation import binary, stacks
+
+    sensitivity = script("sensitivity")
+    constants = {c.name: c for c in sensitivity.constants_of(sensitivity.DEFAULT[3])}
+    before = binary.checkerboard.__kwdefaults__["clip_level"]
+    with sensitivity.holding(constants["CLIP_LEVEL"], 0.5):
+        assert binary.checkerboard.__kwdefaults__["clip_level"] == 0.5
+        assert stacks.light_stack.__defaults__[-1] == 0.5
+    assert binary.checkerboard.__kwdefaults__["clip_level"] == before
+    assert stacks.light_stack.__defaults__[-1] == before
+
+
+def test_a_change_counts_beyond_a_twentieth_of_a_figure_or_its_floor(script: Script):
+    sensitivity, outcome = script("sensitivity"), script("cases").outcome
+    before = outcome({"ridge_gain": 1.0, "crease_error_mm": 0.1}, [])
+    by, name, _, after = sensitivity.change(
+        before, outcome({"ridge_gain": 1.1, "crease_error_mm": 0.2}, [])
+    )
+    assert (round(by, 6), name, after) == (2.0, "ridge_gain", "1.1")
+    by, name, *_ = sensitivity.change(before, outcome(before.figures, [], "dark-specks"))
+    assert (by, name) == (float("inf"), "findings")
+
+
+@pytest.mark.slow
+def test_a_constant_is_measured_once(script: Script, tmp_path, capsys):
+    sensitivity = script("sensitivity")
+    out = tmp_path / "rows.csv"
+    rows = [
+        {"package": "separation", "constant": c.name, "factor": f"{factor:g}", "result": "same"}
+        for c in sensitivity.constants_of(sensitivity.DEFAULT[3])
+        for factor in sensitivity.OUTER
+        if c.name != "STATE_EDGE"
+    ]
+    with out.open("w", newline="") as file:
+        writer = csv.DictWriter(file, sensitivity.COLUMNS)
+        writer.writeheader()
+        writer.writerows(rows)
+    arguments = [str(sensitivity.DEFAULT[3]), "--out", str(out)]
+    sensitivity.main(arguments)
+    assert "- separation STATE_EDGE = 0.1: direct_error_states" in capsys.readouterr().out
+    written = out.read_bytes()
+    sensitivity.main(arguments)
+    assert out.read_bytes() == written
+
+
+def test_the_committed_rows_are_whole(script: Script):
+    sensitivity = script("sensitivity")
+    rows = sensitivity.rows_of(sensitivity.OUT)
+    assert {row["result"] for row in rows} == {"not read", "same", "hardly", "changes", "raises"}
+    for tried in sensitivity.by_constant(rows).values():
+        idle = all(tried[factor]["result"] in ("not read", "same") for factor in sensitivity.OUTER)
+        assert set(tried) == {*sensitivity.OUTER, *(() if idle else sensitivity.INNER)}
