@@ -142,6 +142,13 @@ def test_untrusted_pixels_are_bridged():
     assert np.abs((poisson(slope_x, slope_y) - height + height.mean())[weights > 0]).max() > 10.0
 
 
+def test_a_long_weighted_strip_has_its_whole_height():
+    """The direct solver's ground would take part of it, were the solution not refined."""
+    strip = np.ones((2, 1000))
+    height = poisson(strip, 0 * strip, weights=0.01 * strip)
+    assert height[0, -1] - height[0, 0] == pytest.approx(999, rel=1e-5)
+
+
 def test_no_bowl_and_no_border_artefact_on_a_finger():
     i, j = np.mgrid[0:191, 0:117].astype(float)
     u, v = (j - 58) / 55, (190 - i) / 181
