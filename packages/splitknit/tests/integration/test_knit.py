@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+from dataclasses import replace
 from functools import partial
 
 import numpy as np
@@ -123,6 +124,7 @@ def test_a_plane_along_the_rays_is_placed_at_its_points() -> None:
     assert np.abs(np.dstack([x, y, z]) - points)[mask].max() < 4e-3
     assert np.array_equal(z, below)
     assert (normals @ normal)[mask].min() > np.cos(np.deg2rad(0.6))
+    assert (normals @ normal)[9:-4, 4:-4].min() > np.cos(np.deg2rad(0.06))  # off the outline
     assert np.array_equal(normals.any(axis=-1), mask)
 
 
@@ -145,13 +147,22 @@ def test_parallel_rays_leave_heights_in_place() -> None:
     assert y is None
 
 
+def ramp(rows: int, columns: int) -> np.ndarray:
+    return np.tile(np.arange(columns, dtype=np.float32), (rows, 1))
+
+
 @pytest.mark.parametrize(("size", "kept"), [((8, 7), 7), ((40, 40), 1)])
 def test_too_small_a_surface_has_no_unevenness(size: tuple[int, int], kept: int) -> None:
-    """Fewer than four coarse pixels, or none that lies within the mask."""
-    mask = np.zeros(size, dtype=bool)
-    mask[:, 3 : 3 + kept] = True
-    window = slice(0, size[0]), slice(0, size[1])
-    assert not unevenness(np.ones(size, np.float32), mask, LENS, window).any()
+    """Fewer than four coarse pixels of 0.2 mm, or none that lies within the mask."""
+    mask, window = ramp(*size) < kept, (slice(0, size[0]), slice(0, size[1]))
+    assert np.array_equal(unevenness(ramp(*size), mask, LENS, window), np.zeros(size))
+
+
+@pytest.mark.parametrize(("lens", "side"), [(LENS, 8), (replace(LENS, px_per_mm=2.0), 4)])
+def test_four_coarse_pixels_have_an_unevenness(lens: Camera, side: int) -> None:
+    """Of two pixels of the image, or of one where they are larger than 0.2 mm."""
+    window = slice(0, side), slice(0, side)
+    assert unevenness(ramp(side, side), ramp(side, side) >= 0, lens, window).any()
 
 
 def test_what_is_refused() -> None:
