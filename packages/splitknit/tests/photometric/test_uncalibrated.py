@@ -136,20 +136,32 @@ def test_the_command_line_takes_unknown(tmp_path: Path, capsys: pytest.CaptureFi
 
 
 @pytest.mark.parametrize(
-    "case", ["few", "copies", "noise", pytest.param("waves", marks=pytest.mark.slow)]
+    ("case", "message"),
+    [
+        ("few", "need 6 photographs, but there are 5"),
+        ("copies", "do not determine their lights"),
+        ("noise", "do not determine their lights"),
+        ("one dark", "too little of the object is lit in four"),
+        ("small", "too little of the object is lit in four"),
+        pytest.param("waves", "other lights explain", marks=pytest.mark.slow),
+    ],
 )
-def test_photographs_that_determine_no_lights_are_refused(case: str) -> None:
-    images = photographs(HEIGHT, spread_lights(8))
+def test_photographs_that_determine_no_lights_are_refused(case: str, message: str) -> None:
+    images, inside = photographs(HEIGHT, spread_lights(8)), INSIDE
     if case == "few":
         images = images[:5]
     elif case == "copies":
         images = np.repeat(images[:1], 8, axis=0)
     elif case == "noise":
         images = np.random.default_rng(1).integers(1, 60_000, images.shape).astype(np.uint16)
+    elif case == "one dark":
+        images[3] = 0
+    elif case == "small":
+        images, inside = images[:, ::2, ::3], INSIDE[::2, ::3]
     else:  # turned by a quarter, these slopes have no curl either
         images = photographs(0.1 * np.cos(6 * X) * np.cos(6 * Y), spread_lights(8))
-    with pytest.raises(BadInput, match="lights"):
-        unknown_lights(images.astype(np.float32) / 65535, INSIDE)
+    with pytest.raises(BadInput, match=message):
+        unknown_lights(images.astype(np.float32) / 65535, inside)
 
 
 def test_the_bear_needs_no_list(data_dir: Path) -> None:
