@@ -59,8 +59,10 @@ def test_lights_are_found_where_no_mask_is_given_and_one_image_is_clipped() -> N
 
 
 def test_a_capture_of_unknown_lights_gets_their_directions() -> None:
-    bright = np.array([0.5, 1, 0.7, 1, 0.4, 1, 0.8])
-    images = (photographs(HEIGHT, spread_lights(7)[::-1]) * bright[:, None, None]).astype(np.uint16)
+    """Before a bright background, with some places clipped under the brightest light."""
+    bright = np.array([0.5, 1, 0.7, 1.4, 0.4, 1, 0.8])
+    images = photographs(HEIGHT, spread_lights(7)[::-1]) * bright[:, None, None]
+    images = np.where(INSIDE, images, 40_000).clip(0, 65535).astype(np.uint16)
     capture, _ = capture_of_arrays(images, None, INSIDE, 49.5, bright)
     rig = with_estimated_lights(capture).rig
     directions = np.array([led.direction for led in rig.leds])
