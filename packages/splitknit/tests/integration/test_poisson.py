@@ -184,6 +184,20 @@ def test_strands_that_coarse_pixels_would_weld_converge_at_once(name, monkeypatc
     assert np.std((got - expected)[mask]) < 1e-3 * np.std(expected[mask])
 
 
+@pytest.mark.parametrize("name", ["disk", "holes"])
+def test_weighted_iteration_converges_as_fast_as_on_large_surfaces(name, monkeypatch, caplog):
+    """In eight iterations, without the factorisation that small surfaces have."""
+    for limit, value in (("_SMALL", 0), ("_DIRECT", 0), ("_RESTARTS", 1), ("MAX_ITERATIONS", 8)):
+        monkeypatch.setattr(f"splitknit.integration.poisson.{limit}", value)
+    mask, rng = masks()[name], np.random.default_rng(1)
+    slope_x, slope_y = rng.normal(size=(2, *mask.shape)).astype(np.float32)
+    weights = (0.05 + 0.95 * rng.random(mask.shape)).astype(np.float32)
+    expected = reference(slope_x, slope_y, mask, weights)
+    got = poisson(slope_x, slope_y, mask, weights)
+    assert np.std((got - expected)[mask]) < 1e-5 * np.std(expected[mask])
+    assert not caplog.records
+
+
 @pytest.mark.parametrize(
     ("change", "message"),
     [
