@@ -43,6 +43,14 @@ def test_zero_filling_bends_a_surface_that_ends_steeply():
     assert 0.3 < (ramp[32, 45] - ramp[32, 19]) / 26 < 0.8
 
 
+@pytest.mark.parametrize("axis", [0, 1])
+def test_slopes_that_alternate_from_pixel_to_pixel_have_no_height(axis):
+    """A sine of the highest frequency is zero at every sample, so no surface has these slopes."""
+    slopes, places = np.zeros((2, 16, 16)), np.indices((16, 16))
+    slopes[1 - axis] = (-1.0) ** places[axis] * np.cos(np.pi / 4 * places[1 - axis])
+    assert np.abs(frankot_chellappa(*slopes)).max() < 1e-6
+
+
 def test_y_is_up():
     height, slope_x, slope_y = bump()
     slope_y = slope_y.copy()

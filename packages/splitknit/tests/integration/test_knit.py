@@ -1,10 +1,16 @@
 from __future__ import annotations
 
+from dataclasses import replace
+from functools import partial
+
 import numpy as np
 import pytest
 
 from splitknit.errors import BadInput
-from splitknit.integration.knit import KnitSettings, add, crossover
+from splitknit.imaging.view import view_of
+from splitknit.integration.knit import KnitSettings, add, crossover, place, unevenness
+from splitknit.integration.poisson import poisson
+from splitknit.model import Camera
 
 
 def waves(shape: tuple[int, int], period: float) -> np.ndarray:
@@ -48,6 +54,14 @@ def test_what_both_surfaces_agree_on_is_kept_whatever_the_response(gain: float) 
     assert np.isnan(knitted[~mask]).all()
 
 
+def test_an_offset_between_two_surfaces_leaves_no_step_at_the_outline() -> None:
+    surface = np.random.default_rng(3).normal(size=(24, 30))
+    mask = np.hypot(*np.mgrid[-12:12, -15:15]) < 10
+    knitted = crossover(surface + 4.0, surface, keep_fine, mask)
+    np.testing.assert_allclose(knitted[mask], surface[mask], atol=1e-5)
+    assert knitted.dtype == np.float32
+
+
 def test_response_is_asked_for_radians_per_pixel() -> None:
     asked = []
 
@@ -71,12 +85,93 @@ def test_values_outside_the_mask_do_not_matter() -> None:
     )
 
 
+LENS = Camera(
+    10.0, (72, 96), 20.0, "perspective", np.array([[200.0, 0, 47.5], [0, 200.0, 35.5], [0, 0, 1]])
+)
+"""A wide view, so that what the rays change shows."""
+WINDOW = slice(10, 61), slice(20, 91)
+
+
+def tilted_plane() -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """Points (h, w, 3) that `LENS` sees in `WINDOW`, their normal, a mask, and the heights (h, w)
+    that integrating the slopes along its rays gives on a regular grid."""
+    view = view_of(LENS, *WINDOW, along_rays=True)
+    x, y = view.on_plane()
+    rise = 0.2 * x - 0.3 * y
+    z = (1 + rise) / (1 + rise / LENS.height_mm)
+    nearer = 1 - z / LENS.height_mm
+    normal = np.array([-0.2, 0.3, 1.0], np.float32) / np.sqrt(1.13)
+    own = view.turned(np.broadcast_to(normal[:, None, None], (1, 3, *z.shape)))[0]
+    mask = np.ones(z.shape, dtype=bool)
+    mask[:5, 40:] = False
+    plain = LENS.pitch_mm * np.nan_to_num(poisson(-own[0] / own[2], -own[1] / own[2], mask))
+    return np.dstack([x * nearer, y * nearer, z]), normal, mask, plain.astype(np.float32)
+
+
+def test_unevenness_is_what_a_regular_grid_misses_along_the_rays() -> None:
+    points, _, mask, plain = tilted_plane()
+    missing = view_of(LENS, *WINDOW, along_rays=True).along(points[..., 2]) - plain
+    left = (missing - unevenness(plain, mask, LENS, WINDOW))[mask]
+    assert np.ptp(missing[mask]) > 0.03
+    assert np.ptp(left) < 5e-3
+    assert left.std() < 3e-4
+
+
+def test_a_plane_along_the_rays_is_placed_at_its_points() -> None:
+    points, normal, mask, plain = tilted_plane()
+    top = float(np.quantile(points[mask, 2], 0.998))
+    z, below, normals, x, y = place(plain, plain, mask, LENS, WINDOW, top)
+    assert np.abs(np.dstack([x, y, z]) - points)[mask].max() < 4e-3
+    assert np.array_equal(z, below)
+    assert (normals @ normal)[mask].min() > np.cos(np.deg2rad(0.6))
+    assert (normals @ normal)[9:-4, 4:-4].min() > np.cos(np.deg2rad(0.06))  # off the outline
+    assert np.array_equal(normals.any(axis=-1), mask)
+
+
+def test_relief_is_added_along_the_rays() -> None:
+    _, _, mask, plain = tilted_plane()
+    z, below, *_ = place(plain + np.float32(0.1), plain, mask, LENS, WINDOW, 3.0)
+    assert np.abs((20 - z) / (20 - below) - np.exp(-0.1 / 20))[mask].max() < 1e-6
+
+
+def test_parallel_rays_leave_heights_in_place() -> None:
+    rows, columns = np.mgrid[:12.0, :15.0]
+    mask = np.hypot(rows - 6, columns - 7) < 5
+    height = np.where(mask, 0.03 * columns - 0.02 * rows, 9.0)
+    window = slice(0, 12), slice(0, 15)
+    z, below, normals, x, y = place(height, 0 * height, mask, Camera(10.0, (12, 15)), window, 5.0)
+    assert np.array_equal(z, height)
+    assert not below.any()
+    assert np.allclose(normals, mask[..., None] * np.array([-0.3, -0.2, 1]) / np.sqrt(1.13))
+    assert x is None
+    assert y is None
+
+
+def ramp(rows: int, columns: int) -> np.ndarray:
+    return np.tile(np.arange(columns, dtype=np.float32), (rows, 1))
+
+
+@pytest.mark.parametrize(("size", "kept"), [((8, 7), 7), ((40, 40), 1)])
+def test_too_small_a_surface_has_no_unevenness(size: tuple[int, int], kept: int) -> None:
+    """Fewer than four coarse pixels of 0.2 mm, or none that lies within the mask."""
+    mask, window = ramp(*size) < kept, (slice(0, size[0]), slice(0, size[1]))
+    assert np.array_equal(unevenness(ramp(*size), mask, LENS, window), np.zeros(size))
+
+
+@pytest.mark.parametrize(("lens", "side"), [(LENS, 8), (replace(LENS, px_per_mm=2.0), 4)])
+def test_four_coarse_pixels_have_an_unevenness(lens: Camera, side: int) -> None:
+    """Of two pixels of the image, or of one where they are larger than 0.2 mm."""
+    window = slice(0, side), slice(0, side)
+    assert unevenness(ramp(side, side), ramp(side, side) >= 0, lens, window).any()
+
+
 def test_what_is_refused() -> None:
     good = np.zeros((4, 5))
-    with pytest.raises(BadInput, match="one shape"):
-        add(good, np.zeros((5, 4)))
-    with pytest.raises(BadInput, match="NaN"):
-        add(good, np.full((4, 5), np.nan))
+    for join in (add, partial(crossover, response=keep_fine)):
+        with pytest.raises(BadInput, match="the relief and the shape must have one shape"):
+            join(good, np.zeros((5, 4)))
+        with pytest.raises(BadInput, match="the shape contains NaN"):
+            join(good, np.full((4, 5), np.nan))
     with pytest.raises(BadInput, match="mask is empty"):
         crossover(good, good, keep_fine, np.zeros((4, 5), dtype=bool))
     with pytest.raises(BadInput, match=r"knit\.method"):

@@ -142,6 +142,13 @@ def test_untrusted_pixels_are_bridged():
     assert np.abs((poisson(slope_x, slope_y) - height + height.mean())[weights > 0]).max() > 10.0
 
 
+def test_a_long_weighted_strip_has_its_whole_height():
+    """The direct solver's ground would take part of it, were the solution not refined."""
+    strip = np.ones((2, 1000))
+    height = poisson(strip, 0 * strip, weights=0.01 * strip)
+    assert height[0, -1] - height[0, 0] == pytest.approx(999, rel=1e-5)
+
+
 def test_no_bowl_and_no_border_artefact_on_a_finger():
     i, j = np.mgrid[0:191, 0:117].astype(float)
     u, v = (j - 58) / 55, (190 - i) / 181
@@ -175,6 +182,20 @@ def test_strands_that_coarse_pixels_would_weld_converge_at_once(name, monkeypatc
     got = poisson(slope_x, slope_y, mask)
     expected = reference(slope_x, slope_y, mask)
     assert np.std((got - expected)[mask]) < 1e-3 * np.std(expected[mask])
+
+
+@pytest.mark.parametrize("name", ["disk", "holes"])
+def test_weighted_iteration_converges_as_fast_as_on_large_surfaces(name, monkeypatch, caplog):
+    """In eight iterations, without the factorisation that small surfaces have."""
+    for limit, value in (("_SMALL", 0), ("_DIRECT", 0), ("_RESTARTS", 1), ("MAX_ITERATIONS", 8)):
+        monkeypatch.setattr(f"splitknit.integration.poisson.{limit}", value)
+    mask, rng = masks()[name], np.random.default_rng(1)
+    slope_x, slope_y = rng.normal(size=(2, *mask.shape)).astype(np.float32)
+    weights = (0.05 + 0.95 * rng.random(mask.shape)).astype(np.float32)
+    expected = reference(slope_x, slope_y, mask, weights)
+    got = poisson(slope_x, slope_y, mask, weights)
+    assert np.std((got - expected)[mask]) < 1e-5 * np.std(expected[mask])
+    assert not caplog.records
 
 
 @pytest.mark.parametrize(

@@ -70,6 +70,10 @@ def test_pass_band_has_unit_gain():
     assert np.abs(shapelet_response(np.geomspace(1e-3, 0.1, 99), third) - 1).max() < 0.12
 
 
+def test_response_at_whole_numbers_is_that_at_real_ones():
+    assert np.array_equal(shapelet_response([0, 1, 2]), shapelet_response([0.0, 1.0, 2.0]))
+
+
 def test_response_of_the_thesis_at_the_ridges():
     """Three scales pass 33 px ridges with a gain well below one (reading note 8), four with
     more."""

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from splitknit.errors import BadInput
+from splitknit.photometric.equations import conditioning, moment_matrix, solve
 from splitknit.photometric.lambertian import lambertian
 
 
@@ -69,11 +70,26 @@ def test_black_pixels_face_the_camera():
     assert (albedo == 0).all()
 
 
+@pytest.mark.parametrize("strength", [0.01, 1.0, 100.0])
+def test_conditioning_depends_on_directions_and_not_on_strengths(strength):
+    """The lights of the second pixel lie near one plane."""
+    wide, near = [[1, 0, 0], [0, 1, 0], [0, 1, 1]], [[1, 0, 1], [-1, 0, 1], [0, 0.01, 1]]
+    moments = moment_matrix(strength * np.stack([wide, near], axis=-1), None)
+    assert conditioning(moments) == pytest.approx([1 / 4, 2e-4 / 3 / 5], rel=1e-2)
+
+
+@pytest.mark.parametrize("axis", [0, 1, 2])
+def test_one_light_alone_is_solved_along_its_axis(axis):
+    light = np.eye(3)[axis]
+    got = solve(np.full((1, 1), 0.7), light[None], None)
+    assert np.abs(got[:, 0] - 0.7 * light).max() < 1e-6
+
+
 @pytest.mark.parametrize(
     ("stack", "lights", "message"),
     [
         (np.ones((7, 4, 4)), ring(6), "6 lights for 7 images"),
-        (np.ones((2, 4, 4)), ring(3)[:2], "at least 3"),
+        (np.ones((2, 4, 4)), ring(3)[:2], "stack must hold at least 3"),
         (np.ones((3, 4, 4)), np.array([[1, 0, 1], [0, 0, 1], [-1, 0, 1.0]]), "coplanar"),
         (np.ones((4, 4, 4)), ring(4)[[0, 1, 2, 2]], "same direction"),
         (np.full((3, 4, 4), np.nan), ring(3), "NaN"),

@@ -6,11 +6,13 @@ import numpy as np
 import pytest
 
 from splitknit.errors import BadInput
+from splitknit.imaging import chunks
 from splitknit.imaging.light_field import light_vectors_at
 from splitknit.imaging.view import View, view_of
 from splitknit.model import Camera, Led, Rig
 from splitknit.photometric.lambertian import lambertian
 from splitknit.photometric.near_light import near_light, pseudo_normals
+from splitknit.photometric.robust import robust
 
 SHAPE = (60, 80)
 
@@ -175,6 +177,65 @@ def test_pseudo_normals_are_linear_and_share_channels():
     assert np.array_equal(pseudo_normals(colours[2], rig, z, weights=weights), g[2])
 
 
+def test_a_light_of_weight_zero_does_not_count():
+    rig = make_rig()
+    stack, z, normals = scene(rig)
+    weights = np.ones_like(stack)
+    stack[2], weights[2] = 0.5, 0.0
+    assert np.abs(pseudo_normals(stack, rig, z, weights=weights) - 0.7 * normals).max() < 3e-4
+
+
+def test_light_that_does_not_enter_the_surface_does_not_darken_it():
+    rig = make_rig()
+    stack, z, normals = scene(rig)
+    entering = np.random.default_rng(0).uniform(0.5, 1, stack.shape)
+    g = pseudo_normals(entering * stack, rig, z, entering=entering)
+    assert np.abs(g - 0.7 * normals).max() < 3e-4
+    assert g.dtype == np.float32
+
+
+def test_pseudo_normals_are_zero_outside_the_mask():
+    rig = make_rig()
+    stack, z, _ = scene(rig)
+    mask = np.hypot(*np.mgrid[-30:30, -40:40]) < 20
+    g = pseudo_normals(stack, rig, z, mask, np.ones_like(stack), entering=np.ones_like(stack))
+    assert np.array_equal(g.any(axis=-1), mask)
+
+
+def test_three_near_lights_suffice():
+    rig = make_rig(count=3)
+    stack, z, normals = scene(rig)
+    assert np.abs(near_light(stack, rig, z)[0] - normals).max() < 2e-4
+    assert np.abs(pseudo_normals(stack, rig, z) - 0.7 * normals).max() < 2e-4
+
+
+def test_bytes_do_not_depend_on_the_chunks(monkeypatch):
+    """Along the rays of a perspective camera, where every row has its own frames."""
+    matrix = np.array([[280.0, 0, 39.5], [0, 280.0, 29.5], [0, 0, 1]])
+    rig = make_rig(Camera(2.0, SHAPE, model="perspective", matrix=matrix))
+    stack, view = scene(make_rig())[0], view_of(rig.camera, along_rays=True)
+    mask = np.hypot(*np.mgrid[-30:30, -40:40]) < 25
+    fractions = np.random.default_rng(0).uniform(0.2, 1, (2, *stack.shape)).astype(np.float32)
+
+    def results():
+        plain, _ = near_light(stack, rig, 3.0, mask, view)
+        g = pseudo_normals(stack, rig, 3.0, mask, fractions[0], view=view, entering=fractions[1])
+        return plain.tobytes(), g.tobytes()
+
+    first = results()
+    monkeypatch.setattr(chunks, "_pixels_per_chunk", lambda lights: 700)
+    assert results() == first
+
+
+def test_shadows_leave_near_lights_the_distant_result():
+    """Five lights, of which three in one plane reach the surface: the two in shadow count little."""
+    lights = np.array([[-0.5, 0, 1], [0, 0.01, 1], [0.5, 0, 1], [0, 0.8, 0.6], [0, -0.8, 0.6]])
+    stack = np.array([1.0, 1.02, 1.0, 0.028, 0.03])[:, None, None]
+    leds = (Led("white", direction=tuple(v), intensity=np.linalg.norm(v)) for v in lights)
+    got, _ = near_light(stack, Rig(Camera(2.0, (1, 1)), tuple(leds)), 0.0)
+    assert np.abs(got - robust(stack, lights)[0]).max() < 1e-4
+
+
 def test_robust_weights_find_a_highlight():
     rig = make_rig(count=9)
     stack, z, normals = scene(rig)
@@ -199,14 +260,22 @@ def test_surface_may_be_nan_outside_the_mask_only():
         near_light(stack, rig, z, mask)
 
 
+COPLANAR = Rig(
+    Camera(2.0, SHAPE), tuple(Led("white", direction=(x, 0.0, 1.0)) for x in range(-3, 4))
+)
+
+
 @pytest.mark.parametrize(
     ("change", "message"),
     [
         ({"stack": np.ones((6, *SHAPE))}, "7 lights for 6 images"),
         ({"surface_mm": np.zeros((3, 3))}, "surface_mm must be a number"),
-        ({"surface_mm": 150.0}, "reaches the LEDs"),
+        ({"surface_mm": 140.0}, "reaches the LEDs"),
+        ({"surface_mm": np.full(SHAPE, np.nan)}, "NaN everywhere"),
         ({"weights": np.ones((7, 3, 3))}, "weights must have the shape"),
         ({"weights": -np.ones((7, *SHAPE))}, "not negative"),
+        ({"entering": np.ones((7, 3, 3))}, "entering must have the shape"),
+        ({"rig": COPLANAR}, "the rig's lights are coplanar"),
         ({"view": View(np.arange(3), np.arange(4))}, r"of \(4, 3\) pixels"),
     ],
 )

@@ -75,6 +75,50 @@ def test_lit_lights_in_one_plane_do_not_decide_alone():
     assert albedo[0, 0] < 1.1
 
 
+def test_lit_lights_that_determine_no_normal_decide_before_shadowed_ones():
+    """Two lit lights, and five in shadow that a matt surface would not leave quite black."""
+    lights = ring()
+    stack = np.array([0.9, 0.5, 0, 0, 0, 0, 0])[:, None, None]
+    normals, albedo = robust(stack, lights)
+    assert np.abs((lights @ normals[0, 0] * albedo[0, 0])[:2] - [0.9, 0.5]).max() < 0.01
+
+
+@pytest.mark.parametrize("scale", [1e-4, 1e4])
+def test_units_do_not_matter_where_lit_lights_determine_no_normal(scale):
+    stack = np.array([0.9, 0.5, 0, 0, 0, 0, 0])[:, None, None]
+    normals, _ = robust(stack, ring())
+    assert np.abs(robust(scale * stack, ring())[0] - normals).max() < 1e-3
+
+
+@pytest.mark.parametrize("wrong", [[0.3, 0.05, 0, 0, 0, 0, 0, 0, 0.02], [-0.05, *[0] * 8]])
+def test_a_glossy_or_dim_pixel_has_the_fixed_point_of_cauchy_weights(wrong):
+    """In double precision: half the weight at a residual of 3 % of the albedo, or 6 % below."""
+    lights = ring(9)
+    light = lights @ [0.1, 0.2, 0.97] + wrong
+    g = np.linalg.lstsq(lights, light)[0]
+    for _ in range(200):
+        residual = (light - lights @ g) / (0.03 * np.linalg.norm(g))
+        weights = 1 / (1 + np.maximum(residual, -residual / 2) ** 2)
+        g = np.linalg.solve((lights.T * weights) @ lights, lights.T @ (weights * light))
+    normals, albedo = robust(light[:, None, None], lights)
+    assert np.abs(normals[0, 0] * albedo[0, 0] - g).max() < 1e-3
+
+
+def test_a_clean_pixel_with_a_shadow_keeps_the_fit_of_its_lit_lights():
+    lights = ring()
+    light = np.append(lights[:6] @ [0.3, 0.1, 0.9] * [1.01, 1, 0.99, 1, 1.01, 1], 0.0)
+    normals, albedo = robust(light[:, None, None], lights)
+    expected = np.linalg.lstsq(lights[:6], light[:6])[0]
+    assert np.abs(normals[0, 0] * albedo[0, 0] - expected).max() < 1e-5
+
+
+def test_outside_the_mask():
+    mask = np.array([[True, False]])
+    normals, albedo = robust(np.ones((7, 1, 2)), ring(), mask)
+    assert np.array_equal(normals.any(axis=-1), mask)
+    assert np.array_equal(np.isfinite(albedo), mask)
+
+
 def test_seven_lights_with_gloss_are_better_than_least_squares():
     lights = ring(7)
     stack, normals, mask = sphere(lights, gloss=0.3, noise=0.002)
@@ -124,6 +168,14 @@ def test_bytes_do_not_depend_on_the_chunks(monkeypatch):
     assert robust(stack, lights, mask)[0].tobytes() == first
 
 
-def test_coplanar_lights_are_refused():
-    with pytest.raises(BadInput, match="coplanar"):
-        robust(np.ones((3, 2, 2)), [[1, 0, 1], [0, 0, 1], [-1, 0, 1.0]])
+@pytest.mark.parametrize(
+    ("stack", "lights", "message"),
+    [
+        (np.ones((3, 2, 2)), [[1, 0, 1], [0, 0, 1], [-1, 0, 1.0]], "coplanar"),
+        (np.ones((7, 2, 2)), ring(6), "6 lights for 7 images"),
+        (np.ones((2, 2, 2)), ring(3)[:2], "stack must hold at least 3"),
+    ],
+)
+def test_bad_input_is_refused(stack, lights, message):
+    with pytest.raises(BadInput, match=message):
+        robust(stack, lights)

@@ -139,15 +139,7 @@ def unevenness(
     right, up = height_gradients(coarse, pitch)
     x_x, x_y, y_x, y_y = view.stretch(pitch, (rows, columns))
     residual_x, residual_y = (x_x - 1) * right + y_x * up, x_y * right + (y_y - 1) * up
-    residual = (
-        poisson(
-            np.where(inside, residual_x, 0).astype(np.float32),
-            np.where(inside, residual_y, 0).astype(np.float32),
-            inside,
-        )
-        * pitch
-    )
-    residual = np.nan_to_num(residual, nan=0.0).astype(np.float32)
+    residual = poisson(residual_x, residual_y, inside) * pitch
     return enlarged(nearest_known(residual, inside), binning, mask.shape)
 
 

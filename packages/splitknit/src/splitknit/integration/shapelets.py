@@ -112,8 +112,7 @@ def shapelets(
     >>> round(amplitude, 3), round(float(shapelet_response(omega, ShapeletSettings(scales=4))), 3)
     (0.96, 0.96)
     """
-    chosen = settings if settings is not None else ShapeletSettings()
     slope_x, slope_y, inside = check_fields(gradient_x, gradient_y, mask)
     return zero_mean(
-        integrate_mirrored(slope_x, slope_y, partial(shapelet_response, settings=chosen)), inside
+        integrate_mirrored(slope_x, slope_y, partial(shapelet_response, settings=settings)), inside
     )
