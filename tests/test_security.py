@@ -26,7 +26,7 @@ CLAIMS: dict[str, tuple[str, ...]] = {
     ),
     "what is printed, and what a report shows, holds no control character": (
         "tests/cli/test_cli.py::test_a_success_moves_no_cursor_whatever_its_files_are_called",
-        "packages/splitknit/tests/report/test_report.py::test_a_page_turns_no_writing_and_holds_no_control_character",
+        "packages/splitknit/tests/report/test_report.py::test_the_page_escapes_control_and_bidi_characters",
     ),
     "a text that would run as a formula begins with an apostrophe": (
         "packages/splitknit/tests/io/test_csv_table.py",
@@ -142,7 +142,7 @@ CLAIMS: dict[str, tuple[str, ...]] = {
     ),
     "The test runs under strace": ("tests/test_no_network.py::test_what_leaves_is_seen",),
     "it is checked by the SHA-256 of its card": (
-        "packages/splitknit/tests/networks/test_weights.py::test_one_changed_byte_is_noticed",
+        "packages/splitknit/tests/networks/test_weights.py::test_weights_with_a_changed_byte_are_refused",
     ),
 }
 UNTESTED = {

@@ -27,7 +27,7 @@ def test_bad_input_is_a_value_error() -> None:
         require(False, "this is why")
 
 
-def test_stacks() -> None:
+def test_a_stack_is_checked_for_shape_count_and_finite_values() -> None:
     stack = check_stack(np.ones((3, 4, 5), dtype=np.uint8), least=3)
     assert stack.dtype == np.float32
     for bad, words in (
@@ -40,14 +40,14 @@ def test_stacks() -> None:
             check_stack(bad, least=3)
 
 
-def test_images() -> None:
+def test_an_image_is_checked_for_shape_and_finite_values() -> None:
     assert check_image([[1, 2], [3, 4]]).dtype == np.float32
     for bad in (np.ones(4), np.ones((0, 4)), np.array([[1.0, np.nan]])):
         with pytest.raises(BadInput, match="the picture"):
             check_image(bad, name="the picture")
 
 
-def test_masks() -> None:
+def test_a_mask_is_checked_for_shape_and_content() -> None:
     assert check_mask(None, (2, 3)).all()
     np.testing.assert_array_equal(check_mask([[0, 2]], (1, 2)), [[False, True]])
     with pytest.raises(BadInput, match="shape"):
@@ -73,7 +73,7 @@ def test_lights_keep_their_length() -> None:
         (np.column_stack([np.arange(-2.0, 3.0), [0.01, 0, 0.02, 0, 0.01], np.ones(5)]), "coplanar"),
     ],
 )
-def test_lights_that_determine_no_normal(lights: np.ndarray, words: str) -> None:
+def test_lights_that_determine_no_normal_are_refused(lights: np.ndarray, words: str) -> None:
     with pytest.raises(BadInput, match=words):
         check_lights(lights)
 
@@ -83,17 +83,11 @@ def test_lights_must_match_the_images() -> None:
         check_lights(RING, 7)
 
 
-def test_weak_but_real_depth_of_lights_is_enough() -> None:
+def test_lights_just_off_a_common_plane_are_accepted() -> None:
     """Directions 2 deg about one: all near a line, but not in a plane."""
     angles = 2 * np.pi * np.arange(3) / 3
-    assert (
-        len(
-            check_lights(
-                np.column_stack([0.035 * np.cos(angles), 0.035 * np.sin(angles), np.ones(3)])
-            )
-        )
-        == 3
-    )
+    lights = np.column_stack([0.035 * np.cos(angles), 0.035 * np.sin(angles), np.ones(3)])
+    assert len(check_lights(lights)) == 3
 
 
 def test_only_whole_regular_files_of_the_budget_are_read(tmp_path: Path) -> None:
@@ -133,7 +127,7 @@ def test_a_refused_folder_is_closed(tmp_path: Path) -> None:
         (BadInput("x"), BadInput),
     ],
 )
-def test_parsers_are_refused_in_one_sentence_but_not_for_want_of_memory(
+def test_parser_errors_become_one_refusal_but_lack_of_memory_does_not(
     raised: Exception, expected: type[Exception]
 ) -> None:
     with pytest.raises(expected) as caught, refusing("the table is damaged."):

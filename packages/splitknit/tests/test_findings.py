@@ -33,22 +33,30 @@ def test_hardly_measured_ridges_are_given_in_um() -> None:
     assert str(finding).endswith(": 12 um rms with an expected error of 20 um.")
 
 
-def test_the_worst_come_first_and_each_once() -> None:
-    note, doubt = Finding("jpeg", "a"), Finding("jpeg", "b", Severity.DOUBT)
-    spoils = Finding("one-light", "c.", Severity.SPOILS, files=("x.png",), effect_deg=4.0)
-    assert worst_first([note, doubt, spoils, note]) == (spoils, doubt, note)
-    refuse([note, doubt, spoils], keep=True)
-    refuse([note, doubt], keep=False)
+NOTE, DOUBT = Finding("jpeg", "a"), Finding("jpeg", "b", Severity.DOUBT)
+SPOILS = Finding("one-light", "c.", Severity.SPOILS, files=("x.png",), effect_deg=4.0)
+
+
+def test_the_worst_finding_comes_first_and_each_once() -> None:
+    assert worst_first([NOTE, DOUBT, SPOILS, NOTE]) == (SPOILS, DOUBT, NOTE)
+
+
+def test_only_findings_that_spoil_the_result_are_refused() -> None:
+    refuse([NOTE, DOUBT, SPOILS], keep=True)
+    refuse([NOTE, DOUBT], keep=False)
     with pytest.raises(BadInput, match=r"^c; `keep`"):
-        refuse([note, spoils], keep=False)
-    assert spoils.facts == {
+        refuse([NOTE, SPOILS], keep=False)
+
+
+def test_a_finding_states_its_facts_and_its_band() -> None:
+    assert SPOILS.facts == {
         "code": "one-light",
         "severity": "spoils",
         "message": "c.",
         "files": ["x.png"],
         "effect_deg": 4.0,
     }
-    assert str(Finding("jpeg", "a").of_band("nir")) == "nir band: a"
+    assert str(NOTE.of_band("nir")) == "nir band: a"
 
 
 def test_every_code_has_a_row_and_every_row_is_used() -> None:
@@ -62,6 +70,6 @@ def test_every_code_has_a_row_and_every_row_is_used() -> None:
         )
     )
     used |= {f"{kind}-photograph" for kind in get_args(Fault)}
-    made = set(re.findall(r'Finding\(\s*"([a-z-]+)"', "\n".join(sources)))
-    assert made <= set(CODES)
+    constructed = set(re.findall(r'Finding\(\s*"([a-z-]+)"', "\n".join(sources)))
+    assert constructed <= set(CODES)
     assert set(CODES) <= used

@@ -29,7 +29,7 @@ class Outer:
     name: str = "x"
 
 
-def test_one_field_changes_and_the_rest_stays() -> None:
+def test_override_changes_the_named_fields_only() -> None:
     changed = override(
         Outer(), {"inner.sigma": 2, "inner": {"weights": [3, 4.5]}, "inner.limit": 0.5}
     )
@@ -107,13 +107,13 @@ class PairSettings(Checked):
         ({"model": "lens"}, "lamp.model must be one of point, disc, but it is 'lens'."),
     ],
 )
-def test_what_a_field_declares_is_checked(change, message):
+def test_a_value_outside_its_declared_limits_is_refused(change, message):
     with pytest.raises(BadInput) as caught:
         LampSettings(**change)
     assert str(caught.value) == message
 
 
-def test_bounds_none_and_rules_between_fields():
+def test_limits_include_their_bounds_and_rules_between_fields_hold():
     assert LampSettings(power_w=5.0, span_mm=(-2.0, 3.0), seed=None).seed is None
     with pytest.raises(BadInput, match=r"^both\.low must be at most 2, but it is 3\.0\.$"):
         PairSettings(low=3.0, high=4.0)

@@ -10,7 +10,7 @@ from splitknit.accuracy import compare, high_passed
 from splitknit.errors import BadInput
 
 
-def test_the_truth_agrees_with_itself() -> None:
+def test_a_result_equal_to_its_truth_has_no_error() -> None:
     result, truth = finger()
     figures = compare(result, truth).figures
     assert figures["surface_rms_mm"] == pytest.approx(0.0, abs=1e-6)
@@ -42,7 +42,7 @@ def test_distance_does_not_count_but_tilt_does() -> None:
 
 
 @pytest.mark.slow
-def test_the_edge_is_left_out() -> None:
+def test_the_surface_error_leaves_out_the_edge() -> None:
     result, truth = finger()
     surface = compare(result, truth).surface
     rows, columns = np.nonzero(surface)
@@ -70,7 +70,7 @@ def test_ridge_band_stops_at_sixty_degrees() -> None:
     assert np.nanmin(slant[beyond]) > 58.5
 
 
-def test_area_counts_where_ridges_are_right() -> None:
+def test_good_area_is_the_fraction_with_correct_ridges() -> None:
     result, truth = finger()
     noise = np.random.default_rng(0).normal(0, 0.03, result.mask.shape).astype(np.float32)
     half = np.where(
@@ -82,7 +82,7 @@ def test_area_counts_where_ridges_are_right() -> None:
     assert 0.4 < area < 0.6
 
 
-def test_a_part_of_the_finger_is_compared_where_both_are() -> None:
+def test_a_partial_result_is_compared_where_both_masks_overlap() -> None:
     result, truth = finger()
     part = result.mask.copy()
     part[220:] = False

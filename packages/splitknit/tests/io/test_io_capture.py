@@ -10,7 +10,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from io_shared import Build, edit
+from io_shared import Build
+from small_capture import edit
 from splitknit.errors import BadInput
 from splitknit.imaging.band import linear_stack
 from splitknit.io.capture import read_capture, write_capture

@@ -11,7 +11,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from io_shared import Build, edit
+from io_shared import Build
+from small_capture import edit
 from splitknit.errors import BadInput
 from splitknit.imaging.band import linear_stack, saturation_levels
 from splitknit.imaging.coloured import LightsSettings, as_lit

@@ -41,32 +41,26 @@ def images() -> np.ndarray:
     return np.random.default_rng(5).random((2, 3, 203, 150), dtype=np.float32)
 
 
-@pytest.mark.parametrize("value", ["0", "", None])
-def test_onnxruntime_is_imported_without_telemetry(
-    monkeypatch: pytest.MonkeyPatch, value: str | None
-) -> None:
-    if value is None:
-        monkeypatch.delenv(NO_TELEMETRY, raising=False)
-    else:
-        monkeypatch.setenv(NO_TELEMETRY, value)
+@pytest.fixture(params=["0", "", None])
+def telemetry(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The environment variable does not turn telemetry off."""
+    monkeypatch.delenv(NO_TELEMETRY, raising=False)
+    if request.param is not None:
+        monkeypatch.setenv(NO_TELEMETRY, request.param)
+
+
+@pytest.mark.usefixtures("telemetry")
+def test_onnxruntime_is_imported_without_telemetry(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "onnxruntime", None)  # as if it were not installed
     with pytest.raises(BadInput, match="pip install onnxruntime"):
         load_network(TINY)
     assert os.environ[NO_TELEMETRY] == "1"
 
 
-@pytest.mark.parametrize("value", ["0", "", None])
-def test_onnxruntime_imported_with_telemetry_is_refused(
-    network: Network, monkeypatch: pytest.MonkeyPatch, value: str | None
-) -> None:
+@pytest.mark.usefixtures("network", "telemetry")
+def test_onnxruntime_imported_with_telemetry_is_refused() -> None:
     assert "onnxruntime" in sys.modules
-    if value is None:
-        monkeypatch.delenv(NO_TELEMETRY, raising=False)
-    else:
-        monkeypatch.setenv(NO_TELEMETRY, value)
-    with pytest.raises(
-        BadInput, match="set the environment variable ORT_DISABLE_TELEMETRY=1 before"
-    ):
+    with pytest.raises(BadInput, match="ORT_DISABLE_TELEMETRY=1 before"):
         load_network(TINY)
 
 
@@ -81,12 +75,12 @@ def offered(monkeypatch: pytest.MonkeyPatch) -> Iterator[tuple[list[str], list[A
 
     def session(weights: bytes, options: Any, providers: list[Any], enable_fallback: int) -> Any:
         asked.append(providers)
-        made = real(
+        on_cpu = real(
             weights, options, providers=["CPUExecutionProvider"], enable_fallback=enable_fallback
         )
-        names = [one if isinstance(one, str) else one[0] for one in providers]
+        names = [provider if isinstance(provider, str) else provider[0] for provider in providers]
         return SimpleNamespace(
-            run=made.run, get_inputs=made.get_inputs, get_outputs=made.get_outputs,
+            run=on_cpu.run, get_inputs=on_cpu.get_inputs, get_outputs=on_cpu.get_outputs,
             get_providers=lambda: names[1:] if "broken" in there else names,
         )  # fmt: skip
 
@@ -112,14 +106,14 @@ def test_networks_run_on_cuda_where_onnxruntime_offers_it(
     before = run_network(load_network(TINY), images)
     there.insert(0, "CUDAExecutionProvider")
     assert use_device("auto") == use_device("cuda") == running().device == "cuda"
-    made = run_network(load_network(TINY), images)
+    on_cuda = run_network(load_network(TINY), images)
     (name, options), rest = asked[-1]
     assert (name, options["use_tf32"], rest) == (
         "CUDAExecutionProvider",
         "0",
         "CPUExecutionProvider",
     )
-    assert np.abs(made - before).max() <= CUDA_TOLERANCE * np.abs(before).max()
+    assert np.abs(on_cuda - before).max() <= CUDA_TOLERANCE * np.abs(before).max()
     shipped = load_network("relief")
     use_device()
     assert load_network("relief") is not shipped
@@ -130,7 +124,7 @@ def test_networks_run_on_cuda_where_onnxruntime_offers_it(
         load_network(TINY)
 
 
-def test_cuda_gives_what_the_cpu_gives(network: Network, images: np.ndarray) -> None:
+def test_cuda_agrees_with_the_cpu(network: Network, images: np.ndarray) -> None:
     import onnxruntime
 
     if "CUDAExecutionProvider" not in onnxruntime.get_available_providers():
@@ -138,50 +132,51 @@ def test_cuda_gives_what_the_cpu_gives(network: Network, images: np.ndarray) -> 
     expected = run_network(network, images)
     use_device("cuda")
     try:
-        made = run_network(load_network(TINY), images)
+        on_cuda = run_network(load_network(TINY), images)
     finally:
         use_device()
-    assert np.abs(made - expected).max() <= CUDA_TOLERANCE * np.abs(expected).max()
+    assert np.abs(on_cuda - expected).max() <= CUDA_TOLERANCE * np.abs(expected).max()
 
 
 @pytest.mark.parametrize("tile", [40, 64, 120])
-def test_in_tiles_as_in_one_piece(network: Network, images: np.ndarray, tile: int) -> None:
+def test_the_output_in_tiles_equals_that_in_one_piece(
+    network: Network, images: np.ndarray, tile: int
+) -> None:
     whole = run_network(network, images, tile=4096)
     assert whole.shape == images.shape
     assert np.ptp(whole) > 0.05
     np.testing.assert_allclose(run_network(network, images, tile=tile), whole, atol=2e-6)
 
 
-def test_no_memory_is_kept_for_every_shape(network: Network) -> None:
+def test_onnxruntime_keeps_no_memory_pattern_of_each_shape(network: Network) -> None:
     assert not network.session.get_session_options().enable_mem_pattern
 
 
-def test_the_reach_of_the_card_is_needed(network: Network, images: np.ndarray) -> None:
+def test_no_margin_smaller_than_the_reach_would_do(network: Network, images: np.ndarray) -> None:
     """A pixel at the reach's end still changes the result, so that a smaller margin would be
     wrong."""
     reach = network.card.reach
     image = images[:1, :, :200, :144].copy()
     before = run_network(network, image)
-    changed = image.copy()
-    changed[0, :, 80 - reach] += 100.0  # row 80 is a tile's first
-    assert np.abs(run_network(network, changed) - before)[0, :, 80].max() > 0
-    changed = image.copy()
-    changed[0, :, 80 - reach - 1] += 100.0
-    assert np.abs(run_network(network, changed) - before)[0, :, 80].max() == 0
+    for row, reached in ((80 - reach, True), (80 - reach - 1, False)):  # row 80 is a tile's first
+        changed = image.copy()
+        changed[0, :, row] += 100.0
+        difference = np.abs(run_network(network, changed) - before)[0, :, 80].max()
+        assert (difference > 0) == reached
 
 
 @pytest.mark.parametrize("name", ["direct", "relief", "shape"])
-def test_the_same_bytes_on_one_two_and_four_threads(name: str) -> None:
-    made = []
+def test_outputs_have_the_same_bytes_on_one_two_and_four_threads(name: str) -> None:
+    outputs = []
     for threads in (1, 2, 4):
         use_device(threads=threads)
         network = load_network(name)
         fields = np.random.default_rng(0).random(
             (1, network.card.channels_in, 203, 150), dtype=np.float32
         )
-        made.append(run_network(network, fields, tile=96).tobytes())
+        outputs.append(run_network(network, fields, tile=96).tobytes())
     use_device()
-    assert made[0] == made[1] == made[2]
+    assert outputs[0] == outputs[1] == outputs[2]
 
 
 def test_sides_that_are_no_multiple_of_the_stride_are_reflected(
@@ -192,14 +187,14 @@ def test_sides_that_are_no_multiple_of_the_stride_are_reflected(
     np.testing.assert_array_equal(run_network(network, images), expected)
 
 
-def test_one_channel_is_repeated(network: Network, images: np.ndarray) -> None:
+def test_a_grey_image_fills_every_input_channel(network: Network, images: np.ndarray) -> None:
     grey = images[:, 0]
     expected = run_network(network, np.repeat(grey[:, None], 3, axis=1))
     np.testing.assert_array_equal(run_network(network, grey), expected)
     np.testing.assert_array_equal(run_network(network, grey[:, None]), expected)
 
 
-def test_images_are_independent(network: Network, images: np.ndarray) -> None:
+def test_each_image_is_processed_independently(network: Network, images: np.ndarray) -> None:
     np.testing.assert_array_equal(
         run_network(network, images[1:]), run_network(network, images)[1:]
     )
@@ -214,12 +209,14 @@ def test_images_are_independent(network: Network, images: np.ndarray) -> None:
         ((0, 3, 64, 64), "shape"),
     ],
 )
-def test_bad_images_are_refused(network: Network, shape: tuple[int, ...], words: str) -> None:
+def test_images_of_a_wrong_shape_are_refused(
+    network: Network, shape: tuple[int, ...], words: str
+) -> None:
     with pytest.raises(BadInput, match=words):
         run_network(network, np.ones(shape, dtype=np.float32))
 
 
-def test_nan_is_refused(network: Network) -> None:
+def test_an_image_with_nan_is_refused(network: Network) -> None:
     image = np.ones((1, 16, 16), dtype=np.float32)
     image[0, 3, 3] = np.nan
     with pytest.raises(BadInput, match="NaN"):
@@ -236,11 +233,11 @@ def test_direct_light_does_not_depend_on_the_exposure(network: Network, images: 
 
 def test_direct_light_of_grey_images_is_grey(network: Network, images: np.ndarray) -> None:
     grey = images[:, 0]
-    made = direct_light(grey, network)
-    assert made.shape == grey.shape
+    direct = direct_light(grey, network)
+    assert direct.shape == grey.shape
     level = local_level(grey[0])
     raw = run_network(network, grey[:1] / level).mean(axis=1)[0] * level
-    np.testing.assert_allclose(made[0], np.clip(raw, 0, grey[0]), rtol=1e-5, atol=1e-6)
+    np.testing.assert_allclose(direct[0], np.clip(raw, 0, grey[0]), rtol=1e-5, atol=1e-6)
 
 
 def test_the_exposure_level_is_that_of_the_skin() -> None:
@@ -266,7 +263,7 @@ def test_direct_light_of_a_black_image_is_black(network: Network) -> None:
     assert (direct_light(np.zeros((1, 3, 16, 16), dtype=np.float32), network) == 0).all()
 
 
-def test_the_direct_part_of_enhanced_images_follows_the_colours(
+def test_enhanced_images_get_the_direct_fraction_of_the_colour_images(
     network: Network, images: np.ndarray
 ) -> None:
     enhanced = np.sqrt(images.mean(axis=1))

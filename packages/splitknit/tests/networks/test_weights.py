@@ -28,7 +28,7 @@ def test_a_network_is_read_with_its_card() -> None:
     assert load_network(str(TINY)).card == card
 
 
-def test_one_changed_byte_is_noticed(copy: Path) -> None:
+def test_weights_with_a_changed_byte_are_refused(copy: Path) -> None:
     data = bytearray(copy.read_bytes())
     data[len(data) // 2] ^= 1
     copy.write_bytes(data)
@@ -40,19 +40,19 @@ def test_one_changed_byte_is_noticed(copy: Path) -> None:
 
 def message(*fields: tuple[int, bytes | int | str]) -> bytes:
     """A message of Protocol Buffers, of numbers and parts below 2^14."""
-    made = b""
+    encoded = b""
     for number, value in fields:
         body = (
             value.encode() if isinstance(value, str) else b"" if isinstance(value, int) else value
         )
         count = value if isinstance(value, int) else len(body)
-        made += (
+        encoded += (
             bytes(
                 [number << 3 | (0 if isinstance(value, int) else 2), count & 127 | 128, count >> 7]
             )
             + body
         )
-    return made
+    return encoded
 
 
 def test_data_outside_the_file_are_refused(
@@ -85,14 +85,14 @@ def test_missing_files_are_named(copy: Path, tmp_path: Path) -> None:
         load_network(tmp_path / "none.onnx")
 
 
-def test_files_are_checked_before_they_are_read(copy: Path) -> None:
+def test_weights_that_are_no_regular_file_are_refused(copy: Path) -> None:
     copy.unlink()
     os.mkfifo(copy)
     with pytest.raises(BadInput, match=r"is not a file\); copy the network again"):
         load_network(copy)
 
 
-def test_an_unknown_name_is_told_what_there_is() -> None:
+def test_an_unknown_network_name_is_refused() -> None:
     with pytest.raises(BadInput, match="there is no network 'dirct' in this installation"):
         load_network("dirct")
 
@@ -106,7 +106,7 @@ def test_an_unknown_name_is_told_what_there_is() -> None:
         ({"channels_in": True}, "gives channels_in as True"),
     ],
 )
-def test_a_card_that_makes_no_sense_is_refused(
+def test_a_card_with_an_invalid_value_is_refused(
     copy: Path, change: dict[str, object], words: str
 ) -> None:
     file = copy.with_suffix(".json")
@@ -122,7 +122,7 @@ def test_a_damaged_card_is_refused(copy: Path, text: str) -> None:
         load_network(copy)
 
 
-def test_what_is_no_network_is_refused(copy: Path) -> None:
+def test_weights_that_are_not_onnx_are_refused(copy: Path) -> None:
     copy.write_bytes(b"no network at all")
     card = json.loads(copy.with_suffix(".json").read_text())
     facts = {name: card[name] for name in ("channels_in", "channels_out", "stride", "reach")}
@@ -131,7 +131,7 @@ def test_what_is_no_network_is_refused(copy: Path) -> None:
         load_network(copy)
 
 
-def test_every_shipped_network_is_whole_and_small() -> None:
+def test_shipped_networks_match_their_cards_and_stay_below_4_mb() -> None:
     names = [file.stem for file in Path(unet.__file__).parent.glob("**/*.onnx")]
     assert "direct" in names
     for name in names:

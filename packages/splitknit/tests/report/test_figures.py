@@ -42,8 +42,10 @@ def test_normals_turn_with_the_finger(yaw_deg: float) -> None:
 def test_outline_and_crease_lie_on_the_input() -> None:
     result, _ = finger()
     crease = [[150.0, 330.0], [450.0, 400.0]]
-    shown, _ = capture_pictures(replace(result, facts={"crease_line": crease}), capture_of(result))
-    image = _decoded(shown).astype(int)
+    picture, _ = capture_pictures(
+        replace(result, facts={"crease_line": crease}), capture_of(result)
+    )
+    image = _decoded(picture).astype(int)
     assert image.shape[:2] == result.mask.shape
     orange = np.abs(image - np.array(ORANGE)).max(axis=2) < 60
     edge = (
@@ -56,16 +58,16 @@ def test_outline_and_crease_lie_on_the_input() -> None:
     assert (orange & edge).sum() > 0.97 * orange.sum()
     blue = np.abs(image[365, 290:310] - np.array(BLUE)).max(axis=1) < 70
     assert blue.any()
-    assert "was cut" in shown.caption
+    assert "was cut" in picture.caption
     assert "No crease" in capture_pictures(result, capture_of(result))[0].caption
 
 
 def test_scale_bar_is_as_long_as_it_says() -> None:
     result, _ = finger()
     frame = upright_frame(result, 200)
-    shown = RELIEF(result, figures.small_fields(result, frame))
-    length_mm = float(shown.scale_label.split()[0])
-    assert shown.scale_percent / 100 * shown.width * frame.pitch_mm == pytest.approx(
+    picture = RELIEF(result, figures.small_fields(result, frame))
+    length_mm = float(picture.scale_label.split()[0])
+    assert picture.scale_percent / 100 * picture.width * frame.pitch_mm == pytest.approx(
         length_mm, rel=1e-3
     )
 
@@ -86,5 +88,5 @@ def test_the_rim_of_an_opaque_thing_is_no_relief() -> None:
     ring = replace(opaque, ridge_mm=np.where(inner, result.ridge_mm, np.float32(-0.5)))
     assert figures.relief_limits(ring) == figures.relief_limits(opaque)
     frame = upright_frame(result, 400)
-    pictures = [RELIEF(one, figures.small_fields(one, frame)).uri for one in (ring, opaque)]
-    assert pictures[0] == pictures[1]
+    first, second = (RELIEF(each, figures.small_fields(each, frame)).uri for each in (ring, opaque))
+    assert first == second

@@ -89,7 +89,7 @@ def test_mesh_normals_turn_with_the_mesh(written: Written) -> None:
     assert 0.0 <= mesh.quality.min() < mesh.quality.max() == 1.0
 
 
-def test_print_says_its_resolution(written: Written) -> None:
+def test_the_print_states_its_resolution(written: Written) -> None:
     result, _ = finger()
     stored = read_print_png(written[0] / "print.png")
     assert stored.resolution_ppi == pytest.approx(500.0, abs=0.02)
@@ -99,7 +99,7 @@ def test_print_says_its_resolution(written: Written) -> None:
     assert "splitknit" in stored.text["Software"]
 
 
-def test_every_file_says_where_it_came_from(written: Written) -> None:
+def test_every_file_names_the_software_and_its_version(written: Written) -> None:
     for name in FILES:
         data = (written[0] / name).read_bytes()
         if name != "height.npz":  # compressed
@@ -108,7 +108,7 @@ def test_every_file_says_where_it_came_from(written: Written) -> None:
     assert "settings_sha256" in str(read_npz(written[0] / "height.npz")["provenance"])
 
 
-def test_same_input_same_bytes(written: Written, tmp_path: Path) -> None:
+def test_the_same_result_gives_the_same_bytes(written: Written, tmp_path: Path) -> None:
     """All files but the reports, whatever the number of threads."""
     result, truth = finger()
     threads = cv2.getNumThreads()
@@ -126,7 +126,7 @@ def test_same_input_same_bytes(written: Written, tmp_path: Path) -> None:
             assert len(digests) == 1, name
 
 
-def test_nothing_is_left_after_a_failure(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_failed_run_leaves_no_files(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     result, _ = finger()
 
     def fail(*_: object, **__: object) -> None:

@@ -71,7 +71,7 @@ def test_a_mailed_report_turns_and_measures_a_section(
     assert page.complaints() == []
 
 
-def test_a_telephone_shows_it(written: tuple[Path, dict]) -> None:
+def test_the_report_fits_the_width_of_a_telephone(written: tuple[Path, dict]) -> None:
     page = Page(390, 800)
     try:
         page.open((written[0] / "report.html").as_uri())

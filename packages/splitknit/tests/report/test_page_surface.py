@@ -71,7 +71,7 @@ def test_a_section_along_a_ray_of_the_spiral_has_its_period(which: str, surfaces
     assert cut.figures["ridge_period_mm"] == pytest.approx(period, rel=0.015)
 
 
-def test_places_of_a_perspective_camera_are_found(surfaces) -> None:
+def test_the_pixels_of_places_under_a_perspective_camera_are_found(surfaces) -> None:
     surface = surfaces["perspective"]
     rows, columns = np.nonzero(np.isfinite(surface.x_mm[::37, ::41]))
     rows, columns = 37 * rows, 41 * columns
@@ -80,7 +80,7 @@ def test_places_of_a_perspective_camera_are_found(surfaces) -> None:
     assert np.median(apart) < 0.02  # at the rim neighbours are missing
 
 
-def test_a_section_over_the_edge_says_so(surfaces) -> None:
+def test_a_section_over_the_edge_has_no_length(surfaces) -> None:
     cut = section(surfaces["parallel"], (0.0, -4.0), (12.0, -4.0))
     assert cut.figures["straight_mm"] is None
     assert cut.figures["along_surface_mm"] is None
@@ -88,7 +88,9 @@ def test_a_section_over_the_edge_says_so(surfaces) -> None:
 
 
 @pytest.mark.parametrize("end", [(0.0, 0.0), (float("nan"), 0.0), (1e6, 0.0)])
-def test_ends_that_are_no_ends_are_refused(surfaces, end: tuple[float, float]) -> None:
+def test_a_section_without_two_ends_on_the_surface_is_refused(
+    surfaces, end: tuple[float, float]
+) -> None:
     with pytest.raises(BadInput):
         section(surfaces["parallel"], (0.0, 0.0), end)
     with pytest.raises(BadInput, match="no surface"):
@@ -111,7 +113,7 @@ def decoded(field: dict[str, Any]) -> NDArray[np.float64]:
 
 
 @pytest.mark.parametrize("which", ["parallel", "perspective"])
-def test_a_page_holds_the_surface(which: str) -> None:
+def test_a_page_holds_the_heights_of_the_surface(which: str) -> None:
     result, _ = finger()
     result = perspective(result) if which == "perspective" else result
     (facts,) = json.loads(scene_of(result, "metric").data)
