@@ -50,7 +50,7 @@ def agreement(ours: FloatArray, his: FloatArray, inside: BoolArray) -> tuple[flo
     return float(np.corrcoef(a, b)[0, 1]), float(a @ b / (b @ b))
 
 
-def test_our_enhancement_shows_the_ridges_of_his(
+def test_clahe_shows_the_ridges_of_the_author_s_enhancement(
     film: dict[str, FloatArray], inside: BoolArray
 ) -> None:
     """Half as strong beside its mean: ours makes the brightest skin white before it equalises."""
@@ -69,7 +69,7 @@ def test_our_enhancement_shows_the_ridges_of_his(
     assert contrast == pytest.approx([0.060, 0.128], abs=0.005)
 
 
-def test_our_network_on_his_enhanced_picture_is_like_his(
+def test_the_direct_network_agrees_with_the_author_s_network(
     film: dict[str, FloatArray], inside: BoolArray
 ) -> None:
     ours = direct_light(film["clahe"][None], "direct")[0]

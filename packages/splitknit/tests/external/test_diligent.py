@@ -26,7 +26,7 @@ def mean_error_deg(normals, bear, mask):
     )
 
 
-def test_error_on_the_bear(bear):
+def test_normals_of_the_bear_are_as_accurate_as_stored(bear):
     mask = bear["mask"].astype(bool)
     stack = bear["images"].astype(np.float32) / 65535
     plain, _ = lambertian(stack, bear["lights"], mask)

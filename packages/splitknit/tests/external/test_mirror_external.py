@@ -120,7 +120,7 @@ def test_whole_outlines_are_fitted_within_a_hundredth_of_the_width(seen: SeenInM
     assert all(abs(poses[name]["turn_deg"]) < 1.0 for name in ("left", "right"))
 
 
-def test_the_finger_itself_is_told_from_its_images(capture: Capture, seen: SeenInMirrors) -> None:
+def test_the_finger_is_distinguished_from_its_mirror_images(capture: Capture, seen: SeenInMirrors) -> None:
     mask = (
         cv2.resize(seen.views.front.astype(np.uint8), (3000, 2000), interpolation=cv2.INTER_NEAREST)
         > 0
@@ -130,7 +130,7 @@ def test_the_finger_itself_is_told_from_its_images(capture: Capture, seen: SeenI
     )
 
 
-def test_one_mirror_is_enough(capture: Capture) -> None:
+def test_one_mirror_is_enough_for_a_shape(capture: Capture) -> None:
     rig = replace(capture.rig, mirrors=capture.rig.mirrors[:1])
     alone = seen_in_mirrors(replace(capture, rig=rig), MirrorShapeSettings())
     assert alone.shape.facts["mirrors"] == ["left"]
