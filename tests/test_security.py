@@ -94,7 +94,7 @@ CLAIMS: dict[str, tuple[str, ...]] = {
     ),
     "After `kill -9` a folder": ("tests/fuzz/kills.py",),
     "gone when the program ends, however it ends": (
-        "packages/splitknit/tests/io/test_io_plain.py::test_large_stacks_are_worked_in_strips_from_disk",
+        "packages/splitknit/tests/io/test_io_plain.py::test_large_stacks_are_processed_in_strips_from_disk",
     ),
     "Whoever holds a key signed by the cluster's CA": (
         "packages/splitknit-match/tests/batch/test_batch_workers.py::test_a_cluster_is_used_by_whom_its_ca_knows",
@@ -129,7 +129,7 @@ CLAIMS: dict[str, tuple[str, ...]] = {
         "tests/test_no_network.py::test_nothing_leaves_the_machine",
     ),
     "lie in a file without a name while they are worked on": (
-        "packages/splitknit/tests/io/test_io_plain.py::test_large_stacks_are_worked_in_strips_from_disk",
+        "packages/splitknit/tests/io/test_io_plain.py::test_large_stacks_are_processed_in_strips_from_disk",
     ),
     "`--scheduler` connects to the scheduler that you name": (
         "packages/splitknit-match/tests/batch/test_batch_workers.py::test_the_client_opens_no_port_and_dask_s_configuration_weakens_nothing",

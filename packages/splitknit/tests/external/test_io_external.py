@@ -37,7 +37,9 @@ def capture_from_arrays(
     return Capture(rig, {"white": band}, material="opaque", mask=mask)
 
 
-def test_photographs_of_the_blender_phalange_survive_a_capture_folder(data_dir: Path, tmp_path: Path) -> None:
+def test_photographs_of_the_blender_phalange_survive_a_capture_folder(
+    data_dir: Path, tmp_path: Path
+) -> None:
     folder = data_dir / "blender_finger" / "phalange"
     lights = read_light_list(folder / "lights.txt").lights
     photographs = GivenPhotographs(
@@ -59,7 +61,9 @@ def test_photographs_of_the_blender_phalange_survive_a_capture_folder(data_dir: 
     assert float(np.median(light[:, again.mask])) > 0.1
 
 
-def test_the_shading_of_the_spheres_agrees_with_their_lights(data_dir: Path, tmp_path: Path) -> None:
+def test_the_shading_of_the_spheres_agrees_with_their_lights(
+    data_dir: Path, tmp_path: Path
+) -> None:
     folder = data_dir / "psm_spheres"
     lights = read_light_list(folder / "lights.txt").lights
     assert lights.shape == (12, 3)

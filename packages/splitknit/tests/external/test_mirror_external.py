@@ -120,7 +120,9 @@ def test_whole_outlines_are_fitted_within_a_hundredth_of_the_width(seen: SeenInM
     assert all(abs(poses[name]["turn_deg"]) < 1.0 for name in ("left", "right"))
 
 
-def test_the_finger_is_distinguished_from_its_mirror_images(capture: Capture, seen: SeenInMirrors) -> None:
+def test_the_finger_is_distinguished_from_its_mirror_images(
+    capture: Capture, seen: SeenInMirrors
+) -> None:
     mask = (
         cv2.resize(seen.views.front.astype(np.uint8), (3000, 2000), interpolation=cv2.INTER_NEAREST)
         > 0

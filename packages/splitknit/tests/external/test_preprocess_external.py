@@ -49,4 +49,7 @@ def test_a_given_mask_passes_all_steps_of_preprocessing(phalange):
     assert quality["ridge_contrast"] > 0.02
     assert motion_findings(shot_motion(stack, known_mask, 37.0)) == ()
     equalised = clahe(stack[0], 37.0, mask=known_mask)
-    assert equalised[known_mask].std() > 2 * stack[0][known_mask].std() / stack[0][known_mask].max() * 0.5
+    assert (
+        equalised[known_mask].std()
+        > 2 * stack[0][known_mask].std() / stack[0][known_mask].max() * 0.5
+    )

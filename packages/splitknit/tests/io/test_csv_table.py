@@ -25,7 +25,7 @@ _TEXTS = [
 
 
 @pytest.mark.parametrize("text", [*_TEXTS, "-0.5", "+1", "", "a,b", 'a"b', "\n"])
-def test_texts_come_back_and_none_runs(text: str) -> None:
+def test_texts_come_back_and_none_runs_as_a_formula(text: str) -> None:
     ((cell,),) = csv.reader(io.StringIO(csv_text([[text]]), newline=""))
     assert plain_text(cell) == text
     assert cell[:1] not in "=@\t\r＝" or not cell

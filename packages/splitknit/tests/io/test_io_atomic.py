@@ -58,7 +58,7 @@ def test_after_a_failure_everything_is_as_before(
     assert [path.name for path in tmp_path.iterdir()] == ["result"]
 
 
-def test_a_failing_rename_brings_the_earlier_result_back(
+def test_a_failed_rename_restores_the_earlier_result(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     fill(tmp_path / "result", one="1")
@@ -129,7 +129,7 @@ def test_a_list_of_files_counts_only_as_a_file_of_its_own(tmp_path: Path, kind: 
             assert os.path.lexists(mark)
 
 
-def test_a_file_that_someone_adds_meanwhile_is_kept(tmp_path: Path) -> None:
+def test_a_file_added_by_others_meanwhile_is_kept(tmp_path: Path) -> None:
     fill(tmp_path / "result", one="1")
     with (
         pytest.raises(BadInput, match="did not write"),
@@ -140,7 +140,7 @@ def test_a_file_that_someone_adds_meanwhile_is_kept(tmp_path: Path) -> None:
     assert visible(tmp_path / "result") == {"one": "1", "notes": "mine"}
 
 
-def test_places_that_cannot_be_written(tmp_path: Path) -> None:
+def test_places_that_cannot_be_written_are_refused(tmp_path: Path) -> None:
     (tmp_path / "file").write_text("x")
     with pytest.raises(BadInput, match="is a file"):
         fill(tmp_path / "file", one="1")
@@ -160,7 +160,7 @@ def test_places_that_cannot_be_written(tmp_path: Path) -> None:
     assert visible(tmp_path) == {"file": "x"}
 
 
-def test_a_file_in_a_folder_at_work_is_there_whole_or_not_at_all(tmp_path: Path) -> None:
+def test_a_file_in_an_unfinished_folder_is_written_whole_or_not_at_all(tmp_path: Path) -> None:
     with atomic_folder(tmp_path / "result") as folder:
         for name in ("one", "sub/two"):
             with atomic_file(folder / name) as stream:
@@ -172,7 +172,7 @@ def test_a_file_in_a_folder_at_work_is_there_whole_or_not_at_all(tmp_path: Path)
     assert (tmp_path / "result" / "sub" / "two").read_text() == "1"
 
 
-def test_a_folder_within_a_folder_at_work_appears_with_it(tmp_path: Path) -> None:
+def test_a_nested_atomic_folder_appears_with_the_outer_one(tmp_path: Path) -> None:
     with pytest.raises(KeyboardInterrupt), atomic_folder(tmp_path / "result") as outer:
         with atomic_folder(outer) as inner:
             assert inner == outer
@@ -185,7 +185,7 @@ def test_a_folder_within_a_folder_at_work_appears_with_it(tmp_path: Path) -> Non
 
 
 @pytest.mark.skipif(os.geteuid() == 0, reason="root may write anywhere")
-def test_a_folder_without_permission(tmp_path: Path) -> None:
+def test_a_folder_without_permission_is_refused(tmp_path: Path) -> None:
     (tmp_path / "locked").mkdir(mode=0o500)
     with pytest.raises(BadInput, match="Permission denied"):
         fill(tmp_path / "locked" / "result", one="1")
@@ -257,12 +257,12 @@ def test_an_interrupt_while_tidying_waits_until_that_is_done(
     where: Any = Path if place in ("mkdir", "rename") else atomic
     work, come = getattr(where, place), []
 
-    def interrupted(*given: Any, **named: Any) -> Any:
-        done = work(*given, **named) if place in ("mkdir", "_lock", "rename") else None
+    def interrupted(*arguments: Any, **named: Any) -> Any:
+        done = work(*arguments, **named) if place in ("mkdir", "_lock", "rename") else None
         if not come:
             come.append(number)
             signal.raise_signal(number)
-        return work(*given, **named) if place in ("_discard", "_release") else done
+        return work(*arguments, **named) if place in ("_discard", "_release") else done
 
     earlier = signal.signal(number, cli._interrupt)
     try:
@@ -329,7 +329,7 @@ def unmarked(parent: Path) -> list[Path]:
     return [parent / name for name in (*names, *folders)]
 
 
-def test_what_a_mark_names_stays_beside_it_and_a_new_result_is_kept(tmp_path: Path) -> None:
+def test_a_mark_restores_nothing_elsewhere_and_replaces_no_new_result(tmp_path: Path) -> None:
     """A received folder may hold marks: they lead nowhere; what took the place of an old result is
     not replaced."""
     for name, target in (("0123456789ab", "../away"), ("0123456789ac", "taken")):
@@ -349,47 +349,43 @@ def test_what_a_mark_names_stays_beside_it_and_a_new_result_is_kept(tmp_path: Pa
 
 
 @pytest.mark.skipif(os.geteuid() != 0, reason="only root gives files away")
-@pytest.mark.parametrize("given", ["", ".splitknit-0123456789ab.tmp"])
-def test_nothing_of_another_owner_is_removed(tmp_path: Path, given: str) -> None:
+@pytest.mark.parametrize("owned", ["", ".splitknit-0123456789ab.tmp"])
+def test_nothing_of_another_owner_is_removed(tmp_path: Path, owned: str) -> None:
     folder = tmp_path / "shared"
     left = folder / ".splitknit-0123456789ab.tmp"
     left.mkdir(parents=True)
     (left / "mark.json").write_text('{"format": "splitknit-temporary", "target": "x"}')
-    os.chown(folder / given, 12345, 12345)
+    os.chown(folder / owned, 12345, 12345)
     with atomic_file(folder / "file"):
         pass
     assert left.is_dir()
 
 
 def test_nothing_is_written_through_a_link_inside_a_given_folder(tmp_path: Path) -> None:
-    mine, given = tmp_path / "mine", tmp_path / "given"
+    mine, received = tmp_path / "mine", tmp_path / "given"
     mine.mkdir()
     (mine / "file").write_text("mine")
-    given.mkdir()
-    (given / "file").symlink_to(mine / "file")
-    (given / "folder").symlink_to(mine)
-    (tmp_path / "link").symlink_to(given)
-    for named in (given, tmp_path / "link"):
+    received.mkdir()
+    (received / "file").symlink_to(mine / "file")
+    (received / "folder").symlink_to(mine)
+    (tmp_path / "link").symlink_to(received)
+    for named in (received, tmp_path / "link"):
         with given_folders([named]):
             for name in ("file", "folder/file", "folder/new/file"):
-                with (
-                    pytest.raises(BadInput, match="is a link inside a folder"),
-                    atomic_file(named / name),
-                ):
-                    pass
-                with (
-                    pytest.raises(BadInput, match="is a link inside a folder"),
-                    atomic_folder(named / name),
-                ):
-                    pass
+                for write in (atomic_file, atomic_folder):
+                    with (
+                        pytest.raises(BadInput, match="is a link inside a folder"),
+                        write(named / name),
+                    ):
+                        pass
                 with pytest.raises(BadInput, match="is a link inside a folder"):
                     read_bytes(named / name, 100)
             with atomic_file(named / "below" / "own") as stream:
                 stream.write(b"own")
             assert read_bytes(named / "below" / "own", 100) == b"own"
         assert read_bytes(named / "file", 100) == b"mine"  # named by nobody
-    with given_folders([given, given / "file"]):  # the link itself is named
-        assert read_bytes(given / "file", 100) == b"mine"
+    with given_folders([received, received / "file"]):  # the link itself is named
+        assert read_bytes(received / "file", 100) == b"mine"
     assert {path.name: path.read_text() for path in mine.iterdir()} == {"file": "mine"}
 
 
@@ -425,20 +421,20 @@ def test_the_next_program_removes_what_a_killed_one_left(tmp_path: Path, where: 
         assert (path if path.is_file() else path / "mine").read_text() == "mine"
 
 
-def test_a_folder_that_another_program_sweeps_is_made_again(
+def test_a_temporary_folder_that_another_program_removes_is_made_again(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Between its making and its locking it looks as if its program had been killed."""
-    hold, made = atomic._open_folder, []
+    hold, opened = atomic._open_folder, []
 
     def swept(folder: Path) -> int | None:
-        made.append(folder)
-        if len(made) == 1:
+        opened.append(folder)
+        if len(opened) == 1:
             folder.rmdir()
         return hold(folder)
 
     monkeypatch.setattr(atomic, "_open_folder", swept)
     with atomic_file(tmp_path / "file") as stream:
         stream.write(b"1")
-    assert len(made) == 2
+    assert len(opened) == 2
     assert [path.name for path in tmp_path.iterdir()] == ["file"]

@@ -10,7 +10,7 @@ from splitknit.report.figures import small_fields, view_from_above
 
 
 @pytest.mark.parametrize("longest", [90, 200, 500])
-def test_frame_is_upright_and_averages(longest: int) -> None:
+def test_the_upright_frame_averages_the_input_pixels(longest: int) -> None:
     """Every picture pixel holds the mean of the place that its frame names, in a finger at a yaw of
     12 deg."""
     result, _ = finger()
@@ -30,7 +30,7 @@ def test_frame_is_upright_and_averages(longest: int) -> None:
     assert np.rad2deg(np.arctan2(-step[1], step[0])) == pytest.approx(12.0)
 
 
-def test_tip_is_at_the_top() -> None:
+def test_the_finger_tip_is_at_the_top_of_the_frame() -> None:
     result, _ = finger()
     _, weight = to_frame(result.shape_mm, result.mask, upright_frame(result, 200))
     width = (weight > 0.5).sum(axis=1)
@@ -47,13 +47,13 @@ def test_colours_are_ordered_in_brightness() -> None:
     assert white.min() > 240
 
 
-def test_paper_shows_outside() -> None:
+def test_pictures_are_white_outside_the_finger() -> None:
     picture = np.zeros((2, 2, 3), np.uint8)
     weight = np.array([[0.0, 1.0], [0.5, 1.0]], np.float32)
     assert on_paper(picture, weight)[..., 0].tolist() == [[255, 0], [128, 0]]
 
 
-def test_the_view_from_above_shows_the_light() -> None:
+def test_the_view_from_above_is_lit_from_the_upper_left() -> None:
     result, _ = finger()
     above = view_from_above(small_fields(result, upright_frame(result, 240))).astype(int)
     middle = slice(above.shape[0] // 2, above.shape[0] // 2 + 40)

@@ -73,7 +73,8 @@ def test_png_kinds_outside_the_standard_are_refused() -> None:
             head = b"\0\0\0\3\0\0\0\2" + bytes([depth, colour, 0, 0, 0])
             unknown = PNG + chunk(b"IHDR", head) + chunk(b"IEND", b"")
             assert (
-                refused(png_of(2, 3, depth, colour, False, Random(1)) if known else unknown) != known
+                refused(png_of(2, 3, depth, colour, False, Random(1)) if known else unknown)
+                != known
             )
 
 
