@@ -63,7 +63,7 @@ def misplaced(result: Reconstruction, capture: Capture, truth: Truth) -> tuple[f
 
 
 @pytest.mark.slow
-def test_points_lie_where_they_are(
+def test_points_of_a_perspective_camera_lie_at_their_true_places(
     photographed: tuple[Capture, Truth], reconstructed: Reconstruction
 ) -> None:
     flat = reconstruct(photographed[0], settings={"metric.rounds": 1, "camera": "orthographic"})
@@ -77,7 +77,7 @@ def test_points_lie_where_they_are(
 
 
 @pytest.mark.slow
-def test_shading_is_divided_out(
+def test_lens_shading_is_divided_out(
     photographed: tuple[Capture, Truth], reconstructed: Reconstruction
 ) -> None:
     (capture, truth), kept = photographed, reconstructed

@@ -29,24 +29,24 @@ def short_cut(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 @pytest.mark.usefixtures("short_cut")
-def test_demo_writes_everything_and_says_where(
+def test_demo_writes_its_results_and_prints_their_places(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(tmp_path)
     assert main(["demo"]) == 0
-    said = capsys.readouterr().out
+    printed = capsys.readouterr().out
     out = tmp_path / "demo"
     assert read_capture(out / "capture").shape == (440, 640)
     for preset in ("metric", "ea"):
         assert {path.name for path in (out / preset).iterdir()} >= set(FILES)
         assert json.loads((out / preset / "report.json").read_text())["comparison"][preset]
-        assert f"demo/{preset}" in said
+        assert f"demo/{preset}" in printed
     facts = json.loads((out / "report.json").read_text())
     assert set(facts["comparison"]) == {"metric", "ea"}
     page = (out / "report.html").read_text()
     assert "Ridge error, metric" in page
     assert "Ridge error, ea" in page
-    assert "Open demo/report.html" in said
+    assert "Open demo/report.html" in printed
 
 
 @pytest.mark.slow

@@ -41,7 +41,7 @@ def test_one_mirror_gives_the_shape(finger: Scene) -> None:
 
 
 @pytest.mark.parametrize(("turn", "lean", "shift"), [(3.0, 0.0, 2.0), (-2.0, -2.2, -2.0)])
-def test_a_mirror_off_its_place_is_found(
+def test_a_misplaced_mirror_is_located(
     finger: Scene, turn: float, lean: float, shift: float
 ) -> None:
     """The rig file is wrong by up to 3 deg and 2 mm; the view is the true mirror's."""
@@ -56,7 +56,7 @@ def test_a_mirror_off_its_place_is_found(
             assert shape.facts["poses"][name]["turn_deg"] == pytest.approx(-turn, abs=0.3)
 
 
-def test_the_thesis_is_misled_by_what_ours_finds(finger: Scene) -> None:
+def test_the_method_of_the_thesis_gives_a_coarser_shape(finger: Scene) -> None:
     thesis = MirrorShapeSettings(method="thesis")
     first = mirror_shape(only(finger.views, "left"), finger.rig, thesis)
     assert finger.rms_mm(first) < 0.35
@@ -66,10 +66,10 @@ def test_the_thesis_is_misled_by_what_ours_finds(finger: Scene) -> None:
 
 def test_views_of_two_fingers_are_refused(finger: Scene) -> None:
     """The mirror shows a finger at another place along the mirror, or one of another thickness."""
-    other = np.roll(finger.views.mirrors["left"], 60, axis=0)
-    other[:60] = False
+    elsewhere = np.roll(finger.views.mirrors["left"], 60, axis=0)
+    elsewhere[:60] = False
     with pytest.raises(BadInput, match="do not fit one finger"):
-        mirror_shape(Views(finger.views.front, {"left": other}, 1), finger.rig)
+        mirror_shape(Views(finger.views.front, {"left": elsewhere}, 1), finger.rig)
     mask = finger.views.mirrors["left"]
     middle = int(np.flatnonzero(mask.any(axis=0)).mean())
     size = (mask.shape[1], mask.shape[0])
