@@ -63,6 +63,15 @@ def seen(camera, points):
     return cv2.projectPoints(turned, np.zeros(3), np.zeros(3), camera.matrix, distortion)[0][:, 0]
 
 
+def lambert(led, point, normal=(0, 0, 1), albedo=0.9):
+    """Radiance by hand: inverse square, cosine of incidence, cosine to the lobe's power, Lambert."""
+    towards = np.array(led.position_mm) - point
+    r = np.linalg.norm(towards)
+    facing = max(float(np.dot(towards / r, normal)), 0.0)
+    along = np.dot(-towards / r, led.axis)
+    return albedo / np.pi * led.intensity * (100 / r) ** 2 * facing * along**led.lobe_exponent
+
+
 def sample(image, places):
     """Values of `image` at (N, 2) columns and rows, bilinear."""
     places = np.asarray(places, dtype=np.float32)

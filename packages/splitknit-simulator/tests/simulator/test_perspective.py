@@ -19,7 +19,7 @@ from splitknit_simulator.finger.finger import (
     finger_surface,
     placement_of,
 )
-from splitknit_simulator.finger.master_print import MasterPrint, MasterPrintSettings
+from splitknit_simulator.finger.master_print import MasterPrintSettings
 from splitknit_simulator.finger.shape import FingerBody
 from splitknit_simulator.light.lighting import white_card
 from splitknit_simulator.light.renderer import render_ambient, render_band
@@ -47,17 +47,13 @@ CENTRED = perspective_camera((430, 560), 15.0, 140.0)
 
 @pytest.fixture(scope="module")
 def finger() -> SimulatedFinger:
-    return draw_finger(2, "left_loop", print_settings=SHORT)
+    drawn = draw_finger(2, "left_loop", print_settings=SHORT)
+    return replace(drawn, printed=drawn.master())
 
 
 @pytest.fixture(scope="module")
-def master(finger: SimulatedFinger) -> MasterPrint:
-    return finger.master()
-
-
-@pytest.fixture(scope="module")
-def seen(finger: SimulatedFinger, master: MasterPrint) -> SimulatedSurface:
-    return finger_surface(replace(finger, printed=master), POSE, CAMERA)
+def seen(finger: SimulatedFinger) -> SimulatedSurface:
+    return finger_surface(finger, POSE, CAMERA)
 
 
 def _points(surface: SimulatedSurface) -> np.ndarray:
@@ -125,12 +121,12 @@ def test_normals_are_those_of_the_points_and_face_the_camera(seen: SimulatedSurf
 
 
 @pytest.mark.slow
-def test_the_sides_move_inwards(finger: SimulatedFinger, master: MasterPrint) -> None:
+def test_the_sides_move_inwards(finger: SimulatedFinger) -> None:
     """What lies below the finger plane appears nearer to the axis: by 0.2 to 0.4 mm at the
     sides."""
     pose = FingerPose(insertion_mm=26.0)
-    plain = finger_surface(replace(finger, printed=master), pose, Camera(15.0, (430, 560)))
-    spread = finger_surface(replace(finger, printed=master), pose, CENTRED)
+    plain = finger_surface(finger, pose, Camera(15.0, (430, 560)))
+    spread = finger_surface(finger, pose, CENTRED)
     assert 0.92 * plain.mask.sum() < spread.mask.sum() < 0.97 * plain.mask.sum()
     row = 250
     edges = [np.flatnonzero(s.mask[row])[[0, -1]] for s in (plain, spread)]

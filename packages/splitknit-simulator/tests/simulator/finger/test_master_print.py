@@ -45,7 +45,9 @@ def turn(angle: np.ndarray, row: int, column: int, reach: int) -> float:
         ("twin_loop", 2, 2),
     ],
 )
-def test_the_class_decides_the_singular_points(pattern: str, cores: int, deltas: int) -> None:
+def test_the_class_determines_the_number_of_cores_and_deltas(
+    pattern: str, cores: int, deltas: int
+) -> None:
     for seed in range(3):
         field = orientation_field(pattern, np.random.default_rng(seed), U, V)
         assert (len(field.cores_mm), len(field.deltas_mm)) == (cores, deltas)
@@ -106,7 +108,7 @@ def test_minutiae_sit_on_broken_ridges_at_the_density_of_people() -> None:
     assert 0.13 < np.mean(densities) < 0.32
 
 
-def test_a_dislocation_is_found_with_its_side() -> None:
+def test_a_dislocation_is_found_with_its_direction() -> None:
     from splitknit_simulator.finger.ridges import phase_singularities
 
     rows, columns = np.mgrid[0:200, 0:200].astype(float)
@@ -114,8 +116,8 @@ def test_a_dislocation_is_found_with_its_side() -> None:
     wave = (
         np.cos(phase) * np.exp(-(((rows - 100) / 60) ** 2) - ((columns - 100) / 60) ** 2)
     ).astype(np.float32)
-    found = phase_singularities(wave, np.full((200, 200), np.pi / 2))
-    near = found[np.hypot(found[:, 0] - 100.5, found[:, 1] - 100.5) < 60]
+    singular = phase_singularities(wave, np.full((200, 200), np.pi / 2))
+    near = singular[np.hypot(singular[:, 0] - 100.5, singular[:, 1] - 100.5) < 60]
     assert len(near) == 1
     assert np.hypot(near[0, 0] - 100.5, near[0, 1] - 100.5) < 3
     # The phase grows along the columns; a turn of +2 pi counter-clockwise leaves more ridges below
@@ -147,31 +149,34 @@ def test_the_same_seed_gives_the_same_bytes_for_any_threads() -> None:
     assert master_print("whorl", 6, SMALL).ridge.tobytes() != first.ridge.tobytes()
 
 
-def test_bad_input_is_refused() -> None:
+def test_unknown_patterns_and_coarse_pitches_are_refused() -> None:
     with pytest.raises(BadInput, match="choose one of"):
         master_print("spiral", 0)
     with pytest.raises(BadInput, match="pitch_mm"):
         MasterPrintSettings(pitch_mm=0.1)
 
 
-def test_the_finger_that_left_a_print_has_its_ridges(prints: list[MasterPrint]) -> None:
+def test_a_print_gives_back_the_ridges_of_its_finger(prints: list[MasterPrint]) -> None:
     """Ink on paper and back: mirrored twice, at the print's scale, its middle 13.5 mm above the
     first crease."""
     first = prints[0]
-    found = master_of_print(ink_print(first), settings=SMALL)
-    pad = (slice(None), np.abs(found.u_mm) < 4.0), (np.abs(found.v_mm - 13.5) < 6.0, slice(None))
-    one, other = (m.ridge[pad[1]][pad[0]] for m in (first, found))
+    restored = master_of_print(ink_print(first), settings=SMALL)
+    pad = (
+        (slice(None), np.abs(restored.u_mm) < 4.0),
+        (np.abs(restored.v_mm - 13.5) < 6.0, slice(None)),
+    )
+    printed, recovered = (m.ridge[pad[1]][pad[0]] for m in (first, restored))
     best = max(
-        np.corrcoef(np.roll(other, (r, c), (0, 1))[8:-8, 8:-8].ravel(), one[8:-8, 8:-8].ravel())[
-            0, 1
-        ]
+        np.corrcoef(
+            np.roll(recovered, (r, c), (0, 1))[8:-8, 8:-8].ravel(), printed[8:-8, 8:-8].ravel()
+        )[0, 1]
         for r in range(-6, 7, 2)
         for c in range(-6, 7, 2)
     )
     assert best > 0.85
     # beyond the print the skin is smooth
-    assert found.ridge[np.abs(found.v_mm - 1.0) < 1.0].std() < 1e-6
-    assert found.pattern == "print" and not found.cores_mm and len(found.minutiae) == 0
+    assert restored.ridge[np.abs(restored.v_mm - 1.0) < 1.0].std() < 1e-6
+    assert restored.pattern == "print" and not restored.cores_mm and len(restored.minutiae) == 0
 
 
 @pytest.mark.parametrize(
@@ -182,6 +187,6 @@ def test_the_finger_that_left_a_print_has_its_ridges(prints: list[MasterPrint]) 
         (np.full((2000, 300), 255, np.uint8), "too large"),
     ],
 )
-def test_what_is_no_print_is_refused(image: np.ndarray, message: str) -> None:
+def test_images_that_are_no_print_are_refused(image: np.ndarray, message: str) -> None:
     with pytest.raises(BadInput, match=message):
         master_of_print(image)

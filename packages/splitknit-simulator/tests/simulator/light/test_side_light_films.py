@@ -33,7 +33,7 @@ def test_turned_film_keeps_the_reflection_out_of_the_crossed_image(analyser: flo
     assert max(leaks) > 0.4
 
 
-def test_the_twin_mounts_the_film_so() -> None:
+def test_the_twin_turns_the_film_before_side_lights() -> None:
     rig = with_side_lights(default_rig(0.1), 7)
     films = films_of(TwinSettings(rig=rig, films=FilmSettings(kind="analyser")), rig)
     assert films is not None and films.polariser_rad.shape == (2, 14)
