@@ -50,7 +50,7 @@ CLAIMS: dict[str, tuple[str, ...]] = {
         "packages/splitknit/tests/io/test_npz.py::test_a_bomb_is_refused_before_memory_is_taken",
     ),
     "whatever cannot be read is refused in one sentence": (
-        "packages/splitknit-rig/tests/cli/test_bad_input.py::test_bad_captures",
+        "packages/splitknit-rig/tests/cli/test_bad_input.py::test_bad_captures_are_refused_in_one_sentence",
         "tests/cli/test_cli.py::test_a_closed_pipe_is_no_error_and_a_full_disk_is_one_sentence",
         "tests/fuzz/run.py",
     ),
