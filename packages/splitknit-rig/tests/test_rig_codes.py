@@ -16,8 +16,8 @@ def test_every_code_has_a_row_and_every_row_is_used() -> None:
     files = [path for path in root.rglob("*.py") if path.name != "codes.py"]
     files.append(Path(twin_devices.__file__))  # opened by `capture`
     sources = "\n".join(path.read_text(encoding="utf-8") for path in files)
-    made = re.findall(r'Finding\(\s*"([a-z-]+)"', sources)
-    assert len(made) == sources.count("Finding(")
-    assert set(made) <= {*CODES, *CORE}
-    assert set(CODES) <= set(made)
+    constructed = re.findall(r'Finding\(\s*"([a-z-]+)"', sources)
+    assert len(constructed) == sources.count("Finding(")
+    assert set(constructed) <= {*CODES, *CORE}
+    assert set(CODES) <= set(constructed)
     assert not set(CODES) & set(CORE)
