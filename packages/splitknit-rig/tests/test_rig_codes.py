@@ -1,7 +1,5 @@
 """A row of the documentation for each code of the rig's findings."""
 
-from __future__ import annotations
-
 import re
 from pathlib import Path
 
@@ -11,7 +9,7 @@ from splitknit_rig.codes import CODES
 from splitknit_simulator import twin_devices
 
 
-def test_every_code_has_a_row_and_every_row_is_used() -> None:
+def test_every_code_has_a_row_and_every_row_is_used():
     root = Path(splitknit_rig.__file__).parent
     files = [path for path in root.rglob("*.py") if path.name != "codes.py"]
     files.append(Path(twin_devices.__file__))  # opened by `capture`

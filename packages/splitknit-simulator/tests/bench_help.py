@@ -1,8 +1,6 @@
 """What the tests of the bench's scenes share: two cameras, one light, positions found in
 pictures."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import cv2

@@ -5,7 +5,6 @@ from __future__ import annotations
 
 import json
 from dataclasses import asdict
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -59,7 +58,7 @@ def band_of(
     )
 
 
-def test_a_coloured_capture_is_written_and_read(twin: Capture, tmp_path: Path) -> None:
+def test_a_coloured_capture_is_written_and_read(twin, tmp_path):
     write_capture(twin, tmp_path / "c")
     read = read_capture(tmp_path / "c")
     band = read.bands["white"]
@@ -75,7 +74,7 @@ def test_a_coloured_capture_is_written_and_read(twin: Capture, tmp_path: Path) -
     assert not any("bright as the rig file promises" in words for words in result.warnings)
 
 
-def test_a_rig_file_names_colours_and_crosstalk_only_where_stated(tmp_path: Path) -> None:
+def test_a_rig_file_names_colours_and_crosstalk_only_where_stated(tmp_path):
     leds = tuple(Led("white", (40 * np.cos(a), 40 * np.sin(a), 100.0)) for a in range(4))
     write_rig(Rig(Camera(10.0, (20, 30)), leds), tmp_path / "rig.json")
     text = (tmp_path / "rig.json").read_text()
@@ -112,8 +111,8 @@ def test_a_rig_file_names_colours_and_crosstalk_only_where_stated(tmp_path: Path
     ],
 )
 def test_colours_that_cannot_be_separated_are_refused(  # noqa: PLR0917
-    twin: Capture, tmp_path: Path, capsys: pytest.CaptureFixture[str], file: str, change, words: str
-) -> None:
+    twin, tmp_path, capsys, file, change, words
+):
     write_capture(twin, tmp_path / "c")
     edit(tmp_path / "c" / file, change)
     options = "--out", tmp_path / "r", "--preset", "lin"
@@ -121,13 +120,13 @@ def test_colours_that_cannot_be_separated_are_refused(  # noqa: PLR0917
     assert not (tmp_path / "r").exists()
 
 
-def test_metric_refuses_coloured_leds(twin: Capture) -> None:
+def test_metric_refuses_coloured_leds(twin):
     with pytest.raises(BadInput, match="blurs the light of each coloured LED differently"):
         reconstruct(twin)
 
 
 @pytest.mark.slow
-def test_white_images_become_coloured_exposures(white: Capture) -> None:
+def test_white_images_become_coloured_exposures(white):
     coloured = composed(white, 2)
     band = coloured.bands["white"]
     assert band.pixels.shape == (2, *white.shape, 3)
@@ -150,7 +149,7 @@ def test_white_images_become_coloured_exposures(white: Capture) -> None:
     np.testing.assert_array_equal(result.height_mm, plain.height_mm)
 
 
-def test_balanced_images_fit_a_matt_surface_better(twin: Capture) -> None:
+def test_balanced_images_fit_a_matt_surface_better(twin):
     band = twin.bands["white"]
     lights = twin.rig.select(band.lights).light_vectors()
     stack = linear_stack(band, "linear")
@@ -163,16 +162,14 @@ def test_balanced_images_fit_a_matt_surface_better(twin: Capture) -> None:
     assert left[1] < 0.5 * left[0]
 
 
-def test_only_the_preset_lin_composes_and_balances_coloured_lights() -> None:
+def test_only_the_preset_lin_composes_and_balances_coloured_lights():
     assert asdict(PRESETS["ea"])["lights"] == {"compose": 0, "balance": False}
     assert asdict(PRESETS["lin"])["lights"] == {"compose": 2, "balance": True}
     assert asdict(override(PRESETS["ea"], {"lights.compose": 1}))["lights"]["compose"] == 1
 
 
 @pytest.mark.slow
-def test_simulate_photographs_coloured_lights_still_or_moving(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_simulate_photographs_coloured_lights_still_or_moving(tmp_path, capsys):
     command = ["simulate", "--scale", "0.06", "--lights", "coloured9"]
     assert main([*command, "--out", str(tmp_path / "c")]) == 0
     assert "--preset lin" in capsys.readouterr().out

@@ -97,9 +97,7 @@ and images do."""
     + [pytest.param(k, "metric", marks=() if k in METRIC else pytest.mark.slow) for k in KINDS]
     + [pytest.param(k, p, marks=pytest.mark.slow) for k in KINDS for p in ("snk", KINDS[k][2][1])],
 )
-def test_every_kind_of_capture_gives_a_plausible_surface(
-    kind: str, preset: str, capture: Capture, truth: Truth
-) -> None:
+def test_every_kind_of_capture_gives_a_plausible_surface(kind, preset, capture, truth):
     make, worse, _ = KINDS[kind]
     (rms, _), (correlation, _), _ = kinds.FIGURES[preset]
     result = quick(make(capture), preset)
@@ -113,9 +111,7 @@ def test_every_kind_of_capture_gives_a_plausible_surface(
 
 @pytest.mark.slow
 @pytest.mark.parametrize("size", [(323, 459), (329, 470)])
-def test_odd_image_sizes_give_a_plausible_surface(
-    size: tuple[int, int], capture: Capture, truth: Truth
-) -> None:
+def test_odd_image_sizes_give_a_plausible_surface(size, capture, truth):
     rows, columns = slice(0, size[0]), slice(7, 7 + size[1])
     part = {name: truth[name][rows, columns] for name in ("height_mm", "shape_mm", "mask")}
     for preset in ("metric", "snk"):
@@ -124,9 +120,7 @@ def test_odd_image_sizes_give_a_plausible_surface(
 
 @pytest.mark.slow
 @pytest.mark.parametrize("preset", ["metric", "ea"])
-def test_a_finger_cut_by_one_side_gives_a_plausible_surface(
-    preset: str, capture: Capture, truth: Truth
-) -> None:
+def test_a_finger_cut_by_one_side_gives_a_plausible_surface(preset, capture, truth):
     columns = np.flatnonzero(truth["mask"].any(axis=0))
     kept = slice(0, int(columns[0] + 0.75 * np.ptp(columns)))
     part = {name: truth[name][:, kept] for name in ("height_mm", "shape_mm", "mask")}
@@ -154,7 +148,7 @@ TWINS: dict[str, TwinSettings] = {
         for kind in TWINS
     ],
 )
-def test_every_kind_of_finger_and_camera_gives_a_plausible_surface(kind: str) -> None:
+def test_every_kind_of_finger_and_camera_gives_a_plausible_surface(kind):
     settings = TWINS[kind]
     capture, truth = simulate_capture(
         3, "whorl", replace(settings, scale=min(settings.scale, 0.12))
@@ -168,7 +162,7 @@ def test_every_kind_of_finger_and_camera_gives_a_plausible_surface(kind: str) ->
 
 
 @pytest.mark.slow
-def test_a_finger_with_two_creases_is_cut_at_the_first() -> None:
+def test_a_finger_with_two_creases_is_cut_at_the_first():
     """A finger far in a picture that is higher than the rig's: it is cut at its first crease, not
     at its second."""
     settings = TwinSettings(scale=0.15)
@@ -191,9 +185,7 @@ def test_a_finger_with_two_creases_is_cut_at_the_first() -> None:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("suffix", ["jpg", "tiff"])
-def test_jpeg_and_tiff_give_the_surface_of_png(
-    suffix: str, twin_folder: Path, truth: Truth, upright: Reconstruction, tmp_path: Path
-) -> None:
+def test_jpeg_and_tiff_give_the_surface_of_png(suffix, twin_folder, truth, upright, tmp_path):
     """JPEG of 8 and TIFF of 16 bits in place of the PNGs."""
     folder = copy_of(twin_folder, tmp_path / "capture")
     for file in sorted(folder.glob("*.png")):
@@ -218,9 +210,7 @@ def test_jpeg_and_tiff_give_the_surface_of_png(
 
 @pytest.mark.slow
 @pytest.mark.parametrize("tip_deg", [90, -90, 180])
-def test_the_tip_direction_of_a_file_is_used(
-    tip_deg: int, capture: Capture, tmp_path: Path
-) -> None:
+def test_the_tip_direction_of_a_file_is_used(tip_deg, capture, tmp_path):
     quarter_turns = (tip_deg // 90) % 4
     write_capture(kinds.turned(capture, quarter_turns, None), tmp_path / "capture")
     document = tmp_path / "capture" / "capture.json"
@@ -243,7 +233,7 @@ def tip_of(mask: np.ndarray, quarter_turns: int) -> tuple[float, float]:
     return float(columns[k]), float(rows[k])
 
 
-def test_a_mask_that_is_a_narrow_strip_is_refused(capture: Capture) -> None:
+def test_a_mask_that_is_a_narrow_strip_is_refused(capture):
     mask = np.zeros(capture.shape, dtype=bool)
     mask[200:300, 240:256] = True
     with pytest.raises(
@@ -256,14 +246,14 @@ def test_a_mask_that_is_a_narrow_strip_is_refused(capture: Capture) -> None:
     ("material", "px_per_mm"),
     [("skin", 961.0), ("skin", 0.03785), ("skin", 37850.0), ("opaque", 961.0), ("opaque", 37850.0)],
 )
-def test_an_impossible_scale_is_refused(material: str, px_per_mm: float, capture: Capture) -> None:
+def test_an_impossible_scale_is_refused(material, px_per_mm, capture):
     rig = replace(capture.rig, camera=replace(capture.rig.camera, px_per_mm=px_per_mm))
     with pytest.raises(BadInput, match=f"{px_per_mm:g} px/mm"):
         quick(replace(capture, rig=rig, material=material), "ea")
 
 
 @pytest.mark.slow
-def test_an_unusual_finger_width_gets_a_note(capture: Capture) -> None:
+def test_an_unusual_finger_width_gets_a_note(capture):
     camera = capture.rig.camera
     rig = replace(capture.rig, camera=replace(camera, px_per_mm=2.5 * camera.px_per_mm))
     for stated, unusual in ((replace(capture, rig=rig), True), (capture, False)):

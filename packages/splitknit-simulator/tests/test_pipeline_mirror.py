@@ -4,7 +4,6 @@ alone."""
 from __future__ import annotations
 
 from dataclasses import replace
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -32,9 +31,7 @@ def photographed() -> Photographed:
 
 
 @pytest.mark.slow
-def test_the_command_line_takes_the_shape_from_the_mirror(
-    photographed: Photographed, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_the_command_line_takes_the_shape_from_the_mirror(photographed, tmp_path, capsys):
     capture, truth = photographed
     write_capture(capture, tmp_path / "capture", truth)
     out = tmp_path / "result"
@@ -49,7 +46,7 @@ def test_the_command_line_takes_the_shape_from_the_mirror(
 
 
 @pytest.mark.slow
-def test_snk_adds_its_relief_to_the_shape_from_mirrors(photographed: Photographed) -> None:
+def test_snk_adds_its_relief_to_the_shape_from_mirrors(photographed):
     capture, truth = photographed
     result = reconstruct(capture, "snk", {"shape.source": "mirror", "direct.method": "none"})
     assert compare(result, truth).figures["shape_rms_mm"] < 0.3
@@ -59,7 +56,7 @@ def test_snk_adds_its_relief_to_the_shape_from_mirrors(photographed: Photographe
     )
 
 
-def test_by_default_the_front_view_alone_is_reconstructed(photographed: Photographed) -> None:
+def test_by_default_the_front_view_alone_is_reconstructed(photographed):
     capture, truth = photographed
     result = reconstruct(capture, "ea")
     both = result.mask & truth["mask"]
@@ -68,8 +65,8 @@ def test_by_default_the_front_view_alone_is_reconstructed(photographed: Photogra
 
 
 def test_captures_and_presets_without_a_shape_from_mirrors_are_refused(
-    photographed: Photographed, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+    photographed, tmp_path, capsys
+):
     capture, _ = photographed
     bare = replace(capture, rig=replace(capture.rig, mirrors=()))
     mask = np.zeros(capture.shape, dtype=np.bool_)

@@ -1,8 +1,6 @@
 """A finger that moved is brought onto one shot before it is reconstructed; a still one is left
 alone, bit by bit."""
 
-from __future__ import annotations
-
 import json
 
 import numpy as np

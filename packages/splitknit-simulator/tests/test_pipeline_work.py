@@ -8,7 +8,6 @@ import sys
 import weakref
 from collections import Counter
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -69,7 +68,7 @@ def counts(monkeypatch: pytest.MonkeyPatch) -> Counter[str]:
 
 
 @pytest.mark.slow
-def test_metric_computes_no_more_than_stated(capture: Capture, counts: Counter[str]) -> None:
+def test_metric_computes_no_more_than_stated(capture, counts):
     splitknit.reconstruct(capture)
     pixels = counts["pixels"]
     assert counts["features"] == 1
@@ -81,9 +80,7 @@ def test_metric_computes_no_more_than_stated(capture: Capture, counts: Counter[s
 
 
 @pytest.mark.slow
-def test_images_handed_over_are_released_before_the_surface(
-    capture: Capture, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_images_handed_over_are_released_before_the_surface(capture, monkeypatch):
     kept = splitknit.reconstruct(capture, settings={"metric.relief": "colour", "metric.rounds": 1})
     assert set(capture.bands) == {"white", "nir"}
     bands = {name: replace(band, pixels=band.pixels.copy()) for name, band in capture.bands.items()}
@@ -106,7 +103,7 @@ def test_images_handed_over_are_released_before_the_surface(
 
 
 @pytest.mark.slow
-def test_a_run_loads_only_the_parts_of_scipy_that_it_uses(capture: Capture, tmp_path: Path) -> None:
+def test_a_run_loads_only_the_parts_of_scipy_that_it_uses(capture, tmp_path):
     """The sparse solver, and `least_squares` for the lights' places, which brings `fft`, `special`
     and `spatial`; no other part, as each takes time to load."""
     write_capture(capture, tmp_path / "capture")

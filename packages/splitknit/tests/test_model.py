@@ -23,12 +23,12 @@ def rig_of(*leds: Led) -> Rig:
         ({"model": "perspective"}, "matrix"),
     ],
 )
-def test_an_impossible_camera_is_refused(changes: dict[str, object], words: str) -> None:
+def test_an_impossible_camera_is_refused(changes, words):
     with pytest.raises(BadInput, match=words):
         Camera(**{"px_per_mm": 10.0, "image_size": (4, 5), **changes})
 
 
-def test_the_pitch_is_the_inverse_of_the_scale() -> None:
+def test_the_pitch_is_the_inverse_of_the_scale():
     assert Camera(px_per_mm=8.0, image_size=(4, 5)).pitch_mm == 0.125
 
 
@@ -43,12 +43,12 @@ def test_the_pitch_is_the_inverse_of_the_scale() -> None:
         ({"direction": (0, 0, 1), "lobe_exponent": -1.0}, "lobe_exponent"),
     ],
 )
-def test_an_impossible_led_is_refused(changes: dict[str, object], words: str) -> None:
+def test_an_impossible_led_is_refused(changes, words):
     with pytest.raises(BadInput, match=words):
         Led("white", **changes)
 
 
-def test_strength_falls_with_the_square_of_the_distance() -> None:
+def test_strength_falls_with_the_square_of_the_distance():
     vectors = rig_of(
         Led("white", position_mm=(0, 0, 100)),
         Led("white", position_mm=(0, 0, 200)),
@@ -68,7 +68,7 @@ THREE_LEDS = rig_of(
 )
 
 
-def test_lights_of_one_exposure_add() -> None:
+def test_lights_of_one_exposure_add():
     rig = THREE_LEDS.select([(0, 1), (2,), (0,)])
     assert len(rig.leds) == 3
     expected = np.array([[0, 1.2, 2.6], [1, 0, 0], [0, 0, 1]], dtype=float)
@@ -77,7 +77,7 @@ def test_lights_of_one_exposure_add() -> None:
     )
 
 
-def test_exposures_without_light_are_refused() -> None:
+def test_exposures_without_light_are_refused():
     with pytest.raises(BadInput, match="LED 3 is not in the rig"):
         THREE_LEDS.select([(0, 3)])
     with pytest.raises(BadInput, match="at least one LED"):
@@ -90,7 +90,7 @@ def test_exposures_without_light_are_refused() -> None:
 RIGHT = ((12.0, -10.0, -15.0), (12.0, 20.0, -15.0), (26.0, 20.0, -1.0), (26.0, -10.0, -1.0))
 
 
-def test_the_normal_of_a_mirror_does_not_depend_on_the_order_of_its_corners() -> None:
+def test_the_normal_of_a_mirror_does_not_depend_on_the_order_of_its_corners():
     mirror = Mirror("right", RIGHT, 0.85)
     np.testing.assert_allclose(mirror.normal, np.array([-1.0, 0.0, 1.0]) / np.sqrt(2.0), atol=1e-12)
     np.testing.assert_allclose(mirror.point_mm, [19.0, 5.0, -8.0])
@@ -109,14 +109,12 @@ def test_the_normal_of_a_mirror_does_not_depend_on_the_order_of_its_corners() ->
         ("right", ((9, 0, 0), (9, 9, 0), (9, 9, 9), (9, 0, 9)), 0.9, "upright"),
     ],
 )
-def test_an_impossible_mirror_is_refused(
-    name: str, corners: tuple, reflectance: float, words: str
-) -> None:
+def test_an_impossible_mirror_is_refused(name, corners, reflectance, words):
     with pytest.raises(BadInput, match=words):
         Mirror(name, corners, reflectance)
 
 
-def test_a_rig_file_keeps_its_mirrors() -> None:
+def test_a_rig_file_keeps_its_mirrors():
     led = Led("white", position_mm=(52.5, 0.0, 140.0))
     rig = Rig(Camera(45.0, (40, 60)), (led,), {}, (Mirror("right", RIGHT, 0.85),))
     document = rig_to_json(rig)
@@ -129,7 +127,7 @@ def test_a_rig_file_keeps_its_mirrors() -> None:
         Rig(rig.camera, (led,), {}, rig.mirrors * 2)
 
 
-def test_only_an_image_in_a_mirror_may_lie_below_the_finger_plane() -> None:
+def test_only_an_image_in_a_mirror_may_lie_below_the_finger_plane():
     with pytest.raises(BadInput, match="above"):
         Led("white", position_mm=(150.0, 0.0, -60.0))
     assert Led("white", position_mm=(150.0, 0.0, -60.0), reflected=True).reflected

@@ -1,7 +1,5 @@
 """Ranges of what people type."""
 
-from __future__ import annotations
-
 import pytest
 
 from splitknit import plausible
@@ -12,13 +10,13 @@ QUANTITIES = [value for value in vars(plausible).values() if isinstance(value, _
 
 
 @pytest.mark.parametrize("quantity", QUANTITIES, ids=lambda quantity: quantity.what)
-def test_usual_values_are_possible_and_get_no_note(quantity: _Plausible) -> None:
+def test_usual_values_are_possible_and_get_no_note(quantity):
     low, high = quantity.usual
     assert quantity.possible[0] <= low < high <= quantity.possible[1]
     assert quantity.notes(high, "x") == ()
 
 
-def test_unusual_values_get_a_note_and_impossible_ones_are_refused() -> None:
+def test_unusual_values_get_a_note_and_impossible_ones_are_refused():
     assert CAMERA_HEIGHT.notes(140.0, "check `square_mm`") == ()
     (note,) = CAMERA_HEIGHT.notes(500.0, "check `square_mm`")
     assert str(note).endswith("is 500 mm, where 40 to 400 mm is usual: check `square_mm`.")

@@ -1,8 +1,6 @@
 """The flat field as a model: what the twin shows of a card is found again, and nothing else is
 called a card."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,8 +1,6 @@
 """The thesis's construction: exact on shadows that are cast exactly, and the thesis's own table for
 what it is."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """The script that measures how well lights are found runs, and its figures hold on a few rigs."""
 
-from __future__ import annotations
-
 import importlib.util
 import json
 from pathlib import Path

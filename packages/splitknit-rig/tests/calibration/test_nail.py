@@ -1,8 +1,6 @@
 """The joint fit: exact on exact shadows, within its own intervals on noisy ones, not led astray by
 a wrong tip."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

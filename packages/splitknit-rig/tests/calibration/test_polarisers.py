@@ -71,9 +71,7 @@ def check(folder: Path, films: Films, tmp_path: Path, capsys: pytest.CaptureFixt
 
 
 @pytest.mark.slow
-def test_the_leak_brightness_and_shift_of_films_are_measured(
-    bench: tuple[Path, Films], tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_the_leak_brightness_and_shift_of_films_are_measured(bench, tmp_path, capsys):
     measured = check(*bench, tmp_path, capsys)
     rig = read_rig(tmp_path / "rig.json")
     assert rig_from_json(json.loads(json.dumps(rig_to_json(rig)))).films == measured
@@ -81,7 +79,7 @@ def test_the_leak_brightness_and_shift_of_films_are_measured(
 
 
 @pytest.mark.slow
-def test_the_highlight_of_neighbouring_leds_is_measured(bench: tuple[Path, Films]) -> None:
+def test_the_highlight_of_neighbouring_leds_is_measured(bench):
     folder, films = bench
     ball = _dark(folder / "ball")
     usual = measure_ball(ball, films)
@@ -155,13 +153,7 @@ def _alone(folder: Path) -> None:
         (_alone, "holds no crossed series"),
     ],
 )
-def test_photographs_that_do_not_show_the_films_are_refused(
-    bench: tuple[Path, Films],
-    spoil: Any,
-    words: str,
-    tmp_path: Path,
-    capsys: pytest.CaptureFixture[str],
-) -> None:
+def test_photographs_that_do_not_show_the_films_are_refused(bench, spoil, words, tmp_path, capsys):
     own = Path(shutil.copytree(bench[0], tmp_path / "own"))
     spoil(own)
     out = "--out", tmp_path / "rig.json", "--residuals", tmp_path / "left.png"
@@ -181,7 +173,7 @@ def test_photographs_that_do_not_show_the_films_are_refused(
         ({"shift_px": [1.0]}, "films.shift_px"),
     ],
 )
-def test_rig_files_with_wrong_films_are_refused(change: dict[str, Any], words: str) -> None:
+def test_rig_files_with_wrong_films_are_refused(change, words):
     rig = replace(built_rig(1, scale=0.05), films=Films((0,), (0.01,), ((1.0, 1.0, 1.0),)))
     document: Any = rig_to_json(rig)
     assert rig_from_json(document).films == rig.films
@@ -191,7 +183,7 @@ def test_rig_files_with_wrong_films_are_refused(change: dict[str, Any], words: s
 
 
 @pytest.mark.slow
-def test_measured_films_align_the_crossed_series(bench: tuple[Path, Films], tmp_path: Path) -> None:
+def test_measured_films_align_the_crossed_series(bench, tmp_path):
     folder, films = bench
     capture = _dark(folder / "card")
     measured, facts = aligned(replace(capture, rig=replace(capture.rig, films=films)))
@@ -220,7 +212,7 @@ def test_measured_films_align_the_crossed_series(bench: tuple[Path, Films], tmp_
 
 
 @pytest.mark.slow
-def test_films_without_calibration_are_taken_as_ideal(bench: tuple[Path, Films]) -> None:
+def test_films_without_calibration_are_taken_as_ideal(bench):
     capture = _dark(bench[0] / "card")
     same, facts = aligned(capture)
     assert same is capture and facts == {"films": "taken as ideal"}
@@ -229,7 +221,7 @@ def test_films_without_calibration_are_taken_as_ideal(bench: tuple[Path, Films])
     assert aligned(alone) == (alone, {})
 
 
-def test_light_that_clips_behind_a_darker_film_clips_in_the_mean() -> None:
+def test_light_that_clips_behind_a_darker_film_clips_in_the_mean():
     pixels = np.full((3, 4, 4, 3), 200, dtype=np.uint8)
     full = pixels.copy()
     full[0] = 255
@@ -242,7 +234,7 @@ def test_light_that_clips_behind_a_darker_film_clips_in_the_mean() -> None:
 
 
 @pytest.mark.slow
-def test_the_contrast_agrees_with_that_of_the_highlights(bench: tuple[Path, Films]) -> None:
+def test_the_contrast_agrees_with_that_of_the_highlights(bench):
     folder, films = bench
     capture = _dark(folder / "ball")
     capture = aligned(replace(capture, rig=replace(capture.rig, films=films)))[0]

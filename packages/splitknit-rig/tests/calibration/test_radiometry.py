@@ -1,8 +1,6 @@
 """A capture of a white card calibrates a rig; a later one is compared with it; what cannot be used
 is named."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

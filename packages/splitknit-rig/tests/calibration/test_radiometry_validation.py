@@ -27,7 +27,7 @@ def script(monkeypatch: pytest.MonkeyPatch) -> Iterator[ModuleType]:
 
 
 @pytest.mark.slow
-def test_flat_fielded_intensities_reach_the_aim(script: ModuleType) -> None:
+def test_flat_fielded_intensities_reach_the_aim(script):
     """Flat-fielded intensities within 1 %, on the plane and above it, where division by the card is
     not."""
     cases = importlib.import_module("radiometry_cards").CASES
@@ -45,9 +45,7 @@ def test_flat_fielded_intensities_reach_the_aim(script: ModuleType) -> None:
     assert rows[0.0, "no flat field"]["lights_percent"]["mean"] > 5
 
 
-def test_stored_figures_reach_the_aim_and_fill_the_tables(
-    script: ModuleType, tmp_path: Path
-) -> None:
+def test_stored_figures_reach_the_aim_and_fill_the_tables(script, tmp_path):
     """The tables that the page links hold what the script measured."""
     stored = json.loads((SCRIPTS / "radiometry.json").read_text())
     rows = {row["case"]: row for row in stored["plane"]}

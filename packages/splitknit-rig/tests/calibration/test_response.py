@@ -1,8 +1,6 @@
 """Linear, sRGB or neither: exposures tell, noise or none, and what they cannot tell is refused with
 the reason."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

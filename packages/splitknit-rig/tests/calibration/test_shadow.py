@@ -1,8 +1,6 @@
 """Tips in photographs: against the places that the twin knows, with texture, dots and noise; and
 what is refused."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """Balls shaded and mirrored by hand, and those of the twin's bench."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """Exposure is found on the brightest LED, clipping handled, within what the camera can."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

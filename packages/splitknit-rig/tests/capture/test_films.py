@@ -1,8 +1,6 @@
 """A session with polarising films: two series, an analyser that turns or LEDs of its own, and what
 is checked."""
 
-from __future__ import annotations
-
 import io
 import sys
 from dataclasses import replace

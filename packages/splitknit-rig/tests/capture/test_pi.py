@@ -10,7 +10,6 @@ from types import SimpleNamespace
 import gpiozero
 import numpy as np
 import pytest
-from gpiozero.pins.mock import MockFactory
 from test_contract_pi import PINS, pins  # noqa: F401 - a fixture
 
 from fake_picamera2 import FakePicamera2, FakeRequest, World
@@ -268,7 +267,7 @@ def test_missing_libraries_are_named(pins, monkeypatch):  # noqa: F811
         "ImportError('numpy.core.multiarray failed to import')",
     ],
 )
-def test_a_picamera2_compiled_for_numpy_1_is_refused(pins, monkeypatch, tmp_path: Path, error: str):  # noqa: F811
+def test_a_picamera2_compiled_for_numpy_1_is_refused(pins, monkeypatch, tmp_path, error):  # noqa: F811
     (tmp_path / "picamera2.py").write_text(f"raise {error}\n")
     monkeypatch.syspath_prepend(tmp_path)
     monkeypatch.delitem(sys.modules, "picamera2", raising=False)
@@ -289,7 +288,7 @@ def test_a_computer_without_gpio_lines_is_refused(monkeypatch):
         opened()
 
 
-def test_a_line_in_use_is_named_and_the_others_are_released(world, pins: MockFactory):  # noqa: F811
+def test_a_line_in_use_is_named_and_the_others_are_released(world, pins):  # noqa: F811
     taken = gpiozero.LED(PINS[5])
     with pytest.raises(BadInput, match=f"GPIO{PINS[5]}.*in use"):
         opened()

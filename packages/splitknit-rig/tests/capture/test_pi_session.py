@@ -1,8 +1,6 @@
 """The whole verb on a Raspberry Pi whose camera and pins are of our making, around a finger of the
 twin."""
 
-from __future__ import annotations
-
 import io
 import sys
 from types import SimpleNamespace

@@ -1,7 +1,5 @@
 """Which line switches which LED."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import pytest

@@ -1,7 +1,5 @@
 """A whole session on the twin: what it takes, what it notices, what it says."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

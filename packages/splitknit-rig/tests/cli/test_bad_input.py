@@ -22,7 +22,6 @@ from splitknit.cli.main import main
 from splitknit.io.images import read_image, write_image
 
 Damage = Callable[[Path], object]
-Captured = pytest.CaptureFixture[str]
 
 
 def of_capture(change: Callable[[Any], object]) -> Damage:
@@ -213,7 +212,7 @@ KINDS: dict[str, tuple[Damage, tuple[str, ...]]] = {
 }
 
 
-def refused(capsys: Captured, words: tuple[str, ...], *arguments: object) -> None:
+def refused(capsys, words: tuple[str, ...], *arguments: object) -> None:
     """`reconstruct` refuses in one sentence that holds the words."""
     assert main(["reconstruct", *map(str, arguments)]) == 2
     printed = capsys.readouterr()
@@ -232,9 +231,7 @@ def refused(capsys: Captured, words: tuple[str, ...], *arguments: object) -> Non
 
 @pytest.mark.slow
 @pytest.mark.parametrize("kind", KINDS)
-def test_bad_captures_are_refused_in_one_sentence(
-    kind: str, twin_folder: Path, tmp_path: Path, capsys: Captured
-) -> None:
+def test_bad_captures_are_refused_in_one_sentence(kind, twin_folder, tmp_path, capsys):
     damage, words = KINDS[kind]
     folder = copy_of(twin_folder, tmp_path / "capture")
     damage(folder)
@@ -247,9 +244,7 @@ def test_bad_captures_are_refused_in_one_sentence(
 
 
 @pytest.mark.slow
-def test_a_spoilt_surface_is_stated_first_and_refused_by_strict(
-    twin_folder: Path, tmp_path: Path, capsys: Captured
-) -> None:
+def test_a_spoilt_surface_is_stated_first_and_refused_by_strict(twin_folder, tmp_path, capsys):
     folder = copy_of(twin_folder, tmp_path / "capture")
     KINDS["white exchanged"][0](folder)
     words = folder, "--out", tmp_path / "out", "--preset", "ea", "--keep"
@@ -272,8 +267,8 @@ def test_a_spoilt_surface_is_stated_first_and_refused_by_strict(
     ],
 )
 def test_a_wrong_scale_is_stated_first_and_refused_by_strict(
-    factor: float, preset: str, words: str, tmp_path: Path, capsys: Captured
-) -> None:
+    factor, preset, words, tmp_path, capsys
+):
     folder, out = tmp_path / "capture", tmp_path / "out"
     assert main(f"simulate --out {folder} --seed 3 --scale 0.12".split()) == 0
     capsys.readouterr()
@@ -286,9 +281,7 @@ def test_a_wrong_scale_is_stated_first_and_refused_by_strict(
 
 
 @pytest.mark.slow
-def test_jpeg_is_detected_in_the_pixels(
-    twin_folder: Path, tmp_path: Path, capsys: Captured
-) -> None:
+def test_jpeg_is_detected_in_the_pixels(twin_folder, tmp_path, capsys):
     """Also where somebody saved it as PNG afterwards; the ridges' heights are less certain then."""
     for quality in (0, 75, 95):
         folder = copy_of(twin_folder, tmp_path / f"capture_{quality}")
@@ -310,9 +303,7 @@ def test_jpeg_is_detected_in_the_pixels(
 
 @pytest.mark.slow
 @pytest.mark.parametrize("preset", ["metric", "ea"])
-def test_a_mask_helps_where_the_finger_touches_three_borders(
-    preset: str, twin_folder: Path, tmp_path: Path, capsys: Captured
-) -> None:
+def test_a_mask_helps_where_the_finger_touches_three_borders(preset, twin_folder, tmp_path, capsys):
     folder = copy_of(twin_folder, tmp_path / "capture")
     too_close(folder)
     mask_of((330, 110), np.s_[120:], np.s_[:])(folder)
@@ -337,17 +328,13 @@ def test_a_mask_helps_where_the_finger_touches_three_borders(
         (["--settings", "nowhere.json"], ("nowhere.json", "does not exist")),
     ],
 )
-def test_wrong_settings_are_refused_before_the_work(
-    arguments: list[str], words: tuple[str, ...], tmp_path: Path, capsys: Captured
-) -> None:
+def test_wrong_settings_are_refused_before_the_work(arguments, words, tmp_path, capsys):
     """Even before the capture is looked for."""
     refused(capsys, words, tmp_path / "none", "--out", tmp_path / "out", *arguments)
     assert list(tmp_path.iterdir()) == []
 
 
-def test_a_folder_of_others_is_not_overwritten(
-    twin_folder: Path, tmp_path: Path, capsys: Captured
-) -> None:
+def test_a_folder_of_others_is_not_overwritten(twin_folder, tmp_path, capsys):
     letters = tmp_path / "letters"
     letters.mkdir()
     (letters / "dear.txt").write_text("x")
@@ -357,7 +344,7 @@ def test_a_folder_of_others_is_not_overwritten(
 
 
 @pytest.mark.parametrize("name", ["nowhere", "notes.txt", "a\0b"])
-def test_a_path_that_is_no_capture_is_refused(name: str, tmp_path: Path, capsys: Captured) -> None:
+def test_a_path_that_is_no_capture_is_refused(name, tmp_path, capsys):
     (tmp_path / "notes.txt").write_text("x")
     refused(capsys, (), tmp_path / name, "--out", tmp_path / "out")
     assert [path.name for path in tmp_path.iterdir()] == ["notes.txt"]
@@ -394,8 +381,6 @@ def closed(request: pytest.FixtureRequest, twin_folder: Path, tmp_path: Path) ->
 
 
 @pytest.mark.parametrize("closed", [".", "white_3.png", "rig.json"], indirect=True)
-def test_files_without_permission_are_refused(
-    closed: Path, tmp_path: Path, nobody: None, capsys: Captured
-) -> None:
+def test_files_without_permission_are_refused(closed, tmp_path, nobody, capsys):
     refused(capsys, ("capture", "ermission denied"), closed, "--out", tmp_path / "out")
     assert [path.name for path in tmp_path.iterdir()] == ["capture"]

@@ -1,8 +1,6 @@
 """``splitknit calibrate camera`` on photographs of a rig of the twin: files in, a rig file out, or
 one sentence."""
 
-from __future__ import annotations
-
 import shutil
 from dataclasses import replace
 

@@ -58,9 +58,7 @@ def facts_with(capsys: pytest.CaptureFixture[str], *words: Any) -> dict[str, Any
 
 
 @pytest.mark.slow
-def test_a_card_calibrates_brightness_beam_and_lens(
-    card: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_card_calibrates_brightness_beam_and_lens(card, tmp_path, capsys):
     placed, out = tmp_path / "placed.json", tmp_path / "new" / "rig.json"
     picture = tmp_path / "residuals.png"
     truth = built_rig(2, scale=SCALE)
@@ -85,9 +83,7 @@ def test_a_card_calibrates_brightness_beam_and_lens(
 
 
 @pytest.mark.slow
-def test_the_tilt_of_the_base_comes_from_the_camera_calibration(
-    card: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_the_tilt_of_the_base_comes_from_the_camera_calibration(card, tmp_path, capsys):
     def tilt_of(deviation: float, *words: Any) -> Any:
         plane = {"tilt_xy_deg": [0.3, -0.2], "tilt_deg_deviation": deviation}
         rig = replace(
@@ -104,14 +100,12 @@ def test_the_tilt_of_the_base_comes_from_the_camera_calibration(
 
 
 @pytest.mark.slow
-def test_the_same_folder_gives_the_same_bytes(card: Path, calibrated: Path, tmp_path: Path) -> None:
+def test_the_same_folder_gives_the_same_bytes(card, calibrated, tmp_path):
     assert run(card, "--out", tmp_path / "rig.json") == 0
     assert (tmp_path / "rig.json").read_bytes() == calibrated.read_bytes()
 
 
-def test_a_later_card_names_drifted_leds(
-    card: Path, calibrated: Path, own: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_later_card_names_drifted_leds(card, calibrated, own, capsys):
     def printed(*words: Any) -> str:
         return words_of(capsys, "calibrate", "radiometry", *words)
 
@@ -128,9 +122,7 @@ def test_a_later_card_names_drifted_leds(
 
 
 @pytest.mark.slow
-def test_srgb_files_that_state_linear_are_refused(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_srgb_files_that_state_linear_are_refused(tmp_path, capsys):
     folder = tmp_path / "srgb"
     card_folder(folder, seed=2, scale=SCALE, sensor=SensorSettings(encoding="srgb"))
     assert run(folder, "--out", tmp_path / "rig.json") == 0
@@ -140,9 +132,7 @@ def test_srgb_files_that_state_linear_are_refused(
     assert not (tmp_path / "other.json").exists()
 
 
-def test_processed_pictures_are_refused(
-    own: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_processed_pictures_are_refused(own, tmp_path, capsys):
     def contrast(pixels: Any) -> Any:
         light = pixels / 65535
         return np.round(65535 * (light - 0.03 * np.sin(2 * np.pi * light))).astype(np.uint16)
@@ -155,9 +145,7 @@ def test_processed_pictures_are_refused(
 
 
 @pytest.mark.slow
-def test_a_card_without_exposures_has_no_response(
-    own: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_card_without_exposures_has_no_response(own, tmp_path, capsys):
     (own / "radiometry.json").unlink()
     assert facts_with(capsys, own, "--out", tmp_path / "rig.json")["response"] is None
 
@@ -182,18 +170,14 @@ def test_a_card_without_exposures_has_no_response(
         ),
     ],
 )
-def test_wrong_documents_of_exposures_are_refused(
-    own: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], change: Any, sentence: str
-) -> None:
+def test_wrong_documents_of_exposures_are_refused(own, tmp_path, capsys, change, sentence):
     write_image(own / "small.png", np.zeros((8, 9), dtype=np.uint8))
     edit(own / "radiometry.json", lambda document: document.update(change))
     assert sentence in refusal(capsys, own, "--out", tmp_path / "rig.json")
     assert not (tmp_path / "rig.json").exists()
 
 
-def test_options_that_cannot_be_used_are_refused(
-    card: Path, calibrated: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_options_that_cannot_be_used_are_refused(card, calibrated, tmp_path, capsys):
     out = tmp_path / "rig.json"
     assert "is not a capture folder" in refusal(capsys, tmp_path, "--out", out)
     assert "does not exist" in refusal(capsys, tmp_path / "none", "--out", out)

@@ -84,7 +84,7 @@ def faults(monkeypatch: pytest.MonkeyPatch):
     return spoil
 
 
-def test_a_written_capture_has_its_truth_and_session(done: Path):
+def test_a_written_capture_has_its_truth_and_session(done):
     capture = read_capture(done)
     assert capture.subject == {"id": "S01", "finger": "left_ring", "session": 2}
     assert capture.shape == (220, 320)
@@ -106,7 +106,7 @@ def test_a_written_capture_has_its_truth_and_session(done: Path):
 
 
 @pytest.mark.slow
-def test_the_same_command_gives_the_same_bytes(done: Path, tmp_path: Path):
+def test_the_same_command_gives_the_same_bytes(done, tmp_path):
     again = tmp_path / "again"
     assert run("--out", again, *SMALL, *PERSON) == 0
     names = sorted(file.name for file in done.iterdir())
@@ -116,7 +116,7 @@ def test_the_same_command_gives_the_same_bytes(done: Path, tmp_path: Path):
 
 
 @pytest.mark.slow
-def test_facts_state_the_exposure_and_the_images(tmp_path: Path, capsys: Captured):
+def test_facts_state_the_exposure_and_the_images(tmp_path, capsys):
     target = "--set", "capture.exposure.target=0.5"
     facts = facts_with(capsys, "--out", tmp_path / "c", *SMALL, *target)
     assert facts["exposure"]["white"]["level"] == pytest.approx(0.5, rel=0.1)
@@ -125,7 +125,7 @@ def test_facts_state_the_exposure_and_the_images(tmp_path: Path, capsys: Capture
 
 
 @pytest.mark.parametrize("what", [(), ("nail",)])
-def test_a_calibration_target_is_captured(what, tmp_path: Path, capsys: Captured):
+def test_a_calibration_target_is_captured(what, tmp_path, capsys):
     words = "--out", tmp_path / "c", "--scale", 0.05, "--seed", 2
     facts = facts_with(capsys, "--target", *what, *words)
     assert facts["verdict"] == []
@@ -139,12 +139,12 @@ def test_a_calibration_target_is_captured(what, tmp_path: Path, capsys: Captured
     assert (means > 2).all()
 
 
-def test_an_unknown_target_is_refused(tmp_path: Path, capsys: Captured):
+def test_an_unknown_target_is_refused(tmp_path, capsys):
     words = "--target", "teapot", "--out", tmp_path / "c"
     assert "no target 'teapot'; it has card" in refused(capsys, *words)
 
 
-def test_a_rig_file_determines_image_size_and_leds(tmp_path: Path):
+def test_a_rig_file_determines_image_size_and_leds(tmp_path):
     rig = default_rig(0.08, seed=4)
     write_rig(rig, tmp_path / "rig.json")
     assert run("--out", tmp_path / "c", "--rig", tmp_path / "rig.json") == 0
@@ -154,7 +154,7 @@ def test_a_rig_file_determines_image_size_and_leds(tmp_path: Path):
 
 
 @pytest.mark.slow
-def test_a_finger_that_moved_is_written_only_with_keep(tmp_path: Path, capsys: Captured, faults):
+def test_a_finger_that_moved_is_written_only_with_keep(tmp_path, capsys, faults):
     faults(moves_mm={6: (0.5, 0.0)})
     verdict = "the finger moved by 0.5 mm between white 3 and white 4: hold still and capture again"
     assert verdict in refused(capsys, "--out", tmp_path / "c", *SMALL)
@@ -167,7 +167,7 @@ def test_a_finger_that_moved_is_written_only_with_keep(tmp_path: Path, capsys: C
     assert json.loads(out)["verdict"] == [verdict]
 
 
-def test_a_dead_led_is_named(tmp_path: Path, capsys: Captured, faults):
+def test_a_dead_led_is_named(tmp_path, capsys, faults):
     faults(dead=frozenset({9}))
     message = refused(capsys, "--out", tmp_path / "c", *SMALL)
     assert "nir 2 did not light; check its wiring" in message
@@ -175,9 +175,7 @@ def test_a_dead_led_is_named(tmp_path: Path, capsys: Captured, faults):
 
 
 @pytest.mark.slow
-def test_foreign_files_and_earlier_captures_are_not_overwritten(
-    done: Path, tmp_path: Path, capsys: Captured
-):
+def test_foreign_files_and_earlier_captures_are_not_overwritten(done, tmp_path, capsys):
     mine = tmp_path / "mine"
     mine.mkdir()
     (mine / "diary.txt").write_text("x")
@@ -210,15 +208,13 @@ def test_foreign_files_and_earlier_captures_are_not_overwritten(
         (("--out", "a", "--rig", "missing.json"), "missing.json"),
     ],
 )
-def test_options_that_cannot_be_used_are_refused(
-    words, printed, tmp_path: Path, monkeypatch, capsys: Captured
-):
+def test_options_that_cannot_be_used_are_refused(words, printed, tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     assert printed in refused(capsys, *words)
     assert list(tmp_path.iterdir()) == []
 
 
-def test_a_rig_of_another_camera_or_with_too_few_leds_is_refused(tmp_path: Path, capsys: Captured):
+def test_a_rig_of_another_camera_or_with_too_few_leds_is_refused(tmp_path, capsys):
     rig, words = default_rig(0.05), ("--out", tmp_path / "c", "--rig", tmp_path / "rig.json")
     write_rig(rig, tmp_path / "rig.json")
     printed = refused(capsys, *words, "--scale", 0.1)
@@ -232,7 +228,7 @@ class TestEnrolment:
 
     @pytest.mark.slow
     def test_an_enrolment_continues_until_all_fingers_are_captured(
-        self, tmp_path: Path, capsys: Captured, faults, monkeypatch
+        self, tmp_path, capsys, faults, monkeypatch
     ):
         folder = tmp_path / "e"
         words = "--enrolment", folder, "--scale", 0.05
@@ -273,7 +269,7 @@ class TestEnrolment:
         assert skin["S01", "session_1", "left_thumb"] == skin["S01", "session_2", "left_thumb"]
         assert len(set(height.values())) == 8  # laid down anew every time
 
-    def test_a_folder_of_something_else_is_refused(self, done: Path, capsys: Captured):
+    def test_a_folder_of_something_else_is_refused(self, done, capsys):
         assert "is not an enrolment" in refused(capsys, "--enrolment", done)
 
 
@@ -291,7 +287,7 @@ class TestPi:
         ],
     )
     def test_missing_hardware_is_refused_and_no_led_lit(
-        self, picamera2, words, tmp_path: Path, capsys: Captured, monkeypatch
+        self, picamera2, words, tmp_path, capsys, monkeypatch
     ):
         from gpiozero import Device
         from gpiozero.pins.mock import MockFactory
@@ -306,12 +302,12 @@ class TestPi:
         "words",
         [("--scale", "0.5"), ("--seed", "3"), ("--pattern", "loop"), ("--set", "skin.melanin=0.1")],
     )
-    def test_settings_of_the_twin_are_refused(self, words, tmp_path: Path, capsys: Captured):
+    def test_settings_of_the_twin_are_refused(self, words, tmp_path, capsys):
         assert "twin" in refused(capsys, "--out", tmp_path / "c", *words, device="pi")
 
 
 @pytest.mark.slow
-def test_sigterm_leaves_nothing_half_written(tmp_path: Path):
+def test_sigterm_leaves_nothing_half_written(tmp_path):
     out = tmp_path / "c"
     code = "import sys; from splitknit.cli.main import main; sys.exit(main())"
     words = ["capture", "--device", "twin", "--out", str(out), "--scale", "0.3"]

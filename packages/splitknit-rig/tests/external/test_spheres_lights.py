@@ -1,8 +1,6 @@
 """Directions of lights from photographs of a chrome and of a grey ball, against the file that comes
 with them."""
 
-from __future__ import annotations
-
 import json
 
 import cv2

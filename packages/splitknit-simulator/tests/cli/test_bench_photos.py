@@ -27,7 +27,7 @@ def bench(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return out
 
 
-def test_the_bench_holds_its_rigs_and_well_exposed_pictures(bench: Path) -> None:
+def test_the_bench_holds_its_rigs_and_well_exposed_pictures(bench):
     true, drawn = read_rig(bench / "rig_true.json"), read_rig(bench / "rig_drawn.json")
     assert true.camera.matrix is not None and drawn.camera.matrix is not None
     assert np.abs(true.camera.matrix - built_rig(3, scale=SCALE).camera.matrix).max() < 1e-9
@@ -41,7 +41,7 @@ def test_the_bench_holds_its_rigs_and_well_exposed_pictures(bench: Path) -> None
         assert 90 < np.percentile(pixels, 99.5) < 255, picture.name
 
 
-def test_the_card_is_a_capture_with_an_exposure_series(bench: Path) -> None:
+def test_the_card_is_a_capture_with_an_exposure_series(bench):
     capture = read_capture(bench / "card")
     assert capture.material == "opaque"
     assert [len(band.leds) for band in capture.bands.values()] == [7, 7]
@@ -54,9 +54,7 @@ def test_the_card_is_a_capture_with_an_exposure_series(bench: Path) -> None:
 
 
 @pytest.mark.slow
-def test_a_stored_rig_photographs_a_finger_and_another_reconstructs_it(
-    bench: Path, tmp_path: Path
-) -> None:
+def test_a_stored_rig_photographs_a_finger_and_another_reconstructs_it(bench, tmp_path):
     true = bench / "rig_true.json"
     assert main(["simulate", "--seed", "4", "--rig", str(true), "--out", str(tmp_path / "c")]) == 0
     assert read_capture(tmp_path / "c").rig.camera.height_mm == read_rig(true).camera.height_mm
@@ -74,17 +72,13 @@ def test_a_stored_rig_photographs_a_finger_and_another_reconstructs_it(
         (["simulate", "--rig", "RIG", "--scale", "0.5"], "leave out the scale"),
     ],
 )
-def test_options_that_exclude_each_other_are_refused(
-    call: list[str], words: str, bench: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_options_that_exclude_each_other_are_refused(call, words, bench, tmp_path, capsys):
     arguments = [bench / "rig_true.json" if part == "RIG" else part for part in call]
     assert words in refusal_of(capsys, *arguments, "--out", tmp_path / "o")
     assert not (tmp_path / "o").exists()
 
 
-def test_a_rig_of_another_camera_or_other_leds_is_refused(
-    bench: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_rig_of_another_camera_or_other_leds_is_refused(bench, tmp_path, capsys):
     rig = read_rig(bench / "rig_drawn.json")
     swapped = tuple(
         Led("nir" if led.band == "white" else "white", led.position_mm) for led in rig.leds

@@ -1,7 +1,6 @@
 from __future__ import annotations
 
 import json
-from pathlib import Path
 from typing import Any
 
 import pytest
@@ -29,9 +28,7 @@ def short_cut(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 @pytest.mark.usefixtures("short_cut")
-def test_demo_writes_its_results_and_prints_their_places(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_demo_writes_its_results_and_prints_their_places(tmp_path, capsys, monkeypatch):
     monkeypatch.chdir(tmp_path)
     assert main(["demo"]) == 0
     printed = capsys.readouterr().out
@@ -51,9 +48,7 @@ def test_demo_writes_its_results_and_prints_their_places(
 
 @pytest.mark.slow
 @pytest.mark.usefixtures("short_cut")
-def test_demo_can_be_repeated_and_its_results_replaced(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_demo_can_be_repeated_and_its_results_replaced(tmp_path, capsys):
     out = str(tmp_path / "demo")
     assert main(["demo", "--out", out]) == 0
     assert main(["demo", "--out", out, "--json"]) == 0

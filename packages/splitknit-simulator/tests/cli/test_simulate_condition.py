@@ -12,15 +12,13 @@ from enrolled import refusal_of, words_of
 from splitknit.cli.main import main
 from splitknit.io.npz import read_npz
 
-Captured = pytest.CaptureFixture[str]
-
 
 def simulate(options: str, out: Path) -> int:
     return main(["simulate", "--seed", "3", *options.split(), "--out", str(out)])
 
 
 @pytest.mark.slow
-def test_a_scarred_finger_is_written_with_its_truth(tmp_path: Path) -> None:
+def test_a_scarred_finger_is_written_with_its_truth(tmp_path):
     out = tmp_path / "scarred"
     assert simulate("--scale 0.06 --condition scarred --severity 0.6", out) == 0
     truth = read_npz(out / "truth.npz")
@@ -41,16 +39,14 @@ def test_a_scarred_finger_is_written_with_its_truth(tmp_path: Path) -> None:
         (["--set", 'condition.kind="mud"'], "condition.kind' must be one of 'none', 'wet', 'dry'"),
     ],
 )
-def test_options_that_exclude_a_condition_are_refused(
-    tmp_path: Path, capsys: Captured, options: list[str], words: str
-) -> None:
+def test_options_that_exclude_a_condition_are_refused(tmp_path, capsys, options, words):
     out = tmp_path / "none"
     assert words in refusal_of(capsys, "simulate", *options, "--out", out, "--scale", "0.1")
     assert not out.exists()
 
 
 @pytest.mark.slow
-def test_dust_gets_a_note_and_clean_skin_none(tmp_path: Path, capsys: Captured) -> None:
+def test_dust_gets_a_note_and_clean_skin_none(tmp_path, capsys):
     for condition in ("", "--condition dusty --severity 0.5"):
         folder, out = (tmp_path / f"{kind}{bool(condition)}" for kind in ("capture", "result"))
         assert simulate(f"--scale 0.165 {condition}", folder) == 0

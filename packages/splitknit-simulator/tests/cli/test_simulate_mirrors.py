@@ -1,9 +1,5 @@
 """``splitknit simulate --mirrors``: options in, a capture folder out."""
 
-from __future__ import annotations
-
-from pathlib import Path
-
 import numpy as np
 import pytest
 
@@ -12,9 +8,7 @@ from splitknit.io.capture import read_capture
 
 
 @pytest.mark.slow
-def test_a_stored_mirror_rig_photographs_the_finger_again_with_another_roll(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_stored_mirror_rig_photographs_the_finger_again_with_another_roll(tmp_path, capsys):
     common = "--seed", "6", "--set", "mirrors.truth_pitch_mm=0.5"
     first = "--mirrors", "right", "--no-nir", "--scale", "0.08", "--out", tmp_path / "first"
     assert facts_of(capsys, "simulate", *common, *first)["images"] == 7
@@ -51,9 +45,7 @@ def test_a_stored_mirror_rig_photographs_the_finger_again_with_another_roll(
         (["--mirrors", "right", "--condition", "wet"], "leave out mirrors, or condition"),
     ],
 )
-def test_options_that_exclude_mirrors_are_refused(
-    options: list[str], words: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_options_that_exclude_mirrors_are_refused(options, words, tmp_path, capsys):
     out = tmp_path / "out"
     assert words in refusal_of(capsys, "simulate", *options, "--out", out, "--scale", "0.08")
     assert not out.exists()

@@ -25,7 +25,7 @@ def simulated(out: Path, *options: object) -> dict[str, Any]:
 
 
 @pytest.mark.slow
-def test_a_print_gives_the_finger_its_ridges(tmp_path: Path) -> None:
+def test_a_print_gives_the_finger_its_ridges(tmp_path):
     """Its ridges end where the print does, and are not those of the seed."""
     write_image(tmp_path / "print.png", ink_print(master_print("whorl", 5)))
     drawn = simulated(tmp_path / "drawn", "--scale", "0.15")
@@ -41,7 +41,7 @@ def test_a_print_gives_the_finger_its_ridges(tmp_path: Path) -> None:
     assert abs(np.corrcoef(relief[0][middle].ravel(), relief[1][middle].ravel())[0, 1]) < 0.5
 
 
-def test_a_row_of_a_rolled_print_is_as_long_as_the_half_section() -> None:
+def test_a_row_of_a_rolled_print_is_as_long_as_the_half_section():
     shape = replace(draw_finger(4).shape, squareness=0.0)
     half, high, pitch = 7.5, 7.5 * shape.thickness_mm / shape.width_mm, 0.05
     angle = np.linspace(-np.pi / 2, np.pi / 2, 20_001)
@@ -58,7 +58,7 @@ def test_a_row_of_a_rolled_print_is_as_long_as_the_half_section() -> None:
 
 
 @pytest.mark.slow
-def test_the_outline_of_a_rolled_print_gives_the_finger_its_size(tmp_path: Path) -> None:
+def test_the_outline_of_a_rolled_print_gives_the_finger_its_size(tmp_path):
     image = ink_print(master_print("whorl", 5), half_width_mm=11.5)  # 23 mm from nail to nail
     write_image(tmp_path / "rolled.png", image)
     options = "--scale", "0.1", "--print", tmp_path / "rolled.png"
@@ -88,16 +88,14 @@ def draw_width(image: np.ndarray) -> float:
         ([], "no ridges"),
     ],
 )
-def test_options_that_exclude_a_print_are_refused(
-    tmp_path: Path, capsys, options: list[str], words: str
-) -> None:
+def test_options_that_exclude_a_print_are_refused(tmp_path, capsys, options, words):
     write_image(tmp_path / "white.png", np.full((300, 300), 255, dtype=np.uint8))
     arguments = *options, "--out", tmp_path / "none", "--print", tmp_path / "white.png"
     assert words in refusal_of(capsys, "simulate", *arguments)
     assert not (tmp_path / "none").exists()
 
 
-def test_rolled_needs_a_print_as_wide_as_a_finger(tmp_path: Path, capsys) -> None:
+def test_rolled_needs_a_print_as_wide_as_a_finger(tmp_path, capsys):
     rolled = "simulate", "--rolled", "--out", tmp_path / "none"
     assert "--print" in refusal_of(capsys, *rolled)
     write_image(tmp_path / "narrow.png", ink_print(master_print("whorl", 5), half_width_mm=5.0))

@@ -1,7 +1,5 @@
 """The twin's handful of coefficients against published tables."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -50,7 +50,7 @@ def polarised() -> Capture:
     return replace(glossy, bands={**polarised, "nir": glossy.bands["nir"]})
 
 
-def test_a_still_finger_is_unchanged(polarised: Capture) -> None:
+def test_a_still_finger_is_unchanged(polarised):
     steady, finger = find_steady_finger(polarised, METRIC)
     assert steady is polarised
     assert finger.facts["motion"]["most_mm"] < 0.01
@@ -59,7 +59,7 @@ def test_a_still_finger_is_unchanged(polarised: Capture) -> None:
 
 
 @pytest.mark.slow
-def test_motion_between_the_series_is_undone(polarised: Capture) -> None:
+def test_motion_between_the_series_is_undone(polarised):
     apart = moved(polarised, *MOVED_MM)
     steady, finger = find_steady_finger(apart, METRIC)
     shift_mm = np.array(finger.facts["motion_white_crossed"]["shift_mm"])
@@ -78,7 +78,7 @@ def test_motion_between_the_series_is_undone(polarised: Capture) -> None:
 
 
 @pytest.mark.slow
-def test_motion_is_measured_where_correction_is_off(polarised: Capture) -> None:
+def test_motion_is_measured_where_correction_is_off(polarised):
     apart = moved(polarised, *MOVED_MM)
     steady, finger = find_steady_finger(apart, override(METRIC, {"motion.correct": "off"}))
     assert steady is apart

@@ -1,8 +1,6 @@
 """Separation of the twin's skin, in which light spreads: against its noise-free truth at the same
 check size."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

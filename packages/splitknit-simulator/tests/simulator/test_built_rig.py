@@ -1,7 +1,5 @@
 """The rig as drawn and as built: what calibration is given, and what it has to find."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

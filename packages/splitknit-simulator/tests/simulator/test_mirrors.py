@@ -1,7 +1,5 @@
 """Mirrors beside the simulated finger: where they stand, what they show, how they light."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

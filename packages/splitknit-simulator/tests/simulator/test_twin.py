@@ -1,7 +1,5 @@
 """Whole captures of the twin."""
 
-from __future__ import annotations
-
 import hashlib
 from dataclasses import replace
 

@@ -1,8 +1,6 @@
 """Captures with a rig of one's own: perspective camera, lens that darkens, other sizes and
 scales."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

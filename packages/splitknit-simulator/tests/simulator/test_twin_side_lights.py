@@ -35,7 +35,7 @@ def _chosen(band: Band, count: int) -> Band:
     return replace(band, **{name: getattr(band, name)[:count] for name in names})
 
 
-def test_side_lights_are_as_bright_as_the_ring_at_the_finger() -> None:
+def test_side_lights_are_as_bright_as_the_ring_at_the_finger():
     rig = with_side_lights(default_rig(0.1), SIDE)
     added = rig.leds[14:]
     assert len(added) == SIDE
@@ -45,7 +45,7 @@ def test_side_lights_are_as_bright_as_the_ring_at_the_finger() -> None:
         assert led.intensity / (90**2 + 30**2) == pytest.approx(1 / 140**2, rel=1e-4)
 
 
-def test_a_low_light_casts_shadows_of_the_finger_and_a_high_one_none() -> None:
+def test_a_low_light_casts_shadows_of_the_finger_and_a_high_one_none():
     rig = with_side_lights(default_rig(0.12), 3)
     patch = cut_out(lay_down(3, None, TwinSettings(scale=0.12, rig=rig))[0], shadows=True)
     inner = patch.mask & (patch.nz > 0.2)
@@ -60,7 +60,7 @@ def test_a_low_light_casts_shadows_of_the_finger_and_a_high_one_none() -> None:
 
 
 @pytest.mark.slow
-def test_side_lights_lower_the_ridge_error_without_films() -> None:
+def test_side_lights_lower_the_ridge_error_without_films():
     lit, truth = splitknit_simulator.simulate_capture(3, settings={"scale": 0.25, "side_lights": 7})
     ring = replace(lit, bands={**lit.bands, "white": _chosen(lit.bands["white"], 7)})
     both, before = (splitknit.reconstruct(capture) for capture in (lit, ring))
@@ -87,7 +87,7 @@ def test_side_lights_lower_the_ridge_error_without_films() -> None:
         ([72] * 7 + [20] * 4, 4),
     ],
 )
-def test_side_lights_are_distinguished_by_their_angles(off_deg: list[float], front: int) -> None:
+def test_side_lights_are_distinguished_by_their_angles(off_deg, front):
     across, up = np.sin(np.deg2rad(off_deg)), np.cos(np.deg2rad(off_deg))
     turn = np.arange(len(off_deg))
     towards = np.stack([across * np.cos(turn), across * np.sin(turn), up], axis=1)
@@ -102,9 +102,7 @@ def test_side_lights_are_distinguished_by_their_angles(off_deg: list[float], fro
 
 
 @pytest.mark.parametrize(("common_mm", "moved"), [(0.0, False), (0.04, True)])
-def test_motion_before_the_side_images_is_the_common_shift(
-    lit: Capture, monkeypatch: pytest.MonkeyPatch, common_mm: float, moved: bool
-) -> None:
+def test_motion_before_the_side_images_is_the_common_shift(lit, monkeypatch, common_mm, moved):
     """Each light seems to shift the ridges along itself; what could not be registered says
     nothing."""
     parted = without_side_lights(lit)

@@ -98,7 +98,7 @@ def straight(piece: Piece) -> tuple[np.ndarray, np.ndarray]:
 
 
 @pytest.mark.slow
-def test_the_order_of_the_lights_does_not_matter(piece: Piece, straight) -> None:
+def test_the_order_of_the_lights_does_not_matter(piece, straight):
     order = [3, 0, 6, 1, 5, 2, 4]
     bands = tuple(
         BandImages(
@@ -114,7 +114,7 @@ def test_the_order_of_the_lights_does_not_matter(piece: Piece, straight) -> None
 
 
 @pytest.mark.slow
-def test_a_mirrored_finger_has_a_mirrored_surface(piece: Piece, straight) -> None:
+def test_a_mirrored_finger_has_a_mirrored_surface(piece, straight):
     mask = piece.grid.mask[:, ::-1]
     shape, relief = piece.moved(lambda a: a[:, ::-1], lambda x, y: (-x, y), mask).surface()
     same_surface((shape[:, ::-1], relief[:, ::-1]), straight, piece.grid)
@@ -122,7 +122,7 @@ def test_a_mirrored_finger_has_a_mirrored_surface(piece: Piece, straight) -> Non
 
 @pytest.mark.slow
 @pytest.mark.parametrize("turn_deg", [137.0, 30.0, 90.0, 180.0])
-def test_a_turned_finger_has_a_turned_surface(piece: Piece, straight, turn_deg: float) -> None:
+def test_a_turned_finger_has_a_turned_surface(piece, straight, turn_deg):
     side = piece.grid.shape[0]
     matrix = cv2.getRotationMatrix2D(((side - 1) / 2, (side - 1) / 2), turn_deg, 1.0)
     back = cv2.invertAffineTransform(matrix)

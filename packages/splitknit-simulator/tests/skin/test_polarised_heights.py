@@ -74,7 +74,7 @@ def _photographed(
 
 @pytest.mark.slow
 @pytest.mark.parametrize(("roughness", "gain"), [(0.15, 0.7), (0.35, 1.2)])
-def test_ridges_have_their_true_height_for_any_start(roughness: float, gain: float) -> None:
+def test_ridges_have_their_true_height_for_any_start(roughness, gain):
     grid, rig = _grid((180, 200)), _rig((180, 200))
     dome, ridges = _ridged(grid)
     rng = np.random.default_rng(1)
@@ -103,7 +103,7 @@ def _with_side(rig: Rig) -> Rig:
 
 
 @pytest.mark.slow
-def test_side_lights_are_fitted_and_inconsistent_ones_left_out() -> None:
+def test_side_lights_are_fitted_and_inconsistent_ones_left_out():
     grid, rig = _grid((180, 200)), _with_side(_rig((180, 200)))
     dome, ridges = _ridged(grid)
     stack = _photographed(dome + ridges, grid, rig, 0.3, 0.05)
@@ -126,7 +126,7 @@ def test_side_lights_are_fitted_and_inconsistent_ones_left_out() -> None:
     assert float(np.corrcoef(relief, true)[0, 1]) > 0.99
 
 
-def test_the_specular_image_is_parallel_less_crossed_with_its_noise() -> None:
+def test_the_specular_image_is_parallel_less_crossed_with_its_noise():
     rig, rng = _rig((60, 70)), np.random.default_rng(2)
     crossed = 0.3 + rng.normal(0, 0.002, (3, 7, 60, 70)).astype(np.float32)
     parallel = crossed + 0.1 + rng.normal(0, 0.003, crossed.shape).astype(np.float32)
@@ -138,7 +138,7 @@ def test_the_specular_image_is_parallel_less_crossed_with_its_noise() -> None:
     assert images.noise == pytest.approx(0.003 / np.sqrt(3), rel=0.1)
 
 
-def test_coloured_skin_is_removed_from_white_specular_light() -> None:
+def test_coloured_skin_is_removed_from_white_specular_light():
     rig, rng, grid = _rig((60, 70)), np.random.default_rng(3), _grid((60, 70))
     skin, white = rng.uniform(0.2, 0.6, (1, 7, 60, 70)), rng.uniform(0.0, 0.2, (7, 60, 70))
     colour = np.array([1.0, 0.6, 0.4])[:, None, None, None]
@@ -157,9 +157,7 @@ def simulated() -> tuple[Capture, dict[str, FloatArray]]:
 
 
 @pytest.mark.slow
-def test_a_polarised_capture_has_measured_heights(
-    simulated: tuple[Capture, dict[str, FloatArray]],
-) -> None:
+def test_a_polarised_capture_has_measured_heights(simulated):
     capture, truth = simulated
     result = splitknit.reconstruct(capture, settings={"metric.rounds": 1})
     assert result.facts["heights"] == "measured"
@@ -170,9 +168,7 @@ def test_a_polarised_capture_has_measured_heights(
 
 
 @pytest.mark.slow
-def test_films_that_are_not_crossed_get_a_warning(
-    simulated: tuple[Capture, dict[str, FloatArray]],
-) -> None:
+def test_films_that_are_not_crossed_get_a_warning(simulated):
     capture, _ = simulated
     white = replace(capture.bands["white"], name="white_crossed", polarisation="crossed")
     result = splitknit.reconstruct(

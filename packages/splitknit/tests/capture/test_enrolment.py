@@ -1,7 +1,5 @@
 """Plans, what is finished, what is next."""
 
-from __future__ import annotations
-
 import json
 
 import pytest

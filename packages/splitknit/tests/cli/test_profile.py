@@ -41,7 +41,7 @@ def waves(tmp_path_factory) -> Path:
     return out
 
 
-def test_the_roughness_of_sine_waves_is_exact(waves: Path, tmp_path: Path, capsys) -> None:
+def test_the_roughness_of_sine_waves_is_exact(waves, tmp_path, capsys):
     out = tmp_path / "profile"
     assert main(["profile", str(waves), "-4,0", "4,0.1", "--out", str(out), "--json"]) == 0
     facts = json.loads(capsys.readouterr().out)
@@ -65,15 +65,13 @@ def test_the_roughness_of_sine_waves_is_exact(waves: Path, tmp_path: Path, capsy
         (["90,0", "95,0"], "no surface lies between"),
     ],
 )
-def test_a_section_without_roughness_is_refused(
-    waves: Path, tmp_path: Path, capsys, arguments, message
-) -> None:
+def test_a_section_without_roughness_is_refused(waves, tmp_path, capsys, arguments, message):
     assert main(["profile", str(waves), *arguments, "--out", str(tmp_path / "out")]) == 2
     assert message in capsys.readouterr().err
     assert not (tmp_path / "out").exists()
 
 
-def test_the_cut_off_passes_half_a_wave_of_its_length_and_removes_form() -> None:
+def test_the_cut_off_passes_half_a_wave_of_its_length_and_removes_form():
     along = 0.005 * np.arange(4000)
     # half of a wave as long as the cut-off passes (ISO 16610-21)
     for length, part in ((0.8, 0.5), (8.0, 0.007)):

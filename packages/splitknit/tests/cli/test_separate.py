@@ -62,9 +62,7 @@ def refusal(capsys: pytest.CaptureFixture[str], out: Path, *words: Any) -> str:
     return printed.err
 
 
-def test_checkerboards_of_a_folder_give_direct_and_global_light(
-    boards: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_checkerboards_of_a_folder_give_direct_and_global_light(boards, tmp_path, capsys):
     out = tmp_path / "out"
     assert run(boards, "--out", out, "--json") == 0
     facts = json.loads(capsys.readouterr().out)
@@ -95,9 +93,7 @@ def test_checkerboards_of_a_folder_give_direct_and_global_light(
     assert "direct in the median" in capsys.readouterr().out
 
 
-def test_patterns_are_estimated_or_read_and_a_mask_is_respected(
-    boards: Path, tmp_path: Path
-) -> None:
+def test_patterns_are_estimated_or_read_and_a_mask_is_respected(boards, tmp_path):
     patterns = checkerboard_patterns(SIZE, 5, SHIFTS)
     states = write(tmp_path / "states", {f"s_{k:02}.png": p for k, p in enumerate(patterns)})
     mask = np.zeros(SIZE)
@@ -112,9 +108,7 @@ def test_patterns_are_estimated_or_read_and_a_mask_is_respected(
         assert metadata["settings"]["separate"]["patterns"] == kind
 
 
-def test_known_states_need_the_size_of_checks_for_skin(
-    boards: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_known_states_need_the_size_of_checks_for_skin(boards, tmp_path, capsys):
     """Skin is where it matters, and what is in the images the verb cannot know; the size alone is
     enough for it."""
     written = {}
@@ -130,16 +124,12 @@ def test_known_states_need_the_size_of_checks_for_skin(
     assert "5 pixels or more" in refusal(capsys, tmp_path / "x", boards, "--check-px", 4)
 
 
-def test_negative_global_light_gets_a_note(
-    boards: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_negative_global_light_gets_a_note(boards, tmp_path, capsys):
     assert run(boards, "--dark", 0.8, "--out", tmp_path / "out") == 0
     assert "Please note: global light is negative" in capsys.readouterr().out
 
 
-def test_refusals_of_a_stack_name_the_file(
-    boards: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_refusals_of_a_stack_name_the_file(boards, tmp_path, capsys):
     out, board = tmp_path / "out", boards / "board_0_4.png"
     good = board.read_bytes()
     write_image(board, stored(np.full(SIZE, 0.03)))
@@ -161,7 +151,7 @@ def test_refusals_of_a_stack_name_the_file(
     assert "holds the input itself" in refusal(capsys, boards, boards)
 
 
-def test_a_float_tiff_keeps_values_unit_and_metadata(tmp_path: Path) -> None:
+def test_a_float_tiff_keeps_values_unit_and_metadata(tmp_path):
     light = np.array([[0.5, np.nan], [-0.1, 2.0]], dtype=np.float32)
     write_float_tiff(tmp_path / "a.tiff", light, "lux", {"n": 3})
     read, metadata = read_light_tiff(tmp_path / "a.tiff")
@@ -181,7 +171,7 @@ def polarised(root: Path, count: int = 3) -> tuple[Path, Path]:
     return write(root / "parallel", parallel), write(root / "crossed", crossed)
 
 
-def test_polarised_photographs_become_specular_and_diffuse_light(tmp_path: Path, capsys) -> None:
+def test_polarised_photographs_become_specular_and_diffuse_light(tmp_path, capsys):
     folders, out = polarised(tmp_path), tmp_path / "out"
     assert run("polarised", *folders, "--out", out, "--json") == 0
     facts = json.loads(capsys.readouterr().out)
@@ -206,9 +196,7 @@ def test_polarised_photographs_become_specular_and_diffuse_light(tmp_path: Path,
     assert "were their folders exchanged" in capsys.readouterr().out
 
 
-def test_polarised_series_that_do_not_match_are_refused(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_polarised_series_that_do_not_match_are_refused(tmp_path, capsys):
     parallel, crossed = polarised(tmp_path)
     out = tmp_path / "out"
     assert "name one folder" in refusal(capsys, out, parallel, crossed)

@@ -35,7 +35,7 @@ def scene(brightness: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     )
 
 
-def test_gains_that_differ_between_colours_are_detected() -> None:
+def test_gains_that_differ_between_colours_are_detected():
     """Equal gains are none; a gain of each colour and image is measured to a few per cent."""
     light, lights = scene(BRIGHTNESS)
     assert colour_spread(image_gains(light, lights)) < 1e-3
@@ -44,7 +44,7 @@ def test_gains_that_differ_between_colours_are_detected() -> None:
 
 
 @pytest.mark.parametrize("exponent", [0.45, 0.8, 1.0, 1.25])
-def test_unequal_lights_give_the_tone_exponent(exponent: float) -> None:
+def test_unequal_lights_give_the_tone_exponent(exponent):
     """Within 0.02, and far beyond its error where it is not one."""
     light, lights = scene(BRIGHTNESS)
     gains = image_gains(light**exponent, lights).mean(axis=0)
@@ -53,7 +53,7 @@ def test_unequal_lights_give_the_tone_exponent(exponent: float) -> None:
     assert (abs(significance) > 10) == (exponent != 1.0)
 
 
-def test_ambient_light_lowers_the_exponent_and_equal_lights_give_none() -> None:
+def test_ambient_light_lowers_the_exponent_and_equal_lights_give_none():
     """A lamp of 30 %."""
     light, lights = scene(BRIGHTNESS)
     gains = image_gains(light + 0.3 * light.mean(axis=1, keepdims=True), lights).mean(axis=0)
@@ -64,7 +64,7 @@ def test_ambient_light_lowers_the_exponent_and_equal_lights_give_none() -> None:
 
 
 @pytest.mark.parametrize("exponent", [0.7, 0.8, 1.0, 1.3])
-def test_shading_gives_the_exponent_under_equal_lights(exponent: float) -> None:
+def test_shading_gives_the_exponent_under_equal_lights(exponent):
     """Within 0.05, though their brightness is 1 % off."""
     light, lights = scene(np.ones(7))
     assert shading_exponent(
@@ -72,7 +72,7 @@ def test_shading_gives_the_exponent_under_equal_lights(exponent: float) -> None:
     ) == pytest.approx(exponent, abs=0.05)
 
 
-def test_height_colour_and_clipping_are_measured() -> None:
+def test_height_colour_and_clipping_are_measured():
     """Of the ellipsoid itself."""
     light, _ = scene(np.ones(7))
     assert height_over_half_width(

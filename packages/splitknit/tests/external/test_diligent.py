@@ -1,7 +1,5 @@
 """Real photographs with laser-scanned normals: DiLiGenT's bear under 24 of its lights."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import numpy as np
 import pytest
 
@@ -37,9 +35,7 @@ def capture_from_arrays(
     return Capture(rig, {"white": band}, material="opaque", mask=mask)
 
 
-def test_photographs_of_the_blender_phalange_survive_a_capture_folder(
-    data_dir: Path, tmp_path: Path
-) -> None:
+def test_photographs_of_the_blender_phalange_survive_a_capture_folder(data_dir, tmp_path):
     folder = data_dir / "blender_finger" / "phalange"
     lights = read_light_list(folder / "lights.txt").lights
     photographs = GivenPhotographs(
@@ -61,9 +57,7 @@ def test_photographs_of_the_blender_phalange_survive_a_capture_folder(
     assert float(np.median(light[:, again.mask])) > 0.1
 
 
-def test_the_shading_of_the_spheres_agrees_with_their_lights(
-    data_dir: Path, tmp_path: Path
-) -> None:
+def test_the_shading_of_the_spheres_agrees_with_their_lights(data_dir, tmp_path):
     folder = data_dir / "psm_spheres"
     lights = read_light_list(folder / "lights.txt").lights
     assert lights.shape == (12, 3)
@@ -92,13 +86,13 @@ def test_the_shading_of_the_spheres_agrees_with_their_lights(
         )
 
 
-def test_photographs_and_lights_with_mirrors_are_read(data_dir: Path) -> None:
+def test_photographs_and_lights_with_mirrors_are_read(data_dir):
     folder = data_dir / "blender_finger" / "with_mirrors"
     assert read_light_list(folder / "lights.txt").lights.shape == (7, 3)
     assert read_image(folder / "light_00.png").shape == (2000, 3000, 3)
 
 
-def test_diligent_survives_a_capture_folder(data_dir: Path, tmp_path: Path) -> None:
+def test_diligent_survives_a_capture_folder(data_dir, tmp_path):
     with np.load(data_dir / "diligent" / "bear.npz") as bear:
         images, lights, mask = bear["images"], bear["lights"], bear["mask"].astype(bool)
     write_capture(capture_from_arrays(images, lights, mask, 4.0), tmp_path / "bear")
@@ -108,7 +102,7 @@ def test_diligent_survives_a_capture_folder(data_dir: Path, tmp_path: Path) -> N
     np.testing.assert_array_equal(again.mask, mask)
 
 
-def test_every_independent_image_is_read_or_refused_by_name(data_dir: Path) -> None:
+def test_every_independent_image_is_read_or_refused_by_name(data_dir):
     files = [
         file
         for kind in ("png", "jpg", "tif", "bmp")

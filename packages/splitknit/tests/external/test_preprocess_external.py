@@ -1,7 +1,5 @@
 """Preprocessing on images that nobody on this project made."""
 
-from __future__ import annotations
-
 import cv2
 import numpy as np
 import pytest

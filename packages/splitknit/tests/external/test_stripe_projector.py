@@ -4,8 +4,6 @@ The files are linear: a pattern and its inverse, black taken off, add up to whit
 the sRGB curve undone they would miss it by a quarter.
 """
 
-from __future__ import annotations
-
 import cv2
 import numpy as np
 import pytest

@@ -1,7 +1,5 @@
 """CLAHE: against OpenCV, and what it must not do."""
 
-from __future__ import annotations
-
 import cv2
 import numpy as np
 import pytest

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -48,7 +47,7 @@ def view(
     return Capture(rig, bands, subject={"id": "S01", "session": 1})
 
 
-def test_four_fingers_are_cut_apart_and_named() -> None:
+def test_four_fingers_are_cut_apart_and_named():
     capture = view()
     fingers = fingers_apart(capture)
     assert list(fingers) == ["right_little", "right_ring", "right_middle", "right_index"]
@@ -65,7 +64,7 @@ def test_four_fingers_are_cut_apart_and_named() -> None:
         assert own.bands["nir"].pixels.shape[1:3] == own.shape
 
 
-def test_a_neighbouring_finger_is_painted_over() -> None:
+def test_a_neighbouring_finger_is_painted_over():
     own = fingers_apart(view((-8.0, 9.0), (30.0, 36.0)), ["left_index", "left_middle"])[
         "left_index"
     ]
@@ -74,7 +73,7 @@ def test_a_neighbouring_finger_is_painted_over() -> None:
 
 
 @pytest.mark.slow
-def test_hands_and_names_are_checked_against_the_fingers_in_view() -> None:
+def test_hands_and_names_are_checked_against_the_fingers_in_view():
     assert "left_index" in fingers_apart(view(tips_mm=TIPS_MM[::-1]))
     assert list(fingers_apart(view(), "left", keep=True))[-1] == "left_little"
     with pytest.raises(BadInput, match="equally far up"):
@@ -86,7 +85,7 @@ def test_hands_and_names_are_checked_against_the_fingers_in_view() -> None:
 
 
 @pytest.mark.parametrize("encoding", ["linear", "srgb"])
-def test_cropping_keeps_the_linear_light(encoding: str) -> None:
+def test_cropping_keeps_the_linear_light(encoding):
     capture, window = view(), (slice(40, 240), slice(60, 200))
     shading = (-0.4, 0.1)
     camera = replace(capture.rig.camera, shading=shading)
@@ -109,7 +108,7 @@ def test_cropping_keeps_the_linear_light(encoding: str) -> None:
     assert np.ptp(ratio) / ratio.mean() < 0.01
 
 
-def test_cropping_keeps_the_rays_of_a_perspective_camera() -> None:
+def test_cropping_keeps_the_rays_of_a_perspective_camera():
     rig = nominal_rig(0.1)
     rows, columns = rig.camera.image_size
     pixels = np.full((7, rows, columns, 1), 50, np.uint8)
@@ -124,7 +123,7 @@ def test_cropping_keeps_the_rays_of_a_perspective_camera() -> None:
     assert part.rig.leds == rig.leds
 
 
-def test_cropping_keeps_the_aim_of_the_leds() -> None:
+def test_cropping_keeps_the_aim_of_the_leds():
     capture = view()
     leds = tuple(replace(led, lobe_exponent=4.8) for led in capture.rig.leds)
     part = cropped(
@@ -134,9 +133,7 @@ def test_cropping_keeps_the_aim_of_the_leds() -> None:
 
 
 @pytest.mark.slow
-def test_import_writes_a_capture_of_each_finger(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_import_writes_a_capture_of_each_finger(tmp_path, capsys):
     def run(capture: str, fingers: str, out: str, *options: str) -> int:
         folders = str(tmp_path / capture), "--out", str(tmp_path / out)
         return main(["import", *folders, "--fingers", fingers, *options])

@@ -1,7 +1,5 @@
 """Motion between shots: measured in size and sign, none where the finger lay still."""
 
-from __future__ import annotations
-
 import cv2
 import numpy as np
 import pytest

@@ -1,7 +1,5 @@
 """Yaw, its sign, and the upright frame."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

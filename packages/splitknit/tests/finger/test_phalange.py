@@ -1,7 +1,5 @@
 """The first flexion crease: found where it is, never where there is none."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """Quality figures follow their causes, and every warning names a remedy."""
 
-from __future__ import annotations
-
 import json
 
 import cv2

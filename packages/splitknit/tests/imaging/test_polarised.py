@@ -29,7 +29,7 @@ def mosaic_of(total: np.ndarray, polarised: np.ndarray, angle_deg: float) -> np.
 
 
 @pytest.mark.parametrize("film", [0.0, 30.0, 90.0, 135.0])
-def test_light_along_the_film_passes_the_parallel_analyser_alone(film: float) -> None:
+def test_light_along_the_film_passes_the_parallel_analyser_alone(film):
     rows, columns = np.mgrid[:64, :80]
     total = 20000 + 100.0 * columns + 50.0 * rows
     parallel, crossed = split_mosaic(mosaic_of(total, 0.4 * total, film), film)
@@ -40,7 +40,7 @@ def test_light_along_the_film_passes_the_parallel_analyser_alone(film: float) ->
     np.testing.assert_allclose(crossed[..., 0][inner], 0.3 * middle[inner], atol=2)
 
 
-def test_unpolarised_ridges_hardly_appear_polarised() -> None:
+def test_unpolarised_ridges_hardly_appear_polarised():
     """Unpolarised ridges of 16 pixels: without interpolation a tenth of their contrast would seem
     polarised."""
     columns = np.arange(128)
@@ -54,7 +54,7 @@ def test_unpolarised_ridges_hardly_appear_polarised() -> None:
     assert false < 0.1 * plain
 
 
-def test_a_quad_bayer_mosaic_gives_the_colours_of_its_blocks() -> None:
+def test_a_quad_bayer_mosaic_gives_the_colours_of_its_blocks():
     """Blocks behind red, green / green, blue."""
     frame = np.zeros((32, 32), np.uint16)
     for (row, column), level in {
@@ -74,7 +74,7 @@ def test_a_quad_bayer_mosaic_gives_the_colours_of_its_blocks() -> None:
         )
 
 
-def test_what_clips_behind_one_film_clips_in_the_parallel_image() -> None:
+def test_what_clips_behind_one_film_clips_in_the_parallel_image():
     frame = np.full((16, 16), 100, np.uint8)
     frame[8, 9] = 255
     parallel, crossed = split_mosaic(frame, 90.0)
@@ -92,12 +92,12 @@ def test_what_clips_behind_one_film_clips_in_the_parallel_image() -> None:
         (np.zeros((4, 4), np.float32), False),
     ],
 )
-def test_frames_that_are_no_mosaic_of_films_are_refused(mosaic: np.ndarray, colour: bool) -> None:
+def test_frames_that_are_no_mosaic_of_films_are_refused(mosaic, colour):
     with pytest.raises(BadInput, match="a mosaic of films has one channel"):
         split_mosaic(mosaic, 0.0, colour=colour)
 
 
-def test_specular_light_is_parallel_less_crossed() -> None:
+def test_specular_light_is_parallel_less_crossed():
     rng = np.random.default_rng(0)
     diffuse, mirrored = rng.random((3, 5, 6)), rng.random((3, 5, 6))
     specular, crossed = separate_polarised(diffuse + mirrored, diffuse)
@@ -105,7 +105,7 @@ def test_specular_light_is_parallel_less_crossed() -> None:
     np.testing.assert_array_equal(crossed, diffuse)
 
 
-def test_the_specular_picture_is_even_where_the_light_is_not() -> None:
+def test_the_specular_picture_is_even_where_the_light_is_not():
     rows, columns = np.mgrid[:120, :120]
     ridges = np.sin(2 * np.pi * columns / 9)
     lit = (1 + 0.3 * ridges) * (0.1 + columns / 40.0)
@@ -118,7 +118,7 @@ def test_the_specular_picture_is_even_where_the_light_is_not() -> None:
     assert np.isnan(specular_picture(lit[None], np.zeros_like(mask), 9.0)).all()
 
 
-def test_series_that_do_not_belong_together_are_doubted() -> None:
+def test_series_that_do_not_belong_together_are_doubted():
     rows, columns = np.mgrid[-1:1:30j, -1:1:30j]
 
     def lit_from(angles: np.ndarray) -> np.ndarray:

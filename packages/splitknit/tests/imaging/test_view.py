@@ -58,14 +58,14 @@ def own_frames(view: View, normals: np.ndarray) -> np.ndarray:
 
 
 @pytest.mark.parametrize("lens", [Camera(5.0, SIZE, 60.0), camera(None), camera()])
-def test_pixels_survive_the_way_over_the_finger_plane(lens: Camera) -> None:
+def test_pixels_survive_the_way_over_the_finger_plane(lens):
     pixels = np.random.default_rng(0).uniform(0, [SIZE[1] - 1, SIZE[0] - 1], (50, 2))
     plane = plane_points(lens, pixels)
     back = pixels_of(lens, np.concatenate([plane, np.zeros((50, 1))], axis=1))
     np.testing.assert_allclose(back, pixels, atol=1e-5)
 
 
-def test_a_higher_point_appears_further_out() -> None:
+def test_a_higher_point_appears_further_out():
     lens = camera(None)
     low, high = pixels_of(lens, [[10.0, 0.0, 0.0], [10.0, 0.0, 6.0]]) - pixels_of(
         lens, [[0.0, 0.0, 0.0]]
@@ -73,7 +73,7 @@ def test_a_higher_point_appears_further_out() -> None:
     assert high[0] / low[0] == pytest.approx(60 / 54, rel=1e-6)
 
 
-def test_the_view_of_a_window_is_part_of_the_whole_view() -> None:
+def test_the_view_of_a_window_is_part_of_the_whole_view():
     lens = camera()
     whole = view_of(lens)
     part = view_of(lens, slice(20, 141), slice(33, 200), binning=4)
@@ -86,7 +86,7 @@ def test_the_view_of_a_window_is_part_of_the_whole_view() -> None:
     )
 
 
-def test_turned_vectors_are_rotated_so_that_the_camera_is_overhead() -> None:
+def test_turned_vectors_are_rotated_so_that_the_camera_is_overhead():
     lens = camera()
     view = view_of(lens, along_rays=True)
     vectors = np.random.default_rng(1).standard_normal((2, 3, *SIZE)).astype(np.float32)
@@ -102,7 +102,7 @@ def test_turned_vectors_are_rotated_so_that_the_camera_is_overhead() -> None:
     assert (own[2] > 59).all()
 
 
-def test_log_heights_along_rays_give_the_points_of_a_sphere() -> None:
+def test_log_heights_along_rays_give_the_points_of_a_sphere():
     lens = camera()
     points, _, far = sphere(lens)
     view = view_of(lens, along_rays=True)
@@ -111,7 +111,7 @@ def test_log_heights_along_rays_give_the_points_of_a_sphere() -> None:
     np.testing.assert_allclose(np.stack([x, y, z], axis=-1)[seen], points[seen], atol=2e-4)
 
 
-def test_slopes_along_rays_agree_with_the_normals() -> None:
+def test_slopes_along_rays_agree_with_the_normals():
     lens = camera()
     _, normals, far = sphere(lens)
     height = log_height(lens, far)
@@ -128,12 +128,12 @@ def test_slopes_along_rays_agree_with_the_normals() -> None:
     assert error_right.std() < 0.3 * (right - slope_x)[inner].std()
 
 
-def test_a_regular_grid_is_not_stretched() -> None:
+def test_a_regular_grid_is_not_stretched():
     x_x, x_y, y_x, y_y = view_of(Camera(5.0, SIZE), along_rays=True).stretch(0.2, SIZE)
     assert np.allclose(x_x, 1) and np.allclose(y_y, 1) and not x_y.any() and not y_x.any()
 
 
-def test_a_surface_integrated_on_a_regular_grid_is_placed_on_its_rays() -> None:
+def test_a_surface_integrated_on_a_regular_grid_is_placed_on_its_rays():
     """Heights from slopes in the pixels' frames, as photometric stereo makes them."""
     lens = camera(size=(360, 480))
     points, normals, _ = sphere(lens)
@@ -155,6 +155,6 @@ def test_a_surface_integrated_on_a_regular_grid_is_placed_on_its_rays() -> None:
     assert np.std((without - points[..., 2])[mask]) > 0.2
 
 
-def test_points_not_below_the_camera_are_refused() -> None:
+def test_points_not_below_the_camera_are_refused():
     with pytest.raises(BadInput, match="below the camera"):
         pixels_of(camera(), [[0.0, 0.0, 60.0]])

@@ -4,13 +4,11 @@ import hashlib
 import json
 from collections.abc import Callable
 from dataclasses import replace
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 
-from io_shared import Build
 from small_capture import edit
 from splitknit.errors import BadInput
 from splitknit.imaging.band import linear_stack
@@ -50,9 +48,7 @@ def assert_same(a: Capture, b: Capture) -> None:
 
 @pytest.mark.parametrize("dtype", [np.uint8, np.uint16])
 @pytest.mark.parametrize("channels", [1, 3])
-def test_a_written_capture_is_read_back(
-    dtype: Any, channels: int, tmp_path: Path, build_capture: Build
-) -> None:
+def test_a_written_capture_is_read_back(dtype, channels, tmp_path, build_capture):
     mask = np.zeros((40, 30), dtype=bool)
     mask[5:30, 4:20] = True
     capture = build_capture(
@@ -95,7 +91,7 @@ def test_a_written_capture_is_read_back(
     ).read_bytes()
 
 
-def test_a_minimal_document_is_read_and_unknown_fields_are_ignored(folder: Path) -> None:
+def test_a_minimal_document_is_read_and_unknown_fields_are_ignored(folder):
     def least(document: Any) -> None:
         white = document["bands"]["white"]
         white["comment"] = ["not", {"known": None}]
@@ -119,7 +115,7 @@ def test_a_minimal_document_is_read_and_unknown_fields_are_ignored(folder: Path)
     assert capture.mask is capture.truth is capture.tip_direction_deg is capture.captured_at is None
 
 
-def test_exposure_gain_and_black_level_bring_images_to_one_scale(folder: Path) -> None:
+def test_exposure_gain_and_black_level_bring_images_to_one_scale(folder):
     def expose(document: Any) -> None:
         images = document["bands"]["white"]["images"]
         images[0] = {"file": images[0], "exposure_s": 0.5, "gain": 4.0, "black_level": 3}
@@ -147,9 +143,7 @@ def test_exposure_gain_and_black_level_bring_images_to_one_scale(folder: Path) -
         ([0.02, 0.04, 0.02, 0.02], None, "its own exposure_s"),
     ],
 )
-def test_the_ambient_image_has_its_own_or_the_common_exposure(
-    exposures: list[float | None], ambient: float | None, expected: float | str, folder: Path
-) -> None:
+def test_the_ambient_image_has_its_own_or_the_common_exposure(exposures, ambient, expected, folder):
     write_image(folder / "dark.png", np.ones((40, 30, 3), np.uint8))
 
     def expose(document: Any) -> None:
@@ -170,7 +164,7 @@ def test_the_ambient_image_has_its_own_or_the_common_exposure(
         assert read_capture(folder).bands["white"].ambient_exposure == expected
 
 
-def test_a_mask_of_any_image_type_is_read_and_a_wrong_one_refused(folder: Path) -> None:
+def test_a_mask_of_any_image_type_is_read_and_a_wrong_one_refused(folder):
     mask = np.zeros((40, 30), np.uint8)
     mask[10:20, 5:9] = 1
     edit(folder / "capture.json", document_with(mask="m.png"))
@@ -268,7 +262,7 @@ def led_with(**values: Any) -> Change:
         ),
     ],
 )
-def test_wrong_capture_documents_are_refused(change: Change, words: str, folder: Path) -> None:
+def test_wrong_capture_documents_are_refused(change, words, folder):
     edit(folder / "capture.json", change)
     with pytest.raises(BadInput, match=words) as caught:
         read_capture(folder)
@@ -289,7 +283,7 @@ def test_wrong_capture_documents_are_refused(change: Change, words: str, folder:
     ],
 )
 @pytest.mark.parametrize("file", ["capture.json", "rig.json"])
-def test_broken_json_is_refused(text: bytes, words: str, file: str, folder: Path) -> None:
+def test_broken_json_is_refused(text, words, file, folder):
     (folder / file).write_bytes(text)
     with pytest.raises(BadInput, match=words) as caught:
         read_capture(folder)
@@ -311,7 +305,7 @@ def test_broken_json_is_refused(text: bytes, words: str, file: str, folder: Path
     ],
 )
 @pytest.mark.parametrize("field", ["image", "ambient", "mask", "truth", "rig"])
-def test_paths_stay_inside_the_folder(name: str, field: str, folder: Path) -> None:
+def test_paths_stay_inside_the_folder(name, field, folder):
     write_image(folder.parent / "secret.png", np.ones((40, 30, 3), np.uint8))
     (folder / "link.png").symlink_to(folder.parent / "secret.png")
     (folder / "linked").symlink_to(folder.parent)
@@ -330,13 +324,13 @@ def test_paths_stay_inside_the_folder(name: str, field: str, folder: Path) -> No
 
 
 @pytest.mark.parametrize("name", ["a\0b.png", "\ud800.png", "x" * 5000, " ", ""])
-def test_unusable_file_names_are_refused(name: str, folder: Path) -> None:
+def test_unusable_file_names_are_refused(name, folder):
     edit(folder / "capture.json", document_with(mask=name))
     with pytest.raises(BadInput):
         read_capture(folder)
 
 
-def test_missing_folders_and_files_are_refused(tmp_path: Path, folder: Path) -> None:
+def test_missing_folders_and_files_are_refused(tmp_path, folder):
     with pytest.raises(BadInput, match="does not exist"):
         read_capture(tmp_path / "nowhere")
     with pytest.raises(BadInput, match=r"holds no capture\.json"):
@@ -350,7 +344,7 @@ def test_missing_folders_and_files_are_refused(tmp_path: Path, folder: Path) -> 
         read_capture(folder)
 
 
-def test_images_that_do_not_match_the_others_are_refused(folder: Path) -> None:
+def test_images_that_do_not_match_the_others_are_refused(folder):
     good = read_image(folder / "white_2.png")
     data = (folder / "white_2.png").read_bytes()
     (folder / "white_2.png").write_bytes(data[: len(data) // 2])
@@ -373,9 +367,7 @@ def test_images_that_do_not_match_the_others_are_refused(folder: Path) -> None:
         read_capture(folder)
 
 
-def test_a_capture_that_could_not_be_read_back_is_not_written(
-    tmp_path: Path, build_capture: Build
-) -> None:
+def test_a_capture_that_could_not_be_read_back_is_not_written(tmp_path, build_capture):
     capture = build_capture()
     white = capture.bands["white"]
 
@@ -396,7 +388,7 @@ def test_a_capture_that_could_not_be_read_back_is_not_written(
     refused("no form in JSON", subject={"age": float("nan")})
 
 
-def test_a_capture_is_not_overwritten_unless_asked(folder: Path, build_capture: Build) -> None:
+def test_a_capture_is_not_overwritten_unless_asked(folder, build_capture):
     with pytest.raises(BadInput, match="exists and is not empty"):
         write_capture(build_capture(), folder)
     write_capture(build_capture(np.uint16), folder, overwrite=True)
@@ -426,7 +418,7 @@ RIG = {
 MATRIX = np.array([[900.0, 0, 15.5], [0, 901.0, 10.5], [0, 0, 1]])
 
 
-def test_a_written_rig_is_read_back(tmp_path: Path) -> None:
+def test_a_written_rig_is_read_back(tmp_path):
     distortion, shading = (0.1, 0.0, 0.0, -0.2, 0.0), (-0.1, 0.02)
     camera = Camera(6.45, (22, 32), 139.5, "perspective", MATRIX, distortion, shading)
     leds = (
@@ -447,13 +439,13 @@ def test_a_written_rig_is_read_back(tmp_path: Path) -> None:
     assert (tmp_path / "rig.json").read_bytes() == first
 
 
-def test_a_lens_without_distortion_is_written_with_zeros(tmp_path: Path) -> None:
+def test_a_lens_without_distortion_is_written_with_zeros(tmp_path):
     camera = Camera(6.45, (22, 32), 139.5, "perspective", MATRIX)
     write_rig(Rig(camera, (Led("white", (0.0, 1.0, 2.0)),)), tmp_path / "r")
     assert read_rig(tmp_path / "r").camera.distortion == (0.0,) * 5
 
 
-def test_a_rounded_direction_becomes_a_unit_vector(tmp_path: Path) -> None:
+def test_a_rounded_direction_becomes_a_unit_vector(tmp_path):
     document = json.loads(json.dumps(RIG))
     document["leds"] = [{"direction": [0.58, 0.58, 0.57], "band": "white"}]
     (tmp_path / "rig.json").write_text(json.dumps(document))
@@ -508,7 +500,7 @@ def test_a_rounded_direction_becomes_a_unit_vector(tmp_path: Path) -> None:
         ),
     ],
 )
-def test_wrong_rigs_are_refused(change: Change, words: str, tmp_path: Path) -> None:
+def test_wrong_rigs_are_refused(change, words, tmp_path):
     document = json.loads(json.dumps(RIG))
     change(document)
     (tmp_path / "rig.json").write_text(json.dumps(document))
@@ -517,7 +509,7 @@ def test_wrong_rigs_are_refused(change: Change, words: str, tmp_path: Path) -> N
     assert str(tmp_path / "rig.json") in str(caught.value)
 
 
-def test_coplanar_lights_are_refused(folder: Path) -> None:
+def test_coplanar_lights_are_refused(folder):
     def flatten(document: Any) -> None:
         for k, led in enumerate(document["leds"]):
             led["position_mm"] = [10.0 * (k % 4), 0.0, 140.0]
@@ -527,9 +519,7 @@ def test_coplanar_lights_are_refused(folder: Path) -> None:
         read_capture(folder)
 
 
-def test_the_images_of_a_capture_have_a_budget_together(
-    folder: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_the_images_of_a_capture_have_a_budget_together(folder, monkeypatch):
     pixels = read_capture(folder).bands["white"].pixels
     monkeypatch.setattr("splitknit.io.images.STACK_BYTES", 2 * pixels.nbytes)
     read_capture(folder)

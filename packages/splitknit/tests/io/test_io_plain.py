@@ -63,7 +63,7 @@ def convert(
     ).capture
 
 
-def test_photographs_and_lights_become_a_capture(plain: Path) -> None:
+def test_photographs_and_lights_become_a_capture(plain):
     capture = convert(
         plain,
         mask=plain / "mask.png",
@@ -112,9 +112,7 @@ def test_photographs_and_lights_become_a_capture(plain: Path) -> None:
         ({"background": "no.png"}, "does not exist"),
     ],
 )
-def test_lights_and_options_that_cannot_be_used_are_refused(
-    options: dict[str, Any], words: str, plain: Path
-) -> None:
+def test_lights_and_options_that_cannot_be_used_are_refused(options, words, plain):
     with pytest.raises(BadInput, match=words):
         convert(plain, **options)
 
@@ -132,7 +130,7 @@ def test_lights_and_options_that_cannot_be_used_are_refused(
         "x y z\n1,0\t0,0\t1,0\n0,0\t1,5\t1,0\n",
     ],
 )
-def test_light_lists_of_several_forms_are_read(text: str, tmp_path: Path) -> None:
+def test_light_lists_of_several_forms_are_read(text, tmp_path):
     (tmp_path / "l.txt").write_bytes(text.encode())
     np.testing.assert_array_equal(
         read_light_list(tmp_path / "l.txt").lights, [[1, 0, 1], [0, 1.5, 1]]
@@ -151,19 +149,19 @@ def test_light_lists_of_several_forms_are_read(text: str, tmp_path: Path) -> Non
         (b"\xff\xfe\0", "not a text file"),
     ],
 )
-def test_wrong_light_lists_are_refused(text: bytes, words: str, tmp_path: Path) -> None:
+def test_wrong_light_lists_are_refused(text, words, tmp_path):
     (tmp_path / "l.txt").write_bytes(text)
     with pytest.raises(BadInput, match=words):
         read_light_list(tmp_path / "l.txt")
 
 
-def test_ambiguous_commas_are_refused(tmp_path: Path) -> None:
+def test_ambiguous_commas_are_refused(tmp_path):
     (tmp_path / "l.txt").write_text("0,5,0,3,0,8\n")
     with pytest.raises(BadInput, match=r"line 1: .*; write decimals with a point, or put spaces"):
         read_light_list(tmp_path / "l.txt")
 
 
-def test_lp_files_find_photographs_by_their_names_alone(unmasked: Path) -> None:
+def test_lp_files_find_photographs_by_their_names_alone(unmasked):
     """Paths of another machine, with spaces and other capitals; the photographs are found by their
     own names."""
     names = ("C:\\Scans\\coin 7\\3.PNG", "/home/a user/coin/0.png", "jpeg-exports/1.jpg", "2.png")
@@ -176,7 +174,7 @@ def test_lp_files_find_photographs_by_their_names_alone(unmasked: Path) -> None:
     assert [Path(file).name for file in band.files] == ["3.png", "0.png", "1.png", "2.png"]
 
 
-def test_places_in_mm_are_near_lights(unmasked: Path) -> None:
+def test_places_in_mm_are_near_lights(unmasked):
     places = LIGHTS * 40.0
     table = unmasked / "lights.txt"
     table.write_text("x_mm y_mm z_mm\n" + "\n".join(" ".join(map(str, place)) for place in places))
@@ -194,7 +192,7 @@ def test_places_in_mm_are_near_lights(unmasked: Path) -> None:
     )
 
 
-def test_the_encoding_that_a_png_states_is_used(tmp_path: Path) -> None:
+def test_the_encoding_that_a_png_states_is_used(tmp_path):
     image = Image.fromarray(np.zeros((4, 4), np.uint8))
     for name, kind, data in (("s", b"sRGB", b"\0"), ("g", b"gAMA", (45455).to_bytes(4, "big")),
                              ("l", b"gAMA", (100000).to_bytes(4, "big"))):  # fmt: skip
@@ -235,9 +233,7 @@ def ball_photographs(
 
 
 @pytest.mark.parametrize(("code", "encoding"), [(np.asarray, "linear"), (srgb_code, "srgb")])
-def test_the_encoding_of_8_bit_files_is_judged_by_the_shading(
-    tmp_path: Path, code: Any, encoding: str
-) -> None:
+def test_the_encoding_of_8_bit_files_is_judged_by_the_shading(tmp_path, code, encoding):
     ball_photographs(tmp_path, code)
     imported = import_photographs(tmp_path)
     assert imported.capture.encoding == encoding
@@ -246,9 +242,7 @@ def test_the_encoding_of_8_bit_files_is_judged_by_the_shading(
 
 @pytest.mark.parametrize("listed", [True, False])
 @pytest.mark.parametrize(("code", "encoding"), [(np.asarray, "linear"), (srgb_code, "srgb")])
-def test_unequal_lights_do_not_change_the_judged_encoding(
-    tmp_path: Path, code: Any, encoding: str, *, listed: bool
-) -> None:
+def test_unequal_lights_do_not_change_the_judged_encoding(tmp_path, code, encoding, *, listed):
     """Unequal lights looked like a wrong curve: sRGB was taken for linear, and normals came out 16
     deg wrong."""
     bright = np.array([1.0, 0.5, 0.9, 0.7, 0.4, 1.0, 0.8, 0.6])
@@ -261,9 +255,7 @@ def test_unequal_lights_do_not_change_the_judged_encoding(
 @pytest.mark.parametrize(
     ("code", "right", "wrong"), [(np.asarray, "linear", "srgb"), (srgb_code, "srgb", "linear")]
 )
-def test_a_wrongly_stated_encoding_gets_a_note(
-    tmp_path: Path, code: Any, right: str, wrong: str
-) -> None:
+def test_a_wrongly_stated_encoding_gets_a_note(tmp_path, code, right, wrong):
     ball_photographs(tmp_path, code)
     notes = {
         way: import_photographs(tmp_path, encoding=way).notes  # type: ignore[arg-type]
@@ -273,7 +265,7 @@ def test_a_wrongly_stated_encoding_gets_a_note(
     assert any(f"shade as {right}, not as {wrong}" in str(note) for note in notes[wrong])
 
 
-def test_brightness_is_estimated_or_equal_as_chosen(tmp_path: Path) -> None:
+def test_brightness_is_estimated_or_equal_as_chosen(tmp_path):
     bright = np.array([1.0, 0.5, 0.9, 0.7, 0.4, 1.0, 0.8, 0.6])
     lights = ball_photographs(tmp_path, np.asarray, bright=bright)
     np.savetxt(tmp_path / "lights.txt", np.column_stack([lights, bright[::-1]]))  # a wrong list
@@ -292,7 +284,7 @@ def test_brightness_is_estimated_or_equal_as_chosen(tmp_path: Path) -> None:
         import_photographs(tmp_path, brightness="estimate")
 
 
-def test_reduced_photographs_are_means_of_linear_light(tmp_path: Path) -> None:
+def test_reduced_photographs_are_means_of_linear_light(tmp_path):
     lights = ball_photographs(tmp_path, srgb_code)
     write_image(tmp_path / "mask.png", np.pad(np.full((60, 120), 255, np.uint8), ((0, 60), (0, 0))))
     whole, small = (
@@ -321,7 +313,7 @@ def test_reduced_photographs_are_means_of_linear_light(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-def test_large_stacks_are_processed_in_strips_from_disk(tmp_path: Path, monkeypatch: Any) -> None:
+def test_large_stacks_are_processed_in_strips_from_disk(tmp_path, monkeypatch):
     """The surface is that of images in memory; the file of the stack has no name."""
     ball_photographs(tmp_path, srgb_code)
     monkeypatch.setenv("TMPDIR", str(tmp_path / "scratch"))
@@ -346,7 +338,7 @@ def test_large_stacks_are_processed_in_strips_from_disk(tmp_path: Path, monkeypa
         np.testing.assert_allclose(whole.height_mm, strips.height_mm, atol=1e-4)
 
 
-def test_a_full_disk_is_refused(monkeypatch: Any) -> None:
+def test_a_full_disk_is_refused(monkeypatch):
     def full(*_: Any) -> None:
         raise OSError(28, "No space left on device")
 
@@ -355,7 +347,7 @@ def test_a_full_disk_is_refused(monkeypatch: Any) -> None:
         large_array((600, 1000, 1000), np.dtype(np.uint8))
 
 
-def test_a_link_to_itself_is_refused(plain: Path) -> None:
+def test_a_link_to_itself_is_refused(plain):
     (plain / "3.png").unlink()
     (plain / "3.png").symlink_to("3.png")
     with pytest.raises(BadInput, match="has 4 lights"):
@@ -379,9 +371,7 @@ def test_a_link_to_itself_is_refused(plain: Path) -> None:
         ("coin 7 1 0 1\ncoin 8 0 1.5 1\n", ("coin 7", "coin 8"), None),
     ],
 )
-def test_light_lists_may_state_brightness_and_names(
-    text: str, names: tuple[str, ...], bright: object, tmp_path: Path
-) -> None:
+def test_light_lists_may_state_brightness_and_names(text, names, bright, tmp_path):
     (tmp_path / "l.txt").write_text(text)
     table = read_light_list(tmp_path / "l.txt")
     np.testing.assert_array_equal(table.lights, [[1, 0, 1], [0, 1.5, 1]])
@@ -393,14 +383,14 @@ def test_light_lists_may_state_brightness_and_names(
     "text",
     ["1 0 1 2\n0 1.5 1\n", "1 0 1 0\n0 1.5 1 1\n", "1 0 1 2\n0 1.5 1 1 1 1\n", "1 0 1 2 3\n"],
 )
-def test_an_invalid_brightness_is_refused(text: str, tmp_path: Path) -> None:
+def test_an_invalid_brightness_is_refused(text, tmp_path):
     (tmp_path / "l.txt").write_text(text)
     with pytest.raises(BadInput, match=r"brightness|three finite numbers"):
         read_light_list(tmp_path / "l.txt")
 
 
 @pytest.mark.parametrize("columns", [1, 3])
-def test_an_intensities_file_beside_the_list_is_used(columns: int, unmasked: Path) -> None:
+def test_an_intensities_file_beside_the_list_is_used(columns, unmasked):
     """DiLiGenT's way: the photographs of a light twice as bright count as half."""
     values = np.ones((len(LIGHTS), columns))
     values[1] = 2.0
@@ -420,7 +410,7 @@ def test_an_intensities_file_beside_the_list_is_used(columns: int, unmasked: Pat
         import_photographs(unmasked)
 
 
-def test_one_photograph_under_three_coloured_lights_is_three_images(tmp_path: Path) -> None:
+def test_one_photograph_under_three_coloured_lights_is_three_images(tmp_path):
     image = np.random.default_rng(0).integers(2000, 60000, (24, 30, 3)).astype(np.uint16)
     write_image(tmp_path / "frame.png", image)
     lights = np.array([[0.5, 0, 1], [-0.3, 0.4, 1], [-0.3, -0.4, 1]])
@@ -444,7 +434,7 @@ def _ball(folder: Path, count: int = 4) -> np.ndarray:
     return z2 > 0
 
 
-def test_a_mask_is_read_from_transparency_or_covers_all(tmp_path: Path) -> None:
+def test_a_mask_is_read_from_transparency_or_covers_all(tmp_path):
     inside = _ball(tmp_path)
     picture = np.tile(np.linspace(60, 250, 90).astype(np.uint8)[None, :, None], (80, 1, 3))
     alpha = np.dstack([picture, 255 * inside.astype(np.uint8)])
@@ -464,7 +454,7 @@ def test_a_mask_is_read_from_transparency_or_covers_all(tmp_path: Path) -> None:
     assert capture_from_photographs(photographs).capture.mask.all()
 
 
-def test_the_transparency_of_photographs_is_their_mask(tmp_path: Path) -> None:
+def test_the_transparency_of_photographs_is_their_mask(tmp_path):
     inside = _ball(tmp_path)
     for k in range(4):
         grey = np.asarray(Image.open(tmp_path / f"{k}.png")).astype(np.uint16) >> 8
@@ -476,7 +466,7 @@ def test_the_transparency_of_photographs_is_their_mask(tmp_path: Path) -> None:
     assert any("longer side of the pictures is 45000 mm" in warning for warning in result.warnings)
 
 
-def test_a_written_lp_file_names_the_photographs_and_holds_directions_only(tmp_path: Path) -> None:
+def test_a_written_lp_file_names_the_photographs_and_holds_directions_only(tmp_path):
     leds = [Led("white", direction=(1.0, 2.0, 2.0)), Led("white", direction=(0.0, 0.0, 5.0))]
     write_light_list(leds, tmp_path / "a.lp", ["one.jpg", "two.jpg"])
     assert (tmp_path / "a.lp").read_text().splitlines()[0] == "2"

@@ -27,7 +27,7 @@ def hill(shape: tuple[int, int] = (13, 17)) -> tuple[np.ndarray, np.ndarray, np.
     return x, y, (1 - (x - 0.8) ** 2 - (y - 0.6) ** 2).astype(np.float32)
 
 
-def test_triangles_face_the_camera_and_cover_the_mask() -> None:
+def test_triangles_face_the_camera_and_cover_the_mask():
     x, y, z = hill()
     mask = np.ones(z.shape, bool)
     mask[3:6, 4:9] = False
@@ -46,7 +46,7 @@ def test_triangles_face_the_camera_and_cover_the_mask() -> None:
     assert len(np.unique(np.sort(faces, axis=1), axis=0)) == len(faces)
 
 
-def test_a_ply_file_keeps_vertices_normals_and_faces(tmp_path: Path) -> None:
+def test_a_ply_file_keeps_vertices_normals_and_faces(tmp_path):
     x, y, z = hill()
     faces, _ = triangulate(np.isfinite(z))
     vertices = np.stack([x, y, z], axis=-1, dtype=np.float32).reshape(-1, 3)
@@ -73,7 +73,7 @@ def test_a_ply_file_keeps_vertices_normals_and_faces(tmp_path: Path) -> None:
     )
 
 
-def test_a_height_tiff_keeps_heights_pitch_and_provenance(tmp_path: Path) -> None:
+def test_a_height_tiff_keeps_heights_pitch_and_provenance(tmp_path):
     height = hill()[2]
     height[:3] = np.nan
     path, facts = tmp_path / "h.tiff", provenance({"sigma": 1.5}, {"white_0.png": "ab"})
@@ -99,7 +99,7 @@ def test_a_height_tiff_keeps_heights_pitch_and_provenance(tmp_path: Path) -> Non
         write_float_tiff(path, height[None], "mm", pitch_mm=0.1)
 
 
-def test_a_print_keeps_its_resolution_and_texts(tmp_path: Path) -> None:
+def test_a_print_keeps_its_resolution_and_texts(tmp_path):
     image = np.random.default_rng(0).integers(0, 256, (30, 20)).astype(np.uint8)
     text = {"Software": "splitknit 0.1.0", "Comment": "ridges dark, µm", "Title": "指紋"}
     path = tmp_path / "print.png"
@@ -135,7 +135,7 @@ class Settings:
     steps: tuple[int, ...] = (1, 2)
 
 
-def test_canonical_json_and_settings_hash_depend_on_values_alone() -> None:
+def test_canonical_json_and_settings_hash_depend_on_values_alone():
     value = {
         "b": np.float32(0.5),
         "a": [np.int64(3), np.bool_(True), None, "ü"],

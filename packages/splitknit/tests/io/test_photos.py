@@ -45,7 +45,7 @@ TURNED = {
 
 @pytest.mark.parametrize("orientation", TURNED)
 @pytest.mark.parametrize("suffix", ["png", "tif", "webp", "jpg"])
-def test_the_exif_orientation_is_applied(orientation: int, suffix: str, tmp_path: Path) -> None:
+def test_the_exif_orientation_is_applied(orientation, suffix, tmp_path):
     exif = Image.Exif()
     exif[274] = orientation
     file = tmp_path / f"x.{suffix}"
@@ -60,7 +60,7 @@ def test_the_exif_orientation_is_applied(orientation: int, suffix: str, tmp_path
     assert np.abs(photo.pixels - expected).mean() < (4.0 if suffix == "jpg" else 1e-9)
 
 
-def test_bmp_and_float_tiff_are_read_and_nan_is_refused(tmp_path: Path) -> None:
+def test_bmp_and_float_tiff_are_read_and_nan_is_refused(tmp_path):
     Image.fromarray(picture()).save(tmp_path / "x.bmp")
     np.testing.assert_array_equal(read_photo(tmp_path / "x.bmp").pixels, picture())
     values = (picture() / 7.0).astype(np.float32)
@@ -73,7 +73,7 @@ def test_bmp_and_float_tiff_are_read_and_nan_is_refused(tmp_path: Path) -> None:
         read_photo(tmp_path / "x.tif")
 
 
-def test_heic_is_read_upright(tmp_path: Path) -> None:
+def test_heic_is_read_upright(tmp_path):
     heif = pytest.importorskip("pillow_heif", reason="of the extra photos")
     exif = Image.Exif()
     exif[274] = 6
@@ -103,7 +103,7 @@ def write_raw(file: Path, mosaic: Any, orientation: int = 1) -> None:
     tifffile.imwrite(file, mosaic, photometric="CFA", extratags=tags, metadata=None)
 
 
-def test_raw_values_are_linear_and_on_one_scale(tmp_path: Path) -> None:
+def test_raw_values_are_linear_and_on_one_scale(tmp_path):
     pytest.importorskip("rawpy", reason="of the extra photos")
     for name, level in (("dim", 500), ("bright", 3000)):
         write_raw(tmp_path / f"{name}.dng", np.full((64, 96), level, dtype=np.uint16), 6)
@@ -134,7 +134,7 @@ def test_raw_values_are_linear_and_on_one_scale(tmp_path: Path) -> None:
         (b"\0\0\0\x18ftypheic" + bytes(40), "cannot be decoded|pip install"),
     ],
 )
-def test_data_that_are_no_photograph_are_refused(data: bytes, words: str, tmp_path: Path) -> None:
+def test_data_that_are_no_photograph_are_refused(data, words, tmp_path):
     (tmp_path / "x.png").write_bytes(data)
     with pytest.raises(BadInput, match=words):
         read_photo(tmp_path / "x.png")
@@ -173,7 +173,7 @@ def files_of(photographs: Photographs) -> list[str]:
     return [Path(name).name for name in photographs.capture.bands["white"].files]
 
 
-def test_a_folder_becomes_a_capture(folder: Path) -> None:
+def test_a_folder_becomes_a_capture(folder):
     (folder / "notes.docx").write_text("x")
     (folder / ".hidden").write_text("x")
     (folder / "other.mask.png").write_bytes((folder / "mask.png").read_bytes())
@@ -189,7 +189,7 @@ def test_a_folder_becomes_a_capture(folder: Path) -> None:
     )
 
 
-def test_an_unknown_scale_survives_a_capture_folder(folder: Path) -> None:
+def test_an_unknown_scale_survives_a_capture_folder(folder):
     capture = import_photographs(folder).capture
     write_capture(capture, folder / "capture")
     assert '"px_per_mm": null' in (folder / "capture" / "rig.json").read_text()
@@ -200,7 +200,7 @@ def test_an_unknown_scale_survives_a_capture_folder(folder: Path) -> None:
     )
 
 
-def test_names_in_the_light_list_choose_the_photographs(folder: Path) -> None:
+def test_names_in_the_light_list_choose_the_photographs(folder):
     lines = ["p12.png 0.1 0.1 1", "0 -0.5 0.9 p11", "p10.png, 0, 0.5, 0.9"]
     (folder / "lights.txt").write_text("\n".join(lines))
     imported = import_photographs(folder)
@@ -223,7 +223,7 @@ def test_names_in_the_light_list_choose_the_photographs(folder: Path) -> None:
             read_light_list(folder / "lights.txt")
 
 
-def test_a_wrong_number_of_photographs_names_the_skipped_files(folder: Path) -> None:
+def test_a_wrong_number_of_photographs_names_the_skipped_files(folder):
     (folder / "p12.png").rename(folder / "p12.gif")
     with pytest.raises(BadInput, match=r"4 photographs .* 5 lights; skipped: p12\.gif"):
         import_photographs(folder)
@@ -233,7 +233,7 @@ def test_a_wrong_number_of_photographs_names_the_skipped_files(folder: Path) -> 
         import_photographs(folder)
 
 
-def test_a_series_with_one_exif_orientation_is_turned_as_a_whole(folder: Path) -> None:
+def test_a_series_with_one_exif_orientation_is_turned_as_a_whole(folder):
     """As a camera that lies on its head writes it: stored the other way up, and marked so."""
     exif = Image.Exif()
     exif[274] = 3
@@ -251,7 +251,7 @@ def test_a_series_with_one_exif_orientation_is_turned_as_a_whole(folder: Path) -
         import_photographs(folder)
 
 
-def test_floats_are_brought_to_one_scale(folder: Path) -> None:
+def test_floats_are_brought_to_one_scale(folder):
     for k, file in enumerate(sorted(folder.glob("p*.png"), key=lambda file: int(file.stem[1:]))):
         tifffile.imwrite(
             file.with_suffix(".tiff"), ball(DIRECTIONS[k]).astype(np.float32) * 40.0 + 3.0
@@ -264,7 +264,7 @@ def test_floats_are_brought_to_one_scale(folder: Path) -> None:
     np.testing.assert_allclose(light, expected * factor, atol=2e-5)
 
 
-def test_an_assumed_tone_curve_gets_a_note(folder: Path) -> None:
+def test_an_assumed_tone_curve_gets_a_note(folder):
     for file in folder.glob("p*.png"):
         Image.open(file).save(file.with_suffix(".jpg"), quality=95)
         file.unlink()
@@ -278,7 +278,7 @@ def test_an_assumed_tone_curve_gets_a_note(folder: Path) -> None:
 
 
 @pytest.mark.parametrize("count", [3, 4, 5])
-def test_the_stated_error_of_few_lights_is_that_of_noise(count: int) -> None:
+def test_the_stated_error_of_few_lights_is_that_of_noise(count):
     azimuth = 2 * np.pi * np.arange(count) / count
     lights = np.stack(
         [0.57 * np.cos(azimuth), 0.57 * np.sin(azimuth), np.full(count, 0.82)], axis=1

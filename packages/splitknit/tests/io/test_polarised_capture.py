@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 from collections.abc import Callable
 from dataclasses import replace
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -56,12 +55,7 @@ def neighbours(capture: Capture) -> Capture:
 
 @pytest.mark.parametrize("change", [lambda capture: capture, neighbours])
 @pytest.mark.parametrize("exposures", [(1.0, 1.0), (1.0, 2.0), (0.5, 1.0)])
-def test_both_series_are_written_and_read_back(
-    polarised: Capture,
-    tmp_path: Path,
-    change: Callable[[Capture], Capture],
-    exposures: tuple[float, float],
-) -> None:
+def test_both_series_are_written_and_read_back(polarised, tmp_path, change, exposures):
     capture = change(polarised)
     names = ("white", "white_crossed")
     timed = {
@@ -123,9 +117,7 @@ def _exposed(document: Any) -> None:
         (lambda d: d["bands"].update(red={}), "bands: "),
     ],
 )
-def test_series_that_do_not_match_are_refused(
-    polarised: Capture, tmp_path: Path, change: Callable[[Any], Any], words: str
-) -> None:
+def test_series_that_do_not_match_are_refused(polarised, tmp_path, change, words):
     write_capture(polarised, tmp_path / "c")
     edit(tmp_path / "c" / "capture.json", change)
     with pytest.raises(BadInput, match=r"capture\.json") as refused:
@@ -133,9 +125,7 @@ def test_series_that_do_not_match_are_refused(
     assert words in str(refused.value)
 
 
-def test_polarised_series_with_coloured_leds_are_refused(
-    polarised: Capture, tmp_path: Path
-) -> None:
+def test_polarised_series_with_coloured_leds_are_refused(polarised, tmp_path):
     write_capture(polarised, tmp_path / "c")
 
     def paint(rig: Any) -> None:
@@ -149,7 +139,7 @@ def test_polarised_series_with_coloured_leds_are_refused(
         with_rig(polarised, tmp_path / "c" / "rig.json")
 
 
-def test_another_rig_must_hold_the_leds_of_both_series(polarised: Capture, tmp_path: Path) -> None:
+def test_another_rig_must_hold_the_leds_of_both_series(polarised, tmp_path):
     capture = neighbours(polarised)
     brighter = replace(
         capture.rig, leds=tuple(replace(led, intensity=2.0) for led in capture.rig.leds)
@@ -163,9 +153,7 @@ def test_another_rig_must_hold_the_leds_of_both_series(polarised: Capture, tmp_p
         with_rig(capture, tmp_path / "short.json")
 
 
-def test_without_films_the_light_is_the_mean_of_both_series_under_both_leds(
-    polarised: Capture,
-) -> None:
+def test_without_films_the_light_is_the_mean_of_both_series_under_both_leds(polarised):
     capture = neighbours(polarised)
     crossed = replace(
         capture.bands["white_crossed"],
@@ -182,9 +170,7 @@ def test_without_films_the_light_is_the_mean_of_both_series_under_both_leds(
 
 @pytest.mark.parametrize("ambient", [0, 20])
 @pytest.mark.parametrize("clips", ["white", "white_crossed"])
-def test_a_pixel_that_clips_in_either_series_clips_in_the_mean(
-    polarised: Capture, clips: str, ambient: int
-) -> None:
+def test_a_pixel_that_clips_in_either_series_clips_in_the_mean(polarised, clips, ambient):
     pixels = polarised.bands[clips].pixels.copy()
     pixels[1, 20, 15, :2] = 255
     pixels[2, 20, 15, :1] = 255  # of one channel: the others carry the shading
@@ -197,12 +183,12 @@ def test_a_pixel_that_clips_in_either_series_clips_in_the_mean(
     assert np.argwhere(clipped).tolist() == [[1, 20, 15]]
 
 
-def test_polarised_captures_are_not_composed_into_coloured_exposures(polarised: Capture) -> None:
+def test_polarised_captures_are_not_composed_into_coloured_exposures(polarised):
     with pytest.raises(BadInput, match="this capture is polarised"):
         as_lit(polarised, LightsSettings(compose=1))
 
 
-def test_the_document_lists_both_series(polarised: Capture, tmp_path: Path) -> None:
+def test_the_document_lists_both_series(polarised, tmp_path):
     write_capture(polarised, tmp_path / "c")
     bands = json.loads((tmp_path / "c" / "capture.json").read_text())["bands"]
     assert bands["white"]["polarisation"] == "parallel"

@@ -73,11 +73,11 @@ def check_columns(views: Views, scale: int) -> None:
         assert (columns[0], columns[-1]) == (scale * first, scale * (first + width) - 1)
 
 
-def test_front_and_mirrors_are_distinguished() -> None:
+def test_front_and_mirrors_are_distinguished():
     check_columns(views_in(picture(FRONT, *BESIDE), RIG, 1), 1)
 
 
-def test_a_mirror_without_a_finger_is_left_out() -> None:
+def test_a_mirror_without_a_finger_is_left_out():
     assert set(views_in(picture(FRONT, BESIDE[1]), RIG, 1).mirrors) == {"right"}
 
 
@@ -91,20 +91,18 @@ def test_a_mirror_without_a_finger_is_left_out() -> None:
         (((140, 80), (79, 61), BESIDE[1]), "touches the edge of the left mirror"),
     ],
 )
-def test_pictures_without_one_finger_and_its_mirror_images_are_refused(
-    fingers: tuple[tuple[int, int], ...], words: str, scale: int
-) -> None:
+def test_pictures_without_one_finger_and_its_mirror_images_are_refused(fingers, words, scale):
     image, camera = large(*fingers) if scale == 4 else (picture(*fingers), CAMERA)
     with pytest.raises(BadInput, match=words):
         views_in(image, replace(RIG, camera=camera), 1)
 
 
-def test_a_rig_without_mirrors_is_refused() -> None:
+def test_a_rig_without_mirrors_is_refused():
     with pytest.raises(BadInput, match="the rig has no mirrors"):
         views_in(picture(FRONT), replace(RIG, mirrors=()), 1)
 
 
-def test_mirror_images_are_painted_over_and_the_finger_is_kept() -> None:
+def test_mirror_images_are_painted_over_and_the_finger_is_kept():
     """A capture with mirrors whose shape comes from light: the mirror images are painted over."""
     image = without_mirrors(picture(FRONT, *BESIDE), CAMERA, MIRRORS, 1)
     assert image[200, 100].max() < 0.25 and image[200, 360].max() < 0.25
@@ -119,7 +117,7 @@ def large(*fingers: tuple[int, int]) -> tuple[FloatArray, Camera]:
     return np.pad(image, ((0, 1), (0, 2), (0, 0)), mode="edge"), Camera(20.0, (1201, 1842))
 
 
-def test_outlines_are_found_in_the_image_around_what_a_small_copy_shows() -> None:
+def test_outlines_are_found_in_the_image_around_what_a_small_copy_shows():
     image, camera = large(FRONT, *BESIDE)
     views = views_in(image, replace(RIG, camera=camera), 1)
     assert views.binning == 1

@@ -50,7 +50,7 @@ def telemetry(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -
 
 
 @pytest.mark.usefixtures("telemetry")
-def test_onnxruntime_is_imported_without_telemetry(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_onnxruntime_is_imported_without_telemetry(monkeypatch):
     monkeypatch.setitem(sys.modules, "onnxruntime", None)  # as if it were not installed
     with pytest.raises(BadInput, match="pip install onnxruntime"):
         load_network(TINY)
@@ -58,7 +58,7 @@ def test_onnxruntime_is_imported_without_telemetry(monkeypatch: pytest.MonkeyPat
 
 
 @pytest.mark.usefixtures("network", "telemetry")
-def test_onnxruntime_imported_with_telemetry_is_refused() -> None:
+def test_onnxruntime_imported_with_telemetry_is_refused():
     assert "onnxruntime" in sys.modules
     with pytest.raises(BadInput, match="ORT_DISABLE_TELEMETRY=1 before"):
         load_network(TINY)
@@ -90,9 +90,7 @@ def offered(monkeypatch: pytest.MonkeyPatch) -> Iterator[tuple[list[str], list[A
     use_device()
 
 
-def test_networks_run_on_cuda_where_onnxruntime_offers_it(
-    offered: tuple[list[str], list[Any]], images: np.ndarray
-) -> None:
+def test_networks_run_on_cuda_where_onnxruntime_offers_it(offered, images):
     """With a provider that is made up: this says which device is asked for, not that a GPU does the
     same."""
     there, asked = offered
@@ -124,7 +122,7 @@ def test_networks_run_on_cuda_where_onnxruntime_offers_it(
         load_network(TINY)
 
 
-def test_cuda_agrees_with_the_cpu(network: Network, images: np.ndarray) -> None:
+def test_cuda_agrees_with_the_cpu(network, images):
     import onnxruntime
 
     if "CUDAExecutionProvider" not in onnxruntime.get_available_providers():
@@ -139,20 +137,18 @@ def test_cuda_agrees_with_the_cpu(network: Network, images: np.ndarray) -> None:
 
 
 @pytest.mark.parametrize("tile", [40, 64, 120])
-def test_the_output_in_tiles_equals_that_in_one_piece(
-    network: Network, images: np.ndarray, tile: int
-) -> None:
+def test_the_output_in_tiles_equals_that_in_one_piece(network, images, tile):
     whole = run_network(network, images, tile=4096)
     assert whole.shape == images.shape
     assert np.ptp(whole) > 0.05
     np.testing.assert_allclose(run_network(network, images, tile=tile), whole, atol=2e-6)
 
 
-def test_onnxruntime_keeps_no_memory_pattern_of_each_shape(network: Network) -> None:
+def test_onnxruntime_keeps_no_memory_pattern_of_each_shape(network):
     assert not network.session.get_session_options().enable_mem_pattern
 
 
-def test_no_margin_smaller_than_the_reach_would_do(network: Network, images: np.ndarray) -> None:
+def test_no_margin_smaller_than_the_reach_would_do(network, images):
     """A pixel at the reach's end still changes the result, so that a smaller margin would be
     wrong."""
     reach = network.card.reach
@@ -166,7 +162,7 @@ def test_no_margin_smaller_than_the_reach_would_do(network: Network, images: np.
 
 
 @pytest.mark.parametrize("name", ["direct", "relief", "shape"])
-def test_outputs_have_the_same_bytes_on_one_two_and_four_threads(name: str) -> None:
+def test_outputs_have_the_same_bytes_on_one_two_and_four_threads(name):
     outputs = []
     for threads in (1, 2, 4):
         use_device(threads=threads)
@@ -179,22 +175,20 @@ def test_outputs_have_the_same_bytes_on_one_two_and_four_threads(name: str) -> N
     assert outputs[0] == outputs[1] == outputs[2]
 
 
-def test_sides_that_are_no_multiple_of_the_stride_are_reflected(
-    network: Network, images: np.ndarray
-) -> None:
+def test_sides_that_are_no_multiple_of_the_stride_are_reflected(network, images):
     padded = np.pad(images, ((0, 0), (0, 0), (0, 5), (0, 2)), mode="reflect")
     expected = run_network(network, padded)[:, :, :203, :150]
     np.testing.assert_array_equal(run_network(network, images), expected)
 
 
-def test_a_grey_image_fills_every_input_channel(network: Network, images: np.ndarray) -> None:
+def test_a_grey_image_fills_every_input_channel(network, images):
     grey = images[:, 0]
     expected = run_network(network, np.repeat(grey[:, None], 3, axis=1))
     np.testing.assert_array_equal(run_network(network, grey), expected)
     np.testing.assert_array_equal(run_network(network, grey[:, None]), expected)
 
 
-def test_each_image_is_processed_independently(network: Network, images: np.ndarray) -> None:
+def test_each_image_is_processed_independently(network, images):
     np.testing.assert_array_equal(
         run_network(network, images[1:]), run_network(network, images)[1:]
     )
@@ -209,21 +203,19 @@ def test_each_image_is_processed_independently(network: Network, images: np.ndar
         ((0, 3, 64, 64), "shape"),
     ],
 )
-def test_images_of_a_wrong_shape_are_refused(
-    network: Network, shape: tuple[int, ...], words: str
-) -> None:
+def test_images_of_a_wrong_shape_are_refused(network, shape, words):
     with pytest.raises(BadInput, match=words):
         run_network(network, np.ones(shape, dtype=np.float32))
 
 
-def test_an_image_with_nan_is_refused(network: Network) -> None:
+def test_an_image_with_nan_is_refused(network):
     image = np.ones((1, 16, 16), dtype=np.float32)
     image[0, 3, 3] = np.nan
     with pytest.raises(BadInput, match="NaN"):
         run_network(network, image)
 
 
-def test_direct_light_does_not_depend_on_the_exposure(network: Network, images: np.ndarray) -> None:
+def test_direct_light_does_not_depend_on_the_exposure(network, images):
     once = direct_light(images, network)
     np.testing.assert_allclose(
         direct_light(images * np.float32(0.125), network), 0.125 * once, rtol=1e-4, atol=1e-6
@@ -231,7 +223,7 @@ def test_direct_light_does_not_depend_on_the_exposure(network: Network, images: 
     assert once.shape == images.shape and (once >= 0).all() and (once <= images).all()
 
 
-def test_direct_light_of_grey_images_is_grey(network: Network, images: np.ndarray) -> None:
+def test_direct_light_of_grey_images_is_grey(network, images):
     grey = images[:, 0]
     direct = direct_light(grey, network)
     assert direct.shape == grey.shape
@@ -240,14 +232,14 @@ def test_direct_light_of_grey_images_is_grey(network: Network, images: np.ndarra
     np.testing.assert_allclose(direct[0], np.clip(raw, 0, grey[0]), rtol=1e-5, atol=1e-6)
 
 
-def test_the_exposure_level_is_that_of_the_skin() -> None:
+def test_the_exposure_level_is_that_of_the_skin():
     image = np.zeros((3, 100, 100), dtype=np.float32)
     image[:, 40:60, 40:60] = 0.25  # a quarter of the picture's ten per cent: black does not count
     assert exposure_level(image) == pytest.approx(0.25)
     assert exposure_level(0 * image) == 1.0
 
 
-def test_the_local_level_is_the_skin_s_own_brightness_up_to_its_outline() -> None:
+def test_the_local_level_is_the_skin_s_own_brightness_up_to_its_outline():
     image = np.zeros((3, 120, 163), dtype=np.float32)
     image[0, :, 60:], image[1, :, 60:], image[2, :, 60:] = 0.6, 0.3, 0.3
     np.testing.assert_allclose(local_level(image)[:, 60:], 0.4, rtol=0.02)
@@ -259,13 +251,11 @@ def test_the_local_level_is_the_skin_s_own_brightness_up_to_its_outline() -> Non
     assert local_level(dark)[:, 0].max() == pytest.approx(0.05)  # not the noise's own level
 
 
-def test_direct_light_of_a_black_image_is_black(network: Network) -> None:
+def test_direct_light_of_a_black_image_is_black(network):
     assert (direct_light(np.zeros((1, 3, 16, 16), dtype=np.float32), network) == 0).all()
 
 
-def test_enhanced_images_get_the_direct_fraction_of_the_colour_images(
-    network: Network, images: np.ndarray
-) -> None:
+def test_enhanced_images_get_the_direct_fraction_of_the_colour_images(network, images):
     enhanced = np.sqrt(images.mean(axis=1))
     weights = np.array([0.299, 0.587, 0.114])[:, None, None]
     fraction = (direct_light(images, network) * weights).sum(axis=1) / (images * weights).sum(

@@ -46,16 +46,16 @@ def _print(
     return relief_print(relief, mask, PX_PER_MM, upright, relief.shape, **options)
 
 
-def test_size_is_exactly_the_resolution() -> None:
+def test_size_is_exactly_the_resolution():
     assert _print(_stripes(20)).shape == (150, 200)
     assert _print(_stripes(20), ppi=1000).shape == (300, 400)
 
 
-def test_print_is_mirrored() -> None:
+def test_print_is_mirrored():
     assert _direction_deg(_print(_stripes(30))) == pytest.approx(150.0, abs=1.0)
 
 
-def test_the_right_of_the_finger_is_at_the_left_of_the_print() -> None:
+def test_the_right_of_the_finger_is_at_the_left_of_the_print():
     mask = np.zeros((300, 400), bool)
     mask[100:280, 250:390] = True
     dark = _print(_stripes(30), mask) < 128
@@ -63,7 +63,7 @@ def test_the_right_of_the_finger_is_at_the_left_of_the_print() -> None:
     assert dark[60:130, 10:70].mean() > 0.3
 
 
-def test_ridges_are_dark_and_in_place() -> None:
+def test_ridges_are_dark_and_in_place():
     relief = np.zeros((300, 400), np.float32)
     relief[140:150, 100:300] = 0.03  # one ridge along x, above the middle
     profile = _print(relief)[:, 100].astype(int)
@@ -71,7 +71,7 @@ def test_ridges_are_dark_and_in_place() -> None:
     assert profile.min() < 60
 
 
-def test_yaw_is_taken_out() -> None:
+def test_yaw_is_taken_out():
     """A finger at a yaw of 15 deg gives the print of an upright one, whatever lies between."""
     input_from_upright = rotation_about((199.5, 149.5), np.deg2rad(15.0))
     turned = _print(_stripes(40 + 15), input_from_upright=input_from_upright)
@@ -79,7 +79,7 @@ def test_yaw_is_taken_out() -> None:
     assert np.corrcoef(turned[middle].ravel(), _print(_stripes(40))[middle].ravel())[0, 1] > 0.99
 
 
-def test_contrast_is_even_up_to_the_edge() -> None:
+def test_contrast_is_even_up_to_the_edge():
     """Ridges that fade to a fifth, on a bowl far higher than themselves, come out equally dark."""
     rows, columns = np.mgrid[0:600, 0:600]
     fade = 1.0 - 0.8 * columns / 599
@@ -98,7 +98,7 @@ def test_contrast_is_even_up_to_the_edge() -> None:
     assert (printed[:, :2] == 255).all()
 
 
-def test_no_aliases_of_fine_structure() -> None:
+def test_no_aliases_of_fine_structure():
     """Structure of 0.07 mm cannot be shown at 500 ppi and must vanish, not turn into false
     ridges."""
     ridges = _stripes(90, period_mm=0.45)
@@ -106,7 +106,7 @@ def test_no_aliases_of_fine_structure() -> None:
     assert np.corrcoef(printed.ravel(), _print(ridges).ravel())[0, 1] > 0.97
 
 
-def test_nan_outside_the_mask_does_no_harm() -> None:
+def test_nan_outside_the_mask_does_no_harm():
     relief = _stripes(30)
     mask = np.zeros(relief.shape, bool)
     mask[50:250, 50:350] = True
@@ -114,11 +114,11 @@ def test_nan_outside_the_mask_does_no_harm() -> None:
     assert np.array_equal(_print(holed, mask), _print(relief, mask))
 
 
-def test_flat_relief_gives_white_paper() -> None:
+def test_flat_relief_gives_white_paper():
     assert (_print(np.zeros((60, 80), np.float32)) == 255).all()
 
 
-def test_bad_input_is_refused() -> None:
+def test_bad_input_is_refused():
     relief = np.zeros((60, 80), np.float32)
     with pytest.raises(BadInput, match="mask is empty"):
         _print(relief, np.zeros((60, 80), bool))

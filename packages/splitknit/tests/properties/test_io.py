@@ -7,7 +7,6 @@ import json
 import tempfile
 from pathlib import Path
 from random import Random
-from typing import Any
 
 import cv2
 import numpy as np
@@ -55,9 +54,7 @@ def refused(data: bytes) -> bool:
     st.booleans(),
     st.integers(0, 2**32),
 )
-def test_any_valid_png_is_decoded_as_opencv_does(
-    rows: int, columns: int, kind: tuple[int, int], interlaced: bool, seed: int
-) -> None:
+def test_any_valid_png_is_decoded_as_opencv_does(rows, columns, kind, interlaced, seed):
     depth, colour = kind
     data = png_of(rows, columns, depth, colour, interlaced, Random(seed))
     expected = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED)
@@ -66,7 +63,7 @@ def test_any_valid_png_is_decoded_as_opencv_does(
     np.testing.assert_array_equal(decode_png(data, "x"), expected)
 
 
-def test_png_kinds_outside_the_standard_are_refused() -> None:
+def test_png_kinds_outside_the_standard_are_refused():
     for depth in (1, 2, 3, 4, 8, 16):
         for colour in range(8):
             known = (depth, colour) in COLOURS
@@ -80,7 +77,7 @@ def test_png_kinds_outside_the_standard_are_refused() -> None:
 
 @FUZZ
 @given(JSON)
-def test_canonical_json_is_a_fixed_point(value: Any) -> None:
+def test_canonical_json_is_a_fixed_point(value):
     try:
         text = canonical_json(value)
     except BadInput:
@@ -99,7 +96,7 @@ def test_canonical_json_is_a_fixed_point(value: Any) -> None:
         max_size=4,
     )
 )
-def test_any_numbers_survive_an_npz_archive(arrays: dict[str, Any]) -> None:
+def test_any_numbers_survive_an_npz_archive(arrays):
     with tempfile.TemporaryDirectory() as scratch:
         write_npz(Path(scratch) / "a.npz", arrays)
         read = read_npz(Path(scratch) / "a.npz")

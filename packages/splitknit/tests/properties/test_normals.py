@@ -1,7 +1,5 @@
 """Photometric stereo: what must hold whatever the scene."""
 
-from __future__ import annotations
-
 import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st

@@ -22,7 +22,7 @@ def _decoded(picture: Picture) -> NDArray[np.uint8]:
 
 
 @pytest.mark.parametrize("yaw_deg", [-20.0, 0.0, 20.0])
-def test_normals_turn_with_the_finger(yaw_deg: float) -> None:
+def test_normals_turn_with_the_finger(yaw_deg):
     """Red is symmetrical about the finger's axis and green about nothing: at the tip it is above
     the middle value."""
     result, _ = finger(yaw_deg=yaw_deg)
@@ -39,7 +39,7 @@ def test_normals_turn_with_the_finger(yaw_deg: float) -> None:
     assert tip[0] == pytest.approx(127, abs=25)
 
 
-def test_outline_and_crease_lie_on_the_input() -> None:
+def test_outline_and_crease_lie_on_the_input():
     result, _ = finger()
     crease = [[150.0, 330.0], [450.0, 400.0]]
     picture, _ = capture_pictures(
@@ -62,7 +62,7 @@ def test_outline_and_crease_lie_on_the_input() -> None:
     assert "No crease" in capture_pictures(result, capture_of(result))[0].caption
 
 
-def test_scale_bar_is_as_long_as_it_says() -> None:
+def test_scale_bar_is_as_long_as_it_says():
     result, _ = finger()
     frame = upright_frame(result, 200)
     picture = RELIEF(result, figures.small_fields(result, frame))
@@ -72,7 +72,7 @@ def test_scale_bar_is_as_long_as_it_says() -> None:
     )
 
 
-def test_relief_limits_leave_out_steep_flanks() -> None:
+def test_relief_limits_leave_out_steep_flanks():
     result, _ = finger()
     spoilt = np.where(result.normals[..., 2] < 0.5, np.float32(-0.5), result.ridge_mm)
     assert figures.relief_limits(replace(result, ridge_mm=spoilt)) == figures.relief_limits(result)
@@ -81,7 +81,7 @@ def test_relief_limits_leave_out_steep_flanks() -> None:
     assert 30 <= high <= 45
 
 
-def test_the_rim_of_an_opaque_thing_is_no_relief() -> None:
+def test_the_rim_of_an_opaque_thing_is_no_relief():
     result, _ = finger()
     inner = figures.erode(result.mask, 4.0)
     opaque = replace(result, facts={"material": "opaque"})

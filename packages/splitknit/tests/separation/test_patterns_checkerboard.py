@@ -1,8 +1,6 @@
 """Checkerboards: exact where the pattern is ideal, unbiased where its states are known, closed to
 sloppy stacks."""
 
-from __future__ import annotations
-
 import cv2
 import numpy as np
 import pytest

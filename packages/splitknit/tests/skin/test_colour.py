@@ -1,7 +1,5 @@
 """Telling relief from glare by colour: limits of the weights, spectra of known fields."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,8 +1,6 @@
 """The transfer function of scattering: the measured figures, limits, order, and random walks with
 another seed."""
 
-from __future__ import annotations
-
 import importlib.util
 from pathlib import Path
 
@@ -113,7 +111,7 @@ def test_the_scattering_factor_scales_all_channels_and_is_positive():
         SkinSettings(scattering_factor=-1.0)
 
 
-def test_absorption_follows_the_colour_of_the_finger() -> None:
+def test_absorption_follows_the_colour_of_the_finger():
     skin = SkinSettings()
     red = of_channel("red").albedo
     for channel in ("green", "blue"):  # by a power of 0.6

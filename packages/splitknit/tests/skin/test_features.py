@@ -1,8 +1,6 @@
 """What the networks see: exposure, pigment and the image's orientation drop out, slopes and glare
 do not."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

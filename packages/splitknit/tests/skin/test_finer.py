@@ -13,7 +13,7 @@ from splitknit.skin.images import coarser, finer_grid, finer_images
 
 
 @pytest.mark.parametrize("model", ["orthographic", "perspective"])
-def test_the_finer_grid_equals_that_of_a_camera_with_half_the_pitch(model: str) -> None:
+def test_the_finer_grid_equals_that_of_a_camera_with_half_the_pitch(model):
     def grid(px_per_mm: float, shape: tuple[int, int]) -> Grid:
         matrix = None
         if model == "perspective":
@@ -33,7 +33,7 @@ def test_the_finer_grid_equals_that_of_a_camera_with_half_the_pitch(model: str) 
     np.testing.assert_allclose(finer.y_mm, expected.y_mm, atol=1e-6)
 
 
-def test_finer_images_keep_their_places() -> None:
+def test_finer_images_keep_their_places():
     rows, columns = np.mgrid[:20, :30].astype(np.float32)
     stack = np.stack([3 * rows + columns, 50 - columns])[None].repeat(3, axis=0)
     fine = finer_images(BandImages(("red", "green", "blue"), stack, default_rig()))

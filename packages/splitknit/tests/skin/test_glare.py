@@ -1,7 +1,5 @@
 """Glare of a rough dielectric: the textbook's limits, and finding it in images."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

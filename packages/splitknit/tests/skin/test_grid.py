@@ -1,7 +1,5 @@
 """The grids: Fourier transforms with margins, means inside a region, coarse and fine."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """The fine grid: what a measurement has beyond a surface, unmixed, integrated and denoised."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

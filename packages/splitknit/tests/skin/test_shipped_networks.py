@@ -1,7 +1,5 @@
 """The networks that ship, on a scene that shares nothing with their training data."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

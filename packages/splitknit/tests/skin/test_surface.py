@@ -1,7 +1,5 @@
 """A small dome of skin, from images to shape and relief."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """Cards and darkness under the rig against closed forms, and what all scenes of the bench share."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,8 +1,6 @@
 """Checkerboards and dots: where OpenCV finds them, how their edges are averaged, how a person holds
 a board."""
 
-from __future__ import annotations
-
 import cv2
 import numpy as np
 import pytest

@@ -1,8 +1,6 @@
 """The nail's shadows: on the rays from the LEDs through its tip, soft by the LEDs' size, and
 nothing else darkened."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

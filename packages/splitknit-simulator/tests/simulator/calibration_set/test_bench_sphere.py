@@ -1,8 +1,6 @@
 """Balls under the rig: highlights where light is mirrored, shading by Lambert's law, shadows,
 outlines."""
 
-from __future__ import annotations
-
 import cv2
 import numpy as np
 import pytest

@@ -1,7 +1,5 @@
 """The twin's camera and LEDs: timing, light, noise, faults, and scenes of any kind."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

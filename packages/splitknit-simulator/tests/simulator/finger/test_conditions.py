@@ -1,7 +1,5 @@
 """Wet, dry, dusty, scarred and glossy fingers of the twin."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -50,7 +50,7 @@ def window(
     return Camera(camera.px_per_mm * factor, (size, size)), x, y
 
 
-def test_the_gradient_of_the_body_agrees_with_differences() -> None:
+def test_the_gradient_of_the_body_agrees_with_differences():
     body = FingerBody(FingerShape(sideways_mm=0.5, skew=0.03, arching_per_mm=0.003))
     rng = np.random.default_rng(0)
     x, y, z = rng.uniform(-8, 8, 500), rng.uniform(-20, 25, 500), rng.uniform(0.5, 8, 500)
@@ -63,7 +63,7 @@ def test_the_gradient_of_the_body_agrees_with_differences() -> None:
         np.testing.assert_allclose(numeric, gradient[axis], atol=1e-5)
 
 
-def test_the_chart_keeps_lengths_to_sixty_degrees() -> None:
+def test_the_chart_keeps_lengths_to_sixty_degrees():
     """Small steps on the skin against steps in the chart: within 3 % around the finger, 14 % on the
     cap's shoulders."""
     body = FingerBody(FingerShape())
@@ -101,7 +101,7 @@ def test_the_chart_keeps_lengths_to_sixty_degrees() -> None:
     np.testing.assert_allclose(chart[middle & (y < 13), 1], y[middle & (y < 13)], atol=0.05)
 
 
-def test_every_pixel_lies_on_the_skin(seen: SimulatedSurface, finger: SimulatedFinger) -> None:
+def test_every_pixel_lies_on_the_skin(seen, finger):
     """Relief is the distance from the smooth shape: on flat parts, the difference of heights times
     the cosine."""
     assert not (ndimage.binary_fill_holes(seen.mask) & ~seen.mask).any()
@@ -127,9 +127,7 @@ def test_every_pixel_lies_on_the_skin(seen: SimulatedSurface, finger: SimulatedF
 
 
 @pytest.mark.slow
-def test_normals_agree_with_differences_of_heights(
-    seen: SimulatedSurface, finger: SimulatedFinger
-) -> None:
+def test_normals_agree_with_differences_of_heights(seen, finger):
     """A camera of 100 times the scale looks at single spots: finite differences of its heights give
     the normals.
 
@@ -155,7 +153,7 @@ def test_normals_agree_with_differences_of_heights(
 
 
 @pytest.mark.slow
-def test_a_finger_lies_at_its_pose(finger: SimulatedFinger) -> None:
+def test_a_finger_lies_at_its_pose(finger):
     for pose in (FingerPose(), FingerPose(roll_rad=-0.3, height_mm=-0.7, insertion_mm=28.0)):
         surface = finger_surface(finger, pose, SMALL)
         tip = SMALL.image_size[0] - pose.insertion_mm * SMALL.px_per_mm
@@ -177,7 +175,7 @@ def test_a_finger_lies_at_its_pose(finger: SimulatedFinger) -> None:
     assert turned - straight == pytest.approx(0.2, abs=0.02)
 
 
-def test_creases_are_grooves_at_their_landmarks(finger: SimulatedFinger) -> None:
+def test_creases_are_grooves_at_their_landmarks(finger):
     pose = FingerPose(insertion_mm=58.0)
     camera = Camera(12.0, (744, 360))
     settings = SkinRelief(
@@ -199,14 +197,14 @@ def test_creases_are_grooves_at_their_landmarks(finger: SimulatedFinger) -> None
 
 
 @pytest.mark.slow
-def test_workers_do_not_change_the_result(finger: SimulatedFinger, seen: SimulatedSurface) -> None:
+def test_workers_do_not_change_the_result(finger, seen):
     again = finger_surface(finger, POSE, CAMERA, workers=1)
     assert again.height_mm.tobytes() == seen.height_mm.tobytes()
     assert again.normals.tobytes() == seen.normals.tobytes()
     assert again.pigment.tobytes() == seen.pigment.tobytes()
 
 
-def test_drawn_fingers_stay_in_their_ranges() -> None:
+def test_drawn_fingers_stay_in_their_ranges():
     fingers = [draw_finger(seed) for seed in range(200)]
     widths = np.array([f.shape.width_mm for f in fingers])
     lengths = np.array([f.shape.length_mm for f in fingers])
@@ -220,7 +218,7 @@ def test_drawn_fingers_stay_in_their_ranges() -> None:
     assert draw_finger(3, "whorl").shape == draw_finger(3, "arch").shape
 
 
-def test_cameras_and_poses_that_show_no_finger_are_refused(finger: SimulatedFinger) -> None:
+def test_cameras_and_poses_that_show_no_finger_are_refused(finger):
     wild = Camera(20.0, (840, 580), model="perspective", matrix=np.eye(3))
     with pytest.raises(BadInput, match="sees nothing"):
         finger_surface(finger, FingerPose(), wild)

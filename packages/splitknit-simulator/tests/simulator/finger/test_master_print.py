@@ -45,9 +45,7 @@ def turn(angle: np.ndarray, row: int, column: int, reach: int) -> float:
         ("twin_loop", 2, 2),
     ],
 )
-def test_the_class_determines_the_number_of_cores_and_deltas(
-    pattern: str, cores: int, deltas: int
-) -> None:
+def test_the_class_determines_the_number_of_cores_and_deltas(pattern, cores, deltas):
     for seed in range(3):
         field = orientation_field(pattern, np.random.default_rng(seed), U, V)
         assert (len(field.cores_mm), len(field.deltas_mm)) == (cores, deltas)
@@ -59,7 +57,7 @@ def test_the_class_determines_the_number_of_cores_and_deltas(
                 assert round(turn(field.angle_rad, row, column, 2)) == sign
 
 
-def test_an_ink_print_is_mirrored_and_dark_on_ridges(prints: list[MasterPrint]) -> None:
+def test_an_ink_print_is_mirrored_and_dark_on_ridges(prints):
     image = ink_print(prints[0], half_width_mm=7.5)
     step = 25.4 / 500
     rows, columns = np.mgrid[150:250, 100:180]
@@ -71,7 +69,7 @@ def test_an_ink_print_is_mirrored_and_dark_on_ridges(prints: list[MasterPrint]) 
 
 
 @pytest.mark.slow
-def test_the_mean_period_is_23_ridges_a_centimetre() -> None:
+def test_the_mean_period_is_23_ridges_a_centimetre():
     periods = [
         master_print(
             "arch", seed, MasterPrintSettings(half_width_mm=2, distal_mm=3, proximal_mm=1)
@@ -82,7 +80,7 @@ def test_the_mean_period_is_23_ridges_a_centimetre() -> None:
     assert 0.02 < np.std(periods) < 0.045
 
 
-def test_ridges_keep_the_drawn_period(prints: list[MasterPrint]) -> None:
+def test_ridges_keep_the_drawn_period(prints):
     for print_ in prints:
         pitch = print_.u_mm[1] - print_.u_mm[0]
         window = np.hanning(200)[:, None] * np.hanning(200)[None, :]
@@ -95,7 +93,7 @@ def test_ridges_keep_the_drawn_period(prints: list[MasterPrint]) -> None:
 
 
 @pytest.mark.slow
-def test_minutiae_sit_on_broken_ridges_at_the_density_of_people() -> None:
+def test_minutiae_sit_on_broken_ridges_at_the_density_of_people():
     densities = []
     for seed, pattern in enumerate(PATTERNS):
         print_ = master_print(pattern, seed, SMALL)
@@ -108,7 +106,7 @@ def test_minutiae_sit_on_broken_ridges_at_the_density_of_people() -> None:
     assert 0.13 < np.mean(densities) < 0.32
 
 
-def test_a_dislocation_is_found_with_its_direction() -> None:
+def test_a_dislocation_is_found_with_its_direction():
     from splitknit_simulator.finger.ridges import phase_singularities
 
     rows, columns = np.mgrid[0:200, 0:200].astype(float)
@@ -127,7 +125,7 @@ def test_a_dislocation_is_found_with_its_direction() -> None:
     assert np.sign(np.sin(near[0, 2])) == (1 if above > below else -1)
 
 
-def test_pores_sit_on_ridges(prints: list[MasterPrint]) -> None:
+def test_pores_sit_on_ridges(prints):
     for print_ in prints:
         assert print_.ridge[print_.pores > 0.5].mean() > 0.85
         area = np.ptp(print_.u_mm) * np.ptp(print_.v_mm)
@@ -135,7 +133,7 @@ def test_pores_sit_on_ridges(prints: list[MasterPrint]) -> None:
         assert 2.9 < count / area < 4.4  # 1 / (0.43 mm x 0.65 mm) = 3.6, thinned
 
 
-def test_the_same_seed_gives_the_same_bytes_for_any_threads() -> None:
+def test_the_same_seed_gives_the_same_bytes_for_any_threads():
     before = cv2.getNumThreads()
     try:
         cv2.setNumThreads(1)
@@ -149,14 +147,14 @@ def test_the_same_seed_gives_the_same_bytes_for_any_threads() -> None:
     assert master_print("whorl", 6, SMALL).ridge.tobytes() != first.ridge.tobytes()
 
 
-def test_unknown_patterns_and_coarse_pitches_are_refused() -> None:
+def test_unknown_patterns_and_coarse_pitches_are_refused():
     with pytest.raises(BadInput, match="choose one of"):
         master_print("spiral", 0)
     with pytest.raises(BadInput, match="pitch_mm"):
         MasterPrintSettings(pitch_mm=0.1)
 
 
-def test_a_print_gives_back_the_ridges_of_its_finger(prints: list[MasterPrint]) -> None:
+def test_a_print_gives_back_the_ridges_of_its_finger(prints):
     """Ink on paper and back: mirrored twice, at the print's scale, its middle 13.5 mm above the
     first crease."""
     first = prints[0]
@@ -187,6 +185,6 @@ def test_a_print_gives_back_the_ridges_of_its_finger(prints: list[MasterPrint]) 
         (np.full((2000, 300), 255, np.uint8), "too large"),
     ],
 )
-def test_images_that_are_no_print_are_refused(image: np.ndarray, message: str) -> None:
+def test_images_that_are_no_print_are_refused(image, message):
     with pytest.raises(BadInput, match=message):
         master_of_print(image)

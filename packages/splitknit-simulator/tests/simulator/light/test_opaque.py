@@ -1,7 +1,5 @@
 """A matt finger under near LEDs: Lambert's law."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

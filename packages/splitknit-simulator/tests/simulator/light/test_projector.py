@@ -1,7 +1,5 @@
 """Checkerboards on the skin."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """Direct and global light of the twin."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -3,8 +3,6 @@ the twin."""
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import numpy as np
 import pytest
 
@@ -141,7 +139,7 @@ def test_motion_includes_the_time_between_the_series():
     assert truth["exposure_white"] == truth["exposure_white_crossed"]
 
 
-def test_a_polarised_capture_is_written_and_read_back(tmp_path: Path):
+def test_a_polarised_capture_is_written_and_read_back(tmp_path):
     _, capture, truth = pixels({"films.kind": "leds"})
     splitknit.write_capture(capture, tmp_path / "c", truth)
     back = splitknit.read_capture(tmp_path / "c")

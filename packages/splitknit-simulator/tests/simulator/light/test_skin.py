@@ -1,7 +1,5 @@
 """Optics of skin: coefficients, random walks, kernels."""
 
-from __future__ import annotations
-
 import itertools
 import runpy
 from pathlib import Path

@@ -1,8 +1,6 @@
 """People whose fingers are similar, sessions that differ, and captures that follow from their place
 alone."""
 
-from __future__ import annotations
-
 import hashlib
 from dataclasses import replace
 

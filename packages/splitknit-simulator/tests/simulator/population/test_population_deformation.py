@@ -1,8 +1,6 @@
 """Skin that moves over the body: bounded, smooth, the same for ridges and landmarks, and really in
 the pictures."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np
