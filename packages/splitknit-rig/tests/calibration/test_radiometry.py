@@ -11,11 +11,7 @@ from splitknit.io.provenance import canonical_json
 from splitknit.io.rig import rig_from_json, rig_to_json
 from splitknit.model import Rig
 from splitknit_rig.calibration.card_model import CardPlane, card_light
-from splitknit_rig.calibration.radiometry import (
-    PROVENANCE,
-    check_card,
-    fit_radiometry,
-)
+from splitknit_rig.calibration.radiometry import PROVENANCE, check_card, fit_radiometry
 from splitknit_simulator.rigs import built_rig, with_side_lights
 from white_cards import as_placed, photograph, scene_of
 

@@ -247,10 +247,7 @@ class TestEnrolment:
         assert len(list(folder.rglob("capture.json"))) == 3
 
         session = facts_with(capsys, *words, "--subject", "S02", "--session", 2)
-        assert session["captured"] == [
-            "S02/session_2/right_index",
-            "S02/session_2/left_thumb",
-        ]
+        assert session["captured"] == ["S02/session_2/right_index", "S02/session_2/left_thumb"]
         assert run(*words) == 0
         assert "All fingers are captured." in capsys.readouterr().out
         assert (kept / "white_0.png").stat().st_mtime_ns == stamp

@@ -17,10 +17,7 @@ from splitknit_simulator.finger.raycast import Placement, rays_of
 from splitknit_simulator.finger.shape import FingerBody
 from splitknit_simulator.light.skin import SkinOptics
 from splitknit_simulator.mirror_view import as_built
-from splitknit_simulator.rigs import (
-    MirrorSettings,
-    mirror_rig,
-)
+from splitknit_simulator.rigs import MirrorSettings, mirror_rig
 from splitknit_simulator.scene import TwinSettings
 from splitknit_simulator.twin import simulate_capture
 

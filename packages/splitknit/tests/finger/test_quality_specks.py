@@ -9,10 +9,7 @@ import numpy as np
 import pytest
 from scipy.ndimage import gaussian_filter, zoom
 
-from splitknit.finger.quality import (
-    capture_quality,
-    quality_findings,
-)
+from splitknit.finger.quality import capture_quality, quality_findings
 
 SIZE_MM = (14.0, 12.0)
 FINE = 44.0

@@ -224,38 +224,17 @@ def led_with(**values: Any) -> Change:
         (lambda d: d["bands"].update(uv={}), "bands: .*unknown field uv"),
         (lambda d: d["bands"]["white"].pop("leds"), r"bands\.white: .*missing required field leds"),
         (white(images=["white_0.png"] * 2), "at least three"),
-        (
-            white(images=[f"{k}.png" for k in range(1001)]),
-            r"bands\.white\.images: .*1000",
-        ),
+        (white(images=[f"{k}.png" for k in range(1001)]), r"bands\.white\.images: .*1000"),
         (white(leds=[0, 1, 2]), "4 images but 3 entries"),
-        (
-            white(leds=[0, 1, 2, 99]),
-            "LED 99 is not in the rig, which has 8",
-        ),
+        (white(leds=[0, 1, 2, 99]), "LED 99 is not in the rig, which has 8"),
         (white(leds=[0, 1, 2, -1]), r"leds\[3\]: "),
-        (
-            white(leds=[0, 1, 2, [3, 3]]),
-            r"leds\[3\] names an LED twice",
-        ),
-        (
-            white(leds=[0, 1, 2, 4]),
-            "is a 'nir' LED in the rig, not 'white'",
-        ),
+        (white(leds=[0, 1, 2, [3, 3]]), r"leds\[3\] names an LED twice"),
+        (white(leds=[0, 1, 2, 4]), "is a 'nir' LED in the rig, not 'white'"),
         (white(leds=[0, 1, 2, 2]), "same direction"),
         (image(0, {}), r"images\[0\]: .*field file"),
-        (
-            image(0, "white_1.png"),
-            r"names 'white_1\.png' twice",
-        ),
-        (
-            image(2, "./white_1.png"),
-            r"white.* '\./white_1\.png' twice",
-        ),
-        (
-            image(0, {"file": "white_0.png", "exposure_s": 0}),
-            r"images\[0\]\.exposure_s: ",
-        ),
+        (image(0, "white_1.png"), r"names 'white_1\.png' twice"),
+        (image(2, "./white_1.png"), r"white.* '\./white_1\.png' twice"),
+        (image(0, {"file": "white_0.png", "exposure_s": 0}), r"images\[0\]\.exposure_s: "),
         (
             image(0, {"file": "white_0.png", "black_level": 255}),
             r"white_0\.png has the black level 255",
@@ -464,17 +443,11 @@ def test_a_rounded_direction_becomes_a_unit_vector(tmp_path):
         (camera_with(image_size=[22, -1]), r"camera\.image_size\[1\]: "),
         (camera_with(image_size=[10**6, 10**6]), "pixels that are read"),
         (camera_with(model="fisheye"), r"camera\.model: "),
-        (
-            camera_with(model="perspective"),
-            "a perspective camera needs .*distortion",
-        ),
+        (camera_with(model="perspective"), "a perspective camera needs .*distortion"),
         (camera_with(shading=[-1.5]), r"shading leaves no light"),
         (led_with(aim=[0, 0, 1]), r"leds\[0\].*aim must point towards"),
         (camera_with(distortion=[0] * 6), r"a list of 4, 5"),
-        (
-            camera_with(matrix=[[1, 0, 0], [0, 1, 0]]),
-            r"camera\.matrix: .*length 3",
-        ),
+        (camera_with(matrix=[[1, 0, 0], [0, 1, 0]]), r"camera\.matrix: .*length 3"),
         (camera_with(matrix=[[1, 0, 0], [0, 1, 0], [1, 0, 1]]), "last row"),
         (
             camera_with(
@@ -487,10 +460,7 @@ def test_a_rounded_direction_becomes_a_unit_vector(tmp_path):
         (led_with(band=""), r"leds\[0\]\.band: "),
         (lambda d: d["leds"][0].pop("position_mm"), r"leds\[0\]: .*either position_mm"),
         (led_with(direction=[0, 0, 1]), r"leds\[0\]: .*not both"),
-        (
-            led_with(position_mm=[1, 2, 1e300]),
-            r"leds\[0\]\.position_mm\[2\]: ",
-        ),
+        (led_with(position_mm=[1, 2, 1e300]), r"leds\[0\]\.position_mm\[2\]: "),
         (led_with(position_mm=[1, 2, -3]), "above the finger plane"),
         (led_with(intensity=0), r"leds\[0\]\.intensity: "),
         (document_with(leds=[{"band": "white", "direction": [3, 4, 5]}]), "unit vector"),

@@ -231,8 +231,7 @@ def test_unsupported_kinds_of_jpeg_are_refused():
 @pytest.mark.parametrize("dtype", [np.uint8, np.uint16])
 @pytest.mark.parametrize("compression", [None, "zlib"])
 @pytest.mark.parametrize(
-    "options",
-    [{}, {"rowsperstrip": 7}, {"tile": (16, 32)}, {"byteorder": ">", "bigtiff": True}],
+    "options", [{}, {"rowsperstrip": 7}, {"tile": (16, 32)}, {"byteorder": ">", "bigtiff": True}]
 )
 def test_tiff_is_decoded_and_refused_where_it_is_truncated(options, compression, dtype, capfd):
     for image in (smooth((41, 57, 3), dtype), smooth((41, 57), dtype)):

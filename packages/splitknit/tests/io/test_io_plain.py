@@ -321,11 +321,7 @@ def test_large_stacks_are_processed_in_strips_from_disk(tmp_path, monkeypatch):
     results = []
     for bound in (IN_MEMORY, 100_000):
         write_image(tmp_path / "mask.png", np.full((120, 120), 255, np.uint8))
-        for name in (
-            "steps.IN_MEMORY",
-            "methods.photometry.IN_MEMORY",
-            "finger.locate.IN_MEMORY",
-        ):
+        for name in ("steps.IN_MEMORY", "methods.photometry.IN_MEMORY", "finger.locate.IN_MEMORY"):
             monkeypatch.setattr(f"splitknit.{name}", bound)
         capture = import_photographs(tmp_path, px_per_mm=20.0).capture
         band = capture.bands["white"]

@@ -95,24 +95,15 @@ def _exposed(document: Any) -> None:
             lambda d: d["bands"]["white"].pop("polarisation"),
             'bands.white must say "polarisation": "parallel"',
         ),
-        (
-            crossed_with(polarisation="parallel"),
-            'bands.white_crossed "crossed"',
-        ),
+        (crossed_with(polarisation="parallel"), 'bands.white_crossed "crossed"'),
         (
             lambda d: [d["bands"]["white_crossed"][name].pop() for name in ("images", "leds")],
             "bands.white has 4 images but bands.white_crossed 3",
         ),
         (_exposed, "must state exposure_s for every image, both or neither"),
-        (
-            crossed_with(leds=[1, 2, 3, 0]),
-            "list both series in the same order",
-        ),
+        (crossed_with(leds=[1, 2, 3, 0]), "list both series in the same order"),
         (crossed_with(leds=[4, 5, 6, 7]), "which is a 'nir' LED"),
-        (
-            crossed_with(images=[f"white_{k}.png" for k in range(4)]),
-            "twice",
-        ),
+        (crossed_with(images=[f"white_{k}.png" for k in range(4)]), "twice"),
         (lambda d: d["bands"].pop("white"), "bands: Object missing required field white"),
         (lambda d: d["bands"].update(red={}), "bands: "),
     ],

@@ -161,10 +161,7 @@ def test_the_images_are_not_changed(scene):
     np.testing.assert_array_equal(scene.white.stack, before)
 
 
-@pytest.mark.parametrize(
-    "wrong",
-    [{"rounds": 0}, {"relief": "magic"}, {"coarse_steps": 0}],
-)
+@pytest.mark.parametrize("wrong", [{"rounds": 0}, {"relief": "magic"}, {"coarse_steps": 0}])
 def test_metric_settings_out_of_range_are_refused(wrong):
     with pytest.raises(BadInput, match=r"metric\."):
         MetricSettings(**wrong)

@@ -47,10 +47,7 @@ def test_led_tip_and_shadow_lie_on_one_ray(make):
         assert abs(normal @ shadow) < 1e-9
         ray, rest = tip - led.position_mm, shadow - tip
         assert np.linalg.norm(np.cross(ray, rest)) < 1e-9 * np.linalg.norm(ray)
-    for points, pixels in (
-        (scene.shadow_tips_mm(), scene.shadow_tips_px()),
-        (tip, scene.tip_px()),
-    ):
+    for points, pixels in ((scene.shadow_tips_mm(), scene.shadow_tips_px()), (tip, scene.tip_px())):
         assert np.abs(seen(things["camera"], points) - pixels).max() < 1e-6
 
 

@@ -7,11 +7,7 @@ import pytest
 
 from splitknit.errors import BadInput
 from splitknit.model import Camera, default_rig
-from splitknit_simulator.finger.conditions import (
-    KINDS,
-    Condition,
-    conditioned_surface,
-)
+from splitknit_simulator.finger.conditions import KINDS, Condition, conditioned_surface
 from splitknit_simulator.finger.finger import FingerPose, draw_finger, finger_surface
 from splitknit_simulator.finger.master_print import MasterPrintSettings, master_print
 from splitknit_simulator.light.coat import draw_grains
