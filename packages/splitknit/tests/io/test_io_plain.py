@@ -1,6 +1,5 @@
 from __future__ import annotations
 
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -10,14 +9,13 @@ from PIL import Image
 from PIL.PngImagePlugin import PngInfo
 
 import splitknit
+from io_shared import import_photographs
 from splitknit.errors import BadInput
 from splitknit.imaging.band import linear_stack, srgb_code
 from splitknit.io.capture import read_capture, write_capture
 from splitknit.io.images import write_image
 from splitknit.io.light_list import read_light_list, write_light_list
-from splitknit.io.photographs import GivenPhotographs
 from splitknit.io.photos import encoding_of
-from splitknit.io.plain import Photographs, capture_from_photographs
 from splitknit.io.rig import write_rig
 from splitknit.model import Camera, Led, Rig
 from splitknit.steps import IN_MEMORY, large_array
@@ -34,10 +32,6 @@ def plain(tmp_path: Path) -> Path:
 
 
 LIGHTS = np.array([[1.0, 0, 2], [-1, 0, 2], [0, 1, 2], [0, -1, 3]])
-
-
-def import_photographs(*arguments: Any, **options: Any) -> Photographs:
-    return capture_from_photographs(GivenPhotographs(*arguments, **options))
 
 
 @pytest.fixture
@@ -57,10 +51,8 @@ def convert(
     if intensities is not None:
         np.savetxt(plain / "list.txt", np.column_stack([lights, intensities]))
         lights = plain / "list.txt"
-    known = GivenPhotographs(**{"encoding": "linear", **options})
-    return capture_from_photographs(
-        replace(known, images=plain / "{light}.png", lights=lights, px_per_mm=12.5)
-    ).capture
+    options = {"encoding": "linear", **options}
+    return import_photographs(plain / "{light}.png", lights, 12.5, **options).capture
 
 
 def test_photographs_and_lights_become_a_capture(plain):
@@ -177,7 +169,7 @@ def test_lp_files_find_photographs_by_their_names_alone(unmasked):
 def test_places_in_mm_are_near_lights(unmasked):
     places = LIGHTS * 40.0
     table = unmasked / "lights.txt"
-    table.write_text("x_mm y_mm z_mm\n" + "\n".join(" ".join(map(str, place)) for place in places))
+    np.savetxt(table, places, header="x_mm y_mm z_mm", comments="")
     rig = import_photographs(unmasked, px_per_mm=20.0).capture.rig
     np.testing.assert_array_equal([led.position_mm for led in rig.leds], places)
     with pytest.raises(BadInput, match="`px_per_mm`"):
@@ -211,22 +203,23 @@ def test_the_encoding_that_a_png_states_is_used(tmp_path):
         encoding_of([tmp_path / "s.png", tmp_path / "n.png"], lambda: False)
 
 
-def ball_photographs(
-    folder: Path, code: Any, count: int = 8, size: int = 120, bright: Any = 1.0
-) -> Any:
-    """A matt ball under `count` lights as `bright` as is given, stored through `code`; its
-    directions."""
+def ball_normals(size: int = 120) -> np.ndarray:
+    """Of a ball; their z is 0 beside it."""
     rows, columns = np.mgrid[:size, :size]
     x, y = (columns - size / 2 + 0.5) / (0.45 * size), (size / 2 - 0.5 - rows) / (0.45 * size)
-    inner = 1.0 - x * x - y * y
-    normals = np.stack([x, y, np.sqrt(np.clip(inner, 0, 1))], axis=-1)
+    return np.stack([x, y, np.sqrt(np.clip(1.0 - x * x - y * y, 0, 1))], axis=-1)
+
+
+def ball_photographs(folder: Path, code: Any, count: int = 8, bright: Any = 1.0) -> Any:
+    """A matt ball under `count` lights as `bright` as is given, stored through `code`; its
+    directions."""
+    normals = ball_normals()
     angles = 2 * np.pi * np.arange(count) / count
     lights = np.stack(
         [0.5 * np.cos(angles), 0.5 * np.sin(angles), np.full(count, 0.75**0.5)], axis=1
     )
-    for k, light in enumerate(lights):
-        strength = np.broadcast_to(bright, count)[k]
-        shade = np.where(inner > 0, np.clip(normals @ light, 0, 1) * 0.9 * strength, 0)
+    for k, (light, strength) in enumerate(zip(lights, np.broadcast_to(bright, count), strict=True)):
+        shade = np.where(normals[..., 2] > 0, np.clip(normals @ light, 0, 1) * 0.9 * strength, 0)
         write_image(folder / f"{k}.png", np.rint(255 * code(shade)).astype(np.uint8))
     np.savetxt(folder / "lights.txt", lights)
     return lights
@@ -390,12 +383,8 @@ def test_an_intensities_file_beside_the_list_is_used(columns, unmasked):
     """DiLiGenT's way: the photographs of a light twice as bright count as half."""
     values = np.ones((len(LIGHTS), columns))
     values[1] = 2.0
-    (unmasked / "light_directions.txt").write_text(
-        "\n".join(" ".join(map(str, row)) for row in LIGHTS)
-    )
-    (unmasked / "light_intensities.txt").write_text(
-        "\n".join(" ".join(map(str, row)) for row in values)
-    )
+    np.savetxt(unmasked / "light_directions.txt", LIGHTS)
+    np.savetxt(unmasked / "light_intensities.txt", values)
     imported = import_photographs(unmasked)
     bright = [led.intensity for led in imported.capture.rig.leds]
     assert bright[1] == pytest.approx(2 * bright[0])
@@ -417,49 +406,36 @@ def test_one_photograph_under_three_coloured_lights_is_three_images(tmp_path):
         import_photographs(tmp_path, lights)
 
 
-def _ball(folder: Path, count: int = 4) -> np.ndarray:
-    """Photographs of a matt half ball of 80 x 90 pixels on black, 16 bits; its mask."""
-    y, x = np.mgrid[1:-1:80j, -1.1:1.1:90j]
-    z2 = 0.8 - x**2 - y**2
-    normals = np.dstack([x, y, np.sqrt(np.maximum(z2, 0.0))]) / np.sqrt(0.8)
-    lights = LIGHTS / np.linalg.norm(LIGHTS, axis=1, keepdims=True)
-    for k in range(count):
-        light = np.where(z2 > 0, np.clip(normals @ lights[k], 0, 1), 0.0)
-        write_image(folder / f"{k}.png", np.rint(50000 * light).astype(np.uint16))
-    np.savetxt(folder / "lights.txt", lights)
-    return z2 > 0
-
-
 def test_a_mask_is_read_from_transparency_or_covers_all(tmp_path):
-    inside = _ball(tmp_path)
-    picture = np.tile(np.linspace(60, 250, 90).astype(np.uint8)[None, :, None], (80, 1, 3))
+    ball_photographs(tmp_path, np.asarray)
+    inside = ball_normals()[..., 2] > 0
+    picture = np.tile(np.linspace(60, 250, 120).astype(np.uint8)[:, None], (120, 1, 3))
     alpha = np.dstack([picture, 255 * inside.astype(np.uint8)])
     Image.fromarray(alpha).save(tmp_path / "mask.png")
     imported = import_photographs(tmp_path, px_per_mm=5.0)
     np.testing.assert_array_equal(imported.capture.mask, inside)
     assert any("not transparent" in str(note) for note in imported.notes)
-    Image.fromarray(alpha).save(tmp_path / "mask.tif")
-    photographs = GivenPhotographs(
-        tmp_path, None, 5.0, mask=tmp_path / "mask.tif", encoding="linear"
-    )
-    np.testing.assert_array_equal(capture_from_photographs(photographs).capture.mask, inside)
+    file = tmp_path / "mask.tif"
+    Image.fromarray(alpha).save(file)
+    known = {"px_per_mm": 5.0, "encoding": "linear"}
+    imported = import_photographs(tmp_path, mask=file, **known)
+    np.testing.assert_array_equal(imported.capture.mask, inside)
     Image.fromarray(picture).save(tmp_path / "mask.png")
     with pytest.raises(BadInput, match="is a picture and no mask"):
         import_photographs(tmp_path, px_per_mm=5.0)
-    photographs = GivenPhotographs(tmp_path, None, 5.0, mask="all", encoding="linear")
-    assert capture_from_photographs(photographs).capture.mask.all()
+    assert import_photographs(tmp_path, mask="all", **known).capture.mask.all()
 
 
 def test_the_transparency_of_photographs_is_their_mask(tmp_path):
-    inside = _ball(tmp_path)
-    for k in range(4):
-        grey = np.asarray(Image.open(tmp_path / f"{k}.png")).astype(np.uint16) >> 8
-        alpha = np.where(inside, 255, 0)
-        Image.fromarray(np.dstack([grey, alpha]).astype(np.uint8), "LA").save(tmp_path / f"{k}.png")
+    ball_photographs(tmp_path, np.asarray)
+    inside = ball_normals()[..., 2] > 0
+    for file in tmp_path.glob("*.png"):
+        image = np.dstack([np.asarray(Image.open(file)), np.where(inside, 255, 0)])
+        Image.fromarray(image.astype(np.uint8), "LA").save(file)
     imported = import_photographs(tmp_path, None, 0.002, encoding="linear")
     np.testing.assert_array_equal(imported.capture.mask, inside)
     result = splitknit.reconstruct(imported.capture)
-    assert any("longer side of the pictures is 45000 mm" in warning for warning in result.warnings)
+    assert any("longer side of the pictures is 60000 mm" in warning for warning in result.warnings)
 
 
 def test_a_written_lp_file_names_the_photographs_and_holds_directions_only(tmp_path):

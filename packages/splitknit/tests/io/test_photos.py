@@ -11,14 +11,14 @@ import pytest
 import tifffile
 from PIL import Image
 
+from io_shared import import_photographs
 from splitknit.errors import BadInput
 from splitknit.imaging.band import linear_stack
 from splitknit.imaging.light_field import few_lights
 from splitknit.io.capture import read_capture, write_capture
 from splitknit.io.light_list import read_light_list
-from splitknit.io.photographs import GivenPhotographs
 from splitknit.io.photos import read_photo
-from splitknit.io.plain import Photographs, capture_from_photographs
+from splitknit.io.plain import Photographs
 from splitknit.photometric.lambertian import lambertian
 
 DIRECTIONS = np.array(
@@ -49,10 +49,8 @@ def test_the_exif_orientation_is_applied(orientation, suffix, tmp_path):
     exif = Image.Exif()
     exif[274] = orientation
     file = tmp_path / f"x.{suffix}"
-    lossless = (
-        {"lossless": True} if suffix == "webp" else {"quality": 95} if suffix == "jpg" else {}
-    )
-    Image.fromarray(picture()).save(file, exif=exif, **lossless)
+    # `quality` is of JPEG, `lossless` of WebP
+    Image.fromarray(picture()).save(file, exif=exif, quality=95, lossless=True)
     photo = read_photo(file)
     assert photo.orientation == orientation
     expected = TURNED[orientation](picture()).astype(int)
@@ -108,14 +106,11 @@ def test_raw_values_are_linear_and_on_one_scale(tmp_path):
     for name, level in (("dim", 500), ("bright", 3000)):
         write_raw(tmp_path / f"{name}.dng", np.full((64, 96), level, dtype=np.uint16), 6)
     dim, bright = (read_photo(tmp_path / f"{name}.dng") for name in ("dim", "bright"))
-    assert (
-        dim.pixels.shape == (96, 64, 3) and dim.pixels.dtype == np.uint16 and dim.orientation == 6
-    )
-    middle = [
-        photo.pixels[20:-20, 20:-20].astype(float).mean(axis=(0, 1)) for photo in (dim, bright)
-    ]
-    np.testing.assert_allclose(middle[1] / middle[0], (3000 - 256) / (500 - 256), rtol=0.01)
-    assert np.ptp(middle[1]) < 0.01 * middle[1].mean()  # no white balance
+    assert dim.pixels.shape == (96, 64, 3) and dim.pixels.dtype == np.uint16
+    assert dim.orientation == 6
+    dark, light = (photo.pixels[20:-20, 20:-20].mean(axis=(0, 1)) for photo in (dim, bright))
+    np.testing.assert_allclose(light / dark, (3000 - 256) / (500 - 256), rtol=0.01)
+    assert np.ptp(light) < 0.01 * light.mean()  # no white balance
 
 
 @pytest.mark.parametrize(
@@ -165,10 +160,6 @@ def folder(tmp_path: Path) -> Path:
     return root
 
 
-def import_photographs(*arguments: Any, **options: Any) -> Photographs:
-    return capture_from_photographs(GivenPhotographs(*arguments, **options))
-
-
 def files_of(photographs: Photographs) -> list[str]:
     return [Path(name).name for name in photographs.capture.bands["white"].files]
 
@@ -179,9 +170,8 @@ def test_a_folder_becomes_a_capture(folder):
     (folder / "other.mask.png").write_bytes((folder / "mask.png").read_bytes())
     imported = import_photographs(folder, px_per_mm=12.0)
     assert files_of(imported) == ["p8.png", "p9.png", "p10.png", "p11.png", "p12.png"]
-    assert (
-        imported.capture.mask is not None and imported.capture.encoding == "srgb"
-    )  # 8 bits, undecided
+    assert imported.capture.mask is not None
+    assert imported.capture.encoding == "srgb"  # 8 bits, undecided
     left_out = "notes.docx (not a photograph), other.mask.png (a mask? name it with `mask`)."
     assert set(imported.capture.hashes) == {"lights.txt", "mask.png", *files_of(imported)}
     assert any(
