@@ -163,8 +163,7 @@ def test_every_kind_of_finger_and_camera_gives_a_plausible_surface(kind):
 
 @pytest.mark.slow
 def test_a_finger_with_two_creases_is_cut_at_the_first():
-    """A finger far in a picture that is higher than the rig's: it is cut at its first crease, not
-    at its second."""
+    """The finger lies far in a picture that is higher than the rig's."""
     settings = TwinSettings(scale=0.15)
     rig = default_rig(0.15)
     camera = replace(rig.camera, image_size=(720, 480))

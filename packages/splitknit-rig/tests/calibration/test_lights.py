@@ -120,8 +120,7 @@ def test_directions_agree_with_the_thesis(thesis):
 
 
 def test_copied_tips_are_found_at_any_scale():
-    """A repeated tip is found at any scale, a true one is not taken for a copy, however small the
-    image."""
+    """A true tip is not taken for a copy, however small the image."""
     for scale in (1.0, 0.1):
         camera = Camera(px_per_mm=75.7 * scale, image_size=(2200, 3200))
         tips = list(cast([(-3, 0), (3, 0)], camera=camera))

@@ -28,8 +28,7 @@ def script(monkeypatch: pytest.MonkeyPatch) -> Iterator[ModuleType]:
 
 @pytest.mark.slow
 def test_flat_fielded_intensities_reach_the_aim(script):
-    """Flat-fielded intensities within 1 %, on the plane and above it, where division by the card is
-    not."""
+    """1 %, on the plane and above it, where division by the card does not reach it."""
     cases = importlib.import_module("radiometry_cards").CASES
     case = next(each for each in cases if each.name == "LEDs 1 mm off")
     calibrated, error, residual = script.measure(101, 0.06, case)

@@ -222,7 +222,7 @@ def test_an_analyser_turned_by_hand_is_requested_on_the_terminal(
     answers,
     code,
 ):
-    """Asked for on the terminal; a capture that ends between the series leaves nothing."""
+    """A capture that ends between the series leaves nothing."""
     words, _ = rig_of_pi
     scene = FilmScene(finger)
     monkeypatch.setattr(sys.modules["picamera2"].Picamera2, "scene", scene)

@@ -358,7 +358,7 @@ def test_a_list_of_lights_of_two_bands_is_refused(capsys, tmp_path):
 
 @pytest.mark.slow
 def test_exchanged_photographs_are_refused_and_shown(capsys, tmp_path, nail_photographs):
-    """Two LEDs' photographs are exchanged in one position."""
+    """Those of two LEDs, in one position of the nail."""
     folder, _ = nail_photographs
     copy = tmp_path / "copy"
     shutil.copytree(folder / "photographs", copy)

@@ -133,7 +133,7 @@ def test_the_sides_move_inwards(finger):
 
 
 def test_the_pose_is_where_it_says_in_the_picture(finger):
-    """The finger keeps its place in the picture, wherever the camera's axis meets it."""
+    """Wherever the camera's axis meets the picture."""
     body, pose = FingerBody(finger.shape), FingerPose(insertion_mm=25.0, x_mm=1.0)
     plain = placement_of(body, pose, Camera(15.0, (430, 560))).shift
     np.testing.assert_allclose(placement_of(body, pose, CENTRED).shift, plain, atol=1e-9)

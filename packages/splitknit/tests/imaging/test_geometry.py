@@ -45,7 +45,7 @@ def test_gradients_and_normals_of_a_plane_follow_its_slopes():
 
 
 def test_gradients_are_one_sided_beside_gaps_and_never_nan():
-    """One-sided beside a gap, zero where a pixel stands alone, never NaN."""
+    """Zero where a pixel stands alone."""
     height = np.array([[np.nan, 1.0, 3.0, 7.0, np.nan, 5.0]], dtype=np.float32)
     gradient_x, gradient_y = height_gradients(height, 0.5)
     np.testing.assert_allclose(gradient_x, [[0.0, 4.0, 6.0, 8.0, 0.0, 0.0]])

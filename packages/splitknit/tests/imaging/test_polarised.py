@@ -41,8 +41,7 @@ def test_light_along_the_film_passes_the_parallel_analyser_alone(film):
 
 
 def test_unpolarised_ridges_hardly_appear_polarised():
-    """Unpolarised ridges of 16 pixels: without interpolation a tenth of their contrast would seem
-    polarised."""
+    """Without interpolation a tenth of the contrast of ridges of 16 pixels would seem polarised."""
     columns = np.arange(128)
     total = np.broadcast_to(30000 + 8000 * np.sin(2 * np.pi * columns / 16), (64, 128))
     frame = mosaic_of(total, np.zeros_like(total), 0.0)

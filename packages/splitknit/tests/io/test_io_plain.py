@@ -154,8 +154,7 @@ def test_ambiguous_commas_are_refused(tmp_path):
 
 
 def test_lp_files_find_photographs_by_their_names_alone(unmasked):
-    """Paths of another machine, with spaces and other capitals; the photographs are found by their
-    own names."""
+    """Their paths are of another machine, with spaces and other capitals."""
     names = ("C:\\Scans\\coin 7\\3.PNG", "/home/a user/coin/0.png", "jpeg-exports/1.jpg", "2.png")
     rows = [f"{name} {x} {y} {z}" for name, (x, y, z) in zip(names, LIGHTS, strict=True)]
     (unmasked / "coin.lp").write_text("\r\n".join(["4", *rows]))

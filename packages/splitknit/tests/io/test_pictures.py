@@ -9,8 +9,7 @@ from splitknit.report.figures import small_fields, view_from_above
 
 @pytest.mark.parametrize("longest", [90, 200, 500])
 def test_the_upright_frame_averages_the_input_pixels(longest):
-    """Every picture pixel holds the mean of the place that its frame names, in a finger at a yaw of
-    12 deg."""
+    """The finger has a yaw of 12 deg."""
     result, _ = finger()
     frame = upright_frame(result, longest)
     assert max(frame.size) <= longest

@@ -103,7 +103,7 @@ def test_a_rig_without_mirrors_is_refused():
 
 
 def test_mirror_images_are_painted_over_and_the_finger_is_kept():
-    """A capture with mirrors whose shape comes from light: the mirror images are painted over."""
+    """Where the shape comes from light."""
     image = without_mirrors(picture(FRONT, *BESIDE), CAMERA, MIRRORS, 1)
     assert image[200, 100].max() < 0.25 and image[200, 360].max() < 0.25
     assert image[200, 230, 0] == pytest.approx(0.6)

@@ -60,7 +60,7 @@ def test_order_of_the_images_does_not_matter(seed, dark):
 @quick
 @given(seeds, st.floats(0.0, 0.2))
 def test_ambient_light_is_global_alone(seed, extra):
-    """Ambient light: twice of it falls into the global part, none into the direct one."""
+    """Twice of it is in the global part, none in the direct one."""
     for stack, method in methods(seed, 0.0)[0]:
         before, after = method(stack, slice(None)), method(stack + extra, slice(None))
         assert np.allclose(before.direct, after.direct, atol=1e-6)

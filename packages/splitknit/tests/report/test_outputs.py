@@ -73,7 +73,7 @@ def test_mesh_is_upright_and_not_resampled(written):
 
 
 def test_mesh_normals_turn_with_the_mesh(written):
-    """The normals agree with the triangles, outwards."""
+    """They agree with the triangles, outwards."""
     mesh = read_ply(written[0] / "phalange.ply")
     corners = mesh.vertices_mm[mesh.faces[::50]].astype(float)
     cross = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])

@@ -136,7 +136,7 @@ def test_estimated_states_are_the_true_ones_where_decided(patterns):
 
 
 def test_half_lit_pixels_do_not_count():
-    """Half-lit pixels follow no model here: they must not count."""
+    """They follow no model here."""
     patterns = checkerboard_patterns(
         SIZE, 8, [(3.2 * i, 3.2 * j) for i in range(5) for j in range(5)]
     )
@@ -208,8 +208,7 @@ def test_a_region_without_pattern_is_named(patterns):
 
 
 def test_a_black_background_is_no_fault_of_the_patterns(patterns):
-    """Half of the picture is black: its pixels never change, and that is not a fault of the
-    patterns."""
+    """Half of the picture, whose pixels never change."""
     stack = stack_of(DIRECT, GLOBAL, patterns)
     stack[:, :, 36:] = 0
     parts = checkerboard(stack)
