@@ -26,7 +26,7 @@ CLAIMS: dict[str, tuple[str, ...]] = {
     ),
     "what is printed, and what a report shows, holds no control character": (
         "tests/cli/test_cli.py::test_a_success_moves_no_cursor_whatever_its_files_are_called",
-        "packages/splitknit/tests/report/test_report.py::test_a_page_turns_no_writing_and_holds_no_control_character",
+        "packages/splitknit/tests/report/test_report.py::test_the_page_escapes_control_and_bidi_characters",
     ),
     "a text that would run as a formula begins with an apostrophe": (
         "packages/splitknit/tests/io/test_csv_table.py",
@@ -50,7 +50,7 @@ CLAIMS: dict[str, tuple[str, ...]] = {
         "packages/splitknit/tests/io/test_npz.py::test_a_bomb_is_refused_before_memory_is_taken",
     ),
     "whatever cannot be read is refused in one sentence": (
-        "packages/splitknit-rig/tests/cli/test_bad_input.py::test_bad_captures",
+        "packages/splitknit-rig/tests/cli/test_bad_input.py::test_bad_captures_are_refused_in_one_sentence",
         "tests/cli/test_cli.py::test_a_closed_pipe_is_no_error_and_a_full_disk_is_one_sentence",
         "tests/fuzz/run.py",
     ),
@@ -94,7 +94,7 @@ CLAIMS: dict[str, tuple[str, ...]] = {
     ),
     "After `kill -9` a folder": ("tests/fuzz/kills.py",),
     "gone when the program ends, however it ends": (
-        "packages/splitknit/tests/io/test_io_plain.py::test_large_stacks_are_worked_in_strips_from_disk",
+        "packages/splitknit/tests/io/test_io_plain.py::test_large_stacks_are_processed_in_strips_from_disk",
     ),
     "Whoever holds a key signed by the cluster's CA": (
         "packages/splitknit-match/tests/batch/test_batch_workers.py::test_a_cluster_is_used_by_whom_its_ca_knows",
@@ -129,7 +129,7 @@ CLAIMS: dict[str, tuple[str, ...]] = {
         "tests/test_no_network.py::test_nothing_leaves_the_machine",
     ),
     "lie in a file without a name while they are worked on": (
-        "packages/splitknit/tests/io/test_io_plain.py::test_large_stacks_are_worked_in_strips_from_disk",
+        "packages/splitknit/tests/io/test_io_plain.py::test_large_stacks_are_processed_in_strips_from_disk",
     ),
     "`--scheduler` connects to the scheduler that you name": (
         "packages/splitknit-match/tests/batch/test_batch_workers.py::test_the_client_opens_no_port_and_dask_s_configuration_weakens_nothing",
@@ -142,7 +142,7 @@ CLAIMS: dict[str, tuple[str, ...]] = {
     ),
     "The test runs under strace": ("tests/test_no_network.py::test_what_leaves_is_seen",),
     "it is checked by the SHA-256 of its card": (
-        "packages/splitknit/tests/networks/test_weights.py::test_one_changed_byte_is_noticed",
+        "packages/splitknit/tests/networks/test_weights.py::test_weights_with_a_changed_byte_are_refused",
     ),
 }
 UNTESTED = {

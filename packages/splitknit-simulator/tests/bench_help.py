@@ -1,8 +1,6 @@
 """What the tests of the bench's scenes share: two cameras, one light, positions found in
 pictures."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import cv2
@@ -61,6 +59,15 @@ def seen(camera, points):
     turned = points * (1, -1, -1) + (0, 0, camera.height_mm)
     distortion = np.array(camera.distortion or (0.0,) * 5)
     return cv2.projectPoints(turned, np.zeros(3), np.zeros(3), camera.matrix, distortion)[0][:, 0]
+
+
+def lambert(led, point, normal=(0, 0, 1), albedo=0.9):
+    """Radiance by hand: inverse square, cosine of incidence, cosine to the lobe's power, Lambert."""
+    towards = np.array(led.position_mm) - point
+    r = np.linalg.norm(towards)
+    facing = max(float(np.dot(towards / r, normal)), 0.0)
+    along = np.dot(-towards / r, led.axis)
+    return albedo / np.pi * led.intensity * (100 / r) ** 2 * facing * along**led.lobe_exponent
 
 
 def sample(image, places):

@@ -45,7 +45,7 @@ def words_of(capsys, *arguments: object) -> str:
 def refusal_of(capsys, *arguments: object) -> str:
     """The one sentence of a verb that refuses."""
     assert main([*map(str, arguments)]) == 2
-    said = capsys.readouterr()
-    assert said.out == ""
-    assert len(said.err.strip().splitlines()) == 1, said.err
-    return said.err
+    printed = capsys.readouterr()
+    assert printed.out == ""
+    assert len(printed.err.strip().splitlines()) == 1, printed.err
+    return printed.err

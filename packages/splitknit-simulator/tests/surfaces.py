@@ -94,7 +94,7 @@ def perspective_plane(camera: Camera, z_mm: float, slope: float = 0.0) -> Simula
     x, y, z = (a.astype(np.float32) for a in (right * depth, up * depth, camera.height_mm - depth))
     normals = np.zeros((*camera.image_size, 3), dtype=np.float32)
     normals[:] = np.array([-slope, 0.0, 1.0]) / np.hypot(slope, 1.0)
-    one = np.ones(camera.image_size, dtype=np.float32)
+    ones = np.ones(camera.image_size, dtype=np.float32)
     return SimulatedSurface(
-        camera, z, z, normals, normals, 0.0 * z, np.ones(z.shape, np.bool_), one, x_mm=x, y_mm=y
+        camera, z, z, normals, normals, 0.0 * z, np.ones(z.shape, np.bool_), ones, x_mm=x, y_mm=y
     )

@@ -3,16 +3,14 @@ alone."""
 
 from __future__ import annotations
 
-import json
 from dataclasses import replace
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 
+from enrolled import facts_of, refusal_of
 from splitknit.accuracy import compare
-from splitknit.cli.main import main
 from splitknit.errors import BadInput
 from splitknit.io.capture import write_capture
 from splitknit.model import Capture
@@ -33,27 +31,12 @@ def photographed() -> Photographed:
 
 
 @pytest.mark.slow
-def test_the_command_line_takes_the_shape_from_the_mirror(
-    photographed: Photographed, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_the_command_line_takes_the_shape_from_the_mirror(photographed, tmp_path, capsys):
     capture, truth = photographed
     write_capture(capture, tmp_path / "capture", truth)
     out = tmp_path / "result"
-    assert (
-        main(
-            [
-                "reconstruct",
-                str(tmp_path / "capture"),
-                "--out",
-                str(out),
-                "--shape",
-                "mirror",
-                "--json",
-            ]
-        )
-        == 0
-    )
-    facts = json.loads(capsys.readouterr().out)
+    options = "--out", out, "--shape", "mirror"
+    facts = facts_of(capsys, "reconstruct", tmp_path / "capture", *options)
     assert facts["facts"]["shape_source"] == "mirror"
     assert facts["facts"]["mirror_shape"]["mirrors"] == ["left"]
     assert set(facts["facts"]["mirror_drawing"]["masks"]) == {"front", "left"}
@@ -63,7 +46,7 @@ def test_the_command_line_takes_the_shape_from_the_mirror(
 
 
 @pytest.mark.slow
-def test_the_thesis_case_is_knitted_on_the_mirrors_shape(photographed: Photographed) -> None:
+def test_snk_adds_its_relief_to_the_shape_from_mirrors(photographed):
     capture, truth = photographed
     result = reconstruct(capture, "snk", {"shape.source": "mirror", "direct.method": "none"})
     assert compare(result, truth).figures["shape_rms_mm"] < 0.3
@@ -73,7 +56,7 @@ def test_the_thesis_case_is_knitted_on_the_mirrors_shape(photographed: Photograp
     )
 
 
-def test_without_it_the_front_view_is_the_finger(photographed: Photographed) -> None:
+def test_by_default_the_front_view_alone_is_reconstructed(photographed):
     capture, truth = photographed
     result = reconstruct(capture, "ea")
     both = result.mask & truth["mask"]
@@ -81,9 +64,9 @@ def test_without_it_the_front_view_is_the_finger(photographed: Photographed) -> 
     assert "mirror_shape" not in result.facts and result.facts["shape_source"] == "white"
 
 
-def test_refusals(
-    photographed: Photographed, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_captures_and_presets_without_a_shape_from_mirrors_are_refused(
+    photographed, tmp_path, capsys
+):
     capture, _ = photographed
     bare = replace(capture, rig=replace(capture.rig, mirrors=()))
     mask = np.zeros(capture.shape, dtype=np.bool_)
@@ -96,8 +79,6 @@ def test_refusals(
     with pytest.raises(BadInput, match="'nir', 'white', 'mirror'"):
         reconstruct(capture, "metric", {"shape.source": "sonar"})
     write_capture(replace(bare, mask=mask), tmp_path / "bare")
-    code = main(
-        ["reconstruct", str(tmp_path / "bare"), "--out", str(tmp_path / "out"), "--shape", "mirror"]
-    )
-    assert code == 2 and not (tmp_path / "out").exists()
-    assert len(capsys.readouterr().err.strip().splitlines()) == 1
+    options = "--out", tmp_path / "out", "--shape", "mirror"
+    assert "no mirrors" in refusal_of(capsys, "reconstruct", tmp_path / "bare", *options)
+    assert not (tmp_path / "out").exists()

@@ -1,8 +1,6 @@
 """A finger that moved is brought onto one shot before it is reconstructed; a still one is left
 alone, bit by bit."""
 
-from __future__ import annotations
-
 import json
 
 import numpy as np
@@ -59,7 +57,7 @@ def correlation(result, truth):
 
 
 @pytest.mark.slow
-def test_motion_is_undone(still, moved, unmoved, undone):
+def test_correction_restores_the_ridge_correlation(still, moved, unmoved, undone):
     lost = correlation(unmoved, still[1]) - correlation(undone, moved[1])
     assert lost < 0.05
     assert (
@@ -69,7 +67,7 @@ def test_motion_is_undone(still, moved, unmoved, undone):
 
 
 @pytest.mark.slow
-def test_the_report_tells_the_motion(moved, undone):
+def test_facts_state_the_measured_motion(moved, undone):
     _, truth = moved
     told = {name: undone.facts[f"motion_{name}"] for name in ("white", "nir")}
     assert undone.facts["motion"]["reference"] == "white 3"
@@ -87,7 +85,7 @@ def test_the_report_tells_the_motion(moved, undone):
 
 
 @pytest.mark.slow
-def test_a_still_finger_is_left_alone(still, unmoved):
+def test_a_still_finger_is_unchanged(still, unmoved):
     capture, _ = still
     same, finger = steadied(capture)
     assert same is capture
@@ -98,10 +96,10 @@ def test_a_still_finger_is_left_alone(still, unmoved):
 
 
 @pytest.mark.slow
-def test_off_changes_nothing_and_on_always_registers(still, moved):
+def test_correct_off_changes_nothing_and_on_always_registers(still, moved):
     assert steadied(moved[0], correct="off")[0] is moved[0]
-    other, finger = steadied(still[0], correct="on")
-    assert other is not still[0]
+    registered, finger = steadied(still[0], correct="on")
+    assert registered is not still[0]
     assert max(finger.facts["motion_white"]["moved_mm"]) < 0.02
 
 
@@ -119,7 +117,7 @@ def test_too_much_motion_is_refused(moved, tmp_path, capsys):
 
 
 @pytest.mark.slow
-def test_photographs_of_coloured_leds_are_brought_together():
+def test_photographs_of_coloured_leds_are_registered():
     motion = HandMotion(amplitude_mm=0.8)
     capture, truth = simulate_capture(
         4, "left_loop", TwinSettings(rig=coloured_rig(0.15, 0), motion=motion)

@@ -63,9 +63,7 @@ def misplaced(result: Reconstruction, capture: Capture, truth: Truth) -> tuple[f
 
 
 @pytest.mark.slow
-def test_points_lie_where_they_are(
-    photographed: tuple[Capture, Truth], reconstructed: Reconstruction
-) -> None:
+def test_points_of_a_perspective_camera_lie_at_their_true_places(photographed, reconstructed):
     flat = reconstruct(photographed[0], settings={"metric.rounds": 1, "camera": "orthographic"})
     across, scale = misplaced(reconstructed, *photographed)
     across_flat, scale_flat = misplaced(flat, *photographed)
@@ -77,9 +75,7 @@ def test_points_lie_where_they_are(
 
 
 @pytest.mark.slow
-def test_shading_is_divided_out(
-    photographed: tuple[Capture, Truth], reconstructed: Reconstruction
-) -> None:
+def test_lens_shading_is_divided_out(photographed, reconstructed):
     (capture, truth), kept = photographed, reconstructed
     darker = {name: replace(band, shading=()) for name, band in capture.bands.items()}
     assert all(band.shading == (-0.15, -0.05) for band in capture.bands.values())

@@ -8,7 +8,6 @@ import sys
 import weakref
 from collections import Counter
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -34,30 +33,30 @@ def capture() -> Capture:
 @pytest.fixture
 def counts(monkeypatch: pytest.MonkeyPatch) -> Counter[str]:
     """Calls, pixels and transforms of what is run while the test lasts."""
-    found: Counter[str] = Counter()
+    counter: Counter[str] = Counter()
     infer, compare, features = unet._infer, shape.residual_of, learned.features
     forward, inverse = Grid.forward, Grid.inverse
 
     def inferring(network: unet.Network, image: np.ndarray) -> np.ndarray:
-        found[f"pixels of the {network.card.name} network"] += image[0, 0].size
+        counter[f"pixels of the {network.card.name} network"] += image[0, 0].size
         return infer(network, image)
 
     def comparing(*arguments: object) -> shape.Residual:
-        found["comparisons"] += 1
+        counter["comparisons"] += 1
         return compare(*arguments)
 
     def describing(*arguments: object) -> learned.Features:
-        found["features"] += 1
-        made = features(*arguments)
-        found["pixels"] = made.fields[0].size
-        return made
+        counter["features"] += 1
+        described = features(*arguments)
+        counter["pixels"] = described.fields[0].size
+        return described
 
     def there(grid: Grid, field: np.ndarray, extend: bool = False) -> np.ndarray:
-        found["transforms"] += field[..., 0, 0].size
+        counter["transforms"] += field[..., 0, 0].size
         return forward(grid, field, extend)
 
     def back(grid: Grid, spectrum: np.ndarray) -> np.ndarray:
-        found["transforms"] += spectrum[..., 0, 0].size
+        counter["transforms"] += spectrum[..., 0, 0].size
         return inverse(grid, spectrum)
 
     monkeypatch.setattr(unet, "_infer", inferring)
@@ -65,11 +64,11 @@ def counts(monkeypatch: pytest.MonkeyPatch) -> Counter[str]:
     monkeypatch.setattr(metric, "features", describing)
     monkeypatch.setattr(Grid, "forward", there)
     monkeypatch.setattr(Grid, "inverse", back)
-    return found
+    return counter
 
 
 @pytest.mark.slow
-def test_no_more_is_computed_than_was(capture: Capture, counts: Counter[str]) -> None:
+def test_metric_computes_no_more_than_stated(capture, counts):
     splitknit.reconstruct(capture)
     pixels = counts["pixels"]
     assert counts["features"] == 1
@@ -81,13 +80,11 @@ def test_no_more_is_computed_than_was(capture: Capture, counts: Counter[str]) ->
 
 
 @pytest.mark.slow
-def test_images_are_let_go_before_the_surface_where_they_may_be(
-    capture: Capture, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_images_handed_over_are_released_before_the_surface(capture, monkeypatch):
     kept = splitknit.reconstruct(capture, settings={"metric.relief": "colour", "metric.rounds": 1})
     assert set(capture.bands) == {"white", "nir"}
     bands = {name: replace(band, pixels=band.pixels.copy()) for name, band in capture.bands.items()}
-    given = replace(capture, bands=bands)
+    copied = replace(capture, bands=bands)
     pixels = [weakref.ref(band.pixels) for band in bands.values()]
     seen = []
     first = metric.metric_skin
@@ -97,16 +94,16 @@ def test_images_are_let_go_before_the_surface_where_they_may_be(
         return first(*arguments, **named)
 
     monkeypatch.setattr(metric, "metric_skin", beginning)
-    memory = Memory(given)
+    memory = Memory(copied)
     settings = {"metric.relief": "colour", "metric.rounds": 1}
-    del bands, given
-    found = splitknit.reconstruct(memory.hand_over(), settings=settings, memory=memory)
+    del bands, copied
+    result = splitknit.reconstruct(memory.hand_over(), settings=settings, memory=memory)
     assert seen == [None, None] and not memory._known  # nobody holds them any more
-    np.testing.assert_array_equal(found.height_mm, kept.height_mm)
+    np.testing.assert_array_equal(result.height_mm, kept.height_mm)
 
 
 @pytest.mark.slow
-def test_a_run_loads_of_scipy_what_it_uses(capture: Capture, tmp_path: Path) -> None:
+def test_a_run_loads_only_the_parts_of_scipy_that_it_uses(capture, tmp_path):
     """The sparse solver, and `least_squares` for the lights' places, which brings `fft`, `special`
     and `spatial`; no other part, as each takes time to load."""
     write_capture(capture, tmp_path / "capture")

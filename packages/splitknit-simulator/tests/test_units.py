@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -24,7 +23,7 @@ def unscaled(capture: Capture) -> Capture:
 
 
 @pytest.mark.slow
-def test_a_file_of_unknown_scale_is_in_pixels(tmp_path: Path) -> None:
+def test_a_file_of_unknown_scale_is_in_pixels(tmp_path):
     capture = unscaled(splitknit_simulator.simulate_capture(1, settings={"scale": 0.08})[0])
     result = splitknit.reconstruct(capture, "ea")
     assert not result.scale_known and result.pitch_mm == capture.rig.camera.pitch_mm
@@ -43,7 +42,7 @@ def test_a_file_of_unknown_scale_is_in_pixels(tmp_path: Path) -> None:
     np.testing.assert_array_equal(kept["height_px"], arrays["height_px"])
 
 
-def test_facts_in_pixels_have_names_of_pixels() -> None:
+def test_facts_in_pixels_have_names_of_pixels():
     facts = {
         "white": {"motion_mm": [0.5, None], "sharpness": 2.0},
         "scattering_per_mm": {"red": 3.0},

@@ -77,9 +77,9 @@ class Page:
         """Wait until a script returns something true, and return that."""
         end = time.monotonic() + PATIENCE_S
         while True:
-            found = self.run(script)
-            if found:
-                return found
+            value = self.run(script)
+            if value:
+                return value
             if time.monotonic() > end:
                 words = self.run("return document.body.innerText")[:400]
                 pytest.fail(

@@ -39,13 +39,13 @@ class LightContract(ABC):
     def now_s(self) -> float:
         """Time on the clock on which LEDs settle."""
 
-    def test_all_are_off_after_construction(self):
+    def test_all_leds_are_off_after_construction(self):
         with self.bank() as bank:
             assert self.burning() == set()
             assert bank.lit == frozenset()
             assert bank.count == 14
 
-    def test_one_is_lit_at_a_time(self):
+    def test_one_led_is_lit_at_a_time(self):
         with self.bank() as bank:
             for led in (0, 13, 5, 5, 6):
                 bank.on(led)
@@ -55,7 +55,7 @@ class LightContract(ABC):
             bank.off()
             assert self.burning() == set()
 
-    def test_several_are_lit_only_when_asked(self):
+    def test_several_leds_are_lit_only_by_on_together(self):
         with self.bank() as bank:
             bank.on_together((2, 7, 9))
             assert self.burning() == {2, 7, 9}
@@ -75,13 +75,13 @@ class LightContract(ABC):
             assert self.now_s() - before >= bank.settle_s * (1 - 1e-9)
 
     @pytest.mark.parametrize("error", [ValueError, KeyboardInterrupt, SystemExit, BadInput])
-    def test_off_after_an_exception(self, error):
+    def test_leds_are_off_after_an_exception(self, error):
         with pytest.raises(error), self.bank() as bank:
             bank.on_together((1, 2))
             raise error
         assert self.burning() == set()
 
-    def test_off_after_an_interrupt_while_an_led_settles(self, monkeypatch):
+    def test_leds_are_off_after_an_interrupt_while_one_settles(self, monkeypatch):
         def interrupted(seconds):
             raise KeyboardInterrupt
 
@@ -90,7 +90,7 @@ class LightContract(ABC):
             bank.on(4)
         assert self.burning() == set()
 
-    def test_the_others_go_off_though_one_switch_fails(self, monkeypatch):
+    def test_the_other_leds_go_off_although_one_switch_fails(self, monkeypatch):
         with self.bank() as bank:
             bank.on_together((1, 2, 3))
             switch = bank._switch
@@ -121,7 +121,7 @@ class LightContract(ABC):
                 bank.on_together(())
             assert self.burning() == {6}
 
-    def test_closed_twice_and_dark_for_good(self):
+    def test_a_bank_may_be_closed_twice_and_stays_dark(self):
         bank = self.bank()
         bank.on(8)
         bank.close()
@@ -132,7 +132,7 @@ class LightContract(ABC):
             bank.on(0)
         assert self.burning() == set()
 
-    def test_off_when_the_process_ends(self, tmp_path):
+    def test_leds_are_off_when_the_process_ends(self, tmp_path):
         """The bank is neither closed nor in a with block; what ends the process must not leave an
         LED lit."""
         ends = {
@@ -194,7 +194,7 @@ class CameraContract(ABC):
     def now_s(self) -> float:
         """Time on the camera's clock."""
 
-    def test_it_gives_photographs_of_its_size(self):
+    def test_photographs_have_the_image_size_of_the_camera(self):
         camera, lights = self.devices()
         with lights, camera:
             frame, small = camera.capture(), camera.preview()
@@ -209,7 +209,7 @@ class CameraContract(ABC):
     @pytest.mark.parametrize(
         ("exposure_s", "gain", "band"), [(0.008, 1.0, "white"), (0.06, 4.0, "nir")]
     )
-    def test_what_is_locked_is_what_comes(self, exposure_s, gain, band):
+    def test_frames_have_the_locked_exposure_and_gain(self, exposure_s, gain, band):
         camera, lights = self.devices()
         with lights, camera:
             camera.lock(exposure_s, gain, band)
@@ -261,7 +261,7 @@ class CameraContract(ABC):
                 camera.lock(exposure_s, gain, band)
             assert camera.capture().exposure_s == pytest.approx(0.02, abs=4e-5)  # as before
 
-    def test_closed_twice(self):
+    def test_a_camera_may_be_closed_twice_and_captures_no_more(self):
         camera, lights = self.devices()
         with lights:
             camera.close()

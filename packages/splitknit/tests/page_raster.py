@@ -19,13 +19,13 @@ def objects_of(data: bytes) -> dict[int, bytes]:
     assert data[start:].startswith(b"xref\n0 ")
     lines = data[start:].split(b"\n")
     count = int(lines[1].split()[1])
-    found = {}
+    bodies = {}
     for number, line in enumerate(lines[3 : 2 + count], start=1):
         assert len(line) == 19
         place = int(line[:10])
         assert data[place:].startswith(b"%d 0 obj\n" % number)
-        found[number] = data[place:].split(b"\nendobj")[0].split(b"obj\n", 1)[1]
-    return found
+        bodies[number] = data[place:].split(b"\nendobj")[0].split(b"obj\n", 1)[1]
+    return bodies
 
 
 def stream_of(item: bytes) -> str:

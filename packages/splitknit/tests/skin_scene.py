@@ -142,15 +142,15 @@ def make_scene(glare: float = 0.5, scattering: float = 1.0, depth: float = DEPTH
     )
 
 
-def shape_rms(found: np.ndarray, true: np.ndarray, where: np.ndarray) -> float:
+def shape_rms(estimated: np.ndarray, true: np.ndarray, where: np.ndarray) -> float:
     """Root mean square difference, means removed, mm."""
-    difference = (found - true)[where]
+    difference = (estimated - true)[where]
     return float(np.sqrt(((difference - difference.mean()) ** 2).mean()))
 
 
-def relief_gain(found: np.ndarray, true: np.ndarray, where: np.ndarray) -> tuple[float, float]:
+def relief_gain(estimated: np.ndarray, true: np.ndarray, where: np.ndarray) -> tuple[float, float]:
     """Gain (regression on the truth) and correlation."""
-    a, b = found[where] - found[where].mean(), true[where] - true[where].mean()
+    a, b = estimated[where] - estimated[where].mean(), true[where] - true[where].mean()
     return float((a * b).sum() / (b * b).sum()), float(
         (a * b).sum() / np.sqrt((a * a).sum() * (b * b).sum())
     )

@@ -1,5 +1,3 @@
-from __future__ import annotations
-
 import os
 import pickle
 from pathlib import Path
@@ -14,13 +12,13 @@ from splitknit.files import read_bytes
 RING = np.array([[np.cos(a), np.sin(a), 2.0] for a in 2 * np.pi * np.arange(5) / 5])
 
 
-def test_bad_input_is_a_value_error() -> None:
+def test_bad_input_is_a_value_error():
     require(True, "never seen")
     with pytest.raises(ValueError, match="this is why"):
         require(False, "this is why")
 
 
-def test_stacks() -> None:
+def test_a_stack_is_checked_for_shape_count_and_finite_values():
     stack = check_stack(np.ones((3, 4, 5), dtype=np.uint8), least=3)
     assert stack.dtype == np.float32
     for bad, words in (
@@ -33,14 +31,14 @@ def test_stacks() -> None:
             check_stack(bad, least=3)
 
 
-def test_images() -> None:
+def test_an_image_is_checked_for_shape_and_finite_values():
     assert check_image([[1, 2], [3, 4]]).dtype == np.float32
     for bad in (np.ones(4), np.ones((0, 4)), np.array([[1.0, np.nan]])):
         with pytest.raises(BadInput, match="the picture"):
             check_image(bad, name="the picture")
 
 
-def test_masks() -> None:
+def test_a_mask_is_checked_for_shape_and_content():
     assert check_mask(None, (2, 3)).all()
     np.testing.assert_array_equal(check_mask([[0, 2]], (1, 2)), [[False, True]])
     with pytest.raises(BadInput, match="shape"):
@@ -49,7 +47,7 @@ def test_masks() -> None:
         check_mask(np.zeros((2, 3)), (2, 3))
 
 
-def test_lights_keep_their_length() -> None:
+def test_lights_keep_their_length():
     strong = RING * np.array([[1], [2], [3], [4], [5]])
     np.testing.assert_array_equal(check_lights(strong, 5), strong)
 
@@ -66,30 +64,24 @@ def test_lights_keep_their_length() -> None:
         (np.column_stack([np.arange(-2.0, 3.0), [0.01, 0, 0.02, 0, 0.01], np.ones(5)]), "coplanar"),
     ],
 )
-def test_lights_that_determine_no_normal(lights: np.ndarray, words: str) -> None:
+def test_lights_that_determine_no_normal_are_refused(lights, words):
     with pytest.raises(BadInput, match=words):
         check_lights(lights)
 
 
-def test_lights_must_match_the_images() -> None:
+def test_lights_must_match_the_images():
     with pytest.raises(BadInput, match="5 lights for 7 images"):
         check_lights(RING, 7)
 
 
-def test_weak_but_real_depth_of_lights_is_enough() -> None:
+def test_lights_just_off_a_common_plane_are_accepted():
     """Directions 2 deg about one: all near a line, but not in a plane."""
     angles = 2 * np.pi * np.arange(3) / 3
-    assert (
-        len(
-            check_lights(
-                np.column_stack([0.035 * np.cos(angles), 0.035 * np.sin(angles), np.ones(3)])
-            )
-        )
-        == 3
-    )
+    lights = np.column_stack([0.035 * np.cos(angles), 0.035 * np.sin(angles), np.ones(3)])
+    assert len(check_lights(lights)) == 3
 
 
-def test_only_whole_regular_files_of_the_budget_are_read(tmp_path: Path) -> None:
+def test_only_whole_regular_files_of_the_budget_are_read(tmp_path):
     (tmp_path / "a").write_bytes(b"12345")
     assert read_bytes(tmp_path / "a", 5) == b"12345"
     os.mkfifo(tmp_path / "pipe")
@@ -109,7 +101,7 @@ def test_only_whole_regular_files_of_the_budget_are_read(tmp_path: Path) -> None
 
 
 @pytest.mark.skipif(not Path("/proc/self/fd").is_dir(), reason="open files cannot be listed")
-def test_a_refused_folder_is_closed(tmp_path: Path) -> None:
+def test_a_refused_folder_is_closed(tmp_path):
     before = len(list(Path("/proc/self/fd").iterdir()))
     for _ in range(5):
         with pytest.raises(BadInput, match="is not a file"):
@@ -126,9 +118,7 @@ def test_a_refused_folder_is_closed(tmp_path: Path) -> None:
         (BadInput("x"), BadInput),
     ],
 )
-def test_parsers_are_refused_in_one_sentence_but_not_for_want_of_memory(
-    raised: Exception, expected: type[Exception]
-) -> None:
+def test_parser_errors_become_one_refusal_but_lack_of_memory_does_not(raised, expected):
     with pytest.raises(expected) as caught, refusing("the table is damaged."):
         raise raised
     assert str(caught.value) == (
@@ -136,7 +126,7 @@ def test_parsers_are_refused_in_one_sentence_but_not_for_want_of_memory(
     )
 
 
-def test_refusals_are_one_printable_line_whatever_they_quote() -> None:
+def test_refusals_are_one_printable_line_whatever_they_quote():
     error = BadInput("'a\nb\x1b[2J\ud800\u2028é' is no name")
     assert str(error) == r"'a\nb\x1b[2J\ud800\u2028é' is no name"
     assert str(pickle.loads(pickle.dumps(error))) == str(error)

@@ -1,23 +1,22 @@
 """Ranges of what people type."""
 
-from __future__ import annotations
-
 import pytest
 
 from splitknit import plausible
 from splitknit.errors import BadInput
 from splitknit.plausible import CAMERA_HEIGHT, RELIEF, _Plausible
 
-ALL = [one for one in vars(plausible).values() if isinstance(one, _Plausible)]
+QUANTITIES = [value for value in vars(plausible).values() if isinstance(value, _Plausible)]
 
 
-@pytest.mark.parametrize("one", ALL, ids=lambda one: one.what)
-def test_the_usual_is_possible(one: _Plausible) -> None:
-    assert one.possible[0] <= one.usual[0] < one.usual[1] <= one.possible[1]
-    assert one.notes(one.usual[1], "x") == ()
+@pytest.mark.parametrize("quantity", QUANTITIES, ids=lambda quantity: quantity.what)
+def test_usual_values_are_possible_and_get_no_note(quantity):
+    low, high = quantity.usual
+    assert quantity.possible[0] <= low < high <= quantity.possible[1]
+    assert quantity.notes(high, "x") == ()
 
 
-def test_the_odd_is_noted_and_the_impossible_refused() -> None:
+def test_unusual_values_get_a_note_and_impossible_ones_are_refused():
     assert CAMERA_HEIGHT.notes(140.0, "check `square_mm`") == ()
     (note,) = CAMERA_HEIGHT.notes(500.0, "check `square_mm`")
     assert str(note).endswith("is 500 mm, where 40 to 400 mm is usual: check `square_mm`.")

@@ -5,8 +5,8 @@ import cv2
 import numpy as np
 import pytest
 
-import splitknit
 from rough_dome import scene, spoilt
+from splitknit import reconstruct_images
 from splitknit.errors import BadInput
 
 KINDS = {
@@ -30,14 +30,16 @@ def codes(result):
     return {finding.code for finding in result.findings}
 
 
-def turned(one, other):
-    cosine = (one.normals_measured * other.normals_measured).sum(axis=2)[one.mask & other.mask]
+def normals_apart_deg(first, second):
+    cosine = (first.normals_measured * second.normals_measured).sum(axis=2)[
+        first.mask & second.mask
+    ]
     return float(np.degrees(np.arccos(np.clip(cosine, -1, 1))).mean())
 
 
 @pytest.fixture(scope="module")
 def sound():
-    return splitknit.reconstruct_images(*photographs(), px_per_mm=10.0)
+    return reconstruct_images(*photographs(), px_per_mm=10.0)
 
 
 def test_an_inverted_mask_is_doubted():
@@ -46,29 +48,29 @@ def test_an_inverted_mask_is_doubted():
     table = np.broadcast_to((0.4 * lights[:, 2])[:, None, None], stack.shape)
     noise = np.random.default_rng(0).normal(0, 0.003, stack.shape)
     on_table = np.clip(np.where(mask, stack, table) + noise, 0, 1).astype(np.float32)
-    assert "inverted-mask" in codes(splitknit.reconstruct_images(on_table, lights, ~mask, 10.0))
-    assert "inverted-mask" not in codes(splitknit.reconstruct_images(on_table, lights, mask, 10.0))
+    assert "inverted-mask" in codes(reconstruct_images(on_table, lights, ~mask, 10.0))
+    assert "inverted-mask" not in codes(reconstruct_images(on_table, lights, mask, 10.0))
     hole = np.ones_like(mask)
     hole[40:60, 60:80] = False
-    assert "inverted-mask" not in codes(splitknit.reconstruct_images(stack, lights, hole, 10.0))
+    assert "inverted-mask" not in codes(reconstruct_images(stack, lights, hole, 10.0))
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_arrays_of_every_kind(kind, sound):
+def test_images_of_every_type_give_the_same_normals(kind, sound):
     stack, lights, mask = photographs()
-    result = splitknit.reconstruct_images(KINDS[kind](stack), lights, mask, 10.0)
+    result = reconstruct_images(KINDS[kind](stack), lights, mask, 10.0)
     assert result.height_mm.shape == mask.shape
-    assert turned(result, sound) < 0.5
+    assert normals_apart_deg(result, sound) < 0.5
 
 
 @pytest.mark.parametrize("bright", [(1.0, 1.0, 1.0), (1.0, 0.9, 0.8)])
-def test_lights_of_given_colours_over_grey_images(bright, sound):
+def test_grey_images_stored_as_colour_take_lights_of_any_colour(bright, sound):
     """Images of three equal channels become one of grey only where the lights are as grey."""
     stack, lights, mask = photographs()
     grey = np.repeat(stack[..., None], 3, axis=3)
     colours = np.tile(bright, (len(lights), 1))
-    result = splitknit.reconstruct_images(grey, lights, mask, 10.0, colours)
-    assert turned(result, sound) < 0.5
+    result = reconstruct_images(grey, lights, mask, 10.0, colours)
+    assert normals_apart_deg(result, sound) < 0.5
 
 
 @pytest.mark.parametrize(
@@ -92,56 +94,59 @@ def test_lights_of_given_colours_over_grey_images(bright, sound):
 def test_arrays_that_cannot_be_used_are_refused(change, words):
     stack, lights, mask = photographs()
     with pytest.raises(BadInput, match=words):
-        splitknit.reconstruct_images(**{"images": stack, "lights": lights, "mask": mask, **change})
+        reconstruct_images(**{"images": stack, "lights": lights, "mask": mask, **change})
 
 
 @pytest.mark.parametrize("kind", ["moved", "blurred", "double"])
 def test_a_spoilt_photograph_is_named_and_left_out(kind, sound):
     stack, lights, mask = photographs()
     stack[5] = spoilt(stack[5], kind)
-    result = splitknit.reconstruct_images(stack, lights, mask, 10.0)
+    result = reconstruct_images(stack, lights, mask, 10.0)
     (fault,) = (finding for finding in result.findings if finding.code == f"{kind}-photograph")
     assert fault.files == ("image 5",) and "left out" in str(fault) and fault.effect_deg
-    assert turned(result, sound) < 0.5
+    assert normals_apart_deg(result, sound) < 0.5
 
 
 def test_clipped_values_are_not_used(sound):
     stack, lights, mask = photographs()
     stack[5] = np.minimum(stack[5] / np.quantile(stack[5][mask], 0.9), 1.0)
     pixels = np.rint(stack * 65535).astype(np.uint16)
-    result = splitknit.reconstruct_images(pixels, lights, mask, 10.0)
+    result = reconstruct_images(pixels, lights, mask, 10.0)
     assert ("overexposed-photograph", ("image 5",)) in {
         (each.code, each.files) for each in result.findings
     }
-    assert turned(result, sound) < 1.0
+    assert normals_apart_deg(result, sound) < 1.0
 
 
 def test_unequal_lights_are_estimated_or_taken_as_stated(sound):
     stack, lights, mask = photographs()
     bright = np.array([1, 0.5, 0.9, 0.7, 0.4, 1, 0.8, 0.6])
     stack = stack * bright[:, None, None]
-    found = splitknit.reconstruct_images(stack, lights, mask, 10.0)
-    assert found.facts["light_brightness"] == pytest.approx(
+    estimated = reconstruct_images(stack, lights, mask, 10.0)
+    assert estimated.facts["light_brightness"] == pytest.approx(
         (bright / bright.mean()).tolist(), rel=0.03
     )
-    assert turned(found, sound) < 0.5
-    stated = splitknit.reconstruct_images(stack, lights, mask, 10.0, bright)
+    assert normals_apart_deg(estimated, sound) < 0.5
+    stated = reconstruct_images(stack, lights, mask, 10.0, bright)
     assert "light_brightness" not in stated.facts
-    assert turned(stated, sound) < 0.3
+    assert normals_apart_deg(stated, sound) < 0.3
 
 
-def test_lights_of_eight_colours(sound):
+def test_lights_of_eight_colours_are_estimated_or_taken_as_stated(sound):
     stack, lights, mask = photographs()
     colours = np.random.default_rng(3).uniform(0.3, 1.0, (8, 3))
     images = stack[..., None] * colours[:, None, None, :]
-    for given in (None, colours):
-        assert turned(splitknit.reconstruct_images(images, lights, mask, 10.0, given), sound) < 0.5
+    for intensities in (None, colours):
+        assert (
+            normals_apart_deg(reconstruct_images(images, lights, mask, 10.0, intensities), sound)
+            < 0.5
+        )
 
 
-def test_a_hollow_is_noted_and_not_spoilt(sound):
+def test_a_hollow_gets_a_note_and_nothing_worse(sound):
     stack, lights, mask = photographs()
     assert "hollow" not in codes(sound)
-    result = splitknit.reconstruct_images(stack, lights * [-1, -1, 1], mask, 10.0)
+    result = reconstruct_images(stack, lights * [-1, -1, 1], mask, 10.0)
     assert {finding.code: finding.severity for finding in result.findings}["hollow"] == "note"
     assert all(finding.severity == "note" for finding in result.findings)
 
@@ -149,7 +154,7 @@ def test_a_hollow_is_noted_and_not_spoilt(sound):
 def test_a_photograph_of_something_else_is_named_by_its_index(sound):
     stack, lights, mask = photographs()
     stack[5] = stack[5, ::-1, ::-1]
-    result = splitknit.reconstruct_images(stack, lights, mask, 10.0)
+    result = reconstruct_images(stack, lights, mask, 10.0)
     assert any(finding.files == ("image 5",) for finding in result.findings)
 
 
@@ -181,9 +186,9 @@ def coin(rim_deg, size=300):
 
 @pytest.mark.parametrize("rim_deg", [70, 85, 89])
 @pytest.mark.parametrize("masked", [False, True])
-def test_a_coin_with_a_steep_rim(rim_deg, masked):
+def test_a_coin_keeps_its_height_and_its_steep_rim_is_noted(rim_deg, masked):
     height, stack, lights, inside = coin(rim_deg)
-    result = splitknit.reconstruct_images(stack, lights, inside if masked else None, 10.0)
+    result = reconstruct_images(stack, lights, inside if masked else None, 10.0)
     both = result.mask & inside & (np.hypot(*(np.mgrid[0:300, 0:300] - 149.5)) < 0.43 * 300)
     error = (10.0 * result.height_mm - height)[both]
     assert np.std(error) < 0.6  # px; the rim is 20 px high

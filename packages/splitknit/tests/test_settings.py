@@ -29,7 +29,7 @@ class Outer:
     name: str = "x"
 
 
-def test_one_field_changes_and_the_rest_stays() -> None:
+def test_override_changes_the_named_fields_only():
     changed = override(
         Outer(), {"inner.sigma": 2, "inner": {"weights": [3, 4.5]}, "inner.limit": 0.5}
     )
@@ -55,17 +55,17 @@ def test_one_field_changes_and_the_rest_stays() -> None:
         ({"inner.weights": ["a"]}, "must be"),
     ],
 )
-def test_wrong_settings_are_refused_with_a_remedy(changes: dict[str, object], words: str) -> None:
+def test_wrong_settings_are_refused_with_a_remedy(changes, words):
     with pytest.raises(BadInput, match=words):
         override(Outer(), changes)
 
 
-def test_flatten_joins_names() -> None:
+def test_flatten_joins_names():
     assert flatten({"a": {"b": {"c": 1}}, "d.e": 2}) == {"a.b.c": 1, "d.e": 2}
 
 
 @pytest.mark.parametrize("value", ["\ud800", "a\nb", "a" * 1001, 10**400])
-def test_a_value_that_could_not_be_printed_is_refused_in_a_short_line(value: object) -> None:
+def test_a_value_that_could_not_be_printed_is_refused_in_a_short_line(value):
     with pytest.raises(BadInput, match=r"setting|must") as caught:
         override(preset_settings("metric"), {"knit.method": value})
     assert str(caught.value).isprintable() and len(str(caught.value)) < 300
@@ -107,13 +107,13 @@ class PairSettings(Checked):
         ({"model": "lens"}, "lamp.model must be one of point, disc, but it is 'lens'."),
     ],
 )
-def test_what_a_field_declares_is_checked(change, message):
+def test_a_value_outside_its_declared_limits_is_refused(change, message):
     with pytest.raises(BadInput) as caught:
         LampSettings(**change)
     assert str(caught.value) == message
 
 
-def test_bounds_none_and_rules_between_fields():
+def test_limits_include_their_bounds_and_rules_between_fields_hold():
     assert LampSettings(power_w=5.0, span_mm=(-2.0, 3.0), seed=None).seed is None
     with pytest.raises(BadInput, match=r"^both\.low must be at most 2, but it is 3\.0\.$"):
         PairSettings(low=3.0, high=4.0)

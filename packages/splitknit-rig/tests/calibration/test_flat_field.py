@@ -1,8 +1,6 @@
 """The flat field as a model: what the twin shows of a card is found again, and nothing else is
 called a card."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np
@@ -10,13 +8,7 @@ import pytest
 
 from splitknit.errors import BadInput
 from splitknit.model import Led, default_rig, nominal_rig
-from splitknit_rig.calibration.card_model import (
-    LADDER,
-    Answer,
-    CardModel,
-    CardPlane,
-    card_light,
-)
+from splitknit_rig.calibration.card_model import LADDER, Answer, CardModel, CardPlane, card_light
 from splitknit_rig.calibration.flat_field import fit_flat_field
 from splitknit_simulator.rigs import built_rig
 from white_cards import as_placed, scene_of
@@ -43,35 +35,42 @@ def shown(rig, step=STEP, **card):
     ).astype(float)
 
 
-def relative_error(found, truth):
-    ratio = found / truth
+def fitted(rig, light, error_mm=0.0):
+    """Fit of the grid's light under LEDs whose places are known but for an error."""
+    placed = as_placed(rig, error_mm)
+    return fit_flat_field(placed.camera, placed.leds, grid(rig.camera), light)
+
+
+def modelled(rig, *card):
+    """Light of a card at the grid's pixels under every LED."""
+    pixels = grid(rig.camera)
+    return np.stack([card_light(rig.camera, led, pixels, *card) for led in rig.leds])
+
+
+def relative_error(estimated, truth):
+    ratio = estimated / truth
     return np.abs(ratio / np.median(ratio) - 1)
 
 
 @pytest.mark.parametrize("card", [CardPlane(), CardPlane(8.0), CardPlane(2.0, (1.5, -1.0))])
 @pytest.mark.parametrize("model", ["perspective", "orthographic"])
-def test_the_model_is_the_twins_card(rig, card, model):
+def test_the_model_agrees_with_the_simulated_card(rig, card, model):
     if model == "orthographic":
         rig = replace(rig, camera=replace(rig.camera, model=model))
-    pixels = grid(rig.camera)
     truth = shown(rig, reflectance=1.0, height_mm=card.height_mm, tilt_deg=card.tilt_deg)
-    model_light = np.stack([card_light(rig.camera, led, pixels, card) for led in rig.leds])
-    assert np.abs(model_light / truth - 1).max() < 1e-4
+    assert np.abs(modelled(rig, card) / truth - 1).max() < 1e-4
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("error_mm", [0.0, 1.0])
-def test_light_and_lens_are_found(rig, error_mm):
+def test_light_and_lens_are_measured_although_places_are_off(rig, error_mm):
     """Places exact or a millimetre off: aims and beams make up for it on the plane, and nearly so
     above it."""
     noise = 1 + NOISE * np.random.default_rng(0).standard_normal((14, len(grid(rig.camera))))
     truth = shown(rig)
-    placed = as_placed(rig, error_mm)
-    flat = fit_flat_field(placed.camera, placed.leds, grid(rig.camera), truth * noise)
-    pixels = grid(rig.camera)
-    found = np.stack([card_light(flat.camera, led, pixels) for led in flat.leds])
-    assert relative_error(found, truth).max() < 0.006
-    above = np.stack([card_light(flat.camera, led, pixels, CardPlane(10.0)) for led in flat.leds])
+    flat = fitted(rig, truth * noise, error_mm)
+    assert relative_error(modelled(flat), truth).max() < 0.006
+    above = modelled(flat, CardPlane(10.0))
     assert relative_error(above, shown(rig, height_mm=10.0)).max() < 0.012
     assert np.abs(flat.rms_percent - 100 * NOISE).max() < 0.03
     assert np.mean([led.intensity for led in flat.leds]) == pytest.approx(1, abs=1e-5)
@@ -89,18 +88,18 @@ def test_light_and_lens_are_found(rig, error_mm):
 
 
 @pytest.mark.slow
-def test_the_simplest_model_that_explains_the_images_is_taken():
+def test_the_simplest_model_that_explains_the_images_is_chosen():
     rig = default_rig(0.08, seed=4)
     noise = 1 + 0.002 * np.random.default_rng(1).standard_normal((14, len(grid(rig.camera))))
     flat = fit_flat_field(rig.camera, rig.leds, grid(rig.camera), shown(rig) * noise)
     assert flat.order == LADDER[0]
     assert flat.camera.shading == ()
     assert [led.intensity for led in flat.leds] == pytest.approx(
-        [led.intensity / np.mean([one.intensity for one in rig.leds]) for led in rig.leds], rel=2e-3
+        [led.intensity / np.mean([each.intensity for each in rig.leds]) for led in rig.leds],
+        rel=2e-3,
     )
     beams = nominal_rig(0.08)
-    placed = as_placed(beams)
-    flat = fit_flat_field(placed.camera, placed.leds, grid(beams.camera), shown(beams) * noise)
+    flat = fitted(beams, shown(beams) * noise)
     assert flat.order == LADDER[2]
     for k in (0, 7):
         assert flat.leds[k].lobe_exponent == pytest.approx(beams.leds[k].lobe_exponent, abs=0.3)
@@ -109,22 +108,20 @@ def test_the_simplest_model_that_explains_the_images_is_taken():
 
 
 @pytest.mark.slow
-def test_dust_does_no_harm(rig):
+def test_dust_is_left_out_of_the_fit(rig):
     pixels = grid(rig.camera)
     truth = shown(rig)
     dusty = truth * (1 + 0.001 * np.random.default_rng(2).standard_normal(truth.shape))
     specks = np.random.default_rng(3).choice(len(pixels), len(pixels) // 50, replace=False)
     dusty[:, specks] *= 0.8
-    placed = as_placed(rig)
-    flat = fit_flat_field(placed.camera, placed.leds, pixels, dusty)
-    found = np.stack([card_light(flat.camera, led, pixels) for led in flat.leds])
-    assert relative_error(found, truth).max() < 0.004
+    flat = fitted(rig, dusty)
+    assert relative_error(modelled(flat), truth).max() < 0.004
     assert flat.dust[specks].all()
     assert flat.dust.mean() == pytest.approx(len(specks) / len(pixels), abs=0.005)
     assert flat.rms_percent.max() < 0.12
 
 
-def test_slopes_of_the_model_are_its_derivatives(rig):
+def test_the_jacobian_agrees_with_differences(rig):
     pixels = grid(rig.camera, 30)
     model = CardModel(rig.camera, rig.leds, pixels, CardPlane(1.0))
     rng = np.random.default_rng(5)
@@ -147,53 +144,45 @@ def test_slopes_of_the_model_are_its_derivatives(rig):
 @pytest.mark.slow
 def test_a_card_that_ends_in_the_picture_is_refused(rig):
     pixels, light = grid(rig.camera), shown(rig)
-    placed = as_placed(rig)
     light[:, pixels[:, 0] < 0.2 * rig.camera.image_size[1]] *= 0.02
     with pytest.raises(BadInput, match=r"does not fill the field: 2[01] % of the picture"):
-        fit_flat_field(placed.camera, placed.leds, pixels, light)
+        fitted(rig, light)
 
 
 def test_a_card_with_a_pattern_is_refused(rig):
     pixels, light = grid(rig.camera), shown(rig)
-    placed = as_placed(rig)
     light[:, (pixels[:, 0] // 12 + pixels[:, 1] // 12) % 2 == 0] *= 0.75
     with pytest.raises(BadInput, match="not uniform"):
-        fit_flat_field(placed.camera, placed.leds, pixels, light)
+        fitted(rig, light)
 
 
 def test_an_led_that_did_not_light_is_named(rig):
-    pixels, light = grid(rig.camera), shown(rig)
-    placed = as_placed(rig)
+    light = shown(rig)
     light[9] *= 0.05
     with pytest.raises(BadInput, match=r"LED 9 \(nir\) shows the card at 5 % .* did not light"):
-        fit_flat_field(placed.camera, placed.leds, pixels, light)
+        fitted(rig, light)
 
 
 @pytest.mark.slow
-def test_gloss_shows_where_a_mirror_would(rig):
-    pixels, light = grid(rig.camera), shown(rig)
-    placed = as_placed(rig)
-    matt = fit_flat_field(placed.camera, placed.leds, pixels, light)
-    points = CardPlane().points(rig.camera, pixels)
+def test_the_gloss_of_a_card_is_measured(rig):
+    light = shown(rig)
+    points = CardPlane().points(rig.camera, grid(rig.camera))
     sight = np.array([0.0, 0.0, rig.camera.height_mm]) - points
     sight /= np.linalg.norm(sight, axis=1, keepdims=True)
     towards = [np.asarray(led.position_mm) - points for led in rig.leds]
-    half = np.stack([one / np.linalg.norm(one, axis=1, keepdims=True) + sight for one in towards])
+    half = np.stack([way / np.linalg.norm(way, axis=1, keepdims=True) + sight for way in towards])
     angles = np.rad2deg(np.arccos(half[..., 2] / np.linalg.norm(half, axis=2)))
-    shiny = fit_flat_field(
-        placed.camera, placed.leds, pixels, light * (1 + 0.05 * np.exp(-0.5 * (angles / 5) ** 2))
-    )
-    assert abs(matt.gloss_percent) < 0.3
+    shiny = fitted(rig, light * (1 + 0.05 * np.exp(-0.5 * (angles / 5) ** 2)))
+    assert abs(fitted(rig, light).gloss_percent) < 0.3
     assert shiny.gloss_percent > 3 and shiny.gloss_percent > 10 * shiny.gloss_error
 
 
-def test_what_is_no_stack_of_cards_is_refused(rig):
-    placed, pixels = as_placed(rig), grid(rig.camera)
-    light = shown(rig)
+def test_black_images_distant_leds_and_high_cards_are_refused(rig):
+    pixels, light = grid(rig.camera), shown(rig)
     with pytest.raises(BadInput, match="black"):
-        fit_flat_field(placed.camera, placed.leds, pixels, 0 * light)
+        fitted(rig, 0 * light)
+    distant = [Led(band="white", direction=(0, 0, 1))] * 14
     with pytest.raises(BadInput, match="position_mm"):
-        distant = [Led(band="white", direction=(0, 0, 1))] * 14
-        fit_flat_field(placed.camera, distant, pixels, light)
+        fit_flat_field(rig.camera, distant, pixels, light)
     with pytest.raises(BadInput, match="below the camera"):
         card_light(rig.camera, rig.leds[0], pixels, CardPlane(200.0))

@@ -1,7 +1,5 @@
 """The script that measures how well lights are found runs, and its figures hold on a few rigs."""
 
-from __future__ import annotations
-
 import importlib.util
 import json
 from pathlib import Path
@@ -20,7 +18,7 @@ def lights():
 
 
 @pytest.mark.slow
-def test_tables(lights, tmp_path, capsys):
+def test_the_joint_fit_reaches_its_aims_on_three_rigs(lights, tmp_path, capsys):
     """The issue's aims: 1 deg for two positions, 0.4 deg for the joint fit over four."""
     out = tmp_path / "lights.json"
     assert lights.main(["--rigs", "3", "--photographs", "0", "--out", str(out)]) == 0
@@ -34,7 +32,7 @@ def test_tables(lights, tmp_path, capsys):
 
 
 @pytest.mark.slow
-def test_photographs(lights):
+def test_photographs_of_a_nail_reach_their_aims(lights):
     figures = lights.photographs(1, 0.1, 13.0)
     assert figures["mean"] < 0.3
     assert figures["tip_rms_mm"] < 0.03 and figures["nail_rms_mm"] < 0.03

@@ -1,8 +1,6 @@
 """The joint fit: exact on exact shadows, within its own intervals on noisy ones, not led astray by
 a wrong tip."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np
@@ -48,15 +46,7 @@ def seen(leds, camera, places=FOUR, *, height=20.0, tip_px=0.0, nail_mm=0.0, see
             )
             tip = np.array(end) + rng.normal(0, tip_px, 2)
             band = "nir" if k % 2 else "white"
-            tips.append(
-                Tip(
-                    band,
-                    k // 2,
-                    number,
-                    (float(nail[0]), float(nail[1])),
-                    (float(tip[0]), float(tip[1])),
-                )
-            )
+            tips.append(Tip(band, k // 2, number, tuple(nail.tolist()), tuple(tip.tolist())))
     return sorted(tips, key=lambda tip: (tip.band != "white", tip.led, tip.nail))
 
 
@@ -64,23 +54,26 @@ def in_order(leds):
     return np.concatenate([leds[0::2], leds[1::2]])
 
 
+def places(fit):
+    return np.array([led.position_mm for led in fit.leds])
+
+
 def errors_deg(fit, leds):
-    found, truth = np.array([one.position_mm for one in fit.leds]), in_order(leds)
-    found, truth = (a / np.linalg.norm(a, axis=1, keepdims=True) for a in (found, truth))
-    return np.degrees(np.linalg.norm(found - truth, axis=1))
+    estimated, truth = (
+        a / np.linalg.norm(a, axis=1, keepdims=True) for a in (places(fit), in_order(leds))
+    )
+    return np.degrees(np.linalg.norm(estimated - truth, axis=1))
 
 
 @pytest.mark.parametrize("camera", [ORTHOGRAPHIC, PERSPECTIVE], ids=["orthographic", "perspective"])
-def test_exact_shadows_of_an_exact_rig(camera):
+def test_exact_shadows_give_exact_places(camera):
     leds = rig(0, sd=0.0)
     fit = by_joint_fit(seen(leds, camera), camera, CIRCLE)
-    assert np.array([one.position_mm for one in fit.leds]) == pytest.approx(
-        in_order(leds), abs=1e-3
-    )
+    assert places(fit) == pytest.approx(in_order(leds), abs=1e-3)
     assert fit.nail_height_mm == pytest.approx(20.0, abs=1e-3)
     assert np.abs(fit.residual_px).max() < 0.01
     assert fit.outliers == () and fit.strays == frozenset()
-    assert max(one.disagreement_deg for one in fit.leds) < 1e-3
+    assert max(led.disagreement_deg for led in fit.leds) < 1e-3
 
 
 def test_a_known_nail_needs_no_circle():
@@ -89,15 +82,14 @@ def test_a_known_nail_needs_no_circle():
     leds = rig(1, sd=1.0)
     wrong = Circle(57.0, 147.0, (3.0, -2.0))
     fit = by_joint_fit(seen(leds, PERSPECTIVE), PERSPECTIVE, wrong, Nail(height_mm=20.0))
-    found = np.array([one.position_mm for one in fit.leds])
-    assert np.abs(found - in_order(leds)).max() < 0.3
+    assert np.abs(places(fit) - in_order(leds)).max() < 0.3
     free = by_joint_fit(seen(leds, PERSPECTIVE), PERSPECTIVE, wrong)
-    assert np.abs(np.array([one.position_mm for one in free.leds]) - in_order(leds)).max() > 1.0
+    assert np.abs(places(free) - in_order(leds)).max() > 1.0
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("camera", [ORTHOGRAPHIC, PERSPECTIVE], ids=["orthographic", "perspective"])
-def test_noise_stays_within_the_intervals(camera):
+def test_errors_by_noise_stay_within_the_intervals(camera):
     """One pixel on the tips, a tenth of a millimetre on the nail, on three rigs."""
     errors, inside = [], []
     for seed in range(3):
@@ -110,7 +102,7 @@ def test_noise_stays_within_the_intervals(camera):
     assert np.mean(inside) > 0.9
 
 
-def test_a_wrong_tip_is_named_and_does_little():
+def test_a_wrong_tip_is_named_and_hardly_changes_the_fit():
     leds = rig(2)
     tips = seen(leds, ORTHOGRAPHIC, tip_px=0.5, nail_mm=0.02, seed=2)
     clean = by_joint_fit(tips, ORTHOGRAPHIC, CIRCLE)
@@ -132,16 +124,17 @@ def test_an_led_off_its_circle_is_named():
 
 def test_the_nail_may_stand_elsewhere_under_the_other_band():
     leds = rig(5, sd=0.0)
-    white = [tip for tip in seen(leds, ORTHOGRAPHIC) if tip.band == "white"]
-    nir = [
+    elsewhere = [(-5, 3), (4, 4), (2, -5), (-3, -3)]
+    tips = [
         tip
-        for tip in seen(leds, ORTHOGRAPHIC, [(-5, 3), (4, 4), (2, -5), (-3, -3)])
-        if tip.band == "nir"
+        for band, places in (("white", FOUR), ("nir", elsewhere))
+        for tip in seen(leds, ORTHOGRAPHIC, places)
+        if tip.band == band
     ]
-    fit = by_joint_fit([*white, *nir], ORTHOGRAPHIC, CIRCLE)
+    fit = by_joint_fit(tips, ORTHOGRAPHIC, CIRCLE)
     assert errors_deg(fit, leds).max() < 1e-3
 
 
-def test_one_position_is_not_enough():
+def test_one_nail_position_is_refused():
     with pytest.raises(BadInput, match="two nail positions"):
         by_joint_fit(seen(rig(0), ORTHOGRAPHIC, [(3, 3)]), ORTHOGRAPHIC, CIRCLE)

@@ -13,7 +13,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from splitknit.cli.main import main
+from enrolled import facts_of, refusal_of
+from small_capture import edit
 from splitknit.errors import BadInput
 from splitknit.imaging.band import linear_channels
 from splitknit.imaging.polarised import aligned, contrast, without_films
@@ -50,41 +51,35 @@ def bench(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[Path, Film
     yield folder / "polarisers", photographed(folder, 5, 5000.0)
 
 
-def run(*words: Any) -> int:
-    return main(["calibrate", "polarisers", *map(str, words)])
-
-
 def check(folder: Path, films: Films, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> Films:
     """Films that the photographs give, compared with the true ones."""
     out = tmp_path / "rig.json"
-    assert run(folder, "--out", out, "--residuals", tmp_path / "left.png", "--json") == 0
-    facts = json.loads(capsys.readouterr().out)
-    found = read_rig(out).films
-    assert found is not None and found.leds == films.leds
+    words = "--out", out, "--residuals", tmp_path / "left.png"
+    facts = facts_of(capsys, "calibrate", "polarisers", folder, *words)
+    measured = read_rig(out).films
+    assert measured is not None and measured.leds == films.leds
     low, high = np.transpose(facts["leak_interval"])
     assert (low <= films.leak).all() and (films.leak <= high).all()
-    np.testing.assert_allclose(found.brightness, films.brightness, rtol=0.005)
-    np.testing.assert_allclose(found.shift_px, films.shift_px, atol=0.1)
-    assert found.scale == pytest.approx(films.scale, abs=1e-4)
-    np.testing.assert_allclose(found.leak, films.leak, rtol=0.05, atol=1e-4)
+    np.testing.assert_allclose(measured.brightness, films.brightness, rtol=0.005)
+    np.testing.assert_allclose(measured.shift_px, films.shift_px, atol=0.1)
+    assert measured.scale == pytest.approx(films.scale, abs=1e-4)
+    np.testing.assert_allclose(measured.leak, films.leak, rtol=0.05, atol=1e-4)
     assert facts["findings"] == []
     assert max(facts["residual_rms_percent"]) < 1.0
     assert read_image(tmp_path / "left.png").shape[1] > 7 * 240
-    return found
+    return measured
 
 
 @pytest.mark.slow
-def test_good_films(
-    bench: tuple[Path, Films], tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    found = check(*bench, tmp_path, capsys)
+def test_the_leak_brightness_and_shift_of_films_are_measured(bench, tmp_path, capsys):
+    measured = check(*bench, tmp_path, capsys)
     rig = read_rig(tmp_path / "rig.json")
-    assert rig_from_json(json.loads(json.dumps(rig_to_json(rig)))).films == found
+    assert rig_from_json(json.loads(json.dumps(rig_to_json(rig)))).films == measured
     assert rig.provenance["polarisers"]["inputs"]
 
 
 @pytest.mark.slow
-def test_leds_beside_each_other(bench: tuple[Path, Films]) -> None:
+def test_the_highlight_of_neighbouring_leds_is_measured(bench):
     folder, films = bench
     ball = _dark(folder / "ball")
     usual = measure_ball(ball, films)
@@ -105,22 +100,18 @@ def _dark(folder: Path) -> Capture:
 
 
 def _swap(folder: Path) -> None:
-    path = folder / "ball" / "capture.json"
-    document = json.loads(path.read_text())
-    bands = document["bands"]
-    for a, b in zip(bands["white"]["images"], bands["white_crossed"]["images"], strict=True):
-        for key in a:
-            a[key], b[key] = b[key], a[key]
-    path.write_text(json.dumps(document))
+    def change(document: Any) -> None:
+        white, crossed = document["bands"]["white"], document["bands"]["white_crossed"]
+        white["images"], crossed["images"] = crossed["images"], white["images"]
+
+    edit(folder / "ball" / "capture.json", change)
 
 
 def _clip(folder: Path) -> None:
-    capture = _dark(folder / "ball")
-    band = capture.bands["white"]
-    row, column = np.unravel_index(int(band.pixels[2, ..., 1].argmax()), capture.shape)
-    image = read_image(folder / "ball" / "white_2.png")
-    image[row, column] = 65535
-    write_image(folder / "ball" / "white_2.png", image)
+    file = folder / "ball" / "white_2.png"
+    image = read_image(file)
+    image[np.unravel_index(int(image[..., 1].argmax()), image.shape[:2])] = 65535
+    write_image(file, image)
 
 
 def _dull(folder: Path) -> None:
@@ -136,18 +127,18 @@ def _plain(folder: Path) -> None:
 
 
 def _no_exposures(folder: Path) -> None:
-    path = folder / "card" / "capture.json"
-    document = json.loads(path.read_text())
-    for entry in document["bands"]["white_crossed"]["images"]:
-        entry["exposure_s"] *= 9
-    path.write_text(json.dumps(document))
+    def change(document: Any) -> None:
+        for entry in document["bands"]["white_crossed"]["images"]:
+            entry["exposure_s"] *= 9
+
+    edit(folder / "card" / "capture.json", change)
 
 
 def _alone(folder: Path) -> None:
-    path = folder / "card" / "capture.json"
-    document = json.loads(path.read_text())
-    del document["bands"]["white_crossed"], document["bands"]["white"]["polarisation"]
-    path.write_text(json.dumps(document))
+    def change(document: Any) -> None:
+        del document["bands"]["white_crossed"], document["bands"]["white"]["polarisation"]
+
+    edit(folder / "card" / "capture.json", change)
 
 
 @pytest.mark.slow
@@ -162,19 +153,11 @@ def _alone(folder: Path) -> None:
         (_alone, "holds no crossed series"),
     ],
 )
-def test_refusals(
-    bench: tuple[Path, Films],
-    spoil: Any,
-    words: str,
-    tmp_path: Path,
-    capsys: pytest.CaptureFixture[str],
-) -> None:
+def test_photographs_that_do_not_show_the_films_are_refused(bench, spoil, words, tmp_path, capsys):
     own = Path(shutil.copytree(bench[0], tmp_path / "own"))
     spoil(own)
-    assert run(own, "--out", tmp_path / "rig.json", "--residuals", tmp_path / "left.png") == 2
-    printed = capsys.readouterr().err
-    assert words in printed
-    assert printed.count("\n") == 1
+    out = "--out", tmp_path / "rig.json", "--residuals", tmp_path / "left.png"
+    assert words in refusal_of(capsys, "calibrate", "polarisers", own, *out)
     assert not (tmp_path / "rig.json").exists() and not (tmp_path / "left.png").exists()
 
 
@@ -190,7 +173,7 @@ def test_refusals(
         ({"shift_px": [1.0]}, "films.shift_px"),
     ],
 )
-def test_rig_files_with_wrong_films(change: dict[str, Any], words: str) -> None:
+def test_rig_files_with_wrong_films_are_refused(change, words):
     rig = replace(built_rig(1, scale=0.05), films=Films((0,), (0.01,), ((1.0, 1.0, 1.0),)))
     document: Any = rig_to_json(rig)
     assert rig_from_json(document).films == rig.films
@@ -200,9 +183,7 @@ def test_rig_files_with_wrong_films(change: dict[str, Any], words: str) -> None:
 
 
 @pytest.mark.slow
-def test_the_crossed_series_is_brought_onto_the_parallel_one(
-    bench: tuple[Path, Films], tmp_path: Path
-) -> None:
+def test_measured_films_align_the_crossed_series(bench, tmp_path):
     folder, films = bench
     capture = _dark(folder / "card")
     measured, facts = aligned(replace(capture, rig=replace(capture.rig, films=films)))
@@ -224,16 +205,14 @@ def test_the_crossed_series_is_brought_onto_the_parallel_one(
     alone = linear_channels(measured.bands["white"], capture.encoding, ("grey",))
     assert abs(float(white.mean() / alone.mean()) - 1.0) < 0.002
     write_capture(capture, tmp_path / "c")
-    write_rig(
-        replace(capture.rig, films=replace(films, leds=(*films.leds[1:], 12))),
-        tmp_path / "c" / "rig.json",
-    )
+    others = replace(films, leds=(*films.leds[1:], 12))
+    write_rig(replace(capture.rig, films=others), tmp_path / "c" / "rig.json")
     with pytest.raises(BadInput, match="LED 0 lights a polarised image"):
         aligned(_dark(tmp_path / "c"))
 
 
 @pytest.mark.slow
-def test_films_that_nobody_has_measured(bench: tuple[Path, Films]) -> None:
+def test_films_without_calibration_are_taken_as_ideal(bench):
     capture = _dark(bench[0] / "card")
     same, facts = aligned(capture)
     assert same is capture and facts == {"films": "taken as ideal"}
@@ -242,21 +221,20 @@ def test_films_that_nobody_has_measured(bench: tuple[Path, Films]) -> None:
     assert aligned(alone) == (alone, {})
 
 
-def test_light_that_clips_behind_a_darker_film() -> None:
+def test_light_that_clips_behind_a_darker_film_clips_in_the_mean():
     pixels = np.full((3, 4, 4, 3), 200, dtype=np.uint8)
     full = pixels.copy()
     full[0] = 255
     parts = {"leds": ((0,), (1,), (2,)), "exposure": np.ones(3), "black_level": np.zeros(3)}
     for crossed, clips in ((pixels, False), (full, True)):
         behind = Band("white_crossed", crossed, transmission=np.full((3, 3), 0.75), **parts)
-        light = linear_channels(Band("white", pixels, crossed=behind, **parts), "linear", ("red",))[
-            0, 0
-        ]
+        white = Band("white", pixels, crossed=behind, **parts)
+        light = linear_channels(white, "linear", ("red",))[0, 0]
         assert (light >= 0.985).all() == clips
 
 
 @pytest.mark.slow
-def test_contrast_is_that_of_the_highlights(bench: tuple[Path, Films]) -> None:
+def test_the_contrast_agrees_with_that_of_the_highlights(bench):
     folder, films = bench
     capture = _dark(folder / "ball")
     capture = aligned(replace(capture, rig=replace(capture.rig, films=films)))[0]

@@ -1,8 +1,6 @@
 """A capture of a white card calibrates a rig; a later one is compared with it; what cannot be used
 is named."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np
@@ -13,11 +11,7 @@ from splitknit.io.provenance import canonical_json
 from splitknit.io.rig import rig_from_json, rig_to_json
 from splitknit.model import Rig
 from splitknit_rig.calibration.card_model import CardPlane, card_light
-from splitknit_rig.calibration.radiometry import (
-    PROVENANCE,
-    check_card,
-    fit_radiometry,
-)
+from splitknit_rig.calibration.radiometry import PROVENANCE, check_card, fit_radiometry
 from splitknit_simulator.rigs import built_rig, with_side_lights
 from white_cards import as_placed, photograph, scene_of
 
@@ -35,7 +29,7 @@ def capture(rig):
 
 
 @pytest.fixture(scope="module")
-def found(rig, capture):
+def calibrated(rig, capture):
     return fit_radiometry(capture, as_placed(rig))
 
 
@@ -51,6 +45,11 @@ def worst(rig, calibrated, height_mm=0.0):
     ratio = np.stack(errors)
     halves = [ratio[:7] / np.median(ratio[:7]), ratio[7:] / np.median(ratio[7:])]
     return max(float(np.abs(half - 1).max()) for half in halves)
+
+
+def with_white(capture, **changes):
+    white = replace(capture.bands["white"], **changes)
+    return replace(capture, bands={**capture.bands, "white": white})
 
 
 def sentences(check):
@@ -71,28 +70,24 @@ def test_a_card_calibrates_side_lights(rig):
     pixels = np.array([[60.0, 60.0], [160.0, 110.0], [260.0, 160.0]])
     for k in range(14, 21):
         truth = card_light(whole.camera, whole.leds[k], pixels)
-        found = card_light(calibrated.rig.camera, calibrated.rig.leds[k], pixels) / ratio[k]
-        assert np.abs(found / truth / np.median(found / truth) - 1).max() < 0.02
+        light = card_light(calibrated.rig.camera, calibrated.rig.leds[k], pixels) / ratio[k]
+        assert np.abs(light / truth / np.median(light / truth) - 1).max() < 0.02
     x, y, z = whole.leds[16].position_mm
-    shifted = (
-        *whole.leds[:16],
-        replace(whole.leds[16], position_mm=(x, y, z + 3.0)),
-        *whole.leds[17:],
-    )
-    later = check_card(
-        photograph(replace(whole, leds=shifted), calibrated.rig, seed=1), calibrated.rig
-    ).facts
+    leds = list(whole.leds)
+    leds[16] = replace(leds[16], position_mm=(x, y, z + 3.0))
+    shifted = photograph(replace(whole, leds=tuple(leds)), calibrated.rig, seed=1)
+    later = check_card(shifted, calibrated.rig).facts
     assert sentences(later) == ["LED white 9 is 7 % brighter than at the calibration."]
 
 
-def test_flat_field_within_one_per_cent(rig, found):
+def test_the_flat_field_is_right_within_half_a_per_cent(rig, calibrated):
     """Photographs with noise and room light; on the finger plane and at a finger's height."""
-    assert worst(rig, found.rig) < 0.003
-    assert worst(rig, found.rig, 10.0) < 0.004
+    assert worst(rig, calibrated.rig) < 0.003
+    assert worst(rig, calibrated.rig, 10.0) < 0.004
 
 
 @pytest.mark.slow
-def test_a_card_on_a_tilted_base(rig):
+def test_a_known_tilt_of_the_card_is_corrected(rig):
     """Known, the tilt does no harm; unknown, it goes into the LEDs' brightness."""
     tilt = (0.6, -0.5)
     capture = photograph(
@@ -107,9 +102,9 @@ def test_a_card_on_a_tilted_base(rig):
     assert 0.004 < worst(rig, unknown.rig) < 0.015
 
 
-def test_what_is_written_down(rig, found):
-    facts = found.rig.provenance[PROVENANCE]
-    assert facts is found.facts
+def test_the_provenance_states_the_fit_of_every_led(rig, calibrated):
+    facts = calibrated.rig.provenance[PROVENANCE]
+    assert facts is calibrated.facts
     assert [led["name"] for led in facts["leds"]] == [
         f"{b} {k}" for b in ("white", "nir") for k in range(7)
     ]
@@ -117,17 +112,17 @@ def test_what_is_written_down(rig, found):
     assert facts["ambient_percent"]["white"] == pytest.approx(0.2, abs=0.05)
     assert facts["card"]["exposures_given"] is True
     assert facts["lens"]["corner"] == pytest.approx(1 + sum(rig.camera.shading), abs=0.01)
-    tried = [one["rms_percent"] for one in facts["model"]["tried"]]
+    tried = [model["rms_percent"] for model in facts["model"]["tried"]]
     assert tried[0] > 3
     assert tried[-1] < 0.4
-    again = rig_from_json(rig_to_json(found.rig))
-    assert canonical_json(again.provenance) == canonical_json(found.rig.provenance)
-    assert again.leds == found.rig.leds
-    assert found.findings == ()
+    again = rig_from_json(rig_to_json(calibrated.rig))
+    assert canonical_json(again.provenance) == canonical_json(calibrated.rig.provenance)
+    assert again.leds == calibrated.rig.leds
+    assert calibrated.findings == ()
 
 
 @pytest.mark.slow
-def test_room_light(rig):
+def test_ambient_light_gets_a_finding_and_is_subtracted(rig):
     placed = as_placed(rig)
     bright = photograph(rig, placed, scene=lambda own: scene_of(own, 0.08), exposures=EXPOSURES)
     lit = fit_radiometry(bright, placed)
@@ -141,9 +136,9 @@ def test_room_light(rig):
     assert worst(rig, without.rig) > 0.005
 
 
-def test_an_led_that_drifted_is_named(rig, found):
+def test_an_led_that_drifted_is_named(rig, calibrated):
     later = photograph(rig, as_placed(rig), seed=9, gains={3: 0.88, 12: 1.05}, exposures=EXPOSURES)
-    check = check_card(later, found.rig).facts
+    check = check_card(later, calibrated.rig).facts
     assert sentences(check) == [
         "LED white 3 is 12 % darker than at the calibration.",
         "LED nir 5 is 5 % brighter than at the calibration.",
@@ -152,10 +147,10 @@ def test_an_led_that_drifted_is_named(rig, found):
     assert check["verdict"] == "drifted"
 
 
-def test_all_leds_together_are_no_single_one(rig, found):
+def test_a_drift_of_all_leds_is_one_finding_of_the_band(rig, calibrated):
     gains = dict.fromkeys(range(7), 0.9)
     later = photograph(rig, as_placed(rig), gains=gains, exposures=EXPOSURES)
-    check = check_card(later, found.rig).facts
+    check = check_card(later, calibrated.rig).facts
     (drifted,) = check["findings"]
     assert (drifted["code"], drifted["severity"]) == ("drifted-band", "doubt")
     assert drifted["message"].startswith(
@@ -164,23 +159,23 @@ def test_all_leds_together_are_no_single_one(rig, found):
     assert check["common_ratio"]["nir"] == pytest.approx(1, abs=0.004)
 
 
-def test_another_exposure_is_no_drift(rig, found):
+def test_another_exposure_is_not_taken_for_drift(rig, calibrated):
     later = photograph(rig, as_placed(rig), exposures=(4.5, 3.5))
-    assert check_card(later, found.rig).facts["findings"] == []
+    assert check_card(later, calibrated.rig).facts["findings"] == []
     unknown = {
         name: replace(band, exposure=np.ones(7), ambient_exposure=1.0)
         for name, band in later.bands.items()
     }
-    check = check_card(replace(later, bands=unknown), found.rig).facts
+    check = check_card(replace(later, bands=unknown), calibrated.rig).facts
     assert check["findings"] == [] and check["common_ratio"] == {"white": None, "nir": None}
 
 
-def test_an_led_that_turned_is_named(rig, found):
+def test_an_led_that_turned_is_named(rig, calibrated):
     leds = list(rig.leds)
     x, y, z = leds[8].axis + np.array([0.12, 0.0, 0.0])
     leds[8] = replace(leds[8], aim=(float(x), float(y), float(z)))
     later = photograph(Rig(rig.camera, tuple(leds)), as_placed(rig), exposures=EXPOSURES)
-    check = check_card(later, found.rig)
+    check = check_card(later, calibrated.rig)
     moved = [str(finding) for finding in check.findings if finding.code == "moved-led"]
     assert moved[0].startswith("LED nir 1 lights the card otherwise")
 
@@ -190,38 +185,33 @@ def test_a_rig_without_calibration_cannot_be_checked(rig, capture):
         check_card(capture, as_placed(rig))
 
 
-def test_each_led_once(rig, capture):
+def test_an_image_of_each_led_alone_is_required(rig, capture):
     placed = as_placed(rig)
     white = capture.bands["white"]
-    short = replace(
-        white, pixels=white.pixels[:6], leds=white.leds[:6], exposure=white.exposure[:6]
-    )
-    short = replace(short, black_level=white.black_level[:6])
+    names = "pixels", "leds", "exposure", "black_level"
+    short = with_white(capture, **{name: getattr(white, name)[:6] for name in names})
     with pytest.raises(
         BadInput, match=r"13 images for the rig's 14 LEDs: LED 6 \(white 6\) is missing"
     ):
-        fit_radiometry(replace(capture, bands={**capture.bands, "white": short}), placed)
+        fit_radiometry(short, placed)
     with pytest.raises(BadInput, match=r"LED 7 \(nir 0\), 8 \(nir 1\), .* are missing"):
         fit_radiometry(replace(capture, bands={"white": white}), placed)
-    twice = replace(white, leds=(*white.leds[:6], (0,)))
-    with pytest.raises(BadInput, match=r"LED 0 \(white 0\) lights two images"):
-        fit_radiometry(replace(capture, bands={**capture.bands, "white": twice}), placed)
-    together = replace(white, leds=(*white.leds[:6], (5, 6)))
-    with pytest.raises(BadInput, match="is lit by 2 LEDs"):
-        fit_radiometry(replace(capture, bands={**capture.bands, "white": together}), placed)
+    for last, words in (
+        ((0,), r"LED 0 \(white 0\) lights two images"),
+        ((5, 6), "is lit by 2 LEDs"),
+    ):
+        with pytest.raises(BadInput, match=words):
+            fit_radiometry(with_white(capture, leds=(*white.leds[:6], last)), placed)
 
 
-def test_images_that_are_black_or_clipped(rig, capture):
+def test_black_and_clipped_images_are_refused(rig, capture):
     placed = as_placed(rig)
 
     def with_image(k, change):
-        white = capture.bands["white"]
-        pixels = white.pixels.copy()
+        pixels = capture.bands["white"].pixels.copy()
         pixels[k] = change(pixels[k])
-        names = tuple(f"white_{j}.png" for j in range(7))
-        return replace(
-            capture, bands={**capture.bands, "white": replace(white, pixels=pixels, files=names)}
-        )
+        files = tuple(f"white_{j}.png" for j in range(7))
+        return with_white(capture, pixels=pixels, files=files)
 
     with pytest.raises(
         BadInput, match=r"white_3.png is black \(.*\): LED 3 \(white 3\) did not light"
@@ -237,22 +227,21 @@ def test_images_that_are_black_or_clipped(rig, capture):
 
 
 @pytest.mark.slow
-def test_cards_that_do_not_serve(rig, capture, monkeypatch):
+def test_a_card_with_a_shadow_is_refused(rig, capture, monkeypatch):
     placed = as_placed(rig)
     shadowed = capture.bands["white"].pixels.copy()
     shadowed[4, :, 100:160] = shadowed[4, :, 100:160] // 10 * 9
-    bands = {**capture.bands, "white": replace(capture.bands["white"], pixels=shadowed)}
     with (
         monkeypatch.context() as patch,
         pytest.raises(BadInput, match=r"LED 4 \(white 4\) lights the card otherwise .*rms is \d"),
     ):
         patch.setattr("splitknit_rig.calibration.flat_field.DUST_PERCENT", 50.0)
-        fit_radiometry(replace(capture, bands=bands), placed)
+        fit_radiometry(with_white(capture, pixels=shadowed), placed)
     with pytest.raises(BadInput, match="lights the card otherwise"):
         fit_radiometry(capture, placed, limit_percent=0.02)
 
 
-def test_rigs_that_do_not_fit(rig, capture):
+def test_rigs_that_do_not_match_the_capture_are_refused(rig, capture):
     placed = as_placed(rig)
     with pytest.raises(BadInput, match="220 x 320 pixels, but the rig's camera has 110 x 160"):
         fit_radiometry(capture, as_placed(built_rig(5, scale=0.05)))
@@ -266,14 +255,10 @@ def test_rigs_that_do_not_fit(rig, capture):
 
 
 @pytest.mark.slow
-def test_a_mottled_card_is_not_laid_to_an_led(rig, capture):
+def test_a_mottled_card_is_refused_as_such(rig, capture):
     rows, columns = rig.camera.image_size
-    spots = (
-        1
-        + 0.017
-        * np.sign(np.sin(np.arange(rows) / 6))[:, None, None]
-        * np.sign(np.sin(np.arange(columns) / 7))[:, None]
-    )
+    signs = (np.sign(np.sin(np.arange(n) / period)) for n, period in ((rows, 6), (columns, 7)))
+    spots = 1 + 0.017 * np.multiply.outer(*signs)[..., None]
     bands = {
         name: replace(band, pixels=np.round(band.pixels * spots).astype(np.uint16))
         for name, band in capture.bands.items()

@@ -1,8 +1,6 @@
 """Linear, sRGB or neither: exposures tell, noise or none, and what they cannot tell is refused with
 the reason."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 
@@ -25,32 +23,34 @@ def noisy(values, sigma=0.0015, seed=1):
 
 
 @pytest.mark.parametrize("black", [0.0, 0.06])
-def test_a_linear_camera(black):
-    found = fit_response(noisy(black + (0.95 - black) * TRUE), TIMES)
-    assert found.encoding == "linear"
-    assert found.linear_percent < 0.4
-    assert found.srgb_percent > 5
-    assert found.residual_percent == pytest.approx(0.13, abs=0.04)
+def test_a_linear_response_is_recognised(black):
+    response = fit_response(noisy(black + (0.95 - black) * TRUE), TIMES)
+    assert response.encoding == "linear"
+    assert response.linear_percent < 0.4
+    assert response.srgb_percent > 5
+    assert response.residual_percent == pytest.approx(0.13, abs=0.04)
 
 
-def test_an_srgb_camera():
-    found = fit_response(noisy(srgb(0.95 * TRUE)), TIMES)
-    assert found.encoding == "srgb"
-    assert found.srgb_percent < 0.3
-    assert found.linear_percent > 10
+def test_an_srgb_response_is_recognised():
+    response = fit_response(noisy(srgb(0.95 * TRUE)), TIMES)
+    assert response.encoding == "srgb"
+    assert response.srgb_percent < 0.3
+    assert response.linear_percent > 10
 
 
 @pytest.mark.parametrize("bend", [0.0, 0.01, 0.02, 0.04])
-def test_the_departure_is_measured(bend):
+def test_the_departure_from_linear_is_measured(bend):
     """v = L + b 4 L (1 - L), as a well that fills: a parabola departs from its best line by a third
     to two thirds."""
-    found = fit_response(noisy(TRUE + bend * 4 * TRUE * (1 - TRUE), 0.0005), TIMES, limit_percent=5)
-    assert found.linear_percent == pytest.approx(100 * bend * 0.6, abs=0.15 + 20 * bend)
+    response = fit_response(
+        noisy(TRUE + bend * 4 * TRUE * (1 - TRUE), 0.0005), TIMES, limit_percent=5
+    )
+    assert response.linear_percent == pytest.approx(100 * bend * 0.6, abs=0.15 + 20 * bend)
     if bend:
-        assert found.linear_percent > 100 * bend * 0.35
+        assert response.linear_percent > 100 * bend * 0.35
 
 
-def test_a_curve_of_its_own_is_refused():
+def test_a_response_that_is_neither_linear_nor_srgb_is_refused():
     bent = TRUE + 0.03 * np.sin(2 * np.pi * TRUE)
     with pytest.raises(
         BadInput,
@@ -72,7 +72,7 @@ def test_automatic_exposure_is_refused():
         fit_response(noisy(4 * TRUE / TIMES[:, None] ** 0.95), TIMES)
 
 
-def test_series_that_tell_nothing_are_refused():
+def test_series_that_do_not_determine_the_response_are_refused():
     with pytest.raises(BadInput, match="3 different exposures, but at least 4"):
         fit_response(TRUE, [1.0, 2.0, 4.0, 4.0])
     with pytest.raises(BadInput, match=r"ratio of 1\.6"):

@@ -1,8 +1,6 @@
 """Tips in photographs: against the places that the twin knows, with texture, dots and noise; and
 what is refused."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 
@@ -44,7 +42,7 @@ def off_mm(view, scene):
 
 
 @pytest.mark.slow
-def test_tips_of_a_built_rig(shot):
+def test_tips_in_photographs_of_a_built_rig_are_located(shot):
     """Full-scale pixels are 0.013 mm: the tips are found within two of them in the mean at a
     seventh of the scale."""
     scene, stack = shot
@@ -54,7 +52,7 @@ def test_tips_of_a_built_rig(shot):
 
 
 @pytest.mark.slow
-def test_texture_and_dots_on_the_ground(shot):
+def test_texture_and_dots_on_the_ground_hardly_move_the_tips(shot):
     """What lies on the ground is there under every LED: grain, and the black dots of the
     calibration disc."""
     scene, stack = shot
@@ -68,7 +66,7 @@ def test_texture_and_dots_on_the_ground(shot):
 
 
 @pytest.mark.slow
-def test_an_orthographic_camera_and_another_nail():
+def test_tips_of_another_nail_under_an_orthographic_camera_are_located():
     rig = default_rig(SCALE)
     scene = NailScene(
         camera=rig.camera,
@@ -83,7 +81,7 @@ def test_an_orthographic_camera_and_another_nail():
 
 
 @pytest.mark.slow
-def test_a_shadow_that_leaves_the_picture():
+def test_a_shadow_that_leaves_the_picture_has_no_tip():
     rig = default_rig(SCALE)
     scene = NailScene(camera=rig.camera, leds=rig.leds, position_mm=(-17, 0))
     view = find_nail(photographs(scene), rig.camera.px_per_mm, NAMES)
@@ -100,7 +98,7 @@ def test_an_image_without_shadow_is_named(shot):
         find_nail(flat, scene.camera.px_per_mm, NAMES)
 
 
-def test_no_nail():
+def test_images_without_a_nail_are_refused():
     rng = np.random.default_rng(0)
     card = np.clip(rng.normal(0.6, 0.01, (7, 120, 160)), 0, 1).astype(np.float32)
     with pytest.raises(BadInput, match="no nail"):

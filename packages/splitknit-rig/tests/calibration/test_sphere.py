@@ -1,7 +1,5 @@
 """Balls shaded and mirrored by hand, and those of the twin's bench."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 
@@ -28,9 +26,9 @@ def lights(count=6):
     )
 
 
-def errors_deg(found, truth):
+def errors_deg(estimated, truth):
     return np.degrees(
-        np.linalg.norm(found - truth / np.linalg.norm(truth, axis=1, keepdims=True), axis=1)
+        np.linalg.norm(estimated - truth / np.linalg.norm(truth, axis=1, keepdims=True), axis=1)
     )
 
 
@@ -42,17 +40,17 @@ def shaded(directions, strengths):
 
 def test_shading_gives_direction_and_strength():
     strengths = np.linspace(0.4, 0.8, 6)
-    found, strong = grey_directions(shaded(lights(), strengths), BALL)
-    assert errors_deg(found, lights()).max() < 1e-3
+    estimated, strong = grey_directions(shaded(lights(), strengths), BALL)
+    assert errors_deg(estimated, lights()).max() < 1e-3
     assert strong == pytest.approx(strengths, rel=1e-4)
 
 
-def test_gloss_clipping_and_noise():
+def test_directions_tolerate_gloss_clipping_and_noise():
     stack = shaded(lights(), np.full(6, 1.15))
     stack += np.random.default_rng(0).normal(0, 0.01, stack.shape).astype(np.float32)
     stack[:, 40:46, 80:86] = 1.0
-    found, _ = grey_directions(np.clip(stack, 0, 1), BALL)
-    assert errors_deg(found, lights()).max() < 0.3
+    estimated, _ = grey_directions(np.clip(stack, 0, 1), BALL)
+    assert errors_deg(estimated, lights()).max() < 0.3
 
 
 def test_highlights_give_directions():
@@ -70,25 +68,25 @@ def test_highlights_give_directions():
         chrome_directions(stack, BALL)
 
 
-def test_the_outline_of_a_mask_and_of_a_ball():
+def test_the_outline_is_found_in_a_mask_and_in_an_image():
     inside = np.isfinite(BALL.normals(SIZE)[..., 2])
-    for found in (
+    for outline in (
         ball_of_mask(inside),
         find_ball(np.where(inside, 0.5, 0.02)[None].astype(np.float32)),
     ):
-        assert (found.column, found.row) == pytest.approx((BALL.column, BALL.row), abs=0.2)
-        assert found.radius_px == pytest.approx(BALL.radius_px, abs=0.5)
+        assert (outline.column, outline.row) == pytest.approx((BALL.column, BALL.row), abs=0.2)
+        assert outline.radius_px == pytest.approx(BALL.radius_px, abs=0.5)
 
 
-@pytest.mark.parametrize("aside", [(0.0, 0.0, 1.04), (5.0, -2.0, 1.0), (-3.0, 4.0, 0.97)])
-def test_the_rim_replaces_an_outline_beside_it(aside):
+@pytest.mark.parametrize("offset", [(0.0, 0.0, 1.04), (5.0, -2.0, 1.0), (-3.0, 4.0, 0.97)])
+def test_the_rim_replaces_a_misplaced_outline(offset):
     """On a chequered table, half of the ball as bright as it."""
     rows, columns = np.mgrid[: SIZE[0], : SIZE[1]]
     table = 0.2 + 0.1 * ((rows // 9 + columns // 9) % 2)
     edge = np.clip(BALL.radius_px + 0.5 - np.hypot(columns - BALL.column, rows - BALL.row), 0, 1)
     stack = shaded(lights(), np.full(6, 0.8))
     stack = (edge * stack + (1 - edge) * table).astype(np.float32)
-    off = Ball(BALL.column + aside[0], BALL.row + aside[1], aside[2] * BALL.radius_px)
+    off = Ball(BALL.column + offset[0], BALL.row + offset[1], offset[2] * BALL.radius_px)
     rim, agreed = rim_of(stack, off)
     assert agreed > 0.6
     assert (rim.column, rim.row, rim.radius_px) == pytest.approx(
@@ -101,7 +99,7 @@ def test_the_rim_replaces_an_outline_beside_it(aside):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("chrome", [True, False])
-def test_balls_of_the_bench(chrome):
+def test_simulated_balls_give_the_directions_of_their_leds(chrome):
     """The LEDs are near, so that a highlight's direction holds at the ball's surface, and shading
     is biased."""
     rig = default_rig(0.15)
@@ -112,13 +110,13 @@ def test_balls_of_the_bench(chrome):
     )
     edge = scene.outline_px()
     ball = Ball(*edge.mean(axis=0), float(np.ptp(edge[:, 0]) / 2))
-    found = chrome_directions(stack, ball) if chrome else grey_directions(stack, ball)[0]
+    estimated = chrome_directions(stack, ball) if chrome else grey_directions(stack, ball)[0]
     place = scene.highlights_mm()[:7] if chrome else scene.middle_mm
     truth = np.array([led.position_mm for led in rig.leds[:7]]) - place
-    assert errors_deg(found, truth).max() < (0.6 if chrome else 2.6)
+    assert errors_deg(estimated, truth).max() < (0.6 if chrome else 2.6)
 
 
-def test_bad_balls():
+def test_images_and_masks_without_a_ball_are_refused():
     with pytest.raises(BadInput, match="empty"):
         ball_of_mask(np.zeros(SIZE, bool))
     bar = np.zeros(SIZE, bool)

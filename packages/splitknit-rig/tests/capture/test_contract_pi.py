@@ -92,6 +92,8 @@ burning = lambda: [k for k, pin in enumerate(PINS) if factory.pin(pin).function 
 
 
 class TestPiCamera(CameraContract):
+    raw = False
+
     @pytest.fixture(autouse=True)
     def hardware(self, pins: MockFactory, monkeypatch: pytest.MonkeyPatch):
         self.world = World()
@@ -99,7 +101,7 @@ class TestPiCamera(CameraContract):
 
     def devices(self):
         lights = PiLightBank(PINS, recording_line(self.world), sleep=self.world.sleep)
-        settings = PiCameraSettings(image_size=(64, 96))
+        settings = PiCameraSettings(image_size=(64, 96), raw=self.raw)
         return PiCamera(FakePicamera2, settings, now_ns=lambda: self.world.now_ns), lights
 
     def now_s(self):
@@ -107,7 +109,4 @@ class TestPiCamera(CameraContract):
 
 
 class TestPiCameraRaw(TestPiCamera):
-    def devices(self):
-        lights = PiLightBank(PINS, recording_line(self.world), sleep=self.world.sleep)
-        settings = PiCameraSettings(image_size=(64, 96), raw=True)
-        return PiCamera(FakePicamera2, settings, now_ns=lambda: self.world.now_ns), lights
+    raw = True

@@ -1,7 +1,5 @@
 """Exposure is found on the brightest LED, clipping handled, within what the camera can."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 
@@ -36,21 +34,21 @@ class Bench:
 
 
 @pytest.mark.parametrize("strength", [0.35, 2.0, 20.0, 200.0, 2000.0])
-def test_the_brightest_led_reaches_the_target_whatever_the_light(strength):
+def test_the_brightest_led_reaches_the_target_at_any_strength(strength):
     bench = Bench({4: strength, 5: 1.4 * strength, 6: 0.5 * strength})
-    found = bench.find()
-    assert found.brightest == 5
-    reached = 1.4 * strength * found.exposure_s * found.gain
+    exposure = bench.find()
+    assert exposure.brightest == 5
+    reached = 1.4 * strength * exposure.exposure_s * exposure.gain
     if strength > 1.0:
         assert reached == pytest.approx(0.7, rel=0.08)
-        assert found.level == pytest.approx(reached, abs=0.01)
+        assert exposure.level == pytest.approx(reached, abs=0.01)
     else:  # all that the camera can
-        assert (found.exposure_s, found.gain) == (0.066, 8.0)
-    assert found.expected[4] == pytest.approx(found.expected[5] / 1.4, rel=0.1)
+        assert (exposure.exposure_s, exposure.gain) == (0.066, 8.0)
+    assert exposure.expected[4] == pytest.approx(exposure.expected[5] / 1.4, rel=0.1)
     assert len(bench.looks) < 40
 
 
-def test_what_is_always_clipped_or_dark_is_refused():
+def test_light_beyond_the_range_of_exposures_is_refused():
     with pytest.raises(BadInput, match=r"overexposed even with the shortest.*lid"):
         Bench({0: 5e4, 1: 5e4}).find()
     with pytest.raises(BadInput, match="nothing is seen under any LED"):
@@ -59,13 +57,13 @@ def test_what_is_always_clipped_or_dark_is_refused():
         Bench({0: 0.3, 1: 0.3}).find()
 
 
-def test_the_target_can_be_set_and_the_room_is_taken_off_expectations():
-    found = Bench({0: 10.0, 1: 9.0}, room=2.0).find(ExposureSettings(target=0.4))
-    assert found.level == pytest.approx(0.4, rel=0.07)
-    assert found.expected[0] == pytest.approx(10.0 * found.exposure_s * 2.3 / 3, rel=0.05)
+def test_the_target_is_reached_and_ambient_light_subtracted_from_expectations():
+    exposure = Bench({0: 10.0, 1: 9.0}, room=2.0).find(ExposureSettings(target=0.4))
+    assert exposure.level == pytest.approx(0.4, rel=0.07)
+    assert exposure.expected[0] == pytest.approx(10.0 * exposure.exposure_s * 2.3 / 3, rel=0.05)
 
 
 @pytest.mark.parametrize("wrong", [{"target": 0.0}, {"target": 0.99}, {"longest_s": 0}])
-def test_settings_are_checked(wrong):
+def test_exposure_settings_out_of_range_are_refused(wrong):
     with pytest.raises(BadInput, match="exposure"):
         ExposureSettings(**wrong)

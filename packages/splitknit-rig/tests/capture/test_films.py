@@ -1,8 +1,6 @@
 """A session with polarising films: two series, an analyser that turns or LEDs of its own, and what
 is checked."""
 
-from __future__ import annotations
-
 import io
 import sys
 from dataclasses import replace
@@ -13,6 +11,7 @@ import pytest
 from gpiozero.pins.mock import MockFactory, MockPWMPin
 from test_pi_session import CAMERA, rig_of_pi  # noqa: F401 - a fixture
 
+from enrolled import refusal_of
 from splitknit.cli.main import main
 from splitknit.errors import BadInput
 from splitknit.io.capture import read_capture
@@ -60,7 +59,7 @@ def captured(scene, rig, settings=None):
 
 
 @pytest.mark.slow
-def test_both_series_have_one_exposure_and_the_crossed_one_no_shine(finger):
+def test_both_series_share_the_exposure_and_crossed_images_lack_the_specular_reflection(finger):
     scene = FilmScene(finger)
     session = captured(scene, with_films(finger.rig, kind="hand"))
     assert session.verdict == ()
@@ -76,7 +75,7 @@ def test_both_series_have_one_exposure_and_the_crossed_one_no_shine(finger):
 
 
 @pytest.mark.slow
-def test_both_series_with_side_lights(finger):
+def test_both_series_include_side_lights(finger):
     """From the last light of the parallel series on the left to the first of the crossed one on the
     right."""
     rig = with_side_lights(finger.rig, 7)
@@ -89,7 +88,7 @@ def test_both_series_with_side_lights(finger):
 
 
 @pytest.mark.slow
-def test_neighbours_have_leds_of_their_own_and_nothing_turns(finger):
+def test_neighbouring_leds_light_the_crossed_series_and_no_analyser_turns(finger):
     crossed = tuple(range(14, 21))
     scene = FilmScene(finger, crossed_leds=crossed)
     rig = with_films(replace(finger.rig, leds=scene.leds), kind="neighbours", crossed=list(crossed))
@@ -100,19 +99,15 @@ def test_neighbours_have_leds_of_their_own_and_nothing_turns(finger):
 
 
 @pytest.mark.parametrize("turns", [False, True])
-def test_an_analyser_that_does_not_turn_is_noticed(finger, turns):
+def test_an_analyser_that_does_not_turn_is_detected(finger, turns):
     scene = FilmScene(finger, turns=turns)
     session = captured(scene, with_films(finger.rig, kind="hand"))
-    found = [words for words in session.verdict if "where the finger shines" in words]
-    assert (found == []) == turns
-    assert (
-        turns
-        or "have 100 % of the parallel ones' light, not 93 % or less: the analyser did not turn"
-        in found[0]
-    )
+    verdicts = [words for words in session.verdict if "where the finger shines" in words]
+    assert (verdicts == []) == turns
+    assert turns or "not 93 % or less: the analyser did not turn" in verdicts[0]
 
 
-def test_a_finger_that_moves_between_the_series_is_noticed(finger):
+def test_motion_between_the_series_is_detected(finger):
     scene = FilmScene(finger)
 
     def moved(position, turn=scene.turn):
@@ -126,7 +121,7 @@ def test_a_finger_that_moves_between_the_series_is_noticed(finger):
     assert any("between white 6 and white 0 crossed" in words for words in session.verdict)
 
 
-def test_a_target_is_photographed_in_both_series_and_need_not_shine(finger):
+def test_a_target_needs_no_specular_reflection(finger):
     scene = FilmScene(finger, turns=False)
     session = captured(
         scene, with_films(finger.rig, kind="servo"), SessionSettings(find_finger=False)
@@ -135,25 +130,18 @@ def test_a_target_is_photographed_in_both_series_and_need_not_shine(finger):
     assert "white_crossed" in session.bands
 
 
-def test_an_analyser_that_nothing_turns(finger):
+def test_an_analyser_that_nothing_turns_is_refused(finger):
     camera, lights, _ = twin_devices(finger)
     with lights, camera, pytest.raises(BadInput, match="nothing turns it here"):
         run_session(camera, lights, with_films(finger.rig, kind="servo"))
 
 
-def test_the_twin_has_no_films(tmp_path, capsys):
+def test_films_on_the_twin_are_refused(tmp_path, capsys):
     write_rig(with_films(default_rig(), kind="servo"), tmp_path / "rig.json")
-    words = [
-        "capture",
-        "--device",
-        "twin",
-        "--rig",
-        str(tmp_path / "rig.json"),
-        "--out",
-        str(tmp_path / "c"),
-    ]
-    assert main(words) == 2  # before anything is simulated
-    assert "the twin's camera and LEDs have not" in capsys.readouterr().err
+    words = "--rig", tmp_path / "rig.json", "--out", tmp_path / "c"
+    # before anything is simulated
+    refusal = refusal_of(capsys, "capture", "--device", "twin", *words)
+    assert "the twin's camera and LEDs have not" in refusal
 
 
 @pytest.mark.parametrize(
@@ -166,14 +154,14 @@ def test_the_twin_has_no_films(tmp_path, capsys):
         ({"kind": "neighbours", "crossed": [7, 8, 9]}, "half of its 7 white LEDs"),
     ],
 )
-def test_films_that_cannot_be(films, words):
+def test_impossible_films_are_refused(films, words):
     rig = default_rig()
     with pytest.raises(BadInput, match=words):
         rig_films(replace(rig, provenance={"films": films}))
     assert rig_films(rig) is None
 
 
-def test_pins_of_films_are_free():
+def test_pins_of_films_are_not_those_of_leds():
     assert set(SECOND_PINS).isdisjoint(WHITE_PINS + NIR_PINS + (4,))
 
 
@@ -224,7 +212,7 @@ class Hand(io.StringIO):
     ("answers", "code"),
     [(["parallel", "crossed"], 0), (["parallel", ""], 2), (["parallel", KeyboardInterrupt], 130)],
 )
-def test_an_analyser_turned_by_hand(
+def test_an_analyser_turned_by_hand_is_requested_on_the_terminal(
     rig_of_pi,  # noqa: F811
     finger,
     tmp_path,
@@ -234,7 +222,7 @@ def test_an_analyser_turned_by_hand(
     answers,
     code,
 ):
-    """Asked for on the terminal; a capture that ends between the series leaves nothing."""
+    """A capture that ends between the series leaves nothing."""
     words, _ = rig_of_pi
     scene = FilmScene(finger)
     monkeypatch.setattr(sys.modules["picamera2"].Picamera2, "scene", scene)

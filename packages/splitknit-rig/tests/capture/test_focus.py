@@ -31,7 +31,7 @@ def skin(blur_px: float = 0.0, noise: float = 0.0, light: float = 0.5, seed: int
 EVERYWHERE = np.ones((400, 400), dtype=bool)
 
 
-def test_the_sharpest_picture_has_the_highest_value():
+def test_sharpness_falls_with_blur():
     values = [
         measure_focus(skin(blur), EVERYWHERE, PX).sharpness for blur in (0.0, 0.7, 1.5, 3.0, 6.0)
     ]
@@ -39,7 +39,7 @@ def test_the_sharpest_picture_has_the_highest_value():
 
 
 @pytest.mark.parametrize("blur", [0.0, 1.5])
-def test_noise_and_brightness_change_little(blur):
+def test_noise_and_brightness_hardly_change_the_sharpness(blur):
     quiet = measure_focus(skin(blur), EVERYWHERE, PX).sharpness
     noisy = measure_focus(skin(blur, noise=0.003), EVERYWHERE, PX)
     dim = measure_focus(skin(blur, light=0.1), EVERYWHERE, PX).sharpness
@@ -54,7 +54,7 @@ def test_noise_alone_is_no_detail():
     assert focus.sharpness < 0.4 * measure_focus(skin(), EVERYWHERE, PX).sharpness
 
 
-def test_only_the_region_counts():
+def test_sharpness_is_that_of_the_region():
     image = skin()
     image[:, :200] = 0.5
     region = EVERYWHERE.copy()
@@ -64,7 +64,7 @@ def test_only_the_region_counts():
         measure_focus(image, np.zeros_like(region), PX)
 
 
-def test_a_live_measurement_ends_when_it_has_stopped_rising():
+def test_the_live_measurement_ends_when_sharpness_stops_rising():
     watch = FocusWatch()
     ended = [watch.add(Focus(value, 1.0)) for value in (1.0, 2.0, *(1.9, 2.03) * 4)]
     assert ended == [False] * 9 + [True]

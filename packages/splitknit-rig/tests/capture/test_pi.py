@@ -10,19 +10,12 @@ from types import SimpleNamespace
 import gpiozero
 import numpy as np
 import pytest
-from gpiozero.pins.mock import MockFactory
 from test_contract_pi import PINS, pins  # noqa: F401 - a fixture
 
 from fake_picamera2 import FakePicamera2, FakeRequest, World
 from splitknit.errors import BadInput
 from splitknit.model import default_rig
-from splitknit_rig.capture.pi import (
-    SENSORS,
-    PiCamera,
-    PiCameraSettings,
-    developed,
-    opened_pi,
-)
+from splitknit_rig.capture.pi import SENSORS, PiCamera, PiCameraSettings, developed, opened_pi
 
 SMALL = PiCameraSettings(image_size=(64, 96))
 
@@ -40,10 +33,10 @@ def camera_in(world: World, settings: PiCameraSettings = SMALL) -> PiCamera:
     return PiCamera(FakePicamera2, settings, now_ns=lambda: world.now_ns)
 
 
-def test_the_picture_is_the_middle_of_the_sensor_one_to_one_and_nothing_is_automatic(world):
+def test_the_picture_is_the_middle_of_the_sensor_without_automatic_controls(world):
     with camera_in(world, PiCameraSettings()) as camera:
-        (made,) = FakePicamera2.opened
-        asked = made.configuration
+        (fake,) = FakePicamera2.opened
+        asked = fake.configuration
         assert camera.image_size == (2200, 3200)
         assert asked["main"] == {"size": (3200, 2200), "format": "BGR888"}
         assert asked["raw"] == {"size": (3280, 2464), "format": "SBGGR10"}
@@ -52,18 +45,18 @@ def test_the_picture_is_the_middle_of_the_sensor_one_to_one_and_nothing_is_autom
         for name in ("AeEnable", "AwbEnable", "NoiseReductionMode", "Sharpness"):
             assert not asked["controls"][name]
         camera.lock(0.03, 2.0, "nir")
-        controls = made.asked[-1][1]
+        controls = fake.asked[-1][1]
         assert controls["ExposureTime"] == 30_000
         assert controls["AnalogueGain"] == 2.0
         assert controls["ColourGains"] == (1.0, 1.0)
         assert controls["FrameDurationLimits"] == (47_700, 47_700)
         camera.lock(0.1, 1.0, "white")
-        assert made.asked[-1][1]["FrameDurationLimits"] == (101_000, 101_000)
-        assert made.asked[-1][1]["ColourGains"] == (1.11, 2.13)
-    assert made.calls == ["start", "stop", "close"]
+        assert fake.asked[-1][1]["FrameDurationLimits"] == (101_000, 101_000)
+        assert fake.asked[-1][1]["ColourGains"] == (1.11, 2.13)
+    assert fake.calls == ["start", "stop", "close"]
 
 
-def test_frames_of_the_old_exposure_and_stale_ones_are_thrown_away(world):
+def test_stale_frames_and_those_of_the_old_exposure_are_discarded(world):
     with camera_in(world) as camera:
         camera.lock(0.01, 1.0)
         assert camera.capture().discarded >= 3  # the new exposure comes late
@@ -72,11 +65,11 @@ def test_frames_of_the_old_exposure_and_stale_ones_are_thrown_away(world):
         assert camera.capture().discarded >= 2
         camera.lock(0.01, 1.0, "nir")  # the exposure is the same, the colours are not yet
         assert camera.capture().discarded >= 3
-        made = FakePicamera2.opened[0]
-        assert all(request.released for request in made.requests)
+        fake = FakePicamera2.opened[0]
+        assert all(request.released for request in fake.requests)
 
 
-def test_a_camera_that_does_not_obey_is_refused_in_one_sentence(world, monkeypatch):
+def test_a_camera_that_ignores_its_settings_is_refused(world, monkeypatch):
     with camera_in(world) as camera:
         monkeypatch.setattr(FakePicamera2, "stuck", True)
         camera.lock(0.05, 1.0)
@@ -88,7 +81,7 @@ def test_a_camera_that_does_not_obey_is_refused_in_one_sentence(world, monkeypat
 
 
 @pytest.mark.parametrize("digital", [1.5, 0.5])
-def test_a_digital_gain_is_not_accepted(world, monkeypatch, digital):
+def test_a_digital_gain_is_refused(world, monkeypatch, digital):
     metadata = FakeRequest.get_metadata
     with camera_in(world) as camera:
         monkeypatch.setattr(
@@ -98,7 +91,7 @@ def test_a_digital_gain_is_not_accepted(world, monkeypatch, digital):
             camera.capture()
 
 
-def test_the_tuning_becomes_linear(world, monkeypatch):
+def test_the_tuning_is_made_linear(world, monkeypatch):
     with camera_in(world):
         straight = FakePicamera2.opened[0].tuning
     algorithms = {
@@ -115,7 +108,7 @@ def test_the_tuning_becomes_linear(world, monkeypatch):
         camera_in(world)
 
 
-def test_raw_pictures_are_developed_in_the_right_colours():
+def test_raw_images_are_developed_in_linear_colours():
     raw = np.full((32, 48), 64, dtype=np.uint16)
     raw[0::2, 0::2] += 100  # blue
     raw[0::2, 1::2] += 200  # green
@@ -146,7 +139,7 @@ def test_a_raw_frame_is_the_middle_of_the_sensor_with_its_black_level(world):
 
 
 @pytest.mark.parametrize("order", ["BGGR", "GBRG", "GRBG", "RGGB"])
-def test_colours_lie_as_the_pattern_names_them(order):
+def test_colours_follow_the_order_of_the_bayer_pattern(order):
     raw = np.zeros((32, 48), dtype=np.uint16)
     for place, colour in enumerate(order):
         raw[place // 2 :: 2, place % 2 :: 2] = {"R": 300, "G": 200, "B": 100}[colour]
@@ -157,7 +150,7 @@ def test_colours_lie_as_the_pattern_names_them(order):
 
 @pytest.mark.parametrize("pi5", [False, True])
 @pytest.mark.parametrize("name", list(SENSORS))
-def test_every_camera_module_keeps_its_frames_apart(world, monkeypatch, name, pi5):
+def test_every_camera_module_gives_dark_and_lit_frames_of_its_format(world, monkeypatch, name, pi5):
     monkeypatch.setattr(FakePicamera2, "model", name)
     monkeypatch.setattr(FakePicamera2, "pi5", pi5)
     sensor = SENSORS[name]
@@ -184,7 +177,7 @@ def test_every_camera_module_keeps_its_frames_apart(world, monkeypatch, name, pi
             camera.lock(0.02, sensor.max_gain + 1)
 
 
-def test_sizes_of_the_modules():
+def test_image_sizes_of_every_module_fit_its_sensor():
     for name, sensor in SENSORS.items():
         settings = PiCameraSettings(camera=name)
         assert settings.image_size is None
@@ -196,7 +189,7 @@ def test_sizes_of_the_modules():
         PiCameraSettings(camera="imx500")
 
 
-def test_the_page_lists_the_modules():
+def test_the_documentation_lists_the_modules():
     page = (Path(__file__).resolve().parents[4] / "docs" / "guide" / "capture.md").read_text(
         encoding="utf-8"
     )
@@ -213,22 +206,22 @@ def test_the_page_lists_the_modules():
     ]
 
 
-def test_another_module_than_asked_for_is_named(world):
+def test_another_module_than_stated_is_refused(world):
     with pytest.raises(BadInput, match=r"the camera is a imx219, not the imx708 .*set pi\.camera"):
         camera_in(world, PiCameraSettings(camera="imx708"))
 
 
 def test_a_raw_format_that_cannot_be_read_is_refused(world, monkeypatch):
     with camera_in(world, PiCameraSettings(image_size=(64, 96), raw=True)) as camera:
-        made = FakePicamera2.opened[-1]
+        fake = FakePicamera2.opened[-1]
         monkeypatch.setattr(
-            made, "camera_configuration", lambda: {"raw": {"format": "BGGR_PISP_COMP1"}}
+            fake, "camera_configuration", lambda: {"raw": {"format": "BGGR_PISP_COMP1"}}
         )
         with pytest.raises(BadInput, match="as BGGR_PISP_COMP1, which cannot be read"):
             camera.capture()
 
 
-def test_a_pi_without_a_camera_says_so_and_its_leds_are_off(world, pins: MockFactory, monkeypatch):  # noqa: F811
+def test_without_a_camera_the_pi_is_refused_and_dark(world, pins, monkeypatch):  # noqa: F811
     monkeypatch.setattr(FakePicamera2, "cameras", 0)
     for pin in PINS:
         pins.pin(pin).function = "output"
@@ -243,7 +236,7 @@ def opened(rig=None) -> None:
         pass
 
 
-def test_a_camera_in_use_says_so(world, pins, monkeypatch):  # noqa: F811
+def test_a_camera_in_use_is_refused(world, pins, monkeypatch):  # noqa: F811
     monkeypatch.setattr(FakePicamera2, "broken", True)
     with pytest.raises(
         BadInput, match=r"could not be started .*resource busy.*close other programs"
@@ -267,7 +260,7 @@ def test_missing_libraries_are_named(pins, monkeypatch):  # noqa: F811
         "ImportError('numpy.core.multiarray failed to import')",
     ],
 )
-def test_a_picamera2_compiled_for_numpy_1_says_so(pins, monkeypatch, tmp_path: Path, error: str):  # noqa: F811
+def test_a_picamera2_compiled_for_numpy_1_is_refused(pins, monkeypatch, tmp_path, error):  # noqa: F811
     (tmp_path / "picamera2.py").write_text(f"raise {error}\n")
     monkeypatch.syspath_prepend(tmp_path)
     monkeypatch.delitem(sys.modules, "picamera2", raising=False)
@@ -275,7 +268,7 @@ def test_a_picamera2_compiled_for_numpy_1_says_so(pins, monkeypatch, tmp_path: P
         opened()
 
 
-def test_a_computer_without_gpio_lines_says_so(monkeypatch):
+def test_a_computer_without_gpio_lines_is_refused(monkeypatch):
     monkeypatch.setattr(gpiozero.Device, "pin_factory", None)
 
     def none():
@@ -288,11 +281,11 @@ def test_a_computer_without_gpio_lines_says_so(monkeypatch):
         opened()
 
 
-def test_a_line_in_use_is_named_and_the_others_are_given_back(world, pins: MockFactory):  # noqa: F811
-    other = gpiozero.LED(PINS[5])
+def test_a_line_in_use_is_named_and_the_others_are_released(world, pins):  # noqa: F811
+    taken = gpiozero.LED(PINS[5])
     with pytest.raises(BadInput, match=f"GPIO{PINS[5]}.*in use"):
         opened()
-    other.close()
+    taken.close()
     opened()  # nothing was kept
 
 

@@ -1,10 +1,7 @@
 """The whole verb on a Raspberry Pi whose camera and pins are of our making, around a finger of the
 twin."""
 
-from __future__ import annotations
-
 import io
-import json
 import sys
 from types import SimpleNamespace
 
@@ -13,6 +10,7 @@ import numpy as np
 import pytest
 from test_contract_pi import PINS, mock_pins
 
+from enrolled import facts_of, refusal_of
 from fake_picamera2 import FakePicamera2, FakeRequest, World
 from splitknit.cli.main import main
 from splitknit.io.capture import read_capture
@@ -62,33 +60,18 @@ def rig_of_pi(monkeypatch, finger, tmp_path):
     gpiozero.Device.pin_factory = None
 
 
-def test_a_session_from_the_command_to_the_folder(rig_of_pi, tmp_path, capsys):
+def test_a_session_on_a_pi_writes_a_capture(rig_of_pi, tmp_path, capsys):
     words, world = rig_of_pi
     before = world.now_ns
-    assert (
-        main(
-            [
-                *words,
-                "--out",
-                str(tmp_path / "c"),
-                "--subject",
-                "S03",
-                "--finger",
-                "right_index",
-                "--json",
-            ]
-        )
-        == 0
-    )
+    person = "--subject", "S03", "--finger", "right_index"
+    facts = facts_of(capsys, *words, "--out", tmp_path / "c", *person)
     capture = read_capture(tmp_path / "c")
     assert capture.subject == {"id": "S03", "session": 1, "finger": "right_index"}
     assert capture.captured_at is not None
     assert capture.truth is None
     assert len(capture.bands["white"].pixels) == len(capture.bands["nir"].pixels) == 7
-    out, _ = capsys.readouterr()
-    assert '"device": "pi"' in out
+    assert facts["device"] == "pi"
     assert (world.now_ns - before) * 1e-9 < 20
-    facts = json.loads(out)
     assert facts["seconds"] < 7  # stale frames, late settings and settling LEDs included
     (finding,) = facts["findings"]
     assert finding["code"] == "untested-camera"
@@ -96,27 +79,22 @@ def test_a_session_from_the_command_to_the_folder(rig_of_pi, tmp_path, capsys):
     assert all(shot["discarded"] >= 1 for shot in facts["shots"])
 
 
-def test_a_camera_of_another_size_than_the_rig_files(rig_of_pi, tmp_path, capsys):
+def test_a_camera_of_another_size_than_the_rig_is_refused(rig_of_pi, tmp_path, capsys):
     words, _ = rig_of_pi
-    assert main([*words[:-2], "--set", "pi.image_size=[64, 96]", "--out", str(tmp_path / "c")]) == 2
-    assert "another camera: its images have 220 x 320" in capsys.readouterr().err
+    words = *words[:-2], "--set", "pi.image_size=[64, 96]", "--out", tmp_path / "c"
+    assert "another camera: its images have 220 x 320" in refusal_of(capsys, *words)
     assert not (tmp_path / "c").exists()
 
 
-def test_an_enrolment_asks_for_every_finger(rig_of_pi, tmp_path, capsys, monkeypatch):
+def test_an_enrolment_requests_every_finger_on_the_terminal(
+    rig_of_pi, tmp_path, capsys, monkeypatch
+):
     words, _ = rig_of_pi
     answers = io.StringIO("\ns\nq\n")
     answers.isatty = lambda: True
     monkeypatch.setattr(sys, "stdin", answers)
     folder = tmp_path / "e"
-    plan = [
-        "--subjects",
-        "1",
-        "--sessions",
-        "1",
-        "--fingers",
-        "right_index,right_middle,left_thumb",
-    ]
+    plan = "--subjects", "1", "--sessions", "1", "--fingers", "right_index,right_middle,left_thumb"
     assert main([*words, "--enrolment", str(folder), *plan]) == 0
     out, err = capsys.readouterr()
     assert "S01, session 1, right index: lay it down" in err

@@ -1,7 +1,5 @@
 """Which line switches which LED."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import pytest
@@ -15,14 +13,14 @@ def with_pins(pins):
     return replace(default_rig(), provenance={"pins": pins})
 
 
-def test_default_lines_are_fourteen_that_are_pulled_down_and_belong_to_nobody():
+def test_default_lines_are_fourteen_pulled_down_and_free():
     lines = pins_of(default_rig())
     assert len(set(lines)) == 14
     assert lines == DEFAULT_PINS["white"] + DEFAULT_PINS["nir"]
     assert set(lines).isdisjoint({*range(9), 9, 10, 11, 14, 15})  # pulled up, SPI, UART
 
 
-def test_the_rig_file_decides():
+def test_the_rig_file_assigns_the_lines():
     rig = with_pins({"white": [4, 5, 6, 7, 8, 9, 10], "nir": [21, 22, 23, 24, 25, 26, 27]})
     assert pins_of(rig) == (4, 5, 6, 7, 8, 9, 10, 21, 22, 23, 24, 25, 26, 27)
     mixed = replace(rig, leds=(rig.leds[7], rig.leds[0], rig.leds[8]))
@@ -41,6 +39,6 @@ def test_the_rig_file_decides():
         ([17, 18], "provenance.pins"),
     ],
 )
-def test_a_wrong_map_is_refused(pins, words):
+def test_wrong_lines_are_refused(pins, words):
     with pytest.raises(BadInput, match=words):
         pins_of(with_pins(pins))

@@ -1,7 +1,5 @@
 """A whole session on the twin: what it takes, what it notices, what it says."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np
@@ -11,7 +9,6 @@ from faulty_scene import Faults, FaultyScene
 from splitknit.errors import BadInput
 from splitknit.imaging.band import linear_stack
 from splitknit.model import default_rig
-from splitknit_rig.capture.exposure import ExposureSettings
 from splitknit_rig.capture.session import SessionSettings, run_session
 from splitknit_rig.capture.shots import CheckSettings
 from splitknit_simulator.camera import device
@@ -33,6 +30,13 @@ def done(finger):
     return session, clock
 
 
+def taken(scene, rig=None):
+    """Session on the twin's devices around a scene."""
+    camera, lights, _ = twin_devices(scene)
+    with lights, camera:
+        return run_session(camera, lights, rig or scene.rig)
+
+
 def captured(finger, faulty, settings=None, **faults):
     camera, lights, _ = faulty(**faults)
     try:
@@ -42,33 +46,22 @@ def captured(finger, faulty, settings=None, **faults):
         lights.close()
 
 
-def test_an_ambient_frame_and_every_led_of_both_bands(done, finger):
+def test_a_session_takes_an_ambient_frame_and_every_led_of_both_bands(done, finger):
     session, _ = done
     assert session.verdict == ()
     names = [shot.name for shot in session.shots]
-    assert names == (
-        [
-            "white ambient",
-            *(f"white {k}" for k in range(7)),
-            "nir ambient",
-            *(f"nir {k}" for k in range(7)),
-        ]
-    )
+    leds = "ambient", *range(7)
+    assert names == [f"{band} {led}" for band in ("white", "nir") for led in leds]
     assert session.frames_taken == 16
     for band, first in (("white", 0), ("nir", 7)):
-        one = session.bands[band]
-        assert one.pixels.shape == (7, 220, 320, 3)
-        assert one.leds == tuple((first + k,) for k in range(7))
-        assert (one.exposure == one.exposure[0]).all()
-        assert (
-            one.exposure[0]
-            == one.ambient_exposure
-            == pytest.approx(session.exposures[band].exposure_s)
-        )
-        assert (
-            one.ambient[finger.surface.mask].mean()
-            < 0.05 * one.pixels[:, finger.surface.mask].mean()
-        )
+        images = session.bands[band]
+        assert images.pixels.shape == (7, 220, 320, 3)
+        assert images.leds == tuple((first + k,) for k in range(7))
+        assert (images.exposure == images.exposure[0]).all()
+        assert images.exposure[0] == images.ambient_exposure
+        assert images.ambient_exposure == pytest.approx(session.exposures[band].exposure_s)
+        skin = finger.surface.mask
+        assert images.ambient[skin].mean() < 0.05 * images.pixels[:, skin].mean()
     assert session.exposures["white"] != session.exposures["nir"]
 
 
@@ -83,7 +76,7 @@ def test_the_brightest_image_reaches_the_target(done, finger):
         assert (pixels < 255).mean() > 0.999
 
 
-def test_images_are_lit_by_the_led_that_is_named(done, finger):
+def test_every_image_is_lit_by_its_led(done, finger):
     """Each image, ambient taken off, is the twin's light of its LED."""
     session, _ = done
     for band, first in (("white", 0), ("nir", 7)):
@@ -96,7 +89,7 @@ def test_images_are_lit_by_the_led_that_is_named(done, finger):
             assert np.median(stack[k][fits] / light[fits]) == pytest.approx(scale, rel=0.02)
 
 
-def test_fourteen_frames_in_seven_seconds_by_the_devices_clock(done):
+def test_a_session_takes_less_than_four_seconds(done):
     session, clock = done
     # without what the Raspberry Pi's processor needs, see docs/experiments/performance.md
     assert session.seconds < 4.0
@@ -107,19 +100,17 @@ def test_fourteen_frames_in_seven_seconds_by_the_devices_clock(done):
     assert clock.now_s < 12.0  # focus and exposure included
 
 
-def test_the_slowest_exposure_is_fast_enough_too(finger, monkeypatch):
+def test_a_session_in_dim_light_takes_less_than_four_and_a_half_seconds(finger, monkeypatch):
     """The longest exposure that is chosen before the gain goes up."""
     monkeypatch.setattr(device, "SENSITIVITY_PER_S", 40.0)
-    camera, lights, _ = twin_devices(finger)
-    with lights, camera:
-        session = run_session(camera, lights, finger.rig)
+    session = taken(finger)
     assert session.exposures["white"].exposure_s == pytest.approx(0.066, rel=0.01)
     assert session.exposures["white"].gain > 1.8
     assert session.seconds < 4.5
     assert session.verdict == ()
 
 
-def test_a_finger_that_moves_and_stays_is_to_be_captured_again(finger, faulty):
+def test_a_finger_that_moves_and_stays_away_spoils_the_session(finger, faulty):
     session = captured(finger, faulty, moves_mm={WHITE + 4: (0.4, 0.3)})
     assert session.verdict == (
         "the finger moved by 0.5 mm between white 3 and white 4: hold still and capture again",
@@ -132,33 +123,31 @@ def test_a_finger_that_moves_and_stays_is_to_be_captured_again(finger, faulty):
 
 
 @pytest.mark.slow
-def test_shadows_of_side_lights_are_no_motion_and_motion_under_them_is_noticed(finger):
+def test_side_lights_show_motion_and_their_shadows_are_none(finger):
     settings = finger.settings
     side = FingerScene(3, "whorl", replace(settings, rig=with_side_lights(finger.rig, 7)))
     # seen in NIR
     for moves, words in (({}, ""), ({WHITE + 9: (0.4, 0.3)}, "the finger moved by 0.5 mm between")):
-        camera, lights, _ = twin_devices(FaultyScene(side, Faults(moves_mm=moves)))
-        with lights, camera:
-            session = run_session(camera, lights, side.rig)
+        session = taken(FaultyScene(side, Faults(moves_mm=moves)), side.rig)
         assert [shot.name for shot in session.shots][7:10] == ["white 6", "white 7", "white 8"]
         assert session.verdict == () if not moves else words in session.verdict[0], session.verdict
 
 
-def test_a_finger_that_moves_between_the_bands_is_noticed(finger, faulty):
+def test_motion_between_the_bands_is_detected(finger, faulty):
     session = captured(finger, faulty, moves_mm={NIR_AMBIENT: (-0.5, 0.0)})
     assert session.verdict == (
         "the finger moved by 0.5 mm between white 6 and nir 0: hold still and capture again",
     )
 
 
-def test_a_twitch_that_goes_back_is_taken_again_and_forgiven(finger, faulty):
+def test_a_shot_during_a_twitch_is_taken_again(finger, faulty):
     session = captured(finger, faulty, moves_mm={WHITE + 4: (0.0, 0.5), WHITE + 5: (0.0, -0.5)})
     assert session.verdict == ()
     assert [shot.retries for shot in session.shots if shot.name == "white 4"] == [1]
     assert session.frames_taken == 17
 
 
-def test_a_slow_drift_is_noticed_though_no_two_neighbours_show_it(finger, faulty):
+def test_a_slow_drift_is_detected(finger, faulty):
     drift = {NIR + k: (0.11, 0.0) for k in range(1, 7)}
     session = captured(
         finger, faulty, SessionSettings(checks=CheckSettings(moved_mm=0.3)), moves_mm=drift
@@ -168,12 +157,12 @@ def test_a_slow_drift_is_noticed_though_no_two_neighbours_show_it(finger, faulty
     assert "nir" in session.verdict[0]
 
 
-def test_a_finger_that_leaves_is_noticed(finger, faulty):
+def test_a_finger_that_leaves_is_detected(finger, faulty):
     session = captured(finger, faulty, moves_mm={WHITE + 3: (30.0, 0.0)})
     assert any("white 3" in words for words in session.verdict)
 
 
-def test_an_led_that_flickers_is_taken_again(finger, faulty):
+def test_a_shot_whose_led_flickered_is_taken_again(finger, faulty):
     session = captured(finger, faulty, flickers_at=frozenset({WHITE + 2}))
     assert session.verdict == ()
     assert [shot.retries for shot in session.shots if shot.name == "white 2"] == [1]
@@ -193,17 +182,17 @@ def test_an_led_that_dies_is_named(finger, faulty):
         ({"room": 0.05}, "light although all LEDs are off .*close the lid"),
     ],
 )
-def test_what_no_session_can_start_with(finger, faulty, faults, words):
+def test_a_session_with_dead_leds_or_ambient_light_is_refused(finger, faulty, faults, words):
     with pytest.raises(BadInput, match=words):
         captured(finger, faulty, **faults)
 
 
-def test_no_finger_is_no_capture(finger, faulty):
+def test_a_session_without_a_finger_is_refused(finger, faulty):
     with pytest.raises(BadInput, match="no finger is seen"):
         captured(finger, faulty, moves_mm={-1: (60.0, 0.0)})
 
 
-def test_light_that_comes_on_later_overexposes(finger, faulty):
+def test_light_that_is_switched_on_later_is_reported_as_overexposed(finger, faulty):
     camera, lights, _ = faulty()
     camera._scene.faults = Faults()
     scene = camera._scene
@@ -219,22 +208,16 @@ def test_light_that_comes_on_later_overexposes(finger, faulty):
 
 
 @pytest.mark.slow
-def test_a_blurred_finger_is_refused_where_that_can_be_judged(sharp_finger):
-    camera, lights, _ = twin_devices(FaultyScene(sharp_finger, Faults(blur_mm={0: 0.35})))
-    with lights, camera:
-        session = run_session(
-            camera, lights, sharp_finger.rig, SessionSettings(exposure=ExposureSettings())
-        )
-    assert any("out of focus" in words for words in session.verdict)
-    camera, lights, _ = twin_devices(sharp_finger)
-    with lights, camera:
-        session = run_session(camera, lights, sharp_finger.rig)
+def test_a_blurred_finger_spoils_the_session(sharp_finger):
+    blurred = taken(FaultyScene(sharp_finger, Faults(blur_mm={0: 0.35})), sharp_finger.rig)
+    assert any("out of focus" in words for words in blurred.verdict)
+    session = taken(sharp_finger)
     assert session.verdict == ()
     assert session.focus.snr > 1
 
 
 @pytest.mark.slow
-def test_focus_is_watched_until_somebody_says_stop(finger, faulty):
+def test_focus_is_measured_until_it_is_stopped(finger, faulty):
     camera, lights, _ = faulty(blur_mm={0: 0.3, 1: 0.2, 2: 0.1, 3: 0.0})
     seen = []
 
@@ -267,26 +250,21 @@ def test_a_target_needs_no_finger(faulty, finger):
     assert session.capture(finger.rig, material="opaque").material == "opaque"
 
 
-def test_a_rig_that_does_not_fit_is_refused(finger):
+def test_a_rig_that_does_not_match_the_devices_is_refused(finger):
     camera, lights, _ = twin_devices(finger)
     rig = finger.rig
-    with pytest.raises(BadInput, match=r"another camera: its images have 440 x 640 .* 220 x 320"):
-        run_session(camera, lights, default_rig(0.2))
-    with pytest.raises(BadInput, match="13 LEDs, but 14 are connected"):
-        run_session(camera, lights, replace(rig, leds=rig.leds[1:]))
-    with pytest.raises(BadInput, match=r"2 white LEDs.*three"):
-        run_session(
-            camera,
-            lights,
-            replace(rig, leds=rig.leds[:2] + rig.leds[2:7] * 0 + rig.leds[7:] + rig.leds[7:12]),
-        )
-    with pytest.raises(BadInput, match="band 'uv'"):
-        run_session(
-            camera, lights, replace(rig, leds=(*rig.leds[:13], replace(rig.leds[13], band="uv")))
-        )
+    white, nir = rig.leds[:7], rig.leds[7:]
+    for wrong, words in (
+        (default_rig(0.2), r"another camera: its images have 440 x 640 .* 220 x 320"),
+        (replace(rig, leds=rig.leds[1:]), "13 LEDs, but 14 are connected"),
+        (replace(rig, leds=(*white[:2], *nir, *nir[:5])), r"2 white LEDs.*three"),
+        (replace(rig, leds=(*rig.leds[:13], replace(nir[6], band="uv"))), "band 'uv'"),
+    ):
+        with pytest.raises(BadInput, match=words):
+            run_session(camera, lights, wrong)
 
 
 @pytest.mark.parametrize("wrong", [{"moved_mm": -1.0}, {"retries": -1}])
-def test_settings_are_checked(wrong):
+def test_check_settings_out_of_range_are_refused(wrong):
     with pytest.raises(BadInput, match="checks"):
         CheckSettings(**wrong)

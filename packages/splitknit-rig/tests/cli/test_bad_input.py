@@ -16,12 +16,12 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from enrolled import facts_of, words_of
 from small_capture import copy_of, edit, repaint
 from splitknit.cli.main import main
 from splitknit.io.images import read_image, write_image
 
 Damage = Callable[[Path], object]
-Captured = pytest.CaptureFixture[str]
 
 
 def of_capture(change: Callable[[Any], object]) -> Damage:
@@ -75,10 +75,10 @@ def mask_of(shape: tuple[int, int], rows: slice, columns: slice) -> Damage:
     return damage
 
 
-def exchanged(one: str, other: str) -> Damage:
+def exchanged(first: str, second: str) -> Damage:
     def damage(folder: Path) -> None:
-        both = (folder / one).read_bytes(), (folder / other).read_bytes()
-        for name, data in zip((other, one), both, strict=True):
+        both = (folder / first).read_bytes(), (folder / second).read_bytes()
+        for name, data in zip((second, first), both, strict=True):
             (folder / name).write_bytes(data)
 
     return damage
@@ -203,7 +203,7 @@ KINDS: dict[str, tuple[Damage, tuple[str, ...]]] = {
     "lights in micrometres": (
         of_rig(
             lambda d: [
-                one.update(position_mm=[1e3 * v for v in one["position_mm"]]) for one in d["leds"]
+                led.update(position_mm=[1e3 * v for v in led["position_mm"]]) for led in d["leds"]
             ]
         ),
         ("position_mm", "possible"),
@@ -212,9 +212,9 @@ KINDS: dict[str, tuple[Damage, tuple[str, ...]]] = {
 }
 
 
-def refused(arguments: list[str], capsys: Captured, words: tuple[str, ...] = ()) -> str:
-    """Run the command line; return the one sentence with which it refuses."""
-    assert main(arguments) == 2
+def refused(capsys, words: tuple[str, ...], *arguments: object) -> None:
+    """`reconstruct` refuses in one sentence that holds the words."""
+    assert main(["reconstruct", *map(str, arguments)]) == 2
     printed = capsys.readouterr()
     assert printed.out == ""
     assert printed.err.startswith("splitknit: error: ")
@@ -227,12 +227,11 @@ def refused(arguments: list[str], capsys: Captured, words: tuple[str, ...] = ())
     assert "Error" not in sentence
     for word in words:
         assert word in sentence, sentence
-    return sentence
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("kind", KINDS)
-def test_bad_captures(kind: str, twin_folder: Path, tmp_path: Path, capsys: Captured) -> None:
+def test_bad_captures_are_refused_in_one_sentence(kind, twin_folder, tmp_path, capsys):
     damage, words = KINDS[kind]
     folder = copy_of(twin_folder, tmp_path / "capture")
     damage(folder)
@@ -240,30 +239,23 @@ def test_bad_captures(kind: str, twin_folder: Path, tmp_path: Path, capsys: Capt
     more = ["--json"] if len(kind) % 2 else []  # the sentence is the same with and without
     # quicker: refused after the reconstruction
     more += ["--preset", "ea"] if kind.startswith("truth") else []
-    refused(
-        ["reconstruct", str(folder), "--out", str(tmp_path / "deep" / "result"), *more],
-        capsys,
-        words,
-    )
+    refused(capsys, words, folder, "--out", tmp_path / "deep" / "result", *more)
     assert sorted(path.name for path in tmp_path.rglob("*")) == before
 
 
 @pytest.mark.slow
-def test_what_spoils_a_surface_stands_first_and_strict_writes_nothing(
-    twin_folder: Path, tmp_path: Path, capsys: Captured
-) -> None:
+def test_a_spoilt_surface_is_stated_first_and_refused_by_strict(twin_folder, tmp_path, capsys):
     folder = copy_of(twin_folder, tmp_path / "capture")
     KINDS["white exchanged"][0](folder)
-    words = ["reconstruct", str(folder), "--out", str(tmp_path / "out"), "--preset", "ea"]
-    assert main([*words, "--keep"]) == 0
-    printed = capsys.readouterr().out.splitlines()
-    assert printed[0].startswith(
+    words = folder, "--out", tmp_path / "out", "--preset", "ea", "--keep"
+    printed = words_of(capsys, "reconstruct", *words)
+    assert printed.startswith(
         "The surface is spoilt: the photographs seem to be under other lights"
     )
     findings = json.loads((tmp_path / "out" / "report.json").read_text())["findings"]
     assert [each["code"] for each in findings if each["severity"] != "note"] == ["light-order"]
     shutil.rmtree(tmp_path / "out")
-    refused([*words, "--keep", "--strict"], capsys, ("under other lights", "--strict"))
+    refused(capsys, ("under other lights", "--strict"), *words, "--strict")
     assert not (tmp_path / "out").exists()
 
 
@@ -274,26 +266,22 @@ def test_what_spoils_a_surface_stands_first_and_strict_writes_nothing(
         (0.5, "ea", "the finger's width is 3"),
     ],
 )
-def test_a_wrong_scale_stands_first(
-    factor: float, preset: str, words: str, tmp_path: Path, capsys: Captured
-) -> None:
+def test_a_wrong_scale_is_stated_first_and_refused_by_strict(
+    factor, preset, words, tmp_path, capsys
+):
     folder, out = tmp_path / "capture", tmp_path / "out"
     assert main(f"simulate --out {folder} --seed 3 --scale 0.12".split()) == 0
     capsys.readouterr()
-    edit(
-        folder / "rig.json",
-        lambda rig: rig["camera"].update(px_per_mm=factor * rig["camera"]["px_per_mm"]),
-    )
-    command = ["reconstruct", str(folder), "--out", str(out), "--preset", preset]
-    assert main(command) == 0
-    first = capsys.readouterr().out.splitlines()[0]
+    of_rig(lambda rig: rig["camera"].update(px_per_mm=factor * rig["camera"]["px_per_mm"]))(folder)
+    command = folder, "--out", out, "--preset", preset
+    first = words_of(capsys, "reconstruct", *command).splitlines()[0]
     assert first.startswith("The surface may be wrong: ") and words in first
     shutil.rmtree(out)
-    refused([*command, "--strict"], capsys, (words, "--strict"))
+    refused(capsys, (words, "--strict"), *command, "--strict")
 
 
 @pytest.mark.slow
-def test_jpeg_is_seen_in_the_pixels(twin_folder: Path, tmp_path: Path, capsys: Captured) -> None:
+def test_jpeg_is_detected_in_the_pixels(twin_folder, tmp_path, capsys):
     """Also where somebody saved it as PNG afterwards; the ridges' heights are less certain then."""
     for quality in (0, 75, 95):
         folder = copy_of(twin_folder, tmp_path / f"capture_{quality}")
@@ -304,26 +292,24 @@ def test_jpeg_is_seen_in_the_pixels(twin_folder: Path, tmp_path: Path, capsys: C
 
         for file in folder.glob("[wn]*_*.png") if quality else ():
             repaint(file, through_jpeg)
-        assert main(["reconstruct", str(folder), "--out", str(tmp_path / f"result_{quality}")]) == 0
-        assert ("saved as JPEG" in capsys.readouterr().out) == (quality > 0)
-        with np.load(tmp_path / f"result_{quality}" / "height.npz") as saved:
-            over = saved["uncertainty_um"][saved["mask"]] / np.abs(
-                1000.0 * saved["ridge_mm"][saved["mask"]]
-            )
+        out = tmp_path / f"result_{quality}"
+        printed = words_of(capsys, "reconstruct", folder, "--out", out)
+        assert ("saved as JPEG" in printed) == (quality > 0)
+        with np.load(out / "height.npz") as saved:
+            mask = saved["mask"]
+            over = saved["uncertainty_um"][mask] / np.abs(1000.0 * saved["ridge_mm"][mask])
         assert (float(np.nanmin(over)) > 0.299) == (quality > 0)
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("preset", ["metric", "ea"])
-def test_a_mask_helps_where_the_finger_touches_three_borders(
-    preset: str, twin_folder: Path, tmp_path: Path, capsys: Captured
-) -> None:
+def test_a_mask_helps_where_the_finger_touches_three_borders(preset, twin_folder, tmp_path, capsys):
     folder = copy_of(twin_folder, tmp_path / "capture")
     too_close(folder)
     mask_of((330, 110), np.s_[120:], np.s_[:])(folder)
     out = tmp_path / "result"
-    assert main(["reconstruct", str(folder), "--out", str(out), "--preset", preset, "--json"]) == 0
-    assert json.loads(capsys.readouterr().out)["facts"]["mask"] == "given"
+    facts = facts_of(capsys, "reconstruct", folder, "--out", out, "--preset", preset)
+    assert facts["facts"]["mask"] == "given"
     with np.load(out / "height.npz") as arrays:
         assert arrays["mask"].sum() == 210 * 110
         assert np.array_equal(np.isfinite(arrays["height_mm"]), arrays["mask"])
@@ -342,40 +328,25 @@ def test_a_mask_helps_where_the_finger_touches_three_borders(
         (["--settings", "nowhere.json"], ("nowhere.json", "does not exist")),
     ],
 )
-def test_wrong_settings_are_refused_before_the_work(
-    arguments: list[str], words: tuple[str, ...], tmp_path: Path, capsys: Captured
-) -> None:
+def test_wrong_settings_are_refused_before_the_work(arguments, words, tmp_path, capsys):
     """Even before the capture is looked for."""
-    refused(
-        ["reconstruct", str(tmp_path / "none"), "--out", str(tmp_path / "out"), *arguments],
-        capsys,
-        words,
-    )
+    refused(capsys, words, tmp_path / "none", "--out", tmp_path / "out", *arguments)
     assert list(tmp_path.iterdir()) == []
 
 
-def test_a_folder_of_others_is_left_alone(
-    twin_folder: Path, tmp_path: Path, capsys: Captured
-) -> None:
-    (tmp_path / "letters").mkdir()
-    (tmp_path / "letters" / "dear.txt").write_text("x")
-    refused(
-        ["reconstruct", str(twin_folder), "--out", str(tmp_path / "letters")],
-        capsys,
-        ("letters", "another folder"),
-    )
-    refused(
-        ["reconstruct", str(twin_folder), "--out", str(tmp_path / "letters" / "dear.txt")],
-        capsys,
-        ("dear.txt",),
-    )
+def test_a_folder_of_others_is_not_overwritten(twin_folder, tmp_path, capsys):
+    letters = tmp_path / "letters"
+    letters.mkdir()
+    (letters / "dear.txt").write_text("x")
+    refused(capsys, ("letters", "another folder"), twin_folder, "--out", letters)
+    refused(capsys, ("dear.txt",), twin_folder, "--out", letters / "dear.txt")
     assert [path.name for path in tmp_path.rglob("*")] == ["letters", "dear.txt"]
 
 
-@pytest.mark.parametrize("given", ["nowhere", "notes.txt", "a\0b"])
-def test_what_is_no_capture(given: str, tmp_path: Path, capsys: Captured) -> None:
+@pytest.mark.parametrize("name", ["nowhere", "notes.txt", "a\0b"])
+def test_a_path_that_is_no_capture_is_refused(name, tmp_path, capsys):
     (tmp_path / "notes.txt").write_text("x")
-    refused(["reconstruct", str(tmp_path / given), "--out", str(tmp_path / "out")], capsys)
+    refused(capsys, (), tmp_path / name, "--out", tmp_path / "out")
     assert [path.name for path in tmp_path.iterdir()] == ["notes.txt"]
 
 
@@ -410,10 +381,6 @@ def closed(request: pytest.FixtureRequest, twin_folder: Path, tmp_path: Path) ->
 
 
 @pytest.mark.parametrize("closed", [".", "white_3.png", "rig.json"], indirect=True)
-def test_what_may_not_be_read(closed: Path, tmp_path: Path, nobody: None, capsys: Captured) -> None:
-    refused(
-        ["reconstruct", str(closed), "--out", str(tmp_path / "out")],
-        capsys,
-        ("capture", "ermission denied"),
-    )
+def test_files_without_permission_are_refused(closed, tmp_path, nobody, capsys):
+    refused(capsys, ("capture", "ermission denied"), closed, "--out", tmp_path / "out")
     assert [path.name for path in tmp_path.iterdir()] == ["capture"]

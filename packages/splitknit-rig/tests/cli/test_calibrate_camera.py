@@ -1,16 +1,13 @@
 """``splitknit calibrate camera`` on photographs of a rig of the twin: files in, a rig file out, or
 one sentence."""
 
-from __future__ import annotations
-
-import json
 import shutil
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
-from splitknit.cli.main import main
+from enrolled import facts_of, refusal_of, words_of
 from splitknit.io.images import write_image
 from splitknit.io.rig import read_rig, write_rig
 from splitknit.model import Mirror
@@ -24,10 +21,6 @@ PRINTED = flat.PrintedBoard(columns=9, rows=6, square_mm=3.0)
 LIT = range(7)
 
 
-def photograph(scene, number):
-    return bench.photograph_bench(scene, LIT, number, exposure=bench.well_exposed(scene, [LIT]))
-
-
 @pytest.fixture(scope="session")
 def photos(tmp_path_factory):
     """Folder `boards` of photographs by hand, plane.png, plane2.png, oblique.png; and the rig that
@@ -35,44 +28,43 @@ def photos(tmp_path_factory):
     place = tmp_path_factory.mktemp("photos")
     (place / "boards").mkdir()
     rig = built_rig(SEED, scale=SCALE)
-    common = {"camera": rig.camera, "leds": rig.leds}
-    for k, pose in enumerate(flat.board_poses(SEED, COUNT, rig.camera, PRINTED)):
-        write_image(
-            place / f"boards/{k}.png",
-            photograph(flat.BoardScene(**common, board=PRINTED, **pose), k),
+
+    def write(name, number, **pose):
+        scene = flat.BoardScene(camera=rig.camera, leds=rig.leds, board=PRINTED, **pose)
+        image = bench.photograph_bench(
+            scene, LIT, number, exposure=bench.well_exposed(scene, [LIT])
         )
+        write_image(place / f"{name}.png", image)
+
+    for k, pose in enumerate(flat.board_poses(SEED, COUNT, rig.camera, PRINTED)):
+        write(f"boards/{k}", k, **pose)
     tilt = rig.provenance["base_tilt_deg"]
-    turn = (*np.deg2rad(tilt), 0.0)
-    write_image(
-        place / "plane.png",
-        photograph(flat.BoardScene(**common, board=PRINTED, rotation_vector=turn), 100),
-    )
-    write_image(
-        place / "plane2.png",
-        photograph(flat.BoardScene(**common, board=PRINTED, rotation_vector=turn), 101),
-    )
-    slant = (*np.deg2rad((2.0, 0.0)), 0.0)
-    write_image(
-        place / "oblique.png",
-        photograph(flat.BoardScene(**common, board=PRINTED, rotation_vector=slant), 102),
-    )
+    for number, name, tilt_deg in (
+        (100, "plane", tilt),
+        (101, "plane2", tilt),
+        (102, "oblique", (2.0, 0.0)),
+    ):
+        write(name, number, rotation_vector=(*np.deg2rad(tilt_deg), 0.0))
     return place, rig
 
 
-def run(capsys, *words):
-    code = main(["calibrate", "camera", *map(str, words)])
-    printed = capsys.readouterr()
-    return code, printed.out, printed.err
+def facts(capsys, *words):
+    return facts_of(capsys, "calibrate", "camera", *words)
 
 
 def refused(capsys, out, *words):
     """The one sentence with which a command is refused; nothing is written."""
-    code, printed, message = run(capsys, *words, "--out", out)
-    assert (code, printed) == (2, "")
+    message = refusal_of(capsys, "calibrate", "camera", *words, "--out", out)
     assert message.startswith("splitknit: error: ")
-    assert message.count("\n") == 1
     assert not out.exists()
     return message
+
+
+@pytest.fixture
+def known(photos, tmp_path):
+    """File of the rig that took the photographs."""
+    write_rig(photos[1], tmp_path / "known.json")
+    return tmp_path / "known.json"
 
 
 def calibrated_once(place, out):
@@ -89,23 +81,23 @@ def calibrated(photos, tmp_path_factory):
     return calibrated_once(place, out).facts, out
 
 
-def test_the_camera_that_took_the_photographs_is_found(photos, calibrated):
+def test_the_camera_that_took_the_photographs_is_measured(photos, calibrated):
     _, rig = photos
-    facts, out = calibrated
-    found, true = read_rig(out).camera, rig.camera
-    assert found.model == "perspective"
-    assert found.image_size == true.image_size
-    assert found.matrix[0, 0] == pytest.approx(true.matrix[0, 0], rel=0.003)
-    assert np.abs(found.matrix[:2, 2] - true.matrix[:2, 2]).max() < 0.004 * true.image_size[1]
-    assert found.px_per_mm == pytest.approx(true.px_per_mm, rel=0.001)
-    assert found.height_mm == pytest.approx(true.height_mm, rel=0.003)
-    assert found.matrix[0, 0] / found.height_mm == pytest.approx(found.px_per_mm)
+    stated, out = calibrated
+    measured, true = read_rig(out).camera, rig.camera
+    assert measured.model == "perspective"
+    assert measured.image_size == true.image_size
+    assert measured.matrix[0, 0] == pytest.approx(true.matrix[0, 0], rel=0.003)
+    assert np.abs(measured.matrix[:2, 2] - true.matrix[:2, 2]).max() < 0.004 * true.image_size[1]
+    assert measured.px_per_mm == pytest.approx(true.px_per_mm, rel=0.001)
+    assert measured.height_mm == pytest.approx(true.height_mm, rel=0.003)
+    assert measured.matrix[0, 0] / measured.height_mm == pytest.approx(measured.px_per_mm)
     tilt = np.array(rig.provenance["base_tilt_deg"])
-    assert np.abs(np.array(facts["plane"]["tilt_xy_deg"]) - tilt).max() < 0.1
-    assert abs(found.matrix[0, 0] - true.matrix[0, 0]) < 4 * facts["fit"]["deviations"]["fx"]
+    assert np.abs(np.array(stated["plane"]["tilt_xy_deg"]) - tilt).max() < 0.1
+    assert abs(measured.matrix[0, 0] - true.matrix[0, 0]) < 4 * stated["fit"]["deviations"]["fx"]
 
 
-def test_the_rig_file_says_what_was_measured(calibrated):
+def test_the_rig_file_states_what_was_measured(calibrated):
     _, out = calibrated
     rig = read_rig(out)
     assert [led.band for led in rig.leds] == ["white"] * 7 + ["nir"] * 7
@@ -130,14 +122,14 @@ def test_the_rig_file_says_what_was_measured(calibrated):
     assert origin["residuals"]["plane"]["per_image"].keys() == {"plane.png", "plane2.png"}
 
 
-def test_same_photographs_same_bytes(photos, calibrated, tmp_path):
+def test_the_same_photographs_give_the_same_bytes(photos, calibrated, tmp_path):
     place, _ = photos
     again = tmp_path / "rig.json"
     calibrated_once(place, again)
     assert again.read_bytes() == calibrated[1].read_bytes()
 
 
-def test_words_for_people_and_a_rig_that_is_kept(photos, tmp_path, capsys):
+def test_the_summary_is_printed_and_the_rest_of_the_rig_kept(photos, tmp_path, capsys):
     place, rig = photos
     before = tmp_path / "before.json"
     face = ((12.0, -10.0, -15.0), (12.0, 20.0, -15.0), (26.0, 20.0, -1.0), (26.0, -10.0, -1.0))
@@ -149,9 +141,8 @@ def test_words_for_people_and_a_rig_that_is_kept(photos, tmp_path, capsys):
     folder = tmp_path / "boards"
     shutil.copytree(place / "boards", folder)
     write_image(folder / "x.png", np.tile(np.arange(480, dtype=np.uint8), (330, 1)))
-    words = (folder, "--rig", before, "--plane", place / "plane.png", "--out", out)
-    code, printed, message = run(capsys, *words)
-    assert (code, message) == (0, "")
+    words = "--rig", before, "--plane", place / "plane.png", "--out", out
+    printed = words_of(capsys, "calibrate", "camera", folder, *words)
     assert f"from {COUNT} of {COUNT + 1} photographs" in printed
     assert "left out: x.png, no board of 9x6 inner corners in full view" in printed
     assert "focal length 15" in printed
@@ -170,74 +161,50 @@ def test_the_plane_alone_measures_the_height_again(photos, tmp_path, capsys):
     out, moved = tmp_path / "flat.json", tmp_path / "moved.json"
     assert "`plane`" not in refused(capsys, out, "--plane", place / "plane.png")
     write_rig(replace(rig, camera=replace(rig.camera, height_mm=150.0, px_per_mm=11.0)), moved)
-    _, printed, _ = run(
-        capsys, "--plane", place / "plane.png", "--rig", moved, "--out", out, "--json"
-    )
-    facts = json.loads(printed)
-    assert facts["height_mm"] == pytest.approx(rig.camera.height_mm, rel=1e-3)
-    assert facts["px_per_mm"] == pytest.approx(rig.camera.px_per_mm, rel=1e-3)
-    assert np.array_equal(facts["matrix"], rig.camera.matrix)
-    assert facts["measured"] == ["camera.px_per_mm", "camera.height_mm"]
+    stated = facts(capsys, "--plane", place / "plane.png", "--rig", moved, "--out", out)
+    assert stated["height_mm"] == pytest.approx(rig.camera.height_mm, rel=1e-3)
+    assert stated["px_per_mm"] == pytest.approx(rig.camera.px_per_mm, rel=1e-3)
+    assert np.array_equal(stated["matrix"], rig.camera.matrix)
+    assert stated["measured"] == ["camera.px_per_mm", "camera.height_mm"]
 
 
-def test_an_oblique_camera_is_warned_about(photos, tmp_path, capsys):
+def test_an_oblique_camera_gets_a_finding(photos, known, tmp_path, capsys):
+    place, _ = photos
+    words = "--plane", place / "oblique.png", "--rig", known, "--out", tmp_path / "rig.json"
+    stated = facts(capsys, *words)
+    assert stated["plane"]["tilt_xy_deg"] == pytest.approx([2.0, 0.0], abs=0.1)
+    assert stated["plane"]["nearer_at"] == "top"
+    oblique = stated["findings"][-1]
+    assert oblique["code"] == "oblique-camera"
+    assert "obliquely by 2.0" in oblique["message"]
+    assert "8 mm high leans by 0.28 mm" in oblique["message"]
+    disagreeing = facts(capsys, *words, "--plane", place / "plane.png")["findings"][0]
+    assert (disagreeing["code"], disagreeing["severity"]) == ("planes-disagree", "doubt")
+
+
+def test_a_height_that_was_not_measured_gets_a_finding(photos, tmp_path, capsys):
     place, rig = photos
-    known = tmp_path / "known.json"
-    write_rig(rig, known)
-    out = tmp_path / "rig.json"
-    _, printed, _ = run(
-        capsys, "--plane", place / "oblique.png", "--rig", known, "--out", out, "--json"
-    )
-    facts = json.loads(printed)
-    assert facts["plane"]["tilt_xy_deg"] == pytest.approx([2.0, 0.0], abs=0.1)
-    assert facts["plane"]["nearer_at"] == "top"
-    oblique, words = facts["findings"][-1]["code"], facts["findings"][-1]["message"]
-    assert oblique == "oblique-camera"
-    assert "obliquely by 2.0" in words and "8 mm high leans by 0.28 mm" in words
-    _, printed, _ = run(
-        capsys,
-        "--plane",
-        place / "oblique.png",
-        "--plane",
-        place / "plane.png",
-        "--rig",
-        known,
-        "--out",
-        out,
-        "--json",
-    )
-    findings = json.loads(printed)["findings"]
-    assert findings[0]["code"] == "planes-disagree"
-    assert findings[0]["severity"] == "doubt"
+    stated = facts(capsys, place / "boards", "--out", tmp_path / "rig.json")
+    assert stated["nominal"] == ["camera.px_per_mm", "camera.height_mm", "leds"]
+    assert stated["height_mm"] == 140.0
+    assert stated["px_per_mm"] == pytest.approx(rig.camera.matrix[0, 0] / 140, rel=0.003)
+    assert "unmeasured-height" in [finding["code"] for finding in stated["findings"]]
 
 
-def test_a_height_that_was_not_measured_is_said(photos, tmp_path, capsys):
-    place, rig = photos
-    out = tmp_path / "rig.json"
-    _, printed, _ = run(capsys, place / "boards", "--out", out, "--json")
-    facts = json.loads(printed)
-    assert facts["nominal"] == ["camera.px_per_mm", "camera.height_mm", "leds"]
-    assert facts["height_mm"] == 140.0
-    assert facts["px_per_mm"] == pytest.approx(rig.camera.matrix[0, 0] / 140, rel=0.003)
-    assert "unmeasured-height" in [finding["code"] for finding in facts["findings"]]
-
-
-def test_photographs_in_capture_folders_are_taken_by_their_pattern(photos, tmp_path, capsys):
+def test_photographs_in_capture_folders_are_chosen_by_a_pattern(photos, tmp_path, capsys):
     place, _ = photos
     for k, file in enumerate(sorted((place / "boards").glob("*.png"))):
         (tmp_path / f"board_{k}").mkdir()
         shutil.copy(file, tmp_path / f"board_{k}" / "white_0.png")
         shutil.copy(place / "boards" / "0.png", tmp_path / f"board_{k}" / "white_1.png")
     plain, inside = tmp_path / "plain.json", tmp_path / "inside.json"
-    run(capsys, place / "boards", "--out", plain, "--json")
-    _, printed, _ = run(
-        capsys, tmp_path, "--pattern", "board_*/white_0.png", "--out", inside, "--json"
-    )
+    facts(capsys, place / "boards", "--out", plain)
+    stated = facts(capsys, tmp_path, "--pattern", "board_*/white_0.png", "--out", inside)
     np.testing.assert_array_equal(read_rig(inside).camera.matrix, read_rig(plain).camera.matrix)
-    assert "board_3/white_0.png" in printed
+    assert "board_3/white_0.png" in str(stated)
 
 
-def test_folders_that_do_not_do(photos, tmp_path, capsys):
+def test_folders_without_enough_photographs_are_refused(photos, tmp_path, capsys):
     place, _ = photos
     out = tmp_path / "rig.json"
     empty = tmp_path / "empty"
@@ -268,10 +235,8 @@ def test_folders_that_do_not_do(photos, tmp_path, capsys):
     )
 
 
-def test_images_and_numbers_that_do_not_do(photos, tmp_path, capsys):
-    place, rig = photos
-    out, plane, known = tmp_path / "rig.json", place / "plane.png", tmp_path / "known.json"
-    write_rig(rig, known)
+def test_images_and_numbers_that_cannot_be_used_are_refused(photos, known, tmp_path, capsys):
+    out, plane = tmp_path / "rig.json", photos[0] / "plane.png"
     grey, black, small = (tmp_path / f"{name}.png" for name in ("grey", "black", "small"))
     write_image(grey, np.tile(np.arange(480, dtype=np.uint8), (330, 1)))
     assert "grey.png shows no checkerboard of 9x6" in refused(capsys, out, "--plane", grey)
@@ -286,19 +251,7 @@ def test_images_and_numbers_that_do_not_do(photos, tmp_path, capsys):
     assert "side of a square" in refused(capsys, out, "--plane", plane, "--square-mm", 0)
 
 
-def test_a_height_far_from_the_rigs_is_noted(photos, tmp_path, capsys):
-    place, rig = photos
-    known = tmp_path / "known.json"
-    write_rig(rig, known)
-    _, printed, _ = run(
-        capsys,
-        "--plane",
-        place / "plane.png",
-        "--square-mm",
-        6,
-        "--rig",
-        known,
-        "--out",
-        tmp_path / "r.json",
-    )
-    assert "check the side of the board's squares (--square-mm)" in printed
+def test_a_height_far_from_that_of_the_rig_gets_a_note(photos, known, tmp_path, capsys):
+    plane = "--plane", photos[0] / "plane.png", "--square-mm", 6
+    words = "calibrate", "camera", *plane, "--rig", known, "--out", tmp_path / "r.json"
+    assert "check the side of the board's squares (--square-mm)" in words_of(capsys, *words)

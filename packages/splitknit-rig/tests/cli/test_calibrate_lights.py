@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
+from enrolled import facts_of, refusal_of, words_of
 from splitknit.cli.main import main
 from splitknit.imaging.band import srgb_code
 from splitknit.io.images import read_image, write_image
@@ -23,19 +24,13 @@ from splitknit_simulator.calibration_set.solids import NailScene, SphereScene
 from splitknit_simulator.rigs import built_rig, with_side_lights
 
 THESIS = Path(__file__).resolve().parents[4] / "examples" / "thesis_tips.csv"
-RIG = (
-    *("--px-per-cm", "757", "--led-height-cm", "14", "--led-radius-cm", "5"),
-    *("--led-centre-px", "1575,1174", "--image-size", "2200,3200"),
-)
+SIZE = ("--px-per-cm", "757", "--led-height-cm", "14", "--image-size", "2200,3200")
+RIG = ("--led-radius-cm", "5", "--led-centre-px", "1575,1174", *SIZE)
+GOOD = ("--led-radius-cm", "5.25", *SIZE)
 MIRROR = Mirror(
     "right",
     ((12.0, -10.0, -15.0), (12.0, 20.0, -15.0), (26.0, 20.0, -1.0), (26.0, -10.0, -1.0)),
     0.85,
-)
-GOOD = (
-    *("--px-per-cm", "757", "--led-height-cm", "14", "--led-radius-cm", "5.25"),
-    "--image-size",
-    "2200,3200",
 )
 
 
@@ -49,9 +44,7 @@ def cast_table(path: Path, places, *, height=15.0, bands=("white", "nir"), skip=
             at = np.asarray(led.position_mm)
             end = at[:2] + (place - at[:2]) * at[2] / (at[2] - height)
             pixels = [(1599.5 + 75.7 * x, 1099.5 - 75.7 * y) for x, y in (place, end)]
-            lines.append(
-                f"{led.band},{k % 7},{number},{pixels[0][0]},{pixels[0][1]},{pixels[1][0]},{pixels[1][1]}"
-            )
+            lines.append(",".join(map(str, (led.band, k % 7, number, *pixels[0], *pixels[1]))))
     path.write_text("\n".join(lines) + "\n")
     return path
 
@@ -62,15 +55,15 @@ def run(capsys, *words) -> tuple[int, str, str]:
     return code, out, err
 
 
+def facts_with(capsys, *words) -> dict:
+    return facts_of(capsys, "calibrate", "lights", *words)
+
+
 def refused(capsys, *words) -> str:
-    code, out, err = run(capsys, *words)
-    assert code == 2, err
-    assert out == ""
-    assert err.startswith("splitknit: error: ") and err.count("\n") == 1
-    return err
+    return refusal_of(capsys, "calibrate", "lights", *words)
 
 
-def test_the_thesiss_table_is_refused(capsys, tmp_path):
+def test_the_table_of_the_thesis_is_refused(capsys, tmp_path):
     out = tmp_path / "rig.json"
     message = refused(capsys, "--table", THESIS, *RIG, "--out", out)
     for name in (
@@ -86,79 +79,64 @@ def test_the_thesiss_table_is_refused(capsys, tmp_path):
     assert list(tmp_path.iterdir()) == []
 
 
-def test_the_facts_are_printed_all_the_same(capsys, tmp_path):
+def test_a_refusal_prints_the_facts_of_every_led(capsys, tmp_path):
     code, out, err = run(capsys, "--table", THESIS, *RIG, "--out", tmp_path / "rig.json", "--json")
     assert code == 2 and err.count("\n") == 1
     facts = json.loads(out)
-    assert (
-        facts["method"] == "circle" and facts["written"] is False and list(tmp_path.iterdir()) == []
-    )
-    verdicts = [one["verdict"] for one in facts["leds"]]
+    assert facts["method"] == "circle" and facts["written"] is False
+    assert list(tmp_path.iterdir()) == []
+    verdicts = [led["verdict"] for led in facts["leds"]]
     assert [verdicts.count(word) for word in ("ok", "disagrees", "copied")] == [3, 5, 6]
-    names = [(one["band"], one["led"]) for one in facts["leds"]]
+    names = [(led["band"], led["led"]) for led in facts["leds"]]
     assert names == [(band, k) for band in ("white", "nir") for k in range(7)]
-    for one in facts["leds"]:
-        assert np.linalg.norm(one["direction"]) == pytest.approx(1.0)
-        assert one["direction"][2] > 0.9
-        assert one["kept"] == (one["verdict"] == "ok")
+    for led in facts["leds"]:
+        assert np.linalg.norm(led["direction"]) == pytest.approx(1.0)
+        assert led["direction"][2] > 0.9
+        assert led["kept"] == (led["verdict"] == "ok")
     assert facts["leds"][0]["disagreement_deg"] == pytest.approx(8.94, abs=0.005)
 
 
-def test_keep_keeps_both_kinds(capsys, tmp_path):
+def test_keep_writes_copied_and_disagreeing_leds(capsys, tmp_path):
     out = tmp_path / "rig.json"
-    code, printed, _ = run(capsys, "--table", THESIS, *RIG, "--out", out, "--keep", "--json")
-    facts = json.loads(printed)
-    assert code == 0 and facts["written"] and all(one["kept"] for one in facts["leds"])
+    facts = facts_with(capsys, "--table", THESIS, *RIG, "--out", out, "--keep")
+    assert facts["written"] and all(led["kept"] for led in facts["leds"])
     rig = read_rig(out)
-    assert (
-        len(rig.leds) == 14
-        and rig.camera.px_per_mm == 75.7
-        and rig.camera.image_size == (2200, 3200)
-    )
-    for led, one in zip(rig.leds, facts["leds"], strict=True):
-        assert led.band == one["band"] and led.position_mm == pytest.approx(one["position_mm"])
-    verdicts = [one["verdict"] for one in rig.provenance["lights"]["leds"]]
+    assert len(rig.leds) == 14
+    assert rig.camera.px_per_mm == 75.7 and rig.camera.image_size == (2200, 3200)
+    for led, stated in zip(rig.leds, facts["leds"], strict=True):
+        assert led.band == stated["band"]
+        assert led.position_mm == pytest.approx(stated["position_mm"])
+    verdicts = [led["verdict"] for led in rig.provenance["lights"]["leds"]]
     assert verdicts.count("copied") == 6 and verdicts.count("disagrees") == 5
 
 
-def test_a_good_table(capsys, tmp_path):
+def test_exact_shadows_give_the_true_places(capsys, tmp_path):
     table = cast_table(tmp_path / "tips.csv", [(-6, -4), (6, 5)])
-    code, printed, err = run(capsys, "--table", table, *GOOD, "--out", tmp_path / "rig.json")
-    assert code == 0 and err == "" and "ok" in printed and "15.0 mm" in printed
-    found = read_rig(tmp_path / "rig.json")
-    for led, truth in zip(found.leds, default_rig().leds, strict=True):
-        assert led.band == truth.band and led.position_mm == pytest.approx(
-            truth.position_mm, abs=1e-3
-        )
+    words = "--table", table, *GOOD, "--out", tmp_path / "rig.json"
+    printed = words_of(capsys, "calibrate", "lights", *words)
+    assert "ok" in printed and "15.0 mm" in printed
+    for led, truth in zip(read_rig(tmp_path / "rig.json").leds, default_rig().leds, strict=True):
+        assert led.band == truth.band
+        assert led.position_mm == pytest.approx(truth.position_mm, abs=1e-3)
 
 
 def test_several_positions_are_fitted_together(capsys, tmp_path):
     table = cast_table(tmp_path / "tips.csv", [(-6, -4), (6, 5), (6, -4)], skip={("nir", 2, 1)})
-    code, printed, _ = run(capsys, "--table", table, *GOOD, "--json")
-    facts = json.loads(printed)
-    assert code == 0 and facts["method"] == "joint" and facts["written"] is False
+    facts = facts_with(capsys, "--table", table, *GOOD)
+    assert facts["method"] == "joint" and facts["written"] is False
     assert facts["nail_height_mm"] == pytest.approx(15.0, abs=0.01)
-    for one, truth in zip(facts["leds"], default_rig().leds, strict=True):
-        assert one["position_mm"] == pytest.approx(truth.position_mm, abs=0.01)
-        assert 0 < one["interval_deg"] < 1.0 and 0 < one["interval_mm"] < 4.0
+    for led, truth in zip(facts["leds"], default_rig().leds, strict=True):
+        assert led["position_mm"] == pytest.approx(truth.position_mm, abs=0.01)
+        assert 0 < led["interval_deg"] < 1.0 and 0 < led["interval_mm"] < 4.0
 
 
-def test_a_rig_keeps_what_it_knows(capsys, tmp_path):
+def test_calibration_keeps_the_rest_of_the_rig(capsys, tmp_path):
     """Camera, intensities and other facts come from the rig, whose LEDs move."""
     table = cast_table(tmp_path / "tips.csv", [(-6, -4), (6, 5)])
     known = replace(default_rig(seed=3), mirrors=(MIRROR,))
     write_rig(known, tmp_path / "old.json")
-    code, printed, _ = run(
-        capsys,
-        "--table",
-        table,
-        "--rig",
-        tmp_path / "old.json",
-        "--out",
-        tmp_path / "new.json",
-        "--json",
-    )
-    assert code == 0 and json.loads(printed)["method"] == "joint"
+    words = "--rig", tmp_path / "old.json", "--out", tmp_path / "new.json"
+    assert facts_with(capsys, "--table", table, *words)["method"] == "joint"
     rig = read_rig(tmp_path / "new.json")
     assert [led.intensity for led in rig.leds] == [led.intensity for led in known.leds]
     assert rig.provenance["source"] == known.provenance["source"]
@@ -172,25 +150,14 @@ def test_the_same_table_gives_the_same_bytes(capsys, tmp_path):
     assert (tmp_path / "a.json").read_bytes() == (tmp_path / "b.json").read_bytes()
 
 
-def test_geometry(capsys, tmp_path):
+def test_geometry_places_the_leds_on_the_stated_circle(capsys, tmp_path):
     out = tmp_path / "rig.json"
     assert run(capsys, "--geometry", *GOOD, "--out", out)[0] == 0
     for led, truth in zip(read_rig(out).leds, default_rig().leds, strict=True):
         assert led.band == truth.band and led.position_mm == pytest.approx(truth.position_mm)
     write_rig(default_rig(seed=2), tmp_path / "old.json")
-    assert (
-        run(
-            capsys,
-            "--geometry",
-            "--rig",
-            tmp_path / "old.json",
-            "--led-radius-cm",
-            "5",
-            "--out",
-            out,
-        )[0]
-        == 0
-    )
+    words = "--rig", tmp_path / "old.json", "--led-radius-cm", "5", "--out", out
+    assert run(capsys, "--geometry", *words)[0] == 0
     for led, old in zip(read_rig(out).leds, default_rig(seed=2).leds, strict=True):
         assert led.intensity == old.intensity
         assert np.hypot(*led.position_mm[:2]) == pytest.approx(50.0)
@@ -201,19 +168,7 @@ def test_geometry(capsys, tmp_path):
     [
         (("--table", THESIS, "--geometry"), "--table and --geometry"),
         (("--table", THESIS), "--px-per-cm and --image-size and --led-height-cm"),
-        (
-            (
-                "--table",
-                THESIS,
-                "--px-per-cm",
-                "757",
-                "--image-size",
-                "2200,3200",
-                "--led-height-cm",
-                "14",
-            ),
-            "--led-radius-cm",
-        ),
+        (("--table", THESIS, *SIZE), "--led-radius-cm"),
         (("--table", THESIS, *RIG[:-1], "2200"), "rows,columns"),
         (("--table", THESIS, *RIG[:-1], "1100,1600"), "outside the image"),
         (("--table", "absent.csv", *RIG), "absent.csv"),
@@ -221,7 +176,7 @@ def test_geometry(capsys, tmp_path):
         (("--geometry", *RIG), "--out"),
     ],
 )
-def test_bad_input_is_one_sentence(capsys, words, expected):
+def test_options_that_cannot_be_used_are_refused(capsys, words, expected):
     assert expected in refused(capsys, *words)
 
 
@@ -244,46 +199,60 @@ def nail_photographs(tmp_path_factory):
 
 
 @pytest.mark.slow
-def test_photographs_of_a_nail(capsys, tmp_path, nail_photographs):
+def test_photographs_of_a_nail_give_the_directions_of_the_lights(
+    capsys, tmp_path, nail_photographs
+):
     folder, true = nail_photographs
-    out = tmp_path / "rig.json"
-    words = ("--images", folder / "photographs", "--rig", folder / "nominal.json", "--out", out)
-    code, printed, err = run(capsys, *words, "--json")
-    assert code == 0, err
-    facts = json.loads(printed)
+    out, rig = tmp_path / "rig.json", ("--rig", folder / "nominal.json")
+    facts = facts_with(capsys, "--images", folder / "photographs", *rig, "--out", out)
     assert facts["method"] == "joint" and facts["nail_positions"] == 2
     assert len(read_rig(out).leds) == 14
     for led, truth in zip(read_rig(out).leds[:7], true.leds[:7], strict=True):
-        found, known = (
-            np.array(one.position_mm) / np.linalg.norm(one.position_mm) for one in (led, truth)
+        measured, known = (
+            np.array(each.position_mm) / np.linalg.norm(each.position_mm) for each in (led, truth)
         )
-        assert np.degrees(np.linalg.norm(found - known)) < 0.6
+        assert np.degrees(np.linalg.norm(measured - known)) < 0.6
         assert led.lobe_exponent > 0
     assert read_image(facts["show"]).shape[2] == 3
-    # what was found goes in again as a table, and gives the same
-    again = run(capsys, "--table", facts["tips_out"], "--rig", folder / "nominal.json", "--json")
-    for one, other in zip(json.loads(again[1])["leds"], facts["leds"], strict=True):
-        assert one["direction"] == pytest.approx(other["direction"], abs=2e-3)
+    # the table that was written gives the same
+    again = facts_with(capsys, "--table", facts["tips_out"], *rig)
+    for led, before in zip(again["leds"], facts["leds"], strict=True):
+        assert led["direction"] == pytest.approx(before["direction"], abs=2e-3)
 
 
-def test_photographs_that_are_wrong(capsys, tmp_path, nail_photographs):
+def test_photographs_without_a_shadow_or_of_another_size_are_refused(
+    capsys, tmp_path, nail_photographs
+):
     folder, _ = nail_photographs
     copy = tmp_path / "copy"
     shutil.copytree(folder / "photographs", copy)
     words = ("--images", copy, "--rig", folder / "nominal.json", "--out", tmp_path / "rig.json")
-    lit = read_image(copy / "nail_2" / "white_4.png")
-    write_image(copy / "nail_2" / "white_4.png", np.full_like(lit, 90))
+    image = copy / "nail_2" / "white_4.png"
+    lit = read_image(image)
+    write_image(image, np.full_like(lit, 90))
     assert "white_4.png shows no shadow" in refused(capsys, *words)
-    (copy / "nail_2" / "white_4.png").unlink()
+    image.unlink()
     assert "lacks the image white_4" in refused(capsys, *words)
-    write_image(copy / "nail_2" / "white_4.png", lit[:-4])
+    write_image(image, lit[:-4])
     assert "white_4.png has 216 x 320 pixels" in refused(capsys, *words)
     assert not (tmp_path / "rig.json").exists()
     assert "is not a folder" in refused(capsys, "--images", tmp_path / "absent", *words[2:])
 
 
+def from_ball(scene):
+    """(440, 640) x and y from the middle of the outline of a ball, in its radii."""
+    edge = scene.outline_px()
+    (column, row), radius = edge.mean(axis=0), np.ptp(edge[:, 0]) / 2
+    rows, columns = np.mgrid[:440, :640]
+    return (columns - column) / radius, (row - rows) / radius
+
+
+def write_mask(scene, file):
+    write_image(file, np.where(np.hypot(*from_ball(scene)) < 1, 255, 0).astype(np.uint8))
+
+
 @pytest.mark.slow
-def test_a_ball_places_side_lights_where_they_are(capsys, tmp_path):
+def test_a_ball_gives_the_places_of_side_lights(capsys, tmp_path):
     rig = with_side_lights(nominal_rig(0.2), 7)
     write_rig(rig, tmp_path / "rig.json")
     scene = SphereScene(
@@ -294,32 +263,14 @@ def test_a_ball_places_side_lights_where_they_are(capsys, tmp_path):
     for number, k in enumerate(white):
         image = photograph_bench(scene, [k], k, exposure=well_exposed(scene, [[k]]))
         write_image(tmp_path / "ball" / f"white_{number}.png", image)
-    edge = scene.outline_px()
-    rows, columns = np.mgrid[:440, :640]
-    inside = (
-        np.hypot(columns - edge[:, 0].mean(), rows - edge[:, 1].mean()) < np.ptp(edge[:, 0]) / 2
-    )
-    write_image(tmp_path / "mask.png", np.where(inside, 255, 0).astype(np.uint8))
-    words = (
-        "--sphere",
-        "grey",
-        "--images",
-        tmp_path / "ball",
-        "--mask",
-        tmp_path / "mask.png",
-        "--led-height-cm",
-        "14",
-    )
-    code, _, err = run(
-        capsys, *words, "--rig", tmp_path / "rig.json", "--out", tmp_path / "found.json"
-    )
-    assert code == 0, err
+    write_mask(scene, tmp_path / "mask.png")
+    words = "--sphere", "grey", "--images", tmp_path / "ball", "--mask", tmp_path / "mask.png"
+    words += "--led-height-cm", "14"
+    facts_with(capsys, *words, "--rig", tmp_path / "rig.json", "--out", tmp_path / "found.json")
     for k, led in zip(white, read_rig(tmp_path / "found.json").leds, strict=True):
         assert math.dist(led.position_mm, rig.leds[k].position_mm) < 2.0
-    scale = ("--px-per-cm", "151.4", "--image-size", "440,640")
-    assert "white_7.png shows a side light" in refused(
-        capsys, *words, *scale, "--out", tmp_path / "no.json"
-    )
+    words += "--px-per-cm", "151.4", "--image-size", "440,640", "--out", tmp_path / "no.json"
+    assert "white_7.png shows a side light" in refused(capsys, *words)
     assert not (tmp_path / "no.json").exists()
 
 
@@ -328,22 +279,18 @@ def test_a_nail_leaves_side_lights_where_they_are_drawn(capsys, tmp_path):
     write_rig(rig, tmp_path / "rig.json")
     table = cast_table(tmp_path / "tips.csv", [(-6, -4), (7, 5), (5, -6)])
     out = tmp_path / "found.json"
-    code, printed, _ = run(capsys, "--table", table, "--rig", tmp_path / "rig.json", "--out", out)
-    assert (
-        code == 0
-        and "the side lights white 7, white 8" in printed
-        and "a ball measures them" in printed
-    )
-    found = read_rig(out).leds
-    assert [led.position_mm for led in found[14:]] == [led.position_mm for led in rig.leds[14:]]
-    for led, drawn in zip(found[:14], rig.leds, strict=False):
+    words = "--table", table, "--rig", tmp_path / "rig.json", "--out", out
+    printed = words_of(capsys, "calibrate", "lights", *words)
+    assert "the side lights white 7, white 8" in printed and "a ball measures them" in printed
+    leds = read_rig(out).leds
+    assert [led.position_mm for led in leds[14:]] == [led.position_mm for led in rig.leds[14:]]
+    for led, drawn in zip(leds[:14], rig.leds, strict=False):
         assert math.dist(led.position_mm, drawn.position_mm) < 0.1
 
 
 @pytest.fixture(scope="module")
 def ball(tmp_path_factory):
-    """A ball on the bench, as a camera writes JPEG files of it, its mask, and its outline in
-    pixels."""
+    """A ball on the bench, as a camera writes JPEG files of it, its mask, and x and y in its radii."""
     folder = tmp_path_factory.mktemp("ball")
     rig = default_rig(0.2)
     scene = SphereScene(camera=rig.camera, leds=rig.leds, chrome=False, ground=0.0)
@@ -354,12 +301,8 @@ def ball(tmp_path_factory):
         Image.fromarray(code[..., 0] if code.shape[2] == 1 else code).save(
             folder / "ball" / f"{k}.jpg", quality=95
         )
-    edge = scene.outline_px()
-    column, row = edge.mean(axis=0)
-    rows, columns = np.mgrid[:440, :640]
-    inside = np.hypot(columns - column, rows - row) < np.ptp(edge[:, 0]) / 2
-    write_image(folder / "mask.png", np.where(inside, 255, 0).astype(np.uint8))
-    return folder / "ball", folder / "mask.png", edge
+    write_mask(scene, folder / "mask.png")
+    return folder / "ball", folder / "mask.png", from_ball(scene)
 
 
 @pytest.mark.slow
@@ -367,24 +310,22 @@ def ball(tmp_path_factory):
     ("name", "options"),
     [("lights.txt", ()), ("rig.json", ()), ("places.txt", ("--led-height-cm", "14"))],
 )
-def test_a_ball_gives_the_lights_of_a_surface(capsys, tmp_path, ball, name, options):
+def test_the_lights_of_a_ball_serve_to_reconstruct_its_surface(
+    capsys, tmp_path, ball, name, options
+):
     """First the ball, then the lights of other photographs."""
-    photographs, mask, edge = ball
+    photographs, mask, (x, y) = ball
     out, result = tmp_path / name, tmp_path / "result"
     words = ("--sphere", "grey", "--images", photographs, "--mask", mask, "--out", out, *options)
-    code, printed, err = run(capsys, *words)
-    assert code == 0, err
+    printed = words_of(capsys, "calibrate", "lights", *words)
     assert "encoding srgb is assumed of the .jpg files (--encoding changes it)" in printed
     assert f"splitknit reconstruct --images PHOTOS --lights {out}" in printed
-    given = ["--rig" if name == "rig.json" else "--lights", str(out), "--mask", str(mask)]
-    given += ["--px-per-mm", f"{default_rig(0.2).camera.px_per_mm}"]
-    assert main(["reconstruct", "--images", str(photographs), *given, "--out", str(result)]) == 0
+    lights = "--rig" if name == "rig.json" else "--lights", out
+    scale = "--px-per-mm", default_rig(0.2).camera.px_per_mm
+    surface = "--images", photographs, "--mask", mask, *lights, *scale, "--out", result
+    words_of(capsys, "reconstruct", *surface)
     with np.load(result / "height.npz") as arrays:
         normals = arrays["normals"].astype(float)
-    radius = np.ptp(edge[:, 0]) / 2
-    column, row = edge.mean(axis=0)
-    rows, columns = np.mgrid[:440, :640]
-    x, y = (columns - column) / radius, (row - rows) / radius
     truth = np.stack([x, y, np.sqrt(np.clip(1 - x * x - y * y, 0, 1))], axis=-1)
     middle = np.hypot(x, y) < 0.7
     errors = np.degrees(np.arccos(np.clip((normals * truth).sum(axis=-1)[middle], -1, 1)))
@@ -395,31 +336,29 @@ def test_a_ball_gives_the_lights_of_a_surface(capsys, tmp_path, ball, name, opti
     assert "not a list of lights" in refused(capsys, *words[:7], tmp_path / "words.txt")
 
 
-def test_a_mask_beside_the_ball_gives_way_to_its_rim(capsys, tmp_path, ball):
+def test_a_misplaced_mask_is_replaced_by_the_rim_of_the_ball(capsys, tmp_path, ball):
     photographs, mask, _ = ball
     words = ("--sphere", "grey", "--images", photographs, "--mask")
-    sound = json.loads(run(capsys, *words, mask, "--json")[1])
+    sound = facts_with(capsys, *words, mask)
     beside = np.roll(cv2.imread(str(mask), cv2.IMREAD_GRAYSCALE), 5, axis=1)
     write_image(tmp_path / "mask.png", beside)
-    found = json.loads(run(capsys, *words, tmp_path / "mask.png", "--json")[1])
+    corrected = facts_with(capsys, *words, tmp_path / "mask.png")
     assert [finding["code"] for finding in sound["findings"]] == ["assumed-encoding"]
-    (mask_found,) = set(map(json.dumps, found["findings"])) - set(
-        map(json.dumps, sound["findings"])
-    )
-    assert json.loads(mask_found)["code"] == "corrected-mask"
-    assert "the mask lies 5" in mask_found and "deg off" in mask_found
-    for led, known in zip(found["leds"], sound["leds"], strict=True):
+    (finding,) = (each for each in corrected["findings"] if each not in sound["findings"])
+    assert finding["code"] == "corrected-mask"
+    assert "the mask lies 5" in finding["message"] and "deg off" in finding["message"]
+    for led, known in zip(corrected["leds"], sound["leds"], strict=True):
         assert math.degrees(math.dist(led["direction"], known["direction"])) < 0.3
 
 
-def test_a_list_of_lights_is_of_one_band(capsys, tmp_path):
+def test_a_list_of_lights_of_two_bands_is_refused(capsys, tmp_path):
     message = refused(capsys, "--geometry", *GOOD, "--out", tmp_path / "lights.txt")
     assert "2 bands" in message and "rig.json" in message and list(tmp_path.iterdir()) == []
 
 
 @pytest.mark.slow
-def test_photographs_that_disagree(capsys, tmp_path, nail_photographs):
-    """Two LEDs' photographs exchanged in one position: refused, and the picture says why."""
+def test_exchanged_photographs_are_refused_and_shown(capsys, tmp_path, nail_photographs):
+    """Those of two LEDs, in one position of the nail."""
     folder, _ = nail_photographs
     copy = tmp_path / "copy"
     shutil.copytree(folder / "photographs", copy)
@@ -427,23 +366,11 @@ def test_photographs_that_disagree(capsys, tmp_path, nail_photographs):
     second.rename(copy / "kept.png")
     first.rename(second)
     (copy / "kept.png").rename(first)
-    words = (
-        "--images",
-        copy,
-        "--rig",
-        folder / "nominal.json",
-        "--out",
-        tmp_path / "rig.json",
-        "--method",
-        "circle",
-    )
-    code, printed, message = run(capsys, *words, "--json")
+    words = "--images", copy, "--rig", folder / "nominal.json", "--out", tmp_path / "rig.json"
+    code, printed, message = run(capsys, *words, "--method", "circle", "--json")
     assert code == 2 and message.count("\n") == 1
     assert "white 1" in message and "white 4" in message and "white 2" not in message
     facts = json.loads(printed)
-    assert (
-        facts["show"] in message
-        and Path(facts["show"]).is_file()
-        and Path(facts["tips_out"]).is_file()
-    )
+    assert facts["show"] in message
+    assert Path(facts["show"]).is_file() and Path(facts["tips_out"]).is_file()
     assert not (tmp_path / "rig.json").exists()

@@ -3,7 +3,6 @@ cannot."""
 
 from __future__ import annotations
 
-import json
 import shutil
 from dataclasses import replace
 from pathlib import Path
@@ -12,10 +11,12 @@ from typing import Any
 import numpy as np
 import pytest
 
+from enrolled import facts_of, refusal_of, words_of
 from small_capture import edit, repaint
 from splitknit.cli.main import main
 from splitknit.io.images import read_image, write_image
 from splitknit.io.rig import read_rig, write_rig
+from splitknit_simulator.camera.sensor import SensorSettings
 from splitknit_simulator.rigs import built_rig
 from white_cards import as_placed, card_folder
 
@@ -49,29 +50,20 @@ def run(*words: Any) -> int:
 def refusal(capsys: pytest.CaptureFixture[str], *words: Any) -> str:
     """Return the one sentence with which a run is refused."""
     capsys.readouterr()
-    assert run(*words) == 2
-    printed = capsys.readouterr()
-    assert printed.out == ""
-    assert printed.err.startswith("splitknit: error: ")
-    assert printed.err.count("\n") == 1
-    return printed.err
+    return refusal_of(capsys, "calibrate", "radiometry", *words)
+
+
+def facts_with(capsys: pytest.CaptureFixture[str], *words: Any) -> dict[str, Any]:
+    return facts_of(capsys, "calibrate", "radiometry", *words)
 
 
 @pytest.mark.slow
-def test_a_rig_is_calibrated(
-    card: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    rig_file, out, picture = (
-        tmp_path / "placed.json",
-        tmp_path / "new" / "rig.json",
-        tmp_path / "residuals.png",
-    )
-    write_rig(as_placed(built_rig(2, scale=SCALE)), rig_file)
-    assert run(card, "--rig", rig_file, "--out", out, "--residuals", picture, "--json") == 0
-    printed = capsys.readouterr()
-    facts = json.loads(printed.out)
-    assert printed.err == ""
+def test_a_card_calibrates_brightness_beam_and_lens(card, tmp_path, capsys):
+    placed, out = tmp_path / "placed.json", tmp_path / "new" / "rig.json"
+    picture = tmp_path / "residuals.png"
     truth = built_rig(2, scale=SCALE)
+    write_rig(as_placed(truth), placed)
+    facts = facts_with(capsys, card, "--rig", placed, "--out", out, "--residuals", picture)
     rig = read_rig(out)
     scale = np.mean([led.intensity for led in truth.leds[:7]]) / np.mean(
         [led.intensity for led in rig.leds[:7]]
@@ -86,14 +78,12 @@ def test_a_rig_is_calibrated(
     assert set(stored["inputs"]) >= {"white_0.png", "nir_6.png", "step_3.png", "radiometry.json"}
     assert facts["files"] == [str(out), str(picture)]
     assert facts["findings"] == []
-    shown = read_image(picture)
-    assert shown.shape[2] == 3 and shown.shape[1] > 3 * shown.shape[0]
+    rows, columns, channels = read_image(picture).shape
+    assert channels == 3 and columns > 3 * rows
 
 
 @pytest.mark.slow
-def test_the_base_lies_as_the_camera_found_it(
-    card: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_the_tilt_of_the_base_comes_from_the_camera_calibration(card, tmp_path, capsys):
     def tilt_of(deviation: float, *words: Any) -> Any:
         plane = {"tilt_xy_deg": [0.3, -0.2], "tilt_deg_deviation": deviation}
         rig = replace(
@@ -101,19 +91,8 @@ def test_the_base_lies_as_the_camera_found_it(
             provenance={"camera": {"residuals": {"plane": plane}}},
         )
         write_rig(rig, tmp_path / "placed.json")
-        assert (
-            run(
-                card,
-                "--rig",
-                tmp_path / "placed.json",
-                "--out",
-                tmp_path / "rig.json",
-                "--json",
-                *words,
-            )
-            == 0
-        )
-        return json.loads(capsys.readouterr().out)["card"]["tilt_deg"]
+        options = "--rig", tmp_path / "placed.json", "--out", tmp_path / "rig.json"
+        return facts_with(capsys, card, *options, *words)["card"]["tilt_deg"]
 
     assert tilt_of(0.1) == [0.3, -0.2]
     assert tilt_of(0.2) == [0, 0]
@@ -121,51 +100,39 @@ def test_the_base_lies_as_the_camera_found_it(
 
 
 @pytest.mark.slow
-def test_same_folder_same_bytes(card: Path, calibrated: Path, tmp_path: Path) -> None:
+def test_the_same_folder_gives_the_same_bytes(card, calibrated, tmp_path):
     assert run(card, "--out", tmp_path / "rig.json") == 0
     assert (tmp_path / "rig.json").read_bytes() == calibrated.read_bytes()
 
 
-def test_a_later_card(
-    card: Path, calibrated: Path, own: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    assert run(card, "--check", calibrated) == 0
-    assert "All LEDs are as calibrated, within 3 %." in capsys.readouterr().out
+def test_a_later_card_names_drifted_leds(card, calibrated, own, capsys):
+    def printed(*words: Any) -> str:
+        return words_of(capsys, "calibrate", "radiometry", *words)
+
+    assert "All LEDs are as calibrated, within 3 %." in printed(card, "--check", calibrated)
     repaint(own / "white_3.png", lambda pixels: (pixels * 0.88).astype(pixels.dtype))
     before = calibrated.read_bytes()
-    assert run(own, "--check", calibrated) == 0
-    assert (
-        "Please note: LED white 3 is 12 % darker than at the calibration."
-        in capsys.readouterr().out
-    )
-    assert run(own, "--check", calibrated, "--json") == 0
-    facts = json.loads(capsys.readouterr().out)
+    assert "LED white 3 is 12 % darker than" in printed(own, "--check", calibrated)
+    facts = facts_with(capsys, own, "--check", calibrated)
     assert facts["verdict"] == "drifted"
     assert facts["leds"][3]["own_ratio"] == pytest.approx(0.88, abs=0.005)
-    assert run(own, "--check", calibrated, "--limit", 15, "--json") == 0
-    assert json.loads(capsys.readouterr().out)["verdict"] == "as calibrated"
+    lenient = facts_with(capsys, own, "--check", calibrated, "--limit", 15)
+    assert lenient["verdict"] == "as calibrated"
     assert calibrated.read_bytes() == before
 
 
 @pytest.mark.slow
-def test_srgb_files_must_say_so(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    from splitknit_simulator.camera.sensor import SensorSettings
-
+def test_srgb_files_that_state_linear_are_refused(tmp_path, capsys):
     folder = tmp_path / "srgb"
     card_folder(folder, seed=2, scale=SCALE, sensor=SensorSettings(encoding="srgb"))
     assert run(folder, "--out", tmp_path / "rig.json") == 0
     edit(folder / "capture.json", lambda document: document.update(encoding="linear"))
     printed = refusal(capsys, folder, "--out", tmp_path / "other.json")
-    assert (
-        'are sRGB, but capture.json states "encoding": "linear"; write "encoding": "srgb"'
-        in printed
-    )
+    assert 'are sRGB, but capture.json states "encoding": "linear"' in printed
     assert not (tmp_path / "other.json").exists()
 
 
-def test_processed_pictures_are_refused(
-    own: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_processed_pictures_are_refused(own, tmp_path, capsys):
     def contrast(pixels: Any) -> Any:
         light = pixels / 65535
         return np.round(65535 * (light - 0.03 * np.sin(2 * np.pi * light))).astype(np.uint16)
@@ -178,12 +145,9 @@ def test_processed_pictures_are_refused(
 
 
 @pytest.mark.slow
-def test_the_card_alone_will_do(
-    own: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_card_without_exposures_has_no_response(own, tmp_path, capsys):
     (own / "radiometry.json").unlink()
-    assert run(own, "--out", tmp_path / "rig.json", "--json") == 0
-    assert json.loads(capsys.readouterr().out)["response"] is None
+    assert facts_with(capsys, own, "--out", tmp_path / "rig.json")["response"] is None
 
 
 @pytest.mark.parametrize(
@@ -206,18 +170,14 @@ def test_the_card_alone_will_do(
         ),
     ],
 )
-def test_documents_that_are_wrong(
-    own: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], change: Any, sentence: str
-) -> None:
+def test_wrong_documents_of_exposures_are_refused(own, tmp_path, capsys, change, sentence):
     write_image(own / "small.png", np.zeros((8, 9), dtype=np.uint8))
     edit(own / "radiometry.json", lambda document: document.update(change))
     assert sentence in refusal(capsys, own, "--out", tmp_path / "rig.json")
     assert not (tmp_path / "rig.json").exists()
 
 
-def test_words_that_are_wrong(
-    card: Path, calibrated: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_options_that_cannot_be_used_are_refused(card, calibrated, tmp_path, capsys):
     out = tmp_path / "rig.json"
     assert "is not a capture folder" in refusal(capsys, tmp_path, "--out", out)
     assert "does not exist" in refusal(capsys, tmp_path / "none", "--out", out)

@@ -9,11 +9,15 @@ import signal
 import subprocess
 import sys
 import time
+from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
 
+from enrolled import facts_of, refusal_of
 from faulty_scene import Faults, FaultyScene
 from splitknit.cli.main import main
 from splitknit.io.capture import read_capture
@@ -23,6 +27,7 @@ from splitknit_simulator import twin_devices
 from splitknit_simulator.twin import FingerScene
 
 SMALL = ("--scale", "0.1", "--set", "pose.insertion_mm=[26.0, 26.0]")
+PERSON = ("--seed", 3, "--subject", "S01", "--finger", "left_ring", "--session", 2)
 Captured = pytest.CaptureFixture[str]
 
 
@@ -32,33 +37,17 @@ def run(*words: object) -> int:
 
 def refused(capsys: Captured, *words: object, device: str = "twin") -> str:
     """Sentence with which a command is refused."""
-    assert main(["capture", "--device", device, *map(str, words)]) == 2
-    out, err = capsys.readouterr()
-    assert out == ""
-    assert err.startswith("splitknit: error: ")
-    assert err.count("\n") == 1
-    return err
+    return refusal_of(capsys, "capture", "--device", device, *words)
+
+
+def facts_with(capsys: Captured, *words: object) -> dict[str, Any]:
+    return facts_of(capsys, "capture", "--device", "twin", *words)
 
 
 @pytest.fixture(scope="module")
 def done(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("capture") / "one"
-    assert (
-        run(
-            "--out",
-            folder,
-            *SMALL,
-            "--seed",
-            3,
-            "--subject",
-            "S01",
-            "--finger",
-            "left_ring",
-            "--session",
-            2,
-        )
-        == 0
-    )
+    assert run("--out", folder, *SMALL, *PERSON) == 0
     return folder
 
 
@@ -66,11 +55,11 @@ def done(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def faults(monkeypatch: pytest.MonkeyPatch):
     """Let the twin's scenes have faults."""
 
-    def spoil(**given: object) -> None:
+    def spoil(**faults: object) -> None:
         class Spoilt(FingerScene):
             def __init__(self, *args: object, **options: object) -> None:
                 super().__init__(*args, **options)
-                self._faulty = FaultyScene(self._plain(), Faults(**given))
+                self._faulty = FaultyScene(self._plain(), Faults(**faults))
 
             def _plain(self):
                 scene = self
@@ -95,7 +84,7 @@ def faults(monkeypatch: pytest.MonkeyPatch):
     return spoil
 
 
-def test_a_folder_that_reads_back_with_truth_and_session(done: Path):
+def test_a_written_capture_has_its_truth_and_session(done):
     capture = read_capture(done)
     assert capture.subject == {"id": "S01", "finger": "left_ring", "session": 2}
     assert capture.shape == (220, 320)
@@ -117,24 +106,9 @@ def test_a_folder_that_reads_back_with_truth_and_session(done: Path):
 
 
 @pytest.mark.slow
-def test_the_same_command_gives_the_same_bytes(done: Path, tmp_path: Path):
+def test_the_same_command_gives_the_same_bytes(done, tmp_path):
     again = tmp_path / "again"
-    assert (
-        run(
-            "--out",
-            again,
-            *SMALL,
-            "--seed",
-            3,
-            "--subject",
-            "S01",
-            "--finger",
-            "left_ring",
-            "--session",
-            2,
-        )
-        == 0
-    )
+    assert run("--out", again, *SMALL, *PERSON) == 0
     names = sorted(file.name for file in done.iterdir())
     assert names == sorted(file.name for file in again.iterdir())
     for name in names:
@@ -142,24 +116,18 @@ def test_the_same_command_gives_the_same_bytes(done: Path, tmp_path: Path):
 
 
 @pytest.mark.slow
-def test_json_is_one_object(tmp_path: Path, capsys: Captured):
-    assert (
-        run("--out", tmp_path / "c", *SMALL, "--json", "--set", "capture.exposure.target=0.5") == 0
-    )
-    out, err = capsys.readouterr()
-    facts = json.loads(out)
-    assert err == ""
+def test_facts_state_the_exposure_and_the_images(tmp_path, capsys):
+    target = "--set", "capture.exposure.target=0.5"
+    facts = facts_with(capsys, "--out", tmp_path / "c", *SMALL, *target)
     assert facts["exposure"]["white"]["level"] == pytest.approx(0.5, rel=0.1)
     assert facts["images"] == 14
     assert facts["subject"]["id"] == "anonymous"
 
 
 @pytest.mark.parametrize("what", [(), ("nail",)])
-def test_targets_for_calibration(what, tmp_path: Path, capsys: Captured):
-    assert (
-        run("--target", *what, "--out", tmp_path / "c", "--scale", 0.05, "--seed", 2, "--json") == 0
-    )
-    facts = json.loads(capsys.readouterr().out)
+def test_a_calibration_target_is_captured(what, tmp_path, capsys):
+    words = "--out", tmp_path / "c", "--scale", 0.05, "--seed", 2
+    facts = facts_with(capsys, "--target", *what, *words)
     assert facts["verdict"] == []
     (finding,) = facts["findings"]  # what stood there, and where
     assert finding["code"] == "simulated-target"
@@ -171,13 +139,12 @@ def test_targets_for_calibration(what, tmp_path: Path, capsys: Captured):
     assert (means > 2).all()
 
 
-def test_an_unknown_target_is_refused(tmp_path: Path, capsys: Captured):
-    assert "no target 'teapot'; it has card" in refused(
-        capsys, "--target", "teapot", "--out", tmp_path / "c"
-    )
+def test_an_unknown_target_is_refused(tmp_path, capsys):
+    words = "--target", "teapot", "--out", tmp_path / "c"
+    assert "no target 'teapot'; it has card" in refused(capsys, *words)
 
 
-def test_a_rig_file_decides_size_and_leds(tmp_path: Path):
+def test_a_rig_file_determines_image_size_and_leds(tmp_path):
     rig = default_rig(0.08, seed=4)
     write_rig(rig, tmp_path / "rig.json")
     assert run("--out", tmp_path / "c", "--rig", tmp_path / "rig.json") == 0
@@ -187,45 +154,34 @@ def test_a_rig_file_decides_size_and_leds(tmp_path: Path):
 
 
 @pytest.mark.slow
-def test_a_finger_that_moved_is_not_written_and_the_verdict_is_said(
-    tmp_path: Path, capsys: Captured, faults
-):
+def test_a_finger_that_moved_is_written_only_with_keep(tmp_path, capsys, faults):
     faults(moves_mm={6: (0.5, 0.0)})
-    printed = refused(capsys, "--out", tmp_path / "c", *SMALL)
-    assert (
-        "the finger moved by 0.5 mm between white 3 and white 4: hold still and capture again."
-        in printed
-    )
+    verdict = "the finger moved by 0.5 mm between white 3 and white 4: hold still and capture again"
+    assert verdict in refused(capsys, "--out", tmp_path / "c", *SMALL)
     assert list(tmp_path.iterdir()) == []
     assert run("--out", tmp_path / "c", *SMALL, "--keep", "--json") == 2
     out, err = capsys.readouterr()
     assert "kept in" in err
     assert json.loads((tmp_path / "c" / "session.json").read_text())["verdict"] != []
     read_capture(tmp_path / "c")
-    assert json.loads(out)["verdict"] == [
-        "the finger moved by 0.5 mm between white 3 and white 4: hold still and capture again"
-    ]
+    assert json.loads(out)["verdict"] == [verdict]
 
 
-def test_a_dead_led_is_named(tmp_path: Path, capsys: Captured, faults):
+def test_a_dead_led_is_named(tmp_path, capsys, faults):
     faults(dead=frozenset({9}))
-    assert "nir 2 did not light; check its wiring" in refused(
-        capsys, "--out", tmp_path / "c", *SMALL
-    )
+    message = refused(capsys, "--out", tmp_path / "c", *SMALL)
+    assert "nir 2 did not light; check its wiring" in message
     assert list(tmp_path.iterdir()) == []
 
 
 @pytest.mark.slow
-def test_foreign_files_and_earlier_captures_are_not_replaced(
-    done: Path, tmp_path: Path, capsys: Captured
-):
-    (tmp_path / "mine").mkdir()
-    (tmp_path / "mine" / "diary.txt").write_text("x")
-    assert "mine" in refused(capsys, "--out", tmp_path / "mine", *SMALL)
-    assert "not an earlier capture" in refused(
-        capsys, "--out", tmp_path / "mine", *SMALL, "--overwrite"
-    )
-    assert (tmp_path / "mine" / "diary.txt").read_text() == "x"
+def test_foreign_files_and_earlier_captures_are_not_overwritten(done, tmp_path, capsys):
+    mine = tmp_path / "mine"
+    mine.mkdir()
+    (mine / "diary.txt").write_text("x")
+    assert "mine" in refused(capsys, "--out", mine, *SMALL)
+    assert "not an earlier capture" in refused(capsys, "--out", mine, *SMALL, "--overwrite")
+    assert (mine / "diary.txt").read_text() == "x"
     before = (done / "white_0.png").read_bytes()
     assert "exists and is not empty" in refused(capsys, "--out", done, *SMALL)
     assert (done / "white_0.png").read_bytes() == before
@@ -252,40 +208,31 @@ def test_foreign_files_and_earlier_captures_are_not_replaced(
         (("--out", "a", "--rig", "missing.json"), "missing.json"),
     ],
 )
-def test_what_is_refused(words, printed, tmp_path: Path, monkeypatch, capsys: Captured):
+def test_options_that_cannot_be_used_are_refused(words, printed, tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     assert printed in refused(capsys, *words)
     assert list(tmp_path.iterdir()) == []
 
 
-def test_a_rig_of_another_camera_or_with_too_few_leds(tmp_path: Path, capsys: Captured):
-    from dataclasses import replace
-
-    rig = default_rig(0.05)
+def test_a_rig_of_another_camera_or_with_too_few_leds_is_refused(tmp_path, capsys):
+    rig, words = default_rig(0.05), ("--out", tmp_path / "c", "--rig", tmp_path / "rig.json")
     write_rig(rig, tmp_path / "rig.json")
-    printed = refused(
-        capsys, "--out", tmp_path / "c", "--rig", tmp_path / "rig.json", "--scale", 0.1
-    )
+    printed = refused(capsys, *words, "--scale", 0.1)
     assert "another camera: its images have 110 x 160" in printed
-    write_rig(replace(rig, leds=rig.leds[:2] + rig.leds[7:]), tmp_path / "few.json")
-    assert "2 white LEDs" in refused(
-        capsys, "--out", tmp_path / "c", "--rig", tmp_path / "few.json"
-    )
+    write_rig(replace(rig, leds=rig.leds[:2] + rig.leds[7:]), tmp_path / "rig.json")
+    assert "2 white LEDs" in refused(capsys, *words)
 
 
 class TestEnrolment:
     PLAN = ("--subjects", 2, "--sessions", 2, "--fingers", "right_index,left_thumb")
 
-    def enrol(self, folder: Path, *words: object) -> int:
-        return run("--enrolment", folder, "--scale", 0.05, *words)
-
     @pytest.mark.slow
-    def test_stops_and_goes_on_until_all_are_done(
-        self, tmp_path: Path, capsys: Captured, faults, monkeypatch
+    def test_an_enrolment_continues_until_all_fingers_are_captured(
+        self, tmp_path, capsys, faults, monkeypatch
     ):
         folder = tmp_path / "e"
-        assert self.enrol(folder, *self.PLAN, "--next", 3, "--json") == 0
-        facts = json.loads(capsys.readouterr().out)
+        words = "--enrolment", folder, "--scale", 0.05
+        facts = facts_with(capsys, *words, *self.PLAN, "--next", 3)
         assert (facts["finished"], facts["total"]) == (3, 8)
         assert facts["next"] == "S02/session_1/left_thumb"
         kept = folder / "S01" / "session_1" / "right_index"
@@ -293,25 +240,21 @@ class TestEnrolment:
 
         with monkeypatch.context():
             faults(dead=frozenset({0}))
-            printed = refused(capsys, "--enrolment", folder, "--scale", 0.05)
+            printed = refused(capsys, *words)
             assert "S02, session 1, left thumb" in printed
             assert "white 0 did not light" in printed
         monkeypatch.undo()
         assert len(list(folder.rglob("capture.json"))) == 3
 
-        assert self.enrol(folder, "--subject", "S02", "--session", 2, "--json") == 0
-        assert json.loads(capsys.readouterr().out)["captured"] == [
-            "S02/session_2/right_index",
-            "S02/session_2/left_thumb",
-        ]
-        assert self.enrol(folder) == 0
+        session = facts_with(capsys, *words, "--subject", "S02", "--session", 2)
+        assert session["captured"] == ["S02/session_2/right_index", "S02/session_2/left_thumb"]
+        assert run(*words) == 0
         assert "All fingers are captured." in capsys.readouterr().out
         assert (kept / "white_0.png").stat().st_mtime_ns == stamp
         assert len(list(folder.glob("S*/session_*/*/capture.json"))) == 8
         capture = read_capture(folder / "S02" / "session_2" / "left_thumb")
         assert capture.subject == {"id": "S02", "finger": "left_thumb", "session": 2}
-        assert self.enrol(folder, "--json") == 0
-        assert json.loads(capsys.readouterr().out)["captured"] == []
+        assert facts_with(capsys, *words)["captured"] == []
 
         skin, height = {}, {}
         for file in folder.rglob("truth.npz"):
@@ -323,34 +266,32 @@ class TestEnrolment:
         assert skin["S01", "session_1", "left_thumb"] == skin["S01", "session_2", "left_thumb"]
         assert len(set(height.values())) == 8  # laid down anew every time
 
-    def test_a_folder_of_something_else_is_refused(self, done: Path, capsys: Captured):
+    def test_a_folder_of_something_else_is_refused(self, done, capsys):
         assert "is not an enrolment" in refused(capsys, "--enrolment", done)
 
 
 class TestPi:
     """On a computer that is not a Raspberry Pi."""
 
-    def test_missing_hardware_is_one_sentence(self, tmp_path: Path, capsys: Captured, monkeypatch):
-        monkeypatch.setitem(sys.modules, "picamera2", None)
+    @pytest.mark.parametrize(
+        ("picamera2", "words"),
+        [
+            (None, "picamera2"),
+            (
+                SimpleNamespace(Picamera2=SimpleNamespace(global_camera_info=list)),
+                "no camera was found",
+            ),
+        ],
+    )
+    def test_missing_hardware_is_refused_and_no_led_lit(
+        self, picamera2, words, tmp_path, capsys, monkeypatch
+    ):
         from gpiozero import Device
         from gpiozero.pins.mock import MockFactory
 
+        monkeypatch.setitem(sys.modules, "picamera2", picamera2)
         monkeypatch.setattr(Device, "pin_factory", MockFactory())
-        printed = refused(capsys, "--out", tmp_path / "c", device="pi")
-        assert "picamera2" in printed
-        assert list(tmp_path.iterdir()) == []
-        assert not any(pin.state for pin in Device.pin_factory.pins.values())
-
-    def test_a_pi_without_a_camera(self, tmp_path: Path, capsys: Captured, monkeypatch):
-        from types import SimpleNamespace
-
-        from gpiozero import Device
-        from gpiozero.pins.mock import MockFactory
-
-        none = SimpleNamespace(Picamera2=SimpleNamespace(global_camera_info=list))
-        monkeypatch.setitem(sys.modules, "picamera2", none)
-        monkeypatch.setattr(Device, "pin_factory", MockFactory())
-        assert "no camera was found" in refused(capsys, "--out", tmp_path / "c", device="pi")
+        assert words in refused(capsys, "--out", tmp_path / "c", device="pi")
         assert not any(pin.state for pin in Device.pin_factory.pins.values())
         assert list(tmp_path.iterdir()) == []
 
@@ -358,12 +299,12 @@ class TestPi:
         "words",
         [("--scale", "0.5"), ("--seed", "3"), ("--pattern", "loop"), ("--set", "skin.melanin=0.1")],
     )
-    def test_settings_of_the_twin_are_refused(self, words, tmp_path: Path, capsys: Captured):
+    def test_settings_of_the_twin_are_refused(self, words, tmp_path, capsys):
         assert "twin" in refused(capsys, "--out", tmp_path / "c", *words, device="pi")
 
 
 @pytest.mark.slow
-def test_sigterm_leaves_nothing_half_written(tmp_path: Path):
+def test_sigterm_leaves_nothing_half_written(tmp_path):
     out = tmp_path / "c"
     code = "import sys; from splitknit.cli.main import main; sys.exit(main())"
     words = ["capture", "--device", "twin", "--out", str(out), "--scale", "0.3"]

@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from enrolled import refusal_of
 from splitknit.cli.main import main
 from splitknit.io.capture import read_capture
 from splitknit.io.images import read_image
@@ -26,7 +27,7 @@ def bench(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return out
 
 
-def test_everything_is_there(bench: Path) -> None:
+def test_the_bench_holds_its_rigs_and_well_exposed_pictures(bench):
     true, drawn = read_rig(bench / "rig_true.json"), read_rig(bench / "rig_drawn.json")
     assert true.camera.matrix is not None and drawn.camera.matrix is not None
     assert np.abs(true.camera.matrix - built_rig(3, scale=SCALE).camera.matrix).max() < 1e-9
@@ -40,35 +41,25 @@ def test_everything_is_there(bench: Path) -> None:
         assert 90 < np.percentile(pixels, 99.5) < 255, picture.name
 
 
-def test_the_card_is_a_capture_with_exposures(bench: Path) -> None:
+def test_the_card_is_a_capture_with_an_exposure_series(bench):
     capture = read_capture(bench / "card")
     assert capture.material == "opaque"
     assert [len(band.leds) for band in capture.bands.values()] == [7, 7]
     document = json.loads((bench / "card" / "radiometry.json").read_text())
-    series = [read_image(bench / "card" / one["file"]).mean() for one in document["exposures"]]
-    times = [one["exposure_s"] for one in document["exposures"]]
+    series = [read_image(bench / "card" / entry["file"]).mean() for entry in document["exposures"]]
+    times = [entry["exposure_s"] for entry in document["exposures"]]
     np.testing.assert_allclose(
         np.array(series) / series[-1], np.array(times) / times[-1], rtol=0.03
     )
 
 
 @pytest.mark.slow
-def test_a_finger_by_that_rig_and_its_reconstruction_with_another(
-    bench: Path, tmp_path: Path
-) -> None:
+def test_a_stored_rig_photographs_a_finger_and_another_reconstructs_it(bench, tmp_path):
     true = bench / "rig_true.json"
     assert main(["simulate", "--seed", "4", "--rig", str(true), "--out", str(tmp_path / "c")]) == 0
     assert read_capture(tmp_path / "c").rig.camera.height_mm == read_rig(true).camera.height_mm
-    call = [
-        "reconstruct",
-        str(tmp_path / "c"),
-        "--preset",
-        "ea",
-        "--rig",
-        str(bench / "rig_drawn.json"),
-        "--keep",
-    ]
-    assert main([*call, "--out", str(tmp_path / "r")]) == 0
+    call = "reconstruct", tmp_path / "c", "--preset", "ea", "--keep", "--out", tmp_path / "r"
+    assert main([*map(str, call), "--rig", str(bench / "rig_drawn.json")]) == 0
     report = json.loads((tmp_path / "r" / "report.json").read_text())
     assert "replaced rig: rig_drawn.json" in json.dumps(report)
 
@@ -81,25 +72,18 @@ def test_a_finger_by_that_rig_and_its_reconstruction_with_another(
         (["simulate", "--rig", "RIG", "--scale", "0.5"], "leave out the scale"),
     ],
 )
-def test_refusals(
-    call: list[str], words: str, bench: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    given = [str(bench / "rig_true.json") if part == "RIG" else part for part in call]
-    assert main([*given, "--out", str(tmp_path / "o")]) == 2
-    said = capsys.readouterr().err
-    assert words in said
-    assert said.count("\n") == 1
+def test_options_that_exclude_each_other_are_refused(call, words, bench, tmp_path, capsys):
+    arguments = [bench / "rig_true.json" if part == "RIG" else part for part in call]
+    assert words in refusal_of(capsys, *arguments, "--out", tmp_path / "o")
     assert not (tmp_path / "o").exists()
 
 
-def test_rigs_that_do_not_fit_a_capture(
-    bench: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_rig_of_another_camera_or_other_leds_is_refused(bench, tmp_path, capsys):
     rig = read_rig(bench / "rig_drawn.json")
     swapped = tuple(
         Led("nir" if led.band == "white" else "white", led.position_mm) for led in rig.leds
     )
-    other = built_rig(3, scale=2 * SCALE)
+    another = built_rig(3, scale=2 * SCALE)
     for name, wrong, words in (
         (
             "few.json",
@@ -107,16 +91,8 @@ def test_rigs_that_do_not_fit_a_capture(
             "LED 9, which lit images of the band 'nir', is not in it",
         ),
         ("swapped.json", Rig(rig.camera, swapped), "is of the band 'nir' there"),
-        ("other.json", other, "is the rig of another camera"),
+        ("other.json", another, "is the rig of another camera"),
     ):
         write_rig(wrong, tmp_path / name)
-        call = [
-            "reconstruct",
-            str(bench / "card"),
-            "--rig",
-            str(tmp_path / name),
-            "--out",
-            str(tmp_path / "r"),
-        ]
-        assert main(call) == 2
-        assert words in capsys.readouterr().err
+        options = "--rig", tmp_path / name, "--out", tmp_path / "r"
+        assert words in refusal_of(capsys, "reconstruct", bench / "card", *options)

@@ -1,7 +1,6 @@
 from __future__ import annotations
 
 import json
-from pathlib import Path
 from typing import Any
 
 import pytest
@@ -29,31 +28,27 @@ def short_cut(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 @pytest.mark.usefixtures("short_cut")
-def test_demo_writes_everything_and_says_where(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_demo_writes_its_results_and_prints_their_places(tmp_path, capsys, monkeypatch):
     monkeypatch.chdir(tmp_path)
     assert main(["demo"]) == 0
-    said = capsys.readouterr().out
+    printed = capsys.readouterr().out
     out = tmp_path / "demo"
     assert read_capture(out / "capture").shape == (440, 640)
     for preset in ("metric", "ea"):
         assert {path.name for path in (out / preset).iterdir()} >= set(FILES)
         assert json.loads((out / preset / "report.json").read_text())["comparison"][preset]
-        assert f"demo/{preset}" in said
+        assert f"demo/{preset}" in printed
     facts = json.loads((out / "report.json").read_text())
     assert set(facts["comparison"]) == {"metric", "ea"}
     page = (out / "report.html").read_text()
     assert "Ridge error, metric" in page
     assert "Ridge error, ea" in page
-    assert "Open demo/report.html" in said
+    assert "Open demo/report.html" in printed
 
 
 @pytest.mark.slow
 @pytest.mark.usefixtures("short_cut")
-def test_demo_can_be_repeated_and_its_results_replaced(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_demo_can_be_repeated_and_its_results_replaced(tmp_path, capsys):
     out = str(tmp_path / "demo")
     assert main(["demo", "--out", out]) == 0
     assert main(["demo", "--out", out, "--json"]) == 0

@@ -33,7 +33,7 @@ def digests(folder: Path) -> dict[str, str]:
 
 
 @pytest.mark.slow
-def test_threads_do_not_change_a_byte(twin_folder: Path, tmp_path: Path) -> None:
+def test_threads_do_not_change_a_byte(twin_folder, tmp_path):
     opaque = copy_of(twin_folder, tmp_path / "opaque")
     edit(opaque / "capture.json", lambda document: document.update(material="opaque"))
     runs = {}

@@ -1,50 +1,23 @@
 """``splitknit simulate --mirrors``: options in, a capture folder out."""
 
-from __future__ import annotations
-
-import json
-from pathlib import Path
-
 import numpy as np
 import pytest
 
-from splitknit.cli.main import main
+from enrolled import facts_of, refusal_of, words_of
 from splitknit.io.capture import read_capture
 
 
 @pytest.mark.slow
-def test_a_mirror_capture_is_written_read_and_taken_again_with_another_roll(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    common = [
-        "simulate",
-        "--mirrors",
-        "right",
-        "--no-nir",
-        "--scale",
-        "0.08",
-        "--seed",
-        "6",
-        "--json",
-    ]
-    common += ["--set", "mirrors.truth_pitch_mm=0.5"]
-    assert main([*common, "--out", str(tmp_path / "first")]) == 0
-    facts = json.loads(capsys.readouterr().out)
-    assert facts["images"] == 7
+def test_a_stored_mirror_rig_photographs_the_finger_again_with_another_roll(tmp_path, capsys):
+    common = "--seed", "6", "--set", "mirrors.truth_pitch_mm=0.5"
+    first = "--mirrors", "right", "--no-nir", "--scale", "0.08", "--out", tmp_path / "first"
+    assert facts_of(capsys, "simulate", *common, *first)["images"] == 7
     capture = read_capture(tmp_path / "first")
     assert set(capture.bands) == {"white"}
     assert [mirror.name for mirror in capture.rig.mirrors] == ["right"]
-    rig = tmp_path / "first" / "rig.json"
-    again = ["simulate", "--rig", str(rig), "--seed", "6", "--set", "mirrors.truth_pitch_mm=0.5"]
-    rolled = [
-        "--impression",
-        "1",
-        "--set",
-        "pose.roll_deg=[20, 20]",
-        "--set",
-        "pose.insertion_mm=[28, 30]",
-    ]
-    assert main([*again, *rolled, "--out", str(tmp_path / "second")]) == 0
+    rolled = "--set", "pose.roll_deg=[20, 20]", "--set", "pose.insertion_mm=[28, 30]"
+    again = "--rig", tmp_path / "first" / "rig.json", "--impression", "1", *rolled
+    words_of(capsys, "simulate", *common, *again, "--out", tmp_path / "second")
     truths = [np.load(tmp_path / name / "truth.npz") for name in ("first", "second")]
     np.testing.assert_array_equal(
         truths[0]["mirror_right_normal"], truths[1]["mirror_right_normal"]
@@ -60,7 +33,7 @@ def test_a_mirror_capture_is_written_read_and_taken_again_with_another_roll(
 
 
 @pytest.mark.parametrize(
-    ("options", "says"),
+    ("options", "words"),
     [
         (["--mirrors", "right,up"], "left, right and tip"),
         (["--mirrors", ""], "left, right and tip"),
@@ -72,11 +45,7 @@ def test_a_mirror_capture_is_written_read_and_taken_again_with_another_roll(
         (["--mirrors", "right", "--condition", "wet"], "leave out mirrors, or condition"),
     ],
 )
-def test_what_cannot_be_is_refused_in_one_sentence(
-    options: list[str], says: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_options_that_exclude_mirrors_are_refused(options, words, tmp_path, capsys):
     out = tmp_path / "out"
-    assert main(["simulate", *options, "--out", str(out), "--scale", "0.08"]) == 2
-    message = capsys.readouterr().err
-    assert says in message and message.count("\n") == 1
+    assert words in refusal_of(capsys, "simulate", *options, "--out", out, "--scale", "0.08")
     assert not out.exists()

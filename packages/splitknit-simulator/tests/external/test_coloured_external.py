@@ -1,7 +1,5 @@
 """Crosstalk of coloured LEDs against the IMX219's published quantum efficiency."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """The twin's handful of coefficients against published tables."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 
@@ -11,8 +9,17 @@ from splitknit_simulator.light.skin import CHANNELS, EFFECTIVE
 pytestmark = pytest.mark.external
 
 
+def sensor_and_led(data_dir):
+    """Wavelengths in nm, quantum efficiency of red, green and blue, and quanta of the white LED."""
+    sensor = np.genfromtxt(data_dir / "imx219" / "IMX219.csv", delimiter=",", skip_header=2)
+    file = data_dir / "led_spectra" / "cie_led_illuminants.csv"
+    led = np.genfromtxt(file, delimiter=",", names=True)
+    nm = sensor[:, 0]
+    return nm, sensor[:, 1:], np.interp(nm, led["nm"], led["LEDB3"]) * nm
+
+
 @pytest.mark.parametrize("channel", CHANNELS)
-def test_blood_and_water_at_the_effective_wavelengths(data_dir, channel):
+def test_absorption_of_blood_and_water_agrees_with_published_tables(data_dir, channel):
     band = EFFECTIVE[channel]
     blood = np.genfromtxt(data_dir / "skin_optics" / "haemoglobin.txt", skip_header=2)
     per_mm = 2.303 * 150.0 / 64_500.0 / 10.0
@@ -27,34 +34,25 @@ def test_blood_and_water_at_the_effective_wavelengths(data_dir, channel):
     )
 
 
-def test_response_and_the_blue_peak_of_the_white_led(data_dir):
-    sensor = np.genfromtxt(data_dir / "imx219" / "IMX219.csv", delimiter=",", skip_header=2)
-    led = np.genfromtxt(
-        data_dir / "led_spectra" / "cie_led_illuminants.csv", delimiter=",", names=True
-    )
-    nm = sensor[:, 0]
-    quanta = np.interp(nm, led["nm"], led["LEDB3"]) * nm
-    signal = (sensor[:, 1:] * quanta[:, None]).sum(axis=0)
+def test_response_and_wavelengths_follow_from_sensor_and_led(data_dir):
+    nm, efficiency, quanta = sensor_and_led(data_dir)
+    signal = (efficiency * quanta[:, None]).sum(axis=0)
     assert RESPONSE["white"] == pytest.approx(tuple(signal / signal[1]), abs=0.01)
     blue = nm < 500
     assert nm[blue][np.argmax(quanta[blue])] == pytest.approx(
         EFFECTIVE["blue"].absorption_nm, abs=5
     )
     # the band the red channel sees under the LED, less the green that a colour correction takes out
-    centroid = float((sensor[:, 1] * quanta * nm).sum() / (sensor[:, 1] * quanta).sum())
+    centroid = np.average(nm, weights=efficiency[:, 0] * quanta)
     assert centroid == pytest.approx(EFFECTIVE["red"].scattering_nm, abs=15)
 
 
 def test_band_averages_bracket_the_effective_wavelengths(data_dir):
     """How far one wavelength a channel stands from the channel's own average, as
     docs/explain/simulator.md states it."""
-    sensor = np.genfromtxt(data_dir / "imx219" / "IMX219.csv", delimiter=",", skip_header=2)
-    led = np.genfromtxt(
-        data_dir / "led_spectra" / "cie_led_illuminants.csv", delimiter=",", names=True
-    )
+    nm, efficiency, quanta = sensor_and_led(data_dir)
     blood = np.genfromtxt(data_dir / "skin_optics" / "haemoglobin.txt", skip_header=2)
-    nm = sensor[:, 0]
-    weight = sensor[:, 1:] * (np.interp(nm, led["nm"], led["LEDB3"]) * nm)[:, None]
+    weight = efficiency * quanta[:, None]
     weight /= weight.sum(axis=0)
     mixed = sum(
         fraction * np.interp(nm, blood[:, 0], blood[:, k]) * 2.303 * 150.0 / 645_000.0

@@ -26,7 +26,8 @@ def moved(capture: Capture, right_mm: float, up_mm: float) -> Capture:
     band = capture.bands["white_crossed"]
     size = capture.shape[::-1]
     pixels = [
-        cv2.warpAffine(one, turn, size, flags=cv2.INTER_CUBIC, borderMode=1) for one in band.pixels
+        cv2.warpAffine(image, turn, size, flags=cv2.INTER_CUBIC, borderMode=1)
+        for image in band.pixels
     ]
     crossed = replace(band, pixels=np.stack(pixels).reshape(band.pixels.shape))
     return replace(capture, bands={**capture.bands, "white_crossed": crossed})
@@ -35,25 +36,21 @@ def moved(capture: Capture, right_mm: float, up_mm: float) -> Capture:
 @pytest.fixture(scope="module")
 def polarised() -> Capture:
     """A finger without specular reflection, as crossed films show it, and with it."""
-    one, other = (
+    glossy, matt = (
         splitknit_simulator.simulate_capture(
             3, settings={"scale": 0.2, "skin.glare": [strength, strength]}
         )[0]
         for strength in (1.0, 0.0)
     )
-    white, dark = one.bands["white"], other.bands["white"]
-    crossed = replace(dark, name="white_crossed", polarisation="crossed")
-    return replace(
-        one,
-        bands={
-            "white": replace(white, polarisation="parallel"),
-            "white_crossed": crossed,
-            "nir": one.bands["nir"],
-        },
-    )
+    white, dark = glossy.bands["white"], matt.bands["white"]
+    polarised = {
+        "white": replace(white, polarisation="parallel"),
+        "white_crossed": replace(dark, name="white_crossed", polarisation="crossed"),
+    }
+    return replace(glossy, bands={**polarised, "nir": glossy.bands["nir"]})
 
 
-def test_a_still_finger_stays_as_it_is(polarised: Capture) -> None:
+def test_a_still_finger_is_unchanged(polarised):
     steady, finger = find_steady_finger(polarised, METRIC)
     assert steady is polarised
     assert finger.facts["motion"]["most_mm"] < 0.01
@@ -62,29 +59,26 @@ def test_a_still_finger_stays_as_it_is(polarised: Capture) -> None:
 
 
 @pytest.mark.slow
-def test_motion_between_the_series_is_undone(polarised: Capture) -> None:
+def test_motion_between_the_series_is_undone(polarised):
     apart = moved(polarised, *MOVED_MM)
     steady, finger = find_steady_finger(apart, METRIC)
-    found = np.array(finger.facts["motion_white_crossed"]["shift_mm"])
-    np.testing.assert_allclose(found, np.broadcast_to(MOVED_MM, found.shape), atol=0.01)
+    shift_mm = np.array(finger.facts["motion_white_crossed"]["shift_mm"])
+    np.testing.assert_allclose(shift_mm, np.broadcast_to(MOVED_MM, shift_mm.shape), atol=0.01)
     assert any(
         "between the parallel and the crossed series; that was undone" in str(note)
         for note in finger.findings
     )
     assert steady.bands["white"] is apart.bands["white"]
     assert "motion_white" not in finger.facts
-    before, after = (
-        np.abs(
-            one.bands["white_crossed"].pixels[0].astype(float)
-            - polarised.bands["white_crossed"].pixels[0].astype(float)
-        )[finger.mask].mean()
-        for one in (apart, steady)
+    still, *pixels = (
+        each.bands["white_crossed"].pixels[0].astype(float) for each in (polarised, apart, steady)
     )
+    before, after = (np.abs(each - still)[finger.mask].mean() for each in pixels)
     assert after < 0.3 * before
 
 
 @pytest.mark.slow
-def test_it_is_measured_where_it_is_not_undone(polarised: Capture) -> None:
+def test_motion_is_measured_where_correction_is_off(polarised):
     apart = moved(polarised, *MOVED_MM)
     steady, finger = find_steady_finger(apart, override(METRIC, {"motion.correct": "off"}))
     assert steady is apart

@@ -25,7 +25,7 @@ def only(views: Views, *names: str) -> Views:
     return replace(views, mirrors={name: views.mirrors[name] for name in names})
 
 
-def test_one_mirror_gives_the_shape(finger: Scene) -> None:
+def test_one_mirror_gives_the_shape(finger):
     shape = mirror_shape(only(finger.views, "left"), finger.rig)
     assert finger.rms_mm(shape) < 0.2
     pose = shape.facts["poses"]["left"]
@@ -41,9 +41,7 @@ def test_one_mirror_gives_the_shape(finger: Scene) -> None:
 
 
 @pytest.mark.parametrize(("turn", "lean", "shift"), [(3.0, 0.0, 2.0), (-2.0, -2.2, -2.0)])
-def test_a_mirror_off_its_place_is_found(
-    finger: Scene, turn: float, lean: float, shift: float
-) -> None:
+def test_a_misplaced_mirror_is_located(finger, turn, lean, shift):
     """The rig file is wrong by up to 3 deg and 2 mm; the view is the true mirror's."""
     wrong = replace(
         finger.rig,
@@ -56,7 +54,7 @@ def test_a_mirror_off_its_place_is_found(
             assert shape.facts["poses"][name]["turn_deg"] == pytest.approx(-turn, abs=0.3)
 
 
-def test_the_thesis_is_misled_by_what_ours_finds(finger: Scene) -> None:
+def test_the_method_of_the_thesis_gives_a_coarser_shape(finger):
     thesis = MirrorShapeSettings(method="thesis")
     first = mirror_shape(only(finger.views, "left"), finger.rig, thesis)
     assert finger.rms_mm(first) < 0.35
@@ -64,12 +62,12 @@ def test_the_thesis_is_misled_by_what_ours_finds(finger: Scene) -> None:
     assert np.isfinite(first.points(slice(None), slice(None))[2]).sum() > 0.85 * finger.mask.sum()
 
 
-def test_views_of_two_fingers_are_refused(finger: Scene) -> None:
+def test_views_of_two_fingers_are_refused(finger):
     """The mirror shows a finger at another place along the mirror, or one of another thickness."""
-    other = np.roll(finger.views.mirrors["left"], 60, axis=0)
-    other[:60] = False
+    elsewhere = np.roll(finger.views.mirrors["left"], 60, axis=0)
+    elsewhere[:60] = False
     with pytest.raises(BadInput, match="do not fit one finger"):
-        mirror_shape(Views(finger.views.front, {"left": other}, 1), finger.rig)
+        mirror_shape(Views(finger.views.front, {"left": elsewhere}, 1), finger.rig)
     mask = finger.views.mirrors["left"]
     middle = int(np.flatnonzero(mask.any(axis=0)).mean())
     size = (mask.shape[1], mask.shape[0])
@@ -84,13 +82,13 @@ def test_views_of_two_fingers_are_refused(finger: Scene) -> None:
 
 
 @pytest.mark.slow
-def test_a_perspective_camera_sees_the_same_finger() -> None:
+def test_a_perspective_camera_sees_the_same_finger():
     seen = scene(9002, ("left",), model="perspective")
     assert seen.rig.camera.model == "perspective"
     assert seen.rms_mm(mirror_shape(seen.views, seen.rig)) < 0.2
 
 
-def test_the_same_views_give_the_same_shape(finger: Scene) -> None:
+def test_the_same_views_give_the_same_shape(finger):
     views = only(finger.views, "left")
     first, second = (mirror_shape(views, finger.rig) for _ in range(2))
     window = slice(200, 300), slice(100, 200)

@@ -1,8 +1,6 @@
 """Separation of the twin's skin, in which light spreads: against its noise-free truth at the same
 check size."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 
@@ -39,11 +37,11 @@ def skin():
     return stack, pattern_states(pad, led, pattern), direct, global_
 
 
-def decibels(found, truth):
-    return 10 * np.log10(1 / np.mean(np.square(found - truth), axis=(0, 1)))
+def decibels(estimated, truth):
+    return 10 * np.log10(1 / np.mean(np.square(estimated - truth), axis=(0, 1)))
 
 
-def test_noise_free_skin_is_separated(skin):
+def test_noise_free_light_of_skin_is_separated(skin):
     stack, _, direct, global_ = skin
     parts = checkerboard(stack, clip_level=None)
     assert decibels(parts.direct, direct).min() > 46  # 49.5 to 50.8 measured on a larger patch

@@ -1,7 +1,5 @@
 """The rig as drawn and as built: what calibration is given, and what it has to find."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 
@@ -19,7 +17,7 @@ def axes(rig):
     return np.array([led.axis for led in rig.leds])
 
 
-def test_the_drawing_is_the_thesiss_rig_with_a_perspective_camera():
+def test_the_nominal_rig_is_that_of_the_thesis_with_a_perspective_camera():
     rig = nominal_rig(0.25)
     assert np.array_equal(positions(rig), positions(default_rig(0.25)))
     camera = rig.camera
@@ -34,18 +32,22 @@ def test_the_drawing_is_the_thesiss_rig_with_a_perspective_camera():
     assert np.cos(np.deg2rad(20)) ** nir.lobe_exponent == pytest.approx(0.5)
 
 
-def test_a_seed_is_one_rig_whatever_the_scale():
-    small, large, other = built_rig(5, scale=0.1), built_rig(5, scale=0.4), built_rig(6, scale=0.1)
+def test_a_seed_gives_one_rig_at_every_scale():
+    small, large, another = (
+        built_rig(5, scale=0.1),
+        built_rig(5, scale=0.4),
+        built_rig(6, scale=0.1),
+    )
     assert small.leds == large.leds
     assert large.camera.matrix[0, 0] == pytest.approx(4 * small.camera.matrix[0, 0])
     assert large.camera.distortion == pytest.approx(small.camera.distortion)
     assert small.camera.shading == pytest.approx(large.camera.shading)
     assert built_rig(5, scale=0.1).leds == small.leds
-    assert other.leds != small.leds
-    assert other.camera.height_mm != small.camera.height_mm
+    assert another.leds != small.leds
+    assert another.camera.height_mm != small.camera.height_mm
 
 
-def test_two_hundred_rigs_scatter_as_their_tolerances_say():
+def test_built_rigs_scatter_by_their_tolerances():
     drawn = nominal_rig(0.1)
     rigs = [built_rig(seed, scale=0.1) for seed in range(200)]
     # against the middle of a rig's LEDs, which the camera's seat moves
@@ -68,7 +70,7 @@ def test_two_hundred_rigs_scatter_as_their_tolerances_say():
     assert centres.std(axis=0) == pytest.approx(0.005 * 320, rel=0.2)
 
 
-def test_lenses_bend_and_darken_the_corners_as_far_as_they_may():
+def test_distortion_and_fall_off_of_lenses_stay_in_their_ranges():
     shifts, fractions = [], []
     for seed in range(100):
         camera = built_rig(seed, scale=0.1).camera
@@ -101,6 +103,6 @@ def test_a_built_rig_survives_its_file(tmp_path):
         (lambda: lobe_exponent(0.0), "half_angle_deg must lie between"),
     ],
 )
-def test_what_cannot_be_built_is_refused(call, words):
+def test_impossible_rigs_are_refused(call, words):
     with pytest.raises(BadInput, match=words):
         call()

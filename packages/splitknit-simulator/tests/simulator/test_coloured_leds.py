@@ -1,7 +1,5 @@
 """Coloured LEDs of the twin: three share an exposure, and the sensor mixes what they send."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np
@@ -16,7 +14,7 @@ from splitknit_simulator.twin import simulate_capture
 
 
 @pytest.mark.parametrize("exposures", [1, 2, 3])
-def test_each_place_has_one_colour_and_colours_stand_around(exposures: int) -> None:
+def test_each_place_has_one_colour_and_colours_stand_around(exposures):
     triples = shared_exposures(exposures)
     count = 3 * exposures
     assert sorted(place for triple in triples for place in triple) == list(range(count))
@@ -26,7 +24,7 @@ def test_each_place_has_one_colour_and_colours_stand_around(exposures: int) -> N
     assert np.abs(np.exp(1j * angle).mean(axis=1)).max() < 0.6  # of an exposure
 
 
-def test_the_rig_is_the_thesis_s_but_for_its_white_leds() -> None:
+def test_the_rig_is_the_thesis_s_but_for_its_white_leds():
     rig, plain = coloured_rig(0.2, 0), default_rig(0.2, 0)
     assert [led.colour for led in rig.leds[:6]] == ["red", "blue", "green", "red", "blue", "green"]
     assert rig.leds[6:] == plain.leds[7:]
@@ -38,7 +36,7 @@ def test_the_rig_is_the_thesis_s_but_for_its_white_leds() -> None:
 
 
 @pytest.mark.slow
-def test_an_exposure_is_the_mixture_of_its_colours() -> None:
+def test_an_exposure_is_the_mixture_of_its_colours():
     """Without noise: the channels hold what each LED alone gives in its own colour, mixed as the
     filters mix it."""
     sensor = SensorSettings(noise=False, bits=16, raw_bits=16)

@@ -1,7 +1,5 @@
 """Mirrors beside the simulated finger: where they stand, what they show, how they light."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np
@@ -19,10 +17,7 @@ from splitknit_simulator.finger.raycast import Placement, rays_of
 from splitknit_simulator.finger.shape import FingerBody
 from splitknit_simulator.light.skin import SkinOptics
 from splitknit_simulator.mirror_view import as_built
-from splitknit_simulator.rigs import (
-    MirrorSettings,
-    mirror_rig,
-)
+from splitknit_simulator.rigs import MirrorSettings, mirror_rig
 from splitknit_simulator.scene import TwinSettings
 from splitknit_simulator.twin import simulate_capture
 
@@ -120,7 +115,7 @@ def traced(truth, camera, name, count=40):
     return result
 
 
-def test_a_pixel_in_a_mirror_shows_what_its_reflected_ray_meets(taken):
+def test_a_pixel_in_a_mirror_shows_the_point_that_its_reflected_ray_meets(taken):
     chosen, capture, truth = taken
     assert chosen.mirrors.model == capture.rig.camera.model
     for name in ALL:
@@ -147,7 +142,7 @@ def places_in_view(truth, camera, name):
     return np.stack([x, y, z], axis=1), rows, columns
 
 
-def test_what_a_mirror_shows_lies_on_the_finger(taken):
+def test_points_in_a_mirror_lie_on_the_finger(taken):
     _, capture, truth = taken
     body = FingerBody(FINGER.shape)
     placement = Placement(truth["body_rotation"], truth["body_shift_mm"])
@@ -167,7 +162,7 @@ def test_what_a_mirror_shows_lies_on_the_finger(taken):
         assert ((real - mirror.point_mm) @ mirror.normal).min() > 0.3
 
 
-def test_the_truth_all_around_agrees_with_the_front(taken_once):
+def test_the_truth_of_the_body_agrees_with_the_front_view(taken_once):
     _, capture, truth = taken_once
     points, normals = (
         truth[k].reshape(-1, 3).astype(float) for k in ("body_points_mm", "body_normals")
@@ -186,7 +181,7 @@ def test_the_truth_all_around_agrees_with_the_front(taken_once):
     assert np.abs(theta + theta[::-1]).max() < 1e-12 and np.diff(y) == pytest.approx(0.3)
 
 
-def test_mirrors_that_reflect_nothing_leave_the_front_as_it_is(captures):
+def test_mirrors_that_reflect_nothing_do_not_change_the_front_view(captures):
     faint, capture, truth = captures["faint"]
     alone = replace(faint, rig=replace(capture.rig, mirrors=()), mirrors=MirrorSettings())
     plain, plain_truth = simulate_capture(4, settings=alone, finger=FINGER)
@@ -200,7 +195,7 @@ def test_mirrors_that_reflect_nothing_leave_the_front_as_it_is(captures):
         assert capture.bands["white"].pixels[:, inner].max() < 10
 
 
-def test_images_of_leds_light_the_sides(captures):
+def test_mirrored_leds_light_the_sides(captures):
     (_, lit, truth), (_, unlit, dark) = captures["orthographic"], captures["faint"]
     light, less = (
         c.bands["white"].pixels.astype(float) / t["exposure_white"]
@@ -217,7 +212,7 @@ def test_images_of_leds_light_the_sides(captures):
         assert light[:, middle].mean() < 1.2 * less[:, middle].mean()
 
 
-def test_skin_that_is_seen_twice_is_as_bright_in_the_mirror_as_in_front(taken):
+def test_skin_seen_in_front_and_in_a_mirror_differs_by_the_reflectance(taken):
     _, capture, truth = taken
     pixels = capture.bands["white"].pixels[..., 0].astype(float)
     front = truth["mask"] & (truth["normals"][..., 2] > 0.4)
@@ -251,12 +246,12 @@ def test_a_capture_has_the_drawn_mirrors_and_its_truth_the_true_ones(taken_once)
 
 
 @pytest.mark.slow
-def test_the_same_bytes_whatever_the_number_of_workers(taken_once):
+def test_the_number_of_workers_does_not_change_the_bytes(taken_once):
     chosen, capture, truth = taken_once
-    other, other_truth = simulate_capture(
+    again, other_truth = simulate_capture(
         4, settings=replace(chosen, render=replace(chosen.render, workers=1)), finger=FINGER
     )
-    np.testing.assert_array_equal(capture.bands["white"].pixels, other.bands["white"].pixels)
+    np.testing.assert_array_equal(capture.bands["white"].pixels, again.bands["white"].pixels)
     for name, values in truth.items():
         np.testing.assert_array_equal(values, other_truth[name])
 
@@ -270,12 +265,12 @@ def test_the_same_bytes_whatever_the_number_of_workers(taken_once):
         ({"model": "fisheye"}, "perspective"),
     ],
 )
-def test_impossible_settings_are_refused(change, says):
+def test_impossible_mirror_settings_are_refused(change, says):
     with pytest.raises(BadInput, match=says):
         MirrorSettings(**change)
 
 
-def test_scenes_that_cannot_be_are_refused():
+def test_fingers_that_mirrors_cannot_show_are_refused():
     beside = replace(settings(), pose=replace(POSE, x_mm=-14.0))
     with pytest.raises(BadInput, match="touches the left mirror"):
         simulate_capture(4, settings=beside, finger=FINGER)

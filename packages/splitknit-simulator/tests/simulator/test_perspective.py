@@ -19,7 +19,7 @@ from splitknit_simulator.finger.finger import (
     finger_surface,
     placement_of,
 )
-from splitknit_simulator.finger.master_print import MasterPrint, MasterPrintSettings
+from splitknit_simulator.finger.master_print import MasterPrintSettings
 from splitknit_simulator.finger.shape import FingerBody
 from splitknit_simulator.light.lighting import white_card
 from splitknit_simulator.light.renderer import render_ambient, render_band
@@ -47,17 +47,13 @@ CENTRED = perspective_camera((430, 560), 15.0, 140.0)
 
 @pytest.fixture(scope="module")
 def finger() -> SimulatedFinger:
-    return draw_finger(2, "left_loop", print_settings=SHORT)
+    drawn = draw_finger(2, "left_loop", print_settings=SHORT)
+    return replace(drawn, printed=drawn.master())
 
 
 @pytest.fixture(scope="module")
-def master(finger: SimulatedFinger) -> MasterPrint:
-    return finger.master()
-
-
-@pytest.fixture(scope="module")
-def seen(finger: SimulatedFinger, master: MasterPrint) -> SimulatedSurface:
-    return finger_surface(replace(finger, printed=master), POSE, CAMERA)
+def seen(finger: SimulatedFinger) -> SimulatedSurface:
+    return finger_surface(finger, POSE, CAMERA)
 
 
 def _points(surface: SimulatedSurface) -> np.ndarray:
@@ -72,7 +68,7 @@ def _view(surface: SimulatedSurface) -> np.ndarray:
     return to / np.linalg.norm(to, axis=-1, keepdims=True)
 
 
-def test_every_point_appears_in_its_pixel(seen: SimulatedSurface) -> None:
+def test_every_point_appears_in_its_pixel(seen):
     rows, columns = np.nonzero(seen.mask)
     column, row = pixels_of_points(CAMERA, *_points(seen)[seen.mask].T)
     assert np.abs(column - columns).max() < 1e-3
@@ -82,9 +78,7 @@ def test_every_point_appears_in_its_pixel(seen: SimulatedSurface) -> None:
     assert np.array_equal(np.isfinite(seen.shape_mm), seen.mask)
 
 
-def test_every_point_is_skin_and_nothing_stands_before_it(
-    seen: SimulatedSurface, finger: SimulatedFinger
-) -> None:
+def test_every_point_is_skin_and_nothing_stands_before_it(seen, finger):
     body = FingerBody(finger.shape)
     placement = placement_of(body, POSE, CAMERA)
     pick = seen.mask & ((_view(seen) * seen.normals).sum(-1) > 0.25)
@@ -106,7 +100,7 @@ def test_every_point_is_skin_and_nothing_stands_before_it(
     assert 1e3 * np.abs(on_shape).max() < 0.01
 
 
-def test_normals_are_those_of_the_points_and_face_the_camera(seen: SimulatedSurface) -> None:
+def test_normals_are_those_of_the_points_and_face_the_camera(seen):
     assert seen.x_mm is not None and seen.y_mm is not None
     lengths = np.linalg.norm(seen.normals[seen.mask], axis=1)
     np.testing.assert_allclose(lengths, 1.0, atol=1e-5)
@@ -125,12 +119,12 @@ def test_normals_are_those_of_the_points_and_face_the_camera(seen: SimulatedSurf
 
 
 @pytest.mark.slow
-def test_the_sides_move_inwards(finger: SimulatedFinger, master: MasterPrint) -> None:
+def test_the_sides_move_inwards(finger):
     """What lies below the finger plane appears nearer to the axis: by 0.2 to 0.4 mm at the
     sides."""
     pose = FingerPose(insertion_mm=26.0)
-    plain = finger_surface(replace(finger, printed=master), pose, Camera(15.0, (430, 560)))
-    spread = finger_surface(replace(finger, printed=master), pose, CENTRED)
+    plain = finger_surface(finger, pose, Camera(15.0, (430, 560)))
+    spread = finger_surface(finger, pose, CENTRED)
     assert 0.92 * plain.mask.sum() < spread.mask.sum() < 0.97 * plain.mask.sum()
     row = 250
     edges = [np.flatnonzero(s.mask[row])[[0, -1]] for s in (plain, spread)]
@@ -138,8 +132,8 @@ def test_the_sides_move_inwards(finger: SimulatedFinger, master: MasterPrint) ->
     assert (inwards > 0.15).all() and (inwards < 0.45).all()
 
 
-def test_the_pose_is_where_it_says_in_the_picture(finger: SimulatedFinger) -> None:
-    """The finger keeps its place in the picture, wherever the camera's axis meets it."""
+def test_the_pose_is_where_it_says_in_the_picture(finger):
+    """Wherever the camera's axis meets the picture."""
     body, pose = FingerBody(finger.shape), FingerPose(insertion_mm=25.0, x_mm=1.0)
     plain = placement_of(body, pose, Camera(15.0, (430, 560))).shift
     np.testing.assert_allclose(placement_of(body, pose, CENTRED).shift, plain, atol=1e-9)
@@ -151,7 +145,7 @@ def test_the_pose_is_where_it_says_in_the_picture(finger: SimulatedFinger) -> No
     assert deep.insertion_mm == pytest.approx(430 / 15.0 - 0.6)
 
 
-def test_light_on_a_plane_follows_the_true_points_and_view() -> None:
+def test_light_on_a_plane_follows_the_true_points_and_view():
     """Irradiance and emergence of a steep sheet, and its light under the sky, by the book."""
     camera = perspective_camera((160, 240), 4.0, 60.0, off=(11.0, 5.0))
     sheet = perspective_plane(camera, -8.0, slope=-1.5)
@@ -179,7 +173,7 @@ def test_light_on_a_plane_follows_the_true_points_and_view() -> None:
     )
 
 
-def test_a_card_is_lit_where_the_rays_meet_it() -> None:
+def test_a_card_is_lit_where_the_rays_meet_it():
     led = Led("white", (30.0, -10.0, 90.0), lobe_exponent=4.0)
     card = white_card(CAMERA, led, -12.0, step=4)
     columns, rows = np.array([40, 300, 500]), np.array([390, 200, 30])
@@ -193,7 +187,7 @@ def test_a_card_is_lit_where_the_rays_meet_it() -> None:
     np.testing.assert_allclose(card[rows, columns], expected, rtol=2e-3)
 
 
-def test_the_beam_falls_off_about_its_aim() -> None:
+def test_the_beam_falls_off_about_its_aim():
     """cos^m of the angle to the aim, whatever direction the origin has."""
     position, aim = np.array([40.0, 10.0, 100.0]), np.array([-0.1, 0.25, -1.0])
     camera = Camera(2.0, (161, 241))
@@ -215,7 +209,7 @@ def test_the_beam_falls_off_about_its_aim() -> None:
     np.testing.assert_allclose(white_card(camera, same), white_card(camera, to_origin), rtol=1e-6)
 
 
-def test_what_perspective_cannot_have_is_refused(seen: SimulatedSurface) -> None:
+def test_what_perspective_cannot_have_is_refused(seen):
     led = Led("white", (52.5, 0.0, 140.0))
     with pytest.raises(BadInput, match="orthographic"):
         separate_truth(seen, led, SkinOptics(), check_mm=1.0)

@@ -1,7 +1,5 @@
 """Whole captures of the twin."""
 
-from __future__ import annotations
-
 import hashlib
 from dataclasses import replace
 
@@ -28,29 +26,30 @@ def egg():
     return ridged_egg((280, 260), 18.9)
 
 
-@pytest.fixture(scope="module")
-def rig(egg):
-    return replace(default_rig(0.25, seed=3), camera=egg.camera)
-
-
 def _digest(capture, truth):
     parts = [band.pixels.tobytes() + band.ambient.tobytes() for band in capture.bands.values()]
     parts += [key.encode() + np.ascontiguousarray(truth[key]).tobytes() for key in sorted(truth)]
     return hashlib.sha256(b"".join(parts)).hexdigest()
 
 
-def _photo(egg, rig, seed=1, skin=None, **settings):
-    return photograph(
-        egg,
-        rig,
-        skin or SkinOptics(),
-        np.random.SeedSequence(seed),
-        settings=TwinSettings(**settings),
-    )
+@pytest.fixture(scope="module")
+def photo(egg):
+    """Photographs of the egg with these settings, and their truth."""
+    rig = replace(default_rig(0.25, seed=3), camera=egg.camera)
+
+    def photo(seed=1, skin=None, **settings):
+        seeds = np.random.SeedSequence(seed)
+        return photograph(egg, rig, skin or SkinOptics(), seeds, settings=TwinSettings(**settings))
+
+    return photo
 
 
-def test_a_capture_holds_what_the_format_says(egg, rig):
-    capture, truth = _photo(egg, rig)
+def _light(capture, channel="green"):
+    return linear_stack(capture.bands["white"], "linear", channel)
+
+
+def test_a_capture_has_the_arrays_and_types_of_the_format(photo):
+    capture, truth = photo()
     assert capture.material == "skin"
     assert capture.subject["id"] == "anonymous"
     assert capture.bands["white"].leds == tuple((k,) for k in range(7))
@@ -75,14 +74,11 @@ def test_a_capture_holds_what_the_format_says(egg, rig):
     assert str(truth["landmark_pattern"]) == "rings"
 
 
-def test_exposure_leaves_room_and_skin_looks_like_skin(egg, rig):
-    capture, truth = _photo(egg, rig, skin=SkinOptics(glare=0.0))
-    light = linear_stack(capture.bands["white"], "linear", "red")
-    assert np.percentile(light[:, truth["mask"]], 99.9) == pytest.approx(0.7, abs=0.06)
-    red, green, blue = (
-        linear_stack(capture.bands["white"], "linear", c)[:, truth["mask"]].mean()
-        for c in ("red", "green", "blue")
-    )
+def test_exposure_leaves_headroom_and_skin_has_its_colours(photo):
+    capture, truth = photo(skin=SkinOptics(glare=0.0))
+    light = [_light(capture, name)[:, truth["mask"]] for name in ("red", "green", "blue")]
+    assert np.percentile(light[0], 99.9) == pytest.approx(0.7, abs=0.06)
+    red, green, blue = (channel.mean() for channel in light)
     assert red > green > blue > 0.2 * red
     nir = capture.bands["nir"].pixels[:, truth["mask"]].astype(float)
     means = nir.mean(axis=(0, 1))
@@ -92,18 +88,15 @@ def test_exposure_leaves_room_and_skin_looks_like_skin(egg, rig):
 
 
 @pytest.mark.slow
-def test_ambient_light_is_in_every_image_and_in_its_frame(egg, rig):
-    lit, truth = _photo(egg, rig, sensor=QUIET, background=BackgroundSettings(ambient=0.05))
-    dark, _ = _photo(egg, rig, sensor=QUIET, background=BackgroundSettings(ambient=0.0))
-    removed = linear_stack(lit.bands["white"], "linear", "green")
-    reference = linear_stack(dark.bands["white"], "linear", "green")
+def test_ambient_light_is_in_every_image_and_in_its_frame(photo):
+    lit, truth = photo(sensor=QUIET, background=BackgroundSettings(ambient=0.05))
+    dark, _ = photo(sensor=QUIET, background=BackgroundSettings(ambient=0.0))
+    removed, reference = _light(lit), _light(dark)
     inside = truth["mask"] & (reference.max(axis=0) < 0.9)
     assert lit.bands["white"].ambient[truth["mask"]].mean() > 300
     np.testing.assert_allclose(removed[:, inside], reference[:, inside], atol=2e-4)
     assert dark.bands["white"].ambient.max() == 0
-    noisy, _ = _photo(
-        egg, rig, sensor=SensorSettings(bits=16), background=BackgroundSettings(ambient=0.05)
-    )
+    noisy, _ = photo(sensor=SensorSettings(bits=16), background=BackgroundSettings(ambient=0.05))
     beside = ~truth["mask"]
     frame, image = (
         pixels[..., 1][beside].astype(float)
@@ -112,7 +105,7 @@ def test_ambient_light_is_in_every_image_and_in_its_frame(egg, rig):
     assert abs(np.corrcoef(frame, image)[0, 1]) < 0.2  # each exposure has its own noise
 
 
-def test_dust_and_the_shadow_of_the_hand(egg, rig):
+def test_dust_brightens_and_the_shadow_of_the_hand_darkens_the_picture(photo):
     camera = Camera(20.0, (200, 300))
     plain = background_albedo(camera, BackgroundSettings(), np.random.default_rng(0))
     assert np.unique(plain).size == 1
@@ -120,11 +113,9 @@ def test_dust_and_the_shadow_of_the_hand(egg, rig):
         camera, BackgroundSettings(dust_per_cm2=20.0), np.random.default_rng(0)
     )
     assert dusty.max() > 5 * plain.max()
-    open_hand, truth = _photo(egg, rig, sensor=QUIET)
-    shaded, _ = _photo(egg, rig, sensor=QUIET, background=BackgroundSettings(hand_shadow=0.8))
-    ratio = linear_stack(shaded.bands["white"], "linear", "green")[0] / np.maximum(
-        linear_stack(open_hand.bands["white"], "linear", "green")[0], 1e-6
-    )
+    open_hand, truth = photo(sensor=QUIET)
+    shaded, _ = photo(sensor=QUIET, background=BackgroundSettings(hand_shadow=0.8))
+    ratio = _light(shaded)[0] / np.maximum(_light(open_hand)[0], 1e-6)
     assert ratio[100, 130] == pytest.approx(1.0, abs=0.01)
     assert ratio[np.flatnonzero(truth["mask"][:, 130])[-1] - 2, 130] < 0.5
     background = open_hand.bands["white"].pixels[0][~truth["mask"]] / 65535.0
@@ -132,10 +123,10 @@ def test_dust_and_the_shadow_of_the_hand(egg, rig):
 
 
 @pytest.mark.slow
-def test_a_coloured_background_lights_the_flanks(egg, rig):
-    black, truth = _photo(egg, rig, sensor=QUIET)
+def test_a_coloured_background_lights_the_flanks(photo):
+    black, truth = photo(sensor=QUIET)
     green = BackgroundSettings(colour=(0.0, 0.4, 0.1, 0.7))
-    before_green, its = _photo(egg, rig, sensor=QUIET, background=green)
+    before_green, its = photo(sensor=QUIET, background=green)
     beside = ~truth["mask"]
     paper = before_green.bands["white"].pixels[0][beside].mean(axis=0)
     assert paper[0] < 0.01 * paper[1]
@@ -144,11 +135,11 @@ def test_a_coloured_background_lights_the_flanks(egg, rig):
         before_green.bands["nir"].pixels[0][beside].mean()
         > 5 * black.bands["nir"].pixels[0][beside].mean()
     )
-    one, other = (
-        linear_stack(c.bands["white"], "linear", "green")[0] / t["exposure_white"]
-        for c, t in ((black, truth), (before_green, its))
+    before, after = (
+        _light(capture)[0] / exposed["exposure_white"]
+        for capture, exposed in ((black, truth), (before_green, its))
     )
-    added, level = other - one, truth["normals"][..., 2]
+    added, level = after - before, truth["normals"][..., 2]
     flank, top = truth["mask"] & (level > 0.3) & (level < 0.5), truth["mask"] & (level > 0.98)
     assert np.median(added[flank]) > 5 * abs(np.median(added[top]))
     with pytest.raises(BadInput, match="on black, without films"):
@@ -156,15 +147,11 @@ def test_a_coloured_background_lights_the_flanks(egg, rig):
 
 
 @pytest.mark.slow
-def test_defocus_off_is_exact_and_on_blurs_what_is_deep(egg, rig):
-    sharp, truth = _photo(egg, rig, sensor=QUIET)
-    off, _ = _photo(
-        egg, rig, sensor=QUIET, render=RenderSettings(aperture_mm=0.0, focus_depth_mm=0.3)
-    )
+def test_an_aperture_blurs_deep_skin_and_none_changes_nothing(photo):
+    sharp, truth = photo(sensor=QUIET)
+    off, _ = photo(sensor=QUIET, render=RenderSettings(aperture_mm=0.0, focus_depth_mm=0.3))
     np.testing.assert_array_equal(sharp.bands["white"].pixels, off.bands["white"].pixels)
-    soft, _ = _photo(
-        egg, rig, sensor=QUIET, render=RenderSettings(aperture_mm=11.0, focus_depth_mm=0.3)
-    )
+    soft, _ = photo(sensor=QUIET, render=RenderSettings(aperture_mm=11.0, focus_depth_mm=0.3))
     change = np.abs(
         soft.bands["white"].pixels[0].astype(float) - sharp.bands["white"].pixels[0]
     ).mean(axis=-1)
@@ -177,14 +164,14 @@ def test_defocus_off_is_exact_and_on_blurs_what_is_deep(egg, rig):
 
 
 @pytest.mark.slow
-def test_seeds_repeat_and_workers_do_not_matter(egg, rig):
-    one = _digest(*_photo(egg, rig))
-    assert one == _digest(*_photo(egg, rig, render=RenderSettings(workers=5)))
-    assert one != _digest(*_photo(egg, rig, seed=2))
+def test_a_capture_depends_on_its_seed_and_not_on_workers(photo):
+    expected = _digest(*photo())
+    assert expected == _digest(*photo(render=RenderSettings(workers=5)))
+    assert expected != _digest(*photo(seed=2))
 
 
 @pytest.mark.slow
-def test_a_simulated_finger_end_to_end():
+def test_impressions_of_a_finger_differ_in_pose_and_share_its_skin():
     settings = TwinSettings(scale=0.1, render=RenderSettings(workers=2))
     capture, truth = simulate_capture(11, "whorl", settings)
     again = simulate_capture(11, "whorl", replace(settings, render=RenderSettings(workers=1)))
@@ -212,6 +199,6 @@ def test_pose_ranges_draw_inside_and_are_checked():
         PoseRanges(yaw_deg=(5.0, -5.0))
 
 
-def test_surface_and_camera_must_agree(egg):
+def test_a_rig_of_another_camera_than_the_surface_is_refused(egg):
     with pytest.raises(BadInput, match="camera has"):
         photograph(egg, default_rig(0.5), SkinOptics(), np.random.SeedSequence(0))

@@ -1,8 +1,6 @@
 """Captures with a rig of one's own: perspective camera, lens that darkens, other sizes and
 scales."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np
@@ -26,6 +24,10 @@ FINGER = draw_finger(4, print_settings=MasterPrintSettings(proximal_mm=12.0))
 PERSPECTIVE = perspective_camera(
     (220, 320), 7.57, 120.0, off=(3.0, -2.0), distortion=(0.2,), shading=SHADING
 )
+
+
+def photographed(surface, rig, settings):
+    return photograph(surface, rig, SkinOptics(), np.random.SeedSequence(1), settings=settings)
 
 
 @pytest.fixture(scope="module")
@@ -72,13 +74,7 @@ def test_the_lens_darkens_every_image_and_reconstruction_undoes_it():
         sensor=QUIET, background=BackgroundSettings(ambient=0.05), skin=SkinOptics()
     )
     (clear, plain), (dim, truth) = (
-        photograph(
-            egg,
-            replace(base, camera=camera),
-            SkinOptics(),
-            np.random.SeedSequence(1),
-            settings=settings,
-        )
+        photographed(egg, replace(base, camera=camera), settings)
         for camera in (egg.camera, shading)
     )
     gain = float(truth["exposure_white"] / plain["exposure_white"])
@@ -116,9 +112,7 @@ def test_pixels_are_binned_as_the_picture_tells():
     rig = replace(default_rig(0.125), camera=egg.camera)
     for scale in (None, 0.125, 1.0):
         settings = TwinSettings(sensor=SensorSettings(bits=16), sensor_scale=scale)
-        capture, truth = photograph(
-            egg, rig, SkinOptics(), np.random.SeedSequence(1), settings=settings
-        )
+        capture, truth = photographed(egg, rig, settings)
         nir = capture.bands["nir"].pixels[:, truth["mask"]].astype(float)
         noise.append((nir - nir.mean(axis=-1, keepdims=True)).std())
     assert noise[1] == pytest.approx(noise[0], rel=0.02)

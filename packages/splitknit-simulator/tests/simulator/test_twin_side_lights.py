@@ -35,7 +35,7 @@ def _chosen(band: Band, count: int) -> Band:
     return replace(band, **{name: getattr(band, name)[:count] for name in names})
 
 
-def test_the_rig_with_side_lights() -> None:
+def test_side_lights_are_as_bright_as_the_ring_at_the_finger():
     rig = with_side_lights(default_rig(0.1), SIDE)
     added = rig.leds[14:]
     assert len(added) == SIDE
@@ -45,7 +45,7 @@ def test_the_rig_with_side_lights() -> None:
         assert led.intensity / (90**2 + 30**2) == pytest.approx(1 / 140**2, rel=1e-4)
 
 
-def test_a_low_light_casts_shadows_of_the_finger_and_a_high_one_none() -> None:
+def test_a_low_light_casts_shadows_of_the_finger_and_a_high_one_none():
     rig = with_side_lights(default_rig(0.12), 3)
     patch = cut_out(lay_down(3, None, TwinSettings(scale=0.12, rig=rig))[0], shadows=True)
     inner = patch.mask & (patch.nz > 0.2)
@@ -60,17 +60,17 @@ def test_a_low_light_casts_shadows_of_the_finger_and_a_high_one_none() -> None:
 
 
 @pytest.mark.slow
-def test_without_films_metric_measures_ridges_better_with_them() -> None:
+def test_side_lights_lower_the_ridge_error_without_films():
     lit, truth = splitknit_simulator.simulate_capture(3, settings={"scale": 0.25, "side_lights": 7})
     ring = replace(lit, bands={**lit.bands, "white": _chosen(lit.bands["white"], 7)})
-    both, before = (splitknit.reconstruct(one) for one in (lit, ring))
+    both, before = (splitknit.reconstruct(capture) for capture in (lit, ring))
     assert both.facts["optics"]["relief_by"] == "side"
     assert both.facts["optics"]["specular"]["side_lights"] == 7
     assert both.facts["heights"] == "modelled"
     assert not any(
         "from the side" in warning or "to the side" in warning for warning in both.warnings
     )
-    errors = [splitknit.compare(one, truth).figures["ridge_rms_um"] for one in (both, before)]
+    errors = [splitknit.compare(result, truth).figures["ridge_rms_um"] for result in (both, before)]
     assert errors[0] < 0.95 * errors[1], errors
 
 
@@ -87,21 +87,22 @@ def test_without_films_metric_measures_ridges_better_with_them() -> None:
         ([72] * 7 + [20] * 4, 4),
     ],
 )
-def test_which_lights_stand_to_the_side(off_deg: list[float], front: int) -> None:
+def test_side_lights_are_distinguished_by_their_angles(off_deg, front):
     across, up = np.sin(np.deg2rad(off_deg)), np.cos(np.deg2rad(off_deg))
     turn = np.arange(len(off_deg))
     towards = np.stack([across * np.cos(turn), across * np.sin(turn), up], axis=1)
-    found = lights_in_front(
-        Rig(default_rig(0.1).camera, tuple(Led("white", direction=tuple(one)) for one in towards))
+    in_front = lights_in_front(
+        Rig(
+            default_rig(0.1).camera,
+            tuple(Led("white", direction=tuple(direction)) for direction in towards),
+        )
     )
-    assert found.sum() == front
-    assert max(np.array(off_deg)[found]) < min(np.array(off_deg)[~found], default=90.0)
+    assert in_front.sum() == front
+    assert max(np.array(off_deg)[in_front]) < min(np.array(off_deg)[~in_front], default=90.0)
 
 
 @pytest.mark.parametrize(("common_mm", "moved"), [(0.0, False), (0.04, True)])
-def test_motion_before_the_side_images_is_what_all_share(
-    lit: Capture, monkeypatch: pytest.MonkeyPatch, common_mm: float, moved: bool
-) -> None:
+def test_motion_before_the_side_images_is_the_common_shift(lit, monkeypatch, common_mm, moved):
     """Each light seems to shift the ridges along itself; what could not be registered says
     nothing."""
     parted = without_side_lights(lit)

@@ -49,6 +49,11 @@ def _ridged(grid: Grid) -> tuple[FloatArray, FloatArray]:
     )
 
 
+def _relief(height_mm: FloatArray, grid: Grid) -> FloatArray:
+    """Heights above their smooth mean, inside the outline."""
+    return (height_mm - grid.smooth(height_mm, grid.mask, 0.32))[grid.depth_mm > 0.3]
+
+
 def _photographed(
     height_mm: FloatArray, grid: Grid, rig: Rig, roughness: float, rho: float
 ) -> FloatArray:
@@ -69,7 +74,7 @@ def _photographed(
 
 @pytest.mark.slow
 @pytest.mark.parametrize(("roughness", "gain"), [(0.15, 0.7), (0.35, 1.2)])
-def test_ridges_come_out_at_their_height_whatever_the_start(roughness: float, gain: float) -> None:
+def test_ridges_have_their_true_height_for_any_start(roughness, gain):
     grid, rig = _grid((180, 200)), _rig((180, 200))
     dome, ridges = _ridged(grid)
     rng = np.random.default_rng(1)
@@ -80,10 +85,7 @@ def test_ridges_come_out_at_their_height_whatever_the_start(roughness: float, ga
     height_mm, error_mm, facts = polarised_heights(
         images, grid, start, np.full(grid.shape, 0.006, dtype=np.float32)
     )
-    inner = grid.depth_mm > 0.3
-    rest = height_mm - dome
-    relief = (rest - grid.smooth(rest, grid.mask, 0.32))[inner]
-    true = (ridges - grid.smooth(ridges, grid.mask, 0.32))[inner]
+    relief, true = (_relief(field, grid) for field in (height_mm - dome, ridges))
     assert float(relief @ true / (true @ true)) == pytest.approx(1.0, abs=0.04)
     assert float(np.sqrt(np.mean((relief - true) ** 2))) < 0.002
     assert facts["roughness"] == pytest.approx(roughness, rel=0.1)
@@ -101,33 +103,30 @@ def _with_side(rig: Rig) -> Rig:
 
 
 @pytest.mark.slow
-def test_lights_to_the_side_are_fitted_and_left_out_where_they_do_not_fit() -> None:
+def test_side_lights_are_fitted_and_inconsistent_ones_left_out():
     grid, rig = _grid((180, 200)), _with_side(_rig((180, 200)))
     dome, ridges = _ridged(grid)
     stack = _photographed(dome + ridges, grid, rig, 0.3, 0.05)
     stack[7:] *= np.float32(0.46)
     stack[8] *= np.float32(0.6)  # a film before it passes less
     stack[10] = 0.1 - stack[10]  # turned films
-    stack = np.stack([cv2.GaussianBlur(one, (0, 0), 0.7) for one in stack])
+    stack = np.stack([cv2.GaussianBlur(photograph, (0, 0), 0.7) for photograph in stack])
     stack += np.random.default_rng(1).normal(0, NOISE, stack.shape).astype(np.float32)
     images = SpecularImages(stack, NOISE, rig)
     unknown = np.full(grid.shape, 0.006, dtype=np.float32)
     start = dome + np.float32(0.85) * ridges
     height_mm, error_mm, facts = polarised_heights(images, grid, start, unknown)
     assert facts["side_lights"] == 4
-    inner = grid.depth_mm > 0.3
     # as if colours separated them
     same_mm, more_mm, _ = polarised_heights(images, grid, start, unknown, films=False)
     np.testing.assert_array_equal(same_mm, height_mm)
-    assert (more_mm > error_mm)[inner].mean() > 0.99
-    rest = height_mm - dome
-    relief = (rest - grid.smooth(rest, grid.mask, 0.32))[inner]
-    true = (ridges - grid.smooth(ridges, grid.mask, 0.32))[inner]
+    assert (more_mm > error_mm)[grid.depth_mm > 0.3].mean() > 0.99
+    relief, true = (_relief(field, grid) for field in (height_mm - dome, ridges))
     assert float(relief @ true / (true @ true)) == pytest.approx(1.0, abs=0.1)
     assert float(np.corrcoef(relief, true)[0, 1]) > 0.99
 
 
-def test_the_difference_and_its_noise() -> None:
+def test_the_specular_image_is_parallel_less_crossed_with_its_noise():
     rig, rng = _rig((60, 70)), np.random.default_rng(2)
     crossed = 0.3 + rng.normal(0, 0.002, (3, 7, 60, 70)).astype(np.float32)
     parallel = crossed + 0.1 + rng.normal(0, 0.003, crossed.shape).astype(np.float32)
@@ -139,15 +138,15 @@ def test_the_difference_and_its_noise() -> None:
     assert images.noise == pytest.approx(0.003 / np.sqrt(3), rel=0.1)
 
 
-def test_white_light_is_what_colours_leave() -> None:
+def test_coloured_skin_is_removed_from_white_specular_light():
     rig, rng, grid = _rig((60, 70)), np.random.default_rng(3), _grid((60, 70))
     skin, white = rng.uniform(0.2, 0.6, (1, 7, 60, 70)), rng.uniform(0.0, 0.2, (7, 60, 70))
     colour = np.array([1.0, 0.6, 0.4])[:, None, None, None]
     both = BandImages(("red", "green", "blue"), (colour * skin + white).astype(np.float32), rig)
     left = without_white(both, np.full((60, 70), 0.2, dtype=np.float32))
-    found = specular_images(both, left, rig, grid, np.zeros((60, 70), dtype=np.float32)).stack
+    specular = specular_images(both, left, rig, grid, np.zeros((60, 70), dtype=np.float32)).stack
     # 0.4 - 0.2 of the skin's light
-    np.testing.assert_allclose(found, 0.8 * white + 0.2 * skin[0], atol=1e-6)
+    np.testing.assert_allclose(specular, 0.8 * white + 0.2 * skin[0], atol=1e-6)
 
 
 @pytest.fixture(scope="module")
@@ -158,9 +157,7 @@ def simulated() -> tuple[Capture, dict[str, FloatArray]]:
 
 
 @pytest.mark.slow
-def test_a_polarised_capture_has_measured_heights(
-    simulated: tuple[Capture, dict[str, FloatArray]],
-) -> None:
+def test_a_polarised_capture_has_measured_heights(simulated):
     capture, truth = simulated
     result = splitknit.reconstruct(capture, settings={"metric.rounds": 1})
     assert result.facts["heights"] == "measured"
@@ -171,9 +168,7 @@ def test_a_polarised_capture_has_measured_heights(
 
 
 @pytest.mark.slow
-def test_films_that_are_not_crossed_say_so(
-    simulated: tuple[Capture, dict[str, FloatArray]],
-) -> None:
+def test_films_that_are_not_crossed_get_a_warning(simulated):
     capture, _ = simulated
     white = replace(capture.bands["white"], name="white_crossed", polarisation="crossed")
     result = splitknit.reconstruct(

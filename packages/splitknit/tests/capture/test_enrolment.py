@@ -1,7 +1,5 @@
 """Plans, what is finished, what is next."""
 
-from __future__ import annotations
-
 import json
 
 import pytest
@@ -22,7 +20,7 @@ def finish(enrolment, place):
     (folder / "capture.json").write_text("{}")
 
 
-def test_the_thesis_has_680_captures(tmp_path):
+def test_the_default_plan_is_the_680_captures_of_the_thesis(tmp_path):
     enrolment = open_enrolment(tmp_path / "all")
     assert enrolment.plan.total == 680
     places = list(enrolment.places())
@@ -36,7 +34,7 @@ def test_the_thesis_has_680_captures(tmp_path):
     assert seeds.isdisjoint({enrolment.seeds(place, 1)[0] for place in places})
 
 
-def test_what_is_finished_is_skipped_and_the_rest_is_in_order(tmp_path):
+def test_finished_captures_are_skipped_and_the_others_stay_in_order(tmp_path):
     enrolment = open_enrolment(
         tmp_path / "e", subjects=2, sessions=2, fingers=("right_index", "left_thumb")
     )
@@ -128,7 +126,7 @@ def test_unknown_subjects_sessions_and_fingers_are_refused(tmp_path, name):
 
 
 @pytest.mark.parametrize("text", ["", "Anna Meier", "../x", "S01/x", "Ä", "x" * 33, "a.b", "S01\n"])
-def test_ids_say_and_break_nothing(text):
+def test_a_subject_id_that_could_name_a_person_or_a_path_is_refused(text):
     with pytest.raises(BadInput, match="never a name"):
         check_subject_id(text)
     assert check_subject_id("S-01_b") == "S-01_b"

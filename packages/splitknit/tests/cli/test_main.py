@@ -4,7 +4,7 @@ from splitknit.cli.main import main
 from splitknit.registry import GONE
 
 
-def test_a_verb_that_left_names_what_to_use_instead(monkeypatch, capsys):
+def test_a_removed_verb_names_its_replacement(monkeypatch, capsys):
     monkeypatch.setitem(GONE, "rig paint", "use a brush.")
     assert main(["rig", "paint", "--red"]) == 2
     assert (

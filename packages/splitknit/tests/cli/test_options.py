@@ -1,7 +1,4 @@
-from __future__ import annotations
-
 import json
-from pathlib import Path
 
 import pytest
 from hypothesis import given
@@ -28,12 +25,12 @@ from splitknit.errors import BadInput
         ("a.b=", "a.b", ""),
     ],
 )
-def test_values_are_json_or_toml_or_words(text: str, name: str, value: object) -> None:
+def test_values_of_assignments_are_json_toml_or_plain_text(text, name, value):
     assert parse_assignment(text) == (name, value)
 
 
 @pytest.mark.parametrize("text", ["a.b", "=3", "a..b=3", "a b=3", "1.a=3", ".=1"])
-def test_other_forms_are_refused(text: str) -> None:
+def test_malformed_assignments_are_refused(text):
     with pytest.raises(BadInput, match=r"stage\.field=value"):
         parse_assignment(text)
 
@@ -41,7 +38,7 @@ def test_other_forms_are_refused(text: str) -> None:
 @pytest.mark.slow
 @given(st.text(max_size=40))
 @hypothesis_settings(max_examples=150, derandomize=True, deadline=None)
-def test_no_text_breaks_the_parser(text: str) -> None:
+def test_no_text_breaks_the_parser(text):
     try:
         name, _ = parse_assignment(text)
     except BadInput:
@@ -49,7 +46,7 @@ def test_no_text_breaks_the_parser(text: str) -> None:
     assert all(part.isidentifier() for part in name.split("."))
 
 
-def test_assignments_win_over_the_file(tmp_path: Path) -> None:
+def test_assignments_override_the_settings_file(tmp_path):
     file = tmp_path / "s.toml"
     file.write_text('[knit]\nmode = "addition"\nscales = 3\n')
     assert read_changes([("--settings", str(file)), ("--set", "knit.mode=crossover")]) == {
@@ -59,7 +56,7 @@ def test_assignments_win_over_the_file(tmp_path: Path) -> None:
     assert read_changes([]) == {}
 
 
-def test_json_and_toml_say_the_same(tmp_path: Path) -> None:
+def test_json_and_toml_give_the_same_settings(tmp_path):
     (tmp_path / "s.json").write_text(json.dumps({"knit": {"mode": "a"}, "x.y": [1]}))
     (tmp_path / "s.toml").write_text('"x.y" = [1]\n[knit]\nmode = "a"\n')
     for name in ("s.json", "s.toml"):
@@ -83,12 +80,12 @@ def test_json_and_toml_say_the_same(tmp_path: Path) -> None:
         ("s.toml", b"#" * 64_001, "too large"),
     ],
 )
-def test_broken_files_are_refused(tmp_path: Path, name: str, data: bytes, words: str) -> None:
+def test_broken_settings_files_are_refused(tmp_path, name, data, words):
     (tmp_path / name).write_bytes(data)
     with pytest.raises(BadInput, match=words):
         read_changes([("--settings", str(tmp_path / name))])
 
 
-def test_missing_file_is_refused(tmp_path: Path) -> None:
+def test_missing_file_is_refused(tmp_path):
     with pytest.raises(BadInput, match="does not exist"):
         read_changes([("--settings", str(tmp_path / "none.json"))])

@@ -41,7 +41,7 @@ def waves(tmp_path_factory) -> Path:
     return out
 
 
-def test_waves_have_the_roughness_of_waves(waves: Path, tmp_path: Path, capsys) -> None:
+def test_the_roughness_of_sine_waves_is_exact(waves, tmp_path, capsys):
     out = tmp_path / "profile"
     assert main(["profile", str(waves), "-4,0", "4,0.1", "--out", str(out), "--json"]) == 0
     facts = json.loads(capsys.readouterr().out)
@@ -55,7 +55,7 @@ def test_waves_have_the_roughness_of_waves(waves: Path, tmp_path: Path, capsys) 
 
 
 @pytest.mark.parametrize(
-    ("words", "said"),
+    ("arguments", "message"),
     [
         (["-4,0", "-3.5,0"], "two cut-offs of 0.8 mm"),
         (["-6.4,0", "4,0"], "has a gap"),
@@ -65,17 +65,17 @@ def test_waves_have_the_roughness_of_waves(waves: Path, tmp_path: Path, capsys) 
         (["90,0", "95,0"], "no surface lies between"),
     ],
 )
-def test_what_has_no_roughness_is_refused(waves: Path, tmp_path: Path, capsys, words, said) -> None:
-    assert main(["profile", str(waves), *words, "--out", str(tmp_path / "out")]) == 2
-    assert said in capsys.readouterr().err
+def test_a_section_without_roughness_is_refused(waves, tmp_path, capsys, arguments, message):
+    assert main(["profile", str(waves), *arguments, "--out", str(tmp_path / "out")]) == 2
+    assert message in capsys.readouterr().err
     assert not (tmp_path / "out").exists()
 
 
-def test_a_long_wave_is_form() -> None:
+def test_the_cut_off_passes_half_a_wave_of_its_length_and_removes_form():
     along = 0.005 * np.arange(4000)
     # half of a wave as long as the cut-off passes (ISO 16610-21)
     for length, part in ((0.8, 0.5), (8.0, 0.007)):
-        _, found = profile_roughness(0.01 * np.sin(2 * np.pi * along / length), 0.005, 0.8)
-        assert found["Rq_um"] == pytest.approx(part * 10 / np.sqrt(2), rel=0.1)
+        _, figures = profile_roughness(0.01 * np.sin(2 * np.pi * along / length), 0.005, 0.8)
+        assert figures["Rq_um"] == pytest.approx(part * 10 / np.sqrt(2), rel=0.1)
     with pytest.raises(BadInput, match="gap"):
         profile_roughness(np.full(4000, np.nan), 0.005, 0.8)

@@ -54,17 +54,15 @@ def refusal(capsys: pytest.CaptureFixture[str], out: Path, *words: Any) -> str:
     """Return the one sentence with which a run is refused; nothing is left behind."""
     before = sorted(out.parent.iterdir())
     assert run(*words, "--out", out) == 2
-    said = capsys.readouterr()
-    assert said.out == ""
-    assert said.err.startswith("splitknit: error: ")
-    assert said.err.count("\n") == 1
+    printed = capsys.readouterr()
+    assert printed.out == ""
+    assert printed.err.startswith("splitknit: error: ")
+    assert printed.err.count("\n") == 1
     assert sorted(out.parent.iterdir()) == before
-    return said.err
+    return printed.err
 
 
-def test_checkerboards_of_a_folder(
-    boards: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_checkerboards_of_a_folder_give_direct_and_global_light(boards, tmp_path, capsys):
     out = tmp_path / "out"
     assert run(boards, "--out", out, "--json") == 0
     facts = json.loads(capsys.readouterr().out)
@@ -95,27 +93,22 @@ def test_checkerboards_of_a_folder(
     assert "direct in the median" in capsys.readouterr().out
 
 
-def test_found_and_given_patterns_and_a_mask(boards: Path, tmp_path: Path) -> None:
+def test_patterns_are_estimated_or_read_and_a_mask_is_respected(boards, tmp_path):
     patterns = checkerboard_patterns(SIZE, 5, SHIFTS)
     states = write(tmp_path / "states", {f"s_{k:02}.png": p for k, p in enumerate(patterns)})
     mask = np.zeros(SIZE)
     mask[5:30, 8:40] = 1
     write_image(boards / "mask.png", stored(mask))
-    for choice in (states, "estimate"):
-        out = tmp_path / Path(choice).name
-        out = out.with_name("out_" + out.name)
+    for choice, kind in ((states, "given"), ("estimate", "estimate")):
+        out = tmp_path / f"out_{kind}"
         assert run(boards, "--out", out, "--patterns", choice) == 0
         direct, metadata = read_light_tiff(out / "direct.tiff")
         assert np.array_equal(np.isnan(direct), mask == 0)
         assert np.nanmax(np.abs(direct - DIRECT)) < 3 * STEP
-        assert metadata["settings"]["separate"]["patterns"] == (
-            "estimate" if choice == "estimate" else "given"
-        )
+        assert metadata["settings"]["separate"]["patterns"] == kind
 
 
-def test_known_states_ask_for_the_size_of_checks(
-    boards: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_known_states_need_the_size_of_checks_for_skin(boards, tmp_path, capsys):
     """Skin is where it matters, and what is in the images the verb cannot know; the size alone is
     enough for it."""
     written = {}
@@ -131,25 +124,21 @@ def test_known_states_ask_for_the_size_of_checks(
     assert "5 pixels or more" in refusal(capsys, tmp_path / "x", boards, "--check-px", 4)
 
 
-def test_a_leaking_pattern_is_noticed(
-    boards: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_negative_global_light_gets_a_note(boards, tmp_path, capsys):
     assert run(boards, "--dark", 0.8, "--out", tmp_path / "out") == 0
     assert "Please note: global light is negative" in capsys.readouterr().out
 
 
-def test_bad_stacks_name_the_file(
-    boards: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    out = tmp_path / "out"
-    good = (boards / "board_0_4.png").read_bytes()
-    write_image(boards / "board_0_4.png", stored(np.full(SIZE, 0.03)))
+def test_refusals_of_a_stack_name_the_file(boards, tmp_path, capsys):
+    out, board = tmp_path / "out", boards / "board_0_4.png"
+    good = board.read_bytes()
+    write_image(board, stored(np.full(SIZE, 0.03)))
     assert "image 2 (board_0_4.png) is black" in refusal(capsys, out, boards)
-    write_image(boards / "board_0_4.png", stored(np.full((40, 51), 0.3)))
+    write_image(board, stored(np.full((40, 51), 0.3)))
     assert "board_0_4.png has 40 x 51 pixels" in refusal(capsys, out, boards)
-    (boards / "board_0_4.png").write_bytes(good[: len(good) // 2])
+    board.write_bytes(good[: len(good) // 2])
     assert "board_0_4.png" in refusal(capsys, out, boards)
-    (boards / "board_0_4.png").write_bytes(good)
+    board.write_bytes(good)
     write_image(boards / "board_2_0.png", stored(np.full(SIZE, 1.0)))
     assert "saturated" in refusal(capsys, out, boards)
     assert "alpha must lie" in refusal(capsys, out, boards, "--alpha", 0)
@@ -162,7 +151,7 @@ def test_bad_stacks_name_the_file(
     assert "holds the input itself" in refusal(capsys, boards, boards)
 
 
-def test_light_tiff(tmp_path: Path) -> None:
+def test_a_float_tiff_keeps_values_unit_and_metadata(tmp_path):
     light = np.array([[0.5, np.nan], [-0.1, 2.0]], dtype=np.float32)
     write_float_tiff(tmp_path / "a.tiff", light, "lux", {"n": 3})
     read, metadata = read_light_tiff(tmp_path / "a.tiff")
@@ -177,12 +166,12 @@ def polarised(root: Path, count: int = 3) -> tuple[Path, Path]:
     """Photographs through parallel and crossed films: half of the diffuse light each, the specular
     light in one."""
     specular = [0.05 + 0.04 * np.sin(COLUMNS / 2 + k) for k in range(count)]
-    parallel = {f"photo_{k}.png": 0.5 * GLOBAL + one for k, one in enumerate(specular)}
+    parallel = {f"photo_{k}.png": 0.5 * GLOBAL + light for k, light in enumerate(specular)}
     crossed = {f"through_{k}.png": 0.5 * GLOBAL for k in range(count)}
     return write(root / "parallel", parallel), write(root / "crossed", crossed)
 
 
-def test_polarised_photographs_become_specular_and_diffuse_light(tmp_path: Path, capsys) -> None:
+def test_polarised_photographs_become_specular_and_diffuse_light(tmp_path, capsys):
     folders, out = polarised(tmp_path), tmp_path / "out"
     assert run("polarised", *folders, "--out", out, "--json") == 0
     facts = json.loads(capsys.readouterr().out)
@@ -207,9 +196,7 @@ def test_polarised_photographs_become_specular_and_diffuse_light(tmp_path: Path,
     assert "were their folders exchanged" in capsys.readouterr().out
 
 
-def test_series_that_do_not_fit_are_refused(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_polarised_series_that_do_not_match_are_refused(tmp_path, capsys):
     parallel, crossed = polarised(tmp_path)
     out = tmp_path / "out"
     assert "name one folder" in refusal(capsys, out, parallel, crossed)

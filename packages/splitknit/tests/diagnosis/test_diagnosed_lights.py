@@ -62,19 +62,16 @@ def test_stated_places_are_not_doubted():
         (_rig(x_mm=-6.0, y_mm=-6.0), "the middle of the LEDs' ring"),
     ],
 )
-def test_places_that_are_wrong_are_named(stated, words):
+def test_wrongly_stated_places_are_named(stated, words):
     assert words in _doubt(stated)
 
 
-def test_what_cannot_tell_is_left_alone():
+def test_few_or_distant_lights_have_no_fitted_places():
     few = replace(_rig(), leds=_rig().leds[:5])
     distant = replace(
         few, leds=tuple(Led("white", direction=(np.cos(a), np.sin(a), 2.0)) for a in range(7))
     )
     mask = np.ones((31, 31), bool)
     for rig in (few, distant):
-        stack = np.ones((len(rig.leds), 31, 31), np.float32)
-        assert (
-            fitted_places(stack, rig, mask, mask.astype(np.float32), View(AXIS, AXIS), PITCH_MM)
-            is None
-        )
+        stack, depth_mm = np.ones((len(rig.leds), 31, 31), np.float32), mask.astype(np.float32)
+        assert fitted_places(stack, rig, mask, depth_mm, View(AXIS, AXIS), PITCH_MM) is None

@@ -17,35 +17,35 @@ def test_sound_photographs_have_no_fault():
 @pytest.mark.parametrize(
     "kind", ["moved", "double", "blurred", "overexposed", "underexposed", "unlike"]
 )
-def test_the_photograph_at_fault_is_named_and_its_fault(kind):
+def test_a_faulty_photograph_and_its_fault_are_named(kind):
     stack, lights, mask = scene(1)
     stack[5] = spoilt(stack[5], kind)
-    found = faulty_photographs(stack, lights, mask, 0.7)
-    assert [(fault.photograph, fault.kind) for fault in found] == [(5, kind)]
+    faults = faulty_photographs(stack, lights, mask, 0.7)
+    assert [(fault.photograph, fault.kind) for fault in faults] == [(5, kind)]
     if kind in {"moved", "double", "blurred"}:
-        assert found[0].size == pytest.approx({"blurred": 2.5}.get(kind, 3.6), abs=0.6)
+        assert faults[0].size == pytest.approx({"blurred": 2.5}.get(kind, 3.6), abs=0.6)
     # the floats of the former are exact, the latter is not used
     if kind not in {"underexposed", "overexposed"}:
-        assert found[0].effect_deg > 0.05
+        assert faults[0].effect_deg > 0.05
 
 
-def test_two_photographs_at_fault():
+def test_two_faulty_photographs_are_named():
     stack, lights, mask = scene(2)
     stack[1], stack[6] = spoilt(stack[1], "moved"), spoilt(stack[6], "blurred")
     assert {fault.photograph for fault in faulty_photographs(stack, lights, mask)} == {1, 6}
 
 
-def test_four_photographs_leave_none_to_compare_with():
+def test_four_photographs_are_too_few_to_compare():
     stack, lights, mask = scene()
     stack[1] = spoilt(stack[1], "moved")
     assert faulty_photographs(stack[:4], lights[:4], mask) == ()
 
 
-def test_gains_are_found_whatever_their_spread():
+def test_gains_of_the_lights_are_estimated():
     stack, lights, mask = scene()
     gains = np.array([1, 3, 0.4, 1.5, 0.7, 1, 2, 0.5])
-    found = light_gains(stack * gains[:, None, None], lights, mask)
-    assert found == pytest.approx(gains / np.exp(np.log(gains).mean()), rel=0.02)
+    estimated = light_gains(stack * gains[:, None, None], lights, mask)
+    assert estimated == pytest.approx(gains / np.exp(np.log(gains).mean()), rel=0.02)
 
 
 def test_arrays_that_disagree_are_refused():

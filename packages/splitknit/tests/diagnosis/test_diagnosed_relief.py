@@ -11,6 +11,7 @@ Y, X = np.mgrid[:176, :144] / PX_PER_MM
 ANGLES = 2 * np.pi * np.arange(7) / 7
 LIGHTS = np.stack([0.4 * np.cos(ANGLES), -0.4 * np.sin(ANGLES), np.ones(7)], axis=1)
 MASK = ((X - 9.0) / 8.5) ** 2 + ((Y - 11.0) / 10.5) ** 2 < 1
+PLASTER = (np.abs(X - 9.0) < 2.5) & (np.abs(Y - 10.0) < 3.0)
 
 
 def _stack(bare: np.ndarray, albedo: float = 1.0, weave_um: float = 0.0) -> np.ndarray:
@@ -36,8 +37,7 @@ def test_a_crease_and_a_scar_are_not_doubted():
 
 @pytest.mark.parametrize(("albedo", "weave_um"), [(1.0, 0.0), (0.5, 0.0), (1.5, 3.0)])
 def test_a_plaster_is_named_with_its_size(albedo, weave_um):
-    plaster = (np.abs(X - 9.0) < 2.5) & (np.abs(Y - 10.0) < 3.0)
-    area_mm2, _ = bare_patch(_stack(plaster, albedo, weave_um), MASK, PX_PER_MM)
+    area_mm2, _ = bare_patch(_stack(PLASTER, albedo, weave_um), MASK, PX_PER_MM)
     assert 0.5 * 30 < area_mm2 < 1.1 * 30
 
 
@@ -45,12 +45,12 @@ def test_a_strip_around_half_of_the_finger_is_named():
     assert bare_patch(_stack(np.abs(Y - 11.0) < 5.0), MASK, PX_PER_MM)[0] > 90
 
 
-def test_what_cannot_show_ridges_is_left_alone():
-    plaster = (np.abs(X - 9.0) < 2.5) & (np.abs(Y - 10.0) < 3.0)
-    assert bare_patch(_stack(plaster), MASK, 5.0) == (0.0, 0.0)
-    assert bare_patch(_stack(plaster), X < 1.0, PX_PER_MM) == (0.0, 0.0)
-    dark = np.where(plaster, 0.1, 1.0).astype(np.float32)
-    assert bare_patch(_stack(plaster) * dark, MASK, PX_PER_MM)[0] == 0
+def test_coarse_small_or_dark_images_are_not_judged():
+    stack = _stack(PLASTER)
+    assert bare_patch(stack, MASK, 5.0) == (0.0, 0.0)
+    assert bare_patch(stack, X < 1.0, PX_PER_MM) == (0.0, 0.0)
+    dark = np.where(PLASTER, 0.1, 1.0).astype(np.float32)
+    assert bare_patch(stack * dark, MASK, PX_PER_MM)[0] == 0
 
 
 def test_images_of_one_relief_are_not_doubted():

@@ -35,7 +35,7 @@ def scene(brightness: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     )
 
 
-def test_gains_that_differ_between_colours_are_a_white_balance() -> None:
+def test_gains_that_differ_between_colours_are_detected():
     """Equal gains are none; a gain of each colour and image is measured to a few per cent."""
     light, lights = scene(BRIGHTNESS)
     assert colour_spread(image_gains(light, lights)) < 1e-3
@@ -44,27 +44,27 @@ def test_gains_that_differ_between_colours_are_a_white_balance() -> None:
 
 
 @pytest.mark.parametrize("exponent", [0.45, 0.8, 1.0, 1.25])
-def test_unequal_lights_show_the_exponent(exponent: float) -> None:
+def test_unequal_lights_give_the_tone_exponent(exponent):
     """Within 0.02, and far beyond its error where it is not one."""
     light, lights = scene(BRIGHTNESS)
     gains = image_gains(light**exponent, lights).mean(axis=0)
-    found, sure = tone_exponent([(gains, DIRECTIONS, BRIGHTNESS)])
-    assert found == pytest.approx(exponent, abs=0.02)
-    assert (abs(sure) > 10) == (exponent != 1.0)
+    estimated, significance = tone_exponent([(gains, DIRECTIONS, BRIGHTNESS)])
+    assert estimated == pytest.approx(exponent, abs=0.02)
+    assert (abs(significance) > 10) == (exponent != 1.0)
 
 
-def test_added_light_looks_like_an_exponent_below_one_and_equal_lights_show_none() -> None:
+def test_ambient_light_lowers_the_exponent_and_equal_lights_give_none():
     """A lamp of 30 %."""
     light, lights = scene(BRIGHTNESS)
     gains = image_gains(light + 0.3 * light.mean(axis=1, keepdims=True), lights).mean(axis=0)
-    found, sure = tone_exponent([(gains, DIRECTIONS, BRIGHTNESS)])
-    assert found < 0.85
-    assert sure < -10
+    estimated, significance = tone_exponent([(gains, DIRECTIONS, BRIGHTNESS)])
+    assert estimated < 0.85
+    assert significance < -10
     assert np.isnan(tone_exponent([(0 * gains, DIRECTIONS, np.ones(7))])[0])
 
 
 @pytest.mark.parametrize("exponent", [0.7, 0.8, 1.0, 1.3])
-def test_shading_shows_the_exponent_under_equal_lights(exponent: float) -> None:
+def test_shading_gives_the_exponent_under_equal_lights(exponent):
     """Within 0.05, though their brightness is 1 % off."""
     light, lights = scene(np.ones(7))
     assert shading_exponent(
@@ -72,7 +72,7 @@ def test_shading_shows_the_exponent_under_equal_lights(exponent: float) -> None:
     ) == pytest.approx(exponent, abs=0.05)
 
 
-def test_height_colour_and_clipping() -> None:
+def test_height_colour_and_clipping_are_measured():
     """Of the ellipsoid itself."""
     light, _ = scene(np.ones(7))
     assert height_over_half_width(

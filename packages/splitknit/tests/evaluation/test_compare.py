@@ -1,5 +1,3 @@
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np
@@ -10,7 +8,7 @@ from splitknit.accuracy import compare, high_passed
 from splitknit.errors import BadInput
 
 
-def test_the_truth_agrees_with_itself() -> None:
+def test_a_result_equal_to_its_truth_has_no_error():
     result, truth = finger()
     figures = compare(result, truth).figures
     assert figures["surface_rms_mm"] == pytest.approx(0.0, abs=1e-6)
@@ -22,7 +20,7 @@ def test_the_truth_agrees_with_itself() -> None:
     assert figures["normals_mean_deg"] == pytest.approx(0.0, abs=0.03)
 
 
-def test_gain_is_the_factor_of_the_relief() -> None:
+def test_gain_is_the_factor_of_the_relief():
     result, truth = finger()
     flat = replace(result, ridge_mm=result.ridge_mm * np.float32(0.25))
     figures = compare(flat, truth).figures
@@ -31,7 +29,7 @@ def test_gain_is_the_factor_of_the_relief() -> None:
     assert figures["ridge_rms_um"] == pytest.approx(0.75 * figures["ridge_truth_std_um"], rel=0.02)
 
 
-def test_distance_does_not_count_but_tilt_does() -> None:
+def test_distance_does_not_count_but_tilt_does():
     result, truth = finger()
     far = replace(result, height_mm=result.height_mm + np.float32(7.0))
     assert compare(far, truth).figures["surface_rms_mm"] == pytest.approx(0.0, abs=1e-5)
@@ -42,7 +40,7 @@ def test_distance_does_not_count_but_tilt_does() -> None:
 
 
 @pytest.mark.slow
-def test_the_edge_is_left_out() -> None:
+def test_the_surface_error_leaves_out_the_edge():
     result, truth = finger()
     surface = compare(result, truth).surface
     rows, columns = np.nonzero(surface)
@@ -59,7 +57,7 @@ def test_the_edge_is_left_out() -> None:
     ] == pytest.approx(0.0, abs=1e-6)
 
 
-def test_ridge_band_stops_at_sixty_degrees() -> None:
+def test_ridge_band_stops_at_sixty_degrees():
     result, truth = finger()
     comparison = compare(result, truth)
     slope = np.hypot(*np.gradient(truth["shape_mm"].astype(float), result.pitch_mm))
@@ -70,7 +68,7 @@ def test_ridge_band_stops_at_sixty_degrees() -> None:
     assert np.nanmin(slant[beyond]) > 58.5
 
 
-def test_area_counts_where_ridges_are_right() -> None:
+def test_good_area_is_the_fraction_with_correct_ridges():
     result, truth = finger()
     noise = np.random.default_rng(0).normal(0, 0.03, result.mask.shape).astype(np.float32)
     half = np.where(
@@ -82,7 +80,7 @@ def test_area_counts_where_ridges_are_right() -> None:
     assert 0.4 < area < 0.6
 
 
-def test_a_part_of_the_finger_is_compared_where_both_are() -> None:
+def test_a_partial_result_is_compared_where_both_masks_overlap():
     result, truth = finger()
     part = result.mask.copy()
     part[220:] = False
@@ -96,7 +94,7 @@ def test_a_part_of_the_finger_is_compared_where_both_are() -> None:
     assert figures["surface_rms_mm"] == pytest.approx(0.0, abs=1e-6)
 
 
-def test_wrong_truth_is_refused() -> None:
+def test_wrong_truth_is_refused():
     result, truth = finger()
     with pytest.raises(BadInput, match="no 'shape_mm'"):
         compare(result, {k: v for k, v in truth.items() if k != "shape_mm"})
@@ -106,7 +104,7 @@ def test_wrong_truth_is_refused() -> None:
         compare(result, {**truth, "mask": np.zeros_like(truth["mask"])})
 
 
-def test_high_pass_keeps_ridges_and_drops_slopes() -> None:
+def test_high_pass_keeps_ridges_and_drops_slopes():
     x = np.arange(300, dtype=np.float32)[None].repeat(80, axis=0)
     ridges = np.sin(2 * np.pi * x / 10).astype(np.float32)
     kept = high_passed(ridges + 0.05 * x, np.ones(x.shape, bool), 8.0)

@@ -50,9 +50,7 @@ def agreement(ours: FloatArray, his: FloatArray, inside: BoolArray) -> tuple[flo
     return float(np.corrcoef(a, b)[0, 1]), float(a @ b / (b @ b))
 
 
-def test_our_enhancement_shows_the_ridges_of_his(
-    film: dict[str, FloatArray], inside: BoolArray
-) -> None:
+def test_clahe_shows_the_ridges_of_the_author_s_enhancement(film, inside):
     """Half as strong beside its mean: ours makes the brightest skin white before it equalises."""
     code, finger = film["grey_crop"], film["clahe"] > 0.08
     linear = np.where(code <= 0.04045, code / 12.92, ((code + 0.055) / 1.055) ** 2.4).astype(
@@ -69,9 +67,7 @@ def test_our_enhancement_shows_the_ridges_of_his(
     assert contrast == pytest.approx([0.060, 0.128], abs=0.005)
 
 
-def test_our_network_on_his_enhanced_picture_is_like_his(
-    film: dict[str, FloatArray], inside: BoolArray
-) -> None:
+def test_the_direct_network_agrees_with_the_author_s_network(film, inside):
     ours = direct_light(film["clahe"][None], "direct")[0]
     correlation, gain = agreement(ours, film["direct"], inside)
     assert correlation > 0.95 and 0.8 < gain < 1.1

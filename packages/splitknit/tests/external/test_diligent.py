@@ -1,7 +1,5 @@
 """Real photographs with laser-scanned normals: DiLiGenT's bear under 24 of its lights."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 
@@ -26,7 +24,7 @@ def mean_error_deg(normals, bear, mask):
     )
 
 
-def test_error_on_the_bear(bear):
+def test_normals_of_the_bear_are_as_accurate_as_stored(bear):
     mask = bear["mask"].astype(bool)
     stack = bear["images"].astype(np.float32) / 65535
     plain, _ = lambertian(stack, bear["lights"], mask)

@@ -4,8 +4,6 @@ The depth was seen in perspective and the integrators are orthographic, so heigh
 after the best scale and plane; the remaining error includes the perspective.
 """
 
-from __future__ import annotations
-
 import cv2
 import numpy as np
 import pytest

@@ -85,7 +85,7 @@ def reprojected(seen: SeenInMirrors, name: str, points: np.ndarray) -> np.ndarra
     return np.column_stack([1499.5 + points[:, 0] / near, 999.5 - points[:, 1] / near])
 
 
-def test_silhouettes_of_the_result_agree_with_the_picture(seen: SeenInMirrors) -> None:
+def test_silhouettes_of_the_result_agree_with_the_picture(seen):
     """The visible surface, moved into each view by plain geometry, ends where the picture's finger
     does."""
     assert set(seen.views.mirrors) == {"left", "right", "tip"}
@@ -112,7 +112,7 @@ def test_silhouettes_of_the_result_agree_with_the_picture(seen: SeenInMirrors) -
         assert worst[name][0] < 0.01 and np.quantile(away, 0.95) < 0.02, (name, worst)
 
 
-def test_whole_outlines_are_fitted_within_a_hundredth_of_the_width(seen: SeenInMirrors) -> None:
+def test_whole_outlines_are_fitted_within_a_hundredth_of_the_width(seen):
     rms = seen.shape.facts["outline_rms_mm"]
     assert all(rms[name] < 0.01 * 16.0 for name in ("front", "left", "right"))
     poses = seen.shape.facts["poses"]
@@ -120,7 +120,7 @@ def test_whole_outlines_are_fitted_within_a_hundredth_of_the_width(seen: SeenInM
     assert all(abs(poses[name]["turn_deg"]) < 1.0 for name in ("left", "right"))
 
 
-def test_the_finger_itself_is_told_from_its_images(capture: Capture, seen: SeenInMirrors) -> None:
+def test_the_finger_is_distinguished_from_its_mirror_images(capture, seen):
     mask = (
         cv2.resize(seen.views.front.astype(np.uint8), (3000, 2000), interpolation=cv2.INTER_NEAREST)
         > 0
@@ -130,7 +130,7 @@ def test_the_finger_itself_is_told_from_its_images(capture: Capture, seen: SeenI
     )
 
 
-def test_one_mirror_is_enough(capture: Capture) -> None:
+def test_one_mirror_is_enough_for_a_shape(capture):
     rig = replace(capture.rig, mirrors=capture.rig.mirrors[:1])
     alone = seen_in_mirrors(replace(capture, rig=rig), MirrorShapeSettings())
     assert alone.shape.facts["mirrors"] == ["left"]

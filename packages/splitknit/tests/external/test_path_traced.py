@@ -37,9 +37,9 @@ def traced(request, data_dir: Path) -> Traced:
         truth = {name: file[name] for name in file.files}
     capture = splitknit.read_capture(folder)
     result = splitknit.reconstruct(capture)
-    found = {name: getattr(result, name) for name in ("height_mm", "mask", "uncertainty_um")}
+    fields = {name: getattr(result, name) for name in ("height_mm", "mask", "uncertainty_um")}
     with scripts_of(VALIDATION / "path_traced") as script:
-        score = script("score").score(found, truth)
+        score = script("score").score(fields, truth)
     return Traced(request.param, capture, truth, score)
 
 
@@ -60,18 +60,18 @@ def baseline_rms_mm(traced: Traced) -> float:
 
 
 @pytest.mark.slow
-def test_the_surface_is_better_than_forty_lines(traced: Traced, request) -> None:
+def test_the_surface_is_better_than_forty_lines(traced, request):
     if traced.name == "loop":
         why = "0.084 mm where the forty lines have 0.062: see docs/experiments/accuracy.md"
         request.applymarker(pytest.mark.xfail(strict=True, reason=why))
     assert traced.score["surface_rms_mm"] < baseline_rms_mm(traced)
 
 
-def test_the_surface_is_right(traced: Traced) -> None:
+def test_the_surface_error_is_below_0_09_mm(traced):
     assert traced.score["surface_rms_mm"] < 0.09
 
 
-def test_the_ridges_are_there_on_flanks_too_and_their_error_is_known(traced: Traced) -> None:
+def test_ridges_are_right_on_flanks_too_and_their_stated_error_holds(traced):
     score = traced.score
     assert (
         score["ridge_corr"] > 0.9 and 0.8 < score["ridge_gain"] < 1.2 and score["ridge_rms_um"] < 12

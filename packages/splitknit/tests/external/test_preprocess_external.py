@@ -1,7 +1,5 @@
 """Preprocessing on images that nobody on this project made."""
 
-from __future__ import annotations
-
 import cv2
 import numpy as np
 import pytest
@@ -29,25 +27,27 @@ def phalange(data_dir):
 
 
 @pytest.mark.parametrize("px_per_mm", [75.7, 37.0])
-def test_sculpted_phalange_on_a_grey_backdrop(phalange, px_per_mm):
-    stack, given = phalange
+def test_a_sculpted_phalange_on_a_grey_background_is_segmented(phalange, px_per_mm):
+    stack, known_mask = phalange
     mask = finger_mask(stack.mean(axis=0), px_per_mm)
     assert touched_borders(mask) == ("top", "bottom")
-    assert (mask & given).sum() / (mask | given).sum() > 0.94
+    assert (mask & known_mask).sum() / (mask | known_mask).sum() > 0.94
 
 
-def test_given_mask_through_all_steps(phalange):
-    stack, given = phalange
-    grey = stack.mean(axis=0)
-    upright = find_upright(given)
+def test_a_given_mask_passes_all_steps_of_preprocessing(phalange):
+    stack, known_mask = phalange
+    upright = find_upright(known_mask)
     assert abs(upright.yaw_rad) < np.deg2rad(8)
-    crease = find_crease(grey, given, upright, 37.0)
+    crease = find_crease(stack.mean(axis=0), known_mask, upright, 37.0)
     assert not crease.found
-    assert phalange_mask(given, crease, upright) is given
-    refined = photometric_mask(stack, given, 37.0)
-    assert refined.sum() > 0.95 * given.sum()
-    quality = capture_quality(stack, given, 37.0)
+    assert phalange_mask(known_mask, crease, upright) is known_mask
+    refined = photometric_mask(stack, known_mask, 37.0)
+    assert refined.sum() > 0.95 * known_mask.sum()
+    quality = capture_quality(stack, known_mask, 37.0)
     assert quality["ridge_contrast"] > 0.02
-    assert motion_findings(shot_motion(stack, given, 37.0)) == ()
-    equalised = clahe(stack[0], 37.0, mask=given)
-    assert equalised[given].std() > 2 * stack[0][given].std() / stack[0][given].max() * 0.5
+    assert motion_findings(shot_motion(stack, known_mask, 37.0)) == ()
+    equalised = clahe(stack[0], 37.0, mask=known_mask)
+    assert (
+        equalised[known_mask].std()
+        > 2 * stack[0][known_mask].std() / stack[0][known_mask].max() * 0.5
+    )

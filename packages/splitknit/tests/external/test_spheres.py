@@ -1,8 +1,6 @@
 """Photographs of a grey ball under twelve lights: normals against the sphere that its outline
 gives."""
 
-from __future__ import annotations
-
 import cv2
 import numpy as np
 import pytest

@@ -1,7 +1,5 @@
 """CLAHE: against OpenCV, and what it must not do."""
 
-from __future__ import annotations
-
 import cv2
 import numpy as np
 import pytest
@@ -17,26 +15,21 @@ def picture(shape=(256, 320), seed=0):
     return (0.5 + 0.12 * smooth / smooth.std()).clip(0, 1).astype(np.float32)
 
 
-@pytest.mark.parametrize("limit", [2.0, 4.0, 40.0])
-def test_agrees_with_opencv(limit):
+@pytest.mark.parametrize(
+    ("settings", "tiles"),
+    [
+        *((ClaheSettings("linear", clip_limit=limit), (5, 4)) for limit in (2.0, 4.0, 40.0)),
+        # tiles of 32 x 40 pixels; at low limits OpenCV rounds the few pixels of a bin
+        (ClaheSettings("linear", tiles=8, clip_limit=40.0), (8, 8)),
+    ],
+)
+def test_clahe_agrees_with_opencv(settings, tiles):
     quantised = np.round(picture() * 255).astype(np.uint8)
     quantised[:2, :64] = 255
-    expected = cv2.createCLAHE(limit, (5, 4)).apply(quantised) / 255.0
-    settings = ClaheSettings("linear", clip_limit=limit)
-    found = clahe(quantised.astype(np.float32) / 255, 75.7, settings)
-    assert np.abs(found - expected).mean() < 0.01
-    assert np.percentile(np.abs(found - expected), 99) < 0.03
-
-
-def test_tiles_agree_with_opencv():
-    quantised = np.round(picture() * 255).astype(np.uint8)
-    quantised[:2, :64] = 255
-    # tiles of 32 x 40 pixels; at low limits OpenCV rounds the few pixels of a bin
-    expected = cv2.createCLAHE(40.0, (8, 8)).apply(quantised) / 255.0
-    settings = ClaheSettings("linear", tiles=8, clip_limit=40.0)
-    found = clahe(quantised.astype(np.float32) / 255, 75.7, settings)
-    assert np.abs(found - expected).mean() < 0.01
-    assert np.percentile(np.abs(found - expected), 99) < 0.03
+    expected = cv2.createCLAHE(settings.clip_limit, tiles).apply(quantised) / 255.0
+    error = np.abs(clahe(quantised.astype(np.float32) / 255, 75.7, settings) - expected)
+    assert error.mean() < 0.01
+    assert np.percentile(error, 99) < 0.03
 
 
 def test_coded_grey_is_equalised_as_its_code():
@@ -45,13 +38,13 @@ def test_coded_grey_is_equalised_as_its_code():
         image <= 0.0031308, 12.92 * image, 1.055 * np.maximum(image, 1e-9) ** (1 / 2.4) - 0.055
     )
     code[:2, :64] = image[:2, :64] = 1.0
-    found = clahe(image, 75.7)
+    equalised = clahe(image, 75.7)
     plain = ClaheSettings(grey="linear")
-    np.testing.assert_allclose(found, clahe(code.astype(np.float32), 75.7, plain), atol=1e-3)
-    assert np.abs(found - clahe(image, 75.7, plain)).max() > 0.02
+    np.testing.assert_allclose(equalised, clahe(code.astype(np.float32), 75.7, plain), atol=1e-3)
+    assert np.abs(equalised - clahe(image, 75.7, plain)).max() > 0.02
 
 
-def test_range_and_levels():
+def test_equalised_light_keeps_its_range_and_fine_levels():
     image = picture() * np.float32(0.01)
     result = clahe(image, 75.7)
     assert result.dtype == np.float32
@@ -62,7 +55,7 @@ def test_range_and_levels():
     np.testing.assert_allclose(clahe(image * np.float32(7.0), 75.7), result, atol=1e-4)
 
 
-def test_the_limit_bounds_the_gain():
+def test_the_clip_limit_bounds_the_gain():
     y, x = np.mgrid[0:320, 0:320]
     # hardly any contrast
     image = (0.6 + 0.02 * np.sin(x / 7.0) * np.sin(y / 9.0)).astype(np.float32)
@@ -77,7 +70,7 @@ def test_the_limit_bounds_the_gain():
     assert gains[2] > 3.0
 
 
-def test_cells_scale_with_resolution():
+def test_tiles_scale_with_the_resolution():
     image = picture((512, 512))
     half = cv2.resize(image, (256, 256), interpolation=cv2.INTER_AREA)
     fine = cv2.resize(clahe(image, 75.7), (256, 256), interpolation=cv2.INTER_AREA)
@@ -85,7 +78,7 @@ def test_cells_scale_with_resolution():
     assert np.corrcoef(fine.ravel(), clahe(half, 150.0).ravel())[0, 1] < 0.99
 
 
-def test_backdrop_does_not_count():
+def test_the_background_does_not_change_the_finger():
     image = picture((300, 300))
     y, x = np.mgrid[0:300, 0:300]
     mask = (x - 140) ** 2 / 110**2 + (y - 160) ** 2 / 130**2 < 1
@@ -99,14 +92,14 @@ def test_backdrop_does_not_count():
     np.testing.assert_allclose(boxed, clahe(image[35:290, 21:250], 75.7), atol=1e-6)
 
 
-def test_no_seams_between_cells():
+def test_a_smooth_image_has_no_seams_between_tiles():
     y, x = np.mgrid[0:400, 0:300] / 400
     result = clahe((0.2 + 0.6 * y + 0.1 * x).astype(np.float32), 75.7)
     assert np.abs(np.diff(result, axis=0)).max() < 0.03
     assert np.abs(np.diff(result, axis=1)).max() < 0.03
 
 
-def test_bad_settings():
+def test_a_small_limit_and_an_empty_mask_are_refused():
     with pytest.raises(BadInput, match="clip_limit"):
         ClaheSettings(clip_limit=0.5)
     with pytest.raises(BadInput, match="empty"):

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -37,9 +36,9 @@ def view(
     colour = np.where(inside[..., None], [150.0, 100.0, 80.0], 6.0)
     bands = {}
     for name, first in (("white", 0), ("nir", 7)):
-        shown = colour if name == "white" else colour[..., :1]
+        colours = colour if name == "white" else colour[..., :1]
         pixels = np.stack(
-            [shown * (0.8 + 0.05 * k) + rng.normal(0, 1.0, shown.shape) for k in range(7)]
+            [colours * (0.8 + 0.05 * k) + rng.normal(0, 1.0, colours.shape) for k in range(7)]
         )
         leds = tuple((first + k,) for k in range(7))
         bands[name] = Band(
@@ -48,11 +47,11 @@ def view(
     return Capture(rig, bands, subject={"id": "S01", "session": 1})
 
 
-def test_four_fingers_are_cut_apart_and_named() -> None:
+def test_four_fingers_are_cut_apart_and_named():
     capture = view()
-    found = fingers_apart(capture)
-    assert list(found) == ["right_little", "right_ring", "right_middle", "right_index"]
-    for (name, own), middle, tip in zip(found.items(), MIDDLES_MM, TIPS_MM, strict=True):
+    fingers = fingers_apart(capture)
+    assert list(fingers) == ["right_little", "right_ring", "right_middle", "right_index"]
+    for (name, own), middle, tip in zip(fingers.items(), MIDDLES_MM, TIPS_MM, strict=True):
         assert own.subject == {"id": "S01", "session": 1, "finger": name}
         mask = finger_mask(linear_stack(own.bands["white"], "linear").mean(axis=0), PX_PER_MM)
         rows, columns = np.nonzero(mask)
@@ -65,7 +64,7 @@ def test_four_fingers_are_cut_apart_and_named() -> None:
         assert own.bands["nir"].pixels.shape[1:3] == own.shape
 
 
-def test_a_neighbour_in_the_part_is_filled() -> None:
+def test_a_neighbouring_finger_is_painted_over():
     own = fingers_apart(view((-8.0, 9.0), (30.0, 36.0)), ["left_index", "left_middle"])[
         "left_index"
     ]
@@ -74,7 +73,7 @@ def test_a_neighbour_in_the_part_is_filled() -> None:
 
 
 @pytest.mark.slow
-def test_left_hand_and_names() -> None:
+def test_hands_and_names_are_checked_against_the_fingers_in_view():
     assert "left_index" in fingers_apart(view(tips_mm=TIPS_MM[::-1]))
     assert list(fingers_apart(view(), "left", keep=True))[-1] == "left_little"
     with pytest.raises(BadInput, match="equally far up"):
@@ -86,7 +85,7 @@ def test_left_hand_and_names() -> None:
 
 
 @pytest.mark.parametrize("encoding", ["linear", "srgb"])
-def test_light_of_a_part_is_that_of_the_whole(encoding: str) -> None:
+def test_cropping_keeps_the_linear_light(encoding):
     capture, window = view(), (slice(40, 240), slice(60, 200))
     shading = (-0.4, 0.1)
     camera = replace(capture.rig.camera, shading=shading)
@@ -109,7 +108,7 @@ def test_light_of_a_part_is_that_of_the_whole(encoding: str) -> None:
     assert np.ptp(ratio) / ratio.mean() < 0.01
 
 
-def test_a_perspective_part_looks_where_the_whole_does() -> None:
+def test_cropping_keeps_the_rays_of_a_perspective_camera():
     rig = nominal_rig(0.1)
     rows, columns = rig.camera.image_size
     pixels = np.full((7, rows, columns, 1), 50, np.uint8)
@@ -124,7 +123,7 @@ def test_a_perspective_part_looks_where_the_whole_does() -> None:
     assert part.rig.leds == rig.leds
 
 
-def test_beams_keep_their_aim() -> None:
+def test_cropping_keeps_the_aim_of_the_leds():
     capture = view()
     leds = tuple(replace(led, lobe_exponent=4.8) for led in capture.rig.leds)
     part = cropped(
@@ -134,48 +133,22 @@ def test_beams_keep_their_aim() -> None:
 
 
 @pytest.mark.slow
-def test_import_writes_a_capture_of_each(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    write_capture(view((-12.0, 12.0), (30.0, 36.0)), tmp_path / "view")
-    order = [
-        "import",
-        str(tmp_path / "view"),
-        "--fingers",
-        "left_index,left_middle",
-        "--out",
-        str(tmp_path / "hand"),
-    ]
-    assert main(order) == 0
+def test_import_writes_a_capture_of_each_finger(tmp_path, capsys):
+    def run(capture: str, fingers: str, out: str, *options: str) -> int:
+        folders = str(tmp_path / capture), "--out", str(tmp_path / out)
+        return main(["import", *folders, "--fingers", fingers, *options])
+
+    write_capture(view((-12.0, 12.0), (30.0, 36.0)), tmp_path / "two")
+    assert run("two", "left_index,left_middle", "hand") == 0
     assert read_capture(tmp_path / "hand" / "left_middle").subject["finger"] == "left_middle"
-    assert main(order) == 2
+    assert run("two", "left_index,left_middle", "hand") == 2
     assert "give --overwrite" in capsys.readouterr().err
-    write_capture(view(), tmp_path / "right")
-    order = [
-        "import",
-        str(tmp_path / "right"),
-        "--fingers",
-        "left",
-        "--out",
-        str(tmp_path / "wrong"),
-    ]
-    assert main(order) == 2
-    assert (
-        "the tips are those of a right hand (the outer ones differ by 7 mm)"
-        in capsys.readouterr().err
-    )
-    assert not (tmp_path / "wrong").exists()
-    for given in ("--keep", "--force"):
-        assert main([*order, given, "--overwrite"]) == 0
-    assert (tmp_path / "wrong" / "left_index").is_dir()
-    capsys.readouterr()
-    order = [
-        "import",
-        str(tmp_path / "view"),
-        "--fingers",
-        "left_index,left_middle",
-        "--out",
-        str(tmp_path / "hand"),
-    ]
-    assert main([*order[:3], "auto", *order[4:]]) == 2
+    assert run("two", "auto", "hand") == 2
     assert "stand apart in the view: 2" in capsys.readouterr().err
+    write_capture(view(), tmp_path / "right")
+    assert run("right", "left", "wrong") == 2
+    assert "those of a right hand (the outer ones differ by 7 mm)" in capsys.readouterr().err
+    assert not (tmp_path / "wrong").exists()
+    for option in ("--keep", "--force"):
+        assert run("right", "left", "wrong", option, "--overwrite") == 0
+    assert (tmp_path / "wrong" / "left_index").is_dir()

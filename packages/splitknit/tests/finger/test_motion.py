@@ -1,7 +1,5 @@
 """Motion between shots: measured in size and sign, none where the finger lay still."""
 
-from __future__ import annotations
-
 import cv2
 import numpy as np
 import pytest
@@ -24,7 +22,7 @@ def scene(draw_finger):
     return draw_finger("medium", px_per_mm=16.0, ridges=0.05)
 
 
-def test_a_still_finger_gives_no_alarm(scene):
+def test_a_still_finger_shows_no_motion(scene):
     motion = shot_motion(scene.stack, scene.mask, 16.0)
     assert np.hypot(*motion.shift_mm.T).max() < 0.02
     assert motion.reliability.min() > 0.8
@@ -32,7 +30,7 @@ def test_a_still_finger_gives_no_alarm(scene):
 
 
 @pytest.mark.parametrize(("k", "x", "y"), [(0, 0.1, 0.0), (3, -0.08, 0.06), (6, 0.4, -0.3)])
-def test_a_moved_shot_is_measured(scene, k, x, y):
+def test_a_moved_shot_is_measured_and_named(scene, k, x, y):
     motion = shot_motion(moved(scene.stack, k, x, y, 16.0), scene.mask, 16.0)
     np.testing.assert_allclose(motion.shift_mm[k], [x, y], atol=0.03)
     (warning,) = motion_findings(motion)
@@ -43,7 +41,7 @@ def test_a_moved_shot_is_measured(scene, k, x, y):
     )
 
 
-def test_light_order_does_not_matter(scene):
+def test_motion_does_not_depend_on_the_order_of_the_lights(scene):
     order = np.array([3, 0, 6, 1, 5, 2, 4])
     stack = moved(scene.stack, 3, 0.1, 0.0, 16.0)
     first = shot_motion(stack, scene.mask, 16.0).shift_mm
@@ -52,7 +50,7 @@ def test_light_order_does_not_matter(scene):
     )
 
 
-def test_few_shots_are_not_judged(scene):
+def test_four_shots_are_too_few_to_measure_motion(scene):
     motion = shot_motion(scene.stack[:4], scene.mask, 16.0)
     assert motion.shift_mm.shape == (4, 2)
     assert (motion.reliability == 0).all()

@@ -1,26 +1,25 @@
 """Yaw, its sign, and the upright frame."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 
 from splitknit.finger.orientation import find_upright
 from splitknit.imaging.geometry import warp
 
-CASES = [
-    (0.0, (0.0, 15.0)),
-    (3.0, (0.0, 14.0)),
-    (-12.0, (3.0, 13.0)),
-    (30.0, (-6.0, 10.0)),
-    (-45.0, (9.0, 6.0)),
-    (60.0, (-9.0, 0.0)),
-    (-60.0, (9.0, 0.0)),
-]
 
-
-@pytest.mark.parametrize(("yaw", "tip"), CASES)
-def test_yaw_tip_and_frame(draw_finger, yaw, tip):
+@pytest.mark.parametrize(
+    ("yaw", "tip"),
+    [
+        (0.0, (0.0, 15.0)),
+        (3.0, (0.0, 14.0)),
+        (-12.0, (3.0, 13.0)),
+        (30.0, (-6.0, 10.0)),
+        (-45.0, (9.0, 6.0)),
+        (60.0, (-9.0, 0.0)),
+        (-60.0, (9.0, 0.0)),
+    ],
+)
+def test_yaw_tip_and_upright_frame_follow_the_finger(draw_finger, yaw, tip):
     scene = draw_finger("medium", yaw_deg=yaw, tip_at=tip, noise=0.0, taper=0.05)
     upright = find_upright(scene.mask)
     assert upright.reliable
@@ -44,7 +43,7 @@ def test_yaw_tip_and_frame(draw_finger, yaw, tip):
     )
 
 
-def test_all_rows_give_the_yaw_as_in_the_thesis(draw_finger):
+def test_all_rows_give_the_yaw_of_the_thesis(draw_finger):
     scene = draw_finger("medium", yaw_deg=8.0, tip_at=(0.0, 10.0), noise=0.0)
     usual, every = (find_upright(scene.mask, 0.0, all_rows=all_rows) for all_rows in (False, True))
     assert every.reliable
@@ -53,7 +52,7 @@ def test_all_rows_give_the_yaw_as_in_the_thesis(draw_finger):
 
 
 @pytest.mark.parametrize("yaw", [20.0, 35.0, -45.0])
-def test_a_short_finger_cut_by_the_border(draw_finger, yaw):
+def test_the_yaw_of_a_short_finger_cut_by_the_border_is_right(draw_finger, yaw):
     scene = draw_finger(
         "medium", yaw_deg=yaw, tip_at=(-0.1 * yaw, 0.0), size_mm=(29.0, 42.0), noise=0.0
     )
@@ -61,7 +60,7 @@ def test_a_short_finger_cut_by_the_border(draw_finger, yaw):
 
 
 @pytest.mark.parametrize("turn", [90.0, 180.0, -90.0])
-def test_other_tip_directions(draw_finger, turn):
+def test_a_stated_tip_direction_is_followed(draw_finger, turn):
     scene = draw_finger("medium", yaw_deg=10.0, tip_at=(-2.0, 12.0), noise=0.0)
     mask = np.rot90(scene.mask, int(turn // 90))  # counter-clockwise
     upright = find_upright(np.ascontiguousarray(mask), turn)
@@ -72,7 +71,7 @@ def test_other_tip_directions(draw_finger, turn):
 
 @pytest.mark.parametrize("quarters", range(4))
 @pytest.mark.parametrize("yaw", [0.0, 30.0, -45.0])
-def test_any_direction_is_found(draw_finger, quarters, yaw):
+def test_any_tip_direction_is_found(draw_finger, quarters, yaw):
     scene = draw_finger("medium", yaw_deg=yaw, tip_at=(0.0, 8.0), noise=0.0, taper=0.05)
     upright = find_upright(np.ascontiguousarray(np.rot90(scene.mask, quarters)))
     assert upright.clear
@@ -91,7 +90,7 @@ def test_a_finger_cut_off_inside_the_picture_points_with_its_round_end(draw_fing
 
 
 @pytest.mark.parametrize("quarters", range(4))
-def test_without_the_tip_in_view_the_direction_is_not_believed(draw_finger, quarters):
+def test_without_the_tip_in_view_the_direction_is_unclear(draw_finger, quarters):
     mask = draw_finger("medium", tip_at=(0.0, 15.0), noise=0.0, taper=0.05).mask[200:420]
     upright = find_upright(np.ascontiguousarray(np.rot90(mask, quarters)))
     assert not upright.clear
@@ -100,7 +99,7 @@ def test_without_the_tip_in_view_the_direction_is_not_believed(draw_finger, quar
     assert abs(np.rad2deg(upright.yaw_rad)) < 95.0  # what is nearest to up
 
 
-def test_a_bitten_edge_and_a_slanting_cut_do_not_turn_it(draw_finger):
+def test_a_notch_and_a_slanting_base_do_not_change_the_yaw(draw_finger):
     scene = draw_finger("medium", noise=0.0)
     mask = scene.mask.copy()
     height, width = mask.shape

@@ -1,7 +1,5 @@
 """The first flexion crease: found where it is, never where there is none."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 
@@ -16,7 +14,7 @@ def search(scene, **way):
 
 @pytest.mark.parametrize("tone", ["very dark", "dark", "medium", "very light"])
 @pytest.mark.parametrize("shadow", ["", "step", "side"])
-def test_found_for_every_tone_and_in_shadow(draw_finger, tone, shadow):
+def test_a_crease_is_found_for_every_tone_and_in_shadow(draw_finger, tone, shadow):
     _, crease = search(draw_finger(tone, shadow=shadow))
     assert crease.found
     assert crease.distance_mm == pytest.approx(25.0, abs=0.5)
@@ -24,7 +22,7 @@ def test_found_for_every_tone_and_in_shadow(draw_finger, tone, shadow):
 
 
 @pytest.mark.parametrize("tone", ["very dark", "very light"])
-def test_found_as_the_thesis_does_but_for_a_shadow_at_the_side(draw_finger, tone):
+def test_the_crease_of_the_thesis_fails_in_a_shadow_at_the_side_only(draw_finger, tone):
     _, crease = search(draw_finger(tone, shadow="step"), equalised=True)
     assert crease.distance_mm == pytest.approx(25.0, abs=0.5)
     assert not search(draw_finger(tone, shadow="side"), equalised=True)[1].found
@@ -32,7 +30,7 @@ def test_found_as_the_thesis_does_but_for_a_shadow_at_the_side(draw_finger, tone
 
 @pytest.mark.parametrize("shadow", ["", "step", "gradient", "side"])
 @pytest.mark.parametrize("seed", range(4))
-def test_never_cut_where_there_is_none(draw_finger, shadow, seed):
+def test_a_finger_without_a_crease_is_not_cut(draw_finger, shadow, seed):
     scene = draw_finger("medium", creases=(), shadow=shadow, seed=seed, yaw_deg=5.0 * seed)
     upright, crease = search(scene)
     assert not crease.found
@@ -41,7 +39,7 @@ def test_never_cut_where_there_is_none(draw_finger, shadow, seed):
     np.testing.assert_array_equal(phalange_mask(scene.mask, crease, upright), scene.mask)
 
 
-def test_foot_of_a_shadow_above_a_crease_is_not_taken(draw_finger):
+def test_the_edge_of_a_shadow_is_not_taken_for_a_crease(draw_finger):
     # the shadow begins 14 mm below the tip
     scene = draw_finger("medium", creases=((18.5, 0.15),), shadow="step")
     _, crease = search(scene)
@@ -49,7 +47,7 @@ def test_foot_of_a_shadow_above_a_crease_is_not_taken(draw_finger):
 
 
 @pytest.mark.parametrize("yaw", [0.0, 25.0, -50.0])
-def test_line_and_cut_follow_the_finger(draw_finger, yaw):
+def test_crease_line_and_cut_follow_the_finger(draw_finger, yaw):
     tip = (-0.12 * yaw, 15.0 - 0.1 * abs(yaw))
     scene = draw_finger(
         "medium", yaw_deg=yaw, tip_at=tip, creases=((20.0, 0.2),), crease_tilt_deg=6.0
@@ -71,7 +69,7 @@ def test_line_and_cut_follow_the_finger(draw_finger, yaw):
     assert lean == pytest.approx(-6.0, abs=4.0)
 
 
-def test_two_creases(draw_finger):
+def test_of_two_creases_the_first_clear_one_is_taken(draw_finger):
     far = draw_finger(
         "medium", size_mm=(60.0, 29.0), tip_at=(0.0, 28.0), creases=((23.0, 0.12), (46.0, 0.2))
     )

@@ -9,10 +9,7 @@ import numpy as np
 import pytest
 from scipy.ndimage import gaussian_filter, zoom
 
-from splitknit.finger.quality import (
-    capture_quality,
-    quality_findings,
-)
+from splitknit.finger.quality import capture_quality, quality_findings
 
 SIZE_MM = (14.0, 12.0)
 FINE = 44.0
@@ -62,7 +59,7 @@ def fractions(stack: np.ndarray, px_per_mm: float) -> tuple[float, float]:
 
 
 @pytest.mark.parametrize("px_per_mm", [12.0, 17.0, 26.0, 44.0])
-def test_dark_specks_at_every_scale(px_per_mm):
+def test_dark_specks_are_measured_at_every_scale(px_per_mm):
     clean = fractions(skin(px_per_mm), px_per_mm)
     assert max(clean) < 0.0005
     little = fractions(marked(px_per_mm, 300, 0.1, 0.3), px_per_mm)
@@ -72,12 +69,12 @@ def test_dark_specks_at_every_scale(px_per_mm):
     assert little[1] < 0.0005
 
 
-def test_scales_agree():
-    found = [fractions(marked(px, 600, 0.12, 0.3), px)[0] for px in (12.0, 18.0, 26.0, 44.0)]
-    assert max(found) < 1.35 * min(found)
+def test_the_fraction_of_specks_hardly_depends_on_the_scale():
+    dark = [fractions(marked(px, 600, 0.12, 0.3), px)[0] for px in (12.0, 18.0, 26.0, 44.0)]
+    assert max(dark) < 1.35 * min(dark)
 
 
-def test_bright_specks():
+def test_bright_specks_are_measured_apart_from_dark_ones():
     dark, bright = fractions(marked(24.0, 120, 0.25, 1.5), 24.0)
     assert bright > 0.01
     assert dark < 0.001
@@ -105,7 +102,7 @@ def test_glare_that_turns_with_the_light_is_no_speck():
     assert fractions(same, 24.0)[1] > 0.01
 
 
-def test_finer_images_are_seen_at_one_scale():
+def test_finer_images_are_measured_at_one_scale():
     fine = marked(24.0, 300, 0.1, 0.3)
     rows, columns = fine.shape[1] // 2, fine.shape[2] // 2
     binned = fine.reshape(4, rows, 2, columns, 2).mean(axis=(2, 4), dtype=np.float32)
@@ -118,27 +115,17 @@ def test_coarse_images_are_not_measured():
     assert not any("specks" in str(text) for text in quality_findings(quality))
 
 
-def test_brightness_does_not_matter():
+def test_specks_do_not_depend_on_the_brightness():
     stack = marked(24.0, 300, 0.1, 0.3)
     uneven = stack * np.array([0.2, 1.0, 0.5, 0.8], np.float32)[:, None, None]
     assert fractions(uneven, 24.0) == pytest.approx(fractions(stack, 24.0), abs=1e-5)
 
 
-def test_one_sentence_says_what_to_do():
-    dusty = list(
-        quality_findings(
-            capture_quality(marked(24.0, 300, 0.1, 0.3), np.ones((336, 288), bool), 24.0)
-        )
-    )
-    assert sum("specks" in str(text) for text in dusty) == 1
-    assert [each.code for each in dusty if "specks" in each.code] == [
-        "dark-specks"
-    ] and "wipe the finger" in str(dusty)
-    scaly = list(
-        quality_findings(
-            capture_quality(marked(24.0, 120, 0.25, 1.5), np.ones((336, 288), bool), 24.0)
-        )
-    )
-    assert [each.code for each in scaly if "specks" in each.code] == [
-        "bright-specks"
-    ] and "moisten" in str(scaly)
+def test_specks_are_named_once_with_a_remedy():
+    for marks, code, remedy in (
+        ((300, 0.1, 0.3), "dark-specks", "wipe the finger"),
+        ((120, 0.25, 1.5), "bright-specks", "moisten"),
+    ):
+        quality = capture_quality(marked(24.0, *marks), np.ones((336, 288), bool), 24.0)
+        (finding,) = (each for each in quality_findings(quality) if "specks" in each.code)
+        assert finding.code == code and remedy in str(finding)

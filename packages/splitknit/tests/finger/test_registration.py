@@ -110,57 +110,60 @@ def motion(scene, centre):
     )
 
 
+def register(scene, stack, order=slice(None), **options):
+    """Flow of images of the scene whose lights stand in this order."""
+    lights = scene.lights[order, :, None, None]
+    return register_shots(stack[order], lights, scene.mask, PX, **options)
+
+
 @pytest.fixture(scope="module")
-def found(scene, motion):
-    return register_shots(motion, scene.lights[..., None, None], scene.mask, PX, reference=3)
+def registered(scene, motion):
+    return register(scene, motion, reference=3)
+
+
+def inner(scene):
+    return cv2.erode(scene.mask.astype(np.uint8), np.ones((21, 21))) > 0
 
 
 def core(scene):
-    inside = cv2.erode(scene.mask.astype(np.uint8), np.ones((21, 21))) > 0
-    rows, columns = np.nonzero(inside)
+    rows, columns = np.nonzero(inner(scene))
     return columns[::53] / PX, rows[::53] / PX
 
 
-def test_a_still_finger_stays_where_it_is(scene):
-    found = register_shots(scene.stack, scene.lights[..., None, None], scene.mask, PX, reference=3)
-    assert np.abs(found.flow.at(*core(scene))).max() < 0.02
-    np.testing.assert_allclose(found.after, found.before, rtol=0.1)
+def test_a_still_finger_has_no_flow(scene):
+    still = register(scene, scene.stack, reference=3)
+    assert np.abs(still.flow.at(*core(scene))).max() < 0.02
+    np.testing.assert_allclose(still.after, still.before, rtol=0.1)
 
 
-def test_shifts_and_turns_are_found_under_changing_light(scene, centre, found):
+def test_shifts_and_turns_are_found_under_changing_light(scene, centre, registered):
     x, y = core(scene)
-    flow = found.flow.at(x, y)
+    flow = registered.flow.at(x, y)
     assert not flow[3].any()
     for k, shift in SHIFTS.items():
-        wanted = expected(np.stack([x, y]), shift, TURNS_DEG[k], centre)
-        error = flow[k] - wanted
+        error = flow[k] - expected(np.stack([x, y]), shift, TURNS_DEG[k], centre)
         assert np.sqrt((error**2).sum(axis=0).mean()) < 0.045, k
-    assert found.after.max() < 0.5 * found.before.max()
+    assert registered.after.max() < 0.5 * registered.before.max()
 
 
-def test_the_flow_tells_where_to_take_pixels_from(scene, motion, found):
+def test_pixels_taken_along_the_flow_undo_the_motion(scene, motion, registered):
     again = np.zeros_like(motion[0])
-    take(motion[0], found.flow, 0, PX, np.s_[0 : again.shape[0], 0 : again.shape[1]], again)
-    inside = cv2.erode(scene.mask.astype(np.uint8), np.ones((21, 21))) > 0
+    take(motion[0], registered.flow, 0, PX, np.s_[0 : again.shape[0], 0 : again.shape[1]], again)
 
     def fine(image):
-        return (image - cv2.GaussianBlur(image, (0, 0), 0.3 * PX))[inside]
+        return (image - cv2.GaussianBlur(image, (0, 0), 0.3 * PX))[inner(scene)]
 
     assert np.corrcoef(fine(again), fine(scene.stack[0]))[0, 1] > 0.95
     assert np.corrcoef(fine(motion[0]), fine(scene.stack[0]))[0, 1] < 0.6
     part = np.zeros_like(again)
-    take(motion[0], found.flow, 0, PX, np.s_[40:90, 30:120], part)
+    take(motion[0], registered.flow, 0, PX, np.s_[40:90, 30:120], part)
     np.testing.assert_allclose(part[40:90, 30:120], again[40:90, 30:120], atol=1e-3)
 
 
-def test_the_order_of_the_lights_does_not_matter(scene, motion, found):
+def test_registration_does_not_depend_on_the_order_of_the_lights(scene, motion, registered):
     order = np.array([3, 0, 6, 1, 5, 2, 4])
-    again = register_shots(
-        motion[order], scene.lights[order, :, None, None], scene.mask, PX, reference=0
-    )
-    np.testing.assert_allclose(
-        again.flow.at(*core(scene)), found.flow.at(*core(scene))[order], atol=2e-3
-    )
+    again = register(scene, motion, order, reference=0).flow.at(*core(scene))
+    np.testing.assert_allclose(again, registered.flow.at(*core(scene))[order], atol=2e-3)
 
 
 def test_images_of_one_shot_move_together(scene, centre):
@@ -169,16 +172,13 @@ def test_images_of_one_shot_move_together(scene, centre):
     stack = np.stack(
         [moved(i, place[s], 0.0, centre) for i, s in zip(scene.stack, shots, strict=True)]
     )
-    found = register_shots(
-        stack, scene.lights[..., None, None], scene.mask, PX, reference=1, shots=shots
-    )
-    mean = found.flow.at(*core(scene)).mean(axis=2)
+    mean = register(scene, stack, reference=1, shots=shots).flow.at(*core(scene)).mean(axis=2)
     assert len(mean) == 3
     for shot, shift in place.items():
         np.testing.assert_allclose(mean[shot], shift, atol=0.03)
 
 
-def test_glare_is_what_all_colours_share():
+def test_specular_reflection_is_common_to_all_colours():
     rng = np.random.default_rng(0)
     skin, glare = (
         rng.random((3, 4, 5, 6), dtype=np.float32),
@@ -187,8 +187,8 @@ def test_glare_is_what_all_colours_share():
     np.testing.assert_allclose(without_glare(skin + glare), without_glare(skin), atol=1e-6)
 
 
-def test_a_shift_and_a_turn_are_one_affine_map(scene, found):
-    flow = replace(found.flow, centre_mm=(1.2, -0.7))
+def test_a_shift_and_a_turn_are_one_affine_map(scene, registered):
+    flow = replace(registered.flow, centre_mm=(1.2, -0.7))
     matrix = flow.affine(0, PX)
     columns, rows = np.meshgrid(np.arange(40, 200), np.arange(40, 250))
     shift = flow.at(columns.ravel() / PX, rows.ravel() / PX)[0] * PX
@@ -207,7 +207,7 @@ def near_lights(places_mm):
     return 45.0**2 * towards / np.linalg.norm(towards, axis=1, keepdims=True) ** 3
 
 
-def test_under_near_lights_their_light_at_every_place_is_needed():
+def test_near_lights_need_their_light_at_every_place():
     rng = np.random.default_rng(3)
     height, width = round(20 * PX), round(16 * PX)
     x, y = np.meshgrid(
@@ -227,14 +227,14 @@ def test_under_near_lights_their_light_at_every_place_is_needed():
     )
     core = np.nonzero(np.hypot(x / 6.0, y / 8.0) < 1.0)[::-1] / np.float64(PX)
     noise = np.float32(1e-7) * rng.standard_normal(stack.shape).astype(np.float32)
-    given = (
+    variants = (
         (near_lights(np.zeros((2, 1, 1))), stack),
         (near_lights(nodes), stack),
         (near_lights(nodes), stack + noise),
     )
     flows = [
         register_shots(images, lights, mask, PX, reference=3).flow.at(*core)
-        for lights, images in given
+        for lights, images in variants
     ]
     errors = [np.abs(flow).max() for flow in flows]
     assert errors[1] < 0.005

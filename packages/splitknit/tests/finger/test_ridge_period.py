@@ -14,7 +14,7 @@ def normals_of(slope_x: np.ndarray, slope_y: np.ndarray) -> np.ndarray:
 
 @pytest.mark.parametrize("period", [6.0, 13.0, 27.0])
 @pytest.mark.parametrize("tilt", [0.0, 0.6])
-def test_the_distance_is_that_along_the_skin(period: float, tilt: float) -> None:
+def test_the_period_is_measured_along_the_skin(period, tilt):
     rows, columns = np.mgrid[:600, :600]
     across = columns * np.cos(0.4) + rows * np.sin(0.4)
     wave = 0.15 * np.cos(2 * np.pi * across / period)
@@ -25,13 +25,13 @@ def test_the_distance_is_that_along_the_skin(period: float, tilt: float) -> None
     )
 
 
-def test_what_has_no_ridges_gives_no_scale() -> None:
+def test_a_surface_without_ridges_gives_no_scale():
     noise = np.random.default_rng(1).normal(0, 0.2, (2, 300, 300))
     with pytest.raises(BadInput, match="no ridges were found"):
         scale_of_ridges(normals_of(*noise), np.ones((300, 300), bool), None, 0.45)
 
 
-def test_few_blocks_give_the_same_distance() -> None:
+def test_few_blocks_give_the_same_period():
     columns = np.tile(np.arange(500.0), (500, 1))
     normals = normals_of(0.15 * np.cos(2 * np.pi * columns / 9.0), 0 * columns)
     few, all_of_them = (ridge_period(normals, np.ones((500, 500), bool), step) for step in (32, 16))

@@ -22,7 +22,7 @@ def axes_mm(camera: Camera) -> tuple[np.ndarray, np.ndarray]:
 
 
 @pytest.mark.parametrize("size", [(4, 6), (5, 7)])
-def test_pixels_lie_around_the_middle_with_y_up(size: tuple[int, int]) -> None:
+def test_pixels_lie_around_the_middle_with_y_up(size):
     x, y = axes_mm(Camera(px_per_mm=4.0, image_size=size))
     assert (x.size, y.size) == (size[1], size[0])
     assert x[-1] == -x[0] == pytest.approx((size[1] - 1) / 8)
@@ -31,7 +31,7 @@ def test_pixels_lie_around_the_middle_with_y_up(size: tuple[int, int]) -> None:
     assert y[1] - y[0] == pytest.approx(-0.25)
 
 
-def test_a_plane_that_rises_to_the_right_and_upwards() -> None:
+def test_gradients_and_normals_of_a_plane_follow_its_slopes():
     camera = Camera(px_per_mm=10.0, image_size=(8, 9))
     x, y = axes_mm(camera)
     height = (0.3 * x[None, :] + 0.7 * y[:, None]).astype(np.float32)
@@ -44,15 +44,15 @@ def test_a_plane_that_rises_to_the_right_and_upwards() -> None:
     )
 
 
-def test_differences_at_the_edge_of_a_surface() -> None:
-    """One-sided beside a gap, zero where a pixel stands alone, never NaN."""
+def test_gradients_are_one_sided_beside_gaps_and_never_nan():
+    """Zero where a pixel stands alone."""
     height = np.array([[np.nan, 1.0, 3.0, 7.0, np.nan, 5.0]], dtype=np.float32)
     gradient_x, gradient_y = height_gradients(height, 0.5)
     np.testing.assert_allclose(gradient_x, [[0.0, 4.0, 6.0, 8.0, 0.0, 0.0]])
     np.testing.assert_array_equal(gradient_y, 0.0)
 
 
-def test_normals_and_slopes_there_and_back() -> None:
+def test_normals_give_back_their_gradients():
     rng = np.random.default_rng(0)
     gradient_x, gradient_y = rng.uniform(-4, 4, (2, 5, 6)).astype(np.float32)
     normals = normals_from_gradients(gradient_x, gradient_y)
@@ -61,7 +61,7 @@ def test_normals_and_slopes_there_and_back() -> None:
     np.testing.assert_allclose(back, (gradient_x, gradient_y), rtol=1e-4, atol=1e-5)
 
 
-def test_steep_slopes_are_shortened_in_their_direction() -> None:
+def test_steep_slopes_are_shortened_in_their_direction():
     normals = np.array([[[-0.6, -0.8, 0.001], [0.6, 0.8, -0.2], [0.0, 0.0, 1.0]]], dtype=np.float32)
     gradient_x, gradient_y = gradients_from_normals(normals, max_slope=5.0)
     np.testing.assert_allclose(gradient_x, [[3.0, -3.0, 0.0]], rtol=1e-5)
@@ -70,7 +70,7 @@ def test_steep_slopes_are_shortened_in_their_direction() -> None:
     assert gradients_from_normals(normals, mask)[0][0, 0] == 0.0
 
 
-def test_turning_is_counter_clockwise_as_seen() -> None:
+def test_rotations_are_counter_clockwise_in_the_image():
     turn = rotation_about((10.0, 20.0), np.pi / 2)
     np.testing.assert_allclose(turn @ [10.0, 20.0, 1.0], [10.0, 20.0, 1.0], atol=1e-12)
     # right goes up
@@ -80,7 +80,7 @@ def test_turning_is_counter_clockwise_as_seen() -> None:
     )
 
 
-def test_warping() -> None:
+def test_warp_shifts_and_turns_and_refuses_a_singular_matrix():
     image = np.random.default_rng(1).normal(size=(6, 8)).astype(np.float32)
     # source is right of and below the target
     shift = np.array([[1.0, 0.0, 2.0], [0.0, 1.0, 1.0], [0.0, 0.0, 1.0]])

@@ -29,7 +29,7 @@ def mosaic_of(total: np.ndarray, polarised: np.ndarray, angle_deg: float) -> np.
 
 
 @pytest.mark.parametrize("film", [0.0, 30.0, 90.0, 135.0])
-def test_light_along_the_film_passes_the_parallel_analyser_alone(film: float) -> None:
+def test_light_along_the_film_passes_the_parallel_analyser_alone(film):
     rows, columns = np.mgrid[:64, :80]
     total = 20000 + 100.0 * columns + 50.0 * rows
     parallel, crossed = split_mosaic(mosaic_of(total, 0.4 * total, film), film)
@@ -40,9 +40,8 @@ def test_light_along_the_film_passes_the_parallel_analyser_alone(film: float) ->
     np.testing.assert_allclose(crossed[..., 0][inner], 0.3 * middle[inner], atol=2)
 
 
-def test_an_edge_is_hardly_taken_for_polarised_light() -> None:
-    """Unpolarised ridges of 16 pixels: without interpolation a tenth of their contrast would seem
-    polarised."""
+def test_unpolarised_ridges_hardly_appear_polarised():
+    """Without interpolation a tenth of the contrast of ridges of 16 pixels would seem polarised."""
     columns = np.arange(128)
     total = np.broadcast_to(30000 + 8000 * np.sin(2 * np.pi * columns / 16), (64, 128))
     frame = mosaic_of(total, np.zeros_like(total), 0.0)
@@ -54,7 +53,7 @@ def test_an_edge_is_hardly_taken_for_polarised_light() -> None:
     assert false < 0.1 * plain
 
 
-def test_colours_of_a_quad_bayer_mosaic() -> None:
+def test_a_quad_bayer_mosaic_gives_the_colours_of_its_blocks():
     """Blocks behind red, green / green, blue."""
     frame = np.zeros((32, 32), np.uint16)
     for (row, column), level in {
@@ -74,7 +73,7 @@ def test_colours_of_a_quad_bayer_mosaic() -> None:
         )
 
 
-def test_what_clips_behind_one_film_clips_in_the_parallel_image() -> None:
+def test_what_clips_behind_one_film_clips_in_the_parallel_image():
     frame = np.full((16, 16), 100, np.uint8)
     frame[8, 9] = 255
     parallel, crossed = split_mosaic(frame, 90.0)
@@ -92,20 +91,20 @@ def test_what_clips_behind_one_film_clips_in_the_parallel_image() -> None:
         (np.zeros((4, 4), np.float32), False),
     ],
 )
-def test_other_frames_are_refused(mosaic: np.ndarray, colour: bool) -> None:
+def test_frames_that_are_no_mosaic_of_films_are_refused(mosaic, colour):
     with pytest.raises(BadInput, match="a mosaic of films has one channel"):
         split_mosaic(mosaic, 0.0, colour=colour)
 
 
-def test_specular_and_diffuse_light() -> None:
+def test_specular_light_is_parallel_less_crossed():
     rng = np.random.default_rng(0)
     diffuse, mirrored = rng.random((3, 5, 6)), rng.random((3, 5, 6))
-    specular, other = separate_polarised(diffuse + mirrored, diffuse)
+    specular, crossed = separate_polarised(diffuse + mirrored, diffuse)
     np.testing.assert_allclose(specular, mirrored)
-    np.testing.assert_array_equal(other, diffuse)
+    np.testing.assert_array_equal(crossed, diffuse)
 
 
-def test_the_specular_picture_is_even_where_the_light_is_not() -> None:
+def test_the_specular_picture_is_even_where_the_light_is_not():
     rows, columns = np.mgrid[:120, :120]
     ridges = np.sin(2 * np.pi * columns / 9)
     lit = (1 + 0.3 * ridges) * (0.1 + columns / 40.0)
@@ -118,20 +117,21 @@ def test_the_specular_picture_is_even_where_the_light_is_not() -> None:
     assert np.isnan(specular_picture(lit[None], np.zeros_like(mask), 9.0)).all()
 
 
-def test_series_that_do_not_belong_together_are_doubted() -> None:
+def test_series_that_do_not_belong_together_are_doubted():
     rows, columns = np.mgrid[-1:1:30j, -1:1:30j]
+
+    def lit_from(angles: np.ndarray) -> np.ndarray:
+        angles = angles[:, None, None]
+        light = 1 + 0.4 * (columns * np.cos(angles) + rows * np.sin(angles))
+        return light.astype(np.float32)
+
     sides = 2 * np.pi * np.arange(7) / 7
-    crossed = np.stack([1 + 0.4 * (columns * np.cos(a) + rows * np.sin(a)) for a in sides]).astype(
-        np.float32
-    )
+    crossed = lit_from(sides)
     noise = np.random.default_rng(0).normal(0, 0.02, crossed.shape).astype(np.float32)
     parallel, mask = crossed + 0.3 + noise, np.hypot(rows, columns) < 0.9
-    beside = np.stack(
-        [1 + 0.4 * (columns * np.cos(a) + rows * np.sin(a)) for a in sides + np.pi / 7]
-    )
     assert findings_on_series(parallel, crossed, mask) == ()
     # LEDs halfway to the next ones
-    assert findings_on_series(parallel, beside.astype(np.float32), mask) == ()
+    assert findings_on_series(parallel, lit_from(sides + np.pi / 7), mask) == ()
     assert "were their folders exchanged" in str(findings_on_series(crossed, parallel, mask)[0])
     (words,) = findings_on_series(parallel, crossed[[1, 2, 3, 4, 5, 6, 0]], mask)
     assert words.code == "series-order"

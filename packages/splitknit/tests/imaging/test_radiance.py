@@ -20,8 +20,8 @@ from splitknit.model import Band
 
 def band_of(pixels: np.ndarray, **changes: object) -> Band:
     count = len(pixels)
-    given = {"exposure": np.ones(count), "black_level": np.zeros(count), **changes}
-    return Band("white", pixels, tuple((k,) for k in range(count)), **given)
+    fields = {"exposure": np.ones(count), "black_level": np.zeros(count), **changes}
+    return Band("white", pixels, tuple((k,) for k in range(count)), **fields)
 
 
 def random_pixels(
@@ -30,7 +30,7 @@ def random_pixels(
     return np.random.default_rng(3).integers(20, 200, (3, *shape, channels)).astype(dtype)
 
 
-def test_srgb_is_the_standards_curve() -> None:
+def test_srgb_is_the_standards_curve():
     table = decode_table(np.dtype(np.uint8), "srgb")
     assert (table[0], table[255]) == (0.0, 1.0)
     assert table[188] == pytest.approx(0.5029, abs=1e-4)  # mid grey
@@ -40,7 +40,7 @@ def test_srgb_is_the_standards_curve() -> None:
     np.testing.assert_allclose(fine[::257], table, atol=1e-7)
 
 
-def test_linear_is_the_share_of_the_full_scale() -> None:
+def test_linear_code_is_the_fraction_of_the_full_scale():
     np.testing.assert_allclose(
         decode_table(np.dtype(np.uint16), "linear")[[0, 13107, 65535]], [0, 0.2, 1]
     )
@@ -50,7 +50,7 @@ def test_linear_is_the_share_of_the_full_scale() -> None:
 
 @pytest.mark.parametrize("dtype", [np.uint8, np.uint16])
 @pytest.mark.parametrize("encoding", ["linear", "srgb"])
-def test_black_level_and_exposure(dtype: type, encoding: str) -> None:
+def test_the_black_level_is_subtracted_and_the_exposure_divided_out(dtype, encoding):
     pixels = random_pixels(dtype)[0]
     table = decode_table(np.dtype(dtype), encoding)
     light = linear_image(pixels, encoding, exposure=0.25, black_level=10.0)
@@ -60,7 +60,7 @@ def test_black_level_and_exposure(dtype: type, encoding: str) -> None:
     assert linear_image(pixels, encoding, black_level=190.0).min() < 0
 
 
-def test_ambient_light_is_taken_off_on_one_scale() -> None:
+def test_ambient_light_is_subtracted_at_equal_exposure():
     """Also where the ambient frame has another exposure and black level."""
     rng = np.random.default_rng(0)
     light, room = rng.uniform(0.05, 0.2, (2, 4, 5, 1))
@@ -83,7 +83,7 @@ def test_ambient_light_is_taken_off_on_one_scale() -> None:
     np.testing.assert_allclose(stack, np.broadcast_to(light[..., 0], (3, 4, 5)), atol=5e-5)
 
 
-def test_channels_and_windows() -> None:
+def test_channels_of_a_window_are_linear_and_in_the_requested_order():
     pixels = random_pixels()
     window = (slice(2, 6), slice(1, 8))
     channels = linear_channels(band_of(pixels), "linear", ("blue", "grey", "red"), window)
@@ -102,7 +102,7 @@ def test_channels_and_windows() -> None:
 
 
 @pytest.mark.parametrize("encoding", ["linear", "srgb"])
-def test_binning_averages_light_not_codes(encoding: str) -> None:
+def test_binning_averages_linear_light(encoding):
     pixels = random_pixels()
     full = linear_stack(band_of(pixels), encoding, "green")
     small = linear_stack(band_of(pixels), encoding, "green", binning=2)
@@ -113,7 +113,7 @@ def test_binning_averages_light_not_codes(encoding: str) -> None:
     np.testing.assert_array_equal(bin_mean(full, 1), full)
 
 
-def test_saturation_follows_exposure_and_black_level() -> None:
+def test_saturation_levels_follow_exposure_and_black_level():
     band = band_of(
         random_pixels(), exposure=np.array([1.0, 2.0, 0.5]), black_level=np.array([0.0, 0.0, 51.0])
     )

@@ -29,7 +29,7 @@ def band(channels: int, count: int, ambient: bool) -> Band:
     ("channels", "count", "ambient"), [(3, 7, True), (1, 3, False), (3, 4, False)]
 )
 @pytest.mark.parametrize("binning", [1, 2, 3])
-def test_survey_is_mean_and_grey(channels: int, count: int, ambient: bool, binning: int) -> None:
+def test_the_survey_is_the_mean_and_the_grey_images(channels, count, ambient, binning):
     images = band(channels, count, ambient)
     mean, grey = linear_survey(images, "srgb", binning)
     names = ("red", "green", "blue") if channels == 3 else ("grey",)
@@ -42,7 +42,7 @@ def test_survey_is_mean_and_grey(channels: int, count: int, ambient: bool, binni
 
 @pytest.mark.parametrize("encoding", ["linear", "srgb"])
 @pytest.mark.parametrize("binning", [1, 2, 3])
-def test_chunks_do_not_show(monkeypatch: pytest.MonkeyPatch, encoding: str, binning: int) -> None:
+def test_the_size_of_chunks_does_not_change_the_image(monkeypatch, encoding, binning):
     pixels = band(3, 1, False).pixels[0]
     monkeypatch.setattr(band_module, "CHUNK_ROWS", 10**6)
     whole = linear_image(pixels, encoding, 1.5, 3.0, binning)

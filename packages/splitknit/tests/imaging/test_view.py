@@ -7,8 +7,9 @@ import pytest
 
 from splitknit.errors import BadInput
 from splitknit.imaging.geometry import height_gradients
-from splitknit.imaging.view import pixels_of, plane_points, view_of
+from splitknit.imaging.view import View, pixels_of, plane_points, view_of
 from splitknit.integration.knit import place
+from splitknit.integration.poisson import poisson
 from splitknit.model import Camera
 
 SIZE = (180, 240)
@@ -46,15 +47,25 @@ def sphere(
     )
 
 
+def log_height(lens: Camera, far: np.ndarray) -> np.ndarray:
+    """Heights along rays whose slopes over equal steps are those of the pixels' frames."""
+    return (lens.height_mm * np.log(lens.height_mm / far)).astype(np.float32)
+
+
+def own_frames(view: View, normals: np.ndarray) -> np.ndarray:
+    """(3, H, W) normals in the frame of each pixel."""
+    return view.turned(np.moveaxis(normals, -1, 0)[None].astype(np.float32))[0]
+
+
 @pytest.mark.parametrize("lens", [Camera(5.0, SIZE, 60.0), camera(None), camera()])
-def test_pixels_and_plane_are_inverse(lens: Camera) -> None:
+def test_pixels_survive_the_way_over_the_finger_plane(lens):
     pixels = np.random.default_rng(0).uniform(0, [SIZE[1] - 1, SIZE[0] - 1], (50, 2))
     plane = plane_points(lens, pixels)
     back = pixels_of(lens, np.concatenate([plane, np.zeros((50, 1))], axis=1))
     np.testing.assert_allclose(back, pixels, atol=1e-5)
 
 
-def test_a_higher_point_is_seen_further_out() -> None:
+def test_a_higher_point_appears_further_out():
     lens = camera(None)
     low, high = pixels_of(lens, [[10.0, 0.0, 0.0], [10.0, 0.0, 6.0]]) - pixels_of(
         lens, [[0.0, 0.0, 0.0]]
@@ -62,7 +73,7 @@ def test_a_higher_point_is_seen_further_out() -> None:
     assert high[0] / low[0] == pytest.approx(60 / 54, rel=1e-6)
 
 
-def test_a_window_of_blocks_is_a_part_of_the_whole() -> None:
+def test_the_view_of_a_window_is_part_of_the_whole_view():
     lens = camera()
     whole = view_of(lens)
     part = view_of(lens, slice(20, 141), slice(33, 200), binning=4)
@@ -75,7 +86,7 @@ def test_a_window_of_blocks_is_a_part_of_the_whole() -> None:
     )
 
 
-def test_turning_is_a_rotation_that_shows_the_camera_above() -> None:
+def test_turned_vectors_are_rotated_so_that_the_camera_is_overhead():
     lens = camera()
     view = view_of(lens, along_rays=True)
     vectors = np.random.default_rng(1).standard_normal((2, 3, *SIZE)).astype(np.float32)
@@ -91,65 +102,59 @@ def test_turning_is_a_rotation_that_shows_the_camera_above() -> None:
     assert (own[2] > 59).all()
 
 
-def test_points_along_rays_are_those_of_the_sphere() -> None:
+def test_log_heights_along_rays_give_the_points_of_a_sphere():
     lens = camera()
     points, _, far = sphere(lens)
     view = view_of(lens, along_rays=True)
-    x, y, z = view.points((lens.height_mm * np.log(lens.height_mm / far)).astype(np.float32))
+    x, y, z = view.points(log_height(lens, far))
     seen = np.isfinite(far)
     np.testing.assert_allclose(np.stack([x, y, z], axis=-1)[seen], points[seen], atol=2e-4)
 
 
-def test_slopes_along_rays_are_those_of_the_normals() -> None:
+def test_slopes_along_rays_agree_with_the_normals():
     lens = camera()
     _, normals, far = sphere(lens)
-    height = (lens.height_mm * np.log(lens.height_mm / far)).astype(np.float32)
+    height = log_height(lens, far)
     right, up = height_gradients(height, lens.pitch_mm)
     view = view_of(lens, along_rays=True)
-    own = view.turned(np.moveaxis(normals, -1, 0)[None].astype(np.float32))[0]
+    own = own_frames(view, normals)
     slope_x, slope_y = -own[0] / own[2], -own[1] / own[2]
     x_x, x_y, y_x, y_y = view.stretch(lens.pitch_mm, SIZE)
     inner = np.isfinite(height) & (np.hypot(slope_x, slope_y) < 1.0)
-    assert np.abs(right - (slope_x * x_x + slope_y * y_x))[inner].max() < 5e-3
+    error_right = (right - (slope_x * x_x + slope_y * y_x))[inner]
+    assert np.abs(error_right).max() < 5e-3
     assert np.abs(up - (slope_x * x_y + slope_y * y_y))[inner].max() < 5e-3
-    stretched = (right - (slope_x * x_x + slope_y * y_x))[inner].std()
-    assert stretched < 0.3 * (right - slope_x)[inner].std()  # without the stretch it is seen
+    # without the stretch the error is seen
+    assert error_right.std() < 0.3 * (right - slope_x)[inner].std()
 
 
-def test_a_regular_grid_is_not_stretched() -> None:
+def test_a_regular_grid_is_not_stretched():
     x_x, x_y, y_x, y_y = view_of(Camera(5.0, SIZE), along_rays=True).stretch(0.2, SIZE)
     assert np.allclose(x_x, 1) and np.allclose(y_y, 1) and not x_y.any() and not y_x.any()
 
 
-def test_a_surface_integrated_as_if_on_a_regular_grid_is_placed_right() -> None:
-    """Heights whose slopes over equal steps are those of the pixels' frames, as photometric stereo
-    makes them."""
-    from splitknit.integration.poisson import poisson
-
+def test_a_surface_integrated_on_a_regular_grid_is_placed_on_its_rays():
+    """Heights from slopes in the pixels' frames, as photometric stereo makes them."""
     lens = camera(size=(360, 480))
     points, normals, _ = sphere(lens)
-    view = view_of(lens, along_rays=True)
-    own = view.turned(np.moveaxis(normals, -1, 0)[None].astype(np.float32))[0]
+    own = own_frames(view_of(lens, along_rays=True), normals)
     mask = np.isfinite(own[2]) & (own[2] > 0.55)
     slope_x, slope_y = (
         np.where(mask, -own[k] / np.where(mask, own[2], 1), 0).astype(np.float32) for k in range(2)
     )
-    plain = np.nan_to_num(poisson(slope_x, slope_y, mask)).astype(np.float32) * np.float32(
-        lens.pitch_mm
-    )
-    window = (slice(0, 360), slice(0, 480))
+    plain = np.nan_to_num(poisson(slope_x, slope_y, mask)) * np.float32(lens.pitch_mm)
     top = float(np.quantile(points[..., 2][mask], 0.998))
-    z, _, found, x, _ = place(plain, plain, mask, lens, window, top)
+    z, _, placed_normals, x, _ = place(plain, plain, mask, lens, np.s_[0:360, 0:480], top)
     error = (z - points[..., 2])[mask]
     assert np.abs(error - error.mean()).max() < 0.08
     assert np.std(error) < 0.02
     assert np.abs(x - points[..., 0])[mask].max() < 0.1
-    cosine = (found * normals).sum(axis=-1)[mask]
+    cosine = (placed_normals * normals).sum(axis=-1)[mask]
     assert np.rad2deg(np.arccos(np.clip(np.quantile(cosine, 0.02), -1, 1))) < 1.0
     without = lens.height_mm - (lens.height_mm * np.exp(-plain / lens.height_mm))
     assert np.std((without - points[..., 2])[mask]) > 0.2
 
 
-def test_bad_points_are_refused() -> None:
+def test_points_not_below_the_camera_are_refused():
     with pytest.raises(BadInput, match="below the camera"):
         pixels_of(camera(), [[0.0, 0.0, 60.0]])

@@ -31,7 +31,7 @@ def visible(folder: Path) -> dict[str, str]:
     return {path.name: path.read_text() for path in folder.iterdir() if path.name != ".splitknit"}
 
 
-def test_a_folder_appears_whole_and_parents_are_made(tmp_path: Path) -> None:
+def test_a_folder_appears_whole_and_parents_are_made(tmp_path):
     out = tmp_path / "a" / "b" / "result"
     with atomic_folder(out) as folder:
         (folder / "one").write_text("1")
@@ -44,9 +44,7 @@ def test_a_folder_appears_whole_and_parents_are_made(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("error", [RuntimeError, KeyboardInterrupt])
-def test_after_a_failure_everything_is_as_before(
-    tmp_path: Path, error: type[BaseException]
-) -> None:
+def test_after_a_failure_everything_is_as_before(tmp_path, error):
     def fail(out: Path) -> None:
         with pytest.raises(error), atomic_folder(out) as folder:
             (folder / "half").write_text("x")
@@ -60,9 +58,7 @@ def test_after_a_failure_everything_is_as_before(
     assert [path.name for path in tmp_path.iterdir()] == ["result"]
 
 
-def test_a_failing_rename_brings_the_earlier_result_back(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_failed_rename_restores_the_earlier_result(tmp_path, monkeypatch):
     fill(tmp_path / "result", one="1")
     rename = Path.rename
 
@@ -78,7 +74,7 @@ def test_a_failing_rename_brings_the_earlier_result_back(
     assert [path.name for path in tmp_path.iterdir()] == ["result"]
 
 
-def test_an_earlier_result_is_replaced_as_a_whole(tmp_path: Path) -> None:
+def test_an_earlier_result_is_replaced_as_a_whole(tmp_path):
     fill(tmp_path / "result", one="1", two="2")
     (tmp_path / "result" / ".DS_Store").touch()
     fill(tmp_path / "result", two="new")
@@ -88,7 +84,7 @@ def test_an_earlier_result_is_replaced_as_a_whole(tmp_path: Path) -> None:
     assert visible(tmp_path / "empty") == {"one": "1"}
 
 
-def test_files_of_others_are_never_deleted(tmp_path: Path) -> None:
+def test_files_of_others_are_never_deleted(tmp_path):
     mine = tmp_path / "photos"
     mine.mkdir()
     (mine / "holiday.png").write_text("dear")
@@ -112,7 +108,7 @@ def test_files_of_others_are_never_deleted(tmp_path: Path) -> None:
 
 @pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="no pipes with names")
 @pytest.mark.parametrize("kind", ["pipe", "another folder's", "/dev/zero", "too large"])
-def test_a_list_of_files_counts_only_as_a_file_of_its_own(tmp_path: Path, kind: str) -> None:
+def test_a_list_of_files_counts_only_as_a_file_of_its_own(tmp_path, kind):
     mark = tmp_path / "theirs" / MANIFEST
     fill(tmp_path / "ours", one="1")
     mark.parent.mkdir()
@@ -131,7 +127,7 @@ def test_a_list_of_files_counts_only_as_a_file_of_its_own(tmp_path: Path, kind: 
             assert os.path.lexists(mark)
 
 
-def test_a_file_that_someone_adds_meanwhile_is_kept(tmp_path: Path) -> None:
+def test_a_file_added_by_others_meanwhile_is_kept(tmp_path):
     fill(tmp_path / "result", one="1")
     with (
         pytest.raises(BadInput, match="did not write"),
@@ -142,7 +138,7 @@ def test_a_file_that_someone_adds_meanwhile_is_kept(tmp_path: Path) -> None:
     assert visible(tmp_path / "result") == {"one": "1", "notes": "mine"}
 
 
-def test_places_that_cannot_be_written(tmp_path: Path) -> None:
+def test_places_that_cannot_be_written_are_refused(tmp_path):
     (tmp_path / "file").write_text("x")
     with pytest.raises(BadInput, match="is a file"):
         fill(tmp_path / "file", one="1")
@@ -162,7 +158,7 @@ def test_places_that_cannot_be_written(tmp_path: Path) -> None:
     assert visible(tmp_path) == {"file": "x"}
 
 
-def test_a_file_in_a_folder_at_work_is_there_whole_or_not_at_all(tmp_path: Path) -> None:
+def test_a_file_in_an_unfinished_folder_is_written_whole_or_not_at_all(tmp_path):
     with atomic_folder(tmp_path / "result") as folder:
         for name in ("one", "sub/two"):
             with atomic_file(folder / name) as stream:
@@ -174,7 +170,7 @@ def test_a_file_in_a_folder_at_work_is_there_whole_or_not_at_all(tmp_path: Path)
     assert (tmp_path / "result" / "sub" / "two").read_text() == "1"
 
 
-def test_a_folder_within_a_folder_at_work_appears_with_it(tmp_path: Path) -> None:
+def test_a_nested_atomic_folder_appears_with_the_outer_one(tmp_path):
     with pytest.raises(KeyboardInterrupt), atomic_folder(tmp_path / "result") as outer:
         with atomic_folder(outer) as inner:
             assert inner == outer
@@ -187,13 +183,13 @@ def test_a_folder_within_a_folder_at_work_appears_with_it(tmp_path: Path) -> Non
 
 
 @pytest.mark.skipif(os.geteuid() == 0, reason="root may write anywhere")
-def test_a_folder_without_permission(tmp_path: Path) -> None:
+def test_a_folder_without_permission_is_refused(tmp_path):
     (tmp_path / "locked").mkdir(mode=0o500)
     with pytest.raises(BadInput, match="Permission denied"):
         fill(tmp_path / "locked" / "result", one="1")
 
 
-def test_a_file_is_written_whole_or_not_at_all(tmp_path: Path) -> None:
+def test_a_file_is_written_whole_or_not_at_all(tmp_path):
     path = tmp_path / "a" / "file.bin"
     with atomic_file(path) as stream:
         stream.write(b"one")
@@ -211,7 +207,7 @@ def test_a_file_is_written_whole_or_not_at_all(tmp_path: Path) -> None:
 
 
 @pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="no pipes with names")
-def test_a_pipe_is_not_replaced_by_a_file(tmp_path: Path) -> None:
+def test_a_pipe_is_not_replaced_by_a_file(tmp_path):
     os.mkfifo(tmp_path / "pipe")
     (tmp_path / "link").symlink_to("pipe")
     for name in ("pipe", "link"):
@@ -227,9 +223,7 @@ def test_a_pipe_is_not_replaced_by_a_file(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("group", "for_file", "for_folder"), [("", 0o600, 0o700), ("1", 0o640, 0o750)]
 )
-def test_what_is_written_is_private(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, group: str, for_file: int, for_folder: int
-) -> None:
+def test_what_is_written_is_private(tmp_path, monkeypatch, group, for_file, for_folder):
     monkeypatch.setenv(GROUP_READABLE, group)
     out = tmp_path / "new" / "result"
     with atomic_folder(out) as folder:
@@ -252,19 +246,17 @@ def test_what_is_written_is_private(
 
 @pytest.mark.parametrize("place", ["mkdir", "_lock", "_discard", "rename", "_release"])
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
-def test_an_interrupt_while_tidying_waits_until_that_is_done(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, number: signal.Signals, place: str
-) -> None:
+def test_an_interrupt_while_tidying_waits_until_that_is_done(tmp_path, monkeypatch, number, place):
     fill(tmp_path / "result", one="1")
     where: Any = Path if place in ("mkdir", "rename") else atomic
     work, come = getattr(where, place), []
 
-    def interrupted(*given: Any, **named: Any) -> Any:
-        done = work(*given, **named) if place in ("mkdir", "_lock", "rename") else None
+    def interrupted(*arguments: Any, **named: Any) -> Any:
+        done = work(*arguments, **named) if place in ("mkdir", "_lock", "rename") else None
         if not come:
             come.append(number)
             signal.raise_signal(number)
-        return work(*given, **named) if place in ("_discard", "_release") else done
+        return work(*arguments, **named) if place in ("_discard", "_release") else done
 
     earlier = signal.signal(number, cli._interrupt)
     try:
@@ -331,7 +323,7 @@ def unmarked(parent: Path) -> list[Path]:
     return [parent / name for name in (*names, *folders)]
 
 
-def test_what_a_mark_names_stays_beside_it_and_a_new_result_is_kept(tmp_path: Path) -> None:
+def test_a_mark_restores_nothing_elsewhere_and_replaces_no_new_result(tmp_path):
     """A received folder may hold marks: they lead nowhere; what took the place of an old result is
     not replaced."""
     for name, target in (("0123456789ab", "../away"), ("0123456789ac", "taken")):
@@ -351,52 +343,48 @@ def test_what_a_mark_names_stays_beside_it_and_a_new_result_is_kept(tmp_path: Pa
 
 
 @pytest.mark.skipif(os.geteuid() != 0, reason="only root gives files away")
-@pytest.mark.parametrize("given", ["", ".splitknit-0123456789ab.tmp"])
-def test_nothing_of_another_owner_is_removed(tmp_path: Path, given: str) -> None:
+@pytest.mark.parametrize("owned", ["", ".splitknit-0123456789ab.tmp"])
+def test_nothing_of_another_owner_is_removed(tmp_path, owned):
     folder = tmp_path / "shared"
     left = folder / ".splitknit-0123456789ab.tmp"
     left.mkdir(parents=True)
     (left / "mark.json").write_text('{"format": "splitknit-temporary", "target": "x"}')
-    os.chown(folder / given, 12345, 12345)
+    os.chown(folder / owned, 12345, 12345)
     with atomic_file(folder / "file"):
         pass
     assert left.is_dir()
 
 
-def test_nothing_is_written_through_a_link_inside_a_given_folder(tmp_path: Path) -> None:
-    mine, given = tmp_path / "mine", tmp_path / "given"
+def test_nothing_is_written_through_a_link_inside_a_given_folder(tmp_path):
+    mine, received = tmp_path / "mine", tmp_path / "given"
     mine.mkdir()
     (mine / "file").write_text("mine")
-    given.mkdir()
-    (given / "file").symlink_to(mine / "file")
-    (given / "folder").symlink_to(mine)
-    (tmp_path / "link").symlink_to(given)
-    for named in (given, tmp_path / "link"):
+    received.mkdir()
+    (received / "file").symlink_to(mine / "file")
+    (received / "folder").symlink_to(mine)
+    (tmp_path / "link").symlink_to(received)
+    for named in (received, tmp_path / "link"):
         with given_folders([named]):
             for name in ("file", "folder/file", "folder/new/file"):
-                with (
-                    pytest.raises(BadInput, match="is a link inside a folder"),
-                    atomic_file(named / name),
-                ):
-                    pass
-                with (
-                    pytest.raises(BadInput, match="is a link inside a folder"),
-                    atomic_folder(named / name),
-                ):
-                    pass
+                for write in (atomic_file, atomic_folder):
+                    with (
+                        pytest.raises(BadInput, match="is a link inside a folder"),
+                        write(named / name),
+                    ):
+                        pass
                 with pytest.raises(BadInput, match="is a link inside a folder"):
                     read_bytes(named / name, 100)
             with atomic_file(named / "below" / "own") as stream:
                 stream.write(b"own")
             assert read_bytes(named / "below" / "own", 100) == b"own"
         assert read_bytes(named / "file", 100) == b"mine"  # named by nobody
-    with given_folders([given, given / "file"]):  # the link itself is named
-        assert read_bytes(given / "file", 100) == b"mine"
+    with given_folders([received, received / "file"]):  # the link itself is named
+        assert read_bytes(received / "file", 100) == b"mine"
     assert {path.name: path.read_text() for path in mine.iterdir()} == {"file": "mine"}
 
 
 @pytest.mark.parametrize("where", ["file", "folder", "swap"])
-def test_the_next_program_removes_what_a_killed_one_left(tmp_path: Path, where: str) -> None:
+def test_the_next_program_removes_what_a_killed_one_left(tmp_path, where):
     fill(tmp_path / "kept", one="1")
     mine = unmarked(tmp_path)
     out = tmp_path / ("file" if where == "file" else "kept")
@@ -427,20 +415,18 @@ def test_the_next_program_removes_what_a_killed_one_left(tmp_path: Path, where: 
         assert (path if path.is_file() else path / "mine").read_text() == "mine"
 
 
-def test_a_folder_that_another_program_sweeps_is_made_again(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_temporary_folder_that_another_program_removes_is_made_again(tmp_path, monkeypatch):
     """Between its making and its locking it looks as if its program had been killed."""
-    hold, made = atomic._open_folder, []
+    hold, opened = atomic._open_folder, []
 
     def swept(folder: Path) -> int | None:
-        made.append(folder)
-        if len(made) == 1:
+        opened.append(folder)
+        if len(opened) == 1:
             folder.rmdir()
         return hold(folder)
 
     monkeypatch.setattr(atomic, "_open_folder", swept)
     with atomic_file(tmp_path / "file") as stream:
         stream.write(b"1")
-    assert len(made) == 2
+    assert len(opened) == 2
     assert [path.name for path in tmp_path.iterdir()] == ["file"]

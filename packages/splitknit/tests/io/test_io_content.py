@@ -30,7 +30,7 @@ def full(band: Band) -> int:
     return int(np.iinfo(band.pixels.dtype).max)
 
 
-def test_black_images_name_their_file_and_led(band: Band) -> None:
+def test_black_images_name_their_file_and_led(band):
     for dark in (0, int(0.009 * full(band))):
         with pytest.raises(
             BadInput, match=r"white_2\.png is black: .*check LED 2 and capture it again"
@@ -42,7 +42,7 @@ def test_black_images_name_their_file_and_led(band: Band) -> None:
         check_content(changed(band, 1, hot))
 
 
-def test_black_means_above_the_black_level_and_the_ambient_light(band: Band) -> None:
+def test_black_images_are_judged_above_black_level_and_ambient_light(band):
     grey = full(band) // 4
     noise = np.random.default_rng(0).integers(0, 2, band.pixels[0].shape)
     with pytest.raises(BadInput, match=r"white_3\.png is black"):
@@ -56,7 +56,7 @@ def test_black_means_above_the_black_level_and_the_ambient_light(band: Band) -> 
         check_content(changed(lit, 3, grey + noise))
 
 
-def test_an_image_that_is_far_darker_than_the_others(band: Band) -> None:
+def test_an_image_far_darker_than_the_others_is_refused(band):
     dark = (band.pixels[3] // 50).astype(band.pixels.dtype)
     with pytest.raises(BadInput, match=r"white_3\.png is almost black beside the other images"):
         check_content(changed(band, 3, dark))
@@ -64,12 +64,12 @@ def test_an_image_that_is_far_darker_than_the_others(band: Band) -> None:
     check_content(replace(band, exposure=np.array([0.001, 0.001, 0.001, 1.0])))
 
 
-def test_an_image_without_any_structure(band: Band) -> None:
+def test_an_image_without_structure_is_refused(band):
     with pytest.raises(BadInput, match=r"white_0\.png shows nothing: every pixel is"):
         check_content(changed(band, 0, full(band) // 2))
 
 
-def test_overexposed_images(band: Band) -> None:
+def test_an_overexposed_image_is_refused_but_not_small_highlights(band):
     image = band.pixels[1].astype(float)
     over = np.clip(image * 2.0, 0, full(band)).astype(band.pixels.dtype)
     with pytest.raises(BadInput, match=r"white_1\.png is overexposed: \d+ % of its lit pixels"):
@@ -83,7 +83,7 @@ def test_overexposed_images(band: Band) -> None:
     check_content(changed(band, 1, dim))
 
 
-def test_one_clipped_channel_leaves_two(build_capture: Build) -> None:
+def test_only_one_clipped_channel_is_accepted(build_capture):
     band = build_capture(shape=(200, 150)).bands["white"]
     red = band.pixels[1].copy()
     red[60:140, 40:110, 0] = 255
@@ -93,9 +93,7 @@ def test_one_clipped_channel_leaves_two(build_capture: Build) -> None:
         check_content(changed(band, 1, red))
 
 
-def test_large_images_are_judged_by_a_sample(
-    build_capture: Build, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_large_images_are_judged_by_a_sample(build_capture, monkeypatch):
     band = build_capture(channels=1, shape=(700, 600)).bands["white"]
     monkeypatch.setattr(content, "SAMPLE_PIXELS", 5000)
     check_content(band)

@@ -7,7 +7,6 @@ import io
 import struct
 import tracemalloc
 import zlib
-from pathlib import Path
 from typing import Any
 
 import cv2
@@ -15,26 +14,16 @@ import numpy as np
 import pytest
 import tifffile
 
+from png_files import PNG, chunk
 from splitknit.errors import BadInput
 from splitknit.io.images import decode_image, encode_image, image_size, read_image, write_image
-
-SIGNATURE = b"\x89PNG\r\n\x1a\n"
-
-
-def chunk(kind: bytes, body: bytes) -> bytes:
-    return len(body).to_bytes(4, "big") + kind + body + zlib.crc32(kind + body).to_bytes(4, "big")
 
 
 def png(header: tuple[int, ...], lines: bytes, *extra: bytes) -> bytes:
     """PNG of filtered rows, made without any library."""
     ihdr = chunk(b"IHDR", struct.pack(">IIBBBBB", *header))
-    return (
-        SIGNATURE
-        + ihdr
-        + b"".join(extra)
-        + chunk(b"IDAT", zlib.compress(lines))
-        + chunk(b"IEND", b"")
-    )
+    data = chunk(b"IDAT", zlib.compress(lines))
+    return b"".join((PNG, ihdr, *extra, data, chunk(b"IEND", b"")))
 
 
 def smooth(shape: tuple[int, ...], dtype: type = np.uint8, sigma: float = 1.5) -> np.ndarray:
@@ -50,7 +39,7 @@ def tiff(image: np.ndarray, **options: Any) -> bytes:
 
 @pytest.mark.parametrize("dtype", [np.uint8, np.uint16])
 @pytest.mark.parametrize("shape", [(31, 43), (31, 43, 3), (31, 43, 4), (1, 1), (1, 5, 3)])
-def test_pixels_of_png_come_as_stored_in_rgb_order(shape: tuple[int, ...], dtype: type) -> None:
+def test_pixels_of_png_come_as_stored_in_rgb_order(shape, dtype):
     image = smooth(shape, dtype)
     data = cv2.imencode(".png", image)[1].tobytes()
     expected = image[..., None] if image.ndim == 2 else image[..., 2::-1]
@@ -58,14 +47,14 @@ def test_pixels_of_png_come_as_stored_in_rgb_order(shape: tuple[int, ...], dtype
 
 
 @pytest.mark.parametrize("depth", [8, 16])
-def test_alpha_beside_grey_is_dropped(depth: int) -> None:
+def test_alpha_beside_grey_is_dropped(depth):
     values = np.random.default_rng(0).integers(0, 1 << depth, (4, 3, 2)).astype(f">u{depth // 8}")
     data = png((3, 4, depth, 4, 0, 0, 0), b"".join(b"\0" + row.tobytes() for row in values))
     np.testing.assert_array_equal(decode_image(data, "x"), values[..., :1])
 
 
 @pytest.mark.parametrize("depth", [1, 2, 4, 8])
-def test_palettes_are_expanded_and_few_bits_stretched(depth: int) -> None:
+def test_palettes_are_expanded_and_low_bit_depths_stretched(depth):
     count = 2**depth
     index = np.arange(count).reshape(1, -1).repeat(2, axis=0)
     bits = ["".join(format(value, f"0{depth}b") for value in row) for row in index]
@@ -85,9 +74,7 @@ def test_palettes_are_expanded_and_few_bits_stretched(depth: int) -> None:
 @pytest.mark.parametrize(
     "encode", [encode_image, lambda image, suffix: cv2.imencode(suffix, image)[1].tobytes()]
 )
-def test_png_cut_anywhere_or_with_a_changed_byte_is_refused(
-    dtype: type, encode: Any, capfd: pytest.CaptureFixture[str]
-) -> None:
+def test_png_cut_anywhere_or_with_a_changed_byte_is_refused(dtype, encode, capfd):
     data = encode(smooth((9, 11, 3), dtype), ".png")
     for position in range(len(data)):
         damaged = bytearray(data)
@@ -102,7 +89,7 @@ def test_png_cut_anywhere_or_with_a_changed_byte_is_refused(
 
 @pytest.mark.parametrize("lines", [b"\0\1\2\3" * 3, b"\7\1\2\3" * 4, b""])
 @pytest.mark.parametrize("interlaced", [0, 1])
-def test_sound_checksums_do_not_hide_wrong_image_data(lines: bytes, interlaced: int) -> None:
+def test_wrong_image_data_under_valid_checksums_is_refused(lines, interlaced):
     """Too little of it, a row filter that does not exist."""
     with pytest.raises(BadInput, match="image data cannot be decoded"):
         decode_image(png((3, 4, 8, 0, 0, 0, interlaced), lines), "x")
@@ -118,7 +105,7 @@ def test_sound_checksums_do_not_hide_wrong_image_data(lines: bytes, interlaced: 
         (3, 4, 8, 0, 0, 0, 2),
     ],
 )
-def test_impossible_headers_of_png(header: tuple[int, ...]) -> None:
+def test_impossible_png_headers_are_refused(header):
     with pytest.raises(BadInput):
         decode_image(png(header, b"\0\1\2\3" * 4), "x")
 
@@ -135,9 +122,7 @@ def test_impossible_headers_of_png(header: tuple[int, ...]) -> None:
         (chunk(b"IHDR", struct.pack(">IIBBBBB", 3, 4, 8, 0, 0, 0, 0)), False),
     ],
 )
-def test_other_chunks_are_passed_over_or_refused_silently(
-    extra: bytes, sound: bool, capfd: pytest.CaptureFixture[str]
-) -> None:
+def test_other_chunks_are_ignored_or_refused_silently(extra, sound, capfd):
     data = png((3, 4, 8, 0, 0, 0, 0), b"\0\1\2\3" * 4, extra)
     if sound:
         assert decode_image(data, "x")[0, :, 0].tolist() == [1, 2, 3]
@@ -147,7 +132,7 @@ def test_other_chunks_are_passed_over_or_refused_silently(
     assert capfd.readouterr().err == ""
 
 
-def test_files(tmp_path: Path) -> None:
+def test_files_keep_their_pixels_and_wrong_ones_are_refused(tmp_path):
     image = smooth((12, 17, 3), np.uint16)
     for suffix in ("png", "tif", "TIFF"):
         path = tmp_path / f"image.{suffix}"
@@ -190,14 +175,12 @@ def peak_bytes_of_refusal(data: bytes, words: str) -> int:
         (9_000, 8, 2, "cannot be in"),
     ],
 )
-def test_a_small_png_cannot_claim_a_large_image(
-    side: int, depth: int, colour: int, words: str
-) -> None:
+def test_a_small_png_cannot_claim_a_large_image(side, depth, colour, words):
     data = png((side, side, depth, colour, 0, 0, 1), bytes(1000))
     assert peak_bytes_of_refusal(data, words) < 1_000_000
 
 
-def test_a_small_jpeg_cannot_claim_a_large_image() -> None:
+def test_a_small_jpeg_cannot_claim_a_large_image():
     data = cv2.imencode(".jpg", np.zeros((8, 8, 3), np.uint8))[1].tobytes()
     frame = data.index(b"\xff\xc0") + 5
     for side, words in (
@@ -210,7 +193,7 @@ def test_a_small_jpeg_cannot_claim_a_large_image() -> None:
 
 @pytest.mark.parametrize("progressive", [0, 1])
 @pytest.mark.parametrize("shape", [(40, 56), (40, 56, 3)])
-def test_jpeg(shape: tuple[int, ...], progressive: int, capfd: pytest.CaptureFixture[str]) -> None:
+def test_jpeg_is_decoded_and_refused_where_it_is_truncated(shape, progressive, capfd):
     image = smooth(shape, sigma=4.0)
     options = [cv2.IMWRITE_JPEG_PROGRESSIVE, progressive, cv2.IMWRITE_JPEG_RST_INTERVAL, 3]
     data = cv2.imencode(".jpg", image, options)[1].tobytes()
@@ -224,19 +207,19 @@ def test_jpeg(shape: tuple[int, ...], progressive: int, capfd: pytest.CaptureFix
     assert capfd.readouterr().err == ""
 
 
-def test_jpeg_of_other_kinds() -> None:
+def test_unsupported_kinds_of_jpeg_are_refused():
     data = cv2.imencode(".jpg", smooth((40, 56, 3)))[1].tobytes()
     frame = data.index(b"\xff\xc0")
-    others = (
+    variants = (
         data[: frame + 9] + b"\4" + data[frame + 10 :],  # CMYK
         data[: frame + 4] + b"\x0c" + data[frame + 5 :],  # 12 bits
         data[: frame + 1] + b"\xc3" + data[frame + 2 :],  # lossless
         data[:2] + b"\xff\xd9" + data[2:],  # no image
         data[: frame + 11] + b"\5" + data[frame + 12 :],  # sampling
     )
-    for other in others:
+    for variant in variants:
         with pytest.raises(BadInput):
-            decode_image(other, "x")
+            decode_image(variant, "x")
     scans = cv2.imencode(".jpg", smooth((40, 56, 3)), [cv2.IMWRITE_JPEG_PROGRESSIVE, 1])[
         1
     ].tobytes()
@@ -248,12 +231,9 @@ def test_jpeg_of_other_kinds() -> None:
 @pytest.mark.parametrize("dtype", [np.uint8, np.uint16])
 @pytest.mark.parametrize("compression", [None, "zlib"])
 @pytest.mark.parametrize(
-    "options",
-    [{}, {"rowsperstrip": 7}, {"tile": (16, 32)}, {"byteorder": ">", "bigtiff": True}],
+    "options", [{}, {"rowsperstrip": 7}, {"tile": (16, 32)}, {"byteorder": ">", "bigtiff": True}]
 )
-def test_tiff(
-    options: dict[str, Any], compression: str | None, dtype: type, capfd: pytest.CaptureFixture[str]
-) -> None:
+def test_tiff_is_decoded_and_refused_where_it_is_truncated(options, compression, dtype, capfd):
     for image in (smooth((41, 57, 3), dtype), smooth((41, 57), dtype)):
         photometric = "rgb" if image.ndim == 3 else "minisblack"
         data = tiff(image, photometric=photometric, compression=compression, **options)
@@ -267,14 +247,14 @@ def test_tiff(
 @pytest.mark.parametrize("predictor", [1, 2])
 @pytest.mark.parametrize("compression", [8, 32946, 5, 32773])
 @pytest.mark.parametrize("dtype", [np.uint8, np.uint16])
-def test_packed_tiff_of_libtiff(dtype: type, compression: int, predictor: int) -> None:
+def test_compressed_tiff_of_libtiff_is_decoded(dtype, compression, predictor):
     image = smooth((41, 57, 3), dtype)
     options = [cv2.IMWRITE_TIFF_COMPRESSION, compression, cv2.IMWRITE_TIFF_PREDICTOR, predictor]
     data = cv2.imencode(".tif", image[..., ::-1], options)[1].tobytes()
     np.testing.assert_array_equal(decode_image(data, "x"), image)
 
 
-def test_tiff_with_alpha_or_white_as_zero() -> None:
+def test_tiff_with_alpha_or_white_as_zero_is_decoded():
     image = smooth((20, 30, 4))
     alpha = tiff(image, photometric="rgb", extrasamples=["unassalpha"])
     np.testing.assert_array_equal(decode_image(alpha, "x"), image[..., :3])
@@ -304,7 +284,7 @@ def test_tiff_with_alpha_or_white_as_zero() -> None:
         ),
     ],
 )
-def test_tiff_of_other_kinds(image: np.ndarray, options: dict[str, Any], words: str) -> None:
+def test_unsupported_kinds_of_tiff_are_refused(image, options, words):
     with pytest.raises(BadInput, match=words):
         decode_image(tiff(image, **options), "x")
 
@@ -331,13 +311,13 @@ def set_tag(data: bytes, tag: int, entry: bytes) -> bytes:
         (257, struct.pack("<HII", 4, 1, 0)),
     ],
 )
-def test_odd_tags_are_refused(tag: int, entry: bytes, capfd: pytest.CaptureFixture[str]) -> None:
+def test_tiff_tags_that_contradict_the_file_are_refused(tag, entry, capfd):
     data = tiff(smooth((20, 30)), rowsperstrip=20)
     assert peak_bytes_of_refusal(set_tag(data, tag, entry), r"^x ") < 1_000_000
     assert capfd.readouterr().err == ""
 
 
-def test_strips_may_not_share_their_bytes() -> None:
+def test_strips_may_not_share_their_bytes():
     data = tiff(smooth((20, 30)), rowsperstrip=5)
     with tifffile.TiffFile(io.BytesIO(data)) as file:
         first = min(file.pages[0].dataoffsets)
@@ -348,7 +328,7 @@ def test_strips_may_not_share_their_bytes() -> None:
         decode_image(again, "x")
 
 
-def test_a_strip_inflates_to_its_size_and_no_further() -> None:
+def test_a_strip_inflates_to_its_size_and_no_further():
     bomb = zlib.compress(bytes(50_000_000))
     data = tiff(np.zeros((300, 400), np.uint8), compression="zlib", rowsperstrip=300)
     bigger = set_tag(data + bomb, 273, struct.pack("<HII", 4, 1, len(data)))

@@ -1,6 +1,5 @@
 from __future__ import annotations
 
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -10,14 +9,13 @@ from PIL import Image
 from PIL.PngImagePlugin import PngInfo
 
 import splitknit
+from io_shared import import_photographs
 from splitknit.errors import BadInput
 from splitknit.imaging.band import linear_stack, srgb_code
 from splitknit.io.capture import read_capture, write_capture
 from splitknit.io.images import write_image
 from splitknit.io.light_list import read_light_list, write_light_list
-from splitknit.io.photographs import GivenPhotographs
 from splitknit.io.photos import encoding_of
-from splitknit.io.plain import capture_from_photographs
 from splitknit.io.rig import write_rig
 from splitknit.model import Camera, Led, Rig
 from splitknit.parameters import IN_MEMORY
@@ -37,6 +35,14 @@ def plain(tmp_path: Path) -> Path:
 LIGHTS = np.array([[1.0, 0, 2], [-1, 0, 2], [0, 1, 2], [0, -1, 3]])
 
 
+@pytest.fixture
+def unmasked(plain: Path) -> Path:
+    """The photographs alone."""
+    for name in ("mask.png", "dark.png"):
+        (plain / name).unlink()
+    return plain
+
+
 def convert(
     plain: Path, lights: Any = LIGHTS, count: int = 4, intensities: Any = None, **options: Any
 ) -> Any:
@@ -46,13 +52,11 @@ def convert(
     if intensities is not None:
         np.savetxt(plain / "list.txt", np.column_stack([lights, intensities]))
         lights = plain / "list.txt"
-    known = GivenPhotographs(**{"encoding": "linear", **options})
-    return capture_from_photographs(
-        replace(known, images=plain / "{light}.png", lights=lights, px_per_mm=12.5)
-    ).capture
+    options = {"encoding": "linear", **options}
+    return import_photographs(plain / "{light}.png", lights, 12.5, **options).capture
 
 
-def test_plain_images_become_a_capture(plain: Path) -> None:
+def test_photographs_and_lights_become_a_capture(plain):
     capture = convert(
         plain,
         mask=plain / "mask.png",
@@ -101,7 +105,7 @@ def test_plain_images_become_a_capture(plain: Path) -> None:
         ({"background": "no.png"}, "does not exist"),
     ],
 )
-def test_refusals(options: dict[str, Any], words: str, plain: Path) -> None:
+def test_lights_and_options_that_cannot_be_used_are_refused(options, words, plain):
     with pytest.raises(BadInput, match=words):
         convert(plain, **options)
 
@@ -113,9 +117,13 @@ def test_refusals(options: dict[str, Any], words: str, plain: Path) -> None:
         "1 0 1\n0 1.5 1",
         "# x y z\n\n1, 0, 1  # first\r\n0;1.5;1\n",
         "\ufeff1 0 1\n0 1.5 1\n",
+        "1,0 0,0 1,0\n0,0 1,5 1,0\n",
+        "1,0; 0,0; 1,0\n0,0; 1,5; 1,0\n",
+        "1.0, 0.0, 1.0\n0.0, 1.5, 1.0\n",
+        "x y z\n1,0\t0,0\t1,0\n0,0\t1,5\t1,0\n",
     ],
 )
-def test_light_files(text: str, tmp_path: Path) -> None:
+def test_light_lists_of_several_forms_are_read(text, tmp_path):
     (tmp_path / "l.txt").write_bytes(text.encode())
     np.testing.assert_array_equal(
         read_light_list(tmp_path / "l.txt").lights, [[1, 0, 1], [0, 1.5, 1]]
@@ -134,71 +142,49 @@ def test_light_files(text: str, tmp_path: Path) -> None:
         (b"\xff\xfe\0", "not a text file"),
     ],
 )
-def test_light_files_that_are_refused(text: bytes, words: str, tmp_path: Path) -> None:
+def test_wrong_light_lists_are_refused(text, words, tmp_path):
     (tmp_path / "l.txt").write_bytes(text)
     with pytest.raises(BadInput, match=words):
         read_light_list(tmp_path / "l.txt")
 
 
-@pytest.mark.parametrize(
-    "text",
-    [
-        "0,5 0,3 0,8\n-0,5 0,25 0,8\n",
-        "0,5; 0,3; 0,8\n-0,5; 0,25; 0,8\n",
-        "0.5, 0.3, 0.8\n-0.5, 0.25, 0.8\n",
-        "x y z\n0,5\t0,3\t0,8\n-0,5\t0,25\t0,8\n",
-    ],
-)
-def test_decimal_commas_are_understood(text: str, tmp_path: Path) -> None:
-    (tmp_path / "l.txt").write_text(text)
-    np.testing.assert_array_equal(
-        read_light_list(tmp_path / "l.txt").lights, [[0.5, 0.3, 0.8], [-0.5, 0.25, 0.8]]
-    )
-
-
-def test_commas_that_may_be_either_are_refused(tmp_path: Path) -> None:
+def test_ambiguous_commas_are_refused(tmp_path):
     (tmp_path / "l.txt").write_text("0,5,0,3,0,8\n")
     with pytest.raises(BadInput, match=r"line 1: .*; write decimals with a point, or put spaces"):
         read_light_list(tmp_path / "l.txt")
 
 
-def test_lp_files_of_rti(plain: Path) -> None:
-    """Paths of another machine, with spaces and other capitals; the photographs are found by their
-    own names."""
-    for name in ("mask.png", "dark.png"):
-        (plain / name).unlink()
+def test_lp_files_find_photographs_by_their_names_alone(unmasked):
+    """Their paths are of another machine, with spaces and other capitals."""
     names = ("C:\\Scans\\coin 7\\3.PNG", "/home/a user/coin/0.png", "jpeg-exports/1.jpg", "2.png")
     rows = [f"{name} {x} {y} {z}" for name, (x, y, z) in zip(names, LIGHTS, strict=True)]
-    (plain / "coin.lp").write_text("\r\n".join(["4", *rows]))
-    table = read_light_list(plain / "coin.lp")
-    lights, found = table.lights, table.names
-    assert found == ("3.PNG", "0.png", "1.jpg", "2.png")
-    np.testing.assert_array_equal(lights, LIGHTS)
-    band = capture_from_photographs(GivenPhotographs(plain)).capture.bands["white"]
+    (unmasked / "coin.lp").write_text("\r\n".join(["4", *rows]))
+    table = read_light_list(unmasked / "coin.lp")
+    assert table.names == ("3.PNG", "0.png", "1.jpg", "2.png")
+    np.testing.assert_array_equal(table.lights, LIGHTS)
+    band = import_photographs(unmasked).capture.bands["white"]
     assert [Path(file).name for file in band.files] == ["3.png", "0.png", "1.png", "2.png"]
 
 
-def test_places_in_mm_are_near_lights(plain: Path) -> None:
-    for name in ("mask.png", "dark.png"):
-        (plain / name).unlink()
+def test_places_in_mm_are_near_lights(unmasked):
     places = LIGHTS * 40.0
-    table = plain / "lights.txt"
-    table.write_text("x_mm y_mm z_mm\n" + "\n".join(" ".join(map(str, place)) for place in places))
-    rig = capture_from_photographs(GivenPhotographs(plain, px_per_mm=20.0)).capture.rig
+    table = unmasked / "lights.txt"
+    np.savetxt(table, places, header="x_mm y_mm z_mm", comments="")
+    rig = import_photographs(unmasked, px_per_mm=20.0).capture.rig
     np.testing.assert_array_equal([led.position_mm for led in rig.leds], places)
     with pytest.raises(BadInput, match="`px_per_mm`"):
-        capture_from_photographs(GivenPhotographs(plain))
+        import_photographs(unmasked)
     leds = (Led("nir", position_mm=(1.0, 2.0, 90.0)), *rig.leds)
-    write_rig(Rig(Camera(12.5, (25, 35)), leds), plain / "rig.json")
-    again = capture_from_photographs(GivenPhotographs(plain, plain / "rig.json")).capture.rig
+    write_rig(Rig(Camera(12.5, (25, 35)), leds), unmasked / "rig.json")
+    again = import_photographs(unmasked, unmasked / "rig.json").capture.rig
     assert again.leds == rig.leds and again.camera.px_per_mm == 12.5
     assert (
-        splitknit.read_photographs(plain, rig, max_megapixels=0.0004).rig.camera.px_per_mm
+        splitknit.read_photographs(unmasked, rig, max_megapixels=0.0004).rig.camera.px_per_mm
         == 20.0 / 1.5
     )
 
 
-def test_what_a_png_states_is_its_encoding(tmp_path: Path) -> None:
+def test_the_encoding_that_a_png_states_is_used(tmp_path):
     image = Image.fromarray(np.zeros((4, 4), np.uint8))
     for name, kind, data in (("s", b"sRGB", b"\0"), ("g", b"gAMA", (45455).to_bytes(4, "big")),
                              ("l", b"gAMA", (100000).to_bytes(4, "big"))):  # fmt: skip
@@ -206,8 +192,8 @@ def test_what_a_png_states_is_its_encoding(tmp_path: Path) -> None:
         info.add(kind, data)
         image.save(tmp_path / f"{name}.png", pnginfo=info)
     write_image(tmp_path / "n.png", np.zeros((4, 4), np.uint8))
-    found = {name: encoding_of([tmp_path / f"{name}.png"], lambda: False)[0] for name in "sgln"}
-    assert found == {"s": "srgb", "g": "srgb", "l": "linear", "n": "linear"}
+    encodings = {name: encoding_of([tmp_path / f"{name}.png"], lambda: False)[0] for name in "sgln"}
+    assert encodings == {"s": "srgb", "g": "srgb", "l": "linear", "n": "linear"}
     assert encoding_of([tmp_path / "n.png"], lambda: True)[0] == "srgb"
     undecided, note = encoding_of([tmp_path / "n.png"], lambda: None)
     assert undecided == "srgb" and "is assumed" in note and "`encoding`" in note
@@ -217,93 +203,86 @@ def test_what_a_png_states_is_its_encoding(tmp_path: Path) -> None:
         encoding_of([tmp_path / "s.png", tmp_path / "n.png"], lambda: False)
 
 
-def ball_photographs(
-    folder: Path, code: Any, count: int = 8, size: int = 120, bright: Any = 1.0
-) -> Any:
-    """A matt ball under `count` lights as `bright` as is given, stored through `code`; its
-    directions."""
+def ball_normals(size: int = 120) -> np.ndarray:
+    """Of a ball; their z is 0 beside it."""
     rows, columns = np.mgrid[:size, :size]
     x, y = (columns - size / 2 + 0.5) / (0.45 * size), (size / 2 - 0.5 - rows) / (0.45 * size)
-    inner = 1.0 - x * x - y * y
-    normals = np.stack([x, y, np.sqrt(np.clip(inner, 0, 1))], axis=-1)
+    return np.stack([x, y, np.sqrt(np.clip(1.0 - x * x - y * y, 0, 1))], axis=-1)
+
+
+def ball_photographs(folder: Path, code: Any, count: int = 8, bright: Any = 1.0) -> Any:
+    """A matt ball under `count` lights as `bright` as is given, stored through `code`; its
+    directions."""
+    normals = ball_normals()
     angles = 2 * np.pi * np.arange(count) / count
     lights = np.stack(
         [0.5 * np.cos(angles), 0.5 * np.sin(angles), np.full(count, 0.75**0.5)], axis=1
     )
-    for k, light in enumerate(lights):
-        strength = np.broadcast_to(bright, count)[k]
-        shade = np.where(inner > 0, np.clip(normals @ light, 0, 1) * 0.9 * strength, 0)
+    for k, (light, strength) in enumerate(zip(lights, np.broadcast_to(bright, count), strict=True)):
+        shade = np.where(normals[..., 2] > 0, np.clip(normals @ light, 0, 1) * 0.9 * strength, 0)
         write_image(folder / f"{k}.png", np.rint(255 * code(shade)).astype(np.uint8))
     np.savetxt(folder / "lights.txt", lights)
     return lights
 
 
 @pytest.mark.parametrize(("code", "encoding"), [(np.asarray, "linear"), (srgb_code, "srgb")])
-def test_eight_bits_that_state_nothing_are_judged_by_their_shading(
-    tmp_path: Path, code: Any, encoding: str
-) -> None:
+def test_the_encoding_of_8_bit_files_is_judged_by_the_shading(tmp_path, code, encoding):
     ball_photographs(tmp_path, code)
-    found = capture_from_photographs(GivenPhotographs(tmp_path))
-    assert found.capture.encoding == encoding
-    assert found.notes[0].code == "assumed-encoding" and encoding in str(found.notes[0])
+    imported = import_photographs(tmp_path)
+    assert imported.capture.encoding == encoding
+    assert imported.notes[0].code == "assumed-encoding" and encoding in str(imported.notes[0])
 
 
 @pytest.mark.parametrize("listed", [True, False])
 @pytest.mark.parametrize(("code", "encoding"), [(np.asarray, "linear"), (srgb_code, "srgb")])
-def test_the_encoding_is_judged_with_the_brightness_of_the_lights(
-    tmp_path: Path, code: Any, encoding: str, *, listed: bool
-) -> None:
+def test_unequal_lights_do_not_change_the_judged_encoding(tmp_path, code, encoding, *, listed):
     """Unequal lights looked like a wrong curve: sRGB was taken for linear, and normals came out 16
     deg wrong."""
     bright = np.array([1.0, 0.5, 0.9, 0.7, 0.4, 1.0, 0.8, 0.6])
     lights = ball_photographs(tmp_path, code, bright=bright)
     if listed:
         np.savetxt(tmp_path / "lights.txt", np.column_stack([lights, bright]))
-    assert capture_from_photographs(GivenPhotographs(tmp_path)).capture.encoding == encoding
+    assert import_photographs(tmp_path).capture.encoding == encoding
 
 
 @pytest.mark.parametrize(
     ("code", "right", "wrong"), [(np.asarray, "linear", "srgb"), (srgb_code, "srgb", "linear")]
 )
-def test_a_stated_encoding_that_is_wrong_is_noted(
-    tmp_path: Path, code: Any, right: str, wrong: str
-) -> None:
+def test_a_wrongly_stated_encoding_gets_a_note(tmp_path, code, right, wrong):
     ball_photographs(tmp_path, code)
-    said = {
-        way: capture_from_photographs(GivenPhotographs(tmp_path, encoding=way)).notes  # type: ignore[arg-type]
+    notes = {
+        way: import_photographs(tmp_path, encoding=way).notes  # type: ignore[arg-type]
         for way in (right, wrong)
     }
-    assert not any(note.code == "other-encoding" for note in said[right])
-    assert any(f"shade as {right}, not as {wrong}" in str(note) for note in said[wrong])
+    assert not any(note.code == "other-encoding" for note in notes[right])
+    assert any(f"shade as {right}, not as {wrong}" in str(note) for note in notes[wrong])
 
 
-def test_brightness_can_be_chosen(tmp_path: Path) -> None:
+def test_brightness_is_estimated_or_equal_as_chosen(tmp_path):
     bright = np.array([1.0, 0.5, 0.9, 0.7, 0.4, 1.0, 0.8, 0.6])
     lights = ball_photographs(tmp_path, np.asarray, bright=bright)
     np.savetxt(tmp_path / "lights.txt", np.column_stack([lights, bright[::-1]]))  # a wrong list
     for way in ("estimate", "equal"):
-        rig = capture_from_photographs(GivenPhotographs(tmp_path, brightness=way)).capture.rig
+        rig = import_photographs(tmp_path, brightness=way).capture.rig
         assert {led.intensity for led in rig.leds} == {1.0} and rig.intensities_assumed == (
             way == "estimate"
         )
     capture = splitknit.read_photographs(tmp_path, px_per_mm=10.0, brightness="estimate")
-    found = splitknit.reconstruct(capture).facts["light_brightness"]
-    assert found == pytest.approx((bright / bright.mean()).tolist(), rel=0.03)
+    estimated = splitknit.reconstruct(capture).facts["light_brightness"]
+    assert estimated == pytest.approx((bright / bright.mean()).tolist(), rel=0.03)
     (tmp_path / "lights.txt").write_text(
         "".join(f"{k}.png {x} {y} {z}\n" for k, (x, y, z) in enumerate(lights[:4]))
     )
     with pytest.raises(BadInput, match="five lights or more"):
-        capture_from_photographs(GivenPhotographs(tmp_path, brightness="estimate"))
+        import_photographs(tmp_path, brightness="estimate")
 
 
-def test_reduced_photographs_are_means_of_linear_light(tmp_path: Path) -> None:
+def test_reduced_photographs_are_means_of_linear_light(tmp_path):
     lights = ball_photographs(tmp_path, srgb_code)
     write_image(tmp_path / "mask.png", np.pad(np.full((60, 120), 255, np.uint8), ((0, 60), (0, 0))))
     whole, small = (
-        capture_from_photographs(
-            GivenPhotographs(
-                tmp_path, None, 10.0, encoding="srgb", background=13, max_megapixels=limit
-            )
+        import_photographs(
+            tmp_path, None, 10.0, encoding="srgb", background=13, max_megapixels=limit
         )
         for limit in (None, 120 * 120 / 4e6)
     )
@@ -319,14 +298,15 @@ def test_reduced_photographs_are_means_of_linear_light(tmp_path: Path) -> None:
     )
     assert small.capture.mask[:30].all() and not small.capture.mask[30:].any()
     stacks = [
-        linear_stack(one.capture.bands["white"], one.capture.encoding) for one in (whole, small)
+        linear_stack(photographs.capture.bands["white"], photographs.capture.encoding)
+        for photographs in (whole, small)
     ]
     means = stacks[0].reshape(len(lights), 60, 2, 60, 2).mean(axis=(2, 4))
     np.testing.assert_allclose(stacks[1], means, atol=2e-5)
 
 
 @pytest.mark.slow
-def test_large_stacks_are_worked_in_strips_from_disk(tmp_path: Path, monkeypatch: Any) -> None:
+def test_large_stacks_are_processed_in_strips_from_disk(tmp_path, monkeypatch):
     """The surface is that of images in memory; the file of the stack has no name."""
     ball_photographs(tmp_path, srgb_code)
     monkeypatch.setenv("TMPDIR", str(tmp_path / "scratch"))
@@ -334,13 +314,9 @@ def test_large_stacks_are_worked_in_strips_from_disk(tmp_path: Path, monkeypatch
     results = []
     for bound in (IN_MEMORY, 100_000):
         write_image(tmp_path / "mask.png", np.full((120, 120), 255, np.uint8))
-        for name in (
-            "steps.IN_MEMORY",
-            "methods.photometry.IN_MEMORY",
-            "finger.locate.IN_MEMORY",
-        ):
+        for name in ("steps.IN_MEMORY", "methods.photometry.IN_MEMORY", "finger.locate.IN_MEMORY"):
             monkeypatch.setattr(f"splitknit.{name}", bound)
-        capture = capture_from_photographs(GivenPhotographs(tmp_path, px_per_mm=20.0)).capture
+        capture = import_photographs(tmp_path, px_per_mm=20.0).capture
         band = capture.bands["white"]
         assert isinstance(getattr(band.pixels.base, "base", None), memoryview) == (bound == 100_000)
         assert list((tmp_path / "scratch").iterdir()) == []
@@ -351,7 +327,7 @@ def test_large_stacks_are_worked_in_strips_from_disk(tmp_path: Path, monkeypatch
         np.testing.assert_allclose(whole.height_mm, strips.height_mm, atol=1e-4)
 
 
-def test_a_full_disk_is_refused(monkeypatch: Any) -> None:
+def test_a_full_disk_is_refused(monkeypatch):
     def full(*_: Any) -> None:
         raise OSError(28, "No space left on device")
 
@@ -360,7 +336,7 @@ def test_a_full_disk_is_refused(monkeypatch: Any) -> None:
         large_array((600, 1000, 1000), np.dtype(np.uint8))
 
 
-def test_a_link_to_itself_is_no_traceback(plain: Path) -> None:
+def test_a_link_to_itself_is_refused(plain):
     (plain / "3.png").unlink()
     (plain / "3.png").symlink_to("3.png")
     with pytest.raises(BadInput, match="has 4 lights"):
@@ -369,9 +345,9 @@ def test_a_link_to_itself_is_no_traceback(plain: Path) -> None:
         "\n".join(f"{k}.png {x} {y} {z}" for k, (x, y, z) in enumerate(LIGHTS))
     )
     with pytest.raises(BadInput, match=r"3\.png"):
-        capture_from_photographs(GivenPhotographs(plain, px_per_mm=12.5))
+        import_photographs(plain, px_per_mm=12.5)
     with pytest.raises(BadInput, match=r"3\.png"):
-        capture_from_photographs(GivenPhotographs(plain, None, 12.5, mask=plain / "3.png"))
+        import_photographs(plain, None, 12.5, mask=plain / "3.png")
 
 
 @pytest.mark.parametrize(
@@ -384,113 +360,91 @@ def test_a_link_to_itself_is_no_traceback(plain: Path) -> None:
         ("coin 7 1 0 1\ncoin 8 0 1.5 1\n", ("coin 7", "coin 8"), None),
     ],
 )
-def test_lists_with_the_brightness_of_each_light(
-    text: str, names: tuple[str, ...], bright: object, tmp_path: Path
-) -> None:
+def test_light_lists_may_state_brightness_and_names(text, names, bright, tmp_path):
     (tmp_path / "l.txt").write_text(text)
-    found = read_light_list(tmp_path / "l.txt")
-    np.testing.assert_array_equal(found.lights, [[1, 0, 1], [0, 1.5, 1]])
-    assert found.names == names
-    assert (None if found.intensities is None else found.intensities.tolist()) == bright
+    table = read_light_list(tmp_path / "l.txt")
+    np.testing.assert_array_equal(table.lights, [[1, 0, 1], [0, 1.5, 1]])
+    assert table.names == names
+    assert (None if table.intensities is None else table.intensities.tolist()) == bright
 
 
 @pytest.mark.parametrize(
     "text",
     ["1 0 1 2\n0 1.5 1\n", "1 0 1 0\n0 1.5 1 1\n", "1 0 1 2\n0 1.5 1 1 1 1\n", "1 0 1 2 3\n"],
 )
-def test_brightness_that_is_no_brightness_is_refused(text: str, tmp_path: Path) -> None:
+def test_an_invalid_brightness_is_refused(text, tmp_path):
     (tmp_path / "l.txt").write_text(text)
     with pytest.raises(BadInput, match=r"brightness|three finite numbers"):
         read_light_list(tmp_path / "l.txt")
 
 
 @pytest.mark.parametrize("columns", [1, 3])
-def test_light_intensities_beside_the_list_are_taken(columns: int, plain: Path) -> None:
+def test_an_intensities_file_beside_the_list_is_used(columns, unmasked):
     """DiLiGenT's way: the photographs of a light twice as bright count as half."""
     values = np.ones((len(LIGHTS), columns))
     values[1] = 2.0
-    for name in ("mask.png", "dark.png"):
-        (plain / name).unlink()
-    (plain / "light_directions.txt").write_text(
-        "\n".join(" ".join(map(str, row)) for row in LIGHTS)
-    )
-    (plain / "light_intensities.txt").write_text(
-        "\n".join(" ".join(map(str, row)) for row in values)
-    )
-    found = capture_from_photographs(GivenPhotographs(plain))
-    bright = [led.intensity for led in found.capture.rig.leds]
+    np.savetxt(unmasked / "light_directions.txt", LIGHTS)
+    np.savetxt(unmasked / "light_intensities.txt", values)
+    imported = import_photographs(unmasked)
+    bright = [led.intensity for led in imported.capture.rig.leds]
     assert bright[1] == pytest.approx(2 * bright[0])
-    assert not found.capture.rig.intensities_assumed
-    assert not any("light_intensities" in str(note) for note in found.notes)
-    (plain / "light_intensities.txt").write_text("1\n2\n")
+    assert not imported.capture.rig.intensities_assumed
+    assert not any("light_intensities" in str(note) for note in imported.notes)
+    (unmasked / "light_intensities.txt").write_text("1\n2\n")
     with pytest.raises(BadInput, match="there are 2 for"):
-        capture_from_photographs(GivenPhotographs(plain))
+        import_photographs(unmasked)
 
 
-def test_one_photograph_under_three_coloured_lights(tmp_path: Path) -> None:
+def test_one_photograph_under_three_coloured_lights_is_three_images(tmp_path):
     image = np.random.default_rng(0).integers(2000, 60000, (24, 30, 3)).astype(np.uint16)
     write_image(tmp_path / "frame.png", image)
     lights = np.array([[0.5, 0, 1], [-0.3, 0.4, 1], [-0.3, -0.4, 1]])
-    capture = capture_from_photographs(GivenPhotographs(tmp_path, lights)).capture
+    capture = import_photographs(tmp_path, lights).capture
     np.testing.assert_array_equal(capture.bands["white"].pixels[..., 0], np.moveaxis(image, 2, 0))
     write_image(tmp_path / "frame.png", image[..., 0])
     with pytest.raises(BadInput, match=r"frame\.png is grey"):
-        capture_from_photographs(GivenPhotographs(tmp_path, lights))
+        import_photographs(tmp_path, lights)
 
 
-def _ball(folder: Path, count: int = 4) -> np.ndarray:
-    """Photographs of a matt half ball of 80 x 90 pixels on black, 16 bits; its mask."""
-    y, x = np.mgrid[1:-1:80j, -1.1:1.1:90j]
-    z2 = 0.8 - x**2 - y**2
-    normals = np.dstack([x, y, np.sqrt(np.maximum(z2, 0.0))]) / np.sqrt(0.8)
-    lights = LIGHTS / np.linalg.norm(LIGHTS, axis=1, keepdims=True)
-    for k in range(count):
-        light = np.where(z2 > 0, np.clip(normals @ lights[k], 0, 1), 0.0)
-        write_image(folder / f"{k}.png", np.rint(50000 * light).astype(np.uint16))
-    np.savetxt(folder / "lights.txt", lights)
-    return z2 > 0
-
-
-def test_a_mask_is_transparency_or_all(tmp_path: Path) -> None:
-    inside = _ball(tmp_path)
-    picture = np.tile(np.linspace(60, 250, 90).astype(np.uint8)[None, :, None], (80, 1, 3))
+def test_a_mask_is_read_from_transparency_or_covers_all(tmp_path):
+    ball_photographs(tmp_path, np.asarray)
+    inside = ball_normals()[..., 2] > 0
+    picture = np.tile(np.linspace(60, 250, 120).astype(np.uint8)[:, None], (120, 1, 3))
     alpha = np.dstack([picture, 255 * inside.astype(np.uint8)])
     Image.fromarray(alpha).save(tmp_path / "mask.png")
-    found = capture_from_photographs(GivenPhotographs(tmp_path, px_per_mm=5.0))
-    np.testing.assert_array_equal(found.capture.mask, inside)
-    assert any("not transparent" in str(note) for note in found.notes)
-    Image.fromarray(alpha).save(tmp_path / "mask.tif")
-    photographs = GivenPhotographs(
-        tmp_path, None, 5.0, mask=tmp_path / "mask.tif", encoding="linear"
-    )
-    np.testing.assert_array_equal(capture_from_photographs(photographs).capture.mask, inside)
+    imported = import_photographs(tmp_path, px_per_mm=5.0)
+    np.testing.assert_array_equal(imported.capture.mask, inside)
+    assert any("not transparent" in str(note) for note in imported.notes)
+    file = tmp_path / "mask.tif"
+    Image.fromarray(alpha).save(file)
+    known = {"px_per_mm": 5.0, "encoding": "linear"}
+    imported = import_photographs(tmp_path, mask=file, **known)
+    np.testing.assert_array_equal(imported.capture.mask, inside)
     Image.fromarray(picture).save(tmp_path / "mask.png")
     with pytest.raises(BadInput, match="is a picture and no mask"):
-        capture_from_photographs(GivenPhotographs(tmp_path, px_per_mm=5.0))
-    photographs = GivenPhotographs(tmp_path, None, 5.0, mask="all", encoding="linear")
-    assert capture_from_photographs(photographs).capture.mask.all()
+        import_photographs(tmp_path, px_per_mm=5.0)
+    assert import_photographs(tmp_path, mask="all", **known).capture.mask.all()
 
 
-def test_cut_out_photographs_have_their_mask(tmp_path: Path) -> None:
-    inside = _ball(tmp_path)
-    for k in range(4):
-        grey = np.asarray(Image.open(tmp_path / f"{k}.png")).astype(np.uint16) >> 8
-        alpha = np.where(inside, 255, 0)
-        Image.fromarray(np.dstack([grey, alpha]).astype(np.uint8), "LA").save(tmp_path / f"{k}.png")
-    found = capture_from_photographs(GivenPhotographs(tmp_path, None, 0.002, encoding="linear"))
-    np.testing.assert_array_equal(found.capture.mask, inside)
-    result = splitknit.reconstruct(found.capture)
-    assert any("longer side of the pictures is 45000 mm" in warning for warning in result.warnings)
+def test_the_transparency_of_photographs_is_their_mask(tmp_path):
+    ball_photographs(tmp_path, np.asarray)
+    inside = ball_normals()[..., 2] > 0
+    for file in tmp_path.glob("*.png"):
+        image = np.dstack([np.asarray(Image.open(file)), np.where(inside, 255, 0)])
+        Image.fromarray(image.astype(np.uint8), "LA").save(file)
+    imported = import_photographs(tmp_path, None, 0.002, encoding="linear")
+    np.testing.assert_array_equal(imported.capture.mask, inside)
+    result = splitknit.reconstruct(imported.capture)
+    assert any("longer side of the pictures is 60000 mm" in warning for warning in result.warnings)
 
 
-def test_lp_file_names_photographs(tmp_path: Path) -> None:
+def test_a_written_lp_file_names_the_photographs_and_holds_directions_only(tmp_path):
     leds = [Led("white", direction=(1.0, 2.0, 2.0)), Led("white", direction=(0.0, 0.0, 5.0))]
     write_light_list(leds, tmp_path / "a.lp", ["one.jpg", "two.jpg"])
     assert (tmp_path / "a.lp").read_text().splitlines()[0] == "2"
     table = read_light_list(tmp_path / "a.lp")
-    lights, names = table.lights, table.names
-    assert names == ("one.jpg", "two.jpg")
-    np.testing.assert_allclose(lights, [[1 / 3, 2 / 3, 2 / 3], [0, 0, 1]], atol=1e-6)
+    assert table.names == ("one.jpg", "two.jpg")
+    np.testing.assert_allclose(table.lights, [[1 / 3, 2 / 3, 2 / 3], [0, 0, 1]], atol=1e-6)
     with pytest.raises(BadInput, match="holds directions"):
         write_light_list(
             [Led("white", position_mm=(1.0, 2.0, 3.0))], tmp_path / "b.lp", ["one.jpg"]

@@ -11,14 +11,14 @@ import pytest
 import tifffile
 from PIL import Image
 
+from io_shared import import_photographs
 from splitknit.errors import BadInput
 from splitknit.imaging.band import linear_stack
 from splitknit.imaging.light_field import few_lights
 from splitknit.io.capture import read_capture, write_capture
 from splitknit.io.light_list import read_light_list
-from splitknit.io.photographs import GivenPhotographs
 from splitknit.io.photos import read_photo
-from splitknit.io.plain import Photographs, capture_from_photographs
+from splitknit.io.plain import Photographs
 from splitknit.photometric.lambertian import lambertian
 
 DIRECTIONS = np.array(
@@ -45,14 +45,12 @@ TURNED = {
 
 @pytest.mark.parametrize("orientation", TURNED)
 @pytest.mark.parametrize("suffix", ["png", "tif", "webp", "jpg"])
-def test_the_turn_in_exif_data_is_obeyed(orientation: int, suffix: str, tmp_path: Path) -> None:
+def test_the_exif_orientation_is_applied(orientation, suffix, tmp_path):
     exif = Image.Exif()
     exif[274] = orientation
     file = tmp_path / f"x.{suffix}"
-    lossless = (
-        {"lossless": True} if suffix == "webp" else {"quality": 95} if suffix == "jpg" else {}
-    )
-    Image.fromarray(picture()).save(file, exif=exif, **lossless)
+    # `quality` is of JPEG, `lossless` of WebP
+    Image.fromarray(picture()).save(file, exif=exif, quality=95, lossless=True)
     photo = read_photo(file)
     assert photo.orientation == orientation
     expected = TURNED[orientation](picture()).astype(int)
@@ -60,23 +58,20 @@ def test_the_turn_in_exif_data_is_obeyed(orientation: int, suffix: str, tmp_path
     assert np.abs(photo.pixels - expected).mean() < (4.0 if suffix == "jpg" else 1e-9)
 
 
-def test_bmp_and_floats(tmp_path: Path) -> None:
+def test_bmp_and_float_tiff_are_read_and_nan_is_refused(tmp_path):
     Image.fromarray(picture()).save(tmp_path / "x.bmp")
     np.testing.assert_array_equal(read_photo(tmp_path / "x.bmp").pixels, picture())
     values = (picture() / 7.0).astype(np.float32)
-    tifffile.imwrite(tmp_path / "x.tif", values, photometric="rgb")
-    np.testing.assert_array_equal(read_photo(tmp_path / "x.tif").pixels, values)
-    tifffile.imwrite(
-        tmp_path / "x.tif", values, photometric="rgb", compression="zlib", tile=(16, 16)
-    )
-    np.testing.assert_array_equal(read_photo(tmp_path / "x.tif").pixels, values)
+    for options in ({}, {"compression": "zlib", "tile": (16, 16)}):
+        tifffile.imwrite(tmp_path / "x.tif", values, photometric="rgb", **options)
+        np.testing.assert_array_equal(read_photo(tmp_path / "x.tif").pixels, values)
     values[3, 4] = np.nan
     tifffile.imwrite(tmp_path / "x.tif", values, photometric="rgb")
     with pytest.raises(BadInput, match="not finite"):
         read_photo(tmp_path / "x.tif")
 
 
-def test_heic(tmp_path: Path) -> None:
+def test_heic_is_read_upright(tmp_path):
     heif = pytest.importorskip("pillow_heif", reason="of the extra photos")
     exif = Image.Exif()
     exif[274] = 6
@@ -106,19 +101,16 @@ def write_raw(file: Path, mosaic: Any, orientation: int = 1) -> None:
     tifffile.imwrite(file, mosaic, photometric="CFA", extratags=tags, metadata=None)
 
 
-def test_raw_is_linear_and_on_one_scale(tmp_path: Path) -> None:
+def test_raw_values_are_linear_and_on_one_scale(tmp_path):
     pytest.importorskip("rawpy", reason="of the extra photos")
     for name, level in (("dim", 500), ("bright", 3000)):
         write_raw(tmp_path / f"{name}.dng", np.full((64, 96), level, dtype=np.uint16), 6)
     dim, bright = (read_photo(tmp_path / f"{name}.dng") for name in ("dim", "bright"))
-    assert (
-        dim.pixels.shape == (96, 64, 3) and dim.pixels.dtype == np.uint16 and dim.orientation == 6
-    )
-    middle = [
-        photo.pixels[20:-20, 20:-20].astype(float).mean(axis=(0, 1)) for photo in (dim, bright)
-    ]
-    np.testing.assert_allclose(middle[1] / middle[0], (3000 - 256) / (500 - 256), rtol=0.01)
-    assert np.ptp(middle[1]) < 0.01 * middle[1].mean()  # no white balance
+    assert dim.pixels.shape == (96, 64, 3) and dim.pixels.dtype == np.uint16
+    assert dim.orientation == 6
+    dark, light = (photo.pixels[20:-20, 20:-20].mean(axis=(0, 1)) for photo in (dim, bright))
+    np.testing.assert_allclose(light / dark, (3000 - 256) / (500 - 256), rtol=0.01)
+    assert np.ptp(light) < 0.01 * light.mean()  # no white balance
 
 
 @pytest.mark.parametrize(
@@ -137,7 +129,7 @@ def test_raw_is_linear_and_on_one_scale(tmp_path: Path) -> None:
         (b"\0\0\0\x18ftypheic" + bytes(40), "cannot be decoded|pip install"),
     ],
 )
-def test_what_is_no_photograph(data: bytes, words: str, tmp_path: Path) -> None:
+def test_data_that_are_no_photograph_are_refused(data, words, tmp_path):
     (tmp_path / "x.png").write_bytes(data)
     with pytest.raises(BadInput, match=words):
         read_photo(tmp_path / "x.png")
@@ -168,26 +160,27 @@ def folder(tmp_path: Path) -> Path:
     return root
 
 
-def files_of(found: Photographs) -> list[str]:
-    return [Path(name).name for name in found.capture.bands["white"].files]
+def files_of(photographs: Photographs) -> list[str]:
+    return [Path(name).name for name in photographs.capture.bands["white"].files]
 
 
-def test_a_folder_becomes_a_capture(folder: Path) -> None:
+def test_a_folder_becomes_a_capture(folder):
     (folder / "notes.docx").write_text("x")
     (folder / ".hidden").write_text("x")
     (folder / "other.mask.png").write_bytes((folder / "mask.png").read_bytes())
-    found = capture_from_photographs(GivenPhotographs(folder, px_per_mm=12.0))
-    assert files_of(found) == ["p8.png", "p9.png", "p10.png", "p11.png", "p12.png"]
-    assert found.capture.mask is not None and found.capture.encoding == "srgb"  # 8 bits, undecided
+    imported = import_photographs(folder, px_per_mm=12.0)
+    assert files_of(imported) == ["p8.png", "p9.png", "p10.png", "p11.png", "p12.png"]
+    assert imported.capture.mask is not None
+    assert imported.capture.encoding == "srgb"  # 8 bits, undecided
     left_out = "notes.docx (not a photograph), other.mask.png (a mask? name it with `mask`)."
-    assert set(found.capture.hashes) == {"lights.txt", "mask.png", *files_of(found)}
+    assert set(imported.capture.hashes) == {"lights.txt", "mask.png", *files_of(imported)}
     assert any(
-        note.code == "skipped-files" and str(note).endswith(left_out) for note in found.notes
+        note.code == "skipped-files" and str(note).endswith(left_out) for note in imported.notes
     )
 
 
-def test_unknown_scale_goes_through_files(folder: Path) -> None:
-    capture = capture_from_photographs(GivenPhotographs(folder)).capture
+def test_an_unknown_scale_survives_a_capture_folder(folder):
+    capture = import_photographs(folder).capture
     write_capture(capture, folder / "capture")
     assert '"px_per_mm": null' in (folder / "capture" / "rig.json").read_text()
     again = read_capture(folder / "capture").rig.camera
@@ -197,19 +190,19 @@ def test_unknown_scale_goes_through_files(folder: Path) -> None:
     )
 
 
-def test_names_in_the_lights_file(folder: Path) -> None:
+def test_names_in_the_light_list_choose_the_photographs(folder):
     lines = ["p12.png 0.1 0.1 1", "0 -0.5 0.9 p11", "p10.png, 0, 0.5, 0.9"]
     (folder / "lights.txt").write_text("\n".join(lines))
-    found = capture_from_photographs(GivenPhotographs(folder))
-    assert files_of(found) == ["p12.png", "p11.png", "p10.png"]
+    imported = import_photographs(folder)
+    assert files_of(imported) == ["p12.png", "p11.png", "p10.png"]
     left_out = "p8.png (not in lights.txt), p9.png (not in lights.txt)."
-    assert any(str(note).endswith(left_out) for note in found.notes)
+    assert any(str(note).endswith(left_out) for note in imported.notes)
     (folder / "lights.txt").write_text("\n".join([*lines, "p99.png 0 0.3 1"]))
     with pytest.raises(BadInput, match=r"names 'p99\.png', but there is no such photograph"):
-        capture_from_photographs(GivenPhotographs(folder))
+        import_photographs(folder)
     (folder / "lights.txt").write_text("\n".join([*lines, "p12 0.3 0.1 1"]))
     with pytest.raises(BadInput, match=r"p12\.png is named twice"):
-        capture_from_photographs(GivenPhotographs(folder))
+        import_photographs(folder)
     for text, words in (
         ("a 0 0 1\n1 0 1", "some of its lines"),
         ("a 0 0 1\na 1 0 1", "twice"),
@@ -220,17 +213,17 @@ def test_names_in_the_lights_file(folder: Path) -> None:
             read_light_list(folder / "lights.txt")
 
 
-def test_numbers_that_differ_name_what_was_skipped(folder: Path) -> None:
+def test_a_wrong_number_of_photographs_names_the_skipped_files(folder):
     (folder / "p12.png").rename(folder / "p12.gif")
     with pytest.raises(BadInput, match=r"4 photographs .* 5 lights; skipped: p12\.gif"):
-        capture_from_photographs(GivenPhotographs(folder))
+        import_photographs(folder)
     for file in folder.glob("p*"):
         file.rename(file.with_suffix(".txt"))
     with pytest.raises(BadInput, match=r"holds no photographs .*skipped: p8\.txt"):
-        capture_from_photographs(GivenPhotographs(folder))
+        import_photographs(folder)
 
 
-def test_series_turned_by_exif_data(folder: Path) -> None:
+def test_a_series_with_one_exif_orientation_is_turned_as_a_whole(folder):
     """As a camera that lies on its head writes it: stored the other way up, and marked so."""
     exif = Image.Exif()
     exif[274] = 3
@@ -238,44 +231,44 @@ def test_series_turned_by_exif_data(folder: Path) -> None:
         Image.fromarray(np.ascontiguousarray(np.asarray(Image.open(file))[::-1, ::-1])).save(
             file, exif=exif
         )
-    found = capture_from_photographs(GivenPhotographs(folder))
+    imported = import_photographs(folder)
     np.testing.assert_array_equal(
-        found.capture.bands["white"].pixels[0, ..., 0], ball(DIRECTIONS[0])
+        imported.capture.bands["white"].pixels[0, ..., 0], ball(DIRECTIONS[0])
     )
-    assert any("orientation 3" in str(note) for note in found.notes)
+    assert any("orientation 3" in str(note) for note in imported.notes)
     Image.fromarray(ball(DIRECTIONS[2])).save(folder / "p10.png")
     with pytest.raises(BadInput, match=r"p10\.png is turned differently"):
-        capture_from_photographs(GivenPhotographs(folder))
+        import_photographs(folder)
 
 
-def test_floats_are_brought_to_one_scale(folder: Path) -> None:
+def test_floats_are_brought_to_one_scale(folder):
     for k, file in enumerate(sorted(folder.glob("p*.png"), key=lambda file: int(file.stem[1:]))):
         tifffile.imwrite(
             file.with_suffix(".tiff"), ball(DIRECTIONS[k]).astype(np.float32) * 40.0 + 3.0
         )
         file.unlink()
-    found = capture_from_photographs(GivenPhotographs(folder, background=3.0))
-    light = linear_stack(found.capture.bands["white"], "linear")
-    expected = np.stack([ball(one) for one in DIRECTIONS]).astype(float)
+    imported = import_photographs(folder, background=3.0)
+    light = linear_stack(imported.capture.bands["white"], "linear")
+    expected = np.stack([ball(direction) for direction in DIRECTIONS]).astype(float)
     factor = light.max() / expected.max()
     np.testing.assert_allclose(light, expected * factor, atol=2e-5)
 
 
-def test_the_tone_curve_of_a_camera_is_assumed_and_said(folder: Path) -> None:
+def test_an_assumed_tone_curve_gets_a_note(folder):
     for file in folder.glob("p*.png"):
         Image.open(file).save(file.with_suffix(".jpg"), quality=95)
         file.unlink()
-    found = capture_from_photographs(GivenPhotographs(folder))
-    assert found.capture.encoding == "srgb"
-    assert any("srgb is assumed of the .jpg files" in str(note) for note in found.notes)
+    imported = import_photographs(folder)
+    assert imported.capture.encoding == "srgb"
+    assert any("srgb is assumed of the .jpg files" in str(note) for note in imported.notes)
     Image.fromarray(ball(DIRECTIONS[0])).save(folder / "p8.png")
     (folder / "p8.jpg").unlink()
     with pytest.raises(BadInput, match="`encoding`"):
-        capture_from_photographs(GivenPhotographs(folder))
+        import_photographs(folder)
 
 
 @pytest.mark.parametrize("count", [3, 4, 5])
-def test_the_error_that_few_lights_are_warned_of_is_that_of_noise(count: int) -> None:
+def test_the_stated_error_of_few_lights_is_that_of_noise(count):
     azimuth = 2 * np.pi * np.arange(count) / count
     lights = np.stack(
         [0.57 * np.cos(azimuth), 0.57 * np.sin(azimuth), np.full(count, 0.82)], axis=1
@@ -283,15 +276,10 @@ def test_the_error_that_few_lights_are_warned_of_is_that_of_noise(count: int) ->
     words = few_lights(lights)
     assert len(words) == (count < 5)
     if words:
-        stack = (
-            np.random.default_rng(1)
-            .normal(lights[:, 2, None, None], 0.01, (count, 100, 100))
-            .astype(np.float32)
-        )
-        lengths = np.linalg.norm(lights, axis=1)
-        normals, _ = lambertian(
-            stack / lengths[:, None, None].astype(np.float32), lights / lengths[:, None]
-        )
+        rng, lengths = np.random.default_rng(1), np.linalg.norm(lights, axis=1)
+        stack = rng.normal(lights[:, 2, None, None], 0.01, (count, 100, 100))
+        stack = (stack / lengths[:, None, None]).astype(np.float32)
+        normals, _ = lambertian(stack, lights / lengths[:, None])
         tilt = np.degrees(np.sqrt((normals[..., :2] ** 2).sum(axis=-1).mean()))
-        said = float(str(words[0]).split("normals by ")[1].split(" deg")[0])
-        assert said == pytest.approx(tilt, abs=0.08)
+        stated_deg = float(str(words[0]).split("normals by ")[1].split(" deg")[0])
+        assert stated_deg == pytest.approx(tilt, abs=0.08)

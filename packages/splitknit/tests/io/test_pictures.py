@@ -1,5 +1,3 @@
-from __future__ import annotations
-
 import cv2
 import numpy as np
 import pytest
@@ -10,9 +8,8 @@ from splitknit.report.figures import small_fields, view_from_above
 
 
 @pytest.mark.parametrize("longest", [90, 200, 500])
-def test_frame_is_upright_and_averages(longest: int) -> None:
-    """Every picture pixel holds the mean of the place that its frame names, in a finger at a yaw of
-    12 deg."""
+def test_the_upright_frame_averages_the_input_pixels(longest):
+    """The finger has a yaw of 12 deg."""
     result, _ = finger()
     frame = upright_frame(result, longest)
     assert max(frame.size) <= longest
@@ -30,7 +27,7 @@ def test_frame_is_upright_and_averages(longest: int) -> None:
     assert np.rad2deg(np.arctan2(-step[1], step[0])) == pytest.approx(12.0)
 
 
-def test_tip_is_at_the_top() -> None:
+def test_the_finger_tip_is_at_the_top_of_the_frame():
     result, _ = finger()
     _, weight = to_frame(result.shape_mm, result.mask, upright_frame(result, 200))
     width = (weight > 0.5).sum(axis=1)
@@ -38,7 +35,7 @@ def test_tip_is_at_the_top() -> None:
     assert width[rows[0] + 3] < 0.6 * width[rows[-1] - 3]
 
 
-def test_colours_are_ordered_in_brightness() -> None:
+def test_colours_are_ordered_in_brightness():
     values = np.linspace(-1, 1, 64, dtype=np.float32)[None]
     grey = cv2.cvtColor(colour(values, -1, 1), cv2.COLOR_RGB2GRAY)[0].astype(int)
     assert (np.diff(grey) >= -1).all()
@@ -47,13 +44,13 @@ def test_colours_are_ordered_in_brightness() -> None:
     assert white.min() > 240
 
 
-def test_paper_shows_outside() -> None:
+def test_pictures_are_white_outside_the_finger():
     picture = np.zeros((2, 2, 3), np.uint8)
     weight = np.array([[0.0, 1.0], [0.5, 1.0]], np.float32)
     assert on_paper(picture, weight)[..., 0].tolist() == [[255, 0], [128, 0]]
 
 
-def test_the_view_from_above_shows_the_light() -> None:
+def test_the_view_from_above_is_lit_from_the_upper_left():
     result, _ = finger()
     above = view_from_above(small_fields(result, upright_frame(result, 240))).astype(int)
     middle = slice(above.shape[0] // 2, above.shape[0] // 2 + 40)

@@ -5,13 +5,13 @@ from __future__ import annotations
 import json
 from collections.abc import Callable
 from dataclasses import replace
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 
-from io_shared import Build, edit
+from io_shared import Build
+from small_capture import edit
 from splitknit.errors import BadInput
 from splitknit.imaging.band import linear_stack, saturation_levels
 from splitknit.imaging.coloured import LightsSettings, as_lit
@@ -55,12 +55,7 @@ def neighbours(capture: Capture) -> Capture:
 
 @pytest.mark.parametrize("change", [lambda capture: capture, neighbours])
 @pytest.mark.parametrize("exposures", [(1.0, 1.0), (1.0, 2.0), (0.5, 1.0)])
-def test_both_series_are_written_and_read_back(
-    polarised: Capture,
-    tmp_path: Path,
-    change: Callable[[Capture], Capture],
-    exposures: tuple[float, float],
-) -> None:
+def test_both_series_are_written_and_read_back(polarised, tmp_path, change, exposures):
     capture = change(polarised)
     names = ("white", "white_crossed")
     timed = {
@@ -72,15 +67,19 @@ def test_both_series_are_written_and_read_back(
     again = read_capture(tmp_path / "c")
     assert list(again.bands) == ["white", "white_crossed", "nir"]
     for name, band in capture.bands.items():
-        found = again.bands[name]
-        np.testing.assert_array_equal(found.pixels, band.pixels)
-        np.testing.assert_array_equal(found.exposure, band.exposure)
-        assert (found.polarisation, found.leds) == (band.polarisation, band.leds)
+        read = again.bands[name]
+        np.testing.assert_array_equal(read.pixels, band.pixels)
+        np.testing.assert_array_equal(read.exposure, band.exposure)
+        assert (read.polarisation, read.leds) == (band.polarisation, band.leds)
     assert "white_crossed_3.png" in again.hashes
     write_capture(again, tmp_path / "d")
     assert (tmp_path / "c" / "capture.json").read_bytes() == (
         tmp_path / "d" / "capture.json"
     ).read_bytes()
+
+
+def crossed_with(**values: Any) -> Callable[[Any], None]:
+    return lambda document: document["bands"]["white_crossed"].update(values)
 
 
 def _exposed(document: Any) -> None:
@@ -96,31 +95,20 @@ def _exposed(document: Any) -> None:
             lambda d: d["bands"]["white"].pop("polarisation"),
             'bands.white must say "polarisation": "parallel"',
         ),
-        (
-            lambda d: d["bands"]["white_crossed"].update(polarisation="parallel"),
-            'bands.white_crossed "crossed"',
-        ),
+        (crossed_with(polarisation="parallel"), 'bands.white_crossed "crossed"'),
         (
             lambda d: [d["bands"]["white_crossed"][name].pop() for name in ("images", "leds")],
             "bands.white has 4 images but bands.white_crossed 3",
         ),
         (_exposed, "must state exposure_s for every image, both or neither"),
-        (
-            lambda d: d["bands"]["white_crossed"].update(leds=[1, 2, 3, 0]),
-            "list both series in the same order",
-        ),
-        (lambda d: d["bands"]["white_crossed"].update(leds=[4, 5, 6, 7]), "which is a 'nir' LED"),
-        (
-            lambda d: d["bands"]["white_crossed"].update(images=d["bands"]["white"]["images"]),
-            "twice",
-        ),
+        (crossed_with(leds=[1, 2, 3, 0]), "list both series in the same order"),
+        (crossed_with(leds=[4, 5, 6, 7]), "which is a 'nir' LED"),
+        (crossed_with(images=[f"white_{k}.png" for k in range(4)]), "twice"),
         (lambda d: d["bands"].pop("white"), "bands: Object missing required field white"),
         (lambda d: d["bands"].update(red={}), "bands: "),
     ],
 )
-def test_series_that_do_not_fit_are_refused(
-    polarised: Capture, tmp_path: Path, change: Callable[[Any], Any], words: str
-) -> None:
+def test_series_that_do_not_match_are_refused(polarised, tmp_path, change, words):
     write_capture(polarised, tmp_path / "c")
     edit(tmp_path / "c" / "capture.json", change)
     with pytest.raises(BadInput, match=r"capture\.json") as refused:
@@ -128,7 +116,7 @@ def test_series_that_do_not_fit_are_refused(
     assert words in str(refused.value)
 
 
-def test_coloured_leds_are_refused(polarised: Capture, tmp_path: Path) -> None:
+def test_polarised_series_with_coloured_leds_are_refused(polarised, tmp_path):
     write_capture(polarised, tmp_path / "c")
 
     def paint(rig: Any) -> None:
@@ -142,7 +130,7 @@ def test_coloured_leds_are_refused(polarised: Capture, tmp_path: Path) -> None:
         with_rig(polarised, tmp_path / "c" / "rig.json")
 
 
-def test_another_rig_lights_both_series(polarised: Capture, tmp_path: Path) -> None:
+def test_another_rig_must_hold_the_leds_of_both_series(polarised, tmp_path):
     capture = neighbours(polarised)
     brighter = replace(
         capture.rig, leds=tuple(replace(led, intensity=2.0) for led in capture.rig.leds)
@@ -156,7 +144,7 @@ def test_another_rig_lights_both_series(polarised: Capture, tmp_path: Path) -> N
         with_rig(capture, tmp_path / "short.json")
 
 
-def test_the_light_without_films_is_the_mean_of_both_under_both_leds(polarised: Capture) -> None:
+def test_without_films_the_light_is_the_mean_of_both_series_under_both_leds(polarised):
     capture = neighbours(polarised)
     crossed = replace(
         capture.bands["white_crossed"],
@@ -173,9 +161,7 @@ def test_the_light_without_films_is_the_mean_of_both_under_both_leds(polarised: 
 
 @pytest.mark.parametrize("ambient", [0, 20])
 @pytest.mark.parametrize("clips", ["white", "white_crossed"])
-def test_what_clips_in_either_series_clips_in_the_mean(
-    polarised: Capture, clips: str, ambient: int
-) -> None:
+def test_a_pixel_that_clips_in_either_series_clips_in_the_mean(polarised, clips, ambient):
     pixels = polarised.bands[clips].pixels.copy()
     pixels[1, 20, 15, :2] = 255
     pixels[2, 20, 15, :1] = 255  # of one channel: the others carry the shading
@@ -188,12 +174,12 @@ def test_what_clips_in_either_series_clips_in_the_mean(
     assert np.argwhere(clipped).tolist() == [[1, 20, 15]]
 
 
-def test_coloured_exposures_are_not_put_together_of_polarised_ones(polarised: Capture) -> None:
+def test_polarised_captures_are_not_composed_into_coloured_exposures(polarised):
     with pytest.raises(BadInput, match="this capture is polarised"):
         as_lit(polarised, LightsSettings(compose=1))
 
 
-def test_the_document_is_the_one_of_the_docs(polarised: Capture, tmp_path: Path) -> None:
+def test_the_document_lists_both_series(polarised, tmp_path):
     write_capture(polarised, tmp_path / "c")
     bands = json.loads((tmp_path / "c" / "capture.json").read_text())["bands"]
     assert bands["white"]["polarisation"] == "parallel"

@@ -45,17 +45,17 @@ def section(squareness: float, shear: float) -> tuple[Any, np.ndarray]:
 
 @pytest.mark.parametrize("squareness", [0.0, 0.2, MAX_SQUARE])
 @pytest.mark.parametrize("shear", [0.0, 0.1])
-def test_support_is_the_farthest_point(squareness: float, shear: float) -> None:
+def test_the_support_is_reached_by_the_farthest_point(squareness, shear):
     sections, points = section(squareness, shear)
     for angle in np.linspace(0.05, 2 * np.pi, 23):
         normal = np.array([np.cos(angle), np.sin(angle)])
-        found = sections.support(normal[:1], normal[1:])[0][0]
-        assert found == pytest.approx((points @ normal).max(), abs=2e-3)
+        support = sections.support(normal[:1], normal[1:])[0][0]
+        assert support == pytest.approx((points @ normal).max(), abs=2e-3)
         touched = np.array(sections.contact(normal[:1], normal[1:])).ravel()
-        assert touched @ normal == pytest.approx(found, abs=1e-9)
+        assert touched @ normal == pytest.approx(support, abs=1e-9)
 
 
-def test_support_answers_to_its_half_axes() -> None:
+def test_derivatives_of_the_support_agree_with_differences():
     normal = np.array([0.6]), np.array([0.8])
     value, by_a, by_b = body_of(0.2, 0.05).sections(BASE).support(*normal)
     for grown, slope in (
@@ -67,7 +67,7 @@ def test_support_answers_to_its_half_axes() -> None:
         )
 
 
-def test_splines_sum_to_one_and_bodies_end_round() -> None:
+def test_splines_sum_to_one_and_the_tip_is_round():
     assert np.allclose(basis(np.linspace(0, 1, 50), 12).sum(axis=1), 1.0)
     body = Body(
         np.zeros(2),
@@ -89,7 +89,7 @@ def ellipse_mask(half_width: float, slant: float) -> np.ndarray:
     return (np.abs(x) < half_width * cap) & (y < 12)
 
 
-def test_rows_measure_between_the_pixels() -> None:
+def test_rows_measure_the_width_below_a_pixel():
     mask = ellipse_mask(6.03, 0.0)
     rows = rows_of(mask, CAMERA, 1, np.array([0.0, 1.0]))
     middle = np.abs(rows.along_mm + 3) < 5
@@ -97,7 +97,7 @@ def test_rows_measure_between_the_pixels() -> None:
     assert rows.tip_mm == pytest.approx(12.0, abs=0.06)
 
 
-def test_medial_line_is_robust_and_the_axis_follows_the_finger() -> None:
+def test_the_axis_of_a_finger_ignores_a_spur():
     mask = ellipse_mask(6.0, np.tan(np.deg2rad(12.0)))
     mask[250:290, 0:120] = True  # a spur: a fold of the sleeve
     axis, rows = finger_axis(mask, CAMERA, 1, np.array([0.0, 1.0]))
@@ -105,12 +105,12 @@ def test_medial_line_is_robust_and_the_axis_follows_the_finger() -> None:
     assert abs(medial_line(rows)[0]) < 5e-3
 
 
-def test_an_empty_view_is_refused() -> None:
+def test_an_empty_view_is_refused():
     with pytest.raises(BadInput, match="is empty"):
         rows_of(np.zeros((400, 300), dtype=bool), CAMERA, 1, np.array([0.0, 1.0]))
 
 
-def test_reflected_rays_see_the_finger_itself() -> None:
+def test_reflected_rays_pass_through_the_point_itself():
     """The mirror image of a point, seen by the camera, lies on the reflected ray through the
     point."""
     mirror = Mirror(
@@ -134,7 +134,7 @@ def test_reflected_rays_see_the_finger_itself() -> None:
         assert ray.normal[0] @ point == pytest.approx(ray.offset_mm[0])
 
 
-def test_a_mirror_turns_leans_and_shifts_as_said() -> None:
+def test_a_posed_mirror_turns_leans_and_shifts():
     mirror = Mirror(
         "left",
         ((-17.0, -15.0, -20.0), (-17.0, 15.0, -20.0), (-37.0, 15.0, 0.0), (-37.0, -15.0, 0.0)),
@@ -148,9 +148,9 @@ def test_a_mirror_turns_leans_and_shifts_as_said() -> None:
     assert moved.normal @ mirror.point_mm - moved.offset_mm == pytest.approx(-1.5)
 
 
-def test_views_that_do_not_agree_are_told() -> None:
+def test_a_view_that_does_not_agree_is_reported():
     misfit = {"front": np.full(9, 0.03), "left": np.full(9, 0.2)}
     fit = Fit(None, {}, misfit, {name: np.ones(9) for name in misfit})  # type: ignore[arg-type]
-    (said,) = MirrorShape(CAMERA, None, {}, {}, fit).findings  # type: ignore[arg-type]
-    assert str(said).startswith("the left view's outline agrees with the others to 0.20 mm only")
+    (finding,) = MirrorShape(CAMERA, None, {}, {}, fit).findings  # type: ignore[arg-type]
+    assert str(finding).startswith("the left view's outline agrees with the others to 0.20 mm only")
     assert MirrorShape(CAMERA, None, {}).findings == ()  # type: ignore[arg-type]

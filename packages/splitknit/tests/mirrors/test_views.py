@@ -3,7 +3,6 @@ refused."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import replace
 
 import cv2
@@ -12,7 +11,7 @@ import pytest
 
 from splitknit.errors import BadInput
 from splitknit.imaging.areas import mirror_outline, without_mirrors
-from splitknit.mirrors.views import view_binning, views_in
+from splitknit.mirrors.views import Views, view_binning, views_in
 from splitknit.model import BoolArray, Camera, FloatArray, Mirror, Rig
 
 CAMERA = Camera(5.0, (300, 460))
@@ -65,41 +64,46 @@ def picture(*fingers: tuple[int, int]) -> FloatArray:
 FRONT, BESIDE = (190, 80), ((70, 60), (330, 60))
 
 
-def test_front_and_mirrors_are_distinguished() -> None:
-    views = views_in(picture(FRONT, *BESIDE), RIG, 1)
+def check_columns(views: Views, scale: int) -> None:
+    """Front, left and right view show the fingers FRONT and BESIDE in a picture of this scale."""
+    masks = views.front, *(views.mirrors[name] for name in ("left", "right"))
     assert set(views.mirrors) == {"left", "right"}
-    for mask, (first, width) in zip(
-        (views.front, views.mirrors["left"], views.mirrors["right"]), (FRONT, *BESIDE), strict=True
-    ):
+    for mask, (first, width) in zip(masks, (FRONT, *BESIDE), strict=True):
         columns = np.flatnonzero(mask.any(axis=0))
-        assert (columns[0], columns[-1]) == (first, first + width - 1)
+        assert (columns[0], columns[-1]) == (scale * first, scale * (first + width) - 1)
 
 
-def test_a_mirror_without_a_finger_is_left_out() -> None:
+def test_front_and_mirrors_are_distinguished():
+    check_columns(views_in(picture(FRONT, *BESIDE), RIG, 1), 1)
+
+
+def test_a_mirror_without_a_finger_is_left_out():
     assert set(views_in(picture(FRONT, BESIDE[1]), RIG, 1).mirrors) == {"right"}
 
 
+@pytest.mark.parametrize("scale", [1, 4])
 @pytest.mark.parametrize(
-    ("image", "words"),
+    ("fingers", "words"),
     [
-        (lambda: picture(FRONT), "no mirror shows the finger"),
-        (lambda: picture(*BESIDE), "no finger was found beside the mirrors"),
-        (lambda: picture((170, 50), (240, 48), *BESIDE), "two fingers"),
-        (lambda: picture((140, 80), (79, 61), BESIDE[1]), "touches the edge of the left mirror"),
+        ((FRONT,), "no mirror shows the finger"),
+        (BESIDE, "no finger was found beside the mirrors"),
+        (((170, 50), (240, 48), *BESIDE), "two fingers"),
+        (((140, 80), (79, 61), BESIDE[1]), "touches the edge of the left mirror"),
     ],
 )
-def test_what_is_refused(image: Callable[[], FloatArray], words: str) -> None:
+def test_pictures_without_one_finger_and_its_mirror_images_are_refused(fingers, words, scale):
+    image, camera = large(*fingers) if scale == 4 else (picture(*fingers), CAMERA)
     with pytest.raises(BadInput, match=words):
-        views_in(image(), RIG, 1)
+        views_in(image, replace(RIG, camera=camera), 1)
 
 
-def test_no_mirrors_no_views() -> None:
+def test_a_rig_without_mirrors_is_refused():
     with pytest.raises(BadInput, match="the rig has no mirrors"):
         views_in(picture(FRONT), replace(RIG, mirrors=()), 1)
 
 
-def test_the_front_is_left_alone() -> None:
-    """A capture with mirrors whose shape comes from light: the mirror images are painted over."""
+def test_mirror_images_are_painted_over_and_the_finger_is_kept():
+    """Where the shape comes from light."""
     image = without_mirrors(picture(FRONT, *BESIDE), CAMERA, MIRRORS, 1)
     assert image[200, 100].max() < 0.25 and image[200, 360].max() < 0.25
     assert image[200, 230, 0] == pytest.approx(0.6)
@@ -113,33 +117,13 @@ def large(*fingers: tuple[int, int]) -> tuple[FloatArray, Camera]:
     return np.pad(image, ((0, 1), (0, 2), (0, 0)), mode="edge"), Camera(20.0, (1201, 1842))
 
 
-def test_outlines_are_found_in_the_image_around_what_a_small_copy_shows() -> None:
+def test_outlines_are_found_in_the_image_around_what_a_small_copy_shows():
     image, camera = large(FRONT, *BESIDE)
     views = views_in(image, replace(RIG, camera=camera), 1)
-    assert views.binning == 1 and set(views.mirrors) == {"left", "right"}
-    for mask, (first, width) in zip(
-        (views.front, views.mirrors["left"], views.mirrors["right"]), (FRONT, *BESIDE), strict=True
-    ):
+    assert views.binning == 1
+    check_columns(views, 4)
+    for mask in (views.front, *views.mirrors.values()):
         assert mask.shape == image.shape[:2]
-        columns, rows = np.flatnonzero(mask.any(axis=0)), np.flatnonzero(mask.any(axis=1))
-        assert (columns[0], columns[-1]) == (4 * first, 4 * (first + width) - 1)
-        assert rows[0] == 400
+        assert np.flatnonzero(mask.any(axis=1))[0] == 400
     # the rows that fill no block are looked at, too
     assert np.flatnonzero(views.front.any(axis=1))[-1] == 1200
-
-
-@pytest.mark.parametrize(
-    ("fingers", "words"),
-    [
-        ((FRONT,), "no mirror shows the finger"),
-        (BESIDE, "no finger was found beside the mirrors"),
-        (((170, 50), (240, 48), *BESIDE), "two fingers"),
-        (((140, 80), (79, 61), BESIDE[1]), "touches the edge of the left mirror"),
-    ],
-)
-def test_the_same_is_refused_where_outlines_are_found_apart(
-    fingers: tuple[tuple[int, int], ...], words: str
-) -> None:
-    image, camera = large(*fingers)
-    with pytest.raises(BadInput, match=words):
-        views_in(image, replace(RIG, camera=camera), 1)

@@ -41,32 +41,26 @@ def images() -> np.ndarray:
     return np.random.default_rng(5).random((2, 3, 203, 150), dtype=np.float32)
 
 
-@pytest.mark.parametrize("value", ["0", "", None])
-def test_onnxruntime_is_imported_without_telemetry(
-    monkeypatch: pytest.MonkeyPatch, value: str | None
-) -> None:
-    if value is None:
-        monkeypatch.delenv(NO_TELEMETRY, raising=False)
-    else:
-        monkeypatch.setenv(NO_TELEMETRY, value)
+@pytest.fixture(params=["0", "", None])
+def telemetry(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The environment variable does not turn telemetry off."""
+    monkeypatch.delenv(NO_TELEMETRY, raising=False)
+    if request.param is not None:
+        monkeypatch.setenv(NO_TELEMETRY, request.param)
+
+
+@pytest.mark.usefixtures("telemetry")
+def test_onnxruntime_is_imported_without_telemetry(monkeypatch):
     monkeypatch.setitem(sys.modules, "onnxruntime", None)  # as if it were not installed
     with pytest.raises(BadInput, match="pip install onnxruntime"):
         load_network(TINY)
     assert os.environ[NO_TELEMETRY] == "1"
 
 
-@pytest.mark.parametrize("value", ["0", "", None])
-def test_onnxruntime_imported_with_telemetry_is_refused(
-    network: Network, monkeypatch: pytest.MonkeyPatch, value: str | None
-) -> None:
+@pytest.mark.usefixtures("network", "telemetry")
+def test_onnxruntime_imported_with_telemetry_is_refused():
     assert "onnxruntime" in sys.modules
-    if value is None:
-        monkeypatch.delenv(NO_TELEMETRY, raising=False)
-    else:
-        monkeypatch.setenv(NO_TELEMETRY, value)
-    with pytest.raises(
-        BadInput, match="set the environment variable ORT_DISABLE_TELEMETRY=1 before"
-    ):
+    with pytest.raises(BadInput, match="ORT_DISABLE_TELEMETRY=1 before"):
         load_network(TINY)
 
 
@@ -81,12 +75,12 @@ def offered(monkeypatch: pytest.MonkeyPatch) -> Iterator[tuple[list[str], list[A
 
     def session(weights: bytes, options: Any, providers: list[Any], enable_fallback: int) -> Any:
         asked.append(providers)
-        made = real(
+        on_cpu = real(
             weights, options, providers=["CPUExecutionProvider"], enable_fallback=enable_fallback
         )
-        names = [one if isinstance(one, str) else one[0] for one in providers]
+        names = [provider if isinstance(provider, str) else provider[0] for provider in providers]
         return SimpleNamespace(
-            run=made.run, get_inputs=made.get_inputs, get_outputs=made.get_outputs,
+            run=on_cpu.run, get_inputs=on_cpu.get_inputs, get_outputs=on_cpu.get_outputs,
             get_providers=lambda: names[1:] if "broken" in there else names,
         )  # fmt: skip
 
@@ -96,9 +90,7 @@ def offered(monkeypatch: pytest.MonkeyPatch) -> Iterator[tuple[list[str], list[A
     use_device()
 
 
-def test_networks_run_on_cuda_where_onnxruntime_offers_it(
-    offered: tuple[list[str], list[Any]], images: np.ndarray
-) -> None:
+def test_networks_run_on_cuda_where_onnxruntime_offers_it(offered, images):
     """With a provider that is made up: this says which device is asked for, not that a GPU does the
     same."""
     there, asked = offered
@@ -112,14 +104,14 @@ def test_networks_run_on_cuda_where_onnxruntime_offers_it(
     before = run_network(load_network(TINY), images)
     there.insert(0, "CUDAExecutionProvider")
     assert use_device("auto") == use_device("cuda") == running().device == "cuda"
-    made = run_network(load_network(TINY), images)
+    on_cuda = run_network(load_network(TINY), images)
     (name, options), rest = asked[-1]
     assert (name, options["use_tf32"], rest) == (
         "CUDAExecutionProvider",
         "0",
         "CPUExecutionProvider",
     )
-    assert np.abs(made - before).max() <= CUDA_TOLERANCE * np.abs(before).max()
+    assert np.abs(on_cuda - before).max() <= CUDA_TOLERANCE * np.abs(before).max()
     shipped = load_network("relief")
     use_device()
     assert load_network("relief") is not shipped
@@ -130,7 +122,7 @@ def test_networks_run_on_cuda_where_onnxruntime_offers_it(
         load_network(TINY)
 
 
-def test_cuda_gives_what_the_cpu_gives(network: Network, images: np.ndarray) -> None:
+def test_cuda_agrees_with_the_cpu(network, images):
     import onnxruntime
 
     if "CUDAExecutionProvider" not in onnxruntime.get_available_providers():
@@ -138,68 +130,65 @@ def test_cuda_gives_what_the_cpu_gives(network: Network, images: np.ndarray) -> 
     expected = run_network(network, images)
     use_device("cuda")
     try:
-        made = run_network(load_network(TINY), images)
+        on_cuda = run_network(load_network(TINY), images)
     finally:
         use_device()
-    assert np.abs(made - expected).max() <= CUDA_TOLERANCE * np.abs(expected).max()
+    assert np.abs(on_cuda - expected).max() <= CUDA_TOLERANCE * np.abs(expected).max()
 
 
 @pytest.mark.parametrize("tile", [40, 64, 120])
-def test_in_tiles_as_in_one_piece(network: Network, images: np.ndarray, tile: int) -> None:
+def test_the_output_in_tiles_equals_that_in_one_piece(network, images, tile):
     whole = run_network(network, images, tile=4096)
     assert whole.shape == images.shape
     assert np.ptp(whole) > 0.05
     np.testing.assert_allclose(run_network(network, images, tile=tile), whole, atol=2e-6)
 
 
-def test_no_memory_is_kept_for_every_shape(network: Network) -> None:
+def test_onnxruntime_keeps_no_memory_pattern_of_each_shape(network):
     assert not network.session.get_session_options().enable_mem_pattern
 
 
-def test_the_reach_of_the_card_is_needed(network: Network, images: np.ndarray) -> None:
+def test_no_margin_smaller_than_the_reach_would_do(network, images):
     """A pixel at the reach's end still changes the result, so that a smaller margin would be
     wrong."""
     reach = network.card.reach
     image = images[:1, :, :200, :144].copy()
     before = run_network(network, image)
-    changed = image.copy()
-    changed[0, :, 80 - reach] += 100.0  # row 80 is a tile's first
-    assert np.abs(run_network(network, changed) - before)[0, :, 80].max() > 0
-    changed = image.copy()
-    changed[0, :, 80 - reach - 1] += 100.0
-    assert np.abs(run_network(network, changed) - before)[0, :, 80].max() == 0
+    for row, reached in ((80 - reach, True), (80 - reach - 1, False)):  # row 80 is a tile's first
+        changed = image.copy()
+        changed[0, :, row] += 100.0
+        difference = np.abs(run_network(network, changed) - before)[0, :, 80].max()
+        assert (difference > 0) == reached
 
 
 @pytest.mark.parametrize("name", ["direct", "relief", "shape"])
-def test_the_same_bytes_on_one_two_and_four_threads(name: str) -> None:
-    made = []
+def test_outputs_have_the_same_bytes_on_one_two_and_four_threads(name):
+    outputs = []
     for threads in (1, 2, 4):
         use_device(threads=threads)
         network = load_network(name)
         fields = np.random.default_rng(0).random(
             (1, network.card.channels_in, 203, 150), dtype=np.float32
         )
-        made.append(run_network(network, fields, tile=96).tobytes())
+        outputs.append(run_network(network, fields, tile=96).tobytes())
     use_device()
-    assert made[0] == made[1] == made[2]
+    assert outputs[0] == outputs[1] == outputs[2]
 
 
-def test_sides_that_are_no_multiple_of_the_stride_are_reflected(
-    network: Network, images: np.ndarray
-) -> None:
+def test_sides_that_are_no_multiple_of_the_stride_are_reflected(network, images):
     padded = np.pad(images, ((0, 0), (0, 0), (0, 5), (0, 2)), mode="reflect")
     expected = run_network(network, padded)[:, :, :203, :150]
     np.testing.assert_array_equal(run_network(network, images), expected)
 
 
-def test_one_channel_is_repeated(network: Network, images: np.ndarray) -> None:
+def test_a_grey_image_fills_every_input_channel(network, images):
     grey = images[:, 0]
     expected = run_network(network, np.repeat(grey[:, None], 3, axis=1))
     np.testing.assert_array_equal(run_network(network, grey), expected)
     np.testing.assert_array_equal(run_network(network, grey[:, None]), expected)
 
 
-def test_images_are_independent(network: Network, images: np.ndarray) -> None:
+def test_each_image_is_processed_independently(network, images):
     np.testing.assert_array_equal(
         run_network(network, images[1:]), run_network(network, images)[1:]
     )
@@ -214,19 +203,19 @@ def test_images_are_independent(network: Network, images: np.ndarray) -> None:
         ((0, 3, 64, 64), "shape"),
     ],
 )
-def test_bad_images_are_refused(network: Network, shape: tuple[int, ...], words: str) -> None:
+def test_images_of_a_wrong_shape_are_refused(network, shape, words):
     with pytest.raises(BadInput, match=words):
         run_network(network, np.ones(shape, dtype=np.float32))
 
 
-def test_nan_is_refused(network: Network) -> None:
+def test_an_image_with_nan_is_refused(network):
     image = np.ones((1, 16, 16), dtype=np.float32)
     image[0, 3, 3] = np.nan
     with pytest.raises(BadInput, match="NaN"):
         run_network(network, image)
 
 
-def test_direct_light_does_not_depend_on_the_exposure(network: Network, images: np.ndarray) -> None:
+def test_direct_light_does_not_depend_on_the_exposure(network, images):
     once = direct_light(images, network)
     np.testing.assert_allclose(
         direct_light(images * np.float32(0.125), network), 0.125 * once, rtol=1e-4, atol=1e-6
@@ -234,23 +223,23 @@ def test_direct_light_does_not_depend_on_the_exposure(network: Network, images: 
     assert once.shape == images.shape and (once >= 0).all() and (once <= images).all()
 
 
-def test_direct_light_of_grey_images_is_grey(network: Network, images: np.ndarray) -> None:
+def test_direct_light_of_grey_images_is_grey(network, images):
     grey = images[:, 0]
-    made = direct_light(grey, network)
-    assert made.shape == grey.shape
+    direct = direct_light(grey, network)
+    assert direct.shape == grey.shape
     level = local_level(grey[0])
     raw = run_network(network, grey[:1] / level).mean(axis=1)[0] * level
-    np.testing.assert_allclose(made[0], np.clip(raw, 0, grey[0]), rtol=1e-5, atol=1e-6)
+    np.testing.assert_allclose(direct[0], np.clip(raw, 0, grey[0]), rtol=1e-5, atol=1e-6)
 
 
-def test_the_exposure_level_is_that_of_the_skin() -> None:
+def test_the_exposure_level_is_that_of_the_skin():
     image = np.zeros((3, 100, 100), dtype=np.float32)
     image[:, 40:60, 40:60] = 0.25  # a quarter of the picture's ten per cent: black does not count
     assert exposure_level(image) == pytest.approx(0.25)
     assert exposure_level(0 * image) == 1.0
 
 
-def test_the_local_level_is_the_skin_s_own_brightness_up_to_its_outline() -> None:
+def test_the_local_level_is_the_skin_s_own_brightness_up_to_its_outline():
     image = np.zeros((3, 120, 163), dtype=np.float32)
     image[0, :, 60:], image[1, :, 60:], image[2, :, 60:] = 0.6, 0.3, 0.3
     np.testing.assert_allclose(local_level(image)[:, 60:], 0.4, rtol=0.02)
@@ -262,13 +251,11 @@ def test_the_local_level_is_the_skin_s_own_brightness_up_to_its_outline() -> Non
     assert local_level(dark)[:, 0].max() == pytest.approx(0.05)  # not the noise's own level
 
 
-def test_direct_light_of_a_black_image_is_black(network: Network) -> None:
+def test_direct_light_of_a_black_image_is_black(network):
     assert (direct_light(np.zeros((1, 3, 16, 16), dtype=np.float32), network) == 0).all()
 
 
-def test_the_direct_part_of_enhanced_images_follows_the_colours(
-    network: Network, images: np.ndarray
-) -> None:
+def test_enhanced_images_get_the_direct_fraction_of_the_colour_images(network, images):
     enhanced = np.sqrt(images.mean(axis=1))
     weights = np.array([0.299, 0.587, 0.114])[:, None, None]
     fraction = (direct_light(images, network) * weights).sum(axis=1) / (images * weights).sum(

@@ -21,14 +21,14 @@ def copy(tmp_path: Path) -> Path:
     return tmp_path / "net.onnx"
 
 
-def test_a_network_is_read_with_its_card() -> None:
+def test_a_network_is_read_with_its_card():
     card, data = read_network(TINY)
     assert (card.name, card.channels_in, card.channels_out, card.stride) == ("tiny", 3, 3, 8)
     assert len(data) == TINY.stat().st_size
     assert load_network(str(TINY)).card == card
 
 
-def test_one_changed_byte_is_noticed(copy: Path) -> None:
+def test_weights_with_a_changed_byte_are_refused(copy):
     data = bytearray(copy.read_bytes())
     data[len(data) // 2] ^= 1
     copy.write_bytes(data)
@@ -40,24 +40,22 @@ def test_one_changed_byte_is_noticed(copy: Path) -> None:
 
 def message(*fields: tuple[int, bytes | int | str]) -> bytes:
     """A message of Protocol Buffers, of numbers and parts below 2^14."""
-    made = b""
+    encoded = b""
     for number, value in fields:
         body = (
             value.encode() if isinstance(value, str) else b"" if isinstance(value, int) else value
         )
         count = value if isinstance(value, int) else len(body)
-        made += (
+        encoded += (
             bytes(
                 [number << 3 | (0 if isinstance(value, int) else 2), count & 127 | 128, count >> 7]
             )
             + body
         )
-    return made
+    return encoded
 
 
-def test_data_outside_the_file_are_refused(
-    copy: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_data_outside_the_file_are_refused(copy, tmp_path, monkeypatch):
     """Values in a file that the card's hash does not cover, looked for where the program was
     started."""
     sides = [(1, side) for side in (1, 1, 64, 64)]
@@ -77,7 +75,7 @@ def test_data_outside_the_file_are_refused(
         load_network(copy)
 
 
-def test_missing_files_are_named(copy: Path, tmp_path: Path) -> None:
+def test_missing_files_are_named(copy, tmp_path):
     copy.with_suffix(".json").unlink()
     with pytest.raises(BadInput, match=r"the card '.*net\.json' cannot be read"):
         load_network(copy)
@@ -85,14 +83,14 @@ def test_missing_files_are_named(copy: Path, tmp_path: Path) -> None:
         load_network(tmp_path / "none.onnx")
 
 
-def test_files_are_checked_before_they_are_read(copy: Path) -> None:
+def test_weights_that_are_no_regular_file_are_refused(copy):
     copy.unlink()
     os.mkfifo(copy)
     with pytest.raises(BadInput, match=r"is not a file\); copy the network again"):
         load_network(copy)
 
 
-def test_an_unknown_name_is_told_what_there_is() -> None:
+def test_an_unknown_network_name_is_refused():
     with pytest.raises(BadInput, match="there is no network 'dirct' in this installation"):
         load_network("dirct")
 
@@ -106,9 +104,7 @@ def test_an_unknown_name_is_told_what_there_is() -> None:
         ({"channels_in": True}, "gives channels_in as True"),
     ],
 )
-def test_a_card_that_makes_no_sense_is_refused(
-    copy: Path, change: dict[str, object], words: str
-) -> None:
+def test_a_card_with_an_invalid_value_is_refused(copy, change, words):
     file = copy.with_suffix(".json")
     file.write_text(json.dumps({**json.loads(file.read_text()), **change}))
     with pytest.raises(BadInput, match=words):
@@ -116,13 +112,13 @@ def test_a_card_that_makes_no_sense_is_refused(
 
 
 @pytest.mark.parametrize("text", ["{", "[]", "{}", '{"format": "splitknit-network", "version": 1}'])
-def test_a_damaged_card_is_refused(copy: Path, text: str) -> None:
+def test_a_damaged_card_is_refused(copy, text):
     copy.with_suffix(".json").write_text(text)
     with pytest.raises(BadInput, match="is damaged"):
         load_network(copy)
 
 
-def test_what_is_no_network_is_refused(copy: Path) -> None:
+def test_weights_that_are_not_onnx_are_refused(copy):
     copy.write_bytes(b"no network at all")
     card = json.loads(copy.with_suffix(".json").read_text())
     facts = {name: card[name] for name in ("channels_in", "channels_out", "stride", "reach")}
@@ -131,7 +127,7 @@ def test_what_is_no_network_is_refused(copy: Path) -> None:
         load_network(copy)
 
 
-def test_every_shipped_network_is_whole_and_small() -> None:
+def test_shipped_networks_match_their_cards_and_stay_below_4_mb():
     names = [file.stem for file in Path(unet.__file__).parent.glob("**/*.onnx")]
     assert "direct" in names
     for name in names:

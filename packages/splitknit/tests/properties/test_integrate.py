@@ -1,7 +1,5 @@
 """Integration: what must hold whatever the field."""
 
-from __future__ import annotations
-
 import cv2
 import numpy as np
 from hypothesis import given, settings

@@ -1,7 +1,5 @@
 """Photometric stereo: what must hold whatever the scene."""
 
-from __future__ import annotations
-
 import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -71,12 +69,11 @@ def test_order_of_the_lights_does_not_matter(seed):
 
 @quick
 @given(seeds, st.sampled_from([0.125, 0.5, 8.0, 1024.0]))
-def test_brighter_images_mean_albedo_alone(seed, scale):
+def test_brighter_images_scale_the_albedo_alone(seed, scale):
     stack, lights = scene(seed)
     for method in (lambertian, robust):
-        normals, albedo = method(stack, lights)
-        other, other_albedo = method(stack * np.float32(scale), lights)
-        close((normals, albedo), (other, other_albedo / scale))
+        normals, albedo = method(stack * np.float32(scale), lights)
+        close(method(stack, lights), (normals, albedo / scale))
 
 
 @quick
@@ -88,13 +85,12 @@ def test_turning_the_lights_turns_the_normals(seed, angle):
     )
     for method in (lambertian, robust):
         normals, albedo = method(stack, lights)
-        turned, turned_albedo = method(stack, lights @ turn.T)
-        close((normals @ turn.T, albedo), (turned, turned_albedo), 5e-3)
+        close((normals @ turn.T, albedo), method(stack, lights @ turn.T), 5e-3)
 
 
 @quick
 @given(seeds)
-def test_pixels_do_not_know_each_other(seed):
+def test_each_pixel_is_solved_independently(seed):
     stack, lights = scene(seed)
     order = np.random.default_rng(seed).permutation(stack.shape[1])
     for method in (lambertian, robust):

@@ -1,7 +1,5 @@
 """Separation by measurement: what must hold whatever the scene."""
 
-from __future__ import annotations
-
 import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -41,12 +39,12 @@ def test_direct_and_global_light_add_up_to_white(seed, dark):
 
 @quick
 @given(seeds, fractions, st.sampled_from([0.125, 0.5, 2.0, 1024.0]))
-def test_brighter_images_mean_more_light_alone(seed, dark, scale):
+def test_brighter_images_scale_both_lights(seed, dark, scale):
     for full, method in methods(seed, dark)[0]:
         stack = 0.4 * full  # no value clips at twice that
-        one, other = method(stack, slice(None)), method(stack * scale, slice(None))
-        assert np.allclose(other.direct, scale * one.direct, rtol=1e-4, atol=1e-6 * scale)
-        assert np.allclose(other.global_, scale * one.global_, rtol=1e-4, atol=1e-6 * scale)
+        before, after = method(stack, slice(None)), method(stack * scale, slice(None))
+        assert np.allclose(after.direct, scale * before.direct, rtol=1e-4, atol=1e-6 * scale)
+        assert np.allclose(after.global_, scale * before.global_, rtol=1e-4, atol=1e-6 * scale)
 
 
 @quick
@@ -54,16 +52,16 @@ def test_brighter_images_mean_more_light_alone(seed, dark, scale):
 def test_order_of_the_images_does_not_matter(seed, dark):
     for stack, method in methods(seed, dark)[0]:
         order = np.random.default_rng(seed + 1).permutation(len(stack))
-        one, other = method(stack, slice(None)), method(stack[order], order)
-        assert np.allclose(one.direct, other.direct, atol=1e-6)
-        assert np.allclose(one.global_, other.global_, atol=1e-6)
+        before, after = method(stack, slice(None)), method(stack[order], order)
+        assert np.allclose(before.direct, after.direct, atol=1e-6)
+        assert np.allclose(before.global_, after.global_, atol=1e-6)
 
 
 @quick
 @given(seeds, st.floats(0.0, 0.2))
-def test_light_that_no_pattern_changes_is_global_alone(seed, extra):
-    """Ambient light: twice of it falls into the global part, none into the direct one."""
+def test_ambient_light_is_global_alone(seed, extra):
+    """Twice of it is in the global part, none in the direct one."""
     for stack, method in methods(seed, 0.0)[0]:
-        one, other = method(stack, slice(None)), method(stack + extra, slice(None))
-        assert np.allclose(one.direct, other.direct, atol=1e-6)
-        assert np.all(other.global_ >= one.global_ - 1e-6)
+        before, after = method(stack, slice(None)), method(stack + extra, slice(None))
+        assert np.allclose(before.direct, after.direct, atol=1e-6)
+        assert np.all(after.global_ >= before.global_ - 1e-6)

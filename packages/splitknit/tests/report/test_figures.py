@@ -22,7 +22,7 @@ def _decoded(picture: Picture) -> NDArray[np.uint8]:
 
 
 @pytest.mark.parametrize("yaw_deg", [-20.0, 0.0, 20.0])
-def test_normals_turn_with_the_finger(yaw_deg: float) -> None:
+def test_normals_turn_with_the_finger(yaw_deg):
     """Red is symmetrical about the finger's axis and green about nothing: at the tip it is above
     the middle value."""
     result, _ = finger(yaw_deg=yaw_deg)
@@ -39,11 +39,13 @@ def test_normals_turn_with_the_finger(yaw_deg: float) -> None:
     assert tip[0] == pytest.approx(127, abs=25)
 
 
-def test_outline_and_crease_lie_on_the_input() -> None:
+def test_outline_and_crease_lie_on_the_input():
     result, _ = finger()
     crease = [[150.0, 330.0], [450.0, 400.0]]
-    shown, _ = capture_pictures(replace(result, facts={"crease_line": crease}), capture_of(result))
-    image = _decoded(shown).astype(int)
+    picture, _ = capture_pictures(
+        replace(result, facts={"crease_line": crease}), capture_of(result)
+    )
+    image = _decoded(picture).astype(int)
     assert image.shape[:2] == result.mask.shape
     orange = np.abs(image - np.array(ORANGE)).max(axis=2) < 60
     edge = (
@@ -56,21 +58,21 @@ def test_outline_and_crease_lie_on_the_input() -> None:
     assert (orange & edge).sum() > 0.97 * orange.sum()
     blue = np.abs(image[365, 290:310] - np.array(BLUE)).max(axis=1) < 70
     assert blue.any()
-    assert "was cut" in shown.caption
+    assert "was cut" in picture.caption
     assert "No crease" in capture_pictures(result, capture_of(result))[0].caption
 
 
-def test_scale_bar_is_as_long_as_it_says() -> None:
+def test_scale_bar_is_as_long_as_it_says():
     result, _ = finger()
     frame = upright_frame(result, 200)
-    shown = RELIEF(result, figures.small_fields(result, frame))
-    length_mm = float(shown.scale_label.split()[0])
-    assert shown.scale_percent / 100 * shown.width * frame.pitch_mm == pytest.approx(
+    picture = RELIEF(result, figures.small_fields(result, frame))
+    length_mm = float(picture.scale_label.split()[0])
+    assert picture.scale_percent / 100 * picture.width * frame.pitch_mm == pytest.approx(
         length_mm, rel=1e-3
     )
 
 
-def test_relief_limits_leave_out_steep_flanks() -> None:
+def test_relief_limits_leave_out_steep_flanks():
     result, _ = finger()
     spoilt = np.where(result.normals[..., 2] < 0.5, np.float32(-0.5), result.ridge_mm)
     assert figures.relief_limits(replace(result, ridge_mm=spoilt)) == figures.relief_limits(result)
@@ -79,12 +81,12 @@ def test_relief_limits_leave_out_steep_flanks() -> None:
     assert 30 <= high <= 45
 
 
-def test_the_rim_of_an_opaque_thing_is_no_relief() -> None:
+def test_the_rim_of_an_opaque_thing_is_no_relief():
     result, _ = finger()
     inner = figures.erode(result.mask, 4.0)
     opaque = replace(result, facts={"material": "opaque"})
     ring = replace(opaque, ridge_mm=np.where(inner, result.ridge_mm, np.float32(-0.5)))
     assert figures.relief_limits(ring) == figures.relief_limits(opaque)
     frame = upright_frame(result, 400)
-    pictures = [RELIEF(one, figures.small_fields(one, frame)).uri for one in (ring, opaque)]
-    assert pictures[0] == pictures[1]
+    first, second = (RELIEF(each, figures.small_fields(each, frame)).uri for each in (ring, opaque))
+    assert first == second

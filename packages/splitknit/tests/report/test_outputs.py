@@ -2,8 +2,6 @@ from __future__ import annotations
 
 import hashlib
 from dataclasses import replace
-from pathlib import Path
-from typing import Any
 
 import cv2
 import numpy as np
@@ -17,15 +15,13 @@ from splitknit.report import result as result_files
 from splitknit.report.result import FILES, write_results
 from written_files import read_height_tiff, read_ply
 
-Written = tuple[Path, dict[str, Any]]
 
-
-def test_all_files_are_written(written: Written) -> None:
+def test_all_files_are_written(written):
     names = {path.name for path in written[0].iterdir() if not path.name.startswith(".")}
     assert names == set(FILES)
 
 
-def test_fields_lie_on_the_input_grid(written: Written) -> None:
+def test_fields_lie_on_the_input_grid(written):
     result, _ = finger()
     arrays = read_npz(written[0] / "height.npz")
     for name in (
@@ -46,7 +42,7 @@ def test_fields_lie_on_the_input_grid(written: Written) -> None:
     assert metadata["inputs"] == dict(result.hashes)
 
 
-def test_pictures_of_fields_lie_on_the_input_grid(written: Written) -> None:
+def test_pictures_of_fields_lie_on_the_input_grid(written):
     result, _ = finger()
     normals = cv2.imread(str(written[0] / "normals.png"))[..., ::-1]
     albedo = cv2.imread(str(written[0] / "albedo.png"), cv2.IMREAD_UNCHANGED)
@@ -60,7 +56,7 @@ def test_pictures_of_fields_lie_on_the_input_grid(written: Written) -> None:
     assert np.ptp(ratio) < 0.02 * ratio.mean()
 
 
-def test_mesh_is_upright_and_not_resampled(written: Written) -> None:
+def test_mesh_is_upright_and_not_resampled(written):
     """The finger's yaw of 12 deg is gone from the coordinates, and every vertex still is one
     pixel."""
     result, _ = finger()
@@ -76,8 +72,8 @@ def test_mesh_is_upright_and_not_resampled(written: Written) -> None:
     assert np.abs(x[at_tip]).max() < 0.3 * np.abs(x).max()
 
 
-def test_mesh_normals_turn_with_the_mesh(written: Written) -> None:
-    """The normals agree with the triangles, outwards."""
+def test_mesh_normals_turn_with_the_mesh(written):
+    """They agree with the triangles, outwards."""
     mesh = read_ply(written[0] / "phalange.ply")
     corners = mesh.vertices_mm[mesh.faces[::50]].astype(float)
     cross = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
@@ -89,7 +85,7 @@ def test_mesh_normals_turn_with_the_mesh(written: Written) -> None:
     assert 0.0 <= mesh.quality.min() < mesh.quality.max() == 1.0
 
 
-def test_print_says_its_resolution(written: Written) -> None:
+def test_the_print_states_its_resolution(written):
     result, _ = finger()
     stored = read_print_png(written[0] / "print.png")
     assert stored.resolution_ppi == pytest.approx(500.0, abs=0.02)
@@ -99,7 +95,7 @@ def test_print_says_its_resolution(written: Written) -> None:
     assert "splitknit" in stored.text["Software"]
 
 
-def test_every_file_says_where_it_came_from(written: Written) -> None:
+def test_every_file_names_the_software_and_its_version(written):
     for name in FILES:
         data = (written[0] / name).read_bytes()
         if name != "height.npz":  # compressed
@@ -108,7 +104,7 @@ def test_every_file_says_where_it_came_from(written: Written) -> None:
     assert "settings_sha256" in str(read_npz(written[0] / "height.npz")["provenance"])
 
 
-def test_same_input_same_bytes(written: Written, tmp_path: Path) -> None:
+def test_the_same_result_gives_the_same_bytes(written, tmp_path):
     """All files but the reports, whatever the number of threads."""
     result, truth = finger()
     threads = cv2.getNumThreads()
@@ -126,7 +122,7 @@ def test_same_input_same_bytes(written: Written, tmp_path: Path) -> None:
             assert len(digests) == 1, name
 
 
-def test_nothing_is_left_after_a_failure(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_failed_run_leaves_no_files(tmp_path, monkeypatch):
     result, _ = finger()
 
     def fail(*_: object, **__: object) -> None:
@@ -138,7 +134,7 @@ def test_nothing_is_left_after_a_failure(tmp_path: Path, monkeypatch: pytest.Mon
     assert list(tmp_path.iterdir()) == []
 
 
-def test_folders_of_others_are_not_touched(tmp_path: Path) -> None:
+def test_folders_of_others_are_not_touched(tmp_path):
     result, _ = finger()
     (tmp_path / "thesis.txt").write_text("years of work")
     with pytest.raises(BadInput, match=r"thesis\.txt"):
@@ -146,7 +142,7 @@ def test_folders_of_others_are_not_touched(tmp_path: Path) -> None:
     assert [path.name for path in tmp_path.iterdir()] == ["thesis.txt"]
 
 
-def test_a_result_without_uncertainty_has_no_such_array(tmp_path: Path) -> None:
+def test_a_result_without_uncertainty_has_no_such_array(tmp_path):
     result, _ = finger()
     write_results(replace(result, uncertainty_um=None), capture_of(result), tmp_path / "out")
     assert "uncertainty_um" not in read_npz(tmp_path / "out" / "height.npz")

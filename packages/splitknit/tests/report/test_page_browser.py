@@ -7,7 +7,6 @@ import itertools
 import re
 import time
 from collections.abc import Iterator
-from pathlib import Path
 
 import cv2
 import numpy as np
@@ -29,9 +28,7 @@ def page() -> Iterator[Page]:
     page.close()
 
 
-def test_a_mailed_report_turns_and_measures_a_section(
-    written: tuple[Path, dict], page: Page, tmp_path: Path
-) -> None:
+def test_a_mailed_report_turns_and_measures_a_section(written, page, tmp_path):
     mailed = tmp_path / "mailed.html"
     mailed.write_bytes((written[0] / "report.html").read_bytes())
     page.open(mailed.as_uri())
@@ -71,7 +68,7 @@ def test_a_mailed_report_turns_and_measures_a_section(
     assert page.complaints() == []
 
 
-def test_a_telephone_shows_it(written: tuple[Path, dict]) -> None:
+def test_the_report_fits_the_width_of_a_telephone(written):
     page = Page(390, 800)
     try:
         page.open((written[0] / "report.html").as_uri())

@@ -48,7 +48,7 @@ def height_at(x: float, y: float) -> float:
     return float(shape + 0.03 * np.cos(2 * np.pi * radius / 0.45 + 2 * turn))
 
 
-def test_a_section_across_has_the_ellipse_s_length(surfaces) -> None:
+def test_a_section_across_has_the_ellipse_s_length(surfaces):
     cut = section(surfaces["parallel"], (-6.0, -4.0), (6.0, -4.0))
     assert cut.figures["flat_mm"] == pytest.approx(12.0)
     assert cut.figures["height_difference_mm"] == pytest.approx(
@@ -62,7 +62,7 @@ def test_a_section_across_has_the_ellipse_s_length(surfaces) -> None:
 
 
 @pytest.mark.parametrize("which", ["parallel", "perspective"])
-def test_a_section_along_a_ray_of_the_spiral_has_its_period(which: str, surfaces) -> None:
+def test_a_section_along_a_ray_of_the_spiral_has_its_period(which, surfaces):
     cut = section(surfaces[which], (0.6, 3.0), (0.6, 8.4))
     low, high = (
         y * (1 - (height_at(0.6, y) / 140 if which == "perspective" else 0.0)) for y in (3.0, 8.4)
@@ -71,7 +71,7 @@ def test_a_section_along_a_ray_of_the_spiral_has_its_period(which: str, surfaces
     assert cut.figures["ridge_period_mm"] == pytest.approx(period, rel=0.015)
 
 
-def test_places_of_a_perspective_camera_are_found(surfaces) -> None:
+def test_the_pixels_of_places_under_a_perspective_camera_are_found(surfaces):
     surface = surfaces["perspective"]
     rows, columns = np.nonzero(np.isfinite(surface.x_mm[::37, ::41]))
     rows, columns = 37 * rows, 41 * columns
@@ -80,7 +80,7 @@ def test_places_of_a_perspective_camera_are_found(surfaces) -> None:
     assert np.median(apart) < 0.02  # at the rim neighbours are missing
 
 
-def test_a_section_over_the_edge_says_so(surfaces) -> None:
+def test_a_section_over_the_edge_has_no_length(surfaces):
     cut = section(surfaces["parallel"], (0.0, -4.0), (12.0, -4.0))
     assert cut.figures["straight_mm"] is None
     assert cut.figures["along_surface_mm"] is None
@@ -88,14 +88,14 @@ def test_a_section_over_the_edge_says_so(surfaces) -> None:
 
 
 @pytest.mark.parametrize("end", [(0.0, 0.0), (float("nan"), 0.0), (1e6, 0.0)])
-def test_ends_that_are_no_ends_are_refused(surfaces, end: tuple[float, float]) -> None:
+def test_a_section_without_two_ends_on_the_surface_is_refused(surfaces, end):
     with pytest.raises(BadInput):
         section(surfaces["parallel"], (0.0, 0.0), end)
     with pytest.raises(BadInput, match="no surface"):
         section(surfaces["parallel"], (20.0, 0.0), (30.0, 0.0))
 
 
-def test_an_empty_result_is_refused() -> None:
+def test_an_empty_result_is_refused():
     result, _ = finger()
     with pytest.raises(BadInput, match="no heights"):
         surface_in(replace(result, mask=np.zeros_like(result.mask)))
@@ -111,7 +111,7 @@ def decoded(field: dict[str, Any]) -> NDArray[np.float64]:
 
 
 @pytest.mark.parametrize("which", ["parallel", "perspective"])
-def test_a_page_holds_the_surface(which: str) -> None:
+def test_a_page_holds_the_heights_of_the_surface(which):
     result, _ = finger()
     result = perspective(result) if which == "perspective" else result
     (facts,) = json.loads(scene_of(result, "metric").data)
@@ -127,20 +127,20 @@ def test_a_page_holds_the_surface(which: str) -> None:
     assert len(rows) == pytest.approx(result.mask.sum(), rel=0.1)
 
 
-def test_a_large_surface_is_thinned(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_large_surface_is_thinned(monkeypatch):
     monkeypatch.setattr(surface_module, "MOST_POINTS", 10_000)
     result, _ = finger()
     (facts,) = json.loads(scene_of(result, "metric").data)
     assert 8000 < np.isfinite(decoded(facts["shape"])).sum() <= 10_500
 
 
-def test_a_title_cannot_end_the_data() -> None:
+def test_a_title_cannot_end_the_data():
     result, _ = finger()
     drawn = scene_of(result, "</script><script>alert(1)</script>")
     assert "<" not in drawn.data
     assert json.loads(drawn.data)[0]["title"].startswith("</script>")
 
 
-def test_the_bundled_script_is_the_one_that_was_made() -> None:
+def test_the_bundled_script_is_the_one_that_was_made():
     root = Path(__file__).resolve().parents[4]
     subprocess.run([sys.executable, str(root / "tools" / "vendor_three.py"), "--check"], check=True)

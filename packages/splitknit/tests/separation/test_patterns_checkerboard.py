@@ -1,8 +1,6 @@
 """Checkerboards: exact where the pattern is ideal, unbiased where its states are known, closed to
 sloppy stacks."""
 
-from __future__ import annotations
-
 import cv2
 import numpy as np
 import pytest
@@ -26,11 +24,18 @@ def scene(channels=()):
     return direct, global_
 
 
+DIRECT, GLOBAL = scene()
+
+
 def stack_of(direct, global_, patterns, alpha=0.5, dark=0.0):
     states = dark + (1 - dark) * patterns
     if direct.ndim == 3:
         states = states[..., None]
     return states * direct + (alpha + dark * (1 - alpha)) * global_
+
+
+def noise_of(seed, sigma, patterns):
+    return np.random.default_rng(seed).normal(0, sigma, patterns.shape)
 
 
 @pytest.fixture(scope="module")
@@ -53,33 +58,29 @@ def test_an_ideal_pattern_gives_the_truth(patterns, channels, dark, known):
 
 
 @pytest.mark.parametrize("alpha", [0.25, 0.75])
-def test_any_fraction_of_lit_checks(alpha):
+def test_any_fraction_of_lit_checks_gives_the_truth(alpha):
     """Squares on a grid, a quarter of the plane lit or dark."""
     rows, columns = np.mgrid[: SIZE[0], : SIZE[1]]
     squares = np.stack(
         [((rows - i) // 4 % 2 == 0) & ((columns - j) // 4 % 2 == 0) for i in (0, 4) for j in (0, 4)]
     )
     patterns = squares.astype(float) if alpha == 0.25 else 1.0 - squares
-    direct, global_ = scene()
-    stack = stack_of(direct, global_, patterns, alpha, 0.1)
+    stack = stack_of(DIRECT, GLOBAL, patterns, alpha, 0.1)
     for known in (None, patterns):
         parts = checkerboard(stack, alpha=alpha, dark=0.1, patterns=known)
-        assert np.abs(parts.direct - direct).max() < 1e-6
-        assert np.abs(parts.global_ - global_).max() < 1e-6
+        assert np.abs(parts.direct - DIRECT).max() < 1e-6
+        assert np.abs(parts.global_ - GLOBAL).max() < 1e-6
 
 
-def test_noise_biases_extremes_and_not_known_states(patterns):
-    direct, global_ = scene()
+def test_noise_biases_extremes_but_not_known_states(patterns):
     sigma = 0.01
-    noisy = stack_of(direct, global_, patterns) + np.random.default_rng(1).normal(
-        0, sigma, patterns.shape
-    )
+    noisy = stack_of(DIRECT, GLOBAL, patterns) + noise_of(1, sigma, patterns)
     errors = {
-        name: checkerboard(noisy, patterns=known).direct - direct
+        name: checkerboard(noisy, patterns=known).direct - DIRECT
         for name, known in (
             ("extremes", None),
             ("known", patterns),
-            ("found", estimate_patterns(noisy)),
+            ("estimated", estimate_patterns(noisy)),
         )
     }
     mean = {name: float(error.mean()) for name, error in errors.items()}
@@ -87,15 +88,14 @@ def test_noise_biases_extremes_and_not_known_states(patterns):
     assert mean["extremes"] == pytest.approx(3.3 * sigma, rel=0.05)
     # standard error of the mean over 4320 pixels: 0.4 sigma / 66
     assert abs(mean["known"]) < 4 * 0.4 * sigma / 66
-    assert abs(mean["found"]) < 0.05 * sigma
+    assert abs(mean["estimated"]) < 0.05 * sigma
     assert errors["known"].std() < 0.45 * sigma  # least squares over 25 images: 0.40
     assert errors["known"].std() < 0.6 * errors["extremes"].std()
 
 
-def test_light_from_around_is_told_from_light_of_the_check(patterns):
+def test_known_checks_separate_light_that_spreads_from_neighbours(patterns):
     """A third of the light spreads over 0.8 checks: what counts is the middle of the checks, noise
     or none."""
-    direct, global_ = scene()
     fraction = np.array([0.5, 1, 1, 1, 0.5]) / 4  # four of five pixels
     around = np.stack(
         [
@@ -103,62 +103,51 @@ def test_light_from_around_is_told_from_light_of_the_check(patterns):
             for p in patterns
         ]
     )
-    stack = patterns * direct + around * direct / 2 + 0.5 * global_
-    contrast = np.take_along_axis(around, around.argmax(axis=0)[None], axis=0)[0] - around.min(
-        axis=0
-    )
-    expected = direct * (1 + contrast / 2)
-    parts = checkerboard(stack, patterns=patterns, check_px=5)
-    assert np.abs(parts.direct - expected).max() < 1e-5
+    stack = patterns * DIRECT + around * DIRECT / 2 + 0.5 * GLOBAL
+    expected = DIRECT * (1 + np.ptp(around, axis=0) / 2)
+
+    def direct(stack):
+        return checkerboard(stack, patterns=patterns, check_px=5).direct
+
+    assert np.abs(direct(stack) - expected).max() < 1e-5
     sigma = 0.02
-    noisy = stack + np.random.default_rng(6).normal(0, sigma, stack.shape)
-    error = checkerboard(noisy, patterns=patterns, check_px=5).direct - expected
+    noisy = stack + noise_of(6, sigma, stack)
+    error = direct(noisy) - expected
     assert abs(float(error.mean())) < 4 * sigma / np.sqrt(error.size)
     assert (checkerboard(noisy).direct - expected).mean() > sigma
-    ideal = stack_of(direct, global_, patterns)
-    assert np.abs(checkerboard(ideal, patterns=patterns, check_px=5).direct - direct).max() < 1e-6
+    assert np.abs(direct(stack_of(DIRECT, GLOBAL, patterns)) - DIRECT).max() < 1e-6
 
 
-def test_found_states_do_not_invent_direct_light(patterns):
+def test_estimated_states_hardly_bias_weak_direct_light(patterns):
     """Where noise is as strong as the direct light, they fall a little short; extremes give four
     times too much."""
-    direct, global_ = scene()
-    direct, sigma = 0.1 * direct, 0.02
-    noisy = stack_of(direct, global_, patterns) + np.random.default_rng(2).normal(
-        0, sigma, patterns.shape
-    )
-    found = checkerboard(noisy, patterns=estimate_patterns(noisy)).direct.mean() / direct.mean()
-    plain = checkerboard(noisy).direct.mean() / direct.mean()
-    assert 0.8 < found < 1.02
-    assert plain > 4
+    direct = 0.1 * DIRECT
+    noisy = stack_of(direct, GLOBAL, patterns) + noise_of(2, 0.02, patterns)
+    estimated = checkerboard(noisy, patterns=estimate_patterns(noisy)).direct.mean()
+    assert 0.8 < estimated / direct.mean() < 1.02
+    assert checkerboard(noisy).direct.mean() / direct.mean() > 4
 
 
-def test_found_states_are_the_true_ones(patterns):
-    direct, global_ = scene()
-    noisy = stack_of(direct, global_, patterns) + np.random.default_rng(3).normal(
-        0, 0.01, patterns.shape
-    )
-    states = estimate_patterns(noisy)
+def test_estimated_states_are_the_true_ones_where_decided(patterns):
+    states = estimate_patterns(stack_of(DIRECT, GLOBAL, patterns) + noise_of(3, 0.01, patterns))
     decided = states != 0.5
     assert 0.3 < decided.mean() < 0.9
     assert np.array_equal(states[decided], patterns[decided])
 
 
-def test_rims_of_checks_are_left_out():
-    """Half-lit pixels follow no model here: they must not count."""
+def test_half_lit_pixels_do_not_count():
+    """They follow no model here."""
     patterns = checkerboard_patterns(
         SIZE, 8, [(3.2 * i, 3.2 * j) for i in range(5) for j in range(5)]
     )
-    direct, global_ = scene()
-    stack = stack_of(direct, global_, patterns)
+    stack = stack_of(DIRECT, GLOBAL, patterns)
     rim = (patterns > 0.1) & (patterns < 0.9)
     assert 0.05 < rim.mean() < 0.5
     stack[rim] += np.random.default_rng(4).uniform(-0.05, 0.05, int(rim.sum()))
-    parts = checkerboard(stack, patterns=patterns)
-    assert np.abs(parts.direct - direct).max() < 1e-6
+    assert np.abs(checkerboard(stack, patterns=patterns).direct - DIRECT).max() < 1e-6
 
 
-def test_pattern_is_the_lit_share_of_a_pixel():
+def test_a_pattern_is_the_lit_fraction_of_each_pixel():
     fine = checkerboard_patterns((120, 120), 30, [(7, 11)])[0]
     coarse = checkerboard_patterns((12, 12), 3, [(0.7, 1.1)])[0]
     assert np.allclose(fine.reshape(12, 10, 12, 10).mean(axis=(1, 3)), coarse, atol=1e-6)
@@ -166,15 +155,14 @@ def test_pattern_is_the_lit_share_of_a_pixel():
     assert fine[6, 11] == 0.0
 
 
-def test_outside_the_mask_nothing_is_said(patterns):
-    direct, global_ = scene()
-    stack = stack_of(direct, global_, patterns)
+def test_light_outside_the_mask_is_undefined(patterns):
+    stack = stack_of(DIRECT, GLOBAL, patterns)
     mask = np.zeros(SIZE, dtype=bool)
     mask[10:30, 20:50] = True
     stack[:, ~mask] = 0.5  # never changes
-    parts = checkerboard(stack, mask=mask)
-    assert np.isnan(parts.direct[~mask]).all()
-    assert np.abs(parts.direct - direct)[mask].max() < 1e-6
+    direct = checkerboard(stack, mask=mask).direct
+    assert np.isnan(direct[~mask]).all()
+    assert np.abs(direct - DIRECT)[mask].max() < 1e-6
 
 
 def refused(words, *arguments, **keywords):
@@ -187,8 +175,8 @@ def refused(words, *arguments, **keywords):
 
 
 def test_inconsistent_stacks_are_refused(patterns):
-    stack = stack_of(*scene(), patterns)
-    noise = np.random.default_rng(5).normal(0, 0.01, stack.shape)
+    stack = stack_of(DIRECT, GLOBAL, patterns)
+    noise = noise_of(5, 0.01, patterns)
     refused("image 24 shows pattern", (stack + noise)[[*range(24), 11]], patterns=patterns)
     refused("out of order", stack[::-1], patterns=patterns)
     refused("does not show its pattern", stack, patterns=1 - patterns)
@@ -213,17 +201,15 @@ def test_inconsistent_stacks_are_refused(patterns):
 
 
 def test_a_region_without_pattern_is_named(patterns):
-    stack = stack_of(*scene(), patterns)
+    stack = stack_of(DIRECT, GLOBAL, patterns)
     stack[:, 40:] = 0.3
     message = refused("33.3 % of the bright pixels were never lit", stack)
     assert "row 40, column 0" in message
 
 
-def test_background_and_exact_zeros_do_no_harm(patterns):
-    """Half of the picture is black: its pixels never change, and that is not a fault of the
-    patterns."""
-    direct, global_ = scene()
-    stack = stack_of(direct, global_, patterns)
+def test_a_black_background_is_no_fault_of_the_patterns(patterns):
+    """Half of the picture, whose pixels never change."""
+    stack = stack_of(DIRECT, GLOBAL, patterns)
     stack[:, :, 36:] = 0
     parts = checkerboard(stack)
     assert np.all(parts.direct[:, 36:] == 0)

@@ -42,7 +42,10 @@ class Coarse:
         self.height = (height - height[self.grid.mask].mean() + 1.0).astype(
             np.float32
         ) * self.grid.mask
-        self.inner = self.grid.mask & (self.grid.depth_mm > 0.6)
+        # images are relative to the irradiance 140 mm away, light vectors to that at the origin
+        self.at_origin = (
+            np.mean([led.intensity for led in self.white.rig.leds]) * (140 / 149.52) ** 2
+        )
 
     @property
     def grey(self) -> BandImages:
@@ -81,7 +84,7 @@ def test_lights_at_the_surface_are_near_and_enter_by_fresnel(matt):
             assert light.entering[k, row, column] == pytest.approx(enters, abs=2e-3)
 
 
-def test_trust_ends_where_light_grazes_and_outside(matt):
+def test_trust_falls_to_zero_at_grazing_light_and_outside_the_mask(matt):
     grid = matt.grid
     slanted = np.zeros((*grid.shape, 3), dtype=np.float32)
     angles = np.linspace(0, np.pi / 2, grid.shape[1]).astype(np.float32)
@@ -103,13 +106,10 @@ def test_trust_ends_where_light_grazes_and_outside(matt):
     assert (light.trust <= 1.001).all()
 
 
-def test_along_rays_lights_stand_in_the_pixels_own_frames(matt):
-    rig, grid = matt.white.rig, matt.grid
-    apex = 140.0
-    looking = replace(grid, apex_mm=apex)
-    normals = normals_of(matt.height, grid)
+def test_lights_along_rays_are_in_the_frame_of_each_pixel(matt):
+    rig, grid, apex = matt.white.rig, matt.grid, 140.0
     height = np.full(grid.shape, 14.0, dtype=np.float32)
-    found = lighting(rig, looking, height, normals)
+    light = lighting(rig, replace(grid, apex_mm=apex), height, normals_of(matt.height, grid))
     row, column = 10, 4  # off the axis
     x, y = float(grid.x_mm[column]), float(grid.y_mm[row])
     # distance from the camera's centre at which h = D log(D / r) is 14 mm
@@ -125,7 +125,7 @@ def test_along_rays_lights_stand_in_the_pixels_own_frames(matt):
     for k, led in enumerate(rig.leds):
         towards = np.asarray(led.position_mm) - point
         expected = led.intensity * 1e4 * towards / np.linalg.norm(towards) ** 3 / scale
-        seen = found.vectors[k, :, row, column]
+        seen = light.vectors[k, :, row, column]
         np.testing.assert_allclose(np.linalg.norm(seen), np.linalg.norm(expected), rtol=1e-4)
         # z is towards the camera
         np.testing.assert_allclose(seen[2], -np.dot(ray, expected), rtol=1e-4)
@@ -136,48 +136,43 @@ def test_integrated_slopes_give_the_height_with_mean_zero(matt):
     x, y = np.meshgrid(grid.x_mm, grid.y_mm)
     height = 0.1 * x - 0.03 * y * y + 0.02 * x * y
     slopes = (0.1 + 0.02 * y, -0.06 * y + 0.02 * x)
-    found = integrate(
+    integrated = integrate(
         *(s.astype(np.float32) for s in slopes), grid, np.ones(grid.shape, np.float32)
     )
     np.testing.assert_allclose(
-        found[grid.mask], (height - height[grid.mask].mean())[grid.mask], atol=2e-3
+        integrated[grid.mask], (height - height[grid.mask].mean())[grid.mask], atol=2e-3
     )
-    assert found[grid.mask].mean() == pytest.approx(0, abs=1e-4)
-    assert not found[~grid.mask].any()
+    assert integrated[grid.mask].mean() == pytest.approx(0, abs=1e-4)
+    assert not integrated[~grid.mask].any()
 
 
-def test_brightness_is_the_albedo(matt):
+def test_brightness_follows_the_albedo(matt):
     step = matt.compare((matt.white, matt.nir))
     assert set(step.brightness) == {*COLOURS, "nir"}
     for name in ("green", "blue"):
         assert step.brightness[name] / step.brightness["red"] == pytest.approx(
             ALBEDO[name] / ALBEDO["red"], rel=0.01
         )
-    # images are relative to the irradiance 140 mm away, light vectors to that at the origin
-    origin = np.mean([led.intensity for led in matt.white.rig.leds]) * (140 / 149.52) ** 2
-    assert step.brightness["red"] == pytest.approx(ALBEDO["red"] * origin, rel=0.02)
+    assert step.brightness["red"] == pytest.approx(ALBEDO["red"] * matt.at_origin, rel=0.02)
 
 
 @pytest.mark.parametrize("bands", ["white", "nir", "grey", "white and nir"])
-def test_glare_is_found_on_a_smooth_dome(glossy, bands):
+def test_specular_reflection_of_a_smooth_dome_is_estimated(glossy, bands):
     chosen = {
         "white": (glossy.white,),
         "nir": (glossy.nir,),
         "grey": (glossy.grey,),
         "white and nir": (glossy.white, glossy.nir),
     }[bands]
-    step = glossy.compare(chosen)
-    origin = np.mean([led.intensity for led in glossy.white.rig.leds]) * (140 / 149.52) ** 2
+    step, first = glossy.compare(chosen), chosen[0].channels[0]
     assert set(step.glare) == {band.channels[-1] for band in chosen}
     for roughness, strength in step.glare.values():
         assert roughness == 0.30
-        assert strength == pytest.approx(GLARE * np.pi * origin, rel=0.1)
-    assert step.brightness[chosen[0].channels[0]] == pytest.approx(
-        ALBEDO[chosen[0].channels[0]] * origin, rel=0.02
-    )
+        assert strength == pytest.approx(GLARE * np.pi * glossy.at_origin, rel=0.1)
+    assert step.brightness[first] == pytest.approx(ALBEDO[first] * glossy.at_origin, rel=0.02)
 
 
-def test_matt_skin_has_little_glare(matt, glossy):
+def test_matt_skin_has_little_specular_reflection(matt, glossy):
     for bands in ((matt.white,), (matt.nir,)):
         (_, strength), *_ = matt.compare(bands).glare.values()
         assert strength < 0.4
@@ -187,6 +182,6 @@ def test_matt_skin_has_little_glare(matt, glossy):
     )
 
 
-def test_ring_of_the_scene_is_not_symmetrical():
+def test_the_scene_has_unequal_leds():
     # or a mix-up of lights would pass
     assert len({led.intensity for led in ring("white").leds}) > 1

@@ -1,7 +1,5 @@
 """Telling relief from glare by colour: limits of the weights, spectra of known fields."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 
@@ -12,33 +10,30 @@ OMEGA = np.linspace(0, 40, 60)
 TRANSFER = np.stack([1 / (1 + OMEGA / s) for s in (2.0, 4.0, 8.0)])
 GLARE = np.array([1.0, 1.5, 2.0])
 ONES = np.ones(OMEGA.size)
+NOISE = np.array([0.01, 0.02, 0.015])
 
 
-def test_weights_are_blind_to_strong_glare():
-    weights = unmixing_weights(TRANSFER, GLARE, ONES, 1e6 * ONES, np.full(3, 1e-3))
-    through = np.abs(GLARE @ weights)
-    assert through.max() < 1e-3
-    assert (
-        np.abs(GLARE @ unmixing_weights(TRANSFER, GLARE, ONES, 0 * ONES, np.full(3, 1e-3))).max()
-        > 0.5
-    )
+def weights_of(signal, glare_power, noise=1e-3):
+    """Weights of three channels with the same noise power, for these powers at every frequency."""
+    return unmixing_weights(TRANSFER, GLARE, signal * ONES, glare_power * ONES, np.full(3, noise))
+
+
+def test_weights_cancel_strong_specular_reflection():
+    assert np.abs(GLARE @ weights_of(1, 1e6)).max() < 1e-3
+    assert np.abs(GLARE @ weights_of(1, 0)).max() > 0.5
 
 
 def test_strong_relief_is_passed_without_bias():
-    weights = unmixing_weights(TRANSFER, GLARE, 1e6 * ONES, 10 * ONES, np.full(3, 1e-3))
-    np.testing.assert_allclose((weights * TRANSFER).sum(axis=0), 1.0, atol=1e-4)
+    np.testing.assert_allclose((weights_of(1e6, 10) * TRANSFER).sum(axis=0), 1.0, atol=1e-4)
 
 
-def test_relief_is_shrunk_never_amplified():
-    gain = (unmixing_weights(TRANSFER, GLARE, ONES, 0.1 * ONES, np.full(3, 0.05)) * TRANSFER).sum(
-        axis=0
-    )
-    assert (gain > 0).all()
-    assert (gain < 1).all()
+def test_noise_shrinks_relief_and_never_amplifies_it():
+    gain = (weights_of(1, 0.1, 0.05) * TRANSFER).sum(axis=0)
+    assert gain.min() > 0 and gain.max() < 1
     assert gain[-1] < gain[1]
 
 
-def test_one_channel_is_the_inverse_of_the_blur():
+def test_weights_of_one_channel_are_a_wiener_filter():
     signal, noise = 1 / (1 + OMEGA), 0.01
     m = TRANSFER[:1]
     weights = unmixing_weights(m, np.ones(1), signal, 0 * ONES, np.array([noise]))
@@ -100,7 +95,7 @@ def test_white_noise_has_its_variance_in_every_band_and_channel():
 
 
 @pytest.mark.parametrize("turn_deg", [0.0, 35.0, 120.0])
-def test_a_wave_has_all_its_power_along_its_vector_at_its_frequency(turn_deg):
+def test_the_power_of_a_wave_is_along_its_vector_at_its_frequency(turn_deg):
     y, x = np.mgrid[: SHAPE[0], : SHAPE[1]] * PITCH
     wave = 18.0
     ux, uy = np.cos(np.deg2rad(turn_deg)), np.sin(np.deg2rad(turn_deg))
@@ -115,7 +110,8 @@ def test_a_wave_has_all_its_power_along_its_vector_at_its_frequency(turn_deg):
     np.testing.assert_allclose(along[peak, 1, 1], 4 * along[peak, 0, 0], rtol=1e-4)
 
 
-def synthetic(signal, glare_power, correlation, noise):
+def synthetic(signal, glare_power, correlation=0.0):
+    """Transfer of three channels, and spectra along and across the slope, with the power NOISE."""
     centres = np.geomspace(5, 60, 20)
     m = np.stack([1 / (1 + centres / s) for s in (4.0, 8.0, 16.0)])
     mixed = m.T[:, :, None] * GLARE + GLARE[:, None] * m.T[:, None, :]
@@ -123,48 +119,44 @@ def synthetic(signal, glare_power, correlation, noise):
         signal * m.T[:, :, None] * m.T[:, None, :]
         + glare_power * np.multiply.outer(GLARE, GLARE)
         + correlation * mixed
-        + np.diag(noise)
+        + np.diag(NOISE)
     )
-    return m, along, np.tile(noise, (20, 1))
+    return m, along, np.tile(NOISE, (20, 1))
 
 
 @pytest.mark.parametrize("correlation", [0.0, 0.15, -0.1])
 def test_fit_recovers_relief_glare_and_noise(correlation):
-    noise = np.array([0.01, 0.02, 0.015])
-    m, along, across = synthetic(0.5, 0.1, correlation, noise)
-    signal, glare, found = fit_spectra(along, across, m, GLARE)
+    m, along, across = synthetic(0.5, 0.1, correlation)
+    signal, glare, fitted_noise = fit_spectra(along, across, m, GLARE)
     np.testing.assert_allclose(signal, 0.5, rtol=1e-6)
     np.testing.assert_allclose(glare, 0.1, rtol=1e-6)
-    np.testing.assert_allclose(found, noise)
+    np.testing.assert_allclose(fitted_noise, NOISE)
 
 
-def test_fit_of_two_channels_splits_what_is_not_correlated():
-    noise = np.array([0.01, 0.02, 0.015])
-    m, along, across = synthetic(0.5, 0.1, 0.0, noise)
+def test_two_channels_separate_relief_from_uncorrelated_specular_reflection():
+    m, along, across = synthetic(0.5, 0.1)
     signal, glare, _ = fit_spectra(along[:, :2, :2], across[:, :2], m[:2], GLARE[:2])
     np.testing.assert_allclose(signal, 0.5, rtol=1e-6)
     np.testing.assert_allclose(glare, 0.1, rtol=1e-6)
 
 
-def test_one_channel_is_all_relief():
-    noise = np.array([0.01, 0.02, 0.015])
-    m, along, across = synthetic(0.5, 0.0, 0.0, noise)
+def test_the_power_of_one_channel_is_all_relief():
+    m, along, across = synthetic(0.5, 0.0)
     signal, glare, _ = fit_spectra(along[:, :1, :1], across[:, :1], m[:1], GLARE[:1])
     np.testing.assert_allclose(signal, 0.5, rtol=1e-6)
     assert not glare.any()
 
 
-def test_powers_are_never_negative():
-    noise = np.array([0.01, 0.02, 0.015])
-    m, along, across = synthetic(-0.005, -0.0005, 0.0, noise)
+def test_fitted_powers_are_never_negative():
+    m, along, across = synthetic(-0.005, -0.0005)
     signal, glare, noise = fit_spectra(along, across, m, GLARE)
     assert (signal >= 0).all()
     assert (glare >= 0).all()
     assert (noise > 0).all()
 
 
-def test_what_is_not_finite_is_refused_before_it_is_solved_for(capfd):
-    m, along, across = synthetic(0.005, 0.0005, 0.0, np.array([0.01, 0.02, 0.015]))
+def test_spectra_with_nan_are_refused(capfd):
+    m, along, across = synthetic(0.005, 0.0005)
     along[3] = np.nan
     with pytest.raises(BadInput, match="check the images"):
         fit_spectra(along, across, m, GLARE)

@@ -1,8 +1,6 @@
 """The transfer function of scattering: the measured figures, limits, order, and random walks with
 another seed."""
 
-from __future__ import annotations
-
 import importlib.util
 from pathlib import Path
 
@@ -16,6 +14,11 @@ RIDGES = 2 * np.pi * 75.7 / 33  # rad/mm of one cycle in 33 px at 75.7 px/mm
 MAKER = Path(__file__).resolve().parents[4] / "validation" / "diffusion" / "make_table.py"
 
 
+def of_channel(channel):
+    skin = SkinSettings()
+    return diffusion(skin.scattering(channel), skin.absorption(channel))
+
+
 def maker():
     spec = importlib.util.spec_from_file_location("make_table", MAKER)
     module = importlib.util.module_from_spec(spec)
@@ -24,11 +27,8 @@ def maker():
 
 
 @pytest.mark.parametrize(("channel", "gain"), [("red", 0.08), ("green", 0.15), ("blue", 0.22)])
-def test_ridges_of_33_pixels_keep_what_was_measured(channel, gain):
-    skin = SkinSettings()
-    assert diffusion(skin.scattering(channel), skin.absorption(channel))(RIDGES) == pytest.approx(
-        gain, abs=0.01
-    )
+def test_the_gain_at_the_ridges_is_the_measured_one(channel, gain):
+    assert of_channel(channel)(RIDGES) == pytest.approx(gain, abs=0.01)
 
 
 def test_gain_is_one_at_zero_and_falls_with_the_frequency():
@@ -50,7 +50,7 @@ def test_more_scattering_or_absorption_blurs_less():
     assert (np.diff(absorb, axis=0) > 0).all()
 
 
-def test_only_the_ratio_of_frequency_to_coefficients_counts():
+def test_the_gain_depends_on_the_ratio_of_frequency_to_coefficients():
     omega = np.array([0.5, 3.0, 14.4])
     np.testing.assert_allclose(
         diffusion(8.0, 0.4)(2 * omega), diffusion(4.0, 0.2)(omega), rtol=1e-12
@@ -64,7 +64,7 @@ def test_albedo_lies_between_zero_and_one_and_falls_with_absorption():
     assert 0.85 < albedo[0] < 1
 
 
-def test_gain_takes_any_shape():
+def test_the_gain_takes_frequencies_of_any_shape():
     omega = np.linspace(0, 40, 12).reshape(3, 2, 2)
     skin = diffusion(4.0, 0.2)
     np.testing.assert_array_equal(
@@ -72,12 +72,12 @@ def test_gain_takes_any_shape():
     )
 
 
-def test_table_agrees_with_walks_of_another_seed():
+def test_the_table_agrees_with_random_walks_of_another_seed():
     module = maker()
     count = 20_000
     walked = module.table(count, 400, seed=3)
     x = module.FREQUENCIES
-    near = (x > 0.1) & (x < 0.99 * module.TAIL)
+    near = (x > 0.1) & (x < 0.99 * module.TAIL_FREQUENCY)
     # beyond, 400 scatterings cut the walks too short
     for row, albedo in enumerate(module.ALBEDOS[:-3]):
         # sigma_t' of 1, so that x is the frequency; both tables' errors, the weights of walks being
@@ -88,7 +88,7 @@ def test_table_agrees_with_walks_of_another_seed():
     assert walked[3, near].max() / walked[3, near].min() > 5  # there was something to agree on
 
 
-def test_between_the_albedos_of_the_table_walks_agree_too():
+def test_random_walks_agree_between_the_albedos_of_the_table():
     module = maker()
     radii, orders = module.walks(20_000, 400, seed=5)
     for albedo in (0.55, 0.88, 0.957, 0.97):
@@ -100,25 +100,22 @@ def test_between_the_albedos_of_the_table_walks_agree_too():
         )
 
 
-def test_settings_scale_all_channels_and_refuse_nonsense():
+def test_the_scattering_factor_scales_all_channels_and_is_positive():
     plain, doubled = SkinSettings(), SkinSettings(scattering_factor=2.0)
     for channel in ("red", "green", "blue", "nir"):
         assert doubled.scattering(channel) == 2 * plain.scattering(channel)
         assert doubled.absorption(channel) == plain.absorption(channel)
     # Jacques: 4.6 (wavelength / 500 nm)^-1.42 per mm at the channel's wavelength
     assert plain.scattering("nir") == pytest.approx(4.6 * (850 / 500) ** -1.42, rel=0.01)
-    for wrong in ({"scattering_factor": -1.0},):
-        with pytest.raises(BadInput, match="skin"):
-            SkinSettings(**wrong)
+    with pytest.raises(BadInput, match="skin"):
+        SkinSettings(scattering_factor=-1.0)
 
 
-def test_absorption_follows_the_colour_of_the_finger() -> None:
+def test_absorption_follows_the_colour_of_the_finger():
     skin = SkinSettings()
-    red = diffusion(skin.scattering("red"), skin.absorption("red")).albedo
-    usual = {
-        c: diffusion(skin.scattering(c), skin.absorption(c)).albedo / red for c in ("green", "blue")
-    }
-    for channel, ratio in usual.items():  # by a power of 0.6
+    red = of_channel("red").albedo
+    for channel in ("green", "blue"):  # by a power of 0.6
+        ratio = of_channel(channel).albedo / red
         assert skin.absorption(channel, ratio) == pytest.approx(skin.absorption(channel), rel=0.03)
         redder = skin.absorption(channel, 0.8 * ratio)
         assert diffusion(skin.scattering(channel), redder).albedo / red == pytest.approx(

@@ -1,8 +1,6 @@
 """What the networks see: exposure, pigment and the image's orientation drop out, slopes and glare
 do not."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np
@@ -64,7 +62,7 @@ def rms(fields, where):
     return np.sqrt((fields[:, where] ** 2).mean(axis=1))
 
 
-def test_ridges_are_seen_as_slopes_and_brightest_in_blue(matt):
+def test_slopes_of_ridges_are_features_and_strongest_in_blue(matt):
     fields = fields_of(matt)
     assert fields.shape == (COUNT, *matt.grid.shape)
     assert fields.dtype == np.float32
@@ -76,13 +74,13 @@ def test_ridges_are_seen_as_slopes_and_brightest_in_blue(matt):
     assert np.corrcoef(fields[7][matt.inner], true[matt.inner])[0, 1] > 0.97
 
 
-def test_glare_is_what_no_matt_surface_explains(scene, matt):
+def test_specular_reflection_raises_the_azimuth_waves(scene, matt):
     glossy, dull = (rms(fields_of(s), s.inner)[WAVES].mean() for s in (scene, matt))
     assert glossy > 4 * dull
     assert fields_of(scene)[31][scene.inner].mean() > fields_of(matt)[31][scene.inner].mean() + 0.3
 
 
-def test_exposure_changes_nothing_and_pigment_only_the_tint(scene):
+def test_exposure_changes_no_feature_and_pigment_the_tint_alone(scene):
     plain = fields_of(scene)
     np.testing.assert_allclose(fields_of(scene, scene.white.stack * 3.0), plain, atol=2e-4)
     browner = scene.white.stack * np.array([1.0, 0.8, 0.5], np.float32)[:, None, None, None]
@@ -115,7 +113,7 @@ def test_a_mirrored_finger_has_mirrored_features(scene):
     np.testing.assert_allclose(mirrored[:, inner], expected[:, inner], atol=0.02)
 
 
-def test_waves_are_those_of_the_azimuth(scene):
+def test_azimuth_waves_are_sines_and_cosines_of_the_azimuth(scene):
     waves = azimuth_waves(scene.white.rig, 3)
     azimuth = 2 * np.pi * np.arange(7) / 7
     assert waves.shape == (7, 7)
@@ -142,7 +140,7 @@ def test_networks_need_colour_lights_all_around_and_fine_pixels(scene):
     )
 
 
-def test_the_relief_is_what_the_network_draws(scene):
+def test_the_relief_is_the_network_output_without_its_offset(scene):
     grid, true = scene.grid, scene.relief_mm.astype(np.float32)
     seen = []
 
@@ -154,14 +152,14 @@ def test_the_relief_is_what_the_network_draws(scene):
         return drawn
 
     light = light_on(scene)
-    found = relief_by_network(
+    drawn_relief = relief_by_network(
         features(scene.white, grid, placed(scene), light), grid, placed(scene), network
     )
     np.testing.assert_array_equal(seen[0], fields_of(scene))
     inner = scene.inner
-    np.testing.assert_allclose(found.relief_mm[inner], true[inner], atol=0.003)
-    assert not found.relief_mm[~grid.mask].any()
-    stated = found.deviation_mm / (0.5 * RELIEF_MM)
+    np.testing.assert_allclose(drawn_relief.relief_mm[inner], true[inner], atol=0.003)
+    assert not drawn_relief.relief_mm[~grid.mask].any()
+    stated = drawn_relief.deviation_mm / (0.5 * RELIEF_MM)
     slant = slant_of(placed(scene), grid.pitch_mm)
     np.testing.assert_allclose(
         stated[inner], np.interp(slant[inner], SLANT_DEG, SLANT_ERROR), rtol=0.01

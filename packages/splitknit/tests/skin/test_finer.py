@@ -13,7 +13,7 @@ from splitknit.skin.images import coarser, finer_grid, finer_images
 
 
 @pytest.mark.parametrize("model", ["orthographic", "perspective"])
-def test_the_finer_grid_is_that_of_a_camera_with_pixels_half_as_large(model: str) -> None:
+def test_the_finer_grid_equals_that_of_a_camera_with_half_the_pitch(model):
     def grid(px_per_mm: float, shape: tuple[int, int]) -> Grid:
         matrix = None
         if model == "perspective":
@@ -27,13 +27,13 @@ def test_the_finer_grid_is_that_of_a_camera_with_pixels_half_as_large(model: str
             np.ones(shape, bool), view.x_mm, view.y_mm, 1 / px_per_mm, (False,) * 4, view.apex_mm
         )
 
-    found, expected = finer_grid(grid(10.0, (12, 17))), grid(20.0, (24, 34))
-    assert found.pitch_mm == expected.pitch_mm and found.shape == expected.shape
-    np.testing.assert_allclose(found.x_mm, expected.x_mm, atol=1e-6)
-    np.testing.assert_allclose(found.y_mm, expected.y_mm, atol=1e-6)
+    finer, expected = finer_grid(grid(10.0, (12, 17))), grid(20.0, (24, 34))
+    assert finer.pitch_mm == expected.pitch_mm and finer.shape == expected.shape
+    np.testing.assert_allclose(finer.x_mm, expected.x_mm, atol=1e-6)
+    np.testing.assert_allclose(finer.y_mm, expected.y_mm, atol=1e-6)
 
 
-def test_images_lie_where_they_lay() -> None:
+def test_finer_images_keep_their_places():
     rows, columns = np.mgrid[:20, :30].astype(np.float32)
     stack = np.stack([3 * rows + columns, 50 - columns])[None].repeat(3, axis=0)
     fine = finer_images(BandImages(("red", "green", "blue"), stack, default_rig()))

@@ -1,7 +1,5 @@
 """Glare of a rough dielectric: the textbook's limits, and finding it in images."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 
@@ -43,7 +41,7 @@ def test_transmission_follows_fresnel():
     assert float(fresnel_transmission(0.3, index=1.0)) == pytest.approx(1.0, abs=1e-6)
 
 
-def test_lobe_at_normal_incidence_is_the_formula():
+def test_the_lobe_at_normal_incidence_follows_the_formula():
     for roughness in (0.1, 0.3, 0.5):
         glare = MicrofacetGlare(flat([[0, 0, 1]]), lights_at((0, 0, 1), pixels=1))(roughness)
         assert float(glare[0, 0, 0]) == pytest.approx(
@@ -71,7 +69,7 @@ def test_roughness_widens_the_lobe():
 
 
 @pytest.mark.parametrize("roughness", [0.05, 0.15, 0.4])
-def test_energy_is_that_of_the_facets_that_mirror_the_sky(roughness):
+def test_the_lobe_reflects_the_energy_of_its_facets(roughness):
     # of the sky's light, facets up to 45 deg, 1 / (1 + alpha^2) of all, send the reflectance
     # towards the camera; a little is shadowed
     t = (np.arange(2000) + 0.5) / 2000 * np.pi / 2
@@ -83,7 +81,7 @@ def test_energy_is_that_of_the_facets_that_mirror_the_sky(roughness):
     assert 0.92 < albedo / NORMAL_REFLECTANCE * (1 + roughness**2) < 1.02
 
 
-def test_glare_of_any_facet_is_the_textbooks():
+def test_the_lobe_of_any_facet_follows_cook_and_torrance():
     """Cook and Torrance with GGX and Smith's shadowing, written out in double precision."""
     rng = np.random.default_rng(4)
     tilts, around = rng.uniform(0, 70, 40), rng.uniform(0, 360, 40)
@@ -102,13 +100,13 @@ def test_glare_of_any_facet_is_the_textbooks():
             * (1 + ((lh * (g + lh) - 1) / (lh * (g - lh) + 1)) ** 2)
         )  # Walter et al., eq. 22
         expected = facets * unshadowed[0] * unshadowed[1] * reflectance / (4 * nv)
-        found = MicrofacetGlare(flat(normal), lights_at(light, pixels=40))(roughness)[0, 0]
+        glare = MicrofacetGlare(flat(normal), lights_at(light, pixels=40))(roughness)[0, 0]
         lit = nl > 0.05
-        np.testing.assert_allclose(found[lit], expected[lit], rtol=1e-3)
+        np.testing.assert_allclose(glare[lit], expected[lit], rtol=1e-3)
         assert lit.sum() > 20
 
 
-def test_light_from_behind_gives_no_glare():
+def test_light_from_behind_gives_no_specular_reflection():
     normals = flat([[0, 0, 1], direction(60.0, 180.0)])
     glare = MicrofacetGlare(normals, lights_at((0.1, 0, -0.5), (1, 0, 0.2), pixels=2))(0.3)
     assert glare[0, 0, 0] == 0
@@ -116,7 +114,7 @@ def test_light_from_behind_gives_no_glare():
     assert glare[1, 0, 0] > 0
 
 
-def test_glare_is_linear_in_the_light():
+def test_specular_reflection_is_linear_in_the_light():
     normals = flat(direction(np.arange(0, 60, 5.0), 40.0))
     light = lights_at(direction(20.0), direction(50.0, 90.0), pixels=12)
     weak, strong = (MicrofacetGlare(normals, light * np.float32(s))(0.25) for s in (1.0, 7.0))
@@ -125,7 +123,8 @@ def test_glare_is_linear_in_the_light():
 
 
 def cap():
-    """Normals (n, 3) of a cap of 35 deg and seven lights (7, 3, n) of different strength."""
+    """Of a cap of 35 deg: seven lights (7, 3, n) of different strength, its matt shading (7, n), and
+    its specular reflection."""
     x, y = np.meshgrid(np.linspace(-0.55, 0.55, 41), np.linspace(-0.55, 0.55, 41))
     inside = np.hypot(x, y) < 0.55
     x, y = x[inside], y[inside]
@@ -134,50 +133,35 @@ def cap():
         direction(np.full(7, 22.0), np.arange(7) * 360 / 7) * (1 + 0.1 * np.arange(7))[:, None]
     )
     lights = np.repeat(towards[:, :, None].astype(np.float32), len(x), axis=2)
-    return normals, lights
-
-
-def model_of(normals, lights):
-    return MicrofacetGlare(normals, lights)
+    return lights, np.einsum("lin,ni->ln", lights, normals), MicrofacetGlare(normals, lights)
 
 
 @pytest.mark.parametrize("roughness", [0.20, 0.30])
-def test_fit_finds_roughness_and_strength_whatever_the_albedo(roughness):
-    normals, lights = cap()
-    model = model_of(normals, lights)
-    albedo = 0.3 + 0.5 * np.random.default_rng(0).random(len(normals)).astype(np.float32)
-    matt = albedo * np.einsum("lin,ni->ln", lights, normals)
+def test_fit_recovers_roughness_and_strength_for_any_albedo(roughness):
+    lights, matt, model = cap()
+    albedo = 0.3 + 0.5 * np.random.default_rng(0).random(matt.shape[1]).astype(np.float32)
     assert matt.min() > 0
-    fit = fit_glare(matt + np.float32(1.7) * model(roughness), lights, model)
+    fit = fit_glare(albedo * matt + np.float32(1.7) * model(roughness), lights, model)
     assert fit.roughness == roughness
     assert fit.strength == pytest.approx(1.7, rel=1e-3)
     assert fit.explained == pytest.approx(1.0, abs=1e-3)
 
 
-def test_fit_finds_no_glare_on_a_matt_surface():
-    normals, lights = cap()
-    matt = np.einsum("lin,ni->ln", lights, normals)
-    fit = fit_glare(matt, lights, model_of(normals, lights))
-    assert abs(fit.strength) < 1e-4
-    noisy = fit_glare(
-        (matt + np.random.default_rng(1).normal(0, 1e-3, matt.shape)).astype(np.float32),
-        lights,
-        model_of(normals, lights),
-    )
+def test_fit_gives_no_strength_on_a_matt_surface():
+    lights, matt, model = cap()
+    assert abs(fit_glare(matt, lights, model).strength) < 1e-4
+    noise = np.random.default_rng(1).normal(0, 1e-3, matt.shape)
+    noisy = fit_glare((matt + noise).astype(np.float32), lights, model)
     assert 0 <= noisy.strength < 0.01
     assert noisy.explained < 0.01
 
 
-def test_fit_is_never_negative():
-    normals, lights = cap()
-    model = model_of(normals, lights)
-    matt = np.einsum("lin,ni->ln", lights, normals)
+def test_the_fitted_strength_is_never_negative():
+    lights, matt, model = cap()
     assert fit_glare(matt - model(0.3), lights, model).strength == 0.0
 
 
 def test_fit_needs_four_lights_and_a_pixel():
-    normals, lights = cap()
-    stack = np.ones((7, len(normals)), dtype=np.float32)
-    model = model_of(normals, lights)
-    assert fit_glare(stack[:3], lights[:3], model).strength == 0.0
-    assert fit_glare(stack[:, :0], lights[:, :, :0], model).strength == 0.0
+    lights, matt, model = cap()
+    assert fit_glare(matt[:3], lights[:3], model).strength == 0.0
+    assert fit_glare(matt[:, :0], lights[:, :, :0], model).strength == 0.0

@@ -1,7 +1,5 @@
 """The grids: Fourier transforms with margins, means inside a region, coarse and fine."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 
@@ -26,7 +24,7 @@ def noise(shape, seed=0):
 
 
 @pytest.mark.parametrize("extend", [False, True])
-def test_there_and_back(extend):
+def test_the_inverse_transform_restores_the_field(extend):
     grid = full(cut=(True, False, True, True))
     field = noise((2, 3, 50, 63))
     back = grid.inverse(grid.forward(field, extend))
@@ -49,7 +47,7 @@ def test_frequencies_differentiate_with_y_up(turn_deg):
 
 
 @pytest.mark.parametrize("side", range(4))
-def test_a_cut_side_goes_on_and_the_others_end(side):
+def test_a_field_continues_beyond_a_cut_side_only(side):
     """A blur at the middle of each side: as if the finger went on there, and half dark
     elsewhere."""
     grid = full(cut=tuple(k == side for k in range(4)))
@@ -66,7 +64,7 @@ def test_a_cut_side_goes_on_and_the_others_end(side):
     )
 
 
-def test_nothing_wraps_around():
+def test_a_blur_does_not_wrap_around():
     grid = full()
     field = np.zeros(grid.shape, dtype=np.float32)
     field[:, 0] = field[0] = 1.0
@@ -83,22 +81,22 @@ def test_radial_gain_is_sampled_at_the_length_of_the_frequency():
 
 
 @pytest.mark.parametrize("sigma_mm", [0.2, 0.9])  # at full size, and on a reduced copy
-def test_mean_ignores_what_lies_outside(sigma_mm):
+def test_the_mean_ignores_values_outside_the_mask(sigma_mm):
     mask = np.zeros((80, 90), dtype=np.bool_)
     mask[15:70, 20:81] = True
     grid = grid_of(mask)
     field = np.where(mask, np.float32(3.0), np.float32(np.nan))
     mean = grid.smooth(field, mask, sigma_mm)
     np.testing.assert_allclose(mean[mask], 3.0, rtol=1e-4)
-    other = np.where(mask, noise(mask.shape), np.float32(1e6))
+    spoilt = np.where(mask, noise(mask.shape), np.float32(1e6))
     np.testing.assert_array_equal(
-        grid.smooth(other, mask, sigma_mm)[mask],
-        grid.smooth(np.where(mask, other, 0), mask, sigma_mm)[mask],
+        grid.smooth(spoilt, mask, sigma_mm)[mask],
+        grid.smooth(np.where(mask, spoilt, 0), mask, sigma_mm)[mask],
     )
 
 
 @pytest.mark.parametrize("sigma_mm", [0.2, 0.9])
-def test_mean_has_the_width_that_is_asked_for(sigma_mm):
+def test_the_mean_has_the_stated_sigma(sigma_mm):
     grid = full((120, 130))
     x, _ = np.meshgrid(grid.x_mm, grid.y_mm)
     wave = np.cos(x / sigma_mm).astype(np.float32)
@@ -117,7 +115,7 @@ def test_depth_is_the_distance_from_the_outline():
     assert not depth[~mask].any()
 
 
-def test_coarse_blocks_belong_wholly_to_the_mask():
+def test_coarse_blocks_lie_wholly_inside_the_mask():
     mask = np.zeros((62, 71), dtype=np.bool_)
     mask[3:50, 4:60] = True
     mask[55:57, 65:67] = True  # a speck
@@ -134,7 +132,7 @@ def test_coarse_blocks_belong_wholly_to_the_mask():
     np.testing.assert_allclose(low.y_mm[:2], [grid.y_mm[:4].mean(), grid.y_mm[4:8].mean()])
 
 
-def test_only_the_largest_part_stays():
+def test_the_coarse_mask_keeps_the_largest_part_only():
     mask = np.zeros((64, 64), dtype=np.bool_)
     mask[2:18, 2:18] = True
     mask[28:60, 20:60] = True
@@ -143,7 +141,7 @@ def test_only_the_largest_part_stays():
     assert low.mask[7:15].any()
 
 
-def test_refined_field_meets_the_smooth_one_and_goes_on_outside():
+def test_a_refined_field_interpolates_inside_and_continues_outside():
     factor = 4
     rows, columns = np.mgrid[:20, :24]
     mask = np.hypot(rows - 10, columns - 12) < 8
@@ -158,6 +156,6 @@ def test_refined_field_meets_the_smooth_one_and_goes_on_outside():
     assert large.max() <= field[mask].max() + 0.1
 
 
-def test_smooth_step():
+def test_the_smooth_step_is_cubic_and_clamped():
     step = smooth_step(np.array([-1, 0, 0.25, 0.5, 1, 2], dtype=np.float32))
     np.testing.assert_allclose(step, [0, 0, 0.15625, 0.5, 1, 1])

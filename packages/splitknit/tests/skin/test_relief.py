@@ -1,7 +1,5 @@
 """The fine grid: what a measurement has beyond a surface, unmixed, integrated and denoised."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 
@@ -39,6 +37,8 @@ def disc():
 
 
 GRID = disc()
+ZERO = np.zeros(SHAPE)
+FLAT = np.zeros(SHAPE, np.float32)
 X, Y = np.meshgrid(GRID.x_mm, GRID.y_mm)
 INNER = GRID.depth_mm > 1.2
 DOME = (1.0 - 0.06 * X**2 - 0.03 * Y**2).astype(np.float32)
@@ -63,8 +63,8 @@ def blurred(field, name):
     return spread[: SHAPE[0], : SHAPE[1]]
 
 
-def gain_of(found, true):
-    return float((found * true).sum() / (true * true).sum())
+def gain_of(estimated, true):
+    return float((estimated * true).sum() / (true * true).sum())
 
 
 def measured_of(slope_x, slope_y, albedo=1.0, glare=0.0, names=COLOURS):
@@ -120,27 +120,27 @@ def test_measure_gives_albedo_times_normal():
         )
     light = lights(entering, np.ones_like(entering))
     brightness = dict(zip(COLOURS, BRIGHTNESS.tolist(), strict=True))
-    found = measure(BandImages(COLOURS, stack, rig), GRID, DOME, light, OPTICS, brightness)
-    assert found.channels == COLOURS
+    measured = measure(BandImages(COLOURS, stack, rig), GRID, DOME, light, OPTICS, brightness)
+    assert measured.channels == COLOURS
     mean = np.mean([led.intensity for led in rig.leds])
     for c in range(3):
         truth = np.moveaxis(normal, 0, -1) * BRIGHTNESS[c] * mean
         np.testing.assert_allclose(
-            found.pseudo_normals[c][GRID.mask], truth[GRID.mask], rtol=0.01, atol=1e-3
+            measured.pseudo_normals[c][GRID.mask], truth[GRID.mask], rtol=0.01, atol=1e-3
         )
-    np.testing.assert_array_equal(found.brightness, BRIGHTNESS)
+    np.testing.assert_array_equal(measured.brightness, BRIGHTNESS)
     wx = GRID.omega[0][0]
-    np.testing.assert_allclose(found.transfer[1, 0], OPTICS["green"](wx), atol=2e-3)
-    assert not found.trust[~GRID.mask].any()
-    assert found.trust[INNER].min() > 0.99
-    assert not found.trust[GRID.depth_mm <= 0.1].any()
+    np.testing.assert_allclose(measured.transfer[1, 0], OPTICS["green"](wx), atol=2e-3)
+    assert not measured.trust[~GRID.mask].any()
+    assert measured.trust[INNER].min() > 0.99
+    assert not measured.trust[GRID.depth_mm <= 0.1].any()
     rim = np.abs(GRID.depth_mm - 0.25) < 0.01
-    assert np.abs(found.trust[rim] - 0.5).max() < 0.06
-    assert not found.region[GRID.depth_mm < 0.5].any()
-    assert found.region[75, 85] == pytest.approx(1.0, abs=1e-3)
+    assert np.abs(measured.trust[rim] - 0.5).max() < 0.06
+    assert not measured.region[GRID.depth_mm < 0.5].any()
+    assert measured.region[75, 85] == pytest.approx(1.0, abs=1e-3)
 
 
-def test_lights_that_are_not_trusted_do_not_count():
+def test_lights_without_trust_do_not_count():
     rig = ring("white")
     stack = np.empty((1, 7, *SHAPE), dtype=np.float32)
     for k, led in enumerate(rig.leds):
@@ -151,27 +151,14 @@ def test_lights_that_are_not_trusted_do_not_count():
     trust[2] = 1e-3
     level = np.ones(SHAPE, dtype=np.float32)
     band = BandImages(("green",), stack, rig)
-    found, fooled = (
-        measure(
-            band, GRID, level, lights(np.ones_like(trust), t), OPTICS, {"green": 1.0}
-        ).pseudo_normals[0]
-        for t in (trust, np.ones_like(trust))
-    )
-    for g, straight in ((found, True), (fooled, False)):
+    for weights, straight in ((trust, True), (np.ones_like(trust), False)):
+        light = lights(np.ones_like(trust), weights)
+        g = measure(band, GRID, level, light, OPTICS, {"green": 1.0}).pseudo_normals[0]
         tilt = np.hypot(g[INNER][:, 0], g[INNER][:, 1]) / g[INNER][:, 2]
         assert (tilt.max() < 0.01) == straight
 
 
-def test_strong_ridges_are_hardly_shrunk_by_noise():
-    relief, sx, sy = ridge(0.03)
-    zero = np.zeros(SHAPE)
-    measured, slopes, glare = synthetic((sx, sy), (zero, zero), 0.03)
-    mix = unmixing(measured, GRID, slopes, glare)
-    found = update(measured, GRID, slopes, mix, np.zeros(SHAPE, np.float32))
-    assert gain_of(found[INNER], relief[INNER]) == pytest.approx(1.0, abs=0.05)
-
-
-def test_detail_of_the_shape_is_what_is_finer_than_the_crossover():
+def test_detail_is_the_shape_finer_than_the_crossover():
     measured = measured_of(*dome_slopes())
     wave = (0.02 * np.cos(2 * np.pi * X)).astype(np.float32)
     smooth = detail_of(DOME, measured.trust, GRID)
@@ -181,9 +168,8 @@ def test_detail_of_the_shape_is_what_is_finer_than_the_crossover():
     assert not detail[~GRID.mask].any()
 
 
-def test_smooth_features_are_expected_even_where_none_are_seen():
-    zero = np.zeros(SHAPE)
-    measured, slopes, glare = synthetic((zero, zero), (zero, zero), 0.0)
+def test_low_frequencies_pass_even_without_relief():
+    measured, slopes, glare = synthetic((ZERO, ZERO), (ZERO, ZERO), 0.0)
     mix = unmixing(measured, GRID, slopes, glare)
     kept = sum(w * t for w, t in zip(mix.weights, measured.transfer, strict=True))
     slow = (GRID.omega[2] > 5) & (GRID.omega[2] < 12)
@@ -195,24 +181,18 @@ def test_steep_slopes_are_not_trusted():
     rig = ring("white")
     steep = (-1.0 * np.abs(X) ** 2).astype(np.float32)  # 60 deg at 0.87 mm, 74 deg at 1.7 mm
     ones = np.ones((7, *SHAPE), dtype=np.float32)
-    found = measure(
-        BandImages(("green",), ones[None], rig),
-        GRID,
-        steep,
-        lights(ones, ones),
-        OPTICS,
-        {"green": 1.0},
-    )
+    band = BandImages(("green",), ones[None], rig)
+    measured = measure(band, GRID, steep, lights(ones, ones), OPTICS, {"green": 1.0})
     row = SHAPE[0] // 2
     slant = np.rad2deg(np.arctan(2 * np.abs(GRID.x_mm)))
-    assert (found.trust[row, slant < 59] > 0.99).all()
-    assert (found.trust[row, slant > 75] == 0).all()
-    assert (found.region[row, slant > 51] == 0).all()
+    assert (measured.trust[row, slant < 59] > 0.99).all()
+    assert (measured.trust[row, slant > 75] == 0).all()
+    assert (measured.region[row, slant > 51] == 0).all()
 
 
 def synthetic(relief_slopes, glare_slopes, noise, seed=0):
     """Slopes p_c = M_c d + g_c s + noise of every colour, and what was measured with them."""
-    measured = measured_of(np.zeros(SHAPE), np.zeros(SHAPE))
+    measured = measured_of(ZERO, ZERO)
     glare = (BRIGHTNESS[0] / BRIGHTNESS).astype(np.float32)
     rng = np.random.default_rng(seed)
     slopes = []
@@ -225,26 +205,34 @@ def synthetic(relief_slopes, glare_slopes, noise, seed=0):
     return measured, slopes, glare
 
 
-def test_unmixing_and_integration_give_the_relief():
+def ridges_in_noise(noise):
+    """Ridges of 0.03 mm, their slopes as measured, the weights, and the relief after one update."""
     relief, sx, sy = ridge(0.03)
-    zero = np.zeros(SHAPE)
-    measured, slopes, glare = synthetic((sx, sy), (zero, zero), 0.003)
+    measured, slopes, glare = synthetic((sx, sy), (ZERO, ZERO), noise)
     mix = unmixing(measured, GRID, slopes, glare)
+    return relief, measured, slopes, mix, update(measured, GRID, slopes, mix, FLAT)
+
+
+def test_noise_hardly_shrinks_strong_ridges():
+    relief, *_, updated = ridges_in_noise(0.03)
+    assert gain_of(updated[INNER], relief[INNER]) == pytest.approx(1.0, abs=0.05)
+
+
+def test_unmixing_and_integration_recover_the_relief():
+    relief, _, _, mix, updated = ridges_in_noise(0.003)
     assert len(mix.weights) == 3
-    found = update(measured, GRID, slopes, mix, np.zeros(SHAPE, np.float32))
-    assert gain_of(found[INNER], relief[INNER]) == pytest.approx(1.0, abs=0.05)
-    assert np.corrcoef(found[INNER], relief[INNER])[0, 1] > 0.97
-    assert not found[~GRID.mask].any()
+    assert gain_of(updated[INNER], relief[INNER]) == pytest.approx(1.0, abs=0.05)
+    assert np.corrcoef(updated[INNER], relief[INNER])[0, 1] > 0.97
+    assert not updated[~GRID.mask].any()
 
 
-def test_glare_does_not_become_relief():
+def test_specular_reflection_does_not_become_relief():
     relief, sx, sy = ridge(0.03)
     phase = 17.0 * (0.9 * X - 0.4 * Y)
     false = 0.3 * np.cos(phase)
     measured, slopes, glare = synthetic((sx, sy), (0.9 * false, -0.4 * false), 0.003)
-    mix = unmixing(measured, GRID, slopes, glare)
-    found = update(measured, GRID, slopes, mix, np.zeros(SHAPE, np.float32))
-    assert gain_of(found[INNER], relief[INNER]) == pytest.approx(1.0, abs=0.08)
+    updated = update(measured, GRID, slopes, unmixing(measured, GRID, slopes, glare), FLAT)
+    assert gain_of(updated[INNER], relief[INNER]) == pytest.approx(1.0, abs=0.08)
     alone = list(slopes[2:])
     blue = Measured(
         ("blue",),
@@ -254,25 +242,16 @@ def test_glare_does_not_become_relief():
         measured.trust,
         measured.region,
     )
-    fooled = update(
-        blue,
-        GRID,
-        alone,
-        unmixing(blue, GRID, alone, np.ones(1, np.float32)),
-        np.zeros(SHAPE, np.float32),
-    )
-    left, kept = ((f - relief)[INNER].std() for f in (found, fooled))
+    mix = unmixing(blue, GRID, alone, np.ones(1, np.float32))
+    fooled = update(blue, GRID, alone, mix, FLAT)
+    left, kept = ((f - relief)[INNER].std() for f in (updated, fooled))
     assert left < 0.3 * kept
 
 
-def test_repeating_settles_and_does_not_grow():
-    relief, sx, sy = ridge(0.03)
-    zero = np.zeros(SHAPE)
-    measured, slopes, glare = synthetic((sx, sy), (zero, zero), 0.01)
-    mix = unmixing(measured, GRID, slopes, glare)
+def test_repeated_updates_converge():
+    relief, measured, slopes, mix, first = ridges_in_noise(0.01)
     wx, wy, _ = GRID.omega
-    current = np.zeros(SHAPE, dtype=np.float32)
-    steps = []
+    current, steps = FLAT, []
     for _ in range(6):
         spectrum = GRID.forward(current)
         residual = [
@@ -285,33 +264,24 @@ def test_repeating_settles_and_does_not_grow():
         after = update(measured, GRID, residual, mix, current)
         steps.append(float(np.abs(after - current)[INNER].std()))
         current = after
-    first = update(measured, GRID, slopes, mix, np.zeros(SHAPE, np.float32))
     assert steps[-1] < 0.02 * steps[0]
     assert current[INNER].std() == pytest.approx(first[INNER].std(), rel=0.05)
     assert gain_of(current[INNER], relief[INNER]) == pytest.approx(1.0, abs=0.1)
 
 
-def test_fine_grid_leaves_the_shape_to_the_coarse_one():
+def test_the_fine_grid_passes_no_shape():
     fraction = high_pass(GRID)
     assert fraction[0, 0] == 0
     np.testing.assert_allclose(
         fraction, 1 - np.exp(-0.5 * (GRID.omega[2] * CROSSOVER_MM) ** 2), atol=1e-6
     )
-    measured, slopes, glare = synthetic(
-        (0.3 * np.ones(SHAPE), np.zeros(SHAPE)), (np.zeros(SHAPE),) * 2, 0.003
-    )
-    mix = unmixing(measured, GRID, slopes, glare)
-    found = update(measured, GRID, slopes, mix, np.zeros(SHAPE, np.float32))
-    tilt = 0.3 * X
-    assert abs(gain_of(found[INNER], tilt[INNER])) < 0.05
+    measured, slopes, glare = synthetic((ZERO + 0.3, ZERO), (ZERO, ZERO), 0.003)
+    updated = update(measured, GRID, slopes, unmixing(measured, GRID, slopes, glare), FLAT)
+    assert abs(gain_of(updated[INNER], 0.3 * X[INNER])) < 0.05
 
 
-def test_denoise_takes_the_noise_that_the_unmixing_lets_through():
-    relief, sx, sy = ridge(0.03)
-    zero = np.zeros(SHAPE)
-    measured, slopes, glare = synthetic((sx, sy), (zero, zero), 0.01)
-    mix = unmixing(measured, GRID, slopes, glare)
-    raw = update(measured, GRID, slopes, mix, np.zeros(SHAPE, np.float32))
+def test_denoise_lowers_the_error_and_states_it():
+    relief, _, _, mix, raw = ridges_in_noise(0.01)
     clean, deviation = denoise(raw, GRID, mix, 0)
     before, after = (float(np.sqrt(((f - relief)[INNER] ** 2).mean())) for f in (raw, clean))
     assert after < 0.9 * before
@@ -323,7 +293,7 @@ def test_denoise_takes_the_noise_that_the_unmixing_lets_through():
     assert denoise(raw, GRID, mix, 1)[0].tobytes() != clean.tobytes()
 
 
-def test_denoise_of_a_grid_smaller_than_the_window_only_tells_the_noise():
+def test_denoise_of_a_grid_smaller_than_the_window_states_the_noise_alone():
     small = Grid(GRID.mask[60:90, 60:90], GRID.x_mm[60:90], GRID.y_mm[60:90], PITCH, (True,) * 4)
     ones = np.ones_like(small.omega[2])
     relief = np.random.default_rng(0).standard_normal((30, 30)).astype(np.float32)

@@ -1,7 +1,5 @@
 """The networks that ship, on a scene that shares nothing with their training data."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 
@@ -20,6 +18,11 @@ def runner(name):
     return lambda fields: run_network(network, fields[None])[0]
 
 
+def surface_of(scene, networks, settings=SETTINGS):
+    bands = scene.white, scene.nir
+    return metric_skin(bands, scene.grid, SkinSettings(), settings, networks=networks)
+
+
 @pytest.fixture(scope="module")
 def networks():
     return Networks(runner(SETTINGS.network), runner(SETTINGS.shape_network))
@@ -27,37 +30,32 @@ def networks():
 
 @pytest.mark.slow
 @pytest.mark.parametrize(("glare", "scattering"), [(0.5, 1.0), (1.0, 0.7)])
-def test_relief_and_shape_of_a_dome(networks, glare, scattering):
+def test_networks_recover_relief_and_shape_of_a_dome(networks, glare, scattering):
     scene = make_scene(glare=glare, scattering=scattering)
-    found = metric_skin(
-        (scene.white, scene.nir), scene.grid, SkinSettings(), SETTINGS, networks=networks
-    )
-    gain, correlation = relief_gain(found.relief_mm, scene.relief_mm, scene.inner)
-    assert found.facts["relief_by"] == "network"
+    surface = surface_of(scene, networks)
+    gain, correlation = relief_gain(surface.relief_mm, scene.relief_mm, scene.inner)
+    assert surface.facts["relief_by"] == "network"
     assert correlation > 0.95
     assert 0.8 < gain < 1.25
-    whole, true = found.shape_mm + found.relief_mm, scene.shape_mm + scene.relief_mm
+    whole, true = surface.shape_mm + surface.relief_mm, scene.shape_mm + scene.relief_mm
     assert shape_rms(whole, true, scene.grid.mask & (scene.grid.depth_mm > 0.33)) < 0.15
     # the uncertainty is of the size of the error
-    error = (found.relief_mm - scene.relief_mm)[scene.inner]
+    error = (surface.relief_mm - scene.relief_mm)[scene.inner]
     error -= error.mean()
-    ratio = np.sqrt((error**2).mean() / (found.deviation_mm[scene.inner] ** 2).mean())
+    ratio = np.sqrt((error**2).mean() / (surface.deviation_mm[scene.inner] ** 2).mean())
     assert 0.3 < ratio < 3
 
 
 @pytest.mark.slow
-def test_without_ridges_none_are_drawn(networks):
+def test_networks_draw_no_ridges_on_smooth_skin(networks):
     scene = make_scene(depth=0.0)
-    found = metric_skin(
-        (scene.white, scene.nir), scene.grid, SkinSettings(), SETTINGS, networks=networks
-    )
-    assert found.relief_mm[scene.inner].std() < 0.007  # a third of what is there with ridges
+    surface = surface_of(scene, networks)
+    assert surface.relief_mm[scene.inner].std() < 0.007  # a third of what is there with ridges
 
 
 @pytest.mark.slow
 def test_settings_turn_the_networks_off():
-    scene = make_scene()
     settings = MetricSettings(relief="colour", rounds=1, coarse_steps=2)
     networks = shipped_networks(settings)
-    found = metric_skin((scene.white, scene.nir), scene.grid, SkinSettings(), settings, networks)
-    assert networks is None and found.facts["relief_by"] == "colour"
+    assert networks is None
+    assert surface_of(make_scene(), networks, settings).facts["relief_by"] == "colour"

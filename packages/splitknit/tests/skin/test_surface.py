@@ -1,7 +1,5 @@
 """A small dome of skin, from images to shape and relief."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 
@@ -22,8 +20,13 @@ def scene():
 
 
 @pytest.fixture(scope="module")
-def found(scene):
-    return metric_skin((scene.white, scene.nir), scene.grid, SkinSettings(), SETTINGS)
+def surface(scene):
+    return surface_of(scene)
+
+
+def surface_of(scene, bands=None):
+    bands = bands or (scene.white, scene.nir)
+    return metric_skin(bands, scene.grid, SkinSettings(), SETTINGS)
 
 
 def grey(scene):
@@ -38,64 +41,64 @@ def assert_finite(surface, shape):
     assert (surface.deviation_mm >= 0).all()
 
 
-def test_relief_comes_out_of_skin_with_glare(scene, found):
-    assert_finite(found, scene.grid.shape)
-    gain, correlation = relief_gain(found.relief_mm, scene.relief_mm, scene.inner)
-    assert 0.85 < gain < 1.15
-    assert correlation > 0.97
-
-
-def test_shape_comes_out_beside_the_relief(scene, found):
-    whole, true = found.shape_mm + found.relief_mm, scene.shape_mm + scene.relief_mm
-    assert shape_rms(found.shape_mm, scene.shape_mm, scene.inner) < 0.04
-    assert shape_rms(whole, true, scene.grid.mask & (scene.grid.depth_mm > 0.33)) < 0.08
-    assert found.shape_mm[scene.grid.mask].mean() == pytest.approx(SETTINGS.plane_mm, abs=0.1)
-
-
-@pytest.mark.slow
-def test_matt_skin_has_less_glare_than_glossy_skin(found):
-    scene = make_scene(glare=0.0)
-    matt = metric_skin((scene.white, scene.nir), scene.grid, SkinSettings(), SETTINGS)
-    gain, correlation = relief_gain(matt.relief_mm, scene.relief_mm, scene.inner)
-    assert 0.85 < gain < 1.15
-    assert correlation > 0.97
-    assert matt.facts["glare"]["blue"]["strength"] < 0.2 * found.facts["glare"]["blue"]["strength"]
-
-
-def test_facts_tell_what_was_assumed_and_found(found):
-    skin = SkinSettings()
-    assert found.facts["scattering_per_mm"] == {
-        n: skin.scattering(n) for n in ("blue", "green", "nir", "red")
-    }
-    assert found.facts["colour"]["red"] == 1.0
-    assert found.facts["colour"]["green"] == pytest.approx(0.42 / 0.62, rel=0.05)
-    assert found.facts["colour"]["blue"] == pytest.approx(0.33 / 0.62, rel=0.05)
-    # three colours that are blind to glare are nearly blind to the scattering too
-    assert 0 < found.facts["gain_sensitivity"] < 0.1
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("scattering", [0.7, 1.3])
-def test_colours_find_the_relief_of_skin_that_scatters_otherwise(scattering):
-    scene = make_scene(scattering=scattering)
-    surface = metric_skin((scene.white, scene.nir), scene.grid, SkinSettings(), SETTINGS)
+def assert_relief(surface, scene):
     gain, correlation = relief_gain(surface.relief_mm, scene.relief_mm, scene.inner)
     assert 0.85 < gain < 1.15
     assert correlation > 0.97
 
 
+def test_the_relief_of_glossy_skin_is_recovered(scene, surface):
+    assert_finite(surface, scene.grid.shape)
+    assert_relief(surface, scene)
+
+
+def test_the_shape_beneath_the_relief_is_recovered(scene, surface):
+    whole, true = surface.shape_mm + surface.relief_mm, scene.shape_mm + scene.relief_mm
+    assert shape_rms(surface.shape_mm, scene.shape_mm, scene.inner) < 0.04
+    assert shape_rms(whole, true, scene.grid.mask & (scene.grid.depth_mm > 0.33)) < 0.08
+    assert surface.shape_mm[scene.grid.mask].mean() == pytest.approx(SETTINGS.plane_mm, abs=0.1)
+
+
 @pytest.mark.slow
-def test_deviation_of_grey_skin_tells_what_wrong_scattering_does(monkeypatch):
+def test_matt_skin_has_less_specular_reflection_than_glossy_skin(surface):
+    scene = make_scene(glare=0.0)
+    matt = surface_of(scene)
+    assert_relief(matt, scene)
+    assert (
+        matt.facts["glare"]["blue"]["strength"] < 0.2 * surface.facts["glare"]["blue"]["strength"]
+    )
+
+
+def test_facts_state_scattering_colour_and_sensitivity(surface):
+    skin = SkinSettings()
+    assert surface.facts["scattering_per_mm"] == {
+        n: skin.scattering(n) for n in ("blue", "green", "nir", "red")
+    }
+    assert surface.facts["colour"]["red"] == 1.0
+    assert surface.facts["colour"]["green"] == pytest.approx(0.42 / 0.62, rel=0.05)
+    assert surface.facts["colour"]["blue"] == pytest.approx(0.33 / 0.62, rel=0.05)
+    # three colours that are blind to glare are nearly blind to the scattering too
+    assert 0 < surface.facts["gain_sensitivity"] < 0.1
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("scattering", [0.7, 1.3])
+def test_colours_recover_the_relief_under_wrong_scattering(scattering):
+    scene = make_scene(scattering=scattering)
+    assert_relief(surface_of(scene), scene)
+
+
+@pytest.mark.slow
+def test_the_deviation_of_grey_skin_holds_the_effect_of_wrong_scattering(monkeypatch):
     """Matt skin in grey: its relief is off by as much as is told, and the deviation holds it."""
     true, stronger = make_scene(glare=0.0), make_scene(glare=0.0, scattering=1.3)
-    surface = metric_skin((grey(true),), true.grid, SkinSettings(), SETTINGS)
-    misled = metric_skin((grey(stronger),), true.grid, SkinSettings(), SETTINGS)
+    surface, misled = (surface_of(each, (grey(each),)) for each in (true, stronger))
     gain, correlation = relief_gain(misled.relief_mm, surface.relief_mm, true.inner)
     assert correlation > 0.99
     assert gain - 1 > 0.1
     assert surface.facts["gain_sensitivity"] == pytest.approx(gain - 1, abs=0.05)
     monkeypatch.setattr("splitknit.methods.metric.SCATTERING_SD", 0.0)
-    sure = metric_skin((grey(true),), true.grid, SkinSettings(), SETTINGS)
+    sure = surface_of(true, (grey(true),))
     np.testing.assert_array_equal(sure.relief_mm, surface.relief_mm)
     assert sure.facts["gain_sensitivity"] == 0
     assert sure.deviation_mm[true.inner].mean() > 0.0002
@@ -106,29 +109,29 @@ def test_deviation_of_grey_skin_tells_what_wrong_scattering_does(monkeypatch):
 
 
 @pytest.mark.parametrize("bands", ["grey", "grey and nir", "no nir"])
-def test_fewer_bands_do(scene, bands):
+def test_fewer_bands_are_enough_for_the_relief(scene, bands):
     chosen = {
         "grey": (grey(scene),),
         "grey and nir": (grey(scene), scene.nir),
         "no nir": (scene.white,),
     }[bands]
-    surface = metric_skin(chosen, scene.grid, SkinSettings(), SETTINGS)
+    surface = surface_of(scene, chosen)
     assert_finite(surface, scene.grid.shape)
-    gain, correlation = relief_gain(surface.relief_mm, scene.relief_mm, scene.inner)
-    assert correlation > (0.97 if bands == "no nir" else 0.8)
-    assert bands != "no nir" or 0.85 < gain < 1.15
-    # grey images keep their glare: only its sign and pattern can be right
+    if bands == "no nir":
+        assert_relief(surface, scene)
+    else:  # grey images keep their glare: only the sign and pattern of the relief can be right
+        assert relief_gain(surface.relief_mm, scene.relief_mm, scene.inner)[1] > 0.8
 
 
 @pytest.mark.slow
-def test_same_bytes_every_time(scene, found):
-    again = metric_skin((scene.white, scene.nir), scene.grid, SkinSettings(), SETTINGS)
+def test_the_surface_has_the_same_bytes_every_time(scene, surface):
+    again = surface_of(scene)
     for name in ("shape_mm", "relief_mm", "deviation_mm", "albedo"):
-        assert getattr(again, name).tobytes() == getattr(found, name).tobytes()
-    assert again.facts == found.facts
+        assert getattr(again, name).tobytes() == getattr(surface, name).tobytes()
+    assert again.facts == surface.facts
 
 
-def test_fine_lights_are_the_coarse_ones_enlarged(scene):
+def test_fine_lights_follow_the_surface_of_the_coarse_grid(scene):
     low = coarsen(scene.grid, 3)
     x, y = np.meshgrid(low.x_mm, low.y_mm)
     shape = (-0.06 * x**2 - 0.04 * y**2).astype(np.float32)
@@ -150,7 +153,7 @@ def test_fine_lights_are_the_coarse_ones_enlarged(scene):
     assert np.ptp(light.entering[:, scene.grid.mask]) > 0.01
 
 
-def test_images_are_left_as_they_were(scene):
+def test_the_images_are_not_changed(scene):
     before = scene.white.stack.copy()
     metric_skin(
         (scene.white,), scene.grid, SkinSettings(), MetricSettings(rounds=1, coarse_steps=1)
@@ -158,10 +161,7 @@ def test_images_are_left_as_they_were(scene):
     np.testing.assert_array_equal(scene.white.stack, before)
 
 
-@pytest.mark.parametrize(
-    "wrong",
-    [{"rounds": 0}, {"relief": "magic"}, {"coarse_steps": 0}],
-)
-def test_settings_are_checked(wrong):
+@pytest.mark.parametrize("wrong", [{"rounds": 0}, {"relief": "magic"}, {"coarse_steps": 0}])
+def test_metric_settings_out_of_range_are_refused(wrong):
     with pytest.raises(BadInput, match=r"metric\."):
         MetricSettings(**wrong)

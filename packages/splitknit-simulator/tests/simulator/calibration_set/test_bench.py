@@ -1,13 +1,11 @@
 """Cards and darkness under the rig against closed forms, and what all scenes of the bench share."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
-from bench_help import DARK_ROOM, built, drawn, grey, seen
+from bench_help import DARK_ROOM, built, drawn, grey, lambert, seen
 from splitknit.errors import BadInput
 from splitknit_simulator.calibration_set.bench import BenchSettings, photograph_bench, well_exposed
 from splitknit_simulator.calibration_set.flat import BoardScene, CardScene
@@ -18,37 +16,18 @@ PLACES = [(40, 30), (160, 110), (300, 200), (5, 215)]
 """Columns and rows in a picture of 220 x 320."""
 
 
-def card_light(led, point, normal=(0, 0, 1), albedo=0.9):
-    """Radiance of a card by hand: inverse square, cosine of incidence, cosine to the lobe's power,
-    Lambert."""
-    towards = np.array(led.position_mm) - point
-    r = np.linalg.norm(towards)
-    beam = np.array(led.aim if led.aim is not None else -np.array(led.position_mm))
-    along = np.dot(-towards / r, beam / np.linalg.norm(beam))
-    return (
-        albedo
-        / np.pi
-        * led.intensity
-        * (100 / r) ** 2
-        * np.dot(towards / r, normal)
-        * along**led.lobe_exponent
-    )
-
-
 @pytest.mark.parametrize("z", [0.0, 6.0])
-def test_a_card_under_a_near_led_is_as_bright_as_its_closed_form(z):
+def test_the_light_of_a_card_agrees_with_its_closed_form(z):
     things = drawn(intensity=1.3)
     camera = things["camera"]
     light = grey(CardScene(**things, height_mm=z, bench=DARK_ROOM), [4])
     for column, row in PLACES:
         x = (column - 159.5) / camera.matrix[0, 0] * (140 - z)
         y = (109.5 - row) / camera.matrix[0, 0] * (140 - z)
-        assert light[row, column] == pytest.approx(
-            card_light(things["leds"][4], (x, y, z)), rel=1e-5
-        )
+        assert light[row, column] == pytest.approx(lambert(things["leds"][4], (x, y, z)), rel=1e-5)
 
 
-def test_a_built_rigs_lens_and_aims_and_a_tilted_card():
+def test_a_tilted_card_under_a_built_rig_agrees_with_its_closed_form():
     things = built()
     scene = CardScene(**things, tilt_deg=(2.0, -3.0), height_mm=1.5, bench=DARK_ROOM)
     light = grey(scene, [0])
@@ -60,9 +39,8 @@ def test_a_built_rigs_lens_and_aims_and_a_tilted_card():
     for u, v in [(0, 0), (-14, 9), (17, -11)]:
         point = turn @ (u, v, 0) + (0, 0, 1.5)
         column, row = np.round(seen(things["camera"], point)[0]).astype(int)
-        assert light[row, column] == pytest.approx(
-            card_light(things["leds"][0], point, turn[:, 2]), rel=2e-3
-        )
+        expected = lambert(things["leds"][0], point, turn[:, 2])
+        assert light[row, column] == pytest.approx(expected, rel=2e-3)
 
 
 def scenes(**things):
@@ -76,18 +54,18 @@ def scenes(**things):
 
 
 @pytest.mark.parametrize("name", list(scenes(**drawn())))
-def test_leds_add_and_the_room_stays(name):
+def test_light_of_leds_adds_over_ambient_light(name):
     scene = scenes(**built())[name]
-    room, one, other, both = (scene.light(lit) for lit in ([], [0], [9], [0, 9]))
+    room, first, second, both = (scene.light(lit) for lit in ([], [0], [9], [0, 9]))
     assert np.allclose(
-        both - room, one + other - 2 * room, atol=1e-5 * max(float(both.max()), 1e-6)
+        both - room, first + second - 2 * room, atol=1e-5 * max(float(both.max()), 1e-6)
     )
-    assert (one >= room - 1e-7).all()
-    assert 0 < room.max() < 0.03 * float(np.percentile(one, 99.9))
+    assert (first >= room - 1e-7).all()
+    assert 0 < room.max() < 0.03 * float(np.percentile(first, 99.9))
 
 
 @pytest.mark.parametrize("name", list(scenes(**drawn())))
-def test_an_led_that_is_not_there_is_refused(name):
+def test_an_led_outside_the_rig_is_refused(name):
     for index in (14, -1):
         with pytest.raises(BadInput, match=f"LED {index} is not in the rig"):
             scenes(**drawn())[name].light([index])
@@ -101,7 +79,7 @@ def test_leds_that_share_an_exposure_are_lit_together():
     assert np.allclose(together, CardScene(**things, bench=DARK_ROOM).light([0, 1]), rtol=1e-5)
 
 
-def test_out_of_focus_edges_are_as_wide_as_a_thin_lens_makes_them():
+def test_defocus_follows_the_thin_lens():
     things = drawn(0.3)
     bench = BenchSettings(aperture_mm=8.0)
     scene = BoardScene(**things, bench=bench, translation_mm=(0, 0, -6))
@@ -117,19 +95,19 @@ def test_out_of_focus_edges_are_as_wide_as_a_thin_lens_makes_them():
     assert width == pytest.approx(np.sqrt(expected**2 + 0.8), rel=0.12)
 
 
-def test_photographs_repeat_with_their_seed_and_only_with_it():
+def test_photographs_depend_on_their_seed():
     scene = CardScene(**built())
     exposure = well_exposed(scene, [[0], [3]])
-    first, again, other = (
+    first, again, different = (
         photograph_bench(scene, [0], seed, exposure=exposure) for seed in (1, 1, 2)
     )
     assert first.dtype == np.uint8
     assert first.shape == (220, 320, 3)
     assert np.array_equal(first, again)
-    assert not np.array_equal(first, other)
+    assert not np.array_equal(first, different)
 
 
-def test_a_photograph_is_the_light_times_the_exposure():
+def test_photographs_are_light_times_exposure():
     scene = CardScene(**built())
     exposure = well_exposed(scene, [[0]], 0.6)
     quiet = SensorSettings(noise=False, bits=16)
@@ -139,12 +117,12 @@ def test_a_photograph_is_the_light_times_the_exposure():
 
 
 @pytest.mark.parametrize(
-    ("call", "words"),
+    ("settings", "words"),
     [
-        (lambda _: BenchSettings(ambient=-0.1), "bench.ambient must be from 0 to 1"),
-        (lambda _: BenchSettings(led_radius_mm=np.nan), "bench.led_radius_mm must be from 0 to 10"),
+        ({"ambient": -0.1}, "bench.ambient must be from 0 to 1"),
+        ({"led_radius_mm": np.nan}, "bench.led_radius_mm must be from 0 to 10"),
     ],
 )
-def test_what_cannot_be_photographed_is_refused(call, words):
+def test_bench_settings_out_of_range_are_refused(settings, words):
     with pytest.raises(BadInput, match=words):
-        call(CardScene(**drawn()))
+        BenchSettings(**settings)

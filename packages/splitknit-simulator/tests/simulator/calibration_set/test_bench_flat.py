@@ -1,8 +1,6 @@
 """Checkerboards and dots: where OpenCV finds them, how their edges are averaged, how a person holds
 a board."""
 
-from __future__ import annotations
-
 import cv2
 import numpy as np
 import pytest
@@ -34,7 +32,7 @@ def reflectance(scene):
 
 @pytest.mark.parametrize("turn_deg", [0, 8, 30, 45, 90])
 @pytest.mark.parametrize("blur", [0.0, 0.6])
-def test_an_edge_is_averaged_over_its_pixels(turn_deg, blur):
+def test_an_edge_is_averaged_over_the_area_of_its_pixels(turn_deg, blur):
     """An edge at any angle through pixels of one unit, against many points in each."""
     c, s = np.cos(np.deg2rad(turn_deg)), np.sin(np.deg2rad(turn_deg))
     row, column = np.indices((24, 25)).astype(float)
@@ -55,7 +53,7 @@ def test_an_edge_is_averaged_over_its_pixels(turn_deg, blur):
 
 
 @pytest.mark.parametrize("make", [drawn, built, parallel])
-def test_the_truths_corners_are_where_opencv_projects_them(make):
+def test_true_corners_agree_with_opencv_s_projection(make):
     things = make()
     scene = held(things)
     turn = cv2.Rodrigues(np.array(scene.rotation_vector))[0]
@@ -70,8 +68,8 @@ def test_opencv_finds_the_corners_within_a_twentieth_of_a_pixel(seed):
     scene = held(built(seed, 0.3), seed)
     light = scene.light([0, 2, 4])[..., 1]
     image = np.clip(light * (250 / light.max()), 0, 255).astype(np.uint8)
-    found, corners = cv2.findChessboardCorners(image, (10, 7))
-    assert found
+    complete, corners = cv2.findChessboardCorners(image, (10, 7))
+    assert complete
     stop = (3, 100, 1e-5)
     offset = cv2.cornerSubPix(image, corners, (7, 7), (-1, -1), stop)[:, 0] - scene.truth_corners()
     assert np.sqrt(np.mean(np.sum(offset**2, axis=1))) < 0.05
@@ -92,7 +90,7 @@ def test_print_blur_widens_the_edges():
 
 
 @pytest.mark.parametrize("make", [drawn, built])
-def test_boards_are_held_as_people_hold_them(make):
+def test_board_poses_tilt_fill_and_stay_inside_the_picture(make):
     camera = make()["camera"]
     poses = board_poses(11, 12, camera)
     assert poses == board_poses(11, 12, camera)

@@ -1,12 +1,21 @@
 """The nail's shadows: on the rays from the LEDs through its tip, soft by the LEDs' size, and
 nothing else darkened."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 
-from bench_help import DARK_ROOM, POINTS, built, crossing, drawn, grey, parallel, sample, seen
+from bench_help import (
+    DARK_ROOM,
+    POINTS,
+    built,
+    crossing,
+    drawn,
+    grey,
+    lambert,
+    parallel,
+    sample,
+    seen,
+)
 from splitknit.errors import BadInput
 from splitknit.model import Led
 from splitknit_simulator.calibration_set.bench import BenchSettings
@@ -27,7 +36,7 @@ def fraction_lit(scene, led):
 
 
 @pytest.mark.parametrize("make", [drawn, built, parallel])
-def test_light_tip_and_shadow_lie_on_one_ray(make):
+def test_led_tip_and_shadow_lie_on_one_ray(make):
     things = make()
     scene = NailScene(**things, position_mm=(4.0, -3.0), nail_mm=12.0, tilt_deg=(0.4, -0.2))
     normal = np.cross(*[scene.plane.axes[:, k] for k in (0, 1)])
@@ -38,15 +47,13 @@ def test_light_tip_and_shadow_lie_on_one_ray(make):
         assert abs(normal @ shadow) < 1e-9
         ray, rest = tip - led.position_mm, shadow - tip
         assert np.linalg.norm(np.cross(ray, rest)) < 1e-9 * np.linalg.norm(ray)
-    assert (
-        np.abs(seen(things["camera"], scene.shadow_tips_mm()) - scene.shadow_tips_px()).max() < 1e-6
-    )
-    assert np.abs(seen(things["camera"], tip)[0] - scene.tip_px()).max() < 1e-6
+    for points, pixels in ((scene.shadow_tips_mm(), scene.shadow_tips_px()), (tip, scene.tip_px())):
+        assert np.abs(seen(things["camera"], points) - pixels).max() < 1e-6
 
 
 @pytest.mark.parametrize("make", [drawn, built])
 @pytest.mark.parametrize("led", [0, 3, 12])
-def test_the_picture_shows_the_shadows_tip_where_geometry_has_it(make, led):
+def test_the_shadow_in_the_picture_ends_at_its_true_tip(make, led):
     things = make(scale=0.3)
     scene = NailScene(
         **things, position_mm=(-2.0, 1.5), nail_mm=12.0, tilt_deg=(0.3, 0.2), bench=POINTS
@@ -73,7 +80,7 @@ def test_the_picture_shows_the_shadows_tip_where_geometry_has_it(make, led):
         assert 0.15 < wide < 0.25
 
 
-def test_shadows_are_soft_by_the_size_of_the_led():
+def test_the_size_of_an_led_softens_the_shadow():
     """A post instead of a cone: its shadow's end is a plain edge, swept by the LED's face."""
     radius = 1.5
     led = Led(band="white", position_mm=(52.5, 0.0, 140.0))
@@ -96,7 +103,7 @@ def test_shadows_are_soft_by_the_size_of_the_led():
     assert width == pytest.approx(abs(np.diff(ends)[0]) / 4, rel=0.06)
 
 
-def test_the_cone_is_shaded_as_its_slope_says():
+def test_the_shading_of_the_cone_follows_its_slope():
     """Half way up, on the side towards the LED and across from it."""
     scene = NailScene(**drawn(0.3), nail_mm=13.0, base_radius_mm=5.0, bench=DARK_ROOM)
     image = grey(scene, [0])
@@ -104,15 +111,9 @@ def test_the_cone_is_shaded_as_its_slope_says():
     for side in (1, -1):
         point = np.array([side * (5.0 + 0.15) / 2, 0.0, 6.5])
         normal = np.array([side, 0.0, slope]) / np.hypot(1, slope)
-        led = scene.leds[0]
-        towards = np.array(led.position_mm) - point
-        r = np.linalg.norm(towards)
-        along = np.dot(-towards / r, led.axis)
-        facing = max(float(np.dot(towards / r, normal)), 0.0)
-        expected = 0.15 / np.pi * (100 / r) ** 2 * facing * along**led.lobe_exponent
-        assert sample(image, seen(scene.camera, point))[0] == pytest.approx(
-            expected, rel=0.02, abs=1e-6
-        )
+        expected = lambert(scene.leds[0], point, normal, 0.15)
+        light = sample(image, seen(scene.camera, point))[0]
+        assert light == pytest.approx(expected, rel=0.02, abs=1e-6)
 
 
 @pytest.mark.parametrize(

@@ -1,13 +1,11 @@
 """Balls under the rig: highlights where light is mirrored, shading by Lambert's law, shadows,
 outlines."""
 
-from __future__ import annotations
-
 import cv2
 import numpy as np
 import pytest
 
-from bench_help import DARK_ROOM, POINTS, built, drawn, grey, parallel, seen
+from bench_help import DARK_ROOM, POINTS, built, drawn, grey, lambert, parallel, seen
 from splitknit.errors import BadInput
 from splitknit.model import Led
 from splitknit_simulator.calibration_set.flat import CardScene
@@ -18,19 +16,17 @@ NO_WALLS = {"surround": 0.0, "ground": 0.0, "bench": DARK_ROOM}
 
 
 @pytest.mark.parametrize("make", [drawn, built, parallel])
-def test_highlights_are_where_the_normal_halves_the_angle(make):
+def test_highlights_obey_the_law_of_reflection(make):
     things = make()
     scene = SphereScene(**things, position_mm=(6.0, -3.0), tilt_deg=(0.4, 0.2))
     points = scene.highlights_mm()
     for led, point in zip(things["leds"], points, strict=True):
         normal = (point - scene.middle_mm) / 8.0
         assert np.linalg.norm(normal) == pytest.approx(1)
-        eye = (
-            (0, 0, 1) if make is parallel else np.array([0, 0, things["camera"].height_mm]) - point
-        )
+        camera = (0, 0, things["camera"].height_mm) - point
         eye, light = (
-            eye / np.linalg.norm(eye),
-            (led.position_mm - point) / np.linalg.norm(led.position_mm - point),
+            way / np.linalg.norm(way)
+            for way in ((0, 0, 1) if make is parallel else camera, led.position_mm - point)
         )
         assert np.allclose(2 * (normal @ eye) * normal - eye, light, atol=1e-9)
     assert np.abs(seen(things["camera"], points) - scene.highlights_px()).max() < 1e-6
@@ -43,7 +39,7 @@ def upright(scale):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("make", [drawn, built, parallel, upright])
-def test_chrome_shows_every_led_at_its_place_and_in_its_strength(make):
+def test_a_chrome_ball_shows_every_led_at_its_place_and_strength(make):
     things = make(scale=0.2)
     scene = SphereScene(**things, position_mm=(-5.0, 2.0), **NO_WALLS)
     row, column = np.indices(scene.camera.image_size)
@@ -67,7 +63,7 @@ def test_chrome_shows_every_led_at_its_place_and_in_its_strength(make):
         )
 
 
-def test_a_matt_ball_is_shaded_by_lamberts_law():
+def test_a_matt_ball_follows_lambert_s_law():
     things = parallel(0.2)
     scene = SphereScene(
         **things, chrome=False, position_mm=(2.0, 1.0), radius_mm=9.0, bench=DARK_ROOM
@@ -79,12 +75,7 @@ def test_a_matt_ball_is_shaded_by_lamberts_law():
         x, y = (column - 319.5) * pitch, (219.5 - row) * pitch
         rise = np.sqrt(81 - (x - 2) ** 2 - (y - 1) ** 2)
         normal = np.array([x - 2, y - 1, rise]) / 9
-        towards = np.array(led.position_mm) - (x, y, 9 + rise)
-        r = np.linalg.norm(towards)
-        along = np.dot(-towards / r, led.axis)
-        expected = (
-            0.5 / np.pi * (100 / r) ** 2 * max(towards @ normal / r, 0) * along**led.lobe_exponent
-        )
+        expected = lambert(led, (x, y, 9 + rise), normal, 0.5)
         assert image[row, column] == pytest.approx(expected, rel=1e-4, abs=1e-7)
 
 

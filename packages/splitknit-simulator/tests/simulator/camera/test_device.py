@@ -1,7 +1,5 @@
 """The twin's camera and LEDs: timing, light, noise, faults, and scenes of any kind."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 
@@ -28,7 +26,7 @@ def devices(scene, **camera):
     return TwinCamera(scene, lights, clock, **camera), lights, clock
 
 
-def test_a_scene_is_the_finger_that_simulate_capture_photographs(finger):
+def test_a_finger_scene_has_the_light_of_simulate_capture(finger):
     """Light of each LED against the twin's own capture of the same finger, exact but for half
     floats."""
     exact = TwinSettings(scale=0.08, sensor=QUIET)
@@ -43,7 +41,7 @@ def test_a_scene_is_the_finger_that_simulate_capture_photographs(finger):
             np.testing.assert_allclose(light[fits], stored[fits], atol=1e-3)
 
 
-def test_leds_add_and_the_room_is_there_without_them(finger):
+def test_light_of_leds_adds_over_ambient_light(finger):
     room = finger.light([])
     assert room.min() >= 0
     assert room[finger.surface.mask].mean() > 0
@@ -57,21 +55,21 @@ def test_leds_add_and_the_room_is_there_without_them(finger):
         finger.light([14])
 
 
-def test_another_impression_is_the_same_finger_laid_down_anew():
+def test_another_impression_changes_the_pose_alone():
     settings = TwinSettings(scale=0.05)
-    first, again, other = (FingerScene(5, None, settings, impression=k) for k in (0, 0, 1))
+    first, again, second = (FingerScene(5, None, settings, impression=k) for k in (0, 0, 1))
     np.testing.assert_array_equal(first.light([0]), again.light([0]))
-    assert first.skin == other.skin
-    assert not np.array_equal(first.surface.mask, other.surface.mask)
+    assert first.skin == second.skin
+    assert not np.array_equal(first.surface.mask, second.surface.mask)
 
 
-def test_truth_travels(finger):
+def test_a_finger_scene_has_its_truth(finger):
     truth = finger.truth()
     for name in ("height_mm", "shape_mm", "mask", "normals", "led_intensity", "skin_melanin"):
         assert name in truth
 
 
-def test_exposure_time_and_gain_scale_the_picture(finger):
+def test_exposure_time_and_gain_scale_the_pixels(finger):
     camera, lights, _ = devices(finger, sensor=QUIET)
     with lights, camera:
         lights.on(3)
@@ -85,7 +83,7 @@ def test_exposure_time_and_gain_scale_the_picture(finger):
         assert levels == pytest.approx([levels[0]] * 3, rel=2e-3)
 
 
-def test_noise_is_new_in_every_frame_and_the_same_in_every_run(finger):
+def test_noise_differs_between_frames_and_repeats_between_runs(finger):
     def run(seed):
         camera, lights, _ = devices(finger, seed=seed)
         with lights, camera:
@@ -94,8 +92,8 @@ def test_noise_is_new_in_every_frame_and_the_same_in_every_run(finger):
 
     first, second = run(7)
     assert not np.array_equal(first, second)
-    for one, other in zip((first, second), run(7), strict=True):
-        np.testing.assert_array_equal(one, other)
+    for frame, repeated in zip((first, second), run(7), strict=True):
+        np.testing.assert_array_equal(frame, repeated)
     assert not np.array_equal(first, run(8)[0])
 
 
@@ -111,7 +109,7 @@ def test_a_picture_taken_before_the_led_has_settled_is_dimmer(finger, monkeypatc
         assert 0.1 < early / camera.capture().pixels.mean() < 0.5
 
 
-def test_frames_take_the_time_that_they_take():
+def test_a_frame_takes_settling_exposure_and_readout_time():
     card = CardScene(camera=default_rig(0.05).camera, leds=default_rig(0.05).leds)
     camera, lights, clock = devices(card)
     with lights, camera:

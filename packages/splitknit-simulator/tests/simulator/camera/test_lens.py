@@ -29,7 +29,7 @@ def _grid(camera: Camera) -> tuple[np.ndarray, np.ndarray]:
     return across.ravel(), down.ravel()
 
 
-def test_pixels_come_back_from_any_height() -> None:
+def test_pixels_survive_the_way_over_points_at_any_height():
     columns, rows = _grid(CAMERA)
     across, up = slopes_of_pixels(CAMERA, columns, rows)
     for z in (-20.0, 0.0, 12.5):
@@ -39,7 +39,7 @@ def test_pixels_come_back_from_any_height() -> None:
         np.testing.assert_allclose(there[1], rows, atol=1e-7)
 
 
-def test_rays_and_pixels_are_opencvs() -> None:
+def test_rays_and_pixels_agree_with_opencv():
     columns, rows = _grid(CAMERA)
     pixels = np.stack([columns, rows], 1)[:, None]
     criteria = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 100, 1e-12)
@@ -57,7 +57,7 @@ def test_rays_and_pixels_are_opencvs() -> None:
     )
 
 
-def test_x_goes_right_and_y_up() -> None:
+def test_x_points_right_and_y_up():
     across, up = slopes_of_pixels(
         CAMERA, np.array([412.3, 500.0, 412.3]), np.array([266.8, 266.8, 100.0])
     )
@@ -66,7 +66,7 @@ def test_x_goes_right_and_y_up() -> None:
     assert up[2] > 0.05
 
 
-def test_the_picture_on_the_finger_plane() -> None:
+def test_the_edges_of_the_picture_are_found_on_the_finger_plane():
     x, lower, upper = picture_on_plane(CAMERA)
     column, row = pixels_of_points(CAMERA, np.full(2, x), np.array([lower, upper]), np.zeros(2))
     np.testing.assert_allclose(row, [549.5, -0.5], atol=0.05)
@@ -74,7 +74,7 @@ def test_the_picture_on_the_finger_plane() -> None:
     assert x == pytest.approx((399.5 - 412.3) / 18.9, abs=0.05)
 
 
-def test_the_fall_off_is_what_reconstruction_divides_by() -> None:
+def test_the_fall_off_equals_the_shading_that_reconstruction_divides_out():
     camera = Camera(18.9, (55, 80), shading=(-0.3, 0.12, -0.05))
     fraction = fall_off(camera)
     np.testing.assert_allclose(fraction, lens_shading(camera.shading, camera.image_size), rtol=1e-6)
@@ -86,7 +86,7 @@ def test_the_fall_off_is_what_reconstruction_divides_by() -> None:
     np.testing.assert_array_equal(fall_off(Camera(18.9, (5, 8))), 1.0)
 
 
-def test_lenses_that_cannot_be_undone_are_refused() -> None:
+def test_lenses_that_cannot_be_inverted_are_refused():
     folding = Camera(18.9, (550, 800), 140.0, "perspective", MATRIX, (-40.0, 0.0, 0.0, 0.0, 0.0))
     with pytest.raises(BadInput, match="folds the picture"):
         slopes_of_pixels(folding, *_grid(folding))

@@ -14,22 +14,23 @@ def _grey(value: float, size: int = 128) -> np.ndarray:
     return np.full((size, size, 3), value, dtype=np.float32)
 
 
-def test_without_noise_the_light_is_quantised_and_nothing_else():
-    ramp = (
-        np.linspace(0, 1, 256, dtype=np.float32)[None, :, None].repeat(4, axis=0).repeat(3, axis=2)
-    )
-    stored = record(ramp, "white", np.random.SeedSequence(0), SensorSettings(noise=False))
+def _ramp(levels: int) -> np.ndarray:
+    return np.linspace(0, 1, levels, dtype=np.float32)[None, :, None].repeat(3, axis=2)
+
+
+def _stored(light: np.ndarray, seed: int = 0, band: str = "white", **settings) -> np.ndarray:
+    return record(light, band, np.random.SeedSequence(seed), SensorSettings(**settings))
+
+
+def test_without_noise_the_light_is_only_quantised():
+    stored = _stored(_ramp(256), noise=False)
     assert stored.dtype == np.uint8
     assert np.abs(stored.astype(int) - np.arange(256)[None, :, None]).max() <= 1
-    levels = np.unique(
-        record(ramp, "white", np.random.SeedSequence(0), SensorSettings(noise=False, bits=16))
-    )
-    assert levels.size > 256
+    assert np.unique(_stored(_ramp(256), noise=False, bits=16)).size > 256
 
 
-def test_raw_levels_limit_what_16_bits_can_hold():
-    ramp = np.linspace(0, 1, 5000, dtype=np.float32)[None, :, None].repeat(3, axis=2)
-    stored = record(ramp, "white", np.random.SeedSequence(0), SensorSettings(noise=False, bits=16))
+def test_raw_bits_limit_the_levels_of_16_bit_images():
+    stored = _stored(_ramp(5000), noise=False, bits=16)
     assert np.unique(stored[..., 1]).size == 1024
     assert np.unique(stored[..., 2]).size < 600  # blue pixels fill less than half of their range
 
@@ -56,27 +57,23 @@ def test_binned_pixels_are_less_noisy():
 
 
 def test_overexposure_clips_to_white():
-    stored = record(_grey(3.0), "white", np.random.SeedSequence(2))
-    assert (stored == 255).all()
+    assert (_stored(_grey(3.0), 2) == 255).all()
 
 
 def test_srgb_decodes_to_the_same_light():
     light = _grey(0.2)
-    linear = record(light, "white", np.random.SeedSequence(3), SensorSettings(bits=16))
-    srgb = record(
-        light, "white", np.random.SeedSequence(3), SensorSettings(bits=16, encoding="srgb")
-    )
+    linear, srgb = (_stored(light, 3, bits=16, encoding=code) for code in ("linear", "srgb"))
     table = decode_table(srgb.dtype, "srgb")
     np.testing.assert_allclose(table[srgb], linear / 65535.0, atol=2e-5)
 
 
-def test_seeds_repeat_and_differ():
-    one, again, other = (record(_grey(0.5), "white", np.random.SeedSequence(s)) for s in (5, 5, 6))
-    np.testing.assert_array_equal(one, again)
-    assert (one != other).mean() > 0.3
+def test_noise_depends_on_the_seed():
+    first, again, different = (_stored(_grey(0.5), seed) for seed in (5, 5, 6))
+    np.testing.assert_array_equal(first, again)
+    assert (first != different).mean() > 0.3
 
 
-def test_bad_settings_are_refused():
+def test_wrong_settings_and_shapes_are_refused():
     for bad in ({"bits": 12}, {"encoding": "rec709"}, {"exposure": 0.0}, {"full_well_e": 1.0}):
         with pytest.raises(BadInput, match=f"sensor.{next(iter(bad))}"):
             SensorSettings(**bad)

@@ -1,7 +1,5 @@
 """Wet, dry, dusty, scarred and glossy fingers of the twin."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np
@@ -9,11 +7,7 @@ import pytest
 
 from splitknit.errors import BadInput
 from splitknit.model import Camera, default_rig
-from splitknit_simulator.finger.conditions import (
-    KINDS,
-    Condition,
-    conditioned_surface,
-)
+from splitknit_simulator.finger.conditions import KINDS, Condition, conditioned_surface
 from splitknit_simulator.finger.finger import FingerPose, draw_finger, finger_surface
 from splitknit_simulator.finger.master_print import MasterPrintSettings, master_print
 from splitknit_simulator.light.coat import draw_grains
@@ -55,21 +49,21 @@ def _coated(egg, **parts):
     return replace(egg, coat=Coat("wet", 1.0, parts.pop("fraction", zero), **parts))
 
 
-def test_a_coat_of_nothing_changes_nothing(egg):
+def test_an_empty_coat_changes_nothing(egg):
     bare, coated = _render(egg), _render(_coated(egg))
     np.testing.assert_allclose(coated.diffuse, bare.diffuse, rtol=2e-5, atol=1e-7)
     np.testing.assert_allclose(coated.glare, bare.glare, rtol=1e-3, atol=1e-6)
 
 
-def test_a_renderer_takes_the_coat_by_itself(egg):
+def test_the_renderer_applies_the_coat_of_a_surface(egg):
     wet = _coated(egg, roughness=np.full(egg.mask.shape, 0.6, dtype=np.float32))
     leds = [default_rig(0.25).leds[0]]
     optics = [SKIN.channel("blue")] * 3
-    found = render_band(wet, leds, Medium(optics, 0.25, 1.0))
-    assert found.glare.max() < 0.5 * _render(egg, leds, glare=1.0).glare.max()
+    wet_image = render_band(wet, leds, Medium(optics, 0.25, 1.0))
+    assert wet_image.glare.max() < 0.5 * _render(egg, leds, glare=1.0).glare.max()
 
 
-def test_conditions_are_checked():
+def test_unknown_conditions_are_refused_and_severity_zero_is_inactive():
     with pytest.raises(BadInput, match=r"one of none, wet, dry"):
         Condition("muddy")
     with pytest.raises(BadInput, match=r"severity must be from 0 to 1, but it is 1\.5"):
@@ -79,7 +73,7 @@ def test_conditions_are_checked():
     )
 
 
-def test_light_bends_towards_the_normal_under_water(egg):
+def test_a_water_film_lowers_contrast_and_reflects_by_its_roughness(egg):
     flat = egg.shape_normals
     everywhere = egg.mask.astype(np.float32)
     film = Film(everywhere, flat, np.full(egg.mask.shape, 0.05, dtype=np.float32))
@@ -98,7 +92,7 @@ def test_light_bends_towards_the_normal_under_water(egg):
     assert top == pytest.approx(mirrors * (0.25 / 0.05) ** 2, rel=0.4)
 
 
-def test_grains_have_the_mass_that_was_asked_for():
+def test_dust_grains_have_the_stated_mass():
     mask = np.ones((600, 500), dtype=np.bool_)
     flat = np.ones(mask.shape, dtype=np.float32)
     camera = Camera(40.0, mask.shape)
@@ -111,9 +105,9 @@ def test_grains_have_the_mass_that_was_asked_for():
 
 
 def test_grains_hide_the_skin_and_shade_it(egg):
-    one = Grains(np.array([85.0]), np.array([90.0]), np.array([4.0]), np.array([0.0]))
+    grain = Grains(np.array([85.0]), np.array([90.0]), np.array([4.0]), np.array([0.0]))
     fraction = np.zeros(egg.mask.shape, dtype=np.float32)
-    dusty, bare = _render(_coated(egg, fraction=fraction, grains=one)), _render(egg)
+    dusty, bare = _render(_coated(egg, fraction=fraction, grains=grain)), _render(egg)
     window = dusty.window
     row, column = 90 - window[0].start, 85 - window[1].start
     assert (dusty.diffuse[:, :, row, column] < 1e-2 * bare.diffuse[:, :, row, column]).all()
@@ -134,7 +128,7 @@ def test_scales_scatter_white_light(egg):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("kind", KINDS[1:])
-def test_a_finger_in_every_condition(finger, kind):
+def test_every_condition_covers_skin_alone(finger, kind):
     seed = np.random.SeedSequence(9)
     surface = conditioned_surface(finger, POSE, CAMERA, SKIN, Condition(kind, 0.8), seed, workers=1)
     coat = surface.coat
@@ -154,7 +148,7 @@ def test_a_finger_in_every_condition(finger, kind):
         assert float(np.quantile(tilt, 0.98)) < 1e-3
 
 
-def test_scars_stay_where_they_are_and_dust_does_not(finger):
+def test_scars_keep_their_places_and_dust_does_not(finger):
     small = Camera(6.0, (130, 140))
 
     def fraction(kind, seed):

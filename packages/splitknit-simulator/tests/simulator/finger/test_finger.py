@@ -16,7 +16,7 @@ from splitknit_simulator.finger.finger import (
     finger_surface,
     placement_of,
 )
-from splitknit_simulator.finger.master_print import MasterPrint, MasterPrintSettings
+from splitknit_simulator.finger.master_print import MasterPrintSettings
 from splitknit_simulator.finger.shape import FingerBody, FingerShape
 from splitknit_simulator.finger.skin_map import FlexionCrease, SkinRelief
 from splitknit_simulator.surface import SimulatedSurface
@@ -31,17 +31,13 @@ SMALL = Camera(10.0, (420, 290))
 
 @pytest.fixture(scope="module")
 def finger() -> SimulatedFinger:
-    return draw_finger(2, "left_loop", print_settings=SHORT)
+    drawn = draw_finger(2, "left_loop", print_settings=SHORT)
+    return replace(drawn, printed=drawn.master())
 
 
 @pytest.fixture(scope="module")
-def master(finger: SimulatedFinger) -> MasterPrint:
-    return finger.master()
-
-
-@pytest.fixture(scope="module")
-def seen(finger: SimulatedFinger, master: MasterPrint) -> SimulatedSurface:
-    return finger_surface(replace(finger, printed=master), POSE, CAMERA)
+def seen(finger: SimulatedFinger) -> SimulatedSurface:
+    return finger_surface(finger, POSE, CAMERA)
 
 
 def window(
@@ -54,7 +50,7 @@ def window(
     return Camera(camera.px_per_mm * factor, (size, size)), x, y
 
 
-def test_the_gradient_of_the_body_is_its_derivative() -> None:
+def test_the_gradient_of_the_body_agrees_with_differences():
     body = FingerBody(FingerShape(sideways_mm=0.5, skew=0.03, arching_per_mm=0.003))
     rng = np.random.default_rng(0)
     x, y, z = rng.uniform(-8, 8, 500), rng.uniform(-20, 25, 500), rng.uniform(0.5, 8, 500)
@@ -67,7 +63,7 @@ def test_the_gradient_of_the_body_is_its_derivative() -> None:
         np.testing.assert_allclose(numeric, gradient[axis], atol=1e-5)
 
 
-def test_the_chart_keeps_lengths_to_sixty_degrees() -> None:
+def test_the_chart_keeps_lengths_to_sixty_degrees():
     """Small steps on the skin against steps in the chart: within 3 % around the finger, 14 % on the
     cap's shoulders."""
     body = FingerBody(FingerShape())
@@ -105,7 +101,7 @@ def test_the_chart_keeps_lengths_to_sixty_degrees() -> None:
     np.testing.assert_allclose(chart[middle & (y < 13), 1], y[middle & (y < 13)], atol=0.05)
 
 
-def test_every_pixel_lies_on_the_skin(seen: SimulatedSurface, finger: SimulatedFinger) -> None:
+def test_every_pixel_lies_on_the_skin(seen, finger):
     """Relief is the distance from the smooth shape: on flat parts, the difference of heights times
     the cosine."""
     assert not (ndimage.binary_fill_holes(seen.mask) & ~seen.mask).any()
@@ -131,9 +127,7 @@ def test_every_pixel_lies_on_the_skin(seen: SimulatedSurface, finger: SimulatedF
 
 
 @pytest.mark.slow
-def test_normals_are_those_of_the_heights(
-    seen: SimulatedSurface, finger: SimulatedFinger, master: MasterPrint
-) -> None:
+def test_normals_agree_with_differences_of_heights(seen, finger):
     """A camera of 100 times the scale looks at single spots: finite differences of its heights give
     the normals.
 
@@ -148,7 +142,7 @@ def test_normals_are_those_of_the_heights(
             near, x, y = window(CAMERA, row, column, 100, 7)
             border = POSE.insertion_mm + (-0.5 * CAMERA.image_size[0] / CAMERA.px_per_mm) - y
             pose = replace(POSE, x_mm=POSE.x_mm - x, insertion_mm=border + 0.5 * 7 / near.px_per_mm)
-            spot = finger_surface(replace(finger, printed=master), pose, near)
+            spot = finger_surface(finger, pose, near)
             z = spot.height_mm.astype(np.float64)
             assert z[3, 3] == pytest.approx(seen.height_mm[row, column], abs=2e-5)
             slope_x = (z[3, 6] - z[3, 0]) / (6 * near.pitch_mm)
@@ -159,9 +153,9 @@ def test_normals_are_those_of_the_heights(
 
 
 @pytest.mark.slow
-def test_the_pose_is_where_it_says(finger: SimulatedFinger, master: MasterPrint) -> None:
+def test_a_finger_lies_at_its_pose(finger):
     for pose in (FingerPose(), FingerPose(roll_rad=-0.3, height_mm=-0.7, insertion_mm=28.0)):
-        surface = finger_surface(replace(finger, printed=master), pose, SMALL)
+        surface = finger_surface(finger, pose, SMALL)
         tip = SMALL.image_size[0] - pose.insertion_mm * SMALL.px_per_mm
         assert surface.landmarks["tip_px"][1] == pytest.approx(tip, abs=1.5)
         pad = surface.shape_mm[: int(tip + (finger.shape.length_mm - 1) * SMALL.px_per_mm)]
@@ -175,21 +169,19 @@ def test_the_pose_is_where_it_says(finger: SimulatedFinger, master: MasterPrint)
         middles = [columns[surface.mask[row]].mean() for row in rows]
         return float(np.arctan(np.polyfit(rows, middles, 1)[0]))
 
-    straight = lean(finger_surface(replace(finger, printed=master), FingerPose(), SMALL))
-    turned = lean(finger_surface(replace(finger, printed=master), FingerPose(yaw_rad=0.2), SMALL))
+    straight = lean(finger_surface(finger, FingerPose(), SMALL))
+    turned = lean(finger_surface(finger, FingerPose(yaw_rad=0.2), SMALL))
     # the tip turns left: columns grow with the row
     assert turned - straight == pytest.approx(0.2, abs=0.02)
 
 
-def test_the_creases_are_grooves_where_the_landmarks_say(
-    finger: SimulatedFinger, master: MasterPrint
-) -> None:
+def test_creases_are_grooves_at_their_landmarks(finger):
     pose = FingerPose(insertion_mm=58.0)
     camera = Camera(12.0, (744, 360))
     settings = SkinRelief(
         creases=(FlexionCrease(side_lines=0), FlexionCrease(v_mm=-11.5, depth_mm=0.5, side_lines=0))
     )
-    surface = finger_surface(replace(finger, skin=settings, printed=master), pose, camera)
+    surface = finger_surface(replace(finger, skin=settings), pose, camera)
     for line, crease in zip(surface.landmarks["crease_px"], settings.creases, strict=True):
         near = line[np.abs(line[:, 0] - 180) < 40]
         columns, rows = np.rint(near).astype(int).T
@@ -200,23 +192,19 @@ def test_the_creases_are_grooves_where_the_landmarks_say(
             1 - crease.darkening, abs=0.05
         )
         assert np.abs(surface.relief_um[rows - 18, columns]).max() < 150
-    assert (
-        surface.landmarks["crease_px"][0][:, 1].mean()
-        < surface.landmarks["crease_px"][1][:, 1].mean()
-    )
+    first, second = (line[:, 1].mean() for line in surface.landmarks["crease_px"])
+    assert first < second
 
 
 @pytest.mark.slow
-def test_workers_do_not_change_the_result(
-    finger: SimulatedFinger, master: MasterPrint, seen: SimulatedSurface
-) -> None:
-    again = finger_surface(replace(finger, printed=master), POSE, CAMERA, workers=1)
+def test_workers_do_not_change_the_result(finger, seen):
+    again = finger_surface(finger, POSE, CAMERA, workers=1)
     assert again.height_mm.tobytes() == seen.height_mm.tobytes()
     assert again.normals.tobytes() == seen.normals.tobytes()
     assert again.pigment.tobytes() == seen.pigment.tobytes()
 
 
-def test_the_population_stays_in_its_ranges() -> None:
+def test_drawn_fingers_stay_in_their_ranges():
     fingers = [draw_finger(seed) for seed in range(200)]
     widths = np.array([f.shape.width_mm for f in fingers])
     lengths = np.array([f.shape.length_mm for f in fingers])
@@ -230,13 +218,13 @@ def test_the_population_stays_in_its_ranges() -> None:
     assert draw_finger(3, "whorl").shape == draw_finger(3, "arch").shape
 
 
-def test_bad_input_is_refused(finger: SimulatedFinger, master: MasterPrint) -> None:
+def test_cameras_and_poses_that_show_no_finger_are_refused(finger):
     wild = Camera(20.0, (840, 580), model="perspective", matrix=np.eye(3))
     with pytest.raises(BadInput, match="sees nothing"):
-        finger_surface(replace(finger, printed=master), FingerPose(), wild)
+        finger_surface(finger, FingerPose(), wild)
     with pytest.raises(BadInput, match="height_mm"):
-        finger_surface(replace(finger, printed=master), FingerPose(), replace(wild, height_mm=4.0))
+        finger_surface(finger, FingerPose(), replace(wild, height_mm=4.0))
     with pytest.raises(BadInput, match="sees nothing"):
-        finger_surface(replace(finger, printed=master), FingerPose(x_mm=200.0), CAMERA)
+        finger_surface(finger, FingerPose(x_mm=200.0), CAMERA)
     with pytest.raises(BadInput, match="insertion_mm"):
         FingerPose(insertion_mm=-1.0)

@@ -50,19 +50,23 @@ def test_the_amplitude_is_the_largest_distance_between_shots(seed):
 
 
 @pytest.mark.slow
-def test_the_reference_shot_shows_what_a_still_finger_shows(still, moved):
-    (capture, truth), (other, moved_truth) = still, moved
+def test_the_reference_shot_shows_the_finger_as_if_still(still, moved):
+    (capture, truth), (moved_capture, moved_truth) = still, moved
     np.testing.assert_array_equal(moved_truth["height_mm"], truth["height_mm"])
     ratio = float(moved_truth["exposure_white"] / truth["exposure_white"])
-    one, two = (c.bands["white"].pixels[3].astype(float) for c in (capture, other))
+    still_image, moved_image = (
+        c.bands["white"].pixels[3].astype(float) for c in (capture, moved_capture)
+    )
     # noise, and the blur of the tremor
-    assert np.abs(two - ratio * one)[truth["mask"]].mean() < 2.0
-    one, two = (c.bands["white"].pixels[6].astype(float) for c in (capture, other))
-    assert np.abs(two - ratio * one)[truth["mask"]].mean() > 3.0
+    assert np.abs(moved_image - ratio * still_image)[truth["mask"]].mean() < 2.0
+    still_image, moved_image = (
+        c.bands["white"].pixels[6].astype(float) for c in (capture, moved_capture)
+    )
+    assert np.abs(moved_image - ratio * still_image)[truth["mask"]].mean() > 3.0
 
 
 @pytest.mark.slow
-def test_the_truth_tells_where_the_skin_went(moved):
+def test_undoing_the_true_flow_sharpens_the_mean_of_shots(moved):
     capture, truth = moved
     flow, rows, columns = truth["motion_flow_px"], truth["motion_rows"], truth["motion_columns"]
     assert flow.shape == (14, 2, len(rows), len(columns))
@@ -89,10 +93,10 @@ def test_the_truth_tells_where_the_skin_went(moved):
 
 
 @pytest.mark.slow
-def test_workers_change_nothing(moved):
+def test_the_number_of_workers_does_not_change_the_pixels(moved):
     settings = twin(amplitude_mm=0.5)
-    one = replace(settings, render=replace(settings.render, workers=1))
-    capture, _ = simulate_capture(5, None, one)
+    serial = replace(settings, render=replace(settings.render, workers=1))
+    capture, _ = simulate_capture(5, None, serial)
     np.testing.assert_array_equal(capture.bands["white"].pixels, moved[0].bands["white"].pixels)
 
 
@@ -116,7 +120,7 @@ def test_coloured_leds_that_share_an_exposure_show_the_finger_at_one_place():
     assert changed[0].min() > 5 * changed[1].max()  # every colour has moved
 
 
-def test_mirrors_are_refused():
+def test_motion_between_mirrors_is_refused():
     with pytest.raises(BadInput, match="mirrors"):
         simulate_capture(
             5, None, replace(twin(amplitude_mm=0.2), mirrors=MirrorSettings(names=("left",)))

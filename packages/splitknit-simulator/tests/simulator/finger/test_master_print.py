@@ -45,7 +45,7 @@ def turn(angle: np.ndarray, row: int, column: int, reach: int) -> float:
         ("twin_loop", 2, 2),
     ],
 )
-def test_the_class_decides_the_singular_points(pattern: str, cores: int, deltas: int) -> None:
+def test_the_class_determines_the_number_of_cores_and_deltas(pattern, cores, deltas):
     for seed in range(3):
         field = orientation_field(pattern, np.random.default_rng(seed), U, V)
         assert (len(field.cores_mm), len(field.deltas_mm)) == (cores, deltas)
@@ -57,7 +57,7 @@ def test_the_class_decides_the_singular_points(pattern: str, cores: int, deltas:
                 assert round(turn(field.angle_rad, row, column, 2)) == sign
 
 
-def test_an_ink_print_is_mirrored_and_dark_on_ridges(prints: list[MasterPrint]) -> None:
+def test_an_ink_print_is_mirrored_and_dark_on_ridges(prints):
     image = ink_print(prints[0], half_width_mm=7.5)
     step = 25.4 / 500
     rows, columns = np.mgrid[150:250, 100:180]
@@ -69,7 +69,7 @@ def test_an_ink_print_is_mirrored_and_dark_on_ridges(prints: list[MasterPrint]) 
 
 
 @pytest.mark.slow
-def test_the_mean_period_is_23_ridges_a_centimetre() -> None:
+def test_the_mean_period_is_23_ridges_a_centimetre():
     periods = [
         master_print(
             "arch", seed, MasterPrintSettings(half_width_mm=2, distal_mm=3, proximal_mm=1)
@@ -80,7 +80,7 @@ def test_the_mean_period_is_23_ridges_a_centimetre() -> None:
     assert 0.02 < np.std(periods) < 0.045
 
 
-def test_ridges_keep_the_drawn_period(prints: list[MasterPrint]) -> None:
+def test_ridges_keep_the_drawn_period(prints):
     for print_ in prints:
         pitch = print_.u_mm[1] - print_.u_mm[0]
         window = np.hanning(200)[:, None] * np.hanning(200)[None, :]
@@ -93,7 +93,7 @@ def test_ridges_keep_the_drawn_period(prints: list[MasterPrint]) -> None:
 
 
 @pytest.mark.slow
-def test_minutiae_sit_on_broken_ridges_at_the_density_of_people() -> None:
+def test_minutiae_sit_on_broken_ridges_at_the_density_of_people():
     densities = []
     for seed, pattern in enumerate(PATTERNS):
         print_ = master_print(pattern, seed, SMALL)
@@ -106,7 +106,7 @@ def test_minutiae_sit_on_broken_ridges_at_the_density_of_people() -> None:
     assert 0.13 < np.mean(densities) < 0.32
 
 
-def test_a_dislocation_is_found_with_its_side() -> None:
+def test_a_dislocation_is_found_with_its_direction():
     from splitknit_simulator.finger.ridges import phase_singularities
 
     rows, columns = np.mgrid[0:200, 0:200].astype(float)
@@ -114,8 +114,8 @@ def test_a_dislocation_is_found_with_its_side() -> None:
     wave = (
         np.cos(phase) * np.exp(-(((rows - 100) / 60) ** 2) - ((columns - 100) / 60) ** 2)
     ).astype(np.float32)
-    found = phase_singularities(wave, np.full((200, 200), np.pi / 2))
-    near = found[np.hypot(found[:, 0] - 100.5, found[:, 1] - 100.5) < 60]
+    singular = phase_singularities(wave, np.full((200, 200), np.pi / 2))
+    near = singular[np.hypot(singular[:, 0] - 100.5, singular[:, 1] - 100.5) < 60]
     assert len(near) == 1
     assert np.hypot(near[0, 0] - 100.5, near[0, 1] - 100.5) < 3
     # The phase grows along the columns; a turn of +2 pi counter-clockwise leaves more ridges below
@@ -125,7 +125,7 @@ def test_a_dislocation_is_found_with_its_side() -> None:
     assert np.sign(np.sin(near[0, 2])) == (1 if above > below else -1)
 
 
-def test_pores_sit_on_ridges(prints: list[MasterPrint]) -> None:
+def test_pores_sit_on_ridges(prints):
     for print_ in prints:
         assert print_.ridge[print_.pores > 0.5].mean() > 0.85
         area = np.ptp(print_.u_mm) * np.ptp(print_.v_mm)
@@ -133,7 +133,7 @@ def test_pores_sit_on_ridges(prints: list[MasterPrint]) -> None:
         assert 2.9 < count / area < 4.4  # 1 / (0.43 mm x 0.65 mm) = 3.6, thinned
 
 
-def test_the_same_seed_gives_the_same_bytes_for_any_threads() -> None:
+def test_the_same_seed_gives_the_same_bytes_for_any_threads():
     before = cv2.getNumThreads()
     try:
         cv2.setNumThreads(1)
@@ -147,31 +147,34 @@ def test_the_same_seed_gives_the_same_bytes_for_any_threads() -> None:
     assert master_print("whorl", 6, SMALL).ridge.tobytes() != first.ridge.tobytes()
 
 
-def test_bad_input_is_refused() -> None:
+def test_unknown_patterns_and_coarse_pitches_are_refused():
     with pytest.raises(BadInput, match="choose one of"):
         master_print("spiral", 0)
     with pytest.raises(BadInput, match="pitch_mm"):
         MasterPrintSettings(pitch_mm=0.1)
 
 
-def test_the_finger_that_left_a_print_has_its_ridges(prints: list[MasterPrint]) -> None:
+def test_a_print_gives_back_the_ridges_of_its_finger(prints):
     """Ink on paper and back: mirrored twice, at the print's scale, its middle 13.5 mm above the
     first crease."""
     first = prints[0]
-    found = master_of_print(ink_print(first), settings=SMALL)
-    pad = (slice(None), np.abs(found.u_mm) < 4.0), (np.abs(found.v_mm - 13.5) < 6.0, slice(None))
-    one, other = (m.ridge[pad[1]][pad[0]] for m in (first, found))
+    restored = master_of_print(ink_print(first), settings=SMALL)
+    pad = (
+        (slice(None), np.abs(restored.u_mm) < 4.0),
+        (np.abs(restored.v_mm - 13.5) < 6.0, slice(None)),
+    )
+    printed, recovered = (m.ridge[pad[1]][pad[0]] for m in (first, restored))
     best = max(
-        np.corrcoef(np.roll(other, (r, c), (0, 1))[8:-8, 8:-8].ravel(), one[8:-8, 8:-8].ravel())[
-            0, 1
-        ]
+        np.corrcoef(
+            np.roll(recovered, (r, c), (0, 1))[8:-8, 8:-8].ravel(), printed[8:-8, 8:-8].ravel()
+        )[0, 1]
         for r in range(-6, 7, 2)
         for c in range(-6, 7, 2)
     )
     assert best > 0.85
     # beyond the print the skin is smooth
-    assert found.ridge[np.abs(found.v_mm - 1.0) < 1.0].std() < 1e-6
-    assert found.pattern == "print" and not found.cores_mm and len(found.minutiae) == 0
+    assert restored.ridge[np.abs(restored.v_mm - 1.0) < 1.0].std() < 1e-6
+    assert restored.pattern == "print" and not restored.cores_mm and len(restored.minutiae) == 0
 
 
 @pytest.mark.parametrize(
@@ -182,6 +185,6 @@ def test_the_finger_that_left_a_print_has_its_ridges(prints: list[MasterPrint]) 
         (np.full((2000, 300), 255, np.uint8), "too large"),
     ],
 )
-def test_what_is_no_print_is_refused(image: np.ndarray, message: str) -> None:
+def test_images_that_are_no_print_are_refused(image, message):
     with pytest.raises(BadInput, match=message):
         master_of_print(image)

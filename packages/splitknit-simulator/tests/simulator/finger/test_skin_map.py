@@ -1,7 +1,5 @@
 """Ridges, pores and bumps over a finger's body."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from scipy import ndimage
@@ -10,7 +8,7 @@ from splitknit_simulator.finger.master_print import MasterPrintSettings, master_
 from splitknit_simulator.finger.skin_map import SkinRelief, skin_map
 
 
-def test_bumps_are_soft_and_leave_the_ridges_as_they_are() -> None:
+def test_bumps_are_soft_and_leave_the_ridges_as_they_are():
     master = master_print(
         "arch", 3, MasterPrintSettings(half_width_mm=8.0, distal_mm=20.0, proximal_mm=2.0)
     )

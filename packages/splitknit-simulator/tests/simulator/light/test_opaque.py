@@ -1,7 +1,5 @@
 """A matt finger under near LEDs: Lambert's law."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 
@@ -29,13 +27,13 @@ def _plane(normal=(0.0, 0.0, 1.0), mask=None):
     )
 
 
-def test_a_flat_card_is_the_twins_white_card():
+def test_a_flat_opaque_plane_is_a_white_card():
     window, light = render_opaque(_plane(), [LED], albedo=0.5)
     card = white_card(CAMERA, LED, step=1)
     np.testing.assert_allclose(light[0], 0.5 * card[window], rtol=2e-5)
 
 
-def test_light_falls_with_the_cosine_and_stops_in_the_attached_shadow():
+def test_light_follows_the_cosine_and_ends_in_the_attached_shadow():
     distant = Led("white", direction=(0.6, 0.0, 0.8), intensity=2.0)
     _, facing = render_opaque(_plane((0.6, 0.0, 0.8)), [distant], albedo=1.0)
     assert facing == pytest.approx(2.0 / np.pi)

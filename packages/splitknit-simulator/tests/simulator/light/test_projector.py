@@ -1,7 +1,5 @@
 """Checkerboards on the skin."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 
@@ -16,7 +14,7 @@ def _grid(size=400):
     return axis[None, :] + 0 * axis[:, None], axis[:, None] + 0 * axis[None, :]
 
 
-def test_half_a_checkerboard_is_lit_and_a_shift_by_one_check_is_its_complement():
+def test_half_a_checkerboard_is_lit_and_a_shift_by_a_check_inverts_it():
     pattern = Checkerboard(0.8)
     x, y = _grid()
     first, second = (pattern.state(x, y, shift, PITCH) for shift in ((0.1, 0.0), (0.9, 0.0)))
@@ -26,7 +24,7 @@ def test_half_a_checkerboard_is_lit_and_a_shift_by_one_check_is_its_complement()
     np.testing.assert_allclose(pattern.state(x, y, (0.9, 0.8), PITCH), first, atol=1e-6)
 
 
-def test_every_point_is_lit_by_its_share_of_a_fine_grid_of_shifts():
+def test_every_point_is_lit_in_half_of_all_shifts():
     pattern = Checkerboard(0.8, steps=16)
     x, y = _grid(20)
     states = np.stack([pattern.state(x, y, shift, PITCH) for shift in pattern.shifts_mm()])

@@ -55,7 +55,7 @@ def test_flat_even_skin_reflects_its_albedo():
         np.testing.assert_allclose(image.diffuse[0, c], expected, rtol=0.005)
 
 
-def test_dense_scattering_gives_lambert(egg):
+def test_dense_scattering_is_lambertian(egg):
     """Where light leaves where it entered, the picture is the irradiance times the Fresnel
     transmittances."""
     dense = ChannelOptics(scattering_per_mm=3000.0, absorption_per_mm=60.0, relief_gain_per_um=0.0)
@@ -87,7 +87,7 @@ def test_ridge_contrast_follows_the_measurements(egg):
     leds = default_rig().leds[:7]
     smooth = ridged_egg(depth_um=0.0)
     with_ridges, without = (
-        render_band(one, leds, Medium(_all_channels(), 0.25, 1.0)) for one in (egg, smooth)
+        render_band(surface, leds, Medium(_all_channels(), 0.25, 1.0)) for surface in (egg, smooth)
     )
     flat = egg.shape_normals[with_ridges.window][..., 2] > 0.8
 
@@ -114,7 +114,7 @@ def test_ridge_contrast_follows_the_measurements(egg):
     assert outside["blue"] > outside["green"] > outside["red"] > outside["nir"]
 
 
-def test_glare_of_a_mirror_like_plane_obeys_the_microfacet_equation():
+def test_specular_reflection_of_a_plane_follows_the_microfacet_equation():
     """At normal incidence and view, D G F / (4 n.v) = F / (4 pi alpha^2)."""
     image = render_band(plane(), [OVERHEAD], Medium(_all_channels()[:1], 0.3, 1.0))
     expected = (0.42 / 2.42) ** 2 / (4 * np.pi * 0.3**2)
@@ -138,15 +138,15 @@ def test_relief_term_brightens_ridges(egg):
 
 def test_workers_do_not_change_the_bytes(egg):
     leds = default_rig().leds[:3]
-    one, three = (
+    single, three = (
         render_band(egg, leds, Medium(_all_channels(), 0.25, 1.0), RenderSettings(workers=w))
         for w in (1, 3)
     )
-    assert one.diffuse.tobytes() == three.diffuse.tobytes()
-    assert one.glare.tobytes() == three.glare.tobytes()
+    assert single.diffuse.tobytes() == three.diffuse.tobytes()
+    assert single.glare.tobytes() == three.glare.tobytes()
 
 
-def test_a_finger_outside_the_picture_is_refused():
+def test_an_empty_mask_and_zero_workers_are_refused():
     empty = replace(plane(), mask=np.zeros((96, 128), dtype=np.bool_))
     with pytest.raises(BadInput, match="outside the picture"):
         render_band(empty, [OVERHEAD], Medium(_all_channels(), 0.25, 1.0))
@@ -184,14 +184,14 @@ def _wave(
 
 
 def _diffuse(surface: SimulatedSurface, led: Led, boundary: Boundary | None) -> np.ndarray:
-    media = [replace(one, relief_gain_per_um=0.0) for one in _all_channels()[:3]]
+    media = [replace(optics, relief_gain_per_um=0.0) for optics in _all_channels()[:3]]
     settings = RenderSettings(rim_exponent=0.0, reach_mm=1.0)
     image = render_band(surface, [led], Medium(media, 0.25, 0.0, boundary), settings)
     return image.diffuse[0][:, 60:-60, 60:-60]
 
 
 @pytest.mark.parametrize("slope", [0.8, 1.5])
-def test_ridges_flatten_a_slope_in_a_blurred_image_only(slope):
+def test_ridges_lower_the_contrast_of_a_slope_only_if_blurred(slope):
     """As much light enters and leaves a ridged slope as a smooth one: facets that look small are
     large."""
     leds = [Led("white", direction=(side, 0.0, 0.95)) for side in (-0.3, 0.3)]
@@ -222,7 +222,7 @@ def test_refracted_light_reverses_the_shading_of_slopes():
     np.testing.assert_allclose(smooth / matt, [-1.3, -0.65, 0.0], atol=0.05)
 
 
-def test_texture_is_seen_by_colour_and_gloss_by_place():
+def test_texture_changes_single_colours_and_gloss_single_places():
     wave = _wave(0.0)
     blood = np.zeros_like(wave.height_mm)
     blood[:, 120:] = 0.1
@@ -231,18 +231,18 @@ def test_texture_is_seen_by_colour_and_gloss_by_place():
     grain = np.ones((4, *blood.shape), dtype=np.float32)
     grain[1, :, :60] = 1.2
     marked = replace(wave, texture=Texture(gloss=gloss, blood=blood, grain=grain))
-    plain, other = (
+    plain, textured = (
         render_band(s, [OVERHEAD], Medium(_all_channels()[:3], 0.3, 1.0)) for s in (wave, marked)
     )
-    np.testing.assert_allclose(other.glare, plain.glare * gloss, rtol=1e-5)
-    ratio = (other.diffuse / plain.diffuse)[0, :, 0, :]
+    np.testing.assert_allclose(textured.glare, plain.glare * gloss, rtol=1e-5)
+    ratio = (textured.diffuse / plain.diffuse)[0, :, 0, :]
     np.testing.assert_allclose(ratio[:, 60:120], 1.0, rtol=1e-5)
     np.testing.assert_allclose(ratio[:, 30], [1.0, 1.2, 1.0], rtol=1e-5)
     np.testing.assert_allclose(-np.log(ratio[:, 130]), [0.015, 0.1, 0.08], rtol=1e-3)
 
 
 @pytest.mark.slow
-def test_light_beside_a_cylinder_is_that_of_random_walks_in_it():
+def test_light_on_the_far_side_of_a_cylinder_agrees_with_random_walks():
     """On the side away from the LED, where a blurred image has a third too much; the walks share no
     code with it."""
     with scripts_of(VALIDATION / "twin") as script:

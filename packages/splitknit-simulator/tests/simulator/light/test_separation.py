@@ -1,7 +1,5 @@
 """Direct and global light of the twin."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np
@@ -49,7 +47,7 @@ def _truth(surface, led, skin=SKIN, **options):
 
 
 @pytest.mark.parametrize("phases", ["all", "centred"])
-def test_direct_and_global_add_up_to_what_the_renderer_makes(pad, phases):
+def test_direct_and_global_light_add_up_to_the_rendered_image(pad, phases):
     truth = _truth(pad, LED, phases=phases)
     medium = replace(SKIN.medium("white"), boundary=Boundary(blurred=True))
     light = render_band(pad, [LED], medium, SHORT)
@@ -63,7 +61,7 @@ def test_direct_and_global_add_up_to_what_the_renderer_makes(pad, phases):
     }
 
 
-def test_the_truth_is_the_largest_minus_the_smallest_image_over_all_phases(pad):
+def test_direct_light_is_maximum_minus_minimum_over_all_phases(pad):
     """Brute force: a projector that shifts by a pixel, all 256 images rendered."""
     truth = _truth(pad, LED)
     fine = Checkerboard(0.4, steps=16)
@@ -123,14 +121,14 @@ def test_opaque_skin_has_no_global_light(pad):
     assert error.max() < 2e-6 * truth.white.max()
 
 
-def test_near_infrared_has_one_channel_and_the_same_arguments_give_the_same_bytes(pad):
+def test_the_truth_in_near_infrared_has_one_channel_and_repeats(pad):
     led = default_rig().leds[9]
     first, second = (_truth(pad, led, phases="centred") for _ in range(2))
     assert first.direct.shape == (1, 100, 120)
     assert first.direct.tobytes() == second.direct.tobytes()
 
 
-def test_only_the_finger_is_in_the_window():
+def test_light_outside_the_finger_is_zero():
     egg = ridged_egg(size=(160, 150), px_per_mm=9.0)
     truth = _truth(egg, LED, phases="centred")
     outside = ~egg.mask[truth.window]
@@ -139,14 +137,14 @@ def test_only_the_finger_is_in_the_window():
         assert not part[:, outside].any()
 
 
-def test_checks_of_a_pixel_and_unknown_phases_are_refused(pad):
+def test_checks_of_a_pixel_are_refused(pad):
     with pytest.raises(BadInput, match="larger checks"):
         _truth(pad, LED, check_mm=0.08)
     with pytest.raises(BadInput, match="larger checks"):
         next(checkerboard_images(pad, LED, SKIN, Checkerboard(0.08)))
 
 
-def test_opaque_skin_shows_the_pattern_where_the_projector_throws_it(pad):
+def test_opaque_skin_shows_the_projected_pattern(pad):
     pattern = Checkerboard(0.5, steps=3)
     stack = checkerboard_stack(pad, LED, OPAQUE, pattern, settings=SHORT)
     white = _truth(pad, LED, OPAQUE, phases="centred").white

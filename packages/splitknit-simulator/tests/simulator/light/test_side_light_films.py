@@ -1,7 +1,5 @@
 """Film before side lights: turned, so that a facet's reflection stays out of the crossed image."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 
@@ -12,7 +10,7 @@ from splitknit_simulator.scene import TwinSettings, films_of
 
 
 @pytest.mark.parametrize("analyser", [0.0, 0.6])
-def test_turned_film_keeps_the_reflection_out_of_the_crossed_image(analyser: float) -> None:
+def test_turned_film_keeps_the_reflection_out_of_the_crossed_image(analyser):
     """Film along the analyser would leak up to half of what a facet half way between light and
     camera mirrors."""
     leaks = []
@@ -33,7 +31,7 @@ def test_turned_film_keeps_the_reflection_out_of_the_crossed_image(analyser: flo
     assert max(leaks) > 0.4
 
 
-def test_the_twin_mounts_the_film_so() -> None:
+def test_the_twin_turns_the_film_before_side_lights():
     rig = with_side_lights(default_rig(0.1), 7)
     films = films_of(TwinSettings(rig=rig, films=FilmSettings(kind="analyser")), rig)
     assert films is not None and films.polariser_rad.shape == (2, 14)

@@ -3,8 +3,6 @@ the twin."""
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import numpy as np
 import pytest
 
@@ -46,9 +44,7 @@ def mounted(**settings: float):
     # 1))^2 across; at 45 deg the one is the square of the other; all at grazing incidence
     [(0.0, 0.0426, 0.0426), (56.667, 0.1568, 0.0), (45.0, 0.0967, 0.0967**2), (89.9999, 1.0, 1.0)],
 )
-def test_reflectances_across_and_along_the_plane_of_incidence_are_the_published_ones(
-    angle_deg, across, along
-):
+def test_fresnel_reflectances_agree_with_published_values(angle_deg, across, along):
     s, p = fresnel_amplitudes(np.cos(np.deg2rad(angle_deg)), 1.52)
     assert (float(s**2), float(p**2)) == (
         pytest.approx(across, abs=2e-4),
@@ -58,7 +54,7 @@ def test_reflectances_across_and_along_the_plane_of_incidence_are_the_published_
     assert 0.5 * (s**2 + p**2) == pytest.approx(float(fresnel(np.cos(np.deg2rad(angle_deg)), 1.52)))
 
 
-def test_a_mirror_vanishes_in_crossed_images_and_misalignment_leaks_by_sin_squared():
+def test_crossed_films_block_a_mirror_and_misalignment_leaks_by_malus_s_law():
     straight = mounted()
     assert straight.specular(0, 0, UP, UP) == pytest.approx(0.5)
     assert float(straight.specular(1, 0, UP, UP)) < 1e-8
@@ -88,28 +84,30 @@ def unpolarised():
 
 
 @pytest.mark.parametrize("kind", ["analyser", "leds"])
-def test_the_mean_of_both_series_is_the_unpolarised_capture(unpolarised, kind):
-    found, capture, truth = pixels(
+def test_the_mean_of_both_series_equals_the_unpolarised_capture(unpolarised, kind):
+    polarised, capture, truth = pixels(
         {"films.kind": kind, "films.kept": 0.3, "films.transmission": (0.8, 0.8, 0.6)}
     )
     plain, inside = unpolarised[0]["white"], truth["mask"]
-    mean = (found["white"] + found["white_crossed"]) / 2 / [1.0, 1.0, (0.6 / 0.8) ** 2]
+    mean = (polarised["white"] + polarised["white_crossed"]) / 2 / [1.0, 1.0, (0.6 / 0.8) ** 2]
     # s and p reflectance are not the same: a few per cent of the specular reflection; neighbours
     # stand elsewhere
     ratio = (mean / np.maximum(plain, 1.0))[:, inside & (plain.min(axis=(0, 3)) > 1000)]
     np.testing.assert_allclose(np.median(ratio, axis=(0, 1)), 1.0, atol=2e-3)
     assert np.percentile(np.abs(ratio - 1), 95) < (0.02 if kind == "analyser" else 0.06)
-    np.testing.assert_array_equal(found["nir"], unpolarised[0]["nir"])
+    np.testing.assert_array_equal(polarised["nir"], unpolarised[0]["nir"])
     assert truth["exposure_white"] == truth["exposure_white_crossed"]
     assert [capture.bands[name].polarisation for name in ("white", "white_crossed", "nir")] == [
         "parallel", "crossed", "",
     ]  # fmt: skip
 
 
-def test_the_difference_is_the_specular_reflection(unpolarised):
-    found, _, truth = pixels({"films.kind": "analyser", "films.kept": 0.0, "films.extinction": 1e6})
+def test_the_difference_of_the_series_is_the_specular_reflection(unpolarised):
+    polarised, _, truth = pixels(
+        {"films.kind": "analyser", "films.kept": 0.0, "films.extinction": 1e6}
+    )
     inside, full = truth["mask"], 65535.0
-    difference = (found["white"] - found["white_crossed"])[..., 1] / full
+    difference = (polarised["white"] - polarised["white_crossed"])[..., 1] / full
     expected = truth["glare_white"].astype(np.float64) - truth["glare_white_crossed"]
     assert np.abs(difference - expected)[:, inside].max() < 2e-3
     ratio = truth["glare_white"][:, inside].sum() / unpolarised[2]["glare_white"][:, inside].sum()
@@ -117,7 +115,7 @@ def test_the_difference_is_the_specular_reflection(unpolarised):
     assert truth["glare_white_crossed"].max() < 0.01 * truth["glare_white"].max()
 
 
-def test_neighbouring_leds_are_leds_of_the_rig():
+def test_the_crossed_series_has_neighbouring_leds_of_its_own():
     _, capture, _ = pixels({"films.kind": "leds"})
     white, crossed = (capture.bands[name].leds for name in ("white", "white_crossed"))
     assert (white, crossed) == (tuple((k,) for k in range(7)), tuple((k,) for k in range(14, 21)))
@@ -126,7 +124,7 @@ def test_neighbouring_leds_are_leds_of_the_rig():
 
 
 @pytest.mark.slow
-def test_a_turned_film_shifts_the_crossed_series_only():
+def test_a_shift_by_the_film_moves_the_crossed_series_only():
     plain, _, _ = pixels({"films.kind": "analyser"})
     shifted, _, _ = pixels({"films.kind": "analyser", "films.shift_px": 2.0})
     np.testing.assert_array_equal(plain["white"], shifted["white"])
@@ -134,14 +132,14 @@ def test_a_turned_film_shifts_the_crossed_series_only():
 
 
 @pytest.mark.slow
-def test_a_finger_moves_between_the_series():
+def test_motion_includes_the_time_between_the_series():
     _, capture, truth = pixels({"films.kind": "analyser", "motion.amplitude_mm": 0.2})
     assert list(capture.bands) == ["white", "white_crossed", "nir"]
     assert truth["motion_shift_mm"].shape == (21, 2)
     assert truth["exposure_white"] == truth["exposure_white_crossed"]
 
 
-def test_a_polarised_capture_is_written_and_read_back(tmp_path: Path):
+def test_a_polarised_capture_is_written_and_read_back(tmp_path):
     _, capture, truth = pixels({"films.kind": "leds"})
     splitknit.write_capture(capture, tmp_path / "c", truth)
     back = splitknit.read_capture(tmp_path / "c")
@@ -150,11 +148,9 @@ def test_a_polarised_capture_is_written_and_read_back(tmp_path: Path):
         assert back.bands[name].polarisation == band.polarisation
 
 
-def test_what_films_do_not_go_with_is_refused():
+def test_films_with_mirrors_or_coloured_leds_are_refused():
     with pytest.raises(BadInput, match=r"without films; leave out mirrors"):
-        splitknit_simulator.simulate_capture(
-            1, settings={"films.kind": "leds", "mirrors.names": ("left",)}
-        )
+        pixels({"films.kind": "leds", "mirrors.names": ("left",)})
     with pytest.raises(BadInput, match=r"films\.kept must be from 0 to 1"):
         FilmSettings(kept=1.5)
     from splitknit_simulator.rigs import coloured_rig
@@ -164,5 +160,5 @@ def test_what_films_do_not_go_with_is_refused():
         splitknit_simulator.simulate_capture(1, settings=coloured)
 
 
-def test_without_films_a_rig_has_none():
+def test_without_films_the_rig_gets_no_further_leds():
     assert len(lay_down(1, "whorl", TwinSettings(scale=0.08))[1].rig.leds) == 14

@@ -1,7 +1,5 @@
 """Optics of skin: coefficients, random walks, kernels."""
 
-from __future__ import annotations
-
 import itertools
 import runpy
 from pathlib import Path
@@ -46,7 +44,7 @@ def test_defaults_give_the_measured_coefficients(channel):
     assert 100 * optics.relief_gain_per_um == pytest.approx(RELIEF_GAIN[channel], rel=0.1)
 
 
-def test_brightness_of_heights_follows_the_reference_walks():
+def test_the_brightness_of_heights_follows_the_reference_walks():
     """Gain over attenuation of ridges of 75 um in our own walks, by scattering; their errors are
     0.04 to 0.12."""
     matt, smooth = Boundary(), Boundary(refraction=1.0)
@@ -64,7 +62,7 @@ def test_brightness_of_heights_follows_the_reference_walks():
     assert matt.height_signal(0.5) == 0.0
 
 
-def test_melanin_and_blood_absorb_where_they_should():
+def test_melanin_absorbs_most_in_blue_and_blood_in_green():
     light, dark = SkinOptics(melanin=0.0002), SkinOptics(melanin=0.02)
     rise = {
         c: dark.channel(c).absorption_per_mm - light.channel(c).absorption_per_mm for c in CHANNELS
@@ -78,14 +76,14 @@ def test_melanin_and_blood_absorb_where_they_should():
     assert ratio["green"] > 2 > ratio["red"] > 1
 
 
-def test_settings_and_ranges_are_checked():
+def test_skin_settings_out_of_range_are_refused():
     with pytest.raises(BadInput, match="melanin"):
         SkinOptics(melanin=0.3)
     with pytest.raises(BadInput, match="glare"):
         SkinRanges(glare=(2.0, 1.0))
 
 
-def test_ranges_draw_inside_and_repeat():
+def test_drawn_skin_stays_in_its_ranges_and_repeats():
     ranges = SkinRanges()
     drawn = [ranges.draw(np.random.default_rng(seed)) for seed in range(40)]
     assert drawn[3] == ranges.draw(np.random.default_rng(3))
@@ -95,7 +93,7 @@ def test_ranges_draw_inside_and_repeat():
     assert factors.std() > 0.1
 
 
-def test_fresnel_at_known_angles():
+def test_fresnel_reflectance_is_exact_at_known_angles():
     brewster = np.cos(np.arctan(1.42))
     assert float(fresnel(np.array(1.0))) == pytest.approx((0.42 / 2.42) ** 2, rel=1e-6)
     across = (
@@ -121,7 +119,7 @@ def test_reweighted_walks_equal_walks_that_absorb(maker):
 
 
 @pytest.mark.parametrize("channel", CHANNELS)
-def test_modulation_left_at_the_ridge_period(channel):
+def test_the_modulation_at_the_ridge_period_is_the_measured_one(channel):
     """measurements.md: B 0.22, G 0.15, R 0.08 at one cycle in 33 px."""
     scattering, absorption = REFERENCE[channel]
     profile = diffusion_profile(scattering, absorption)

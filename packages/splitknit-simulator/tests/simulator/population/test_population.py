@@ -1,8 +1,6 @@
 """People whose fingers are similar, sessions that differ, and captures that follow from their place
 alone."""
 
-from __future__ import annotations
-
 import hashlib
 from dataclasses import replace
 
@@ -23,6 +21,7 @@ from splitknit_simulator.population.sessions import (
 )
 
 COUNT = 500
+SIDES = ("right", "left")
 SMALL = PopulationSettings(scale=0.08)
 
 
@@ -51,7 +50,7 @@ def _correlation(a, b):
     return float(np.corrcoef(a, b)[0, 1])
 
 
-def test_a_person_follows_from_its_number(people):
+def test_a_person_depends_on_seed_and_number_alone(people):
     assert draw_person(5, 7) == people[6]
     assert draw_person(6, 7) != people[6]
     seeds = {own.finger.seed for p in people for own in p.fingers.values()}
@@ -66,9 +65,8 @@ def test_classes_have_the_frequencies_of_their_digit(people):
         for pattern, fraction in fractions.items():
             spread = np.sqrt(fraction * (1 - fraction) / COUNT)
             assert abs(drawn.count(pattern) / COUNT - fraction) < 4 * spread + 1e-9, (name, pattern)
-    assert class_fractions("right", "index")["arch"] + class_fractions("right", "index")[
-        "tented_arch"
-    ] == pytest.approx(0.17)
+    index = class_fractions("right", "index")
+    assert index["arch"] + index["tented_arch"] == pytest.approx(0.17)
 
 
 def test_loops_open_to_the_little_finger_of_either_hand(people):
@@ -80,7 +78,7 @@ def test_loops_open_to_the_little_finger_of_either_hand(people):
         assert loops.count(ulnar) > 0.95 * len(loops)
 
 
-def test_classes_of_a_person_are_alike(people):
+def test_pattern_classes_of_a_person_correlate(people):
     whorls = np.array(
         [
             [
@@ -93,54 +91,48 @@ def test_classes_of_a_person_are_alike(people):
     assert _correlation(whorls[:, 0], whorls[:, 1]) > 0.1
 
 
-def test_a_hand_mirrors_the_other(people):
+def test_the_shapes_of_both_hands_are_mirror_images(people):
+
+    def correlation(field):
+        return _correlation(*(_shapes(people, f"{side}_middle", field) for side in SIDES))
+
     for field in ("sideways_mm", "skew"):
-        right, left = _shapes(people, "right_middle", field), _shapes(people, "left_middle", field)
-        assert _correlation(right, left) < -0.75
+        assert correlation(field) < -0.75
     for field, least in (
         ("width_mm", 0.9),
         ("length_mm", 0.85),
         ("pad_bulge", 0.75),
         ("tip_drop_mm", 0.7),
     ):
-        assert (
-            _correlation(
-                _shapes(people, "right_middle", field), _shapes(people, "left_middle", field)
-            )
-            > least
-        )
+        assert correlation(field) > least
     tilts = np.array(
-        [
-            [p.fingers[f"{s}_index"].finger.skin.creases[0].tilt for s in ("right", "left")]
-            for p in people
-        ]
+        [[p.fingers[f"{side}_index"].finger.skin.creases[0].tilt for side in SIDES] for p in people]
     )
     assert _correlation(tilts[:, 0], tilts[:, 1]) < -0.75
 
 
-def test_impressions_keep_to_their_ranges(impressions):
+def test_impressions_stay_in_their_ranges(impressions):
+
+    def drawn(name):
+        """Of two fingers of every person."""
+        return np.array([[getattr(finger, name) for finger in both] for both in impressions])
+
     low, high = DEFORMATION_MM
-    values = np.array([one.deformation_mm for both in impressions for one in both])
+    values = drawn("deformation_mm")
     assert low <= values.min() < low + 0.1 * (high - low)
     assert high - 0.1 * (high - low) < values.max() <= high
-    swelling = np.array([[one.swelling for one in both] for both in impressions])
+    swelling = drawn("swelling")
     assert 0.02 < np.abs(swelling).max() <= 2 * SWELLING_SD
     assert _correlation(*swelling.T) > 0.65
-    moist, rough = (
-        np.array([getattr(both[0], name) for both in impressions])
-        for name in ("moisture", "roughness")
-    )
-    assert _correlation(moist, rough) < -0.99
-    partial = np.array([one.partial for both in impressions for one in both])
+    assert _correlation(drawn("moisture")[:, 0], drawn("roughness")[:, 0]) < -0.99
+    partial, insertion = drawn("partial"), drawn("insertion_mm")
     assert 0.06 < partial.mean() < 0.14
-    insertion = np.array([one.insertion_mm for both in impressions for one in both])
     assert insertion[partial].max() <= 22.0
     assert insertion[~partial].min() >= 26.0
-    roll = np.array([one.roll_deg for both in impressions for one in both])
-    assert 5.5 < roll.std() < 7.5
+    assert 5.5 < drawn("roll_deg").std() < 7.5
 
 
-def test_the_finger_of_today_is_swollen_flat_and_moist(people, impressions):
+def test_a_session_changes_width_thickness_and_ridge_depth(people, impressions):
     own, today = people[0].fingers["right_index"], impressions[0][0]
     finger = finger_of_today(own.finger, today)
     assert finger.shape.width_mm == own.finger.shape.width_mm * (
@@ -153,12 +145,12 @@ def test_the_finger_of_today_is_swollen_flat_and_moist(people, impressions):
 
 
 @pytest.mark.slow
-def test_a_capture_follows_from_its_place_alone():
-    def digest(shown):
-        parts = [band.pixels.tobytes() for band in shown.capture.bands.values()]
+def test_a_capture_depends_on_person_finger_and_session_alone():
+    def digest(photographed):
+        parts = [band.pixels.tobytes() for band in photographed.capture.bands.values()]
         parts += [
-            key.encode() + np.ascontiguousarray(shown.truth[key]).tobytes()
-            for key in sorted(shown.truth)
+            key.encode() + np.ascontiguousarray(photographed.truth[key]).tobytes()
+            for key in sorted(photographed.truth)
         ]
         return hashlib.sha256(b"".join(parts)).hexdigest()
 
@@ -186,7 +178,7 @@ def test_a_capture_follows_from_its_place_alone():
     assert [led.intensity for led in SMALL.rig().leds] == list(told)
 
 
-def test_what_does_not_exist_is_refused():
+def test_unknown_fingers_people_and_ranges_are_refused():
     with pytest.raises(BadInput, match="'left_toe' is not a finger"):
         population_capture(SMALL, SMALL.person(1), "left_toe", 1)
     with pytest.raises(BadInput, match="numbered from 1"):

@@ -1,8 +1,6 @@
 """Skin that moves over the body: bounded, smooth, the same for ridges and landmarks, and really in
 the pictures."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np
@@ -37,7 +35,7 @@ def test_a_shift_is_bounded_and_smooth(master):
         assert apart < 0.2  # over a millimetre; ridges are 0.43 mm apart
 
 
-def test_no_shift_changes_nothing(master):
+def test_a_deformation_of_zero_changes_nothing(master):
     same = deformed(master, _deformation(master, amplitude=0.0))
     np.testing.assert_allclose(same.ridge, master.ridge, atol=1e-5)
     np.testing.assert_allclose(same.minutiae[:, :2], master.minutiae[:, :2], atol=1e-9)
@@ -58,11 +56,11 @@ def test_landmarks_move_with_the_ridges(master):
     for u, v in moved.minutiae[:, :2]:
         near = (np.abs(master.u_mm - u) < 1.0) & (np.abs(master.v_mm - v) < 1.0)[:, None]
         weight = np.where(near, moved.ridge, 0.0)
-        found = [
+        centroid = [
             (weight * axis).sum() / weight.sum()
             for axis in (master.u_mm[None, :], master.v_mm[:, None])
         ]
-        np.testing.assert_allclose(found, [u, v], atol=0.03)
+        np.testing.assert_allclose(centroid, [u, v], atol=0.03)
     np.testing.assert_allclose(moved.cores_mm[0], moved.minutiae[1, :2], atol=1e-12)
     assert 0.0 < np.abs(moved.minutiae[:, 2]).max() < 0.2
 
@@ -72,6 +70,6 @@ def test_swollen_skin_is_stretched(master):
     np.testing.assert_allclose(d.moved(np.array([[5.0, 10.0]])), [[5.1, 10.2]])
 
 
-def test_what_could_fold_is_refused(master):
+def test_a_deformation_that_could_fold_is_refused(master):
     with pytest.raises(BadInput, match="could fold"):
         draw_deformation(np.random.default_rng(0), master, 1.0, 5.0)

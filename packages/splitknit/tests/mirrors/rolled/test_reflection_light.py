@@ -1,7 +1,5 @@
 """Reflected points and lights, and where they reach."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 
@@ -22,34 +20,34 @@ CORNERS = np.array(
 )
 
 
-def test_reflecting_twice_changes_nothing_and_points_of_the_mirror_stay() -> None:
+def test_reflecting_twice_changes_nothing_and_points_of_the_mirror_stay():
     points = np.random.default_rng(0).normal(size=(5, 7, 3)) * 10
     assert np.allclose(reflect_points(reflect_points(points, RIGHT), RIGHT), points)
     assert np.allclose(reflect_points(CORNERS, RIGHT), CORNERS)
 
 
-def test_a_mirror_of_45_deg_shows_height_as_breadth_and_is_left_handed() -> None:
+def test_a_mirror_of_45_deg_exchanges_height_and_breadth_and_changes_the_hand():
     # x - z = 28 on the mirror: (x, y, z) is seen at (z + 28, y, x - 28)
     assert np.allclose(reflect_points(np.array([7.0, 3.0, -4.0]), RIGHT), [24.0, 3.0, -21.0])
     turned = reflect_vectors(np.eye(3), RIGHT)
     assert np.linalg.det(turned) == pytest.approx(-1.0)
 
 
-def test_an_led_and_its_image_are_as_far_from_the_mirror_and_aim_at_one_point_of_it() -> None:
+def test_an_led_and_its_image_are_symmetric_about_the_mirror():
     led = Led("white", position_mm=(52.5, 10.0, 140.0), lobe_exponent=2.0, intensity=2.0)
     image = led_image(led, RIGHT, 0.9)
     assert image.intensity == pytest.approx(1.8)
     assert image.reflected
     there = np.array([20.0, 4.0, -8.0])
-    distances = [np.linalg.norm(np.array(one.position_mm) - there) for one in (led, image)]
+    distances = [np.linalg.norm(np.array(each.position_mm) - there) for each in (led, image)]
     assert distances[0] == pytest.approx(distances[1])
-    along = [np.dot(one.axis, there - np.array(one.position_mm)) for one in (led, image)]
+    along = [np.dot(each.axis, there - np.array(each.position_mm)) for each in (led, image)]
     assert along[0] == pytest.approx(along[1])
     distant = led_image(Led("white", direction=(0.0, 0.0, 1.0)), RIGHT)
     assert np.allclose(distant.direction, [1.0, 0.0, 0.0])
 
 
-def test_skin_that_is_turned_away_gets_no_light() -> None:
+def test_skin_facing_away_from_an_led_gets_no_light():
     led = Led("white", position_mm=(0.0, 0.0, 140.0))
     angle = np.deg2rad([0.0, 80.0, 89.9, 90.1, 150.0])
     normals = np.stack([np.sin(angle), np.zeros(5), np.cos(angle)], axis=-1)
@@ -59,7 +57,7 @@ def test_skin_that_is_turned_away_gets_no_light() -> None:
     assert np.array_equal(fraction[3:], [0.0, 0.0])
 
 
-def test_light_by_way_of_a_mirror_ends_at_its_outline() -> None:
+def test_reflected_light_ends_at_the_outline_of_the_mirror():
     led = Led("white", position_mm=(0.0, 0.0, 140.0))
     image = led_image(led, RIGHT)
     points = np.stack([np.full(41, 7.0), np.linspace(-16, 16, 41), np.full(41, -8.0)], axis=-1)
@@ -76,7 +74,7 @@ def test_light_by_way_of_a_mirror_ends_at_its_outline() -> None:
     assert np.array_equal(fraction, mirrored_fraction(points, image, RIGHT, CORNERS[::-1]))
 
 
-def test_a_plane_is_moved_as_it_says() -> None:
+def test_a_moved_plane_shifts_and_turns_by_the_stated_amounts():
     mirror = Mirror("right", tuple(tuple(float(v) for v in corner) for corner in CORNERS))
     plane = Plane(mirror.point_mm, mirror.normal)
     assert np.allclose(plane.normal, LEAN)
