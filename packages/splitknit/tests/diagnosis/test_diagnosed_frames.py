@@ -32,14 +32,32 @@ def egg() -> tuple[np.ndarray, np.ndarray]:
 
 
 def in_frame(vectors: np.ndarray, frame: str) -> np.ndarray:
-    """What somebody measures whose axes point as the frame says."""
+    """Vectors as measured in another frame."""
     measured = np.array(vectors, dtype=float)
     measured[..., :2] = measured[..., :2] @ MATRICES[frame]
     return measured
 
 
+def rig_under(lights: np.ndarray) -> Rig:
+    return Rig(Camera(10.0, SHAPE), tuple(Led("white", direction=tuple(v)) for v in lights))
+
+
+def capture_of(pixels: np.ndarray, rig: Rig, inside: np.ndarray) -> Capture:
+    """Opaque capture of light in [0, 1], stored in eight bits; its files are 0.png, 1.png ..."""
+    count = len(pixels)
+    band = Band(
+        "white",
+        np.round(200.0 * pixels).astype(np.uint8)[..., None],
+        tuple((k,) for k in range(count)),
+        np.ones(count),
+        np.zeros(count),
+        files=tuple(f"photos/{k}.png" for k in range(count)),
+    )
+    return Capture(rig, {"white": band}, material="opaque", mask=inside)
+
+
 @pytest.mark.parametrize("frame", FRAMES)
-def test_every_frame_is_found(egg, frame):
+def test_the_frame_of_the_lights_is_found(egg, frame):
     normals, inside = egg
     lights = around(8, uneven=True)
     noisy = normals + 0.02 * np.random.default_rng(1).standard_normal(normals.shape)
@@ -47,15 +65,10 @@ def test_every_frame_is_found(egg, frame):
 
 
 @pytest.mark.parametrize("frame", FRAMES)
-def test_the_rig_is_brought_back(frame):
+def test_rig_of_frame_restores_the_lights(frame):
     lights = np.array([[0.1, 0.2, 0.9], [-0.5, 0.3, 0.8], [0.4, -0.6, 0.7]])
-    rig = Rig(
-        Camera(10.0, SHAPE),
-        tuple(Led("white", direction=tuple(v)) for v in in_frame(lights, frame)),
-    )
-    np.testing.assert_allclose(
-        [led.direction for led in rig_of_frame(rig, frame).leds], lights, atol=1e-12
-    )
+    leds = rig_of_frame(rig_under(in_frame(lights, frame)), frame).leds
+    np.testing.assert_allclose([led.direction for led in leds], lights, atol=1e-12)
     near = Rig(
         Camera(10.0, SHAPE), (Led("white", position_mm=(1.0, 2.0, 3.0), aim=(0.0, -1.0, -1.0)),)
     )
@@ -65,21 +78,16 @@ def test_the_rig_is_brought_back(frame):
 
 def test_an_unknown_frame_is_refused():
     with pytest.raises(BadInput, match="must be one of right-up, right-down"):
-        rig_of_frame(Rig(Camera(10.0, SHAPE), (Led("white", direction=(0.0, 0.0, 1.0)),)), "up")
+        rig_of_frame(rig_under(np.array([[0.0, 0.0, 1.0]])), "up")
 
 
-def test_a_flat_plate_is_no_alarm():
-    normals, lights = np.zeros((*SHAPE, 3)), around(8, uneven=True)
-    normals[..., 2] = 1.0
-    assert (
-        fit_lights(photographs(normals, lights), lights, np.ones(SHAPE, dtype=bool)).frame
-        == "right-up"
-    )
-    normals[..., :2] = 0.05 * np.random.default_rng(0).standard_normal((*SHAPE, 2))
-    assert (
-        fit_lights(photographs(normals, lights), lights, np.ones(SHAPE, dtype=bool)).frame
-        == "right-up"
-    )
+def test_a_flat_plate_keeps_its_stated_frame():
+    lights = around(8, uneven=True)
+    for roughness in (0.0, 0.05):
+        slopes = roughness * np.random.default_rng(0).standard_normal((*SHAPE, 2))
+        normals = np.dstack([slopes, np.ones(SHAPE)])
+        fit = fit_lights(photographs(normals, lights), lights, np.ones(SHAPE, dtype=bool))
+        assert fit.frame == "right-up"
 
 
 def test_a_reconstruction_warns_and_names_the_frame(egg):
@@ -87,23 +95,15 @@ def test_a_reconstruction_warns_and_names_the_frame(egg):
     angles = 2.0 * np.pi * np.arange(6) / 6.0
     lights = np.stack([0.4 * np.cos(angles), 0.4 * np.sin(angles), np.full(6, 0.9)], axis=1)
     light = np.where(inside, np.clip(normals @ lights.T, 0.0, None).transpose(2, 0, 1), 0.0)
-    pixels = np.round(200.0 * light).astype(np.uint8)[..., None]
-    band = Band("white", pixels, tuple((k,) for k in range(6)), np.ones(6), np.zeros(6))
-    rig = Rig(
-        Camera(10.0, SHAPE),
-        tuple(Led("white", direction=tuple(v)) for v in in_frame(lights, "right-down")),
-    )
-    capture = Capture(rig, {"white": band}, material="opaque", mask=inside)
+    rig = rig_under(in_frame(lights, "right-down"))
+    capture = capture_of(light, rig, inside)
     (order,) = (
         finding for finding in reconstruct(capture, "ea").findings if finding.code == "light-order"
     )
     assert "`light_frame` right-down" in str(order)
-    mended = replace(capture, rig=rig_of_frame(rig, "right-down"))
-    assert not [
-        finding
-        for finding in reconstruct(mended, "ea").findings
-        if finding.code.startswith("light-")
-    ]
+    refined = replace(capture, rig=rig_of_frame(rig, "right-down"))
+    findings = reconstruct(refined, "ea").findings
+    assert not any(finding.code.startswith("light-") for finding in findings)
 
 
 def around(count: int, *, uneven: bool) -> np.ndarray:
@@ -155,7 +155,7 @@ def test_the_right_order_is_never_doubted(egg, count, uneven):
     assert doubt_of_lights(fit) is None
 
 
-def test_unequal_brightness_is_no_other_order(egg):
+def test_unequal_brightness_is_estimated_and_not_taken_for_another_order(egg):
     normals, inside = egg
     for seed in range(5):
         gains = 1.0 + 0.15 * np.random.default_rng(seed).standard_normal(9)
@@ -170,7 +170,7 @@ def test_unequal_brightness_is_no_other_order(egg):
 
 
 @pytest.mark.parametrize(("count", "seed"), [(4, 3), (5, 0), (5, 1)])
-def test_few_lights_tell_nothing_of_their_brightness(egg, count, seed):
+def test_few_lights_give_no_brightness(egg, count, seed):
     """Directions that are wrong by some degrees are not brightness, though one for each photograph
     explains them."""
     normals, inside = egg
@@ -180,7 +180,7 @@ def test_few_lights_tell_nothing_of_their_brightness(egg, count, seed):
     assert fit.residual > 0.05 and fit.brightness == ()
 
 
-def test_photographs_of_something_else_are_doubted_and_the_worst_named(egg):
+def test_a_photograph_of_something_else_is_named(egg):
     normals, inside = egg
     lights = around(8, uneven=True)
     stack = photographs(normals, lights)
@@ -198,7 +198,7 @@ def test_photographs_of_something_else_are_doubted_and_the_worst_named(egg):
 
 
 @pytest.mark.parametrize("frame", FRAMES)
-def test_a_field_of_balls_is_no_wrong_frame(frame):
+def test_a_field_of_balls_keeps_its_stated_frame(frame):
     rows, columns = np.indices((200, 200))
     x, y = (columns % 40 - 19.5) / 14.0, (19.5 - rows % 40) / 14.0
     ball = x**2 + y**2 < 0.9
@@ -220,7 +220,7 @@ def relief() -> np.ndarray:
 
 
 @pytest.mark.parametrize("frame", FRAMES)
-def test_a_relief_without_curl_tells_the_frame_but_for_a_half_turn(frame):
+def test_a_relief_determines_the_frame_up_to_a_half_turn(frame):
     lights, inside = around(8, uneven=True), np.ones((200, 200), bool)
     fit = fit_lights(photographs(relief(), lights), in_frame(lights, frame), inside, relief=True)
     if frame in {"right-up", "left-down"}:
@@ -234,7 +234,7 @@ def test_a_relief_without_curl_tells_the_frame_but_for_a_half_turn(frame):
 
 
 @pytest.mark.parametrize("uneven", [False, True])
-def test_a_list_shifted_by_one_is_named_on_a_relief(uneven):
+def test_lights_shifted_by_one_are_named_on_a_relief(uneven):
     lights, inside = around(8, uneven=uneven), np.ones((200, 200), bool)
     stack = photographs(relief(), lights)
     fit = fit_lights(stack, np.roll(lights, 1, axis=0), inside, relief=True)
@@ -248,19 +248,7 @@ def test_a_list_shifted_by_one_is_named_on_a_relief(uneven):
 def test_a_report_holds_the_residual_of_every_photograph(egg):
     normals, inside = egg
     lights = around(6, uneven=True)
-    pixels = np.round(200.0 * np.clip(photographs(normals, lights), 0, 1) * inside).astype(
-        np.uint8
-    )[..., None]
-    files = tuple(f"photos/{k}.png" for k in range(6))
-    band = Band(
-        "white",
-        pixels[[1, 0, 2, 3, 4, 5]],
-        tuple((k,) for k in range(6)),
-        np.ones(6),
-        np.zeros(6),
-        files=files,
-    )
-    rig = Rig(Camera(10.0, SHAPE), tuple(Led("white", direction=tuple(v)) for v in lights))
-    result = reconstruct(Capture(rig, {"white": band}, material="opaque", mask=inside), "ea")
+    light = np.clip(photographs(normals, lights), 0, 1)[[1, 0, 2, 3, 4, 5]] * inside
+    result = reconstruct(capture_of(light, rig_under(lights), inside), "ea")
     assert any("exchange the lights of 0.png and 1.png." in text for text in result.warnings)
     assert len(result.facts["light_residual_per_image"]) == 6
