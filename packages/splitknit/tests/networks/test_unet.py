@@ -65,9 +65,11 @@ def test_onnxruntime_imported_with_telemetry_is_refused():
 
 
 @pytest.fixture
-def offered(monkeypatch: pytest.MonkeyPatch) -> Iterator[tuple[list[str], list[Any]]]:
-    """Providers that onnxruntime is made to offer, and those that were asked for; everything runs
-    on the CPU."""
+def offered(
+    network: Network, monkeypatch: pytest.MonkeyPatch
+) -> Iterator[tuple[list[str], list[Any]]]:
+    """Providers that onnxruntime, which `network` has imported, is made to offer, and those that
+    were asked for; everything runs on the CPU."""
     import onnxruntime
 
     there, asked = ["CPUExecutionProvider"], []
