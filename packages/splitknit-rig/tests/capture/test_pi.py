@@ -91,7 +91,7 @@ def test_a_digital_gain_is_refused(world, monkeypatch, digital):
             camera.capture()
 
 
-def test_the_tuning_is_made_linear(world, monkeypatch):
+def test_the_tuning_is_made_linear(world):
     with camera_in(world):
         straight = FakePicamera2.opened[0].tuning
     algorithms = {
@@ -101,9 +101,11 @@ def test_the_tuning_is_made_linear(world, monkeypatch):
     assert algorithms["rpi.contrast"] == {"ce_enable": 0, "gamma_curve": [0, 0, 65535, 65535]}
     assert np.array_equal(np.reshape(algorithms["rpi.ccm"]["ccms"][0]["ccm"], (3, 3)), np.eye(3))
     assert algorithms["rpi.black_level"] == {"black_level": 4096}
-    monkeypatch.setattr(
-        FakePicamera2, "load_tuning_file", lambda name: {"version": 1.0, "rpi.contrast": {}}
-    )
+
+
+def test_a_tuning_file_of_another_version_is_refused(world, monkeypatch):
+    old = {"version": 1.0, "rpi.contrast": {}}
+    monkeypatch.setattr(FakePicamera2, "load_tuning_file", lambda name: old)
     with pytest.raises(BadInput, match="unknown version"):
         camera_in(world)
 

@@ -31,6 +31,9 @@ def test_the_rig_is_the_thesis_s_but_for_its_white_leds():
     assert rig.camera.crosstalk is not None
     np.testing.assert_array_equal(rig.camera.crosstalk, CROSSTALK)
     assert exposures_of(list(rig.leds[:6])) == [(0, 1, 2), (3, 4, 5)]
+
+
+def test_four_exposures_of_coloured_leds_are_refused():
     with pytest.raises(BadInput, match="one to three exposures"):
         coloured_rig(0.2, exposures=4)
 

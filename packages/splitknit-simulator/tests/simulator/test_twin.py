@@ -142,6 +142,10 @@ def test_a_coloured_background_lights_the_flanks(photo):
     added, level = after - before, truth["normals"][..., 2]
     flank, top = truth["mask"] & (level > 0.3) & (level < 0.5), truth["mask"] & (level > 0.98)
     assert np.median(added[flank]) > 5 * abs(np.median(added[top]))
+
+
+def test_mirrors_before_a_coloured_background_are_refused():
+    green = BackgroundSettings(colour=(0.0, 0.4, 0.1, 0.7))
     with pytest.raises(BadInput, match="on black, without films"):
         TwinSettings(background=green, mirrors=MirrorSettings(names=("left",)))
 
@@ -188,13 +192,16 @@ def test_impressions_of_a_finger_differ_in_pose_and_share_its_skin():
     assert (moved["mask"] != truth["mask"]).any()
 
 
-def test_pose_ranges_draw_inside_and_are_checked():
+def test_poses_are_drawn_inside_their_ranges_and_the_picture():
     camera = default_rig(0.5).camera
     poses = [PoseRanges().draw(np.random.default_rng(seed), camera) for seed in range(50)]
     assert max(abs(p.yaw_rad) for p in poses) <= np.deg2rad(10)
     assert np.std([p.roll_rad for p in poses]) > np.deg2rad(2)
     deep = PoseRanges(insertion_mm=(40.0, 40.0)).draw(np.random.default_rng(0), camera)
     assert deep.insertion_mm < 1100 / camera.px_per_mm
+
+
+def test_a_reversed_pose_range_is_refused():
     with pytest.raises(BadInput, match="yaw_deg"):
         PoseRanges(yaw_deg=(5.0, -5.0))
 

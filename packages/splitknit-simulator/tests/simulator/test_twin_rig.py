@@ -99,7 +99,7 @@ def test_the_lens_darkens_every_image_and_reconstruction_undoes_it():
     assert clear.bands["white"].shading == ()
 
 
-def test_pixels_are_binned_as_the_picture_tells():
+def test_the_binning_follows_from_scale_and_image_size():
     assert binning_scale(default_rig(0.25).camera) == pytest.approx(0.25)
     assert binning_scale(default_rig(1 / 3).camera) == pytest.approx(1 / 3, rel=1e-9)
     assert binning_scale(Camera(62.0, (2200, 3200))) == 1.0  # the whole sensor, from further away
@@ -107,6 +107,9 @@ def test_pixels_are_binned_as_the_picture_tells():
     assert binning_scale(Camera(31.0, (1100, 1600))) == 0.5
     assert binning_scale(Camera(37.85, (280, 260))) == pytest.approx(0.5)  # a cut-out
     assert binning_scale(Camera(150.0, (280, 260))) == 1.0
+
+
+def test_noise_falls_with_the_binning():
     noise = []
     egg = ridged_egg((140, 130), 9.45)
     rig = replace(default_rig(0.125), camera=egg.camera)
@@ -117,5 +120,8 @@ def test_pixels_are_binned_as_the_picture_tells():
         noise.append((nir - nir.mean(axis=-1, keepdims=True)).std())
     assert noise[1] == pytest.approx(noise[0], rel=0.02)
     assert noise[2] > 3.0 * noise[0]
+
+
+def test_a_sensor_scale_above_one_is_refused():
     with pytest.raises(BadInput, match="sensor_scale"):
         TwinSettings(sensor_scale=1.5)

@@ -243,5 +243,9 @@ def test_photometric_mask_drops_shadowed_and_saturated_pixels():
     assert not (mask & ~finger).any()
     kept = photometric_mask(stack, finger, 10.0, saturation=np.full(7, 2.0))
     assert kept[150:180, 20:130].all()
+
+
+def test_a_finger_that_is_saturated_everywhere_is_refused():
+    finger = np.ones((20, 15), dtype=bool)
     with pytest.raises(BadInput, match="reached by 3 lights"):
-        photometric_mask(np.ones_like(stack), finger, 10.0)
+        photometric_mask(np.ones((7, 20, 15), np.float32), finger, 10.0)

@@ -94,11 +94,17 @@ def test_channels_of_a_window_are_linear_and_in_the_requested_order():
     np.testing.assert_allclose(channels[2], part[..., 0], rtol=1e-6)
     grey = linear_channels(band_of(pixels[..., :1]), "linear", ("green", "grey"))
     np.testing.assert_array_equal(grey[0], grey[1])
-    with pytest.raises(BadInput, match="violet"):
-        linear_channels(band_of(pixels), "linear", ("violet",))
-    assert has_colour(band_of(pixels))
-    assert not has_colour(band_of(pixels[..., :1]))
     assert pick_channel(np.ones((2, 3, 3), dtype=np.float32), "grey").shape == (2, 3)
+
+
+def test_an_unknown_channel_is_refused():
+    with pytest.raises(BadInput, match="violet"):
+        linear_channels(band_of(random_pixels()), "linear", ("violet",))
+
+
+def test_images_of_one_channel_have_no_colour():
+    assert has_colour(band_of(random_pixels()))
+    assert not has_colour(band_of(random_pixels()[..., :1]))
 
 
 @pytest.mark.parametrize("encoding", ["linear", "srgb"])

@@ -132,7 +132,7 @@ def test_other_chunks_are_ignored_or_refused_silently(extra, sound, capfd):
     assert capfd.readouterr().err == ""
 
 
-def test_files_keep_their_pixels_and_wrong_ones_are_refused(tmp_path):
+def test_written_files_keep_their_pixels_and_bytes(tmp_path):
     image = smooth((12, 17, 3), np.uint16)
     for suffix in ("png", "tif", "TIFF"):
         path = tmp_path / f"image.{suffix}"
@@ -142,6 +142,10 @@ def test_files_keep_their_pixels_and_wrong_ones_are_refused(tmp_path):
         first = path.read_bytes()
         write_image(path, image)
         assert path.read_bytes() == first
+
+
+def test_files_that_cannot_be_written_or_read_are_refused(tmp_path):
+    image = smooth((12, 17, 3), np.uint16)
     with pytest.raises(BadInput, match=r"not as '\.bmp'"):
         write_image(tmp_path / "image.bmp", image)
     with pytest.raises(BadInput, match="uint8 or uint16"):
@@ -149,7 +153,7 @@ def test_files_keep_their_pixels_and_wrong_ones_are_refused(tmp_path):
     with pytest.raises(BadInput, match="does not exist"):
         read_image(tmp_path / "no.png")
     with pytest.raises(BadInput, match="more than the 10 that are read"):
-        decode_image((tmp_path / "image.png").read_bytes(), "image.png", max_pixels=10)
+        decode_image(encode_image(image, ".png"), "image.png", max_pixels=10)
     for content, words in ((b"", "is empty"), (b"not an image", "not a PNG, TIFF or JPEG")):
         (tmp_path / "other.png").write_bytes(content)
         with pytest.raises(BadInput, match=words):

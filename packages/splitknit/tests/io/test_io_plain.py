@@ -270,11 +270,11 @@ def test_brightness_is_estimated_or_equal_as_chosen(tmp_path):
     capture = splitknit.read_photographs(tmp_path, px_per_mm=10.0, brightness="estimate")
     estimated = splitknit.reconstruct(capture).facts["light_brightness"]
     assert estimated == pytest.approx((bright / bright.mean()).tolist(), rel=0.03)
-    (tmp_path / "lights.txt").write_text(
-        "".join(f"{k}.png {x} {y} {z}\n" for k, (x, y, z) in enumerate(lights[:4]))
-    )
+
+
+def test_the_brightness_of_four_lights_cannot_be_estimated(unmasked):
     with pytest.raises(BadInput, match="five lights or more"):
-        import_photographs(tmp_path, brightness="estimate")
+        import_photographs(unmasked, LIGHTS, brightness="estimate")
 
 
 def test_reduced_photographs_are_means_of_linear_light(tmp_path):

@@ -16,7 +16,6 @@ from splitknit.errors import BadInput
 from splitknit.imaging.band import linear_stack
 from splitknit.imaging.light_field import few_lights
 from splitknit.io.capture import read_capture, write_capture
-from splitknit.io.light_list import read_light_list
 from splitknit.io.photos import read_photo
 from splitknit.io.plain import Photographs
 from splitknit.photometric.lambertian import lambertian
@@ -197,20 +196,25 @@ def test_names_in_the_light_list_choose_the_photographs(folder):
     assert files_of(imported) == ["p12.png", "p11.png", "p10.png"]
     left_out = "p8.png (not in lights.txt), p9.png (not in lights.txt)."
     assert any(str(note).endswith(left_out) for note in imported.notes)
-    (folder / "lights.txt").write_text("\n".join([*lines, "p99.png 0 0.3 1"]))
-    with pytest.raises(BadInput, match=r"names 'p99\.png', but there is no such photograph"):
-        import_photographs(folder)
-    (folder / "lights.txt").write_text("\n".join([*lines, "p12 0.3 0.1 1"]))
-    with pytest.raises(BadInput, match=r"p12\.png is named twice"):
-        import_photographs(folder)
-    for text, words in (
+
+
+TWO_LIGHTS = "p10.png 0 0.5 0.9\np11 0 -0.5 0.9\n"
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        (TWO_LIGHTS + "p99.png 0.3 0 1", r"names 'p99\.png', but there is no such photograph"),
+        (TWO_LIGHTS + "p12 0.1 0.1 1\np12.png 0.3 0 1", r"p12\.png is named twice"),
         ("a 0 0 1\n1 0 1", "some of its lines"),
         ("a 0 0 1\na 1 0 1", "twice"),
         ("0 0 1 7 8", "three"),
-    ):
-        (folder / "lights.txt").write_text(text)
-        with pytest.raises(BadInput, match=words):
-            read_light_list(folder / "lights.txt")
+    ],
+)
+def test_wrong_names_in_the_light_list_are_refused(text, words, folder):
+    (folder / "lights.txt").write_text(text)
+    with pytest.raises(BadInput, match=words):
+        import_photographs(folder)
 
 
 def test_a_wrong_number_of_photographs_names_the_skipped_files(folder):

@@ -65,9 +65,11 @@ def test_onnxruntime_imported_with_telemetry_is_refused():
 
 
 @pytest.fixture
-def offered(monkeypatch: pytest.MonkeyPatch) -> Iterator[tuple[list[str], list[Any]]]:
-    """Providers that onnxruntime is made to offer, and those that were asked for; everything runs
-    on the CPU."""
+def offered(
+    network: Network, monkeypatch: pytest.MonkeyPatch
+) -> Iterator[tuple[list[str], list[Any]]]:
+    """Providers that onnxruntime, which `network` has imported, is made to offer, and those that
+    were asked for; everything runs on the CPU."""
     import onnxruntime
 
     there, asked = ["CPUExecutionProvider"], []
@@ -94,12 +96,6 @@ def test_networks_run_on_cuda_where_onnxruntime_offers_it(offered, images):
     """With a provider that is made up: this says which device is asked for, not that a GPU does the
     same."""
     there, asked = offered
-    with pytest.raises(BadInput, match="no device 'gpu'"):
-        use_device("gpu")
-    with pytest.raises(
-        BadInput, match="onnxruntime offers CPUExecutionProvider only; install onnxruntime-gpu"
-    ):
-        use_device("cuda")
     assert use_device("auto") == running().device == "cpu"
     before = run_network(load_network(TINY), images)
     there.insert(0, "CUDAExecutionProvider")
@@ -116,7 +112,22 @@ def test_networks_run_on_cuda_where_onnxruntime_offers_it(offered, images):
     use_device()
     assert load_network("relief") is not shipped
     assert asked[-1] == ["CPUExecutionProvider"]
-    there.append("broken")  # offered, and its libraries are missing
+
+
+@pytest.mark.parametrize(
+    ("device", "words"),
+    [
+        ("gpu", "no device 'gpu'"),
+        ("cuda", "onnxruntime offers CPUExecutionProvider only; install onnxruntime-gpu"),
+    ],
+)
+def test_a_device_that_is_not_offered_is_refused(offered, device, words):
+    with pytest.raises(BadInput, match=words):
+        use_device(device)
+
+
+def test_cuda_without_its_libraries_is_refused(offered):
+    offered[0][:0] = ["CUDAExecutionProvider", "broken"]
     use_device("cuda")
     with pytest.raises(BadInput, match="cannot start cuda"):
         load_network(TINY)
