@@ -102,6 +102,8 @@ def write_print(
             "quality": _quality_facts(quality, method, source.quality, pictures, ppi),
             "minutiae": {"count": view.count, "finger": view.finger},
         }
+        if not source.skin:
+            facts["quality"]["advice"] = []  # how a finger is captured better
         if source.scale:
             facts["scale"] = source.scale
         if printed.distortion is not None:
