@@ -52,8 +52,9 @@ def batch(
     photographs: AllPhotographs = NO_PHOTOGRAPHS,
     progress: Progress = silent,
 ) -> Report:
-    """Reconstruct and compare a population, or reconstruct many objects; skips what is already
-    done.
+    """Reconstruct and compare a population, or reconstruct many objects.
+
+    What is there already is skipped.
 
     Parameters
     ----------

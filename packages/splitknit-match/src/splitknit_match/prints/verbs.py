@@ -262,8 +262,7 @@ def export(
     normals: Literal["opengl", "directx"] = "opengl",
     progress: Progress = silent,
 ) -> Report:
-    """Write fingers as records, images and meshes that other systems read; surfaces as meshes,
-    solids and maps.
+    """Write fingers as records, images and meshes that other systems read.
 
     Parameters
     ----------

@@ -175,9 +175,9 @@ class FingerSurface:
     normals: FloatArray | None = None
     """(h, w, 3) measured by photometric stereo, in the rig's frame; None where the method measures
     none."""
-    uncertainty_um: FloatArray | None = None
     colour: FloatArray | None = None
     """(h, w, 3) albedo in red, green and blue."""
+    uncertainty_um: FloatArray | None = None
     whole: bool = False
     """Whether the surface is not split into relief and shape: its height is what the thesis's
     matcher takes."""
