@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import tifffile
 
-VERTEX = np.dtype([("place", "<f4", 3), ("normal", "<f4", 3), ("quality", "<f4")])
+VERTEX = [("place", "<f4", 3), ("normal", "<f4", 3), ("quality", "<f4")]
 FACE = np.dtype([("count", "u1"), ("corners", "<i4", 3)])
 
 
@@ -21,29 +21,37 @@ class Ply(NamedTuple):
     quality: np.ndarray
     faces: np.ndarray
     comments: tuple[str, ...]
+    colours: np.ndarray | None
 
 
 def read_ply(path: Path) -> Ply:
-    """Vertices with normals and a quality, and triangles, binary and little-endian."""
+    """Vertices with normals, a quality and perhaps colours, and triangles, binary and
+    little-endian."""
     header, body = path.read_bytes().split(b"end_header\n", 1)
     lines = header.decode("ascii").splitlines()
     comments = tuple(line.removeprefix("comment ") for line in lines if line.startswith("comment "))
     layout = [line for line in lines if not line.startswith("comment ")]
     vertices, faces = (int(line.split()[-1]) for line in layout if line.startswith("element "))
     names = ("x", "y", "z", "nx", "ny", "nz", "quality")
+    coloured = "property uchar red" in layout
+    vertex = np.dtype([*VERTEX, *([("colour", "u1", 3)] if coloured else [])])
     assert layout == [
         "ply",
         "format binary_little_endian 1.0",
         f"element vertex {vertices}",
         *(f"property float {name}" for name in names),
+        *(f"property uchar {name}" for name in ("red", "green", "blue") if coloured),
         f"element face {faces}",
         "property list uchar int vertex_indices",
     ]
-    assert len(body) == vertices * VERTEX.itemsize + faces * FACE.itemsize
-    points = np.frombuffer(body, VERTEX, vertices)
-    corners = np.frombuffer(body, FACE, faces, vertices * VERTEX.itemsize)
+    assert len(body) == vertices * vertex.itemsize + faces * FACE.itemsize
+    points = np.frombuffer(body, vertex, vertices)
+    corners = np.frombuffer(body, FACE, faces, vertices * vertex.itemsize)
     assert (corners["count"] == 3).all()
-    return Ply(points["place"], points["normal"], points["quality"], corners["corners"], comments)
+    colours = points["colour"] if coloured else None
+    return Ply(
+        points["place"], points["normal"], points["quality"], corners["corners"], comments, colours
+    )
 
 
 def read_stl(path: Path) -> np.ndarray:

@@ -12,10 +12,12 @@ import pytest
 import tifffile
 from PIL import Image
 
+import handmade
 from enrolled import facts_of, refusal_of, words_of
 from fmr_samples import transaction, type_14
 from perfect_results import write_impressions
 from spiral_prints import PLACES, spiral_print
+from splitknit.imaging.band import decode_table
 from splitknit.io.prints import PrintFile, read_print_png, write_print_png
 from splitknit.io.provenance import provenance
 from splitknit.io.results import read_result, write_mesh
@@ -299,7 +301,7 @@ def test_bad_input_is_one_sentence_and_writes_nothing(  # noqa: PLR0917
 def test_every_format_that_is_written_is_tested() -> None:
     written = {name for name, form in FORMATS.items() if form.encode is not None}
     assert written == set(PICTURES) | set(MINUTIAE)
-    assert set(get_args(PrintFormat)) == {*written, "stl", "obj", "glb", "lp"}
+    assert set(get_args(PrintFormat)) == {*written, "stl", "obj", "glb", "maps", "lp"}
 
 
 @pytest.mark.slow
@@ -309,7 +311,7 @@ def test_a_result_becomes_a_mesh(tmp_path: Path, capsys) -> None:
     results = write_impressions(tmp_path, 0.06, 721, FingerPose())
     write_mesh(tmp_path / "a.ply", read_result(results / "a"), provenance({}, {}))
     ply = read_ply(tmp_path / "a.ply")
-    for to in ("stl", "obj", "glb"):
+    for to in ("stl", "obj"):
         one = exported(capsys, tmp_path, to, results / "a", out=to)["files"][0]
         assert (one["file"], one["kind"], one["unit"]) == (f"a.{to}", "result", "mm")
         assert (one["vertices"], one["faces"]) == (len(ply.vertices_mm), len(ply.faces))
@@ -321,13 +323,31 @@ def test_a_result_becomes_a_mesh(tmp_path: Path, capsys) -> None:
     normals = [line.split()[1:] for line in obj.splitlines() if line.startswith("vn ")]
     np.testing.assert_allclose(np.array(normals, dtype=float), ply.normals, atol=1e-6)
     np.testing.assert_array_equal(read_stl(stl), ply.vertices_mm[ply.faces])
-    for to, scale in (("obj", 1.0), ("glb", 1000.0)):
-        mesh = trimesh.load(
-            tmp_path / to / f"a.{to}", process=False, maintain_order=True, force="mesh"
-        )
-        np.testing.assert_allclose(scale * mesh.vertices, ply.vertices_mm, atol=1e-5)
-        np.testing.assert_array_equal(mesh.faces, ply.faces)
-        np.testing.assert_allclose(mesh.visual.vertex_colors[:, 0] / 255, ply.quality, atol=3e-3)
+    mesh = trimesh.load(
+        tmp_path / "obj" / "a.obj", process=False, maintain_order=True, force="mesh"
+    )
+    np.testing.assert_allclose(mesh.vertices, ply.vertices_mm, atol=1e-5)
+    np.testing.assert_array_equal(mesh.faces, ply.faces)
+    light = decode_table(np.dtype(np.uint8), "srgb")[mesh.visual.vertex_colors[:, 0]]
+    np.testing.assert_allclose(light, ply.quality, atol=6e-3)
+
+
+def test_an_object_becomes_a_solid_a_model_and_maps(tmp_path: Path, capsys) -> None:
+    trimesh = pytest.importorskip("trimesh")
+    result, _ = handmade.finger(px_per_mm=5.0, size=(110, 160))
+    result.save(tmp_path / "coin")
+    exported(capsys, tmp_path, "stl", tmp_path / "coin", base=1.5)
+    assert trimesh.load(tmp_path / "out" / "coin.stl").is_watertight
+    model = exported(capsys, tmp_path, "glb", tmp_path / "coin", out="glb")["files"][0]
+    mesh = trimesh.load(tmp_path / "glb" / "coin.glb", force="mesh", process=False)
+    assert len(mesh.vertices) == model["vertices"]
+    maps = exported(capsys, tmp_path, "maps", tmp_path / "coin", out="maps", normals="directx")
+    assert [file["file"] for file in maps["files"]] == ["coin-height.png", "coin-normals.png"]
+    assert maps["files"][0]["pitch"] == pytest.approx(0.2)
+    for words in (["obj", "--base", 2], ["stl", "--normals", "directx"]):
+        out = tmp_path / "none"
+        said = refusal_of(capsys, "export", tmp_path / "coin", "--out", out, "--to", *words)
+        assert "is of --to" in said
 
 
 def test_no_mesh_without_a_surface(prints: Path, tmp_path: Path, capsys) -> None:

@@ -640,6 +640,9 @@ class Reconstruction:
     """(H, W) of a polarised capture: what the surface reflects under all lights, of even brightness
     and contrast, in standard deviations from the local mean, NaN outside the mask; see
     :func:`splitknit.imaging.polarised.specular_picture`."""
+    colour: FloatArray | None = None
+    """(H, W, 3) albedo in red, green and blue, relative, zero outside the mask; None of skin and of
+    photographs without colour."""
     scale_known: bool = True
     """False: the scale is unknown, arrays are in mm of an assumed one; files and pages in pixels
     (`unit`)."""

@@ -1,8 +1,10 @@
 """Photographs against each other: gains of the lights, and which photograph does not fit."""
 
+import cv2
 import numpy as np
 import pytest
 
+import splitknit
 from rough_dome import scene, spoilt
 from splitknit.diagnosis.gains import light_gains
 from splitknit.diagnosis.photographs import faulty_photographs
@@ -27,6 +29,25 @@ def test_a_faulty_photograph_and_its_fault_are_named(kind):
     # the floats of the former are exact, the latter is not used
     if kind not in {"underexposed", "overexposed"}:
         assert faults[0].effect_deg > 0.05
+
+
+@pytest.mark.parametrize("k", [3, 7])
+def test_a_small_shift_is_no_double_image(k):
+    stack, lights, mask = scene(1)
+    matrix = np.array([[1, 0, 1.3], [0, 1, 0.6]])
+    stack[k] = cv2.warpAffine(
+        stack[k], matrix, (110, 110), flags=cv2.INTER_CUBIC, borderMode=cv2.BORDER_REPLICATE
+    )
+    faults = faulty_photographs(stack, lights, mask, 0.98)
+    assert [(fault.photograph, fault.kind) for fault in faults] == [(k, "moved")]
+
+
+def test_what_was_left_out_is_accused_once_and_no_other():
+    stack, lights, mask = scene(1)
+    stack[2] = np.roll(stack[2], (6, 9), (0, 1))
+    result = splitknit.reconstruct_images(np.clip(stack, 0, 1), lights, mask, 10.0)
+    assert [finding.files for finding in result.findings] == [("image 2",)]
+    assert len(result.facts["light_residual_per_image"]) == 7
 
 
 def test_two_faulty_photographs_are_named():

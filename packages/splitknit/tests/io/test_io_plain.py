@@ -148,6 +148,35 @@ def test_wrong_light_lists_are_refused(text, words, tmp_path):
         read_light_list(tmp_path / "l.txt")
 
 
+@pytest.mark.parametrize(
+    ("text", "names", "bright"),
+    [
+        ("azimuth_deg elevation_deg\n0 60\n90 30\n", (), None),
+        ("# Azimuth_deg;Elevation_deg\n360,0;60,0\n-270,0;30,0\n", (), None),
+        (
+            "file, azimuth_deg, elevation_deg\na 1.png, 0, 60\nb.png, 90, 30",
+            ("a 1.png", "b.png"),
+            None,
+        ),
+        ("azimuth_deg elevation_deg\n0 60 2\n90 30 1\n", (), [[2.0], [1.0]]),
+    ],
+)
+def test_lights_by_azimuth_and_elevation_are_read(text, names, bright, tmp_path):
+    (tmp_path / "l.txt").write_text(text)
+    listed = read_light_list(tmp_path / "l.txt")
+    across = np.sqrt(0.75)
+    np.testing.assert_allclose(listed.lights, [[0.5, 0, across], [0, across, 0.5]], atol=1e-12)
+    assert (listed.places, listed.names) == (False, names)
+    assert (None if listed.intensities is None else listed.intensities.tolist()) == bright
+
+
+def test_impossible_angles_are_refused(tmp_path):
+    for text, words in (("60 120\n", "azimuth stands first"), ("9 60\n60\n", "line 3: two finite")):
+        (tmp_path / "l.txt").write_text(f"azimuth_deg elevation_deg\n{text}")
+        with pytest.raises(BadInput, match=words):
+            read_light_list(tmp_path / "l.txt")
+
+
 def test_ambiguous_commas_are_refused(tmp_path):
     (tmp_path / "l.txt").write_text("0,5,0,3,0,8\n")
     with pytest.raises(BadInput, match=r"line 1: .*; write decimals with a point, or put spaces"):

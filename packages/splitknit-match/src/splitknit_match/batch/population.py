@@ -43,7 +43,10 @@ def read_population(folder: Path) -> Population:
 
     Raises BadInput if it is neither, its plan is damaged, or it holds no complete capture.
     """
-    remedy = "name a folder of 'splitknit simulate population' or of an enrolment."
+    remedy = (
+        "name a folder of 'splitknit simulate population', of an enrolment, or of folders of"
+        " photographs."
+    )
     fault = f"'{folder}' is not a population: it holds no {PLAN_FILE}; {remedy}"
     with refusing(fault):
         require((folder / PLAN_FILE).is_file(), fault)

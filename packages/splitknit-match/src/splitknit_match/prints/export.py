@@ -15,7 +15,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from splitknit import BadInput, Led, read_capture, read_result, reconstruct
+from splitknit import BadInput, Led, Reconstruction, read_capture, read_result, reconstruct
 from splitknit.arguments import count
 from splitknit.errors import naming, require
 from splitknit.findings import Finding, worst_first
@@ -25,7 +25,7 @@ from splitknit.io.fields import read_json, text_of
 from splitknit.io.light_list import write_light_list
 from splitknit.io.prints import PrintFile, provenance_texts
 from splitknit.io.provenance import file_hash, json_text, provenance
-from splitknit.io.results import surface_bytes
+from splitknit.io.surface_files import map_files, surface_bytes
 from splitknit.io.targets import check_target
 from splitknit.model import Progress, no_progress
 from splitknit_match.prints.from_file import (
@@ -139,17 +139,38 @@ def export_records(
     return _exported(sources, out, files, parameters, progress)
 
 
-def export_meshes(
-    sources: Sequence[Path], out: Path, to: str, preset: str, progress: Progress = no_progress
+def export_surfaces(
+    sources: Sequence[Path],
+    out: Path,
+    to: str,
+    preset: str = "metric",
+    *,
+    base_mm: float | None = None,
+    normals: str = "opengl",
+    progress: Progress = no_progress,
 ) -> Facts:
     """Write the surfaces of captures and results, or the lights of captures (`to` lp); as
     :func:`export_records`."""
 
     def files(source: Path, hashes: dict[str, str]) -> Iterator[File]:
-        write, facts = _lights(source, hashes) if to == "lp" else _mesh(source, to, preset, hashes)
-        yield _name_of(source), f".{to}", write, facts, ()
+        name = _name_of(source)
+        if to == "lp":
+            write, facts = _lights(source, hashes)
+            yield name, ".lp", write, facts, ()
+            return
+        result, facts = _surface(source, preset, hashes)
+        if to == "maps":
+            origin = provenance({"preset": result.preset, **result.settings}, result.hashes)
+            for part, more, data in naming(source, lambda: [*map_files(result, normals, origin)]):
+                write = partial(Path.write_bytes, data=data)
+                yield f"{name}-{part}", ".png", write, facts | more, ()
+            return
+        title = f"splitknit {provenance({}, {})['version']}, preset {result.preset or preset}"
+        more, data = naming(source, lambda: surface_bytes(result, to, title, base_mm))
+        yield name, f".{to}", partial(Path.write_bytes, data=data), facts | more, ()
 
-    return _exported(sources, out, files, {"to": to, "preset": preset}, progress)
+    parameters = {"to": to, "preset": preset, "base_mm": base_mm, "normals": normals}
+    return _exported(sources, out, files, parameters, progress)
 
 
 def _exported(
@@ -271,28 +292,20 @@ def _lights(source: Path, hashes: dict[str, str]) -> tuple[Callable[[Path], obje
     return lambda file: write_light_list(leds, file, photographs), facts
 
 
-def _mesh(
-    source: Path, to: str, preset: str, hashes: dict[str, str]
-) -> tuple[Callable[[Path], object], Facts]:
+def _surface(source: Path, preset: str, hashes: dict[str, str]) -> tuple[Reconstruction, Facts]:
     arrays = source / "height.npz" if source.is_dir() else source
     if not arrays.is_file() and (source / "capture.json").is_file():
         capture = read_capture(source)
         hashes.update(capture.hashes)
-        kind = "capture"
-        result = naming(source, lambda: reconstruct(capture, preset))
-    else:
-        named = arrays.suffix.lower() == ".npz" and arrays.is_file()
-        require(
-            named,
-            f"'{source}' has no surface to export; name a result (height.npz) or a capture"
-            " (capture.json).",
-        )
-        hashes[f"{source.name}/{arrays.name}"] = file_hash(arrays)
-        kind = "result"
-        result = read_result(source)
-    title = f"splitknit {provenance({}, {})['version']}, preset {result.preset or preset}"
-    facts, content = naming(source, lambda: surface_bytes(result, to, title))
-    return partial(Path.write_bytes, data=content), {"kind": kind, **facts}
+        return naming(source, lambda: reconstruct(capture, preset)), {"kind": "capture"}
+    named = arrays.suffix.lower() == ".npz" and arrays.is_file()
+    require(
+        named,
+        f"'{source}' has no surface to export; name a result (height.npz) or a capture"
+        " (capture.json).",
+    )
+    hashes[f"{source.name}/{arrays.name}"] = file_hash(arrays)
+    return read_result(source), {"kind": "result"}
 
 
 def _name_of(source: Path) -> str:

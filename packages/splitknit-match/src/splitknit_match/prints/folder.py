@@ -105,8 +105,9 @@ def write_print(
             "minutiae": {"count": view.count, "finger": view.finger},
         }
         findings = [*source.findings]
-        # nobody captures a file again; flanks that shine are not edges; a photograph has its own
-        if source.quality is None and method not in ("file", "specular"):
+        # nobody captures a file again; flanks that shine are not edges; a photograph has its own,
+        # and what is not skin is not captured better
+        if source.quality is None and source.skin and method not in ("file", "specular"):
             findings += advice(quality)
         if printed.distortion is not None:
             facts["distortion"] = printed.distortion

@@ -47,6 +47,8 @@ class Source:
     """What was assumed of it: how the scale was found in the ridges, where it was."""
     quality: float | None = None
     """Of a photograph of a finger, 0 to 100."""
+    skin: bool = True
+    """Whether it is live skin, and no cast or other thing."""
 
     @property
     def xy_mm(self) -> tuple[FloatArray, FloatArray] | None:
@@ -122,12 +124,14 @@ def source_of(result: Reconstruction) -> Source:
         specular=result.specular,
         preset=result.preset or None,
         hashes=result.hashes,
+        skin=result.facts.get("material", "skin") == "skin",
     )
 
 
 def _of_result(path: Path, px_per_mm: float | None, ridge_period_mm: float | None) -> Source:
     from splitknit import read_result
     from splitknit.finger.ridge_period import scale_of_ridges
+    from splitknit.io.fields import read_json
     from splitknit.io.provenance import file_hash
 
     result = read_result(path)
@@ -152,8 +156,11 @@ def _of_result(path: Path, px_per_mm: float | None, ridge_period_mm: float | Non
             shape_mm=result.shape_mm * factor,
         )
     source = naming(path, lambda: source_of(result))
+    report = path.with_name("report.json")
+    facts = read_json(report)[0].get("facts") if report.is_file() else None
+    skin = not (isinstance(facts, dict) and facts.get("material") == "opaque")
     hashes = {path.name: file_hash(path)}
-    return replace(source, hashes=hashes, findings=_scale_findings(note))
+    return replace(source, hashes=hashes, findings=_scale_findings(note), skin=skin)
 
 
 def _scale_findings(note: str) -> tuple[Finding, ...]:
@@ -196,6 +203,7 @@ def source_of_capture(
         photo=light,
         hashes=capture.hashes,
         subject=capture.subject,
+        skin=capture.material == "skin",
     )
 
 

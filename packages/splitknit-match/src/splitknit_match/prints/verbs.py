@@ -44,6 +44,7 @@ PrintFormat = Literal[
     "stl",
     "obj",
     "glb",
+    "maps",
     "lp",
 ]
 
@@ -257,6 +258,8 @@ def export(
     minutiae: Literal["phase", "mindtct"] = "phase",
     input_ppi: InputPpi = None,
     preset: Preset = "metric",
+    base_mm: Annotated[float | None, Limits(0, 1000, above=True), Parameter("--base")] = None,
+    normals: Literal["opengl", "directx"] = "opengl",
     progress: Progress = silent,
 ) -> Report:
     """Write fingers as records, images and meshes that other systems read.
@@ -269,8 +272,9 @@ def export(
     to
         Minutiae: iso-19794-2 (of 2005), ansi-378 (of 2004), ansi-378-2009; pictures: iso-19794-4
         (of 2005), iso-39794-4 (of 2019, with the print's quality), wsq, png, tiff; surfaces of
-        captures and results: stl, obj (mm; obj and glb need the extra mesh), glb (metres); the
-        lights of captures, for RTI: lp.
+        captures and results (stl, obj and glb need the extra mesh): stl, obj (mm), glb (metres; a
+        light mesh with colours in a texture and fine detail in a normal map), maps (height and
+        normals as PNG of 16 bits); the lights of captures, for RTI: lp.
     out
         Folder to write, one file a finger.
     finger
@@ -286,6 +290,11 @@ def export(
         How they are found: by the phase of the ridges, or by NIST's mindtct (extra minutiae).
     preset
         How captures are reconstructed.
+    base_mm
+        Of stl: a closed solid for a printer, whose flat base lies so many mm below the lowest
+        point.
+    normals
+        Of maps: y up, as OpenGL and Blender have it, or down (directx).
 
     Returns
     -------
@@ -301,11 +310,21 @@ def export(
     --------
     >>> export(["result"], to="stl", out="meshes").facts["files"]  # doctest: +SKIP
     """
-    from splitknit_match.prints.export import export_meshes, export_records
+    from splitknit_match.prints.export import export_records, export_surfaces
 
     places = [Path(source) for source in sources]
-    if to in ("stl", "obj", "glb", "lp"):
-        facts = export_meshes(places, Path(out), to, preset, progress)
+    require(base_mm is None or to == "stl", "`base_mm` is of `to` stl.")
+    require(normals == "opengl" or to == "maps", "`normals` is of `to` maps.")
+    if to in ("stl", "obj", "glb", "maps", "lp"):
+        facts = export_surfaces(
+            places,
+            Path(out),
+            to,
+            preset,
+            base_mm=base_mm,
+            normals=normals,
+            progress=progress,
+        )
     else:
         facts = export_records(
             places,

@@ -91,6 +91,8 @@ def _judged_object(
                 )
                 findings += notes
                 facts |= of_lights
+        if len(bands["white"].leds) < len(capture.bands["white"].leds):
+            fit = None  # it counts the photographs that were left out
         capture = replace(capture, bands=bands)
     for name in _judged_bands(capture):
         of_band, doubt = _judged_lights(capture, name, finger, fit, None)

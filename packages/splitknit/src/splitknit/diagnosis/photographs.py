@@ -21,6 +21,7 @@ from splitknit.diagnosis.gains import checked, light_gains, lit_values, median_a
 from splitknit.diagnosis.parameters import (
     COMPARED_SQUARE_PX,
     COMPARED_VALUES,
+    DOUBLE_LEAVES,
     FAINT_PHOTOGRAPH,
     FAULT_LEAVES,
     FAULT_PX,
@@ -296,6 +297,8 @@ class _Comparison:
             "double": best(lambda x, y: 0.5 * (predicted + moved(x, y))),
         }
         kind = min(misfits, key=lambda each: misfits[each])
+        if kind == "double" and misfits[kind][0] > DOUBLE_LEAVES * misfits["moved"][0]:
+            kind = "moved"  # a small shift looks like twice as far a double image
         least, size = misfits[kind]
         unexplained = misfit(predicted)
         if least > FAULT_LEAVES * unexplained:

@@ -128,7 +128,7 @@ def mask_from_image(pixels: PixelArray, name: str) -> BoolArray:
     mask: BoolArray = np.asarray(bright > half)
     require(
         bool(mask.any()),
-        f"{name} is an empty mask: not one pixel is white; white marks the finger.",
+        f"{name} is an empty mask: not one pixel is white; white marks the finger or object.",
     )
     drawn = bright > 0.1 * top
     part = float((drawn & (bright < 0.9 * top)).sum()) / float(drawn.sum())

@@ -26,6 +26,9 @@ LIST_TITLE = (
 PLACES = "x_mm y_mm z_mm"
 """First line of a list of places in mm instead of directions: from the picture's middle, z above
 the object."""
+ANGLES = "azimuth_deg elevation_deg"
+"""First line of a list of angles instead of directions: azimuth counter-clockwise from x, elevation
+above the object's plane, 90 at the camera."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -74,26 +77,28 @@ def read_light_list(path: str | os.PathLike[str]) -> LightList:
     A fourth number of a line, or a fourth to sixth, is the light's brightness. A line may begin or
     end with the name of its photograph. A first line with a single number is the count of the
     lights, as in ``.lp`` files of RTI; ``#`` starts a comment; lights are places in mm where the
-    first line is :data:`PLACES`. Decimal commas are understood where spaces or semicolons stand
-    between the numbers. Raises BadInput naming the file and the line.
+    first line is :data:`PLACES`, angles, two a line, where it is :data:`ANGLES`. Decimal commas are
+    understood where spaces or semicolons stand between the numbers. Raises BadInput naming the file
+    and the line.
     """
     name = os.fspath(path)
     count = None
-    places = False
+    axes = "x y z"
     rows: list[list[float]] = []
     names: list[str] = []
     for number, line in enumerate(_text_of(path).splitlines(), start=1):
-        title = re.split(r"[,;\s]+", line.lower().strip())[-3:]
-        words, doubtful = _words_of(line.split("#")[0])
-        if not rows and title in (PLACES.split(), ["x", "y", "z"]):  # numpy reads it after a #
-            places = places or title[-1] == "z_mm"
+        title = " ".join(re.split(r"[,;\s]+", line.lower().strip()))
+        titled = next((kind for kind in (PLACES, ANGLES, "x y z") if title.endswith(kind)), None)
+        size = len(axes.split())
+        words, doubtful = _words_of(line.split("#")[0], size)
+        if not rows and titled:  # numpy reads it after a #
+            axes = axes if titled == "x y z" else titled
         elif len(words) == 1 and not rows and count is None and words[0].isdecimal():
             count = int(words[0][:9])
         elif words:
-            values, photograph = _numbers_of(words)
-            sound = len(values) in ({3} if doubtful else {3, 4, 6}) and all(
-                abs(value) <= 1e6 for value in values
-            )
+            values, photograph = _numbers_of(words, size)
+            sizes = {size} if doubtful else {size, size + 1, size + 3}
+            sound = len(values) in sizes and all(abs(value) <= 1e6 for value in values)
             cure = (
                 "; write decimals with a point, or put spaces or semicolons between numbers"
                 if doubtful
@@ -101,12 +106,13 @@ def read_light_list(path: str | os.PathLike[str]) -> LightList:
             )
             require(
                 sound,
-                f"{name}, line {number}: three finite numbers x y z are expected, perhaps a"
-                f" brightness and the name of a file, but it is {line.strip()[:60]!a}{cure}.",
+                f"{name}, line {number}: {'two' if size == 2 else 'three'} finite numbers"
+                f" {axes} are expected, perhaps a brightness and the name of a file, but it is"
+                f" {line.strip()[:60]!a}{cure}.",
             )
             rows.append(values)
             names += [photograph] if photograph else []
-    require(len(rows) > 0, f"{name} holds no lights: a line x y z for each image is expected.")
+    require(len(rows) > 0, f"{name} holds no lights: a line {axes} for each image is expected.")
     require(
         count in (None, len(rows)),
         f"{name} states {count} lights in its first line, but {len(rows)} follow.",
@@ -123,26 +129,37 @@ def read_light_list(path: str | os.PathLike[str]) -> LightList:
         " it in all.",
     )
     table = np.array(rows, dtype=np.float64)
+    lights, brightness = np.split(table, [len(axes.split())], axis=1)
     bright = (
-        _positive(table[:, 3:], f"{name}: the brightness of a light must be positive")
-        if table.shape[1] > 3
+        _positive(brightness, f"{name}: the brightness of a light must be positive")
+        if brightness.size
         else None
     )
-    return LightList(table[:, :3], tuple(names), places, bright)
+    if axes == ANGLES:
+        azimuth, elevation = np.deg2rad(lights).T
+        require(
+            bool((elevation <= np.pi / 2).all()),
+            f"{name}: an elevation is above 90 deg; azimuth stands first.",
+        )
+        across = np.cos(elevation)
+        lights = np.column_stack(
+            [across * np.cos(azimuth), across * np.sin(azimuth), np.sin(elevation)]
+        )
+    return LightList(lights, tuple(names), axes == PLACES, bright)
 
 
-def _numbers_of(words: Sequence[str]) -> tuple[list[float], str]:
-    """The numbers at the beginning of a line, or at its end, and the name beside them, without
-    folders."""
+def _numbers_of(words: Sequence[str], size: int) -> tuple[list[float], str]:
+    """The numbers at the beginning of a line, `size` at least, or at its end, and the name beside
+    them, without folders."""
     numeric = [_is_number(word) for word in words]
     count = len(list(itertools.takewhile(bool, numeric)))
-    if count >= 3:
+    if count >= size:
         numbers = words[:count]
         rest = words[count:]
     else:
         first = len(words) - len(list(itertools.takewhile(bool, reversed(numeric))))
-        if 0 < first < len(words) - 3 and not words[first - 1].lower().endswith(tuple(SUFFIXES)):
-            first = len(words) - 3  # a number ends the name
+        if 0 < first < len(words) - size and not words[first - 1].lower().endswith(tuple(SUFFIXES)):
+            first = len(words) - size  # a number ends the name
         numbers = words[first:]
         rest = words[:first]
     return list(map(float, numbers)), re.split(r"[/\\]", " ".join(rest))[-1]
@@ -156,10 +173,11 @@ def _is_number(word: str) -> bool:
     return True
 
 
-def _words_of(line: str) -> tuple[list[str], bool]:
-    """Words of a line, decimal commas as points; and whether its commas may be decimal ones."""
+def _words_of(line: str, size: int) -> tuple[list[str], bool]:
+    """Words of a line of `size` numbers at least, decimal commas as points; and whether its commas
+    may be decimal ones."""
     parts = [part for part in (word.strip(",") for word in re.split(r"[;\s]+", line)) if part]
-    if len(parts) >= 3:
+    if len(parts) >= size:
         return [re.sub(r"^([-+]?\d+),(\d+)$", r"\1.\2", part) for part in parts], False
     return (
         re.split(r"[,;\s]+", line.strip(" ,;\t")) if parts else []

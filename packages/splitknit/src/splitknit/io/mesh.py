@@ -8,11 +8,12 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from splitknit.imaging.band import CHANNELS
 from splitknit.io.atomic import atomic_file
 from splitknit.io.parameters import MESH_CHUNK
 from splitknit.model import BoolArray, FloatArray
 
-_VERTEX = np.dtype([("place", "<f4", (3,)), ("normal", "<f4", (3,)), ("quality", "<f4")])
+_VERTEX = [("place", "<f4", (3,)), ("normal", "<f4", (3,)), ("quality", "<f4")]
 _FACE = np.dtype([("count", "u1"), ("corners", "<i4", (3,))])
 
 
@@ -40,20 +41,25 @@ def write_ply(
     vertices: tuple[FloatArray, FloatArray, FloatArray],
     faces: NDArray[np.int32],
     comments: Sequence[str] = (),
+    colours: NDArray[np.uint8] | None = None,
 ) -> None:
     """Write a surface as binary little-endian PLY (G. Turk, The PLY Polygon File Format, 1994).
 
     `vertices`: places (N, 3) in mm, unit normals (N, 3) and intensity (N,) from 0 (black) to 1
     (white), which MeshLab, CloudCompare and trimesh know as ``quality``; `faces`: (M, 3) indices of
     vertices, counter-clockwise seen from outside; `comments`: single lines of ASCII for the header
-    (units, provenance). Raises BadInput if the file cannot be written.
+    (units, provenance); `colours`: (N, 3) red, green, blue in sRGB. Raises BadInput if the file
+    cannot be written.
     """
+    coloured = [] if colours is None else [("colour", "u1", (3,))]
+    vertex = np.dtype([*_VERTEX, *coloured])
     header = [
         "ply",
         "format binary_little_endian 1.0",
         *(f"comment {text}" for text in comments),
         f"element vertex {len(vertices[0])}",
         *(f"property float {name}" for name in ("x", "y", "z", "nx", "ny", "nz", "quality")),
+        *(f"property uchar {name}" for name in CHANNELS if coloured),
         f"element face {len(faces)}",
         "property list uchar int vertex_indices",
         "end_header\n",
@@ -62,8 +68,10 @@ def write_ply(
         stream.write("\n".join(header).encode("ascii"))
         for start in range(0, len(vertices[0]), MESH_CHUNK):
             place, normal, quality = (values[start : start + MESH_CHUNK] for values in vertices)
-            points = np.empty(len(place), dtype=_VERTEX)
+            points = np.empty(len(place), dtype=vertex)
             points["place"], points["normal"], points["quality"] = place, normal, quality
+            if colours is not None:
+                points["colour"] = colours[start : start + MESH_CHUNK]
             stream.write(points.data)
         for start in range(0, len(faces), MESH_CHUNK):
             corners = faces[start : start + MESH_CHUNK]

@@ -231,6 +231,20 @@ LARGEST_MM = 1000.0
 Unit: mm. Chosen on: judgement. Range: not known.
 """
 
+# --- surface_files
+
+MODEL_VERTICES = 100_000
+"""Vertices of a model with a texture, about: so many a browser turns without a pause; finer detail
+is in its normal map.
+
+Unit: none. Chosen on: judgement. Range: not known.
+"""
+TEXTURE_PX = 4096
+"""Longest side of a texture, which nearly all graphics cards take.
+
+Unit: px. Chosen on: judgement. Range: not known.
+"""
+
 # --- targets
 
 HEAD_BYTES = 16_000_000

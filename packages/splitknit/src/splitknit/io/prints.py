@@ -72,10 +72,9 @@ def encode_print_png(
     return encode_png(_checked(image, ppi), text or {}, ppi)
 
 
-def encode_png(
-    image: NDArray[np.uint8], text: Mapping[str, str], ppi: float | None = None
-) -> bytes:
-    """A PNG file of (H, W) or (H, W, 3) with its resolution and with texts by their keywords.
+def encode_png(image: NDArray[Any], text: Mapping[str, str], ppi: float | None = None) -> bytes:
+    """A PNG file of (H, W) or (H, W, 3) uint8, or of (H, W) uint16, with its resolution and with
+    texts by their keywords.
 
     Raises BadInput for a keyword other than 1 to 79 printable ASCII characters, and a text with a
     NUL character.

@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -13,8 +14,9 @@ import numpy as np
 from msgspec import Struct
 from numpy.typing import NDArray
 
-from splitknit.errors import importing, require
+from splitknit.errors import require
 from splitknit.findings import Finding
+from splitknit.imaging.band import decode_table, srgb_code
 from splitknit.imaging.geometry import bounding_box
 from splitknit.io.atomic import write_file
 from splitknit.io.fields import converted, parse_json, read_document
@@ -25,12 +27,9 @@ from splitknit.io.parameters import LARGEST_MM
 from splitknit.io.pictures import normal_colours, upright_turn
 from splitknit.io.prints import encode_png, provenance_texts
 from splitknit.io.provenance import JsonValue, canonical_json, settings_hash
-from splitknit.model import NO_SCALE, FloatArray, Reconstruction, require_scale
+from splitknit.model import NO_SCALE, BoolArray, FloatArray, Reconstruction
 
 Origin = dict[str, JsonValue]
-_NEEDS_TRIMESH = (
-    "Surfaces of other programs need the package trimesh: pip install 'splitknit[mesh]' ({error})."
-)
 _FRAME = ("mask", "pitch_mm", "input_from_upright", "upright_size")
 _AGAIN = "reconstruct the capture again"
 
@@ -60,8 +59,8 @@ def read_result(path: str | os.PathLike[str]) -> Reconstruction:
     Returns
     -------
     Reconstruction
-        The albedo is relative, in 255 steps. Where its scale is unknown, `scale_known` is false and
-        1 px/mm is assumed, as the file has heights in pixels.
+        Albedo and colour are relative, in 255 steps. Where its scale is unknown, `scale_known` is
+        false and 1 px/mm is assumed, as the file has heights in pixels.
 
     Raises
     ------
@@ -104,8 +103,18 @@ def read_result(path: str | os.PathLike[str]) -> Reconstruction:
         )
         level = grey.reshape(*albedo.shape, -1)[..., 0].astype(np.float32) / 255.0
         albedo = np.where(arrays["mask"], level, np.nan)
+    colour = None
+    if (folder / "colour.png").is_file():
+        colours = read_image(folder / "colour.png")
+        require(
+            colours.shape == (*albedo.shape, 3) and colours.dtype == np.uint8,
+            f"{folder}: colour.png is not of the size of height.npz; {_AGAIN}.",
+        )
+        colour = decode_table(colours.dtype, "srgb")[colours]
     stated_facts = {name: getattr(report, name) for name in report.__struct_fields__}
-    return Reconstruction(**arrays, albedo=albedo, hashes=origin.inputs, **stated_facts)
+    return Reconstruction(
+        **arrays, albedo=albedo, colour=colour, hashes=origin.inputs, **stated_facts
+    )
 
 
 def read_fields(
@@ -204,32 +213,43 @@ def axes_of(material: Any) -> str:
     return f"x right, y {'up' if material == 'opaque' else 'to the fingertip'}, z to the camera"
 
 
-def _mesh_of(
-    result: Reconstruction,
-) -> tuple[tuple[FloatArray, FloatArray, FloatArray], NDArray[np.int32]]:
-    """One vertex for each pixel of the mask, row by row, tip along +y: places (N, 3) in the shown
-    unit, normals (N, 3) and intensity (N,); and faces (M, 3).
-    """
-    box = bounding_box(result.mask)
-    valid = result.mask[box] & np.isfinite(result.height_mm[box])
+@dataclass(frozen=True, slots=True, eq=False)
+class Mesh:
+    """A surface as triangles, tip along +y; one vertex for each pixel that is kept, row by row."""
+
+    places: FloatArray
+    """(N, 3) in the unit of the result."""
+    normals: FloatArray
+    """(N, 3)."""
+    faces: NDArray[np.int32]
+    """(M, 3), counter-clockwise seen from outside."""
+    pixels: tuple[NDArray[np.int64], NDArray[np.int64]]
+    """Row and column (N,) of each vertex on the input's pixel grid."""
+
+
+def mesh_of(result: Reconstruction, step: int = 1) -> Mesh:
+    """The surface of a result in every `step`-th pixel of rows and columns."""
+    rows, columns = bounding_box(result.mask)
+    kept = (slice(rows.start, rows.stop, step), slice(columns.start, columns.stop, step))
+    valid = result.mask[kept] & np.isfinite(result.height_mm[kept])
     faces, _ = triangulate(valid)
+    row, column = np.nonzero(valid)
+    row, column = rows.start + step * row, columns.start + step * column
     if result.x_mm is not None and result.y_mm is not None:
-        x = result.x_mm[box][valid]
-        y = result.y_mm[box][valid]
+        x = result.x_mm[row, column]
+        y = result.y_mm[row, column]
     else:
         height, width = result.mask.shape
-        row, column = np.nonzero(valid)
-        x = (column + box[1].start - (width - 1) / 2) * result.pitch_mm
-        y = ((height - 1) / 2 - (row + box[0].start)) * result.pitch_mm
+        x = (column - (width - 1) / 2) * result.pitch_mm
+        y = ((height - 1) / 2 - row) * result.pitch_mm
     places = np.empty((len(x), 3), dtype=np.float32)
-    places[:, 2] = result.height_mm[box][valid]
-    normals = result.normals[box][valid]
+    places[:, 2] = result.height_mm[row, column]
+    normals = result.normals[row, column]
     nx, ny = normals[:, 0].copy(), normals[:, 1].copy()
     for axis, (across, along) in enumerate(upright_turn(result.input_from_upright)):
         places[:, axis] = across * x + along * y
         normals[:, axis] = np.float32(across) * nx + np.float32(along) * ny
-    intensity = _albedo_bytes(result)[box][valid] * np.float32(1.0 / 255.0)
-    return (result.unit.heights(places), normals, intensity), faces
+    return Mesh(result.unit.heights(places), normals, faces, (row, column))
 
 
 def write_mesh(path: Path, result: Reconstruction, origin: Origin) -> None:
@@ -240,42 +260,10 @@ def write_mesh(path: Path, result: Reconstruction, origin: Origin) -> None:
         f"settings_sha256 {origin['settings_sha256']}",
         f"inputs_sha256 {settings_hash(origin['inputs'])}",
     ]
-    write_ply(path, *_mesh_of(result), comments)
-
-
-def surface_bytes(result: Reconstruction, kind: str, title: str) -> tuple[dict[str, Any], bytes]:
-    """Return facts of a file of the surface, and the bytes of the file.
-
-    `title`: one line, stated in the file; `kind`: ``stl``, ``obj`` (in mm) or ``glb`` (in metres,
-    as glTF wants it), meshes as ``phalange.ply``. Raises BadInput if the result has no scale or no
-    surface, or trimesh is missing.
-    """
-    require_scale(result)
-    (vertices, normals, intensity), faces = _mesh_of(result)
-    require(len(faces) > 0, "the result holds no surface; reconstruct the capture again.")
-    facts = {"vertices": len(vertices), "faces": len(faces), "unit": "mm"}
-    with importing(_NEEDS_TRIMESH):
-        import trimesh
-    grey = np.full((len(vertices), 4), 255, dtype=np.uint8)
-    grey[:, :3] = np.round(255.0 * intensity)[:, None]
-    words = {"title": title, "axes": axes_of(result.facts.get("material"))}
-    scale = 0.001 if kind == "glb" else 1.0
-    mesh: Any = trimesh.Trimesh(
-        vertices * scale,
-        faces,
-        vertex_normals=normals,
-        vertex_colors=grey,
-        metadata=words,
-        process=False,
-    )
-    header = {"header": f"unit mm, {', '.join(words.values())}"} if kind == "obj" else {}
-    written = mesh.export(file_type=kind, **header)
-    written = written if isinstance(written, bytes) else written.encode("ascii")
-    if kind == "stl":  # whose header is free
-        written = (
-            f"splitknit, unit mm {title}".encode("ascii", "replace")[:80].ljust(80) + written[80:]
-        )
-    return facts, written
+    mesh = mesh_of(result)
+    intensity = albedo_bytes(result)[mesh.pixels] * np.float32(1.0 / 255.0)
+    colours = None if result.colour is None else surface_colours(result)[mesh.pixels]
+    write_ply(path, (mesh.places, mesh.normals, intensity), mesh.faces, comments, colours)
 
 
 def write_normals(
@@ -292,19 +280,31 @@ def write_normals(
 
 def write_albedo(path: Path, result: Reconstruction, origin: Origin) -> None:
     """Write the albedo as a grey picture on the input's pixel grid."""
-    write_picture(path, _albedo_bytes(result), origin)
+    write_picture(path, albedo_bytes(result), origin)
 
 
-def _albedo_bytes(result: Reconstruction) -> NDArray[np.uint8]:
+def albedo_bytes(result: Reconstruction) -> NDArray[np.uint8]:
     """Albedo (H, W) with its 99.9th percentile at 255, 0 outside the mask."""
-    box = bounding_box(result.mask)
-    picture = np.zeros(result.mask.shape, dtype=np.uint8)
-    known = result.mask[box] & np.isfinite(result.albedo[box])
-    if not bool(known.any()):
-        return picture
-    albedo = np.where(known, result.albedo[box], 0.0)
-    white = max(float(np.percentile(albedo[known][::7], 99.9)), 1e-12)
-    picture[box] = np.clip(np.round(albedo * np.float32(255.0 / white)), 0, 255).astype(np.uint8)
+    return np.round(_up_to_255(result.albedo, result.mask)).astype(np.uint8)
+
+
+def surface_colours(result: Reconstruction) -> NDArray[np.uint8]:
+    """Albedo (H, W, 3) as sRGB, grey where there is no colour; brightness as of
+    :func:`albedo_bytes`."""
+    albedo = result.albedo[..., None] if result.colour is None else result.colour
+    code = np.round(255.0 * srgb_code(_up_to_255(albedo, result.mask) / 255.0)).astype(np.uint8)
+    return np.ascontiguousarray(np.broadcast_to(code, (*result.mask.shape, 3)))
+
+
+def _up_to_255(albedo: FloatArray, mask: BoolArray) -> FloatArray:
+    """Albedo (H, W) or (H, W, C) with its 99.9th percentile at 255, 0 outside the mask."""
+    box = bounding_box(mask)
+    picture = np.zeros(albedo.shape, dtype=np.float32)
+    known = mask[box].reshape(*mask[box].shape, *[1] * (albedo.ndim - 2)) & np.isfinite(albedo[box])
+    if bool(known.any()):
+        values = np.where(known, albedo[box], 0.0)
+        white = max(float(np.percentile(values[known][::7], 99.9)), 1e-12)
+        picture[box] = np.clip(values * np.float32(255.0 / white), 0, 255)
     return picture
 
 

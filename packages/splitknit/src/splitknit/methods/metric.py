@@ -38,6 +38,7 @@ from splitknit.methods.photographs import FingerBand, FingerPhotographs, FingerS
 from splitknit.methods.photometry import (
     OPAQUE,
     by_rows,
+    colour_albedo,
     distant_normals,
     integrated,
     ridge_relief,
@@ -119,7 +120,8 @@ def metric_opaque(white: FingerBand, nir: FingerBand, p: Parameters) -> FingerSu
     if nir != white:
         shape = integrated(near_slopes(nir, p.photometry.normals, p.height)[0], nir, p.height)
         height_mm = crossover(height_mm, shape, ridge_response(white, p.shapelets), white.inside)
-    return FingerSurface(height_mm, relief, height_mm - relief, albedo, normals, findings=findings)
+    shape, colour = height_mm - relief, colour_albedo(white, albedo)
+    return FingerSurface(height_mm, relief, shape, albedo, normals, colour, findings=findings)
 
 
 def doubt_of_walls(

@@ -175,6 +175,8 @@ class FingerSurface:
     normals: FloatArray | None = None
     """(h, w, 3) measured by photometric stereo, in the rig's frame; None where the method measures
     none."""
+    colour: FloatArray | None = None
+    """(h, w, 3) albedo in red, green and blue."""
     uncertainty_um: FloatArray | None = None
     whole: bool = False
     """Whether the surface is not split into relief and shape: its height is what the thesis's
@@ -202,7 +204,7 @@ def placed(photographs: FingerPhotographs, surface: FingerSurface, top_mm: float
         np.copyto(image[window], part, where=inside)
         return image
 
-    def whole_normals(part: FloatArray) -> FloatArray:
+    def whole_vectors(part: FloatArray) -> FloatArray:
         image = np.zeros((*mask.shape, 3), dtype=np.float32)
         # no negative zeros, which pack badly
         np.copyto(image[window], part, where=inside[..., None])
@@ -213,9 +215,10 @@ def placed(photographs: FingerPhotographs, surface: FingerSurface, top_mm: float
         ridge_mm=whole(surface.ridge_mm if x_mm is None else height_mm - shape_mm),
         shape_mm=whole(shape_mm),
         mask=mask,
-        normals=whole_normals(normals),
-        normals_measured=None if surface.normals is None else whole_normals(surface.normals),
+        normals=whole_vectors(normals),
+        normals_measured=None if surface.normals is None else whole_vectors(surface.normals),
         albedo=whole(surface.albedo),
+        colour=None if surface.colour is None else whole_vectors(surface.colour),
         pitch_mm=camera.pitch_mm,
         scale_known=camera.scale_known,
         x_mm=None if x_mm is None else whole(x_mm),

@@ -10,7 +10,13 @@ from typing import Any
 import numpy as np
 
 from splitknit.errors import require
-from splitknit.imaging.band import linear_stack
+from splitknit.imaging.band import (
+    CHANNELS,
+    GREY_WEIGHTS,
+    has_colour,
+    linear_channels,
+    linear_stack,
+)
 from splitknit.imaging.geometry import gradients_from_normals, smoothed
 from splitknit.imaging.view import view_of
 from splitknit.integration.frankot_chellappa import frankot_chellappa
@@ -79,6 +85,34 @@ def by_rows(
             here = slice(rows.start + part.start, rows.start + part.stop)
             normals[part], albedo[part] = solve(light((here, columns)), part)
     return normals, albedo
+
+
+@step("normals")
+def colour_albedo(photographs: FingerBand, albedo: FloatArray) -> FloatArray | None:
+    """Albedo (h, w, 3) in red, green and blue, whose luma is the grey `albedo` (h, w); None of
+    photographs without colour.
+
+    Its colour is that of the photographs in which a pixel is no brighter than in their mean: there
+    are highlights, which have the lamp's colour, in the others.
+    """
+    band = photographs.band
+    if not has_colour(band):
+        return None
+    rows, columns = photographs.finger.window
+    height, width = albedo.shape
+    colour = np.zeros((height, width, 3), dtype=np.float32)
+    strip = max(1, IN_MEMORY // (4 * 3 * len(band.lights) * width))
+    for top in range(0, height, strip):
+        part = slice(top, min(top + strip, height))
+        here = slice(rows.start + part.start, rows.start + part.stop)
+        light = linear_channels(
+            band, photographs.capture.encoding, tuple(CHANNELS), (here, columns)
+        )
+        grey = np.tensordot(GREY_WEIGHTS, light, axes=1)
+        mean = (light * (grey <= grey.mean(axis=0))).sum(axis=1)
+        gain = albedo[part] / np.maximum(np.tensordot(GREY_WEIGHTS, mean, axes=1), 1e-12)
+        colour[part] = np.moveaxis(np.maximum(mean * gain, 0.0), 0, -1)
+    return np.nan_to_num(colour, copy=False)
 
 
 @step("normals")

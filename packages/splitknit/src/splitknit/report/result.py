@@ -30,6 +30,7 @@ from splitknit.io.pictures import ColourArray, data_uri, upright_frame, upright_
 from splitknit.io.prints import provenance_texts, write_print_png
 from splitknit.io.provenance import plain_json, provenance
 from splitknit.io.results import (
+    surface_colours,
     write_albedo,
     write_arrays,
     write_mesh,
@@ -444,6 +445,11 @@ def write_files(
                 )
             )
             files.append("normals_measured.png")
+        if result.colour is not None:
+            jobs.append(
+                pool.submit(write_picture, target / "colour.png", surface_colours(result), origin)
+            )
+            files.append("colour.png")
         if result.specular is not None:
             jobs.append(
                 pool.submit(

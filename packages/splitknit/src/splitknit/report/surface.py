@@ -220,7 +220,7 @@ class PageSurface:
     title: str
     surface: ResultSurface
     albedo: FloatArray | None = None
-    """(h, w) relative, on the surface's grid."""
+    """(h, w) or (h, w, 3) relative, on the surface's grid."""
     minutiae: _Values = field(default_factory=lambda: np.empty((0, 3)))
     """(N, 3): x and y in mm, and direction in rad, counter-clockwise from x."""
 
@@ -256,7 +256,8 @@ def scene_of(result: Reconstruction, title: str) -> Scene:
     """One result, with its own brightness."""
     surface = surface_in(result)
     known = result.mask & np.isfinite(result.height_mm)
-    return scene([PageSurface(title, surface, result.albedo[bounding_box(known)])])
+    albedo = result.albedo if result.colour is None else result.colour
+    return scene([PageSurface(title, surface, albedo[bounding_box(known)])])
 
 
 @cache
@@ -299,18 +300,20 @@ def _encoded(page: PageSurface) -> dict[str, Any]:
             gridded(surface.height_mm - surface.ridge_mm) * unit.per_mm, SHAPE_STEP
         ),
         "ridge": _in_16_bits(gridded(surface.ridge_mm) * unit.per_mm, RIDGE_STEP),
-        "brightness": None if page.albedo is None else _jpeg(gridded(page.albedo)),
+        "brightness": None
+        if page.albedo is None
+        else _jpeg([gridded(part) for part in np.moveaxis(np.atleast_3d(page.albedo), -1, 0)]),
         "minutiae": np.round(page.minutiae, 4).tolist(),
     }
 
 
-def _jpeg(albedo: _Values) -> str:
-    """Brightness for people, black where it is not known."""
-    known = np.nan_to_num(albedo, posinf=0.0, neginf=0.0)
+def _jpeg(albedo: Sequence[_Values]) -> str:
+    """Brightness for people, grey or red, green and blue; black where it is not known."""
+    known = np.nan_to_num(np.dstack(albedo[::-1]), posinf=0.0, neginf=0.0)  # OpenCV: blue first
     brightest = max(float(np.percentile(known, 99.5)), 1e-6)
     fraction = np.clip(known / brightest, 0.0, 1.0)
-    grey = np.round(255 * fraction ** (1 / 2.2)).astype(np.uint8)
-    data = cv2.imencode(".jpg", grey, [cv2.IMWRITE_JPEG_QUALITY, 85])[1].tobytes()
+    code = np.round(255 * fraction ** (1 / 2.2)).astype(np.uint8)
+    data = cv2.imencode(".jpg", code, [cv2.IMWRITE_JPEG_QUALITY, 85])[1].tobytes()
     return base64.b64encode(data).decode()
 
 

@@ -57,7 +57,7 @@ class Surface {
     const range = [0.03, 0.97].map((fraction) => sorted[Math.floor(fraction * (sorted.length - 1))]);
     this.paints = {
       matt: () => [0.9, 0.8, 0.7],
-      brightness: (k) => Array(3).fill((brightness[4 * k] / 255) ** 2.2),
+      brightness: (k) => [0, 1, 2].map((c) => (brightness[4 * k + c] / 255) ** 2.2),
       relief: (k) => reliefColour((ridge[k] - range[0]) / (range[1] - range[0])).map((level) => level ** 2.2),
     };
     this.paint("matt");
