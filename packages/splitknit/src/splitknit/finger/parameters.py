@@ -5,19 +5,19 @@
 HISTOGRAM_BINS = 256
 """Bins of the histograms; the mapping between them is interpolated.
 
-Unit: none. Chosen on: not known. Range: not known.
+Unit: none. Chosen on: not known. Range: 128 to 512 (validation/parameters).
 """
 
 MIN_CELL_PX = 8
 """Smallest side of a cell.
 
-Unit: px. Chosen on: judgement. Range: not known.
+Unit: px. Chosen on: judgement. Range: 4 to 16 (validation/parameters).
 """
 
 WHITE_PERCENTILE = 99.9
 """This percentile of the finger becomes white before equalisation.
 
-Unit: percentile. Chosen on: not known. Range: not known.
+Unit: percentile. Chosen on: not known. Range: none within 0.7 to 1.4 (validation/parameters).
 """
 
 # --- hand
@@ -66,7 +66,7 @@ BEYOND_CREASE_MM = 2.5
 """Skin beyond the crease is reconstructed too, and then cut: light from it reaches the phalange
 under the skin.
 
-Unit: mm. Chosen on: judgement. Range: not known.
+Unit: mm. Chosen on: judgement. Range: 1.25 to 5 (validation/parameters).
 """
 
 # --- mask
@@ -74,25 +74,26 @@ Unit: mm. Chosen on: judgement. Range: not known.
 COARSE_PX_PER_MM = 10.0
 """Scale of the copy that is clustered.
 
-Unit: px/mm. Chosen on: speed. Range: not known.
+Unit: px/mm. Chosen on: speed. Range: 5 to 14 (validation/parameters).
 """
 
 FINE_PX_PER_MM = 20.0
 """Scale of the copy on which the outline is traced.
 
-Unit: px/mm. Chosen on: speed (finer than the blur of skin, a tenth of the work). Range: not known.
+Unit: px/mm. Chosen on: speed (finer than the blur of skin, a tenth of the work). Range: 10 to 20
+(validation/parameters).
 """
 
 SEED_BLUR_MM = 0.25
 """Gaussian blur (sigma) of the chromaticity before clustering.
 
-Unit: mm. Chosen on: not known. Range: not known.
+Unit: mm. Chosen on: not known. Range: 0.125 to 0.5 (validation/parameters).
 """
 
 OUTLINE_BLUR_MM = 0.06
 """Gaussian blur (sigma) of the images on which the outline is traced.
 
-Unit: mm. Chosen on: not known. Range: not known.
+Unit: mm. Chosen on: not known. Range: 0.03 to 0.12 (validation/parameters).
 """
 
 BACKGROUND_SAMPLES = 8000
@@ -104,7 +105,7 @@ Unit: px. Chosen on: speed. Range: not known.
 EDGE_FRACTION = 0.12
 """A pixel is finger if it rises from the background by this fraction of the finger's median rise.
 
-Unit: fraction. Chosen on: not known. Range: not known.
+Unit: fraction. Chosen on: not known. Range: 0.06 to 0.168 (validation/parameters).
 """
 
 NOISE_FACTOR = 5.0
@@ -123,14 +124,14 @@ OUTLINE_SPECK_MM = 1.0
 """Bumps of the outline narrower than twice this (dust on the background beside the finger) are cut
 off.
 
-Unit: mm. Chosen on: not known. Range: not known.
+Unit: mm. Chosen on: not known. Range: 0.5 to 2 (validation/parameters).
 """
 
 EDGE_MARGIN_MM = 1.0
 """Width of the zone along the outline that counts neither as finger nor as background while either
 is measured.
 
-Unit: mm. Chosen on: not known. Range: not known.
+Unit: mm. Chosen on: not known. Range: 0.5 to 2 (validation/parameters).
 """
 
 MIN_WIDTH_MM = 4.0
@@ -192,7 +193,7 @@ MOTION_BANDS_MM = (0.3, 0.15, 0.08)
 """Fine ends (sigma) of the band-pass filters, coarse to fine; a finger may move by about twice the
 first.
 
-Unit: mm. Chosen on: not known. Range: not known.
+Unit: mm. Chosen on: not known. Range: 1 to 2 times these values (validation/parameters).
 """
 
 MOTION_ITERATIONS = 6
@@ -222,7 +223,7 @@ Unit: mm. Chosen on: judgement. Range: not known.
 MIN_RELIABILITY = 0.8
 """Motion of a shot with less reliability than this is ignored.
 
-Unit: correlation. Chosen on: not known. Range: not known.
+Unit: correlation. Chosen on: not known. Range: 0.4 to 0.8 (validation/parameters).
 """
 
 # --- orientation
@@ -230,19 +231,19 @@ Unit: correlation. Chosen on: not known. Range: not known.
 LONGEST_SIDE = 512
 """Longer side of the reduced mask.
 
-Unit: px. Chosen on: speed. Range: not known.
+Unit: px. Chosen on: speed. Range: 256 to 1024 (validation/parameters).
 """
 
 FULL_WIDTH = 0.85
 """Rows at least this fraction as wide as the widest count as full width.
 
-Unit: fraction. Chosen on: not known. Range: not known.
+Unit: fraction. Chosen on: not known. Range: 0.425 to 0.85 (validation/parameters).
 """
 
 TIP_EXCLUSION = 0.5
 """Rows nearer to the tip than this fraction of the widest row are left out of the fit.
 
-Unit: fraction. Chosen on: not known. Range: not known.
+Unit: fraction. Chosen on: not known. Range: 0.25 to 1 (validation/parameters).
 """
 
 MAX_TURN_DEG = 75.0
@@ -295,7 +296,7 @@ Range: not known.
 UPRIGHT_MARGIN = 0.02
 """Margin around the finger in the upright frame, as a fraction of its longer side.
 
-Unit: fraction. Chosen on: judgement. Range: not known.
+Unit: fraction. Chosen on: judgement. Range: 0.01 to 0.04 (validation/parameters).
 """
 
 # --- phalange
@@ -304,19 +305,19 @@ CREASE_PX_PER_MM = 8.0
 """Scale of the copy that is searched: a crease is half a millimetre wide and more, and ridges must
 not show.
 
-Unit: px/mm. Chosen on: not known. Range: not known.
+Unit: px/mm. Chosen on: not known. Range: 4 to 11.2 (validation/parameters).
 """
 
 CREASE_BLUR_MM = 0.3
 """Blur (sigma) across the crease; removes ridges of 0.43 mm period.
 
-Unit: mm. Chosen on: not known. Range: not known.
+Unit: mm. Chosen on: not known. Range: 0.15 to 0.6 (validation/parameters).
 """
 
 CREASE_SIDE_MM = 1.6
 """A valley must be darker than the skin this far above and below it.
 
-Unit: mm. Chosen on: not known. Range: not known.
+Unit: mm. Chosen on: not known. Range: 0.8 to 2.24 (validation/parameters).
 """
 
 MIN_CREASE_DEPTH = 0.025
@@ -328,7 +329,7 @@ Unit: fraction. Chosen on: not known. Range: not known.
 MIN_CREASE_COVERAGE = 0.6
 """Fraction of the finger's width along which the valley must show.
 
-Unit: fraction. Chosen on: not known. Range: not known.
+Unit: fraction. Chosen on: not known. Range: 0.3 to 0.84 (validation/parameters).
 """
 
 MIN_CREASE_PROMINENCE = 2.5
@@ -347,13 +348,14 @@ Unit: deg. Chosen on: not known. Range: not known.
 CREASE_RATIOS = (0.95, 2.4)
 """Where the first crease may lie: smallest and largest distance from the tip.
 
-Unit: widths of the finger. Chosen on: not known. Range: not known.
+Unit: widths of the finger. Chosen on: not known. Range: 0.7 to 1 times these values
+(validation/parameters).
 """
 
 CREASE_DISTANCES_MM = (14.0, 38.0)
 """Where it may lie in millimetres.
 
-Unit: mm. Chosen on: not known. Range: not known.
+Unit: mm. Chosen on: not known. Range: 0.7 to 1.4 times these values (validation/parameters).
 """
 
 EXPECTED_CREASE_RATIO = 1.55
@@ -371,20 +373,20 @@ Unit: widths of the finger. Chosen on: not known. Range: not known.
 EQUALISED_ROUNDS = 3
 """Rounds of equalisation and blur for `cut_at_crease=equalised`. The thesis gives no number.
 
-Unit: none. Chosen on: not known. Range: not known.
+Unit: none. Chosen on: not known. Range: 2 to 4 (validation/parameters).
 """
 
 EQUALISED_BLUR_MM = 0.5
 """Sigma of that blur.
 
-Unit: mm. Chosen on: not known. Range: not known.
+Unit: mm. Chosen on: not known. Range: 0.25 to 0.5 (validation/parameters).
 """
 
 MIN_ROW_PROMINENCE = 0.2
 """A row is a candidate there if it has so many fewer light pixels than the rows beside it, over the
 width.
 
-Unit: fraction. Chosen on: not known. Range: not known.
+Unit: fraction. Chosen on: not known. Range: 0.1 to 0.28 (validation/parameters).
 """
 
 DOUBLET_MM = 5.0
@@ -414,14 +416,14 @@ SPECK_ENLARGEMENT = 2
 beads.
 
 Unit: none. Chosen on: simulated fingers (seeds 7401 to 7406 in every condition, people S16 and
-S17). Range: not known.
+S17). Range: 2 to 4 (validation/parameters).
 """
 
 SPECK_BLUR_MM = 0.04
 """Sigma of a Gaussian before lines are laid: pixels of the copy leave no steps.
 
 Unit: mm. Chosen on: simulated fingers (seeds 7401 to 7406 in every condition, people S16 and S17).
-Range: not known.
+Range: 0.02 to 0.056 (validation/parameters).
 """
 
 SPECK_LEVEL_MM = 0.3
@@ -441,21 +443,21 @@ SPECK_PX_PER_MM = 12.0
 """Scale of the copy on which specks are measured; coarser images are not.
 
 Unit: px/mm. Chosen on: simulated fingers (seeds 7401 to 7406 in every condition, people S16 and
-S17). Range: not known.
+S17). Range: 8.4 to 12 (validation/parameters).
 """
 
 DARK_SPECK_MM = 0.35
 """Dark marks that are longer in any direction are valleys, wrinkles or hairs.
 
 Unit: mm. Chosen on: simulated fingers (seeds 7401 to 7406 in every condition, people S16 and S17).
-Range: not known.
+Range: 0.245 to 0.7 (validation/parameters).
 """
 
 DARK_SPECK_DEPTH = 0.08
 """How much darker than its surroundings a pixel of a dark speck is.
 
 Unit: fraction. Chosen on: simulated fingers (seeds 7401 to 7406 in every condition, people S16 and
-S17). Range: not known.
+S17). Range: 0.056 to 0.112 (validation/parameters).
 """
 
 BRIGHT_SPECK_MM = 0.5
@@ -537,7 +539,7 @@ Unit: mm. Chosen on: not known. Range: not known.
 LIT_FRACTION = 0.03
 """A light reaches a pixel if it is brighter than this fraction of the finger's median brightness.
 
-Unit: fraction. Chosen on: not known. Range: not known.
+Unit: fraction. Chosen on: not known. Range: 0.015 to 0.06 (validation/parameters).
 """
 
 PINHOLE_MM2 = 1.0
@@ -559,7 +561,7 @@ Unit: px. Chosen on: speed. Range: any (the result is the same).
 TURN_MM = 8.0
 """A turn's parameter is the shift that it causes at this distance.
 
-Unit: mm. Chosen on: simulated fingers (seeds 9101 to 9104). Range: not known.
+Unit: mm. Chosen on: simulated fingers (seeds 9101 to 9104). Range: 4 to 16 (validation/parameters).
 """
 
 SETTLED_MM = 5e-4
@@ -571,61 +573,67 @@ Unit: mm. Chosen on: speed. Range: not known.
 SETTLED_PX = 0.02
 """The same in pixels; images are resampled to 1/32 px.
 
-Unit: px. Chosen on: speed. Range: not known.
+Unit: px. Chosen on: speed. Range: 0.01 to 0.04 (validation/parameters).
 """
 
 REGISTRATION_ITERATIONS = 20
 """Maximum refinements in each band.
 
-Unit: none. Chosen on: speed. Range: not known.
+Unit: none. Chosen on: speed. Range: 10 to 40 (validation/parameters).
 """
 
 COARSE_BANDS_MM = (0.5, 0.3, 0.15)
 """Fine ends (sigma) of the band-pass filters in which the outline counts too, coarse to fine.
 
-Unit: mm. Chosen on: simulated fingers (seeds 9101 to 9104). Range: not known.
+Unit: mm. Chosen on: simulated fingers (seeds 9101 to 9104). Range: 0.5 to 2 times these values
+(validation/parameters).
 """
 
 FINE_BANDS_MM = (0.08,)
 """Fine ends of the filters in which only the skin counts.
 
-Unit: mm. Chosen on: simulated fingers (seeds 9101 to 9104). Range: not known.
+Unit: mm. Chosen on: simulated fingers (seeds 9101 to 9104). Range: 0.7 to 1 times these values
+(validation/parameters).
 """
 
 BAND_RATIO = 3.2
 """Coarse end of each filter over its fine end.
 
-Unit: none. Chosen on: simulated fingers (seeds 9101 to 9104). Range: not known.
+Unit: none. Chosen on: simulated fingers (seeds 9101 to 9104). Range: 2.24 to 4.48
+(validation/parameters).
 """
 
 REGISTRATION_PX_PER_MM = 12.5
 """Scale of the copies that are compared in the finest band.
 
-Unit: px/mm. Chosen on: simulated fingers (seeds 9101 to 9104). Range: not known.
+Unit: px/mm. Chosen on: simulated fingers (seeds 9101 to 9104). Range: 8.75 to 12.5
+(validation/parameters).
 """
 
 SURROUND_MM = 0.7
 """Width of the background around the finger that is used, for the sake of its silhouette.
 
-Unit: mm. Chosen on: simulated fingers (seeds 9101 to 9104). Range: not known.
+Unit: mm. Chosen on: simulated fingers (seeds 9101 to 9104). Range: 0.35 to 1.4
+(validation/parameters).
 """
 
 RIM_MM = 0.8
 """Width of the finger's edge that is left out of the fine bands.
 
-Unit: mm. Chosen on: simulated fingers (seeds 9101 to 9104). Range: not known.
+Unit: mm. Chosen on: simulated fingers (seeds 9101 to 9104). Range: 0.4 to 1.6
+(validation/parameters).
 """
 
 REGISTRATION_SAMPLES = 16_000
 """Pixels of a level that are used, at least, evenly spread; all where it has fewer.
 
-Unit: px. Chosen on: speed. Range: not known.
+Unit: px. Chosen on: speed. Range: 8000 to 32000 (validation/parameters).
 """
 
 SAME_SCALE = 1.1
 """Copies are not reduced by less than this: it would blur some pixels more than others.
 
-Unit: none. Chosen on: judgement. Range: not known.
+Unit: none. Chosen on: judgement. Range: 0.55 to 2.2 (validation/parameters).
 """
 
 PRODUCT_SIZE = 200_000
@@ -640,25 +648,25 @@ Unit: multiplications. Chosen on: not known. Range: not known.
 BLOCK_PX = 64
 """Side of a block of the reduced picture.
 
-Unit: px. Chosen on: not known. Range: not known.
+Unit: px. Chosen on: not known. Range: 32 to 64 (validation/parameters).
 """
 
 STEP_PX = 16
 """Usual distance of the blocks.
 
-Unit: px. Chosen on: not known. Range: not known.
+Unit: px. Chosen on: not known. Range: 8 to 16 (validation/parameters).
 """
 
 SHORTEST_PX = 4.0
 """Shortest period that is sought in a reduced picture; the next picture has half the size.
 
-Unit: px. Chosen on: not known. Range: not known.
+Unit: px. Chosen on: not known. Range: 2 to 4 (validation/parameters).
 """
 
 LONGEST_PX = 10.0
 """Longest period that is sought in a reduced picture.
 
-Unit: px. Chosen on: not known. Range: not known.
+Unit: px. Chosen on: not known. Range: 7 to 20 (validation/parameters).
 """
 
 PERIOD_LEVELS = 6
@@ -670,13 +678,13 @@ Unit: none. Chosen on: judgement. Range: not known.
 MIN_FACING = 0.7
 """Cosine of the slant up to which blocks are used.
 
-Unit: none. Chosen on: not known. Range: not known.
+Unit: none. Chosen on: not known. Range: none within 0.7 to 1.4 (validation/parameters).
 """
 
 MIN_CONCENTRATION = 0.4
 """Fraction of a block's power, of all periods around, that one wave of ridges has at least.
 
-Unit: fraction. Chosen on: not known. Range: not known.
+Unit: fraction. Chosen on: not known. Range: 0.2 to 0.56 (validation/parameters).
 """
 
 MIN_BLOCKS = 6
@@ -705,13 +713,13 @@ Unit: fraction. Chosen on: not known. Range: not known.
 CONTRAST_WINDOW_MM = 0.6
 """Standard deviation of the Gaussian window over which mean and contrast are made even.
 
-Unit: mm. Chosen on: not known. Range: not known.
+Unit: mm. Chosen on: not known. Range: 0.3 to 1.2 (validation/parameters).
 """
 
 INK_STEEPNESS = 1.1
 """Steepness of the grey curve; 0.5 is soft, 3 is nearly black and white.
 
-Unit: none. Chosen on: not known. Range: not known.
+Unit: none. Chosen on: not known. Range: 0.55 to 2.2 (validation/parameters).
 """
 
 EMPTY_CONTRAST = 0.1
@@ -723,14 +731,14 @@ Unit: fraction. Chosen on: not known. Range: not known.
 FULL_CONTRAST = 0.3
 """Local contrast, as a fraction of the finger's median, above which skin is all ink.
 
-Unit: fraction. Chosen on: not known. Range: not known.
+Unit: fraction. Chosen on: not known. Range: 0.15 to 0.6 (validation/parameters).
 """
 
 NARROW_WINDOW = 0.4
 """The window of that contrast, as a fraction of the other: blank skin at the outline is paper up to
 the last ridge.
 
-Unit: fraction. Chosen on: not known. Range: not known.
+Unit: fraction. Chosen on: not known. Range: 0.2 to 0.8 (validation/parameters).
 """
 
 # --- steady
@@ -752,13 +760,14 @@ Unit: fraction. Chosen on: simulated fingers (seeds 9101 to 9104). Range: not kn
 LIGHT_PITCH_MM = 0.6
 """Pitch at which the light of near LEDs is computed.
 
-Unit: mm. Chosen on: simulated fingers (seeds 9101 to 9104). Range: not known.
+Unit: mm. Chosen on: simulated fingers (seeds 9101 to 9104). Range: 0.3 to 1.2
+(validation/parameters).
 """
 
 RESAMPLED_MARGIN_MM = 2.0
 """Further than this beyond the finger, images are left as they are.
 
-Unit: mm. Chosen on: judgement. Range: not known.
+Unit: mm. Chosen on: judgement. Range: 1 to 4 (validation/parameters).
 """
 
 MAX_STILL_UNEXPLAINED = 0.95

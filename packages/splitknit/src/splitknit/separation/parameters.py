@@ -5,14 +5,14 @@
 LEVEL_BLOCK_PX = 8
 """Side of the blocks over which the local brightness is averaged.
 
-Unit: px. Chosen on: speed. Range: not known.
+Unit: px. Chosen on: speed. Range: 4 to 16 (validation/parameters).
 """
 
 LEVEL_SIGMA_PX = 16.0
 """Standard deviation of the neighbourhood whose mean brightness the network takes as one; it was
 trained with it.
 
-Unit: px. Chosen on: not known. Range: not known.
+Unit: px. Chosen on: not known. Range: 8 to 32 (validation/parameters).
 """
 
 MIN_LEVEL = 0.05
@@ -78,7 +78,7 @@ Unit: full scale. Chosen on: judgement. Range: not known.
 STATE_EDGE = 0.1
 """Known states are lit from one less this, dark up to this; the rim of a check is left out.
 
-Unit: none. Chosen on: not known. Range: not known.
+Unit: none. Chosen on: not known. Range: 0.05 to 0.2 (validation/parameters).
 """
 
 DECIDED_PART = 1 - 2 * 0.2
