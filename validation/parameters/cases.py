@@ -183,7 +183,6 @@ def opened(
 
 def surface_of(photographs: FingerPhotographs, settings: PipelineSettings) -> Reconstruction:
     """The surface of photographs, which are kept."""
-    photographs = copy.copy(photographs)
     surface = METHODS[method_for(photographs, settings)](copy.copy(photographs), settings)
     result = placed(photographs, surface, 0.0)
     return replace(result, findings=surface.findings)
@@ -370,9 +369,7 @@ def checks() -> Measure:
     noise = np.random.default_rng(SEED).standard_normal(stack.shape, dtype=np.float32)
     light = np.moveaxis(np.clip(0.9 * stack / bright + STACK_NOISE * noise, 0, None), 1, -1)
     direct = np.moveaxis(0.9 * true.direct / bright, 0, -1)
-    states = pattern_states(surface, led, board)
-    if states.shape[1:] != light.shape[1:3]:
-        states = states[(slice(None), *true.window)]
+    states = pattern_states(surface, led, board)[(slice(None), *true.window)]
     mask = surface.mask[true.window]
     check_px = CHECK_MM / drawn.rig.camera.pitch_mm
 
@@ -392,21 +389,17 @@ def checks() -> Measure:
     return measure
 
 
+FINDING = tuple(
+    f"splitknit.finger.{name}"
+    for name in (
+        *("locate", "mask", "motion", "orientation"),
+        *("phalange", "quality", "regions", "steady"),
+    )
+)
+"""Modules that find a finger; those of contrast and of prints need another preset's surface."""
 CASES = {
     "whole": Case(
-        tuple(
-            f"splitknit.finger.{name}"
-            for name in (
-                "locate",
-                "mask",
-                "motion",
-                "orientation",
-                "phalange",
-                "quality",
-                "regions",
-                "steady",
-            )
-        ),
+        FINDING,
         lambda: found_finger({}, {}),
     ),
     "dusty": Case(
