@@ -47,6 +47,8 @@ Truth = Mapping[str, NDArray[Any]]
 
 SEED = 9401
 """The simulated finger; no constant was chosen on it."""
+OTHER_SEED = 9402
+"""A second finger between mirrors, on which more constants show an effect."""
 SCALE = 0.2
 """Size of the images of a whole finger: 440 x 640 pixels, 15 px/mm."""
 TIP_SCALE = 0.35
@@ -173,17 +175,16 @@ def tip_settings(changes: Mapping[str, Any]) -> TwinSettings:
 
 
 def opened(
-    settings: TwinSettings, preset: str, changes: Mapping[str, Any]
+    settings: TwinSettings, preset: str, changes: Mapping[str, Any], seed: int = SEED
 ) -> tuple[FingerPhotographs, PipelineSettings, Truth]:
     """Photographs in which the finger was found, the settings, and the truth."""
-    capture, truth = simulate_capture(SEED, None, settings)
+    capture, truth = simulate_capture(seed, None, settings)
     _, chosen = chosen_settings(preset, changes)
     return diagnosed(prepared(capture, chosen), chosen), chosen, truth
 
 
 def surface_of(photographs: FingerPhotographs, settings: PipelineSettings) -> Reconstruction:
     """The surface of photographs, which are kept."""
-    photographs = copy.copy(photographs)
     surface = METHODS[method_for(photographs, settings)](copy.copy(photographs), settings)
     result = placed(photographs, surface, 0.0)
     return replace(result, findings=surface.findings)
@@ -319,12 +320,13 @@ def on_grid(field: NDArray[Any], grid: Grid, capture: Capture) -> NDArray[np.flo
 # The shape from mirrors, and the thesis's separation of light.
 
 
-def mirrors() -> Measure:
+def mirrors(seed: int) -> Measure:
     """The shape of a finger between two mirrors."""
     photographs, settings, truth = opened(
         whole_settings({"mirrors.names": ("left", "right"), "mirrors.nir": False}),
         "metric",
         {"shape.source": "mirror", "metric.relief": "colour"},
+        seed,
     )
     surface = METHODS["skin"](copy.copy(photographs), settings)
 
@@ -370,9 +372,7 @@ def checks() -> Measure:
     noise = np.random.default_rng(SEED).standard_normal(stack.shape, dtype=np.float32)
     light = np.moveaxis(np.clip(0.9 * stack / bright + STACK_NOISE * noise, 0, None), 1, -1)
     direct = np.moveaxis(0.9 * true.direct / bright, 0, -1)
-    states = pattern_states(surface, led, board)
-    if states.shape[1:] != light.shape[1:3]:
-        states = states[(slice(None), *true.window)]
+    states = pattern_states(surface, led, board)[(slice(None), *true.window)]
     mask = surface.mask[true.window]
     check_px = CHECK_MM / drawn.rig.camera.pitch_mm
 
@@ -392,21 +392,17 @@ def checks() -> Measure:
     return measure
 
 
+FINDING = tuple(
+    f"splitknit.finger.{name}"
+    for name in (
+        *("locate", "mask", "motion", "orientation"),
+        *("phalange", "quality", "regions", "steady"),
+    )
+)
+"""Modules that find a finger; those of contrast and of prints need another preset's surface."""
 CASES = {
     "whole": Case(
-        tuple(
-            f"splitknit.finger.{name}"
-            for name in (
-                "locate",
-                "mask",
-                "motion",
-                "orientation",
-                "phalange",
-                "quality",
-                "regions",
-                "steady",
-            )
-        ),
+        FINDING,
         lambda: found_finger({}, {}),
     ),
     "dusty": Case(
@@ -439,7 +435,8 @@ CASES = {
         lambda: specular_heights("analyser", 2 * RING),
     ),
     "side": Case(("splitknit.skin.polarised",), lambda: specular_heights("none", 2 * RING)),
-    "mirrors": Case(("splitknit.mirrors",), mirrors),
+    "mirrors": Case(("splitknit.mirrors",), lambda: mirrors(SEED)),
+    "other between mirrors": Case(("splitknit.mirrors",), lambda: mirrors(OTHER_SEED)),
     "snk": Case(("splitknit.separation", "splitknit.finger.contrast"), direct_by_network),
     "checks": Case(("splitknit.separation",), checks),
 }

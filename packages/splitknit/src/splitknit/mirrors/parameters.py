@@ -44,7 +44,7 @@ DETAIL_MM = 1.5
 """Finer detail comes from white light (creases); light by way of the mirrors bends what is wider.
 With 5 mm the surface of eight fingers is 0.189 mm off, with 1.5 mm 0.160 mm.
 
-Unit: mm. Chosen on: simulated fingers (eight, docs/explain/tried.md, "Mirrors"). Range: 0.75 to 3
+Unit: mm. Chosen on: simulated fingers (eight, docs/explain/tried.md, "Mirrors"). Range: 1.05 to 1.5
 (validation/parameters).
 """
 
@@ -101,25 +101,25 @@ Unit: that of the parameter. Chosen on: not known. Range: 0.5 to 2 times these v
 ANGLE_DEG = 1.5
 """Standard deviation of the mirrors' angles about their nominal ones.
 
-Unit: deg. Chosen on: judgement. Range: 0.75 to 3 (validation/parameters).
+Unit: deg. Chosen on: judgement. Range: none within 0.7 to 1.4 (validation/parameters).
 """
 
 OFFSET_MM = 1.5
 """Standard deviation of the mirrors' places about their nominal ones.
 
-Unit: mm. Chosen on: judgement. Range: 0.75 to 3 (validation/parameters).
+Unit: mm. Chosen on: judgement. Range: 1.05 to 3 (validation/parameters).
 """
 
 OUTLINE_MM = 0.05
 """Standard deviation of a point of an outline.
 
-Unit: mm. Chosen on: not known. Range: 0.025 to 0.1 (validation/parameters).
+Unit: mm. Chosen on: not known. Range: none within 0.7 to 1.4 (validation/parameters).
 """
 
 SQUARENESS_SD = 0.08
 """Standard deviation of the expected squareness; slopes weigh more.
 
-Unit: none. Chosen on: not known. Range: 0.056 to 0.16 (validation/parameters).
+Unit: none. Chosen on: not known. Range: none within 0.7 to 1.4 (validation/parameters).
 """
 
 SLOPE_ERROR = 0.1
@@ -156,7 +156,7 @@ Unit: mm. Chosen on: not known. Range: 0.025 to 0.1 (validation/parameters).
 COMMON_MM = 4.0
 """Points of an outline that are nearer to each other than this err together.
 
-Unit: mm. Chosen on: not known. Range: 2 to 8 (validation/parameters).
+Unit: mm. Chosen on: not known. Range: 2.8 to 5.6 (validation/parameters).
 """
 
 EDGE_SD_MM = 0.1
@@ -170,7 +170,7 @@ Unit: mm. Chosen on: not known. Range: 0.05 to 0.2 (validation/parameters).
 FIT_ROUNDS = 9
 """Maximum corrections of a fit.
 
-Unit: none. Chosen on: speed. Range: 4 to 18 (validation/parameters).
+Unit: none. Chosen on: speed. Range: 6 to 18 (validation/parameters).
 """
 
 SURE_FROM = 4
@@ -228,7 +228,7 @@ Unit: deg. Chosen on: judgement. Range: not known.
 KNOTS = 11
 """Spans of the splines along the finger.
 
-Unit: none. Chosen on: not known. Range: 6 to 22 (validation/parameters).
+Unit: none. Chosen on: not known. Range: 8 to 22 (validation/parameters).
 """
 
 MAX_TURN_RAD = 0.12
@@ -284,7 +284,7 @@ Unit: mm. Chosen on: not known. Range: 0.075 to 0.3 (validation/parameters).
 ROWS_A_POINT = 2
 """Every so many rows give one point of an outline in the fit.
 
-Unit: none. Chosen on: speed. Range: 1 to 4 (validation/parameters).
+Unit: none. Chosen on: speed. Range: none within 0.7 to 1.4 (validation/parameters).
 """
 
 STRAIGHT_MM = 0.012
