@@ -52,6 +52,13 @@ def test_slopes_that_alternate_from_pixel_to_pixel_have_no_height(axis):
     assert np.abs(frankot_chellappa(*slopes)).max() < 1e-6
 
 
+def test_mean_is_zero_over_the_mask():
+    height, slope_x, slope_y = bump()
+    got = frankot_chellappa(slope_x, slope_y, height > 0.1)
+    assert abs(np.nanmean(got)) < 1e-6
+    assert np.nanmax(got) > 1
+
+
 def test_y_is_up():
     height, slope_x, slope_y = bump()
     slope_y = slope_y.copy()

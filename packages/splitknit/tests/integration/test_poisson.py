@@ -115,6 +115,14 @@ def test_mean_is_zero_in_every_part():
     assert np.allclose(np.diff(height[12, 4:18]), 1, atol=1e-4)
 
 
+def test_parts_that_touch_at_a_corner_have_zero_mean_each():
+    mask = np.kron(np.eye(2), np.ones((8, 8))) > 0
+    height = poisson(np.where(np.arange(16) < 8, 1.0, 3.0) * mask, 0.0 * mask, mask)
+    assert abs(height[:8, :8].mean()) < 1e-6
+    assert abs(height[8:, 8:].mean()) < 1e-6
+    assert height.dtype == np.float32
+
+
 def test_y_is_up():
     height = poisson(
         np.zeros((20, 20)), np.ones((20, 20)), np.pad(np.ones((18, 18), dtype=bool), 1)
