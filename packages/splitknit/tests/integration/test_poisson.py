@@ -214,6 +214,22 @@ def test_weighted_iteration_converges_as_fast_as_on_large_surfaces(name, monkeyp
     assert not caplog.records
 
 
+@pytest.mark.parametrize(("direct", "warned"), [(100_000, False), (0, True)])
+def test_iteration_that_does_not_converge_is_factorised_or_warns(
+    direct, warned, monkeypatch, caplog
+):
+    """The start alone does not suffice; more unknowns than `_DIRECT` are not factorised."""
+    for limit, value in (("_SMALL", 0), ("_DIRECT", direct), ("MAX_ITERATIONS", 0)):
+        monkeypatch.setattr(f"splitknit.integration.poisson.{limit}", value)
+    mask, rng = masks()["holes"], np.random.default_rng(1)
+    slope_x, slope_y = rng.normal(size=(2, *mask.shape)).astype(np.float32)
+    weights = (0.05 + 0.95 * rng.random(mask.shape)).astype(np.float32)
+    expected = reference(slope_x, slope_y, mask, weights)
+    error = (poisson(slope_x, slope_y, mask, weights) - expected)[mask]
+    assert (np.std(error) < 1e-5 * np.std(expected[mask])) != warned
+    assert ("has not converged" in caplog.text) == warned
+
+
 @pytest.mark.parametrize(
     ("change", "message"),
     [
