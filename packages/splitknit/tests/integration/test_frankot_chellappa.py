@@ -16,9 +16,10 @@ def bump(rows=96, columns=128, sigma=9.0):
     return height, -x / sigma**2 * height, -y / sigma**2 * height
 
 
+@pytest.mark.parametrize("shape", [(96, 128), (97, 131)])
 @pytest.mark.parametrize("padding", ["zero", "mirror"])
-def test_a_bump_inside_the_rectangle_has_its_true_height(padding):
-    height, slope_x, slope_y = bump()
+def test_a_bump_inside_the_rectangle_has_its_true_height(padding, shape):
+    height, slope_x, slope_y = bump(*shape)
     got = frankot_chellappa(slope_x, slope_y, padding=padding)
     assert np.abs(got - (height - height.mean())).max() < 1e-3
 
@@ -49,6 +50,13 @@ def test_slopes_that_alternate_from_pixel_to_pixel_have_no_height(axis):
     slopes, places = np.zeros((2, 16, 16)), np.indices((16, 16))
     slopes[1 - axis] = (-1.0) ** places[axis] * np.cos(np.pi / 4 * places[1 - axis])
     assert np.abs(frankot_chellappa(*slopes)).max() < 1e-6
+
+
+def test_mean_is_zero_over_the_mask():
+    height, slope_x, slope_y = bump()
+    got = frankot_chellappa(slope_x, slope_y, height > 0.1)
+    assert abs(np.nanmean(got)) < 1e-6
+    assert np.nanmax(got) > 1
 
 
 def test_y_is_up():

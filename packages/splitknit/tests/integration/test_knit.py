@@ -147,22 +147,22 @@ def test_parallel_rays_leave_heights_in_place() -> None:
     assert y is None
 
 
-def ramp(rows: int, columns: int) -> np.ndarray:
-    return np.tile(np.arange(columns, dtype=np.float32), (rows, 1))
-
-
-@pytest.mark.parametrize(("size", "kept"), [((8, 7), 7), ((40, 40), 1)])
-def test_too_small_a_surface_has_no_unevenness(size: tuple[int, int], kept: int) -> None:
-    """Fewer than four coarse pixels of 0.2 mm, or none that lies within the mask."""
-    mask, window = ramp(*size) < kept, (slice(0, size[0]), slice(0, size[1]))
-    assert np.array_equal(unevenness(ramp(*size), mask, LENS, window), np.zeros(size))
-
-
-@pytest.mark.parametrize(("lens", "side"), [(LENS, 8), (replace(LENS, px_per_mm=2.0), 4)])
-def test_four_coarse_pixels_have_an_unevenness(lens: Camera, side: int) -> None:
-    """Of two pixels of the image, or of one where they are larger than 0.2 mm."""
-    window = slice(0, side), slice(0, side)
-    assert unevenness(ramp(side, side), ramp(side, side) >= 0, lens, window).any()
+@pytest.mark.parametrize(
+    ("lens", "size", "kept", "some"),
+    [
+        (LENS, (8, 7), 7, False),
+        (LENS, (8, 8), 8, True),
+        (LENS, (40, 40), 1, False),  # no coarse pixel within the mask
+        (replace(LENS, px_per_mm=2.0), (4, 4), 4, True),  # a pixel of the image is one
+    ],
+)
+def test_unevenness_needs_four_coarse_pixels(
+    lens: Camera, size: tuple[int, int], kept: int, some: bool
+) -> None:
+    ramp = np.tile(np.arange(size[1], dtype=np.float32), (size[0], 1))
+    uneven = unevenness(ramp, ramp < kept, lens, (slice(0, size[0]), slice(0, size[1])))
+    assert uneven.shape == size
+    assert uneven.any() == some
 
 
 def test_what_is_refused() -> None:

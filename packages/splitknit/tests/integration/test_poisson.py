@@ -115,6 +115,14 @@ def test_mean_is_zero_in_every_part():
     assert np.allclose(np.diff(height[12, 4:18]), 1, atol=1e-4)
 
 
+def test_parts_that_touch_at_a_corner_have_zero_mean_each():
+    mask = np.kron(np.eye(2), np.ones((8, 8))) > 0
+    height = poisson(np.where(np.arange(16) < 8, 1.0, 3.0) * mask, 0.0 * mask, mask)
+    assert abs(height[:8, :8].mean()) < 1e-6
+    assert abs(height[8:, 8:].mean()) < 1e-6
+    assert height.dtype == np.float32
+
+
 def test_y_is_up():
     height = poisson(
         np.zeros((20, 20)), np.ones((20, 20)), np.pad(np.ones((18, 18), dtype=bool), 1)
@@ -140,6 +148,14 @@ def test_untrusted_pixels_are_bridged():
     error -= np.median(error)
     assert np.abs(error[weights > 0]).max() < 1.0
     assert np.abs((poisson(slope_x, slope_y) - height + height.mean())[weights > 0]).max() > 10.0
+
+
+def test_a_single_untrusted_pixel_takes_its_neighbours_slopes():
+    i, j = np.mgrid[:9, :9]
+    slopes, weights = np.stack([0.5 + 0.0 * i, 0.25 + 0.0 * i]), np.ones((9, 9))
+    slopes[:, 4, 5], weights[4, 5] = 50.0, 0.0
+    error = poisson(*slopes, weights=weights) - (0.5 * j - 0.25 * i)
+    assert np.ptp(error) < 1e-5
 
 
 def test_a_long_weighted_strip_has_its_whole_height():
@@ -186,12 +202,12 @@ def test_strands_that_coarse_pixels_would_weld_converge_at_once(name, monkeypatc
 
 @pytest.mark.parametrize("name", ["disk", "holes"])
 def test_weighted_iteration_converges_as_fast_as_on_large_surfaces(name, monkeypatch, caplog):
-    """In eight iterations, without the factorisation that small surfaces have."""
+    """In four iterations, without the factorisation that small surfaces have."""
     for limit, value in (
         ("MOST_FACTORISED", 0),
         ("MOST_DIRECT", 0),
         ("RESTARTS", 1),
-        ("MAX_ITERATIONS", 8),
+        ("MAX_ITERATIONS", 4),
     ):
         monkeypatch.setattr(f"splitknit.integration.poisson.{limit}", value)
     mask, rng = masks()[name], np.random.default_rng(1)
@@ -201,6 +217,22 @@ def test_weighted_iteration_converges_as_fast_as_on_large_surfaces(name, monkeyp
     got = poisson(slope_x, slope_y, mask, weights)
     assert np.std((got - expected)[mask]) < 1e-5 * np.std(expected[mask])
     assert not caplog.records
+
+
+@pytest.mark.parametrize(("direct", "warned"), [(100_000, False), (0, True)])
+def test_iteration_that_does_not_converge_is_factorised_or_warns(
+    direct, warned, monkeypatch, caplog
+):
+    """The start alone does not suffice; more unknowns than `_DIRECT` are not factorised."""
+    for limit, value in (("_SMALL", 0), ("_DIRECT", direct), ("MAX_ITERATIONS", 0)):
+        monkeypatch.setattr(f"splitknit.integration.poisson.{limit}", value)
+    mask, rng = masks()["holes"], np.random.default_rng(1)
+    slope_x, slope_y = rng.normal(size=(2, *mask.shape)).astype(np.float32)
+    weights = (0.05 + 0.95 * rng.random(mask.shape)).astype(np.float32)
+    expected = reference(slope_x, slope_y, mask, weights)
+    error = (poisson(slope_x, slope_y, mask, weights) - expected)[mask]
+    assert (np.std(error) < 1e-5 * np.std(expected[mask])) != warned
+    assert ("has not converged" in caplog.text) == warned
 
 
 @pytest.mark.parametrize(

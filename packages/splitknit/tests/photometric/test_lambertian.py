@@ -8,6 +8,7 @@ import pytest
 from splitknit.errors import BadInput
 from splitknit.photometric.equations import conditioning, moment_matrix, solve
 from splitknit.photometric.lambertian import lambertian
+from splitknit.photometric.robust import robust
 
 
 def ring(count=7, elevation_deg=55.0):
@@ -54,11 +55,13 @@ def test_equals_the_pseudo_inverse_on_any_stack():
     assert np.allclose(got * albedo[..., None], g, atol=1e-4)
 
 
-def test_outside_the_mask():
+@pytest.mark.parametrize("method", [lambertian, robust])
+def test_outside_the_mask(method):
     normals, albedo = gentle()
     mask = np.zeros(albedo.shape, dtype=bool)
     mask[10:20, 5:9] = True
-    got, got_albedo = lambertian(np.einsum("hwi,li,hw->lhw", normals, ring(), albedo), ring(), mask)
+    stack = np.einsum("hwi,li,hw->lhw", normals, ring(), albedo)
+    got, got_albedo = method(stack, ring(), mask)
     assert not got[~mask].any()
     assert np.isnan(got_albedo[~mask]).all()
     assert np.abs(got - normals)[mask].max() < 1e-5

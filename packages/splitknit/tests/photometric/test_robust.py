@@ -75,19 +75,14 @@ def test_lit_lights_in_one_plane_do_not_decide_alone():
     assert albedo[0, 0] < 1.1
 
 
-def test_lit_lights_that_determine_no_normal_decide_before_shadowed_ones():
+@pytest.mark.parametrize("scale", [1e-4, 1.0, 1e4])
+def test_lit_lights_that_determine_no_normal_decide_before_shadowed_ones(scale):
     """Two lit lights, and five in shadow that a matt surface would not leave quite black."""
     lights = ring()
-    stack = np.array([0.9, 0.5, 0, 0, 0, 0, 0])[:, None, None]
+    stack = scale * np.array([0.9, 0.5, 0, 0, 0, 0, 0])[:, None, None]
     normals, albedo = robust(stack, lights)
-    assert np.abs((lights @ normals[0, 0] * albedo[0, 0])[:2] - [0.9, 0.5]).max() < 0.01
-
-
-@pytest.mark.parametrize("scale", [1e-4, 1e4])
-def test_units_do_not_matter_where_lit_lights_determine_no_normal(scale):
-    stack = np.array([0.9, 0.5, 0, 0, 0, 0, 0])[:, None, None]
-    normals, _ = robust(stack, ring())
-    assert np.abs(robust(scale * stack, ring())[0] - normals).max() < 1e-3
+    fit = lights @ normals[0, 0] * albedo[0, 0] / scale
+    assert np.abs(fit[:2] - [0.9, 0.5]).max() < 0.01
 
 
 @pytest.mark.parametrize("wrong", [[0.3, 0.05, 0, 0, 0, 0, 0, 0, 0.02], [-0.05, *[0] * 8]])
@@ -110,13 +105,6 @@ def test_a_clean_pixel_with_a_shadow_keeps_the_fit_of_its_lit_lights():
     normals, albedo = robust(light[:, None, None], lights)
     expected = np.linalg.lstsq(lights[:6], light[:6])[0]
     assert np.abs(normals[0, 0] * albedo[0, 0] - expected).max() < 1e-5
-
-
-def test_outside_the_mask():
-    mask = np.array([[True, False]])
-    normals, albedo = robust(np.ones((7, 1, 2)), ring(), mask)
-    assert np.array_equal(normals.any(axis=-1), mask)
-    assert np.array_equal(np.isfinite(albedo), mask)
 
 
 def test_seven_lights_with_gloss_are_better_than_least_squares():
