@@ -224,7 +224,7 @@ def test_iteration_that_does_not_converge_is_factorised_or_warns(
     direct, warned, monkeypatch, caplog
 ):
     """The start alone does not suffice; more unknowns than `_DIRECT` are not factorised."""
-    for limit, value in (("_SMALL", 0), ("_DIRECT", direct), ("MAX_ITERATIONS", 0)):
+    for limit, value in (("MOST_FACTORISED", 0), ("MOST_DIRECT", direct), ("MAX_ITERATIONS", 0)):
         monkeypatch.setattr(f"splitknit.integration.poisson.{limit}", value)
     mask, rng = masks()["holes"], np.random.default_rng(1)
     slope_x, slope_y = rng.normal(size=(2, *mask.shape)).astype(np.float32)
