@@ -128,30 +128,23 @@ def capture(
     >>> capture(device="twin", out="capture", seed=1).facts["images"]  # doctest: +SKIP
     14
     """
-    from splitknit import read_rig
-    from splitknit.io.enrolment import FINGERS, check_subject_id, fingers_named, open_enrolment
+    from splitknit.io.enrolment import fingers_named, open_enrolment
     from splitknit.io.targets import check_capture
     from splitknit.settings import override
     from splitknit_rig.capture.folder import CaptureOptions, capture_enrolment, capture_to_folder
-    from splitknit_rig.capture.openers import pi_opener, twin_opener
     from splitknit_rig.capture.session import SessionSettings
 
+    if led is not None:
+        words = "does not go with `led`, which photographs nothing."
+        refuse_given(words, out=out, enrolment=enrolment, target=target)
+        lighting = _opener(device, flatten(settings or {}), rig, scale, target="card")
+        return _lit(lighting, led, seconds or 5.0)
+    refuse_given("belongs to `led`.", seconds=seconds)
     places = (
         "name where captures go: `out` DIR for one finger, or `enrolment` DIR for many, not both."
     )
-    require(led is not None or (out is None) != (enrolment is None), places)
-    if led is None:
-        refuse_given("belongs to `led`.", seconds=seconds)
-    else:
-        words = "does not go with `led`, which photographs nothing."
-        refuse_given(words, out=out, enrolment=enrolment, target=target)
-    if subject is not None:
-        check_subject_id(subject)
-    require(
-        finger is None or finger in FINGERS,
-        f"'{finger}' is not a finger; fingers are {', '.join(FINGERS)}.",
-    )
-    require(session is None or session >= 1, "sessions are numbered from 1.")
+    require((out is None) != (enrolment is None), places)
+    _check_who(subject, finger, session)
     if enrolment is None:
         many = {"subjects": subjects, "sessions": sessions, "fingers": fingers, "next": next}
         refuse_given("belongs to `enrolment` DIR.", **many)
@@ -185,16 +178,7 @@ def capture(
         turn=_turn if asks else None,
         ask=_ask if asks else None,
     )
-    base = None if rig is None else read_rig(rig)
-    if led is not None:
-        target = "card"  # the twin need not draw a finger
-    opener = (
-        pi_opener(device_changes, base, scale)
-        if device == "pi"
-        else twin_opener(device_changes, base, scale, pattern=pattern, target=target)
-    )
-    if led is not None:
-        return _lit(opener, led, seconds or 5.0)
+    opener = _opener(device, device_changes, rig, scale, pattern=pattern, target=target)
     if out is not None:
         who: dict[str, Any] = {"id": subject or "anonymous", "session": session or 1}
         if target is not None:
@@ -230,6 +214,35 @@ def capture(
             "All fingers are captured." if facts["next"] is None else f"Next: {facts['next']}",
         ),
     )
+
+
+def _check_who(subject: str | None, finger: str | None, session: int | None) -> None:
+    from splitknit.io.enrolment import FINGERS, check_subject_id
+
+    if subject is not None:
+        check_subject_id(subject)
+    require(
+        finger is None or finger in FINGERS,
+        f"'{finger}' is not a finger; fingers are {', '.join(FINGERS)}.",
+    )
+    require(session is None or session >= 1, "sessions are numbered from 1.")
+
+
+def _opener(
+    device: str,
+    changes: Mapping[str, Any],
+    rig_file: AnyPath | None,
+    scale: float | None,
+    **of: Any,
+) -> Opener:
+    """What opens the devices; `of`: what the twin photographs."""
+    from splitknit import read_rig
+    from splitknit_rig.capture.openers import pi_opener, twin_opener
+
+    rig = None if rig_file is None else read_rig(rig_file)
+    if device == "pi":
+        return pi_opener(changes, rig, scale)
+    return twin_opener(changes, rig, scale, **of)
 
 
 def _lit(opener: Opener, name: str, seconds: float) -> Report:

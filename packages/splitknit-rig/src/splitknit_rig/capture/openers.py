@@ -4,16 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from contextlib import AbstractContextManager
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from splitknit import Rig
+from splitknit.devices import Opened
 from splitknit.errors import require
 
-if TYPE_CHECKING:
-    from splitknit.devices import Opened
-
-    Opener = Callable[[int, int], AbstractContextManager[Opened]]
-    """Opens the devices, by the twin's seed and impression."""
+Opener = Callable[[int, int], AbstractContextManager[Opened]]
+"""Opens the devices, by the twin's seed and impression."""
 
 
 def pi_opener(changes: Mapping[str, Any], rig: Rig | None, scale: float | None) -> Opener:
