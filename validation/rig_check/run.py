@@ -43,7 +43,9 @@ def judged(rig: Twin, fingers: dict[Any, list[Answer]]) -> list[Answer]:
     `fingers`."""
     taken = rig.photographs()
     plane = CardPlane(0.0, base_tilt_deg(rig.file))
-    answers = answers_of_sensor(*taken.series, 0.0) + answers_of_card(taken.card, rig.file, plane)
+    answers = answers_of_sensor(taken.card, *taken.series) + answers_of_card(
+        taken.card, rig.file, plane
+    )
     answers += answers_of_ball(taken.ball, rig.file, 16.0)
     same = (id(rig.finger), id(rig.file), id(rig.films), rig.store, rig.exposure, rig.moving_mm)
     if same not in fingers:

@@ -61,17 +61,22 @@ class RigCheck:
 
 
 def _rows(answers: Sequence[Answer]) -> list[tuple[str, str, str, str, str, str]]:
-    return [
-        (
-            answer.question,
-            "-" if answer.measured is None else f"{answer.measured:.3g}",
-            f"{'>=' if answer.at_least else '<='} {answer.limit:g}",
-            answer.unit,
-            answer.note,
-            "passed" if answer.passed else "failed",
+    rows = []
+    earlier = ""
+    for answer in answers:
+        again = answer.measured is None and answer.note == earlier
+        earlier = answer.note
+        rows.append(
+            (
+                answer.question,
+                "-" if answer.measured is None else f"{answer.measured:.3g}",
+                f"{'>=' if answer.at_least else '<='} {answer.limit:g}",
+                answer.unit,
+                "as above" if again else answer.note,
+                "passed" if answer.passed else "failed",
+            )
         )
-        for answer in answers
-    ]
+    return rows
 
 
 @checked

@@ -10,13 +10,14 @@ import numpy as np
 
 from splitknit import Capture, Rig, read_capture
 from splitknit.devices import Opened
-from splitknit.errors import Refused, require
+from splitknit.errors import BadExposure, Refused, require
 from splitknit.io.images import write_image
 from splitknit.io.provenance import json_text
 from splitknit.model import Array, Progress
 from splitknit_rig.acceptance.parameters import SERIES_FRACTIONS
 from splitknit_rig.acceptance.questions import (
     Answer,
+    Taken,
     answers_of_ball,
     answers_of_card,
     answers_of_finger,
@@ -36,30 +37,38 @@ PARTS = ("card", "ball", "finger_1", "finger_2")
 class Photographs:
     """All that a rig is judged by."""
 
-    card: Capture
-    ball: Capture
-    finger: tuple[Capture, Capture]
+    card: Taken
+    ball: Taken
+    finger: tuple[Taken, Taken]
     series: tuple[Array, Array]
-    """Values (J, N) of the card at J exposures, parts of full scale, and time times gain (J,)."""
+    """Values (J, N) of the card at J exposures, parts of full scale, and time times gain (J,); no
+    values where the card's photographs cannot be used."""
 
 
 def read_photographs(folders: Mapping[str, Path], rig: Rig) -> tuple[Photographs, dict[str, str]]:
     """Read the capture folders of `PARTS`, and hashes of their files; BadInput where one is none,
     or of another camera."""
-    captures: dict[str, Capture] = {}
+    captures: dict[str, Taken] = {}
     hashes: dict[str, str] = {}
     for part, folder in folders.items():
-        captures[part] = read_capture(folder)
-        rows, columns = captures[part].rig.camera.image_size
+        try:
+            captures[part] = capture = read_capture(folder)
+        except BadExposure as error:  # an LED that did not light: an answer
+            captures[part] = error
+            continue
+        rows, columns = capture.rig.camera.image_size
         require(
             (rows, columns) == rig.camera.image_size,
             f"{folder} has images of {rows} x {columns} pixels, but the rig's camera has"
             f" {rig.camera.image_size[0]} x {rig.camera.image_size[1]}; give the rig that took"
             " them.",
         )
-        hashes |= {f"{part}/{name}": digest for name, digest in captures[part].hashes.items()}
+        hashes |= {f"{part}/{name}": digest for name, digest in capture.hashes.items()}
     own: dict[str, str] = {}
-    series = exposure_series(folders["card"], captures["card"], own)
+    card, ball = (_parallel(captures[part]) for part in ("card", "ball"))
+    series: tuple[Array, Array] | None = np.empty((0, 0)), np.empty(0)
+    if isinstance(card, Capture):
+        series = exposure_series(folders["card"], card, own)
     require(
         series is not None,
         f"{folders['card']} has no {DOCUMENT}: dark level and linearity need an exposure series of"
@@ -68,12 +77,13 @@ def read_photographs(folders: Mapping[str, Path], rig: Rig) -> tuple[Photographs
     assert series is not None
     hashes |= {f"card/{name}": digest for name, digest in own.items()}
     finger = captures["finger_1"], captures["finger_2"]
-    card, ball = (_parallel(captures[part]) for part in ("card", "ball"))
     return Photographs(card, ball, finger, series), hashes
 
 
-def _parallel(capture: Capture) -> Capture:
+def _parallel(capture: Taken) -> Taken:
     """Without the crossed series of the LEDs that light the parallel one."""
+    if not isinstance(capture, Capture):
+        return capture
     bands = dict(capture.bands)
     if "white_crossed" in bands and bands["white_crossed"].leds == bands["white"].leds:
         del bands["white_crossed"]
@@ -84,9 +94,7 @@ def answers_of(taken: Photographs, rig: Rig, ball_mm: float, progress: Progress)
     """Ask all questions."""
     progress("card", 0.5)
     plane = CardPlane(0.0, base_tilt_deg(rig))
-    white = taken.card.bands["white"]
-    black = float(np.median(white.black_level)) / float(np.iinfo(white.pixels.dtype).max)
-    answers = answers_of_sensor(*taken.series, black)
+    answers = answers_of_sensor(taken.card, *taken.series)
     answers += answers_of_card(taken.card, rig, plane)
     progress("ball", 0.6)
     answers += answers_of_ball(taken.ball, rig, ball_mm)

@@ -98,6 +98,17 @@ class Answer:
     """The LED or band that was measured, or why nothing was."""
 
 
+Taken = Capture | BadInput
+"""A capture, or why its photographs cannot be used."""
+
+
+def _used(capture: Taken) -> Capture:
+    """The capture; raises the reason why there is none."""
+    if isinstance(capture, BadInput):
+        raise capture
+    return capture
+
+
 def _answer(question: Question, measured: float | None, note: str = "") -> Answer:
     passed = measured is not None and math.isfinite(measured)
     if passed and measured is not None:
@@ -121,14 +132,16 @@ def _asked(questions: Sequence[Question], ask: Callable[[], Iterable[Answer]]) -
 # The card.
 
 
-def answers_of_sensor(values: Any, exposure: Any, black: float) -> list[Answer]:
-    """Dark level and linearity by an exposure series.
+def answers_of_sensor(card: Taken, values: Any, exposure: Any) -> list[Answer]:
+    """Dark level and linearity by an exposure series of a card.
 
     `values` (J, N) of N places at J exposures, as parts of full scale, NaN clipped; `exposure`
-    (J,) time times gain; `black`: the value that the capture states for no light.
+    (J,) time times gain.
     """
 
     def dark() -> Iterator[Answer]:
+        white = _used(card).bands["white"]
+        black = float(np.median(white.black_level)) / float(np.iinfo(white.pixels.dtype).max)
         stored = np.asarray(values, dtype=np.float64)
         times = np.asarray(exposure, dtype=np.float64)
         whole = stored[:, np.isfinite(stored).all(axis=0)]
@@ -138,16 +151,17 @@ def answers_of_sensor(values: Any, exposure: Any, black: float) -> list[Answer]:
         yield _answer(DARK, 100 * abs(float(np.median(intercept)) - black))
 
     def linear() -> Iterator[Answer]:
+        _used(card)
         yield _answer(LINEAR, fit_response(values, exposure, 100.0).linear_percent)
 
     return _asked([DARK], dark) + _asked([LINEAR], linear)
 
 
-def answers_of_card(card: Capture, rig: Rig, plane: CardPlane) -> list[Answer]:
+def answers_of_card(card: Taken, rig: Rig, plane: CardPlane) -> list[Answer]:
     """What a white matt card under every LED shows of a rig and its file."""
 
     def ask() -> Iterator[Answer]:
-        images = card_images(card, rig)
+        images = card_images(_used(card), rig)
         expected = np.stack([card_light(rig.camera, led, images.pixels, plane) for led in rig.leds])
         ratio = images.light / expected
         level = np.median(ratio, axis=1)
@@ -162,7 +176,9 @@ def answers_of_card(card: Capture, rig: Rig, plane: CardPlane) -> list[Answer]:
         yield _answer(FLAT, slopes[worst], worst)
 
     def leaks() -> Iterator[Answer]:
-        parts = {name: _leak(band, card.encoding) for name, band in card.bands.items()}
+        photographed = _used(card)
+        encoding = photographed.encoding
+        parts = {name: _leak(band, encoding) for name, band in photographed.bands.items()}
         worst = max(parts, key=lambda band: parts[band])
         yield _answer(LEAK, 100 * parts[worst], worst)
 
@@ -213,11 +229,12 @@ def _leak(band: Band, encoding: str) -> float:
 # The ball.
 
 
-def answers_of_ball(ball: Capture, rig: Rig, diameter_mm: float) -> list[Answer]:
+def answers_of_ball(capture: Taken, rig: Rig, diameter_mm: float) -> list[Answer]:
     """What a matt grey ball on the finger plane, under every LED, shows of the lens and the LEDs'
     places."""
 
     def ask() -> Iterator[Answer]:
+        ball = _used(capture)
         order = [(band, k) for band in ball.bands.values() for k in range(len(band.leds))]
         leds = [band.leds[k][0] for band, k in order]
         require(sorted(leds) == list(range(len(rig.leds))), "photograph the ball under every LED.")
@@ -255,25 +272,25 @@ def answers_of_ball(ball: Capture, rig: Rig, diameter_mm: float) -> list[Answer]
 # The finger, photographed twice while it lies still.
 
 
-def answers_of_finger(first: Capture, second: Capture) -> list[Answer]:
+def answers_of_finger(*captures: Taken) -> list[Answer]:
     """What two captures of one finger show, and their surfaces by `ea`, which shows what the
     photographs show, without a model of skin."""
-    questions = [REPEAT, NEAR, FAR]
-    films = "white_crossed" in first.bands
     results: list[Reconstruction] = []
 
     def ask() -> Iterator[Answer]:
-        results.extend(reconstruct(one, "ea", {"keep": True}) for one in (first, second))
+        results.extend(reconstruct(_used(one), "ea", {"keep": True}) for one in captures)
         yield from _asked([REPEAT], again) + _asked([NEAR, FAR], focus)
-        yield from _asked([FILMS], crossed) if films else []
+        if "white_crossed" in _used(captures[0]).bands:
+            yield from _asked([FILMS], crossed)
 
     def again() -> Iterator[Answer]:
         for result in results:
             spoilt = [str(each) for each in result.findings if each.severity == Severity.SPOILS]
             require(not spoilt, "".join(spoilt[:1]))
-        yield _answer(REPEAT, _repeatability(*results))
+        yield _answer(REPEAT, _repeatability(results[0], results[1]))
 
     def focus() -> Iterator[Answer]:
+        first = _used(captures[0])
         light = linear_stack(first.bands["white"], first.encoding, "grey")
         inside = _well_inside(results[0])
         below = float(np.max(results[0].shape_mm[inside])) - results[0].shape_mm
@@ -289,7 +306,7 @@ def answers_of_finger(first: Capture, second: Capture) -> list[Answer]:
             yield _answer(question, float(np.median(measured)))
 
     def crossed() -> Iterator[Answer]:
-        where = results[0].mask
+        first, where = _used(captures[0]), results[0].mask
         shine = [
             np.percentile(image[where], SHINE_PERCENTILE)
             for name in ("white", "white_crossed")
@@ -298,7 +315,7 @@ def answers_of_finger(first: Capture, second: Capture) -> list[Answer]:
         parallel, left = np.reshape(shine, (2, -1)).sum(axis=1)
         yield _answer(FILMS, 100 * float(left / max(parallel, 1e-9)))
 
-    return _asked(questions + [FILMS] * films, ask)
+    return _asked([REPEAT, NEAR, FAR], ask)
 
 
 def _well_inside(result: Reconstruction) -> BoolArray:
