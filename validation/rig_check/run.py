@@ -22,7 +22,7 @@ from typing import Any
 HERE = Path(__file__).resolve().parent
 sys.path.insert(0, str(HERE))
 
-from twins import DEFECTS, Twin, behind_films, twin  # noqa: E402
+from twins import BEHIND_FILMS, DEFECTS, Twin, behind_films, twin  # noqa: E402
 
 from splitknit_rig.acceptance.questions import (  # noqa: E402
     Answer,
@@ -34,11 +34,11 @@ from splitknit_rig.acceptance.questions import (  # noqa: E402
 from splitknit_rig.calibration.card_model import CardPlane  # noqa: E402
 from splitknit_rig.calibration.radiometry_folder import base_tilt_deg  # noqa: E402
 
-SOUND = "sound"
+SOUND, WITH_FILMS = "sound", "sound, with films"
 TABLES = HERE / "tables"
 
 
-def judged(rig: Twin, fingers: dict[Any, list[Answer]]) -> list[Answer]:
+def judged(rig: Twin, fingers: dict[Any, tuple[Any, list[Answer]]]) -> list[Answer]:
     """All answers of a twin; those of a finger that an earlier one had too are kept in
     `fingers`."""
     taken = rig.photographs()
@@ -47,24 +47,22 @@ def judged(rig: Twin, fingers: dict[Any, list[Answer]]) -> list[Answer]:
         taken.card, rig.file, plane
     )
     answers += answers_of_ball(taken.ball, rig.file, 16.0)
-    same = (id(rig.finger), id(rig.file), id(rig.films), rig.store, rig.exposure, rig.moving_mm)
+    parts = (rig.finger, rig.file, rig.films)
+    same = (*map(id, parts), rig.store, rig.exposure, rig.moving_mm)
     if same not in fingers:
-        fingers[same] = answers_of_finger(*taken.finger)
-    return answers + fingers[same]
+        fingers[same] = parts, answers_of_finger(*taken.finger)  # parts: so that ids stay theirs
+    return answers + fingers[same][1]
 
 
 def rows_of(seed: int, defects: Sequence[str]) -> list[dict[str, Any]]:
     """Answers of a sound twin, and of the same twin with each defect."""
     sound = twin(seed)
-    cases = {SOUND: sound}
-    if defects:
-        films = replace(sound, films=behind_films(sound))
-        cases["sound, with films"] = films
-        for name in defects:
-            cases[name] = DEFECTS[name](films if name == "analyser does not turn" else sound)
+    films = replace(sound, films=behind_films(sound)) if defects else sound
     rows: list[dict[str, Any]] = []
-    fingers: dict[Any, list[Answer]] = {}
-    for name, rig in cases.items():
+    fingers: dict[Any, tuple[Any, list[Answer]]] = {}
+    for name in [SOUND, *([WITH_FILMS] if defects else []), *defects]:
+        before = films if name in (WITH_FILMS, BEHIND_FILMS) else sound
+        rig = DEFECTS[name](before) if name in DEFECTS else before
         for answer in judged(rig, fingers):
             rows.append(
                 {

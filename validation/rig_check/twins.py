@@ -317,6 +317,8 @@ def _not_crossed(twin: Twin) -> Twin:
     return replace(twin, films=replace(twin.films, bands=bands))
 
 
+BEHIND_FILMS = "analyser does not turn"
+"""The defect of a rig with films."""
 DEFECTS: dict[str, Callable[[Twin], Twin]] = {
     "an LED dead": _each(_dead),
     "an LED 10 % dim": _each(_dim),
@@ -337,6 +339,6 @@ DEFECTS: dict[str, Callable[[Twin], Twin]] = {
     "black level 3 % low": lambda twin: replace(twin, store=_crushed),
     "response to the power 0.9": lambda twin: replace(twin, store=_curved),
     "the finger moves by 0.2 mm": lambda twin: replace(twin, moving_mm=0.2),
-    "analyser does not turn": _not_crossed,
+    BEHIND_FILMS: _not_crossed,
 }
 """Each makes of a sound twin one with a defect."""
