@@ -41,16 +41,14 @@ TABLES = HERE / "tables"
 def judged(rig: Twin, fingers: dict[Any, tuple[Any, list[Answer]]]) -> list[Answer]:
     """All answers of a twin; those of a finger that an earlier one had too are kept in
     `fingers`."""
-    taken = rig.photographs()
+    card, ball, series = rig.bench()
     plane = CardPlane(0.0, base_tilt_deg(rig.file))
-    answers = answers_of_sensor(taken.card, *taken.series) + answers_of_card(
-        taken.card, rig.file, plane
-    )
-    answers += answers_of_ball(taken.ball, rig.file, 16.0)
+    answers = answers_of_sensor(card, *series) + answers_of_card(card, rig.file, plane)
+    answers += answers_of_ball(ball, rig.file, 16.0)
     parts = (rig.finger, rig.file, rig.films)
     same = (*map(id, parts), rig.store, rig.exposure, rig.moving_mm)
     if same not in fingers:
-        fingers[same] = parts, answers_of_finger(*taken.finger)  # parts: so that ids stay theirs
+        fingers[same] = parts, answers_of_finger(*rig.fingers())  # parts: so that ids stay theirs
     return answers + fingers[same][1]
 
 
@@ -63,6 +61,7 @@ def rows_of(seed: int, defects: Sequence[str]) -> list[dict[str, Any]]:
     for name in [SOUND, *([WITH_FILMS] if defects else []), *defects]:
         before = films if name in (WITH_FILMS, BEHIND_FILMS) else sound
         rig = DEFECTS[name](before) if name in DEFECTS else before
+        print(f"seed {seed}: {name}", file=sys.stderr, flush=True)
         for answer in judged(rig, fingers):
             rows.append(
                 {
@@ -119,7 +118,6 @@ def main(arguments: Sequence[str] | None = None) -> int:
     with ProcessPoolExecutor(chosen.workers) as pool:
         for seed, own in zip(seeds, pool.map(rows_of, seeds, defects), strict=True):
             rows += own
-            print(f"seed {seed}", file=sys.stderr, flush=True)
             write(rows, chosen.out)
     lines = summary(rows)
     with chosen.out.with_stem(f"{chosen.out.stem}_summary").open("w", newline="") as file:

@@ -16,7 +16,6 @@ from numpy.typing import NDArray
 
 from splitknit import Band, Capture, Led, Rig
 from splitknit.model import FloatArray, PixelArray
-from splitknit_rig.acceptance.photographs import Photographs
 from splitknit_rig.calibration.card_model import CardPlane
 from splitknit_rig.calibration.radiometry import fit_radiometry
 from splitknit_rig.calibration.radiometry_folder import patches
@@ -79,7 +78,6 @@ class Twin:
     finger: Lit
     store: Store = lambda pixels: pixels  # what the camera does with its picture
     exposure: float = 1.0  # of what is right
-    stated: tuple[float, ...] = SERIES
     moving_mm: float = 0.0  # from shot to shot
     films: Capture | None = None  # of the same finger behind films
 
@@ -88,25 +86,29 @@ class Twin:
         card, ball, finger = map(change, (self.card, self.ball, self.finger))
         return replace(self, card=card, ball=ball, finger=finger)
 
-    def photographs(self) -> Photographs:
-        """Photograph everything."""
+    def bench(self) -> tuple[Capture, Capture, tuple[Array, Array]]:
+        """Card and ball under every LED, and an exposure series of the card: values, exposures."""
         seeds = np.random.SeedSequence([self.seed, 0xAC])
-        rng = np.random.default_rng(seeds.spawn(1)[0])
         card = self._capture(self.card, seeds, "opaque")
         ball = self._capture(self.ball, seeds, "opaque")
-        fingers = []
+        light = self.card.leds[0]
+        top = 0.85 * self.exposure / float(np.percentile(light, 99.9))
+        frames = [self._photo(light * np.float32(top * s), "white", seeds) for s in SERIES]
+        values = np.stack([patches(frame)[0] for frame in frames])
+        return card, ball, (values, np.array(SERIES))
+
+    def fingers(self) -> tuple[Capture, Capture]:
+        """The finger twice."""
+        seeds = np.random.SeedSequence([self.seed, 0xAD])
+        rng = np.random.default_rng(seeds.spawn(1)[0])
+        captures = []
         for _ in range(2):
             between = FINGER_SHIFT_MM * rng.standard_normal(2)
             steps = (SHOT_SHIFT_MM + self.moving_mm) * rng.standard_normal((len(self.rig.leds), 2))
             moves = (between + steps) * self.rig.camera.px_per_mm
             matrices = [np.array([[1.0, 0.0, x], [0.0, 1.0, y]]) for x, y in moves]
-            fingers.append(self._capture(self.finger.warped(matrices), seeds, "skin"))
-        first = fingers[0] if self.films is None else self.films
-        light = self.card.leds[0]
-        top = 0.85 * self.exposure / float(np.percentile(light, 99.9))
-        frames = [self._photo(light * np.float32(top * s), "white", seeds) for s in SERIES]
-        values = np.stack([patches(frame)[0] for frame in frames])
-        return Photographs(card, ball, (first, fingers[1]), (values, np.array(self.stated)))
+            captures.append(self._capture(self.finger.warped(matrices), seeds, "skin"))
+        return captures[0] if self.films is None else self.films, captures[1]
 
     def _capture(self, scene: Lit, seeds: np.random.SeedSequence, material: str) -> Capture:
         bands = {}
