@@ -62,16 +62,25 @@ TURN_DEG = 1.0
 Unit: deg. Chosen on: judgement. Range: not known.
 """
 
-MIN_REPEATABILITY = 0.9
-"""Smallest correlation of the ridges of two captures of a finger that stayed.
+MIN_REPEATABILITY = 0.8
+"""Smallest correlation of the ridges of two captures of a finger that stayed. Sound twins have
+0.90 to 0.99.
 
-Unit: none. Chosen on: judgement. Range: not known.
+Unit: none. Chosen on: simulated fingers (validation/rig_check, seeds 100 to 104). Range: not known.
 """
 
-MIN_SHARPNESS_PERCENT = 1.0
-"""Smallest sharpness of the finger (see `measure_focus`) at `FOCUS_PX_PER_MM`.
+MIN_SHARPNESS_PERCENT = 1.2
+"""Smallest sharpness of the finger (see `measure_focus`) at `FOCUS_PX_PER_MM`. Sound twins have 1.4
+to 4.2, one that is 6 mm out of focus at f/2 has 1.0 to 1.15.
 
-Unit: percent. Chosen on: judgement. Range: not known.
+Unit: percent. Chosen on: simulated fingers (validation/rig_check, seeds 100 to 104). Range: not
+known.
+"""
+
+MOTION_MM = 0.13
+"""Largest motion of the finger between the shots of a capture, as a capture allows.
+
+Unit: mm. Chosen on: judgement. Range: not known.
 """
 
 FOCUS_DEPTH_MM = 3.0

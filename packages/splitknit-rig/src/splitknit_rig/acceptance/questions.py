@@ -21,6 +21,7 @@ from splitknit import BadInput, Band, Capture, Reconstruction, Rig, reconstruct
 from splitknit.accuracy import BAND_SIGMA_MM, EROSION_MM, eroded, high_passed
 from splitknit.errors import require
 from splitknit.findings import Severity
+from splitknit.finger.motion import shot_motion
 from splitknit.finger.regions import reduce_image, reduce_mask
 from splitknit.imaging.band import linear_image, linear_stack, pick_channel
 from splitknit.imaging.geometry import bounding_box
@@ -39,6 +40,7 @@ from splitknit_rig.acceptance.parameters import (
     MIN_CARD_LEVEL_PERCENT,
     MIN_REPEATABILITY,
     MIN_SHARPNESS_PERCENT,
+    MOTION_MM,
     NONLINEAR_PERCENT,
     TURN_DEG,
 )
@@ -75,6 +77,7 @@ ORDER = Question("LEDs out of order", 0.0, "LEDs")
 AIMED = Question("direction of each LED", DIRECTION_DEG, "deg off the rig file")
 TURNED = Question("turn of all LEDs together", TURN_DEG, "deg")
 REPEAT = Question("repeatability of the finger", MIN_REPEATABILITY, "correlation", at_least=True)
+STILL = Question("motion of the finger", MOTION_MM, "mm")
 NEAR = Question("focus, top of the finger", MIN_SHARPNESS_PERCENT, "% of the light", at_least=True)
 FAR = Question(
     f"focus, {FOCUS_DEPTH_MM:g} mm below it", MIN_SHARPNESS_PERCENT, "% of the light", at_least=True
@@ -279,7 +282,7 @@ def answers_of_finger(*captures: Taken) -> list[Answer]:
 
     def ask() -> Iterator[Answer]:
         results.extend(reconstruct(_used(one), "ea", {"keep": True}) for one in captures)
-        yield from _asked([REPEAT], again) + _asked([NEAR, FAR], focus)
+        yield from _asked([REPEAT], again) + _asked([STILL], still) + _asked([NEAR, FAR], focus)
         if "white_crossed" in _used(captures[0]).bands:
             yield from _asked([FILMS], crossed)
 
@@ -288,6 +291,14 @@ def answers_of_finger(*captures: Taken) -> list[Answer]:
             spoilt = [str(each) for each in result.findings if each.severity == Severity.SPOILS]
             require(not spoilt, "".join(spoilt[:1]))
         yield _answer(REPEAT, _repeatability(results[0], results[1]))
+
+    def still() -> Iterator[Answer]:
+        moved = 0.0
+        for capture, result in zip(map(_used, captures), results, strict=True):
+            stack = linear_stack(capture.bands["white"], capture.encoding, "grey")
+            shifts = shot_motion(stack, result.mask, 1.0 / result.pitch_mm).shift_mm
+            moved = max(moved, float(np.linalg.norm(shifts, axis=1).max()))
+        yield _answer(STILL, moved)
 
     def focus() -> Iterator[Answer]:
         first = _used(captures[0])
@@ -315,7 +326,7 @@ def answers_of_finger(*captures: Taken) -> list[Answer]:
         parallel, left = np.reshape(shine, (2, -1)).sum(axis=1)
         yield _answer(FILMS, 100 * float(left / max(parallel, 1e-9)))
 
-    return _asked([REPEAT, NEAR, FAR], ask)
+    return _asked([REPEAT, STILL, NEAR, FAR], ask)
 
 
 def _well_inside(result: Reconstruction) -> BoolArray:
