@@ -135,7 +135,8 @@ def test_a_dead_led_and_a_wrong_lens_fail(tested, rig_file, tmp_path):
     rig = read_rig(rig_file)
     matrix = rig.camera.matrix * np.array([[1.05, 1, 1], [1, 1.05, 1], [1, 1, 1]])
     other = tmp_path / "other.json"
-    write_rig(replace(rig, camera=replace(rig.camera, matrix=matrix)), other)
+    camera = replace(rig.camera, matrix=matrix, px_per_mm=1.05 * rig.camera.px_per_mm)
+    write_rig(replace(rig, camera=camera), other)
     dead = check_rig(rig_file, out=tmp_path / "dead", **folders(photographs))
     assert dead.facts["answer"] == "failed"
     assert "white_3.png is black" in by_question(dead.answers)["brightness by light"].note
