@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from splitknit import Band, Capture, Led, Rig
 from splitknit.model import FloatArray, PixelArray
+from splitknit_rig.acceptance.parameters import SERIES_FRACTIONS
 from splitknit_rig.calibration.card_model import CardPlane
 from splitknit_rig.calibration.radiometry import fit_radiometry
 from splitknit_rig.calibration.radiometry_folder import patches
@@ -41,8 +42,6 @@ FINGER_SHIFT_MM = 0.1
 """A finger that lies still moves by this between two captures (each axis), ..."""
 SHOT_SHIFT_MM = 0.01
 """... and by this from shot to shot."""
-SERIES = (0.15, 0.3, 0.5, 0.7, 0.85, 1.0)
-"""Exposures of the card, of the longest."""
 
 Array = NDArray[np.float64]
 Store = Callable[[PixelArray], PixelArray]
@@ -93,9 +92,11 @@ class Twin:
         ball = self._capture(self.ball, seeds, "opaque")
         light = self.card.leds[0]
         top = 0.85 * self.exposure / float(np.percentile(light, 99.9))
-        frames = [self._photo(light * np.float32(top * s), "white", seeds) for s in SERIES]
+        frames = [
+            self._photo(light * np.float32(top * s), "white", seeds) for s in SERIES_FRACTIONS
+        ]
         values = np.stack([patches(frame)[0] for frame in frames])
-        return card, ball, (values, np.array(SERIES))
+        return card, ball, (values, np.array(SERIES_FRACTIONS))
 
     def fingers(self) -> tuple[Capture, Capture]:
         """The finger twice."""

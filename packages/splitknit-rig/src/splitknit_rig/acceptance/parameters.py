@@ -62,11 +62,17 @@ TURN_DEG = 1.0
 Unit: deg. Chosen on: judgement. Range: not known.
 """
 
-MIN_REPEATABILITY = 0.8
+MIN_REPEATABILITY = 0.9
 """Smallest correlation of the ridges of two captures of a finger that stayed. Sound twins have
-0.90 to 0.99.
+0.98 or more.
 
 Unit: none. Chosen on: simulated fingers (validation/rig_check, seeds 100 to 104). Range: not known.
+"""
+
+ALIGN_MM = 0.5
+"""Shift of the finger between its two captures, each way, up to which it is undone.
+
+Unit: mm. Chosen on: judgement. Range: not known.
 """
 
 MIN_SHARPNESS_PERCENT = 1.2

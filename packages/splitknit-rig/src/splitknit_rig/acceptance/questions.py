@@ -27,6 +27,7 @@ from splitknit.imaging.band import linear_image, linear_stack, pick_channel
 from splitknit.imaging.geometry import bounding_box
 from splitknit.model import Array, BoolArray, FloatArray
 from splitknit_rig.acceptance.parameters import (
+    ALIGN_MM,
     BALL_PERCENT,
     BEAM_PERCENT,
     BRIGHTNESS_PERCENT,
@@ -342,11 +343,30 @@ def _repeatability(first: Reconstruction, second: Reconstruction) -> float:
         relief = np.nan_to_num(np.where(result.mask, result.ridge_mm, 0.0)).astype(np.float32)
         return high_passed(relief[box], result.mask[box], BAND_SIGMA_MM / result.pitch_mm)
 
-    inside = _well_inside(first)[box] & _well_inside(second)[box]
-    a, b = ridges(first), ridges(second)
-    require(bool(inside.any()), "the finger's two captures have no skin in common.")
-    weight = inside.astype(np.float32)
-    shift, _ = cv2.phaseCorrelate((a * weight).astype(np.float64), (b * weight).astype(np.float64))
-    move = np.array([[1.0, 0.0, -shift[0]], [0.0, 1.0, -shift[1]]])
-    b = np.asarray(cv2.warpAffine(b, move, b.shape[::-1], flags=cv2.INTER_CUBIC))
-    return float(np.corrcoef(a[inside], b[inside])[0, 1])
+    whole = [_well_inside(result)[box] for result in (first, second)]
+    a, b = (
+        np.where(inside, ridges(r), 0.0).astype(np.float32)
+        for inside, r in zip(whole, (first, second), strict=True)
+    )
+    reach = math.ceil(ALIGN_MM / first.pitch_mm)
+    require(
+        min(a.shape) > 4 * reach and all(map(np.any, whole)), "the finger shows too little skin."
+    )
+    inner = a[reach:-reach, reach:-reach]
+    likeness: FloatArray = np.float32(cv2.matchTemplate(b, inner, cv2.TM_CCORR_NORMED))
+    row, column = np.unravel_index(int(likeness.argmax()), likeness.shape)
+    shift = [_between(likeness[row], int(column)), _between(likeness[:, column], int(row))]
+    move = np.array([[1.0, 0.0, reach - shift[0]], [0.0, 1.0, reach - shift[1]]])
+    size = b.shape[::-1]
+    b = np.asarray(cv2.warpAffine(b, move, size, flags=cv2.INTER_CUBIC))
+    there = cv2.warpAffine(whole[1].astype(np.float32), move, size)
+    both = whole[0] & (there > 0.99)
+    return float(np.corrcoef(a[both], b[both])[0, 1])
+
+
+def _between(values: FloatArray, top: int) -> float:
+    """Place of a maximum between samples, by a parabola through three."""
+    if not 0 < top < len(values) - 1:
+        return float(top)
+    low, middle, high = (float(values[top + k]) for k in (-1, 0, 1))
+    return top + 0.5 * (low - high) / min(low - 2.0 * middle + high, -1e-12)
