@@ -116,7 +116,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     rows: list[dict[str, Any]] = []
     chosen.out.parent.mkdir(parents=True, exist_ok=True)
     with ProcessPoolExecutor(chosen.workers) as pool:
-        for seed, own in zip(seeds, pool.map(rows_of, seeds, defects), strict=True):
+        for own in pool.map(rows_of, seeds, defects):
             rows += own
             write(rows, chosen.out)
     lines = summary(rows)

@@ -353,7 +353,7 @@ def _repeatability(first: Reconstruction, second: Reconstruction) -> float:
         min(a.shape) > 4 * reach and all(map(np.any, whole)), "the finger shows too little skin."
     )
     inner = a[reach:-reach, reach:-reach]
-    likeness: FloatArray = np.float32(cv2.matchTemplate(b, inner, cv2.TM_CCORR_NORMED))
+    likeness = np.asarray(cv2.matchTemplate(b, inner, cv2.TM_CCORR_NORMED), dtype=np.float32)
     row, column = np.unravel_index(int(likeness.argmax()), likeness.shape)
     shift = [_between(likeness[row], int(column)), _between(likeness[:, column], int(row))]
     move = np.array([[1.0, 0.0, reach - shift[0]], [0.0, 1.0, reach - shift[1]]])
