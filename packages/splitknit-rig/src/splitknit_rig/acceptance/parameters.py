@@ -63,8 +63,8 @@ Unit: deg. Chosen on: judgement. Range: not known.
 """
 
 MIN_REPEATABILITY = 0.9
-"""Smallest correlation of the ridges of two captures of a finger that stayed. Sound twins have
-0.98 or more.
+"""Smallest correlation of the ridges of two captures of a finger that stayed. The five
+sound twins that it was chosen on have 0.98 or more, twenty others 0.91 or more.
 
 Unit: none. Chosen on: simulated fingers (validation/rig_check, seeds 100 to 104). Range: not known.
 """
@@ -76,8 +76,8 @@ Unit: mm. Chosen on: judgement. Range: not known.
 """
 
 MIN_SHARPNESS_PERCENT = 1.2
-"""Smallest sharpness of the finger (see `measure_focus`) at `FOCUS_PX_PER_MM`. Sound twins have 1.4
-to 4.2, one that is 6 mm out of focus at f/2 has 1.0 to 1.15.
+"""Smallest sharpness of the finger (see `measure_focus`) at `FOCUS_PX_PER_MM`. The sound
+twins that it was chosen on have 1.4 to 4.2; one that is 6 mm out of focus at f/2 has 1.0 to 1.15.
 
 Unit: percent. Chosen on: simulated fingers (validation/rig_check, seeds 100 to 104). Range: not
 known.
