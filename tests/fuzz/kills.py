@@ -84,6 +84,7 @@ NOT_STOPPED = {
     "identify": "reads",
     "pad": "reads",
     "records what": "reads",
+    "rig check": "writes a folder as `capture` does; its photographs take half a minute",
 }
 """Verbs that are not stopped here, and why."""
 PARTS = ("simulate-population", "batch", "demo")

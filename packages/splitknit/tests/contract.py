@@ -90,6 +90,30 @@ class LightContract(ABC):
             bank.on(4)
         assert self.burning() == set()
 
+    def test_one_shines_for_a_time(self):
+        with self.bank() as bank:
+            before = self.now_s()
+            bank.shine(4, 0.3)
+            assert self.now_s() - before >= 0.3
+            assert self.burning() == set()
+            assert self.most_at_once() == 1
+
+    @pytest.mark.parametrize("error", [RuntimeError, KeyboardInterrupt])
+    def test_off_after_an_interrupt_while_one_shines(self, monkeypatch, error):
+        with self.bank() as bank:
+            wait = bank._wait
+
+            def interrupted(seconds):
+                if seconds > 1:
+                    assert self.burning() == {4}
+                    raise error
+                wait(seconds)
+
+            monkeypatch.setattr(bank, "_wait", interrupted)
+            with pytest.raises(error):
+                bank.shine(4, 5.0)
+            assert self.burning() == set()  # before the bank is closed
+
     def test_the_other_leds_go_off_although_one_switch_fails(self, monkeypatch):
         with self.bank() as bank:
             bank.on_together((1, 2, 3))

@@ -4,9 +4,8 @@ from __future__ import annotations
 
 import select
 import sys
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from contextlib import AbstractContextManager, ExitStack, nullcontext
-from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
@@ -24,15 +23,14 @@ from splitknit.arguments import (
     silent,
 )
 from splitknit.errors import require
-from splitknit.settings import flatten
+from splitknit.settings import Limits, flatten
 
 if TYPE_CHECKING:
     from splitknit.devices import Opened
     from splitknit.io.enrolment import PlannedCapture
     from splitknit_rig.capture.exposure import Focus, FocusWatch
+    from splitknit_rig.capture.openers import Opener
 
-    Opener = Callable[[int, int], AbstractContextManager[Opened]]
-    """Opens the devices, by the twin's seed and impression."""
     Target = str | None
 else:
     Target = Annotated[
@@ -51,6 +49,8 @@ def capture(
     out: AnyPath | None = None,
     rig: AnyPath | None = None,
     target: Target = None,
+    led: str | None = None,
+    seconds: Annotated[float | None, Limits(0, 600, above=True)] = None,
     keep: bool = False,
     overwrite: bool = False,
     subject: Annotated[str | None, _WHO] = None,
@@ -79,7 +79,11 @@ def capture(
         Rig file (default: the nominal rig).
     target
         Photograph a calibration target: no finger is looked for; the twin puts a card (default),
-        nail, board or sphere there.
+        nail, board, sphere or ball there.
+    led
+        Only light this LED, such as 'white 3', and photograph nothing.
+    seconds
+        For how long (default: 5).
     keep
         Write a capture even if it must be taken again.
     overwrite
@@ -124,23 +128,23 @@ def capture(
     >>> capture(device="twin", out="capture", seed=1).facts["images"]  # doctest: +SKIP
     14
     """
-    from splitknit.io.enrolment import FINGERS, check_subject_id, fingers_named, open_enrolment
+    from splitknit.io.enrolment import fingers_named, open_enrolment
     from splitknit.io.targets import check_capture
     from splitknit.settings import override
     from splitknit_rig.capture.folder import CaptureOptions, capture_enrolment, capture_to_folder
     from splitknit_rig.capture.session import SessionSettings
 
+    if led is not None:
+        words = "does not go with `led`, which photographs nothing."
+        refuse_given(words, out=out, enrolment=enrolment, target=target)
+        lighting = _opener(device, flatten(settings or {}), rig, scale, target="card")
+        return _lit(lighting, led, seconds or 5.0)
+    refuse_given("belongs to `led`.", seconds=seconds)
     places = (
         "name where captures go: `out` DIR for one finger, or `enrolment` DIR for many, not both."
     )
     require((out is None) != (enrolment is None), places)
-    if subject is not None:
-        check_subject_id(subject)
-    require(
-        finger is None or finger in FINGERS,
-        f"'{finger}' is not a finger; fingers are {', '.join(FINGERS)}.",
-    )
-    require(session is None or session >= 1, "sessions are numbered from 1.")
+    _check_who(subject, finger, session)
     if enrolment is None:
         many = {"subjects": subjects, "sessions": sessions, "fingers": fingers, "next": next}
         refuse_given("belongs to `enrolment` DIR.", **many)
@@ -174,11 +178,7 @@ def capture(
         turn=_turn if asks else None,
         ask=_ask if asks else None,
     )
-    opener = (
-        _pi(device_changes, rig, scale)
-        if device == "pi"
-        else _twin(device_changes, rig, scale, pattern=pattern, target=target)
-    )
+    opener = _opener(device, device_changes, rig, scale, pattern=pattern, target=target)
     if out is not None:
         who: dict[str, Any] = {"id": subject or "anonymous", "session": session or 1}
         if target is not None:
@@ -216,40 +216,44 @@ def capture(
     )
 
 
-def _pi(changes: Mapping[str, Any], rig_file: AnyPath | None, scale: float | None) -> Opener:
-    """What opens the Raspberry Pi's devices."""
-    from splitknit import read_rig
-    from splitknit.settings import override
-    from splitknit_rig.capture.pi import PiCameraSettings, opened_pi
+def _check_who(subject: str | None, finger: str | None, session: int | None) -> None:
+    from splitknit.io.enrolment import FINGERS, check_subject_id
 
-    strays = [name for name in changes if not name.startswith("pi.")]
+    if subject is not None:
+        check_subject_id(subject)
     require(
-        not strays and scale is None,
-        f"'{strays[0] if strays else 'scale'}' is a setting of the twin; with `device` pi leave it"
-        " out, or use names that begin with capture. or pi.",
+        finger is None or finger in FINGERS,
+        f"'{finger}' is not a finger; fingers are {', '.join(FINGERS)}.",
     )
-    rig = None if rig_file is None else read_rig(rig_file)
-    settings = override(
-        PiCameraSettings(), {name.removeprefix("pi."): value for name, value in changes.items()}
-    )
-    return lambda seed, impression: opened_pi(rig, settings)
+    require(session is None or session >= 1, "sessions are numbered from 1.")
 
 
-def _twin(
+def _opener(
+    device: str,
     changes: Mapping[str, Any],
     rig_file: AnyPath | None,
     scale: float | None,
-    *,
-    pattern: str | None,
-    target: Target,
+    **of: Any,
 ) -> Opener:
-    """What opens the twin's devices, which the simulator's member brings."""
+    """What opens the devices; `of`: what the twin photographs."""
     from splitknit import read_rig
-    from splitknit.registry import DEVICES, SIMULATOR, extension
+    from splitknit_rig.capture.openers import pi_opener, twin_opener
 
     rig = None if rig_file is None else read_rig(rig_file)
-    twin = extension(DEVICES, "twin", "the rig's twin", SIMULATOR)(changes, rig, scale)
-    return partial(twin.opened, pattern=pattern, target=target)
+    if device == "pi":
+        return pi_opener(changes, rig, scale)
+    return twin_opener(changes, rig, scale, **of)
+
+
+def _lit(opener: Opener, name: str, seconds: float) -> Report:
+    """Light one LED for a time."""
+    from splitknit_rig.capture.pins import led_names
+
+    with opener(0, 0) as devices:
+        names = led_names(devices.rig)
+        require(name in names, f"the rig has no LED '{name}'; it has {', '.join(names)}.")
+        devices.lights.shine(names.index(name), seconds)
+    return Report({"led": name, "seconds": seconds}, (f"{name} was lit for {seconds:g} s.",))
 
 
 def _lines(facts: Mapping[str, Any], out: Path, *, of_finger: bool) -> list[str]:

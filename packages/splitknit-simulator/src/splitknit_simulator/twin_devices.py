@@ -6,6 +6,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -22,7 +23,7 @@ from splitknit_simulator.camera.device import Clock, LitScene, TwinCamera, TwinL
 from splitknit_simulator.scene import TwinSettings
 from splitknit_simulator.twin import FingerScene, twin_settings
 
-TARGETS = ("card", "nail", "board", "sphere")
+TARGETS = ("card", "nail", "board", "sphere", "ball")
 
 
 @dataclass(frozen=True, slots=True)
@@ -110,6 +111,7 @@ def _target_scene(name: str, rig: Rig, seed: int) -> tuple[LitScene, str]:
         )
         size = f"{BOARD.columns}x{BOARD.rows}"
         return scene, f"a checkerboard of {size} inner corners (board {size}) was held"
-    makers: dict[str, Any] = {"card": CardScene, "sphere": SphereScene}
+    grey = partial(SphereScene, chrome=False)
+    makers: dict[str, Any] = {"card": CardScene, "sphere": SphereScene, "ball": grey}
     require(name in makers, f"the twin has no target '{name}'; it has {', '.join(TARGETS)}.")
     return makers[name](camera=camera, leds=leds), f"{name}, without a finger"

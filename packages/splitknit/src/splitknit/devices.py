@@ -175,6 +175,14 @@ class LightBank(Closing):
                 self._switch(led, True)
         self._wait(self.settle_s)
 
+    def shine(self, led: int, seconds: float) -> None:
+        """Light one LED for a time, then switch all off: after an interrupt too."""
+        try:
+            self.on(led)
+            self._wait(seconds)
+        finally:
+            self.off()
+
     def off(self) -> None:
         """Switch all LEDs off and wait until they are dark; may be called at any time."""
         if self._closed:

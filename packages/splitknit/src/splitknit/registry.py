@@ -38,7 +38,7 @@ VERBS = {
     ),
     "capture": (RIG, "photograph a finger under all LEDs: with the rig, or with its twin"),
     "calibrate": (RIG, "measure a rig: its camera, its lights, its sensor, its films"),
-    "rig": (RIG, "draw the targets that calibrate a rig"),
+    "rig": (RIG, "draw the targets that calibrate a rig; test a rig that was built"),
     "evaluate": (MATCH, "error rates of anybody's scores, with confidence intervals"),
     "compare": (MATCH, "how two measurements of one finger differ, laid on each other"),
     "match": (MATCH, "report how similar two fingers are"),

@@ -302,9 +302,9 @@ def lights_of_ball(
         findings.append(Finding("assumed-encoding", note))
         if assumed == "srgb":
             stack, _ = read_stack(paths, base.camera.image_size, assumed, upright=True)
-    place = _BallPlace(np.zeros(3))
+    place = BallPlace(np.zeros(3))
     if lies_on_plane:
-        place = _place_on_plane(base, ball, [f"{band} {led}" for band, led, _ in photographs])
+        place = place_on_plane(base, ball, [f"{band} {led}" for band, led, _ in photographs])
     strengths: list[float] | None = None
     if kind == "chrome":
         directions = chrome_directions(stack, ball, place.eye, place.distances)
@@ -354,7 +354,7 @@ def lights_of_ball(
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class _BallPlace:
+class BallPlace:
     """A ball on the finger plane, under near LEDs."""
 
     middle_mm: Array
@@ -377,7 +377,7 @@ class _BallPlace:
         return point_of(self.middle_mm + far * direction)
 
 
-def _place_on_plane(rig: Rig, ball: Ball, names: Sequence[str]) -> _BallPlace:
+def place_on_plane(rig: Rig, ball: Ball, names: Sequence[str]) -> BallPlace:
     """A ball on the finger plane under the named LEDs of a rig."""
     camera = rig.camera
     leds = {led_name(rig.leds, k): led for k, led in enumerate(rig.leds)}
@@ -393,7 +393,7 @@ def _place_on_plane(rig: Rig, ball: Ball, names: Sequence[str]) -> _BallPlace:
     places = [led.position_mm for led in drawn if led is not None and led.position_mm is not None]
     if len(places) == len(names):
         distances = np.linalg.norm(np.array(places) - middle, axis=1) / radius
-    return _BallPlace(middle, radius, eye, distances, drawn)
+    return BallPlace(middle, radius, eye, distances, drawn)
 
 
 def _ball_is_srgb(codes: FloatArray, ball: Ball) -> bool | None:

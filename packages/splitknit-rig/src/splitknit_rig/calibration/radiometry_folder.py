@@ -58,7 +58,7 @@ def calibrate_to_file(
     progress("reading", 0.0)
     capture = read_capture(folder)
     rig = capture.rig if rig_file is None else read_rig(rig_file)
-    plane = CardPlane(card_height_mm, card_tilt_deg or _base_tilt_deg(rig))
+    plane = CardPlane(card_height_mm, card_tilt_deg or base_tilt_deg(rig))
     progress("camera", 0.3)
     hashes = dict(capture.hashes)
     response = _measured_response(folder, capture, hashes)
@@ -86,7 +86,7 @@ def calibrate_to_file(
     )
 
 
-def _base_tilt_deg(rig: Rig) -> tuple[float, float]:
+def base_tilt_deg(rig: Rig) -> tuple[float, float]:
     """Turn of the base about x and y as ``splitknit calibrate camera`` left it; zero below twice
     its deviation."""
     try:
@@ -153,17 +153,12 @@ def _measured_response(
 ) -> dict[str, Any] | None:
     """The camera's response by its exposures, compared with what the capture states of its images;
     None without."""
-    exposures = read_exposures(folder)
-    if not exposures:
+    series = exposure_series(folder, capture, hashes)
+    if series is None:
         return None
+    values, times = series
     document = folder / DOCUMENT
-    # one at a time: a series does not fit into a Raspberry Pi's memory
-    rows = [_patches(_image(path, capture, hashes)) for path, _ in exposures]
-    values, spread = map(np.stack, zip(*rows, strict=True))
-    even = spread.max(axis=0) <= MAX_TEXTURE
-    # all, if few are even in all images
-    values = values[:, even] if int(even.sum()) >= 100 else values
-    response = fit_response(values, [time for _, time in exposures], name=str(document))
+    response = fit_response(values, times, name=str(document))
     require(
         response.encoding == capture.encoding,
         f"the exposures in {document} are {response.encoding.replace('srgb', 'sRGB')}, but"
@@ -172,7 +167,6 @@ def _measured_response(
         " and in all "
         f"captures of this camera.",
     )
-    hashes[DOCUMENT] = file_hash(document)
     return {
         "encoding": response.encoding,
         "linear_departure_percent": rounded(response.linear_percent),
@@ -180,6 +174,24 @@ def _measured_response(
         "residual_percent": rounded(response.residual_percent),
         "values_percent": [rounded(100 * end) for end in response.span],
     }
+
+
+def exposure_series(
+    folder: Path, capture: Capture, hashes: dict[str, str]
+) -> tuple[Array, Array] | None:
+    """Values (J, N) of small places in the images that ``radiometry.json`` names, parts of full
+    scale, NaN where clipped, and the time times gain (J,) of each; None where it names none."""
+    exposures = read_exposures(folder)
+    if not exposures:
+        return None
+    # one at a time: a series does not fit into a Raspberry Pi's memory
+    rows = [patches(_image(path, capture, hashes)) for path, _ in exposures]
+    values, spread = map(np.stack, zip(*rows, strict=True))
+    even = spread.max(axis=0) <= MAX_TEXTURE
+    hashes[DOCUMENT] = file_hash(folder / DOCUMENT)
+    # all, if few are even in all images
+    values = values[:, even] if int(even.sum()) >= 100 else values
+    return values, np.array([time for _, time in exposures])
 
 
 def _image(path: Path, capture: Capture, hashes: dict[str, str]) -> PixelArray:
@@ -200,7 +212,7 @@ def _image(path: Path, capture: Capture, hashes: dict[str, str]) -> PixelArray:
     return pixels
 
 
-def _patches(frame: PixelArray) -> tuple[Array, Array]:
+def patches(frame: PixelArray) -> tuple[Array, Array]:
     """Means (n * C,) of small squares as parts of full scale, NaN where clipped at either end, and
     their deviation."""
     full = np.float32(np.iinfo(frame.dtype).max)

@@ -14,7 +14,14 @@ BAD_INPUT = 2
 INTERRUPTED = 130
 """Exit code of a program ended by SIGINT. Source: 128 and the signal's number."""
 _MATCHED = {"match": DONE, "no match": 10, "undecided": 11, "not acquired": 12}
-ANSWERS = {**_MATCHED, "live": DONE, "attack": 10, "unknown": 11}
+ANSWERS = {
+    **_MATCHED,
+    "live": DONE,
+    "attack": 10,
+    "unknown": 11,
+    "passed": DONE,
+    "failed": 10,
+}
 """How a verb with ``--exit-code`` ends, by the ``answer`` among its facts."""
 INTERRUPTION = "splitknit: interrupted; nothing was left half-written."
 INTERRUPTS: list[int] = []

@@ -1,0 +1,116 @@
+"""Limits of the acceptance test that could have been chosen otherwise, by module."""
+
+# --- questions
+
+DARK_PERCENT = 1.0
+"""Largest value of no light, after the black level that the capture states.
+
+Unit: percent of full scale. Chosen on: judgement. Range: not known.
+"""
+
+NONLINEAR_PERCENT = 1.0
+"""Largest departure of the stored values from a line, as for the exposure series of a calibration.
+
+Unit: percent of full scale. Chosen on: judgement. Range: not known.
+"""
+
+MIN_CARD_LEVEL_PERCENT = 25.0
+"""The card's darkest image reaches this at least (its 99th percentile).
+
+Unit: percent of full scale. Chosen on: judgement. Range: not known.
+"""
+
+BRIGHTNESS_PERCENT = 3.0
+"""Largest departure of an LED's brightness, relative to its band's, from the rig file.
+
+Unit: percent. Chosen on: judgement. Range: not known.
+"""
+
+BEAM_PERCENT = 1.0
+"""Largest departure (robust deviation) of an LED's light across the card from the rig file's.
+
+Unit: percent. Chosen on: judgement. Range: not known.
+"""
+
+FLATNESS_DEG = 1.0
+"""Largest angle (rms) between a flat card and the surface that a band's LEDs show of it.
+
+Unit: deg. Chosen on: judgement. Range: not known.
+"""
+
+LEAK_PERCENT = 1.0
+"""Largest light with all LEDs off, relative to the mean under one.
+
+Unit: percent. Chosen on: judgement. Range: not known.
+"""
+
+BALL_PERCENT = 2.0
+"""Largest error of the ball's radius by its outline and the rig file's camera.
+
+Unit: percent. Chosen on: judgement. Range: not known.
+"""
+
+DIRECTION_DEG = 1.0
+"""Largest angle between an LED as the ball shows it and as the rig file has it.
+
+Unit: deg. Chosen on: judgement. Range: not known.
+"""
+
+TURN_DEG = 1.0
+"""Largest turn that takes all LEDs of the rig file to those that the ball shows.
+
+Unit: deg. Chosen on: judgement. Range: not known.
+"""
+
+MIN_REPEATABILITY = 0.9
+"""Smallest correlation of the ridges of two captures of a finger that stayed. The five
+sound twins that it was chosen on have 0.98 or more, twenty others 0.91 or more.
+
+Unit: none. Chosen on: simulated fingers (validation/rig_check, seeds 100 to 104). Range: not known.
+"""
+
+ALIGN_MM = 0.5
+"""Shift of the finger between its two captures, each way, up to which it is undone.
+
+Unit: mm. Chosen on: judgement. Range: not known.
+"""
+
+MIN_SHARPNESS_PERCENT = 1.2
+"""Smallest sharpness of the finger (see `measure_focus`) at `FOCUS_PX_PER_MM`. The sound
+twins that it was chosen on have 1.4 to 4.2; one that is 6 mm out of focus at f/2 has 1.0 to 1.15.
+
+Unit: percent. Chosen on: simulated fingers (validation/rig_check, seeds 100 to 104). Range: not
+known.
+"""
+
+MOTION_MM = 0.13
+"""Largest motion of the finger between the shots of a capture, as a capture allows.
+
+Unit: mm. Chosen on: judgement. Range: not known.
+"""
+
+FOCUS_DEPTH_MM = 3.0
+"""Depth below the finger's highest point at which focus is judged again.
+
+Unit: mm. Chosen on: judgement. Range: not known.
+"""
+
+FOCUS_RANGE_MM = 1.0
+"""Heights within this of a depth count for its focus.
+
+Unit: mm. Chosen on: judgement. Range: not known.
+"""
+
+FOCUS_PX_PER_MM = 15.0
+"""Finer pictures are reduced to this, so that the sharpness of all cameras can be compared.
+
+Unit: px/mm. Chosen on: simulated fingers (validation/rig_check). Range: not known.
+"""
+
+# --- photographs
+
+SERIES_FRACTIONS = (0.15, 0.3, 0.5, 0.7, 0.85, 1.0)
+"""Exposures of the card's series, of the longest.
+
+Unit: fraction. Chosen on: judgement. Range: not known.
+"""

@@ -1,0 +1,372 @@
+"""The questions of the acceptance test, each a function of photographs that gives rows: what was
+measured, its limit, whether it passed.
+
+A question whose photographs cannot be used fails, and its row gives the reason: a black image
+under a dead LED is an answer. What is no capture at all was refused before, where it was read.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+from splitknit import BadInput, Band, Capture, Reconstruction, Rig, reconstruct
+from splitknit.accuracy import BAND_SIGMA_MM, EROSION_MM, eroded, high_passed
+from splitknit.errors import require
+from splitknit.findings import Severity
+from splitknit.finger.motion import shot_motion
+from splitknit.finger.regions import reduce_image, reduce_mask
+from splitknit.imaging.band import linear_image, linear_stack, pick_channel
+from splitknit.imaging.geometry import bounding_box
+from splitknit.model import Array, BoolArray, FloatArray
+from splitknit_rig.acceptance.parameters import (
+    ALIGN_MM,
+    BALL_PERCENT,
+    BEAM_PERCENT,
+    BRIGHTNESS_PERCENT,
+    DARK_PERCENT,
+    DIRECTION_DEG,
+    FLATNESS_DEG,
+    FOCUS_DEPTH_MM,
+    FOCUS_PX_PER_MM,
+    FOCUS_RANGE_MM,
+    LEAK_PERCENT,
+    MIN_CARD_LEVEL_PERCENT,
+    MIN_REPEATABILITY,
+    MIN_SHARPNESS_PERCENT,
+    MOTION_MM,
+    NONLINEAR_PERCENT,
+    TURN_DEG,
+)
+from splitknit_rig.calibration.card_model import CardPlane, card_light, rays_to_led
+from splitknit_rig.calibration.light_sources import place_on_plane
+from splitknit_rig.calibration.lights import led_name
+from splitknit_rig.calibration.radiometry import CardImages, card_images
+from splitknit_rig.calibration.sensor import fit_response
+from splitknit_rig.calibration.sphere import find_ball, grey_directions, rim_of
+from splitknit_rig.capture.exposure import measure_focus
+from splitknit_rig.capture.parameters import MAX_CROSSED, SHINE_PERCENTILE
+
+
+@dataclass(frozen=True, slots=True)
+class Question:
+    """What is asked, and the limit of the answer."""
+
+    words: str
+    limit: float
+    unit: str
+    at_least: bool = False
+    """Whether the limit is the smallest value that passes, not the largest."""
+
+
+DARK = Question("dark level", DARK_PERCENT, "% of full scale")
+LINEAR = Question("linearity", NONLINEAR_PERCENT, "% of full scale")
+EXPOSED = Question("darkest card", MIN_CARD_LEVEL_PERCENT, "% of full scale", at_least=True)
+BRIGHT = Question("brightness by light", BRIGHTNESS_PERCENT, "% off the rig file")
+BEAM = Question("light across the card", BEAM_PERCENT, "% off the rig file")
+FLAT = Question("flatness of the card", FLATNESS_DEG, "deg rms")
+LEAK = Question("light leaks", LEAK_PERCENT, "% of an LED's light")
+RADIUS = Question("radius of the ball", BALL_PERCENT, "% off the true one")
+ORDER = Question("LEDs out of order", 0.0, "LEDs")
+AIMED = Question("direction of each LED", DIRECTION_DEG, "deg off the rig file")
+TURNED = Question("turn of all LEDs together", TURN_DEG, "deg")
+REPEAT = Question("repeatability of the finger", MIN_REPEATABILITY, "correlation", at_least=True)
+STILL = Question("motion of the finger", MOTION_MM, "mm")
+NEAR = Question("focus, top of the finger", MIN_SHARPNESS_PERCENT, "% of the light", at_least=True)
+FAR = Question(
+    f"focus, {FOCUS_DEPTH_MM:g} mm below it", MIN_SHARPNESS_PERCENT, "% of the light", at_least=True
+)
+FILMS = Question("crossed films, where the finger shines", 100 * MAX_CROSSED, "% of parallel light")
+
+
+@dataclass(frozen=True, slots=True)
+class Answer:
+    """One row of the acceptance test."""
+
+    question: str
+    measured: float | None
+    """None where the photographs could not be used; `note` says why."""
+    limit: float
+    unit: str
+    passed: bool
+    at_least: bool = False
+    """Whether the limit is the smallest value that passes, not the largest."""
+    note: str = ""
+    """The LED or band that was measured, or why nothing was."""
+
+
+Taken = Capture | BadInput
+"""A capture, or why its photographs cannot be used."""
+
+
+def _used(capture: Taken) -> Capture:
+    """The capture; raises the reason why there is none."""
+    if isinstance(capture, BadInput):
+        raise capture
+    return capture
+
+
+def _answer(question: Question, measured: float | None, note: str = "") -> Answer:
+    passed = measured is not None and math.isfinite(measured)
+    if passed and measured is not None:
+        passed = measured >= question.limit if question.at_least else measured <= question.limit
+        measured = float(f"{measured:.4g}")
+    else:
+        measured = None
+    return Answer(
+        question.words, measured, question.limit, question.unit, passed, question.at_least, note
+    )
+
+
+def _asked(questions: Sequence[Question], ask: Callable[[], Iterable[Answer]]) -> list[Answer]:
+    """The answers, or one for each question with the reason why there are none."""
+    try:
+        return list(ask())
+    except BadInput as error:
+        return [_answer(question, None, str(error)) for question in questions]
+
+
+# The card.
+
+
+def answers_of_sensor(card: Taken, values: Any, exposure: Any) -> list[Answer]:
+    """Dark level and linearity by an exposure series of a card.
+
+    `values` (J, N) of N places at J exposures, as parts of full scale, NaN clipped; `exposure`
+    (J,) time times gain.
+    """
+
+    def dark() -> Iterator[Answer]:
+        white = _used(card).bands["white"]
+        black = float(np.median(white.black_level)) / float(np.iinfo(white.pixels.dtype).max)
+        stored = np.asarray(values, dtype=np.float64)
+        times = np.asarray(exposure, dtype=np.float64)
+        whole = stored[:, np.isfinite(stored).all(axis=0)]
+        require(whole.size > 0, "every place of the exposure series is clipped somewhere.")
+        # a linear sensor's values are a line over the time; its value at no time is the dark level
+        intercept = np.polynomial.polynomial.polyfit(times, whole, 1)[0]
+        yield _answer(DARK, 100 * abs(float(np.median(intercept)) - black))
+
+    def linear() -> Iterator[Answer]:
+        _used(card)
+        yield _answer(LINEAR, fit_response(values, exposure, 100.0).linear_percent)
+
+    return _asked([DARK], dark) + _asked([LINEAR], linear)
+
+
+def answers_of_card(card: Taken, rig: Rig, plane: CardPlane) -> list[Answer]:
+    """What a white matt card under every LED shows of a rig and its file."""
+
+    def ask() -> Iterator[Answer]:
+        images = card_images(_used(card), rig)
+        expected = np.stack([card_light(rig.camera, led, images.pixels, plane) for led in rig.leds])
+        ratio = images.light / expected
+        level = np.median(ratio, axis=1)
+        require(bool((level > 0).all()), "an LED gives no light; take the card again.")
+        own = level / _band_medians(level, rig)
+        beams = 1.4826 * np.median(np.abs(ratio / level[:, None] - 1.0), axis=1)
+        yield _answer(EXPOSED, 100 * float(images.brightest.min()), _worst(-images.brightest, rig))
+        yield _answer(BRIGHT, 100 * float(np.abs(own - 1).max()), _worst(np.abs(own - 1), rig))
+        yield _answer(BEAM, 100 * float(beams.max()), _worst(beams, rig))
+        slopes = {band: _slope_deg(images, rig, plane, level, band) for band in _bands(rig)}
+        worst = max(slopes, key=lambda band: slopes[band])
+        yield _answer(FLAT, slopes[worst], worst)
+
+    def leaks() -> Iterator[Answer]:
+        photographed = _used(card)
+        encoding = photographed.encoding
+        parts = {name: _leak(band, encoding) for name, band in photographed.bands.items()}
+        worst = max(parts, key=lambda band: parts[band])
+        yield _answer(LEAK, 100 * parts[worst], worst)
+
+    return _asked([EXPOSED, BRIGHT, BEAM, FLAT], ask) + _asked([LEAK], leaks)
+
+
+def _bands(rig: Rig) -> list[str]:
+    return list(dict.fromkeys(led.band for led in rig.leds))
+
+
+def _members(rig: Rig, band: str) -> NDArray[np.intp]:
+    return np.flatnonzero([led.band == band for led in rig.leds])
+
+
+def _band_medians(values: Array, rig: Rig) -> Array:
+    medians = {band: float(np.median(values[_members(rig, band)])) for band in _bands(rig)}
+    return np.array([medians[led.band] for led in rig.leds])
+
+
+def _worst(values: Any, rig: Rig) -> str:
+    return led_name(rig.leds, int(np.argmax(values)))
+
+
+def _slope_deg(images: CardImages, rig: Rig, plane: CardPlane, level: Array, band: str) -> float:
+    """Angle (rms, deg) between the card and the normals that a band's LEDs show on it."""
+    leds = _members(rig, band)
+    points = plane.points(rig.camera, images.pixels)
+    towards = np.stack([rays_to_led(rig.leds[k], points)[0] for k in leds])
+    facing = np.stack([card_light(rig.camera, rig.leds[k], images.pixels, plane) for k in leds])
+    facing = facing / (towards @ plane.normal) * (level / _band_medians(level, rig))[leds, None]
+    # a card of the normal n has the light I_k = facing_k (towards_k . n)
+    light = images.light[leds] / facing
+    product = np.einsum("kni,knj->nij", towards, towards)
+    normals = np.linalg.solve(product, np.einsum("kni,kn->ni", towards, light)[..., None])[..., 0]
+    cosine = normals @ plane.normal / np.linalg.norm(normals, axis=1)
+    return float(np.rad2deg(np.sqrt(np.mean(np.arccos(np.clip(cosine, -1.0, 1.0)) ** 2))))
+
+
+def _leak(band: Band, encoding: str) -> float:
+    """Light with all LEDs off, over that of the band's LEDs."""
+    require(band.ambient is not None, f"the band {band.name} has no image with all LEDs off.")
+    assert band.ambient is not None
+    exposure = (band.ambient_exposure, band.ambient_black_level)
+    dark = pick_channel(linear_image(band.ambient, encoding, *exposure, binning=2), "grey")
+    return float(np.mean(dark)) / float(np.mean(linear_stack(band, encoding, "grey", binning=2)))
+
+
+# The ball.
+
+
+def answers_of_ball(capture: Taken, rig: Rig, diameter_mm: float) -> list[Answer]:
+    """What a matt grey ball on the finger plane, under every LED, shows of the lens and the LEDs'
+    places."""
+
+    def ask() -> Iterator[Answer]:
+        ball = _used(capture)
+        order = [(band, k) for band in ball.bands.values() for k in range(len(band.leds))]
+        leds = [band.leds[k][0] for band, k in order]
+        require(sorted(leds) == list(range(len(rig.leds))), "photograph the ball under every LED.")
+        stack = np.concatenate(
+            [linear_stack(band, ball.encoding, "grey") for band in ball.bands.values()]
+        )[np.argsort(leds)]
+        stack = np.maximum(stack, 0) / np.float32(max(float(stack.max()), 1e-9))
+        outline, _ = rim_of(stack, find_ball(stack))
+        place = place_on_plane(rig, outline, [led_name(rig.leds, k) for k in range(len(rig.leds))])
+        off = abs(2 * place.radius_mm / diameter_mm - 1)
+        yield _answer(RADIUS, 100 * off, f"{2 * place.radius_mm:.2f} mm, not {diameter_mm:g} mm")
+        # what of the shading is the beam's, not the ball's
+        normals = outline.normals(stack.shape[1:], place.eye)
+        points = place.middle_mm + place.radius_mm * normals
+        for k, led in enumerate(rig.leds):
+            towards, _ = rays_to_led(led, points.reshape(-1, 3))
+            beam = np.maximum(-(towards @ led.axis), 1e-6) ** led.lobe_exponent
+            stack[k] /= np.nan_to_num(beam, nan=1.0).reshape(stack.shape[1:]).astype(np.float32)
+        measured, _ = grey_directions(stack, outline, np.inf, eye=place.eye, away=place.distances)
+        drawn = np.array([led.position_mm for led in rig.leds]) - place.middle_mm
+        drawn /= np.linalg.norm(drawn, axis=1)[:, None]
+        stray = sum(
+            int(np.sum(np.argmax(measured[m] @ drawn[m].T, axis=1) != np.arange(len(m))))
+            for m in (_members(rig, band) for band in _bands(rig))
+        )
+        yield _answer(ORDER, float(stray))
+        turn, _ = Rotation.align_vectors(measured, drawn)
+        yield _answer(TURNED, float(np.rad2deg(turn.magnitude())))
+        angles = np.rad2deg(np.arccos(np.clip(np.sum(measured * drawn, axis=1), -1.0, 1.0)))
+        yield _answer(AIMED, float(angles.max()), _worst(angles, rig))
+
+    return _asked([RADIUS, ORDER, TURNED, AIMED], ask)
+
+
+# The finger, photographed twice while it lies still.
+
+
+def answers_of_finger(*captures: Taken) -> list[Answer]:
+    """What two captures of one finger show, and their surfaces by `ea`, which shows what the
+    photographs show, without a model of skin."""
+    results: list[Reconstruction] = []
+
+    def ask() -> Iterator[Answer]:
+        results.extend(reconstruct(_used(one), "ea", {"keep": True}) for one in captures)
+        yield from _asked([REPEAT], again) + _asked([STILL], still) + _asked([NEAR, FAR], focus)
+        if "white_crossed" in _used(captures[0]).bands:
+            yield from _asked([FILMS], crossed)
+
+    def again() -> Iterator[Answer]:
+        for result in results:
+            spoilt = [str(each) for each in result.findings if each.severity == Severity.SPOILS]
+            require(not spoilt, "".join(spoilt[:1]))
+        yield _answer(REPEAT, _repeatability(results[0], results[1]))
+
+    def still() -> Iterator[Answer]:
+        moved = 0.0
+        for capture, result in zip(map(_used, captures), results, strict=True):
+            stack = linear_stack(capture.bands["white"], capture.encoding, "grey")
+            shifts = shot_motion(stack, result.mask, 1.0 / result.pitch_mm).shift_mm
+            moved = max(moved, float(np.linalg.norm(shifts, axis=1).max()))
+        yield _answer(STILL, moved)
+
+    def focus() -> Iterator[Answer]:
+        first = _used(captures[0])
+        light = linear_stack(first.bands["white"], first.encoding, "grey")
+        inside = _well_inside(results[0])
+        below = float(np.max(results[0].shape_mm[inside])) - results[0].shape_mm
+        # at one scale, because finer pictures show finer detail
+        scale = min(1.0, FOCUS_PX_PER_MM * results[0].pitch_mm)
+        px_per_mm = scale / results[0].pitch_mm
+        small = [reduce_image(image, scale) for image in light]
+        for question, depth in ((NEAR, 0.0), (FAR, FOCUS_DEPTH_MM)):
+            part = inside & (np.abs(below - depth) < FOCUS_RANGE_MM)
+            seen = reduce_mask(part, scale) > 0.5
+            require(bool(seen.any()), "the finger shows no skin at this depth; lay it down flat.")
+            measured = [measure_focus(image, seen, px_per_mm).sharpness for image in small]
+            yield _answer(question, float(np.median(measured)))
+
+    def crossed() -> Iterator[Answer]:
+        first, where = _used(captures[0]), results[0].mask
+        shine = [
+            np.percentile(image[where], SHINE_PERCENTILE)
+            for name in ("white", "white_crossed")
+            for image in linear_stack(first.bands[name], first.encoding, "grey")
+        ]
+        parallel, left = np.reshape(shine, (2, -1)).sum(axis=1)
+        yield _answer(FILMS, 100 * float(left / max(parallel, 1e-9)))
+
+    return _asked([REPEAT, STILL, NEAR, FAR], ask)
+
+
+def _well_inside(result: Reconstruction) -> BoolArray:
+    return eroded(result.mask & np.isfinite(result.height_mm), EROSION_MM / result.pitch_mm)
+
+
+def _repeatability(first: Reconstruction, second: Reconstruction) -> float:
+    """Correlation of the ridges of two surfaces, the shift between them undone."""
+    require(first.mask.shape == second.mask.shape, "the finger's two captures differ in size.")
+    box = bounding_box(first.mask | second.mask)
+
+    def ridges(result: Reconstruction) -> FloatArray:
+        relief = np.nan_to_num(np.where(result.mask, result.ridge_mm, 0.0)).astype(np.float32)
+        return high_passed(relief[box], result.mask[box], BAND_SIGMA_MM / result.pitch_mm)
+
+    whole = [_well_inside(result)[box] for result in (first, second)]
+    a, b = (
+        np.where(inside, ridges(r), 0.0).astype(np.float32)
+        for inside, r in zip(whole, (first, second), strict=True)
+    )
+    reach = math.ceil(ALIGN_MM / first.pitch_mm)
+    require(
+        min(a.shape) > 4 * reach and all(map(np.any, whole)), "the finger shows too little skin."
+    )
+    inner = a[reach:-reach, reach:-reach]
+    likeness = np.asarray(cv2.matchTemplate(b, inner, cv2.TM_CCORR_NORMED), dtype=np.float32)
+    row, column = np.unravel_index(int(likeness.argmax()), likeness.shape)
+    shift = [_between(likeness[row], int(column)), _between(likeness[:, column], int(row))]
+    move = np.array([[1.0, 0.0, reach - shift[0]], [0.0, 1.0, reach - shift[1]]])
+    size = b.shape[::-1]
+    b = np.asarray(cv2.warpAffine(b, move, size, flags=cv2.INTER_CUBIC))
+    there = cv2.warpAffine(whole[1].astype(np.float32), move, size)
+    both = whole[0] & (there > 0.99)
+    return float(np.corrcoef(a[both], b[both])[0, 1])
+
+
+def _between(values: FloatArray, top: int) -> float:
+    """Place of a maximum between samples, by a parabola through three."""
+    if not 0 < top < len(values) - 1:
+        return float(top)
+    low, middle, high = (float(values[top + k]) for k in (-1, 0, 1))
+    return top + 0.5 * (low - high) / min(low - 2.0 * middle + high, -1e-12)

@@ -1,0 +1,48 @@
+"""What opens the devices that photograph: the Raspberry Pi's, or the twin's."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from contextlib import AbstractContextManager
+from typing import Any
+
+from splitknit import Rig
+from splitknit.devices import Opened
+from splitknit.errors import require
+
+Opener = Callable[[int, int], AbstractContextManager[Opened]]
+"""Opens the devices, by the twin's seed and impression."""
+
+
+def pi_opener(changes: Mapping[str, Any], rig: Rig | None, scale: float | None) -> Opener:
+    """What opens the Raspberry Pi's devices; `changes` of settings by their names."""
+    from splitknit.settings import override
+    from splitknit_rig.capture.pi import PiCameraSettings, opened_pi
+
+    strays = [name for name in changes if not name.startswith("pi.")]
+    require(
+        not strays and scale is None,
+        f"'{strays[0] if strays else 'scale'}' is a setting of the twin; with `device` pi leave it"
+        " out, or use names that begin with capture. or pi.",
+    )
+    settings = override(
+        PiCameraSettings(), {name.removeprefix("pi."): value for name, value in changes.items()}
+    )
+    return lambda seed, impression: opened_pi(rig, settings)
+
+
+def twin_opener(
+    changes: Mapping[str, Any],
+    rig: Rig | None,
+    scale: float | None,
+    *,
+    pattern: str | None = None,
+    target: str | None = None,
+) -> Opener:
+    """What opens the twin's devices, which the simulator's member brings."""
+    from functools import partial
+
+    from splitknit.registry import DEVICES, SIMULATOR, extension
+
+    twin = extension(DEVICES, "twin", "the rig's twin", SIMULATOR)(changes, rig, scale)
+    return partial(twin.opened, pattern=pattern, target=target)

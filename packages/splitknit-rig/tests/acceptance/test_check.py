@@ -1,0 +1,145 @@
+"""The acceptance test: the twin passes, a dead LED and a wrong lens file fail, bad input is refused."""
+
+from __future__ import annotations
+
+import json
+import shutil
+from dataclasses import replace
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+from splitknit import Band, Capture, read_rig, write_rig
+from splitknit.cli.exits import ANSWERS
+from splitknit.errors import BadInput
+from splitknit_rig.acceptance.questions import (
+    DARK,
+    LINEAR,
+    Answer,
+    answers_of_sensor,
+)
+from splitknit_rig.check import RigCheck, check_rig
+from splitknit_simulator.rigs import built_rig
+
+TIMES = np.array([1.0, 2.0, 3.0, 4.0, 5.0, 6.0])
+LIGHT = np.linspace(0.02, 0.14, 200)
+
+
+def by_question(answers) -> dict[str, Answer]:
+    return {answer.question: answer for answer in answers}
+
+
+def card(black: int) -> Capture:
+    """A card whose camera states a level of no light; its pictures are not looked at."""
+    pixels = np.zeros((3, 8, 8, 3), dtype=np.uint8)
+    band = Band("white", pixels, ((0,), (1,), (2,)), np.ones(3), np.full(3, float(black)))
+    return Capture(built_rig(3, scale=0.1), {"white": band})
+
+
+def test_sensor():
+    values = 0.04 + TIMES[:, None] * LIGHT
+    sound = by_question(answers_of_sensor(card(10), values, TIMES))
+    assert sound[DARK.words].measured == pytest.approx(0.08, abs=0.01)  # 10 / 255
+    assert sound[LINEAR.words].passed
+    raised = by_question(answers_of_sensor(card(0), values, TIMES))
+    assert raised[DARK.words].measured == pytest.approx(4.0, abs=0.01)
+    curved = by_question(answers_of_sensor(card(0), values**0.8, TIMES))
+    assert not curved[LINEAR.words].passed
+
+
+def test_a_question_that_cannot_be_asked_fails_and_says_why():
+    clipped = answers_of_sensor(card(0), np.full((6, 200), np.nan), TIMES)
+    black = answers_of_sensor(BadInput("white_3.png is black."), np.empty((0, 0)), np.empty(0))
+    for answers, words in ((clipped, "clipped"), (black, "white_3.png is black")):
+        for answer in answers:
+            assert not answer.passed
+            assert answer.measured is None
+            assert words in answer.note
+
+
+def test_exit_codes():
+    assert (ANSWERS["passed"], ANSWERS["failed"]) == (0, 10)
+
+
+def test_the_table():
+    answers = (
+        Answer("dark level", 0.1234, 1.0, "% of full scale", True),
+        Answer("focus", None, 2.0, "%", False, at_least=True, note="no skin"),
+    )
+    lines = str(RigCheck(answers, {"out": "there"})).splitlines()
+    assert " ".join(lines[1].split()) == "dark level 0.123 <= 1 % of full scale passed"
+    assert " ".join(lines[2].split()) == "focus - >= 2 % failed no skin"
+    assert lines[3] == "1 of 2 questions failed. Written to there: check.html, check.json."
+
+
+@pytest.fixture(scope="module")
+def rig_file(tmp_path_factory) -> Path:
+    file = tmp_path_factory.mktemp("rig") / "rig.json"
+    write_rig(built_rig(3, scale=0.1), file)
+    return file
+
+
+def test_refused(rig_file, tmp_path):
+    out = tmp_path / "out"
+    for given in ({}, {"card": "a", "ball": "b", "finger": ("c",)}):
+        with pytest.raises(BadInput, match=r"name the photographs, `card`, `ball` and twice"):
+            check_rig(rig_file, out=out, **given)
+    with pytest.raises(BadInput, match="`card` does not go with `device`"):
+        check_rig(rig_file, out=out, device="twin", card="a")
+    with pytest.raises(BadInput, match=r"a.*capture"):
+        check_rig(rig_file, out=out, card=tmp_path / "a", ball="b", finger=("c", "d"))
+    with pytest.raises(BadInput, match="`ball_mm` must be positive"):
+        check_rig(rig_file, out=out, device="twin", ball_mm=0.0)
+    assert not out.exists()
+
+
+@pytest.fixture(scope="module")
+def tested(rig_file, tmp_path_factory) -> tuple[RigCheck, Path]:
+    out = tmp_path_factory.mktemp("check") / "out"
+    return check_rig(rig_file, out=out, device="twin"), out
+
+
+def folders(out: Path) -> dict:
+    return {
+        "card": out / "card",
+        "ball": out / "ball",
+        "finger": (out / "finger_1", out / "finger_2"),
+    }
+
+
+@pytest.mark.slow
+def test_the_twin_passes(tested):
+    result, out = tested
+    # at 8 px/mm focus is not judged by these limits
+    failed = [answer for answer in result.answers if not answer.passed]
+    assert all(answer.question.startswith("focus") for answer in failed), str(result)
+    written = json.loads((out / "check.json").read_text())
+    assert written["rows"] == result.facts["rows"]
+    assert "card/white_0.png" in written["inputs"]
+    page = (out / "check.html").read_text()
+    assert all(answer.question in page for answer in result.answers)
+
+
+@pytest.mark.slow
+def test_a_dead_led_and_a_wrong_lens_fail(tested, rig_file, tmp_path):
+    result, out = tested
+    again = check_rig(rig_file, out=tmp_path / "again", **folders(out))
+    assert again.answers == result.answers
+    photographs = tmp_path / "photographs"
+    shutil.copytree(out, photographs)
+    for part in ("card", "ball"):
+        file = photographs / part / "white_3.png"
+        cv2.imwrite(str(file), np.zeros_like(cv2.imread(str(file))))
+    rig = read_rig(rig_file)
+    matrix = rig.camera.matrix * np.array([[1.05, 1, 1], [1, 1.05, 1], [1, 1, 1]])
+    other = tmp_path / "other.json"
+    camera = replace(rig.camera, matrix=matrix, px_per_mm=1.05 * rig.camera.px_per_mm)
+    write_rig(replace(rig, camera=camera), other)
+    dead = check_rig(rig_file, out=tmp_path / "dead", **folders(photographs))
+    assert dead.facts["answer"] == "failed"
+    assert "white_3.png is black" in by_question(dead.answers)["brightness by light"].note
+    assert str(dead).count("white_3.png is black") == 1
+    lens = by_question(check_rig(other, out=tmp_path / "lens", **folders(out)).answers)
+    assert not lens["radius of the ball"].passed

@@ -1,0 +1,131 @@
+"""Does the acceptance test pass sound rigs, and name what is wrong with others?
+
+    python validation/rig_check/run.py                      # 20 sound rigs, 3 with each defect
+    python validation/rig_check/run.py --sound 100:110 --faulty 100:102 --out /tmp/chosen.csv
+
+Twins as people build them (:mod:`twins`), card, ball and finger rendered, photographed and judged
+as `splitknit rig check` does. Limits were chosen on seeds from 100 on; what is reported begins at
+1000. A row of the table is a question of one rig.
+"""
+
+from __future__ import annotations
+
+import argparse
+import csv
+import sys
+from collections.abc import Sequence
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+HERE = Path(__file__).resolve().parent
+sys.path.insert(0, str(HERE))
+
+from twins import BEHIND_FILMS, DEFECTS, Twin, behind_films, twin  # noqa: E402
+
+from splitknit_rig.acceptance.questions import (  # noqa: E402
+    Answer,
+    answers_of_ball,
+    answers_of_card,
+    answers_of_finger,
+    answers_of_sensor,
+)
+from splitknit_rig.calibration.card_model import CardPlane  # noqa: E402
+from splitknit_rig.calibration.radiometry_folder import base_tilt_deg  # noqa: E402
+
+SOUND, WITH_FILMS = "sound", "sound, with films"
+TABLES = HERE / "tables"
+
+
+def judged(rig: Twin, fingers: dict[Any, tuple[Any, list[Answer]]]) -> list[Answer]:
+    """All answers of a twin; those of a finger that an earlier one had too are kept in
+    `fingers`."""
+    card, ball, series = rig.bench()
+    plane = CardPlane(0.0, base_tilt_deg(rig.file))
+    answers = answers_of_sensor(card, *series) + answers_of_card(card, rig.file, plane)
+    answers += answers_of_ball(ball, rig.file, 16.0)
+    parts = (rig.finger, rig.file, rig.films)
+    same = (*map(id, parts), rig.store, rig.exposure, rig.moving_mm)
+    if same not in fingers:
+        fingers[same] = parts, answers_of_finger(*rig.fingers())  # parts: so that ids stay theirs
+    return answers + fingers[same][1]
+
+
+def rows_of(seed: int, defects: Sequence[str]) -> list[dict[str, Any]]:
+    """Answers of a sound twin, and of the same twin with each defect."""
+    sound = twin(seed)
+    films = replace(sound, films=behind_films(sound)) if defects else sound
+    rows: list[dict[str, Any]] = []
+    fingers: dict[Any, tuple[Any, list[Answer]]] = {}
+    for name in [SOUND, *([WITH_FILMS] if defects else []), *defects]:
+        before = films if name in (WITH_FILMS, BEHIND_FILMS) else sound
+        rig = DEFECTS[name](before) if name in DEFECTS else before
+        print(f"seed {seed}: {name}", file=sys.stderr, flush=True)
+        for answer in judged(rig, fingers):
+            rows.append(
+                {
+                    "seed": seed,
+                    "rig": name,
+                    "question": answer.question,
+                    "measured": "" if answer.measured is None else answer.measured,
+                    "limit": answer.limit,
+                    "passed": int(answer.passed),
+                }
+            )
+    return rows
+
+
+def summary(rows: Sequence[dict[str, Any]]) -> list[list[str]]:
+    """A line for each kind of rig: rigs, how many failed, and the questions that failed."""
+    lines = [["rig", "rigs", "failed", "questions that failed (rigs)"]]
+    for name in dict.fromkeys(row["rig"] for row in rows):
+        own = [row for row in rows if row["rig"] == name]
+        failed = [row for row in own if not int(row["passed"])]
+        counts = {q: sum(r["question"] == q for r in failed) for q in (r["question"] for r in own)}
+        questions = "; ".join(f"{q} ({n})" for q, n in counts.items() if n)
+        rigs = len({row["seed"] for row in own})
+        lines.append([name, str(rigs), str(len({row["seed"] for row in failed})), questions])
+    return lines
+
+
+def write(rows: Sequence[dict[str, Any]], out: Path) -> None:
+    with out.open("w", newline="", encoding="utf-8") as file:
+        writer = csv.DictWriter(file, rows[0], lineterminator="\n")
+        writer.writeheader()
+        writer.writerows(rows)
+
+
+def _seeds(text: str) -> range:
+    first, last = text.split(":")
+    return range(int(first), int(last))
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("--sound", type=_seeds, default=range(1000, 1020), help="seeds, FIRST:END")
+    parser.add_argument("--faulty", type=_seeds, default=range(1000, 1003), help="seeds, FIRST:END")
+    parser.add_argument("--defects", nargs="*", default=list(DEFECTS), choices=list(DEFECTS))
+    parser.add_argument("--workers", type=int, default=2)
+    parser.add_argument("--out", type=Path, default=TABLES / "answers.csv")
+    chosen = parser.parse_args(arguments)
+    seeds = sorted({*chosen.sound, *chosen.faulty})
+    defects = [chosen.defects if seed in chosen.faulty else [] for seed in seeds]
+    rows: list[dict[str, Any]] = []
+    chosen.out.parent.mkdir(parents=True, exist_ok=True)
+    with ProcessPoolExecutor(chosen.workers) as pool:
+        for own in pool.map(rows_of, seeds, defects):
+            rows += own
+            write(rows, chosen.out)
+    lines = summary(rows)
+    with chosen.out.with_stem(f"{chosen.out.stem}_summary").open("w", newline="") as file:
+        csv.writer(file, lineterminator="\n").writerows(lines)
+    for line in lines:
+        print("  ".join(line))
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
