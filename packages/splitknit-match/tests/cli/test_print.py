@@ -288,8 +288,8 @@ def test_the_report_tells_the_quality(result: Path, tmp_path: Path, capsys) -> N
     record = read_minutiae_record(tmp_path / "shallow" / "minutiae.iso")
     assert record[0].finger_quality == round(weak["ours"])
     (shallow / "report.json").write_text('{"facts": {"material": "opaque"}}')
-    cast = facts_of(capsys, shallow, "--out", tmp_path / "cast", "--ppi", "1000")["quality"]
-    assert (cast["figures"], cast["advice"]) == (weak["figures"], [])
+    cast = facts_of(capsys, shallow, "--out", tmp_path / "cast", "--ppi", "1000")
+    assert (cast["quality"]["figures"], cast["findings"]) == (weak["figures"], [])
 
 
 def test_advice_is_chosen_by_the_worst_figure() -> None:
