@@ -59,6 +59,9 @@ that a hundred refused are chance.
 MORE_SEED = 1_000_000
 READERS = ("read_", "decode_", "unpack_", "open_", "load_", "import_", "parse_")
 NO_READERS = {
+    "acceptance.photographs.read_photographs": (
+        "reads what io.capture.read_capture and the target `radiometry` read"
+    ),
     "imaging.band.decode_table": "makes a table, reads nothing",
     "importing.import_files": (
         "reads what io.plain.capture_from_photographs and prints.from_file.read_print_file read"
