@@ -117,7 +117,7 @@ def _neighbour(led: Led, leds: Sequence[Led]) -> Led:
 
 
 SIDE_RADIUS_MM = 90.0
-"""Distance of the side lights from the axis. Slopes of 45 to 60 deg are measured about eight times
+"""Distance of the side lights from the axis. Slopes of 45 to 60 deg are measured about five times
 as well with seven of them (``docs/experiments/rig-optimise.md``)."""
 SIDE_HEIGHT_MM = 30.0
 """Height of the side lights over the finger plane."""
