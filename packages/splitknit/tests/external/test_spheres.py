@@ -5,6 +5,7 @@ import cv2
 import numpy as np
 import pytest
 
+import splitknit
 from splitknit.photometric.lambertian import lambertian
 from splitknit.photometric.robust import robust
 
@@ -43,3 +44,11 @@ def test_normals_follow_the_sphere(ball):
         )[inner].mean()
     assert errors["lambertian"] < 5.5
     assert errors["robust"] < 4.6
+
+
+@pytest.mark.parametrize("masked", [False, True])
+def test_an_outline_that_takes_in_the_wall_behind_is_noted(ball, masked):
+    stack, lights, mask, _ = ball
+    result = splitknit.reconstruct_images(stack, lights, mask if masked else None)
+    noted = "outline-at-border" in [finding.code for finding in result.findings]
+    assert noted == (not masked)

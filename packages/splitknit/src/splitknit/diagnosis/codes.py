@@ -193,6 +193,10 @@ CODES: dict[str, Code] = {
     "assumed-mask": Code(
         "The mask was found beside the photographs, or in them.", "Give it, or none (`--mask all`)."
     ),
+    "outline-at-border": Code(
+        "The outline that was found touches a border of the image, and may hold what lies behind.",
+        "Look at it in the report, or give a mask (`--mask`).",
+    ),
     "square-pixels": Code(
         "Pixels of a print that were not square were made so.", "Nothing; or scan it again."
     ),

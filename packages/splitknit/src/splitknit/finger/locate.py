@@ -13,7 +13,14 @@ import numpy as np
 
 from splitknit.errors import BadInput, require
 from splitknit.findings import Finding, Severity
-from splitknit.finger.mask import MaskSettings, NoFinger, check_borders, finger_mask, finger_masks
+from splitknit.finger.mask import (
+    MaskSettings,
+    NoFinger,
+    check_borders,
+    finger_mask,
+    finger_masks,
+    touched_borders,
+)
 from splitknit.finger.motion import MotionSettings, motion_findings, shot_motion
 from splitknit.finger.orientation import Upright, as_it_lies, find_upright
 from splitknit.finger.parameters import (
@@ -163,8 +170,9 @@ def find_finger(capture: Capture, settings: FingerSettings) -> Finger:
     findings: list[Finding] = []
     if skin and not stated_mask and not capture.rig.mirrors:
         findings += _other_fingers(image, small_px)
-    if skin:
-        findings += _check_width(usable, small_px, stated_mask)
+    findings += (
+        _check_width(usable, small_px, stated_mask) if skin else _at_border(outline, stated_mask)
+    )
     if upright.note:
         findings.append(Finding("unsure-tip", upright.note))
     if cut and not crease.found:
@@ -319,6 +327,16 @@ def reduced(mask: BoolArray, shape: tuple[int, ...]) -> BoolArray:
         cv2.resize(mask.astype(np.float32), (shape[1], shape[0]), interpolation=cv2.INTER_AREA)
         > 0.5
     )
+
+
+def _at_border(outline: BoolArray, stated: bool) -> tuple[Finding, ...]:
+    """A note where the outline that was found of an object touches a border of the image."""
+    borders = () if stated else touched_borders(outline)
+    words = (
+        f"the outline that was found touches a border of the image ({', '.join(borders)}): see in"
+        " the report that it is the object's alone, or give a `mask`."
+    )
+    return (Finding("outline-at-border", words),) if borders else ()
 
 
 def enlarged_mask(mask: BoolArray, shape: tuple[int, int], factor: int) -> BoolArray:
