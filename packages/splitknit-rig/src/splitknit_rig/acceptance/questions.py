@@ -24,7 +24,7 @@ from splitknit.findings import Severity
 from splitknit.finger.motion import shot_motion
 from splitknit.finger.regions import reduce_image, reduce_mask
 from splitknit.imaging.band import linear_image, linear_stack, pick_channel
-from splitknit.imaging.geometry import bounding_box
+from splitknit.imaging.geometry import bounding_box, refined_peak
 from splitknit.model import Array, BoolArray, FloatArray
 from splitknit_rig.acceptance.parameters import (
     ALIGN_MM,
@@ -355,18 +355,10 @@ def _repeatability(first: Reconstruction, second: Reconstruction) -> float:
     inner = a[reach:-reach, reach:-reach]
     likeness = np.asarray(cv2.matchTemplate(b, inner, cv2.TM_CCORR_NORMED), dtype=np.float32)
     row, column = np.unravel_index(int(likeness.argmax()), likeness.shape)
-    shift = [_between(likeness[row], int(column)), _between(likeness[:, column], int(row))]
+    shift = [refined_peak(likeness[row], int(column)), refined_peak(likeness[:, column], int(row))]
     move = np.array([[1.0, 0.0, reach - shift[0]], [0.0, 1.0, reach - shift[1]]])
     size = b.shape[::-1]
     b = np.asarray(cv2.warpAffine(b, move, size, flags=cv2.INTER_CUBIC))
     there = cv2.warpAffine(whole[1].astype(np.float32), move, size)
     both = whole[0] & (there > 0.99)
     return float(np.corrcoef(a[both], b[both])[0, 1])
-
-
-def _between(values: FloatArray, top: int) -> float:
-    """Place of a maximum between samples, by a parabola through three."""
-    if not 0 < top < len(values) - 1:
-        return float(top)
-    low, middle, high = (float(values[top + k]) for k in (-1, 0, 1))
-    return top + 0.5 * (low - high) / min(low - 2.0 * middle + high, -1e-12)

@@ -33,7 +33,7 @@ from splitknit.finger.parameters import (
     MIN_ROW_PROMINENCE,
 )
 from splitknit.finger.regions import depth_inside, largest_component, reduce_image, reduce_mask
-from splitknit.imaging.geometry import smoothed, warp
+from splitknit.imaging.geometry import refined_peak, smoothed, warp
 from splitknit.model import BoolArray, FloatArray
 
 
@@ -254,7 +254,7 @@ def _transverse_valleys(image: FloatArray, inside: BoolArray, px_per_mm: float) 
         if valleys and row - valleys[-1].row <= reach:
             continue
         columns = np.flatnonzero(inside[row])
-        place = _refine(depth, row), float(columns[0]), float(columns[-1])
+        place = refined_peak(depth, row), float(columns[0]), float(columns[-1])
         valleys.append(_Valley(*place, float(tilt[row]), float(depth[row]), float(coverage[row])))
     return valleys
 
@@ -330,12 +330,3 @@ def _along_lines(
     hits = ((values > 0.4 * MIN_CREASE_DEPTH) & known).sum(axis=1)
     coverage = np.where(enough, hits / np.maximum(count, 1.0), 0.0)
     return depth.astype(np.float32), coverage.astype(np.float32)
-
-
-def _refine(profile: FloatArray, row: int) -> float:
-    """Peak to a fraction of a row, by a parabola through three values."""
-    if row == 0 or row == len(profile) - 1:
-        return float(row)
-    before, here, after = (float(v) for v in profile[row - 1 : row + 2])
-    bend = before - 2.0 * here + after
-    return float(row) if bend >= 0.0 else row + 0.5 * (before - after) / bend

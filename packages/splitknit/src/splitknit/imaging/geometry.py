@@ -175,3 +175,13 @@ def nearest_known(values: FloatArray, known: BoolArray) -> FloatArray:
     table = np.zeros(int(labels.max()) + 1, dtype=np.float32)
     table[labels[known]] = values[known]
     return np.asarray(table[labels])
+
+
+def refined_peak(values: FloatArray, index: int) -> float:
+    """A maximum of samples to a fraction of their distance, by a parabola through three; as it is
+    at the ends."""
+    if index == 0 or index == len(values) - 1:
+        return float(index)
+    before, here, after = (float(value) for value in values[index - 1 : index + 2])
+    bend = before - 2.0 * here + after
+    return float(index) if bend >= 0.0 else index + 0.5 * (before - after) / bend
