@@ -235,14 +235,11 @@ def _opener(
     scale: float | None,
     **of: Any,
 ) -> Opener:
-    """What opens the devices; `of`: what the twin photographs."""
+    """What opens the devices of a rig file; `of`: what the twin photographs."""
     from splitknit import read_rig
-    from splitknit_rig.capture.openers import pi_opener, twin_opener
+    from splitknit_rig.capture.openers import opener_of
 
-    rig = None if rig_file is None else read_rig(rig_file)
-    if device == "pi":
-        return pi_opener(changes, rig, scale)
-    return twin_opener(changes, rig, scale, **of)
+    return opener_of(device, changes, None if rig_file is None else read_rig(rig_file), scale, **of)
 
 
 def _lit(opener: Opener, name: str, seconds: float) -> Report:

@@ -137,7 +137,7 @@ def check_rig(
         read_photographs,
         take_photographs,
     )
-    from splitknit_rig.capture.openers import pi_opener, twin_opener
+    from splitknit_rig.capture.openers import opener_of
 
     given = {"card": card, "ball": ball, "finger": finger}
     if device is not None:
@@ -157,9 +157,7 @@ def check_rig(
             places = dict(zip(PARTS, map(Path, (card, ball, *finger)), strict=True))
         else:
             openers = {
-                part: pi_opener({}, base, None)
-                if device == "pi"
-                else twin_opener({}, base, None, target=None if part == "finger" else part)
+                part: opener_of(device, {}, base, None, target=None if part == "finger" else part)
                 for part in ("card", "ball", "finger")
             }
             asks = device == "pi" and sys.stdin.isatty()

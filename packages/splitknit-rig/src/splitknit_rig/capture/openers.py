@@ -14,8 +14,16 @@ Opener = Callable[[int, int], AbstractContextManager[Opened]]
 """Opens the devices, by the twin's seed and impression."""
 
 
-def pi_opener(changes: Mapping[str, Any], rig: Rig | None, scale: float | None) -> Opener:
-    """What opens the Raspberry Pi's devices; `changes` of settings by their names."""
+def opener_of(
+    device: str, changes: Mapping[str, Any], rig: Rig | None, scale: float | None, **of: Any
+) -> Opener:
+    """What opens the devices; `changes` of settings by their names, `of`: what the twin
+    photographs."""
+    return _pi(changes, rig, scale) if device == "pi" else _twin(changes, rig, scale, **of)
+
+
+def _pi(changes: Mapping[str, Any], rig: Rig | None, scale: float | None) -> Opener:
+    """What opens the Raspberry Pi's devices."""
     from splitknit.settings import override
     from splitknit_rig.capture.pi import PiCameraSettings, opened_pi
 
@@ -31,7 +39,7 @@ def pi_opener(changes: Mapping[str, Any], rig: Rig | None, scale: float | None) 
     return lambda seed, impression: opened_pi(rig, settings)
 
 
-def twin_opener(
+def _twin(
     changes: Mapping[str, Any],
     rig: Rig | None,
     scale: float | None,
