@@ -125,9 +125,9 @@ def _textured(result: Reconstruction) -> tuple[Mesh, Any]:
             1.0 - (mesh.pixels[0] - rows.start + 0.5) / height_px,
         ]
     )
-    detail = _in_frames_of(coarse.normals[rows, columns], result.normals[rows, columns])
     maps: dict[str, NDArray[Any]] = {"baseColorTexture": surface_colours(result)[rows, columns]}
     if step > 1:
+        detail = _in_frames_of(coarse.normals[rows, columns], result.normals[rows, columns])
         maps["normalTexture"] = normal_levels(detail, np.uint8)
     scale = TEXTURE_PX / max(height_px, width_px)
     if scale < 1.0:
