@@ -65,7 +65,10 @@ def main() -> None:
         )
     facts = race(rates, max(options.rounds // 3, 1))
     print_table(
-        "Figures", facts, lambda found: f"{found[0]:.5f} / {found[1]:.5f}", "EER / GAR at FAR 0.1 %"
+        "Figures",
+        facts,
+        lambda rates_pair: f"{rates_pair[0]:.5f} / {rates_pair[1]:.5f}",
+        "EER / GAR at FAR 0.1 %",
     )
     label = np.repeat([True, False], [genuine.size, impostor.size])
     resampling(Scores(label, np.concatenate([genuine, impostor])), ("plain",), options.replicates)
@@ -142,8 +145,8 @@ def score_file(impostor: np.ndarray) -> Any:
         rows = "".join(f"0,{value:.6f},f{k % 997},f{k % 991}\n" for k, value in enumerate(impostor))
         path.write_text("label,score,finger_a,finger_b\n1,3,f1,f1\n" + rows)
         started = time.process_time()
-        found = read_scores(path)
-        count = found.scores.score.size
+        table = read_scores(path)
+        count = table.scores.score.size
         print(
             f"\nA file of {count:,} lines with fingers: read in"
             f" {time.process_time() - started:.1f} s."

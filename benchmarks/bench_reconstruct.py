@@ -99,12 +99,12 @@ def prepare(scale: float) -> tuple[Path, Run]:
 
 def seconds_of(work: Callable[[], object], rounds: int) -> float:
     """Least seconds of some rounds."""
-    found = []
+    durations = []
     for _ in range(rounds):
         started = time.perf_counter()
         work()
-        found.append(time.perf_counter() - started)
-    return min(found)
+        durations.append(time.perf_counter() - started)
+    return min(durations)
 
 
 def peers(folder: Path, result: Path, rounds: int) -> list[tuple[str, float]]:
@@ -127,9 +127,9 @@ def peers(folder: Path, result: Path, rounds: int) -> list[tuple[str, float]]:
         ),
         ("numpy.savez (not compressed) of the same", lambda: np.savez(target, **arrays)),
     ]
-    found = [(words, seconds_of(work, rounds)) for words, work in rows]
+    times = [(words, seconds_of(work, rounds)) for words, work in rows]
     target.unlink()
-    return found
+    return times
 
 
 def import_seconds(rounds: int = 10) -> tuple[float, float]:

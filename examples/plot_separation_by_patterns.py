@@ -49,9 +49,9 @@ def photograph() -> tuple[np.ndarray, np.ndarray, Separation]:
     return stack / white, pattern_states(finger, projector, pattern), Separation(direct, global_)
 
 
-def decibels(found: np.ndarray, truth: np.ndarray) -> float:
+def decibels(direct: np.ndarray, truth: np.ndarray) -> float:
     """PSNR of the direct light; the peak is the brightest pixel under full light."""
-    return float(-10 * np.log10(np.mean((found - truth) ** 2)))
+    return float(-10 * np.log10(np.mean((direct - truth) ** 2)))
 
 
 def main(arguments: list[str] | None = None) -> int:

@@ -92,8 +92,11 @@ def _check_height(d: RigDimensions) -> None:
 def _check_pair(first: LedHole, second: LedHole) -> None:
     leds = f"LEDs {first.index} and {second.index}"
     needed = first.pocket_radius_mm + second.pocket_radius_mm + sizes.MIN_WALL_MM
-    for one, other in ((first.shoulder_mm, second.shoulder_mm), (first.back_mm, second.back_mm)):
-        gap = float(np.linalg.norm(first.at(one) - second.at(other)))
+    for first_mm, second_mm in (
+        (first.shoulder_mm, second.shoulder_mm),
+        (first.back_mm, second.back_mm),
+    ):
+        gap = float(np.linalg.norm(first.at(first_mm) - second.at(second_mm)))
         require(
             gap >= needed,
             f"{leds} are {gap:.1f} mm apart at their flanges, but need {needed:.1f} mm with a wall"
@@ -186,8 +189,10 @@ def _check_sides(d: RigDimensions) -> None:
             f"the lamp of LED {hole.index} hides a screw of the base; move the light around the"
             " axis.",
         )
-    for (first, one), (second, other) in itertools.combinations(zip(d.sides, ends, strict=True), 2):
-        gap, needed = float(np.linalg.norm(one - other)), 2 * lamp.collar_mm + sizes.MIN_WALL_MM
+    lights = zip(d.sides, ends, strict=True)
+    for (first, first_end), (second, second_end) in itertools.combinations(lights, 2):
+        gap = float(np.linalg.norm(first_end - second_end))
+        needed = 2 * lamp.collar_mm + sizes.MIN_WALL_MM
         words = (
             f"the lamps of LEDs {first.index} and {second.index} are {gap:.1f} mm apart, but need"
             f" {needed:.1f} mm."

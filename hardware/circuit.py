@@ -230,9 +230,9 @@ def _with_values(text: str, circuit: Circuit) -> str:
             rf' +|>{ref}</text>\n<text[^>]*>)([^"<]+)'
         )
         if ref[0] != "D":  # the header of an LED bears its name
-            for before, shown in set(place.findall(text)):
-                new = safe.split()[0] if ref[0] == "R" and " " not in shown else safe
-                text = text.replace(before + shown, before + new)
+            for before, printed in set(place.findall(text)):
+                new = safe.split()[0] if ref[0] == "R" and " " not in printed else safe
+                text = text.replace(before + printed, before + new)
     for channel in circuit.channels:
         low, middle, high = (1000 * a for a in channel.stage.current_a)
         current = rf"\g<1>{middle:.0f} mA ({low:.0f} to {high:.0f})"
@@ -340,9 +340,11 @@ def _safety(
     rig: Rig, stages: Mapping[str, Stage], duty: float, passed: float
 ) -> list[dict[str, Any]]:
     """Light on eye and skin, and its margins: with a shorted transistor, and without films."""
-    hazards = functools.partial(rig_hazards, rig, stages, duty=duty)
-    found, shorted, bare = hazards(passed=passed), hazards(passed=passed, shorted=True), hazards()
-    check_hazards(found)
+    hazards_of = functools.partial(rig_hazards, rig, stages, duty=duty)
+    filmed = hazards_of(passed=passed)
+    shorted = hazards_of(passed=passed, shorted=True)
+    bare = hazards_of()
+    check_hazards(filmed)
     return [
         {
             "leds": hazard.band,
@@ -355,7 +357,7 @@ def _safety(
             "margin_with_a_shorted_transistor": round(failed.margin, 2),
             "margin_without_films": round(unfilmed.margin, 2),
         }
-        for hazard, failed, unfilmed in zip(found, shorted, bare, strict=True)
+        for hazard, failed, unfilmed in zip(filmed, shorted, bare, strict=True)
     ]
 
 
@@ -386,9 +388,9 @@ def _facts(circuit: Circuit, second: Circuit | None, stages: Mapping[str, Stage]
 
 def main() -> None:
     """Design what the command line asks for."""
-    given = sizes.arguments(__doc__ or "", "board")
-    s = sizes.read_dimensions(given.dimensions)
-    facts = write_circuit(given.out, s)
+    options = sizes.arguments(__doc__ or "", "board")
+    s = sizes.read_dimensions(options.dimensions)
+    facts = write_circuit(options.out, s)
     print(
         f"{len(facts['leds'])} stages ({s.circuit.topology}, {s.circuit.supply_v:g} V), fuse"
         f" {facts['fuse_ma']} mA:"
@@ -417,7 +419,7 @@ def main() -> None:
             f" {hazard['limit']:.4g} {hazard['unit']}, margin {hazard['margin']:.3g}"
             f" ({hazard['margin_with_a_shorted_transistor']:.3g} with a shorted transistor{bare})"
         )
-    print(f"Written to {given.out}; its rig.json holds the pins.")
+    print(f"Written to {options.out}; its rig.json holds the pins.")
 
 
 if __name__ == "__main__":

@@ -61,12 +61,12 @@ def with_films(rig: Rig, kind: str | None) -> Rig:
     half way to the next one counter-clockwise, and lines; None changes nothing. Raises BadInput if
     the rig has films of another kind, an LED without a place, or too many.
     """
-    given = rig_films(rig)
-    if kind is None or (given is not None and given.kind == kind):
+    present = rig_films(rig)
+    if kind is None or (present is not None and present.kind == kind):
         return rig
     require(
-        given is None,
-        f"the rig file has films of the kind '{given and given.kind}'; leave rig.films out, or "
+        present is None,
+        f"the rig file has films of the kind '{present and present.kind}'; leave rig.films out, or "
         "take a rig file without films.",
     )
     films: dict[str, object] = {"kind": kind}
@@ -94,9 +94,9 @@ def with_films(rig: Rig, kind: str | None) -> Rig:
 
 def _neighbour(led: Led, leds: Sequence[Led]) -> Led:
     azimuths = [
-        math.atan2(one.position_mm[1], one.position_mm[0])
-        for one in (led, *leds)
-        if one.position_mm
+        math.atan2(neighbour.position_mm[1], neighbour.position_mm[0])
+        for neighbour in (led, *leds)
+        if neighbour.position_mm
     ]
     turn = (
         min(

@@ -58,7 +58,7 @@ def _rating_for(power_w: float) -> float:
         f"a resistor would turn {power_w:.2g} W into heat, more than {_MAX_HEAT:.0%} of any rating"
     )
     require(power_w <= _MAX_HEAT * RATINGS_W[-1], f"{too_much}; lower the supply.")
-    return next(one for one in RATINGS_W if power_w <= _MAX_HEAT * one)
+    return next(rating for rating in RATINGS_W if power_w <= _MAX_HEAT * rating)
 
 
 MIN_HEADROOM_V = 0.5  # voltage that a current sink's transistor must keep to be one

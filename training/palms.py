@@ -109,7 +109,7 @@ def _stem(
     lines = [line]
     for _ in range(int(rng.poisson(length / 9.0)) if generations else 0):
         at = int(rng.uniform(0.12, 0.88) * count)
-        aside = (
+        branch_angle = (
             angle[at]
             + rng.choice((-1.0, 1.0)) * rng.uniform(0.25, 0.8)
             + (np.pi if rng.random() < 0.3 else 0.0)
@@ -118,7 +118,7 @@ def _stem(
         lines += _stem(
             rng,
             points[at],
-            float(aside),
+            float(branch_angle),
             length=length * rng.uniform(0.15, 0.4),
             depth=float(line.depth_mm[at]) * fraction,
             width=float(line.width_mm[at]) * (0.4 + 0.6 * fraction),

@@ -157,8 +157,8 @@ def _through_patterns(surface, led, skin, light):
     )
     mask = surface.mask[light.window]
     # radiance in the rig's units knows no clipping; the black outside the mask is not a fault
-    made = checkerboard(stack, alpha=0.5, dark=0.0, mask=mask, clip_level=None)
-    direct = np.where(mask, made.direct.transpose(2, 0, 1), np.float32(0.0))
+    separated = checkerboard(stack, alpha=0.5, dark=0.0, mask=mask, clip_level=None)
+    direct = np.where(mask, separated.direct.transpose(2, 0, 1), np.float32(0.0))
     return np.asarray(np.minimum(direct, light.white), dtype=np.float32)
 
 
@@ -331,8 +331,8 @@ def train(out, recipe, command, *, held_out=HELD_OUT_COUNT, threads=2, device="c
     data = make_data(out, subjects, partial(shoot, recipe), threads)
     views = [
         (n, pair)
-        for (_, n), found in data.items()
-        for pair in zip(found[::2], found[1::2], strict=True)
+        for (_, n), photographs in data.items()
+        for pair in zip(photographs[::2], photographs[1::2], strict=True)
     ]
     seen = Patches([pair for number, pair in views if number < HELD_OUT_FROM])
     judged = Patches([pair for number, pair in views if number >= HELD_OUT_FROM])
@@ -407,10 +407,10 @@ def main():
         "--threads", type=int, default=2, help="of torch, and processes that photograph"
     )
     parser.add_argument("--device", choices=("cpu", "cuda"), default="cpu")
-    given = parser.parse_args()
-    command = "python training/separation.py --out DIR" + " --thesis" * given.thesis
-    recipe = THESIS if given.thesis else SHIPPED
-    train(given.out, recipe, command, threads=given.threads, device=given.device)
+    options = parser.parse_args()
+    command = "python training/separation.py --out DIR" + " --thesis" * options.thesis
+    recipe = THESIS if options.thesis else SHIPPED
+    train(options.out, recipe, command, threads=options.threads, device=options.device)
 
 
 if __name__ == "__main__":

@@ -150,8 +150,8 @@ def table(objects: Sequence[Object]) -> Iterator[str]:
     """Lines of the page's table."""
     yield "| object, lights | preset | measured normals, deg | of the surface, deg |"
     yield "| --- | --- | --- | --- |"
-    for one in objects:
-        count = len(one.lights)
+    for target in objects:
+        count = len(target.lights)
         rng = np.random.default_rng(0)
         few = [
             sorted(rng.choice(count, FEW_LIGHTS, replace=False).tolist())
@@ -159,17 +159,18 @@ def table(objects: Sequence[Object]) -> Iterator[str]:
         ]
         for draws in [[list(range(count))], *([few] if few else [])]:
             for preset, (base, changes) in PRESETS.items():
-                errors = np.array([errors_of(one, chosen, base, changes) for chosen in draws])
+                errors = np.array([errors_of(target, chosen, base, changes) for chosen in draws])
                 cells = " | ".join(_cell(column) for column in errors.T)
-                yield f"| {one.name}, {len(draws[0])} | `{preset}` | {cells} |"
+                yield f"| {target.name}, {len(draws[0])} | `{preset}` | {cells} |"
 
 
 def errors_of(
-    one: Object, chosen: Sequence[int], preset: str, changes: dict[str, str]
+    target: Object, chosen: Sequence[int], preset: str, changes: dict[str, str]
 ) -> tuple[float, float]:
-    result = reconstruct(one.capture(chosen), preset, changes)
+    result = reconstruct(target.capture(chosen), preset, changes)
     measured = result.normals_measured
-    return np.nan if measured is None else one.error_deg(measured), one.error_deg(result.normals)
+    measured_deg = np.nan if measured is None else target.error_deg(measured)
+    return measured_deg, target.error_deg(result.normals)
 
 
 def _cell(errors: np.ndarray) -> str:

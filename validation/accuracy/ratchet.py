@@ -38,14 +38,14 @@ def stored(results: Tree) -> dict[str, Any]:
 
 def slipped(results: Tree, thresholds: Tree) -> list[str]:
     """A sentence for each figure that is worse than the stored one by more than :data:`MAX_LOSS`."""
-    found = stored(results)
+    figures_now = stored(results)
     worse = [
-        f"{key} is {found[key]}, but the stored figures were made with {thresholds[key]}"
+        f"{key} is {figures_now[key]}, but the stored figures were made with {thresholds[key]}"
         for key in COMPARED_SETTINGS
-        if found[key] != thresholds[key]
+        if figures_now[key] != thresholds[key]
     ]
     for preset, figures in thresholds["presets"].items():
-        now = found["presets"].get(preset, {})
+        now = figures_now["presets"].get(preset, {})
         for key, before in figures.items():
             if key not in now:
                 worse.append(f"{preset}: {key} is missing")
@@ -65,13 +65,13 @@ def _is_worse(key: str, now: float, before: float) -> bool:
 
 def tightened(results: Tree, thresholds: Tree) -> dict[str, Any]:
     """The better of the two for every figure."""
-    found = stored(results)
+    figures_now = stored(results)
     for preset, figures in thresholds["presets"].items():
         for key, before in figures.items():
-            now = found["presets"][preset][key]
+            now = figures_now["presets"][preset][key]
             cost = (lambda value: value) if key == "refused" else ROWS[key].cost
-            found["presets"][preset][key] = min(now, before, key=cost)
-    return found
+            figures_now["presets"][preset][key] = min(now, before, key=cost)
+    return figures_now
 
 
 def main(arguments: Sequence[str] | None = None) -> int:

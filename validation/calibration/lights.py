@@ -101,9 +101,9 @@ def tables(rigs: int, nail_mm: float) -> dict[str, Any]:
             ("joint fit, four positions, nail's height known", four, known),
         ):
             fit = by_joint_fit(tips, rig.camera, CIRCLE, settings)
-            found = _errors(fit.leds, rig)
-            _note(errors, name, found)
-            _note(inside, name, found <= fit.interval_deg)
+            errors_deg = _errors(fit.leds, rig)
+            _note(errors, name, errors_deg)
+            _note(inside, name, errors_deg <= fit.interval_deg)
             _note(widths, name, fit.interval_deg)
     return {
         name: {
@@ -209,8 +209,8 @@ def _figures(errors: Points) -> dict[str, Any]:
     }
 
 
-def _errors(found: Sequence[Any], rig: Rig) -> Points:
-    return _angles(np.array([one.position_mm for one in found]), rig)
+def _errors(leds: Sequence[Any], rig: Rig) -> Points:
+    return _angles(np.array([led.position_mm for led in leds]), rig)
 
 
 def _drawn_errors(rig: Rig) -> Points:

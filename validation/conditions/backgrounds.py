@@ -60,10 +60,10 @@ def segmentation(capture: Capture, truth: NDArray[np.bool_]) -> dict[str, float]
     px_per_mm = capture.rig.camera.px_per_mm
     binning = max(1, int(px_per_mm / SURVEY_PX_PER_MM))
     mean, _ = linear_survey(capture.bands["white"], capture.encoding, binning)
-    found = enlarged_mask(finger_mask(mean, px_per_mm / binning), capture.shape, binning)
-    distances = [_farthest(first, second) for first, second in ((found, truth), (truth, found))]
+    mask = enlarged_mask(finger_mask(mean, px_per_mm / binning), capture.shape, binning)
+    distances = [_farthest(first, second) for first, second in ((mask, truth), (truth, mask))]
     return {
-        "iou": float((found & truth).sum() / (found | truth).sum()),
+        "iou": float((mask & truth).sum() / (mask | truth).sum()),
         "border_mm": max(distances) / px_per_mm,
     }
 

@@ -65,7 +65,7 @@ def outside(figure: str, value: float, clean: np.ndarray) -> float:
 
 def cells(rows: list[dict[str, Any]]) -> list[dict[str, Any]]:
     """One row for each preset, condition, severity and figure."""
-    found = []
+    table_rows = []
     for preset in sorted({row["preset"] for row in rows}):
         mine = [row for row in rows if row["preset"] == preset and row["exit"] == 0]
         clean = [row for row in mine if row["kind"] == "none"]
@@ -94,7 +94,7 @@ def cells(rows: list[dict[str, Any]]) -> list[dict[str, Any]]:
                     continue
                 low, high = interval(values)
                 middle = float(np.median(values))
-                found.append(
+                table_rows.append(
                     {
                         "preset": preset,
                         "kind": kind,
@@ -111,7 +111,7 @@ def cells(rows: list[dict[str, Any]]) -> list[dict[str, Any]]:
                         else round(outside(figure, middle, known), 2),
                     }
                 )
-    return found
+    return table_rows
 
 
 def first_failures(table: list[dict[str, Any]], preset: str) -> dict[str, Any]:

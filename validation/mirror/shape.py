@@ -154,9 +154,9 @@ def main() -> None:
     kept = json.loads(options.out.read_text())["fingers"] if options.out.is_file() else {}
     for seed in [] if options.summary else options.seeds:
         if str(seed) not in kept:
-            found = measured(seed, options.scale)
+            figures = measured(seed, options.scale)
             kept[str(seed)] = {
-                case: round(v, 4) if isinstance(v, float) else v for case, v in found.items()
+                case: round(v, 4) if isinstance(v, float) else v for case, v in figures.items()
             }
             write(options.out, options.scale, kept)
     write(options.out, options.scale, kept)

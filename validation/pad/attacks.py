@@ -286,7 +286,8 @@ def _draw(
         return drawn | {"relief": 1.0}, replace(skin, blood=skin.blood * rng.uniform(0.0, 0.05))
     media = [skin.channel(name) for name in CHANNELS]
     skins = [
-        diffusion_profile(one.scattering_per_mm, one.absorption_per_mm).albedo for one in media
+        diffusion_profile(medium.scattering_per_mm, medium.absorption_per_mm).albedo
+        for medium in media
     ]
     mixed = []
     for k, (mine, theirs) in enumerate(zip(own, skins, strict=True)):
@@ -312,7 +313,8 @@ def _draw(
     )
     pairs = zip((plain.channel(name) for name in CHANNELS), mixed, strict=True)
     layers: Any = tuple(
-        _absorption(one.scattering_per_mm, seen) / one.absorption_per_mm for one, seen in pairs
+        _absorption(medium.scattering_per_mm, seen) / medium.absorption_per_mm
+        for medium, seen in pairs
     )
     return drawn, replace(plain, layers=layers)
 
@@ -348,12 +350,12 @@ def _picture_of(
     whole = np.zeros((4, *surface.mask.shape), dtype=np.float32)
     window, inside = light.window, surface.mask[light.window]
     for c in range(3):
-        one = np.minimum(seen[c], np.percentile(seen[c][inside], 99))
-        one = (
-            cv2.GaussianBlur(one, (0, 0), max(size * surface.camera.px_per_mm, 0.2))
-            / one[inside].mean()
+        channel = np.minimum(seen[c], np.percentile(seen[c][inside], 99))
+        channel = (
+            cv2.GaussianBlur(channel, (0, 0), max(size * surface.camera.px_per_mm, 0.2))
+            / channel[inside].mean()
         )
-        whole[c][window] = np.where(inside, np.clip(one, 0.05, 1.6), 0)
+        whole[c][window] = np.where(inside, np.clip(channel, 0.05, 1.6), 0)
     whole[3][window] = np.where(inside, whole[1][window] ** ink, 0)
     return whole
 
@@ -386,9 +388,9 @@ def _copied(
 
     gain, flat = drawn["relief"], drawn["flat"]
     shaped = slopes(surface.shape_normals)
-    ridges = np.stack([gain * smooth(one) for one in slopes(surface.normals) - shaped])
+    ridges = np.stack([gain * smooth(component) for component in slopes(surface.normals) - shaped])
     raised, relief = (
-        gain * smooth(one) for one in (surface.height_mm - surface.shape_mm, surface.relief_um)
+        gain * smooth(field) for field in (surface.height_mm - surface.shape_mm, surface.relief_um)
     )
     tilt = rng.normal(0.0, 0.06, 2) * (flat > 0.5)
     rows, columns = np.indices(mask.shape)

@@ -325,8 +325,10 @@ def make_polarised(
         image_size=(OVERSAMPLING * size[0], OVERSAMPLING * size[1]),
     )
     surface, fine = (
-        lay_down(case.seed, None, replace(settings, rig=replace(rig, camera=one)), finger=finger)[0]
-        for one in (camera, closer)
+        lay_down(
+            case.seed, None, replace(settings, rig=replace(rig, camera=resolution)), finger=finger
+        )[0]
+        for resolution in (camera, closer)
     )
     if not case.ridges:
         surface, fine = without_ridges(surface), without_ridges(fine)
@@ -377,13 +379,15 @@ def _walked(case: PolarisedCase, out: Path, walk: Callable[[], FingerLight]) -> 
         ("white", "nir"),
     )
     if kept.exists():
-        found = read_npz(kept)
-        diffuse, once = ({name: found[f"{part}_{name}"] for name in bands} for part in parts)
-        return FingerLight(diffuse, once, json.loads(str(found["channels"])))
+        arrays = read_npz(kept)
+        diffuse, once = ({name: arrays[f"{part}_{name}"] for name in bands} for part in parts)
+        return FingerLight(diffuse, once, json.loads(str(arrays["channels"])))
     light = walk()
     kept.parent.mkdir(parents=True, exist_ok=True)
-    arrays = {f"{part}_{name}": getattr(light, part)[name] for part in parts for name in bands}
-    write_npz(kept, {"channels": np.array(json.dumps(dict(light.channels))), **arrays})
+    light_arrays = {
+        f"{part}_{name}": getattr(light, part)[name] for part in parts for name in bands
+    }
+    write_npz(kept, {"channels": np.array(json.dumps(dict(light.channels))), **light_arrays})
     return light
 
 

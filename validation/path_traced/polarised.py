@@ -34,34 +34,34 @@ CLASSES = ("", "_0_15", "_15_30", "_30_45", "_45_60")
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    given = list(sys.argv[1:] if arguments is None else arguments)
-    as_json = "--json" in given
+    words = list(sys.argv[1:] if arguments is None else arguments)
+    as_json = "--json" in words
     try:
-        if given[:1] == ["--twins"]:
-            seeds = given[1:3]
+        if words[:1] == ["--twins"]:
+            seeds = words[1:3]
             require(
-                len(seeds) == 2 and all(one.isdigit() for one in seeds),
+                len(seeds) == 2 and all(seed.isdigit() for seed in seeds),
                 "give two seeds: --twins FIRST LAST.",
             )
             twins(
-                range(int(seeds[0]), int(seeds[1]) + 1), float(given[3] if len(given) > 3 else 0.2)
+                range(int(seeds[0]), int(seeds[1]) + 1), float(words[3] if len(words) > 3 else 0.2)
             )
             return 0
-        folders = [folder for one in given if one != "--json" for folder in _captures(Path(one))]
+        folders = [folder for word in words if word != "--json" for folder in _captures(Path(word))]
         require(bool(folders), "give folders of polarised captures with their truth beside them.")
-        found = {folder.name: both_ways(folder) for folder in folders}
+        figures = {folder.name: both_ways(folder) for folder in folders}
     except BadInput as error:
         print(error, file=sys.stderr)
         return 2
-    print(json.dumps(found, indent=1) if as_json else table(found))
+    print(json.dumps(figures, indent=1) if as_json else table(figures))
     return 0
 
 
 def _captures(folder: Path) -> Iterator[Path]:
     """The capture `folder`, or those in it."""
-    for one in (folder, *sorted(folder.iterdir())) if folder.is_dir() else ():
-        if (one / "capture.json").is_file() and _truth(one).is_file():
-            yield one
+    for candidate in (folder, *sorted(folder.iterdir())) if folder.is_dir() else ():
+        if (candidate / "capture.json").is_file() and _truth(candidate).is_file():
+            yield candidate
 
 
 def _truth(folder: Path) -> Path:
@@ -73,7 +73,7 @@ def both_ways(folder: Path) -> dict[str, dict[str, float]]:
     capture, truth = splitknit.read_capture(folder), read_npz(_truth(folder))
     truth.setdefault("px_mm", np.float64(capture.rig.camera.pitch_mm))
     ways = {"films": capture, "no films": without_films(capture)}
-    return {way: _figures(one, truth) for way, one in ways.items()}
+    return {way: _figures(series, truth) for way, series in ways.items()}
 
 
 def twins(seeds: Sequence[int], scale: float) -> None:
@@ -121,14 +121,14 @@ def _figures(capture: Capture, truth: dict[str, np.ndarray]) -> dict[str, float]
     return figures | {f"fitted_{name}": value for name, value in specular.items()}
 
 
-def table(found: dict[str, dict[str, dict[str, float]]]) -> str:
+def table(figures: dict[str, dict[str, dict[str, float]]]) -> str:
     """Correlation, gain and rms error of the ridges, by slant; no films in brackets."""
     lines = [
         "finger | surface mm | "
         + " | ".join(name[1:].replace("_", " to ") or "below 60 deg" for name in CLASSES)
         + " | error over stated | false um"
     ]
-    for name, ways in found.items():
+    for name, ways in figures.items():
         a, b = ways["films"], ways["no films"]
         cells = [f"{a['surface_rms_mm']:.3f} ({b['surface_rms_mm']:.3f})"]
         for each in CLASSES:

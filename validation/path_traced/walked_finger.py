@@ -246,7 +246,7 @@ def solid_of(surface: SimulatedSurface, leds: Sequence[Led]) -> _Solid:
     require(bool(surface.mask.any()), "no part of the finger is in the picture.")
     # the finger's pixels and an empty margin, but where the picture ends
     filled = [np.flatnonzero(surface.mask.any(axis=1 - axis)) for axis in range(2)]
-    place = tuple(slice(max(int(one[0]) - 2, 0), int(one[-1]) + 3) for one in filled)
+    place = tuple(slice(max(int(occupied[0]) - 2, 0), int(occupied[-1]) + 3) for occupied in filled)
     mask, shape, height = surface.mask[place], surface.shape_mm[place], surface.height_mm[place]
     # below: the smooth shape's mirror image, or 12 mm where the finger has no outline
     rim = float(shape.min()) - 6.0 if mask.all() else float(np.percentile(shape[mask], 1))
@@ -556,7 +556,7 @@ def walk_finger(
             def report(_: str, fraction: float, channel: str = channel, done: int = done) -> None:
                 progress(channel, (done + fraction) / len(todo))
 
-            found = render_finger(
+            rendered = render_finger(
                 surface,
                 leds,
                 channel,
@@ -568,17 +568,17 @@ def walk_finger(
                 progress=report,
                 entering=entering,
             )
-            light.append(found.radiance)
-            single.append(found.once)
+            light.append(rendered.radiance)
+            single.append(rendered.once)
             channels[channel] = {
-                "level": float(np.median(found.radiance[:, seen])),
-                "once_scattered": float(np.median(found.once[:, seen])),
-                "noise": found.noise(seen),
+                "level": float(np.median(rendered.radiance[:, seen])),
+                "once_scattered": float(np.median(rendered.once[:, seen])),
+                "noise": rendered.noise(seen),
                 **_coefficients(channel, optics),
             }
         diffuse[name], once[name] = (
-            np.stack([one[min(c, len(one) - 1)] for c in range(3)], axis=-1)
-            for one in (light, single)
+            np.stack([channel_images[min(c, len(channel_images) - 1)] for c in range(3)], axis=-1)
+            for channel_images in (light, single)
         )
     return FingerLight(diffuse, once, channels)
 
@@ -598,13 +598,13 @@ def without_walk_noise(light: FingerLight, surface: SimulatedSurface) -> FingerL
     common, own = (_Regression(surface, width) for width in REGRESSION_MM)
 
     def smooth(images: FloatArray, regressions: tuple[_Regression, _Regression]) -> FloatArray:
-        found = np.empty_like(images)
+        smoothed = np.empty_like(images)
         for c in range(images.shape[3]):
             mean = images[..., c].mean(axis=0, dtype=np.float64)
             level = regressions[0](mean)
             for k, image in enumerate(images[..., c]):
-                found[k, ..., c] = np.maximum(level + regressions[1](image - mean), 0.0)
-        return found
+                smoothed[k, ..., c] = np.maximum(level + regressions[1](image - mean), 0.0)
+        return smoothed
 
     diffuse = {name: smooth(images, (common, own)) for name, images in light.diffuse.items()}
     once = {name: smooth(images, (own, own)) for name, images in light.once.items()}
@@ -622,7 +622,7 @@ class _Regression:
 
         def smooth(field: Array, by_mm: float) -> Array:
             blur = [
-                cv2.GaussianBlur(one, (0, 0), by_mm / pitch) for one in (field * weight, weight)
+                cv2.GaussianBlur(array, (0, 0), by_mm / pitch) for array in (field * weight, weight)
             ]
             return np.asarray(blur[0] / np.maximum(blur[1], 1e-3), dtype=np.float64)
 
@@ -656,11 +656,11 @@ class _Regression:
         """(H, W) what the geometry explains of an image."""
         image = image.astype(np.float64)
         mean = self._mean(image)
-        found = mean.copy()
+        explained = mean.copy()
         for k, field in enumerate(self.features):
-            found += self.factors[:, k] * (self._mean(field * image) - self.means[k] * mean)
+            explained += self.factors[:, k] * (self._mean(field * image) - self.means[k] * mean)
         result = np.zeros(self.mask.shape)
-        result[self.mask] = found
+        result[self.mask] = explained
         return result
 
     def _window(self, field: Array) -> Array:

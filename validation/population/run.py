@@ -77,11 +77,13 @@ def sizes(count: int = 2000) -> dict[str, Any]:
         drawn = [p.fingers[name].finger.pattern for p in everybody]
         row = {}
         for pattern, fraction in class_fractions(side, digit).items():
-            found = drawn.count(pattern) / count
+            drawn_fraction = drawn.count(pattern) / count
             worst = max(
-                worst, abs(found - fraction) / max(np.sqrt(fraction * (1 - fraction) / count), 1e-9)
+                worst,
+                abs(drawn_fraction - fraction)
+                / max(np.sqrt(fraction * (1 - fraction) / count), 1e-9),
             )
-            row[pattern] = [round(fraction, 4), round(found, 4)]
+            row[pattern] = [round(fraction, 4), round(drawn_fraction, 4)]
         result["classes"][name] = row
     result["classes_worst_deviation_in_sd"] = round(float(worst), 2)
     whorls = np.array(
@@ -166,7 +168,7 @@ def impostors(draws: int = 5) -> dict[str, Any]:
     real = sorted((data / "fvc2002_db1b").glob("*.png"))
     if real:
         result["real_fvc2002_db1b"] = matched(
-            [one.read_bytes() for one in real], [one.stem[:3] for one in real]
+            [file.read_bytes() for file in real], [file.stem[:3] for file in real]
         )
     return result
 

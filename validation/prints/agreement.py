@@ -77,15 +77,15 @@ def record_file(scratch: Path, preset: str, session: int, subject: str, finger: 
 
 def records(scratch: Path) -> dict[tuple[str, int], dict[str, Any]]:
     """Records by preset and session, then by finger, in order."""
-    found: dict[tuple[str, int], dict[str, Any]] = {}
+    by_part: dict[tuple[str, int], dict[str, Any]] = {}
     for preset, session in PARTS:
         for subject in REPORTED:
             for finger in FINGERS:
                 file = record_file(scratch, preset, session, subject, finger)
                 if file.is_file():
                     row = json.loads(file.read_text(encoding="ascii"))
-                    found.setdefault((preset, session), {})[f"{subject} {finger}"] = row
-    return found
+                    by_part.setdefault((preset, session), {})[f"{subject} {finger}"] = row
+    return by_part
 
 
 def main() -> None:

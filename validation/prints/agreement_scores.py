@@ -22,12 +22,12 @@ def between_sessions(reported: Records, preset: str, pictures: Sequence[str]) ->
     if not first or not second:
         return {}
     methods = list(next(iter(first.values())))
-    found = {
+    by_picture = {
         f"{preset} {method} {picture}": told_apart(first, second, method, picture)
         for method in methods
         for picture in pictures
     }
-    return {name: one for name, one in found.items() if one}
+    return {name: scores for name, scores in by_picture.items() if scores}
 
 
 def told_apart(
@@ -56,9 +56,11 @@ def told_apart(
 def _minutiae(row: dict[str, Any], picture: str) -> Minutiae:
     """Those of the print's inside; by the phase there are others, too."""
     record = row.get(picture, {})
-    found = _unpacked(record.get("minutiae", ""))
+    minutiae = _unpacked(record.get("minutiae", ""))
     inside = np.asarray(record.get("found_border", []), dtype=np.float64) >= EDGE_MM * 500.0 / 25.4
-    return found.taken(np.flatnonzero(inside)) if picture == "phase" and found.count else found
+    if picture == "phase" and minutiae.count:
+        return minutiae.taken(np.flatnonzero(inside))
+    return minutiae
 
 
 @lru_cache(maxsize=4096)

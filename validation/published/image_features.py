@@ -227,7 +227,7 @@ def similarity(name: str, a: FingerImages, b: FingerImages) -> float:
         return float(np.linalg.norm(known - extract(to_box(b.channels[channel], box), a.px_per_mm)))
 
     scores = [
-        dissimilarity(ratio, [distance(one) for one in ATTRIBUTES[of]])
+        dissimilarity(ratio, [distance(attribute) for attribute in ATTRIBUTES[of]])
         for of in ("normals", "relief")
     ]
     return 1.0 - float(np.mean(scores))

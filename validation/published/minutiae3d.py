@@ -83,15 +83,15 @@ def space_minutiae(surface: Surface) -> SpaceMinutiae:
     Places of the print go back to the surface; the direction rises as the smoothed surface does
     along it.
     """
-    found = extract(surface_print(surface, 500.0))
+    flat = extract(surface_print(surface, 500.0))
     print_map = plane_map(surface.pitch_mm, surface.input_from_upright, surface.upright_size)
     height = smoothed(
         surface.shape_mm + surface.ridge_mm, surface.mask, SLOPE_SIGMA_MM / surface.pitch_mm
     )
     height = np.where(surface.mask, height, np.float32(np.nan)).astype(np.float32)
-    places = np.stack([found.x_px, found.y_px], axis=1).astype(np.float64)
+    places = np.stack([flat.x_px, flat.y_px], axis=1).astype(np.float64)
     # rows run downwards
-    step = 0.5 * np.stack([np.cos(found.direction_rad), -np.sin(found.direction_rad)], axis=1)
+    step = 0.5 * np.stack([np.cos(flat.direction_rad), -np.sin(flat.direction_rad)], axis=1)
     there = print_map.input_from_print(places)
     ahead = print_map.input_from_print(places + step) - print_map.input_from_print(places - step)
     ahead = ahead * [1, -1] / np.linalg.norm(ahead, axis=1, keepdims=True)
@@ -128,7 +128,7 @@ class Framed(ABC):
     minutiae: SpaceMinutiae
 
     @abstractmethod
-    def correspondences(self, other: Any) -> tuple[Index, Index]:
+    def correspondences(self, opposite: Any) -> tuple[Index, Index]:
         """(K, n) of a few minutiae of both sides that look similar, wherever they lie."""
 
     @cached_property
@@ -162,10 +162,10 @@ class Framed(ABC):
 class Pairs(Framed):
     """Minutiae in their own frame, and the pairs of neighbours among them."""
 
-    def correspondences(self, other: Pairs) -> tuple[Index, Index]:
+    def correspondences(self, opposite: Pairs) -> tuple[Index, Index]:
         """(K, 2) pairs that look similar."""
-        i, j = close_points(self.tree, other.tree)
-        return self.pairs[i], other.pairs[j]
+        i, j = close_points(self.tree, opposite.tree)
+        return self.pairs[i], opposite.pairs[j]
 
     @cached_property
     def pairs(self) -> Index:
@@ -204,15 +204,15 @@ def similarity(a: Framed, b: Framed) -> float:
     pairs = left.correspondences(right)
     most = 0
     for chosen in voted(left, right, pairs):
-        found = _moved(left, right, pairs[0][chosen].ravel(), pairs[1][chosen].ravel())
+        agreed = _moved(left, right, pairs[0][chosen].ravel(), pairs[1][chosen].ravel())
         for _ in range(REFINEMENTS):
-            if len(found[0]) < 3:
+            if len(agreed[0]) < 3:
                 break
-            again = _moved(left, right, *found)
-            if len(again[0]) <= len(found[0]):
+            again = _moved(left, right, *agreed)
+            if len(again[0]) <= len(agreed[0]):
                 break
-            found = again
-        most = max(most, len(found[0]))
+            agreed = again
+        most = max(most, len(agreed[0]))
     return most * most / (a.minutiae.count * b.minutiae.count)
 
 
@@ -309,15 +309,15 @@ def nearest(places: Array, count: int) -> tuple[Index, Array]:
 
 def close_points(a: cKDTree, b: cKDTree) -> tuple[Index, Index]:
     """Points of `a` and `b` that differ by one at most in every coordinate, ordered by both."""
-    found = a.sparse_distance_matrix(b, 1.0, p=np.inf, output_type="ndarray")
-    order = np.lexsort((found["j"], found["i"]))
-    return found["i"][order], found["j"][order]
+    pairs = a.sparse_distance_matrix(b, 1.0, p=np.inf, output_type="ndarray")
+    order = np.lexsort((pairs["j"], pairs["i"]))
+    return pairs["i"][order], pairs["j"][order]
 
 
 def framed(kind: type[Framed], finger: Path, preset: str) -> Framed | None:
     """Features of a finger; None where it has fewer than ten minutiae."""
-    found = space_minutiae(surface_at(finger, preset))
-    return kind(found) if found.count >= MIN_MINUTIAE else None
+    minutiae = space_minutiae(surface_at(finger, preset))
+    return kind(minutiae) if minutiae.count >= MIN_MINUTIAE else None
 
 
 if __name__ == "__main__":

@@ -89,8 +89,15 @@ def _pool(pictures: Sequence[Minutiae]) -> NDArray[np.void]:
         + [(name, int) for name in ("type", "quality", "picture")]
     )
     parts = [
-        (one.x_px, one.y_px, one.direction_rad, one.type, one.quality, np.full(one.count, number))
-        for number, one in enumerate(pictures)
+        (
+            minutiae.x_px,
+            minutiae.y_px,
+            minutiae.direction_rad,
+            minutiae.type,
+            minutiae.quality,
+            np.full(minutiae.count, number),
+        )
+        for number, minutiae in enumerate(pictures)
     ]
     pool = np.rec.fromarrays(
         [np.concatenate(column) for column in zip(*parts, strict=True)], rows
@@ -103,14 +110,14 @@ def _same(pool: NDArray[np.void]) -> list[NDArray[np.intp]]:
     if not len(pool):
         return []
     places = np.stack([pool["x"], pool["y"]], axis=1)
-    found = []
+    groups = []
     for k, around in enumerate(
         cKDTree(places).query_ball_point(places, MAX_DISTANCE_MM * PPI / 25.4, return_sorted=True)
     ):
         index = np.array(around, dtype=np.intp)
         turn = np.abs(np.angle(np.exp(1j * (pool["direction"][index] - pool["direction"][k]))))
-        found.append(index[turn <= np.deg2rad(MAX_TURN_DEG)])
-    return found
+        groups.append(index[turn <= np.deg2rad(MAX_TURN_DEG)])
+    return groups
 
 
 def _standing(pool: NDArray[np.void], around: NDArray[np.intp]) -> tuple[int, float]:
@@ -195,8 +202,8 @@ def _component(normals: FloatArray, albedo: FloatArray, name: str, finger: Finge
 def features(finger: Path, preset: str) -> Minutiae | None:
     """Minutiae of a capture on which half of the pictures agree; None where they are fewer than
     ten."""
-    found = [extract(picture) for _, picture in pictures_of(read_capture(finger), preset)]
-    kept = vote(found) if found else None
+    by_picture = [extract(picture) for _, picture in pictures_of(read_capture(finger), preset)]
+    kept = vote(by_picture) if by_picture else None
     return kept if kept is not None and kept.acquired else None
 
 

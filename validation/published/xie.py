@@ -259,9 +259,9 @@ def layered_normals(
     towards, bright = normals.reshape(-1, 3), albedo.ravel()
     for part in np.array_split(places, max(1, len(places) // PIXELS_AT_A_TIME)):
         faint = np.maximum(bright[part], np.float32(1e-4 * typical))
-        found = fit(flat[:, part], lights, towards[part].T, faint, exposure)
-        towards[part] = directions(found[0], found[1])[0].T
-        bright[part] = faint * np.exp(found[2])
+        parameters = fit(flat[:, part], lights, towards[part].T, faint, exposure)
+        towards[part] = directions(parameters[0], parameters[1])[0].T
+        bright[part] = faint * np.exp(parameters[2])
     return normals, albedo
 
 

@@ -81,8 +81,8 @@ def jensen() -> Iterator[Check]:
             for channel, value in scattering.items()
         ]
         passed = bool(factors.min() <= min(needed) and max(needed) <= factors.max())
-        shown = ", ".join(f"{value:g}" for value in scattering.values())
-        literature = f"{shown} (factor {min(needed):.2f} to {max(needed):.2f})"
+        values_text = ", ".join(f"{value:g}" for value in scattering.values())
+        literature = f"{values_text} (factor {min(needed):.2f} to {max(needed):.2f})"
         name = f"Jensen's {skin}: scattering in red, green, blue, per mm"
         ours = f"factor {factors.min():.2f} to {factors.max():.2f}"
         yield Check(name, literature, ours, passed, "" if passed else WHY_SCATTERING)
@@ -113,7 +113,7 @@ def nist() -> Check:
     # the simulator's own mixture at another wavelength
     with mock.patch.dict(EFFECTIVE, nir=AT_780_NM):
         optics = [finger.channel("nir") for finger in drawn_fingers()]
-    ours = surface + (1 - surface) * np.array([_profile(one).albedo for one in optics])
+    ours = surface + (1 - surface) * np.array([_profile(channel).albedo for channel in optics])
     low, mean, high = NIST
     passed = bool(ours.min() <= low and ours.max() >= high)
     return Check(
@@ -165,7 +165,7 @@ def face() -> Check:
         f" of the brightness in green to that in red, {gloss:.2f}, at all scales, so that a face"
         " whose detail is mostly specular would look as it does; crossed polarisers would tell."
     )
-    shown = ", ".join(
+    simulated = ", ".join(
         f"{ratio:.2f}" for ratio in ratios(usual.channel("red"), usual.channel("green"))
     )
     name = (
@@ -173,7 +173,7 @@ def face() -> Check:
         f" {', '.join(f'{period:g}' for period in PERIODS_MM)} mm"
     )
     return Check(
-        name, f"{low:g} to {high:g} at all scales (face)", shown, passed, "" if passed else why
+        name, f"{low:g} to {high:g} at all scales (face)", simulated, passed, "" if passed else why
     )
 
 
@@ -196,22 +196,22 @@ def checks() -> list[Check]:
     return [*jensen(), nist(), face()]
 
 
-def table(found: Sequence[Check]) -> list[list[str]]:
+def table(results: Sequence[Check]) -> list[list[str]]:
     """Rows of ``tables/optics.csv``."""
     rows = [
-        [one.name, one.literature, one.ours, "pass" if one.passed else "differs", one.why]
-        for one in found
+        [check.name, check.literature, check.ours, "pass" if check.passed else "differs", check.why]
+        for check in results
     ]
     return [["figure", "literature", "simulator", "verdict", "why"], *rows]
 
 
 def main() -> int:
     """Print and write the table; zero where every check passes or is explained."""
-    found = checks()
-    print("\n".join("; ".join(part for part in row if part) for row in table(found)))
+    results = checks()
+    print("\n".join("; ".join(part for part in row if part) for row in table(results)))
     with TABLE.open("w", newline="", encoding="utf-8") as file:
-        csv.writer(file, lineterminator="\n").writerows(table(found))
-    return int(any(not check.passed and not check.why for check in found))
+        csv.writer(file, lineterminator="\n").writerows(table(results))
+    return int(any(not check.passed and not check.why for check in results))
 
 
 if __name__ == "__main__":

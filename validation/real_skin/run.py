@@ -74,7 +74,7 @@ def table(captures: Mapping[str, Sequence[Mapping[str, Any]]]) -> list[list[str]
                     for figure in PERCENT
                 ]
                 gains = [
-                    np.mean([one[channel][way]["gain"] for one in of_images])
+                    np.mean([channels[channel][way]["gain"] for channels in of_images])
                     for channel in of_images[0]
                 ]
                 cells.append(", ".join(f"{gain:.2f}" for gain in gains))

@@ -47,7 +47,7 @@ MIN_SIMILARITY = 5.0
 
 def found_again(a: Prepared, b: Prepared) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
     """Which minutiae of A are shown by B, and which of them B has."""
-    laid = max(pair_minutiae(a.cylinders, b.cylinders), key=lambda one: one.support)
+    laid = max(pair_minutiae(a.cylinders, b.cylinders), key=lambda alignment: alignment.support)
     (place, turn), (others, turns) = (
         (side.cylinders.place, side.cylinders.turn) for side in (a, b)
     )
@@ -96,12 +96,12 @@ def main() -> None:
         for (x, a, of_a), (y, b, of_b) in itertools.combinations(sides, 2):
             if x != y or fused_match(a, b).similarity < MIN_SIMILARITY:
                 continue
-            for one, other, design in ((a, b, of_a), (b, a, of_b)):
-                shown, there = found_again(one, other)
-                quality.append(one.template.minutiae.quality[shown])
-                again.append(there[shown])
-                rows.append(design[shown])
-                sets += [name] * int(shown.sum())
+            for probe, reference, design in ((a, b, of_a), (b, a, of_b)):
+                visible, there = found_again(probe, reference)
+                quality.append(probe.template.minutiae.quality[visible])
+                again.append(there[visible])
+                rows.append(design[visible])
+                sets += [name] * int(visible.sum())
     values, hit, design = (
         np.concatenate(quality).astype(float),
         np.concatenate(again),

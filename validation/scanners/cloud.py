@@ -124,7 +124,7 @@ def fitted(points: FloatArray, pitch_mm: float | None) -> tuple[FloatArray, Bool
     weight = 1.0 / np.maximum(n, 1e-6)
     x, y, z = x * weight, y * weight, z * weight
     # a slope for few points, too
-    xx, yy = (two * weight - one * one + 0.02 for two, one in ((xx, x), (yy, y)))
+    xx, yy = (square * weight - mean * mean + 0.02 for square, mean in ((xx, x), (yy, y)))
     xy, xz, yz = xy * weight - x * y, xz * weight - x * z, yz * weight - y * z
     height = z - (x * (xz * yy - yz * xy) + y * (yz * xx - xz * xy)) / (xx * yy - xy * xy)
     mask = np.ascontiguousarray((n >= 0.5) & (x * x + y * y < 0.6))
@@ -163,8 +163,8 @@ def gathered(m: FloatArray) -> FloatArray:
             xz + side * z,
             yz,
         )
-        for total, one in zip(out, moved, strict=True):
-            total[:, here] += np.float32(0.5) * one
+        for total, neighbour in zip(out, moved, strict=True):
+            total[:, here] += np.float32(0.5) * neighbour
     return out
 
 
@@ -203,6 +203,6 @@ if __name__ == "__main__":
     parser.add_argument("--unit-mm", type=float, default=1.0)
     parser.add_argument("--pitch-mm", type=float)
     parser.add_argument("--tip-direction-deg", type=float)
-    given = parser.parse_args()
-    points_mm = points_of(given.file, given.up, given.unit_mm)
-    result_of_points(points_mm, given.pitch_mm, given.tip_direction_deg).save(given.out)
+    options = parser.parse_args()
+    points_mm = points_of(options.file, options.up, options.unit_mm)
+    result_of_points(points_mm, options.pitch_mm, options.tip_direction_deg).save(options.out)

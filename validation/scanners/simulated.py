@@ -175,8 +175,9 @@ def stripe(period: float, step: int, steps: int, gamma: float = 1.1) -> Pattern:
     level = (
         np.rint(255 * structured_light.fringes(at, period, step, steps)).astype(np.float64) / 255
     )
-    shown = cv2.GaussianBlur(level[None] ** gamma, (0, 0), PROJECTOR_BLUR_MM / PROJECTOR_PX_MM)[0]
-    return lambda row: np.interp(row, at, shown)
+    blur_px = PROJECTOR_BLUR_MM / PROJECTOR_PX_MM
+    projected = cv2.GaussianBlur(level[None] ** gamma, (0, 0), blur_px)[0]
+    return lambda row: np.interp(row, at, projected)
 
 
 def line(centre: float) -> Pattern:
@@ -194,14 +195,14 @@ def stripes(finger: Fingers, channel: str = "blue", periods: tuple[float, ...] =
             channel, lamp, [stripe(period, k, STEPS) for period in periods for k in range(STEPS)]
         )
     )
-    images = np.stack([sight.record(one, brightest) for one, _ in shots])
+    images = np.stack([sight.record(shot, brightest) for shot, _ in shots])
     images[:, (images >= 1.0).any(axis=0)] = np.nan
     begun = time.process_time()
     decoded = structured_light.decode(
         images.reshape(len(periods), STEPS, *images.shape[1:]), periods
     )
     cloud, _ = structured_light.scan(sight.view, lamp, decoded)
-    return cloud, sum(one for _, one in shots) / unit, time.process_time() - begun
+    return cloud, sum(shot for _, shot in shots) / unit, time.process_time() - begun
 
 
 def laser_line(finger: Fingers) -> Scan:
@@ -217,9 +218,9 @@ def laser_line(finger: Fingers) -> Scan:
 
     def frames() -> Iterator[FloatArray]:
         nonlocal light, busy
-        for one, on_skin in sight.light("red", lamp, plan):
+        for radiance, on_skin in sight.light("red", lamp, plan):
             light += on_skin
-            shot = sight.record(one, brightest)
+            shot = sight.record(radiance, brightest)
             begun = time.process_time()
             yield shot
             busy += time.process_time() - begun
@@ -241,7 +242,7 @@ def depth_from_focus(finger: Fingers) -> Scan:
         for z in heights
     )
     stack = np.stack(
-        [sight.record(defocus(radiance[..., None], one)[..., 0], brightest) for one in sigmas]
+        [sight.record(defocus(radiance[..., None], sigma)[..., 0], brightest) for sigma in sigmas]
     )
     begun = time.process_time()
     number, _ = focus.depth(stack, 0.4 * PX_PER_MM)

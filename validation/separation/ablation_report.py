@@ -134,13 +134,13 @@ def _cut(key: str, figure: Tree, sign: str) -> Tree:
 
 
 def _cell(figure: Tree, digits: int, sign: str) -> str:
-    def shown(value: float) -> str:
+    def formatted(value: float) -> str:
         return f"{value:{sign}z.{digits}f}"
 
     if figure["interval"] is None:
-        return shown(figure["mean"])
+        return formatted(figure["mean"])
     low, high = figure["interval"]
-    return f"{shown(figure['mean'])} [{shown(low)}, {shown(high)}]"
+    return f"{formatted(figure['mean'])} [{formatted(low)}, {formatted(high)}]"
 
 
 def section(results: Tree) -> str:
@@ -186,7 +186,7 @@ def contrast_rows(results: Tree) -> list[list[str]]:
     ]
 
 
-def contrast_section(results: Tree, shown: Sequence[str] = CONTRAST_SHOWN) -> str:
+def contrast_section(results: Tree, row_names: Sequence[str] = CONTRAST_SHOWN) -> str:
     """Rows of the contrast enhancement as a table of the page."""
     seeds = results["seeds"]
     head, *rows = contrast_rows(results)
@@ -200,7 +200,7 @@ def contrast_section(results: Tree, shown: Sequence[str] = CONTRAST_SHOWN) -> st
         "",
         "| " + " | ".join(head) + " |",
         "| --- " * len(head) + "|",
-        *("| " + " | ".join(row) + " |" for row in rows if row[0] in shown),
+        *("| " + " | ".join(row) + " |" for row in rows if row[0] in row_names),
     ]
     return "\n".join(lines)
 

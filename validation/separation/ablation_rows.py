@@ -193,8 +193,8 @@ class Bench:
     def figures(self, name: str) -> dict[str, Any]:
         """Of one row, or why there are none."""
         try:
-            found = self.reconstructed(ROWS[name])
-            figures = compare(found, self.twin.truth).figures
+            result = self.reconstructed(ROWS[name])
+            figures = compare(result, self.twin.truth).figures
         except BadInput as error:
             return {"refused": str(error)}
         return {key: float(figures[key]) for key in FIGURES}

@@ -102,8 +102,8 @@ def cylinder(px_per_mm: float = 10.0) -> SimulatedSurface:
     height = np.where(mask, z, np.nan).astype(np.float32)
     row = np.where(inside[:, None], _normals(np.stack([x, 0.0 * x, z])).T, 0.0)
     normals = np.broadcast_to(row, (*shape, 3)).astype(np.float32)
-    zero, one = np.zeros(shape, dtype=np.float32), np.ones(shape, dtype=np.float32)
-    return SimulatedSurface(camera, height, height, normals, normals, zero, mask, one)
+    zero, full_weight = np.zeros(shape, dtype=np.float32), np.ones(shape, dtype=np.float32)
+    return SimulatedSurface(camera, height, height, normals, normals, zero, mask, full_weight)
 
 
 def main() -> None:
