@@ -49,7 +49,8 @@ def main() -> None:
     parser.add_argument("--rounds", type=int, default=5)
     rounds = parser.parse_args().rounds
     cv2.setNumThreads(1)
-    finger, camera = draw_finger(1), default_rig(SURFACE).camera
+    finger = draw_finger(1)
+    camera = default_rig(SURFACE).camera
     master = finger.master()
     seen = [
         finger_surface(replace(finger, printed=master), pose, camera)

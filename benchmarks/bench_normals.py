@@ -68,8 +68,10 @@ def main() -> None:
     bear = folder / "diligent" / "bear.npz"
     if bear.is_file():
         with np.load(bear) as data:
-            photographs, directions = data["images"].astype(np.float32) / 65535, data["lights"]
-            inside, truth = data["mask"].astype(bool), data["normals"]
+            photographs = data["images"].astype(np.float32) / 65535
+            directions = data["lights"]
+            inside = data["mask"].astype(bool)
+            truth = data["normals"]
         real = {
             "lambertian": lambda: lambertian(photographs, directions, inside)[0],
             "robust": lambda: robust(photographs, directions, inside)[0],

@@ -173,7 +173,8 @@ def table(scale: float, presets: Sequence[str], rounds: int) -> None:
         writing = best.facts["total_s"] - sum(stages.values())
         cells = [f"{stages.get(stage, 0.0):.2f}" for stage in STAGES] + [f"{writing:.2f}"]
         median = statistics.median(run.wall_s for run in runs)
-        cpu, peak = min(run.cpu_s for run in runs), max(run.peak_mb for run in runs)
+        cpu = min(run.cpu_s for run in runs)
+        peak = max(run.peak_mb for run in runs)
         print(
             f"| `{preset}` | {best.wall_s:.2f} / {median:.2f} | {cpu:.2f} | {peak:.0f} |"
             f" {' | '.join(cells)} |"

@@ -39,7 +39,8 @@ def race(contenders: dict[str, Callable[[], Any]], rounds: int = 5) -> list[Row]
     seconds: dict[str, list[tuple[float, float]]] = {name: [] for name in contenders}
     for _ in range(rounds):
         for name, run in contenders.items():
-            start, busy = time.perf_counter(), time.process_time()
+            start = time.perf_counter()
+            busy = time.process_time()
             run()
             seconds[name].append((time.perf_counter() - start, time.process_time() - busy))
     return [Row(name, results[name], *zip(*taken, strict=True)) for name, taken in seconds.items()]

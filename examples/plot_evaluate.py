@@ -54,7 +54,8 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument("--out", type=Path, help="folder for pictures; none are written without it")
     options = parser.parse_args(arguments)
     count = options.fingers
-    finger, session = np.tile(np.arange(count), 2), np.repeat(np.arange(2), count)
+    finger = np.tile(np.arange(count), 2)
+    session = np.repeat(np.arange(2), count)
     sides = [
         Prepared(template(100 + f, s, options.scale)) for f, s in zip(finger, session, strict=True)
     ]

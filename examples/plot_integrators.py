@@ -76,7 +76,8 @@ def main(arguments: list[str] | None = None) -> int:
     )
     for scales in (3, 4, 5):
         height = shapelets(p, q, mask, ShapeletSettings(scales=scales))
-        e, t = height[inner] - height[inner].mean(), ridge[inner] - ridge[inner].mean()
+        e = height[inner] - height[inner].mean()
+        t = ridge[inner] - ridge[inner].mean()
         print(
             f"  shapelets, {scales} scales: gain at the ridges {np.sum(e * t) / np.sum(t * t):.2f}"
         )

@@ -144,7 +144,9 @@ def _check_beam(hole: LedHole, d: RigDimensions) -> None:
     fraction = np.linspace(0.0, 0.999, _SAMPLES)[:, None, None]
     way = hole.light_mm + fraction * (d.lit_corners - hole.light_mm)  # (samples, corners, 3)
     finger, wall = d.settings.finger, d.settings.joint.wall_mm
-    x, y, z = np.abs(way[..., 0]), way[..., 1], way[..., 2] - d.floor_z_mm
+    x = np.abs(way[..., 0])
+    y = way[..., 1]
+    z = way[..., 2] - d.floor_z_mm
     roof = finger.hand_height_mm + finger.hand_width_mm / 2 + wall * math.sqrt(2.0) - x
     in_niche = np.asarray(
         (y < d.niche_inner_y_mm) & (x < finger.hand_width_mm / 2 + wall) & (z < roof)

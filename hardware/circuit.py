@@ -173,7 +173,8 @@ def _orders(circuit: Circuit) -> dict[str, tuple[str, ...]]:
     for channel in circuit.channels:
         # of the size 0207: those of 0.6 W fit where 0.25 W would do
         for part in channel.stage.resistors:
-            text, code = _ohm_text(part.ohm), _maker_code(part.ohm)
+            text = _ohm_text(part.ohm)
+            code = _maker_code(part.ohm)
             check = (
                 f"{text}, 1 %, {part.rating_w:g} W or more, body not longer than the footprint's"
             )
@@ -208,7 +209,8 @@ def _bill_of_materials(circuit: Circuit) -> list[list[str]]:
         footprint,
         "F1",
     ]
-    orders, values = _orders(circuit), _values(circuit)
+    orders = _orders(circuit)
+    values = _values(circuit)
     lines: dict[tuple[str, ...], list[str]] = {}
     for ref in [*_SUPPLY, *(ref for ref in values if ref not in _SUPPLY)]:
         value = values.get(ref, rows[ref][1])
@@ -245,7 +247,8 @@ def _second_board(rig: Rig, apart: Sequence[int], settings: SimpleNamespace) -> 
     own. Side lights get the current that their intensity asks for; a line pulled up at power-on
     gets a stronger pull-down.
     """
-    white, pins = [k for k, led in enumerate(rig.leds) if led.band == "white"], pins_of(rig)
+    white = [k for k, led in enumerate(rig.leds) if led.band == "white"]
+    pins = pins_of(rig)
     if side_lights(rig.leds) == apart:
         own, others = (
             np.mean([rig.leds[k].intensity for k in white if (k in apart) == it])
@@ -281,8 +284,10 @@ def write_circuit(out: Path, s: SimpleNamespace) -> dict[str, Any]:
     ``films.svg``; LEDs of the crossed series, or side lights, a second board. BadInput if no stage
     can be made of these parts, or its light would be above a limit.
     """
-    rig, settings = rig_of(s), s.circuit
-    films, side = rig_films(rig), side_lights(rig.leds)
+    rig = rig_of(s)
+    settings = s.circuit
+    films = rig_films(rig)
+    side = side_lights(rig.leds)
     apart = films.crossed if films is not None and films.kind == "neighbours" else side
     last = [k for k, led in enumerate(rig.leds) if led.band == "white"][-len(side) :]
     require(

@@ -120,7 +120,8 @@ def write_parts(out: Path, s: SimpleNamespace) -> dict[str, Any]:
         }
     stack = list(STACK_BELOW if s.rig.below else STACK)
     stack[2:2] = [name for name in ("side_lamp", *FILM_PARTS) if name in solids]
-    turn, shapes = Rot(180, 0, 0) if s.rig.below else Rot(0, 0, 0), []
+    turn = Rot(180, 0, 0) if s.rig.below else Rot(0, 0, 0)
+    shapes = []
     for name in stack:
         for place in side_places(d) if name == "side_lamp" else [Location()]:
             shapes.append(turn * (place * solids[name]))

@@ -104,7 +104,8 @@ def _neighbour(led: Led, leds: Sequence[Led]) -> Led:
         )
         / 2
     )
-    cos, sin = math.cos(turn), math.sin(turn)
+    cos = math.cos(turn)
+    sin = math.sin(turn)
 
     def turned(vector: tuple[float, float, float] | None) -> tuple[float, float, float] | None:
         return vector and (
@@ -248,8 +249,11 @@ def film_mounts(d: RigDimensions) -> FilmMounts:
     gaps = np.diff(azimuths, append=azimuths[0] + math.tau)
     wide = (azimuths + gaps / 2)[gaps > 0.9 * gaps.max()]
     count = min(4, len(wide))
-    window, aperture = spread + 0.8 * max(hole.radius_mm for hole in d.holes), max(6.0, 3.2 + seen)
-    piece, analyser_piece, diagonal = 2 * window + 1.2, 2 * aperture + 1.4, math.sqrt(0.5)
+    window = spread + 0.8 * max(hole.radius_mm for hole in d.holes)
+    aperture = max(6.0, 3.2 + seen)
+    piece = 2 * window + 1.2
+    analyser_piece = 2 * aperture + 1.4
+    diagonal = math.sqrt(0.5)
     away = [math.hypot(x, y) for x, y in middles.tolist()]
     mounts = FilmMounts(
         kind=films.kind,

@@ -153,7 +153,8 @@ def radiant_intensity(part: SimpleNamespace, band: str) -> float:
     )
     intensity = w_sr or cd / (_KM * float(_SPECTRA[band] @ _luminous(_WAVELENGTHS_NM)))
     lobe = np.log(0.5) / np.log(np.cos(np.radians(part.half_angle_deg)))
-    flux_w, power_w = float(2 * np.pi * intensity / (lobe + 1)), part.forward_v * part.current_a
+    flux_w = float(2 * np.pi * intensity / (lobe + 1))
+    power_w = part.forward_v * part.current_a
     require(
         flux_w <= power_w,
         f"{which} data give {flux_w:.2g} W of light from {power_w:.2g} W of power; check its"

@@ -149,7 +149,8 @@ def _sink(band: str, led: SimpleNamespace, s: SimpleNamespace) -> Stage:
         current(*c)
         for c in product(high, t.base_v, t.gain, (-s.resistor_spread, s.resistor_spread))
     ]
-    low, top = min(corners), max(corners)
+    low = min(corners)
+    top = max(corners)
     middle = current(sum(high) / 2, sum(t.base_v) / 2, sum(t.gain) / 2, 0.0)
     over_emitter = top * emitter * (1 + s.resistor_spread) * (1 + 1 / t.gain[0])
     spare = min_v - led.forward_v - led.spread_v - over_emitter - MIN_HEADROOM_V
@@ -215,10 +216,8 @@ def _resistors(**parts: tuple[float, float]) -> tuple[Resistor, ...]:
 def _check(stage: Stage, s: SimpleNamespace) -> None:
     t, led = s.transistor, stage.led
     low, _, top = stage.current_a
-    which, remedy = (
-        f"the {stage.band} stage",
-        "take another LED current or a transistor with less spread.",
-    )
+    which = f"the {stage.band} stage"
+    remedy = "take another LED current or a transistor with less spread."
     if s.topology == "switch":
         remedy = (
             "a higher circuit.supply_v makes it less dependent on the LED's voltage, or set"

@@ -416,7 +416,8 @@ def write_network(out, name, training, what, channels, depth, facts):  # noqa: P
     file.with_suffix(".json").write_bytes(card_bytes(name, weights, {**head, **facts}))
     sides = (1, channels[0], 10 * 2**depth, 11 * 2**depth)
     probe = np.random.default_rng(0).uniform(-0.3, 0.3, sides).astype(np.float32)
-    exported, wanted = run_network(network_of(*read_network(file)), probe), training.run(probe)
+    exported = run_network(network_of(*read_network(file)), probe)
+    wanted = training.run(probe)
     difference = float(np.abs(exported - wanted).max() / np.abs(wanted).max())
     if difference > MAX_DIFFERENCE:
         raise SystemExit(

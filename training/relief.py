@@ -182,7 +182,8 @@ def _piece(surface, window, skin, rig, scale, name, rng):  # noqa: PLR0917
     brightest = max(float(np.percentile(diffuse[:, :, inside], 99.5)), 1e-12)
     exposure = np.float32(BRIGHTEST_LEVEL / brightest * rng.uniform(*EXPOSURE_FACTOR))
     blur_px = float(rng.uniform(*BLUR_PX)) if rng.random() < BLURRED_FRACTION else 0.0
-    images, sensor = [], draw_sensor(rng)
+    images = []
+    sensor = draw_sensor(rng)
     for k in range(len(rig.leds)):
         frame = np.moveaxis((diffuse[k] + glare[k]) * exposure, 0, -1)
         if blur_px > 0:
@@ -217,7 +218,8 @@ def _placed(light, band, window):
     )
     into, source = [...], [...]
     for own, part in zip(band.window, window, strict=True):
-        low, high = max(own.start, part.start), min(own.stop, part.stop)
+        low = max(own.start, part.start)
+        high = min(own.stop, part.stop)
         into.append(slice(low - part.start, high - part.start))
         source.append(slice(low - own.start, high - own.start))
     piece[tuple(into)] = light[tuple(source)]
@@ -264,7 +266,8 @@ def judge(run, sample, stride):
         slice(int(start), int(start + side)) for start, side in zip(starts, sides, strict=True)
     )
     sample = np.asarray(sample[:, rows, columns], dtype=np.float32)
-    output, counts = run(sample[:32]), sample[WEIGHT_CHANNEL] > 0.5
+    output = run(sample[:32])
+    counts = sample[WEIGHT_CHANNEL] > 0.5
     if not counts.any():
         return dict.fromkeys(("correlation", "gain", "rms_um", "error_ratio", "glare_r2"), math.nan)
     drawn, truth = (

@@ -122,7 +122,8 @@ def _photograph(surface, seed, labels, patches, grey):
     rng = np.random.default_rng(draw_seed)
     skin = SKIN.draw(rng)
     low, high = LED_RADIUS_MM
-    radius, azimuth = low + (high - low) * rng.random(), 2.0 * np.pi * rng.random()
+    radius = low + (high - low) * rng.random()
+    azimuth = 2.0 * np.pi * rng.random()
     place = (
         float(radius * np.cos(azimuth)),
         float(radius * np.sin(azimuth)),

@@ -21,7 +21,9 @@ def lights_of_balls(data: Path) -> FloatArray:
     normals, light = [], []
     for ball in re.findall(r"r: ([\d.]+)\s+x: ([\d.-]+)\s+y: ([\d.-]+)", text):
         radius, column, row = (float(value) for value in ball)
-        reach, x0, y0 = int(0.6 * radius), round(column), round(row)
+        reach = int(0.6 * radius)
+        x0 = round(column)
+        y0 = round(row)
         if min(x0, y0) < reach or x0 + reach >= stack.shape[2] or y0 + reach >= stack.shape[1]:
             continue
         down, across = np.mgrid[-reach : reach + 1, -reach : reach + 1] / radius

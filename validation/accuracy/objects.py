@@ -133,10 +133,8 @@ def sphere(folder: Path) -> Object:
     rows, columns = np.nonzero(capture.mask)
     radius = (np.ptp(columns) + np.ptp(rows) + 2) / 4
     i, j = np.mgrid[0 : capture.shape[0], 0 : capture.shape[1]]
-    x, y = (
-        (j - (columns.min() + columns.max()) / 2) / radius,
-        ((rows.min() + rows.max()) / 2 - i) / radius,
-    )
+    x = (j - (columns.min() + columns.max()) / 2) / radius
+    y = ((rows.min() + rows.max()) / 2 - i) / radius
     z = np.sqrt(np.clip(1 - x * x - y * y, 0, None))
     normals = np.where((z > np.cos(np.radians(STEEPEST_DEG)))[..., None], np.dstack([x, y, z]), 0.0)
     grey = capture.bands["white"].pixels.mean(axis=-1)

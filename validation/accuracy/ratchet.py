@@ -85,7 +85,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     options = parser.parse_args(arguments)
     results = json.loads(options.results.read_text())
     if options.reset:
-        kept, worse = stored(results), []
+        kept = stored(results)
+        worse = []
     else:
         thresholds = json.loads(options.thresholds.read_text())
         worse = slipped(results, thresholds)

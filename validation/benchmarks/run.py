@@ -215,7 +215,10 @@ def prints(
     pairs = list(
         itertools.product(*sides) if against is not None else itertools.combinations(sides[0], 2)
     )
-    labels, scores, decided, missing = [], [], [], set()
+    labels = []
+    scores = []
+    decided = []
+    missing = set()
     with tempfile.TemporaryDirectory() as scratch:
         templates = []
         for k, side in enumerate(sides):
@@ -228,14 +231,17 @@ def prints(
                 except BadInput as error:
                     missing.add(f"{path.name}: {error}")
         for a, b in pairs:
-            first, second = templates[0].get(a), templates[-1].get(b)
+            first = templates[0].get(a)
+            second = templates[-1].get(b)
             answer = match(first, second) if first is not None and second is not None else None
             labels.append(a[0] == b[0])
             scores.append(answer.similarity if answer is not None and answer.compared else np.nan)
             decided.append(
                 answer is not None and answer.decision is not None and answer.decision.match
             )
-    label, score, accepted = np.array(labels), np.array(scores), np.array(decided)
+    label = np.array(labels)
+    score = np.array(scores)
+    accepted = np.array(decided)
     require(
         label.any() and not label.all(),
         "the pairs need two samples of one finger, and two fingers.",

@@ -179,7 +179,8 @@ def figures(result: Reconstruction, capture: Capture, truth: dict[str, Any]) -> 
     """What `compare` gives, and where the points lie."""
     figure = dict(compare(result, truth).figures)
     seen = result.mask & truth["mask"] & np.isfinite(truth["height_mm"])
-    height, true = result.height_mm[seen].astype(float), truth["height_mm"][seen].astype(float)
+    height = result.height_mm[seen].astype(float)
+    true = truth["height_mm"][seen].astype(float)
     above = true - true.mean()
     rows_px, columns_px = capture.shape
     if result.x_mm is None or result.y_mm is None:

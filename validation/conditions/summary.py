@@ -53,7 +53,8 @@ def interval(values: np.ndarray, rounds: int = 2000) -> tuple[float, float]:
 
 def outside(figure: str, value: float, clean: np.ndarray) -> float:
     """How far a value lies beyond the clean captures' range, in widths of that range; 0 inside."""
-    low, high = float(clean.min()), float(clean.max())
+    low = float(clean.min())
+    high = float(clean.max())
     width = max(high - low, 1e-9)
     below, above = (low - value) / width, (value - high) / width
     if figure in WORSE_WHEN_LOWER:

@@ -78,7 +78,8 @@ def jpeg(quality: int) -> Callable[[Pixels], Pixels]:
 
 def damages(capture: Capture, second_finger: Capture) -> dict[str, Capture]:
     """Damaged captures by name."""
-    rng, both = np.random.default_rng(0), "white nir"
+    rng = np.random.default_rng(0)
+    both = "white nir"
 
     def noisy(image: Pixels) -> Pixels:
         return np.clip(image + rng.normal(0.0, 1.5, image.shape), 0, 255).astype(np.uint8)
@@ -177,7 +178,8 @@ def stated(
 
 def mistakes(capture: Capture, truth: dict[str, Any], seed: int) -> dict[str, tuple[Capture, str]]:
     """What people do wrong with a camera or a rig file, and the word that names it."""
-    rng, both = np.random.default_rng(seed), "white nir"
+    rng = np.random.default_rng(seed)
+    both = "white nir"
     gains = 1 + rng.uniform(-0.15, 0.15, (9, 3)).astype(np.float32)
     level = float(np.quantile(capture.bands["white"].pixels[:, truth["mask"]], 0.9)) / 255
     facing = np.nan_to_num(np.clip(truth["normals"] @ [0.3, 0.2, 0.93], 0, 1)).astype(np.float32)[

@@ -159,7 +159,9 @@ def search(file: Path, probes: list[bytes]) -> tuple[float, int, list[tuple[floa
     gallery = Gallery(file)
     started = time.process_time()
     gallery.identify(probes[0])
-    first_s, taken, matches = time.process_time() - started, [], 0
+    first_s = time.process_time() - started
+    taken = []
+    matches = 0
     for probe in probes:
         before = time.perf_counter(), time.process_time()
         matches += gallery.identify(probe).answer == "match"
@@ -191,7 +193,8 @@ def joined(prints: list[Template], count: int) -> list[Template]:
         if a is b or a.minutiae is None or b.minutiae is None:
             continue
         shape = tuple(np.maximum(a.valid.shape, b.valid.shape) + 2)
-        level, valid = np.zeros(shape, np.uint8), np.zeros(shape, bool)
+        level = np.zeros(shape, np.uint8)
+        valid = np.zeros(shape, bool)
         half, parts = shape[0] // 2, []
         for source, upper in ((a, True), (b, False)):
             rows, columns = source.valid.shape
@@ -230,8 +233,10 @@ def joined(prints: list[Template], count: int) -> list[Template]:
 
 def write(ranks: list[tuple[str, int]]) -> None:
     """Write the table of lost pairs."""
-    owner, place = np.array([name for name, _ in ranks]), np.array([rank for _, rank in ranks])
-    fingers, rng = np.unique(owner), np.random.default_rng(0)
+    owner = np.array([name for name, _ in ranks])
+    place = np.array([rank for _, rank in ranks])
+    fingers = np.unique(owner)
+    rng = np.random.default_rng(0)
     rows: list[list[object]] = [
         [
             "captures",
@@ -246,7 +251,8 @@ def write(ranks: list[tuple[str, int]]) -> None:
     ]
     for compared in COMPARED:
         out = place >= compared
-        lost, n = int(out.sum()), len(out)
+        lost = int(out.sum())
+        n = len(out)
         sums = np.array(
             [[out[owner == finger].sum(), (owner == finger).sum()] for finger in fingers]
         )

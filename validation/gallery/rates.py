@@ -48,7 +48,8 @@ def main() -> None:
     )
     parser.add_argument("--cache", type=Path, default=Path("/tmp/splitknit_fvc_templates.pkl"))
     cache = parser.parse_args().cache
-    payloads, cut = templates(cache), windows(cache.with_name("splitknit_fvc_windows.pkl"))
+    payloads = templates(cache)
+    cut = windows(cache.with_name("splitknit_fvc_windows.pkl"))
     prints = {name: unpack(payload) for name, payload in payloads.items()}
     counts: dict[tuple[str, str], list[tuple[bool, bool, float]]] = {}
     for fold in (0, 1):

@@ -144,10 +144,8 @@ def prints(name: str, job: Job) -> tuple[list[Image], list[str], list[int]]:
                 f"there are no prints in '{folder}'; name the folder of the data by SPLITKNIT_DATA."
             )
         images = [at_500_ppi(read_print_png(file).image, PPI.get(name, 500.0)) for file in files]
-        owner, impression = (
-            [file.stem.split("_")[0] for file in files],
-            [int(file.stem.split("_")[1]) - 1 for file in files],
-        )
+        owner = [file.stem.split("_")[0] for file in files]
+        impression = [int(file.stem.split("_")[1]) - 1 for file in files]
     if job.turn:
         angles = np.random.default_rng([TURNS_SEED, len(images)]).uniform(0, 360, len(images))
         images = [
@@ -251,10 +249,8 @@ def pooled(runs: Sequence[SetScores], name: str) -> SetScores:
         finger=ids,
         name=name,
     )
-    spent, first = (
-        float(np.mean([run.milliseconds for run in runs])),
-        np.concatenate([run.first for run in runs]),
-    )
+    spent = float(np.mean([run.milliseconds for run in runs]))
+    first = np.concatenate([run.first for run in runs])
     return SetScores(scores, first, spent, np.concatenate([run.evidence for run in runs]))
 
 
@@ -282,7 +278,9 @@ def logistic(
     """Weighted logistic regression, held back a little (3e-3 on standardised columns), by Newton's
     steps."""
     scale = np.append(x[:, :-1].std(axis=0), 1.0)
-    z, hold, answer = x / scale, np.append(np.full(x.shape[1] - 1, 3e-3), 0.0), np.zeros(x.shape[1])
+    z = x / scale
+    hold = np.append(np.full(x.shape[1] - 1, 3e-3), 0.0)
+    answer = np.zeros(x.shape[1])
     for _ in range(100):
         rate = 1 / (1 + np.exp(-(z @ answer)))
         bend = (z * (weight * rate * (1 - rate) + 1e-12)[:, None]).T @ z + np.diag(hold + 1e-9)

@@ -154,7 +154,8 @@ def seen(body: Body, rays: Array, eye: Array) -> tuple[NDArray[np.bool_], Array,
     middle = np.array([body.aside_mm, body.ahead_mm, -body.behind_mm])
     start = eye - middle
     a, c, length, k = body.half_mm, body.half_mm * body.depth, body.length_mm, body.taper
-    best, where = np.full(rays.shape[:2], np.inf), np.zeros(rays.shape[:2], np.int8)
+    best = np.full(rays.shape[:2], np.inf)
+    where = np.zeros(rays.shape[:2], np.int8)
     scale_x, scale_z = 1 / a**2, 1 / c**2
     dx, dy, dz = rays[..., 0], rays[..., 1], rays[..., 2]
     for part in (0, 1):  # the cone of the body, the ellipsoid of the tip
@@ -341,7 +342,8 @@ def view(body: Body, hand: str, rng: np.random.Generator) -> tuple[Array, Array,
     px_per_mm = width_px / (2 * body.half_mm)
     focal = px_per_mm * far
     turn = rng.uniform(-np.pi, np.pi)
-    cos, sin = np.cos(turn), np.sin(turn)
+    cos = np.cos(turn)
+    sin = np.sin(turn)
     ahead = np.array([-sin, -cos])  # of the tip, in the image (right, down)
     tip = (
         np.array([columns, rows]) / 2
@@ -351,7 +353,8 @@ def view(body: Body, hand: str, rng: np.random.Generator) -> tuple[Array, Array,
     row, column = np.indices(CANVAS).astype(np.float64)
     x, y = (column - tip[0]) / focal, -(row - tip[1]) / focal
     rays = np.stack([cos * x + sin * y, -sin * x + cos * y, -np.ones(CANVAS)], -1)
-    roll, pitch = np.radians(rng.normal(0, 8)), np.radians(rng.normal(0, 9))
+    roll = np.radians(rng.normal(0, 8))
+    pitch = np.radians(rng.normal(0, 9))
     rx = np.array(
         [[1, 0, 0], [0, np.cos(pitch), -np.sin(pitch)], [0, np.sin(pitch), np.cos(pitch)]]
     )
@@ -378,7 +381,8 @@ def photographed(number: int, take: int, folder: Path, hand: str, scene: str) ->
     }
     skin = colour_of_skin(rng)
     picture = behind(scene, folder, rng)
-    masks, hits = [np.zeros(CANVAS, np.bool_) for _ in bodies], []
+    masks = [np.zeros(CANVAS, np.bool_) for _ in bodies]
+    hits = []
     for finger in bodies:
         hit, point, normal, uv = seen(finger, rays, eye)
         hits.append((hit, np.where(hit, np.linalg.norm(point - eye, axis=-1), np.inf), normal, uv))
@@ -498,7 +502,8 @@ def scores(count: int, work: Path, write: bool) -> None:
 
 def tables(rows: list[dict[str, object]], write: bool) -> dict[str, FmrTable]:
     """Tables of impostors: of all, of two photographs, of a photograph and a press."""
-    fmr_tables, fingers = {}, len({str(row["a"])[:-2] for row in rows})
+    fmr_tables = {}
+    fingers = len({str(row["a"])[:-2] for row in rows})
     for kind, what, sides in (
         ("", "against each other and presses", (True, False)),
         ("_alone", "against each other", (False,)),
@@ -529,7 +534,8 @@ def genuine(row: dict[str, object]) -> bool:
 def rated(rows: list[dict[str, object]]) -> None:
     """Equal error rate and rates above all impostors of a kind, by least quality; intervals of 95 %
     draw fingers."""
-    rng, fmr_tables = np.random.default_rng(0), tables(rows, write=False)
+    rng = np.random.default_rng(0)
+    fmr_tables = tables(rows, write=False)
     table = np.array(
         [
             (

@@ -111,11 +111,9 @@ def tasks(number: int, owner: list[str], impression: list[int], count: int) -> l
     everyone = np.array(owner)
     whole = []
     for k in range(count):
-        n, mm, which = (
-            int(rng.integers(len(owner))),
-            int(rng.choice(SIZES_MM)),
-            str(rng.choice(["middle", "drawn"])),
-        )
+        n = int(rng.integers(len(owner)))
+        mm = int(rng.choice(SIZES_MM))
+        which = str(rng.choice(["middle", "drawn"]))
         same = k % 5 == 4
         others = [m for m in np.flatnonzero((everyone == owner[n]) == same).tolist() if m != n]
         whole.append(Task(WHOLE, number, mm, same, (n, mm, which), int(rng.choice(others))))
@@ -146,11 +144,9 @@ def second(owners: list[list[str]]) -> list[Task]:
     for k in range(IMPOSTOR_COUNT // 4):
         number = k % len(owners)
         owner = np.array(owners[number])
-        n, mm, which = (
-            int(rng.integers(len(owner))),
-            int(rng.choice(SIZES_MM)),
-            str(rng.choice(["middle", "drawn"])),
-        )
+        n = int(rng.integers(len(owner)))
+        mm = int(rng.choice(SIZES_MM))
+        which = str(rng.choice(["middle", "drawn"]))
         others = rng.choice(np.flatnonzero(owner != owner[n]), 4, replace=False)
         chosen += [
             Task(WHOLE, number, mm, False, (n, mm, which), int(reference)) for reference in others
@@ -180,7 +176,8 @@ def compare(job: Job, most: int) -> None:
             sides[number, key] = Prepared(features_of(image, "template", job))
         return sides[number, key]
 
-    rows, begun = [], time.monotonic()
+    rows = []
+    begun = time.monotonic()
     for task in [*first(todo), *second(owners), *third(owners)][len(known) : most]:
         reference = task.reference if task.kind != TOUCHES else (task.reference, task.mm, "middle")
         own = task.window[0] if task.kind == PRINTS else task.window
@@ -310,7 +307,8 @@ def report(rows: NDArray[np.float64]) -> tuple[dict[str, Any], NDArray[np.float6
     for set_number in range(len(SETS)):
         part = number == set_number
         score[part] = scored(rows[part], fitted(rows[~part]))
-    overlap, small = np.nan_to_num(rows[:, 9]), ~np.isnan(rows[:, 9])
+    overlap = np.nan_to_num(rows[:, 9])
+    small = ~np.isnan(rows[:, 9])
     facts: dict[str, Any] = {"comparisons": len(rows), "sizes": {}, "by_overlap": {}, "sets": {}}
     for which, name in ((TOUCHES, "touch to touch"), (WHOLE, "window to whole print")):
         for size in SIZES_MM:
@@ -371,7 +369,9 @@ def table_of(impostor: NDArray[np.float64], what: str, **more: float) -> dict[st
 def write(facts: dict[str, Any], rows: NDArray[np.float64], constants: Constants) -> None:
     """Figures, and the tables that the matcher ships; constants are copied by hand into
     ``matching/fusion.py``."""
-    score, same, small = scored(rows, constants), rows[:, 3] == 1, ~np.isnan(rows[:, 9])
+    score = scored(rows, constants)
+    same = rows[:, 3] == 1
+    small = ~np.isnan(rows[:, 9])
     part = (rows[:, 0] != PRINTS) & small & ~same & (np.nan_to_num(rows[:, 9]) >= RATED_MM2)
     what = "windows of 16 to 100 mm² of real prints of seven sensors"
     made_ = table_of(score[part], what, rated_mm2=RATED_MM2, excluded_mm2=EXCLUDED_MM2)

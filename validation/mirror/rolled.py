@@ -149,10 +149,8 @@ def main() -> None:
         for number in range(options.rolls)
         for seed in fingers
     ]
-    rows, refused = (
-        [row for row in every if "refused" not in row],
-        [row for row in every if "refused" in row],
-    )
+    rows = [row for row in every if "refused" not in row]
+    refused = [row for row in every if "refused" in row]
     facts = {
         "scale": options.scale,
         "camera": options.model,

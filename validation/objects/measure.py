@@ -75,7 +75,8 @@ def faults() -> dict[str, object]:
     for kind in ("blurred", "moved", "double", "overexposed"):
         named, others, ratios, refused = 0, 0, [], 0
         for seed in range(10):
-            target, rng = rendered(FIRST_SEED + seed), np.random.default_rng(seed)
+            target = rendered(FIRST_SEED + seed)
+            rng = np.random.default_rng(seed)
             k = int(rng.integers(8))
             try:
                 _, height, result = errors(target, spoilt(target.images, k, kind, rng))
@@ -125,7 +126,8 @@ def brightness() -> dict[str, object]:
         "eight_colours_given": [],
     }
     for seed in range(FIRST_SEED, FIRST_SEED + 12):
-        equal, unequal = rendered(seed), rendered(seed, strengths=0.3)
+        equal = rendered(seed)
+        unequal = rendered(seed, strengths=0.3)
         base = errors(equal)[0]
         rows["given"].append(errors(unequal, intensities=unequal.intensities)[0] - base)
         rows["estimated"].append(errors(unequal)[0] - base)
@@ -185,7 +187,8 @@ def bear() -> dict[str, object]:
     file = Path(os.environ.get("SPLITKNIT_DATA", "../shared/data")) / "diligent" / "bear.npz"
     if not file.is_file():
         return {}
-    data, rows = np.load(file), {}
+    data = np.load(file)
+    rows = {}
     for name, lights in (("listed", data["lights"]), ("unknown", None)):
         result = splitknit.reconstruct_images(data["images"], lights, data["mask"])
         inside = result.mask & data["mask"]

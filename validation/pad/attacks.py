@@ -330,7 +330,8 @@ def _absorption(scattering_per_mm: float, reflectance: float) -> float:
             - reflectance
         )
 
-    low, high = np.log(0.0021), np.log(60.0)
+    low = np.log(0.0021)
+    high = np.log(60.0)
     return scattering_per_mm * float(
         np.exp(low if excess(low) < 0 else brentq(excess, low, high, xtol=1e-3))
     )
@@ -369,7 +370,8 @@ def _copied(
     """Give a finger's surface the relief, the flatness and the layers of an instrument."""
     mask = surface.mask
     rng = np.random.default_rng([*_entropy(seed), 2])
-    pitch, weight = surface.camera.pitch_mm, mask.astype(np.float32)
+    pitch = surface.camera.pitch_mm
+    weight = mask.astype(np.float32)
     sigma = drawn["blur_mm"] / pitch
 
     def smooth(field: NDArray[Any]) -> FloatArray:
@@ -399,7 +401,8 @@ def _copied(
     shape = (1 - flat) * np.where(mask, surface.shape_mm, 0) + flat * plane
     shaped = (1 - flat) * shaped + flat * tilt[:, None, None]
     if drawn["layer_um"] > 0:
-        step, lean = drawn["layer_um"] / 1000, rng.normal(0.0, 0.2, 2)
+        step = drawn["layer_um"] / 1000
+        lean = rng.normal(0.0, 0.2, 2)
         along = shape + lean[0] * x + lean[1] * y
         width = step / np.maximum(np.hypot(shaped[0] + lean[0], shaped[1] + lean[1]), 1e-3) / pitch
         steps = np.where(

@@ -77,7 +77,8 @@ def _fit(live: Sequence[Row], attacks: Sequence[Row]) -> Model:
     names = list(SIDES)
     table = np.array([[row["features"][name] for name in names] for row in (*live, *attacks)])
     truth = np.arange(len(table)) < len(live)
-    mean, scale = table[truth].mean(axis=0), table[truth].std(axis=0)
+    mean = table[truth].mean(axis=0)
+    scale = table[truth].std(axis=0)
     away = (table - mean) / scale
     parts = suspicious(away).reshape(len(away), -1)
     used = np.array(list(SIDES.values()), dtype=bool).ravel()

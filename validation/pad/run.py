@@ -162,7 +162,8 @@ def changed(capture: Capture, how: str) -> Capture:
         return as_jpeg(capture)
     bands = {}
     for name, band in capture.bands.items():
-        pixels, keep = band.pixels, range(len(band.leds))
+        pixels = band.pixels
+        keep = range(len(band.leds))
         if how == "half":
             pixels = np.stack(
                 [

@@ -86,10 +86,8 @@ def truth_of(surface: SimulatedSurface, name: str) -> Reconstruction:
 def displaced(skin: SkinMap, change: Any) -> SkinMap:
     """Skin whose displacement (H, W) in mm is what `change` makes of it."""
     rows, columns = skin.coefficients.shape
-    u, v = (
-        skin.u0_mm + skin.pitch_mm * np.arange(columns),
-        skin.v0_mm - skin.pitch_mm * np.arange(rows),
-    )
+    u = skin.u0_mm + skin.pitch_mm * np.arange(columns)
+    v = skin.v0_mm - skin.pitch_mm * np.arange(rows)
     here = skin.displacement(*np.meshgrid(u, v))
     return replace(skin, coefficients=ndimage.spline_filter(change(here), order=3, mode="mirror"))
 
@@ -120,7 +118,8 @@ def on_gel(finger: SimulatedFinger, rng: np.random.Generator) -> Reconstruction:
     skin."""
     moved = deformed(finger.master(), draw_deformation(rng, finger.master(), 0.35, 5.0, 0.015))
     skin = skin_map(moved, replace(finger.skin, creases=()))
-    x, y = np.arange(-7.5, 7.5, PITCH_MM), np.arange(8.5, -8.5, -PITCH_MM)
+    x = np.arange(-7.5, 7.5, PITCH_MM)
+    y = np.arange(8.5, -8.5, -PITCH_MM)
     turn = np.deg2rad(rng.uniform(-8, 8))
     u = np.cos(turn) * x - np.sin(turn) * y[:, None] + rng.uniform(-1, 1)
     v = np.sin(turn) * x + np.cos(turn) * y[:, None] + 12.0 + rng.uniform(-1, 1)
@@ -191,7 +190,8 @@ def figures(pair: PairComparison) -> dict[str, Any]:
 
 def measured(number: int) -> dict[str, Any]:
     """All comparisons of one finger."""
-    finger, rig = draw_finger(number), default_rig(SCALE, number)
+    finger = draw_finger(number)
+    rig = default_rig(SCALE, number)
     master = finger.master()
     finger = replace(finger, printed=master)
     draws = [np.random.default_rng([number, 61, k]) for k in range(8)]
@@ -204,7 +204,8 @@ def measured(number: int) -> dict[str, Any]:
     def surface(k: int, map_: SkinMap) -> SimulatedSurface:
         return finger_surface(finger, poses[k], rig.camera, skin=map_, workers=1)
 
-    bare, second_press = surface(0, skin), surface(1, skin)
+    bare = surface(0, skin)
+    second_press = surface(1, skin)
     true = truth_of(bare, "bare")
     coated = {name: surface(1, coat) for name, coat in coats.items()}
     moved = truth_of(surface(1, powdered(own_skin, 10, draws[4])), "moved")

@@ -174,7 +174,9 @@ def drawn(
 def _images(case: Case, rig: Rig, surface: Any, fine: Any, lights: int) -> tuple[Array, Array]:
     """(L, H, W) parallel less crossed series, and (L, H, W) diffuse light, whose noise both
     have."""
-    camera, mask, normals = rig.camera, surface.mask, surface.normals.astype(float)
+    camera = rig.camera
+    mask = surface.mask
+    normals = surface.normals.astype(float)
     pitch, refraction = camera.pitch_mm, 1.42
     angle = float(case.seed % 7 * 20)
     films = mounted_films(

@@ -373,11 +373,9 @@ def make_polarised(
 
 def _walked(case: PolarisedCase, out: Path, walk: Callable[[], FingerLight]) -> FingerLight:
     """The light of a case, kept in a file that cases share."""
-    kept, parts, bands = (
-        out / f".{case.as_walked or case.name}_light.npz",
-        ("diffuse", "once"),
-        ("white", "nir"),
-    )
+    kept = out / f".{case.as_walked or case.name}_light.npz"
+    parts = ("diffuse", "once")
+    bands = ("white", "nir")
     if kept.exists():
         arrays = read_npz(kept)
         diffuse, once = ({name: arrays[f"{part}_{name}"] for name in bands} for part in parts)

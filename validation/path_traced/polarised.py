@@ -70,7 +70,8 @@ def _truth(folder: Path) -> Path:
 
 def both_ways(folder: Path) -> dict[str, dict[str, float]]:
     """Figures of :func:`score.score` from both series, and from their mean."""
-    capture, truth = splitknit.read_capture(folder), read_npz(_truth(folder))
+    capture = splitknit.read_capture(folder)
+    truth = read_npz(_truth(folder))
     truth.setdefault("px_mm", np.float64(capture.rig.camera.pitch_mm))
     ways = {"films": capture, "no films": without_films(capture)}
     return {way: _figures(series, truth) for way, series in ways.items()}

@@ -39,7 +39,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     words = list(sys.argv[1:] if arguments is None else arguments)
     try:
         require(len(words) == 2, "give a result folder and a truth: score.py RESULT TRUTH.")
-        result, truth = Path(words[0]), Path(words[1])
+        result = Path(words[0])
+        truth = Path(words[1])
         result_arrays = read_npz(result / "height.npz")
         known = read_npz(truth / "truth.npz" if truth.is_dir() else truth)
         print(json.dumps(score(result_arrays, known), indent=1))
@@ -117,7 +118,8 @@ def score(
 
 def _ridge_band(height: Array, mask: Mask, pitch_mm: float) -> Array:
     """Height less its mean over a Gaussian, both within `mask`; zero outside."""
-    sigma, filled = RIDGE_MM / pitch_mm, np.where(mask, height, 0.0)
+    sigma = RIDGE_MM / pitch_mm
+    filled = np.where(mask, height, 0.0)
     weight = np.maximum(ndimage.gaussian_filter(mask.astype(np.float64), sigma), 1e-3)
     return np.where(mask, filled - ndimage.gaussian_filter(filled, sigma) / weight, 0.0)
 

@@ -296,7 +296,8 @@ def _lit(height: Array, light: Array, face: float) -> FloatArray:
     """
     rows, columns = height.shape
     y, x = np.mgrid[0:rows, 0:columns].astype(np.float32)
-    sharp, top = height.astype(np.float32), float(height.max())
+    sharp = height.astype(np.float32)
+    top = float(height.max())
     over = np.array((light[0] - (columns - 1) / 2, light[1] - (rows - 1) / 2))
     across = np.array((-over[1], over[0])) / max(float(np.hypot(*over)), 1e-9)
     seen = np.zeros((rows, columns), dtype=np.float32)
@@ -304,12 +305,16 @@ def _lit(height: Array, light: Array, face: float) -> FloatArray:
         place = light + face * np.array((*(side * across), up))
         way = [np.float32(place[0]) - x, np.float32(place[1]) - y]
         far = np.maximum(np.hypot(*way), np.float32(1e-3))
-        right, down, rise = way[0] / far, way[1] / far, (np.float32(place[2]) - sharp) / far
-        free, step = np.ones((rows, columns), dtype=np.bool_), 0.7
+        right = way[0] / far
+        down = way[1] / far
+        rise = (np.float32(place[2]) - sharp) / far
+        free = np.ones((rows, columns), dtype=np.bool_)
+        step = 0.7
         while step < min(
             max(rows, columns), (top - float(height.min())) / max(float(rise.min()), 1e-3) + 1.0
         ):
-            x_there, y_there = x + np.float32(step) * right, y + np.float32(step) * down
+            x_there = x + np.float32(step) * right
+            y_there = y + np.float32(step) * down
             there = cv2.remap(
                 sharp, x_there, y_there, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE
             )
@@ -382,7 +387,8 @@ def walk_solid(
     _smooth(fluence, solid.sides, layer_px, SCATTERED_SMOOTHING)
     fluence += first
     progress("scattering", 0.7)
-    sums, once = np.zeros((len(pixels), 2, count)), np.zeros((len(pixels), count))
+    sums = np.zeros((len(pixels), 2, count))
+    once = np.zeros((len(pixels), count))
     kernels.gather(
         *optics,
         solid.entering,
@@ -483,7 +489,9 @@ def reflected(surface: SimulatedSurface, led: Led, roughness: float) -> Array:
     towards = way / np.sqrt(squared)[..., None]
     half = towards + np.array([0.0, 0.0, 1.0])
     half /= np.linalg.norm(half, axis=-1, keepdims=True)
-    n_l, n_v, n_h = np.sum(normals * towards, -1), normals[..., 2], np.sum(normals * half, -1)
+    n_l = np.sum(normals * towards, -1)
+    n_v = normals[..., 2]
+    n_h = np.sum(normals * half, -1)
     seen = surface.mask & (n_l > 1e-3) & (n_v > 1e-3)
     n_l, n_v, square = np.maximum(n_l, 1e-3), np.maximum(n_v, 1e-3), roughness**2
     facets = square / (np.pi * (n_h**2 * (square - 1.0) + 1.0) ** 2)
@@ -804,7 +812,9 @@ def _polarised(
     """(2, L, H, W, 3) radiance behind the films, parallel and crossed, under every white LED."""
     surface, fine = skin
     leds = [led for led in rig.leds if led.band == "white"]
-    diffuse, once, passing = light.diffuse["white"], light.once["white"], mounted.transmitted()
+    diffuse = light.diffuse["white"]
+    once = light.once["white"]
+    passing = mounted.transmitted()
     x, y = pixel_places(surface.camera)
     z = np.where(surface.mask, surface.height_mm, 0.0)
     frames = np.empty((2, *diffuse.shape), dtype=np.float32)

@@ -253,7 +253,8 @@ def _edges(
 
 def _smooth_skin(finger: SimulatedFinger) -> MasterPrint:
     """A print without ridges: the outline does not need them."""
-    u, v = np.arange(-22.0, 22.1, 1.0), np.arange(44.0, -25.0, -1.0)
+    u = np.arange(-22.0, 22.1, 1.0)
+    v = np.arange(44.0, -25.0, -1.0)
     return MasterPrint(
         finger.pattern,
         finger.seed,
@@ -289,10 +290,8 @@ def main() -> None:
     )
     parser.add_argument("--parts", default="sizes,impostors,outlines")
     options = parser.parse_args()
-    file, parts = (
-        HERE / "results.json",
-        {"sizes": sizes, "impostors": impostors, "outlines": outlines},
-    )
+    file = HERE / "results.json"
+    parts = {"sizes": sizes, "impostors": impostors, "outlines": outlines}
     results = json.loads(file.read_text()) if file.is_file() else {}
     for part in options.parts.split(","):
         results[part] = parts[part]()

@@ -52,7 +52,8 @@ def jobs(fingers: int) -> Iterator[tuple[str, int, str, str]]:
 
 def measure(population: Path, store: Path, scratch: Path, fingers: int) -> int:
     """Measure what is not there yet; return how many captures the store lacked."""
-    surfaces, lacking = Surfaces(store), 0
+    surfaces = Surfaces(store)
+    lacking = 0
     scratch.mkdir(parents=True, exist_ok=True)
     for preset, session, subject, finger in jobs(fingers):
         file = record_file(scratch, preset, session, subject, finger)

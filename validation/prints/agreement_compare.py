@@ -33,7 +33,8 @@ def table(detected: dict[str, Array], true: dict[str, Array], reach: float) -> d
     """One print's record. Both sides hold ``place`` (N, 2), ``direction``, ``border`` and ``slant``
     (N,). Whoever lies outside the evaluated region may still be another's partner."""
     i, j = paired(detected["place"], true["place"], reach)
-    hit, met = np.zeros(len(detected["place"]), int), np.zeros(len(true["place"]), int)
+    hit = np.zeros(len(detected["place"]), int)
+    met = np.zeros(len(true["place"]), int)
     hit[i], met[j] = 1, 1
     angle = np.full(len(met), np.nan)
     angle[j] = turned(detected["direction"][i], true["direction"][j])
@@ -66,7 +67,9 @@ def counts(
         where = (col[f"{side}_border"] >= margin_px) & (col[f"{side}_slant"] >= slant[0])
         return where & (col[f"{side}_slant"] < slant[1])
 
-    true, detected, met = region("true"), region("found"), col["true_met"] > 0
+    true = region("true")
+    detected = region("found")
+    met = col["true_met"] > 0
     angles = col["true_angle"][true & met]
     return {
         "true": int(true.sum()),

@@ -102,7 +102,8 @@ def main(arguments: list[str] | None = None) -> int:
     facts = json.loads(RESULTS.read_text(encoding="utf-8"))
     current = True
     for table in (minutiae, held, nfiq2, scores):
-        text, path = io.StringIO(), TABLES / f"{table.__name__}.csv"
+        text = io.StringIO()
+        path = TABLES / f"{table.__name__}.csv"
         csv.writer(text, lineterminator="\n").writerows(table(facts))
         if options.check:
             current = (

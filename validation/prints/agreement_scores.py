@@ -18,7 +18,8 @@ Records = dict[tuple[str, int], dict[str, Any]]
 
 def between_sessions(reported: Records, preset: str, pictures: Sequence[str]) -> dict[str, Any]:
     """Genuine and impostor scores of bozorth3 between session 1 and session 2."""
-    first, second = reported.get((preset, 1), {}), reported.get((preset, 2), {})
+    first = reported.get((preset, 1), {})
+    second = reported.get((preset, 2), {})
     if not first or not second:
         return {}
     methods = list(next(iter(first.values())))

@@ -76,7 +76,8 @@ def row(folder: Path) -> dict[str, object]:
 
 def stated(folder: Path, factor: float) -> list[tuple[bool, str, bool]]:
     """Whether of one finger, the answer, and whether the comparison at one scale leaves it."""
-    ppi, files = PPI.get(folder.name, 500.0), sorted(folder.glob("*_[12].png"))
+    ppi = PPI.get(folder.name, 500.0)
+    files = sorted(folder.glob("*_[12].png"))
     images = [read_print_png(file).image for file in files]
     right = [print_template(image, ppi) for image in images]
     answers = []

@@ -38,10 +38,8 @@ def true_period(truth: dict, source: Source, place: np.ndarray, slant_deg: float
     """Ridge period (mm) on the true skin around a pixel."""
     reach = int(PATCH_MM / source.pitch_mm * 0.62)
     row, column = (round(float(v)) for v in place[::-1])
-    rows, columns = (
-        slice(max(0, row - reach), row + reach),
-        slice(max(0, column - reach), column + reach),
-    )
+    rows = slice(max(0, row - reach), row + reach)
+    columns = slice(max(0, column - reach), column + reach)
     shape = truth["shape_mm"][rows, columns]
     mask = np.isfinite(shape)
     if mask.mean() < 0.7:

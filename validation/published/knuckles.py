@@ -61,7 +61,8 @@ def draw_knuckle(seed: int, session: int = 0) -> SimulatedFinger:
     Creases stay; how deep all of them are changes by a fifth from `session` to session, as the
     joint bends.
     """
-    finger, rng = draw_finger(seed), np.random.default_rng([seed, 0xD02])
+    finger = draw_finger(seed)
+    rng = np.random.default_rng([seed, 0xD02])
     bent = float(np.exp(0.2 * np.random.default_rng([seed, session, 0xD03]).standard_normal()))
     count = int(rng.integers(9, 14))
     places = np.linspace(-6.5, 6.5, count) + rng.normal(0.0, 0.35, count)
@@ -108,7 +109,8 @@ def templates_of(
     if not file.is_file():
         seed = SEED + person
         pose = knuckle_pose(np.random.default_rng([seed, session, 0xD04]))
-        finger, settings = draw_knuckle(seed, session), TwinSettings(scale=scale, pose=pose)
+        finger = draw_knuckle(seed, session)
+        settings = TwinSettings(scale=scale, pose=pose)
         capture, _ = splitknit_simulator.simulate_capture(
             seed, settings=settings, impression=session, finger=finger
         )
@@ -133,7 +135,8 @@ def fit_ratios(scores: Values, genuine: Labels) -> tuple[Values, Model]:
     eq. 5; B. Silverman, "Density Estimation", 1986, eq. 3.31.
     """
     spread(scores)
-    low, high = np.nanmin(scores, axis=0), np.nanmax(scores, axis=0)
+    low = np.nanmin(scores, axis=0)
+    high = np.nanmax(scores, axis=0)
     width = (high - low) / BINS
 
     def log_density(column: Values, k: int) -> Values:
@@ -177,7 +180,8 @@ def main() -> None:
     options = parser.parse_args()
     cv2.setNumThreads(1)
     options.work.mkdir(parents=True, exist_ok=True)
-    person, session = np.tile(np.arange(options.people), 2), np.repeat([1, 2], options.people)
+    person = np.tile(np.arange(options.people), 2)
+    session = np.repeat([1, 2], options.people)
     every = [
         templates_of(int(who), int(when), options.work, options.scale)
         for who, when in zip(person, session, strict=True)

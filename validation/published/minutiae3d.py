@@ -98,7 +98,8 @@ def space_minutiae(surface: Surface) -> SpaceMinutiae:
     slopes = np.stack(
         [_bilinear(part, there) for part in height_gradients(height, surface.pitch_mm)], axis=1
     )
-    turn, flip = np.linalg.inv(surface.input_from_upright[:2, :2]), np.diag([1.0, -1.0])
+    turn = np.linalg.inv(surface.input_from_upright[:2, :2])
+    flip = np.diag([1.0, -1.0])
     turn = flip @ (turn / np.sqrt(abs(np.linalg.det(turn)))) @ flip
     middle = (np.array(height.shape[::-1]) - 1) / 2
     plane = (there - middle) * [surface.pitch_mm, -surface.pitch_mm]
@@ -250,12 +251,14 @@ def voted(a: Framed, b: Framed, pairs: tuple[Index, Index]) -> list[Index]:
 def _plane_motions(a: Framed, b: Framed, left: Index, right: Index) -> tuple[Array, Array]:
     """Turns (K,) in the plane and the shifts (K, 2) that follow, of correspondences (K, n)."""
     places, others = a.places[0][left][..., :2], b.places[0][right][..., :2]
-    middle, there = places.mean(axis=1), others.mean(axis=1)
+    middle = places.mean(axis=1)
+    there = others.mean(axis=1)
     arms = np.concatenate([places - middle[:, None], a.places[1][left][..., :2]], axis=1)
     others = np.concatenate([others - there[:, None], b.places[1][right][..., :2]], axis=1)
     across = (arms[..., 0] * others[..., 1] - arms[..., 1] * others[..., 0]).sum(axis=1)
     turn = np.arctan2(across, (arms * others).sum(axis=(1, 2)))
-    cosine, sine = np.cos(turn), np.sin(turn)
+    cosine = np.cos(turn)
+    sine = np.sin(turn)
     moved = np.stack(
         [cosine * middle[:, 0] - sine * middle[:, 1], sine * middle[:, 0] + cosine * middle[:, 1]],
         axis=1,
@@ -270,7 +273,8 @@ def _moved(a: Framed, b: Framed, left: Index, right: Index) -> tuple[Index, Inde
         np.concatenate([side.places[0][k], side.places[0][k] + ARM_MM * side.places[1][k]])
         for side, k in ((a, left), (b, right))
     )
-    middle, there = ours.mean(axis=0), theirs.mean(axis=0)
+    middle = ours.mean(axis=0)
+    there = theirs.mean(axis=0)
     u, _, vt = np.linalg.svd((ours - middle).T @ (theirs - there))
     u[:, 2] *= np.sign(np.linalg.det(u) * np.linalg.det(vt))
     rotation = (u @ vt).T

@@ -163,7 +163,8 @@ def pore_match(a: PoreTemplate, b: PoreTemplate) -> PoreMatch:
     band, grid = left.ridges.band, right.ridges.patches
     valid, pitch = band.valid, band.pitch_mm
     alignment, affine = lay(left.ridges, right.ridges)
-    bend, back = bent(grid, compare_patches(grid, band, affine)), np.linalg.inv(affine[:, :2]).T
+    bend = bent(grid, compare_patches(grid, band, affine))
+    back = np.linalg.inv(affine[:, :2]).T
     for reach in ROUND_PAIR_MM:
         there = shown_in_a(grid, affine, bend, right.pores)
         of_b, of_a = _nearest(there, left.pores, reach / pitch)
@@ -223,10 +224,8 @@ def _along(values: FloatArray, turn: NDArray[np.intp], pitch_mm: float) -> Float
     result = np.zeros_like(values)
     for number in range(DIRECTIONS):
         angle = np.pi * number / DIRECTIONS
-        on, beside = (
-            right * np.cos(angle) + down * np.sin(angle),
-            down * np.cos(angle) - right * np.sin(angle),
-        )
+        on = right * np.cos(angle) + down * np.sin(angle)
+        beside = down * np.cos(angle) - right * np.sin(angle)
         kernel = np.exp(-0.5 * ((on / sigma) ** 2 + (beside / max(width, 0.5)) ** 2))
         here = turn == number
         result[here] = cv2.filter2D(values, cv2.CV_32F, kernel / kernel.sum())[here]

@@ -76,7 +76,8 @@ def _scores(
     finger = [f"{who}/{which}" for who, which in zip(subject, name, strict=True)]
     sides = [_side(features, people / capture, preset) for capture in captures]
     pairs = comparisons(finger, session)
-    a, b = pairs.a.tolist(), pairs.b.tolist()
+    a = pairs.a.tolist()
+    b = pairs.b.tolist()
     scores = [_score(score, sides[i], sides[j]) for i, j in zip(a, b, strict=True)]
     ids = {"finger": finger, "subject": subject, "session": session}
     names = {kind: ([of[i] for i in a], [of[j] for j in b]) for kind, of in ids.items()}

@@ -189,7 +189,8 @@ def _counted(a: Code, b: Code, start: tuple[float, float, float], least: float) 
     turned = [a.turned(start[0] + TURN_STEP_DEG * k / 4, PITCH_MM) for k in (-2, -1, 0, 1, 2)]
     codes, masks = (np.stack(part) for part in zip(*turned, strict=True))
     code, mask = b.turned(0.0, PITCH_MM)
-    near, best = int(COARSE_MM / PITCH_MM) + 1, 1.0
+    near = int(COARSE_MM / PITCH_MM) + 1
+    best = 1.0
     sides = zip(masks[0].shape, code.shape, start[1:], strict=True)
     down, across = (
         (side_a - side_b) // 2 - round(shift / PITCH_MM) for side_a, side_b, shift in sides

@@ -158,7 +158,8 @@ def pictures_of(capture: Capture, preset: str = "zheng") -> Iterator[tuple[str, 
     capture, finger = find_steady_finger(
         aligned(prepared_capture(capture, settings)[0])[0], settings
     )
-    white, window = without_films(capture).bands["white"], finger.window
+    white = without_films(capture).bands["white"]
+    window = finger.window
     stack = np.maximum(linear_stack(white, capture.encoding, "grey", window), np.float32(0.0))
     if len(stack) < 4:
         raise BadInput(
@@ -168,7 +169,8 @@ def pictures_of(capture: Capture, preset: str = "zheng") -> Iterator[tuple[str, 
     mask = finger.mask[window]
     if settings.lights.balance and white.colours:
         stack = balanced(stack, capture.rig, white, mask)
-    pitch, matrix = capture.rig.camera.pitch_mm, finger.upright.input_from_upright.copy()
+    pitch = capture.rig.camera.pitch_mm
+    matrix = finger.upright.input_from_upright.copy()
     matrix[:2, 2] -= window[1].start, window[0].start
     print_map = plane_map(pitch, matrix, finger.upright.size, PPI)
     lights = capture.rig.select(white.lights).light_vectors()

@@ -72,7 +72,8 @@ class Check:
 
 def jensen() -> Iterator[Check]:
     """Coefficients against the range of what is drawn."""
-    usual, fingers = replace(SkinOptics(), scattering_factor=1.0), drawn_fingers()
+    usual = replace(SkinOptics(), scattering_factor=1.0)
+    fingers = drawn_fingers()
     factors = np.array([finger.scattering_factor for finger in fingers])
     for skin, coefficients in JENSEN.items():
         scattering = dict(zip(VISIBLE, coefficients["scattering"], strict=True))

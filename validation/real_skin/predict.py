@@ -109,7 +109,8 @@ def left_out(
     }
     channels = {}
     for c, channel in enumerate(band.channels):
-        seen, ways = band.stack[c], {way: stack[c] for way, stack in predicted.items()}
+        seen = band.stack[c]
+        ways = {way: stack[c] for way, stack in predicted.items()}
         channels[channel] = {
             way: figures(ways[way], seen, image, grid, fit.slant_deg) for way in WAYS
         }
@@ -136,7 +137,8 @@ def seen_and_found(
         return bin_mean(np.nan_to_num(field[window]).astype(np.float32), binning) * grid.mask
 
     normals = np.stack([on_grid(result.normals[..., axis]) for axis in range(3)], axis=-1)
-    height, shape = on_grid(result.height_mm), on_grid(result.shape_mm)
+    height = on_grid(result.height_mm)
+    shape = on_grid(result.shape_mm)
     if result.x_mm is not None and result.y_mm is not None:
         points = on_grid(result.x_mm), on_grid(result.y_mm), height
     else:
@@ -247,7 +249,8 @@ def figures(
     band has beyond that of the mean of the other images: only there is the light's direction seen.
     ``gain``: that change in the image over the predicted one, by regression.
     """
-    left_out_image, rest = seen[image], [k for k in range(len(seen)) if k != image]
+    left_out_image = seen[image]
+    rest = [k for k in range(len(seen)) if k != image]
     region = grid.mask & (grid.depth_mm > FROM_OUTLINE_MM) & (slant_deg < SLANTS_DEG[-1])
     region &= left_out_image > DARK * np.median(left_out_image[region])
     require(

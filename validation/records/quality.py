@@ -102,12 +102,11 @@ def main() -> None:
                 again.append(there[visible])
                 rows.append(design[visible])
                 sets += [name] * int(visible.sum())
-    values, hit, design = (
-        np.concatenate(quality).astype(float),
-        np.concatenate(again),
-        np.concatenate(rows),
-    )
-    held, owner = np.zeros(len(hit)), np.array(sets)
+    values = np.concatenate(quality).astype(float)
+    hit = np.concatenate(again)
+    design = np.concatenate(rows)
+    held = np.zeros(len(hit))
+    owner = np.array(sets)
     for name in SETS:
         held[owner == name] = design[owner == name] @ fitted(
             design[owner != name], hit[owner != name]

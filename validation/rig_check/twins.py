@@ -282,7 +282,8 @@ def _camera_tilted(twin: Twin) -> Twin:
     seat = np.array([0.0, 0.0, camera.height_mm])
 
     def turned(led: Led) -> Led:
-        place, aim = turn @ (np.asarray(led.position_mm) - seat) + seat, turn @ led.axis
+        place = turn @ (np.asarray(led.position_mm) - seat) + seat
+        aim = turn @ led.axis
         return replace(led, position_mm=tuple(map(float, place)), aim=tuple(map(float, aim)))  # type: ignore[arg-type]
 
     rig = replace(twin.rig, leds=tuple(map(turned, twin.rig.leds)))

@@ -108,12 +108,12 @@ def fitted(points: FloatArray, pitch_mm: float | None) -> tuple[FloatArray, Bool
     shape, column, row = nodes(points, pitch)
     moments = np.zeros((9, shape[0] * shape[1]), dtype=np.float32)
     for part in (slice(k, k + POINTS_AT_A_TIME) for k in range(0, len(points), POINTS_AT_A_TIME)):
-        u, v, z = np.rint(column[part]), np.rint(row[part]), points[part, 2]
-        x, y, node = (
-            column[part] - u,
-            row[part] - v,
-            v.astype(np.int64) * shape[1] + u.astype(np.int64),
-        )
+        u = np.rint(column[part])
+        v = np.rint(row[part])
+        z = points[part, 2]
+        x = column[part] - u
+        y = row[part] - v
+        node = v.astype(np.int64) * shape[1] + u.astype(np.int64)
         for total, value in zip(
             moments, (np.ones_like(x), x, y, x * x, x * y, y * y, z, x * z, y * z), strict=True
         ):
@@ -170,10 +170,8 @@ def gathered(m: FloatArray) -> FloatArray:
 
 def nodes(points: FloatArray, pitch: float) -> tuple[tuple[int, int], FloatArray, FloatArray]:
     """Shape of a grid around points, and the column and row of each."""
-    column, row = (
-        (points[:, 0] - points[:, 0].min()) / pitch,
-        (points[:, 1].max() - points[:, 1]) / pitch,
-    )
+    column = (points[:, 0] - points[:, 0].min()) / pitch
+    row = (points[:, 1].max() - points[:, 1]) / pitch
     shape = int(np.rint(row.max())) + 1, int(np.rint(column.max())) + 1
     fault = f"at {pitch:.3g} mm a pixel the cloud makes {shape[0]} x {shape[1]} pixels"
     fits = min(shape) >= 3 and shape[0] * shape[1] <= MAX_NODES

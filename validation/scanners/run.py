@@ -35,7 +35,8 @@ FRAME_S = 1 / 30
 
 def colour_stripes(finger: sim.Fingers) -> sim.Scan:
     """One exposure a period, the three steps in its three colours, and an evenly lit one."""
-    sight, lamp = finger.at(0), sim.projector()
+    sight = finger.at(0)
+    lamp = sim.projector()
     series, light = [], 0.0
     for k, channel in enumerate(("red", "green", "blue")):
         radiance, brightest, unit = sight.even(channel, lamp)
@@ -161,7 +162,9 @@ def fringe_table(out: Path) -> None:
         return
     _, truth = splitknit_simulator.simulate_capture(1, settings={"scale": sim.SCALE})
     finger = sim.Fingers(1)
-    sight, lamp, facts = finger.at(0), sim.projector(), {}
+    sight = finger.at(0)
+    lamp = sim.projector()
+    facts = {}
     inner = sight.patch.mask & (sight.surface.shape_normals[sight.patch.window][..., 2] > 0.8)
     for channel in ("opaque", "red", "green", "blue", "nir"):
         rows = {}

@@ -58,7 +58,8 @@ Scan = tuple[FloatArray, float, float]
 def turned(about: str, deg: float) -> Array:
     """(3, 3) turn about x or y that takes the direction of a device, `deg` from the z axis, to the
     z axis."""
-    c, s = np.cos(np.deg2rad(deg)), np.sin(np.deg2rad(deg))
+    c = np.cos(np.deg2rad(deg))
+    s = np.sin(np.deg2rad(deg))
     return np.array(
         [[1, 0, 0], [0, c, -s], [0, s, c]] if about == "x" else [[c, 0, -s], [0, 1, 0], [s, 0, c]]
     )
@@ -66,7 +67,8 @@ def turned(about: str, deg: float) -> Array:
 
 def camera_of(px_per_mm: float) -> Camera:
     """A pinhole that looks down on the finger."""
-    shape, focal = (round(29.0 * px_per_mm), round(26.0 * px_per_mm)), HEIGHT_MM * px_per_mm
+    shape = (round(29.0 * px_per_mm), round(26.0 * px_per_mm))
+    focal = HEIGHT_MM * px_per_mm
     matrix = np.array([[focal, 0, (shape[1] - 1) / 2], [0, focal, (shape[0] - 1) / 2], [0, 0, 1.0]])
     return Camera(px_per_mm, shape, HEIGHT_MM, "perspective", matrix)
 
@@ -135,7 +137,8 @@ class Sight:
     def record(self, radiance: FloatArray, brightest: float) -> FloatArray:
         """What the sensor makes of light whose brightest reaches 0.7 of full scale: noise, ten
         bits."""
-        sensor, binned = SensorSettings(), (FULL_PX_PER_MM / self.camera.px_per_mm) ** 2
+        sensor = SensorSettings()
+        binned = (FULL_PX_PER_MM / self.camera.px_per_mm) ** 2
         full = sensor.full_well_e * binned
         electrons = radiance * np.float32(0.7 / brightest * full)
         spread = np.sqrt(electrons + sensor.read_noise_e**2 * binned)
@@ -188,7 +191,8 @@ def line(centre: float) -> Pattern:
 
 def stripes(finger: Fingers, channel: str = "blue", periods: tuple[float, ...] = PERIODS) -> Scan:
     """Fringes of several periods."""
-    sight, lamp = finger.at(0), projector()
+    sight = finger.at(0)
+    lamp = projector()
     _, brightest, unit = sight.even(channel, lamp)
     shots = list(
         sight.light(
@@ -207,9 +211,11 @@ def stripes(finger: Fingers, channel: str = "blue", periods: tuple[float, ...] =
 
 def laser_line(finger: Fingers) -> Scan:
     """A red line that sweeps over the finger in steps of 0.1 mm."""
-    sight, lamp = finger.at(0), projector()
+    sight = finger.at(0)
+    lamp = projector()
     rows = lamp.pixels(sight.points[sight.patch.mask])[1]
-    first, step = float(rows.min()) - 10.0, 0.1 / PROJECTOR_PX_MM
+    first = float(rows.min()) - 10.0
+    step = 0.1 / PROJECTOR_PX_MM
     plan = [line(first + k * step) for k in range(int((np.ptp(rows) + 20.0) / step))]
     _, even_brightest, unit = sight.even("red", lamp)
     middle = next(sight.light("red", lamp, [plan[len(plan) // 2]]))[0]
@@ -252,7 +258,8 @@ def depth_from_focus(finger: Fingers) -> Scan:
 
 def cameras(finger: Fingers, angles: tuple[float, ...] = (-36.0, -18.0, 0.0, 18.0, 36.0)) -> Scan:
     """Stereo of neighbours among cameras around the finger."""
-    sights, lamp = [finger.at(deg) for deg in angles], projector()
+    sights = [finger.at(deg) for deg in angles]
+    lamp = projector()
     pictures = [sight.record(*sight.even("green", lamp)[:2]) for sight in sights]
     begun = time.process_time()
     cloud = stereo.scan(pictures, [sight.view for sight in sights], np.array([0.0, 0.0, -3.0]), 6.0)
@@ -262,14 +269,13 @@ def cameras(finger: Fingers, angles: tuple[float, ...] = (-36.0, -18.0, 0.0, 18.
 def hull(finger: Fingers) -> Scan:
     """The visual hull of six silhouettes around the finger."""
     masks: list[BoolArray] = []
-    views, camera = [], camera_of(10.0)
+    views = []
+    camera = camera_of(10.0)
     assert camera.matrix is not None
     for deg in (-75.0, -45.0, -15.0, 15.0, 45.0, 75.0):
         turn = turned("y", deg)
-        place, rays = (
-            finger.placed(turn),
-            rays_of(camera, *(np.arange(n) for n in camera.image_size)),
-        )
+        place = finger.placed(turn)
+        rays = rays_of(camera, *(np.arange(n) for n in camera.image_size))
         _, hit = meet_body(
             finger.body, place, rays, np.full(rays.x.size, above(finger.body, place))
         )

@@ -200,7 +200,8 @@ class Bench:
         return {key: float(figures[key]) for key in FIGURES}
 
     def reconstructed(self, row: Row) -> Reconstruction:
-        capture, settings = self._capture(row), override(preset_settings(row.preset), row.change)
+        capture = self._capture(row)
+        settings = override(preset_settings(row.preset), row.change)
         if not row.fraction:
             return reconstruct(capture, self.finger, settings)
         fraction = self._coloured if row.fraction == "network" else self._fractions[row.fraction]
