@@ -78,7 +78,8 @@ def main() -> None:
         }
 
         def bear_error(normals: np.ndarray) -> str:
-            return f"{np.degrees(np.arccos(np.clip((normals * truth).sum(axis=-1), -1, 1)))[inside].mean():.2f}"
+            cosine = np.clip((normals * truth).sum(axis=-1), -1, 1)
+            return f"{np.degrees(np.arccos(cosine))[inside].mean():.2f}"
 
         print_table("DiLiGenT bear, 24 lights", race(real, rounds), bear_error, "mean error deg")
 

@@ -1,8 +1,10 @@
 """The command line from disk to disk: seconds, processor time and peak memory of whole runs.
 
     python benchmarks/bench_reconstruct.py  # full and half scale, metric, snk and ea
-    python benchmarks/bench_reconstruct.py --profile  # the dearest functions of one full-frame run, then stops
-    python benchmarks/bench_reconstruct.py --photographs 200x3 8x45 8x45/10  # number x megapixels [/ --max-size]
+    python benchmarks/bench_reconstruct.py --profile  # functions of one full-frame run
+    python benchmarks/bench_reconstruct.py --photographs 200x3 8x45 8x45/10
+
+The numbers after ``--photographs``: number x megapixels [/ --max-size].
 
 Every run is a process of its own (what it loads counts). The captures are simulated once into
 ``benchmarks/out`` and carry no truth: comparing is not part of a reconstruction.

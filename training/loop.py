@@ -66,7 +66,7 @@ def _store(out, shoot, subject):
 
 
 # --- networks
-# -----------------------------------------------------------------------------------------------------
+# -------------------------------------------------------------------------------------------------
 
 
 def _block(before, after, *more):
@@ -180,7 +180,7 @@ class FieldsUNet(nn.Module):
 
 
 # --- the loop
-# -----------------------------------------------------------------------------------------------------
+# -------------------------------------------------------------------------------------------------
 
 
 class Training:
@@ -320,6 +320,7 @@ def train_fields(
             }
             report(out, rows, {"iteration": iteration + 1, "loss": float(np.mean(losses)), **means})
             losses = []
+    widths = ", ".join(map(str, task.widths))
     facts = {
         "command": command,
         "training": {
@@ -333,7 +334,7 @@ def train_fields(
             "held_out": f"{len(held_out)} simulated fingers not trained on{task.held_out}",
             "mean": {name: round(value, 4) for name, value in means.items()},
         },
-        "architecture": f"U-Net of {len(task.widths)} levels, widths {', '.join(map(str, task.widths))}",
+        "architecture": f"U-Net of {len(task.widths)} levels, widths {widths}",
     }
     write_network(
         out, task.name, training, task.what, (FIELDS, task.outputs), len(task.widths) - 1, facts
@@ -341,7 +342,7 @@ def train_fields(
 
 
 # --- the file
-# -----------------------------------------------------------------------------------------------------
+# -------------------------------------------------------------------------------------------------
 
 
 def reach(depth):

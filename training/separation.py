@@ -1,7 +1,7 @@
 """Train `direct`, the U-Net of the thesis that finds direct light (3.3.1.4).
 
     python training/separation.py --out DIR  # what ships: 42 minutes on two busy cores
-    python training/separation.py --out DIR --thesis --device cuda --threads 16  # the thesis's own recipe
+    python training/separation.py --out DIR --thesis --device cuda --threads 16  # as the thesis
 
 The thesis trains on 72 x 72 patches of 50 palms whose direct light was measured with 25 shifted
 checkerboards; Adam on the mean squared error. Here the optics of the skin, the place of the light,
@@ -76,7 +76,7 @@ THESIS = Recipe(50, 0, 1, 750, "stack", 64, 50, 0.5, 0.0, 0.0, 0)
 
 
 # --- photographs
-# --------------------------------------------------------------------------------------------------
+# -------------------------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True)
@@ -205,7 +205,7 @@ def _patch_corners(mask, count, rng):
 
 
 # --- patches
-# ------------------------------------------------------------------------------------------------------
+# -------------------------------------------------------------------------------------------------
 
 
 class Patches:

@@ -7,9 +7,9 @@ the camera), ``mask`` (H, W) and ``normals`` (H, W, 3). A sphere's folder has ph
 ``*.N.png``, a mask ``*.mask.png`` and, in it or above it, ``lights.txt``; its normals follow from
 its outline. Without arguments: the objects of SPLITKNIT_DATA.
 
-It prints the table that ``tables/objects.csv`` holds and docs/experiments/real-things.md quotes: mean
-angular error in degrees of the normals as photometric stereo measured them, and of the integrated
-surface; with all lights, and with seven of them (mean, min to max of DRAWS draws).
+It prints the table that ``tables/objects.csv`` holds and docs/experiments/real-things.md quotes:
+mean angular error in degrees of the normals as photometric stereo measured them, and of the
+integrated surface; with all lights, and with seven of them (mean, min to max of DRAWS draws).
 """
 
 from __future__ import annotations

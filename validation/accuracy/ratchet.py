@@ -1,8 +1,10 @@
 """Stored figures may improve, not slip by more than 1 %.
 
 python validation/accuracy/ratchet.py  # exit code 1 and a line for each figure that slipped
-python validation/accuracy/ratchet.py --update  # keep the better of the stored figures and those of results.json
-python validation/accuracy/ratchet.py --reset  # take those of results.json: the twin changed, say why in the commit
+python validation/accuracy/ratchet.py --update  # keep the better of stored and new figures
+python validation/accuracy/ratchet.py --reset  # take the new figures
+
+The new figures are those of results.json. After ``--reset``, the commit says why the twin changed.
 """
 
 from __future__ import annotations
@@ -37,7 +39,7 @@ def stored(results: Tree) -> dict[str, Any]:
 
 
 def slipped(results: Tree, thresholds: Tree) -> list[str]:
-    """A sentence for each figure that is worse than the stored one by more than :data:`MAX_LOSS`."""
+    """Return a sentence for each figure that slipped by more than :data:`MAX_LOSS`."""
     figures_now = stored(results)
     worse = [
         f"{key} is {figures_now[key]}, but the stored figures were made with {thresholds[key]}"

@@ -1,8 +1,8 @@
 """Write the figures of ``results.json`` to ``tables/``, and the short table of
 ``docs/experiments/accuracy.md``.
 
-python validation/accuracy/report.py            # writes
-python validation/accuracy/report.py --check  # exit code 1 if page and tables do not show what results.json holds
+python validation/accuracy/report.py          # writes
+python validation/accuracy/report.py --check  # exit code 1 if page or tables are out of date
 """
 
 from __future__ import annotations

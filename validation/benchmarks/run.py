@@ -1,10 +1,10 @@
 """Public benchmarks, for whoever has them: one command a benchmark, with the folder's path.
 
     python validation/benchmarks/run.py diligent FOLDER  # DiLiGenT, DiLiGenT-Pi: a folder an object
-    python validation/benchmarks/run.py luces FOLDER             # LUCES: near lights, depth in mm
+    python validation/benchmarks/run.py luces FOLDER     # LUCES: near lights, depth in mm
     python validation/benchmarks/run.py prints FOLDER --pattern '{finger}_{sample}.png'
     python validation/benchmarks/run.py prints PHOTOS --pattern '{finger}/{sample}.jpg' \\
-        --against PRINTS --against-pattern '{finger}_{sample}.bmp'      # PolyU, ISPFD, ZJUT-EIFD kinds
+        --against PRINTS --against-pattern '{finger}_{sample}.bmp'  # PolyU, ISPFD, ZJUT-EIFD
 
 An object's row has the mean angle between the normals and the truth in degrees (as photometric
 stereo measured them, and of the surface) and, where the truth has depth, the mean absolute error in

@@ -1,7 +1,7 @@
 """How well ``splitknit calibrate camera`` finds a known camera: built rigs of the twin,
 photographed with noise.
 
-    python validation/calibration/camera.py [--seeds 8] [--scale 0.25] [--out validation/calibration/camera.json]
+    python validation/calibration/camera.py [--seeds 8] [--scale 0.25] [--out FILE.json]
 
 Each seed is another rig as a person builds it (focal length, principal point, distortion, height
 and tilt off the drawing) and 15 other photographs of a checkerboard held by hand. Prints a table:

@@ -1,7 +1,7 @@
 """The shape from mirrors on simulated fingers: the thesis's method beside `metric`, and mirrors off
 their place.
 
-    python validation/mirror/shape.py [--seeds 9101 9102 ...] [--scale 0.25]  # measure (resumes), then sum up
+    python validation/mirror/shape.py [--seeds 9101 9102 ...] [--scale 0.25]  # measure, sum up
     python validation/mirror/shape.py --summary  # sum up what there is
 
 Every finger is photographed once between three mirrors, which stand where the twin built them:

@@ -2,7 +2,7 @@
 
     python validation/path_traced/make.py --out DIR              # a run that was stopped goes on
     python validation/path_traced/make.py --out DIR --polarised  # behind linear films
-    python validation/path_traced/make.py --out DIR --names third_matt no_ridges  # some of either kind
+    python validation/path_traced/make.py --out DIR --names third_matt no_ridges  # some of them
 
 Needs the group ``reference`` (numba). Each finger becomes a capture folder with ``truth.npz`` and
 ``info.json``, which has all optics and the noise of the walks; of polarised fingers these lie
@@ -19,6 +19,7 @@ import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from walked_finger import (
@@ -135,7 +136,8 @@ class PolarisedCase:
 def _films(
     kept: float, axis_deg: float, extinction: float, off_deg: float, *tint: float
 ) -> FilmSettings:
-    return FilmSettings("analyser", axis_deg, off_deg, extinction, tint or (0.85, 0.85, 0.82), kept)  # type: ignore[arg-type]
+    colours: Any = tint or (0.85, 0.85, 0.82)
+    return FilmSettings("analyser", axis_deg, off_deg, extinction, colours, kept)
 
 
 _P01 = PolarisedCase(

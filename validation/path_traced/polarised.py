@@ -1,13 +1,14 @@
 """Heights with and without polarising films, on fingers whose light the fast twin did not make.
 
-    python validation/path_traced/polarised.py FOLDER...  # captures with NAME_truth.npz beside them, or their folder
+    python validation/path_traced/polarised.py FOLDER...
+    python validation/path_traced/polarised.py --twins FIRST LAST [SCALE]
+
+FOLDER: a capture with ``NAME_truth.npz`` beside it, or a folder of them. ``--twins``: fingers of
+the fast simulator with these seeds, behind films, with seven lights to the side.
 
 For each capture that has a parallel and a crossed series: `metric` on it, and on the mean of both
 series, which is the photograph without films. It prints a table, and JSON with ``--json``. Captures
 are made by ``make.py --polarised``.
-
-    python validation/path_traced/polarised.py --twins FIRST LAST [SCALE]  # fingers of the fast simulator with these
-        # seeds, behind films with seven lights to the side: each, and their means
 """
 
 from __future__ import annotations

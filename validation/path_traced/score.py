@@ -1,6 +1,8 @@
 """A result against the truth of a finger whose light the fast twin did not make.
 
-    python validation/path_traced/score.py RESULT TRUTH  # a result folder; truth.npz, or the folder that has it
+    python validation/path_traced/score.py RESULT TRUTH
+
+RESULT is a result folder, TRUTH a ``truth.npz`` or the folder that has it.
 
 It prints JSON: the whole surface, the ridge band below 60 degrees of slant and in classes of slant,
 error over stated uncertainty, and the relief that was found where there are no ridges.

@@ -175,7 +175,8 @@ def render_finger(
 
     Examples
     --------
-    >>> light = render_finger(surface, rig.leds[:7], "green", FingerOptics(spread=0.3))  # doctest: +SKIP
+    >>> optics = FingerOptics(spread=0.3)
+    >>> light = render_finger(surface, rig.leds[:7], "green", optics)  # doctest: +SKIP
     """
     require(
         walks > 0 and rays > 0,

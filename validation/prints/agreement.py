@@ -1,8 +1,8 @@
 """How far prints can be trusted: true minutiae in the prints, their quality, and how bozorth3
 separates fingers.
 
-    python validation/prints/agreement.py POPULATION STORE --scratch FOLDER  # measure (resumes), then sum up
-    python validation/prints/agreement.py --summary --scratch FOLDER  # sum up what there is
+    python validation/prints/agreement.py POPULATION STORE --scratch FOLDER
+    python validation/prints/agreement.py --summary --scratch FOLDER  # only sum up
 
 POPULATION is a folder of ``splitknit simulate population`` (here: seed 680, scale 0.4), STORE one
 of ``splitknit batch`` with its reconstructions. Reported are fingers of the first ten people. Every

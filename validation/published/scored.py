@@ -1,8 +1,9 @@
 """A published matcher run as anybody runs an own one: two fingers, or all of a folder as a score
 file.
 
-    python validation/published/NAME.py A B                       # prints the similarity
-    python validation/published/NAME.py PEOPLE --out scores.csv  # then: splitknit evaluate --scores scores.csv
+    python validation/published/NAME.py A B  # prints the similarity
+    python validation/published/NAME.py PEOPLE --out scores.csv
+    splitknit evaluate --scores scores.csv
 
 A and B are captures or results; PEOPLE is a folder of ``splitknit simulate population``, whose
 later sessions are compared with its earlier ones. A finger that gives no features is a failure to

@@ -1,8 +1,10 @@
 """Minutiae on which pictures of a finger agree: normals and albedo of every set of images that
 leaves one out.
 
-    python validation/published/voted.py A B [--preset zheng]  # captures: a result has lost its images
+    python validation/published/voted.py A B [--preset zheng]
     python validation/published/voted.py PEOPLE --out scores.csv
+
+A and B are captures: a result has lost its images.
 
 Q. Zheng, A. Kumar and G. Pan, "Contactless 3D fingerprint identification without 3D
 reconstruction", IWBF 2018, as the thesis describes it (section 2.2.1): seven sets of six images,

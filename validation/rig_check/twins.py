@@ -284,7 +284,9 @@ def _camera_tilted(twin: Twin) -> Twin:
     def turned(led: Led) -> Led:
         place = turn @ (np.asarray(led.position_mm) - seat) + seat
         aim = turn @ led.axis
-        return replace(led, position_mm=tuple(map(float, place)), aim=tuple(map(float, aim)))  # type: ignore[arg-type]
+        position_mm: Any = tuple(map(float, place))
+        axis: Any = tuple(map(float, aim))
+        return replace(led, position_mm=position_mm, aim=axis)
 
     rig = replace(twin.rig, leds=tuple(map(turned, twin.rig.leds)))
     tilt = (twin.tilt_deg[0] + 2.0, twin.tilt_deg[1])

@@ -114,7 +114,7 @@ class Sight:
         led = Led("white", tuple(self.turn @ (lamp.centre_mm - PIVOT) + PIVOT))
         entering, gloss = light_on(self.patch, led, optics.roughness, LED_RADIUS_MM)
         gloss = gloss * np.float32(0 if channel == "opaque" else optics.glare)
-        blur: Callable[[FloatArray], Iterator[FloatArray]] = lambda light: iter((light,))  # noqa: E731
+        blur: Any = lambda light: iter((light,))  # noqa: E731
         if channel != "opaque":
             if channel not in self._media:
                 medium = Medium((optics.channel(channel),), optics.roughness, optics.glare)

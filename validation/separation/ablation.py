@@ -1,10 +1,12 @@
 """What each part of the light does to the surface: contrast, direct light, glare and blur, alone
 and together.
 
-    python validation/separation/ablation.py  # eight fingers, 17 ways each: about seven minutes of one core
-    python validation/separation/ablation.py --clahe  # the contrast enhancement of snk on 24 fingers: clahe.json
-    python validation/separation/ablation_report.py  # the tables of docs/experiments/separation.md and of
-    docs/explain/reconstruction.md from ablation.json and clahe.json
+    python validation/separation/ablation.py  # eight fingers, 17 ways each
+    python validation/separation/ablation.py --clahe  # contrast enhancement of snk on 24 fingers
+    python validation/separation/ablation_report.py
+
+The first takes about seven minutes of one core. The second writes clahe.json; the third writes the
+tables of docs/experiments/separation.md and docs/explain/reconstruction.md from both JSON files.
 
 The fingers are those of ``validation/accuracy`` (seed 1000 and on, half scale). All ways see the
 same finger in the same mask, found once in the images as they are; ``ablation_rows.py`` lists them.

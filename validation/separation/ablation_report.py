@@ -2,8 +2,8 @@
 ``docs/experiments/separation.md``, those of ``clahe.json`` into ``tables/clahe.csv`` and four rows
 of them into ``docs/explain/reconstruction.md``.
 
-python validation/separation/ablation_report.py            # writes
-python validation/separation/ablation_report.py --check  # exit code 1 if they do not show what the file holds
+python validation/separation/ablation_report.py          # writes
+python validation/separation/ablation_report.py --check  # exit code 1 if they are out of date
 """
 
 from __future__ import annotations
@@ -149,8 +149,8 @@ def section(results: Tree) -> str:
     return "\n".join(
         [
             (
-                f"{len(seeds)} fingers, images at {results['scale']:g} of the full scale; mean [95 %"
-                " interval over fingers, Student's t]; [definitions](accuracy.md#definitions)."
+                f"{len(seeds)} fingers, images at {results['scale']:g} of the full scale; mean [95"
+                " % interval over fingers, Student's t]; [definitions](accuracy.md#definitions)."
             ),
             "",
             rows_table(results),
