@@ -154,8 +154,8 @@ def minutiae(prints: list[NDArray[np.uint8]], rounds: int) -> None:
         print("nbis-py is not installed: no minutiae.")
         return
     templates = [extract(picture) for picture in prints]
-    size = len(pack_minutiae(templates[0]))
-    print(f"Minutiae: {templates[0].count} and {templates[1].count}; packed {size} bytes")
+    packed_bytes = len(pack_minutiae(templates[0]))
+    print(f"Minutiae: {templates[0].count} and {templates[1].count}; packed {packed_bytes} bytes")
     contenders = {
         "minutiae of a relief print": lambda: extract(prints[0]),
         "enhancement of a pressed print": lambda: pressed_ridges(prints[0]),

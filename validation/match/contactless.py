@@ -59,13 +59,13 @@ def captured(number: int, folder: Path, scale: float) -> dict[str, Template]:
         of_surface = source_of(result)
         photo = source_of_capture(capture, surface=False, photo=True).photo
         source: Source = replace(of_surface, photo=photo)
-        templates = {}
+        by_kind = {}
         for kind, (method, surface) in KINDS.items():
             try:
-                templates[kind] = print_template(make_print(source, method, surface).image)
+                by_kind[kind] = print_template(make_print(source, method, surface).image)
             except BadInput as error:
                 print(f"finger {number}, {kind}: {error}", flush=True)
-        kept(file, templates)
+        kept(file, by_kind)
     templates: dict[str, Template] = pickle.loads(file.read_bytes())
     return templates
 
