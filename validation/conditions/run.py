@@ -182,12 +182,13 @@ def main() -> None:
         )
         memory = Memory(capture)
         for preset in missing:
-            gallery_template = (
-                None if impression == 1 else _template(gallery / f"{seed}_{preset}.npz")
-            )
+            template_file = gallery / f"{seed}_{preset}.npz"
+            gallery_template = None
+            if impression != 1 and template_file.is_file():
+                gallery_template = unpack(bytes(np.load(template_file)["payload"]))
             row, template = row_of(capture, truth, preset, memory, gallery_template)
             if impression == 1 and template is not None:
-                _keep(gallery / f"{seed}_{preset}.npz", template)
+                _keep(template_file, template)
             row = {
                 "seed": seed,
                 "impression": impression,
@@ -199,10 +200,6 @@ def main() -> None:
             with kept.open("a") as file:
                 file.write(json.dumps(row) + "\n")
             print(seed, impression, kind, severity, preset, flush=True)
-
-
-def _template(path: Path) -> Template | None:
-    return unpack(bytes(np.load(path)["payload"])) if path.is_file() else None
 
 
 def _keep(path: Path, template: Template) -> None:

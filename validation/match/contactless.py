@@ -119,10 +119,11 @@ def main() -> None:
         parts: dict[str, tuple[list[str], list[str], list[float]]] = {}
         for name in REAL:
             pairs = [(i, j) for i in fingers for j in fingers]
-            score = [
-                float("nan") if probes[i] is None else _score(probes[i], ready[name][j])
-                for i, j in pairs
-            ]
+            score = []
+            for i, j in pairs:
+                match = None if probes[i] is None else fused_match(probes[i], ready[name][j])
+                compared = match is not None and match.compared
+                score.append(match.similarity if compared else float("nan"))
             parts[name] = [f"{i}" for i, _ in pairs], [f"{j}" for _, j in pairs], score
         left, right, score = zip(*(parts[name] for name in REAL), strict=True)
         parts["all"] = [*chain(*left)], [*chain(*right)], [*chain(*score)]
@@ -136,12 +137,6 @@ def main() -> None:
             print(f"{kind:22s}{name:14s}", row, flush=True)
     if options.write:
         OUT.write_text(json.dumps(facts, indent=1) + "\n", encoding="utf-8")
-
-
-def _score(a: Prepared | None, b: Prepared) -> float:
-    assert a is not None
-    match = fused_match(a, b)
-    return match.similarity if match.compared else float("nan")
 
 
 if __name__ == "__main__":

@@ -79,7 +79,10 @@ def _scores(
     pairs = comparisons(finger, session)
     a = pairs.a.tolist()
     b = pairs.b.tolist()
-    scores = [_score(score, sides[i], sides[j]) for i, j in zip(a, b, strict=True)]
+    scores = [
+        float("nan") if sides[i] is None or sides[j] is None else score(sides[i], sides[j])
+        for i, j in zip(a, b, strict=True)
+    ]
     ids = {"finger": finger, "subject": subject, "session": session}
     names = {kind: ([of[i] for i in a], [of[j] for j in b]) for kind, of in ids.items()}
     return score_table(pairs.genuine.tolist(), names, {"score": scores})
@@ -92,7 +95,3 @@ def _side(features: Callable[[Path, str], Any], capture: Path, preset: str) -> A
         if "nbis-py" in str(error):
             raise
         return None
-
-
-def _score(score: Callable[[Any, Any], float], a: Any, b: Any) -> float:
-    return float("nan") if a is None or b is None else score(a, b)

@@ -72,12 +72,13 @@ def rows_table(results: Tree) -> str:
     for name, words in PAGE_ROWS.items():
         if name in results["rows"]:
             row = results["rows"][name]
-            lines.append(
-                _line(
-                    words + (f" ({row['refused']} refused)" if row["refused"] else ""),
-                    row["figures"],
-                )
-            )
+            figures = row["figures"]
+            refused = f" ({row['refused']} refused)" if row["refused"] else ""
+            cells = [
+                _cell(_cut(key, figures[key], ""), COLUMNS[key][1], "") if figures else ""
+                for key in PAGE_COLUMNS
+            ]
+            lines.append(f"| {words}{refused} | " + " | ".join(cells) + " |")
     return "\n".join(lines)
 
 
@@ -116,14 +117,6 @@ def _csv(first: list[str], rows: list[list[str]], figures: list[Tree], sign: str
             cells += ["" if value is None else f"{value:{sign}z.{digits}f}" for value in three]
         writer.writerow(cells)
     return text.getvalue()
-
-
-def _line(words: str, figures: Tree) -> str:
-    cells = [
-        _cell(_cut(key, figures[key], ""), COLUMNS[key][1], "") if figures else ""
-        for key in PAGE_COLUMNS
-    ]
-    return f"| {words} | " + " | ".join(cells) + " |"
 
 
 def _cut(key: str, figure: Tree, sign: str) -> Tree:
