@@ -59,17 +59,15 @@ def noise_free(
             truth = truth_of(patch, check)
             mask = inner(patch[0], truth)
             for count in steps:
-                pattern = Checkerboard(check, steps=count)
-                stack = photograph(patch, pattern)
-                common: dict[str, Any] = {"mask": mask, "clip_level": None}
-                common |= {"shifts": pattern.shifts_mm(), "period": 2 * check}
+                stack = photograph(patch, Checkerboard(check, steps=count))
+                parts = checkerboard(stack, mask=mask, clip_level=None)
                 what = {
                     "surface": name,
                     "check_mm": check,
                     "shifts": count**2,
                     "method": "maximum - minimum",
                 }
-                rows.append({**what, **_judged(checkerboard(stack, **common), truth, mask)})
+                rows.append({**what, **_judged(parts, truth, mask)})
                 print(f"  {name} {check} mm {count**2} shifts: {rows[-1]['direct_db']}", flush=True)
     return rows
 
