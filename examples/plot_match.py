@@ -49,15 +49,15 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument("--out", type=Path, help="folder for pictures; none are written without it")
     options = parser.parse_args(arguments)
     twin = TwinSettings(scale=options.scale)
-    who = {"Ada, first session": (1, 0), "Ada, second session": (1, 1), "Ben": (3, 0)}
+    captures = {"Ada, first session": (1, 0), "Ada, second session": (1, 1), "Ben": (3, 0)}
     templates, prints = {}, {}
-    for name, (seed, impression) in who.items():
+    for name, (seed, impression) in captures.items():
         capture, _ = simulate_capture(seed, "left_loop", twin, impression=impression)
         surface = surface_of(splitknit.reconstruct(capture))
         templates[name] = surface_template(surface)
         image = surface_print(surface)
         prints[name] = image, extract(image, 500.0)
-    first, *others = who
+    first, *others = captures
     for reference in others:
         match = ridge_match(templates[first], templates[reference])
         fmr = rate(match.similarity, "ridge", None).fmr

@@ -197,9 +197,9 @@ def dimensions_of(rig: Rig, settings: SimpleNamespace) -> RigDimensions:
     camera, finger = rig.camera, settings.finger
     rows, columns = camera.image_size
     field = (columns / camera.px_per_mm, rows / camera.px_per_mm)
-    every = [_led_hole(index, led, settings.led) for index, led in enumerate(rig.leds)]
+    led_holes = [_led_hole(index, led, settings.led) for index, led in enumerate(rig.leds)]
     side = side_lights(rig.leds)
-    holes = tuple(hole for hole in every if hole.index not in side)
+    holes = tuple(hole for hole in led_holes if hole.index not in side)
     require(len(holes) > 0, "the rig has no LEDs around the camera; parts cannot be drawn for it.")
     # the lowest LED's dome stands free below the frame, those of higher ones in funnels
     frame_z = min(
@@ -240,7 +240,7 @@ def dimensions_of(rig: Rig, settings: SimpleNamespace) -> RigDimensions:
         camera_height_mm=float(camera.height_mm),
         field_mm=field,
         holes=holes,
-        sides=tuple(every[k] for k in side),
+        sides=tuple(led_holes[k] for k in side),
         bore_mm=bore,
         floor_z_mm=floor_z,
         frame_z_mm=frame_z,

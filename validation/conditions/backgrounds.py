@@ -116,11 +116,11 @@ def table(rows: list[dict[str, Any]]) -> list[list[str]]:
     lines = [["background", "preset", "fingers", *(name + end for name in FIGURES for end in ends)]]
     for background in COLOURS:
         for preset in sorted({row["preset"] for row in rows}):
-            mine = [
+            rows_of_preset = [
                 row for row in rows if (row["background"], row["preset"]) == (background, preset)
             ]
-            good = [row for row in mine if "refused" not in row]
-            cells = [background, preset, f"{len(good)} of {len(mine)}"]
+            good = [row for row in rows_of_preset if "refused" not in row]
+            cells = [background, preset, f"{len(good)} of {len(rows_of_preset)}"]
             for name, form in FIGURES.items():
                 values = np.array([row[name] for row in good])
                 cells += [form.format(value) for value in (np.median(values), *interval(values))]

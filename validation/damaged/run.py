@@ -89,7 +89,7 @@ def damages(capture: Capture, second_finger: Capture) -> dict[str, Capture]:
 
     unequal = np.array([0.75, 1.0, 0.8, 0.78, 1.0, 0.7, 0.74])[:, None, None, None]
     first = {name: band.pixels[0] for name, band in capture.bands.items()}
-    theirs = {name: band.pixels for name, band in second_finger.bands.items()}
+    second_pixels = {name: band.pixels for name, band in second_finger.bands.items()}
     leds = tuple(
         replace(led, position_mm=(-led.position_mm[0], *led.position_mm[1:]))
         if led.position_mm
@@ -119,12 +119,12 @@ def damages(capture: Capture, second_finger: Capture) -> dict[str, Capture]:
         "white 2 blurred by 3 px": changed(
             capture, "white", image_changed(2, lambda image: cv2.GaussianBlur(image, (0, 0), 3))
         ),
-        "all NIR of another finger": changed(capture, "nir", lambda _: theirs["nir"]),
+        "all NIR of another finger": changed(capture, "nir", lambda _: second_pixels["nir"]),
         "white 3 of another finger": changed(
-            capture, "white", image_changed(3, lambda _: theirs["white"][3])
+            capture, "white", image_changed(3, lambda _: second_pixels["white"][3])
         ),
         "NIR 3 of another finger": changed(
-            capture, "nir", image_changed(3, lambda _: theirs["nir"][3])
+            capture, "nir", image_changed(3, lambda _: second_pixels["nir"][3])
         ),
         "LEDs mirrored": replace(capture, rig=replace(capture.rig, leds=leds)),
         "LEDs 12 % unequal": changed(
@@ -265,7 +265,7 @@ def row_of(name: str, finger: int, capture: Capture, truth: dict[str, Any]) -> d
         except BadInput:
             return row
     else:
-        row["noted"] = int(any(each.severity != "note" for each in result.findings))
+        row["noted"] = int(any(finding.severity != "note" for finding in result.findings))
         row["first_words"] = result.warnings[0][:90] if row["noted"] else ""
         row["said"] = " ".join(result.warnings)
     figures = compare(result, truth).figures
@@ -296,7 +296,9 @@ def doubted(count: int, first: int, factor: float) -> int:
         except BadInput as refusal:
             words = str(refusal)
         else:
-            words = "".join(str(each) for each in result.findings[:1] if each.severity != "note")
+            words = "".join(
+                str(finding) for finding in result.findings[:1] if finding.severity != "note"
+            )
         doubted_count += bool(words)
         print(*([seed, words] if words else []), end="\n" if words else "", flush=True)
     return doubted_count

@@ -65,17 +65,17 @@ def main() -> None:
     ranks: list[tuple[str, int]] = []
     support: dict[bool, list[float]] = {True: [], False: []}
     for fold in (0, 1):
-        mine = sorted(name for name in prints if name.rpartition("/")[0] in FOLDS[fold])
+        names = sorted(name for name in prints if name.rpartition("/")[0] in FOLDS[fold])
         others = [prints[name] for name in prints if name.rpartition("/")[0] in FOLDS[1 - fold]]
         gallery = [
-            *(payloads[name] for name in mine),
-            *map(pack, joined(others, GALLERY_SIZE - len(mine))),
+            *(payloads[name] for name in names),
+            *map(pack, joined(others, GALLERY_SIZE - len(names))),
         ]
         started = time.process_time()
         index = MinutiaIndex(dict(enumerate(gallery)), HERE)
         built, started = time.process_time() - started, time.process_time()
-        for n, name in enumerate(mine):
-            own = [k for k, mate_name in enumerate(mine) if mate_name[:-2] == name[:-2]]
+        for n, name in enumerate(names):
+            own = [k for k, mate_name in enumerate(names) if mate_name[:-2] == name[:-2]]
             mates = [own[(own.index(n) + step) % len(own)] for step in (1, 3)]
             order = [
                 row
@@ -83,9 +83,9 @@ def main() -> None:
                 if row not in own or row in mates
             ]
             for mate in mates:
-                if fused_match(ready[name], ready[mine[mate]]).similarity >= limit:
+                if fused_match(ready[name], ready[names[mate]]).similarity >= limit:
                     before = [row for row in order if row not in mates or row == mate]
-                    support[True].append(most(ready[name], ready[mine[mate]]))
+                    support[True].append(most(ready[name], ready[names[mate]]))
                     ranks.append(
                         (name[:-2], before.index(mate) if mate in before else GALLERY_SIZE)
                     )
@@ -93,10 +93,10 @@ def main() -> None:
             support[False] += [most(ready[name], Prepared(unpack(gallery[row]))) for row in others]
         seconds = time.process_time() - started
         print(
-            f"built in {built:.1f} s, {len(mine)} searches with their comparisons {seconds:.1f} s"
+            f"built in {built:.1f} s, {len(names)} searches with their comparisons {seconds:.1f} s"
         )
         if fold == 0:
-            times(mine, gallery)
+            times(names, gallery)
     sure = sum(value >= MATCHING_SUPPORT for value in support[True]), len(support[True])
     print(
         f"support of {MATCHING_SUPPORT}: {sure} matching pairs; of {len(support[False])} others"
@@ -113,14 +113,14 @@ def most(a: Prepared, b: Prepared) -> float:
     )
 
 
-def times(mine: list[str], templates: list[bytes]) -> None:
+def times(names: list[str], templates: list[bytes]) -> None:
     """Measure and write what a search takes."""
     facts: dict[str, object] = {"captures": len(templates)}
     with tempfile.TemporaryDirectory() as folder:
-        probes = range(0, len(mine), 5)
+        probes = range(0, len(names), 5)
         for case, kept in (
             ("present", set(range(len(templates))) - set(probes)),
-            ("absent", range(len(mine), GALLERY_SIZE)),
+            ("absent", range(len(names), GALLERY_SIZE)),
         ):
             file = Path(folder) / f"{case}.skg"
             with Gallery(file) as gallery:

@@ -53,9 +53,9 @@ def main() -> None:
     prints = {name: unpack(payload) for name, payload in payloads.items()}
     counts: dict[tuple[str, str], list[tuple[bool, bool, float]]] = {}
     for fold in (0, 1):
-        mine = sorted(name for name in prints if name.rpartition("/")[0] in FOLDS[fold])
+        names = sorted(name for name in prints if name.rpartition("/")[0] in FOLDS[fold])
         others = [prints[name] for name in prints if name.rpartition("/")[0] in FOLDS[1 - fold]]
-        fingers = sorted({name[:-2] for name in mine})
+        fingers = sorted({name[:-2] for name in names})
         fill = [pack(template) for template in joined(others, GALLERY_SIZE)]
         with tempfile.TemporaryDirectory() as folder:
             galleries = []
@@ -68,14 +68,14 @@ def main() -> None:
                 file = Path(folder) / f"{half}.skg"
                 captures = (
                     NewCapture(
-                        Entry(who, "right_index", "1", "template", "", unpack(payload).area_mm2),
+                        Entry(person, "right_index", "1", "template", "", unpack(payload).area_mm2),
                         payload,
                     )
-                    for who, payload in held
+                    for person, payload in held
                 )
                 galleries.append(Gallery(file))
                 galleries[-1].add(captures, TEMPLATES_HASH)
-            for name in (name for name in mine if name[-1] != "1"):
+            for name in (name for name in names if name[-1] != "1"):
                 own = fingers.index(name[:-2]) % 2
                 for kind, probe in (("whole", payloads[name]), ("6 mm", cut[name])):
                     if Prepared(unpack(probe)).cylinders is None:
@@ -93,7 +93,7 @@ def main() -> None:
                             else answer.decision.expected_false_matches
                         )
                         counts.setdefault((kind, case), []).append((matched, right, stated))
-            print(f"{len(mine)} presses of fold {fold} were searched", flush=True)
+            print(f"{len(names)} presses of fold {fold} were searched", flush=True)
     write(counts)
 
 

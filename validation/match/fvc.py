@@ -168,11 +168,11 @@ def turned(image: Image, angle_deg: float) -> Image:
     )
 
 
-def kept(file: Path, thing: Any) -> None:
+def kept(file: Path, content: Any) -> None:
     """Write through a temporary name: another run may read."""
     file.parent.mkdir(parents=True, exist_ok=True)
     part = file.with_suffix(f".{os.getpid()}")
-    part.write_bytes(pickle.dumps(thing))
+    part.write_bytes(pickle.dumps(content))
     part.replace(file)
 
 
@@ -200,12 +200,12 @@ class SetScores:
 
 def pairs_of(owner: Sequence[str], limit: int | None) -> list[tuple[int, int]]:
     """All genuine pairs, and all impostor ones, or `limit` of them."""
-    every = list(itertools.combinations(range(len(owner)), 2))
-    others = [pair for pair in every if owner[pair[0]] != owner[pair[1]]]
+    all_pairs = list(itertools.combinations(range(len(owner)), 2))
+    others = [pair for pair in all_pairs if owner[pair[0]] != owner[pair[1]]]
     if limit is not None and limit < len(others):
         chosen = np.random.default_rng([3, len(owner)]).permutation(len(others))[:limit]
         others = [others[k] for k in sorted(chosen)]
-    return [pair for pair in every if owner[pair[0]] == owner[pair[1]]] + others
+    return [pair for pair in all_pairs if owner[pair[0]] == owner[pair[1]]] + others
 
 
 def compared(task: tuple[str, str, Job]) -> SetScores:

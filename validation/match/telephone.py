@@ -401,17 +401,17 @@ def photographed(number: int, take: int, folder: Path, hand: str, scene: str) ->
         rng.normal(0, 1, (rows // 40, columns // 40)), CANVAS[::-1], interpolation=cv2.INTER_CUBIC
     )
     for k, (finger, (hit, _, normal, uv)) in enumerate(zip(bodies, hits, strict=True)):
-        mine = hit & (owner == k)
-        masks[k] = mine
-        if not mine.any():
+        visible = hit & (owner == k)
+        masks[k] = visible
+        if not visible.any():
             continue
-        box = np.argwhere(mine)
+        box = np.argwhere(visible)
         part = tuple(slice(low, high + 1) for low, high in zip(box.min(0), box.max(0), strict=True))
         value = skin_light(finger, normal[part] @ rotation.T, uv[part], lit)
         flank = 1 - np.clip((normal[part] @ rotation.T)[..., 2], 0, 1)
         tone = skin * np.exp(-flank[..., None] * np.array([0.1, 0.45, 0.4]))
         tone = tone * (1 + 0.04 * mottle[part][..., None] * np.array([0.5, 1.0, 1.0]))
-        picture[part][mine[part]] = (1.25 * value[..., None] * tone)[mine[part]]
+        picture[part][visible[part]] = (1.25 * value[..., None] * tone)[visible[part]]
     picture *= rng.uniform(0.92, 1.08, 3)
     if rng.random() < 0.3:
         picture *= rng.uniform(0.4, 0.8)  # shade
@@ -561,9 +561,12 @@ def rated(rows: list[dict[str, object]]) -> None:
             def figures(
                 chosen: Array, part: Array = part, threshold: float = threshold
             ) -> tuple[float, float, float]:
-                some = np.vstack([part[part[:, 0] == finger] for finger in chosen])
-                same, impostor = some[some[:, 1] == 1, 4], some[some[:, 1] == 0, 4]
-                levels = np.unique(some[np.isfinite(some[:, 4]), 4])
+                drawn_rows = np.vstack([part[part[:, 0] == finger] for finger in chosen])
+                same, impostor = (
+                    drawn_rows[drawn_rows[:, 1] == 1, 4],
+                    drawn_rows[drawn_rows[:, 1] == 0, 4],
+                )
+                levels = np.unique(drawn_rows[np.isfinite(drawn_rows[:, 4]), 4])
                 errors = [
                     max((same < level).mean(), (impostor >= level).mean()) for level in levels
                 ]
@@ -573,8 +576,8 @@ def rated(rows: list[dict[str, object]]) -> None:
                     100 * (impostor >= threshold).mean(),
                 )
 
-            again = np.array([figures(rng.choice(fingers, len(fingers))) for _ in range(300)])
-            low, high = np.percentile(again, [2.5, 97.5], axis=0)
+            resampled = np.array([figures(rng.choice(fingers, len(fingers))) for _ in range(300)])
+            low, high = np.percentile(resampled, [2.5, 97.5], axis=0)
             words = [
                 f"{v:.1f} [{a:.1f}, {b:.1f}]"
                 for v, a, b in zip(figures(fingers), low, high, strict=True)

@@ -170,13 +170,13 @@ def ridges_apart(rolled: Rolled, truth: dict[str, Any]) -> dict[str, float | Non
 def _surface_error(rolled: Rolled, truth: dict[str, Any]) -> float:
     """Root mean square distance of the smooth surface from the true one, mm."""
     points = truth["body_shape_mm"].astype(np.float64)
-    every = 8
-    length = rolled.chart.length_mm[::every]
-    some = (
-        rolled.blended.known[::every, ::every]
+    stride = 8
+    length = rolled.chart.length_mm[::stride]
+    region = (
+        rolled.blended.known[::stride, ::stride]
         & ((length <= CAP_MM) & (length >= -BASE_MM))[:, None]
     )
-    places = rolled.points_mm[::every, ::every][some].astype(np.float64)
+    places = rolled.points_mm[::stride, ::stride][region].astype(np.float64)
     _, index = cKDTree(points.reshape(-1, 3)).query(places)
     normals = truth["body_normals"].reshape(-1, 3)[index]
     off = ((places - points.reshape(-1, 3)[index]) * normals).sum(axis=1)

@@ -55,11 +55,11 @@ def by_lights() -> dict[str, object]:
     rows = {}
     for count in (3, 4, 5, 6, 8, 12, 24):
         taken = np.arange(count) * 24 // count
-        some = [
+        lit_by_count = [
             replace(target, images=target.images[taken], lights=target.lights[taken])
             for target in objects
         ]
-        error_pairs = [errors(target)[:2] for target in some]
+        error_pairs = [errors(target)[:2] for target in lit_by_count]
         rows[str(count)] = {
             "deg": spread([error_pair[0] for error_pair in error_pairs]),
             "um": spread([error_pair[1] for error_pair in error_pairs]),
@@ -105,10 +105,10 @@ def sound() -> dict[str, object]:
     for seed in seeds:
         findings = errors(rendered(seed))[2].findings
         if SHAPES[seed % len(SHAPES)] == "dish":
-            hollow += [seed] if any(each.code == "hollow" for each in findings) else []
-            findings = tuple(each for each in findings if each.code != "hollow")
+            hollow += [seed] if any(finding.code == "hollow" for finding in findings) else []
+            findings = tuple(finding for finding in findings if finding.code != "hollow")
         if findings:
-            alarms[str(seed)] = [str(each) for each in findings]
+            alarms[str(seed)] = [str(finding) for finding in findings]
     return {
         "sets": len(seeds),
         "with_alarm": len(alarms),

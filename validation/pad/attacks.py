@@ -290,11 +290,15 @@ def _draw(
         for medium in media
     ]
     mixed = []
-    for k, (mine, theirs) in enumerate(zip(own, skins, strict=True)):
+    for k, (own_albedo, skin_albedo) in enumerate(zip(own, skins, strict=True)):
         match = drawn["live"] if drawn["live"] > 0 else drawn["tint"] * (k < 3)
         # mixed by eye
-        near = theirs if drawn["live"] > 0 else theirs * float(np.exp(0.06 * rng.standard_normal()))
-        mixed.append(min(mine ** (1 - match) * near**match, 0.82))
+        near = (
+            skin_albedo
+            if drawn["live"] > 0
+            else skin_albedo * float(np.exp(0.06 * rng.standard_normal()))
+        )
+        mixed.append(min(own_albedo ** (1 - match) * near**match, 0.82))
     scattering = (
         drawn["scattering_per_mm"] ** (1 - drawn["live"])
         * (4.6 * skin.scattering_factor) ** drawn["live"]

@@ -205,11 +205,11 @@ def summary(rows: Sequence[Row]) -> list[str]:
         f"unknown of all: {words(own['unknown'] + open_, own['tried'] + passed + caught + open_)}",
     ]
     for start in ("live, never trained", "live, drawn anew", "live, JPEG", "path-traced"):
-        some = [rates_of for group, rates_of in by_group.items() if group.startswith(start)]
-        if some:
-            tried = sum(rates_of["tried"] for rates_of in some)
+        groups = [rates_of for group, rates_of in by_group.items() if group.startswith(start)]
+        if groups:
+            tried = sum(rates_of["tried"] for rates_of in groups)
             called, open_ = (
-                sum(rates_of[answer] for rates_of in some) for answer in ("attack", "unknown")
+                sum(rates_of[answer] for rates_of in groups) for answer in ("attack", "unknown")
             )
             lines.append(
                 f"{start}: called attack {words(called, tried)}, unknown {words(open_, tried)}"

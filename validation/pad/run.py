@@ -197,10 +197,12 @@ def changed(capture: Capture, how: str) -> Capture:
     return replace(capture, bands=bands, rig=replace(capture.rig, camera=camera))
 
 
-def simulate(out: Path, live: int, each: int) -> None:
+def simulate(out: Path, live: int, per_species: int) -> None:
     """Live fingers and instruments of all species side by side, so that every stop leaves a fair
     mixture."""
-    copies = [(name, 5000 + 100 * k + j) for j in range(each) for k, name in enumerate(SPECIES)]
+    copies = [
+        (name, 5000 + 100 * k + j) for j in range(per_species) for k, name in enumerate(SPECIES)
+    ]
     fingers = [("live", 1000 + j) for j in range(live)]
     for pair in itertools.zip_longest(fingers, copies):
         for name, seed in filter(None, pair):

@@ -213,8 +213,8 @@ def ready(case: str) -> tuple[Measure, Outcome, set[CodeType]]:
     measure = CASES[case].make()
     before, codes = called_by(measure)
     forget()
-    again = measure()
-    if again.digest != before.digest:
+    repeated = measure()
+    if repeated.digest != before.digest:
         raise SystemExit(f"{case}: two runs give different bytes.")
     return measure, before, codes
 

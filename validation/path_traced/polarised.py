@@ -89,7 +89,7 @@ def twins(seeds: Sequence[int], scale: float) -> None:
         parts = ("ridge_corr", "ridge_gain", "ridge_rms_um", "error_over_stated")
         names = [
             "surface_rms_mm",
-            *(f"{part}{each}" for each in (*CLASSES[1:], "") for part in parts),
+            *(f"{part}{slant_class}" for slant_class in (*CLASSES[1:], "") for part in parts),
         ]
         rows.append([figures.get(name, np.nan) for name in names])
         print(seed, *(f"{value:.3f}" for value in rows[-1]), flush=True)
@@ -133,8 +133,8 @@ def table(figures: dict[str, dict[str, dict[str, float]]]) -> str:
     for name, ways in figures.items():
         a, b = ways["films"], ways["no films"]
         cells = [f"{a['surface_rms_mm']:.3f} ({b['surface_rms_mm']:.3f})"]
-        for each in CLASSES:
-            keys = [f"ridge_{figure}{each}" for figure in ("corr", "gain", "rms_um")]
+        for slant_class in CLASSES:
+            keys = [f"ridge_{figure}{slant_class}" for figure in ("corr", "gain", "rms_um")]
             texts = [
                 f"{w[keys[0]]:.3f}, {w[keys[1]]:.2f}, {w[keys[2]]:.1f}" if keys[0] in w else "-"
                 for w in (a, b)

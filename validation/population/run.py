@@ -60,11 +60,11 @@ def sizes(count: int = 2000) -> dict[str, Any]:
     for k, digit in enumerate(DIGITS):
         table = {}
         for sex in ("man", "woman"):
-            some = [p.fingers[f"right_{digit}"].finger for p in everybody if p.sex == sex]
+            fingers = [p.fingers[f"right_{digit}"].finger for p in everybody if p.sex == sex]
             table[sex] = {
-                "width_mm": _mean_sd([finger.shape.width_mm for finger in some]),
-                "length_mm": _mean_sd([finger.shape.length_mm for finger in some]),
-                "period_mm": _mean_sd([finger.print_settings.period_mm for finger in some], 4),
+                "width_mm": _mean_sd([finger.shape.width_mm for finger in fingers]),
+                "length_mm": _mean_sd([finger.shape.length_mm for finger in fingers]),
+                "period_mm": _mean_sd([finger.print_settings.period_mm for finger in fingers], 4),
             }
         asked = (WIDTH_MM[k], LENGTH_MM[k], PERIOD_MM * PERIOD_DIGIT[k])
         result["digits"][digit] = {
@@ -199,7 +199,7 @@ def outlines(subjects: int = 17, sessions: int = 4) -> dict[str, Any]:
     people_of = np.array([name.split()[0] for name in fingers])
     others = ~genuine & (people_of[first] != people_of[second])
     index = np.array([name.endswith("right_index") for name in fingers])
-    by_person = [width[index & (people_of == who)] for who in dict.fromkeys(people_of)]
+    by_person = [width[index & (people_of == person)] for person in dict.fromkeys(people_of)]
     within = (
         float(np.sqrt(np.mean([values.var(ddof=1) for values in by_person])))
         if sessions > 1

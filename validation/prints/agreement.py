@@ -53,7 +53,7 @@ def jobs(fingers: int) -> Iterator[tuple[str, int, str, str]]:
 def measure(population: Path, store: Path, scratch: Path, fingers: int) -> int:
     """Measure what is not there yet; return how many captures the store lacked."""
     surfaces = Surfaces(store)
-    lacking = 0
+    missing = 0
     scratch.mkdir(parents=True, exist_ok=True)
     for preset, session, subject, finger in jobs(fingers):
         file = record_file(scratch, preset, session, subject, finger)
@@ -62,13 +62,13 @@ def measure(population: Path, store: Path, scratch: Path, fingers: int) -> int:
         truth = read_truth(population, subject, session, finger)
         record = capture_record(population, surfaces, truth, (subject, session, finger), preset)
         if record is None:
-            lacking += 1
+            missing += 1
             continue
         partial = file.with_suffix(f".{os.getpid()}.tmp")
         partial.write_text(json.dumps(record), encoding="ascii")
         partial.replace(file)
         print(file.name, flush=True)
-    return lacking
+    return missing
 
 
 def record_file(scratch: Path, preset: str, session: int, subject: str, finger: str) -> Path:
@@ -105,9 +105,9 @@ def main() -> None:
     if not options.summary:
         if options.population is None or options.store is None:
             parser.error("name the population and the store, or --summary.")
-        lacking = measure(options.population, options.store, options.scratch, options.fingers)
-        if lacking:
-            print(f"{lacking} captures are not in the store yet; run the same again later")
+        missing = measure(options.population, options.store, options.scratch, options.fingers)
+        if missing:
+            print(f"{missing} captures are not in the store yet; run the same again later")
     facts = {
         "population": {
             "seed": 680,

@@ -44,7 +44,7 @@ def told_apart(
     same = np.eye(len(names), dtype=bool)
     largest = float(scores[~same].max())
     above = scores[same] > largest
-    interval = by_finger(list(above), lambda some: {"above_all_impostors": float(np.mean(some))})
+    interval = by_finger(list(above), lambda flags: {"above_all_impostors": float(np.mean(flags))})
     return interval | {
         "fingers": len(names), "impostors": int((~same).sum()), "impostor_largest": largest,
         "impostor_p99": round(float(np.percentile(scores[~same], 99)), 1),

@@ -109,7 +109,7 @@ def quality(metric: dict[str, Any], truth: dict[str, Any]) -> dict[str, Any]:
         ]  # fmt: skip
         off = [a - b for a, b in pairs if max(a, b) <= 100]
         by_method[method] = by_finger(
-            off, lambda some: {"median_difference": float(np.median(some))}
+            off, lambda differences: {"median_difference": float(np.median(differences))}
         ) | {
             "median": float(np.median([a for a, _ in pairs])),
             "median_of_true_relief": float(np.median([b for _, b in pairs])),

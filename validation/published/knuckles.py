@@ -159,11 +159,11 @@ def fit_ratios(scores: Values, genuine: Labels) -> tuple[Values, Model]:
 
     def scored(table: Values) -> Values:  # held at the training part's ends
         places = ((table - low) / width - 0.5).T
-        each = [
+        log_ratios = [
             np.interp(place, np.arange(BINS), ratios)
             for place, ratios in zip(places, ratio, strict=True)
         ]
-        return np.asarray(np.nansum(each, axis=0))
+        return np.asarray(np.nansum(log_ratios, axis=0))
 
     return np.ones(len(ratio)), scored
 
@@ -182,14 +182,14 @@ def main() -> None:
     options.work.mkdir(parents=True, exist_ok=True)
     person = np.tile(np.arange(options.people), 2)
     session = np.repeat([1, 2], options.people)
-    every = [
+    template_pairs = [
         templates_of(int(who), int(when), options.work, options.scale)
         for who, when in zip(person, session, strict=True)
     ]
     pairs = comparisons(person, session)
     files = []
     for name, place, match in (("prints", 0, fused_match), ("knuckles", 1, ridge_match)):
-        sides = [Prepared(pair[place]) for pair in every]
+        sides = [Prepared(pair[place]) for pair in template_pairs]
         files.append(options.work / f"{name}.csv")
         with files[-1].open("w", newline="", encoding="utf-8") as stream:
             rows = csv.writer(stream)

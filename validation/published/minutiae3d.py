@@ -209,10 +209,10 @@ def similarity(a: Framed, b: Framed) -> float:
         for _ in range(REFINEMENTS):
             if len(agreed[0]) < 3:
                 break
-            again = _moved(left, right, *agreed)
-            if len(again[0]) <= len(agreed[0]):
+            refined = _moved(left, right, *agreed)
+            if len(refined[0]) <= len(agreed[0]):
                 break
-            agreed = again
+            agreed = refined
         most = max(most, len(agreed[0]))
     return most * most / (a.minutiae.count * b.minutiae.count)
 
@@ -269,13 +269,13 @@ def _plane_motions(a: Framed, b: Framed, left: Index, right: Index) -> tuple[Arr
 def _moved(a: Framed, b: Framed, left: Index, right: Index) -> tuple[Index, Index]:
     """What agrees after the motion that takes minutiae `left` best to `right` (Kabsch, Acta Cryst.
     A32, 1976)."""
-    ours, theirs = (
+    points_a, points_b = (
         np.concatenate([side.places[0][k], side.places[0][k] + ARM_MM * side.places[1][k]])
         for side, k in ((a, left), (b, right))
     )
-    middle = ours.mean(axis=0)
-    there = theirs.mean(axis=0)
-    u, _, vt = np.linalg.svd((ours - middle).T @ (theirs - there))
+    middle = points_a.mean(axis=0)
+    there = points_b.mean(axis=0)
+    u, _, vt = np.linalg.svd((points_a - middle).T @ (points_b - there))
     u[:, 2] *= np.sign(np.linalg.det(u) * np.linalg.det(vt))
     rotation = (u @ vt).T
     return agreeing(a, b, rotation, there - rotation @ middle)

@@ -74,7 +74,7 @@ def _scores(
     subject, session, name = (
         list(part) for part in zip(*(capture.parts for capture in captures), strict=True)
     )
-    finger = [f"{who}/{which}" for who, which in zip(subject, name, strict=True)]
+    finger = [f"{person}/{which}" for person, which in zip(subject, name, strict=True)]
     sides = [_side(features, people / capture, preset) for capture in captures]
     pairs = comparisons(finger, session)
     a = pairs.a.tolist()

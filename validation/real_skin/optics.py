@@ -64,7 +64,7 @@ class Check:
 
     name: str
     literature: str
-    ours: str
+    simulator: str
     passed: bool
     why: str = ""
     """Where it differs."""
@@ -85,8 +85,8 @@ def jensen() -> Iterator[Check]:
         values_text = ", ".join(f"{value:g}" for value in scattering.values())
         literature = f"{values_text} (factor {min(needed):.2f} to {max(needed):.2f})"
         name = f"Jensen's {skin}: scattering in red, green, blue, per mm"
-        ours = f"factor {factors.min():.2f} to {factors.max():.2f}"
-        yield Check(name, literature, ours, passed, "" if passed else WHY_SCATTERING)
+        simulator = f"factor {factors.min():.2f} to {factors.max():.2f}"
+        yield Check(name, literature, simulator, passed, "" if passed else WHY_SCATTERING)
         for channel, value in zip(VISIBLE, coefficients["absorption"], strict=True):
             absorption = np.array([finger.channel(channel).absorption_per_mm for finger in fingers])
             passed = bool(absorption.min() <= value <= absorption.max())
@@ -114,13 +114,13 @@ def nist() -> Check:
     # the simulator's own mixture at another wavelength
     with mock.patch.dict(EFFECTIVE, nir=AT_780_NM):
         optics = [finger.channel("nir") for finger in drawn_fingers()]
-    ours = surface + (1 - surface) * np.array([_profile(channel).albedo for channel in optics])
+    simulator = surface + (1 - surface) * np.array([_profile(channel).albedo for channel in optics])
     low, mean, high = NIST
-    passed = bool(ours.min() <= low and ours.max() >= high)
+    passed = bool(simulator.min() <= low and simulator.max() >= high)
     return Check(
         "reflectance at 780 nm",
         f"{mean:g}, {low:g} to {high:g}",
-        _range(ours),
+        _range(simulator),
         passed,
         "" if passed else WHY_NIST,
     )
@@ -147,9 +147,9 @@ def face() -> Check:
     cycles = 1 / np.array(PERIODS_MM)
     passed = False
     for finger in drawn_fingers():
-        ours = ratios(finger.channel("red"), finger.channel("green"))
-        passed |= bool(((low <= ours) & (ours <= high)).all())
-    theirs = [
+        simulator = ratios(finger.channel("red"), finger.channel("green"))
+        passed |= bool(((low <= simulator) & (simulator <= high)).all())
+    jensen_ratios = [
         ratios(
             *(
                 ChannelOptics(s, a, 0.0)
@@ -162,7 +162,7 @@ def face() -> Check:
     why = (
         "behind a diffuse boundary the ratio falls down to periods of about 1 mm and is lower than"
         " the face's below; Jensen's coefficients make it flatter but lower still"
-        f" ({np.min(theirs):.2f} to {np.max(theirs):.2f}); specular reflection alone has the ratio"
+        f" ({np.min(jensen_ratios):.2f} to {np.max(jensen_ratios):.2f}); specular reflection alone has the ratio"
         f" of the brightness in green to that in red, {gloss:.2f}, at all scales, so that a face"
         " whose detail is mostly specular would look as it does; crossed polarisers would tell."
     )
@@ -200,7 +200,13 @@ def checks() -> list[Check]:
 def table(results: Sequence[Check]) -> list[list[str]]:
     """Rows of ``tables/optics.csv``."""
     rows = [
-        [check.name, check.literature, check.ours, "pass" if check.passed else "differs", check.why]
+        [
+            check.name,
+            check.literature,
+            check.simulator,
+            "pass" if check.passed else "differs",
+            check.why,
+        ]
         for check in results
     ]
     return [["figure", "literature", "simulator", "verdict", "why"], *rows]

@@ -59,20 +59,20 @@ def found_again(a: Prepared, b: Prepared) -> tuple[NDArray[np.bool_], NDArray[np
     ).any(axis=1)
 
 
-def area(quality: NDArray[np.float64], again: NDArray[np.bool_]) -> float:
+def area(quality: NDArray[np.float64], repeated: NDArray[np.bool_]) -> float:
     """Area under the curve: how often one that is found again has the higher quality."""
-    above = np.searchsorted(np.sort(quality[~again]), quality[again], side="left")
-    same = np.searchsorted(np.sort(quality[~again]), quality[again], side="right") - above
-    return float(np.mean((above + 0.5 * same) / (~again).sum()))
+    above = np.searchsorted(np.sort(quality[~repeated]), quality[repeated], side="left")
+    same = np.searchsorted(np.sort(quality[~repeated]), quality[repeated], side="right") - above
+    return float(np.mean((above + 0.5 * same) / (~repeated).sum()))
 
 
-def fitted(terms: NDArray[np.float64], again: NDArray[np.bool_]) -> NDArray[np.float64]:
+def fitted(terms: NDArray[np.float64], repeated: NDArray[np.bool_]) -> NDArray[np.float64]:
     """Weights of a logistic regression, by Newton's method."""
     weights = np.zeros(terms.shape[1])
     for _ in range(20):
         rate = 1 / (1 + np.exp(-terms @ weights))
         weights += np.linalg.solve(
-            (terms.T * (rate * (1 - rate))) @ terms, terms.T @ (again - rate)
+            (terms.T * (rate * (1 - rate))) @ terms, terms.T @ (repeated - rate)
         )
     return weights
 
@@ -83,7 +83,7 @@ def main() -> None:
     terms: list[NDArray[np.float64]] = []
     plain = phase_minutiae._probability
     phase_minutiae._probability = lambda rows: (terms.append(rows), plain(rows))[1]
-    quality, again, sets, rows = [], [], [], []
+    quality, repeated, sets, rows = [], [], [], []
     for name in SETS:
         sides = []
         for file in sorted((root / name).glob("*_[1-4].png")):
@@ -99,11 +99,11 @@ def main() -> None:
             for probe, reference, design in ((a, b, of_a), (b, a, of_b)):
                 visible, there = found_again(probe, reference)
                 quality.append(probe.template.minutiae.quality[visible])
-                again.append(there[visible])
+                repeated.append(there[visible])
                 rows.append(design[visible])
                 sets += [name] * int(visible.sum())
     values = np.concatenate(quality).astype(float)
-    hit = np.concatenate(again)
+    hit = np.concatenate(repeated)
     design = np.concatenate(rows)
     held = np.zeros(len(hit))
     owner = np.array(sets)

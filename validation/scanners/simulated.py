@@ -89,17 +89,17 @@ def projector() -> View:
 class Sight:
     """A finger in one camera."""
 
-    def __init__(self, who: Fingers, deg: float = 0.0) -> None:
+    def __init__(self, fingers: Fingers, deg: float = 0.0) -> None:
         """The camera is turned by `deg` about the finger's axis."""
         turn = turned("y", deg)
-        self.camera, self.who, self.turn = camera_of(PX_PER_MM), who, turn
+        self.camera, self.fingers, self.turn = camera_of(PX_PER_MM), fingers, turn
         assert self.camera.matrix is not None
         self.view = view_of(self.camera.matrix, turn)
         self.surface = finger_in_view(
-            PlacedFinger(who.body, who.skin, who.placed(turn)), self.camera, 1
+            PlacedFinger(fingers.body, fingers.skin, fingers.placed(turn)), self.camera, 1
         )
         self.patch = cut_out(self.surface)
-        self.rng = np.random.default_rng([who.seed, round(deg) % 360])
+        self.rng = np.random.default_rng([fingers.seed, round(deg) % 360])
         self._media: dict[str, tuple[SubsurfaceScattering, Relief]] = {}
         here = np.stack([self.patch.x, self.patch.y, self.patch.z], -1)
         self.points = (here - PIVOT) @ turn + PIVOT  # in the scene's frame
@@ -109,7 +109,7 @@ class Sight:
     ) -> Iterator[tuple[FloatArray, float]]:
         """Radiance (H, W) and mean light on the skin under a lamp, or under each pattern;
         ``opaque``: painted skin."""
-        optics = self.who.optics
+        optics = self.fingers.optics
         gain: Any = np.float32(1 / np.pi)
         led = Led("white", tuple(self.turn @ (lamp.centre_mm - PIVOT) + PIVOT))
         entering, gloss = light_on(self.patch, led, optics.roughness, LED_RADIUS_MM)
