@@ -47,7 +47,8 @@ def main() -> None:
     size = sum(file.stat().st_size for file in files) / len(files)
     reconstruction_s = facts["reconstruction_s"] / facts["reconstructed"]
     print(
-        f"A reconstruction of {len(files)}: {reconstruction_s:.2f} s by the clock, {size / 1e6:.1f} MB."
+        f"A reconstruction of {len(files)}: {reconstruction_s:.2f} s by the clock,"
+        f" {size / 1e6:.1f} MB."
     )
     print(
         f"| case | matcher | how many | each | {ALL_PAIRS} of them, two cores |\n| --- | --- | ---"
