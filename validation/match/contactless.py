@@ -119,12 +119,14 @@ def main() -> None:
         parts: dict[str, tuple[list[str], list[str], list[float]]] = {}
         for name in REAL:
             pairs = [(i, j) for i in fingers for j in fingers]
-            score = []
+            similarities = []
             for i, j in pairs:
-                match = None if probes[i] is None else fused_match(probes[i], ready[name][j])
-                compared = match is not None and match.compared
-                score.append(match.similarity if compared else float("nan"))
-            parts[name] = [f"{i}" for i, _ in pairs], [f"{j}" for _, j in pairs], score
+                probe, similarity = probes[i], float("nan")
+                if probe is not None:
+                    match = fused_match(probe, ready[name][j])
+                    similarity = match.similarity if match.compared else float("nan")
+                similarities.append(similarity)
+            parts[name] = [f"{i}" for i, _ in pairs], [f"{j}" for _, j in pairs], similarities
         left, right, score = zip(*(parts[name] for name in REAL), strict=True)
         parts["all"] = [*chain(*left)], [*chain(*right)], [*chain(*score)]
         facts["rates"][kind] = {}

@@ -162,9 +162,10 @@ def face() -> Check:
     why = (
         "behind a diffuse boundary the ratio falls down to periods of about 1 mm and is lower than"
         " the face's below; Jensen's coefficients make it flatter but lower still"
-        f" ({np.min(jensen_ratios):.2f} to {np.max(jensen_ratios):.2f}); specular reflection alone has the ratio"
-        f" of the brightness in green to that in red, {gloss:.2f}, at all scales, so that a face"
-        " whose detail is mostly specular would look as it does; crossed polarisers would tell."
+        f" ({np.min(jensen_ratios):.2f} to {np.max(jensen_ratios):.2f}); specular reflection alone"
+        f" has the ratio of the brightness in green to that in red, {gloss:.2f}, at all scales, so"
+        " that a face whose detail is mostly specular would look as it does; crossed polarisers"
+        " would tell."
     )
     simulated = ", ".join(
         f"{ratio:.2f}" for ratio in ratios(usual.channel("red"), usual.channel("green"))
