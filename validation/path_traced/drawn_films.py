@@ -196,9 +196,9 @@ def _images(case: Case, rig: Rig, surface: Any, fine: Any, lights: int) -> tuple
             1, k, way, camera_way
         )
         if k < RING:  # hardly any skin hides the ring
-            reflected = passed * pixel_means(reflected(fine, led, case.roughness), surface)
+            gloss = passed * pixel_means(reflected(fine, led, case.roughness), surface)
         else:
-            reflected = passed * specular(surface, led, case.roughness, fine)
+            gloss = passed * specular(surface, led, case.roughness, fine)
         cosines = (
             np.maximum(to_x * normals[..., 0] + to_y * normals[..., 1] + to_z * normals[..., 2], 0),
             normals[..., 2].clip(0, 1),
@@ -218,9 +218,7 @@ def _images(case: Case, rig: Rig, surface: Any, fine: Any, lights: int) -> tuple
             cv2.GaussianBlur(scattered, (0, 0), 0.1 / pitch)
             + cv2.GaussianBlur(scattered, (0, 0), 0.25 / pitch)
         ) / 2
-        seen.append(
-            cv2.GaussianBlur((reflected + spread * once).astype(np.float32), (0, 0), LENS_PX)
-        )
+        seen.append(cv2.GaussianBlur((gloss + spread * once).astype(np.float32), (0, 0), LENS_PX))
         diffuse.append((strength * cosines[0] / np.pi * 0.35 * 0.25 * mask).astype(np.float32))
     return np.stack(seen), np.stack(diffuse)
 
