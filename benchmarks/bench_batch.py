@@ -45,20 +45,23 @@ def main() -> None:
     )
     files = [file for case in cases for file in Store(OUT / "store").files("features", case.name)]
     size = sum(file.stat().st_size for file in files) / len(files)
-    each = facts["reconstruction_s"] / facts["reconstructed"]
-    print(f"A reconstruction of {len(files)}: {each:.2f} s by the clock, {size / 1e6:.1f} MB.")
+    reconstruction_s = facts["reconstruction_s"] / facts["reconstructed"]
+    print(
+        f"A reconstruction of {len(files)}: {reconstruction_s:.2f} s by the clock,"
+        f" {size / 1e6:.1f} MB."
+    )
     print(
         f"| case | matcher | how many | each | {ALL_PAIRS} of them, two cores |\n| --- | --- | ---"
         " | --- | --- |"
     )
     for scores in facts["scores"]:
-        each = scores["ms_per_comparison"]
-        whole = f"{each * ALL_PAIRS / 2 / 3.6e6:.2f} h"
+        comparison_ms = scores["ms_per_comparison"]
+        whole = f"{comparison_ms * ALL_PAIRS / 2 / 3.6e6:.2f} h"
         row = (
             scores["case"],
             scores["matcher"],
             str(scores["compared"]),
-            f"{each:.1f} ms of one core",
+            f"{comparison_ms:.1f} ms of one core",
             whole,
         )
         print(f"| {' | '.join(row)} |")

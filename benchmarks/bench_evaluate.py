@@ -38,17 +38,16 @@ def main() -> None:
     )
     options = parser.parse_args()
     generator = np.random.default_rng(0)
-    genuine, impostor = generator.normal(2.5, 1, 20_000), generator.normal(0, 1, 1_000_000)
+    genuine = generator.normal(2.5, 1, 20_000)
+    impostor = generator.normal(0, 1, 1_000_000)
     print(f"20,000 genuine and 1,000,000 impostor scores, {machine()}")
     contenders = {
         "roc": lambda: roc(genuine, impostor).far.size,
         "roc, EER, GAR at three FARs, AUC": lambda: figures(genuine, impostor),
         "argsort of all scores, cumulated": lambda: textbook(genuine, impostor).size,
     }
-    label, score = (
-        np.repeat([1, 0], [genuine.size, impostor.size]),
-        np.concatenate([genuine, impostor]),
-    )
+    label = np.repeat([1, 0], [genuine.size, impostor.size])
+    score = np.concatenate([genuine, impostor])
     if metrics := library("sklearn.metrics"):
         contenders["scikit-learn: roc_curve"] = lambda: metrics.roc_curve(label, score)[0].size
     print_table(
@@ -65,7 +64,10 @@ def main() -> None:
         )
     facts = race(rates, max(options.rounds // 3, 1))
     print_table(
-        "Figures", facts, lambda found: f"{found[0]:.5f} / {found[1]:.5f}", "EER / GAR at FAR 0.1 %"
+        "Figures",
+        facts,
+        lambda rates_pair: f"{rates_pair[0]:.5f} / {rates_pair[1]:.5f}",
+        "EER / GAR at FAR 0.1 %",
     )
     label = np.repeat([True, False], [genuine.size, impostor.size])
     resampling(Scores(label, np.concatenate([genuine, impostor])), ("plain",), options.replicates)
@@ -91,14 +93,16 @@ def textbook(genuine: np.ndarray, impostor: np.ndarray) -> np.ndarray:
     scores = np.concatenate([genuine, impostor])
     order = np.argsort(-scores)
     label = np.repeat([True, False], [genuine.size, impostor.size])[order]
-    gar, far = np.cumsum(label) / genuine.size, np.cumsum(~label) / impostor.size
+    gar = np.cumsum(label) / genuine.size
+    far = np.cumsum(~label) / impostor.size
     last = np.append(np.diff(scores[order]) != 0, True)
     return np.stack([far[last], gar[last]], axis=1)[:, 0]
 
 
 def thesis(generator: np.random.Generator) -> Scores:
     """17 subjects, 10 fingers, 4 sessions, all six pairs."""
-    finger, session = np.tile(np.arange(170), 4), np.repeat(np.arange(4), 170)
+    finger = np.tile(np.arange(170), 4)
+    session = np.repeat(np.arange(4), 170)
     pairs = comparisons(finger, session)
     score = 3 * pairs.genuine + generator.normal(size=pairs.a.size)
     return scores_of_comparisons(pairs, score, finger, session, finger // 10)
@@ -116,10 +120,12 @@ def resampling(scores: Scores, methods: tuple[str, ...], replicates: int) -> Non
     print("| --- | --- | --- |")
     bootstrap(scores, "plain", BootstrapSettings(replicates=20))
     for method in methods:
-        started, busy = time.perf_counter(), time.process_time()
+        started = time.perf_counter()
+        busy = time.process_time()
         bootstrap(scores, method, BootstrapSettings(replicates=replicates))
         factor = 1000 / replicates
-        wall, used = factor * (time.perf_counter() - started), factor * (time.process_time() - busy)
+        wall = factor * (time.perf_counter() - started)
+        used = factor * (time.process_time() - busy)
         print(f"| {method} | {wall:.1f} | {used:.1f} |")
 
 
@@ -142,8 +148,8 @@ def score_file(impostor: np.ndarray) -> Any:
         rows = "".join(f"0,{value:.6f},f{k % 997},f{k % 991}\n" for k, value in enumerate(impostor))
         path.write_text("label,score,finger_a,finger_b\n1,3,f1,f1\n" + rows)
         started = time.process_time()
-        found = read_scores(path)
-        count = found.scores.score.size
+        table = read_scores(path)
+        count = table.scores.score.size
         print(
             f"\nA file of {count:,} lines with fingers: read in"
             f" {time.process_time() - started:.1f} s."

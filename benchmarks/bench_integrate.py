@@ -33,7 +33,8 @@ def main() -> None:
     rounds = parser.parse_args().rounds
     case = finger_case()
     mask = case.mask
-    p, q = case.gradient_x.astype(np.float32), case.gradient_y.astype(np.float32)
+    p = case.gradient_x.astype(np.float32)
+    q = case.gradient_y.astype(np.float32)
     inner = cv2.erode(mask.astype(np.uint8), np.ones((51, 51), np.uint8), borderValue=1) > 0
     fraction = cv2.GaussianBlur(mask.astype(np.float32), (0, 0), 24)
 

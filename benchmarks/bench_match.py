@@ -49,7 +49,8 @@ def main() -> None:
     parser.add_argument("--rounds", type=int, default=5)
     rounds = parser.parse_args().rounds
     cv2.setNumThreads(1)
-    finger, camera = draw_finger(1), default_rig(SURFACE).camera
+    finger = draw_finger(1)
+    camera = default_rig(SURFACE).camera
     master = finger.master()
     seen = [
         finger_surface(replace(finger, printed=master), pose, camera)
@@ -81,7 +82,7 @@ def main() -> None:
             Prepared(unpack(stored[0])), ready[1]
         ),
         "comparison, both sides anew": lambda: ridge_match(
-            *(Prepared(unpack(one)) for one in stored)
+            *(Prepared(unpack(payload)) for payload in stored)
         ),
         "template from a reconstruction": lambda: template(0),
     }
@@ -102,7 +103,7 @@ def main() -> None:
     print_table(
         "All rotations",
         race(turned, 4 * rounds),
-        lambda found: f"{found.rotation_deg:.0f} deg",
+        lambda alignment: f"{alignment.rotation_deg:.0f} deg",
         "found",
     )
 
@@ -113,11 +114,11 @@ def main() -> None:
     settings = ThesisSettings(gate=0.0)
     known = finger_features(boxes[0], settings)
 
-    def pair(given: bool, threads: int = 1) -> Any:
+    def pair(features_known: bool, threads: int = 1) -> Any:
         cv2.setNumThreads(threads)
-        found = thesis_match(*boxes, settings, known if given else None)
+        comparison = thesis_match(*boxes, settings, known if features_known else None)
         cv2.setNumThreads(1)
-        return found
+        return comparison
 
     contenders = {
         "lbp": lambda: pair(False),
@@ -138,11 +139,11 @@ def main() -> None:
             cell = np.arange(rows)[:, None] // 64 * (wide // 64) + np.arange(wide) // 64
             return np.bincount((59 * cell + codes).ravel(), minlength=59 * rows * wide // 4096)
 
-        one = {
+        contenders = {
             "lbp_features, single": lambda: lbp_features(relief, 75.7),
             "scikit-image: local_binary_pattern, numpy's bincount, double": by_skimage,
         }
-        print_table("Local binary patterns of one channel", race(one, rounds))
+        print_table("Local binary patterns of one channel", race(contenders, rounds))
 
     minutiae([print_of(s, camera.px_per_mm) for s in seen], rounds)
 
@@ -152,16 +153,14 @@ def minutiae(prints: list[NDArray[np.uint8]], rounds: int) -> None:
     if importlib.util.find_spec("nbis") is None:
         print("nbis-py is not installed: no minutiae.")
         return
-    found = [extract(picture) for picture in prints]
-    print(
-        f"Minutiae: {found[0].count} and {found[1].count}; packed {len(pack_minutiae(found[0]))}"
-        " bytes"
-    )
+    templates = [extract(picture) for picture in prints]
+    packed_bytes = len(pack_minutiae(templates[0]))
+    print(f"Minutiae: {templates[0].count} and {templates[1].count}; packed {packed_bytes} bytes")
     contenders = {
         "minutiae of a relief print": lambda: extract(prints[0]),
         "enhancement of a pressed print": lambda: pressed_ridges(prints[0]),
         "NFIQ 2 of a print": lambda: nfiq2(prints[0]),
-        "comparison of minutiae, both directions": lambda: minutiae_match(*found),
+        "comparison of minutiae, both directions": lambda: minutiae_match(*templates),
     }
     import nbis
 

@@ -68,15 +68,18 @@ def main() -> None:
     bear = folder / "diligent" / "bear.npz"
     if bear.is_file():
         with np.load(bear) as data:
-            photographs, directions = data["images"].astype(np.float32) / 65535, data["lights"]
-            inside, truth = data["mask"].astype(bool), data["normals"]
+            photographs = data["images"].astype(np.float32) / 65535
+            directions = data["lights"]
+            inside = data["mask"].astype(bool)
+            truth = data["normals"]
         real = {
             "lambertian": lambda: lambertian(photographs, directions, inside)[0],
             "robust": lambda: robust(photographs, directions, inside)[0],
         }
 
         def bear_error(normals: np.ndarray) -> str:
-            return f"{np.degrees(np.arccos(np.clip((normals * truth).sum(axis=-1), -1, 1)))[inside].mean():.2f}"
+            cosine = np.clip((normals * truth).sum(axis=-1), -1, 1)
+            return f"{np.degrees(np.arccos(cosine))[inside].mean():.2f}"
 
         print_table("DiLiGenT bear, 24 lights", race(real, rounds), bear_error, "mean error deg")
 

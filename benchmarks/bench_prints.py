@@ -113,8 +113,8 @@ def real_prints(files: list[Path], rounds: int) -> None:
         images = done
     work = {name: lambda run=run: [run(image) for image in images] for name, run in methods.items()}
 
-    def quality(made: list[np.ndarray]) -> str:
-        scores = [score for score in (nfiq2(image) for image in made) if score <= 100]
+    def quality(enhanced: list[np.ndarray]) -> str:
+        scores = [score for score in (nfiq2(image) for image in enhanced) if score <= 100]
         return f"{statistics.median(scores):g} / {statistics.mean(scores):.1f}"
 
     print(f"\nNFIQ 2 of the prints as they are, median / mean: {quality(images)}.")

@@ -1,8 +1,10 @@
 """The command line from disk to disk: seconds, processor time and peak memory of whole runs.
 
     python benchmarks/bench_reconstruct.py  # full and half scale, metric, snk and ea
-    python benchmarks/bench_reconstruct.py --profile  # the dearest functions of one full-frame run, then stops
-    python benchmarks/bench_reconstruct.py --photographs 200x3 8x45 8x45/10  # number x megapixels [/ --max-size]
+    python benchmarks/bench_reconstruct.py --profile  # functions of one full-frame run
+    python benchmarks/bench_reconstruct.py --photographs 200x3 8x45 8x45/10
+
+The numbers after ``--photographs``: number x megapixels [/ --max-size].
 
 Every run is a process of its own (what it loads counts). The captures are simulated once into
 ``benchmarks/out`` and carry no truth: comparing is not part of a reconstruction.
@@ -99,12 +101,12 @@ def prepare(scale: float) -> tuple[Path, Run]:
 
 def seconds_of(work: Callable[[], object], rounds: int) -> float:
     """Least seconds of some rounds."""
-    found = []
+    durations = []
     for _ in range(rounds):
         started = time.perf_counter()
         work()
-        found.append(time.perf_counter() - started)
-    return min(found)
+        durations.append(time.perf_counter() - started)
+    return min(durations)
 
 
 def peers(folder: Path, result: Path, rounds: int) -> list[tuple[str, float]]:
@@ -127,9 +129,9 @@ def peers(folder: Path, result: Path, rounds: int) -> list[tuple[str, float]]:
         ),
         ("numpy.savez (not compressed) of the same", lambda: np.savez(target, **arrays)),
     ]
-    found = [(words, seconds_of(work, rounds)) for words, work in rows]
+    times = [(words, seconds_of(work, rounds)) for words, work in rows]
     target.unlink()
-    return found
+    return times
 
 
 def import_seconds(rounds: int = 10) -> tuple[float, float]:
@@ -173,7 +175,8 @@ def table(scale: float, presets: Sequence[str], rounds: int) -> None:
         writing = best.facts["total_s"] - sum(stages.values())
         cells = [f"{stages.get(stage, 0.0):.2f}" for stage in STAGES] + [f"{writing:.2f}"]
         median = statistics.median(run.wall_s for run in runs)
-        cpu, peak = min(run.cpu_s for run in runs), max(run.peak_mb for run in runs)
+        cpu = min(run.cpu_s for run in runs)
+        peak = max(run.peak_mb for run in runs)
         print(
             f"| `{preset}` | {best.wall_s:.2f} / {median:.2f} | {cpu:.2f} | {peak:.0f} |"
             f" {' | '.join(cells)} |"

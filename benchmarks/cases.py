@@ -85,7 +85,8 @@ def shadow_case(seed: int = 0, rows: int = 1528, columns: int = 936) -> ShadowCa
     """Seven lights at 55 deg elevation on the finger: attached shadows, noise of 0.003, varying
     albedo."""
     finger = finger_case(rows, columns)
-    azimuth, elevation = np.deg2rad(np.arange(7) * 360 / 7), np.deg2rad(55.0)
+    azimuth = np.deg2rad(np.arange(7) * 360 / 7)
+    elevation = np.deg2rad(55.0)
     lights = np.column_stack(
         [
             np.cos(azimuth) * np.cos(elevation),

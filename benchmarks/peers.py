@@ -117,7 +117,8 @@ def masked_system(slope_x: Array, slope_y: Array, mask: Array) -> tuple[Any, Arr
 def cg_dct_solver(system: tuple[Any, Array], mask: Array, dtype: Any) -> Callable[[float], Array]:
     """Masked least squares, matrix at hand: conjugate gradients, the rectangle's Poisson solver as
     preconditioner."""
-    matrix, right_side = system[0].astype(dtype), system[1].astype(dtype)
+    matrix = system[0].astype(dtype)
+    right_side = system[1].astype(dtype)
     inverse = inverse_laplacian(mask.shape, dtype)
 
     def precondition(residual: Array) -> Array:
@@ -169,17 +170,18 @@ def shapelets_scale_by_scale(slope_x: Array, slope_y: Array, scales: int) -> Arr
     """Kovesi's way: the transforms of every scale's slant and tilt fields, correlated with the
     surface's."""
     rows, columns = slope_x.shape
-    x, y = (
-        scipy.fft.fftfreq(columns, 1 / columns)[None],
-        -scipy.fft.fftfreq(rows, 1 / rows)[:, None],
-    )
-    steepness, tilt = np.hypot(slope_x, slope_y), np.arctan2(slope_y, slope_x)
-    cosine, sine = np.fft.fft2(steepness * np.cos(tilt)), np.fft.fft2(steepness * np.sin(tilt))
+    x = scipy.fft.fftfreq(columns, 1 / columns)[None]
+    y = -scipy.fft.fftfreq(rows, 1 / rows)[:, None]
+    steepness = np.hypot(slope_x, slope_y)
+    tilt = np.arctan2(slope_y, slope_x)
+    cosine = np.fft.fft2(steepness * np.cos(tilt))
+    sine = np.fft.fft2(steepness * np.sin(tilt))
     total = np.zeros(slope_x.shape)
     for k in range(scales):
         sigma = 2.0**k
         bump = np.exp(-(x**2 + y**2) / (2 * sigma**2))
-        slant, direction = np.hypot(x, y) / sigma**2 * bump, np.arctan2(-y, -x)
+        slant = np.hypot(x, y) / sigma**2 * bump
+        direction = np.arctan2(-y, -x)
         total += np.fft.ifft2(np.conj(np.fft.fft2(slant * np.cos(direction))) * cosine).real
         total += np.fft.ifft2(np.conj(np.fft.fft2(slant * np.sin(direction))) * sine).real
     return total * np.log(4) / (4 * np.pi)

@@ -163,7 +163,7 @@ def page(scripts: list[str], quick: bool) -> int:
             failed.append(script)
             continue
         stored(script).write_text(as_json(parsed(run.stdout)), encoding="utf-8")
-    PAGE.write_text(replaced(PAGE.read_text(encoding="utf-8"), shown()), encoding="utf-8")
+    PAGE.write_text(replaced(PAGE.read_text(encoding="utf-8"), page_table()), encoding="utf-8")
     if failed:
         print(
             f"The tables keep what they had of {', '.join(failed)}, which failed.", file=sys.stderr
@@ -181,8 +181,8 @@ def as_json(document: Mapping[str, Any]) -> str:
     return re.sub(r'\[\s+("[^\n]*"(?:,\n\s+"[^\n]*")*)\s+\]', _on_one_line, text) + "\n"
 
 
-def _on_one_line(found: re.Match[str]) -> str:
-    return f"[{' '.join(cell.strip() for cell in found[1].splitlines())}]"
+def _on_one_line(match: re.Match[str]) -> str:
+    return f"[{' '.join(cell.strip() for cell in match[1].splitlines())}]"
 
 
 def parsed(text: str) -> dict[str, Any]:
@@ -205,7 +205,7 @@ def parsed(text: str) -> dict[str, Any]:
     return {"notes": notes, "tables": tables}
 
 
-def shown() -> str:
+def page_table() -> str:
     """The page's table: the rows ``SHOWN`` of what is stored."""
     lines = [
         "| what | time, least / median | processor | peer, time |",

@@ -39,7 +39,8 @@ def race(contenders: dict[str, Callable[[], Any]], rounds: int = 5) -> list[Row]
     seconds: dict[str, list[tuple[float, float]]] = {name: [] for name in contenders}
     for _ in range(rounds):
         for name, run in contenders.items():
-            start, busy = time.perf_counter(), time.process_time()
+            start = time.perf_counter()
+            busy = time.process_time()
             run()
             seconds[name].append((time.perf_counter() - start, time.process_time() - busy))
     return [Row(name, results[name], *zip(*taken, strict=True)) for name, taken in seconds.items()]
@@ -48,7 +49,7 @@ def race(contenders: dict[str, Callable[[], Any]], rounds: int = 5) -> list[Row]
 def ratio(row: Row, first: Row) -> float:
     """Median over the rounds of this one's processor time against the first's in the same round."""
     return statistics.median(
-        own / max(other, 1e-9) for own, other in zip(row.cpu_s, first.cpu_s, strict=True)
+        own / max(of_first, 1e-9) for own, of_first in zip(row.cpu_s, first.cpu_s, strict=True)
     )
 
 
@@ -79,9 +80,9 @@ def _ms(seconds: float) -> str:
 def machine(*packages: str) -> str:
     """When, on what and with which versions the figures were measured."""
     load = os.getloadavg()[0] if hasattr(os, "getloadavg") else float("nan")
-    found = ", ".join(f"{name} {_version(name)}" for name in ("splitknit", "numpy", *packages))
+    versions = ", ".join(f"{name} {_version(name)}" for name in ("splitknit", "numpy", *packages))
     day = datetime.now(UTC).date().isoformat()
-    return f"{day}, {os.cpu_count()} cores, load {load:.1f} when the run began, {found}"
+    return f"{day}, {os.cpu_count()} cores, load {load:.1f} when the run began, {versions}"
 
 
 def _version(name: str) -> str:

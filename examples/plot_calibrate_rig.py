@@ -46,9 +46,9 @@ def read_tips(rig: Rig, nails: int, error_px: float) -> list[Tip]:
     return sorted(tips, key=lambda tip: (tip.led, tip.nail))
 
 
-def angle_deg(found: np.ndarray, true: np.ndarray) -> float:
+def angle_deg(estimate: np.ndarray, true: np.ndarray) -> float:
     """Between the directions from the middle of the finger plane."""
-    cosine = found @ true / (np.linalg.norm(found) * np.linalg.norm(true))
+    cosine = estimate @ true / (np.linalg.norm(estimate) * np.linalg.norm(true))
     return float(np.rad2deg(np.arccos(np.clip(cosine, -1, 1))))
 
 
@@ -69,11 +69,14 @@ def main(arguments: list[str] | None = None) -> int:
         f" {height:.1f} by the circle"
     )
     print("LED      circle, mean of nails   joint fit   stated (95 %)   as drawn")
-    for k, (one, both, limit) in enumerate(zip(plain, joint.leds, joint.interval_deg, strict=True)):
+    for k, (circle_led, joint_led, limit) in enumerate(
+        zip(plain, joint.leds, joint.interval_deg, strict=True)
+    ):
         true = np.asarray(rig.leds[k].position_mm)
         drawn = 52.5 * np.array([np.cos(2 * np.pi * k / 7), np.sin(2 * np.pi * k / 7), 140 / 52.5])
         errors = [
-            angle_deg(np.asarray(p), true) for p in (one.position_mm, both.position_mm, drawn)
+            angle_deg(np.asarray(p), true)
+            for p in (circle_led.position_mm, joint_led.position_mm, drawn)
         ]
         print(
             f"white {k}  {errors[0]:14.2f} deg {errors[1]:13.2f} deg {limit:9.2f} deg"

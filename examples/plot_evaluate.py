@@ -54,7 +54,8 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument("--out", type=Path, help="folder for pictures; none are written without it")
     options = parser.parse_args(arguments)
     count = options.fingers
-    finger, session = np.tile(np.arange(count), 2), np.repeat(np.arange(2), count)
+    finger = np.tile(np.arange(count), 2)
+    session = np.repeat(np.arange(2), count)
     sides = [
         Prepared(template(100 + f, s, options.scale)) for f, s in zip(finger, session, strict=True)
     ]
@@ -69,10 +70,12 @@ def main(arguments: list[str] | None = None) -> int:
         f" {similarity[pairs.genuine].max():.2f}, impostors {similarity[~pairs.genuine].min():.2f}"
         f" to {similarity[~pairs.genuine].max():.2f}"
     )
-    found = bootstrap(scores, "finger", BootstrapSettings(seed=1))
+    intervals = bootstrap(scores, "finger", BootstrapSettings(seed=1))
     for name, words in (("eer", "equal error rate"), ("gar@0.01", "GAR at FAR 1 %")):
-        one = found.figures[name]
-        print(f"{words}: {100 * one.value:.1f} % [{100 * one.low:.1f}, {100 * one.high:.1f}]")
+        figure = intervals.figures[name]
+        print(
+            f"{words}: {100 * figure.value:.1f} % [{100 * figure.low:.1f}, {100 * figure.high:.1f}]"
+        )
     if options.out is not None:
         (options.out / "roc.svg").write_bytes(
             chart(lambda ax: draw_roc(ax, [("ridges", scores, None)]))

@@ -75,8 +75,9 @@ def main(arguments: list[str] | None = None) -> int:
         & np.roll(mask, -24, 1)
     )
     for scales in (3, 4, 5):
-        found = shapelets(p, q, mask, ShapeletSettings(scales=scales))
-        e, t = found[inner] - found[inner].mean(), ridge[inner] - ridge[inner].mean()
+        estimate = shapelets(p, q, mask, ShapeletSettings(scales=scales))
+        e = estimate[inner] - estimate[inner].mean()
+        t = ridge[inner] - ridge[inner].mean()
         print(
             f"  shapelets, {scales} scales: gain at the ridges {np.sum(e * t) / np.sum(t * t):.2f}"
         )

@@ -49,37 +49,39 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument("--out", type=Path, help="folder for pictures; none are written without it")
     options = parser.parse_args(arguments)
     twin = TwinSettings(scale=options.scale)
-    who = {"Ada, first session": (1, 0), "Ada, second session": (1, 1), "Ben": (3, 0)}
+    captures = {"Ada, first session": (1, 0), "Ada, second session": (1, 1), "Ben": (3, 0)}
     templates, prints = {}, {}
-    for name, (seed, impression) in who.items():
+    for name, (seed, impression) in captures.items():
         capture, _ = simulate_capture(seed, "left_loop", twin, impression=impression)
         surface = surface_of(splitknit.reconstruct(capture))
         templates[name] = surface_template(surface)
         image = surface_print(surface)
         prints[name] = image, extract(image, 500.0)
-    first, *others = who
-    for other in others:
-        found = ridge_match(templates[first], templates[other])
-        fmr = rate(found.similarity, "ridge", None).fmr
-        score = minutiae_match(prints[first][1], prints[other][1])
-        print(f"{first} against {other}:")
+    first, *others = captures
+    for reference in others:
+        match = ridge_match(templates[first], templates[reference])
+        fmr = rate(match.similarity, "ridge", None).fmr
+        score = minutiae_match(prints[first][1], prints[reference][1])
+        print(f"{first} against {reference}:")
         often = (
             "always"
             if fmr is None or fmr >= 0.999
             else f"in at most {100 * fmr:.2g} % of comparisons"
         )
         print(
-            f"  by ridges {found.similarity:.2f} (turned by {found.rotation_deg:+.1f} deg,"
-            f" {found.overlap_mm2:.0f} mm2 in common); impostors reach that {often}"
+            f"  by ridges {match.similarity:.2f} (turned by {match.rotation_deg:+.1f} deg,"
+            f" {match.overlap_mm2:.0f} mm2 in common); impostors reach that {often}"
         )
         print(f"  by minutiae (bozorth3) {score:.0f}")
     if options.out is not None:
         tall = max(image.shape[0] for image, _ in prints.values())
         panels = [
             np.pad(
-                marked(*one), ((0, tall - one[0].shape[0]), (0, 12), (0, 0)), constant_values=255
+                marked(*image_and_minutiae),
+                ((0, tall - image_and_minutiae[0].shape[0]), (0, 12), (0, 0)),
+                constant_values=255,
             )
-            for one in prints.values()
+            for image_and_minutiae in prints.values()
         ]
         write_image(options.out / "prints-with-minutiae.png", np.hstack(panels))
     return 0

@@ -46,15 +46,16 @@ def main(arguments: list[str] | None = None) -> int:
         source = read_source(Path(folder) / "capture", photo=True, surface=True)
     upper, lower = [], []
     for method in METHODS:
-        made = make_print(source, method)
-        better = enhance(made)
-        upper.append(made.image)
+        finger_print = make_print(source, method)
+        better = enhance(finger_print)
+        upper.append(finger_print.image)
         lower.append(better.image)
-        found = extract(made.image, 500.0)
-        rows, columns = made.image.shape
+        minutiae = extract(finger_print.image, 500.0)
+        rows, columns = finger_print.image.shape
+        quality = nfiq2(finger_print.image)
         print(
             f"{method:10s} {columns} x {rows} px at 500 ppi = {columns / 500 * 25.4:.1f} x"
-            f" {rows / 500 * 25.4:.1f} mm, {found.count} minutiae, NFIQ 2 {nfiq2(made.image)}"
+            f" {rows / 500 * 25.4:.1f} mm, {minutiae.count} minutiae, NFIQ 2 {quality}"
         )
     if options.out is not None:
         write_image(options.out / "prints.png", np.vstack([beside(upper), beside(lower)]))

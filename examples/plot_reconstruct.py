@@ -51,8 +51,8 @@ def describe(result: splitknit.Reconstruction) -> None:
 def pictures(capture: splitknit.Capture, result: splitknit.Reconstruction, folder: Path) -> None:
     """Save one of the photographs, and the relief beside the shaded surface."""
     light = linear_image(capture.bands["white"].pixels[1], capture.encoding)
-    shown = np.clip(light / np.percentile(light[result.mask], 99.5), 0.0, 1.0) ** (1 / 2.2)
-    write_image(folder / "photograph.png", np.round(255 * shown).astype(np.uint8))
+    displayed = np.clip(light / np.percentile(light[result.mask], 99.5), 0.0, 1.0) ** (1 / 2.2)
+    write_image(folder / "photograph.png", np.round(255 * displayed).astype(np.uint8))
     frame = upright_frame(result, 900)
     relief, weight = to_frame(1000.0 * result.ridge_mm, result.mask, frame)
     shaded = view_from_above(small_fields(result, frame))

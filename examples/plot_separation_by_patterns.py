@@ -41,7 +41,9 @@ def photograph() -> tuple[np.ndarray, np.ndarray, Separation]:
     finger = finger_surface(
         draw_finger(11, "whorl"), pose, Camera(PX_PER_MM, (SIDE_PX, SIDE_PX)), workers=1
     )
-    projector, skin, pattern = default_rig().leds[1], SkinOptics(), Checkerboard(CHECK_MM)
+    projector = default_rig().leds[1]
+    skin = SkinOptics()
+    pattern = Checkerboard(CHECK_MM)
     truth = separate_truth(finger, projector, skin, check_mm=CHECK_MM)
     stack = checkerboard_stack(finger, projector, skin, pattern).transpose(0, 2, 3, 1)
     white = float(truth.white.max())
@@ -49,9 +51,9 @@ def photograph() -> tuple[np.ndarray, np.ndarray, Separation]:
     return stack / white, pattern_states(finger, projector, pattern), Separation(direct, global_)
 
 
-def decibels(found: np.ndarray, truth: np.ndarray) -> float:
+def decibels(direct: np.ndarray, truth: np.ndarray) -> float:
     """PSNR of the direct light; the peak is the brightest pixel under full light."""
-    return float(-10 * np.log10(np.mean((found - truth) ** 2)))
+    return float(-10 * np.log10(np.mean((direct - truth) ** 2)))
 
 
 def main(arguments: list[str] | None = None) -> int:

@@ -92,8 +92,11 @@ def _check_height(d: RigDimensions) -> None:
 def _check_pair(first: LedHole, second: LedHole) -> None:
     leds = f"LEDs {first.index} and {second.index}"
     needed = first.pocket_radius_mm + second.pocket_radius_mm + sizes.MIN_WALL_MM
-    for one, other in ((first.shoulder_mm, second.shoulder_mm), (first.back_mm, second.back_mm)):
-        gap = float(np.linalg.norm(first.at(one) - second.at(other)))
+    for first_mm, second_mm in (
+        (first.shoulder_mm, second.shoulder_mm),
+        (first.back_mm, second.back_mm),
+    ):
+        gap = float(np.linalg.norm(first.at(first_mm) - second.at(second_mm)))
         require(
             gap >= needed,
             f"{leds} are {gap:.1f} mm apart at their flanges, but need {needed:.1f} mm with a wall"
@@ -141,7 +144,9 @@ def _check_beam(hole: LedHole, d: RigDimensions) -> None:
     fraction = np.linspace(0.0, 0.999, _SAMPLES)[:, None, None]
     way = hole.light_mm + fraction * (d.lit_corners - hole.light_mm)  # (samples, corners, 3)
     finger, wall = d.settings.finger, d.settings.joint.wall_mm
-    x, y, z = np.abs(way[..., 0]), way[..., 1], way[..., 2] - d.floor_z_mm
+    x = np.abs(way[..., 0])
+    y = way[..., 1]
+    z = way[..., 2] - d.floor_z_mm
     roof = finger.hand_height_mm + finger.hand_width_mm / 2 + wall * math.sqrt(2.0) - x
     in_niche = np.asarray(
         (y < d.niche_inner_y_mm) & (x < finger.hand_width_mm / 2 + wall) & (z < roof)
@@ -186,8 +191,10 @@ def _check_sides(d: RigDimensions) -> None:
             f"the lamp of LED {hole.index} hides a screw of the base; move the light around the"
             " axis.",
         )
-    for (first, one), (second, other) in itertools.combinations(zip(d.sides, ends, strict=True), 2):
-        gap, needed = float(np.linalg.norm(one - other)), 2 * lamp.collar_mm + sizes.MIN_WALL_MM
+    lights = zip(d.sides, ends, strict=True)
+    for (first, first_end), (second, second_end) in itertools.combinations(lights, 2):
+        gap = float(np.linalg.norm(first_end - second_end))
+        needed = 2 * lamp.collar_mm + sizes.MIN_WALL_MM
         words = (
             f"the lamps of LEDs {first.index} and {second.index} are {gap:.1f} mm apart, but need"
             f" {needed:.1f} mm."

@@ -173,7 +173,8 @@ def _orders(circuit: Circuit) -> dict[str, tuple[str, ...]]:
     for channel in circuit.channels:
         # of the size 0207: those of 0.6 W fit where 0.25 W would do
         for part in channel.stage.resistors:
-            text, code = _ohm_text(part.ohm), _maker_code(part.ohm)
+            text = _ohm_text(part.ohm)
+            code = _maker_code(part.ohm)
             check = (
                 f"{text}, 1 %, {part.rating_w:g} W or more, body not longer than the footprint's"
             )
@@ -208,7 +209,8 @@ def _bill_of_materials(circuit: Circuit) -> list[list[str]]:
         footprint,
         "F1",
     ]
-    orders, values = _orders(circuit), _values(circuit)
+    orders = _orders(circuit)
+    values = _values(circuit)
     lines: dict[tuple[str, ...], list[str]] = {}
     for ref in [*_SUPPLY, *(ref for ref in values if ref not in _SUPPLY)]:
         value = values.get(ref, rows[ref][1])
@@ -230,9 +232,9 @@ def _with_values(text: str, circuit: Circuit) -> str:
             rf' +|>{ref}</text>\n<text[^>]*>)([^"<]+)'
         )
         if ref[0] != "D":  # the header of an LED bears its name
-            for before, shown in set(place.findall(text)):
-                new = safe.split()[0] if ref[0] == "R" and " " not in shown else safe
-                text = text.replace(before + shown, before + new)
+            for before, printed in set(place.findall(text)):
+                new = safe.split()[0] if ref[0] == "R" and " " not in printed else safe
+                text = text.replace(before + printed, before + new)
     for channel in circuit.channels:
         low, middle, high = (1000 * a for a in channel.stage.current_a)
         current = rf"\g<1>{middle:.0f} mA ({low:.0f} to {high:.0f})"
@@ -245,7 +247,8 @@ def _second_board(rig: Rig, apart: Sequence[int], settings: SimpleNamespace) -> 
     own. Side lights get the current that their intensity asks for; a line pulled up at power-on
     gets a stronger pull-down.
     """
-    white, pins = [k for k, led in enumerate(rig.leds) if led.band == "white"], pins_of(rig)
+    white = [k for k, led in enumerate(rig.leds) if led.band == "white"]
+    pins = pins_of(rig)
     if side_lights(rig.leds) == apart:
         own, others = (
             np.mean([rig.leds[k].intensity for k in white if (k in apart) == it])
@@ -281,8 +284,10 @@ def write_circuit(out: Path, s: SimpleNamespace) -> dict[str, Any]:
     ``films.svg``; LEDs of the crossed series, or side lights, a second board. BadInput if no stage
     can be made of these parts, or its light would be above a limit.
     """
-    rig, settings = rig_of(s), s.circuit
-    films, side = rig_films(rig), side_lights(rig.leds)
+    rig = rig_of(s)
+    settings = s.circuit
+    films = rig_films(rig)
+    side = side_lights(rig.leds)
     apart = films.crossed if films is not None and films.kind == "neighbours" else side
     last = [k for k, led in enumerate(rig.leds) if led.band == "white"][-len(side) :]
     require(
@@ -340,9 +345,11 @@ def _safety(
     rig: Rig, stages: Mapping[str, Stage], duty: float, passed: float
 ) -> list[dict[str, Any]]:
     """Light on eye and skin, and its margins: with a shorted transistor, and without films."""
-    hazards = functools.partial(rig_hazards, rig, stages, duty=duty)
-    found, shorted, bare = hazards(passed=passed), hazards(passed=passed, shorted=True), hazards()
-    check_hazards(found)
+    hazards_of = functools.partial(rig_hazards, rig, stages, duty=duty)
+    filmed = hazards_of(passed=passed)
+    shorted = hazards_of(passed=passed, shorted=True)
+    bare = hazards_of()
+    check_hazards(filmed)
     return [
         {
             "leds": hazard.band,
@@ -355,7 +362,7 @@ def _safety(
             "margin_with_a_shorted_transistor": round(failed.margin, 2),
             "margin_without_films": round(unfilmed.margin, 2),
         }
-        for hazard, failed, unfilmed in zip(found, shorted, bare, strict=True)
+        for hazard, failed, unfilmed in zip(filmed, shorted, bare, strict=True)
     ]
 
 
@@ -386,9 +393,9 @@ def _facts(circuit: Circuit, second: Circuit | None, stages: Mapping[str, Stage]
 
 def main() -> None:
     """Design what the command line asks for."""
-    given = sizes.arguments(__doc__ or "", "board")
-    s = sizes.read_dimensions(given.dimensions)
-    facts = write_circuit(given.out, s)
+    options = sizes.arguments(__doc__ or "", "board")
+    s = sizes.read_dimensions(options.dimensions)
+    facts = write_circuit(options.out, s)
     print(
         f"{len(facts['leds'])} stages ({s.circuit.topology}, {s.circuit.supply_v:g} V), fuse"
         f" {facts['fuse_ma']} mA:"
@@ -417,7 +424,7 @@ def main() -> None:
             f" {hazard['limit']:.4g} {hazard['unit']}, margin {hazard['margin']:.3g}"
             f" ({hazard['margin_with_a_shorted_transistor']:.3g} with a shorted transistor{bare})"
         )
-    print(f"Written to {given.out}; its rig.json holds the pins.")
+    print(f"Written to {options.out}; its rig.json holds the pins.")
 
 
 if __name__ == "__main__":

@@ -120,7 +120,8 @@ def write_parts(out: Path, s: SimpleNamespace) -> dict[str, Any]:
         }
     stack = list(STACK_BELOW if s.rig.below else STACK)
     stack[2:2] = [name for name in ("side_lamp", *FILM_PARTS) if name in solids]
-    turn, shapes = Rot(180, 0, 0) if s.rig.below else Rot(0, 0, 0), []
+    turn = Rot(180, 0, 0) if s.rig.below else Rot(0, 0, 0)
+    shapes = []
     for name in stack:
         for place in side_places(d) if name == "side_lamp" else [Location()]:
             shapes.append(turn * (place * solids[name]))
@@ -140,7 +141,7 @@ def _renumber(path: Path) -> None:
     number = count(1)
     use = re.compile(rb"(= NEXT_ASSEMBLY_USAGE_OCCURRENCE\(')\d+'")
     path.write_bytes(
-        use.sub(lambda found: found.group(1) + b"%d'" % next(number), path.read_bytes())
+        use.sub(lambda match: match.group(1) + b"%d'" % next(number), path.read_bytes())
     )
 
 
@@ -189,14 +190,14 @@ def _led(hole: LedHole) -> dict[str, Any]:
 
 def main() -> None:
     """Draw what the command line asks for."""
-    given = sizes.arguments(__doc__ or "", "parts")
-    facts = write_parts(given.out, sizes.read_dimensions(given.dimensions))
+    options = sizes.arguments(__doc__ or "", "parts")
+    facts = write_parts(options.out, sizes.read_dimensions(options.dimensions))
     for name, part in facts["parts"].items():
         size = " x ".join(f"{side:.0f}" for side in part["size_mm"])
         print(f"{name:22s} {part['quantity']} x, {size} mm, {part['mass_g']:.1f} g")
     high = facts["dimensions"]["total_height_mm"]
     print(
-        f"The rig stands {high:.0f} mm high. Written to {given.out}: stl/, step/, assembly.step,"
+        f"The rig stands {high:.0f} mm high. Written to {options.out}: stl/, step/, assembly.step,"
         " parts.json."
     )
 

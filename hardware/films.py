@@ -61,12 +61,12 @@ def with_films(rig: Rig, kind: str | None) -> Rig:
     half way to the next one counter-clockwise, and lines; None changes nothing. Raises BadInput if
     the rig has films of another kind, an LED without a place, or too many.
     """
-    given = rig_films(rig)
-    if kind is None or (given is not None and given.kind == kind):
+    present = rig_films(rig)
+    if kind is None or (present is not None and present.kind == kind):
         return rig
     require(
-        given is None,
-        f"the rig file has films of the kind '{given and given.kind}'; leave rig.films out, or "
+        present is None,
+        f"the rig file has films of the kind '{present and present.kind}'; leave rig.films out, or "
         "take a rig file without films.",
     )
     films: dict[str, object] = {"kind": kind}
@@ -94,9 +94,9 @@ def with_films(rig: Rig, kind: str | None) -> Rig:
 
 def _neighbour(led: Led, leds: Sequence[Led]) -> Led:
     azimuths = [
-        math.atan2(one.position_mm[1], one.position_mm[0])
-        for one in (led, *leds)
-        if one.position_mm
+        math.atan2(neighbour.position_mm[1], neighbour.position_mm[0])
+        for neighbour in (led, *leds)
+        if neighbour.position_mm
     ]
     turn = (
         min(
@@ -104,7 +104,8 @@ def _neighbour(led: Led, leds: Sequence[Led]) -> Led:
         )
         / 2
     )
-    cos, sin = math.cos(turn), math.sin(turn)
+    cos = math.cos(turn)
+    sin = math.sin(turn)
 
     def turned(vector: tuple[float, float, float] | None) -> tuple[float, float, float] | None:
         return vector and (
@@ -248,8 +249,11 @@ def film_mounts(d: RigDimensions) -> FilmMounts:
     gaps = np.diff(azimuths, append=azimuths[0] + math.tau)
     wide = (azimuths + gaps / 2)[gaps > 0.9 * gaps.max()]
     count = min(4, len(wide))
-    window, aperture = spread + 0.8 * max(hole.radius_mm for hole in d.holes), max(6.0, 3.2 + seen)
-    piece, analyser_piece, diagonal = 2 * window + 1.2, 2 * aperture + 1.4, math.sqrt(0.5)
+    window = spread + 0.8 * max(hole.radius_mm for hole in d.holes)
+    aperture = max(6.0, 3.2 + seen)
+    piece = 2 * window + 1.2
+    analyser_piece = 2 * aperture + 1.4
+    diagonal = math.sqrt(0.5)
     away = [math.hypot(x, y) for x, y in middles.tolist()]
     mounts = FilmMounts(
         kind=films.kind,

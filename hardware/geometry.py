@@ -25,7 +25,8 @@ _NAIL_STEP_MM = 0.5  # nails are whole numbers of it high
 
 def shadow_tips(rig: Rig, nail_mm: float, place_mm: tuple[float, float] = (0.0, 0.0)) -> Array:
     """(L, 2) where each LED, not at the side, throws the shadow of a nail's tip, mm."""
-    leds, place = _places(rig), np.asarray(place_mm, dtype=np.float64)
+    leds = _places(rig)
+    place = np.asarray(place_mm, dtype=np.float64)
     stretch = nail_mm / (leds[:, 2] - nail_mm)
     return np.asarray(place + (place - leds[:, :2]) * stretch[:, None])
 
@@ -196,9 +197,9 @@ def dimensions_of(rig: Rig, settings: SimpleNamespace) -> RigDimensions:
     camera, finger = rig.camera, settings.finger
     rows, columns = camera.image_size
     field = (columns / camera.px_per_mm, rows / camera.px_per_mm)
-    every = [_led_hole(index, led, settings.led) for index, led in enumerate(rig.leds)]
+    led_holes = [_led_hole(index, led, settings.led) for index, led in enumerate(rig.leds)]
     side = side_lights(rig.leds)
-    holes = tuple(hole for hole in every if hole.index not in side)
+    holes = tuple(hole for hole in led_holes if hole.index not in side)
     require(len(holes) > 0, "the rig has no LEDs around the camera; parts cannot be drawn for it.")
     # the lowest LED's dome stands free below the frame, those of higher ones in funnels
     frame_z = min(
@@ -225,16 +226,13 @@ def dimensions_of(rig: Rig, settings: SimpleNamespace) -> RigDimensions:
     stop_y = min(field[1] / 2 - finger.tip_margin_mm, sizes.FINGER_PHALANX_MM / 2)
     # about the thickest finger, an ellipse that lies on the floor
     angle = np.linspace(0.0, np.pi, 361)
-    x, z = finger.widest_mm / 2 * np.cos(angle), sizes.FINGER_THICKEST_MM / 2 * (1 + np.sin(angle))
-    wall, bore, floor_z = (
-        settings.joint.wall_mm,
-        _bore(holes, settings, field),
-        _GROOVE_IN_FLOOR_MM - finger.pad_height_mm,
-    )
-    screw, niche_y = (
-        bore + sizes.JOINT_RIDGE_MM + sizes.JOINT_LUG_RADIUS_MM + 0.1,
-        stop_y - finger.reach_mm,
-    )
+    x = finger.widest_mm / 2 * np.cos(angle)
+    z = sizes.FINGER_THICKEST_MM / 2 * (1 + np.sin(angle))
+    wall = settings.joint.wall_mm
+    bore = _bore(holes, settings, field)
+    floor_z = _GROOVE_IN_FLOOR_MM - finger.pad_height_mm
+    screw = bore + sizes.JOINT_RIDGE_MM + sizes.JOINT_LUG_RADIUS_MM + 0.1
+    niche_y = stop_y - finger.reach_mm
     half, depth = (finger.widest_mm + sizes.FINGER_CLEARANCE_MM) / 2, finger.groove_depth_mm
     behind = max(0.0, camera.height_mm - frame_z)  # a lens behind the frame must see past its edge
     return RigDimensions(
@@ -242,7 +240,7 @@ def dimensions_of(rig: Rig, settings: SimpleNamespace) -> RigDimensions:
         camera_height_mm=float(camera.height_mm),
         field_mm=field,
         holes=holes,
-        sides=tuple(every[k] for k in side),
+        sides=tuple(led_holes[k] for k in side),
         bore_mm=bore,
         floor_z_mm=floor_z,
         frame_z_mm=frame_z,
@@ -306,15 +304,15 @@ def mirror_profile(settings: SimpleNamespace) -> list[tuple[float, float]]:
     face starts at :func:`_mirror_front` and leans by 45 deg away from the finger; a lip holds its
     lower edge.
     """
-    slack, front = sizes.JOINT_CLEARANCE_MM, np.array(_mirror_front())
-    along, behind = np.array([_COS_45, _COS_45]), np.array([_COS_45, -_COS_45])
+    slack = sizes.JOINT_CLEARANCE_MM
+    front = np.array(_mirror_front())
+    along = np.array([_COS_45, _COS_45])
+    behind = np.array([_COS_45, -_COS_45])
     low = front + (sizes.MIRROR_THICK_MM + slack) * behind
     high = low + settings.mirror.wide_mm * along
-    lip, inside, outside = (
-        sizes.MIRROR_LIP_MM * along,
-        front - slack * behind,
-        front - (slack + _LIP_WALL_MM) * behind,
-    )
+    lip = sizes.MIRROR_LIP_MM * along
+    inside = front - slack * behind
+    outside = front - (slack + _LIP_WALL_MM) * behind
     # where the lip's outer face, at 45 deg, meets the holder's front
     start = outside[1] - outside[0]
     corners = [high, low, inside, inside + lip, outside + lip]
@@ -372,14 +370,16 @@ def side_lamp(d: RigDimensions) -> SideLamp:
     lights, back = (
         np.array([getattr(hole, name) for hole in d.sides]) for name in ("light_mm", "back")
     )
-    beside, hole = np.hypot(lights[:, 0], lights[:, 1]), d.sides[0]
+    beside = np.hypot(lights[:, 0], lights[:, 1])
+    hole = d.sides[0]
     apart = float(np.ptp([beside, lights[:, 2], 90.0 * back[:, 2]], axis=1).max())
     require(
         apart <= 1.0,
         "the side lights' lamps are alike, so all must stand equally high and far from the axis,"
         f" and be aimed alike; in the rig file they differ by {apart:.1f} mm.",
     )
-    level, least = float(np.hypot(*hole.back[:2])), 14.0
+    level = float(np.hypot(*hole.back[:2]))
+    least = 14.0
     wall, mouth = (float(beside[0] - radius) / level for radius in (d.outer_mm, d.bore_mm - 1.0))
     require(
         wall >= least,

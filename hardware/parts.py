@@ -132,7 +132,8 @@ def _plate(d: RigDimensions) -> Shape:
 def _mirror_pockets(d: RigDimensions) -> list[Shape]:
     slack = sizes.JOINT_CLEARANCE_MM
     half, z = sizes.MIRROR_LONG_MM / 2 + slack, (d.floor_z_mm - POCKET_MM, d.floor_z_mm + 1.0)
-    near, far = -slack, holder_depth(d.settings) + slack
+    near = -slack
+    far = holder_depth(d.settings) + slack
     (right, middle, _), _, (_, tip, _) = holder_places(d)
     y = (middle - half, middle + half)
     return [
@@ -195,7 +196,8 @@ def _cylinder_part(d: RigDimensions) -> Shape:
         radius = lamp.plug_mm + sizes.JOINT_CLEARANCE_MM
         holes.append(_rod(radius, side.at(10.0 - lamp.wall_mm), side.at(-lamp.mouth_mm - 10.0)))
     if d.films is not None and d.films.kind == "hand":
-        y, z = films.ROD_Y_MM, film_mounts(d).rod_z_mm
+        y = films.ROD_Y_MM
+        z = film_mounts(d).rod_z_mm
         holes.append(_rod(1.4, (d.bore_mm - 5.0, y, z), (d.outside_mm + 5.0, y, z)))
     return _cut(body, [hand, opening, *holes])
 
@@ -282,7 +284,8 @@ def _box_part(d: RigDimensions) -> Shape:
     )
     posts, screws = [], []
     x, y = d.settings.board.pcb_hole_x_mm / 2, d.settings.board.pcb_hole_y_mm / 2
-    pcb, pi_top = tuple(itertools.product((-x, x), (-y, y))), floor + sizes.PI_POST_HEIGHT_MM
+    pcb = tuple(itertools.product((-x, x), (-y, y)))
+    pi_top = floor + sizes.PI_POST_HEIGHT_MM
     pcb_top = pi_top + 1.5 + sizes.PCB_OVER_PI_MM
     for places, top, hole in (
         (_PI_HOLES, pi_top, sizes.PI_POST_HOLE_MM),
@@ -375,7 +378,8 @@ def _film_screws(d: RigDimensions) -> list[Shape]:
     opening."""
     if d.films is None:
         return []
-    mounts, low = film_mounts(d), d.frame_z_mm
+    mounts = film_mounts(d)
+    low = d.frame_z_mm
     high = low + sizes.JOINT_PLATE_MM + 1.0
     posts = [*mounts.ring_posts, *mounts.plate_posts]
     holes = [_cylinder(sizes.JOINT_SCREW_HOLE_MM / 2, low - 1.0, high, x, y) for x, y in posts]
@@ -390,7 +394,8 @@ def _film_screws(d: RigDimensions) -> list[Shape]:
 
 def _posts(places: _Points, low: float, high: float) -> tuple[list[Shape], list[Shape]]:
     """Return posts up to the frame, and the holes for their self-tapping screws."""
-    radius, deep = sizes.PCB_POST_HOLE_MM / 2, max(low - 3.0, high - 7.0)
+    radius = sizes.PCB_POST_HOLE_MM / 2
+    deep = max(low - 3.0, high - 7.0)
     posts = [_cylinder(films.POST_MM, low - 0.5, high, x, y) for x, y in places]
     return posts, [_cylinder(radius, deep, high + 1.0, x, y) for x, y in places]
 
@@ -425,7 +430,8 @@ def _film_ring_part(d: RigDimensions) -> Shape:
 def _analyser_part(d: RigDimensions) -> Shape:
     """Return the analyser in its parallel position: body, flange, lever, collar around the lens;
     film from below."""
-    mounts, camera = film_mounts(d), d.settings.camera
+    mounts = film_mounts(d)
+    camera = d.settings.camera
     radius, lens = mounts.turning_mm, camera.barrel_mm / 2 + 0.6
     low, middle, high = (mounts.plate_z_mm + up for up in (-films.PLATE_MM, 0.0, films.FLANGE_MM))
     top = d.camera_height_mm - camera.barrel_front_mm + 3.0
@@ -433,7 +439,8 @@ def _analyser_part(d: RigDimensions) -> Shape:
     wire = _cylinder(
         0.65 if mounts.kind == "servo" else 0.8, middle - 1.0, high + 1.0, films.LEVER_MM
     )
-    collar, flange = _cylinder(lens + 1.2, high - 0.5, top), _cylinder(radius + 1.2, middle, high)
+    collar = _cylinder(lens + 1.2, high - 0.5, top)
+    flange = _cylinder(radius + 1.2, middle, high)
     body = _turned_to(
         45.0, _cut(_fused(_cylinder(radius, low, high), [flange, lever, collar]), [wire])
     )
@@ -465,7 +472,8 @@ def _analyser_plate_part(d: RigDimensions) -> Shape:
     away = radius + 1.2 + 0.2 + _PEG_MM  # pegs beside the flange; washers on them hold it down
     apart = math.degrees(math.asin((_LEVER_HALF_MM + _PEG_MM) / away))
     for azimuth in (45.0 - apart, 135.0 + apart, 270.0):
-        x, y = away * math.cos(math.radians(azimuth)), away * math.sin(math.radians(azimuth))
+        x = away * math.cos(math.radians(azimuth))
+        y = away * math.sin(math.radians(azimuth))
         posts.append(_cylinder(_PEG_MM, high - 0.5, high + films.FLANGE_MM + 0.3, x, y))
         cuts.append(_cylinder(sizes.CAMERA_POST_HOLE_MM / 2, low - 1.0, high + 9.0, x, y))
     return _cut(
@@ -485,7 +493,9 @@ def _side_lamp_part(d: RigDimensions) -> Shape:
     """A side light's lamp as printed: the LED from below, a slit for film from its upper side in
     the rig (-y), a collar whose face fits the cylinder, and the plug through its wall.
     """
-    lamp, hole, low = side_lamp(d), d.sides[0], -d.sides[0].back_mm
+    lamp = side_lamp(d)
+    hole = d.sides[0]
+    low = -d.sides[0].back_mm
     plug, collar, body = lamp.plug_mm, lamp.collar_mm, lamp.body_mm
     lean = collar * float(hole.back[2]) / math.hypot(float(hole.back[0]), float(hole.back[1]))
     foot, top = lamp.wall_mm - lean - sizes.MIN_WALL_MM, lamp.wall_mm + lean + 5.0
@@ -508,7 +518,8 @@ def _side_lamp_part(d: RigDimensions) -> Shape:
     )
     wide, end = lamp.mouth_radius_mm, lamp.mouth_mm
     light = _turned([(0.0, 0.0), (start, 0.0), (wide, end), (wide, end + 1.0), (0.0, end + 1.0)])
-    flange, behind = -hole.shoulder_mm, _cylinder(start, -hole.shoulder_mm - 0.5, 0.1)
+    flange = -hole.shoulder_mm
+    behind = _cylinder(start, -hole.shoulder_mm - 0.5, 0.1)
     return _cut(shape, [light, slit, behind, _cylinder(hole.pocket_radius_mm, low - 1.0, flange)])
 
 
@@ -541,7 +552,8 @@ def _cylinder(radius: float, low: float, high: float, x: float = 0.0, y: float =
 def _rod(radius: float, start: _Point, end: _Point, start_radius: float | None = None) -> Shape:
     """Return a cylinder between two points, or a cone if it starts with another radius."""
     first, last = (Vector(*(float(value) for value in point)) for point in (start, end))
-    length, plane = (last - first).length, Plane(origin=first, z_dir=last - first)
+    length = (last - first).length
+    plane = Plane(origin=first, z_dir=last - first)
     if start_radius is not None:
         return Solid.make_cone(start_radius, radius, length, plane)
     return Solid.make_cylinder(radius, length, plane)
@@ -629,7 +641,8 @@ def _tube(d: RigDimensions, low: float, high: float, floor_mm: float = 0.0) -> S
     """Return a tube with thickened ends, a groove at its lower and a ridge at its upper end, and a
     floor, if any."""
     bore, outer, ring, ridge = d.bore_mm, d.outer_mm, d.ring_mm, d.bore_mm + sizes.JOINT_RIDGE_MM
-    foot, top = low + max(sizes.JOINT_LUG_MM, floor_mm), high + sizes.JOINT_RIDGE_HIGH_MM
+    foot = low + max(sizes.JOINT_LUG_MM, floor_mm)
+    top = high + sizes.JOINT_RIDGE_HIGH_MM
     outside = [(ring, low), (ring, foot), (outer, foot), (outer, high - 2 * sizes.JOINT_RING_MM)]
     outside += [(ring, high - sizes.JOINT_RING_MM), (ring, high)]
     outside += [(ridge, high), (ridge - sizes.JOINT_RIDGE_HIGH_MM, top), (bore, top)]

@@ -58,7 +58,8 @@ def phantom() -> tuple[Reconstruction, list[dict[str, Any]]]:
     mask = (beside < RADIUS_MM * np.sin(steep)) & (y > ENDS_MM[0])
     top = np.sqrt(np.maximum(RADIUS_MM**2 - beside**2, 0.0))
     shape = np.where(mask, top - RADIUS_MM * np.cos(steep), 0.0)
-    across, along = RADIUS_MM * np.arcsin(np.clip(x / RADIUS_MM, -1.0, 1.0)), y
+    across = RADIUS_MM * np.arcsin(np.clip(x / RADIUS_MM, -1.0, 1.0))
+    along = y
     relief: Array = np.zeros(shape.shape)
     fields = []
     for row, high in enumerate(HEIGHTS_UM):
@@ -112,7 +113,8 @@ def phantom_mesh(result: Reconstruction) -> tuple[FloatArray, NDArray[np.int32]]
     rim = np.concatenate([index[-1, :-1], index[:0:-1, -1], index[0, :0:-1], index[:-1, 0]])
     below = vertices[rim] * np.array([1, 1, 0]) - np.array([0, 0, PLATE_THICK_MM])
     low = len(vertices) + np.arange(len(rim))
-    after, low_after = np.roll(rim, -1), np.roll(low, -1)
+    after = np.roll(rim, -1)
+    low_after = np.roll(low, -1)
     middle = np.full(len(rim), len(vertices) + len(rim))
     sides = [(low, low_after, after), (low, after, rim), (middle, low_after, low)]
     closing = np.concatenate([np.stack(side, axis=1) for side in sides]).astype(np.int32)

@@ -153,7 +153,8 @@ def radiant_intensity(part: SimpleNamespace, band: str) -> float:
     )
     intensity = w_sr or cd / (_KM * float(_SPECTRA[band] @ _luminous(_WAVELENGTHS_NM)))
     lobe = np.log(0.5) / np.log(np.cos(np.radians(part.half_angle_deg)))
-    flux_w, power_w = float(2 * np.pi * intensity / (lobe + 1)), part.forward_v * part.current_a
+    flux_w = float(2 * np.pi * intensity / (lobe + 1))
+    power_w = part.forward_v * part.current_a
     require(
         flux_w <= power_w,
         f"{which} data give {flux_w:.2g} W of light from {power_w:.2g} W of power; check its"
@@ -220,7 +221,7 @@ def rig_hazards(
     with a shorted transistor's current; `passed`: of the white LEDs' light, by film; NIR passes it
     all.
     """
-    found: list[Hazard] = []
+    all_hazards: list[Hazard] = []
     infrared = skin = 0.0
     side = side_lights(rig.leds) if "side" in stages else ()
     names = ["side" if k in side else led.band for k, led in enumerate(rig.leds)]
@@ -240,20 +241,20 @@ def rig_hazards(
         towards = places / distances[:, None]
         together = int((towards @ towards.T > np.cos(_ALPHA_MAX)).sum(axis=1).max())
         hazards = band_hazards(band, stage.led, current, nearest, together=together, duty=duty)
-        found += [replace(hazard, band=name) for hazard in hazards]
+        all_hazards += [replace(hazard, band=name) for hazard in hazards]
         everywhere = len(places) * duty * _irradiance(band, stage.led, current, nearest)
         infrared += everywhere * float(_SPECTRA[band][_WAVELENGTHS_NM >= 780].sum())
         skin += everywhere
-    found.append(Hazard("all", "cornea and lens, infrared", "4.3.7", infrared, 100.0, "W/m2"))
-    found.append(
+    all_hazards.append(Hazard("all", "cornea and lens, infrared", "4.3.7", infrared, 100.0, "W/m2"))
+    all_hazards.append(
         Hazard("all", "skin, heat, 10 s", "4.3.8", skin, 20000.0 * _SKIN_EXPOSURE_S**-0.75, "W/m2")
     )
-    return tuple(found)
+    return tuple(all_hazards)
 
 
-def check_hazards(found: tuple[Hazard, ...]) -> None:
+def check_hazards(hazards: tuple[Hazard, ...]) -> None:
     """Refuse light above a limit, naming the hazard that is worst."""
-    worst = min(found, key=lambda hazard: hazard.margin)
+    worst = min(hazards, key=lambda hazard: hazard.margin)
     leds = "the LEDs together" if worst.band == "all" else f"the {worst.band} LEDs"
     require(
         worst.margin >= 1,

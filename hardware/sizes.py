@@ -37,7 +37,7 @@ def read_dimensions(
     >>> read_dimensions(changes={"finger": {"pad_height_mm": 11.0}}).finger.pad_height_mm
     11.0
     """
-    read = [tomllib.loads(one.read_text(encoding="utf-8")) for one in (DIMENSIONS, path)]
+    read = [tomllib.loads(source.read_text(encoding="utf-8")) for source in (DIMENSIONS, path)]
     table = _merged(_merged(*read), changes or {})
     file = table["rig"]["file"]
     table["rig"]["file"] = file and str(path.parent / file)

@@ -58,7 +58,7 @@ def _rating_for(power_w: float) -> float:
         f"a resistor would turn {power_w:.2g} W into heat, more than {_MAX_HEAT:.0%} of any rating"
     )
     require(power_w <= _MAX_HEAT * RATINGS_W[-1], f"{too_much}; lower the supply.")
-    return next(one for one in RATINGS_W if power_w <= _MAX_HEAT * one)
+    return next(rating for rating in RATINGS_W if power_w <= _MAX_HEAT * rating)
 
 
 MIN_HEADROOM_V = 0.5  # voltage that a current sink's transistor must keep to be one
@@ -149,7 +149,8 @@ def _sink(band: str, led: SimpleNamespace, s: SimpleNamespace) -> Stage:
         current(*c)
         for c in product(high, t.base_v, t.gain, (-s.resistor_spread, s.resistor_spread))
     ]
-    low, top = min(corners), max(corners)
+    low = min(corners)
+    top = max(corners)
     middle = current(sum(high) / 2, sum(t.base_v) / 2, sum(t.gain) / 2, 0.0)
     over_emitter = top * emitter * (1 + s.resistor_spread) * (1 + 1 / t.gain[0])
     spare = min_v - led.forward_v - led.spread_v - over_emitter - MIN_HEADROOM_V
@@ -215,10 +216,8 @@ def _resistors(**parts: tuple[float, float]) -> tuple[Resistor, ...]:
 def _check(stage: Stage, s: SimpleNamespace) -> None:
     t, led = s.transistor, stage.led
     low, _, top = stage.current_a
-    which, remedy = (
-        f"the {stage.band} stage",
-        "take another LED current or a transistor with less spread.",
-    )
+    which = f"the {stage.band} stage"
+    remedy = "take another LED current or a transistor with less spread."
     if s.topology == "switch":
         remedy = (
             "a higher circuit.supply_v makes it less dependent on the LED's voltage, or set"

@@ -250,5 +250,7 @@ if __name__ == "__main__":
     parser.add_argument("--rows", type=int, default=6, help="and along its height")
     parser.add_argument("--square-mm", type=float, default=3.0)
     parser.add_argument("--out", type=Path, default=Path("target.pdf"))
-    given = parser.parse_args()
-    given.out.write_bytes(target_pdf(TargetSettings(given.columns, given.rows, given.square_mm)))
+    options = parser.parse_args()
+    options.out.write_bytes(
+        target_pdf(TargetSettings(options.columns, options.rows, options.square_mm))
+    )

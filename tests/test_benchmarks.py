@@ -25,7 +25,7 @@ def test_the_page_shows_rows_of_the_stored_tables() -> None:
     )
     with scripts_of(BENCHMARKS) as script:
         run_all = script("run_all")
-        assert run_all.replaced(page, run_all.shown()) == page, "run benchmarks/run_all.py --page"
+        assert run_all.replaced(page, run_all.page_table()) == page, "run benchmarks/run_all.py --page"
         for words, name, title, row, peer in run_all.SHOWN:
             tables = json.loads(run_all.stored(name).read_text(encoding="utf-8"))["tables"]
             assert "-" not in [

@@ -45,10 +45,10 @@ def make_data(out, subjects, shoot, workers):
         run_jobs(partial(_store, out, shoot), missing, workers, f"what is in {out}"), 1
     ):
         print(f"data {done} of {len(missing)}: {subject[0]} {subject[1]}", flush=True)
-    found = {subject: sorted(folder.glob("*.npy")) for subject, folder in folders.items()}
+    files_of = {subject: sorted(folder.glob("*.npy")) for subject, folder in folders.items()}
     return {
         subject: [np.load(file, mmap_mode="r") for file in files]
-        for subject, files in found.items()
+        for subject, files in files_of.items()
         if files
     }
 
@@ -66,7 +66,7 @@ def _store(out, shoot, subject):
 
 
 # --- networks
-# -----------------------------------------------------------------------------------------------------
+# -------------------------------------------------------------------------------------------------
 
 
 def _block(before, after, *more):
@@ -100,10 +100,12 @@ class ThesisUNet(nn.Module):
         )
         self.bridge = _block(widths[-2], widths[-1], *drop)
         self.rise = nn.ModuleList(
-            nn.Sequential(nn.ConvTranspose2d(2 * one, one, 2, stride=2), nn.ReLU())
-            for one in reversed(widths[:-1])
+            nn.Sequential(nn.ConvTranspose2d(2 * channels, channels, 2, stride=2), nn.ReLU())
+            for channels in reversed(widths[:-1])
         )
-        self.decoder = nn.ModuleList(_block(2 * one, one) for one in reversed(widths[:-1]))
+        self.decoder = nn.ModuleList(
+            _block(2 * channels, channels) for channels in reversed(widths[:-1])
+        )
         self.last = nn.Conv2d(width, self.CHANNELS, 1)
         for module in self.modules():
             if isinstance(module, (nn.Conv2d, nn.ConvTranspose2d)):  # He et al. 2015
@@ -178,7 +180,7 @@ class FieldsUNet(nn.Module):
 
 
 # --- the loop
-# -----------------------------------------------------------------------------------------------------
+# -------------------------------------------------------------------------------------------------
 
 
 class Training:
@@ -203,20 +205,20 @@ class Training:
 
     def forward(self, images):
         with torch.autocast(self.device, dtype=torch.bfloat16, enabled=self.mixed):
-            made = self.network(images)
-        return made.float()
+            output = self.network(images)
+        return output.float()
 
     def run(self, images):
         """(n, H, W) or (N, n, H, W) through the network as it is, in single precision."""
         self.network.eval()
         with torch.no_grad():
-            made = (
+            output = (
                 self.network(self.tensor(images if images.ndim == 4 else images[None]))
                 .float()
                 .cpu()
                 .numpy()
             )
-        return made if images.ndim == 4 else made[0]
+        return output if images.ndim == 4 else output[0]
 
     def step(self, loss, learning_rate):
         for group in self.optimiser.param_groups:
@@ -233,7 +235,7 @@ def report(out, rows, row):
     if not all(map(math.isfinite, row.values())):
         raise SystemExit("the training diverged: its loss is not finite.")
     rows.append(row)
-    (out / "curve.csv").write_text(csv_text([list(rows[0]), *(one.values() for one in rows)]))
+    (out / "curve.csv").write_text(csv_text([list(rows[0]), *(line.values() for line in rows)]))
     print(", ".join(f"{name} {value:.4g}" for name, value in row.items()), flush=True)
 
 
@@ -313,9 +315,12 @@ def train_fields(
         losses.append(float(loss.detach()))
         if (iteration + 1) % 200 == 0 or iteration + 1 == iterations:
             figures = [task.judge(training.run, sample, stride) for sample in held_out]
-            means = {name: float(np.nanmean([one[name] for one in figures])) for name in figures[0]}
+            means = {
+                name: float(np.nanmean([judged[name] for judged in figures])) for name in figures[0]
+            }
             report(out, rows, {"iteration": iteration + 1, "loss": float(np.mean(losses)), **means})
             losses = []
+    widths = ", ".join(map(str, task.widths))
     facts = {
         "command": command,
         "training": {
@@ -329,7 +334,7 @@ def train_fields(
             "held_out": f"{len(held_out)} simulated fingers not trained on{task.held_out}",
             "mean": {name: round(value, 4) for name, value in means.items()},
         },
-        "architecture": f"U-Net of {len(task.widths)} levels, widths {', '.join(map(str, task.widths))}",
+        "architecture": f"U-Net of {len(task.widths)} levels, widths {widths}",
     }
     write_network(
         out, task.name, training, task.what, (FIELDS, task.outputs), len(task.widths) - 1, facts
@@ -337,7 +342,7 @@ def train_fields(
 
 
 # --- the file
-# -----------------------------------------------------------------------------------------------------
+# -------------------------------------------------------------------------------------------------
 
 
 def reach(depth):
@@ -412,8 +417,9 @@ def write_network(out, name, training, what, channels, depth, facts):  # noqa: P
     file.with_suffix(".json").write_bytes(card_bytes(name, weights, {**head, **facts}))
     sides = (1, channels[0], 10 * 2**depth, 11 * 2**depth)
     probe = np.random.default_rng(0).uniform(-0.3, 0.3, sides).astype(np.float32)
-    made, wanted = run_network(network_of(*read_network(file)), probe), training.run(probe)
-    difference = float(np.abs(made - wanted).max() / np.abs(wanted).max())
+    exported = run_network(network_of(*read_network(file)), probe)
+    wanted = training.run(probe)
+    difference = float(np.abs(exported - wanted).max() / np.abs(wanted).max())
     if difference > MAX_DIFFERENCE:
         raise SystemExit(
             f"the exported network differs from the trained one by {100 * difference:.2g} %."

@@ -109,7 +109,7 @@ def _stem(
     lines = [line]
     for _ in range(int(rng.poisson(length / 9.0)) if generations else 0):
         at = int(rng.uniform(0.12, 0.88) * count)
-        aside = (
+        branch_angle = (
             angle[at]
             + rng.choice((-1.0, 1.0)) * rng.uniform(0.25, 0.8)
             + (np.pi if rng.random() < 0.3 else 0.0)
@@ -118,7 +118,7 @@ def _stem(
         lines += _stem(
             rng,
             points[at],
-            float(aside),
+            float(branch_angle),
             length=length * rng.uniform(0.15, 0.4),
             depth=float(line.depth_mm[at]) * fraction,
             width=float(line.width_mm[at]) * (0.4 + 0.6 * fraction),
@@ -155,12 +155,14 @@ def _groove_map(lines: list[_PalmLine], x_mm: Array, y_mm: Array) -> Array:
         if not seen.any():
             continue
         column, row, depth, width = column[seen], row[seen], depth[seen], width[seen] / pitch
-        top, left = int(row.min()) - reach - 1, int(column.min()) - reach - 1
+        top = int(row.min()) - reach - 1
+        left = int(column.min()) - reach - 1
         size = (int(row.max()) + reach + 2 - top, int(column.max()) + reach + 2 - left)
         own = np.zeros(size)
         for r, c, d, w in zip(row - top, column - left, depth, width, strict=True):
             n = int(np.ceil(3.5 * w))
-            r0, c0 = max(int(r) - n, 0), max(int(c) - n, 0)
+            r0 = max(int(r) - n, 0)
+            c0 = max(int(c) - n, 0)
             part = own[r0 : int(r) + n + 2, c0 : int(c) + n + 2]
             down = np.exp(-0.5 * ((np.arange(part.shape[0]) + r0 - r) / w) ** 2)
             across = np.exp(-0.5 * ((np.arange(part.shape[1]) + c0 - c) / w) ** 2)
@@ -198,7 +200,8 @@ class _PalmShape:
     def on_grid(self, x_mm: Array, y_mm: Array) -> tuple[Array, Array, Array]:
         """Height and its slopes along x and y, (H, W) on the axes `x_mm` (W,) and `y_mm` (H,)."""
         x, y = x_mm[None, :], y_mm[:, None]
-        cosine, sine = np.cos(self.axis_rad), np.sin(self.axis_rad)
+        cosine = np.cos(self.axis_rad)
+        sine = np.sin(self.axis_rad)
         u, v = cosine * x + sine * y, cosine * y - sine * x
         first, second = self.curvature_per_mm
         height = (
@@ -287,13 +290,15 @@ def draw_palm(seed: int) -> _Palm:
     pick = draws[0]
     period = float(pick.uniform(*_PERIOD_MM))
     depth_um = float(pick.uniform(*_RIDGE_DEPTH_UM))
-    darkening, mottling = float(pick.uniform(*_DARKENING)), float(pick.uniform(*_MOTTLING))
+    darkening = float(pick.uniform(*_DARKENING))
+    mottling = float(pick.uniform(*_MOTTLING))
     # of coarse axes, whose lengths suit the Fourier transform and cover the patch
     pitch = 2.0 * PITCH_MM
     width, height = (
         scipy.fft.next_fast_len(int(np.ceil(s / pitch)) + 1, real=True) for s in SIZE_MM
     )
-    x_mm, y_mm = _centred(width, pitch), -_centred(height, pitch)
+    x_mm = _centred(width, pitch)
+    y_mm = -_centred(height, pitch)
     angle = _direction(draws[1], x_mm, y_mm)
     wave = twice_as_fine(_ridges(draws[2], angle, period))
     fine_x = x_mm[0] + PITCH_MM * np.arange(wave.shape[1])
@@ -340,7 +345,8 @@ def palm_surface(palm: _Palm, camera: Camera) -> SimulatedSurface:
     """
     require(camera.model == "orthographic", "the simulated palm needs an orthographic camera.")
     rows, columns = camera.image_size
-    x, y = _centred(columns, camera.pitch_mm), -_centred(rows, camera.pitch_mm)
+    x = _centred(columns, camera.pitch_mm)
+    y = -_centred(rows, camera.pitch_mm)
     height, slope_x, slope_y = palm.shape.on_grid(x, y)
     # splines want rising axes: the patch is turned upside down, and so is what comes out
     spline = RectBivariateSpline(
@@ -356,7 +362,8 @@ def palm_surface(palm: _Palm, camera: Camera) -> SimulatedSurface:
     # displacement along the shape's normal raises the height by 1 / nz, and the patch is gently
     # curved
     rise = np.sqrt(1.0 + slope_x**2 + slope_y**2)
-    skin_x, skin_y = slope_x + sample(spline, 0, 1) * rise, slope_y + sample(spline, 1, 0) * rise
+    skin_x = slope_x + sample(spline, 0, 1) * rise
+    skin_y = slope_y + sample(spline, 1, 0) * rise
     pigment = RectBivariateSpline(
         palm.y_mm[::-1], palm.x_mm, palm.pigment[::-1].astype(np.float64), kx=1, ky=1
     )

@@ -96,7 +96,7 @@ def training_sample(number, prints=None):
     grid, bands, binning = skin_images(capture, lit, located.window, located.inside)
     images = coarse_images(bands, grid, settings.metric.plane_mm)
     optics = settings.skin.optics(images.channels)
-    found = on_fine_grid(
+    measured = on_fine_grid(
         coarse_shape(images, optics, settings.metric.coarse_steps).height_mm, images
     )
     on_grid = TruthOnGrid(truth, located.window, grid, binning)
@@ -104,7 +104,9 @@ def training_sample(number, prints=None):
     level = true[grid.mask].mean(dtype=np.float64)
     true = true - np.float32(level) + np.float32(settings.metric.plane_mm)
     mix = np.float32(np.random.default_rng(number).random())
-    return _assembled(bands[0], grid, ((1 - mix) * true + mix * found).astype(np.float32), on_grid)
+    return _assembled(
+        bands[0], grid, ((1 - mix) * true + mix * measured).astype(np.float32), on_grid
+    )
 
 
 def _assembled(white, grid, surface_mm, truth):
@@ -148,7 +150,7 @@ def training_crops(number, prints=None):
     camera = default_rig(scale).camera
     surface = finger_surface(finger, PoseRanges().draw(rng, camera), camera, workers=1)
     rows, columns = np.nonzero(surface.mask)
-    found = []
+    pieces = []
     for piece in range(CROPS):
         i = int(rng.integers(len(rows)))
         corner = (int(rows[i]) - CROP_PX // 2, int(columns[i]) - CROP_PX // 2)
@@ -162,11 +164,11 @@ def training_crops(number, prints=None):
         rig = moved_rig(rig, rng) if rng.random() < OTHER_RIG_FRACTION else rig
         sample = _piece(textured(surface, rng), window, skin, rig, scale, (number, piece), rng)
         if sample[WEIGHT_CHANNEL].mean(dtype=np.float32) >= MIN_WEIGHT:
-            found.append(sample)
+            pieces.append(sample)
     require(
-        len(found) > 0, f"not one piece of {CROP_PX} pixels of finger {number} holds enough skin."
+        len(pieces) > 0, f"not one piece of {CROP_PX} pixels of finger {number} holds enough skin."
     )
-    return np.stack(found)
+    return np.stack(pieces)
 
 
 def _piece(surface, window, skin, rig, scale, name, rng):  # noqa: PLR0917
@@ -180,7 +182,8 @@ def _piece(surface, window, skin, rig, scale, name, rng):  # noqa: PLR0917
     brightest = max(float(np.percentile(diffuse[:, :, inside], 99.5)), 1e-12)
     exposure = np.float32(BRIGHTEST_LEVEL / brightest * rng.uniform(*EXPOSURE_FACTOR))
     blur_px = float(rng.uniform(*BLUR_PX)) if rng.random() < BLURRED_FRACTION else 0.0
-    images, sensor = [], draw_sensor(rng)
+    images = []
+    sensor = draw_sensor(rng)
     for k in range(len(rig.leds)):
         frame = np.moveaxis((diffuse[k] + glare[k]) * exposure, 0, -1)
         if blur_px > 0:
@@ -215,7 +218,8 @@ def _placed(light, band, window):
     )
     into, source = [...], [...]
     for own, part in zip(band.window, window, strict=True):
-        low, high = max(own.start, part.start), min(own.stop, part.stop)
+        low = max(own.start, part.start)
+        high = min(own.stop, part.stop)
         into.append(slice(low - part.start, high - part.start))
         source.append(slice(low - own.start, high - own.start))
     piece[tuple(into)] = light[tuple(source)]
@@ -232,19 +236,19 @@ def _smooth_error(rng, grid):
     return np.asarray(total, dtype=np.float32)
 
 
-def relief_loss(made, batch):
-    """Loss of `made` (B, 9, h, w), means over the pixels that count: squared error of heights; of
+def relief_loss(output, batch):
+    """Loss of `output` (B, 9, h, w), means over the pixels that count: squared error of heights; of
     their differences, where ridges outweigh what is wide; negative log-likelihood of the error
     (fixed, so that no height gets worse) under the estimated variance; squared error of the glare's
     waves.
     """
     weight = batch[:, WEIGHT_CHANNEL]
     count = weight.sum() + 1.0
-    error = made[:, 0] - batch[:, RELIEF_CHANNEL]
+    error = output[:, 0] - batch[:, RELIEF_CHANNEL]
     along = (error[:, :, 1:] - error[:, :, :-1]) * weight[:, :, 1:]
     down = (error[:, 1:] - error[:, :-1]) * weight[:, 1:]
-    logarithm = made[:, 8].clamp(*VARIANCE_LIMITS)
-    waves = made[:, 1:8] - batch[:, GLARE_CHANNELS]
+    logarithm = output[:, 8].clamp(*VARIANCE_LIMITS)
+    waves = output[:, 1:8] - batch[:, GLARE_CHANNELS]
     relief = (error**2 * weight).sum() / count
     slope = ((along**2).sum() + (down**2).sum()) / count
     likelihood = ((error.detach() ** 2 * (-logarithm).exp() + logarithm) * weight).sum() / count
@@ -262,14 +266,15 @@ def judge(run, sample, stride):
         slice(int(start), int(start + side)) for start, side in zip(starts, sides, strict=True)
     )
     sample = np.asarray(sample[:, rows, columns], dtype=np.float32)
-    made, counts = run(sample[:32]), sample[WEIGHT_CHANNEL] > 0.5
+    output = run(sample[:32])
+    counts = sample[WEIGHT_CHANNEL] > 0.5
     if not counts.any():
         return dict.fromkeys(("correlation", "gain", "rms_um", "error_ratio", "glare_r2"), math.nan)
     drawn, truth = (
-        np.asarray(field[counts], dtype=np.float64) for field in (made[0], sample[RELIEF_CHANNEL])
+        np.asarray(field[counts], dtype=np.float64) for field in (output[0], sample[RELIEF_CHANNEL])
     )
     square = float(((drawn - truth) ** 2).mean())
-    expected = float(np.exp(np.clip(made[8][counts], *VARIANCE_LIMITS), dtype=np.float64).mean())
+    expected = float(np.exp(np.clip(output[8][counts], *VARIANCE_LIMITS), dtype=np.float64).mean())
     glare = np.asarray(sample[GLARE_CHANNELS][:, counts], dtype=np.float64)
     with np.errstate(invalid="ignore", divide="ignore"):
         return {
@@ -278,7 +283,7 @@ def judge(run, sample, stride):
             "rms_um": UNIT_UM * math.sqrt(square),
             "error_ratio": math.sqrt(square / expected),
             "glare_r2": float(
-                1.0 - ((made[1:8][:, counts] - glare) ** 2).mean() / (glare**2).mean()
+                1.0 - ((output[1:8][:, counts] - glare) ** 2).mean() / (glare**2).mean()
             ),
         }
 
@@ -346,7 +351,7 @@ def main():
         "--threads", type=int, default=1, help="of torch, and processes that photograph"
     )
     parser.add_argument("--device", choices=("cpu", "cuda"), default="cpu")
-    given = parser.parse_args()
+    options = parser.parse_args()
     whole = [
         *range(FIRST_WHOLE, FIRST_WHOLE + WHOLE_FINGERS),
         *range(HELD_OUT_FROM, HELD_OUT_FROM + HELD_OUT_FINGERS),
@@ -354,23 +359,24 @@ def main():
     subjects = [("pieces", n) for n in range(FIRST_CROPPED, FIRST_CROPPED + CROPPED_FINGERS)] + [
         ("finger", n) for n in whole
     ]
-    data = make_data(given.out, subjects, partial(shoot, given.prints), given.threads)
-    pieces = [one for (kind, _), arrays in data.items() if kind == "pieces" for one in arrays]
+    data = make_data(options.out, subjects, partial(shoot, options.prints), options.threads)
+    pieces = [array for (kind, _), arrays in data.items() if kind == "pieces" for array in arrays]
     fingers = {number: arrays[0] for (kind, number), arrays in data.items() if kind == "finger"}
     whole, held_out = (
-        [a for n, a in fingers.items() if (n < HELD_OUT_FROM) == one] for one in (True, False)
+        [a for n, a in fingers.items() if (n < HELD_OUT_FROM) == training]
+        for training in (True, False)
     )
     command = "python training/relief.py --out DIR"
     train_fields(
         TASK,
-        given.out,
+        options.out,
         command,
         pieces,
         held_out,
         whole=whole,
         iterations=ITERATIONS,
-        threads=given.threads,
-        device=given.device,
+        threads=options.threads,
+        device=options.device,
     )
 
 

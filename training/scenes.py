@@ -155,7 +155,7 @@ def draw_finger_of(number, rng, prints=None):
 def moved_rig(rig, rng):
     """The rig with its lights on another circle, each a little off it."""
     limits = (RING_RADIUS_MM, RING_HEIGHT_MM, RING_TURN_RAD)
-    radius, height, twist = (float(rng.uniform(*one)) for one in limits)
+    radius, height, twist = (float(rng.uniform(*limit)) for limit in limits)
     leds = []
     for led in rig.leds:
         azimuth = math.atan2(led.position_mm[1], led.position_mm[0]) + twist

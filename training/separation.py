@@ -1,7 +1,7 @@
 """Train `direct`, the U-Net of the thesis that finds direct light (3.3.1.4).
 
     python training/separation.py --out DIR  # what ships: 42 minutes on two busy cores
-    python training/separation.py --out DIR --thesis --device cuda --threads 16  # the thesis's own recipe
+    python training/separation.py --out DIR --thesis --device cuda --threads 16  # as the thesis
 
 The thesis trains on 72 x 72 patches of 50 palms whose direct light was measured with 25 shifted
 checkerboards; Adam on the mean squared error. Here the optics of the skin, the place of the light,
@@ -76,7 +76,7 @@ THESIS = Recipe(50, 0, 1, 750, "stack", 64, 50, 0.5, 0.0, 0.0, 0)
 
 
 # --- photographs
-# --------------------------------------------------------------------------------------------------
+# -------------------------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True)
@@ -122,7 +122,8 @@ def _photograph(surface, seed, labels, patches, grey):
     rng = np.random.default_rng(draw_seed)
     skin = SKIN.draw(rng)
     low, high = LED_RADIUS_MM
-    radius, azimuth = low + (high - low) * rng.random(), 2.0 * np.pi * rng.random()
+    radius = low + (high - low) * rng.random()
+    azimuth = 2.0 * np.pi * rng.random()
     place = (
         float(radius * np.cos(azimuth)),
         float(radius * np.sin(azimuth)),
@@ -157,8 +158,8 @@ def _through_patterns(surface, led, skin, light):
     )
     mask = surface.mask[light.window]
     # radiance in the rig's units knows no clipping; the black outside the mask is not a fault
-    made = checkerboard(stack, alpha=0.5, dark=0.0, mask=mask, clip_level=None)
-    direct = np.where(mask, made.direct.transpose(2, 0, 1), np.float32(0.0))
+    separated = checkerboard(stack, alpha=0.5, dark=0.0, mask=mask, clip_level=None)
+    direct = np.where(mask, separated.direct.transpose(2, 0, 1), np.float32(0.0))
     return np.asarray(np.minimum(direct, light.white), dtype=np.float32)
 
 
@@ -204,7 +205,7 @@ def _patch_corners(mask, count, rng):
 
 
 # --- patches
-# ------------------------------------------------------------------------------------------------------
+# -------------------------------------------------------------------------------------------------
 
 
 class Patches:
@@ -331,8 +332,8 @@ def train(out, recipe, command, *, held_out=HELD_OUT_COUNT, threads=2, device="c
     data = make_data(out, subjects, partial(shoot, recipe), threads)
     views = [
         (n, pair)
-        for (_, n), found in data.items()
-        for pair in zip(found[::2], found[1::2], strict=True)
+        for (_, n), photographs in data.items()
+        for pair in zip(photographs[::2], photographs[1::2], strict=True)
     ]
     seen = Patches([pair for number, pair in views if number < HELD_OUT_FROM])
     judged = Patches([pair for number, pair in views if number >= HELD_OUT_FROM])
@@ -407,10 +408,10 @@ def main():
         "--threads", type=int, default=2, help="of torch, and processes that photograph"
     )
     parser.add_argument("--device", choices=("cpu", "cuda"), default="cpu")
-    given = parser.parse_args()
-    command = "python training/separation.py --out DIR" + " --thesis" * given.thesis
-    recipe = THESIS if given.thesis else SHIPPED
-    train(given.out, recipe, command, threads=given.threads, device=given.device)
+    options = parser.parse_args()
+    command = "python training/separation.py --out DIR" + " --thesis" * options.thesis
+    recipe = THESIS if options.thesis else SHIPPED
+    train(options.out, recipe, command, threads=options.threads, device=options.device)
 
 
 if __name__ == "__main__":

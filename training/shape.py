@@ -74,14 +74,14 @@ def shape_sample(number, prints=None):
     gain = max(float(rng.normal(RELIEF_GAIN, RELIEF_GAIN_SD)), 0.1)
     capture, truth = photograph_scene(number, finger, rig, replace(twin, sensor=draw_sensor(rng)))
     settings = preset_settings("metric")
-    found = find_finger(capture, settings)
+    located = find_finger(capture, settings)
     lit = tuple(capture.bands[name] for name in ("white", "nir") if name in capture.bands)
-    grid, bands, binning = skin_images(capture, lit, found.window, found.inside)
+    grid, bands, binning = skin_images(capture, lit, located.window, located.inside)
     require(
         can_learn(bands[0], grid.pitch_mm),
         "the lights or pixels are not such that a network draws the relief.",
     )
-    on_grid = TruthOnGrid(truth, found.window, grid, binning)
+    on_grid = TruthOnGrid(truth, located.window, grid, binning)
     known = grid.mask & on_grid.mask
     relief = np.where(known, on_grid.relief_mm(), np.float32(0.0)).astype(np.float32)
     wide = grid.smooth(relief, known, RIDGE_BAND_MM)  # counts as shape
@@ -138,13 +138,13 @@ def _assembled(fields, true_mm, known, low, factor):
     return np.concatenate([fields[:32], missing, weight[None]]).astype(np.float16)
 
 
-def shape_loss(made, batch):
+def shape_loss(output, batch):
     """Squared error of slopes (B, 2, h, w), and of its means over blocks, as integration adds up
     what is wrong."""
     from torch.nn.functional import avg_pool2d
 
     weight = batch[:, WEIGHT_CHANNEL : WEIGHT_CHANNEL + 1]
-    error = made - batch[:, SLOPE_CHANNELS]
+    error = output - batch[:, SLOPE_CHANNELS]
     count = weight.sum() + 1.0
     means = avg_pool2d(error * weight, WIDE_PX) ** 2 / (avg_pool2d(weight, WIDE_PX) + MIN_TRUST)
     return (error**2 * weight).sum() / count + means.sum() * WIDE_PX**2 / count
@@ -228,27 +228,31 @@ def main():
         "--threads", type=int, default=1, help="of torch, and processes that photograph"
     )
     parser.add_argument("--device", choices=("cpu", "cuda"), default="cpu")
-    given = parser.parse_args()
+    options = parser.parse_args()
     numbers = [
         *range(FIRST_FINGER, FIRST_FINGER + FINGERS),
         *range(HELD_OUT_FROM, HELD_OUT_FROM + HELD_OUT_FINGERS),
     ]
     data = make_data(
-        given.out, [("finger", n) for n in numbers], partial(shoot, given.prints), given.threads
+        options.out,
+        [("finger", n) for n in numbers],
+        partial(shoot, options.prints),
+        options.threads,
     )
     seen, held_out = (
-        [a[0] for (_, n), a in data.items() if (n < HELD_OUT_FROM) == one] for one in (True, False)
+        [a[0] for (_, n), a in data.items() if (n < HELD_OUT_FROM) == training]
+        for training in (True, False)
     )
     command = "python training/shape.py --out DIR"
     train_fields(
         TASK,
-        given.out,
+        options.out,
         command,
         seen,
         held_out,
         iterations=ITERATIONS,
-        threads=given.threads,
-        device=given.device,
+        threads=options.threads,
+        device=options.device,
     )
 
 

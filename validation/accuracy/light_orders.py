@@ -19,9 +19,11 @@ def lights_of_balls(data: Path) -> FloatArray:
     files = [data / "elastomer" / "BGA-001" / f"image{k:02d}.png" for k in range(7, 13)]
     stack = np.stack([read_image(file)[..., 0] for file in files]).astype(np.float64)
     normals, light = [], []
-    for found in re.findall(r"r: ([\d.]+)\s+x: ([\d.-]+)\s+y: ([\d.-]+)", text):
-        radius, column, row = (float(value) for value in found)
-        reach, x0, y0 = int(0.6 * radius), round(column), round(row)
+    for ball in re.findall(r"r: ([\d.]+)\s+x: ([\d.-]+)\s+y: ([\d.-]+)", text):
+        radius, column, row = (float(value) for value in ball)
+        reach = int(0.6 * radius)
+        x0 = round(column)
+        y0 = round(row)
         if min(x0, y0) < reach or x0 + reach >= stack.shape[2] or y0 + reach >= stack.shape[1]:
             continue
         down, across = np.mgrid[-reach : reach + 1, -reach : reach + 1] / radius

@@ -7,9 +7,9 @@ the camera), ``mask`` (H, W) and ``normals`` (H, W, 3). A sphere's folder has ph
 ``*.N.png``, a mask ``*.mask.png`` and, in it or above it, ``lights.txt``; its normals follow from
 its outline. Without arguments: the objects of SPLITKNIT_DATA.
 
-It prints the table that ``tables/objects.csv`` holds and docs/experiments/real-things.md quotes: mean
-angular error in degrees of the normals as photometric stereo measured them, and of the integrated
-surface; with all lights, and with seven of them (mean, min to max of DRAWS draws).
+It prints the table that ``tables/objects.csv`` holds and docs/experiments/real-things.md quotes:
+mean angular error in degrees of the normals as photometric stereo measured them, and of the
+integrated surface; with all lights, and with seven of them (mean, min to max of DRAWS draws).
 """
 
 from __future__ import annotations
@@ -133,10 +133,8 @@ def sphere(folder: Path) -> Object:
     rows, columns = np.nonzero(capture.mask)
     radius = (np.ptp(columns) + np.ptp(rows) + 2) / 4
     i, j = np.mgrid[0 : capture.shape[0], 0 : capture.shape[1]]
-    x, y = (
-        (j - (columns.min() + columns.max()) / 2) / radius,
-        ((rows.min() + rows.max()) / 2 - i) / radius,
-    )
+    x = (j - (columns.min() + columns.max()) / 2) / radius
+    y = ((rows.min() + rows.max()) / 2 - i) / radius
     z = np.sqrt(np.clip(1 - x * x - y * y, 0, None))
     normals = np.where((z > np.cos(np.radians(STEEPEST_DEG)))[..., None], np.dstack([x, y, z]), 0.0)
     grey = capture.bands["white"].pixels.mean(axis=-1)
@@ -150,8 +148,8 @@ def table(objects: Sequence[Object]) -> Iterator[str]:
     """Lines of the page's table."""
     yield "| object, lights | preset | measured normals, deg | of the surface, deg |"
     yield "| --- | --- | --- | --- |"
-    for one in objects:
-        count = len(one.lights)
+    for target in objects:
+        count = len(target.lights)
         rng = np.random.default_rng(0)
         few = [
             sorted(rng.choice(count, FEW_LIGHTS, replace=False).tolist())
@@ -159,17 +157,18 @@ def table(objects: Sequence[Object]) -> Iterator[str]:
         ]
         for draws in [[list(range(count))], *([few] if few else [])]:
             for preset, (base, changes) in PRESETS.items():
-                errors = np.array([errors_of(one, chosen, base, changes) for chosen in draws])
+                errors = np.array([errors_of(target, chosen, base, changes) for chosen in draws])
                 cells = " | ".join(_cell(column) for column in errors.T)
-                yield f"| {one.name}, {len(draws[0])} | `{preset}` | {cells} |"
+                yield f"| {target.name}, {len(draws[0])} | `{preset}` | {cells} |"
 
 
 def errors_of(
-    one: Object, chosen: Sequence[int], preset: str, changes: dict[str, str]
+    target: Object, chosen: Sequence[int], preset: str, changes: dict[str, str]
 ) -> tuple[float, float]:
-    result = reconstruct(one.capture(chosen), preset, changes)
+    result = reconstruct(target.capture(chosen), preset, changes)
     measured = result.normals_measured
-    return np.nan if measured is None else one.error_deg(measured), one.error_deg(result.normals)
+    measured_deg = np.nan if measured is None else target.error_deg(measured)
+    return measured_deg, target.error_deg(result.normals)
 
 
 def _cell(errors: np.ndarray) -> str:

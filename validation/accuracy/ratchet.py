@@ -1,8 +1,10 @@
 """Stored figures may improve, not slip by more than 1 %.
 
 python validation/accuracy/ratchet.py  # exit code 1 and a line for each figure that slipped
-python validation/accuracy/ratchet.py --update  # keep the better of the stored figures and those of results.json
-python validation/accuracy/ratchet.py --reset  # take those of results.json: the twin changed, say why in the commit
+python validation/accuracy/ratchet.py --update  # keep the better of stored and new figures
+python validation/accuracy/ratchet.py --reset  # take the new figures
+
+The new figures are those of results.json. After ``--reset``, the commit says why the twin changed.
 """
 
 from __future__ import annotations
@@ -37,15 +39,15 @@ def stored(results: Tree) -> dict[str, Any]:
 
 
 def slipped(results: Tree, thresholds: Tree) -> list[str]:
-    """A sentence for each figure that is worse than the stored one by more than :data:`MAX_LOSS`."""
-    found = stored(results)
+    """Return a sentence for each figure that slipped by more than :data:`MAX_LOSS`."""
+    figures_now = stored(results)
     worse = [
-        f"{key} is {found[key]}, but the stored figures were made with {thresholds[key]}"
+        f"{key} is {figures_now[key]}, but the stored figures were made with {thresholds[key]}"
         for key in COMPARED_SETTINGS
-        if found[key] != thresholds[key]
+        if figures_now[key] != thresholds[key]
     ]
     for preset, figures in thresholds["presets"].items():
-        now = found["presets"].get(preset, {})
+        now = figures_now["presets"].get(preset, {})
         for key, before in figures.items():
             if key not in now:
                 worse.append(f"{preset}: {key} is missing")
@@ -65,13 +67,13 @@ def _is_worse(key: str, now: float, before: float) -> bool:
 
 def tightened(results: Tree, thresholds: Tree) -> dict[str, Any]:
     """The better of the two for every figure."""
-    found = stored(results)
+    figures_now = stored(results)
     for preset, figures in thresholds["presets"].items():
         for key, before in figures.items():
-            now = found["presets"][preset][key]
+            now = figures_now["presets"][preset][key]
             cost = (lambda value: value) if key == "refused" else ROWS[key].cost
-            found["presets"][preset][key] = min(now, before, key=cost)
-    return found
+            figures_now["presets"][preset][key] = min(now, before, key=cost)
+    return figures_now
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -85,7 +87,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     options = parser.parse_args(arguments)
     results = json.loads(options.results.read_text())
     if options.reset:
-        kept, worse = stored(results), []
+        kept = stored(results)
+        worse = []
     else:
         thresholds = json.loads(options.thresholds.read_text())
         worse = slipped(results, thresholds)

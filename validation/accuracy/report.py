@@ -1,8 +1,8 @@
 """Write the figures of ``results.json`` to ``tables/``, and the short table of
 ``docs/experiments/accuracy.md``.
 
-python validation/accuracy/report.py            # writes
-python validation/accuracy/report.py --check  # exit code 1 if page and tables do not show what results.json holds
+python validation/accuracy/report.py          # writes
+python validation/accuracy/report.py --check  # exit code 1 if page or tables are out of date
 """
 
 from __future__ import annotations
@@ -84,16 +84,16 @@ def results_table(population: Tree, path_traced: Iterable[Mapping[str, str]]) ->
         cells = " | ".join(row.get(key, "") for key in COLUMNS)
         lines.append(f"| {row['light']}, `metric` | {row['fingers']} | {cells} |")
     for preset in in_order(population["presets"]):
-        found = population["presets"][preset]["figures"]
-        cells = " | ".join(_with_interval(ROWS[key], found.get(key)) for key in COLUMNS)
+        figures = population["presets"][preset]["figures"]
+        cells = " | ".join(_with_interval(ROWS[key], figures.get(key)) for key in COLUMNS)
         lines.append(f"| own simulator, `{preset}` | {population['fingers']} | {cells} |")
     return "\n".join(lines)
 
 
-def _with_interval(row: Row, found: Tree | None) -> str:
-    if found is None:
+def _with_interval(row: Row, figure: Tree | None) -> str:
+    if figure is None:
         return ""
-    mean, low, high = (f"{value:.{row.digits}f}" for value in (found["mean"], *found["interval"]))
+    mean, low, high = (f"{value:.{row.digits}f}" for value in (figure["mean"], *figure["interval"]))
     return f"{mean} [{low}, {high}]"
 
 
@@ -116,19 +116,19 @@ def population_csv(population: Tree) -> str:
             f"{preset['seconds_median']:.1f}",
         ]
         for key, row in ROWS.items():
-            found = preset["figures"].get(key)
-            if found is None:
+            figure = preset["figures"].get(key)
+            if figure is None:
                 continue
             values = (
-                found["mean"],
-                *found["interval"],
-                found["median"],
-                *found["quartiles"],
-                found["worst"],
+                figure["mean"],
+                *figure["interval"],
+                figure["median"],
+                *figure["quartiles"],
+                figure["worst"],
             )
             asked = []
             for which, wanted in (("least", row.least), ("aim", row.aim)):
-                met = "" if wanted is None else f"{100 * found[f'meets_{which}']:.0f}"
+                met = "" if wanted is None else f"{100 * figure[f'meets_{which}']:.0f}"
                 asked += ["" if wanted is None else _wanted(row, wanted), met]
             lines.append([*first, key, *(f"{value:.{row.digits}f}" for value in values), *asked])
     return _csv(lines)
@@ -139,11 +139,11 @@ def singles_csv(population: Tree, preset: str = "metric") -> str:
     keys = ("surface_rms_mm", "ridge_correlation", "ridge_gain", "ridge_good_area")
     lines = [["seed", "pattern", "scattering", "glare", "roughness", "melanin", *keys]]
     for single in population["singles"]:
-        found = single["figures"].get(preset)
+        figures = single["figures"].get(preset)
         cells = (
             ["refused"] * len(keys)
-            if found is None
-            else [f"{found[k]:.{ROWS[k].digits}f}" for k in keys]
+            if figures is None
+            else [f"{figures[k]:.{ROWS[k].digits}f}" for k in keys]
         )
         optics = [
             f"{single[name]:.{digits}f}"

@@ -126,7 +126,7 @@ def _population(
 ) -> dict[str, Any]:
     from summary import ROWS, summarise
 
-    shown = [name for name, row in ROWS.items() if row.least is not None]
+    reported = [name for name, row in ROWS.items() if row.least is not None]
     singles = [
         {
             "seed": m["seed"],
@@ -137,7 +137,7 @@ def _population(
             "roughness": m["drawn"]["skin_roughness"],
             "melanin": m["drawn"]["skin_melanin"],
             "figures": {
-                preset: {name: m["presets"][preset]["figures"][name] for name in shown}
+                preset: {name: m["presets"][preset]["figures"][name] for name in reported}
                 for preset in presets
                 if "figures" in m["presets"][preset]
             },

@@ -120,7 +120,7 @@ def interval(
     members = [np.array(group) for group in groups.values()]
     rng = np.random.default_rng(seed)
     draws = rng.integers(0, len(members), (RESAMPLES, len(members)))
-    found = [float(statistic(np.concatenate([members[k] for k in draw]))) for draw in draws]
+    statistics = [float(statistic(np.concatenate([members[k] for k in draw]))) for draw in draws]
     tail = 50.0 * (1.0 - fraction)
-    low, high = np.percentile(found, (tail, 100.0 - tail))
+    low, high = np.percentile(statistics, (tail, 100.0 - tail))
     return float(low), float(high)

@@ -1,10 +1,10 @@
 """Public benchmarks, for whoever has them: one command a benchmark, with the folder's path.
 
     python validation/benchmarks/run.py diligent FOLDER  # DiLiGenT, DiLiGenT-Pi: a folder an object
-    python validation/benchmarks/run.py luces FOLDER             # LUCES: near lights, depth in mm
+    python validation/benchmarks/run.py luces FOLDER     # LUCES: near lights, depth in mm
     python validation/benchmarks/run.py prints FOLDER --pattern '{finger}_{sample}.png'
     python validation/benchmarks/run.py prints PHOTOS --pattern '{finger}/{sample}.jpg' \\
-        --against PRINTS --against-pattern '{finger}_{sample}.bmp'      # PolyU, ISPFD, ZJUT-EIFD kinds
+        --against PRINTS --against-pattern '{finger}_{sample}.bmp'  # PolyU, ISPFD, ZJUT-EIFD
 
 An object's row has the mean angle between the normals and the truth in degrees (as photometric
 stereo measured them, and of the surface) and, where the truth has depth, the mean absolute error in
@@ -56,18 +56,18 @@ class Scene:
     def row(self, preset: str) -> dict[str, Any]:
         """Errors of a preset."""
         result = reconstruct(self.capture, preset)
-        found: dict[str, Any] = {
+        figures: dict[str, Any] = {
             "object": self.name,
             "preset": preset,
             "lights": len(self.capture.rig.leds),
         }
         measured = result.normals_measured
-        found["measured_deg"] = None if measured is None else self.error_deg(measured)
-        found["surface_deg"] = self.error_deg(result.normals)
+        figures["measured_deg"] = None if measured is None else self.error_deg(measured)
+        figures["surface_deg"] = self.error_deg(result.normals)
         if self.height_mm is not None:
             error = (result.height_mm - self.height_mm)[result.mask & np.isfinite(self.height_mm)]
-            found["height_mm"] = float(np.mean(np.abs(error - error.mean())))
-        return found
+            figures["height_mm"] = float(np.mean(np.abs(error - error.mean())))
+        return figures
 
     def error_deg(self, normals: np.ndarray) -> float:
         """Mean angle to the truth."""
@@ -174,7 +174,7 @@ def luces(folder: Path) -> Scene:
 def scenes(kind: str, folder: Path) -> Iterator[Scene]:
     """Every object below a folder, or the object that the folder is."""
     table = {"diligent": "light_directions.txt", "luces": "led_params.txt"}[kind]
-    found = sorted(
+    folders = sorted(
         {
             file.parent
             for file in [
@@ -184,8 +184,9 @@ def scenes(kind: str, folder: Path) -> Iterator[Scene]:
             ]
         }
     )
-    require(len(found) > 0, f"no folder at or below {folder} has a {table}.")
-    yield from ({"diligent": diligent, "luces": luces}[kind](one) for one in found)
+    require(len(folders) > 0, f"no folder at or below {folder} has a {table}.")
+    read = {"diligent": diligent, "luces": luces}[kind]
+    yield from (read(scene) for scene in folders)
 
 
 def listed(folder: Path, pattern: str) -> dict[tuple[str, str], Path]:
@@ -197,12 +198,12 @@ def listed(folder: Path, pattern: str) -> dict[tuple[str, str], Path]:
     form = "".join(
         re.escape(part) if k % 2 == 0 else f"(?P<{part}>[^/]+?)" for k, part in enumerate(parts)
     )
-    found = {}
+    files = {}
     for path in sorted(folder.rglob("*")):
         if fits := re.fullmatch(form, path.relative_to(folder).as_posix()):
-            found[fits["finger"], fits["sample"]] = path
-    require(len(found) > 1, f"fewer than two files below {folder} fit the pattern {pattern}.")
-    return found
+            files[fits["finger"], fits["sample"]] = path
+    require(len(files) > 1, f"fewer than two files below {folder} fit the pattern {pattern}.")
+    return files
 
 
 def prints(
@@ -214,7 +215,10 @@ def prints(
     pairs = list(
         itertools.product(*sides) if against is not None else itertools.combinations(sides[0], 2)
     )
-    labels, scores, decided, missing = [], [], [], set()
+    labels = []
+    scores = []
+    decided = []
+    missing = set()
     with tempfile.TemporaryDirectory() as scratch:
         templates = []
         for k, side in enumerate(sides):
@@ -227,14 +231,17 @@ def prints(
                 except BadInput as error:
                     missing.add(f"{path.name}: {error}")
         for a, b in pairs:
-            first, second = templates[0].get(a), templates[-1].get(b)
-            found = match(first, second) if first is not None and second is not None else None
+            first = templates[0].get(a)
+            second = templates[-1].get(b)
+            answer = match(first, second) if first is not None and second is not None else None
             labels.append(a[0] == b[0])
-            scores.append(found.similarity if found is not None and found.compared else np.nan)
+            scores.append(answer.similarity if answer is not None and answer.compared else np.nan)
             decided.append(
-                found is not None and found.decision is not None and found.decision.match
+                answer is not None and answer.decision is not None and answer.decision.match
             )
-    label, score, accepted = np.array(labels), np.array(scores), np.array(decided)
+    label = np.array(labels)
+    score = np.array(scores)
+    accepted = np.array(decided)
     require(
         label.any() and not label.all(),
         "the pairs need two samples of one finger, and two fingers.",

@@ -72,7 +72,7 @@ def calibrate(folder: Path, seed: int, scale: float) -> Rig:
 
     if not bench.is_dir():
         call("simulate", "--bench", "--seed", seed, "--scale", scale, "--out", bench)
-    one, two, three = (folder / f"rig_{k}.json" for k in (1, 2, 3))
+    with_camera, with_lights, with_radiometry = (folder / f"rig_{k}.json" for k in (1, 2, 3))
     call(
         "calibrate",
         "camera",
@@ -86,14 +86,23 @@ def calibrate(folder: Path, seed: int, scale: float) -> Rig:
         "--rig",
         bench / "rig_drawn.json",
         "--out",
-        one,
+        with_camera,
     )
-    call("calibrate", "lights", "--images", bench / "nail", "--rig", one, "--out", two)
-    call("calibrate", "radiometry", bench / "card", "--rig", two, "--out", three)
-    return read_rig(three)
+    call(
+        "calibrate",
+        "lights",
+        "--images",
+        bench / "nail",
+        "--rig",
+        with_camera,
+        "--out",
+        with_lights,
+    )
+    call("calibrate", "radiometry", bench / "card", "--rig", with_lights, "--out", with_radiometry)
+    return read_rig(with_radiometry)
 
 
-def rows(true: Rig, found: Rig, drawn: Rig) -> dict[str, tuple[Rig, dict[str, Any]]]:
+def rows(true: Rig, calibrated: Rig, drawn: Rig) -> dict[str, tuple[Rig, dict[str, Any]]]:
     """Rig and settings of every row of the table."""
 
     def lights(places: Rig, light: Rig) -> tuple[Led, ...]:
@@ -103,32 +112,37 @@ def rows(true: Rig, found: Rig, drawn: Rig) -> dict[str, tuple[Rig, dict[str, An
             for p, b in zip(places.leds, light.leds, strict=True)
         )
 
-    plain = tuple(replace(led, intensity=1.0, lobe_exponent=0.0, aim=None) for led in found.leds)
+    plain = tuple(
+        replace(led, intensity=1.0, lobe_exponent=0.0, aim=None) for led in calibrated.leds
+    )
     return {
         "true rig": (true, {}),
-        "calibrated": (found, {}),
+        "calibrated": (calibrated, {}),
         "drawings only": (drawn, {}),
         "calibrated, but distant lights": (
-            replace(found, leds=tuple(distant(led) for led in found.leds)),
+            replace(calibrated, leds=tuple(distant(led) for led in calibrated.leds)),
             {},
         ),
-        "calibrated, but places from the drawings": (replace(found, leds=lights(drawn, found)), {}),
+        "calibrated, but places from the drawings": (
+            replace(calibrated, leds=lights(drawn, calibrated)),
+            {},
+        ),
         "calibrated, but no flat field": (
-            replace(found, leds=plain, camera=replace(found.camera, shading=())),
+            replace(calibrated, leds=plain, camera=replace(calibrated.camera, shading=())),
             {},
         ),
         "calibrated, but brightness alone": (
             replace(
-                found,
+                calibrated,
                 leds=tuple(
                     replace(led, lobe_exponent=0.0, aim=None, intensity=at_origin(led))
-                    for led in found.leds
+                    for led in calibrated.leds
                 ),
-                camera=replace(found.camera, shading=()),
+                camera=replace(calibrated.camera, shading=()),
             ),
             {},
         ),
-        "calibrated, but an orthographic camera": (found, {"camera": "orthographic"}),
+        "calibrated, but an orthographic camera": (calibrated, {"camera": "orthographic"}),
         "true rig, but an orthographic camera": (true, {"camera": "orthographic"}),
     }
 
@@ -147,12 +161,12 @@ def distant(led: Led) -> Led:
     return Led(led.band, direction=(x, y, z), intensity=at_origin(led) * (140.0 / far) ** 2)
 
 
-def measure(seed: int, true: Rig, found: Rig) -> list[dict[str, Any]]:
+def measure(seed: int, true: Rig, calibrated: Rig) -> list[dict[str, Any]]:
     """Photograph one finger with the true rig and reconstruct it in every row's way."""
     scale = true.camera.image_size[0] / 2200
     capture, truth = simulate_capture(FIRST_FINGER + seed, settings=TwinSettings(rig=true))
     records = []
-    for name, (rig, settings) in rows(true, found, nominal_rig(scale)).items():
+    for name, (rig, settings) in rows(true, calibrated, nominal_rig(scale)).items():
         bands = {
             key: replace(band, shading=rig.camera.shading) for key, band in capture.bands.items()
         }
@@ -165,7 +179,8 @@ def figures(result: Reconstruction, capture: Capture, truth: dict[str, Any]) -> 
     """What `compare` gives, and where the points lie."""
     figure = dict(compare(result, truth).figures)
     seen = result.mask & truth["mask"] & np.isfinite(truth["height_mm"])
-    height, true = result.height_mm[seen].astype(float), truth["height_mm"][seen].astype(float)
+    height = result.height_mm[seen].astype(float)
+    true = truth["height_mm"][seen].astype(float)
     above = true - true.mean()
     rows_px, columns_px = capture.shape
     if result.x_mm is None or result.y_mm is None:

@@ -1,7 +1,7 @@
 """How well ``splitknit calibrate camera`` finds a known camera: built rigs of the twin,
 photographed with noise.
 
-    python validation/calibration/camera.py [--seeds 8] [--scale 0.25] [--out validation/calibration/camera.json]
+    python validation/calibration/camera.py [--seeds 8] [--scale 0.25] [--out FILE.json]
 
 Each seed is another rig as a person builds it (focal length, principal point, distortion, height
 and tilt off the drawing) and 15 other photographs of a checkerboard held by hand. Prints a table:
@@ -75,8 +75,8 @@ def photographs(
             **common, board=PRINTED, rotation_vector=turn, translation_mm=middle
         )
         planes.append(find_board(photo(level, 500 + k), BOARD))
-    found = [one for one in corners if one is not None]
-    return Photos(rig, found, [p for p in planes if p is not None], normal)
+    detected = [corner_set for corner_set in corners if corner_set is not None]
+    return Photos(rig, detected, [p for p in planes if p is not None], normal)
 
 
 def errors_of(photos: Photos, fit: CameraCalibration | Any) -> dict[str, float]:
@@ -86,7 +86,10 @@ def errors_of(photos: Photos, fit: CameraCalibration | Any) -> dict[str, float]:
     true = np.asarray(truth.matrix)
     focal = float(lens.matrix[0, 0])
     by_board = mean_pose(
-        [plane_pose(BOARD.points_mm, one, lens.matrix, lens.distortion) for one in photos.planes],
+        [
+            plane_pose(BOARD.points_mm, plane, lens.matrix, lens.distortion)
+            for plane in photos.planes
+        ],
         focal,
     )
 
@@ -153,11 +156,9 @@ def main() -> None:
     facts = summary(runs)
     for case, figures in facts.items():
         print(f"\n{case}")
-        for name, one in figures.items():
-            print(
-                f"  {name:26s} {one['mean']:8.4f} ({one['low']:.4f} to {one['high']:.4f}), worst"
-                f" {one['worst']:.4f}"
-            )
+        for name, figure in figures.items():
+            limits = f"({figure['low']:.4f} to {figure['high']:.4f})"
+            print(f"  {name:26s} {figure['mean']:8.4f} {limits}, worst {figure['worst']:.4f}")
     if options.out is not None:
         document = {"scale": options.scale, "seeds": options.seeds, "cases": facts}
         options.out.write_text(json.dumps(document, indent=1) + "\n")

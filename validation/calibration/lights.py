@@ -93,7 +93,7 @@ def tables(rigs: int, nail_mm: float) -> dict[str, Any]:
         exact = noisy_table(drawn, TWO_PLACES_MM, nail_mm, rng)
         plain, _ = by_circle(exact, drawn.camera, CIRCLE)
         _note(errors, "circle, two positions, LEDs as drawn, parallel view", _errors(plain, drawn))
-        _note(errors, "nothing measured: LEDs as drawn", _drawn_errors(rig))
+        _note(errors, "nothing measured: LEDs as drawn", _errors(drawn.leds, rig))
         _note(errors, "circle, two positions", _errors(by_circle(two, rig.camera, CIRCLE)[0], rig))
         for name, tips, settings in (
             ("joint fit, two positions", two, Nail()),
@@ -101,9 +101,9 @@ def tables(rigs: int, nail_mm: float) -> dict[str, Any]:
             ("joint fit, four positions, nail's height known", four, known),
         ):
             fit = by_joint_fit(tips, rig.camera, CIRCLE, settings)
-            found = _errors(fit.leds, rig)
-            _note(errors, name, found)
-            _note(inside, name, found <= fit.interval_deg)
+            errors_deg = _errors(fit.leds, rig)
+            _note(errors, name, errors_deg)
+            _note(inside, name, errors_deg <= fit.interval_deg)
             _note(widths, name, fit.interval_deg)
     return {
         name: {
@@ -209,12 +209,8 @@ def _figures(errors: Points) -> dict[str, Any]:
     }
 
 
-def _errors(found: Sequence[Any], rig: Rig) -> Points:
-    return _angles(np.array([one.position_mm for one in found]), rig)
-
-
-def _drawn_errors(rig: Rig) -> Points:
-    return _angles(np.array([led.position_mm for led in default_rig().leds]), rig)
+def _errors(leds: Sequence[Any], rig: Rig) -> Points:
+    return _angles(np.array([led.position_mm for led in leds]), rig)
 
 
 def _angles(positions: Points, rig: Rig) -> Points:

@@ -109,9 +109,9 @@ def measure(seed: int, scale: float, case: Any) -> tuple[Any, dict[str, float], 
     stored = as_placed(rig, case.error_mm, seed)
     tilt = tuple(rig.provenance["base_tilt_deg"]) if case.base_tilt == "known" else (0.0, 0.0)
     capture = photograph(card_of(rig, case), stored, case, seed)
-    found = fit_radiometry(capture, stored, CardPlane(0.0, (float(tilt[0]), float(tilt[1]))))
+    fit = fit_radiometry(capture, stored, CardPlane(0.0, (float(tilt[0]), float(tilt[1]))))
     truth = card_of(rig, case, even=True)
-    return found, errors(found.rig, truth, 0.0), float(found.flat_field.rms_percent.max())
+    return fit, errors(fit.rig, truth, 0.0), float(fit.flat_field.rms_percent.max())
 
 
 def errors(rig: Any, truth: Any, height_mm: float) -> dict[str, float]:
@@ -132,8 +132,8 @@ def heights(seeds: Sequence[int], scale: float) -> list[dict[str, Any]]:
 
     from splitknit_simulator.rigs import built_rig
 
-    case = next(one for one in CASES if one.name == "LEDs 0.5 mm off")
-    found: dict[tuple[float, str], dict[str, list[float]]] = {}
+    case = next(case for case in CASES if case.name == "LEDs 0.5 mm off")
+    by_height: dict[tuple[float, str], dict[str, list[float]]] = {}
     for seed in seeds:
         rig = built_rig(seed, scale=scale)
         calibrated = measure(seed, scale, case)[0].rig
@@ -151,7 +151,7 @@ def heights(seeds: Sequence[int], scale: float) -> list[dict[str, Any]]:
             for way, light in ways.items():
                 ratio = light / truth
                 common = ratio / np.median(ratio)
-                own = found.setdefault(
+                own = by_height.setdefault(
                     (z, way), {"worst": [], "lights": [], "lean": [], "worst_lean": []}
                 )
                 own["worst"].append(100 * float(np.abs(common - 1).max()))
@@ -171,7 +171,7 @@ def heights(seeds: Sequence[int], scale: float) -> list[dict[str, Any]]:
             "lean_deg": interval(own["lean"]),
             "worst_lean_deg": interval(own["worst_lean"]),
         }
-        for (z, way), own in found.items()
+        for (z, way), own in by_height.items()
     ]
 
 
@@ -269,10 +269,10 @@ def _lean(ratio: Any, towards: Any) -> Any:
     import numpy as np
 
     lights = towards.transpose(1, 0, 2)  # (N, 7, 3)
-    shown = lights[..., 2] / ratio.T
+    rendered = lights[..., 2] / ratio.T
     moments = np.einsum("nlc,nld->ncd", lights, lights)
-    found = np.linalg.solve(moments, np.einsum("nlc,nl->nc", lights, shown)[..., None])[..., 0]
-    return np.rad2deg(np.arctan2(np.hypot(found[:, 0], found[:, 1]), found[:, 2]))
+    normals = np.linalg.solve(moments, np.einsum("nlc,nl->nc", lights, rendered)[..., None])[..., 0]
+    return np.rad2deg(np.arctan2(np.hypot(normals[:, 0], normals[:, 1]), normals[:, 2]))
 
 
 def interval(values: Sequence[float]) -> dict[str, float | int] | None:
@@ -323,17 +323,17 @@ def summary(results: dict[str, Any]) -> str:
             f"| {row['height_mm']:g} | {row['way']} | {_words(worst, 1)} | {_words(lights)} |"
             f" {lean['mean']:.2f} deg | {far['mean']:.2f} deg |"
         )
-    found = results["drift"]
+    drift = results["drift"]
     errors_found = ", ".join(
         f"{100 * (1 - float(gain)):.0f} %: {_words(v)}"
-        for gain, v in found["gain_error_percent"].items()
+        for gain, v in drift["gain_error_percent"].items()
         if v
     )
     lines += [
         "",
         (
-            f"Drift by fingers: {found['captures']} stacks, {found['false_alarms']} false alarms;"
-            f" single LEDs named {found['named']} of {found['asked']}; error of their gain at"
+            f"Drift by fingers: {drift['captures']} stacks, {drift['false_alarms']} false alarms;"
+            f" single LEDs named {drift['named']} of {drift['asked']}; error of their gain at"
             f" {errors_found}."
         ),
     ]

@@ -60,10 +60,10 @@ def segmentation(capture: Capture, truth: NDArray[np.bool_]) -> dict[str, float]
     px_per_mm = capture.rig.camera.px_per_mm
     binning = max(1, int(px_per_mm / SURVEY_PX_PER_MM))
     mean, _ = linear_survey(capture.bands["white"], capture.encoding, binning)
-    found = enlarged_mask(finger_mask(mean, px_per_mm / binning), capture.shape, binning)
-    distances = [_farthest(first, second) for first, second in ((found, truth), (truth, found))]
+    mask = enlarged_mask(finger_mask(mean, px_per_mm / binning), capture.shape, binning)
+    distances = [_farthest(first, second) for first, second in ((mask, truth), (truth, mask))]
     return {
-        "iou": float((found & truth).sum() / (found | truth).sum()),
+        "iou": float((mask & truth).sum() / (mask | truth).sum()),
         "border_mm": max(distances) / px_per_mm,
     }
 
@@ -116,11 +116,11 @@ def table(rows: list[dict[str, Any]]) -> list[list[str]]:
     lines = [["background", "preset", "fingers", *(name + end for name in FIGURES for end in ends)]]
     for background in COLOURS:
         for preset in sorted({row["preset"] for row in rows}):
-            mine = [
+            rows_of_preset = [
                 row for row in rows if (row["background"], row["preset"]) == (background, preset)
             ]
-            good = [row for row in mine if "refused" not in row]
-            cells = [background, preset, f"{len(good)} of {len(mine)}"]
+            good = [row for row in rows_of_preset if "refused" not in row]
+            cells = [background, preset, f"{len(good)} of {len(rows_of_preset)}"]
             for name, form in FIGURES.items():
                 values = np.array([row[name] for row in good])
                 cells += [form.format(value) for value in (np.median(values), *interval(values))]

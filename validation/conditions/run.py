@@ -93,7 +93,7 @@ def photographed(  # noqa: PLR0917
     return both
 
 
-def said(result: Reconstruction) -> dict[str, Any]:
+def findings_of(result: Reconstruction) -> dict[str, Any]:
     """Every sentence and the figures behind them."""
     white = result.quality["white"]
     return {
@@ -105,18 +105,18 @@ def said(result: Reconstruction) -> dict[str, Any]:
 
 def print_facts(result: Reconstruction) -> dict[str, Any]:
     """Our quality of the unrolled print, NFIQ 2, and the advice."""
-    made = make_print(source_of(result), "unroll")
-    found = measured(made, enhance(made))
+    unrolled = make_print(source_of(result), "unroll")
+    quality = measured(unrolled, enhance(unrolled))
     return {
-        "print_quality": found.score,
-        "print_figures": asdict(found.figures),
-        "nfiq2": nfiq2(made.image),
-        "advice": list(map(str, advice(found))),
+        "print_quality": quality.score,
+        "print_figures": asdict(quality.figures),
+        "nfiq2": nfiq2(unrolled.image),
+        "advice": list(map(str, advice(quality))),
     }
 
 
 def row_of(
-    capture: Any, truth: Any, preset: str, memory: Memory, other: Template | None
+    capture: Any, truth: Any, preset: str, memory: Memory, gallery_template: Template | None
 ) -> tuple[dict, Template | None]:
     """What one preset makes of a capture, and its template."""
     try:
@@ -127,15 +127,15 @@ def row_of(
     row = {
         "exit": 0,
         **{name: figures[name] for name in COMPARED},
-        **said(result),
+        **findings_of(result),
         **print_facts(result),
     }
     template = surface_template(surface_of(result))
-    if other is not None:
-        found = ridge_match(template, other)
+    if gallery_template is not None:
+        match = ridge_match(template, gallery_template)
         row |= {
-            "similarity": found.similarity,
-            "fmr": rate(found.similarity, "ridge", None).fmr if found.compared else 1.0,
+            "similarity": match.similarity,
+            "fmr": rate(match.similarity, "ridge", None).fmr if match.compared else 1.0,
         }
     return row, template
 
@@ -182,10 +182,13 @@ def main() -> None:
         )
         memory = Memory(capture)
         for preset in missing:
-            other = None if impression == 1 else _template(gallery / f"{seed}_{preset}.npz")
-            row, template = row_of(capture, truth, preset, memory, other)
+            template_file = gallery / f"{seed}_{preset}.npz"
+            gallery_template = None
+            if impression != 1 and template_file.is_file():
+                gallery_template = unpack(bytes(np.load(template_file)["payload"]))
+            row, template = row_of(capture, truth, preset, memory, gallery_template)
             if impression == 1 and template is not None:
-                _keep(gallery / f"{seed}_{preset}.npz", template)
+                _keep(template_file, template)
             row = {
                 "seed": seed,
                 "impression": impression,
@@ -197,10 +200,6 @@ def main() -> None:
             with kept.open("a") as file:
                 file.write(json.dumps(row) + "\n")
             print(seed, impression, kind, severity, preset, flush=True)
-
-
-def _template(path: Path) -> Template | None:
-    return unpack(bytes(np.load(path)["payload"])) if path.is_file() else None
 
 
 def _keep(path: Path, template: Template) -> None:

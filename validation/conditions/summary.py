@@ -53,7 +53,8 @@ def interval(values: np.ndarray, rounds: int = 2000) -> tuple[float, float]:
 
 def outside(figure: str, value: float, clean: np.ndarray) -> float:
     """How far a value lies beyond the clean captures' range, in widths of that range; 0 inside."""
-    low, high = float(clean.min()), float(clean.max())
+    low = float(clean.min())
+    high = float(clean.max())
     width = max(high - low, 1e-9)
     below, above = (low - value) / width, (value - high) / width
     if figure in WORSE_WHEN_LOWER:
@@ -65,19 +66,19 @@ def outside(figure: str, value: float, clean: np.ndarray) -> float:
 
 def cells(rows: list[dict[str, Any]]) -> list[dict[str, Any]]:
     """One row for each preset, condition, severity and figure."""
-    found = []
+    table_rows = []
     for preset in sorted({row["preset"] for row in rows}):
-        mine = [row for row in rows if row["preset"] == preset and row["exit"] == 0]
-        clean = [row for row in mine if row["kind"] == "none"]
+        completed = [row for row in rows if row["preset"] == preset and row["exit"] == 0]
+        clean = [row for row in completed if row["kind"] == "none"]
         fingers = len({row["seed"] for row in clean if row["impression"] == 0})
         groups = sorted(
-            {(row["kind"], row["severity"]) for row in mine},
+            {(row["kind"], row["severity"]) for row in completed},
             key=lambda key: (key[0] != "none", key),
         )
         for kind, severity in groups:
-            some = [
+            rows_of_condition = [
                 r
-                for r in mine
+                for r in completed
                 if (r["kind"], r["severity"]) == (kind, severity) and r["impression"] == 0
             ]
             tried = [
@@ -85,16 +86,18 @@ def cells(rows: list[dict[str, Any]]) -> list[dict[str, Any]]:
                 for r in rows
                 if (r["preset"], r["kind"], r["severity"]) == (preset, kind, severity)
             ]
-            if len({r["seed"] for r in tried}) < fingers or not some:
+            if len({r["seed"] for r in tried}) < fingers or not rows_of_condition:
                 continue  # not measured on all fingers yet
             for figure in FIGURES:
-                values = np.array([row[figure] for row in some if row.get(figure) is not None])
+                values = np.array(
+                    [row[figure] for row in rows_of_condition if row.get(figure) is not None]
+                )
                 known = np.array([row[figure] for row in clean if row.get(figure) is not None])
                 if len(values) == 0 or len(known) == 0:
                     continue
                 low, high = interval(values)
                 middle = float(np.median(values))
-                found.append(
+                table_rows.append(
                     {
                         "preset": preset,
                         "kind": kind,
@@ -111,7 +114,7 @@ def cells(rows: list[dict[str, Any]]) -> list[dict[str, Any]]:
                         else round(outside(figure, middle, known), 2),
                     }
                 )
-    return found
+    return table_rows
 
 
 def first_failures(table: list[dict[str, Any]], preset: str) -> dict[str, Any]:
@@ -119,19 +122,19 @@ def first_failures(table: list[dict[str, Any]], preset: str) -> dict[str, Any]:
     first."""
     result = {}
     for kind in sorted({row["kind"] for row in table} - {"none"}):
-        mine = [
+        judged = [
             r for r in table if (r["preset"], r["kind"]) == (preset, kind) and r["figure"] in JUDGED
         ]
-        gone = sorted({row["severity"] for row in mine if row["beyond"] > 0})
+        gone = sorted({row["severity"] for row in judged if row["beyond"] > 0})
         if not gone:
             result[kind] = {
                 "severity": None,
                 "figures": [],
-                "measured": sorted({r["severity"] for r in mine}),
+                "measured": sorted({r["severity"] for r in judged}),
             }
             continue
         left = sorted(
-            (r for r in mine if r["severity"] == gone[0] and r["beyond"] > 0),
+            (r for r in judged if r["severity"] == gone[0] and r["beyond"] > 0),
             key=lambda r: -r["beyond"],
         )
         result[kind] = {
@@ -140,7 +143,7 @@ def first_failures(table: list[dict[str, Any]], preset: str) -> dict[str, Any]:
                 {k: r[k] for k in ("figure", "median", "low", "high", "clean_low", "clean_high")}
                 for r in left
             ],
-            "measured": sorted({r["severity"] for r in mine}),
+            "measured": sorted({r["severity"] for r in judged}),
         }
     return result
 

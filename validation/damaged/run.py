@@ -53,7 +53,7 @@ def ordered(*order: int) -> Callable[[Pixels], Pixels]:
     return lambda pixels: pixels[list(order)]
 
 
-def one(k: int, change: Callable[[Pixels], Pixels]) -> Callable[[Pixels], Pixels]:
+def image_changed(k: int, change: Callable[[Pixels], Pixels]) -> Callable[[Pixels], Pixels]:
     """Image k changed."""
 
     def work(pixels: Pixels) -> Pixels:
@@ -76,9 +76,10 @@ def jpeg(quality: int) -> Callable[[Pixels], Pixels]:
     return work
 
 
-def damages(capture: Capture, other: Capture) -> dict[str, Capture]:
+def damages(capture: Capture, second_finger: Capture) -> dict[str, Capture]:
     """Damaged captures by name."""
-    rng, both = np.random.default_rng(0), "white nir"
+    rng = np.random.default_rng(0)
+    both = "white nir"
 
     def noisy(image: Pixels) -> Pixels:
         return np.clip(image + rng.normal(0.0, 1.5, image.shape), 0, 255).astype(np.uint8)
@@ -88,7 +89,7 @@ def damages(capture: Capture, other: Capture) -> dict[str, Capture]:
 
     unequal = np.array([0.75, 1.0, 0.8, 0.78, 1.0, 0.7, 0.74])[:, None, None, None]
     first = {name: band.pixels[0] for name, band in capture.bands.items()}
-    theirs = {name: band.pixels for name, band in other.bands.items()}
+    second_pixels = {name: band.pixels for name, band in second_finger.bands.items()}
     leds = tuple(
         replace(led, position_mm=(-led.position_mm[0], *led.position_mm[1:]))
         if led.position_mm
@@ -102,25 +103,29 @@ def damages(capture: Capture, other: Capture) -> dict[str, Capture]:
         "white 0 and 1 exchanged": changed(capture, "white", ordered(1, 0, 2, 3, 4, 5, 6)),
         "both shifted by 3": changed(capture, both, ordered(3, 4, 5, 6, 0, 1, 2)),
         "NIR 1 a noisy copy of NIR 0": changed(
-            capture, "nir", one(1, lambda _: noisy(first["nir"]))
+            capture, "nir", image_changed(1, lambda _: noisy(first["nir"]))
         ),
         "white 1 a noisy copy of white 0": changed(
-            capture, "white", one(1, lambda _: noisy(first["white"]))
+            capture, "white", image_changed(1, lambda _: noisy(first["white"]))
         ),
         "all white under one light": changed(
             capture, "white", lambda p: np.stack([noisy(first["white"]) for _ in p])
         ),
-        "NIR 2 turned by 180 deg": changed(capture, "nir", one(2, lambda image: image[::-1, ::-1])),
-        "NIR 2 noise": changed(capture, "nir", one(2, noise)),
-        "white 2 noise": changed(capture, "white", one(2, noise)),
+        "NIR 2 turned by 180 deg": changed(
+            capture, "nir", image_changed(2, lambda image: image[::-1, ::-1])
+        ),
+        "NIR 2 noise": changed(capture, "nir", image_changed(2, noise)),
+        "white 2 noise": changed(capture, "white", image_changed(2, noise)),
         "white 2 blurred by 3 px": changed(
-            capture, "white", one(2, lambda image: cv2.GaussianBlur(image, (0, 0), 3))
+            capture, "white", image_changed(2, lambda image: cv2.GaussianBlur(image, (0, 0), 3))
         ),
-        "all NIR of another finger": changed(capture, "nir", lambda _: theirs["nir"]),
+        "all NIR of another finger": changed(capture, "nir", lambda _: second_pixels["nir"]),
         "white 3 of another finger": changed(
-            capture, "white", one(3, lambda _: theirs["white"][3])
+            capture, "white", image_changed(3, lambda _: second_pixels["white"][3])
         ),
-        "NIR 3 of another finger": changed(capture, "nir", one(3, lambda _: theirs["nir"][3])),
+        "NIR 3 of another finger": changed(
+            capture, "nir", image_changed(3, lambda _: second_pixels["nir"][3])
+        ),
         "LEDs mirrored": replace(capture, rig=replace(capture.rig, leds=leds)),
         "LEDs 12 % unequal": changed(
             capture, both, lambda pixels: (pixels * unequal).astype(np.uint8)
@@ -173,7 +178,8 @@ def stated(
 
 def mistakes(capture: Capture, truth: dict[str, Any], seed: int) -> dict[str, tuple[Capture, str]]:
     """What people do wrong with a camera or a rig file, and the word that names it."""
-    rng, both = np.random.default_rng(seed), "white nir"
+    rng = np.random.default_rng(seed)
+    both = "white nir"
     gains = 1 + rng.uniform(-0.15, 0.15, (9, 3)).astype(np.float32)
     level = float(np.quantile(capture.bands["white"].pixels[:, truth["mask"]], 0.9)) / 255
     facing = np.nan_to_num(np.clip(truth["normals"] @ [0.3, 0.2, 0.93], 0, 1)).astype(np.float32)[
@@ -259,12 +265,12 @@ def row_of(name: str, finger: int, capture: Capture, truth: dict[str, Any]) -> d
         except BadInput:
             return row
     else:
-        row["noted"] = int(any(each.severity != "note" for each in result.findings))
+        row["noted"] = int(any(finding.severity != "note" for finding in result.findings))
         row["first_words"] = result.warnings[0][:90] if row["noted"] else ""
         row["said"] = " ".join(result.warnings)
-    found = compare(result, truth).figures
+    figures = compare(result, truth).figures
     return row | {
-        key: round(found[key], 3) for key in ("surface_rms_mm", "ridge_correlation", "ridge_gain")
+        key: round(figures[key], 3) for key in ("surface_rms_mm", "ridge_correlation", "ridge_gain")
     }
 
 
@@ -275,7 +281,7 @@ def doubted(count: int, first: int, factor: float) -> int:
     """
     conditions = (None, "wet", "dry", "dusty", "scarred", "glossy")
     tones, rigs = (0.0003, 0.002, 0.008, 0.03), ({}, {"films.kind": "analyser"}, {"side_lights": 7})
-    found = 0
+    doubted_count = 0
     for seed in range(first, first + count):
         tone, condition = tones[seed // 6 % 4], conditions[seed % 6]
         twin = {"scale": 0.2 if seed % 10 == 7 else 0.12, "skin.melanin": (tone, tone)}
@@ -290,10 +296,12 @@ def doubted(count: int, first: int, factor: float) -> int:
         except BadInput as refusal:
             words = str(refusal)
         else:
-            words = "".join(str(each) for each in result.findings[:1] if each.severity != "note")
-        found += bool(words)
+            words = "".join(
+                str(finding) for finding in result.findings[:1] if finding.severity != "note"
+            )
+        doubted_count += bool(words)
         print(*([seed, words] if words else []), end="\n" if words else "", flush=True)
-    return found
+    return doubted_count
 
 
 def main() -> None:
@@ -307,23 +315,25 @@ def main() -> None:
     parser.add_argument("--mistakes", action="store_true")
     options = parser.parse_args()
     if options.sound:
-        found = doubted(options.sound, options.first, options.factor)
-        print(f"{found} of {options.sound} sound captures are refused or doubted")
+        doubted_count = doubted(options.sound, options.first, options.factor)
+        print(f"{doubted_count} of {options.sound} sound captures are refused or doubted")
         return
     rows = []
     for finger in options.fingers:
-        (capture, truth), (other, _) = (
+        (capture, truth), (second_finger, _) = (
             simulate_capture(seed, settings={"scale": options.scale})
             for seed in (finger, finger + 18)
         )
         if options.mistakes:
             cases = mistakes(capture, dict(truth), finger)
         else:
-            cases = {name: (damaged, "") for name, damaged in damages(capture, other).items()}
+            cases = {
+                name: (damaged, "") for name, damaged in damages(capture, second_finger).items()
+            }
         for name, (damaged, word) in cases.items():
             row = row_of(name, finger, damaged, dict(truth))
-            said = row.pop("said", "")
-            row["named"] = int(bool(word) and word in said)
+            warnings = row.pop("said", "")
+            row["named"] = int(bool(word) and word in warnings)
             rows.append(row)
             print(row, flush=True)
     columns = COLUMNS if options.mistakes else tuple(name for name in COLUMNS if name != "named")

@@ -46,7 +46,8 @@ def fresnel_inside(cosine):
 
 def downwards(rng, count):
     """Cosine-distributed directions into the medium (z < 0)."""
-    u, phi = rng.random(count), 2 * np.pi * rng.random(count)
+    u = rng.random(count)
+    phi = 2 * np.pi * rng.random(count)
     r = np.sqrt(u)
     return np.stack([r * np.cos(phi), r * np.sin(phi), -np.sqrt(1 - u)], axis=1)
 

@@ -60,22 +60,22 @@ def main() -> None:
     parser.add_argument("--cache", type=Path, default=Path("/tmp/splitknit_fvc_templates.pkl"))
     payloads = templates(parser.parse_args().cache)
     prints = {name: unpack(payload) for name, payload in payloads.items()}
-    ready = {name: Prepared(one) for name, one in prints.items()}
+    ready = {name: Prepared(template) for name, template in prints.items()}
     limit = similarity_at(1e-4, "fusion")
     ranks: list[tuple[str, int]] = []
     support: dict[bool, list[float]] = {True: [], False: []}
     for fold in (0, 1):
-        mine = sorted(name for name in prints if name.rpartition("/")[0] in FOLDS[fold])
+        names = sorted(name for name in prints if name.rpartition("/")[0] in FOLDS[fold])
         others = [prints[name] for name in prints if name.rpartition("/")[0] in FOLDS[1 - fold]]
         gallery = [
-            *(payloads[name] for name in mine),
-            *map(pack, joined(others, GALLERY_SIZE - len(mine))),
+            *(payloads[name] for name in names),
+            *map(pack, joined(others, GALLERY_SIZE - len(names))),
         ]
         started = time.process_time()
         index = MinutiaIndex(dict(enumerate(gallery)), HERE)
         built, started = time.process_time() - started, time.process_time()
-        for n, name in enumerate(mine):
-            own = [k for k, other in enumerate(mine) if other[:-2] == name[:-2]]
+        for n, name in enumerate(names):
+            own = [k for k, mate_name in enumerate(names) if mate_name[:-2] == name[:-2]]
             mates = [own[(own.index(n) + step) % len(own)] for step in (1, 3)]
             order = [
                 row
@@ -83,9 +83,9 @@ def main() -> None:
                 if row not in own or row in mates
             ]
             for mate in mates:
-                if fused_match(ready[name], ready[mine[mate]]).similarity >= limit:
+                if fused_match(ready[name], ready[names[mate]]).similarity >= limit:
                     before = [row for row in order if row not in mates or row == mate]
-                    support[True].append(most(ready[name], ready[mine[mate]]))
+                    support[True].append(most(ready[name], ready[names[mate]]))
                     ranks.append(
                         (name[:-2], before.index(mate) if mate in before else GALLERY_SIZE)
                     )
@@ -93,11 +93,11 @@ def main() -> None:
             support[False] += [most(ready[name], Prepared(unpack(gallery[row]))) for row in others]
         seconds = time.process_time() - started
         print(
-            f"built in {built:.1f} s, {len(mine)} searches with their comparisons {seconds:.1f} s"
+            f"built in {built:.1f} s, {len(names)} searches with their comparisons {seconds:.1f} s"
         )
         if fold == 0:
-            times(mine, gallery)
-    sure = sum(one >= MATCHING_SUPPORT for one in support[True]), len(support[True])
+            times(names, gallery)
+    sure = sum(value >= MATCHING_SUPPORT for value in support[True]), len(support[True])
     print(
         f"support of {MATCHING_SUPPORT}: {sure} matching pairs; of {len(support[False])} others"
         f" {max(support[False]):.1f} at most"
@@ -108,44 +108,48 @@ def main() -> None:
 def most(a: Prepared, b: Prepared) -> float:
     """Support of the best alignment by minutiae."""
     assert a.cylinders is not None and b.cylinders is not None
-    return max((one.support for one in pair_minutiae(a.cylinders, b.cylinders)), default=0.0)
+    return max(
+        (alignment.support for alignment in pair_minutiae(a.cylinders, b.cylinders)), default=0.0
+    )
 
 
-def times(mine: list[str], templates: list[bytes]) -> None:
+def times(names: list[str], templates: list[bytes]) -> None:
     """Measure and write what a search takes."""
-    found: dict[str, object] = {"captures": len(templates)}
+    facts: dict[str, object] = {"captures": len(templates)}
     with tempfile.TemporaryDirectory() as folder:
-        probes = range(0, len(mine), 5)
+        probes = range(0, len(names), 5)
         for case, kept in (
             ("present", set(range(len(templates))) - set(probes)),
-            ("absent", range(len(mine), GALLERY_SIZE)),
+            ("absent", range(len(names), GALLERY_SIZE)),
         ):
             file = Path(folder) / f"{case}.skg"
-            with Gallery(file) as made:
+            with Gallery(file) as gallery:
                 captures = (
                     NewCapture(
-                        Entry(f"P{n}", "right_index", "1", "template", "", unpack(one).area_mm2),
-                        one,
+                        Entry(
+                            f"P{n}", "right_index", "1", "template", "", unpack(template).area_mm2
+                        ),
+                        template,
                     )
-                    for n, one in enumerate(templates)
+                    for n, template in enumerate(templates)
                     if n in kept
                 )
-                made.add(captures, TEMPLATES_HASH)
+                gallery.add(captures, TEMPLATES_HASH)
             # as a server has it: its memory holds nothing else
             with get_context("spawn").Pool(1) as alone:
                 first_s, matches, taken = alone.apply(
                     search, (file, [templates[n] for n in probes])
                 )
-            found[f"{case}_first_cpu_s"] = round(first_s, 1)
-            found |= {f"{case}_probes": len(taken), f"{case}_matches": matches}
+            facts[f"{case}_first_cpu_s"] = round(first_s, 1)
+            facts |= {f"{case}_probes": len(taken), f"{case}_matches": matches}
             wall, cpu = 1000 * np.array(taken).T
             for name, values in (("wall", wall), ("cpu", cpu)):
-                found[f"{case}_{name}_ms"] = [
-                    round(float(one), 1) for one in np.percentile(values, (0, 50, 95))
+                facts[f"{case}_{name}_ms"] = [
+                    round(float(value), 1) for value in np.percentile(values, (0, 50, 95))
                 ]
-    print(json.dumps(found))
+    print(json.dumps(facts))
     (HERE / "tables" / "index.json").write_text(
-        json.dumps(found, indent=1) + "\n", encoding="utf-8"
+        json.dumps(facts, indent=1) + "\n", encoding="utf-8"
     )
 
 
@@ -155,7 +159,9 @@ def search(file: Path, probes: list[bytes]) -> tuple[float, int, list[tuple[floa
     gallery = Gallery(file)
     started = time.process_time()
     gallery.identify(probes[0])
-    first_s, taken, matches = time.process_time() - started, [], 0
+    first_s = time.process_time() - started
+    taken = []
+    matches = 0
     for probe in probes:
         before = time.perf_counter(), time.process_time()
         matches += gallery.identify(probe).answer == "match"
@@ -168,48 +174,49 @@ def templates(cache: Path) -> dict[str, bytes]:
     if cache.exists():
         return dict(pickle.loads(cache.read_bytes()))
     root = Path(os.environ.get("SPLITKNIT_DATA", HERE.parents[2] / "shared" / "data"))
-    made = {}
+    payloads = {}
     for name, ppi in PPI.items():
         for file in sorted((root / name).glob("*_[1-8].png")):
-            made[f"{name}/{file.stem}"] = pack(
+            payloads[f"{name}/{file.stem}"] = pack(
                 print_template(read_print_png(file).image, float(ppi))
             )
-    cache.write_bytes(pickle.dumps(made))
-    return made
+    cache.write_bytes(pickle.dumps(payloads))
+    return payloads
 
 
 def joined(prints: list[Template], count: int) -> list[Template]:
     """Templates whose upper half is one print's and whose lower half another's."""
     rng = np.random.default_rng(0)
-    made = []
-    while len(made) < count:
+    composites = []
+    while len(composites) < count:
         a, b = (prints[n] for n in rng.integers(len(prints), size=2))
         if a is b or a.minutiae is None or b.minutiae is None:
             continue
         shape = tuple(np.maximum(a.valid.shape, b.valid.shape) + 2)
-        level, valid = np.zeros(shape, np.uint8), np.zeros(shape, bool)
+        level = np.zeros(shape, np.uint8)
+        valid = np.zeros(shape, bool)
         half, parts = shape[0] // 2, []
-        for one, upper in ((a, True), (b, False)):
-            rows, columns = one.valid.shape
+        for source, upper in ((a, True), (b, False)):
+            rows, columns = source.valid.shape
             down, right = (shape[0] - rows) // 2, (shape[1] - columns) // 2
             there = np.zeros(shape, bool)
-            there[down : down + rows, right : right + columns] = one.valid
+            there[down : down + rows, right : right + columns] = source.valid
             there &= (np.arange(shape[0]) < half)[:, None] == upper
             moved = np.zeros(shape, np.uint8)
-            moved[down : down + rows, right : right + columns] = one.level
+            moved[down : down + rows, right : right + columns] = source.level
             level[there], valid[there] = moved[there], True
-            step = one.pitch_mm * 500 / 25.4
+            step = source.pitch_mm * 500 / 25.4
             # prints are mirrored
-            x = one.minutiae.x_px + round((shape[1] - columns - right) * step)
-            y = one.minutiae.y_px + round(down * step)
+            x = source.minutiae.x_px + round((shape[1] - columns - right) * step)
+            y = source.minutiae.y_px + round(down * step)
             kept = (y < half * step) == upper
             parts.append(
                 (
                     x[kept],
                     y[kept],
-                    one.minutiae.direction_rad[kept],
-                    one.minutiae.type[kept],
-                    one.minutiae.quality[kept],
+                    source.minutiae.direction_rad[kept],
+                    source.minutiae.type[kept],
+                    source.minutiae.quality[kept],
                 )
             )
         template = Template(level, valid, a.pitch_mm)
@@ -220,14 +227,16 @@ def joined(prints: list[Template], count: int) -> list[Template]:
                 (fields[0] >= 0) & (fields[0] < size[1]) & (fields[1] >= 0) & (fields[1] < size[0])
             )
             minutiae = Minutiae(*(part[inside] for part in fields), size)
-            made.append(Template(level, valid, a.pitch_mm, minutiae))
-    return made
+            composites.append(Template(level, valid, a.pitch_mm, minutiae))
+    return composites
 
 
 def write(ranks: list[tuple[str, int]]) -> None:
     """Write the table of lost pairs."""
-    owner, place = np.array([name for name, _ in ranks]), np.array([rank for _, rank in ranks])
-    fingers, rng = np.unique(owner), np.random.default_rng(0)
+    owner = np.array([name for name, _ in ranks])
+    place = np.array([rank for _, rank in ranks])
+    fingers = np.unique(owner)
+    rng = np.random.default_rng(0)
     rows: list[list[object]] = [
         [
             "captures",
@@ -242,8 +251,11 @@ def write(ranks: list[tuple[str, int]]) -> None:
     ]
     for compared in COMPARED:
         out = place >= compared
-        lost, n = int(out.sum()), len(out)
-        sums = np.array([[out[owner == one].sum(), (owner == one).sum()] for one in fingers])
+        lost = int(out.sum())
+        n = len(out)
+        sums = np.array(
+            [[out[owner == finger].sum(), (owner == finger).sum()] for finger in fingers]
+        )
         drawn = sums[rng.integers(len(fingers), size=(2000, len(fingers)))].sum(axis=1)
         ends = np.percentile(drawn[:, 0] / drawn[:, 1], (2.5, 97.5))
         low = beta.ppf(0.025, lost, n - lost + 1) if lost else 0.0

@@ -48,31 +48,34 @@ def main() -> None:
     )
     parser.add_argument("--cache", type=Path, default=Path("/tmp/splitknit_fvc_templates.pkl"))
     cache = parser.parse_args().cache
-    payloads, cut = templates(cache), windows(cache.with_name("splitknit_fvc_windows.pkl"))
+    payloads = templates(cache)
+    cut = windows(cache.with_name("splitknit_fvc_windows.pkl"))
     prints = {name: unpack(payload) for name, payload in payloads.items()}
     counts: dict[tuple[str, str], list[tuple[bool, bool, float]]] = {}
     for fold in (0, 1):
-        mine = sorted(name for name in prints if name.rpartition("/")[0] in FOLDS[fold])
+        names = sorted(name for name in prints if name.rpartition("/")[0] in FOLDS[fold])
         others = [prints[name] for name in prints if name.rpartition("/")[0] in FOLDS[1 - fold]]
-        fingers = sorted({name[:-2] for name in mine})
-        fill = [pack(one) for one in joined(others, GALLERY_SIZE)]
+        fingers = sorted({name[:-2] for name in names})
+        fill = [pack(template) for template in joined(others, GALLERY_SIZE)]
         with tempfile.TemporaryDirectory() as folder:
             galleries = []
             for half in (0, 1):
                 held = [(name, payloads[f"{name}_1"]) for name in fingers[half::2]]
                 held += [
-                    (f"other {n}", one) for n, one in enumerate(fill[: GALLERY_SIZE - len(held)])
+                    (f"other {n}", payload)
+                    for n, payload in enumerate(fill[: GALLERY_SIZE - len(held)])
                 ]
                 file = Path(folder) / f"{half}.skg"
                 captures = (
                     NewCapture(
-                        Entry(who, "right_index", "1", "template", "", unpack(one).area_mm2), one
+                        Entry(person, "right_index", "1", "template", "", unpack(payload).area_mm2),
+                        payload,
                     )
-                    for who, one in held
+                    for person, payload in held
                 )
                 galleries.append(Gallery(file))
                 galleries[-1].add(captures, TEMPLATES_HASH)
-            for name in (name for name in mine if name[-1] != "1"):
+            for name in (name for name in names if name[-1] != "1"):
                 own = fingers.index(name[:-2]) % 2
                 for kind, probe in (("whole", payloads[name]), ("6 mm", cut[name])):
                     if Prepared(unpack(probe)).cylinders is None:
@@ -81,14 +84,16 @@ def main() -> None:
                         ("present", galleries[own]),
                         ("absent", galleries[1 - own]),
                     ):
-                        found = gallery.identify(probe, fmr=FMR)
-                        matched = found.answer == "match"
-                        right = matched and found.candidates[0].person == name[:-2]
+                        answer = gallery.identify(probe, fmr=FMR)
+                        matched = answer.answer == "match"
+                        right = matched and answer.candidates[0].person == name[:-2]
                         stated = (
-                            0.0 if found.decision is None else found.decision.expected_false_matches
+                            0.0
+                            if answer.decision is None
+                            else answer.decision.expected_false_matches
                         )
                         counts.setdefault((kind, case), []).append((matched, right, stated))
-            print(f"{len(mine)} presses of fold {fold} were searched", flush=True)
+            print(f"{len(names)} presses of fold {fold} were searched", flush=True)
     write(counts)
 
 
@@ -97,7 +102,7 @@ def windows(cache: Path) -> dict[str, bytes]:
     if cache.exists():
         return dict(pickle.loads(cache.read_bytes()))
     root = Path(os.environ.get("SPLITKNIT_DATA", HERE.parents[2] / "shared" / "data"))
-    made = {}
+    payloads = {}
     for name, ppi in PPI.items():
         for file in sorted((root / name).glob("*_[2-8].png")):
             image = read_print_png(file).image
@@ -115,9 +120,9 @@ def windows(cache: Path) -> dict[str, bytes]:
             part = np.ascontiguousarray(
                 image[start[0] : start[0] + side, start[1] : start[1] + side]
             )
-            made[f"{name}/{file.stem}"] = pack(print_template(part, float(ppi)))
-    cache.write_bytes(pickle.dumps(made))
-    return made
+            payloads[f"{name}/{file.stem}"] = pack(print_template(part, float(ppi)))
+    cache.write_bytes(pickle.dumps(payloads))
+    return payloads
 
 
 def write(counts: dict[tuple[str, str], list[tuple[bool, bool, float]]]) -> None:
@@ -129,12 +134,12 @@ def write(counts: dict[tuple[str, str], list[tuple[bool, bool, float]]]) -> None
         n = len(answers)
         wrong = sum(matched and not right for matched, right, _ in answers)
         missed = sum(not right for _, right, _ in answers)
-        stated = float(np.mean([one for *_, one in answers]))
+        stated = float(np.mean([expected for *_, expected in answers]))
         for rate, count in [("FPIR", wrong)] + ([("FNIR", missed)] if case == "present" else []):
             low = beta.ppf(0.025, count, n - count + 1) if count else 0.0
             high = beta.ppf(0.975, count + 1, n - count) if count < n else 1.0
-            said = f"{stated:.3g}" if rate == "FPIR" else ""
-            rows.append([kind, case, FMR, rate, n, count, f"{low:.4f}", f"{high:.4f}", said])
+            expectation = f"{stated:.3g}" if rate == "FPIR" else ""
+            rows.append([kind, case, FMR, rate, n, count, f"{low:.4f}", f"{high:.4f}", expectation])
             print(*rows[-1])
     with (HERE / "tables" / "rates.csv").open("w", encoding="utf-8", newline="") as stream:
         csv.writer(stream, lineterminator="\n").writerows(rows)

@@ -59,13 +59,13 @@ def captured(number: int, folder: Path, scale: float) -> dict[str, Template]:
         of_surface = source_of(result)
         photo = source_of_capture(capture, surface=False, photo=True).photo
         source: Source = replace(of_surface, photo=photo)
-        found = {}
+        by_kind = {}
         for kind, (method, surface) in KINDS.items():
             try:
-                found[kind] = print_template(make_print(source, method, surface).image)
+                by_kind[kind] = print_template(make_print(source, method, surface).image)
             except BadInput as error:
                 print(f"finger {number}, {kind}: {error}", flush=True)
-        kept(file, found)
+        kept(file, by_kind)
     templates: dict[str, Template] = pickle.loads(file.read_bytes())
     return templates
 
@@ -86,14 +86,14 @@ def pressed(number: int, folder: Path) -> dict[str, Template]:
     return templates
 
 
-def rates(one: Scores, settings: BootstrapSettings) -> dict[str, Any]:
+def rates(scores: Scores, settings: BootstrapSettings) -> dict[str, Any]:
     """EER and GAR with intervals by finger, percent."""
-    found = bootstrap(one, "finger", settings).figures
+    figures = bootstrap(scores, "finger", settings).figures
     names = {"eer": "eer", "gar_far_1": "gar@0.01", "gar_far_0.1": "gar@0.001"}
-    row = {name: [round(100 * v, 1) for v in (found[of].value, found[of].low, found[of].high)]
+    row = {name: [round(100 * v, 1) for v in (figures[of].value, figures[of].low, figures[of].high)]
            for name, of in names.items()}  # fmt: skip
-    return {**row, "genuine": int(one.genuine.size), "impostors": int(one.impostor.size),
-            "far_at_0": round(100 * float(np.nanmean(one.impostor >= 0)), 2)}  # fmt: skip
+    return {**row, "genuine": int(scores.genuine.size), "impostors": int(scores.impostor.size),
+            "far_at_0": round(100 * float(np.nanmean(scores.impostor >= 0)), 2)}  # fmt: skip
 
 
 def main() -> None:
@@ -113,22 +113,25 @@ def main() -> None:
     presses = [pressed(k, options.work) for k in fingers]
     captures = [captured(k, options.work, options.scale) for k in fingers]
     facts: dict[str, Any] = {"fingers": options.fingers, "scale": options.scale, "rates": {}}
-    ready = {name: [Prepared(one[name]) for one in presses] for name in REAL}
+    ready = {name: [Prepared(press[name]) for press in presses] for name in REAL}
     for kind in KINDS:
-        probes = [Prepared(one[kind]) if kind in one else None for one in captures]
+        probes = [Prepared(capture[kind]) if kind in capture else None for capture in captures]
         parts: dict[str, tuple[list[str], list[str], list[float]]] = {}
         for name in REAL:
             pairs = [(i, j) for i in fingers for j in fingers]
-            score = [
-                float("nan") if probes[i] is None else _score(probes[i], ready[name][j])
-                for i, j in pairs
-            ]
-            parts[name] = [f"{i}" for i, _ in pairs], [f"{j}" for _, j in pairs], score
+            similarities = []
+            for i, j in pairs:
+                probe, similarity = probes[i], float("nan")
+                if probe is not None:
+                    match = fused_match(probe, ready[name][j])
+                    similarity = match.similarity if match.compared else float("nan")
+                similarities.append(similarity)
+            parts[name] = [f"{i}" for i, _ in pairs], [f"{j}" for _, j in pairs], similarities
         left, right, score = zip(*(parts[name] for name in REAL), strict=True)
         parts["all"] = [*chain(*left)], [*chain(*right)], [*chain(*score)]
         facts["rates"][kind] = {}
-        for name, (own, other, similarity) in parts.items():
-            ids = ids_of(own, other)
+        for name, (own, pressed_fingers, similarity) in parts.items():
+            ids = ids_of(own, pressed_fingers)
             row = rates(
                 Scores(ids.same, np.array(similarity), finger=ids, name=f"{kind} {name}"), settings
             )
@@ -136,12 +139,6 @@ def main() -> None:
             print(f"{kind:22s}{name:14s}", row, flush=True)
     if options.write:
         OUT.write_text(json.dumps(facts, indent=1) + "\n", encoding="utf-8")
-
-
-def _score(a: Prepared | None, b: Prepared) -> float:
-    assert a is not None
-    found = fused_match(a, b)
-    return found.similarity if found.compared else float("nan")
 
 
 if __name__ == "__main__":

@@ -90,14 +90,14 @@ FEATURES: dict[str, Callable[[Image], Any]] = {
 
 def fused(a: Any, b: Any) -> tuple[float, ...]:
     """The default of prints, and its evidence."""
-    found = fused_match(a, b)
-    return (found.similarity if found.compared else float("nan"), *found.evidence)
+    match = fused_match(a, b)
+    return (match.similarity if match.compared else float("nan"), *match.evidence)
 
 
 def ridges(a: Any, b: Any) -> float:
     """Ridges alone."""
-    found = ridge_match(a, b)
-    return found.similarity if found.compared else float("nan")
+    match = ridge_match(a, b)
+    return match.similarity if match.compared else float("nan")
 
 
 def bozorth(a: Any, b: Any) -> float:
@@ -108,9 +108,9 @@ def bozorth(a: Any, b: Any) -> float:
 SYSTEMS = {
     "fusion": System("template", Prepared, fused),
     "ridge": System("template", Prepared, ridges),
-    "minutiae": System("phase", lambda one: one, bozorth),
-    "enhanced": System("enhanced", lambda one: one, bozorth),
-    "nbis-py": System("raw", lambda one: one, bozorth),
+    "minutiae": System("phase", lambda features: features, bozorth),
+    "enhanced": System("enhanced", lambda features: features, bozorth),
+    "nbis-py": System("raw", lambda features: features, bozorth),
 }
 
 
@@ -130,7 +130,9 @@ def prints(name: str, job: Job) -> tuple[list[Image], list[str], list[int]]:
         file = job.cache / f"{name}_{job.fingers}_{job.presses}.pickle"
         if not file.is_file():
             masters = [finger(SIMULATED[name] + k) for k in range(job.fingers)]
-            kept(file, [press(one, number) for one in masters for number in range(job.presses)])
+            kept(
+                file, [press(master, number) for master in masters for number in range(job.presses)]
+            )
         images = pickle.loads(file.read_bytes())
         owner = [f"{k}" for k in range(job.fingers) for _ in range(job.presses)]
         impression = list(range(job.presses)) * job.fingers
@@ -142,14 +144,14 @@ def prints(name: str, job: Job) -> tuple[list[Image], list[str], list[int]]:
                 f"there are no prints in '{folder}'; name the folder of the data by SPLITKNIT_DATA."
             )
         images = [at_500_ppi(read_print_png(file).image, PPI.get(name, 500.0)) for file in files]
-        owner, impression = (
-            [one.stem.split("_")[0] for one in files],
-            [int(one.stem.split("_")[1]) - 1 for one in files],
-        )
+        owner = [file.stem.split("_")[0] for file in files]
+        impression = [int(file.stem.split("_")[1]) - 1 for file in files]
     if job.turn:
         angles = np.random.default_rng([TURNS_SEED, len(images)]).uniform(0, 360, len(images))
-        images = [turned(*one) for one in zip(images, angles.tolist(), strict=True)]
-    return images, [f"{name}/{one}" for one in owner], impression
+        images = [
+            turned(image, angle) for image, angle in zip(images, angles.tolist(), strict=True)
+        ]
+    return images, [f"{name}/{number}" for number in owner], impression
 
 
 def turned(image: Image, angle_deg: float) -> Image:
@@ -166,15 +168,15 @@ def turned(image: Image, angle_deg: float) -> Image:
     )
 
 
-def kept(file: Path, thing: Any) -> None:
+def kept(file: Path, content: Any) -> None:
     """Write through a temporary name: another run may read."""
     file.parent.mkdir(parents=True, exist_ok=True)
     part = file.with_suffix(f".{os.getpid()}")
-    part.write_bytes(pickle.dumps(thing))
+    part.write_bytes(pickle.dumps(content))
     part.replace(file)
 
 
-def made(image: Image, kind: str, job: Job) -> Any:
+def features_of(image: Image, kind: str, job: Job) -> Any:
     """What a system keeps of a print."""
     name = hashlib.sha256(image.tobytes() + str(image.shape).encode()).hexdigest()[:24]
     file = job.cache / f"{kind}_1" / name
@@ -184,7 +186,7 @@ def made(image: Image, kind: str, job: Job) -> Any:
 
 
 @dataclass(frozen=True, slots=True)
-class Found:
+class SetScores:
     """All pairs of one set by one system."""
 
     scores: Scores
@@ -198,24 +200,24 @@ class Found:
 
 def pairs_of(owner: Sequence[str], limit: int | None) -> list[tuple[int, int]]:
     """All genuine pairs, and all impostor ones, or `limit` of them."""
-    every = list(itertools.combinations(range(len(owner)), 2))
-    others = [pair for pair in every if owner[pair[0]] != owner[pair[1]]]
+    all_pairs = list(itertools.combinations(range(len(owner)), 2))
+    others = [pair for pair in all_pairs if owner[pair[0]] != owner[pair[1]]]
     if limit is not None and limit < len(others):
         chosen = np.random.default_rng([3, len(owner)]).permutation(len(others))[:limit]
         others = [others[k] for k in sorted(chosen)]
-    return [pair for pair in every if owner[pair[0]] == owner[pair[1]]] + others
+    return [pair for pair in all_pairs if owner[pair[0]] == owner[pair[1]]] + others
 
 
-def compared(task: tuple[str, str, Job]) -> Found:
+def compared(task: tuple[str, str, Job]) -> SetScores:
     """One system on one set."""
     cv2.setNumThreads(1)
     name, system_name, job = task
     system = SYSTEMS[system_name]
     images, owner, impression = prints(name, job)
-    sides = [system.ready(made(image, system.make, job)) for image in images]
+    sides = [system.ready(features_of(image, system.make, job)) for image in images]
     pairs = pairs_of(owner, 800 if name in SIMULATED else None)
-    for one in sides:  # what is made at the first use is not part of a pair's time
-        system.score(one, one)
+    for side in sides:  # what is made at the first use is not part of a pair's time
+        system.score(side, side)
     begun = time.process_time()
     table = np.array([system.score(sides[i], sides[j]) for i, j in pairs]).reshape(len(pairs), -1)
     spent = 1000 * (time.process_time() - begun) / len(pairs)
@@ -225,38 +227,41 @@ def compared(task: tuple[str, str, Job]) -> Found:
         [s or impression[i] == impression[j] == 0 for s, (i, j) in zip(same, pairs, strict=True)]
     )
     scores = Scores(same, table[:, 0], finger=ids, name=f"{system_name} {name}")
-    return Found(scores, first, spent, table[:, 1:])
+    return SetScores(scores, first, spent, table[:, 1:])
 
 
-def pooled(found: Sequence[Found], name: str) -> Found:
+def pooled(runs: Sequence[SetScores], name: str) -> SetScores:
     """Several sets at one threshold."""
-    parts = [one.scores for one in found]
+    parts = [run.scores for run in runs]
     names = [
-        [one.finger.names[k] for k in one.finger.codes.T.ravel()] for one in parts if one.finger
+        [scores.finger.names[k] for k in scores.finger.codes.T.ravel()]
+        for scores in parts
+        if scores.finger
     ]
-    halves = [(one[: len(one) // 2], one[len(one) // 2 :]) for one in names]
+    halves = [
+        (side_names[: len(side_names) // 2], side_names[len(side_names) // 2 :])
+        for side_names in names
+    ]
     ids = ids_of([x for a, _ in halves for x in a], [x for _, b in halves for x in b])
     scores = Scores(
-        np.concatenate([one.label for one in parts]),
-        np.concatenate([one.score for one in parts]),
+        np.concatenate([scores.label for scores in parts]),
+        np.concatenate([scores.score for scores in parts]),
         finger=ids,
         name=name,
     )
-    spent, first = (
-        float(np.mean([one.milliseconds for one in found])),
-        np.concatenate([one.first for one in found]),
-    )
-    return Found(scores, first, spent, np.concatenate([one.evidence for one in found]))
+    spent = float(np.mean([run.milliseconds for run in runs]))
+    first = np.concatenate([run.first for run in runs])
+    return SetScores(scores, first, spent, np.concatenate([run.evidence for run in runs]))
 
 
-def fitted(found: Sequence[Found]) -> dict[str, list[float]]:
+def fitted(runs: Sequence[SetScores]) -> dict[str, list[float]]:
     """Slopes and offset of logistic regressions on both kinds of evidence and on each alone; sets
     count the same."""
-    table = np.concatenate([one.evidence for one in found])
-    label = np.concatenate([one.scores.label for one in found])
-    labels = [one.scores.label for one in found]
+    table = np.concatenate([run.evidence for run in runs])
+    label = np.concatenate([run.scores.label for run in runs])
+    labels = [run.scores.label for run in runs]
     weight = np.concatenate(
-        [np.where(part, 0.5 / part.sum(), 0.5 / (~part).sum()) / len(found) for part in labels]
+        [np.where(part, 0.5 / part.sum(), 0.5 / (~part).sum()) / len(runs) for part in labels]
     )
     result = {}
     for name, columns in COLUMNS.items():
@@ -273,7 +278,9 @@ def logistic(
     """Weighted logistic regression, held back a little (3e-3 on standardised columns), by Newton's
     steps."""
     scale = np.append(x[:, :-1].std(axis=0), 1.0)
-    z, hold, answer = x / scale, np.append(np.full(x.shape[1] - 1, 3e-3), 0.0), np.zeros(x.shape[1])
+    z = x / scale
+    hold = np.append(np.full(x.shape[1] - 1, 3e-3), 0.0)
+    answer = np.zeros(x.shape[1])
     for _ in range(100):
         rate = 1 / (1 + np.exp(-(z @ answer)))
         bend = (z * (weight * rate * (1 - rate) + 1e-12)[:, None]).T @ z + np.diag(hold + 1e-9)
@@ -284,14 +291,14 @@ def logistic(
     return np.asarray(answer / scale)
 
 
-def left_out(found: dict[str, Found]) -> dict[str, Found]:
+def left_out(runs: dict[str, SetScores]) -> dict[str, SetScores]:
     """Every set scored by constants that were fitted on all others."""
     result = {}
-    for name, one in found.items():
-        part = fitted([other for key, other in found.items() if key != name])
-        score = np.array([scored_by(row, part) for row in one.evidence])
-        scores = Scores(one.scores.label, score, finger=one.scores.finger, name=one.scores.name)
-        result[name] = Found(scores, one.first, one.milliseconds, one.evidence)
+    for name, run in runs.items():
+        part = fitted([other_run for key, other_run in runs.items() if key != name])
+        score = np.array([scored_by(row, part) for row in run.evidence])
+        scores = Scores(run.scores.label, score, finger=run.scores.finger, name=run.scores.name)
+        result[name] = SetScores(scores, run.first, run.milliseconds, run.evidence)
     return result
 
 
@@ -303,12 +310,12 @@ def scored_by(row: Evidence, part: dict[str, list[float]]) -> float:
     return float("nan")
 
 
-def figures(one: Found, settings: BootstrapSettings) -> dict[str, Any]:
+def figures(run: SetScores, settings: BootstrapSettings) -> dict[str, Any]:
     """Rates of all pairs with intervals by finger, and FVC's own."""
-    scores = one.scores
+    scores = run.scores
     interval = bootstrap(scores, "finger", settings).figures
     impostor = scores.impostor[~np.isnan(scores.impostor)]
-    fvc = scores.taken(one.first)
+    fvc = scores.taken(run.first)
     row = {
         name: [round(100 * float(value), 2) for value in (part.value, part.low, part.high)]
         for name, part in (
@@ -327,7 +334,7 @@ def figures(one: Found, settings: BootstrapSettings) -> dict[str, Any]:
         "impostors": int(scores.impostor.size),
         "genuine_failed": int(np.isnan(scores.genuine).sum()),
         "impostors_failed": int(np.isnan(scores.impostor).sum()),
-        "ms": round(one.milliseconds, 2),
+        "ms": round(run.milliseconds, 2),
     }
 
 
@@ -354,9 +361,11 @@ HEAD = "".join(
 def line(name: str, system: str, row: dict[str, Any]) -> str:
     """One row of the table."""
     eer = "{:.1f} [{:.1f}, {:.1f}]".format(*row["eer"])
+    gar_1, gar_01, gar_0 = (row[name][0] for name in ("gar_far_1", "gar_far_0.1", "gar_far_0"))
     return (
-        f"{name:16}{system:16}{eer:>20}{row['gar_far_1'][0]:8.1f}{row['gar_far_0.1'][0]:9.1f}{row['gar_far_0'][0]:8.1f}"
-        f"{row['far_at_0']:8.2f}{row['threshold_far_1']:9.2f}{row['fvc_eer']:7.1f}{row['genuine_failed']:6d}{row['ms']:7.1f}"
+        f"{name:16}{system:16}{eer:>20}{gar_1:8.1f}{gar_01:9.1f}{gar_0:8.1f}"
+        f"{row['far_at_0']:8.2f}{row['threshold_far_1']:9.2f}{row['fvc_eer']:7.1f}"
+        f"{row['genuine_failed']:6d}{row['ms']:7.1f}"
     )
 
 
@@ -391,23 +400,23 @@ def main() -> None:
     print(HEAD, flush=True)
     with multiprocessing.Pool(2) as pool:
         for system in options.systems:
-            found = {}
+            runs = {}
             tasks = [(name, system, job) for name in sets]
-            for name, one in zip(sets, pool.imap(compared, tasks), strict=True):
-                found[name] = one
-                facts.setdefault(system, {})[name] = figures(one, settings)
+            for name, run in zip(sets, pool.imap(compared, tasks), strict=True):
+                runs[name] = run
+                facts.setdefault(system, {})[name] = figures(run, settings)
                 print(line(name, system, facts[system][name]), flush=True)
             if system == "fusion" and options.fit:
-                facts["fitted"] = fitted([found["simulated_fit"]])
+                facts["fitted"] = fitted([runs["simulated_fit"]])
                 print("fitted:", facts["fitted"], flush=True)
-            parts = {system: found}
+            parts = {system: runs}
             if system == "fusion" and options.leave_one_set_out:
-                parts["fusion, others"] = left_out(found)
-                for name, one in parts["fusion, others"].items():
-                    facts.setdefault("fusion, others", {})[name] = figures(one, settings)
+                parts["fusion, others"] = left_out(runs)
+                for name, run in parts["fusion, others"].items():
+                    facts.setdefault("fusion, others", {})[name] = figures(run, settings)
                     print(line(name, "fusion, others", facts["fusion, others"][name]), flush=True)
             for kind, part in parts.items():
-                several = [one for name, one in part.items() if name in REAL]
+                several = [run for name, run in part.items() if name in REAL]
                 if len(several) > 1:
                     facts[kind]["pooled"] = figures(pooled(several, kind), settings)
                     print(line("pooled", kind, facts[kind]["pooled"]), flush=True)

@@ -91,18 +91,18 @@ FINE = partial(drawn_surface, scale=0.27)
 ROUTES = {
     "ridge": Route(
         COARSE,
-        lambda one: Prepared(surface_template(one)),
+        lambda surface: Prepared(surface_template(surface)),
         lambda a, b: ridge_match(a, b).similarity,
         "true surfaces",
     ),
     "fusion": Route(
         pressed,
-        lambda one: Prepared(print_template(one)),
+        lambda press: Prepared(print_template(press)),
         lambda a, b: fused_match(a, b).similarity,
         "presses",
     ),
     "minutiae": Route(
-        FINE, lambda one: extract(surface_print(one)), minutiae_match, "relief prints"
+        FINE, lambda surface: extract(surface_print(surface)), minutiae_match, "relief prints"
     ),
     "minutiae_of_prints": Route(pressed, print_minutiae, minutiae_match, "presses"),
 }
@@ -119,12 +119,12 @@ def main() -> None:
     options = parser.parse_args()
     sides: dict[str, list[Any]] = {name: [] for name in options.methods}
     for number in range(options.fingers):
-        made: dict[Any, Any] = {}  # what several methods begin with
+        sources: dict[Any, Any] = {}  # what several methods begin with
         for name, kept in sides.items():
             source = ROUTES[name].source
-            if source not in made:
-                made[source] = source(options.seed + number)
-            kept.append(ROUTES[name].prepare(made[source]))
+            if source not in sources:
+                sources[source] = source(options.seed + number)
+            kept.append(ROUTES[name].prepare(sources[source]))
         if number % 20 == 19:
             print(f"{number + 1} fingers", flush=True)
     for name, kept in sides.items():

@@ -80,7 +80,8 @@ def finger(seed: int) -> MasterPrint:
 
 def press(master: MasterPrint, seed: int, ranges: PressRanges | None = None) -> NDArray[np.uint8]:
     """One print (380, 380) uint8 of a finger."""
-    r, rng = ranges or PressRanges(), np.random.default_rng([master.seed, seed, 22])
+    r = ranges or PressRanges()
+    rng = np.random.default_rng([master.seed, seed, 22])
     rows, columns = PRINT_SIZE
     down, right = np.mgrid[0:rows, 0:columns].astype(np.float64)
     x, y = (right - (columns - 1) / 2) * PITCH_MM, ((rows - 1) / 2 - down) * PITCH_MM
@@ -114,10 +115,12 @@ def press(master: MasterPrint, seed: int, ranges: PressRanges | None = None) -> 
     dry = rng.uniform(*r.dropouts) * smooth_noise(rng, PRINT_SIZE, 0.09 / PITCH_MM)
     ink = 1 / (1 + np.exp(-(height - level + dry) / 0.12))
     for _ in range(rng.integers(0, r.scratches + 1)):
-        angle, offset = rng.uniform(0, np.pi), rng.uniform(-6, 6)
+        angle = rng.uniform(0, np.pi)
+        offset = rng.uniform(-6, 6)
         away = np.abs(np.cos(angle) * x + np.sin(angle) * y - offset)
         ink *= 1 - np.exp(-((away / rng.uniform(0.08, 0.2)) ** 2))
-    paper, dark = rng.uniform(215, 250), rng.uniform(20, 90)
+    paper = rng.uniform(215, 250)
+    dark = rng.uniform(20, 90)
     grey = (
         paper
         - (paper - dark) * contact * ink

@@ -154,7 +154,8 @@ def seen(body: Body, rays: Array, eye: Array) -> tuple[NDArray[np.bool_], Array,
     middle = np.array([body.aside_mm, body.ahead_mm, -body.behind_mm])
     start = eye - middle
     a, c, length, k = body.half_mm, body.half_mm * body.depth, body.length_mm, body.taper
-    best, where = np.full(rays.shape[:2], np.inf), np.zeros(rays.shape[:2], np.int8)
+    best = np.full(rays.shape[:2], np.inf)
+    where = np.zeros(rays.shape[:2], np.int8)
     scale_x, scale_z = 1 / a**2, 1 / c**2
     dx, dy, dz = rays[..., 0], rays[..., 1], rays[..., 2]
     for part in (0, 1):  # the cone of the body, the ellipsoid of the tip
@@ -199,10 +200,12 @@ def skin_light(body: Body, normal: Array, uv: Array, lit: dict[str, Any]) -> Arr
     columns = (uv[..., 0] - u0) / pitch
     places = np.stack([np.clip(rows, 0, len(height) - 1), np.clip(columns, 0, height.shape[1] - 1)])
     sharp, soft = (
-        map_coordinates(one.astype(np.float32), places, order=1) for one in (height, smooth)
+        map_coordinates(relief.astype(np.float32), places, order=1) for relief in (height, smooth)
     )
     slope = np.stack(np.gradient(smooth), 0) / pitch
-    down, right = (map_coordinates(one.astype(np.float32), places, order=1) for one in slope)
+    down, right = (
+        map_coordinates(component.astype(np.float32), places, order=1) for component in slope
+    )
     light = lit["direction"]
     lambert = np.clip(normal @ light, 0, None)
     tilt = 0.025 * lit["relief"] * (light[1] * down - light[0] * right)
@@ -339,7 +342,8 @@ def view(body: Body, hand: str, rng: np.random.Generator) -> tuple[Array, Array,
     px_per_mm = width_px / (2 * body.half_mm)
     focal = px_per_mm * far
     turn = rng.uniform(-np.pi, np.pi)
-    cos, sin = np.cos(turn), np.sin(turn)
+    cos = np.cos(turn)
+    sin = np.sin(turn)
     ahead = np.array([-sin, -cos])  # of the tip, in the image (right, down)
     tip = (
         np.array([columns, rows]) / 2
@@ -349,7 +353,8 @@ def view(body: Body, hand: str, rng: np.random.Generator) -> tuple[Array, Array,
     row, column = np.indices(CANVAS).astype(np.float64)
     x, y = (column - tip[0]) / focal, -(row - tip[1]) / focal
     rays = np.stack([cos * x + sin * y, -sin * x + cos * y, -np.ones(CANVAS)], -1)
-    roll, pitch = np.radians(rng.normal(0, 8)), np.radians(rng.normal(0, 9))
+    roll = np.radians(rng.normal(0, 8))
+    pitch = np.radians(rng.normal(0, 9))
     rx = np.array(
         [[1, 0, 0], [0, np.cos(pitch), -np.sin(pitch)], [0, np.sin(pitch), np.cos(pitch)]]
     )
@@ -376,12 +381,13 @@ def photographed(number: int, take: int, folder: Path, hand: str, scene: str) ->
     }
     skin = colour_of_skin(rng)
     picture = behind(scene, folder, rng)
-    masks, hits = [np.zeros(CANVAS, np.bool_) for _ in bodies], []
-    for one in bodies:
-        hit, point, normal, uv = seen(one, rays, eye)
+    masks = [np.zeros(CANVAS, np.bool_) for _ in bodies]
+    hits = []
+    for finger in bodies:
+        hit, point, normal, uv = seen(finger, rays, eye)
         hits.append((hit, np.where(hit, np.linalg.norm(point - eye, axis=-1), np.inf), normal, uv))
-    owner = np.argmin([one[1] for one in hits], axis=0)
-    covered = np.any([one[0] for one in hits], axis=0)
+    owner = np.argmin([view[1] for view in hits], axis=0)
+    covered = np.any([view[0] for view in hits], axis=0)
     if scene == "paper" and rng.random() < 0.7:
         shift = rng.uniform(-60, 60, 2)
         moved = np.float32([[1, 0, shift[0]], [0, 1, shift[1]]])
@@ -394,18 +400,18 @@ def photographed(number: int, take: int, folder: Path, hand: str, scene: str) ->
     mottle = cv2.resize(
         rng.normal(0, 1, (rows // 40, columns // 40)), CANVAS[::-1], interpolation=cv2.INTER_CUBIC
     )
-    for k, (one, (hit, _, normal, uv)) in enumerate(zip(bodies, hits, strict=True)):
-        mine = hit & (owner == k)
-        masks[k] = mine
-        if not mine.any():
+    for k, (finger, (hit, _, normal, uv)) in enumerate(zip(bodies, hits, strict=True)):
+        visible = hit & (owner == k)
+        masks[k] = visible
+        if not visible.any():
             continue
-        box = np.argwhere(mine)
+        box = np.argwhere(visible)
         part = tuple(slice(low, high + 1) for low, high in zip(box.min(0), box.max(0), strict=True))
-        value = skin_light(one, normal[part] @ rotation.T, uv[part], lit)
+        value = skin_light(finger, normal[part] @ rotation.T, uv[part], lit)
         flank = 1 - np.clip((normal[part] @ rotation.T)[..., 2], 0, 1)
         tone = skin * np.exp(-flank[..., None] * np.array([0.1, 0.45, 0.4]))
         tone = tone * (1 + 0.04 * mottle[part][..., None] * np.array([0.5, 1.0, 1.0]))
-        picture[part][mine[part]] = (1.25 * value[..., None] * tone)[mine[part]]
+        picture[part][visible[part]] = (1.25 * value[..., None] * tone)[visible[part]]
     picture *= rng.uniform(0.92, 1.08, 3)
     if rng.random() < 0.3:
         picture *= rng.uniform(0.4, 0.8)  # shade
@@ -428,16 +434,16 @@ def side_of(number: int, take: int, work: Path) -> tuple[Template | None, float]
     refused."""
     file = work / f"side_{number}_{take}.pickle"
     if not file.is_file():
-        one = drawn(number, take, work)
+        photo = drawn(number, take, work)
         try:
-            source = finger_of_photo(one.pixels, mask=one.masks[0])
+            source = finger_of_photo(photo.pixels, mask=photo.masks[0])
             kept = print_template(source.flat, pressed=source.pressed), source.quality or 0.0
         except BadInput as error:
             print(number, take, error, flush=True)
             kept = None, 0.0
         file.write_bytes(pickle.dumps(kept))
-    found: tuple[Template | None, float] = pickle.loads(file.read_bytes())
-    return found
+    template_and_quality: tuple[Template | None, float] = pickle.loads(file.read_bytes())
+    return template_and_quality
 
 
 def scores(count: int, work: Path, write: bool) -> None:
@@ -457,7 +463,7 @@ def scores(count: int, work: Path, write: bool) -> None:
     for k, (i, take, template, quality) in enumerate(photos):
         side = None if template is None else Prepared(template)
         for j in range(count):
-            found = (
+            score = (
                 -np.inf
                 if side is None
                 else fused_photo(side, presses[j], (True, False))[0].similarity
@@ -467,22 +473,22 @@ def scores(count: int, work: Path, write: bool) -> None:
                     "a": f"{i}.{take}",
                     "b": f"press {j}",
                     "quality": f"{quality:.0f}",
-                    "score": f"{found:.3f}",
+                    "score": f"{score:.3f}",
                 }
             )
-        for j, other, template_b, quality_b in photos[k + 1 :]:
+        for j, take_b, template_b, quality_b in photos[k + 1 :]:
             if (j - i) % count > 6:
                 continue
-            found = -np.inf
+            score = -np.inf
             if side is not None and template_b is not None:
-                found = fused_photo(side, Prepared(template_b), (True, True))[0].similarity
+                score = fused_photo(side, Prepared(template_b), (True, True))[0].similarity
             least = min(quality, quality_b)
             rows.append(
                 {
                     "a": f"{i}.{take}",
-                    "b": f"{j}.{other}",
+                    "b": f"{j}.{take_b}",
                     "quality": f"{least:.0f}",
-                    "score": f"{found:.3f}",
+                    "score": f"{score:.3f}",
                 }
             )
         print(i, take, f"{quality:.0f}", flush=True)
@@ -496,7 +502,8 @@ def scores(count: int, work: Path, write: bool) -> None:
 
 def tables(rows: list[dict[str, object]], write: bool) -> dict[str, FmrTable]:
     """Tables of impostors: of all, of two photographs, of a photograph and a press."""
-    found, fingers = {}, len({str(row["a"])[:-2] for row in rows})
+    fmr_tables = {}
+    fingers = len({str(row["a"])[:-2] for row in rows})
     for kind, what, sides in (
         ("", "against each other and presses", (True, False)),
         ("_alone", "against each other", (False,)),
@@ -504,7 +511,7 @@ def tables(rows: list[dict[str, object]], write: bool) -> dict[str, FmrTable]:
     ):
         chosen = [row for row in rows if ("press" in str(row["b"])) in sides and not genuine(row)]
         scored = np.array([float(str(row["score"])) for row in chosen])
-        table = found[kind] = calibrate_scores(scored[np.isfinite(scored)])
+        table = fmr_tables[kind] = calibrate_scores(scored[np.isfinite(scored)])
         kept = {
             "what": f"drawn telephone photographs of {fingers} simulated fingers, {what}",
             "by": "validation/match/telephone.py --write",
@@ -516,7 +523,7 @@ def tables(rows: list[dict[str, object]], write: bool) -> dict[str, FmrTable]:
         if write:
             place = Path(methods.__file__).with_name(f"match_fmr_fingerphotos{kind}.json")
             place.write_text(json.dumps(kept) + "\n", encoding="utf-8")
-    return found
+    return fmr_tables
 
 
 def genuine(row: dict[str, object]) -> bool:
@@ -527,7 +534,8 @@ def genuine(row: dict[str, object]) -> bool:
 def rated(rows: list[dict[str, object]]) -> None:
     """Equal error rate and rates above all impostors of a kind, by least quality; intervals of 95 %
     draw fingers."""
-    rng, found = np.random.default_rng(0), tables(rows, write=False)
+    rng = np.random.default_rng(0)
+    fmr_tables = tables(rows, write=False)
     table = np.array(
         [
             (
@@ -545,7 +553,7 @@ def rated(rows: list[dict[str, object]]) -> None:
         (1, "photograph and press", "_and_prints"),
         (0, "two photographs", "_alone"),
     ):
-        threshold = float(found[kind].similarity[-1])
+        threshold = float(fmr_tables[kind].similarity[-1])
         for least in (0, MIN_QUALITY, 30, 50):
             part = table[(table[:, 2] == press_side) & (table[:, 3] >= least)]
             fingers = np.unique(part[part[:, 1] == 1, 0])
@@ -553,18 +561,23 @@ def rated(rows: list[dict[str, object]]) -> None:
             def figures(
                 chosen: Array, part: Array = part, threshold: float = threshold
             ) -> tuple[float, float, float]:
-                some = np.vstack([part[part[:, 0] == finger] for finger in chosen])
-                same, other = some[some[:, 1] == 1, 4], some[some[:, 1] == 0, 4]
-                levels = np.unique(some[np.isfinite(some[:, 4]), 4])
-                errors = [max((same < level).mean(), (other >= level).mean()) for level in levels]
+                drawn_rows = np.vstack([part[part[:, 0] == finger] for finger in chosen])
+                same, impostor = (
+                    drawn_rows[drawn_rows[:, 1] == 1, 4],
+                    drawn_rows[drawn_rows[:, 1] == 0, 4],
+                )
+                levels = np.unique(drawn_rows[np.isfinite(drawn_rows[:, 4]), 4])
+                errors = [
+                    max((same < level).mean(), (impostor >= level).mean()) for level in levels
+                ]
                 return (
                     100 * min(errors),
                     100 * (same < threshold).mean(),
-                    100 * (other >= threshold).mean(),
+                    100 * (impostor >= threshold).mean(),
                 )
 
-            again = np.array([figures(rng.choice(fingers, len(fingers))) for _ in range(300)])
-            low, high = np.percentile(again, [2.5, 97.5], axis=0)
+            resampled = np.array([figures(rng.choice(fingers, len(fingers))) for _ in range(300)])
+            low, high = np.percentile(resampled, [2.5, 97.5], axis=0)
             words = [
                 f"{v:.1f} [{a:.1f}, {b:.1f}]"
                 for v, a, b in zip(figures(fingers), low, high, strict=True)

@@ -1,9 +1,9 @@
 """Small prints: square windows of real prints against whole prints and against each other, by what
 overlaps.
 
-    python validation/match/windows.py --compare 24000  # adds comparisons to the cache, in a fixed order
+    python validation/match/windows.py --compare 24000  # adds to the cache, in a fixed order
     python validation/match/windows.py  # fits, rates and tables from what was compared
-    python validation/match/windows.py --write                # and writes what the matcher ships
+    python validation/match/windows.py --write  # and writes what the matcher ships
 
 Windows of 4 to 10 mm are cut from every print of ``fvc.py``'s seven real sets: one around the
 middle of its ridges, one where it is drawn. *Whole*: a window against a whole print of the same
@@ -24,7 +24,7 @@ from typing import Any
 
 import cv2
 import numpy as np
-from fvc import KNOWN, REAL, Image, Job, logistic, made, prints
+from fvc import KNOWN, REAL, Image, Job, features_of, logistic, prints
 from impostors import FOLDER
 from numpy.typing import NDArray
 from scipy.stats import binomtest
@@ -61,7 +61,7 @@ def windows(images: list[Image], number: int) -> list[tuple[int, int, str, Image
     """Of each print and size a window around the middle, and a drawn one: print, mm, which,
     pixels."""
     rng = np.random.default_rng([SEED, number])
-    found = []
+    crops = []
     for n, image in enumerate(images):
         rows, columns = ridges(image)
         middle = rows.mean(), columns.mean()
@@ -71,8 +71,8 @@ def windows(images: list[Image], number: int) -> list[tuple[int, int, str, Image
                 if which == "drawn":
                     k = rng.integers(len(rows))
                     y, x = y + 0.6 * (rows[k] - y), x + 0.6 * (columns[k] - x)
-                found.append((n, mm, which, cut(image, y, x, mm)))
-    return [one for one in found if one[1] in SIZES_MM]
+                crops.append((n, mm, which, cut(image, y, x, mm)))
+    return [crop for crop in crops if crop[1] in SIZES_MM]
 
 
 def ridges(image: Image) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
@@ -101,7 +101,7 @@ class Task:
     mm: int
     same: bool
     window: tuple[int, int, str]
-    other: int
+    reference: int
 
 
 def tasks(number: int, owner: list[str], impression: list[int], count: int) -> list[Task]:
@@ -111,11 +111,9 @@ def tasks(number: int, owner: list[str], impression: list[int], count: int) -> l
     everyone = np.array(owner)
     whole = []
     for k in range(count):
-        n, mm, which = (
-            int(rng.integers(len(owner))),
-            int(rng.choice(SIZES_MM)),
-            str(rng.choice(["middle", "drawn"])),
-        )
+        n = int(rng.integers(len(owner)))
+        mm = int(rng.choice(SIZES_MM))
+        which = str(rng.choice(["middle", "drawn"]))
         same = k % 5 == 4
         others = [m for m in np.flatnonzero((everyone == owner[n]) == same).tolist() if m != n]
         whole.append(Task(WHOLE, number, mm, same, (n, mm, which), int(rng.choice(others))))
@@ -136,24 +134,24 @@ def tasks(number: int, owner: list[str], impression: list[int], count: int) -> l
 
 def first(todo: list[list[Task]]) -> list[Task]:
     """The tasks of all sets in turn."""
-    return [one for group in itertools.zip_longest(*todo) for one in group if one][:MIXED_COUNT]
+    return [task for group in itertools.zip_longest(*todo) for task in group if task][:MIXED_COUNT]
 
 
 def second(owners: list[list[str]]) -> list[Task]:
     """More impostors: drawn windows, each against four whole prints of other fingers."""
     rng = np.random.default_rng([SEED, 2])
-    found = []
+    chosen = []
     for k in range(IMPOSTOR_COUNT // 4):
         number = k % len(owners)
         owner = np.array(owners[number])
-        n, mm, which = (
-            int(rng.integers(len(owner))),
-            int(rng.choice(SIZES_MM)),
-            str(rng.choice(["middle", "drawn"])),
-        )
+        n = int(rng.integers(len(owner)))
+        mm = int(rng.choice(SIZES_MM))
+        which = str(rng.choice(["middle", "drawn"]))
         others = rng.choice(np.flatnonzero(owner != owner[n]), 4, replace=False)
-        found += [Task(WHOLE, number, mm, False, (n, mm, which), int(one)) for one in others]
-    return found
+        chosen += [
+            Task(WHOLE, number, mm, False, (n, mm, which), int(reference)) for reference in others
+        ]
+    return chosen
 
 
 def compare(job: Job, most: int) -> None:
@@ -175,14 +173,15 @@ def compare(job: Job, most: int) -> None:
     def side(number: int, key: Any) -> Prepared:
         if (number, key) not in sides:
             image = kept[number][0][key] if isinstance(key, int) else kept[number][1][key]
-            sides[number, key] = Prepared(made(image, "template", job))
+            sides[number, key] = Prepared(features_of(image, "template", job))
         return sides[number, key]
 
-    rows, begun = [], time.monotonic()
+    rows = []
+    begun = time.monotonic()
     for task in [*first(todo), *second(owners), *third(owners)][len(known) : most]:
-        other = task.other if task.kind != TOUCHES else (task.other, task.mm, "middle")
+        reference = task.reference if task.kind != TOUCHES else (task.reference, task.mm, "middle")
         own = task.window[0] if task.kind == PRINTS else task.window
-        found = fused_match(side(task.number, own), side(task.number, other))
+        match = fused_match(side(task.number, own), side(task.number, reference))
         rows.append(
             (
                 task.kind,
@@ -190,8 +189,8 @@ def compare(job: Job, most: int) -> None:
                 task.mm,
                 task.same,
                 task.window[0],
-                task.other,
-                *found.evidence,
+                task.reference,
+                *match.evidence,
             )
         )
         # turned windows are large
@@ -229,19 +228,19 @@ def fitted(rows: NDArray[np.float64]) -> Constants:
     rows = rows[(rows[:, 0] != PRINTS) & ~np.isnan(rows[:, 7])]
     fraction, correlation, overlap, same = rows[:, 6], rows[:, 7], rows[:, 9], rows[:, 3] == 1
     grown = correlation * np.sqrt(np.minimum(overlap, SMALL_MM2))
-    found = []
+    weights = []
     for known, columns in (
         (np.isnan(fraction), [correlation, grown]),
         (~np.isnan(fraction), [fraction, correlation, grown]),
     ):
-        x = np.stack([*(one[known] for one in columns), np.ones(known.sum())], axis=1)
+        x = np.stack([*(column[known] for column in columns), np.ones(known.sum())], axis=1)
         label = same[known]
-        found.append(
+        weights.append(
             np.round(
                 logistic(x, label, np.where(label, 0.5 / label.sum(), 0.5 / (~label).sum())), 4
             )
         )
-    return Constants(*found)
+    return Constants(*weights)
 
 
 def scored(rows: NDArray[np.float64], by: Constants) -> NDArray[np.float64]:
@@ -269,10 +268,11 @@ def equal_error(score: NDArray[np.float64], same: NDArray[np.bool_]) -> float:
 
 def shares(passed: NDArray[np.bool_]) -> list[float]:
     """Fraction and its interval (Wilson), in percent."""
-    found = binomtest(int(passed.sum()), max(passed.size, 1)).proportion_ci(method="wilson")
-    low, high = (float(found.low), float(found.high)) if passed.size else (0.0, 1.0)
+    interval = binomtest(int(passed.sum()), max(passed.size, 1)).proportion_ci(method="wilson")
+    low, high = (float(interval.low), float(interval.high)) if passed.size else (0.0, 1.0)
     return [
-        round(100 * one, 3) for one in (float(passed.mean()) if passed.size else 0.0, low, high)
+        round(100 * fraction, 3)
+        for fraction in (float(passed.mean()) if passed.size else 0.0, low, high)
     ]
 
 
@@ -280,11 +280,11 @@ def at_stated(score: NDArray[np.float64], rows: NDArray[np.float64], fmr: float)
     """False matches and non-matches where every set is decided by a threshold of the six others."""
     same, number = rows[:, 3] == 1, rows[:, 1]
     accepted = np.zeros(len(rows), dtype=bool)
-    for one in range(len(SETS)):
-        others = np.sort(score[(number != one) & ~same])
+    for set_number in range(len(SETS)):
+        others = np.sort(score[(number != set_number) & ~same])
         allowed = int(fmr * (others.size + 1)) - 1  # (k + 1) / (N + 1) at most fmr
         threshold = np.inf if allowed < 0 else others[others.size - 1 - allowed] + 1e-9
-        accepted[number == one] = score[number == one] >= threshold
+        accepted[number == set_number] = score[number == set_number] >= threshold
     per = {
         name: {
             "fmr": shares(accepted[(number == k) & ~same]),
@@ -304,10 +304,11 @@ def report(rows: NDArray[np.float64]) -> tuple[dict[str, Any], NDArray[np.float6
     """Every figure, the scores by constants of the other sets, and the constants of all."""
     number, same, kind, mm = rows[:, 1], rows[:, 3] == 1, rows[:, 0], rows[:, 2]
     score = np.zeros(len(rows))
-    for one in range(len(SETS)):
-        part = number == one
+    for set_number in range(len(SETS)):
+        part = number == set_number
         score[part] = scored(rows[part], fitted(rows[~part]))
-    overlap, small = np.nan_to_num(rows[:, 9]), ~np.isnan(rows[:, 9])
+    overlap = np.nan_to_num(rows[:, 9])
+    small = ~np.isnan(rows[:, 9])
     facts: dict[str, Any] = {"comparisons": len(rows), "sizes": {}, "by_overlap": {}, "sets": {}}
     for which, name in ((TOUCHES, "touch to touch"), (WHOLE, "window to whole print")):
         for size in SIZES_MM:
@@ -341,11 +342,11 @@ def report(rows: NDArray[np.float64]) -> tuple[dict[str, Any], NDArray[np.float6
                 "cllr": round(cllr(score[part], same[part]), 3),
                 "at": [at_stated(score[part], rows[part], fmr) for fmr in (0.01, 0.001)],
             }
-            for k, one in enumerate(SETS):
+            for k, set_name in enumerate(SETS):
                 own = part & (number == k)
                 if not (own & same).any():
                     continue
-                facts["sets"].setdefault(one, {})[name] = {
+                facts["sets"].setdefault(set_name, {})[name] = {
                     "eer": round(equal_error(score[own], same[own]), 2),
                     "cllr": round(cllr(score[own], same[own]), 3),
                 }
@@ -368,7 +369,9 @@ def table_of(impostor: NDArray[np.float64], what: str, **more: float) -> dict[st
 def write(facts: dict[str, Any], rows: NDArray[np.float64], constants: Constants) -> None:
     """Figures, and the tables that the matcher ships; constants are copied by hand into
     ``matching/fusion.py``."""
-    score, same, small = scored(rows, constants), rows[:, 3] == 1, ~np.isnan(rows[:, 9])
+    score = scored(rows, constants)
+    same = rows[:, 3] == 1
+    small = ~np.isnan(rows[:, 9])
     part = (rows[:, 0] != PRINTS) & small & ~same & (np.nan_to_num(rows[:, 9]) >= RATED_MM2)
     what = "windows of 16 to 100 mm² of real prints of seven sensors"
     made_ = table_of(score[part], what, rated_mm2=RATED_MM2, excluded_mm2=EXCLUDED_MM2)

@@ -144,15 +144,13 @@ def main() -> None:
     options = parser.parse_args()
     options.folder.mkdir(parents=True, exist_ok=True)
     fingers = range(options.seed, options.seed + options.fingers)
-    every = [
+    all_rows = [
         kept(options.folder, seed, number, options.keep, options.scale, options.model)
         for number in range(options.rolls)
         for seed in fingers
     ]
-    rows, refused = (
-        [row for row in every if "refused" not in row],
-        [row for row in every if "refused" in row],
-    )
+    rows = [row for row in all_rows if "refused" not in row]
+    refused = [row for row in all_rows if "refused" in row]
     facts = {
         "scale": options.scale,
         "camera": options.model,

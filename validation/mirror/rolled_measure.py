@@ -73,15 +73,15 @@ def front_alone(rolled: Rolled) -> Rolled:
 def _poses(rolled: Rolled, views: Any, truth: dict[str, Any]) -> dict[str, Any]:
     """Errors of the mirrors' normals (deg) and places (mm), as the outlines have them and after
     registration."""
-    found = {}
+    errors = {}
     first = {view.name: view.glass for view in views if view.glass is not None}
     for glass in rolled.glasses:
         normal, point = truth[f"mirror_{glass.name}_normal"], truth[f"mirror_{glass.name}_point_mm"]
-        for word, one in (("outlines", first[glass.name]), ("ridges", glass)):
-            turn = float(np.rad2deg(np.arccos(min(1.0, float(one.plane.normal @ normal)))))
-            off = float((one.plane.point_mm - point) @ normal)
-            found[f"{glass.name}_{word}"] = [round(turn, 3), round(off, 3)]
-    return found
+        for word, estimate in (("outlines", first[glass.name]), ("ridges", glass)):
+            turn = float(np.rad2deg(np.arccos(min(1.0, float(estimate.plane.normal @ normal)))))
+            off = float((estimate.plane.point_mm - point) @ normal)
+            errors[f"{glass.name}_{word}"] = [round(turn, 3), round(off, 3)]
+    return errors
 
 
 def against_truth(rolled: Rolled, front: Rolled, truth: dict[str, Any]) -> dict[str, Any]:
@@ -94,10 +94,12 @@ def against_truth(rolled: Rolled, front: Rolled, truth: dict[str, Any]) -> dict[
     by_view = [_truth_of(rolled, k, truth) for k in range(len(rolled.names))]
     best = np.argmax(rolled.blended.fractions[:, ::PIXEL_STEP, ::PIXEL_STEP], axis=0)
     result: dict[str, Any] = {}
-    for name, one in (("rolled", rolled), ("front", front)):
-        known = one.blended.known[::PIXEL_STEP, ::PIXEL_STEP]
+    for name, combined in (("rolled", rolled), ("front", front)):
+        known = combined.blended.known[::PIXEL_STEP, ::PIXEL_STEP]
         seen = ridges_of(
-            np.ascontiguousarray(one.blended.relief_mm[::PIXEL_STEP, ::PIXEL_STEP]), known, pitch
+            np.ascontiguousarray(combined.blended.relief_mm[::PIXEL_STEP, ::PIXEL_STEP]),
+            known,
+            pitch,
         )
         # where two views are mixed, the truth is that of the one that counts more: ridges that do
         # not meet cost
@@ -168,13 +170,13 @@ def ridges_apart(rolled: Rolled, truth: dict[str, Any]) -> dict[str, float | Non
 def _surface_error(rolled: Rolled, truth: dict[str, Any]) -> float:
     """Root mean square distance of the smooth surface from the true one, mm."""
     points = truth["body_shape_mm"].astype(np.float64)
-    every = 8
-    length = rolled.chart.length_mm[::every]
-    some = (
-        rolled.blended.known[::every, ::every]
+    stride = 8
+    length = rolled.chart.length_mm[::stride]
+    region = (
+        rolled.blended.known[::stride, ::stride]
         & ((length <= CAP_MM) & (length >= -BASE_MM))[:, None]
     )
-    places = rolled.points_mm[::every, ::every][some].astype(np.float64)
+    places = rolled.points_mm[::stride, ::stride][region].astype(np.float64)
     _, index = cKDTree(points.reshape(-1, 3)).query(places)
     normals = truth["body_normals"].reshape(-1, 3)[index]
     off = ((places - points.reshape(-1, 3)[index]) * normals).sum(axis=1)

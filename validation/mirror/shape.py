@@ -1,7 +1,7 @@
 """The shape from mirrors on simulated fingers: the thesis's method beside `metric`, and mirrors off
 their place.
 
-    python validation/mirror/shape.py [--seeds 9101 9102 ...] [--scale 0.25]  # measure (resumes), then sum up
+    python validation/mirror/shape.py [--seeds 9101 9102 ...] [--scale 0.25]  # measure, sum up
     python validation/mirror/shape.py --summary  # sum up what there is
 
 Every finger is photographed once between three mirrors, which stand where the twin built them:
@@ -154,9 +154,9 @@ def main() -> None:
     kept = json.loads(options.out.read_text())["fingers"] if options.out.is_file() else {}
     for seed in [] if options.summary else options.seeds:
         if str(seed) not in kept:
-            found = measured(seed, options.scale)
+            figures = measured(seed, options.scale)
             kept[str(seed)] = {
-                case: round(v, 4) if isinstance(v, float) else v for case, v in found.items()
+                case: round(v, 4) if isinstance(v, float) else v for case, v in figures.items()
             }
             write(options.out, options.scale, kept)
     write(options.out, options.scale, kept)

@@ -30,8 +30,11 @@ def loaded(folder: Path) -> tuple[Capture, dict[str, NDArray[Any]]]:
 
 def figures(result: Reconstruction, truth: Truth) -> dict[str, float]:
     """What counts of a comparison with the truth."""
-    found = compare(result, truth).figures
-    return {"ridge_correlation": found["ridge_correlation"], "shape_rms_mm": found["shape_rms_mm"]}
+    compared = compare(result, truth).figures
+    return {
+        "ridge_correlation": compared["ridge_correlation"],
+        "shape_rms_mm": compared["shape_rms_mm"],
+    }
 
 
 def still_row(seed: int, scale: float) -> dict[str, Any]:

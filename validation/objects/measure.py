@@ -26,13 +26,15 @@ FIRST_SEED = 200
 """Seeds below it served while thresholds were chosen."""
 
 
-def errors(one: Rendered, images: np.ndarray | None = None, intensities: np.ndarray | None = None):
+def errors(
+    target: Rendered, images: np.ndarray | None = None, intensities: np.ndarray | None = None
+):
     """Mean angle in degrees of the measured normals, rms height in um, and the result."""
-    used = one.images if images is None else images
-    result = splitknit.reconstruct_images(used, one.lights, one.mask, PX_PER_MM, intensities)
-    inside = result.mask & one.mask & np.isfinite(result.height_mm)
-    cosine = np.clip((result.normals_measured * one.normals).sum(axis=2)[inside], -1, 1)
-    height = (result.height_mm - one.height_mm)[inside]
+    used = target.images if images is None else images
+    result = splitknit.reconstruct_images(used, target.lights, target.mask, PX_PER_MM, intensities)
+    inside = result.mask & target.mask & np.isfinite(result.height_mm)
+    cosine = np.clip((result.normals_measured * target.normals).sum(axis=2)[inside], -1, 1)
+    height = (result.height_mm - target.height_mm)[inside]
     return float(np.degrees(np.arccos(cosine)).mean()), 1000 * float(np.std(height)), result
 
 
@@ -53,11 +55,14 @@ def by_lights() -> dict[str, object]:
     rows = {}
     for count in (3, 4, 5, 6, 8, 12, 24):
         taken = np.arange(count) * 24 // count
-        some = [replace(one, images=one.images[taken], lights=one.lights[taken]) for one in objects]
-        found = [errors(one)[:2] for one in some]
+        lit_by_count = [
+            replace(target, images=target.images[taken], lights=target.lights[taken])
+            for target in objects
+        ]
+        error_pairs = [errors(target)[:2] for target in lit_by_count]
         rows[str(count)] = {
-            "deg": spread([one[0] for one in found]),
-            "um": spread([one[1] for one in found]),
+            "deg": spread([error_pair[0] for error_pair in error_pairs]),
+            "um": spread([error_pair[1] for error_pair in error_pairs]),
         }
     return rows
 
@@ -70,10 +75,11 @@ def faults() -> dict[str, object]:
     for kind in ("blurred", "moved", "double", "overexposed"):
         named, others, ratios, refused = 0, 0, [], 0
         for seed in range(10):
-            one, rng = rendered(FIRST_SEED + seed), np.random.default_rng(seed)
+            target = rendered(FIRST_SEED + seed)
+            rng = np.random.default_rng(seed)
             k = int(rng.integers(8))
             try:
-                _, height, result = errors(one, spoilt(one.images, k, kind, rng))
+                _, height, result = errors(target, spoilt(target.images, k, kind, rng))
             except BadInput as error:
                 named, refused = named + (f"image {k}" in str(error)), refused + 1
                 continue
@@ -99,10 +105,10 @@ def sound() -> dict[str, object]:
     for seed in seeds:
         findings = errors(rendered(seed))[2].findings
         if SHAPES[seed % len(SHAPES)] == "dish":
-            hollow += [seed] if any(each.code == "hollow" for each in findings) else []
-            findings = tuple(each for each in findings if each.code != "hollow")
+            hollow += [seed] if any(finding.code == "hollow" for finding in findings) else []
+            findings = tuple(finding for finding in findings if finding.code != "hollow")
         if findings:
-            alarms[str(seed)] = [str(each) for each in findings]
+            alarms[str(seed)] = [str(finding) for finding in findings]
     return {
         "sets": len(seeds),
         "with_alarm": len(alarms),
@@ -120,7 +126,8 @@ def brightness() -> dict[str, object]:
         "eight_colours_given": [],
     }
     for seed in range(FIRST_SEED, FIRST_SEED + 12):
-        equal, unequal = rendered(seed), rendered(seed, strengths=0.3)
+        equal = rendered(seed)
+        unequal = rendered(seed, strengths=0.3)
         base = errors(equal)[0]
         rows["given"].append(errors(unequal, intensities=unequal.intensities)[0] - base)
         rows["estimated"].append(errors(unequal)[0] - base)
@@ -144,23 +151,25 @@ def unknown() -> dict[str, object]:
     }
     refused, turned, covered = [], [], []
     for seed in range(FIRST_SEED, FIRST_SEED + 30):
-        one = rendered(seed)
+        target = rendered(seed)
         try:
-            result = splitknit.reconstruct_images(one.images, None, one.mask, PX_PER_MM)
+            result = splitknit.reconstruct_images(target.images, None, target.mask, PX_PER_MM)
         except BadInput:
             refused.append(seed)
             continue
-        found = np.array(result.facts["light_directions"])
-        hill, hollow = (angle(found * sign, one.lights) for sign in ([1, 1, 1], [-1, -1, 1]))
+        directions = np.array(result.facts["light_directions"])
+        hill, hollow = (
+            angle(directions * sign, target.lights) for sign in ([1, 1, 1], [-1, -1, 1])
+        )
         sign = 1 if hill < hollow else -1
         turned += [seed] if sign < 0 else []
-        inside = result.mask & one.mask & np.isfinite(result.height_mm)
-        error = 1000 * (sign * result.height_mm - one.height_mm)[inside]
+        inside = result.mask & target.mask & np.isfinite(result.height_mm)
+        error = 1000 * (sign * result.height_mm - target.height_mm)[inside]
         error, stated = error - error.mean(), result.uncertainty_um[inside]
         covered.append(float(np.mean(np.abs(error) < 2 * stated)) > 0.95)
-        rows["listed_deg"].append(errors(one)[0])
+        rows["listed_deg"].append(errors(target)[0])
         rows["unknown_deg"].append(
-            angle(result.normals_measured[inside] * [sign, sign, 1], one.normals[inside])
+            angle(result.normals_measured[inside] * [sign, sign, 1], target.normals[inside])
         )
         rows["lights_deg"].append(min(hill, hollow))
         rows["um_over_stated"].append(float(np.std(error) / np.sqrt(np.mean(stated**2))))
@@ -178,7 +187,8 @@ def bear() -> dict[str, object]:
     file = Path(os.environ.get("SPLITKNIT_DATA", "../shared/data")) / "diligent" / "bear.npz"
     if not file.is_file():
         return {}
-    data, rows = np.load(file), {}
+    data = np.load(file)
+    rows = {}
     for name, lights in (("listed", data["lights"]), ("unknown", None)):
         result = splitknit.reconstruct_images(data["images"], lights, data["mask"])
         inside = result.mask & data["mask"]
@@ -186,9 +196,9 @@ def bear() -> dict[str, object]:
     return {"bear_deg": rows}
 
 
-def angle(found: np.ndarray, true: np.ndarray) -> float:
+def angle(estimated: np.ndarray, true: np.ndarray) -> float:
     """Mean angle in degrees between unit vectors (..., 3)."""
-    return float(np.degrees(np.arccos(np.clip((found * true).sum(axis=-1), -1, 1))).mean())
+    return float(np.degrees(np.arccos(np.clip((estimated * true).sum(axis=-1), -1, 1))).mean())
 
 
 PARTS: dict[str, Callable[[], dict[str, object]]] = {

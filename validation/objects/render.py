@@ -139,10 +139,10 @@ def _lit(height: Array, inside: NDArray[np.bool_], unit: Array, pitch: float) ->
     rise = unit[2] / across * pitch
     for step in range(2, int((height[inside].max() - height[inside].min()) / rise) + 2, 2):
         move = np.float32([[1, 0, -step * unit[0] / across], [0, 1, step * unit[1] / across]])
-        other = cv2.warpAffine(
+        caster = cv2.warpAffine(
             heights, move, height.shape[::-1], flags=cv2.INTER_NEAREST, borderValue=-1e3
         )
-        shadow |= other > height + step * rise
+        shadow |= caster > height + step * rise
     return 1.0 - cv2.GaussianBlur(shadow.astype(np.float64), (0, 0), 1.0)
 
 
@@ -160,8 +160,8 @@ def spoilt(
     if fault == "blurred":
         image = cv2.GaussianBlur(image, (0, 0), 3.0)
     elif fault in ("moved", "double"):
-        other = cv2.warpAffine(image, move, image.shape[::-1], borderMode=cv2.BORDER_REPLICATE)
-        image = other if fault == "moved" else 0.5 * (image + other)
+        moved = cv2.warpAffine(image, move, image.shape[::-1], borderMode=cv2.BORDER_REPLICATE)
+        image = moved if fault == "moved" else 0.5 * (image + moved)
     elif fault == "overexposed":
         image = np.minimum(2.2 * image, 65535.0)
     else:

@@ -286,14 +286,19 @@ def _draw(
         return drawn | {"relief": 1.0}, replace(skin, blood=skin.blood * rng.uniform(0.0, 0.05))
     media = [skin.channel(name) for name in CHANNELS]
     skins = [
-        diffusion_profile(one.scattering_per_mm, one.absorption_per_mm).albedo for one in media
+        diffusion_profile(medium.scattering_per_mm, medium.absorption_per_mm).albedo
+        for medium in media
     ]
     mixed = []
-    for k, (mine, theirs) in enumerate(zip(own, skins, strict=True)):
+    for k, (own_albedo, skin_albedo) in enumerate(zip(own, skins, strict=True)):
         match = drawn["live"] if drawn["live"] > 0 else drawn["tint"] * (k < 3)
         # mixed by eye
-        near = theirs if drawn["live"] > 0 else theirs * float(np.exp(0.06 * rng.standard_normal()))
-        mixed.append(min(mine ** (1 - match) * near**match, 0.82))
+        near = (
+            skin_albedo
+            if drawn["live"] > 0
+            else skin_albedo * float(np.exp(0.06 * rng.standard_normal()))
+        )
+        mixed.append(min(own_albedo ** (1 - match) * near**match, 0.82))
     scattering = (
         drawn["scattering_per_mm"] ** (1 - drawn["live"])
         * (4.6 * skin.scattering_factor) ** drawn["live"]
@@ -312,7 +317,8 @@ def _draw(
     )
     pairs = zip((plain.channel(name) for name in CHANNELS), mixed, strict=True)
     layers: Any = tuple(
-        _absorption(one.scattering_per_mm, seen) / one.absorption_per_mm for one, seen in pairs
+        _absorption(medium.scattering_per_mm, seen) / medium.absorption_per_mm
+        for medium, seen in pairs
     )
     return drawn, replace(plain, layers=layers)
 
@@ -328,7 +334,8 @@ def _absorption(scattering_per_mm: float, reflectance: float) -> float:
             - reflectance
         )
 
-    low, high = np.log(0.0021), np.log(60.0)
+    low = np.log(0.0021)
+    high = np.log(60.0)
     return scattering_per_mm * float(
         np.exp(low if excess(low) < 0 else brentq(excess, low, high, xtol=1e-3))
     )
@@ -348,12 +355,12 @@ def _picture_of(
     whole = np.zeros((4, *surface.mask.shape), dtype=np.float32)
     window, inside = light.window, surface.mask[light.window]
     for c in range(3):
-        one = np.minimum(seen[c], np.percentile(seen[c][inside], 99))
-        one = (
-            cv2.GaussianBlur(one, (0, 0), max(size * surface.camera.px_per_mm, 0.2))
-            / one[inside].mean()
+        channel = np.minimum(seen[c], np.percentile(seen[c][inside], 99))
+        channel = (
+            cv2.GaussianBlur(channel, (0, 0), max(size * surface.camera.px_per_mm, 0.2))
+            / channel[inside].mean()
         )
-        whole[c][window] = np.where(inside, np.clip(one, 0.05, 1.6), 0)
+        whole[c][window] = np.where(inside, np.clip(channel, 0.05, 1.6), 0)
     whole[3][window] = np.where(inside, whole[1][window] ** ink, 0)
     return whole
 
@@ -367,7 +374,8 @@ def _copied(
     """Give a finger's surface the relief, the flatness and the layers of an instrument."""
     mask = surface.mask
     rng = np.random.default_rng([*_entropy(seed), 2])
-    pitch, weight = surface.camera.pitch_mm, mask.astype(np.float32)
+    pitch = surface.camera.pitch_mm
+    weight = mask.astype(np.float32)
     sigma = drawn["blur_mm"] / pitch
 
     def smooth(field: NDArray[Any]) -> FloatArray:
@@ -386,9 +394,9 @@ def _copied(
 
     gain, flat = drawn["relief"], drawn["flat"]
     shaped = slopes(surface.shape_normals)
-    ridges = np.stack([gain * smooth(one) for one in slopes(surface.normals) - shaped])
+    ridges = np.stack([gain * smooth(component) for component in slopes(surface.normals) - shaped])
     raised, relief = (
-        gain * smooth(one) for one in (surface.height_mm - surface.shape_mm, surface.relief_um)
+        gain * smooth(field) for field in (surface.height_mm - surface.shape_mm, surface.relief_um)
     )
     tilt = rng.normal(0.0, 0.06, 2) * (flat > 0.5)
     rows, columns = np.indices(mask.shape)
@@ -397,7 +405,8 @@ def _copied(
     shape = (1 - flat) * np.where(mask, surface.shape_mm, 0) + flat * plane
     shaped = (1 - flat) * shaped + flat * tilt[:, None, None]
     if drawn["layer_um"] > 0:
-        step, lean = drawn["layer_um"] / 1000, rng.normal(0.0, 0.2, 2)
+        step = drawn["layer_um"] / 1000
+        lean = rng.normal(0.0, 0.2, 2)
         along = shape + lean[0] * x + lean[1] * y
         width = step / np.maximum(np.hypot(shaped[0] + lean[0], shaped[1] + lean[1]), 1e-3) / pitch
         steps = np.where(

@@ -77,7 +77,8 @@ def _fit(live: Sequence[Row], attacks: Sequence[Row]) -> Model:
     names = list(SIDES)
     table = np.array([[row["features"][name] for name in names] for row in (*live, *attacks)])
     truth = np.arange(len(table)) < len(live)
-    mean, scale = table[truth].mean(axis=0), table[truth].std(axis=0)
+    mean = table[truth].mean(axis=0)
+    scale = table[truth].std(axis=0)
     away = (table - mean) / scale
     parts = suspicious(away).reshape(len(away), -1)
     used = np.array(list(SIDES.values()), dtype=bool).ravel()
@@ -97,13 +98,13 @@ def _fit(live: Sequence[Row], attacks: Sequence[Row]) -> Model:
         "weights": weights.reshape(-1, 2).tolist(),
         "offset": float(logistic.intercept_[0]),
     }
-    found = np.array([deviations(model, row["features"]) for row in (*live, *attacks)])
+    features = np.array([deviations(model, row["features"]) for row in (*live, *attacks)])
     species = np.array(["live"] * len(live) + [row["name"] for row in attacks])
-    kinds = {one: found[species == one].mean(axis=0) for one in dict.fromkeys(species)}
-    rest = found - np.array([kinds[one] for one in species])
+    kinds = {kind: features[species == kind].mean(axis=0) for kind in dict.fromkeys(species)}
+    rest = features - np.array([kinds[kind] for kind in species])
     covariance = LedoitWolf(assume_centered=True).fit(rest).covariance_
     return model | {
-        "kinds": [one.tolist() for one in kinds.values()],
+        "kinds": [kind.tolist() for kind in kinds.values()],
         "precision": np.linalg.inv(covariance).tolist(),
     }
 
@@ -119,12 +120,12 @@ def odds_of(model: Model, row: Row) -> tuple[float, float]:
 
 def held_out(live: Sequence[Row], attacks: Sequence[Row]) -> tuple[np.ndarray, np.ndarray]:
     """Log odds and distances of every live finger, by models that did not see it."""
-    found = np.zeros((len(live), 2))
+    odds = np.zeros((len(live), 2))
     for fold in range(FOLDS):
         model = _fit([row for k, row in enumerate(live) if k % FOLDS != fold], attacks)
         for k in range(fold, len(live), FOLDS):
-            found[k] = odds_of(model, live[k])
-    return found[:, 0], found[:, 1]
+            odds[k] = odds_of(model, live[k])
+    return odds[:, 0], odds[:, 1]
 
 
 def interval(hits: int, tried: int) -> tuple[float, float]:
@@ -181,21 +182,21 @@ def rates(rows: Sequence[Row]) -> list[Row]:
     return [
         {
             "group": group,
-            "tried": found.total(),
-            **{one: found[one] for one in ("live", "attack", "unknown")},
+            "tried": answers.total(),
+            **{answer: answers[answer] for answer in ("live", "attack", "unknown")},
         }
-        for group, found in counts.items()
+        for group, answers in counts.items()
     ]
 
 
 def summary(rows: Sequence[Row]) -> list[str]:
     """Rates over all species, and over live fingers, with intervals."""
-    found = {one["group"]: one for one in rates(rows)}
-    species = [found[one] for one in sorted({row["name"] for row in parted(rows)[1]})]
+    by_group = {rate["group"]: rate for rate in rates(rows)}
+    species = [by_group[name] for name in sorted({row["name"] for row in parted(rows)[1]})]
     passed, caught, open_ = (
-        sum(one[answer] for one in species) for answer in ("live", "attack", "unknown")
+        sum(rates_of[answer] for rates_of in species) for answer in ("live", "attack", "unknown")
     )
-    own = found["live"]
+    own = by_group["live"]
     lines = [
         f"APCER among decided: {words(passed, passed + caught)}",
         f"attacks unknown: {words(open_, passed + caught + open_)}",
@@ -204,10 +205,12 @@ def summary(rows: Sequence[Row]) -> list[str]:
         f"unknown of all: {words(own['unknown'] + open_, own['tried'] + passed + caught + open_)}",
     ]
     for start in ("live, never trained", "live, drawn anew", "live, JPEG", "path-traced"):
-        some = [one for group, one in found.items() if group.startswith(start)]
-        if some:
-            tried = sum(one["tried"] for one in some)
-            called, open_ = (sum(one[answer] for one in some) for answer in ("attack", "unknown"))
+        groups = [rates_of for group, rates_of in by_group.items() if group.startswith(start)]
+        if groups:
+            tried = sum(rates_of["tried"] for rates_of in groups)
+            called, open_ = (
+                sum(rates_of[answer] for rates_of in groups) for answer in ("attack", "unknown")
+            )
             lines.append(
                 f"{start}: called attack {words(called, tried)}, unknown {words(open_, tried)}"
             )
@@ -221,7 +224,7 @@ def ship(rows: Sequence[Row]) -> str:
         if isinstance(value, float):
             return float(f"{value:.6g}")
         if isinstance(value, list):
-            return [rounded(one) for one in value]
+            return [rounded(item) for item in value]
         return {k: rounded(v) for k, v in value.items()} if isinstance(value, dict) else value
 
     model = rounded(fit(*parted(rows)[:2]))

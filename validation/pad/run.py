@@ -59,7 +59,7 @@ def drawn(rng: np.random.Generator, live: bool) -> tuple[TwinSettings, dict[str,
     base = SkinOptics(
         boundary=Boundary(refraction=refraction, entry_power=float(rng.uniform(0.2, 1.2))),
         scattering_power=float(rng.uniform(0.9, 1.8)),
-        layers=tuple(float(one) for one in np.exp(0.25 * rng.standard_normal(4))),
+        layers=tuple(float(factor) for factor in np.exp(0.25 * rng.standard_normal(4))),
     )
     skin = SkinRanges(
         base=base,
@@ -94,7 +94,7 @@ def drawn(rng: np.random.Generator, live: bool) -> tuple[TwinSettings, dict[str,
 
 
 def measured(
-    name: str, seed: int, out: Path, change: Callable[[Capture], Capture] = lambda one: one
+    name: str, seed: int, out: Path, change: Callable[[Capture], Capture] = lambda capture: capture
 ) -> None:
     """One simulated capture: its features, or why there is no result."""
     settings, facts = drawn(np.random.default_rng([seed, 0xAD2]), name.startswith("live"))
@@ -117,8 +117,8 @@ def kept(
     facts = {"name": name, "seed": seed, **facts}
     try:
         capture = capture_of()
-        found = pad_features(pad_images(capture), splitknit.reconstruct(capture, "metric"))
-        facts["features"] = {one: round(value, 5) for one, value in found.items()}
+        features = pad_features(pad_images(capture), splitknit.reconstruct(capture, "metric"))
+        facts["features"] = {feature: round(value, 5) for feature, value in features.items()}
     except splitknit.BadInput as error:
         facts["failed"] = str(error)
     path.write_text(json.dumps(facts))
@@ -146,7 +146,7 @@ def as_jpeg(capture: Capture) -> Capture:
     def of(pixels: np.ndarray | None) -> np.ndarray | None:
         if pixels is None:
             return None
-        return np.stack([saved(one) for one in pixels]) if pixels.ndim == 4 else saved(pixels)
+        return np.stack([saved(image) for image in pixels]) if pixels.ndim == 4 else saved(pixels)
 
     bands = {
         name: replace(band, pixels=of(band.pixels), ambient=of(band.ambient))
@@ -162,12 +162,13 @@ def changed(capture: Capture, how: str) -> Capture:
         return as_jpeg(capture)
     bands = {}
     for name, band in capture.bands.items():
-        pixels, keep = band.pixels, range(len(band.leds))
+        pixels = band.pixels
+        keep = range(len(band.leds))
         if how == "half":
             pixels = np.stack(
                 [
-                    cv2.resize(one, None, fx=0.5, fy=0.5, interpolation=cv2.INTER_AREA)
-                    for one in pixels
+                    cv2.resize(image, None, fx=0.5, fy=0.5, interpolation=cv2.INTER_AREA)
+                    for image in pixels
                 ]
             )
             pixels = pixels.reshape(*pixels.shape[:3], -1)
@@ -196,10 +197,12 @@ def changed(capture: Capture, how: str) -> Capture:
     return replace(capture, bands=bands, rig=replace(capture.rig, camera=camera))
 
 
-def simulate(out: Path, live: int, each: int) -> None:
+def simulate(out: Path, live: int, per_species: int) -> None:
     """Live fingers and instruments of all species side by side, so that every stop leaves a fair
     mixture."""
-    copies = [(name, 5000 + 100 * k + j) for j in range(each) for k, name in enumerate(SPECIES)]
+    copies = [
+        (name, 5000 + 100 * k + j) for j in range(per_species) for k, name in enumerate(SPECIES)
+    ]
     fingers = [("live", 1000 + j) for j in range(live)]
     for pair in itertools.zip_longest(fingers, copies):
         for name, seed in filter(None, pair):

@@ -86,10 +86,8 @@ def truth_of(surface: SimulatedSurface, name: str) -> Reconstruction:
 def displaced(skin: SkinMap, change: Any) -> SkinMap:
     """Skin whose displacement (H, W) in mm is what `change` makes of it."""
     rows, columns = skin.coefficients.shape
-    u, v = (
-        skin.u0_mm + skin.pitch_mm * np.arange(columns),
-        skin.v0_mm - skin.pitch_mm * np.arange(rows),
-    )
+    u = skin.u0_mm + skin.pitch_mm * np.arange(columns)
+    v = skin.v0_mm - skin.pitch_mm * np.arange(rows)
     here = skin.displacement(*np.meshgrid(u, v))
     return replace(skin, coefficients=ndimage.spline_filter(change(here), order=3, mode="mirror"))
 
@@ -120,7 +118,8 @@ def on_gel(finger: SimulatedFinger, rng: np.random.Generator) -> Reconstruction:
     skin."""
     moved = deformed(finger.master(), draw_deformation(rng, finger.master(), 0.35, 5.0, 0.015))
     skin = skin_map(moved, replace(finger.skin, creases=()))
-    x, y = np.arange(-7.5, 7.5, PITCH_MM), np.arange(8.5, -8.5, -PITCH_MM)
+    x = np.arange(-7.5, 7.5, PITCH_MM)
+    y = np.arange(8.5, -8.5, -PITCH_MM)
     turn = np.deg2rad(rng.uniform(-8, 8))
     u = np.cos(turn) * x - np.sin(turn) * y[:, None] + rng.uniform(-1, 1)
     v = np.sin(turn) * x + np.cos(turn) * y[:, None] + 12.0 + rng.uniform(-1, 1)
@@ -175,10 +174,10 @@ def figures(pair: PairComparison) -> dict[str, Any]:
     kept = {
         band: {
             slant: (
-                {name: round(one[name]["value"], 4) for name in ("correlation", "gain", "rms_um")}
-                | {"std_um": round(one["std_um"], 2)}
+                {name: round(row[name]["value"], 4) for name in ("correlation", "gain", "rms_um")}
+                | {"std_um": round(row["std_um"], 2)}
             )
-            for slant, one in rows.items()
+            for slant, row in rows.items()
         }
         for band, rows in pair.figures.items()
     }
@@ -191,7 +190,8 @@ def figures(pair: PairComparison) -> dict[str, Any]:
 
 def measured(number: int) -> dict[str, Any]:
     """All comparisons of one finger."""
-    finger, rig = draw_finger(number), default_rig(SCALE, number)
+    finger = draw_finger(number)
+    rig = default_rig(SCALE, number)
     master = finger.master()
     finger = replace(finger, printed=master)
     draws = [np.random.default_rng([number, 61, k]) for k in range(8)]
@@ -204,17 +204,21 @@ def measured(number: int) -> dict[str, Any]:
     def surface(k: int, map_: SkinMap) -> SimulatedSurface:
         return finger_surface(finger, poses[k], rig.camera, skin=map_, workers=1)
 
-    bare, other = surface(0, skin), surface(1, skin)
+    bare = surface(0, skin)
+    second_press = surface(1, skin)
     true = truth_of(bare, "bare")
-    coated = {name: surface(1, one) for name, one in coats.items()}
+    coated = {name: surface(1, coat) for name, coat in coats.items()}
     moved = truth_of(surface(1, powdered(own_skin, 10, draws[4])), "moved")
     gel = on_gel(finger, draws[5])
     cast = truth_of(surface(1, own_skin), "cast")
     cast = replace(
         cast, pitch_mm=cast.pitch_mm * 0.998, height_mm=cast.height_mm * np.float32(0.998)
     )
-    rows = {"laid down anew": compare_results(true, truth_of(other, "anew"))}
-    rows |= {name: compare_results(true, truth_of(one, name)) for name, one in coated.items()}
+    rows = {"laid down anew": compare_results(true, truth_of(second_press, "anew"))}
+    rows |= {
+        name: compare_results(true, truth_of(coated_surface, name))
+        for name, coated_surface in coated.items()
+    }
     rows["powder 10 um, skin shifted by 0.05 mm"] = compare_results(true, moved)
     rows["powder 10 um, skin shifted by 0.05 mm, elastic"] = compare_results(
         true, moved, fit="elastic"
@@ -222,25 +226,25 @@ def measured(number: int) -> dict[str, Any]:
     rows["gel"] = compare_results(true, gel, fit="elastic")
     rows["cast"] = compare_results(true, cast)
     rows["cast, elastic"] = compare_results(true, cast, fit="elastic")
-    found = {"truth": {name: figures(pair) for name, pair in rows.items()}}
+    results = {"truth": {name: figures(pair) for name, pair in rows.items()}}
     seed = np.random.SeedSequence([number, 62])
     settings = TwinSettings(scale=SCALE, render=RenderSettings(workers=1))
     optics = SkinRanges().draw(draws[6])
     result = reconstruct(photograph(bare, rig, optics, seed.spawn(1)[0], settings=settings)[0])
     second = reconstruct(opaque_capture(coated["powder 10 um"], rig, seed.spawn(1)[0]))
     covered = truth_of(coated["powder 10 um"], "coated")
-    found["metric"] = {
+    results["metric"] = {
         "bare, against its truth": figures(compare_results(result, true)),
         "powder 10 um, against its truth": figures(compare_results(second, covered)),
         "bare, against powder 10 um": figures(compare_results(result, second)),
         "bare, against gel": figures(compare_results(result, gel, fit="elastic")),
     }
-    return found
+    return results
 
 
 def table(results: Mapping[str, Any], part: str, slant: str) -> list[str]:
     """Means over the fingers, as Markdown: rms in um and gain of every band."""
-    rows = [one[part] for one in results.values() if part in one]
+    rows = [finger_rows[part] for finger_rows in results.values() if part in finger_rows]
     lines = [
         f"| {slant} deg, {len(rows)} fingers | {' | '.join(BANDS_MM)} |",
         f"|{' --- |' * (1 + len(BANDS_MM))}",
@@ -249,9 +253,9 @@ def table(results: Mapping[str, Any], part: str, slant: str) -> list[str]:
         cells = []
         for band in BANDS_MM:
             values = [
-                one[name]["bands"][band][slant]
-                for one in rows
-                if slant in one[name]["bands"].get(band, {})
+                finger_rows[name]["bands"][band][slant]
+                for finger_rows in rows
+                if slant in finger_rows[name]["bands"].get(band, {})
             ]
             rms, gain = ([value[figure] for value in values] for figure in ("rms_um", "gain"))
             cells.append(

@@ -217,16 +217,16 @@ def prints() -> Measure:
     references = both(true)
 
     def measure() -> Outcome:
-        made = both(result)
+        images = both(result)
         period = ridge_period(result.normals, result.mask)
         figures = {
-            "print_correlation": correlation(made[0], references[0]),
-            "ink_correlation": correlation(made[1], references[1]),
+            "print_correlation": correlation(images[0], references[0]),
+            "ink_correlation": correlation(images[1], references[1]),
             "period_error": abs(
                 period.period_px * result.pitch_mm / float(truth["landmark_period_mm"]) - 1
             ),
         }
-        return outcome(figures, made)
+        return outcome(figures, images)
 
     return measure
 
@@ -242,15 +242,15 @@ def specular_reflection(kind: str) -> tuple[Capture, Truth, tuple[Any, ...]]:
     the step that measures heights by specular reflection is given."""
     settings = tip_settings({"side_lights": RING, "films.kind": kind})
     photographs, chosen, truth = opened(settings, "metric", {})
-    given: list[tuple[Any, ...]] = []
+    calls: list[tuple[Any, ...]] = []
 
     def recorded(*arguments: Any) -> Any:
-        given.append(arguments)
+        calls.append(arguments)
         return polarised_heights(*arguments)
 
     with patch.object(metric, "polarised_heights", recorded):
         surface_of(photographs, chosen)
-    return photographs.capture, truth, given[0]
+    return photographs.capture, truth, calls[0]
 
 
 def specular_heights(kind: str, lights: int) -> Measure:
@@ -271,8 +271,10 @@ def specular_heights(kind: str, lights: int) -> Measure:
     true_band = high_passed(np.where(inside, height - shape, 0), inside, sigma)
 
     def measure() -> Outcome:
-        found, stated, _ = polarised_heights(part, own, start[strip], deviation[strip], separated)
-        band = high_passed(np.where(inside, found - shape, 0), inside, sigma)
+        estimate, stated, _ = polarised_heights(
+            part, own, start[strip], deviation[strip], separated
+        )
+        band = high_passed(np.where(inside, estimate - shape, 0), inside, sigma)
         e, t = band[counted], true_band[counted]
         figures = {
             "ridge_rms_um": 1000 * rms(e - t),
@@ -281,8 +283,8 @@ def specular_heights(kind: str, lights: int) -> Measure:
             "error_over_stated": rms(e - t) / rms(stated[counted]),
         }
         if separated:  # without films, the shape is not taken from here
-            figures["surface_rms_mm"] = float(np.std((found - height)[counted]))
-        return outcome(figures, [found, stated])
+            figures["surface_rms_mm"] = float(np.std((estimate - height)[counted]))
+        return outcome(figures, [estimate, stated])
 
     return measure
 

@@ -213,15 +213,15 @@ def ready(case: str) -> tuple[Measure, Outcome, set[CodeType]]:
     measure = CASES[case].make()
     before, codes = called_by(measure)
     forget()
-    again = measure()
-    if again.digest != before.digest:
+    repeated = measure()
+    if repeated.digest != before.digest:
         raise SystemExit(f"{case}: two runs give different bytes.")
     return measure, before, codes
 
 
 def cases_of(constant: Constant) -> list[str]:
     """Captures on which code runs that reads the constant."""
-    found = []
+    names = []
     for name, case in CASES.items():
         if not any(part.startswith(constant.package.split(".")[0]) for part in packages_of(case)):
             continue
@@ -238,9 +238,9 @@ def cases_of(constant: Constant) -> list[str]:
                 for function in functions_of(module)
             )
             if read or held:
-                found.append(name)
+                names.append(name)
                 break
-    return found
+    return names
 
 
 def packages_of(case: Any) -> list[str]:
@@ -379,10 +379,10 @@ def hardly_from_to(rows: Mapping[float, Row]) -> tuple[float, float]:
 
 def by_constant(rows: Sequence[Row]) -> dict[tuple[str, str], dict[float, Row]]:
     """Rows by package and constant, then by factor."""
-    found: dict[tuple[str, str], dict[float, Row]] = {}
+    table: dict[tuple[str, str], dict[float, Row]] = {}
     for row in rows:
-        found.setdefault((row["package"], row["constant"]), {})[float(row["factor"])] = row
-    return found
+        table.setdefault((row["package"], row["constant"]), {})[float(row["factor"])] = row
+    return table
 
 
 def summary(rows: Sequence[Row]) -> list[str]:

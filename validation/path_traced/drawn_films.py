@@ -101,12 +101,12 @@ def main() -> None:
             "mask": grid.mask,
             "uncertainty_um": 1000 * stated,
         }
-        found = score(result, truth)
+        figures = score(result, truth)
         cells = [
-            f"{found[f'ridge_corr{c}']:.3f} / {found[f'ridge_gain{c}']:.2f} /"
-            f" {found[f'ridge_rms_um{c}']:.1f} / {found[f'error_over_stated{c}']:.2f}"
+            f"{figures[f'ridge_corr{c}']:.3f} / {figures[f'ridge_gain{c}']:.2f} /"
+            f" {figures[f'ridge_rms_um{c}']:.1f} / {figures[f'error_over_stated{c}']:.2f}"
             for c in CLASSES
-            if f"ridge_corr{c}" in found
+            if f"ridge_corr{c}" in figures
         ]
         print(
             f"| {name}, {case.ridge_um} um, {case.roughness} ({facts['roughness']:.2f}) |"
@@ -138,8 +138,10 @@ def drawn(
         image_size=(OVERSAMPLING * IMAGE_SIZE[0], OVERSAMPLING * IMAGE_SIZE[1]),
     )
     surface, fine = (
-        lay_down(case.seed, None, replace(settings, rig=replace(rig, camera=one)), finger=finger)[0]
-        for one in (camera, closer)
+        lay_down(
+            case.seed, None, replace(settings, rig=replace(rig, camera=resolution)), finger=finger
+        )[0]
+        for resolution in (camera, closer)
     )
     mask, pitch = surface.mask, camera.pitch_mm
     whole = pixel_means(fine.mask.astype(float), surface) == 1
@@ -172,7 +174,9 @@ def drawn(
 def _images(case: Case, rig: Rig, surface: Any, fine: Any, lights: int) -> tuple[Array, Array]:
     """(L, H, W) parallel less crossed series, and (L, H, W) diffuse light, whose noise both
     have."""
-    camera, mask, normals = rig.camera, surface.mask, surface.normals.astype(float)
+    camera = rig.camera
+    mask = surface.mask
+    normals = surface.normals.astype(float)
     pitch, refraction = camera.pitch_mm, 1.42
     angle = float(case.seed % 7 * 20)
     films = mounted_films(
@@ -192,14 +196,14 @@ def _images(case: Case, rig: Rig, surface: Any, fine: Any, lights: int) -> tuple
             1, k, way, camera_way
         )
         if k < RING:  # hardly any skin hides the ring
-            reflected = passed * pixel_means(reflected(fine, led, case.roughness), surface)
+            gloss = passed * pixel_means(reflected(fine, led, case.roughness), surface)
         else:
-            reflected = passed * specular(surface, led, case.roughness, fine)
+            gloss = passed * specular(surface, led, case.roughness, fine)
         cosines = (
             np.maximum(to_x * normals[..., 0] + to_y * normals[..., 1] + to_z * normals[..., 2], 0),
             normals[..., 2].clip(0, 1),
         )
-        inside = [np.sqrt(1 - (1 - one * one) / refraction**2) for one in cosines]
+        inside = [np.sqrt(1 - (1 - cosine * cosine) / refraction**2) for cosine in cosines]
         scattered = (
             strength
             * cosines[0]
@@ -214,9 +218,7 @@ def _images(case: Case, rig: Rig, surface: Any, fine: Any, lights: int) -> tuple
             cv2.GaussianBlur(scattered, (0, 0), 0.1 / pitch)
             + cv2.GaussianBlur(scattered, (0, 0), 0.25 / pitch)
         ) / 2
-        seen.append(
-            cv2.GaussianBlur((reflected + spread * once).astype(np.float32), (0, 0), LENS_PX)
-        )
+        seen.append(cv2.GaussianBlur((gloss + spread * once).astype(np.float32), (0, 0), LENS_PX))
         diffuse.append((strength * cosines[0] / np.pi * 0.35 * 0.25 * mask).astype(np.float32))
     return np.stack(seen), np.stack(diffuse)
 

@@ -622,7 +622,7 @@ def gather(
     full, passing_all = STEP_FREE_PATHS / scattering, (1.0 - inside) * index * index
     for i in prange(pixels.shape[0]):
         state = _stream(seed, pixels[i, 0] * sides.shape[1] + pixels[i, 1])
-        found, single = np.zeros((2, count)), np.zeros(count)
+        radiance, single = np.zeros((2, count)), np.zeros(count)
         state, start_a = _random(state)
         state, start_b = _random(state)
         state, start_c = _random(state)
@@ -697,7 +697,7 @@ def gather(
                         )
                         if layer < grids.shape[3]:
                             for k in range(count):
-                                found[half, k] += part * grids[half, r, c, layer, k]
+                                radiance[half, k] += part * grids[half, r, c, layer, k]
                                 single[k] += refracted * part * first[half, r, c, layer, k]
                 weight *= kept
                 x, y, z, room = x + length * dx, y + length * dy, z + length * dz, after
@@ -707,7 +707,7 @@ def gather(
                 nx, ny, nz = _outward(sides, x, y, side)
                 r, c, _, _ = _cell(sides, x, y)
                 for k in range(count):
-                    found[half, k] += weight * spread * entering[side, r, c, k] / math.pi
+                    radiance[half, k] += weight * spread * entering[side, r, c, k] / math.pi
                 state, u = _random(state)
                 if u < spread:
                     weight *= inside
@@ -730,11 +730,11 @@ def gather(
                                 * math.exp(off)
                                 / (2.0 * math.pi * lobe * lobe)
                             )
-                            found[half, k] += seen * light
+                            radiance[half, k] += seen * light
                 state, dx, dy, dz, along = _mirrored(state, dx, dy, dz, nx, ny, nz, facets)
                 weight *= _fresnel(along, 1.0 / index)
         for half in range(2):
             for k in range(count):
-                sums[i, half, k] += found[half, k]
+                sums[i, half, k] += radiance[half, k]
         for k in range(count):
             once[i, k] += single[k]

@@ -2,7 +2,7 @@
 
     python validation/path_traced/make.py --out DIR              # a run that was stopped goes on
     python validation/path_traced/make.py --out DIR --polarised  # behind linear films
-    python validation/path_traced/make.py --out DIR --names third_matt no_ridges  # some of either kind
+    python validation/path_traced/make.py --out DIR --names third_matt no_ridges  # some of them
 
 Needs the group ``reference`` (numba). Each finger becomes a capture folder with ``truth.npz`` and
 ``info.json``, which has all optics and the noise of the walks; of polarised fingers these lie
@@ -19,6 +19,7 @@ import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from walked_finger import (
@@ -135,7 +136,8 @@ class PolarisedCase:
 def _films(
     kept: float, axis_deg: float, extinction: float, off_deg: float, *tint: float
 ) -> FilmSettings:
-    return FilmSettings("analyser", axis_deg, off_deg, extinction, tint or (0.85, 0.85, 0.82), kept)  # type: ignore[arg-type]
+    colours: Any = tint or (0.85, 0.85, 0.82)
+    return FilmSettings("analyser", axis_deg, off_deg, extinction, colours, kept)
 
 
 _P01 = PolarisedCase(
@@ -325,8 +327,10 @@ def make_polarised(
         image_size=(OVERSAMPLING * size[0], OVERSAMPLING * size[1]),
     )
     surface, fine = (
-        lay_down(case.seed, None, replace(settings, rig=replace(rig, camera=one)), finger=finger)[0]
-        for one in (camera, closer)
+        lay_down(
+            case.seed, None, replace(settings, rig=replace(rig, camera=resolution)), finger=finger
+        )[0]
+        for resolution in (camera, closer)
     )
     if not case.ridges:
         surface, fine = without_ridges(surface), without_ridges(fine)
@@ -371,19 +375,19 @@ def make_polarised(
 
 def _walked(case: PolarisedCase, out: Path, walk: Callable[[], FingerLight]) -> FingerLight:
     """The light of a case, kept in a file that cases share."""
-    kept, parts, bands = (
-        out / f".{case.as_walked or case.name}_light.npz",
-        ("diffuse", "once"),
-        ("white", "nir"),
-    )
+    kept = out / f".{case.as_walked or case.name}_light.npz"
+    parts = ("diffuse", "once")
+    bands = ("white", "nir")
     if kept.exists():
-        found = read_npz(kept)
-        diffuse, once = ({name: found[f"{part}_{name}"] for name in bands} for part in parts)
-        return FingerLight(diffuse, once, json.loads(str(found["channels"])))
+        arrays = read_npz(kept)
+        diffuse, once = ({name: arrays[f"{part}_{name}"] for name in bands} for part in parts)
+        return FingerLight(diffuse, once, json.loads(str(arrays["channels"])))
     light = walk()
     kept.parent.mkdir(parents=True, exist_ok=True)
-    arrays = {f"{part}_{name}": getattr(light, part)[name] for part in parts for name in bands}
-    write_npz(kept, {"channels": np.array(json.dumps(dict(light.channels))), **arrays})
+    light_arrays = {
+        f"{part}_{name}": getattr(light, part)[name] for part in parts for name in bands
+    }
+    write_npz(kept, {"channels": np.array(json.dumps(dict(light.channels))), **light_arrays})
     return light
 
 

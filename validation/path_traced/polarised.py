@@ -1,13 +1,14 @@
 """Heights with and without polarising films, on fingers whose light the fast twin did not make.
 
-    python validation/path_traced/polarised.py FOLDER...  # captures with NAME_truth.npz beside them, or their folder
+    python validation/path_traced/polarised.py FOLDER...
+    python validation/path_traced/polarised.py --twins FIRST LAST [SCALE]
+
+FOLDER: a capture with ``NAME_truth.npz`` beside it, or a folder of them. ``--twins``: fingers of
+the fast simulator with these seeds, behind films, with seven lights to the side.
 
 For each capture that has a parallel and a crossed series: `metric` on it, and on the mean of both
 series, which is the photograph without films. It prints a table, and JSON with ``--json``. Captures
 are made by ``make.py --polarised``.
-
-    python validation/path_traced/polarised.py --twins FIRST LAST [SCALE]  # fingers of the fast simulator with these
-        # seeds, behind films with seven lights to the side: each, and their means
 """
 
 from __future__ import annotations
@@ -34,34 +35,34 @@ CLASSES = ("", "_0_15", "_15_30", "_30_45", "_45_60")
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    given = list(sys.argv[1:] if arguments is None else arguments)
-    as_json = "--json" in given
+    words = list(sys.argv[1:] if arguments is None else arguments)
+    as_json = "--json" in words
     try:
-        if given[:1] == ["--twins"]:
-            seeds = given[1:3]
+        if words[:1] == ["--twins"]:
+            seeds = words[1:3]
             require(
-                len(seeds) == 2 and all(one.isdigit() for one in seeds),
+                len(seeds) == 2 and all(seed.isdigit() for seed in seeds),
                 "give two seeds: --twins FIRST LAST.",
             )
             twins(
-                range(int(seeds[0]), int(seeds[1]) + 1), float(given[3] if len(given) > 3 else 0.2)
+                range(int(seeds[0]), int(seeds[1]) + 1), float(words[3] if len(words) > 3 else 0.2)
             )
             return 0
-        folders = [folder for one in given if one != "--json" for folder in _captures(Path(one))]
+        folders = [folder for word in words if word != "--json" for folder in _captures(Path(word))]
         require(bool(folders), "give folders of polarised captures with their truth beside them.")
-        found = {folder.name: both_ways(folder) for folder in folders}
+        figures = {folder.name: both_ways(folder) for folder in folders}
     except BadInput as error:
         print(error, file=sys.stderr)
         return 2
-    print(json.dumps(found, indent=1) if as_json else table(found))
+    print(json.dumps(figures, indent=1) if as_json else table(figures))
     return 0
 
 
 def _captures(folder: Path) -> Iterator[Path]:
     """The capture `folder`, or those in it."""
-    for one in (folder, *sorted(folder.iterdir())) if folder.is_dir() else ():
-        if (one / "capture.json").is_file() and _truth(one).is_file():
-            yield one
+    for candidate in (folder, *sorted(folder.iterdir())) if folder.is_dir() else ():
+        if (candidate / "capture.json").is_file() and _truth(candidate).is_file():
+            yield candidate
 
 
 def _truth(folder: Path) -> Path:
@@ -70,10 +71,11 @@ def _truth(folder: Path) -> Path:
 
 def both_ways(folder: Path) -> dict[str, dict[str, float]]:
     """Figures of :func:`score.score` from both series, and from their mean."""
-    capture, truth = splitknit.read_capture(folder), read_npz(_truth(folder))
+    capture = splitknit.read_capture(folder)
+    truth = read_npz(_truth(folder))
     truth.setdefault("px_mm", np.float64(capture.rig.camera.pitch_mm))
     ways = {"films": capture, "no films": without_films(capture)}
-    return {way: _figures(one, truth) for way, one in ways.items()}
+    return {way: _figures(series, truth) for way, series in ways.items()}
 
 
 def twins(seeds: Sequence[int], scale: float) -> None:
@@ -87,7 +89,7 @@ def twins(seeds: Sequence[int], scale: float) -> None:
         parts = ("ridge_corr", "ridge_gain", "ridge_rms_um", "error_over_stated")
         names = [
             "surface_rms_mm",
-            *(f"{part}{each}" for each in (*CLASSES[1:], "") for part in parts),
+            *(f"{part}{slant_class}" for slant_class in (*CLASSES[1:], "") for part in parts),
         ]
         rows.append([figures.get(name, np.nan) for name in names])
         print(seed, *(f"{value:.3f}" for value in rows[-1]), flush=True)
@@ -121,18 +123,18 @@ def _figures(capture: Capture, truth: dict[str, np.ndarray]) -> dict[str, float]
     return figures | {f"fitted_{name}": value for name, value in specular.items()}
 
 
-def table(found: dict[str, dict[str, dict[str, float]]]) -> str:
+def table(figures: dict[str, dict[str, dict[str, float]]]) -> str:
     """Correlation, gain and rms error of the ridges, by slant; no films in brackets."""
     lines = [
         "finger | surface mm | "
         + " | ".join(name[1:].replace("_", " to ") or "below 60 deg" for name in CLASSES)
         + " | error over stated | false um"
     ]
-    for name, ways in found.items():
+    for name, ways in figures.items():
         a, b = ways["films"], ways["no films"]
         cells = [f"{a['surface_rms_mm']:.3f} ({b['surface_rms_mm']:.3f})"]
-        for each in CLASSES:
-            keys = [f"ridge_{figure}{each}" for figure in ("corr", "gain", "rms_um")]
+        for slant_class in CLASSES:
+            keys = [f"ridge_{figure}{slant_class}" for figure in ("corr", "gain", "rms_um")]
             texts = [
                 f"{w[keys[0]]:.3f}, {w[keys[1]]:.2f}, {w[keys[2]]:.1f}" if keys[0] in w else "-"
                 for w in (a, b)

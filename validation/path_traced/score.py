@@ -1,6 +1,8 @@
 """A result against the truth of a finger whose light the fast twin did not make.
 
-    python validation/path_traced/score.py RESULT TRUTH  # a result folder; truth.npz, or the folder that has it
+    python validation/path_traced/score.py RESULT TRUTH
+
+RESULT is a result folder, TRUTH a ``truth.npz`` or the folder that has it.
 
 It prints JSON: the whole surface, the ridge band below 60 degrees of slant and in classes of slant,
 error over stated uncertainty, and the relief that was found where there are no ridges.
@@ -36,13 +38,14 @@ MIN_PIXELS = 2000
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    given = list(sys.argv[1:] if arguments is None else arguments)
+    words = list(sys.argv[1:] if arguments is None else arguments)
     try:
-        require(len(given) == 2, "give a result folder and a truth: score.py RESULT TRUTH.")
-        result, truth = Path(given[0]), Path(given[1])
-        found = read_npz(result / "height.npz")
+        require(len(words) == 2, "give a result folder and a truth: score.py RESULT TRUTH.")
+        result = Path(words[0])
+        truth = Path(words[1])
+        result_arrays = read_npz(result / "height.npz")
         known = read_npz(truth / "truth.npz" if truth.is_dir() else truth)
-        print(json.dumps(score(found, known), indent=1))
+        print(json.dumps(score(result_arrays, known), indent=1))
     except BadInput as error:
         print(error, file=sys.stderr)
         return 2
@@ -50,7 +53,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def score(
-    found: dict[str, NDArray[np.generic]], known: dict[str, NDArray[np.generic]]
+    estimate: dict[str, NDArray[np.generic]], known: dict[str, NDArray[np.generic]]
 ) -> dict[str, float]:
     """Score a result's ``height.npz`` against a truth: ``height_mm``, ``shape_mm``, ``mask``,
     ``px_mm`` (``pitch_mm``).
@@ -58,8 +61,8 @@ def score(
     Ridges are scored where the truth's ``pattern_weight``, or its relief, says that there are some.
     """
     height, true, shape = (
-        np.asarray(one, dtype=np.float64)
-        for one in (found["height_mm"], known["height_mm"], known["shape_mm"])
+        np.asarray(field, dtype=np.float64)
+        for field in (estimate["height_mm"], known["height_mm"], known["shape_mm"])
     )
     require(
         height.shape == true.shape,
@@ -67,14 +70,14 @@ def score(
     )
     pitch_mm = float(known["px_mm" if "px_mm" in known else "pitch_mm"])
     finger = np.asarray(known["mask"], dtype=np.bool_)
-    both = np.asarray(found["mask"], dtype=np.bool_) & finger & np.isfinite(height)
+    both = np.asarray(estimate["mask"], dtype=np.bool_) & finger & np.isfinite(height)
     inner = ndimage.binary_erosion(both, iterations=max(int(BORDER_MM / pitch_mm), 1))
     rows, columns = np.gradient(np.where(finger, shape, np.nan), pitch_mm)
     slant_deg = np.nan_to_num(np.degrees(np.arctan(np.hypot(rows, columns))), nan=90.0)
     error = (height - true)[inner]
     result = {"coverage": float(both.sum() / finger.sum()), "surface_rms_mm": float(np.std(error))}
 
-    estimate, relief = (_ridge_band(one - shape, both, pitch_mm) for one in (height, true))
+    ridges, relief = (_ridge_band(field - shape, both, pitch_mm) for field in (height, true))
     if "pattern_weight" in known:
         weight = np.asarray(known["pattern_weight"])
         ridged, flat = inner & (weight > 0.5), weight < 0.1
@@ -86,7 +89,9 @@ def score(
         f"_{low}_{high}": (low, high) for low, high in pairwise(CLASSES_DEG)
     }
     stated = (
-        np.asarray(found["uncertainty_um"], dtype=np.float64) if "uncertainty_um" in found else None
+        np.asarray(estimate["uncertainty_um"], dtype=np.float64)
+        if "uncertainty_um" in estimate
+        else None
     )
     for name, (low, high) in classes.items():
         where = (
@@ -96,7 +101,7 @@ def score(
         )
         if where.sum() < MIN_PIXELS:
             continue
-        a, b = estimate[where], relief[where]
+        a, b = ridges[where], relief[where]
         if (where & ridged).any():
             result[f"ridge_corr{name}"] = float(np.corrcoef(a, b)[0, 1])
             result[f"ridge_gain{name}"] = float(a @ b / (b @ b))
@@ -109,13 +114,14 @@ def score(
             result[f"within_one_sigma{name}"] = float(np.mean(off < stated[where]))
     where = inner & flat & (slant_deg < 45)
     if where.sum() >= MIN_PIXELS:
-        result["false_relief_um"] = _rms_um((estimate - relief)[where])
+        result["false_relief_um"] = _rms_um((ridges - relief)[where])
     return result
 
 
 def _ridge_band(height: Array, mask: Mask, pitch_mm: float) -> Array:
     """Height less its mean over a Gaussian, both within `mask`; zero outside."""
-    sigma, filled = RIDGE_MM / pitch_mm, np.where(mask, height, 0.0)
+    sigma = RIDGE_MM / pitch_mm
+    filled = np.where(mask, height, 0.0)
     weight = np.maximum(ndimage.gaussian_filter(mask.astype(np.float64), sigma), 1e-3)
     return np.where(mask, filled - ndimage.gaussian_filter(filled, sigma) / weight, 0.0)
 

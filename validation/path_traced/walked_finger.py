@@ -175,7 +175,8 @@ def render_finger(
 
     Examples
     --------
-    >>> light = render_finger(surface, rig.leds[:7], "green", FingerOptics(spread=0.3))  # doctest: +SKIP
+    >>> optics = FingerOptics(spread=0.3)
+    >>> light = render_finger(surface, rig.leds[:7], "green", optics)  # doctest: +SKIP
     """
     require(
         walks > 0 and rays > 0,
@@ -246,7 +247,7 @@ def solid_of(surface: SimulatedSurface, leds: Sequence[Led]) -> _Solid:
     require(bool(surface.mask.any()), "no part of the finger is in the picture.")
     # the finger's pixels and an empty margin, but where the picture ends
     filled = [np.flatnonzero(surface.mask.any(axis=1 - axis)) for axis in range(2)]
-    place = tuple(slice(max(int(one[0]) - 2, 0), int(one[-1]) + 3) for one in filled)
+    place = tuple(slice(max(int(occupied[0]) - 2, 0), int(occupied[-1]) + 3) for occupied in filled)
     mask, shape, height = surface.mask[place], surface.shape_mm[place], surface.height_mm[place]
     # below: the smooth shape's mirror image, or 12 mm where the finger has no outline
     rim = float(shape.min()) - 6.0 if mask.all() else float(np.percentile(shape[mask], 1))
@@ -296,7 +297,8 @@ def _lit(height: Array, light: Array, face: float) -> FloatArray:
     """
     rows, columns = height.shape
     y, x = np.mgrid[0:rows, 0:columns].astype(np.float32)
-    sharp, top = height.astype(np.float32), float(height.max())
+    sharp = height.astype(np.float32)
+    top = float(height.max())
     over = np.array((light[0] - (columns - 1) / 2, light[1] - (rows - 1) / 2))
     across = np.array((-over[1], over[0])) / max(float(np.hypot(*over)), 1e-9)
     seen = np.zeros((rows, columns), dtype=np.float32)
@@ -304,12 +306,16 @@ def _lit(height: Array, light: Array, face: float) -> FloatArray:
         place = light + face * np.array((*(side * across), up))
         way = [np.float32(place[0]) - x, np.float32(place[1]) - y]
         far = np.maximum(np.hypot(*way), np.float32(1e-3))
-        right, down, rise = way[0] / far, way[1] / far, (np.float32(place[2]) - sharp) / far
-        free, step = np.ones((rows, columns), dtype=np.bool_), 0.7
+        right = way[0] / far
+        down = way[1] / far
+        rise = (np.float32(place[2]) - sharp) / far
+        free = np.ones((rows, columns), dtype=np.bool_)
+        step = 0.7
         while step < min(
             max(rows, columns), (top - float(height.min())) / max(float(rise.min()), 1e-3) + 1.0
         ):
-            x_there, y_there = x + np.float32(step) * right, y + np.float32(step) * down
+            x_there = x + np.float32(step) * right
+            y_there = y + np.float32(step) * down
             there = cv2.remap(
                 sharp, x_there, y_there, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE
             )
@@ -382,7 +388,8 @@ def walk_solid(
     _smooth(fluence, solid.sides, layer_px, SCATTERED_SMOOTHING)
     fluence += first
     progress("scattering", 0.7)
-    sums, once = np.zeros((len(pixels), 2, count)), np.zeros((len(pixels), count))
+    sums = np.zeros((len(pixels), 2, count))
+    once = np.zeros((len(pixels), count))
     kernels.gather(
         *optics,
         solid.entering,
@@ -483,7 +490,9 @@ def reflected(surface: SimulatedSurface, led: Led, roughness: float) -> Array:
     towards = way / np.sqrt(squared)[..., None]
     half = towards + np.array([0.0, 0.0, 1.0])
     half /= np.linalg.norm(half, axis=-1, keepdims=True)
-    n_l, n_v, n_h = np.sum(normals * towards, -1), normals[..., 2], np.sum(normals * half, -1)
+    n_l = np.sum(normals * towards, -1)
+    n_v = normals[..., 2]
+    n_h = np.sum(normals * half, -1)
     seen = surface.mask & (n_l > 1e-3) & (n_v > 1e-3)
     n_l, n_v, square = np.maximum(n_l, 1e-3), np.maximum(n_v, 1e-3), roughness**2
     facets = square / (np.pi * (n_h**2 * (square - 1.0) + 1.0) ** 2)
@@ -556,7 +565,7 @@ def walk_finger(
             def report(_: str, fraction: float, channel: str = channel, done: int = done) -> None:
                 progress(channel, (done + fraction) / len(todo))
 
-            found = render_finger(
+            rendered = render_finger(
                 surface,
                 leds,
                 channel,
@@ -568,17 +577,17 @@ def walk_finger(
                 progress=report,
                 entering=entering,
             )
-            light.append(found.radiance)
-            single.append(found.once)
+            light.append(rendered.radiance)
+            single.append(rendered.once)
             channels[channel] = {
-                "level": float(np.median(found.radiance[:, seen])),
-                "once_scattered": float(np.median(found.once[:, seen])),
-                "noise": found.noise(seen),
+                "level": float(np.median(rendered.radiance[:, seen])),
+                "once_scattered": float(np.median(rendered.once[:, seen])),
+                "noise": rendered.noise(seen),
                 **_coefficients(channel, optics),
             }
         diffuse[name], once[name] = (
-            np.stack([one[min(c, len(one) - 1)] for c in range(3)], axis=-1)
-            for one in (light, single)
+            np.stack([channel_images[min(c, len(channel_images) - 1)] for c in range(3)], axis=-1)
+            for channel_images in (light, single)
         )
     return FingerLight(diffuse, once, channels)
 
@@ -598,13 +607,13 @@ def without_walk_noise(light: FingerLight, surface: SimulatedSurface) -> FingerL
     common, own = (_Regression(surface, width) for width in REGRESSION_MM)
 
     def smooth(images: FloatArray, regressions: tuple[_Regression, _Regression]) -> FloatArray:
-        found = np.empty_like(images)
+        smoothed = np.empty_like(images)
         for c in range(images.shape[3]):
             mean = images[..., c].mean(axis=0, dtype=np.float64)
             level = regressions[0](mean)
             for k, image in enumerate(images[..., c]):
-                found[k, ..., c] = np.maximum(level + regressions[1](image - mean), 0.0)
-        return found
+                smoothed[k, ..., c] = np.maximum(level + regressions[1](image - mean), 0.0)
+        return smoothed
 
     diffuse = {name: smooth(images, (common, own)) for name, images in light.diffuse.items()}
     once = {name: smooth(images, (own, own)) for name, images in light.once.items()}
@@ -622,7 +631,7 @@ class _Regression:
 
         def smooth(field: Array, by_mm: float) -> Array:
             blur = [
-                cv2.GaussianBlur(one, (0, 0), by_mm / pitch) for one in (field * weight, weight)
+                cv2.GaussianBlur(array, (0, 0), by_mm / pitch) for array in (field * weight, weight)
             ]
             return np.asarray(blur[0] / np.maximum(blur[1], 1e-3), dtype=np.float64)
 
@@ -656,11 +665,11 @@ class _Regression:
         """(H, W) what the geometry explains of an image."""
         image = image.astype(np.float64)
         mean = self._mean(image)
-        found = mean.copy()
+        explained = mean.copy()
         for k, field in enumerate(self.features):
-            found += self.factors[:, k] * (self._mean(field * image) - self.means[k] * mean)
+            explained += self.factors[:, k] * (self._mean(field * image) - self.means[k] * mean)
         result = np.zeros(self.mask.shape)
-        result[self.mask] = found
+        result[self.mask] = explained
         return result
 
     def _window(self, field: Array) -> Array:
@@ -804,7 +813,9 @@ def _polarised(
     """(2, L, H, W, 3) radiance behind the films, parallel and crossed, under every white LED."""
     surface, fine = skin
     leds = [led for led in rig.leds if led.band == "white"]
-    diffuse, once, passing = light.diffuse["white"], light.once["white"], mounted.transmitted()
+    diffuse = light.diffuse["white"]
+    once = light.once["white"]
+    passing = mounted.transmitted()
     x, y = pixel_places(surface.camera)
     z = np.where(surface.mask, surface.height_mm, 0.0)
     frames = np.empty((2, *diffuse.shape), dtype=np.float32)

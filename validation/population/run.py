@@ -60,11 +60,11 @@ def sizes(count: int = 2000) -> dict[str, Any]:
     for k, digit in enumerate(DIGITS):
         table = {}
         for sex in ("man", "woman"):
-            some = [p.fingers[f"right_{digit}"].finger for p in everybody if p.sex == sex]
+            fingers = [p.fingers[f"right_{digit}"].finger for p in everybody if p.sex == sex]
             table[sex] = {
-                "width_mm": _mean_sd([finger.shape.width_mm for finger in some]),
-                "length_mm": _mean_sd([finger.shape.length_mm for finger in some]),
-                "period_mm": _mean_sd([finger.print_settings.period_mm for finger in some], 4),
+                "width_mm": _mean_sd([finger.shape.width_mm for finger in fingers]),
+                "length_mm": _mean_sd([finger.shape.length_mm for finger in fingers]),
+                "period_mm": _mean_sd([finger.print_settings.period_mm for finger in fingers], 4),
             }
         asked = (WIDTH_MM[k], LENGTH_MM[k], PERIOD_MM * PERIOD_DIGIT[k])
         result["digits"][digit] = {
@@ -77,11 +77,13 @@ def sizes(count: int = 2000) -> dict[str, Any]:
         drawn = [p.fingers[name].finger.pattern for p in everybody]
         row = {}
         for pattern, fraction in class_fractions(side, digit).items():
-            found = drawn.count(pattern) / count
+            drawn_fraction = drawn.count(pattern) / count
             worst = max(
-                worst, abs(found - fraction) / max(np.sqrt(fraction * (1 - fraction) / count), 1e-9)
+                worst,
+                abs(drawn_fraction - fraction)
+                / max(np.sqrt(fraction * (1 - fraction) / count), 1e-9),
             )
-            row[pattern] = [round(fraction, 4), round(found, 4)]
+            row[pattern] = [round(fraction, 4), round(drawn_fraction, 4)]
         result["classes"][name] = row
     result["classes_worst_deviation_in_sd"] = round(float(worst), 2)
     whorls = np.array(
@@ -166,7 +168,7 @@ def impostors(draws: int = 5) -> dict[str, Any]:
     real = sorted((data / "fvc2002_db1b").glob("*.png"))
     if real:
         result["real_fvc2002_db1b"] = matched(
-            [one.read_bytes() for one in real], [one.stem[:3] for one in real]
+            [file.read_bytes() for file in real], [file.stem[:3] for file in real]
         )
     return result
 
@@ -197,7 +199,7 @@ def outlines(subjects: int = 17, sessions: int = 4) -> dict[str, Any]:
     people_of = np.array([name.split()[0] for name in fingers])
     others = ~genuine & (people_of[first] != people_of[second])
     index = np.array([name.endswith("right_index") for name in fingers])
-    by_person = [width[index & (people_of == who)] for who in dict.fromkeys(people_of)]
+    by_person = [width[index & (people_of == person)] for person in dict.fromkeys(people_of)]
     within = (
         float(np.sqrt(np.mean([values.var(ddof=1) for values in by_person])))
         if sessions > 1
@@ -251,7 +253,8 @@ def _edges(
 
 def _smooth_skin(finger: SimulatedFinger) -> MasterPrint:
     """A print without ridges: the outline does not need them."""
-    u, v = np.arange(-22.0, 22.1, 1.0), np.arange(44.0, -25.0, -1.0)
+    u = np.arange(-22.0, 22.1, 1.0)
+    v = np.arange(44.0, -25.0, -1.0)
     return MasterPrint(
         finger.pattern,
         finger.seed,
@@ -287,10 +290,8 @@ def main() -> None:
     )
     parser.add_argument("--parts", default="sizes,impostors,outlines")
     options = parser.parse_args()
-    file, parts = (
-        HERE / "results.json",
-        {"sizes": sizes, "impostors": impostors, "outlines": outlines},
-    )
+    file = HERE / "results.json"
+    parts = {"sizes": sizes, "impostors": impostors, "outlines": outlines}
     results = json.loads(file.read_text()) if file.is_file() else {}
     for part in options.parts.split(","):
         results[part] = parts[part]()

@@ -1,8 +1,8 @@
 """How far prints can be trusted: true minutiae in the prints, their quality, and how bozorth3
 separates fingers.
 
-    python validation/prints/agreement.py POPULATION STORE --scratch FOLDER  # measure (resumes), then sum up
-    python validation/prints/agreement.py --summary --scratch FOLDER  # sum up what there is
+    python validation/prints/agreement.py POPULATION STORE --scratch FOLDER
+    python validation/prints/agreement.py --summary --scratch FOLDER  # only sum up
 
 POPULATION is a folder of ``splitknit simulate population`` (here: seed 680, scale 0.4), STORE one
 of ``splitknit batch`` with its reconstructions. Reported are fingers of the first ten people. Every
@@ -52,7 +52,8 @@ def jobs(fingers: int) -> Iterator[tuple[str, int, str, str]]:
 
 def measure(population: Path, store: Path, scratch: Path, fingers: int) -> int:
     """Measure what is not there yet; return how many captures the store lacked."""
-    surfaces, lacking = Surfaces(store), 0
+    surfaces = Surfaces(store)
+    missing = 0
     scratch.mkdir(parents=True, exist_ok=True)
     for preset, session, subject, finger in jobs(fingers):
         file = record_file(scratch, preset, session, subject, finger)
@@ -61,13 +62,13 @@ def measure(population: Path, store: Path, scratch: Path, fingers: int) -> int:
         truth = read_truth(population, subject, session, finger)
         record = capture_record(population, surfaces, truth, (subject, session, finger), preset)
         if record is None:
-            lacking += 1
+            missing += 1
             continue
         partial = file.with_suffix(f".{os.getpid()}.tmp")
         partial.write_text(json.dumps(record), encoding="ascii")
         partial.replace(file)
         print(file.name, flush=True)
-    return lacking
+    return missing
 
 
 def record_file(scratch: Path, preset: str, session: int, subject: str, finger: str) -> Path:
@@ -77,15 +78,15 @@ def record_file(scratch: Path, preset: str, session: int, subject: str, finger: 
 
 def records(scratch: Path) -> dict[tuple[str, int], dict[str, Any]]:
     """Records by preset and session, then by finger, in order."""
-    found: dict[tuple[str, int], dict[str, Any]] = {}
+    by_part: dict[tuple[str, int], dict[str, Any]] = {}
     for preset, session in PARTS:
         for subject in REPORTED:
             for finger in FINGERS:
                 file = record_file(scratch, preset, session, subject, finger)
                 if file.is_file():
                     row = json.loads(file.read_text(encoding="ascii"))
-                    found.setdefault((preset, session), {})[f"{subject} {finger}"] = row
-    return found
+                    by_part.setdefault((preset, session), {})[f"{subject} {finger}"] = row
+    return by_part
 
 
 def main() -> None:
@@ -104,9 +105,9 @@ def main() -> None:
     if not options.summary:
         if options.population is None or options.store is None:
             parser.error("name the population and the store, or --summary.")
-        lacking = measure(options.population, options.store, options.scratch, options.fingers)
-        if lacking:
-            print(f"{lacking} captures are not in the store yet; run the same again later")
+        missing = measure(options.population, options.store, options.scratch, options.fingers)
+        if missing:
+            print(f"{missing} captures are not in the store yet; run the same again later")
     facts = {
         "population": {
             "seed": 680,

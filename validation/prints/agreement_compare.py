@@ -12,39 +12,40 @@ from scipy.optimize import linear_sum_assignment
 Array = NDArray[np.float64]
 
 
-def paired(found: Array, true: Array, reach: float) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+def paired(detected: Array, true: Array, reach: float) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
     """Pairs (found, true) of points (N, 2) and (M, 2), each once, no further apart than `reach`; as
     many as can be, and of these the nearest."""
-    if not len(found) or not len(true):
+    if not len(detected) or not len(true):
         empty = np.zeros(0, dtype=np.intp)
         return empty, empty
-    apart = np.linalg.norm(found[:, None] - true[None], axis=2)
+    apart = np.linalg.norm(detected[:, None] - true[None], axis=2)
     i, j = linear_sum_assignment(np.where(apart <= reach, apart, 1e3 * reach))
     good = apart[i, j] <= reach
     return i[good], j[good]
 
 
-def turned(one: Array, other: Array) -> Array:
+def turned(angle_a: Array, angle_b: Array) -> Array:
     """(N,) angle between directions, degrees, 0 to 180."""
-    return np.abs(np.rad2deg(np.angle(np.exp(1j * (one - other)))))
+    return np.abs(np.rad2deg(np.angle(np.exp(1j * (angle_a - angle_b)))))
 
 
-def table(found: dict[str, Array], true: dict[str, Array], reach: float) -> dict[str, Any]:
+def table(detected: dict[str, Array], true: dict[str, Array], reach: float) -> dict[str, Any]:
     """One print's record. Both sides hold ``place`` (N, 2), ``direction``, ``border`` and ``slant``
     (N,). Whoever lies outside the evaluated region may still be another's partner."""
-    i, j = paired(found["place"], true["place"], reach)
-    hit, met = np.zeros(len(found["place"]), int), np.zeros(len(true["place"]), int)
+    i, j = paired(detected["place"], true["place"], reach)
+    hit = np.zeros(len(detected["place"]), int)
+    met = np.zeros(len(true["place"]), int)
     hit[i], met[j] = 1, 1
     angle = np.full(len(met), np.nan)
-    angle[j] = turned(found["direction"][i], true["direction"][j])
+    angle[j] = turned(detected["direction"][i], true["direction"][j])
     columns = {
         "true_met": met,
         "true_border": true["border"],
         "true_slant": true["slant"],
         "true_angle": angle,
         "found_hit": hit,
-        "found_border": found["border"],
-        "found_slant": found["slant"],
+        "found_border": detected["border"],
+        "found_slant": detected["slant"],
     }
     return {
         name: [None if not np.isfinite(v) else round(float(v), 3) for v in values]
@@ -66,13 +67,15 @@ def counts(
         where = (col[f"{side}_border"] >= margin_px) & (col[f"{side}_slant"] >= slant[0])
         return where & (col[f"{side}_slant"] < slant[1])
 
-    true, found, met = region("true"), region("found"), col["true_met"] > 0
+    true = region("true")
+    detected = region("found")
+    met = col["true_met"] > 0
     angles = col["true_angle"][true & met]
     return {
         "true": int(true.sum()),
         "met": int((true & met).sum()),
-        "found": int(found.sum()),
-        "hit": int((found & (col["found_hit"] > 0)).sum()),
+        "found": int(detected.sum()),
+        "hit": int((detected & (col["found_hit"] > 0)).sum()),
         "angles": angles[np.isfinite(angles)],
     }
 
@@ -106,7 +109,7 @@ def by_finger(
     ]
     rows = {}
     for name, value in whole.items():
-        values = np.array([one[name] for one in drawn])
+        values = np.array([figures[name] for figures in drawn])
         values = values[np.isfinite(values)]
         limits = np.percentile(values, [2.5, 97.5]) if len(values) else (np.nan, np.nan)
         rows[name] = [None if not np.isfinite(v) else round(float(v), 4) for v in (value, *limits)]

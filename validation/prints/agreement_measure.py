@@ -71,16 +71,16 @@ def prints_of(
     rows: dict[str, Any] = {}
     for method in methods:
         try:
-            made = make_print(source, method)
-            better = enhance(made)
+            finger_print = make_print(source, method)
+            better = enhance(finger_print)
         except BadInput as error:
             rows[method] = {"refused": str(error)}
             continue
         rows[method] = {
-            **({"nfiq2": nfiq2(made.image)} if quality else {}),
-            "print": against_truth(extract(made.image), made, truth),
-            "enhanced": against_truth(extract(better.image), made, truth),
-            "phase": against_truth(phase_minutiae(made.image, better), made, truth),
+            **({"nfiq2": nfiq2(finger_print.image)} if quality else {}),
+            "print": against_truth(extract(finger_print.image), finger_print, truth),
+            "enhanced": against_truth(extract(better.image), finger_print, truth),
+            "phase": against_truth(phase_minutiae(finger_print.image, better), finger_print, truth),
         }
     return rows
 
@@ -99,15 +99,15 @@ def directions_on_print(laid, points, angles_rad):
     return np.arctan2(-along[:, 1], along[:, 0])
 
 
-def against_truth(minutiae: Minutiae, made: Print, truth: Truth) -> dict[str, Any]:
+def against_truth(minutiae: Minutiae, finger_print: Print, truth: Truth) -> dict[str, Any]:
     """Record of a print's minutiae; true ones are those whose place in the picture the print
     shows."""
-    border = border_px(made.weight > 0.5)
-    there = made.map.print_from_input(truth.places_px)
+    border = border_px(finger_print.weight > 0.5)
+    there = finger_print.map.print_from_input(truth.places_px)
     angle = np.full(len(there), np.nan)
     known = np.isfinite(truth.directions_rad) & np.isfinite(there).all(axis=1)
     angle[known] = directions_on_print(
-        made.map, truth.places_px[known], truth.directions_rad[known]
+        finger_print.map, truth.places_px[known], truth.directions_rad[known]
     )
     on = _sampled(border, there) > 0
     true = {
@@ -117,16 +117,16 @@ def against_truth(minutiae: Minutiae, made: Print, truth: Truth) -> dict[str, An
         "slant": truth.slant_at(truth.places_px)[on],
     }
     place = np.stack([minutiae.x_px, minutiae.y_px], 1).astype(np.float64)
-    back = made.map.input_from_print(place)
+    back = finger_print.map.input_from_print(place)
     beside = ~np.isfinite(back).all(axis=1)
     back[beside] = -100.0
-    found = {
+    detected = {
         "place": place,
         "direction": minutiae.direction_rad,
         "border": _sampled(border, place),
         "slant": truth.slant_at(back),
     }
-    record = table(found, true, 0.5 * truth.period_mm * PX_PER_MM)
+    record = table(detected, true, 0.5 * truth.period_mm * PX_PER_MM)
     return record | {"minutiae": pack_minutiae(minutiae).hex()}
 
 

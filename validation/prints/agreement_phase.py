@@ -24,15 +24,17 @@ def phase_minutiae(image: NDArray[np.uint8], enhanced: Enhanced) -> Minutiae:
     """Minutiae of a print (h, w) whose enhanced form is at hand; their quality (0 to 100) is how
     well both agree around them."""
     wave = -enhanced.wave
-    found = phase_singularities(wave, ridge_angles(enhanced))
-    place = np.rint(found[:, :2]).astype(np.int32)
+    singular = phase_singularities(wave, ridge_angles(enhanced))
+    place = np.rint(singular[:, :2]).astype(np.int32)
     there = enhanced.mask[place[:, 1], place[:, 0]]
-    found, place = found[there], place[there]
+    singular, place = singular[there], place[there]
     quality = np.round(100 * np.clip(likeness(image, wave)[place[:, 1], place[:, 0]], 0, 1)).astype(
         np.uint8
     )
     kind = np.zeros(len(place), dtype=np.uint8)
-    return Minutiae(place[:, 0], place[:, 1], found[:, 2] % (2 * np.pi), kind, quality, image.shape)
+    return Minutiae(
+        place[:, 0], place[:, 1], singular[:, 2] % (2 * np.pi), kind, quality, image.shape
+    )
 
 
 def ridge_angles(enhanced: Enhanced) -> NDArray[np.float64]:
@@ -51,7 +53,7 @@ def likeness(
 ) -> NDArray[np.float32]:
     """(h, w) local correlation of a print with the wave made of it."""
     grey = 127.0 - cv2.GaussianBlur(image.astype(np.float32), (0, 0), 1.0)
-    both, own, other = (
+    both, of_wave, of_print = (
         cv2.GaussianBlur(p, (0, 0), sigma_px) for p in (wave * grey, wave * wave, grey * grey)
     )
-    return np.asarray(both / np.sqrt(own * other + 1e-6), dtype=np.float32)
+    return np.asarray(both / np.sqrt(of_wave * of_print + 1e-6), dtype=np.float32)

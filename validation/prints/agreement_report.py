@@ -84,11 +84,11 @@ def scores(facts: dict[str, Any]) -> list[list[str]]:
     """Scores of bozorth3, session 1 against session 2 or against the pressed print."""
     rows = [["print", "minutiae_by", "fingers", *columns("genuine_above_all_impostors")]]
     rows[0] += ["genuine_median", "impostor_largest"]
-    found = [(named(key), row) for key, row in facts.get("bozorth3", {}).items()]
+    named_rows = [(named(key), row) for key, row in facts.get("bozorth3", {}).items()]
     for key, row in facts.get("cross_modal", {}).items():
         method, picture = key.split()[:2]
-        found.append(((f"metric {method} against the pressed print", PICTURES[picture]), row))
-    for name, row in found:
+        named_rows.append(((f"metric {method} against the pressed print", PICTURES[picture]), row))
+    for name, row in named_rows:
         ends = [f"{row['genuine_median']:.0f}", f"{row['impostor_largest']:.0f}"]
         rows.append([*name, str(row["fingers"]), *cells(row["above_all_impostors"]), *ends])
     return rows
@@ -102,7 +102,8 @@ def main(arguments: list[str] | None = None) -> int:
     facts = json.loads(RESULTS.read_text(encoding="utf-8"))
     current = True
     for table in (minutiae, held, nfiq2, scores):
-        text, path = io.StringIO(), TABLES / f"{table.__name__}.csv"
+        text = io.StringIO()
+        path = TABLES / f"{table.__name__}.csv"
         csv.writer(text, lineterminator="\n").writerows(table(facts))
         if options.check:
             current = (

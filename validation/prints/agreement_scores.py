@@ -18,16 +18,17 @@ Records = dict[tuple[str, int], dict[str, Any]]
 
 def between_sessions(reported: Records, preset: str, pictures: Sequence[str]) -> dict[str, Any]:
     """Genuine and impostor scores of bozorth3 between session 1 and session 2."""
-    first, second = reported.get((preset, 1), {}), reported.get((preset, 2), {})
+    first = reported.get((preset, 1), {})
+    second = reported.get((preset, 2), {})
     if not first or not second:
         return {}
     methods = list(next(iter(first.values())))
-    found = {
+    by_picture = {
         f"{preset} {method} {picture}": told_apart(first, second, method, picture)
         for method in methods
         for picture in pictures
     }
-    return {name: one for name, one in found.items() if one}
+    return {name: scores for name, scores in by_picture.items() if scores}
 
 
 def told_apart(
@@ -43,7 +44,7 @@ def told_apart(
     same = np.eye(len(names), dtype=bool)
     largest = float(scores[~same].max())
     above = scores[same] > largest
-    interval = by_finger(list(above), lambda some: {"above_all_impostors": float(np.mean(some))})
+    interval = by_finger(list(above), lambda flags: {"above_all_impostors": float(np.mean(flags))})
     return interval | {
         "fingers": len(names), "impostors": int((~same).sum()), "impostor_largest": largest,
         "impostor_p99": round(float(np.percentile(scores[~same], 99)), 1),
@@ -56,9 +57,11 @@ def told_apart(
 def _minutiae(row: dict[str, Any], picture: str) -> Minutiae:
     """Those of the print's inside; by the phase there are others, too."""
     record = row.get(picture, {})
-    found = _unpacked(record.get("minutiae", ""))
+    minutiae = _unpacked(record.get("minutiae", ""))
     inside = np.asarray(record.get("found_border", []), dtype=np.float64) >= EDGE_MM * 500.0 / 25.4
-    return found.taken(np.flatnonzero(inside)) if picture == "phase" and found.count else found
+    if picture == "phase" and minutiae.count:
+        return minutiae.taken(np.flatnonzero(inside))
+    return minutiae
 
 
 @lru_cache(maxsize=4096)

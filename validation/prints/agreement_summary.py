@@ -44,9 +44,9 @@ def summary(reported: Records) -> dict[str, Any]:
     if "metric" in first and "truth" in first:
         facts["nfiq2"] = quality(first["metric"], first["truth"])
     facts["bozorth3"] = {
-        name: found
+        name: scores
         for preset in ("metric", "snk", "pr-split", "ea-split")
-        for name, found in between_sessions(reported, preset, PICTURES).items()
+        for name, scores in between_sessions(reported, preset, PICTURES).items()
     }
     return facts
 
@@ -78,7 +78,7 @@ def by_slant(rows: dict[str, Any], method: str) -> dict[str, Any]:
     prints = [row[method]["print"] for row in rows.values() if "refused" not in row[method]]
     return {
         f"slant {low:g} to {high:g} deg": agreed(
-            [counts(one, MARGIN_PX, (low, high)) for one in prints]
+            [counts(record, MARGIN_PX, (low, high)) for record in prints]
         )
         for low, high in pairwise(SLANTS)
     }
@@ -89,31 +89,31 @@ def held(rows: dict[str, Any], method: str) -> dict[str, Any]:
     shows, and the rest."""
     sums = {"found by mindtct": 0, "missed by it, shown by the phase": 0, "shown by neither": 0}
     for row in rows.values():
-        one, other = row[method]["print"], row[method]["phase"]
-        for met, shown, border in zip(
-            one["true_met"], other["true_met"], one["true_border"], strict=True
+        by_mindtct, by_phase = row[method]["print"], row[method]["phase"]
+        for met, in_phase, border in zip(
+            by_mindtct["true_met"], by_phase["true_met"], by_mindtct["true_border"], strict=True
         ):
             if border >= MARGIN_PX:
-                sums[list(sums)[0 if met else 1 if shown else 2]] += 1
+                sums[list(sums)[0 if met else 1 if in_phase else 2]] += 1
     total = max(1, sum(sums.values()))
     return {name: round(count / total, 4) for name, count in sums.items()} | {"minutiae": total}
 
 
 def quality(metric: dict[str, Any], truth: dict[str, Any]) -> dict[str, Any]:
     """NFIQ 2 of our prints, and minus that of the true relief's own."""
-    found = {}
+    by_method = {}
     for method in ("relief", "unroll"):
         pairs = [
             (metric[finger][method]["nfiq2"], truth[finger][method]["nfiq2"])
             for finger in metric if finger in truth and "nfiq2" in metric[finger][method]
         ]  # fmt: skip
         off = [a - b for a, b in pairs if max(a, b) <= 100]
-        found[method] = by_finger(
-            off, lambda some: {"median_difference": float(np.median(some))}
+        by_method[method] = by_finger(
+            off, lambda differences: {"median_difference": float(np.median(differences))}
         ) | {
             "median": float(np.median([a for a, _ in pairs])),
             "median_of_true_relief": float(np.median([b for _, b in pairs])),
             "median_size_of_difference": float(np.median(np.abs(off))),
             "fingers": len(off),
         }
-    return found
+    return by_method

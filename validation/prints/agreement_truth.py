@@ -63,7 +63,8 @@ def people(folder: Path) -> PopulationSettings:
 def read_truth(folder: Path, subject: str, session: int, finger: str) -> Truth:
     """Read the truth of one capture of a population."""
     arrays = read_npz(folder / subject / f"session_{session}" / finger / "truth.npz")
-    settings, number = people(folder), int(subject[1:])
+    settings = people(folder)
+    number = int(subject[1:])
     own = settings.person(number).fingers[finger]
     camera = settings.rig().camera
     # as the capture was drawn
@@ -81,7 +82,8 @@ def read_truth(folder: Path, subject: str, session: int, finger: str) -> Truth:
             impression.swelling,
         ),
     )
-    pitch, shape = float(arrays["pitch_mm"]), arrays["shape_mm"]
+    pitch = float(arrays["pitch_mm"])
+    shape = arrays["shape_mm"]
     places = arrays["landmark_minutiae_px"].astype(np.float64).reshape(-1, 2)
     heights = [_sampled(arrays[name], places) for name in ("height_mm", "shape_mm")]
     charts = Charts(body, impression.pose(), camera, pitch, shape.shape)
@@ -129,7 +131,8 @@ def _in_picture(
         slopes.append(both[0] - both[1])
     right, up = slopes
     cross = right[:, 0] * up[:, 1] - right[:, 1] * up[:, 0]
-    u, v = np.cos(directions), np.sin(directions)
+    u = np.cos(directions)
+    v = np.sin(directions)
     return np.arctan2(
         (right[:, 0] * v - right[:, 1] * u) / cross, (u * up[:, 1] - v * up[:, 0]) / cross
     )

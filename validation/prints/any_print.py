@@ -42,29 +42,30 @@ def codes_of(item: PrintFile) -> set[str]:
 def row(folder: Path) -> dict[str, object]:
     """Figures of one set."""
     ppi = PPI.get(folder.name, 500.0)
-    said = {"dark": [], "inverted": []}
+    codes_by_polarity = {"dark": [], "inverted": []}
     doubted = {"as it is": 0, "half": 0, "twice": 0}
     periods = []
     for file in sorted(folder.glob("*.png")):
         image = read_print_png(file).image
         for name, picture in (("dark", image), ("inverted", 255 - image)):
-            said[name].append(codes_of(prepared(PrintFile(picture, ppi, {}))))
+            codes_by_polarity[name].append(codes_of(prepared(PrintFile(picture, ppi, {}))))
         for name, factor in zip(doubted, (1, 0.5, 2), strict=True):
             doubted[name] += "odd-resolution" in codes_of(
                 prepared(PrintFile(image, factor * ppi, {}))
             )
         periods.append(_ridge_period_px(image))
-    known = np.array([one for one in periods if one is not None]) * 25.4 / ppi / USUAL_PERIOD_MM
+    periods_px = np.array([period for period in periods if period is not None])
+    known = periods_px * 25.4 / ppi / USUAL_PERIOD_MM
     return {
         "set": folder.name,
         "prints": len(periods),
         **{
             f"{name}_turned": sum("white-ridges" in codes for codes in findings)
-            for name, findings in said.items()
+            for name, findings in codes_by_polarity.items()
         },
         **{
             f"{name}_in_doubt": sum("unknown-polarity" in codes for codes in findings)
-            for name, findings in said.items()
+            for name, findings in codes_by_polarity.items()
         },
         **{f"doubted_{name.replace(' ', '_')}": count for name, count in doubted.items()},
         "no_period": periods.count(None),
@@ -75,28 +76,29 @@ def row(folder: Path) -> dict[str, object]:
 
 def stated(folder: Path, factor: float) -> list[tuple[bool, str, bool]]:
     """Whether of one finger, the answer, and whether the comparison at one scale leaves it."""
-    ppi, files = PPI.get(folder.name, 500.0), sorted(folder.glob("*_[12].png"))
+    ppi = PPI.get(folder.name, 500.0)
+    files = sorted(folder.glob("*_[12].png"))
     images = [read_print_png(file).image for file in files]
     right = [print_template(image, ppi) for image in images]
-    found = []
+    answers = []
     for k, image in enumerate(images):
         item = prepared(PrintFile(image, factor * ppi, {}))
         wrong = print_template(item.image, factor * ppi)
         for n in (k ^ 1, (k + 2) % len(files)):
-            one = fused_match(wrong, right[n])
-            by = scores_of("fusion", (wrong.area_mm2, right[n].area_mm2), one.minutiae)
-            answer = rate(one.similarity, by, one.ridge.overlap_mm2).answer
+            match = fused_match(wrong, right[n])
+            by = scores_of("fusion", (wrong.area_mm2, right[n].area_mm2), match.minutiae)
+            answer = rate(match.similarity, by, match.ridge.overlap_mm2).answer
             answer = (
                 "undecided" if "odd-resolution" in codes_of(item) and answer != "match" else answer
             )
-            found.append(
+            answers.append(
                 (
                     n == k ^ 1,
                     answer,
                     answer == "match" or scale_doubt(wrong, right[n], None) is None,
                 )
             )
-    return found
+    return answers
 
 
 def write_stated(folders: list[Path]) -> None:
@@ -107,12 +109,12 @@ def write_stated(folders: list[Path]) -> None:
             ("factor", "one_finger", "pairs", "match", "undecided", "no_match", "still_no_match")
         )
         for factor in (1.0, 0.8, 1.2):
-            rows = [one for folder in folders for one in stated(folder, factor)]
+            rows = [pair for folder in folders for pair in stated(folder, factor)]
             for same in (True, False):
                 part = [(answer, stays) for whose, answer, stays in rows if whose == same]
                 counts = [
-                    sum(answer == one for answer, _ in part)
-                    for one in ("match", "undecided", "no match")
+                    sum(answer == decision for answer, _ in part)
+                    for decision in ("match", "undecided", "no match")
                 ]
                 writer.writerow((factor, same, len(part), *counts, part.count(("no match", True))))
     print(STATED.read_text())

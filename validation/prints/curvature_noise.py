@@ -25,7 +25,8 @@ def fits(capture: Path, surface) -> dict[str, dict[str, float]]:
     """Quadratic against cubic under noise on the true surface."""
     pitch = surface.pitch_mm
     truth = read_npz(capture / "truth.npz")
-    height, mask = truth["height_mm"], surface.mask & np.isfinite(truth["height_mm"])
+    height = truth["height_mm"]
+    mask = surface.mask & np.isfinite(truth["height_mm"])
     half = window_side(1 / pitch) // 2
     deep = cv2.erode(np.pad(mask.astype(np.uint8), 1), np.ones((2 * half + 1,) * 2))[1:-1, 1:-1] > 0
     rim = mask & ~deep

@@ -38,21 +38,19 @@ def true_period(truth: dict, source: Source, place: np.ndarray, slant_deg: float
     """Ridge period (mm) on the true skin around a pixel."""
     reach = int(PATCH_MM / source.pitch_mm * 0.62)
     row, column = (round(float(v)) for v in place[::-1])
-    rows, columns = (
-        slice(max(0, row - reach), row + reach),
-        slice(max(0, column - reach), column + reach),
-    )
+    rows = slice(max(0, row - reach), row + reach)
+    columns = slice(max(0, column - reach), column + reach)
     shape = truth["shape_mm"][rows, columns]
     mask = np.isfinite(shape)
     if mask.mean() < 0.7:
         return None
     frame = np.eye(3)
     grid = surface_grid(shape, mask, source.pitch_mm, frame, mask.shape, node_mm=0.25)
-    made = unrolled_map(unroll(grid), "free", slant_deg=80)
+    print_map = unrolled_map(unroll(grid), "free", slant_deg=80)
     relief = (truth["height_mm"] - truth["shape_mm"])[rows, columns]
     known = mask & np.isfinite(relief)
-    image = ink(*resample(relief, known, source.pitch_mm, made))
-    here = made.print_from_input(
+    image = ink(*resample(relief, known, source.pitch_mm, print_map))
+    here = print_map.print_from_input(
         np.array([[column - columns.start, row - rows.start]], dtype=float)
     )[0]
     return period_at(image, here)
@@ -125,11 +123,11 @@ def main() -> None:
             if wanted is None:
                 continue
             zone = next(z for z, (low, high) in ZONES.items() if low <= slant[tuple(node)] < high)
-            for (name, kind), made in prints.items():
-                where = made.map.print_from_input(place[None])[0]
-                found = period_at(made.image, where) if np.isfinite(where).all() else None
-                if found is not None:
-                    errors.setdefault((name, kind, zone), []).append(found / wanted - 1.0)
+            for (name, kind), finger_print in prints.items():
+                where = finger_print.map.print_from_input(place[None])[0]
+                period = period_at(finger_print.image, where) if np.isfinite(where).all() else None
+                if period is not None:
+                    errors.setdefault((name, kind, zone), []).append(period / wanted - 1.0)
     table = {}
     for (name, kind, zone), values in sorted(errors.items()):
         off = 100 * np.array(values)

@@ -145,7 +145,8 @@ def _passed(
 ) -> tuple[NDArray[np.int64], NDArray[np.float32]]:
     """Places in the spectrum of `side` values that a Gaussian filter passes (6 widths each way),
     and its gain there."""
-    centre, reach = round(middle * side), int(np.ceil(6.0 * width * side))
+    centre = round(middle * side)
+    reach = int(np.ceil(6.0 * width * side))
     count = min(side, scipy.fft.next_fast_len(2 * reach + 1))
     number = centre - count // 2 + np.arange(count)
     gain = np.exp(-((number / side - middle) ** 2) / (2 * width * width))
@@ -202,7 +203,9 @@ def shape_context_features(image: FloatArray, px_per_mm: float) -> NDArray[np.fl
 def _means_down(image: FloatArray, sigma: int) -> FloatArray:
     """Gaussian means of the columns, zeros beyond them: products of matrices take a third of a wide
     filter's time."""
-    rows, step, reach = len(image), 2 * sigma, 4 * sigma
+    rows = len(image)
+    step = 2 * sigma
+    reach = 4 * sigma
     weights = np.pad(cv2.getGaussianKernel(2 * reach + 1, sigma, cv2.CV_32F)[:, 0], step)
     band = np.ascontiguousarray(sliding_window_view(weights, step + 2 * reach)[step:0:-1])
     padded = np.pad(image, ((reach, reach - rows % -step), (0, 0)))
@@ -227,7 +230,7 @@ def similarity(name: str, a: FingerImages, b: FingerImages) -> float:
         return float(np.linalg.norm(known - extract(to_box(b.channels[channel], box), a.px_per_mm)))
 
     scores = [
-        dissimilarity(ratio, [distance(one) for one in ATTRIBUTES[of]])
+        dissimilarity(ratio, [distance(attribute) for attribute in ATTRIBUTES[of]])
         for of in ("normals", "relief")
     ]
     return 1.0 - float(np.mean(scores))

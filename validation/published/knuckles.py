@@ -61,7 +61,8 @@ def draw_knuckle(seed: int, session: int = 0) -> SimulatedFinger:
     Creases stay; how deep all of them are changes by a fifth from `session` to session, as the
     joint bends.
     """
-    finger, rng = draw_finger(seed), np.random.default_rng([seed, 0xD02])
+    finger = draw_finger(seed)
+    rng = np.random.default_rng([seed, 0xD02])
     bent = float(np.exp(0.2 * np.random.default_rng([seed, session, 0xD03]).standard_normal()))
     count = int(rng.integers(9, 14))
     places = np.linspace(-6.5, 6.5, count) + rng.normal(0.0, 0.35, count)
@@ -100,20 +101,26 @@ def knuckle_pose(rng: np.random.Generator) -> FingerPose:
     )  # fmt: skip
 
 
-def made(person: int, session: int, folder: Path, scale: float) -> tuple[Template, Template]:
+def templates_of(
+    person: int, session: int, folder: Path, scale: float
+) -> tuple[Template, Template]:
     """Templates of a press and of the knuckle."""
     file = folder / f"person_{person}_{session}.pickle"
     if not file.is_file():
         seed = SEED + person
         pose = knuckle_pose(np.random.default_rng([seed, session, 0xD04]))
-        finger, settings = draw_knuckle(seed, session), TwinSettings(scale=scale, pose=pose)
+        finger = draw_knuckle(seed, session)
+        settings = TwinSettings(scale=scale, pose=pose)
         capture, _ = splitknit_simulator.simulate_capture(
             seed, settings=settings, impression=session, finger=finger
         )
-        found = splitknit.reconstruct(capture, settings={"cut_at_crease": False})
-        knuckle = surface_template(surface_of(found))
-        made = print_template(press(draw_finger(seed).master(), session, SENSOR)), knuckle
-        file.with_suffix(".part").write_bytes(pickle.dumps(made))
+        result = splitknit.reconstruct(capture, settings={"cut_at_crease": False})
+        knuckle = surface_template(surface_of(result))
+        press_and_knuckle = (
+            print_template(press(draw_finger(seed).master(), session, SENSOR)),
+            knuckle,
+        )
+        file.with_suffix(".part").write_bytes(pickle.dumps(press_and_knuckle))
         file.with_suffix(".part").replace(file)
     templates: tuple[Template, Template] = pickle.loads(file.read_bytes())
     return templates
@@ -128,7 +135,8 @@ def fit_ratios(scores: Values, genuine: Labels) -> tuple[Values, Model]:
     eq. 5; B. Silverman, "Density Estimation", 1986, eq. 3.31.
     """
     spread(scores)
-    low, high = np.nanmin(scores, axis=0), np.nanmax(scores, axis=0)
+    low = np.nanmin(scores, axis=0)
+    high = np.nanmax(scores, axis=0)
     width = (high - low) / BINS
 
     def log_density(column: Values, k: int) -> Values:
@@ -151,10 +159,11 @@ def fit_ratios(scores: Values, genuine: Labels) -> tuple[Values, Model]:
 
     def scored(table: Values) -> Values:  # held at the training part's ends
         places = ((table - low) / width - 0.5).T
-        each = [
-            np.interp(place, np.arange(BINS), one) for place, one in zip(places, ratio, strict=True)
+        log_ratios = [
+            np.interp(place, np.arange(BINS), ratios)
+            for place, ratios in zip(places, ratio, strict=True)
         ]
-        return np.asarray(np.nansum(each, axis=0))
+        return np.asarray(np.nansum(log_ratios, axis=0))
 
     return np.ones(len(ratio)), scored
 
@@ -171,38 +180,41 @@ def main() -> None:
     options = parser.parse_args()
     cv2.setNumThreads(1)
     options.work.mkdir(parents=True, exist_ok=True)
-    person, session = np.tile(np.arange(options.people), 2), np.repeat([1, 2], options.people)
-    every = [
-        made(int(who), int(when), options.work, options.scale)
+    person = np.tile(np.arange(options.people), 2)
+    session = np.repeat([1, 2], options.people)
+    template_pairs = [
+        templates_of(int(who), int(when), options.work, options.scale)
         for who, when in zip(person, session, strict=True)
     ]
     pairs = comparisons(person, session)
     files = []
     for name, place, match in (("prints", 0, fused_match), ("knuckles", 1, ridge_match)):
-        sides = [Prepared(one[place]) for one in every]
+        sides = [Prepared(pair[place]) for pair in template_pairs]
         files.append(options.work / f"{name}.csv")
         with files[-1].open("w", newline="", encoding="utf-8") as stream:
             rows = csv.writer(stream)
             rows.writerow(["label", "score", "subject_a", "subject_b", "session_a", "session_b"])
             for a, b, genuine in zip(pairs.a, pairs.b, pairs.genuine, strict=True):
-                found = match(sides[a], sides[b])
-                score = f"{found.similarity:.5f}" if found.compared else ""
+                comparison = match(sides[a], sides[b])
+                score = f"{comparison.similarity:.5f}" if comparison.compared else ""
                 rows.writerow([int(genuine), score, person[a], person[b], session[a], session[b]])
     FITS["llr"] = fit_ratios
     study = splitknit_match.evaluate(
         files, fuse="all", bootstrap=BootstrapSettings(targets=(0.01,), curve_points=0)
     )
     facts: dict[str, Any] = {"what": "simulated people", "people": options.people, "rates": {}}
-    for one in study.results:
-        figures = {"eer": one.eer, "gar_far_1": one.gar_at(0.01)}
+    for fused_result in study.results:
+        figures = {"eer": fused_result.eer, "gar_far_1": fused_result.gar_at(0.01)}
         row = {
             name: [round(100 * v, 1) for v in (f.value, f.low, f.high)]
             for name, f in figures.items()
         }
-        facts["rates"][one.scores.name] = row | {
-            "d_prime": round(one.intervals.figures["d_prime"].value, 2)
+        facts["rates"][fused_result.scores.name] = row | {
+            "d_prime": round(fused_result.intervals.figures["d_prime"].value, 2)
         }
-        print(f"{one.scores.name:16s}", facts["rates"][one.scores.name], flush=True)
+        print(
+            f"{fused_result.scores.name:16s}", facts["rates"][fused_result.scores.name], flush=True
+        )
     if options.write:
         OUT.write_text(json.dumps(facts, indent=1) + "\n", encoding="utf-8")
 

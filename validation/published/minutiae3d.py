@@ -83,22 +83,23 @@ def space_minutiae(surface: Surface) -> SpaceMinutiae:
     Places of the print go back to the surface; the direction rises as the smoothed surface does
     along it.
     """
-    found = extract(surface_print(surface, 500.0))
+    flat = extract(surface_print(surface, 500.0))
     print_map = plane_map(surface.pitch_mm, surface.input_from_upright, surface.upright_size)
     height = smoothed(
         surface.shape_mm + surface.ridge_mm, surface.mask, SLOPE_SIGMA_MM / surface.pitch_mm
     )
     height = np.where(surface.mask, height, np.float32(np.nan)).astype(np.float32)
-    places = np.stack([found.x_px, found.y_px], axis=1).astype(np.float64)
+    places = np.stack([flat.x_px, flat.y_px], axis=1).astype(np.float64)
     # rows run downwards
-    step = 0.5 * np.stack([np.cos(found.direction_rad), -np.sin(found.direction_rad)], axis=1)
+    step = 0.5 * np.stack([np.cos(flat.direction_rad), -np.sin(flat.direction_rad)], axis=1)
     there = print_map.input_from_print(places)
     ahead = print_map.input_from_print(places + step) - print_map.input_from_print(places - step)
     ahead = ahead * [1, -1] / np.linalg.norm(ahead, axis=1, keepdims=True)
     slopes = np.stack(
         [_bilinear(part, there) for part in height_gradients(height, surface.pitch_mm)], axis=1
     )
-    turn, flip = np.linalg.inv(surface.input_from_upright[:2, :2]), np.diag([1.0, -1.0])
+    turn = np.linalg.inv(surface.input_from_upright[:2, :2])
+    flip = np.diag([1.0, -1.0])
     turn = flip @ (turn / np.sqrt(abs(np.linalg.det(turn)))) @ flip
     middle = (np.array(height.shape[::-1]) - 1) / 2
     plane = (there - middle) * [surface.pitch_mm, -surface.pitch_mm]
@@ -128,7 +129,7 @@ class Framed(ABC):
     minutiae: SpaceMinutiae
 
     @abstractmethod
-    def correspondences(self, other: Any) -> tuple[Index, Index]:
+    def correspondences(self, opposite: Any) -> tuple[Index, Index]:
         """(K, n) of a few minutiae of both sides that look similar, wherever they lie."""
 
     @cached_property
@@ -162,10 +163,10 @@ class Framed(ABC):
 class Pairs(Framed):
     """Minutiae in their own frame, and the pairs of neighbours among them."""
 
-    def correspondences(self, other: Pairs) -> tuple[Index, Index]:
+    def correspondences(self, opposite: Pairs) -> tuple[Index, Index]:
         """(K, 2) pairs that look similar."""
-        i, j = close_points(self.tree, other.tree)
-        return self.pairs[i], other.pairs[j]
+        i, j = close_points(self.tree, opposite.tree)
+        return self.pairs[i], opposite.pairs[j]
 
     @cached_property
     def pairs(self) -> Index:
@@ -204,15 +205,15 @@ def similarity(a: Framed, b: Framed) -> float:
     pairs = left.correspondences(right)
     most = 0
     for chosen in voted(left, right, pairs):
-        found = _moved(left, right, pairs[0][chosen].ravel(), pairs[1][chosen].ravel())
+        agreed = _moved(left, right, pairs[0][chosen].ravel(), pairs[1][chosen].ravel())
         for _ in range(REFINEMENTS):
-            if len(found[0]) < 3:
+            if len(agreed[0]) < 3:
                 break
-            again = _moved(left, right, *found)
-            if len(again[0]) <= len(found[0]):
+            refined = _moved(left, right, *agreed)
+            if len(refined[0]) <= len(agreed[0]):
                 break
-            found = again
-        most = max(most, len(found[0]))
+            agreed = refined
+        most = max(most, len(agreed[0]))
     return most * most / (a.minutiae.count * b.minutiae.count)
 
 
@@ -250,12 +251,14 @@ def voted(a: Framed, b: Framed, pairs: tuple[Index, Index]) -> list[Index]:
 def _plane_motions(a: Framed, b: Framed, left: Index, right: Index) -> tuple[Array, Array]:
     """Turns (K,) in the plane and the shifts (K, 2) that follow, of correspondences (K, n)."""
     places, others = a.places[0][left][..., :2], b.places[0][right][..., :2]
-    middle, there = places.mean(axis=1), others.mean(axis=1)
+    middle = places.mean(axis=1)
+    there = others.mean(axis=1)
     arms = np.concatenate([places - middle[:, None], a.places[1][left][..., :2]], axis=1)
     others = np.concatenate([others - there[:, None], b.places[1][right][..., :2]], axis=1)
     across = (arms[..., 0] * others[..., 1] - arms[..., 1] * others[..., 0]).sum(axis=1)
     turn = np.arctan2(across, (arms * others).sum(axis=(1, 2)))
-    cosine, sine = np.cos(turn), np.sin(turn)
+    cosine = np.cos(turn)
+    sine = np.sin(turn)
     moved = np.stack(
         [cosine * middle[:, 0] - sine * middle[:, 1], sine * middle[:, 0] + cosine * middle[:, 1]],
         axis=1,
@@ -266,12 +269,13 @@ def _plane_motions(a: Framed, b: Framed, left: Index, right: Index) -> tuple[Arr
 def _moved(a: Framed, b: Framed, left: Index, right: Index) -> tuple[Index, Index]:
     """What agrees after the motion that takes minutiae `left` best to `right` (Kabsch, Acta Cryst.
     A32, 1976)."""
-    ours, theirs = (
+    points_a, points_b = (
         np.concatenate([side.places[0][k], side.places[0][k] + ARM_MM * side.places[1][k]])
         for side, k in ((a, left), (b, right))
     )
-    middle, there = ours.mean(axis=0), theirs.mean(axis=0)
-    u, _, vt = np.linalg.svd((ours - middle).T @ (theirs - there))
+    middle = points_a.mean(axis=0)
+    there = points_b.mean(axis=0)
+    u, _, vt = np.linalg.svd((points_a - middle).T @ (points_b - there))
     u[:, 2] *= np.sign(np.linalg.det(u) * np.linalg.det(vt))
     rotation = (u @ vt).T
     return agreeing(a, b, rotation, there - rotation @ middle)
@@ -309,15 +313,15 @@ def nearest(places: Array, count: int) -> tuple[Index, Array]:
 
 def close_points(a: cKDTree, b: cKDTree) -> tuple[Index, Index]:
     """Points of `a` and `b` that differ by one at most in every coordinate, ordered by both."""
-    found = a.sparse_distance_matrix(b, 1.0, p=np.inf, output_type="ndarray")
-    order = np.lexsort((found["j"], found["i"]))
-    return found["i"][order], found["j"][order]
+    pairs = a.sparse_distance_matrix(b, 1.0, p=np.inf, output_type="ndarray")
+    order = np.lexsort((pairs["j"], pairs["i"]))
+    return pairs["i"][order], pairs["j"][order]
 
 
 def framed(kind: type[Framed], finger: Path, preset: str) -> Framed | None:
     """Features of a finger; None where it has fewer than ten minutiae."""
-    found = space_minutiae(surface_at(finger, preset))
-    return kind(found) if found.count >= MIN_MINUTIAE else None
+    minutiae = space_minutiae(surface_at(finger, preset))
+    return kind(minutiae) if minutiae.count >= MIN_MINUTIAE else None
 
 
 if __name__ == "__main__":

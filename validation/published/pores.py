@@ -96,8 +96,8 @@ def find_pores(
     peak = depth >= cv2.dilate(depth, np.ones((reach, reach), np.uint8))
     edge = cv2.erode(mask.astype(np.uint8), np.ones((2 * reach + 1, 2 * reach + 1), np.uint8)) > 0
     rows, columns = np.nonzero(peak & edge & (crest > MIN_CREST) & (depth > least))
-    found = np.stack([columns, rows, depth[rows, columns]], axis=1).astype(np.float32)
-    return found[np.argsort(-found[:, 2], kind="stable")]
+    pores = np.stack([columns, rows, depth[rows, columns]], axis=1).astype(np.float32)
+    return pores[np.argsort(-pores[:, 2], kind="stable")]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -137,12 +137,12 @@ def pore_template(surface: Surface, pores: NDArray[np.floating]) -> PoreTemplate
         return PoreTemplate(Prepared(template), np.zeros((0, 2)))
     columns, rows, _ = band_places(mask, surface.shape_mm, transform, size, pitch_mm=pitch)
     box = bounding_box(band.valid)
-    shown = np.stack([columns[box], rows[box]], axis=-1).reshape(-1, 2)
+    band_px = np.stack([columns[box], rows[box]], axis=-1).reshape(-1, 2)
     # about bilinear between the band's four nearest pixels
-    away, near = (np.asarray(one) for one in cKDTree(shown).query(pores[:, :2], k=4))
+    away, near = (np.asarray(part) for part in cKDTree(band_px).query(pores[:, :2], k=4))
     row, column = np.divmod(near, template.valid.shape[1])
     places = np.stack(
-        [np.average(one, axis=1, weights=1 / (away + 1e-6)) for one in (column, row)], axis=1
+        [np.average(part, axis=1, weights=1 / (away + 1e-6)) for part in (column, row)], axis=1
     )
     places = places[away[:, 0] < PITCH_MM / pitch]
     return PoreTemplate(Prepared(template), places[on_ridges(template.valid, places)])
@@ -162,21 +162,24 @@ def pore_match(a: PoreTemplate, b: PoreTemplate) -> PoreMatch:
         return PoreMatch(0.0, 0, (0, 0), -1.0)
     band, grid = left.ridges.band, right.ridges.patches
     valid, pitch = band.valid, band.pitch_mm
-    found, affine = lay(left.ridges, right.ridges)
-    bend, back = bent(grid, compare_patches(grid, band, affine)), np.linalg.inv(affine[:, :2]).T
+    alignment, affine = lay(left.ridges, right.ridges)
+    bend = bent(grid, compare_patches(grid, band, affine))
+    back = np.linalg.inv(affine[:, :2]).T
     for reach in ROUND_PAIR_MM:
         there = shown_in_a(grid, affine, bend, right.pores)
-        one, other = _nearest(there, left.pores, reach / pitch)
-        bend = bend + bent_by(grid, right.pores[one], (there[one] - left.pores[other]) @ back)
+        of_b, of_a = _nearest(there, left.pores, reach / pitch)
+        bend = bend + bent_by(grid, right.pores[of_b], (there[of_b] - left.pores[of_a]) @ back)
     there = shown_in_a(grid, affine, bend, right.pores)
     pairs = len(_nearest(there, left.pores, MAX_PAIR_MM / pitch)[0])
-    shown = (
+    visible = (
         on_ridges(right.ridges.template.valid, (left.pores - affine[:, 2]) @ back),
         on_ridges(valid, there),
     )
-    counts = [int(one.sum()) for one in shown]
+    counts = [int(seen.sum()) for seen in visible]
     similarity = pairs / float(np.sqrt(max(1, counts[0] * counts[1])))
-    return PoreMatch(similarity, pairs, (counts[swapped], counts[not swapped]), found.similarity)
+    return PoreMatch(
+        similarity, pairs, (counts[swapped], counts[not swapped]), alignment.similarity
+    )
 
 
 def _nearest(
@@ -188,8 +191,8 @@ def _nearest(
     (away, near), (_, back) = (
         (np.asarray(part) for part in cKDTree(p).query(q)) for p, q in ((b, a), (a, b))
     )
-    one = np.flatnonzero((away <= reach) & (back[near] == np.arange(len(a))))
-    return one, near[one]
+    mutual = np.flatnonzero((away <= reach) & (back[near] == np.arange(len(a))))
+    return mutual, near[mutual]
 
 
 def _ridges(image: FloatArray, mask: BoolArray, weight: FloatArray, pitch_mm: float) -> FloatArray:
@@ -221,10 +224,8 @@ def _along(values: FloatArray, turn: NDArray[np.intp], pitch_mm: float) -> Float
     result = np.zeros_like(values)
     for number in range(DIRECTIONS):
         angle = np.pi * number / DIRECTIONS
-        on, beside = (
-            right * np.cos(angle) + down * np.sin(angle),
-            down * np.cos(angle) - right * np.sin(angle),
-        )
+        on = right * np.cos(angle) + down * np.sin(angle)
+        beside = down * np.cos(angle) - right * np.sin(angle)
         kernel = np.exp(-0.5 * ((on / sigma) ** 2 + (beside / max(width, 0.5)) ** 2))
         here = turn == number
         result[here] = cv2.filter2D(values, cv2.CV_32F, kernel / kernel.sum())[here]
@@ -236,10 +237,10 @@ def features(finger: Path, preset: str) -> PoreTemplate | None:
     capture = read_capture(finger)
     surface = surface_of(reconstruct(capture, preset))
     photograph = capture.bands["white"].pixels.astype(np.float32).mean(axis=(0, 3))
-    found = pore_template(
+    template = pore_template(
         surface, find_pores(photograph, surface.mask, surface.pitch_mm, surface.ridge_mm)
     )
-    return None if found.ridges.template.empty else found
+    return None if template.ridges.template.empty else template
 
 
 if __name__ == "__main__":

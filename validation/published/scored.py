@@ -1,8 +1,9 @@
 """A published matcher run as anybody runs an own one: two fingers, or all of a folder as a score
 file.
 
-    python validation/published/NAME.py A B                       # prints the similarity
-    python validation/published/NAME.py PEOPLE --out scores.csv  # then: splitknit evaluate --scores scores.csv
+    python validation/published/NAME.py A B  # prints the similarity
+    python validation/published/NAME.py PEOPLE --out scores.csv
+    splitknit evaluate --scores scores.csv
 
 A and B are captures or results; PEOPLE is a folder of ``splitknit simulate population``, whose
 later sessions are compared with its earlier ones. A finger that gives no features is a failure to
@@ -73,11 +74,15 @@ def _scores(
     subject, session, name = (
         list(part) for part in zip(*(capture.parts for capture in captures), strict=True)
     )
-    finger = [f"{who}/{which}" for who, which in zip(subject, name, strict=True)]
+    finger = [f"{person}/{which}" for person, which in zip(subject, name, strict=True)]
     sides = [_side(features, people / capture, preset) for capture in captures]
     pairs = comparisons(finger, session)
-    a, b = pairs.a.tolist(), pairs.b.tolist()
-    scores = [_score(score, sides[i], sides[j]) for i, j in zip(a, b, strict=True)]
+    a = pairs.a.tolist()
+    b = pairs.b.tolist()
+    scores = [
+        float("nan") if sides[i] is None or sides[j] is None else score(sides[i], sides[j])
+        for i, j in zip(a, b, strict=True)
+    ]
     ids = {"finger": finger, "subject": subject, "session": session}
     names = {kind: ([of[i] for i in a], [of[j] for j in b]) for kind, of in ids.items()}
     return score_table(pairs.genuine.tolist(), names, {"score": scores})
@@ -90,7 +95,3 @@ def _side(features: Callable[[Path, str], Any], capture: Path, preset: str) -> A
         if "nbis-py" in str(error):
             raise
         return None
-
-
-def _score(score: Callable[[Any, Any], float], a: Any, b: Any) -> float:
-    return float("nan") if a is None or b is None else score(a, b)

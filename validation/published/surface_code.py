@@ -91,7 +91,7 @@ class Code:
         code, mask = self.turned(turn_deg, COARSE_MM)
         signs = [np.where(mask, 1.0 - 2.0 * ((code >> plane) & 1), 0.0) for plane in range(PLANES)]
         return tuple(
-            scipy.fft.rfft2(np.asarray(one, np.float32), size) for one in (np.stack(signs), mask)
+            scipy.fft.rfft2(np.asarray(part, np.float32), size) for part in (np.stack(signs), mask)
         )  # type: ignore[return-value]
 
 
@@ -135,7 +135,9 @@ def similarity(a: Code, b: Code) -> float:
     if a.code.tobytes() > b.code.tobytes():  # the order of the two changes nothing
         a, b = b, a
     least = MIN_OVERLAP * min(a.area, b.area)
-    return 1.0 - min((_counted(a, b, one, least) for one in _candidates(a, b, least)), default=1.0)
+    return 1.0 - min(
+        (_counted(a, b, candidate, least) for candidate in _candidates(a, b, least)), default=1.0
+    )
 
 
 def _candidates(a: Code, b: Code, least: float) -> list[tuple[float, float, float]]:
@@ -147,8 +149,8 @@ def _candidates(a: Code, b: Code, least: float) -> list[tuple[float, float, floa
     grids = a.grid(COARSE_MM), b.grid(COARSE_MM)
     reach = [int(limit / COARSE_MM) for limit in MAX_SHIFT_MM]
     sides = [
-        max(one, other, (one + other + 1) // 2 + limit)
-        for one, other, limit in zip(*grids, reach, strict=True)
+        max(side_a, side_b, (side_a + side_b + 1) // 2 + limit)
+        for side_a, side_b, limit in zip(*grids, reach, strict=True)
     ]
     # in large steps, so that the transforms of a side serve nearly all that it is compared with
     size = max(-(-sides[0] // 64) * 64, 256), max(-(-sides[1] // 64) * 64, 192)
@@ -161,7 +163,7 @@ def _candidates(a: Code, b: Code, least: float) -> list[tuple[float, float, floa
     enough = common * (COARSE_MM / PITCH_MM) ** 2 >= least
     if not bool(enough.any()):
         return []
-    found = []
+    scored = []
     for turn in np.arange(-MAX_TURN_DEG, MAX_TURN_DEG + 0.1, TURN_STEP_DEG).tolist():
         equal = scipy.fft.irfft2((a.planes(turn, size)[0].conj() * planes).sum(axis=0), size)[
             chosen
@@ -172,12 +174,12 @@ def _candidates(a: Code, b: Code, least: float) -> list[tuple[float, float, floa
             enough, (agreement - np.median(agreement[enough])) * np.sqrt(common), -np.inf
         )
         row, column = np.unravel_index(int(np.argmax(scores)), scores.shape)
-        found.append(
+        scored.append(
             (-float(scores[row, column]), turn, int(shifts[0][row]), int(shifts[1][column]))
         )
     return [
         (turn, COARSE_MM * row, COARSE_MM * column)
-        for _, turn, row, column in sorted(found)[:CANDIDATES]
+        for _, turn, row, column in sorted(scored)[:CANDIDATES]
     ]
 
 
@@ -187,20 +189,23 @@ def _counted(a: Code, b: Code, start: tuple[float, float, float], least: float) 
     turned = [a.turned(start[0] + TURN_STEP_DEG * k / 4, PITCH_MM) for k in (-2, -1, 0, 1, 2)]
     codes, masks = (np.stack(part) for part in zip(*turned, strict=True))
     code, mask = b.turned(0.0, PITCH_MM)
-    near, best = int(COARSE_MM / PITCH_MM) + 1, 1.0
+    near = int(COARSE_MM / PITCH_MM) + 1
+    best = 1.0
     sides = zip(masks[0].shape, code.shape, start[1:], strict=True)
-    down, across = ((one - other) // 2 - round(shift / PITCH_MM) for one, other, shift in sides)
+    down, across = (
+        (side_a - side_b) // 2 - round(shift / PITCH_MM) for side_a, side_b, shift in sides
+    )
     size = masks[0].shape[::-1]
     for row in range(down - near, down + near + 1):
         for column in range(across - near, across + near + 1):
             move = np.array([[1.0, 0.0, column], [0.0, 1.0, row]])
-            other, known = (
-                np.asarray(cv2.warpAffine(one, move, size, flags=cv2.INTER_NEAREST))
-                for one in (code, mask.view(np.uint8))
+            code_b, known = (
+                np.asarray(cv2.warpAffine(image, move, size, flags=cv2.INTER_NEAREST))
+                for image in (code, mask.view(np.uint8))
             )
             common = masks & (known > 0)
             total = np.count_nonzero(common, axis=(1, 2))
-            unequal = np.where(common, np.bitwise_count(codes ^ other), 0).sum(
+            unequal = np.where(common, np.bitwise_count(codes ^ code_b), 0).sum(
                 axis=(1, 2), dtype=np.int64
             )
             distance = np.where(total >= least, unequal / np.maximum(PLANES * total, 1), 1.0)

@@ -36,19 +36,19 @@ ORDERS = np.array([(0, *rest) for rest in permutations((1, 2, 3))])
 class Tetrahedra(Framed):
     """Minutiae in their own frame, and the tetrahedra among them."""
 
-    def correspondences(self, other: Tetrahedra) -> tuple[Index, Index]:
+    def correspondences(self, opposite: Tetrahedra) -> tuple[Index, Index]:
         """Corners (K, 4) of similar tetrahedra, each beside its own; of several orders that with
         the least angles."""
-        i, j = close_points(self.tree, other.tree)
-        own_edges, own_angles = (one[:, 0] for one in self.ordered)
-        edges, angles = other.ordered
+        i, j = close_points(self.tree, opposite.tree)
+        own_edges, own_angles = (part[:, 0] for part in self.ordered)
+        edges, angles = opposite.ordered
         k, order = np.nonzero((np.abs(own_edges[i][:, None] - edges[j]) <= EDGE_MM).all(axis=2))
         worst = np.full((len(i), len(ORDERS)), np.inf)
         worst[k, order] = np.abs(own_angles[i[k]] - angles[j[k], order]).max(axis=1)
         best = worst.argmin(axis=1)
         good = worst[np.arange(len(i)), best] <= ANGLE_RAD
         return self.corners[i[good]], np.take_along_axis(
-            other.corners[j[good]], ORDERS[best[good]], axis=1
+            opposite.corners[j[good]], ORDERS[best[good]], axis=1
         )
 
     @cached_property

@@ -1,8 +1,10 @@
 """Minutiae on which pictures of a finger agree: normals and albedo of every set of images that
 leaves one out.
 
-    python validation/published/voted.py A B [--preset zheng]  # captures: a result has lost its images
+    python validation/published/voted.py A B [--preset zheng]
     python validation/published/voted.py PEOPLE --out scores.csv
+
+A and B are captures: a result has lost its images.
 
 Q. Zheng, A. Kumar and G. Pan, "Contactless 3D fingerprint identification without 3D
 reconstruction", IWBF 2018, as the thesis describes it (section 2.2.1): seven sets of six images,
@@ -89,8 +91,15 @@ def _pool(pictures: Sequence[Minutiae]) -> NDArray[np.void]:
         + [(name, int) for name in ("type", "quality", "picture")]
     )
     parts = [
-        (one.x_px, one.y_px, one.direction_rad, one.type, one.quality, np.full(one.count, number))
-        for number, one in enumerate(pictures)
+        (
+            minutiae.x_px,
+            minutiae.y_px,
+            minutiae.direction_rad,
+            minutiae.type,
+            minutiae.quality,
+            np.full(minutiae.count, number),
+        )
+        for number, minutiae in enumerate(pictures)
     ]
     pool = np.rec.fromarrays(
         [np.concatenate(column) for column in zip(*parts, strict=True)], rows
@@ -103,14 +112,14 @@ def _same(pool: NDArray[np.void]) -> list[NDArray[np.intp]]:
     if not len(pool):
         return []
     places = np.stack([pool["x"], pool["y"]], axis=1)
-    found = []
+    groups = []
     for k, around in enumerate(
         cKDTree(places).query_ball_point(places, MAX_DISTANCE_MM * PPI / 25.4, return_sorted=True)
     ):
         index = np.array(around, dtype=np.intp)
         turn = np.abs(np.angle(np.exp(1j * (pool["direction"][index] - pool["direction"][k]))))
-        found.append(index[turn <= np.deg2rad(MAX_TURN_DEG)])
-    return found
+        groups.append(index[turn <= np.deg2rad(MAX_TURN_DEG)])
+    return groups
 
 
 def _standing(pool: NDArray[np.void], around: NDArray[np.intp]) -> tuple[int, float]:
@@ -151,7 +160,8 @@ def pictures_of(capture: Capture, preset: str = "zheng") -> Iterator[tuple[str, 
     capture, finger = find_steady_finger(
         aligned(prepared_capture(capture, settings)[0])[0], settings
     )
-    white, window = without_films(capture).bands["white"], finger.window
+    white = without_films(capture).bands["white"]
+    window = finger.window
     stack = np.maximum(linear_stack(white, capture.encoding, "grey", window), np.float32(0.0))
     if len(stack) < 4:
         raise BadInput(
@@ -161,7 +171,8 @@ def pictures_of(capture: Capture, preset: str = "zheng") -> Iterator[tuple[str, 
     mask = finger.mask[window]
     if settings.lights.balance and white.colours:
         stack = balanced(stack, capture.rig, white, mask)
-    pitch, matrix = capture.rig.camera.pitch_mm, finger.upright.input_from_upright.copy()
+    pitch = capture.rig.camera.pitch_mm
+    matrix = finger.upright.input_from_upright.copy()
     matrix[:2, 2] -= window[1].start, window[0].start
     print_map = plane_map(pitch, matrix, finger.upright.size, PPI)
     lights = capture.rig.select(white.lights).light_vectors()
@@ -195,8 +206,8 @@ def _component(normals: FloatArray, albedo: FloatArray, name: str, finger: Finge
 def features(finger: Path, preset: str) -> Minutiae | None:
     """Minutiae of a capture on which half of the pictures agree; None where they are fewer than
     ten."""
-    found = [extract(picture) for _, picture in pictures_of(read_capture(finger), preset)]
-    kept = vote(found) if found else None
+    by_picture = [extract(picture) for _, picture in pictures_of(read_capture(finger), preset)]
+    kept = vote(by_picture) if by_picture else None
     return kept if kept is not None and kept.acquired else None
 
 

@@ -127,7 +127,8 @@ def reflected(
     turn = (between - mu * view) / INDEX**2 + inside * outside
     upper, upper_by = scattered(turn, EPIDERMIS_G)
     lower, lower_by = (DERMIS_W * part for part in scattered(turn, DERMIS_G))
-    passed, spread = np.exp(-depth * (1 / inside + 1 / outside)), 1 / (inside + outside)
+    passed = np.exp(-depth * (1 / inside + 1 / outside))
+    spread = 1 / (inside + outside)
     upper_lit = spread * (1 - passed)
     step = (lower - share * upper) * passed * spread
     once = share * upper * upper_lit + lower * passed * spread
@@ -186,7 +187,9 @@ def fit(images: Array, lights: Array, start: Array, albedo: Array, exposure: flo
     def equations(p: Array, part: Array) -> tuple[Array, Array, Array]:
         """Cost (n,), gradient (5, n) and normal matrix (5, 5, n) of the pixels `part`."""
         normals, by_f, by_g = directions(p[0], p[1])
-        share, depth, base = 1 / (1 + np.exp(-p[3])), np.exp(p[4]), albedo[part] * np.exp(p[2])
+        share = 1 / (1 + np.exp(-p[3]))
+        depth = np.exp(p[4])
+        base = albedo[part] * np.exp(p[2])
         value, light, view, of_base, of_share, of_depth = reflected(
             units @ normals, normals[2], units[:, 2:], (base, share, depth), exposure
         )
@@ -202,10 +205,8 @@ def fit(images: Array, lights: Array, start: Array, albedo: Array, exposure: flo
         )
         residual = value * scale - images[:, part] * trust[part]
         cost = (residual**2).sum(axis=0)
-        gradient, matrix = (
-            (slopes * residual).sum(axis=1),
-            np.einsum("iln,jln->ijn", slopes, slopes),
-        )
+        gradient = (slopes * residual).sum(axis=1)
+        matrix = np.einsum("iln,jln->ijn", slopes, slopes)
         for row, spread, usual in zip((3, 4), (W_SD, DEPTH_SD), prior(), strict=True):
             away = (p[row] - usual) / spread
             cost += away**2
@@ -213,7 +214,8 @@ def fit(images: Array, lights: Array, start: Array, albedo: Array, exposure: flo
             matrix[row, row] += 1 / spread**2
         return cost, gradient, matrix
 
-    active, damping = np.arange(images.shape[1]), np.full(images.shape[1], DAMPING)
+    active = np.arange(images.shape[1])
+    damping = np.full(images.shape[1], DAMPING)
     cost, gradient, matrix = equations(here, active)
     for _ in range(MAX_ITERATIONS):
         damped = matrix * (1 + damping * np.eye(5)[..., None]) + 1e-12 * np.eye(5)[..., None]
@@ -256,12 +258,13 @@ def layered_normals(
     exposure = np.pi * typical / (BASE_ALBEDO * INDEX**2)
     places = np.flatnonzero(inside)
     flat = images.reshape(len(images), -1)
-    towards, bright = normals.reshape(-1, 3), albedo.ravel()
+    towards = normals.reshape(-1, 3)
+    bright = albedo.ravel()
     for part in np.array_split(places, max(1, len(places) // PIXELS_AT_A_TIME)):
         faint = np.maximum(bright[part], np.float32(1e-4 * typical))
-        found = fit(flat[:, part], lights, towards[part].T, faint, exposure)
-        towards[part] = directions(found[0], found[1])[0].T
-        bright[part] = faint * np.exp(found[2])
+        parameters = fit(flat[:, part], lights, towards[part].T, faint, exposure)
+        towards[part] = directions(parameters[0], parameters[1])[0].T
+        bright[part] = faint * np.exp(parameters[2])
     return normals, albedo
 
 

@@ -64,7 +64,7 @@ class Check:
 
     name: str
     literature: str
-    ours: str
+    simulator: str
     passed: bool
     why: str = ""
     """Where it differs."""
@@ -72,7 +72,8 @@ class Check:
 
 def jensen() -> Iterator[Check]:
     """Coefficients against the range of what is drawn."""
-    usual, fingers = replace(SkinOptics(), scattering_factor=1.0), drawn_fingers()
+    usual = replace(SkinOptics(), scattering_factor=1.0)
+    fingers = drawn_fingers()
     factors = np.array([finger.scattering_factor for finger in fingers])
     for skin, coefficients in JENSEN.items():
         scattering = dict(zip(VISIBLE, coefficients["scattering"], strict=True))
@@ -81,11 +82,11 @@ def jensen() -> Iterator[Check]:
             for channel, value in scattering.items()
         ]
         passed = bool(factors.min() <= min(needed) and max(needed) <= factors.max())
-        shown = ", ".join(f"{value:g}" for value in scattering.values())
-        literature = f"{shown} (factor {min(needed):.2f} to {max(needed):.2f})"
+        values_text = ", ".join(f"{value:g}" for value in scattering.values())
+        literature = f"{values_text} (factor {min(needed):.2f} to {max(needed):.2f})"
         name = f"Jensen's {skin}: scattering in red, green, blue, per mm"
-        ours = f"factor {factors.min():.2f} to {factors.max():.2f}"
-        yield Check(name, literature, ours, passed, "" if passed else WHY_SCATTERING)
+        simulator = f"factor {factors.min():.2f} to {factors.max():.2f}"
+        yield Check(name, literature, simulator, passed, "" if passed else WHY_SCATTERING)
         for channel, value in zip(VISIBLE, coefficients["absorption"], strict=True):
             absorption = np.array([finger.channel(channel).absorption_per_mm for finger in fingers])
             passed = bool(absorption.min() <= value <= absorption.max())
@@ -113,13 +114,13 @@ def nist() -> Check:
     # the simulator's own mixture at another wavelength
     with mock.patch.dict(EFFECTIVE, nir=AT_780_NM):
         optics = [finger.channel("nir") for finger in drawn_fingers()]
-    ours = surface + (1 - surface) * np.array([_profile(one).albedo for one in optics])
+    simulator = surface + (1 - surface) * np.array([_profile(channel).albedo for channel in optics])
     low, mean, high = NIST
-    passed = bool(ours.min() <= low and ours.max() >= high)
+    passed = bool(simulator.min() <= low and simulator.max() >= high)
     return Check(
         "reflectance at 780 nm",
         f"{mean:g}, {low:g} to {high:g}",
-        _range(ours),
+        _range(simulator),
         passed,
         "" if passed else WHY_NIST,
     )
@@ -146,9 +147,9 @@ def face() -> Check:
     cycles = 1 / np.array(PERIODS_MM)
     passed = False
     for finger in drawn_fingers():
-        ours = ratios(finger.channel("red"), finger.channel("green"))
-        passed |= bool(((low <= ours) & (ours <= high)).all())
-    theirs = [
+        simulator = ratios(finger.channel("red"), finger.channel("green"))
+        passed |= bool(((low <= simulator) & (simulator <= high)).all())
+    jensen_ratios = [
         ratios(
             *(
                 ChannelOptics(s, a, 0.0)
@@ -161,11 +162,12 @@ def face() -> Check:
     why = (
         "behind a diffuse boundary the ratio falls down to periods of about 1 mm and is lower than"
         " the face's below; Jensen's coefficients make it flatter but lower still"
-        f" ({np.min(theirs):.2f} to {np.max(theirs):.2f}); specular reflection alone has the ratio"
-        f" of the brightness in green to that in red, {gloss:.2f}, at all scales, so that a face"
-        " whose detail is mostly specular would look as it does; crossed polarisers would tell."
+        f" ({np.min(jensen_ratios):.2f} to {np.max(jensen_ratios):.2f}); specular reflection alone"
+        f" has the ratio of the brightness in green to that in red, {gloss:.2f}, at all scales, so"
+        " that a face whose detail is mostly specular would look as it does; crossed polarisers"
+        " would tell."
     )
-    shown = ", ".join(
+    simulated = ", ".join(
         f"{ratio:.2f}" for ratio in ratios(usual.channel("red"), usual.channel("green"))
     )
     name = (
@@ -173,7 +175,7 @@ def face() -> Check:
         f" {', '.join(f'{period:g}' for period in PERIODS_MM)} mm"
     )
     return Check(
-        name, f"{low:g} to {high:g} at all scales (face)", shown, passed, "" if passed else why
+        name, f"{low:g} to {high:g} at all scales (face)", simulated, passed, "" if passed else why
     )
 
 
@@ -196,22 +198,28 @@ def checks() -> list[Check]:
     return [*jensen(), nist(), face()]
 
 
-def table(found: Sequence[Check]) -> list[list[str]]:
+def table(results: Sequence[Check]) -> list[list[str]]:
     """Rows of ``tables/optics.csv``."""
     rows = [
-        [one.name, one.literature, one.ours, "pass" if one.passed else "differs", one.why]
-        for one in found
+        [
+            check.name,
+            check.literature,
+            check.simulator,
+            "pass" if check.passed else "differs",
+            check.why,
+        ]
+        for check in results
     ]
     return [["figure", "literature", "simulator", "verdict", "why"], *rows]
 
 
 def main() -> int:
     """Print and write the table; zero where every check passes or is explained."""
-    found = checks()
-    print("\n".join("; ".join(part for part in row if part) for row in table(found)))
+    results = checks()
+    print("\n".join("; ".join(part for part in row if part) for row in table(results)))
     with TABLE.open("w", newline="", encoding="utf-8") as file:
-        csv.writer(file, lineterminator="\n").writerows(table(found))
-    return int(any(not check.passed and not check.why for check in found))
+        csv.writer(file, lineterminator="\n").writerows(table(results))
+    return int(any(not check.passed and not check.why for check in results))
 
 
 if __name__ == "__main__":

@@ -38,7 +38,7 @@ stereo."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Found:
+class SurfaceFit:
     """What the reconstruction found, on the grid of the images."""
 
     points_mm: tuple[FloatArray, FloatArray, FloatArray]
@@ -100,8 +100,8 @@ def left_out(
         same,
         "the surface is of images of another size; take both captures with one camera and one rig.",
     )
-    grid, band, found = seen_and_found(capture, name, result, settings.metric.plane_mm)
-    model, gloss = by_model(band, grid, found, image, crossed=surface is not None)
+    grid, band, fit = seen_and_found(capture, name, result, settings.metric.plane_mm)
+    model, gloss = by_model(band, grid, fit, image, crossed=surface is not None)
     predicted = {
         "model": model,
         "neighbours": by_neighbours(band, image),
@@ -109,11 +109,12 @@ def left_out(
     }
     channels = {}
     for c, channel in enumerate(band.channels):
-        seen, ways = band.stack[c], {way: stack[c] for way, stack in predicted.items()}
+        seen = band.stack[c]
+        ways = {way: stack[c] for way, stack in predicted.items()}
         channels[channel] = {
-            way: figures(ways[way], seen, image, grid, found.slant_deg) for way in WAYS
+            way: figures(ways[way], seen, image, grid, fit.slant_deg) for way in WAYS
         }
-    relief_by = found.optics["relief_by"] if found.optics else "photometric stereo"
+    relief_by = fit.optics["relief_by"] if fit.optics else "photometric stereo"
     return {
         "band": name,
         "image": image,
@@ -125,7 +126,7 @@ def left_out(
 
 def seen_and_found(
     capture: Capture, name: str, result: Reconstruction, plane_mm: float
-) -> tuple[Grid, BandImages, Found]:
+) -> tuple[Grid, BandImages, SurfaceFit]:
     """All images of the band `name` on one grid, and on it what was found."""
     rows, columns = (np.flatnonzero(result.mask.any(axis=axis)) for axis in (1, 0))
     window = slice(int(rows[0]), int(rows[-1]) + 1), slice(int(columns[0]), int(columns[-1]) + 1)
@@ -136,7 +137,8 @@ def seen_and_found(
         return bin_mean(np.nan_to_num(field[window]).astype(np.float32), binning) * grid.mask
 
     normals = np.stack([on_grid(result.normals[..., axis]) for axis in range(3)], axis=-1)
-    height, shape = on_grid(result.height_mm), on_grid(result.shape_mm)
+    height = on_grid(result.height_mm)
+    shape = on_grid(result.shape_mm)
     if result.x_mm is not None and result.y_mm is not None:
         points = on_grid(result.x_mm), on_grid(result.y_mm), height
     else:
@@ -145,11 +147,11 @@ def seen_and_found(
         )
     inner = np.where(grid.mask, shape, np.float32(np.nan)).astype(np.float32)
     slant = np.nan_to_num(slant_of(inner, grid.pitch_mm))
-    return grid, images[-1], Found(points, normals, slant, result.facts.get("optics"))
+    return grid, images[-1], SurfaceFit(points, normals, slant, result.facts.get("optics"))
 
 
 def by_model(
-    band: BandImages, grid: Grid, found: Found, image: int, crossed: bool = False
+    band: BandImages, grid: Grid, fit: SurfaceFit, image: int, crossed: bool = False
 ) -> tuple[FloatArray, float]:
     """(C, L, h, w) all images by the surface and optics found; and the strength of the specular
     reflection.
@@ -157,29 +159,29 @@ def by_model(
     The albedo of every pixel, and that strength (over the one that was found; zero behind crossed
     polarisers), explain the other images best.
     """
-    vectors = light_vectors_at(band.rig, *found.points_mm)
+    vectors = light_vectors_at(band.rig, *fit.points_mm)
     length = np.sqrt((vectors * vectors).sum(axis=1))
-    unit = found.normals / np.maximum(
-        np.linalg.norm(found.normals, axis=-1, keepdims=True), 1e-9
+    unit = fit.normals / np.maximum(
+        np.linalg.norm(fit.normals, axis=-1, keepdims=True), 1e-9
     ).astype(np.float32)
     cosine = np.einsum("lihw,hwi->lhw", vectors, unit) / np.maximum(length, np.float32(1e-12))
     rest = [k for k in range(len(vectors)) if k != image]
     trust = (
         np.clip((cosine[rest] - np.float32(0.05)) / np.float32(0.15), 0, 1) + np.float32(1e-3)
     ) * grid.mask
-    if found.optics is None:
+    if fit.optics is None:
         light = Lighting(vectors, np.ones_like(cosine), np.ones_like(cosine))
-        matt = predict(light, grid, found.normals, [np.ones((), np.float32)] * len(band.channels))
+        matt = predict(light, grid, fit.normals, [np.ones((), np.float32)] * len(band.channels))
         return _albedo(matt[:, rest], band.stack[:, rest], trust)[:, None] * matt, 0.0
     light = Lighting(
         vectors, fresnel_transmission(np.maximum(cosine, np.float32(0.05))), np.ones_like(cosine)
     )
-    per_mm = found.optics["scattering_per_mm"], found.optics["absorption_per_mm"]
+    per_mm = fit.optics["scattering_per_mm"], fit.optics["absorption_per_mm"]
     transfers = [
         grid.sampled(diffusion(*(p[channel] for p in per_mm))) for channel in band.channels
     ]
-    diffuse = predict(light, grid, found.normals, transfers)
-    glare = found.optics["glare"][band.channels[-1]]
+    diffuse = predict(light, grid, fit.normals, transfers)
+    glare = fit.optics["glare"][band.channels[-1]]
     mirrored = MicrofacetGlare(unit, vectors)(glare["roughness"]) * np.float32(glare["strength"])
 
     def lacking(stack: FloatArray) -> FloatArray:
@@ -247,35 +249,43 @@ def figures(
     band has beyond that of the mean of the other images: only there is the light's direction seen.
     ``gain``: that change in the image over the predicted one, by regression.
     """
-    one, rest = seen[image], [k for k in range(len(seen)) if k != image]
+    left_out_image = seen[image]
+    rest = [k for k in range(len(seen)) if k != image]
     region = grid.mask & (grid.depth_mm > FROM_OUTLINE_MM) & (slant_deg < SLANTS_DEG[-1])
-    region &= one > DARK * np.median(one[region])
+    region &= left_out_image > DARK * np.median(left_out_image[region])
     require(
         int(region.sum()) > 100, "too little of the finger is lit to compare a prediction with it."
     )
     scale = np.float32(
-        np.median(one[region] / np.maximum(predicted[image][region], np.float32(1e-6)))
+        np.median(left_out_image[region] / np.maximum(predicted[image][region], np.float32(1e-6)))
     )
-    relative = (scale * predicted[image] - one) / np.maximum(one, np.float32(1e-6))
-    found = {"rms": _rms(relative[region])}
+    relative = (scale * predicted[image] - left_out_image) / np.maximum(
+        left_out_image, np.float32(1e-6)
+    )
+    result = {"rms": _rms(relative[region])}
     for low, high in pairwise(SLANTS_DEG):
         part = region & (slant_deg >= low) & (slant_deg < high)
         if int(part.sum()) > 100:
-            found[f"rms_{low}_{high}"] = _rms(relative[part])
+            result[f"rms_{low}_{high}"] = _rms(relative[part])
     inner = cv2.erode(region.astype(np.uint8), np.ones((3, 3), np.uint8)) > 0
     ridges, likely, always, expected = (
         ridge_band(field, region, grid)[inner]
-        for field in (one, predicted[image], seen[rest].mean(axis=0), predicted[rest].mean(axis=0))
+        for field in (
+            left_out_image,
+            predicted[image],
+            seen[rest].mean(axis=0),
+            predicted[rest].mean(axis=0),
+        )
     )
-    found["ridges"] = 1 - _rms(likely - ridges) ** 2 / _rms(ridges) ** 2
-    found["change"] = (
+    result["ridges"] = 1 - _rms(likely - ridges) ** 2 / _rms(ridges) ** 2
+    result["change"] = (
         1 - _rms(likely - expected - ridges + always) ** 2 / _rms(ridges - always) ** 2
     )
-    found["gain"] = float(
+    result["gain"] = float(
         np.mean((ridges - always) * (likely - expected)) / np.mean((likely - expected) ** 2)
     )
-    found["contrast"] = _rms(ridges)
-    return found
+    result["contrast"] = _rms(ridges)
+    return result
 
 
 def ridge_band(image: FloatArray, region: BoolArray, grid: Grid) -> FloatArray:

@@ -1,8 +1,11 @@
 """Leave one light out, reconstruct from the others, predict its image: relative error without any
 truth.
 
-    python validation/real_skin/run.py CAPTURE [CAPTURE ...] [--all] [--out FILE.json] [--set STAGE.FIELD=VALUE]
-    python validation/real_skin/run.py CROSSED --surface CAPTURE  # the same still finger behind crossed polarisers
+    python validation/real_skin/run.py CAPTURE [CAPTURE ...] [--all] [--out FILE.json]
+    python validation/real_skin/run.py CROSSED --surface CAPTURE
+
+CROSSED is the same still finger behind crossed polarisers. ``--set STAGE.FIELD=VALUE`` changes a
+setting of the reconstruction.
 
 Three white lights of each capture, or with ``--all`` every light of every band. Beside the
 reconstruction stand two predictions that use no model of skin: the mean of the two lights next to
@@ -74,7 +77,7 @@ def table(captures: Mapping[str, Sequence[Mapping[str, Any]]]) -> list[list[str]
                     for figure in PERCENT
                 ]
                 gains = [
-                    np.mean([one[channel][way]["gain"] for one in of_images])
+                    np.mean([channels[channel][way]["gain"] for channels in of_images])
                     for channel in of_images[0]
                 ]
                 cells.append(", ".join(f"{gain:.2f}" for gain in gains))

@@ -47,7 +47,7 @@ MIN_SIMILARITY = 5.0
 
 def found_again(a: Prepared, b: Prepared) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
     """Which minutiae of A are shown by B, and which of them B has."""
-    laid = max(pair_minutiae(a.cylinders, b.cylinders), key=lambda one: one.support)
+    laid = max(pair_minutiae(a.cylinders, b.cylinders), key=lambda alignment: alignment.support)
     (place, turn), (others, turns) = (
         (side.cylinders.place, side.cylinders.turn) for side in (a, b)
     )
@@ -59,20 +59,20 @@ def found_again(a: Prepared, b: Prepared) -> tuple[NDArray[np.bool_], NDArray[np
     ).any(axis=1)
 
 
-def area(quality: NDArray[np.float64], again: NDArray[np.bool_]) -> float:
+def area(quality: NDArray[np.float64], repeated: NDArray[np.bool_]) -> float:
     """Area under the curve: how often one that is found again has the higher quality."""
-    above = np.searchsorted(np.sort(quality[~again]), quality[again], side="left")
-    same = np.searchsorted(np.sort(quality[~again]), quality[again], side="right") - above
-    return float(np.mean((above + 0.5 * same) / (~again).sum()))
+    above = np.searchsorted(np.sort(quality[~repeated]), quality[repeated], side="left")
+    same = np.searchsorted(np.sort(quality[~repeated]), quality[repeated], side="right") - above
+    return float(np.mean((above + 0.5 * same) / (~repeated).sum()))
 
 
-def fitted(terms: NDArray[np.float64], again: NDArray[np.bool_]) -> NDArray[np.float64]:
+def fitted(terms: NDArray[np.float64], repeated: NDArray[np.bool_]) -> NDArray[np.float64]:
     """Weights of a logistic regression, by Newton's method."""
     weights = np.zeros(terms.shape[1])
     for _ in range(20):
         rate = 1 / (1 + np.exp(-terms @ weights))
         weights += np.linalg.solve(
-            (terms.T * (rate * (1 - rate))) @ terms, terms.T @ (again - rate)
+            (terms.T * (rate * (1 - rate))) @ terms, terms.T @ (repeated - rate)
         )
     return weights
 
@@ -83,7 +83,7 @@ def main() -> None:
     terms: list[NDArray[np.float64]] = []
     plain = phase_minutiae._probability
     phase_minutiae._probability = lambda rows: (terms.append(rows), plain(rows))[1]
-    quality, again, sets, rows = [], [], [], []
+    quality, repeated, sets, rows = [], [], [], []
     for name in SETS:
         sides = []
         for file in sorted((root / name).glob("*_[1-4].png")):
@@ -96,18 +96,17 @@ def main() -> None:
         for (x, a, of_a), (y, b, of_b) in itertools.combinations(sides, 2):
             if x != y or fused_match(a, b).similarity < MIN_SIMILARITY:
                 continue
-            for one, other, design in ((a, b, of_a), (b, a, of_b)):
-                shown, there = found_again(one, other)
-                quality.append(one.template.minutiae.quality[shown])
-                again.append(there[shown])
-                rows.append(design[shown])
-                sets += [name] * int(shown.sum())
-    values, hit, design = (
-        np.concatenate(quality).astype(float),
-        np.concatenate(again),
-        np.concatenate(rows),
-    )
-    held, owner = np.zeros(len(hit)), np.array(sets)
+            for probe, reference, design in ((a, b, of_a), (b, a, of_b)):
+                visible, there = found_again(probe, reference)
+                quality.append(probe.template.minutiae.quality[visible])
+                repeated.append(there[visible])
+                rows.append(design[visible])
+                sets += [name] * int(visible.sum())
+    values = np.concatenate(quality).astype(float)
+    hit = np.concatenate(repeated)
+    design = np.concatenate(rows)
+    held = np.zeros(len(hit))
+    owner = np.array(sets)
     for name in SETS:
         held[owner == name] = design[owner == name] @ fitted(
             design[owner != name], hit[owner != name]

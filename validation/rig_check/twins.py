@@ -282,8 +282,11 @@ def _camera_tilted(twin: Twin) -> Twin:
     seat = np.array([0.0, 0.0, camera.height_mm])
 
     def turned(led: Led) -> Led:
-        place, aim = turn @ (np.asarray(led.position_mm) - seat) + seat, turn @ led.axis
-        return replace(led, position_mm=tuple(map(float, place)), aim=tuple(map(float, aim)))  # type: ignore[arg-type]
+        place = turn @ (np.asarray(led.position_mm) - seat) + seat
+        aim = turn @ led.axis
+        position_mm: Any = tuple(map(float, place))
+        axis: Any = tuple(map(float, aim))
+        return replace(led, position_mm=position_mm, aim=axis)
 
     rig = replace(twin.rig, leds=tuple(map(turned, twin.rig.leds)))
     tilt = (twin.tilt_deg[0] + 2.0, twin.tilt_deg[1])

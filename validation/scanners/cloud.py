@@ -108,12 +108,12 @@ def fitted(points: FloatArray, pitch_mm: float | None) -> tuple[FloatArray, Bool
     shape, column, row = nodes(points, pitch)
     moments = np.zeros((9, shape[0] * shape[1]), dtype=np.float32)
     for part in (slice(k, k + POINTS_AT_A_TIME) for k in range(0, len(points), POINTS_AT_A_TIME)):
-        u, v, z = np.rint(column[part]), np.rint(row[part]), points[part, 2]
-        x, y, node = (
-            column[part] - u,
-            row[part] - v,
-            v.astype(np.int64) * shape[1] + u.astype(np.int64),
-        )
+        u = np.rint(column[part])
+        v = np.rint(row[part])
+        z = points[part, 2]
+        x = column[part] - u
+        y = row[part] - v
+        node = v.astype(np.int64) * shape[1] + u.astype(np.int64)
         for total, value in zip(
             moments, (np.ones_like(x), x, y, x * x, x * y, y * y, z, x * z, y * z), strict=True
         ):
@@ -124,7 +124,7 @@ def fitted(points: FloatArray, pitch_mm: float | None) -> tuple[FloatArray, Bool
     weight = 1.0 / np.maximum(n, 1e-6)
     x, y, z = x * weight, y * weight, z * weight
     # a slope for few points, too
-    xx, yy = (two * weight - one * one + 0.02 for two, one in ((xx, x), (yy, y)))
+    xx, yy = (square * weight - mean * mean + 0.02 for square, mean in ((xx, x), (yy, y)))
     xy, xz, yz = xy * weight - x * y, xz * weight - x * z, yz * weight - y * z
     height = z - (x * (xz * yy - yz * xy) + y * (yz * xx - xz * xy)) / (xx * yy - xy * xy)
     mask = np.ascontiguousarray((n >= 0.5) & (x * x + y * y < 0.6))
@@ -163,17 +163,15 @@ def gathered(m: FloatArray) -> FloatArray:
             xz + side * z,
             yz,
         )
-        for total, one in zip(out, moved, strict=True):
-            total[:, here] += np.float32(0.5) * one
+        for total, neighbour in zip(out, moved, strict=True):
+            total[:, here] += np.float32(0.5) * neighbour
     return out
 
 
 def nodes(points: FloatArray, pitch: float) -> tuple[tuple[int, int], FloatArray, FloatArray]:
     """Shape of a grid around points, and the column and row of each."""
-    column, row = (
-        (points[:, 0] - points[:, 0].min()) / pitch,
-        (points[:, 1].max() - points[:, 1]) / pitch,
-    )
+    column = (points[:, 0] - points[:, 0].min()) / pitch
+    row = (points[:, 1].max() - points[:, 1]) / pitch
     shape = int(np.rint(row.max())) + 1, int(np.rint(column.max())) + 1
     fault = f"at {pitch:.3g} mm a pixel the cloud makes {shape[0]} x {shape[1]} pixels"
     fits = min(shape) >= 3 and shape[0] * shape[1] <= MAX_NODES
@@ -203,6 +201,6 @@ if __name__ == "__main__":
     parser.add_argument("--unit-mm", type=float, default=1.0)
     parser.add_argument("--pitch-mm", type=float)
     parser.add_argument("--tip-direction-deg", type=float)
-    given = parser.parse_args()
-    points_mm = points_of(given.file, given.up, given.unit_mm)
-    result_of_points(points_mm, given.pitch_mm, given.tip_direction_deg).save(given.out)
+    options = parser.parse_args()
+    points_mm = points_of(options.file, options.up, options.unit_mm)
+    result_of_points(points_mm, options.pitch_mm, options.tip_direction_deg).save(options.out)

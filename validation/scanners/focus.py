@@ -58,6 +58,7 @@ def depth(stack: NDArray[np.floating], window_px: float) -> tuple[FloatArray, Fl
 def scan(camera: View, number: FloatArray, heights_mm: tuple[float, float]) -> FloatArray:
     """Points of a stack whose picture k is focused on the plane z = heights_mm[0] + k
     heights_mm[1]."""
-    rays, centre = camera.directions((number.shape[0], number.shape[1])), camera.centre_mm
+    rays = camera.directions((number.shape[0], number.shape[1]))
+    centre = camera.centre_mm
     z = heights_mm[0] + heights_mm[1] * number.astype(np.float64)
     return cloud_of(centre + ((z - centre[2]) / rays[..., 2])[..., None] * rays)

@@ -47,7 +47,9 @@ def peaks(frames: Iterable[NDArray[np.floating]], least: float = 0.05) -> FloatA
             left, right = np.where(new, before, left), np.where(new, after, right)
         before, middle, count = middle, after, count + 1
     require(count >= 3, f"a sweep needs three frames at least, but there are {count}.")
-    fraction = between_neighbours(*(np.log(np.maximum(one, 1e-4)) for one in (left, best, right)))
+    fraction = between_neighbours(
+        *(np.log(np.maximum(frame, 1e-4)) for frame in (left, best, right))
+    )
     known = (best >= least) & (np.abs(fraction) <= 1.0)
     return np.where(known, at + fraction, np.nan).astype(np.float32)
 

@@ -35,7 +35,8 @@ FRAME_S = 1 / 30
 
 def colour_stripes(finger: sim.Fingers) -> sim.Scan:
     """One exposure a period, the three steps in its three colours, and an evenly lit one."""
-    sight, lamp = finger.at(0), sim.projector()
+    sight = finger.at(0)
+    lamp = sim.projector()
     series, light = [], 0.0
     for k, channel in enumerate(("red", "green", "blue")):
         radiance, brightest, unit = sight.even(channel, lamp)
@@ -43,8 +44,8 @@ def colour_stripes(finger: sim.Fingers) -> sim.Scan:
         shots = list(
             sight.light(channel, lamp, [sim.stripe(period, k, 3) for period in sim.PERIODS])
         )
-        series.append([sight.record(one, brightest) / flat for one, _ in shots])
-        light += (1 + sum(one for _, one in shots) / unit) / 3
+        series.append([sight.record(shot, brightest) / flat for shot, _ in shots])
+        light += (1 + sum(shot for _, shot in shots) / unit) / 3
     images = np.swapaxes(np.array(series), 0, 1) * sight.surface.mask
     begun = time.process_time()
     cloud, _ = structured_light.scan(sight.view, lamp, structured_light.decode(images, sim.PERIODS))
@@ -123,8 +124,8 @@ def measure(seed: int, names: list[str], out: Path) -> None:
             k: float(v) for k, v in splitknit.compare(metric, truth).figures.items() if k in KEEP
         }
         metric.save(own)
-        other, _ = splitknit_simulator.simulate_capture(seed, settings=settings, impression=1)
-        splitknit.reconstruct(other, "metric").save(out / f"{seed}-second")
+        second, _ = splitknit_simulator.simulate_capture(seed, settings=settings, impression=1)
+        splitknit.reconstruct(second, "metric").save(out / f"{seed}-second")
         (out / f"{seed}-metric.json").write_text(json.dumps(facts))
     metric = splitknit.read_result(own)
     finger = sim.Fingers(seed)
@@ -161,7 +162,9 @@ def fringe_table(out: Path) -> None:
         return
     _, truth = splitknit_simulator.simulate_capture(1, settings={"scale": sim.SCALE})
     finger = sim.Fingers(1)
-    sight, lamp, facts = finger.at(0), sim.projector(), {}
+    sight = finger.at(0)
+    lamp = sim.projector()
+    facts = {}
     inner = sight.patch.mask & (sight.surface.shape_normals[sight.patch.window][..., 2] > 0.8)
     for channel in ("opaque", "red", "green", "blue", "nir"):
         rows = {}
@@ -169,16 +172,16 @@ def fringe_table(out: Path) -> None:
             period = mm / sim.PROJECTOR_PX_MM
             shots = np.stack(
                 [
-                    one
-                    for one, _ in sight.light(
+                    shot
+                    for shot, _ in sight.light(
                         channel, lamp, [sim.stripe(period, k, 4) for k in range(4)]
                     )
                 ]
             )
-            found = structured_light.decode(shots[None], [period], 0.0).modulation[0][
+            modulation = structured_light.decode(shots[None], [period], 0.0).modulation[0][
                 sight.patch.window
             ]
-            rows[str(mm)] = float(np.median(found[inner]))
+            rows[str(mm)] = float(np.median(modulation[inner]))
         cloud, _, _ = sim.stripes(finger, channel)
         result = on_grid(cloud, truth["mask"].shape, float(truth["pitch_mm"]))
         figures = splitknit.compare(result, truth).figures
@@ -205,8 +208,8 @@ def rates(out: Path, seeds: list[int], name: str) -> dict[str, tuple[float, bool
         if f"{a}-{b}" not in kept:
             sides = out / f"{a}-{name}", out / f"{b}-second"
             try:
-                found = splitknit_match.match(*map(template, sides), "ridge", fmr=1e-3)
-                kept[f"{a}-{b}"] = float(found.similarity), bool(found.decision.match)
+                match = splitknit_match.match(*map(template, sides), "ridge", fmr=1e-3)
+                kept[f"{a}-{b}"] = float(match.similarity), bool(match.decision.match)
             except splitknit.BadInput:  # refused as a cloud, or too little of it to compare
                 kept[f"{a}-{b}"] = 0.0, False
     path.write_text(json.dumps(kept))
@@ -273,11 +276,11 @@ if __name__ == "__main__":
     parser.add_argument(
         "--tables", action="store_true", help="match what was measured, and print the tables only"
     )
-    given = parser.parse_args()
-    given.out.mkdir(parents=True, exist_ok=True)
-    if given.fringes:
-        fringe_table(given.out)
-    if given.tables:
-        tables(given.out, list(range(1, given.fingers + 1)))
-    for seed in range(1, given.fingers + 1) if not (given.fringes or given.tables) else ():
-        measure(seed, given.system or [*SYSTEMS], given.out)
+    options = parser.parse_args()
+    options.out.mkdir(parents=True, exist_ok=True)
+    if options.fringes:
+        fringe_table(options.out)
+    if options.tables:
+        tables(options.out, list(range(1, options.fingers + 1)))
+    for seed in range(1, options.fingers + 1) if not (options.fringes or options.tables) else ():
+        measure(seed, options.system or [*SYSTEMS], options.out)

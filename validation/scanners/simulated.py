@@ -58,7 +58,8 @@ Scan = tuple[FloatArray, float, float]
 def turned(about: str, deg: float) -> Array:
     """(3, 3) turn about x or y that takes the direction of a device, `deg` from the z axis, to the
     z axis."""
-    c, s = np.cos(np.deg2rad(deg)), np.sin(np.deg2rad(deg))
+    c = np.cos(np.deg2rad(deg))
+    s = np.sin(np.deg2rad(deg))
     return np.array(
         [[1, 0, 0], [0, c, -s], [0, s, c]] if about == "x" else [[c, 0, -s], [0, 1, 0], [s, 0, c]]
     )
@@ -66,7 +67,8 @@ def turned(about: str, deg: float) -> Array:
 
 def camera_of(px_per_mm: float) -> Camera:
     """A pinhole that looks down on the finger."""
-    shape, focal = (round(29.0 * px_per_mm), round(26.0 * px_per_mm)), HEIGHT_MM * px_per_mm
+    shape = (round(29.0 * px_per_mm), round(26.0 * px_per_mm))
+    focal = HEIGHT_MM * px_per_mm
     matrix = np.array([[focal, 0, (shape[1] - 1) / 2], [0, focal, (shape[0] - 1) / 2], [0, 0, 1.0]])
     return Camera(px_per_mm, shape, HEIGHT_MM, "perspective", matrix)
 
@@ -87,17 +89,17 @@ def projector() -> View:
 class Sight:
     """A finger in one camera."""
 
-    def __init__(self, who: Fingers, deg: float = 0.0) -> None:
+    def __init__(self, fingers: Fingers, deg: float = 0.0) -> None:
         """The camera is turned by `deg` about the finger's axis."""
         turn = turned("y", deg)
-        self.camera, self.who, self.turn = camera_of(PX_PER_MM), who, turn
+        self.camera, self.fingers, self.turn = camera_of(PX_PER_MM), fingers, turn
         assert self.camera.matrix is not None
         self.view = view_of(self.camera.matrix, turn)
         self.surface = finger_in_view(
-            PlacedFinger(who.body, who.skin, who.placed(turn)), self.camera, 1
+            PlacedFinger(fingers.body, fingers.skin, fingers.placed(turn)), self.camera, 1
         )
         self.patch = cut_out(self.surface)
-        self.rng = np.random.default_rng([who.seed, round(deg) % 360])
+        self.rng = np.random.default_rng([fingers.seed, round(deg) % 360])
         self._media: dict[str, tuple[SubsurfaceScattering, Relief]] = {}
         here = np.stack([self.patch.x, self.patch.y, self.patch.z], -1)
         self.points = (here - PIVOT) @ turn + PIVOT  # in the scene's frame
@@ -107,12 +109,12 @@ class Sight:
     ) -> Iterator[tuple[FloatArray, float]]:
         """Radiance (H, W) and mean light on the skin under a lamp, or under each pattern;
         ``opaque``: painted skin."""
-        optics = self.who.optics
+        optics = self.fingers.optics
         gain: Any = np.float32(1 / np.pi)
         led = Led("white", tuple(self.turn @ (lamp.centre_mm - PIVOT) + PIVOT))
         entering, gloss = light_on(self.patch, led, optics.roughness, LED_RADIUS_MM)
         gloss = gloss * np.float32(0 if channel == "opaque" else optics.glare)
-        blur: Callable[[FloatArray], Iterator[FloatArray]] = lambda light: iter((light,))  # noqa: E731
+        blur: Any = lambda light: iter((light,))  # noqa: E731
         if channel != "opaque":
             if channel not in self._media:
                 medium = Medium((optics.channel(channel),), optics.roughness, optics.glare)
@@ -135,7 +137,8 @@ class Sight:
     def record(self, radiance: FloatArray, brightest: float) -> FloatArray:
         """What the sensor makes of light whose brightest reaches 0.7 of full scale: noise, ten
         bits."""
-        sensor, binned = SensorSettings(), (FULL_PX_PER_MM / self.camera.px_per_mm) ** 2
+        sensor = SensorSettings()
+        binned = (FULL_PX_PER_MM / self.camera.px_per_mm) ** 2
         full = sensor.full_well_e * binned
         electrons = radiance * np.float32(0.7 / brightest * full)
         spread = np.sqrt(electrons + sensor.read_noise_e**2 * binned)
@@ -175,8 +178,9 @@ def stripe(period: float, step: int, steps: int, gamma: float = 1.1) -> Pattern:
     level = (
         np.rint(255 * structured_light.fringes(at, period, step, steps)).astype(np.float64) / 255
     )
-    shown = cv2.GaussianBlur(level[None] ** gamma, (0, 0), PROJECTOR_BLUR_MM / PROJECTOR_PX_MM)[0]
-    return lambda row: np.interp(row, at, shown)
+    blur_px = PROJECTOR_BLUR_MM / PROJECTOR_PX_MM
+    projected = cv2.GaussianBlur(level[None] ** gamma, (0, 0), blur_px)[0]
+    return lambda row: np.interp(row, at, projected)
 
 
 def line(centre: float) -> Pattern:
@@ -187,28 +191,31 @@ def line(centre: float) -> Pattern:
 
 def stripes(finger: Fingers, channel: str = "blue", periods: tuple[float, ...] = PERIODS) -> Scan:
     """Fringes of several periods."""
-    sight, lamp = finger.at(0), projector()
+    sight = finger.at(0)
+    lamp = projector()
     _, brightest, unit = sight.even(channel, lamp)
     shots = list(
         sight.light(
             channel, lamp, [stripe(period, k, STEPS) for period in periods for k in range(STEPS)]
         )
     )
-    images = np.stack([sight.record(one, brightest) for one, _ in shots])
+    images = np.stack([sight.record(shot, brightest) for shot, _ in shots])
     images[:, (images >= 1.0).any(axis=0)] = np.nan
     begun = time.process_time()
     decoded = structured_light.decode(
         images.reshape(len(periods), STEPS, *images.shape[1:]), periods
     )
     cloud, _ = structured_light.scan(sight.view, lamp, decoded)
-    return cloud, sum(one for _, one in shots) / unit, time.process_time() - begun
+    return cloud, sum(shot for _, shot in shots) / unit, time.process_time() - begun
 
 
 def laser_line(finger: Fingers) -> Scan:
     """A red line that sweeps over the finger in steps of 0.1 mm."""
-    sight, lamp = finger.at(0), projector()
+    sight = finger.at(0)
+    lamp = projector()
     rows = lamp.pixels(sight.points[sight.patch.mask])[1]
-    first, step = float(rows.min()) - 10.0, 0.1 / PROJECTOR_PX_MM
+    first = float(rows.min()) - 10.0
+    step = 0.1 / PROJECTOR_PX_MM
     plan = [line(first + k * step) for k in range(int((np.ptp(rows) + 20.0) / step))]
     _, even_brightest, unit = sight.even("red", lamp)
     middle = next(sight.light("red", lamp, [plan[len(plan) // 2]]))[0]
@@ -217,9 +224,9 @@ def laser_line(finger: Fingers) -> Scan:
 
     def frames() -> Iterator[FloatArray]:
         nonlocal light, busy
-        for one, on_skin in sight.light("red", lamp, plan):
+        for radiance, on_skin in sight.light("red", lamp, plan):
             light += on_skin
-            shot = sight.record(one, brightest)
+            shot = sight.record(radiance, brightest)
             begun = time.process_time()
             yield shot
             busy += time.process_time() - begun
@@ -241,7 +248,7 @@ def depth_from_focus(finger: Fingers) -> Scan:
         for z in heights
     )
     stack = np.stack(
-        [sight.record(defocus(radiance[..., None], one)[..., 0], brightest) for one in sigmas]
+        [sight.record(defocus(radiance[..., None], sigma)[..., 0], brightest) for sigma in sigmas]
     )
     begun = time.process_time()
     number, _ = focus.depth(stack, 0.4 * PX_PER_MM)
@@ -251,7 +258,8 @@ def depth_from_focus(finger: Fingers) -> Scan:
 
 def cameras(finger: Fingers, angles: tuple[float, ...] = (-36.0, -18.0, 0.0, 18.0, 36.0)) -> Scan:
     """Stereo of neighbours among cameras around the finger."""
-    sights, lamp = [finger.at(deg) for deg in angles], projector()
+    sights = [finger.at(deg) for deg in angles]
+    lamp = projector()
     pictures = [sight.record(*sight.even("green", lamp)[:2]) for sight in sights]
     begun = time.process_time()
     cloud = stereo.scan(pictures, [sight.view for sight in sights], np.array([0.0, 0.0, -3.0]), 6.0)
@@ -261,14 +269,13 @@ def cameras(finger: Fingers, angles: tuple[float, ...] = (-36.0, -18.0, 0.0, 18.
 def hull(finger: Fingers) -> Scan:
     """The visual hull of six silhouettes around the finger."""
     masks: list[BoolArray] = []
-    views, camera = [], camera_of(10.0)
+    views = []
+    camera = camera_of(10.0)
     assert camera.matrix is not None
     for deg in (-75.0, -45.0, -15.0, 15.0, 45.0, 75.0):
         turn = turned("y", deg)
-        place, rays = (
-            finger.placed(turn),
-            rays_of(camera, *(np.arange(n) for n in camera.image_size)),
-        )
+        place = finger.placed(turn)
+        rays = rays_of(camera, *(np.arange(n) for n in camera.image_size))
         _, hit = meet_body(
             finger.body, place, rays, np.full(rays.x.size, above(finger.body, place))
         )

@@ -43,10 +43,11 @@ def scan(
         "stereo takes two to five pictures, each with its view.",
     )
     pairs = zip(pictures, pictures[1:], views, views[1:], strict=False)
-    found = [
-        _pair((one, two), (first, second), middle_mm, depth_mm) for one, two, first, second in pairs
+    clouds = [
+        _pair((image_a, image_b), (view_a, view_b), middle_mm, depth_mm)
+        for image_a, image_b, view_a, view_b in pairs
     ]
-    return cloud_of(np.concatenate(found))
+    return cloud_of(np.concatenate(clouds))
 
 
 def _pair(
@@ -81,7 +82,7 @@ def _pair(
     lowest = -int(np.ceil(reach))
     count = 16 * int(np.ceil(2.2 * reach / 16))
     local = [_even(field) for field in fields]
-    eight = [np.clip(128 + 40 * one, 0, 255).astype(np.uint8) for one in local]
+    eight = [np.clip(128 + 40 * field, 0, 255).astype(np.uint8) for field in local]
     matcher = cv2.StereoSGBM.create(
         minDisparity=lowest,
         numDisparities=count,
@@ -95,7 +96,7 @@ def _pair(
         mode=cv2.STEREO_SGBM_MODE_SGBM_3WAY,
     )
     # the matrix's border would be lost to the search: it is widened
-    wide = [cv2.copyMakeBorder(one, 0, 0, count, count, cv2.BORDER_REPLICATE) for one in eight]
+    wide = [cv2.copyMakeBorder(image, 0, 0, count, count, cv2.BORDER_REPLICATE) for image in eight]
     disparity = matcher.compute(*wide)[:, count:-count].astype(np.float32) / 16.0
     known = (disparity >= lowest) & (fields[0] > 0.02)
     disparity, good = _refined(local, np.where(known, disparity, 0.0).astype(np.float32))
@@ -118,23 +119,25 @@ def _refined(fields: Sequence[FloatArray], disparity: FloatArray) -> tuple[Float
     """Disparities to a fraction of a pixel by Gauss-Newton on patches, and where the patches then
     agree."""
     rows, columns = (
-        one.astype(np.float32) for one in np.mgrid[: disparity.shape[0], : disparity.shape[1]]
+        grid.astype(np.float32) for grid in np.mgrid[: disparity.shape[0], : disparity.shape[1]]
     )
     start, reference = disparity, fields[0]
     side = (9, 9)
     for _ in range(_ITERATIONS):
-        other = np.asarray(
+        warped = np.asarray(
             cv2.remap(fields[1], columns - disparity, rows, cv2.INTER_CUBIC), dtype=np.float32
         )
         slope = np.asarray(
-            cv2.Sobel(other, cv2.CV_32F, 1, 0, ksize=3), dtype=np.float32
+            cv2.Sobel(warped, cv2.CV_32F, 1, 0, ksize=3), dtype=np.float32
         ) / np.float32(8.0)
-        step = cv2.blur(slope * (other - reference), side) / (cv2.blur(slope * slope, side) + 1e-3)
+        step = cv2.blur(slope * (warped - reference), side) / (cv2.blur(slope * slope, side) + 1e-3)
         disparity = disparity + np.clip(step, -_MAX_STEP_PX, _MAX_STEP_PX)
-    other = np.asarray(
+    warped = np.asarray(
         cv2.remap(fields[1], columns - disparity, rows, cv2.INTER_CUBIC), dtype=np.float32
     )
-    a, b = (np.asarray(one - cv2.blur(one, side), dtype=np.float32) for one in (reference, other))
+    a, b = (
+        np.asarray(patch - cv2.blur(patch, side), dtype=np.float32) for patch in (reference, warped)
+    )
     power = cv2.blur(a * a, side) * cv2.blur(b * b, side)
     alike = cv2.blur(a * b, side) / np.sqrt(np.maximum(power, 1e-8))
     return np.asarray(disparity, dtype=np.float32), np.asarray(
@@ -168,8 +171,8 @@ def hull(
     inside = []
     for mask in masks:  # distance to the outline, positive inside
         near = [
-            cv2.distanceTransform(one.astype(np.uint8), cv2.DIST_L2, cv2.DIST_MASK_PRECISE)
-            for one in (mask, ~mask)
+            cv2.distanceTransform(region.astype(np.uint8), cv2.DIST_L2, cv2.DIST_MASK_PRECISE)
+            for region in (mask, ~mask)
         ]
         inside.append(np.asarray(near[0] - near[1], dtype=np.float32))
     grid_y, grid_x = np.meshgrid(y[::-1], x, indexing="ij")
@@ -179,7 +182,7 @@ def hull(
         points = np.stack([grid_x, grid_y, np.full_like(grid_x, height)], axis=-1)
         here = np.full(grid_x.shape, np.inf, np.float32)
         for distance, view in zip(inside, views, strict=True):
-            column, row = (one.astype(np.float32) for one in view.pixels(points))
+            column, row = (coordinate.astype(np.float32) for coordinate in view.pixels(points))
             here = np.minimum(
                 here,
                 cv2.remap(distance, column, row, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE),

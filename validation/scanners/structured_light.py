@@ -67,7 +67,8 @@ def decode(images: NDArray[np.floating], periods: Sequence[float], least: float 
     steps = images.shape[1]
     angle = 2.0 * np.pi * np.arange(steps) / steps
     row: NDArray[np.float64] | None = None
-    sigma, modulations = np.zeros(images.shape[2:], np.float32), []
+    sigma = np.zeros(images.shape[2:], np.float32)
+    modulations = []
     for series, period in zip(images, periods, strict=True):
         mean = series.mean(axis=0)
         c, s = (

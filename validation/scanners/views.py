@@ -48,7 +48,8 @@ def on_planes(camera: View, projector: View, row: NDArray[np.floating]) -> tuple
     row (H, W): times the uncertainty of `row` it is that of the point. Source: Hartley and
     Zisserman, Multiple View Geometry, 2004, result 8.2 (a line's plane is P^T l).
     """
-    rays, centre = camera.directions((row.shape[0], row.shape[1])), camera.centre_mm
+    rays = camera.directions((row.shape[0], row.shape[1]))
+    centre = camera.centre_mm
     _, second, third = projector.matrix @ np.column_stack([projector.rotation, projector.shift_mm])
     plane = second - row[..., None].astype(np.float64) * third
     across = np.sum(plane[..., :3] * rays, axis=-1)

@@ -1,10 +1,12 @@
 """What each part of the light does to the surface: contrast, direct light, glare and blur, alone
 and together.
 
-    python validation/separation/ablation.py  # eight fingers, 17 ways each: about seven minutes of one core
-    python validation/separation/ablation.py --clahe  # the contrast enhancement of snk on 24 fingers: clahe.json
-    python validation/separation/ablation_report.py  # the tables of docs/experiments/separation.md and of
-    docs/explain/reconstruction.md from ablation.json and clahe.json
+    python validation/separation/ablation.py  # eight fingers, 17 ways each
+    python validation/separation/ablation.py --clahe  # contrast enhancement of snk on 24 fingers
+    python validation/separation/ablation_report.py
+
+The first takes about seven minutes of one core. The second writes clahe.json; the third writes the
+tables of docs/experiments/separation.md and docs/explain/reconstruction.md from both JSON files.
 
 The fingers are those of ``validation/accuracy`` (seed 1000 and on, half scale). All ways see the
 same finger in the same mask, found once in the images as they are; ``ablation_rows.py`` lists them.
@@ -31,7 +33,7 @@ OUT = HERE.parent / "out" / "ablation"
 CONFIDENCE = 0.95
 FIRST_SEED = 1000
 RECIPES = ("ablation_rows", "ablation_light")
-Found = Mapping[str, Mapping[str, Any]]
+FingerFigures = Mapping[str, Mapping[str, Any]]
 """Figures of one finger by row; a row that was refused has only ``refused``."""
 
 
@@ -48,7 +50,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     out = chosen.out or HERE / ("clahe.json" if chosen.clahe else "ablation.json")
     code = source_hash()
     seeds = list(range(FIRST_SEED, FIRST_SEED + fingers))
-    found = measure_all(
+    by_finger = measure_all(
         seeds, names, chosen.scale, chosen.scratch / f"{code[:12]}_{chosen.scale:g}", chosen.workers
     )
     results = {
@@ -58,9 +60,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
         "scale": chosen.scale,
         "check_mm": CHECK_MM,
         "seeds": seeds,
-        **summarised(found, names),
+        **summarised(by_finger, names),
         "fingers": [
-            {"seed": seed, "rows": figures} for seed, figures in zip(seeds, found, strict=True)
+            {"seed": seed, "rows": figures} for seed, figures in zip(seeds, by_finger, strict=True)
         ],
     }
     text = json.dumps(_rounded(results), indent=1, allow_nan=False)
@@ -100,7 +102,9 @@ def source_hash() -> str:
     members = {"splitknit": splitknit, "splitknit_simulator": splitknit_simulator}
     names = [name for name in sys.modules if name.split(".")[0] in members or name in RECIPES]
     tables = [
-        file for one in members.values() for file in Path(str(one.__file__)).parent.rglob("*.npz")
+        file
+        for member in members.values()
+        for file in Path(str(member.__file__)).parent.rglob("*.npz")
     ]
     files = {Path(str(sys.modules[name].__file__)) for name in names} | set(tables)
     digest = hashlib.sha256()
@@ -144,33 +148,36 @@ def measure_one(seed: int, names: Sequence[str], scale: float, folder: Path) -> 
     return {name: rows[name] for name in names}
 
 
-def summarised(found: Sequence[Found], names: Sequence[str]) -> dict[str, Any]:
+def summarised(by_finger: Sequence[FingerFigures], names: Sequence[str]) -> dict[str, Any]:
     """Mean and interval over fingers of every figure of every row, and of the differences of
     :data:`PAIRS`."""
     from ablation_rows import FIGURES, PAIRS, ROWS
 
     rows: dict[str, Any] = {}
     for name in names:
-        done = [finger[name] for finger in found if "refused" not in finger[name]]
+        done = [finger[name] for finger in by_finger if "refused" not in finger[name]]
         figures = {key: statistics([row[key] for row in done]) for key in FIGURES} if done else {}
         row = ROWS[name]
         rows[name] = {
             "group": row.group,
             "words": row.words,
-            "refused": len(found) - len(done),
+            "refused": len(by_finger) - len(done),
             "figures": figures,
         }
     pairs = []
     for words, first, second in PAIRS:
         if first not in names or second not in names:
             continue
-        both = [(finger[first], finger[second]) for finger in found]
+        both = [(finger[first], finger[second]) for finger in by_finger]
         both = [
-            (one, other) for one, other in both if "refused" not in one and "refused" not in other
+            (row_a, row_b)
+            for row_a, row_b in both
+            if "refused" not in row_a and "refused" not in row_b
         ]
         if both:
             figures = {
-                key: statistics([one[key] - other[key] for one, other in both]) for key in FIGURES
+                key: statistics([row_a[key] - row_b[key] for row_a, row_b in both])
+                for key in FIGURES
             }
             pairs.append(
                 {

@@ -2,8 +2,8 @@
 ``docs/experiments/separation.md``, those of ``clahe.json`` into ``tables/clahe.csv`` and four rows
 of them into ``docs/explain/reconstruction.md``.
 
-python validation/separation/ablation_report.py            # writes
-python validation/separation/ablation_report.py --check  # exit code 1 if they do not show what the file holds
+python validation/separation/ablation_report.py          # writes
+python validation/separation/ablation_report.py --check  # exit code 1 if they are out of date
 """
 
 from __future__ import annotations
@@ -72,12 +72,13 @@ def rows_table(results: Tree) -> str:
     for name, words in PAGE_ROWS.items():
         if name in results["rows"]:
             row = results["rows"][name]
-            lines.append(
-                _line(
-                    words + (f" ({row['refused']} refused)" if row["refused"] else ""),
-                    row["figures"],
-                )
-            )
+            figures = row["figures"]
+            refused = f" ({row['refused']} refused)" if row["refused"] else ""
+            cells = [
+                _cell(_cut(key, figures[key], ""), COLUMNS[key][1], "") if figures else ""
+                for key in PAGE_COLUMNS
+            ]
+            lines.append(f"| {words}{refused} | " + " | ".join(cells) + " |")
     return "\n".join(lines)
 
 
@@ -118,14 +119,6 @@ def _csv(first: list[str], rows: list[list[str]], figures: list[Tree], sign: str
     return text.getvalue()
 
 
-def _line(words: str, figures: Tree) -> str:
-    cells = [
-        _cell(_cut(key, figures[key], ""), COLUMNS[key][1], "") if figures else ""
-        for key in PAGE_COLUMNS
-    ]
-    return f"| {words} | " + " | ".join(cells) + " |"
-
-
 def _cut(key: str, figure: Tree, sign: str) -> Tree:
     """Student's t knows nothing of what a figure can be."""
     if sign or key not in AT_MOST_ONE or figure["interval"] is None:
@@ -134,13 +127,13 @@ def _cut(key: str, figure: Tree, sign: str) -> Tree:
 
 
 def _cell(figure: Tree, digits: int, sign: str) -> str:
-    def shown(value: float) -> str:
+    def formatted(value: float) -> str:
         return f"{value:{sign}z.{digits}f}"
 
     if figure["interval"] is None:
-        return shown(figure["mean"])
+        return formatted(figure["mean"])
     low, high = figure["interval"]
-    return f"{shown(figure['mean'])} [{shown(low)}, {shown(high)}]"
+    return f"{formatted(figure['mean'])} [{formatted(low)}, {formatted(high)}]"
 
 
 def section(results: Tree) -> str:
@@ -149,8 +142,8 @@ def section(results: Tree) -> str:
     return "\n".join(
         [
             (
-                f"{len(seeds)} fingers, images at {results['scale']:g} of the full scale; mean [95 %"
-                " interval over fingers, Student's t]; [definitions](accuracy.md#definitions)."
+                f"{len(seeds)} fingers, images at {results['scale']:g} of the full scale; mean [95"
+                " % interval over fingers, Student's t]; [definitions](accuracy.md#definitions)."
             ),
             "",
             rows_table(results),
@@ -186,7 +179,7 @@ def contrast_rows(results: Tree) -> list[list[str]]:
     ]
 
 
-def contrast_section(results: Tree, shown: Sequence[str] = CONTRAST_SHOWN) -> str:
+def contrast_section(results: Tree, row_names: Sequence[str] = CONTRAST_SHOWN) -> str:
     """Rows of the contrast enhancement as a table of the page."""
     seeds = results["seeds"]
     head, *rows = contrast_rows(results)
@@ -200,7 +193,7 @@ def contrast_section(results: Tree, shown: Sequence[str] = CONTRAST_SHOWN) -> st
         "",
         "| " + " | ".join(head) + " |",
         "| --- " * len(head) + "|",
-        *("| " + " | ".join(row) + " |" for row in rows if row[0] in shown),
+        *("| " + " | ".join(row) + " |" for row in rows if row[0] in row_names),
     ]
     return "\n".join(lines)
 

@@ -193,14 +193,15 @@ class Bench:
     def figures(self, name: str) -> dict[str, Any]:
         """Of one row, or why there are none."""
         try:
-            found = self.reconstructed(ROWS[name])
-            figures = compare(found, self.twin.truth).figures
+            result = self.reconstructed(ROWS[name])
+            figures = compare(result, self.twin.truth).figures
         except BadInput as error:
             return {"refused": str(error)}
         return {key: float(figures[key]) for key in FIGURES}
 
     def reconstructed(self, row: Row) -> Reconstruction:
-        capture, settings = self._capture(row), override(preset_settings(row.preset), row.change)
+        capture = self._capture(row)
+        settings = override(preset_settings(row.preset), row.change)
         if not row.fraction:
             return reconstruct(capture, self.finger, settings)
         fraction = self._coloured if row.fraction == "network" else self._fractions[row.fraction]

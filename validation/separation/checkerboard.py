@@ -59,17 +59,15 @@ def noise_free(
             truth = truth_of(patch, check)
             mask = inner(patch[0], truth)
             for count in steps:
-                pattern = Checkerboard(check, steps=count)
-                stack = photograph(patch, pattern)
-                common: dict[str, Any] = {"mask": mask, "clip_level": None}
-                common |= {"shifts": pattern.shifts_mm(), "period": 2 * check}
+                stack = photograph(patch, Checkerboard(check, steps=count))
+                parts = checkerboard(stack, mask=mask, clip_level=None)
                 what = {
                     "surface": name,
                     "check_mm": check,
                     "shifts": count**2,
                     "method": "maximum - minimum",
                 }
-                rows.append({**what, **_judged(checkerboard(stack, **common), truth, mask)})
+                rows.append({**what, **_judged(parts, truth, mask)})
                 print(f"  {name} {check} mm {count**2} shifts: {rows[-1]['direct_db']}", flush=True)
     return rows
 
@@ -128,12 +126,12 @@ def _estimates(
     """All estimates from one stack, with the states of its pixels."""
     common: dict[str, Any] = {"mask": mask, "clip_level": None}
     side = check_mm * PX_PER_MM
-    found = estimate_patterns(stack, **common)
+    estimated = estimate_patterns(stack, **common)
     return {
         "maximum - minimum": checkerboard(stack, **common),
         "known states": checkerboard(stack, patterns=states, **common),
         "known states, check_px": checkerboard(stack, patterns=states, check_px=side, **common),
-        "states found, check_px": checkerboard(stack, patterns=found, check_px=side, **common),
+        "states found, check_px": checkerboard(stack, patterns=estimated, check_px=side, **common),
     }
 
 
@@ -189,13 +187,13 @@ def summary(results: dict[str, Any]) -> str:
 def main() -> None:
     """Run everything and store it."""
     patches = draw_patches(False)
-    one = {name: patch for name, patch in patches.items() if name.endswith("0")}
+    first_patches = {name: patch for name, patch in patches.items() if name.endswith("0")}
     results: dict[str, Any] = {
         "px_per_mm": PX_PER_MM,
         "size": list(PATCH_SIZE),
         "noise_free": noise_free(patches, CHECKS_MM, SHIFT_COUNTS),
         "noise": noise(patches, 0.42),
-        "centred": centred(one, CHECKS_MM[:3]),
+        "centred": centred(first_patches, CHECKS_MM[:3]),
         "psnr_peak": (
             "white_peak: 99.9th percentile of the white image; own_peak: of the true part itself"
         ),

@@ -77,7 +77,8 @@ class Shifted:
 def by_occluder(images: np.ndarray, lit: float) -> tuple[np.ndarray, np.ndarray]:
     """Direct and global light of images (N, ...) under a moving shadow; `lit`: fraction of the
     source that passes."""
-    low, high = images.min(axis=0), images.max(axis=0)
+    low = images.min(axis=0)
+    high = images.max(axis=0)
     return high - low, low / lit
 
 

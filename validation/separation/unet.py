@@ -48,7 +48,8 @@ def main() -> None:
     )
     parser.add_argument("--fingers", type=int, default=30)
     options = parser.parse_args()
-    network, fraction = load_network(options.network), constant_fraction()
+    network = load_network(options.network)
+    fraction = constant_fraction()
     print("palms:", json.dumps(compared("palm", PALMS, network, fraction)), flush=True)
     result = {"fingers": options.fingers, **compared("finger", options.fingers, network, fraction)}
     (HERE / "unet_fingers.json").write_text(json.dumps(result, indent=1) + "\n", encoding="utf-8")

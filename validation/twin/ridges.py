@@ -57,7 +57,8 @@ def _normals(slope: Array) -> Array:
 
 
 def _into(normals: Array, rng: np.random.Generator) -> Array:
-    fraction, turn = rng.random(normals.shape[1]), 2.0 * np.pi * rng.random(normals.shape[1])
+    fraction = rng.random(normals.shape[1])
+    turn = 2.0 * np.pi * rng.random(normals.shape[1])
     across = np.stack([normals[2], 0.0 * normals[0], -normals[0]])
     along = np.array([[0.0], [1.0], [0.0]])
     side = np.sqrt(fraction)
@@ -99,15 +100,18 @@ def walked(
     x = np.full(WALKS, x_mm)
     normals = _normals(_at(slope, x))
     out = 1.0 - float(fresnel(normals[2, 0]))
-    points, directions = np.stack([x, 0.0 * x, _at(height, x)]), _into(normals, rng)
-    lengths, total = np.zeros(WALKS), np.zeros(len(LIGHTS))
+    points = np.stack([x, 0.0 * x, _at(height, x)])
+    directions = _into(normals, rng)
+    lengths = np.zeros(WALKS)
+    total = np.zeros(len(LIGHTS))
     while lengths.size:
         step = rng.standard_exponential(lengths.size) / optics.scattering_per_mm
         gone, reach = _first_exit(points, directions, step, height)
         step[gone] = reach
         points = points + step * directions
         lengths = lengths + step
-        z, turn = 2.0 * rng.random(lengths.size) - 1.0, 2.0 * np.pi * rng.random(lengths.size)
+        z = 2.0 * rng.random(lengths.size) - 1.0
+        turn = 2.0 * np.pi * rng.random(lengths.size)
         side = np.sqrt(1.0 - z * z)
         scattered = np.stack([side * np.cos(turn), side * np.sin(turn), z])
         keep = optics.absorption_per_mm * lengths < 8.0

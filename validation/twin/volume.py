@@ -35,7 +35,8 @@ def _normals(points: Array) -> Array:
 
 
 def _into(normals: Array, rng: np.random.Generator) -> Array:
-    fraction, turn = rng.random(normals.shape[1]), 2.0 * np.pi * rng.random(normals.shape[1])
+    fraction = rng.random(normals.shape[1])
+    turn = 2.0 * np.pi * rng.random(normals.shape[1])
     across = np.stack([normals[2], 0.0 * normals[0], -normals[0]])
     along = np.array([[0.0], [1.0], [0.0]])
     side = np.sqrt(fraction)
@@ -65,14 +66,16 @@ def volume_radiance(
     while lengths.size:
         step = rng.standard_exponential(lengths.size) / scattering
         p, d = points * axes, directions * axes
-        a, b = np.sum(d * d, axis=0), np.sum(p * d, axis=0)
+        a = np.sum(d * d, axis=0)
+        b = np.sum(p * d, axis=0)
         c = np.minimum(np.sum(p * p, axis=0) - 1.0, 0.0)
         wall = (-b + np.sqrt(b * b - a * c)) / np.maximum(a, 1e-12)
         out = np.flatnonzero(step > wall)
         step[out] = wall[out]
         points = points + step * directions
         lengths = lengths + step
-        z, turn = 2.0 * rng.random(lengths.size) - 1.0, 2.0 * np.pi * rng.random(lengths.size)
+        z = 2.0 * rng.random(lengths.size) - 1.0
+        turn = 2.0 * np.pi * rng.random(lengths.size)
         side = np.sqrt(1.0 - z * z)
         keep = absorption * lengths < 9.0
         normals = _normals(points[:, out])
@@ -102,8 +105,9 @@ def cylinder(px_per_mm: float = 10.0) -> SimulatedSurface:
     height = np.where(mask, z, np.nan).astype(np.float32)
     row = np.where(inside[:, None], _normals(np.stack([x, 0.0 * x, z])).T, 0.0)
     normals = np.broadcast_to(row, (*shape, 3)).astype(np.float32)
-    zero, one = np.zeros(shape, dtype=np.float32), np.ones(shape, dtype=np.float32)
-    return SimulatedSurface(camera, height, height, normals, normals, zero, mask, one)
+    zero = np.zeros(shape, dtype=np.float32)
+    full_weight = np.ones(shape, dtype=np.float32)
+    return SimulatedSurface(camera, height, height, normals, normals, zero, mask, full_weight)
 
 
 def main() -> None:
