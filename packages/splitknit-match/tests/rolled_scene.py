@@ -85,6 +85,13 @@ def bumped(points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return smooth, ridged / np.linalg.norm(ridged, axis=-1, keepdims=True)
 
 
+def off_surface_mm(points: np.ndarray) -> np.ndarray:
+    """Distance from the drawn finger as it lies in the picture, for points near to it."""
+    x, y, z = np.moveaxis(points - np.array([0.0, 2.0, 0.0]), -1, 0)
+    ellipsoid = (x / A) ** 2 + (np.maximum(y, 0) / CAP) ** 2 + ((z - TOP + B) / B) ** 2
+    return (np.sqrt(ellipsoid) - 1.0) * 7.0
+
+
 def shaded(points: np.ndarray, lights: list[tuple[np.ndarray, float]]) -> np.ndarray:
     smooth, normals = bumped(points)
     total = np.zeros(points.shape[:-1])
