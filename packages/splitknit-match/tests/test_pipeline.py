@@ -159,7 +159,7 @@ def test_the_phalange_ends_at_the_crease(
     assert lost.sum() < 0.02 * result.mask.sum()
 
 
-def test_upright_is_tip_up(results: dict[str, Reconstruction]) -> None:
+def test_the_upright_frame_has_the_tip_up(results: dict[str, Reconstruction]) -> None:
     result = results["ea"]
     assert abs(np.linalg.det(result.input_from_upright) - 1) < 1e-9  # turned and moved, not scaled
     mask = result.mask.astype(np.float32)
@@ -407,7 +407,6 @@ def test_a_matt_dome_beside_the_middle_is_measured_under_near_lights() -> None:
     """To a micrometre without noise; the lights must be placed against the picture, not the
     window."""
     capture, height = lambertian_dome()
-    assert capture.mask is not None
     result = reconstruct(capture, "metric", {"metric.plane_mm": float(height[capture.mask].mean())})
     error = (result.height_mm - height)[capture.mask]
     assert error.std() < 0.001

@@ -83,7 +83,7 @@ def test_a_weight_counts_as_often_as_a_score_that_is_repeated(
 
 
 @pytest.mark.parametrize("method", METHODS[1:])
-def test_clusters_weigh_as_often_as_they_are_drawn(method: str) -> None:
+def test_clusters_count_as_often_as_they_are_drawn(method: str) -> None:
     """The vertex bootstrap by definition; fingers of one subject come along together."""
     scores = population(5, fingers=12)
     ids = getattr(scores, method)
@@ -183,7 +183,8 @@ def test_few_errors_are_no_certainty_either() -> None:
     assert gar.value == pytest.approx(59 / 60)
     # Clopper and Pearson
     assert betainc(2, 59, 1 - gar.low) == pytest.approx(0.95)
-    assert error_bound(0.0, 300) == 0.01 and error_bound(1.0, 5) == 1.0
+    assert error_bound(0.0, 300) == 0.01
+    assert error_bound(1.0, 5) == 1.0
     # it starts at the rule of three
     assert error_bound(1e-12, 300) == pytest.approx(0.01, rel=0.01)
     genuine = np.append(generator.normal(50, 1, 300), np.full(100, -50.0))

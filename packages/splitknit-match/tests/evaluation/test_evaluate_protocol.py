@@ -83,7 +83,7 @@ def test_two_fingers_are_drawn_once_for_all_sessions() -> None:
 def test_scores_of_two_fingers_are_averaged_over_pairs_of_sessions() -> None:
     # session pairs (1,2), (1,3), (2,3), each xx, xy, yx, yy
     averaged = average_sessions(small())
-    assert averaged.finger is not None and averaged.subject is not None
+    assert averaged.subject is not None
     names = np.array(averaged.finger.names)[averaged.finger.codes]
     by_fingers = dict(zip(map("".join, names), averaged.score.tolist(), strict=True))
     assert by_fingers == {"xx": 4.0, "xy": 5.0, "yx": 6.0, "yy": 7.0}
@@ -94,7 +94,6 @@ def test_scores_of_two_fingers_are_averaged_over_pairs_of_sessions() -> None:
 
 def test_the_earlier_session_comes_first_whatever_the_file_says() -> None:
     scores = small()
-    assert scores.finger is not None and scores.session is not None
     turn = np.arange(12) % 2 == 0
 
     def turned(ids: Ids) -> Ids:
@@ -113,7 +112,6 @@ def test_failures_are_left_out_of_an_average() -> None:
 def test_systems_are_paired_by_their_ids() -> None:
     first = small()
     second = replace(first.taken(np.random.default_rng(0).permutation(12)), name="other")
-    assert second.finger is not None
     # other codes, same names
     renamed = replace(second, finger=Ids(1 - second.finger.codes, second.finger.names[::-1]))
     for system in (second, renamed):

@@ -41,7 +41,7 @@ Sides = tuple[list[float], list[float]]
         (0.0001, 0.25, 0.0, 6.0),
     ],
 )
-def test_gar_at_far_by_hand_with_ties(
+def test_gar_at_far_with_ties_is_that_counted_by_hand(
     target: float, gar: float, far: float, threshold: float
 ) -> None:
     point = roc(GENUINE, IMPOSTOR).at_far(target)
@@ -87,11 +87,13 @@ def test_no_error_is_bounded_by_the_rule_of_three() -> None:
         ([3.0, 4.0, 6.0], [0.0, 1.0, 5.0, 5.0], 5 / 12),
     ],
 )
-def test_equal_error_by_hand(genuine: list[float], impostor: list[float], value: float) -> None:
+def test_equal_error_is_that_counted_by_hand(
+    genuine: list[float], impostor: list[float], value: float
+) -> None:
     assert roc(genuine, impostor).equal_error().value == pytest.approx(value)
 
 
-def test_roc_by_hand() -> None:
+def test_corners_of_a_roc_are_those_drawn_by_hand() -> None:
     curve = roc([1.0, 2.0], [0.0, 1.0, 1.5])
     corners = list(zip(curve.far.tolist(), curve.gar.tolist(), strict=True))
     assert corners == [(0, 0), (0, 0.5), (1 / 3, 0.5), (2 / 3, 1), (1, 1)]
@@ -186,7 +188,7 @@ def test_rates_of_two_normal_distributions_are_those_of_the_formulas(distance: f
         assert curve.at_far(target).gar == pytest.approx(gar, abs=5e-3)
 
 
-def test_d_prime_by_hand() -> None:
+def test_d_prime_is_that_of_its_formula_and_nan_without_spread() -> None:
     assert roc([4.0, 6.0], [0.0, 2.0]).d_prime() == pytest.approx(4.0)
     assert roc([0.0, 2.0], [4.0, 6.0]).d_prime() == pytest.approx(-4.0)
     for sides in (([1.0, 1.0], [1.0]), ([2.0], [1.0]), ([0.1] * 3, [0.3] * 3)):

@@ -27,7 +27,7 @@ def texture(seed: int, rows: int = 160, columns: int = 140) -> RidgeBand:
 
 
 @pytest.mark.parametrize("shift", [(0, 0), (3, -2), (-4, 4), (2, 1)])
-def test_shifts_of_patches_are_found(shift: tuple[int, int]) -> None:
+def test_shifts_of_patches_are_recovered(shift: tuple[int, int]) -> None:
     b = texture(1)
     # A's content lies `shift` (columns, rows) further
     a = replace(b, value=np.roll(b.value, shift[::-1], axis=(0, 1)))
@@ -75,7 +75,7 @@ def test_a_rigid_map_takes_middle_to_middle_and_turns() -> None:
     np.testing.assert_allclose(turn @ [45, 47 - 10, 1], [40, 20], atol=1e-9)
 
 
-def test_chance_finds_no_support() -> None:
+def test_shifts_by_chance_have_no_support() -> None:
     """Dissimilar textures: each patch alone finds some shift that fits; its neighbours do not share
     it."""
     agreement = compare_patches(patch_grid(texture(6)), texture(5), IDENTITY)

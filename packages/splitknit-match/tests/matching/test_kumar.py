@@ -39,7 +39,7 @@ def test_only_the_thesis_s_cases_are_smoothed_by_up_to_1_mm() -> None:
         override(preset_settings("ea"), {"smooth.sigma_mm": -0.1})
 
 
-def test_nothing_leaks_in_from_outside_the_mask() -> None:
+def test_smoothing_takes_nothing_from_outside_the_mask() -> None:
     rng = np.random.default_rng(0)
     mask = np.zeros((60, 70), bool)
     mask[20:45, 15:60] = True

@@ -57,7 +57,7 @@ def test_features_are_histograms_of_whole_cells(
     np.testing.assert_allclose(lbp_features(image, px_per_mm), expected, rtol=1e-6)
 
 
-def test_bad_images_are_refused() -> None:
+def test_nan_and_images_below_a_cell_are_refused() -> None:
     with pytest.raises(BadInput, match="NaN"):
         lbp_codes(np.full((5, 5), np.nan, np.float32))
     with pytest.raises(BadInput, match="smaller than a cell"):

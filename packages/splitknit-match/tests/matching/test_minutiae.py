@@ -172,7 +172,9 @@ def test_prints_of_1000_ppi_are_resampled(
 @needs_nbis
 @pytest.mark.parametrize("shape", [(1, 1), (8, 8), (63, 200), (90, 90), (300, 80)])
 @pytest.mark.parametrize("content", ["white", "black", "noise"])
-def test_what_is_no_print_is_a_failure_to_acquire(shape: tuple[int, int], content: str) -> None:
+def test_images_without_a_print_are_failures_to_acquire(
+    shape: tuple[int, int], content: str
+) -> None:
     image = {
         "white": np.full(shape, 255, np.uint8),
         "black": np.zeros(shape, np.uint8),
@@ -253,7 +255,7 @@ def test_packed_minutiae_come_back(seed: int, count: int) -> None:
 
 @settings(max_examples=150, deadline=None, derandomize=True)
 @given(place=st.integers(0, 1 << 20), change=st.integers(1, 255), cut=st.integers(0, 30))
-def test_damage_is_noticed(place: int, change: int, cut: int) -> None:
+def test_changed_or_cut_bytes_are_refused(place: int, change: int, cut: int) -> None:
     data = bytearray(pack_minutiae(random_minutiae(20)))
     where = place % len(data)
     data[where] ^= change

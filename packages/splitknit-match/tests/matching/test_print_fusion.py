@@ -64,7 +64,6 @@ def test_ridges_count_more_where_more_overlaps_up_to_a_small_print() -> None:
 def test_a_photograph_is_compared_at_the_scale_that_fits(templates) -> None:
     template = with_minutiae(templates[0])
     photo, contact = Prepared(scaled(template, 1.1)), Prepared(template)
-    assert photo.template.minutiae is not None
     assert photo.template.minutiae.size == print_size(photo.template)
     assert photo.template.area_mm2 == pytest.approx(1.21 * template.area_mm2, rel=0.02)
     match, scale, number = fused_photo(photo, contact, (True, False))
@@ -84,8 +83,6 @@ def test_minutiae_come_back_with_their_template() -> None:
     template = with_minutiae(without, 12)
     again = unpack(pack(template))
     assert np.array_equal(again.level, template.level)
-    assert again.minutiae is not None
-    assert template.minutiae is not None
     assert np.array_equal(again.minutiae.x_px, template.minutiae.x_px)
     plain = pack(without)
     assert pack(template).startswith(plain)
@@ -198,6 +195,5 @@ def test_a_bent_print_is_laid_back() -> None:
         bend = bent(grid, agreement, bend)
         agreement = compare_patches(grid, band, still, bend)
     assert agreement.mean > 0.9 > plain + 0.05
-    assert bend is not None
     middle = shown_in_a(grid, still, bend, np.array([[50.0, 100.0], [150.0, 100.0]]))
     assert middle[:, 0] == pytest.approx([57, 143], abs=1.5)

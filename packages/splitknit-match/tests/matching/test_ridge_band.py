@@ -101,7 +101,7 @@ def test_prints_are_mirrored_and_inverted() -> None:
     assert np.corrcoef(from_print.value[inner].ravel(), band.value[inner].ravel())[0, 1] > 0.95
 
 
-def test_bad_input_is_refused() -> None:
+def test_impossible_pitches_heights_and_sizes_are_refused() -> None:
     relief, mask = np.zeros((20, 20), np.float32), np.ones((20, 20), np.bool_)
     with pytest.raises(BadInput, match="pitch"):
         ridge_band(relief, mask, 0.0)

@@ -117,7 +117,7 @@ def test_a_channel_is_resized_to_its_box() -> None:
     assert wide[7, 20] == pytest.approx(9.75, abs=0.01)
 
 
-def test_scales_and_settings_are_checked(impressions) -> None:
+def test_two_scales_and_impossible_settings_are_refused(impressions) -> None:
     for change in ({"gate": 2}, {"attributes": ("colour",)}, {"attributes": ()}):
         with pytest.raises(BadInput):
             ThesisSettings(**change)

@@ -74,7 +74,7 @@ def test_empty_columns_beside_a_finger_change_little() -> None:
     assert match.similarity == pytest.approx(1.0, abs=0.02)
 
 
-def test_what_cannot_be_compared_is_refused() -> None:
+def test_sides_of_two_scales_or_below_a_cell_are_refused() -> None:
     side = code_side(finger(1))
     with pytest.raises(BadInput, match="need one scale"):
         code_match(side, code_side(finger(1, px_per_mm=30)))

@@ -61,7 +61,7 @@ def test_shape_index_names_the_forms() -> None:
         assert curvatures.shape_index[20, 20] == pytest.approx(wanted, abs=0.01), name
 
 
-def test_the_camera_does_not_matter() -> None:
+def test_curvature_does_not_depend_on_the_camera() -> None:
     """A ball seen from 40 mm: every point has its curvature, as its x and y are used."""
     x, y = plane_points((200, 200))
     z = np.zeros_like(x)

@@ -97,7 +97,7 @@ def test_every_format_and_resolution_gives_the_same_print(
 @pytest.mark.parametrize(
     ("scale", "low", "high"), [(0.6, 210, 410), (1.0, 350, 680), (2.0, 700, 1370)]
 )
-def test_unmarked_prints_are_measured_and_asked_about(
+def test_a_print_without_resolution_is_refused_with_an_estimate(
     tmp_path: Path, scale: float, low: int, high: int
 ) -> None:
     file = tmp_path / "scan.png"
@@ -236,7 +236,9 @@ def test_pictures_without_ridges_have_no_period() -> None:
     ],
     ids=["empty", "text", "pdf", "colour", "cut png", "cut bmp"],
 )
-def test_other_files_are_refused_in_one_sentence(tmp_path: Path, data: Data, words: str) -> None:
+def test_files_that_are_no_print_are_refused_in_one_sentence(
+    tmp_path: Path, data: Data, words: str
+) -> None:
     file = tmp_path / "scan.png"
     file.write_bytes(data())
     with pytest.raises(BadInput, match=words) as refused:

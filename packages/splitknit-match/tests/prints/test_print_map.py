@@ -58,7 +58,7 @@ def test_points_come_back_from_the_print(twin: Twin, ppi: float, kind: str) -> N
     assert np.nanpercentile(np.abs(print_map.print_from_input(stored) - pixel), 99) < 0.1
 
 
-def test_directions_are_mirrored(twin: Twin, laid: PrintMap) -> None:
+def test_directions_are_mirrored_on_the_print(twin: Twin, laid: PrintMap) -> None:
     middle = np.argwhere(twin.seen.mask).mean(axis=0)[None, ::-1]
     angles = np.deg2rad([0.0, 30.0, 135.0])
     points = np.repeat(middle, 3, axis=0)
