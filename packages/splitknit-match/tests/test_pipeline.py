@@ -121,7 +121,7 @@ def test_a_result_states_how_it_was_computed(
         assert result.settings == asdict(preset_settings(preset))
         assert result.hashes == capture.hashes
         assert len(result.hashes) == 14 + 2 + 2  # images, ambient, two documents
-        # what others have done before is not done again
+        # earlier steps are taken from the shared memory
         assert {"surface", "result"} <= set(result.timings_s)
         assert all(seconds >= 0 for seconds in result.timings_s.values())
         assert set(result.quality) == {"white", "nir"}
@@ -319,7 +319,7 @@ def test_a_surface_that_is_not_split_is_matched_by_its_height(
     assert not split.whole
     np.testing.assert_array_equal(unsplit.height_mm, split.height_mm)
     inside = unsplit.mask
-    # its slow part, not nothing
+    # the shape is the smooth part of the heights
     assert np.abs(unsplit.shape_mm - unsplit.height_mm)[inside].max() < 1
     assert 0.005 < np.std(unsplit.ridge_mm[inside]) < 0.1
     unsplit.save(tmp_path / "result")
@@ -333,7 +333,7 @@ def test_a_surface_that_is_not_split_is_matched_by_its_height(
         np.testing.assert_array_equal(relief, of_heights)
     relief = surface_images(surface_of(split)).channels["relief"]
     assert np.corrcoef(relief.ravel(), of_heights.ravel())[0, 1] < 0.5
-    if preset == "pr":  # what SnK adds its shape to
+    if preset == "pr":  # the relief of SnK too
         np.testing.assert_array_equal(split.ridge_mm, results["snk"].ridge_mm)
 
 
@@ -364,7 +364,7 @@ def test_cases_that_share_a_memory_are_what_they_are_alone(
         assert shared.warnings == alone.warnings
         assert shared.quality == alone.quality
     assert network.call_count == 1  # snk, pr and pr-split share their direct light
-    # other settings of a stage that the slopes follow from are not mistaken for the same
+    # other settings of an earlier stage are not taken for the same
     coarse = {"enhance.cells.tiles": 16}
     shared = reconstruct(capture, "snk", coarse, memory=memory)
     np.testing.assert_array_equal(shared.ridge_mm, reconstruct(capture, "snk", coarse).ridge_mm)
@@ -411,4 +411,4 @@ def test_a_matt_dome_beside_the_middle_is_measured_under_near_lights() -> None:
     error = (result.height_mm - height)[capture.mask]
     assert error.std() < 0.001
     far = (reconstruct(capture, "ea").height_mm - height)[capture.mask]
-    assert far.std() > 0.1  # what taking the lights for distant ones costs here
+    assert far.std() > 0.1  # `ea` takes the lights for distant

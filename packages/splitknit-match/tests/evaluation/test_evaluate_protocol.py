@@ -1,4 +1,4 @@
-"""The thesis's protocol, systems paired, and what a set of scores must be."""
+"""The thesis's protocol, pairing of systems, checks of a set of scores."""
 
 from __future__ import annotations
 
@@ -92,7 +92,7 @@ def test_scores_of_two_fingers_are_averaged_over_pairs_of_sessions() -> None:
         average_sessions(replace(small(), session=None))
 
 
-def test_the_earlier_session_comes_first_whatever_the_file_says() -> None:
+def test_averages_do_not_depend_on_which_session_stands_first() -> None:
     scores = small()
     turn = np.arange(12) % 2 == 0
 

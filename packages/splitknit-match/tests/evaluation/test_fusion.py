@@ -1,4 +1,4 @@
-"""Fusion of scores: what it gives, that it never sees whom it is tested on, and what it refuses."""
+"""Fusion of scores: its gain, folds by subject, missing scores, refusals."""
 
 from __future__ import annotations
 
@@ -17,8 +17,7 @@ from splitknit_match.evaluation.scores import Scores, ids_of
 
 
 def systems(count: int = 3, subjects: int = 30, seed: int = 0, noise: float = 0.6) -> list[Scores]:
-    """Systems of independent errors, two fingers of each subject in two sessions, on scales of
-    their own."""
+    """Systems of independent errors on different scales; two fingers a subject, two sessions."""
     finger = np.tile(np.arange(2 * subjects), 2)
     session = np.repeat([1, 2], 2 * subjects)
     pairs, rng = comparisons(finger, session), np.random.default_rng(seed)
@@ -39,7 +38,7 @@ def test_three_independent_systems_are_better_than_the_best(method: str) -> None
     three = systems()
     fused = fuse(three, method).scores
     best = max(map(separation, three))
-    assert separation(fused) > 1.5 * best  # sqrt(3), less what so few comparisons cost
+    assert separation(fused) > 1.5 * best  # sqrt(3) with many comparisons
 
 
 def test_trained_fusion_leaves_a_useless_system_out() -> None:

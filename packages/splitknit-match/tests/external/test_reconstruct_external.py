@@ -232,8 +232,7 @@ def test_the_command_line_segments_the_phalange_without_its_mask(
         mask, height_mm = arrays["mask"], arrays["height_mm"]
     assert (mask & phalange.mask).sum() > 0.94 * (mask | phalange.mask).sum()
     assert np.isfinite(height_mm[mask]).all()
-    # its lamps stand in one plane, 3 units high: their light falls by the square of the distance,
-    # by 11 %
+    # its lamps stand in one plane, 3 units high: by their distances their light differs by 11 %
     messages = {each["code"]: each["message"] for each in facts["findings"]}
     assert "touches a border of the image" in messages.pop("outline-at-border")  # where it enters
     (brightness,) = messages.values()

@@ -1,4 +1,4 @@
-"""Kumar's case: what differs from EA."""
+"""The preset `kumar`: `ea`, smoothed."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Where a print is cut off, every ridge ends: those ends are not the finger's."""
+"""Where a print is cut off, every ridge ends: those ends are no minutiae."""
 
 from __future__ import annotations
 
@@ -31,8 +31,7 @@ def test_the_distance_is_to_the_outline_of_the_print_or_the_image() -> None:
 
 
 def test_straight_ridges_have_no_minutiae_wherever_their_print_ends() -> None:
-    """A relief of parallel ridges inside a round outline: the ends at the outline are found, and
-    left out."""
+    """Parallel ridges inside a round outline: their ends at the outline are left out."""
     pytest.importorskip("nbis")
     rows, columns = np.mgrid[:400, :400]
     turned = np.cos(0.3) * rows + np.sin(0.3) * columns

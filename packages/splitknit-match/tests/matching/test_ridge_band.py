@@ -1,4 +1,4 @@
-"""The ridge band: pitch, direction, contrast, unrolling, what is left out."""
+"""The ridge band: pitch, direction, contrast, unrolling, skin without ridges."""
 
 from __future__ import annotations
 

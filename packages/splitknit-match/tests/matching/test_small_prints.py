@@ -161,7 +161,7 @@ def test_a_part_of_a_finger_is_identified_or_undecided(files, tmp_path: Path, ca
 
 @pytest.mark.slow
 def test_matches_are_decided_by_own_rates(templates, tmp_path: Path, capsys) -> None:
-    """``evaluate --calibrate`` writes what ``match --decision`` decides by."""
+    """``match --decision`` uses the file that ``evaluate --calibrate`` writes."""
     impostors = np.random.default_rng(0).normal(-3, 1, 300)
     assert main([*calibration(tmp_path, impostors, 8.0), "--least-mm2", "20"]) == 0
     rates, own = read_own_rates(tmp_path / "own.json"), str(tmp_path / "own.json")

@@ -1,4 +1,4 @@
-"""Templates: what is kept, packed and read again."""
+"""Templates of the ridge matcher: levels, packing, damage."""
 
 from __future__ import annotations
 

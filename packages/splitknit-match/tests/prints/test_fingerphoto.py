@@ -1,5 +1,4 @@
-"""A photograph of a finger: drawn here, an elliptic cylinder with ridges at known distances along
-the skin."""
+"""Drawn photographs of a finger: an elliptic cylinder with ridges at known distances."""
 
 from __future__ import annotations
 
@@ -138,7 +137,7 @@ def test_a_colour_file_is_matched_and_printed_as_a_photograph(
     assert main(["match", str(photo), str(photo), "--input-ppi", str(25.4 * PX_PER_MM)]) == 0
     printed = capsys.readouterr().out
     assert "photo.jpg: taken for a photograph of a finger" in printed
-    assert "photographs of" in printed  # what false match rates were measured on
+    assert "photographs of" in printed  # the population of the false match rates
     assert main(["print", str(photo), "--out", out, "--method", "relief"]) == 2
     assert "photograph of a finger: its --method is photo" in capsys.readouterr().err
     assert main(["print", str(photo), "--out", out]) == 0
@@ -148,7 +147,7 @@ def test_a_colour_file_is_matched_and_printed_as_a_photograph(
     quality = report["quality"]
     assert quality["nfiq2"] is None  # it is not for contactless pictures
     assert quality["photo"] > 10
-    # the last has the one thing to change
+    # the last is the advice
     codes = [finding["code"] for finding in report["findings"]]
     assert codes == ["fingerphoto", "fingerphoto-quality"]
 

@@ -187,7 +187,7 @@ def test_a_resolution_that_the_ridges_contradict_gives_no_answer(ppi: int, tmp_p
 
 @pytest.mark.slow
 def test_a_resolution_that_only_the_other_print_contradicts_gives_no_answer(tmp_path: Path) -> None:
-    """400 for 500 ppi is within what people differ by, but at one scale of their ridges both
+    """Ridges at 400 for 500 ppi are as wide as some people's, but at one scale both prints
     match."""
     sound, file, impostor = (tmp_path / name for name in ("sound.png", "scan.png", "impostor.png"))
     sound.write_bytes(saved(spiral_print(), "PNG", 500))

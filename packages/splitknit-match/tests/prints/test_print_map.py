@@ -51,7 +51,7 @@ def test_points_come_back_from_the_print(twin: Twin, ppi: float, kind: str) -> N
     inside = np.isfinite(back).all(axis=1)
     assert inside.mean() > 0.9
     assert np.abs(back - points)[inside].max() < 0.02
-    # what is stored for every pixel is the same map
+    # the rows and columns stored for every pixel are the same map
     pixel = np.rint(there[inside]).astype(int)
     place = pixel[:, 1], pixel[:, 0]
     stored = np.stack([print_map.columns[place], print_map.rows[place]], axis=1)
@@ -82,8 +82,8 @@ def _best(part: np.ndarray, whole: np.ndarray) -> tuple[float, tuple[int, int]]:
 def test_side_size_and_polarity_are_those_of_ink(
     twin: Twin, laid: PrintMap, printed: np.ndarray
 ) -> None:
-    """8 mm of our print lie on the finger's own ink print, unturned, unscaled: mirrored, upright,
-    ridges dark."""
+    """8 mm of the print match the finger's own ink print best as they are: not mirrored, turned,
+    inverted or scaled."""
     ink_master = ink_print(twin.master)
     core = laid.print_from_input(np.atleast_2d(twin.seen.landmarks["cores_px"])[:1])[0]
     column, row = np.rint(core).astype(int)

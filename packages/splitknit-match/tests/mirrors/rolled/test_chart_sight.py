@@ -119,7 +119,7 @@ def test_spreading_rays_meet_the_finger_where_their_pixels_show_it(
         at = np.meshgrid(np.arange(columns[0], columns[1], 4) + 1.5, np.arange(180, 300, 4) + 1.5)
         assert np.abs(column - at[0])[met].max() < 0.02
         assert np.abs(row - at[1])[met].max() < 0.02
-        # what the view calls a height along its rays leads back to the same points
+        # heights along the rays of the view lead back to the same points
         rays = replace(view, along_rays=True)
         again = np.stack(rays.points(rays.along(np.nan_to_num(z))), axis=-1)
         assert np.abs(sight.to_view(again.astype(np.float64)) - points)[met].max() < 1e-3

@@ -72,7 +72,7 @@ def test_the_search_measures_a_bulge_by_the_ridges(more: float) -> None:
     assert fit.correlations[0] > 0.8
     middle = np.abs(np.rad2deg(chart.angle_rad) - 45) < 15
     left = fit.radius_mm[70, middle] - truth[middle]
-    # surface and mirror trade against each other: what both move by is what counts
+    # surface and mirror move the ridges in the same way: only their sum is measured
     assert np.abs(left + fit.poses[0][2] * np.sin(2 * chart.angle_rad[middle])).max() < 0.15
     unrelated = ViewRidges(RIGHT, ridges(chart.shape, 9) * both, both)
     assert not search(chart, radius, front, unrelated).radius_mm.any()
@@ -117,8 +117,8 @@ def test_ridges_move_as_surface_and_mirror_do() -> None:
     front, no_pose = _shifts_by(FRONT, points[at], rays[at], steps)
     mirror, by_pose = _shifts_by(RIGHT, points[at], rays[at], steps)
     column_mm = np.linalg.norm(steps[0])
-    # at 45 deg a surface that rises by 1 mm moves what the front shows by 1 mm towards the side,
-    # the mirror's back
+    # at 45 deg, where the surface rises by 1 mm, ridges of the front move by 1 mm to the side,
+    # those of the mirror back
     assert front[0] * column_mm == pytest.approx([1.0, 0.0], abs=0.02)
     assert mirror[0] * column_mm == pytest.approx([-1.0, 0.0], abs=0.02)
     assert not no_pose.any()
