@@ -243,31 +243,31 @@ def test_the_command_line_segments_the_phalange_without_its_mask(
     assert 0.3 < (prints < 128).mean() < 0.6  # ridges and valleys
 
 
+GEL_PITCH_MM, BALL_RADIUS_MM = 0.00340346, 0.2475
+
+
+def gel_images(folder: Path) -> np.ndarray:
+    files = [str(folder / f"image{k:02d}.png") for k in range(7, 13)]
+    return np.float32([cv2.imread(file, cv2.IMREAD_GRAYSCALE) for file in files])
+
+
+def cap(x: float, y: float) -> tuple[tuple[np.ndarray, np.ndarray], np.ndarray]:
+    """Pixels (n,) of a ball within 0.6 of its radius, and its normals (3, n) there."""
+    rows, columns = np.mgrid[int(y - 50) : int(y + 50), int(x - 50) : int(x + 50)]
+    u, v = np.array([columns - x, y - rows]) * GEL_PITCH_MM / BALL_RADIUS_MM
+    normals = np.stack([u, v, np.sqrt(np.clip(1 - u * u - v * v, 0, None))])
+    part = u * u + v * v < 0.36
+    return (rows[part], columns[part]), normals[:, part]
+
+
 @pytest.mark.slow
 def test_on_balls_pressed_into_a_gel_metric_is_as_good_as_ea(data_dir: Path) -> None:
     """Caps in um. Lights and ambient are fitted to the balls left of the crop; rims of contact cast
     shadows."""
     folder = needed(data_dir / "elastomer")
-    names = [f"image{k:02d}.png" for k in range(7, 13)]
-
-    def images_of(part: str) -> np.ndarray:
-        files = [str(folder / part / name) for name in names]
-        return np.float32([cv2.imread(file, cv2.IMREAD_GRAYSCALE) for file in files])
-
-    ratio = images_of("BGA-001") / np.maximum(images_of("Flat-001"), 1)
+    ratio = gel_images(folder / "BGA-001") / np.maximum(gel_images(folder / "Flat-001"), 1)
     outlines = (folder / "BGA-001" / "scan.yaml").read_text("utf-8")
     centres = np.array(re.findall(r"x: ([\d.]+)\s+y: ([\d.]+)", outlines), dtype=float)
-    pitch_mm, radius_mm = 0.00340346, 0.2475
-    radius = radius_mm / pitch_mm
-
-    def cap(x: float, y: float) -> tuple[tuple[np.ndarray, np.ndarray], np.ndarray]:
-        """Pixels (n,) within 0.6 of the radius, and the ball's normals (3, n) there."""
-        rows, columns = np.mgrid[int(y - 50) : int(y + 50), int(x - 50) : int(x + 50)]
-        u, v = (columns - x) / radius, (y - rows) / radius
-        normals = np.stack([u, v, np.sqrt(np.clip(1 - u * u - v * v, 0, None))])
-        part = u * u + v * v < 0.36
-        return (rows[part], columns[part]), normals[:, part]
-
     left = [cap(x, y) for x, y in centres if 60 < x < 900 and 60 < y < len(ratio[0]) - 60]
     truth = np.concatenate([normals.T for _, normals in left])
     light = np.concatenate([ratio[:, *part].T for part, _ in left])
@@ -278,7 +278,7 @@ def test_on_balls_pressed_into_a_gel_metric_is_as_good_as_ea(data_dir: Path) -> 
     shading = (ratio - ambient[:, None, None]) / strength[:, None, None]
     images = np.clip(shading[:, *crop] * 12000, 0, 65535).astype(np.uint16)
     mask = np.ones(images.shape[1:], bool)
-    capture = opaque_capture(images, lights / strength[:, None], 1 / pitch_mm, mask)
+    capture = opaque_capture(images, lights / strength[:, None], 1 / GEL_PITCH_MM, mask)
     error = {}
     for preset in ("metric", "ea"):
         height = np.full(ratio.shape[1:], np.nan)
@@ -287,7 +287,7 @@ def test_on_balls_pressed_into_a_gel_metric_is_as_good_as_ea(data_dir: Path) -> 
         for x, y in centres:
             if 1060 < x < 1840 and 560 < y < 1340:
                 part, normals = cap(x, y)
-                rms.append((height[part] - normals[2] * radius_mm * 1000).std())
+                rms.append((height[part] - normals[2] * BALL_RADIUS_MM * 1000).std())
         assert len(rms) == 6
         error[preset] = float(np.sqrt(np.mean(np.square(rms))))
     assert error["metric"] < min(1.6, error["ea"])

@@ -122,31 +122,45 @@ def test_ridges_of_0_73_mm_need_a_known_scale() -> None:
     assert finger_of_photo(wide, PX_PER_MM, inside).quality
 
 
-@pytest.mark.slow
-def test_a_colour_file_is_matched_and_printed_as_a_photograph(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    photo, grey, out = tmp_path / "photo.jpg", tmp_path / "print.png", str(tmp_path / "out")
-    pixels = drawn(20.0, minutiae=40)[0]
-    cv2.imwrite(str(photo), pixels[..., ::-1])
-    cv2.imwrite(str(grey), pixels[..., 1])
+@pytest.fixture
+def photo(tmp_path: Path) -> Path:
+    file = tmp_path / "photo.jpg"
+    cv2.imwrite(str(file), drawn(20.0, minutiae=40)[0][..., ::-1])
+    return file
+
+
+def test_only_files_in_colour_are_photographs(photo: Path, tmp_path: Path) -> None:
+    grey = tmp_path / "print.png"
+    cv2.imwrite(str(grey), cv2.imread(str(photo), cv2.IMREAD_GRAYSCALE))
     assert fingerphoto(photo) is not None
     assert fingerphoto(grey) is None
     assert fingerphoto(tmp_path / "none.jpg") is None
+
+
+@pytest.mark.slow
+def test_photographs_are_matched_by_rates_of_photographs(
+    photo: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     assert read_fingerphoto(photo, PX_PER_MM).hashes.keys() == {"photo.jpg"}
     assert main(["match", str(photo), str(photo), "--input-ppi", str(25.4 * PX_PER_MM)]) == 0
     printed = capsys.readouterr().out
     assert "photo.jpg: taken for a photograph of a finger" in printed
-    assert "photographs of" in printed  # the population of the false match rates
-    assert main(["print", str(photo), "--out", out, "--method", "relief"]) == 2
+    assert "photographs of" in printed
+
+
+@pytest.mark.slow
+def test_a_photograph_is_printed_with_its_quality(
+    photo: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out = tmp_path / "out"
+    assert main(["print", str(photo), "--out", str(out), "--method", "relief"]) == 2
     assert "photograph of a finger: its --method is photo" in capsys.readouterr().err
-    assert main(["print", str(photo), "--out", out]) == 0
+    assert main(["print", str(photo), "--out", str(out)]) == 0
     assert "on the skin laid flat" in capsys.readouterr().out
-    assert (tmp_path / "out" / "minutiae.iso").is_file()
-    report = json.loads((tmp_path / "out" / "report.json").read_text("utf-8"))
-    quality = report["quality"]
-    assert quality["nfiq2"] is None  # it is not for contactless pictures
-    assert quality["photo"] > 10
+    assert (out / "minutiae.iso").is_file()
+    report = json.loads((out / "report.json").read_text("utf-8"))
+    assert report["quality"]["nfiq2"] is None  # it is not for contactless pictures
+    assert report["quality"]["photo"] > 10
     # the last is the advice
     codes = [finding["code"] for finding in report["findings"]]
     assert codes == ["fingerphoto", "fingerphoto-quality"]
